@@ -1,0 +1,89 @@
+//! Binds Embree 4 (bindgen), compiles the own C++ of `cpp/` (cxx) and tells the linker where Embree lies.
+//!
+//! Embree is looked for in `$EMBREE_DIR`, then in `.deps/embree4` (made by `scripts/setup.sh` on Debian 12), then
+//! in the system (Debian 13 and later: package `libembree-dev`).
+
+use std::env;
+use std::path::{Path, PathBuf};
+
+/// Files with a `#[cxx::bridge]`.
+const BRIDGES: &[&str] = &["src/ffi/tracer.rs"];
+
+/// Own C++ compiled once, for the baseline x86-64.
+const SOURCES: &[&str] = &["cpp/tracer.cpp"];
+
+fn main() {
+    let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets CARGO_MANIFEST_DIR"));
+    let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
+    let prefix = embree_prefix(&root);
+    bind_embree(prefix.as_deref(), &out);
+    compile_cpp(prefix.as_deref());
+    link_embree(prefix.as_deref());
+    println!("cargo:rerun-if-changed=cpp");
+    println!("cargo:rerun-if-env-changed=EMBREE_DIR");
+}
+
+fn embree_prefix(root: &Path) -> Option<PathBuf> {
+    if let Some(dir) = env::var_os("EMBREE_DIR").filter(|d| !d.is_empty()) {
+        return Some(PathBuf::from(dir));
+    }
+    let local = root.join(".deps/embree4");
+    // A path that does not exist would run this script at every build.
+    if local.join(".ok").exists() {
+        println!("cargo:rerun-if-changed={}", local.join(".ok").display());
+        return local.canonicalize().ok();
+    }
+    None
+}
+
+fn bind_embree(prefix: Option<&Path>, out: &Path) {
+    let header = prefix.map_or_else(|| PathBuf::from("/usr/include"), |p| p.join("include")).join("embree4/rtcore.h");
+    assert!(
+        header.exists(),
+        "Embree 4 headers not found at {}: run scripts/setup.sh, or set EMBREE_DIR to a prefix with include/ and lib/",
+        header.display()
+    );
+    let mut builder = bindgen::Builder::default()
+        .header("cpp/embree.h")
+        .allowlist_function("rtc.*")
+        .allowlist_type("RTC.*")
+        .allowlist_var("RTC_.*")
+        .default_enum_style(bindgen::EnumVariation::NewType { is_bitfield: false, is_global: false })
+        .bitfield_enum("RTC.*Flags")
+        .prepend_enum_name(false)
+        .derive_default(true)
+        .layout_tests(true)
+        .generate_comments(false)
+        .merge_extern_blocks(true);
+    if let Some(prefix) = prefix {
+        builder = builder.clang_arg(format!("-I{}", prefix.join("include").display()));
+    }
+    builder
+        .generate()
+        .expect("bindgen could not read Embree's headers")
+        .write_to_file(out.join("embree.rs"))
+        .expect("OUT_DIR is writable");
+}
+
+fn compile_cpp(prefix: Option<&Path>) {
+    let mut build = cxx_build::bridges(BRIDGES);
+    build.files(SOURCES).include(".").std("c++17").opt_level(3).flag("-Wall").flag("-Wextra");
+    // Results must not depend on how the compiler contracts or reorders arithmetic.
+    build.flag("-ffp-contract=off");
+    if let Some(prefix) = prefix {
+        build.include(prefix.join("include"));
+    }
+    build.compile("respire_bench_cpp");
+    for file in BRIDGES {
+        println!("cargo:rerun-if-changed={file}");
+    }
+}
+
+fn link_embree(prefix: Option<&Path>) {
+    if let Some(prefix) = prefix {
+        let lib = prefix.join("lib");
+        println!("cargo:rustc-link-search=native={}", lib.display());
+        println!("cargo:rustc-link-arg=-Wl,-rpath,{}", lib.display());
+    }
+    println!("cargo:rustc-link-lib=dylib=embree4");
+}

@@ -1,0 +1,26 @@
+//! Anatomy that breathes: case files, bronchial trees, surface, breathing field and waveform, centreline, import.
+//! Knows nothing of rendering.
+
+pub mod centerline;
+
+use glam::DVec3;
+
+use crate::base::TriangleMesh;
+use centerline::Centerline;
+
+/// One airway in its two end states, with one topology: what a case file builds and a simulator films.
+#[derive(Clone, Debug)]
+pub struct Anatomy {
+    /// Surface at full inspiration (phase 0, the rest shape); normals point into the lumen.
+    pub inspiration: TriangleMesh,
+    /// The same faces at full expiration (phase 1).
+    pub expiration: TriangleMesh,
+    /// Airway generation of each vertex (0 trachea), fractional at bifurcations; drives the mucosa's look.
+    pub vertex_generation: Vec<f32>,
+    /// Centreline at inspiration.
+    pub centerline: Centerline,
+    /// Position in mm of each centreline point at expiration.
+    pub centerline_expiration: Vec<DVec3>,
+    /// Inscribed radius in mm of each centreline point at expiration.
+    pub radius_expiration_mm: Vec<f64>,
+}

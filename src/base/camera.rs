@@ -1,0 +1,135 @@
+//! Camera models. Axes as OpenCV: x right, y down, z forward; pixel centres at integer + 0.5; depth is z-depth.
+
+use glam::{DAffine3, DMat3, DVec2, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::error::{Error, Result};
+
+/// Intrinsics of one camera. Lengths in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Camera {
+    /// Image width in pixels.
+    pub width: u32,
+    /// Image height in pixels.
+    pub height: u32,
+    /// Horizontal focal length in pixels.
+    pub fl_x: f64,
+    /// Vertical focal length in pixels.
+    pub fl_y: f64,
+    /// Horizontal principal point in pixels (image centre is `width / 2`).
+    pub cx: f64,
+    /// Vertical principal point in pixels.
+    pub cy: f64,
+    /// `k1..k4` of OpenCV's fisheye model; `None` is a pinhole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fisheye: Option<[f64; 4]>,
+}
+
+impl Camera {
+    /// Pinhole with square pixels, centred principal point and horizontal field of view `fov_x_rad`.
+    pub fn pinhole(width: u32, height: u32, fov_x_rad: f64) -> Self {
+        let focal = width as f64 / 2.0 / (fov_x_rad / 2.0).tan();
+        Camera {
+            width,
+            height,
+            fl_x: focal,
+            fl_y: focal,
+            cx: width as f64 / 2.0,
+            cy: height as f64 / 2.0,
+            fisheye: None,
+        }
+    }
+
+    /// Rejects sizes and focal lengths that no image can have.
+    pub fn validate(&self) -> Result<()> {
+        let finite = [self.fl_x, self.fl_y, self.cx, self.cy].iter().all(|v| v.is_finite());
+        if self.width == 0 || self.height == 0 || !finite || self.fl_x <= 0.0 || self.fl_y <= 0.0 {
+            return Err(Error::input("camera needs a positive size and positive finite focal lengths"));
+        }
+        Ok(())
+    }
+
+    /// Direction (camera axes, z = 1 for a pinhole; unit length for fisheye) through the image point `pixel`.
+    /// The point `depth * direction / direction.z` has z-depth `depth`.
+    pub fn direction(&self, pixel: DVec2) -> DVec3 {
+        let x = (pixel.x - self.cx) / self.fl_x;
+        let y = (pixel.y - self.cy) / self.fl_y;
+        let Some([k1, k2, k3, k4]) = self.fisheye else { return DVec3::new(x, y, 1.0) };
+        let distorted = x.hypot(y);
+        if distorted < 1e-12 {
+            return DVec3::Z;
+        }
+        // Newton's method on theta (1 + k1 theta^2 + ...) = distorted.
+        let mut theta = distorted.min(std::f64::consts::PI);
+        for _ in 0..20 {
+            let t2 = theta * theta;
+            let value = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) - distorted;
+            let slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)));
+            theta -= value / slope;
+        }
+        let s = theta.sin() / distorted;
+        DVec3::new(x * s, y * s, theta.cos())
+    }
+
+    /// Image point of a point in camera axes, `None` behind a pinhole.
+    pub fn project(&self, point: DVec3) -> Option<DVec2> {
+        let (x, y) = match self.fisheye {
+            None if point.z <= 0.0 => return None,
+            None => (point.x / point.z, point.y / point.z),
+            Some([k1, k2, k3, k4]) => {
+                let r = point.x.hypot(point.y);
+                let theta = r.atan2(point.z);
+                let t2 = theta * theta;
+                let distorted = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))));
+                let s = if r > 1e-12 { distorted / r } else { 1.0 / point.z };
+                (point.x * s, point.y * s)
+            }
+        };
+        Some(DVec2::new(self.fl_x * x + self.cx, self.fl_y * y + self.cy))
+    }
+
+    /// The same camera for an image `factor` times as wide and high.
+    pub fn scaled(&self, factor: f64) -> Self {
+        Camera {
+            width: (self.width as f64 * factor).round() as u32,
+            height: (self.height as f64 * factor).round() as u32,
+            fl_x: self.fl_x * factor,
+            fl_y: self.fl_y * factor,
+            cx: self.cx * factor,
+            cy: self.cy * factor,
+            fisheye: self.fisheye,
+        }
+    }
+}
+
+/// Camera at `origin` that looks along `forward`; `up` points to the top of the image as far as it can.
+pub fn world_from_camera_looking(origin: DVec3, forward: DVec3, up: DVec3) -> DAffine3 {
+    let z = forward.normalize();
+    let x = z.cross(up).try_normalize().unwrap_or_else(|| z.any_orthonormal_vector());
+    let y = z.cross(x);
+    DAffine3::from_mat3_translation(DMat3::from_cols(x, y, z), origin)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn projection_inverts_direction() {
+        for fisheye in [None, Some([0.02, -0.004, 0.001, 0.0])] {
+            let camera = Camera { fisheye, ..Camera::pinhole(200, 100, 1.9) };
+            for (px, py) in [(0.5, 0.5), (100.0, 50.0), (199.5, 99.5), (30.2, 71.9)] {
+                let p = camera.project(camera.direction(DVec2::new(px, py)) * 7.0).unwrap();
+                assert!((p - DVec2::new(px, py)).length() < 1e-9, "{p} for {px} {py}");
+            }
+        }
+    }
+
+    #[test]
+    fn looking_is_right_handed_with_y_down() {
+        let w = world_from_camera_looking(DVec3::ZERO, DVec3::Z, DVec3::Y);
+        assert!((w.matrix3.determinant() - 1.0).abs() < 1e-12);
+        assert!((w.transform_vector3(DVec3::Y) - DVec3::NEG_Y).length() < 1e-12);
+    }
+}

@@ -1,0 +1,126 @@
+//! The one error type: what went wrong, in one sentence that names file and element.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Result with the crate's [`Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// What kind of failure it is; decides the exit code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ErrorKind {
+    /// A cell of the benchmark failed.
+    CellFailed,
+    /// The command line cannot be understood.
+    Usage,
+    /// A metric is worse than its threshold allows.
+    Regression,
+    /// A file cannot be read, does not say what its format demands, or cannot be written.
+    InputOutput,
+    /// The machine lacks something (a library, an instruction set).
+    Environment,
+    /// The user stopped the work.
+    Interrupted,
+}
+
+impl ErrorKind {
+    /// The documented exit code of the process (README, "Exit codes").
+    pub fn exit_code(self) -> u8 {
+        match self {
+            ErrorKind::CellFailed => 1,
+            ErrorKind::Usage => 2,
+            ErrorKind::Regression => 3,
+            ErrorKind::InputOutput => 4,
+            ErrorKind::Environment => 5,
+            ErrorKind::Interrupted => 130,
+        }
+    }
+}
+
+/// One sentence, with the file and the element in it that is at fault where there is one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Error(Box<Inner>);
+
+#[derive(Clone, Debug, PartialEq)]
+struct Inner {
+    kind: ErrorKind,
+    path: Option<PathBuf>,
+    element: Option<String>,
+    message: String,
+}
+
+impl Error {
+    /// An error of `kind` that says `message`.
+    pub fn new(kind: ErrorKind, message: impl Into<String>) -> Self {
+        Error(Box::new(Inner { kind, path: None, element: None, message: message.into() }))
+    }
+
+    /// Input that contradicts its format or its meaning.
+    pub fn input(message: impl Into<String>) -> Self {
+        Self::new(ErrorKind::InputOutput, message)
+    }
+
+    /// A command line that cannot be understood.
+    pub fn usage(message: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Usage, message)
+    }
+
+    /// The user stopped the work.
+    pub fn interrupted() -> Self {
+        Self::new(ErrorKind::Interrupted, "stopped; the same command resumes")
+    }
+
+    /// An operating-system error while doing `what` ("reading", "writing") with `path`.
+    pub fn io(what: &str, path: &Path, source: std::io::Error) -> Self {
+        Self::input(format!("{what} failed: {source}")).at(path)
+    }
+
+    /// Names the file at fault, unless one is named already.
+    pub fn at(mut self, path: impl AsRef<Path>) -> Self {
+        self.0.path.get_or_insert_with(|| path.as_ref().to_path_buf());
+        self
+    }
+
+    /// Names the element at fault (a line, a key, a vertex), unless one is named already.
+    pub fn element(mut self, element: impl fmt::Display) -> Self {
+        self.0.element.get_or_insert_with(|| element.to_string());
+        self
+    }
+
+    /// What kind of failure it is.
+    pub fn kind(&self) -> ErrorKind {
+        self.0.kind
+    }
+
+    /// The file at fault, if one is known.
+    pub fn path(&self) -> Option<&Path> {
+        self.0.path.as_deref()
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(path) = &self.0.path {
+            write!(f, "{}: ", path.display())?;
+        }
+        if let Some(element) = &self.0.element {
+            write!(f, "{element}: ")?;
+        }
+        f.write_str(&self.0.message)
+    }
+}
+
+impl std::error::Error for Error {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sentence_names_file_and_element() {
+        let e = Error::input("x is NaN").element("vertex 7").at("airway.ply").at("other.ply");
+        assert_eq!(e.to_string(), "airway.ply: vertex 7: x is NaN");
+        assert_eq!(e.kind().exit_code(), 4);
+    }
+}

@@ -1,0 +1,188 @@
+//! Triangle meshes: vertices in mm, faces wound so that the normal points *into the lumen* (towards the camera).
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+
+use super::error::{Error, Result};
+
+/// An indexed triangle mesh.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TriangleMesh {
+    /// Positions in mm.
+    pub vertices: Vec<DVec3>,
+    /// Three vertex indices per face; right-handed winding.
+    pub faces: Vec<[u32; 3]>,
+}
+
+impl TriangleMesh {
+    /// The three corners of face `face`.
+    pub fn corners(&self, face: usize) -> [DVec3; 3] {
+        self.faces[face].map(|v| self.vertices[v as usize])
+    }
+
+    /// Twice the area of `face` times its unit normal.
+    pub fn area_normal(&self, face: usize) -> DVec3 {
+        let [a, b, c] = self.corners(face);
+        (b - a).cross(c - a)
+    }
+
+    /// Area-weighted unit vertex normals; zero where a vertex has no face.
+    pub fn vertex_normals(&self) -> Vec<DVec3> {
+        let mut normals = vec![DVec3::ZERO; self.vertices.len()];
+        for (f, face) in self.faces.iter().enumerate() {
+            let n = self.area_normal(f);
+            for &v in face {
+                normals[v as usize] += n;
+            }
+        }
+        normals.iter().map(|n| n.normalize_or_zero()).collect()
+    }
+
+    /// Signed volume in mm^3: positive when the normals point out of the enclosed space.
+    pub fn signed_volume(&self) -> f64 {
+        (0..self.faces.len()).map(|f| self.corners(f)).map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
+    }
+
+    /// Turns every face around.
+    pub fn flip(&mut self) {
+        for face in &mut self.faces {
+            face.swap(1, 2);
+        }
+    }
+
+    /// Lowest and highest corner of the bounding box.
+    pub fn bounds(&self) -> (DVec3, DVec3) {
+        self.vertices.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &v| (low.min(v), high.max(v)))
+    }
+
+    /// Sorted unique undirected edges.
+    pub fn edges(&self) -> Vec<[u32; 2]> {
+        let mut edges: Vec<[u32; 2]> = self
+            .faces
+            .iter()
+            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
+            .map(|[a, b]| [a.min(b), a.max(b)])
+            .collect();
+        edges.sort_unstable();
+        edges.dedup();
+        edges
+    }
+
+    /// Vertex neighbours, sorted, as (offsets, flat list): the neighbours of `v` are `list[offsets[v]..offsets[v + 1]]`.
+    pub fn neighbours(&self) -> (Vec<u32>, Vec<u32>) {
+        let edges = self.edges();
+        let mut offsets = vec![0u32; self.vertices.len() + 1];
+        for &[a, b] in &edges {
+            offsets[a as usize + 1] += 1;
+            offsets[b as usize + 1] += 1;
+        }
+        for v in 0..self.vertices.len() {
+            offsets[v + 1] += offsets[v];
+        }
+        let mut fill = offsets.clone();
+        let mut list = vec![0u32; edges.len() * 2];
+        for &[a, b] in &edges {
+            for (from, to) in [(a, b), (b, a)] {
+                list[fill[from as usize] as usize] = to;
+                fill[from as usize] += 1;
+            }
+        }
+        for v in 0..self.vertices.len() {
+            list[offsets[v] as usize..offsets[v + 1] as usize].sort_unstable();
+        }
+        (offsets, list)
+    }
+
+    /// Finite vertices, indices in range, no face that names a vertex twice. The error names the element.
+    pub fn validate(&self) -> Result<()> {
+        if self.faces.is_empty() {
+            return Err(Error::input("the mesh has no faces"));
+        }
+        if let Some(v) = self.vertices.iter().position(|v| !v.is_finite()) {
+            return Err(Error::input("coordinate is not finite").element(format!("vertex {v}")));
+        }
+        for (f, &[a, b, c]) in self.faces.iter().enumerate() {
+            if a.max(b).max(c) as usize >= self.vertices.len() {
+                return Err(Error::input(format!("names vertex {} of {}", a.max(b).max(c), self.vertices.len()))
+                    .element(format!("face {f}")));
+            }
+            if a == b || b == c || c == a {
+                return Err(Error::input("names one vertex twice").element(format!("face {f}")));
+            }
+        }
+        Ok(())
+    }
+
+    /// [`TriangleMesh::validate`], and every edge is shared by exactly two faces that run along it in opposite
+    /// directions: the surface is closed, manifold in its edges and consistently wound.
+    pub fn validate_closed(&self) -> Result<()> {
+        self.validate()?;
+        let mut directed: HashMap<(u32, u32), u32> = HashMap::with_capacity(self.faces.len() * 3);
+        for (f, &[a, b, c]) in self.faces.iter().enumerate() {
+            for edge in [(a, b), (b, c), (c, a)] {
+                if let Some(other) = directed.insert(edge, f as u32) {
+                    return Err(Error::input(format!(
+                        "is run along in the same direction by faces {other} and {f}: not manifold"
+                    ))
+                    .element(format!("edge {}-{}", edge.0, edge.1)));
+                }
+            }
+        }
+        let open = directed.iter().filter(|((a, b), _)| !directed.contains_key(&(*b, *a))).min_by_key(|(e, _)| **e);
+        match open {
+            Some(((a, b), f)) => {
+                Err(Error::input(format!("of face {f} has no second face: the surface is not closed"))
+                    .element(format!("edge {a}-{b}")))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// `(1 - phase) * inspiration + phase * expiration`, the breathing model of the paper (its equations 2 and 5).
+/// Phase 0 and 1 give the end states to the bit.
+pub fn interpolate(inspiration: &[DVec3], expiration: &[DVec3], phase: f64) -> Vec<DVec3> {
+    if phase == 1.0 {
+        return expiration.to_vec();
+    }
+    inspiration.iter().zip(expiration).map(|(&i, &e)| i + (e - i) * phase).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tetrahedron() -> TriangleMesh {
+        TriangleMesh {
+            vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
+            faces: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+        }
+    }
+
+    #[test]
+    fn closed_mesh_passes_and_damage_is_named() {
+        let mut mesh = tetrahedron();
+        mesh.validate_closed().unwrap();
+        assert!((mesh.signed_volume() - 1.0 / 6.0).abs() < 1e-15);
+        mesh.faces.pop();
+        assert!(mesh.validate_closed().unwrap_err().to_string().contains("not closed"));
+        mesh.vertices[2].y = f64::NAN;
+        assert_eq!(mesh.validate().unwrap_err().to_string(), "vertex 2: coordinate is not finite");
+    }
+
+    #[test]
+    fn neighbours_of_a_tetrahedron() {
+        let (offsets, list) = tetrahedron().neighbours();
+        assert_eq!(offsets, [0, 3, 6, 9, 12]);
+        assert_eq!(&list[3..6], [0, 2, 3]);
+    }
+
+    #[test]
+    fn interpolation_ends_are_exact() {
+        let a = [DVec3::new(0.1, 0.7, 1e9)];
+        let b = [DVec3::new(0.3, -0.2, 1e-9)];
+        assert_eq!(interpolate(&a, &b, 0.0), a);
+        assert_eq!(interpolate(&a, &b, 1.0), b);
+    }
+}

@@ -1,0 +1,17 @@
+//! What every room may use: errors, geometry, images, randomness, hashing, files. Knows nothing above itself.
+
+pub mod camera;
+pub mod color;
+pub mod error;
+pub mod files;
+pub mod hash;
+pub mod image;
+pub mod mesh;
+pub mod progress;
+pub mod random;
+
+pub use camera::Camera;
+pub use error::{Error, ErrorKind, Result};
+pub use image::Image;
+pub use mesh::TriangleMesh;
+pub use progress::{NoProgress, Progress};

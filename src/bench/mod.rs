@@ -1,0 +1,1 @@
+//! Which cells, in which order, resumed from where: profiles, plan, executor, journal.

@@ -1,0 +1,2 @@
+//! One external file format per file, pure functions both ways. Damaged input gives an error that names file and
+//! element, never a panic.

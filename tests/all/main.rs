@@ -1,0 +1,3 @@
+//! One binary of integration tests, so that they link once.
+
+mod layering;
