@@ -5,6 +5,7 @@
 #![allow(unsafe_code)]
 
 pub mod embree;
+pub mod splat;
 #[allow(missing_docs)]
 mod tracer;
 pub mod vision;
