@@ -5,8 +5,10 @@
 #![allow(unsafe_code)]
 
 pub mod embree;
+pub mod system;
 #[allow(missing_docs)]
 mod tracer;
+pub mod versions;
 pub mod vision;
 
 #[cfg(test)]
