@@ -6,6 +6,9 @@
 use std::env;
 use std::path::{Path, PathBuf};
 
+#[path = "build/revision.rs"]
+mod revision;
+
 /// Files with a `#[cxx::bridge]`.
 const BRIDGES: &[&str] = &["src/ffi/tracer.rs"];
 
@@ -20,6 +23,7 @@ fn main() {
     compile_cpp(prefix.as_deref());
     link_embree(prefix.as_deref());
     name_compiler();
+    revision::tell(&root);
     println!("cargo:rerun-if-changed=cpp");
     println!("cargo:rerun-if-env-changed=EMBREE_DIR");
 }
