@@ -5,5 +5,7 @@
 #![allow(unsafe_code)]
 
 pub mod embree;
+pub mod system;
 pub mod tracer;
+pub mod versions;
 pub mod vision;

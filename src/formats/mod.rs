@@ -2,4 +2,5 @@
 //! element, never a panic.
 
 pub mod exr;
+pub mod landmarks;
 pub mod png;

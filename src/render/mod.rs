@@ -11,7 +11,7 @@ mod denoise;
 mod frame;
 mod material;
 mod scene;
-pub mod scene_file;
+// scene_file follows with formats::mesh
 mod settings;
 
 pub use frame::{Frame, Statistics, render};
