@@ -9,6 +9,7 @@ use crate::base::{Error, ErrorKind, Result};
 
 pub use bridge::{FrameSettings, MaterialSettings, Tile, TileCounters};
 
+#[allow(unused_qualifications)] // cxx spells its generated derives in full
 #[cxx::bridge(namespace = "respire")]
 mod bridge {
     /// What the wall is made of.

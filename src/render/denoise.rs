@@ -29,13 +29,7 @@ pub struct Guides {
 
 impl Guides {
     /// `directions` in camera axes through the pixel centres, z-depths (0 = nothing), mean normals (any length).
-    pub fn new(
-        width: usize,
-        height: usize,
-        directions: &[DVec3],
-        depth_mm: &[f32],
-        normals: &[[f32; 3]],
-    ) -> Self {
+    pub fn new(width: usize, height: usize, directions: &[DVec3], depth_mm: &[f32], normals: &[[f32; 3]]) -> Self {
         let point = |(d, &z): (&DVec3, &f32)| (*d * (z as f64 / d.z)).to_array().map(|v| v as f32);
         let position: Vec<[f32; 3]> = directions.iter().zip(depth_mm).map(point).collect();
         let nearness = position

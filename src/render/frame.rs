@@ -160,7 +160,10 @@ fn corner_directions(camera: &Camera) -> Vec<f32> {
 }
 
 fn tiles(width: u32, height: u32) -> Vec<(u32, u32)> {
-    (0..height).step_by(TILE_PX as usize).flat_map(|y| (0..width).step_by(TILE_PX as usize).map(move |x| (x, y))).collect()
+    (0..height)
+        .step_by(TILE_PX as usize)
+        .flat_map(|y| (0..width).step_by(TILE_PX as usize).map(move |x| (x, y)))
+        .collect()
 }
 
 fn add_samples(
@@ -248,9 +251,8 @@ fn depth(scene: &Scene, frame: &FrameSettings, camera: &Camera) -> Result<Image<
     let rows: Vec<Vec<f32>> = (0..camera.height)
         .into_par_iter()
         .map(|y| {
-            let directions: Vec<DVec3> = (0..width)
-                .map(|x| camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize())
-                .collect();
+            let directions: Vec<DVec3> =
+                (0..width).map(|x| camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize()).collect();
             let flat: Vec<f32> = directions.iter().flat_map(|d| d.to_array()).map(|v| v as f32).collect();
             let mut distances = vec![0.0; width];
             scene.tracer.distances(frame, &flat, &mut distances)?;

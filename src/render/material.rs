@@ -108,8 +108,9 @@ impl Material {
     pub(super) fn settings(&self, seed: u64) -> Result<MaterialSettings> {
         self.validate()?;
         if self.kind == MaterialKind::Subsurface {
-            return Err(Error::input("`subsurface` cannot be rendered yet; `coated` and `mucosa` can")
-                .element("material.kind"));
+            return Err(
+                Error::input("`subsurface` cannot be rendered yet; `coated` and `mucosa` can").element("material.kind")
+            );
         }
         let mucosa = self.kind == MaterialKind::Mucosa;
         let alpha = self.coat_alpha as f32;
