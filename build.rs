@@ -6,6 +6,9 @@
 use std::env;
 use std::path::{Path, PathBuf};
 
+#[path = "build/revision.rs"]
+mod revision;
+
 /// Files with a `#[cxx::bridge]`.
 const BRIDGES: &[&str] = &["src/ffi/splat.rs", "src/ffi/tracer.rs"];
 
@@ -28,8 +31,17 @@ fn main() {
     compile_cpp(prefix.as_deref());
     compile_splat_kernels();
     link_embree(prefix.as_deref());
+    name_compiler();
+    revision::tell(&root);
     println!("cargo:rerun-if-changed=cpp");
     println!("cargo:rerun-if-env-changed=EMBREE_DIR");
+}
+
+/// `doctor` tells which compiler built the program.
+fn name_compiler() {
+    let rustc = env::var_os("RUSTC").expect("cargo sets RUSTC");
+    let answer = std::process::Command::new(rustc).arg("--version").output().expect("the compiler that runs this runs");
+    println!("cargo:rustc-env=RESPIRE_BENCH_RUSTC={}", String::from_utf8_lossy(&answer.stdout).trim());
 }
 
 fn embree_prefix(root: &Path) -> Option<PathBuf> {

@@ -2,6 +2,11 @@
 //! Knows nothing of rendering.
 
 pub mod centerline;
+pub mod field;
+pub mod field_calibre;
+pub mod field_check;
+pub mod field_fit;
+pub mod waveform;
 
 use glam::DVec3;
 

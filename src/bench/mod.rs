@@ -1,1 +1,26 @@
-//! Which cells, in which order, resumed from where: profiles, plan, executor, journal.
+//! Which cells, in which order, resumed from where: profiles, plan, executor, journal, events. Does not know what
+//! reports look like.
+//!
+//! ```text
+//! profile + cases + methods + seeds -> Plan -> execute(Stages, Store) -> finished cells, each a folder
+//! ```
+//!
+//! A cell is a pure function of its key (case, simulation settings, method, seed, revision of the code that makes it),
+//! so a finished cell is never computed again, and an interrupted run is resumed by running it once more.
+
+pub mod event;
+pub mod executor;
+pub mod journal;
+pub mod plan;
+pub mod profile;
+pub mod revision;
+pub mod stages;
+pub mod store;
+pub mod timing;
+
+pub use event::{Event, Reuse, Watcher};
+pub use executor::{FinishedCell, Freshness, execute};
+pub use plan::{Cell, Plan};
+pub use profile::Profile;
+pub use stages::Stages;
+pub use store::Store;

@@ -1,8 +1,96 @@
 //! Words in, words out: arguments, progress, exit codes, one file per command. No algorithms.
+//!
+//! A command is a file with `Arguments` (clap) and `run(Arguments, &Terminal) -> Result<()>`. To add one: a `mod`
+//! line and a line in [`commands!`] below.
+
+mod doctor;
+mod terminal;
 
 use std::process::ExitCode;
 
-/// Entry point of the binary.
+use clap::{Parser, Subcommand};
+
+use crate::base::{Error, Result};
+pub use terminal::Terminal;
+
+/// Makes the subcommand enum and its dispatch from lines `Variant => file`.
+macro_rules! commands {
+    ($($(#[$help:meta])* $variant:ident => $file:ident,)+) => {
+        #[derive(Subcommand)]
+        enum Command {
+            $($(#[$help])* $variant($file::Arguments),)+
+        }
+
+        impl Command {
+            fn run(self, terminal: &Terminal) -> Result<()> {
+                match self {
+                    $(Command::$variant(arguments) => $file::run(arguments, terminal),)+
+                }
+            }
+        }
+    };
+}
+
+commands! {
+    /// What is installed, which instruction set, which library versions
+    Doctor => doctor,
+}
+
+/// How accurate is a method that reconstructs a breathing airway from bronchoscopy video, and what does it cost?
+#[derive(Parser)]
+#[command(name = "respire-bench", version, propagate_version = true, max_term_width = 110)]
+#[command(after_help = "Exit codes: 0 ok, 1 a cell failed, 2 usage, 3 regression, 4 input/output, 5 environment, \
+    130 interrupted.\nExample: respire-bench all-cases --profile smoke")]
+struct Line {
+    /// Threads to use; 0 takes every core. Results do not depend on it.
+    #[arg(long, global = true, default_value_t = 0, value_name = "N", help_heading = "Global options")]
+    threads: usize,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// Entry point of the binary: reads the command line, runs the command, maps the outcome to the exit code.
 pub fn main() -> ExitCode {
-    ExitCode::SUCCESS
+    let line = match Line::try_parse() {
+        Ok(line) => line,
+        Err(refused) => {
+            // Help and version are not errors; a reader that has gone away is none either.
+            let _ = refused.print();
+            return ExitCode::from(refused.exit_code() as u8);
+        }
+    };
+    match start(line) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(error.kind().exit_code())
+        }
+    }
+}
+
+fn start(line: Line) -> Result<()> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(line.threads)
+        .build_global()
+        .map_err(|e| Error::usage(format!("cannot start {} threads: {e}", line.threads)))?;
+    let terminal = Terminal::new()?;
+    let outcome = line.command.run(&terminal);
+    terminal.finish();
+    outcome
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    /// Clap finds duplicate and contradictory options only when a command is built.
+    #[test]
+    fn the_command_line_is_consistent_and_every_command_shows_an_example() {
+        let line = super::Line::command();
+        line.clone().debug_assert();
+        for command in line.get_subcommands() {
+            let help = command.get_after_help().map(|h| h.to_string()).unwrap_or_default();
+            assert!(help.contains("respire-bench"), "`{} --help` shows no example", command.get_name());
+        }
+    }
 }

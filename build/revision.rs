@@ -1,0 +1,61 @@
+//! Hashes the sources of every room, so that cached results know which code made them (`src/bench/revision.rs`).
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+const ROOMS: [&str; 9] = ["base", "ffi", "formats", "airway", "render", "simulate", "splat", "reconstruct", "score"];
+
+/// Sets `RESPIRE_BENCH_REVISION_<ROOM>` for the compiler; OUTSIDE is what lies beside `src`.
+pub fn tell(root: &Path) {
+    for room in ROOMS {
+        set(room, &[root.join("src").join(room)]);
+    }
+    set("outside", &[root.join("cpp"), root.join("build.rs"), root.join("Cargo.lock")]);
+    println!("cargo:rerun-if-changed=src");
+    println!("cargo:rerun-if-changed=Cargo.lock");
+}
+
+fn set(room: &str, paths: &[PathBuf]) {
+    let mut files = Vec::new();
+    paths.iter().for_each(|path| list(path, &mut files));
+    files.sort();
+    let mut hash = Fnv::new();
+    for file in &files {
+        hash.add(file.file_name().expect("a listed file has a name").as_encoded_bytes());
+        let text = fs::read_to_string(file).expect("sources are readable UTF-8");
+        code_lines(&text).for_each(|line| hash.add(line.as_bytes()));
+    }
+    println!("cargo:rustc-env=RESPIRE_BENCH_REVISION_{}={:016x}", room.to_uppercase(), hash.0);
+}
+
+fn list(path: &Path, files: &mut Vec<PathBuf>) {
+    if path.is_dir() {
+        for entry in fs::read_dir(path).expect("the room is readable") {
+            list(&entry.expect("the room is readable").path(), files);
+        }
+    } else if !path.to_string_lossy().ends_with("tests.rs") {
+        files.push(path.to_path_buf());
+    }
+}
+
+/// Lines that can change what the program does: no comments, no blank lines, no tests at the end of a file.
+fn code_lines(text: &str) -> impl Iterator<Item = &str> {
+    let end = text.find("\n#[cfg(test)]\nmod tests {").unwrap_or(text.len());
+    text[..end].lines().filter(|line| !line.trim().is_empty() && !line.trim_start().starts_with("//"))
+}
+
+/// Fowler-Noll-Vo 1a, 64 bit: enough to tell versions apart, and no build dependency.
+struct Fnv(u64);
+
+impl Fnv {
+    fn new() -> Self {
+        Fnv(0xcbf2_9ce4_8422_2325)
+    }
+
+    fn add(&mut self, bytes: &[u8]) {
+        // The separator keeps "ab" + "c" from being "a" + "bc".
+        for &byte in bytes.iter().chain(&[0xff]) {
+            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+}

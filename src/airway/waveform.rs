@@ -1,0 +1,232 @@
+//! The breathing phase over time: a C1-continuous tidal waveform, 1.5 s in and 2.5 s out by default.
+//!
+//! A driving pressure P(t) in [0, 1] (0 end of expiration, 1 end of inspiration) is a raised cosine of warped time
+//! within each half-breath; the lung follows it along the exponential pressure-volume curve of Salazar and Knowles
+//! (J Appl Physiol 19:97, 1964), V(P) = (1 - exp(-k P)) / (1 - exp(-k)), with another stiffness k on the way out than on
+//! the way in (hysteresis). The warp makes expiration fast first and slow later, like elastic recoil against a
+//! resistance. The phase is 1 - V. At both turning points dP/dt = 0, so dV/dt = 0 whatever k: C1 across half-breaths.
+//!
+//! Left out: pauses, sighs, coughs. The end points of the volume are those of the two CTs; real tidal breathing uses a
+//! part of that range, which `amplitude` and `offset` express.
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::random::{CounterRng, Stage};
+use crate::base::{Error, Result};
+
+/// Stiffness k of the pressure-volume curve while breathing in and while breathing out.
+const STIFFNESS_IN: f64 = 1.2;
+const STIFFNESS_OUT: f64 = 0.8;
+/// How much faster than uniform the expiratory pressure falls at first (below 1, so that time never runs backwards).
+const RECOIL: f64 = 0.35;
+/// Irregular breathing: one standard deviation of log duration and of relative depth at `irregularity = 1`.
+const DURATION_SPREAD: f64 = 0.25;
+const DEPTH_SPREAD: f64 = 0.35;
+
+/// How a case breathes. All durations in seconds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Waveform {
+    /// Duration of the inhalation before `period_scale`.
+    pub inhale_s: f64,
+    /// Duration of the exhalation before `period_scale`.
+    pub exhale_s: f64,
+    /// Factor on both durations: above 1 is slower breathing.
+    pub period_scale: f64,
+    /// Part of the way from inspiration CT to expiration CT that a breath covers, in (0, 1].
+    pub amplitude: f64,
+    /// Phase at the end of a full inhalation; `offset + amplitude` is at most 1.
+    pub offset: f64,
+    /// Where in the breath a sequence starts: 0 is the beginning of the inhalation.
+    pub start_s: f64,
+    /// 0 is perfectly regular; 1 varies duration and depth from breath to breath like restless sleep.
+    pub irregularity: f64,
+}
+
+impl Default for Waveform {
+    fn default() -> Self {
+        Waveform {
+            inhale_s: 1.5,
+            exhale_s: 2.5,
+            period_scale: 1.0,
+            amplitude: 1.0,
+            offset: 0.0,
+            start_s: 0.0,
+            irregularity: 0.0,
+        }
+    }
+}
+
+impl Waveform {
+    /// Rejects values that describe no breath; the element names the key.
+    pub fn validate(&self) -> Result<()> {
+        let positive = [
+            ("inhale_s", self.inhale_s),
+            ("exhale_s", self.exhale_s),
+            ("period_scale", self.period_scale),
+            ("amplitude", self.amplitude),
+        ];
+        for (key, value) in positive {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(Error::input(format!("{value} must be positive")).element(format!("waveform.{key}")));
+            }
+        }
+        let not_negative = [("offset", self.offset), ("start_s", self.start_s), ("irregularity", self.irregularity)];
+        for (key, value) in not_negative {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(Error::input(format!("{value} must not be negative")).element(format!("waveform.{key}")));
+            }
+        }
+        if self.offset + self.amplitude > 1.0 + 1e-12 {
+            return Err(Error::input(format!(
+                "offset {} plus amplitude {} goes beyond the expiration CT (1)",
+                self.offset, self.amplitude
+            ))
+            .element("waveform.amplitude"));
+        }
+        if self.irregularity > 1.0 {
+            return Err(Error::input("must lie in [0, 1]").element("waveform.irregularity"));
+        }
+        Ok(())
+    }
+
+    /// Mean duration of one breath in seconds.
+    pub fn period_s(&self) -> f64 {
+        (self.inhale_s + self.exhale_s) * self.period_scale
+    }
+
+    /// Breathing phase in [0, 1] (0 full inspiration, 1 full expiration) `time_s` after the start of the sequence
+    /// (not negative). `seed` decides the irregularities, nothing else.
+    pub fn phase(&self, time_s: f64, seed: u64) -> f64 {
+        self.unclamped_phase(time_s, seed).clamp(0.0, 1.0)
+    }
+
+    fn unclamped_phase(&self, time_s: f64, seed: u64) -> f64 {
+        let mut left_s = (time_s + self.start_s).max(0.0);
+        let mut breath = if self.irregularity == 0.0 { (left_s / self.period_s()).floor() } else { 0.0 } as u64;
+        left_s -= breath as f64 * self.period_s();
+        loop {
+            let now = self.breath(breath, seed);
+            if left_s < now.inhale_s {
+                let pressure = 0.5 - 0.5 * (std::f64::consts::PI * left_s / now.inhale_s).cos();
+                return now.start + (now.turn - now.start) * volume(pressure, STIFFNESS_IN);
+            }
+            left_s -= now.inhale_s;
+            if left_s < now.exhale_s {
+                let uniform = left_s / now.exhale_s;
+                let warped = uniform + RECOIL * (std::f64::consts::PI * uniform).sin() / std::f64::consts::PI;
+                let pressure = 0.5 + 0.5 * (std::f64::consts::PI * warped).cos();
+                let end = self.breath(breath + 1, seed).start;
+                return end + (now.turn - end) * volume(pressure, STIFFNESS_OUT);
+            }
+            left_s -= now.exhale_s;
+            breath += 1;
+        }
+    }
+
+    /// The `index`-th breath of the sequence.
+    fn breath(&self, index: u64, seed: u64) -> Breath {
+        let (full, empty) = (self.offset, self.offset + self.amplitude);
+        let mut breath = Breath {
+            inhale_s: self.inhale_s * self.period_scale,
+            exhale_s: self.exhale_s * self.period_scale,
+            start: empty,
+            turn: full,
+        };
+        if self.irregularity > 0.0 {
+            let mut random = CounterRng::new(seed, Stage::Waveform, &[index]);
+            let mut spread = |sd: f64| sd * self.irregularity * random.normal().clamp(-2.0, 2.0);
+            breath.inhale_s *= spread(DURATION_SPREAD).exp();
+            breath.exhale_s *= spread(DURATION_SPREAD).exp();
+            breath.turn = full + self.amplitude * spread(DEPTH_SPREAD).abs().min(0.6);
+            breath.start = empty - self.amplitude * (0.3 * spread(DEPTH_SPREAD)).abs().min(0.2);
+        }
+        breath
+    }
+}
+
+/// One breath: phases at the start of the inhalation and at the turn to exhalation.
+struct Breath {
+    inhale_s: f64,
+    exhale_s: f64,
+    start: f64,
+    turn: f64,
+}
+
+/// Salazar and Knowles' volume at `pressure`, both in [0, 1].
+fn volume(pressure: f64, stiffness: f64) -> f64 {
+    (-(-stiffness * pressure).exp_m1()) / (-(-stiffness).exp_m1())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn all() -> Vec<Waveform> {
+        vec![
+            Waveform::default(),
+            Waveform { period_scale: 1.3, amplitude: 0.8, offset: 0.1, start_s: 2.2, ..Waveform::default() },
+            Waveform { irregularity: 1.0, ..Waveform::default() },
+        ]
+    }
+
+    #[test]
+    fn phase_is_continuously_differentiable_and_in_range() {
+        for waveform in all() {
+            waveform.validate().unwrap();
+            let (step, mut worst_jump) = (1e-4, 0.0f64);
+            let values: Vec<f64> = (0..300_000).map(|i| waveform.phase(i as f64 * step, 3)).collect();
+            for v in &values {
+                let (full, empty) = (waveform.offset - 1e-12, waveform.offset + waveform.amplitude + 1e-12);
+                assert!((0.0..=1.0).contains(v) && (full..=empty).contains(v), "{v}");
+            }
+            for w in values.windows(3) {
+                // A kink of slope s would show as s; a smooth curve shows step * curvature, below 1e-4 * 40.
+                worst_jump = worst_jump.max(((w[2] - w[1]) - (w[1] - w[0])).abs() / step);
+            }
+            assert!(worst_jump < 4e-3, "slope jumps by {worst_jump} per second");
+        }
+    }
+
+    #[test]
+    fn default_breath_takes_one_and_a_half_seconds_in_and_two_and_a_half_out() {
+        let w = Waveform::default();
+        assert_eq!(w.period_s(), 4.0);
+        assert!((w.phase(0.0, 0) - 1.0).abs() < 1e-12);
+        assert!(w.phase(1.5, 0).abs() < 1e-12);
+        assert!((w.phase(4.0, 0) - 1.0).abs() < 1e-12);
+        assert!((w.phase(2.0, 0) - w.phase(4002.0, 0)).abs() < 1e-9);
+        for i in 0..149 {
+            let t = i as f64 * 0.01;
+            assert!(w.phase(t + 0.01, 0) < w.phase(t, 0), "inhaling at {t}");
+        }
+        for i in 150..399 {
+            let t = i as f64 * 0.01;
+            assert!(w.phase(t + 0.01, 0) > w.phase(t, 0), "exhaling at {t}");
+        }
+    }
+
+    #[test]
+    fn the_breath_is_not_symmetric_in_time() {
+        let w = Waveform::default();
+        // Half of the expired volume is out well before half of the expiratory time.
+        assert!(w.phase(1.5 + 1.25, 0) > 0.58);
+        let half_in = w.phase(0.75, 0);
+        assert!((half_in - (1.0 - w.phase(1.5 + 1.25, 0))).abs() > 0.02 || half_in < 0.5);
+    }
+
+    #[test]
+    fn irregular_breaths_differ_and_follow_the_seed() {
+        let w = Waveform { irregularity: 0.7, ..Waveform::default() };
+        assert_eq!(w.phase(37.3, 5), w.phase(37.3, 5));
+        assert_ne!(w.phase(37.3, 5), w.phase(37.3, 6));
+    }
+
+    #[test]
+    fn impossible_breaths_are_refused_by_key() {
+        let w = Waveform { amplitude: 0.9, offset: 0.2, ..Waveform::default() };
+        assert!(w.validate().unwrap_err().to_string().contains("waveform.amplitude"));
+        let w = Waveform { inhale_s: f64::NAN, ..Waveform::default() };
+        assert!(w.validate().unwrap_err().to_string().contains("waveform.inhale_s"));
+    }
+}

@@ -1,0 +1,78 @@
+//! What happens during a run, as data: the command line and the tests read it, nobody parses text.
+
+use std::path::Path;
+
+use super::plan::{Cell, Plan};
+use crate::base::{Error, Progress};
+
+/// Whether a product was made now or taken from the cache.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reuse {
+    /// Made in this run.
+    Made,
+    /// Made before, by the same code from the same input, and still whole.
+    Cached,
+}
+
+/// One step of a run.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum Event<'a> {
+    /// The run starts.
+    Started {
+        /// What it will do.
+        plan: &'a Plan,
+    },
+    /// A sequence is about to be filmed (not sent when it is cached).
+    Filming {
+        /// Whose.
+        case_id: &'a str,
+    },
+    /// A sequence is there.
+    Filmed {
+        /// Whose.
+        case_id: &'a str,
+        /// Made or cached.
+        reuse: Reuse,
+        /// Seconds it took now.
+        wall_s: f64,
+    },
+    /// A cell is about to be computed (not sent when it is cached).
+    CellStarted {
+        /// Which.
+        cell: &'a Cell,
+    },
+    /// A cell is scored.
+    CellFinished {
+        /// Which.
+        cell: &'a Cell,
+        /// Made or cached.
+        reuse: Reuse,
+        /// Seconds it took now.
+        wall_s: f64,
+        /// Cells that are done, this one included.
+        done: usize,
+        /// Cells of the plan.
+        total: usize,
+    },
+    /// A cell failed; the run goes on.
+    CellFailed {
+        /// Which.
+        cell: &'a Cell,
+        /// Why.
+        error: &'a Error,
+    },
+    /// Something cached cannot be used again and is made once more.
+    Discarded {
+        /// Folder or file.
+        path: &'a Path,
+        /// Why, as half a sentence.
+        reason: &'a str,
+    },
+}
+
+/// Watches a run: progress within a stage, and the events between them.
+pub trait Watcher: Progress {
+    /// Called for every event, in order, from the thread that runs the plan.
+    fn event(&self, event: &Event<'_>);
+}

@@ -1,0 +1,245 @@
+//! Runs a plan: film what is not filmed, reconstruct what is not reconstructed, score what is not scored.
+//!
+//! Cells run one after the other, each on all threads, so that their timings do not disturb one another. A cell that
+//! fails does not stop the others. What stops a run: the user, a full or unwritable disk, a machine that lacks
+//! something; whatever is finished by then is kept, and the same command goes on from there.
+
+use std::fs::{self, File};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+
+use super::event::{Event, Reuse, Watcher};
+use super::plan::{Cell, Plan, Planned};
+use super::stages::Stages;
+use super::store::{State, Store, cell_folder, sequence_product};
+use super::timing::{self, StageTiming, measured};
+use crate::base::{Error, ErrorKind, Result};
+
+/// Whether finished products may be used again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Freshness {
+    /// Take what is finished and unchanged.
+    Resume,
+    /// Make everything of the plan once more.
+    Fresh,
+}
+
+/// A cell after the run: where its files are, what it cost, or why it failed.
+#[derive(Clone, Debug)]
+pub struct FinishedCell {
+    /// Which.
+    pub cell: Cell,
+    /// Folder of the sequence.
+    pub sequence: PathBuf,
+    /// Folder of the prediction.
+    pub prediction: PathBuf,
+    /// The score file.
+    pub score: PathBuf,
+    /// Costs of `simulate`, `reconstruct` and `score`, as far as they were run.
+    pub timings: Vec<StageTiming>,
+    /// Why there is no score.
+    pub failure: Option<Error>,
+}
+
+struct Run<'a> {
+    plan: &'a Plan,
+    stages: &'a dyn Stages,
+    store: &'a mut Store,
+    freshness: Freshness,
+    watcher: &'a dyn Watcher,
+    finished: Vec<FinishedCell>,
+}
+
+/// Runs every cell of `plan`; the answer has one entry per cell, in the plan's order, failed ones included.
+pub fn execute(
+    plan: &Plan,
+    stages: &dyn Stages,
+    store: &mut Store,
+    freshness: Freshness,
+    watcher: &dyn Watcher,
+) -> Result<Vec<FinishedCell>> {
+    watcher.event(&Event::Started { plan });
+    let mut run = Run { plan, stages, store, freshness, watcher, finished: Vec::new() };
+    for case in &plan.cases {
+        run.case(case)?;
+    }
+    Ok(run.finished)
+}
+
+impl Run<'_> {
+    fn case(&mut self, case: &Planned) -> Result<()> {
+        let filmed = self.film(case);
+        if let Some(stop) = filmed.as_ref().err().filter(|e| self.stops_the_run(e)) {
+            return Err(stop.clone());
+        }
+        for cell in self.plan.cells_of(&case.id) {
+            let failure = match &filmed {
+                Err(error) => Some(error.clone()),
+                Ok(()) => self.cell(&cell).err(),
+            };
+            if let Some(error) = &failure {
+                if self.stops_the_run(error) {
+                    return Err(error.clone());
+                }
+                self.watcher.event(&Event::CellFailed { cell: &cell, error });
+            }
+            let finished = self.describe(case, &cell, failure)?;
+            self.finished.push(finished);
+        }
+        Ok(())
+    }
+
+    /// A cell's own failure is told in its row; these would hit every further cell as well.
+    fn stops_the_run(&self, error: &Error) -> bool {
+        match error.kind() {
+            ErrorKind::Interrupted | ErrorKind::Environment => true,
+            ErrorKind::InputOutput => error.path().is_some_and(|path| path.starts_with(self.store.root())),
+            _ => false,
+        }
+    }
+
+    fn film(&mut self, case: &Planned) -> Result<()> {
+        let (product, key) = sequence_product(self.plan, case)?;
+        let folder = self.store.path(&product);
+        let timing_file = folder.with_extension("timing.json");
+        if self.usable(&product, &key)? {
+            self.watcher.event(&Event::Filmed { case_id: &case.id, reuse: Reuse::Cached, wall_s: 0.0 });
+            return Ok(());
+        }
+        if !folder.exists() {
+            remove_if_there(&timing_file)?;
+        }
+        self.watcher.event(&Event::Filming { case_id: &case.id });
+        let work = || caught(|| self.stages.film(&case.id, &folder, self.watcher));
+        let (outcome, timing) = measured("simulate", work);
+        let wall_s = timing.wall_s;
+        if folder.exists() {
+            timing::add(&timing_file, timing)?;
+        }
+        outcome?;
+        self.store.commit(&product, &key)?;
+        self.watcher.event(&Event::Filmed { case_id: &case.id, reuse: Reuse::Made, wall_s });
+        Ok(())
+    }
+
+    fn cell(&mut self, cell: &Cell) -> Result<()> {
+        if self.watcher.cancelled() {
+            return Err(Error::interrupted());
+        }
+        let folder = cell_folder(self.plan, cell)?;
+        let case = self.plan.cases.iter().find(|c| c.id == cell.case_id).expect("cells are made from the plan's cases");
+        let sequence = self.store.path(&sequence_product(self.plan, case)?.0);
+        let (prediction, score) = (format!("{folder}/prediction"), format!("{folder}/score.json"));
+        let (prediction_key, score_key) = (self.plan.prediction_key(cell)?, self.plan.score_key(cell)?);
+        let timing_file = self.store.path(&folder).join("timing.json");
+
+        let mut wall_s = 0.0;
+        let mut started = false;
+        if !self.usable(&prediction, &prediction_key)? {
+            self.watcher.event(&Event::CellStarted { cell });
+            started = true;
+            self.store.discard(&score)?;
+            let timing = self.reconstruct(cell, &sequence, &prediction)?;
+            wall_s += timing.wall_s;
+            timing::keep(&timing_file, timing)?;
+            self.store.commit(&prediction, &prediction_key)?;
+        }
+        let rescored = !self.usable(&score, &score_key)?;
+        if rescored {
+            if !started {
+                self.watcher.event(&Event::CellStarted { cell });
+            }
+            let (prediction_path, score_path) = (self.store.path(&prediction), self.store.path(&score));
+            let work = || caught(|| self.stages.score(cell, &sequence, &prediction_path, &score_path));
+            let (outcome, timing) = measured("score", work);
+            outcome?;
+            wall_s += timing.wall_s;
+            timing::keep(&timing_file, timing)?;
+            self.store.commit(&score, &score_key)?;
+        }
+        let reuse = if started || rescored { Reuse::Made } else { Reuse::Cached };
+        let (done, total) = (self.finished.len() + 1, self.plan.cells().len());
+        self.watcher.event(&Event::CellFinished { cell, reuse, wall_s, done, total });
+        Ok(())
+    }
+
+    /// Readers see a whole prediction or none: it is made under another name.
+    fn reconstruct(&mut self, cell: &Cell, sequence: &Path, prediction: &str) -> Result<StageTiming> {
+        let whole = self.store.path(prediction);
+        let partial = whole.with_file_name(".partial");
+        self.store.discard(prediction)?;
+        remove_folder_if_there(&partial)?;
+        fs::create_dir_all(&partial).map_err(|e| Error::io("making the folder", &partial, e))?;
+        let work = || caught(|| self.stages.reconstruct(cell, sequence, &partial, self.watcher));
+        let (outcome, timing) = measured("reconstruct", work);
+        if let Err(error) = outcome {
+            remove_folder_if_there(&partial)?;
+            return Err(error);
+        }
+        let parent = whole.parent().expect("a prediction lies in the cell's folder");
+        let moved = fs::rename(&partial, &whole).and_then(|()| File::open(parent)?.sync_all());
+        moved.map_err(|e| Error::io("writing", &whole, e))?;
+        Ok(timing)
+    }
+
+    /// True when the product is finished, from the same key, and whole. Otherwise what is there of a *finished* one
+    /// is removed; what an interrupted stage left behind stays, for the stage to go on from.
+    fn usable(&mut self, product: &str, key: &str) -> Result<bool> {
+        let state = self.store.state(product, key);
+        let path = self.store.path(product);
+        let reason = match (state, self.freshness) {
+            (State::Whole, Freshness::Resume) => return Ok(true),
+            (State::Absent, Freshness::Resume) => return Ok(false),
+            (State::Absent | State::Whole, Freshness::Fresh) => None,
+            (State::Outdated, _) => Some("it was made by another version of the program or from other input"),
+            (State::Damaged, _) => Some("its files are not what they were when it was finished"),
+        };
+        if let Some(reason) = reason {
+            self.watcher.event(&Event::Discarded { path: &path, reason });
+        }
+        self.store.discard(product)?;
+        Ok(false)
+    }
+
+    fn describe(&self, case: &Planned, cell: &Cell, failure: Option<Error>) -> Result<FinishedCell> {
+        let sequence = self.store.path(&sequence_product(self.plan, case)?.0);
+        let folder = self.store.path(&cell_folder(self.plan, cell)?);
+        let mut timings = timing::read(&sequence.with_extension("timing.json"))?;
+        timings.extend(timing::read(&folder.join("timing.json"))?);
+        Ok(FinishedCell {
+            cell: cell.clone(),
+            sequence,
+            prediction: folder.join("prediction"),
+            score: folder.join("score.json"),
+            timings,
+            failure,
+        })
+    }
+}
+
+/// A panic is a bug of one stage; it costs its cell, not the run.
+fn caught<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
+        let text = payload.downcast_ref::<String>().map(String::as_str);
+        let text = text.or_else(|| payload.downcast_ref::<&str>().copied()).unwrap_or("no message");
+        Err(Error::new(ErrorKind::CellFailed, format!("a bug in the program: {text}")))
+    })
+}
+
+fn remove_if_there(path: &Path) -> Result<()> {
+    match fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("removing", path, e)),
+        _ => Ok(()),
+    }
+}
+
+fn remove_folder_if_there(path: &Path) -> Result<()> {
+    match fs::remove_dir_all(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("removing", path, e)),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+#[path = "executor_tests.rs"]
+mod tests;

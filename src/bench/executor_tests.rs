@@ -1,0 +1,215 @@
+//! The executor with stages that write a line each: what is made, what is kept, what stops a run.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use super::*;
+use crate::base::{Progress, files};
+use crate::bench::plan::tests::small_plan;
+
+/// Stages that write what they were given; a fault can be planted at the n-th call.
+#[derive(Default)]
+struct Fake {
+    calls: AtomicUsize,
+    log: Mutex<Vec<String>>,
+    fault: Option<(usize, Fault)>,
+}
+
+#[derive(Clone, Copy)]
+enum Fault {
+    Cell,
+    Panic,
+    Disk,
+    Interrupt,
+}
+
+impl Fake {
+    fn with_fault(call: usize, fault: Fault) -> Self {
+        Fake { fault: Some((call, fault)), ..Fake::default() }
+    }
+
+    fn call(&self, what: String, target: &Path) -> Result<()> {
+        let number = self.calls.fetch_add(1, Ordering::SeqCst);
+        self.log.lock().unwrap().push(what);
+        match self.fault {
+            Some((n, fault)) if n == number => match fault {
+                Fault::Cell => Err(Error::new(ErrorKind::CellFailed, "planted")),
+                Fault::Panic => panic!("planted panic"),
+                Fault::Disk => Err(Error::io("writing", target, std::io::Error::other("No space left on device"))),
+                Fault::Interrupt => Err(Error::interrupted()),
+            },
+            _ => Ok(()),
+        }
+    }
+
+    fn log(&self) -> Vec<String> {
+        std::mem::take(&mut self.log.lock().unwrap())
+    }
+}
+
+impl Stages for Fake {
+    fn film(&self, case_id: &str, folder: &Path, _: &dyn Progress) -> Result<()> {
+        files::write_bytes(&folder.join("first"), case_id.as_bytes())?;
+        self.call(format!("film {case_id}"), &folder.join("second"))?;
+        files::write_bytes(&folder.join("second"), case_id.as_bytes())
+    }
+
+    fn reconstruct(&self, cell: &Cell, sequence: &Path, prediction: &Path, _: &dyn Progress) -> Result<()> {
+        let seen = files::read_text(&sequence.join("second"))?;
+        files::write_bytes(&prediction.join("color/000000.png"), seen.as_bytes())?;
+        self.call(format!("reconstruct {}", cell.id()), &prediction.join("phase.csv"))?;
+        files::write_bytes(&prediction.join("phase.csv"), cell.id().as_bytes())
+    }
+
+    fn score(&self, cell: &Cell, _: &Path, prediction: &Path, score: &Path) -> Result<()> {
+        let phase = files::read_text(&prediction.join("phase.csv"))?;
+        self.call(format!("score {}", cell.id()), score)?;
+        files::write_bytes(score, format!("score of {phase}").as_bytes())
+    }
+}
+
+/// Remembers the names of the events.
+#[derive(Default)]
+struct Events(Mutex<Vec<String>>);
+
+impl Progress for Events {
+    fn advance(&self, _: usize, _: usize) {}
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+impl Watcher for Events {
+    fn event(&self, event: &Event<'_>) {
+        self.0.lock().unwrap().push(match event {
+            Event::Discarded { reason, .. } => format!("discarded: {reason}"),
+            Event::CellFailed { cell, error } => format!("{} failed: {error}", cell.id()),
+            Event::CellFinished { cell, reuse, done, total, .. } => format!("{} {reuse:?} {done}/{total}", cell.id()),
+            _ => return,
+        });
+    }
+}
+
+fn run(root: &Path, plan: &Plan, fake: &Fake, freshness: Freshness) -> (Result<Vec<FinishedCell>>, Vec<String>) {
+    let events = Events::default();
+    let mut store = Store::open(root).unwrap();
+    let outcome = execute(plan, fake, &mut store, freshness, &events);
+    (outcome, events.0.into_inner().unwrap())
+}
+
+/// Scores of all cells, and the names of all files, as the user would see them.
+fn picture(root: &Path, cells: &[FinishedCell]) -> (Vec<String>, Vec<String>) {
+    let scores = cells.iter().map(|c| files::read_text(&c.score).unwrap_or_default()).collect();
+    let mut stack = vec![root.to_path_buf()];
+    let mut names = Vec::new();
+    while let Some(folder) = stack.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                stack.push(path)
+            } else {
+                names.push(path.strip_prefix(root).unwrap().display().to_string())
+            }
+        }
+    }
+    names.sort();
+    (scores, names)
+}
+
+#[test]
+fn a_second_run_does_nothing_and_a_fresh_one_everything() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plan, fake) = (small_plan(), Fake::default());
+    let (cells, _) = run(folder.path(), &plan, &fake, Freshness::Resume);
+    let cells = cells.unwrap();
+    assert_eq!(fake.log().len(), 2 + 8 + 8);
+    assert_eq!(cells.len(), 8);
+    assert!(cells.iter().all(|c| c.failure.is_none() && c.timings.len() == 3));
+
+    let (again, events) = run(folder.path(), &plan, &fake, Freshness::Resume);
+    assert_eq!(fake.log(), [""; 0]);
+    assert_eq!(events[7], "case2-static-ct-s2 Cached 8/8");
+    assert_eq!(picture(folder.path(), &again.unwrap()), picture(folder.path(), &cells));
+
+    run(folder.path(), &plan, &fake, Freshness::Fresh).0.unwrap();
+    assert_eq!(fake.log().len(), 18);
+}
+
+#[test]
+fn only_what_changed_is_made_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut plan, fake) = (small_plan(), Fake::default());
+    run(folder.path(), &plan, &fake, Freshness::Resume).0.unwrap();
+    fake.log();
+
+    plan.revisions.score.push('x');
+    let (_, events) = run(folder.path(), &plan, &fake, Freshness::Resume);
+    assert!(fake.log().iter().all(|c| c.starts_with("score")), "a new metric needs no new reconstruction");
+    assert!(events[0].starts_with("discarded: it was made by another version"), "{events:?}");
+
+    plan.methods[0].content.push('x');
+    run(folder.path(), &plan, &fake, Freshness::Resume).0.unwrap();
+    let log = fake.log();
+    assert_eq!(log.len(), 8);
+    assert!(log.iter().all(|call| call.contains("ours")), "{log:?}");
+}
+
+#[test]
+fn damage_is_noticed_and_mended() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plan, fake) = (small_plan(), Fake::default());
+    let cells = run(folder.path(), &plan, &fake, Freshness::Resume).0.unwrap();
+    let before = picture(folder.path(), &cells);
+    fake.log();
+    fs::write(cells[2].prediction.join("phase.csv"), "rubbish").unwrap();
+    fs::remove_file(cells[5].sequence.join("first")).unwrap();
+    let (cells, events) = run(folder.path(), &plan, &fake, Freshness::Resume);
+    assert_eq!(fake.log(), ["reconstruct case1-static-ct-s1", "score case1-static-ct-s1", "film case2"]);
+    assert_eq!(events.iter().filter(|e| e.contains("not what they were")).count(), 2);
+    assert_eq!(picture(folder.path(), &cells.unwrap()), before);
+}
+
+#[test]
+fn one_failed_cell_does_not_stop_the_others() {
+    let whole = tempfile::tempdir().unwrap();
+    let (plan, sound) = (small_plan(), Fake::default());
+    let cells = run(whole.path(), &plan, &sound, Freshness::Resume).0.unwrap();
+    let expected = picture(whole.path(), &cells);
+
+    for (fault, sentence) in [(Fault::Cell, "planted"), (Fault::Panic, "a bug in the program: planted panic")] {
+        for call in 0..18 {
+            let folder = tempfile::tempdir().unwrap();
+            let fake = Fake::with_fault(call, fault);
+            let (cells, events) = run(folder.path(), &plan, &fake, Freshness::Resume);
+            let cells = cells.unwrap();
+            let failed = cells.iter().filter(|c| c.failure.is_some()).count();
+            assert_eq!(failed, if call % 9 == 0 { 4 } else { 1 }, "call {call}: a sequence costs four cells");
+            assert!(events.iter().any(|e| e.ends_with(sentence)), "{events:?}");
+            // The next run makes only what is missing, and ends where an undisturbed one would have.
+            let (cells, _) = run(folder.path(), &plan, &Fake::default(), Freshness::Resume);
+            assert_eq!(picture(folder.path(), &cells.unwrap()), expected);
+        }
+    }
+}
+
+#[test]
+fn a_full_disk_or_the_user_stops_the_run_and_nothing_is_lost() {
+    let whole = tempfile::tempdir().unwrap();
+    let (plan, sound) = (small_plan(), Fake::default());
+    let cells = run(whole.path(), &plan, &sound, Freshness::Resume).0.unwrap();
+    let expected = picture(whole.path(), &cells);
+
+    for (fault, kind) in [(Fault::Disk, ErrorKind::InputOutput), (Fault::Interrupt, ErrorKind::Interrupted)] {
+        for call in 0..18 {
+            let folder = tempfile::tempdir().unwrap();
+            let fake = Fake::with_fault(call, fault);
+            let stopped = run(folder.path(), &plan, &fake, Freshness::Resume).0.unwrap_err();
+            assert_eq!(stopped.kind(), kind);
+            assert_eq!(fake.log().len(), call + 1, "nothing runs after the stop");
+            let rest = Fake::default();
+            let (cells, _) = run(folder.path(), &plan, &rest, Freshness::Resume);
+            assert_eq!(rest.log().len(), 18 - call, "what was finished is not made again");
+            assert_eq!(picture(folder.path(), &cells.unwrap()), expected);
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! Profiles: how much of everything. One TOML each in `bench-cases/profiles/`.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::{Error, Result, files};
+
+/// How large the images are, how many frames there are, and how much work goes into each.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Profile {
+    /// One line for `list`.
+    pub description: String,
+    /// Cases to run; absent means all.
+    #[serde(default)]
+    pub cases: Option<Vec<String>>,
+    /// Methods to run; absent means all.
+    #[serde(default)]
+    pub methods: Option<Vec<String>>,
+    /// Seeds of the methods' own randomness.
+    pub seeds: Vec<u64>,
+    /// Width and height of the square images in pixels.
+    pub image_width_px: u32,
+    /// Frame rate of the video.
+    pub frames_per_second: f64,
+    /// Fewest frames of a sequence.
+    pub minimum_frames: usize,
+    /// Whole breaths that a sequence covers at least; 0 lets `minimum_frames` alone decide.
+    pub minimum_breaths: f64,
+    /// Paths traced per pixel.
+    pub samples_per_pixel: u32,
+    /// Factor on every iteration count of the methods; 1 is the published setting.
+    pub iteration_scale: f64,
+}
+
+impl Profile {
+    /// Reads `<folder>/<id>.toml`; an unknown id is a usage error that lists the known ones.
+    pub fn load(folder: &Path, id: &str) -> Result<Profile> {
+        let path = folder.join(format!("{id}.toml"));
+        if !path.exists() {
+            let known = ids(folder)?.join(", ");
+            return Err(Error::usage(format!("there is no profile `{id}`; the profiles are {known}")));
+        }
+        let profile: Profile = files::read_toml(&path)?;
+        profile.validate().map_err(|e| e.at(&path))?;
+        Ok(profile)
+    }
+
+    /// Rejects numbers that no run can use; the error names the key.
+    pub fn validate(&self) -> Result<()> {
+        let positive = |value: f64| value.is_finite() && value > 0.0;
+        let demands = [
+            ("image_width_px", (8..=4096).contains(&self.image_width_px), "must lie between 8 and 4096"),
+            ("frames_per_second", positive(self.frames_per_second), "must be positive"),
+            ("minimum_frames", (2..=100_000).contains(&self.minimum_frames), "must lie between 2 and 100000"),
+            ("minimum_breaths", (0.0..=1000.0).contains(&self.minimum_breaths), "must lie between 0 and 1000"),
+            ("samples_per_pixel", (1..=65_536).contains(&self.samples_per_pixel), "must lie between 1 and 65536"),
+            ("iteration_scale", positive(self.iteration_scale), "must be positive"),
+            ("seeds", !self.seeds.is_empty(), "must name at least one seed"),
+        ];
+        match demands.iter().find(|demand| !demand.1) {
+            Some((key, _, sentence)) => Err(Error::input(*sentence).element(key)),
+            None => Ok(()),
+        }
+    }
+
+    /// Frames of a sequence whose breathing period is `period_s`.
+    pub fn frames(&self, period_s: f64) -> usize {
+        // The tiny slack keeps 4 s at 10 frames/s from becoming 41 frames by rounding.
+        let breaths = (self.minimum_breaths * period_s * self.frames_per_second - 1e-9).ceil();
+        self.minimum_frames.max(breaths as usize)
+    }
+}
+
+/// Ids of the profiles in `folder`, sorted.
+pub fn ids(folder: &Path) -> Result<Vec<String>> {
+    super::plan::toml_ids(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shipped() -> std::path::PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/profiles")
+    }
+
+    #[test]
+    fn shipped_profiles_keep_their_promises() {
+        assert_eq!(ids(&shipped()).unwrap(), ["paper", "quick", "smoke"]);
+        let quick = Profile::load(&shipped(), "quick").unwrap();
+        assert!(quick.image_width_px >= 128 && quick.minimum_frames >= 40 && quick.minimum_breaths >= 1.0);
+        assert_eq!((quick.cases, quick.methods), (None, None));
+        let paper = Profile::load(&shipped(), "paper").unwrap();
+        assert!(paper.image_width_px >= 256 && paper.minimum_frames >= 400 && paper.frames_per_second == 25.0);
+        assert_eq!(paper.iteration_scale, 1.0);
+        let smoke = Profile::load(&shipped(), "smoke").unwrap();
+        assert_eq!((smoke.image_width_px, smoke.minimum_frames), (64, 12));
+        assert_eq!(smoke.cases.map(|c| c.len()), Some(2));
+    }
+
+    #[test]
+    fn one_breath_is_covered_whatever_the_rate() {
+        let quick = Profile::load(&shipped(), "quick").unwrap();
+        assert_eq!(quick.frames(4.0), 40);
+        assert_eq!(quick.frames(3.0), 40);
+        assert_eq!(quick.frames(4.32), 44);
+    }
+
+    #[test]
+    fn wrong_values_are_named() {
+        let mut profile = Profile::load(&shipped(), "smoke").unwrap();
+        profile.frames_per_second = f64::NAN;
+        assert_eq!(profile.validate().unwrap_err().to_string(), "frames_per_second: must be positive");
+        let unknown = Profile::load(&shipped(), "huge").unwrap_err();
+        assert!(unknown.to_string().contains("paper, quick, smoke"), "{unknown}");
+    }
+}

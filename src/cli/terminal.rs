@@ -1,0 +1,123 @@
+//! The terminal: bars where a person watches, plain lines elsewhere, results on standard output, Ctrl-C.
+
+use std::fmt::Display;
+use std::io::{IsTerminal, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::base::{Error, ErrorKind, Progress, Result};
+
+/// Without a terminal, a running stage says how far it is no more often than this.
+const LINE_INTERVAL: Duration = Duration::from_secs(10);
+
+/// What a command talks to. Progress and notes go to standard error, results to standard output.
+pub struct Terminal {
+    interrupted: Arc<AtomicBool>,
+    watched: bool,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    label: String,
+    bar: Option<ProgressBar>,
+    last_line: Option<Instant>,
+    output_closed: bool,
+}
+
+impl Terminal {
+    /// Takes over Ctrl-C: the first asks the work to stop at the next safe point, the second ends the process.
+    pub fn new() -> Result<Self> {
+        let interrupted = Arc::new(AtomicBool::new(false));
+        let token = Arc::clone(&interrupted);
+        ctrlc::set_handler(move || {
+            if token.swap(true, Ordering::SeqCst) {
+                // Files are written atomically, so there is nothing to put away.
+                std::process::exit(i32::from(ErrorKind::Interrupted.exit_code()));
+            }
+            eprintln!("stopping at the next frame; once more to stop at once");
+        })
+        .map_err(|e| Error::new(ErrorKind::Environment, format!("cannot take over Ctrl-C: {e}")))?;
+        Ok(Terminal { interrupted, watched: std::io::stderr().is_terminal(), state: Mutex::default() })
+    }
+
+    /// Starts a stage: what `advance` counts from now on, for instance `case1: filming`.
+    pub fn stage(&self, label: impl Display) {
+        let mut state = self.state();
+        if let Some(bar) = state.bar.take() {
+            bar.finish_and_clear();
+        }
+        state.label = label.to_string();
+        state.last_line = None;
+    }
+
+    /// One line on standard output. A reader that has gone away (`| head -1`) is no error: the rest is dropped.
+    pub fn line(&self, text: impl Display) {
+        let mut state = self.state();
+        let write = || writeln!(std::io::stdout().lock(), "{text}");
+        if state.output_closed {
+            return;
+        }
+        let outcome = match &state.bar {
+            Some(bar) => bar.suspend(write),
+            None => write(),
+        };
+        state.output_closed = outcome.is_err();
+    }
+
+    /// A value as JSON on standard output.
+    pub fn json(&self, value: &impl serde::Serialize) -> Result<()> {
+        self.line(serde_json::to_string_pretty(value).map_err(|e| Error::input(format!("cannot be written: {e}")))?);
+        Ok(())
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&self) {
+        self.stage("");
+    }
+
+    /// A panic elsewhere leaves nothing in here half done, so a poisoned lock is as good as a whole one.
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn bar_of(label: &str) -> ProgressBar {
+    let template = "{msg:40!} {wide_bar} {pos}/{len} {elapsed} (eta {eta})";
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::no_length().with_style(style).with_message(label.to_owned())
+}
+
+impl Progress for Terminal {
+    fn advance(&self, done: usize, total: usize) {
+        let mut state = self.state();
+        if self.watched {
+            let State { label, bar, .. } = &mut *state;
+            let bar = bar.get_or_insert_with(|| bar_of(label));
+            bar.set_length(total as u64);
+            bar.set_position(done as u64);
+            return;
+        }
+        let now = Instant::now();
+        // The first interval starts with the stage: what is quicker needs no line.
+        let last = *state.last_line.get_or_insert(now);
+        if now.duration_since(last) >= LINE_INTERVAL {
+            state.last_line = Some(now);
+            eprintln!("{}: {done}/{total}", state.label);
+        }
+    }
+
+    fn cancelled(&self) -> bool {
+        self.interrupted.load(Ordering::SeqCst)
+    }
+
+    fn note(&self, sentence: &str) {
+        match &self.state().bar {
+            Some(bar) => bar.suspend(|| eprintln!("{sentence}")),
+            None => eprintln!("{sentence}"),
+        }
+    }
+}

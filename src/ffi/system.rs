@@ -1,0 +1,68 @@
+//! What the operating system knows about this process and machine: CPU time, memory, disk. libc.
+
+use std::ffi::CString;
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
+
+fn usage() -> libc::rusage {
+    // SAFETY: `rusage` is plain numbers, for which all-zero bytes are a value; getrusage writes into memory that is
+    // ours and as large as it expects, and cannot fail for RUSAGE_SELF with a valid pointer.
+    unsafe {
+        let mut usage: libc::rusage = std::mem::zeroed();
+        libc::getrusage(libc::RUSAGE_SELF, &mut usage);
+        usage
+    }
+}
+
+fn seconds(time: libc::timeval) -> f64 {
+    time.tv_sec as f64 + time.tv_usec as f64 * 1e-6
+}
+
+/// User and system CPU seconds of this process so far, all threads together.
+pub fn cpu_time_s() -> f64 {
+    let usage = usage();
+    seconds(usage.ru_utime) + seconds(usage.ru_stime)
+}
+
+/// Highest resident memory of this process so far, in MiB.
+pub fn peak_memory_mib() -> f64 {
+    usage().ru_maxrss as f64 / 1024.0
+}
+
+/// Physical memory of the machine in MiB; 0 when the system does not say.
+pub fn memory_mib() -> f64 {
+    // SAFETY: sysconf takes a number and returns a number.
+    let (pages, page_bytes) = unsafe { (libc::sysconf(libc::_SC_PHYS_PAGES), libc::sysconf(libc::_SC_PAGESIZE)) };
+    if pages < 0 || page_bytes < 0 { 0.0 } else { pages as f64 * page_bytes as f64 / (1024.0 * 1024.0) }
+}
+
+/// Free disk space in MiB for the user at `path`, which must exist.
+pub fn free_disk_mib(path: &Path) -> Option<f64> {
+    let path = CString::new(path.as_os_str().as_bytes()).ok()?;
+    // SAFETY: `statvfs` is plain numbers, for which all-zero bytes are a value; `path` is a NUL-terminated string that
+    // outlives the call; the result is read only when the call says that it filled it.
+    unsafe {
+        let mut answer: libc::statvfs = std::mem::zeroed();
+        (libc::statvfs(path.as_ptr(), &mut answer) == 0)
+            .then(|| answer.f_bavail as f64 * answer.f_frsize as f64 / (1024.0 * 1024.0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_those_of_a_real_machine() {
+        let before = cpu_time_s();
+        let mut x = 0u64;
+        while cpu_time_s() - before < 0.01 {
+            x = std::hint::black_box(x + 1);
+        }
+        assert!(cpu_time_s() < 1e6 && x > 0);
+        assert!(memory_mib() > 256.0);
+        assert!(peak_memory_mib() > 0.5 && peak_memory_mib() < memory_mib());
+        assert!(free_disk_mib(Path::new("/")).unwrap() >= 0.0);
+        assert!(free_disk_mib(Path::new("/no/such/folder")).is_none());
+    }
+}

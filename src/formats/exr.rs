@@ -1,0 +1,169 @@
+//! OpenEXR, 32-bit float: linear radiance (R, G, B) and one-channel truth such as z-depth (Z). Lossless, ZIP.
+
+use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer};
+use exr::meta::MetaData;
+use exr::meta::header::LayerAttributes;
+use exr::prelude::{ReadChannels, ReadLayers, SmallVec, Text, WritableImage};
+
+use crate::base::{Error, Image, Result, files};
+
+/// Values (pixels times channels) that a file may declare.
+const MAX_VALUES: usize = 1 << 28;
+/// ZIP cannot pack tighter than this; a header that promises more values than its file can hold lies.
+const MAX_VALUES_PER_BYTE: usize = 2048;
+
+/// Reads the first layer: channels R, G, B as three channels, or the only channel there is as one.
+///
+/// Half floats and integers become f32. Errors name the file: unreadable, damaged, or with other channels.
+pub fn read(path: &Path) -> Result<Image<f32>> {
+    decode(&files::read_bytes(path)?).map_err(|e| e.at(path))
+}
+
+/// Writes three channels as R, G, B in one atomic step.
+pub fn write_rgb(path: &Path, image: &Image<f32>) -> Result<()> {
+    write(path, image, &["R", "G", "B"])
+}
+
+/// Writes one channel under the name `channel` ("Z" for depth) in one atomic step.
+pub fn write_channel(path: &Path, channel: &str, image: &Image<f32>) -> Result<()> {
+    write(path, image, &[channel])
+}
+
+fn write(path: &Path, image: &Image<f32>, names: &[&str]) -> Result<()> {
+    files::write_bytes(path, &encode(image, names).map_err(|e| e.at(path))?)
+}
+
+fn encode(image: &Image<f32>, names: &[&str]) -> Result<Vec<u8>> {
+    if image.channels != names.len() || image.width == 0 || image.height == 0 {
+        return Err(Error::input(format!(
+            "an image of {}x{} pixels and {} channels cannot be written as {}",
+            image.width,
+            image.height,
+            image.channels,
+            names.join(", ")
+        )));
+    }
+    let plane = |c: usize| image.data.iter().skip(c).step_by(image.channels).copied().collect();
+    let channels: SmallVec<[_; 4]> =
+        names.iter().enumerate().map(|(c, name)| AnyChannel::new(*name, FlatSamples::F32(plane(c)))).collect();
+    let layer = Layer::new(
+        (image.width, image.height),
+        LayerAttributes::default(),
+        Encoding::SMALL_LOSSLESS,
+        AnyChannels::sort(channels),
+    );
+    let mut bytes = Cursor::new(Vec::new());
+    ExrImage::from_layer(layer)
+        .write()
+        .non_parallel()
+        .to_buffered(&mut bytes)
+        .map_err(|e| Error::input(format!("encoding as OpenEXR failed: {e}")))?;
+    Ok(bytes.into_inner())
+}
+
+fn decode(bytes: &[u8]) -> Result<Image<f32>> {
+    // The decoder meets whatever the file holds: should it have a flaw, that is the file's error, not a crash.
+    catch_unwind(AssertUnwindSafe(|| decode_unguarded(bytes)))
+        .unwrap_or_else(|_| Err(Error::input("is a damaged OpenEXR file: the decoder gave up")))
+}
+
+fn decode_unguarded(bytes: &[u8]) -> Result<Image<f32>> {
+    let damaged = |e: exr::error::Error| Error::input(format!("is not a readable OpenEXR file: {e}"));
+    let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
+    for header in &meta.headers {
+        let size = header.layer_size;
+        let values = size.area().saturating_mul(header.channels.list.len());
+        if values > MAX_VALUES || values / MAX_VALUES_PER_BYTE > bytes.len() {
+            return Err(Error::input(format!(
+                "declares {}x{} pixels, more than its {} bytes can hold",
+                size.width(),
+                size.height(),
+                bytes.len()
+            )));
+        }
+    }
+    let image = exr::image::read::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .non_parallel()
+        .from_buffered(Cursor::new(bytes))
+        .map_err(damaged)?;
+    let layer = image.layer_data;
+    let channels = layer.channel_data.list;
+    let find = |name: &str| channels.iter().find(|c| c.name == Text::from(name));
+    let planes: Vec<&FlatSamples> = match (find("R"), find("G"), find("B")) {
+        (Some(r), Some(g), Some(b)) => vec![&r.sample_data, &g.sample_data, &b.sample_data],
+        _ if channels.len() == 1 => vec![&channels[0].sample_data],
+        _ => {
+            let names: Vec<String> = channels.iter().map(|c| c.name.to_string()).collect();
+            return Err(Error::input(format!("has channels {}; R, G, B or a single one is wanted", names.join(", "))));
+        }
+    };
+    let (width, height) = (layer.size.width(), layer.size.height());
+    if planes.iter().any(|p| p.len() != width * height) {
+        return Err(Error::input("has subsampled channels, which are not supported"));
+    }
+    let mut data = vec![0.0; width * height * planes.len()];
+    for (c, plane) in planes.iter().enumerate() {
+        for (pixel, value) in plane.values_as_f32().enumerate() {
+            data[pixel * planes.len() + c] = value;
+        }
+    }
+    Ok(Image { width, height, channels: planes.len(), data })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(channels: usize) -> Image<f32> {
+        let data = (0..6 * 5 * channels).map(|i| (i as f32 * 0.37).sin() * 1e3).collect();
+        Image { width: 6, height: 5, channels, data }
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.exr");
+        write_rgb(&path, &sample(3)).unwrap();
+        assert_eq!(read(&path).unwrap(), sample(3));
+        write_channel(&path, "Z", &sample(1)).unwrap();
+        assert_eq!(read(&path).unwrap(), sample(1));
+        assert!(write_rgb(&path, &sample(1)).is_err());
+    }
+
+    #[test]
+    fn damage_is_an_error_that_names_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("damaged.exr");
+        let whole = encode(&sample(3), &["R", "G", "B"]).unwrap();
+        for length in (0..whole.len() - 1).step_by(7) {
+            files::write_bytes(&path, &whole[..length]).unwrap();
+            let message = read(&path).unwrap_err().to_string();
+            assert!(message.contains("damaged.exr"), "{message}");
+        }
+        // Flipped bits: an error or an image, never a panic that leaves this file.
+        for bit in (0..whole.len() * 8).step_by(3) {
+            let mut bytes = whole.clone();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            let _ = decode(&bytes);
+        }
+    }
+
+    #[test]
+    fn a_header_that_promises_too_much_is_refused_before_memory_is_asked_for() {
+        let mut bytes = encode(&sample(1), &["Z"]).unwrap();
+        let name = b"dataWindow\0box2i\0";
+        let at = bytes.windows(name.len()).position(|w| w == name).unwrap() + name.len() + 4;
+        bytes[at + 8..at + 12].copy_from_slice(&1_000_000i32.to_le_bytes());
+        bytes[at + 12..at + 16].copy_from_slice(&1_000_000i32.to_le_bytes());
+        assert!(decode(&bytes).is_err());
+    }
+}

@@ -1,0 +1,92 @@
+//! Landmark pairs as CSV: `insp_x,insp_y,insp_z,exp_x,exp_y,exp_z` in mm, one pair a row (DIR-Lab by way of Lung250M-4B).
+
+use std::path::Path;
+
+use glam::DVec3;
+
+use crate::base::{Error, Result, files};
+
+/// One anatomical point in both breath holds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LandmarkPair {
+    /// Where it is at full inspiration, mm.
+    pub inspiration_mm: DVec3,
+    /// Where it is at full expiration, mm.
+    pub expiration_mm: DVec3,
+}
+
+impl LandmarkPair {
+    /// Its motion from inspiration to expiration, mm.
+    pub fn motion_mm(&self) -> DVec3 {
+        self.expiration_mm - self.inspiration_mm
+    }
+}
+
+const COLUMNS: [&str; 6] = ["insp_x", "insp_y", "insp_z", "exp_x", "exp_y", "exp_z"];
+
+/// Reads all pairs of `path`. Columns are found by name, so more columns and any order are fine.
+/// Errors name the file and the column or line at fault; a file without a pair is an error.
+pub fn read(path: &Path) -> Result<Vec<LandmarkPair>> {
+    parse(&files::read_bytes(path)?).map_err(|e| e.at(path))
+}
+
+/// [`read`] for bytes that are at hand.
+pub fn parse(bytes: &[u8]) -> Result<Vec<LandmarkPair>> {
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+    let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();
+    if header.is_empty() {
+        return Err(Error::input("the landmark file is empty"));
+    }
+    let mut column_of = [0usize; 6];
+    for (slot, name) in COLUMNS.iter().enumerate() {
+        column_of[slot] = header.iter().position(|h| h.eq_ignore_ascii_case(name)).ok_or_else(|| {
+            Error::input(format!("is missing; a landmark file has the columns {}", COLUMNS.join(",")))
+                .element(format!("column {name}"))
+        })?;
+    }
+    let mut pairs = Vec::new();
+    for (row, record) in reader.records().enumerate() {
+        let line = format!("line {}", row + 2);
+        let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
+        let mut values = [0.0f64; 6];
+        for (slot, &column) in column_of.iter().enumerate() {
+            let text = record.get(column).unwrap_or("");
+            values[slot] = match text.parse::<f64>() {
+                Ok(v) if v.is_finite() => v,
+                _ => {
+                    return Err(Error::input(format!("\"{text}\" is not a finite number"))
+                        .element(format!("{line}, column {}", COLUMNS[slot])));
+                }
+            };
+        }
+        let [a, b, c, d, e, f] = values;
+        pairs.push(LandmarkPair { inspiration_mm: DVec3::new(a, b, c), expiration_mm: DVec3::new(d, e, f) });
+    }
+    if pairs.is_empty() {
+        return Err(Error::input("the landmark file holds no landmark pair"));
+    }
+    Ok(pairs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_are_found_by_name() {
+        let pairs = parse(b"id,exp_x,exp_y,exp_z,insp_x,insp_y,insp_z\n7,1,2,3,4,5,6.5\n").unwrap();
+        assert_eq!(pairs[0].inspiration_mm, DVec3::new(4.0, 5.0, 6.5));
+        assert_eq!(pairs[0].motion_mm(), DVec3::new(-3.0, -3.0, -3.5));
+    }
+
+    #[test]
+    fn damage_is_named() {
+        let head = "insp_x,insp_y,insp_z,exp_x,exp_y,exp_z\n";
+        let say = |text: String| parse(text.as_bytes()).unwrap_err().to_string();
+        assert_eq!(say(String::new()), "the landmark file is empty");
+        assert_eq!(say(head.into()), "the landmark file holds no landmark pair");
+        assert!(say(format!("{head}1,2,3,4,5,6\n1,2,nan,4,5,6\n")).contains("line 3, column insp_z"));
+        assert!(say(format!("{head}1,2,3\n")).contains("line 2"));
+        assert!(say("a,b\n1,2\n".into()).contains("column insp_x"));
+    }
+}

@@ -1,0 +1,97 @@
+//! PNG, 8-bit sRGB: the images that methods see. One fixed encoder setting, so that equal images are equal bytes.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder, ImageFormat, ImageReader, Limits};
+
+use crate::base::{Error, Image, Result, files};
+
+/// No image of this program is wider or higher.
+const MAX_SIDE_PX: u32 = 32_768;
+/// Memory that decoding may ask for, in bytes.
+const MAX_DECODED_BYTES: u64 = 256 << 20;
+
+/// Reads any PNG as 8-bit RGB: grey is spread, alpha dropped, 16 bits rounded to 8.
+///
+/// Errors name the file: unreadable, not a PNG, damaged, or larger than 32768 pixels a side.
+pub fn read_rgb(path: &Path) -> Result<Image<u8>> {
+    decode(&files::read_bytes(path)?).map_err(|e| e.at(path))
+}
+
+/// Writes an RGB image (three channels) in one atomic step.
+pub fn write_rgb(path: &Path, image: &Image<u8>) -> Result<()> {
+    files::write_bytes(path, &encode(image).map_err(|e| e.at(path))?)
+}
+
+fn decode(bytes: &[u8]) -> Result<Image<u8>> {
+    let damaged = |e: image::ImageError| Error::input(format!("is not a readable PNG image: {e}"));
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE_PX);
+    limits.max_image_height = Some(MAX_SIDE_PX);
+    limits.max_alloc = Some(MAX_DECODED_BYTES);
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
+    reader.limits(limits);
+    let rgb = reader.decode().map_err(damaged)?.into_rgb8();
+    Ok(Image { width: rgb.width() as usize, height: rgb.height() as usize, channels: 3, data: rgb.into_raw() })
+}
+
+fn encode(image: &Image<u8>) -> Result<Vec<u8>> {
+    if image.channels != 3 || image.width == 0 || image.height == 0 {
+        return Err(Error::input(format!(
+            "an image of {}x{} pixels and {} channels cannot be written as RGB",
+            image.width, image.height, image.channels
+        )));
+    }
+    let mut bytes = Vec::new();
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive)
+        .write_image(&image.data, image.width as u32, image.height as u32, ExtendedColorType::Rgb8)
+        .map_err(|e| Error::input(format!("encoding as PNG failed: {e}")))?;
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample() -> Image<u8> {
+        let data = (0..9 * 7 * 3).map(|i| (i * 37 % 251) as u8).collect();
+        Image { width: 9, height: 7, channels: 3, data }
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        write_rgb(&path, &sample()).unwrap();
+        assert_eq!(read_rgb(&path).unwrap(), sample());
+        assert_eq!(encode(&sample()).unwrap(), files::read_bytes(&path).unwrap());
+    }
+
+    #[test]
+    fn damage_is_an_error_that_names_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("damaged.png");
+        let whole = encode(&sample()).unwrap();
+        for length in 0..whole.len() - 12 {
+            files::write_bytes(&path, &whole[..length]).unwrap();
+            let message = read_rgb(&path).unwrap_err().to_string();
+            assert!(message.contains("damaged.png"), "{message}");
+            if length > 200 {
+                break;
+            }
+        }
+        // Flipped bits: an error or an image, never a panic.
+        for bit in 0..whole.len() * 8 {
+            let mut bytes = whole.clone();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            let _ = decode(&bytes);
+        }
+    }
+
+    #[test]
+    fn a_depth_image_is_refused() {
+        assert!(encode(&Image::filled(4, 4, 1, 0u8)).is_err());
+    }
+}
