@@ -3,4 +3,5 @@
 
 pub mod exr;
 pub mod landmarks;
+pub mod mesh;
 pub mod png;
