@@ -25,6 +25,8 @@ pub struct Guides {
     normal: Vec<[f32; 3]>,
     /// 1 / distance from the camera; 0 where nothing is hit.
     nearness: Vec<f32>,
+    /// What makes the light of a lamp at the camera about even: squared distance plus that of the nearest walls.
+    falloff: Vec<f32>,
 }
 
 impl Guides {
@@ -37,8 +39,9 @@ impl Guides {
             .map(|p| dot(*p, *p).sqrt())
             .map(|distance| if distance > 0.0 { 1.0 / distance } else { 0.0 })
             .collect();
+        let falloff = falloff(&position);
         let unit = |n: &[f32; 3]| n.map(|v| v / dot(*n, *n).sqrt().max(1e-6));
-        Guides { width, height, position, normal: normals.iter().map(unit).collect(), nearness }
+        Guides { width, height, position, normal: normals.iter().map(unit).collect(), nearness, falloff }
     }
 
     /// How far pixel `q` may speak for pixel `p`, in [0, 1].
@@ -57,12 +60,24 @@ impl Guides {
     }
 }
 
+fn falloff(position: &[[f32; 3]]) -> Vec<f32> {
+    let squares: Vec<f32> = position.iter().map(|p| dot(*p, *p)).collect();
+    let mut sorted: Vec<f32> = squares.iter().copied().filter(|&s| s > 0.0).collect();
+    sorted.sort_by(f32::total_cmp);
+    let near = sorted.get(sorted.len() / 20).copied().unwrap_or(1.0);
+    squares.iter().map(|s| s + near).collect()
+}
+
 fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// The filtered `light`, one RGB value per pixel.
 pub fn denoised_indirect(guides: &Guides, mut light: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    let scale = |light: &mut [[f32; 3]], by: &dyn Fn(f32) -> f32| {
+        light.iter_mut().zip(&guides.falloff).for_each(|(l, &f)| *l = l.map(|v| v * by(f)));
+    };
+    scale(&mut light, &|f| f);
     for pass in 0..PASSES {
         let step = 1isize << pass;
         light = (0..guides.height)
@@ -73,6 +88,7 @@ pub fn denoised_indirect(guides: &Guides, mut light: Vec<[f32; 3]>) -> Vec<[f32;
             })
             .collect();
     }
+    scale(&mut light, &|f| 1.0 / f);
     light
 }
 
