@@ -2,8 +2,11 @@
 //! geometry alone (normal, position).
 //!
 //! What is filtered is smooth over the wall: the light that arrives there by way of other walls, freed of the wall's
-//! own colour. Direct light, albedo and its vessels pass untouched. Left out: any stop at differences of the filtered
-//! colour itself, so the result is linear in its input and adds no bias of its own to the mean of a flat region.
+//! own colour and, roughly, of its falloff with the distance from the lamp. Direct light, albedo and vessels pass
+//! untouched. Left out: any stop at differences of the filtered light itself; the result is linear in its input.
+//!
+//! Measured on the reference tube (256x256, six scatterings): image mean 0.2 % too high; mean squared relative error
+//! .0050 at 4 samples per pixel (unfiltered .17), .0030 at 16 (.035), where it is nearly all bias.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -139,8 +142,12 @@ mod tests {
     }
 
     #[test]
-    fn an_even_field_stays_as_it_is() {
-        let filtered = denoised_indirect(&step_guides(16), vec![[0.25, 0.5, 2.0]; 256]);
-        assert!(filtered.iter().all(|v| (v[0] - 0.25).abs() < 1e-6 && (v[2] - 2.0).abs() < 1e-5));
+    fn light_that_falls_off_with_distance_stays_as_it_is() {
+        let guides = step_guides(16);
+        let field: Vec<[f32; 3]> = guides.falloff.iter().map(|f| [40.0 / f, 20.0 / f, 0.0]).collect();
+        let filtered = denoised_indirect(&guides, field.clone());
+        for (a, b) in filtered.iter().zip(&field) {
+            assert!((a[0] - b[0]).abs() < 1e-6 * b[0] && (a[1] - b[1]).abs() < 1e-6 * b[1] && a[2] == 0.0);
+        }
     }
 }
