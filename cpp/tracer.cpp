@@ -1,50 +1,256 @@
 #include "cpp/tracer.h"
 
+#include <embree4/rtcore.h>
+
 #include <cstring>
+#include <limits>
 #include <stdexcept>
 #include <string>
 
+#include "cpp/path.h"
+#include "respire-bench/src/ffi/tracer.rs.h"
+
 namespace respire {
 
-Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces)
-    : vertex_floats_(vertices.size()) {
-  if (vertices.size() % 3 || faces.size() % 3) {
-    throw std::invalid_argument("vertex and index lengths must be multiples of 3");
+namespace {
+
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+
+void demand(bool condition, const char* what) {
+  if (!condition) throw std::invalid_argument(what);
+}
+
+Vec3 vec(const std::array<float, 3>& a) { return {a[0], a[1], a[2]}; }
+
+// Rays `first` .. `first + count` (at most eight) of a bundle, traced as one packet.
+void cast_packet(RTCScene scene, const float* origins, std::size_t origin_stride, const float* directions,
+                 std::size_t count, bool coherent, RTCRayHit8& packet) {
+  alignas(32) int valid[8];
+  for (std::size_t lane = 0; lane < 8; ++lane) {
+    std::size_t source = lane < count ? lane : 0;
+    valid[lane] = lane < count ? -1 : 0;
+    const float *o = origins + origin_stride * source, *d = directions + 3 * source;
+    packet.ray.org_x[lane] = o[0], packet.ray.org_y[lane] = o[1], packet.ray.org_z[lane] = o[2];
+    packet.ray.dir_x[lane] = d[0], packet.ray.dir_y[lane] = d[1], packet.ray.dir_z[lane] = d[2];
+    packet.ray.tnear[lane] = 0, packet.ray.tfar[lane] = kInfinity, packet.ray.time[lane] = 0;
+    packet.ray.mask[lane] = ~0u, packet.ray.id[lane] = 0, packet.ray.flags[lane] = 0;
+    packet.hit.geomID[lane] = RTC_INVALID_GEOMETRY_ID;
+    packet.hit.instID[0][lane] = RTC_INVALID_GEOMETRY_ID;
   }
-  device_ = rtcNewDevice("isa=avx2");
+  RTCIntersectArguments arguments;
+  rtcInitIntersectArguments(&arguments);
+  arguments.flags = coherent ? RTC_RAY_QUERY_FLAG_COHERENT : RTC_RAY_QUERY_FLAG_INCOHERENT;
+  rtcIntersect8(valid, scene, &packet, &arguments);
+}
+
+}  // namespace
+
+Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces,
+               rust::Slice<const float> generations, rust::Slice<const float> axial_mm, const MaterialSettings& material)
+    : vertex_floats_(vertices.size()),
+      face_count_(faces.size() / 3),
+      rest_(vertices.begin(), vertices.end()),
+      generations_(generations.begin(), generations.end()),
+      axial_mm_(axial_mm.begin(), axial_mm.end()),
+      mucosa_(material.mucosa),
+      coated_(material.coated),
+      albedo_(vec(material.albedo)),
+      alpha_low_(material.alpha_low),
+      alpha_high_(material.alpha_high),
+      look_{material.vessels, material.blotches, material.relief, material.film, material.rings,
+            material.ring_spacing_mm, material.seed} {
+  demand(vertices.size() % 3 == 0 && faces.size() % 3 == 0, "vertex and index lengths must be multiples of 3");
+  std::size_t count = vertices.size() / 3;
+  demand(generations.size() == count && axial_mm.size() == count, "one generation and axial distance per vertex");
+  for (std::uint32_t v : faces) demand(v < count, "a face names a vertex that is not there");
+  if (coated_) coat_ = Coat(alpha_low_, alpha_high_, material.ior);
+  FloatMode mode;
+  device_.reset(rtcNewDevice("isa=avx2"));
   if (!device_) throw std::runtime_error("Embree refuses a device: error " + std::to_string(rtcGetDeviceError(nullptr)));
-  scene_ = rtcNewScene(device_);
-  // Two-level mode: the only one that refits (docs/BUILD.md).
+  scene_.reset(rtcNewScene(device_));
+  // Two-level mode: the only one that refits. Robust: no ray slips through an edge.
   rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_LOW);
   rtcSetSceneFlags(scene_, static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_DYNAMIC | RTC_SCENE_FLAG_ROBUST));
-  geometry_ = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
+  geometry_.reset(rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE));
   rtcSetGeometryBuildQuality(geometry_, RTC_BUILD_QUALITY_REFIT);
-  void* v = rtcSetNewGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, vertices.size() / 3);
-  void* f = rtcSetNewGeometryBuffer(geometry_, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, faces.size() / 3);
+  void* v = rtcSetNewGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, count);
+  void* f = rtcSetNewGeometryBuffer(geometry_, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, face_count_);
+  if (!v || !f) throw std::runtime_error("Embree has no memory for the mesh");
   std::memcpy(v, vertices.data(), vertices.size() * sizeof(float));
   std::memcpy(f, faces.data(), faces.size() * sizeof(std::uint32_t));
+  vertices_ = static_cast<const float*>(v);
+  faces_ = static_cast<const std::uint32_t*>(f);
   rtcCommitGeometry(geometry_);
   rtcAttachGeometry(scene_, geometry_);
   rtcCommitScene(scene_);
-}
-
-Tracer::~Tracer() {
-  if (geometry_) rtcReleaseGeometry(geometry_);
-  if (scene_) rtcReleaseScene(scene_);
-  if (device_) rtcReleaseDevice(device_);
+  update_normals();
+  bake_albedo();
 }
 
 void Tracer::update(rust::Slice<const float> vertices) {
-  if (vertices.size() != vertex_floats_) throw std::invalid_argument("the number of vertices cannot change");
+  demand(vertices.size() == vertex_floats_, "the number of vertices cannot change");
+  FloatMode mode;
   void* v = rtcGetGeometryBufferData(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
   std::memcpy(v, vertices.data(), vertices.size() * sizeof(float));
   rtcUpdateGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
   rtcCommitGeometry(geometry_);
   rtcCommitScene(scene_);
+  update_normals();
 }
 
-std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces) {
-  return std::make_unique<Tracer>(vertices, faces);
+void Tracer::update_normals() {
+  normals_.assign(vertex_floats_, 0.0f);
+  for (std::size_t f = 0; f < face_count_; ++f) {
+    const std::uint32_t* face = faces_ + 3 * f;
+    Vec3 a = load(vertices_ + 3 * face[0]), b = load(vertices_ + 3 * face[1]), c = load(vertices_ + 3 * face[2]);
+    Vec3 normal = cross(b - a, c - a);
+    for (int k = 0; k < 3; ++k) {
+      float* n = &normals_[3 * face[k]];
+      n[0] += normal.x, n[1] += normal.y, n[2] += normal.z;
+    }
+  }
+  for (std::size_t v = 0; v < vertex_floats_; v += 3) {
+    Vec3 n = load(&normals_[v]);
+    float l = length(n);
+    if (l > 0.0f) store(&normals_[v], n * (1.0f / l));
+  }
+}
+
+// Later bounces see the mean colour around each vertex: what they carry is blurred by the next scattering anyway.
+void Tracer::bake_albedo() {
+  if (!mucosa_) return;
+  vertex_albedo_.assign(vertex_floats_, 0.0f);
+  std::vector<float> weights(vertex_floats_ / 3, 0.0f);
+  for (std::size_t f = 0; f < face_count_; ++f) {
+    const std::uint32_t* face = faces_ + 3 * f;
+    Vec3 corner[3];
+    for (int k = 0; k < 3; ++k) corner[k] = load(&rest_[3 * face[k]]);
+    Vec3 normal = cross(corner[1] - corner[0], corner[2] - corner[0]);
+    float area = length(normal);
+    for (int k = 0; k < 3; ++k) {
+      std::uint32_t v = face[k];
+      Vec3 p = corner[k] * (2.0f / 3.0f) + (corner[(k + 1) % 3] + corner[(k + 2) % 3]) * (1.0f / 6.0f);
+      MucosaPoint m = mucosa_at(look_, albedo_, p, unit_or_zero(normal), axial_mm_[v],
+                                ring_weight(generations_[v]), generations_[v], 0.0f);
+      store(&vertex_albedo_[3 * v], load(&vertex_albedo_[3 * v]) + m.albedo * area);
+      weights[v] += area;
+    }
+  }
+  for (std::size_t v = 0; v < weights.size(); ++v) {
+    if (weights[v] > 0.0f) store(&vertex_albedo_[3 * v], load(&vertex_albedo_[3 * v]) * (1.0f / weights[v]));
+  }
+}
+
+TileCounters Tracer::trace_tile(const FrameSettings& frame, const Tile& tile, rust::Slice<const float> corners,
+                                rust::Slice<float> film) const {
+  demand(tile.x1 <= frame.width && tile.y1 <= frame.height && tile.x0 < tile.x1 && tile.y0 < tile.y1, "tile outside the image");
+  demand(corners.size() == 3ull * (frame.width + 1) * (frame.height + 1), "one direction per pixel corner");
+  demand(film.size() == static_cast<std::size_t>(tile.x1 - tile.x0) * (tile.y1 - tile.y0) * kFilmChannels, "film size");
+  FloatMode mode;
+  PathIntegrator integrator(*this, frame);
+  const std::uint32_t columns = tile.x1 - tile.x0, rows = tile.y1 - tile.y0;
+  const std::uint64_t total = static_cast<std::uint64_t>(columns) * rows * tile.samples;
+  float directions[8 * 3];
+  RTCRayHit8 packet;
+  std::vector<Sampler> samplers;
+  samplers.reserve(8);
+  for (std::uint64_t first = 0; first < total; first += 8) {
+    const std::uint32_t count = static_cast<std::uint32_t>(std::min<std::uint64_t>(8, total - first));
+    samplers.clear();
+    for (std::uint32_t lane = 0; lane < count; ++lane) {
+      const std::uint64_t pixel = (first + lane) / tile.samples;
+      const std::uint32_t x = tile.x0 + static_cast<std::uint32_t>(pixel % columns);
+      const std::uint32_t y = tile.y0 + static_cast<std::uint32_t>(pixel / columns);
+      const std::uint32_t index = tile.first_sample + static_cast<std::uint32_t>((first + lane) % tile.samples);
+      samplers.emplace_back(hash32(frame.key ^ hash32(x + hash32(y + 0x9e3779b9u))), index);
+      float u, v;
+      samplers.back().next2(u, v);
+      const float* low = corners.data() + 3ull * (static_cast<std::uint64_t>(y) * (frame.width + 1) + x);
+      const float* high = low + 3ull * (frame.width + 1);
+      Vec3 top = load(low) * (1.0f - u) + load(low + 3) * u, bottom = load(high) * (1.0f - u) + load(high + 3) * u;
+      store(directions + 3 * lane, normalize(integrator.world_direction(top * (1.0f - v) + bottom * v)));
+    }
+    cast_packet(scene_, frame.origin.data(), 0, directions, count, true, packet);
+    integrator.counters.rays += count;
+    for (std::uint32_t lane = 0; lane < count; ++lane) {
+      const std::uint64_t pixel = (first + lane) / tile.samples;
+      Hit hit{packet.ray.tfar[lane], packet.hit.u[lane], packet.hit.v[lane], packet.hit.primID[lane],
+              {packet.hit.Ng_x[lane], packet.hit.Ng_y[lane], packet.hit.Ng_z[lane]}};
+      const bool found = packet.hit.geomID[lane] != RTC_INVALID_GEOMETRY_ID;
+      integrator.camera_sample(load(directions + 3 * lane), found ? &hit : nullptr, samplers[lane],
+                               film.data() + pixel * kFilmChannels);
+    }
+  }
+  return integrator.counters;
+}
+
+void Tracer::trace_distances(const FrameSettings& frame, rust::Slice<const float> directions,
+                             rust::Slice<float> distances) const {
+  demand(directions.size() == 3 * distances.size(), "one direction per distance");
+  FloatMode mode;
+  PathIntegrator integrator(*this, frame);
+  float world[8 * 3];
+  RTCRayHit8 packet;
+  for (std::size_t first = 0; first < distances.size(); first += 8) {
+    const std::size_t count = std::min<std::size_t>(8, distances.size() - first);
+    for (std::size_t lane = 0; lane < count; ++lane)
+      store(world + 3 * lane, integrator.world_direction(load(directions.data() + 3 * (first + lane))));
+    cast_packet(scene_, frame.origin.data(), 0, world, count, true, packet);
+    for (std::size_t lane = 0; lane < count; ++lane)
+      distances[first + lane] = packet.hit.geomID[lane] == RTC_INVALID_GEOMETRY_ID ? kInfinity : packet.ray.tfar[lane];
+  }
+}
+
+void Tracer::cast(rust::Slice<const float> origins, rust::Slice<const float> directions,
+                  rust::Slice<float> distances) const {
+  demand(directions.size() == 3 * distances.size() && origins.size() == directions.size(), "one ray per distance");
+  FloatMode mode;
+  RTCRayHit8 packet;
+  for (std::size_t first = 0; first < distances.size(); first += 8) {
+    const std::size_t count = std::min<std::size_t>(8, distances.size() - first);
+    cast_packet(scene_, origins.data() + 3 * first, 3, directions.data() + 3 * first, count, false, packet);
+    for (std::size_t lane = 0; lane < count; ++lane)
+      distances[first + lane] = packet.hit.geomID[lane] == RTC_INVALID_GEOMETRY_ID ? kInfinity : packet.ray.tfar[lane];
+  }
+}
+
+// E by stratified sampling of visible normals: the weight of a mirrored direction is F (1 + L(o)) / (1 + L(o) + L(i)).
+Coat::Coat(float alpha_low, float alpha_high, float ior)
+    : rows_(alpha_high > alpha_low ? 8 : 1), alpha_low_(alpha_low), ior_(ior) {
+  const int strata = rows_ == 1 ? 64 : 32;
+  rows_per_alpha_ = rows_ > 1 ? static_cast<float>(rows_ - 1) / (alpha_high - alpha_low) : 0.0f;
+  for (int row = 0; row < rows_; ++row) {
+    float alpha = rows_ > 1 ? alpha_low + static_cast<float>(row) / rows_per_alpha_ : alpha_low;
+    for (int c = 0; c < kCosines; ++c) {
+      float mu = std::max(static_cast<float>(c) / (kCosines - 1), 1e-3f);
+      Vec3 o = {std::sqrt(1.0f - mu * mu), 0.0f, mu};
+      double sum = 0.0;
+      for (int a = 0; a < strata; ++a)
+        for (int b = 0; b < strata; ++b) {
+          Vec3 h = visible_normal(o, alpha, (static_cast<float>(a) + 0.5f) / static_cast<float>(strata),
+                                  (static_cast<float>(b) + 0.5f) / static_cast<float>(strata));
+          Vec3 i = h * (2.0f * dot(o, h)) - o;
+          if (i.z <= 0.0f) continue;
+          float lo = smith_lambda(o.z, alpha), li = smith_lambda(i.z, alpha);
+          sum += fresnel(dot(o, h), ior) * (1.0f + lo) / (1.0f + lo + li);
+        }
+      table_.push_back(static_cast<float>(sum / (strata * strata)));
+    }
+  }
+}
+
+std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces,
+                                   rust::Slice<const float> generations, rust::Slice<const float> axial_mm,
+                                   const MaterialSettings& material) {
+  return std::make_unique<Tracer>(vertices, faces, generations, axial_mm, material);
+}
+
+float coat_albedo(float alpha, float ior, float cosine) { return Coat(alpha, alpha, ior).albedo(alpha, cosine); }
+
+void sobol_pair(std::uint32_t key, std::uint32_t index, std::uint32_t dimension, rust::Slice<float> pair) {
+  demand(pair.size() == 2, "a pair has two values");
+  Sampler sampler(key, index);
+  for (std::uint32_t d = 0; d <= dimension; ++d) sampler.next2(pair[0], pair[1]);
 }
 
 }  // namespace respire

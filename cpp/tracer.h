@@ -3,29 +3,88 @@
 
 #include <cstdint>
 #include <memory>
+#include <vector>
 
+#include "cpp/coat.h"
+#include "cpp/mucosa.h"
+#include "cpp/vector.h"
 #include "rust/cxx.h"
 
 namespace respire {
 
-// One triangle mesh in an Embree scene that is refitted, not rebuilt, when its vertices move.
+// Owns an Embree object.
+template <class T, void (*Release)(T)>
+class Handle {
+ public:
+  Handle() = default;
+  ~Handle() { reset(nullptr); }
+  Handle(const Handle&) = delete;
+  Handle& operator=(const Handle&) = delete;
+  void reset(T object) {
+    if (object_) Release(object_);
+    object_ = object;
+  }
+  operator T() const { return object_; }
+
+ private:
+  T object_ = nullptr;
+};
+
+struct MaterialSettings;
+struct FrameSettings;
+struct Tile;
+struct TileCounters;
+
+// One triangle mesh in an Embree scene that is refitted, not rebuilt, when its vertices move; its material; and the
+// path tracer of a tile of pixels. Tracing is const and may run on many threads at once; `update` may not.
 class Tracer {
  public:
-  Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces);
-  ~Tracer();
+  Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces,
+         rust::Slice<const float> generations, rust::Slice<const float> axial_mm, const MaterialSettings& material);
   Tracer(const Tracer&) = delete;
   Tracer& operator=(const Tracer&) = delete;
 
   // New positions (xyz interleaved, as many as at construction). Throws std::invalid_argument on a wrong length.
   void update(rust::Slice<const float> vertices);
 
+  // Adds the sums of the samples of one tile to `film`, kFilmChannels floats per pixel of the tile, row-major.
+  // `corners` are the (width + 1) x (height + 1) directions through the pixel corners of the whole image.
+  TileCounters trace_tile(const FrameSettings& frame, const Tile& tile, rust::Slice<const float> corners,
+                          rust::Slice<float> film) const;
+
+  // Ray lengths along the given unit directions (camera axes), infinity where nothing is hit.
+  void trace_distances(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<float> distances) const;
+
+  // Lengths of arbitrary rays (world axes), infinity where nothing is hit.
+  void cast(rust::Slice<const float> origins, rust::Slice<const float> directions, rust::Slice<float> distances) const;
+
  private:
-  RTCDevice device_{};
-  RTCScene scene_{};
-  RTCGeometry geometry_{};
-  std::size_t vertex_floats_{};
+  friend class PathIntegrator;
+
+  void bake_albedo();
+  void update_normals();
+
+  // In the order of their making: they are released in the opposite one.
+  Handle<RTCDevice, rtcReleaseDevice> device_;
+  Handle<RTCScene, rtcReleaseScene> scene_;
+  Handle<RTCGeometry, rtcReleaseGeometry> geometry_;
+  const float* vertices_{};
+  const std::uint32_t* faces_{};
+  std::size_t vertex_floats_{}, face_count_{};
+  std::vector<float> rest_, normals_, generations_, axial_mm_, vertex_albedo_;
+  bool mucosa_{}, coated_{};
+  Vec3 albedo_{};
+  float alpha_low_{}, alpha_high_{};
+  MucosaLook look_{};
+  Coat coat_;
 };
 
-std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces);
+std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces,
+                                   rust::Slice<const float> generations, rust::Slice<const float> axial_mm,
+                                   const MaterialSettings& material);
+
+// What the tests look at.
+float coat_albedo(float alpha, float ior, float cosine);
+void sobol_pair(std::uint32_t key, std::uint32_t index, std::uint32_t dimension, rust::Slice<float> pair);
 
 }  // namespace respire

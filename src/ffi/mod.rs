@@ -5,19 +5,8 @@
 #![allow(unsafe_code)]
 
 pub mod embree;
+pub mod splat;
 pub mod system;
-#[allow(missing_docs)]
-mod tracer;
+pub mod tracer;
 pub mod versions;
 pub mod vision;
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn a_scene_is_built_and_refitted() {
-        let vertices = [-1., -1., 2., 1., -1., 2., 1., 1., 2., -1., 1., 2.];
-        let mut tracer = super::tracer::new_tracer(&vertices, &[0, 1, 2, 0, 2, 3]).unwrap();
-        tracer.pin_mut().update(&vertices).unwrap();
-        assert!(tracer.pin_mut().update(&vertices[3..]).is_err());
-    }
-}

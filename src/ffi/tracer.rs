@@ -1,15 +1,204 @@
-//! Batches of rays against one deforming triangle mesh: C++ (`cpp/tracer.cpp`) on Embree 4, through cxx.
+//! The path tracer's hot part: C++ (`cpp/tracer.cpp`) on Embree 4 through cxx, one call per tile of pixels.
+//!
+//! Embree wants flush-to-zero while it runs and Rust assumes the default floating-point mode: the C++ side sets and
+//! restores it inside each call. `docs/decisions/path-tracer-in-cpp.md` says why whole tiles cross this border.
 
+use cxx::UniquePtr;
+
+use crate::base::{Error, ErrorKind, Result};
+
+pub use bridge::{FrameSettings, MaterialSettings, Tile, TileCounters};
+
+#[allow(unused_qualifications)] // cxx spells its generated derives in full
 #[cxx::bridge(namespace = "respire")]
 mod bridge {
+    /// What the wall is made of.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    struct MaterialSettings {
+        /// Procedural albedo, film and relief on the rest shape.
+        mucosa: bool,
+        /// GGX coat over the Lambert base.
+        coated: bool,
+        /// Albedo of the base.
+        albedo: [f32; 3],
+        /// Roughness (GGX alpha) where the film is smoothest.
+        alpha_low: f32,
+        /// Roughness where it is roughest; equal to `alpha_low` for an even coat.
+        alpha_high: f32,
+        /// Refractive index of the coat.
+        ior: f32,
+        /// Strength of the vessels.
+        vessels: f32,
+        /// Strength of colour unevenness.
+        blotches: f32,
+        /// Strength of fine relief.
+        relief: f32,
+        /// Strength of the roughness variation.
+        film: f32,
+        /// Strength of cartilage rings.
+        rings: f32,
+        /// Distance between two rings in mm.
+        ring_spacing_mm: f32,
+        /// Seed of the pattern.
+        seed: u32,
+    }
+
+    /// Camera, light and limits of one frame, in the tracer's (shifted) world.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    struct FrameSettings {
+        /// Image width in pixels.
+        width: u32,
+        /// Image height in pixels.
+        height: u32,
+        /// Camera position.
+        origin: [f32; 3],
+        /// World-from-camera rotation, row-major.
+        rotation: [f32; 9],
+        /// Light position.
+        light: [f32; 3],
+        /// The light sits at the camera: what the camera sees needs no shadow ray.
+        light_at_camera: bool,
+        /// Radiant intensity, W/sr per channel.
+        intensity: [f32; 3],
+        /// Radiance of rays that leave the scene.
+        background: [f32; 3],
+        /// Surface scatterings of the longest path, direct light = 1; 0 = unlimited.
+        max_scatterings: u32,
+        /// Interpolated instead of geometric normals.
+        smooth: bool,
+        /// Radians that a pixel spans.
+        pixel_angle: f32,
+        /// Key of the sample sequences (seed and frame).
+        key: u32,
+    }
+
+    /// Pixels `x0..x1` x `y0..y1` and the samples to take of each.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    struct Tile {
+        /// First column.
+        x0: u32,
+        /// One past the last column.
+        x1: u32,
+        /// First row.
+        y0: u32,
+        /// One past the last row.
+        y1: u32,
+        /// Index of the first sample.
+        first_sample: u32,
+        /// Number of samples per pixel.
+        samples: u32,
+    }
+
+    /// Work done for a tile.
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct TileCounters {
+        /// Camera samples.
+        paths: u64,
+        /// Rays of all kinds.
+        rays: u64,
+        /// Samples thrown away because they were negative or not finite; a flaw if ever above 0.
+        rejected: u64,
+    }
+
     unsafe extern "C++" {
         include!("cpp/tracer.h");
 
         type Tracer;
 
-        fn new_tracer(vertices: &[f32], faces: &[u32]) -> Result<UniquePtr<Tracer>>;
+        fn new_tracer(
+            vertices: &[f32],
+            faces: &[u32],
+            generations: &[f32],
+            axial_mm: &[f32],
+            material: &MaterialSettings,
+        ) -> Result<UniquePtr<Tracer>>;
         fn update(self: Pin<&mut Tracer>, vertices: &[f32]) -> Result<()>;
+        fn trace_tile(
+            self: &Tracer,
+            frame: &FrameSettings,
+            tile: &Tile,
+            corners: &[f32],
+            film: &mut [f32],
+        ) -> Result<TileCounters>;
+        fn trace_distances(
+            self: &Tracer,
+            frame: &FrameSettings,
+            directions: &[f32],
+            distances: &mut [f32],
+        ) -> Result<()>;
+        fn cast(self: &Tracer, origins: &[f32], directions: &[f32], distances: &mut [f32]) -> Result<()>;
+
+        fn coat_albedo(alpha: f32, ior: f32, cosine: f32) -> f32;
+        fn sobol_pair(key: u32, index: u32, dimension: u32, pair: &mut [f32]) -> Result<()>;
     }
 }
 
-pub use bridge::*;
+/// Values per pixel of a tile's film, in this order: direct (3), indirect (3), indirect from the base over its albedo
+/// (3), indirect from the coat (3), albedo (3), smooth normal (3), hits (1). Sums over samples.
+pub const FILM_CHANNELS: usize = 19;
+
+/// One triangle mesh, its material and its bounding volume hierarchy.
+pub struct MeshTracer(UniquePtr<bridge::Tracer>);
+
+// SAFETY: the C++ object has no thread affinity, and its const methods only read it (Embree allows concurrent traversal
+// of a committed scene); the one mutating method needs `&mut`.
+unsafe impl Send for MeshTracer {}
+// SAFETY: as above.
+unsafe impl Sync for MeshTracer {}
+
+fn failed(e: cxx::Exception) -> Error {
+    Error::new(ErrorKind::Environment, format!("the path tracer failed: {e}"))
+}
+
+impl MeshTracer {
+    /// Builds the hierarchy. `vertices` xyz interleaved in mm, three indices per face, one generation and axial distance
+    /// per vertex. Fails on lengths that do not fit, and where Embree refuses.
+    pub fn new(
+        vertices: &[f32],
+        faces: &[u32],
+        generations: &[f32],
+        axial_mm: &[f32],
+        material: &MaterialSettings,
+    ) -> Result<Self> {
+        bridge::new_tracer(vertices, faces, generations, axial_mm, material).map(MeshTracer).map_err(failed)
+    }
+
+    /// Moves the vertices and refits the hierarchy.
+    pub fn update(&mut self, vertices: &[f32]) -> Result<()> {
+        self.0.pin_mut().update(vertices).map_err(failed)
+    }
+
+    /// Adds a tile's samples to its film ([`FILM_CHANNELS`] values per pixel). `corners`: directions in camera axes
+    /// through the (width + 1) x (height + 1) pixel corners of the image.
+    pub fn trace_tile(
+        &self,
+        frame: &FrameSettings,
+        tile: &Tile,
+        corners: &[f32],
+        film: &mut [f32],
+    ) -> Result<TileCounters> {
+        self.0.trace_tile(frame, tile, corners, film).map_err(failed)
+    }
+
+    /// Lengths of camera rays along unit directions (camera axes); infinity where nothing is hit.
+    pub fn distances(&self, frame: &FrameSettings, directions: &[f32], distances: &mut [f32]) -> Result<()> {
+        self.0.trace_distances(frame, directions, distances).map_err(failed)
+    }
+
+    /// Lengths of arbitrary rays in the tracer's world, in units of the directions' lengths; infinity at a miss.
+    pub fn cast(&self, origins: &[f32], directions: &[f32], distances: &mut [f32]) -> Result<()> {
+        self.0.cast(origins, directions, distances).map_err(failed)
+    }
+}
+
+/// Directional albedo of the GGX coat of roughness `alpha` and index `ior`, seen under `cosine`.
+pub fn coat_albedo(alpha: f32, ior: f32, cosine: f32) -> f32 {
+    bridge::coat_albedo(alpha, ior, cosine)
+}
+
+/// Two-dimensional point `index` of the `dimension`-th padded pair of the sequence `key`.
+pub fn sobol_pair(key: u32, index: u32, dimension: u32) -> [f32; 2] {
+    let mut pair = [0.0; 2];
+    bridge::sobol_pair(key, index, dimension, &mut pair).expect("two values are given");
+    pair
+}

@@ -1,1 +1,23 @@
 //! The path tracer: Embree 4, multi-bounce, co-located inverse-square light. Knows nothing of breathing or methods.
+//!
+//! ```text
+//!  TriangleMesh + Material -> Scene --deform--> render(camera, pose, light, settings) -> Frame {radiance, depth}
+//! ```
+//!
+//! `cpp/path.h` holds the light transport, `cpp/coat.h` the reflection, `cpp/mucosa.h` the look of the wall.
+
+mod axial;
+mod denoise;
+mod frame;
+mod material;
+mod scene;
+// scene_file follows with formats::mesh
+mod settings;
+
+pub use frame::{Frame, Statistics, render, render_watched};
+pub use material::{Material, MaterialKind};
+pub use scene::Scene;
+pub use settings::{Denoise, Light, RenderSettings, Shading};
+
+/// Instruction set that Embree is pinned to: others trace the same rays with other last bits.
+pub const ISA: &str = "avx2";

@@ -1,2 +1,24 @@
 //! The differentiable Gaussian rasteriser on CPU: tiled forward, analytic backward, deterministic for any number of
 //! threads. Knows nothing of methods, losses or optimisers.
+//!
+//! ```text
+//! Anchors --place--> Gaussians --project--> rows --bin--> tiles --kernel--> images
+//!    ^                   ^                                           |
+//!    +----pullback-------+-------------chain<------moments<----------+  image gradients
+//! ```
+
+mod bin;
+mod chain;
+mod dual;
+mod kernel;
+mod project;
+mod rasterizer;
+mod real;
+mod sh;
+mod types;
+
+pub use crate::ffi::splat::Isa;
+pub use dual::Dual;
+pub use rasterizer::Rasterizer;
+pub use real::Real;
+pub use types::{DepthOutput, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted};

@@ -1,0 +1,71 @@
+#pragma once
+// Three floats and the few mathematical functions of the hot path. sqrt is exact by IEEE 754; sine and cosine are our
+// own polynomials, because a C library may pick other last bits on another processor.
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+
+namespace respire {
+
+constexpr float kPi = 3.14159265358979f;
+
+struct Vec3 {
+  float x, y, z;
+};
+
+inline Vec3 operator+(Vec3 a, Vec3 b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+inline Vec3 operator-(Vec3 a, Vec3 b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+inline Vec3 operator*(Vec3 a, Vec3 b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
+inline Vec3 operator*(Vec3 a, float s) { return {a.x * s, a.y * s, a.z * s}; }
+inline Vec3 operator-(Vec3 a) { return {-a.x, -a.y, -a.z}; }
+inline Vec3& operator+=(Vec3& a, Vec3 b) { return a = a + b; }
+inline float dot(Vec3 a, Vec3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+inline Vec3 cross(Vec3 a, Vec3 b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
+inline float length(Vec3 a) { return std::sqrt(dot(a, a)); }
+inline Vec3 normalize(Vec3 a) { return a * (1.0f / length(a)); }
+inline Vec3 unit_or_zero(Vec3 a) {
+  float l2 = dot(a, a);
+  return l2 > 0.0f ? a * (1.0f / std::sqrt(l2)) : Vec3{0.0f, 0.0f, 0.0f};
+}
+inline float max_component(Vec3 a) { return std::max(a.x, std::max(a.y, a.z)); }
+inline Vec3 load(const float* p) { return {p[0], p[1], p[2]}; }
+inline void store(float* p, Vec3 a) { p[0] = a.x, p[1] = a.y, p[2] = a.z; }
+inline float clamp(float v, float low, float high) { return std::min(std::max(v, low), high); }
+inline float mix(float a, float b, float t) { return a + (b - a) * t; }
+
+// 0 below `low`, 1 above `high`, smooth between.
+inline float smoothstep(float low, float high, float v) {
+  float t = clamp((v - low) / (high - low), 0.0f, 1.0f);
+  return t * t * (3.0f - 2.0f * t);
+}
+
+// Cosine and sine of 2 pi `turns`, `turns` in [0, 1]; error below 3e-7.
+inline void cos_sin_turns(float turns, float& cosine, float& sine) {
+  float quarter = turns * 4.0f;
+  int q = static_cast<int>(quarter + 0.5f);
+  float r = (quarter - static_cast<float>(q)) * (0.5f * kPi);
+  float r2 = r * r;
+  float s = r * (1.0f + r2 * (-1.6666667e-1f + r2 * (8.3333333e-3f + r2 * -1.9515296e-4f)));
+  float c = 1.0f + r2 * (-0.5f + r2 * (4.1666668e-2f + r2 * (-1.3888397e-3f + r2 * 2.4433157e-5f)));
+  switch (q & 3) {
+    case 0: cosine = c, sine = s; break;
+    case 1: cosine = -s, sine = c; break;
+    case 2: cosine = -c, sine = -s; break;
+    default: cosine = s, sine = -c;
+  }
+}
+
+// Two tangents that make a right-handed frame with the unit vector `n` (Duff et al., JCGT 2017).
+struct Frame {
+  Vec3 t, b, n;
+  explicit Frame(Vec3 normal) : n(normal) {
+    float sign = std::copysign(1.0f, n.z), a = -1.0f / (sign + n.z), c = n.x * n.y * a;
+    t = {1.0f + sign * n.x * n.x * a, sign * c, -sign * n.x};
+    b = {c, sign + n.y * n.y * a, -n.y};
+  }
+  Vec3 world(Vec3 local) const { return t * local.x + b * local.y + n * local.z; }
+  Vec3 local(Vec3 world) const { return {dot(world, t), dot(world, b), dot(world, n)}; }
+};
+
+}  // namespace respire

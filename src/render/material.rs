@@ -1,0 +1,156 @@
+//! What the wall is made of, as case and scene files say it.
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::random::{CounterRng, Stage};
+use crate::base::{Error, Result};
+use crate::ffi::tracer::MaterialSettings;
+
+/// Family of a material.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MaterialKind {
+    /// Lambert: `albedo / pi`.
+    Lambert,
+    /// GGX dielectric coat over Lambert.
+    Coated,
+    /// Random walk below the surface (not yet rendered; the file format has its place).
+    Subsurface,
+    /// `Coated` with procedural vessels, blotches, mucus film and relief on the rest shape.
+    #[default]
+    Mucosa,
+}
+
+/// A material. Keys that a kind does not use are allowed and ignored, so that one file can try several kinds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Material {
+    /// Family.
+    pub kind: MaterialKind,
+    /// Albedo of the base per channel, each in [0, 1]; for `mucosa` the mean around which it varies.
+    pub albedo: [f64; 3],
+    /// Roughness of the coat: GGX alpha, not its square root; for `mucosa` the roughness of a middling film.
+    pub coat_alpha: f64,
+    /// Refractive index of the coat.
+    pub coat_ior: f64,
+    /// Mean free path below the surface in mm per channel (`subsurface`).
+    pub mean_free_path_mm: [f64; 3],
+    /// Strength of the vessels (`mucosa`; 0 none, 1 usual).
+    pub vessels: f64,
+    /// Strength of colour unevenness (`mucosa`).
+    pub blotches: f64,
+    /// Strength of fine relief (`mucosa`).
+    pub relief: f64,
+    /// Strength of the film's roughness variation (`mucosa`).
+    pub film: f64,
+    /// Strength of cartilage rings: colour and relief (`mucosa`).
+    pub rings: f64,
+    /// Distance between two rings in mm (`mucosa`).
+    pub ring_spacing_mm: f64,
+}
+
+impl Default for Material {
+    fn default() -> Self {
+        Material {
+            kind: MaterialKind::Mucosa,
+            albedo: [0.75, 0.40, 0.35],
+            coat_alpha: 0.15,
+            coat_ior: 1.4,
+            mean_free_path_mm: [1.0, 0.4, 0.25],
+            vessels: 1.0,
+            blotches: 1.0,
+            relief: 1.0,
+            film: 1.0,
+            rings: 1.0,
+            ring_spacing_mm: 4.0,
+        }
+    }
+}
+
+impl Material {
+    /// A Lambert wall.
+    pub fn lambert(albedo: [f64; 3]) -> Self {
+        Material { kind: MaterialKind::Lambert, albedo, ..Material::default() }
+    }
+
+    /// A Lambert wall under an even GGX coat.
+    pub fn coated(albedo: [f64; 3], coat_alpha: f64, coat_ior: f64) -> Self {
+        Material { kind: MaterialKind::Coated, albedo, coat_alpha, coat_ior, ..Material::default() }
+    }
+
+    /// Rejects values that no wall can have; the error names the key.
+    pub fn validate(&self) -> Result<()> {
+        let within = |key: &str, value: f64, low: f64, high: f64| {
+            if value >= low && value <= high {
+                Ok(())
+            } else {
+                Err(Error::input(format!("is {value}; it must lie in [{low}, {high}]"))
+                    .element(format!("material.{key}")))
+            }
+        };
+        for albedo in self.albedo {
+            within("albedo", albedo, 0.0, 1.0)?;
+        }
+        for path in self.mean_free_path_mm {
+            within("mean_free_path_mm", path, 1e-6, 1e6)?;
+        }
+        within("coat_alpha", self.coat_alpha, 1e-3, 1.0)?;
+        within("coat_ior", self.coat_ior, 1.0 + 1e-6, 4.0)?;
+        within("vessels", self.vessels, 0.0, 3.0)?;
+        within("blotches", self.blotches, 0.0, 3.0)?;
+        within("relief", self.relief, 0.0, 10.0)?;
+        within("film", self.film, 0.0, 3.0)?;
+        within("rings", self.rings, 0.0, 3.0)?;
+        within("ring_spacing_mm", self.ring_spacing_mm, 0.1, 1e3)
+    }
+
+    /// Settings of the C++ side. `subsurface` is refused: its random walk is not built yet.
+    pub(super) fn settings(&self, seed: u64) -> Result<MaterialSettings> {
+        self.validate()?;
+        if self.kind == MaterialKind::Subsurface {
+            return Err(
+                Error::input("`subsurface` cannot be rendered yet; `coated` and `mucosa` can").element("material.kind")
+            );
+        }
+        let mucosa = self.kind == MaterialKind::Mucosa;
+        let alpha = self.coat_alpha as f32;
+        // Film of very different wetness lies on real mucosa: half to twice the middling roughness.
+        let (alpha_low, alpha_high) = if mucosa { (alpha * 0.5, (alpha * 1.7).min(1.0)) } else { (alpha, alpha) };
+        Ok(MaterialSettings {
+            mucosa,
+            coated: self.kind != MaterialKind::Lambert,
+            albedo: self.albedo.map(|v| v as f32),
+            alpha_low,
+            alpha_high,
+            ior: self.coat_ior as f32,
+            vessels: self.vessels as f32,
+            blotches: self.blotches as f32,
+            relief: self.relief as f32,
+            film: self.film as f32,
+            rings: self.rings as f32,
+            ring_spacing_mm: self.ring_spacing_mm as f32,
+            seed: CounterRng::new(seed, Stage::Texture, &[]).next_u32(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wrong_value_is_named() {
+        let wrong = Material { coat_alpha: f64::NAN, ..Material::default() };
+        assert!(wrong.validate().unwrap_err().to_string().starts_with("material.coat_alpha: "));
+        let later = Material { kind: MaterialKind::Subsurface, ..Material::default() };
+        assert!(later.settings(1).unwrap_err().to_string().contains("cannot be rendered yet"));
+    }
+
+    #[test]
+    fn files_may_leave_out_what_is_usual() {
+        let m: Material = toml::from_str("kind = \"lambert\"\nalbedo = [0.5, 0.5, 0.5]").unwrap();
+        assert_eq!(m, Material::lambert([0.5; 3]));
+        assert!(toml::from_str::<Material>("kind = \"velvet\"").is_err());
+        assert!(toml::from_str::<Material>("colour = 1").is_err());
+    }
+}

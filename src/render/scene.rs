@@ -1,0 +1,62 @@
+//! A mesh with its material, ready to be traced and to be deformed.
+
+use glam::DVec3;
+
+use super::axial::axial_distance_mm;
+use super::material::Material;
+use crate::base::{Error, Result, TriangleMesh};
+use crate::ffi::tracer::MeshTracer;
+
+/// The scene: one surface, its look on the rest shape, its hierarchy. Built once, refitted per frame.
+pub struct Scene {
+    pub(super) tracer: MeshTracer,
+    /// Subtracted from every world position before it becomes f32: keeps coordinates small.
+    pub(super) shift: DVec3,
+    vertices: usize,
+}
+
+impl Scene {
+    /// `rest`: the shape on which the look is defined (inspiration), faces wound so that normals point into the lumen
+    /// (a face seen from behind is shaded as if it were turned). `vertex_generation`: airway generation per vertex
+    /// (0 trachea; may be fractional), or empty for all 0. `seed`: of the procedural look.
+    ///
+    /// Errors: an invalid mesh, a generation list of another length, a material that cannot be.
+    pub fn new(rest: &TriangleMesh, vertex_generation: &[f32], material: Material, seed: u64) -> Result<Self> {
+        rest.validate()?;
+        let settings = material.settings(seed)?;
+        let generation = match vertex_generation.len() {
+            0 => vec![0.0; rest.vertices.len()],
+            n if n == rest.vertices.len() => vertex_generation.to_vec(),
+            n => return Err(Error::input(format!("{n} generations for {} vertices", rest.vertices.len()))),
+        };
+        let axial = if settings.mucosa { axial_distance_mm(rest, &generation) } else { vec![0.0; generation.len()] };
+        let (low, high) = rest.bounds();
+        let shift = (low + high) * 0.5;
+        let tracer =
+            MeshTracer::new(&floats(&rest.vertices, shift), rest.faces.as_flattened(), &generation, &axial, &settings)?;
+        Ok(Scene { tracer, shift, vertices: rest.vertices.len() })
+    }
+
+    /// Moves the vertices (world, mm) and refits the hierarchy. The look stays on the tissue.
+    pub fn deform(&mut self, vertices: &[DVec3]) -> Result<()> {
+        if vertices.len() != self.vertices {
+            return Err(Error::input(format!("{} positions for {} vertices", vertices.len(), self.vertices)));
+        }
+        if let Some(v) = vertices.iter().position(|v| !v.is_finite()) {
+            return Err(Error::input("coordinate is not finite").element(format!("vertex {v}")));
+        }
+        self.tracer.update(&floats(vertices, self.shift))
+    }
+
+    /// Distances in mm from `origins` along unit `directions` (world) to the wall; infinity where there is none.
+    pub fn distances(&self, origins: &[DVec3], directions: &[DVec3]) -> Result<Vec<f32>> {
+        let mut distances = vec![0.0; origins.len()];
+        let (o, d) = (floats(origins, self.shift), floats(directions, DVec3::ZERO));
+        self.tracer.cast(&o, &d, &mut distances)?;
+        Ok(distances)
+    }
+}
+
+fn floats(points: &[DVec3], shift: DVec3) -> Vec<f32> {
+    points.iter().flat_map(|&p| (p - shift).to_array()).map(|v| v as f32).collect()
+}

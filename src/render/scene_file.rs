@@ -1,0 +1,224 @@
+//! The scene file of `respire-bench render`: mesh, camera, light, material, integrator in one TOML.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DAffine3, DMat4};
+use serde::{Deserialize, Serialize};
+
+use super::{Denoise, Light, Material, RenderSettings, Scene, Shading};
+use crate::base::{Camera, Error, Result, TriangleMesh, files, mesh};
+use crate::formats::mesh::read as read_mesh;
+
+/// A scene file. Lengths in mm; paths are relative to the file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneFile {
+    /// What is seen.
+    pub mesh: MeshSection,
+    /// From where.
+    pub camera: CameraSection,
+    /// By which light.
+    pub light: Light,
+    /// What it is made of.
+    #[serde(default)]
+    pub material: Material,
+    /// How well.
+    #[serde(default)]
+    pub integrator: IntegratorSection,
+}
+
+/// `[mesh]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MeshSection {
+    /// The mesh (at inspiration).
+    pub path: PathBuf,
+    /// The same mesh at expiration: same number of vertices.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expiration: Option<PathBuf>,
+    /// Breathing phase, 0 inspiration to 1 expiration.
+    #[serde(default)]
+    pub phase: f64,
+    /// Turns all faces around (for meshes whose normals point out of the lumen; only looks from behind depend on it).
+    #[serde(default)]
+    pub flip: bool,
+}
+
+/// `[camera]`: pose and intrinsics; either `fov_x_deg` or focal lengths and principal point in pixels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraSection {
+    /// 4x4, row-major, OpenCV axes.
+    pub world_from_camera: Vec<f64>,
+    /// Image width in pixels.
+    pub width: u32,
+    /// Image height in pixels.
+    pub height: u32,
+    /// Horizontal field of view of a pinhole with square pixels.
+    pub fov_x_deg: Option<f64>,
+    /// Horizontal focal length.
+    pub fl_x: Option<f64>,
+    /// Vertical focal length; `fl_x` where left out.
+    pub fl_y: Option<f64>,
+    /// Principal point; the image centre where left out.
+    pub cx: Option<f64>,
+    /// Principal point; the image centre where left out.
+    pub cy: Option<f64>,
+    /// `pinhole` (or `PINHOLE`), or `OPENCV_FISHEYE`.
+    pub model: Option<String>,
+    /// Fisheye coefficient.
+    #[serde(default)]
+    pub k1: f64,
+    /// Fisheye coefficient.
+    #[serde(default)]
+    pub k2: f64,
+    /// Fisheye coefficient.
+    #[serde(default)]
+    pub k3: f64,
+    /// Fisheye coefficient.
+    #[serde(default)]
+    pub k4: f64,
+}
+
+/// `[integrator]`
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct IntegratorSection {
+    /// Surface scatterings of the longest path, direct light = 1; 0 = unlimited.
+    pub max_scatterings: u32,
+    /// Samples per pixel; the least number where `target_relmse` is given.
+    pub spp: u32,
+    /// Sampling goes on until the estimated mean squared relative error is below this.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub target_relmse: Option<f64>,
+    /// Seed of samples and procedural look.
+    pub seed: u64,
+    /// Normals.
+    pub shading: Shading,
+    /// Filter of the indirect light.
+    pub denoise: bool,
+    /// Radiance of rays that leave the scene.
+    pub background: [f64; 3],
+}
+
+impl Default for IntegratorSection {
+    fn default() -> Self {
+        IntegratorSection {
+            max_scatterings: 0,
+            spp: 16,
+            target_relmse: None,
+            seed: 1,
+            shading: Shading::Flat,
+            denoise: false,
+            background: [0.0; 3],
+        }
+    }
+}
+
+impl SceneFile {
+    /// Reads a scene file; paths in it become relative to the working directory (or absolute).
+    pub fn load(path: &Path) -> Result<Self> {
+        let mut scene: SceneFile = files::read_toml(path)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        scene.mesh.path = folder.join(&scene.mesh.path);
+        scene.mesh.expiration = scene.mesh.expiration.map(|p| folder.join(p));
+        scene.validate().map_err(|e| e.at(path))?;
+        Ok(scene)
+    }
+
+    fn validate(&self) -> Result<()> {
+        if !(0.0..=1.0).contains(&self.mesh.phase) {
+            return Err(Error::input(format!("is {}; it must lie in [0, 1]", self.mesh.phase)).element("mesh.phase"));
+        }
+        if let Some(target) = self.integrator.target_relmse
+            && (target.is_nan() || target <= 0.0)
+        {
+            return Err(Error::input("must be above 0").element("integrator.target_relmse"));
+        }
+        self.camera.intrinsics()?;
+        self.camera.pose()?;
+        self.material.validate()
+    }
+
+    /// Reads the mesh or meshes and builds the scene at its phase.
+    pub fn build(&self) -> Result<Scene> {
+        let read = |path: &Path| -> Result<TriangleMesh> {
+            let mut mesh = read_mesh(path)?;
+            if self.mesh.flip {
+                mesh.flip();
+            }
+            Ok(mesh)
+        };
+        let inspiration = read(&self.mesh.path)?;
+        let mut scene = Scene::new(&inspiration, &[], self.material, self.integrator.seed)
+            .map_err(|e| e.at(&self.mesh.path))?;
+        if let Some(path) = &self.mesh.expiration {
+            let expiration = read(path)?;
+            if expiration.faces != inspiration.faces || expiration.vertices.len() != inspiration.vertices.len() {
+                return Err(Error::input("must have the vertices and faces of mesh.path, in the same order").at(path));
+            }
+            scene
+                .deform(&mesh::interpolate(&inspiration.vertices, &expiration.vertices, self.mesh.phase))
+                .map_err(|e| e.at(path))?;
+        }
+        Ok(scene)
+    }
+
+    /// The settings of its rendering.
+    pub fn settings(&self) -> RenderSettings {
+        let i = &self.integrator;
+        RenderSettings {
+            max_scatterings: i.max_scatterings,
+            samples_per_pixel: i.spp,
+            target_relmse: i.target_relmse,
+            shading: i.shading,
+            denoise: if i.denoise { Denoise::On } else { Denoise::Off },
+            background: i.background,
+            seed: i.seed,
+            frame: 0,
+        }
+    }
+}
+
+impl CameraSection {
+    /// Intrinsics; the error names the missing key.
+    pub fn intrinsics(&self) -> Result<Camera> {
+        let fisheye = match self.model.as_deref().map(str::to_ascii_lowercase).as_deref() {
+            None | Some("pinhole") => None,
+            Some("opencv_fisheye" | "fisheye") => Some([self.k1, self.k2, self.k3, self.k4]),
+            Some(other) => {
+                return Err(Error::input(format!("`{other}` is neither pinhole nor OPENCV_FISHEYE"))
+                    .element("camera.model"));
+            }
+        };
+        let mut camera = match (self.fl_x, self.fov_x_deg) {
+            (Some(fl_x), None) => Camera {
+                fl_x,
+                fl_y: self.fl_y.unwrap_or(fl_x),
+                ..Camera::pinhole(self.width, self.height, 1.0)
+            },
+            (None, Some(fov)) if fov > 0.0 && fov < 180.0 && fisheye.is_none() => {
+                Camera::pinhole(self.width, self.height, fov.to_radians())
+            }
+            _ => return Err(Error::input("needs either fov_x_deg (a pinhole's, in 0 to 180) or fl_x").element("camera")),
+        };
+        camera.cx = self.cx.unwrap_or(camera.cx);
+        camera.cy = self.cy.unwrap_or(camera.cy);
+        camera.fisheye = fisheye;
+        camera.validate().map_err(|e| e.element("camera"))?;
+        Ok(camera)
+    }
+
+    /// The pose; the error says how many numbers are there.
+    pub fn pose(&self) -> Result<DAffine3> {
+        let numbers: [f64; 16] = self.world_from_camera.as_slice().try_into().map_err(|_| {
+            Error::input(format!("has {} numbers, not 16", self.world_from_camera.len()))
+                .element("camera.world_from_camera")
+        })?;
+        let matrix = DMat4::from_cols_array(&numbers).transpose();
+        if !matrix.is_finite() || (matrix.row(3) - glam::DVec4::W).length() > 1e-9 {
+            return Err(Error::input("is not a finite matrix with last row 0 0 0 1").element("camera.world_from_camera"));
+        }
+        Ok(DAffine3::from_mat4(matrix))
+    }
+}

@@ -1,0 +1,80 @@
+//! Light and the knobs of one rendering.
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+/// A point light with inverse-square falloff.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Light {
+    /// Radiant intensity per channel in W/sr; irradiance is `intensity * cos / distance_mm^2`.
+    pub intensity: [f64; 3],
+    /// Position in the world in mm; `None` is at the camera.
+    #[serde(default, rename = "position", skip_serializing_if = "Option::is_none")]
+    pub position_mm: Option<DVec3>,
+}
+
+impl Light {
+    /// A light of `intensity` at the camera.
+    pub fn at_camera(intensity: [f64; 3]) -> Self {
+        Light { intensity, position_mm: None }
+    }
+}
+
+/// Which normals are shaded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Shading {
+    /// The triangles' own.
+    #[default]
+    Flat,
+    /// Interpolated from area-weighted vertex normals.
+    Smooth,
+}
+
+/// Whether the indirect light is filtered.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Denoise {
+    /// Unbiased.
+    #[default]
+    Off,
+    /// Edge-aware filter of the demodulated indirect light (`denoise.rs` states its bias).
+    On,
+}
+
+/// The knobs of one rendering.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderSettings {
+    /// Surface scatterings of the longest path, direct light = 1; 0 = unlimited (Russian roulette ends the paths).
+    pub max_scatterings: u32,
+    /// Camera samples per pixel.
+    pub samples_per_pixel: u32,
+    /// With `Some(target)`: sampling goes on in doubling rounds, from `samples_per_pixel`, until the estimated
+    /// mean of (error / radiance)^2 is below `target`.
+    pub target_relmse: Option<f64>,
+    /// Normals.
+    pub shading: Shading,
+    /// Filter.
+    pub denoise: Denoise,
+    /// Radiance of rays that leave the scene.
+    pub background: [f64; 3],
+    /// Seed of the samples.
+    pub seed: u64,
+    /// Frame number: two frames of one seed have different noise.
+    pub frame: u64,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        RenderSettings {
+            max_scatterings: 0,
+            samples_per_pixel: 16,
+            target_relmse: None,
+            shading: Shading::Flat,
+            denoise: Denoise::Off,
+            background: [0.0; 3],
+            seed: 1,
+            frame: 0,
+        }
+    }
+}
