@@ -1,5 +1,7 @@
 //! One binary of integration tests, so that they link once.
 
+mod binary;
+mod command_line;
 mod layering;
 mod reference;
 mod render;
