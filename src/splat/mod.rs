@@ -7,9 +7,11 @@
 //!    +----pullback-------+-------------chain<------moments<----------+  image gradients
 //! ```
 
+mod anchors;
 mod bin;
 mod chain;
 mod dual;
+mod jvp;
 mod kernel;
 mod project;
 mod rasterizer;
@@ -18,7 +20,9 @@ mod sh;
 mod types;
 
 pub use crate::ffi::splat::Isa;
+pub use anchors::{Anchors, Carrier, Frame};
 pub use dual::Dual;
+pub use jvp::PhaseTangent;
 pub use rasterizer::Rasterizer;
 pub use real::Real;
 pub use types::{DepthOutput, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted};
