@@ -1,6 +1,7 @@
 //! The real stages: the rooms `airway`, `simulate`, `reconstruct` and `score` behind the executor's trait.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use super::catalogue::Catalogue;
 use super::environment::Environment;
@@ -15,9 +16,12 @@ use crate::airway::case::Case;
 use crate::base::{Error, Progress, Result, files, hash};
 use crate::reconstruct::{self, Reconstruct};
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
-use crate::score;
+use crate::score::{self, Truth};
 use crate::simulate::sequence::Sequence;
 use crate::simulate::{self, MeshOutput, RadianceOutput, SimulationSettings};
+
+/// The rows of the paper's Table 1 from top to bottom, then the bounds; further methods follow by name.
+const ORDER: [&str; 6] = ["bridgesplat", "bridgesplat-nomesh", "ours-nomesh", "ours", "static-ct", "oracle-phase"];
 
 /// What the user asked for beyond the profile; `None` leaves it to the profile.
 #[derive(Clone, Debug, Default)]
@@ -92,8 +96,9 @@ impl Pipeline {
     pub fn record(&self, plan: &Plan, finished: &[FinishedCell]) -> Result<Run> {
         let cases = self.cases.iter().map(|case| {
             let of_case = |cell: &&FinishedCell| cell.cell.case_id == case.id;
-            let sequence = finished.iter().find(of_case).map(|cell| cell.sequence.clone()).unwrap_or_default();
-            CaseInfo { id: case.id.clone(), title: case.title.clone(), sequence }
+            let sequence = finished.iter().find(of_case).and_then(|cell| Sequence::open(&cell.sequence).ok());
+            let truth = sequence.map(|sequence| Arc::new(sequence) as Arc<dyn Truth>);
+            CaseInfo { id: case.id.clone(), title: case.title.clone(), truth }
         });
         Ok(Run {
             id: plan.run_id()?,
@@ -153,11 +158,14 @@ fn refuse_doubles<T: PartialEq + std::fmt::Display>(items: impl Iterator<Item = 
 
 fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>) -> Result<Vec<Method>> {
     let mut found = Vec::new();
-    for method in reconstruct::methods(&catalogue.methods())? {
+    for method in reconstruct::methods(&catalogue.methods(), profile.iteration_scale)? {
         // Parsed, so that a comment or a blank does not make a cell anew.
-        let table: toml::Table = files::read_toml(&catalogue.methods().join(method.id()).with_extension("toml"))?;
+        let path = catalogue.methods().join(format!("{}.toml", method.id()));
+        let table: toml::Table = files::read_toml(&path)?;
         found.push(Method { content: hash::of_value(&(table, profile.iteration_scale))?, method });
     }
+    let place = |m: &Method| ORDER.iter().position(|id| *id == m.method.id()).unwrap_or(ORDER.len());
+    found.sort_by_key(place);
     let known: Vec<String> = found.iter().map(|m| m.method.id().to_owned()).collect();
     let chosen = choose(&known, wanted, "method")?;
     found.retain(|m| chosen.iter().any(|id| id == m.method.id()));

@@ -207,3 +207,35 @@ fn an_interrupt_stops_in_order_and_the_same_command_resumes() {
     let err = place.run(&[]);
     assert!(err.contains("film is cached"), "{err}");
 }
+
+/// Runs twice in a mount namespace of its own: with a cache too small for the work, then, after it has grown, again.
+const SMALL_DISK: &str = r#"
+cache=$1; shift
+mount -t tmpfs -o size=60k tmpfs "$cache" || exit 99
+"$@"; echo "first $?"
+mount -o remount,size=200m "$cache" || exit 99
+"$@"; echo "second $?"
+"#;
+
+#[test]
+fn a_full_disk_is_one_sentence_and_nothing_is_lost() {
+    let place = Place::new();
+    fs::create_dir(place.path("cache")).unwrap();
+    let mut command = Command::new("unshare");
+    command.args(["--user", "--map-root-user", "--mount", "sh", "-c", SMALL_DISK, "sh"]).arg(place.path("cache"));
+    let run = place.command(&[]);
+    command.arg(run.get_program()).args(run.get_args()).current_dir(env!("CARGO_MANIFEST_DIR"));
+    let answer = command.output();
+    let Some((code, out, err)) = answer.ok().map(outcome).filter(|(code, _, _)| *code == 0) else {
+        eprintln!("SKIPPED: this system lets nobody mount a small disk of his own");
+        return;
+    };
+    let sentences: Vec<&str> = err.lines().filter(|line| line.starts_with("error:")).collect();
+    assert_eq!((code, sentences.len()), (0, 1), "{err}");
+    assert!(sentences[0].contains("cache/") && sentences[0].contains("No space left"), "{err}");
+    assert!(out.starts_with("first 4\n") && out.ends_with("second 0\n"), "{out}");
+
+    let whole = Place::new();
+    whole.run(&[]);
+    assert!(place.latest("results.csv") == whole.latest("results.csv"));
+}
