@@ -73,8 +73,9 @@ impl LumenField {
         let band = 4.0 * self.spacing_mm;
         let reach = |k: usize| branch.radius(k) * (1.0 + blend) + band;
         let points = branch.points_mm.len();
+        let widest = (0..points).map(reach).fold(0.0, f64::max);
         let (low, high) = (0..points).fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), k| {
-            (low.min(branch.position(k) - reach(k)), high.max(branch.position(k) + reach(k)))
+            (low.min(branch.position(k) - widest), high.max(branch.position(k) + widest))
         });
         let whole = self.node_range(low, high);
         let local_size = whole.clone().map(|r| r.len());

@@ -103,6 +103,12 @@ impl Tree {
         Tree { source: self.source.clone(), branches: kept }
     }
 
+    /// The same branches with points about `step_mm` apart (both ends stay), rounded to 0.01 mm.
+    pub fn resampled(&self, step_mm: f64) -> Tree {
+        let branches = self.branches.iter().map(|b| Branch { points_mm: resample(&b.points_mm, step_mm), ..b.clone() });
+        Tree { source: self.source.clone(), branches: branches.collect() }
+    }
+
     /// The centreline whose points are those of the tables; the first point of a branch hangs on the nearest point of
     /// its parent.
     pub fn to_centerline(&self) -> Centerline {
@@ -156,6 +162,29 @@ impl Tree {
         }
         Tree { source: source.into(), branches }
     }
+}
+
+fn resample(points: &[[f64; 4]], step_mm: f64) -> Vec<[f64; 4]> {
+    let gap = |a: &[f64; 4], b: &[f64; 4]| (0..3).map(|c| (a[c] - b[c]).powi(2)).sum::<f64>().sqrt();
+    let mut along = vec![0.0];
+    for pair in points.windows(2) {
+        along.push(along[along.len() - 1] + gap(&pair[0], &pair[1]));
+    }
+    let length = along[along.len() - 1];
+    let pieces = (length / step_mm).round().max(1.0) as usize;
+    let mut segment = 1;
+    (0..=pieces)
+        .map(|k| {
+            let at = length * k as f64 / pieces as f64;
+            while segment + 1 < points.len() && along[segment] < at {
+                segment += 1;
+            }
+            let span = (along[segment] - along[segment - 1]).max(1e-12);
+            let t = ((at - along[segment - 1]) / span).clamp(0.0, 1.0);
+            let (a, b) = (points[segment - 1], points[segment]);
+            std::array::from_fn(|c| ((a[c] + (b[c] - a[c]) * t) * 100.0).round() / 100.0)
+        })
+        .collect()
 }
 
 fn nearest(points: &[CenterlinePoint], range: std::ops::Range<usize>, to: DVec3) -> u32 {
