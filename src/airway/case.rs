@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::field::BreathingField;
 use super::field_calibre::Calibre;
+use super::surface::SurfaceSettings;
 use super::waveform::Waveform;
 use crate::base::{Camera, Error, Result, files, hash};
 
@@ -17,20 +18,15 @@ pub enum AnatomySource {
     Tree {
         /// The table.
         path: PathBuf,
-        /// Distance between surface samples in mm.
-        #[serde(default = "default_edge_mm")]
-        edge_mm: f64,
-    },
-    /// A tree grown by seeded published rules, then surfaced.
-    Grown {
-        /// Seed of the growth.
-        seed: u64,
-        /// Factor on all lengths and diameters.
-        #[serde(default = "one")]
-        size: f64,
-        /// Distance between surface samples in mm.
-        #[serde(default = "default_edge_mm")]
-        edge_mm: f64,
+        /// Branches whose median radius in mm is below this are left out.
+        #[serde(default = "default_least_radius_mm")]
+        least_radius_mm: f64,
+        /// Generations beyond this one are left out.
+        #[serde(default = "default_deepest")]
+        deepest: u32,
+        /// How the surface is made.
+        #[serde(default)]
+        surface: SurfaceSettings,
     },
     /// One closed surface at inspiration; the breathing field makes the other.
     Mesh {
@@ -57,7 +53,6 @@ impl AnatomySource {
     pub fn files(&self) -> Vec<&Path> {
         match self {
             AnatomySource::Tree { path, .. } => vec![path],
-            AnatomySource::Grown { .. } => vec![],
             AnatomySource::Mesh { path, centerline } => {
                 std::iter::once(path.as_path()).chain(centerline.as_deref()).collect()
             }
@@ -204,12 +199,12 @@ fn default_light() -> [f64; 3] {
     [1000.0; 3]
 }
 
-fn default_edge_mm() -> f64 {
-    1.0
+fn default_least_radius_mm() -> f64 {
+    1.1
 }
 
-fn one() -> f64 {
-    1.0
+fn default_deepest() -> u32 {
+    9
 }
 
 impl Case {
@@ -248,8 +243,8 @@ impl Case {
         let e = &self.exposure;
         let positive = |v: f64| v.is_finite() && v > 0.0;
         let small = |v: f64| (0.0..=1.0).contains(&v);
-        let edge_mm = match self.anatomy {
-            AnatomySource::Tree { edge_mm, .. } | AnatomySource::Grown { edge_mm, .. } => edge_mm,
+        let least_radius_mm = match self.anatomy {
+            AnatomySource::Tree { least_radius_mm, .. } => least_radius_mm,
             _ => 1.0,
         };
         let needs_field = !matches!(self.anatomy, AnatomySource::MeshPair { .. });
@@ -263,7 +258,7 @@ impl Case {
             ("exposure.lag_s", e.lag_s.is_finite() && e.lag_s >= 0.0, "must not be negative"),
             ("exposure.drift", small(e.drift), "must lie between 0 and 1"),
             ("exposure.white_balance_drift", small(e.white_balance_drift), "must lie between 0 and 1"),
-            ("anatomy.edge_mm", (0.1..=5.0).contains(&edge_mm), "must lie between 0.1 and 5"),
+            ("anatomy.least_radius_mm", (0.1..=10.0).contains(&least_radius_mm), "must lie between 0.1 and 10"),
             ("breathing", self.breathing.is_some() == needs_field, {
                 if needs_field { "is missing" } else { "does not belong to a mesh pair, which has its motion" }
             }),
@@ -285,15 +280,15 @@ impl Case {
 mod tests {
     use super::*;
 
-    const GROWN: &str = r#"
+    const TREE: &str = r#"
 id = "test"
 title = "a test"
 seed = 3
 [camera]
 fov_x_deg = 100.0
 [anatomy]
-kind = "grown"
-seed = 5
+kind = "tree"
+path = "case.toml"
 [breathing.field]
 source = "made up"
 scale = 1.0
@@ -312,21 +307,25 @@ centers = []
 
     #[test]
     fn defaults_fill_in_and_the_text_form_is_stable() {
-        let case = load(GROWN).unwrap();
+        let case = load(TREE).unwrap();
         assert_eq!(case.waveform.period_s(), 4.0);
         let again: Case = toml::from_str(&toml::to_string(&case).unwrap()).unwrap();
         assert_eq!(Case { folder: case.folder.clone(), ..again }, case);
-        assert_eq!(case.hash().unwrap(), load(GROWN).unwrap().hash().unwrap());
+        assert_eq!(case.hash().unwrap(), load(TREE).unwrap().hash().unwrap());
     }
 
     #[test]
     fn every_change_changes_the_hash_files_included() {
-        let before = load(GROWN).unwrap().hash().unwrap();
-        assert_ne!(before, load(&GROWN.replace("seed = 3", "seed = 4")).unwrap().hash().unwrap());
-        assert_ne!(before, load(&GROWN.replace("-5.0]", "-5.5]")).unwrap().hash().unwrap());
+        let before = load(TREE).unwrap().hash().unwrap();
+        assert_ne!(before, load(&TREE.replace("seed = 3", "seed = 4")).unwrap().hash().unwrap());
+        assert_ne!(before, load(&TREE.replace("-5.0]", "-5.5]")).unwrap().hash().unwrap());
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("case.toml");
-        std::fs::write(&path, GROWN.replace("kind = \"grown\"\nseed = 5", "kind = \"mesh\"\npath = \"a.ply\"")).unwrap();
+        std::fs::write(
+            &path,
+            TREE.replace("kind = \"tree\"\npath = \"case.toml\"", "kind = \"mesh\"\npath = \"a.ply\""),
+        )
+        .unwrap();
         assert!(Case::load(&path).unwrap_err().to_string().contains("a.ply, which is not there"));
         std::fs::write(folder.path().join("a.ply"), "one").unwrap();
         let one = Case::load(&path).unwrap().hash().unwrap();
@@ -341,10 +340,10 @@ centers = []
             ("fov_x_deg", "fov", "unknown field `fov`"),
             ("id = \"test\"", "id = \"a/b\"", "id: must be letters"),
             ("centers = []", "centers = [[1.0, 2.0, 3.0, nan, 0.0, 0.0]]", "centers[0]"),
-            ("seed = 3", "seed = -3", "line 4"),
+            ("seed = 3", "seed = -3", "seed"),
             ("[anatomy]", "[waveform]\ninhale_s = 0.0\n[anatomy]", "waveform.inhale_s"),
         ] {
-            let error = load(&GROWN.replace(from, to)).unwrap_err();
+            let error = load(&TREE.replace(from, to)).unwrap_err();
             assert!(error.to_string().contains(said), "{to}: {error}");
             assert!(error.path().is_some_and(|p| p.ends_with("case.toml")), "{error}");
             assert_eq!(error.kind().exit_code(), 4);

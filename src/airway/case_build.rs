@@ -11,7 +11,9 @@ use super::case_centerline;
 use super::centerline::Centerline;
 use super::field_calibre::{Axis, AxisPoint};
 use super::field_check;
-use crate::base::{Error, Result, TriangleMesh};
+use super::surface::surface_from_tree;
+use super::tree::Tree;
+use crate::base::{Error, Result, TriangleMesh, files};
 
 /// A mesh pair's centreline is carried by the walls within this many radii.
 const CARRY_RADII: f64 = 1.6;
@@ -36,15 +38,23 @@ pub fn build(case: &Case) -> Result<Anatomy> {
             let line = read_or_extract(case, centerline.as_deref(), &rest)?;
             from_field(rest, line, None, field_of(case)?)
         }
-        AnatomySource::Tree { .. } | AnatomySource::Grown { .. } => {
-            let (rest, generation, line) = super::case_tree::surface(case)?;
-            from_field(rest, line, Some(generation), field_of(case)?)
+        AnatomySource::Tree { path, least_radius_mm, deepest, surface } => {
+            let tree = read_tree(&case.resolve(path))?.reachable(*least_radius_mm, *deepest);
+            let (rest, generation) = surface_from_tree(&tree, surface)?;
+            from_field(rest, tree.to_centerline(), Some(generation), field_of(case)?)
         }
     }
 }
 
 fn field_of(case: &Case) -> Result<&Breathing> {
     case.breathing.as_ref().ok_or_else(|| Error::input("is missing").element("breathing"))
+}
+
+/// Reads and checks a tree table.
+pub fn read_tree(path: &Path) -> Result<Tree> {
+    let tree: Tree = files::read_toml(path)?;
+    tree.validate().map_err(|e| e.at(path))?;
+    Ok(tree)
 }
 
 fn read_mesh(path: &Path) -> Result<TriangleMesh> {
@@ -56,10 +66,10 @@ fn read_mesh(path: &Path) -> Result<TriangleMesh> {
     Ok(mesh)
 }
 
-fn read_or_extract(case: &Case, file: Option<&Path>, mesh: &TriangleMesh) -> Result<Centerline> {
+fn read_or_extract(case: &Case, file: Option<&Path>, _mesh: &TriangleMesh) -> Result<Centerline> {
     match file {
         Some(path) => case_centerline::read(&case.resolve(path)),
-        None => super::centerline::extract(mesh),
+        None => Err(Error::input("is missing").element("anatomy.centerline")),
     }
 }
 
@@ -80,13 +90,13 @@ pub fn from_field(
     let expiration = moved(&rest.vertices, &feet, breathing);
     let (least, vertex) = field_check::least_determinant(&breathing.field, &rest.vertices);
     if least <= 0.0 {
-        return Err(Error::input(format!("folds space (determinant {least:.3} at vertex {vertex})"))
-            .element("breathing.field"));
+        return Err(
+            Error::input(format!("folds space (determinant {least:.3} at vertex {vertex})")).element("breathing.field")
+        );
     }
     check_faces(&rest, &expiration)?;
     let line_expiration = moved(&line_points, &line_feet, breathing);
-    let generation =
-        vertex_generation.unwrap_or_else(|| feet.iter().map(|foot| foot.generation as f32).collect());
+    let generation = vertex_generation.unwrap_or_else(|| feet.iter().map(|foot| foot.generation as f32).collect());
     Ok(finish(rest, expiration, generation, centerline, line_expiration))
 }
 

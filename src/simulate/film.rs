@@ -68,15 +68,16 @@ impl Film {
             }
             clearance_mm.push(clearance);
             scene.deform(&wall)?;
-            let proxy = exposure::proxy_radiance(
-                &scene,
-                &camera,
-                &world_from_camera,
-                case.light_intensity,
-                material.albedo,
-            )?;
+            let proxy =
+                exposure::proxy_radiance(&scene, &camera, &world_from_camera, case.light_intensity, material.albedo)?;
             wanted.push(exposure::wanted_gain(&proxy, case.exposure.target));
-            frames.push(FrameRecord { time_s: time_s[index], phase, gain: 1.0, white_balance: [1.0; 3], world_from_camera });
+            frames.push(FrameRecord {
+                time_s: time_s[index],
+                phase,
+                gain: 1.0,
+                white_balance: [1.0; 3],
+                world_from_camera,
+            });
         }
         for (frame, set) in frames.iter_mut().zip(exposure::follow(&wanted, &time_s, &case.exposure, case.seed)) {
             frame.gain = set.gain;

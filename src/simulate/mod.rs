@@ -159,8 +159,7 @@ fn shoot(
         if progress.cancelled() {
             return Err(Error::interrupted());
         }
-        let vertices =
-            mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, record.phase);
+        let vertices = mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, record.phase);
         scene.deform(&vertices)?;
         let render_settings = RenderSettings {
             samples_per_pixel: settings.samples_per_pixel,
@@ -224,7 +223,8 @@ fn write_truth(
     manifest["case"] = serde_json::to_value(case).map_err(|e| Error::input(e.to_string()))?;
     manifest["material"] = serde_json::to_value(material(case)?).map_err(|e| Error::input(e.to_string()))?;
     manifest["film"] = film.summary();
-    manifest["files"] = hashes.into_iter().map(|(name, hash)| (name, hash.into())).collect::<serde_json::Map<_, _>>().into();
+    manifest["files"] =
+        hashes.into_iter().map(|(name, hash)| (name, hash.into())).collect::<serde_json::Map<_, _>>().into();
     files::write_json(&out.join(sequence::MANIFEST), &manifest)
 }
 

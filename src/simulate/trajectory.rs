@@ -168,8 +168,7 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<Vec<
     for leaf in (0..points.len()).filter(|&i| !has_child[i]) {
         let chain = chain_to(anatomy, leaf);
         let way = passable(anatomy, &chain, settings.scope_radius_mm);
-        let length: f64 =
-            way.windows(2).map(|w| points[w[0]].position_mm.distance(points[w[1]].position_mm)).sum();
+        let length: f64 = way.windows(2).map(|w| points[w[0]].position_mm.distance(points[w[1]].position_mm)).sum();
         if way.len() > 1 && !ends.iter().any(|(other, _)| other.last() == way.last()) {
             ends.push((way, length));
         }
@@ -191,8 +190,11 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<Vec<
     let longest = ends.iter().map(|e| e.1).fold(0.0, f64::max);
     ends.retain(|e| e.1 >= LONG_ENOUGH * longest);
     if ends.is_empty() {
-        return Err(Error::input(format!("no branch there is wide enough for a scope of {} mm", settings.scope_radius_mm))
-            .element("trajectory.region"));
+        return Err(Error::input(format!(
+            "no branch there is wide enough for a scope of {} mm",
+            settings.scope_radius_mm
+        ))
+        .element("trajectory.region"));
     }
     let drawn = CounterRng::new(settings.seed, Stage::Trajectory, &[]).index(ends.len());
     Ok(ends.swap_remove(drawn).0)
