@@ -89,8 +89,7 @@ impl Placement {
             return Err(Error::input("the lungs' box has no volume"));
         }
         let below = centerline.points.iter().filter(|p| p.generation > 0).map(|p| p.position_mm);
-        let (low, high) =
-            below.fold((carina_mm, carina_mm), |(low, high), p| (low.min(p), high.max(p)));
+        let (low, high) = below.fold((carina_mm, carina_mm), |(low, high), p| (low.min(p), high.max(p)));
         let carina_in_lungs_mm = lungs.low_mm + size * CARINA_FRACTION;
         let wanted = DVec3::new(size.x, size.y, carina_in_lungs_mm.z - lungs.low_mm.z) * FILLED;
         let extent = DVec3::new(high.x - low.x, high.y - low.y, carina_mm.z - low.z).max(DVec3::ONE);
@@ -157,10 +156,8 @@ pub fn measured_breathing(
             candidate = fit(&placed, &settings, stronger[extra - 1])?;
         }
         let breathing = Breathing { calibre: Calibre::default(), field: candidate.0.clone() };
-        let at_most = Breathing {
-            field: BreathingField { scale: largest_scale, ..candidate.0.clone() },
-            ..breathing.clone()
-        };
+        let at_most =
+            Breathing { field: BreathingField { scale: largest_scale, ..candidate.0.clone() }, ..breathing.clone() };
         match case_build::from_field(rest.clone(), centerline.clone(), Some(vec![]), &at_most) {
             Ok(_) => {
                 return Ok(MeasuredBreathing { breathing, quality: candidate.1, placement, extra_smoothing: extra });
@@ -173,8 +170,7 @@ pub fn measured_breathing(
 
 /// Anchors every few millimetres along the upper part of the trachea.
 fn trachea_anchors(centerline: &Centerline) -> Vec<Anchor> {
-    let trachea: Vec<DVec3> =
-        centerline.points.iter().filter(|p| p.generation == 0).map(|p| p.position_mm).collect();
+    let trachea: Vec<DVec3> = centerline.points.iter().filter(|p| p.generation == 0).map(|p| p.position_mm).collect();
     let held = ((trachea.len() as f64 * HELD_PART).ceil() as usize).max(1);
     let step = (held / 6).max(1);
     trachea[..held.min(trachea.len())]

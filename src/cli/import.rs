@@ -48,7 +48,10 @@ struct MotionArguments {
     #[arg(long, value_name = "MM")]
     end_motion_mm: Option<f64>,
     /// Where the landmarks come from, for the case file
-    #[arg(long, default_value = "DIR-Lab COPDgene (Castillo et al., Phys Med Biol 58:2861, 2013) by way of Lung250M-4B")]
+    #[arg(
+        long,
+        default_value = "DIR-Lab COPDgene (Castillo et al., Phys Med Biol 58:2861, 2013) by way of Lung250M-4B"
+    )]
     source: String,
 }
 
@@ -63,8 +66,10 @@ fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Resu
     let text = files::read_text(&arguments.case)?;
     let head = text.split("\n[breathing").next().unwrap_or(&text).trim_end().to_string();
     // A field that does not move stands in while the way is planned.
-    let still = format!("{head}\n\n[breathing.field]\nsource = \"\"\nscale = 1.0\nsoftening_mm = 1.0\n\
-        origin_mm = [0.0, 0.0, 0.0]\naffine = [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]]\ncenters = []\n");
+    let still = format!(
+        "{head}\n\n[breathing.field]\nsource = \"\"\nscale = 1.0\nsoftening_mm = 1.0\n\
+        origin_mm = [0.0, 0.0, 0.0]\naffine = [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]]\ncenters = []\n"
+    );
     let mut case: Case = toml::from_str(&still).map_err(|e| Error::input(e.to_string()).at(&arguments.case))?;
     case.folder = arguments.case.parent().map(Path::to_path_buf).unwrap_or_default();
     case.validate().map_err(|e| e.at(&arguments.case))?;

@@ -13,8 +13,10 @@ use crate::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
 
 /// Arguments of `simulate`.
 #[derive(Args)]
-#[command(after_help = "Writes one folder per case: DIR/<case> with images, depth, poses, phases and meshes (FORMAT.md there).\n\
-    Example: respire-bench simulate case1 mine/own.toml --out /tmp/films --profile quick")]
+#[command(
+    after_help = "Writes one folder per case: DIR/<case> with images, depth, poses, phases and meshes (FORMAT.md there).\n\
+    Example: respire-bench simulate case1 mine/own.toml --out /tmp/films --profile quick"
+)]
 pub struct Arguments {
     /// Cases by id, or paths of case files
     #[arg(value_name = "CASE", required = true)]
