@@ -3,3 +3,4 @@
 mod layering;
 mod reference;
 mod render;
+mod splat;
