@@ -1,6 +1,9 @@
 //! One binary of integration tests, so that they link once.
 
+mod binary;
+mod command_line;
 mod layering;
 mod reference;
 mod render;
+mod render_command;
 mod splat;
