@@ -6,6 +6,7 @@ pub mod field;
 pub mod field_calibre;
 pub mod field_check;
 pub mod field_fit;
+pub mod import_tree;
 pub mod remesh;
 pub mod surface;
 pub mod surface_field;
