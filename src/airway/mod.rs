@@ -10,6 +10,7 @@ pub mod field_calibre;
 pub mod field_check;
 pub mod field_fit;
 pub mod import_breathing;
+pub mod import_tree;
 pub mod remesh;
 pub mod surface;
 pub mod surface_field;

@@ -15,7 +15,7 @@ use crate::airway::{self, Anatomy, case_centerline};
 use crate::base::{Error, Image, Progress, Result, TriangleMesh, files, hash, mesh};
 use crate::formats::transforms::Transforms;
 use crate::formats::{exr, mesh as mesh_file, png};
-use crate::render::{Denoise, Light, Material, RenderSettings, Scene, render};
+use crate::render::{Denoise, Light, Material, RenderSettings, Scene, Shading, render};
 use film::Film;
 use sequence::{ManifestHead, Sequence};
 
@@ -164,6 +164,7 @@ fn shoot(
         let render_settings = RenderSettings {
             samples_per_pixel: settings.samples_per_pixel,
             denoise: Denoise::On,
+            shading: Shading::Smooth,
             seed: case.seed,
             frame: index as u64,
             ..RenderSettings::default()
