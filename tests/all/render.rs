@@ -420,6 +420,8 @@ fn what_cannot_be_rendered_is_said() {
     };
     attempt(&camera, DAffine3::IDENTITY, &light, &good).unwrap();
     assert!(attempt(&Camera { fl_x: f64::NAN, ..camera }, DAffine3::IDENTITY, &light, &good).is_err());
+    let huge = Camera::pinhole(1_000_000, 1_000_000, 1.0);
+    assert!(attempt(&huge, DAffine3::IDENTITY, &light, &good).unwrap_err().to_string().contains("too large"));
     assert!(attempt(&camera, DAffine3::from_scale(DVec3::splat(2.0)), &light, &good).is_err());
     assert!(attempt(&camera, DAffine3::IDENTITY, &Light::at_camera([-1.0; 3]), &good).is_err());
     assert!(attempt(&camera, DAffine3::IDENTITY, &light, &RenderSettings { samples_per_pixel: 0, ..good }).is_err());
