@@ -9,6 +9,7 @@ pub mod field_fit;
 pub mod grow;
 mod grow_region;
 mod grow_shape;
+pub mod import_tree;
 pub mod morphometry;
 pub mod remesh;
 pub mod surface;

@@ -67,7 +67,7 @@ pub fn literature(generation: u32) -> Option<Literature> {
 fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let upper = *values.get(values.len() / 2)?;
-    Some(if values.len() % 2 == 0 { 0.5 * (values[values.len() / 2 - 1] + upper) } else { upper })
+    Some(if values.len().is_multiple_of(2) { 0.5 * (values[values.len() / 2 - 1] + upper) } else { upper })
 }
 
 /// Length in mm along the branch up to each point.
