@@ -36,7 +36,6 @@ pub struct Wishes {
 
 /// Everything that a run needs, read and checked.
 pub struct Pipeline {
-    profile_id: String,
     profile: Profile,
     cases: Vec<Case>,
     methods: Vec<Method>,
@@ -51,7 +50,7 @@ struct Method {
 impl Pipeline {
     /// Reads the profile, the cases and the methods. Every mistake in them is found here, before any work.
     pub fn new(catalogue: &Catalogue, profile: &str, wishes: Wishes) -> Result<Self> {
-        let (profile_id, profile) = Profile::load(&catalogue.profiles(), profile)?;
+        let profile = Profile::load(&catalogue.profiles(), profile)?;
         let wanted_cases = match wishes.cases.or_else(|| profile.cases.clone()) {
             Some(wanted) => wanted,
             None => catalogue.case_ids()?,
@@ -62,7 +61,7 @@ impl Pipeline {
         let seeds = wishes.seeds.unwrap_or_else(|| profile.seeds.clone());
         refuse_doubles(seeds.iter(), "seed")?;
         let methods = methods(catalogue, &profile, wishes.methods.or_else(|| profile.methods.clone()).as_deref())?;
-        Ok(Pipeline { profile_id, profile, cases, methods, seeds })
+        Ok(Pipeline { profile, cases, methods, seeds })
     }
 
     /// The plan of these stages, done by this program.
@@ -74,7 +73,7 @@ impl Pipeline {
         let methods =
             self.methods.iter().map(|m| Planned { id: m.method.id().to_owned(), content: m.content.clone() }).collect();
         Ok(Plan {
-            profile: self.profile_id.clone(),
+            profile: self.profile.name.clone(),
             cases: cases.collect::<Result<_>>()?,
             methods,
             seeds: self.seeds.clone(),

@@ -11,6 +11,9 @@ use crate::base::{Error, Result, files};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Profile {
+    /// Name: that of its file.
+    #[serde(skip)]
+    pub name: String,
     /// One line for `list`.
     pub description: String,
     /// Cases to run; absent means all.
@@ -37,18 +40,18 @@ pub struct Profile {
 
 impl Profile {
     /// Reads `<folder>/<wish>.toml`, or `wish` itself when it is the path of a TOML file. An unknown id is a usage error
-    /// that lists the known ones. Hands back the profile's name as well.
-    pub fn load(folder: &Path, wish: &str) -> Result<(String, Profile)> {
+    /// that lists the known ones.
+    pub fn load(folder: &Path, wish: &str) -> Result<Profile> {
         let path = if wish.ends_with(".toml") { PathBuf::from(wish) } else { folder.join(format!("{wish}.toml")) };
         if !wish.ends_with(".toml") && !path.exists() {
             let known = toml_ids(folder)?.join(", ");
             let sentence = format!("there is no profile `{wish}`; there are {known}, or the path of a profile file");
             return Err(Error::usage(sentence));
         }
-        let profile: Profile = files::read_toml(&path)?;
+        let mut profile: Profile = files::read_toml(&path)?;
         profile.validate().map_err(|e| e.at(&path))?;
-        let name = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or("custom");
-        Ok((name.to_owned(), profile))
+        profile.name = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or("custom").to_owned();
+        Ok(profile)
     }
 
     /// Rejects numbers that no run can use; the error names the key.
@@ -88,20 +91,20 @@ mod tests {
     #[test]
     fn shipped_profiles_keep_their_promises() {
         assert_eq!(toml_ids(&shipped()).unwrap(), ["paper", "quick", "smoke"]);
-        let quick = Profile::load(&shipped(), "quick").unwrap().1;
+        let quick = Profile::load(&shipped(), "quick").unwrap();
         assert!(quick.image_width_px >= 128 && quick.minimum_frames >= 40 && quick.minimum_breaths >= 1.0);
         assert_eq!((quick.cases, quick.methods), (None, None));
-        let paper = Profile::load(&shipped(), "paper").unwrap().1;
+        let paper = Profile::load(&shipped(), "paper").unwrap();
         assert!(paper.image_width_px >= 256 && paper.minimum_frames >= 400 && paper.frames_per_second == 25.0);
         assert_eq!(paper.iteration_scale, 1.0);
-        let smoke = Profile::load(&shipped(), "smoke").unwrap().1;
+        let smoke = Profile::load(&shipped(), "smoke").unwrap();
         assert_eq!((smoke.image_width_px, smoke.minimum_frames), (64, 12));
         assert_eq!(smoke.cases.map(|c| c.len()), Some(2));
     }
 
     #[test]
     fn one_breath_is_covered_whatever_the_rate() {
-        let quick = Profile::load(&shipped(), "quick").unwrap().1;
+        let quick = Profile::load(&shipped(), "quick").unwrap();
         assert_eq!(quick.frames(4.0), 40);
         assert_eq!(quick.frames(3.0), 40);
         assert_eq!(quick.frames(4.32), 44);
@@ -109,13 +112,13 @@ mod tests {
 
     #[test]
     fn wrong_values_are_named() {
-        let mut profile = Profile::load(&shipped(), "smoke").unwrap().1;
+        let mut profile = Profile::load(&shipped(), "smoke").unwrap();
         profile.frames_per_second = f64::NAN;
         assert_eq!(profile.validate().unwrap_err().to_string(), "frames_per_second: must be positive");
         let unknown = Profile::load(&shipped(), "huge").unwrap_err();
         assert!(unknown.to_string().contains("paper, quick, smoke"), "{unknown}");
         let by_path = Profile::load(&shipped(), shipped().join("quick.toml").to_str().unwrap()).unwrap();
-        assert_eq!((by_path.0.as_str(), by_path.1.minimum_frames), ("quick", 40));
+        assert_eq!((by_path.name.as_str(), by_path.minimum_frames), ("quick", 40));
         assert_eq!(Profile::load(&shipped(), "no/such.toml").unwrap_err().kind().exit_code(), 4);
     }
 }

@@ -5,10 +5,12 @@
 
 mod all_cases;
 mod doctor;
+mod import;
 mod list;
 mod render;
 mod run;
 mod selection;
+mod simulate;
 mod terminal;
 mod watch;
 
@@ -46,6 +48,10 @@ commands! {
     List => list,
     /// What is installed, which instruction set, which library versions
     Doctor => doctor,
+    /// Turns a user's anatomy or a measured motion into a case
+    Import => import,
+    /// Films cases into sequence folders
+    Simulate => simulate,
     /// Path-trace one scene file: linear EXR, depth EXR, timing JSON
     Render => render,
 }
