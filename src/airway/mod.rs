@@ -2,6 +2,10 @@
 //! Knows nothing of rendering.
 
 pub mod centerline;
+mod centerline_distance;
+mod centerline_trace;
+mod centerline_tree;
+mod centerline_voxels;
 pub mod field;
 pub mod field_calibre;
 pub mod field_check;
