@@ -7,7 +7,7 @@ use std::path::Path;
 use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer};
 use exr::meta::MetaData;
 use exr::meta::header::LayerAttributes;
-use exr::prelude::{ReadChannels, ReadLayers, SmallVec, Text, WritableImage};
+use exr::prelude::{ReadChannels, ReadLayers, SmallVec, WritableImage};
 
 use crate::base::{Error, Image, Result, files};
 
