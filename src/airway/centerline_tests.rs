@@ -108,7 +108,7 @@ fn median_diameter(centerline: &Centerline, generation: u32) -> f64 {
     diameters[diameters.len() / 2]
 }
 
-/// The diameters were measured on the voxel masks by other software; the shared data's README lists them.
+/// Expected diameters: the README of the shared data.
 #[test]
 fn real_airways_have_the_published_diameters() {
     let (name, expected) = ("ATM_384", [13.0, 8.9, 6.3, 4.6]);
