@@ -6,6 +6,7 @@
 mod all_cases;
 mod doctor;
 mod import;
+mod import_tree;
 mod list;
 mod render;
 mod run;
