@@ -10,10 +10,18 @@ use std::path::{Path, PathBuf};
 mod revision;
 
 /// Files with a `#[cxx::bridge]`.
-const BRIDGES: &[&str] = &["src/ffi/tracer.rs"];
+const BRIDGES: &[&str] = &["src/ffi/splat.rs", "src/ffi/tracer.rs"];
 
 /// Own C++ compiled once, for the baseline x86-64.
-const SOURCES: &[&str] = &["cpp/tracer.cpp"];
+const SOURCES: &[&str] = &["cpp/splat.cpp", "cpp/tracer.cpp"];
+
+/// The splat kernels, one object per instruction set: (namespace in C++, what the compiler may use). Which one runs is
+/// decided on the user's machine (`cpp/splat.cpp`).
+const SPLAT_KERNELS: &[(&str, &[&str])] = &[
+    ("baseline", &["-msse2"]),
+    ("avx2", &["-mavx2", "-mfma"]),
+    ("avx512", &["-mavx512f", "-mavx512vl", "-mavx512dq", "-mavx512bw", "-mprefer-vector-width=512"]),
+];
 
 fn main() {
     let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets CARGO_MANIFEST_DIR"));
@@ -21,6 +29,7 @@ fn main() {
     let prefix = embree_prefix(&root);
     bind_embree(prefix.as_deref(), &out);
     compile_cpp(prefix.as_deref());
+    compile_splat_kernels();
     link_embree(prefix.as_deref());
     name_compiler();
     revision::tell(&root);
@@ -88,6 +97,22 @@ fn compile_cpp(prefix: Option<&Path>) {
     build.compile("respire_bench_cpp");
     for file in BRIDGES {
         println!("cargo:rerun-if-changed={file}");
+    }
+}
+
+fn compile_splat_kernels() {
+    for (namespace, flags) in SPLAT_KERNELS {
+        let mut build = cc::Build::new();
+        build.cpp(true).file("cpp/splat_kernel.cpp").include(".").std("c++17").opt_level(3);
+        build.flag("-Wall").flag("-Wextra").define("RESPIRE_ISA", *namespace);
+        // Forward and backward must take the same decisions: no contraction but the written one.
+        build.flag("-ffp-contract=off").flag("-fno-math-errno").flag("-fno-trapping-math").flag("-fno-exceptions");
+        // GCC 12 takes the deliberately undefined operands of its own AVX-512 header for defects.
+        build.flag("-Wno-uninitialized").flag("-Wno-maybe-uninitialized");
+        for flag in *flags {
+            build.flag(flag);
+        }
+        build.compile(&format!("respire_splat_{namespace}"));
     }
 }
 

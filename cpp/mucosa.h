@@ -60,9 +60,10 @@ inline float gradient_noise(Vec3 p, std::uint32_t seed) {
   return gradient_noise(p, seed, unused);
 }
 
-// Distance from `p` to the nearest face of the Voronoi diagram of one jittered point per unit cell; `edge_hash` names
-// the two cells that meet there, whichever of them `p` is in.
-inline float voronoi_edge(Vec3 p, std::uint32_t seed, std::uint32_t& edge_hash) {
+// Distance from `p` to the nearest face of the Voronoi diagram of one jittered point per unit cell, measured along a
+// surface of unit normal `normal` through `p` (a face that lies along the surface is then far away: it would show as a
+// patch, not as a line); `edge_hash` names the two cells that meet there, whichever of them `p` is in.
+inline float voronoi_edge(Vec3 p, Vec3 normal, std::uint32_t seed, std::uint32_t& edge_hash) {
   float fx = std::floor(p.x), fy = std::floor(p.y), fz = std::floor(p.z);
   int ix = static_cast<int>(fx), iy = static_cast<int>(fy), iz = static_cast<int>(fz);
   Vec3 local = {p.x - fx, p.y - fy, p.z - fz};
@@ -86,21 +87,25 @@ inline float voronoi_edge(Vec3 p, std::uint32_t seed, std::uint32_t& edge_hash) 
         }
       }
   edge_hash = hash32(h1 ^ h2);
-  return (d2 - d1) / (2.0f * length(p2 - p1) + 1e-6f);
+  Vec3 across = p2 - p1;
+  float l2 = dot(across, across) + 1e-12f, along = dot(across, normal);
+  float in_surface = std::max(1.0f - along * along / l2, 0.0f);
+  return (d2 - d1) / (2.0f * std::sqrt(l2 * in_surface * in_surface) + 1e-6f);
 }
 
 // Coverage in [0, 1] of the vessels of one generation. `spacing_mm` between vessels, `width_mm` of the widest,
 // `footprint_mm` of a pixel: what is thinner than a pixel fades instead of flickering.
-inline float vessel_coverage(Vec3 rest_mm, float spacing_mm, float width_mm, float footprint_mm, float absent,
+inline float vessel_coverage(Vec3 rest_mm, Vec3 normal, float spacing_mm, float width_mm, float footprint_mm, float absent,
                              std::uint32_t seed) {
   if (footprint_mm > 0.5f * spacing_mm) return 0.0f;
   std::uint32_t edge;
-  float distance = voronoi_edge(rest_mm * (1.0f / spacing_mm), seed, edge) * spacing_mm;
+  float distance = voronoi_edge(rest_mm * (1.0f / spacing_mm), normal, seed, edge) * spacing_mm;
   float u = unit_float(edge);
   if (u < absent) return 0.0f;
   float half = 0.5f * width_mm * mix(0.35f, 1.0f, (u - absent) / (1.0f - absent));
-  float soft = 0.35f * half + 0.5f * footprint_mm;
-  float coverage = 1.0f - smoothstep(half - 0.5f * soft, half + soft, distance);
+  // Vessels lie below a translucent layer: soft borders.
+  float soft = 0.7f * half + 0.5f * footprint_mm;
+  float coverage = 1.0f - smoothstep(half - 0.6f * soft, half + soft, distance);
   return coverage * std::min(1.0f, half / (0.5f * footprint_mm + 1e-6f));
 }
 
@@ -114,23 +119,25 @@ inline float ring_profile(float axial_mm, float spacing_mm, float& slope) {
   return 0.5f - 0.5f * c;
 }
 
-// `rest_mm` point on the rest shape, `axial_mm` distance along the airway, `ring_weight` how much cartilage there is
+// `rest_mm` point on the rest shape and `normal` of the rest shape there, `axial_mm` distance along the airway, `ring_weight` how much cartilage there is
 // (1 in the trachea, 0 in small airways), `generation` of the airway. Leaves the rings' relief to the caller, who
 // knows the axial gradient.
-inline MucosaPoint mucosa_at(const MucosaLook& look, Vec3 base, Vec3 rest_mm, float axial_mm, float ring_weight,
+inline MucosaPoint mucosa_at(const MucosaLook& look, Vec3 base, Vec3 rest_mm, Vec3 normal, float axial_mm, float ring_weight,
                              float generation, float footprint_mm) {
   MucosaPoint out;
   Vec3 warp_gradient;
   float coarse = gradient_noise(rest_mm * (1.0f / 7.0f), look.seed + 1, warp_gradient);
-  float medium = gradient_noise(rest_mm * (1.0f / 2.6f), look.seed + 2);
-  Vec3 warped = rest_mm + warp_gradient * 0.9f + Vec3{medium, -medium, medium} * 0.35f;
+  Vec3 fine_gradient;
+  float medium = gradient_noise(rest_mm * (1.0f / 2.6f), look.seed + 2, fine_gradient);
+  // Gradients bend the Voronoi diagram's straight edges.
+  Vec3 warped = rest_mm + warp_gradient * 0.8f + fine_gradient * 0.35f;
 
   // Blood volume: more is redder and darker.
   float blood = look.blotches * (0.55f * coarse + 0.5f * medium) + 0.03f * std::min(generation, 8.0f);
   float vessel = 0.0f;
   if (look.vessels > 0.0f) {
-    float large = vessel_coverage(warped, 4.2f, 0.5f, footprint_mm, 0.35f, look.seed + 3);
-    float small = vessel_coverage(warped, 1.5f, 0.2f, footprint_mm, 0.45f, look.seed + 4);
+    float large = vessel_coverage(warped, normal, 4.2f, 0.42f, footprint_mm, 0.35f, look.seed + 3);
+    float small = vessel_coverage(warped, normal, 1.5f, 0.2f, footprint_mm, 0.45f, look.seed + 4);
     vessel = look.vessels * std::max(large, 0.7f * small);
   }
   float slope, ring = ring_profile(axial_mm, std::max(look.ring_spacing_mm, 0.1f), slope);
@@ -151,7 +158,7 @@ inline MucosaPoint mucosa_at(const MucosaLook& look, Vec3 base, Vec3 rest_mm, fl
   gradient_noise(rest_mm * (1.0f / 0.55f), look.seed + 7, g2);
   float fade1 = clamp(1.5f - footprint_mm / 0.65f, 0.0f, 1.0f), fade2 = clamp(1.5f - footprint_mm / 0.27f, 0.0f, 1.0f);
   // Amplitude over period: slopes of about 0.1.
-  out.height_gradient = g1 * (look.relief * fade1 * 0.075f) + g2 * (look.relief * fade2 * 0.05f);
+  out.height_gradient = g1 * (look.relief * fade1 * 0.10f) + g2 * (look.relief * fade2 * 0.06f);
   return out;
 }
 

@@ -125,11 +125,13 @@ void Tracer::bake_albedo() {
     const std::uint32_t* face = faces_ + 3 * f;
     Vec3 corner[3];
     for (int k = 0; k < 3; ++k) corner[k] = load(&rest_[3 * face[k]]);
-    float area = length(cross(corner[1] - corner[0], corner[2] - corner[0]));
+    Vec3 normal = cross(corner[1] - corner[0], corner[2] - corner[0]);
+    float area = length(normal);
     for (int k = 0; k < 3; ++k) {
       std::uint32_t v = face[k];
       Vec3 p = corner[k] * (2.0f / 3.0f) + (corner[(k + 1) % 3] + corner[(k + 2) % 3]) * (1.0f / 6.0f);
-      MucosaPoint m = mucosa_at(look_, albedo_, p, axial_mm_[v], ring_weight(generations_[v]), generations_[v], 0.0f);
+      MucosaPoint m = mucosa_at(look_, albedo_, p, unit_or_zero(normal), axial_mm_[v],
+                                ring_weight(generations_[v]), generations_[v], 0.0f);
       store(&vertex_albedo_[3 * v], load(&vertex_albedo_[3 * v]) + m.albedo * area);
       weights[v] += area;
     }

@@ -24,6 +24,10 @@ inline float dot(Vec3 a, Vec3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 inline Vec3 cross(Vec3 a, Vec3 b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
 inline float length(Vec3 a) { return std::sqrt(dot(a, a)); }
 inline Vec3 normalize(Vec3 a) { return a * (1.0f / length(a)); }
+inline Vec3 unit_or_zero(Vec3 a) {
+  float l2 = dot(a, a);
+  return l2 > 0.0f ? a * (1.0f / std::sqrt(l2)) : Vec3{0.0f, 0.0f, 0.0f};
+}
 inline float max_component(Vec3 a) { return std::max(a.x, std::max(a.y, a.z)); }
 inline Vec3 load(const float* p) { return {p[0], p[1], p[2]}; }
 inline void store(float* p, Vec3 a) { p[0] = a.x, p[1] = a.y, p[2] = a.z; }

@@ -8,6 +8,7 @@
 //! A cell is a pure function of its key (case, simulation settings, method, seed, revision of the code that makes it),
 //! so a finished cell is never computed again, and an interrupted run is resumed by running it once more.
 
+pub mod catalogue;
 pub mod event;
 pub mod executor;
 pub mod journal;
@@ -18,6 +19,7 @@ pub mod stages;
 pub mod store;
 pub mod timing;
 
+pub use catalogue::Catalogue;
 pub use event::{Event, Reuse, Watcher};
 pub use executor::{FinishedCell, Freshness, execute};
 pub use plan::{Cell, Plan};

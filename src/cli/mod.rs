@@ -5,6 +5,7 @@
 
 mod doctor;
 mod terminal;
+mod watch;
 
 use std::process::ExitCode;
 

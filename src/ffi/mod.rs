@@ -5,6 +5,7 @@
 #![allow(unsafe_code)]
 
 pub mod embree;
+pub mod splat;
 pub mod system;
 pub mod tracer;
 pub mod versions;

@@ -1,6 +1,9 @@
 //! One external file format per file, pure functions both ways. Damaged input gives an error that names file and
 //! element, never a panic.
 
+pub mod depth_png;
 pub mod exr;
 pub mod landmarks;
+pub mod mesh;
+pub mod npy;
 pub mod png;

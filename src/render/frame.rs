@@ -10,13 +10,13 @@ use super::denoise::{Guides, denoised_indirect};
 use super::scene::Scene;
 use super::settings::{Denoise, Light, RenderSettings, Shading};
 use crate::base::random::{CounterRng, Stage};
-use crate::base::{Camera, Error, Image, Result};
+use crate::base::{Camera, Error, Image, NoProgress, Progress, Result};
 use crate::ffi::tracer::{FILM_CHANNELS, FrameSettings, Tile, TileCounters};
 
 /// Side of a tile in pixels.
 const TILE_PX: u32 = 16;
-/// Most samples of one call: the film's f32 sums stay exact enough.
-const SAMPLES_PER_ROUND: u32 = 256;
+/// Most samples per pixel of one round: the film's f32 sums stay exact enough, and the user can stop between rounds.
+const SAMPLES_PER_ROUND: u32 = 32;
 /// Where `target_relmse` gives up.
 const MAX_SAMPLES: u32 = 65_536;
 
@@ -60,15 +60,27 @@ impl Film {
     }
 }
 
-/// Path-traces `scene` through `camera` at `world_from_camera`.
-///
-/// Errors: an impossible camera or pose, no samples, a light that is negative or not finite.
+/// [`render_watched`] with nobody watching.
 pub fn render(
     scene: &Scene,
     camera: &Camera,
     world_from_camera: &DAffine3,
     light: &Light,
     settings: &RenderSettings,
+) -> Result<Frame> {
+    render_watched(scene, camera, world_from_camera, light, settings, &NoProgress)
+}
+
+/// Path-traces `scene` through `camera` at `world_from_camera`.
+///
+/// Errors: an impossible camera or pose, no samples, a light that is negative or not finite; stopped by the user.
+pub fn render_watched(
+    scene: &Scene,
+    camera: &Camera,
+    world_from_camera: &DAffine3,
+    light: &Light,
+    settings: &RenderSettings,
+    progress: &dyn Progress,
 ) -> Result<Frame> {
     check(camera, world_from_camera, light, settings)?;
     let frame = frame_settings(scene, camera, world_from_camera, light, settings);
@@ -81,6 +93,10 @@ pub fn render(
         while film.samples < wanted {
             let count = (wanted - film.samples).min(SAMPLES_PER_ROUND);
             add_samples(scene, &frame, &corners, count, &mut film, &mut statistics)?;
+            progress.advance(film.samples as usize, wanted as usize);
+            if progress.cancelled() {
+                return Err(Error::interrupted());
+            }
         }
         let Some(target) = settings.target_relmse else { break };
         let good = before.samples > 0 && relative_error(&before, &film) <= target;

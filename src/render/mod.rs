@@ -14,7 +14,10 @@ mod scene;
 // scene_file follows with formats::mesh
 mod settings;
 
-pub use frame::{Frame, Statistics, render};
+pub use frame::{Frame, Statistics, render, render_watched};
 pub use material::{Material, MaterialKind};
 pub use scene::Scene;
 pub use settings::{Denoise, Light, RenderSettings, Shading};
+
+/// Instruction set that Embree is pinned to: others trace the same rays with other last bits.
+pub const ISA: &str = "avx2";

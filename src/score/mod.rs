@@ -1,1 +1,20 @@
 //! Metrics: registry, one file per family, protocol, aggregation. Reads folders; does not know how predictions were made.
+//!
+//! ```text
+//! Truth (a sequence) + Prediction (a folder) -> score() -> CellScore -> report, gate
+//! ```
+
+mod cell;
+pub mod contour;
+pub mod depth;
+pub mod image_quality;
+mod prediction;
+mod registry;
+pub mod slice;
+pub mod statistics;
+mod truth;
+
+pub use cell::{CellScore, FrameScore, FrameValue, MetricScore, ScoreSettings, Status, score};
+pub use prediction::Prediction;
+pub use registry::{Direction, Group, Metric, Split, Standing, metric, paper_metrics, registry};
+pub use truth::{Truth, final_mesh};

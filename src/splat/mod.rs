@@ -1,2 +1,28 @@
 //! The differentiable Gaussian rasteriser on CPU: tiled forward, analytic backward, deterministic for any number of
 //! threads. Knows nothing of methods, losses or optimisers.
+//!
+//! ```text
+//! Anchors --place--> Gaussians --project--> rows --bin--> tiles --kernel--> images
+//!    ^                   ^                                           |
+//!    +----pullback-------+-------------chain<------moments<----------+  image gradients
+//! ```
+
+mod anchors;
+mod bin;
+mod chain;
+mod dual;
+mod jvp;
+mod kernel;
+mod project;
+mod rasterizer;
+mod real;
+mod sh;
+mod types;
+
+pub use crate::ffi::splat::Isa;
+pub use anchors::{Anchors, Carrier, Frame};
+pub use dual::Dual;
+pub use jvp::PhaseTangent;
+pub use rasterizer::Rasterizer;
+pub use real::Real;
+pub use types::{DepthOutput, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted};

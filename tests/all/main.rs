@@ -1,3 +1,5 @@
 //! One binary of integration tests, so that they link once.
 
 mod layering;
+mod reference;
+mod render;

@@ -1,0 +1,23 @@
+#!/usr/bin/env bash
+# Everything that must hold before a change lands: format, lints, documentation, tests, the smoke run and its gate.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+step() { printf '\n== %s (%s s)\n' "$*" "$SECONDS"; }
+
+step setup
+scripts/setup.sh
+step format
+cargo fmt --check
+step lints
+cargo clippy --release --locked --all-targets --quiet -- -D warnings
+step documentation
+RUSTDOCFLAGS='-D warnings' cargo doc --release --locked --no-deps --document-private-items --quiet
+step build
+cargo build --release --locked --quiet
+step tests
+cargo test --release --locked --quiet
+step smoke run
+cargo run --release --locked --quiet -- all-cases --profile smoke --out target/smoke --cache target/smoke/cache
+step gate
+cargo run --release --locked --quiet -- gate --results target/smoke/latest
+step done

@@ -1,0 +1,68 @@
+//! `respire-bench render`: path-traces one scene file.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::Terminal;
+use crate::base::{Result, files};
+use crate::ffi::system::cpu_time_s;
+use crate::formats::exr;
+use crate::render::scene_file::SceneFile;
+use crate::render::{ISA, render_watched};
+
+/// Arguments of `render`.
+#[derive(Args)]
+#[command(after_help = "Writes image.exr (R, G, B: linear radiance, no clamp), depth.exr (Z: z-depth in mm, 0 = nothing)\n\
+    and timing.json into DIR.\nExample: respire-bench render scene.toml --out /tmp/view")]
+pub struct Arguments {
+    /// Scene file: mesh, camera, light, material, integrator
+    #[arg(value_name = "SCENE.toml")]
+    scene: PathBuf,
+    /// Folder for the images and the timing
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Timing {
+    render_wall_s: f64,
+    render_cpu_s: f64,
+    bvh_build_s: f64,
+    paths: u64,
+    rays: u64,
+    spp: u32,
+    rejected_samples: u64,
+    threads: usize,
+    isa: &'static str,
+}
+
+/// Runs the command.
+pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+    let file = SceneFile::load(&arguments.scene)?;
+    let (camera, pose) = (file.camera.intrinsics()?, file.camera.pose()?);
+    let built = Instant::now();
+    let scene = file.build()?;
+    let bvh_build_s = built.elapsed().as_secs_f64();
+    let (wall, cpu) = (Instant::now(), cpu_time_s());
+    terminal.stage(arguments.scene.display());
+    let frame = render_watched(&scene, &camera, &pose, &file.light, &file.settings(), terminal)?;
+    let timing = Timing {
+        render_wall_s: wall.elapsed().as_secs_f64(),
+        render_cpu_s: cpu_time_s() - cpu,
+        bvh_build_s,
+        paths: frame.statistics.paths,
+        rays: frame.statistics.rays,
+        spp: frame.statistics.samples_per_pixel,
+        rejected_samples: frame.statistics.rejected_samples,
+        threads: rayon::current_num_threads(),
+        isa: ISA,
+    };
+    exr::write_rgb(&arguments.out.join("image.exr"), &frame.radiance)?;
+    exr::write_channel(&arguments.out.join("depth.exr"), "Z", &frame.depth_mm)?;
+    files::write_json(&arguments.out.join("timing.json"), &timing)?;
+    terminal.line(format!("{}: {} samples per pixel in {:.2} s", arguments.out.display(), timing.spp, timing.render_wall_s));
+    Ok(())
+}

@@ -1,0 +1,41 @@
+//! A run's events as lines and bars.
+
+use super::Terminal;
+use crate::base::Progress;
+use crate::bench::{Event, Reuse, Watcher};
+
+impl Watcher for Terminal {
+    fn event(&self, event: &Event<'_>) {
+        match event {
+            Event::Started { plan } => {
+                let (cases, methods, seeds) = (plan.cases.len(), plan.methods.len(), plan.seeds.len());
+                let cells = plan.cells().len();
+                self.note(&format!(
+                    "profile {}: {cases} cases x {methods} methods x {seeds} seeds = {cells} cells, {} threads",
+                    plan.profile,
+                    rayon::current_num_threads()
+                ));
+            }
+            Event::Filming { case_id } => self.stage(format_args!("{case_id}: filming")),
+            Event::Filmed { case_id, reuse: Reuse::Made, wall_s } => {
+                self.finish();
+                self.note(&format!("{case_id}: filmed in {wall_s:.1} s"));
+            }
+            Event::Filmed { case_id, reuse: Reuse::Cached, .. } => self.note(&format!("{case_id}: film is cached")),
+            Event::CellStarted { cell } => self.stage(format_args!("{}: {}", cell.case_id, cell.method)),
+            Event::CellFinished { cell, reuse, wall_s, done, total } => {
+                self.finish();
+                let how = match reuse {
+                    Reuse::Made => format!("{wall_s:.1} s"),
+                    Reuse::Cached => "cached".to_owned(),
+                };
+                self.note(&format!("[{done}/{total}] {}: {how}", cell.id()));
+            }
+            Event::CellFailed { cell, error } => {
+                self.finish();
+                self.note(&format!("{} FAILED: {error}", cell.id()));
+            }
+            Event::Discarded { path, reason } => self.note(&format!("making {} anew: {reason}", path.display())),
+        }
+    }
+}

@@ -1,0 +1,255 @@
+//! Surfaces from the formats people have: PLY (ASCII, binary; through `ply-rs-bw`), STL (through `stl_io`), OBJ
+//! (through `tobj`); written as binary PLY with double coordinates, since truth is never quantised.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use glam::DVec3;
+use ply_rs_bw::parser::{Parser, Reader};
+use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
+
+use crate::base::files::write_atomically;
+use crate::base::{Error, Result, TriangleMesh};
+
+/// Reads a surface; the format follows from the file's extension (`ply`, `stl`, `obj`). Polygons are cut into fans,
+/// the corners of an STL are welded where they are equal to the bit. The mesh is valid in the sense of
+/// [`TriangleMesh::validate`]; faces keep the winding of the file.
+pub fn read(path: &Path) -> Result<TriangleMesh> {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
+    let mesh = match extension.as_str() {
+        "ply" => read_ply(path),
+        "stl" => read_stl(path),
+        "obj" => read_obj(path),
+        _ => Err(Error::input("the name must end in .ply, .stl or .obj")),
+    }
+    .map_err(|e| e.at(path))?;
+    mesh.validate().map_err(|e| e.at(path))?;
+    Ok(mesh)
+}
+
+/// Writes binary little-endian PLY with double coordinates and one header line per comment.
+pub fn write_ply(path: &Path, mesh: &TriangleMesh, comments: &[&str]) -> Result<()> {
+    write_atomically(path, |out| {
+        writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment units=mm")?;
+        for comment in comments {
+            writeln!(out, "comment {comment}")?;
+        }
+        writeln!(out, "element vertex {}", mesh.vertices.len())?;
+        writeln!(out, "property double x\nproperty double y\nproperty double z")?;
+        writeln!(out, "element face {}\nproperty list uchar int vertex_indices\nend_header", mesh.faces.len())?;
+        for vertex in &mesh.vertices {
+            for coordinate in vertex.to_array() {
+                out.write_all(&coordinate.to_le_bytes())?;
+            }
+        }
+        for face in &mesh.faces {
+            out.write_all(&[3])?;
+            for vertex in face {
+                out.write_all(&vertex.to_le_bytes())?;
+            }
+        }
+        Ok(())
+    })
+}
+
+fn open(path: &Path) -> Result<BufReader<File>> {
+    File::open(path).map(BufReader::new).map_err(|e| Error::io("reading", path, e))
+}
+
+/// One element of either kind: coordinates of a vertex, or corners of a face.
+#[derive(Default)]
+struct Element {
+    position: DVec3,
+    corners: Vec<i64>,
+}
+
+impl PropertyAccess for Element {
+    fn new() -> Self {
+        Element::default()
+    }
+
+    fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
+        let axis = ["x", "y", "z"].iter().position(|a| *a == name);
+        if let (Some(axis), Some(value)) = (axis, scalar(&property)) {
+            self.position[axis] = value;
+        } else if matches!(name, "vertex_indices" | "vertex_index") {
+            match property {
+                Property::ListChar(l) => self.corners = l.into_iter().map(i64::from).collect(),
+                Property::ListUChar(l) => self.corners = l.into_iter().map(i64::from).collect(),
+                Property::ListShort(l) => self.corners = l.into_iter().map(i64::from).collect(),
+                Property::ListUShort(l) => self.corners = l.into_iter().map(i64::from).collect(),
+                Property::ListInt(l) => self.corners = l.into_iter().map(i64::from).collect(),
+                Property::ListUInt(l) => self.corners = l.into_iter().map(i64::from).collect(),
+                _ => {}
+            }
+        }
+        PropertyAccessResult::Set
+    }
+}
+
+fn scalar(property: &Property) -> Option<f64> {
+    Some(match *property {
+        Property::Float(v) => v as f64,
+        Property::Double(v) => v,
+        Property::Char(v) => v as f64,
+        Property::UChar(v) => v as f64,
+        Property::Short(v) => v as f64,
+        Property::UShort(v) => v as f64,
+        Property::Int(v) => v as f64,
+        Property::UInt(v) => v as f64,
+        _ => return None,
+    })
+}
+
+fn read_ply(path: &Path) -> Result<TriangleMesh> {
+    let damaged = |e: &dyn std::fmt::Display| Error::input(format!("is not a whole PLY file: {e}"));
+    let bytes = std::fs::metadata(path).map_err(|e| Error::io("reading", path, e))?.len();
+    let parser = Parser::<Element>::new();
+    let mut reader = Reader::new(open(path)?);
+    let header = parser.read_header(&mut reader).map_err(|e| damaged(&e))?;
+    let mut mesh = TriangleMesh::default();
+    for (name, element) in &header.elements {
+        // The smallest element takes two bytes: counts beyond that are lies, found before anything is allocated.
+        if element.count as u64 > bytes {
+            return Err(Error::input(format!("promises {} in a file of {bytes} bytes", element.count))
+                .element(format!("element {name}")));
+        }
+        let elements =
+            parser.read_payload_for_element(&mut reader, element, &header).map_err(|e| damaged(&e).element(name))?;
+        match name.as_str() {
+            "vertex" => mesh.vertices = elements.iter().map(|e| e.position).collect(),
+            "face" => {
+                for (index, face) in elements.iter().enumerate() {
+                    add_polygon(&mut mesh.faces, index, &face.corners)?;
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(mesh)
+}
+
+fn add_polygon(faces: &mut Vec<[u32; 3]>, index: usize, corners: &[i64]) -> Result<()> {
+    let wrong = |what: String| Err(Error::input(what).element(format!("face {index}")));
+    if corners.len() < 3 {
+        return wrong(format!("has {} corners", corners.len()));
+    }
+    if let Some(bad) = corners.iter().find(|c| u32::try_from(**c).is_err()) {
+        return wrong(format!("names vertex {bad}"));
+    }
+    for k in 2..corners.len() {
+        faces.push([corners[0] as u32, corners[k - 1] as u32, corners[k] as u32]);
+    }
+    Ok(())
+}
+
+fn read_stl(path: &Path) -> Result<TriangleMesh> {
+    let damaged = |e: std::io::Error| Error::input(format!("is not a whole STL file: {e}"));
+    let mut file = open(path)?;
+    let triangles = stl_io::create_stl_reader(&mut file).map_err(damaged)?;
+    let mut mesh = TriangleMesh::default();
+    let mut known: HashMap<[u32; 3], u32> = HashMap::new();
+    for triangle in triangles {
+        let corners = triangle.map_err(damaged)?.vertices.map(|v| [v[0], v[1], v[2]]);
+        let face = corners.map(|corner| {
+            // +0.0 and -0.0 are one place.
+            let key = corner.map(|c| (c + 0.0).to_bits());
+            *known.entry(key).or_insert_with(|| {
+                mesh.vertices.push(DVec3::from_array(corner.map(f64::from)));
+                mesh.vertices.len() as u32 - 1
+            })
+        });
+        // Slivers that welding closed are not part of the surface.
+        if face[0] != face[1] && face[1] != face[2] && face[2] != face[0] {
+            mesh.faces.push(face);
+        }
+    }
+    Ok(mesh)
+}
+
+fn read_obj(path: &Path) -> Result<TriangleMesh> {
+    let options = tobj::LoadOptions { triangulate: true, single_index: false, ..Default::default() };
+    let mut file = open(path)?;
+    let (models, _) =
+        tobj::load_obj_buf(&mut file, &options, |_| Ok(Default::default())).map_err(|e| Error::input(e.to_string()))?;
+    let mut mesh = TriangleMesh::default();
+    for model in models {
+        let first = mesh.vertices.len() as u32;
+        let positions = model.mesh.positions.chunks_exact(3);
+        mesh.vertices.extend(positions.map(|p| DVec3::new(p[0] as f64, p[1] as f64, p[2] as f64)));
+        mesh.faces.extend(model.mesh.indices.chunks_exact(3).map(|f| [f[0] + first, f[1] + first, f[2] + first]));
+    }
+    Ok(mesh)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    fn tetrahedron() -> TriangleMesh {
+        TriangleMesh {
+            vertices: vec![DVec3::ZERO, DVec3::X, DVec3::new(0.1, 1.0 / 3.0, 0.0), DVec3::Z],
+            faces: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+        }
+    }
+
+    #[test]
+    fn ply_round_trip_keeps_every_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.ply");
+        write_ply(&path, &tetrahedron(), &["SPACE=LPS"]).unwrap();
+        assert_eq!(read(&path).unwrap(), tetrahedron());
+    }
+
+    #[test]
+    fn ascii_ply_stl_and_obj_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let ascii = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+                     element face 1\nproperty list uchar int vertex_index\nend_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n";
+        let path = folder.path().join("a.ply");
+        fs::write(&path, ascii).unwrap();
+        assert_eq!(read(&path).unwrap().faces, [[0, 1, 2], [0, 2, 3]]);
+
+        let path = folder.path().join("a.obj");
+        fs::write(&path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n").unwrap();
+        let mesh = read(&path).unwrap();
+        mesh.validate_closed().unwrap();
+
+        let path = folder.path().join("a.stl");
+        let vertex = |v: u32| stl_io::Vertex::new(mesh.vertices[v as usize].to_array().map(|c| c as f32));
+        let triangles: Vec<_> = mesh
+            .faces
+            .iter()
+            .map(|f| stl_io::Triangle { normal: stl_io::Normal::new([0.0; 3]), vertices: f.map(vertex) })
+            .collect();
+        stl_io::write_stl(&mut File::create(&path).unwrap(), triangles.iter()).unwrap();
+        let welded = read(&path).unwrap();
+        assert_eq!(welded.vertices.len(), 4);
+        welded.validate_closed().unwrap();
+    }
+
+    #[test]
+    fn damage_is_named_and_never_panics() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.ply");
+        write_ply(&path, &tetrahedron(), &[]).unwrap();
+        let whole = fs::read(&path).unwrap();
+        for length in 0..whole.len() {
+            fs::write(&path, &whole[..length]).unwrap();
+            let message = read(&path).unwrap_err().to_string();
+            assert!(message.contains("t.ply"), "{message}");
+        }
+        let lying = String::from_utf8_lossy(&whole).replace("vertex 4", "vertex 4000000000");
+        fs::write(&path, lying.as_bytes()).unwrap();
+        assert!(read(&path).is_err());
+        let mut mesh = tetrahedron();
+        mesh.vertices[2].y = f64::NAN;
+        write_ply(&path, &mesh, &[]).unwrap();
+        assert!(read(&path).unwrap_err().to_string().contains("vertex 2"));
+        assert!(read(Path::new("absent.stl")).unwrap_err().to_string().starts_with("absent.stl: reading failed"));
+        assert!(read(Path::new("a.vtk")).is_err());
+    }
+}

@@ -1,0 +1,387 @@
+//! Scores one prediction against one sequence: every metric of the registry, every frame.
+
+use std::path::Path;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::contour::{ContourOverlay, Correspondence, Enclosure, TargetErrors, target_errors};
+use super::depth::{DepthErrors, depth_errors};
+use super::image_quality::{Psnr, Ssim, psnr, psnr_ceiling, ssim};
+use super::prediction::Prediction;
+use super::registry::registry;
+use super::statistics::{MeanInterval, bootstrap_series, pearson};
+use super::truth::{Truth, final_mesh};
+use crate::base::{Error, Result};
+
+/// Why a value is what it is, or why there is none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// A value like any other.
+    Ok,
+    /// Prediction and truth are equal to the bit: better than any value.
+    Identical,
+    /// The prediction does not claim what the metric measures.
+    NotApplicable,
+    /// The metric has no value for such input (a phase without variance, an image smaller than a window).
+    Degenerate,
+    /// The final camera's plane cuts no contour around the camera (truth) or none at all (prediction).
+    NoContour,
+    /// There is a value, but the camera lies outside the predicted contour.
+    CameraOutside,
+    /// The cell failed: there is no prediction.
+    Failed,
+}
+
+impl Status {
+    /// As in `results.csv`.
+    pub fn word(self) -> &'static str {
+        match self {
+            Status::Ok => "ok",
+            Status::Identical => "identical",
+            Status::NotApplicable => "not_applicable",
+            Status::Degenerate => "degenerate",
+            Status::NoContour => "no_contour",
+            Status::CameraOutside => "camera_outside",
+            Status::Failed => "failed",
+        }
+    }
+}
+
+/// One metric of one cell.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MetricScore {
+    /// Id in the registry.
+    pub metric: String,
+    /// The value; never NaN, never infinite.
+    pub value: Option<f64>,
+    /// Why.
+    pub status: Status,
+    /// Standard deviation over frames, where the value is a mean over frames.
+    pub deviation: Option<f64>,
+    /// Number of frames or points behind the value.
+    pub count: usize,
+    /// 95 % interval of the mean over frames (block bootstrap).
+    pub interval: Option<[f64; 2]>,
+    /// One sentence where the status needs one; empty otherwise.
+    pub detail: String,
+}
+
+/// One metric of one frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FrameValue {
+    /// Id in the registry.
+    pub metric: String,
+    /// The value.
+    pub value: Option<f64>,
+    /// Why.
+    pub status: Status,
+}
+
+/// All metrics of one frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FrameScore {
+    /// Index.
+    pub frame: usize,
+    /// Seconds since the first frame.
+    pub time_s: f64,
+    /// True phase.
+    pub phase: f64,
+    /// Predicted phase.
+    pub phase_predicted: Option<f64>,
+    /// Values, in the registry's order; frame-wise metrics only.
+    pub values: Vec<FrameValue>,
+}
+
+/// Everything known of one cell: case x method x seed. `score.json` in the cell's folder.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CellScore {
+    /// Case.
+    pub case_id: String,
+    /// Content hash of the sequence.
+    pub case_hash: String,
+    /// Method.
+    pub method: String,
+    /// Seed of the method.
+    pub seed: u64,
+    /// Frames of the sequence.
+    pub frames: usize,
+    /// Every metric of the registry, in its order.
+    pub metrics: Vec<MetricScore>,
+    /// One row per frame.
+    pub frame_scores: Vec<FrameScore>,
+    /// The final frame's contours, where there are two.
+    pub overlay: Option<ContourOverlay>,
+}
+
+impl CellScore {
+    /// The score of the metric `id`.
+    pub fn metric(&self, id: &str) -> Option<&MetricScore> {
+        self.metrics.iter().find(|m| m.metric == id)
+    }
+
+    /// The value of the metric `id`, if it has one.
+    pub fn value(&self, id: &str) -> Option<f64> {
+        self.metric(id).and_then(|m| m.value)
+    }
+
+    /// The value of the metric `id` at each frame that has one.
+    pub fn series(&self, id: &str) -> Vec<(f64, f64)> {
+        let value = |f: &FrameScore| f.values.iter().find(|v| v.metric == id).and_then(|v| v.value);
+        self.frame_scores.iter().filter_map(|f| value(f).map(|v| (f.time_s, v))).collect()
+    }
+}
+
+/// What scoring is told beside the two folders.
+#[derive(Clone, Debug)]
+pub struct ScoreSettings {
+    /// Method id for the tables; `None` takes the prediction's own name, or `prediction`.
+    pub method: Option<String>,
+    /// Seed of the method's randomness, for the tables.
+    pub seed: u64,
+    /// Chooses the target vertex; one value for a whole run, so that all methods are asked for the same target.
+    pub target_seed: u64,
+}
+
+impl Default for ScoreSettings {
+    fn default() -> Self {
+        ScoreSettings { method: None, seed: 0, target_seed: 1 }
+    }
+}
+
+/// Scores the prediction folder against `truth`.
+///
+/// Errors name the file and the element: a missing or damaged file, a wrong size, a mesh with a bad vertex. What the
+/// prediction does not claim (no depth, no phase, no mesh, no time) is no error but status `not_applicable`.
+pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> Result<CellScore> {
+    let frames = truth.frames().len();
+    if frames == 0 {
+        return Err(Error::input(format!("the sequence of case {} has no frames", truth.case_id())));
+    }
+    let prediction = Prediction::open(prediction, truth.camera(), frames)?;
+    let measured: Vec<Measured> =
+        (0..frames).into_par_iter().map(|frame| measure(truth, &prediction, frame)).collect::<Result<_>>()?;
+    let target = target(truth, &prediction, settings)?;
+    let ceiling = psnr_ceiling(truth.camera().width as usize * truth.camera().height as usize * 3);
+    let seed = settings.target_seed;
+    let metrics = registry()
+        .iter()
+        .map(|m| match m.id {
+            "psnr_db" => psnr_mean(m.id, measured.iter().map(|f| f.psnr).collect(), ceiling, seed),
+            "psnr_ahead_db" => psnr_mean(m.id, measured.iter().filter_map(|f| f.psnr_ahead).collect(), ceiling, seed),
+            "ssim" => ssim_mean(&measured, seed),
+            "ssim_padded" => series_mean(m.id, measured.iter().map(|f| f.ssim.padded).collect(), seed),
+            "depth_rmse_mm" => depth_mean(m.id, &measured, |d| d.rmse_mm, seed),
+            "depth_delta_1_25" => depth_mean(m.id, &measured, |d| d.delta_1_25, seed),
+            "depth_coverage" => depth_mean(m.id, &measured, |d| d.coverage, seed),
+            "phase_mae" => series_mean(m.id, measured.iter().filter_map(|f| f.phase_error).collect(), seed),
+            "phase_pearson_r" => correlation(m.id, truth, &prediction),
+            "contour_rmse_mm" => contour_score(m.id, &target),
+            "target_error_mm" => target_score(m.id, &target, |t| t.target_mm),
+            "target_error_mean_mm" => target_score(m.id, &target, |t| t.mean_mm),
+            "target_error_p95_mm" => target_score(m.id, &target, |t| t.p95_mm),
+            "time_total_s" => plain(m.id, prediction.time_total_s(), 1),
+            "time_per_frame_s" => plain(m.id, prediction.time_total_s().map(|t| t / frames as f64), frames),
+            other => unreachable!("metric {other} of the registry is not computed"),
+        })
+        .collect();
+    let method = settings.method.clone().or_else(|| prediction.method().map(str::to_owned));
+    Ok(CellScore {
+        case_id: truth.case_id().to_owned(),
+        case_hash: truth.hash().to_owned(),
+        method: method.unwrap_or_else(|| "prediction".to_owned()),
+        seed: settings.seed,
+        frames,
+        metrics,
+        frame_scores: frame_scores(truth, &prediction, &measured),
+        overlay: match target {
+            Target::Measured(t) if !t.overlay.predicted.is_empty() => Some(t.overlay),
+            _ => None,
+        },
+    })
+}
+
+/// Everything measured on one frame.
+struct Measured {
+    psnr: Psnr,
+    psnr_ahead: Option<Psnr>,
+    ssim: Ssim,
+    /// `None`: no depth predicted. `Some(None)`: the frame has no true depth.
+    depth: Option<Option<DepthErrors>>,
+    phase_error: Option<f64>,
+}
+
+fn measure(truth: &dyn Truth, prediction: &Prediction, frame: usize) -> Result<Measured> {
+    let image = truth.image(frame)?;
+    let color = prediction.color(frame)?;
+    if !color.same_shape(&image) {
+        return Err(Error::input(format!(
+            "image of frame {frame} of case {} is not of the camera's size",
+            truth.case_id()
+        )));
+    }
+    let psnr_ahead = match prediction.ahead_frames().binary_search(&frame) {
+        Ok(_) => Some(psnr(&prediction.ahead(frame)?, &image)),
+        Err(_) => None,
+    };
+    let depth = match prediction.depth_mm(frame)? {
+        Some(depth) => Some(depth_errors(&depth, &truth.depth_mm(frame)?)),
+        None => None,
+    };
+    let phase_error = prediction.phase().map(|p| (p[frame] - truth.frames()[frame].phase).abs());
+    Ok(Measured { psnr: psnr(&color, &image), psnr_ahead, ssim: ssim(&color, &image)?, depth, phase_error })
+}
+
+/// What came of the target metrics.
+enum Target {
+    /// The prediction has no surface.
+    NoSurface,
+    /// The truth has no contour around the camera.
+    NoTrueContour,
+    Measured(Box<TargetErrors>),
+}
+
+fn target(truth: &dyn Truth, prediction: &Prediction, settings: &ScoreSettings) -> Result<Target> {
+    let Some(surface) = prediction.final_mesh()? else { return Ok(Target::NoSurface) };
+    let last = &truth.frames()[truth.frames().len() - 1];
+    let errors = target_errors(&final_mesh(truth)?, &surface, &last.world_from_camera, settings.target_seed)?;
+    Ok(errors.map_or(Target::NoTrueContour, |e| Target::Measured(Box::new(e))))
+}
+
+fn entry(id: &str, value: Option<f64>, status: Status, count: usize, detail: &str) -> MetricScore {
+    // Whatever went in, no NaN and no infinity comes out.
+    let (value, status) = match value {
+        Some(v) if !v.is_finite() => (None, Status::Degenerate),
+        value => (value, status),
+    };
+    MetricScore { metric: id.into(), value, status, deviation: None, count, interval: None, detail: detail.into() }
+}
+
+fn plain(id: &str, value: Option<f64>, count: usize) -> MetricScore {
+    match value {
+        Some(_) => entry(id, value, Status::Ok, count, ""),
+        None => entry(id, None, Status::NotApplicable, 0, ""),
+    }
+}
+
+fn with_interval(id: &str, mean: MeanInterval) -> MetricScore {
+    MetricScore {
+        deviation: mean.deviation,
+        interval: mean.interval,
+        ..entry(id, Some(mean.mean), Status::Ok, mean.count, "")
+    }
+}
+
+fn series_mean(id: &str, values: Vec<f64>, seed: u64) -> MetricScore {
+    bootstrap_series(&values, seed).map_or_else(|| plain(id, None, 0), |mean| with_interval(id, mean))
+}
+
+fn psnr_mean(id: &str, frames: Vec<Psnr>, ceiling: f64, seed: u64) -> MetricScore {
+    let identical = frames.iter().filter(|p| **p == Psnr::Identical).count();
+    if identical == frames.len() && identical > 0 {
+        return entry(id, None, Status::Identical, identical, "every frame equals the truth");
+    }
+    let decibels = frames.iter().map(|p| if let Psnr::Decibel(d) = p { *d } else { ceiling }).collect();
+    let mut score = series_mean(id, decibels, seed);
+    if identical > 0 {
+        score.detail = format!("{identical} frames equal the truth and count as {ceiling:.2} dB");
+    }
+    score
+}
+
+fn ssim_mean(measured: &[Measured], seed: u64) -> MetricScore {
+    let values: Vec<f64> = measured.iter().filter_map(|f| f.ssim.valid).collect();
+    if values.is_empty() {
+        return entry("ssim", None, Status::Degenerate, 0, "the images are smaller than the 11x11 window");
+    }
+    series_mean("ssim", values, seed)
+}
+
+fn depth_mean(id: &str, measured: &[Measured], part: impl Fn(&DepthErrors) -> f64, seed: u64) -> MetricScore {
+    let claimed: Vec<&Option<DepthErrors>> = measured.iter().filter_map(|f| f.depth.as_ref()).collect();
+    let values: Vec<f64> = claimed.iter().filter_map(|d| d.as_ref().map(&part)).collect();
+    match (claimed.is_empty(), values.is_empty()) {
+        (false, true) => entry(id, None, Status::Degenerate, 0, "no frame has true depth"),
+        _ => series_mean(id, values, seed),
+    }
+}
+
+fn correlation(id: &str, truth: &dyn Truth, prediction: &Prediction) -> MetricScore {
+    let Some(predicted) = prediction.phase() else { return plain(id, None, 0) };
+    let phases: Vec<f64> = truth.frames().iter().map(|f| f.phase).collect();
+    match pearson(predicted, &phases) {
+        Some(r) => entry(id, Some(r), Status::Ok, phases.len(), ""),
+        None => entry(id, None, Status::Degenerate, phases.len(), "a phase trajectory without variance"),
+    }
+}
+
+fn contour_score(id: &str, target: &Target) -> MetricScore {
+    match target {
+        Target::Measured(t) => match (t.contour_rmse_mm, t.enclosure) {
+            (Some(_), Enclosure::Inside) => entry(id, t.contour_rmse_mm, Status::Ok, t.overlay.truth.len(), ""),
+            (Some(_), Enclosure::Outside) => {
+                let detail = "no predicted contour encloses the camera; the nearest one was taken";
+                entry(id, t.contour_rmse_mm, Status::CameraOutside, t.overlay.truth.len(), detail)
+            }
+            (None, _) => entry(id, None, Status::NoContour, 0, "the plane does not meet the predicted surface"),
+        },
+        _ => target_score(id, target, |_| None),
+    }
+}
+
+fn target_score(id: &str, target: &Target, part: impl Fn(&TargetErrors) -> Option<f64>) -> MetricScore {
+    match target {
+        Target::NoSurface => plain(id, None, 0),
+        Target::NoTrueContour => {
+            entry(id, None, Status::NoContour, 0, "no contour of the true surface encloses the final camera")
+        }
+        Target::Measured(t) => match part(t) {
+            None => entry(id, None, Status::NoContour, 0, "the plane does not meet the predicted surface"),
+            value => {
+                let detail = match t.correspondence {
+                    Correspondence::Material => "",
+                    Correspondence::Nearest => "another topology: nearest point of the predicted contour",
+                };
+                entry(id, value, Status::Ok, t.overlay.truth.len(), detail)
+            }
+        },
+    }
+}
+
+fn frame_scores(truth: &dyn Truth, prediction: &Prediction, measured: &[Measured]) -> Vec<FrameScore> {
+    let frame_score = |(frame, m): (usize, &Measured)| {
+        let record = &truth.frames()[frame];
+        FrameScore {
+            frame,
+            time_s: record.time_s,
+            phase: record.phase,
+            phase_predicted: prediction.phase().map(|p| p[frame]),
+            values: frame_values(m),
+        }
+    };
+    measured.iter().enumerate().map(frame_score).collect()
+}
+
+fn frame_values(m: &Measured) -> Vec<FrameValue> {
+    let value = |metric: &str, value: Option<f64>, without: Status| FrameValue {
+        metric: metric.into(),
+        value: value.filter(|v| v.is_finite()),
+        status: if value.is_some() { Status::Ok } else { without },
+    };
+    let decibel = |p: Psnr| if let Psnr::Decibel(d) = p { Some(d) } else { None };
+    let mut values =
+        vec![value("psnr_db", decibel(m.psnr), Status::Identical), value("ssim", m.ssim.valid, Status::Degenerate)];
+    if let Some(depth) = &m.depth {
+        let part = |part: fn(&DepthErrors) -> f64| depth.as_ref().map(part);
+        values.push(value("depth_rmse_mm", part(|d| d.rmse_mm), Status::Degenerate));
+        values.push(value("depth_delta_1_25", part(|d| d.delta_1_25), Status::Degenerate));
+    }
+    if let Some(error) = m.phase_error {
+        values.push(value("phase_mae", Some(error), Status::Degenerate));
+    }
+    if let Some(p) = m.psnr_ahead {
+        values.push(value("psnr_ahead_db", decibel(p), Status::Identical));
+    }
+    values
+}

@@ -1,0 +1,293 @@
+//! Target localisation at the final frame: contour RMSE and target error (the paper, "Target localization accuracy").
+//!
+//! True and predicted surface are cut by the final camera's plane; of each the contour around the camera is kept.
+//! Contour RMSE is symmetric: both contours are resampled densely and every sample is measured against the other
+//! polyline. The target error is the displacement of one material point of the true contour (same mesh edge, same
+//! fraction along it), so it also sees motion *along* the wall and along the airway, which the contour cannot.
+
+use glam::{DAffine3, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::slice::{Plane, Polyline, slice};
+use super::statistics;
+use crate::base::random::{CounterRng, Stage};
+use crate::base::{Result, TriangleMesh};
+use crate::ffi::vision::PlaneContour;
+
+/// Distance between samples of a contour, mm.
+const SAMPLE_STEP_MM: f64 = 0.05;
+/// Samples of one contour at most: a damaged mesh may have contours of any length.
+const MAX_SAMPLES: usize = 5000;
+
+/// Where the camera is as seen from a surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Enclosure {
+    /// A contour runs around it.
+    Inside,
+    /// None does; the nearest one was taken.
+    Outside,
+}
+
+/// How the target was found on the predicted surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Correspondence {
+    /// Same faces: the same material point.
+    Material,
+    /// Another topology: the nearest point of the predicted contour.
+    Nearest,
+}
+
+/// What a plot of the final frame needs; plane coordinates in mm, the camera at (0, 0), x right, y down.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ContourOverlay {
+    /// The true contour, closed.
+    pub truth: Vec<[f64; 2]>,
+    /// The predicted contour.
+    pub predicted: Vec<[f64; 2]>,
+    /// Whether the predicted contour's last vertex joins its first.
+    pub predicted_closed: bool,
+    /// The target on the true contour.
+    pub target_truth: [f64; 2],
+    /// The same point on the predicted surface, projected into the plane.
+    pub target_predicted: [f64; 2],
+}
+
+/// Errors at the final frame, mm.
+#[derive(Clone, Debug)]
+pub struct TargetErrors {
+    /// Symmetric contour RMSE; `None` when the plane does not meet the predicted surface.
+    pub contour_rmse_mm: Option<f64>,
+    /// Whether the predicted contour runs around the camera.
+    pub enclosure: Enclosure,
+    /// Displacement of the chosen vertex; `None` when there is nothing to measure against.
+    pub target_mm: Option<f64>,
+    /// Mean displacement over all contour vertices.
+    pub mean_mm: Option<f64>,
+    /// 95th percentile of the same.
+    pub p95_mm: Option<f64>,
+    /// How points were matched.
+    pub correspondence: Correspondence,
+    /// For plots.
+    pub overlay: ContourOverlay,
+}
+
+/// Compares `predicted` with `truth` at the final frame. `seed` chooses the target vertex.
+///
+/// `Ok(None)` when no contour of the truth encloses the camera: there is nothing to measure.
+pub fn target_errors(
+    truth: &TriangleMesh,
+    predicted: &TriangleMesh,
+    world_from_camera: &DAffine3,
+    seed: u64,
+) -> Result<Option<TargetErrors>> {
+    let plane = Plane::of_camera(world_from_camera);
+    let Some((true_contour, Enclosure::Inside)) = around_camera(slice(truth, &plane))? else { return Ok(None) };
+    let predicted_contour = around_camera(slice(predicted, &plane))?;
+    let target = CounterRng::new(seed, Stage::Score, &[0]).index(true_contour.cuts.len());
+    let same_topology = predicted.vertices.len() == truth.vertices.len() && predicted.faces == truth.faces;
+
+    let from: Vec<DVec3> = true_contour.cuts.iter().map(|c| c.position(&truth.vertices)).collect();
+    let (correspondence, to) = match (&predicted_contour, same_topology) {
+        (_, true) => {
+            let to = true_contour.cuts.iter().map(|c| c.position(&predicted.vertices)).collect();
+            (Correspondence::Material, to)
+        }
+        (Some((contour, _)), false) => {
+            let lift = |p: [f64; 2]| plane.origin + plane.x * p[0] + plane.y * p[1];
+            let to = true_contour.points.iter().map(|&p| lift(nearest_on(contour, p).0)).collect();
+            (Correspondence::Nearest, to)
+        }
+        (None, false) => (Correspondence::Nearest, Vec::new()),
+    };
+    let displacements: Vec<f64> = from.iter().zip(&to).map(|(a, b)| a.distance(*b)).collect();
+    Ok(Some(TargetErrors {
+        contour_rmse_mm: predicted_contour.as_ref().map(|(c, _)| symmetric_rmse(&true_contour, c)),
+        enclosure: predicted_contour.as_ref().map_or(Enclosure::Outside, |(_, e)| *e),
+        target_mm: displacements.get(target).copied(),
+        mean_mm: statistics::mean(&displacements),
+        p95_mm: statistics::quantile(&displacements, 0.95),
+        correspondence,
+        overlay: ContourOverlay {
+            target_truth: true_contour.points[target],
+            target_predicted: to.get(target).map_or(true_contour.points[target], |&p| plane.coordinates(p)),
+            truth: true_contour.points,
+            predicted_closed: predicted_contour.as_ref().is_some_and(|(c, _)| c.closed),
+            predicted: predicted_contour.map_or_else(Vec::new, |(c, _)| c.points),
+        },
+    }))
+}
+
+/// Of all cuts the one around the camera (0, 0), by OpenCV's contour analysis: among the closed ones that enclose it
+/// the one of least area; if none does, the one that comes nearest to it.
+fn around_camera(cuts: Vec<Polyline>) -> Result<Option<(Polyline, Enclosure)>> {
+    let mut best: Option<(usize, f64)> = None;
+    for (index, cut) in cuts.iter().enumerate().filter(|(_, cut)| cut.closed) {
+        let contour = PlaneContour::new(&cut.points);
+        if contour.encloses([0.0, 0.0])? {
+            let area = contour.area()?;
+            if best.is_none_or(|(_, least)| area < least) {
+                best = Some((index, area));
+            }
+        }
+    }
+    let enclosure = if best.is_some() { Enclosure::Inside } else { Enclosure::Outside };
+    if best.is_none() {
+        let distances = cuts.iter().map(|cut| nearest_on(cut, [0.0, 0.0]).1).enumerate();
+        best = distances.min_by(|a, b| a.1.total_cmp(&b.1));
+    }
+    Ok(best.and_then(|(index, _)| cuts.into_iter().nth(index)).map(|cut| (cut, enclosure)))
+}
+
+/// `sqrt((mean d^2 from a to b + mean d^2 from b to a) / 2)`.
+fn symmetric_rmse(a: &Polyline, b: &Polyline) -> f64 {
+    let one_way = |from: &Polyline, to: &Polyline| {
+        let squares: Vec<f64> = resample(from).iter().map(|&p| nearest_on(to, p).1.powi(2)).collect();
+        statistics::mean(&squares).unwrap_or(0.0)
+    };
+    (0.5 * (one_way(a, b) + one_way(b, a))).sqrt()
+}
+
+/// Segments of a polyline, the closing one included.
+fn segments(line: &Polyline) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + '_ {
+    let points = &line.points;
+    let closing = if line.closed { points.last().copied().zip(points.first().copied()) } else { None };
+    points.windows(2).map(|w| (w[0], w[1])).chain(closing)
+}
+
+/// Points along a polyline at equal distances of at most [`SAMPLE_STEP_MM`] (more on very long ones).
+fn resample(line: &Polyline) -> Vec<[f64; 2]> {
+    let length: f64 = segments(line).map(|(a, b)| distance(a, b)).sum();
+    let count = ((length / SAMPLE_STEP_MM).ceil() as usize).clamp(line.points.len().min(MAX_SAMPLES), MAX_SAMPLES);
+    let step = length / count as f64;
+    let mut samples = Vec::with_capacity(count);
+    let mut walked = 0.0;
+    for (a, b) in segments(line) {
+        let here = distance(a, b);
+        while samples.len() < count && samples.len() as f64 * step <= walked + here {
+            let share = if here > 0.0 { (samples.len() as f64 * step - walked) / here } else { 0.0 };
+            samples.push([a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share]);
+        }
+        walked += here;
+    }
+    samples
+}
+
+fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}
+
+/// Nearest point of a polyline to `point`, and its distance.
+fn nearest_on(line: &Polyline, point: [f64; 2]) -> ([f64; 2], f64) {
+    let mut best = (line.points[0], distance(line.points[0], point));
+    for (a, b) in segments(line) {
+        let along = [b[0] - a[0], b[1] - a[1]];
+        let square = along[0] * along[0] + along[1] * along[1];
+        let dot = (point[0] - a[0]) * along[0] + (point[1] - a[1]) * along[1];
+        let share = if square > 0.0 { (dot / square).clamp(0.0, 1.0) } else { 0.0 };
+        let foot = [a[0] + along[0] * share, a[1] + along[1] * share];
+        let reach = distance(foot, point);
+        if reach < best.1 {
+            best = (foot, reach);
+        }
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::slice::tests::tube;
+    use super::*;
+
+    fn camera_at(x: f64, z: f64) -> DAffine3 {
+        DAffine3::from_translation(DVec3::new(x, 0.0, z))
+    }
+
+    fn moved(mesh: &TriangleMesh, by: impl Fn(DVec3) -> DVec3) -> TriangleMesh {
+        TriangleMesh { vertices: mesh.vertices.iter().map(|&v| by(v)).collect(), faces: mesh.faces.clone() }
+    }
+
+    #[test]
+    fn truth_is_perfect() {
+        let mesh = tube(5.0, 20.0, 64, 20);
+        let found = target_errors(&mesh, &mesh, &camera_at(1.0, 7.3), 3).unwrap().unwrap();
+        assert_eq!(found.contour_rmse_mm.map(|v| v < 1e-12), Some(true));
+        assert_eq!((found.target_mm, found.p95_mm), (Some(0.0), Some(0.0)));
+        assert_eq!((found.enclosure, found.correspondence), (Enclosure::Inside, Correspondence::Material));
+    }
+
+    #[test]
+    fn a_wider_tube_is_off_by_the_difference_of_radii() {
+        let mesh = tube(5.0, 20.0, 512, 20);
+        let wide = tube(5.8, 20.0, 512, 20);
+        let found = target_errors(&mesh, &wide, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        assert!((found.contour_rmse_mm.unwrap() - 0.8).abs() < 1e-3, "{:?}", found.contour_rmse_mm);
+        assert!((found.target_mm.unwrap() - 0.8).abs() < 1e-3);
+    }
+
+    /// Motion along the airway leaves the contour where it is, but not the target.
+    #[test]
+    fn the_target_sees_motion_along_the_airway() {
+        let mesh = tube(5.0, 20.0, 64, 20);
+        let slid = moved(&mesh, |v| v + DVec3::new(0.0, 0.0, 2.5));
+        let found = target_errors(&mesh, &slid, &camera_at(0.0, 10.2), 3).unwrap().unwrap();
+        assert!(found.contour_rmse_mm.unwrap() < 1e-9);
+        assert!((found.target_mm.unwrap() - 2.5).abs() < 1e-12 && (found.mean_mm.unwrap() - 2.5).abs() < 1e-12);
+        assert!((found.p95_mm.unwrap() - 2.5).abs() < 1e-12);
+    }
+
+    /// RMSE of a shifted circle against brute force over dense samples of both circles' own formulas.
+    #[test]
+    fn a_shifted_tube_equals_brute_force() {
+        let mesh = tube(5.0, 20.0, 720, 8);
+        let shift = 1.3;
+        let shifted = moved(&mesh, |v| v + DVec3::new(shift, 0.0, 0.0));
+        let found = target_errors(&mesh, &shifted, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        let squares: f64 = (0..10_000)
+            .map(|i| f64::from(i) * std::f64::consts::TAU / 10_000.0)
+            .map(|t| ((5.0 * t.cos() - shift).hypot(5.0 * t.sin()) - 5.0).powi(2))
+            .sum();
+        let expected = (squares / 10_000.0).sqrt();
+        assert!((found.contour_rmse_mm.unwrap() - expected).abs() < 1e-3, "{:?} {expected}", found.contour_rmse_mm);
+        assert!((found.target_mm.unwrap() - shift).abs() < 1e-12);
+    }
+
+    #[test]
+    fn another_topology_is_measured_at_the_nearest_point() {
+        let mesh = tube(5.0, 20.0, 512, 20);
+        let other = tube(6.0, 20.0, 300, 11);
+        let found = target_errors(&mesh, &other, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        assert_eq!(found.correspondence, Correspondence::Nearest);
+        assert!((found.target_mm.unwrap() - 1.0).abs() < 2e-3);
+    }
+
+    #[test]
+    fn a_camera_outside_the_prediction_gets_the_nearest_contour() {
+        let mesh = tube(5.0, 20.0, 64, 20);
+        let far = moved(&mesh, |v| v + DVec3::new(14.0, 0.0, 0.0));
+        let found = target_errors(&mesh, &far, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        assert_eq!(found.enclosure, Enclosure::Outside);
+        assert!(found.contour_rmse_mm.unwrap() > 5.0);
+        assert!((found.target_mm.unwrap() - 14.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn without_a_contour_there_is_a_status_and_no_number() {
+        let mesh = tube(5.0, 20.0, 64, 20);
+        assert!(target_errors(&mesh, &mesh, &camera_at(9.0, 7.3), 3).unwrap().is_none());
+        assert!(target_errors(&mesh, &mesh, &camera_at(0.0, 30.0), 3).unwrap().is_none());
+        let gone = moved(&tube(5.0, 20.0, 32, 20), |v| v + DVec3::new(0.0, 0.0, 100.0));
+        let found = target_errors(&mesh, &gone, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        assert_eq!((found.contour_rmse_mm, found.target_mm, found.mean_mm), (None, None, None));
+    }
+
+    #[test]
+    fn of_nested_contours_the_inner_one_is_the_lumen() {
+        let mut mesh = tube(9.0, 20.0, 64, 20);
+        let inner = tube(5.0, 20.0, 64, 20);
+        let offset = mesh.vertices.len() as u32;
+        mesh.vertices.extend(&inner.vertices);
+        mesh.faces.extend(inner.faces.iter().map(|f| f.map(|v| v + offset)));
+        let found = target_errors(&mesh, &inner, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        assert!(found.contour_rmse_mm.unwrap() < 1e-9);
+    }
+}

@@ -1,0 +1,266 @@
+//! A prediction on disk: what `evaluate` reads, from whichever program it comes.
+//!
+//! ```text
+//! color/NNNNNN.png               one per frame, 8-bit sRGB, the sequence's size           needed
+//! depth/NNNNNN.{exr,npy,png}     one per frame, z-depth in mm, 0 = none; PNG: 16-bit grey times depth_unit_mm
+//! ahead/NNNNNN.png               renderings made before the frame's image was looked at; any frames
+//! phase.csv                      frame,phase; one row per frame, 0 = full inspiration, 1 = full expiration
+//! mesh/final.ply                 surface at the last frame, mm, the sequence's world
+//! timing.json                    {"time_total_s": seconds of the method alone}
+//! prediction.json                {"method": id, "depth_unit_mm": 1.0}
+//! ```
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use crate::base::{Camera, Error, Image, Result, TriangleMesh, files};
+use crate::formats::{depth_png, exr, npy, png};
+
+/// How depth images are stored, in the order in which they are looked for.
+const DEPTH_ENDINGS: [&str; 3] = ["exr", "npy", "png"];
+
+/// An opened prediction folder.
+#[derive(Clone, Debug)]
+pub struct Prediction {
+    root: PathBuf,
+    width: usize,
+    height: usize,
+    depth_ending: Option<&'static str>,
+    depth_unit_mm: f64,
+    ahead: Vec<usize>,
+    method: Option<String>,
+    phase: Option<Vec<f64>>,
+    time_total_s: Option<f64>,
+}
+
+#[derive(Default, Deserialize)]
+struct About {
+    method: Option<String>,
+    depth_unit_mm: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct Timing {
+    time_total_s: f64,
+}
+
+impl Prediction {
+    /// Opens `root` as a prediction of `frames` frames of `camera`: lists what is there and reads the small files.
+    ///
+    /// Errors, each naming the file: a frame missing from a folder that is there, a bad row, a bad value.
+    pub fn open(root: &Path, camera: &Camera, frames: usize) -> Result<Self> {
+        if !root.is_dir() {
+            return Err(Error::input("is not a folder").at(root));
+        }
+        let about: About = read_optional(&root.join("prediction.json"))?.unwrap_or_default();
+        let depth_unit_mm = about.depth_unit_mm.unwrap_or(1.0);
+        if !(depth_unit_mm.is_finite() && depth_unit_mm > 0.0) {
+            return Err(Error::input(format!("{depth_unit_mm} is not a positive number"))
+                .element("depth_unit_mm")
+                .at(root.join("prediction.json")));
+        }
+        expect_frames(&root.join("color"), "png", frames)?;
+        let depth_ending = depth_ending(&root.join("depth"))?;
+        if let Some(ending) = depth_ending {
+            expect_frames(&root.join("depth"), ending, frames)?;
+        }
+        Ok(Prediction {
+            width: camera.width as usize,
+            height: camera.height as usize,
+            depth_ending,
+            depth_unit_mm,
+            ahead: frames_present(&root.join("ahead"), frames)?,
+            method: about.method,
+            phase: read_phase(&root.join("phase.csv"), frames)?,
+            time_total_s: read_time(&root.join("timing.json"))?,
+            root: root.to_path_buf(),
+        })
+    }
+
+    /// The method's own name, if the folder tells it.
+    pub fn method(&self) -> Option<&str> {
+        self.method.as_deref()
+    }
+
+    /// Rendered image of `frame`; of the sequence's size.
+    pub fn color(&self, frame: usize) -> Result<Image<u8>> {
+        self.image("color", frame)
+    }
+
+    /// Rendering of `frame` made before its image was looked at.
+    pub fn ahead(&self, frame: usize) -> Result<Image<u8>> {
+        self.image("ahead", frame)
+    }
+
+    /// Frames with an [`Prediction::ahead`] image, ascending.
+    pub fn ahead_frames(&self) -> &[usize] {
+        &self.ahead
+    }
+
+    /// Predicted z-depth of `frame` in mm, if the prediction has depth.
+    pub fn depth_mm(&self, frame: usize) -> Result<Option<Image<f32>>> {
+        let Some(ending) = self.depth_ending else { return Ok(None) };
+        let path = frame_path(&self.root.join("depth"), frame, ending);
+        let image = match ending {
+            "exr" => exr::read(&path)?,
+            "npy" => npy::read_plane(&path)?,
+            _ => depth_png::read(&path, self.depth_unit_mm)?,
+        };
+        self.expect_size(&path, image.width, image.height)?;
+        if image.channels != 1 {
+            return Err(Error::input(format!("has {} channels; depth has one", image.channels)).at(path));
+        }
+        Ok(Some(image))
+    }
+
+    /// Predicted phase of every frame, if there is one.
+    pub fn phase(&self) -> Option<&[f64]> {
+        self.phase.as_deref()
+    }
+
+    /// Seconds of the method alone, if known.
+    pub fn time_total_s(&self) -> Option<f64> {
+        self.time_total_s
+    }
+
+    /// Predicted surface at the last frame, if there is one; valid (finite, indices in range).
+    pub fn final_mesh(&self) -> Result<Option<TriangleMesh>> {
+        let path = self.root.join("mesh/final.ply");
+        if !path.exists() {
+            return Ok(None);
+        }
+        let surface = read_surface(&path)?;
+        surface.validate().map_err(|e| e.at(&path))?;
+        Ok(Some(surface))
+    }
+
+    fn image(&self, folder: &str, frame: usize) -> Result<Image<u8>> {
+        let path = frame_path(&self.root.join(folder), frame, "png");
+        let image = png::read_rgb(&path)?;
+        self.expect_size(&path, image.width, image.height)?;
+        Ok(image)
+    }
+
+    fn expect_size(&self, path: &Path, width: usize, height: usize) -> Result<()> {
+        if (width, height) == (self.width, self.height) {
+            return Ok(());
+        }
+        Err(Error::input(format!(
+            "is {width}x{height} pixels; the sequence is {}x{} (nothing is rescaled)",
+            self.width, self.height
+        ))
+        .at(path))
+    }
+}
+
+fn read_surface(path: &Path) -> Result<TriangleMesh> {
+    Err(Error::input("cannot be read yet").at(path))
+}
+
+fn frame_path(folder: &Path, frame: usize, ending: &str) -> PathBuf {
+    folder.join(format!("{frame:06}.{ending}"))
+}
+
+fn expect_frames(folder: &Path, ending: &str, frames: usize) -> Result<()> {
+    if !folder.is_dir() {
+        return Err(Error::input("the folder is missing").at(folder));
+    }
+    match (0..frames).map(|frame| frame_path(folder, frame, ending)).find(|path| !path.is_file()) {
+        Some(path) => {
+            Err(Error::input(format!("is missing; the sequence has frames 000000 to {:06}", frames - 1)).at(path))
+        }
+        None => Ok(()),
+    }
+}
+
+/// Of the known endings the one that frame 0 has; `None` without a depth folder.
+fn depth_ending(folder: &Path) -> Result<Option<&'static str>> {
+    if !folder.is_dir() {
+        return Ok(None);
+    }
+    match DEPTH_ENDINGS.into_iter().find(|ending| frame_path(folder, 0, ending).is_file()) {
+        Some(ending) => Ok(Some(ending)),
+        None => Err(Error::input("has none of 000000.exr, 000000.npy, 000000.png").at(folder)),
+    }
+}
+
+fn frames_present(folder: &Path, frames: usize) -> Result<Vec<usize>> {
+    if !folder.is_dir() {
+        return Ok(Vec::new());
+    }
+    Ok((0..frames).filter(|&frame| frame_path(folder, frame, "png").is_file()).collect())
+}
+
+fn read_optional<T: serde::de::DeserializeOwned>(path: &Path) -> Result<Option<T>> {
+    if path.exists() { files::read_json(path).map(Some) } else { Ok(None) }
+}
+
+fn read_time(path: &Path) -> Result<Option<f64>> {
+    match read_optional::<Timing>(path)? {
+        Some(Timing { time_total_s }) if time_total_s.is_finite() && time_total_s >= 0.0 => Ok(Some(time_total_s)),
+        Some(_) => Err(Error::input("is not a number of seconds").element("time_total_s").at(path)),
+        None => Ok(None),
+    }
+}
+
+fn read_phase(path: &Path, frames: usize) -> Result<Option<Vec<f64>>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    parse_phase(&files::read_bytes(path)?, frames).map(Some).map_err(|e| e.at(path))
+}
+
+/// Columns `frame` and `phase` by name, rows in any order, every frame exactly once.
+fn parse_phase(bytes: &[u8], frames: usize) -> Result<Vec<f64>> {
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+    let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();
+    let column = |name: &str| {
+        let found = header.iter().position(|h| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(name));
+        found.ok_or_else(|| Error::input("is missing; the columns are frame,phase").element(format!("column {name}")))
+    };
+    let (frame_column, phase_column) = (column("frame")?, column("phase")?);
+    let mut phases: Vec<Option<f64>> = vec![None; frames];
+    for (row, record) in reader.records().enumerate() {
+        let line = format!("line {}", row + 2);
+        let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
+        let field = |column: usize| record.get(column).unwrap_or("");
+        let frame = field(frame_column).parse::<usize>().ok().filter(|&f| f < frames);
+        let phase = field(phase_column).parse::<f64>().ok().filter(|p| p.is_finite());
+        let (Some(frame), Some(phase)) = (frame, phase) else {
+            let said = format!("frame \"{}\" with phase \"{}\"", field(frame_column), field(phase_column));
+            return Err(Error::input(format!("{said}: wanted a frame below {frames} and a finite phase")).element(line));
+        };
+        if phases[frame].replace(phase).is_some() {
+            return Err(Error::input(format!("frame {frame} is there twice")).element(line));
+        }
+    }
+    let missing = phases.iter().position(Option::is_none);
+    match missing {
+        Some(frame) => Err(Error::input(format!("frame {frame} is missing"))),
+        None => Ok(phases.into_iter().flatten().collect()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn phases_are_read_by_name_in_any_order() {
+        let phases = parse_phase(b"phase,frame,extra\n0.5,1,x\n0.25,0,y\n", 2).unwrap();
+        assert_eq!(phases, [0.25, 0.5]);
+    }
+
+    #[test]
+    fn damage_in_phases_is_named() {
+        let say = |text: &str| parse_phase(text.as_bytes(), 2).unwrap_err().to_string();
+        assert!(say("frame,phase\n0,0.1\n").contains("frame 1 is missing"));
+        assert!(say("frame,phase\n0,0.1\n0,0.2\n").contains("line 3"));
+        assert!(say("frame,phase\n0,nan\n").contains("line 2"));
+        assert!(say("frame,phase\n7,0.1\n").contains("line 2"));
+        assert!(say("frame\n0\n").contains("column phase"));
+        assert!(say("frame,phase\n0\n").contains("line 2"));
+        assert!(say("").contains("column frame"));
+    }
+}

@@ -1,0 +1,362 @@
+//! The one place that knows a metric's name, unit, direction, definition and range. Tables, plots, CSV columns, the
+//! gate and `explain` all read from here; `docs/metrics.md` says the same in prose.
+
+use serde::Serialize;
+
+/// Which way a metric gets better.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Direction {
+    /// Larger is better.
+    Higher,
+    /// Smaller is better.
+    Lower,
+}
+
+impl Direction {
+    /// `higher` or `lower`, as in `results.csv`.
+    pub fn word(self) -> &'static str {
+        match self {
+            Direction::Higher => "higher",
+            Direction::Lower => "lower",
+        }
+    }
+
+    /// True when `a` is strictly better than `b`. False as soon as one of them is not a number.
+    pub fn better(self, a: f64, b: f64) -> bool {
+        match self {
+            Direction::Higher => a > b,
+            Direction::Lower => a < b,
+        }
+    }
+
+    /// How much worse `value` is than `reference`, in the metric's unit; negative when it is better.
+    pub fn loss(self, value: f64, reference: f64) -> f64 {
+        match self {
+            Direction::Higher => reference - value,
+            Direction::Lower => value - reference,
+        }
+    }
+}
+
+/// The paper's column groups (its Table 1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Group {
+    /// PSNR, SSIM.
+    Rendering,
+    /// RMSE, delta < 1.25.
+    Depth,
+    /// Phase MAE and correlation.
+    Breathing,
+    /// Contour and target error at the final frame.
+    Target,
+    /// Seconds.
+    Runtime,
+}
+
+impl Group {
+    /// Heading in tables.
+    pub fn title(self) -> &'static str {
+        match self {
+            Group::Rendering => "Rendering",
+            Group::Depth => "Depth",
+            Group::Breathing => "Breathing",
+            Group::Target => "Target",
+            Group::Runtime => "Runtime",
+        }
+    }
+}
+
+/// Whether a metric is one of the paper's ten columns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Standing {
+    /// A column of the paper's Table 1 and of `comparison.csv`.
+    Paper,
+    /// Ours beside it.
+    Extra,
+}
+
+/// Over what the number is taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Split {
+    /// Every frame, rendered after it was fitted (the paper's protocol).
+    Online,
+    /// Every eighth frame, rendered before its image was looked at.
+    Ahead,
+    /// The last frame alone.
+    Final,
+}
+
+impl Split {
+    /// As in `results.csv`.
+    pub fn word(self) -> &'static str {
+        match self {
+            Split::Online => "online",
+            Split::Ahead => "ahead",
+            Split::Final => "final",
+        }
+    }
+}
+
+/// One metric.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Metric {
+    /// Name in every file.
+    pub id: &'static str,
+    /// Short heading in tables.
+    pub label: &'static str,
+    /// Unit; empty for a pure number.
+    pub unit: &'static str,
+    /// Which way is better.
+    pub direction: Direction,
+    /// What it is, in full.
+    pub definition: &'static str,
+    /// Goes up when the definition changes; results of different versions are never compared.
+    pub version: u32,
+    /// Lowest and highest value it can take (`null` in JSON: unbounded).
+    pub range: [Option<f64>; 2],
+    /// Its value when truth itself is the prediction; `None` for PSNR (status `identical`) and for times.
+    pub perfect: Option<f64>,
+    /// Decimals in tables.
+    pub digits: usize,
+    /// Column group.
+    pub group: Group,
+    /// One of the paper's columns or an extra.
+    pub standing: Standing,
+    /// Over what it is taken.
+    pub split: Split,
+    /// To which predictions it applies.
+    pub applies_to: &'static str,
+}
+
+impl Metric {
+    /// `id/version`, the `definition` column of `results.csv`.
+    pub fn definition_id(&self) -> String {
+        format!("{}/{}", self.id, self.version)
+    }
+
+    /// Heading with unit: `Depth RMSE [mm]`.
+    pub fn heading(&self) -> String {
+        if self.unit.is_empty() { self.label.to_owned() } else { format!("{} [{}]", self.label, self.unit) }
+    }
+
+    /// Times differ from run to run and stay out of `results.csv`.
+    pub fn is_runtime(&self) -> bool {
+        self.group == Group::Runtime
+    }
+
+    /// `value` with the metric's decimals.
+    pub fn format(&self, value: f64) -> String {
+        format!("{value:.*}", self.digits)
+    }
+}
+
+const ALL: &str = "every prediction";
+const WITH_DEPTH: &str = "predictions with depth images";
+const WITH_PHASE: &str = "predictions with phase.csv: methods that model the respiratory state";
+const WITH_MESH: &str = "predictions with mesh/final.ply: methods that keep an explicit surface";
+const WITH_TIME: &str = "predictions with timing.json";
+
+const fn base(id: &'static str, label: &'static str, unit: &'static str, direction: Direction, group: Group) -> Metric {
+    Metric {
+        id,
+        label,
+        unit,
+        direction,
+        definition: "",
+        version: 1,
+        range: [Some(0.0), None],
+        perfect: Some(0.0),
+        digits: 2,
+        group,
+        standing: Standing::Extra,
+        split: Split::Online,
+        applies_to: ALL,
+    }
+}
+
+static REGISTRY: &[Metric] = &[
+    Metric {
+        definition: "10 log10(1 / MSE) per frame on 8-bit sRGB codes divided by 255, MSE over all pixels and the three \
+            channels, then the mean over frames. A frame equal to the truth counts with the PSNR of the smallest error that \
+            8 bits can show (one code in one value); if all frames are equal the value is empty, status `identical`.",
+        perfect: None,
+        standing: Standing::Paper,
+        ..base("psnr_db", "PSNR", "dB", Direction::Higher, Group::Rendering)
+    },
+    Metric {
+        definition: "Structural similarity per frame on encoded sRGB in [0, 1], per channel: Gaussian window 11x11 with sigma \
+            1.5, K1 = 0.01, K2 = 0.03, population moments, averaged over the windows that lie wholly in the image (5 pixels \
+            cropped) and the three channels, then the mean over frames (Wang et al. 2004; equals scikit-image with \
+            gaussian_weights, sigma 1.5, use_sample_covariance off).",
+        range: [Some(-1.0), Some(1.0)],
+        perfect: Some(1.0),
+        digits: 3,
+        standing: Standing::Paper,
+        ..base("ssim", "SSIM", "", Direction::Higher, Group::Rendering)
+    },
+    Metric {
+        definition: "Root mean square of predicted minus true z-depth per frame over the pixels whose true depth is above 0, \
+            no scale or shift alignment, then the mean over frames. A predicted depth that is absent (0, negative or not \
+            finite) counts as 0 mm, so a hole costs the whole true depth.",
+        digits: 2,
+        standing: Standing::Paper,
+        applies_to: WITH_DEPTH,
+        ..base("depth_rmse_mm", "Depth RMSE", "mm", Direction::Lower, Group::Depth)
+    },
+    Metric {
+        definition: "Share of the pixels with true depth above 0 where max(predicted / true, true / predicted) < 1.25, per \
+            frame, no alignment, then the mean over frames. An absent predicted depth counts as wrong.",
+        range: [Some(0.0), Some(1.0)],
+        perfect: Some(1.0),
+        digits: 3,
+        standing: Standing::Paper,
+        applies_to: WITH_DEPTH,
+        ..base("depth_delta_1_25", "δ<1.25", "", Direction::Higher, Group::Depth)
+    },
+    Metric {
+        definition: "Mean over all frames of |predicted phase - true phase|; phase 0 is full inspiration, 1 full expiration.",
+        digits: 3,
+        standing: Standing::Paper,
+        applies_to: WITH_PHASE,
+        ..base("phase_mae", "Phase MAE", "", Direction::Lower, Group::Breathing)
+    },
+    Metric {
+        definition: "Pearson correlation of predicted and true phase over all frames. A trajectory without variance has none: \
+            empty, status `degenerate`.",
+        range: [Some(-1.0), Some(1.0)],
+        perfect: Some(1.0),
+        digits: 3,
+        standing: Standing::Paper,
+        applies_to: WITH_PHASE,
+        ..base("phase_pearson_r", "Pearson r", "", Direction::Higher, Group::Breathing)
+    },
+    Metric {
+        definition: "True and predicted surface at the last frame are cut by the plane through the last camera's centre, normal \
+            to its optical axis. Of each, the contour around the camera is kept (smallest enclosed area). Both are resampled \
+            every 0.05 mm; the value is sqrt((mean d^2 from truth to prediction + mean d^2 from prediction to truth) / 2), d the \
+            distance of a point to the other contour. If no predicted contour encloses the camera, the one nearest to it is \
+            taken, status `camera_outside`.",
+        standing: Standing::Paper,
+        split: Split::Final,
+        applies_to: WITH_MESH,
+        ..base("contour_rmse_mm", "Contour RMSE", "mm", Direction::Lower, Group::Target)
+    },
+    Metric {
+        definition: "Distance in 3D between one vertex of the true contour (see contour_rmse_mm; chosen by seed, the same for \
+            every method) and the same material point of the predicted surface (same mesh edge, same fraction along it). If the \
+            predicted surface has another topology: the nearest point of the predicted contour.",
+        standing: Standing::Paper,
+        split: Split::Final,
+        applies_to: WITH_MESH,
+        ..base("target_error_mm", "Target error", "mm", Direction::Lower, Group::Target)
+    },
+    Metric {
+        definition: "Wall time of the method alone for all frames: no reading, writing or scoring.",
+        perfect: None,
+        digits: 1,
+        standing: Standing::Paper,
+        applies_to: WITH_TIME,
+        ..base("time_total_s", "Time", "s", Direction::Lower, Group::Runtime)
+    },
+    Metric {
+        definition: "time_total_s divided by the number of frames.",
+        perfect: None,
+        digits: 3,
+        standing: Standing::Paper,
+        applies_to: WITH_TIME,
+        ..base("time_per_frame_s", "Time per frame", "s", Direction::Lower, Group::Runtime)
+    },
+    Metric {
+        definition: "psnr_db over the frames rendered before their image was looked at (every eighth), from ahead/NNNNNN.png.",
+        perfect: None,
+        split: Split::Ahead,
+        applies_to: "predictions with an ahead folder",
+        ..base("psnr_ahead_db", "PSNR ahead", "dB", Direction::Higher, Group::Rendering)
+    },
+    Metric {
+        definition: "As ssim, but averaged over all pixels with zeros outside the image, as the Gaussian-splatting code bases \
+            compute it; for comparison with their numbers only.",
+        range: [Some(-1.0), Some(1.0)],
+        perfect: Some(1.0),
+        digits: 3,
+        ..base("ssim_padded", "SSIM zero-padded", "", Direction::Higher, Group::Rendering)
+    },
+    Metric {
+        definition: "Share of the pixels with true depth above 0 for which a depth was predicted, mean over frames.",
+        range: [Some(0.0), Some(1.0)],
+        perfect: Some(1.0),
+        digits: 3,
+        applies_to: WITH_DEPTH,
+        ..base("depth_coverage", "Depth coverage", "", Direction::Higher, Group::Depth)
+    },
+    Metric {
+        definition: "Mean over all vertices of the true contour of the error that target_error_mm takes at one of them.",
+        split: Split::Final,
+        applies_to: WITH_MESH,
+        ..base("target_error_mean_mm", "Target error mean", "mm", Direction::Lower, Group::Target)
+    },
+    Metric {
+        definition: "95th percentile (linear between ranks) over all vertices of the true contour of the error that \
+            target_error_mm takes at one of them.",
+        split: Split::Final,
+        applies_to: WITH_MESH,
+        ..base("target_error_p95_mm", "Target error p95", "mm", Direction::Lower, Group::Target)
+    },
+];
+
+/// All metrics: the paper's ten in the paper's order, then the extras.
+pub fn registry() -> &'static [Metric] {
+    REGISTRY
+}
+
+/// The paper's ten, in the order of its Table 1 and of `comparison.csv`.
+pub fn paper_metrics() -> impl Iterator<Item = &'static Metric> {
+    REGISTRY.iter().filter(|m| m.standing == Standing::Paper)
+}
+
+/// The metric called `id`.
+pub fn metric(id: &str) -> Option<&'static Metric> {
+    REGISTRY.iter().find(|m| m.id == id)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_are_unique_and_the_papers_columns_come_first() {
+        let ids: Vec<&str> = paper_metrics().map(|m| m.id).collect();
+        assert_eq!(
+            ids,
+            [
+                "psnr_db",
+                "ssim",
+                "depth_rmse_mm",
+                "depth_delta_1_25",
+                "phase_mae",
+                "phase_pearson_r",
+                "contour_rmse_mm",
+                "target_error_mm",
+                "time_total_s",
+                "time_per_frame_s"
+            ]
+        );
+        for (index, m) in registry().iter().enumerate() {
+            assert!(registry()[..index].iter().all(|other| other.id != m.id));
+            assert!(m.definition.len() > 20 && m.definition.ends_with('.'), "{}", m.id);
+        }
+    }
+
+    #[test]
+    fn a_value_that_is_no_number_is_never_better() {
+        for direction in [Direction::Higher, Direction::Lower] {
+            assert!(!direction.better(f64::NAN, 1.0) && !direction.better(1.0, f64::NAN));
+        }
+        assert_eq!(Direction::Higher.loss(20.0, 21.0), 1.0);
+        assert_eq!(Direction::Lower.loss(20.0, 21.0), -1.0);
+    }
+}

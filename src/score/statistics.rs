@@ -1,0 +1,142 @@
+//! Means, percentiles, correlation and bootstrap intervals. Sums run in the order of the input, in f64, so that the
+//! same numbers give the same bits on any number of threads.
+
+use crate::base::random::{CounterRng, Stage};
+
+/// Resamples of a bootstrap: enough for two digits of a 95 % bound.
+const RESAMPLES: usize = 2000;
+
+/// A mean with its spread and its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeanInterval {
+    /// Mean.
+    pub mean: f64,
+    /// Sample standard deviation; `None` for one value.
+    pub deviation: Option<f64>,
+    /// How many values.
+    pub count: usize,
+    /// Bounds of the 95 % interval; `None` for one value.
+    pub interval: Option<[f64; 2]>,
+}
+
+/// Mean of a non-empty slice.
+pub fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// Sample standard deviation (n - 1) of two values or more.
+pub fn deviation(values: &[f64]) -> Option<f64> {
+    let centre = mean(values)?;
+    let squares: f64 = values.iter().map(|v| (v - centre) * (v - centre)).sum();
+    (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
+}
+
+/// The `share` quantile (0 to 1), linear between ranks (type 7 of Hyndman and Fan, NumPy's default).
+pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let last = sorted.len().checked_sub(1)?;
+    let rank = share.clamp(0.0, 1.0) * last as f64;
+    let low = rank.floor() as usize;
+    let high = (low + 1).min(last);
+    Some(sorted[low] + (sorted[high] - sorted[low]) * (rank - low as f64))
+}
+
+/// Pearson's correlation; `None` when one side has no variance, or for fewer than two pairs.
+pub fn pearson(a: &[f64], b: &[f64]) -> Option<f64> {
+    let (centre_a, centre_b) = (mean(a)?, mean(b)?);
+    let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
+    for (x, y) in a.iter().zip(b) {
+        aa += (x - centre_a) * (x - centre_a);
+        bb += (y - centre_b) * (y - centre_b);
+        ab += (x - centre_a) * (y - centre_b);
+    }
+    // A spread below 1e-9 of a breath is rounding, not motion.
+    let least = 1e-18 * a.len() as f64;
+    (a.len() > 1 && aa > least && bb > least).then(|| (ab / (aa.sqrt() * bb.sqrt())).clamp(-1.0, 1.0))
+}
+
+/// Mean of independent `values` (one per case) with the percentile bootstrap interval (Efron 1979).
+pub fn bootstrap(values: &[f64], seed: u64) -> Option<MeanInterval> {
+    blocks(values, 1, seed)
+}
+
+/// Mean of a time series (one value per frame, in order) with an interval that respects that neighbours are alike:
+/// circular block bootstrap (Politis and Romano 1992) with blocks of the cube root of the length, rounded up.
+pub fn bootstrap_series(values: &[f64], seed: u64) -> Option<MeanInterval> {
+    blocks(values, (values.len() as f64).cbrt().ceil() as usize, seed)
+}
+
+fn blocks(values: &[f64], length: usize, seed: u64) -> Option<MeanInterval> {
+    let centre = mean(values)?;
+    let count = values.len();
+    let mut interval = None;
+    if count > 1 {
+        let means: Vec<f64> = (0..RESAMPLES).map(|r| resampled_mean(values, length, seed, r as u64)).collect();
+        interval = quantile(&means, 0.025).zip(quantile(&means, 0.975)).map(|(low, high)| [low, high]);
+    }
+    Some(MeanInterval { mean: centre, deviation: deviation(values), count, interval })
+}
+
+fn resampled_mean(values: &[f64], length: usize, seed: u64, resample: u64) -> f64 {
+    let mut random = CounterRng::new(seed, Stage::Score, &[1, resample]);
+    let count = values.len();
+    let (mut sum, mut taken) = (0.0, 0);
+    while taken < count {
+        let start = random.index(count);
+        for step in 0..length.min(count - taken) {
+            sum += values[(start + step) % count];
+            taken += 1;
+        }
+    }
+    sum / count as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_and_deviation_equal_tabulated_values() {
+        let values = [3.0, 1.0, 4.0, 1.0, 5.0, 9.0, 2.0, 6.0];
+        // numpy.quantile(values, [.25, .5, .95]), numpy.std(values, ddof=1)
+        assert_eq!(quantile(&values, 0.25), Some(1.75));
+        assert_eq!(quantile(&values, 0.5), Some(3.5));
+        assert!((quantile(&values, 0.95).unwrap() - 7.95).abs() < 1e-12);
+        assert!((deviation(&values).unwrap() - 2.748_376_143_938_713).abs() < 1e-12);
+        assert_eq!(quantile(&[], 0.5), None);
+    }
+
+    #[test]
+    fn correlation_of_lines_and_of_constants() {
+        let a = [0.0, 0.1, 0.5, 0.9];
+        let b: Vec<f64> = a.iter().map(|v| 3.0 - 2.0 * v).collect();
+        assert!((pearson(&a, &b).unwrap() + 1.0).abs() < 1e-12);
+        assert_eq!(pearson(&a, &[0.3; 4]), None);
+        assert_eq!(pearson(&[1.0], &[1.0]), None);
+    }
+
+    /// Nominal 95 % intervals of means of 30 normal numbers hold the true mean in roughly that share of trials.
+    #[test]
+    fn intervals_cover_the_true_mean() {
+        let trials = 300;
+        let mut covered = 0;
+        for trial in 0..trials {
+            let mut random = CounterRng::new(trial, Stage::Test, &[7]);
+            let values: Vec<f64> = (0..30).map(|_| 5.0 + random.normal()).collect();
+            let [low, high] = bootstrap(&values, 1).unwrap().interval.unwrap();
+            covered += usize::from(low <= 5.0 && 5.0 <= high);
+        }
+        let share = covered as f64 / trials as f64;
+        assert!((0.90..=0.98).contains(&share), "{share}");
+    }
+
+    #[test]
+    fn blocks_widen_the_interval_of_a_slow_series() {
+        let values: Vec<f64> = (0..100).map(|i| (i as f64 * 0.06).sin()).collect();
+        let width = |m: MeanInterval| m.interval.map(|[low, high]| high - low).unwrap();
+        let (independent, series) = (bootstrap(&values, 3).unwrap(), bootstrap_series(&values, 3).unwrap());
+        assert!(width(series) > 1.5 * width(independent));
+        assert_eq!(bootstrap(&[2.0], 1).unwrap().interval, None);
+    }
+}

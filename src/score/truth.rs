@@ -1,0 +1,48 @@
+//! What scoring asks of a sequence.
+
+use crate::base::mesh::interpolate;
+use crate::base::{Camera, Error, Image, Result, TriangleMesh};
+use crate::simulate::sequence::FrameRecord;
+
+/// A sequence with its ground truth.
+pub trait Truth: Sync {
+    /// Which case was filmed.
+    fn case_id(&self) -> &str;
+
+    /// Content hash of everything that determines the sequence.
+    fn hash(&self) -> &str;
+
+    /// Intrinsics of all frames.
+    fn camera(&self) -> &Camera;
+
+    /// Time, phase and pose of every frame.
+    fn frames(&self) -> &[FrameRecord];
+
+    /// 8-bit sRGB image of a frame.
+    fn image(&self, frame: usize) -> Result<Image<u8>>;
+
+    /// True z-depth of a frame in mm, 0 where nothing was hit.
+    fn depth_mm(&self, frame: usize) -> Result<Image<f32>>;
+
+    /// Surface at full inspiration.
+    fn inspiration(&self) -> Result<TriangleMesh>;
+
+    /// Surface at full expiration, same faces.
+    fn expiration(&self) -> Result<TriangleMesh>;
+}
+
+/// The true surface at the last frame: the end states blended by the true phase.
+pub fn final_mesh(truth: &dyn Truth) -> Result<TriangleMesh> {
+    let last = truth.frames().last().ok_or_else(|| Error::input("the sequence has no frames"))?;
+    let (inspiration, expiration) = (truth.inspiration()?, truth.expiration()?);
+    if inspiration.vertices.len() != expiration.vertices.len() {
+        return Err(Error::input(format!(
+            "the end states of case {} have {} and {} vertices",
+            truth.case_id(),
+            inspiration.vertices.len(),
+            expiration.vertices.len()
+        )));
+    }
+    let vertices = interpolate(&inspiration.vertices, &expiration.vertices, last.phase);
+    Ok(TriangleMesh { vertices, faces: inspiration.faces })
+}

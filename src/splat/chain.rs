@@ -1,0 +1,147 @@
+//! From the moments of one splat to the gradients of its Gaussian and of the camera: the reverse of `project.rs`, with
+//! its symbols. The projection is computed again rather than stored.
+
+use super::kernel::moment;
+use super::project::{Geometry, Projector, Row, color, columns, dot, normalized, rotation_columns};
+use super::real::Real;
+use super::sh;
+use super::types::{Gaussians, Shape, Wanted};
+
+/// Gradients of one Gaussian.
+pub(super) struct One<T> {
+    pub position: [T; 3],
+    pub opacity: T,
+    pub sh: [[T; 3]; 16],
+    /// With respect to the columns of the square root of the covariance, world axes.
+    pub columns: [[T; 3]; 3],
+    pub pose: [T; 6],
+}
+
+fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// Gradient of the covariance on screen `(va, vb; vb, vc)` from that of the conic: `-Q G Q`.
+fn covariance_gradient<T: Real>(g: &Geometry<T>, m: &Row<T>) -> [T; 3] {
+    let half = T::of(0.5);
+    let [a, b, c] = g.conic;
+    let (ga, gb, gc) = (-half * m[moment::XX], -half * m[moment::XY], -half * m[moment::YY]);
+    let (e0, e1) = (a * ga + b * gb, a * gb + b * gc);
+    let (e2, e3) = (b * ga + c * gb, b * gb + c * gc);
+    [-(e0 * a + e1 * b), -(e0 * b + e1 * c), -(e2 * b + e3 * c)]
+}
+
+/// Gradient of the SH coefficients, and of the view direction (as if it were free).
+fn color_gradient<T: Real>(gaussians: &Gaussians<T>, i: usize, g: &Geometry<T>, m: &Row<T>) -> ([[T; 3]; 16], [T; 3]) {
+    let shown = color(gaussians, i, g.direction);
+    let v = [0, 1, 2].map(|k| if shown[k] > T::zero() { m[moment::RED + k] } else { T::zero() });
+    let basis = sh::basis(g.direction, gaussians.sh_degree);
+    let stride = gaussians.sh_stride();
+    let mut weights = [T::zero(); 16];
+    for (weight, rgb) in weights.iter_mut().zip(gaussians.sh[i * stride..(i + 1) * stride].chunks_exact(3)) {
+        *weight = rgb[0] * v[0] + rgb[1] * v[1] + rgb[2] * v[2];
+    }
+    (basis.map(|b| v.map(|k| b * k)), sh::basis_pullback(g.direction, gaussians.sh_degree, &weights))
+}
+
+/// Gradients of Gaussian `i` from the moments `m` of its splat; `None` where a number is not finite.
+pub(super) fn gradients_of_one<T: Real>(
+    projector: &Projector<T>,
+    gaussians: &Gaussians<T>,
+    i: usize,
+    m: &Row<T>,
+    wanted: Wanted,
+) -> Option<One<T>> {
+    let g = projector.geometry(gaussians.positions[i], columns(&gaussians.shape, i))?;
+    let mut one = One {
+        position: [T::zero(); 3],
+        opacity: m[moment::S] / gaussians.opacities[i],
+        sh: [[T::zero(); 3]; 16],
+        columns: [[T::zero(); 3]; 3],
+        pose: [T::zero(); 6],
+    };
+    let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE);
+    let mut by_direction = [T::zero(); 3];
+    if wanted.any(Wanted::SH) || (through_position && gaussians.sh_degree > 0) {
+        let (sh, direction) = color_gradient(gaussians, i, &g, m);
+        one.sh = sh;
+        // Through the normalisation of the direction.
+        let along = dot(direction, g.direction);
+        by_direction = [0, 1, 2].map(|k| (direction[k] - along * g.direction[k]) / g.distance);
+    }
+    if through_position || wanted.any(Wanted::SHAPES) {
+        let [va, vb, vc] = covariance_gradient(&g, m);
+        let two = T::of(2.0);
+        let by_u = g.u.map(|[x, y]| [two * (va * x + vb * y), two * (vb * x + vc * y)]);
+        let j = &g.jacobian;
+        let by_c = by_u.map(|v| [0, 1, 2].map(|k| j[0][k] * v[0] + j[1][k] * v[1]));
+        if wanted.any(Wanted::SHAPES) {
+            one.columns = by_c.map(|v| projector.turn_back(v));
+        }
+        if through_position {
+            let mut by_jacobian = [[T::zero(); 3]; 2];
+            for (v, c) in by_u.iter().zip(&g.c) {
+                for (row, weight) in by_jacobian.iter_mut().zip(v) {
+                    for (entry, part) in row.iter_mut().zip(c) {
+                        *entry += *weight * *part;
+                    }
+                }
+            }
+            let (sx, sy) = (m[moment::X], m[moment::Y]);
+            let by_point = [g.conic[0] * sx + g.conic[1] * sy, g.conic[1] * sx + g.conic[2] * sy];
+            let mut by_t = projector.lens_pullback(g.t, by_point, by_jacobian);
+            by_t[2] += m[moment::DEPTH];
+            let back = projector.turn_back(by_t);
+            one.position = [0, 1, 2].map(|k| back[k] + by_direction[k]);
+            if wanted.any(Wanted::POSE) {
+                one.pose = pose_gradient(projector, &g, by_t, &by_c, by_direction);
+            }
+        }
+    }
+    let sum = one.opacity
+        + dot(one.position, [T::one(); 3])
+        + one.columns.iter().flatten().chain(one.sh.iter().flatten()).chain(&one.pose).fold(T::zero(), |s, &v| s + v);
+    sum.is_finite().then_some(one)
+}
+
+/// A motion of the camera turns and shifts the centre and turns the columns in camera axes; turning leaves the eye.
+fn pose_gradient<T: Real>(
+    projector: &Projector<T>,
+    g: &Geometry<T>,
+    by_t: [T; 3],
+    by_c: &[[T; 3]; 3],
+    by_direction: [T; 3],
+) -> [T; 6] {
+    let mut turn = cross(g.t, by_t);
+    for (c, v) in g.c.iter().zip(by_c) {
+        let moment = cross(*c, *v);
+        for k in 0..3 {
+            turn[k] += moment[k];
+        }
+    }
+    let eye = projector.turn(by_direction);
+    [turn[0], turn[1], turn[2], by_t[0] + eye[0], by_t[1] + eye[1], by_t[2] + eye[2]]
+}
+
+/// Gradients of quaternion and scales of ellipsoid `i` from that of its columns.
+pub(super) fn ellipsoid_gradient<T: Real>(shape: &Shape<T>, i: usize, by_columns: &[[T; 3]; 3]) -> ([T; 4], [T; 3]) {
+    let Shape::Ellipsoids { rotations, scales } = shape else { return ([T::zero(); 4], [T::zero(); 3]) };
+    let (q, inverse_length) = normalized(rotations[i]);
+    let axes = rotation_columns(q);
+    let by_scale = [0, 1, 2].map(|k| dot(by_columns[k], axes[k]));
+    // r[column][row] = dL/dR
+    let r = [0, 1, 2].map(|k| by_columns[k].map(|v| v * scales[i][k]));
+    let [w, x, y, z] = q;
+    let two = T::of(2.0);
+    let by_q = [
+        two * (z * (r[0][1] - r[1][0]) + y * (r[2][0] - r[0][2]) + x * (r[1][2] - r[2][1])),
+        two * (y * (r[1][0] + r[0][1]) + z * (r[2][0] + r[0][2]) - two * x * (r[1][1] + r[2][2])
+            + w * (r[1][2] - r[2][1])),
+        two * (x * (r[1][0] + r[0][1]) + z * (r[2][1] + r[1][2]) - two * y * (r[0][0] + r[2][2])
+            + w * (r[2][0] - r[0][2])),
+        two * (x * (r[2][0] + r[0][2]) + y * (r[2][1] + r[1][2]) - two * z * (r[0][0] + r[1][1])
+            + w * (r[0][1] - r[1][0])),
+    ];
+    let along = by_q[0] * w + by_q[1] * x + by_q[2] * y + by_q[3] * z;
+    ([0, 1, 2, 3].map(|k| (by_q[k] - along * q[k]) * inverse_length), by_scale)
+}

@@ -1,0 +1,351 @@
+//! Projection of one Gaussian to one splat, after EWA splatting (Zwicker et al., 2001) as 3DGS (Kerbl et al., 2023)
+//! and gsplat do it.
+//!
+//! Symbols: `p` centre, `m_k` columns of the square root of the covariance (`R_k s_k` of an ellipsoid, the two axes of
+//! a disc), `R`, `eye` camera, `t = R (p - eye)`, `c_k = R m_k`, `J` Jacobian of the projection at `t`, `u_k = J c_k`,
+//! covariance on screen `sum u_k u_k^T + dilation I`, conic `(A, B, C)` its inverse.
+//! The Jacobian of a pinhole is taken at `t` clamped to 1.3 times the half field of view, as in 3DGS.
+//! A splat reaches as far as its alpha is 1/255 or more, whatever its opacity.
+
+use std::f64::consts::LOG2_E;
+
+use crate::base::{Error, Result};
+
+use super::dual::Dual;
+use super::real::Real;
+use super::sh;
+use super::types::{Gaussians, Settings, Shape, View};
+
+/// Where a splat's numbers stand in its row of 16.
+pub(super) mod at {
+    /// Image point of the centre (pixels).
+    pub const X: usize = 0;
+    pub const Y: usize = 1;
+    /// `exponent = LOG2_OPACITY - (A dx^2 + B dx dy + C dy^2)`, alpha is 2 to that.
+    pub const A: usize = 2;
+    pub const B: usize = 3;
+    pub const C: usize = 4;
+    pub const LOG2_OPACITY: usize = 5;
+    /// Colour towards the eye.
+    pub const RED: usize = 6;
+    pub const DEPTH: usize = 9;
+    /// Half size of the bounding box of alpha >= 1/255 (pixels).
+    pub const HALF_WIDTH: usize = 10;
+    pub const HALF_HEIGHT: usize = 11;
+    /// `B^2 - 4 A C`, computed without cancellation.
+    pub const DISCRIMINANT: usize = 12;
+}
+
+/// One splat.
+pub(super) type Row<T> = [T; 16];
+
+/// `log2(255)`: how far below 1 an alpha of 1/255 lies.
+pub(super) const LOG2_255: f64 = 7.994353436858858;
+
+/// Image point, Jacobian rows, and whether x and y were clamped in the Jacobian.
+struct Lens<T> {
+    point: [T; 2],
+    jacobian: [[T; 3]; 2],
+}
+
+/// One view, ready to project.
+pub(super) struct Projector<T> {
+    pub rotation: [[T; 3]; 3],
+    pub eye: [T; 3],
+    focal: [T; 2],
+    center: [T; 2],
+    limit: [T; 2],
+    size: [T; 2],
+    near: T,
+    dilation: T,
+    fisheye: Option<[T; 4]>,
+}
+
+/// What the projection of one Gaussian passes through; its backward starts here.
+pub(super) struct Geometry<T> {
+    /// Centre in camera axes.
+    pub t: [T; 3],
+    /// Columns in camera axes and on screen.
+    pub c: [[T; 3]; 3],
+    pub u: [[T; 2]; 3],
+    pub jacobian: [[T; 3]; 2],
+    pub point: [T; 2],
+    /// Covariance on screen and the inverse's `(A, B, C)`.
+    pub covariance: [T; 3],
+    pub conic: [T; 3],
+    pub inverse_determinant: T,
+    /// Unit vector from the eye, and the distance.
+    pub direction: [T; 3],
+    pub distance: T,
+}
+
+pub(super) fn dot<T: Real>(a: [T; 3], b: [T; 3]) -> T {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Columns of the rotation of a unit quaternion `w x y z`.
+pub(super) fn rotation_columns<T: Real>([w, x, y, z]: [T; 4]) -> [[T; 3]; 3] {
+    let (one, two) = (T::one(), T::of(2.0));
+    [
+        [one - two * (y * y + z * z), two * (x * y + w * z), two * (x * z - w * y)],
+        [two * (x * y - w * z), one - two * (x * x + z * z), two * (y * z + w * x)],
+        [two * (x * z + w * y), two * (y * z - w * x), one - two * (x * x + y * y)],
+    ]
+}
+
+/// A quaternion divided by its length, and 1 / length.
+pub(super) fn normalized<T: Real>(q: [T; 4]) -> ([T; 4], T) {
+    let inverse = T::one() / (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
+    (q.map(|v| v * inverse), inverse)
+}
+
+/// Square root of the covariance of Gaussian `i`, column by column (the third of a disc is 0).
+pub(super) fn columns<T: Real>(shape: &Shape<T>, i: usize) -> [[T; 3]; 3] {
+    match shape {
+        Shape::Ellipsoids { rotations, scales } => {
+            let mut columns = rotation_columns(normalized(rotations[i]).0);
+            for (column, scale) in columns.iter_mut().zip(scales[i]) {
+                *column = column.map(|v| v * scale);
+            }
+            columns
+        }
+        Shape::Discs { axes } => [axes[i][0], axes[i][1], [T::zero(); 3]],
+    }
+}
+
+impl<T: Real> Projector<T> {
+    pub fn new(view: &View, settings: &Settings) -> Result<Self> {
+        let camera = &view.camera;
+        camera.validate()?;
+        if camera.width > 16384 || camera.height > 16384 {
+            return Err(Error::input(format!(
+                "image of {}x{} pixels is larger than 16384",
+                camera.width, camera.height
+            )));
+        }
+        let transform = view.camera_from_world;
+        if !transform.is_finite() {
+            return Err(Error::input("camera pose is not finite"));
+        }
+        let scalars = [settings.near_mm, settings.dilation_px2];
+        let colors = settings.gain.iter().chain(&settings.background);
+        if !(settings.near_mm > 0.0 && settings.dilation_px2 >= 0.0)
+            || !scalars.iter().chain(colors).all(|v| v.is_finite())
+        {
+            return Err(Error::input("near must be positive, dilation not negative, gain and background finite"));
+        }
+        let m = transform.matrix3;
+        let eye = transform.inverse().translation;
+        let row = |i: usize| [T::of(m.x_axis[i]), T::of(m.y_axis[i]), T::of(m.z_axis[i])];
+        let (width, height) = (camera.width as f64, camera.height as f64);
+        Ok(Projector {
+            rotation: [row(0), row(1), row(2)],
+            eye: [T::of(eye.x), T::of(eye.y), T::of(eye.z)],
+            focal: [T::of(camera.fl_x), T::of(camera.fl_y)],
+            center: [T::of(camera.cx), T::of(camera.cy)],
+            limit: [T::of(1.3 * 0.5 * width / camera.fl_x), T::of(1.3 * 0.5 * height / camera.fl_y)],
+            size: [T::of(width), T::of(height)],
+            near: T::of(settings.near_mm),
+            dilation: T::of(settings.dilation_px2),
+            fisheye: camera.fisheye.map(|k| k.map(T::of)),
+        })
+    }
+
+    /// A vector in camera axes.
+    pub fn turn(&self, v: [T; 3]) -> [T; 3] {
+        self.rotation.map(|row| dot(row, v))
+    }
+
+    /// A vector in world axes.
+    pub fn turn_back(&self, v: [T; 3]) -> [T; 3] {
+        let r = &self.rotation;
+        [0, 1, 2].map(|k| r[0][k] * v[0] + r[1][k] * v[1] + r[2][k] * v[2])
+    }
+
+    fn lens(&self, t: [T; 3]) -> Lens<T> {
+        match self.fisheye {
+            None => self.pinhole(t),
+            Some(k) => fisheye(t, self.focal, self.center, k),
+        }
+    }
+
+    fn clamped(&self, t: [T; 3], rz: T) -> [T; 2] {
+        [0, 1].map(|k| (t[k] * rz).maximum(-self.limit[k]).minimum(self.limit[k]))
+    }
+
+    fn pinhole(&self, t: [T; 3]) -> Lens<T> {
+        let [fx, fy] = self.focal;
+        let rz = T::one() / t[2];
+        let [ux, uy] = self.clamped(t, rz);
+        Lens {
+            point: [fx * t[0] * rz + self.center[0], fy * t[1] * rz + self.center[1]],
+            jacobian: [[fx * rz, T::zero(), -fx * ux * rz], [T::zero(), fy * rz, -fy * uy * rz]],
+        }
+    }
+
+    /// Gradient with respect to `t` of a loss with gradients `point` and `jacobian`.
+    pub fn lens_pullback(&self, t: [T; 3], point: [T; 2], jacobian: [[T; 3]; 2]) -> [T; 3] {
+        match self.fisheye {
+            None => self.pinhole_pullback(t, point, jacobian),
+            Some(k) => {
+                // Second derivatives of the lens come from its Jacobian evaluated in dual numbers.
+                let focal = self.focal.map(Dual::constant);
+                let center = self.center.map(Dual::constant);
+                [0, 1, 2].map(|axis| {
+                    let moved = [0, 1, 2].map(|k| Dual::new(t[k], if k == axis { T::one() } else { T::zero() }));
+                    let lens = fisheye(moved, focal, center, k.map(Dual::constant));
+                    let mut sum = lens.point[0].derivative * point[0] + lens.point[1].derivative * point[1];
+                    for (row, weights) in lens.jacobian.iter().zip(jacobian) {
+                        for (entry, weight) in row.iter().zip(weights) {
+                            sum += entry.derivative * weight;
+                        }
+                    }
+                    sum
+                })
+            }
+        }
+    }
+
+    fn pinhole_pullback(&self, t: [T; 3], point: [T; 2], jacobian: [[T; 3]; 2]) -> [T; 3] {
+        let [fx, fy] = self.focal;
+        let rz = T::one() / t[2];
+        let u = self.clamped(t, rz);
+        let mut out = [fx * rz * point[0], fy * rz * point[1], T::zero()];
+        out[2] = -(fx * t[0] * point[0] + fy * t[1] * point[1]) * rz * rz;
+        // J00 = fx / z, J02 = -fx ux / z with ux = clamp(x / z).
+        out[2] -= rz * rz * (fx * jacobian[0][0] + fy * jacobian[1][1]);
+        out[2] += rz * rz * (fx * u[0] * jacobian[0][2] + fy * u[1] * jacobian[1][2]);
+        for (k, f) in [(0, fx), (1, fy)] {
+            let ratio = t[k] * rz;
+            if ratio == u[k] {
+                let slope = -f * rz * jacobian[k][2] * rz;
+                out[k] += slope;
+                out[2] -= slope * ratio;
+            }
+        }
+        out
+    }
+
+    /// Everything up to the conic; `None` before the near plane or where a number stops being finite.
+    pub fn geometry(&self, position: [T; 3], columns: [[T; 3]; 3]) -> Option<Geometry<T>> {
+        let offset = [0, 1, 2].map(|k| position[k] - self.eye[k]);
+        let t = self.turn(offset);
+        let in_front = t[2] >= self.near;
+        if !in_front {
+            return None;
+        }
+        let Lens { point, jacobian } = self.lens(t);
+        let c = columns.map(|m| self.turn(m));
+        let u = c.map(|column| jacobian.map(|row| dot(row, column)));
+        let sum = |a: usize, b: usize| u[0][a] * u[0][b] + u[1][a] * u[1][b] + u[2][a] * u[2][b];
+        let plain = [sum(0, 0), sum(0, 1), sum(1, 1)];
+        let d = self.dilation;
+        // Cauchy and Binet: the determinant as a sum of squares, so that thin splats keep their digits.
+        let cross = |a: usize, b: usize| u[a][0] * u[b][1] - u[a][1] * u[b][0];
+        let (k01, k02, k12) = (cross(0, 1), cross(0, 2), cross(1, 2));
+        let determinant = k01 * k01 + k02 * k02 + k12 * k12 + d * (plain[0] + plain[2]) + d * d;
+        let covariance = [plain[0] + d, plain[1], plain[2] + d];
+        let inverse_determinant = T::one() / determinant;
+        let conic = [
+            covariance[2] * inverse_determinant,
+            -covariance[1] * inverse_determinant,
+            covariance[0] * inverse_determinant,
+        ];
+        let distance = dot(offset, offset).sqrt();
+        let direction = offset.map(|v| v / distance);
+        let finite = conic.iter().chain(&point).chain(&direction).chain(&covariance).all(|v| v.is_finite());
+        if !finite || !inverse_determinant.is_finite() || determinant <= T::zero() {
+            return None;
+        }
+        Some(Geometry { t, c, u, jacobian, point, covariance, conic, inverse_determinant, direction, distance })
+    }
+
+    /// The splat of Gaussian `i`, `None` when it cannot be seen or is not finite.
+    pub fn project(&self, gaussians: &Gaussians<T>, i: usize) -> Option<Row<T>> {
+        let opacity = gaussians.opacities[i];
+        let log2_opacity = opacity.log2();
+        let reach = log2_opacity + T::of(LOG2_255);
+        if !opacity.is_finite() || !(reach > T::zero()) {
+            return None;
+        }
+        let g = self.geometry(gaussians.positions[i], columns(&gaussians.shape, i))?;
+        // Half axes of the box around `exponent >= -log2(255)`.
+        let k = T::of(2.0 / LOG2_E) * reach;
+        let half = [(k * g.covariance[0]).sqrt(), (k * g.covariance[2]).sqrt()];
+        for axis in 0..2 {
+            if !(g.point[axis] + half[axis] > T::zero() && g.point[axis] - half[axis] < self.size[axis]) {
+                return None;
+            }
+        }
+        let color = color(gaussians, i, g.direction);
+        if !color.iter().all(|v| v.is_finite()) {
+            return None;
+        }
+        let mut row = [T::zero(); 16];
+        row[at::X] = g.point[0];
+        row[at::Y] = g.point[1];
+        row[at::A] = T::of(0.5 * LOG2_E) * g.conic[0];
+        row[at::B] = T::of(LOG2_E) * g.conic[1];
+        row[at::C] = T::of(0.5 * LOG2_E) * g.conic[2];
+        row[at::LOG2_OPACITY] = log2_opacity;
+        for k in 0..3 {
+            row[at::RED + k] = color[k].maximum(T::zero());
+        }
+        row[at::DEPTH] = g.t[2];
+        row[at::HALF_WIDTH] = half[0];
+        row[at::HALF_HEIGHT] = half[1];
+        row[at::DISCRIMINANT] = T::of(-LOG2_E * LOG2_E) * g.inverse_determinant;
+        Some(row)
+    }
+}
+
+/// Colour of Gaussian `i` seen along `direction`, before the clamp at 0.
+pub(super) fn color<T: Real>(gaussians: &Gaussians<T>, i: usize, direction: [T; 3]) -> [T; 3] {
+    let stride = gaussians.sh_stride();
+    let basis = sh::basis(direction, gaussians.sh_degree);
+    let mut color = [T::of(0.5); 3];
+    for (weight, rgb) in basis.iter().zip(gaussians.sh[i * stride..(i + 1) * stride].chunks_exact(3)) {
+        for k in 0..3 {
+            color[k] += *weight * rgb[k];
+        }
+    }
+    color
+}
+
+/// OpenCV's fisheye model: `theta_d = theta (1 + k1 theta^2 + ..)`, image point `f (x, y) theta_d / r + c`, and its
+/// Jacobian. No clamp: the model itself bounds the angle.
+fn fisheye<T: Real>([x, y, z]: [T; 3], focal: [T; 2], center: [T; 2], [k1, k2, k3, k4]: [T; 4]) -> Lens<T> {
+    let (rr, one) = (x * x + y * y, T::one());
+    let zz = z * z;
+    let w_plain = one / (rr + zz);
+    // s = theta_d / r; ds/dx = x q; ds/dz = -w.
+    let (s, q, w) = if rr > T::of(1e-5) * zz {
+        let r = rr.sqrt();
+        let theta = r.atan2(z);
+        let t2 = theta * theta;
+        let distorted = theta * (one + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))));
+        let slope =
+            one + t2 * (T::of(3.0) * k1 + t2 * (T::of(5.0) * k2 + t2 * (T::of(7.0) * k3 + t2 * T::of(9.0) * k4)));
+        let s = distorted / r;
+        (s, (slope * z * w_plain - s) / rr, slope * w_plain)
+    } else {
+        // Series in r / z: the closed form divides 0 by 0 here.
+        let rz = one / z;
+        let a = k1 - T::of(1.0 / 3.0);
+        let b = k2 - k1 + T::of(0.2);
+        let ratio = rr * rz * rz;
+        let cube = rz * rz * rz;
+        let s = rz * (one + ratio * (a + ratio * b));
+        let q = cube * (T::of(2.0) * a + T::of(4.0) * ratio * b);
+        let w = rz * rz * (one + ratio * (T::of(3.0) * a + T::of(5.0) * ratio * b));
+        (s, q, w)
+    };
+    let [fx, fy] = focal;
+    Lens {
+        point: [fx * x * s + center[0], fy * y * s + center[1]],
+        jacobian: [
+            [fx * (s + x * x * q), fx * x * y * q, -fx * x * w],
+            [fy * x * y * q, fy * (s + y * y * q), -fy * y * w],
+        ],
+    }
+}

@@ -1,0 +1,121 @@
+//! Numbers that the rasteriser computes with: `f32` for work, `f64` to be checked against, [`super::Dual`] of either
+//! for forward-mode derivatives. One generic source serves all of them.
+
+use std::fmt::Debug;
+use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
+
+use crate::ffi::splat::Isa;
+
+use super::kernel::{BackwardTile, ForwardTile};
+
+/// A real number.
+pub trait Real:
+    Copy
+    + Debug
+    + Default
+    + PartialEq
+    + PartialOrd
+    + Send
+    + Sync
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + AddAssign
+    + SubAssign
+    + MulAssign
+    + 'static
+{
+    /// The nearest number to `value`.
+    fn of(value: f64) -> Self;
+    /// The value (without any derivative) as `f64`.
+    fn to_f64(self) -> f64;
+    /// Square root.
+    fn sqrt(self) -> Self;
+    /// `2^self`.
+    fn exp2(self) -> Self;
+    /// `e^self`.
+    fn exp(self) -> Self;
+    /// Logarithm to base 2.
+    fn log2(self) -> Self;
+    /// Angle of the vector `(x, self)`.
+    fn atan2(self, x: Self) -> Self;
+    /// Neither infinite nor NaN.
+    fn is_finite(self) -> bool;
+
+    /// Zero.
+    fn zero() -> Self {
+        Self::of(0.0)
+    }
+
+    /// One.
+    fn one() -> Self {
+        Self::of(1.0)
+    }
+
+    /// The smaller of two numbers, `other` where `self` is NaN.
+    fn minimum(self, other: Self) -> Self {
+        if self < other { self } else { other }
+    }
+
+    /// The larger of two numbers, `other` where `self` is NaN.
+    fn maximum(self, other: Self) -> Self {
+        if self > other { self } else { other }
+    }
+
+    /// Composites one tile with a vectorised kernel; `false` when there is none for this type.
+    fn forward_tile(_isa: Isa, _tile: &mut ForwardTile<'_, Self>) -> bool {
+        false
+    }
+
+    /// Backward of [`Real::forward_tile`].
+    fn backward_tile(_isa: Isa, _tile: &mut BackwardTile<'_, Self>) -> bool {
+        false
+    }
+}
+
+macro_rules! real_functions {
+    ($t:ty) => {
+        fn of(value: f64) -> Self {
+            value as $t
+        }
+        fn to_f64(self) -> f64 {
+            self as f64
+        }
+        fn sqrt(self) -> Self {
+            <$t>::sqrt(self)
+        }
+        fn exp2(self) -> Self {
+            <$t>::exp2(self)
+        }
+        fn exp(self) -> Self {
+            <$t>::exp(self)
+        }
+        fn log2(self) -> Self {
+            <$t>::log2(self)
+        }
+        fn atan2(self, x: Self) -> Self {
+            <$t>::atan2(self, x)
+        }
+        fn is_finite(self) -> bool {
+            <$t>::is_finite(self)
+        }
+    };
+}
+
+impl Real for f64 {
+    real_functions!(f64);
+}
+
+impl Real for f32 {
+    real_functions!(f32);
+
+    fn forward_tile(isa: Isa, tile: &mut ForwardTile<'_, f32>) -> bool {
+        super::kernel::vector_forward(isa, tile)
+    }
+
+    fn backward_tile(isa: Isa, tile: &mut BackwardTile<'_, f32>) -> bool {
+        super::kernel::vector_backward(isa, tile)
+    }
+}

@@ -1,0 +1,243 @@
+//! What goes in and what comes out: Gaussians, view, settings, images, gradients.
+
+use std::ops::BitOr;
+
+use glam::DAffine3;
+
+use crate::base::{Camera, Error, Result};
+
+use super::real::Real;
+
+/// How the spread of each Gaussian is given.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shape<T> {
+    /// Standard 3DGS: covariance `R diag(s)^2 R^T`.
+    Ellipsoids {
+        /// Quaternions `w x y z`; any length but 0, normalised inside (gradients are through the normalisation).
+        rotations: Vec<[T; 4]>,
+        /// Standard deviations in mm (linear, not logarithms).
+        scales: Vec<[T; 3]>,
+    },
+    /// Flat discs: covariance `a a^T + b b^T`. The two axes need not be perpendicular, so that a disc can be carried
+    /// by any affine map.
+    Discs {
+        /// The two axes of each disc, in mm.
+        axes: Vec<[[T; 3]; 2]>,
+    },
+}
+
+/// A set of Gaussians, structure of arrays.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gaussians<T> {
+    /// Centres in mm.
+    pub positions: Vec<[T; 3]>,
+    /// Their spread.
+    pub shape: Shape<T>,
+    /// Opacities in 0..1.
+    pub opacities: Vec<T>,
+    /// Spherical harmonics, `n * (degree + 1)^2 * 3`, Gaussian by Gaussian, coefficient by coefficient, RGB
+    /// interleaved; basis and signs of Inria's 3DGS; colour = `max(0, sum + 0.5)`.
+    pub sh: Vec<T>,
+    /// 0 to 3.
+    pub sh_degree: u8,
+}
+
+impl<T: Real> Gaussians<T> {
+    /// `n` discs at the origin, black to grey: to be filled by [`super::Anchors::place`].
+    pub fn discs(n: usize, sh_degree: u8, opacity: T) -> Self {
+        let coefficients = (sh_degree as usize + 1).pow(2);
+        Gaussians {
+            positions: vec![[T::zero(); 3]; n],
+            shape: Shape::Discs { axes: vec![[[T::zero(); 3]; 2]; n] },
+            opacities: vec![opacity; n],
+            sh: vec![T::zero(); n * coefficients * 3],
+            sh_degree,
+        }
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// True when there is none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Values of `sh` that belong to one Gaussian.
+    pub fn sh_stride(&self) -> usize {
+        (self.sh_degree as usize + 1).pow(2) * 3
+    }
+
+    /// The same Gaussians in another number type.
+    pub fn cast<U: Real>(&self) -> Gaussians<U> {
+        let one = |v: T| U::of(v.to_f64());
+        let three = |v: &[T; 3]| v.map(one);
+        Gaussians {
+            positions: self.positions.iter().map(three).collect(),
+            shape: match &self.shape {
+                Shape::Ellipsoids { rotations, scales } => Shape::Ellipsoids {
+                    rotations: rotations.iter().map(|q| q.map(one)).collect(),
+                    scales: scales.iter().map(three).collect(),
+                },
+                Shape::Discs { axes } => Shape::Discs { axes: axes.iter().map(|a| a.map(|v| v.map(one))).collect() },
+            },
+            opacities: self.opacities.iter().map(|&v| one(v)).collect(),
+            sh: self.sh.iter().map(|&v| one(v)).collect(),
+            sh_degree: self.sh_degree,
+        }
+    }
+
+    /// Errors when the arrays do not belong together.
+    pub fn validate(&self) -> Result<()> {
+        let n = self.len();
+        let shapes = match &self.shape {
+            Shape::Ellipsoids { rotations, scales } => rotations.len() == n && scales.len() == n,
+            Shape::Discs { axes } => axes.len() == n,
+        };
+        if self.sh_degree > 3 {
+            return Err(Error::input(format!("SH degree {} is more than 3", self.sh_degree)));
+        }
+        if !shapes || self.opacities.len() != n || self.sh.len() != n * self.sh_stride() {
+            return Err(Error::input("the arrays of the Gaussians differ in length"));
+        }
+        Ok(())
+    }
+}
+
+/// Where from, and through which lens.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// Intrinsics.
+    pub camera: Camera,
+    /// Rigid transform into the axes of the camera.
+    pub camera_from_world: DAffine3,
+}
+
+impl View {
+    /// The view of a camera that stands at `world_from_camera`.
+    pub fn new(camera: Camera, world_from_camera: DAffine3) -> Self {
+        View { camera, camera_from_world: world_from_camera.inverse() }
+    }
+}
+
+/// Whether the expected depth is composited too (it costs about a twentieth of the forward pass).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DepthOutput {
+    /// `Rendered::depth` stays 0.
+    Skip,
+    /// Mean z-depth weighted by contribution, divided by alpha.
+    Expected,
+}
+
+/// How to render.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Gaussians with a centre nearer than this z-depth are left out.
+    pub near_mm: f64,
+    /// Added to the diagonal of the projected covariance (px^2): the screen-space filter of 3DGS.
+    pub dilation_px2: f64,
+    /// Multiplies the finished image per channel (exposure).
+    pub gain: [f64; 3],
+    /// Colour behind everything (before the gain).
+    pub background: [f64; 3],
+    /// Whether depth is wanted.
+    pub depth: DepthOutput,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Settings { near_mm: 0.2, dilation_px2: 0.3, gain: [1.0; 3], background: [0.0; 3], depth: DepthOutput::Expected }
+    }
+}
+
+/// The images of one forward pass.
+#[derive(Clone, Debug, Default)]
+pub struct Rendered<T> {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// `height * width * 3`, with background and gain.
+    pub color: Vec<T>,
+    /// `height * width`: expected z-depth in mm, divided by alpha; 0 where alpha is 0.
+    pub depth: Vec<T>,
+    /// `height * width`: 1 minus what is left of the light from behind.
+    pub alpha: Vec<T>,
+    /// One flag per active Gaussian (in the order of `active`): its ellipse of alpha >= 1/255 touches the image.
+    pub visible: Vec<bool>,
+    /// How many flags are set.
+    pub visible_count: usize,
+    /// Pairs of Gaussian and 16x16 tile whose bounding boxes meet.
+    pub intersections: usize,
+}
+
+/// Derivatives of a loss with respect to the images of the last forward pass. An empty slice is all zeros.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ImageGradient<'a, T> {
+    /// Like `Rendered::color`.
+    pub color: &'a [T],
+    /// Like `Rendered::depth`.
+    pub depth: &'a [T],
+    /// Like `Rendered::alpha`.
+    pub alpha: &'a [T],
+}
+
+/// Groups of parameters whose gradients are wanted; the others cost nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct Wanted(u8);
+
+impl Wanted {
+    /// Nothing.
+    pub const NONE: Wanted = Wanted(0);
+    /// Centres.
+    pub const POSITIONS: Wanted = Wanted(1);
+    /// Spread: rotations and scales of ellipsoids, axes of discs.
+    pub const SHAPES: Wanted = Wanted(2);
+    /// Opacities.
+    pub const OPACITIES: Wanted = Wanted(4);
+    /// Spherical harmonics.
+    pub const SH: Wanted = Wanted(8);
+    /// The camera.
+    pub const POSE: Wanted = Wanted(16);
+    /// Exposure.
+    pub const GAIN: Wanted = Wanted(32);
+    /// Everything.
+    pub const ALL: Wanted = Wanted(63);
+
+    /// True when `self` has any group of `other`.
+    pub fn any(self, other: Wanted) -> bool {
+        self.0 & other.0 != 0
+    }
+}
+
+impl BitOr for Wanted {
+    type Output = Wanted;
+    fn bitor(self, other: Wanted) -> Wanted {
+        Wanted(self.0 | other.0)
+    }
+}
+
+/// Gradients of a loss. **Entry `k` belongs to the `k`-th *active* Gaussian** of the last forward pass (to Gaussian
+/// `k` when all were active), so that nothing is done for the inactive. Groups that were not wanted are empty.
+#[derive(Clone, Debug, Default)]
+pub struct Gradients<T> {
+    /// Of the centres, through projection, its Jacobian and the view direction of the SH.
+    pub positions: Vec<[T; 3]>,
+    /// Of the quaternions as given (through the normalisation); ellipsoids only.
+    pub rotations: Vec<[T; 4]>,
+    /// Of the linear scales; ellipsoids only.
+    pub scales: Vec<[T; 3]>,
+    /// Of the disc axes; discs only.
+    pub axes: Vec<[[T; 3]; 2]>,
+    /// Of the opacities.
+    pub opacities: Vec<T>,
+    /// Of the SH coefficients, laid out as in [`Gaussians`].
+    pub sh: Vec<T>,
+    /// Of a small motion of the camera, `camera_from_world <- exp(xi) camera_from_world` with
+    /// `xi = (omega, tau)`: rotation vector (rad) and translation (mm) in camera axes.
+    pub pose: [f64; 6],
+    /// Of the gain per channel.
+    pub gain: [f64; 3],
+}

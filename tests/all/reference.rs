@@ -1,0 +1,91 @@
+//! Reference data that we did not make (`../shared`), and measures between images.
+
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use respire_bench::base::{Image, TriangleMesh};
+
+/// A folder below `../shared`.
+pub struct Reference(PathBuf);
+
+impl Reference {
+    /// `None`, said loudly, where the folder is absent: the reference data is not part of the repository.
+    pub fn open(folder: &str) -> Option<Self> {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared").join(folder);
+        present(&path).then_some(Reference(path))
+    }
+
+    /// A text file of it.
+    pub fn text(&self, file: &str) -> Option<String> {
+        let path = self.0.join(file);
+        present(&path).then(|| std::fs::read_to_string(path).unwrap())
+    }
+
+    /// A float32 array of shape (height, width, 3).
+    pub fn npy_rgb(&self, file: &str) -> Option<Image<f32>> {
+        let path = self.0.join(file);
+        present(&path).then(|| {
+            let array = npyz::NpyFile::new(std::io::BufReader::new(std::fs::File::open(path).unwrap())).unwrap();
+            let shape = array.shape().to_vec();
+            assert_eq!((shape.len(), shape[2]), (3, 3));
+            let (height, width) = (shape[0] as usize, shape[1] as usize);
+            Image { width, height, channels: 3, data: array.into_vec::<f32>().unwrap() }
+        })
+    }
+
+    /// A binary PLY of float vertices and triangles.
+    pub fn ply(&self, file: &str) -> Option<TriangleMesh> {
+        let path = self.0.join(file);
+        present(&path).then(|| {
+            let bytes = std::fs::read(path).unwrap();
+            let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+            let header = String::from_utf8_lossy(&bytes[..end]).into_owned();
+            let count = |key: &str| -> usize {
+                header.lines().find_map(|l| l.strip_prefix(key)).unwrap().trim().parse().unwrap()
+            };
+            let word = |at: usize| -> [u8; 4] { bytes[at..at + 4].try_into().unwrap() };
+            let (vertices, faces) = (count("element vertex"), count("element face"));
+            let after = end + 12 * vertices;
+            TriangleMesh {
+                vertices: (0..vertices)
+                    .map(|v| DVec3::from_array([0, 4, 8].map(|c| f32::from_le_bytes(word(end + 12 * v + c)) as f64)))
+                    .collect(),
+                faces: (0..faces).map(|f| [1, 5, 9].map(|c| u32::from_le_bytes(word(after + 13 * f + c)))).collect(),
+            }
+        })
+    }
+}
+
+fn present(path: &Path) -> bool {
+    if !path.exists() {
+        println!("SKIPPED: {} is absent", path.display());
+    }
+    path.exists()
+}
+
+/// Mean over pixels and channels of `(image - truth)^2 / (truth^2 + 1e-4)`.
+pub fn relative_mse(image: &Image<f32>, truth: &Image<f32>) -> f64 {
+    assert!(image.same_shape(truth));
+    let error = |(&a, &b): (&f32, &f32)| ((a - b) as f64).powi(2) / ((b as f64).powi(2) + 1e-4);
+    image.data.iter().zip(&truth.data).map(error).sum::<f64>() / image.data.len() as f64
+}
+
+/// Relative differences of the means over `side` x `side` pixels, per block and channel.
+pub fn block_errors(image: &Image<f32>, truth: &Image<f32>, side: usize) -> Vec<f64> {
+    assert!(image.same_shape(truth));
+    let block_mean = |image: &Image<f32>, bx: usize, by: usize, c: usize| -> f64 {
+        let rows = by * side..(by + 1) * side;
+        rows.flat_map(|y| (bx * side..(bx + 1) * side).map(move |x| (x, y)))
+            .map(|(x, y)| image.pixel(x, y)[c] as f64)
+            .sum()
+    };
+    let mut errors = Vec::new();
+    for by in 0..image.height / side {
+        for bx in 0..image.width / side {
+            for c in 0..image.channels {
+                errors.push((block_mean(image, bx, by, c) / block_mean(truth, bx, by, c) - 1.0).abs());
+            }
+        }
+    }
+    errors
+}
