@@ -130,8 +130,22 @@ pub fn best_rotation(covariance: &DMat3, bound: f64) -> DMat3 {
 /// Adjugate and determinant of a symmetric 4x4 matrix, by 2x2 minors.
 fn minor_determinants(m: &[[f64; 4]; 4]) -> ([[f64; 4]; 4], f64) {
     let minor = |r0: usize, r1: usize, a: usize, b: usize| m[r0][a] * m[r1][b] - m[r0][b] * m[r1][a];
-    let s = [minor(0, 1, 0, 1), minor(0, 1, 0, 2), minor(0, 1, 0, 3), minor(0, 1, 1, 2), minor(0, 1, 1, 3), minor(0, 1, 2, 3)];
-    let c = [minor(2, 3, 0, 1), minor(2, 3, 0, 2), minor(2, 3, 0, 3), minor(2, 3, 1, 2), minor(2, 3, 1, 3), minor(2, 3, 2, 3)];
+    let s = [
+        minor(0, 1, 0, 1),
+        minor(0, 1, 0, 2),
+        minor(0, 1, 0, 3),
+        minor(0, 1, 1, 2),
+        minor(0, 1, 1, 3),
+        minor(0, 1, 2, 3),
+    ];
+    let c = [
+        minor(2, 3, 0, 1),
+        minor(2, 3, 0, 2),
+        minor(2, 3, 0, 3),
+        minor(2, 3, 1, 2),
+        minor(2, 3, 1, 3),
+        minor(2, 3, 2, 3),
+    ];
     let determinant = s[0] * c[5] - s[1] * c[4] + s[2] * c[3] + s[3] * c[2] - s[4] * c[1] + s[5] * c[0];
     let adjugate = [
         [

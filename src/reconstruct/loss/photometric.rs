@@ -168,7 +168,13 @@ impl<T: Scalar> Channel<T> {
             for i in y * width..(y + 1) * width {
                 let d = self.source[i] - self.target[i];
                 let w = weight(i) * l1_weight;
-                let sign = if d > zero { w } else if d < zero { zero - w } else { zero };
+                let sign = if d > zero {
+                    w
+                } else if d < zero {
+                    zero - w
+                } else {
+                    zero
+                };
                 self.gradient[i] = sign;
                 sum += sign * d;
             }
