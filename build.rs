@@ -6,6 +6,8 @@
 use std::env;
 use std::path::{Path, PathBuf};
 
+#[path = "build/native.rs"]
+mod native;
 #[path = "build/revision.rs"]
 mod revision;
 
@@ -27,10 +29,17 @@ fn main() {
     let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets CARGO_MANIFEST_DIR"));
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     let prefix = embree_prefix(&root);
-    bind_embree(prefix.as_deref(), &out);
-    compile_cpp(prefix.as_deref());
-    compile_splat_kernels();
-    link_embree(prefix.as_deref());
+    if native::is_inner_call() {
+        bind_embree(prefix.as_deref(), &out);
+        compile_cpp(prefix.as_deref());
+        compile_splat_kernels();
+        link_embree(prefix.as_deref());
+        return;
+    }
+    let mut native_sources = vec![root.join("cpp"), root.join("build.rs")];
+    native_sources.extend(BRIDGES.iter().map(|bridge| root.join(bridge)));
+    let compiler = ["CXX", "CXXFLAGS"].map(env::var_os);
+    native::once(&format!("{} {prefix:?} {compiler:?}", revision::of(&native_sources)), &out);
     name_compiler();
     revision::tell(&root);
     println!("cargo:rerun-if-changed=cpp");

@@ -16,6 +16,11 @@ pub fn tell(root: &Path) {
 }
 
 fn set(room: &str, paths: &[PathBuf]) {
+    println!("cargo:rustc-env=RESPIRE_BENCH_REVISION_{}={}", room.to_uppercase(), of(paths));
+}
+
+/// 16 hex digits for the code in files and folders.
+pub fn of(paths: &[PathBuf]) -> String {
     let mut files = Vec::new();
     paths.iter().for_each(|path| list(path, &mut files));
     files.sort();
@@ -25,7 +30,7 @@ fn set(room: &str, paths: &[PathBuf]) {
         let text = fs::read_to_string(file).expect("sources are readable UTF-8");
         code_lines(&text).for_each(|line| hash.add(line.as_bytes()));
     }
-    println!("cargo:rustc-env=RESPIRE_BENCH_REVISION_{}={:016x}", room.to_uppercase(), hash.0);
+    format!("{:016x}", hash.0)
 }
 
 fn list(path: &Path, files: &mut Vec<PathBuf>) {

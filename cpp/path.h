@@ -186,7 +186,7 @@ class PathIntegrator {
     // The relief's change along two edges of the rest triangle is its change along the deformed ones.
     float ring_slope;
     ring_profile(axial, std::max(t.look_.ring_spacing_mm, 0.1f), ring_slope);
-    const float ring_height = t.look_.rings * rings * 0.30f * ring_slope;
+    const float ring_height = t.look_.rings * rings * 0.45f * ring_slope;
     const float a0 = t.axial_mm_[face[0]];
     const float h1 = dot(m.height_gradient, rest1) + ring_height * (t.axial_mm_[face[1]] - a0);
     const float h2 = dot(m.height_gradient, rest2) + ring_height * (t.axial_mm_[face[2]] - a0);

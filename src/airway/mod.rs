@@ -6,6 +6,11 @@ pub mod field;
 pub mod field_calibre;
 pub mod field_check;
 pub mod field_fit;
+pub mod remesh;
+pub mod surface;
+pub mod surface_field;
+pub mod surface_polygon;
+pub mod tree;
 pub mod waveform;
 
 use glam::DVec3;

@@ -4,6 +4,7 @@
 //! line and a line in [`commands!`] below.
 
 mod doctor;
+mod render;
 mod terminal;
 mod watch;
 
@@ -35,6 +36,8 @@ macro_rules! commands {
 commands! {
     /// What is installed, which instruction set, which library versions
     Doctor => doctor,
+    /// Path-trace one scene file: linear EXR, depth EXR, timing JSON
+    Render => render,
 }
 
 /// How accurate is a method that reconstructs a breathing airway from bronchoscopy video, and what does it cost?

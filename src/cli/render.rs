@@ -15,8 +15,10 @@ use crate::render::{ISA, render_watched};
 
 /// Arguments of `render`.
 #[derive(Args)]
-#[command(after_help = "Writes image.exr (R, G, B: linear radiance, no clamp), depth.exr (Z: z-depth in mm, 0 = nothing)\n\
-    and timing.json into DIR.\nExample: respire-bench render scene.toml --out /tmp/view")]
+#[command(
+    after_help = "Writes image.exr (R, G, B: linear radiance, no clamp), depth.exr (Z: z-depth in mm, 0 = nothing)\n\
+    and timing.json into DIR.\nExample: respire-bench render scene.toml --out /tmp/view"
+)]
 pub struct Arguments {
     /// Scene file: mesh, camera, light, material, integrator
     #[arg(value_name = "SCENE.toml")]
@@ -63,6 +65,11 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     exr::write_rgb(&arguments.out.join("image.exr"), &frame.radiance)?;
     exr::write_channel(&arguments.out.join("depth.exr"), "Z", &frame.depth_mm)?;
     files::write_json(&arguments.out.join("timing.json"), &timing)?;
-    terminal.line(format!("{}: {} samples per pixel in {:.2} s", arguments.out.display(), timing.spp, timing.render_wall_s));
+    terminal.line(format!(
+        "{}: {} samples per pixel in {:.2} s",
+        arguments.out.display(),
+        timing.spp,
+        timing.render_wall_s
+    ));
     Ok(())
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer};
 use exr::meta::MetaData;
 use exr::meta::header::LayerAttributes;
-use exr::prelude::{ReadChannels, ReadLayers, SmallVec, Text, WritableImage};
+use exr::prelude::{ReadChannels, ReadLayers, SmallVec, WritableImage};
 
 use crate::base::{Error, Image, Result, files};
 
@@ -97,7 +97,7 @@ fn decode_unguarded(bytes: &[u8]) -> Result<Image<f32>> {
         .map_err(damaged)?;
     let layer = image.layer_data;
     let channels = layer.channel_data.list;
-    let find = |name: &str| channels.iter().find(|c| c.name == Text::from(name));
+    let find = |name: &str| channels.iter().find(|c| c.name == *name);
     let planes: Vec<&FlatSamples> = match (find("R"), find("G"), find("B")) {
         (Some(r), Some(g), Some(b)) => vec![&r.sample_data, &g.sample_data, &b.sample_data],
         _ if channels.len() == 1 => vec![&channels[0].sample_data],

@@ -17,7 +17,9 @@ const PASSES: u32 = 4;
 const KERNEL: [f32; 3] = [0.375, 0.25, 0.0625];
 /// Two points belong together up to this distance, as a part of their distance from the camera.
 const REACH: f32 = 0.15;
-/// The same for the distance from the other's tangent plane.
+/// The same as a multiple of the distance between neighbouring pixels' points.
+const SPACING_REACH: f32 = 3.0;
+/// Like `REACH`, for the distance from the other's tangent plane.
 const PLANE_REACH: f32 = 0.03;
 
 /// Geometry of every pixel.
@@ -26,8 +28,8 @@ pub struct Guides {
     height: usize,
     position: Vec<[f32; 3]>,
     normal: Vec<[f32; 3]>,
-    /// 1 / distance from the camera; 0 where nothing is hit.
-    nearness: Vec<f32>,
+    /// 1 / squared reach along the surface, 1 / squared reach off the tangent plane; zeros where nothing is hit.
+    stops: Vec<[f32; 2]>,
     /// What makes the light of a lamp at the camera about even: squared distance plus that of the nearest walls.
     falloff: Vec<f32>,
 }
@@ -37,30 +39,49 @@ impl Guides {
     pub fn new(width: usize, height: usize, directions: &[DVec3], depth_mm: &[f32], normals: &[[f32; 3]]) -> Self {
         let point = |(d, &z): (&DVec3, &f32)| (*d * (z as f64 / d.z)).to_array().map(|v| v as f32);
         let position: Vec<[f32; 3]> = directions.iter().zip(depth_mm).map(point).collect();
-        let nearness = position
-            .iter()
-            .map(|p| dot(*p, *p).sqrt())
-            .map(|distance| if distance > 0.0 { 1.0 / distance } else { 0.0 })
-            .collect();
+        let stops = (0..position.len()).map(|p| stops(&position, width, height, p)).collect();
         let falloff = falloff(&position);
         let unit = |n: &[f32; 3]| n.map(|v| v / dot(*n, *n).sqrt().max(1e-6));
-        Guides { width, height, position, normal: normals.iter().map(unit).collect(), nearness, falloff }
+        Guides { width, height, position, normal: normals.iter().map(unit).collect(), stops, falloff }
     }
 
     /// How far pixel `q` may speak for pixel `p`, in [0, 1].
     fn affinity(&self, p: usize, q: usize) -> f32 {
-        let (near, other) = (self.nearness[p], self.nearness[q]);
-        if near == 0.0 || other == 0.0 {
+        let [along, off] = self.stops[p];
+        if along == 0.0 || self.stops[q][0] == 0.0 {
             return 0.0;
         }
         let alike = dot(self.normal[p], self.normal[q]).max(0.0);
         let (a, b) = (self.position[p], self.position[q]);
         let apart: [f32; 3] = std::array::from_fn(|c| b[c] - a[c]);
-        let distance = dot(apart, apart) * (near / REACH).powi(2);
-        let plane = (dot(apart, self.normal[p]) * near / PLANE_REACH).powi(2);
-        let near_enough = 1.0 / (1.0 + distance + plane);
+        let from_plane = dot(apart, self.normal[p]);
+        let near_enough = 1.0 / (1.0 + dot(apart, apart) * along + from_plane * from_plane * off);
         alike.powi(8) * near_enough * near_enough
     }
+}
+
+fn stops(position: &[[f32; 3]], width: usize, height: usize, p: usize) -> [f32; 2] {
+    let here = position[p];
+    let square = dot(here, here);
+    if square == 0.0 {
+        return [0.0; 2];
+    }
+    // Far down a lumen neighbouring pixels are far apart: their distance (that of the nearest one, which lies on this
+    // side of an edge) counts as near.
+    let (x, y) = (p % width, p / width);
+    let mut spacing = f32::INFINITY;
+    for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+        let (Some(qx), Some(qy)) = (x.checked_add_signed(dx), y.checked_add_signed(dy)) else { continue };
+        if qx < width && qy < height {
+            let there = position[qy * width + qx];
+            let apart: [f32; 3] = std::array::from_fn(|c| there[c] - here[c]);
+            spacing = spacing.min(dot(apart, apart));
+        }
+    }
+    let spacing = if spacing.is_finite() { spacing } else { 0.0 };
+    let along = REACH * REACH * square + SPACING_REACH * SPACING_REACH * spacing;
+    let off = PLANE_REACH * PLANE_REACH * square + 0.1 * SPACING_REACH * SPACING_REACH * spacing;
+    [1.0 / along, 1.0 / off]
 }
 
 fn falloff(position: &[[f32; 3]]) -> Vec<f32> {

@@ -11,7 +11,7 @@ mod denoise;
 mod frame;
 mod material;
 mod scene;
-// scene_file follows with formats::mesh
+pub mod scene_file;
 mod settings;
 
 pub use frame::{Frame, Statistics, render, render_watched};

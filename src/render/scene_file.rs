@@ -137,7 +137,7 @@ impl SceneFile {
         }
         self.camera.intrinsics()?;
         self.camera.pose()?;
-        self.material.validate()
+        self.material.settings(self.integrator.seed).map(|_| ())
     }
 
     /// Reads the mesh or meshes and builds the scene at its phase.
@@ -150,8 +150,8 @@ impl SceneFile {
             Ok(mesh)
         };
         let inspiration = read(&self.mesh.path)?;
-        let mut scene = Scene::new(&inspiration, &[], self.material, self.integrator.seed)
-            .map_err(|e| e.at(&self.mesh.path))?;
+        let mut scene =
+            Scene::new(&inspiration, &[], self.material, self.integrator.seed).map_err(|e| e.at(&self.mesh.path))?;
         if let Some(path) = &self.mesh.expiration {
             let expiration = read(path)?;
             if expiration.faces != inspiration.faces || expiration.vertices.len() != inspiration.vertices.len() {
@@ -187,20 +187,21 @@ impl CameraSection {
             None | Some("pinhole") => None,
             Some("opencv_fisheye" | "fisheye") => Some([self.k1, self.k2, self.k3, self.k4]),
             Some(other) => {
-                return Err(Error::input(format!("`{other}` is neither pinhole nor OPENCV_FISHEYE"))
-                    .element("camera.model"));
+                return Err(
+                    Error::input(format!("`{other}` is neither pinhole nor OPENCV_FISHEYE")).element("camera.model")
+                );
             }
         };
         let mut camera = match (self.fl_x, self.fov_x_deg) {
-            (Some(fl_x), None) => Camera {
-                fl_x,
-                fl_y: self.fl_y.unwrap_or(fl_x),
-                ..Camera::pinhole(self.width, self.height, 1.0)
-            },
+            (Some(fl_x), None) => {
+                Camera { fl_x, fl_y: self.fl_y.unwrap_or(fl_x), ..Camera::pinhole(self.width, self.height, 1.0) }
+            }
             (None, Some(fov)) if fov > 0.0 && fov < 180.0 && fisheye.is_none() => {
                 Camera::pinhole(self.width, self.height, fov.to_radians())
             }
-            _ => return Err(Error::input("needs either fov_x_deg (a pinhole's, in 0 to 180) or fl_x").element("camera")),
+            _ => {
+                return Err(Error::input("needs either fov_x_deg (a pinhole's, in 0 to 180) or fl_x").element("camera"));
+            }
         };
         camera.cx = self.cx.unwrap_or(camera.cx);
         camera.cy = self.cy.unwrap_or(camera.cy);
@@ -217,7 +218,9 @@ impl CameraSection {
         })?;
         let matrix = DMat4::from_cols_array(&numbers).transpose();
         if !matrix.is_finite() || (matrix.row(3) - glam::DVec4::W).length() > 1e-9 {
-            return Err(Error::input("is not a finite matrix with last row 0 0 0 1").element("camera.world_from_camera"));
+            return Err(
+                Error::input("is not a finite matrix with last row 0 0 0 1").element("camera.world_from_camera")
+            );
         }
         Ok(DAffine3::from_mat4(matrix))
     }

@@ -1,1 +1,52 @@
 //! What people and machines read: CSV, Markdown, LaTeX, HTML, plots, JUnit, gate verdicts.
+//!
+//! ```text
+//! Run (cells with their scores) -> write() -> results.csv frames.csv timings.csv comparison.csv summary.csv
+//!                                             report.md report.html table.tex plots/ panels/
+//! ```
+
+mod html;
+mod latex;
+mod markdown;
+mod paper;
+pub mod plots;
+pub mod run;
+pub mod summary;
+pub mod table;
+pub mod tables;
+
+use std::path::{Path, PathBuf};
+
+pub use run::{CaseInfo, CellRecord, MethodInfo, Outcome, Role, Run, StageCost};
+
+use crate::base::{Progress, Result, files};
+
+/// What [`write`] left behind.
+#[derive(Clone, Debug)]
+pub struct Written {
+    /// The Markdown report.
+    pub markdown: PathBuf,
+    /// The HTML report.
+    pub html: PathBuf,
+    /// The comparison table, as Markdown, for a terminal or a CI summary.
+    pub table: String,
+}
+
+/// Writes every file of the report into `folder`, tables first, so that a picture that cannot be drawn loses no number.
+///
+/// Errors: an unwritable folder, a sequence or prediction that cannot be read again for the pictures.
+pub fn write(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<Written> {
+    let summaries = summary::summarise(run);
+    tables::write_results(run, &folder.join("results.csv"))?;
+    tables::write_comparison(run, &folder.join("comparison.csv"))?;
+    tables::write_summary(&summaries, &folder.join("summary.csv"))?;
+    tables::write_frames(run, &folder.join("frames.csv"))?;
+    tables::write_timings(run, &folder.join("timings.csv"))?;
+    let table = table::ComparisonTable::new(&summaries);
+    files::write_bytes(&folder.join("table.tex"), latex::table(&table, &run.id).as_bytes())?;
+    let pictures = plots::draw(run, &summaries, folder, progress)?;
+    let (markdown, html) = (folder.join("report.md"), folder.join("report.html"));
+    files::write_bytes(&markdown, markdown::report(run, &summaries, &table, &pictures).as_bytes())?;
+    files::write_bytes(&html, html::report(run, &table, &pictures).as_bytes())?;
+    Ok(Written { markdown, html, table: markdown::comparison_table(&table) })
+}

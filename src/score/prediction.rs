@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use crate::base::{Camera, Error, Image, Result, TriangleMesh, files};
-use crate::formats::{depth_png, exr, npy, png};
+use crate::formats::{depth_png, exr, mesh, npy, png};
 
 /// How depth images are stored, in the order in which they are looked for.
 const DEPTH_ENDINGS: [&str; 3] = ["exr", "npy", "png"];
@@ -130,7 +130,7 @@ impl Prediction {
         if !path.exists() {
             return Ok(None);
         }
-        let surface = read_surface(&path)?;
+        let surface = mesh::read(&path)?;
         surface.validate().map_err(|e| e.at(&path))?;
         Ok(Some(surface))
     }
@@ -152,10 +152,6 @@ impl Prediction {
         ))
         .at(path))
     }
-}
-
-fn read_surface(path: &Path) -> Result<TriangleMesh> {
-    Err(Error::input("cannot be read yet").at(path))
 }
 
 fn frame_path(folder: &Path, frame: usize, ending: &str) -> PathBuf {

@@ -5,7 +5,7 @@ use crate::base::{Camera, Error, Image, Result, TriangleMesh};
 use crate::simulate::sequence::FrameRecord;
 
 /// A sequence with its ground truth.
-pub trait Truth: Sync {
+pub trait Truth: Send + Sync {
     /// Which case was filmed.
     fn case_id(&self) -> &str;
 

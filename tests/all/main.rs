@@ -1,5 +1,8 @@
 //! One binary of integration tests, so that they link once.
 
+mod binary;
+mod command_line;
 mod layering;
 mod reference;
 mod render;
+mod render_command;

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::DVec3;
 use respire_bench::base::{Image, TriangleMesh};
+use respire_bench::formats::mesh;
 
 /// A folder below `../shared`.
 pub struct Reference(PathBuf);
@@ -33,26 +33,10 @@ impl Reference {
         })
     }
 
-    /// A binary PLY of float vertices and triangles.
-    pub fn ply(&self, file: &str) -> Option<TriangleMesh> {
+    /// A surface.
+    pub fn mesh(&self, file: &str) -> Option<TriangleMesh> {
         let path = self.0.join(file);
-        present(&path).then(|| {
-            let bytes = std::fs::read(path).unwrap();
-            let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
-            let header = String::from_utf8_lossy(&bytes[..end]).into_owned();
-            let count = |key: &str| -> usize {
-                header.lines().find_map(|l| l.strip_prefix(key)).unwrap().trim().parse().unwrap()
-            };
-            let word = |at: usize| -> [u8; 4] { bytes[at..at + 4].try_into().unwrap() };
-            let (vertices, faces) = (count("element vertex"), count("element face"));
-            let after = end + 12 * vertices;
-            TriangleMesh {
-                vertices: (0..vertices)
-                    .map(|v| DVec3::from_array([0, 4, 8].map(|c| f32::from_le_bytes(word(end + 12 * v + c)) as f64)))
-                    .collect(),
-                faces: (0..faces).map(|f| [1, 5, 9].map(|c| u32::from_le_bytes(word(after + 13 * f + c)))).collect(),
-            }
-        })
+        present(&path).then(|| mesh::read(&path).unwrap())
     }
 }
 

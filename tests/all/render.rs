@@ -191,7 +191,7 @@ fn depth_of_a_cylinder_seen_along_its_axis_is_the_closed_form() {
 /// Image means and medians of 16x16 blocks against another renderer's image of the reference tube.
 fn compare_with_reference(material: Material, max_scatterings: u32, samples: u32, file: &str, block_median: f64) {
     let Some(reference) = Reference::open("reference/pathtrace") else { return };
-    let (Some(mesh), Some(expected)) = (reference.ply("tube.ply"), reference.npy_rgb(&format!("refs/{file}"))) else {
+    let (Some(mesh), Some(expected)) = (reference.mesh("tube.ply"), reference.npy_rgb(&format!("refs/{file}"))) else {
         return;
     };
     let scene = Scene::new(&mesh, &[], material, 1).unwrap();
@@ -245,7 +245,7 @@ fn coat_albedo_is_that_of_the_reference_table() {
 #[test]
 fn filtered_image_stays_close_to_the_reference() {
     let Some(reference) = Reference::open("reference/pathtrace") else { return };
-    let (Some(mesh), Some(expected)) = (reference.ply("tube.ply"), reference.npy_rgb("refs/best_M1_n6.npy")) else {
+    let (Some(mesh), Some(expected)) = (reference.mesh("tube.ply"), reference.npy_rgb("refs/best_M1_n6.npy")) else {
         return;
     };
     let scene = Scene::new(&mesh, &[], Material::lambert(RHO), 1).unwrap();
@@ -262,7 +262,7 @@ fn filtered_image_stays_close_to_the_reference() {
 }
 
 /// A bent, bumpy tube: closed enough for light to run around in.
-fn small_tube() -> TriangleMesh {
+pub fn small_tube() -> TriangleMesh {
     let (around, along) = (48u32, 60u32);
     let mut mesh = TriangleMesh::default();
     for k in 0..=along {
@@ -345,7 +345,7 @@ fn rays_from_inside(count: usize) -> (Vec<DVec3>, Vec<DVec3>) {
 #[test]
 fn no_ray_slips_through_a_closed_wall() {
     let Some(reference) = Reference::open("reference/pathtrace") else { return };
-    let Some(mesh) = reference.ply("tube.ply") else { return };
+    let Some(mesh) = reference.mesh("tube.ply") else { return };
     let scene = Scene::new(&mesh, &[], Material::lambert(RHO), 1).unwrap();
     let (origins, directions) = rays_from_inside(1_000_000);
     let misses = scene.distances(&origins, &directions).unwrap().iter().filter(|d| !d.is_finite()).count();

@@ -1,0 +1,150 @@
+//! `report.md`: the comparison table with the paper's numbers beside ours, every case, failures, pictures.
+
+use std::fmt::Write;
+
+use super::plots::Pictures;
+use super::run::{Outcome, Role, Run};
+use super::summary::MethodSummary;
+use super::table::{ComparisonTable, TableCell, arrow, heading, show};
+use crate::score::{Metric, paper_metrics, registry};
+
+/// The whole file.
+pub fn report(run: &Run, summaries: &[MethodSummary], table: &ComparisonTable, pictures: &Pictures) -> String {
+    let mut out = format!("# respire-bench: {}\n\n", run.id);
+    let failed = run.cells.iter().filter(|c| c.score().is_none()).count();
+    let _ = writeln!(
+        out,
+        "{} cases, {} methods, {} cells, {failed} failed. Profile `{}`.\n",
+        run.cases.len(),
+        run.methods.len(),
+        run.cells.len(),
+        run.profile
+    );
+    comparison(&mut out, table);
+    intervals(&mut out, summaries);
+    failures(&mut out, run);
+    images(&mut out, pictures);
+    cases(&mut out, run);
+    definitions(&mut out);
+    out
+}
+
+/// Text that Markdown will not take for markup.
+pub fn escape(text: &str) -> String {
+    text.replace('\\', "\\\\").replace('|', "\\|").replace('<', "&lt;").replace(['\n', '\r'], " ")
+}
+
+fn comparison(out: &mut String, table: &ComparisonTable) {
+    let _ = writeln!(
+        out,
+        "## Comparison\n\nMean over {} cases; in brackets the paper's Table 1 (its nine COPDGene cases, its machine). **Bold**: best \
+         ranked method. Rows in *italics* are bounds, not ranked.\n\n{}",
+        table.cases,
+        comparison_table(table)
+    );
+}
+
+/// The comparison table alone.
+pub fn comparison_table(table: &ComparisonTable) -> String {
+    let headings: String = paper_metrics().map(|m| format!(" {} {} |", escape(heading(m)), arrow(m))).collect();
+    let mut out =
+        format!("| Method | CTs | Mesh |{headings}\n|---|:-:|:-:|{}\n", "--:|".repeat(paper_metrics().count()));
+    for row in &table.rows {
+        let title = match row.method.role {
+            Role::Ranked => escape(&row.method.title),
+            Role::Sanity => format!("*{}*", escape(&row.method.title)),
+        };
+        let mesh = row.method.mesh.map_or("–", |mesh| if mesh { "✓" } else { "✗" });
+        let cells: String = row.cells.iter().map(|c| format!(" {} |", dressed(c))).collect();
+        let _ = writeln!(out, "| {title} | {} | {mesh} |{cells}", row.ct_scans);
+    }
+    out
+}
+
+fn dressed(cell: &TableCell) -> String {
+    let value = if cell.best { format!("**{}**", cell.value) } else { cell.value.clone() };
+    cell.paper.as_ref().map_or(value.clone(), |paper| format!("{value} ({paper})"))
+}
+
+fn intervals(out: &mut String, summaries: &[MethodSummary]) {
+    out.push_str("## Means with 95 % intervals over cases\n\n| Metric |");
+    for s in summaries {
+        let _ = write!(out, " {} |", escape(&s.method.title));
+    }
+    let _ = writeln!(out, "\n|---|{}", "--:|".repeat(summaries.len()));
+    for m in registry() {
+        let _ = write!(out, "| {} {} |", escape(&m.heading()), arrow(m));
+        for s in summaries {
+            let _ = match s.mean(m.id) {
+                None => write!(out, " – |"),
+                Some(mean) => match mean.interval {
+                    None => write!(out, " {} |", show(m, mean.mean)),
+                    Some([low, high]) => {
+                        write!(out, " {} ({} to {}) |", show(m, mean.mean), show(m, low), show(m, high))
+                    }
+                },
+            };
+        }
+        out.push('\n');
+    }
+    out.push('\n');
+}
+
+fn failures(out: &mut String, run: &Run) {
+    let failed = run.cells.iter().filter_map(|c| match &c.outcome {
+        Outcome::Failed(why) => Some((c, why)),
+        Outcome::Scored(_) => None,
+    });
+    let mut lines = failed
+        .map(|(c, why)| format!("- {} / {} / seed {}: {}\n", c.case_id, c.method, c.seed, escape(why)))
+        .peekable();
+    if lines.peek().is_some() {
+        out.push_str("## Failed cells\n\n");
+        out.extend(lines);
+        out.push('\n');
+    }
+}
+
+fn images(out: &mut String, pictures: &Pictures) {
+    out.push_str("## Pictures\n\n");
+    for picture in &pictures.overview {
+        let _ = writeln!(out, "![{}]({})\n\n{}\n", escape(&picture.title), picture.png, escape(&picture.caption));
+    }
+    for (case, of_case) in &pictures.by_case {
+        let _ = writeln!(out, "<details><summary>{}</summary>\n", escape(case));
+        for picture in of_case {
+            let _ = writeln!(out, "![{}]({})\n\n{}\n", escape(&picture.title), picture.png, escape(&picture.caption));
+        }
+        out.push_str("</details>\n\n");
+    }
+}
+
+fn cases(out: &mut String, run: &Run) {
+    out.push_str("## Every case\n\n");
+    let metrics: Vec<&Metric> = paper_metrics().collect();
+    for case in &run.cases {
+        let _ = writeln!(out, "<details><summary>{}: {}</summary>\n", escape(&case.id), escape(&case.title));
+        let headings: String = metrics.iter().map(|m| format!(" {} {} |", escape(&m.heading()), arrow(m))).collect();
+        let _ = writeln!(out, "| Method | Seed |{headings}\n|---|--:|{}", "--:|".repeat(metrics.len()));
+        for cell in run.cells.iter().filter(|c| c.case_id == case.id) {
+            let _ = write!(out, "| {} | {} |", escape(&cell.method), cell.seed);
+            for m in &metrics {
+                let score = cell.score().and_then(|s| s.metric(m.id));
+                let _ = match (score.and_then(|s| s.value), score) {
+                    (Some(value), _) => write!(out, " {} |", show(m, value)),
+                    (None, Some(score)) => write!(out, " {} |", escape(score.status.word())),
+                    (None, None) => write!(out, " failed |"),
+                };
+            }
+            out.push('\n');
+        }
+        out.push_str("\n</details>\n\n");
+    }
+}
+
+fn definitions(out: &mut String) {
+    out.push_str("## Definitions\n\n");
+    for m in registry() {
+        let _ = writeln!(out, "- `{}` ({} is better): {}", m.id, m.direction.word(), escape(m.definition));
+    }
+}

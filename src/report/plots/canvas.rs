@@ -1,0 +1,271 @@
+//! Paper, pens and colours: one look for all plots, as SVG and as PNG.
+
+use std::error::Error as StdError;
+use std::sync::Once;
+
+use plotters::chart::{ChartBuilder, ChartContext};
+use plotters::coord::Shift;
+use plotters::coord::cartesian::Cartesian2d;
+use plotters::coord::types::RangedCoordf64;
+use plotters::prelude::*;
+use plotters::style::{FontStyle, register_font};
+
+use crate::base::{Error, Image, Result};
+
+/// Pixels of the PNG for one unit of the SVG.
+const PNG_SCALE: f64 = 2.0;
+
+/// What a drawing step gives back.
+pub type Drawn<T, DB> = std::result::Result<T, DrawingAreaErrorKind<<DB as DrawingBackend>::ErrorType>>;
+/// A panel to draw in.
+pub type Area<DB> = DrawingArea<DB, Shift>;
+/// A panel with two linear axes.
+pub type Chart<'a, DB> = ChartContext<'a, DB, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// Text and axes.
+pub const INK: RGBColor = RGBColor(26, 26, 26);
+/// Grid lines.
+pub const GRID: RGBColor = RGBColor(226, 226, 226);
+/// Truth in every plot.
+pub const TRUTH: RGBColor = RGBColor(0, 0, 0);
+
+/// A method has one colour in every plot (Okabe and Ito's palette, safe for colour-blind readers).
+pub fn color_of(method: &str) -> RGBColor {
+    match method {
+        "ours" => RGBColor(0, 114, 178),
+        "ours-nomesh" => RGBColor(86, 180, 233),
+        "bridgesplat" => RGBColor(213, 94, 0),
+        "bridgesplat-nomesh" => RGBColor(230, 159, 0),
+        "oracle-phase" => RGBColor(0, 158, 115),
+        "static-ct" => RGBColor(140, 140, 140),
+        "ours-gn" => RGBColor(204, 121, 167),
+        other => {
+            // Third parties: one of four further hues, by name.
+            let hues = [RGBColor(204, 121, 167), RGBColor(120, 94, 240), RGBColor(148, 103, 69), RGBColor(70, 130, 60)];
+            hues[other.bytes().map(usize::from).sum::<usize>() % hues.len()]
+        }
+    }
+}
+
+/// Sizes in units of the SVG.
+#[derive(Clone, Copy, Debug)]
+pub struct Pen {
+    scale: f64,
+}
+
+impl Pen {
+    /// For bitmaps that are not scaled.
+    pub const PLAIN: Pen = Pen { scale: 1.0 };
+
+    /// A length in backend pixels.
+    pub fn px(self, units: f64) -> u32 {
+        (units * self.scale).round().max(1.0) as u32
+    }
+
+    /// A signed length in backend pixels.
+    pub fn at(self, units: f64) -> i32 {
+        (units * self.scale).round() as i32
+    }
+
+    /// Upright text of a height in units.
+    pub fn text(self, units: f64) -> TextStyle<'static> {
+        ("sans-serif", units * self.scale).into_font().color(&INK)
+    }
+
+    /// Bold text.
+    pub fn bold(self, units: f64) -> TextStyle<'static> {
+        ("sans-serif", units * self.scale, FontStyle::Bold).into_font().color(&INK)
+    }
+
+    /// A line of a width in units.
+    pub fn line(self, color: RGBColor, units: f64) -> ShapeStyle {
+        color.stroke_width(self.px(units))
+    }
+}
+
+/// A drawing that any backend can show.
+pub trait Figure {
+    /// Width and height in units.
+    fn size(&self) -> (u32, u32);
+
+    /// Draws everything on a white page.
+    fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB>;
+}
+
+/// Plotters knows no font by itself.
+pub fn prepare_fonts() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        let regular = register_font("sans-serif", FontStyle::Normal, include_bytes!("../font/DejaVuSans.ttf"));
+        let bold = register_font("sans-serif", FontStyle::Bold, include_bytes!("../font/DejaVuSans-Bold.ttf"));
+        debug_assert!(regular.is_ok() && bold.is_ok());
+    });
+}
+
+fn failed(error: impl StdError) -> Error {
+    Error::input(format!("a plot cannot be drawn: {error}"))
+}
+
+/// The figure as SVG text.
+pub fn svg(figure: &impl Figure) -> Result<String> {
+    prepare_fonts();
+    let mut text = String::new();
+    {
+        let page = SVGBackend::with_string(&mut text, figure.size()).into_drawing_area();
+        page.fill(&WHITE).map_err(failed)?;
+        figure.draw(&page, Pen { scale: 1.0 }).map_err(failed)?;
+        page.present().map_err(failed)?;
+    }
+    Ok(text)
+}
+
+/// The figure as pixels, two for one unit.
+pub fn bitmap(figure: &impl Figure) -> Result<Image<u8>> {
+    let (width, height) = figure.size();
+    let pen = Pen { scale: PNG_SCALE };
+    let mut image = Image::filled(pen.px(f64::from(width)) as usize, pen.px(f64::from(height)) as usize, 3, 255u8);
+    on_bitmap(&mut image, |page| figure.draw(page, pen))?;
+    Ok(image)
+}
+
+/// Draws on an RGB image.
+pub fn on_bitmap<'a>(
+    image: &'a mut Image<u8>,
+    draw: impl FnOnce(&Area<BitMapBackend<'a>>) -> Drawn<(), BitMapBackend<'a>>,
+) -> Result<()> {
+    prepare_fonts();
+    let size = (image.width as u32, image.height as u32);
+    let page = BitMapBackend::with_buffer(&mut image.data, size).into_drawing_area();
+    draw(&page).map_err(failed)?;
+    page.present().map_err(failed)
+}
+
+/// A line of names with their colours along the top of `area`, broken where it does not fit; never over data.
+/// Gives back what is left of the area.
+pub fn legend<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, entries: &[(String, RGBColor)]) -> Drawn<Area<DB>, DB> {
+    let (width, _) = area.dim_in_pixel();
+    let style = pen.text(13.0);
+    let (margin, swatch, gap, row) = (pen.at(14.0), pen.at(22.0), pen.at(18.0), pen.at(20.0));
+    let (mut x, mut y) = (margin, pen.at(12.0));
+    let mut places = Vec::new();
+    for (name, color) in entries {
+        let text = area.estimate_text_size(name, &style)?.0 as i32;
+        let wanted = swatch + pen.at(6.0) + text;
+        if x + wanted > width as i32 - margin && x > margin {
+            x = margin;
+            y += row;
+        }
+        places.push((x, y, name, *color));
+        x += wanted + gap;
+    }
+    for (x, y, name, color) in places {
+        area.draw(&PathElement::new(vec![(x, y), (x + swatch, y)], pen.line(color, 3.5)))?;
+        let anchored = style.pos(plotters::style::text_anchor::Pos::new(
+            plotters::style::text_anchor::HPos::Left,
+            plotters::style::text_anchor::VPos::Center,
+        ));
+        area.draw(&Text::new(name.clone(), (x + swatch + pen.at(6.0), y), anchored))?;
+    }
+    Ok(area.split_vertically(y + row / 2 + pen.at(4.0)).1)
+}
+
+/// Words and ranges of one panel.
+pub struct Axes<'a> {
+    /// Above the panel.
+    pub title: &'a str,
+    /// Below, with unit.
+    pub x: &'a str,
+    /// At the left, with unit.
+    pub y: &'a str,
+    /// Values at the left and right end.
+    pub x_range: [f64; 2],
+    /// Values at the bottom and the top.
+    pub y_range: [f64; 2],
+}
+
+/// A panel with title, axes and a light grid.
+pub fn chart<'a, DB: DrawingBackend + 'a>(area: &Area<DB>, pen: Pen, axes: &Axes) -> Drawn<Chart<'a, DB>, DB> {
+    let mut chart = ChartBuilder::on(area)
+        .caption(axes.title, pen.bold(14.0))
+        .margin(pen.px(6.0))
+        .margin_right(pen.px(14.0))
+        .x_label_area_size(pen.px(if axes.x.is_empty() { 22.0 } else { 38.0 }))
+        .y_label_area_size(pen.px(if axes.y.is_empty() { 40.0 } else { 56.0 }))
+        .build_cartesian_2d(axes.x_range[0]..axes.x_range[1], axes.y_range[0]..axes.y_range[1])?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(pen.line(GRID, 1.0))
+        .axis_style(pen.line(INK, 1.0))
+        .label_style(pen.text(11.0))
+        .axis_desc_style(pen.text(12.0))
+        .x_labels(6)
+        .y_labels(6)
+        .x_label_formatter(&|v| tick(*v))
+        .y_label_formatter(&|v| tick(*v))
+        .x_desc(axes.x)
+        .y_desc(axes.y)
+        .draw()?;
+    Ok(chart)
+}
+
+/// A tick value without trailing zeros.
+pub fn tick(value: f64) -> String {
+    let text = format!("{value:.3}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0".into() } else { text.into() }
+}
+
+/// Lowest and highest of finite values, widened by 5 %; [0, 1] when there are none.
+pub fn range_of(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    let (low, high) = values
+        .filter(|v| v.is_finite())
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+    if low > high {
+        return [0.0, 1.0];
+    }
+    let margin = (0.05 * (high - low)).max(1e-3 * high.abs()).max(1e-6);
+    [low - margin, high + margin]
+}
+
+/// The part of the segment `a`-`b` inside the box `low`-`high` (Liang and Barsky 1984).
+pub fn clip(a: [f64; 2], b: [f64; 2], low: [f64; 2], high: [f64; 2]) -> Option<([f64; 2], [f64; 2])> {
+    let (mut enter, mut leave) = (0.0f64, 1.0f64);
+    for axis in 0..2 {
+        let along = b[axis] - a[axis];
+        for (toward, room) in [(-along, a[axis] - low[axis]), (along, high[axis] - a[axis])] {
+            if toward == 0.0 && room < 0.0 {
+                return None;
+            } else if toward < 0.0 {
+                enter = enter.max(room / toward);
+            } else if toward > 0.0 {
+                leave = leave.min(room / toward);
+            }
+        }
+    }
+    let at = |t: f64| [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t];
+    (enter <= leave).then(|| (at(enter), at(leave)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn segments_are_cut_at_the_box() {
+        let (low, high) = ([0.0, 0.0], [10.0, 10.0]);
+        assert_eq!(clip([-5.0, 5.0], [15.0, 5.0], low, high), Some(([0.0, 5.0], [10.0, 5.0])));
+        assert_eq!(clip([1.0, 1.0], [2.0, 3.0], low, high), Some(([1.0, 1.0], [2.0, 3.0])));
+        assert_eq!(clip([-5.0, 12.0], [15.0, 12.0], low, high), None);
+        assert_eq!(clip([-5.0, 4.0], [4.0, -5.0], low, high), None);
+    }
+
+    #[test]
+    fn ranges_survive_empty_constant_and_broken_input() {
+        assert_eq!(range_of(std::iter::empty()), [0.0, 1.0]);
+        assert_eq!(range_of([f64::NAN, f64::INFINITY].into_iter()), [0.0, 1.0]);
+        let [low, high] = range_of([3.0, 3.0].into_iter());
+        assert!(low < 3.0 && 3.0 < high);
+        assert_eq!((tick(0.5), tick(-0.0), tick(20.0)), ("0.5".into(), "0".into(), "20".into()));
+    }
+}

@@ -1,0 +1,153 @@
+//! Curves over time: phase trajectories of all cases, and the errors of every frame of one case.
+
+use plotters::prelude::*;
+
+use super::canvas::{Area, Axes, Chart, Drawn, Figure, Pen, TRUTH, chart, color_of, legend, range_of};
+use crate::report::run::Run;
+use crate::score::{CellScore, metric};
+
+/// A coloured curve; `NaN` never gets here.
+type Curve = (RGBColor, Vec<(f64, f64)>);
+
+fn draw_curves<DB: DrawingBackend>(chart: &mut Chart<'_, DB>, pen: Pen, curves: &[Curve], width: f64) -> Drawn<(), DB> {
+    for (color, points) in curves {
+        chart.draw_series(LineSeries::new(points.iter().copied(), pen.line(*color, width)))?;
+    }
+    Ok(())
+}
+
+fn true_phase(score: &CellScore) -> Curve {
+    (TRUTH, score.frame_scores.iter().map(|f| (f.time_s, f.phase)).collect())
+}
+
+fn predicted_phase(method: &str, score: &CellScore) -> Curve {
+    let points = score.frame_scores.iter().filter_map(|f| f.phase_predicted.map(|p| (f.time_s, p)));
+    (color_of(method), points.collect())
+}
+
+/// Phase against time for every case, truth in black.
+pub struct PhaseGrid {
+    panels: Vec<(String, Vec<Curve>)>,
+    names: Vec<(String, RGBColor)>,
+}
+
+impl PhaseGrid {
+    /// `None` when no method has a phase.
+    pub fn new(run: &Run) -> Option<Self> {
+        let mut names = vec![("Truth".to_owned(), TRUTH)];
+        let mut panels = Vec::new();
+        for case in &run.cases {
+            let shown = run.shown(&case.id);
+            let mut curves: Vec<Curve> = shown.iter().take(1).map(|(_, _, score)| true_phase(score)).collect();
+            for (method, _, score) in shown {
+                let curve = predicted_phase(&method.id, score);
+                if !curve.1.is_empty() {
+                    let name = (method.title.clone(), curve.0);
+                    if !names.contains(&name) {
+                        names.push(name);
+                    }
+                    curves.push(curve);
+                }
+            }
+            if !curves.is_empty() {
+                panels.push((case.id.clone(), curves));
+            }
+        }
+        (names.len() > 1).then_some(PhaseGrid { panels, names })
+    }
+
+    fn columns(&self) -> usize {
+        self.panels.len().clamp(1, 3)
+    }
+
+    fn rows(&self) -> usize {
+        self.panels.len().div_ceil(self.columns())
+    }
+}
+
+impl Figure for PhaseGrid {
+    fn size(&self) -> (u32, u32) {
+        (if self.columns() == 1 { 640 } else { 1140 }, 40 + 215 * self.rows() as u32)
+    }
+
+    fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB> {
+        let rest = legend(page, pen, &self.names)?;
+        let low = self.panels.iter().flat_map(|p| &p.1).flat_map(|c| &c.1).map(|p| p.1).fold(0.0, f64::min);
+        let high = self.panels.iter().flat_map(|p| &p.1).flat_map(|c| &c.1).map(|p| p.1).fold(1.0, f64::max);
+        for (index, (area, (case, curves))) in
+            rest.split_evenly((self.rows(), self.columns())).iter().zip(&self.panels).enumerate()
+        {
+            let end = curves.iter().flat_map(|c| &c.1).map(|p| p.0).fold(0.0, f64::max);
+            let bottom = index + self.columns() >= self.panels.len();
+            let axes = Axes {
+                title: case,
+                x: if bottom { "time [s]" } else { "" },
+                y: if index % self.columns() == 0 { "breathing phase" } else { "" },
+                x_range: [0.0, end.max(1e-3)],
+                y_range: [low - 0.03, high + 0.03],
+            };
+            let mut panel = chart(area, pen, &axes)?;
+            draw_curves(&mut panel, pen, &curves[..1], 3.0)?;
+            draw_curves(&mut panel, pen, &curves[1..], 1.6)?;
+        }
+        Ok(())
+    }
+}
+
+/// Phase, PSNR, depth error and phase error of every frame of one case, one above the other.
+pub struct FrameErrors {
+    names: Vec<(String, RGBColor)>,
+    panels: Vec<(String, Vec<Curve>)>,
+}
+
+/// Frame-wise metrics with a panel of their own.
+const FRAME_METRICS: [&str; 4] = ["psnr_db", "ssim", "depth_rmse_mm", "phase_mae"];
+
+impl FrameErrors {
+    /// `None` when no cell of the case was scored.
+    pub fn new(run: &Run, case_id: &str) -> Option<Self> {
+        let shown = run.shown(case_id);
+        let (_, _, first) = shown.first()?;
+        let mut names = vec![("Truth".to_owned(), TRUTH)];
+        names.extend(shown.iter().map(|(m, _, _)| (m.title.clone(), color_of(&m.id))));
+        let mut phases = vec![true_phase(first)];
+        phases.extend(shown.iter().map(|(m, _, s)| predicted_phase(&m.id, s)).filter(|c| !c.1.is_empty()));
+        let mut panels = vec![("breathing phase".to_owned(), phases)];
+        for id in FRAME_METRICS {
+            let curves: Vec<Curve> =
+                shown.iter().map(|(m, _, s)| (color_of(&m.id), s.series(id))).filter(|c| !c.1.is_empty()).collect();
+            if let (Some(m), false) = (metric(id), curves.is_empty()) {
+                let heading = if id == "phase_mae" { "|phase error|".into() } else { m.heading() };
+                panels.push((heading, curves));
+            }
+        }
+        Some(FrameErrors { names, panels })
+    }
+}
+
+impl Figure for FrameErrors {
+    fn size(&self) -> (u32, u32) {
+        (900, 60 + 165 * self.panels.len() as u32)
+    }
+
+    fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB> {
+        let rest = legend(page, pen, &self.names)?;
+        let end = self.panels.iter().flat_map(|p| &p.1).flat_map(|c| &c.1).map(|p| p.0).fold(0.0, f64::max);
+        for (index, (area, (name, curves))) in
+            rest.split_evenly((self.panels.len(), 1)).iter().zip(&self.panels).enumerate()
+        {
+            let axes = Axes {
+                title: "",
+                x: if index + 1 == self.panels.len() { "time [s]" } else { "" },
+                y: name,
+                x_range: [0.0, end.max(1e-3)],
+                y_range: range_of(curves.iter().flat_map(|c| &c.1).map(|p| p.1)),
+            };
+            let mut panel = chart(area, pen, &axes)?;
+            let thick = usize::from(index == 0);
+            draw_curves(&mut panel, pen, &curves[..thick], 3.0)?;
+            draw_curves(&mut panel, pen, &curves[thick..], 1.6)?;
+        }
+        Ok(())
+    }
+}

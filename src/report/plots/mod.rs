@@ -1,0 +1,126 @@
+//! Plots and image panels of a run, as SVG (text stays text) and PNG.
+
+mod canvas;
+mod contours;
+mod curves;
+mod images;
+mod methods;
+
+use std::path::Path;
+
+use canvas::Figure;
+
+use super::run::Run;
+use super::summary::MethodSummary;
+use crate::base::{Image, Progress, Result, files};
+use crate::formats::png;
+
+/// A picture that was written.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// For readers who cannot see it.
+    pub title: String,
+    /// What it shows.
+    pub caption: String,
+    /// Path of the PNG, relative to the report's folder.
+    pub png: String,
+    /// The PNG itself, where there is no SVG.
+    pub png_bytes: Vec<u8>,
+    /// The SVG itself, where there is one.
+    pub svg: Option<String>,
+}
+
+/// All pictures of a report.
+#[derive(Clone, Debug, Default)]
+pub struct Pictures {
+    /// Over all cases.
+    pub overview: Vec<Picture>,
+    /// Case id and its pictures.
+    pub by_case: Vec<(String, Vec<Picture>)>,
+}
+
+/// Draws everything that the run has data for into `folder`/plots and `folder`/panels.
+pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dyn Progress) -> Result<Pictures> {
+    let mut pictures = Pictures::default();
+    let mut overview = |picture: Option<Picture>| pictures.overview.extend(picture);
+    overview(plot(
+        folder,
+        "methods",
+        methods::MethodBars::new(summaries),
+        "Methods by metric",
+        "Means over cases, 95 % bootstrap intervals; the arrow shows the better direction.",
+    )?);
+    overview(plot(
+        folder,
+        "error-against-time",
+        methods::ErrorAgainstTime::new(summaries),
+        "Error against run time",
+        "Method time per frame against error, means over cases with 95 % intervals, both axes logarithmic; lower left is better.",
+    )?);
+    overview(plot(
+        folder,
+        "phase",
+        curves::PhaseGrid::new(run),
+        "Breathing phase",
+        "Recovered breathing phase against truth (black); 0 is full inspiration, 1 full expiration.",
+    )?);
+    overview(plot(
+        folder,
+        "contours",
+        contours::ContourGrid::new(run),
+        "Final contours",
+        "Lumen contour in the plane of the last camera (triangle): truth in black, predictions in colour. Cross: the true target; dots: where a method puts it.",
+    )?);
+    for (done, case) in run.cases.iter().enumerate() {
+        if progress.cancelled() {
+            return Err(crate::base::Error::interrupted());
+        }
+        progress.advance(done, run.cases.len());
+        let mut of_case = Vec::new();
+        of_case.extend(plot(
+            folder,
+            &format!("frames-{}", case.id),
+            curves::FrameErrors::new(run, &case.id),
+            &format!("Errors per frame, {}", case.id),
+            "Phase and errors of every frame.",
+        )?);
+        if let Some(truth) = &case.truth {
+            of_case.extend(panel(
+                folder,
+                &format!("images-{}", case.id),
+                images::renderings(run, &case.id, truth.as_ref())?,
+                &format!("Renderings, {}", case.id),
+                "Renderings beside the truth, with PSNR and SSIM of the frame.",
+            )?);
+            of_case.extend(panel(
+                folder,
+                &format!("depth-{}", case.id),
+                images::depth_errors(run, &case.id, truth.as_ref())?,
+                &format!("Depth errors, {}", case.id),
+                "True depth, and the absolute depth error of each method on a logarithmic scale from 0.1 to 30 mm; magenta: nothing predicted.",
+            )?);
+        }
+        if !of_case.is_empty() {
+            pictures.by_case.push((case.id.clone(), of_case));
+        }
+    }
+    Ok(pictures)
+}
+
+fn plot(folder: &Path, stem: &str, figure: Option<impl Figure>, title: &str, caption: &str) -> Result<Option<Picture>> {
+    let Some(figure) = figure else { return Ok(None) };
+    let svg = canvas::svg(&figure)?;
+    let png = format!("plots/{stem}.png");
+    files::write_bytes(&folder.join(format!("plots/{stem}.svg")), svg.as_bytes())?;
+    png::write_rgb(&folder.join(&png), &canvas::bitmap(&figure)?)?;
+    Ok(Some(Picture { title: title.into(), caption: caption.into(), png, png_bytes: Vec::new(), svg: Some(svg) }))
+}
+
+fn panel(folder: &Path, stem: &str, image: Option<Image<u8>>, title: &str, caption: &str) -> Result<Option<Picture>> {
+    let Some(image) = image else { return Ok(None) };
+    let png = format!("panels/{stem}.png");
+    let path = folder.join(&png);
+    png::write_rgb(&path, &image)?;
+    let png_bytes = files::read_bytes(&path)?;
+    Ok(Some(Picture { title: title.into(), caption: caption.into(), png, png_bytes, svg: None }))
+}

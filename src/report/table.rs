@@ -1,0 +1,112 @@
+//! The comparison table in the layout of the paper's Table 1, ready for Markdown, LaTeX and HTML to dress.
+
+use super::paper::paper_value;
+use super::run::{MethodInfo, Role};
+use super::summary::{MethodSummary, best};
+use crate::score::{Direction, Group, Metric, paper_metrics};
+
+/// One value of the table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TableCell {
+    /// Mean over cases; a dash where there is none.
+    pub value: String,
+    /// 95 % interval, empty where there is none.
+    pub interval: String,
+    /// The paper's value, where its table has one.
+    pub paper: Option<String>,
+    /// Best of the ranked methods.
+    pub best: bool,
+}
+
+/// One row: a method.
+#[derive(Clone, Debug)]
+pub struct TableRow {
+    /// Which.
+    pub method: MethodInfo,
+    /// CT scans it is given.
+    pub ct_scans: String,
+    /// In the order of [`paper_metrics`].
+    pub cells: Vec<TableCell>,
+    /// Cells of this method that failed.
+    pub failed: usize,
+}
+
+/// The table.
+#[derive(Clone, Debug)]
+pub struct ComparisonTable {
+    /// Ranked methods, then the sanity rows.
+    pub rows: Vec<TableRow>,
+    /// Most cases behind any row.
+    pub cases: usize,
+}
+
+/// Short column heading as in the paper.
+pub fn heading(metric: &Metric) -> &'static str {
+    match metric.id {
+        "depth_rmse_mm" => "RMSE",
+        "phase_mae" => "MAE",
+        "contour_rmse_mm" => "Contour",
+        "target_error_mm" => "Target",
+        "time_per_frame_s" => "s/frame",
+        _ => metric.label,
+    }
+}
+
+/// The arrow of the better direction.
+pub fn arrow(metric: &Metric) -> &'static str {
+    match metric.direction {
+        Direction::Higher => "↑",
+        Direction::Lower => "↓",
+    }
+}
+
+/// The paper's column groups with the number of columns in each.
+pub fn groups() -> Vec<(Group, usize)> {
+    let mut found: Vec<(Group, usize)> = Vec::new();
+    for m in paper_metrics() {
+        match found.last_mut().filter(|(g, _)| *g == m.group) {
+            Some((_, count)) => *count += 1,
+            None => found.push((m.group, 1)),
+        }
+    }
+    found
+}
+
+/// A value as tables show it; long times in minutes, as in the paper.
+pub fn show(metric: &Metric, value: f64) -> String {
+    match metric.id {
+        "time_total_s" if value >= 120.0 => format!("{:.1} min", value / 60.0),
+        "time_total_s" => format!("{value:.1} s"),
+        _ => metric.format(value),
+    }
+}
+
+impl ComparisonTable {
+    /// Dresses the summaries.
+    pub fn new(summaries: &[MethodSummary]) -> Self {
+        let best: Vec<Vec<String>> = paper_metrics().map(|m| best(summaries, m)).collect();
+        let row = |s: &MethodSummary| TableRow {
+            method: s.method.clone(),
+            ct_scans: s.method.ct_scans.map_or_else(|| "–".into(), |n| n.to_string()),
+            failed: s.failed,
+            cells: paper_metrics().zip(&best).map(|(m, best)| cell(s, m, best)).collect(),
+        };
+        let of = |role: Role| summaries.iter().filter(move |s| s.method.role == role);
+        ComparisonTable {
+            rows: of(Role::Ranked).chain(of(Role::Sanity)).map(row).collect(),
+            cases: summaries.iter().map(|s| s.cases).max().unwrap_or(0),
+        }
+    }
+}
+
+fn cell(summary: &MethodSummary, metric: &Metric, best: &[String]) -> TableCell {
+    let mean = summary.mean(metric.id);
+    TableCell {
+        value: mean.map_or_else(|| "–".into(), |m| show(metric, m.mean)),
+        interval: mean
+            .and_then(|m| m.interval)
+            .map_or_else(String::new, |[low, high]| format!("{} to {}", show(metric, low), show(metric, high))),
+        paper: paper_value(&summary.method.id, metric.id).map(|v| show(metric, v)),
+        best: best.contains(&summary.method.id),
+    }
+}

@@ -1,0 +1,259 @@
+//! The CSV files. Columns come from the registry; the names that others rely on are fixed (SPEC 10).
+//!
+//! `results.csv` and `frames.csv` hold no time, date or machine: the same work gives the same bytes. What a machine
+//! did stands in `timings.csv` and in the last metric columns of `comparison.csv` and `summary.csv`.
+
+use std::path::Path;
+
+use super::run::{CellRecord, Outcome, Role, Run};
+use super::summary::MethodSummary;
+use crate::base::{Error, Result, files};
+use crate::score::{Metric, Split, Standing, Status, metric, paper_metrics, registry};
+
+/// Columns of `results.csv`.
+pub const RESULTS_COLUMNS: [&str; 19] = [
+    "run_id",
+    "case_id",
+    "case_hash",
+    "config",
+    "seed",
+    "split",
+    "metric",
+    "definition",
+    "unit",
+    "direction",
+    "alignment",
+    "mask",
+    "value",
+    "sd",
+    "n",
+    "ci_low",
+    "ci_high",
+    "status",
+    "detail",
+];
+
+const FRAMES_COLUMNS: [&str; 12] =
+    ["run_id", "case_id", "config", "seed", "frame", "file", "time_s", "phase", "split", "metric", "value", "status"];
+
+const TIMINGS_COLUMNS: [&str; 11] = [
+    "run_id",
+    "case_id",
+    "config",
+    "stage",
+    "wall_s",
+    "cpu_s",
+    "peak_rss_mib",
+    "threads",
+    "machine_id",
+    "instructions",
+    "seed",
+];
+
+type Row = Vec<String>;
+
+/// A number as its shortest round-trip text; nothing for what is no number.
+pub fn number(value: Option<f64>) -> String {
+    match value {
+        Some(v) if v.is_finite() => format!("{v}"),
+        _ => String::new(),
+    }
+}
+
+/// Text as a spreadsheet will not run it.
+pub fn text(value: &str) -> String {
+    if value.starts_with(['=', '+', '-', '@', '\t', '\r']) { format!("'{value}") } else { value.to_owned() }
+}
+
+fn write_csv(path: &Path, header: &[String], rows: &[Row]) -> Result<()> {
+    let mut writer = csv::WriterBuilder::new().terminator(csv::Terminator::Any(b'\n')).from_writer(Vec::new());
+    let failed = |e: csv::Error| Error::input(format!("encoding as CSV failed: {e}")).at(path);
+    for row in std::iter::once(header).chain(rows.iter().map(Vec::as_slice)) {
+        writer.write_record(row).map_err(failed)?;
+    }
+    let bytes = writer.into_inner().map_err(|e| Error::input(format!("encoding as CSV failed: {e}")).at(path))?;
+    files::write_bytes(path, &bytes)
+}
+
+fn header(columns: &[&str]) -> Vec<String> {
+    columns.iter().map(|c| c.to_string()).collect()
+}
+
+fn alignment_of(m: &Metric) -> &'static str {
+    match m.id {
+        id if id.starts_with("depth") || id.starts_with("contour") || id.starts_with("target") => "none",
+        _ => "",
+    }
+}
+
+fn mask_of(m: &Metric) -> &'static str {
+    if m.id.starts_with("depth") { "true_depth" } else { "none" }
+}
+
+/// `results.csv`: one row per cell and metric, times left out.
+pub fn write_results(run: &Run, path: &Path) -> Result<()> {
+    let mut rows = Vec::new();
+    for cell in &run.cells {
+        for m in registry().iter().filter(|m| !m.is_runtime()) {
+            rows.push(results_row(run, cell, m));
+        }
+    }
+    write_csv(path, &header(&RESULTS_COLUMNS), &rows)
+}
+
+fn results_row(run: &Run, cell: &CellRecord, m: &Metric) -> Row {
+    let score = cell.score().and_then(|s| s.metric(m.id));
+    let (status, detail) = match (&cell.outcome, score) {
+        (Outcome::Failed(why), _) => (Status::Failed, why.as_str()),
+        (_, Some(score)) => (score.status, score.detail.as_str()),
+        (_, None) => (Status::NotApplicable, "made before this metric existed"),
+    };
+    let interval = score.and_then(|s| s.interval);
+    vec![
+        text(&run.id),
+        text(&cell.case_id),
+        cell.score().map_or_else(String::new, |s| s.case_hash.clone()),
+        text(&cell.method),
+        cell.seed.to_string(),
+        m.split.word().into(),
+        m.id.into(),
+        m.definition_id(),
+        m.unit.into(),
+        m.direction.word().into(),
+        alignment_of(m).into(),
+        mask_of(m).into(),
+        number(score.and_then(|s| s.value)),
+        number(score.and_then(|s| s.deviation)),
+        score.map_or(0, |s| s.count).to_string(),
+        number(interval.map(|i| i[0])),
+        number(interval.map(|i| i[1])),
+        status.word().into(),
+        text(detail),
+    ]
+}
+
+/// `frames.csv`: one row per cell, frame and frame-wise metric, and one for the predicted phase.
+pub fn write_frames(run: &Run, path: &Path) -> Result<()> {
+    let mut rows = Vec::new();
+    for cell in &run.cells {
+        let Some(score) = cell.score() else { continue };
+        for frame in &score.frame_scores {
+            let mut push = |split: Split, metric: &str, value: Option<f64>, status: Status| {
+                let folder = if split == Split::Ahead { "ahead" } else { "color" };
+                rows.push(vec![
+                    text(&run.id),
+                    text(&cell.case_id),
+                    text(&cell.method),
+                    cell.seed.to_string(),
+                    frame.frame.to_string(),
+                    format!("{folder}/{:06}.png", frame.frame),
+                    number(Some(frame.time_s)),
+                    number(Some(frame.phase)),
+                    split.word().into(),
+                    metric.into(),
+                    number(value),
+                    status.word().into(),
+                ]);
+            };
+            for v in &frame.values {
+                push(metric(&v.metric).map_or(Split::Online, |m| m.split), &v.metric, v.value, v.status);
+            }
+            if frame.phase_predicted.is_some() {
+                push(Split::Online, "phase_predicted", frame.phase_predicted, Status::Ok);
+            }
+        }
+    }
+    write_csv(path, &header(&FRAMES_COLUMNS), &rows)
+}
+
+/// `timings.csv`: what each stage of each cell cost on this machine.
+pub fn write_timings(run: &Run, path: &Path) -> Result<()> {
+    let mut rows = Vec::new();
+    for cell in &run.cells {
+        for t in &cell.timings {
+            rows.push(vec![
+                text(&run.id),
+                text(&cell.case_id),
+                text(&cell.method),
+                text(&t.stage),
+                number(Some(t.wall_s)),
+                number(Some(t.cpu_s)),
+                number(Some(t.peak_memory_mib)),
+                t.threads.to_string(),
+                text(&run.machine_id),
+                String::new(),
+                cell.seed.to_string(),
+            ]);
+        }
+    }
+    write_csv(path, &header(&TIMINGS_COLUMNS), &rows)
+}
+
+/// `comparison.csv`: one row per cell, one column per metric; then the extras, the rank among the case's ranked
+/// methods, and the sentence of a failure.
+pub fn write_comparison(run: &Run, path: &Path) -> Result<()> {
+    let extras = || registry().iter().filter(|m| m.standing == Standing::Extra);
+    let mut columns = header(&["case_id", "method", "seed"]);
+    columns.extend(paper_metrics().map(|m| m.id.to_owned()));
+    columns.extend(header(&["frames", "status"]));
+    columns.extend(extras().map(|m| m.id.to_owned()));
+    columns.extend(paper_metrics().map(|m| format!("rank_{}", m.id)));
+    columns.push("detail".into());
+    let rows: Vec<Row> = run
+        .cells
+        .iter()
+        .map(|cell| {
+            let value = |m: &Metric| number(cell.score().and_then(|s| s.value(m.id)));
+            let mut row = vec![text(&cell.case_id), text(&cell.method), cell.seed.to_string()];
+            row.extend(paper_metrics().map(value));
+            row.push(cell.score().map_or_else(String::new, |s| s.frames.to_string()));
+            row.push(if cell.score().is_some() { Status::Ok.word().into() } else { Status::Failed.word().into() });
+            row.extend(extras().map(value));
+            row.extend(paper_metrics().map(|m| rank(run, cell, m).map_or_else(String::new, |r| r.to_string())));
+            row.push(if let Outcome::Failed(why) = &cell.outcome { text(why) } else { String::new() });
+            row
+        })
+        .collect();
+    write_csv(path, &columns, &rows)
+}
+
+/// 1 + the number of better cells among the ranked methods of the same case and seed.
+fn rank(run: &Run, cell: &CellRecord, m: &Metric) -> Option<usize> {
+    let ranked = |method: &str| run.method(method).is_some_and(|m| m.role == Role::Ranked);
+    let own = cell.score()?.value(m.id).filter(|_| ranked(&cell.method))?;
+    let rivals = run.cells.iter().filter(|c| c.case_id == cell.case_id && c.seed == cell.seed && ranked(&c.method));
+    let better = rivals.filter_map(|c| c.score()?.value(m.id)).filter(|v| m.direction.better(*v, own));
+    Some(1 + better.count())
+}
+
+/// `summary.csv`: one row per method, means over cases with their 95 % bounds and the number of cases behind them.
+pub fn write_summary(summaries: &[MethodSummary], path: &Path) -> Result<()> {
+    let mut columns = header(&["method", "role", "cases", "failed"]);
+    let metrics: Vec<&Metric> =
+        paper_metrics().chain(registry().iter().filter(|m| m.standing == Standing::Extra)).collect();
+    for m in &metrics {
+        columns.extend([
+            m.id.to_owned(),
+            format!("{}_ci_low", m.id),
+            format!("{}_ci_high", m.id),
+            format!("{}_n", m.id),
+        ]);
+    }
+    let rows: Vec<Row> = summaries
+        .iter()
+        .map(|s| {
+            let role = if s.method.role == Role::Ranked { "ranked" } else { "sanity" };
+            let mut row = vec![text(&s.method.id), role.into(), s.cases.to_string(), s.failed.to_string()];
+            for m in &metrics {
+                let mean = s.mean(m.id);
+                let interval = mean.and_then(|m| m.interval);
+                row.push(number(mean.map(|m| m.mean)));
+                row.push(number(interval.map(|i| i[0])));
+                row.push(number(interval.map(|i| i[1])));
+                row.push(mean.map_or(0, |m| m.count).to_string());
+            }
+            row
+        })
+        .collect();
+    write_csv(path, &columns, &rows)
+}

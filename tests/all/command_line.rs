@@ -1,0 +1,54 @@
+//! Words in, words out: help, exit codes, one sentence for every mistake.
+
+use std::io::Read;
+use std::process::Stdio;
+
+use crate::binary::{program, run};
+
+#[test]
+fn help_and_version_are_no_errors_and_mistakes_are_usage() {
+    for good in [vec!["--help"], vec!["--version"], vec!["help"], vec!["doctor", "--help"]] {
+        let (code, out, err) = run(&good);
+        assert_eq!(code, 0, "{good:?}: {err}");
+        assert!(!out.is_empty() && err.is_empty(), "{good:?}");
+    }
+    let bad = [
+        vec![],
+        vec!["frobnicate"],
+        vec!["doctor", "--no-such-option"],
+        vec!["doctor", "surplus"],
+        vec!["--threads", "many", "doctor"],
+    ];
+    for words in bad {
+        let (code, out, err) = run(&words);
+        assert_eq!((code, out.as_str()), (2, ""), "{words:?}: {err}");
+        assert!(!err.is_empty(), "{words:?} says nothing");
+    }
+}
+
+#[test]
+fn doctor_tells_versions_to_people_and_to_machines() {
+    let (code, out, err) = run(&["doctor"]);
+    assert_eq!(code, 0, "{err}");
+    for word in ["Embree", "OpenCV", "avx2", "cores", "nothing is missing"] {
+        assert!(out.contains(word), "no {word} in\n{out}");
+    }
+    let (_, json, _) = run(&["doctor", "--json"]);
+    let found: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert!(found["embree_runtime"].as_str().unwrap().starts_with("4."));
+    assert!(found["opencv"].as_str().unwrap().starts_with('4'));
+    assert!(found["cores"].as_u64().unwrap() > 0);
+    assert_eq!(found["missing"].as_array().unwrap().len(), 0);
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_error() {
+    for words in [["doctor"].as_slice(), &["doctor", "--json"], &["--help"]] {
+        let mut child = program().args(words).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        let mut said = String::new();
+        child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        assert!(child.wait().unwrap().success(), "{words:?}: {said}");
+        assert!(!said.contains("panicked"), "{said}");
+    }
+}

@@ -1,0 +1,74 @@
+//! The command `render`: scene file in, EXR and timing out.
+
+use respire_bench::formats::{exr, mesh};
+
+use crate::render::small_tube;
+
+/// A scene file around a small tube, in a new folder.
+fn scene_folder(material: &str, expiration: bool) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mut tube = small_tube();
+    mesh::write_ply(&folder.path().join("tube.ply"), &tube, &[]).unwrap();
+    tube.vertices.iter_mut().for_each(|v| v.z += 4.0);
+    mesh::write_ply(&folder.path().join("out.ply"), &tube, &[]).unwrap();
+    let pair = if expiration { "expiration = \"out.ply\"\nphase = 0.5" } else { "" };
+    let text = format!(
+        "[mesh]\npath = \"tube.ply\"\n{pair}\n[camera]\nworld_from_camera = [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]\n\
+         width = 24\nheight = 20\nfov_x_deg = 90.0\n[light]\nintensity = [400.0, 400.0, 400.0]\n[material]\n{material}\n\
+         coat_alpha = 0.15\nmean_free_path_mm = [1.0, 0.4, 0.25]\n\
+         [integrator]\nmax_scatterings = 2\nspp = 4\nseed = 1\nshading = \"flat\"\ndenoise = false\n"
+    );
+    std::fs::write(folder.path().join("scene.toml"), text).unwrap();
+    folder
+}
+
+fn command(folder: &tempfile::TempDir) -> assert_cmd::assert::Assert {
+    assert_cmd::Command::cargo_bin("respire-bench")
+        .unwrap()
+        .arg("render")
+        .arg(folder.path().join("scene.toml"))
+        .arg("--out")
+        .arg(folder.path().join("view"))
+        .assert()
+}
+
+#[test]
+fn command_writes_image_depth_and_timing() {
+    let depth_at = |expiration| {
+        let folder = scene_folder("kind = \"lambert\"", expiration);
+        command(&folder).success();
+        let view = folder.path().join("view");
+        let image = exr::read(&view.join("image.exr")).unwrap();
+        assert_eq!((image.width, image.height, image.channels), (24, 20, 3));
+        let timing: serde_json::Value =
+            serde_json::from_str(&std::fs::read_to_string(view.join("timing.json")).unwrap()).unwrap();
+        for key in ["render_wall_s", "render_cpu_s", "bvh_build_s", "paths", "rays", "spp", "threads"] {
+            assert!(timing[key].is_number(), "{key}: {timing}");
+        }
+        assert_eq!(timing["isa"], "avx2");
+        assert_eq!(timing["paths"], 24 * 20 * 4);
+        // The camera looks out of the far end of the bent tube at its wall near the left.
+        exr::read(&view.join("depth.exr")).unwrap()
+    };
+    let (inspiration, half) = (depth_at(false), depth_at(true));
+    assert_eq!(inspiration.channels, 1);
+    assert_ne!(inspiration, half);
+}
+
+#[test]
+fn command_says_what_is_wrong() {
+    for (material, code, words) in [
+        ("kind = \"subsurface\"", 4, "cannot be rendered yet"),
+        ("kind = \"velvet\"", 4, "velvet"),
+        ("kind = \"coated\"\nalbedo = [0.5, 1.5, 0.5]", 4, "material.albedo"),
+    ] {
+        let folder = scene_folder(material, false);
+        let output = command(&folder).code(code).get_output().stderr.clone();
+        let text = String::from_utf8(output).unwrap();
+        assert!(text.contains(words) && text.contains("scene.toml"), "{text}");
+    }
+    let folder = scene_folder("kind = \"lambert\"", false);
+    std::fs::remove_file(folder.path().join("tube.ply")).unwrap();
+    let text = String::from_utf8(command(&folder).code(4).get_output().stderr.clone()).unwrap();
+    assert!(text.contains("tube.ply"), "{text}");
+}
