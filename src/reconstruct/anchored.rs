@@ -1,7 +1,7 @@
 //! Discs on a mesh: all their parameters, and the compact copy ("patch") of those that one frame can see, on which
 //! the optimiser works. Frozen or unseen parameters cost nothing.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Result, TriangleMesh};
@@ -222,11 +222,6 @@ impl Patch {
         adam.sh_step(&mut self.gaussians.sh, &gradients.sh);
         (self.logit_step, self.scale_step) = (logits, scales);
         Ok(())
-    }
-
-    /// Positions of the discs as placed last.
-    pub fn centres(&self) -> impl Iterator<Item = Vec3> + '_ {
-        self.gaussians.positions.iter().map(|p| Vec3::from(*p))
     }
 }
 

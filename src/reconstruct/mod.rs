@@ -5,12 +5,19 @@
 
 mod active;
 mod anchored;
+mod bridgesplat;
+mod bridgesplat_nomesh;
+mod control_points;
+mod free;
+mod library;
 pub mod loss;
 mod neighbours;
 pub mod optimiser;
 mod ours;
+mod ours_nomesh;
 pub mod phase;
 mod phase_fit;
+mod prediction;
 pub mod settings;
 #[cfg(test)]
 mod tests;
@@ -20,7 +27,12 @@ use glam::DAffine3;
 use crate::base::{Camera, Error, Image, Progress, Result, TriangleMesh};
 use crate::splat::Rendered;
 
+pub use bridgesplat::Bridgesplat;
+pub use bridgesplat_nomesh::BridgesplatNomesh;
+pub use library::{method, methods};
 pub use ours::{Ours, Row};
+pub use ours_nomesh::OursNomesh;
+pub use prediction::write_prediction;
 
 /// What a method asks to see beyond images, times, camera and poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
