@@ -124,8 +124,17 @@ class PathIntegrator {
     r.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     r.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
     ++counters.rays;
-    rtcIntersect1(tracer_.scene_, &r);
-    if (r.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
+    rtcIntersect1(tracer_.fast_, &r);
+    const bool missed = r.hit.geomID == RTC_INVALID_GEOMETRY_ID;
+    if (missed || r.hit.Ng_x * direction.x + r.hit.Ng_y * direction.y + r.hit.Ng_z * direction.z > 0.0f) {
+      // Out of the mesh, or a wall seen from behind: perhaps through an edge. The robust scene decides.
+      r.ray.tfar = 1e30f;
+      r.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+      r.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+      ++counters.rays;
+      rtcIntersect1(tracer_.robust_, &r);
+      if (r.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
+    }
     hit = {r.ray.tfar, r.hit.u, r.hit.v, r.hit.primID, {r.hit.Ng_x, r.hit.Ng_y, r.hit.Ng_z}};
     return true;
   }
@@ -136,7 +145,7 @@ class PathIntegrator {
     r.dir_x = direction.x, r.dir_y = direction.y, r.dir_z = direction.z;
     r.tnear = 0, r.tfar = distance, r.time = 0, r.mask = ~0u, r.id = 0, r.flags = 0;
     ++counters.rays;
-    rtcOccluded1(tracer_.scene_, &r);
+    rtcOccluded1(tracer_.fast_, &r);
     return r.tfar < 0;
   }
 

@@ -67,10 +67,13 @@ Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_
   FloatMode mode;
   device_.reset(rtcNewDevice("isa=avx2"));
   if (!device_) throw std::runtime_error("Embree refuses a device: error " + std::to_string(rtcGetDeviceError(nullptr)));
-  scene_.reset(rtcNewScene(device_));
-  // Two-level mode: the only one that refits. Robust: no ray slips through an edge.
-  rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_LOW);
-  rtcSetSceneFlags(scene_, static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_DYNAMIC | RTC_SCENE_FLAG_ROBUST));
+  robust_.reset(rtcNewScene(device_));
+  fast_.reset(rtcNewScene(device_));
+  // Two-level mode: the only one that refits.
+  rtcSetSceneBuildQuality(robust_, RTC_BUILD_QUALITY_LOW);
+  rtcSetSceneBuildQuality(fast_, RTC_BUILD_QUALITY_LOW);
+  rtcSetSceneFlags(robust_, static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_DYNAMIC | RTC_SCENE_FLAG_ROBUST));
+  rtcSetSceneFlags(fast_, RTC_SCENE_FLAG_DYNAMIC);
   geometry_.reset(rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE));
   rtcSetGeometryBuildQuality(geometry_, RTC_BUILD_QUALITY_REFIT);
   void* v = rtcSetNewGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, count);
@@ -81,8 +84,10 @@ Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_
   vertices_ = static_cast<const float*>(v);
   faces_ = static_cast<const std::uint32_t*>(f);
   rtcCommitGeometry(geometry_);
-  rtcAttachGeometry(scene_, geometry_);
-  rtcCommitScene(scene_);
+  for (RTCScene scene : {static_cast<RTCScene>(robust_), static_cast<RTCScene>(fast_)}) {
+    rtcAttachGeometry(scene, geometry_);
+    rtcCommitScene(scene);
+  }
   update_normals();
   bake_albedo();
 }
@@ -94,7 +99,8 @@ void Tracer::update(rust::Slice<const float> vertices) {
   std::memcpy(v, vertices.data(), vertices.size() * sizeof(float));
   rtcUpdateGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
   rtcCommitGeometry(geometry_);
-  rtcCommitScene(scene_);
+  rtcCommitScene(robust_);
+  rtcCommitScene(fast_);
   update_normals();
 }
 
@@ -170,7 +176,7 @@ TileCounters Tracer::trace_tile(const FrameSettings& frame, const Tile& tile, ru
       Vec3 top = load(low) * (1.0f - u) + load(low + 3) * u, bottom = load(high) * (1.0f - u) + load(high + 3) * u;
       store(directions + 3 * lane, normalize(integrator.world_direction(top * (1.0f - v) + bottom * v)));
     }
-    cast_packet(scene_, frame.origin.data(), 0, directions, count, true, packet);
+    cast_packet(robust_, frame.origin.data(), 0, directions, count, true, packet);
     integrator.counters.rays += count;
     for (std::uint32_t lane = 0; lane < count; ++lane) {
       const std::uint64_t pixel = (first + lane) / tile.samples;
@@ -195,7 +201,7 @@ void Tracer::trace_distances(const FrameSettings& frame, rust::Slice<const float
     const std::size_t count = std::min<std::size_t>(8, distances.size() - first);
     for (std::size_t lane = 0; lane < count; ++lane)
       store(world + 3 * lane, integrator.world_direction(load(directions.data() + 3 * (first + lane))));
-    cast_packet(scene_, frame.origin.data(), 0, world, count, true, packet);
+    cast_packet(robust_, frame.origin.data(), 0, world, count, true, packet);
     for (std::size_t lane = 0; lane < count; ++lane)
       distances[first + lane] = packet.hit.geomID[lane] == RTC_INVALID_GEOMETRY_ID ? kInfinity : packet.ray.tfar[lane];
   }
@@ -208,7 +214,7 @@ void Tracer::cast(rust::Slice<const float> origins, rust::Slice<const float> dir
   RTCRayHit8 packet;
   for (std::size_t first = 0; first < distances.size(); first += 8) {
     const std::size_t count = std::min<std::size_t>(8, distances.size() - first);
-    cast_packet(scene_, origins.data() + 3 * first, 3, directions.data() + 3 * first, count, false, packet);
+    cast_packet(robust_, origins.data() + 3 * first, 3, directions.data() + 3 * first, count, false, packet);
     for (std::size_t lane = 0; lane < count; ++lane)
       distances[first + lane] = packet.hit.geomID[lane] == RTC_INVALID_GEOMETRY_ID ? kInfinity : packet.ray.tfar[lane];
   }

@@ -1,11 +1,20 @@
 //! Anatomy that breathes: case files, bronchial trees, surface, breathing field and waveform, centreline, import.
 //! Knows nothing of rendering.
 
+pub mod case;
+pub mod case_build;
+pub mod case_centerline;
 pub mod centerline;
 pub mod field;
 pub mod field_calibre;
 pub mod field_check;
 pub mod field_fit;
+pub mod grow;
+mod grow_region;
+mod grow_shape;
+pub mod import_breathing;
+pub mod import_tree;
+pub mod morphometry;
 pub mod remesh;
 pub mod surface;
 pub mod surface_field;
@@ -13,6 +22,7 @@ pub mod surface_polygon;
 pub mod tree;
 pub mod waveform;
 
+pub use case_build::build;
 use glam::DVec3;
 
 use crate::base::TriangleMesh;

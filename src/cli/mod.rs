@@ -4,7 +4,9 @@
 //! line and a line in [`commands!`] below.
 
 mod doctor;
+mod import;
 mod render;
+mod simulate;
 mod terminal;
 mod watch;
 
@@ -36,6 +38,10 @@ macro_rules! commands {
 commands! {
     /// What is installed, which instruction set, which library versions
     Doctor => doctor,
+    /// Turns a user's anatomy or a measured motion into a case
+    Import => import,
+    /// Films cases into sequence folders
+    Simulate => simulate,
     /// Path-trace one scene file: linear EXR, depth EXR, timing JSON
     Render => render,
 }

@@ -7,3 +7,4 @@ pub mod landmarks;
 pub mod mesh;
 pub mod npy;
 pub mod png;
+pub mod transforms;

@@ -17,6 +17,8 @@ use crate::ffi::tracer::{FILM_CHANNELS, FrameSettings, Tile, TileCounters};
 const TILE_PX: u32 = 16;
 /// Most samples per pixel of one round: the film's f32 sums stay exact enough, and the user can stop between rounds.
 const SAMPLES_PER_ROUND: u32 = 32;
+/// Larger images would need more than 4 GiB for the film.
+const MAX_PIXELS: u64 = 1 << 24;
 /// Where `target_relmse` gives up.
 const MAX_SAMPLES: u32 = 65_536;
 
@@ -89,7 +91,7 @@ pub fn render_watched(
     let mut film = Film { sums: vec![0.0; pixel_count(camera) * FILM_CHANNELS], samples: 0 };
     let mut wanted = settings.samples_per_pixel;
     loop {
-        let before = Film { sums: film.sums.clone(), samples: film.samples };
+        let before = settings.target_relmse.map(|_| Film { sums: film.sums.clone(), samples: film.samples });
         while film.samples < wanted {
             let count = (wanted - film.samples).min(SAMPLES_PER_ROUND);
             add_samples(scene, &frame, &corners, count, &mut film, &mut statistics)?;
@@ -98,7 +100,7 @@ pub fn render_watched(
                 return Err(Error::interrupted());
             }
         }
-        let Some(target) = settings.target_relmse else { break };
+        let (Some(target), Some(before)) = (settings.target_relmse, before) else { break };
         let good = before.samples > 0 && relative_error(&before, &film) <= target;
         if good || film.samples >= MAX_SAMPLES {
             break;
@@ -116,6 +118,9 @@ pub fn render_watched(
 
 fn check(camera: &Camera, pose: &DAffine3, light: &Light, settings: &RenderSettings) -> Result<()> {
     camera.validate()?;
+    if camera.width as u64 * camera.height as u64 > MAX_PIXELS {
+        return Err(Error::input(format!("an image of {}x{} pixels is too large", camera.width, camera.height)));
+    }
     let rotation = pose.matrix3;
     let off = (rotation * rotation.transpose() - DMat3::IDENTITY).to_cols_array();
     if !pose.is_finite() || off.iter().any(|v| v.abs() > 1e-4) || rotation.determinant() < 0.0 {

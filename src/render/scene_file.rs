@@ -130,6 +130,9 @@ impl SceneFile {
         if !(0.0..=1.0).contains(&self.mesh.phase) {
             return Err(Error::input(format!("is {}; it must lie in [0, 1]", self.mesh.phase)).element("mesh.phase"));
         }
+        if self.integrator.spp == 0 {
+            return Err(Error::input("must be above 0").element("integrator.spp"));
+        }
         if let Some(target) = self.integrator.target_relmse
             && (target.is_nan() || target <= 0.0)
         {
@@ -223,5 +226,83 @@ impl CameraSection {
             );
         }
         Ok(DAffine3::from_mat4(matrix))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EXAMPLE: &str = r#"
+        [mesh]
+        path = "tube.ply"
+        expiration = "tube_out.ply"
+        phase = 0.25
+        [camera]
+        world_from_camera = [1,0,0,5, 0,1,0,6, 0,0,1,7, 0,0,0,1]
+        width = 256
+        height = 128
+        fov_x_deg = 90.0
+        [light]
+        intensity = [400.0, 300.0, 200.0]
+        position = [1.0, 2.0, 3.0]
+        [material]
+        kind = "coated"
+        albedo = [0.75, 0.40, 0.35]
+        coat_alpha = 0.15
+        coat_ior = 1.4
+        mean_free_path_mm = [1.0, 0.4, 0.25]
+        [integrator]
+        max_scatterings = 6
+        spp = 64
+        seed = 1
+        shading = "smooth"
+        denoise = true
+    "#;
+
+    fn load(text: &str) -> Result<SceneFile> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.toml");
+        files::write_bytes(&path, text.as_bytes()).unwrap();
+        SceneFile::load(&path)
+    }
+
+    #[test]
+    fn every_key_has_its_meaning() {
+        let scene = load(EXAMPLE).unwrap();
+        assert!(scene.mesh.path.is_absolute() && scene.mesh.path.ends_with("tube.ply"));
+        assert_eq!(scene.mesh.phase, 0.25);
+        let camera = scene.camera.intrinsics().unwrap();
+        assert!((camera.fl_x - 128.0).abs() < 1e-9 && camera.cx == 128.0 && camera.cy == 64.0);
+        assert_eq!(scene.camera.pose().unwrap().translation, glam::DVec3::new(5.0, 6.0, 7.0));
+        assert_eq!(scene.light.position_mm, Some(glam::DVec3::new(1.0, 2.0, 3.0)));
+        let settings = scene.settings();
+        assert_eq!((settings.max_scatterings, settings.samples_per_pixel), (6, 64));
+        assert_eq!((settings.shading, settings.denoise), (Shading::Smooth, Denoise::On));
+    }
+
+    #[test]
+    fn a_fisheye_needs_focal_lengths() {
+        let text = EXAMPLE.replace("fov_x_deg = 90.0", "fl_x = 100.0\nmodel = \"OPENCV_FISHEYE\"\nk1 = 0.1");
+        let camera = load(&text).unwrap().camera.intrinsics().unwrap();
+        assert_eq!((camera.fisheye, camera.fl_y), (Some([0.1, 0.0, 0.0, 0.0]), 100.0));
+        assert!(load(&EXAMPLE.replace("fov_x_deg = 90.0", "fov_x_deg = 90.0\nmodel = \"fisheye\"")).is_err());
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (from, to, words) in [
+            ("phase = 0.25", "phase = 1.25", "mesh.phase"),
+            ("fov_x_deg = 90.0", "", "camera"),
+            ("fov_x_deg = 90.0", "fov_x_deg = 90.0\nmodel = \"orthographic\"", "orthographic"),
+            ("0,0,0,1]", "0,0,1]", "15 numbers"),
+            ("0,0,0,1]", "0,0,0,2]", "world_from_camera"),
+            ("spp = 64", "spp = 64\ntarget_relmse = 0.0", "target_relmse"),
+            ("spp = 64", "ssp = 64", "ssp"),
+            ("spp = 64", "spp = 0", "integrator.spp"),
+        ] {
+            let message = load(&EXAMPLE.replace(from, to)).unwrap_err().to_string();
+            assert!(message.contains(words) && message.contains("scene.toml"), "{message}");
+        }
     }
 }

@@ -1,3 +1,258 @@
 //! From anatomy to a filmed sequence on disk, and back: trajectory, exposure, writer, reader. Knows nothing of methods.
 
+pub mod exposure;
+pub mod film;
 pub mod sequence;
+pub mod trajectory;
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::airway::case::Case;
+use crate::airway::{self, Anatomy, case_centerline};
+use crate::base::{Error, Image, Progress, Result, TriangleMesh, files, hash, mesh};
+use crate::formats::transforms::Transforms;
+use crate::formats::{exr, mesh as mesh_file, png};
+use crate::render::{Denoise, Light, Material, RenderSettings, Scene, Shading, render};
+use film::Film;
+use sequence::{ManifestHead, Sequence};
+
+/// Changes whenever the same case and settings give other pixels or other truth.
+const SIMULATOR_VERSION: u32 = 1;
+
+/// Which meshes a sequence folder holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MeshOutput {
+    /// Inspiration and expiration: any other follows from the phase.
+    #[default]
+    EndStates,
+    /// The deformed mesh of every frame as well.
+    EveryFrame,
+}
+
+/// Whether linear images are kept beside the 8-bit ones.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RadianceOutput {
+    /// 8-bit sRGB only.
+    #[default]
+    None,
+    /// Linear radiance before gain and white balance, as OpenEXR.
+    Exr,
+}
+
+/// How a case is filmed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SimulationSettings {
+    /// Image width in pixels.
+    pub width_px: u32,
+    /// Image height in pixels.
+    pub height_px: u32,
+    /// Frame rate of the video.
+    pub frames_per_second: f64,
+    /// Number of frames.
+    pub frames: usize,
+    /// Paths traced per pixel.
+    pub samples_per_pixel: u32,
+    /// Meshes to write.
+    pub meshes: MeshOutput,
+    /// Linear images to write.
+    pub radiance: RadianceOutput,
+}
+
+/// Films `case` into the folder `out` and opens the result.
+///
+/// A finished folder with the same content hash is only opened; a half-made one is resumed frame by frame; one of
+/// another content is made anew. The bytes depend on case and settings alone.
+/// Errors: the case's (anatomy, way, material), a folder that is no sequence, writing; `Interrupted` between frames.
+pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress: &dyn Progress) -> Result<Sequence> {
+    check(settings)?;
+    let hash = sequence_hash(case, settings)?;
+    if let Ok(done) = Sequence::open(out)
+        && done.hash == hash
+    {
+        return Ok(done);
+    }
+    let material = material(case)?;
+    prepare_folder(out, &hash)?;
+    let anatomy = airway::build(case)?;
+    let film = Film::plan(case, &anatomy, settings, &material)?;
+    film.notes.iter().for_each(|note| progress.note(&format!("{}: {note}", case.id)));
+    shoot(case, &anatomy, &film, &material, settings, out, progress)?;
+    write_truth(case, &anatomy, &film, settings, &hash, out)?;
+    Sequence::open(out)
+}
+
+/// Content hash of the sequence that `case` and `settings` make, 64 hex digits.
+pub fn sequence_hash(case: &Case, settings: &SimulationSettings) -> Result<String> {
+    hash::of_value(&(SIMULATOR_VERSION, case.hash()?, settings))
+}
+
+/// The look that the case file asks for.
+pub fn material(case: &Case) -> Result<Material> {
+    let material: Material = case
+        .material
+        .clone()
+        .try_into()
+        .map_err(|e| Error::input(e.to_string().trim_end().replace('\n', " ")).element("material"))?;
+    material.validate()?;
+    Ok(material)
+}
+
+fn check(settings: &SimulationSettings) -> Result<()> {
+    let size = |v: u32| (1..=8192).contains(&v);
+    if !size(settings.width_px) || !size(settings.height_px) || settings.samples_per_pixel == 0 {
+        return Err(Error::usage("a film needs images of 1 to 8192 pixels a side and at least one sample per pixel"));
+    }
+    if settings.frames < 2 || !(settings.frames_per_second.is_finite() && settings.frames_per_second > 0.0) {
+        return Err(Error::usage("a film needs at least two frames and a positive frame rate"));
+    }
+    Ok(())
+}
+
+/// Makes the folder ready for the content `hash`: keeps the frames of the same content, removes those of another.
+fn prepare_folder(out: &Path, hash: &str) -> Result<()> {
+    #[derive(serde::Deserialize)]
+    struct Plan {
+        hash: String,
+    }
+    let plan = out.join(sequence::PLAN);
+    let same = plan.is_file() && files::read_json::<Plan>(&plan).is_ok_and(|p| p.hash == hash);
+    if !same {
+        let empty = !out.exists() || out.read_dir().map_err(|e| Error::io("reading", out, e))?.next().is_none();
+        if !empty && !plan.is_file() {
+            return Err(Error::input("is neither empty nor a sequence folder: nothing is overwritten").at(out));
+        }
+        let _ = std::fs::remove_file(out.join(sequence::MANIFEST));
+        for part in ["images", "depth", "radiance", "mesh"] {
+            let folder = out.join(part);
+            if folder.exists() {
+                std::fs::remove_dir_all(&folder).map_err(|e| Error::io("removing", &folder, e))?;
+            }
+        }
+        files::write_json(&plan, &serde_json::json!({ "hash": hash }))?;
+    }
+    Ok(())
+}
+
+/// Renders every frame that is not there yet. A frame's image is written last, so an image means a whole frame.
+fn shoot(
+    case: &Case,
+    anatomy: &Anatomy,
+    film: &Film,
+    material: &Material,
+    settings: &SimulationSettings,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, *material, case.seed)?;
+    let light = Light::at_camera(case.light_intensity);
+    for (index, record) in film.frames.iter().enumerate() {
+        progress.advance(index, film.frames.len());
+        let image_path = out.join(sequence::image_name(index));
+        if image_path.is_file() {
+            continue;
+        }
+        if progress.cancelled() {
+            return Err(Error::interrupted());
+        }
+        let vertices = mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, record.phase);
+        scene.deform(&vertices)?;
+        let render_settings = RenderSettings {
+            samples_per_pixel: settings.samples_per_pixel,
+            denoise: Denoise::On,
+            shading: Shading::Smooth,
+            seed: case.seed,
+            frame: index as u64,
+            ..RenderSettings::default()
+        };
+        let frame = render(&scene, &film.camera, &record.world_from_camera, &light, &render_settings)?;
+        exr::write_channel(&out.join(sequence::depth_name(index)), "Z", &frame.depth_mm)?;
+        if settings.meshes == MeshOutput::EveryFrame {
+            let deformed = TriangleMesh { vertices, faces: anatomy.inspiration.faces.clone() };
+            mesh_file::write_ply(&out.join(sequence::frame_mesh_name(index)), &deformed, &["units mm", "space LPS"])?;
+        }
+        if settings.radiance == RadianceOutput::Exr {
+            exr::write_rgb(&out.join(sequence::radiance_name(index)), &frame.radiance)?;
+        }
+        png::write_rgb(&image_path, &developed(&frame.radiance, record.gain, record.white_balance))?;
+    }
+    progress.advance(film.frames.len(), film.frames.len());
+    Ok(())
+}
+
+/// Linear radiance to the 8-bit image of the sensor.
+fn developed(radiance: &Image<f32>, gain: f64, white_balance: [f64; 3]) -> Image<u8> {
+    let mut exposed = radiance.clone();
+    for pixel in exposed.data.chunks_exact_mut(3) {
+        for (value, balance) in pixel.iter_mut().zip(white_balance) {
+            *value *= (gain * balance) as f32;
+        }
+    }
+    exposed.to_srgb8()
+}
+
+/// Everything but the frames; the manifest last.
+fn write_truth(
+    case: &Case,
+    anatomy: &Anatomy,
+    film: &Film,
+    settings: &SimulationSettings,
+    hash: &str,
+    out: &Path,
+) -> Result<()> {
+    let comments = ["units mm", "space LPS", "normals point into the lumen"];
+    mesh_file::write_ply(&out.join(sequence::INSPIRATION), &anatomy.inspiration, &comments)?;
+    mesh_file::write_ply(&out.join(sequence::EXPIRATION), &anatomy.expiration, &comments)?;
+    files::write_bytes(&out.join(sequence::CENTERLINE), case_centerline::to_csv(&anatomy.centerline).as_bytes())?;
+    let entries = film.frames.iter().enumerate().map(|(i, f)| sequence::transforms_frame(i, f)).collect();
+    Transforms::new(&film.camera, entries).write(&out.join(sequence::TRANSFORMS))?;
+    files::write_bytes(&out.join(sequence::FRAMES), film.frames_csv().as_bytes())?;
+    files::write_bytes(&out.join(sequence::FORMAT), include_bytes!("FORMAT.md"))?;
+    let hashes: Vec<(String, String)> = content_names(film, settings)
+        .into_par_iter()
+        .map(|name| hash::of_file(&out.join(&name)).map(|h| (name, h)))
+        .collect::<Result<_>>()?;
+    let head = ManifestHead { case_id: case.id.clone(), hash: hash.to_string(), frames: film.frames.len() };
+    let mut manifest = serde_json::to_value(head).map_err(|e| Error::input(e.to_string()))?;
+    manifest["simulator_version"] = SIMULATOR_VERSION.into();
+    manifest["case_hash"] = case.hash()?.into();
+    manifest["settings"] = serde_json::to_value(settings).map_err(|e| Error::input(e.to_string()))?;
+    manifest["case"] = serde_json::to_value(case).map_err(|e| Error::input(e.to_string()))?;
+    manifest["material"] = serde_json::to_value(material(case)?).map_err(|e| Error::input(e.to_string()))?;
+    manifest["film"] = film.summary();
+    manifest["files"] =
+        hashes.into_iter().map(|(name, hash)| (name, hash.into())).collect::<serde_json::Map<_, _>>().into();
+    files::write_json(&out.join(sequence::MANIFEST), &manifest)
+}
+
+/// All files of the folder but plan and manifest, in order.
+fn content_names(film: &Film, settings: &SimulationSettings) -> Vec<String> {
+    let fixed = [
+        sequence::INSPIRATION,
+        sequence::EXPIRATION,
+        sequence::CENTERLINE,
+        sequence::TRANSFORMS,
+        sequence::FRAMES,
+        sequence::FORMAT,
+    ];
+    let mut names: Vec<String> = fixed.iter().map(|n| n.to_string()).collect();
+    for frame in 0..film.frames.len() {
+        names.extend([sequence::image_name(frame), sequence::depth_name(frame)]);
+        if settings.meshes == MeshOutput::EveryFrame {
+            names.push(sequence::frame_mesh_name(frame));
+        }
+        if settings.radiance == RadianceOutput::Exr {
+            names.push(sequence::radiance_name(frame));
+        }
+    }
+    names
+}
+
+/// Where the sequence of `case` lives below `root`: `<case>-<hash12>`.
+pub fn sequence_folder(root: &Path, case: &Case, settings: &SimulationSettings) -> Result<PathBuf> {
+    Ok(root.join(format!("{}-{}", case.id, &sequence_hash(case, settings)?[..12])))
+}

@@ -1,10 +1,15 @@
 //! A sequence on disk: the one place that knows its file names.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use glam::DAffine3;
+use serde::{Deserialize, Serialize};
 
-use crate::base::Camera;
+use crate::airway::case_centerline;
+use crate::airway::centerline::Centerline;
+use crate::base::{Camera, Error, Image, Result, TriangleMesh, files};
+use crate::formats::transforms::{Transforms, TransformsFrame};
+use crate::formats::{exr, mesh, png};
 
 /// What is known of one frame, truth included.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,4 +39,147 @@ pub struct Sequence {
     pub camera: Camera,
     /// One record per frame, in order.
     pub frames: Vec<FrameRecord>,
+}
+
+/// What `manifest.json` says at least; the rest of it is for people and other programs.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct ManifestHead {
+    pub case_id: String,
+    pub hash: String,
+    pub frames: usize,
+}
+
+/// Written last: a folder with it is complete.
+pub const MANIFEST: &str = "manifest.json";
+/// Written first: what the folder is going to be.
+pub const PLAN: &str = "plan.json";
+
+/// `images/NNNNNN.png`.
+pub fn image_name(frame: usize) -> String {
+    format!("images/{frame:06}.png")
+}
+
+/// `depth/NNNNNN.exr`.
+pub fn depth_name(frame: usize) -> String {
+    format!("depth/{frame:06}.exr")
+}
+
+/// `radiance/NNNNNN.exr`, on request.
+pub fn radiance_name(frame: usize) -> String {
+    format!("radiance/{frame:06}.exr")
+}
+
+/// `mesh/frame_NNNNNN.ply`, on request.
+pub fn frame_mesh_name(frame: usize) -> String {
+    format!("mesh/frame_{frame:06}.ply")
+}
+
+/// Surface at full inspiration.
+pub const INSPIRATION: &str = "mesh/inspiration.ply";
+/// Surface at full expiration, same faces.
+pub const EXPIRATION: &str = "mesh/expiration.ply";
+/// Centreline at inspiration.
+pub const CENTERLINE: &str = "centerline.csv";
+/// Cameras and truth in nerfstudio's layout.
+pub const TRANSFORMS: &str = "transforms.json";
+/// Truth as a table.
+pub const FRAMES: &str = "frames.csv";
+/// The layout in words.
+pub const FORMAT: &str = "FORMAT.md";
+
+impl Sequence {
+    /// Opens a finished sequence folder.
+    ///
+    /// Errors name the file: no manifest (not a sequence, or not finished), truth that is missing or damaged.
+    pub fn open(root: &Path) -> Result<Sequence> {
+        let manifest = root.join(MANIFEST);
+        if !manifest.is_file() {
+            let why = if !root.is_dir() {
+                "there is no such folder"
+            } else if root.join(PLAN).is_file() {
+                "the sequence is not finished; the command that made it resumes it"
+            } else {
+                "is not a sequence folder: it has no manifest.json"
+            };
+            return Err(Error::input(why).at(root));
+        }
+        let head: ManifestHead = files::read_json(&manifest)?;
+        let path = root.join(TRANSFORMS);
+        let transforms = Transforms::read(&path)?;
+        if transforms.frames.len() != head.frames || head.frames == 0 {
+            let sentence = format!("has {} frames, the manifest says {}", transforms.frames.len(), head.frames);
+            return Err(Error::input(sentence).at(path));
+        }
+        let mut frames = Vec::with_capacity(head.frames);
+        for (index, frame) in transforms.frames.iter().enumerate() {
+            frames.push(record(frame).map_err(|e| e.element(format!("frame {index}")).at(&path))?);
+        }
+        let camera = transforms.camera()?;
+        Ok(Sequence { root: root.to_path_buf(), case_id: head.case_id, hash: head.hash, camera, frames })
+    }
+
+    /// The 8-bit sRGB image of a frame. Errors name a file that is missing, damaged or of another size.
+    pub fn image(&self, frame: usize) -> Result<Image<u8>> {
+        let path = self.root.join(image_name(frame));
+        let image = png::read_rgb(&path)?;
+        self.check_size(image.width, image.height, &path)?;
+        Ok(image)
+    }
+
+    /// True z-depth of a frame in mm, 0 where nothing was hit. Errors as [`Sequence::image`].
+    pub fn depth_mm(&self, frame: usize) -> Result<Image<f32>> {
+        let path = self.root.join(depth_name(frame));
+        let depth = exr::read(&path)?;
+        self.check_size(depth.width, depth.height, &path)?;
+        if depth.channels != 1 {
+            return Err(Error::input(format!("has {} channels instead of 1", depth.channels)).at(path));
+        }
+        Ok(depth)
+    }
+
+    /// Surface at full inspiration; normals point into the lumen.
+    pub fn inspiration(&self) -> Result<TriangleMesh> {
+        mesh::read(&self.root.join(INSPIRATION))
+    }
+
+    /// Surface at full expiration, same faces as [`Sequence::inspiration`].
+    pub fn expiration(&self) -> Result<TriangleMesh> {
+        mesh::read(&self.root.join(EXPIRATION))
+    }
+
+    /// Centreline at inspiration.
+    pub fn centerline(&self) -> Result<Centerline> {
+        case_centerline::read(&self.root.join(CENTERLINE))
+    }
+
+    fn check_size(&self, width: usize, height: usize, path: &Path) -> Result<()> {
+        let (w, h) = (self.camera.width as usize, self.camera.height as usize);
+        if (width, height) != (w, h) {
+            return Err(Error::input(format!("is {width}x{height}, the camera is {w}x{h}")).at(path));
+        }
+        Ok(())
+    }
+}
+
+fn record(frame: &TransformsFrame) -> Result<FrameRecord> {
+    Ok(FrameRecord {
+        time_s: frame.time,
+        phase: frame.breathing_phase.ok_or_else(|| Error::input("has no breathing_phase"))?,
+        gain: frame.exposure,
+        white_balance: frame.white_balance,
+        world_from_camera: frame.world_from_camera(),
+    })
+}
+
+/// The nerfstudio entry of a frame.
+pub(super) fn transforms_frame(index: usize, frame: &FrameRecord) -> TransformsFrame {
+    TransformsFrame {
+        file_path: image_name(index),
+        depth_file_path: Some(depth_name(index)),
+        transform_matrix: TransformsFrame::matrix(&frame.world_from_camera),
+        time: frame.time_s,
+        breathing_phase: Some(frame.phase),
+        exposure: frame.gain,
+        white_balance: frame.white_balance,
+    }
 }

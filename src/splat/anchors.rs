@@ -33,8 +33,10 @@ pub enum Frame {
 /// Discs tied to triangles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Anchors<T> {
-    /// Triangle of each disc.
-    pub face: Vec<u32>,
+    /// Triangle of each disc; checked once, at construction.
+    face: Vec<u32>,
+    /// How many faces and vertices the mesh has.
+    topology: [usize; 2],
     /// Barycentric logits.
     pub logits: Vec<[T; 3]>,
     /// Logarithms of the two half axes (mm, standard deviations).
@@ -47,7 +49,7 @@ pub struct Anchors<T> {
     pub log_scale_limits: Vec<[T; 2]>,
 }
 
-/// The mesh that carries the anchors, in one of its states.
+/// The mesh that carries the anchors, in one of its states; the faces are those that the anchors were made with.
 #[derive(Clone, Copy, Debug)]
 pub struct Carrier<'a, T> {
     /// Positions in mm.
@@ -133,11 +135,15 @@ impl<T: Real> Anchors<T> {
         log_scales: Vec<[T; 2]>,
         rest: Carrier<'_, T>,
     ) -> Result<Self> {
-        let mut anchors =
-            Anchors { face, logits, log_scales, frame, tangents: Vec::new(), log_scale_limits: Vec::new() };
-        anchors.check(rest)?;
-        anchors.tangents = anchors
-            .face
+        let topology = [rest.faces.len(), rest.vertices.len()];
+        if let Some(&face) = face.iter().find(|&&f| f as usize >= rest.faces.len()) {
+            return Err(Error::input("an anchor names a face that does not exist").element(format!("face {face}")));
+        }
+        let vertices = rest.vertices.len();
+        if let Some(face) = rest.faces.iter().position(|f| f.iter().any(|&v| v as usize >= vertices)) {
+            return Err(Error::input("a face names a vertex that does not exist").element(format!("face {face}")));
+        }
+        let tangents = face
             .iter()
             .map(|&f| {
                 let [a, b, c] = rest.faces[f as usize].map(|v| rest.vertices[v as usize]);
@@ -151,7 +157,14 @@ impl<T: Real> Anchors<T> {
                 if usable { tangents } else { [[T::zero(); 2]; 2] }
             })
             .collect();
+        let anchors = Anchors { face, topology, logits, log_scales, frame, tangents, log_scale_limits: Vec::new() };
+        anchors.check(rest)?;
         Ok(anchors)
+    }
+
+    /// Triangle of each disc.
+    pub fn faces(&self) -> &[u32] {
+        &self.face
     }
 
     /// Caps `log_scales` at `log(factor)` above what they are now.
@@ -175,6 +188,7 @@ impl<T: Real> Anchors<T> {
         let one = |v: T| U::of(v.to_f64());
         Anchors {
             face: self.face.clone(),
+            topology: self.topology,
             logits: self.logits.iter().map(|v| v.map(one)).collect(),
             log_scales: self.log_scales.iter().map(|v| v.map(one)).collect(),
             frame: self.frame,
@@ -183,22 +197,15 @@ impl<T: Real> Anchors<T> {
         }
     }
 
+    /// Lengths only: this runs at every call, and the inactive cost nothing.
     fn check(&self, carrier: Carrier<'_, T>) -> Result<()> {
         let n = self.len();
         let limits = self.log_scale_limits.len();
-        let tangents = self.tangents.len();
-        if self.logits.len() != n || self.log_scales.len() != n || (limits != 0 && limits != n) {
+        if [self.logits.len(), self.log_scales.len(), self.tangents.len()] != [n; 3] || (limits != 0 && limits != n) {
             return Err(Error::input("the arrays of the anchors differ in length"));
         }
-        if tangents != 0 && tangents != n {
-            return Err(Error::input("the tangents of the anchors differ in length from the rest"));
-        }
-        if let Some(&face) = self.face.iter().find(|&&f| f as usize >= carrier.faces.len()) {
-            return Err(Error::input("an anchor names a face that does not exist").element(format!("face {face}")));
-        }
-        let vertices = carrier.vertices.len();
-        if let Some(face) = carrier.faces.iter().position(|f| f.iter().any(|&v| v as usize >= vertices)) {
-            return Err(Error::input("a face names a vertex that does not exist").element(format!("face {face}")));
+        if [carrier.faces.len(), carrier.vertices.len()] != self.topology {
+            return Err(Error::input("the mesh has another number of faces or vertices than at rest"));
         }
         Ok(())
     }

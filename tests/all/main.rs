@@ -6,3 +6,4 @@ mod layering;
 mod reference;
 mod render;
 mod render_command;
+mod splat;

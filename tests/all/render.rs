@@ -332,6 +332,26 @@ fn refitted_scene_is_the_rebuilt_scene() {
     assert!(refitted.deform(&moved.vertices).unwrap_err().to_string().contains("vertex 3"));
 }
 
+#[test]
+fn picture_does_not_depend_on_the_shapes_before() {
+    // A resumed sequence deforms the scene straight to the frame where it goes on.
+    let rest = small_tube();
+    let shape = |k: f64| -> Vec<DVec3> {
+        rest.vertices.iter().map(|&v| v + DVec3::new(0.5 * k * (v.z * 0.2).sin(), 0.3 * k, 0.05 * k * v.z)).collect()
+    };
+    let camera = Camera::pinhole(48, 40, 1.7);
+    let settings = RenderSettings { samples_per_pixel: 4, shading: Shading::Smooth, ..RenderSettings::default() };
+    let picture = |shapes: &[f64]| {
+        let mut scene = Scene::new(&rest, &[], Material::default(), 7).unwrap();
+        shapes.iter().for_each(|&k| scene.deform(&shape(k)).unwrap());
+        render(&scene, &camera, &DAffine3::IDENTITY, &Light::at_camera([100.0; 3]), &settings).unwrap()
+    };
+    let history: Vec<f64> = (0..20).map(|k| (k as f64 * 0.7).sin()).chain([0.6]).collect();
+    let (long, short) = (picture(&history), picture(&[0.6]));
+    assert_eq!(long.radiance, short.radiance);
+    assert_eq!(long.depth_mm, short.depth_mm);
+}
+
 fn rays_from_inside(count: usize) -> (Vec<DVec3>, Vec<DVec3>) {
     let mut rng = CounterRng::new(3, Stage::Test, &[]);
     (0..count)
@@ -385,7 +405,7 @@ fn sampling_goes_on_until_the_target_is_met() {
         let settings = RenderSettings { target_relmse, samples_per_pixel, ..RenderSettings::default() };
         render(&scene, &camera, &DAffine3::IDENTITY, &Light::at_camera([100.0; 3]), &settings).unwrap()
     };
-    let truth = picture(None, 2048);
+    let truth = picture(None, 768);
     let coarse = picture(Some(0.02), 4);
     let fine = picture(Some(0.002), 4);
     assert!(coarse.statistics.samples_per_pixel < fine.statistics.samples_per_pixel);
@@ -420,6 +440,8 @@ fn what_cannot_be_rendered_is_said() {
     };
     attempt(&camera, DAffine3::IDENTITY, &light, &good).unwrap();
     assert!(attempt(&Camera { fl_x: f64::NAN, ..camera }, DAffine3::IDENTITY, &light, &good).is_err());
+    let huge = Camera::pinhole(1_000_000, 1_000_000, 1.0);
+    assert!(attempt(&huge, DAffine3::IDENTITY, &light, &good).unwrap_err().to_string().contains("too large"));
     assert!(attempt(&camera, DAffine3::from_scale(DVec3::splat(2.0)), &light, &good).is_err());
     assert!(attempt(&camera, DAffine3::IDENTITY, &Light::at_camera([-1.0; 3]), &good).is_err());
     assert!(attempt(&camera, DAffine3::IDENTITY, &light, &RenderSettings { samples_per_pixel: 0, ..good }).is_err());

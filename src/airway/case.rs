@@ -1,0 +1,356 @@
+//! The case file: one TOML that says everything about one patient-like film, read, checked and hashed.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::field::BreathingField;
+use super::field_calibre::Calibre;
+use super::surface::SurfaceSettings;
+use super::waveform::Waveform;
+use crate::base::{Camera, Error, Result, files, hash};
+
+/// Where the anatomy comes from. Paths are relative to the case file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum AnatomySource {
+    /// A bronchial tree as a table (centreline points and radii per branch), surfaced by our generator.
+    Tree {
+        /// The table.
+        path: PathBuf,
+        /// Branches whose median radius in mm is below this are left out.
+        #[serde(default = "default_least_radius_mm")]
+        least_radius_mm: f64,
+        /// Generations beyond this one are left out.
+        #[serde(default = "default_deepest")]
+        deepest: u32,
+        /// How the surface is made.
+        #[serde(default)]
+        surface: SurfaceSettings,
+    },
+    /// One closed surface at inspiration; the breathing field makes the other.
+    Mesh {
+        /// PLY, STL or OBJ.
+        path: PathBuf,
+        /// Centreline made at import (CSV); extracted from the mesh when absent.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        centerline: Option<PathBuf>,
+    },
+    /// Two registered surfaces of one topology.
+    MeshPair {
+        /// Surface at full inspiration.
+        inspiration: PathBuf,
+        /// The same faces at full expiration.
+        expiration: PathBuf,
+        /// Centreline at inspiration made at import (CSV); extracted from the mesh when absent.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        centerline: Option<PathBuf>,
+    },
+}
+
+impl AnatomySource {
+    /// Files it names, as written in the case file.
+    pub fn files(&self) -> Vec<&Path> {
+        match self {
+            AnatomySource::Tree { path, .. } => vec![path],
+            AnatomySource::Mesh { path, centerline } => {
+                std::iter::once(path.as_path()).chain(centerline.as_deref()).collect()
+            }
+            AnatomySource::MeshPair { inspiration, expiration, centerline } => {
+                [inspiration.as_path(), expiration].into_iter().chain(centerline.as_deref()).collect()
+            }
+        }
+    }
+}
+
+/// How the airway moves and narrows.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Breathing {
+    /// Change of calibre around the centreline.
+    #[serde(default)]
+    pub calibre: Calibre,
+    /// Displacement from inspiration to expiration.
+    pub field: BreathingField,
+}
+
+/// Optics of the scope.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraSettings {
+    /// Horizontal field of view in degrees.
+    pub fov_x_deg: f64,
+    /// `k1..k4` of OpenCV's fisheye model; absent is a pinhole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fisheye: Option<[f64; 4]>,
+}
+
+impl CameraSettings {
+    /// Intrinsics for a square image.
+    pub fn camera(&self, width_px: u32, height_px: u32) -> Camera {
+        let fov = self.fov_x_deg.to_radians();
+        let mut camera = Camera::pinhole(width_px, height_px, fov);
+        if let Some([k1, k2, k3, k4]) = self.fisheye {
+            let t = fov / 2.0;
+            let t2 = t * t;
+            let edge = t * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))));
+            let focal = width_px as f64 / 2.0 / edge;
+            camera = Camera { fl_x: focal, fl_y: focal, fisheye: self.fisheye, ..camera };
+        }
+        camera
+    }
+}
+
+/// Part of the lungs in which a route ends. Sides are the patient's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Region {
+    /// Anywhere.
+    #[default]
+    Any,
+    /// Right lung, not far below the carina.
+    RightUpper,
+    /// Right lung, well below the carina.
+    RightLower,
+    /// Left lung, not far below the carina.
+    LeftUpper,
+    /// Left lung, well below the carina.
+    LeftLower,
+}
+
+/// The scope's way.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrajectorySettings {
+    /// Speed along the centreline at inspiration, mm/s; lowered when the way is too short for the film.
+    pub speed_mm_per_s: f64,
+    /// Radius of the scope in mm: where the lumen gets narrower the way ends.
+    pub scope_radius_mm: f64,
+    /// Which of the reachable ends is taken.
+    pub seed: u64,
+    /// Where the end must lie.
+    pub region: Region,
+}
+
+impl Default for TrajectorySettings {
+    fn default() -> Self {
+        TrajectorySettings { speed_mm_per_s: 10.0, scope_radius_mm: 1.9, seed: 1, region: Region::Any }
+    }
+}
+
+/// Automatic exposure and its imperfections.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ExposureSettings {
+    /// Mean encoded brightness that the automatic exposure aims for.
+    pub target: f64,
+    /// Time constant in seconds with which it follows the scene.
+    pub lag_s: f64,
+    /// Standard deviation of the slow drift of log gain.
+    pub drift: f64,
+    /// Standard deviation of the slow drift of log red and log blue.
+    pub white_balance_drift: f64,
+}
+
+impl Default for ExposureSettings {
+    fn default() -> Self {
+        ExposureSettings { target: 0.42, lag_s: 0.25, drift: 0.06, white_balance_drift: 0.025 }
+    }
+}
+
+/// A case file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Case {
+    /// Name in tables and folders: letters, digits, `-`, `_`.
+    pub id: String,
+    /// One line for people.
+    pub title: String,
+    /// Seed of everything random in the film.
+    pub seed: u64,
+    /// Optics.
+    pub camera: CameraSettings,
+    /// The scope's way.
+    #[serde(default)]
+    pub trajectory: TrajectorySettings,
+    /// Breathing over time.
+    #[serde(default)]
+    pub waveform: Waveform,
+    /// Light at the scope's tip, W/sr per channel.
+    #[serde(default = "default_light")]
+    pub light_intensity: [f64; 3],
+    /// Automatic exposure.
+    #[serde(default)]
+    pub exposure: ExposureSettings,
+    /// Look of the mucosa: the renderer's `[material]`, checked when a film is made.
+    #[serde(default)]
+    pub material: toml::Table,
+    /// Shape.
+    pub anatomy: AnatomySource,
+    /// Motion; absent only for a mesh pair.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub breathing: Option<Breathing>,
+    /// Folder of the case file, for its relative paths.
+    #[serde(skip)]
+    pub folder: PathBuf,
+}
+
+fn default_light() -> [f64; 3] {
+    [1000.0; 3]
+}
+
+fn default_least_radius_mm() -> f64 {
+    1.1
+}
+
+fn default_deepest() -> u32 {
+    9
+}
+
+impl Case {
+    /// Reads and checks a case file. The error names the file and the line, key or missing file.
+    pub fn load(path: &Path) -> Result<Case> {
+        let mut case: Case = files::read_toml(path)?;
+        case.folder = path.parent().map(Path::to_path_buf).unwrap_or_default();
+        case.validate().map_err(|e| e.at(path))?;
+        for file in case.anatomy.files() {
+            if !case.resolve(file).is_file() {
+                let sentence = format!("names {}, which is not there", case.resolve(file).display());
+                return Err(Error::input(sentence).element("anatomy").at(path));
+            }
+        }
+        Ok(case)
+    }
+
+    /// A path of the case file, from the working folder.
+    pub fn resolve(&self, path: &Path) -> PathBuf {
+        self.folder.join(path)
+    }
+
+    /// Content hash of the case and of every file it names, 64 hex digits.
+    pub fn hash(&self) -> Result<String> {
+        let mut parts = vec![hash::of_value(self)?];
+        for file in self.anatomy.files() {
+            parts.push(hash::of_file(&self.resolve(file))?);
+        }
+        hash::of_value(&parts)
+    }
+
+    /// Rejects values that no film can have; the error names the key.
+    pub fn validate(&self) -> Result<()> {
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        let t = &self.trajectory;
+        let e = &self.exposure;
+        let positive = |v: f64| v.is_finite() && v > 0.0;
+        let small = |v: f64| (0.0..=1.0).contains(&v);
+        let least_radius_mm = match self.anatomy {
+            AnatomySource::Tree { least_radius_mm, .. } => least_radius_mm,
+            _ => 1.0,
+        };
+        let needs_field = !matches!(self.anatomy, AnatomySource::MeshPair { .. });
+        let demands = [
+            ("id", !self.id.is_empty() && self.id.chars().all(plain), "must be letters, digits, `-` and `_`"),
+            ("camera.fov_x_deg", (20.0..=170.0).contains(&self.camera.fov_x_deg), "must lie between 20 and 170"),
+            ("trajectory.speed_mm_per_s", positive(t.speed_mm_per_s), "must be positive"),
+            ("trajectory.scope_radius_mm", positive(t.scope_radius_mm), "must be positive"),
+            ("light_intensity", self.light_intensity.iter().all(|&v| positive(v)), "must be positive"),
+            ("exposure.target", (0.05..=0.9).contains(&e.target), "must lie between 0.05 and 0.9"),
+            ("exposure.lag_s", e.lag_s.is_finite() && e.lag_s >= 0.0, "must not be negative"),
+            ("exposure.drift", small(e.drift), "must lie between 0 and 1"),
+            ("exposure.white_balance_drift", small(e.white_balance_drift), "must lie between 0 and 1"),
+            ("anatomy.least_radius_mm", (0.1..=10.0).contains(&least_radius_mm), "must lie between 0.1 and 10"),
+            ("breathing", self.breathing.is_some() == needs_field, {
+                if needs_field { "is missing" } else { "does not belong to a mesh pair, which has its motion" }
+            }),
+        ];
+        if let Some((key, _, sentence)) = demands.iter().find(|demand| !demand.1) {
+            return Err(Error::input(*sentence).element(key));
+        }
+        self.camera.camera(64, 64).validate().map_err(|e| e.element("camera"))?;
+        self.waveform.validate()?;
+        if let Some(breathing) = &self.breathing {
+            breathing.calibre.validate()?;
+            breathing.field.validate()?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TREE: &str = r#"
+id = "test"
+title = "a test"
+seed = 3
+[camera]
+fov_x_deg = 100.0
+[anatomy]
+kind = "tree"
+path = "case.toml"
+[breathing.field]
+source = "made up"
+scale = 1.0
+softening_mm = 10.0
+origin_mm = [0.0, 0.0, 0.0]
+affine = [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [10.0, 0.0, 0.0, -5.0]]
+centers = []
+"#;
+
+    fn load(text: &str) -> Result<Case> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("case.toml");
+        std::fs::write(&path, text).unwrap();
+        Case::load(&path)
+    }
+
+    #[test]
+    fn defaults_fill_in_and_the_text_form_is_stable() {
+        let case = load(TREE).unwrap();
+        assert_eq!(case.waveform.period_s(), 4.0);
+        let again: Case = toml::from_str(&toml::to_string(&case).unwrap()).unwrap();
+        assert_eq!(Case { folder: case.folder.clone(), ..again }, case);
+    }
+
+    #[test]
+    fn every_change_changes_the_hash_files_included() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("case.toml");
+        std::fs::write(&path, TREE.replace("\"case.toml\"", "\"a.toml\"")).unwrap();
+        assert!(Case::load(&path).unwrap_err().to_string().contains("a.toml, which is not there"));
+        std::fs::write(folder.path().join("a.toml"), "one").unwrap();
+        let load = || Case::load(&path).unwrap();
+        let one = load().hash().unwrap();
+        assert_eq!(one, load().hash().unwrap());
+        assert_ne!(one, Case { seed: 4, ..load() }.hash().unwrap());
+        let exposure = ExposureSettings { lag_s: 0.3, ..load().exposure };
+        assert_ne!(one, Case { exposure, ..load() }.hash().unwrap());
+        std::fs::write(folder.path().join("a.toml"), "two").unwrap();
+        assert_ne!(one, load().hash().unwrap());
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_the_file() {
+        for (from, to, said) in [
+            ("fov_x_deg = 100.0", "fov_x_deg = 10.0", "camera.fov_x_deg"),
+            ("fov_x_deg", "fov", "unknown field `fov`"),
+            ("id = \"test\"", "id = \"a/b\"", "id: must be letters"),
+            ("centers = []", "centers = [[1.0, 2.0, 3.0, nan, 0.0, 0.0]]", "centers[0]"),
+            ("seed = 3", "seed = -3", "seed"),
+            ("[anatomy]", "[waveform]\ninhale_s = 0.0\n[anatomy]", "waveform.inhale_s"),
+        ] {
+            let error = load(&TREE.replace(from, to)).unwrap_err();
+            assert!(error.to_string().contains(said), "{to}: {error}");
+            assert!(error.path().is_some_and(|p| p.ends_with("case.toml")), "{error}");
+            assert_eq!(error.kind().exit_code(), 4);
+        }
+    }
+
+    #[test]
+    fn a_fisheye_sees_the_stated_angle_at_the_edge() {
+        let settings = CameraSettings { fov_x_deg: 120.0, fisheye: Some([-0.03, 0.002, 0.0, 0.0]) };
+        let edge = settings.camera(200, 200).direction(glam::DVec2::new(200.0, 100.0));
+        assert!((edge.x.atan2(edge.z).to_degrees() - 60.0).abs() < 1e-9);
+    }
+}

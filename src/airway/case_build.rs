@@ -1,0 +1,164 @@
+//! From a case to the airway in both breath holds: surface, centreline, motion, and the proof that nothing folds.
+
+use std::path::Path;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::Anatomy;
+use super::case::{AnatomySource, Breathing, Case};
+use super::case_centerline;
+use super::centerline::Centerline;
+use super::field_calibre::{Axis, AxisPoint};
+use super::field_check;
+use super::surface::surface_from_tree;
+use super::tree::Tree;
+use crate::base::{Error, Result, TriangleMesh, files};
+
+/// A mesh pair's centreline is carried by the walls within this many radii.
+const CARRY_RADII: f64 = 1.6;
+
+/// Both states of a case's airway, checked: closed surface, no face turned over at any phase, orientation kept.
+///
+/// Errors name the case's file at fault and the face, vertex or key.
+pub fn build(case: &Case) -> Result<Anatomy> {
+    match &case.anatomy {
+        AnatomySource::MeshPair { inspiration, expiration, centerline } => {
+            let rest = read_mesh(&case.resolve(inspiration))?;
+            let other = read_mesh(&case.resolve(expiration))?;
+            if rest.faces != other.faces || rest.vertices.len() != other.vertices.len() {
+                let sentence = "has other faces than the inspiration mesh: the two are not registered";
+                return Err(Error::input(sentence).at(case.resolve(expiration)));
+            }
+            let line = read_or_extract(case, centerline.as_deref(), &rest)?;
+            from_pair(rest, other.vertices, line)
+        }
+        AnatomySource::Mesh { path, centerline } => {
+            let rest = read_mesh(&case.resolve(path))?;
+            let line = read_or_extract(case, centerline.as_deref(), &rest)?;
+            from_field(rest, line, None, field_of(case)?)
+        }
+        AnatomySource::Tree { path, least_radius_mm, deepest, surface } => {
+            let tree = read_tree(&case.resolve(path))?.reachable(*least_radius_mm, *deepest);
+            let (rest, generation) = surface_from_tree(&tree, surface)?;
+            from_field(rest, tree.to_centerline(), Some(generation), field_of(case)?)
+        }
+    }
+}
+
+fn field_of(case: &Case) -> Result<&Breathing> {
+    case.breathing.as_ref().ok_or_else(|| Error::input("is missing").element("breathing"))
+}
+
+/// Reads and checks a tree table.
+pub fn read_tree(path: &Path) -> Result<Tree> {
+    let tree: Tree = files::read_toml(path)?;
+    tree.validate().map_err(|e| e.at(path))?;
+    Ok(tree)
+}
+
+fn read_mesh(path: &Path) -> Result<TriangleMesh> {
+    let mut mesh = crate::formats::mesh::read(path)?;
+    mesh.validate_closed().map_err(|e| e.at(path))?;
+    if mesh.signed_volume() > 0.0 {
+        mesh.flip();
+    }
+    Ok(mesh)
+}
+
+fn read_or_extract(case: &Case, file: Option<&Path>, _mesh: &TriangleMesh) -> Result<Centerline> {
+    match file {
+        Some(path) => case_centerline::read(&case.resolve(path)),
+        None => Err(Error::input("is missing").element("anatomy.centerline")),
+    }
+}
+
+/// The two states of `rest` under `breathing`. `vertex_generation` is taken from the centreline when not known.
+pub fn from_field(
+    rest: TriangleMesh,
+    centerline: Centerline,
+    vertex_generation: Option<Vec<f32>>,
+    breathing: &Breathing,
+) -> Result<Anatomy> {
+    let axis = Axis::new(&centerline);
+    let feet = axis.feet(&rest.vertices);
+    let line_points: Vec<DVec3> = centerline.points.iter().map(|p| p.position_mm).collect();
+    let line_feet = axis.feet(&line_points);
+    if feet.len() != rest.vertices.len() {
+        return Err(Error::input("the centreline has no length"));
+    }
+    let expiration = moved(&rest.vertices, &feet, breathing);
+    let (least, vertex) = field_check::least_determinant(&breathing.field, &rest.vertices);
+    if least <= 0.0 {
+        return Err(
+            Error::input(format!("folds space (determinant {least:.3} at vertex {vertex})")).element("breathing.field")
+        );
+    }
+    check_faces(&rest, &expiration)?;
+    let line_expiration = moved(&line_points, &line_feet, breathing);
+    let generation = vertex_generation.unwrap_or_else(|| feet.iter().map(|foot| foot.generation as f32).collect());
+    Ok(finish(rest, expiration, generation, centerline, line_expiration))
+}
+
+/// A registered pair: the centreline is carried by the walls around it.
+pub fn from_pair(rest: TriangleMesh, expiration: Vec<DVec3>, centerline: Centerline) -> Result<Anatomy> {
+    check_faces(&rest, &expiration)?;
+    let generation: Vec<f32> =
+        Axis::new(&centerline).feet(&rest.vertices).iter().map(|foot| foot.generation as f32).collect();
+    if generation.len() != rest.vertices.len() {
+        return Err(Error::input("the centreline has no length"));
+    }
+    let carried: Vec<DVec3> = centerline
+        .points
+        .par_iter()
+        .map(|point| {
+            let reach2 = (CARRY_RADII * point.radius_mm).powi(2);
+            let (mut sum, mut total) = (DVec3::ZERO, 0.0);
+            for (v, e) in rest.vertices.iter().zip(&expiration) {
+                let d2 = v.distance_squared(point.position_mm);
+                if d2 < reach2 {
+                    let weight = (1.0 - d2 / reach2).powi(2);
+                    sum += (e - v) * weight;
+                    total += weight;
+                }
+            }
+            point.position_mm + if total > 0.0 { sum / total } else { DVec3::ZERO }
+        })
+        .collect();
+    Ok(finish(rest, expiration, generation, centerline, carried))
+}
+
+fn moved(points: &[DVec3], feet: &[AxisPoint], breathing: &Breathing) -> Vec<DVec3> {
+    let move_one = |(&x, foot): (&DVec3, &AxisPoint)| {
+        let narrowed = x + breathing.calibre.displacement(x, foot);
+        narrowed + breathing.field.displacement(narrowed)
+    };
+    points.par_iter().zip(feet).map(move_one).collect()
+}
+
+fn check_faces(rest: &TriangleMesh, expiration: &[DVec3]) -> Result<()> {
+    if let Some(v) = expiration.iter().position(|v| !v.is_finite()) {
+        return Err(Error::input("is not finite at expiration").element(format!("vertex {v}")));
+    }
+    match field_check::flipped_faces(rest, expiration).as_slice() {
+        [] => Ok(()),
+        flipped => Err(Error::input(format!("and {} others turn over between the breath holds", flipped.len() - 1))
+            .element(format!("face {}", flipped[0]))),
+    }
+}
+
+fn finish(
+    inspiration: TriangleMesh,
+    expiration: Vec<DVec3>,
+    vertex_generation: Vec<f32>,
+    centerline: Centerline,
+    centerline_expiration: Vec<DVec3>,
+) -> Anatomy {
+    // The wall's own samples are close enough together for an inscribed radius.
+    let radius_expiration_mm = centerline_expiration
+        .par_iter()
+        .map(|p| expiration.iter().map(|v| v.distance_squared(*p)).fold(f64::INFINITY, f64::min).sqrt())
+        .collect();
+    let expiration = TriangleMesh { vertices: expiration, faces: inspiration.faces.clone() };
+    Anatomy { inspiration, expiration, vertex_generation, centerline, centerline_expiration, radius_expiration_mm }
+}

@@ -1,0 +1,203 @@
+//! Brings measured lung motion to an airway that is not the patient's: placement by the lungs' box, fit, fold check.
+//!
+//! The airway stays where it is; the patient's landmarks are carried into its frame. Carina goes to carina, assumed at
+//! fixed fractions of the lungs' inspiration box, and each axis is scaled so that the airway fills as much of that box as
+//! airways visible in CT do. So tree and motion are both real, but not of one patient, and case files say so. The top of
+//! the trachea is held by anchors of small motion: landmarks lie in the parenchyma, and the trachea moves least
+//! (FACTS 7.3). When the interpolated mesh would fold anywhere, smoothing is raised step by step until it does not.
+
+use std::path::Path;
+
+use glam::DVec3;
+
+use super::case::Breathing;
+use super::case_build;
+use super::centerline::Centerline;
+use super::field::BreathingField;
+use super::field_calibre::Calibre;
+use super::field_fit::{Anchor, FitQuality, FitSettings, LAMBDAS, choose_centers, fit};
+use crate::base::{Error, Result, TriangleMesh, files};
+use crate::formats::landmarks::LandmarkPair;
+
+/// Where the carina lies in the lungs' box at inspiration, as fractions from its low (right, front, bottom) corner.
+const CARINA_FRACTION: DVec3 = DVec3::new(0.5, 0.57, 0.64);
+/// What part of the box's width, depth, and height below the carina an airway with lumens above 2 mm fills.
+const FILLED: DVec3 = DVec3::new(0.60, 0.44, 0.66);
+/// Most that an axis is stretched or shrunk.
+const MOST_STRETCH: f64 = 1.3;
+/// Motion in mm of the top of the trachea at full excursion: slightly upwards.
+const TRACHEA_TOP_MOTION_MM: DVec3 = DVec3::new(0.0, 0.3, 1.0);
+/// Part of the trachea, from the top, that the anchors hold; and what one anchor weighs in landmarks.
+const HELD_PART: f64 = 0.35;
+const ANCHOR_MASS: f64 = 20.0;
+/// Centres of the kernel and its softening.
+const CENTERS: usize = 56;
+const SOFTENING_MM: f64 = 15.0;
+
+/// Axis-aligned box in mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LungBox {
+    /// Low corner.
+    pub low_mm: DVec3,
+    /// High corner.
+    pub high_mm: DVec3,
+}
+
+impl LungBox {
+    /// The inspiration box of `patient` in a table `case,phase,min_x,..,max_z`. Errors name file and row.
+    pub fn read(path: &Path, patient: &str) -> Result<LungBox> {
+        for (row, line) in files::read_text(path)?.lines().enumerate().skip(1) {
+            let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+            if cells.len() == 8 && cells[0] == patient && cells[1] == "insp" {
+                let values: Vec<f64> = cells[2..].iter().filter_map(|c| c.parse().ok()).collect();
+                let [a, b, c, d, e, f] = values[..] else {
+                    return Err(Error::input("is not six numbers").element(format!("line {}", row + 1)).at(path));
+                };
+                return Ok(LungBox { low_mm: DVec3::new(a, b, c), high_mm: DVec3::new(d, e, f) });
+            }
+        }
+        Err(Error::input(format!("has no inspiration box of `{patient}`")).at(path))
+    }
+
+    /// The box around landmarks, a tenth wider on each side: for patients whose lungs nobody measured.
+    pub fn around(pairs: &[LandmarkPair]) -> LungBox {
+        let (low, high) = pairs.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| {
+            (low.min(p.inspiration_mm), high.max(p.inspiration_mm))
+        });
+        let margin = (high - low) * 0.05;
+        LungBox { low_mm: low - margin, high_mm: high + margin }
+    }
+}
+
+/// Axis-aligned map between the airway's frame and the patient's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placement {
+    carina_mm: DVec3,
+    carina_in_lungs_mm: DVec3,
+    /// Patient's mm per airway mm, along each axis.
+    pub stretch: DVec3,
+}
+
+impl Placement {
+    /// Puts the airway of `centerline` into the lungs of `lungs`. Both in LPS.
+    ///
+    /// Errors: a centreline without trachea, a box without volume.
+    pub fn fit(centerline: &Centerline, lungs: &LungBox) -> Result<Placement> {
+        let carina_mm = carina(centerline).ok_or_else(|| Error::input("the centreline has no trachea"))?;
+        let size = lungs.high_mm - lungs.low_mm;
+        if size.min_element() <= 0.0 || !size.is_finite() {
+            return Err(Error::input("the lungs' box has no volume"));
+        }
+        let below = centerline.points.iter().filter(|p| p.generation > 0).map(|p| p.position_mm);
+        let (low, high) = below.fold((carina_mm, carina_mm), |(low, high), p| (low.min(p), high.max(p)));
+        let carina_in_lungs_mm = lungs.low_mm + size * CARINA_FRACTION;
+        let wanted = DVec3::new(size.x, size.y, carina_in_lungs_mm.z - lungs.low_mm.z) * FILLED;
+        let extent = DVec3::new(high.x - low.x, high.y - low.y, carina_mm.z - low.z).max(DVec3::ONE);
+        let stretch = (wanted / extent).clamp(DVec3::splat(1.0 / MOST_STRETCH), DVec3::splat(MOST_STRETCH));
+        Ok(Placement { carina_mm, carina_in_lungs_mm, stretch })
+    }
+
+    /// A landmark pair in the airway's frame.
+    pub fn to_airway(&self, pair: &LandmarkPair) -> LandmarkPair {
+        let point = |p: DVec3| (p - self.carina_in_lungs_mm) / self.stretch + self.carina_mm;
+        LandmarkPair { inspiration_mm: point(pair.inspiration_mm), expiration_mm: point(pair.expiration_mm) }
+    }
+}
+
+/// The lower end of the trachea.
+pub fn carina(centerline: &Centerline) -> Option<DVec3> {
+    centerline.points.iter().rev().find(|p| p.generation == 0).map(|p| p.position_mm)
+}
+
+/// What [`measured_breathing`] found.
+#[derive(Clone, Debug)]
+pub struct MeasuredBreathing {
+    /// For the case file; scale 1.
+    pub breathing: Breathing,
+    /// How good the fit is.
+    pub quality: FitQuality,
+    /// How the airway lies in the lungs.
+    pub placement: Placement,
+    /// Smoothing steps that were needed beyond the best-predicting one to avoid folds.
+    pub extra_smoothing: usize,
+}
+
+/// Fits the motion of `pairs` for the airway `rest` with `centerline`, checked free of folds at up to `largest_scale` times
+/// the measured motion.
+///
+/// Errors: too few landmarks; folds even at the strongest smoothing.
+pub fn measured_breathing(
+    rest: &TriangleMesh,
+    centerline: &Centerline,
+    pairs: &[LandmarkPair],
+    lungs: &LungBox,
+    source: &str,
+    largest_scale: f64,
+) -> Result<MeasuredBreathing> {
+    let placement = Placement::fit(centerline, lungs)?;
+    let placed: Vec<LandmarkPair> = pairs.iter().map(|p| placement.to_airway(p)).collect();
+    let near: Vec<DVec3> = placed
+        .iter()
+        .map(|p| p.inspiration_mm)
+        .chain(centerline.points.iter().step_by(10).map(|p| p.position_mm))
+        .collect();
+    let settings = FitSettings {
+        source: source.into(),
+        centers_mm: choose_centers(&near, 14.0, 22.0, CENTERS),
+        softening_mm: SOFTENING_MM,
+        anchors: trachea_anchors(centerline),
+    };
+    let (first, quality) = fit(&placed, &settings, 0.0)?;
+    let mut candidate = (first, quality);
+    let stronger: Vec<f64> = LAMBDAS.iter().copied().filter(|l| *l > quality.lambda).collect();
+    let mut folds = None;
+    for extra in 0..=stronger.len() {
+        if extra > 0 {
+            candidate = fit(&placed, &settings, stronger[extra - 1])?;
+        }
+        let breathing = Breathing { calibre: Calibre::default(), field: candidate.0.clone() };
+        let at_most =
+            Breathing { field: BreathingField { scale: largest_scale, ..candidate.0.clone() }, ..breathing.clone() };
+        match case_build::from_field(rest.clone(), centerline.clone(), Some(vec![]), &at_most) {
+            Ok(_) => {
+                return Ok(MeasuredBreathing { breathing, quality: candidate.1, placement, extra_smoothing: extra });
+            }
+            Err(error) => folds = Some(error),
+        }
+    }
+    Err(folds.unwrap_or_else(|| Error::input("no smoothing strength was tried")))
+}
+
+/// Anchors every few millimetres along the upper part of the trachea.
+fn trachea_anchors(centerline: &Centerline) -> Vec<Anchor> {
+    let trachea: Vec<DVec3> = centerline.points.iter().filter(|p| p.generation == 0).map(|p| p.position_mm).collect();
+    let held = ((trachea.len() as f64 * HELD_PART).ceil() as usize).max(1);
+    let step = (held / 6).max(1);
+    trachea[..held.min(trachea.len())]
+        .iter()
+        .step_by(step)
+        .map(|&position_mm| Anchor { position_mm, motion_mm: TRACHEA_TOP_MOTION_MM, mass: ANCHOR_MASS })
+        .collect()
+}
+
+/// The `[breathing]` part of a case file, one centre a line.
+pub fn breathing_toml(breathing: &Breathing) -> String {
+    let f = &breathing.field;
+    let row = |values: &[f64]| {
+        let cells: Vec<String> = values.iter().map(|v| format!("{v:?}")).collect();
+        format!("[{}]", cells.join(", "))
+    };
+    let rows = |list: Vec<String>| list.iter().map(|r| format!("    {r},\n")).collect::<String>();
+    format!(
+        "[breathing.calibre]\ndiameter_ratio = {}\ntracheal_invagination = {:?}\n\n[breathing.field]\nsource = {}\n\
+         scale = {:?}\nsoftening_mm = {:?}\norigin_mm = {}\naffine = [\n{}]\ncenters = [\n{}]\n",
+        row(&breathing.calibre.diameter_ratio),
+        breathing.calibre.tracheal_invagination,
+        toml::Value::String(f.source.clone()),
+        f.scale,
+        f.softening_mm,
+        row(&f.origin_mm),
+        rows(f.affine.iter().map(|r| row(r)).collect()),
+        rows(f.centers.iter().map(|r| row(r)).collect()),
+    )
+}

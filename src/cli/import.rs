@@ -1,0 +1,136 @@
+//! `respire-bench import`: a user's anatomy or a measured motion becomes a case.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+
+use super::Terminal;
+use crate::airway::case::Case;
+use crate::airway::import_breathing::{LungBox, MeasuredBreathing, breathing_toml, measured_breathing};
+use crate::airway::{self, case_build};
+use crate::base::{Error, Result, files};
+use crate::formats::landmarks;
+use crate::simulate::trajectory::Route;
+
+/// Arguments of `import`.
+#[derive(Args)]
+#[command(after_help = "Example: respire-bench import breathing bench-cases/case1.toml --landmarks copd01.csv")]
+pub struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Subcommand)]
+enum What {
+    /// Fits measured landmark motion and writes it as the [breathing] part of a case file
+    Breathing(BreathingArguments),
+}
+
+#[derive(Args)]
+struct BreathingArguments {
+    /// Case file; everything from its line "[breathing" on is replaced
+    #[arg(value_name = "CASE.toml")]
+    case: PathBuf,
+    #[command(flatten)]
+    motion: MotionArguments,
+}
+
+/// Where the motion comes from and how large it is.
+#[derive(Args)]
+struct MotionArguments {
+    /// Landmark pairs: insp_x,insp_y,insp_z,exp_x,exp_y,exp_z in mm (LPS)
+    #[arg(long, value_name = "CSV")]
+    landmarks: PathBuf,
+    /// Table of lung boxes: case,phase,min_x,..,max_z; without it the box around the landmarks is used
+    #[arg(long, value_name = "CSV")]
+    lung_boxes: Option<PathBuf>,
+    /// Motion in mm of the end of the scope's way; without it the measured motion is kept
+    #[arg(long, value_name = "MM")]
+    end_motion_mm: Option<f64>,
+    /// Where the landmarks come from, for the case file
+    #[arg(
+        long,
+        default_value = "DIR-Lab COPDgene (Castillo et al., Phys Med Biol 58:2861, 2013) by way of Lung250M-4B"
+    )]
+    source: String,
+}
+
+/// Runs the command.
+pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+    match arguments.what {
+        What::Breathing(arguments) => import_breathing(&arguments, terminal),
+    }
+}
+
+fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Result<()> {
+    let text = files::read_text(&arguments.case)?;
+    let head = text.split("\n[breathing").next().unwrap_or(&text).trim_end().to_string();
+    // A field that does not move stands in while the way is planned.
+    let still = format!(
+        "{head}\n\n[breathing.field]\nsource = \"\"\nscale = 1.0\nsoftening_mm = 1.0\n\
+        origin_mm = [0.0, 0.0, 0.0]\naffine = [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]]\ncenters = []\n"
+    );
+    let mut case: Case = toml::from_str(&still).map_err(|e| Error::input(e.to_string()).at(&arguments.case))?;
+    case.folder = arguments.case.parent().map(Path::to_path_buf).unwrap_or_default();
+    case.validate().map_err(|e| e.at(&arguments.case))?;
+    let rest = airway::build(&case)?;
+    let found = fit_motion(&rest, &case, &arguments.motion, terminal)?;
+    let out = format!("{head}\n\n{}", breathing_toml(&found.breathing));
+    files::write_bytes(&arguments.case, out.as_bytes())
+}
+
+/// Fits, scales to the wanted motion of the way's end, and says how well it went.
+fn fit_motion(
+    rest: &airway::Anatomy,
+    case: &Case,
+    motion: &MotionArguments,
+    terminal: &Terminal,
+) -> Result<MeasuredBreathing> {
+    let pairs = landmarks::read(&motion.landmarks)?;
+    let patient = motion.landmarks.file_stem().map(|s| s.to_string_lossy().to_string()).unwrap_or_default();
+    let lungs = match &motion.lung_boxes {
+        Some(path) => LungBox::read(path, &patient)?,
+        None => LungBox::around(&pairs),
+    };
+    let mut source = format!(
+        "{patient} of {}: real motion, but not of this airway's patient; carina and extent fitted to the lungs' box",
+        motion.source
+    );
+    let (mesh, line) = (&rest.inspiration, &rest.centerline);
+    let mut scale = 1.0;
+    let mut found = measured_breathing(mesh, line, &pairs, &lungs, &source, scale)?;
+    for _ in 0..4 {
+        let Some(wanted) = motion.end_motion_mm else { break };
+        found.breathing.field.scale = scale;
+        let moved = case_build::from_field(mesh.clone(), line.clone(), Some(vec![]), &found.breathing)?;
+        scale *= wanted / Route::plan(&moved, &case.trajectory)?.end_motion_mm();
+        scale = (scale * 1e4).round() / 1e4;
+        found = measured_breathing(mesh, line, &pairs, &lungs, &source, scale)?;
+    }
+    found.breathing.field.scale = scale;
+    let q = found.quality;
+    source = format!(
+        "{source}; landmarks move {:.1} mm, held-out error {:.2} mm (affine alone {:.2} mm)",
+        q.motion_mm, q.held_out_mm, q.affine_held_out_mm
+    );
+    found.breathing.field.source = source;
+    let moved = case_build::from_field(mesh.clone(), line.clone(), Some(vec![]), &found.breathing)?;
+    let route = Route::plan(&moved, &case.trajectory)?;
+    let s = found.placement.stretch;
+    terminal.line(format!(
+        "{}: way {:.0} mm, its end moves {:.1} mm, scale {scale:.3}, held-out {:.2} mm of {:.1} mm (affine {:.2}), \
+         lambda {}, {} steps of extra smoothing, stretch {:.2} {:.2} {:.2}",
+        case.id,
+        route.length_mm(),
+        route.end_motion_mm(),
+        q.held_out_mm,
+        q.motion_mm,
+        q.affine_held_out_mm,
+        q.lambda,
+        found.extra_smoothing,
+        s.x,
+        s.y,
+        s.z
+    ));
+    Ok(found)
+}

@@ -1,0 +1,72 @@
+//! `respire-bench simulate`: films cases into sequence folders.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::Terminal;
+use crate::airway::case::Case;
+use crate::base::Result;
+use crate::bench::catalogue::Catalogue;
+use crate::bench::profile::Profile;
+use crate::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
+
+/// Arguments of `simulate`.
+#[derive(Args)]
+#[command(
+    after_help = "Writes one folder per case: DIR/<case> with images, depth, poses, phases and meshes (FORMAT.md there).\n\
+    Example: respire-bench simulate case1 mine/own.toml --out /tmp/films --profile quick"
+)]
+pub struct Arguments {
+    /// Cases by id, or paths of case files
+    #[arg(value_name = "CASE", required = true)]
+    cases: Vec<String>,
+    /// Folder for the sequences
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// How much of everything: smoke, quick or paper
+    #[arg(long, default_value = "quick", value_name = "P")]
+    profile: String,
+    /// Frames, instead of the profile's
+    #[arg(long, value_name = "N")]
+    frames: Option<usize>,
+    /// Image width and height in pixels, instead of the profile's
+    #[arg(long, value_name = "PX")]
+    width: Option<u32>,
+    /// Paths per pixel, instead of the profile's
+    #[arg(long, value_name = "N")]
+    spp: Option<u32>,
+    /// Also writes the deformed mesh of every frame
+    #[arg(long)]
+    meshes: bool,
+    /// Also writes the linear radiance of every frame as OpenEXR
+    #[arg(long)]
+    radiance: bool,
+    /// Folder with cases and profiles
+    #[arg(long, value_name = "DIR")]
+    bench_cases: Option<PathBuf>,
+}
+
+/// Runs the command.
+pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+    let catalogue = Catalogue::find(arguments.bench_cases.as_deref())?;
+    let profile = Profile::load(&catalogue.profiles(), &arguments.profile)?;
+    let files: Vec<PathBuf> = arguments.cases.iter().map(|c| catalogue.case_file(c)).collect::<Result<_>>()?;
+    let cases: Vec<Case> = files.iter().map(|f| Case::load(f)).collect::<Result<_>>()?;
+    for case in &cases {
+        let side = arguments.width.unwrap_or(profile.image_width_px);
+        let settings = SimulationSettings {
+            width_px: side,
+            height_px: side,
+            frames_per_second: profile.frames_per_second,
+            frames: arguments.frames.unwrap_or_else(|| profile.frames(case.waveform.period_s())),
+            samples_per_pixel: arguments.spp.unwrap_or(profile.samples_per_pixel),
+            meshes: if arguments.meshes { MeshOutput::EveryFrame } else { MeshOutput::EndStates },
+            radiance: if arguments.radiance { RadianceOutput::Exr } else { RadianceOutput::None },
+        };
+        terminal.stage(format!("{}: filming", case.id));
+        let sequence = simulate(case, &settings, &arguments.out.join(&case.id), terminal)?;
+        terminal.line(format!("{}: {} frames", sequence.root.display(), sequence.frames.len()));
+    }
+    Ok(())
+}

@@ -1,0 +1,169 @@
+//! Automatic exposure that is known before a frame is rendered, so that frames stay independent.
+//!
+//! A coarse grid of rays gives distance d and slant cos of the wall; radiance there is about albedo I cos / (pi d^2), times
+//! a factor for light that comes by way of other walls. The gain is the one that brings the mean *encoded* brightness of
+//! that proxy to the target (bisection on a monotone function), followed with a lag and within limits, like the
+//! automatic exposure of a scope; a seeded slow drift of gain and white balance comes on top. Left out: shutter, sensor noise.
+
+use glam::{DAffine3, DVec2, DVec3};
+
+use crate::airway::case::ExposureSettings;
+use crate::base::color::srgb_from_linear;
+use crate::base::random::{CounterRng, Stage};
+use crate::base::{Camera, Result};
+use crate::render::Scene;
+
+/// Rays of the proxy per image side.
+const GRID: usize = 20;
+/// Light by way of other walls: gain over direct light per unit albedo, fitted by eye to rendered frames.
+const INTERREFLECTION: f64 = 1.1;
+/// The gain stays within this factor of the film's median.
+const RANGE: f64 = 8.0;
+
+/// Direct plus indirect light of the proxy, one value per grid ray and channel (3).
+pub fn proxy_radiance(
+    scene: &Scene,
+    camera: &Camera,
+    world_from_camera: &DAffine3,
+    intensity: [f64; 3],
+    albedo: [f64; 3],
+) -> Result<Vec<[f64; 3]>> {
+    let mut directions = Vec::with_capacity(GRID * GRID);
+    for row in 0..GRID {
+        for column in 0..GRID {
+            let pixel = DVec2::new(
+                (column as f64 + 0.5) / GRID as f64 * camera.width as f64,
+                (row as f64 + 0.5) / GRID as f64 * camera.height as f64,
+            );
+            directions.push(world_from_camera.transform_vector3(camera.direction(pixel)).normalize());
+        }
+    }
+    let origins = vec![world_from_camera.translation; directions.len()];
+    let distances = scene.distances(&origins, &directions)?;
+    let points: Vec<DVec3> = directions.iter().zip(&distances).map(|(d, &t)| *d * t as f64).collect();
+    let at = |row: usize, column: usize| points[row.min(GRID - 1) * GRID + column.min(GRID - 1)];
+    let mut radiance = Vec::with_capacity(points.len());
+    for row in 0..GRID {
+        for column in 0..GRID {
+            let here = at(row, column);
+            let across = at(row, column + 1) - at(row, column.saturating_sub(1));
+            let down = at(row + 1, column) - at(row.saturating_sub(1), column);
+            let normal = across.cross(down).normalize_or_zero();
+            let cosine = normal.dot(here.normalize_or_zero()).abs();
+            let d2 = here.length_squared();
+            // A ray that leaves the airway sees nothing.
+            let lit = if d2.is_finite() && d2 > 0.0 && cosine.is_finite() { cosine / d2 } else { 0.0 };
+            radiance.push([0, 1, 2].map(|c| {
+                let direct = albedo[c] * intensity[c] * lit / std::f64::consts::PI;
+                direct * (1.0 + INTERREFLECTION * albedo[c])
+            }));
+        }
+    }
+    Ok(radiance)
+}
+
+/// The gain that brings the mean encoded brightness of `radiance` to `target`.
+pub fn wanted_gain(radiance: &[[f64; 3]], target: f64) -> f64 {
+    let brightness = |gain: f64| {
+        let sum: f64 = radiance.iter().flatten().map(|&v| srgb_from_linear((v * gain) as f32) as f64).sum();
+        sum / (radiance.len() * 3) as f64
+    };
+    let (mut low, mut high) = (-30.0f64, 30.0f64);
+    for _ in 0..50 {
+        let middle = 0.5 * (low + high);
+        if brightness(middle.exp()) < target { low = middle } else { high = middle }
+    }
+    (0.5 * (low + high)).exp()
+}
+
+/// Gain and white balance of one frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exposure {
+    /// Factor on linear radiance.
+    pub gain: f64,
+    /// Factors on red, green and blue.
+    pub white_balance: [f64; 3],
+}
+
+/// Follows the wanted gains with lag and limits, then adds the seeded drift.
+pub fn follow(wanted: &[f64], time_s: &[f64], settings: &ExposureSettings, seed: u64) -> Vec<Exposure> {
+    let mut sorted: Vec<f64> = wanted.iter().map(|g| g.ln()).collect();
+    sorted.sort_by(f64::total_cmp);
+    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    let drift = [0, 1, 2].map(|channel| Drift::new(seed, channel));
+    let mut level = None;
+    let mut before_s = 0.0;
+    wanted
+        .iter()
+        .zip(time_s)
+        .map(|(gain, &now_s)| {
+            let goal = gain.ln().clamp(median - RANGE.ln(), median + RANGE.ln());
+            let last: f64 = level.unwrap_or(goal);
+            let follows = if settings.lag_s > 0.0 { 1.0 - (-(now_s - before_s) / settings.lag_s).exp() } else { 1.0 };
+            let now = last + (goal - last) * follows;
+            level = Some(now);
+            before_s = now_s;
+            Exposure {
+                gain: (now + settings.drift * drift[0].at(now_s)).exp(),
+                white_balance: [
+                    (settings.white_balance_drift * drift[1].at(now_s)).exp(),
+                    1.0,
+                    (settings.white_balance_drift * drift[2].at(now_s)).exp(),
+                ],
+            }
+        })
+        .collect()
+}
+
+/// A smooth seeded signal of zero mean and unit variance: three sines of incommensurate periods between 1.5 and 8 s.
+struct Drift([(f64, f64); 3]);
+
+impl Drift {
+    fn new(seed: u64, channel: u64) -> Self {
+        let mut random = CounterRng::new(seed, Stage::Exposure, &[channel]);
+        Drift([(1.5, 2.5), (2.5, 4.5), (4.5, 8.0)].map(|(low, high)| {
+            (std::f64::consts::TAU / random.range(low, high), random.range(0.0, std::f64::consts::TAU))
+        }))
+    }
+
+    fn at(&self, time_s: f64) -> f64 {
+        let sum: f64 = self.0.iter().map(|(rate, phase)| (rate * time_s + phase).sin()).sum();
+        sum * (2.0f64 / 3.0).sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_wanted_gain_meets_the_target() {
+        let radiance: Vec<[f64; 3]> = (1..200).map(|i| [30.0 / i as f64, 12.0 / i as f64, 9.0 / i as f64]).collect();
+        for target in [0.2, 0.42, 0.6] {
+            let gain = wanted_gain(&radiance, target);
+            let sum: f64 = radiance.iter().flatten().map(|&v| srgb_from_linear((v * gain) as f32) as f64).sum();
+            assert!((sum / (radiance.len() * 3) as f64 - target).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn gain_follows_a_jump_with_lag_and_stays_in_range() {
+        let settings = ExposureSettings { drift: 0.0, white_balance_drift: 0.0, lag_s: 0.5, target: 0.4 };
+        let time_s: Vec<f64> = (0..40).map(|i| i as f64 * 0.1).collect();
+        let wanted: Vec<f64> = (0..40).map(|i| if i < 25 { 1.0 } else { 1e6 }).collect();
+        let gains: Vec<f64> = follow(&wanted, &time_s, &settings, 1).iter().map(|e| e.gain).collect();
+        assert_eq!(gains[24], 1.0);
+        assert!(gains[25] > 1.2 && gains[25] < 2.0);
+        assert!(gains[39] > 6.0 && gains[39] <= RANGE);
+    }
+
+    #[test]
+    fn drift_has_unit_variance_and_follows_the_seed() {
+        let d = Drift::new(3, 0);
+        let values: Vec<f64> = (0..200_000).map(|i| d.at(i as f64 * 0.01)).collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64;
+        assert!(mean.abs() < 0.02 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
+        assert_ne!(d.at(1.0), Drift::new(4, 0).at(1.0));
+    }
+}

@@ -1,0 +1,123 @@
+//! Whatever goes in: no panic, nothing but finite numbers out, or one sentence.
+
+use respire_bench::base::Camera;
+use respire_bench::splat::{Gaussians, Gradients, ImageGradient, Rasterizer, Settings, Shape, View, Wanted};
+
+use super::forward::available;
+use super::scenes::{Kind, Lens, Weights, random, rng, view, world_from_camera};
+
+const POISON: [f32; 14] = [
+    f32::NAN,
+    -f32::NAN,
+    f32::INFINITY,
+    f32::NEG_INFINITY,
+    1e38,
+    -1e38,
+    1e-40,
+    1e-30,
+    0.0,
+    -0.0,
+    1.0 / 255.0,
+    16.0,
+    1e10,
+    -1.0,
+];
+
+fn poisoned(seed: u64) -> Gaussians<f32> {
+    let r = &mut rng(&[9, seed]);
+    let kind = if seed % 2 == 0 { Kind::Ellipsoids } else { Kind::Discs };
+    let mut scene = random(12, kind, (seed % 4) as u8, seed).cast::<f32>();
+    for _ in 0..=r.index(6) {
+        let value = POISON[r.index(POISON.len())];
+        let (i, k) = (r.index(12), r.index(3));
+        match (r.index(5), &mut scene.shape) {
+            (0, _) => scene.positions[i][k] = value,
+            (1, Shape::Ellipsoids { rotations, .. }) => rotations[i] = [value, 0.0, 0.0, 0.0],
+            (2, Shape::Ellipsoids { scales, .. }) => scales[i][k] = value,
+            (1 | 2, Shape::Discs { axes }) => axes[i][k % 2][k] = value,
+            (3, _) => scene.opacities[i] = value,
+            _ => {
+                let at = r.index(scene.sh.len());
+                scene.sh[at] = value;
+            }
+        }
+    }
+    scene
+}
+
+fn all_finite(g: &Gradients<f32>) -> bool {
+    let vectors = g.positions.iter().chain(&g.scales).chain(g.axes.iter().flatten()).flatten();
+    let rest = g.rotations.iter().flatten().chain(&g.opacities).chain(&g.sh);
+    vectors.chain(rest).all(|v| v.is_finite()) && g.pose.iter().chain(&g.gain).all(|v| v.is_finite())
+}
+
+#[test]
+fn poisoned_scenes_stay_finite() {
+    let weights = Weights::<f32>::new(43 * 29, 1);
+    for isa in available() {
+        let mut rasterizer = Rasterizer::<f32>::with_isa(isa).unwrap();
+        for seed in 0..1500 {
+            let scene = poisoned(seed);
+            let lens = if seed % 5 == 0 { Lens::Fisheye } else { Lens::Pinhole };
+            let image = rasterizer.render(&scene, &view(lens), &Settings::default(), None).unwrap();
+            let finite = image.color.iter().chain(&image.depth).chain(&image.alpha).all(|v| v.is_finite());
+            assert!(finite, "{isa}, scene {seed}: image");
+            let gradients = rasterizer.backward(&scene, &weights.gradient(), Wanted::ALL).unwrap();
+            assert!(all_finite(gradients), "{isa}, scene {seed}: gradients");
+        }
+    }
+}
+
+#[test]
+fn empty_and_tiny_scenes_render() {
+    let mut rasterizer = Rasterizer::<f32>::new();
+    let one_pixel = View::new(Camera::pinhole(1, 1, 1.0), world_from_camera());
+    for n in [0, 1] {
+        let scene = random(n, Kind::Discs, 0, 5).cast::<f32>();
+        for view in [one_pixel, view(Lens::Pinhole)] {
+            let pixels = (view.camera.width * view.camera.height) as usize;
+            rasterizer.render(&scene, &view, &Settings::default(), None).unwrap();
+            let weights = Weights::new(pixels, 1);
+            let gradients = rasterizer.backward(&scene, &weights.gradient(), Wanted::ALL).unwrap();
+            assert_eq!(gradients.positions.len(), n);
+        }
+        let image = rasterizer.render(&scene, &one_pixel, &Settings::default(), Some(&[])).unwrap();
+        assert!(image.color == [0.0; 3] && image.visible.is_empty());
+    }
+}
+
+#[test]
+fn what_lies_behind_or_outside_is_invisible() {
+    let mut scene = random(3, Kind::Discs, 1, 6);
+    let at = |x: f64, z: f64| world_from_camera().transform_point3(glam::DVec3::new(x, 0.0, z)).to_array();
+    scene.positions = vec![at(0.0, -3.0), at(100.0, 3.0), at(0.0, 3.0)];
+    scene.opacities = vec![0.9, 0.9, 1.0 / 256.0];
+    let mut rasterizer = Rasterizer::<f64>::new();
+    let image = rasterizer.render(&scene, &view(Lens::Pinhole), &Settings::default(), None).unwrap();
+    assert!(image.visible == [false; 3] && image.color.iter().all(|&v| v == 0.0));
+}
+
+#[test]
+fn misuse_is_answered_in_a_sentence() {
+    let scene = random(5, Kind::Discs, 1, 8).cast::<f32>();
+    let mut rasterizer = Rasterizer::<f32>::new();
+    let (view, settings) = (view(Lens::Pinhole), Settings::default());
+    let none = ImageGradient::default();
+    let sentence = |e: respire_bench::base::Error| e.to_string();
+    assert!(rasterizer.backward(&scene, &none, Wanted::ALL).is_err(), "backward before any render");
+    assert!(rasterizer.render(&scene, &view, &settings, Some(&[3, 1])).is_err());
+    assert!(rasterizer.render(&scene, &view, &settings, Some(&[5])).is_err());
+    let bad = Settings { near_mm: f64::NAN, ..settings };
+    assert!(rasterizer.render(&scene, &view, &bad, None).is_err());
+    let mut short = scene.clone();
+    short.sh.pop();
+    assert!(rasterizer.render(&short, &view, &settings, None).is_err());
+    rasterizer.render(&scene, &view, &settings, None).unwrap();
+    let mut color = vec![0.0; 43 * 29 * 3];
+    color[3 * (2 * 43 + 7)] = f32::NAN;
+    let image = ImageGradient { color: &color, ..none };
+    let message = rasterizer.backward(&scene, &image, Wanted::ALL).map_err(sentence).unwrap_err();
+    assert!(message.contains("pixel (7, 2)"), "{message}");
+    let image = ImageGradient { color: &color[..9], ..none };
+    assert!(rasterizer.backward(&scene, &image, Wanted::ALL).is_err());
+}
