@@ -55,6 +55,9 @@ impl Pipeline {
             Some(wanted) => wanted,
             None => catalogue.case_ids()?,
         };
+        if wanted_cases.is_empty() {
+            return Err(Error::input("there are no case files").at(catalogue.root()));
+        }
         let cases: Vec<Case> =
             wanted_cases.iter().map(|wish| Case::load(&catalogue.case_file(wish)?)).collect::<Result<_>>()?;
         refuse_doubles(cases.iter().map(|case| case.id.as_str()), "case")?;
