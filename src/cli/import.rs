@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use super::Terminal;
+use super::import_tree::{self, TreeArguments};
 use crate::airway::case::Case;
 use crate::airway::import_breathing::{LungBox, MeasuredBreathing, breathing_toml, measured_breathing};
 use crate::airway::{self, case_build};
@@ -24,6 +25,8 @@ pub struct Arguments {
 enum What {
     /// Fits measured landmark motion and writes it as the [breathing] part of a case file
     Breathing(BreathingArguments),
+    /// Measures a bronchial tree from a surface or a centreline table
+    Tree(TreeArguments),
 }
 
 #[derive(Args)]
@@ -59,6 +62,7 @@ struct MotionArguments {
 pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     match arguments.what {
         What::Breathing(arguments) => import_breathing(&arguments, terminal),
+        What::Tree(arguments) => import_tree::run(&arguments, terminal),
     }
 }
 
