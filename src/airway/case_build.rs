@@ -11,7 +11,8 @@ use super::case_centerline;
 use super::centerline::Centerline;
 use super::field_calibre::{Axis, AxisPoint};
 use super::field_check;
-use super::surface::surface_from_tree;
+use super::grow::grow;
+use super::surface::{SurfaceSettings, surface_from_tree};
 use super::tree::Tree;
 use crate::base::{Error, Result, TriangleMesh, files};
 
@@ -40,14 +41,19 @@ pub fn build(case: &Case) -> Result<Anatomy> {
         }
         AnatomySource::Tree { path, least_radius_mm, deepest, surface } => {
             let tree = read_tree(&case.resolve(path))?.reachable(*least_radius_mm, *deepest);
-            let (rest, generation) = surface_from_tree(&tree, surface)?;
-            from_field(rest, tree.to_centerline(), Some(generation), field_of(case)?)
+            from_tree(&tree, surface, field_of(case)?)
         }
+        AnatomySource::Grown { seed, growth, surface } => from_tree(&grow(*seed, growth)?, surface, field_of(case)?),
     }
 }
 
 fn field_of(case: &Case) -> Result<&Breathing> {
     case.breathing.as_ref().ok_or_else(|| Error::input("is missing").element("breathing"))
+}
+
+fn from_tree(tree: &Tree, surface: &SurfaceSettings, breathing: &Breathing) -> Result<Anatomy> {
+    let (rest, generation) = surface_from_tree(tree, surface)?;
+    from_field(rest, tree.to_centerline(), Some(generation), breathing)
 }
 
 /// Reads and checks a tree table.
