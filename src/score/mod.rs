@@ -7,8 +7,12 @@
 mod cell;
 pub mod contour;
 pub mod depth;
+#[cfg(test)]
+pub(crate) mod fixture;
 pub mod image_quality;
 mod prediction;
+#[cfg(test)]
+mod protocol_tests;
 mod registry;
 pub mod slice;
 pub mod statistics;

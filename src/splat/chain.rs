@@ -2,7 +2,7 @@
 //! its symbols. The projection is computed again rather than stored.
 
 use super::kernel::moment;
-use super::project::{Geometry, Projector, Row, color, columns, dot, normalized, rotation_columns};
+use super::project::{Geometry, Projector, Row, columns, dot, normalized, rotation_columns, sum_of_basis};
 use super::real::Real;
 use super::sh;
 use super::types::{Gaussians, Shape, Wanted};
@@ -11,17 +11,18 @@ use super::types::{Gaussians, Shape, Wanted};
 pub(super) struct One<T> {
     pub position: [T; 3],
     pub opacity: T,
-    pub sh: [[T; 3]; 16],
     /// With respect to the columns of the square root of the covariance, world axes.
     pub columns: [[T; 3]; 3],
     pub pose: [T; 6],
 }
 
+#[inline(always)]
 fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Gradient of the covariance on screen `(va, vb; vb, vc)` from that of the conic: `-Q G Q`.
+#[inline(always)]
 fn covariance_gradient<T: Real>(g: &Geometry<T>, m: &Row<T>) -> [T; 3] {
     let half = T::of(0.5);
     let [a, b, c] = g.conic;
@@ -31,40 +32,50 @@ fn covariance_gradient<T: Real>(g: &Geometry<T>, m: &Row<T>) -> [T; 3] {
     [-(e0 * a + e1 * b), -(e0 * b + e1 * c), -(e2 * b + e3 * c)]
 }
 
-/// Gradient of the SH coefficients, and of the view direction (as if it were free).
-fn color_gradient<T: Real>(gaussians: &Gaussians<T>, i: usize, g: &Geometry<T>, m: &Row<T>) -> ([[T; 3]; 16], [T; 3]) {
-    let shown = color(gaussians, i, g.direction);
-    let v = [0, 1, 2].map(|k| if shown[k] > T::zero() { m[moment::RED + k] } else { T::zero() });
-    let basis = sh::basis(g.direction, gaussians.sh_degree);
+/// Writes the gradient of the SH coefficients (where there is room for it) and returns that of the view direction (as if
+/// it were free).
+#[inline(always)]
+fn color_gradient<T: Real>(gaussians: &Gaussians<T>, i: usize, g: &Geometry<T>, m: &Row<T>, by_sh: &mut [T]) -> [T; 3] {
     let stride = gaussians.sh_stride();
-    let mut weights = [T::zero(); 16];
-    for (weight, rgb) in weights.iter_mut().zip(gaussians.sh[i * stride..(i + 1) * stride].chunks_exact(3)) {
-        *weight = rgb[0] * v[0] + rgb[1] * v[1] + rgb[2] * v[2];
+    let coefficients = &gaussians.sh[i * stride..(i + 1) * stride];
+    let basis = sh::basis(g.direction, gaussians.sh_degree);
+    let shown = sum_of_basis(&basis, coefficients);
+    let v = [0, 1, 2].map(|k| if shown[k] > T::zero() { m[moment::RED + k] } else { T::zero() });
+    for (place, b) in by_sh.as_chunks_mut::<3>().0.iter_mut().zip(&basis) {
+        *place = v.map(|k| *b * k);
     }
-    (basis.map(|b| v.map(|k| b * k)), sh::basis_pullback(g.direction, gaussians.sh_degree, &weights))
+    if gaussians.sh_degree == 0 {
+        return [T::zero(); 3];
+    }
+    let mut weights = [T::zero(); 16];
+    for (weight, rgb) in weights.iter_mut().zip(coefficients.as_chunks::<3>().0) {
+        *weight = dot(*rgb, v);
+    }
+    sh::basis_pullback(g.direction, gaussians.sh_degree, &weights)
 }
 
-/// Gradients of Gaussian `i` from the moments `m` of its splat; `None` where a number is not finite.
+/// Gradients of Gaussian `i` from the moments `m` of its splat, those of the SH into `by_sh` (empty if not wanted);
+/// `None` where a number is not finite.
+#[inline(always)]
 pub(super) fn gradients_of_one<T: Real>(
     projector: &Projector<T>,
     gaussians: &Gaussians<T>,
     i: usize,
     m: &Row<T>,
     wanted: Wanted,
+    by_sh: &mut [T],
 ) -> Option<One<T>> {
     let g = projector.geometry(gaussians.positions[i], columns(&gaussians.shape, i))?;
     let mut one = One {
         position: [T::zero(); 3],
         opacity: m[moment::S] / gaussians.opacities[i],
-        sh: [[T::zero(); 3]; 16],
         columns: [[T::zero(); 3]; 3],
         pose: [T::zero(); 6],
     };
     let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE);
     let mut by_direction = [T::zero(); 3];
     if wanted.any(Wanted::SH) || (through_position && gaussians.sh_degree > 0) {
-        let (sh, direction) = color_gradient(gaussians, i, &g, m);
-        one.sh = sh;
+        let direction = color_gradient(gaussians, i, &g, m, by_sh);
         // Through the normalisation of the direction.
         let along = dot(direction, g.direction);
         by_direction = [0, 1, 2].map(|k| (direction[k] - along * g.direction[k]) / g.distance);
@@ -98,13 +109,16 @@ pub(super) fn gradients_of_one<T: Real>(
             }
         }
     }
-    let sum = one.opacity
-        + dot(one.position, [T::one(); 3])
-        + one.columns.iter().flatten().chain(one.sh.iter().flatten()).chain(&one.pose).fold(T::zero(), |s, &v| s + v);
+    let ones = [T::one(); 3];
+    let columns = dot(one.columns[0], ones) + dot(one.columns[1], ones) + dot(one.columns[2], ones);
+    let colors = m[moment::RED] + m[moment::RED + 1] + m[moment::RED + 2];
+    let pose = dot([one.pose[0], one.pose[1], one.pose[2]], ones) + one.pose[3] + one.pose[4] + one.pose[5];
+    let sum = one.opacity + dot(one.position, ones) + columns + colors + pose;
     sum.is_finite().then_some(one)
 }
 
 /// A motion of the camera turns and shifts the centre and turns the columns in camera axes; turning leaves the eye.
+#[inline(always)]
 fn pose_gradient<T: Real>(
     projector: &Projector<T>,
     g: &Geometry<T>,
@@ -124,6 +138,7 @@ fn pose_gradient<T: Real>(
 }
 
 /// Gradients of quaternion and scales of ellipsoid `i` from that of its columns.
+#[inline(always)]
 pub(super) fn ellipsoid_gradient<T: Real>(shape: &Shape<T>, i: usize, by_columns: &[[T; 3]; 3]) -> ([T; 4], [T; 3]) {
     let Shape::Ellipsoids { rotations, scales } = shape else { return ([T::zero(); 4], [T::zero(); 3]) };
     let (q, inverse_length) = normalized(rotations[i]);

@@ -79,11 +79,13 @@ pub(super) struct Geometry<T> {
     pub distance: T,
 }
 
+#[inline(always)]
 pub(super) fn dot<T: Real>(a: [T; 3], b: [T; 3]) -> T {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// Columns of the rotation of a unit quaternion `w x y z`.
+#[inline(always)]
 pub(super) fn rotation_columns<T: Real>([w, x, y, z]: [T; 4]) -> [[T; 3]; 3] {
     let (one, two) = (T::one(), T::of(2.0));
     [
@@ -94,12 +96,14 @@ pub(super) fn rotation_columns<T: Real>([w, x, y, z]: [T; 4]) -> [[T; 3]; 3] {
 }
 
 /// A quaternion divided by its length, and 1 / length.
+#[inline(always)]
 pub(super) fn normalized<T: Real>(q: [T; 4]) -> ([T; 4], T) {
     let inverse = T::one() / (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
     (q.map(|v| v * inverse), inverse)
 }
 
 /// Square root of the covariance of Gaussian `i`, column by column (the third of a disc is 0).
+#[inline(always)]
 pub(super) fn columns<T: Real>(shape: &Shape<T>, i: usize) -> [[T; 3]; 3] {
     match shape {
         Shape::Ellipsoids { rotations, scales } => {
@@ -152,16 +156,19 @@ impl<T: Real> Projector<T> {
     }
 
     /// A vector in camera axes.
+    #[inline(always)]
     pub fn turn(&self, v: [T; 3]) -> [T; 3] {
         self.rotation.map(|row| dot(row, v))
     }
 
     /// A vector in world axes.
+    #[inline(always)]
     pub fn turn_back(&self, v: [T; 3]) -> [T; 3] {
         let r = &self.rotation;
         [0, 1, 2].map(|k| r[0][k] * v[0] + r[1][k] * v[1] + r[2][k] * v[2])
     }
 
+    #[inline(always)]
     fn lens(&self, t: [T; 3]) -> Lens<T> {
         match self.fisheye {
             None => self.pinhole(t),
@@ -169,10 +176,12 @@ impl<T: Real> Projector<T> {
         }
     }
 
+    #[inline(always)]
     fn clamped(&self, t: [T; 3], rz: T) -> [T; 2] {
         [0, 1].map(|k| (t[k] * rz).maximum(-self.limit[k]).minimum(self.limit[k]))
     }
 
+    #[inline(always)]
     fn pinhole(&self, t: [T; 3]) -> Lens<T> {
         let [fx, fy] = self.focal;
         let rz = T::one() / t[2];
@@ -184,6 +193,7 @@ impl<T: Real> Projector<T> {
     }
 
     /// Gradient with respect to `t` of a loss with gradients `point` and `jacobian`.
+    #[inline(always)]
     pub fn lens_pullback(&self, t: [T; 3], point: [T; 2], jacobian: [[T; 3]; 2]) -> [T; 3] {
         match self.fisheye {
             None => self.pinhole_pullback(t, point, jacobian),
@@ -206,6 +216,7 @@ impl<T: Real> Projector<T> {
         }
     }
 
+    #[inline(always)]
     fn pinhole_pullback(&self, t: [T; 3], point: [T; 2], jacobian: [[T; 3]; 2]) -> [T; 3] {
         let [fx, fy] = self.focal;
         let rz = T::one() / t[2];
@@ -227,6 +238,7 @@ impl<T: Real> Projector<T> {
     }
 
     /// Everything up to the conic; `None` before the near plane or where a number stops being finite.
+    #[inline(always)]
     pub fn geometry(&self, position: [T; 3], columns: [[T; 3]; 3]) -> Option<Geometry<T>> {
         let offset = [0, 1, 2].map(|k| position[k] - self.eye[k]);
         let t = self.turn(offset);
@@ -253,8 +265,10 @@ impl<T: Real> Projector<T> {
         ];
         let distance = dot(offset, offset).sqrt();
         let direction = offset.map(|v| v / distance);
-        let finite = conic.iter().chain(&point).chain(&direction).chain(&covariance).all(|v| v.is_finite());
-        if !finite || !inverse_determinant.is_finite() || determinant <= T::zero() {
+        // A sum is finite only if every term is (0 times infinity and infinities of both signs give NaN).
+        let sum = conic[0] + conic[1] + conic[2] + point[0] + point[1] + covariance[0] + covariance[2];
+        let finite = (sum + direction[0] + direction[1] + direction[2] + inverse_determinant).is_finite();
+        if !finite || !(determinant > T::zero()) {
             return None;
         }
         Some(Geometry { t, c, u, jacobian, point, covariance, conic, inverse_determinant, direction, distance })
@@ -278,7 +292,7 @@ impl<T: Real> Projector<T> {
             }
         }
         let color = color(gaussians, i, g.direction);
-        if !color.iter().all(|v| v.is_finite()) {
+        if !(color[0] + color[1] + color[2]).is_finite() {
             return None;
         }
         let mut row = [T::zero(); 16];
@@ -300,11 +314,18 @@ impl<T: Real> Projector<T> {
 }
 
 /// Colour of Gaussian `i` seen along `direction`, before the clamp at 0.
+#[inline(always)]
 pub(super) fn color<T: Real>(gaussians: &Gaussians<T>, i: usize, direction: [T; 3]) -> [T; 3] {
     let stride = gaussians.sh_stride();
     let basis = sh::basis(direction, gaussians.sh_degree);
+    sum_of_basis(&basis, &gaussians.sh[i * stride..(i + 1) * stride])
+}
+
+/// `0.5 + sum_k basis[k] * coefficients[k]` per channel.
+#[inline(always)]
+pub(super) fn sum_of_basis<T: Real>(basis: &[T; 16], coefficients: &[T]) -> [T; 3] {
     let mut color = [T::of(0.5); 3];
-    for (weight, rgb) in basis.iter().zip(gaussians.sh[i * stride..(i + 1) * stride].chunks_exact(3)) {
+    for (weight, rgb) in basis.iter().zip(coefficients.as_chunks::<3>().0) {
         for k in 0..3 {
             color[k] += *weight * rgb[k];
         }

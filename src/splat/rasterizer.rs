@@ -400,6 +400,7 @@ impl<T: Real> Rasterizer<T> {
             .collect();
         let (bins, slots, visible) = (&self.bins, &self.slots, &self.rendered.visible);
         let active = self.active.as_deref();
+        let with_pose = wanted.any(Wanted::POSE);
         let poses: Vec<[f64; 6]> = tasks
             .into_par_iter()
             .map(|mut task| {
@@ -407,11 +408,15 @@ impl<T: Real> Rasterizer<T> {
                 for k in 0..task.count {
                     let j = task.first + k;
                     let i = active.map_or(j, |list| list[j] as usize);
+                    let by_sh = task.sh.get_mut(k * stride..(k + 1) * stride).unwrap_or_default();
                     let one = visible[j]
                         .then(|| moments_of(bins, slots, j))
                         .flatten()
-                        .and_then(|m| gradients_of_one(projector, gaussians, i, &m, wanted));
-                    task.write(k, i, one.as_ref(), gaussians, stride);
+                        .and_then(|m| gradients_of_one(projector, gaussians, i, &m, wanted, by_sh));
+                    task.write(k, i, one.as_ref(), gaussians, stride, wanted);
+                    if !with_pose {
+                        continue;
+                    }
                     for (sum, part) in pose.iter_mut().zip(one.map_or([T::zero(); 6], |one| one.pose)) {
                         *sum += part.to_f64();
                     }
@@ -440,7 +445,15 @@ struct Task<'a, T> {
 }
 
 impl<T: Real> Task<'_, T> {
-    fn write(&mut self, k: usize, i: usize, one: Option<&One<T>>, gaussians: &Gaussians<T>, stride: usize) {
+    fn write(
+        &mut self,
+        k: usize,
+        i: usize,
+        one: Option<&One<T>>,
+        gaussians: &Gaussians<T>,
+        stride: usize,
+        wanted: Wanted,
+    ) {
         let zero = [T::zero(); 3];
         if let Some(place) = self.positions.get_mut(k) {
             *place = one.map_or(zero, |one| one.position);
@@ -455,12 +468,9 @@ impl<T: Real> Task<'_, T> {
         if let Some(place) = self.opacities.get_mut(k) {
             *place = one.map_or(T::zero(), |one| one.opacity);
         }
-        if !self.sh.is_empty() {
-            let place = &mut self.sh[k * stride..(k + 1) * stride];
-            match one {
-                Some(one) => place.copy_from_slice(&one.sh.as_flattened()[..stride]),
-                None => place.fill(T::zero()),
-            }
+        // The coefficients of a splat that is seen were written in passing.
+        if wanted.any(Wanted::SH) && one.is_none() {
+            self.sh[k * stride..(k + 1) * stride].fill(T::zero());
         }
     }
 }

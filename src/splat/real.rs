@@ -45,21 +45,25 @@ pub trait Real:
     fn is_finite(self) -> bool;
 
     /// Zero.
+    #[inline(always)]
     fn zero() -> Self {
         Self::of(0.0)
     }
 
     /// One.
+    #[inline(always)]
     fn one() -> Self {
         Self::of(1.0)
     }
 
     /// The smaller of two numbers, `other` where `self` is NaN.
+    #[inline(always)]
     fn minimum(self, other: Self) -> Self {
         if self < other { self } else { other }
     }
 
     /// The larger of two numbers, `other` where `self` is NaN.
+    #[inline(always)]
     fn maximum(self, other: Self) -> Self {
         if self > other { self } else { other }
     }
@@ -77,27 +81,35 @@ pub trait Real:
 
 macro_rules! real_functions {
     ($t:ty) => {
+        #[inline(always)]
         fn of(value: f64) -> Self {
             value as $t
         }
+        #[inline(always)]
         fn to_f64(self) -> f64 {
             self as f64
         }
+        #[inline(always)]
         fn sqrt(self) -> Self {
             <$t>::sqrt(self)
         }
+        #[inline(always)]
         fn exp2(self) -> Self {
             <$t>::exp2(self)
         }
+        #[inline(always)]
         fn exp(self) -> Self {
             <$t>::exp(self)
         }
+        #[inline(always)]
         fn log2(self) -> Self {
             <$t>::log2(self)
         }
+        #[inline(always)]
         fn atan2(self, x: Self) -> Self {
             <$t>::atan2(self, x)
         }
+        #[inline(always)]
         fn is_finite(self) -> bool {
             <$t>::is_finite(self)
         }

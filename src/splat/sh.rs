@@ -17,6 +17,7 @@ const C3: [f64; 7] = [
 ];
 
 /// The `(degree + 1)^2` basis functions at the unit vector `[x, y, z]`; the rest of the array stays 0.
+#[inline(always)]
 pub(super) fn basis<T: Real>([x, y, z]: [T; 3], degree: u8) -> [T; 16] {
     let mut out = [T::zero(); 16];
     out[0] = T::of(C0);
@@ -48,6 +49,7 @@ pub(super) fn basis<T: Real>([x, y, z]: [T; 3], degree: u8) -> [T; 16] {
 }
 
 /// Gradient of `sum_k weights[k] * basis[k]` with respect to the vector `[x, y, z]` (as if it were free).
+#[inline(always)]
 pub(super) fn basis_pullback<T: Real>([x, y, z]: [T; 3], degree: u8, w: &[T; 16]) -> [T; 3] {
     let mut g = [T::zero(); 3];
     if degree >= 1 {
