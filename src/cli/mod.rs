@@ -5,6 +5,7 @@
 
 mod doctor;
 mod import;
+mod import_mesh;
 mod render;
 mod simulate;
 mod terminal;
