@@ -183,8 +183,7 @@ impl Axis {
             return None;
         }
         let mut total = 0.0;
-        let mut foot =
-            AxisPoint { position_mm: DVec3::ZERO, radius_mm: 0.0, generation: 0.0, tangent: DVec3::ZERO };
+        let mut foot = AxisPoint { position_mm: DVec3::ZERO, radius_mm: 0.0, generation: 0.0, tangent: DVec3::ZERO };
         let near = runs().filter(|(run, _)| run.least_exponent(x) < best + EXPONENT_REACH);
         for sample in near.flat_map(|(_, samples)| samples) {
             let behind = exponent(sample) - best;

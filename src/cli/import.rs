@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
+use super::import_tree::{self, TreeArguments};
 use super::{Terminal, import_mesh};
 use crate::airway::case::{Breathing, Case};
 use crate::airway::field::BreathingField;
@@ -30,6 +31,8 @@ enum What {
     Mesh(import_mesh::MeshArguments),
     /// Makes a case of two registered airway surfaces
     MeshPair(import_mesh::PairArguments),
+    /// Measures a bronchial tree from a surface or a centreline table
+    Tree(TreeArguments),
 }
 
 #[derive(Args)]
@@ -46,7 +49,7 @@ struct BreathingArguments {
 pub(super) struct MotionArguments {
     /// Landmark pairs: insp_x,insp_y,insp_z,exp_x,exp_y,exp_z in mm (LPS)
     #[arg(long, value_name = "CSV")]
-    landmarks: PathBuf,
+    pub(super) landmarks: PathBuf,
     /// Table of lung boxes: case,phase,min_x,..,max_z; without it the box around the landmarks is used
     #[arg(long, value_name = "CSV")]
     lung_boxes: Option<PathBuf>,
@@ -67,6 +70,7 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
         What::Breathing(arguments) => import_breathing(&arguments, terminal),
         What::Mesh(arguments) => import_mesh::run(&arguments, terminal),
         What::MeshPair(arguments) => import_mesh::run_pair(&arguments, terminal),
+        What::Tree(arguments) => import_tree::run(&arguments, terminal),
     }
 }
 

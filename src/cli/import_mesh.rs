@@ -21,8 +21,10 @@ use crate::simulate::trajectory::Route;
 
 /// Arguments of `import mesh`.
 #[derive(Args)]
-#[command(after_help = "Writes DIR/<id>.toml with its own mesh and centreline beside it.\nExample: respire-bench import \
-    mesh airway.ply --axes ras --landmarks copd03.csv --lung-boxes lung_boxes.csv --id mine --out mine")]
+#[command(
+    after_help = "Writes DIR/<id>.toml with its own mesh and centreline beside it.\nExample: respire-bench import \
+    mesh airway.ply --axes ras --landmarks copd03.csv --lung-boxes lung_boxes.csv --id mine --out mine"
+)]
 pub struct MeshArguments {
     /// Closed airway surface (PLY, STL, OBJ) in mm
     #[arg(value_name = "MESH")]
@@ -35,8 +37,10 @@ pub struct MeshArguments {
 
 /// Arguments of `import mesh-pair`.
 #[derive(Args)]
-#[command(after_help = "Both meshes must have the same faces in the same order.\nExample: respire-bench import mesh-pair \
-    inspiration.ply expiration.ply --id mine --out mine")]
+#[command(
+    after_help = "Both meshes must have the same faces in the same order.\nExample: respire-bench import mesh-pair \
+    inspiration.ply expiration.ply --id mine --out mine"
+)]
 pub struct PairArguments {
     /// Closed surface at full inspiration (PLY, STL, OBJ) in mm
     #[arg(value_name = "INSPIRATION")]
