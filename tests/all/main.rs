@@ -3,6 +3,7 @@
 mod binary;
 mod command_line;
 mod layering;
+mod mesh_damage;
 mod reference;
 mod render;
 mod render_command;
