@@ -10,6 +10,8 @@ mod evaluate;
 mod explain;
 mod gate;
 mod import;
+mod import_mesh;
+mod import_tree;
 mod render;
 mod simulate;
 mod terminal;

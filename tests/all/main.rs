@@ -4,6 +4,7 @@ mod binary;
 mod command_line;
 mod gate;
 mod layering;
+mod mesh_damage;
 mod reference;
 mod render;
 mod render_command;
