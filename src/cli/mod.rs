@@ -5,6 +5,7 @@
 
 mod doctor;
 mod import;
+mod import_mesh;
 mod import_tree;
 mod render;
 mod simulate;
