@@ -4,9 +4,9 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::centerline::{Centerline, CenterlinePoint};
+use super::centerline::{self, Centerline, CenterlinePoint, CenterlineSettings};
 use super::tree::Tree;
-use crate::base::{Error, Result, files};
+use crate::base::{Error, Result, TriangleMesh, files};
 
 /// Columns of a centreline table.
 const COLUMNS: [&str; 8] = ["id", "x_mm", "y_mm", "z_mm", "radius_mm", "branch", "generation", "parent_id"];
@@ -38,6 +38,15 @@ impl Axes {
 pub fn from_table(path: &Path, axes: Axes, source: &str) -> Result<Tree> {
     let centerline = parse_table(&files::read_text(path)?, axes).map_err(|e| e.at(path))?;
     from_centerline(&centerline, source).map_err(|e| e.at(path))
+}
+
+/// Extracts the centreline of a closed airway surface and makes a tree of it.
+pub fn from_mesh(mesh: &TriangleMesh, axes: Axes, source: &str) -> Result<Tree> {
+    let mut centerline = centerline::extract(mesh, &CenterlineSettings::default())?;
+    for point in &mut centerline.points {
+        point.position_mm = axes.to_lps(point.position_mm);
+    }
+    from_centerline(&centerline, source)
 }
 
 /// The table of `centerline`, resampled to 1.5 mm.

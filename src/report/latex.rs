@@ -26,9 +26,12 @@ pub fn table(table: &ComparisonTable, run_id: &str) -> String {
     ));
     line("\\label{tab:respire_bench}\n\\resizebox{\\textwidth}{!}{%".into());
     line(format!("\\begin{{tabular}}{{@{{}}lcc{}@{{}}}}\n\\toprule", "|cc".repeat(groups().len())));
-    let titles =
-        groups().into_iter().map(|(g, n)| format!("& \\multicolumn{{{n}}}{{c}}{{\\textbf{{{}}}}} ", g.title()));
-    line(format!("& \\multicolumn{{2}}{{c}}{{\\textbf{{Setting}}}} {}\\\\", titles.collect::<String>()));
+    let last = groups().len() - 1;
+    let titles = groups().into_iter().enumerate().map(|(index, (group, count))| {
+        let column = if index == last { "c" } else { "c|" };
+        format!("& \\multicolumn{{{count}}}{{{column}}}{{\\textbf{{{}}}}} ", group.title())
+    });
+    line(format!("& \\multicolumn{{2}}{{c|}}{{\\textbf{{Setting}}}} {}\\\\", titles.collect::<String>()));
     let mut column = 4;
     let mut rules = "\\cmidrule(lr){2-3}".to_owned();
     for (_, count) in groups() {

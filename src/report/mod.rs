@@ -5,11 +5,19 @@
 //!                                             report.md report.html table.tex plots/ panels/
 //! ```
 
+pub mod compare;
+pub mod gate;
+pub mod gate_files;
+#[cfg(test)]
+mod gate_tests;
 mod html;
 mod latex;
 mod markdown;
 mod paper;
 pub mod plots;
+pub mod read;
+#[cfg(test)]
+mod report_tests;
 pub mod run;
 pub mod summary;
 pub mod table;

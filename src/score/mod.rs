@@ -5,16 +5,22 @@
 //! ```
 
 mod cell;
+mod check;
 pub mod contour;
 pub mod depth;
+#[cfg(test)]
+pub(crate) mod fixture;
 pub mod image_quality;
 mod prediction;
+#[cfg(test)]
+mod protocol_tests;
 mod registry;
 pub mod slice;
 pub mod statistics;
 mod truth;
 
 pub use cell::{CellScore, FrameScore, FrameValue, MetricScore, ScoreSettings, Status, score};
+pub use check::{Contents, check_prediction, check_truth};
 pub use prediction::Prediction;
 pub use registry::{Direction, Group, Metric, Split, Standing, metric, paper_metrics, registry};
 pub use truth::{Truth, final_mesh};

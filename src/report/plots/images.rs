@@ -12,7 +12,7 @@ use crate::score::{Prediction, Truth};
 /// Frames shown of a case.
 const ROWS: usize = 4;
 /// Sides of shown images are at least this many pixels; whole multiples, so that pixels stay pixels.
-const LEAST_SIDE: usize = 160;
+const LEAST_SIDE: usize = 180;
 /// Ends of the colour scale of depth errors.
 const ERROR_SCALE_MM: [f64; 2] = [0.1, 30.0];
 /// Where there is a truth but no prediction.
@@ -22,8 +22,8 @@ const NO_TRUTH: [u8; 3] = [255, 255, 255];
 
 const MARGIN: usize = 6;
 const HEAD: usize = 26;
-const FOOT: usize = 20;
-const LEFT: usize = 92;
+const FOOT: usize = 24;
+const LEFT: usize = 104;
 const SCALE_BAR: usize = 46;
 
 /// One picture with its words.
@@ -173,11 +173,11 @@ fn compose(panel: Panel, scale_title: Option<&str>) -> Result<Option<Image<u8>>>
         for (row, (name, tiles)) in panel.rows.iter().enumerate() {
             for (line, part) in name.lines().enumerate() {
                 let at = ((LEFT / 2) as i32, (top_of(row) + height / 2 + 18 * line) as i32 - 9);
-                canvas.draw(&Text::new(part.to_owned(), at, centred(pen.text(13.0))))?;
+                canvas.draw(&Text::new(part.to_owned(), at, centred(pen.text(15.0))))?;
             }
             for (column, tile) in tiles.iter().enumerate() {
                 let at = ((left_of(column) + width / 2) as i32, (top_of(row) + height + FOOT / 2) as i32 - 1);
-                canvas.draw(&Text::new(tile.foot.clone(), at, centred(pen.text(11.0))))?;
+                canvas.draw(&Text::new(tile.foot.clone(), at, centred(pen.text(14.0))))?;
             }
         }
         if let Some(title) = scale_title {
@@ -188,11 +188,11 @@ fn compose(panel: Panel, scale_title: Option<&str>) -> Result<Option<Image<u8>>>
                     vec![(x as i32, bar_top as i32 + 12), (x as i32, bar_top as i32 + 15)],
                     pen.line(INK, 1.0),
                 ))?;
-                canvas.draw(&Text::new(format!("{tick}"), (x as i32, below), centred(pen.text(11.0))))?;
+                canvas.draw(&Text::new(format!("{tick}"), (x as i32, below), centred(pen.text(14.0))))?;
             }
-            let side = pen.text(12.0).pos(Pos::new(HPos::Left, VPos::Center));
+            let side = pen.text(14.0).pos(Pos::new(HPos::Left, VPos::Center));
             let note = format!("{title}; magenta: nothing predicted");
-            if page_width > LEFT + bar_width + 290 {
+            if page_width > LEFT + bar_width + 330 {
                 canvas.draw(&Text::new(note, ((LEFT + bar_width + 14) as i32, bar_top as i32 + 6), side))?;
             }
         }
@@ -204,5 +204,5 @@ fn compose(panel: Panel, scale_title: Option<&str>) -> Result<Option<Image<u8>>>
 /// Text height at which `text` is no wider than a tile.
 fn fitting(text: &str, width: usize) -> f64 {
     // A bold DejaVu letter is about 0.7 of its height wide.
-    (width as f64 / (0.7 * text.chars().count().max(1) as f64)).clamp(8.0, 14.0)
+    (width as f64 / (0.7 * text.chars().count().max(1) as f64)).clamp(8.0, 16.0)
 }

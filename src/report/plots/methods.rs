@@ -136,6 +136,13 @@ fn log_range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     if high <= 0.0 { [0.1, 10.0] } else { [low.min(high / 4.0) / 1.6, high.max(low * 4.0) * 1.6] }
 }
 
+/// 1, 2 and 5 times the powers of ten in the range.
+fn log_ticks([low, high]: [f64; 2]) -> Vec<f64> {
+    let decades = low.log10().floor() as i32..=high.log10().ceil() as i32;
+    let ticks = decades.flat_map(|d| [1.0, 2.0, 5.0].map(|step| step * 10f64.powi(d)));
+    ticks.filter(|t| (low..=high).contains(t)).collect()
+}
+
 fn bounds_of(mean: &MeanInterval) -> impl Iterator<Item = f64> {
     let [low, high] = mean.interval.unwrap_or([mean.mean; 2]);
     // A bound at or below zero has no place on a logarithmic axis.
@@ -155,7 +162,10 @@ fn draw_points<DB: DrawingBackend>(
         .margin_right(pen.px(16.0))
         .x_label_area_size(pen.px(40.0))
         .y_label_area_size(pen.px(62.0))
-        .build_cartesian_2d((x[0]..x[1]).log_scale(), (y[0]..y[1]).log_scale())?;
+        .build_cartesian_2d(
+            (x[0]..x[1]).log_scale().with_key_points(log_ticks(x)),
+            (y[0]..y[1]).log_scale().with_key_points(log_ticks(y)),
+        )?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)

@@ -1,0 +1,65 @@
+//! `respire-bench import tree`: a bronchial tree as a table, measured from a surface or a centreline.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use super::Terminal;
+use crate::airway::import_tree::{Axes, from_mesh, from_table};
+use crate::base::{Error, Progress, Result, files};
+use crate::formats;
+
+/// Arguments of `import tree`.
+#[derive(Args)]
+#[command(
+    after_help = "Example: respire-bench import tree airway.ply --axes ras --source \"who, licence\" --out tree.toml"
+)]
+pub struct TreeArguments {
+    /// Closed airway surface (PLY, STL, OBJ), or a centreline table (CSV:
+    /// id,x_mm,y_mm,z_mm,radius_mm,branch,generation,parent_id)
+    #[arg(value_name = "MESH_OR_CSV")]
+    input: PathBuf,
+    /// Which way the file's axes point
+    #[arg(long, value_enum, default_value = "lps")]
+    axes: AxesWord,
+    /// Data set, citation and licence, kept in the table
+    #[arg(long)]
+    source: String,
+    /// Branches of a smaller median radius in mm are left out
+    #[arg(long, default_value_t = 1.2)]
+    least_radius_mm: f64,
+    /// Generations beyond this one are left out
+    #[arg(long, default_value_t = 8)]
+    deepest: u32,
+    /// Table to write
+    #[arg(long, value_name = "TOML")]
+    out: PathBuf,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum AxesWord {
+    /// x left, y posterior, z superior
+    Lps,
+    /// x right, y anterior, z superior
+    Ras,
+}
+
+/// Runs the command.
+pub fn run(arguments: &TreeArguments, terminal: &Terminal) -> Result<()> {
+    let axes = match arguments.axes {
+        AxesWord::Lps => Axes::Lps,
+        AxesWord::Ras => Axes::Ras,
+    };
+    let input = &arguments.input;
+    let tree = if input.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
+        from_table(input, axes, &arguments.source)?
+    } else {
+        let mesh = formats::mesh::read(input)?;
+        from_mesh(&mesh, axes, &arguments.source).map_err(|e| e.at(input))?
+    };
+    let tree = tree.reachable(arguments.least_radius_mm, arguments.deepest);
+    let text = toml::to_string(&tree).map_err(|e| Error::input(e.to_string()))?;
+    files::write_bytes(&arguments.out, text.as_bytes())?;
+    terminal.note(&format!("{}: {} branches", arguments.out.display(), tree.branches.len()));
+    Ok(())
+}

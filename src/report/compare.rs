@@ -1,0 +1,109 @@
+//! Two runs side by side: for every method and metric the mean difference over the cases they share, with a paired
+//! 95 % interval.
+
+use serde::Serialize;
+
+use super::read::Results;
+use crate::score::statistics::bootstrap;
+use crate::score::{Direction, Metric, registry};
+
+/// Seed of the bootstrap: fixed, so that the same tables give the same bounds.
+const BOOTSTRAP_SEED: u64 = 1;
+
+/// How a difference reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Change {
+    /// The interval lies wholly on the better side.
+    Better,
+    /// The interval lies wholly on the worse side.
+    Worse,
+    /// The interval holds 0.
+    Unclear,
+    /// All values are equal.
+    Same,
+    /// One case only: a difference without an interval.
+    Single,
+    /// The metric's definition differs between the runs: no comparison.
+    Redefined,
+}
+
+/// One method and metric.
+#[derive(Clone, Debug, Serialize)]
+pub struct Comparison {
+    /// Method id.
+    pub method: String,
+    /// Metric id.
+    pub metric: &'static str,
+    /// Cases in both runs with a value in both.
+    pub cases: usize,
+    /// Mean of the first run over them.
+    pub a: f64,
+    /// Mean of the second.
+    pub b: f64,
+    /// Mean of b - a.
+    pub difference: f64,
+    /// Its 95 % bounds, paired by case.
+    pub interval: Option<[f64; 2]>,
+    /// What it means.
+    pub change: Change,
+}
+
+/// All methods and metrics that both runs have, methods sorted, metrics in the registry's order.
+pub fn compare(a: &Results, b: &Results) -> Vec<Comparison> {
+    let mut found = Vec::new();
+    let methods_b = b.methods();
+    for method in a.methods().into_iter().filter(|m| methods_b.contains(m)) {
+        found.extend(registry().iter().filter_map(|m| compare_one(a, b, method, m)));
+    }
+    found
+}
+
+fn compare_one(a: &Results, b: &Results, method: &str, m: &'static Metric) -> Option<Comparison> {
+    let (values_a, values_b) = (a.case_values(method, m.id), b.case_values(method, m.id));
+    let pairs: Vec<(f64, f64)> = values_a
+        .iter()
+        .filter_map(|(case, va)| values_b.iter().find(|(other, _)| other == case).map(|(_, vb)| (*va, *vb)))
+        .collect();
+    let differences: Vec<f64> = pairs.iter().map(|(va, vb)| vb - va).collect();
+    let mean = bootstrap(&differences, BOOTSTRAP_SEED)?;
+    let side = |get: fn(&(f64, f64)) -> f64| pairs.iter().map(get).sum::<f64>() / pairs.len() as f64;
+    let definitions = |r: &Results| -> Vec<String> {
+        let mut all: Vec<String> = r
+            .entries
+            .iter()
+            .filter(|(k, _)| k.metric == m.id && k.method == method)
+            .map(|(_, e)| e.definition.clone())
+            .collect();
+        all.sort();
+        all.dedup();
+        all
+    };
+    let change = if definitions(a) != definitions(b) {
+        Change::Redefined
+    } else if differences.iter().all(|d| *d == 0.0) {
+        Change::Same
+    } else {
+        match mean.interval {
+            None => Change::Single,
+            Some([low, high]) if low > 0.0 || high < 0.0 => {
+                if (low > 0.0) == (m.direction == Direction::Higher) {
+                    Change::Better
+                } else {
+                    Change::Worse
+                }
+            }
+            Some(_) => Change::Unclear,
+        }
+    };
+    Some(Comparison {
+        method: method.to_owned(),
+        metric: m.id,
+        cases: pairs.len(),
+        a: side(|p| p.0),
+        b: side(|p| p.1),
+        difference: mean.mean,
+        interval: mean.interval,
+        change,
+    })
+}

@@ -1,0 +1,312 @@
+//! The gate: absolute limits, and limits against a baseline run. Everything that is not shown to be good enough
+//! fails: a missing case, method or metric, an empty value, a NaN, a definition that changed.
+//!
+//! ```toml
+//! cases = ["case1"]                    # must be there
+//! methods = ["ours"]                   # must be there
+//! [[absolute]]                         # every case of the method, or with over = "mean" the mean over cases
+//! metric = "psnr_db"                   # the limit is a minimum or a maximum as the metric's direction says
+//! method = "ours"
+//! limit = 20.0
+//! [[relative]]                         # against the baseline, case by case; methods = all unless named
+//! metric = "psnr_db"
+//! worse_by = 0.1                       # in the metric's unit, and / or
+//! worse_by_percent = 2.0               # of the baseline's value: the larger of the two allowances holds
+//! advisory = true                      # a note instead of a failure (times)
+//! ```
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::read::{Entry, Key, Results};
+use crate::base::{Error, Result, files};
+use crate::score::{Metric, Status, metric, statistics};
+
+/// The thresholds file.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Thresholds {
+    /// Cases that must be there.
+    #[serde(default)]
+    pub cases: Vec<String>,
+    /// Methods that must be there.
+    #[serde(default)]
+    pub methods: Vec<String>,
+    /// Limits on values.
+    #[serde(default)]
+    pub absolute: Vec<Absolute>,
+    /// Limits on losses against a baseline.
+    #[serde(default)]
+    pub relative: Vec<Relative>,
+}
+
+/// Over what an absolute limit holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Over {
+    /// Each case and seed.
+    #[default]
+    Each,
+    /// The mean over cases.
+    Mean,
+}
+
+/// A limit on a value.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Absolute {
+    /// Metric id.
+    pub metric: String,
+    /// Method id.
+    pub method: String,
+    /// Least or most, as the metric's direction says.
+    pub limit: f64,
+    /// Each case or their mean.
+    #[serde(default)]
+    pub over: Over,
+    /// A note instead of a failure.
+    #[serde(default)]
+    pub advisory: bool,
+}
+
+/// A limit on the loss against the baseline.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Relative {
+    /// Metric id.
+    pub metric: String,
+    /// Method id; all methods when absent.
+    pub method: Option<String>,
+    /// Allowed loss in the metric's unit.
+    #[serde(default)]
+    pub worse_by: f64,
+    /// Allowed loss in percent of the baseline's value.
+    #[serde(default)]
+    pub worse_by_percent: f64,
+    /// A note instead of a failure.
+    #[serde(default)]
+    pub advisory: bool,
+}
+
+/// How one check came out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Good enough.
+    Pass,
+    /// Not shown to be good enough.
+    Fail,
+    /// Worth saying, no failure.
+    Note,
+}
+
+impl Verdict {
+    /// For tables.
+    pub fn word(self) -> &'static str {
+        match self {
+            Verdict::Pass => "pass",
+            Verdict::Fail => "FAIL",
+            Verdict::Note => "note",
+        }
+    }
+}
+
+/// One check.
+#[derive(Clone, Debug)]
+pub struct Check {
+    /// Case, or `mean`.
+    pub case: String,
+    /// Method, empty for a check of the run as a whole.
+    pub method: String,
+    /// Metric, empty likewise.
+    pub metric: String,
+    /// How it came out.
+    pub verdict: Verdict,
+    /// The numbers and the limit.
+    pub sentence: String,
+}
+
+/// Reads and checks a thresholds file: unknown metrics and limits that are no numbers are errors.
+pub fn read_thresholds(path: &Path) -> Result<Thresholds> {
+    let thresholds: Thresholds = files::read_toml(path)?;
+    let known =
+        |id: &str| metric(id).map(|_| ()).ok_or_else(|| Error::input(format!("there is no metric `{id}`")).at(path));
+    for a in &thresholds.absolute {
+        known(&a.metric)?;
+        if !a.limit.is_finite() {
+            return Err(Error::input("is not a finite number").element(format!("limit of {}", a.metric)).at(path));
+        }
+    }
+    for r in &thresholds.relative {
+        known(&r.metric)?;
+        let fine = |v: f64| v.is_finite() && v >= 0.0;
+        if !fine(r.worse_by) || !fine(r.worse_by_percent) {
+            return Err(Error::input("allowances are finite and not negative").element(&r.metric).at(path));
+        }
+    }
+    Ok(thresholds)
+}
+
+/// All checks, in a fixed order.
+pub fn judge(results: &Results, thresholds: &Thresholds, baseline: Option<&Results>) -> Vec<Check> {
+    let mut checks = presence(results, thresholds);
+    for limit in &thresholds.absolute {
+        checks.extend(match limit.over {
+            Over::Each => each(results, limit),
+            Over::Mean => vec![mean(results, limit)],
+        });
+    }
+    if let Some(baseline) = baseline {
+        checks.extend(against(results, thresholds, baseline));
+    }
+    checks
+}
+
+fn check(key: (&str, &str, &str), verdict: Verdict, sentence: String) -> Check {
+    Check { case: key.0.into(), method: key.1.into(), metric: key.2.into(), verdict, sentence }
+}
+
+fn or_note(advisory: bool) -> Verdict {
+    if advisory { Verdict::Note } else { Verdict::Fail }
+}
+
+fn presence(results: &Results, thresholds: &Thresholds) -> Vec<Check> {
+    let (cases, methods) = (results.cases(), results.methods());
+    let mut checks = Vec::new();
+    if results.entries.is_empty() {
+        checks.push(check(("", "", ""), Verdict::Fail, "the results hold no row".into()));
+    }
+    for case in thresholds.cases.iter().filter(|c| !cases.contains(&c.as_str())) {
+        checks.push(check((case, "", ""), Verdict::Fail, "the case is missing".into()));
+    }
+    for method in thresholds.methods.iter().filter(|m| !methods.contains(&m.as_str())) {
+        checks.push(check(("", method, ""), Verdict::Fail, "the method is missing".into()));
+    }
+    // A cell that failed has rows, and each says so; one check for each is enough.
+    let failed: BTreeMap<(&str, &str, u64), ()> = results
+        .entries
+        .iter()
+        .filter(|(_, e)| e.status == Status::Failed.word())
+        .map(|(k, _)| ((k.case.as_str(), k.method.as_str(), k.seed), ()))
+        .collect();
+    for (case, method, seed) in failed.into_keys() {
+        checks.push(check((case, method, ""), Verdict::Fail, format!("the cell failed (seed {seed})")));
+    }
+    checks
+}
+
+/// Rows of the limit's metric and method. A method or metric without any row is a failure, not a pass.
+fn each(results: &Results, limit: &Absolute) -> Vec<Check> {
+    let Some(m) = metric(&limit.metric) else { return Vec::new() };
+    let mut checks: Vec<Check> = results
+        .entries
+        .iter()
+        .filter(|(k, _)| k.metric == m.id && k.method == limit.method)
+        .map(|(k, entry)| absolute(m, limit, &k.case, shown_value(entry)))
+        .collect();
+    if checks.is_empty() {
+        checks.push(check(("", &limit.method, m.id), or_note(limit.advisory), "no case has this metric".into()));
+    }
+    checks
+}
+
+fn mean(results: &Results, limit: &Absolute) -> Check {
+    let m = metric(&limit.metric).expect("thresholds were checked when they were read");
+    let of_method = |k: &&Key| k.metric == m.id && k.method == limit.method;
+    let cells = results.entries.keys().filter(of_method).count();
+    let rows: Vec<&Entry> = results.entries.iter().filter(|(k, _)| of_method(k)).map(|(_, e)| e).collect();
+    let values: Vec<f64> = results.case_values(&limit.method, m.id).into_iter().map(|(_, v)| v).collect();
+    // A mean that silently leaves a case out would pass when the worst case loses its value.
+    let whole = cells > 0 && rows.iter().all(|e| matches!(shown_value(e), Value::Number(v) if v.is_finite()));
+    if !whole {
+        let sentence = "not every case has a value, so there is no mean".to_owned();
+        return check(("mean", &limit.method, m.id), or_note(limit.advisory), sentence);
+    }
+    absolute(m, limit, "mean", statistics::mean(&values).map_or(Value::None("empty".into()), Value::Number))
+}
+
+/// A value for comparison.
+enum Value {
+    Number(f64),
+    /// Equal to the truth: better than any number.
+    Identical,
+    /// The status word.
+    None(String),
+}
+
+fn shown_value(entry: &Entry) -> Value {
+    match entry.value {
+        _ if entry.status == Status::Identical.word() => Value::Identical,
+        Some(value) => Value::Number(value),
+        None => Value::None(entry.status.clone()),
+    }
+}
+
+fn absolute(m: &Metric, limit: &Absolute, case: &str, value: Value) -> Check {
+    let key = (case, limit.method.as_str(), m.id);
+    let bound = if m.direction.word() == "higher" { "at least" } else { "at most" };
+    match value {
+        Value::Identical => check(key, Verdict::Pass, "identical to the truth".into()),
+        Value::None(status) => check(key, or_note(limit.advisory), format!("no value ({status})")),
+        Value::Number(v) => {
+            // NaN fails: the question is whether the loss is shown to be no more than 0.
+            let good = m.direction.loss(v, limit.limit) <= 0.0;
+            let verdict = if good { Verdict::Pass } else { or_note(limit.advisory) };
+            check(key, verdict, format!("{} {}; {bound} {} is wanted", m.format(v), m.unit, limit.limit))
+        }
+    }
+}
+
+fn against(results: &Results, thresholds: &Thresholds, baseline: &Results) -> Vec<Check> {
+    let mut checks = Vec::new();
+    let (now, before) = (results.cases(), baseline.cases());
+    for case in now.iter().filter(|c| !before.contains(c)) {
+        checks.push(check((case, "", ""), Verdict::Note, "a new case: the baseline does not have it".into()));
+    }
+    for case in before.iter().filter(|c| !now.contains(c)) {
+        checks.push(check((case, "", ""), Verdict::Fail, "the baseline has this case, the results do not".into()));
+    }
+    for limit in &thresholds.relative {
+        let Some(m) = metric(&limit.metric) else { continue };
+        let concerned = |k: &Key| k.metric == m.id && limit.method.as_ref().is_none_or(|wanted| *wanted == k.method);
+        for (key, old) in baseline.entries.iter().filter(|(k, _)| concerned(k) && now.contains(&k.case.as_str())) {
+            checks.push(relative(m, limit, key, old, results.entries.get(key)));
+        }
+    }
+    checks
+}
+
+fn relative(m: &Metric, limit: &Relative, key: &Key, old: &Entry, new: Option<&Entry>) -> Check {
+    let place = (key.case.as_str(), key.method.as_str(), m.id);
+    let fail = or_note(limit.advisory);
+    let Some(new) = new else {
+        return check(place, fail, "the baseline has this metric, the results do not".into());
+    };
+    if new.definition != old.definition {
+        let sentence = format!("the definition changed from {} to {}: not comparable", old.definition, new.definition);
+        return check(place, fail, sentence);
+    }
+    match (shown_value(old), shown_value(new)) {
+        (Value::None(_), Value::None(_)) => check(place, Verdict::Pass, "no value, as in the baseline".into()),
+        (Value::None(_), _) => check(place, Verdict::Note, "has a value, the baseline has none".into()),
+        (_, Value::Identical) => check(place, Verdict::Pass, "identical to the truth".into()),
+        (Value::Identical, _) => check(place, fail, "was identical to the truth in the baseline".into()),
+        (_, Value::None(status)) => check(place, fail, format!("no value ({status}); the baseline has one")),
+        (Value::Number(old), Value::Number(new)) => {
+            let allowed = limit.worse_by.max(limit.worse_by_percent / 100.0 * old.abs());
+            let loss = m.direction.loss(new, old);
+            let verdict = if loss <= allowed { Verdict::Pass } else { fail };
+            let word = if loss > 0.0 { "worse" } else { "better" };
+            let sentence = format!(
+                "{} {unit}, baseline {}: {word} by {:.4}, allowed {:.4}",
+                m.format(new),
+                m.format(old),
+                loss.abs(),
+                allowed,
+                unit = m.unit
+            );
+            check(place, verdict, sentence)
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! Reads the tables of a finished run back: what `gate` and `compare` work on, be they ours or edited by hand.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::base::{Error, Result, files};
+use crate::score::{Status, registry};
+
+/// Which number.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Key {
+    /// Case id.
+    pub case: String,
+    /// Method id.
+    pub method: String,
+    /// Seed of the method.
+    pub seed: u64,
+    /// Metric id.
+    pub metric: String,
+}
+
+/// A number as it stands in the tables.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// The value; may be NaN, when somebody wrote one.
+    pub value: Option<f64>,
+    /// The status word.
+    pub status: String,
+    /// `id/version` of the definition; empty for times.
+    pub definition: String,
+}
+
+/// All numbers of a run.
+#[derive(Clone, Debug, Default)]
+pub struct Results {
+    /// Sorted by case, method, seed, metric.
+    pub entries: BTreeMap<Key, Entry>,
+}
+
+/// Reads `results.csv` of `folder`, and the times from its `comparison.csv` where there is one.
+///
+/// Errors name file, line and column.
+pub fn read(folder: &Path) -> Result<Results> {
+    let mut results = Results::default();
+    let path = folder.join("results.csv");
+    for row in Table::read(&path)?.rows() {
+        let key = row.key("config", row.text("metric")?)?;
+        let entry =
+            Entry { value: row.number("value")?, status: row.text("status")?, definition: row.text("definition")? };
+        if results.entries.insert(key.clone(), entry).is_some() {
+            return Err(Error::input(format!("{} {} {} is there twice", key.case, key.method, key.metric))
+                .element(row.line())
+                .at(path));
+        }
+    }
+    let path = folder.join("comparison.csv");
+    if path.exists() {
+        for row in Table::read(&path)?.rows() {
+            for m in registry().iter().filter(|m| m.is_runtime()) {
+                let value = row.number(m.id)?;
+                let status = if value.is_some() { Status::Ok } else { Status::NotApplicable };
+                let entry = Entry { value, status: status.word().into(), definition: String::new() };
+                results.entries.insert(row.key("method", m.id.into())?, entry);
+            }
+        }
+    }
+    Ok(results)
+}
+
+impl Results {
+    /// Case ids, sorted.
+    pub fn cases(&self) -> Vec<&str> {
+        distinct(self.entries.keys().map(|k| k.case.as_str()))
+    }
+
+    /// Method ids, sorted.
+    pub fn methods(&self) -> Vec<&str> {
+        distinct(self.entries.keys().map(|k| k.method.as_str()))
+    }
+
+    /// Value of each case (mean over seeds) of a metric of a method; cases in which a seed has no value are left out.
+    pub fn case_values(&self, method: &str, metric: &str) -> Vec<(&str, f64)> {
+        let mut by_case: BTreeMap<&str, Vec<Option<f64>>> = BTreeMap::new();
+        for (key, entry) in self.entries.iter().filter(|(k, _)| k.method == method && k.metric == metric) {
+            by_case.entry(&key.case).or_default().push(entry.value.filter(|v| v.is_finite()));
+        }
+        by_case
+            .into_iter()
+            .filter_map(|(case, values)| {
+                let values: Option<Vec<f64>> = values.into_iter().collect();
+                crate::score::statistics::mean(&values?).map(|mean| (case, mean))
+            })
+            .collect()
+    }
+}
+
+fn distinct<'a>(words: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+    let mut words: Vec<&str> = words.collect();
+    words.sort_unstable();
+    words.dedup();
+    words
+}
+
+struct Table {
+    path: std::path::PathBuf,
+    columns: BTreeMap<String, usize>,
+    records: Vec<csv::StringRecord>,
+}
+
+struct Row<'a> {
+    table: &'a Table,
+    index: usize,
+}
+
+impl Table {
+    fn read(path: &Path) -> Result<Table> {
+        let bytes = files::read_bytes(path)?;
+        let mut reader = csv::Reader::from_reader(bytes.as_slice());
+        let bad = |e: csv::Error| Error::input(e.to_string().replace('\n', " ")).at(path);
+        let columns = reader.headers().map_err(bad)?.iter().enumerate().map(|(i, h)| (h.to_owned(), i)).collect();
+        let records = reader.records().collect::<std::result::Result<_, _>>().map_err(bad)?;
+        Ok(Table { path: path.to_path_buf(), columns, records })
+    }
+
+    fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+        (0..self.records.len()).map(|index| Row { table: self, index })
+    }
+}
+
+impl Row<'_> {
+    fn line(&self) -> String {
+        format!("line {}", self.index + 2)
+    }
+
+    fn text(&self, column: &str) -> Result<String> {
+        let place = self
+            .table
+            .columns
+            .get(column)
+            .ok_or_else(|| Error::input("is missing").element(format!("column {column}")).at(&self.table.path))?;
+        Ok(self.table.records[self.index].get(*place).unwrap_or("").to_owned())
+    }
+
+    fn number(&self, column: &str) -> Result<Option<f64>> {
+        let text = self.text(column)?;
+        if text.is_empty() {
+            return Ok(None);
+        }
+        text.parse().map(Some).map_err(|_| {
+            Error::input(format!("\"{text}\" is not a number"))
+                .element(format!("{}, column {column}", self.line()))
+                .at(&self.table.path)
+        })
+    }
+
+    fn key(&self, method_column: &str, metric: String) -> Result<Key> {
+        let seed = self.text("seed")?;
+        let seed = seed
+            .parse()
+            .map_err(|_| Error::input(format!("\"{seed}\" is not a seed")).element(self.line()).at(&self.table.path))?;
+        Ok(Key { case: self.text("case_id")?, method: self.text(method_column)?, seed, metric })
+    }
+}

@@ -1,0 +1,153 @@
+//! A whole report from graded predictions of two cases.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::*;
+use crate::base::NoProgress;
+use crate::score::fixture::{Distortion, TubeTruth, write_prediction};
+use crate::score::{ScoreSettings, Truth, score};
+
+fn quality(method: &str) -> Distortion {
+    let d = Distortion::default();
+    match method {
+        "ours" => Distortion { noise: 8.0, depth_scale: 0.02, lag: 1, surface_shift_mm: 0.4, seconds: 3.0, ..d },
+        "ours-nomesh" => Distortion { noise: 6.0, depth_scale: 0.05, dropout: 0.02, lag: 2, seconds: 4.0, ..d },
+        "bridgesplat" => Distortion { blur_px: 2, depth_scale: 0.6, surface_shift_mm: 3.5, seconds: 40.0, ..d },
+        "bridgesplat-nomesh" => {
+            Distortion { blur_px: 1, noise: 5.0, depth_scale: 0.4, dropout: 0.2, seconds: 11.0, ..d }
+        }
+        "static-ct" => Distortion { shift_px: 4, depth_scale: 0.3, surface_shift_mm: 6.0, seconds: 1.0, ..d },
+        _ => Distortion { noise: 4.0, depth_scale: 0.01, seconds: 2.0, ..d },
+    }
+}
+
+/// Two cases, six methods, one failed cell; predictions live in `folder`.
+pub(super) fn sample_run(folder: &Path, side: u32, frames: usize) -> Run {
+    let methods = ["bridgesplat", "bridgesplat-nomesh", "ours-nomesh", "ours", "static-ct", "oracle-phase"];
+    let truths: Vec<Arc<TubeTruth>> =
+        [("case1", frames), ("case2", frames - 1)].map(|(id, n)| Arc::new(TubeTruth::new(id, side, n))).to_vec();
+    let mut cells = Vec::new();
+    for (index, truth) in truths.iter().enumerate() {
+        for method in methods {
+            let prediction: PathBuf = folder.join(format!("{}-{method}", truth.case_id()));
+            let mut distortion = quality(method);
+            distortion.noise += 2.0 * index as f64;
+            write_prediction(truth.as_ref(), &prediction, &distortion);
+            if method.starts_with("bridgesplat") {
+                fs::remove_file(prediction.join("phase.csv")).unwrap();
+            }
+            if method.ends_with("nomesh") {
+                fs::remove_file(prediction.join("mesh/final.ply")).unwrap();
+            }
+            let settings = ScoreSettings { method: Some(method.into()), seed: 1, ..Default::default() };
+            let outcome = if index == 1 && method == "bridgesplat" {
+                Outcome::Failed("=the mesh folded, at frame 3 | see <log>".into())
+            } else {
+                Outcome::Scored(Box::new(score(truth.as_ref(), &prediction, &settings).unwrap()))
+            };
+            let timings = vec![StageCost {
+                stage: "reconstruct".into(),
+                wall_s: 1.5,
+                cpu_s: 2.5,
+                peak_memory_mib: 100.0,
+                threads: 2,
+            }];
+            let case_id = truth.case_id().to_owned();
+            cells.push(CellRecord { case_id, method: method.into(), seed: 1, prediction, outcome, timings });
+        }
+    }
+    let case = |t: &Arc<TubeTruth>| CaseInfo {
+        id: t.case_id().to_owned(),
+        title: format!("A breathing tube, {} frames", t.frames().len()),
+        truth: Some(t.clone() as Arc<dyn Truth>),
+    };
+    Run {
+        id: "smoke-01234567".into(),
+        profile: "smoke".into(),
+        machine_id: "machine".into(),
+        cases: truths.iter().map(case).collect(),
+        methods: methods.map(MethodInfo::of).to_vec(),
+        cells,
+    }
+}
+
+fn columns(path: &Path) -> Vec<String> {
+    csv::Reader::from_path(path).unwrap().headers().unwrap().iter().map(str::to_owned).collect()
+}
+
+#[test]
+fn the_whole_report_is_written_and_says_what_it_should() {
+    let folder = tempfile::tempdir().unwrap();
+    // `RESPIRE_BENCH_REPORT=<folder>` keeps a larger report there, for a look at its pictures.
+    let kept = std::env::var_os("RESPIRE_BENCH_REPORT").map(PathBuf::from);
+    let (side, frames) = if kept.is_some() { (64, 41) } else { (24, 9) };
+    let run = sample_run(folder.path(), side, frames);
+    let out = kept.unwrap_or_else(|| folder.path().join("report"));
+    let written = write(&run, &out, &NoProgress).unwrap();
+
+    let comparison = columns(&out.join("comparison.csv"));
+    let fixed = "case_id, method, seed, psnr_db, ssim, depth_rmse_mm, depth_delta_1_25, phase_mae, phase_pearson_r, \
+        contour_rmse_mm, target_error_mm, time_total_s, time_per_frame_s, frames, status";
+    assert_eq!(comparison[..15].join(", "), fixed);
+    assert_eq!(columns(&out.join("results.csv")), tables::RESULTS_COLUMNS);
+    let summary = columns(&out.join("summary.csv"));
+    for id in ["psnr_db", "psnr_db_ci_low", "psnr_db_ci_high", "time_per_frame_s_ci_high"] {
+        assert!(summary.iter().any(|c| c == id), "{id}");
+    }
+    for file in ["results.csv", "comparison.csv", "summary.csv", "frames.csv", "timings.csv"] {
+        let text = fs::read_to_string(out.join(file)).unwrap();
+        assert!(!text.contains("NaN") && !text.contains("inf,") && !text.contains('\r'), "{file}");
+    }
+    let results = fs::read_to_string(out.join("results.csv")).unwrap();
+    assert!(!results.contains("time_total_s") && !results.contains("machine"));
+    assert!(results.contains("'=the mesh folded"), "a spreadsheet would run this text");
+
+    let markdown = fs::read_to_string(&written.markdown).unwrap();
+    assert!(
+        markdown.contains("(1.22)")
+            && markdown.contains("**")
+            && markdown.contains("the mesh folded, at frame 3 \\| see &lt;log>")
+    );
+    let html = fs::read_to_string(&written.html).unwrap();
+    assert!(html.contains("<svg") && html.contains("data:image/png;base64,"));
+    for external in ["src=\"http", "href=\"http", "<script"] {
+        assert!(!html.contains(external), "{external}");
+    }
+    let latex = fs::read_to_string(out.join("table.tex")).unwrap();
+    assert_eq!(latex.matches("\\begin{").count(), latex.matches("\\end{").count());
+    for row in latex.lines().filter(|l| l.contains("mark ")) {
+        assert_eq!(row.matches('&').count(), 12, "{row}");
+    }
+    for picture in ["plots/methods", "plots/phase", "plots/contours", "plots/error-against-time", "plots/frames-case1"]
+    {
+        assert!(
+            out.join(format!("{picture}.svg")).is_file() && out.join(format!("{picture}.png")).is_file(),
+            "{picture}"
+        );
+    }
+    assert!(out.join("panels/images-case2.png").is_file() && out.join("panels/depth-case1.png").is_file());
+}
+
+#[test]
+fn the_same_scores_give_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = sample_run(folder.path(), 16, 3);
+    for name in ["a", "b"] {
+        tables::write_results(&run, &folder.path().join(name)).unwrap();
+    }
+    assert_eq!(fs::read(folder.path().join("a")).unwrap(), fs::read(folder.path().join("b")).unwrap());
+}
+
+/// Nothing scored, nothing to draw: still a report.
+#[test]
+fn a_run_in_which_everything_failed_is_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 16, 3);
+    for cell in &mut run.cells {
+        cell.outcome = Outcome::Failed("disk full".into());
+    }
+    let written = write(&run, &folder.path().join("report"), &NoProgress).unwrap();
+    assert!(fs::read_to_string(&written.markdown).unwrap().contains("disk full"));
+}

@@ -1,0 +1,191 @@
+//! The whole protocol on folders: truth is perfect, graded distortions are told apart, damage is named.
+
+use std::fs;
+use std::path::Path;
+
+use super::fixture::{Distortion, TubeTruth, write_prediction};
+use super::{CellScore, Direction, ScoreSettings, Status, metric, registry, score};
+use crate::base::{TriangleMesh, files};
+use crate::formats::mesh;
+
+fn scored(truth: &TubeTruth, distortion: &Distortion) -> CellScore {
+    let folder = tempfile::tempdir().unwrap();
+    write_prediction(truth, folder.path(), distortion);
+    score(truth, folder.path(), &ScoreSettings::default()).unwrap()
+}
+
+#[test]
+fn truth_as_prediction_is_perfect() {
+    let truth = TubeTruth::new("tube", 40, 17);
+    let found = scored(&truth, &Distortion::default());
+    for m in registry() {
+        let score = found.metric(m.id).unwrap();
+        match m.perfect {
+            Some(perfect) => {
+                let value = score.value.unwrap_or_else(|| panic!("{} has no value: {score:?}", m.id));
+                assert!((value - perfect).abs() < 1e-9, "{}: {value}", m.id);
+                assert_eq!(score.status, Status::Ok);
+            }
+            None if m.is_runtime() => assert!(score.value.is_some()),
+            None => assert_eq!((score.value, score.status), (None, Status::Identical), "{}", m.id),
+        }
+    }
+    assert_eq!(found.value("time_per_frame_s"), Some(2.0 / 17.0));
+}
+
+#[test]
+fn graded_distortions_are_told_apart() {
+    let truth = TubeTruth::new("tube", 40, 24);
+    let none = Distortion::default();
+    let kinds: [(&str, &[&str], fn(f64) -> Distortion); 8] = [
+        ("noise", &["psnr_db", "ssim", "ssim_padded", "psnr_ahead_db"], |g| Distortion {
+            noise: 6.0 * g,
+            ..Default::default()
+        }),
+        ("blur", &["psnr_db", "ssim", "psnr_ahead_db"], |g| Distortion { blur_px: g as usize, ..Default::default() }),
+        ("shift", &["psnr_db", "ssim"], |g| Distortion { shift_px: g as usize, ..Default::default() }),
+        ("scale", &["depth_rmse_mm", "depth_delta_1_25"], |g| Distortion {
+            depth_scale: 0.24 + 0.1 * (g - 0.5),
+            ..Default::default()
+        }),
+        ("dropout", &["depth_rmse_mm", "depth_delta_1_25", "depth_coverage"], |g| Distortion {
+            dropout: 0.1 * g,
+            ..Default::default()
+        }),
+        ("lag", &["phase_mae", "phase_pearson_r"], |g| Distortion { lag: 2 * g as usize, ..Default::default() }),
+        ("offset", &["phase_mae"], |g| Distortion { phase_offset: -0.1 * g, ..Default::default() }),
+        ("surface", &["contour_rmse_mm", "target_error_mm", "target_error_mean_mm", "target_error_p95_mm"], |g| {
+            Distortion { surface_shift_mm: 0.5 * g, ..Default::default() }
+        }),
+    ];
+    for (kind, metrics, distortion) in kinds {
+        let grades: Vec<CellScore> = (1..=3).map(|g| scored(&truth, &distortion(f64::from(g)))).collect();
+        for id in metrics {
+            let values: Vec<f64> = grades.iter().map(|s| s.value(id).unwrap()).collect();
+            let m = metric(id).unwrap();
+            let perfect = m.perfect.unwrap_or(match m.direction {
+                Direction::Higher => f64::INFINITY,
+                Direction::Lower => 0.0,
+            });
+            let worse =
+                |a: f64, b: f64| m.direction.better(a, b) || (kind == "scale" && *id == "depth_delta_1_25" && a == b);
+            assert!(
+                worse(perfect, values[0]) && worse(values[0], values[1]) && worse(values[1], values[2]),
+                "{kind}: {id} from {perfect} to {values:?}"
+            );
+        }
+    }
+    // A surface moved by 0.5 mm has a target error of just that.
+    let moved = scored(&truth, &Distortion { surface_shift_mm: 0.5, ..none });
+    assert!((moved.value("target_error_mm").unwrap() - 0.5).abs() < 1e-9);
+    assert!((moved.value("depth_rmse_mm").unwrap()).abs() < 1e-9);
+}
+
+#[test]
+fn what_is_not_claimed_is_not_applicable_and_constant_phase_has_no_correlation() {
+    let truth = TubeTruth::new("tube", 24, 9);
+    let folder = tempfile::tempdir().unwrap();
+    write_prediction(&truth, folder.path(), &Distortion::default());
+    for gone in ["depth", "mesh", "ahead"] {
+        fs::remove_dir_all(folder.path().join(gone)).unwrap();
+    }
+    fs::remove_file(folder.path().join("timing.json")).unwrap();
+    let rows: String = (0..9).map(|f| format!("{f},0\n")).collect();
+    fs::write(folder.path().join("phase.csv"), format!("frame,phase\n{rows}")).unwrap();
+    let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
+    for id in ["depth_rmse_mm", "contour_rmse_mm", "target_error_p95_mm", "time_total_s", "psnr_ahead_db"] {
+        let score = found.metric(id).unwrap();
+        assert_eq!((score.value, score.status), (None, Status::NotApplicable), "{id}");
+    }
+    let r = found.metric("phase_pearson_r").unwrap();
+    assert_eq!((r.value, r.status), (None, Status::Degenerate));
+    assert!(found.value("phase_mae").unwrap() > 0.0);
+    assert_eq!(found.metric("ssim").unwrap().status, Status::Ok);
+}
+
+#[test]
+fn scores_do_not_depend_on_threads_and_survive_json() {
+    let truth = TubeTruth::new("tube", 32, 12);
+    let folder = tempfile::tempdir().unwrap();
+    write_prediction(
+        &truth,
+        folder.path(),
+        &Distortion { noise: 9.0, lag: 2, surface_shift_mm: 0.7, ..Default::default() },
+    );
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| score(&truth, folder.path(), &ScoreSettings::default()).unwrap())
+    };
+    let one = on(1);
+    assert_eq!(one, on(2));
+    assert_eq!(one, on(8));
+    let path = folder.path().join("score.json");
+    files::write_json(&path, &one).unwrap();
+    assert_eq!(files::read_json::<CellScore>(&path).unwrap(), one);
+}
+
+/// Every damage gives one sentence that names the file.
+#[test]
+fn damage_is_named() {
+    let truth = TubeTruth::new("tube", 24, 9);
+    let damages: [(&str, fn(&Path)); 10] = [
+        ("color/000003.png", |f| fs::remove_file(f.join("color/000003.png")).unwrap()),
+        ("color/000002.png", |f| fs::write(f.join("color/000002.png"), b"not a picture").unwrap()),
+        ("color/000001.png", |f| {
+            crate::formats::png::write_rgb(&f.join("color/000001.png"), &crate::base::Image::filled(9, 9, 3, 0))
+                .unwrap()
+        }),
+        ("depth/000008.exr", |f| fs::remove_file(f.join("depth/000008.exr")).unwrap()),
+        ("depth/000004.exr", |f| {
+            let bytes = fs::read(f.join("depth/000004.exr")).unwrap();
+            fs::write(f.join("depth/000004.exr"), &bytes[..bytes.len() / 2]).unwrap();
+        }),
+        ("ahead/000007.png", |f| fs::write(f.join("ahead/000007.png"), b"").unwrap()),
+        ("phase.csv", |f| fs::write(f.join("phase.csv"), b"frame,phase\n0,0\n1,inf\n").unwrap()),
+        ("timing.json", |f| fs::write(f.join("timing.json"), b"{\"time_total_s\": -1}").unwrap()),
+        ("mesh/final.ply", |f| fs::write(f.join("mesh/final.ply"), b"ply\nformat ascii 1.0\n").unwrap()),
+        ("color", |f| fs::remove_dir_all(f.join("color")).unwrap()),
+    ];
+    for (file, damage) in damages {
+        let folder = tempfile::tempdir().unwrap();
+        write_prediction(&truth, folder.path(), &Distortion::default());
+        damage(folder.path());
+        let said = score(&truth, folder.path(), &ScoreSettings::default()).unwrap_err().to_string();
+        assert!(said.contains(file) && !said.contains('\n'), "{file}: {said}");
+    }
+}
+
+#[test]
+fn a_vertex_that_is_no_number_is_named() {
+    let truth = TubeTruth::new("tube", 24, 3);
+    let folder = tempfile::tempdir().unwrap();
+    write_prediction(&truth, folder.path(), &Distortion::default());
+    let path = folder.path().join("mesh/final.ply");
+    let mut surface = mesh::read(&path).unwrap();
+    surface.vertices[1].y = f64::NAN;
+    mesh::write_ply(&path, &surface, &[]).unwrap();
+    let said = score(&truth, folder.path(), &ScoreSettings::default()).unwrap_err().to_string();
+    assert!(said.contains("final.ply") && said.contains("vertex 1"), "{said}");
+}
+
+/// A surface with other faces (here: every face split in three) is still measured, at the nearest point.
+#[test]
+fn another_topology_is_scored() {
+    let truth = TubeTruth::new("tube", 24, 3);
+    let folder = tempfile::tempdir().unwrap();
+    write_prediction(&truth, folder.path(), &Distortion::default());
+    let path = folder.path().join("mesh/final.ply");
+    let whole = mesh::read(&path).unwrap();
+    let mut split = TriangleMesh { vertices: whole.vertices.clone(), faces: Vec::new() };
+    for (face, &[a, b, c]) in whole.faces.iter().enumerate() {
+        let centre = split.vertices.len() as u32;
+        let [p, q, r] = whole.corners(face);
+        split.vertices.push((p + q + r) / 3.0);
+        split.faces.extend([[a, b, centre], [b, c, centre], [c, a, centre]]);
+    }
+    mesh::write_ply(&path, &split, &[]).unwrap();
+    let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
+    assert!(found.value("contour_rmse_mm").unwrap() < 1e-6);
+    let target = found.metric("target_error_mm").unwrap();
+    assert!(target.value.unwrap() < 1e-6 && target.detail.contains("nearest"), "{target:?}");
+}
