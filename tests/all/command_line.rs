@@ -7,7 +7,8 @@ use crate::binary::{program, run};
 
 #[test]
 fn help_and_version_are_no_errors_and_mistakes_are_usage() {
-    for good in [vec!["--help"], vec!["--version"], vec!["help"], vec!["doctor", "--help"]] {
+    for good in [vec!["--help"], vec!["--version"], vec!["help"], vec!["doctor", "--help"], vec!["all-cases", "--help"]]
+    {
         let (code, out, err) = run(&good);
         assert_eq!(code, 0, "{good:?}: {err}");
         assert!(!out.is_empty() && err.is_empty(), "{good:?}");
@@ -18,6 +19,12 @@ fn help_and_version_are_no_errors_and_mistakes_are_usage() {
         vec!["doctor", "--no-such-option"],
         vec!["doctor", "surplus"],
         vec!["--threads", "many", "doctor"],
+        vec!["all-cases", "--profile", "huge"],
+        vec!["all-cases", "--cases", "case99"],
+        vec!["all-cases", "--methods", "magic"],
+        vec!["all-cases", "--cases", "case1,case1"],
+        vec!["all-cases", "--seeds", "1,x"],
+        vec!["run", "--case", "case1"],
     ];
     for words in bad {
         let (code, out, err) = run(&words);
@@ -43,7 +50,7 @@ fn doctor_tells_versions_to_people_and_to_machines() {
 
 #[test]
 fn a_reader_that_goes_away_is_no_error() {
-    for words in [["doctor"].as_slice(), &["doctor", "--json"], &["--help"]] {
+    for words in [["doctor"].as_slice(), &["doctor", "--json"], &["--help"], &["list"]] {
         let mut child = program().args(words).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         drop(child.stdout.take());
         let mut said = String::new();

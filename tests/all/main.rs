@@ -1,7 +1,9 @@
 //! One binary of integration tests, so that they link once.
 
+mod all_cases;
 mod binary;
 mod command_line;
+mod gate;
 mod layering;
 mod mesh_damage;
 mod reference;
