@@ -59,3 +59,38 @@ fn a_reader_that_goes_away_is_no_error() {
         assert!(!said.contains("panicked"), "{said}");
     }
 }
+
+#[test]
+fn list_has_the_keys_that_scripts_rely_on() {
+    let (code, out, err) = run(&["list", "--json"]);
+    assert_eq!(code, 0, "{err}");
+    let listed: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let entries = |key: &str| listed[key].as_array().unwrap().clone();
+    assert_eq!((entries("cases").len(), entries("methods").len(), entries("cells").len()), (9, 6, 54));
+    for key in ["cases", "methods", "metrics", "cells"] {
+        assert!(entries(key).iter().all(|entry| !entry["id"].as_str().unwrap().is_empty()), "{key}");
+    }
+    for metric in entries("metrics") {
+        assert!(["higher", "lower"].contains(&metric["direction"].as_str().unwrap()), "{metric}");
+        assert!(metric["unit"].is_string() && !metric["definition"].as_str().unwrap().is_empty(), "{metric}");
+    }
+    let paper = ["bridgesplat", "bridgesplat-nomesh", "ours-nomesh", "ours"];
+    let methods: Vec<String> = entries("methods").iter().map(|m| m["id"].as_str().unwrap().to_owned()).collect();
+    assert_eq!(methods[..4], paper);
+}
+
+#[test]
+fn one_cell_runs_alone_and_says_where_its_files_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let profile = folder.path().join("tiny.toml");
+    std::fs::write(&profile, crate::all_cases::TINY).unwrap();
+    let (profile, cache) = (profile.to_str().unwrap(), folder.path().join("cache"));
+    let words =
+        ["run", "--case", "case1", "--method", "static-ct", "--profile", profile, "--cache", cache.to_str().unwrap()];
+    let (code, out, err) = run(&words);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.contains("psnr_db") && out.contains("prediction: "), "{out}");
+    let (_, json, _) = run(&[&words[..], &["--json"]].concat());
+    let score: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert!(score.is_object(), "{json}");
+}
