@@ -3,7 +3,12 @@
 //! A command is a file with `Arguments` (clap) and `run(Arguments, &Terminal) -> Result<()>`. To add one: a `mod`
 //! line and a line in [`commands!`] below.
 
+mod check;
+mod compare;
 mod doctor;
+mod evaluate;
+mod explain;
+mod gate;
 mod import;
 mod import_mesh;
 mod import_tree;
@@ -44,6 +49,16 @@ commands! {
     Import => import,
     /// Films cases into sequence folders
     Simulate => simulate,
+    /// Scores the predictions of any program against a sequence
+    Evaluate => evaluate,
+    /// Says in one sentence what is wrong with a folder of predictions, or with a sequence
+    Check => check,
+    /// Passes or fails a run: limits, and losses against a baseline
+    Gate => gate,
+    /// Two runs side by side, with intervals
+    Compare => compare,
+    /// What a metric is
+    Explain => explain,
     /// Path-trace one scene file: linear EXR, depth EXR, timing JSON
     Render => render,
 }

@@ -2,6 +2,7 @@
 
 mod binary;
 mod command_line;
+mod gate;
 mod layering;
 mod mesh_damage;
 mod reference;
