@@ -1,11 +1,14 @@
 //! One binary of integration tests, so that they link once.
 
 mod binary;
+mod cases;
 mod command_line;
 mod gate;
+mod import;
 mod layering;
 mod mesh_damage;
 mod reference;
 mod render;
 mod render_command;
+mod simulate;
 mod splat;
