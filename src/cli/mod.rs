@@ -3,8 +3,10 @@
 //! A command is a file with `Arguments` (clap) and `run(Arguments, &Terminal) -> Result<()>`. To add one: a `mod`
 //! line and a line in [`commands!`] below.
 
+mod all_cases;
 mod check;
 mod compare;
+mod comparison;
 mod doctor;
 mod evaluate;
 mod explain;
@@ -12,7 +14,10 @@ mod gate;
 mod import;
 mod import_mesh;
 mod import_tree;
+mod list;
 mod render;
+mod run;
+mod selection;
 mod simulate;
 mod terminal;
 mod watch;
@@ -43,6 +48,12 @@ macro_rules! commands {
 }
 
 commands! {
+    /// The main job: film, reconstruct, score and report all cases; resumes by default
+    AllCases => all_cases,
+    /// One cell: one case x one method x one seed
+    Run => run,
+    /// Cases, methods, metrics, and the cells of a plan
+    List => list,
     /// What is installed, which instruction set, which library versions
     Doctor => doctor,
     /// Turns a user's anatomy or a measured motion into a case

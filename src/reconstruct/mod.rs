@@ -3,9 +3,38 @@
 //! Protocol (the paper's, online): frames arrive in order; the method fits frame `t` and hands back its rendering
 //! of it. Every eighth frame is also rendered *before* its image is looked at (`ahead`).
 
+mod active;
+mod anchored;
+mod bridgesplat;
+mod bridgesplat_nomesh;
+mod control_points;
+mod free;
+mod library;
+pub mod loss;
+mod neighbours;
+mod observe;
+pub mod optimiser;
+mod ours;
+mod ours_nomesh;
+pub mod phase;
+mod phase_fit;
+mod prediction;
+pub mod settings;
+#[cfg(test)]
+mod tests;
+
 use glam::DAffine3;
 
-use crate::base::{Camera, Image, Progress, Result, TriangleMesh};
+use crate::base::{Camera, Error, Image, Progress, Result, TriangleMesh};
+use crate::splat::Rendered;
+
+pub use bridgesplat::Bridgesplat;
+pub use bridgesplat_nomesh::BridgesplatNomesh;
+pub use library::{method, methods};
+pub use observe::observe;
+pub use ours::{Ours, Row};
+pub use ours_nomesh::OursNomesh;
+pub use prediction::write_prediction;
 
 /// What a method asks to see beyond images, times, camera and poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,6 +68,32 @@ pub struct Observation {
     pub true_phase: Option<Vec<f64>>,
     /// Seed of the method's own randomness.
     pub seed: u64,
+}
+
+impl Observation {
+    /// Errors when arrays differ in length or something is missing that `access` asks for.
+    pub fn validate(&self, access: Access) -> Result<()> {
+        let frames = self.images.len();
+        let lengths = [self.world_from_camera.len(), self.time_s.len()];
+        if frames == 0 || lengths != [frames; 2] {
+            return Err(Error::input("an observation needs as many poses and times as images, and at least one"));
+        }
+        let size = (self.camera.width as usize, self.camera.height as usize, 3);
+        if let Some(i) = self.images.iter().position(|i| (i.width, i.height, i.channels) != size) {
+            return Err(Error::input("the image has another size than the camera").element(format!("frame {i}")));
+        }
+        self.inspiration.validate()?;
+        if access.expiration_mesh && self.expiration.as_ref().is_none_or(|e| e.faces != self.inspiration.faces) {
+            return Err(Error::input("an expiration mesh with the faces of the inspiration mesh is needed"));
+        }
+        if access.first_depth && self.first_depth_mm.is_none() {
+            return Err(Error::input("the depth of the first frame is needed"));
+        }
+        if access.true_phase && self.true_phase.as_ref().is_none_or(|p| p.len() != frames) {
+            return Err(Error::input("the true phase of every frame is needed"));
+        }
+        Ok(())
+    }
 }
 
 /// A method's answer for one frame.
@@ -80,4 +135,25 @@ pub trait Reconstruct: Send + Sync {
         emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
         progress: &dyn Progress,
     ) -> Result<Reconstruction>;
+}
+
+/// `published * scale`, at least one.
+fn scaled_iterations(published: f64, scale: f64) -> usize {
+    (published * scale).round().max(1.0) as usize
+}
+
+/// Factor on appearance and deformation rates that keeps the distance Adam can travel in a frame when a profile cuts
+/// the iterations: the same for all methods.
+fn rate_factor(iteration_scale: f64) -> f64 {
+    (1.0 / iteration_scale).clamp(1.0, 10.0)
+}
+
+fn stop_if_cancelled(progress: &dyn Progress) -> Result<()> {
+    if progress.cancelled() { Err(Error::interrupted()) } else { Ok(()) }
+}
+
+/// Rendered depth where something was rendered, 0 elsewhere.
+fn depth_image(rendered: &Rendered<f32>, width: usize, height: usize) -> Image<f32> {
+    let depth = rendered.depth.iter().zip(&rendered.alpha).map(|(&d, &a)| if a > 0.5 { d } else { 0.0 });
+    Image { width, height, channels: 1, data: depth.collect() }
 }

@@ -1,5 +1,6 @@
 //! One binary of integration tests, so that they link once.
 
+mod all_cases;
 mod binary;
 mod cases;
 mod command_line;

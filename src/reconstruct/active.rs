@@ -1,0 +1,49 @@
+//! Which faces a frame can see at all: in the frustum with a margin, near enough, turned towards the camera. Occlusion
+//! is not tested (nor is it in the released BridgeSplat).
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::splat::View;
+
+/// Bounds of what is worth computing.
+#[derive(Clone, Copy, Debug)]
+pub struct Reach {
+    /// Share of the image width by which a face centre may lie outside.
+    pub margin: f64,
+    /// Largest z-depth in mm.
+    pub range_mm: f64,
+}
+
+/// Faces that `view` can see in any of the `states` of the vertices, ascending.
+pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, reach: Reach) -> Vec<u32> {
+    let camera_from_world = view.camera_from_world.as_affine3();
+    let eye = view.camera_from_world.inverse().translation.as_vec3();
+    let margin = (reach.margin * view.camera.width as f64) as f32;
+    let (width, height) = (view.camera.width as f32, view.camera.height as f32);
+    let sees = |corners: [Vec3; 3]| {
+        let [a, b, c] = corners;
+        let centre = (a + b + c) / 3.0;
+        let size = (b - a).length().max((c - a).length());
+        let normal = (b - a).cross(c - a);
+        // A face that the camera grazes may turn towards it under the breath: a tenth of its length of slack.
+        let towards = normal.dot(eye - centre) > -0.1 * normal.length() * (eye - centre).length();
+        let p = camera_from_world.transform_point3(centre);
+        if !towards || p.z > reach.range_mm as f32 || p.z < -size {
+            return false;
+        }
+        if p.z < size {
+            return (centre - eye).length() < 3.0 * size + 2.0;
+        }
+        let Some(pixel) = view.camera.project(p.as_dvec3()) else { return false };
+        let slack = margin + size / p.z * view.camera.fl_x as f32;
+        let (x, y) = (pixel.x as f32, pixel.y as f32);
+        x > -slack && y > -slack && x < width + slack && y < height + slack
+    };
+    let flags: Vec<bool> = faces
+        .par_iter()
+        .with_min_len(1024)
+        .map(|face| states.iter().any(|v| sees(face.map(|i| Vec3::from(v[i as usize])))))
+        .collect();
+    (0..faces.len() as u32).filter(|&f| flags[f as usize]).collect()
+}

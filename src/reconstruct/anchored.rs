@@ -1,0 +1,289 @@
+//! Discs on a mesh: all their parameters, and the compact copy ("patch") of those that one frame can see, on which
+//! the optimiser works. Frozen or unseen parameters cost nothing.
+
+use glam::DVec3;
+
+use crate::base::random::{CounterRng, Stage};
+use crate::base::{Result, TriangleMesh};
+use crate::splat::{Anchors, Carrier, Frame, Gaussians, Gradients};
+
+use super::neighbours;
+use super::optimiser::{Adam, AdamConstants, StepCounter};
+use super::settings::Appearance;
+
+/// SH degree of all methods here.
+pub const SH_DEGREE: u8 = 1;
+/// Values of SH per Gaussian.
+pub const SH_VALUES: usize = 12;
+/// First SH basis function.
+pub const SH_C0: f32 = 0.282_094_8;
+
+/// How the discs of a fresh surface lie in their faces, and their colour.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Start {
+    /// Logits normal, colours uniform at random: the released BridgeSplat.
+    Random,
+    /// Spread evenly over the face, mid grey.
+    Even,
+}
+
+/// All discs of a mesh.
+pub struct Surface {
+    /// Faces of the mesh.
+    pub faces: Vec<[u32; 3]>,
+    rest: Vec<[f32; 3]>,
+    frame: Frame,
+    per_face: usize,
+    opacity: f32,
+    logits: Vec<[f32; 3]>,
+    log_scales: Vec<[f32; 2]>,
+    initial_log_scales: Vec<[f32; 2]>,
+    cap: f64,
+    /// SH, 12 values per disc.
+    pub sh: Vec<f32>,
+    /// Distance from the camera (mm) at which a disc's colour was fitted last; 0 before it was ever seen.
+    pub fitted_at_mm: Vec<f32>,
+}
+
+/// Positions in f32.
+pub fn to_f32(vertices: &[DVec3]) -> Vec<[f32; 3]> {
+    vertices.iter().map(|v| v.as_vec3().to_array()).collect()
+}
+
+/// Barycentric coordinates of disc `k` of `n` in its face: the R2 sequence folded into the triangle, kept off its rim.
+fn even_barycentrics(k: usize, n: usize) -> [f64; 3] {
+    if n == 1 {
+        return [1.0 / 3.0; 3];
+    }
+    let (mut u, mut v) = ((0.5 + k as f64 * 0.754_877_666) % 1.0, (0.5 + k as f64 * 0.569_840_291) % 1.0);
+    if u + v > 1.0 {
+        (u, v) = (1.0 - u, 1.0 - v);
+    }
+    [u, v, 1.0 - u - v].map(|b| 0.04 + 0.88 * b)
+}
+
+impl Surface {
+    /// Discs on `mesh` at rest.
+    pub fn new(mesh: &TriangleMesh, settings: &Appearance, frame: Frame, start: Start, seed: u64) -> Self {
+        let per_face = settings.gaussians_per_face.resolve(mesh.faces.len(), *settings.gaussian_budget);
+        let n = mesh.faces.len() * per_face;
+        let mut rng = CounterRng::new(seed, Stage::Method, &[1]);
+        let logits: Vec<[f64; 3]> = (0..n)
+            .map(|i| match start {
+                Start::Random => std::array::from_fn(|_| rng.normal()),
+                Start::Even => even_barycentrics(i % per_face, per_face).map(f64::ln),
+            })
+            .collect();
+        let centres: Vec<DVec3> = logits
+            .iter()
+            .enumerate()
+            .map(|(i, l)| {
+                let e = l.map(f64::exp);
+                let [a, b, c] = mesh.corners(i / per_face);
+                (a * e[0] + b * e[1] + c * e[2]) / (e[0] + e[1] + e[2])
+            })
+            .collect();
+        let log_scales: Vec<[f32; 2]> =
+            neighbours::spacing(&centres).iter().map(|s| [(s * *settings.initial_scale).ln() as f32; 2]).collect();
+        let mut sh = vec![0.0; n * SH_VALUES];
+        if start == Start::Random {
+            for value in sh.chunks_exact_mut(SH_VALUES).flat_map(|s| &mut s[..3]) {
+                *value = (rng.uniform() as f32 - 0.5) / SH_C0;
+            }
+        }
+        Surface {
+            faces: mesh.faces.clone(),
+            rest: to_f32(&mesh.vertices),
+            frame,
+            per_face,
+            opacity: *settings.opacity as f32,
+            logits: logits.iter().map(|l| l.map(|v| v as f32)).collect(),
+            initial_log_scales: log_scales.clone(),
+            log_scales,
+            cap: *settings.scale_cap,
+            sh,
+            fitted_at_mm: vec![0.0; n],
+        }
+    }
+
+    /// Copies the discs of `faces` (ascending) and the vertices they need.
+    pub fn patch(&self, faces: &[u32]) -> Result<Patch> {
+        let mut local = vec![u32::MAX; self.rest.len()];
+        let mut vertices = Vec::new();
+        let mut local_faces = Vec::with_capacity(faces.len());
+        for &f in faces {
+            local_faces.push(self.faces[f as usize].map(|v| {
+                if local[v as usize] == u32::MAX {
+                    local[v as usize] = vertices.len() as u32;
+                    vertices.push(v);
+                }
+                local[v as usize]
+            }));
+        }
+        let discs: Vec<u32> =
+            faces.iter().flat_map(|&f| (0..self.per_face).map(move |k| f * self.per_face as u32 + k as u32)).collect();
+        let face = (0..discs.len()).map(|i| (i / self.per_face) as u32).collect();
+        let rest: Vec<[f32; 3]> = vertices.iter().map(|&v| self.rest[v as usize]).collect();
+        let take = |i: &u32| *i as usize;
+        let mut anchors = Anchors::new(
+            self.frame,
+            face,
+            discs.iter().map(|i| self.logits[take(i)]).collect(),
+            discs.iter().map(|i| self.log_scales[take(i)]).collect(),
+            Carrier { vertices: &rest, faces: &local_faces },
+        )?;
+        if self.cap > 0.0 {
+            let room = (self.cap as f32).ln();
+            anchors.log_scale_limits =
+                discs.iter().map(|i| self.initial_log_scales[take(i)].map(|s| s + room)).collect();
+        }
+        let mut gaussians = Gaussians::discs(discs.len(), SH_DEGREE, self.opacity);
+        for (to, i) in gaussians.sh.chunks_exact_mut(SH_VALUES).zip(&discs) {
+            to.copy_from_slice(&self.sh[take(i) * SH_VALUES..][..SH_VALUES]);
+        }
+        Ok(Patch {
+            discs,
+            vertices,
+            faces: local_faces,
+            anchors,
+            gaussians,
+            logit_step: Vec::new(),
+            scale_step: Vec::new(),
+        })
+    }
+
+    /// Takes back what a frame has learned.
+    pub fn absorb(&mut self, patch: &Patch) {
+        for (k, &i) in patch.discs.iter().enumerate() {
+            let i = i as usize;
+            self.logits[i] = patch.anchors.logits[k];
+            self.log_scales[i] = patch.anchors.log_scales[k];
+            self.sh[i * SH_VALUES..][..SH_VALUES].copy_from_slice(&patch.gaussians.sh[k * SH_VALUES..][..SH_VALUES]);
+        }
+    }
+}
+
+/// What one frame can see of a [`Surface`].
+pub struct Patch {
+    /// Index of each disc in the surface, ascending.
+    pub discs: Vec<u32>,
+    /// Index of each vertex in the mesh.
+    pub vertices: Vec<u32>,
+    faces: Vec<[u32; 3]>,
+    anchors: Anchors<f32>,
+    /// The discs, placed by [`Patch::place`].
+    pub gaussians: Gaussians<f32>,
+    logit_step: Vec<[f32; 3]>,
+    scale_step: Vec<[f32; 2]>,
+}
+
+impl Patch {
+    /// Picks this patch's entries of a per-vertex array of the mesh.
+    pub fn pick(&self, all: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        self.vertices.iter().map(|&v| all[v as usize]).collect()
+    }
+
+    fn carrier<'a>(&'a self, vertices: &'a [[f32; 3]]) -> Carrier<'a, f32> {
+        Carrier { vertices, faces: &self.faces }
+    }
+
+    /// Puts the discs on the local `vertices`.
+    pub fn place(&mut self, vertices: &[[f32; 3]]) -> Result<()> {
+        let carrier = Carrier { vertices, faces: &self.faces };
+        self.anchors.place(carrier, None, &mut self.gaussians)
+    }
+
+    /// dL/dphase for vertices that move by `displacement` per unit of phase.
+    pub fn phase_derivative(
+        &self,
+        gradients: &Gradients<f32>,
+        vertices: &[[f32; 3]],
+        displacement: &[[f32; 3]],
+    ) -> Result<f64> {
+        self.anchors.phase_pullback(gradients, self.carrier(vertices), None, displacement)
+    }
+
+    /// dL/dvertex, local vertices.
+    pub fn vertex_gradient(
+        &self,
+        gradients: &Gradients<f32>,
+        vertices: &[[f32; 3]],
+        out: &mut Vec<[f32; 3]>,
+    ) -> Result<()> {
+        self.anchors.vertex_pullback(gradients, self.carrier(vertices), None, out)
+    }
+
+    /// One Adam step of logits, scales and SH.
+    pub fn step(&mut self, adam: &mut DiscAdam, gradients: &Gradients<f32>, vertices: &[[f32; 3]]) -> Result<()> {
+        let (mut logits, mut scales) = (std::mem::take(&mut self.logit_step), std::mem::take(&mut self.scale_step));
+        self.anchors.pullback(gradients, self.carrier(vertices), None, &mut logits, &mut scales)?;
+        adam.logits.step(adam.rates.position, self.anchors.logits.as_flattened_mut(), logits.as_flattened());
+        adam.scales.step(adam.rates.scale, self.anchors.log_scales.as_flattened_mut(), scales.as_flattened());
+        adam.sh_step(&mut self.gaussians.sh, &gradients.sh);
+        (self.logit_step, self.scale_step) = (logits, scales);
+        Ok(())
+    }
+}
+
+/// Adam rates of appearance.
+#[derive(Clone, Copy, Debug)]
+pub struct Rates {
+    /// Logits, or mm.
+    pub position: f64,
+    /// Log scales.
+    pub scale: f64,
+    /// Quaternions.
+    pub rotation: f64,
+    /// Constant SH.
+    pub sh_dc: f64,
+    /// Linear SH.
+    pub sh_rest: f64,
+}
+
+impl Rates {
+    /// The rates of `settings`, each times `factor`.
+    pub fn new(settings: &Appearance, factor: f64) -> Self {
+        Rates {
+            position: *settings.position_rate * factor,
+            scale: *settings.scale_rate * factor,
+            rotation: settings.rotation_rate.as_ref().map_or(0.0, |r| **r) * factor,
+            sh_dc: *settings.sh_dc_rate * factor,
+            sh_rest: *settings.sh_rest_rate * factor,
+        }
+    }
+}
+
+/// Optimiser of a patch.
+pub struct DiscAdam {
+    /// The rates, which a schedule may change.
+    pub rates: Rates,
+    counter: StepCounter,
+    logits: Adam,
+    scales: Adam,
+    sh: Adam,
+}
+
+impl DiscAdam {
+    /// An optimiser with `rates`.
+    pub fn new(rates: Rates, counter: StepCounter) -> Self {
+        let adam = || Adam::new(AdamConstants::default());
+        DiscAdam { rates, counter, logits: adam(), scales: adam(), sh: adam() }
+    }
+
+    /// Zero moments for a patch of `discs` discs.
+    pub fn begin(&mut self, discs: usize) {
+        self.logits.begin(discs * 3, self.counter);
+        self.scales.begin(discs * 2, self.counter);
+        self.sh.begin(discs * SH_VALUES, self.counter);
+    }
+
+    fn sh_step(&mut self, sh: &mut [f32], gradient: &[f32]) {
+        step_sh(&mut self.sh, self.rates, sh, gradient);
+    }
+}
+
+/// One Adam step of SH, constant and linear coefficients at their own rates.
+pub fn step_sh(adam: &mut Adam, rates: Rates, sh: &mut [f32], gradient: &[f32]) {
+    let (dc, rest) = (rates.sh_dc as f32, rates.sh_rest as f32);
+    adam.step_by(sh, gradient, |i| if i % SH_VALUES < 3 { dc } else { rest });
+}

@@ -1,0 +1,199 @@
+//! `ours`: discs anchored to the CT mesh, carried by one phase per frame (the paper's Sections 3.1 to 3.4). The same
+//! program runs the sanity rows `static-ct` (inspiration mesh, phase 0 throughout) and `oracle-phase` (true phase).
+
+use crate::base::{Error, Progress, Result};
+use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
+
+use super::active::{Reach, visible_faces};
+use super::anchored::{DiscAdam, Patch, Rates, Start, Surface, to_f32};
+use super::optimiser::StepCounter;
+use super::phase_fit::{self, Carried, PhaseSource};
+use super::settings::PhaseMethod;
+use super::{Access, FramePrediction, Observation, Reconstruct, Reconstruction};
+
+/// Which row of the report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Row {
+    /// The paper's method.
+    Ours,
+    /// Inspiration mesh, no deformation.
+    StaticCt,
+    /// True phase.
+    OraclePhase,
+}
+
+/// Mesh-anchored method with one phase per frame.
+pub struct Ours {
+    settings: PhaseMethod,
+    row: Row,
+    iteration_scale: f64,
+}
+
+impl Ours {
+    /// With `settings`, every iteration count times `iteration_scale`.
+    pub fn new(settings: PhaseMethod, row: Row, iteration_scale: f64) -> Self {
+        Ours { settings, row, iteration_scale }
+    }
+}
+
+impl Reconstruct for Ours {
+    fn id(&self) -> &str {
+        &self.settings.id
+    }
+
+    fn access(&self) -> Access {
+        Access {
+            expiration_mesh: self.row != Row::StaticCt,
+            first_depth: self.row == Row::Ours,
+            true_phase: self.row == Row::OraclePhase,
+        }
+    }
+
+    fn run(
+        &self,
+        observation: &Observation,
+        emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
+        progress: &dyn Progress,
+    ) -> Result<Reconstruction> {
+        observation.validate(self.access())?;
+        let start = std::time::Instant::now();
+        let mut carried = OnMesh::new(&self.settings, self.iteration_scale, observation)?;
+        let preparation = start.elapsed().as_secs_f64();
+        let source = match self.row {
+            Row::Ours => PhaseSource::Estimated,
+            Row::StaticCt => PhaseSource::Given(vec![0.0; observation.images.len()]),
+            Row::OraclePhase => PhaseSource::Given(observation.true_phase.clone().unwrap_or_default()),
+        };
+        let (phase, mut done) =
+            phase_fit::run(&self.settings, self.iteration_scale, &source, observation, &mut carried, emit, progress)?;
+        done.final_mesh = Some(phase_fit::mesh_at(observation, phase));
+        done.seconds += preparation;
+        Ok(done)
+    }
+}
+
+/// Discs on the breathing mesh.
+struct OnMesh {
+    surface: Surface,
+    inspiration: Vec<[f32; 3]>,
+    displacement: Vec<[f32; 3]>,
+    reach: Reach,
+    adam: DiscAdam,
+    seen: Option<Seen>,
+}
+
+/// The compact copy of one frame.
+struct Seen {
+    patch: Patch,
+    rest: Vec<[f32; 3]>,
+    displacement: Vec<[f32; 3]>,
+    vertices: Vec<[f32; 3]>,
+    fitted_at_mm: Vec<f32>,
+}
+
+fn at_phase(rest: &[[f32; 3]], displacement: &[[f32; 3]], phase: f32, out: &mut Vec<[f32; 3]>) {
+    out.clear();
+    out.extend(rest.iter().zip(displacement).map(|(r, d)| [0, 1, 2].map(|k| r[k] + phase * d[k])));
+}
+
+impl OnMesh {
+    fn new(settings: &PhaseMethod, iteration_scale: f64, observation: &Observation) -> Result<Self> {
+        let rest = &observation.inspiration;
+        let displacement = match &observation.expiration {
+            Some(expiration) => {
+                expiration.vertices.iter().zip(&rest.vertices).map(|(e, i)| (*e - *i).as_vec3().to_array()).collect()
+            }
+            None => vec![[0.0; 3]; rest.vertices.len()],
+        };
+        let rates = Rates::new(&settings.appearance, super::rate_factor(iteration_scale));
+        Ok(OnMesh {
+            surface: Surface::new(rest, &settings.appearance, Frame::InheritStretch, Start::Even, observation.seed),
+            inspiration: to_f32(&rest.vertices),
+            displacement,
+            reach: Reach { margin: *settings.visibility.margin, range_mm: *settings.visibility.range_mm },
+            adam: DiscAdam::new(rates, StepCounter::Restarted),
+            seen: None,
+        })
+    }
+
+    fn seen(&self) -> &Seen {
+        self.seen.as_ref().expect("a frame is entered before it is worked on")
+    }
+
+    fn seen_mut(&mut self) -> &mut Seen {
+        self.seen.as_mut().expect("a frame is entered before it is worked on")
+    }
+}
+
+impl Carried for OnMesh {
+    fn enter(&mut self, view: &View, [low, high]: [f64; 2]) -> Result<()> {
+        let phases: &[f64] = if low == high { &[low] } else { &[low, 0.5 * (low + high), high] };
+        let states: Vec<Vec<[f32; 3]>> = phases
+            .iter()
+            .map(|&p| {
+                let mut out = Vec::new();
+                at_phase(&self.inspiration, &self.displacement, p as f32, &mut out);
+                out
+            })
+            .collect();
+        let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
+        let faces = visible_faces(&self.surface.faces, &states, view, self.reach);
+        if faces.is_empty() {
+            return Err(Error::input(
+                "the camera sees no face of the airway mesh: poses and mesh do not belong together",
+            ));
+        }
+        let patch = self.surface.patch(&faces)?;
+        self.seen = Some(Seen {
+            rest: patch.pick(&self.inspiration),
+            displacement: patch.pick(&self.displacement),
+            vertices: Vec::new(),
+            fitted_at_mm: patch.discs.iter().map(|&i| self.surface.fitted_at_mm[i as usize]).collect(),
+            patch,
+        });
+        Ok(())
+    }
+
+    fn place(&mut self, phase: f64) -> Result<()> {
+        let seen = self.seen_mut();
+        at_phase(&seen.rest, &seen.displacement, phase as f32, &mut seen.vertices);
+        seen.patch.place(&seen.vertices)
+    }
+
+    fn gaussians(&self) -> &Gaussians<f32> {
+        &self.seen().patch.gaussians
+    }
+
+    fn colors(&mut self) -> (&mut [f32], &mut [f32]) {
+        let seen = self.seen_mut();
+        (&mut seen.patch.gaussians.sh, &mut seen.fitted_at_mm)
+    }
+
+    fn phase_derivative(&self, gradients: &Gradients<f32>) -> Result<f64> {
+        let seen = self.seen();
+        seen.patch.phase_derivative(gradients, &seen.vertices, &seen.displacement)
+    }
+
+    fn begin_appearance(&mut self) {
+        let discs = self.seen().patch.discs.len();
+        self.adam.begin(discs);
+    }
+
+    fn appearance_groups(&self) -> Wanted {
+        Wanted::POSITIONS | Wanted::SHAPES | Wanted::SH
+    }
+
+    fn step_appearance(&mut self, gradients: &Gradients<f32>) -> Result<()> {
+        let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
+        seen.patch.step(&mut self.adam, gradients, &seen.vertices)
+    }
+
+    fn leave(&mut self) {
+        if let Some(seen) = self.seen.take() {
+            self.surface.absorb(&seen.patch);
+            for (&i, &at) in seen.patch.discs.iter().zip(&seen.fitted_at_mm) {
+                self.surface.fitted_at_mm[i as usize] = at;
+            }
+        }
+    }
+}

@@ -1,0 +1,449 @@
+//! The paper's online loop, shared by every method that has one breathing phase per frame: per frame (i) theta alone,
+//! (ii) appearance alone, (iii) both, under `w_c [(1 - w_s) L1 + w_s (1 - SSIM)] + w_t (alpha_t - alpha_{t-1})^2`
+//! (Eq. 3 and 4). What carries the Gaussians (a mesh, or nothing) is behind [`Carried`].
+//!
+//! Ours where the paper is silent, each with its number in the TOML: the guess of a frame's phase continues part of the
+//! last change; a few candidates around it are rendered before stage (i); an exposure gain per channel and frame in
+//! closed form; brightness carried from frame to frame by the law of the light at the scope.
+
+use std::time::Instant;
+
+use glam::Vec3;
+
+use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
+use crate::splat::{DepthOutput, Gaussians, Gradients, ImageGradient, Rasterizer, Settings, View, Wanted};
+
+use super::anchored::{SH_C0, SH_VALUES};
+use super::loss::photometric::Photometric;
+use super::optimiser::{Adam, AdamConstants, StepCounter};
+use super::phase::PhaseActivation;
+use super::settings::PhaseMethod;
+use super::{FramePrediction, Observation, Reconstruction};
+
+/// Every eighth frame is held out: rendered before its image is looked at.
+pub const HELD_OUT_PERIOD: usize = 8;
+
+/// Gaussians that a phase moves.
+pub trait Carried {
+    /// Makes the compact copy of what `view` can see while the phase stays within `phases`.
+    fn enter(&mut self, view: &View, phases: [f64; 2]) -> Result<()>;
+    /// Moves them to `phase`.
+    fn place(&mut self, phase: f64) -> Result<()>;
+    /// The compact copy, as placed.
+    fn gaussians(&self) -> &Gaussians<f32>;
+    /// Spherical harmonics of the compact copy, and the distance at which each colour was fitted (0 = never).
+    fn colors(&mut self) -> (&mut [f32], &mut [f32]);
+    /// dL/dphase from the gradients of centres and spread.
+    fn phase_derivative(&self, gradients: &Gradients<f32>) -> Result<f64>;
+    /// Zero moments.
+    fn begin_appearance(&mut self);
+    /// Groups that [`Carried::step_appearance`] needs.
+    fn appearance_groups(&self) -> Wanted;
+    /// One optimiser step of appearance.
+    fn step_appearance(&mut self, gradients: &Gradients<f32>) -> Result<()>;
+    /// Takes the compact copy back.
+    fn leave(&mut self);
+}
+
+/// Where the phase comes from.
+#[derive(Clone, Debug)]
+pub enum PhaseSource {
+    /// Estimated from RGB; the first one by depth.
+    Estimated,
+    /// Given for every frame (`static-ct`: zeros; `oracle-phase`: the truth).
+    Given(Vec<f64>),
+}
+
+/// The running estimate.
+struct Fitter<'a> {
+    settings: &'a PhaseMethod,
+    observation: &'a Observation,
+    activation: PhaseActivation,
+    scale: f64,
+    rasterizer: Rasterizer<f32>,
+    gradient: Vec<f32>,
+    gain: [f64; 3],
+    phases: Vec<f64>,
+    mean_color: [f32; 3],
+}
+
+/// Runs the loop over all frames.
+pub fn run(
+    settings: &PhaseMethod,
+    iteration_scale: f64,
+    source: &PhaseSource,
+    observation: &Observation,
+    carried: &mut dyn Carried,
+    emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
+    progress: &dyn Progress,
+) -> Result<(f64, Reconstruction)> {
+    let mut fitter = Fitter {
+        settings,
+        observation,
+        activation: PhaseActivation { leak: *settings.phase_leak },
+        scale: iteration_scale,
+        rasterizer: Rasterizer::new(),
+        gradient: Vec::new(),
+        gain: [1.0; 3],
+        phases: Vec::new(),
+        mean_color: [0.0; 3],
+    };
+    let frames = observation.images.len();
+    let mut seconds = 0.0;
+    for frame in 0..frames {
+        super::stop_if_cancelled(progress)?;
+        let start = Instant::now();
+        let prediction = fitter.fit(frame, source, carried)?;
+        seconds += start.elapsed().as_secs_f64();
+        emit(prediction)?;
+        progress.advance(frame + 1, frames);
+    }
+    let last = fitter.phases.last().copied().unwrap_or(0.0);
+    Ok((last, Reconstruction { final_mesh: None, seconds }))
+}
+
+/// The airway at `phase` by the two CTs.
+pub fn mesh_at(observation: &Observation, phase: f64) -> TriangleMesh {
+    let vertices = match &observation.expiration {
+        Some(expiration) => mesh::interpolate(&observation.inspiration.vertices, &expiration.vertices, phase),
+        None => observation.inspiration.vertices.clone(),
+    };
+    TriangleMesh { vertices, faces: observation.inspiration.faces.clone() }
+}
+
+impl Fitter<'_> {
+    fn view(&self, frame: usize) -> View {
+        View::new(self.observation.camera, self.observation.world_from_camera[frame])
+    }
+
+    fn render_settings(&self, depth: DepthOutput) -> Settings {
+        Settings { gain: self.gain, depth, ..Settings::default() }
+    }
+
+    /// What the phase of `frame` will be if the breath goes on as it went.
+    fn guess(&self, frame: usize) -> f64 {
+        match *self.phases.as_slice() {
+            [] => 0.0,
+            [only] => only,
+            [.., before, last] if frame > 1 => (last + *self.settings.velocity * (last - before)).clamp(0.0, 1.0),
+            [.., last] => last,
+        }
+    }
+
+    fn iterations(&self, stage: usize, frame: usize) -> usize {
+        let factor = if frame == 0 && stage > 0 { *self.settings.first_frame_factor } else { 1.0 };
+        super::scaled_iterations(self.settings.iterations[stage] as f64 * factor, self.scale)
+    }
+
+    fn fit(&mut self, frame: usize, source: &PhaseSource, carried: &mut dyn Carried) -> Result<FramePrediction> {
+        let view = self.view(frame);
+        let (width, height) = (view.camera.width as usize, view.camera.height as usize);
+        let estimated = matches!(source, PhaseSource::Estimated);
+        let mut phase = match source {
+            PhaseSource::Given(phases) => phases[frame],
+            PhaseSource::Estimated => self.guess(frame),
+        };
+        let reach = match (estimated, frame) {
+            (true, 0) => [0.0, 1.0],
+            (true, _) => [(phase - 0.15).max(0.0), (phase + 0.15).min(1.0)],
+            (false, _) => [phase, phase],
+        };
+        carried.enter(&view, reach)?;
+        carried.place(phase)?;
+        if estimated && frame == 0 {
+            phase = self.search_by_depth(&view, carried)?;
+            carried.place(phase)?;
+        }
+        if frame > 0 {
+            self.carry_brightness(&view, carried);
+        }
+        let ahead = if frame % HELD_OUT_PERIOD == HELD_OUT_PERIOD - 1 {
+            self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Skip), None)?;
+            Some(color_image(&self.rasterizer, width, height))
+        } else {
+            None
+        };
+        // From here on the frame's image may be looked at.
+        let image = self.observation.images[frame].to_unit();
+        let mut loss = Photometric::new(&image.data, width, height, *self.settings.ssim_weight, None);
+        if frame > 0 {
+            self.fit_gain(&view, carried, &image)?;
+            self.color_the_unseen(&view, carried, &image);
+            if estimated {
+                phase = self.best_candidate(&view, carried, &mut loss, phase)?;
+                phase = self.optimise_phase(&view, carried, &mut loss, phase, frame)?;
+                carried.place(phase)?;
+            }
+        } else {
+            self.color_the_unseen(&view, carried, &image);
+        }
+        phase = self.optimise_appearance(&view, carried, &mut loss, phase, frame, estimated)?;
+        carried.place(phase)?;
+        self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Expected), None)?;
+        let color = color_image(&self.rasterizer, width, height);
+        let depth_mm = super::depth_image(self.rasterizer.rendered(), width, height);
+        self.mark_fitted(&view, carried, &image);
+        carried.leave();
+        self.phases.push(phase);
+        Ok(FramePrediction { frame, color, depth_mm, phase: estimated.then_some(phase), ahead })
+    }
+
+    /// First frame: the phase whose rendered depth is nearest to the given one (mean absolute difference where both
+    /// are), by a grid and then golden sections.
+    fn search_by_depth(&mut self, view: &View, carried: &mut dyn Carried) -> Result<f64> {
+        let Some(truth) = &self.observation.first_depth_mm else { return Ok(0.0) };
+        let steps = self.settings.grid_steps.value.max(2) as usize;
+        let settings = self.render_settings(DepthOutput::Expected);
+        let mut error = |phase: f64| -> Result<f64> {
+            carried.place(phase)?;
+            let rendered = self.rasterizer.render(carried.gaussians(), view, &settings, None)?;
+            let (mut sum, mut count) = (0.0, 0usize);
+            for ((&d, &a), &t) in rendered.depth.iter().zip(&rendered.alpha).zip(&truth.data) {
+                if t > 0.0 && a > 0.5 {
+                    sum += ((d - t).abs() as f64).min(0.25 * t as f64);
+                    count += 1;
+                }
+            }
+            Ok(if count == 0 { f64::INFINITY } else { sum / count as f64 })
+        };
+        let mut best = (f64::INFINITY, 0.0);
+        for i in 0..steps {
+            let phase = i as f64 / (steps - 1) as f64;
+            let e = error(phase)?;
+            if e < best.0 {
+                best = (e, phase);
+            }
+        }
+        let step = 1.0 / (steps - 1) as f64;
+        let (mut low, mut high) = ((best.1 - step).max(0.0), (best.1 + step).min(1.0));
+        const GOLDEN: f64 = 0.618_033_988_749_895;
+        for _ in 0..10 {
+            let (a, b) = (high - GOLDEN * (high - low), low + GOLDEN * (high - low));
+            if error(a)? < error(b)? {
+                high = b;
+            } else {
+                low = a;
+            }
+        }
+        let refined = 0.5 * (low + high);
+        Ok(if error(refined)? <= best.0 { refined } else { best.1 })
+    }
+
+    /// Encoded brightness of what was seen before follows the distance to the light at the scope.
+    fn carry_brightness(&self, view: &View, carried: &mut dyn Carried) {
+        let exponent = *self.settings.falloff_exponent as f32;
+        if exponent == 0.0 {
+            return;
+        }
+        let distances = distances(view, carried.gaussians());
+        let (sh, fitted_at) = carried.colors();
+        for ((sh, at), distance) in sh.chunks_exact_mut(SH_VALUES).zip(fitted_at).zip(distances) {
+            if *at > 0.0 && distance > 0.5 {
+                let ratio = (*at / distance).powf(exponent).clamp(0.25, 4.0);
+                for (i, value) in sh.iter_mut().enumerate() {
+                    let offset = if i < 3 { 0.5 / SH_C0 } else { 0.0 };
+                    *value = (*value + offset) * ratio - offset;
+                }
+                *at = distance;
+            }
+        }
+    }
+
+    /// Gain per channel that brings the prediction nearest to the image in the least-squares sense, within the limit.
+    fn fit_gain(&mut self, view: &View, carried: &mut dyn Carried, image: &Image<f32>) -> Result<()> {
+        let limit = *self.settings.exposure_limit;
+        if limit <= 0.0 {
+            return Ok(());
+        }
+        self.gain = [1.0; 3];
+        let rendered =
+            self.rasterizer.render(carried.gaussians(), view, &self.render_settings(DepthOutput::Skip), None)?;
+        for c in 0..3 {
+            let pairs = rendered.color.iter().zip(&image.data).skip(c).step_by(3);
+            let (mut cross, mut square) = (0.0f64, 1e-9f64);
+            for (&r, &i) in pairs {
+                cross += (r * i) as f64;
+                square += (r * r) as f64;
+            }
+            self.gain[c] = (cross / square).clamp(1.0 - limit, 1.0 / (1.0 - limit));
+        }
+        Ok(())
+    }
+
+    /// Discs that no frame has shown yet start with the colour of the pixel they fall on, or the mean colour.
+    fn color_the_unseen(&mut self, view: &View, carried: &mut dyn Carried, image: &Image<f32>) {
+        let gain = self.gain;
+        let pixels = pixels(view, carried.gaussians());
+        let mean = self.mean_color;
+        let (sh, fitted_at) = carried.colors();
+        for ((sh, at), pixel) in sh.chunks_exact_mut(SH_VALUES).zip(fitted_at).zip(pixels) {
+            if *at == 0.0 {
+                for c in 0..3 {
+                    let value = pixel.map_or(mean[c], |[x, y]| image.pixel(x, y)[c] / gain[c] as f32);
+                    sh[c] = (value - 0.5) / SH_C0;
+                }
+            }
+        }
+    }
+
+    /// Remembers at which distance each visible disc was fitted. Visible: not behind the rendered surface.
+    fn mark_fitted(&mut self, view: &View, carried: &mut dyn Carried, image: &Image<f32>) {
+        let pixels = pixels(view, carried.gaussians());
+        let distances = distances(view, carried.gaussians());
+        let depths = depths(view, carried.gaussians());
+        let rendered = self.rasterizer.rendered();
+        let width = rendered.width;
+        let (_, fitted_at) = carried.colors();
+        for (((at, pixel), distance), depth) in fitted_at.iter_mut().zip(pixels).zip(distances).zip(depths) {
+            if let Some([x, y]) = pixel
+                && depth < 1.1 * rendered.depth[y * width + x] + 1.0
+            {
+                *at = distance;
+            }
+        }
+        let count = (image.width * image.height) as f64;
+        for c in 0..3 {
+            let sum: f64 = image.data.iter().skip(c).step_by(3).map(|&v| v as f64).sum();
+            self.mean_color[c] = (sum / count / self.gain[c]) as f32;
+        }
+    }
+
+    /// Photometric loss and its image gradient at the present placement.
+    fn evaluate(&mut self, view: &View, carried: &dyn Carried, loss: &mut Photometric<f32>) -> Result<f64> {
+        let settings = self.render_settings(DepthOutput::Skip);
+        let rendered = self.rasterizer.render(carried.gaussians(), view, &settings, None)?;
+        self.gradient.resize(rendered.color.len(), 0.0);
+        Ok(loss.evaluate(&rendered.color, &mut self.gradient))
+    }
+
+    fn backward(&mut self, carried: &dyn Carried, wanted: Wanted) -> Result<()> {
+        let image = ImageGradient { color: &self.gradient, ..ImageGradient::default() };
+        self.rasterizer.backward(carried.gaussians(), &image, wanted).map(|_| ())
+    }
+
+    fn temporal(&self, phase: f64) -> (f64, f64) {
+        let Some(last) = self.phases.last() else { return (0.0, 0.0) };
+        let (weight, change) = (*self.settings.temporal_weight, phase - last);
+        (weight * change * change, 2.0 * weight * change)
+    }
+
+    /// The candidate around `guess` with the least loss.
+    fn best_candidate(
+        &mut self,
+        view: &View,
+        carried: &mut dyn Carried,
+        loss: &mut Photometric<f32>,
+        guess: f64,
+    ) -> Result<f64> {
+        let mut tried: Vec<f64> = self.settings.candidates.iter().map(|c| (guess + c).clamp(0.0, 1.0)).collect();
+        tried.dedup();
+        let mut best = (f64::INFINITY, guess);
+        for phase in tried {
+            carried.place(phase)?;
+            let value = *self.settings.color_weight * self.evaluate(view, carried, loss)? + self.temporal(phase).0;
+            if value < best.0 {
+                best = (value, phase);
+            }
+        }
+        Ok(best.1)
+    }
+
+    /// Stage (i).
+    fn optimise_phase(
+        &mut self,
+        view: &View,
+        carried: &mut dyn Carried,
+        loss: &mut Photometric<f32>,
+        start: f64,
+        frame: usize,
+    ) -> Result<f64> {
+        let iterations = self.iterations(0, frame);
+        let mut adam = Adam::new(AdamConstants::default());
+        adam.begin(1, StepCounter::Restarted);
+        let mut theta = [self.activation.theta(start) as f32];
+        for i in 0..iterations {
+            let phase = self.activation.phase(theta[0] as f64);
+            carried.place(phase)?;
+            self.evaluate(view, carried, loss)?;
+            self.backward(carried, Wanted::POSITIONS | Wanted::SHAPES)?;
+            self.step_theta(carried, &mut adam, &mut theta, geometric(*self.settings.theta_rate, i, iterations))?;
+        }
+        Ok(self.activation.phase(theta[0] as f64))
+    }
+
+    fn step_theta(&self, carried: &dyn Carried, adam: &mut Adam, theta: &mut [f32; 1], rate: f64) -> Result<()> {
+        let at = theta[0] as f64;
+        let by_phase = *self.settings.color_weight * carried.phase_derivative(self.rasterizer.gradients())?
+            + self.temporal(self.activation.phase(at)).1;
+        adam.step(rate, theta, &[(by_phase * self.activation.slope(at)) as f32]);
+        theta[0] = theta[0].clamp(0.0, std::f32::consts::PI);
+        Ok(())
+    }
+
+    /// Stages (ii) and (iii); returns the phase.
+    fn optimise_appearance(
+        &mut self,
+        view: &View,
+        carried: &mut dyn Carried,
+        loss: &mut Photometric<f32>,
+        start: f64,
+        frame: usize,
+        estimated: bool,
+    ) -> Result<f64> {
+        let (alone, joint) = (self.iterations(1, frame), self.iterations(2, frame));
+        let groups = carried.appearance_groups();
+        let move_theta = estimated && frame > 0;
+        let mut adam = Adam::new(AdamConstants::default());
+        adam.begin(1, StepCounter::Restarted);
+        carried.begin_appearance();
+        let mut theta = [self.activation.theta(start) as f32];
+        for i in 0..alone + joint {
+            self.evaluate(view, carried, loss)?;
+            self.backward(carried, groups)?;
+            let moves = move_theta && i >= alone;
+            if moves {
+                let rate = geometric(*self.settings.theta_rate_joint, i - alone, joint);
+                self.step_theta(carried, &mut adam, &mut theta, rate)?;
+            }
+            carried.step_appearance(self.rasterizer.gradients())?;
+            let phase = if move_theta { self.activation.phase(theta[0] as f64) } else { start };
+            carried.place(phase)?;
+        }
+        Ok(if move_theta { self.activation.phase(theta[0] as f64) } else { start })
+    }
+}
+
+/// Value `i` of `n` between the first and the last rate, in equal ratios.
+fn geometric([first, last]: [f64; 2], i: usize, n: usize) -> f64 {
+    first * (last / first).powf(i as f64 / (n.max(2) - 1) as f64)
+}
+
+fn color_image(rasterizer: &Rasterizer<f32>, width: usize, height: usize) -> Image<f32> {
+    Image { width, height, channels: 3, data: rasterizer.rendered().color.iter().map(|v| v.clamp(0.0, 1.0)).collect() }
+}
+
+fn in_camera(view: &View, gaussians: &Gaussians<f32>) -> Vec<Vec3> {
+    let transform = view.camera_from_world.as_affine3();
+    gaussians.positions.iter().map(|p| transform.transform_point3(Vec3::from(*p))).collect()
+}
+
+fn distances(view: &View, gaussians: &Gaussians<f32>) -> Vec<f32> {
+    in_camera(view, gaussians).iter().map(|p| p.length()).collect()
+}
+
+fn depths(view: &View, gaussians: &Gaussians<f32>) -> Vec<f32> {
+    in_camera(view, gaussians).iter().map(|p| p.z).collect()
+}
+
+/// The pixel on which each centre falls.
+fn pixels(view: &View, gaussians: &Gaussians<f32>) -> Vec<Option<[usize; 2]>> {
+    let (width, height) = (view.camera.width as f64, view.camera.height as f64);
+    in_camera(view, gaussians)
+        .iter()
+        .map(|p| {
+            let pixel = view.camera.project(p.as_dvec3())?;
+            let inside = p.z > 0.2 && pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
+            inside.then_some([pixel.x as usize, pixel.y as usize])
+        })
+        .collect()
+}

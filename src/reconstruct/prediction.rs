@@ -1,0 +1,65 @@
+//! The PREDICTION folder: `color/NNNNNN.png`, `depth/NNNNNN.exr`, `ahead/NNNNNN.png`, `phase.csv`, `mesh/final.ply`,
+//! `timing.json`. Frames are written as they come; what is known only at the end follows.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::base::image::codes_from_unit;
+use crate::base::{Error, Progress, Result, files};
+use crate::formats::{exr, mesh, png};
+
+use super::{FramePrediction, Observation, Reconstruct};
+
+#[derive(Serialize)]
+struct Timing {
+    time_total_s: f64,
+    time_per_frame_s: f64,
+    frames: usize,
+}
+
+/// Runs `method` on `observation` and writes its prediction to `folder`.
+pub fn write_prediction(
+    method: &dyn Reconstruct,
+    observation: &Observation,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let mut phases: Vec<(usize, f64)> = Vec::new();
+    let mut emit = |prediction: FramePrediction| -> Result<()> {
+        write_frame(folder, &prediction)?;
+        phases.extend(prediction.phase.map(|phase| (prediction.frame, phase)));
+        Ok(())
+    };
+    let done = method.run(observation, &mut emit, progress)?;
+    if !phases.is_empty() {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let failed = |e: csv::Error| Error::input(format!("cannot be written: {e}")).at(folder.join("phase.csv"));
+        writer.write_record(["frame", "phase"]).map_err(failed)?;
+        for (frame, phase) in &phases {
+            writer.write_record([frame.to_string(), format!("{phase:.9}")]).map_err(failed)?;
+        }
+        let bytes = writer.into_inner().map_err(|e| Error::input(e.to_string()))?;
+        files::write_bytes(&folder.join("phase.csv"), &bytes)?;
+    }
+    if let Some(final_mesh) = &done.final_mesh {
+        mesh::write_ply(&folder.join("mesh/final.ply"), final_mesh, &["airway surface at the last frame, mm"])?;
+    }
+    let frames = observation.images.len();
+    let timing = Timing { time_total_s: done.seconds, time_per_frame_s: done.seconds / frames as f64, frames };
+    files::write_json(&folder.join("timing.json"), &timing)
+}
+
+fn frame_file(folder: &Path, kind: &str, frame: usize, extension: &str) -> PathBuf {
+    folder.join(kind).join(format!("{frame:06}.{extension}"))
+}
+
+fn write_frame(folder: &Path, prediction: &FramePrediction) -> Result<()> {
+    let frame = prediction.frame;
+    png::write_rgb(&frame_file(folder, "color", frame, "png"), &codes_from_unit(&prediction.color))?;
+    exr::write_channel(&frame_file(folder, "depth", frame, "exr"), "Z", &prediction.depth_mm)?;
+    if let Some(ahead) = &prediction.ahead {
+        png::write_rgb(&frame_file(folder, "ahead", frame, "png"), &codes_from_unit(ahead))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,201 @@
+//! The numbers of a method: one TOML per method in `bench-cases/methods/`, every number with its source beside it:
+//! `sh_rate = { value = 0.0025, source = "released code", why = "configs/ATLAS/atlas_base.yaml" }`.
+
+use std::ops::Deref;
+
+use serde::{Deserialize, Serialize};
+
+/// Where a number comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Source {
+    /// The RESPIRE paper says so.
+    #[serde(rename = "paper")]
+    Paper,
+    /// The released code of BridgeSplat, or of the code it was built on.
+    #[serde(rename = "released code")]
+    ReleasedCode,
+    /// Our choice, because nobody published one.
+    #[serde(rename = "ours")]
+    Ours,
+}
+
+/// A value with its source.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sourced<T> {
+    /// The value.
+    pub value: T,
+    /// Where it comes from.
+    pub source: Source,
+    /// Place in the source, or the reason of the choice; for people.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub why: String,
+}
+
+impl<T> Deref for Sourced<T> {
+    type Target = T;
+    fn deref(&self) -> &T {
+        &self.value
+    }
+}
+
+/// How many Gaussians a mesh gets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "expected a whole number or \"auto\"")]
+pub enum PerFace {
+    /// So many on every face.
+    Count(u32),
+    /// As many as `gaussian_budget` allows, at least one.
+    Auto(Auto),
+}
+
+/// The word `auto`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Auto {
+    /// The word `auto`.
+    Auto,
+}
+
+impl PerFace {
+    /// Gaussians per face of a mesh with `faces` faces.
+    pub fn resolve(self, faces: usize, budget: u32) -> usize {
+        match self {
+            PerFace::Count(n) => n.max(1) as usize,
+            PerFace::Auto(_) => (budget as usize / faces.max(1)).clamp(1, 25),
+        }
+    }
+}
+
+/// Gaussians, what is learned of them, and how fast (Adam rates per iteration).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Appearance {
+    /// Gaussians per face (mesh methods), or 1 per face centroid.
+    pub gaussians_per_face: Sourced<PerFace>,
+    /// How many in all when `gaussians_per_face` is `auto`.
+    pub gaussian_budget: Sourced<u32>,
+    /// Opacity, frozen.
+    pub opacity: Sourced<f64>,
+    /// Factor on the initial spread (1 = root mean square distance to the three nearest centres).
+    pub initial_scale: Sourced<f64>,
+    /// Most that a scale may grow over its initial value; 0 for no limit.
+    pub scale_cap: Sourced<f64>,
+    /// Rate of the centres: barycentric logits, or mm for free Gaussians.
+    pub position_rate: Sourced<f64>,
+    /// Rate of log scales.
+    pub scale_rate: Sourced<f64>,
+    /// Rate of quaternions (free Gaussians only).
+    #[serde(default)]
+    pub rotation_rate: Option<Sourced<f64>>,
+    /// Rate of the constant SH coefficients.
+    pub sh_dc_rate: Sourced<f64>,
+    /// Rate of the linear SH coefficients.
+    pub sh_rest_rate: Sourced<f64>,
+}
+
+/// Which part of the airway is computed at all.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Visibility {
+    /// Faces whose centre lies this far outside the image still count (share of the image width).
+    pub margin: Sourced<f64>,
+    /// Faces farther away than this (mm) do not.
+    pub range_mm: Sourced<f64>,
+}
+
+/// Settings of `ours`, `ours-nomesh` and the two sanity rows.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PhaseMethod {
+    /// Id in tables and folders.
+    pub id: String,
+    /// Which program runs it.
+    pub kind: String,
+    /// One line for `list`.
+    pub description: String,
+    /// Iterations on theta alone, appearance alone, both.
+    pub iterations: Sourced<[u32; 3]>,
+    /// Appearance iterations of the first frame are so many times those of the others.
+    pub first_frame_factor: Sourced<f64>,
+    /// w_c of Eq. 4.
+    pub color_weight: Sourced<f64>,
+    /// w_s of Eq. 4.
+    pub ssim_weight: Sourced<f64>,
+    /// w_t of Eq. 4.
+    pub temporal_weight: Sourced<f64>,
+    /// eps of Eq. 3.
+    pub phase_leak: Sourced<f64>,
+    /// Adam rate of theta in stage (i): first and last iteration, geometric between.
+    pub theta_rate: Sourced<[f64; 2]>,
+    /// Adam rate of theta in stage (iii): first and last iteration.
+    pub theta_rate_joint: Sourced<[f64; 2]>,
+    /// Phases tried before stage (i), relative to the guess; the one of least loss starts.
+    pub candidates: Sourced<Vec<f64>>,
+    /// Share of the last change of phase that the guess expects again.
+    pub velocity: Sourced<f64>,
+    /// Steps of the first frame's grid search over phase.
+    pub grid_steps: Sourced<u32>,
+    /// Largest change of an exposure gain fitted in closed form per frame (0 = no gain).
+    pub exposure_limit: Sourced<f64>,
+    /// Encoded brightness falls with distance to this power between frames (0 = appearance is carried over as is).
+    pub falloff_exponent: Sourced<f64>,
+    /// Gaussians.
+    pub appearance: Appearance,
+    /// What is left out.
+    pub visibility: Visibility,
+}
+
+/// Settings of `bridgesplat` and `bridgesplat-nomesh`. Weights and rates are in released units, 1 unit = 100 mm.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BridgeMethod {
+    /// Id in tables and folders.
+    pub id: String,
+    /// Which program runs it.
+    pub kind: String,
+    /// One line for `list`.
+    pub description: String,
+    /// `full` (working rigidity and isometry; the row of the table) or `release` (what the released code computes).
+    pub variant: Variant,
+    /// Iterations of the first frame and of the others.
+    pub iterations: Sourced<[u32; 2]>,
+    /// Iteration of the first frame after which linear SH coefficients are learned.
+    pub sh_from_iteration: Sourced<u32>,
+    /// Millimetres per unit.
+    pub unit_mm: Sourced<f64>,
+    /// Weight of the masked L1.
+    pub color_weight: Sourced<f64>,
+    /// Weight of the ARAP sum (mesh only).
+    pub arap_weight: Sourced<f64>,
+    /// Weight of the displacement of what is not visible.
+    pub visibility_weight: Sourced<f64>,
+    /// Weight of rigidity.
+    pub rigid_weight: Sourced<f64>,
+    /// Weight of rotation similarity (no-mesh only: the mesh variant has no rotations).
+    pub rotation_weight: Sourced<f64>,
+    /// Weight of isometry.
+    pub isometry_weight: Sourced<f64>,
+    /// One control point per so many visible vertices (mesh) or Gaussians (no mesh).
+    pub control_subsample: Sourced<u32>,
+    /// Control points that move a vertex.
+    pub control_neighbours: Sourced<u32>,
+    /// Decay of their weight per unit.
+    pub control_decay: Sourced<f64>,
+    /// Adam rate of control displacements (units).
+    pub displacement_rate: Sourced<f64>,
+    /// Gaussians.
+    pub appearance: Appearance,
+    /// What is left out.
+    pub visibility: Visibility,
+}
+
+/// Which objective of BridgeSplat.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Variant {
+    /// Working rigidity, rotation and isometry.
+    Full,
+    /// The effective released objective: colour, ARAP, visibility.
+    Release,
+}

@@ -1,0 +1,201 @@
+//! Can each method learn its own world? Sequences rendered by the splat core itself.
+
+use glam::{DAffine3, DVec3};
+
+use super::anchored::{SH_VALUES, Start, Surface, to_f32};
+use super::free::Free;
+use super::settings::PhaseMethod;
+use super::*;
+use crate::base::camera::world_from_camera_looking;
+use crate::base::image::codes_from_unit;
+use crate::base::random::{CounterRng, Stage};
+use crate::base::{NoProgress, files, mesh};
+use crate::splat::{Frame, Rasterizer, Settings, View};
+
+/// A tube along +z, normals inwards, closed at the far end by its narrowing.
+fn tube(rings: usize, around: usize, length_mm: f64) -> TriangleMesh {
+    let mut mesh = TriangleMesh::default();
+    for r in 0..rings {
+        let z = length_mm * r as f64 / (rings - 1) as f64;
+        let radius = 6.0 * (1.0 - 0.75 * (r as f64 / (rings - 1) as f64).powi(6)) + 0.4 * (z * 0.8).sin();
+        for a in 0..around {
+            let angle = std::f64::consts::TAU * a as f64 / around as f64;
+            let bump = 1.0 + 0.06 * (3.0 * angle + 0.3 * z).sin();
+            mesh.vertices.push(DVec3::new(radius * bump * angle.cos(), radius * bump * angle.sin(), z));
+        }
+    }
+    for r in 0..rings - 1 {
+        for a in 0..around {
+            let (i, j) = ((r * around + a) as u32, (r * around + (a + 1) % around) as u32);
+            let (k, l) = (i + around as u32, j + around as u32);
+            mesh.faces.extend([[i, k, j], [j, k, l]]);
+        }
+    }
+    mesh
+}
+
+/// Mucosa-like colour that varies from vertex to vertex.
+fn paint(mesh: &TriangleMesh, grain: f64, sh: &mut [f32]) {
+    let mut rng = CounterRng::new(4, Stage::Test, &[]);
+    let wave = |v: &DVec3| 0.5 + 0.3 * (0.9 * v.x + 0.4 * v.z).sin() * (0.7 * v.y - 0.5 * v.z).cos();
+    let tints: Vec<f64> = mesh.vertices.iter().map(|v| wave(v) + (rng.uniform() - 0.5) * grain).collect();
+    let per_face = sh.len() / SH_VALUES / mesh.faces.len();
+    for (i, sh) in sh.chunks_exact_mut(SH_VALUES).enumerate() {
+        let tint = mesh.faces[i / per_face].iter().map(|&v| tints[v as usize]).sum::<f64>() / 3.0;
+        for (c, base) in [0.75, 0.4, 0.35].into_iter().enumerate() {
+            sh[c] = ((base * (0.5 + 0.9 * tint) - 0.5) / 0.2820948) as f32;
+        }
+    }
+}
+
+/// What a world is made of: the primitives of the method that is to recover it.
+#[derive(Clone, Copy, PartialEq)]
+enum Made {
+    /// Discs that inherit the stretch of their face, with a colour that differs from vertex to vertex.
+    Discs,
+    /// The same with a smooth colour: the published constant rates of BridgeSplat jitter on a fine one.
+    SmoothDiscs,
+    /// One free Gaussian per face centroid, smooth colour.
+    Free,
+}
+
+/// A sequence that the splat core renders from textured Gaussians on the breathing tube.
+fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) -> Observation {
+    let inspiration = tube(48, 36, 60.0);
+    let mut expiration = inspiration.clone();
+    for v in &mut expiration.vertices {
+        let t = v.z / 60.0;
+        *v = DVec3::new(v.x * (1.0 - 0.12 * t), v.y * (1.0 - 0.12 * t) + 2.0 * t * t, v.z + 4.0 + 6.0 * t);
+    }
+    let mut settings = shipped("ours").appearance;
+    settings.gaussian_budget.value = 7000;
+    let mut surface = Surface::new(&inspiration, &settings, Frame::InheritStretch, Start::Even, 5);
+    let mut free = Free::new(&inspiration, &bridge("bridgesplat-nomesh").appearance, 1.0, 5);
+    let grain = if made == Made::Discs { 1.0 } else { 0.1 };
+    paint(&inspiration, grain, &mut surface.sh);
+    paint(&inspiration, grain, &mut free.sh);
+    let camera = Camera::pinhole(size, size, 1.6);
+    let all: Vec<u32> = (0..inspiration.faces.len() as u32).collect();
+    let mut patch = surface.patch(&all).unwrap();
+    let mut free_patch = free.patch(&all);
+    free_patch.place(|_| [0.0; 3], |_| [0.0; 4]);
+    let mut rasterizer = Rasterizer::new();
+    let phases: Vec<f64> = (0..frames).map(phase_of).collect();
+    let (mut images, mut poses, mut depth) = (Vec::new(), Vec::new(), None);
+    for (t, &phase) in phases.iter().enumerate() {
+        let vertices = to_f32(&mesh::interpolate(&inspiration.vertices, &expiration.vertices, phase));
+        patch.place(&patch.pick(&vertices)).unwrap();
+        let origin = DVec3::new(0.5, 0.3, 12.0 + 0.4 * t as f64 + 4.0 * phase);
+        let pose: DAffine3 = world_from_camera_looking(origin, DVec3::new(0.05, 0.02, 1.0), DVec3::Y);
+        let rendered =
+            rasterizer.render(&patch.gaussians, &View::new(camera, pose), &Settings::default(), None).unwrap();
+        let (w, h) = (rendered.width, rendered.height);
+        images.push(codes_from_unit(&Image { width: w, height: h, channels: 3, data: rendered.color.clone() }));
+        depth.get_or_insert_with(|| depth_image(rendered, w, h));
+        poses.push(pose);
+    }
+    Observation {
+        camera,
+        world_from_camera: poses,
+        time_s: (0..frames).map(|t| t as f64 * 0.1).collect(),
+        images,
+        inspiration,
+        expiration: Some(expiration),
+        first_depth_mm: depth,
+        true_phase: Some(phases),
+        seed: 1,
+    }
+}
+
+fn shipped(id: &str) -> PhaseMethod {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
+    files::read_toml(&folder.join(format!("{id}.toml"))).unwrap()
+}
+
+pub(super) fn psnr(a: &Image<f32>, b: &Image<u8>) -> f64 {
+    let b = b.to_unit();
+    let mse: f64 = a.data.iter().zip(&b.data).map(|(x, y)| ((x - y) as f64).powi(2)).sum::<f64>() / a.data.len() as f64;
+    -10.0 * mse.log10()
+}
+
+/// Mean PSNR of the last half of the frames, and the predictions.
+fn recover(method: &dyn Reconstruct, observation: &Observation) -> (f64, Vec<FramePrediction>) {
+    let mut answers = Vec::new();
+    let done = method
+        .run(
+            observation,
+            &mut |p| {
+                answers.push(p);
+                Ok(())
+            },
+            &NoProgress,
+        )
+        .unwrap();
+    let each: Vec<f64> = answers.iter().zip(&observation.images).map(|(p, i)| psnr(&p.color, i)).collect();
+    println!("{}: {:.2} s, psnr {:.1?}", method.id(), done.seconds, each);
+    let half = &each[each.len() / 2..];
+    (half.iter().sum::<f64>() / half.len() as f64, answers)
+}
+
+fn breath(t: usize) -> f64 {
+    0.5 - 0.45 * (t as f64 * 0.16).cos()
+}
+
+/// The test world has no light of its own and a small mesh.
+fn unlit(id: &str) -> PhaseMethod {
+    let mut settings = shipped(id);
+    settings.falloff_exponent.value = 0.0;
+    settings.exposure_limit.value = 0.0;
+    settings.appearance.gaussian_budget.value = 7000;
+    settings
+}
+
+fn bridge(id: &str) -> settings::BridgeMethod {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
+    let mut settings: settings::BridgeMethod = files::read_toml(&folder.join(format!("{id}.toml"))).unwrap();
+    settings.appearance.gaussian_budget.value = 7000;
+    settings
+}
+
+#[test]
+fn ours_recovers_its_world_and_the_planted_phase() {
+    let observation = world(Made::Discs, 24, 64, breath);
+    let (psnr, answers) = recover(&Ours::new(unlit("ours"), Row::Ours, 0.5), &observation);
+    let truth = observation.true_phase.as_ref().unwrap();
+    let errors: Vec<f64> = answers.iter().zip(truth).map(|(p, t)| (p.phase.unwrap() - t).abs()).collect();
+    let mae = errors.iter().sum::<f64>() / errors.len() as f64;
+    println!("phase errors {errors:.4?}");
+    assert!(psnr >= 38.0, "{psnr}");
+    assert!(mae < 0.01, "{mae}");
+}
+
+#[test]
+fn ours_nomesh_recovers_its_world() {
+    let observation = world(Made::Discs, 24, 64, breath);
+    let (psnr, _) = recover(&OursNomesh::new(unlit("ours-nomesh"), 0.5), &observation);
+    assert!(psnr >= 38.0, "{psnr}");
+}
+
+#[test]
+fn bridgesplat_recovers_its_world() {
+    let observation = world(Made::SmoothDiscs, 24, 64, |_| 0.0);
+    let (psnr, _) = recover(&Bridgesplat::new(bridge("bridgesplat"), 1.0), &observation);
+    assert!(psnr >= 38.0, "{psnr}");
+}
+
+#[test]
+fn bridgesplat_nomesh_recovers_its_world() {
+    let observation = world(Made::Free, 24, 64, |_| 0.0);
+    let (psnr, _) = recover(&BridgesplatNomesh::new(bridge("bridgesplat-nomesh"), 1.0), &observation);
+    assert!(psnr >= 38.0, "{psnr}");
+}
+
+#[test]
+fn sanity_rows_recover_what_they_can() {
+    let observation = world(Made::Free, 12, 64, |t| 0.1 * t as f64 / 12.0);
+    let (oracle, _) = recover(&Ours::new(unlit("oracle-phase"), Row::OraclePhase, 0.5), &observation);
+    assert!(oracle >= 38.0, "{oracle}");
+    let still = world(Made::Discs, 12, 64, |_| 0.0);
+    let (fixed, _) = recover(&Ours::new(unlit("static-ct"), Row::StaticCt, 0.5), &still);
+    assert!(fixed >= 38.0, "{fixed}");
+}
