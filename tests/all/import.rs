@@ -107,7 +107,10 @@ fn what_is_wrong_is_said_in_one_sentence_with_exit_code_4() {
     mesh::write_ply(&at("open.ply"), &open, &[]).unwrap();
     let doubled = TriangleMesh { faces: [good.faces.clone(), vec![good.faces[0]]].concat(), ..good.clone() };
     mesh::write_ply(&at("doubled.ply"), &doubled, &[]).unwrap();
-    fs::write(at("nan.obj"), "v 0 0 0\nv 1 0 0\nv 0 nan 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n").unwrap();
+    let head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+        element face 4\nproperty list uchar int vertex_indices\nend_header\n";
+    let body = "0 0 0\n1 0 0\n0 nan 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n";
+    fs::write(at("nan.ply"), format!("{head}{body}")).unwrap();
     let fine = invented_landmarks(folder.path());
     fs::write(at("empty.csv"), "").unwrap();
     fs::write(at("header.csv"), "insp_x,insp_y,insp_z,exp_x,exp_y,exp_z\n").unwrap();
@@ -118,11 +121,11 @@ fn what_is_wrong_is_said_in_one_sentence_with_exit_code_4() {
         ("none.ply", fine.as_str(), vec!["none.ply"]),
         ("open.ply", &fine, vec!["open.ply", "edge ", "not closed"]),
         ("doubled.ply", &fine, vec!["doubled.ply", "edge ", "not manifold"]),
-        ("nan.obj", &fine, vec!["nan.obj", "vertex 2"]),
+        ("nan.ply", &fine, vec!["nan.ply", "vertex 2"]),
         ("good.ply", "none.csv", vec!["none.csv"]),
         ("good.ply", "empty.csv", vec!["empty.csv", "empty"]),
         ("good.ply", "header.csv", vec!["header.csv", "no landmark pair"]),
-        ("good.ply", "few.csv", vec!["4 landmark pairs are too few"]),
+        ("good.ply", "few.csv", vec!["few.csv", "4 landmark pairs are too few"]),
     ] {
         let mut command = command();
         command.args(["import", "mesh", "--id", "x"]).arg(at(surface)).arg("--landmarks").arg(at(landmarks));
