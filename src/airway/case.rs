@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::field::BreathingField;
 use super::field_calibre::Calibre;
+use super::grow::GrowthSettings;
 use super::surface::SurfaceSettings;
 use super::waveform::Waveform;
 use crate::base::{Camera, Error, Result, files, hash};
@@ -24,6 +25,17 @@ pub enum AnatomySource {
         /// Generations beyond this one are left out.
         #[serde(default = "default_deepest")]
         deepest: u32,
+        /// How the surface is made.
+        #[serde(default)]
+        surface: SurfaceSettings,
+    },
+    /// A tree grown by seeded published rules, surfaced by our generator.
+    Grown {
+        /// Seed of the growth.
+        seed: u64,
+        /// What is grown.
+        #[serde(default)]
+        growth: GrowthSettings,
         /// How the surface is made.
         #[serde(default)]
         surface: SurfaceSettings,
@@ -53,6 +65,7 @@ impl AnatomySource {
     pub fn files(&self) -> Vec<&Path> {
         match self {
             AnatomySource::Tree { path, .. } => vec![path],
+            AnatomySource::Grown { .. } => vec![],
             AnatomySource::Mesh { path, centerline } => {
                 std::iter::once(path.as_path()).chain(centerline.as_deref()).collect()
             }

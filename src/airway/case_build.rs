@@ -8,10 +8,11 @@ use rayon::prelude::*;
 use super::Anatomy;
 use super::case::{AnatomySource, Breathing, Case};
 use super::case_centerline;
-use super::centerline::Centerline;
+use super::centerline::{self, Centerline, CenterlineSettings};
 use super::field_calibre::{Axis, AxisPoint};
 use super::field_check;
-use super::surface::surface_from_tree;
+use super::grow::grow;
+use super::surface::{SurfaceSettings, surface_from_tree};
 use super::tree::Tree;
 use crate::base::{Error, Result, TriangleMesh, files};
 
@@ -40,14 +41,19 @@ pub fn build(case: &Case) -> Result<Anatomy> {
         }
         AnatomySource::Tree { path, least_radius_mm, deepest, surface } => {
             let tree = read_tree(&case.resolve(path))?.reachable(*least_radius_mm, *deepest);
-            let (rest, generation) = surface_from_tree(&tree, surface)?;
-            from_field(rest, tree.to_centerline(), Some(generation), field_of(case)?)
+            from_tree(&tree, surface, field_of(case)?)
         }
+        AnatomySource::Grown { seed, growth, surface } => from_tree(&grow(*seed, growth)?, surface, field_of(case)?),
     }
 }
 
 fn field_of(case: &Case) -> Result<&Breathing> {
     case.breathing.as_ref().ok_or_else(|| Error::input("is missing").element("breathing"))
+}
+
+fn from_tree(tree: &Tree, surface: &SurfaceSettings, breathing: &Breathing) -> Result<Anatomy> {
+    let (rest, generation) = surface_from_tree(tree, surface)?;
+    from_field(rest, tree.to_centerline(), Some(generation), breathing)
 }
 
 /// Reads and checks a tree table.
@@ -57,19 +63,26 @@ pub fn read_tree(path: &Path) -> Result<Tree> {
     Ok(tree)
 }
 
-fn read_mesh(path: &Path) -> Result<TriangleMesh> {
+/// Reads a closed surface and turns its faces so that the normals point into the lumen.
+///
+/// Errors name the file and the vertex, edge or face: not finite, not closed, not manifold, no enclosed space.
+pub fn read_mesh(path: &Path) -> Result<TriangleMesh> {
     let mut mesh = crate::formats::mesh::read(path)?;
     mesh.validate_closed().map_err(|e| e.at(path))?;
-    if mesh.signed_volume() > 0.0 {
+    let volume = mesh.signed_volume();
+    if !volume.is_finite() || volume == 0.0 {
+        return Err(Error::input("the surface encloses no space").at(path));
+    }
+    if volume > 0.0 {
         mesh.flip();
     }
     Ok(mesh)
 }
 
-fn read_or_extract(case: &Case, file: Option<&Path>, _mesh: &TriangleMesh) -> Result<Centerline> {
+fn read_or_extract(case: &Case, file: Option<&Path>, mesh: &TriangleMesh) -> Result<Centerline> {
     match file {
         Some(path) => case_centerline::read(&case.resolve(path)),
-        None => Err(Error::input("is missing").element("anatomy.centerline")),
+        None => centerline::extract(mesh, &CenterlineSettings::default()),
     }
 }
 

@@ -101,6 +101,32 @@ pub struct AxisPoint {
 /// A centreline sampled densely enough to be averaged.
 pub struct Axis {
     samples: Vec<Sample>,
+    /// Spheres around runs of [`RUN`] samples: whole runs are passed over when even their nearest could not matter.
+    runs: Vec<Run>,
+}
+
+/// Samples per run.
+const RUN: usize = 16;
+
+struct Run {
+    center: DVec3,
+    reach: f64,
+    sharpness_over_radius2: f64,
+}
+
+impl Run {
+    fn around(samples: &[Sample]) -> Run {
+        let center = samples.iter().map(|s| s.position).sum::<DVec3>() / samples.len() as f64;
+        let reach = samples.iter().map(|s| s.position.distance(center)).fold(0.0, f64::max);
+        let widest = samples.iter().map(|s| s.radius).fold(0.0, f64::max);
+        Run { center, reach, sharpness_over_radius2: SHARPNESS / (widest * widest) }
+    }
+
+    /// No sample of the run has a smaller exponent at `x`.
+    fn least_exponent(&self, x: DVec3) -> f64 {
+        let gap = (x.distance(self.center) - self.reach).max(0.0);
+        gap * gap * self.sharpness_over_radius2
+    }
 }
 
 struct Sample {
@@ -139,19 +165,27 @@ impl Axis {
                 });
             }
         }
-        Axis { samples }
+        let runs = samples.chunks(RUN).map(Run::around).collect();
+        Axis { samples, runs }
     }
 
     /// Where `x` belongs; `None` only for a centreline without length.
     pub fn foot(&self, x: DVec3) -> Option<AxisPoint> {
         let exponent = |s: &Sample| (x - s.position).length_squared() * s.inverse_radius2 * SHARPNESS;
-        let best = self.samples.iter().map(exponent).fold(f64::INFINITY, f64::min);
+        let runs = || self.runs.iter().zip(self.samples.chunks(RUN));
+        let mut best = f64::INFINITY;
+        for (run, samples) in runs() {
+            if run.least_exponent(x) < best {
+                best = samples.iter().map(exponent).fold(best, f64::min);
+            }
+        }
         if !best.is_finite() {
             return None;
         }
         let mut total = 0.0;
         let mut foot = AxisPoint { position_mm: DVec3::ZERO, radius_mm: 0.0, generation: 0.0, tangent: DVec3::ZERO };
-        for sample in &self.samples {
+        let near = runs().filter(|(run, _)| run.least_exponent(x) < best + EXPONENT_REACH);
+        for sample in near.flat_map(|(_, samples)| samples) {
             let behind = exponent(sample) - best;
             if behind < EXPONENT_REACH {
                 let weight = sample.length * (-behind).exp();

@@ -105,7 +105,9 @@ pub fn fit(pairs: &[LandmarkPair], settings: &FitSettings, min_lambda: f64) -> R
     }
     let (lambda, held_out_mm) =
         best.ok_or_else(|| Error::input(format!("no smoothing strength is left above {min_lambda}")))?;
-    let affine_held_out_mm = held_out_error(pairs, &basis, settings, 1e9)?;
+    // The measure of comparison is free of the anchors, which no affine motion could follow.
+    let unanchored = FitSettings { anchors: vec![], ..settings.clone() };
+    let affine_held_out_mm = held_out_error(pairs, &basis, &unanchored, 1e9)?;
     let field = basis.solve(pairs, settings, lambda)?;
     let count = pairs.len() as f64;
     let quality = FitQuality {

@@ -198,4 +198,19 @@ mod tests {
             assert!(g == 0 || (20.0..55.0).contains(&angle), "generation {g}: angle {angle}");
         }
     }
+
+    #[test]
+    fn measured_tables_have_the_diameters_measured_elsewhere() {
+        // Medians of generations 0 to 3 in mm, from another program over the same surfaces.
+        let known = [("atm_384", [13.0, 8.9, 6.3, 4.6]), ("atm_224", [14.3, 9.4, 7.0, 5.0])];
+        for (name, diameters) in known {
+            let path = format!("{}/bench-cases/trees/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+            let tree: Tree = crate::base::files::read_toml(path.as_ref()).unwrap();
+            for (row, known) in rows(&tree).iter().zip(diameters) {
+                let ours = row.diameter_mm;
+                println!("{name} generation {}: {ours:.1} mm, elsewhere {known} mm", row.generation);
+                assert!((ours / known - 1.0).abs() < 0.12, "{name} generation {}: {ours} mm", row.generation);
+            }
+        }
+    }
 }

@@ -38,6 +38,11 @@ impl Catalogue {
         }
     }
 
+    /// The folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
     /// Ids of the cases, in the order of people.
     pub fn case_ids(&self) -> Result<Vec<String>> {
         Ok(toml_ids(&self.root)?.into_iter().filter(|id| id != GATE).collect())

@@ -9,9 +9,11 @@
 //! so a finished cell is never computed again, and an interrupted run is resumed by running it once more.
 
 pub mod catalogue;
+pub mod environment;
 pub mod event;
 pub mod executor;
 pub mod journal;
+pub mod pipeline;
 pub mod plan;
 pub mod profile;
 pub mod revision;
@@ -20,8 +22,10 @@ pub mod store;
 pub mod timing;
 
 pub use catalogue::Catalogue;
+pub use environment::Environment;
 pub use event::{Event, Reuse, Watcher};
 pub use executor::{FinishedCell, Freshness, execute};
+pub use pipeline::{Pipeline, Wishes};
 pub use plan::{Cell, Plan};
 pub use profile::Profile;
 pub use stages::Stages;

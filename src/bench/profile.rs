@@ -1,15 +1,19 @@
 //! Profiles: how much of everything. One TOML each in `bench-cases/profiles/`.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::plan::toml_ids;
 use crate::base::{Error, Result, files};
 
 /// How large the images are, how many frames there are, and how much work goes into each.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Profile {
+    /// Name: that of its file.
+    #[serde(skip)]
+    pub name: String,
     /// One line for `list`.
     pub description: String,
     /// Cases to run; absent means all.
@@ -35,15 +39,18 @@ pub struct Profile {
 }
 
 impl Profile {
-    /// Reads `<folder>/<id>.toml`; an unknown id is a usage error that lists the known ones.
-    pub fn load(folder: &Path, id: &str) -> Result<Profile> {
-        let path = folder.join(format!("{id}.toml"));
-        if !path.exists() {
-            let known = ids(folder)?.join(", ");
-            return Err(Error::usage(format!("there is no profile `{id}`; the profiles are {known}")));
+    /// Reads `<folder>/<wish>.toml`, or `wish` itself when it is the path of a TOML file. An unknown id is a usage error
+    /// that lists the known ones.
+    pub fn load(folder: &Path, wish: &str) -> Result<Profile> {
+        let path = if wish.ends_with(".toml") { PathBuf::from(wish) } else { folder.join(format!("{wish}.toml")) };
+        if !wish.ends_with(".toml") && !path.exists() {
+            let known = toml_ids(folder)?.join(", ");
+            let sentence = format!("there is no profile `{wish}`; there are {known}, or the path of a profile file");
+            return Err(Error::usage(sentence));
         }
-        let profile: Profile = files::read_toml(&path)?;
+        let mut profile: Profile = files::read_toml(&path)?;
         profile.validate().map_err(|e| e.at(&path))?;
+        profile.name = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or("custom").to_owned();
         Ok(profile)
     }
 
@@ -73,22 +80,17 @@ impl Profile {
     }
 }
 
-/// Ids of the profiles in `folder`, sorted.
-pub fn ids(folder: &Path) -> Result<Vec<String>> {
-    super::plan::toml_ids(folder)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn shipped() -> std::path::PathBuf {
+    fn shipped() -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/profiles")
     }
 
     #[test]
     fn shipped_profiles_keep_their_promises() {
-        assert_eq!(ids(&shipped()).unwrap(), ["paper", "quick", "smoke"]);
+        assert_eq!(toml_ids(&shipped()).unwrap(), ["paper", "quick", "smoke"]);
         let quick = Profile::load(&shipped(), "quick").unwrap();
         assert!(quick.image_width_px >= 128 && quick.minimum_frames >= 40 && quick.minimum_breaths >= 1.0);
         assert_eq!((quick.cases, quick.methods), (None, None));
@@ -115,5 +117,8 @@ mod tests {
         assert_eq!(profile.validate().unwrap_err().to_string(), "frames_per_second: must be positive");
         let unknown = Profile::load(&shipped(), "huge").unwrap_err();
         assert!(unknown.to_string().contains("paper, quick, smoke"), "{unknown}");
+        let by_path = Profile::load(&shipped(), shipped().join("quick.toml").to_str().unwrap()).unwrap();
+        assert_eq!((by_path.name.as_str(), by_path.minimum_frames), ("quick", 40));
+        assert_eq!(Profile::load(&shipped(), "no/such.toml").unwrap_err().kind().exit_code(), 4);
     }
 }

@@ -1,7 +1,7 @@
 //! The cache folder: finished products by key, checked before they are used again, one writer at a time.
 //!
 //! ```text
-//! <cache>/lock                                   who writes here now
+//! <cache>/.lock                                  who writes here now
 //! <cache>/journal.jsonl                          what is finished
 //! <cache>/sequences/<case>-<12 digits>/          a sequence
 //! <cache>/cells/<case>-<method>-s<seed>-<12>/    prediction/, score.json, timing.json
@@ -23,10 +23,10 @@ use crate::base::{Error, Result, hash};
 pub struct Lock(#[expect(dead_code, reason = "the open file is the lock")] File);
 
 impl Lock {
-    /// Takes `<folder>/lock`; the folder is made when missing. Refuses in one sentence when another process has it.
+    /// Takes `<folder>/.lock`; the folder is made when missing. Refuses in one sentence when another process has it.
     pub fn take(folder: &Path) -> Result<Lock> {
         fs::create_dir_all(folder).map_err(|e| Error::io("making the folder", folder, e))?;
-        let path = folder.join("lock");
+        let path = folder.join(".lock");
         let fail = |e| Error::io("writing", &path, e);
         let mut file = OpenOptions::new().create(true).truncate(false).write(true).open(&path).map_err(fail)?;
         match file.try_lock() {

@@ -4,9 +4,11 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
-use super::Terminal;
 use super::import_tree::{self, TreeArguments};
-use crate::airway::case::Case;
+use super::{Terminal, import_mesh};
+use crate::airway::case::{Breathing, Case};
+use crate::airway::field::BreathingField;
+use crate::airway::field_calibre::Calibre;
 use crate::airway::import_breathing::{LungBox, MeasuredBreathing, breathing_toml, measured_breathing};
 use crate::airway::{self, case_build};
 use crate::base::{Error, Result, files};
@@ -25,6 +27,10 @@ pub struct Arguments {
 enum What {
     /// Fits measured landmark motion and writes it as the [breathing] part of a case file
     Breathing(BreathingArguments),
+    /// Makes a case of one airway surface and measured landmark motion
+    Mesh(import_mesh::MeshArguments),
+    /// Makes a case of two registered airway surfaces
+    MeshPair(import_mesh::PairArguments),
     /// Measures a bronchial tree from a surface or a centreline table
     Tree(TreeArguments),
 }
@@ -40,10 +46,10 @@ struct BreathingArguments {
 
 /// Where the motion comes from and how large it is.
 #[derive(Args)]
-struct MotionArguments {
+pub(super) struct MotionArguments {
     /// Landmark pairs: insp_x,insp_y,insp_z,exp_x,exp_y,exp_z in mm (LPS)
     #[arg(long, value_name = "CSV")]
-    landmarks: PathBuf,
+    pub(super) landmarks: PathBuf,
     /// Table of lung boxes: case,phase,min_x,..,max_z; without it the box around the landmarks is used
     #[arg(long, value_name = "CSV")]
     lung_boxes: Option<PathBuf>,
@@ -62,6 +68,8 @@ struct MotionArguments {
 pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     match arguments.what {
         What::Breathing(arguments) => import_breathing(&arguments, terminal),
+        What::Mesh(arguments) => import_mesh::run(&arguments, terminal),
+        What::MeshPair(arguments) => import_mesh::run_pair(&arguments, terminal),
         What::Tree(arguments) => import_tree::run(&arguments, terminal),
     }
 }
@@ -69,12 +77,8 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
 fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Result<()> {
     let text = files::read_text(&arguments.case)?;
     let head = text.split("\n[breathing").next().unwrap_or(&text).trim_end().to_string();
-    // A field that does not move stands in while the way is planned.
-    let still = format!(
-        "{head}\n\n[breathing.field]\nsource = \"\"\nscale = 1.0\nsoftening_mm = 1.0\n\
-        origin_mm = [0.0, 0.0, 0.0]\naffine = [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]]\ncenters = []\n"
-    );
-    let mut case: Case = toml::from_str(&still).map_err(|e| Error::input(e.to_string()).at(&arguments.case))?;
+    let mut case: Case = toml::from_str(&format!("{head}\n\n{}", breathing_toml(&still_breathing())))
+        .map_err(|e| Error::input(e.to_string()).at(&arguments.case))?;
     case.folder = arguments.case.parent().map(Path::to_path_buf).unwrap_or_default();
     case.validate().map_err(|e| e.at(&arguments.case))?;
     let rest = airway::build(&case)?;
@@ -83,8 +87,21 @@ fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Resu
     files::write_bytes(&arguments.case, out.as_bytes())
 }
 
+/// No motion at all: stands in while the way is planned.
+pub(super) fn still_breathing() -> Breathing {
+    let field = BreathingField {
+        source: String::new(),
+        scale: 1.0,
+        softening_mm: 1.0,
+        origin_mm: [0.0; 3],
+        affine: [[0.0; 4]; 3],
+        centers: vec![],
+    };
+    Breathing { calibre: Calibre::default(), field }
+}
+
 /// Fits, scales to the wanted motion of the way's end, and says how well it went.
-fn fit_motion(
+pub(super) fn fit_motion(
     rest: &airway::Anatomy,
     case: &Case,
     motion: &MotionArguments,

@@ -3,10 +3,20 @@
 //! A command is a file with `Arguments` (clap) and `run(Arguments, &Terminal) -> Result<()>`. To add one: a `mod`
 //! line and a line in [`commands!`] below.
 
+mod all_cases;
+mod check;
+mod compare;
 mod doctor;
+mod evaluate;
+mod explain;
+mod gate;
 mod import;
+mod import_mesh;
 mod import_tree;
+mod list;
 mod render;
+mod run;
+mod selection;
 mod simulate;
 mod terminal;
 mod watch;
@@ -37,12 +47,28 @@ macro_rules! commands {
 }
 
 commands! {
+    /// The main job: film, reconstruct, score and report all cases; resumes by default
+    AllCases => all_cases,
+    /// One cell: one case x one method x one seed
+    Run => run,
+    /// Cases, methods, metrics, and the cells of a plan
+    List => list,
     /// What is installed, which instruction set, which library versions
     Doctor => doctor,
     /// Turns a user's anatomy or a measured motion into a case
     Import => import,
     /// Films cases into sequence folders
     Simulate => simulate,
+    /// Scores the predictions of any program against a sequence
+    Evaluate => evaluate,
+    /// Says in one sentence what is wrong with a folder of predictions, or with a sequence
+    Check => check,
+    /// Passes or fails a run: limits, and losses against a baseline
+    Gate => gate,
+    /// Two runs side by side, with intervals
+    Compare => compare,
+    /// What a metric is
+    Explain => explain,
     /// Path-trace one scene file: linear EXR, depth EXR, timing JSON
     Render => render,
 }

@@ -1,4 +1,4 @@
-//! Surfaces from the formats people have: PLY (ASCII, binary; through `ply-rs-bw`), STL (through `stl_io`), OBJ
+//! Surfaces from the formats people have: PLY (ASCII, binary; own reader), STL (through `stl_io`), OBJ
 //! (through `tobj`); written as binary PLY with double coordinates, since truth is never quantised.
 
 use std::collections::HashMap;
@@ -7,10 +7,9 @@ use std::io::BufReader;
 use std::path::Path;
 
 use glam::DVec3;
-use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 
-use crate::base::files::write_atomically;
+use super::mesh_ply;
+use crate::base::files::{read_bytes, write_atomically};
 use crate::base::{Error, Result, TriangleMesh};
 
 /// Reads a surface; the format follows from the file's extension (`ply`, `stl`, `obj`). Polygons are cut into fans,
@@ -58,91 +57,8 @@ fn open(path: &Path) -> Result<BufReader<File>> {
     File::open(path).map(BufReader::new).map_err(|e| Error::io("reading", path, e))
 }
 
-/// One element of either kind: coordinates of a vertex, or corners of a face.
-#[derive(Default)]
-struct Element {
-    position: DVec3,
-    corners: Vec<i64>,
-}
-
-impl PropertyAccess for Element {
-    fn new() -> Self {
-        Element::default()
-    }
-
-    fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
-        let axis = ["x", "y", "z"].iter().position(|a| *a == name);
-        if let (Some(axis), Some(value)) = (axis, scalar(&property)) {
-            self.position[axis] = value;
-        } else if matches!(name, "vertex_indices" | "vertex_index") {
-            match property {
-                Property::ListChar(l) => self.corners = l.into_iter().map(i64::from).collect(),
-                Property::ListUChar(l) => self.corners = l.into_iter().map(i64::from).collect(),
-                Property::ListShort(l) => self.corners = l.into_iter().map(i64::from).collect(),
-                Property::ListUShort(l) => self.corners = l.into_iter().map(i64::from).collect(),
-                Property::ListInt(l) => self.corners = l.into_iter().map(i64::from).collect(),
-                Property::ListUInt(l) => self.corners = l.into_iter().map(i64::from).collect(),
-                _ => {}
-            }
-        }
-        PropertyAccessResult::Set
-    }
-}
-
-fn scalar(property: &Property) -> Option<f64> {
-    Some(match *property {
-        Property::Float(v) => v as f64,
-        Property::Double(v) => v,
-        Property::Char(v) => v as f64,
-        Property::UChar(v) => v as f64,
-        Property::Short(v) => v as f64,
-        Property::UShort(v) => v as f64,
-        Property::Int(v) => v as f64,
-        Property::UInt(v) => v as f64,
-        _ => return None,
-    })
-}
-
 fn read_ply(path: &Path) -> Result<TriangleMesh> {
-    let damaged = |e: &dyn std::fmt::Display| Error::input(format!("is not a whole PLY file: {e}"));
-    let bytes = std::fs::metadata(path).map_err(|e| Error::io("reading", path, e))?.len();
-    let parser = Parser::<Element>::new();
-    let mut reader = Reader::new(open(path)?);
-    let header = parser.read_header(&mut reader).map_err(|e| damaged(&e))?;
-    let mut mesh = TriangleMesh::default();
-    for (name, element) in &header.elements {
-        // The smallest element takes two bytes: counts beyond that are lies, found before anything is allocated.
-        if element.count as u64 > bytes {
-            return Err(Error::input(format!("promises {} in a file of {bytes} bytes", element.count))
-                .element(format!("element {name}")));
-        }
-        let elements =
-            parser.read_payload_for_element(&mut reader, element, &header).map_err(|e| damaged(&e).element(name))?;
-        match name.as_str() {
-            "vertex" => mesh.vertices = elements.iter().map(|e| e.position).collect(),
-            "face" => {
-                for (index, face) in elements.iter().enumerate() {
-                    add_polygon(&mut mesh.faces, index, &face.corners)?;
-                }
-            }
-            _ => {}
-        }
-    }
-    Ok(mesh)
-}
-
-fn add_polygon(faces: &mut Vec<[u32; 3]>, index: usize, corners: &[i64]) -> Result<()> {
-    let wrong = |what: String| Err(Error::input(what).element(format!("face {index}")));
-    if corners.len() < 3 {
-        return wrong(format!("has {} corners", corners.len()));
-    }
-    if let Some(bad) = corners.iter().find(|c| u32::try_from(**c).is_err()) {
-        return wrong(format!("names vertex {bad}"));
-    }
-    for k in 2..corners.len() {
-        faces.push([corners[0] as u32, corners[k - 1] as u32, corners[k] as u32]);
-    }
-    Ok(())
+    mesh_ply::parse(&read_bytes(path)?)
 }
 
 fn read_stl(path: &Path) -> Result<TriangleMesh> {
@@ -178,7 +94,7 @@ fn read_obj(path: &Path) -> Result<TriangleMesh> {
     for model in models {
         let first = mesh.vertices.len() as u32;
         let positions = model.mesh.positions.chunks_exact(3);
-        mesh.vertices.extend(positions.map(|p| DVec3::new(p[0] as f64, p[1] as f64, p[2] as f64)));
+        mesh.vertices.extend(positions.map(|p| DVec3::new(p[0], p[1], p[2])));
         mesh.faces.extend(model.mesh.indices.chunks_exact(3).map(|f| [f[0] + first, f[1] + first, f[2] + first]));
     }
     Ok(mesh)

@@ -5,6 +5,7 @@ pub mod depth_png;
 pub mod exr;
 pub mod landmarks;
 pub mod mesh;
+mod mesh_ply;
 pub mod npy;
 pub mod png;
 pub mod transforms;

@@ -1,4 +1,5 @@
-//! What a method may see of a sequence: images, times, camera, poses, one CT; more only on request.
+//! From a sequence to what a method may see of it (images, times, camera, poses, one CT; more only on request): the
+//! one place where the truth is held back.
 
 use rayon::prelude::*;
 

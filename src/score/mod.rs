@@ -5,6 +5,7 @@
 //! ```
 
 mod cell;
+mod check;
 pub mod contour;
 pub mod depth;
 #[cfg(test)]
@@ -19,6 +20,7 @@ pub mod statistics;
 mod truth;
 
 pub use cell::{CellScore, FrameScore, FrameValue, MetricScore, ScoreSettings, Status, score};
+pub use check::{Contents, check_prediction, check_truth};
 pub use prediction::Prediction;
 pub use registry::{Direction, Group, Metric, Split, Standing, metric, paper_metrics, registry};
 pub use truth::{Truth, final_mesh};

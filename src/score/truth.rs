@@ -2,7 +2,7 @@
 
 use crate::base::mesh::interpolate;
 use crate::base::{Camera, Error, Image, Result, TriangleMesh};
-use crate::simulate::sequence::FrameRecord;
+use crate::simulate::sequence::{FrameRecord, Sequence};
 
 /// A sequence with its ground truth.
 pub trait Truth: Send + Sync {
@@ -29,6 +29,40 @@ pub trait Truth: Send + Sync {
 
     /// Surface at full expiration, same faces.
     fn expiration(&self) -> Result<TriangleMesh>;
+}
+
+impl Truth for Sequence {
+    fn case_id(&self) -> &str {
+        &self.case_id
+    }
+
+    fn hash(&self) -> &str {
+        &self.hash
+    }
+
+    fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    fn frames(&self) -> &[FrameRecord] {
+        &self.frames
+    }
+
+    fn image(&self, frame: usize) -> Result<Image<u8>> {
+        Sequence::image(self, frame)
+    }
+
+    fn depth_mm(&self, frame: usize) -> Result<Image<f32>> {
+        Sequence::depth_mm(self, frame)
+    }
+
+    fn inspiration(&self) -> Result<TriangleMesh> {
+        Sequence::inspiration(self)
+    }
+
+    fn expiration(&self) -> Result<TriangleMesh> {
+        Sequence::expiration(self)
+    }
 }
 
 /// The true surface at the last frame: the end states blended by the true phase.

@@ -88,7 +88,7 @@ fn radix_sort(items: &mut Vec<Keyed>, spare: &mut Vec<Keyed>) {
 }
 
 /// Cuts `slice` into pieces of the given lengths.
-pub(super) fn cut<'a, V>(mut slice: &'a mut [V], lengths: impl Iterator<Item = usize>) -> Vec<&'a mut [V]> {
+pub(super) fn cut<V>(mut slice: &mut [V], lengths: impl Iterator<Item = usize>) -> Vec<&mut [V]> {
     lengths
         .map(|length| {
             let (head, tail) = std::mem::take(&mut slice).split_at_mut(length);

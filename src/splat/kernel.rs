@@ -118,7 +118,7 @@ fn block_mask<T: Real>(q: &Row<T>, corner: [T; 2]) -> u16 {
     for band in 0..4 {
         let top = corner[1] + T::of(4.0 * band as f64 + 0.5) - q[at::Y];
         let (low, high) = (top.maximum(-limit), (top + three).minimum(limit));
-        if !(low <= high) {
+        if low > high {
             continue;
         }
         let right = extent(widest.maximum(low).minimum(high), T::one()) + offset + slack;

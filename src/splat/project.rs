@@ -133,9 +133,8 @@ impl<T: Real> Projector<T> {
         }
         let scalars = [settings.near_mm, settings.dilation_px2];
         let colors = settings.gain.iter().chain(&settings.background);
-        if !(settings.near_mm > 0.0 && settings.dilation_px2 >= 0.0)
-            || !scalars.iter().chain(colors).all(|v| v.is_finite())
-        {
+        let finite = scalars.iter().chain(colors).all(|v| v.is_finite());
+        if !finite || settings.near_mm <= 0.0 || settings.dilation_px2 < 0.0 {
             return Err(Error::input("near must be positive, dilation not negative, gain and background finite"));
         }
         let m = transform.matrix3;
@@ -268,7 +267,7 @@ impl<T: Real> Projector<T> {
         // A sum is finite only if every term is (0 times infinity and infinities of both signs give NaN).
         let sum = conic[0] + conic[1] + conic[2] + point[0] + point[1] + covariance[0] + covariance[2];
         let finite = (sum + direction[0] + direction[1] + direction[2] + inverse_determinant).is_finite();
-        if !finite || !(determinant > T::zero()) {
+        if !finite || determinant <= T::zero() {
             return None;
         }
         Some(Geometry { t, c, u, jacobian, point, covariance, conic, inverse_determinant, direction, distance })
@@ -279,7 +278,7 @@ impl<T: Real> Projector<T> {
         let opacity = gaussians.opacities[i];
         let log2_opacity = opacity.log2();
         let reach = log2_opacity + T::of(LOG2_255);
-        if !opacity.is_finite() || !(reach > T::zero()) {
+        if !reach.is_finite() || reach <= T::zero() {
             return None;
         }
         let g = self.geometry(gaussians.positions[i], columns(&gaussians.shape, i))?;

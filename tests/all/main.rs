@@ -2,7 +2,9 @@
 
 mod binary;
 mod command_line;
+mod gate;
 mod layering;
+mod mesh_damage;
 mod reference;
 mod render;
 mod render_command;

@@ -1,0 +1,98 @@
+//! The machine and the libraries a run is made on: `environment.json`, `doctor`, and the id beside every timing.
+
+use serde::Serialize;
+
+use crate::base::hash;
+use crate::ffi::versions::{EMBREE_HEADER, embree_complaint, embree_runtime};
+use crate::ffi::{system, vision};
+use crate::render;
+
+/// Below this a `quick` run does not fit.
+const MEMORY_NEEDED_MIB: f64 = 1500.0;
+
+/// What is here.
+#[derive(Clone, Debug, Serialize)]
+pub struct Environment {
+    /// Of this program.
+    pub version: &'static str,
+    /// The compiler that built it.
+    pub rustc: &'static str,
+    /// The Embree that is loaded.
+    pub embree_runtime: String,
+    /// The Embree that it was built against.
+    pub embree_header: String,
+    /// The OpenCV that is loaded.
+    pub opencv: String,
+    /// Instruction sets of the processor.
+    pub isa_available: Vec<&'static str>,
+    /// The one that rays are traced with: pinned, so that images are the same on every machine that has it.
+    pub isa_used: &'static str,
+    /// Processor model.
+    pub processor: String,
+    /// Logical cores.
+    pub cores: usize,
+    /// Threads of this process.
+    pub threads: usize,
+    /// Physical memory in MiB.
+    pub memory_mib: f64,
+    /// One sentence for everything that is missing.
+    pub missing: Vec<String>,
+}
+
+fn isa_available() -> Vec<&'static str> {
+    let mut found = Vec::new();
+    #[cfg(target_arch = "x86_64")]
+    for (name, present) in [
+        ("sse2", is_x86_feature_detected!("sse2")),
+        ("sse4.2", is_x86_feature_detected!("sse4.2")),
+        ("avx2", is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")),
+        ("avx512", is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq")),
+    ] {
+        if present {
+            found.push(name);
+        }
+    }
+    found
+}
+
+fn processor() -> String {
+    let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = text.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
+    model.map_or("unknown", |(_, name)| name.trim()).to_owned()
+}
+
+impl Environment {
+    /// Looks around.
+    pub fn examine() -> Self {
+        let embree = embree_runtime();
+        let isa_available = isa_available();
+        let memory_mib = system::memory_mib();
+        let mut missing: Vec<String> = embree_complaint(embree, EMBREE_HEADER).into_iter().collect();
+        if !isa_available.contains(&render::ISA) {
+            missing.push(format!("the processor has no {}, which rays are traced with", render::ISA));
+        }
+        if memory_mib < MEMORY_NEEDED_MIB {
+            missing
+                .push(format!("the machine has {memory_mib:.0} MiB of memory; {MEMORY_NEEDED_MIB:.0} MiB are needed"));
+        }
+        Environment {
+            version: env!("CARGO_PKG_VERSION"),
+            rustc: env!("RESPIRE_BENCH_RUSTC"),
+            embree_runtime: embree.map_or_else(|| "none".into(), |v| v.to_string()),
+            embree_header: EMBREE_HEADER.to_string(),
+            opencv: vision::version(),
+            isa_available,
+            isa_used: render::ISA,
+            processor: processor(),
+            cores: std::thread::available_parallelism().map_or(1, |n| n.get()),
+            threads: rayon::current_num_threads(),
+            memory_mib,
+            missing,
+        }
+    }
+
+    /// Eight digits, the same for machines whose timings may be compared: processor and number of cores.
+    pub fn machine_id(&self) -> String {
+        hash::of_bytes(format!("{} x {}", self.processor, self.cores).as_bytes())[..8].to_owned()
+    }
+}

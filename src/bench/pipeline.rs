@@ -1,0 +1,194 @@
+//! The real stages: the rooms `airway`, `simulate`, `reconstruct` and `score` behind the executor's trait.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::catalogue::Catalogue;
+use super::environment::Environment;
+use super::executor::FinishedCell;
+use super::plan::{Cell, Plan, Planned, choose};
+use super::profile::Profile;
+use super::revision::Revisions;
+use super::stages::Stages;
+use super::timing::StageTiming;
+use crate::airway::case::Case;
+
+use crate::base::{Error, Progress, Result, files, hash};
+use crate::reconstruct::{self, Reconstruct};
+use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
+use crate::score::{self, Truth};
+use crate::simulate::sequence::Sequence;
+use crate::simulate::{self, MeshOutput, RadianceOutput, SimulationSettings};
+
+/// The rows of the paper's Table 1 from top to bottom, then the bounds; further methods follow by name.
+const ORDER: [&str; 6] = ["bridgesplat", "bridgesplat-nomesh", "ours-nomesh", "ours", "static-ct", "oracle-phase"];
+
+/// What the user asked for beyond the profile; `None` leaves it to the profile.
+#[derive(Clone, Debug, Default)]
+pub struct Wishes {
+    /// Case ids or paths of case files.
+    pub cases: Option<Vec<String>>,
+    /// Method ids.
+    pub methods: Option<Vec<String>>,
+    /// Seeds.
+    pub seeds: Option<Vec<u64>>,
+}
+
+/// Everything that a run needs, read and checked.
+pub struct Pipeline {
+    profile: Profile,
+    cases: Vec<Case>,
+    methods: Vec<Method>,
+    seeds: Vec<u64>,
+}
+
+struct Method {
+    content: String,
+    method: Box<dyn Reconstruct>,
+}
+
+impl Pipeline {
+    /// Reads the profile, the cases and the methods. Every mistake in them is found here, before any work.
+    pub fn new(catalogue: &Catalogue, profile: &str, wishes: Wishes) -> Result<Self> {
+        let profile = Profile::load(&catalogue.profiles(), profile)?;
+        let wanted_cases = match wishes.cases.or_else(|| profile.cases.clone()) {
+            Some(wanted) => wanted,
+            None => catalogue.case_ids()?,
+        };
+        if wanted_cases.is_empty() {
+            return Err(Error::input("there are no case files").at(catalogue.root()));
+        }
+        let cases: Vec<Case> =
+            wanted_cases.iter().map(|wish| Case::load(&catalogue.case_file(wish)?)).collect::<Result<_>>()?;
+        refuse_doubles(cases.iter().map(|case| case.id.as_str()), "case")?;
+        let seeds = wishes.seeds.unwrap_or_else(|| profile.seeds.clone());
+        refuse_doubles(seeds.iter(), "seed")?;
+        let methods = methods(catalogue, &profile, wishes.methods.or_else(|| profile.methods.clone()).as_deref())?;
+        Ok(Pipeline { profile, cases, methods, seeds })
+    }
+
+    /// The plan of these stages, done by this program.
+    pub fn plan(&self) -> Result<Plan> {
+        let cases = self.cases.iter().map(|case| {
+            let content = hash::of_value(&(case.hash()?, self.simulation_settings(case)))?;
+            Ok(Planned { id: case.id.clone(), content })
+        });
+        let methods =
+            self.methods.iter().map(|m| Planned { id: m.method.id().to_owned(), content: m.content.clone() }).collect();
+        Ok(Plan {
+            profile: self.profile.name.clone(),
+            cases: cases.collect::<Result<_>>()?,
+            methods,
+            seeds: self.seeds.clone(),
+            revisions: Revisions::of_this_program(),
+        })
+    }
+
+    /// The cases that were chosen.
+    pub fn cases(&self) -> &[Case] {
+        &self.cases
+    }
+
+    /// The methods that were chosen, as reports show them.
+    pub fn method_infos(&self) -> Vec<MethodInfo> {
+        self.methods.iter().map(|m| MethodInfo::of(m.method.id())).collect()
+    }
+
+    /// What a report is made of.
+    pub fn record(&self, plan: &Plan, finished: &[FinishedCell]) -> Result<Run> {
+        let cases = self.cases.iter().map(|case| {
+            let of_case = |cell: &&FinishedCell| cell.cell.case_id == case.id;
+            let sequence = finished.iter().find(of_case).and_then(|cell| Sequence::open(&cell.sequence).ok());
+            let truth = sequence.map(|sequence| Arc::new(sequence) as Arc<dyn Truth>);
+            CaseInfo { id: case.id.clone(), title: case.title.clone(), truth }
+        });
+        Ok(Run {
+            id: plan.run_id()?,
+            profile: plan.profile.clone(),
+            machine_id: Environment::examine().machine_id(),
+            cases: cases.collect(),
+            methods: self.method_infos(),
+            cells: finished.iter().map(cell_record).collect::<Result<_>>()?,
+        })
+    }
+
+    fn simulation_settings(&self, case: &Case) -> SimulationSettings {
+        SimulationSettings {
+            width_px: self.profile.image_width_px,
+            height_px: self.profile.image_width_px,
+            frames_per_second: self.profile.frames_per_second,
+            frames: self.profile.frames(case.waveform.period_s()),
+            samples_per_pixel: self.profile.samples_per_pixel,
+            meshes: MeshOutput::default(),
+            radiance: RadianceOutput::default(),
+        }
+    }
+}
+
+fn cell_record(finished: &FinishedCell) -> Result<CellRecord> {
+    let outcome = match &finished.failure {
+        Some(error) => Outcome::Failed(error.to_string()),
+        None => Outcome::Scored(Box::new(files::read_json(&finished.score)?)),
+    };
+    let cost = |t: &StageTiming| StageCost {
+        stage: t.stage.clone(),
+        wall_s: t.wall_s,
+        cpu_s: t.cpu_s,
+        peak_memory_mib: t.peak_memory_mib,
+        threads: t.threads,
+    };
+    Ok(CellRecord {
+        case_id: finished.cell.case_id.clone(),
+        method: finished.cell.method.clone(),
+        seed: finished.cell.seed,
+        prediction: finished.prediction.clone(),
+        outcome,
+        timings: finished.timings.iter().map(cost).collect(),
+    })
+}
+
+fn refuse_doubles<T: PartialEq + std::fmt::Display>(items: impl Iterator<Item = T>, what: &str) -> Result<()> {
+    let mut seen = Vec::new();
+    for item in items {
+        if seen.contains(&item) {
+            return Err(Error::usage(format!("the {what} `{item}` is named twice")));
+        }
+        seen.push(item);
+    }
+    Ok(())
+}
+
+fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>) -> Result<Vec<Method>> {
+    let mut found = Vec::new();
+    for method in reconstruct::methods(&catalogue.methods(), profile.iteration_scale)? {
+        // Parsed, so that a comment or a blank does not make a cell anew.
+        let path = catalogue.methods().join(format!("{}.toml", method.id()));
+        let table: toml::Table = files::read_toml(&path)?;
+        found.push(Method { content: hash::of_value(&(table, profile.iteration_scale))?, method });
+    }
+    let place = |m: &Method| ORDER.iter().position(|id| *id == m.method.id()).unwrap_or(ORDER.len());
+    found.sort_by_key(place);
+    let known: Vec<String> = found.iter().map(|m| m.method.id().to_owned()).collect();
+    let chosen = choose(&known, wanted, "method")?;
+    found.retain(|m| chosen.iter().any(|id| id == m.method.id()));
+    Ok(found)
+}
+
+impl Stages for Pipeline {
+    fn film(&self, case_id: &str, folder: &Path, progress: &dyn Progress) -> Result<()> {
+        let case = self.cases.iter().find(|c| c.id == case_id).expect("the plan is made from these cases");
+        simulate::simulate(case, &self.simulation_settings(case), folder, progress).map(drop)
+    }
+
+    fn reconstruct(&self, cell: &Cell, sequence: &Path, prediction: &Path, progress: &dyn Progress) -> Result<()> {
+        let method = self.methods.iter().find(|m| m.method.id() == cell.method);
+        let method = &method.expect("the plan is made from these methods").method;
+        let observation = reconstruct::observe(&Sequence::open(sequence)?, method.access(), cell.seed)?;
+        reconstruct::write_prediction(method.as_ref(), &observation, prediction, progress)
+    }
+
+    fn score(&self, _cell: &Cell, sequence: &Path, prediction: &Path, score: &Path) -> Result<()> {
+        let scored = score::score(&Sequence::open(sequence)?, prediction, &score::ScoreSettings::default())?;
+        files::write_json(score, &scored)
+    }
+}

@@ -1,0 +1,90 @@
+//! `all-cases`: the main job. Films, reconstructs, scores, reports; resumes by default.
+
+use std::path::{Path, PathBuf};
+
+use super::Terminal;
+use super::selection::Selection;
+use crate::base::{Error, ErrorKind, Result, files};
+use crate::bench::store::{Lock, State, cell_folder, sequence_product};
+use crate::bench::{Environment, Freshness, Plan, Store, execute};
+use crate::report;
+
+/// Arguments of `all-cases`.
+#[derive(clap::Args)]
+#[command(after_help = "Stop it with Ctrl-C at any time: the same command goes on from there.\n\
+    Exit code 1 when a cell failed; the others are done and reported.\n\
+    Example: respire-bench all-cases --profile smoke")]
+pub struct Arguments {
+    #[command(flatten)]
+    selection: Selection,
+    /// Folder of the reports; `latest` in it points to the newest
+    #[arg(long, default_value = "reports", value_name = "DIR")]
+    out: PathBuf,
+    /// Folder of sequences and finished cells
+    #[arg(long, default_value = ".cache", value_name = "DIR")]
+    cache: PathBuf,
+    /// Make everything once more, finished or not
+    #[arg(long)]
+    fresh: bool,
+    /// Print what would be done, and do nothing
+    #[arg(long)]
+    dry_run: bool,
+}
+
+/// Runs the plan and writes the report; `ErrorKind::CellFailed` names the cells that failed.
+pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+    let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
+    let pipeline = arguments.selection.pipeline()?;
+    let plan = pipeline.plan()?;
+    let run_id = plan.run_id()?;
+    let folder = arguments.out.join(&run_id);
+    if arguments.dry_run {
+        return print_plan(&plan, &Store::look(&arguments.cache)?, &folder, freshness, terminal);
+    }
+    // Both folders are taken before any work: a run that cannot be written is refused now and not in ten minutes.
+    let _lock = Lock::take(&folder)?;
+    let mut store = Store::open(&arguments.cache)?;
+    let finished = execute(&plan, &pipeline, &mut store, freshness, terminal)?;
+
+    let record = pipeline.record(&plan, &finished)?;
+    terminal.stage("writing the report");
+    let written = report::write(&record, &folder, terminal)?;
+    files::write_json(&folder.join("environment.json"), &Environment::examine())?;
+    point_latest(&arguments.out, &run_id)?;
+    terminal.finish();
+    terminal.line(written.table.trim_end());
+    terminal.line(format_args!("report: {}", written.html.display()));
+
+    let failed: Vec<String> = finished.iter().filter(|c| c.failure.is_some()).map(|c| c.cell.id()).collect();
+    if failed.is_empty() {
+        return Ok(());
+    }
+    let sentence = format!("{} of {} cells failed: {}", failed.len(), finished.len(), failed.join(", "));
+    Err(Error::new(ErrorKind::CellFailed, sentence))
+}
+
+fn print_plan(plan: &Plan, store: &Store, folder: &Path, freshness: Freshness, terminal: &Terminal) -> Result<()> {
+    let word = |state: State| match state {
+        State::Whole if freshness == Freshness::Resume => "cached",
+        _ => "to do",
+    };
+    for case in &plan.cases {
+        let (product, key) = sequence_product(plan, case)?;
+        terminal.line(format_args!("{:<8}film {}", word(store.state(&product, &key)), case.id));
+        for cell in plan.cells_of(&case.id) {
+            let score = format!("{}/score.json", cell_folder(plan, &cell)?);
+            terminal.line(format_args!("{:<8}cell {}", word(store.state(&score, &plan.score_key(&cell)?)), cell.id()));
+        }
+    }
+    terminal.line(format_args!("report: {}", folder.display()));
+    Ok(())
+}
+
+/// Lets `<out>/latest` point to the run, in one step.
+fn point_latest(out: &Path, run_id: &str) -> Result<()> {
+    let (latest, next) = (out.join("latest"), out.join(".latest.tmp"));
+    // Left behind only by a run that was killed between the next two lines.
+    let _ = std::fs::remove_file(&next);
+    let linked = std::os::unix::fs::symlink(run_id, &next).and_then(|()| std::fs::rename(&next, &latest));
+    linked.map_err(|e| Error::io("writing", &latest, e))
+}

@@ -1,0 +1,48 @@
+//! `check`: one sentence what is wrong with a folder.
+
+use std::path::PathBuf;
+
+use super::Terminal;
+use crate::base::Result;
+use crate::score::{check_prediction, check_truth};
+use crate::simulate::sequence::Sequence;
+
+/// Arguments of `check`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Without --sequence the folder is checked as a sequence. Exit code 4 when something is wrong.\n\
+    Example: respire-bench check my-method/case1 --sequence .cache/sequences/case1-0123456789ab"
+)]
+pub struct Arguments {
+    /// Folder of predictions, or a sequence
+    #[arg(value_name = "DIR")]
+    folder: PathBuf,
+    /// The sequence that the predictions are of
+    #[arg(long, value_name = "DIR")]
+    sequence: Option<PathBuf>,
+    /// Write JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Reads every file; says what is there, or fails with the first thing that is wrong.
+pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+    let Some(sequence) = &arguments.sequence else {
+        let frames = check_truth(&Sequence::open(&arguments.folder)?).map_err(|e| e.at(&arguments.folder))?;
+        if arguments.json {
+            return terminal.json(&serde_json::json!({ "frames": frames }));
+        }
+        terminal.line(format_args!("a sound sequence of {frames} frames"));
+        return Ok(());
+    };
+    let found = check_prediction(&Sequence::open(sequence)?, &arguments.folder)?;
+    if arguments.json {
+        return terminal.json(&found);
+    }
+    let without = match found.not_applicable.as_slice() {
+        [] => "every metric applies".to_owned(),
+        ids => format!("not applicable: {}", ids.join(", ")),
+    };
+    terminal.line(format_args!("a sound prediction of {} frames; {without}", found.frames));
+    Ok(())
+}

@@ -1,0 +1,74 @@
+//! `compare`: two runs side by side, with intervals.
+
+use std::path::PathBuf;
+
+use super::Terminal;
+use crate::base::{Error, Result};
+use crate::report::compare::{Change, Comparison, compare};
+use crate::report::read;
+use crate::score::metric;
+
+/// Arguments of `compare`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Differences are B - A over the cases that both runs have, paired, with 95 % bootstrap bounds.\n\
+    Example: respire-bench compare reports/reference/quick reports/latest --method ours"
+)]
+pub struct Arguments {
+    /// First report folder
+    #[arg(value_name = "A")]
+    a: PathBuf,
+    /// Second report folder
+    #[arg(value_name = "B")]
+    b: PathBuf,
+    /// Only this method
+    #[arg(long, value_name = "ID")]
+    method: Option<String>,
+    /// Write JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Prints one line per method and metric.
+pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+    let mut found = compare(&read::read(&arguments.a)?, &read::read(&arguments.b)?);
+    if let Some(wanted) = &arguments.method {
+        found.retain(|c| c.method == *wanted);
+    }
+    if found.is_empty() {
+        return Err(Error::input("the two runs share no case and method with a value").at(&arguments.b));
+    }
+    if arguments.json {
+        return terminal.json(&found);
+    }
+    terminal.line(format_args!(
+        "{:<20} {:<22} {:>5} {:>10} {:>10} {:>10} {:<24} change",
+        "method", "metric", "cases", "A", "B", "B - A", "95 % interval"
+    ));
+    for c in &found {
+        terminal.line(line(c).trim_end());
+    }
+    Ok(())
+}
+
+fn line(c: &Comparison) -> String {
+    let show = |v: f64| metric(c.metric).map_or_else(|| v.to_string(), |m| m.format(v));
+    let interval = c.interval.map_or_else(String::new, |[low, high]| format!("{} to {}", show(low), show(high)));
+    let change = match c.change {
+        Change::Better => "better",
+        Change::Worse => "worse",
+        Change::Unclear => "unclear",
+        Change::Same => "same",
+        Change::Single => "one case",
+        Change::Redefined => "definition changed",
+    };
+    format!(
+        "{:<20} {:<22} {:>5} {:>10} {:>10} {:>10} {interval:<24} {change}",
+        c.method,
+        c.metric,
+        c.cases,
+        show(c.a),
+        show(c.b),
+        show(c.difference)
+    )
+}

@@ -1,0 +1,68 @@
+//! `run`: one cell, one case x one method x one seed.
+
+use std::path::PathBuf;
+
+use super::Terminal;
+use super::selection::Places;
+use crate::base::{Result, files};
+use crate::bench::{Freshness, Pipeline, Store, Wishes, execute};
+use crate::score::{self, CellScore};
+
+/// Arguments of `run`.
+#[derive(clap::Args)]
+#[command(after_help = "Example: respire-bench run --case case1 --method ours --profile smoke")]
+pub struct Arguments {
+    /// Case by id, or the path of a case file
+    #[arg(long, value_name = "CASE")]
+    case: String,
+    /// Method by id
+    #[arg(long, value_name = "METHOD")]
+    method: String,
+    /// Seed of the method's randomness
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    seed: u64,
+    /// How much of everything: smoke, quick, paper, or the path of a profile file
+    #[arg(long, default_value = "quick", value_name = "P")]
+    profile: String,
+    /// Folder of sequences and finished cells
+    #[arg(long, default_value = ".cache", value_name = "DIR")]
+    cache: PathBuf,
+    /// Make it once more, finished or not
+    #[arg(long)]
+    fresh: bool,
+    /// Write the score as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    places: Places,
+}
+
+/// Runs the cell and prints its score.
+pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+    let wishes = Wishes {
+        cases: Some(vec![arguments.case]),
+        methods: Some(vec![arguments.method]),
+        seeds: Some(vec![arguments.seed]),
+    };
+    let pipeline = Pipeline::new(&arguments.places.catalogue()?, &arguments.profile, wishes)?;
+    let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
+    let mut store = Store::open(&arguments.cache)?;
+    let finished = execute(&pipeline.plan()?, &pipeline, &mut store, freshness, terminal)?;
+    for cell in finished {
+        if let Some(error) = cell.failure {
+            return Err(error);
+        }
+        let scored: CellScore = files::read_json(&cell.score)?;
+        if arguments.json {
+            terminal.json(&scored)?;
+            continue;
+        }
+        for metric in score::registry() {
+            let value = scored.value(metric.id).map_or_else(|| "-".to_owned(), |value| metric.format(value));
+            terminal.line(format_args!("{:<28}{value:>12} {}", metric.id, metric.unit));
+        }
+        terminal.line(format_args!("prediction: {}", cell.prediction.display()));
+        terminal.line(format_args!("sequence:   {}", cell.sequence.display()));
+    }
+    Ok(())
+}

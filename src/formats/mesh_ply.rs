@@ -1,0 +1,235 @@
+//! PLY (Turk 1994; ASCII, binary little- and big-endian): coordinates and faces, every other element and property is
+//! skipped by its declared size. Own reader rather than `ply-rs-bw`: that one allocates what a header announces and
+//! keeps a map per vertex; here a count is held against the bytes that are left before anything is allocated.
+
+use glam::DVec3;
+
+use crate::base::{Error, Result, TriangleMesh};
+
+#[derive(Clone, Copy, PartialEq)]
+enum Encoding {
+    Ascii,
+    Little,
+    Big,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Number {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Number {
+    fn parse(word: &str) -> Option<Number> {
+        Some(match word {
+            "char" | "int8" => Number::I8,
+            "uchar" | "uint8" => Number::U8,
+            "short" | "int16" => Number::I16,
+            "ushort" | "uint16" => Number::U16,
+            "int" | "int32" => Number::I32,
+            "uint" | "uint32" => Number::U32,
+            "float" | "float32" => Number::F32,
+            "double" | "float64" => Number::F64,
+            _ => return None,
+        })
+    }
+
+    fn bytes(self) -> usize {
+        match self {
+            Number::I8 | Number::U8 => 1,
+            Number::I16 | Number::U16 => 2,
+            Number::I32 | Number::U32 | Number::F32 => 4,
+            Number::F64 => 8,
+        }
+    }
+}
+
+struct Property {
+    name: String,
+    number: Number,
+    /// Type of the count when the property is a list.
+    list: Option<Number>,
+}
+
+struct Element {
+    name: String,
+    count: u64,
+    properties: Vec<Property>,
+}
+
+/// Reads numbers one after the other.
+struct Body<'a> {
+    bytes: &'a [u8],
+    encoding: Encoding,
+}
+
+impl Body<'_> {
+    fn next(&mut self, number: Number) -> Option<f64> {
+        if self.encoding == Encoding::Ascii {
+            let start = self.bytes.iter().position(|b| !b.is_ascii_whitespace())?;
+            let rest = &self.bytes[start..];
+            let end = rest.iter().position(|b| b.is_ascii_whitespace()).unwrap_or(rest.len());
+            self.bytes = &rest[end..];
+            return std::str::from_utf8(&rest[..end]).ok()?.parse().ok();
+        }
+        let size = number.bytes();
+        let mut raw = [0u8; 8];
+        raw[..size].copy_from_slice(self.bytes.get(..size)?);
+        self.bytes = &self.bytes[size..];
+        if self.encoding == Encoding::Big {
+            raw[..size].reverse();
+        }
+        let four = [raw[0], raw[1], raw[2], raw[3]];
+        Some(match number {
+            Number::I8 => raw[0] as i8 as f64,
+            Number::U8 => raw[0] as f64,
+            Number::I16 => i16::from_le_bytes([raw[0], raw[1]]) as f64,
+            Number::U16 => u16::from_le_bytes([raw[0], raw[1]]) as f64,
+            Number::I32 => i32::from_le_bytes(four) as f64,
+            Number::U32 => u32::from_le_bytes(four) as f64,
+            Number::F32 => f32::from_le_bytes(four) as f64,
+            Number::F64 => f64::from_le_bytes(raw),
+        })
+    }
+
+    /// The bytes that one record takes at least.
+    fn least_bytes(&self, element: &Element) -> u64 {
+        let binary = |p: &Property| p.list.unwrap_or(p.number).bytes() as u64;
+        match self.encoding {
+            Encoding::Ascii => 2 * element.properties.len() as u64,
+            _ => element.properties.iter().map(binary).sum(),
+        }
+    }
+}
+
+/// Header and what follows it.
+fn parse_header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>)> {
+    let mut rest = bytes;
+    let mut elements: Vec<Element> = Vec::new();
+    let mut encoding = None;
+    for line_number in 1.. {
+        let fail = |message: &str| Error::input(message).element(format!("header line {line_number}"));
+        let end = rest.iter().take(4096).position(|&b| b == b'\n').ok_or_else(|| match line_number {
+            1 => Error::input("the file does not begin with the word ply"),
+            _ => fail("the header has no end_header"),
+        })?;
+        let line = std::str::from_utf8(&rest[..end]).map_err(|_| fail("is not text"))?;
+        rest = &rest[end + 1..];
+        let words: Vec<&str> = line.split_whitespace().collect();
+        if line_number == 1 {
+            if words != ["ply"] {
+                return Err(Error::input("the file does not begin with the word ply"));
+            }
+            continue;
+        }
+        match words.as_slice() {
+            ["format", "ascii", _] => encoding = Some(Encoding::Ascii),
+            ["format", "binary_little_endian", _] => encoding = Some(Encoding::Little),
+            ["format", "binary_big_endian", _] => encoding = Some(Encoding::Big),
+            ["comment", ..] | ["obj_info", ..] | [] => {}
+            ["element", name, count] => {
+                let count = count.parse().map_err(|_| fail("the count of an element is not a number"))?;
+                elements.push(Element { name: name.to_string(), count, properties: Vec::new() });
+            }
+            ["property", kind @ .., name] => {
+                let unknown = || fail("unknown property type");
+                let (list, number) = match kind {
+                    [number] => (None, Number::parse(number).ok_or_else(unknown)?),
+                    ["list", count, number] => {
+                        (Some(Number::parse(count).ok_or_else(unknown)?), Number::parse(number).ok_or_else(unknown)?)
+                    }
+                    _ => return Err(unknown()),
+                };
+                let element = elements.last_mut().ok_or_else(|| fail("a property stands before any element"))?;
+                element.properties.push(Property { name: name.to_string(), number, list });
+            }
+            ["end_header"] => {
+                let encoding = encoding.ok_or_else(|| Error::input("the header names no format"))?;
+                return Ok((elements, Body { bytes: rest, encoding }));
+            }
+            _ => return Err(fail("cannot be understood")),
+        }
+    }
+    unreachable!("every round of the loop uses up a line of a finite header")
+}
+
+/// Where x, y and z stand among the properties of the vertex.
+fn coordinate_places(element: &Element) -> Result<[usize; 3]> {
+    let place = |name: &str| {
+        let found = element.properties.iter().position(|p| p.name == name && p.list.is_none());
+        found.ok_or_else(|| Error::input(format!("has no property {name}")).element("element vertex"))
+    };
+    Ok([place("x")?, place("y")?, place("z")?])
+}
+
+fn is_face_list(property: &Property) -> bool {
+    property.list.is_some() && matches!(property.name.as_str(), "vertex_indices" | "vertex_index")
+}
+
+/// The mesh in the bytes of a PLY file; the caller validates it.
+pub(super) fn parse(bytes: &[u8]) -> Result<TriangleMesh> {
+    let (elements, mut body) = parse_header(bytes)?;
+    let mut mesh = TriangleMesh::default();
+    for element in &elements {
+        let announced = element.count.saturating_mul(body.least_bytes(element));
+        if announced > body.bytes.len() as u64 {
+            let (count, left) = (element.count, body.bytes.len());
+            let message = format!("the header announces {count} of them, which {left} bytes cannot hold");
+            return Err(Error::input(message).element(format!("element {}", element.name)));
+        }
+        let coordinates = if element.name == "vertex" { Some(coordinate_places(element)?) } else { None };
+        if element.name == "face" && !element.properties.iter().any(is_face_list) {
+            return Err(Error::input("has no list vertex_indices").element("element face"));
+        }
+        for index in 0..element.count {
+            let named = |message: String| Error::input(message).element(format!("{} {index}", element.name));
+            let broken = || named("the file ends here, or a number cannot be read".into());
+            let mut record = [0.0; 3];
+            for (place, property) in element.properties.iter().enumerate() {
+                let Some(count_type) = property.list else {
+                    let value = body.next(property.number).ok_or_else(broken)?;
+                    if let Some(axis) = coordinates.and_then(|c| c.iter().position(|&p| p == place)) {
+                        record[axis] = value;
+                    }
+                    continue;
+                };
+                let count = body.next(count_type).ok_or_else(broken)?;
+                let corners = element.name == "face" && is_face_list(property);
+                if corners && count < 3.0 {
+                    return Err(named(format!("has {count} corners")));
+                }
+                let mut fan = [0u32; 2];
+                for corner in 0..count.max(0.0) as u64 {
+                    let value = body.next(property.number).ok_or_else(broken)?;
+                    if !corners {
+                        continue;
+                    }
+                    if value < 0.0 || value.fract() != 0.0 || value > u32::MAX as f64 {
+                        return Err(named(format!("names vertex {value}")));
+                    }
+                    match corner {
+                        0 | 1 => fan[corner as usize] = value as u32,
+                        _ => {
+                            mesh.faces.push([fan[0], fan[1], value as u32]);
+                            fan[1] = value as u32;
+                        }
+                    }
+                }
+            }
+            if coordinates.is_some() {
+                mesh.vertices.push(DVec3::from_array(record));
+            }
+        }
+    }
+    let left = body.bytes.iter().filter(|b| !b.is_ascii_whitespace()).count();
+    if left > 0 {
+        return Err(Error::input(format!("{left} bytes follow the last element: a count in the header is too small")));
+    }
+    Ok(mesh)
+}

@@ -1,0 +1,76 @@
+//! Reads everything that scoring would read, and says what is there; the first thing wrong is the error.
+
+use std::path::Path;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::prediction::Prediction;
+use super::registry::registry;
+use super::truth::{Truth, final_mesh};
+use crate::base::{Error, Result};
+
+/// What a sound folder holds.
+#[derive(Clone, Debug, Serialize)]
+pub struct Contents {
+    /// Frames.
+    pub frames: usize,
+    /// Depth images.
+    pub depth: bool,
+    /// Phases.
+    pub phase: bool,
+    /// A surface at the last frame.
+    pub surface: bool,
+    /// A run time.
+    pub time: bool,
+    /// Frames rendered before they were looked at.
+    pub ahead: usize,
+    /// Metrics that will have a status instead of a value.
+    pub not_applicable: Vec<&'static str>,
+}
+
+/// Checks a prediction folder file by file. The error is one sentence that names the file and the element.
+pub fn check_prediction(truth: &dyn Truth, folder: &Path) -> Result<Contents> {
+    let frames = truth.frames().len();
+    let prediction = Prediction::open(folder, truth.camera(), frames)?;
+    (0..frames).into_par_iter().try_for_each(|frame| {
+        prediction.color(frame)?;
+        prediction.depth_mm(frame).map(|_| ())
+    })?;
+    for &frame in prediction.ahead_frames() {
+        prediction.ahead(frame)?;
+    }
+    let mut contents = Contents {
+        frames,
+        depth: frames > 0 && prediction.depth_mm(0)?.is_some(),
+        phase: prediction.phase().is_some(),
+        surface: prediction.final_mesh()?.is_some(),
+        time: prediction.time_total_s().is_some(),
+        ahead: prediction.ahead_frames().len(),
+        not_applicable: Vec::new(),
+    };
+    let lacks = |id: &str| match id {
+        id if id.starts_with("depth") => !contents.depth,
+        id if id.starts_with("phase") => !contents.phase,
+        id if id.starts_with("contour") || id.starts_with("target") => !contents.surface,
+        id if id.starts_with("time") => !contents.time,
+        "psnr_ahead_db" => contents.ahead == 0,
+        _ => false,
+    };
+    contents.not_applicable = registry().iter().map(|m| m.id).filter(|id| lacks(id)).collect();
+    Ok(contents)
+}
+
+/// Checks a sequence folder file by file: images, depths, both surfaces, one topology. Gives the number of frames.
+pub fn check_truth(truth: &dyn Truth) -> Result<usize> {
+    let frames = truth.frames().len();
+    (0..frames).into_par_iter().try_for_each(|frame| {
+        truth.image(frame)?;
+        truth.depth_mm(frame).map(|_| ())
+    })?;
+    final_mesh(truth)?.validate()?;
+    if truth.inspiration()?.faces != truth.expiration()?.faces {
+        return Err(Error::input("the two surfaces have different faces"));
+    }
+    Ok(frames)
+}

@@ -1,0 +1,241 @@
+//! The main job as a user sees it: exit codes, resuming after a kill, the same bytes however it was run.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::binary::{outcome, program};
+
+/// Smaller than `smoke`: the tests run it several times.
+const TINY: &str = r#"
+description = "as small as it gets"
+cases = ["case1"]
+methods = ["static-ct", "oracle-phase", "ours"]
+seeds = [1]
+image_width_px = 32
+frames_per_second = 2.0
+minimum_frames = 3
+minimum_breaths = 0.0
+samples_per_pixel = 1
+iteration_scale = 0.05
+"#;
+
+/// A folder of its own, with the tiny profile in it.
+struct Place(tempfile::TempDir);
+
+impl Place {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("tiny.toml"), TINY).unwrap();
+        Place(folder)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn command(&self, extra: &[&str]) -> Command {
+        let mut command = program();
+        command.arg("all-cases").arg("--profile").arg(self.path("tiny.toml"));
+        command.arg("--out").arg(self.path("reports")).arg("--cache").arg(self.path("cache")).args(extra);
+        command
+    }
+
+    /// Runs to the end and must succeed.
+    fn run(&self, extra: &[&str]) -> String {
+        let (code, out, err) = outcome(self.command(extra).output().unwrap());
+        assert_eq!(code, 0, "{err}");
+        assert!(out.contains("report: "), "{out}");
+        err
+    }
+
+    fn start(&self) -> Child {
+        self.command(&[]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+    }
+
+    fn latest(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path("reports/latest").join(name)).unwrap()
+    }
+
+    /// Every file of the cache by name, but for what tells times.
+    fn products(&self) -> BTreeMap<PathBuf, Vec<u8>> {
+        let mut found = BTreeMap::new();
+        collect(&self.path("cache"), &self.path("cache"), &mut found);
+        let untimed = |path: &Path| {
+            let name = path.file_name().unwrap().to_string_lossy();
+            let told = name.ends_with("timing.json") || name == "score.json";
+            !told && !name.starts_with("journal") && !name.starts_with(".lock")
+        };
+        found.retain(|path, _| untimed(path));
+        found
+    }
+}
+
+fn collect(root: &Path, folder: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            collect(root, &path, found);
+        } else {
+            found.insert(path.strip_prefix(root).unwrap().to_path_buf(), fs::read(&path).unwrap());
+        }
+    }
+}
+
+#[test]
+fn the_same_bytes_on_one_thread_on_two_and_after_kills() {
+    let two = Place::new();
+    let started = Instant::now();
+    two.run(&["--threads", "2"]);
+    let whole = started.elapsed();
+    let (results, products) = (two.latest("results.csv"), two.products());
+    assert!(results.len() > 500 && products.len() > 15);
+
+    let one = Place::new();
+    one.run(&["--threads", "1"]);
+    assert!(one.latest("results.csv") == results, "results.csv differs between one thread and two");
+    assert_same(&one.products(), &products);
+
+    // Killed over and over, a little later each time, until it gets through.
+    let killed = Place::new();
+    let mut kills = 0;
+    for attempt in 1.. {
+        let mut child = killed.start();
+        std::thread::sleep(whole.mul_f64(0.11 + 0.07 * attempt as f64));
+        if let Some(status) = child.try_wait().unwrap() {
+            assert!(status.success());
+            break;
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        kills += 1;
+    }
+    assert!(kills >= 2, "the run was over before it could be killed");
+    assert!(killed.latest("results.csv") == results, "results.csv differs after {kills} kills");
+    assert_same(&killed.products(), &products);
+
+    // Everything is there: nothing is made again, and the answer is the same.
+    let err = killed.run(&[]);
+    assert!(err.contains("film is cached") && err.contains("[3/3] case1-ours-s1: cached"), "{err}");
+    assert!(killed.latest("results.csv") == results);
+}
+
+fn assert_same(a: &BTreeMap<PathBuf, Vec<u8>>, b: &BTreeMap<PathBuf, Vec<u8>>) {
+    let names = |x: &BTreeMap<PathBuf, Vec<u8>>| x.keys().cloned().collect::<Vec<_>>();
+    assert_eq!(names(a), names(b));
+    for (path, bytes) in a {
+        assert!(bytes == &b[path], "{} differs", path.display());
+    }
+}
+
+#[test]
+fn a_dry_run_touches_nothing() {
+    let place = Place::new();
+    let (code, out, err) = outcome(place.command(&["--dry-run"]).output().unwrap());
+    assert_eq!(code, 0, "{err}");
+    assert!(out.contains("to do   film case1") && out.contains("to do   cell case1-ours-s1"), "{out}");
+    assert_eq!(fs::read_dir(place.path("")).unwrap().count(), 1);
+}
+
+#[test]
+fn folders_that_cannot_be_used_are_refused_before_any_work() {
+    let place = Place::new();
+    fs::write(place.path("reports"), "a file where a folder should be").unwrap();
+    let (code, out, err) = outcome(place.command(&[]).output().unwrap());
+    assert_eq!((code, out.as_str()), (4, ""), "{err}");
+    assert!(err.contains("reports") && err.lines().count() == 1, "{err}");
+    fs::remove_file(place.path("reports")).unwrap();
+
+    let (code, _, err) = outcome(place.command(&["--cache", "/proc/nowhere"]).output().unwrap());
+    assert_eq!(code, 4, "{err}");
+    assert!(err.contains("/proc/nowhere") && err.lines().count() == 1, "{err}");
+}
+
+#[test]
+fn a_second_run_on_one_folder_is_refused() {
+    let place = Place::new();
+    fs::create_dir_all(place.path("cache")).unwrap();
+    let held = fs::File::create(place.path("cache/.lock")).unwrap();
+    held.lock().unwrap();
+    let (code, _, err) = outcome(place.command(&[]).output().unwrap());
+    assert_eq!(code, 4, "{err}");
+    assert!(err.contains("another run works in this folder"), "{err}");
+}
+
+#[test]
+fn broken_input_is_one_sentence_that_names_file_and_key() {
+    let place = Place::new();
+    let profile = place.path("tiny.toml");
+    let broken = [
+        (TINY.replace("seeds = [1]", "seeds = []"), "seeds"),
+        (TINY.replace("seeds = [1]", "seeds = [1"), "line"),
+        (TINY.replace("minimum_frames", "minimal_frames"), "minimal_frames"),
+        (TINY.replace("= 0.05", "= nan"), "iteration_scale"),
+        (TINY.replace("= 32", "= -32"), "image_width_px"),
+    ];
+    for (text, word) in broken {
+        fs::write(&profile, text).unwrap();
+        let (code, out, err) = outcome(place.command(&[]).output().unwrap());
+        assert_eq!((code, out.as_str()), (4, ""), "{err}");
+        assert!(err.contains("tiny.toml") && err.contains(word), "no {word} in: {err}");
+        assert_eq!(err.lines().count(), 1, "{err}");
+    }
+    assert_eq!(fs::read_dir(place.path("")).unwrap().count(), 1, "nothing is written for broken input");
+}
+
+/// Waits for the first finished product, so that the interruption comes in the midst of work.
+fn wait_for_journal(place: &Place) {
+    let deadline = Instant::now() + Duration::from_secs(120);
+    while !fs::read(place.path("cache/journal.jsonl")).is_ok_and(|bytes| !bytes.is_empty()) {
+        assert!(Instant::now() < deadline, "nothing was finished in two minutes");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn an_interrupt_stops_in_order_and_the_same_command_resumes() {
+    let place = Place::new();
+    let child = place.command(&[]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    wait_for_journal(&place);
+    let told = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(told.success());
+    let (code, out, err) = outcome(child.wait_with_output().unwrap());
+    assert_eq!((code, out.as_str()), (130, ""), "{err}");
+    assert!(err.contains("the same command resumes"), "{err}");
+    let err = place.run(&[]);
+    assert!(err.contains("film is cached"), "{err}");
+}
+
+/// Runs twice in a mount namespace of its own: with a cache too small for the work, then, after it has grown, again.
+const SMALL_DISK: &str = r#"
+cache=$1; shift
+mount -t tmpfs -o size=60k tmpfs "$cache" || exit 99
+"$@"; echo "first $?"
+mount -o remount,size=200m "$cache" || exit 99
+"$@"; echo "second $?"
+"#;
+
+#[test]
+fn a_full_disk_is_one_sentence_and_nothing_is_lost() {
+    let place = Place::new();
+    fs::create_dir(place.path("cache")).unwrap();
+    let mut command = Command::new("unshare");
+    command.args(["--user", "--map-root-user", "--mount", "sh", "-c", SMALL_DISK, "sh"]).arg(place.path("cache"));
+    let run = place.command(&[]);
+    command.arg(run.get_program()).args(run.get_args()).current_dir(env!("CARGO_MANIFEST_DIR"));
+    let answer = command.output();
+    let Some((code, out, err)) = answer.ok().map(outcome).filter(|(code, _, _)| *code == 0) else {
+        eprintln!("SKIPPED: this system lets nobody mount a small disk of his own");
+        return;
+    };
+    let sentences: Vec<&str> = err.lines().filter(|line| line.starts_with("error:")).collect();
+    assert_eq!((code, sentences.len()), (0, 1), "{err}");
+    assert!(sentences[0].contains("cache/") && sentences[0].contains("No space left"), "{err}");
+    assert!(out.starts_with("first 4\n") && out.ends_with("second 0\n"), "{out}");
+
+    let whole = Place::new();
+    whole.run(&[]);
+    assert!(place.latest("results.csv") == whole.latest("results.csv"));
+}

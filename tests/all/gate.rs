@@ -1,0 +1,131 @@
+//! `gate`, `compare` and `explain` as a user and a CI job run them.
+
+use std::fs;
+use std::path::Path;
+
+use crate::binary::run;
+
+const HEADER: &str = "run_id,case_id,case_hash,config,seed,split,metric,definition,unit,direction,alignment,mask,value,sd,n,ci_low,ci_high,status,detail";
+
+/// A run of two cases whose PSNR and depth error are given.
+fn write_run(folder: &Path, psnr: [&str; 2], depth: [&str; 2]) {
+    let mut text = format!("{HEADER}\n");
+    for (case, (psnr, depth)) in ["case1", "case5"].iter().zip(psnr.iter().zip(depth)) {
+        let status = |v: &str| if v.is_empty() { "degenerate" } else { "ok" };
+        text += &format!(
+            "smoke-1,{case},ab,ours,1,online,psnr_db,psnr_db/1,dB,higher,,none,{psnr},,12,,,{},\n",
+            status(psnr)
+        );
+        text += &format!(
+            "smoke-1,{case},ab,ours,1,online,depth_rmse_mm,depth_rmse_mm/1,mm,lower,none,true_depth,{depth},,12,,,{},\n",
+            status(depth)
+        );
+    }
+    fs::create_dir_all(folder).unwrap();
+    fs::write(folder.join("results.csv"), text).unwrap();
+}
+
+const LIMITS: &str = "cases = [\"case1\", \"case5\"]\nmethods = [\"ours\"]\n\
+    [[absolute]]\nmetric = \"psnr_db\"\nmethod = \"ours\"\nlimit = 20.0\n\
+    [[relative]]\nmetric = \"psnr_db\"\nworse_by = 0.1\n\
+    [[relative]]\nmetric = \"depth_rmse_mm\"\nworse_by_percent = 2.0\n";
+
+/// Exit code, standard output and standard error of the gate on `results` against the folder's baseline.
+fn gate(folder: &Path, results: &str) -> (i32, String, String) {
+    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    run(&["gate", "--results", &path(results), "--baseline", &path("baseline"), "--thresholds", &path("gate.toml")])
+}
+
+#[test]
+fn an_injected_regression_ends_with_exit_code_3_and_its_reports_are_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("gate.toml"), LIMITS).unwrap();
+    write_run(&at("baseline"), ["27.5", "26.5"], ["2.0", "3.0"]);
+
+    write_run(&at("good"), ["27.45", "26.9"], ["2.02", "2.9"]);
+    let (code, said, _) = gate(folder.path(), "good");
+    assert_eq!(code, 0, "{said}");
+    assert!(said.contains("passed"));
+
+    let injected = [
+        ("psnr", ["27.3", "26.5"], ["2.0", "3.0"], "worse by 0.2"),
+        ("depth", ["27.5", "26.5"], ["2.0", "3.1"], "depth_rmse_mm"),
+        ("nan", ["NaN", "26.5"], ["2.0", "3.0"], "psnr_db"),
+        ("empty", ["27.5", ""], ["2.0", "3.0"], "no value"),
+        ("infinite", ["27.5", "26.5"], ["inf", "3.0"], "depth_rmse_mm"),
+    ];
+    for (name, psnr, depth, expected) in injected {
+        write_run(&at(name), psnr, depth);
+        let (code, said, complaint) = gate(folder.path(), name);
+        assert_eq!(code, 3, "{name}: {said}{complaint}");
+        assert!(said.contains(expected) && said.contains("FAIL"), "{name}: {said}");
+        assert!(fs::read_to_string(at(name).join("gate.md")).unwrap().starts_with("# Gate: FAILED"));
+        assert!(fs::read_to_string(at(name).join("gate.xml")).unwrap().contains("<failure"));
+    }
+
+    // A case that is gone.
+    let whole = fs::read_to_string(at("good").join("results.csv")).unwrap();
+    let fewer: Vec<&str> = whole.lines().filter(|l| !l.contains("case5")).collect();
+    fs::write(at("good").join("results.csv"), fewer.join("\n")).unwrap();
+    let (code, said, _) = gate(folder.path(), "good");
+    assert_eq!(code, 3, "{said}");
+    assert!(said.contains("case5"));
+}
+
+#[test]
+fn broken_input_ends_with_exit_code_4_and_one_sentence() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("gate.toml"), LIMITS).unwrap();
+    write_run(&at("baseline"), ["27.5", "26.5"], ["2.0", "3.0"]);
+    let (code, _, complaint) = gate(folder.path(), "nowhere");
+    assert!(code == 4 && complaint.contains("results.csv"), "{code} {complaint}");
+    write_run(&at("broken"), ["a lot", "26.5"], ["2.0", "3.0"]);
+    let (code, _, complaint) = gate(folder.path(), "broken");
+    assert!(code == 4 && complaint.contains("line 2, column value"), "{code} {complaint}");
+    fs::write(at("gate.toml"), "[[absolute]]\nmetric = \"psnr\"\nmethod = \"ours\"\nlimit = 1").unwrap();
+    let (code, _, complaint) = gate(folder.path(), "baseline");
+    assert!(code == 4 && complaint.contains("`psnr`"), "{code} {complaint}");
+}
+
+/// The shipped limits are read, and an empty run does not pass them.
+#[test]
+fn the_shipped_thresholds_are_sound() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("results.csv"), format!("{HEADER}\n")).unwrap();
+    let (code, said, complaint) = run(&["gate", "--results", folder.path().to_str().unwrap()]);
+    assert_eq!(code, 3, "{said}{complaint}");
+    assert!(said.contains("no row") && said.contains("oracle-phase"));
+}
+
+#[test]
+fn two_runs_are_compared() {
+    let folder = tempfile::tempdir().unwrap();
+    let (a, b) = (folder.path().join("a"), folder.path().join("b"));
+    write_run(&a, ["27.5", "26.5"], ["2.0", "3.0"]);
+    write_run(&b, ["28.5", "27.0"], ["2.0", "3.0"]);
+    let (a, b) = (a.to_str().unwrap(), b.to_str().unwrap());
+    let (code, said, _) = run(&["compare", a, b]);
+    assert_eq!(code, 0);
+    let line = |id: &str| said.lines().find(|l| l.contains(id)).unwrap().to_owned();
+    assert!(line("psnr_db").ends_with("better") && line("psnr_db").contains("0.75"), "{said}");
+    assert!(line("depth_rmse_mm").ends_with("same"), "{said}");
+    let (code, said, _) = run(&["compare", a, b, "--json"]);
+    let found: serde_json::Value = serde_json::from_str(&said).unwrap();
+    assert_eq!((code, &found[0]["difference"]), (0, &serde_json::json!(0.75)));
+    let (code, _, complaint) = run(&["compare", a, b, "--method", "theirs"]);
+    assert!(code == 4 && complaint.contains("share no case"), "{complaint}");
+}
+
+#[test]
+fn a_metric_is_explained() {
+    let (code, said, _) = run(&["explain", "contour_rmse_mm"]);
+    assert!(code == 0 && said.contains("mm") && said.contains("lower") && said.contains("0.05 mm"), "{said}");
+    let (code, _, complaint) = run(&["explain", "psnr"]);
+    assert!(code == 2 && complaint.contains("psnr_db"), "{complaint}");
+    let (_, said, _) = run(&["explain", "--json"]);
+    let all: serde_json::Value = serde_json::from_str(&said).unwrap();
+    assert_eq!(all[0]["id"], "psnr_db");
+    assert_eq!(all[0]["direction"], "higher");
+}
