@@ -19,7 +19,7 @@ const SPACING_MM: f64 = 0.5;
 const POSITION_SIGMA_MM: f64 = 2.0;
 const AXIS_SIGMA_MM: f64 = 5.0;
 /// The way stops this far before the closed end of the last branch.
-const END_MARGIN_MM: f64 = 8.0;
+const END_MARGIN_MM: f64 = 14.0;
 /// And starts this far below the trachea's cut top.
 const START_MARGIN_MM: f64 = 6.0;
 /// Among the ends in the wanted region, those whose way has this part of the longest way's length are drawn from.
