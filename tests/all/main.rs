@@ -1,4 +1,5 @@
 //! One binary of integration tests, so that they link once.
+#![allow(clippy::unwrap_used, reason = "every function here belongs to a test")]
 
 mod all_cases;
 mod binary;
