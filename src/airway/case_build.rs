@@ -16,6 +16,10 @@ use super::surface::{SurfaceSettings, surface_from_tree};
 use super::tree::Tree;
 use crate::base::{Error, Result, TriangleMesh, files};
 
+/// Rounds of averaging around slivers; and no averaging when more than one face in this many is concerned: then it is
+/// the field that folds.
+const SETTLING_ROUNDS: usize = 60;
+const SETTLED_PART: usize = 1000;
 /// A mesh pair's centreline is carried by the walls within this many radii.
 const CARRY_RADII: f64 = 1.6;
 
@@ -100,7 +104,7 @@ pub fn from_field(
     if feet.len() != rest.vertices.len() {
         return Err(Error::input("the centreline has no length"));
     }
-    let expiration = moved(&rest.vertices, &feet, breathing);
+    let expiration = settled(&rest, moved(&rest.vertices, &feet, breathing));
     let (least, vertex) = field_check::least_determinant(&breathing.field, &rest.vertices);
     if least <= 0.0 {
         return Err(
@@ -147,6 +151,40 @@ fn moved(points: &[DVec3], feet: &[AxisPoint], breathing: &Breathing) -> Vec<DVe
         narrowed + breathing.field.displacement(narrowed)
     };
     points.par_iter().zip(feet).map(move_one).collect()
+}
+
+/// Real surfaces hold slivers much thinner than the scale of the motion, and those may turn over in the finest gradients
+/// of the calibre's change. Around such a face the motion is averaged over neighbours until it no longer does; when that
+/// does not help, the faces are left for [`check_faces`] to name.
+fn settled(rest: &TriangleMesh, mut expiration: Vec<DVec3>) -> Vec<DVec3> {
+    let mut flipped = field_check::flipped_faces(rest, &expiration);
+    if flipped.is_empty() || flipped.len() * SETTLED_PART > rest.faces.len() {
+        return expiration;
+    }
+    let (offsets, list) = rest.neighbours();
+    let around = |v: usize| list[offsets[v] as usize..offsets[v + 1] as usize].iter().map(|&n| n as usize);
+    let mut touched: Vec<usize> = Vec::new();
+    for _ in 0..SETTLING_ROUNDS {
+        let corners = flipped.iter().flat_map(|&f| rest.faces[f as usize]).map(|v| v as usize);
+        touched.extend(corners.flat_map(|v| around(v).chain([v])));
+        touched.sort_unstable();
+        touched.dedup();
+        let averaged: Vec<DVec3> = touched
+            .iter()
+            .map(|&v| {
+                let count = (offsets[v + 1] - offsets[v]).max(1) as f64;
+                around(v).map(|n| expiration[n] - rest.vertices[n]).sum::<DVec3>() / count
+            })
+            .collect();
+        for (&v, motion) in touched.iter().zip(averaged) {
+            expiration[v] = rest.vertices[v] + motion;
+        }
+        flipped = field_check::flipped_faces(rest, &expiration);
+        if flipped.is_empty() {
+            break;
+        }
+    }
+    expiration
 }
 
 fn check_faces(rest: &TriangleMesh, expiration: &[DVec3]) -> Result<()> {

@@ -88,11 +88,17 @@ pub fn choose_centers(near: &[DVec3], spacing_mm: f64, reach_mm: f64, count: usi
     chosen
 }
 
-/// The best field for `pairs`. `min_lambda` forbids less smoothing (0 allows all).
-pub fn fit(pairs: &[LandmarkPair], settings: &FitSettings, min_lambda: f64) -> Result<(BreathingField, FitQuality)> {
+/// Rejects landmark lists that are too short for any field.
+pub fn check_count(pairs: &[LandmarkPair]) -> Result<()> {
     if pairs.len() < 10 {
         return Err(Error::input(format!("{} landmark pairs are too few for a breathing field (10)", pairs.len())));
     }
+    Ok(())
+}
+
+/// The best field for `pairs`. `min_lambda` forbids less smoothing (0 allows all).
+pub fn fit(pairs: &[LandmarkPair], settings: &FitSettings, min_lambda: f64) -> Result<(BreathingField, FitQuality)> {
+    check_count(pairs)?;
     let origin = pairs.iter().map(|p| p.inspiration_mm).sum::<DVec3>() / pairs.len() as f64;
     let basis = Basis::new((origin * 10.0).round() / 10.0, settings)?;
     let ladder: Vec<f64> = LAMBDAS.iter().copied().filter(|l| *l >= min_lambda).collect();

@@ -9,6 +9,7 @@ use super::{Terminal, import_mesh};
 use crate::airway::case::{Breathing, Case};
 use crate::airway::field::BreathingField;
 use crate::airway::field_calibre::Calibre;
+use crate::airway::field_fit::check_count;
 use crate::airway::import_breathing::{LungBox, MeasuredBreathing, breathing_toml, measured_breathing};
 use crate::airway::{self, case_build};
 use crate::base::{Error, Result, files};
@@ -108,6 +109,7 @@ pub(super) fn fit_motion(
     terminal: &Terminal,
 ) -> Result<MeasuredBreathing> {
     let pairs = landmarks::read(&motion.landmarks)?;
+    check_count(&pairs).map_err(|e| e.at(&motion.landmarks))?;
     let patient = motion.landmarks.file_stem().map(|s| s.to_string_lossy().to_string()).unwrap_or_default();
     let lungs = match &motion.lung_boxes {
         Some(path) => LungBox::read(path, &patient)?,

@@ -29,14 +29,12 @@ pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, re
         // A face that the camera grazes may turn towards it under the breath: a tenth of its length of slack.
         let towards = normal.dot(eye - centre) > -0.1 * normal.length() * (eye - centre).length();
         let p = camera_from_world.transform_point3(centre);
-        if !towards || p.z > reach.range_mm as f32 || p.z < -size {
+        if !towards || p.z > reach.range_mm as f32 || p.z < 0.5 * size {
             return false;
         }
-        if p.z < size {
-            return (centre - eye).length() < 3.0 * size + 2.0;
-        }
         let Some(pixel) = view.camera.project(p.as_dvec3()) else { return false };
-        let slack = margin + size / p.z * view.camera.fl_x as f32;
+        // Beside the camera the linearised projection of a Gaussian covers the whole image: such faces stay out.
+        let slack = margin + (size / p.z * view.camera.fl_x as f32).min(0.15 * width);
         let (x, y) = (pixel.x as f32, pixel.y as f32);
         x > -slack && y > -slack && x < width + slack && y < height + slack
     };

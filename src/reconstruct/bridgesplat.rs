@@ -157,7 +157,7 @@ impl<'a> State<'a> {
         self.optimise(frame, &view, &mut patch, &invisible)?;
         let local = patch.pick(&self.vertices_mm());
         patch.place(&local)?;
-        self.render(&patch, &view, DepthOutput::Expected)?;
+        self.render(&patch, &view, DepthOutput::Surface)?;
         self.surface.absorb(&patch);
         let color = self.image();
         let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);

@@ -199,7 +199,7 @@ impl<'a> State<'a> {
         let invisible = self.invisible_anchors(&patch);
         self.optimise(frame, &view, &mut patch, &field, &invisible)?;
         self.place(&mut patch, &field);
-        self.render(&patch, &view, DepthOutput::Expected)?;
+        self.render(&patch, &view, DepthOutput::Surface)?;
         self.free.absorb(&patch);
         let color = self.image();
         let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);

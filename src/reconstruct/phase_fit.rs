@@ -179,7 +179,7 @@ impl Fitter<'_> {
         }
         phase = self.optimise_appearance(&view, carried, &mut loss, phase, frame, estimated)?;
         carried.place(phase)?;
-        self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Expected), None)?;
+        self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Surface), None)?;
         let color = color_image(&self.rasterizer, width, height);
         let depth_mm = super::depth_image(self.rasterizer.rendered(), width, height);
         self.mark_fitted(&view, carried, &image);
@@ -193,7 +193,7 @@ impl Fitter<'_> {
     fn search_by_depth(&mut self, view: &View, carried: &mut dyn Carried) -> Result<f64> {
         let Some(truth) = &self.observation.first_depth_mm else { return Ok(0.0) };
         let steps = self.settings.grid_steps.value.max(2) as usize;
-        let settings = self.render_settings(DepthOutput::Expected);
+        let settings = self.render_settings(DepthOutput::Surface);
         let mut error = |phase: f64| -> Result<f64> {
             carried.place(phase)?;
             let rendered = self.rasterizer.render(carried.gaussians(), view, &settings, None)?;

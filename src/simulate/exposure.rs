@@ -16,7 +16,7 @@ use crate::render::Scene;
 /// Rays of the proxy per image side.
 const GRID: usize = 20;
 /// Light by way of other walls: gain over direct light per unit albedo, fitted by eye to rendered frames.
-const INTERREFLECTION: f64 = 1.1;
+const INTERREFLECTION: f64 = 1.6;
 /// The gain stays within this factor of the film's median.
 const RANGE: f64 = 8.0;
 

@@ -19,7 +19,7 @@ const SPACING_MM: f64 = 0.5;
 const POSITION_SIGMA_MM: f64 = 2.0;
 const AXIS_SIGMA_MM: f64 = 5.0;
 /// The way stops this far before the closed end of the last branch.
-const END_MARGIN_MM: f64 = 8.0;
+const END_MARGIN_MM: f64 = 14.0;
 /// And starts this far below the trachea's cut top.
 const START_MARGIN_MM: f64 = 6.0;
 /// Among the ends in the wanted region, those whose way has this part of the longest way's length are drawn from.
@@ -44,9 +44,10 @@ impl Route {
     ///
     /// Errors: no branch of the wanted region is wide enough for the scope.
     pub fn plan(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<Route> {
-        let chain = choose_chain(anatomy, settings)?;
+        let (chain, passable_mm) = choose_chain(anatomy, settings)?;
+        // Smoothed as far as the branch goes, so that the last axis of the way still looks ahead.
         let route = Route::along(anatomy, &chain);
-        let good = route.wide_stretch(anatomy, settings.scope_radius_mm);
+        let good = route.wide_stretch(anatomy, settings.scope_radius_mm, passable_mm);
         if good.len() < (10.0 / SPACING_MM) as usize {
             return Err(Error::input(format!(
                 "a scope of radius {} mm has less than 10 mm of way in this airway",
@@ -125,8 +126,9 @@ impl Route {
     }
 
     /// The stretch, from the trachea on, in which the scope keeps clear of the wall at every checked phase.
-    fn wide_stretch(&self, anatomy: &Anatomy, scope_radius_mm: f64) -> std::ops::Range<usize> {
-        let mut wide = vec![true; self.inspiration.len()];
+    fn wide_stretch(&self, anatomy: &Anatomy, scope_radius_mm: f64, passable_mm: f64) -> std::ops::Range<usize> {
+        let passable = (passable_mm / SPACING_MM).floor() as usize + 1;
+        let mut wide = vec![true; passable.min(self.inspiration.len())];
         for phase in CHECKED_PHASES {
             let wall = mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase);
             for (sample, wide) in wide.iter_mut().enumerate() {
@@ -153,30 +155,41 @@ impl Route {
     }
 }
 
+/// A reachable end.
+struct End {
+    /// Centreline points from the inlet to the end of the branch.
+    chain: Vec<usize>,
+    /// The last of them that the scope can pass.
+    last: usize,
+    length_mm: f64,
+}
+
 /// Distance in mm from `point` to the nearest of the wall's vertices.
 pub fn nearest_mm(wall: &[DVec3], point: DVec3) -> f64 {
     wall.iter().map(|v| v.distance_squared(point)).fold(f64::INFINITY, f64::min).sqrt()
 }
 
-/// Indices of centreline points from the inlet to the chosen end.
-fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<Vec<usize>> {
+/// Indices of centreline points from the inlet through the chosen end to the end of its branch, and the length in mm
+/// that the scope can pass.
+fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec<usize>, f64)> {
     let points = &anatomy.centerline.points;
     let mut has_child = vec![false; points.len()];
     points.iter().filter_map(|p| p.parent).for_each(|parent| has_child[parent as usize] = true);
     let carina = points.iter().rposition(|p| p.generation == 0).map_or(DVec3::ZERO, |i| points[i].position_mm);
-    let mut ends: Vec<(Vec<usize>, f64)> = Vec::new();
+    let mut ends: Vec<End> = Vec::new();
     for leaf in (0..points.len()).filter(|&i| !has_child[i]) {
         let chain = chain_to(anatomy, leaf);
         let way = passable(anatomy, &chain, settings.scope_radius_mm);
-        let length: f64 = way.windows(2).map(|w| points[w[0]].position_mm.distance(points[w[1]].position_mm)).sum();
-        if way.len() > 1 && !ends.iter().any(|(other, _)| other.last() == way.last()) {
-            ends.push((way, length));
+        let Some(&last) = way.last() else { continue };
+        let length_mm = way.windows(2).map(|w| points[w[0]].position_mm.distance(points[w[1]].position_mm)).sum();
+        if way.len() > 1 && !ends.iter().any(|other| other.last == last) {
+            ends.push(End { chain, last, length_mm });
         }
     }
-    let place = |way: &[usize]| points[way[way.len() - 1]].position_mm - carina;
-    let deepest = ends.iter().map(|(way, _)| -place(way).z).fold(0.0, f64::max);
-    ends.retain(|(way, _)| {
-        let from_carina = place(way);
+    let place = |end: &End| points[end.last].position_mm - carina;
+    let deepest = ends.iter().map(|end| -place(end).z).fold(0.0, f64::max);
+    ends.retain(|end| {
+        let from_carina = place(end);
         let right = from_carina.x < 0.0;
         let lower = -from_carina.z > 0.5 * deepest;
         match settings.region {
@@ -187,8 +200,8 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<Vec<
             Region::LeftLower => !right && lower,
         }
     });
-    let longest = ends.iter().map(|e| e.1).fold(0.0, f64::max);
-    ends.retain(|e| e.1 >= LONG_ENOUGH * longest);
+    let longest = ends.iter().map(|end| end.length_mm).fold(0.0, f64::max);
+    ends.retain(|end| end.length_mm >= LONG_ENOUGH * longest);
     if ends.is_empty() {
         return Err(Error::input(format!(
             "no branch there is wide enough for a scope of {} mm",
@@ -197,7 +210,8 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<Vec<
         .element("trajectory.region"));
     }
     let drawn = CounterRng::new(settings.seed, Stage::Trajectory, &[]).index(ends.len());
-    Ok(ends.swap_remove(drawn).0)
+    let end = ends.swap_remove(drawn);
+    Ok((end.chain, end.length_mm))
 }
 
 fn chain_to(anatomy: &Anatomy, leaf: usize) -> Vec<usize> {

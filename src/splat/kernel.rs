@@ -154,6 +154,11 @@ fn sample<T: Real>(q: &Row<T>, corner: [usize; 2], p: usize) -> Option<Sample<T>
     (alpha >= T::of(1.0 / 255.0)).then_some(Sample { offset: [dx, dy], raw, alpha })
 }
 
+/// What the splat of `row` blends at pixel `p` of the tile at `corner`, `None` below 1/255.
+pub fn alpha_at<T: Real>(row: &Row<T>, corner: [usize; 2], p: usize) -> Option<T> {
+    sample(row, corner, p).map(|s| s.alpha)
+}
+
 /// Composites one tile, pixel by pixel.
 pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
     let corner = t.corner.map(|v| T::of(v as f64));

@@ -17,6 +17,7 @@ mod project;
 mod rasterizer;
 mod real;
 mod sh;
+mod surface_depth;
 mod types;
 
 pub use crate::ffi::splat::Isa;

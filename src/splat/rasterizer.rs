@@ -14,6 +14,7 @@ use super::chain::{One, ellipsoid_gradient, gradients_of_one};
 use super::kernel::{self, BackwardTile, ForwardTile, PIXELS, PLANES, Parts, moment, pixel_of};
 use super::project::Projector;
 use super::real::Real;
+use super::surface_depth;
 use super::types::{DepthOutput, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted};
 
 /// Gaussians per task; the pose is summed in these chunks.
@@ -103,6 +104,10 @@ impl<T: Real> Rasterizer<T> {
         self.bins.fill(tiles, &self.rows, &self.boxes);
         self.composite(settings);
         self.develop(view, settings);
+        if settings.depth == DepthOutput::Surface {
+            let depth = &mut self.rendered.depth;
+            surface_depth::fill(gaussians, self.active.as_deref(), view, &self.rows, &self.bins, depth)?;
+        }
         self.last = Some((*view, *settings, gaussians.len()));
         Ok(&self.rendered)
     }
@@ -268,8 +273,8 @@ impl<T: Real> Rasterizer<T> {
                 )));
             }
         }
-        if !image.depth.is_empty() && settings.depth == DepthOutput::Skip {
-            return Err(Error::input("a depth gradient needs a render with depth"));
+        if !image.depth.is_empty() && settings.depth != DepthOutput::Expected {
+            return Err(Error::input("a depth gradient needs a render with expected depth"));
         }
         Ok(())
     }

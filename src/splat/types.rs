@@ -127,8 +127,10 @@ impl View {
 pub enum DepthOutput {
     /// `Rendered::depth` stays 0.
     Skip,
-    /// Mean z-depth weighted by contribution, divided by alpha.
+    /// Mean z-depth of the centres weighted by contribution, divided by alpha.
     Expected,
+    /// Mean z-depth of the splats' surfaces along each ray (`surface_depth.rs`); forward only.
+    Surface,
 }
 
 /// How to render.

@@ -3,11 +3,14 @@
 
 mod all_cases;
 mod binary;
+mod cases;
 mod command_line;
 mod gate;
+mod import;
 mod layering;
 mod mesh_damage;
 mod reference;
 mod render;
 mod render_command;
+mod simulate;
 mod splat;

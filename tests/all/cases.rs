@@ -1,0 +1,130 @@
+//! The nine cases of `bench-cases/`: whole, varied, free of folds, and passable for their scopes.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use rayon::prelude::*;
+use respire_bench::airway::case::{AnatomySource, Case};
+use respire_bench::airway::{self, Anatomy};
+use respire_bench::base::{TriangleMesh, mesh};
+use respire_bench::simulate::film::Film;
+use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, material};
+
+pub fn case_path(number: usize) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("bench-cases/case{number}.toml"))
+}
+
+fn cases() -> Vec<Case> {
+    (1..=9).map(|n| Case::load(&case_path(n)).unwrap()).collect()
+}
+
+/// Times that the ray from `point` along `direction` goes through the surface; odd means inside.
+fn crossings(surface: &TriangleMesh, point: DVec3, direction: DVec3) -> usize {
+    let hit = |f: usize| {
+        let [a, b, c] = surface.corners(f);
+        let (e1, e2) = (b - a, c - a);
+        let p = direction.cross(e2);
+        let determinant = e1.dot(p);
+        if determinant.abs() < 1e-12 {
+            return false;
+        }
+        let s = point - a;
+        let u = s.dot(p) / determinant;
+        let q = s.cross(e1);
+        let v = direction.dot(q) / determinant;
+        u >= 0.0 && v >= 0.0 && u + v <= 1.0 && e2.dot(q) / determinant > 0.0
+    };
+    (0..surface.faces.len()).filter(|&f| hit(f)).count()
+}
+
+#[test]
+fn the_cases_span_what_the_paper_asks_for() {
+    let cases = cases();
+    let measured: BTreeSet<PathBuf> = cases
+        .iter()
+        .filter_map(|c| match &c.anatomy {
+            AnatomySource::Tree { path, .. } => Some(path.clone()),
+            _ => None,
+        })
+        .collect();
+    let from_trees = cases.iter().filter(|c| matches!(c.anatomy, AnatomySource::Tree { .. })).count();
+    assert!(measured.len() >= 3 && from_trees >= 5, "{measured:?}");
+    assert!(measured.iter().all(|p| !p.to_string_lossy().contains("305") && !p.to_string_lossy().contains("307")));
+    let patient = |c: &Case| c.breathing.as_ref().unwrap().field.source.split(' ').next().unwrap().to_string();
+    let motions: BTreeSet<String> = cases.iter().map(patient).collect();
+    assert!(motions.len() >= 5 && motions.iter().all(|m| m.starts_with("copd")), "{motions:?}");
+    let spread = |values: Vec<f64>| {
+        let sorted = values.iter().copied().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
+        assert!(sorted.0.is_finite());
+        sorted
+    };
+    assert_eq!(spread(cases.iter().map(|c| c.camera.fov_x_deg).collect()), (85.0, 120.0));
+    let (fast, slow) = spread(cases.iter().map(|c| c.waveform.period_s()).collect());
+    assert!(fast <= 3.5 && slow >= 4.5, "{fast} {slow}");
+    let hashes: BTreeSet<String> = cases.iter().map(|c| c.hash().unwrap()).collect();
+    assert_eq!(hashes.len(), 9);
+}
+
+/// Independent of the closed form that the builder uses: normals at 21 phases.
+fn assert_no_face_turns(id: &str, anatomy: &Anatomy) {
+    let rest: Vec<DVec3> = (0..anatomy.inspiration.faces.len()).map(|f| anatomy.inspiration.area_normal(f)).collect();
+    for step in 0..=20 {
+        let vertices =
+            mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, step as f64 / 20.0);
+        let now = TriangleMesh { vertices, faces: anatomy.inspiration.faces.clone() };
+        for (f, rest) in rest.iter().enumerate() {
+            assert!(now.area_normal(f).dot(*rest) > 0.0, "{id}: face {f} turns over at phase {}", step as f64 / 20.0);
+        }
+    }
+}
+
+#[test]
+fn every_case_breathes_without_folds_and_its_scope_stays_in_the_lumen() {
+    cases().par_iter().for_each(|case| {
+        let anatomy = airway::build(case).unwrap();
+        let id = &case.id;
+        anatomy.inspiration.validate_closed().unwrap();
+        let faces = anatomy.inspiration.faces.len();
+        assert!((15_000..=50_000).contains(&faces), "{id}: {faces} faces");
+        for surface in [&anatomy.inspiration, &anatomy.expiration] {
+            assert!(surface.signed_volume() < 0.0, "{id}: normals must point into the lumen");
+        }
+        assert_no_face_turns(id, &anatomy);
+        let settings = SimulationSettings {
+            width_px: 64,
+            height_px: 64,
+            frames_per_second: 10.0,
+            frames: (case.waveform.period_s() * 10.0).ceil() as usize,
+            samples_per_pixel: 1,
+            meshes: MeshOutput::EndStates,
+            radiance: RadianceOutput::None,
+        };
+        let film = Film::plan(case, &anatomy, &settings, &material(case).unwrap()).unwrap();
+        assert!((4.9..=20.1).contains(&film.end_motion_mm), "{id}: the end moves {} mm", film.end_motion_mm);
+        assert!(film.notes.is_empty(), "{id}: {:?}", film.notes);
+        let phases = film.frames.iter().map(|f| f.phase);
+        let (low, high) = phases.fold((1.0f64, 0.0f64), |(l, h), p| (l.min(p), h.max(p)));
+        assert!(low < 0.3 && high > 0.8, "{id}: a breath spans {low} to {high}");
+        for (index, frame) in film.frames.iter().enumerate() {
+            assert!(film.clearance_mm[index] >= 0.9 * case.trajectory.scope_radius_mm, "{id} frame {index}");
+            if index % 8 == 0 {
+                let vertices =
+                    mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, frame.phase);
+                let now = TriangleMesh { vertices, faces: anatomy.inspiration.faces.clone() };
+                let direction = DVec3::new(0.317, 0.523, 0.791).normalize();
+                let through = crossings(&now, frame.world_from_camera.translation, direction);
+                assert_eq!(through % 2, 1, "{id} frame {index}: the camera is outside");
+            }
+            let r = frame.world_from_camera.matrix3;
+            assert!((r.determinant() - 1.0).abs() < 1e-9, "{id} frame {index}");
+        }
+        // The camera's way is smooth: no frame turns by more than 25 degrees or jumps.
+        for pair in film.frames.windows(2) {
+            let (a, b) = (pair[0].world_from_camera, pair[1].world_from_camera);
+            let turn = a.matrix3.z_axis.dot(b.matrix3.z_axis).clamp(-1.0, 1.0).acos().to_degrees();
+            assert!(turn < 25.0, "{id}: turns by {turn} degrees");
+            assert!(a.translation.distance(b.translation) < 5.0, "{id}");
+        }
+    });
+}

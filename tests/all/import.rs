@@ -1,0 +1,203 @@
+//! Import of real airway surfaces with real motion, and of what is wrong with them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use assert_cmd::Command;
+use respire_bench::airway::case::Case;
+use respire_bench::airway::field_check::flipped_faces;
+use respire_bench::airway::{self, import_breathing::LungBox};
+use respire_bench::base::TriangleMesh;
+use respire_bench::formats::{landmarks, mesh};
+use respire_bench::simulate::trajectory::Route;
+
+use crate::cases::case_path;
+
+fn shared(part: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(part);
+    if !path.exists() {
+        eprintln!("SKIPPED: {} is absent", path.display());
+        return None;
+    }
+    Some(path)
+}
+
+fn command() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_respire-bench"))
+}
+
+/// Landmark pairs of an invented motion, as a file.
+fn invented_landmarks(folder: &Path) -> PathBuf {
+    let mut text = String::from("insp_x,insp_y,insp_z,exp_x,exp_y,exp_z\n");
+    for i in 0..6 {
+        for j in 0..5 {
+            for k in 0..6 {
+                let (x, y, z) = (40.0 * i as f64, 40.0 * j as f64, 45.0 * k as f64);
+                let up = 20.0 * (1.0 - z / 260.0) + 2.0 * (x / 70.0).sin();
+                text += &format!("{x},{y},{z},{x},{},{}\n", y + 4.0, z + up);
+            }
+        }
+    }
+    let path = folder.join("invented.csv");
+    fs::write(&path, text).unwrap();
+    path
+}
+
+#[test]
+fn real_surfaces_become_cases_without_folds() {
+    let (Some(meshes), Some(data)) = (shared("atm22/meshes"), shared("dirlab_copd")) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    for (name, motion) in [("ATM_305", "copd03"), ("ATM_307", "copd05")] {
+        command()
+            .args(["import", "mesh", "--axes", "ras", "--region", "right-lower", "--end-motion-mm", "12", "--id", name])
+            .arg(meshes.join(format!("{name}.ply")))
+            .arg("--landmarks")
+            .arg(data.join(format!("{motion}.csv")))
+            .arg("--lung-boxes")
+            .arg(data.join("lung_boxes.csv"))
+            .arg("--out")
+            .arg(folder.path())
+            .assert()
+            .success();
+        let case = Case::load(&folder.path().join(format!("{name}.toml"))).unwrap();
+        let anatomy = airway::build(&case).unwrap();
+        assert!(anatomy.inspiration.faces.len() > 200_000);
+        assert!(anatomy.inspiration.signed_volume() < 0.0);
+        assert!(flipped_faces(&anatomy.inspiration, &anatomy.expiration.vertices).is_empty());
+        let route = Route::plan(&anatomy, &case.trajectory).unwrap();
+        assert!(route.length_mm() > 100.0, "{}", route.length_mm());
+        assert!((route.end_motion_mm() - 12.0).abs() < 0.2, "{}", route.end_motion_mm());
+        assert!(case.breathing.unwrap().field.source.contains("not of this airway's patient"));
+    }
+}
+
+#[test]
+fn a_pair_of_meshes_becomes_a_case_that_moves_as_they_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let anatomy = airway::build(&Case::load(&case_path(3)).unwrap()).unwrap();
+    let (rest, other) = (folder.path().join("in.ply"), folder.path().join("out.ply"));
+    mesh::write_ply(&rest, &anatomy.inspiration, &[]).unwrap();
+    mesh::write_ply(&other, &anatomy.expiration, &[]).unwrap();
+    let out = folder.path().join("case");
+    let import = |second: &Path| {
+        let mut command = command();
+        command.args(["import", "mesh-pair", "--id", "pair"]).arg(&rest).arg(second).arg("--out").arg(&out);
+        command
+    };
+    import(&other).assert().success();
+    let back = airway::build(&Case::load(&out.join("pair.toml")).unwrap()).unwrap();
+    assert_eq!(back.inspiration.faces, anatomy.inspiration.faces);
+    let worst = back.expiration.vertices.iter().zip(&anatomy.expiration.vertices);
+    assert!(worst.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max) < 1e-4);
+    let mut unrelated = anatomy.expiration.clone();
+    unrelated.faces.rotate_left(1);
+    mesh::write_ply(&other, &unrelated, &[]).unwrap();
+    fails(&mut import(&other), &["out.ply", "not registered"]);
+}
+
+#[test]
+fn what_is_wrong_is_said_in_one_sentence_with_exit_code_4() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let anatomy = airway::build(&Case::load(&case_path(3)).unwrap()).unwrap();
+    let good = anatomy.inspiration;
+    mesh::write_ply(&at("good.ply"), &good, &[]).unwrap();
+    let mut open = good.clone();
+    open.faces.pop();
+    mesh::write_ply(&at("open.ply"), &open, &[]).unwrap();
+    let doubled = TriangleMesh { faces: [good.faces.clone(), vec![good.faces[0]]].concat(), ..good.clone() };
+    mesh::write_ply(&at("doubled.ply"), &doubled, &[]).unwrap();
+    let head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+        element face 4\nproperty list uchar int vertex_indices\nend_header\n";
+    let body = "0 0 0\n1 0 0\n0 nan 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n";
+    fs::write(at("nan.ply"), format!("{head}{body}")).unwrap();
+    let fine = invented_landmarks(folder.path());
+    fs::write(at("empty.csv"), "").unwrap();
+    fs::write(at("header.csv"), "insp_x,insp_y,insp_z,exp_x,exp_y,exp_z\n").unwrap();
+    let few: Vec<String> = fs::read_to_string(&fine).unwrap().lines().take(5).map(String::from).collect();
+    fs::write(at("few.csv"), few.join("\n")).unwrap();
+    let fine = fine.file_name().unwrap().to_str().unwrap().to_string();
+    for (surface, landmarks, said) in [
+        ("none.ply", fine.as_str(), vec!["none.ply"]),
+        ("open.ply", &fine, vec!["open.ply", "edge ", "not closed"]),
+        ("doubled.ply", &fine, vec!["doubled.ply", "edge ", "not manifold"]),
+        ("nan.ply", &fine, vec!["nan.ply", "vertex 2"]),
+        ("good.ply", "none.csv", vec!["none.csv"]),
+        ("good.ply", "empty.csv", vec!["empty.csv", "empty"]),
+        ("good.ply", "header.csv", vec!["header.csv", "no landmark pair"]),
+        ("good.ply", "few.csv", vec!["few.csv", "4 landmark pairs are too few"]),
+    ] {
+        let mut command = command();
+        command.args(["import", "mesh", "--id", "x"]).arg(at(surface)).arg("--landmarks").arg(at(landmarks));
+        fails(command.arg("--out").arg(at("out")), &said);
+    }
+}
+
+#[test]
+fn without_real_files_a_mesh_and_invented_motion_become_a_case() {
+    let folder = tempfile::tempdir().unwrap();
+    let anatomy = airway::build(&Case::load(&case_path(3)).unwrap()).unwrap();
+    let mut turned = anatomy.inspiration;
+    turned.flip();
+    let surface = folder.path().join("airway.stl");
+    write_stl(&surface, &turned);
+    let landmarks = invented_landmarks(folder.path());
+    let mut command = command();
+    command.args(["import", "mesh", "--id", "mine", "--end-motion-mm", "8"]).arg(&surface).arg("--landmarks");
+    command.arg(&landmarks).arg("--out").arg(folder.path()).assert().success();
+    let case = Case::load(&folder.path().join("mine.toml")).unwrap();
+    let built = airway::build(&case).unwrap();
+    assert!(built.inspiration.signed_volume() < 0.0, "normals must point into the lumen");
+    assert!(flipped_faces(&built.inspiration, &built.expiration.vertices).is_empty());
+    let route = Route::plan(&built, &case.trajectory).unwrap();
+    assert!((route.end_motion_mm() - 8.0).abs() < 0.1, "{}", route.end_motion_mm());
+}
+
+#[test]
+fn the_shipped_fields_describe_the_measured_motion() {
+    let Some(data) = shared("dirlab_copd") else { return };
+    for (number, most_mm) in [(1, 3.0), (3, 2.5), (4, 3.0), (5, 4.0)] {
+        let case = Case::load(&case_path(number)).unwrap();
+        let anatomy = airway::build(&case).unwrap();
+        let pairs = landmarks::read(&data.join(format!("copd0{number}.csv"))).unwrap();
+        let lungs = LungBox::read(&data.join("lung_boxes.csv"), &format!("copd0{number}")).unwrap();
+        let placement = airway::import_breathing::Placement::fit(&anatomy.centerline, &lungs).unwrap();
+        let mut field = case.breathing.unwrap().field;
+        field.scale = 1.0;
+        let placed = pairs.iter().map(|p| placement.to_airway(p));
+        let sum: f64 = placed.map(|p| (field.displacement(p.inspiration_mm) - p.motion_mm()).length()).sum();
+        let mean = sum / pairs.len() as f64;
+        assert!(mean < most_mm, "case{number}: the field misses its landmarks by {mean} mm on average");
+        // No coefficient is a landmark.
+        for center in &field.centers {
+            let at = glam::DVec3::new(center[0], center[1], center[2]) + glam::DVec3::from_array(field.origin_mm);
+            let copied = pairs.iter().map(|p| placement.to_airway(p)).any(|p| p.inspiration_mm.distance(at) < 1e-3);
+            assert!(!copied, "case{number}: a centre is a landmark");
+        }
+    }
+}
+
+/// Runs a command that must fail with exit code 4 and one sentence that says all of `parts`.
+fn fails(command: &mut Command, parts: &[&str]) {
+    let output = command.assert().code(4).get_output().clone();
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(text.trim_end().lines().count(), 1, "{text}");
+    for part in parts {
+        assert!(text.contains(part), "\"{part}\" is missing in: {text}");
+    }
+}
+
+fn write_stl(path: &Path, surface: &TriangleMesh) {
+    let mut bytes = vec![0u8; 80];
+    bytes.extend((surface.faces.len() as u32).to_le_bytes());
+    for f in 0..surface.faces.len() {
+        bytes.extend([0u8; 12]);
+        for corner in surface.corners(f) {
+            for value in corner.to_array() {
+                bytes.extend((value as f32).to_le_bytes());
+            }
+        }
+        bytes.extend([0u8; 2]);
+    }
+    fs::write(path, bytes).unwrap();
+}
