@@ -34,7 +34,7 @@
 //! | [`reconstruct`] | the methods: losses, optimiser, schedules | the truth |
 //! | [`score`] | metric registry, protocol, aggregation | how predictions were made |
 //! | [`report`] | CSV, Markdown, LaTeX, HTML, plots, JUnit, gate verdicts | how scores were made |
-//! | [`bench`] | profiles, plan of cells, executor, journal | formats of the report |
+//! | [`mod@bench`] | profiles, plan of cells, executor, journal | formats of the report |
 //! | [`cli`] | arguments, progress, exit codes | algorithms |
 //!
 //! Conventions, one home each: millimetres, seconds, radians; right-handed world; camera axes as OpenCV (x right,

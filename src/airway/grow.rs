@@ -6,7 +6,7 @@
 //! | rule | source |
 //! |---|---|
 //! | branching is dichotomous; parent and children lie in one plane; the next plane is turned by 90 degrees | Kitaoka 1, 2, 8 |
-//! | the plane through the parent's axis across the branching plane parts the supplied region; flow is the part of its volume | Kitaoka 3, 4, 5 ([`GrowthRegion`]) |
+//! | the plane through the parent's axis across the branching plane parts the supplied region; flow is the part of its volume | Kitaoka 3, 4, 5 (`GrowthRegion`) |
 //! | `Q ~ d^n`, n = 2.8: a child's diameter goes with the n-th root of its share | Kitaoka 3, 6 |
 //! | `cos theta = (1 + r^(4/n) - (1-r)^(4/n)) / (2 r^(2/n))`, and with r and 1-r exchanged; at most 60 degrees | Kitaoka 6, from least volume (Kamiya and Togawa 1972) |
 //! | mean diameter ratio and length over diameter of generations 0 to 6 | Horsfield's tree at a lung volume of 3300 ml (replaces Kitaoka 7, `L = 3 d`, which is wrong for generations 2 to 4) |

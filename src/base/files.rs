@@ -61,14 +61,44 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     serde_json::from_str(&read_text(path)?).map_err(|e| Error::input(e.to_string()).at(path))
 }
 
-/// Reads TOML; the error names line and key.
+/// Reads TOML; the error names line and column, and shows the line.
 pub fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T> {
-    toml::from_str(&read_text(path)?).map_err(|e| Error::input(e.to_string().trim_end().replace('\n', " ")).at(path))
+    let text = read_text(path)?;
+    toml::from_str(&text).map_err(|e| {
+        let error = Error::input(e.message().trim_end().replace('\n', ", ")).at(path);
+        match e.span() {
+            Some(span) => error.element(place(&text, span.start)),
+            None => error,
+        }
+    })
+}
+
+/// Where the byte `offset` of `text` stands, as people count, with the beginning of its line.
+fn place(text: &str, offset: usize) -> String {
+    let before = text.get(..offset).unwrap_or(text);
+    let line_start = before.rfind('\n').map_or(0, |end| end + 1);
+    let line: String = text[line_start..].lines().next().unwrap_or("").trim().chars().take(60).collect();
+    let (row, column) = (before.matches('\n').count() + 1, before[line_start..].chars().count() + 1);
+    format!("line {row}, column {column} (`{line}`)")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_toml_mistake_is_one_line_that_says_where() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("case.toml");
+        let mistake = |text: &str| {
+            write_bytes(&path, text.as_bytes()).unwrap();
+            read_toml::<std::collections::BTreeMap<String, u32>>(&path).unwrap_err().to_string()
+        };
+        let wrong_type = mistake("a = 1\nb = \"x\"\n");
+        assert!(wrong_type.contains("case.toml: line 2, column 5 (`b = \"x\"`): invalid type"), "{wrong_type}");
+        let broken = mistake("a = [1\n");
+        assert!(broken.contains("case.toml: line ") && !broken.contains('\n'), "{broken}");
+    }
 
     #[test]
     fn a_failed_write_leaves_the_old_file_and_nothing_else() {

@@ -2,12 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use super::Terminal;
 use super::selection::Selection;
+use super::{Terminal, comparison};
 use crate::base::{Error, ErrorKind, Result, files};
 use crate::bench::store::{Lock, State, cell_folder, sequence_product};
 use crate::bench::{Environment, Freshness, Plan, Store, execute};
 use crate::report;
+use crate::report::summary::summarise;
+use crate::report::table::ComparisonTable;
 
 /// Arguments of `all-cases`.
 #[derive(clap::Args)]
@@ -52,7 +54,8 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     files::write_json(&folder.join("environment.json"), &Environment::examine())?;
     point_latest(&arguments.out, &run_id)?;
     terminal.finish();
-    terminal.line(written.table.trim_end());
+    let table = ComparisonTable::new(&summarise(&record));
+    comparison::lines(&table).iter().for_each(|line| terminal.line(line));
     terminal.line(format_args!("report: {}", written.html.display()));
 
     let failed: Vec<String> = finished.iter().filter(|c| c.failure.is_some()).map(|c| c.cell.id()).collect();

@@ -25,7 +25,7 @@ pub struct Arguments {
 
 #[derive(Subcommand)]
 enum What {
-    /// Fits measured landmark motion and writes it as the [breathing] part of a case file
+    /// Fits measured landmark motion and writes it as the `[breathing]` part of a case file
     Breathing(BreathingArguments),
     /// Makes a case of one airway surface and measured landmark motion
     Mesh(import_mesh::MeshArguments),

@@ -1,11 +1,12 @@
 //! Words in, words out: arguments, progress, exit codes, one file per command. No algorithms.
 //!
 //! A command is a file with `Arguments` (clap) and `run(Arguments, &Terminal) -> Result<()>`. To add one: a `mod`
-//! line and a line in [`commands!`] below.
+//! line and a line in `commands!` below.
 
 mod all_cases;
 mod check;
 mod compare;
+mod comparison;
 mod doctor;
 mod evaluate;
 mod explain;

@@ -108,7 +108,7 @@ mod tests {
         field.apply(&vec![[1.0f32, 2.0, 3.0]; 20], &mut out);
         assert!(out.iter().all(|o| (o[0] - 1.0).abs() < 1e-5 && (o[2] - 3.0).abs() < 1e-5), "a common shift is kept");
         let far = ControlField::new(&controls, &[DVec3::X * 3.0], 5, 4.5);
-        far.apply(&vec![[1.0f32]; 20], &mut Vec::from([[0.0f32]]));
+        far.apply(&[[1.0f32]; 20], &mut Vec::from([[0.0f32]]));
         let d: Vec<[f32; 3]> = cloud(20, 1.0).iter().map(|v| v.as_vec3().to_array()).collect();
         let g: Vec<[f32; 3]> = cloud(50, 1.0).iter().map(|v| v.as_vec3().to_array()).collect();
         field.apply(&d, &mut out);

@@ -20,7 +20,7 @@ pub fn nearest(points: &[DVec3], queries: &[DVec3], count: usize) -> Vec<Vec<(u3
         .with_min_len(256)
         .map(|q| {
             let found = tree.query(&q.to_array()).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
-            let mut list: Vec<(u32, f64)> = found.into_iter().map(|r| (r.item as u32, r.distance.sqrt())).collect();
+            let mut list: Vec<(u32, f64)> = found.into_iter().map(|r| (r.item, r.distance.sqrt())).collect();
             list.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
             list
         })

@@ -98,7 +98,7 @@ mod tests {
         // step 1: m^ = g, v^ = g^2, so the step is exactly the rate: 0.9
         // step 2: g = 1.8, m = .2 .9 + .18 = .36, m^ = .36/.19; v = .004 .999 + .00324 = .007236, v^ = v/.001999
         // step 3: g = 2 x2; likewise
-        let expected = [0.9000000, 0.8004122, 0.7015863];
+        let expected = [0.9, 0.800_412_2, 0.701_586_3];
         for want in expected {
             let gradient = [2.0 * x[0]];
             adam.step(0.1, &mut x, &gradient);

@@ -29,7 +29,7 @@ pub use run::{CaseInfo, CellRecord, MethodInfo, Outcome, Role, Run, StageCost};
 
 use crate::base::{Progress, Result, files};
 
-/// What [`write`] left behind.
+/// What [`write()`] left behind.
 #[derive(Clone, Debug)]
 pub struct Written {
     /// The Markdown report.

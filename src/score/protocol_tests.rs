@@ -37,7 +37,8 @@ fn truth_as_prediction_is_perfect() {
 fn graded_distortions_are_told_apart() {
     let truth = TubeTruth::new("tube", 40, 24);
     let none = Distortion::default();
-    let kinds: [(&str, &[&str], fn(f64) -> Distortion); 8] = [
+    type Kind = (&'static str, &'static [&'static str], fn(f64) -> Distortion);
+    let kinds: [Kind; 8] = [
         ("noise", &["psnr_db", "ssim", "ssim_padded", "psnr_ahead_db"], |g| Distortion {
             noise: 6.0 * g,
             ..Default::default()
@@ -128,7 +129,8 @@ fn scores_do_not_depend_on_threads_and_survive_json() {
 #[test]
 fn damage_is_named() {
     let truth = TubeTruth::new("tube", 24, 9);
-    let damages: [(&str, fn(&Path)); 10] = [
+    type Damage = (&'static str, fn(&Path));
+    let damages: [Damage; 10] = [
         ("color/000003.png", |f| fs::remove_file(f.join("color/000003.png")).unwrap()),
         ("color/000002.png", |f| fs::write(f.join("color/000002.png"), b"not a picture").unwrap()),
         ("color/000001.png", |f| {

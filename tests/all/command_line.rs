@@ -7,7 +7,8 @@ use crate::binary::{program, run};
 
 #[test]
 fn help_and_version_are_no_errors_and_mistakes_are_usage() {
-    for good in [vec!["--help"], vec!["--version"], vec!["help"], vec!["doctor", "--help"]] {
+    for good in [vec!["--help"], vec!["--version"], vec!["help"], vec!["doctor", "--help"], vec!["all-cases", "--help"]]
+    {
         let (code, out, err) = run(&good);
         assert_eq!(code, 0, "{good:?}: {err}");
         assert!(!out.is_empty() && err.is_empty(), "{good:?}");
@@ -18,6 +19,12 @@ fn help_and_version_are_no_errors_and_mistakes_are_usage() {
         vec!["doctor", "--no-such-option"],
         vec!["doctor", "surplus"],
         vec!["--threads", "many", "doctor"],
+        vec!["all-cases", "--profile", "huge"],
+        vec!["all-cases", "--cases", "case99"],
+        vec!["all-cases", "--methods", "magic"],
+        vec!["all-cases", "--cases", "case1,case1"],
+        vec!["all-cases", "--seeds", "1,x"],
+        vec!["run", "--case", "case1"],
     ];
     for words in bad {
         let (code, out, err) = run(&words);
@@ -43,7 +50,7 @@ fn doctor_tells_versions_to_people_and_to_machines() {
 
 #[test]
 fn a_reader_that_goes_away_is_no_error() {
-    for words in [["doctor"].as_slice(), &["doctor", "--json"], &["--help"]] {
+    for words in [["doctor"].as_slice(), &["doctor", "--json"], &["--help"], &["list"]] {
         let mut child = program().args(words).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         drop(child.stdout.take());
         let mut said = String::new();
@@ -51,4 +58,39 @@ fn a_reader_that_goes_away_is_no_error() {
         assert!(child.wait().unwrap().success(), "{words:?}: {said}");
         assert!(!said.contains("panicked"), "{said}");
     }
+}
+
+#[test]
+fn list_has_the_keys_that_scripts_rely_on() {
+    let (code, out, err) = run(&["list", "--json"]);
+    assert_eq!(code, 0, "{err}");
+    let listed: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let entries = |key: &str| listed[key].as_array().unwrap().clone();
+    assert_eq!((entries("cases").len(), entries("methods").len(), entries("cells").len()), (9, 6, 54));
+    for key in ["cases", "methods", "metrics", "cells"] {
+        assert!(entries(key).iter().all(|entry| !entry["id"].as_str().unwrap().is_empty()), "{key}");
+    }
+    for metric in entries("metrics") {
+        assert!(["higher", "lower"].contains(&metric["direction"].as_str().unwrap()), "{metric}");
+        assert!(metric["unit"].is_string() && !metric["definition"].as_str().unwrap().is_empty(), "{metric}");
+    }
+    let paper = ["bridgesplat", "bridgesplat-nomesh", "ours-nomesh", "ours"];
+    let methods: Vec<String> = entries("methods").iter().map(|m| m["id"].as_str().unwrap().to_owned()).collect();
+    assert_eq!(methods[..4], paper);
+}
+
+#[test]
+fn one_cell_runs_alone_and_says_where_its_files_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let profile = folder.path().join("tiny.toml");
+    std::fs::write(&profile, crate::all_cases::TINY).unwrap();
+    let (profile, cache) = (profile.to_str().unwrap(), folder.path().join("cache"));
+    let words =
+        ["run", "--case", "case1", "--method", "static-ct", "--profile", profile, "--cache", cache.to_str().unwrap()];
+    let (code, out, err) = run(&words);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.contains("psnr_db") && out.contains("prediction: "), "{out}");
+    let (_, json, _) = run(&[&words[..], &["--json"]].concat());
+    let score: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert!(score.is_object(), "{json}");
 }

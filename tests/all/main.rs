@@ -1,5 +1,7 @@
 //! One binary of integration tests, so that they link once.
+#![allow(clippy::unwrap_used, reason = "every function here belongs to a test")]
 
+mod all_cases;
 mod binary;
 mod command_line;
 mod gate;

@@ -54,7 +54,7 @@ impl ContourGrid {
 
 impl Figure for ContourGrid {
     fn size(&self) -> (u32, u32) {
-        (380 * self.columns().max(2) as u32, 50 + 380 * self.rows() as u32)
+        (if self.columns() == 1 { 520 } else { 380 * self.columns() as u32 }, 50 + 380 * self.rows() as u32)
     }
 
     fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB> {

@@ -24,7 +24,7 @@ const MARGIN: usize = 6;
 const HEAD: usize = 26;
 const FOOT: usize = 24;
 const LEFT: usize = 104;
-const SCALE_BAR: usize = 46;
+const SCALE_BAR: usize = 66;
 
 /// One picture with its words.
 struct Tile {
@@ -190,11 +190,9 @@ fn compose(panel: Panel, scale_title: Option<&str>) -> Result<Option<Image<u8>>>
                 ))?;
                 canvas.draw(&Text::new(format!("{tick}"), (x as i32, below), centred(pen.text(14.0))))?;
             }
-            let side = pen.text(14.0).pos(Pos::new(HPos::Left, VPos::Center));
             let note = format!("{title}; magenta: nothing predicted");
-            if page_width > LEFT + bar_width + 330 {
-                canvas.draw(&Text::new(note, ((LEFT + bar_width + 14) as i32, bar_top as i32 + 6), side))?;
-            }
+            let side = pen.text(14.0).pos(Pos::new(HPos::Left, VPos::Center));
+            canvas.draw(&Text::new(note, (LEFT as i32, bar_top as i32 + 44), side))?;
         }
         Ok(())
     })?;

@@ -25,7 +25,7 @@ const POISON: [f32; 14] = [
 
 fn poisoned(seed: u64) -> Gaussians<f32> {
     let r = &mut rng(&[9, seed]);
-    let kind = if seed % 2 == 0 { Kind::Ellipsoids } else { Kind::Discs };
+    let kind = if seed.is_multiple_of(2) { Kind::Ellipsoids } else { Kind::Discs };
     let mut scene = random(12, kind, (seed % 4) as u8, seed).cast::<f32>();
     for _ in 0..=r.index(6) {
         let value = POISON[r.index(POISON.len())];
