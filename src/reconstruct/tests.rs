@@ -11,7 +11,7 @@ use crate::base::camera::world_from_camera_looking;
 use crate::base::image::codes_from_unit;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{NoProgress, files, mesh};
-use crate::splat::{Frame, Rasterizer, Settings, View};
+use crate::splat::{DepthOutput, Frame, Rasterizer, Settings, View};
 
 /// A tube along +z, normals inwards, closed at the far end by its narrowing.
 fn tube(rings: usize, around: usize, length_mm: f64) -> TriangleMesh {
@@ -80,6 +80,8 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
     let speed = if made == Made::Discs { 0.4 } else { 0.1 };
     let camera = Camera::pinhole(size, size, 1.6);
     let mut rasterizer = Rasterizer::new();
+    // The given depth is that of a surface, as the simulator's is.
+    let settings = Settings { depth: DepthOutput::Surface, ..Settings::default() };
     let phases: Vec<f64> = (0..frames).map(phase_of).collect();
     let (mut images, mut poses, mut depth) = (Vec::new(), Vec::new(), None);
     for (t, &phase) in phases.iter().enumerate() {
@@ -93,7 +95,7 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
         let mut balls = free.patch(&faces);
         balls.place(|_| [0.0; 3], |_| [0.0; 4]);
         let gaussians = if made == Made::Free { &balls.gaussians } else { &discs.gaussians };
-        let rendered = rasterizer.render(gaussians, &view, &Settings::default(), None).unwrap();
+        let rendered = rasterizer.render(gaussians, &view, &settings, None).unwrap();
         let (w, h) = (rendered.width, rendered.height);
         images.push(codes_from_unit(&Image { width: w, height: h, channels: 3, data: rendered.color.clone() }));
         depth.get_or_insert_with(|| depth_image(rendered, w, h));
