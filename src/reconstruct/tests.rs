@@ -36,14 +36,14 @@ fn tube(rings: usize, around: usize, length_mm: f64) -> TriangleMesh {
 }
 
 /// Mucosa-like colour that varies from vertex to vertex.
-fn paint(mesh: &TriangleMesh, grain: f64, sh: &mut [f32]) {
+fn paint(mesh: &TriangleMesh, base: [f64; 3], grain: f64, sh: &mut [f32]) {
     let mut rng = CounterRng::new(4, Stage::Test, &[]);
     let wave = |v: &DVec3| 0.5 + 0.3 * (0.9 * v.x + 0.4 * v.z).sin() * (0.7 * v.y - 0.5 * v.z).cos();
     let tints: Vec<f64> = mesh.vertices.iter().map(|v| wave(v) + (rng.uniform() - 0.5) * grain).collect();
     let per_face = sh.len() / SH_VALUES / mesh.faces.len();
     for (i, sh) in sh.chunks_exact_mut(SH_VALUES).enumerate() {
         let tint = mesh.faces[i / per_face].iter().map(|&v| tints[v as usize]).sum::<f64>() / 3.0;
-        for (c, base) in [0.75, 0.4, 0.35].into_iter().enumerate() {
+        for (c, base) in base.into_iter().enumerate() {
             sh[c] = ((base * (0.5 + 0.9 * tint) - 0.5) / 0.2820948) as f32;
         }
     }
@@ -56,7 +56,8 @@ enum Made {
     Discs,
     /// The same with a smooth colour: the published constant rates of BridgeSplat jitter on a fine one.
     SmoothDiscs,
-    /// One free Gaussian per face centroid, smooth colour.
+    /// One free Gaussian per face centroid, smooth and pale: the published start is white, and behind an opacity of
+    /// 0.6 what was never quite seen stays white for long.
     Free,
 }
 
@@ -72,24 +73,27 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
     settings.gaussian_budget.value = 7000;
     let mut surface = Surface::new(&inspiration, &settings, Frame::InheritStretch, Start::Even, 5);
     let mut free = Free::new(&inspiration, &bridge("bridgesplat-nomesh").appearance, 1.0, 5);
-    let grain = if made == Made::Discs { 1.0 } else { 0.1 };
-    paint(&inspiration, grain, &mut surface.sh);
-    paint(&inspiration, grain, &mut free.sh);
+    let grain = if made == Made::Discs { 1.0 } else { 0.0 };
+    paint(&inspiration, [0.75, 0.4, 0.35], grain, &mut surface.sh);
+    paint(&inspiration, [0.95, 0.85, 0.8], grain, &mut free.sh);
     // The published rates of BridgeSplat change a colour by 0.07 per frame at most: it needs a slower scope.
     let speed = if made == Made::Discs { 0.4 } else { 0.1 };
     let camera = Camera::pinhole(size, size, 1.6);
-    let all: Vec<u32> = (0..inspiration.faces.len() as u32).collect();
-    let mut patch = surface.patch(&all).unwrap();
     let mut rasterizer = Rasterizer::new();
     let phases: Vec<f64> = (0..frames).map(phase_of).collect();
     let (mut images, mut poses, mut depth) = (Vec::new(), Vec::new(), None);
     for (t, &phase) in phases.iter().enumerate() {
         let vertices = to_f32(&mesh::interpolate(&inspiration.vertices, &expiration.vertices, phase));
-        patch.place(&patch.pick(&vertices)).unwrap();
         let origin = DVec3::new(0.5, 0.3, 12.0 + speed * t as f64 + 4.0 * phase);
         let pose: DAffine3 = world_from_camera_looking(origin, DVec3::new(0.05, 0.02, 1.0), DVec3::Y);
-        let rendered =
-            rasterizer.render(&patch.gaussians, &View::new(camera, pose), &Settings::default(), None).unwrap();
+        let view = View::new(camera, pose);
+        let faces = visible_faces(&inspiration.faces, &[&vertices], &view, Reach { margin: 0.1, range_mm: 150.0 });
+        let mut discs = surface.patch(&faces).unwrap();
+        discs.place(&discs.pick(&vertices)).unwrap();
+        let mut balls = free.patch(&faces);
+        balls.place(|_| [0.0; 3], |_| [0.0; 4]);
+        let gaussians = if made == Made::Free { &balls.gaussians } else { &discs.gaussians };
+        let rendered = rasterizer.render(gaussians, &view, &Settings::default(), None).unwrap();
         let (w, h) = (rendered.width, rendered.height);
         images.push(codes_from_unit(&Image { width: w, height: h, channels: 3, data: rendered.color.clone() }));
         depth.get_or_insert_with(|| depth_image(rendered, w, h));
@@ -179,7 +183,7 @@ fn ours_nomesh_recovers_its_world() {
 
 #[test]
 fn bridgesplat_recovers_its_world() {
-    let observation = world(Made::SmoothDiscs, 24, 64, |_| 0.0);
+    let observation = world(Made::SmoothDiscs, 32, 64, |_| 0.0);
     let (psnr, _) = recover(&Bridgesplat::new(bridge("bridgesplat"), 1.0), &observation);
     assert!(psnr >= 38.0, "{psnr}");
 }
@@ -187,7 +191,7 @@ fn bridgesplat_recovers_its_world() {
 #[test]
 fn bridgesplat_nomesh_recovers_its_world() {
     let observation = world(Made::Free, 24, 64, |_| 0.0);
-    let (psnr, _) = recover(&BridgesplatNomesh::new(bridge("bridgesplat-nomesh"), 3.0), &observation);
+    let (psnr, _) = recover(&BridgesplatNomesh::new(bridge("bridgesplat-nomesh"), 1.0), &observation);
     assert!(psnr >= 38.0, "{psnr}");
 }
 
