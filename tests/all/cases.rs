@@ -6,7 +6,10 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use rayon::prelude::*;
 use respire_bench::airway::case::{AnatomySource, Case};
-use respire_bench::airway::{self, Anatomy};
+use respire_bench::airway::case_build::read_tree;
+use respire_bench::airway::grow::grow;
+use respire_bench::airway::tree::Tree;
+use respire_bench::airway::{self, Anatomy, morphometry};
 use respire_bench::base::{TriangleMesh, mesh};
 use respire_bench::simulate::film::Film;
 use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, material};
@@ -79,52 +82,141 @@ fn assert_no_face_turns(id: &str, anatomy: &Anatomy) {
     }
 }
 
+/// A row of the table in docs/cases.md.
+fn row(case: &Case, anatomy: &Anatomy, film: &Film) -> String {
+    let tree = match &case.anatomy {
+        AnatomySource::Tree { path, .. } => {
+            format!("measured: {}", path.file_stem().unwrap().to_string_lossy().replace('_', " "))
+        }
+        AnatomySource::Grown { seed, .. } => format!("grown, seed {seed}"),
+        _ => String::from("mesh"),
+    };
+    let field = &case.breathing.as_ref().unwrap().field;
+    let t = &case.trajectory;
+    let w = &case.waveform;
+    format!(
+        "| {} | {tree} | {} | {:.0} | {:.2} | {:.0}{} | {} | {:.0} | {:.1} | {:.1} | {}-{:.2}{} | {} |",
+        case.id,
+        field.source.split(' ').next().unwrap(),
+        film.end_motion_mm,
+        field.scale,
+        case.camera.fov_x_deg,
+        if case.camera.fisheye.is_some() { " (fisheye)" } else { "" },
+        format!("{:?}", t.region).replace("Lower", ", lower").replace("Upper", ", upper").to_lowercase(),
+        film.route_mm,
+        2.0 * t.scope_radius_mm,
+        60.0 / w.period_s(),
+        w.offset,
+        w.offset + w.amplitude,
+        if w.irregularity > 0.0 { ", irregular" } else { "" },
+        anatomy.inspiration.faces.len() / 1000,
+    )
+}
+
+/// Median inscribed diameters of the trees by generation, beside the literature's.
+fn diameters(trees: &[(String, Tree)]) -> String {
+    let rows: Vec<_> = trees.iter().map(|(_, tree)| morphometry::rows(tree)).collect();
+    let names: Vec<&str> = trees.iter().map(|t| t.0.as_str()).collect();
+    let mut text = format!("| generation | {} | Weibel A | Horsfield |\n|", names.join(" | "));
+    text += &"---:|".repeat(trees.len() + 3);
+    for generation in 0..=7u32 {
+        let cell = |value: Option<f64>| value.map_or(String::from("-"), |v| format!("{v:.1}"));
+        let of = |rows: &Vec<morphometry::Row>| {
+            cell(rows.iter().find(|r| r.generation == generation).map(|r| r.diameter_mm))
+        };
+        let cells: Vec<String> = rows.iter().map(of).collect();
+        let known = morphometry::literature(generation);
+        text += &format!(
+            "\n| {generation} | {} | {} | {} |",
+            cells.join(" | "),
+            cell(known.map(|l| l.weibel_diameter_mm)),
+            cell(known.and_then(|l| l.horsfield_diameter_mm))
+        );
+    }
+    text
+}
+
+/// The part of docs/cases.md between its marks must be `wanted`; with UPDATE_DOCS=1 it is written.
+fn assert_documented(mark: &str, wanted: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/cases.md");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let (open, close) = (format!("<!-- {mark} -->\n"), format!("\n<!-- end of {mark} -->"));
+    let start = text.find(&open).unwrap() + open.len();
+    let end = start + text[start..].find(&close).unwrap();
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(&path, format!("{}{wanted}{}", &text[..start], &text[end..])).unwrap();
+    } else {
+        assert_eq!(&text[start..end], wanted, "rerun with UPDATE_DOCS=1");
+    }
+}
+
+#[test]
+fn the_documented_diameters_are_those_of_the_trees() {
+    let tree = |case: &Case| match &case.anatomy {
+        AnatomySource::Tree { path, .. } => read_tree(&case.resolve(path)).unwrap(),
+        AnatomySource::Grown { seed, growth, .. } => grow(*seed, growth).unwrap(),
+        _ => panic!("{} has no tree", case.id),
+    };
+    let cases = cases();
+    let trees: Vec<(String, Tree)> =
+        [(1, "ATM_384"), (2, "ATM_224"), (3, "Chaste"), (7, "case7"), (8, "case8"), (9, "case9")]
+            .map(|(n, name)| (name.to_string(), tree(&cases[n - 1])))
+            .to_vec();
+    assert_documented("diameters", &diameters(&trees));
+}
+
 #[test]
 fn every_case_breathes_without_folds_and_its_scope_stays_in_the_lumen() {
-    cases().par_iter().for_each(|case| {
-        let anatomy = airway::build(case).unwrap();
-        let id = &case.id;
-        anatomy.inspiration.validate_closed().unwrap();
-        let faces = anatomy.inspiration.faces.len();
-        assert!((15_000..=50_000).contains(&faces), "{id}: {faces} faces");
-        for surface in [&anatomy.inspiration, &anatomy.expiration] {
-            assert!(surface.signed_volume() < 0.0, "{id}: normals must point into the lumen");
+    let rows: Vec<String> = cases().par_iter().map(checked_row).collect();
+    let head = "| case | tree | motion | end moves (mm) | of full motion | view (deg) | way ends | way (mm) | scope (mm) | breaths/min | phases | faces (k) |\n\
+        |---|---|---|---:|---:|---|---|---:|---:|---:|---|---:|";
+    assert_documented("cases", &format!("{head}\n{}", rows.join("\n")));
+}
+
+/// Checks everything about a case and gives its row of the table.
+fn checked_row(case: &Case) -> String {
+    let anatomy = airway::build(case).unwrap();
+    let id = &case.id;
+    anatomy.inspiration.validate_closed().unwrap();
+    let faces = anatomy.inspiration.faces.len();
+    assert!((15_000..=50_000).contains(&faces), "{id}: {faces} faces");
+    for surface in [&anatomy.inspiration, &anatomy.expiration] {
+        assert!(surface.signed_volume() < 0.0, "{id}: normals must point into the lumen");
+    }
+    assert_no_face_turns(id, &anatomy);
+    let settings = SimulationSettings {
+        width_px: 64,
+        height_px: 64,
+        frames_per_second: 10.0,
+        frames: (case.waveform.period_s() * 10.0).ceil() as usize,
+        samples_per_pixel: 1,
+        meshes: MeshOutput::EndStates,
+        radiance: RadianceOutput::None,
+    };
+    let film = Film::plan(case, &anatomy, &settings, &material(case).unwrap()).unwrap();
+    assert!((4.9..=20.1).contains(&film.end_motion_mm), "{id}: the end moves {} mm", film.end_motion_mm);
+    assert!(film.notes.is_empty(), "{id}: {:?}", film.notes);
+    let phases = film.frames.iter().map(|f| f.phase);
+    let (low, high) = phases.fold((1.0f64, 0.0f64), |(l, h), p| (l.min(p), h.max(p)));
+    assert!(low < 0.3 && high > 0.8, "{id}: a breath spans {low} to {high}");
+    for (index, frame) in film.frames.iter().enumerate() {
+        assert!(film.clearance_mm[index] >= 0.9 * case.trajectory.scope_radius_mm, "{id} frame {index}");
+        if index % 8 == 0 {
+            let vertices = mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, frame.phase);
+            let now = TriangleMesh { vertices, faces: anatomy.inspiration.faces.clone() };
+            let direction = DVec3::new(0.317, 0.523, 0.791).normalize();
+            let through = crossings(&now, frame.world_from_camera.translation, direction);
+            assert_eq!(through % 2, 1, "{id} frame {index}: the camera is outside");
         }
-        assert_no_face_turns(id, &anatomy);
-        let settings = SimulationSettings {
-            width_px: 64,
-            height_px: 64,
-            frames_per_second: 10.0,
-            frames: (case.waveform.period_s() * 10.0).ceil() as usize,
-            samples_per_pixel: 1,
-            meshes: MeshOutput::EndStates,
-            radiance: RadianceOutput::None,
-        };
-        let film = Film::plan(case, &anatomy, &settings, &material(case).unwrap()).unwrap();
-        assert!((4.9..=20.1).contains(&film.end_motion_mm), "{id}: the end moves {} mm", film.end_motion_mm);
-        assert!(film.notes.is_empty(), "{id}: {:?}", film.notes);
-        let phases = film.frames.iter().map(|f| f.phase);
-        let (low, high) = phases.fold((1.0f64, 0.0f64), |(l, h), p| (l.min(p), h.max(p)));
-        assert!(low < 0.3 && high > 0.8, "{id}: a breath spans {low} to {high}");
-        for (index, frame) in film.frames.iter().enumerate() {
-            assert!(film.clearance_mm[index] >= 0.9 * case.trajectory.scope_radius_mm, "{id} frame {index}");
-            if index % 8 == 0 {
-                let vertices =
-                    mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, frame.phase);
-                let now = TriangleMesh { vertices, faces: anatomy.inspiration.faces.clone() };
-                let direction = DVec3::new(0.317, 0.523, 0.791).normalize();
-                let through = crossings(&now, frame.world_from_camera.translation, direction);
-                assert_eq!(through % 2, 1, "{id} frame {index}: the camera is outside");
-            }
-            let r = frame.world_from_camera.matrix3;
-            assert!((r.determinant() - 1.0).abs() < 1e-9, "{id} frame {index}");
-        }
-        // The camera's way is smooth: no frame turns by more than 25 degrees or jumps.
-        for pair in film.frames.windows(2) {
-            let (a, b) = (pair[0].world_from_camera, pair[1].world_from_camera);
-            let turn = a.matrix3.z_axis.dot(b.matrix3.z_axis).clamp(-1.0, 1.0).acos().to_degrees();
-            assert!(turn < 25.0, "{id}: turns by {turn} degrees");
-            assert!(a.translation.distance(b.translation) < 5.0, "{id}");
-        }
-    });
+        let r = frame.world_from_camera.matrix3;
+        assert!((r.determinant() - 1.0).abs() < 1e-9, "{id} frame {index}");
+    }
+    // The camera's way is smooth: no frame turns by more than 25 degrees or jumps.
+    for pair in film.frames.windows(2) {
+        let (a, b) = (pair[0].world_from_camera, pair[1].world_from_camera);
+        let turn = a.matrix3.z_axis.dot(b.matrix3.z_axis).clamp(-1.0, 1.0).acos().to_degrees();
+        assert!(turn < 25.0, "{id}: turns by {turn} degrees");
+        assert!(a.translation.distance(b.translation) < 5.0, "{id}");
+    }
+    row(case, &anatomy, &film)
 }
