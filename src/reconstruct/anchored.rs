@@ -253,6 +253,14 @@ impl Rates {
     }
 }
 
+/// Adam's constants for images of `values` values: with `quiet_values`, a Gaussian that the image hardly shows hardly
+/// moves, where the published epsilon of 1e-15 lets it wander at full speed.
+pub fn adam_constants(settings: &Appearance, values: usize) -> AdamConstants {
+    let quiet = settings.quiet_values.as_ref().map_or(0.0, |q| **q);
+    let published = AdamConstants::default();
+    AdamConstants { epsilon: published.epsilon.max(quiet * SH_C0 as f64 / values as f64), ..published }
+}
+
 /// Optimiser of a patch.
 pub struct DiscAdam {
     /// The rates, which a schedule may change.
@@ -265,8 +273,8 @@ pub struct DiscAdam {
 
 impl DiscAdam {
     /// An optimiser with `rates`.
-    pub fn new(rates: Rates, counter: StepCounter) -> Self {
-        let adam = || Adam::new(AdamConstants::default());
+    pub fn new(rates: Rates, counter: StepCounter, constants: AdamConstants) -> Self {
+        let adam = || Adam::new(constants);
         DiscAdam { rates, counter, logits: adam(), scales: adam(), sh: adam() }
     }
 

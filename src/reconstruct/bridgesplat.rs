@@ -114,7 +114,11 @@ impl<'a> State<'a> {
             surface: Surface::new(mesh, &settings.appearance, Frame::NormalOnly, Start::Random, observation.seed),
             deformation: None,
             rasterizer: Rasterizer::new(),
-            adam: DiscAdam::new(Rates::new(&settings.appearance, super::rate_factor(scale)), StepCounter::Kept),
+            adam: DiscAdam::new(
+                Rates::new(&settings.appearance, super::rate_factor(scale)),
+                StepCounter::Kept,
+                AdamConstants::default(),
+            ),
             reach: Reach { margin: *settings.visibility.margin, range_mm: *settings.visibility.range_mm },
             image_gradient: Vec::new(),
             by_patch: Vec::new(),

@@ -157,7 +157,11 @@ impl<'a> State<'a> {
             anchors: Anchors::new(settings, &free.centres, observation.seed),
             free,
             rasterizer: Rasterizer::new(),
-            adam: FreeAdam::new(Rates::new(&settings.appearance, super::rate_factor(scale)), StepCounter::Kept),
+            adam: FreeAdam::new(
+                Rates::new(&settings.appearance, super::rate_factor(scale)),
+                StepCounter::Kept,
+                AdamConstants::default(),
+            ),
             reach: Reach { margin: *settings.visibility.margin, range_mm: *settings.visibility.range_mm },
             image_gradient: Vec::new(),
         }

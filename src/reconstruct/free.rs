@@ -184,8 +184,8 @@ pub struct FreeAdam {
 
 impl FreeAdam {
     /// An optimiser with `rates`.
-    pub fn new(rates: Rates, counter: StepCounter) -> Self {
-        let adam = || Adam::new(AdamConstants::default());
+    pub fn new(rates: Rates, counter: StepCounter, constants: AdamConstants) -> Self {
+        let adam = || Adam::new(constants);
         FreeAdam { rates, counter, centres: adam(), rotations: adam(), scales: adam(), sh: adam() }
     }
 

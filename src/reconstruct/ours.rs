@@ -5,7 +5,7 @@ use crate::base::{Error, Progress, Result};
 use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
 
 use super::active::{Reach, visible_faces};
-use super::anchored::{DiscAdam, Patch, Rates, Start, Surface, to_f32};
+use super::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
 use super::optimiser::StepCounter;
 use super::phase_fit::{self, Carried, PhaseSource};
 use super::settings::PhaseMethod;
@@ -106,12 +106,13 @@ impl OnMesh {
             None => vec![[0.0; 3]; rest.vertices.len()],
         };
         let rates = Rates::new(&settings.appearance, super::rate_factor(iteration_scale));
+        let constants = adam_constants(&settings.appearance, observation.images[0].data.len());
         Ok(OnMesh {
             surface: Surface::new(rest, &settings.appearance, Frame::InheritStretch, Start::Even, observation.seed),
             inspiration: to_f32(&rest.vertices),
             displacement,
             reach: Reach { margin: *settings.visibility.margin, range_mm: *settings.visibility.range_mm },
-            adam: DiscAdam::new(rates, StepCounter::Restarted),
+            adam: DiscAdam::new(rates, StepCounter::Restarted, constants),
             seen: None,
         })
     }

@@ -7,7 +7,7 @@ use crate::base::{Error, Progress, Result};
 use crate::splat::{Gaussians, Gradients, View, Wanted};
 
 use super::active::{Reach, visible_faces};
-use super::anchored::{Rates, to_f32};
+use super::anchored::{Rates, adam_constants, to_f32};
 use super::free::{Free, FreeAdam, FreePatch, Learned};
 use super::neighbours;
 use super::optimiser::StepCounter;
@@ -97,6 +97,7 @@ impl InField {
             adam: FreeAdam::new(
                 Rates::new(&settings.appearance, super::rate_factor(iteration_scale)),
                 StepCounter::Restarted,
+                adam_constants(&settings.appearance, observation.images[0].data.len()),
             ),
             patch: None,
             local: Vec::new(),

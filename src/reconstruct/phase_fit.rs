@@ -23,6 +23,9 @@ use super::{FramePrediction, Observation, Reconstruction};
 /// Every eighth frame is held out: rendered before its image is looked at.
 pub const HELD_OUT_PERIOD: usize = 8;
 
+/// Darkest colour that a Gaussian keeps after a frame.
+const DARKEST: f32 = 0.01;
+
 /// Gaussians that a phase moves.
 pub trait Carried {
     /// Makes the compact copy of what `view` can see while the phase stays within `phases`.
@@ -293,7 +296,11 @@ impl Fitter<'_> {
         let depths = depths(view, carried.gaussians());
         let rendered = self.rasterizer.rendered();
         let width = rendered.width;
-        let (_, fitted_at) = carried.colors();
+        let (sh, fitted_at) = carried.colors();
+        for value in sh.chunks_exact_mut(SH_VALUES).flat_map(|s| &mut s[..3]) {
+            // A colour below zero is shown as zero and has no gradient: it would stay black for ever.
+            *value = value.max((DARKEST - 0.5) / SH_C0);
+        }
         for (((at, pixel), distance), depth) in fitted_at.iter_mut().zip(pixels).zip(distances).zip(depths) {
             if let Some([x, y]) = pixel
                 && depth < 1.1 * rendered.depth[y * width + x] + 1.0

@@ -88,6 +88,9 @@ pub struct Appearance {
     /// Rate of quaternions (free Gaussians only).
     #[serde(default)]
     pub rotation_rate: Option<Sourced<f64>>,
+    /// Adam's epsilon, as the gradient of so many image values (pixel x channel) of L1; 0 is the published 1e-15.
+    #[serde(default)]
+    pub quiet_values: Option<Sourced<f64>>,
     /// Rate of the constant SH coefficients.
     pub sh_dc_rate: Sourced<f64>,
     /// Rate of the linear SH coefficients.
