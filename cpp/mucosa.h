@@ -3,7 +3,7 @@
 // blotchy colour, two generations of vessels, mucus film of varying roughness, fine relief.
 // Vessels are the edges of a warped three-dimensional Voronoi diagram cut by the surface (their junctions have three
 // arms, as vessels have), each edge with its own calibre, many of them absent. Noise after Perlin (SIGGRAPH 2002) with
-// analytic gradient. Colours: pale pink to red as the blood volume of FACTS 7.6 rises; nothing here is a measurement.
+// analytic gradient. Colours: pale pink to red as the blood volume rises; nothing here is a measurement.
 
 #include <cmath>
 #include <cstdint>

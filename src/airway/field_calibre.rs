@@ -7,8 +7,8 @@
 //!
 //! rho is the diameter at expiration over that at inspiration. Because w is Gaussian, dp/dx is (for equal radii) a
 //! covariance, so positive semi-definite, and x + s(x) keeps its orientation for any rho in (0, 1], at branchings
-//! too; [`super::field_check`] verifies it all the same. Ratios: FACTS 7.3 (Diaz et al., lumen areas of COPD subjects at
-//! FRC over full inspiration). Left out: cartilage, dynamic collapse.
+//! too; [`super::field_check`] verifies it all the same. Ratios: from lumen areas of COPD subjects (PMC3938549) at
+//! FRC over full inspiration. Left out: cartilage, dynamic collapse.
 
 use glam::DVec3;
 use rayon::prelude::*;

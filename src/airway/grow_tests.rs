@@ -3,7 +3,7 @@ use crate::airway::surface::{SurfaceSettings, surface_from_tree};
 
 #[test]
 fn rule_six_gives_the_published_values() {
-    // FACTS: r = .5 -> 34.9 degrees, r = .3 -> 46.9 / 23.5, r = .1 -> 62.7 / 10.7 (62 here: the limit).
+    // Closed form: r = .5 -> 34.9 degrees, r = .3 -> 46.9 / 23.5, r = .1 -> 62.7 / 10.7 (62 here: the limit).
     for (share, degrees) in [(0.5, 34.9), (0.3, 46.9), (0.7, 23.5), (0.1, 62.0), (0.9, 10.7)] {
         let angle = branching_angle(share, 2.8).to_degrees();
         assert!((angle - degrees).abs() < 0.1, "share {share}: {angle}");

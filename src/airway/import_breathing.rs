@@ -3,8 +3,8 @@
 //! The airway stays where it is; the patient's landmarks are carried into its frame. Carina goes to carina, assumed at
 //! fixed fractions of the lungs' inspiration box, and each axis is scaled so that the airway fills as much of that box as
 //! airways visible in CT do. So tree and motion are both real, but not of one patient, and case files say so. The top of
-//! the trachea is held by anchors of small motion: landmarks lie in the parenchyma, and the trachea moves least
-//! (FACTS 7.3). When the interpolated mesh would fold anywhere, smoothing is raised step by step until it does not.
+//! the trachea is held by anchors of small motion: landmarks lie in the parenchyma, and the trachea moves least.
+//! When the interpolated mesh would fold anywhere, smoothing is raised step by step until it does not.
 
 use std::path::Path;
 
