@@ -25,6 +25,11 @@ pub fn write_rgb(path: &Path, image: &Image<u8>) -> Result<()> {
     files::write_bytes(path, &encode(image).map_err(|e| e.at(path))?)
 }
 
+/// Writes a grey image (one channel) in one atomic step.
+pub fn write_grey(path: &Path, image: &Image<u8>) -> Result<()> {
+    files::write_bytes(path, &encode_as(image, 1, ExtendedColorType::L8).map_err(|e| e.at(path))?)
+}
+
 fn decode(bytes: &[u8]) -> Result<Image<u8>> {
     let damaged = |e: image::ImageError| Error::input(format!("is not a readable PNG image: {e}"));
     let mut limits = Limits::default();
@@ -38,15 +43,19 @@ fn decode(bytes: &[u8]) -> Result<Image<u8>> {
 }
 
 fn encode(image: &Image<u8>) -> Result<Vec<u8>> {
-    if image.channels != 3 || image.width == 0 || image.height == 0 {
+    encode_as(image, 3, ExtendedColorType::Rgb8)
+}
+
+fn encode_as(image: &Image<u8>, channels: usize, color: ExtendedColorType) -> Result<Vec<u8>> {
+    if image.channels != channels || image.width == 0 || image.height == 0 {
         return Err(Error::input(format!(
-            "an image of {}x{} pixels and {} channels cannot be written as RGB",
+            "an image of {}x{} pixels and {} channels cannot be written as PNG of {channels} channels",
             image.width, image.height, image.channels
         )));
     }
     let mut bytes = Vec::new();
     PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive)
-        .write_image(&image.data, image.width as u32, image.height as u32, ExtendedColorType::Rgb8)
+        .write_image(&image.data, image.width as u32, image.height as u32, color)
         .map_err(|e| Error::input(format!("encoding as PNG failed: {e}")))?;
     Ok(bytes)
 }

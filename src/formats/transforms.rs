@@ -18,6 +18,9 @@ pub struct TransformsFrame {
     /// z-depth image, relative to the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_file_path: Option<String>,
+    /// One-channel image that is 0 where the image holds nothing, relative to the file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mask_path: Option<String>,
     /// World from camera, OpenGL camera axes, row-major 4x4.
     pub transform_matrix: [[f64; 4]; 4],
     /// Seconds since the first frame.
@@ -172,6 +175,7 @@ mod tests {
         let frame = TransformsFrame {
             file_path: "images/000000.png".into(),
             depth_file_path: None,
+            mask_path: None,
             transform_matrix: TransformsFrame::matrix(&pose),
             time: 1.0 / 3.0,
             breathing_phase: Some(0.123456789123),

@@ -9,6 +9,7 @@ use glam::{DVec2, DVec3};
 use respire_bench::airway::case::Case;
 use respire_bench::base::{ErrorKind, NoProgress, Progress, TriangleMesh, mesh};
 use respire_bench::simulate::sequence::Sequence;
+use respire_bench::simulate::truth::TruthSet;
 use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
 
 use crate::cases::case_path;
@@ -22,6 +23,7 @@ fn small() -> SimulationSettings {
         samples_per_pixel: 2,
         meshes: MeshOutput::EveryFrame,
         radiance: RadianceOutput::Exr,
+        truth: TruthSet::default(),
     }
 }
 
