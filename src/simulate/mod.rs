@@ -2,6 +2,7 @@
 
 pub mod exposure;
 pub mod film;
+pub mod preview;
 pub mod sensor;
 pub mod sequence;
 mod shoot;
@@ -167,6 +168,7 @@ fn write_truth(
     Transforms::new(&film.camera, entries).write(&out.join(sequence::TRANSFORMS))?;
     files::write_bytes(&out.join(sequence::FRAMES), film.frames_csv().as_bytes())?;
     files::write_bytes(&out.join(sequence::FORMAT), include_bytes!("FORMAT.md"))?;
+    preview::write(out, film.frames.len(), settings.frames_per_second)?;
     let hashes: Vec<(String, String)> = content_names(case, film, settings)
         .into_par_iter()
         .map(|name| hash::of_file(&out.join(&name)).map(|h| (name, h)))
@@ -193,6 +195,8 @@ fn content_names(case: &Case, film: &Film, settings: &SimulationSettings) -> Vec
         sequence::TRANSFORMS,
         sequence::FRAMES,
         sequence::FORMAT,
+        sequence::CONTACT_SHEET,
+        sequence::PREVIEW,
     ];
     let mut names: Vec<String> = fixed.iter().map(|n| n.to_string()).collect();
     if case.scope.mask_radius > 0.0 {

@@ -13,5 +13,7 @@ mod reference;
 mod render;
 mod render_command;
 mod scope;
+mod sequence_folder;
 mod simulate;
 mod splat;
+mod truth_maps;
