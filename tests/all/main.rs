@@ -12,5 +12,6 @@ mod mesh_damage;
 mod reference;
 mod render;
 mod render_command;
+mod render_subsurface;
 mod simulate;
 mod splat;
