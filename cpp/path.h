@@ -63,6 +63,7 @@ class PathIntegrator {
         intensity_{frame.intensity[0], frame.intensity[1], frame.intensity[2]},
         background_{frame.background[0], frame.background[1], frame.background[2]},
         origin_{frame.origin[0], frame.origin[1], frame.origin[2]},
+        light_axis_{frame.rotation[2], frame.rotation[5], frame.rotation[8]},
         limit_(frame.max_scatterings == 0 ? unlimited(tracer) : frame.max_scatterings) {}
 
   // Camera axes to world axes.
@@ -107,6 +108,9 @@ class PathIntegrator {
     add(film + 15, s.smooth);
     film[18] += 1.0f;
   }
+
+  // Albedo of the base where a camera ray hits.
+  Vec3 camera_albedo(const Hit& hit, Vec3 direction) const { return camera_surface(hit, direction).albedo; }
 
  private:
   // Roulette ends every path long before; the bound only keeps a perfectly white closed room from running for ever.
@@ -224,6 +228,13 @@ class PathIntegrator {
     return s;
   }
 
+  // The light's profile: the part of its intensity in a direction of this cosine to its axis (the camera's).
+  float emission(float cosine) const {
+    if (frame_.emission_exponent == 0.0f) return 1.0f;
+    cosine = clamp(cosine, 0.0f, 1.0f);
+    return frame_.emission_exponent == 1.0f ? cosine : std::pow(cosine, frame_.emission_exponent);
+  }
+
   // Radiance towards `o` by the light itself, from a base of albedo `rho`.
   Vec3 direct_light(const Surface& s, const Frame& frame, Vec3 o, bool shadows, Vec3 rho) {
     const Vec3 to_light = light_ - s.point;
@@ -232,7 +243,7 @@ class PathIntegrator {
     const float cosine = dot(s.shading, direction);
     if (cosine <= 0.0f || dot(s.geometric, direction) <= 0.0f) return {0, 0, 0};
     if (shadows && occluded(s.point + s.geometric * kOffset, direction, r * (1.0f - 1e-5f) - kOffset)) return {0, 0, 0};
-    const Vec3 irradiance = intensity_ * (cosine / r2);
+    const Vec3 irradiance = intensity_ * (emission(-dot(direction, light_axis_)) * cosine / r2);
     if (!tracer_.coated_) return irradiance * rho * (1.0f / kPi);
     const float e = tracer_.coat_.albedo(s.alpha, o.z);
     const float mirrored = tracer_.coat_.value(o, frame.local(direction), s.alpha);
@@ -308,7 +319,7 @@ class PathIntegrator {
     const float cosine = dot(s.shading, direction);
     if (cosine <= 0.0f || dot(s.geometric, direction) <= 0.0f) return {0, 0, 0};
     if (shadows && occluded(s.point + s.geometric * kOffset, direction, r * (1.0f - 1e-5f) - kOffset)) return {0, 0, 0};
-    return intensity_ * (cosine / r2);
+    return intensity_ * (emission(-dot(direction, light_axis_)) * cosine / r2);
   }
 
   // One sample of what leaves the wall at `at` by way of a walk that starts there: radiance (towards every side), its
@@ -419,7 +430,7 @@ class PathIntegrator {
       if (!surface) break;
       so_far = end;
     }
-    return intensity_ * attenuation(medium.extinction, in_wall) * (1.0f / (4.0f * kPi * r2));
+    return intensity_ * attenuation(medium.extinction, in_wall) * (emission(-dot(direction, light_axis_)) / (4.0f * kPi * r2));
   }
 
   // Radiance that arrives along a ray from a first vertex; `carried` is the throughput up to there (for roulette only).
@@ -461,7 +472,7 @@ class PathIntegrator {
 
   const Tracer& tracer_;
   const FrameSettings& frame_;
-  Vec3 light_, intensity_, background_, origin_;
+  Vec3 light_, intensity_, background_, origin_, light_axis_;
   std::uint32_t limit_;
 };
 

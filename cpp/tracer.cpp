@@ -215,6 +215,30 @@ void Tracer::trace_distances(const FrameSettings& frame, rust::Slice<const float
   }
 }
 
+void Tracer::probe(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<std::uint32_t> faces,
+                   rust::Slice<float> values) const {
+  demand(directions.size() == 3 * faces.size() && values.size() == 6 * faces.size(), "one direction and six values per face");
+  FloatMode mode;
+  PathIntegrator integrator(*this, frame);
+  float world[8 * 3];
+  RTCRayHit8 packet;
+  for (std::size_t first = 0; first < faces.size(); first += 8) {
+    const std::size_t count = std::min<std::size_t>(8, faces.size() - first);
+    for (std::size_t lane = 0; lane < count; ++lane)
+      store(world + 3 * lane, integrator.world_direction(load(directions.data() + 3 * (first + lane))));
+    cast_packet(robust_, frame.origin.data(), 0, world, count, true, packet);
+    for (std::size_t lane = 0; lane < count; ++lane) {
+      float* out = values.data() + 6 * (first + lane);
+      const bool found = packet.hit.geomID[lane] != RTC_INVALID_GEOMETRY_ID;
+      faces[first + lane] = found ? packet.hit.primID[lane] : ~0u;
+      Hit hit{packet.ray.tfar[lane], packet.hit.u[lane], packet.hit.v[lane], packet.hit.primID[lane],
+              {packet.hit.Ng_x[lane], packet.hit.Ng_y[lane], packet.hit.Ng_z[lane]}};
+      out[0] = found ? hit.t : 0.0f, out[1] = found ? hit.u : 0.0f, out[2] = found ? hit.v : 0.0f;
+      store(out + 3, found ? integrator.camera_albedo(hit, load(world + 3 * lane)) : Vec3{0, 0, 0});
+    }
+  }
+}
+
 void Tracer::cast(rust::Slice<const float> origins, rust::Slice<const float> directions,
                   rust::Slice<float> distances) const {
   demand(directions.size() == 3 * distances.size() && origins.size() == directions.size(), "one ray per distance");

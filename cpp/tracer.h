@@ -60,6 +60,11 @@ class Tracer {
   // Ray lengths along the given unit directions (camera axes), infinity where nothing is hit.
   void trace_distances(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<float> distances) const;
 
+  // What camera rays along unit directions (camera axes) hit: face (~0 for nothing), and per ray distance, the
+  // barycentric weights of the face's second and third corner, albedo (3).
+  void probe(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<std::uint32_t> faces,
+             rust::Slice<float> values) const;
+
   // Lengths of arbitrary rays (world axes), infinity where nothing is hit.
   void cast(rust::Slice<const float> origins, rust::Slice<const float> directions, rust::Slice<float> distances) const;
 

@@ -72,6 +72,8 @@ mod bridge {
         light_at_camera: bool,
         /// Radiant intensity, W/sr per channel.
         intensity: [f32; 3],
+        /// It falls with this power of the cosine to the camera's axis; 0 = even.
+        emission_exponent: f32,
         /// Radiance of rays that leave the scene.
         background: [f32; 3],
         /// Surface scatterings of the longest path, direct light = 1; 0 = unlimited.
@@ -138,6 +140,13 @@ mod bridge {
             directions: &[f32],
             distances: &mut [f32],
         ) -> Result<()>;
+        fn probe(
+            self: &Tracer,
+            frame: &FrameSettings,
+            directions: &[f32],
+            faces: &mut [u32],
+            values: &mut [f32],
+        ) -> Result<()>;
         fn cast(self: &Tracer, origins: &[f32], directions: &[f32], distances: &mut [f32]) -> Result<()>;
 
         fn coat_albedo(alpha: f32, ior: f32, cosine: f32) -> f32;
@@ -149,6 +158,9 @@ mod bridge {
 /// Values per pixel of a tile's film, in this order: direct (3), indirect (3), indirect from the base over its albedo
 /// (3), indirect from the coat (3), albedo (3), smooth normal (3), hits (1). Sums over samples.
 pub const FILM_CHANNELS: usize = 19;
+
+/// Values per probed ray: distance, barycentric weights of the face's second and third corner, albedo (3).
+pub const PROBE_VALUES: usize = 6;
 
 /// One triangle mesh, its material and its bounding volume hierarchy.
 pub struct MeshTracer(UniquePtr<bridge::Tracer>);
@@ -196,6 +208,17 @@ impl MeshTracer {
     /// Lengths of camera rays along unit directions (camera axes); infinity where nothing is hit.
     pub fn distances(&self, frame: &FrameSettings, directions: &[f32], distances: &mut [f32]) -> Result<()> {
         self.0.trace_distances(frame, directions, distances).map_err(failed)
+    }
+
+    /// What camera rays along unit directions (camera axes) hit: face (`u32::MAX` for nothing) and [`PROBE_VALUES`] values.
+    pub fn probe(
+        &self,
+        frame: &FrameSettings,
+        directions: &[f32],
+        faces: &mut [u32],
+        values: &mut [f32],
+    ) -> Result<()> {
+        self.0.probe(frame, directions, faces, values).map_err(failed)
     }
 
     /// Lengths of arbitrary rays in the tracer's world, in units of the directions' lengths; infinity at a miss.

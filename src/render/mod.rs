@@ -11,6 +11,7 @@ mod axial;
 mod denoise;
 mod frame;
 mod material;
+pub mod probe;
 mod scene;
 pub mod scene_file;
 mod settings;

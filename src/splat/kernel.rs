@@ -80,6 +80,11 @@ pub fn pixel_of(p: usize) -> (usize, usize) {
     (4 * (block / 4) + lane % 4, 4 * (block % 4) + lane / 4)
 }
 
+/// Index in the per-pixel tables of the pixel (column, row) of a tile: the inverse of [`pixel_of`].
+pub fn index_of(column: usize, line: usize) -> usize {
+    16 * (4 * (column / 4) + line / 4) + 4 * (line % 4) + column % 4
+}
+
 fn corner_f32(corner: [usize; 2]) -> [f32; 2] {
     corner.map(|v| v as f32)
 }

@@ -18,6 +18,7 @@ mod rasterizer;
 mod real;
 mod sh;
 mod surface_depth;
+mod tangent;
 mod types;
 
 pub use crate::ffi::splat::Isa;
@@ -26,4 +27,5 @@ pub use dual::Dual;
 pub use jvp::PhaseTangent;
 pub use rasterizer::Rasterizer;
 pub use real::Real;
+pub use tangent::{Direction, Motion};
 pub use types::{DepthOutput, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted};

@@ -245,8 +245,13 @@ impl<T: Real> Projector<T> {
         if !in_front {
             return None;
         }
+        self.geometry_of(t, columns.map(|m| self.turn(m)), offset)
+    }
+
+    /// The same from the centre and the columns in camera axes, and the vector from the eye in world axes.
+    #[inline(always)]
+    pub fn geometry_of(&self, t: [T; 3], c: [[T; 3]; 3], offset: [T; 3]) -> Option<Geometry<T>> {
         let Lens { point, jacobian } = self.lens(t);
-        let c = columns.map(|m| self.turn(m));
         let u = c.map(|column| jacobian.map(|row| dot(row, column)));
         let sum = |a: usize, b: usize| u[0][a] * u[0][b] + u[1][a] * u[1][b] + u[2][a] * u[2][b];
         let plain = [sum(0, 0), sum(0, 1), sum(1, 1)];
@@ -282,18 +287,24 @@ impl<T: Real> Projector<T> {
             return None;
         }
         let g = self.geometry(gaussians.positions[i], columns(&gaussians.shape, i))?;
-        // Half axes of the box around `exponent >= -log2(255)`.
-        let k = T::of(2.0 / LOG2_E) * reach;
-        let half = [(k * g.covariance[0]).sqrt(), (k * g.covariance[2]).sqrt()];
+        let row = self.row(&g, log2_opacity, color(gaussians, i, g.direction))?;
         for axis in 0..2 {
-            if !(g.point[axis] + half[axis] > T::zero() && g.point[axis] - half[axis] < self.size[axis]) {
+            let (center, half) = (row[at::X + axis], row[at::HALF_WIDTH + axis]);
+            if !(center + half > T::zero() && center - half < self.size[axis]) {
                 return None;
             }
         }
-        let color = color(gaussians, i, g.direction);
+        Some(row)
+    }
+
+    /// The row of a splat of that colour (before the clamp at 0); `None` for a colour that is not finite.
+    #[inline(always)]
+    pub fn row(&self, g: &Geometry<T>, log2_opacity: T, color: [T; 3]) -> Option<Row<T>> {
         if !(color[0] + color[1] + color[2]).is_finite() {
             return None;
         }
+        // Half axes of the box around `exponent >= -log2(255)`.
+        let k = T::of(2.0 / LOG2_E) * (log2_opacity + T::of(LOG2_255));
         let mut row = [T::zero(); 16];
         row[at::X] = g.point[0];
         row[at::Y] = g.point[1];
@@ -305,8 +316,8 @@ impl<T: Real> Projector<T> {
             row[at::RED + k] = color[k].maximum(T::zero());
         }
         row[at::DEPTH] = g.t[2];
-        row[at::HALF_WIDTH] = half[0];
-        row[at::HALF_HEIGHT] = half[1];
+        row[at::HALF_WIDTH] = (k * g.covariance[0]).sqrt();
+        row[at::HALF_HEIGHT] = (k * g.covariance[2]).sqrt();
         row[at::DISCRIMINANT] = T::of(-LOG2_E * LOG2_E) * g.inverse_determinant;
         Some(row)
     }

@@ -24,14 +24,15 @@ const CHUNK: usize = 512;
 #[derive(Debug)]
 pub struct Rasterizer<T> {
     isa: Isa,
-    active: Option<Vec<u32>>,
-    rows: Vec<Aligned<T>>,
+    pub(super) active: Option<Vec<u32>>,
+    pub(super) rows: Vec<Aligned<T>>,
     boxes: Vec<Option<TileBox>>,
-    bins: Bins,
-    state: Vec<T>,
+    pub(super) bins: Bins,
+    pub(super) state: Vec<T>,
     adjoint: Vec<T>,
     slots: Vec<Aligned<T>>,
-    rendered: Rendered<T>,
+    pub(super) rendered: Rendered<T>,
+    pub(super) tangents: Vec<Vec<T>>,
     gradients: Gradients<T>,
     last: Option<(View, Settings, usize)>,
 }
@@ -64,6 +65,7 @@ impl<T: Real> Rasterizer<T> {
             adjoint: Vec::new(),
             slots: Vec::new(),
             rendered: Rendered::default(),
+            tangents: Vec::new(),
             gradients: Gradients::default(),
             last: None,
         }

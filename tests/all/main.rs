@@ -13,5 +13,6 @@ mod reference;
 mod render;
 mod render_command;
 mod render_subsurface;
+mod scope;
 mod simulate;
 mod splat;

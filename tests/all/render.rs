@@ -99,7 +99,7 @@ fn lamp_away_from_the_camera_lights_the_same_sphere() {
     let scene = Scene::new(&scaled(sphere(4), 5.0), &[], Material::lambert(RHO), 1).unwrap();
     let camera = Camera::pinhole(24, 24, 1.2);
     let pose = DAffine3::from_translation(DVec3::new(2.0, -1.0, 0.5));
-    let light = Light { intensity: [100.0; 3], position_mm: Some(DVec3::ZERO) };
+    let light = Light { intensity: [100.0; 3], position_mm: Some(DVec3::ZERO), emission_exponent: 0.0 };
     let settings = RenderSettings { max_scatterings: 1, samples_per_pixel: 8, ..RenderSettings::default() };
     let frame = render(&scene, &camera, &pose, &light, &settings).unwrap();
     assert_ratio("direct", mean(&frame.radiance), RHO.map(|rho| 100.0 * rho / (PI * 25.0)), 2e-3);

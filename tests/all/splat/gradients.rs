@@ -50,7 +50,7 @@ fn entry<'a>(scene: &'a mut Gaussians<f64>, group: &str, k: usize) -> &'a mut f6
 }
 
 /// `exp(xi) camera_from_world` for a step along one of the six directions.
-fn moved(view: &View, k: usize, step: f64) -> View {
+pub fn moved(view: &View, k: usize, step: f64) -> View {
     let axis = [DVec3::X, DVec3::Y, DVec3::Z][k % 3] * step;
     let motion =
         if k < 3 { DAffine3::from_quat(DQuat::from_scaled_axis(axis)) } else { DAffine3::from_translation(axis) };
