@@ -54,6 +54,13 @@ Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_
       axial_mm_(axial_mm.begin(), axial_mm.end()),
       mucosa_(material.mucosa),
       coated_(material.coated),
+      subsurface_(static_cast<Subsurface>(material.subsurface)),
+      every_vertex_(material.walk_at_every_vertex),
+      fixed_scattering_(material.fixed_scattering),
+      refracted_entry_(material.refracted_entry),
+      ior_(material.ior),
+      extinction_(vec(material.extinction)),
+      scattering_(vec(material.scattering)),
       albedo_(vec(material.albedo)),
       alpha_low_(material.alpha_low),
       alpha_high_(material.alpha_high),
@@ -61,6 +68,7 @@ Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_
             material.ring_spacing_mm, material.seed} {
   demand(vertices.size() % 3 == 0 && faces.size() % 3 == 0, "vertex and index lengths must be multiples of 3");
   std::size_t count = vertices.size() / 3;
+  demand(material.subsurface <= 2, "a kind of subsurface scattering that is not there");
   demand(generations.size() == count && axial_mm.size() == count, "one generation and axial distance per vertex");
   for (std::uint32_t v : faces) demand(v < count, "a face names a vertex that is not there");
   if (coated_) coat_ = Coat(alpha_low_, alpha_high_, material.ior);
@@ -276,6 +284,8 @@ std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slic
 }
 
 float coat_albedo(float alpha, float ior, float cosine) { return Coat(alpha, alpha, ior).albedo(alpha, cosine); }
+
+float medium_albedo(float rho) { return single_scattering_albedo(rho); }
 
 void sobol_pair(std::uint32_t key, std::uint32_t index, std::uint32_t dimension, rust::Slice<float> pair) {
   demand(pair.size() == 2, "a pair has two values");

@@ -41,6 +41,18 @@ mod bridge {
         ring_spacing_mm: f32,
         /// Seed of the pattern.
         seed: u32,
+        /// Light in the wall: 0 stays where it enters, 1 walks below a diffuse boundary, 2 below a matched one.
+        subsurface: u8,
+        /// Walks at every vertex of a path instead of the first alone.
+        walk_at_every_vertex: bool,
+        /// Part of the walks that starts refracted through a rough surface of index `ior` instead of by the cosine law.
+        refracted_entry: f32,
+        /// Extinction in the wall, per mm.
+        extinction: [f32; 3],
+        /// `scattering` holds everywhere; otherwise it follows from the diffuse albedo.
+        fixed_scattering: bool,
+        /// Single-scattering albedo.
+        scattering: [f32; 3],
     }
 
     /// Camera, light and limits of one frame, in the tracer's (shifted) world.
@@ -138,6 +150,7 @@ mod bridge {
         fn cast(self: &Tracer, origins: &[f32], directions: &[f32], distances: &mut [f32]) -> Result<()>;
 
         fn coat_albedo(alpha: f32, ior: f32, cosine: f32) -> f32;
+        fn medium_albedo(rho: f32) -> f32;
         fn sobol_pair(key: u32, index: u32, dimension: u32, pair: &mut [f32]) -> Result<()>;
     }
 }
@@ -217,6 +230,11 @@ impl MeshTracer {
 /// Directional albedo of the GGX coat of roughness `alpha` and index `ior`, seen under `cosine`.
 pub fn coat_albedo(alpha: f32, ior: f32, cosine: f32) -> f32 {
     bridge::coat_albedo(alpha, ior, cosine)
+}
+
+/// Single-scattering albedo of a half-space (isotropic scattering) whose diffuse albedo is `rho`.
+pub fn medium_albedo(rho: f32) -> f32 {
+    bridge::medium_albedo(rho)
 }
 
 /// Two-dimensional point `index` of the `dimension`-th padded pair of the sequence `key`.

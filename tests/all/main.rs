@@ -12,6 +12,7 @@ mod mesh_damage;
 mod reference;
 mod render;
 mod render_command;
+mod render_subsurface;
 mod scope;
 mod simulate;
 mod splat;
