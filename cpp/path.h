@@ -8,6 +8,9 @@
 // Russian roulette: from its second bounce on a path survives with the probability of its throughput (the largest
 // channel), never capped: a cap below the albedo would make the variance infinite in a closed lumen. (Roulette at the
 // first bounce too saves 8 % of the rays and costs 60 % in median variance on the reference tube.)
+// Subsurface: at the first vertex (or at every one) the base's light walks through the wall (`cpp/walk.h`) and leaves it
+// elsewhere. With a diffuse boundary it enters by the cosine law and leaves as from a Lambert surface of albedo 1;
+// with a matched boundary the surface does not bend or reflect it at all and every scattering is lit by the lamp.
 // Fine detail (vessels, relief) is evaluated where the camera sees it; later vertices see the wall's mean colour.
 
 #include <embree4/rtcore.h>
@@ -19,6 +22,7 @@
 #include "cpp/sampler.h"
 #include "cpp/tracer.h"
 #include "cpp/vector.h"
+#include "cpp/walk.h"
 #include "respire-bench/src/ffi/tracer.rs.h"
 
 namespace respire {
@@ -42,12 +46,6 @@ constexpr std::size_t kFilmChannels = 19;
 // Cartilage: full in trachea and main bronchi, gone from generation 4 on.
 inline float ring_weight(float generation) { return 1.0f - smoothstep(1.2f, 4.0f, generation); }
 
-struct Hit {
-  float t, u, v;
-  std::uint32_t face;
-  Vec3 geometric;  // not normalised
-};
-
 struct Surface {
   Vec3 point, geometric, smooth, shading;  // normals: unit, on the side of the viewer
   Vec3 albedo;
@@ -65,7 +63,8 @@ class PathIntegrator {
         intensity_{frame.intensity[0], frame.intensity[1], frame.intensity[2]},
         background_{frame.background[0], frame.background[1], frame.background[2]},
         origin_{frame.origin[0], frame.origin[1], frame.origin[2]},
-        limit_(frame.max_scatterings == 0 ? kLongestPath : frame.max_scatterings) {}
+        light_axis_{frame.rotation[2], frame.rotation[5], frame.rotation[8]},
+        limit_(frame.max_scatterings == 0 ? unlimited(tracer) : frame.max_scatterings) {}
 
   // Camera axes to world axes.
   Vec3 world_direction(Vec3 d) const {
@@ -83,9 +82,19 @@ class PathIntegrator {
     const Surface s = camera_surface(*hit, direction);
     const Frame frame(s.shading);
     const Vec3 o = upper(frame.local(-direction));
-    const Vec3 direct = direct_light(s, frame, o, !frame_.light_at_camera, s.albedo);
-    Vec3 base{}, mirrored{};
-    if (limit_ > 1) indirect_light(s, frame, o, sampler, base, mirrored);
+    Vec3 direct{}, base{}, mirrored{};
+    switch (tracer_.subsurface_) {
+      case Subsurface::kOff:
+        direct = direct_light(s, frame, o, !frame_.light_at_camera, s.albedo);
+        if (limit_ > 1) indirect_light(s, frame, o, sampler, base, mirrored);
+        break;
+      case Subsurface::kMatched:
+        base = over(matched_light(s, direction, sampler), s.albedo);
+        break;
+      case Subsurface::kDiffuse:
+        direct = direct_light(s, frame, o, !frame_.light_at_camera, Vec3{0, 0, 0});
+        scattered_light(s, frame, o, sampler, base, mirrored);
+    }
     const Vec3 indirect = base * s.albedo + mirrored;
     if (!valid(direct) || !valid(indirect)) {
       ++counters.rejected;
@@ -100,9 +109,16 @@ class PathIntegrator {
     film[18] += 1.0f;
   }
 
+  // Albedo of the base where a camera ray hits.
+  Vec3 camera_albedo(const Hit& hit, Vec3 direction) const { return camera_surface(hit, direction).albedo; }
+
  private:
   // Roulette ends every path long before; the bound only keeps a perfectly white closed room from running for ever.
   static constexpr std::uint32_t kLongestPath = 4096;
+  // Scatterings below the surface are many more.
+  static std::uint32_t unlimited(const Tracer& tracer) {
+    return tracer.subsurface_ == Subsurface::kMatched ? 1u << 24 : kLongestPath;
+  }
   // Origins are moved off the surface by this much, in mm.
   static constexpr float kOffset = 2e-4f;
   // Closer than this to the light nothing is lit more brightly, in mm^2.
@@ -212,6 +228,13 @@ class PathIntegrator {
     return s;
   }
 
+  // The light's profile: the part of its intensity in a direction of this cosine to its axis (the camera's).
+  float emission(float cosine) const {
+    if (frame_.emission_exponent == 0.0f) return 1.0f;
+    cosine = clamp(cosine, 0.0f, 1.0f);
+    return frame_.emission_exponent == 1.0f ? cosine : std::pow(cosine, frame_.emission_exponent);
+  }
+
   // Radiance towards `o` by the light itself, from a base of albedo `rho`.
   Vec3 direct_light(const Surface& s, const Frame& frame, Vec3 o, bool shadows, Vec3 rho) {
     const Vec3 to_light = light_ - s.point;
@@ -220,7 +243,7 @@ class PathIntegrator {
     const float cosine = dot(s.shading, direction);
     if (cosine <= 0.0f || dot(s.geometric, direction) <= 0.0f) return {0, 0, 0};
     if (shadows && occluded(s.point + s.geometric * kOffset, direction, r * (1.0f - 1e-5f) - kOffset)) return {0, 0, 0};
-    const Vec3 irradiance = intensity_ * (cosine / r2);
+    const Vec3 irradiance = intensity_ * (emission(-dot(direction, light_axis_)) * cosine / r2);
     if (!tracer_.coated_) return irradiance * rho * (1.0f / kPi);
     const float e = tracer_.coat_.albedo(s.alpha, o.z);
     const float mirrored = tracer_.coat_.value(o, frame.local(direction), s.alpha);
@@ -270,17 +293,162 @@ class PathIntegrator {
     const Vec3 direction = frame.world(local);
     if (dot(direction, s.geometric) <= 0.0f) return;
     const Vec3 throughput = s.albedo * base_weight + Vec3{coat_weight, coat_weight, coat_weight};
-    const Vec3 light = incoming(s.point + s.geometric * kOffset, direction, throughput, sampler);
+    const Vec3 light = incoming(s.point + s.geometric * kOffset, direction, throughput, 2, sampler);
     base = light * base_weight;
     mirrored = light * coat_weight;
   }
 
-  // Radiance that arrives along a ray from a first vertex; `carried` is the throughput up to there (for roulette only).
-  Vec3 incoming(Vec3 from, Vec3 direction, Vec3 carried, Sampler& sampler) {
-    Vec3 radiance{0, 0, 0}, throughput{1, 1, 1};
+  static Vec3 over(Vec3 a, Vec3 b) {
+    return {b.x > 0 ? a.x / b.x : 0.0f, b.y > 0 ? a.y / b.y : 0.0f, b.z > 0 ? a.z / b.z : 0.0f};
+  }
+
+  // A point of the surface as light that comes out of the wall sees it.
+  Surface exit_surface(const Hit& hit, Vec3 point, Vec3 direction) const {
+    Surface s = surface(hit, point - direction * hit.t, direction);
+    s.point = point;
+    // `surface` turns normals towards where the ray comes from: here, into the wall.
+    s.geometric = -s.geometric, s.smooth = -s.smooth, s.shading = -s.shading;
+    return s;
+  }
+
+  // Irradiance of the lamp.
+  Vec3 irradiance(const Surface& s, bool shadows) {
+    const Vec3 to_light = light_ - s.point;
+    const float r2 = std::max(dot(to_light, to_light), kNearest2), r = std::sqrt(r2);
+    const Vec3 direction = to_light * (1.0f / r);
+    const float cosine = dot(s.shading, direction);
+    if (cosine <= 0.0f || dot(s.geometric, direction) <= 0.0f) return {0, 0, 0};
+    if (shadows && occluded(s.point + s.geometric * kOffset, direction, r * (1.0f - 1e-5f) - kOffset)) return {0, 0, 0};
+    return intensity_ * (emission(-dot(direction, light_axis_)) * cosine / r2);
+  }
+
+  // One sample of what leaves the wall at `at` by way of a walk that starts there: radiance (towards every side), its
+  // first scattering included. `towards`: unit direction to
+  // where the path comes from. `carried`: throughput before (for roulette only).
+  Vec3 walked_light(const Surface& at, Vec3 towards, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
+    const Medium medium = tracer_.medium(at.albedo);
+    const RandomWalk walk(tracer_.fast_, medium, counters.rays);
+    float u, v;
+    sampler.next2(u, v);
+    const Frame entry(at.geometric);
+    Vec3 inwards = -cosine_direction(u, v);
+    if (tracer_.refracted_entry_ > 0.0f && sampler.random() < tracer_.refracted_entry_) {
+      const Vec3 o = upper(entry.local(towards)), h = visible_normal(o, 1.0f, u, v);
+      const float eta = 1.0f / tracer_.ior_, cosine = dot(o, h);
+      inwards = h * (eta * cosine - std::sqrt(std::max(0.0f, 1.0f - eta * eta * (1.0f - cosine * cosine)))) - o * eta;
+      if (inwards.z >= 0.0f) return {0, 0, 0};
+    }
+    Vec3 point = at.point, throughput;
+    inwards = entry.world(inwards);
     Hit hit;
-    for (std::uint32_t scattering = 2;; ++scattering) {
-      if (!intersect(from, direction, hit)) return radiance + throughput * background_;
+    if (!walk.leave(point, inwards, sampler, throughput, hit)) return {0, 0, 0};
+    const Surface s = exit_surface(hit, point, inwards);
+    const float survival = scattering > 1 ? std::min(max_component(carried * throughput), 1.0f) : 1.0f;
+    Vec3 light = irradiance(s, true) * (1.0f / kPi);
+    if (scattering < limit_ && (survival >= 1.0f || sampler.random() < survival)) {
+      sampler.next2(u, v);
+      const Vec3 direction = Frame(s.shading).world(cosine_direction(u, v));
+      const Vec3 onwards = carried * throughput * (1.0f / survival);
+      if (dot(direction, s.geometric) > 0.0f)
+        light += incoming(s.point + s.geometric * kOffset, direction, onwards, scattering + 1, sampler) * (1.0f / survival);
+    }
+    return throughput * light;
+  }
+
+  // What the first vertex of a subsurface material sends: by its base over its albedo, and mirrored by its coat.
+  void scattered_light(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler, Vec3& base, Vec3& mirrored) {
+    float share = 1.0f;
+    if (tracer_.coated_) {
+      const float e = tracer_.coat_.albedo(s.alpha, o.z);
+      const float p_coat = e / (e + (1.0f - e) * max_component(s.albedo) + 1e-6f);
+      if (sampler.next1() < p_coat) {
+        if (limit_ > 1) mirrored = mirrored_light(s, frame, o, sampler) * (1.0f / p_coat);
+        return;
+      }
+      share = (1.0f - e) / (1.0f - p_coat);
+    }
+    base = over(walked_light(s, frame.world(o), Vec3{share, share, share}, 1, sampler), s.albedo) * share;
+  }
+
+  // One sample of what the coat mirrors of other walls.
+  Vec3 mirrored_light(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler) {
+    float u, v;
+    sampler.next2(u, v);
+    const Vec3 h = visible_normal(o, s.alpha, u, v), local = h * (2.0f * dot(o, h)) - o;
+    if (local.z <= 0.0f) return {0, 0, 0};
+    const Vec3 direction = frame.world(local);
+    if (dot(direction, s.geometric) <= 0.0f) return {0, 0, 0};
+    const float lo = smith_lambda(o.z, s.alpha), li = smith_lambda(local.z, s.alpha);
+    const float weight = fresnel(dot(o, h), tracer_.coat_.ior()) * (1.0f + lo) / (1.0f + lo + li);
+    const Vec3 carried{weight, weight, weight};
+    return incoming(s.point + s.geometric * kOffset, direction, carried, 2, sampler) * weight;
+  }
+
+  // Radiance that comes out of an index-matched wall against `direction`, seen at `entry`: every scattering in the wall
+  // is lit by the lamp through the boundary, and light that leaves the wall goes on to the next one.
+  Vec3 matched_light(const Surface& entry, Vec3 direction, Sampler& sampler) {
+    const Medium medium = tracer_.medium(entry.albedo);
+    const RandomWalk walk(tracer_.fast_, medium, counters.rays);
+    Vec3 radiance{0, 0, 0}, throughput{1, 1, 1}, point = entry.point;
+    float near = RandomWalk::kStart;
+    Hit hit;
+    for (std::uint32_t scattering = 0;;) {
+      const RandomWalk::Step step = walk.flight(point, direction, near, throughput, sampler, hit);
+      if (step == RandomWalk::Step::kAbsorbed) return radiance;
+      if (step == RandomWalk::Step::kSurface) {
+        // Through the lumen to the next wall.
+        const Vec3 from = point + direction * kOffset;
+        if (!intersect(from, direction, hit)) return radiance + throughput * background_;
+        if (!tracer_.every_vertex_) return radiance + throughput * reflected(hit, from, direction, throughput, scattering + 1, sampler);
+        point = from + direction * hit.t;
+        near = RandomWalk::kStart;
+        continue;
+      }
+      ++scattering;
+      radiance += throughput * lamp_through_boundary(walk, medium, point);
+      if (scattering >= limit_ || !RandomWalk::survives(throughput, sampler)) return radiance;
+      direction = isotropic_direction(sampler.random(), sampler.random());
+      near = 0.0f;
+    }
+  }
+
+  // What a scattering inside the wall sends on of the lamp's light, which crosses the boundary unbent, perhaps often.
+  Vec3 lamp_through_boundary(const RandomWalk& walk, const Medium& medium, Vec3 point) {
+    const Vec3 to_light = light_ - point;
+    const float r2 = std::max(dot(to_light, to_light), kNearest2), r = std::sqrt(r2);
+    const Vec3 direction = to_light * (1.0f / r);
+    const float thinnest = std::min(medium.extinction.x, std::min(medium.extinction.y, medium.extinction.z));
+    float in_wall = 0.0f, so_far = 0.0f;
+    bool inside = true;
+    Hit hit;
+    for (float near = 0.0f;; near = so_far + RandomWalk::kStart, inside = !inside) {
+      const bool surface = near < r && walk.reaches(point, direction, near, r, hit);
+      const float end = surface ? hit.t : r;
+      if (inside) in_wall += end - so_far;
+      // Nothing to be seen of what is left.
+      if (in_wall * thinnest > 20.0f) return {0, 0, 0};
+      if (!surface) break;
+      so_far = end;
+    }
+    return intensity_ * attenuation(medium.extinction, in_wall) * (emission(-dot(direction, light_axis_)) / (4.0f * kPi * r2));
+  }
+
+  // Radiance that arrives along a ray from a first vertex; `carried` is the throughput up to there (for roulette only).
+  // `scattering` counts that at the vertex which the ray meets.
+  Vec3 incoming(Vec3 from, Vec3 direction, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
+    Hit hit;
+    if (!intersect(from, direction, hit)) return background_;
+    return reflected(hit, from, direction, carried, scattering, sampler);
+  }
+
+  // The same where the ray's end is known.
+  Vec3 reflected(Hit hit, Vec3 from, Vec3 direction, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
+    if (tracer_.every_vertex_) {
+      const Surface s = surface(hit, from, direction);
+      return walked_light(s, -direction, carried, scattering, sampler);
+    }
+    Vec3 radiance{0, 0, 0}, throughput{1, 1, 1};
+    for (;; ++scattering) {
       const Surface s = surface(hit, from, direction);
       const Frame frame(s.shading);
       const Vec3 o = tracer_.coated_ ? upper(frame.local(-direction)) : Vec3{0, 0, 1};
@@ -298,12 +466,13 @@ class PathIntegrator {
         throughput = throughput * (1.0f / survival);
       }
       from = s.point + s.geometric * kOffset;
+      if (!intersect(from, direction, hit)) return radiance + throughput * background_;
     }
   }
 
   const Tracer& tracer_;
   const FrameSettings& frame_;
-  Vec3 light_, intensity_, background_, origin_;
+  Vec3 light_, intensity_, background_, origin_, light_axis_;
   std::uint32_t limit_;
 };
 

@@ -69,6 +69,9 @@ class Sampler {
     v = unit_float(reverse_bits(scramble_reversed(pascal(i), other * 0x9e3779b1u + 0x7f4a7c15u)));
   }
 
+  // A number without stratification, for the steps of a random walk.
+  float random() { return unit_float(next_hash()); }
+
  private:
   static constexpr std::uint32_t kStratified = 24;
 

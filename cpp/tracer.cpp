@@ -54,6 +54,13 @@ Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_
       axial_mm_(axial_mm.begin(), axial_mm.end()),
       mucosa_(material.mucosa),
       coated_(material.coated),
+      subsurface_(static_cast<Subsurface>(material.subsurface)),
+      every_vertex_(material.walk_at_every_vertex),
+      fixed_scattering_(material.fixed_scattering),
+      refracted_entry_(material.refracted_entry),
+      ior_(material.ior),
+      extinction_(vec(material.extinction)),
+      scattering_(vec(material.scattering)),
       albedo_(vec(material.albedo)),
       alpha_low_(material.alpha_low),
       alpha_high_(material.alpha_high),
@@ -61,6 +68,7 @@ Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_
             material.ring_spacing_mm, material.seed} {
   demand(vertices.size() % 3 == 0 && faces.size() % 3 == 0, "vertex and index lengths must be multiples of 3");
   std::size_t count = vertices.size() / 3;
+  demand(material.subsurface <= 2, "a kind of subsurface scattering that is not there");
   demand(generations.size() == count && axial_mm.size() == count, "one generation and axial distance per vertex");
   for (std::uint32_t v : faces) demand(v < count, "a face names a vertex that is not there");
   if (coated_) coat_ = Coat(alpha_low_, alpha_high_, material.ior);
@@ -207,6 +215,30 @@ void Tracer::trace_distances(const FrameSettings& frame, rust::Slice<const float
   }
 }
 
+void Tracer::probe(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<std::uint32_t> faces,
+                   rust::Slice<float> values) const {
+  demand(directions.size() == 3 * faces.size() && values.size() == 6 * faces.size(), "one direction and six values per face");
+  FloatMode mode;
+  PathIntegrator integrator(*this, frame);
+  float world[8 * 3];
+  RTCRayHit8 packet;
+  for (std::size_t first = 0; first < faces.size(); first += 8) {
+    const std::size_t count = std::min<std::size_t>(8, faces.size() - first);
+    for (std::size_t lane = 0; lane < count; ++lane)
+      store(world + 3 * lane, integrator.world_direction(load(directions.data() + 3 * (first + lane))));
+    cast_packet(robust_, frame.origin.data(), 0, world, count, true, packet);
+    for (std::size_t lane = 0; lane < count; ++lane) {
+      float* out = values.data() + 6 * (first + lane);
+      const bool found = packet.hit.geomID[lane] != RTC_INVALID_GEOMETRY_ID;
+      faces[first + lane] = found ? packet.hit.primID[lane] : ~0u;
+      Hit hit{packet.ray.tfar[lane], packet.hit.u[lane], packet.hit.v[lane], packet.hit.primID[lane],
+              {packet.hit.Ng_x[lane], packet.hit.Ng_y[lane], packet.hit.Ng_z[lane]}};
+      out[0] = found ? hit.t : 0.0f, out[1] = found ? hit.u : 0.0f, out[2] = found ? hit.v : 0.0f;
+      store(out + 3, found ? integrator.camera_albedo(hit, load(world + 3 * lane)) : Vec3{0, 0, 0});
+    }
+  }
+}
+
 void Tracer::cast(rust::Slice<const float> origins, rust::Slice<const float> directions,
                   rust::Slice<float> distances) const {
   demand(directions.size() == 3 * distances.size() && origins.size() == directions.size(), "one ray per distance");
@@ -252,6 +284,8 @@ std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slic
 }
 
 float coat_albedo(float alpha, float ior, float cosine) { return Coat(alpha, alpha, ior).albedo(alpha, cosine); }
+
+float medium_albedo(float rho) { return single_scattering_albedo(rho); }
 
 void sobol_pair(std::uint32_t key, std::uint32_t index, std::uint32_t dimension, rust::Slice<float> pair) {
   demand(pair.size() == 2, "a pair has two values");

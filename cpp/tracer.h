@@ -8,6 +8,7 @@
 #include "cpp/coat.h"
 #include "cpp/mucosa.h"
 #include "cpp/vector.h"
+#include "cpp/walk.h"
 #include "rust/cxx.h"
 
 namespace respire {
@@ -31,6 +32,10 @@ class Handle {
 };
 
 struct MaterialSettings;
+
+// How the base's light gets through the wall.
+enum class Subsurface { kOff, kDiffuse, kMatched };
+
 struct FrameSettings;
 struct Tile;
 struct TileCounters;
@@ -55,6 +60,11 @@ class Tracer {
   // Ray lengths along the given unit directions (camera axes), infinity where nothing is hit.
   void trace_distances(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<float> distances) const;
 
+  // What camera rays along unit directions (camera axes) hit: face (~0 for nothing), and per ray distance, the
+  // barycentric weights of the face's second and third corner, albedo (3).
+  void probe(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<std::uint32_t> faces,
+             rust::Slice<float> values) const;
+
   // Lengths of arbitrary rays (world axes), infinity where nothing is hit.
   void cast(rust::Slice<const float> origins, rust::Slice<const float> directions, rust::Slice<float> distances) const;
 
@@ -62,6 +72,11 @@ class Tracer {
   friend class PathIntegrator;
 
   void bake_albedo();
+  // The wall below a point of diffuse albedo `albedo`.
+  Medium medium(Vec3 albedo) const {
+    if (fixed_scattering_) return {extinction_, scattering_};
+    return {extinction_, {single_scattering_albedo(albedo.x), single_scattering_albedo(albedo.y), single_scattering_albedo(albedo.z)}};
+  }
   void update_normals();
 
   // In the order of their making: they are released in the opposite one.
@@ -75,6 +90,13 @@ class Tracer {
   std::size_t vertex_floats_{}, face_count_{};
   std::vector<float> rest_, normals_, generations_, axial_mm_, vertex_albedo_;
   bool mucosa_{}, coated_{};
+  Subsurface subsurface_{};
+  // Walks at every vertex of a path instead of the first alone.
+  bool every_vertex_{};
+  bool fixed_scattering_{};
+  // Part of the walks that starts refracted through a microfacet of roughness 1 instead of by the cosine law.
+  float refracted_entry_{}, ior_{};
+  Vec3 extinction_{}, scattering_{};
   Vec3 albedo_{};
   float alpha_low_{}, alpha_high_{};
   MucosaLook look_{};
@@ -87,6 +109,7 @@ std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slic
 
 // What the tests look at.
 float coat_albedo(float alpha, float ior, float cosine);
+float medium_albedo(float rho);
 void sobol_pair(std::uint32_t key, std::uint32_t index, std::uint32_t dimension, rust::Slice<float> pair);
 
 }  // namespace respire

@@ -15,6 +15,8 @@ mod import;
 mod import_mesh;
 mod import_tree;
 mod list;
+mod pareto;
+mod pareto_render;
 mod render;
 mod run;
 mod selection;
@@ -70,6 +72,8 @@ commands! {
     Compare => compare,
     /// What a metric is
     Explain => explain,
+    /// Measures cost against error of many settings, and draws the front
+    Pareto => pareto,
     /// Path-trace one scene file: linear EXR, depth EXR, timing JSON
     Render => render,
 }

@@ -41,6 +41,18 @@ mod bridge {
         ring_spacing_mm: f32,
         /// Seed of the pattern.
         seed: u32,
+        /// Light in the wall: 0 stays where it enters, 1 walks below a diffuse boundary, 2 below a matched one.
+        subsurface: u8,
+        /// Walks at every vertex of a path instead of the first alone.
+        walk_at_every_vertex: bool,
+        /// Part of the walks that starts refracted through a rough surface of index `ior` instead of by the cosine law.
+        refracted_entry: f32,
+        /// Extinction in the wall, per mm.
+        extinction: [f32; 3],
+        /// `scattering` holds everywhere; otherwise it follows from the diffuse albedo.
+        fixed_scattering: bool,
+        /// Single-scattering albedo.
+        scattering: [f32; 3],
     }
 
     /// Camera, light and limits of one frame, in the tracer's (shifted) world.
@@ -60,6 +72,8 @@ mod bridge {
         light_at_camera: bool,
         /// Radiant intensity, W/sr per channel.
         intensity: [f32; 3],
+        /// It falls with this power of the cosine to the camera's axis; 0 = even.
+        emission_exponent: f32,
         /// Radiance of rays that leave the scene.
         background: [f32; 3],
         /// Surface scatterings of the longest path, direct light = 1; 0 = unlimited.
@@ -126,9 +140,17 @@ mod bridge {
             directions: &[f32],
             distances: &mut [f32],
         ) -> Result<()>;
+        fn probe(
+            self: &Tracer,
+            frame: &FrameSettings,
+            directions: &[f32],
+            faces: &mut [u32],
+            values: &mut [f32],
+        ) -> Result<()>;
         fn cast(self: &Tracer, origins: &[f32], directions: &[f32], distances: &mut [f32]) -> Result<()>;
 
         fn coat_albedo(alpha: f32, ior: f32, cosine: f32) -> f32;
+        fn medium_albedo(rho: f32) -> f32;
         fn sobol_pair(key: u32, index: u32, dimension: u32, pair: &mut [f32]) -> Result<()>;
     }
 }
@@ -136,6 +158,9 @@ mod bridge {
 /// Values per pixel of a tile's film, in this order: direct (3), indirect (3), indirect from the base over its albedo
 /// (3), indirect from the coat (3), albedo (3), smooth normal (3), hits (1). Sums over samples.
 pub const FILM_CHANNELS: usize = 19;
+
+/// Values per probed ray: distance, barycentric weights of the face's second and third corner, albedo (3).
+pub const PROBE_VALUES: usize = 6;
 
 /// One triangle mesh, its material and its bounding volume hierarchy.
 pub struct MeshTracer(UniquePtr<bridge::Tracer>);
@@ -185,6 +210,17 @@ impl MeshTracer {
         self.0.trace_distances(frame, directions, distances).map_err(failed)
     }
 
+    /// What camera rays along unit directions (camera axes) hit: face (`u32::MAX` for nothing) and [`PROBE_VALUES`] values.
+    pub fn probe(
+        &self,
+        frame: &FrameSettings,
+        directions: &[f32],
+        faces: &mut [u32],
+        values: &mut [f32],
+    ) -> Result<()> {
+        self.0.probe(frame, directions, faces, values).map_err(failed)
+    }
+
     /// Lengths of arbitrary rays in the tracer's world, in units of the directions' lengths; infinity at a miss.
     pub fn cast(&self, origins: &[f32], directions: &[f32], distances: &mut [f32]) -> Result<()> {
         self.0.cast(origins, directions, distances).map_err(failed)
@@ -194,6 +230,11 @@ impl MeshTracer {
 /// Directional albedo of the GGX coat of roughness `alpha` and index `ior`, seen under `cosine`.
 pub fn coat_albedo(alpha: f32, ior: f32, cosine: f32) -> f32 {
     bridge::coat_albedo(alpha, ior, cosine)
+}
+
+/// Single-scattering albedo of a half-space (isotropic scattering) whose diffuse albedo is `rho`.
+pub fn medium_albedo(rho: f32) -> f32 {
+    bridge::medium_albedo(rho)
 }
 
 /// Two-dimensional point `index` of the `dimension`-th padded pair of the sequence `key`.

@@ -129,6 +129,9 @@ fn check(camera: &Camera, pose: &DAffine3, light: &Light, settings: &RenderSetti
     if light.intensity.iter().any(|v| !v.is_finite() || *v < 0.0) || light.position_mm.is_some_and(|p| !p.is_finite()) {
         return Err(Error::input("the light needs finite, non-negative intensities and a finite position"));
     }
+    if !(0.0..=1e3).contains(&light.emission_exponent) {
+        return Err(Error::input("the light's emission exponent must lie in [0, 1000]"));
+    }
     if settings.background.iter().any(|v| !v.is_finite() || *v < 0.0) {
         return Err(Error::input("the background must be finite and not negative"));
     }
@@ -138,7 +141,7 @@ fn check(camera: &Camera, pose: &DAffine3, light: &Light, settings: &RenderSetti
     Ok(())
 }
 
-fn frame_settings(
+pub(super) fn frame_settings(
     scene: &Scene,
     camera: &Camera,
     pose: &DAffine3,
@@ -156,6 +159,7 @@ fn frame_settings(
         light: single(lamp),
         light_at_camera: light.position_mm.is_none(),
         intensity: light.intensity.map(|v| v as f32),
+        emission_exponent: light.emission_exponent as f32,
         background: settings.background.map(|v| v as f32),
         max_scatterings: settings.max_scatterings,
         smooth: settings.shading == Shading::Smooth,

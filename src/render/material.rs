@@ -14,11 +14,36 @@ pub enum MaterialKind {
     Lambert,
     /// GGX dielectric coat over Lambert.
     Coated,
-    /// Random walk below the surface (not yet rendered; the file format has its place).
+    /// Random walk below the surface, uncoated.
     Subsurface,
     /// `Coated` with procedural vessels, blotches, mucus film and relief on the rest shape.
     #[default]
     Mucosa,
+}
+
+/// How light passes the surface of a `subsurface` wall.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Boundary {
+    /// Enters by the cosine law and leaves as from a Lambert surface of albedo 1.
+    #[default]
+    Diffuse,
+    /// Half enters by the cosine law, half is refracted by `coat_ior` through microfacets of GGX alpha 1; leaves as from a
+    /// Lambert surface of albedo 1 (the random walk of Blender 4).
+    Mixed,
+    /// Same refractive index on both sides: neither bent nor reflected.
+    Matched,
+}
+
+/// Which vertices of a path walk through a `subsurface` wall.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WalkedVertices {
+    /// The one that the camera sees; later ones are Lambert surfaces of the equivalent diffuse albedo.
+    #[default]
+    First,
+    /// All of them.
+    Every,
 }
 
 /// A material. Keys that a kind does not use are allowed and ignored, so that one file can try several kinds.
@@ -35,6 +60,13 @@ pub struct Material {
     pub coat_ior: f64,
     /// Mean free path below the surface in mm per channel (`subsurface`).
     pub mean_free_path_mm: [f64; 3],
+    /// Single-scattering albedo per channel (`subsurface`); where left out, that whose half-space has `albedo`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub single_scattering_albedo: Option<[f64; 3]>,
+    /// Surface of a `subsurface` wall.
+    pub boundary: Boundary,
+    /// Where paths walk through a `subsurface` wall.
+    pub walk: WalkedVertices,
     /// Strength of the vessels (`mucosa`; 0 none, 1 usual).
     pub vessels: f64,
     /// Strength of colour unevenness (`mucosa`).
@@ -57,6 +89,9 @@ impl Default for Material {
             coat_alpha: 0.15,
             coat_ior: 1.4,
             mean_free_path_mm: [1.0, 0.4, 0.25],
+            single_scattering_albedo: None,
+            boundary: Boundary::Diffuse,
+            walk: WalkedVertices::First,
             vessels: 1.0,
             blotches: 1.0,
             relief: 1.0,
@@ -78,6 +113,11 @@ impl Material {
         Material { kind: MaterialKind::Coated, albedo, coat_alpha, coat_ior, ..Material::default() }
     }
 
+    /// An uncoated wall with light walking in it.
+    pub fn subsurface(albedo: [f64; 3], mean_free_path_mm: [f64; 3], boundary: Boundary, walk: WalkedVertices) -> Self {
+        Material { kind: MaterialKind::Subsurface, albedo, mean_free_path_mm, boundary, walk, ..Material::default() }
+    }
+
     /// Rejects values that no wall can have; the error names the key.
     pub fn validate(&self) -> Result<()> {
         let within = |key: &str, value: f64, low: f64, high: f64| {
@@ -90,6 +130,9 @@ impl Material {
         };
         for albedo in self.albedo {
             within("albedo", albedo, 0.0, 1.0)?;
+        }
+        for albedo in self.single_scattering_albedo.into_iter().flatten() {
+            within("single_scattering_albedo", albedo, 0.0, 1.0)?;
         }
         for path in self.mean_free_path_mm {
             within("mean_free_path_mm", path, 1e-6, 1e6)?;
@@ -104,21 +147,16 @@ impl Material {
         within("ring_spacing_mm", self.ring_spacing_mm, 0.1, 1e3)
     }
 
-    /// Settings of the C++ side. `subsurface` is refused: its random walk is not built yet.
+    /// Settings of the C++ side.
     pub(super) fn settings(&self, seed: u64) -> Result<MaterialSettings> {
         self.validate()?;
-        if self.kind == MaterialKind::Subsurface {
-            return Err(
-                Error::input("`subsurface` cannot be rendered yet; `coated` and `mucosa` can").element("material.kind")
-            );
-        }
         let mucosa = self.kind == MaterialKind::Mucosa;
         let alpha = self.coat_alpha as f32;
         // Film of very different wetness lies on real mucosa: half to twice the middling roughness.
         let (alpha_low, alpha_high) = if mucosa { (alpha * 0.5, (alpha * 1.7).min(1.0)) } else { (alpha, alpha) };
         Ok(MaterialSettings {
             mucosa,
-            coated: self.kind != MaterialKind::Lambert,
+            coated: matches!(self.kind, MaterialKind::Coated | MaterialKind::Mucosa),
             albedo: self.albedo.map(|v| v as f32),
             alpha_low,
             alpha_high,
@@ -130,6 +168,16 @@ impl Material {
             rings: self.rings as f32,
             ring_spacing_mm: self.ring_spacing_mm as f32,
             seed: CounterRng::new(seed, Stage::Texture, &[]).next_u32(),
+            subsurface: match (self.kind, self.boundary) {
+                (MaterialKind::Subsurface, Boundary::Diffuse | Boundary::Mixed) => 1,
+                (MaterialKind::Subsurface, Boundary::Matched) => 2,
+                _ => 0,
+            },
+            walk_at_every_vertex: self.kind == MaterialKind::Subsurface && self.walk == WalkedVertices::Every,
+            refracted_entry: if self.boundary == Boundary::Mixed { 0.5 } else { 0.0 },
+            extinction: self.mean_free_path_mm.map(|v| (1.0 / v) as f32),
+            fixed_scattering: self.single_scattering_albedo.is_some(),
+            scattering: self.single_scattering_albedo.unwrap_or([0.0; 3]).map(|v| v as f32),
         })
     }
 }
@@ -142,8 +190,8 @@ mod tests {
     fn a_wrong_value_is_named() {
         let wrong = Material { coat_alpha: f64::NAN, ..Material::default() };
         assert!(wrong.validate().unwrap_err().to_string().starts_with("material.coat_alpha: "));
-        let later = Material { kind: MaterialKind::Subsurface, ..Material::default() };
-        assert!(later.settings(1).unwrap_err().to_string().contains("cannot be rendered yet"));
+        let wrong = Material { single_scattering_albedo: Some([0.5, 1.5, 0.5]), ..Material::default() };
+        assert!(wrong.validate().unwrap_err().to_string().starts_with("material.single_scattering_albedo: "));
     }
 
     #[test]

@@ -4,18 +4,20 @@
 //!  TriangleMesh + Material -> Scene --deform--> render(camera, pose, light, settings) -> Frame {radiance, depth}
 //! ```
 //!
-//! `cpp/path.h` holds the light transport, `cpp/coat.h` the reflection, `cpp/mucosa.h` the look of the wall.
+//! `cpp/path.h` holds the light transport, `cpp/coat.h` the reflection, `cpp/mucosa.h` the look of the wall,
+//! `cpp/walk.h` the light inside it.
 
 mod axial;
 mod denoise;
 mod frame;
 mod material;
+pub mod probe;
 mod scene;
 pub mod scene_file;
 mod settings;
 
 pub use frame::{Frame, Statistics, render, render_watched};
-pub use material::{Material, MaterialKind};
+pub use material::{Boundary, Material, MaterialKind, WalkedVertices};
 pub use scene::Scene;
 pub use settings::{Denoise, Light, RenderSettings, Shading};
 

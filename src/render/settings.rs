@@ -12,12 +12,22 @@ pub struct Light {
     /// Position in the world in mm; `None` is at the camera.
     #[serde(default, rename = "position", skip_serializing_if = "Option::is_none")]
     pub position_mm: Option<DVec3>,
+    /// Emission profile: in directions that make the angle t with the camera's axis the intensity is
+    /// `intensity * max(cos t, 0)^emission_exponent`. 0 is even in all directions (backwards too); 1 is a polished fibre
+    /// face that radiates after Lambert; a fibre bundle of smaller aperture has more ([`Light::exponent_of_half_angle`]).
+    #[serde(default)]
+    pub emission_exponent: f64,
 }
 
 impl Light {
     /// A light of `intensity` at the camera.
     pub fn at_camera(intensity: [f64; 3]) -> Self {
-        Light { intensity, position_mm: None }
+        Light { intensity, position_mm: None, emission_exponent: 0.0 }
+    }
+
+    /// The emission exponent of a bundle that is half as bright at `half_angle_deg` from its axis as on it.
+    pub fn exponent_of_half_angle(half_angle_deg: f64) -> f64 {
+        0.5f64.ln() / half_angle_deg.to_radians().cos().ln()
     }
 }
 

@@ -14,6 +14,7 @@ mod html;
 mod latex;
 mod markdown;
 mod paper;
+pub mod pareto;
 pub mod plots;
 pub mod read;
 #[cfg(test)]

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use crate::base::{Error, Result};
 
 use super::bin::cut;
+use super::dual::Dual;
 use super::project::dot;
 use super::real::Real;
 use super::types::{Gaussians, Gradients, Shape};
@@ -278,6 +279,52 @@ impl<T: Real> Anchors<T> {
                 axes[i - start(c)] = [0, 1].map(|k| directions[k].map(|v| v * stand.scales[k]));
             }
         });
+        Ok(())
+    }
+
+    /// Velocities of the positions and axes of the active discs (those of the others stay what they are) when the
+    /// vertices move by `displacement` per unit of phase: the derivative of [`Anchors::place`], for
+    /// [`super::Motion`]. `positions` and `axes` get one entry per anchor.
+    ///
+    /// Errors: as [`Anchors::place`]; another number of displacements than of vertices.
+    pub fn place_tangent(
+        &self,
+        carrier: Carrier<'_, T>,
+        displacement: &[[T; 3]],
+        active: Option<&[u32]>,
+        positions: &mut Vec<[T; 3]>,
+        axes: &mut Vec<[[T; 3]; 2]>,
+    ) -> Result<()> {
+        self.check(carrier)?;
+        let n = check_active(active, self.len())?;
+        if displacement.len() != carrier.vertices.len() {
+            return Err(Error::input("one displacement per vertex is needed"));
+        }
+        positions.resize(self.len(), [T::zero(); 3]);
+        axes.resize(self.len(), [[T::zero(); 3]; 2]);
+        let velocity = |j: usize| {
+            let i = active.map_or(j, |list| list[j] as usize);
+            let stand = self.stand(i, carrier);
+            let [a, b, c] = carrier.faces[self.face[i] as usize].map(|v| displacement[v as usize]);
+            let w = stand.weights;
+            let edges = [subtract(b, a), subtract(c, a)];
+            let directions = match self.frame {
+                Frame::InheritStretch => self.directions(i, edges),
+                Frame::NormalOnly => {
+                    let moving = |e: usize| [0, 1, 2].map(|k| Dual::new(stand.edges[e][k], edges[e][k]));
+                    shortest_arc(unit_normal(moving(0), moving(1)).0).map(|v| v.map(|d| d.derivative))
+                }
+            };
+            (
+                i,
+                [0, 1, 2].map(|k| w[0] * a[k] + w[1] * b[k] + w[2] * c[k]),
+                [0, 1].map(|k| directions[k].map(|v| v * stand.scales[k])),
+            )
+        };
+        let found: Vec<_> = (0..n).into_par_iter().with_min_len(CHUNK).map(velocity).collect();
+        for (i, position, axis) in found {
+            (positions[i], axes[i]) = (position, axis);
+        }
         Ok(())
     }
 

@@ -10,14 +10,19 @@
 mod anchors;
 mod bin;
 mod chain;
+mod composite;
 mod dual;
 mod jvp;
 mod kernel;
+mod native;
+mod parameters;
 mod project;
 mod rasterizer;
 mod real;
 mod sh;
+mod stages;
 mod surface_depth;
+mod tangent;
 mod types;
 
 pub use crate::ffi::splat::Isa;
@@ -26,4 +31,6 @@ pub use dual::Dual;
 pub use jvp::PhaseTangent;
 pub use rasterizer::Rasterizer;
 pub use real::Real;
+pub use stages::{Stage, StageTimes};
+pub use tangent::{Direction, Motion};
 pub use types::{DepthOutput, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted};

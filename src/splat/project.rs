@@ -37,7 +37,7 @@ pub(super) mod at {
 }
 
 /// One splat.
-pub(super) type Row<T> = [T; 16];
+pub type Row<T> = [T; 16];
 
 /// `log2(255)`: how far below 1 an alpha of 1/255 lies.
 pub(super) const LOG2_255: f64 = 7.994353436858858;
@@ -49,9 +49,9 @@ struct Lens<T> {
 }
 
 /// One view, ready to project.
-pub(super) struct Projector<T> {
-    pub rotation: [[T; 3]; 3],
-    pub eye: [T; 3],
+pub struct Projector<T> {
+    pub(super) rotation: [[T; 3]; 3],
+    pub(super) eye: [T; 3],
     focal: [T; 2],
     center: [T; 2],
     limit: [T; 2],
@@ -62,7 +62,7 @@ pub(super) struct Projector<T> {
 }
 
 /// What the projection of one Gaussian passes through; its backward starts here.
-pub(super) struct Geometry<T> {
+pub struct Geometry<T> {
     /// Centre in camera axes.
     pub t: [T; 3],
     /// Columns in camera axes and on screen.
@@ -152,6 +152,21 @@ impl<T: Real> Projector<T> {
             dilation: T::of(settings.dilation_px2),
             fisheye: camera.fisheye.map(|k| k.map(T::of)),
         })
+    }
+
+    /// True for a camera without distortion.
+    pub fn is_pinhole(&self) -> bool {
+        self.fisheye.is_none()
+    }
+
+    /// Everything but the distortion, in single precision: `View` of `cpp/splat_kernel.h`.
+    pub fn numbers(&self) -> [f32; 22] {
+        let mut out = [0.0; 22];
+        let vectors = [self.focal, self.center, self.limit, self.size];
+        let scalars = [self.near, self.dilation];
+        let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(vectors.as_flattened()).chain(&scalars);
+        out.iter_mut().zip(all).for_each(|(place, v)| *place = v.to_f64() as f32);
+        out
     }
 
     /// A vector in camera axes.
@@ -245,8 +260,13 @@ impl<T: Real> Projector<T> {
         if !in_front {
             return None;
         }
+        self.geometry_of(t, columns.map(|m| self.turn(m)), offset)
+    }
+
+    /// The same from the centre and the columns in camera axes, and the vector from the eye in world axes.
+    #[inline(always)]
+    pub fn geometry_of(&self, t: [T; 3], c: [[T; 3]; 3], offset: [T; 3]) -> Option<Geometry<T>> {
         let Lens { point, jacobian } = self.lens(t);
-        let c = columns.map(|m| self.turn(m));
         let u = c.map(|column| jacobian.map(|row| dot(row, column)));
         let sum = |a: usize, b: usize| u[0][a] * u[0][b] + u[1][a] * u[1][b] + u[2][a] * u[2][b];
         let plain = [sum(0, 0), sum(0, 1), sum(1, 1)];
@@ -282,18 +302,24 @@ impl<T: Real> Projector<T> {
             return None;
         }
         let g = self.geometry(gaussians.positions[i], columns(&gaussians.shape, i))?;
-        // Half axes of the box around `exponent >= -log2(255)`.
-        let k = T::of(2.0 / LOG2_E) * reach;
-        let half = [(k * g.covariance[0]).sqrt(), (k * g.covariance[2]).sqrt()];
+        let row = self.row(&g, log2_opacity, color(gaussians, i, g.direction))?;
         for axis in 0..2 {
-            if !(g.point[axis] + half[axis] > T::zero() && g.point[axis] - half[axis] < self.size[axis]) {
+            let (center, half) = (row[at::X + axis], row[at::HALF_WIDTH + axis]);
+            if !(center + half > T::zero() && center - half < self.size[axis]) {
                 return None;
             }
         }
-        let color = color(gaussians, i, g.direction);
+        Some(row)
+    }
+
+    /// The row of a splat of that colour (before the clamp at 0); `None` for a colour that is not finite.
+    #[inline(always)]
+    pub fn row(&self, g: &Geometry<T>, log2_opacity: T, color: [T; 3]) -> Option<Row<T>> {
         if !(color[0] + color[1] + color[2]).is_finite() {
             return None;
         }
+        // Half axes of the box around `exponent >= -log2(255)`.
+        let k = T::of(2.0 / LOG2_E) * (log2_opacity + T::of(LOG2_255));
         let mut row = [T::zero(); 16];
         row[at::X] = g.point[0];
         row[at::Y] = g.point[1];
@@ -305,8 +331,8 @@ impl<T: Real> Projector<T> {
             row[at::RED + k] = color[k].maximum(T::zero());
         }
         row[at::DEPTH] = g.t[2];
-        row[at::HALF_WIDTH] = half[0];
-        row[at::HALF_HEIGHT] = half[1];
+        row[at::HALF_WIDTH] = (k * g.covariance[0]).sqrt();
+        row[at::HALF_HEIGHT] = (k * g.covariance[2]).sqrt();
         row[at::DISCRIMINANT] = T::of(-LOG2_E * LOG2_E) * g.inverse_determinant;
         Some(row)
     }

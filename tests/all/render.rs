@@ -12,10 +12,10 @@ use respire_bench::render::{Denoise, Light, Material, RenderSettings, Scene, Sha
 
 use crate::reference::{Reference, block_errors, relative_mse};
 
-const RHO: [f64; 3] = [0.75, 0.40, 0.35];
+pub const RHO: [f64; 3] = [0.75, 0.40, 0.35];
 
 /// Icosphere of radius 1 with normals to the inside.
-fn sphere(subdivisions: u32) -> TriangleMesh {
+pub fn sphere(subdivisions: u32) -> TriangleMesh {
     let t = (1.0 + 5f64.sqrt()) / 2.0;
     let mut mesh = TriangleMesh::default();
     for (a, b) in [(-1.0, t), (1.0, t), (-1.0, -t), (1.0, -t)] {
@@ -55,12 +55,12 @@ fn sphere(subdivisions: u32) -> TriangleMesh {
     mesh
 }
 
-fn scaled(mut mesh: TriangleMesh, radius: f64) -> TriangleMesh {
+pub fn scaled(mut mesh: TriangleMesh, radius: f64) -> TriangleMesh {
     mesh.vertices.iter_mut().for_each(|v| *v *= radius);
     mesh
 }
 
-fn mean(image: &Image<f32>) -> [f64; 3] {
+pub fn mean(image: &Image<f32>) -> [f64; 3] {
     let mut sum = [0.0; 3];
     for pixel in image.data.chunks_exact(3) {
         (0..3).for_each(|c| sum[c] += pixel[c] as f64);
@@ -99,14 +99,14 @@ fn lamp_away_from_the_camera_lights_the_same_sphere() {
     let scene = Scene::new(&scaled(sphere(4), 5.0), &[], Material::lambert(RHO), 1).unwrap();
     let camera = Camera::pinhole(24, 24, 1.2);
     let pose = DAffine3::from_translation(DVec3::new(2.0, -1.0, 0.5));
-    let light = Light { intensity: [100.0; 3], position_mm: Some(DVec3::ZERO) };
+    let light = Light { intensity: [100.0; 3], position_mm: Some(DVec3::ZERO), emission_exponent: 0.0 };
     let settings = RenderSettings { max_scatterings: 1, samples_per_pixel: 8, ..RenderSettings::default() };
     let frame = render(&scene, &camera, &pose, &light, &settings).unwrap();
     assert_ratio("direct", mean(&frame.radiance), RHO.map(|rho| 100.0 * rho / (PI * 25.0)), 2e-3);
 }
 
 /// A square of side 200 mm at z = `distance`.
-fn plane(distance: f64) -> TriangleMesh {
+pub fn plane(distance: f64) -> TriangleMesh {
     let corner = |x: f64, y: f64| DVec3::new(x * 100.0, y * 100.0, distance);
     TriangleMesh {
         vertices: vec![corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)],
@@ -207,7 +207,7 @@ fn compare_with_reference(material: Material, max_scatterings: u32, samples: u32
     assert!(median < block_median, "{file}: median block error {median}");
 }
 
-fn tube_camera() -> (Camera, DAffine3) {
+pub fn tube_camera() -> (Camera, DAffine3) {
     let origin = DVec3::new(0.4, -0.3, 0.0);
     let pose = world_from_camera_looking(origin, DVec3::new(3.0, 0.6, 40.0) - origin, DVec3::Y);
     (Camera::pinhole(256, 256, PI / 2.0), pose)

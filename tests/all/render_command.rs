@@ -58,7 +58,7 @@ fn command_writes_image_depth_and_timing() {
 #[test]
 fn command_says_what_is_wrong() {
     for (material, code, words) in [
-        ("kind = \"subsurface\"", 4, "cannot be rendered yet"),
+        ("kind = \"subsurface\"\nsingle_scattering_albedo = [0.9, 1.1, 0.9]", 4, "material.single_scattering_albedo"),
         ("kind = \"velvet\"", 4, "velvet"),
         ("kind = \"coated\"\nalbedo = [0.5, 1.5, 0.5]", 4, "material.albedo"),
     ] {

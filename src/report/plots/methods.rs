@@ -132,7 +132,7 @@ impl Figure for ErrorAgainstTime {
 }
 
 /// A logarithmic range around positive values, at least a factor of four wide.
-fn log_range(values: impl Iterator<Item = f64>) -> [f64; 2] {
+pub(super) fn log_range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let (low, high) = values
         .filter(|v| v.is_finite() && *v > 0.0)
         .fold((f64::INFINITY, 0.0f64), |(low, high), v| (low.min(v), high.max(v)));
@@ -140,7 +140,7 @@ fn log_range(values: impl Iterator<Item = f64>) -> [f64; 2] {
 }
 
 /// 1, 2 and 5 times the powers of ten in the range.
-fn log_ticks([low, high]: [f64; 2]) -> Vec<f64> {
+pub(super) fn log_ticks([low, high]: [f64; 2]) -> Vec<f64> {
     let decades = low.log10().floor() as i32..=high.log10().ceil() as i32;
     let ticks = decades.flat_map(|d| [1.0, 2.0, 5.0].map(|step| step * 10f64.powi(d)));
     ticks.filter(|t| (low..=high).contains(t)).collect()

@@ -5,11 +5,13 @@ mod contours;
 mod curves;
 mod images;
 mod methods;
+mod pareto;
 
 use std::path::Path;
 
 use canvas::Figure;
 
+use super::pareto::Chart;
 use super::run::Run;
 use super::summary::MethodSummary;
 use crate::base::{Image, Progress, Result, files};
@@ -105,6 +107,13 @@ pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dy
         }
     }
     Ok(pictures)
+}
+
+/// Draws cost against error as `<stem>.svg` and `<stem>.png`; `front` says which points lie on the front.
+pub fn draw_pareto(chart: &Chart, front: &[bool], folder: &Path, stem: &str) -> Result<()> {
+    let Some(figure) = pareto::ParetoPlot::new(chart, front) else { return Ok(()) };
+    files::write_bytes(&folder.join(format!("{stem}.svg")), canvas::svg(&figure)?.as_bytes())?;
+    png::write_rgb(&folder.join(format!("{stem}.png")), &canvas::bitmap(&figure)?)
 }
 
 fn plot(folder: &Path, stem: &str, figure: Option<impl Figure>, title: &str, caption: &str) -> Result<Option<Picture>> {

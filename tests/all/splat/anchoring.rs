@@ -203,3 +203,31 @@ fn forward_mode_equals_differences_and_backward() {
         patch.anchors.phase_pullback(&gradients, patch.carrier(), Some(&active), &patch.displacement).unwrap();
     assert!((forward - backward).abs() <= 1e-10 * forward.abs(), "{forward} forward, {backward} backward");
 }
+
+#[test]
+fn velocities_of_discs_equal_differences() {
+    const STEP: f64 = 1e-6;
+    for frame in [Frame::InheritStretch, Frame::NormalOnly] {
+        let patch = patch(frame, 6);
+        let placed = |phase: f64| {
+            let vertices: Vec<[f64; 3]> = patch
+                .rest
+                .iter()
+                .zip(&patch.displacement)
+                .map(|(v, d)| [0, 1, 2].map(|k| v[k] + phase * d[k]))
+                .collect();
+            let mut discs = patch.look.clone();
+            patch.anchors.place(Carrier { vertices: &vertices, faces: &patch.faces }, None, &mut discs).unwrap();
+            let Shape::Discs { axes } = discs.shape else { unreachable!("discs stay discs") };
+            [discs.positions.into_flattened(), axes.into_flattened().into_flattened()]
+        };
+        let (plus, minus) = (placed(STEP), placed(-STEP));
+        let (mut positions, mut axes) = (Vec::new(), Vec::new());
+        patch.anchors.place_tangent(patch.carrier(), &patch.displacement, None, &mut positions, &mut axes).unwrap();
+        for (k, found) in [positions.into_flattened(), axes.into_flattened().into_flattened()].iter().enumerate() {
+            let numeric: Vec<f64> = plus[k].iter().zip(&minus[k]).map(|(p, m)| (p - m) / (2.0 * STEP)).collect();
+            let error = relative(found, &numeric);
+            assert!(error <= 1e-8, "{frame:?}: off by {error:e}");
+        }
+    }
+}

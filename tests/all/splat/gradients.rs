@@ -50,7 +50,7 @@ fn entry<'a>(scene: &'a mut Gaussians<f64>, group: &str, k: usize) -> &'a mut f6
 }
 
 /// `exp(xi) camera_from_world` for a step along one of the six directions.
-fn moved(view: &View, k: usize, step: f64) -> View {
+pub fn moved(view: &View, k: usize, step: f64) -> View {
     let axis = [DVec3::X, DVec3::Y, DVec3::Z][k % 3] * step;
     let motion =
         if k < 3 { DAffine3::from_quat(DQuat::from_scaled_axis(axis)) } else { DAffine3::from_translation(axis) };
@@ -118,8 +118,17 @@ fn f32_errors(scene: &Gaussians<f32>, view: &View, seed: u64) -> Vec<(String, f6
 
 #[test]
 fn single_precision_equals_double() {
-    for (seed, kind, lens) in [(21, Kind::Ellipsoids, Lens::Pinhole), (22, Kind::Discs, Lens::Fisheye)] {
-        let scene = random(60, kind, 2, seed).cast::<f32>();
+    for (seed, kind, lens, degree) in [
+        (21, Kind::Ellipsoids, Lens::Pinhole, 2),
+        (22, Kind::Discs, Lens::Fisheye, 2),
+        (23, Kind::Discs, Lens::Pinhole, 1),
+        (24, Kind::Discs, Lens::Pinhole, 0),
+        (25, Kind::Ellipsoids, Lens::Pinhole, 3),
+        (26, Kind::Discs, Lens::Pinhole, 3),
+        (27, Kind::Ellipsoids, Lens::Pinhole, 0),
+        (28, Kind::Ellipsoids, Lens::Pinhole, 1),
+    ] {
+        let scene = random(60, kind, degree, seed).cast::<f32>();
         for (name, error) in f32_errors(&scene, &view(lens), seed) {
             assert!(error <= 1e-4, "scene {seed}: {name} off by {error:e}");
         }

@@ -5,3 +5,4 @@ mod forward;
 mod gradients;
 mod robustness;
 mod scenes;
+mod tangent;

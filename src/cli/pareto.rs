@@ -1,0 +1,29 @@
+//! `respire-bench pareto`: cost against error of many settings, with the front marked and the default on it. One file
+//! per kind: `pareto_<kind>.rs` with its arguments and `run`, and two lines here.
+
+use clap::{Args, Subcommand};
+
+use super::{Terminal, pareto_render};
+use crate::base::Result;
+
+/// Arguments of `pareto`.
+#[derive(Args)]
+#[command(after_help = "Each kind writes pareto-KIND.csv, .svg and .png into DIR.\n\
+    Example: respire-bench pareto render --out /tmp/pareto")]
+pub struct Arguments {
+    #[command(subcommand)]
+    kind: Kind,
+}
+
+#[derive(Subcommand)]
+enum Kind {
+    /// Path tracer: time against relative error of its modes, on a frame of each of three cases
+    Render(pareto_render::Arguments),
+}
+
+/// Runs the command.
+pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+    match arguments.kind {
+        Kind::Render(arguments) => pareto_render::run(arguments, terminal),
+    }
+}

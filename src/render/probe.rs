@@ -1,0 +1,75 @@
+//! What each pixel's central ray hits: face, place on it, depth and colour, without any light transport.
+
+use glam::{DAffine3, DVec2, DVec3};
+use rayon::prelude::*;
+
+use super::frame::frame_settings;
+use super::scene::Scene;
+use super::settings::{Light, RenderSettings};
+use crate::base::{Camera, Image, Result};
+use crate::ffi::tracer::PROBE_VALUES;
+
+/// The point of the wall that one pixel's central ray hits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePoint {
+    /// Face of the mesh.
+    pub face: u32,
+    /// Barycentric weights of the face's three corners.
+    pub weights: [f64; 3],
+    /// Albedo of the base there, vessels and all.
+    pub albedo: [f32; 3],
+}
+
+/// Casts the central ray of every pixel: one entry per pixel, row-major, `None` where nothing is hit.
+///
+/// Errors: an impossible camera.
+pub fn probe(scene: &Scene, camera: &Camera, world_from_camera: &DAffine3) -> Result<Vec<Option<SurfacePoint>>> {
+    camera.validate()?;
+    let light = Light::at_camera([0.0; 3]);
+    let frame = frame_settings(scene, camera, world_from_camera, &light, &RenderSettings::default());
+    let width = camera.width as usize;
+    let rows: Vec<Vec<Option<SurfacePoint>>> = (0..camera.height)
+        .into_par_iter()
+        .map(|y| {
+            let centre = |x: usize| camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize();
+            let directions: Vec<f32> = (0..width).flat_map(|x| centre(x).to_array()).map(|v| v as f32).collect();
+            let mut faces = vec![0; width];
+            let mut values = vec![0.0; width * PROBE_VALUES];
+            scene.tracer.probe(&frame, &directions, &mut faces, &mut values)?;
+            let point = |(&face, v): (&u32, &[f32])| {
+                let (u, w) = (v[1] as f64, v[2] as f64);
+                (face != u32::MAX).then(|| SurfacePoint {
+                    face,
+                    weights: [1.0 - u - w, u, w],
+                    albedo: [v[3], v[4], v[5]],
+                })
+            };
+            Ok(faces.iter().zip(values.chunks_exact(PROBE_VALUES)).map(point).collect())
+        })
+        .collect::<Result<_>>()?;
+    Ok(rows.concat())
+}
+
+impl SurfacePoint {
+    /// The point on a mesh of the probed one's faces, whatever its vertices.
+    pub fn on(&self, vertices: &[DVec3], faces: &[[u32; 3]]) -> DVec3 {
+        let corners = faces[self.face as usize].map(|v| vertices[v as usize]);
+        corners[0] * self.weights[0] + corners[1] * self.weights[1] + corners[2] * self.weights[2]
+    }
+}
+
+/// An image of `channels` values per pixel, zero where nothing is hit.
+pub fn image_of(
+    points: &[Option<SurfacePoint>],
+    width: usize,
+    channels: usize,
+    mut values: impl FnMut(&SurfacePoint, &mut [f32]),
+) -> Image<f32> {
+    let mut image = Image::filled(width, points.len() / width.max(1), channels, 0.0f32);
+    for (pixel, point) in image.data.chunks_exact_mut(channels).zip(points) {
+        if let Some(point) = point {
+            values(point, pixel);
+        }
+    }
+    image
+}

@@ -1,0 +1,134 @@
+//! Cost against error, one panel per subject, both axes logarithmic; the front as a line, the default as a ring.
+
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use super::canvas::{Area, Drawn, Figure, GRID, INK, Pen, legend};
+use super::methods::{log_range, log_ticks};
+use crate::report::pareto::{Chart, Standing};
+
+/// Okabe and Ito's palette, in the order of the modes.
+const COLORS: [RGBColor; 7] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(230, 159, 0),
+    RGBColor(86, 180, 233),
+    RGBColor(140, 140, 140),
+];
+/// Most panels beside each other.
+const COLUMNS: usize = 3;
+
+struct Dot {
+    at: (f64, f64),
+    color: RGBColor,
+    label: String,
+    standing: Standing,
+    on_front: bool,
+}
+
+/// The figure.
+pub struct ParetoPlot<'a> {
+    chart: &'a Chart,
+    names: Vec<(String, RGBColor)>,
+    panels: Vec<(&'a str, Vec<Dot>)>,
+}
+
+impl<'a> ParetoPlot<'a> {
+    /// `None` where no point can stand on logarithmic axes. `front`: one per point.
+    pub fn new(chart: &'a Chart, front: &[bool]) -> Option<Self> {
+        let mut names: Vec<(String, RGBColor)> = Vec::new();
+        let mut panels: Vec<(&str, Vec<Dot>)> = Vec::new();
+        for (point, &on_front) in chart.points.iter().zip(front) {
+            if !(point.cost > 0.0 && point.error > 0.0) {
+                continue;
+            }
+            let color = match names.iter().find(|(name, _)| *name == point.mode) {
+                Some((_, color)) => *color,
+                None => {
+                    let color = COLORS[names.len() % COLORS.len()];
+                    names.push((point.mode.clone(), color));
+                    color
+                }
+            };
+            let at = (point.cost, point.error);
+            let dot = Dot { at, color, label: point.setting.clone(), standing: point.standing, on_front };
+            match panels.iter_mut().find(|(subject, _)| *subject == point.subject) {
+                Some((_, dots)) => dots.push(dot),
+                None => panels.push((&point.subject, vec![dot])),
+            }
+        }
+        names.push(("front".into(), GRID));
+        names.push(("ring: default".into(), INK));
+        (!panels.is_empty()).then_some(ParetoPlot { chart, names, panels })
+    }
+}
+
+impl Figure for ParetoPlot<'_> {
+    fn size(&self) -> (u32, u32) {
+        let columns = self.panels.len().clamp(2, COLUMNS) as u32;
+        (440 * columns, 60 + 380 * self.panels.len().div_ceil(COLUMNS) as u32)
+    }
+
+    fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB> {
+        let rest = legend(page, pen, &self.names)?;
+        let columns = self.panels.len().min(COLUMNS);
+        let areas = rest.split_evenly((self.panels.len().div_ceil(COLUMNS), columns));
+        for (area, (subject, dots)) in areas.iter().zip(&self.panels) {
+            draw_panel(area, pen, self.chart, subject, dots)?;
+        }
+        Ok(())
+    }
+}
+
+/// Three digits and no more zeros than needed.
+fn short(value: &f64) -> String {
+    if *value >= 1e-3 && *value < 1e5 { format!("{value}") } else { format!("{value:.0e}") }
+}
+
+fn draw_panel<DB: DrawingBackend>(
+    area: &Area<DB>,
+    pen: Pen,
+    words: &Chart,
+    subject: &str,
+    dots: &[Dot],
+) -> Drawn<(), DB> {
+    let x = log_range(dots.iter().map(|d| d.at.0));
+    let y = log_range(dots.iter().map(|d| d.at.1));
+    let mut chart = ChartBuilder::on(area)
+        .caption(subject, pen.bold(14.0))
+        .margin(pen.px(8.0))
+        .margin_right(pen.px(24.0))
+        .x_label_area_size(pen.px(40.0))
+        .y_label_area_size(pen.px(62.0))
+        .build_cartesian_2d(
+            (x[0]..x[1]).log_scale().with_key_points(log_ticks(x)),
+            (y[0]..y[1]).log_scale().with_key_points(log_ticks(y)),
+        )?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(pen.line(GRID, 1.0))
+        .axis_style(pen.line(INK, 1.0))
+        .label_style(pen.text(11.0))
+        .axis_desc_style(pen.text(12.0))
+        .x_label_formatter(&short)
+        .y_label_formatter(&short)
+        .x_desc(words.cost)
+        .y_desc(words.error)
+        .draw()?;
+    let mut front: Vec<(f64, f64)> = dots.iter().filter(|d| d.on_front).map(|d| d.at).collect();
+    front.sort_by(|a, b| a.0.total_cmp(&b.0));
+    chart.draw_series(std::iter::once(PathElement::new(front, pen.line(RGBColor(180, 180, 180), 2.5))))?;
+    for dot in dots {
+        chart.draw_series(std::iter::once(Circle::new(dot.at, pen.px(4.5), dot.color.filled())))?;
+        if dot.standing == Standing::Default {
+            chart.draw_series(std::iter::once(Circle::new(dot.at, pen.px(9.0), pen.line(INK, 2.0))))?;
+        }
+        let style = pen.text(9.5).pos(Pos::new(HPos::Left, VPos::Bottom));
+        let label = Text::new(dot.label.clone(), (pen.at(6.0), pen.at(-4.0)), style);
+        chart.draw_series(std::iter::once(EmptyElement::at(dot.at) + label))?;
+    }
+    Ok(())
+}
