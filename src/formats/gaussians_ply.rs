@@ -212,7 +212,7 @@ mod tests {
         let values: Vec<f32> = bytes[end..].as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
         // Centre, normal, DC, the three reds, greens and blues of degree 1, logit, logarithms, w x y z.
         let expected = [
-            0.0, 0.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 6.0, 9.0, 4.0, 7.0, 10.0, 5.0, 8.0, 11.0, 0.0, 0.0, 1.0,
+            0.0, 0.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 6.0, 9.0, 4.0, 7.0, 10.0, 5.0, 8.0, 11.0, 0.0, 0.0, 0.0,
             0.0, 0.5, -0.5, 0.5, 0.5,
         ];
         assert_eq!(values, expected);
