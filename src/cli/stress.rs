@@ -23,7 +23,8 @@ const GRADIENT_LIMIT: f64 = 2e-2;
 #[derive(Args)]
 #[command(
     after_help = "Writes stress.csv into DIR when given. Fails when a number is not finite or an error is larger than\n\
-    1e-3 (image) or 2e-2 (worst group of gradients) relative to double precision.\n\
+    1e-3 (image) or 2e-2 (worst group of gradients) relative to double precision; of values of 3e38, which single\n\
+    precision cannot square, only finite results are asked.\n\
     Example: respire-bench stress --out /tmp/stress"
 )]
 pub struct Arguments {
@@ -49,8 +50,18 @@ struct Row {
     passed: bool,
 }
 
+/// What an item must show.
+#[derive(Clone, Copy, PartialEq)]
+enum Demand {
+    /// The numbers of double precision.
+    Accuracy,
+    /// Finite numbers: its values overflow in single precision, where their Gaussians are left out, and not in double.
+    Finite,
+}
+
 /// A scene of the matrix.
 struct Item {
+    demand: Demand,
     name: String,
     scene: Gaussians<f32>,
     view: View,
@@ -93,7 +104,7 @@ fn scaled(factor: f32) -> Item {
 }
 
 fn item(name: &str, scene: Gaussians<f32>) -> Item {
-    Item { name: name.into(), scene, view: view(96, 80), settings: Settings::default() }
+    Item { demand: Demand::Accuracy, name: name.into(), scene, view: view(96, 80), settings: Settings::default() }
 }
 
 /// A scene of `wall` after a change.
@@ -160,9 +171,11 @@ fn poisons() -> Vec<Item> {
     let mut items = Vec::new();
     for (k, value) in values.into_iter().enumerate() {
         let poisoned = |name: &str, place: fn(&mut Gaussians<f32>, usize, f32)| {
-            changed(&format!("{value} in {name}"), 30 + k as u64, |s, r| {
+            let demand = if value == 3e38 { Demand::Finite } else { Demand::Accuracy };
+            let scene = changed(&format!("{value:e} in {name}"), 30 + k as u64, |s, r| {
                 (0..40).for_each(|_| place(s, r.index(400), value));
-            })
+            });
+            Item { demand, ..scene }
         };
         items.push(poisoned("positions", |s, i, v| s.positions[i][i % 3] = v));
         items.push(poisoned("axes", |s, i, v| axes_of(s)[i][i % 2][i % 3] = v));
@@ -215,7 +228,8 @@ fn measure(item: &Item) -> Result<Row> {
     let image_error = relative(&image, &true_image);
     let errors = found.iter().zip(&truth).filter(|(f, _)| f.0 != "depth").map(|(f, t)| (relative(&f.1, &t.1), f.0));
     let (gradient_error, worst_group) = errors.fold((0.0, "-"), |worst, e| if e.0 > worst.0 { e } else { worst });
-    let passed = not_finite == 0 && image_error <= IMAGE_LIMIT && gradient_error <= GRADIENT_LIMIT;
+    let accurate = image_error <= IMAGE_LIMIT && gradient_error <= GRADIENT_LIMIT;
+    let passed = not_finite == 0 && (accurate || item.demand == Demand::Finite);
     Ok(Row { item: item.name.clone(), image_error, gradient_error, worst_group, not_finite, passed })
 }
 
