@@ -186,7 +186,7 @@ fn poisons() -> Vec<Item> {
 }
 
 /// All values of all groups, by name.
-fn groups<T: Real>(g: &Gradients<T>) -> [(&'static str, Vec<f64>); 6] {
+fn groups<T: Real>(g: &Gradients<T>) -> [Group; 6] {
     let wide = |v: &[T]| v.iter().map(|v| v.to_f64()).collect::<Vec<f64>>();
     [
         ("positions", wide(g.positions.as_flattened())),
@@ -205,8 +205,11 @@ fn relative(a: &[f64], b: &[f64]) -> f64 {
     if difference == 0.0 { 0.0 } else { difference / norm }
 }
 
+/// The values of a group of gradients, and its name.
+type Group = (&'static str, Vec<f64>);
+
 /// Image and gradients of one precision.
-fn pass<T: Real>(item: &Item, rasterizer: &mut Rasterizer<T>) -> Result<(Vec<f64>, Vec<(&'static str, Vec<f64>)>)> {
+fn pass<T: Real>(item: &Item, rasterizer: &mut Rasterizer<T>) -> Result<(Vec<f64>, Vec<Group>)> {
     let scene = item.scene.cast::<T>();
     let image = rasterizer.render(&scene, &item.view, &item.settings, None)?;
     let all: Vec<f64> = image.color.iter().chain(&image.alpha).map(|v| v.to_f64()).collect();
