@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::case_scope;
+pub use super::case_scope::{Effect, ExposureControl, ExposureSettings, ScopeSettings};
 use super::field::BreathingField;
 use super::field_calibre::Calibre;
 use super::grow::GrowthSettings;
@@ -151,26 +153,6 @@ impl Default for TrajectorySettings {
     }
 }
 
-/// Automatic exposure and its imperfections.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ExposureSettings {
-    /// Mean encoded brightness that the automatic exposure aims for.
-    pub target: f64,
-    /// Time constant in seconds with which it follows the scene.
-    pub lag_s: f64,
-    /// Standard deviation of the slow drift of log gain.
-    pub drift: f64,
-    /// Standard deviation of the slow drift of log red and log blue.
-    pub white_balance_drift: f64,
-}
-
-impl Default for ExposureSettings {
-    fn default() -> Self {
-        ExposureSettings { target: 0.42, lag_s: 0.25, drift: 0.06, white_balance_drift: 0.025 }
-    }
-}
-
 /// A case file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -195,6 +177,9 @@ pub struct Case {
     /// Automatic exposure.
     #[serde(default)]
     pub exposure: ExposureSettings,
+    /// Light guide, lens and sensor.
+    #[serde(default)]
+    pub scope: ScopeSettings,
     /// Look of the mucosa: the renderer's `[material]`, checked when a film is made.
     #[serde(default)]
     pub material: toml::Table,
@@ -253,9 +238,7 @@ impl Case {
     pub fn validate(&self) -> Result<()> {
         let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
         let t = &self.trajectory;
-        let e = &self.exposure;
         let positive = |v: f64| v.is_finite() && v > 0.0;
-        let small = |v: f64| (0.0..=1.0).contains(&v);
         let least_radius_mm = match self.anatomy {
             AnatomySource::Tree { least_radius_mm, .. } => least_radius_mm,
             _ => 1.0,
@@ -267,10 +250,6 @@ impl Case {
             ("trajectory.speed_mm_per_s", positive(t.speed_mm_per_s), "must be positive"),
             ("trajectory.scope_radius_mm", positive(t.scope_radius_mm), "must be positive"),
             ("light_intensity", self.light_intensity.iter().all(|&v| positive(v)), "must be positive"),
-            ("exposure.target", (0.05..=0.9).contains(&e.target), "must lie between 0.05 and 0.9"),
-            ("exposure.lag_s", e.lag_s.is_finite() && e.lag_s >= 0.0, "must not be negative"),
-            ("exposure.drift", small(e.drift), "must lie between 0 and 1"),
-            ("exposure.white_balance_drift", small(e.white_balance_drift), "must lie between 0 and 1"),
             ("anatomy.least_radius_mm", (0.1..=10.0).contains(&least_radius_mm), "must lie between 0.1 and 10"),
             ("breathing", self.breathing.is_some() == needs_field, {
                 if needs_field { "is missing" } else { "does not belong to a mesh pair, which has its motion" }
@@ -280,6 +259,7 @@ impl Case {
             return Err(Error::input(*sentence).element(key));
         }
         self.camera.camera(64, 64).validate().map_err(|e| e.element("camera"))?;
+        case_scope::validate(&self.exposure, &self.scope)?;
         self.waveform.validate()?;
         if let Some(breathing) = &self.breathing {
             breathing.calibre.validate()?;

@@ -4,6 +4,7 @@
 pub mod case;
 pub mod case_build;
 pub mod case_centerline;
+mod case_scope;
 pub mod centerline;
 mod centerline_distance;
 mod centerline_trace;

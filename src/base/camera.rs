@@ -127,6 +127,34 @@ mod tests {
     }
 
     #[test]
+    fn the_fisheye_is_opencvs() {
+        // cv2.fisheye.projectPoints of OpenCV 5.0.0; its pixel centres are integers, which shifts nothing here: the
+        // principal point is given in the same frame as the result.
+        let camera = Camera {
+            width: 200,
+            height: 100,
+            fl_x: 80.5,
+            fl_y: 79.25,
+            cx: 100.25,
+            cy: 51.5,
+            fisheye: Some([-0.031, 0.012, -0.004, 0.0007]),
+        };
+        for (point, image) in [
+            ([0.3, -0.2, 1.0], [123.346030513425, 36.341735667173]),
+            ([2.0, 1.0, 1.5], [169.278370726978, 85.478250808155]),
+            ([-3.0, 0.5, 1.0], [3.762495874706, 67.331541825941]),
+            ([0.0, 4.0, 0.8], [100.25, 156.667321171427]),
+            ([0.001, 0.002, 5.0], [100.266099998827, 51.531699997690]),
+            ([-1.0, -1.0, 0.25], [23.525260092198, -24.033361958923]),
+        ] {
+            let ours = camera.project(DVec3::from_array(point)).unwrap();
+            assert!((ours - DVec2::from_array(image)).length() < 1e-9, "{ours} for {point:?}");
+            let back = camera.direction(ours).normalize();
+            assert!((back - DVec3::from_array(point).normalize()).length() < 1e-9);
+        }
+    }
+
+    #[test]
     fn looking_is_right_handed_with_y_down() {
         let w = world_from_camera_looking(DVec3::ZERO, DVec3::Z, DVec3::Y);
         assert!((w.matrix3.determinant() - 1.0).abs() < 1e-12);

@@ -25,6 +25,8 @@ pub enum Stage {
     Method = 8,
     /// Choice of the target vertex, bootstrap.
     Score = 9,
+    /// Sensor noise.
+    Sensor = 10,
     /// Tests.
     Test = 99,
 }

@@ -18,6 +18,7 @@ use crate::reconstruct::{self, Reconstruct};
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use crate::score::{self, Truth};
 use crate::simulate::sequence::Sequence;
+use crate::simulate::truth::TruthSet;
 use crate::simulate::{self, MeshOutput, RadianceOutput, SimulationSettings};
 
 /// The rows of the paper's Table 1 from top to bottom, then the bounds; further methods follow by name.
@@ -58,8 +59,8 @@ impl Pipeline {
         if wanted_cases.is_empty() {
             return Err(Error::input("there are no case files").at(catalogue.root()));
         }
-        let cases: Vec<Case> =
-            wanted_cases.iter().map(|wish| Case::load(&catalogue.case_file(wish)?)).collect::<Result<_>>()?;
+        let load = |wish: &String| Ok(Case::load(&catalogue.case_file(wish)?)?.without(&profile.without));
+        let cases: Vec<Case> = wanted_cases.iter().map(load).collect::<Result<_>>()?;
         refuse_doubles(cases.iter().map(|case| case.id.as_str()), "case")?;
         let seeds = wishes.seeds.unwrap_or_else(|| profile.seeds.clone());
         refuse_doubles(seeds.iter(), "seed")?;
@@ -121,6 +122,7 @@ impl Pipeline {
             samples_per_pixel: self.profile.samples_per_pixel,
             meshes: MeshOutput::default(),
             radiance: RadianceOutput::default(),
+            truth: TruthSet::default(),
         }
     }
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::plan::toml_ids;
+use crate::airway::case::Effect;
 use crate::base::{Error, Result, files};
 
 /// How large the images are, how many frames there are, and how much work goes into each.
@@ -36,6 +37,9 @@ pub struct Profile {
     pub samples_per_pixel: u32,
     /// Factor on every iteration count of the methods; 1 is the published setting.
     pub iteration_scale: f64,
+    /// Effects of the scope that are switched off in every case.
+    #[serde(default)]
+    pub without: Vec<Effect>,
 }
 
 impl Profile {

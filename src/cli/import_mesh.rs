@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::Terminal;
 use super::import::{MotionArguments, fit_motion, still_breathing};
 use crate::airway::case::{
-    AnatomySource, Breathing, CameraSettings, Case, ExposureSettings, Region, TrajectorySettings,
+    AnatomySource, Breathing, CameraSettings, Case, ExposureSettings, Region, ScopeSettings, TrajectorySettings,
 };
 use crate::airway::case_build::{self, read_mesh};
 use crate::airway::centerline::{Centerline, CenterlineSettings, extract};
@@ -131,6 +131,7 @@ impl CommonArguments {
             waveform: Default::default(),
             light_intensity: [1000.0; 3],
             exposure: ExposureSettings::default(),
+            scope: ScopeSettings::default(),
             material: toml::Table::new(),
             anatomy,
             breathing,

@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Terminal;
-use crate::airway::case::Case;
+use crate::airway::case::{Case, Effect};
 use crate::base::Result;
 use crate::bench::catalogue::Catalogue;
 use crate::bench::profile::Profile;
+use crate::simulate::truth::TruthMap;
 use crate::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
 
 /// Arguments of `simulate`.
@@ -42,6 +43,13 @@ pub struct Arguments {
     /// Also writes the linear radiance of every frame as OpenEXR
     #[arg(long)]
     radiance: bool,
+    /// Also writes these ground-truth images: normals, albedo, motion, phase-sensitivity
+    #[arg(long, value_name = "MAP,..", value_delimiter = ',')]
+    truth: Vec<TruthMap>,
+    /// Switches effects of the scope off: emission, auto-exposure, lag, overshoot, gain-drift, white-balance, shot-noise,
+    /// read-noise, vignette, distortion, motion-blur, mask
+    #[arg(long, value_name = "EFFECT,..", value_delimiter = ',')]
+    without: Vec<Effect>,
     /// Folder with cases and profiles
     #[arg(long, value_name = "DIR")]
     bench_cases: Option<PathBuf>,
@@ -52,7 +60,8 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let catalogue = Catalogue::find(arguments.bench_cases.as_deref())?;
     let profile = Profile::load(&catalogue.profiles(), &arguments.profile)?;
     let files: Vec<PathBuf> = arguments.cases.iter().map(|c| catalogue.case_file(c)).collect::<Result<_>>()?;
-    let cases: Vec<Case> = files.iter().map(|f| Case::load(f)).collect::<Result<_>>()?;
+    let load = |file: &PathBuf| Ok(Case::load(file)?.without(&profile.without).without(&arguments.without));
+    let cases: Vec<Case> = files.iter().map(load).collect::<Result<_>>()?;
     for case in &cases {
         let side = arguments.width.unwrap_or(profile.image_width_px);
         let settings = SimulationSettings {
@@ -63,6 +72,7 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
             samples_per_pixel: arguments.spp.unwrap_or(profile.samples_per_pixel),
             meshes: if arguments.meshes { MeshOutput::EveryFrame } else { MeshOutput::EndStates },
             radiance: if arguments.radiance { RadianceOutput::Exr } else { RadianceOutput::None },
+            truth: arguments.truth.iter().copied().collect(),
         };
         terminal.stage(format!("{}: filming", case.id));
         let sequence = simulate(case, &settings, &arguments.out.join(&case.id), terminal)?;

@@ -18,6 +18,9 @@ pub struct TransformsFrame {
     /// z-depth image, relative to the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_file_path: Option<String>,
+    /// One-channel image that is 0 where the image holds nothing, relative to the file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mask_path: Option<String>,
     /// World from camera, OpenGL camera axes, row-major 4x4.
     pub transform_matrix: [[f64; 4]; 4],
     /// Seconds since the first frame.
@@ -172,6 +175,7 @@ mod tests {
         let frame = TransformsFrame {
             file_path: "images/000000.png".into(),
             depth_file_path: None,
+            mask_path: None,
             transform_matrix: TransformsFrame::matrix(&pose),
             time: 1.0 / 3.0,
             breathing_phase: Some(0.123456789123),
@@ -189,6 +193,33 @@ mod tests {
         // OpenGL: the camera looks along its negative z.
         let z = frame.transform_matrix.map(|row| row[2]);
         assert!((DVec3::new(z[0], z[1], z[2]) + pose.matrix3.z_axis).length() < 1e-15);
+    }
+
+    #[test]
+    fn a_written_out_example_of_nerfstudios_conventions() {
+        // docs/quickstart/data_conventions.md: columns of transform_matrix are the camera's +X (right), +Y (up) and +Z
+        // (backwards) axes and its position; OPENCV_FISHEYE uses k1 to k4; intrinsics at the top.
+        let text = r#"{
+            "fl_x": 107.2, "fl_y": 106.8, "cx": 150.4, "cy": 100.0, "w": 300, "h": 200,
+            "camera_model": "OPENCV_FISHEYE", "k1": 0.03, "k2": 0.005, "k3": 0.0006, "k4": 0.0001,
+            "frames": [{"file_path": "images/frame_00001.jpeg",
+                "transform_matrix": [[1.0, 0.0, 0.0, 4.0], [0.0, 1.0, 0.0, 5.0], [0.0, 0.0, 1.0, 6.0], [0.0, 0.0, 0.0, 1.0]]}]
+        }"#;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("transforms.json");
+        std::fs::write(&path, text).unwrap();
+        let read = Transforms::read(&path).unwrap();
+        let (camera, pose) = (read.camera().unwrap(), read.frames[0].world_from_camera());
+        assert_eq!(camera.fisheye, Some([0.03, 0.005, 0.0006, 0.0001]));
+        // A point before the camera (along -Z), to its right and above: right of the centre and in the upper half.
+        let seen = camera.project(pose.inverse().transform_point3(DVec3::new(5.0, 7.0, -4.0))).unwrap();
+        let (x, y, theta) = (0.1, 0.2, (0.05f64).sqrt().atan());
+        let distorted =
+            theta + 0.03 * theta.powi(3) + 0.005 * theta.powi(5) + 0.0006 * theta.powi(7) + 0.0001 * theta.powi(9);
+        let scale = distorted / (0.05f64).sqrt();
+        assert!((seen.x - (150.4 + 107.2 * scale * x)).abs() < 1e-9, "{seen}");
+        assert!((seen.y - (100.0 - 106.8 * scale * y)).abs() < 1e-9, "{seen}");
+        assert_eq!(TransformsFrame::matrix(&pose), read.frames[0].transform_matrix);
     }
 
     #[test]

@@ -1,17 +1,20 @@
 //! Automatic exposure that is known before a frame is rendered, so that frames stay independent.
 //!
 //! A coarse grid of rays gives distance d and slant cos of the wall; radiance there is about albedo I cos / (pi d^2), times
-//! a factor for light that comes by way of other walls. The gain is the one that brings the mean *encoded* brightness of
+//! a factor for light that comes by way of other walls, the fibre bundle's profile and the vignette. The gain is the one that brings the mean *encoded* brightness of
 //! that proxy to the target (bisection on a monotone function), followed with a lag and within limits, like the
-//! automatic exposure of a scope; a seeded slow drift of gain and white balance comes on top. Left out: shutter, sensor noise.
+//! automatic exposure of a scope: the log gain is a damped oscillator of natural frequency 1 / lag whose damping gives
+//! the stated overshoot after a jump (without overshoot: first order). A seeded slow drift of gain and white balance comes
+//! on top. The noise that the gain brings is the sensor's (`sensor.rs`).
 
 use glam::{DAffine3, DVec2, DVec3};
 
-use crate::airway::case::ExposureSettings;
+use super::sensor::vignette_at;
+use crate::airway::case::{ExposureControl, ExposureSettings};
 use crate::base::color::srgb_from_linear;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Camera, Result};
-use crate::render::Scene;
+use crate::render::{Light, Scene};
 
 /// Rays of the proxy per image side.
 const GRID: usize = 20;
@@ -25,17 +28,21 @@ pub fn proxy_radiance(
     scene: &Scene,
     camera: &Camera,
     world_from_camera: &DAffine3,
-    intensity: [f64; 3],
+    light: &Light,
+    vignette: f64,
     albedo: [f64; 3],
 ) -> Result<Vec<[f64; 3]>> {
     let mut directions = Vec::with_capacity(GRID * GRID);
+    let mut passed = Vec::with_capacity(GRID * GRID);
     for row in 0..GRID {
         for column in 0..GRID {
             let pixel = DVec2::new(
                 (column as f64 + 0.5) / GRID as f64 * camera.width as f64,
                 (row as f64 + 0.5) / GRID as f64 * camera.height as f64,
             );
-            directions.push(world_from_camera.transform_vector3(camera.direction(pixel)).normalize());
+            let direction = camera.direction(pixel).normalize();
+            passed.push(direction.z.max(0.0).powf(light.emission_exponent) * vignette_at(camera, pixel, vignette));
+            directions.push(world_from_camera.transform_vector3(direction));
         }
     }
     let origins = vec![world_from_camera.translation; directions.len()];
@@ -53,8 +60,9 @@ pub fn proxy_radiance(
             let d2 = here.length_squared();
             // A ray that leaves the airway sees nothing.
             let lit = if d2.is_finite() && d2 > 0.0 && cosine.is_finite() { cosine / d2 } else { 0.0 };
+            let lit = lit * passed[row * GRID + column];
             radiance.push([0, 1, 2].map(|c| {
-                let direct = albedo[c] * intensity[c] * lit / std::f64::consts::PI;
+                let direct = albedo[c] * light.intensity[c] * lit / std::f64::consts::PI;
                 direct * (1.0 + INTERREFLECTION * albedo[c])
             }));
         }
@@ -79,32 +87,34 @@ pub fn wanted_gain(radiance: &[[f64; 3]], target: f64) -> f64 {
 /// Gain and white balance of one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exposure {
+    /// The gain that the automatic exposure aimed for.
+    pub wanted_gain: f64,
     /// Factor on linear radiance.
     pub gain: f64,
     /// Factors on red, green and blue.
     pub white_balance: [f64; 3],
 }
 
-/// Follows the wanted gains with lag and limits, then adds the seeded drift.
+/// Follows the wanted gains with lag, overshoot and limits, then adds the seeded drift.
 pub fn follow(wanted: &[f64], time_s: &[f64], settings: &ExposureSettings, seed: u64) -> Vec<Exposure> {
-    let mut sorted: Vec<f64> = wanted.iter().map(|g| g.ln()).collect();
-    sorted.sort_by(f64::total_cmp);
-    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    let median = median(wanted.iter().map(|g| g.ln()));
     let drift = [0, 1, 2].map(|channel| Drift::new(seed, channel));
-    let mut level = None;
+    let mut follower: Option<Follower> = None;
     let mut before_s = 0.0;
     wanted
         .iter()
         .zip(time_s)
         .map(|(gain, &now_s)| {
-            let goal = gain.ln().clamp(median - RANGE.ln(), median + RANGE.ln());
-            let last: f64 = level.unwrap_or(goal);
-            let follows = if settings.lag_s > 0.0 { 1.0 - (-(now_s - before_s) / settings.lag_s).exp() } else { 1.0 };
-            let now = last + (goal - last) * follows;
-            level = Some(now);
+            let goal = match settings.control {
+                ExposureControl::Automatic => gain.ln().clamp(median - RANGE.ln(), median + RANGE.ln()),
+                ExposureControl::Fixed => median,
+            };
+            let follower = follower.get_or_insert(Follower { level: goal, speed: 0.0 });
+            follower.advance(goal, now_s - before_s, settings);
             before_s = now_s;
             Exposure {
-                gain: (now + settings.drift * drift[0].at(now_s)).exp(),
+                wanted_gain: *gain,
+                gain: (follower.level + settings.drift * drift[0].at(now_s)).exp(),
                 white_balance: [
                     (settings.white_balance_drift * drift[1].at(now_s)).exp(),
                     1.0,
@@ -113,6 +123,41 @@ pub fn follow(wanted: &[f64], time_s: &[f64], settings: &ExposureSettings, seed:
             }
         })
         .collect()
+}
+
+/// The middle value (the upper one of two); 0 of nothing.
+pub fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Log gain on its way to a goal.
+struct Follower {
+    level: f64,
+    speed: f64,
+}
+
+impl Follower {
+    /// `time_s` later, the goal having been `goal` all the while: the exact solution.
+    fn advance(&mut self, goal: f64, time_s: f64, settings: &ExposureSettings) {
+        if settings.lag_s <= 0.0 {
+            (self.level, self.speed) = (goal, 0.0);
+        } else if settings.overshoot <= 0.0 {
+            self.level = goal + (self.level - goal) * (-time_s / settings.lag_s).exp();
+        } else {
+            // Overshoot m of a damped oscillator: m = exp(-pi z / sqrt(1 - z^2)).
+            let m = settings.overshoot.ln();
+            let damping = -m / (std::f64::consts::PI.powi(2) + m * m).sqrt();
+            let natural = 1.0 / settings.lag_s;
+            let (decay, swing) = (damping * natural, natural * (1.0 - damping * damping).sqrt());
+            let (off, speed) = (self.level - goal, self.speed);
+            let (sine, cosine) = (swing * time_s).sin_cos();
+            let fade = (-decay * time_s).exp();
+            self.level = goal + fade * (off * cosine + (speed + decay * off) / swing * sine);
+            self.speed = fade * (speed * cosine - (natural * natural * off + decay * speed) / swing * sine);
+        }
+    }
 }
 
 /// A smooth seeded signal of zero mean and unit variance: three sines of incommensurate periods between 1.5 and 8 s.
@@ -148,13 +193,66 @@ mod tests {
 
     #[test]
     fn gain_follows_a_jump_with_lag_and_stays_in_range() {
-        let settings = ExposureSettings { drift: 0.0, white_balance_drift: 0.0, lag_s: 0.5, target: 0.4 };
+        let settings = ExposureSettings {
+            drift: 0.0,
+            white_balance_drift: 0.0,
+            lag_s: 0.5,
+            overshoot: 0.0,
+            ..ExposureSettings::default()
+        };
         let time_s: Vec<f64> = (0..40).map(|i| i as f64 * 0.1).collect();
         let wanted: Vec<f64> = (0..40).map(|i| if i < 25 { 1.0 } else { 1e6 }).collect();
         let gains: Vec<f64> = follow(&wanted, &time_s, &settings, 1).iter().map(|e| e.gain).collect();
         assert_eq!(gains[24], 1.0);
         assert!(gains[25] > 1.2 && gains[25] < 2.0);
         assert!(gains[39] > 6.0 && gains[39] <= RANGE);
+    }
+
+    #[test]
+    fn a_jump_is_overshot_by_the_stated_part_at_the_stated_time() {
+        for (overshoot, lag_s) in [(0.05, 0.25), (0.3, 0.1)] {
+            let settings = ExposureSettings {
+                drift: 0.0,
+                white_balance_drift: 0.0,
+                lag_s,
+                overshoot,
+                ..ExposureSettings::default()
+            };
+            let time_s: Vec<f64> = (0..4000).map(|i| i as f64 * 1e-3).collect();
+            let wanted: Vec<f64> = time_s.iter().map(|&t| if t <= 1.0 { 1.0 } else { 2.0 }).collect();
+            let step: Vec<f64> =
+                follow(&wanted, &time_s, &settings, 1).iter().map(|e| e.gain.ln() / 2f64.ln()).collect();
+            let peak = (0..4000).max_by(|&a, &b| step[a].total_cmp(&step[b])).unwrap();
+            assert!((step[peak] - 1.0 - overshoot).abs() < 1e-3, "{overshoot}: peak {}", step[peak]);
+            // Second-order step response (any textbook on control): peak at pi / damped frequency, damping from overshoot.
+            let log = overshoot.ln();
+            let damping = (log * log / (std::f64::consts::PI.powi(2) + log * log)).sqrt();
+            let peak_s = std::f64::consts::PI * lag_s / (1.0 - damping * damping).sqrt();
+            assert!((time_s[peak] - 1.0 - peak_s).abs() < 3e-3, "{overshoot}: {} s for {peak_s}", time_s[peak] - 1.0);
+            // The whole curve, at another frame rate too: the solution is exact between frames.
+            let coarse: Vec<f64> = time_s.iter().copied().step_by(50).collect();
+            let goals: Vec<f64> = wanted.iter().copied().step_by(50).collect();
+            for (i, e) in follow(&goals, &coarse, &settings, 1).iter().enumerate() {
+                let t = coarse[i] - 1.0;
+                if t <= 0.0 {
+                    assert_eq!(e.gain, 1.0);
+                    continue;
+                }
+                let (natural, swing) = (1.0 / lag_s, (1.0 - damping * damping).sqrt() / lag_s);
+                let form = 1.0
+                    - (-damping * natural * t).exp()
+                        * ((swing * t).cos() + damping / (1.0 - damping * damping).sqrt() * (swing * t).sin());
+                assert!((e.gain.ln() / 2f64.ln() - form).abs() < 1e-9, "{t}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_fixed_exposure_has_one_gain() {
+        let settings = ExposureSettings { control: ExposureControl::Fixed, drift: 0.0, ..ExposureSettings::default() };
+        let time_s: Vec<f64> = (0..9).map(f64::from).collect();
+        let wanted: Vec<f64> = (1..10).map(f64::from).collect();
+        assert!(follow(&wanted, &time_s, &settings, 1).iter().all(|e| (e.gain - 5.0).abs() < 1e-12));
     }
 
     #[test]

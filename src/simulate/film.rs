@@ -1,14 +1,21 @@
 //! The plan of a film: which frame is where, at which phase, with which exposure. Everything but the pixels.
 
+use glam::DAffine3;
+
 use crate::airway::Anatomy;
-use crate::airway::case::Case;
+use crate::airway::case::{Case, ScopeSettings};
+use crate::airway::waveform::Waveform;
 use crate::base::{Camera, Error, Result, mesh};
 use crate::render::{Material, Scene};
 
-use super::SimulationSettings;
-use super::exposure;
+use super::sensor::mask_radius_px;
 use super::sequence::FrameRecord;
 use super::trajectory::{Route, nearest_mm};
+use super::truth::Seen;
+use super::{SimulationSettings, exposure, shoot};
+
+/// Rays per image side that measure motion blur.
+const BLUR_RAYS: f64 = 24.0;
 
 /// Frames and what goes beside them into tables.
 #[derive(Clone, Debug)]
@@ -23,6 +30,12 @@ pub struct Film {
     pub clearance_mm: Vec<f64>,
     /// Airway generation at each frame.
     pub generation: Vec<u32>,
+    /// Gain that the automatic exposure aimed for at each frame.
+    pub wanted_gain: Vec<f64>,
+    /// Gain over the film's middle gain at each frame: drives the noise.
+    pub amplification: Vec<f64>,
+    /// Median motion of the picture in pixels while the shutter is open, at each frame; 0 without motion blur.
+    pub blur_px: Vec<f64>,
     /// Speed of the scope, mm/s.
     pub speed_mm_per_s: f64,
     /// Motion of the route's end between the breath holds, mm.
@@ -31,6 +44,25 @@ pub struct Film {
     pub route_mm: f64,
     /// Sentences for the user.
     pub notes: Vec<String>,
+    way: Way,
+    scope: ScopeSettings,
+}
+
+/// Where the scope is at any time.
+#[derive(Clone, Debug)]
+struct Way {
+    route: Route,
+    waveform: Waveform,
+    seed: u64,
+    start_mm: f64,
+    speed_mm_per_s: f64,
+}
+
+impl Way {
+    fn state_at(&self, time_s: f64) -> (DAffine3, f64) {
+        let phase = self.waveform.phase(time_s, self.seed);
+        (self.route.pose(self.start_mm + self.speed_mm_per_s * time_s, phase), phase)
+    }
 }
 
 impl Film {
@@ -54,11 +86,16 @@ impl Film {
         let start = route.length_mm() - speed * duration_s;
         let time_s: Vec<f64> = (0..settings.frames).map(|i| i as f64 / settings.frames_per_second).collect();
         let arc_mm: Vec<f64> = time_s.iter().map(|t| start + speed * t).collect();
-        let phases: Vec<f64> = time_s.iter().map(|&t| case.waveform.phase(t, case.seed)).collect();
+        let (route_mm, end_motion_mm) = (route.length_mm(), route.end_motion_mm());
+        let generation = arc_mm.iter().map(|&arc| route.generation(arc)).collect();
+        let waveform = case.waveform.clone();
+        let way = Way { route, waveform, seed: case.seed, start_mm: start, speed_mm_per_s: speed };
+        let light = shoot::light(case);
         let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, flat(material), case.seed)?;
         let (mut frames, mut wanted, mut clearance_mm) = (Vec::new(), Vec::new(), Vec::new());
-        for (index, (&arc, &phase)) in arc_mm.iter().zip(&phases).enumerate() {
-            let world_from_camera = route.pose(arc, phase);
+        let mut blur_px = Vec::new();
+        for (index, &now_s) in time_s.iter().enumerate() {
+            let (world_from_camera, phase) = way.state_at(now_s);
             let wall = mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase);
             let clearance = nearest_mm(&wall, world_from_camera.translation);
             // The route was checked at five phases; between them the lumen may be a little narrower.
@@ -68,46 +105,74 @@ impl Film {
             }
             clearance_mm.push(clearance);
             scene.deform(&wall)?;
-            let proxy =
-                exposure::proxy_radiance(&scene, &camera, &world_from_camera, case.light_intensity, material.albedo)?;
+            let proxy = exposure::proxy_radiance(
+                &scene,
+                &camera,
+                &world_from_camera,
+                &light,
+                case.scope.vignette,
+                material.albedo,
+            )?;
             wanted.push(exposure::wanted_gain(&proxy, case.exposure.target));
-            frames.push(FrameRecord {
-                time_s: time_s[index],
-                phase,
-                gain: 1.0,
-                white_balance: [1.0; 3],
-                world_from_camera,
-            });
+            blur_px.push(blur(&scene, &camera, anatomy, &way, now_s, case.scope.shutter_s)?);
+            frames.push(FrameRecord { time_s: now_s, phase, gain: 1.0, white_balance: [1.0; 3], world_from_camera });
         }
         for (frame, set) in frames.iter_mut().zip(exposure::follow(&wanted, &time_s, &case.exposure, case.seed)) {
             frame.gain = set.gain;
             frame.white_balance = set.white_balance;
         }
+        let middle_gain = exposure::median(frames.iter().map(|f| f.gain));
         Ok(Film {
             camera,
-            generation: arc_mm.iter().map(|&arc| route.generation(arc)).collect(),
+            generation,
+            wanted_gain: wanted,
+            amplification: frames.iter().map(|f| f.gain / middle_gain).collect(),
+            blur_px,
             frames,
             arc_mm,
             clearance_mm,
             speed_mm_per_s: speed,
-            end_motion_mm: route.end_motion_mm(),
-            route_mm: route.length_mm(),
+            end_motion_mm,
+            route_mm,
             notes,
+            way,
+            scope: case.scope,
         })
+    }
+
+    /// True pose and phase at any time, between frames too.
+    pub fn state_at(&self, time_s: f64) -> (DAffine3, f64) {
+        self.way.state_at(time_s)
     }
 
     /// `frames.csv`.
     pub(super) fn frames_csv(&self) -> String {
         let mut text = String::from(
             "frame,time_s,phase,gain,white_balance_red,white_balance_green,white_balance_blue,\
-             way_mm,clearance_mm,generation,camera_x_mm,camera_y_mm,camera_z_mm\n",
+             way_mm,clearance_mm,generation,camera_x_mm,camera_y_mm,camera_z_mm,\
+             wanted_gain,shot_noise,read_noise,emission_half_angle_deg,vignette,shutter_s,blur_px,mask_radius_px,\
+             k1,k2,k3,k4\n",
         );
+        let scope = &self.scope;
+        let mask_px = mask_radius_px(&self.camera, scope).unwrap_or(0.0);
+        let [k1, k2, k3, k4] = self.camera.fisheye.unwrap_or([0.0; 4]);
         for (i, f) in self.frames.iter().enumerate() {
             let [red, green, blue] = f.white_balance;
             let c = f.world_from_camera.translation;
             text += &format!(
-                "{i},{},{},{},{red},{green},{blue},{},{},{},{},{},{}\n",
+                "{i},{},{},{},{red},{green},{blue},{},{},{},{},{},{},",
                 f.time_s, f.phase, f.gain, self.arc_mm[i], self.clearance_mm[i], self.generation[i], c.x, c.y, c.z
+            );
+            let k = self.amplification[i];
+            text += &format!(
+                "{},{},{},{},{},{},{},{mask_px},{k1},{k2},{k3},{k4}\n",
+                self.wanted_gain[i],
+                scope.shot_noise * k.sqrt(),
+                scope.read_noise * k,
+                scope.emission_half_angle_deg,
+                scope.vignette,
+                scope.shutter_s,
+                self.blur_px[i]
             );
         }
         text
@@ -123,6 +188,18 @@ impl Film {
             "notes": self.notes,
         })
     }
+}
+
+/// Median motion of the picture in pixels while the shutter is open around `time_s`, by rays of a coarse image.
+fn blur(scene: &Scene, camera: &Camera, anatomy: &Anatomy, way: &Way, time_s: f64, shutter_s: f64) -> Result<f64> {
+    if shutter_s <= 0.0 {
+        return Ok(0.0);
+    }
+    let factor = BLUR_RAYS / camera.width as f64;
+    let coarse = Camera { height: BLUR_RAYS as u32, ..camera.scaled(factor) };
+    let [open, now, close] = [-0.5, 0.0, 0.5].map(|part| way.state_at(time_s + part * shutter_s));
+    let seen = Seen::new(scene, &coarse, &now.0, &anatomy.inspiration, &anatomy.expiration.vertices)?;
+    Ok(seen.image_motion_px(camera, (&open.0, open.1), (&close.0, close.1)))
 }
 
 /// The proxy needs geometry alone: no texture is made for it.

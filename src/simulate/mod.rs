@@ -2,8 +2,12 @@
 
 pub mod exposure;
 pub mod film;
+pub mod preview;
+pub mod sensor;
 pub mod sequence;
+mod shoot;
 pub mod trajectory;
+pub mod truth;
 
 use std::path::{Path, PathBuf};
 
@@ -12,15 +16,17 @@ use serde::Serialize;
 
 use crate::airway::case::Case;
 use crate::airway::{self, Anatomy, case_centerline};
-use crate::base::{Error, Image, Progress, Result, TriangleMesh, files, hash, mesh};
+use crate::base::{Error, Progress, Result, files, hash};
 use crate::formats::transforms::Transforms;
-use crate::formats::{exr, mesh as mesh_file, png};
-use crate::render::{Denoise, Light, Material, RenderSettings, Scene, Shading, render};
+use crate::formats::{mesh as mesh_file, png};
+use crate::render::Material;
 use film::Film;
+use sensor::Sensor;
 use sequence::{ManifestHead, Sequence};
+use truth::{TruthMap, TruthSet};
 
 /// Changes whenever the same case and settings give other pixels or other truth.
-const SIMULATOR_VERSION: u32 = 1;
+const SIMULATOR_VERSION: u32 = 2;
 
 /// Which meshes a sequence folder holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -61,6 +67,8 @@ pub struct SimulationSettings {
     pub meshes: MeshOutput,
     /// Linear images to write.
     pub radiance: RadianceOutput,
+    /// Ground-truth images to write.
+    pub truth: TruthSet,
 }
 
 /// Films `case` into the folder `out` and opens the result.
@@ -81,7 +89,7 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
     let anatomy = airway::build(case)?;
     let film = Film::plan(case, &anatomy, settings, &material)?;
     film.notes.iter().for_each(|note| progress.note(&format!("{}: {note}", case.id)));
-    shoot(case, &anatomy, &film, &material, settings, out, progress)?;
+    shoot::shoot(case, &anatomy, &film, &material, settings, out, progress)?;
     write_truth(case, &anatomy, &film, settings, &hash, out)?;
     Sequence::open(out)
 }
@@ -127,7 +135,7 @@ fn prepare_folder(out: &Path, hash: &str) -> Result<()> {
             return Err(Error::input("is neither empty nor a sequence folder: nothing is overwritten").at(out));
         }
         let _ = std::fs::remove_file(out.join(sequence::MANIFEST));
-        for part in ["images", "depth", "radiance", "mesh"] {
+        for part in sequence::FOLDERS {
             let folder = out.join(part);
             if folder.exists() {
                 std::fs::remove_dir_all(&folder).map_err(|e| Error::io("removing", &folder, e))?;
@@ -136,63 +144,6 @@ fn prepare_folder(out: &Path, hash: &str) -> Result<()> {
         files::write_json(&plan, &serde_json::json!({ "hash": hash }))?;
     }
     Ok(())
-}
-
-/// Renders every frame that is not there yet. A frame's image is written last, so an image means a whole frame.
-fn shoot(
-    case: &Case,
-    anatomy: &Anatomy,
-    film: &Film,
-    material: &Material,
-    settings: &SimulationSettings,
-    out: &Path,
-    progress: &dyn Progress,
-) -> Result<()> {
-    let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, *material, case.seed)?;
-    let light = Light::at_camera(case.light_intensity);
-    for (index, record) in film.frames.iter().enumerate() {
-        progress.advance(index, film.frames.len());
-        let image_path = out.join(sequence::image_name(index));
-        if image_path.is_file() {
-            continue;
-        }
-        if progress.cancelled() {
-            return Err(Error::interrupted());
-        }
-        let vertices = mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, record.phase);
-        scene.deform(&vertices)?;
-        let render_settings = RenderSettings {
-            samples_per_pixel: settings.samples_per_pixel,
-            denoise: Denoise::On,
-            shading: Shading::Smooth,
-            seed: case.seed,
-            frame: index as u64,
-            ..RenderSettings::default()
-        };
-        let frame = render(&scene, &film.camera, &record.world_from_camera, &light, &render_settings)?;
-        exr::write_channel(&out.join(sequence::depth_name(index)), "Z", &frame.depth_mm)?;
-        if settings.meshes == MeshOutput::EveryFrame {
-            let deformed = TriangleMesh { vertices, faces: anatomy.inspiration.faces.clone() };
-            mesh_file::write_ply(&out.join(sequence::frame_mesh_name(index)), &deformed, &["units mm", "space LPS"])?;
-        }
-        if settings.radiance == RadianceOutput::Exr {
-            exr::write_rgb(&out.join(sequence::radiance_name(index)), &frame.radiance)?;
-        }
-        png::write_rgb(&image_path, &developed(&frame.radiance, record.gain, record.white_balance))?;
-    }
-    progress.advance(film.frames.len(), film.frames.len());
-    Ok(())
-}
-
-/// Linear radiance to the 8-bit image of the sensor.
-fn developed(radiance: &Image<f32>, gain: f64, white_balance: [f64; 3]) -> Image<u8> {
-    let mut exposed = radiance.clone();
-    for pixel in exposed.data.chunks_exact_mut(3) {
-        for (value, balance) in pixel.iter_mut().zip(white_balance) {
-            *value *= (gain * balance) as f32;
-        }
-    }
-    exposed.to_srgb8()
 }
 
 /// Everything but the frames; the manifest last.
@@ -208,11 +159,17 @@ fn write_truth(
     mesh_file::write_ply(&out.join(sequence::INSPIRATION), &anatomy.inspiration, &comments)?;
     mesh_file::write_ply(&out.join(sequence::EXPIRATION), &anatomy.expiration, &comments)?;
     files::write_bytes(&out.join(sequence::CENTERLINE), case_centerline::to_csv(&anatomy.centerline).as_bytes())?;
-    let entries = film.frames.iter().enumerate().map(|(i, f)| sequence::transforms_frame(i, f)).collect();
+    let mask = Sensor::new(&film.camera, &case.scope, case.seed).mask(&film.camera);
+    if let Some(mask) = &mask {
+        png::write_grey(&out.join(sequence::MASK), mask)?;
+    }
+    let entry = |(i, frame)| sequence::transforms_frame(i, frame, mask.is_some());
+    let entries = film.frames.iter().enumerate().map(entry).collect();
     Transforms::new(&film.camera, entries).write(&out.join(sequence::TRANSFORMS))?;
     files::write_bytes(&out.join(sequence::FRAMES), film.frames_csv().as_bytes())?;
     files::write_bytes(&out.join(sequence::FORMAT), include_bytes!("FORMAT.md"))?;
-    let hashes: Vec<(String, String)> = content_names(film, settings)
+    preview::write(out, film.frames.len(), settings.frames_per_second)?;
+    let hashes: Vec<(String, String)> = content_names(case, film, settings)
         .into_par_iter()
         .map(|name| hash::of_file(&out.join(&name)).map(|h| (name, h)))
         .collect::<Result<_>>()?;
@@ -230,7 +187,7 @@ fn write_truth(
 }
 
 /// All files of the folder but plan and manifest, in order.
-fn content_names(film: &Film, settings: &SimulationSettings) -> Vec<String> {
+fn content_names(case: &Case, film: &Film, settings: &SimulationSettings) -> Vec<String> {
     let fixed = [
         sequence::INSPIRATION,
         sequence::EXPIRATION,
@@ -238,10 +195,24 @@ fn content_names(film: &Film, settings: &SimulationSettings) -> Vec<String> {
         sequence::TRANSFORMS,
         sequence::FRAMES,
         sequence::FORMAT,
+        sequence::CONTACT_SHEET,
+        sequence::PREVIEW,
     ];
     let mut names: Vec<String> = fixed.iter().map(|n| n.to_string()).collect();
-    for frame in 0..film.frames.len() {
+    if case.scope.mask_radius > 0.0 {
+        names.push(sequence::MASK.to_string());
+    }
+    let frames = film.frames.len();
+    for frame in 0..frames {
         names.extend([sequence::image_name(frame), sequence::depth_name(frame)]);
+        let truth = [
+            (TruthMap::Normals, true, sequence::normal_name(frame)),
+            (TruthMap::Albedo, true, sequence::albedo_name(frame)),
+            (TruthMap::Motion, frame + 1 < frames, sequence::forward_motion_name(frame)),
+            (TruthMap::Motion, frame > 0, sequence::backward_motion_name(frame)),
+            (TruthMap::PhaseSensitivity, true, sequence::sensitivity_name(frame)),
+        ];
+        names.extend(truth.into_iter().filter(|(map, exists, _)| *exists && settings.truth.has(*map)).map(|t| t.2));
         if settings.meshes == MeshOutput::EveryFrame {
             names.push(sequence::frame_mesh_name(frame));
         }

@@ -69,6 +69,31 @@ pub fn radiance_name(frame: usize) -> String {
     format!("radiance/{frame:06}.exr")
 }
 
+/// `normal/NNNNNN.exr`, on request.
+pub fn normal_name(frame: usize) -> String {
+    format!("normal/{frame:06}.exr")
+}
+
+/// `albedo/NNNNNN.exr`, on request.
+pub fn albedo_name(frame: usize) -> String {
+    format!("albedo/{frame:06}.exr")
+}
+
+/// `motion_forward/NNNNNN.exr`, on request; the last frame has none.
+pub fn forward_motion_name(frame: usize) -> String {
+    format!("motion_forward/{frame:06}.exr")
+}
+
+/// `motion_backward/NNNNNN.exr`, on request; the first frame has none.
+pub fn backward_motion_name(frame: usize) -> String {
+    format!("motion_backward/{frame:06}.exr")
+}
+
+/// `phase_sensitivity/NNNNNN.exr`, on request.
+pub fn sensitivity_name(frame: usize) -> String {
+    format!("phase_sensitivity/{frame:06}.exr")
+}
+
 /// `mesh/frame_NNNNNN.ply`, on request.
 pub fn frame_mesh_name(frame: usize) -> String {
     format!("mesh/frame_{frame:06}.ply")
@@ -86,6 +111,24 @@ pub const TRANSFORMS: &str = "transforms.json";
 pub const FRAMES: &str = "frames.csv";
 /// The layout in words.
 pub const FORMAT: &str = "FORMAT.md";
+/// Where the images hold something, when the scope has a mask.
+pub const MASK: &str = "mask.png";
+/// A few frames at a glance.
+pub const CONTACT_SHEET: &str = "contact_sheet.png";
+/// The film, small, as an animated PNG.
+pub const PREVIEW: &str = "preview.png";
+/// Folders that hold one file per frame or mesh.
+pub(super) const FOLDERS: [&str; 9] = [
+    "images",
+    "depth",
+    "radiance",
+    "normal",
+    "albedo",
+    "motion_forward",
+    "motion_backward",
+    "phase_sensitivity",
+    "mesh",
+];
 
 impl Sequence {
     /// Opens a finished sequence folder.
@@ -172,10 +215,11 @@ fn record(frame: &TransformsFrame) -> Result<FrameRecord> {
 }
 
 /// The nerfstudio entry of a frame.
-pub(super) fn transforms_frame(index: usize, frame: &FrameRecord) -> TransformsFrame {
+pub(super) fn transforms_frame(index: usize, frame: &FrameRecord, masked: bool) -> TransformsFrame {
     TransformsFrame {
         file_path: image_name(index),
         depth_file_path: Some(depth_name(index)),
+        mask_path: masked.then(|| MASK.to_string()),
         transform_matrix: TransformsFrame::matrix(&frame.world_from_camera),
         time: frame.time_s,
         breathing_phase: Some(frame.phase),

@@ -12,6 +12,7 @@ use respire_bench::airway::tree::Tree;
 use respire_bench::airway::{self, Anatomy, morphometry};
 use respire_bench::base::{TriangleMesh, mesh};
 use respire_bench::simulate::film::Film;
+use respire_bench::simulate::truth::TruthSet;
 use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, material};
 
 pub fn case_path(number: usize) -> PathBuf {
@@ -192,6 +193,7 @@ fn checked_row(case: &Case) -> String {
         samples_per_pixel: 1,
         meshes: MeshOutput::EndStates,
         radiance: RadianceOutput::None,
+        truth: TruthSet::default(),
     };
     let film = Film::plan(case, &anatomy, &settings, &material(case).unwrap()).unwrap();
     assert!((4.9..=20.1).contains(&film.end_motion_mm), "{id}: the end moves {} mm", film.end_motion_mm);

@@ -14,5 +14,7 @@ mod render;
 mod render_command;
 mod render_subsurface;
 mod scope;
+mod sequence_folder;
 mod simulate;
 mod splat;
+mod truth_maps;

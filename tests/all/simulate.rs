@@ -9,11 +9,12 @@ use glam::{DVec2, DVec3};
 use respire_bench::airway::case::Case;
 use respire_bench::base::{ErrorKind, NoProgress, Progress, TriangleMesh, mesh};
 use respire_bench::simulate::sequence::Sequence;
+use respire_bench::simulate::truth::TruthSet;
 use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
 
 use crate::cases::case_path;
 
-fn small() -> SimulationSettings {
+pub fn small() -> SimulationSettings {
     SimulationSettings {
         width_px: 32,
         height_px: 32,
@@ -22,14 +23,15 @@ fn small() -> SimulationSettings {
         samples_per_pixel: 2,
         meshes: MeshOutput::EveryFrame,
         radiance: RadianceOutput::Exr,
+        truth: TruthSet::default(),
     }
 }
 
-fn case() -> Case {
+pub fn case() -> Case {
     Case::load(&case_path(1)).unwrap()
 }
 
-fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+pub fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut open = vec![folder.to_path_buf()];
     while let Some(next) = open.pop() {
@@ -45,7 +47,7 @@ fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     found
 }
 
-fn assert_same(a: &Path, b: &Path) {
+pub fn assert_same(a: &Path, b: &Path) {
     let (a, b) = (contents(a), contents(b));
     assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
     for (name, bytes) in &a {
@@ -143,7 +145,7 @@ fn truth_agrees_with_itself_and_the_picture_is_exposed() {
     }
     assert!(sequence.centerline().unwrap().points.len() > 100);
     let manifest: serde_json::Value = serde_json::from_slice(&fs::read(out.join("manifest.json")).unwrap()).unwrap();
-    assert_eq!(manifest["files"].as_object().unwrap().len(), 6 + 4 * 6);
+    assert_eq!(manifest["files"].as_object().unwrap().len(), 8 + 4 * 6);
     assert_eq!(manifest["hash"], sequence.hash);
 }
 

@@ -1,0 +1,217 @@
+//! The pixels of a film: one frame at a time, every frame a function of case, settings and its number alone.
+
+use std::path::Path;
+
+use glam::DAffine3;
+
+use crate::airway::Anatomy;
+use crate::airway::case::Case;
+use crate::base::{Error, Image, Progress, Result, TriangleMesh, mesh};
+use crate::formats::{exr, mesh as mesh_file, png};
+use crate::render::{Denoise, Frame, Light, Material, RenderSettings, Scene, Shading, render};
+
+use super::film::Film;
+use super::sensor::{Exposed, Sensor};
+use super::truth::{Seen, TruthMap};
+use super::{MeshOutput, RadianceOutput, SimulationSettings, sequence};
+
+/// Renderings whose mean is a blurred frame; odd, so that the middle one is the frame's own moment.
+const MOMENTS: u64 = 7;
+/// Half the step in phase of the central difference: moves the wall by at most a tenth of a millimetre.
+const PHASE_STEP: f64 = 0.005;
+
+/// Everything that filming needs, set up once.
+pub(super) struct Studio<'a> {
+    case: &'a Case,
+    anatomy: &'a Anatomy,
+    film: &'a Film,
+    settings: &'a SimulationSettings,
+    scene: Scene,
+    light: Light,
+    sensor: Sensor,
+}
+
+/// Renders every frame that is not there yet. A frame's image is written last, so an image means a whole frame.
+pub(super) fn shoot(
+    case: &Case,
+    anatomy: &Anatomy,
+    film: &Film,
+    material: &Material,
+    settings: &SimulationSettings,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let mut studio = None;
+    for index in 0..film.frames.len() {
+        progress.advance(index, film.frames.len());
+        if out.join(sequence::image_name(index)).is_file() {
+            continue;
+        }
+        if progress.cancelled() {
+            return Err(Error::interrupted());
+        }
+        let studio = match &mut studio {
+            Some(studio) => studio,
+            None => studio.insert(Studio::new(case, anatomy, film, material, settings)?),
+        };
+        studio.make_frame(index, out)?;
+    }
+    progress.advance(film.frames.len(), film.frames.len());
+    Ok(())
+}
+
+/// The light at the tip of the scope.
+pub(super) fn light(case: &Case) -> Light {
+    let half_angle_deg = case.scope.emission_half_angle_deg;
+    let emission_exponent = if half_angle_deg > 0.0 { Light::exponent_of_half_angle(half_angle_deg) } else { 0.0 };
+    Light { emission_exponent, ..Light::at_camera(case.light_intensity) }
+}
+
+impl<'a> Studio<'a> {
+    fn new(
+        case: &'a Case,
+        anatomy: &'a Anatomy,
+        film: &'a Film,
+        material: &Material,
+        settings: &'a SimulationSettings,
+    ) -> Result<Self> {
+        Ok(Studio {
+            case,
+            anatomy,
+            film,
+            settings,
+            scene: Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, *material, case.seed)?,
+            light: light(case),
+            sensor: Sensor::new(&film.camera, &case.scope, case.seed),
+        })
+    }
+
+    fn make_frame(&mut self, index: usize, out: &Path) -> Result<()> {
+        let record = self.film.frames[index];
+        let frame = self.exposed_frame(index)?;
+        exr::write_channel(&out.join(sequence::depth_name(index)), "Z", &frame.depth_mm)?;
+        if self.settings.meshes == MeshOutput::EveryFrame {
+            let deformed =
+                TriangleMesh { vertices: self.vertices(record.phase), faces: self.anatomy.inspiration.faces.clone() };
+            mesh_file::write_ply(&out.join(sequence::frame_mesh_name(index)), &deformed, &["units mm", "space LPS"])?;
+        }
+        if self.settings.radiance == RadianceOutput::Exr {
+            exr::write_rgb(&out.join(sequence::radiance_name(index)), &frame.radiance)?;
+        }
+        self.write_surface_truth(index, out)?;
+        let exposed = self.exposed(index);
+        let image = self.sensor.image(&frame.radiance, &exposed, index as u64);
+        if self.settings.truth.has(TruthMap::PhaseSensitivity) {
+            let sensitivity = self.phase_sensitivity(index, PHASE_STEP)?;
+            exr::write_rgb(&out.join(sequence::sensitivity_name(index)), &sensitivity)?;
+        }
+        png::write_rgb(&out.join(sequence::image_name(index)), &image)
+    }
+
+    fn exposed(&self, index: usize) -> Exposed {
+        let record = self.film.frames[index];
+        Exposed {
+            gain: record.gain,
+            amplification: self.film.amplification[index],
+            white_balance: record.white_balance,
+        }
+    }
+
+    fn vertices(&self, phase: f64) -> Vec<glam::DVec3> {
+        mesh::interpolate(&self.anatomy.inspiration.vertices, &self.anatomy.expiration.vertices, phase)
+    }
+
+    /// The radiance that the sensor gathers while the shutter is open, and the depth at the frame's own time. Leaves the
+    /// scene at that time.
+    fn exposed_frame(&mut self, index: usize) -> Result<Frame> {
+        let record = self.film.frames[index];
+        let shutter_s = self.case.scope.shutter_s;
+        if shutter_s <= 0.0 {
+            return self.moment(&record.world_from_camera, record.phase, index as u64, self.settings.samples_per_pixel);
+        }
+        let samples = self.settings.samples_per_pixel.div_ceil(MOMENTS as u32);
+        let middle = MOMENTS / 2;
+        let mut sum: Option<Image<f32>> = None;
+        for moment in (0..MOMENTS).filter(|&m| m != middle) {
+            let offset_s = ((moment as f64 + 0.5) / MOMENTS as f64 - 0.5) * shutter_s;
+            let (pose, phase) = self.film.state_at(record.time_s + offset_s);
+            let key = index as u64 | (moment + 1) << 32;
+            let frame = self.moment(&pose, phase, key, samples)?;
+            add(&mut sum, &frame.radiance);
+        }
+        let mut frame = self.moment(&record.world_from_camera, record.phase, index as u64, samples)?;
+        add(&mut sum, &frame.radiance);
+        if let Some(sum) = sum {
+            frame.radiance = sum.map(|v| v / MOMENTS as f32);
+        }
+        Ok(frame)
+    }
+
+    fn moment(&mut self, pose: &DAffine3, phase: f64, key: u64, samples_per_pixel: u32) -> Result<Frame> {
+        self.scene.deform(&self.vertices(phase))?;
+        let settings = RenderSettings {
+            samples_per_pixel,
+            denoise: Denoise::On,
+            shading: Shading::Smooth,
+            seed: self.case.seed,
+            frame: key,
+            ..RenderSettings::default()
+        };
+        render(&self.scene, &self.film.camera, pose, &self.light, &settings)
+    }
+
+    /// The truth that follows from where each pixel's ray meets the wall.
+    fn write_surface_truth(&self, index: usize, out: &Path) -> Result<()> {
+        let wanted = self.settings.truth;
+        if ![TruthMap::Normals, TruthMap::Albedo, TruthMap::Motion].iter().any(|&map| wanted.has(map)) {
+            return Ok(());
+        }
+        let record = self.film.frames[index];
+        let (rest, other) = (&self.anatomy.inspiration, &self.anatomy.expiration.vertices);
+        let seen = Seen::new(&self.scene, &self.film.camera, &record.world_from_camera, rest, other)?;
+        if wanted.has(TruthMap::Normals) {
+            let normals = seen.normals(record.phase, &record.world_from_camera);
+            exr::write_rgb(&out.join(sequence::normal_name(index)), &normals)?;
+        }
+        if wanted.has(TruthMap::Albedo) {
+            exr::write_rgb(&out.join(sequence::albedo_name(index)), &seen.albedo())?;
+        }
+        if wanted.has(TruthMap::Motion) {
+            let neighbour = |i: usize| self.film.frames[i].phase;
+            if index + 1 < self.film.frames.len() {
+                let motion = seen.motion(record.phase, neighbour(index + 1));
+                exr::write_rgb(&out.join(sequence::forward_motion_name(index)), &motion)?;
+            }
+            if index > 0 {
+                let motion = seen.motion(record.phase, neighbour(index - 1));
+                exr::write_rgb(&out.join(sequence::backward_motion_name(index)), &motion)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// |dI/dphase| per channel of the encoded image without noise: central difference of two renderings with the same
+    /// random numbers, camera and exposure as the frame's.
+    fn phase_sensitivity(&mut self, index: usize, step: f64) -> Result<Image<f32>> {
+        let record = self.film.frames[index];
+        let exposed = self.exposed(index);
+        let mut side = |phase: f64| -> Result<Image<f32>> {
+            let samples = self.settings.samples_per_pixel;
+            let frame = self.moment(&record.world_from_camera, phase, index as u64, samples)?;
+            Ok(self.sensor.clean_encoded(&frame.radiance, &exposed))
+        };
+        let (low, high) = (side(record.phase - step)?, side(record.phase + step)?);
+        let mut difference = high;
+        for (h, l) in difference.data.iter_mut().zip(&low.data) {
+            *h = (*h - l).abs() / (2.0 * step) as f32;
+        }
+        Ok(difference)
+    }
+}
+
+fn add(sum: &mut Option<Image<f32>>, image: &Image<f32>) {
+    match sum {
+        Some(sum) => sum.data.iter_mut().zip(&image.data).for_each(|(s, v)| *s += v),
+        None => *sum = Some(image.clone()),
+    }
+}

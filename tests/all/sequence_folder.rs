@@ -1,0 +1,161 @@
+//! A sequence folder for strangers: the loader that ships in it, nerfstudio's conventions, resuming after a kill.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use respire_bench::base::NoProgress;
+use respire_bench::formats::png;
+use respire_bench::simulate::sequence::{self, Sequence};
+use respire_bench::simulate::simulate;
+
+use crate::binary::{outcome, program};
+use crate::simulate::{assert_same, case, small};
+
+/// A Python with numpy and pillow: `RESPIRE_PYTHON`, or `python3`. Says so loudly when there is none.
+fn python() -> Option<String> {
+    let name = std::env::var("RESPIRE_PYTHON").unwrap_or_else(|_| "python3".into());
+    let found = Command::new(&name).args(["-c", "import numpy, PIL"]).stderr(Stdio::null()).status();
+    if found.is_ok_and(|status| status.success()) {
+        return Some(name);
+    }
+    eprintln!("SKIPPED: {name} with numpy and pillow is absent (set RESPIRE_PYTHON)");
+    None
+}
+
+fn run_python(python: &str, code: &str, folder: &Path) -> String {
+    let (status, out, err) = outcome(Command::new(python).arg("-c").arg(code).arg(folder).output().unwrap());
+    assert_eq!(status, 0, "{err}");
+    out
+}
+
+fn numbers(text: &str) -> Vec<f64> {
+    text.split_whitespace().map(|v| v.parse().unwrap_or_else(|_| panic!("`{v}` is no number"))).collect()
+}
+
+#[test]
+fn the_shipped_loader_reads_what_was_written() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("film");
+    let sequence = simulate(&case(), &small(), &out, &NoProgress).unwrap();
+    let format = fs::read_to_string(out.join(sequence::FORMAT)).unwrap();
+    let loader = format.split("```python\n").nth(1).unwrap().split("```").next().unwrap();
+    let code = format!(
+        "{loader}
+import sys
+image, depth, world_from_camera, K, phase = load(sys.argv[1], 4)
+normal = exr(sys.argv[1] + '/radiance/000004.exr')
+print(image[3, 7, 1], depth[3, 7], depth.astype(float).sum(), phase, *world_from_camera[:3, 3], *world_from_camera[:3, 2])
+print(*points(sys.argv[1], 4)[0], normal['G'][5, 6], normal['B'].shape[0])"
+    );
+    let read = numbers(&run_python(&python, &code, &out));
+    let (image, depth) = (sequence.image(4).unwrap(), sequence.depth_mm(4).unwrap());
+    let frame = sequence.frames[4];
+    let pose = frame.world_from_camera;
+    let sum: f64 = depth.data.iter().map(|&v| v as f64).sum();
+    let ray = sequence.camera.direction(glam::DVec2::new(0.5, 0.5));
+    let first = pose.transform_point3(ray * (depth.data[0] as f64 / ray.z));
+    let radiance = respire_bench::formats::exr::read(&out.join("radiance/000004.exr")).unwrap();
+    let mut expected = vec![image.pixel(7, 3)[1] as f64 / 255.0, depth.pixel(7, 3)[0] as f64, sum, frame.phase];
+    expected.extend(pose.translation.to_array());
+    expected.extend(pose.matrix3.z_axis.to_array());
+    expected.extend(first.to_array());
+    expected.extend([radiance.pixel(6, 5)[1] as f64, 32.0]);
+    assert_eq!(read.len(), expected.len());
+    for (i, (a, b)) in read.iter().zip(&expected).enumerate() {
+        assert!((a - b).abs() < 1e-5 * b.abs().max(1.0), "value {i}: {a} for {b}");
+    }
+}
+
+/// nerfstudio: the camera looks along its -z with y up; an image point is (cx + fl_x x / -z, cy - fl_y y / -z). The mesh's
+/// vertices, projected so, must lie on or behind the depth image, and many of them on it.
+const REPROJECTION: &str = r#"
+import json, sys, numpy as np, struct
+folder = sys.argv[1]
+t = json.load(open(folder + "/transforms.json"))
+def ply(path):
+    b = open(path, "rb").read()
+    head, body = b.split(b"end_header\n", 1)
+    count = int(head.split(b"element vertex ")[1].split()[0])
+    kind = "<f8" if b"property double x" in head else "<f4"
+    names = [l.split()[-1] for l in head.split(b"element face")[0].split(b"\n") if l.startswith(b"property")]
+    return np.frombuffer(body, kind, count * len(names)).reshape(count, -1)[:, :3].astype(float)
+rest, other = ply(folder + "/mesh/inspiration.ply"), ply(folder + "/mesh/expiration.ply")
+f = t["frames"][4]
+p = rest + f["breathing_phase"] * (other - rest)
+c = np.c_[p, np.ones(len(p))] @ np.linalg.inv(np.array(f["transform_matrix"])).T
+z = -c[:, 2]
+u, v = t["cx"] + t["fl_x"] * c[:, 0] / z, t["cy"] - t["fl_y"] * c[:, 1] / z
+seen = (z > 0) & (u > 1) & (v > 1) & (u < t["w"] - 1) & (v < t["h"] - 1)
+depth = np.fromfile(folder + "/depth.bin", "<f4").reshape(t["h"], t["w"])
+d = depth[v[seen].astype(int), u[seen].astype(int)]
+# Within a pixel the depth varies; half a pixel's slope is allowed for by the neighbours' range.
+pad = np.pad(depth, 1, mode="edge")
+around = np.stack([pad[y:y + t["h"], x:x + t["w"]] for y in range(3) for x in range(3)])
+low, high = around.min(0)[v[seen].astype(int), u[seen].astype(int)], around.max(0)[v[seen].astype(int), u[seen].astype(int)]
+print(seen.sum(), (z[seen] < low - 0.05).sum(), ((z[seen] >= low - 0.05) & (z[seen] <= high + 0.05)).sum())
+"#;
+
+#[test]
+fn vertices_reproject_onto_the_depth_by_nerfstudios_convention() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("film");
+    let sequence = simulate(&case(), &small(), &out, &NoProgress).unwrap();
+    let depth: Vec<u8> = sequence.depth_mm(4).unwrap().data.iter().flat_map(|v| v.to_le_bytes()).collect();
+    fs::write(out.join("depth.bin"), depth).unwrap();
+    let counted = numbers(&run_python(&python, REPROJECTION, &out));
+    let [seen, before, on] = counted[..] else { panic!("{counted:?}") };
+    assert!(seen > 500.0 && on > 300.0, "{on} of {seen} vertices are on the surface");
+    assert!(before <= 0.002 * seen, "{before} of {seen} vertices float before the surface");
+    // The same with another sign of y fails: the test can tell.
+    let wrong = REPROJECTION.replace("t[\"cy\"] - t[\"fl_y\"]", "t[\"cy\"] + t[\"fl_y\"]");
+    let counted = numbers(&run_python(&python, &wrong, &out));
+    assert!(counted[1] > 0.02 * counted[0], "{counted:?}");
+}
+
+#[test]
+fn a_killed_film_is_resumed_to_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (whole, killed) = (folder.path().join("whole"), folder.path().join("killed"));
+    let command = |out: &Path| {
+        let mut command = program();
+        command.args(["simulate", "case1", "--profile", "smoke", "--frames", "10", "--width", "48", "--spp", "4"]);
+        command.args(["--truth", "motion,normals", "--out"]).arg(out);
+        command
+    };
+    let (code, _, err) = outcome(command(&whole).output().unwrap());
+    assert_eq!(code, 0, "{err}");
+    let mut kills = 0;
+    for wanted in [1, 4, 7] {
+        let mut child = command(&killed).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        let image = killed.join("case1").join(sequence::image_name(wanted));
+        while !image.is_file() && child.try_wait().unwrap().is_none() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        if child.try_wait().unwrap().is_none() {
+            child.kill().unwrap();
+            kills += 1;
+        }
+        child.wait().unwrap();
+    }
+    assert!(kills >= 2, "the film was finished before it could be killed");
+    let (code, _, err) = outcome(command(&killed).output().unwrap());
+    assert_eq!(code, 0, "{err}");
+    assert_same(&whole.join("case1"), &killed.join("case1"));
+}
+
+#[test]
+fn previews_show_the_film() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("film");
+    let sequence: Sequence = simulate(&case(), &small(), &out, &NoProgress).unwrap();
+    let sheet = png::read_rgb(&out.join(sequence::CONTACT_SHEET)).unwrap();
+    assert_eq!((sheet.width, sheet.height), (6 * 34 - 2, 32));
+    let third = sequence.image(3).unwrap();
+    assert_eq!(sheet.pixel(3 * 34 + 9, 20), third.pixel(9, 20));
+    let first = png::read_rgb(&out.join(sequence::PREVIEW)).unwrap();
+    assert_eq!(first, sequence.image(0).unwrap());
+}
