@@ -112,11 +112,16 @@ void Tracer::update(rust::Slice<const float> vertices) {
   FloatMode mode;
   void* v = rtcGetGeometryBufferData(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
   std::memcpy(v, vertices.data(), vertices.size() * sizeof(float));
+  refit();
+  update_normals();
+}
+
+void Tracer::refit() {
+  FloatMode mode;
   rtcUpdateGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
   rtcCommitGeometry(geometry_);
   rtcCommitScene(robust_);
   rtcCommitScene(fast_);
-  update_normals();
 }
 
 void Tracer::update_normals() {

@@ -52,6 +52,9 @@ class Tracer {
   // New positions (xyz interleaved, as many as at construction). Throws std::invalid_argument on a wrong length.
   void update(rust::Slice<const float> vertices);
 
+  // Refits the hierarchies to the vertices that are there: the part of `update` that is Embree's.
+  void refit();
+
   // Adds the sums of the samples of one tile to `film`, kFilmChannels floats per pixel of the tile, row-major.
   // `corners` are the (width + 1) x (height + 1) directions through the pixel corners of the whole image.
   // `known`: kKnownValues per vertex (`cpp/path.h`), or nothing, and all light is traced.

@@ -129,6 +129,7 @@ mod bridge {
             material: &MaterialSettings,
         ) -> Result<UniquePtr<Tracer>>;
         fn update(self: Pin<&mut Tracer>, vertices: &[f32]) -> Result<()>;
+        fn refit(self: Pin<&mut Tracer>) -> Result<()>;
         fn trace_tile(
             self: &Tracer,
             frame: &FrameSettings,
@@ -217,6 +218,11 @@ impl MeshTracer {
     /// Moves the vertices and refits the hierarchy.
     pub fn update(&mut self, vertices: &[f32]) -> Result<()> {
         self.0.pin_mut().update(vertices).map_err(failed)
+    }
+
+    /// Refits the hierarchy to the vertices as they are.
+    pub fn refit(&mut self) -> Result<()> {
+        self.0.pin_mut().refit().map_err(failed)
     }
 
     /// Adds a tile's samples to its film ([`FILM_CHANNELS`] values per pixel). `corners`: directions in camera axes

@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::axial::axial_distance_mm;
 use super::material::Material;
-use super::tissue::Tissue;
+use super::tissue::{Rest, Tissue};
 use super::topology::Topology;
 use crate::base::{Error, Result, TriangleMesh};
 use crate::ffi::tracer::MeshTracer;
@@ -15,8 +15,8 @@ pub struct Scene {
     /// Subtracted from every world position before it becomes f32: keeps coordinates small.
     pub(super) shift: DVec3,
     pub(super) topology: Topology,
-    /// Light in the wall, where the material has any that leaves it as from a Lambert surface.
-    pub(super) tissue: Option<Tissue>,
+    /// Light at rest.
+    pub(super) tissue: Tissue,
     /// An index-matched boundary.
     matched: bool,
 }
@@ -39,13 +39,10 @@ impl Scene {
         let (low, high) = rest.bounds();
         let shift = (low + high) * 0.5;
         let vertices = floats(&rest.vertices, shift);
-        let tracer = || MeshTracer::new(&vertices, rest.faces.as_flattened(), &generation, &axial, &settings);
-        let tissue = match settings.subsurface {
-            1 => Some(Tissue::new(tracer()?, rest.vertices.len())),
-            _ => None,
-        };
-        let matched = settings.subsurface == 2;
-        Ok(Scene { tracer: tracer()?, shift, topology: Topology::new(rest), tissue, matched })
+        let tracer = MeshTracer::new(&vertices, rest.faces.as_flattened(), &generation, &axial, &settings)?;
+        let topology = Topology::new(rest);
+        let tissue = Tissue::new(Rest { vertices, generation, axial, material: settings }, &topology);
+        Ok(Scene { tracer, shift, topology, tissue, matched: settings.subsurface == 2 })
     }
 
     /// Refuses what has no light at vertices.
@@ -71,6 +68,18 @@ impl Scene {
             return Err(Error::input("coordinate is not finite").element(format!("vertex {v}")));
         }
         self.tracer.update(&floats(vertices, self.shift))
+    }
+
+    /// Number of triangles.
+    pub fn triangles(&self) -> usize {
+        self.topology.faces.len()
+    }
+
+    /// Seconds that one refit of the hierarchies takes; changes nothing.
+    pub fn refit_seconds(&mut self) -> Result<f64> {
+        let start = std::time::Instant::now();
+        self.tracer.refit()?;
+        Ok(start.elapsed().as_secs_f64())
     }
 
     /// Distances in mm from `origins` along unit `directions` (world) to the wall; infinity where there is none.

@@ -1,20 +1,22 @@
-//! Walks through the wall, one set per vertex, on the rest shape: a linear map from the light that falls on the faces to
-//! the light that comes out at a vertex.
+//! What light does on the rest shape, fixed to the tissue: which faces a face's rays meet, and where walks through the wall
+//! come out. Both are kept, once made.
 //!
-//! Most of the noise of a few walks is in how much light survives, which hardly differs between neighbours: every row is
-//! scaled to the mean sum of the rows around it.
+//! Rows of walks, one per vertex, are a linear map from the light that falls on the faces to the light that comes out at
+//! the vertex. Most of the noise of a few walks is in how much light survives, which hardly differs between neighbours:
+//! every row is scaled to the mean sum of the rows around it.
 //!
-//! The map belongs to the tissue, so it is made once per vertex, when a camera first sees it, and serves every frame;
-//! it depends on the rest shape, the material and the seed alone, and not on which frames came before. That the wall is
-//! stretched by a breath, and the map is not, is the approximation (`docs/decisions/0005-light-at-vertices.md` has its size).
+//! A row is made when a camera first sees its vertex or face, and serves every frame; it depends on the rest shape, the
+//! material and the seed alone, and not on which frames came before. So noise does not flicker, and light changes
+//! smoothly with the breath. That the wall is stretched by a breath, and the rows are not, is the approximation
+//! (`docs/decisions/0005-light-at-vertices.md` has its size).
 
 use std::sync::OnceLock;
 
 use rayon::prelude::*;
 
 use super::topology::Topology;
-use crate::base::Result;
-use crate::ffi::tracer::{FrameSettings, MeshTracer, NO_FACE};
+use crate::base::{Error, Result};
+use crate::ffi::tracer::{FrameSettings, MaterialSettings, MeshTracer, NO_FACE};
 
 /// Walks per vertex.
 pub(super) const WALKS: usize = 64;
@@ -30,9 +32,23 @@ pub(super) struct Source {
     pub weight: [f32; 3],
 }
 
-/// The map, made where it is asked for.
+/// What makes the rest shape's tracer.
+pub(super) struct Rest {
+    /// xyz interleaved, in the tracer's world.
+    pub vertices: Vec<f32>,
+    /// Airway generation per vertex.
+    pub generation: Vec<f32>,
+    /// Distance along the airway per vertex.
+    pub axial: Vec<f32>,
+    /// Of the wall.
+    pub material: MaterialSettings,
+}
+
+/// Rows, made where they are asked for.
 pub(super) struct Tissue {
-    rest: MeshTracer,
+    rest: Rest,
+    tracer: OnceLock<Result<MeshTracer>>,
+    hits: Vec<OnceLock<Box<[u32]>>>,
     rows: Vec<OnceLock<Box<[Source]>>>,
     scales: Vec<OnceLock<[f32; 3]>>,
 }
@@ -42,13 +58,60 @@ fn empty<T>(count: usize) -> Vec<OnceLock<T>> {
 }
 
 impl Tissue {
-    /// `rest`: the wall at its rest shape.
-    pub(super) fn new(rest: MeshTracer, vertices: usize) -> Self {
-        Tissue { rest, rows: empty(vertices), scales: empty(vertices) }
+    /// Nothing is traced yet.
+    pub(super) fn new(rest: Rest, topology: &Topology) -> Self {
+        let vertices = topology.vertex_count();
+        let hits = empty(topology.faces.len());
+        Tissue { rest, tracer: OnceLock::new(), hits, rows: empty(vertices), scales: empty(vertices) }
+    }
+
+    /// Light leaves the wall elsewhere than where it enters.
+    pub(super) fn walks(&self) -> bool {
+        self.rest.material.subsurface == 1
+    }
+
+    fn tracer(&self, topology: &Topology) -> Result<&MeshTracer> {
+        let make = || {
+            let Rest { vertices, generation, axial, material } = &self.rest;
+            MeshTracer::new(vertices, topology.faces.as_flattened(), generation, axial, material)
+        };
+        self.tracer.get_or_init(make).as_ref().map_err(|e| Error::new(e.kind(), e.to_string()))
+    }
+
+    /// The faces that `per_face` rays from each of `faces` meet, [`NO_FACE`] where one leaves the mesh; and the number of
+    /// rays that were traced for it.
+    pub(super) fn hits(
+        &self,
+        frame: &FrameSettings,
+        faces: &[u32],
+        per_face: usize,
+        topology: &Topology,
+    ) -> Result<(Vec<u32>, u64)> {
+        let tracer = self.tracer(topology)?;
+        let mut all = Vec::with_capacity(faces.len() * per_face);
+        let mut rays = 0;
+        for &face in faces {
+            let row = match self.hits[face as usize].get() {
+                Some(row) if row.len() >= per_face => row,
+                _ => {
+                    let mut row = vec![NO_FACE; per_face];
+                    rays += tracer.gather(frame, &[face], &mut row)?;
+                    // Whoever comes first is kept: ray k is the same in rows of any length.
+                    self.hits[face as usize].get_or_init(|| row.clone().into_boxed_slice());
+                    all.extend_from_slice(&row);
+                    continue;
+                }
+            };
+            all.extend_from_slice(&row[..per_face]);
+        }
+        Ok((all, rays))
     }
 
     /// Makes the rows of `vertices` that are not there yet. Gives back the number of rays.
     pub(super) fn prepare(&self, frame: &FrameSettings, vertices: &[u32], topology: &Topology) -> Result<u64> {
+        if !self.walks() {
+            return Ok(0);
+        }
         let unscaled: Vec<u32> =
             vertices.iter().copied().filter(|&v| self.scales[v as usize].get().is_none()).collect();
         if unscaled.is_empty() {
@@ -67,12 +130,13 @@ impl Tissue {
     }
 
     fn make_rows(&self, frame: &FrameSettings, missing: &[u32], topology: &Topology) -> Result<u64> {
+        let tracer = self.tracer(topology)?;
         let rays: Vec<u64> = missing
             .par_chunks(CHUNK)
             .map(|chunk| {
                 let mut exits = vec![NO_FACE; chunk.len() * WALKS];
                 let mut weights = vec![0.0; exits.len() * 3];
-                let rays = self.rest.walks(frame, chunk, topology.around(), &mut exits, &mut weights)?;
+                let rays = tracer.walks(frame, chunk, topology.around(), &mut exits, &mut weights)?;
                 for ((&v, exits), weights) in
                     chunk.iter().zip(exits.chunks_exact(WALKS)).zip(weights.chunks_exact(3 * WALKS))
                 {

@@ -5,12 +5,13 @@
 //! coat's glare, colour, edges) stays with the camera's samples. Recipe per frame:
 //!
 //! 1. The faces around the seen vertices each send some rays after the cosine law; the faces that these meet send
-//!    fewer, and so on for [`DEPTH`] generations: cost follows what can be seen, not the size of the tree.
+//!    fewer, and so on for [`DEPTH`] generations: cost follows what can be seen, not the size of the tree. Which faces
+//!    meet which is found once, on the rest shape (`tissue.rs`): breathing hardly changes it.
 //! 2. Every face met gets the lamp's irradiance in closed form (one shadow ray).
 //! 3. Jacobi steps of `E = G (sent + R E)` along the recorded rays: all bounces, or as many as were asked for.
 //! 4. Vertices take the mean of the faces around them; with light in the wall also their row of `tissue.rs`.
 //!
-//! Rays are fixed to the tissue, not to the frame: the noise left does not flicker. Approximations: faces reflect all
+//! Approximations: faces reflect all
 //! they reflect as Lambert surfaces do (the coat's share too), light is even over a face, and after the last generation
 //! only the lamp's light is sent on. `docs/decisions/0005-light-at-vertices.md` has the bias.
 
@@ -25,7 +26,7 @@ const DEPTH: usize = 4;
 /// Rays per face after the first generation, as a part of the first's.
 const LATER_PART: u32 = 2;
 /// Edges from a seen vertex over which its light stands for others'.
-const SPREAD_EDGES: usize = 4;
+const SPREAD_EDGES: usize = 12;
 /// Faces per task.
 const CHUNK: usize = 64;
 /// The solution is good when no step changes the mean by more than this part.
@@ -81,10 +82,7 @@ pub(super) fn vertex_light(
     rays_per_face: u32,
 ) -> Result<VertexLight> {
     let vertices = seen_vertices(scene, seen);
-    let mut rays = match &scene.tissue {
-        Some(tissue) => tissue.prepare(frame, &vertices, &scene.topology)?,
-        None => 0,
-    };
+    let mut rays = scene.tissue.prepare(frame, &vertices, &scene.topology)?;
     let mut faces = Faces::new(scene.topology.faces.len());
     vertices.iter().flat_map(|&v| scene.topology.faces_around(v)).for_each(|&f| faces.add(f));
     let generations = gather(scene, frame, &vertices, rays_per_face, &mut faces, &mut rays)?;
@@ -122,19 +120,13 @@ fn gather(
         let per_face = if depth == 0 { rays_per_face } else { rays_per_face.div_ceil(LATER_PART) } as usize;
         let parts: Vec<(Vec<u32>, u64)> = faces.list[first..end]
             .par_chunks(CHUNK)
-            .map(|chunk| {
-                let mut hits = vec![NO_FACE; chunk.len() * per_face];
-                let rays = scene.tracer.gather(frame, chunk, &mut hits)?;
-                Ok((hits, rays))
-            })
+            .map(|chunk| scene.tissue.hits(frame, chunk, per_face, &scene.topology))
             .collect::<Result<_>>()?;
         *rays += parts.iter().map(|p| p.1).sum::<u64>();
         let hits: Vec<u32> = parts.into_iter().flat_map(|p| p.0).collect();
         hits.iter().filter(|h| **h != NO_FACE).for_each(|&h| faces.add(h));
-        if depth == 0
-            && let Some(tissue) = &scene.tissue
-        {
-            vertices.iter().flat_map(|&v| tissue.sources(v)).for_each(|s| faces.add(s.face));
+        if depth == 0 {
+            vertices.iter().flat_map(|&v| scene.tissue.sources(v)).for_each(|s| faces.add(s.face));
         }
         generations.push(Generation { first, per_face, hits });
         first = end;
@@ -203,9 +195,7 @@ fn at_vertices(scene: &Scene, vertices: &[u32], faces: &Faces, lamp: &[f32], irr
         .par_iter()
         .map(|&v| {
             let mut value = [0.0; KNOWN_VALUES];
-            if let Some(tissue) = &scene.tissue {
-                value[..3].copy_from_slice(&tissue.light(v, |face| received[faces.place(face)]));
-            }
+            value[..3].copy_from_slice(&scene.tissue.light(v, |face| received[faces.place(face)]));
             let around = scene.topology.faces_around(v);
             for &face in around {
                 let light = irradiance[faces.place(face)];
