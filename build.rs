@@ -17,7 +17,10 @@ const BRIDGES: &[&str] = &["src/ffi/splat.rs", "src/ffi/tracer.rs"];
 /// Own C++ compiled once, for the baseline x86-64.
 const SOURCES: &[&str] = &["cpp/splat.cpp", "cpp/tracer.cpp"];
 
-/// The splat kernels, one object per instruction set: (namespace in C++, what the compiler may use). Which one runs is
+/// The splat kernels, compiled once per instruction set.
+const SPLAT_SOURCES: &[&str] = &["cpp/splat_kernel.cpp", "cpp/splat_project.cpp", "cpp/splat_chain.cpp"];
+
+/// The instruction sets: (namespace in C++, what the compiler may use). Which one runs is
 /// decided on the user's machine (`cpp/splat.cpp`).
 const SPLAT_KERNELS: &[(&str, &[&str])] = &[
     ("baseline", &["-msse2"]),
@@ -112,7 +115,7 @@ fn compile_cpp(prefix: Option<&Path>) {
 fn compile_splat_kernels() {
     for (namespace, flags) in SPLAT_KERNELS {
         let mut build = cc::Build::new();
-        build.cpp(true).file("cpp/splat_kernel.cpp").include(".").std("c++17").opt_level(3);
+        build.cpp(true).files(SPLAT_SOURCES).include(".").std("c++17").opt_level(3);
         build.flag("-Wall").flag("-Wextra").define("RESPIRE_ISA", *namespace);
         // Forward and backward must take the same decisions: no contraction but the written one.
         build.flag("-ffp-contract=off").flag("-fno-math-errno").flag("-fno-trapping-math").flag("-fno-exceptions");

@@ -3,45 +3,155 @@
 #include <stdexcept>
 
 #include "cpp/splat_kernel.h"
+#include "respire-bench/src/ffi/splat.rs.h"
 
 namespace respire {
 namespace {
 
-void check(std::uint8_t isa, std::size_t rows, rust::Slice<const std::uint32_t> entries, std::size_t masks) {
-  if (isa > splat_widest_isa()) throw std::invalid_argument("this processor lacks the instruction set asked for");
-  if (rows % 16 || masks != entries.size()) throw std::invalid_argument("tables of a tile differ in length");
+void require(bool good, const char* what) {
+  if (!good) throw std::invalid_argument(what);
+}
+
+void check_isa(std::uint8_t isa) {
+  require(isa <= splat_widest_isa(), "this processor lacks the instruction set asked for");
+}
+
+// The kernels of `isa`.
+#define CALL(isa, function, ...)                             \
+  switch (isa) {                                             \
+    case 2: return avx512::function(__VA_ARGS__);            \
+    case 1: return avx2::function(__VA_ARGS__);              \
+    default: return baseline::function(__VA_ARGS__);         \
+  }
+
+void check_tile(std::uint8_t isa, std::size_t rows, rust::Slice<const std::uint32_t> entries, std::size_t masks) {
+  check_isa(isa);
+  require(rows % 16 == 0 && masks == entries.size(), "tables of a tile differ in length");
   std::uint32_t most = 0;
   for (std::uint32_t e : entries) most = e > most ? e : most;
-  if (!entries.empty() && most >= rows / 16) throw std::invalid_argument("tile entry names no splat");
+  require(entries.empty() || most < rows / 16, "tile entry names no splat");
+}
+
+// The scene as the kernels see it, where numbers first..first + count exist.
+Scene scene_of(const SplatScene& s, View& view, std::size_t first, std::size_t count) {
+  const std::size_t n = s.opacities.size(), columns = s.scales.empty() ? 6 : 4;
+  const std::size_t basis = (s.sh_degree + 1) * (s.sh_degree + 1);
+  require(s.sh_degree <= 3 && s.positions.size() == 3 * n && s.shape.size() == columns * n &&
+              (s.scales.empty() || s.scales.size() == 3 * n) && s.sh.size() == 3 * basis * n,
+          "the arrays of the Gaussians differ in length");
+  require(s.view.size() == sizeof(View) / sizeof(float), "a view has 22 numbers");
+  const std::size_t known = s.all ? n : s.active.size();
+  require(first <= known && count <= known - first, "there are not as many Gaussians");
+  if (!s.all) {
+    std::uint32_t most = 0;
+    for (std::size_t k = first; k < first + count; ++k) most = s.active[k] > most ? s.active[k] : most;
+    require(count == 0 || most < n, "an active index names no Gaussian");
+  }
+  __builtin_memcpy(&view, s.view.data(), sizeof view);
+  return {&view,          s.positions.data(), s.shape.data(),     s.scales.empty() ? nullptr : s.scales.data(),
+          s.opacities.data(), s.sh.data(),    s.sh_degree, s.all ? nullptr : s.active.data()};
+}
+
+const float* given(rust::Slice<const float> values, std::size_t wanted) {
+  require(values.empty() || values.size() == wanted, "a motion has another length than the Gaussians");
+  return values.empty() ? nullptr : values.data();
 }
 
 }  // namespace
 
 std::uint8_t splat_widest_isa() {
-  __builtin_cpu_init();
-  const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-  const bool avx512 = avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
-                      __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw");
-  return avx512 ? 2 : avx2 ? 1 : 0;
+  static const std::uint8_t widest = [] {
+    __builtin_cpu_init();
+    const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    const bool avx512 = avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
+                        __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw");
+    return static_cast<std::uint8_t>(avx512 ? 2 : avx2 ? 1 : 0);
+  }();
+  return widest;
+}
+
+void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
+                   std::uint32_t tiles_y, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
+                   rust::Slice<bool> visible) {
+  check_isa(isa);
+  const std::size_t count = visible.size();
+  require(rows.size() == 16 * count && boxes.size() == 2 * count, "tables of a projection differ in length");
+  View view;
+  const Scene s = scene_of(scene, view, first, count);
+  const ProjectChunk chunk{first, count, tiles_x, tiles_y, rows.data(), boxes.data(), visible.data()};
+  CALL(isa, project, s, chunk)
+}
+
+void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
+                      const SplatMotion& motion, rust::Slice<float> rows) {
+  check_isa(isa);
+  const std::size_t count = visible.size(), n = scene.opacities.size();
+  require(rows.size() == 8 * count, "tables of a motion differ in length");
+  require(motion.pose.empty() || motion.pose.size() == 6, "a motion of the camera has 6 numbers");
+  View view;
+  const Scene s = scene_of(scene, view, first, count);
+  const std::size_t columns = scene.scales.empty() ? 6 : 9;
+  const TangentChunk chunk{first,
+                           count,
+                           visible.data(),
+                           given(motion.positions, 3 * n),
+                           given(motion.shape, columns * n),
+                           given(motion.colors, 3 * n),
+                           motion.pose.empty() ? nullptr : motion.pose.data(),
+                           rows.data()};
+  CALL(isa, velocities, s, chunk)
+}
+
+void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const std::uint32_t> starts,
+                 rust::Slice<const std::uint32_t> places, rust::Slice<const float> slots, std::uint32_t wanted,
+                 rust::Slice<float> positions, rust::Slice<float> shape, rust::Slice<float> scales,
+                 rust::Slice<float> opacities, rust::Slice<float> sh, rust::Slice<double> pose) {
+  check_isa(isa);
+  require(!starts.empty() && pose.size() == 6, "tables of a chain differ in length");
+  const std::size_t count = starts.size() - 1;
+  const bool discs = scene.scales.empty();
+  auto has = [&](std::uint32_t group, std::size_t size, std::size_t each) {
+    require(!(wanted & group) || size == each * count, "a wanted gradient has no room");
+  };
+  has(POSITIONS, positions.size(), 3);
+  has(SHAPES, shape.size(), discs ? 6 : 4);
+  has(SHAPES, scales.size(), discs ? 0 : 3);
+  has(OPACITIES, opacities.size(), 1);
+  has(HARMONICS, sh.size(), 3 * (scene.sh_degree + 1) * (scene.sh_degree + 1));
+  View view;
+  const Scene s = scene_of(scene, view, first, count);
+  for (std::size_t k = 0; k < count; ++k) require(starts[k] <= starts[k + 1], "entries of a splat are out of order");
+  require(starts[count] <= places.size(), "a splat has more entries than there are");
+  std::uint32_t most = 0;
+  for (std::size_t e = starts[0]; e < starts[count]; ++e) most = places[e] > most ? places[e] : most;
+  require(starts[0] == starts[count] || most < slots.size() / 16, "an entry has no slot");
+  const ChainChunk chunk{first,          count,         starts.data(),    places.data(), slots.data(), wanted,
+                         positions.data(), shape.data(), scales.data(), opacities.data(), sh.data(),    pose.data()};
+  CALL(isa, chain, s, chunk)
 }
 
 void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
-                   rust::Slice<std::uint16_t> masks, float x, float y, rust::Slice<float> state, std::uint32_t parts) {
-  check(isa, rows.size(), entries, masks.size());
-  if (state.size() != 5 * PIXELS) throw std::invalid_argument("the state of a tile has 5 planes");
-  const ForwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, state.data()};
-  (isa == 2 ? avx512::forward : isa == 1 ? avx2::forward : baseline::forward)(tile, parts);
+                   rust::Slice<std::uint16_t> masks, float x, float y, rust::Slice<float> state, std::uint32_t parts,
+                   rust::Slice<const float> velocities, rust::Slice<float> moving) {
+  check_tile(isa, rows.size(), entries, masks.size());
+  const std::size_t splats = rows.size() / 16;
+  const std::size_t directions = moving.size() / (MOVING * PIXELS);
+  require(state.size() == PLANES * PIXELS && moving.size() == directions * MOVING * PIXELS && directions <= TOGETHER &&
+              velocities.size() == directions * 8 * splats,
+          "tables of a tile differ in length");
+  ForwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, state.data(),
+                   static_cast<std::uint32_t>(directions), {}, moving.data()};
+  for (std::size_t d = 0; d < directions; ++d) tile.velocities[d] = velocities.data() + d * 8 * splats;
+  CALL(isa, forward, tile, parts)
 }
 
 void splat_backward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
                     rust::Slice<const std::uint16_t> masks, float x, float y, rust::Slice<const float> adjoint,
                     rust::Slice<float> slots, std::uint32_t parts) {
-  check(isa, rows.size(), entries, masks.size());
-  if (adjoint.size() != 5 * PIXELS || slots.size() != 16 * entries.size()) {
-    throw std::invalid_argument("tables of a tile differ in length");
-  }
+  check_tile(isa, rows.size(), entries, masks.size());
+  require(adjoint.size() == PLANES * PIXELS && slots.size() == 16 * entries.size(), "tables of a tile differ in length");
   const BackwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, adjoint.data(), slots.data()};
-  (isa == 2 ? avx512::backward : isa == 1 ? avx2::backward : baseline::backward)(tile, parts);
+  CALL(isa, backward, tile, parts)
 }
 
 }  // namespace respire

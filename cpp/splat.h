@@ -1,16 +1,35 @@
 #pragma once
+#include <cstddef>
 #include <cstdint>
 
 #include "rust/cxx.h"
 
 namespace respire {
 
+struct SplatScene;
+struct SplatMotion;
+
 // Widest instruction set of this processor that a kernel was compiled for: 0 baseline x86-64, 1 AVX2+FMA, 2 AVX-512.
 std::uint8_t splat_widest_isa();
 
-// One tile with the kernels of `isa`. Every index and length is checked; throws std::invalid_argument.
+// All functions check every index and length, and throw std::invalid_argument.
+
+// Splats of the Gaussians number first..first + visible.size() of the scene; see splat_kernel.h for the tables.
+void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
+                   std::uint32_t tiles_y, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
+                   rust::Slice<bool> visible);
+// Their velocities along a motion.
+void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
+                      const SplatMotion& motion, rust::Slice<float> rows);
+// Gradients from moments; a slice that is not wanted is empty.
+void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const std::uint32_t> starts,
+                 rust::Slice<const std::uint32_t> places, rust::Slice<const float> slots, std::uint32_t wanted,
+                 rust::Slice<float> positions, rust::Slice<float> shape, rust::Slice<float> scales,
+                 rust::Slice<float> opacities, rust::Slice<float> sh, rust::Slice<double> pose);
+// One tile. `velocities`: 8 floats per splat and direction, direction by direction.
 void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
-                   rust::Slice<std::uint16_t> masks, float x, float y, rust::Slice<float> state, std::uint32_t parts);
+                   rust::Slice<std::uint16_t> masks, float x, float y, rust::Slice<float> state, std::uint32_t parts,
+                   rust::Slice<const float> velocities, rust::Slice<float> moving);
 void splat_backward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
                     rust::Slice<const std::uint16_t> masks, float x, float y, rust::Slice<const float> adjoint,
                     rust::Slice<float> slots, std::uint32_t parts);

@@ -6,94 +6,16 @@
 // registers. Backward: entry by entry, front to back, replaying the forward decisions, so that the nine sums of an
 // entry are reduced once per tile. A pixel that has stopped is one whose running transmittance is 0.
 #include "cpp/splat_kernel.h"
-
-#include <immintrin.h>
+#include "cpp/splat_lanes.h"
 
 namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-#if defined(__AVX512F__)
-constexpr int LANES = 16;
-#elif defined(__AVX2__)
-constexpr int LANES = 8;
-#else
-constexpr int LANES = 4;
-#endif
-constexpr int PARTS = 16 / LANES;
-typedef float V __attribute__((vector_size(4 * LANES)));
-typedef float V4 __attribute__((vector_size(16)));
-
 constexpr float ALPHA_MIN = 1.0f / 255.0f;
 constexpr float ALPHA_MAX = 0.99f;
 constexpr float STOP = 1e-4f;
 constexpr float LOG2_255 = 7.994353436858858f;
-
-inline V all(float v) { return v - V{}; }
-
-#if defined(__AVX512F__)
-inline V fma(V a, V b, V c) { return (V)_mm512_fmadd_ps((__m512)a, (__m512)b, (__m512)c); }
-inline V fnma(V a, V b, V c) { return (V)_mm512_fnmadd_ps((__m512)a, (__m512)b, (__m512)c); }
-inline V least(V a, V b) { return (V)_mm512_min_ps((__m512)a, (__m512)b); }
-inline V keep_ge(V a, V b, V v) {
-  return (V)_mm512_maskz_mov_ps(_mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_GE_OQ), (__m512)v);
-}
-inline V keep_gt(V a, V b, V v) {
-  return (V)_mm512_maskz_mov_ps(_mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_GT_OQ), (__m512)v);
-}
-inline V pick_gt(V a, V b, V x, V y) {
-  return (V)_mm512_mask_mov_ps((__m512)y, _mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_GT_OQ), (__m512)x);
-}
-inline bool any(V a) { return _mm512_test_epi32_mask((__m512i)a, (__m512i)a) != 0; }
-inline V power2(V x, V p, V n) { (void)x; return (V)_mm512_scalef_ps((__m512)p, (__m512)n); }
-inline V nearest(V x) { return (V)_mm512_roundscale_ps((__m512)x, 8); }
-inline V reciprocal(V x) {
-  V r = (V)_mm512_rcp14_ps((__m512)x);
-  return r * fnma(x, r, all(2));
-}
-inline V4 fold(V v) {
-  __m256 h = _mm256_add_ps(_mm512_castps512_ps256((__m512)v),
-                           _mm256_castpd_ps(_mm512_extractf64x4_pd(_mm512_castps_pd((__m512)v), 1)));
-  return (V4)_mm_add_ps(_mm256_castps256_ps128(h), _mm256_extractf128_ps(h, 1));
-}
-#else
-typedef int VI __attribute__((vector_size(4 * LANES)));
-inline V keep_ge(V a, V b, V v) { return (V)((VI)v & (VI)(a >= b)); }
-inline V keep_gt(V a, V b, V v) { return (V)((VI)v & (VI)(a > b)); }
-inline V power2(V x, V p, V n) {
-  // Below -126 the result is far under ALPHA_MIN whatever its exact value; the exponent must only not wrap.
-  (void)x;
-  V m = (V)__builtin_convertvector(n, VI);
-  VI e = (VI)m + 127;
-  e = e & (VI)(e > 0);
-  return p * (V)(e << 23);
-}
-#if defined(__AVX2__)
-inline V fma(V a, V b, V c) { return (V)_mm256_fmadd_ps((__m256)a, (__m256)b, (__m256)c); }
-inline V fnma(V a, V b, V c) { return (V)_mm256_fnmadd_ps((__m256)a, (__m256)b, (__m256)c); }
-inline V least(V a, V b) { return (V)_mm256_min_ps((__m256)a, (__m256)b); }
-inline V pick_gt(V a, V b, V x, V y) {
-  return (V)_mm256_blendv_ps((__m256)y, (__m256)x, _mm256_cmp_ps((__m256)a, (__m256)b, _CMP_GT_OQ));
-}
-inline bool any(V a) { return !_mm256_testz_si256((__m256i)a, (__m256i)a); }
-inline V nearest(V x) { return (V)_mm256_round_ps((__m256)x, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC); }
-inline V4 fold(V v) {
-  return (V4)_mm_add_ps(_mm256_castps256_ps128((__m256)v), _mm256_extractf128_ps((__m256)v, 1));
-}
-#else
-inline V fma(V a, V b, V c) { return a * b + c; }
-inline V fnma(V a, V b, V c) { return c - a * b; }
-inline V least(V a, V b) { return (V)_mm_min_ps((__m128)a, (__m128)b); }
-inline V pick_gt(V a, V b, V x, V y) { return (V)(((VI)x & (VI)(a > b)) | ((VI)y & ~(VI)(a > b))); }
-inline bool any(V a) { return _mm_movemask_epi8(_mm_cmpeq_epi32((__m128i)a, _mm_setzero_si128())) != 0xffff; }
-inline V nearest(V x) {
-  // Adding and taking away 1.5 * 2^23 rounds to the nearest integer (|x| < 2^22: see the clamp in exp2).
-  return (x + all(12582912.0f)) - all(12582912.0f);
-}
-inline V4 fold(V v) { return v; }
-#endif
-inline V reciprocal(V x) { return 1.0f / x; }
-#endif
 
 // 2^x for x <= 127, relative error 2e-7 (Taylor polynomial of degree 6 of 2^f, |f| <= 1/2).
 inline V exp2(V x) {
@@ -110,13 +32,6 @@ inline V exp2(V x) {
   p = fma(p, f, all(1.0f));
   return power2(x, p, n);
 }
-
-inline V load(const float* p) {
-  V v;
-  __builtin_memcpy(&v, p, sizeof v);
-  return v;
-}
-inline void store(float* p, V v) { __builtin_memcpy(p, &v, sizeof v); }
 
 // Pixel centres of a block relative to the tile's corner.
 alignas(64) const float COLUMN[16] = {.5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5};
@@ -155,63 +70,66 @@ inline std::uint32_t block_mask(const float* q, float tile_x, float tile_y) {
   return mask;
 }
 
-struct Block {
-  V part[PARTS];
-};
-
-template <bool WITH_Z>
-void composite(const float* rows, const std::uint32_t* list, int count, float x, float y, float* state, bool& done) {
-  V px[PARTS], py[PARTS], left[PARTS], kept[PARTS], r[PARTS], g[PARTS], b[PARTS], z[PARTS];
-  for (int k = 0; k < PARTS; ++k) {
-    px[k] = load(COLUMN + LANES * k) + all(x);
-    py[k] = load(LINE + LANES * k) + all(y);
-    float* s = state + LANES * k;
-    r[k] = load(s);
-    g[k] = load(s + PIXELS);
-    b[k] = load(s + 2 * PIXELS);
-    if (WITH_Z) z[k] = load(s + 3 * PIXELS);
-    kept[k] = load(s + 4 * PIXELS);
-    left[k] = load(s + 5 * PIXELS);
-  }
-  for (int j = 0; j < count; ++j) {
-    const float* q = rows + 16 * static_cast<std::size_t>(list[j]);
-    for (int k = 0; k < PARTS; ++k) {
-      const V dx = px[k] - all(q[X]), dy = py[k] - all(q[Y]);
-      const V u = fma(all(q[A]), dx, all(q[B]) * dy);
-      V w = fnma(all(q[C]) * dy, dy, all(q[LOG2_OPACITY]));
-      w = fnma(u, dx, w);
-      V a = least(exp2(w), all(ALPHA_MAX));
-      a = keep_ge(a, all(ALPHA_MIN), a);
-      const V next = fnma(a, left[k], left[k]);
-      const V weight = keep_gt(next, all(STOP), a * left[k]);
-      kept[k] = pick_gt(next, all(STOP), next, kept[k]);
-      left[k] = keep_gt(next, all(STOP), next);
-      r[k] = fma(weight, all(q[RED]), r[k]);
-      g[k] = fma(weight, all(q[GREEN]), g[k]);
-      b[k] = fma(weight, all(q[BLUE]), b[k]);
-      if (WITH_Z) z[k] = fma(weight, all(q[DEPTH]), z[k]);
-    }
-    if ((j & 7) == 7) {
-      bool alive = false;
-      for (int k = 0; k < PARTS; ++k) alive |= any(left[k]);
-      if (!alive) break;
-    }
-  }
+// One block over one list. `state`: PLANES planes and, behind them, what is left of each pixel (0 where it has
+// stopped); `moving`: MOVING planes for each of the K directions of `t`.
+template <bool WITH_Z, int K>
+bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float x, float y, float* state, float* moving) {
   bool alive = false;
   for (int k = 0; k < PARTS; ++k) {
     float* s = state + LANES * k;
-    store(s, r[k]);
-    store(s + PIXELS, g[k]);
-    store(s + 2 * PIXELS, b[k]);
-    if (WITH_Z) store(s + 3 * PIXELS, z[k]);
-    store(s + 4 * PIXELS, kept[k]);
-    store(s + 5 * PIXELS, left[k]);
-    alive |= any(left[k]);
+    const V px = load(COLUMN + LANES * k) + all(x), py = load(LINE + LANES * k) + all(y);
+    V r = load(s), g = load(s + PIXELS), b = load(s + 2 * PIXELS), z{};
+    if (WITH_Z) z = load(s + 3 * PIXELS);
+    V kept = load(s + 4 * PIXELS), left = load(s + 5 * PIXELS);
+    V m[K + 1][MOVING];
+    for (int d = 0; d < K; ++d)
+      for (int c = 0; c < MOVING; ++c) m[d][c] = load(moving + (d * MOVING + c) * PIXELS + LANES * k);
+    for (int j = 0; j < count; ++j) {
+      const std::size_t splat = list[j];
+      const float* q = t.rows + 16 * splat;
+      const V dx = px - all(q[X]), dy = py - all(q[Y]);
+      const V u = fma(all(q[A]), dx, all(q[B]) * dy);
+      V w = fnma(all(q[C]) * dy, dy, all(q[LOG2_OPACITY]));
+      w = fnma(u, dx, w);
+      const V raw = exp2(w);
+      V a = least(raw, all(ALPHA_MAX));
+      a = keep_ge(a, all(ALPHA_MIN), a);
+      const V next = fnma(a, left, left);
+      const V weight = keep_gt(next, all(STOP), a * left);
+      for (int d = 0; d < K; ++d) {
+        const float* v = t.velocities[d] + 8 * splat;
+        const V p = fma(all(v[VXX]), dx, fma(all(v[VXY]), dy, all(v[VX])));
+        const V by_log = fma(p, dx, fma(all(v[VYY]), dy, all(v[VY])) * dy);
+        // d weight = d alpha T + alpha dT; no alpha moves where it is clamped, nothing where the pixel has stopped.
+        const V by_alpha = keep_ge(all(ALPHA_MAX), raw, by_log * weight);
+        const V by_weight = keep_gt(next, all(STOP), fma(a, m[d][3], by_alpha));
+        m[d][0] = fma(by_weight, all(q[RED]), fma(weight, all(v[VRED]), m[d][0]));
+        m[d][1] = fma(by_weight, all(q[GREEN]), fma(weight, all(v[VGREEN]), m[d][1]));
+        m[d][2] = fma(by_weight, all(q[BLUE]), fma(weight, all(v[VBLUE]), m[d][2]));
+        m[d][3] -= by_weight;
+      }
+      kept = pick_gt(next, all(STOP), next, kept);
+      left = keep_gt(next, all(STOP), next);
+      r = fma(weight, all(q[RED]), r);
+      g = fma(weight, all(q[GREEN]), g);
+      b = fma(weight, all(q[BLUE]), b);
+      if (WITH_Z) z = fma(weight, all(q[DEPTH]), z);
+      if ((j & 7) == 7 && !any(left)) break;
+    }
+    store(s, r);
+    store(s + PIXELS, g);
+    store(s + 2 * PIXELS, b);
+    if (WITH_Z) store(s + 3 * PIXELS, z);
+    store(s + 4 * PIXELS, kept);
+    store(s + 5 * PIXELS, left);
+    for (int d = 0; d < K; ++d)
+      for (int c = 0; c < MOVING; ++c) store(moving + (d * MOVING + c) * PIXELS + LANES * k, m[d][c]);
+    alive |= any(left);
   }
-  done = !alive;
+  return alive;
 }
 
-template <bool WITH_Z>
+template <bool WITH_Z, int K>
 void forward_tile(const ForwardTile& t) {
   constexpr std::size_t CHUNK = 192;
   std::uint32_t lists[16][CHUNK];
@@ -219,13 +137,17 @@ void forward_tile(const ForwardTile& t) {
   alignas(64) float state[6 * PIXELS];
   for (int i = 0; i < 4 * PIXELS; ++i) state[i] = 0;
   for (int i = 4 * PIXELS; i < 6 * PIXELS; ++i) state[i] = 1;
+  for (int i = 0; i < K * MOVING * PIXELS; ++i) t.moving[i] = 0;
   std::uint32_t alive = 0xffff;
   std::size_t i = 0;
   while (i < t.count && alive) {
     const std::size_t end = i + CHUNK < t.count ? i + CHUNK : t.count;
     for (int& size : sizes) size = 0;
     for (; i < end; ++i) {
-      if (i + 6 < end) __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + 6]));
+      if (i + 6 < end) {
+        __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + 6]));
+        for (int d = 0; d < K; ++d) __builtin_prefetch(t.velocities[d] + 8 * static_cast<std::size_t>(t.entries[i + 6]));
+      }
       std::uint32_t mask = block_mask(t.rows + 16 * static_cast<std::size_t>(t.entries[i]), t.x, t.y) & alive;
       t.masks[i] = static_cast<std::uint16_t>(mask);
       for (; mask; mask &= mask - 1) {
@@ -236,13 +158,12 @@ void forward_tile(const ForwardTile& t) {
     for (std::uint32_t todo = alive; todo; todo &= todo - 1) {
       const int s = __builtin_ctz(todo);
       if (!sizes[s]) continue;
-      bool done = false;
-      composite<WITH_Z>(t.rows, lists[s], sizes[s], t.x + 4.0f * (s >> 2), t.y + 4.0f * (s & 3), state + 16 * s, done);
-      if (done) alive &= ~(1u << s);
+      const float x = t.x + 4.0f * (s >> 2), y = t.y + 4.0f * (s & 3);
+      if (!composite<WITH_Z, K>(t, lists[s], sizes[s], x, y, state + 16 * s, t.moving + 16 * s)) alive &= ~(1u << s);
     }
   }
   for (; i < t.count; ++i) t.masks[i] = 0;
-  __builtin_memcpy(t.state, state, 5 * PIXELS * sizeof(float));
+  __builtin_memcpy(t.state, state, PLANES * PIXELS * sizeof(float));
 }
 
 // Four sums at once: lane k of the result is the sum over the lanes of argument k.
@@ -261,7 +182,11 @@ void backward_tile(const BackwardTile& t) {
   const float *vr = t.adjoint, *vg = vr + PIXELS, *vb = vg + PIXELS, *vz = vb + PIXELS;
   std::uint32_t alive = 0xffff;
   for (std::size_t i = 0; i < t.count; ++i) {
-    if (!t.masks[i]) continue;
+    float* slot = t.slots + 16 * i;
+    if (!(t.masks[i] & alive)) {
+      __builtin_memset(slot, 0, 16 * sizeof(float));
+      continue;
+    }
     if (i + 4 < t.count) __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + 4]));
     const float* q = t.rows + 16 * static_cast<std::size_t>(t.entries[i]);
     V s{}, sx{}, sy{}, sxx{}, sxy{}, syy{}, sr{}, sg{}, sb{}, sz{};
@@ -312,22 +237,28 @@ void backward_tile(const BackwardTile& t) {
       }
       if (!block_alive) alive &= ~(1u << block);
     }
-    float* slot = t.slots + 16 * i;
-    if (WITH_GEOMETRY) {
-      _mm_storeu_ps(slot, sums(s, sx, sy, sxx));
-      _mm_storeu_ps(slot + 4, sums(sxy, syy, sz, V{}));
-    }
-    if (WITH_COLOR) _mm_storeu_ps(slot + 8, sums(sr, sg, sb, V{}));
+    const __m128 zero = _mm_setzero_ps();
+    _mm_storeu_ps(slot, WITH_GEOMETRY ? sums(s, sx, sy, sxx) : zero);
+    _mm_storeu_ps(slot + 4, WITH_GEOMETRY ? sums(sxy, syy, sz, V{}) : zero);
+    _mm_storeu_ps(slot + 8, WITH_COLOR ? sums(sr, sg, sb, V{}) : zero);
+    _mm_storeu_ps(slot + 12, zero);
   }
 }
 
 }  // namespace
 
 void forward(const ForwardTile& t, std::uint32_t parts) {
+  switch (t.directions) {
+    case 1: return forward_tile<false, 1>(t);
+    case 2: return forward_tile<false, 2>(t);
+    case 3: return forward_tile<false, 3>(t);
+    case 4: return forward_tile<false, 4>(t);
+    default: break;
+  }
   if (parts & WITH_DEPTH) {
-    forward_tile<true>(t);
+    forward_tile<true, 0>(t);
   } else {
-    forward_tile<false>(t);
+    forward_tile<false, 0>(t);
   }
 }
 

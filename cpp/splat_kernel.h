@@ -11,15 +11,66 @@ namespace respire {
 enum Row { X, Y, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, DISCRIMINANT };
 enum Moment { S, SX, SY, SXX, SXY, SYY, SDEPTH, SPAD, SRED, SGREEN, SBLUE };
 
+// Velocity of a splat along a direction, times ln 2: d log(alpha) = (VX + VXX dx + VXY dy) dx + (VY + VYY dy) dy.
+enum Velocity { VX, VY, VXX, VXY, VYY, VRED, VGREEN, VBLUE };
+
 constexpr int PIXELS = 256;  // 16x16, block by block: 4x4 blocks, numbered down the columns of the tile
+constexpr int PLANES = 5;    // of a tile's state: red, green, blue, depth sums and transmittance
+constexpr int MOVING = 4;    // planes of a tile's velocity: red, green, blue sums and transmittance
+constexpr int TOGETHER = 4;  // directions that one pass can carry
+
+// Pinhole camera; the same order as in src/splat/native.rs.
+struct View {
+  float rotation[9], eye[3], focal[2], center[2], limit[2], size[2], near, dilation;
+};
+
+// Gaussians as they lie in memory. `shape`: 6 floats (two axes) of discs, whose `scales` are null; quaternions of
+// ellipsoids. `active` may be null: all.
+struct Scene {
+  const View* view;
+  const float *positions, *shape, *scales, *opacities, *sh;
+  std::uint32_t sh_degree;
+  const std::uint32_t* active;
+};
+
+struct ProjectChunk {
+  std::size_t first, count;  // numbers in `active`
+  std::uint32_t tiles_x, tiles_y;
+  float* rows;           // out, 16 floats each, where visible
+  std::uint32_t* boxes;  // out, two words each: x0 | y0 << 16, x1 | y1 << 16, where visible
+  bool* visible;         // out
+};
+
+struct TangentChunk {
+  std::size_t first, count;
+  const bool* visible;
+  const float *positions, *shape, *colors;  // velocities, one per Gaussian; null for none
+  const float* pose;                        // six numbers instead, or null
+  float* rows;                              // out, 8 floats each, where visible
+};
+
+enum Group : std::uint32_t { POSITIONS = 1, SHAPES = 2, OPACITIES = 4, HARMONICS = 8, POSE = 16 };
+
+struct ChainChunk {
+  std::size_t first, count;
+  const std::uint32_t* starts;  // entries of number k are places[starts[k]..starts[k + 1]]
+  const std::uint32_t* places;
+  const float* slots;
+  std::uint32_t wanted;
+  float *positions, *shape, *scales, *opacities, *sh;  // out, those that are wanted
+  double* pose;                                        // out, 6
+};
 
 struct ForwardTile {
-  const float* rows;              // 16 floats per splat
-  const std::uint32_t* entries;   // splats of this tile, front to back
-  std::uint16_t* masks;           // out: blocks that an entry may touch; 0 once nobody looks any more
+  const float* rows;             // 16 floats per splat
+  const std::uint32_t* entries;  // splats of this tile, front to back
+  std::uint16_t* masks;          // out: blocks that an entry may touch; 0 once nobody looks any more
   std::size_t count;
-  float x, y;                     // upper left corner in pixels
-  float* state;                   // out: red, green, blue, depth sums and transmittance, PIXELS each
+  float x, y;                    // upper left corner in pixels
+  float* state;                  // out: PLANES planes of PIXELS
+  std::uint32_t directions;      // 0 to TOGETHER
+  const float* velocities[TOGETHER];  // 8 floats per splat and direction
+  float* moving;                      // out: MOVING planes of PIXELS per direction
 };
 
 struct BackwardTile {
@@ -29,22 +80,22 @@ struct BackwardTile {
   std::size_t count;
   float x, y;
   const float* adjoint;  // dL/d red, green, blue, depth sums; then the loss still to come behind (PIXELS each)
-  float* slots;          // out: 16 moments per entry whose mask is not 0
+  float* slots;          // out: 16 moments per entry
 };
 
 enum Part : std::uint32_t { GEOMETRY = 1, COLOR = 2, WITH_DEPTH = 4 };
 
-namespace baseline {
-void forward(const ForwardTile&, std::uint32_t parts);
-void backward(const BackwardTile&, std::uint32_t parts);
-}  // namespace baseline
-namespace avx2 {
-void forward(const ForwardTile&, std::uint32_t parts);
-void backward(const BackwardTile&, std::uint32_t parts);
-}  // namespace avx2
-namespace avx512 {
-void forward(const ForwardTile&, std::uint32_t parts);
-void backward(const BackwardTile&, std::uint32_t parts);
-}  // namespace avx512
+#define RESPIRE_KERNELS(ISA)                             \
+  namespace ISA {                                        \
+  void project(const Scene&, const ProjectChunk&);       \
+  void velocities(const Scene&, const TangentChunk&);    \
+  void chain(const Scene&, const ChainChunk&);           \
+  void forward(const ForwardTile&, std::uint32_t parts); \
+  void backward(const BackwardTile&, std::uint32_t parts); \
+  }
+RESPIRE_KERNELS(baseline)
+RESPIRE_KERNELS(avx2)
+RESPIRE_KERNELS(avx512)
+#undef RESPIRE_KERNELS
 
 }  // namespace respire

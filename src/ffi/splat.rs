@@ -1,15 +1,71 @@
 //! The vectorised compositing kernels of the rasteriser: C++ (`cpp/splat_kernel.cpp`), compiled once per instruction
 //! set and chosen at run time, through cxx.
 
+use std::sync::atomic::AtomicU32;
+
 use crate::base::{Error, Result};
 
 #[cxx::bridge(namespace = "respire")]
-#[allow(missing_docs)]
+#[allow(missing_docs, unused_qualifications)]
 mod bridge {
+    /// Gaussians as they lie in memory; see `Scene` of `cpp/splat_kernel.h`.
+    struct SplatScene<'a> {
+        view: &'a [f32],
+        positions: &'a [f32],
+        shape: &'a [f32],
+        scales: &'a [f32],
+        opacities: &'a [f32],
+        sh: &'a [f32],
+        sh_degree: u32,
+        active: &'a [u32],
+        all: bool,
+    }
+
+    /// Velocities of all Gaussians, or of the camera.
+    struct SplatMotion<'a> {
+        positions: &'a [f32],
+        shape: &'a [f32],
+        colors: &'a [f32],
+        pose: &'a [f32],
+    }
+
     unsafe extern "C++" {
         include!("cpp/splat.h");
 
         fn splat_widest_isa() -> u8;
+        fn splat_project(
+            isa: u8,
+            scene: &SplatScene,
+            first: usize,
+            tiles_x: u32,
+            tiles_y: u32,
+            rows: &mut [f32],
+            boxes: &mut [u32],
+            visible: &mut [bool],
+        ) -> Result<()>;
+        fn splat_velocities(
+            isa: u8,
+            scene: &SplatScene,
+            first: usize,
+            visible: &[bool],
+            motion: &SplatMotion,
+            rows: &mut [f32],
+        ) -> Result<()>;
+        fn splat_chain(
+            isa: u8,
+            scene: &SplatScene,
+            first: usize,
+            starts: &[u32],
+            places: &[u32],
+            slots: &[f32],
+            wanted: u32,
+            positions: &mut [f32],
+            shape: &mut [f32],
+            scales: &mut [f32],
+            opacities: &mut [f32],
+            sh: &mut [f32],
+            pose: &mut [f64],
+        ) -> Result<()>;
         fn splat_forward(
             isa: u8,
             rows: &[f32],
@@ -19,6 +75,8 @@ mod bridge {
             y: f32,
             state: &mut [f32],
             parts: u32,
+            velocities: &[f32],
+            moving: &mut [f32],
         ) -> Result<()>;
         fn splat_backward(
             isa: u8,
@@ -32,6 +90,14 @@ mod bridge {
             parts: u32,
         ) -> Result<()>;
     }
+}
+
+pub use bridge::{SplatMotion, SplatScene};
+
+/// The words of atomics that nobody else holds.
+pub fn words(atomics: &mut [AtomicU32]) -> &mut [u32] {
+    // SAFETY: an `AtomicU32` has the size, the alignment and the bit validity of a `u32`, and the borrow is exclusive.
+    unsafe { &mut *(std::ptr::from_mut(atomics) as *mut [u32]) }
 }
 
 /// Sixteen numbers that begin at a cache line.
@@ -110,8 +176,84 @@ impl std::fmt::Display for Isa {
     }
 }
 
-/// Composites one tile; see `cpp/splat_kernel.h` for the tables. Panics when they do not belong together (a defect of
-/// the caller, never of the input).
+/// What the caller never breaks: it is a defect of this crate, never of the input.
+const AGREE: &str = "the rasteriser hands over tables that belong together";
+
+/// Splats of the Gaussians number `first..first + visible.len()` of the active ones; see `cpp/splat_kernel.h` for the
+/// tables. Panics (as all of these) when the tables do not belong together.
+pub fn project(
+    isa: Isa,
+    scene: &SplatScene<'_>,
+    first: usize,
+    tiles: [usize; 2],
+    rows: &mut [Aligned<f32>],
+    boxes: &mut [[u32; 2]],
+    visible: &mut [bool],
+) {
+    let (x, y) = (tiles[0] as u32, tiles[1] as u32);
+    bridge::splat_project(isa.code(), scene, first, x, y, flat_mut(rows), boxes.as_flattened_mut(), visible)
+        .expect(AGREE);
+}
+
+/// Velocities of the visible splats along a motion, 8 numbers each.
+pub fn velocities(
+    isa: Isa,
+    scene: &SplatScene<'_>,
+    first: usize,
+    visible: &[bool],
+    motion: &SplatMotion<'_>,
+    rows: &mut [[f32; 8]],
+) {
+    bridge::splat_velocities(isa.code(), scene, first, visible, motion, rows.as_flattened_mut()).expect(AGREE);
+}
+
+/// Where the gradients of a chunk go; empty where not wanted.
+pub struct ChainOutput<'a, T> {
+    /// 3 each.
+    pub positions: &'a mut [T],
+    /// 6 each for discs, 4 for ellipsoids.
+    pub shape: &'a mut [T],
+    /// 3 each for ellipsoids.
+    pub scales: &'a mut [T],
+    /// 1 each.
+    pub opacities: &'a mut [T],
+    /// As in the scene.
+    pub sh: &'a mut [T],
+    /// Sum over the chunk.
+    pub pose: &'a mut [f64; 6],
+}
+
+/// Gradients of the Gaussians number `first..` from their moments: those of number `first + k` are the sum over
+/// `slots[places[starts[k]..starts[k + 1]]]`.
+pub fn chain(
+    isa: Isa,
+    scene: &SplatScene<'_>,
+    first: usize,
+    starts: &[u32],
+    places: &[u32],
+    slots: &[Aligned<f32>],
+    wanted: u32,
+    out: ChainOutput<'_, f32>,
+) {
+    bridge::splat_chain(
+        isa.code(),
+        scene,
+        first,
+        starts,
+        places,
+        flat(slots),
+        wanted,
+        out.positions,
+        out.shape,
+        out.scales,
+        out.opacities,
+        out.sh,
+        out.pose,
+    )
+    .expect(AGREE);
+}
+
+/// Composites one tile, with the velocities of its pixels along up to four directions; see `cpp/splat_kernel.h`.
 pub fn forward(
     isa: Isa,
     rows: &[Aligned<f32>],
@@ -120,9 +262,12 @@ pub fn forward(
     corner: [f32; 2],
     state: &mut [f32],
     parts: u32,
+    velocities: &[[f32; 8]],
+    moving: &mut [f32],
 ) {
-    bridge::splat_forward(isa.code(), flat(rows), entries, masks, corner[0], corner[1], state, parts)
-        .expect("the rasteriser hands over tables that belong together");
+    let [x, y] = corner;
+    let velocities = velocities.as_flattened();
+    bridge::splat_forward(isa.code(), flat(rows), entries, masks, x, y, state, parts, velocities, moving).expect(AGREE);
 }
 
 /// Backward of [`forward`].
@@ -136,16 +281,6 @@ pub fn backward(
     slots: &mut [Aligned<f32>],
     parts: u32,
 ) {
-    bridge::splat_backward(
-        isa.code(),
-        flat(rows),
-        entries,
-        masks,
-        corner[0],
-        corner[1],
-        adjoint,
-        flat_mut(slots),
-        parts,
-    )
-    .expect("the rasteriser hands over tables that belong together");
+    let [x, y] = corner;
+    bridge::splat_backward(isa.code(), flat(rows), entries, masks, x, y, adjoint, flat_mut(slots), parts).expect(AGREE);
 }

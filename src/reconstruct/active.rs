@@ -1,10 +1,13 @@
-//! Which faces a frame can see at all: in the frustum with a margin, near enough, turned towards the camera. Occlusion
-//! is not tested (nor is it in the released BridgeSplat).
+//! Which faces a frame can see at all: in the frustum with a margin, near enough and, where asked for, turned towards
+//! the camera. Occlusion is not tested (nor is it in the released BridgeSplat).
 
 use glam::Vec3;
 use rayon::prelude::*;
 
+use crate::base::Error;
 use crate::splat::View;
+
+use super::settings::Visibility;
 
 /// Bounds of what is worth computing.
 #[derive(Clone, Copy, Debug)]
@@ -15,8 +18,29 @@ pub struct Reach {
     pub range_mm: f64,
 }
 
+impl Reach {
+    /// The bounds that a method's settings name.
+    pub fn new(visibility: &Visibility) -> Self {
+        Reach { margin: *visibility.margin, range_mm: *visibility.range_mm }
+    }
+}
+
+/// What a method answers when nothing of the airway is in view.
+pub fn nothing_in_view() -> Error {
+    Error::input("the camera sees no face of the airway mesh: poses and mesh do not belong together")
+}
+
+/// Which sides of a face count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sides {
+    /// The one that looks into the lumen: enough for a camera that stays inside.
+    Lumen,
+    /// Both: a mesh that deforms freely may leave the camera outside.
+    Both,
+}
+
 /// Faces that `view` can see in any of the `states` of the vertices, ascending.
-pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, reach: Reach) -> Vec<u32> {
+pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, reach: Reach, sides: Sides) -> Vec<u32> {
     let camera_from_world = view.camera_from_world.as_affine3();
     let eye = view.camera_from_world.inverse().translation.as_vec3();
     let margin = (reach.margin * view.camera.width as f64) as f32;
@@ -27,7 +51,8 @@ pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, re
         let size = (b - a).length().max((c - a).length());
         let normal = (b - a).cross(c - a);
         // A face that the camera grazes may turn towards it under the breath: a tenth of its length of slack.
-        let towards = normal.dot(eye - centre) > -0.1 * normal.length() * (eye - centre).length();
+        let towards =
+            sides == Sides::Both || normal.dot(eye - centre) > -0.1 * normal.length() * (eye - centre).length();
         let p = camera_from_world.transform_point3(centre);
         if !towards || p.z > reach.range_mm as f32 || p.z < 0.5 * size {
             return false;

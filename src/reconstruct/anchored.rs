@@ -33,7 +33,8 @@ pub struct Surface {
     pub faces: Vec<[u32; 3]>,
     rest: Vec<[f32; 3]>,
     frame: Frame,
-    per_face: usize,
+    /// Discs on each face.
+    pub per_face: usize,
     opacity: f32,
     logits: Vec<[f32; 3]>,
     log_scales: Vec<[f32; 2]>,

@@ -9,17 +9,17 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use crate::base::{Error, Image, Progress, Result, TriangleMesh};
+use crate::base::{Progress, Result, TriangleMesh};
 use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Settings, View, Wanted};
 
-use super::active::{Reach, visible_faces};
+use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{DiscAdam, Patch, Rates, Start, Surface};
 use super::control_points::ControlField;
 use super::loss::arap::Arap;
 use super::loss::pairs::{self, Pairs};
 use super::loss::photometric::Photometric;
+use super::online::{color_image, fit_in_order, held_out};
 use super::optimiser::{Adam, AdamConstants, StepCounter};
-use super::phase_fit::HELD_OUT_PERIOD;
 use super::settings::{BridgeMethod, Variant};
 use super::{Access, FramePrediction, Observation, Reconstruct, Reconstruction};
 
@@ -54,19 +54,11 @@ impl Reconstruct for Bridgesplat {
         observation.validate(self.access())?;
         let start = Instant::now();
         let mut state = State::new(&self.settings, self.iteration_scale, observation)?;
-        let mut seconds = start.elapsed().as_secs_f64();
-        let frames = observation.images.len();
-        for frame in 0..frames {
-            super::stop_if_cancelled(progress)?;
-            let start = Instant::now();
-            let prediction = state.fit(frame)?;
-            seconds += start.elapsed().as_secs_f64();
-            emit(prediction)?;
-            progress.advance(frame + 1, frames);
-        }
+        let preparation = start.elapsed().as_secs_f64();
+        let fitting = fit_in_order(observation.images.len(), |frame| state.fit(frame), emit, progress)?;
         let faces = observation.inspiration.faces.clone();
         let vertices = state.vertices.iter().map(|v| *v * *self.settings.unit_mm).collect();
-        Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), seconds })
+        Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), seconds: preparation + fitting })
     }
 }
 
@@ -119,7 +111,7 @@ impl<'a> State<'a> {
                 StepCounter::Kept,
                 AdamConstants::default(),
             ),
-            reach: Reach { margin: *settings.visibility.margin, range_mm: *settings.visibility.range_mm },
+            reach: Reach::new(&settings.visibility),
             image_gradient: Vec::new(),
             by_patch: Vec::new(),
             by_vertex: Vec::new(),
@@ -136,24 +128,19 @@ impl<'a> State<'a> {
         self.rasterizer.render(&patch.gaussians, view, &settings, None).map(|_| ())
     }
 
-    fn image(&self) -> Image<f32> {
-        let r = self.rasterizer.rendered();
-        let data = r.color.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-        Image { width: r.width, height: r.height, channels: 3, data }
-    }
-
     fn fit(&mut self, frame: usize) -> Result<FramePrediction> {
         let view = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
         let now = self.vertices_mm();
-        let faces = visible_faces(&self.surface.faces, &[&now], &view, self.reach);
-        if faces.is_empty() {
-            return self.nothing_visible(frame, &view);
+        // As released, back sides count too: a mesh that has drifted shows them.
+        let faces = visible_faces(&self.surface.faces, &[&now], &view, self.reach, Sides::Both);
+        if faces.is_empty() && self.deformation.is_none() {
+            return Err(nothing_in_view());
         }
         let mut patch = self.surface.patch(&faces)?;
         patch.place(&patch.pick(&now))?;
         self.render(&patch, &view, DepthOutput::Skip)?;
-        let ahead = (frame % HELD_OUT_PERIOD == HELD_OUT_PERIOD - 1).then(|| self.image());
-        let visible = self.visible_vertices(&faces, &patch);
+        let ahead = held_out(frame).then(|| color_image(&self.rasterizer));
+        let visible = self.visible_vertices(&faces);
         if self.deformation.is_none() {
             self.deformation = Some(self.control_points(&visible)?);
         }
@@ -163,28 +150,15 @@ impl<'a> State<'a> {
         patch.place(&local)?;
         self.render(&patch, &view, DepthOutput::Surface)?;
         self.surface.absorb(&patch);
-        let color = self.image();
+        let color = color_image(&self.rasterizer);
         let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);
         Ok(FramePrediction { frame, color, depth_mm, phase: None, ahead })
     }
 
-    /// The mesh has drifted out of sight: a black frame, no step.
-    fn nothing_visible(&mut self, frame: usize, view: &View) -> Result<FramePrediction> {
-        if self.deformation.is_none() {
-            return Err(Error::input(
-                "the camera sees no face of the airway mesh: poses and mesh do not belong together",
-            ));
-        }
-        let (w, h) = (view.camera.width as usize, view.camera.height as usize);
-        let color = Image::filled(w, h, 3, 0.0);
-        let ahead = (frame % HELD_OUT_PERIOD == HELD_OUT_PERIOD - 1).then(|| color.clone());
-        Ok(FramePrediction { frame, color, depth_mm: Image::filled(w, h, 1, 0.0), phase: None, ahead })
-    }
-
     /// False for vertices of any face that has a disc outside the image (occlusion is not tested).
-    fn visible_vertices(&self, faces: &[u32], patch: &Patch) -> Vec<bool> {
+    fn visible_vertices(&self, faces: &[u32]) -> Vec<bool> {
         let flags = &self.rasterizer.rendered().visible;
-        let per_face = patch.discs.len() / faces.len();
+        let per_face = self.surface.per_face;
         let mut face_visible = vec![false; self.surface.faces.len()];
         for (&f, flags) in faces.iter().zip(flags.chunks_exact(per_face)) {
             face_visible[f as usize] = flags.iter().all(|v| *v);

@@ -10,17 +10,17 @@ use std::time::Instant;
 use glam::DVec3;
 
 use crate::base::random::{CounterRng, Stage};
-use crate::base::{Error, Image, Progress, Result};
+use crate::base::{Progress, Result};
 use crate::splat::{DepthOutput, ImageGradient, Rasterizer, Settings, View, Wanted};
 
-use super::active::{Reach, visible_faces};
+use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{Rates, to_f32};
 use super::control_points::ControlField;
 use super::free::{Free, FreeAdam, FreePatch, Learned};
 use super::loss::pairs::{self, Pairs};
 use super::loss::photometric::Photometric;
+use super::online::{color_image, fit_in_order, held_out};
 use super::optimiser::{Adam, AdamConstants, StepCounter};
-use super::phase_fit::HELD_OUT_PERIOD;
 use super::settings::BridgeMethod;
 use super::{Access, FramePrediction, Observation, Reconstruct, Reconstruction};
 
@@ -55,17 +55,9 @@ impl Reconstruct for BridgesplatNomesh {
         observation.validate(self.access())?;
         let start = Instant::now();
         let mut state = State::new(&self.settings, self.iteration_scale, observation);
-        let mut seconds = start.elapsed().as_secs_f64();
-        let frames = observation.images.len();
-        for frame in 0..frames {
-            super::stop_if_cancelled(progress)?;
-            let start = Instant::now();
-            let prediction = state.fit(frame)?;
-            seconds += start.elapsed().as_secs_f64();
-            emit(prediction)?;
-            progress.advance(frame + 1, frames);
-        }
-        Ok(Reconstruction { final_mesh: None, seconds })
+        let preparation = start.elapsed().as_secs_f64();
+        let fitting = fit_in_order(observation.images.len(), |frame| state.fit(frame), emit, progress)?;
+        Ok(Reconstruction { final_mesh: None, seconds: preparation + fitting })
     }
 }
 
@@ -162,7 +154,7 @@ impl<'a> State<'a> {
                 StepCounter::Kept,
                 AdamConstants::default(),
             ),
-            reach: Reach { margin: *settings.visibility.margin, range_mm: *settings.visibility.range_mm },
+            reach: Reach::new(&settings.visibility),
             image_gradient: Vec::new(),
         }
     }
@@ -180,32 +172,25 @@ impl<'a> State<'a> {
         self.rasterizer.render(&patch.gaussians, view, &settings, None).map(|_| ())
     }
 
-    fn image(&self) -> Image<f32> {
-        let r = self.rasterizer.rendered();
-        let data = r.color.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-        Image { width: r.width, height: r.height, channels: 3, data }
-    }
-
     fn fit(&mut self, frame: usize) -> Result<FramePrediction> {
         let view = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
         // Gaussians drift little against their face of birth; the margin covers it.
-        let faces = visible_faces(&self.observation.inspiration.faces, &[&self.surface], &view, self.reach);
+        let faces =
+            visible_faces(&self.observation.inspiration.faces, &[&self.surface], &view, self.reach, Sides::Lumen);
         if faces.is_empty() && frame == 0 {
-            return Err(Error::input(
-                "the camera sees no face of the airway mesh: poses and mesh do not belong together",
-            ));
+            return Err(nothing_in_view());
         }
         let mut patch = self.free.patch(&faces);
         let field = self.anchors.field.subset(&patch.ids);
         self.place(&mut patch, &field);
         self.render(&patch, &view, DepthOutput::Skip)?;
-        let ahead = (frame % HELD_OUT_PERIOD == HELD_OUT_PERIOD - 1).then(|| self.image());
+        let ahead = held_out(frame).then(|| color_image(&self.rasterizer));
         let invisible = self.invisible_anchors(&patch);
         self.optimise(frame, &view, &mut patch, &field, &invisible)?;
         self.place(&mut patch, &field);
         self.render(&patch, &view, DepthOutput::Surface)?;
         self.free.absorb(&patch);
-        let color = self.image();
+        let color = color_image(&self.rasterizer);
         let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);
         Ok(FramePrediction { frame, color, depth_mm, phase: None, ahead })
     }

@@ -13,6 +13,7 @@ mod library;
 pub mod loss;
 mod neighbours;
 mod observe;
+mod online;
 pub mod optimiser;
 mod ours;
 mod ours_nomesh;

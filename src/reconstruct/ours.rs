@@ -1,10 +1,10 @@
 //! `ours`: discs anchored to the CT mesh, carried by one phase per frame (the paper's Sections 3.1 to 3.4). The same
 //! program runs the sanity rows `static-ct` (inspiration mesh, phase 0 throughout) and `oracle-phase` (true phase).
 
-use crate::base::{Error, Progress, Result};
+use crate::base::{Progress, Result};
 use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
 
-use super::active::{Reach, visible_faces};
+use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
 use super::optimiser::StepCounter;
 use super::phase_fit::{self, Carried, PhaseSource};
@@ -111,7 +111,7 @@ impl OnMesh {
             surface: Surface::new(rest, &settings.appearance, Frame::InheritStretch, Start::Even, observation.seed),
             inspiration: to_f32(&rest.vertices),
             displacement,
-            reach: Reach { margin: *settings.visibility.margin, range_mm: *settings.visibility.range_mm },
+            reach: Reach::new(&settings.visibility),
             adam: DiscAdam::new(rates, StepCounter::Restarted, constants),
             seen: None,
         })
@@ -138,11 +138,9 @@ impl Carried for OnMesh {
             })
             .collect();
         let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
-        let faces = visible_faces(&self.surface.faces, &states, view, self.reach);
+        let faces = visible_faces(&self.surface.faces, &states, view, self.reach, Sides::Lumen);
         if faces.is_empty() {
-            return Err(Error::input(
-                "the camera sees no face of the airway mesh: poses and mesh do not belong together",
-            ));
+            return Err(nothing_in_view());
         }
         let patch = self.surface.patch(&faces)?;
         self.seen = Some(Seen {

@@ -3,10 +3,10 @@
 //! inspiration surface; centre = own centre + phase * displacement, the displacement interpolated once from the
 //! nearest mesh vertices (inverse distance); own centre, rotation, scale and SH-1 are learned. No mesh comes out.
 
-use crate::base::{Error, Progress, Result};
+use crate::base::{Progress, Result};
 use crate::splat::{Gaussians, Gradients, View, Wanted};
 
-use super::active::{Reach, visible_faces};
+use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{Rates, adam_constants, to_f32};
 use super::free::{Free, FreeAdam, FreePatch, Learned};
 use super::neighbours;
@@ -93,7 +93,7 @@ impl InField {
             displacement,
             faces: rest.faces.clone(),
             ends: [to_f32(&rest.vertices), to_f32(&expiration.vertices)],
-            reach: Reach { margin: *settings.visibility.margin, range_mm: *settings.visibility.range_mm },
+            reach: Reach::new(&settings.visibility),
             adam: FreeAdam::new(
                 Rates::new(&settings.appearance, super::rate_factor(iteration_scale)),
                 StepCounter::Restarted,
@@ -118,11 +118,9 @@ impl Carried for InField {
         };
         let states = [at(low), at(0.5 * (low + high)), at(high)];
         let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
-        let faces = visible_faces(&self.faces, &states, view, self.reach);
+        let faces = visible_faces(&self.faces, &states, view, self.reach, Sides::Lumen);
         if faces.is_empty() {
-            return Err(Error::input(
-                "the camera sees no face of the airway mesh: poses and mesh do not belong together",
-            ));
+            return Err(nothing_in_view());
         }
         let patch = self.free.patch(&faces);
         self.local = patch.ids.iter().map(|&i| self.displacement[i as usize]).collect();

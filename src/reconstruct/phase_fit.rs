@@ -6,8 +6,6 @@
 //! last change; a few candidates around it are rendered before stage (i); an exposure gain per channel and frame in
 //! closed form; brightness carried from frame to frame by the law of the light at the scope.
 
-use std::time::Instant;
-
 use glam::Vec3;
 
 use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
@@ -15,13 +13,11 @@ use crate::splat::{DepthOutput, Gaussians, Gradients, ImageGradient, Rasterizer,
 
 use super::anchored::{SH_C0, SH_VALUES};
 use super::loss::photometric::Photometric;
+use super::online::{color_image, fit_in_order, held_out};
 use super::optimiser::{Adam, AdamConstants, StepCounter};
 use super::phase::PhaseActivation;
 use super::settings::PhaseMethod;
 use super::{FramePrediction, Observation, Reconstruction};
-
-/// Every eighth frame is held out: rendered before its image is looked at.
-pub const HELD_OUT_PERIOD: usize = 8;
 
 /// Darkest colour that a Gaussian keeps after a frame.
 const DARKEST: f32 = 0.01;
@@ -92,15 +88,7 @@ pub fn run(
         mean_color: [0.0; 3],
     };
     let frames = observation.images.len();
-    let mut seconds = 0.0;
-    for frame in 0..frames {
-        super::stop_if_cancelled(progress)?;
-        let start = Instant::now();
-        let prediction = fitter.fit(frame, source, carried)?;
-        seconds += start.elapsed().as_secs_f64();
-        emit(prediction)?;
-        progress.advance(frame + 1, frames);
-    }
+    let seconds = fit_in_order(frames, |frame| fitter.fit(frame, source, carried), emit, progress)?;
     let last = fitter.phases.last().copied().unwrap_or(0.0);
     Ok((last, Reconstruction { final_mesh: None, seconds }))
 }
@@ -160,9 +148,9 @@ impl Fitter<'_> {
         if frame > 0 {
             self.carry_brightness(&view, carried);
         }
-        let ahead = if frame % HELD_OUT_PERIOD == HELD_OUT_PERIOD - 1 {
+        let ahead = if held_out(frame) {
             self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Skip), None)?;
-            Some(color_image(&self.rasterizer, width, height))
+            Some(color_image(&self.rasterizer))
         } else {
             None
         };
@@ -183,7 +171,7 @@ impl Fitter<'_> {
         phase = self.optimise_appearance(&view, carried, &mut loss, phase, frame, estimated)?;
         carried.place(phase)?;
         self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Surface), None)?;
-        let color = color_image(&self.rasterizer, width, height);
+        let color = color_image(&self.rasterizer);
         let depth_mm = super::depth_image(self.rasterizer.rendered(), width, height);
         self.mark_fitted(&view, carried, &image);
         carried.leave();
@@ -423,10 +411,6 @@ impl Fitter<'_> {
 /// Value `i` of `n` between the first and the last rate, in equal ratios.
 fn geometric([first, last]: [f64; 2], i: usize, n: usize) -> f64 {
     first * (last / first).powf(i as f64 / (n.max(2) - 1) as f64)
-}
-
-fn color_image(rasterizer: &Rasterizer<f32>, width: usize, height: usize) -> Image<f32> {
-    Image { width, height, channels: 3, data: rasterizer.rendered().color.iter().map(|v| v.clamp(0.0, 1.0)).collect() }
 }
 
 fn in_camera(view: &View, gaussians: &Gaussians<f32>) -> Vec<Vec3> {

@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DVec3};
 
-use super::active::{Reach, visible_faces};
+use super::active::{Reach, Sides, visible_faces};
 use super::anchored::{SH_VALUES, Start, Surface, to_f32};
 use super::free::Free;
 use super::settings::PhaseMethod;
@@ -89,7 +89,8 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
         let origin = DVec3::new(0.5, 0.3, 12.0 + speed * t as f64 + 4.0 * phase);
         let pose: DAffine3 = world_from_camera_looking(origin, DVec3::new(0.05, 0.02, 1.0), DVec3::Y);
         let view = View::new(camera, pose);
-        let faces = visible_faces(&inspiration.faces, &[&vertices], &view, Reach { margin: 0.1, range_mm: 150.0 });
+        let faces =
+            visible_faces(&inspiration.faces, &[&vertices], &view, Reach { margin: 0.1, range_mm: 150.0 }, Sides::Both);
         let mut discs = surface.patch(&faces).unwrap();
         discs.place(&discs.pick(&vertices)).unwrap();
         let mut balls = free.patch(&faces);
@@ -186,7 +187,10 @@ fn ours_nomesh_recovers_its_world() {
 #[test]
 fn bridgesplat_recovers_its_world() {
     let observation = world(Made::SmoothDiscs, 32, 64, |_| 0.0);
-    let (psnr, _) = recover(&Bridgesplat::new(bridge("bridgesplat"), 1.0), &observation);
+    let mut settings = bridge("bridgesplat");
+    // Nearer to the published 25 discs a face: with 2, the constant rates leave a jitter of 37 dB.
+    settings.appearance.gaussian_budget.value = 4 * observation.inspiration.faces.len() as u32;
+    let (psnr, _) = recover(&Bridgesplat::new(settings, 1.0), &observation);
     assert!(psnr >= 38.0, "{psnr}");
 }
 

@@ -1,10 +1,12 @@
-//! From splats to the list of each 16x16 tile: one stable radix sort by depth, then a stable counting sort by tile.
-//! Depth ties keep the order of the Gaussians. Bands of tile rows are filled in parallel; what is filled does not
-//! depend on their number.
+//! From splats to the list of each 16x16 tile: splats are dealt to bands of tile rows, each band is sorted by depth
+//! (stable radix sort) and counted out to its tiles. Depth ties keep the order of the Gaussians. Bands are independent
+//! tasks; how many there are depends on the image alone, so what is filled does not depend on the threads.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use rayon::prelude::*;
+
+use crate::ffi::splat::{Aligned, words};
 
 use super::project::{Row, at};
 use super::real::Real;
@@ -12,28 +14,51 @@ use super::real::Real;
 /// Side of a tile in pixels.
 pub(super) const TILE: usize = 16;
 
-/// Tiles that a splat's bounding box meets, inclusive.
+/// Splats per task of the dealing.
+const CHUNK: usize = 2048;
+
+/// Most bands of an image.
+const BANDS: usize = 16;
+
+/// Tiles that a splat's bounding box meets, inclusive: `x0 | y0 << 16`, `x1 | y1 << 16`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TileBox {
-    pub x0: u16,
-    pub y0: u16,
-    pub x1: u16,
-    pub y1: u16,
+    pub x0: usize,
+    pub y0: usize,
+    pub x1: usize,
+    pub y1: usize,
 }
 
 impl TileBox {
-    pub fn of<T: Real>(row: &Row<T>, tiles_x: usize, tiles_y: usize) -> Self {
-        let cell = |v: T, n: usize| (v.to_f64() * (1.0 / TILE as f64)).floor().clamp(0.0, n as f64 - 1.0) as u16;
+    pub fn of<T: Real>(row: &Row<T>, tiles: [usize; 2]) -> Self {
+        let cell = |v: T, n: usize| (v.to_f64() * (1.0 / TILE as f64)).clamp(0.0, n as f64 - 1.0) as usize;
         TileBox {
-            x0: cell(row[at::X] - row[at::HALF_WIDTH], tiles_x),
-            y0: cell(row[at::Y] - row[at::HALF_HEIGHT], tiles_y),
-            x1: cell(row[at::X] + row[at::HALF_WIDTH], tiles_x),
-            y1: cell(row[at::Y] + row[at::HALF_HEIGHT], tiles_y),
+            x0: cell(row[at::X] - row[at::HALF_WIDTH], tiles[0]),
+            y0: cell(row[at::Y] - row[at::HALF_HEIGHT], tiles[1]),
+            x1: cell(row[at::X] + row[at::HALF_WIDTH], tiles[0]),
+            y1: cell(row[at::Y] + row[at::HALF_HEIGHT], tiles[1]),
         }
     }
 
-    pub fn count(&self) -> u32 {
-        (self.x1 - self.x0 + 1) as u32 * (self.y1 - self.y0 + 1) as u32
+    #[inline(always)]
+    pub fn unpack([low, high]: [u32; 2]) -> Self {
+        let part = |v: u32| (v & 0xffff) as usize;
+        TileBox { x0: part(low), y0: part(low >> 16), x1: part(high), y1: part(high >> 16) }
+    }
+
+    pub fn pack(&self) -> [u32; 2] {
+        [self.x0 as u32 | (self.y0 as u32) << 16, self.x1 as u32 | (self.y1 as u32) << 16]
+    }
+
+    #[inline(always)]
+    fn width(&self) -> usize {
+        self.x1 - self.x0 + 1
+    }
+
+    /// Tile rows from `low` to before `high` that the box meets.
+    #[inline(always)]
+    fn rows_within(&self, low: usize, high: usize) -> std::ops::Range<usize> {
+        self.y0.max(low)..(self.y1 + 1).min(high)
     }
 }
 
@@ -48,13 +73,12 @@ pub(super) struct Bins {
     pub entries: Vec<u32>,
     /// Sub-blocks of each entry that the forward pass looked at.
     pub masks: Vec<u16>,
-    /// Entries of splat `j`, row by row of its box: `places[first[j]..first[j] + boxes[j].count()]`.
-    pub first: Vec<u32>,
-    pub places: Vec<AtomicU32>,
-    order: Vec<Keyed>,
+    /// Entries of splat `j`, row by row of its box: `places[starts[j]..starts[j + 1]]`; none when it is not visible.
+    pub starts: Vec<u32>,
+    places: Vec<AtomicU32>,
+    items: Vec<Keyed>,
     spare: Vec<Keyed>,
-    boxes: Vec<TileBox>,
-    cursors: Vec<u32>,
+    counts: Vec<Counts>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -63,28 +87,39 @@ struct Keyed {
     splat: u32,
 }
 
-/// Stable ascending sort by `depth`: three passes of 11 bits.
-fn radix_sort(items: &mut Vec<Keyed>, spare: &mut Vec<Keyed>) {
-    let mut counts = vec![0u32; 3 * 2048];
+/// What a chunk of splats has for each band: splats and entries.
+#[derive(Clone, Debug, Default)]
+struct Counts {
+    splats: [u32; BANDS],
+    entries: [u32; BANDS],
+}
+
+/// Stable ascending sort of `items` by depth, 11 bits at a time; passes over bits that are all the same are left out.
+fn radix_sort<'a>(mut items: &'a mut [Keyed], mut spare: &'a mut [Keyed]) -> &'a [Keyed] {
+    let mut counts = [[0u32; 2048]; 3];
+    let digit = |item: &Keyed, pass: usize| ((item.depth >> (11 * pass)) & 2047) as usize;
     for item in items.iter() {
-        for pass in 0..3 {
-            counts[pass * 2048 + ((item.depth >> (11 * pass)) & 2047) as usize] += 1;
+        for (pass, counts) in counts.iter_mut().enumerate() {
+            counts[digit(item, pass)] += 1;
         }
     }
-    spare.resize(items.len(), Keyed::default());
-    for pass in 0..3 {
-        let counts = &mut counts[pass * 2048..(pass + 1) * 2048];
+    let Some(first) = items.first().copied() else { return items };
+    for (pass, counts) in counts.iter_mut().enumerate() {
+        if counts[digit(&first, pass)] as usize == items.len() {
+            continue;
+        }
         let mut sum = 0;
         for count in counts.iter_mut() {
             sum += std::mem::replace(count, sum);
         }
         for item in items.iter() {
-            let slot = &mut counts[((item.depth >> (11 * pass)) & 2047) as usize];
+            let slot = &mut counts[digit(item, pass)];
             spare[*slot as usize] = *item;
             *slot += 1;
         }
-        std::mem::swap(items, spare);
+        std::mem::swap(&mut items, &mut spare);
     }
+    items
 }
 
 /// Cuts `slice` into pieces of the given lengths.
@@ -98,99 +133,163 @@ pub(super) fn cut<V>(mut slice: &mut [V], lengths: impl Iterator<Item = usize>) 
         .collect()
 }
 
+/// One band: which tile rows, and where its part of the tables lies.
+struct Band<'a> {
+    rows: std::ops::Range<usize>,
+    items: &'a mut [Keyed],
+    spare: &'a mut [Keyed],
+    offsets: &'a mut [u32],
+    entries: &'a mut [u32],
+    /// Number of the band's first entry.
+    first: u32,
+}
+
 impl Bins {
-    /// Fills the lists from `rows` (of which those with `boxes[j]` set are visible).
-    pub fn fill<T: Real, R: AsRef<Row<T>>>(&mut self, tiles: [usize; 2], rows: &[R], boxes: &[Option<TileBox>]) {
-        let [tiles_x, tiles_y] = tiles;
-        (self.tiles_x, self.tiles_y) = (tiles_x, tiles_y);
-        self.order.clear();
-        self.boxes.clear();
-        self.first.clear();
-        let mut total = 0;
-        for (j, found) in boxes.iter().enumerate() {
-            self.first.push(total);
-            self.boxes.push(found.unwrap_or_default());
-            if let Some(found) = found {
-                // Positive floats sort like their bits; every number type sorts by depth rounded to f32.
-                let depth = (rows[j].as_ref()[at::DEPTH].to_f64() as f32).to_bits();
-                self.order.push(Keyed { depth, splat: j as u32 });
-                total += found.count();
-            }
+    /// Fills the lists from `rows` and `boxes` of the splats that are `visible`.
+    pub fn fill<T: Real>(&mut self, tiles: [usize; 2], rows: &[Aligned<T>], boxes: &[[u32; 2]], visible: &[bool]) {
+        [self.tiles_x, self.tiles_y] = tiles;
+        let height = tiles[1].div_ceil(BANDS).max(2);
+        let bands = tiles[1].div_ceil(height);
+        self.count(height, boxes, visible);
+        let total = |of: fn(&Counts) -> &[u32; BANDS], b: usize| self.counts.iter().map(|c| of(c)[b] as usize).sum();
+        let splats: Vec<usize> = (0..bands).map(|b| total(|c| &c.splats, b)).collect();
+        let entries: Vec<usize> = (0..bands).map(|b| total(|c| &c.entries, b)).collect();
+        let all_entries: usize = entries.iter().sum();
+        self.items.resize(splats.iter().sum(), Keyed::default());
+        self.spare.resize(self.items.len(), Keyed::default());
+        self.entries.resize(all_entries, 0);
+        self.masks.resize(all_entries, 0);
+        if self.places.len() < all_entries {
+            self.places.resize_with(all_entries, AtomicU32::default);
         }
-        radix_sort(&mut self.order, &mut self.spare);
-        if self.places.len() < total as usize {
-            self.places.resize_with(total as usize, AtomicU32::default);
-        }
-        self.entries.resize(total as usize, 0);
-        self.masks.resize(total as usize, 0);
-        self.count();
-        self.place();
+        self.deal(height, bands, rows, boxes, visible);
+        self.offsets.resize(tiles[0] * tiles[1] + 1, 0);
+        self.offsets[tiles[0] * tiles[1]] = all_entries as u32;
+        let (starts, places) = (&self.starts, &self.places);
+        let mut first = 0;
+        let tasks: Vec<Band<'_>> = cut(&mut self.items, splats.iter().copied())
+            .into_iter()
+            .zip(cut(&mut self.spare, splats.iter().copied()))
+            .zip(cut(&mut self.entries, entries.iter().copied()))
+            .zip(self.offsets[..tiles[0] * tiles[1]].chunks_mut(height * tiles[0]))
+            .enumerate()
+            .map(|(b, (((items, spare), entries), offsets))| {
+                let rows = b * height..((b + 1) * height).min(tiles[1]);
+                let band = Band { rows, items, spare, offsets, first, entries };
+                first += band.entries.len() as u32;
+                band
+            })
+            .collect();
+        tasks.into_par_iter().for_each(|band| band.fill(tiles[0], boxes, starts, places));
     }
 
-    fn bands(&self) -> Vec<(usize, usize)> {
-        let bands = rayon::current_num_threads().clamp(1, self.tiles_y);
-        (0..bands).map(|b| (self.tiles_y * b / bands, self.tiles_y * (b + 1) / bands)).collect()
-    }
-
-    fn count(&mut self) {
-        let (tiles_x, tiles_y) = (self.tiles_x, self.tiles_y);
-        self.cursors.clear();
-        self.cursors.resize(tiles_x * tiles_y, 0);
-        let bands = self.bands();
-        let pieces = cut(&mut self.cursors, bands.iter().map(|(lo, hi)| (hi - lo) * tiles_x));
-        let (order, boxes) = (&self.order, &self.boxes);
-        bands.par_iter().zip(pieces).for_each(|(&(lo, hi), counts)| {
-            for item in order {
-                let b = boxes[item.splat as usize];
-                for y in (b.y0 as usize).max(lo)..(b.y1 as usize + 1).min(hi) {
-                    let row = (y - lo) * tiles_x;
-                    for count in &mut counts[row + b.x0 as usize..=row + b.x1 as usize] {
-                        *count += 1;
+    fn count(&mut self, height: usize, boxes: &[[u32; 2]], visible: &[bool]) {
+        self.starts.resize(boxes.len() + 1, 0);
+        self.counts.resize(boxes.len().div_ceil(CHUNK), Counts::default());
+        let tasks = self.starts[1..].par_chunks_mut(CHUNK).zip(boxes.par_chunks(CHUNK)).zip(visible.par_chunks(CHUNK));
+        tasks.zip(&mut self.counts).for_each(|(((starts, boxes), visible), counts)| {
+            *counts = Counts::default();
+            let mut sum = 0;
+            for ((start, &packed), &seen) in starts.iter_mut().zip(boxes).zip(visible) {
+                if seen {
+                    let b = TileBox::unpack(packed);
+                    let width = b.width() as u32;
+                    for band in b.y0 / height..=b.y1 / height {
+                        let rows = b.rows_within(band * height, (band + 1) * height).len() as u32;
+                        counts.splats[band] += 1;
+                        counts.entries[band] += rows * width;
+                        sum += rows * width;
                     }
                 }
+                // Within the chunk; those before are added in `deal`.
+                *start = sum;
             }
         });
-        self.offsets.clear();
+    }
+
+    /// Puts every visible splat into the lists of its bands, in the order of the splats.
+    fn deal<T: Real>(
+        &mut self,
+        height: usize,
+        bands: usize,
+        rows: &[Aligned<T>],
+        boxes: &[[u32; 2]],
+        visible: &[bool],
+    ) {
+        let chunks = self.counts.len();
+        let counts = &self.counts;
+        let lengths = (0..bands).flat_map(|b| (0..chunks).map(move |c| counts[c].splats[b] as usize));
+        let mut pieces: Vec<Vec<&mut [Keyed]>> = (0..chunks).map(|_| Vec::with_capacity(bands)).collect();
+        for (k, piece) in cut(&mut self.items, lengths).into_iter().enumerate() {
+            pieces[k % chunks].push(piece);
+        }
+        let mut before = 0;
+        let bases: Vec<u32> = counts
+            .iter()
+            .map(|c| {
+                let base = before;
+                before += c.entries.iter().sum::<u32>();
+                base
+            })
+            .collect();
+        pieces.into_par_iter().zip(self.starts[1..].par_chunks_mut(CHUNK)).enumerate().for_each(
+            |(c, (mut pieces, starts))| {
+                let mut cursors = [0; BANDS];
+                for (k, start) in starts.iter_mut().enumerate() {
+                    let j = c * CHUNK + k;
+                    *start += bases[c];
+                    if !visible[j] {
+                        continue;
+                    }
+                    let b = TileBox::unpack(boxes[j]);
+                    // Positive floats sort like their bits; every number type sorts by depth rounded to f32.
+                    let depth = (rows[j].0[at::DEPTH].to_f64() as f32).to_bits();
+                    for band in b.y0 / height..=b.y1 / height {
+                        pieces[band][cursors[band]] = Keyed { depth, splat: j as u32 };
+                        cursors[band] += 1;
+                    }
+                }
+            },
+        );
+    }
+
+    /// Entry numbers of all splats; see `starts`.
+    pub fn places(&mut self) -> (&[u32], &[u32]) {
+        (&self.starts, words(&mut self.places))
+    }
+}
+
+impl Band<'_> {
+    fn fill(self, tiles_x: usize, boxes: &[[u32; 2]], starts: &[u32], places: &[AtomicU32]) {
+        let (low, high) = (self.rows.start, self.rows.end);
+        let mut cursors = vec![0u32; self.offsets.len()];
+        for item in self.items.iter() {
+            let b = TileBox::unpack(boxes[item.splat as usize]);
+            for y in b.rows_within(low, high) {
+                let row = (y - low) * tiles_x;
+                for cursor in &mut cursors[row + b.x0..=row + b.x1] {
+                    *cursor += 1;
+                }
+            }
+        }
         let mut sum = 0;
-        for cursor in &mut self.cursors {
-            self.offsets.push(sum);
+        for (cursor, offset) in cursors.iter_mut().zip(self.offsets) {
+            *offset = self.first + sum;
             sum += std::mem::replace(cursor, sum);
         }
-        self.offsets.push(sum);
-    }
-
-    fn place(&mut self) {
-        let tiles_x = self.tiles_x;
-        let bands = self.bands();
-        let cursors = cut(&mut self.cursors, bands.iter().map(|(lo, hi)| (hi - lo) * tiles_x));
-        let offsets = &self.offsets;
-        let size = |&(lo, hi): &(usize, usize)| (offsets[hi * tiles_x] - offsets[lo * tiles_x]) as usize;
-        let entries = cut(&mut self.entries, bands.iter().map(size));
-        let (order, boxes, first, places) = (&self.order, &self.boxes, &self.first, &self.places);
-        bands.par_iter().zip(cursors).zip(entries).for_each(|((&(lo, hi), cursors), entries)| {
-            let start = offsets[lo * tiles_x];
-            for item in order {
-                let j = item.splat as usize;
-                let b = boxes[j];
-                let width = (b.x1 - b.x0 + 1) as u32;
-                for y in (b.y0 as usize).max(lo)..(b.y1 as usize + 1).min(hi) {
-                    let place = first[j] + (y as u32 - b.y0 as u32) * width;
-                    let row = (y - lo) * tiles_x;
-                    let cells = &mut cursors[row + b.x0 as usize..=row + b.x1 as usize];
-                    for (cursor, place) in cells.iter_mut().zip(place..) {
-                        entries[(*cursor - start) as usize] = item.splat;
-                        places[place as usize].store(*cursor, Ordering::Relaxed);
-                        *cursor += 1;
-                    }
+        for item in radix_sort(self.items, self.spare) {
+            let j = item.splat as usize;
+            let b = TileBox::unpack(boxes[j]);
+            for y in b.rows_within(low, high) {
+                let row = (y - low) * tiles_x;
+                let start = starts[j] as usize + (y - b.y0) * b.width();
+                let cells = &mut cursors[row + b.x0..=row + b.x1];
+                for (cursor, place) in cells.iter_mut().zip(&places[start..]) {
+                    self.entries[*cursor as usize] = item.splat;
+                    place.store(self.first + *cursor, Ordering::Relaxed);
+                    *cursor += 1;
                 }
             }
-        });
-    }
-
-    /// Entries of splat `j` in a fixed order.
-    pub fn entries_of(&self, j: usize) -> impl Iterator<Item = usize> {
-        let start = self.first[j] as usize;
-        let places = &self.places[start..start + self.boxes[j].count() as usize];
-        places.iter().map(|place| place.load(Ordering::Relaxed) as usize)
+        }
     }
 }

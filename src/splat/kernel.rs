@@ -21,6 +21,10 @@ use super::real::Real;
 pub const PIXELS: usize = TILE * TILE;
 /// Planes of a tile's state (red, green, blue, depth, transmittance) and of its adjoint (the same, then `behind`).
 pub const PLANES: usize = 5;
+/// Planes of the velocity of a tile along a direction: red, green, blue, transmittance.
+pub const MOVING: usize = 4;
+/// Directions that one pass of the vectorised kernels carries.
+pub const TOGETHER: usize = 4;
 
 /// Columns of the moments of one entry.
 pub mod moment {
@@ -89,10 +93,12 @@ fn corner_f32(corner: [usize; 2]) -> [f32; 2] {
     corner.map(|v| v as f32)
 }
 
-/// Runs the C++ kernel of `isa`; `false` when the plain twin is asked for.
-pub fn vector_forward(isa: Isa, t: &mut ForwardTile<'_, f32>) -> bool {
+/// Runs the C++ kernel of `isa`, with the velocities of the pixels along as many directions as `moving` has room for;
+/// `false` when the plain twin is asked for.
+pub fn vector_forward(isa: Isa, t: &mut ForwardTile<'_, f32>, velocities: &[[f32; 8]], moving: &mut [f32]) -> bool {
     if isa != Isa::Scalar {
-        native::forward(isa, t.rows, t.entries, t.masks, corner_f32(t.corner), t.state, t.parts.bits());
+        let corner = corner_f32(t.corner);
+        native::forward(isa, t.rows, t.entries, t.masks, corner, t.state, t.parts.bits(), velocities, moving);
     }
     isa != Isa::Scalar
 }

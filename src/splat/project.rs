@@ -37,7 +37,7 @@ pub(super) mod at {
 }
 
 /// One splat.
-pub(super) type Row<T> = [T; 16];
+pub type Row<T> = [T; 16];
 
 /// `log2(255)`: how far below 1 an alpha of 1/255 lies.
 pub(super) const LOG2_255: f64 = 7.994353436858858;
@@ -49,9 +49,9 @@ struct Lens<T> {
 }
 
 /// One view, ready to project.
-pub(super) struct Projector<T> {
-    pub rotation: [[T; 3]; 3],
-    pub eye: [T; 3],
+pub struct Projector<T> {
+    pub(super) rotation: [[T; 3]; 3],
+    pub(super) eye: [T; 3],
     focal: [T; 2],
     center: [T; 2],
     limit: [T; 2],
@@ -62,7 +62,7 @@ pub(super) struct Projector<T> {
 }
 
 /// What the projection of one Gaussian passes through; its backward starts here.
-pub(super) struct Geometry<T> {
+pub struct Geometry<T> {
     /// Centre in camera axes.
     pub t: [T; 3],
     /// Columns in camera axes and on screen.
@@ -152,6 +152,21 @@ impl<T: Real> Projector<T> {
             dilation: T::of(settings.dilation_px2),
             fisheye: camera.fisheye.map(|k| k.map(T::of)),
         })
+    }
+
+    /// True for a camera without distortion.
+    pub fn is_pinhole(&self) -> bool {
+        self.fisheye.is_none()
+    }
+
+    /// Everything but the distortion, in single precision: `View` of `cpp/splat_kernel.h`.
+    pub fn numbers(&self) -> [f32; 22] {
+        let mut out = [0.0; 22];
+        let vectors = [self.focal, self.center, self.limit, self.size];
+        let scalars = [self.near, self.dilation];
+        let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(vectors.as_flattened()).chain(&scalars);
+        out.iter_mut().zip(all).for_each(|(place, v)| *place = v.to_f64() as f32);
+        out
     }
 
     /// A vector in camera axes.

@@ -7,6 +7,9 @@ use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 use crate::ffi::splat::Isa;
 
 use super::kernel::{BackwardTile, ForwardTile};
+use super::native::{Native, Numbers, Work};
+use super::project::Projector;
+use super::types::Gaussians;
 
 /// A real number.
 pub trait Real:
@@ -68,6 +71,30 @@ pub trait Real:
         if self > other { self } else { other }
     }
 
+    /// The vectorised kernels for this scene and view; `None` when there are none for this type, instruction set or
+    /// lens.
+    fn native<'a>(
+        _isa: Isa,
+        _gaussians: &'a Gaussians<Self>,
+        _projector: &Projector<Self>,
+        _numbers: &'a mut Numbers,
+        _active: Option<&'a [u32]>,
+    ) -> Option<Box<dyn Native<Self> + 'a>> {
+        None
+    }
+
+    /// Composites one tile together with the velocities of its pixels along up to four directions (`velocities`: one
+    /// row per splat, direction by direction; `moving`: red, green, blue and transmittance of each); `false` when there
+    /// is no kernel for it.
+    fn forward_moving(
+        _isa: Isa,
+        _tile: &mut ForwardTile<'_, Self>,
+        _velocities: &[[Self; 8]],
+        _moving: &mut [Self],
+    ) -> bool {
+        false
+    }
+
     /// Composites one tile with a vectorised kernel; `false` when there is none for this type.
     fn forward_tile(_isa: Isa, _tile: &mut ForwardTile<'_, Self>) -> bool {
         false
@@ -123,8 +150,22 @@ impl Real for f64 {
 impl Real for f32 {
     real_functions!(f32);
 
+    fn native<'a>(
+        isa: Isa,
+        gaussians: &'a Gaussians<f32>,
+        projector: &Projector<f32>,
+        numbers: &'a mut Numbers,
+        active: Option<&'a [u32]>,
+    ) -> Option<Box<dyn Native<f32> + 'a>> {
+        Some(Box::new(Work::new(isa, gaussians, projector, numbers, active)?))
+    }
+
+    fn forward_moving(isa: Isa, tile: &mut ForwardTile<'_, f32>, velocities: &[[f32; 8]], moving: &mut [f32]) -> bool {
+        super::kernel::vector_forward(isa, tile, velocities, moving)
+    }
+
     fn forward_tile(isa: Isa, tile: &mut ForwardTile<'_, f32>) -> bool {
-        super::kernel::vector_forward(isa, tile)
+        super::kernel::vector_forward(isa, tile, &[], &mut [])
     }
 
     fn backward_tile(isa: Isa, tile: &mut BackwardTile<'_, f32>) -> bool {

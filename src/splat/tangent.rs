@@ -4,7 +4,8 @@
 //!
 //! The decisions (which splats, in which order, what is left out, where a pixel stops) are those of the plain render,
 //! and so is the clamp of the pinhole's Jacobian: the derivative is that of the very function that is rendered.
-//! Here is the plain code for every number type: projection and compositing run in dual numbers.
+//! The vectorised kernels composite values and up to four velocities in one pass; the plain twin, for every number type,
+//! runs projection and compositing in dual numbers.
 
 use rayon::prelude::*;
 
@@ -13,14 +14,12 @@ use crate::ffi::splat::Aligned;
 
 use super::bin::TILE;
 use super::dual::Dual;
-use super::kernel::{self, ForwardTile, PIXELS, PLANES, Parts, pixel_of};
+use super::kernel::{self, ForwardTile, MOVING, PIXELS, PLANES, Parts, TOGETHER, pixel_of};
+use super::native::Numbers;
 use super::project::{Projector, Row, columns};
-use super::rasterizer::Rasterizer;
+use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
-use super::types::{Gaussians, Settings, Shape, View};
-
-/// Gaussians per task.
-const CHUNK: usize = 512;
+use super::types::{DepthOutput, Gaussians, Settings, Shape, View};
 
 /// How every Gaussian moves per unit of the unknown. One entry per Gaussian (not per active one); an empty slice is
 /// "not at all".
@@ -64,6 +63,10 @@ impl<T> Motion<'_, T> {
 /// A vector and its velocity.
 fn moving<T: Real>(value: [T; 3], velocity: [T; 3]) -> [Dual<T>; 3] {
     [0, 1, 2].map(|k| Dual::new(value[k], velocity[k]))
+}
+
+fn finite_or_zero<T: Real>(v: T) -> T {
+    if v.is_finite() { v } else { T::zero() }
 }
 
 fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
@@ -155,18 +158,99 @@ impl<T: Real> Rasterizer<T> {
                 _ => {}
             }
         }
-        self.render(gaussians, view, settings, active)?;
         let mut images = std::mem::take(&mut self.tangents);
         images.resize_with(directions.len(), Vec::new);
+        let done = self.render_moving(gaussians, view, settings, active, directions, &mut images)?;
+        if !done {
+            self.render(gaussians, view, settings, active)?;
+        }
         for (image, direction) in images.iter_mut().zip(directions) {
             image.resize(self.rendered.color.len(), T::zero());
             match direction {
                 Direction::Gain(gain) => self.gain_tangent(settings, gain.map(T::of), image),
+                _ if done => {}
                 _ => self.splat_tangent(gaussians, view, settings, direction, image)?,
             }
         }
         self.tangents = images;
         Ok(&self.tangents)
+    }
+
+    /// Renders and differentiates along all directions but the gain with the vectorised kernels, up to four at once;
+    /// `false` when there are none, or nothing for them to do.
+    fn render_moving(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        view: &View,
+        settings: &Settings,
+        active: Option<&[u32]>,
+        directions: &[Direction<'_, T>],
+        images: &mut [Vec<T>],
+    ) -> Result<bool> {
+        let is_motion = |d: &Direction<'_, T>| !matches!(d, Direction::Gain(_));
+        let moving: Vec<usize> = (0..directions.len()).filter(|&d| is_motion(&directions[d])).collect();
+        let projector = Projector::new(view, settings)?;
+        let usable = T::native(self.isa, gaussians, &projector, &mut Numbers::default(), None).is_some();
+        if moving.is_empty() || !usable || settings.depth == DepthOutput::Surface {
+            return Ok(false);
+        }
+        self.prepare(gaussians, view, settings, active)?;
+        for group in moving.chunks(TOGETHER) {
+            let mut velocities = std::mem::take(&mut self.velocities);
+            self.velocities_of(gaussians, &projector, group.iter().map(|&d| &directions[d]), &mut velocities);
+            self.composite(DepthOutput::Skip, &velocities, group.len());
+            self.velocities = velocities;
+            for (k, &d) in group.iter().enumerate() {
+                images[d].resize(view.camera.width as usize * view.camera.height as usize * 3, T::zero());
+                self.develop_moving(view, settings, [k, group.len()], &mut images[d]);
+            }
+        }
+        if settings.depth == DepthOutput::Expected {
+            self.composite(DepthOutput::Expected, &[], 0);
+        }
+        self.develop(view, settings);
+        Ok(true)
+    }
+
+    /// Velocities of all visible splats, direction by direction.
+    fn velocities_of<'d>(
+        &self,
+        gaussians: &Gaussians<T>,
+        projector: &Projector<T>,
+        directions: impl ExactSizeIterator<Item = &'d Direction<'d, T>>,
+        velocities: &mut Vec<[T; 8]>,
+    ) {
+        let (n, visible) = (self.rows.len(), &self.rendered.visible);
+        velocities.resize(n * directions.len(), [T::zero(); 8]);
+        let mut numbers = Numbers::default();
+        let native = T::native(self.isa, gaussians, projector, &mut numbers, self.active.as_deref());
+        for (rows, direction) in velocities.chunks_mut(n).zip(directions) {
+            rows.par_chunks_mut(CHUNK).zip(visible.par_chunks(CHUNK)).enumerate().for_each(|(c, (rows, visible))| {
+                if let Some(native) = &native {
+                    native.velocities(c * CHUNK, visible, direction, &mut rows[..visible.len()]);
+                }
+            });
+        }
+    }
+
+    /// Image of direction `k` of `directions` from the tiles' velocities.
+    fn develop_moving(&self, view: &View, settings: &Settings, [k, directions]: [usize; 2], image: &mut [T]) {
+        let width = view.camera.width as usize;
+        let (gain, background) = (settings.gain.map(T::of), settings.background.map(T::of));
+        let (tiles_x, size) = (self.bins.tiles_x, MOVING * PIXELS);
+        image.par_chunks_mut(3 * width * TILE).enumerate().for_each(|(tile_y, band)| {
+            for (line, pixels) in band.chunks_mut(3 * width).enumerate() {
+                for (piece, pixels) in pixels.chunks_mut(12).enumerate() {
+                    let tile = (tile_y * tiles_x + piece / 4) * directions + k;
+                    let p = kernel::index_of(piece % 4 * 4, line);
+                    let plane = |c: usize| &self.moving[tile * size + c * PIXELS + p..][..4];
+                    let (sums, left) = ([plane(0), plane(1), plane(2)], plane(3));
+                    for (i, pixel) in pixels.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                        *pixel = [0, 1, 2].map(|c| finite_or_zero(gain[c] * (sums[c][i] + left[i] * background[c])));
+                    }
+                }
+            }
+        });
     }
 
     /// The image before the gain, times the change of the gain.
@@ -236,7 +320,7 @@ impl<T: Real> Rasterizer<T> {
                 let left = state[4 * PIXELS + p].derivative;
                 for k in 0..3 {
                     let sum = state[k * PIXELS + p].derivative + left * background[k];
-                    image[3 * (y * width + x) + k] = if sum.is_finite() { gain[k] * sum } else { T::zero() };
+                    image[3 * (y * width + x) + k] = finite_or_zero(gain[k] * sum);
                 }
             }
         }

@@ -208,6 +208,11 @@ impl Wanted {
     /// Everything.
     pub const ALL: Wanted = Wanted(63);
 
+    /// The groups as bits, as the kernels know them.
+    pub(super) fn bits(self) -> u32 {
+        self.0 as u32
+    }
+
     /// True when `self` has any group of `other`.
     pub fn any(self, other: Wanted) -> bool {
         self.0 & other.0 != 0

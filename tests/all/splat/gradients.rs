@@ -118,8 +118,17 @@ fn f32_errors(scene: &Gaussians<f32>, view: &View, seed: u64) -> Vec<(String, f6
 
 #[test]
 fn single_precision_equals_double() {
-    for (seed, kind, lens) in [(21, Kind::Ellipsoids, Lens::Pinhole), (22, Kind::Discs, Lens::Fisheye)] {
-        let scene = random(60, kind, 2, seed).cast::<f32>();
+    for (seed, kind, lens, degree) in [
+        (21, Kind::Ellipsoids, Lens::Pinhole, 2),
+        (22, Kind::Discs, Lens::Fisheye, 2),
+        (23, Kind::Discs, Lens::Pinhole, 1),
+        (24, Kind::Discs, Lens::Pinhole, 0),
+        (25, Kind::Ellipsoids, Lens::Pinhole, 3),
+        (26, Kind::Discs, Lens::Pinhole, 3),
+        (27, Kind::Ellipsoids, Lens::Pinhole, 0),
+        (28, Kind::Ellipsoids, Lens::Pinhole, 1),
+    ] {
+        let scene = random(60, kind, degree, seed).cast::<f32>();
         for (name, error) in f32_errors(&scene, &view(lens), seed) {
             assert!(error <= 1e-4, "scene {seed}: {name} off by {error:e}");
         }

@@ -170,7 +170,7 @@ fn f32_errors(scene: &Gaussians<f32>, view: &View, seed: u64) -> Vec<(Isa, usize
     let exact = scene.cast::<f64>();
     let velocities = Velocities::new(&exact, seed);
     let narrow = velocities.cast();
-    let poses = (0..6).map(|k| unit(k));
+    let poses = (0..6).map(unit);
     let (mut wide_directions, mut directions) =
         (vec![Direction::Motion(velocities.motion())], vec![Direction::Motion(narrow.motion())]);
     wide_directions.extend(poses.clone().map(Direction::Pose));

@@ -1,0 +1,242 @@
+#pragma once
+// A vector of LANES floats as wide as the instruction set that a file is compiled for, in GCC vector extensions, with
+// the few operations that those lack; and tables of structures against vectors of fields. Everything has internal
+// linkage: code compiled for a wider instruction set must not be picked by the linker for everybody.
+#include <immintrin.h>
+
+#include <cstddef>
+#include <cstdint>
+
+namespace respire {
+namespace RESPIRE_ISA {
+namespace {
+
+#if defined(__AVX512F__)
+constexpr int LANES = 16;
+#elif defined(__AVX2__)
+constexpr int LANES = 8;
+#else
+constexpr int LANES = 4;
+#endif
+constexpr int PARTS = 16 / LANES;
+typedef float V __attribute__((vector_size(4 * LANES)));
+typedef int VI __attribute__((vector_size(4 * LANES)));
+typedef float V4 __attribute__((vector_size(16)));
+
+
+inline V all(float v) { return v - V{}; }
+
+#if defined(__AVX512F__)
+inline V fma(V a, V b, V c) { return (V)_mm512_fmadd_ps((__m512)a, (__m512)b, (__m512)c); }
+inline V fnma(V a, V b, V c) { return (V)_mm512_fnmadd_ps((__m512)a, (__m512)b, (__m512)c); }
+inline V least(V a, V b) { return (V)_mm512_min_ps((__m512)a, (__m512)b); }
+inline V keep_ge(V a, V b, V v) {
+  return (V)_mm512_maskz_mov_ps(_mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_GE_OQ), (__m512)v);
+}
+inline V keep_gt(V a, V b, V v) {
+  return (V)_mm512_maskz_mov_ps(_mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_GT_OQ), (__m512)v);
+}
+inline V pick_gt(V a, V b, V x, V y) {
+  return (V)_mm512_mask_mov_ps((__m512)y, _mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_GT_OQ), (__m512)x);
+}
+inline bool any(V a) { return _mm512_test_epi32_mask((__m512i)a, (__m512i)a) != 0; }
+inline V power2(V x, V p, V n) { (void)x; return (V)_mm512_scalef_ps((__m512)p, (__m512)n); }
+inline V nearest(V x) { return (V)_mm512_roundscale_ps((__m512)x, 8); }
+inline V reciprocal(V x) {
+  V r = (V)_mm512_rcp14_ps((__m512)x);
+  return r * fnma(x, r, all(2));
+}
+inline V4 fold(V v) {
+  __m256 h = _mm256_add_ps(_mm512_castps512_ps256((__m512)v),
+                           _mm256_castpd_ps(_mm512_extractf64x4_pd(_mm512_castps_pd((__m512)v), 1)));
+  return (V4)_mm_add_ps(_mm256_castps256_ps128(h), _mm256_extractf128_ps(h, 1));
+}
+#else
+inline V keep_ge(V a, V b, V v) { return (V)((VI)v & (VI)(a >= b)); }
+inline V keep_gt(V a, V b, V v) { return (V)((VI)v & (VI)(a > b)); }
+inline V power2(V x, V p, V n) {
+  // Below -126 the result is far under ALPHA_MIN whatever its exact value; the exponent must only not wrap.
+  (void)x;
+  V m = (V)__builtin_convertvector(n, VI);
+  VI e = (VI)m + 127;
+  e = e & (VI)(e > 0);
+  return p * (V)(e << 23);
+}
+#if defined(__AVX2__)
+inline V fma(V a, V b, V c) { return (V)_mm256_fmadd_ps((__m256)a, (__m256)b, (__m256)c); }
+inline V fnma(V a, V b, V c) { return (V)_mm256_fnmadd_ps((__m256)a, (__m256)b, (__m256)c); }
+inline V least(V a, V b) { return (V)_mm256_min_ps((__m256)a, (__m256)b); }
+inline V pick_gt(V a, V b, V x, V y) {
+  return (V)_mm256_blendv_ps((__m256)y, (__m256)x, _mm256_cmp_ps((__m256)a, (__m256)b, _CMP_GT_OQ));
+}
+inline bool any(V a) { return !_mm256_testz_si256((__m256i)a, (__m256i)a); }
+inline V nearest(V x) { return (V)_mm256_round_ps((__m256)x, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC); }
+inline V4 fold(V v) {
+  return (V4)_mm_add_ps(_mm256_castps256_ps128((__m256)v), _mm256_extractf128_ps((__m256)v, 1));
+}
+#else
+inline V fma(V a, V b, V c) { return a * b + c; }
+inline V fnma(V a, V b, V c) { return c - a * b; }
+inline V least(V a, V b) { return (V)_mm_min_ps((__m128)a, (__m128)b); }
+inline V pick_gt(V a, V b, V x, V y) { return (V)(((VI)x & (VI)(a > b)) | ((VI)y & ~(VI)(a > b))); }
+inline bool any(V a) { return _mm_movemask_epi8(_mm_cmpeq_epi32((__m128i)a, _mm_setzero_si128())) != 0xffff; }
+inline V nearest(V x) {
+  // Adding and taking away 1.5 * 2^23 rounds to the nearest integer (|x| < 2^22: see the clamp in exp2).
+  return (x + all(12582912.0f)) - all(12582912.0f);
+}
+inline V4 fold(V v) { return v; }
+#endif
+inline V reciprocal(V x) { return 1.0f / x; }
+#endif
+
+inline V load(const float* p) {
+  V v;
+  __builtin_memcpy(&v, p, sizeof v);
+  return v;
+}
+inline void store(float* p, V v) { __builtin_memcpy(p, &v, sizeof v); }
+
+
+#if defined(__AVX512F__)
+inline V square_root(V v) { return (V)_mm512_sqrt_ps((__m512)v); }
+inline V join(const __m128* p) {
+  __m512 v = _mm512_insertf32x4(_mm512_castps128_ps512(p[0]), p[1], 1);
+  return (V)_mm512_insertf32x4(_mm512_insertf32x4(v, p[2], 2), p[3], 3);
+}
+inline void split(V v, __m128* p) {
+  p[0] = _mm512_castps512_ps128((__m512)v);
+  p[1] = _mm512_extractf32x4_ps((__m512)v, 1);
+  p[2] = _mm512_extractf32x4_ps((__m512)v, 2);
+  p[3] = _mm512_extractf32x4_ps((__m512)v, 3);
+}
+#elif defined(__AVX2__)
+inline V square_root(V v) { return (V)_mm256_sqrt_ps((__m256)v); }
+inline V join(const __m128* p) { return (V)_mm256_insertf128_ps(_mm256_castps128_ps256(p[0]), p[1], 1); }
+inline void split(V v, __m128* p) {
+  p[0] = _mm256_castps256_ps128((__m256)v);
+  p[1] = _mm256_extractf128_ps((__m256)v, 1);
+}
+#else
+inline V square_root(V v) { return (V)_mm_sqrt_ps((__m128)v); }
+inline V join(const __m128* p) { return (V)p[0]; }
+inline void split(V v, __m128* p) { p[0] = (__m128)v; }
+#endif
+
+inline V pick(VI condition, V yes, V no) { return (V)(((VI)yes & condition) | ((VI)no & ~condition)); }
+inline V keep(VI condition, V v) { return (V)((VI)v & condition); }
+inline bool any_of(VI condition) { return any((V)condition); }
+inline V larger(V a, V b) { return pick(a > b, a, b); }
+inline V smaller(V a, V b) { return pick(a < b, a, b); }
+// 0 times infinity and infinities of both signs give NaN: a sum is finite only if every term is.
+inline VI finite(V v) { return (v - v) == V{}; }
+
+// log2 of a positive, finite, normal number: relative error of 2^result below 1e-6 for |result| < 16.
+inline V log2(V x) {
+  const VI bits = (VI)x;
+  // Mantissa in [sqrt(1/2), sqrt(2)).
+  const VI exponent = (bits - 0x3f3504f3) >> 23;
+  const V m = (V)(bits - (exponent << 23));
+  const V s = (m - 1.0f) / (m + 1.0f), ss = s * s;
+  V p = all(0.32059889f);
+  p = fma(p, ss, all(0.41219858f));
+  p = fma(p, ss, all(0.57707802f));
+  p = fma(p, ss, all(0.96179669f));
+  p = fma(p, ss, all(2.88539008f));
+  return fma(p, s, __builtin_convertvector(exponent, V));
+}
+
+// N < 4 floats, nothing read beyond.
+template <int N>
+inline __m128 load_few(const float* p) {
+  if (N == 1) return _mm_load_ss(p);
+  const __m128 two = _mm_castpd_ps(_mm_load_sd(reinterpret_cast<const double*>(p)));
+  return N == 2 ? two : _mm_movelh_ps(two, _mm_load_ss(p + 2));
+}
+
+template <int N>
+inline void store_few(float* p, __m128 v) {
+  if (N == 1) return _mm_store_ss(p, v);
+  _mm_store_sd(reinterpret_cast<double*>(p), _mm_castps_pd(v));
+  if (N == 3) _mm_store_ss(p + 2, _mm_movehl_ps(v, v));
+}
+
+// out[f] lane l = base[N * index[l] + f].
+template <int N>
+inline void gather(const float* base, const std::uint32_t* index, V* out) {
+  __m128 parts[N + 3][LANES / 4];
+  for (int g = 0; g < LANES / 4; ++g) {
+    const float* p[4];
+    for (int l = 0; l < 4; ++l) p[l] = base + static_cast<std::size_t>(N) * index[4 * g + l];
+    for (int f = 0; f + 4 <= N; f += 4) {
+      __m128 a = _mm_loadu_ps(p[0] + f), b = _mm_loadu_ps(p[1] + f), c = _mm_loadu_ps(p[2] + f), d = _mm_loadu_ps(p[3] + f);
+      _MM_TRANSPOSE4_PS(a, b, c, d);
+      parts[f][g] = a, parts[f + 1][g] = b, parts[f + 2][g] = c, parts[f + 3][g] = d;
+    }
+    if (N % 4) {
+      constexpr int R = N % 4 ? N % 4 : 1, F = N - N % 4;
+      __m128 a = load_few<R>(p[0] + F), b = load_few<R>(p[1] + F), c = load_few<R>(p[2] + F), d = load_few<R>(p[3] + F);
+      _MM_TRANSPOSE4_PS(a, b, c, d);
+      parts[F][g] = a, parts[F + 1][g] = b, parts[F + 2][g] = c;
+    }
+  }
+  for (int f = 0; f < N; ++f) out[f] = join(parts[f]);
+}
+
+// base[N * l + f] = in[f] lane l, for the first `count` lanes.
+template <int N>
+inline void scatter(float* base, int count, const V* in) {
+  __m128 parts[N + 3][LANES / 4];
+  for (int f = 0; f < N; ++f) split(in[f], parts[f]);
+  for (int g = 0; g < LANES / 4; ++g) {
+    for (int f = 0; f < N; f += 4) {
+      __m128 v[4] = {parts[f][g], _mm_setzero_ps(), _mm_setzero_ps(), _mm_setzero_ps()};
+      for (int k = 1; k < 4 && f + k < N; ++k) v[k] = parts[f + k][g];
+      _MM_TRANSPOSE4_PS(v[0], v[1], v[2], v[3]);
+      for (int l = 0; l < 4; ++l) {
+        if (4 * g + l >= count) break;
+        float* p = base + static_cast<std::size_t>(N) * (4 * g + l) + f;
+        if (f + 4 <= N) {
+          _mm_storeu_ps(p, v[l]);
+        } else {
+          store_few<N % 4 ? N % 4 : 1>(p, v[l]);
+        }
+      }
+    }
+  }
+}
+
+// A value and its derivative.
+struct Dual {
+  V v, d;
+};
+inline Dual operator+(Dual a, Dual b) { return {a.v + b.v, a.d + b.d}; }
+inline Dual operator-(Dual a, Dual b) { return {a.v - b.v, a.d - b.d}; }
+inline Dual operator-(Dual a) { return {-a.v, -a.d}; }
+inline Dual operator*(Dual a, Dual b) { return {a.v * b.v, a.d * b.v + a.v * b.d}; }
+inline Dual operator*(Dual a, float b) { return {a.v * b, a.d * b}; }
+inline Dual operator*(float a, Dual b) { return b * a; }
+inline Dual operator*(Dual a, V b) { return {a.v * b, a.d * b}; }
+inline Dual operator+(Dual a, float b) { return {a.v + b, a.d}; }
+inline Dual operator-(Dual a, float b) { return {a.v - b, a.d}; }
+inline Dual reciprocal_of(Dual a) {
+  const V r = 1.0f / a.v;
+  return {r, -a.d * r * r};
+}
+inline V reciprocal_of(V a) { return 1.0f / a; }
+inline Dual square_root(Dual a) {
+  const V r = square_root(a.v);
+  return {r, keep(r > 0.0f, a.d * 0.5f / r)};
+}
+inline V clamp(V a, float limit) { return smaller(larger(a, all(-limit)), all(limit)); }
+inline Dual clamp(Dual a, float limit) {
+  const V c = clamp(a.v, limit);
+  return {c, keep(c == a.v, a.d)};
+}
+inline V value(V a) { return a; }
+inline V value(Dual a) { return a.v; }
+inline void constant(V a, V* out) { *out = a; }
+inline void constant(V a, Dual* out) { *out = {a, V{}}; }
+
+}  // namespace
+}  // namespace RESPIRE_ISA
+}  // namespace respire

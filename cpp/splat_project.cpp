@@ -1,0 +1,177 @@
+// From Gaussians to splats, LANES at a time; compiled once per instruction set. The plain twin is src/splat/project.rs.
+#include "cpp/splat_project.h"
+
+namespace respire {
+namespace RESPIRE_ISA {
+namespace {
+
+struct Projection {
+  const Scene& s;
+  const ProjectChunk& o;
+
+  // Tile of a coordinate, clamped to the image.
+  static VI cell(V v, std::uint32_t tiles) {
+    return __builtin_convertvector(smaller(larger(v * 0.0625f, V{}), all(static_cast<float>(tiles) - 1.0f)), VI);
+  }
+
+  template <int DEGREE, int COLUMNS>
+  void run() const {
+    constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
+    const View& w = *s.view;
+    const std::size_t end = o.first + o.count;
+    for (std::size_t at = o.first; at < end; at += LANES) {
+      const std::size_t k0 = at - o.first;
+      const int count = end - at < LANES ? static_cast<int>(end - at) : LANES;
+      std::uint32_t index[LANES];
+      indices(s, at, end, index);
+      V offset[3];
+      gather<3>(s.positions, index, offset);
+      for (int k = 0; k < 3; ++k) offset[k] -= w.eye[k];
+      Geometry<V, COLUMNS> g;
+      turn(w, offset, g.t);
+      VI seen = g.t[2] >= w.near;
+      for (int l = 0; l < count; ++l) o.visible[k0 + l] = false;
+      if (!any_of(seen)) continue;
+      V opacity[1];
+      gather<1>(s.opacities, index, opacity);
+      const V log2_opacity = log2(opacity[0]);
+      const V reach = log2_opacity + REACH;
+      seen &= (reach > 0.0f) & finite(opacity[0]) & (opacity[0] > 1e-3f);
+      Shape<COLUMNS> shape;
+      shape.load(s, index);
+      for (int k = 0; k < COLUMNS; ++k) turn(w, shape.m[k], g.c[k]);
+      g.complete(w, offset);
+      const V scale = 2.0f / LOG2_E * reach;
+      const V half[2] = {square_root(scale * g.covariance[0]), square_root(scale * g.covariance[2])};
+      seen &= g.good;
+      for (int k = 0; k < 2; ++k) seen &= (g.point[k] + half[k] > 0.0f) & (g.point[k] - half[k] < w.size[k]);
+      if (!any_of(seen)) continue;
+      V sh[SH], color[3];
+      gather<SH>(s.sh, index, sh);
+      shown<V, DEGREE>(g.direction, sh, color);
+      seen &= finite(color[0] + color[1] + color[2]);
+      V row[16];
+      row[X] = g.point[0], row[Y] = g.point[1];
+      row[A] = 0.5f * LOG2_E * g.conic[0], row[B] = LOG2_E * g.conic[1], row[C] = 0.5f * LOG2_E * g.conic[2];
+      row[LOG2_OPACITY] = log2_opacity;
+      for (int k = 0; k < 3; ++k) row[RED + k] = larger(color[k], V{});
+      row[DEPTH] = g.t[2];
+      row[HALF_WIDTH] = half[0], row[HALF_HEIGHT] = half[1];
+      row[DISCRIMINANT] = -LOG2_E * LOG2_E * g.inverse_determinant;
+      row[13] = row[14] = row[15] = V{};
+      scatter<16>(o.rows + 16 * k0, count, row);
+      const VI low = cell(g.point[0] - half[0], o.tiles_x) | cell(g.point[1] - half[1], o.tiles_y) << 16;
+      const VI high = cell(g.point[0] + half[0], o.tiles_x) | cell(g.point[1] + half[1], o.tiles_y) << 16;
+      for (int l = 0; l < count; ++l) {
+        o.boxes[2 * (k0 + l)] = static_cast<std::uint32_t>(low[l]);
+        o.boxes[2 * (k0 + l) + 1] = static_cast<std::uint32_t>(high[l]);
+        o.visible[k0 + l] = seen[l] != 0;
+      }
+    }
+  }
+};
+
+// The splats' velocities along one direction. A velocity that is not finite is none.
+struct Velocity {
+  const Scene& s;
+  const TangentChunk& o;
+
+  template <int DEGREE, int COLUMNS>
+  void run() const {
+    constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
+    const View& w = *s.view;
+    const std::size_t end = o.first + o.count;
+    for (std::size_t at = o.first; at < end; at += LANES) {
+      const std::size_t k0 = at - o.first;
+      const int count = end - at < LANES ? static_cast<int>(end - at) : LANES;
+      bool seen = false;
+      for (int l = 0; l < count; ++l) seen |= o.visible[k0 + l];
+      if (!seen) continue;
+      std::uint32_t index[LANES];
+      indices(s, at, end, index);
+      V position[3], opacity[1], t[3], sh[SH];
+      gather<3>(s.positions, index, position);
+      gather<1>(s.opacities, index, opacity);
+      for (int k = 0; k < 3; ++k) position[k] -= w.eye[k];
+      turn(w, position, t);
+      Shape<COLUMNS> shape;
+      shape.load(s, index);
+      Dual offset[3], color[3];
+      Geometry<Dual, COLUMNS> g;
+      for (int k = 0; k < 3; ++k) offset[k].v = position[k], g.t[k].v = t[k];
+      for (int c = 0; c < COLUMNS; ++c) {
+        V turned[3];
+        turn(w, shape.m[c], turned);
+        for (int k = 0; k < 3; ++k) g.c[c][k].v = turned[k];
+      }
+      move(index, g, offset);
+      g.complete(w, offset);
+      gather<SH>(s.sh, index, sh);
+      shown<Dual, DEGREE>(g.direction, sh, color);
+      if (o.colors) {
+        V recolored[3];
+        gather<3>(o.colors, index, recolored);
+        for (int k = 0; k < 3; ++k) color[k].d += recolored[k];
+      }
+      const Dual a = 0.5f * LOG2_E * g.conic[0], b = LOG2_E * g.conic[1], c = 0.5f * LOG2_E * g.conic[2];
+      constexpr float LN_2 = 0.69314718f;
+      const V dx = g.point[0].d, dy = g.point[1].d;
+      V row[16];
+      row[VX] = LN_2 * (2.0f * a.v * dx + b.v * dy), row[VY] = LN_2 * (b.v * dx + 2.0f * c.v * dy);
+      row[VXX] = -LN_2 * a.d, row[VXY] = -LN_2 * b.d, row[VYY] = -LN_2 * c.d;
+      V sum = row[VX] + row[VY] + row[VXX] + row[VXY] + row[VYY];
+      for (int k = 0; k < 3; ++k) {
+        row[VRED + k] = keep(color[k].v > 0.0f, color[k].d);
+        sum += row[VRED + k];
+      }
+      const VI good = finite(sum);
+      for (int k = 0; k < 8; ++k) row[k] = keep(good, row[k]);
+      scatter<8>(o.rows + 8 * k0, count, row);
+    }
+  }
+
+  template <int COLUMNS>
+  void move(const std::uint32_t* index, Geometry<Dual, COLUMNS>& g, Dual* offset) const {
+    const View& w = *s.view;
+    V velocity[3] = {V{}, V{}, V{}}, turned[3];
+    if (o.pose) {
+      const float *omega = o.pose, *tau = o.pose + 3;
+      auto turning = [&](const Dual* v, int k) {
+        const int a = (k + 1) % 3, b = (k + 2) % 3;
+        return omega[a] * v[b].v - omega[b] * v[a].v;
+      };
+      // Turning leaves the eye where it is.
+      for (int k = 0; k < 3; ++k) velocity[k] = all(tau[k]);
+      turn_back(w, velocity, turned);
+      for (int k = 0; k < 3; ++k) offset[k].d = turned[k], g.t[k].d = turning(g.t, k) + tau[k];
+      for (int c = 0; c < COLUMNS; ++c)
+        for (int k = 0; k < 3; ++k) g.c[c][k].d = turning(g.c[c], k);
+      return;
+    }
+    if (o.positions) gather<3>(o.positions, index, velocity);
+    turn(w, velocity, turned);
+    for (int k = 0; k < 3; ++k) offset[k].d = velocity[k], g.t[k].d = turned[k];
+    V columns[3 * COLUMNS];
+    for (V& v : columns) v = V{};
+    if (o.shape) gather<3 * COLUMNS>(o.shape, index, columns);
+    for (int c = 0; c < COLUMNS; ++c) {
+      turn(w, columns + 3 * c, turned);
+      for (int k = 0; k < 3; ++k) g.c[c][k].d = turned[k];
+    }
+  }
+};
+
+}  // namespace
+
+void project(const Scene& scene, const ProjectChunk& chunk) {
+  const Projection f{scene, chunk};
+  for_scene(scene, f);
+}
+
+void velocities(const Scene& scene, const TangentChunk& chunk) {
+  const Velocity f{scene, chunk};
+  for_scene(scene, f);
+}
+
+}  // namespace RESPIRE_ISA
+}  // namespace respire

@@ -1,0 +1,43 @@
+//! The protocol that all methods share: frames in order, each timed alone; every eighth one is rendered before its image
+//! is looked at.
+
+use std::time::Instant;
+
+use crate::base::{Image, Progress, Result};
+use crate::splat::Rasterizer;
+
+use super::{FramePrediction, stop_if_cancelled};
+
+/// Every eighth frame is held out.
+const HELD_OUT_PERIOD: usize = 8;
+
+/// Whether `frame` is rendered before its image is looked at.
+pub fn held_out(frame: usize) -> bool {
+    frame % HELD_OUT_PERIOD == HELD_OUT_PERIOD - 1
+}
+
+/// Fits `frames` frames in order and hands out each answer. Returns the seconds spent in `fit`.
+pub fn fit_in_order(
+    frames: usize,
+    mut fit: impl FnMut(usize) -> Result<FramePrediction>,
+    emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
+    progress: &dyn Progress,
+) -> Result<f64> {
+    let mut seconds = 0.0;
+    for frame in 0..frames {
+        stop_if_cancelled(progress)?;
+        let start = Instant::now();
+        let prediction = fit(frame)?;
+        seconds += start.elapsed().as_secs_f64();
+        emit(prediction)?;
+        progress.advance(frame + 1, frames);
+    }
+    Ok(seconds)
+}
+
+/// The rendered colour, cut to what an image can show.
+pub fn color_image(rasterizer: &Rasterizer<f32>) -> Image<f32> {
+    let rendered = rasterizer.rendered();
+    let data = rendered.color.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+    Image { width: rendered.width, height: rendered.height, channels: 3, data }
+}

@@ -1,0 +1,117 @@
+//! The vectorised kernels for `f32` behind the generic code: what C++ (`cpp/splat_*.cpp`) takes over, if the
+//! instruction set and the camera allow. Each kernel has its plain twin in Rust.
+
+use crate::ffi::splat::{self as native, Aligned, ChainOutput, Isa, SplatMotion, SplatScene};
+
+use super::project::Projector;
+use super::real::Real;
+use super::tangent::Direction;
+use super::types::{Gaussians, Shape, Wanted};
+
+/// What kernels do for numbers of type `T` in one scene seen by one camera.
+pub trait Native<T: Real>: Sync {
+    /// Projects the Gaussians number `first..` of the active; where visible, their rows and boxes.
+    fn project(
+        &self,
+        first: usize,
+        tiles: [usize; 2],
+        rows: &mut [Aligned<T>],
+        boxes: &mut [[u32; 2]],
+        visible: &mut [bool],
+    );
+    /// Velocities of their splats along a direction other than the gain, where visible.
+    fn velocities(&self, first: usize, visible: &[bool], direction: &Direction<'_, T>, rows: &mut [[T; 8]]);
+    /// Their gradients from the moments in `slots[places[starts[k]..starts[k + 1]]]`.
+    fn chain(
+        &self,
+        first: usize,
+        starts: &[u32],
+        places: &[u32],
+        slots: &[Aligned<T>],
+        wanted: Wanted,
+        out: ChainOutput<'_, T>,
+    );
+}
+
+/// A scene and a view as the kernels take them.
+pub struct Work<'a> {
+    isa: Isa,
+    scene: SplatScene<'a>,
+}
+
+/// The numbers of the camera, as `View` of `cpp/splat_kernel.h` has them.
+pub type Numbers = [f32; 22];
+
+impl<'a> Work<'a> {
+    /// `None` where the plain twin has to do it: asked for, or a lens that the kernels do not know.
+    pub fn new(
+        isa: Isa,
+        gaussians: &'a Gaussians<f32>,
+        projector: &Projector<f32>,
+        numbers: &'a mut Numbers,
+        active: Option<&'a [u32]>,
+    ) -> Option<Self> {
+        if isa == Isa::Scalar || !projector.is_pinhole() {
+            return None;
+        }
+        *numbers = projector.numbers();
+        let (shape, scales): (&[f32], &[f32]) = match &gaussians.shape {
+            Shape::Ellipsoids { rotations, scales } => (rotations.as_flattened(), scales.as_flattened()),
+            Shape::Discs { axes } => (axes.as_flattened().as_flattened(), &[]),
+        };
+        let scene = SplatScene {
+            view: numbers,
+            positions: gaussians.positions.as_flattened(),
+            shape,
+            scales,
+            opacities: &gaussians.opacities,
+            sh: &gaussians.sh,
+            sh_degree: gaussians.sh_degree as u32,
+            active: active.unwrap_or_default(),
+            all: active.is_none(),
+        };
+        Some(Work { isa, scene })
+    }
+}
+
+impl Native<f32> for Work<'_> {
+    fn project(
+        &self,
+        first: usize,
+        tiles: [usize; 2],
+        rows: &mut [Aligned<f32>],
+        boxes: &mut [[u32; 2]],
+        visible: &mut [bool],
+    ) {
+        native::project(self.isa, &self.scene, first, tiles, rows, boxes, visible);
+    }
+
+    fn velocities(&self, first: usize, visible: &[bool], direction: &Direction<'_, f32>, rows: &mut [[f32; 8]]) {
+        let mut pose = [0.0; 6];
+        let motion = match direction {
+            Direction::Motion(m) => {
+                let axes = m.axes.as_flattened().as_flattened();
+                let shape = if axes.is_empty() { m.columns.as_flattened().as_flattened() } else { axes };
+                SplatMotion { positions: m.positions.as_flattened(), shape, colors: m.colors.as_flattened(), pose: &[] }
+            }
+            Direction::Pose(xi) => {
+                pose = xi.map(|v| v as f32);
+                SplatMotion { positions: &[], shape: &[], colors: &[], pose: &pose }
+            }
+            Direction::Gain(_) => SplatMotion { positions: &[], shape: &[], colors: &[], pose: &pose },
+        };
+        native::velocities(self.isa, &self.scene, first, visible, &motion, rows);
+    }
+
+    fn chain(
+        &self,
+        first: usize,
+        starts: &[u32],
+        places: &[u32],
+        slots: &[Aligned<f32>],
+        wanted: Wanted,
+        out: ChainOutput<'_, f32>,
+    ) {
+        native::chain(self.isa, &self.scene, first, starts, places, slots, wanted.bits(), out);
+    }
+}

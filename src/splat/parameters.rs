@@ -1,0 +1,176 @@
+//! The last stage of the backward pass: from the moments of all splats to the gradients of the active Gaussians and the
+//! camera, in chunks whose sums are added in their order.
+
+use rayon::prelude::*;
+
+use crate::ffi::splat::ChainOutput;
+
+use super::bin::cut;
+use super::chain::{One, ellipsoid_gradient, gradients_of_one};
+use super::kernel::moment;
+use super::native::Numbers;
+use super::project::Projector;
+use super::rasterizer::{CHUNK, Rasterizer};
+use super::real::Real;
+use super::types::{Gaussians, Shape, Wanted};
+
+impl<T: Real> Rasterizer<T> {
+    /// Gradients of the wanted groups from the moments in the slots.
+    pub(super) fn chain(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>, wanted: Wanted) {
+        let n = self.rendered.visible.len();
+        let stride = gaussians.sh_stride();
+        let discs = matches!(gaussians.shape, Shape::Discs { .. });
+        let size = |group: Wanted| if wanted.any(group) { n } else { 0 };
+        let out = &mut self.gradients;
+        let zero = [T::zero(); 3];
+        out.positions.resize(size(Wanted::POSITIONS), zero);
+        out.rotations.resize(if discs { 0 } else { size(Wanted::SHAPES) }, [T::zero(); 4]);
+        out.scales.resize(if discs { 0 } else { size(Wanted::SHAPES) }, zero);
+        out.axes.resize(if discs { size(Wanted::SHAPES) } else { 0 }, [zero; 2]);
+        out.opacities.resize(size(Wanted::OPACITIES), T::zero());
+        out.sh.resize(size(Wanted::SH) * stride, T::zero());
+        out.pose = [0.0; 6];
+        if !wanted.any(Wanted::POSITIONS | Wanted::SHAPES | Wanted::OPACITIES | Wanted::SH | Wanted::POSE) {
+            return;
+        }
+        let chunks = n.div_ceil(CHUNK);
+        let lengths = |group: usize, per: usize| {
+            (0..chunks).map(move |c| if group == 0 { 0 } else { per * (CHUNK.min(n - c * CHUNK)) })
+        };
+        let tasks: Vec<Task<'_, T>> = cut(&mut out.positions, lengths(size(Wanted::POSITIONS), 1))
+            .into_iter()
+            .zip(cut(&mut out.rotations, lengths(if discs { 0 } else { size(Wanted::SHAPES) }, 1)))
+            .zip(cut(&mut out.scales, lengths(if discs { 0 } else { size(Wanted::SHAPES) }, 1)))
+            .zip(cut(&mut out.axes, lengths(if discs { size(Wanted::SHAPES) } else { 0 }, 1)))
+            .zip(cut(&mut out.opacities, lengths(size(Wanted::OPACITIES), 1)))
+            .zip(cut(&mut out.sh, lengths(size(Wanted::SH), stride)))
+            .enumerate()
+            .map(|(chunk, (((((positions, rotations), scales), axes), opacities), sh))| Task {
+                first: chunk * CHUNK,
+                count: CHUNK.min(n - chunk * CHUNK),
+                positions,
+                rotations,
+                scales,
+                axes,
+                opacities,
+                sh,
+            })
+            .collect();
+        let active = self.active.as_deref();
+        let mut numbers = Numbers::default();
+        let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
+        let (starts, places) = self.bins.places();
+        let slots = &self.slots;
+        let poses: Vec<[f64; 6]> = tasks
+            .into_par_iter()
+            .map(|mut task| {
+                let starts = &starts[task.first..=task.first + task.count];
+                if let Some(native) = &native {
+                    let mut pose = [0.0; 6];
+                    native.chain(task.first, starts, places, slots, wanted, task.outputs(&mut pose));
+                    return pose;
+                }
+                task.plain(gaussians, projector, active, starts, |e| &slots[places[e] as usize].0, wanted)
+            })
+            .collect();
+        for pose in poses {
+            for k in 0..6 {
+                self.gradients.pose[k] += pose[k];
+            }
+        }
+    }
+}
+
+/// A chunk of Gaussians and the places their gradients go to (empty where not wanted).
+struct Task<'a, T> {
+    first: usize,
+    count: usize,
+    positions: &'a mut [[T; 3]],
+    rotations: &'a mut [[T; 4]],
+    scales: &'a mut [[T; 3]],
+    axes: &'a mut [[[T; 3]; 2]],
+    opacities: &'a mut [T],
+    sh: &'a mut [T],
+}
+
+impl<T: Real> Task<'_, T> {
+    fn outputs<'a>(&'a mut self, pose: &'a mut [f64; 6]) -> ChainOutput<'a, T> {
+        let discs = self.axes.as_flattened_mut().as_flattened_mut();
+        ChainOutput {
+            positions: self.positions.as_flattened_mut(),
+            shape: if discs.is_empty() { self.rotations.as_flattened_mut() } else { discs },
+            scales: self.scales.as_flattened_mut(),
+            opacities: self.opacities,
+            sh: self.sh,
+            pose,
+        }
+    }
+
+    /// The plain twin of the vectorised chain; returns the pose.
+    fn plain<'s>(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        projector: &Projector<T>,
+        active: Option<&[u32]>,
+        starts: &[u32],
+        slot: impl Fn(usize) -> &'s [T; 16],
+        wanted: Wanted,
+    ) -> [f64; 6] {
+        let stride = gaussians.sh_stride();
+        let mut pose = [0.0; 6];
+        for k in 0..self.count {
+            let i = active.map_or(self.first + k, |list| list[self.first + k] as usize);
+            let entries = starts[k] as usize..starts[k + 1] as usize;
+            let by_sh = self.sh.get_mut(k * stride..(k + 1) * stride).unwrap_or_default();
+            let one =
+                moments(entries.map(&slot)).and_then(|m| gradients_of_one(projector, gaussians, i, &m, wanted, by_sh));
+            if wanted.any(Wanted::POSE) {
+                let parts = one.as_ref().map_or([T::zero(); 6], |one| one.pose);
+                pose.iter_mut().zip(parts).for_each(|(sum, part)| *sum += part.to_f64());
+            }
+            self.write(k, i, one.as_ref(), gaussians, stride, wanted);
+        }
+        pose
+    }
+
+    fn write(
+        &mut self,
+        k: usize,
+        i: usize,
+        one: Option<&One<T>>,
+        gaussians: &Gaussians<T>,
+        stride: usize,
+        wanted: Wanted,
+    ) {
+        let zero = [T::zero(); 3];
+        if let Some(place) = self.positions.get_mut(k) {
+            *place = one.map_or(zero, |one| one.position);
+        }
+        if let Some(place) = self.axes.get_mut(k) {
+            *place = one.map_or([zero; 2], |one| [one.columns[0], one.columns[1]]);
+        }
+        if let (Some(rotation), Some(scale)) = (self.rotations.get_mut(k), self.scales.get_mut(k)) {
+            (*rotation, *scale) =
+                one.map_or(([T::zero(); 4], zero), |one| ellipsoid_gradient(&gaussians.shape, i, &one.columns));
+        }
+        if let Some(place) = self.opacities.get_mut(k) {
+            *place = one.map_or(T::zero(), |one| one.opacity);
+        }
+        // The coefficients of a splat that is seen were written in passing.
+        if wanted.any(Wanted::SH) && one.is_none() {
+            self.sh[k * stride..(k + 1) * stride].fill(T::zero());
+        }
+    }
+}
+
+/// Sum of the moments of one splat over its tiles; `None` when it has none.
+fn moments<'s, T: Real>(slots: impl Iterator<Item = &'s [T; 16]>) -> Option<[T; 16]> {
+    let mut total: Option<[T; 16]> = None;
+    for slot in slots {
+        match &mut total {
+            None => total = Some(*slot),
+            Some(sum) => (0..moment::RED + 3).for_each(|k| sum[k] += slot[k]),
+        }
+    }
+    total
+}
