@@ -26,7 +26,7 @@ fn main() -> Result<()> {
         height_px: 180,
         frames_per_second: 0.5,
         frames: 9,
-        samples_per_pixel: 64,
+        samples_per_pixel: 24,
         meshes: MeshOutput::EndStates,
         radiance: RadianceOutput::None,
         truth: TruthSet::default(),
