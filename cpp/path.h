@@ -120,7 +120,7 @@ class PathIntegrator {
   }
 
   // Like `camera_sample`, with the light that other walls send, and that walks in the wall, taken from the vertices:
-  // `known` holds kKnownValues per vertex, the first negative where nothing is known. There a path is traced instead.
+  // `known` holds kKnownValues per vertex, negative where nothing is known. There a path is traced instead.
   void known_sample(Vec3 direction, const Hit* hit, rust::Slice<const float> known, Sampler& sampler, float* film) {
     ++counters.paths;
     if (!hit) {
@@ -481,7 +481,7 @@ class PathIntegrator {
     light = {0, 0, 0};
     for (int k = 0; k < 3; ++k) {
       const float* value = known.data() + kKnownValues * corners[k];
-      if (value[0] < 0.0f) continue;
+      if (value[offset] < 0.0f) continue;
       light += load(value + offset) * w[k];
       total += w[k];
     }
@@ -498,8 +498,9 @@ class PathIntegrator {
     const Vec3 from = s.point + s.geometric * kOffset;
     Hit hit;
     if (!intersect(from, direction, hit)) return background_ * weight;
+    // What no ray from a seen face has met in four generations hardly gets light by way of walls.
     Vec3 light;
-    if (!known_light(known, hit, 3, light)) return reflected(hit, from, direction, Vec3{weight, weight, weight}, 2, sampler) * weight;
+    if (!known_light(known, hit, 3, light)) light = {0, 0, 0};
     const Surface met = surface(hit, from, direction);
     // Glare in a mirror would be all noise: the coat met there is taken as diffuse.
     const float e = tracer_.mean_coat_;

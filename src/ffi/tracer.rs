@@ -226,7 +226,7 @@ impl MeshTracer {
     }
 
     /// Adds a tile's samples to its film ([`FILM_CHANNELS`] values per pixel). `corners`: directions in camera axes
-    /// through the (width + 1) x (height + 1) pixel corners of the image. `known`: [`KNOWN_VALUES`] per vertex, the first
+    /// through the (width + 1) x (height + 1) pixel corners of the image. `known`: [`KNOWN_VALUES`] per vertex,
     /// negative where nothing is known, or empty: then all light is traced.
     pub fn trace_tile(
         &self,

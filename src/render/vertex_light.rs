@@ -36,7 +36,7 @@ const MOST_STEPS: u32 = 256;
 
 /// What was found.
 pub(super) struct VertexLight {
-    /// [`KNOWN_VALUES`] per vertex, -1 where nothing is known.
+    /// [`KNOWN_VALUES`] per vertex, -1 for what is not known.
     pub known: Vec<f32>,
     /// Rays it took.
     pub rays: u64,
@@ -88,7 +88,8 @@ pub(super) fn vertex_light(
     let generations = gather(scene, frame, &vertices, rays_per_face, &mut faces, &mut rays)?;
     let lamp = lamp(scene, frame, &faces.list, &mut rays)?;
     let irradiance = solve(frame, &faces, &generations, &lamp);
-    Ok(VertexLight { known: at_vertices(scene, &vertices, &faces, &lamp, &irradiance), rays })
+    let solved = generations.iter().map(|g| g.hits.len() / g.per_face).sum();
+    Ok(VertexLight { known: at_vertices(scene, &vertices, &faces, &lamp, &irradiance, solved), rays })
 }
 
 /// Corners of the seen faces, each once.
@@ -188,25 +189,35 @@ fn step(frame: &FrameSettings, faces: &Faces, generations: &[Generation], sent: 
     next
 }
 
-fn at_vertices(scene: &Scene, vertices: &[u32], faces: &Faces, lamp: &[f32], irradiance: &[Rgb]) -> Vec<f32> {
+fn at_vertices(
+    scene: &Scene,
+    vertices: &[u32],
+    faces: &Faces,
+    lamp: &[f32],
+    irradiance: &[Rgb],
+    solved: usize,
+) -> Vec<f32> {
     let received: Vec<Rgb> =
         lamp.chunks_exact(LAMP_VALUES).zip(irradiance).map(|(l, e)| std::array::from_fn(|c| l[c] + e[c])).collect();
-    let values: Vec<[f32; KNOWN_VALUES]> = vertices
-        .par_iter()
-        .map(|&v| {
-            let mut value = [0.0; KNOWN_VALUES];
-            value[..3].copy_from_slice(&scene.tissue.light(v, |face| received[faces.place(face)]));
-            let around = scene.topology.faces_around(v);
-            for &face in around {
-                let light = irradiance[faces.place(face)];
-                (0..3).for_each(|c| value[3 + c] += light[c] / around.len() as f32);
-            }
-            value
-        })
-        .collect();
+    let walked: Vec<Rgb> =
+        vertices.par_iter().map(|&v| scene.tissue.light(v, |face| received[faces.place(face)])).collect();
     let mut known = vec![-1.0; scene.topology.vertex_count() * KNOWN_VALUES];
-    for (&v, value) in vertices.iter().zip(&values) {
-        known[v as usize * KNOWN_VALUES..][..KNOWN_VALUES].copy_from_slice(value);
+    for (&v, light) in vertices.iter().zip(&walked) {
+        known[v as usize * KNOWN_VALUES..][..3].copy_from_slice(light);
+    }
+    // Also where the camera does not look: the coat mirrors it.
+    let mut counts = vec![0u32; scene.topology.vertex_count()];
+    for (&face, light) in faces.list.iter().zip(irradiance).take(solved) {
+        for v in scene.topology.faces[face as usize].map(|v| v as usize) {
+            let sum = &mut known[v * KNOWN_VALUES + 3..][..3];
+            for c in 0..3 {
+                sum[c] = if counts[v] == 0 { light[c] } else { sum[c] + light[c] };
+            }
+            counts[v] += 1;
+        }
+    }
+    for (v, &count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
+        known[v * KNOWN_VALUES + 3..][..3].iter_mut().for_each(|e| *e /= count as f32);
     }
     spread(scene, vertices, &mut known);
     known
@@ -223,20 +234,26 @@ fn spread(scene: &Scene, vertices: &[u32], known: &mut [f32]) {
         beyond.dedup();
         let means: Vec<[f32; KNOWN_VALUES]> = beyond.iter().map(|&v| mean_around(scene, v, known)).collect();
         for (&v, value) in beyond.iter().zip(&means) {
-            known[v as usize * KNOWN_VALUES..][..KNOWN_VALUES].copy_from_slice(value);
+            for (c, own) in known[v as usize * KNOWN_VALUES..][..KNOWN_VALUES].iter_mut().enumerate() {
+                if *own < 0.0 {
+                    *own = value[c];
+                }
+            }
         }
         edge = beyond;
     }
 }
 
+/// Means over the neighbours of which something is known; -1 where of none.
 fn mean_around(scene: &Scene, vertex: u32, known: &[f32]) -> [f32; KNOWN_VALUES] {
-    let (mut sum, mut count) = ([0.0; KNOWN_VALUES], 0.0f32);
+    let (mut sum, mut count) = ([0.0; KNOWN_VALUES], [0u32; KNOWN_VALUES]);
     for n in scene.topology.neighbours(vertex) {
-        let value = &known[n as usize * KNOWN_VALUES..][..KNOWN_VALUES];
-        if value[0] >= 0.0 {
-            (0..KNOWN_VALUES).for_each(|c| sum[c] += value[c]);
-            count += 1.0;
+        for (c, &value) in known[n as usize * KNOWN_VALUES..][..KNOWN_VALUES].iter().enumerate() {
+            if value >= 0.0 {
+                sum[c] += value;
+                count[c] += 1;
+            }
         }
     }
-    sum.map(|v| v / count.max(1.0))
+    std::array::from_fn(|c| if count[c] > 0 { sum[c] / count[c] as f32 } else { -1.0 })
 }

@@ -161,9 +161,11 @@ fn a_blurred_frame_is_the_mean_over_the_open_shutter() {
     let still = |time_s: f64, samples_per_pixel: u32| {
         let render_settings = RenderSettings {
             samples_per_pixel,
+            // What noise lies on the tissue follows from the seed, the camera's samples from the frame's number.
             transport: Transport::VERTICES,
             shading: Shading::Smooth,
-            seed: 77,
+            seed: held.seed,
+            frame: 77,
             ..RenderSettings::default()
         };
         render(&scene, &plan.camera, &plan.state_at(time_s).0, &light, &render_settings).unwrap().radiance.data
