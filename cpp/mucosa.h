@@ -136,8 +136,10 @@ inline MucosaPoint mucosa_at(const MucosaLook& look, Vec3 base, Vec3 rest_mm, Ve
   float blood = look.blotches * (0.55f * coarse + 0.5f * medium) + 0.03f * std::min(generation, 8.0f);
   float vessel = 0.0f;
   if (look.vessels > 0.0f) {
-    float large = vessel_coverage(warped, normal, 4.2f, 0.42f, footprint_mm, 0.35f, look.seed + 3);
-    float small = vessel_coverage(warped, normal, 1.5f, 0.2f, footprint_mm, 0.45f, look.seed + 4);
+    // Finer in smaller airways, where the scope is close to the wall, too.
+    float calibre = mix(1.0f, 0.5f, clamp(0.25f * generation, 0.0f, 1.0f));
+    float large = vessel_coverage(warped, normal, 4.2f, 0.36f * calibre, footprint_mm, 0.35f, look.seed + 3);
+    float small = vessel_coverage(warped, normal, 1.5f, 0.18f * calibre, footprint_mm, 0.4f, look.seed + 4);
     vessel = look.vessels * std::max(large, 0.7f * small);
   }
   float slope, ring = ring_profile(axial_mm, std::max(look.ring_spacing_mm, 0.1f), slope);
@@ -147,8 +149,8 @@ inline MucosaPoint mucosa_at(const MucosaLook& look, Vec3 base, Vec3 rest_mm, Ve
   auto fade = [](float rate) { return 1.0f / (1.0f + rate); };
   float red = fade(0.16f * depth) * 1.16f, green = fade(0.5f * depth) * 1.5f, blue = fade(0.46f * depth) * 1.46f;
   out.albedo = base * Vec3{red, green, blue};
-  out.albedo = out.albedo * Vec3{1.0f - 0.25f * std::min(vessel, 1.3f), 1.0f - 0.62f * std::min(vessel, 1.3f),
-                                 1.0f - 0.52f * std::min(vessel, 1.3f)};
+  out.albedo = out.albedo * Vec3{1.0f - 0.2f * std::min(vessel, 1.3f), 1.0f - 0.52f * std::min(vessel, 1.3f),
+                                 1.0f - 0.44f * std::min(vessel, 1.3f)};
   out.albedo = {clamp(out.albedo.x, 0.02f, 0.95f), clamp(out.albedo.y, 0.02f, 0.95f), clamp(out.albedo.z, 0.02f, 0.95f)};
 
   Vec3 g1, g2;

@@ -44,7 +44,11 @@ class FloatMode {
 constexpr std::size_t kFilmChannels = 19;
 
 // Cartilage: full in trachea and main bronchi, gone from generation 4 on.
-inline float ring_weight(float generation) { return 1.0f - smoothstep(1.2f, 4.0f, generation); }
+// The back wall of trachea and main bronchi is a membrane without it: LPS, y to the back, `rest_normal` into the lumen.
+inline float ring_weight(float generation, Vec3 rest_normal) {
+  const float membrane = smoothstep(0.4f, 0.8f, -rest_normal.y) * (1.0f - smoothstep(1.0f, 2.2f, generation));
+  return (1.0f - smoothstep(1.2f, 4.0f, generation)) * (1.0f - membrane);
+}
 
 struct Surface {
   Vec3 point, geometric, smooth, shading;  // normals: unit, on the side of the viewer
@@ -202,10 +206,12 @@ class PathIntegrator {
     };
     const Vec3 rest0 = load(&t.rest_[3ull * face[0]]);
     const Vec3 rest1 = load(&t.rest_[3ull * face[1]]) - rest0, rest2 = load(&t.rest_[3ull * face[2]]) - rest0;
-    const float generation = scalar(t.generations_), axial = scalar(t.axial_mm_), rings = ring_weight(generation);
+    const Vec3 rest_normal = unit_or_zero(cross(rest1, rest2));
+    const float generation = scalar(t.generations_), axial = scalar(t.axial_mm_);
+    const float rings = ring_weight(generation, rest_normal);
     const float footprint = hit.t * frame_.pixel_angle;
     const MucosaPoint m = mucosa_at(t.look_, t.albedo_, rest0 + rest1 * hit.u + rest2 * hit.v,
-                                    unit_or_zero(cross(rest1, rest2)), axial, rings, generation, footprint);
+                                    rest_normal, axial, rings, generation, footprint);
     s.albedo = m.albedo;
     s.alpha = mix(t.alpha_low_, t.alpha_high_, m.roughness);
     // The relief's change along two edges of the rest triangle is its change along the deformed ones.

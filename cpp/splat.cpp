@@ -122,10 +122,8 @@ void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, r
   const Scene s = scene_of(scene, view, first, count);
   for (std::size_t k = 0; k < count; ++k) require(starts[k] <= starts[k + 1], "entries of a splat are out of order");
   require(starts[count] <= places.size(), "a splat has more entries than there are");
-  std::uint32_t most = 0;
-  for (std::size_t e = starts[0]; e < starts[count]; ++e) most = places[e] > most ? places[e] : most;
-  require(starts[0] == starts[count] || most < slots.size() / 16, "an entry has no slot");
-  const ChainChunk chunk{first,          count,         starts.data(),    places.data(), slots.data(), wanted,
+  require(starts[0] == starts[count] || slots.size() >= 16, "an entry has no slot");
+  const ChainChunk chunk{first,          count,         starts.data(),    places.data(), slots.data(), slots.size() / 16, wanted,
                          positions.data(), shape.data(), scales.data(), opacities.data(), sh.data(),    pose.data()};
   CALL(isa, chain, s, chunk)
 }

@@ -15,20 +15,18 @@ namespace {
 constexpr float ALPHA_MIN = 1.0f / 255.0f;
 constexpr float ALPHA_MAX = 0.99f;
 constexpr float STOP = 1e-4f;
-constexpr float LOG2_255 = 7.994353436858858f;
 
-// 2^x for x <= 127, relative error 2e-7 (Taylor polynomial of degree 6 of 2^f, |f| <= 1/2).
+// 2^x for x <= 127, relative error 1.5e-7 (minimax polynomial of degree 5 of 2^f, |f| <= 1/2).
 inline V exp2(V x) {
 #if !defined(__AVX512F__)
   x = pick_gt(x, all(-1000.0f), x, all(-1000.0f));
 #endif
   V n = nearest(x), f = x - n;
-  V p = all(1.5397100e-4f);
-  p = fma(p, f, all(1.3335997e-3f));
-  p = fma(p, f, all(9.6181290e-3f));
-  p = fma(p, f, all(5.5504109e-2f));
-  p = fma(p, f, all(2.4022651e-1f));
-  p = fma(p, f, all(6.9314718e-1f));
+  V p = all(1.327647198e-3f);
+  p = fma(p, f, all(9.675541334e-3f));
+  p = fma(p, f, all(5.550713274e-2f));
+  p = fma(p, f, all(2.402211972e-1f));
+  p = fma(p, f, all(6.931469671e-1f));
   p = fma(p, f, all(1.0f));
   return power2(x, p, n);
 }
@@ -41,7 +39,6 @@ alignas(64) const float LINE[16] = {.5, .5, .5, .5, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5
 // four bands side by side in one vector, against the four columns of blocks.
 inline std::uint32_t block_mask(const float* q, float tile_x, float tile_y) {
   const __m128 zero = _mm_setzero_ps();
-  const float reach = q[LOG2_OPACITY] + LOG2_255;
   const float slack = 1e-3f + 1e-5f * (q[HALF_WIDTH] + q[HALF_HEIGHT]);
   const float hy = q[HALF_HEIGHT] + slack;
   const __m128 y0 = _mm_add_ps(_mm_setr_ps(0.5f, 4.5f, 8.5f, 12.5f), _mm_set1_ps(tile_y - q[Y]));
@@ -49,12 +46,11 @@ inline std::uint32_t block_mask(const float* q, float tile_x, float tile_y) {
   const __m128 lo = _mm_max_ps(y0, _mm_set1_ps(-hy)), hi = _mm_min_ps(y1, _mm_set1_ps(hy));
   const __m128 inside = _mm_cmple_ps(lo, hi);
   // The ellipse is widest to the right at y = -B half_width / (2 C), to the left at the opposite point.
-  const float widest = -0.5f * q[B] * q[HALF_WIDTH] / q[C];
+  const float widest = q[WIDEST];
   const __m128 y_right = _mm_min_ps(_mm_max_ps(_mm_set1_ps(widest), lo), hi);
   const __m128 y_left = _mm_min_ps(_mm_max_ps(_mm_set1_ps(-widest), lo), hi);
-  const float half_over_a = 0.5f / q[A];
-  const __m128 d = _mm_set1_ps(q[DISCRIMINANT]), k = _mm_set1_ps(4 * q[A] * reach);
-  const __m128 b = _mm_set1_ps(-q[B]), scale = _mm_set1_ps(half_over_a);
+  const __m128 d = _mm_set1_ps(q[DISCRIMINANT]), k = _mm_set1_ps(q[FOUR_A_REACH]);
+  const __m128 b = _mm_set1_ps(-q[B]), scale = _mm_set1_ps(q[HALF_OVER_A]);
   auto root = [&](__m128 y) { return _mm_sqrt_ps(_mm_max_ps(_mm_add_ps(_mm_mul_ps(_mm_mul_ps(d, y), y), k), zero)); };
   const float offset = q[X] - tile_x - 0.5f;
   __m128 right = _mm_mul_ps(scale, _mm_add_ps(_mm_mul_ps(b, y_right), root(y_right)));

@@ -8,7 +8,8 @@
 namespace respire {
 
 // Columns of the tables; the same as in src/splat/project.rs and src/splat/kernel.rs.
-enum Row { X, Y, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, DISCRIMINANT };
+enum Row { X, Y, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, DISCRIMINANT,
+           WIDEST, HALF_OVER_A, FOUR_A_REACH };
 enum Moment { S, SX, SY, SXX, SXY, SYY, SDEPTH, SPAD, SRED, SGREEN, SBLUE };
 
 // Velocity of a splat along a direction, times ln 2: d log(alpha) = (VX + VXX dx + VXY dy) dx + (VY + VYY dy) dy.
@@ -56,6 +57,7 @@ struct ChainChunk {
   const std::uint32_t* starts;  // entries of number k are places[starts[k]..starts[k + 1]]
   const std::uint32_t* places;
   const float* slots;
+  std::size_t slot_count;
   std::uint32_t wanted;
   float *positions, *shape, *scales, *opacities, *sh;  // out, those that are wanted
   double* pose;                                        // out, 6

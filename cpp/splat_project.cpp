@@ -58,7 +58,9 @@ struct Projection {
       row[DEPTH] = g.t[2];
       row[HALF_WIDTH] = half[0], row[HALF_HEIGHT] = half[1];
       row[DISCRIMINANT] = -LOG2_E * LOG2_E * g.inverse_determinant;
-      row[13] = row[14] = row[15] = V{};
+      row[WIDEST] = -0.5f * row[B] * half[0] / row[C];
+      row[HALF_OVER_A] = 0.5f / row[A];
+      row[FOUR_A_REACH] = 4.0f * row[A] * reach;
       scatter<16>(o.rows + 16 * k0, count, row);
       const VI low = cell(g.point[0] - half[0], o.tiles_x) | cell(g.point[1] - half[1], o.tiles_y) << 16;
       const VI high = cell(g.point[0] + half[0], o.tiles_x) | cell(g.point[1] + half[1], o.tiles_y) << 16;

@@ -145,7 +145,7 @@ void Tracer::bake_albedo() {
       std::uint32_t v = face[k];
       Vec3 p = corner[k] * (2.0f / 3.0f) + (corner[(k + 1) % 3] + corner[(k + 2) % 3]) * (1.0f / 6.0f);
       MucosaPoint m = mucosa_at(look_, albedo_, p, unit_or_zero(normal), axial_mm_[v],
-                                ring_weight(generations_[v]), generations_[v], 0.0f);
+                                ring_weight(generations_[v], unit_or_zero(normal)), generations_[v], 0.0f);
       store(&vertex_albedo_[3 * v], load(&vertex_albedo_[3 * v]) + m.albedo * area);
       weights[v] += area;
     }

@@ -69,13 +69,13 @@ fn main() {
     let gradient = ImageGradient { color: &color, ..ImageGradient::default() };
     let velocities: Vec<[f32; 3]> = scene.positions.iter().map(|p| [0.1 * p[0], 0.1 * p[1], 1.0]).collect();
     let motion = Direction::Motion(Motion { positions: &velocities, ..Motion::default() });
-    let (mut walls, mut cpus) = (vec![Vec::new(); 7], vec![Vec::new(); 7]);
+    let (mut walls, mut cpus) = (vec![Vec::new(); 6], vec![Vec::new(); 6]);
     let (mut forwards, mut boths, mut tangents) = ([Vec::new(), Vec::new()], [Vec::new(), Vec::new()], Vec::new());
     for _ in 0..repetitions {
         rasterizer.render(&scene, &view, &settings, None).expect("a good scene");
         rasterizer.backward(&scene, &gradient, Wanted::ALL).expect("a good gradient");
         let times = rasterizer.stage_times();
-        for k in 0..7 {
+        for k in 0..6 {
             walls[k].push(times.wall_s[k]);
             cpus[k].push(times.cpu_s[k]);
         }

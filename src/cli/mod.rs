@@ -21,6 +21,7 @@ mod render;
 mod run;
 mod selection;
 mod simulate;
+mod splat;
 mod terminal;
 mod watch;
 
@@ -76,6 +77,8 @@ commands! {
     Pareto => pareto,
     /// Path-trace one scene file: linear EXR, depth EXR, timing JSON
     Render => render,
+    /// Rasterise a 3DGS .ply: images, depth, alpha, timing; gradients of a weighted sum
+    Splat => splat,
 }
 
 /// How accurate is a method that reconstructs a breathing airway from bronchoscopy video, and what does it cost?

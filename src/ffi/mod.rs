@@ -6,6 +6,7 @@
 
 pub mod embree;
 pub mod splat;
+pub mod splat_image;
 pub mod system;
 pub mod tracer;
 pub mod versions;

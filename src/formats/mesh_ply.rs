@@ -7,14 +7,14 @@ use glam::DVec3;
 use crate::base::{Error, Result, TriangleMesh};
 
 #[derive(Clone, Copy, PartialEq)]
-enum Encoding {
+pub(super) enum Encoding {
     Ascii,
     Little,
     Big,
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Number {
+pub(super) enum Number {
     I8,
     U8,
     I16,
@@ -50,27 +50,27 @@ impl Number {
     }
 }
 
-struct Property {
-    name: String,
-    number: Number,
+pub(super) struct Property {
+    pub name: String,
+    pub number: Number,
     /// Type of the count when the property is a list.
-    list: Option<Number>,
+    pub list: Option<Number>,
 }
 
-struct Element {
-    name: String,
-    count: u64,
-    properties: Vec<Property>,
+pub(super) struct Element {
+    pub name: String,
+    pub count: u64,
+    pub properties: Vec<Property>,
 }
 
 /// Reads numbers one after the other.
-struct Body<'a> {
-    bytes: &'a [u8],
+pub(super) struct Body<'a> {
+    pub bytes: &'a [u8],
     encoding: Encoding,
 }
 
 impl Body<'_> {
-    fn next(&mut self, number: Number) -> Option<f64> {
+    pub fn next(&mut self, number: Number) -> Option<f64> {
         if self.encoding == Encoding::Ascii {
             let start = self.bytes.iter().position(|b| !b.is_ascii_whitespace())?;
             let rest = &self.bytes[start..];
@@ -98,6 +98,17 @@ impl Body<'_> {
         })
     }
 
+    /// An error when the header announces more records of `element` than the bytes that are left can hold.
+    pub fn expect_room(&self, element: &Element) -> Result<()> {
+        let announced = element.count.saturating_mul(self.least_bytes(element));
+        if announced > self.bytes.len() as u64 {
+            let (count, left) = (element.count, self.bytes.len());
+            let message = format!("the header announces {count} of them, which {left} bytes cannot hold");
+            return Err(Error::input(message).element(format!("element {}", element.name)));
+        }
+        Ok(())
+    }
+
     /// The bytes that one record takes at least.
     fn least_bytes(&self, element: &Element) -> u64 {
         let binary = |p: &Property| p.list.unwrap_or(p.number).bytes() as u64;
@@ -109,7 +120,7 @@ impl Body<'_> {
 }
 
 /// Header and what follows it.
-fn parse_header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>)> {
+pub(super) fn parse_header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>)> {
     let mut rest = bytes;
     let mut elements: Vec<Element> = Vec::new();
     let mut encoding = None;
@@ -177,12 +188,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<TriangleMesh> {
     let (elements, mut body) = parse_header(bytes)?;
     let mut mesh = TriangleMesh::default();
     for element in &elements {
-        let announced = element.count.saturating_mul(body.least_bytes(element));
-        if announced > body.bytes.len() as u64 {
-            let (count, left) = (element.count, body.bytes.len());
-            let message = format!("the header announces {count} of them, which {left} bytes cannot hold");
-            return Err(Error::input(message).element(format!("element {}", element.name)));
-        }
+        body.expect_room(element)?;
         let coordinates = if element.name == "vertex" { Some(coordinate_places(element)?) } else { None };
         if element.name == "face" && !element.properties.iter().any(is_face_list) {
             return Err(Error::input("has no list vertex_indices").element("element face"));

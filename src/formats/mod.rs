@@ -3,6 +3,7 @@
 
 pub mod depth_png;
 pub mod exr;
+pub mod gaussians_ply;
 pub mod landmarks;
 pub mod mesh;
 mod mesh_ply;

@@ -3,13 +3,14 @@
 
 use rayon::prelude::*;
 
-use crate::ffi::splat::Aligned;
+use crate::ffi::splat_image::{ImageBand, Light};
+use crate::ffi::system::grow;
 
 use super::bin::{TILE, cut};
-use super::kernel::{self, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of};
+use super::kernel::{self, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of, pixel_of};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
-use super::types::{DepthOutput, ImageGradient, Settings, View, Wanted};
+use super::types::{DepthOutput, ImageGradient, Settings, View};
 
 /// Pixels of line `line` of a tile in the per-pixel tables: four pieces of four.
 fn line_of(line: usize) -> [usize; 4] {
@@ -22,8 +23,8 @@ impl<T: Real> Rasterizer<T> {
     pub(super) fn composite(&mut self, depth: DepthOutput, velocities: &[[T; 8]], directions: usize) -> bool {
         let bins = &mut self.bins;
         let tiles = bins.tiles_x * bins.tiles_y;
-        self.state.resize(tiles * PLANES * PIXELS, T::zero());
-        self.moving.resize(tiles * directions * MOVING * PIXELS, T::zero());
+        grow(&mut self.state, tiles * PLANES * PIXELS);
+        grow(&mut self.moving, tiles * directions * MOVING * PIXELS);
         let sizes = bins.offsets.windows(2).map(|w| (w[1] - w[0]) as usize);
         let masks = cut(&mut bins.masks, sizes);
         let moving = cut(&mut self.moving, (0..tiles).map(|_| directions * MOVING * PIXELS));
@@ -64,10 +65,19 @@ impl<T: Real> Rasterizer<T> {
         let gain = settings.gain.map(T::of);
         let background = settings.background.map(T::of);
         let with_depth = settings.depth == DepthOutput::Expected;
+        let light = Light { gain: settings.gain, background: settings.background, with_depth };
         let band = TILE * width;
         let bands = out.color.par_chunks_mut(3 * band).zip(out.depth.par_chunks_mut(band));
         bands.zip(out.alpha.par_chunks_mut(band)).enumerate().for_each(|(tile_y, ((color, depth), alpha))| {
             let row = &state[tile_y * tiles_x * PLANES * PIXELS..][..tiles_x * PLANES * PIXELS];
+            if T::develop_band(
+                row,
+                width,
+                &light,
+                ImageBand { color: &mut *color, depth: &mut *depth, alpha: &mut *alpha },
+            ) {
+                return;
+            }
             let lines = color.chunks_mut(3 * width).zip(depth.chunks_mut(width)).zip(alpha.chunks_mut(width));
             for (line, ((color, depth), alpha)) in lines.enumerate() {
                 let pieces = color.chunks_mut(12).zip(depth.chunks_mut(4)).zip(alpha.chunks_mut(4)).enumerate();
@@ -91,97 +101,95 @@ impl<T: Real> Rasterizer<T> {
         });
     }
 
-    /// Gradients of the tiles' sums, and the loss that lies behind each pixel's first splat; the gain on the way.
-    pub(super) fn adjoint_of_tiles(&mut self, image: &ImageGradient<'_, T>, settings: &Settings, wanted: Wanted) {
-        let (width, height) = (self.rendered.width, self.rendered.height);
-        self.adjoint.resize(self.state.len(), T::zero());
-        let gain = settings.gain.map(T::of);
-        let background = settings.background.map(T::of);
-        let tiles_x = self.bins.tiles_x;
-        let with_gain = wanted.any(Wanted::GAIN);
-        let tiles = self.adjoint.par_chunks_mut(PLANES * PIXELS).zip(self.state.par_chunks(PLANES * PIXELS));
-        let gains: Vec<[f64; 3]> = tiles
-            .enumerate()
-            .map(|(t, (adjoint, state))| {
-                let mut by_gain = [0.0; 3];
-                for line in 0..TILE {
-                    let y = t / tiles_x * TILE + line;
-                    for (piece, p) in line_of(line).into_iter().enumerate() {
-                        let x = t % tiles_x * TILE + 4 * piece;
-                        let count = if y < height { width.saturating_sub(x).min(4) } else { 0 };
-                        let o = y * width + x;
-                        let part = |plane: &'_ [T], each: usize| {
-                            let mut out = [T::zero(); 12];
-                            if let Some(found) = plane.get(each * o..each * (o + count)) {
-                                out[..each * count].copy_from_slice(found);
-                            }
-                            out
-                        };
-                        let color = part(image.color, 3);
-                        let (depth, alpha) = (part(image.depth, 1), part(image.alpha, 1));
-                        for i in 0..4 {
-                            let left = state[4 * PIXELS + p + i];
-                            let mut behind = T::zero();
-                            // The background is what the light that is left falls on.
-                            let mut by_left = -alpha[i];
-                            for k in 0..3 {
-                                let v = color[3 * i + k] * gain[k];
-                                let plain = state[k * PIXELS + p + i];
-                                if with_gain {
-                                    by_gain[k] += (color[3 * i + k] * (plain + left * background[k])).to_f64();
-                                }
-                                adjoint[k * PIXELS + p + i] = v;
-                                behind += v * plain;
-                                by_left += v * background[k];
-                            }
-                            let covered = T::one() - left;
-                            let mut by_depth = T::zero();
-                            if !image.depth.is_empty() && covered > T::zero() {
-                                by_depth = depth[i] / covered;
-                                behind += by_depth * state[3 * PIXELS + p + i];
-                                by_left += by_depth * state[3 * PIXELS + p + i] / covered;
-                            }
-                            adjoint[3 * PIXELS + p + i] = by_depth;
-                            adjoint[4 * PIXELS + p + i] = behind + left * by_left;
-                        }
-                    }
-                }
-                by_gain
-            })
-            .collect();
-        self.gradients.gain = [0.0; 3];
-        for tile in gains {
-            for k in 0..3 {
-                self.gradients.gain[k] += tile[k];
-            }
-        }
-    }
-
-    /// Moments of every entry.
-    pub(super) fn composite_backward(&mut self, parts: Parts) {
+    /// Moments of every entry, and the gradient of the gain. Where no `parts` are wanted, the gain alone.
+    pub(super) fn composite_backward(
+        &mut self,
+        image: &ImageGradient<'_, T>,
+        settings: &Settings,
+        parts: Option<Parts>,
+        with_gain: bool,
+    ) {
         let bins = &self.bins;
-        if self.slots.len() < bins.entries.len() {
-            self.slots.resize(bins.entries.len(), Aligned::default());
+        if parts.is_some() && self.slots.len() < bins.entries.len() {
+            grow(&mut self.slots, bins.entries.len());
         }
-        let sizes = bins.offsets.windows(2).map(|w| (w[1] - w[0]) as usize);
-        let slots = cut(&mut self.slots, sizes);
-        let (rows, isa) = (&self.rows, self.isa);
-        slots.into_par_iter().zip(self.adjoint.par_chunks(PLANES * PIXELS)).enumerate().for_each(
-            |(t, (slots, adjoint))| {
+        let size = |w: &[u32]| if parts.is_some() { (w[1] - w[0]) as usize } else { 0 };
+        let slots = cut(&mut self.slots, bins.offsets.windows(2).map(size));
+        let (rows, isa, states) = (&self.rows, self.isa, &self.state);
+        let image_size = [self.rendered.width, self.rendered.height];
+        let light = Light { gain: settings.gain, background: settings.background, with_depth: !image.depth.is_empty() };
+        let tiles = slots.into_par_iter().zip(states.par_chunks(PLANES * PIXELS)).enumerate();
+        let gains: Vec<[f64; 3]> = tiles
+            .map(|(t, (slots, state))| {
+                let corner = [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE];
+                let mut adjoint = [T::zero(); PLANES * PIXELS];
+                let by_gain = T::adjoint_tile(state, corner, image_size, &light, image, &mut adjoint)
+                    .unwrap_or_else(|| adjoint_of_tile(state, corner, image_size, &light, image, &mut adjoint));
+                let Some(parts) = parts else { return by_gain };
                 let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
                 let mut tile = BackwardTile {
                     rows,
                     entries: &bins.entries[range.clone()],
                     masks: &bins.masks[range],
-                    corner: [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE],
-                    adjoint,
+                    corner,
+                    adjoint: &adjoint,
                     slots,
                     parts,
                 };
                 if !T::backward_tile(isa, &mut tile) {
                     kernel::scalar_backward(&mut tile);
                 }
-            },
-        );
+                by_gain
+            })
+            .collect();
+        self.gradients.gain = [0.0; 3];
+        for tile in gains.iter().filter(|_| with_gain) {
+            for k in 0..3 {
+                self.gradients.gain[k] += tile[k];
+            }
+        }
     }
+}
+
+/// Gradients of the tile's sums, and the loss that lies behind each pixel's first splat; returns the tile's part of the
+/// gradient of the gain.
+fn adjoint_of_tile<T: Real>(
+    state: &[T],
+    corner: [usize; 2],
+    [width, height]: [usize; 2],
+    light: &Light,
+    image: &ImageGradient<'_, T>,
+    adjoint: &mut [T],
+) -> [f64; 3] {
+    let (gain, background) = (light.gain.map(T::of), light.background.map(T::of));
+    let mut by_gain = [0.0; 3];
+    for p in 0..PIXELS {
+        let (column, line) = pixel_of(p);
+        let (x, y) = (corner[0] + column, corner[1] + line);
+        if x >= width || y >= height {
+            continue;
+        }
+        let o = y * width + x;
+        let left = state[4 * PIXELS + p];
+        let mut behind = T::zero();
+        // The background is what the light that is left falls on.
+        let mut by_left = -image.alpha.get(o).copied().unwrap_or_default();
+        for k in 0..3 {
+            let v = image.color.get(3 * o + k).copied().unwrap_or_default();
+            let plain = state[k * PIXELS + p];
+            by_gain[k] += (v * (plain + left * background[k])).to_f64();
+            adjoint[k * PIXELS + p] = v * gain[k];
+            behind += v * gain[k] * plain;
+            by_left += v * gain[k] * background[k];
+        }
+        let covered = T::one() - left;
+        if light.with_depth && covered > T::zero() {
+            let by_depth = image.depth[o] / covered;
+            adjoint[3 * PIXELS + p] = by_depth;
+            behind += by_depth * state[3 * PIXELS + p];
+            by_left += by_depth * state[3 * PIXELS + p] / covered;
+        }
+        adjoint[4 * PIXELS + p] = behind + left * by_left;
+    }
+    by_gain
 }

@@ -14,7 +14,7 @@
 use crate::ffi::splat::{self as native, Aligned, Isa};
 
 use super::bin::TILE;
-use super::project::{LOG2_255, Row, at};
+use super::project::{Row, at};
 use super::real::Real;
 
 /// Pixels of a tile.
@@ -115,14 +115,12 @@ pub fn vector_backward(isa: Isa, t: &mut BackwardTile<'_, f32>) -> bool {
 fn block_mask<T: Real>(q: &Row<T>, corner: [T; 2]) -> u16 {
     let (half, three) = (T::of(0.5), T::of(3.0));
     let slack = T::of(1e-3) + T::of(1e-5) * (q[at::HALF_WIDTH] + q[at::HALF_HEIGHT]);
-    let reach = q[at::LOG2_OPACITY] + T::of(LOG2_255);
     let limit = q[at::HALF_HEIGHT] + slack;
     // Widest to the right at y = -B half_width / (2 C), to the left at the opposite point.
-    let widest = -half * q[at::B] * q[at::HALF_WIDTH] / q[at::C];
-    let scale = half / q[at::A];
+    let widest = q[at::WIDEST];
     let extent = |y: T, sign: T| {
-        let root = (q[at::DISCRIMINANT] * y * y + T::of(4.0) * q[at::A] * reach).maximum(T::zero()).sqrt();
-        scale * (sign * root - q[at::B] * y)
+        let root = (q[at::DISCRIMINANT] * y * y + q[at::FOUR_A_REACH]).maximum(T::zero()).sqrt();
+        q[at::HALF_OVER_A] * (sign * root - q[at::B] * y)
     };
     let offset = q[at::X] - corner[0] - half;
     let mut mask = 0;

@@ -34,6 +34,10 @@ pub(super) mod at {
     pub const HALF_HEIGHT: usize = 11;
     /// `B^2 - 4 A C`, computed without cancellation.
     pub const DISCRIMINANT: usize = 12;
+    /// For the outline of alpha = 1/255: `y` of its rightmost point, `1 / 2 A`, `4 A (LOG2_OPACITY + log2(255))`.
+    pub const WIDEST: usize = 13;
+    pub const HALF_OVER_A: usize = 14;
+    pub const FOUR_A_REACH: usize = 15;
 }
 
 /// One splat.
@@ -319,7 +323,8 @@ impl<T: Real> Projector<T> {
             return None;
         }
         // Half axes of the box around `exponent >= -log2(255)`.
-        let k = T::of(2.0 / LOG2_E) * (log2_opacity + T::of(LOG2_255));
+        let reach = log2_opacity + T::of(LOG2_255);
+        let k = T::of(2.0 / LOG2_E) * reach;
         let mut row = [T::zero(); 16];
         row[at::X] = g.point[0];
         row[at::Y] = g.point[1];
@@ -334,6 +339,9 @@ impl<T: Real> Projector<T> {
         row[at::HALF_WIDTH] = (k * g.covariance[0]).sqrt();
         row[at::HALF_HEIGHT] = (k * g.covariance[2]).sqrt();
         row[at::DISCRIMINANT] = T::of(-LOG2_E * LOG2_E) * g.inverse_determinant;
+        row[at::WIDEST] = -T::of(0.5) * row[at::B] * row[at::HALF_WIDTH] / row[at::C];
+        row[at::HALF_OVER_A] = T::of(0.5) / row[at::A];
+        row[at::FOUR_A_REACH] = T::of(4.0) * row[at::A] * reach;
         Some(row)
     }
 }

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::base::{Error, Result};
 use crate::ffi::splat::{Aligned, Isa};
+use crate::ffi::system::grow;
 
 use super::bin::{Bins, TILE, TileBox};
 use super::kernel::Parts;
@@ -32,7 +33,6 @@ pub struct Rasterizer<T> {
     pub(super) state: Vec<T>,
     pub(super) moving: Vec<T>,
     pub(super) velocities: Vec<[T; 8]>,
-    pub(super) adjoint: Vec<T>,
     pub(super) slots: Vec<Aligned<T>>,
     pub(super) rendered: Rendered<T>,
     pub(super) tangents: Vec<Vec<T>>,
@@ -68,7 +68,6 @@ impl<T: Real> Rasterizer<T> {
             state: Vec::new(),
             moving: Vec::new(),
             velocities: Vec::new(),
-            adjoint: Vec::new(),
             slots: Vec::new(),
             rendered: Rendered::default(),
             tangents: Vec::new(),
@@ -165,8 +164,8 @@ impl<T: Real> Rasterizer<T> {
     fn splats(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>, view: &View) {
         let n = self.active.as_ref().map_or(gaussians.len(), Vec::len);
         let tiles = [view.camera.width, view.camera.height].map(|v| (v as usize).div_ceil(TILE));
-        self.rows.resize(n.max(1), Aligned::default());
-        self.boxes.resize(n, [0; 2]);
+        grow(&mut self.rows, n.max(1));
+        grow(&mut self.boxes, n);
         self.rendered.visible.resize(n, false);
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
@@ -222,11 +221,8 @@ impl<T: Real> Rasterizer<T> {
             color: wanted.any(Wanted::SH) || (through_position && gaussians.sh_degree > 0),
             depth: geometry && !image.depth.is_empty(),
         };
-        self.adjoint_of_tiles(image, &settings, wanted);
-        self.clock.end(Stage::Adjoint);
-        if parts.geometry || parts.color {
-            self.composite_backward(parts);
-        }
+        let parts = (parts.geometry || parts.color).then_some(parts);
+        self.composite_backward(image, &settings, parts, wanted.any(Wanted::GAIN));
         self.clock.end(Stage::CompositeBackward);
         self.chain(gaussians, &projector, wanted);
         self.clock.end(Stage::Chain);
@@ -240,6 +236,9 @@ impl<T: Real> Rasterizer<T> {
         {
             if !plane.is_empty() && plane.len() != pixels * per_pixel {
                 return Err(Error::input(format!("the {name} gradient has {} values", plane.len())));
+            }
+            if T::all_finite(plane) {
+                continue;
             }
             if let Some(bad) = plane.iter().position(|v| !v.is_finite()) {
                 let pixel = bad / per_pixel;

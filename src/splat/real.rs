@@ -5,11 +5,12 @@ use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
 use crate::ffi::splat::Isa;
+use crate::ffi::splat_image::{self as image, ImageBand, Light};
 
 use super::kernel::{BackwardTile, ForwardTile};
 use super::native::{Native, Numbers, Work};
 use super::project::Projector;
-use super::types::Gaussians;
+use super::types::{Gaussians, ImageGradient};
 
 /// A real number.
 pub trait Real:
@@ -46,6 +47,11 @@ pub trait Real:
     fn atan2(self, x: Self) -> Self;
     /// Neither infinite nor NaN.
     fn is_finite(self) -> bool;
+
+    /// True when every value is finite.
+    fn all_finite(values: &[Self]) -> bool {
+        values.iter().all(|v| v.is_finite())
+    }
 
     /// Zero.
     #[inline(always)]
@@ -93,6 +99,24 @@ pub trait Real:
         _moving: &mut [Self],
     ) -> bool {
         false
+    }
+
+    /// Develops a row of tiles with vectorised code; `false` when there is none for this type.
+    fn develop_band(_state: &[Self], _width: usize, _light: &Light, _band: ImageBand<'_, Self>) -> bool {
+        false
+    }
+
+    /// Adjoint of the tile at `corner` with vectorised code, and its part of the gradient of the gain; `None` when there
+    /// is none for this type.
+    fn adjoint_tile(
+        _state: &[Self],
+        _corner: [usize; 2],
+        _size: [usize; 2],
+        _light: &Light,
+        _image: &ImageGradient<'_, Self>,
+        _adjoint: &mut [Self],
+    ) -> Option<[f64; 3]> {
+        None
     }
 
     /// Composites one tile with a vectorised kernel; `false` when there is none for this type.
@@ -158,6 +182,26 @@ impl Real for f32 {
         active: Option<&'a [u32]>,
     ) -> Option<Box<dyn Native<f32> + 'a>> {
         Some(Box::new(Work::new(isa, gaussians, projector, numbers, active)?))
+    }
+
+    fn all_finite(values: &[f32]) -> bool {
+        image::all_finite(values)
+    }
+
+    fn develop_band(state: &[f32], width: usize, light: &Light, band: ImageBand<'_, f32>) -> bool {
+        image::develop(state, width, light, band);
+        true
+    }
+
+    fn adjoint_tile(
+        state: &[f32],
+        corner: [usize; 2],
+        size: [usize; 2],
+        light: &Light,
+        image: &ImageGradient<'_, f32>,
+        adjoint: &mut [f32],
+    ) -> Option<[f64; 3]> {
+        Some(image::adjoint(state, corner, size, light, [image.color, image.depth, image.alpha], adjoint))
     }
 
     fn forward_moving(isa: Isa, tile: &mut ForwardTile<'_, f32>, velocities: &[[f32; 8]], moving: &mut [f32]) -> bool {

@@ -15,25 +15,16 @@ pub enum Stage {
     Composite,
     /// Sums to images.
     Develop,
-    /// Image gradients to the tiles.
-    Adjoint,
-    /// Tiles to moments of splats.
+    /// Image gradients through the tiles to moments of splats.
     CompositeBackward,
     /// Moments to gradients of Gaussians and camera.
     Chain,
 }
 
 impl Stage {
-    /// All of them: four of the forward, three of the backward pass.
-    pub const ALL: [Stage; 7] = [
-        Stage::Project,
-        Stage::Bin,
-        Stage::Composite,
-        Stage::Develop,
-        Stage::Adjoint,
-        Stage::CompositeBackward,
-        Stage::Chain,
-    ];
+    /// All of them: four of the forward, two of the backward pass.
+    pub const ALL: [Stage; 6] =
+        [Stage::Project, Stage::Bin, Stage::Composite, Stage::Develop, Stage::CompositeBackward, Stage::Chain];
 
     /// Name in tables.
     pub fn name(self) -> &'static str {
@@ -42,7 +33,6 @@ impl Stage {
             Stage::Bin => "bin",
             Stage::Composite => "composite",
             Stage::Develop => "develop",
-            Stage::Adjoint => "adjoint",
             Stage::CompositeBackward => "composite_backward",
             Stage::Chain => "chain",
         }
@@ -53,9 +43,9 @@ impl Stage {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StageTimes {
     /// Wall clock.
-    pub wall_s: [f64; 7],
+    pub wall_s: [f64; 6],
     /// CPU time of the process (all threads, whatever they did); 0 unless asked for.
-    pub cpu_s: [f64; 7],
+    pub cpu_s: [f64; 6],
 }
 
 /// Measures one stage after the other.

@@ -9,7 +9,7 @@ use glam::{DVec2, DVec3};
 use respire_bench::airway::case::Case;
 use respire_bench::base::{ErrorKind, NoProgress, Progress, TriangleMesh, mesh};
 use respire_bench::simulate::sequence::Sequence;
-use respire_bench::simulate::truth::TruthSet;
+use respire_bench::simulate::truth::{TruthMap, TruthSet};
 use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
 
 use crate::cases::case_path;
@@ -84,24 +84,25 @@ impl Progress for StopAfter {
 
 #[test]
 fn the_bytes_do_not_depend_on_threads_or_interruptions() {
+    let wanted = SimulationSettings { truth: TruthMap::ALL.into_iter().collect(), ..small() };
     let folder = tempfile::tempdir().unwrap();
     let (whole, single, resumed) = (folder.path().join("a"), folder.path().join("b"), folder.path().join("c"));
-    simulate(&case(), &small(), &whole, &NoProgress).unwrap();
+    simulate(&case(), &wanted, &whole, &NoProgress).unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    pool.install(|| simulate(&case(), &small(), &single, &NoProgress)).unwrap();
+    pool.install(|| simulate(&case(), &wanted, &single, &NoProgress)).unwrap();
     assert_same(&whole, &single);
 
-    let stopped = simulate(&case(), &small(), &resumed, &StopAfter(AtomicUsize::new(2))).unwrap_err();
+    let stopped = simulate(&case(), &wanted, &resumed, &StopAfter(AtomicUsize::new(2))).unwrap_err();
     assert_eq!(stopped.kind(), ErrorKind::Interrupted);
     assert!(Sequence::open(&resumed).unwrap_err().to_string().contains("not finished"));
     // A frame whose image is missing counts as not made, whatever else of it is there.
     fs::remove_file(resumed.join("images/000001.png")).unwrap();
-    simulate(&case(), &small(), &resumed, &NoProgress).unwrap();
+    simulate(&case(), &wanted, &resumed, &NoProgress).unwrap();
     assert_same(&whole, &resumed);
 
     // Nothing is done twice: the same call leaves even a foreign file alone.
     fs::write(resumed.join("images/000000.png"), "mine").unwrap();
-    simulate(&case(), &small(), &resumed, &NoProgress).unwrap();
+    simulate(&case(), &wanted, &resumed, &NoProgress).unwrap();
     assert_eq!(fs::read(resumed.join("images/000000.png")).unwrap(), b"mine");
     // Another content replaces the folder whole.
     let shorter = SimulationSettings { frames: 3, meshes: MeshOutput::EndStates, ..small() };

@@ -1,6 +1,7 @@
 //! The rasteriser against references that it did not make: brute force, finite differences, `../shared/reference`.
 
 mod anchoring;
+mod command;
 mod forward;
 mod gradients;
 mod robustness;

@@ -1,0 +1,19 @@
+#pragma once
+#include <cstdint>
+
+#include "rust/cxx.h"
+
+namespace respire {
+
+// From the sums of one row of tiles to `lines` lines of the images; the twin is in src/splat/composite.rs.
+void splat_develop(rust::Slice<const float> state, std::size_t width, std::array<float, 3> gain,
+                   std::array<float, 3> background, bool with_depth, rust::Slice<float> color, rust::Slice<float> depth,
+                   rust::Slice<float> alpha);
+// From image gradients (empty where there are none) to the adjoint of the tile at (x, y); adds to the gradient of the
+// gain.
+void splat_adjoint(rust::Slice<const float> state, std::size_t x, std::size_t y, std::size_t width, std::size_t height,
+                   std::array<float, 3> gain, std::array<float, 3> background, rust::Slice<const float> color,
+                   rust::Slice<const float> depth, rust::Slice<const float> alpha, rust::Slice<float> adjoint,
+                   std::array<double, 3>& by_gain);
+
+}  // namespace respire
