@@ -12,13 +12,14 @@ mod native;
 mod revision;
 
 /// Files with a `#[cxx::bridge]`.
-const BRIDGES: &[&str] = &["src/ffi/splat.rs", "src/ffi/splat_image.rs", "src/ffi/tracer.rs"];
+const BRIDGES: &[&str] = &["src/ffi/loss.rs", "src/ffi/splat.rs", "src/ffi/splat_image.rs", "src/ffi/tracer.rs"];
 
 /// Own C++ compiled once, for the baseline x86-64.
-const SOURCES: &[&str] = &["cpp/splat.cpp", "cpp/splat_image.cpp", "cpp/tracer.cpp"];
+const SOURCES: &[&str] = &["cpp/loss.cpp", "cpp/splat.cpp", "cpp/splat_image.cpp", "cpp/tracer.cpp"];
 
 /// The splat kernels, compiled once per instruction set.
-const SPLAT_SOURCES: &[&str] = &["cpp/splat_kernel.cpp", "cpp/splat_project.cpp", "cpp/splat_chain.cpp"];
+const SPLAT_SOURCES: &[&str] =
+    &["cpp/splat_kernel.cpp", "cpp/splat_project.cpp", "cpp/splat_chain.cpp", "cpp/loss_kernel.cpp"];
 
 /// The instruction sets: (namespace in C++, what the compiler may use). Which one runs is
 /// decided on the user's machine (`cpp/splat.cpp`).

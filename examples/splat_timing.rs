@@ -7,6 +7,7 @@ use glam::DVec3;
 use respire_bench::base::Camera;
 use respire_bench::base::camera::world_from_camera_looking;
 use respire_bench::base::random::{CounterRng, Stage as Randomness};
+use respire_bench::ffi::loss::{self, LossImage};
 use respire_bench::splat::{
     DepthOutput, Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Settings, Shape, Stage, View, Wanted,
 };
@@ -107,5 +108,31 @@ fn main() {
         "",
         median(tangents.clone()),
         least(&tangents)
+    );
+    let plane = vec![0.4f32; 3 * side * side];
+    let window = [0.001, 0.0076, 0.036, 0.1094, 0.213, 0.266];
+    let image = LossImage {
+        width: side,
+        height: side,
+        target: &color,
+        mean: &plane,
+        square: &plane,
+        mask: &[],
+        window: &window,
+        ssim_weight: 0.2,
+    };
+    let mut gradient = vec![0.0f32; 3 * side * side];
+    let mut times = Vec::new();
+    for _ in 0..repetitions {
+        let before = respire_bench::ffi::system::cpu_time_s();
+        std::hint::black_box(loss::band(isa, &image, &plane, 0, &mut gradient));
+        times.push(respire_bench::ffi::system::cpu_time_s() - before);
+    }
+    println!(
+        "{:<20} {:>9} {:>9.3}   fastest {:.3} CPU",
+        "L1 + SSIM, gradient",
+        "",
+        median(times.clone()),
+        least(&times)
     );
 }

@@ -17,11 +17,13 @@ mod import_tree;
 mod list;
 mod pareto;
 mod pareto_render;
+mod pareto_splat;
 mod render;
 mod run;
 mod selection;
 mod simulate;
 mod splat;
+mod stress;
 mod terminal;
 mod watch;
 
@@ -79,6 +81,8 @@ commands! {
     Render => render,
     /// Rasterise a 3DGS .ply: images, depth, alpha, timing; gradients of a weighted sum
     Splat => splat,
+    /// The numerical-stability table
+    Stress => stress,
 }
 
 /// How accurate is a method that reconstructs a breathing airway from bronchoscopy video, and what does it cost?

@@ -3,7 +3,7 @@
 
 use clap::{Args, Subcommand};
 
-use super::{Terminal, pareto_render};
+use super::{Terminal, pareto_render, pareto_splat};
 use crate::base::Result;
 
 /// Arguments of `pareto`.
@@ -19,11 +19,14 @@ pub struct Arguments {
 enum Kind {
     /// Path tracer: time against relative error of its modes, on a frame of each of three cases
     Render(pareto_render::Arguments),
+    /// Rasteriser: time against gradient error of its kernels and precisions, and what skipping saves
+    Splat(pareto_splat::Arguments),
 }
 
 /// Runs the command.
 pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     match arguments.kind {
         Kind::Render(arguments) => pareto_render::run(arguments, terminal),
+        Kind::Splat(arguments) => pareto_splat::run(arguments, terminal),
     }
 }

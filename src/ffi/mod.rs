@@ -5,6 +5,7 @@
 #![allow(unsafe_code)]
 
 pub mod embree;
+pub mod loss;
 pub mod splat;
 pub mod splat_image;
 pub mod system;

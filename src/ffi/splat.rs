@@ -156,7 +156,7 @@ impl Isa {
         }
     }
 
-    fn code(self) -> u8 {
+    pub(super) fn code(self) -> u8 {
         match self {
             Isa::Scalar | Isa::Baseline => 0,
             Isa::Avx2 => 1,

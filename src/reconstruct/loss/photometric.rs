@@ -11,6 +11,9 @@
 
 use rayon::prelude::*;
 
+use crate::ffi::loss::{self as native, LossImage};
+use crate::ffi::splat::Isa;
+
 const RADIUS: usize = 5;
 const C1: f32 = 0.01 * 0.01;
 const C2: f32 = 0.03 * 0.03;
@@ -30,10 +33,39 @@ pub trait Scalar:
     + std::ops::Div<Output = Self>
     + std::ops::AddAssign
 {
+    /// Loss and gradient with vectorised code; `None` when there is none for this type.
+    fn evaluate(_prepared: &Photometric<Self>, _rendered: &[Self], _gradient: &mut [Self]) -> Option<f64> {
+        None
+    }
 }
 
-impl Scalar for f32 {}
 impl Scalar for f64 {}
+
+impl Scalar for f32 {
+    fn evaluate(prepared: &Photometric<f32>, rendered: &[f32], gradient: &mut [f32]) -> Option<f64> {
+        let isa = Isa::widest();
+        let (width, height) = (prepared.width, prepared.height);
+        let [target, mean, square] = &prepared.planes;
+        let window = kernel::<f32>();
+        let image = LossImage {
+            width,
+            height,
+            target,
+            mean,
+            square,
+            mask: prepared.mask.as_deref().unwrap_or_default(),
+            window: &window,
+            ssim_weight: prepared.ssim_weight,
+        };
+        let bands = gradient.par_chunks_mut(3 * width * BAND).enumerate();
+        let losses: Vec<f64> =
+            bands.map(|(b, gradient)| native::band(isa, &image, rendered, b * BAND, gradient)).collect();
+        Some(losses.iter().sum())
+    }
+}
+
+/// Lines per task of the vectorised code.
+const BAND: usize = 128;
 
 /// The image of one frame, prepared for many evaluations.
 pub struct Photometric<T> {
@@ -43,6 +75,8 @@ pub struct Photometric<T> {
     /// Weights per pixel divided by their sum; `None` is uniform.
     mask: Option<Vec<T>>,
     channels: [Channel<T>; 3],
+    /// Image, its blur and the blur of its square, red, green, blue one after the other.
+    planes: [Vec<T>; 3],
 }
 
 struct Channel<T> {
@@ -126,11 +160,18 @@ impl<T: Scalar> Photometric<T> {
             let sum: f64 = m.iter().map(|&v| v.into()).sum();
             m.iter().map(|&v| v / T::from(sum as f32)).collect()
         });
-        Photometric { width, height, ssim_weight: T::from(ssim_weight as f32), mask, channels }
+        let all = |of: fn(&Channel<T>) -> &Vec<T>| channels.iter().flat_map(|c| of(c).iter().copied()).collect();
+        let planes = [all(|c| &c.target), all(|c| &c.mean), all(|c| &c.square)];
+        Photometric { width, height, ssim_weight: T::from(ssim_weight as f32), mask, channels, planes }
     }
 
     /// Loss of `rendered` (`height * width * 3`); its gradient is written to `gradient`.
     pub fn evaluate(&mut self, rendered: &[T], gradient: &mut [T]) -> f64 {
+        T::evaluate(self, rendered, gradient).unwrap_or_else(|| self.evaluate_plainly(rendered, gradient))
+    }
+
+    /// The plain twin of the vectorised code.
+    fn evaluate_plainly(&mut self, rendered: &[T], gradient: &mut [T]) -> f64 {
         let (width, height) = (self.width, self.height);
         let (ssim_weight, mask) = (self.ssim_weight, self.mask.as_deref());
         let losses: Vec<f64> = self
@@ -303,6 +344,25 @@ mod tests {
                 x[i] = old;
                 let want = (high - low) / (2.0 * step);
                 assert!((gradient[i] - want).abs() < 1e-8 + 1e-5 * want.abs(), "{i}: {} {want}", gradient[i]);
+            }
+        }
+    }
+
+    /// Several bands, a width that is no multiple of any vector, with and without SSIM and mask.
+    #[test]
+    fn vectorised_and_plain_agree() {
+        for (w, h, ssim_weight) in [(37, 300, 0.4), (64, 20, 0.0), (5, 3, 0.7), (256, 129, 0.2)] {
+            let single = |v: Vec<f64>| v.into_iter().map(|x| x as f32).collect::<Vec<f32>>();
+            let (x, y) = (single(noise(w * h * 3, 6)), single(noise(w * h * 3, 7)));
+            let weights = single(noise(w * h, 8));
+            for mask in [None, Some(&weights[..])] {
+                let mut loss = Photometric::new(&y, w, h, ssim_weight, mask);
+                let (mut fast, mut plain) = (vec![0.0; x.len()], vec![0.0; x.len()]);
+                let (a, b) = (loss.evaluate(&x, &mut fast), loss.evaluate_plainly(&x, &mut plain));
+                assert!((a - b).abs() < 1e-5 * b.abs(), "{a} {b}");
+                let largest = plain.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+                let worst = fast.iter().zip(&plain).map(|(f, p)| (f - p).abs()).fold(0.0, f32::max);
+                assert!(worst < 1e-4 * largest, "{w}x{h}: {worst} of {largest}");
             }
         }
     }

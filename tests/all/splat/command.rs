@@ -146,3 +146,21 @@ fn command_says_what_is_wrong() {
     std::fs::write(path.join("scene.ply"), "ply\nformat ascii 1.0\nelement vertex 0\nend_header\n").unwrap();
     assert!(refused(&[]).contains("property x"));
 }
+
+#[test]
+fn stress_passes_and_pareto_marks_the_default() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let mut command = assert_cmd::Command::cargo_bin("respire-bench").unwrap();
+        command.current_dir(folder.path()).args(arguments).assert().success();
+    };
+    run(&["stress", "--small", "--out", "stress"]);
+    let table = std::fs::read_to_string(folder.path().join("stress/stress.csv")).unwrap();
+    assert!(table.lines().count() > 40 && !table.contains("false"), "{table}");
+    assert!(table.contains("NaN in positions") && table.contains("depth ties"));
+    run(&["pareto", "splat", "--out", "pareto", "--scenes", "600x48", "--repeat", "1"]);
+    let table = std::fs::read_to_string(folder.path().join("pareto/pareto-splat.csv")).unwrap();
+    let defaults = table.lines().filter(|line| line.split(',').any(|f| f == "single precision")).count();
+    assert!(defaults >= 2 && table.contains("double precision"), "{table}");
+    assert!(std::fs::read_to_string(folder.path().join("pareto/skipping.csv")).unwrap().contains("(JVP)"));
+}

@@ -135,14 +135,14 @@ fn single_precision_equals_double() {
     }
 }
 
-/// With 1.3 million blended pairs some alphas cross 1/255 by rounding; bounds: the worst of the peers' tables
+/// With 1.3 million blended pairs some alphas cross 1/255 by rounding; bound: better than the best of the peers
 /// (`../shared/reference/splat/PEERS.md`).
 #[test]
 fn single_precision_equals_double_on_the_reference_scene() {
     let Some((tube, view)) = tube("tube_20k.npz", 256) else { return };
     for (name, error) in f32_errors(&tube, &view, 9) {
         println!("{name}: {error:.1e}");
-        assert!(error <= 9e-4, "{name} off by {error:e}");
+        assert!(error <= 5e-4, "{name} off by {error:e}");
     }
 }
 

@@ -1,0 +1,161 @@
+// L1 + SSIM with gradient in one sweep over the lines of an image, all three channels: lines are blurred across into
+// rings of 16, down from there, turned into the derivatives of SSIM, and these blurred again, so that nothing but the
+// images themselves leaves the nearest caches. The plain twin is src/reconstruct/loss/photometric.rs.
+#include "cpp/loss_kernel.h"
+#include "cpp/splat_lanes.h"
+
+namespace respire {
+namespace RESPIRE_ISA {
+namespace {
+
+constexpr std::size_t RADIUS = 5, RING = 16;
+constexpr float SSIM_C1 = 0.01f * 0.01f, SSIM_C2 = 0.03f * 0.03f;
+
+// 16 lines of three maps, and the line of zeros beyond the image.
+struct Ring {
+  float* lines[3][RING];
+  const float* zeros;
+  std::size_t height;
+  const float* line(int map, std::ptrdiff_t y) const {
+    return y < 0 || y >= static_cast<std::ptrdiff_t>(height) ? zeros : lines[map][y % RING];
+  }
+};
+
+struct Sweep {
+  const LossBand& b;
+  std::size_t stride;
+  float* next;
+
+  float* take() {
+    float* line = next;
+    next += stride;
+    for (std::size_t i = 0; i < stride; ++i) line[i] = 0;
+    return line;
+  }
+
+  template <class Tap>
+  V window(Tap tap) const {
+    V sum = all(b.window[5]) * tap(5);
+    for (int i = 0; i < 5; ++i) sum = fma(all(b.window[i]), tap(i) + tap(10 - i), sum);
+    return sum;
+  }
+
+  // `in` begins RADIUS values before the line.
+  void across(const float* in, float* out) const {
+    for (std::size_t x = 0; x < b.width; x += LANES) store(out + x, window([&](int i) { return load(in + x + i); }));
+  }
+
+  V down(const Ring& ring, int map, std::ptrdiff_t y, std::size_t x) const {
+    return window([&](int i) { return load(ring.line(map, y + i - 5) + x); });
+  }
+
+  static double sum_of(V v) {
+    double sum = 0;
+    for (int l = 0; l < LANES; ++l) sum += static_cast<double>(v[l]);
+    return sum;
+  }
+
+  double channel(int c) {
+    const std::size_t w = b.width, n = w * b.height;
+    const std::ptrdiff_t h = static_cast<std::ptrdiff_t>(b.height);
+    const std::ptrdiff_t y0 = static_cast<std::ptrdiff_t>(b.y0), y1 = static_cast<std::ptrdiff_t>(b.y1);
+    Ring first{}, second{};
+    float *source[RING], *target[RING], *padded[3];
+    const float* zeros = take();
+    Ring* const rings[2] = {&first, &second};
+    for (Ring* ring : rings) {
+      ring->zeros = zeros, ring->height = b.height;
+      for (auto& map : ring->lines)
+        for (float*& line : map) line = take();
+    }
+    for (std::size_t i = 0; i < RING; ++i) source[i] = take(), target[i] = take();
+    for (float*& line : padded) line = take();
+    float *mean = take(), *square = take(), *weight = take();
+    const bool with_ssim = b.ssim_weight > 0;
+    double total = 0;
+    const std::ptrdiff_t from = y0 - 10 < 0 ? 0 : y0 - 10;
+    for (std::ptrdiff_t y = from; y < y1 + 10; ++y) {
+      if (y < h) {
+        float *s = source[y % RING], *t = target[y % RING];
+        const float* rgb = b.rendered + 3 * w * y + c;
+        for (std::size_t x = 0; x < w; ++x) s[x] = rgb[3 * x];
+        __builtin_memcpy(t, b.target + c * n + w * y, w * sizeof(float));
+        if (with_ssim) {
+          for (std::size_t x = 0; x < w; x += LANES) {
+            const V v = load(s + x);
+            store(padded[0] + RADIUS + x, v);
+            store(padded[1] + RADIUS + x, v * v);
+            store(padded[2] + RADIUS + x, v * load(t + x));
+          }
+          for (int m = 0; m < 3; ++m) across(padded[m], first.lines[m][y % RING]);
+        }
+      }
+      const std::ptrdiff_t middle = y - 5;
+      if (with_ssim && middle >= 0 && middle < h && middle >= y0 - 5 && middle < y1 + 5) {
+        weights(middle, b.ssim_weight, weight);
+        __builtin_memcpy(mean, b.mean + c * n + w * middle, w * sizeof(float));
+        __builtin_memcpy(square, b.square + c * n + w * middle, w * sizeof(float));
+        V sum{};
+        for (std::size_t x = 0; x < w; x += LANES) sum += derivatives(first, middle, x, mean, square, weight, padded);
+        if (middle >= y0 && middle < y1) total += sum_of(sum);
+        for (int m = 0; m < 3; ++m) across(padded[m], second.lines[m][middle % RING]);
+      }
+      const std::ptrdiff_t last = y - 10;
+      if (last >= y0 && last < y1) total += finish(second, last, c, source[last % RING], target[last % RING], weight, with_ssim);
+    }
+    return total;
+  }
+
+  // Weights of a line times `part`, zero beyond the image.
+  void weights(std::ptrdiff_t y, float part, float* out) const {
+    for (std::size_t x = 0; x < b.width; ++x) {
+      out[x] = part * (b.mask ? b.mask[b.width * y + x] * (1.0f / 3.0f) : b.uniform);
+    }
+  }
+
+  // The weighted 1 - SSIM of LANES pixels; its derivatives by the three blurs go to `out`.
+  V derivatives(const Ring& ring, std::ptrdiff_t y, std::size_t x, const float* mean, const float* square,
+                const float* weight, float* const* out) const {
+    const V mx = down(ring, 0, y, x), xx = down(ring, 1, y, x), xy = down(ring, 2, y, x);
+    const V my = load(mean + x), w = -load(weight + x);
+    const V a = 2.0f * mx * my + SSIM_C1, p = 2.0f * (xy - mx * my) + SSIM_C2;
+    const V q = mx * mx + my * my + SSIM_C1, d = (xx - mx * mx) + (load(square + x) - my * my) + SSIM_C2;
+    const V inverse = 1.0f / (q * d), s = a * p * inverse;
+    store(out[0] + RADIUS + x, w * 2.0f * (my * (p - a) * inverse + mx * s * (q - d) * inverse));
+    store(out[1] + RADIUS + x, -w * s * q * inverse);
+    store(out[2] + RADIUS + x, w * 2.0f * a * inverse);
+    return w * s - w;
+  }
+
+  // The gradient of a line; returns its L1.
+  double finish(const Ring& ring, std::ptrdiff_t y, int c, const float* source, const float* target, float* weight,
+                bool with_ssim) {
+    weights(y, 1.0f - b.ssim_weight, weight);
+    float* out = b.gradient + 3 * b.width * (y - static_cast<std::ptrdiff_t>(b.y0)) + c;
+    V sum{};
+    for (std::size_t x = 0; x < b.width; x += LANES) {
+      const V s = load(source + x), t = load(target + x), w = load(weight + x), d = s - t;
+      const V sign = pick(d > 0.0f, w, pick(d < 0.0f, -w, V{}));
+      sum += sign * d;
+      V g = sign;
+      if (with_ssim) g += down(ring, 0, y, x) + 2.0f * s * down(ring, 1, y, x) + t * down(ring, 2, y, x);
+      const std::size_t count = b.width - x < LANES ? b.width - x : LANES;
+      for (std::size_t l = 0; l < count; ++l) out[3 * (x + l)] = g[l];
+    }
+    return sum_of(sum);
+  }
+};
+
+}  // namespace
+
+double loss(const LossBand& band) {
+  double total = 0;
+  for (int c = 0; c < 3; ++c) {
+    Sweep sweep{band, loss_stride(band.width), band.room};
+    total += sweep.channel(c);
+  }
+  return total;
+}
+
+}  // namespace RESPIRE_ISA
+}  // namespace respire

@@ -1,0 +1,43 @@
+//! The vectorised photometric loss: C++ (`cpp/loss_kernel.cpp`), compiled once per instruction set, through cxx.
+
+use super::splat::Isa;
+
+#[cxx::bridge(namespace = "respire")]
+#[allow(missing_docs, unused_qualifications)]
+mod bridge {
+    /// The image of one frame, prepared; planes are red, green, blue one after the other.
+    struct LossImage<'a> {
+        width: usize,
+        height: usize,
+        target: &'a [f32],
+        mean: &'a [f32],
+        square: &'a [f32],
+        mask: &'a [f32],
+        window: &'a [f32],
+        ssim_weight: f32,
+    }
+
+    unsafe extern "C++" {
+        include!("cpp/loss.h");
+
+        fn loss_scratch(width: usize) -> usize;
+        fn loss_band(
+            isa: u8,
+            image: &LossImage,
+            rendered: &[f32],
+            y0: usize,
+            gradient: &mut [f32],
+            room: &mut [f32],
+        ) -> Result<f64>;
+    }
+}
+
+pub use bridge::LossImage;
+
+/// Loss and gradient of some lines of an image, from line `first` on, as many as `gradient` has room for (interleaved).
+/// Panics when the tables do not belong together (a defect of the caller, never of the input).
+pub fn band(isa: Isa, image: &LossImage<'_>, rendered: &[f32], first: usize, gradient: &mut [f32]) -> f64 {
+    let mut room = vec![0.0; bridge::loss_scratch(image.width)];
+    bridge::loss_band(isa.code(), image, rendered, first, gradient, &mut room)
+        .expect("the loss hands over tables that belong together")
+}
