@@ -144,7 +144,7 @@ inline MucosaPoint mucosa_at(const MucosaLook& look, Vec3 base, Vec3 rest_mm, Ve
   }
   float slope, ring = ring_profile(axial_mm, std::max(look.ring_spacing_mm, 0.1f), slope);
   float pale = look.rings * ring_weight * ring * 0.9f;
-  float depth = clamp(1.0f + 0.75f * blood - 0.5f * pale, 0.25f, 2.5f);
+  float depth = clamp(1.0f + 0.75f * blood - 0.8f * pale, 0.25f, 2.5f);
   // Beer-Lambert-like: albedo falls with blood, in green and blue three times as fast as in red.
   auto fade = [](float rate) { return 1.0f / (1.0f + rate); };
   float red = fade(0.16f * depth) * 1.16f, green = fade(0.5f * depth) * 1.5f, blue = fade(0.46f * depth) * 1.46f;

@@ -43,6 +43,12 @@ class FloatMode {
 // albedo (3), smooth normal (3), hits (1).
 constexpr std::size_t kFilmChannels = 19;
 
+// Per vertex: light that the base sends, over its albedo and times pi, by way of the wall (3); irradiance by other walls (3).
+constexpr std::size_t kKnownValues = 6;
+
+// In place of a face.
+constexpr std::uint32_t kNothing = ~0u;
+
 // Cartilage: full in trachea and main bronchi, gone from generation 4 on.
 // The back wall of trachea and main bronchi is a membrane without it: LPS, y to the back, `rest_normal` into the lumen.
 inline float ring_weight(float generation, Vec3 rest_normal) {
@@ -111,6 +117,99 @@ class PathIntegrator {
     add(film + 12, s.albedo);
     add(film + 15, s.smooth);
     film[18] += 1.0f;
+  }
+
+  // Like `camera_sample`, with the light that other walls send, and that walks in the wall, taken from the vertices:
+  // `known` holds kKnownValues per vertex, negative where nothing is known. There a path is traced instead.
+  void known_sample(Vec3 direction, const Hit* hit, rust::Slice<const float> known, Sampler& sampler, float* film) {
+    ++counters.paths;
+    if (!hit) {
+      add(film, background_);
+      return;
+    }
+    const Surface s = camera_surface(*hit, direction);
+    const Frame frame(s.shading);
+    const Vec3 o = upper(frame.local(-direction));
+    const bool walked = tracer_.subsurface_ == Subsurface::kDiffuse;
+    const Vec3 direct = direct_light(s, frame, o, !frame_.light_at_camera, walked ? Vec3{0, 0, 0} : s.albedo);
+    Vec3 base{}, mirrored{}, light;
+    if (known_light(known, *hit, walked ? 0 : 3, light)) {
+      const float share = tracer_.coated_ ? 1.0f - tracer_.coat_.albedo(s.alpha, o.z) : 1.0f;
+      base = light * (share * (1.0f / kPi));
+      if (tracer_.coated_ && limit_ > 1) mirrored = known_mirrored(s, frame, o, known, sampler);
+    } else if (walked) {
+      scattered_light(s, frame, o, sampler, base, mirrored);
+    } else if (limit_ > 1) {
+      indirect_light(s, frame, o, sampler, base, mirrored);
+    }
+    const Vec3 indirect = base * s.albedo + mirrored;
+    if (!valid(direct) || !valid(indirect)) {
+      ++counters.rejected;
+      return;
+    }
+    add(film, direct);
+    add(film + 3, indirect);
+    add(film + 6, base);
+    add(film + 9, mirrored);
+    add(film + 12, s.albedo);
+    add(film + 15, s.smooth);
+    film[18] += 1.0f;
+  }
+
+  // The lamp's irradiance at a face's centre, and what the face sends on of it: base and coat as one diffuse surface.
+  void lamp(std::uint32_t face, Vec3& received, Vec3& sent) {
+    const Surface s = face_surface(face, 1.0f / 3.0f, 1.0f / 3.0f);
+    received = irradiance(s, true);
+    sent = received * lamp_reflectance(s);
+  }
+
+  // What a face sends on of light from all sides.
+  Vec3 reflectance(std::uint32_t face) const {
+    const Vec3 albedo = face_surface(face, 1.0f / 3.0f, 1.0f / 3.0f).albedo;
+    const float e = tracer_.mean_coat_;
+    return albedo * (1.0f - e) + Vec3{e, e, e};
+  }
+
+  // Faces that `count` rays meet which leave a face after the cosine law; kNothing for what leaves the mesh. The rays
+  // lie on the tissue and not in space: what noise they leave moves with the wall and does not flicker.
+  void gather(std::uint32_t face, std::uint32_t count, std::uint32_t* hits) {
+    const std::uint32_t key = hash32(face ^ frame_.pattern_key);
+    for (std::uint32_t k = 0; k < count; ++k) {
+      Sampler sampler(key, k);
+      float u, v, a, b;
+      sampler.next2(u, v);
+      sampler.next2(a, b);
+      // Uniform over the triangle.
+      const float root = std::sqrt(a);
+      const Surface s = face_surface(face, root * (1.0f - b), root * b);
+      const Vec3 direction = tissue_frame(face, s.shading).world(cosine_direction(u, v));
+      Hit hit;
+      const bool leaves = dot(direction, s.geometric) > 0.0f;
+      hits[k] = leaves && intersect(s.point + s.geometric * kOffset, direction, hit) ? hit.face : kNothing;
+    }
+  }
+
+  // Where a walk comes out that starts in the tenth of `face` next to its vertex `corner`, and what is left of its light
+  // over the albedo there. False where nothing comes out. (Starts spread over the whole face would blur twice: the
+  // interpolation between vertices does so once.)
+  bool walk_from(std::uint32_t face, std::uint32_t corner, Sampler& sampler, std::uint32_t& exit, Vec3& weight) {
+    const float own = 1.0f - 0.1f * std::sqrt(sampler.random());
+    const float split = sampler.random();
+    float w[3];
+    w[corner] = own, w[(corner + 1) % 3] = (1.0f - own) * split, w[(corner + 2) % 3] = (1.0f - own) * (1.0f - split);
+    const Surface s = face_surface(face, w[1], w[2]);
+    const Medium medium = tracer_.medium(s.albedo);
+    const RandomWalk walk(tracer_.fast_, medium, counters.rays);
+    const Frame entry(s.geometric);
+    Vec3 local, throughput, point = s.point;
+    // The view is not known: a refracted entry is taken as seen from all sides alike.
+    if (!entry_direction(cosine_direction(sampler.random(), sampler.random()), sampler, local)) return false;
+    Vec3 inwards = entry.world(local);
+    Hit hit;
+    if (!walk.leave(point, inwards, sampler, throughput, hit)) return false;
+    exit = hit.face;
+    weight = over(throughput, s.albedo);
+    return true;
   }
 
   // Albedo of the base where a camera ray hits.
@@ -328,6 +427,87 @@ class PathIntegrator {
     return intensity_ * (emission(-dot(direction, light_axis_)) * cosine / r2);
   }
 
+  // Direction (local, downwards) in which light that leaves towards `o` walked below the surface.
+  bool entry_direction(Vec3 o, Sampler& sampler, Vec3& local) const {
+    float u, v;
+    sampler.next2(u, v);
+    if (tracer_.refracted_entry_ > 0.0f && sampler.random() < tracer_.refracted_entry_) {
+      const Vec3 h = visible_normal(o, 1.0f, u, v);
+      const float eta = 1.0f / tracer_.ior_, cosine = dot(o, h);
+      local = h * (eta * cosine - std::sqrt(std::max(0.0f, 1.0f - eta * eta * (1.0f - cosine * cosine)))) - o * eta;
+      return local.z < 0.0f;
+    }
+    local = -cosine_direction(u, v);
+    return true;
+  }
+
+  // Part of the lamp's light that base and coat send back to all sides.
+  Vec3 lamp_reflectance(const Surface& s) const {
+    if (!tracer_.coated_) return s.albedo;
+    const float mean = tracer_.mean_coat_;
+    const float e = tracer_.coat_.albedo(s.alpha, std::max(dot(s.shading, normalize(light_ - s.point)), 0.0f));
+    return s.albedo * (1.0f - mean) + Vec3{e, e, e};
+  }
+
+  // A point of a face as seen from the lumen.
+  Surface face_surface(std::uint32_t face, float u, float v) const {
+    const std::uint32_t* corners = tracer_.faces_ + 3ull * face;
+    const Vec3 p0 = load(tracer_.vertices_ + 3ull * corners[0]);
+    const Vec3 e1 = load(tracer_.vertices_ + 3ull * corners[1]) - p0, e2 = load(tracer_.vertices_ + 3ull * corners[2]) - p0;
+    const Vec3 normal = cross(e1, e2), point = p0 + e1 * u + e2 * v;
+    // `surface` looks along a ray: one that comes from above.
+    Surface s = surface(Hit{0.0f, u, v, face, normal}, point, -normal);
+    s.point = point;
+    return s;
+  }
+
+  // Axes with normal `n` that turn with the face.
+  Frame tissue_frame(std::uint32_t face, Vec3 n) const {
+    const std::uint32_t* corners = tracer_.faces_ + 3ull * face;
+    const Vec3 edge = load(tracer_.vertices_ + 3ull * corners[1]) - load(tracer_.vertices_ + 3ull * corners[0]);
+    Frame frame(n);
+    const Vec3 along = edge - n * dot(edge, n);
+    const float l2 = dot(along, along);
+    if (l2 > 1e-12f) frame.t = along * (1.0f / std::sqrt(l2)), frame.b = cross(n, frame.t);
+    return frame;
+  }
+
+  // Interpolates what is known at the face's vertices, from `offset` on; vertices of which nothing is known leave
+  // their part to the others.
+  bool known_light(rust::Slice<const float> known, const Hit& hit, std::size_t offset, Vec3& light) const {
+    const std::uint32_t* corners = tracer_.faces_ + 3ull * hit.face;
+    const float w[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};
+    float total = 0.0f;
+    light = {0, 0, 0};
+    for (int k = 0; k < 3; ++k) {
+      const float* value = known.data() + kKnownValues * corners[k];
+      if (value[offset] < 0.0f) continue;
+      light += load(value + offset) * w[k];
+      total += w[k];
+    }
+    if (!(total > 0.05f)) return false;
+    light = light * (1.0f / total);
+    return true;
+  }
+
+  // One sample of what the coat mirrors, with light of more than one scattering from the vertices.
+  Vec3 known_mirrored(const Surface& s, const Frame& frame, Vec3 o, rust::Slice<const float> known, Sampler& sampler) {
+    Vec3 direction;
+    float weight;
+    if (!mirrored_direction(s, frame, o, sampler, direction, weight)) return {0, 0, 0};
+    const Vec3 from = s.point + s.geometric * kOffset;
+    Hit hit;
+    if (!intersect(from, direction, hit)) return background_ * weight;
+    // What no ray from a seen face has met in four generations hardly gets light by way of walls.
+    Vec3 light;
+    if (!known_light(known, hit, 3, light)) light = {0, 0, 0};
+    const Surface met = surface(hit, from, direction);
+    // Glare in a mirror would be all noise: the coat met there is taken as diffuse.
+    const float e = tracer_.mean_coat_;
+    const Vec3 received = irradiance(met, true) * lamp_reflectance(met) + light * (met.albedo * (1.0f - e) + Vec3{e, e, e});
+    return received * (weight / kPi);
+  }
+
   // One sample of what leaves the wall at `at` by way of a walk that starts there: radiance (towards every side), its
   // first scattering included. `towards`: unit direction to
   // where the path comes from. `carried`: throughput before (for roulette only).
@@ -335,16 +515,9 @@ class PathIntegrator {
     const Medium medium = tracer_.medium(at.albedo);
     const RandomWalk walk(tracer_.fast_, medium, counters.rays);
     float u, v;
-    sampler.next2(u, v);
     const Frame entry(at.geometric);
-    Vec3 inwards = -cosine_direction(u, v);
-    if (tracer_.refracted_entry_ > 0.0f && sampler.random() < tracer_.refracted_entry_) {
-      const Vec3 o = upper(entry.local(towards)), h = visible_normal(o, 1.0f, u, v);
-      const float eta = 1.0f / tracer_.ior_, cosine = dot(o, h);
-      inwards = h * (eta * cosine - std::sqrt(std::max(0.0f, 1.0f - eta * eta * (1.0f - cosine * cosine)))) - o * eta;
-      if (inwards.z >= 0.0f) return {0, 0, 0};
-    }
-    Vec3 point = at.point, throughput;
+    Vec3 point = at.point, throughput, inwards;
+    if (!entry_direction(upper(entry.local(towards)), sampler, inwards)) return {0, 0, 0};
     inwards = entry.world(inwards);
     Hit hit;
     if (!walk.leave(point, inwards, sampler, throughput, hit)) return {0, 0, 0};
@@ -376,18 +549,25 @@ class PathIntegrator {
     base = over(walked_light(s, frame.world(o), Vec3{share, share, share}, 1, sampler), s.albedo) * share;
   }
 
-  // One sample of what the coat mirrors of other walls.
-  Vec3 mirrored_light(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler) {
+  // Where the coat mirrors to, and with which weight; false where nowhere.
+  bool mirrored_direction(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler, Vec3& direction, float& weight) const {
     float u, v;
     sampler.next2(u, v);
     const Vec3 h = visible_normal(o, s.alpha, u, v), local = h * (2.0f * dot(o, h)) - o;
-    if (local.z <= 0.0f) return {0, 0, 0};
-    const Vec3 direction = frame.world(local);
-    if (dot(direction, s.geometric) <= 0.0f) return {0, 0, 0};
+    if (local.z <= 0.0f) return false;
+    direction = frame.world(local);
+    if (dot(direction, s.geometric) <= 0.0f) return false;
     const float lo = smith_lambda(o.z, s.alpha), li = smith_lambda(local.z, s.alpha);
-    const float weight = fresnel(dot(o, h), tracer_.coat_.ior()) * (1.0f + lo) / (1.0f + lo + li);
-    const Vec3 carried{weight, weight, weight};
-    return incoming(s.point + s.geometric * kOffset, direction, carried, 2, sampler) * weight;
+    weight = fresnel(dot(o, h), tracer_.coat_.ior()) * (1.0f + lo) / (1.0f + lo + li);
+    return true;
+  }
+
+  // One sample of what the coat mirrors of other walls.
+  Vec3 mirrored_light(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler) {
+    Vec3 direction;
+    float weight;
+    if (!mirrored_direction(s, frame, o, sampler, direction, weight)) return {0, 0, 0};
+    return incoming(s.point + s.geometric * kOffset, direction, Vec3{weight, weight, weight}, 2, sampler) * weight;
   }
 
   // Radiance that comes out of an index-matched wall against `direction`, seen at `entry`: every scattering in the wall

@@ -71,7 +71,14 @@ Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_
   demand(material.subsurface <= 2, "a kind of subsurface scattering that is not there");
   demand(generations.size() == count && axial_mm.size() == count, "one generation and axial distance per vertex");
   for (std::uint32_t v : faces) demand(v < count, "a face names a vertex that is not there");
-  if (coated_) coat_ = Coat(alpha_low_, alpha_high_, material.ior);
+  if (coated_) {
+    coat_ = Coat(alpha_low_, alpha_high_, material.ior);
+    constexpr int kSteps = 64;
+    for (int k = 0; k < kSteps; ++k) {
+      const float cosine = (static_cast<float>(k) + 0.5f) / kSteps;
+      mean_coat_ += coat_.albedo(0.5f * (alpha_low_ + alpha_high_), cosine) * cosine * (2.0f / kSteps);
+    }
+  }
   FloatMode mode;
   device_.reset(rtcNewDevice("isa=avx2"));
   if (!device_) throw std::runtime_error("Embree refuses a device: error " + std::to_string(rtcGetDeviceError(nullptr)));
@@ -105,11 +112,16 @@ void Tracer::update(rust::Slice<const float> vertices) {
   FloatMode mode;
   void* v = rtcGetGeometryBufferData(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
   std::memcpy(v, vertices.data(), vertices.size() * sizeof(float));
+  refit();
+  update_normals();
+}
+
+void Tracer::refit() {
+  FloatMode mode;
   rtcUpdateGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
   rtcCommitGeometry(geometry_);
   rtcCommitScene(robust_);
   rtcCommitScene(fast_);
-  update_normals();
 }
 
 void Tracer::update_normals() {
@@ -156,7 +168,8 @@ void Tracer::bake_albedo() {
 }
 
 TileCounters Tracer::trace_tile(const FrameSettings& frame, const Tile& tile, rust::Slice<const float> corners,
-                                rust::Slice<float> film) const {
+                                rust::Slice<const float> known, rust::Slice<float> film) const {
+  demand(known.empty() || known.size() == vertex_floats_ / 3 * kKnownValues, "what is known must be known per vertex");
   demand(tile.x1 <= frame.width && tile.y1 <= frame.height && tile.x0 < tile.x1 && tile.y0 < tile.y1, "tile outside the image");
   demand(corners.size() == 3ull * (frame.width + 1) * (frame.height + 1), "one direction per pixel corner");
   demand(film.size() == static_cast<std::size_t>(tile.x1 - tile.x0) * (tile.y1 - tile.y0) * kFilmChannels, "film size");
@@ -191,16 +204,94 @@ TileCounters Tracer::trace_tile(const FrameSettings& frame, const Tile& tile, ru
       Hit hit{packet.ray.tfar[lane], packet.hit.u[lane], packet.hit.v[lane], packet.hit.primID[lane],
               {packet.hit.Ng_x[lane], packet.hit.Ng_y[lane], packet.hit.Ng_z[lane]}};
       const bool found = packet.hit.geomID[lane] != RTC_INVALID_GEOMETRY_ID;
-      integrator.camera_sample(load(directions + 3 * lane), found ? &hit : nullptr, samplers[lane],
-                               film.data() + pixel * kFilmChannels);
+      float* sums = film.data() + pixel * kFilmChannels;
+      if (known.empty())
+        integrator.camera_sample(load(directions + 3 * lane), found ? &hit : nullptr, samplers[lane], sums);
+      else
+        integrator.known_sample(load(directions + 3 * lane), found ? &hit : nullptr, known, samplers[lane], sums);
     }
   }
   return integrator.counters;
 }
 
+std::uint64_t Tracer::lamp(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces,
+                           rust::Slice<float> values) const {
+  demand(values.size() == 9 * faces.size(), "nine values per face");
+  FloatMode mode;
+  PathIntegrator integrator(*this, frame);
+  for (std::size_t f = 0; f < faces.size(); ++f) {
+    demand(faces[f] < face_count_, "a face that is not there");
+    Vec3 received, sent;
+    integrator.lamp(faces[f], received, sent);
+    store(&values[9 * f], received);
+    store(&values[9 * f + 3], sent);
+    store(&values[9 * f + 6], integrator.reflectance(faces[f]));
+  }
+  return integrator.counters.rays;
+}
+
+std::uint64_t Tracer::gather(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces,
+                             rust::Slice<std::uint32_t> hits) const {
+  demand(!faces.empty() && hits.size() % faces.size() == 0, "the same number of rays for every face");
+  FloatMode mode;
+  PathIntegrator integrator(*this, frame);
+  const std::size_t count = hits.size() / faces.size();
+  for (std::size_t f = 0; f < faces.size(); ++f) {
+    demand(faces[f] < face_count_, "a face that is not there");
+    integrator.gather(faces[f], static_cast<std::uint32_t>(count), &hits[f * count]);
+  }
+  return integrator.counters.rays;
+}
+
+std::uint64_t Tracer::walks(const FrameSettings& frame, rust::Slice<const std::uint32_t> vertices,
+                            rust::Slice<const std::uint32_t> offsets, rust::Slice<const std::uint32_t> adjacent,
+                            rust::Slice<std::uint32_t> exits, rust::Slice<float> weights) const {
+  demand(!vertices.empty() && exits.size() % vertices.size() == 0, "the same number of walks for every vertex");
+  demand(weights.size() == 3 * exits.size(), "three weights per walk");
+  demand(offsets.size() == vertex_floats_ / 3 + 1, "one offset per vertex and one for the end");
+  FloatMode mode;
+  PathIntegrator integrator(*this, frame);
+  const std::size_t count = exits.size() / vertices.size();
+  std::vector<float> area_so_far;
+  for (std::size_t i = 0; i < vertices.size(); ++i) {
+    const std::uint32_t vertex = vertices[i];
+    demand(vertex + 1 < offsets.size() && offsets[vertex] <= offsets[vertex + 1] && offsets[vertex + 1] <= adjacent.size(), "a vertex that is not there");
+    area_so_far.clear();
+    float total = 0.0f;
+    for (std::uint32_t k = offsets[vertex]; k < offsets[vertex + 1]; ++k) {
+      demand(adjacent[k] < face_count_, "a face that is not there");
+      const std::uint32_t* face = faces_ + 3ull * adjacent[k];
+      const Vec3 p = load(vertices_ + 3ull * face[0]);
+      total += length(cross(load(vertices_ + 3ull * face[1]) - p, load(vertices_ + 3ull * face[2]) - p));
+      area_so_far.push_back(total);
+    }
+    for (std::size_t k = 0; k < count; ++k) {
+      std::uint32_t& exit = exits[i * count + k];
+      exit = kNothing;
+      store(&weights[3 * (i * count + k)], Vec3{0, 0, 0});
+      if (!(total > 0.0f)) continue;
+      Sampler sampler(hash32(vertex ^ hash32(frame.pattern_key + 1)), static_cast<std::uint32_t>(k));
+      // Stratified over the faces around.
+      const float wanted = total * (static_cast<float>(k) + sampler.random()) / static_cast<float>(count);
+      std::size_t around = 0;
+      while (around + 1 < area_so_far.size() && area_so_far[around] <= wanted) ++around;
+      const std::uint32_t face = adjacent[offsets[vertex] + around];
+      const std::uint32_t* corners = faces_ + 3ull * face;
+      const std::uint32_t corner = corners[0] == vertex ? 0 : corners[1] == vertex ? 1 : 2;
+      Vec3 weight;
+      if (!integrator.walk_from(face, corner, sampler, exit, weight)) {
+        exit = kNothing;
+        continue;
+      }
+      store(&weights[3 * (i * count + k)], weight);
+    }
+  }
+  return integrator.counters.rays;
+}
+
 void Tracer::trace_distances(const FrameSettings& frame, rust::Slice<const float> directions,
-                             rust::Slice<float> distances) const {
-  demand(directions.size() == 3 * distances.size(), "one direction per distance");
+                             rust::Slice<float> distances, rust::Slice<std::uint32_t> faces) const {
+  demand(directions.size() == 3 * distances.size() && faces.size() == distances.size(), "one direction per distance");
   FloatMode mode;
   PathIntegrator integrator(*this, frame);
   float world[8 * 3];
@@ -210,8 +301,11 @@ void Tracer::trace_distances(const FrameSettings& frame, rust::Slice<const float
     for (std::size_t lane = 0; lane < count; ++lane)
       store(world + 3 * lane, integrator.world_direction(load(directions.data() + 3 * (first + lane))));
     cast_packet(robust_, frame.origin.data(), 0, world, count, true, packet);
-    for (std::size_t lane = 0; lane < count; ++lane)
-      distances[first + lane] = packet.hit.geomID[lane] == RTC_INVALID_GEOMETRY_ID ? kInfinity : packet.ray.tfar[lane];
+    for (std::size_t lane = 0; lane < count; ++lane) {
+      const bool found = packet.hit.geomID[lane] != RTC_INVALID_GEOMETRY_ID;
+      distances[first + lane] = found ? packet.ray.tfar[lane] : kInfinity;
+      faces[first + lane] = found ? packet.hit.primID[lane] : kNothing;
+    }
   }
 }
 

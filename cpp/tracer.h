@@ -52,13 +52,30 @@ class Tracer {
   // New positions (xyz interleaved, as many as at construction). Throws std::invalid_argument on a wrong length.
   void update(rust::Slice<const float> vertices);
 
+  // Refits the hierarchies to the vertices that are there: the part of `update` that is Embree's.
+  void refit();
+
   // Adds the sums of the samples of one tile to `film`, kFilmChannels floats per pixel of the tile, row-major.
   // `corners` are the (width + 1) x (height + 1) directions through the pixel corners of the whole image.
+  // `known`: kKnownValues per vertex (`cpp/path.h`), or nothing, and all light is traced.
   TileCounters trace_tile(const FrameSettings& frame, const Tile& tile, rust::Slice<const float> corners,
-                          rust::Slice<float> film) const;
+                          rust::Slice<const float> known, rust::Slice<float> film) const;
 
-  // Ray lengths along the given unit directions (camera axes), infinity where nothing is hit.
-  void trace_distances(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<float> distances) const;
+  // Ray lengths along the given unit directions (camera axes) and the faces there; infinity and ~0 where nothing is hit.
+  void trace_distances(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<float> distances,
+                       rust::Slice<std::uint32_t> faces) const;
+
+  // Per face: the lamp's irradiance (3), what it sends on of that (3), what it sends on of light from all sides (3).
+  std::uint64_t lamp(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces, rust::Slice<float> values) const;
+
+  // Per face the faces that hits.size() / faces.size() rays from it meet; ~0 where one leaves the mesh.
+  std::uint64_t gather(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces, rust::Slice<std::uint32_t> hits) const;
+
+  // Per vertex exits.size() / vertices.size() walks through the wall: the faces where they come out (~0 where they do
+  // not) and their weights (3). `adjacent[offsets[v] .. offsets[v + 1]]` are the faces around vertex v.
+  std::uint64_t walks(const FrameSettings& frame, rust::Slice<const std::uint32_t> vertices,
+                      rust::Slice<const std::uint32_t> offsets, rust::Slice<const std::uint32_t> adjacent,
+                      rust::Slice<std::uint32_t> exits, rust::Slice<float> weights) const;
 
   // What camera rays along unit directions (camera axes) hit: face (~0 for nothing), and per ray distance, the
   // barycentric weights of the face's second and third corner, albedo (3).
@@ -96,6 +113,8 @@ class Tracer {
   bool fixed_scattering_{};
   // Part of the walks that starts refracted through a microfacet of roughness 1 instead of by the cosine law.
   float refracted_entry_{}, ior_{};
+  // Part of light from all sides that the coat sends back.
+  float mean_coat_{};
   Vec3 extinction_{}, scattering_{};
   Vec3 albedo_{};
   float alpha_low_{}, alpha_high_{};

@@ -40,6 +40,23 @@ impl<T: Copy> Image<T> {
 }
 
 impl Image<f32> {
+    /// Half as wide and high: means of 2x2 pixels. An odd last row or column is left out.
+    pub fn halved(&self) -> Image<f32> {
+        let (width, height) = (self.width / 2, self.height / 2);
+        let mut data = Vec::with_capacity(width * height * self.channels);
+        for y in 0..height {
+            let (top, bottom) = (&self.data[2 * y * self.width * self.channels..], (2 * y + 1) * self.width);
+            let bottom = &self.data[bottom * self.channels..];
+            for x in 0..width {
+                let left = 2 * x * self.channels;
+                for c in left..left + self.channels {
+                    data.push(0.25 * (top[c] + top[c + self.channels] + bottom[c] + bottom[c + self.channels]));
+                }
+            }
+        }
+        Image { width, height, channels: self.channels, data }
+    }
+
     /// Linear RGB to 8-bit sRGB codes.
     pub fn to_srgb8(&self) -> Image<u8> {
         self.map(color::srgb8_from_linear)
@@ -71,4 +88,17 @@ impl Image<u8> {
 /// Encoded values in [0, 1] to the nearest 8-bit codes; clamps, NaN becomes 0.
 pub fn codes_from_unit(image: &Image<f32>) -> Image<u8> {
     image.map(|v| if v > 0.0 { (v.min(1.0) * 255.0 + 0.5) as u8 } else { 0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn halving_takes_means_and_drops_what_is_odd() {
+        let image = Image { width: 3, height: 2, channels: 2, data: (0..12).map(|v| v as f32).collect() };
+        let half = image.halved();
+        assert_eq!((half.width, half.height, half.channels), (1, 1, 2));
+        assert_eq!(half.data, [(0.0 + 2.0 + 6.0 + 8.0) / 4.0, (1.0 + 3.0 + 7.0 + 9.0) / 4.0]);
+    }
 }

@@ -149,6 +149,12 @@ pub fn interpolate(inspiration: &[DVec3], expiration: &[DVec3], phase: f64) -> V
     inspiration.iter().zip(expiration).map(|(&i, &e)| i + (e - i) * phase).collect()
 }
 
+/// How far each vertex moves from inspiration to expiration (mm), for hot loops.
+pub fn displacement(inspiration: &TriangleMesh, expiration: &TriangleMesh) -> Vec<[f32; 3]> {
+    let pairs = expiration.vertices.iter().zip(&inspiration.vertices);
+    pairs.map(|(e, i)| (*e - *i).as_vec3().to_array()).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -11,10 +11,10 @@ use clap::Args;
 
 use super::Terminal;
 use crate::airway::case::Case;
-use crate::base::{Camera, Image, Result, mesh};
+use crate::base::{Camera, Error, Image, Progress, Result, mesh};
 use crate::bench::Catalogue;
 use crate::ffi::system::cpu_time_s;
-use crate::render::{Denoise, Light, RenderSettings, Scene, Shading, render};
+use crate::render::{Denoise, Light, RenderSettings, Scene, Shading, Transport, render};
 use crate::report::pareto::{Chart, Point, Standing, write};
 use crate::simulate::material;
 use crate::simulate::trajectory::Route;
@@ -37,6 +37,9 @@ pub(super) struct Arguments {
     /// Most samples per pixel of a measured setting
     #[arg(long, default_value_t = 64, value_name = "N")]
     most_spp: u32,
+    /// Breathing phase of the frame, 0 inspiration (the shape at which the tissue's map is made) to 1 expiration
+    #[arg(long, default_value_t = 0.5, value_name = "PHASE")]
+    phase: f64,
     /// Folder with cases and profiles
     #[arg(long, value_name = "DIR")]
     bench_cases: Option<PathBuf>,
@@ -53,11 +56,10 @@ struct View {
 }
 
 impl View {
-    /// In the middle of the way, half breathed out.
-    fn of(case: &Case, width: u32) -> Result<View> {
+    /// In the middle of the way.
+    fn of(case: &Case, width: u32, phase: f64) -> Result<View> {
         let anatomy = crate::airway::build(case)?;
         let route = Route::plan(&anatomy, &case.trajectory)?;
-        let phase = 0.5;
         let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, material(case)?, case.seed)?;
         scene.deform(&mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase))?;
         Ok(View {
@@ -112,50 +114,82 @@ fn raw(samples_per_pixel: u32, seed: u64) -> RenderSettings {
     RenderSettings { samples_per_pixel, seed, shading: Shading::Smooth, ..RenderSettings::default() }
 }
 
-/// Samples per pixel that the simulator's profiles use.
-const DEFAULT_SAMPLES: u32 = 8;
+/// Samples per pixel of the simulator's profiles, which render light at vertices.
+const DEFAULT_SAMPLES: u32 = 4;
+
+/// A family of settings and the numbers of samples per pixel that are tried.
+struct Mode {
+    name: String,
+    settings: RenderSettings,
+    most_samples: u32,
+}
+
+fn modes(view: &View, most_samples: u32) -> Vec<Mode> {
+    let plain = raw(1, view.seed);
+    let mode = |name: &str, settings, most_samples| Mode { name: name.into(), settings, most_samples };
+    let mut modes = vec![
+        mode("paths", plain, most_samples),
+        mode("paths, filtered", RenderSettings { denoise: Denoise::On, ..plain }, most_samples),
+    ];
+    for rays_per_face in [4, 16, 64] {
+        let settings = RenderSettings { transport: Transport::Vertices { rays_per_face }, ..plain };
+        modes.push(mode(&format!("vertices, {rays_per_face} rays"), settings, most_samples.min(16)));
+    }
+    modes
+}
 
 /// Every mode with its powers of two of samples.
-fn measure(view: &View, reference: &Reference, most_samples: u32) -> Result<Vec<Point>> {
+fn measure(view: &View, reference: &Reference, most_samples: u32, terminal: &Terminal) -> Result<Vec<Point>> {
     let mut points = Vec::new();
-    for (mode, denoise) in [("plain", Denoise::Off), ("filtered", Denoise::On)] {
-        let mut samples = 1;
-        while samples <= most_samples {
-            let settings = RenderSettings { denoise, ..raw(samples, view.seed) };
-            let (wall, cpu) = (Instant::now(), cpu_time_s());
-            let image = view.image(&settings)?;
-            let (wall, cost) = (wall.elapsed().as_secs_f64(), cpu_time_s() - cpu);
-            let (error, bias) = reference.compare(&image);
-            let standing = match (denoise, samples) {
-                (Denoise::On, DEFAULT_SAMPLES) => Standing::Default,
-                _ => Standing::Alternative,
-            };
-            points.push(Point {
-                subject: view.name.clone(),
-                mode: mode.into(),
-                setting: format!("{samples} spp"),
-                cost,
-                error,
-                standing,
-                extra: vec![("wall_s", wall), ("mean_ratio_minus_1", bias), ("reference_relmse", reference.noise)],
-            });
-            samples *= 2;
+    for mode in modes(view, most_samples) {
+        let mut samples_per_pixel = 1;
+        while samples_per_pixel <= mode.most_samples {
+            if terminal.cancelled() {
+                return Err(Error::interrupted());
+            }
+            points.push(point(view, reference, &mode, samples_per_pixel)?);
+            samples_per_pixel *= 2;
         }
     }
     Ok(points)
 }
 
+fn point(view: &View, reference: &Reference, mode: &Mode, samples_per_pixel: u32) -> Result<Point> {
+    let settings = RenderSettings { samples_per_pixel, ..mode.settings };
+    // What a film makes once for all frames (the tissue's map) is made before the clock starts.
+    if matches!(settings.transport, Transport::Vertices { .. }) {
+        view.image(&RenderSettings { samples_per_pixel: 1, ..settings })?;
+    }
+    let (wall, cpu) = (Instant::now(), cpu_time_s());
+    let image = view.image(&settings)?;
+    let (wall, cost) = (wall.elapsed().as_secs_f64(), cpu_time_s() - cpu);
+    let (error, bias) = reference.compare(&image);
+    let is_default = settings.transport == Transport::VERTICES && samples_per_pixel == DEFAULT_SAMPLES;
+    Ok(Point {
+        subject: view.name.clone(),
+        mode: mode.name.clone(),
+        setting: format!("{samples_per_pixel}"),
+        cost,
+        error,
+        standing: if is_default { Standing::Default } else { Standing::Alternative },
+        extra: vec![("wall_s", wall), ("mean_ratio_minus_1", bias), ("reference_relmse", reference.noise)],
+    })
+}
+
 /// Runs the command.
 pub(super) fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let catalogue = Catalogue::find(arguments.bench_cases.as_deref())?;
+    if !(0.0..=1.0).contains(&arguments.phase) {
+        return Err(Error::usage(format!("the phase is {}; it must lie in [0, 1]", arguments.phase)));
+    }
     let mut points = Vec::new();
     for name in &arguments.cases {
         let case = Case::load(&catalogue.case_file(name)?)?;
         terminal.stage(format!("{}: reference", case.id));
-        let view = View::of(&case, arguments.width)?;
+        let view = View::of(&case, arguments.width, arguments.phase)?;
         let reference = Reference::render(&view, arguments.reference_spp)?;
         terminal.stage(format!("{}: modes", case.id));
-        points.extend(measure(&view, &reference, arguments.most_spp)?);
+        points.extend(measure(&view, &reference, arguments.most_spp, terminal)?);
     }
     let chart = Chart { cost: "CPU seconds per frame", error: "relMSE to unlimited bounces", points };
     let table = write(&chart, &arguments.out, "pareto-render")?;

@@ -84,6 +84,8 @@ mod bridge {
         pixel_angle: f32,
         /// Key of the sample sequences (seed and frame).
         key: u32,
+        /// Key of the samples that lie on the tissue (seed).
+        pattern_key: u32,
     }
 
     /// Pixels `x0..x1` x `y0..y1` and the samples to take of each.
@@ -127,11 +129,13 @@ mod bridge {
             material: &MaterialSettings,
         ) -> Result<UniquePtr<Tracer>>;
         fn update(self: Pin<&mut Tracer>, vertices: &[f32]) -> Result<()>;
+        fn refit(self: Pin<&mut Tracer>) -> Result<()>;
         fn trace_tile(
             self: &Tracer,
             frame: &FrameSettings,
             tile: &Tile,
             corners: &[f32],
+            known: &[f32],
             film: &mut [f32],
         ) -> Result<TileCounters>;
         fn trace_distances(
@@ -139,7 +143,19 @@ mod bridge {
             frame: &FrameSettings,
             directions: &[f32],
             distances: &mut [f32],
+            faces: &mut [u32],
         ) -> Result<()>;
+        fn lamp(self: &Tracer, frame: &FrameSettings, faces: &[u32], values: &mut [f32]) -> Result<u64>;
+        fn gather(self: &Tracer, frame: &FrameSettings, faces: &[u32], hits: &mut [u32]) -> Result<u64>;
+        fn walks(
+            self: &Tracer,
+            frame: &FrameSettings,
+            vertices: &[u32],
+            offsets: &[u32],
+            adjacent: &[u32],
+            exits: &mut [u32],
+            weights: &mut [f32],
+        ) -> Result<u64>;
         fn probe(
             self: &Tracer,
             frame: &FrameSettings,
@@ -158,6 +174,17 @@ mod bridge {
 /// Values per pixel of a tile's film, in this order: direct (3), indirect (3), indirect from the base over its albedo
 /// (3), indirect from the coat (3), albedo (3), smooth normal (3), hits (1). Sums over samples.
 pub const FILM_CHANNELS: usize = 19;
+
+/// Values per vertex: what the base sends of light that walked in the wall, over its albedo and times pi (3); irradiance by
+/// other walls (3).
+pub const KNOWN_VALUES: usize = 6;
+
+/// Values per face: the lamp's irradiance (3), what the face sends on of it (3), what it sends on of light from all sides
+/// (3).
+pub const LAMP_VALUES: usize = 9;
+
+/// In place of a face: nothing was hit.
+pub const NO_FACE: u32 = u32::MAX;
 
 /// Values per probed ray: distance, barycentric weights of the face's second and third corner, albedo (3).
 pub const PROBE_VALUES: usize = 6;
@@ -193,21 +220,60 @@ impl MeshTracer {
         self.0.pin_mut().update(vertices).map_err(failed)
     }
 
+    /// Refits the hierarchy to the vertices as they are.
+    pub fn refit(&mut self) -> Result<()> {
+        self.0.pin_mut().refit().map_err(failed)
+    }
+
     /// Adds a tile's samples to its film ([`FILM_CHANNELS`] values per pixel). `corners`: directions in camera axes
-    /// through the (width + 1) x (height + 1) pixel corners of the image.
+    /// through the (width + 1) x (height + 1) pixel corners of the image. `known`: [`KNOWN_VALUES`] per vertex,
+    /// negative where nothing is known, or empty: then all light is traced.
     pub fn trace_tile(
         &self,
         frame: &FrameSettings,
         tile: &Tile,
         corners: &[f32],
+        known: &[f32],
         film: &mut [f32],
     ) -> Result<TileCounters> {
-        self.0.trace_tile(frame, tile, corners, film).map_err(failed)
+        self.0.trace_tile(frame, tile, corners, known, film).map_err(failed)
     }
 
-    /// Lengths of camera rays along unit directions (camera axes); infinity where nothing is hit.
-    pub fn distances(&self, frame: &FrameSettings, directions: &[f32], distances: &mut [f32]) -> Result<()> {
-        self.0.trace_distances(frame, directions, distances).map_err(failed)
+    /// Lengths of camera rays along unit directions (camera axes) and the faces there; infinity and [`NO_FACE`] where
+    /// nothing is hit.
+    pub fn distances(
+        &self,
+        frame: &FrameSettings,
+        directions: &[f32],
+        distances: &mut [f32],
+        faces: &mut [u32],
+    ) -> Result<()> {
+        self.0.trace_distances(frame, directions, distances, faces).map_err(failed)
+    }
+
+    /// [`LAMP_VALUES`] per face; gives back the number of rays.
+    pub fn lamp(&self, frame: &FrameSettings, faces: &[u32], values: &mut [f32]) -> Result<u64> {
+        self.0.lamp(frame, faces, values).map_err(failed)
+    }
+
+    /// Per face the faces that `hits.len() / faces.len()` rays from it meet ([`NO_FACE`] where one leaves the mesh); gives
+    /// back the number of rays.
+    pub fn gather(&self, frame: &FrameSettings, faces: &[u32], hits: &mut [u32]) -> Result<u64> {
+        self.0.gather(frame, faces, hits).map_err(failed)
+    }
+
+    /// Per vertex `exits.len() / vertices.len()` walks through the wall: faces where they come out ([`NO_FACE`] where they
+    /// do not) and three weights. `adjacent[offsets[v]..offsets[v + 1]]` are the faces around vertex v. Gives back the
+    /// number of rays.
+    pub fn walks(
+        &self,
+        frame: &FrameSettings,
+        vertices: &[u32],
+        [offsets, adjacent]: [&[u32]; 2],
+        exits: &mut [u32],
+        weights: &mut [f32],
+    ) -> Result<u64> {
+        self.0.walks(frame, vertices, offsets, adjacent, exits, weights).map_err(failed)
     }
 
     /// What camera rays along unit directions (camera axes) hit: face (`u32::MAX` for nothing) and [`PROBE_VALUES`] values.

@@ -9,7 +9,7 @@ use crate::splat::{Anchors, Carrier, Frame, Gaussians, Gradients};
 
 use super::neighbours;
 use super::optimiser::{Adam, AdamConstants, StepCounter};
-use super::settings::Appearance;
+use super::settings::{Appearance, Layout};
 
 /// SH degree of all methods here.
 pub const SH_DEGREE: u8 = 1;
@@ -65,8 +65,9 @@ fn even_barycentrics(k: usize, n: usize) -> [f64; 3] {
 
 impl Surface {
     /// Discs on `mesh` at rest.
-    pub fn new(mesh: &TriangleMesh, settings: &Appearance, frame: Frame, start: Start, seed: u64) -> Self {
-        let per_face = settings.gaussians_per_face.resolve(mesh.faces.len(), *settings.gaussian_budget);
+    pub fn new(mesh: &TriangleMesh, layout: impl Into<Layout>, frame: Frame, start: Start, seed: u64) -> Self {
+        let layout = layout.into();
+        let per_face = layout.per_face.resolve(mesh.faces.len(), layout.budget);
         let n = mesh.faces.len() * per_face;
         let mut rng = CounterRng::new(seed, Stage::Method, &[1]);
         let logits: Vec<[f64; 3]> = (0..n)
@@ -85,7 +86,7 @@ impl Surface {
             })
             .collect();
         let log_scales: Vec<[f32; 2]> =
-            neighbours::spacing(&centres).iter().map(|s| [(s * *settings.initial_scale).ln() as f32; 2]).collect();
+            neighbours::spacing(&centres).iter().map(|s| [(s * layout.initial_scale).ln() as f32; 2]).collect();
         let mut sh = vec![0.0; n * SH_VALUES];
         if start == Start::Random {
             for value in sh.chunks_exact_mut(SH_VALUES).flat_map(|s| &mut s[..3]) {
@@ -97,11 +98,11 @@ impl Surface {
             rest: to_f32(&mesh.vertices),
             frame,
             per_face,
-            opacity: *settings.opacity as f32,
+            opacity: layout.opacity as f32,
             logits: logits.iter().map(|l| l.map(|v| v as f32)).collect(),
             initial_log_scales: log_scales.clone(),
             log_scales,
-            cap: *settings.scale_cap,
+            cap: layout.scale_cap,
             sh,
             fitted_at_mm: vec![0.0; n],
         }
@@ -192,6 +193,17 @@ impl Patch {
     pub fn place(&mut self, vertices: &[[f32; 3]]) -> Result<()> {
         let carrier = Carrier { vertices, faces: &self.faces };
         self.anchors.place(carrier, None, &mut self.gaussians)
+    }
+
+    /// Velocities of centres and axes while the local `vertices` move by `displacement` per unit of phase.
+    pub fn place_tangent(
+        &self,
+        vertices: &[[f32; 3]],
+        displacement: &[[f32; 3]],
+        positions: &mut Vec<[f32; 3]>,
+        axes: &mut Vec<[[f32; 3]; 2]>,
+    ) -> Result<()> {
+        self.anchors.place_tangent(self.carrier(vertices), displacement, None, positions, axes)
     }
 
     /// dL/dphase for vertices that move by `displacement` per unit of phase.

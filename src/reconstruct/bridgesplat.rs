@@ -152,7 +152,7 @@ impl<'a> State<'a> {
         self.surface.absorb(&patch);
         let color = color_image(&self.rasterizer);
         let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);
-        Ok(FramePrediction { frame, color, depth_mm, phase: None, ahead })
+        Ok(FramePrediction { frame, color, depth_mm, phase: None, phase_deviation: None, ahead })
     }
 
     /// False for vertices of any face that has a disc outside the image (occlusion is not tested).

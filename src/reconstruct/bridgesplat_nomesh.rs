@@ -192,7 +192,7 @@ impl<'a> State<'a> {
         self.free.absorb(&patch);
         let color = color_image(&self.rasterizer);
         let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);
-        Ok(FramePrediction { frame, color, depth_mm, phase: None, ahead })
+        Ok(FramePrediction { frame, color, depth_mm, phase: None, phase_deviation: None, ahead })
     }
 
     /// Anchors whose own Gaussian is outside the image.

@@ -9,6 +9,7 @@ use crate::base::{Error, Result, files};
 use super::bridgesplat::Bridgesplat;
 use super::bridgesplat_nomesh::BridgesplatNomesh;
 use super::ours::{Ours, Row};
+use super::ours_gn::OursGn;
 use super::ours_nomesh::OursNomesh;
 use super::{Reconstruct, settings};
 
@@ -33,11 +34,12 @@ pub fn method(path: &Path, iteration_scale: f64) -> Result<Box<dyn Reconstruct>>
         "ours" => Box::new(Ours::new(phase()?, Row::Ours, iteration_scale)),
         "static-ct" => Box::new(Ours::new(phase()?, Row::StaticCt, iteration_scale)),
         "oracle-phase" => Box::new(Ours::new(phase()?, Row::OraclePhase, iteration_scale)),
+        "ours-gn" => Box::new(OursGn::new(files::read_toml(path)?, iteration_scale)),
         "ours-nomesh" => Box::new(OursNomesh::new(phase()?, iteration_scale)),
         "bridgesplat" => Box::new(Bridgesplat::new(bridge()?, iteration_scale)),
         "bridgesplat-nomesh" => Box::new(BridgesplatNomesh::new(bridge()?, iteration_scale)),
         other => {
-            let known = "ours, ours-nomesh, bridgesplat, bridgesplat-nomesh, static-ct, oracle-phase";
+            let known = "ours, ours-nomesh, ours-gn, bridgesplat, bridgesplat-nomesh, static-ct, oracle-phase";
             return Err(Error::input(format!("there is no kind `{other}`; the kinds are {known}"))
                 .element("kind")
                 .at(path));
@@ -63,10 +65,12 @@ mod tests {
     }
 
     #[test]
-    fn the_six_methods_are_there() {
+    fn the_methods_are_there() {
         let all = methods(&shipped(), 1.0).unwrap();
         let ids: Vec<&str> = all.iter().map(|m| m.id()).collect();
-        assert_eq!(ids, ["bridgesplat", "bridgesplat-nomesh", "oracle-phase", "ours", "ours-nomesh", "static-ct"]);
+        let expected =
+            ["bridgesplat", "bridgesplat-nomesh", "oracle-phase", "ours", "ours-gn", "ours-nomesh", "static-ct"];
+        assert_eq!(ids, expected);
     }
 
     #[test]

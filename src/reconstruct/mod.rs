@@ -9,6 +9,7 @@ mod bridgesplat;
 mod bridgesplat_nomesh;
 mod control_points;
 mod free;
+mod gauss_newton;
 mod library;
 pub mod loss;
 mod neighbours;
@@ -16,9 +17,11 @@ mod observe;
 mod online;
 pub mod optimiser;
 mod ours;
+mod ours_gn;
 mod ours_nomesh;
 pub mod phase;
 mod phase_fit;
+mod phase_search;
 mod prediction;
 pub mod settings;
 #[cfg(test)]
@@ -34,6 +37,7 @@ pub use bridgesplat_nomesh::BridgesplatNomesh;
 pub use library::{method, methods};
 pub use observe::observe;
 pub use ours::{Ours, Row};
+pub use ours_gn::OursGn;
 pub use ours_nomesh::OursNomesh;
 pub use prediction::write_prediction;
 
@@ -108,6 +112,8 @@ pub struct FramePrediction {
     pub depth_mm: Image<f32>,
     /// Estimated breathing phase, where the method has one.
     pub phase: Option<f64>,
+    /// Standard deviation of that estimate, where the method knows one.
+    pub phase_deviation: Option<f64>,
     /// Rendering made before the frame's image was looked at (every eighth frame).
     pub ahead: Option<Image<f32>>,
 }

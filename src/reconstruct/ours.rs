@@ -1,13 +1,13 @@
 //! `ours`: discs anchored to the CT mesh, carried by one phase per frame (the paper's Sections 3.1 to 3.4). The same
 //! program runs the sanity rows `static-ct` (inspiration mesh, phase 0 throughout) and `oracle-phase` (true phase).
 
-use crate::base::{Progress, Result};
+use crate::base::{Progress, Result, mesh};
 use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
 
 use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
 use super::optimiser::StepCounter;
-use super::phase_fit::{self, Carried, PhaseSource};
+use super::phase_fit::{self, Carried, PhaseSource, at_phase};
 use super::settings::PhaseMethod;
 use super::{Access, FramePrediction, Observation, Reconstruct, Reconstruction};
 
@@ -91,26 +91,16 @@ struct Seen {
     fitted_at_mm: Vec<f32>,
 }
 
-fn at_phase(rest: &[[f32; 3]], displacement: &[[f32; 3]], phase: f32, out: &mut Vec<[f32; 3]>) {
-    out.clear();
-    out.extend(rest.iter().zip(displacement).map(|(r, d)| [0, 1, 2].map(|k| r[k] + phase * d[k])));
-}
-
 impl OnMesh {
     fn new(settings: &PhaseMethod, iteration_scale: f64, observation: &Observation) -> Result<Self> {
         let rest = &observation.inspiration;
-        let displacement = match &observation.expiration {
-            Some(expiration) => {
-                expiration.vertices.iter().zip(&rest.vertices).map(|(e, i)| (*e - *i).as_vec3().to_array()).collect()
-            }
-            None => vec![[0.0; 3]; rest.vertices.len()],
-        };
+        let expiration = observation.expiration.as_ref().unwrap_or(rest);
         let rates = Rates::new(&settings.appearance, super::rate_factor(iteration_scale));
         let constants = adam_constants(&settings.appearance, observation.images[0].data.len());
         Ok(OnMesh {
             surface: Surface::new(rest, &settings.appearance, Frame::InheritStretch, Start::Even, observation.seed),
             inspiration: to_f32(&rest.vertices),
-            displacement,
+            displacement: mesh::displacement(rest, expiration),
             reach: Reach::new(&settings.visibility),
             adam: DiscAdam::new(rates, StepCounter::Restarted, constants),
             seen: None,

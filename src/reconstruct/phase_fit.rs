@@ -16,6 +16,7 @@ use super::loss::photometric::Photometric;
 use super::online::{color_image, fit_in_order, held_out};
 use super::optimiser::{Adam, AdamConstants, StepCounter};
 use super::phase::PhaseActivation;
+use super::phase_search::{depth_error_mm, grid_search};
 use super::settings::PhaseMethod;
 use super::{FramePrediction, Observation, Reconstruction};
 
@@ -91,6 +92,12 @@ pub fn run(
     let seconds = fit_in_order(frames, |frame| fitter.fit(frame, source, carried), emit, progress)?;
     let last = fitter.phases.last().copied().unwrap_or(0.0);
     Ok((last, Reconstruction { final_mesh: None, seconds }))
+}
+
+/// `rest + phase * displacement`, vertex by vertex.
+pub fn at_phase(rest: &[[f32; 3]], displacement: &[[f32; 3]], phase: f32, out: &mut Vec<[f32; 3]>) {
+    out.clear();
+    out.extend(rest.iter().zip(displacement).map(|(r, d)| [0, 1, 2].map(|k| r[k] + phase * d[k])));
 }
 
 /// The airway at `phase` by the two CTs.
@@ -176,48 +183,17 @@ impl Fitter<'_> {
         self.mark_fitted(&view, carried, &image);
         carried.leave();
         self.phases.push(phase);
-        Ok(FramePrediction { frame, color, depth_mm, phase: estimated.then_some(phase), ahead })
+        Ok(FramePrediction { frame, color, depth_mm, phase: estimated.then_some(phase), phase_deviation: None, ahead })
     }
 
-    /// First frame: the phase whose rendered depth is nearest to the given one (mean absolute difference where both
-    /// are), by a grid and then golden sections.
+    /// First frame: the phase whose rendered depth is nearest to the given one.
     fn search_by_depth(&mut self, view: &View, carried: &mut dyn Carried) -> Result<f64> {
         let Some(truth) = &self.observation.first_depth_mm else { return Ok(0.0) };
-        let steps = self.settings.grid_steps.value.max(2) as usize;
         let settings = self.render_settings(DepthOutput::Surface);
-        let mut error = |phase: f64| -> Result<f64> {
+        grid_search(*self.settings.grid_steps, |phase| {
             carried.place(phase)?;
-            let rendered = self.rasterizer.render(carried.gaussians(), view, &settings, None)?;
-            let (mut sum, mut count) = (0.0, 0usize);
-            for ((&d, &a), &t) in rendered.depth.iter().zip(&rendered.alpha).zip(&truth.data) {
-                if t > 0.0 && a > 0.5 {
-                    sum += ((d - t).abs() as f64).min(0.25 * t as f64);
-                    count += 1;
-                }
-            }
-            Ok(if count == 0 { f64::INFINITY } else { sum / count as f64 })
-        };
-        let mut best = (f64::INFINITY, 0.0);
-        for i in 0..steps {
-            let phase = i as f64 / (steps - 1) as f64;
-            let e = error(phase)?;
-            if e < best.0 {
-                best = (e, phase);
-            }
-        }
-        let step = 1.0 / (steps - 1) as f64;
-        let (mut low, mut high) = ((best.1 - step).max(0.0), (best.1 + step).min(1.0));
-        const GOLDEN: f64 = 0.618_033_988_749_895;
-        for _ in 0..10 {
-            let (a, b) = (high - GOLDEN * (high - low), low + GOLDEN * (high - low));
-            if error(a)? < error(b)? {
-                high = b;
-            } else {
-                low = a;
-            }
-        }
-        let refined = 0.5 * (low + high);
-        Ok(if error(refined)? <= best.0 { refined } else { best.1 })
+            Ok(depth_error_mm(self.rasterizer.render(carried.gaussians(), view, &settings, None)?, truth))
+        })
     }
 
     /// Encoded brightness of what was seen before follows the distance to the light at the scope.
@@ -427,7 +403,7 @@ fn depths(view: &View, gaussians: &Gaussians<f32>) -> Vec<f32> {
 }
 
 /// The pixel on which each centre falls.
-fn pixels(view: &View, gaussians: &Gaussians<f32>) -> Vec<Option<[usize; 2]>> {
+pub fn pixels(view: &View, gaussians: &Gaussians<f32>) -> Vec<Option<[usize; 2]>> {
     let (width, height) = (view.camera.width as f64, view.camera.height as f64);
     in_camera(view, gaussians)
         .iter()

@@ -1,4 +1,5 @@
-//! The PREDICTION folder: `color/NNNNNN.png`, `depth/NNNNNN.exr`, `ahead/NNNNNN.png`, `phase.csv`, `mesh/final.ply`,
+//! The PREDICTION folder: `color/NNNNNN.png`, `depth/NNNNNN.exr`, `ahead/NNNNNN.png`, `phase.csv` (with `phase_sd` where
+//! the method knows it), `mesh/final.ply`,
 //! `timing.json`. Frames are written as they come; what is known only at the end follows.
 
 use std::path::{Path, PathBuf};
@@ -25,19 +26,23 @@ pub fn write_prediction(
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<()> {
-    let mut phases: Vec<(usize, f64)> = Vec::new();
+    let mut phases: Vec<(usize, f64, Option<f64>)> = Vec::new();
     let mut emit = |prediction: FramePrediction| -> Result<()> {
         write_frame(folder, &prediction)?;
-        phases.extend(prediction.phase.map(|phase| (prediction.frame, phase)));
+        phases.extend(prediction.phase.map(|phase| (prediction.frame, phase, prediction.phase_deviation)));
         Ok(())
     };
     let done = method.run(observation, &mut emit, progress)?;
     if !phases.is_empty() {
         let mut writer = csv::Writer::from_writer(Vec::new());
         let failed = |e: csv::Error| Error::input(format!("cannot be written: {e}")).at(folder.join("phase.csv"));
-        writer.write_record(["frame", "phase"]).map_err(failed)?;
-        for (frame, phase) in &phases {
-            writer.write_record([frame.to_string(), format!("{phase:.9}")]).map_err(failed)?;
+        let with_deviation = phases.iter().all(|(_, _, deviation)| deviation.is_some());
+        let columns = if with_deviation { 3 } else { 2 };
+        writer.write_record(&["frame", "phase", "phase_sd"][..columns]).map_err(failed)?;
+        for (frame, phase, deviation) in &phases {
+            let deviation = deviation.map_or(String::new(), |sd| format!("{sd:.9}"));
+            let row = [frame.to_string(), format!("{phase:.9}"), deviation];
+            writer.write_record(&row[..columns]).map_err(failed)?;
         }
         let bytes = writer.into_inner().map_err(|e| Error::input(e.to_string()))?;
         files::write_bytes(&folder.join("phase.csv"), &bytes)?;

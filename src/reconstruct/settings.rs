@@ -97,6 +97,59 @@ pub struct Appearance {
     pub sh_rest_rate: Sourced<f64>,
 }
 
+/// Discs whose places and sizes stay as they are made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FixedDiscs {
+    /// Discs per face.
+    pub gaussians_per_face: Sourced<PerFace>,
+    /// How many in all when `gaussians_per_face` is `auto`.
+    pub gaussian_budget: Sourced<u32>,
+    /// Opacity, frozen.
+    pub opacity: Sourced<f64>,
+    /// Factor on the spread (1 = root mean square distance to the three nearest centres).
+    pub initial_scale: Sourced<f64>,
+}
+
+/// How the discs of a mesh are made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Layout {
+    /// Discs per face.
+    pub per_face: PerFace,
+    /// How many in all when that is `auto`.
+    pub budget: u32,
+    /// Opacity of all.
+    pub opacity: f64,
+    /// Factor on the spread.
+    pub initial_scale: f64,
+    /// Most that a scale may grow over its initial value; 0 for no limit.
+    pub scale_cap: f64,
+}
+
+impl From<&Appearance> for Layout {
+    fn from(a: &Appearance) -> Self {
+        Layout {
+            per_face: *a.gaussians_per_face,
+            budget: *a.gaussian_budget,
+            opacity: *a.opacity,
+            initial_scale: *a.initial_scale,
+            scale_cap: *a.scale_cap,
+        }
+    }
+}
+
+impl From<&FixedDiscs> for Layout {
+    fn from(d: &FixedDiscs) -> Self {
+        Layout {
+            per_face: *d.gaussians_per_face,
+            budget: *d.gaussian_budget,
+            opacity: *d.opacity,
+            initial_scale: *d.initial_scale,
+            scale_cap: 0.0,
+        }
+    }
+}
+
 /// Which part of the airway is computed at all.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -145,6 +198,55 @@ pub struct PhaseMethod {
     pub falloff_exponent: Sourced<f64>,
     /// Gaussians.
     pub appearance: Appearance,
+    /// What is left out.
+    pub visibility: Visibility,
+}
+
+/// Settings of `ours-gn`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GaussNewtonMethod {
+    /// Id in tables and folders.
+    pub id: String,
+    /// Which program runs it.
+    pub kind: String,
+    /// One line for `list`.
+    pub description: String,
+    /// Gauss-Newton steps at a quarter, half and full resolution.
+    pub steps: Sourced<[u32; 3]>,
+    /// Resolutions with fewer pixels a side are left out.
+    pub smallest_width: Sourced<u32>,
+    /// Robust standard deviations beyond which a residual counts linearly.
+    pub huber: Sourced<f64>,
+    /// Edge of the blocks whose residuals err together, as a share of the image width.
+    pub block_share: Sourced<f64>,
+    /// Longest step of phase.
+    pub longest_step: Sourced<f64>,
+    /// Share of the last change of phase that is expected again.
+    pub velocity: Sourced<f64>,
+    /// Standard deviation of the phase around what is expected.
+    pub prior_deviation: Sourced<f64>,
+    /// Growth of the random walk of the answer, in standard deviations of each frame's step.
+    pub drift_factor: Sourced<f64>,
+    /// A cost so many times its running mean starts a search over all phases.
+    pub lost_factor: Sourced<f64>,
+    /// Steps of that search, and of the first frame's.
+    pub grid_steps: Sourced<u32>,
+    /// Largest change of the exposure gain per channel and frame.
+    pub exposure_limit: Sourced<f64>,
+    /// Encoded brightness falls with distance to this power.
+    pub falloff_exponent: Sourced<f64>,
+    /// Light that does not depend on the incidence, as a share of that which does.
+    pub indirect_share: Sourced<f64>,
+    /// Sweeps over the albedo in the first frame and in the others.
+    pub appearance_steps: Sourced<[u32; 2]>,
+    /// Pixels by which a disc's albedo is held at what it was: several discs share a pixel where the wall is far or
+    /// grazed, and the image cannot tell them apart.
+    pub hold_pixels: Sourced<f64>,
+    /// How many past looks weigh against the present one.
+    pub memory_frames: Sourced<f64>,
+    /// Discs.
+    pub discs: FixedDiscs,
     /// What is left out.
     pub visibility: Visibility,
 }

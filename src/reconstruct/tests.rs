@@ -178,6 +178,22 @@ fn ours_recovers_its_world_and_the_planted_phase() {
 }
 
 #[test]
+fn ours_gn_recovers_its_world_and_the_planted_phase() {
+    let observation = world(Made::Discs, 24, 64, breath);
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
+    let mut settings: settings::GaussNewtonMethod = files::read_toml(&folder.join("ours-gn.toml")).unwrap();
+    settings.falloff_exponent.value = 0.0;
+    settings.discs.gaussian_budget.value = 7000;
+    let (psnr, answers) = recover(&OursGn::new(settings, 1.0), &observation);
+    let truth = observation.true_phase.as_ref().unwrap();
+    let errors: Vec<f64> = answers.iter().zip(truth).map(|(p, t)| p.phase.unwrap() - t).collect();
+    println!("phase errors {errors:.4?}");
+    let mae = errors.iter().map(|e| e.abs()).sum::<f64>() / errors.len() as f64;
+    assert!(psnr >= 38.0, "{psnr}");
+    assert!(mae < 0.01, "{mae}");
+}
+
+#[test]
 fn ours_nomesh_recovers_its_world() {
     let observation = world(Made::Discs, 24, 64, breath);
     let (psnr, _) = recover(&OursNomesh::new(unlit("ours-nomesh"), 0.5), &observation);

@@ -8,10 +8,11 @@ use rayon::prelude::*;
 
 use super::denoise::{Guides, denoised_indirect};
 use super::scene::Scene;
-use super::settings::{Denoise, Light, RenderSettings, Shading};
+use super::settings::{Denoise, Light, RenderSettings, Shading, Transport};
+use super::vertex_light::vertex_light;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Camera, Error, Image, NoProgress, Progress, Result};
-use crate::ffi::tracer::{FILM_CHANNELS, FrameSettings, Tile, TileCounters};
+use crate::ffi::tracer::{FILM_CHANNELS, FrameSettings, NO_FACE, Tile, TileCounters};
 
 /// Side of a tile in pixels.
 const TILE_PX: u32 = 16;
@@ -88,13 +89,23 @@ pub fn render_watched(
     let frame = frame_settings(scene, camera, world_from_camera, light, settings);
     let corners = corner_directions(camera);
     let mut statistics = Statistics::default();
+    let (depth_mm, seen) = depth(scene, &frame, camera)?;
+    let known = match settings.transport {
+        Transport::Paths => Vec::new(),
+        Transport::Vertices { rays_per_face } => {
+            scene.check_vertex_light()?;
+            let light = vertex_light(scene, &frame, &seen, rays_per_face)?;
+            statistics.rays += light.rays;
+            light.known
+        }
+    };
     let mut film = Film { sums: vec![0.0; pixel_count(camera) * FILM_CHANNELS], samples: 0 };
     let mut wanted = settings.samples_per_pixel;
     loop {
         let before = settings.target_relmse.map(|_| Film { sums: film.sums.clone(), samples: film.samples });
         while film.samples < wanted {
             let count = (wanted - film.samples).min(SAMPLES_PER_ROUND);
-            add_samples(scene, &frame, &corners, count, &mut film, &mut statistics)?;
+            add_samples(scene, &frame, [&corners, &known], count, &mut film, &mut statistics)?;
             progress.advance(film.samples as usize, wanted as usize);
             if progress.cancelled() {
                 return Err(Error::interrupted());
@@ -108,7 +119,6 @@ pub fn render_watched(
         wanted = (wanted * 2).min(MAX_SAMPLES);
     }
     statistics.samples_per_pixel = film.samples;
-    let depth_mm = depth(scene, &frame, camera)?;
     let radiance = match settings.denoise {
         Denoise::Off => develop(&film, camera),
         Denoise::On => develop_denoised(&film, camera, &depth_mm),
@@ -134,6 +144,9 @@ fn check(camera: &Camera, pose: &DAffine3, light: &Light, settings: &RenderSetti
     }
     if settings.background.iter().any(|v| !v.is_finite() || *v < 0.0) {
         return Err(Error::input("the background must be finite and not negative"));
+    }
+    if matches!(settings.transport, Transport::Vertices { rays_per_face } if !(1..=4096).contains(&rays_per_face)) {
+        return Err(Error::input("rays per face must lie in 1 to 4096"));
     }
     if settings.samples_per_pixel == 0 || settings.samples_per_pixel > MAX_SAMPLES {
         return Err(Error::input(format!("samples per pixel must lie in 1 to {MAX_SAMPLES}")));
@@ -165,6 +178,7 @@ pub(super) fn frame_settings(
         smooth: settings.shading == Shading::Smooth,
         pixel_angle: (1.0 / camera.fl_x) as f32,
         key: CounterRng::new(settings.seed, Stage::Render, &[settings.frame]).next_u32(),
+        pattern_key: CounterRng::new(settings.seed, Stage::Render, &[u64::MAX, 1]).next_u32(),
     }
 }
 
@@ -194,7 +208,7 @@ fn tiles(width: u32, height: u32) -> Vec<(u32, u32)> {
 fn add_samples(
     scene: &Scene,
     frame: &FrameSettings,
-    corners: &[f32],
+    [corners, known]: [&[f32]; 2],
     samples: u32,
     film: &mut Film,
     statistics: &mut Statistics,
@@ -205,7 +219,7 @@ fn add_samples(
             let (x1, y1) = ((x0 + TILE_PX).min(frame.width), (y0 + TILE_PX).min(frame.height));
             let tile = Tile { x0, x1, y0, y1, first_sample: film.samples, samples };
             let mut sums = vec![0.0; ((x1 - x0) * (y1 - y0)) as usize * FILM_CHANNELS];
-            let counters = scene.tracer.trace_tile(frame, &tile, corners, &mut sums)?;
+            let counters = scene.tracer.trace_tile(frame, &tile, corners, known, &mut sums)?;
             Ok((tile, sums, counters))
         })
         .collect::<Result<_>>()?;
@@ -271,22 +285,22 @@ fn develop_denoised(film: &Film, camera: &Camera, depth_mm: &Image<f32>) -> Imag
     image
 }
 
-fn depth(scene: &Scene, frame: &FrameSettings, camera: &Camera) -> Result<Image<f32>> {
+/// z-depth and faces (or [`NO_FACE`]) at the pixel centres.
+fn depth(scene: &Scene, frame: &FrameSettings, camera: &Camera) -> Result<(Image<f32>, Vec<u32>)> {
     let width = camera.width as usize;
-    let rows: Vec<Vec<f32>> = (0..camera.height)
+    let rows: Vec<(Vec<f32>, Vec<u32>)> = (0..camera.height)
         .into_par_iter()
         .map(|y| {
             let directions: Vec<DVec3> =
                 (0..width).map(|x| camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize()).collect();
             let flat: Vec<f32> = directions.iter().flat_map(|d| d.to_array()).map(|v| v as f32).collect();
-            let mut distances = vec![0.0; width];
-            scene.tracer.distances(frame, &flat, &mut distances)?;
-            Ok(distances
-                .iter()
-                .zip(&directions)
-                .map(|(&t, d)| if t.is_finite() { (t as f64 * d.z) as f32 } else { 0.0 })
-                .collect())
+            let (mut distances, mut faces) = (vec![0.0; width], vec![NO_FACE; width]);
+            scene.tracer.distances(frame, &flat, &mut distances, &mut faces)?;
+            let z = |(&t, d): (&f32, &DVec3)| if t.is_finite() { (t as f64 * d.z) as f32 } else { 0.0 };
+            Ok((distances.iter().zip(&directions).map(z).collect(), faces))
         })
         .collect::<Result<_>>()?;
-    Ok(Image { width, height: camera.height as usize, channels: 1, data: rows.concat() })
+    let data = rows.iter().flat_map(|r| r.0.iter().copied()).collect();
+    let faces = rows.iter().flat_map(|r| r.1.iter().copied()).collect();
+    Ok((Image { width, height: camera.height as usize, channels: 1, data }, faces))
 }

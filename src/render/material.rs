@@ -21,6 +21,16 @@ pub enum MaterialKind {
     Mucosa,
 }
 
+/// Whether light walks through the wall of a `coated` or `mucosa` material.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Subsurface {
+    /// It leaves where it enters (Lambert base).
+    Off,
+    /// It walks (`mean_free_path_mm`, at the first vertex of a path; diffuse boundary below the coat).
+    Walk,
+}
+
 /// How light passes the surface of a `subsurface` wall.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -58,6 +68,9 @@ pub struct Material {
     pub coat_alpha: f64,
     /// Refractive index of the coat.
     pub coat_ior: f64,
+    /// Light in the wall of `coated` and `mucosa`; where left out, it walks in `mucosa` and not in `coated`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub subsurface: Option<Subsurface>,
     /// Mean free path below the surface in mm per channel (`subsurface`).
     pub mean_free_path_mm: [f64; 3],
     /// Single-scattering albedo per channel (`subsurface`); where left out, that whose half-space has `albedo`.
@@ -88,6 +101,7 @@ impl Default for Material {
             albedo: [0.75, 0.40, 0.35],
             coat_alpha: 0.15,
             coat_ior: 1.4,
+            subsurface: None,
             mean_free_path_mm: [1.0, 0.4, 0.25],
             single_scattering_albedo: None,
             boundary: Boundary::Diffuse,
@@ -171,12 +185,17 @@ impl Material {
             subsurface: match (self.kind, self.boundary) {
                 (MaterialKind::Subsurface, Boundary::Diffuse | Boundary::Mixed) => 1,
                 (MaterialKind::Subsurface, Boundary::Matched) => 2,
+                (MaterialKind::Coated, _) if self.subsurface == Some(Subsurface::Walk) => 1,
+                (MaterialKind::Mucosa, _) if self.subsurface != Some(Subsurface::Off) => 1,
                 _ => 0,
             },
             walk_at_every_vertex: self.kind == MaterialKind::Subsurface && self.walk == WalkedVertices::Every,
-            refracted_entry: if self.boundary == Boundary::Mixed { 0.5 } else { 0.0 },
+            refracted_entry: match (self.kind, self.boundary) {
+                (MaterialKind::Subsurface, Boundary::Mixed) => 0.5,
+                _ => 0.0,
+            },
             extinction: self.mean_free_path_mm.map(|v| (1.0 / v) as f32),
-            fixed_scattering: self.single_scattering_albedo.is_some(),
+            fixed_scattering: self.kind == MaterialKind::Subsurface && self.single_scattering_albedo.is_some(),
             scattering: self.single_scattering_albedo.unwrap_or([0.0; 3]).map(|v| v as f32),
         })
     }

@@ -15,11 +15,14 @@ pub mod probe;
 mod scene;
 pub mod scene_file;
 mod settings;
+mod tissue;
+mod topology;
+mod vertex_light;
 
 pub use frame::{Frame, Statistics, render, render_watched};
-pub use material::{Boundary, Material, MaterialKind, WalkedVertices};
+pub use material::{Boundary, Material, MaterialKind, Subsurface, WalkedVertices};
 pub use scene::Scene;
-pub use settings::{Denoise, Light, RenderSettings, Shading};
+pub use settings::{Denoise, Light, RenderSettings, Shading, Transport};
 
 /// Instruction set that Embree is pinned to: others trace the same rays with other last bits.
 pub const ISA: &str = "avx2";

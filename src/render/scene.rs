@@ -4,6 +4,8 @@ use glam::DVec3;
 
 use super::axial::axial_distance_mm;
 use super::material::Material;
+use super::tissue::{Rest, Tissue};
+use super::topology::Topology;
 use crate::base::{Error, Result, TriangleMesh};
 use crate::ffi::tracer::MeshTracer;
 
@@ -12,7 +14,11 @@ pub struct Scene {
     pub(super) tracer: MeshTracer,
     /// Subtracted from every world position before it becomes f32: keeps coordinates small.
     pub(super) shift: DVec3,
-    vertices: usize,
+    pub(super) topology: Topology,
+    /// Light at rest.
+    pub(super) tissue: Tissue,
+    /// An index-matched boundary.
+    matched: bool,
 }
 
 impl Scene {
@@ -32,20 +38,48 @@ impl Scene {
         let axial = if settings.mucosa { axial_distance_mm(rest, &generation) } else { vec![0.0; generation.len()] };
         let (low, high) = rest.bounds();
         let shift = (low + high) * 0.5;
-        let tracer =
-            MeshTracer::new(&floats(&rest.vertices, shift), rest.faces.as_flattened(), &generation, &axial, &settings)?;
-        Ok(Scene { tracer, shift, vertices: rest.vertices.len() })
+        let vertices = floats(&rest.vertices, shift);
+        let tracer = MeshTracer::new(&vertices, rest.faces.as_flattened(), &generation, &axial, &settings)?;
+        let topology = Topology::new(rest);
+        let tissue = Tissue::new(Rest { vertices, generation, axial, material: settings }, &topology);
+        Ok(Scene { tracer, shift, topology, tissue, matched: settings.subsurface == 2 })
+    }
+
+    /// Refuses what has no light at vertices.
+    pub(super) fn check_vertex_light(&self) -> Result<()> {
+        if self.matched {
+            return Err(Error::input(
+                "light at vertices needs a wall that light leaves as from a Lambert surface; a matched boundary needs paths",
+            ));
+        }
+        Ok(())
     }
 
     /// Moves the vertices (world, mm) and refits the hierarchy. The look stays on the tissue.
     pub fn deform(&mut self, vertices: &[DVec3]) -> Result<()> {
-        if vertices.len() != self.vertices {
-            return Err(Error::input(format!("{} positions for {} vertices", vertices.len(), self.vertices)));
+        if vertices.len() != self.topology.vertex_count() {
+            return Err(Error::input(format!(
+                "{} positions for {} vertices",
+                vertices.len(),
+                self.topology.vertex_count()
+            )));
         }
         if let Some(v) = vertices.iter().position(|v| !v.is_finite()) {
             return Err(Error::input("coordinate is not finite").element(format!("vertex {v}")));
         }
         self.tracer.update(&floats(vertices, self.shift))
+    }
+
+    /// Number of triangles.
+    pub fn triangles(&self) -> usize {
+        self.topology.faces.len()
+    }
+
+    /// Seconds that one refit of the hierarchies takes; changes nothing.
+    pub fn refit_seconds(&mut self) -> Result<f64> {
+        let start = std::time::Instant::now();
+        self.tracer.refit()?;
+        Ok(start.elapsed().as_secs_f64())
     }
 
     /// Distances in mm from `origins` along unit `directions` (world) to the wall; infinity where there is none.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DMat4};
 use serde::{Deserialize, Serialize};
 
-use super::{Denoise, Light, Material, RenderSettings, Scene, Shading};
+use super::{Denoise, Light, Material, RenderSettings, Scene, Shading, Transport};
 use crate::base::{Camera, Error, Result, TriangleMesh, files, mesh};
 use crate::formats::mesh::read as read_mesh;
 
@@ -80,6 +80,17 @@ pub struct CameraSection {
     pub k4: f64,
 }
 
+/// [`Transport`] in words.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TransportName {
+    /// [`Transport::Paths`].
+    #[default]
+    Paths,
+    /// [`Transport::Vertices`].
+    Vertices,
+}
+
 /// `[integrator]`
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -91,6 +102,11 @@ pub struct IntegratorSection {
     /// Sampling goes on until the estimated mean squared relative error is below this.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target_relmse: Option<f64>,
+    /// How light by way of walls is found: "paths" or "vertices".
+    pub transport: TransportName,
+    /// Rays per face of "vertices".
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rays_per_face: Option<u32>,
     /// Seed of samples and procedural look.
     pub seed: u64,
     /// Normals.
@@ -107,6 +123,8 @@ impl Default for IntegratorSection {
             max_scatterings: 0,
             spp: 16,
             target_relmse: None,
+            transport: TransportName::Paths,
+            rays_per_face: None,
             seed: 1,
             shading: Shading::Flat,
             denoise: false,
@@ -174,6 +192,11 @@ impl SceneFile {
             max_scatterings: i.max_scatterings,
             samples_per_pixel: i.spp,
             target_relmse: i.target_relmse,
+            transport: match (i.transport, i.rays_per_face) {
+                (TransportName::Paths, _) => Transport::Paths,
+                (TransportName::Vertices, None) => Transport::VERTICES,
+                (TransportName::Vertices, Some(rays_per_face)) => Transport::Vertices { rays_per_face },
+            },
             shading: i.shading,
             denoise: if i.denoise { Denoise::On } else { Denoise::Off },
             background: i.background,

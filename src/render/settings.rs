@@ -42,6 +42,25 @@ pub enum Shading {
     Smooth,
 }
 
+/// How light that does not come straight from the lamp is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Transport {
+    /// Paths from every camera sample: no bias, noise.
+    #[default]
+    Paths,
+    /// At the vertices that the camera sees, interpolated (`vertex_light.rs`): a little bias, hardly any noise. Faces must
+    /// be wound so that their normals point into the lumen.
+    Vertices {
+        /// Rays that every face around a seen vertex sends out, 1 to 4096.
+        rays_per_face: u32,
+    },
+}
+
+impl Transport {
+    /// Light at vertices with as many rays as the measurements of `docs/decisions/0005-light-at-vertices.md` suggest.
+    pub const VERTICES: Transport = Transport::Vertices { rays_per_face: 16 };
+}
+
 /// Whether the indirect light is filtered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Denoise {
@@ -62,6 +81,8 @@ pub struct RenderSettings {
     /// With `Some(target)`: sampling goes on in doubling rounds, from `samples_per_pixel`, until the estimated
     /// mean of (error / radiance)^2 is below `target`.
     pub target_relmse: Option<f64>,
+    /// Light by way of walls.
+    pub transport: Transport,
     /// Normals.
     pub shading: Shading,
     /// Filter.
@@ -80,6 +101,7 @@ impl Default for RenderSettings {
             max_scatterings: 0,
             samples_per_pixel: 16,
             target_relmse: None,
+            transport: Transport::Paths,
             shading: Shading::Flat,
             denoise: Denoise::Off,
             background: [0.0; 3],

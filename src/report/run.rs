@@ -61,13 +61,14 @@ pub struct MethodInfo {
 }
 
 impl MethodInfo {
-    /// The paper's four, the two bounds, and for any other id a ranked method of that name.
+    /// The paper's four, ours beyond the paper, the two bounds, and for any other id a ranked method of that name.
     pub fn of(id: &str) -> Self {
         let (title, role, ct_scans, mesh) = match id {
             "bridgesplat" => ("BridgeSplat", Role::Ranked, Some(1), Some(true)),
             "bridgesplat-nomesh" => ("BridgeSplat (no mesh)", Role::Ranked, Some(1), Some(false)),
             "ours-nomesh" => ("Ours (no mesh)", Role::Ranked, Some(2), Some(false)),
             "ours" => ("Ours", Role::Ranked, Some(2), Some(true)),
+            "ours-gn" => ("Ours (Gauss-Newton)", Role::Ranked, Some(2), Some(true)),
             "static-ct" => ("Static CT", Role::Sanity, Some(1), Some(true)),
             "oracle-phase" => ("Oracle phase", Role::Sanity, Some(2), Some(true)),
             other => (other, Role::Ranked, None, None),

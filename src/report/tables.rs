@@ -1,4 +1,4 @@
-//! The CSV files. Columns come from the registry; the names that others rely on are fixed (SPEC 10).
+//! The CSV files. Columns come from the registry; the names that others rely on are fixed.
 //!
 //! `results.csv` and `frames.csv` hold no time, date or machine: the same work gives the same bytes. What a machine
 //! did stands in `timings.csv` and in the last metric columns of `comparison.csv` and `summary.csv`.

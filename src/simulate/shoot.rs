@@ -8,7 +8,7 @@ use crate::airway::Anatomy;
 use crate::airway::case::Case;
 use crate::base::{Error, Image, Progress, Result, TriangleMesh, mesh};
 use crate::formats::{exr, mesh as mesh_file, png};
-use crate::render::{Denoise, Frame, Light, Material, RenderSettings, Scene, Shading, render};
+use crate::render::{Frame, Light, Material, RenderSettings, Scene, Shading, Transport, render};
 
 use super::film::Film;
 use super::sensor::{Exposed, Sensor};
@@ -151,7 +151,7 @@ impl<'a> Studio<'a> {
         self.scene.deform(&self.vertices(phase))?;
         let settings = RenderSettings {
             samples_per_pixel,
-            denoise: Denoise::On,
+            transport: Transport::VERTICES,
             shading: Shading::Smooth,
             seed: self.case.seed,
             frame: key,

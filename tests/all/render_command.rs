@@ -42,7 +42,17 @@ fn command_writes_image_depth_and_timing() {
         assert_eq!((image.width, image.height, image.channels), (24, 20, 3));
         let timing: serde_json::Value =
             serde_json::from_str(&std::fs::read_to_string(view.join("timing.json")).unwrap()).unwrap();
-        for key in ["render_wall_s", "render_cpu_s", "bvh_build_s", "paths", "rays", "spp", "threads"] {
+        for key in [
+            "render_wall_s",
+            "render_cpu_s",
+            "bvh_build_s",
+            "bvh_refit_s",
+            "triangles",
+            "paths",
+            "rays",
+            "spp",
+            "threads",
+        ] {
             assert!(timing[key].is_number(), "{key}: {timing}");
         }
         assert_eq!(timing["isa"], "avx2");

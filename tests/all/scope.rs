@@ -12,7 +12,7 @@ use respire_bench::airway::waveform::Waveform;
 use respire_bench::base::{Camera, NoProgress, TriangleMesh, mesh};
 use respire_bench::formats::exr;
 use respire_bench::render::probe::probe;
-use respire_bench::render::{Light, Material, RenderSettings, Scene, Shading, render};
+use respire_bench::render::{Light, Material, RenderSettings, Scene, Shading, Transport, render};
 use respire_bench::simulate::film::Film;
 use respire_bench::simulate::sequence::{FRAMES, Sequence};
 use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, material, simulate};
@@ -159,8 +159,15 @@ fn a_blurred_frame_is_the_mean_over_the_open_shutter() {
     let light = Light { emission_exponent: 1.0, ..Light::at_camera(held.light_intensity) };
     // The same seven moments, unfiltered, many other random numbers.
     let still = |time_s: f64, samples_per_pixel: u32| {
-        let render_settings =
-            RenderSettings { samples_per_pixel, shading: Shading::Smooth, seed: 77, ..RenderSettings::default() };
+        let render_settings = RenderSettings {
+            samples_per_pixel,
+            // What noise lies on the tissue follows from the seed, the camera's samples from the frame's number.
+            transport: Transport::VERTICES,
+            shading: Shading::Smooth,
+            seed: held.seed,
+            frame: 77,
+            ..RenderSettings::default()
+        };
         render(&scene, &plan.camera, &plan.state_at(time_s).0, &light, &render_settings).unwrap().radiance.data
     };
     let time_s = plan.frames[1].time_s;

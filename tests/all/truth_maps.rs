@@ -6,7 +6,7 @@ use respire_bench::airway::case::{Case, Effect};
 use respire_bench::base::color::srgb_from_linear;
 use respire_bench::base::{Image, NoProgress, mesh};
 use respire_bench::formats::exr;
-use respire_bench::render::{Light, RenderSettings, Scene, Shading, render};
+use respire_bench::render::{Light, RenderSettings, Scene, Shading, Transport, render};
 use respire_bench::simulate::sequence::{self, Sequence};
 use respire_bench::simulate::truth::TruthMap;
 use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, material, simulate};
@@ -133,8 +133,14 @@ fn phase_sensitivity_is_the_derivative_by_another_step() {
     let light = Light { emission_exponent: 1.0, ..Light::at_camera(case.light_intensity) };
     let mut encoded = |phase: f64| {
         scene.deform(&mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase)).unwrap();
-        let settings =
-            RenderSettings { samples_per_pixel: 400, shading: Shading::Smooth, seed: 4, ..RenderSettings::default() };
+        let settings = RenderSettings {
+            samples_per_pixel: 400,
+            transport: Transport::VERTICES,
+            shading: Shading::Smooth,
+            seed: case.seed,
+            frame: 99,
+            ..RenderSettings::default()
+        };
         let radiance = render(&scene, &sequence.camera, &record.world_from_camera, &light, &settings).unwrap().radiance;
         radiance.map(|v| srgb_from_linear(v * record.gain as f32))
     };

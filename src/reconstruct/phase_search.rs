@@ -1,0 +1,61 @@
+//! Where the phase of the first frame comes from: the depth that the method is given there (paper, Section 3.4).
+
+use crate::base::{Image, Result};
+use crate::splat::Rendered;
+
+/// Differences beyond this share of the given depth count as this share: edges and holes do not decide.
+const LARGEST_SHARE: f32 = 0.25;
+const GOLDEN: f64 = 0.618_033_988_749_895;
+const GOLDEN_STEPS: usize = 10;
+
+/// The phase in 0..1 of least `error`: the best of `steps` evenly spaced ones, then golden sections around it.
+pub fn grid_search(steps: u32, mut error: impl FnMut(f64) -> Result<f64>) -> Result<f64> {
+    let steps = steps.max(2);
+    let step = 1.0 / (steps - 1) as f64;
+    let mut best = (f64::INFINITY, 0.0);
+    for i in 0..steps {
+        let phase = i as f64 * step;
+        let e = error(phase)?;
+        if e < best.0 {
+            best = (e, phase);
+        }
+    }
+    let (mut low, mut high) = ((best.1 - step).max(0.0), (best.1 + step).min(1.0));
+    for _ in 0..GOLDEN_STEPS {
+        let (a, b) = (high - GOLDEN * (high - low), low + GOLDEN * (high - low));
+        if error(a)? < error(b)? {
+            high = b;
+        } else {
+            low = a;
+        }
+    }
+    let refined = 0.5 * (low + high);
+    Ok(if error(refined)? <= best.0 { refined } else { best.1 })
+}
+
+/// Mean absolute difference in mm between rendered and given depth where both are; infinite where nothing is.
+pub fn depth_error_mm(rendered: &Rendered<f32>, given: &Image<f32>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for ((&d, &a), &t) in rendered.depth.iter().zip(&rendered.alpha).zip(&given.data) {
+        if t > 0.0 && a > 0.5 {
+            sum += (d - t).abs().min(LARGEST_SHARE * t) as f64;
+            count += 1;
+        }
+    }
+    if count == 0 { f64::INFINITY } else { sum / count as f64 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_minimum_is_found_also_at_the_ends_and_between_grid_points() {
+        for truth in [0.0, 0.123, 0.5, 0.777, 1.0] {
+            let found = grid_search(21, |p| Ok((p - truth).abs())).unwrap();
+            assert!((found - truth).abs() < 1e-3, "{found} for {truth}");
+        }
+        let two_valleys = |p: f64| Ok(((p - 0.2).abs() + 0.1).min((p - 0.8).abs()));
+        assert!((grid_search(21, two_valleys).unwrap() - 0.8).abs() < 1e-3);
+    }
+}

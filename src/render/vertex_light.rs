@@ -1,0 +1,259 @@
+//! Light at the vertices that the camera sees: a radiosity solution on the faces from which light gets there.
+//!
+//! The light that other walls send (irradiance, all bounces) and the light that has walked through the wall are smooth
+//! over the surface, so they are found once per vertex and interpolated; what is sharp (the lamp on an uncovered base, the
+//! coat's glare, colour, edges) stays with the camera's samples. Recipe per frame:
+//!
+//! 1. The faces around the seen vertices each send some rays after the cosine law; the faces that these meet send
+//!    fewer, and so on for [`DEPTH`] generations: cost follows what can be seen, not the size of the tree. Which faces
+//!    meet which is found once, on the rest shape (`tissue.rs`): breathing hardly changes it.
+//! 2. Every face met gets the lamp's irradiance in closed form (one shadow ray).
+//! 3. Jacobi steps of `E = G (sent + R E)` along the recorded rays: all bounces, or as many as were asked for.
+//! 4. Vertices take the mean of the faces around them; with light in the wall also their row of `tissue.rs`.
+//!
+//! Approximations: faces reflect all
+//! they reflect as Lambert surfaces do (the coat's share too), light is even over a face, and after the last generation
+//! only the lamp's light is sent on. `docs/decisions/0005-light-at-vertices.md` has the bias.
+
+use rayon::prelude::*;
+
+use super::scene::Scene;
+use crate::base::Result;
+use crate::ffi::tracer::{FrameSettings, KNOWN_VALUES, LAMP_VALUES, NO_FACE};
+
+/// Generations of faces that send rays.
+const DEPTH: usize = 4;
+/// Rays per face after the first generation, as a part of the first's.
+const LATER_PART: u32 = 2;
+/// Edges from a seen vertex over which its light stands for others'.
+const SPREAD_EDGES: usize = 12;
+/// Faces per task.
+const CHUNK: usize = 64;
+/// The solution is good when no step changes the mean by more than this part.
+const CONVERGED: f64 = 1e-4;
+/// Most steps (white walls converge slowly).
+const MOST_STEPS: u32 = 256;
+
+/// What was found.
+pub(super) struct VertexLight {
+    /// [`KNOWN_VALUES`] per vertex, -1 for what is not known.
+    pub known: Vec<f32>,
+    /// Rays it took.
+    pub rays: u64,
+}
+
+/// The faces that take part, in the order in which they were found.
+struct Faces {
+    place: Vec<u32>,
+    list: Vec<u32>,
+}
+
+impl Faces {
+    fn new(count: usize) -> Self {
+        Faces { place: vec![NO_FACE; count], list: Vec::new() }
+    }
+
+    fn add(&mut self, face: u32) {
+        if self.place[face as usize] == NO_FACE {
+            self.place[face as usize] = self.list.len() as u32;
+            self.list.push(face);
+        }
+    }
+
+    fn place(&self, face: u32) -> usize {
+        self.place[face as usize] as usize
+    }
+}
+
+/// The rays of one generation: those of face `first + k` are `hits[k * per_face .. (k + 1) * per_face]`.
+struct Generation {
+    first: usize,
+    per_face: usize,
+    hits: Vec<u32>,
+}
+
+type Rgb = [f32; 3];
+
+/// Light at the vertices of the faces in `seen` ([`NO_FACE`] allowed, and repetitions). `rays_per_face` above 0.
+pub(super) fn vertex_light(
+    scene: &Scene,
+    frame: &FrameSettings,
+    seen: &[u32],
+    rays_per_face: u32,
+) -> Result<VertexLight> {
+    let vertices = seen_vertices(scene, seen);
+    let mut rays = scene.tissue.prepare(frame, &vertices, &scene.topology)?;
+    let mut faces = Faces::new(scene.topology.faces.len());
+    vertices.iter().flat_map(|&v| scene.topology.faces_around(v)).for_each(|&f| faces.add(f));
+    let generations = gather(scene, frame, &vertices, rays_per_face, &mut faces, &mut rays)?;
+    let lamp = lamp(scene, frame, &faces.list, &mut rays)?;
+    let irradiance = solve(frame, &faces, &generations, &lamp);
+    let solved = generations.iter().map(|g| g.hits.len() / g.per_face).sum();
+    Ok(VertexLight { known: at_vertices(scene, &vertices, &faces, &lamp, &irradiance, solved), rays })
+}
+
+/// Corners of the seen faces, each once.
+fn seen_vertices(scene: &Scene, seen: &[u32]) -> Vec<u32> {
+    let mut known = vec![false; scene.topology.vertex_count()];
+    let mut list = Vec::new();
+    for &face in seen.iter().filter(|f| **f != NO_FACE) {
+        for v in scene.topology.faces[face as usize] {
+            if !std::mem::replace(&mut known[v as usize], true) {
+                list.push(v);
+            }
+        }
+    }
+    list
+}
+
+fn gather(
+    scene: &Scene,
+    frame: &FrameSettings,
+    vertices: &[u32],
+    rays_per_face: u32,
+    faces: &mut Faces,
+    rays: &mut u64,
+) -> Result<Vec<Generation>> {
+    let mut generations = Vec::new();
+    let mut first = 0;
+    for depth in 0..DEPTH {
+        let end = faces.list.len();
+        let per_face = if depth == 0 { rays_per_face } else { rays_per_face.div_ceil(LATER_PART) } as usize;
+        let parts: Vec<(Vec<u32>, u64)> = faces.list[first..end]
+            .par_chunks(CHUNK)
+            .map(|chunk| scene.tissue.hits(frame, chunk, per_face, &scene.topology))
+            .collect::<Result<_>>()?;
+        *rays += parts.iter().map(|p| p.1).sum::<u64>();
+        let hits: Vec<u32> = parts.into_iter().flat_map(|p| p.0).collect();
+        hits.iter().filter(|h| **h != NO_FACE).for_each(|&h| faces.add(h));
+        if depth == 0 {
+            vertices.iter().flat_map(|&v| scene.tissue.sources(v)).for_each(|s| faces.add(s.face));
+        }
+        generations.push(Generation { first, per_face, hits });
+        first = end;
+    }
+    Ok(generations)
+}
+
+/// [`LAMP_VALUES`] per face.
+fn lamp(scene: &Scene, frame: &FrameSettings, faces: &[u32], rays: &mut u64) -> Result<Vec<f32>> {
+    let parts: Vec<(Vec<f32>, u64)> = faces
+        .par_chunks(CHUNK)
+        .map(|chunk| {
+            let mut values = vec![0.0; chunk.len() * LAMP_VALUES];
+            let rays = scene.tracer.lamp(frame, chunk, &mut values)?;
+            Ok((values, rays))
+        })
+        .collect::<Result<_>>()?;
+    *rays += parts.iter().map(|p| p.1).sum::<u64>();
+    Ok(parts.into_iter().flat_map(|p| p.0).collect())
+}
+
+/// Irradiance by other walls, per face.
+fn solve(frame: &FrameSettings, faces: &Faces, generations: &[Generation], lamp: &[f32]) -> Vec<Rgb> {
+    let mut irradiance = vec![[0.0; 3]; faces.list.len()];
+    let steps = if frame.max_scatterings == 0 { MOST_STEPS } else { frame.max_scatterings - 1 };
+    let mut before = 0.0;
+    for _ in 0..steps {
+        let sent: Vec<Rgb> = irradiance
+            .iter()
+            .zip(lamp.chunks_exact(LAMP_VALUES))
+            .map(|(e, l)| std::array::from_fn(|c| l[3 + c] + l[6 + c] * e[c]))
+            .collect();
+        irradiance = step(frame, faces, generations, &sent);
+        let total: f64 = irradiance.iter().flatten().map(|&v| f64::from(v)).sum();
+        if frame.max_scatterings == 0 && (total - before).abs() <= CONVERGED * total {
+            break;
+        }
+        before = total;
+    }
+    irradiance
+}
+
+fn step(frame: &FrameSettings, faces: &Faces, generations: &[Generation], sent: &[Rgb]) -> Vec<Rgb> {
+    let outside = frame.background.map(|v| v * std::f32::consts::PI);
+    let mut next: Vec<Rgb> = Vec::with_capacity(sent.len());
+    for generation in generations.iter().filter(|g| !g.hits.is_empty()) {
+        debug_assert_eq!(generation.first, next.len());
+        let mean = |hits: &[u32]| -> Rgb {
+            let mut sum = [0.0; 3];
+            for &hit in hits {
+                let light = if hit == NO_FACE { &outside } else { &sent[faces.place(hit)] };
+                (0..3).for_each(|c| sum[c] += light[c]);
+            }
+            sum.map(|v| v / generation.per_face as f32)
+        };
+        next.par_extend(generation.hits.par_chunks_exact(generation.per_face).map(mean));
+    }
+    next.resize(sent.len(), [0.0; 3]);
+    next
+}
+
+fn at_vertices(
+    scene: &Scene,
+    vertices: &[u32],
+    faces: &Faces,
+    lamp: &[f32],
+    irradiance: &[Rgb],
+    solved: usize,
+) -> Vec<f32> {
+    let received: Vec<Rgb> =
+        lamp.chunks_exact(LAMP_VALUES).zip(irradiance).map(|(l, e)| std::array::from_fn(|c| l[c] + e[c])).collect();
+    let walked: Vec<Rgb> =
+        vertices.par_iter().map(|&v| scene.tissue.light(v, |face| received[faces.place(face)])).collect();
+    let mut known = vec![-1.0; scene.topology.vertex_count() * KNOWN_VALUES];
+    for (&v, light) in vertices.iter().zip(&walked) {
+        known[v as usize * KNOWN_VALUES..][..3].copy_from_slice(light);
+    }
+    // Also where the camera does not look: the coat mirrors it.
+    let mut counts = vec![0u32; scene.topology.vertex_count()];
+    for (&face, light) in faces.list.iter().zip(irradiance).take(solved) {
+        for v in scene.topology.faces[face as usize].map(|v| v as usize) {
+            let sum = &mut known[v * KNOWN_VALUES + 3..][..3];
+            for c in 0..3 {
+                sum[c] = if counts[v] == 0 { light[c] } else { sum[c] + light[c] };
+            }
+            counts[v] += 1;
+        }
+    }
+    for (v, &count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
+        known[v * KNOWN_VALUES + 3..][..3].iter_mut().for_each(|e| *e /= count as f32);
+    }
+    spread(scene, vertices, &mut known);
+    known
+}
+
+/// Far down a lumen many faces share a pixel and its central ray sees one: what is not known takes the mean of its known
+/// neighbours, some edges far.
+fn spread(scene: &Scene, vertices: &[u32], known: &mut [f32]) {
+    let mut edge = vertices.to_vec();
+    for _ in 0..SPREAD_EDGES {
+        let mut beyond: Vec<u32> = edge.iter().flat_map(|&v| scene.topology.neighbours(v)).collect();
+        beyond.retain(|&v| known[v as usize * KNOWN_VALUES] < 0.0);
+        beyond.sort_unstable();
+        beyond.dedup();
+        let means: Vec<[f32; KNOWN_VALUES]> = beyond.iter().map(|&v| mean_around(scene, v, known)).collect();
+        for (&v, value) in beyond.iter().zip(&means) {
+            for (c, own) in known[v as usize * KNOWN_VALUES..][..KNOWN_VALUES].iter_mut().enumerate() {
+                if *own < 0.0 {
+                    *own = value[c];
+                }
+            }
+        }
+        edge = beyond;
+    }
+}
+
+/// Means over the neighbours of which something is known; -1 where of none.
+fn mean_around(scene: &Scene, vertex: u32, known: &[f32]) -> [f32; KNOWN_VALUES] {
+    let (mut sum, mut count) = ([0.0; KNOWN_VALUES], [0u32; KNOWN_VALUES]);
+    for n in scene.topology.neighbours(vertex) {
+        for (c, &value) in known[n as usize * KNOWN_VALUES..][..KNOWN_VALUES].iter().enumerate() {
+            if value >= 0.0 {
+                sum[c] += value;
+                count[c] += 1;
+            }
+        }
+    }
+    std::array::from_fn(|c| if count[c] > 0 { sum[c] / count[c] as f32 } else { -1.0 })
+}

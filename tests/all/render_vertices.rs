@@ -1,0 +1,174 @@
+//! Light at vertices: against closed forms, against renderers that we did not write, and against our own paths.
+
+use std::f64::consts::PI;
+
+use glam::{DAffine3, DVec3};
+use rayon::ThreadPoolBuilder;
+use respire_bench::base::{Camera, Image};
+use respire_bench::render::{
+    Boundary, Light, Material, RenderSettings, Scene, Shading, Transport, WalkedVertices, render,
+};
+
+use crate::reference::{Reference, relative_mse};
+use crate::render::{RHO, mean, scaled, small_tube, sphere, tube, tube_camera};
+
+fn vertices(rays_per_face: u32, samples_per_pixel: u32) -> RenderSettings {
+    RenderSettings { transport: Transport::Vertices { rays_per_face }, samples_per_pixel, ..RenderSettings::default() }
+}
+
+#[test]
+fn closed_sphere_with_a_lamp_at_its_centre() {
+    let (radius, intensity) = (5.0, 100.0);
+    let scene = Scene::new(&scaled(sphere(5), radius), &[], Material::lambert(RHO), 1).unwrap();
+    let camera = Camera::pinhole(32, 32, 1.2);
+    for n in [1, 2, 6, 0] {
+        let settings = RenderSettings { max_scatterings: n, ..vertices(32, 16) };
+        let frame = render(&scene, &camera, &DAffine3::IDENTITY, &Light::at_camera([intensity; 3]), &settings).unwrap();
+        let found = mean(&frame.radiance);
+        for c in 0..3 {
+            let series = match n {
+                0 => RHO[c] / (1.0 - RHO[c]),
+                n => (1..=n).map(|k| RHO[c].powi(k as i32)).sum::<f64>(),
+            };
+            let expected = intensity / (PI * radius * radius) * series;
+            assert!((found[c] / expected - 1.0).abs() < 2e-3, "{n} scatterings, channel {c}: {} {expected}", found[c]);
+        }
+    }
+}
+
+/// Mean and mean squared relative error against an image that another renderer made.
+fn compare_with_reference(material: Material, file: &str, mean_tolerance: f64, most_error: f64) {
+    let Some(reference) = Reference::open("reference/pathtrace") else { return };
+    let (Some(mesh), Some(expected)) = (reference.mesh("tube.ply"), reference.npy_rgb(&format!("refs/{file}"))) else {
+        return;
+    };
+    let scene = Scene::new(&mesh, &[], material, 1).unwrap();
+    let (camera, pose) = tube_camera();
+    let settings = RenderSettings { max_scatterings: 6, ..vertices(32, 4) };
+    let frame = render(&scene, &camera, &pose, &Light::at_camera([400.0; 3]), &settings).unwrap();
+    assert_eq!(frame.statistics.rejected_samples, 0);
+    let (found, wanted) = (mean(&frame.radiance), mean(&expected));
+    for c in 0..3 {
+        let bias = found[c] / wanted[c] - 1.0;
+        println!("{file}, channel {c}: {bias:+.4}");
+        assert!(bias.abs() < mean_tolerance, "{file}, channel {c}: {bias}");
+    }
+    let error = relative_mse(&frame.radiance, &expected);
+    println!("{file}: relMSE {error:.5}");
+    assert!(error < most_error, "{file}: {error}");
+}
+
+#[test]
+fn lambert_tube_agrees_with_other_renderers() {
+    compare_with_reference(Material::lambert(RHO), "best_M1_n6.npy", 0.005, 0.002);
+}
+
+#[test]
+fn coated_tube_agrees_with_other_renderers() {
+    compare_with_reference(Material::coated(RHO, 0.15, 1.4), "best_M2_n6.npy", 0.008, 0.005);
+}
+
+/// Mean squared relative error of `image` against the mean of two independent noisy images, free of their noise.
+fn error_without_noise(image: &Image<f32>, a: &Image<f32>, b: &Image<f32>) -> f64 {
+    let term = |((&x, &a), &b): ((&f32, &f32), &f32)| {
+        let truth = 0.5 * f64::from(a + b);
+        f64::from(x - a) * f64::from(x - b) / (truth * truth + 1e-4)
+    };
+    image.data.iter().zip(&a.data).zip(&b.data).map(term).sum::<f64>() / image.data.len() as f64
+}
+
+#[test]
+fn light_in_the_wall_agrees_with_paths_on_a_breathing_shape() {
+    // The tissue's map is made at rest; the picture is of another shape.
+    let rest = tube(96, 150);
+    let moved: Vec<DVec3> = rest
+        .vertices
+        .iter()
+        .map(|&v| DVec3::new(v.x * 0.88 + 0.8 * (v.z * 0.1).sin(), v.y * 0.9, v.z * 0.95))
+        .collect();
+    let camera = Camera::pinhole(64, 64, 1.6);
+    let pose = DAffine3::from_translation(DVec3::new(0.3, 0.0, 2.0));
+    for material in [
+        Material::subsurface(RHO, [1.0, 0.4, 0.25], Boundary::Diffuse, WalkedVertices::First),
+        Material { relief: 0.0, ..Material::default() },
+    ] {
+        let mut scene = Scene::new(&rest, &[], material, 7).unwrap();
+        scene.deform(&moved).unwrap();
+        let picture = |settings: &RenderSettings| {
+            let settings = RenderSettings { shading: Shading::Smooth, ..*settings };
+            render(&scene, &camera, &pose, &Light::at_camera([100.0; 3]), &settings).unwrap().radiance
+        };
+        let paths = |seed| picture(&RenderSettings { samples_per_pixel: 192, seed, ..RenderSettings::default() });
+        let (a, b) = (paths(11), paths(12));
+        let found = picture(&vertices(32, 8));
+        let error = error_without_noise(&found, &a, &b);
+        println!("{:?}: relMSE {error:.5}", material.kind);
+        assert!(error < 0.006, "{:?}: {error}", material.kind);
+        let (ours, one, other) = (mean(&found), mean(&a), mean(&b));
+        let theirs: [f64; 3] = std::array::from_fn(|c| 0.5 * (one[c] + other[c]));
+        for c in 0..3 {
+            println!(
+                "  channel {c}: {:+.4}, paths of two seeds {:+.4}",
+                ours[c] / theirs[c] - 1.0,
+                one[c] / other[c] - 1.0
+            );
+            assert!((ours[c] / theirs[c] - 1.0).abs() < 0.02, "{:?}: {ours:?} for {theirs:?}", material.kind);
+        }
+    }
+}
+
+#[test]
+fn picture_depends_neither_on_threads_nor_on_the_frames_before() {
+    let rest = small_tube();
+    let shape = |k: f64| -> Vec<DVec3> {
+        rest.vertices.iter().map(|&v| v + DVec3::new(0.5 * k * (v.z * 0.2).sin(), 0.3 * k, 0.05 * k * v.z)).collect()
+    };
+    let camera = Camera::pinhole(48, 40, 1.7);
+    let picture = |shapes: &[f64], threads: usize| {
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut scene = Scene::new(&rest, &[], Material::default(), 7).unwrap();
+            let mut last = None;
+            for &k in shapes {
+                scene.deform(&shape(k)).unwrap();
+                // Every frame sees other vertices, so that the tissue's map grows in another order.
+                let pose = DAffine3::from_translation(DVec3::new(0.0, 0.0, 4.0 * k));
+                let settings = RenderSettings { shading: Shading::Smooth, ..vertices(8, 2) };
+                last = Some(render(&scene, &camera, &pose, &Light::at_camera([100.0; 3]), &settings).unwrap());
+            }
+            last.unwrap()
+        })
+    };
+    let alone = picture(&[0.6], 1);
+    assert_eq!(alone.radiance, picture(&[0.6], 3).radiance);
+    assert_eq!(alone.radiance, picture(&[0.9, 0.1, -0.4, 0.6], 2).radiance);
+    assert!(alone.radiance.data.iter().all(|v| v.is_finite() && *v >= 0.0));
+}
+
+#[test]
+fn still_camera_in_still_tissue_sees_no_flicker_but_its_own_samples() {
+    // What is known at the vertices is the same in every frame: only antialiasing and glare differ.
+    let scene = Scene::new(&small_tube(), &[], Material::lambert(RHO), 7).unwrap();
+    let camera = Camera::pinhole(40, 40, 1.7);
+    let picture = |frame, settings| {
+        let settings = RenderSettings { frame, shading: Shading::Smooth, ..settings };
+        render(&scene, &camera, &DAffine3::IDENTITY, &Light::at_camera([100.0; 3]), &settings).unwrap().radiance
+    };
+    let flicker = |settings| relative_mse(&picture(1, settings), &picture(0, settings));
+    let paths = RenderSettings { samples_per_pixel: 64, ..RenderSettings::default() };
+    let (ours, traced) = (flicker(vertices(32, 4)), flicker(paths));
+    println!("flicker: {ours:.6} at 4 samples, of 64 paths {traced:.6}");
+    assert!(ours < traced, "{ours} {traced}");
+}
+
+#[test]
+fn matched_boundary_needs_paths() {
+    let material = Material::subsurface(RHO, [1.0; 3], Boundary::Matched, WalkedVertices::Every);
+    let scene = Scene::new(&small_tube(), &[], material, 1).unwrap();
+    let attempt = |settings| {
+        render(&scene, &Camera::pinhole(4, 4, 1.0), &DAffine3::IDENTITY, &Light::at_camera([1.0; 3]), &settings)
+    };
+    assert!(attempt(vertices(8, 1)).unwrap_err().to_string().contains("needs paths"));
+    assert!(attempt(RenderSettings { samples_per_pixel: 1, ..RenderSettings::default() }).is_ok());
+    assert!(attempt(vertices(0, 1)).unwrap_err().to_string().contains("rays per face"));
+}
