@@ -97,6 +97,8 @@ fn the_bytes_do_not_depend_on_threads_or_interruptions() {
     assert!(Sequence::open(&resumed).unwrap_err().to_string().contains("not finished"));
     // A frame whose image is missing counts as not made, whatever else of it is there.
     fs::remove_file(resumed.join("images/000001.png")).unwrap();
+    // And what a kill leaves of a file that was being written is no part of the film.
+    fs::write(resumed.join("depth/.Ab12cd.tmp"), "half").unwrap();
     simulate(&case(), &wanted, &resumed, &NoProgress).unwrap();
     assert_same(&whole, &resumed);
 
