@@ -39,6 +39,20 @@ pub enum Sides {
     Both,
 }
 
+/// Pixels that each of `faces` covers in `view`, by its area, distance and incidence at `vertices`.
+pub fn pixel_areas(faces: &[[u32; 3]], of: &[u32], vertices: &[[f32; 3]], view: &View) -> Vec<f32> {
+    let eye = view.camera_from_world.inverse().translation.as_vec3();
+    let focal_px2 = (view.camera.fl_x * view.camera.fl_y) as f32;
+    of.iter()
+        .map(|&f| {
+            let [a, b, c] = faces[f as usize].map(|i| Vec3::from(vertices[i as usize]));
+            let (offset, twice_area) = ((a + b + c) / 3.0 - eye, (b - a).cross(c - a));
+            let distance2 = offset.length_squared().max(1e-6);
+            0.5 * twice_area.dot(offset).abs() / distance2.sqrt() / distance2 * focal_px2
+        })
+        .collect()
+}
+
 /// Faces that `view` can see in any of the `states` of the vertices, ascending.
 pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, reach: Reach, sides: Sides) -> Vec<u32> {
     let camera_from_world = view.camera_from_world.as_affine3();

@@ -18,6 +18,9 @@ pub const SH_VALUES: usize = 12;
 /// First SH basis function.
 pub const SH_C0: f32 = 0.282_094_8;
 
+/// Factor by which the number of discs on a face grows.
+const SPLIT: usize = 4;
+
 /// How the discs of a fresh surface lie in their faces, and their colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Start {
@@ -33,8 +36,10 @@ pub struct Surface {
     pub faces: Vec<[u32; 3]>,
     rest: Vec<[f32; 3]>,
     frame: Frame,
-    /// Discs on each face.
+    /// Discs that each face starts with: face `f` has those from `f * per_face` on.
     pub per_face: usize,
+    /// Discs added later, per face.
+    added: Vec<Vec<u32>>,
     opacity: f32,
     logits: Vec<[f32; 3]>,
     log_scales: Vec<[f32; 2]>,
@@ -42,8 +47,6 @@ pub struct Surface {
     cap: f64,
     /// SH, 12 values per disc.
     pub sh: Vec<f32>,
-    /// Distance from the camera (mm) at which a disc's colour was fitted last; 0 before it was ever seen.
-    pub fitted_at_mm: Vec<f32>,
 }
 
 /// Positions in f32.
@@ -61,6 +64,11 @@ fn even_barycentrics(k: usize, n: usize) -> [f64; 3] {
         (u, v) = (1.0 - u, 1.0 - v);
     }
     [u, v, 1.0 - u - v].map(|b| 0.04 + 0.88 * b)
+}
+
+fn softmax(logits: [f32; 3]) -> [f32; 3] {
+    let e = logits.map(f32::exp);
+    e.map(|v| v / (e[0] + e[1] + e[2]))
 }
 
 impl Surface {
@@ -98,14 +106,63 @@ impl Surface {
             rest: to_f32(&mesh.vertices),
             frame,
             per_face,
+            added: vec![Vec::new(); mesh.faces.len()],
             opacity: layout.opacity as f32,
             logits: logits.iter().map(|l| l.map(|v| v as f32)).collect(),
             initial_log_scales: log_scales.clone(),
             log_scales,
             cap: layout.scale_cap,
             sh,
-            fitted_at_mm: vec![0.0; n],
         }
+    }
+
+    /// How many discs there are.
+    pub fn len(&self) -> usize {
+        self.logits.len()
+    }
+
+    /// The discs of a face.
+    pub fn discs_of(&self, face: u32) -> impl Iterator<Item = u32> {
+        let n = self.per_face as u32;
+        (face * n..(face + 1) * n).chain(self.added[face as usize].iter().copied())
+    }
+
+    /// Gives each of `faces` at least `wanted` discs (one number per face; a face never loses any). Where more are
+    /// needed, their number is multiplied by [`SPLIT`] until it suffices, all discs of the face shrink so that they
+    /// cover it as before, and each new one starts as a copy of the nearest old one. Returns the old disc of each new
+    /// one; new ones are numbered from the former [`Surface::len`] on.
+    pub fn refine(&mut self, faces: &[u32], wanted: &[f32]) -> Vec<u32> {
+        let mut parents = Vec::new();
+        for (&f, &wanted) in faces.iter().zip(wanted) {
+            let old: Vec<u32> = self.discs_of(f).collect();
+            let mut n = old.len();
+            while (n as f32) < wanted {
+                n *= SPLIT;
+            }
+            if n == old.len() {
+                continue;
+            }
+            let shrink = 0.5 * (old.len() as f32 / n as f32).ln();
+            for &i in &old {
+                let i = i as usize;
+                self.log_scales[i] = self.log_scales[i].map(|s| s + shrink);
+                self.initial_log_scales[i] = self.initial_log_scales[i].map(|s| s + shrink);
+            }
+            let places: Vec<[f32; 3]> = old.iter().map(|&i| softmax(self.logits[i as usize])).collect();
+            for k in old.len()..n {
+                let place = even_barycentrics(k, n).map(|b| b as f32);
+                let apart = |p: &[f32; 3]| (0..3).map(|c| (p[c] - place[c]).powi(2)).sum::<f32>();
+                let nearest = (0..old.len()).min_by(|&a, &b| apart(&places[a]).total_cmp(&apart(&places[b])));
+                let parent = old[nearest.expect("a face starts with a disc")] as usize;
+                self.added[f as usize].push(self.logits.len() as u32);
+                self.logits.push(place.map(f32::ln));
+                self.log_scales.push(self.log_scales[parent]);
+                self.initial_log_scales.push(self.initial_log_scales[parent]);
+                self.sh.extend_from_within(parent * SH_VALUES..(parent + 1) * SH_VALUES);
+                parents.push(parent as u32);
+            }
+        }
+        parents
     }
 
     /// Copies the discs of `faces` (ascending) and the vertices they need.
@@ -122,9 +179,11 @@ impl Surface {
                 local[v as usize]
             }));
         }
-        let discs: Vec<u32> =
-            faces.iter().flat_map(|&f| (0..self.per_face).map(move |k| f * self.per_face as u32 + k as u32)).collect();
-        let face = (0..discs.len()).map(|i| (i / self.per_face) as u32).collect();
+        let (mut discs, mut face) = (Vec::new(), Vec::new());
+        for (local, &f) in faces.iter().enumerate() {
+            discs.extend(self.discs_of(f));
+            face.resize(discs.len(), local as u32);
+        }
         let rest: Vec<[f32; 3]> = vertices.iter().map(|&v| self.rest[v as usize]).collect();
         let take = |i: &u32| *i as usize;
         let mut anchors = Anchors::new(
@@ -167,7 +226,7 @@ impl Surface {
 
 /// What one frame can see of a [`Surface`].
 pub struct Patch {
-    /// Index of each disc in the surface, ascending.
+    /// Index of each disc in the surface, face by face.
     pub discs: Vec<u32>,
     /// Index of each vertex in the mesh.
     pub vertices: Vec<u32>,

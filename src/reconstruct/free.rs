@@ -23,8 +23,6 @@ pub struct Free {
     opacity: f32,
     /// SH, 12 values each.
     pub sh: Vec<f32>,
-    /// As `Surface::fitted_at_mm`.
-    pub fitted_at_mm: Vec<f32>,
 }
 
 impl Free {
@@ -51,7 +49,6 @@ impl Free {
             log_scales: spacing.iter().map(|s| [(s * *settings.initial_scale).ln() as f32; 3]).collect(),
             opacity: *settings.opacity as f32,
             sh,
-            fitted_at_mm: vec![0.0; n],
         }
     }
 

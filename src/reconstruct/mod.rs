@@ -12,6 +12,7 @@ mod free;
 mod gauss_newton;
 mod library;
 pub mod loss;
+mod memory;
 mod neighbours;
 mod observe;
 mod online;
@@ -23,6 +24,7 @@ pub mod phase;
 mod phase_fit;
 mod phase_search;
 mod prediction;
+mod scope_light;
 pub mod settings;
 #[cfg(test)]
 mod tests;

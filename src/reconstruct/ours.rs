@@ -4,8 +4,9 @@
 use crate::base::{Progress, Result, mesh};
 use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
 
-use super::active::{Reach, Sides, nothing_in_view, visible_faces};
+use super::active::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
 use super::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
+use super::memory::Memory;
 use super::optimiser::StepCounter;
 use super::phase_fit::{self, Carried, PhaseSource, at_phase};
 use super::settings::PhaseMethod;
@@ -80,6 +81,9 @@ struct OnMesh {
     reach: Reach,
     adam: DiscAdam,
     seen: Option<Seen>,
+    memory: Memory,
+    pixels_per_disc: f32,
+    most_per_face: f32,
 }
 
 /// The compact copy of one frame.
@@ -88,7 +92,7 @@ struct Seen {
     rest: Vec<[f32; 3]>,
     displacement: Vec<[f32; 3]>,
     vertices: Vec<[f32; 3]>,
-    fitted_at_mm: Vec<f32>,
+    memory: Memory,
 }
 
 impl OnMesh {
@@ -97,14 +101,28 @@ impl OnMesh {
         let expiration = observation.expiration.as_ref().unwrap_or(rest);
         let rates = Rates::new(&settings.appearance, super::rate_factor(iteration_scale));
         let constants = adam_constants(&settings.appearance, observation.images[0].data.len());
+        let surface = Surface::new(rest, &settings.appearance, Frame::InheritStretch, Start::Even, observation.seed);
         Ok(OnMesh {
-            surface: Surface::new(rest, &settings.appearance, Frame::InheritStretch, Start::Even, observation.seed),
+            memory: Memory::new(surface.len()),
+            pixels_per_disc: *settings.pixels_per_disc as f32,
+            most_per_face: *settings.most_per_face as f32,
+            surface,
             inspiration: to_f32(&rest.vertices),
             displacement: mesh::displacement(rest, expiration),
             reach: Reach::new(&settings.visibility),
             adam: DiscAdam::new(rates, StepCounter::Restarted, constants),
             seen: None,
         })
+    }
+
+    /// Faces that have come near get more discs.
+    fn refine(&mut self, faces: &[u32], vertices: &[[f32; 3]], view: &View) {
+        if self.pixels_per_disc > 0.0 {
+            let mut wanted = pixel_areas(&self.surface.faces, faces, vertices, view);
+            wanted.iter_mut().for_each(|v| *v = (*v / self.pixels_per_disc).min(self.most_per_face));
+            let parents = self.surface.refine(faces, &wanted);
+            self.memory.split(&parents);
+        }
     }
 
     fn seen(&self) -> &Seen {
@@ -132,12 +150,13 @@ impl Carried for OnMesh {
         if faces.is_empty() {
             return Err(nothing_in_view());
         }
+        self.refine(&faces, states[states.len() / 2], view);
         let patch = self.surface.patch(&faces)?;
         self.seen = Some(Seen {
             rest: patch.pick(&self.inspiration),
             displacement: patch.pick(&self.displacement),
             vertices: Vec::new(),
-            fitted_at_mm: patch.discs.iter().map(|&i| self.surface.fitted_at_mm[i as usize]).collect(),
+            memory: self.memory.pick(&patch.discs),
             patch,
         });
         Ok(())
@@ -153,9 +172,14 @@ impl Carried for OnMesh {
         &self.seen().patch.gaussians
     }
 
-    fn colors(&mut self) -> (&mut [f32], &mut [f32]) {
+    fn colors(&mut self) -> (&mut [f32], &mut Memory) {
         let seen = self.seen_mut();
-        (&mut seen.patch.gaussians.sh, &mut seen.fitted_at_mm)
+        (&mut seen.patch.gaussians.sh, &mut seen.memory)
+    }
+
+    fn velocities(&self, out: &mut Vec<[f32; 3]>) -> Result<()> {
+        let seen = self.seen();
+        seen.patch.place_tangent(&seen.vertices, &seen.displacement, out, &mut Vec::new())
     }
 
     fn phase_derivative(&self, gradients: &Gradients<f32>) -> Result<f64> {
@@ -180,9 +204,7 @@ impl Carried for OnMesh {
     fn leave(&mut self) {
         if let Some(seen) = self.seen.take() {
             self.surface.absorb(&seen.patch);
-            for (&i, &at) in seen.patch.discs.iter().zip(&seen.fitted_at_mm) {
-                self.surface.fitted_at_mm[i as usize] = at;
-            }
+            self.memory.put(&seen.patch.discs, &seen.memory);
         }
     }
 }

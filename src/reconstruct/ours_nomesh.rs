@@ -9,6 +9,7 @@ use crate::splat::{Gaussians, Gradients, View, Wanted};
 use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{Rates, adam_constants, to_f32};
 use super::free::{Free, FreeAdam, FreePatch, Learned};
+use super::memory::Memory;
 use super::neighbours;
 use super::optimiser::StepCounter;
 use super::phase_fit::{self, Carried, PhaseSource};
@@ -67,7 +68,8 @@ struct InField {
     adam: FreeAdam,
     patch: Option<FreePatch>,
     local: Vec<[f32; 3]>,
-    fitted_at_mm: Vec<f32>,
+    memory: Memory,
+    seen: Memory,
 }
 
 impl InField {
@@ -88,6 +90,7 @@ impl InField {
                 (sum / weights).as_vec3().to_array()
             })
             .collect();
+        let memory = Memory::new(free.centres.len());
         InField {
             free,
             displacement,
@@ -101,7 +104,8 @@ impl InField {
             ),
             patch: None,
             local: Vec::new(),
-            fitted_at_mm: Vec::new(),
+            memory,
+            seen: Memory::default(),
         }
     }
 
@@ -124,7 +128,7 @@ impl Carried for InField {
         }
         let patch = self.free.patch(&faces);
         self.local = patch.ids.iter().map(|&i| self.displacement[i as usize]).collect();
-        self.fitted_at_mm = patch.ids.iter().map(|&i| self.free.fitted_at_mm[i as usize]).collect();
+        self.seen = self.memory.pick(&patch.ids);
         self.patch = Some(patch);
         Ok(())
     }
@@ -140,9 +144,14 @@ impl Carried for InField {
         &self.patch().gaussians
     }
 
-    fn colors(&mut self) -> (&mut [f32], &mut [f32]) {
+    fn colors(&mut self) -> (&mut [f32], &mut Memory) {
         let patch = self.patch.as_mut().expect("a frame is entered before it is worked on");
-        (&mut patch.gaussians.sh, &mut self.fitted_at_mm)
+        (&mut patch.gaussians.sh, &mut self.seen)
+    }
+
+    fn velocities(&self, out: &mut Vec<[f32; 3]>) -> Result<()> {
+        out.clone_from(&self.local);
+        Ok(())
     }
 
     fn phase_derivative(&self, gradients: &Gradients<f32>) -> Result<f64> {
@@ -167,9 +176,7 @@ impl Carried for InField {
     fn leave(&mut self) {
         if let Some(patch) = self.patch.take() {
             self.free.absorb(&patch);
-            for (&i, &at) in patch.ids.iter().zip(&self.fitted_at_mm) {
-                self.free.fitted_at_mm[i as usize] = at;
-            }
+            self.memory.put(&patch.ids, &self.seen);
         }
     }
 }

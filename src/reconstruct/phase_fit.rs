@@ -13,10 +13,12 @@ use crate::splat::{DepthOutput, Gaussians, Gradients, ImageGradient, Rasterizer,
 
 use super::anchored::{SH_C0, SH_VALUES};
 use super::loss::photometric::Photometric;
+use super::memory::{Memory, shift};
 use super::online::{color_image, fit_in_order, held_out};
 use super::optimiser::{Adam, AdamConstants, StepCounter};
 use super::phase::PhaseActivation;
 use super::phase_search::{depth_error_mm, grid_search};
+use super::scope_light::{ScopeLight, Shade};
 use super::settings::PhaseMethod;
 use super::{FramePrediction, Observation, Reconstruction};
 
@@ -31,8 +33,10 @@ pub trait Carried {
     fn place(&mut self, phase: f64) -> Result<()>;
     /// The compact copy, as placed.
     fn gaussians(&self) -> &Gaussians<f32>;
-    /// Spherical harmonics of the compact copy, and the distance at which each colour was fitted (0 = never).
-    fn colors(&mut self) -> (&mut [f32], &mut [f32]);
+    /// Spherical harmonics of the compact copy, and what is remembered of them.
+    fn colors(&mut self) -> (&mut [f32], &mut Memory);
+    /// Velocity of each centre, mm per unit of phase.
+    fn velocities(&self, out: &mut Vec<[f32; 3]>) -> Result<()>;
     /// dL/dphase from the gradients of centres and spread.
     fn phase_derivative(&self, gradients: &Gradients<f32>) -> Result<f64>;
     /// Zero moments.
@@ -65,6 +69,8 @@ struct Fitter<'a> {
     gain: [f64; 3],
     phases: Vec<f64>,
     mean_color: [f32; 3],
+    velocities: Vec<[f32; 3]>,
+    shades: Vec<Shade>,
 }
 
 /// Runs the loop over all frames.
@@ -87,6 +93,8 @@ pub fn run(
         gain: [1.0; 3],
         phases: Vec::new(),
         mean_color: [0.0; 3],
+        velocities: Vec::new(),
+        shades: Vec::new(),
     };
     let frames = observation.images.len();
     let seconds = fit_in_order(frames, |frame| fitter.fit(frame, source, carried), emit, progress)?;
@@ -147,13 +155,10 @@ impl Fitter<'_> {
             (false, _) => [phase, phase],
         };
         carried.enter(&view, reach)?;
-        carried.place(phase)?;
+        self.place(&view, carried, phase)?;
         if estimated && frame == 0 {
             phase = self.search_by_depth(&view, carried)?;
-            carried.place(phase)?;
-        }
-        if frame > 0 {
-            self.carry_brightness(&view, carried);
+            self.place(&view, carried, phase)?;
         }
         let ahead = if held_out(frame) {
             self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Skip), None)?;
@@ -165,18 +170,17 @@ impl Fitter<'_> {
         let image = self.observation.images[frame].to_unit();
         let mut loss = Photometric::new(&image.data, width, height, *self.settings.ssim_weight, None);
         if frame > 0 {
+            if estimated {
+                phase = self.measure_phase(&view, carried, &mut loss, &image, phase, frame)?;
+                self.place(&view, carried, phase)?;
+            }
             self.fit_gain(&view, carried, &image)?;
             self.color_the_unseen(&view, carried, &image);
-            if estimated {
-                phase = self.best_candidate(&view, carried, &mut loss, phase)?;
-                phase = self.optimise_phase(&view, carried, &mut loss, phase, frame)?;
-                carried.place(phase)?;
-            }
         } else {
             self.color_the_unseen(&view, carried, &image);
         }
         phase = self.optimise_appearance(&view, carried, &mut loss, phase, frame, estimated)?;
-        carried.place(phase)?;
+        self.place(&view, carried, phase)?;
         self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Surface), None)?;
         let color = color_image(&self.rasterizer);
         let depth_mm = super::depth_image(self.rasterizer.rendered(), width, height);
@@ -191,29 +195,51 @@ impl Fitter<'_> {
         let Some(truth) = &self.observation.first_depth_mm else { return Ok(0.0) };
         let settings = self.render_settings(DepthOutput::Surface);
         grid_search(*self.settings.grid_steps, |phase| {
-            carried.place(phase)?;
+            self.place(view, carried, phase)?;
             Ok(depth_error_mm(self.rasterizer.render(carried.gaussians(), view, &settings, None)?, truth))
         })
     }
 
-    /// Encoded brightness of what was seen before follows the distance to the light at the scope.
-    fn carry_brightness(&self, view: &View, carried: &mut dyn Carried) {
-        let exponent = *self.settings.falloff_exponent as f32;
-        if exponent == 0.0 {
-            return;
-        }
-        let distances = distances(view, carried.gaussians());
-        let (sh, fitted_at) = carried.colors();
-        for ((sh, at), distance) in sh.chunks_exact_mut(SH_VALUES).zip(fitted_at).zip(distances) {
-            if *at > 0.0 && distance > 0.5 {
-                let ratio = (*at / distance).powf(exponent).clamp(0.25, 4.0);
-                for (i, value) in sh.iter_mut().enumerate() {
-                    let offset = if i < 3 { 0.5 / SH_C0 } else { 0.0 };
-                    *value = (*value + offset) * ratio - offset;
+    fn light(&self, view: &View) -> ScopeLight {
+        ScopeLight::new(view, *self.settings.falloff_exponent, *self.settings.indirect_share)
+    }
+
+    /// Moves the Gaussians to `phase`; what was seen before is shown as the light at the scope shows it there.
+    fn place(&mut self, view: &View, carried: &mut dyn Carried, phase: f64) -> Result<()> {
+        carried.place(phase)?;
+        if *self.settings.falloff_exponent != 0.0 {
+            self.light(view).shades(carried.gaussians(), &[], &mut self.shades);
+            let (sh, memory) = carried.colors();
+            for ((sh, at), shade) in sh.chunks_exact_mut(SH_VALUES).zip(&mut memory.contained_shade).zip(&self.shades) {
+                if *at > 0.0 {
+                    let ratio = shade.value / *at;
+                    for (i, value) in sh.iter_mut().enumerate() {
+                        *value = (*value + shift(i)) * ratio - shift(i);
+                    }
+                    *at = shade.value;
                 }
-                *at = distance;
             }
         }
+        Ok(())
+    }
+
+    /// dL/dphase of the photometric loss: Gaussians move, and the light on them changes.
+    fn phase_derivative(&mut self, view: &View, carried: &mut dyn Carried) -> Result<f64> {
+        let mut sum = carried.phase_derivative(self.rasterizer.gradients())?;
+        if *self.settings.falloff_exponent != 0.0 {
+            carried.velocities(&mut self.velocities)?;
+            self.light(view).shades(carried.gaussians(), &self.velocities, &mut self.shades);
+            let by_sh = &self.rasterizer.gradients().sh;
+            let (sh, memory) = carried.colors();
+            let discs = sh.chunks_exact(SH_VALUES).zip(by_sh.chunks_exact(SH_VALUES));
+            for (((sh, by_sh), at), shade) in discs.zip(&memory.contained_shade).zip(&self.shades) {
+                if *at > 0.0 {
+                    let along: f32 = sh.iter().zip(by_sh).enumerate().map(|(i, (v, g))| (v + shift(i)) * g).sum();
+                    sum += (along * shade.relative_slope) as f64;
+                }
+            }
+        }
+        Ok(sum)
     }
 
     /// Gain per channel that brings the prediction nearest to the image in the least-squares sense, within the limit.
@@ -242,8 +268,8 @@ impl Fitter<'_> {
         let gain = self.gain;
         let pixels = pixels(view, carried.gaussians());
         let mean = self.mean_color;
-        let (sh, fitted_at) = carried.colors();
-        for ((sh, at), pixel) in sh.chunks_exact_mut(SH_VALUES).zip(fitted_at).zip(pixels) {
+        let (sh, memory) = carried.colors();
+        for ((sh, at), pixel) in sh.chunks_exact_mut(SH_VALUES).zip(&memory.contained_shade).zip(pixels) {
             if *at == 0.0 {
                 for c in 0..3 {
                     let value = pixel.map_or(mean[c], |[x, y]| image.pixel(x, y)[c] / gain[c] as f32);
@@ -253,23 +279,27 @@ impl Fitter<'_> {
         }
     }
 
-    /// Remembers at which distance each visible disc was fitted. Visible: not behind the rendered surface.
+    /// Remembers the shade that the colour of each visible disc contains. Visible: not behind the rendered surface.
     fn mark_fitted(&mut self, view: &View, carried: &mut dyn Carried, image: &Image<f32>) {
         let pixels = pixels(view, carried.gaussians());
-        let distances = distances(view, carried.gaussians());
+        self.light(view).shades(carried.gaussians(), &[], &mut self.shades);
         let depths = depths(view, carried.gaussians());
         let rendered = self.rasterizer.rendered();
         let width = rendered.width;
-        let (sh, fitted_at) = carried.colors();
+        let (sh, memory) = carried.colors();
         for value in sh.chunks_exact_mut(SH_VALUES).flat_map(|s| &mut s[..3]) {
             // A colour below zero is shown as zero and has no gradient: it would stay black for ever.
             *value = value.max((DARKEST - 0.5) / SH_C0);
         }
-        for (((at, pixel), distance), depth) in fitted_at.iter_mut().zip(pixels).zip(distances).zip(depths) {
+        let frames = *self.settings.memory_frames as f32;
+        for (k, ((pixel, shade), depth)) in pixels.into_iter().zip(&self.shades).zip(depths).enumerate() {
             if let Some([x, y]) = pixel
                 && depth < 1.1 * rendered.depth[y * width + x] + 1.0
             {
-                *at = distance;
+                memory.contained_shade[k] = shade.value;
+                if frames > 0.0 {
+                    memory.add(k, &sh[k * SH_VALUES..][..SH_VALUES], frames);
+                }
             }
         }
         let count = (image.width * image.height) as f64;
@@ -292,10 +322,42 @@ impl Fitter<'_> {
         self.rasterizer.backward(carried.gaussians(), &image, wanted).map(|_| ())
     }
 
+    /// Groups that [`Fitter::phase_derivative`] needs.
+    fn phase_groups(&self) -> Wanted {
+        let carried = Wanted::POSITIONS | Wanted::SHAPES;
+        if *self.settings.falloff_exponent == 0.0 { carried } else { carried | Wanted::SH }
+    }
+
     fn temporal(&self, phase: f64) -> (f64, f64) {
         let Some(last) = self.phases.last() else { return (0.0, 0.0) };
         let (weight, change) = (*self.settings.temporal_weight, phase - last);
         (weight * change * change, 2.0 * weight * change)
+    }
+
+    /// Stage (i): candidates, then theta alone; on the remembered colours where there is a memory.
+    fn measure_phase(
+        &mut self,
+        view: &View,
+        carried: &mut dyn Carried,
+        loss: &mut Photometric<f32>,
+        image: &Image<f32>,
+        guess: f64,
+        frame: usize,
+    ) -> Result<f64> {
+        let shown = (*self.settings.memory_frames > 0.0).then(|| {
+            let (sh, memory) = carried.colors();
+            memory.recall(sh)
+        });
+        self.place(view, carried, guess)?;
+        self.fit_gain(view, carried, image)?;
+        self.color_the_unseen(view, carried, image);
+        let start = self.best_candidate(view, carried, loss, guess)?;
+        let phase = self.optimise_phase(view, carried, loss, start, frame)?;
+        if let Some(shown) = shown {
+            let (sh, memory) = carried.colors();
+            memory.restore(shown, sh);
+        }
+        Ok(phase)
     }
 
     /// The candidate around `guess` with the least loss.
@@ -310,7 +372,7 @@ impl Fitter<'_> {
         tried.dedup();
         let mut best = (f64::INFINITY, guess);
         for phase in tried {
-            carried.place(phase)?;
+            self.place(view, carried, phase)?;
             let value = *self.settings.color_weight * self.evaluate(view, carried, loss)? + self.temporal(phase).0;
             if value < best.0 {
                 best = (value, phase);
@@ -334,17 +396,24 @@ impl Fitter<'_> {
         let mut theta = [self.activation.theta(start) as f32];
         for i in 0..iterations {
             let phase = self.activation.phase(theta[0] as f64);
-            carried.place(phase)?;
+            self.place(view, carried, phase)?;
             self.evaluate(view, carried, loss)?;
-            self.backward(carried, Wanted::POSITIONS | Wanted::SHAPES)?;
-            self.step_theta(carried, &mut adam, &mut theta, geometric(*self.settings.theta_rate, i, iterations))?;
+            self.backward(carried, self.phase_groups())?;
+            self.step_theta(view, carried, &mut adam, &mut theta, geometric(*self.settings.theta_rate, i, iterations))?;
         }
         Ok(self.activation.phase(theta[0] as f64))
     }
 
-    fn step_theta(&self, carried: &dyn Carried, adam: &mut Adam, theta: &mut [f32; 1], rate: f64) -> Result<()> {
+    fn step_theta(
+        &mut self,
+        view: &View,
+        carried: &mut dyn Carried,
+        adam: &mut Adam,
+        theta: &mut [f32; 1],
+        rate: f64,
+    ) -> Result<()> {
         let at = theta[0] as f64;
-        let by_phase = *self.settings.color_weight * carried.phase_derivative(self.rasterizer.gradients())?
+        let by_phase = *self.settings.color_weight * self.phase_derivative(view, carried)?
             + self.temporal(self.activation.phase(at)).1;
         adam.step(rate, theta, &[(by_phase * self.activation.slope(at)) as f32]);
         theta[0] = theta[0].clamp(0.0, std::f32::consts::PI);
@@ -374,11 +443,14 @@ impl Fitter<'_> {
             let moves = move_theta && i >= alone;
             if moves {
                 let rate = geometric(*self.settings.theta_rate_joint, i - alone, joint);
-                self.step_theta(carried, &mut adam, &mut theta, rate)?;
+                self.step_theta(view, carried, &mut adam, &mut theta, rate)?;
             }
             carried.step_appearance(self.rasterizer.gradients())?;
-            let phase = if move_theta { self.activation.phase(theta[0] as f64) } else { start };
-            carried.place(phase)?;
+            if moves {
+                self.place(view, carried, self.activation.phase(theta[0] as f64))?;
+            } else {
+                carried.place(start)?;
+            }
         }
         Ok(if move_theta { self.activation.phase(theta[0] as f64) } else { start })
     }
@@ -392,10 +464,6 @@ fn geometric([first, last]: [f64; 2], i: usize, n: usize) -> f64 {
 fn in_camera(view: &View, gaussians: &Gaussians<f32>) -> Vec<Vec3> {
     let transform = view.camera_from_world.as_affine3();
     gaussians.positions.iter().map(|p| transform.transform_point3(Vec3::from(*p))).collect()
-}
-
-fn distances(view: &View, gaussians: &Gaussians<f32>) -> Vec<f32> {
-    in_camera(view, gaussians).iter().map(|p| p.length()).collect()
 }
 
 fn depths(view: &View, gaussians: &Gaussians<f32>) -> Vec<f32> {

@@ -194,8 +194,16 @@ pub struct PhaseMethod {
     pub grid_steps: Sourced<u32>,
     /// Largest change of an exposure gain fitted in closed form per frame (0 = no gain).
     pub exposure_limit: Sourced<f64>,
-    /// Encoded brightness falls with distance to this power between frames (0 = appearance is carried over as is).
+    /// Encoded brightness falls with distance to this power (0 = appearance is carried over as is).
     pub falloff_exponent: Sourced<f64>,
+    /// Light that does not depend on the incidence, as a share of that which does.
+    pub indirect_share: Sourced<f64>,
+    /// Frames whose mean colour the phase is measured on (0 = the colours of the last frame, as the paper has it).
+    pub memory_frames: Sourced<f64>,
+    /// A face in view gets more discs while each covers more pixels than this (0 = never; mesh only).
+    pub pixels_per_disc: Sourced<f64>,
+    /// Largest number of discs a face asks for.
+    pub most_per_face: Sourced<u32>,
     /// Gaussians.
     pub appearance: Appearance,
     /// What is left out.

@@ -1,0 +1,132 @@
+//! What many frames have seen of the wall. The colours that a method shows follow every frame to the last pixel; a
+//! phase measured on them is measured against the frame before alone, and its small errors add up. The phase is
+//! therefore measured on remembered colours: per Gaussian the running mean of what past frames painted, without the
+//! light of the scope ([`super::scope_light`]), so that early frames hold later ones in place. Ours, not the paper's.
+
+use super::anchored::{SH_C0, SH_VALUES};
+
+/// What makes a spherical harmonic coefficient proportional to the colour it stands for (colour = SH + 0.5).
+pub fn shift(coefficient: usize) -> f32 {
+    if coefficient % SH_VALUES < 3 { 0.5 / SH_C0 } else { 0.0 }
+}
+
+/// One entry per Gaussian.
+#[derive(Clone, Debug, Default)]
+pub struct Memory {
+    /// Shade that the shown colour contains; 0: no frame has shown this Gaussian yet.
+    pub contained_shade: Vec<f32>,
+    /// Remembered spherical harmonics, [`SH_VALUES`] each, at shade 1.
+    albedo: Vec<f32>,
+    /// Frames that have added to them.
+    looks: Vec<f32>,
+}
+
+impl Memory {
+    /// Nothing seen of `n` Gaussians.
+    pub fn new(n: usize) -> Self {
+        Memory { contained_shade: vec![0.0; n], albedo: vec![0.0; n * SH_VALUES], looks: vec![0.0; n] }
+    }
+
+    /// The entries of `ids`.
+    pub fn pick(&self, ids: &[u32]) -> Self {
+        Memory {
+            contained_shade: ids.iter().map(|&i| self.contained_shade[i as usize]).collect(),
+            albedo: ids.iter().flat_map(|&i| &self.albedo[i as usize * SH_VALUES..][..SH_VALUES]).copied().collect(),
+            looks: ids.iter().map(|&i| self.looks[i as usize]).collect(),
+        }
+    }
+
+    /// Takes the entries of `ids` back.
+    pub fn put(&mut self, ids: &[u32], from: &Self) {
+        for (k, &i) in ids.iter().enumerate() {
+            let i = i as usize;
+            self.contained_shade[i] = from.contained_shade[k];
+            self.looks[i] = from.looks[k];
+            self.albedo[i * SH_VALUES..][..SH_VALUES].copy_from_slice(&from.albedo[k * SH_VALUES..][..SH_VALUES]);
+        }
+    }
+
+    /// Entries for Gaussians that start as copies of `parents`; both have to be looked at anew, closer.
+    pub fn split(&mut self, parents: &[u32]) {
+        for &parent in parents {
+            let parent = parent as usize;
+            self.looks[parent] = self.looks[parent].min(1.0);
+            self.looks.push(self.looks[parent]);
+            self.contained_shade.push(self.contained_shade[parent]);
+            self.albedo.extend_from_within(parent * SH_VALUES..(parent + 1) * SH_VALUES);
+        }
+    }
+
+    /// Puts the remembered colours into `sh`, at shade 1; what nobody remembers stays as it is. Hands out what `sh` was.
+    pub fn recall(&mut self, sh: &mut [f32]) -> Shown {
+        let shown = Shown { sh: sh.to_vec(), contained_shade: self.contained_shade.clone() };
+        for (k, sh) in sh.chunks_exact_mut(SH_VALUES).enumerate() {
+            if self.looks[k] > 0.0 {
+                sh.copy_from_slice(&self.albedo[k * SH_VALUES..][..SH_VALUES]);
+                self.contained_shade[k] = 1.0;
+            }
+        }
+        shown
+    }
+
+    /// Undoes [`Memory::recall`].
+    pub fn restore(&mut self, shown: Shown, sh: &mut [f32]) {
+        sh.copy_from_slice(&shown.sh);
+        self.contained_shade = shown.contained_shade;
+    }
+
+    /// Adds what Gaussian `k` shows now (`sh`, at its contained shade): the mean of the first `frames` looks, after
+    /// that the newest counts `1 / frames`.
+    pub fn add(&mut self, k: usize, sh: &[f32], frames: f32) {
+        self.looks[k] = (self.looks[k] + 1.0).min(frames);
+        let (share, shade) = (1.0 / self.looks[k], self.contained_shade[k]);
+        let remembered = &mut self.albedo[k * SH_VALUES..][..SH_VALUES];
+        for (i, (value, &shown)) in remembered.iter_mut().zip(sh).enumerate() {
+            let albedo = (shown + shift(i)) / shade - shift(i);
+            *value += (albedo - *value) * share;
+        }
+    }
+}
+
+/// Colours set aside by [`Memory::recall`].
+pub struct Shown {
+    sh: Vec<f32>,
+    contained_shade: Vec<f32>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_memory_is_the_mean_of_the_first_looks_free_of_light() {
+        let mut memory = Memory::new(1);
+        let sh_of = |color: f32| -> Vec<f32> {
+            (0..SH_VALUES).map(|i| if i < 3 { (color - 0.5) / SH_C0 } else { 0.0 }).collect()
+        };
+        for (color, shade) in [(0.2, 0.5), (0.6, 1.0), (1.0, 2.0)] {
+            memory.contained_shade[0] = shade;
+            memory.add(0, &sh_of(color), 8.0);
+        }
+        let mut sh = sh_of(0.9);
+        let shown = memory.recall(&mut sh);
+        let color = sh[0] * SH_C0 + 0.5;
+        assert!((color - (0.4 + 0.6 + 0.5) / 3.0).abs() < 1e-6, "{color}");
+        assert_eq!(memory.contained_shade[0], 1.0);
+        memory.restore(shown, &mut sh);
+        assert_eq!((sh, memory.contained_shade[0]), (sh_of(0.9), 2.0));
+    }
+
+    #[test]
+    fn what_nobody_saw_keeps_its_colour_and_entries_travel_by_index() {
+        let mut all = Memory::new(3);
+        let mut part = all.pick(&[2, 0]);
+        part.contained_shade[0] = 1.0;
+        part.add(0, &[0.3; SH_VALUES], 4.0);
+        all.put(&[2, 0], &part);
+        let mut sh = vec![0.1; 3 * SH_VALUES];
+        all.recall(&mut sh);
+        assert_eq!(&sh[..2 * SH_VALUES], &[0.1; 2 * SH_VALUES]);
+        assert!(sh[2 * SH_VALUES..].iter().all(|v| (v - 0.3).abs() < 1e-6));
+    }
+}

@@ -1,0 +1,121 @@
+//! What a patch of wall shows of its colour under the light at the tip of the scope (paper, Section 3: a co-located
+//! light), in the encoded (sRGB) values in which methods compare images: `(d0 / d)^p ((c + k) / (1 + k))^(p / 2)` with
+//! `d` the distance to the scope, `c` the cosine of incidence, `p` the exponent of the fall-off (2 / 2.2 for the inverse
+//! square through the sRGB curve, less where the lumen lights itself) and `k` the share of light from the other walls.
+//! Left out: shadows (there are none from a light at the camera) and gloss.
+
+use glam::Vec3;
+
+use crate::splat::{Gaussians, Shape, View};
+
+/// Distance in mm at which a surface that faces the scope shows its colour as it is.
+const REFERENCE_MM: f32 = 10.0;
+/// Nearest distance in mm that is told from the scope itself.
+const NEAREST_MM: f32 = 0.5;
+
+/// Light at the scope.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScopeLight {
+    eye: Vec3,
+    exponent: f32,
+    indirect: f32,
+}
+
+/// What a Gaussian shows of its colour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shade {
+    /// Factor on its encoded colour.
+    pub value: f32,
+    /// Relative change of that factor per unit of phase.
+    pub relative_slope: f32,
+}
+
+impl ScopeLight {
+    /// The light of `view`; `exponent` 0 shows every colour as it is.
+    pub fn new(view: &View, exponent: f64, indirect_share: f64) -> Self {
+        ScopeLight {
+            eye: view.camera_from_world.inverse().translation.as_vec3(),
+            exponent: exponent as f32,
+            indirect: indirect_share as f32,
+        }
+    }
+
+    /// One shade per Gaussian. `velocities` are mm per unit of phase (empty: slopes are 0); the turning of the normals
+    /// themselves is left out of the slope. Ellipsoids have no side: their incidence counts as upright.
+    pub fn shades(&self, gaussians: &Gaussians<f32>, velocities: &[[f32; 3]], out: &mut Vec<Shade>) {
+        out.clear();
+        let velocity = |i: usize| velocities.get(i).map_or(Vec3::ZERO, |v| Vec3::from(*v));
+        match &gaussians.shape {
+            Shape::Discs { axes } => {
+                out.extend(gaussians.positions.iter().zip(axes).enumerate().map(|(i, (p, [a, b]))| {
+                    let normal = Vec3::from(*a).cross(Vec3::from(*b)).normalize_or_zero();
+                    self.shade(Vec3::from(*p), Some(normal), velocity(i))
+                }))
+            }
+            Shape::Ellipsoids { .. } => out.extend(
+                gaussians.positions.iter().enumerate().map(|(i, p)| self.shade(Vec3::from(*p), None, velocity(i))),
+            ),
+        }
+    }
+
+    fn shade(&self, centre: Vec3, normal: Option<Vec3>, velocity: Vec3) -> Shade {
+        let offset = centre - self.eye;
+        let distance = offset.length().max(NEAREST_MM);
+        let towards = offset / distance;
+        let away = towards.dot(velocity);
+        let mut logarithm = (REFERENCE_MM / distance).ln();
+        let mut slope = -away / distance;
+        if let Some(normal) = normal {
+            let along = normal.dot(towards);
+            let shown = (along.abs() + self.indirect).max(1e-3);
+            logarithm += 0.5 * (shown / (1.0 + self.indirect)).ln();
+            slope += 0.5 * along.signum() * normal.dot(velocity - towards * away) / distance / shown;
+        }
+        Shade { value: (self.exponent * logarithm).exp(), relative_slope: self.exponent * slope }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DAffine3, DVec3};
+
+    use super::*;
+    use crate::base::Camera;
+
+    fn disc(at: Vec3) -> Gaussians<f32> {
+        let mut g = Gaussians::discs(1, 1, 1.0);
+        g.positions[0] = at.to_array();
+        g.shape = Shape::Discs { axes: vec![[[1.0, 0.2, 0.1], [0.0, 1.0, 0.3]]] };
+        g
+    }
+
+    #[test]
+    fn twice_as_far_upright_is_a_quarter_in_linear_light() {
+        let camera = Camera::pinhole(64, 64, 90f64.to_radians());
+        let view = View::new(camera, DAffine3::from_translation(DVec3::new(1.0, 2.0, 3.0)));
+        let light = ScopeLight::new(&view, 2.0, 0.0);
+        let (mut near, mut far) = (Vec::new(), Vec::new());
+        let mut g = disc(Vec3::new(1.0, 2.0, 13.0));
+        g.shape = Shape::Discs { axes: vec![[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]] };
+        light.shades(&g, &[], &mut near);
+        g.positions[0][2] = 23.0;
+        light.shades(&g, &[], &mut far);
+        assert!((near[0].value - 1.0).abs() < 1e-6 && (far[0].value - 0.25).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_slope_is_the_difference_quotient() {
+        let camera = Camera::pinhole(64, 64, 90f64.to_radians());
+        let light = ScopeLight::new(&View::new(camera, DAffine3::IDENTITY), 0.75, 0.5);
+        let (at, velocity, h) = (Vec3::new(3.0, -1.0, 9.0), Vec3::new(-2.0, 1.5, 3.0), 1e-2);
+        let mut shades = Vec::new();
+        light.shades(&disc(at), &[velocity.to_array()], &mut shades);
+        let mut value = |p: Vec3| {
+            let mut out = Vec::new();
+            light.shades(&disc(p), &[], &mut out);
+            out[0].value
+        };
+        let quotient = (value(at + velocity * h) - value(at - velocity * h)) / (2.0 * h) / shades[0].value;
+        assert!((quotient - shades[0].relative_slope).abs() < 1e-3, "{quotient} {}", shades[0].relative_slope);
+    }
+}
