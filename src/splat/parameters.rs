@@ -59,18 +59,17 @@ impl<T: Real> Rasterizer<T> {
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
-        let (starts, places) = self.bins.places();
-        let slots = &self.slots;
+        let (starts, slots) = (&self.bins.starts, &self.slots);
         let poses: Vec<[f64; 6]> = tasks
             .into_par_iter()
             .map(|mut task| {
                 let starts = &starts[task.first..=task.first + task.count];
                 if let Some(native) = &native {
                     let mut pose = [0.0; 6];
-                    native.chain(task.first, starts, places, slots, wanted, task.outputs(&mut pose));
+                    native.chain(task.first, starts, slots, wanted, task.outputs(&mut pose));
                     return pose;
                 }
-                task.plain(gaussians, projector, active, starts, |e| &slots[places[e] as usize].0, wanted)
+                task.plain(gaussians, projector, active, starts, |e| &slots[e].0, wanted)
             })
             .collect();
         for pose in poses {
