@@ -8,6 +8,7 @@ use crate::ffi::splat_image::{ImageBand, Light};
 use crate::ffi::system::grow;
 
 use super::bin::{TILE, cut};
+use super::fault::{Fault, Faults};
 use super::kernel::{self, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of, pixel_of};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
@@ -109,12 +110,13 @@ impl<T: Real> Rasterizer<T> {
         settings: &Settings,
         parts: Option<Parts>,
         with_gain: bool,
+        faults: impl Faults,
     ) {
         let bins = &self.bins;
         if parts.is_some() && self.slots.len() < bins.entries.len() {
             grow(&mut self.slots, bins.entries.len());
         }
-        let shared = T::shared(self.isa, &mut self.slots);
+        let shared = if faults.is_sound() { T::shared(self.isa, &mut self.slots) } else { None };
         let (rows, isa, states) = (&self.rows, self.isa, &self.state);
         let image_size = [self.rendered.width, self.rendered.height];
         let light = Light { gain: settings.gain, background: settings.background, with_depth: !image.depth.is_empty() };
@@ -124,7 +126,7 @@ impl<T: Real> Rasterizer<T> {
                 let corner = [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE];
                 let mut adjoint = [T::zero(); PLANES * PIXELS];
                 let by_gain = T::adjoint_tile(state, corner, image_size, &light, image, &mut adjoint)
-                    .unwrap_or_else(|| adjoint_of_tile(state, corner, image_size, &light, image, &mut adjoint));
+                    .unwrap_or_else(|| adjoint_of_tile(state, corner, image_size, &light, image, &mut adjoint, faults));
                 let Some(parts) = parts else { return (by_gain, Vec::new()) };
                 let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
                 let tile = BackwardTile {
@@ -141,7 +143,7 @@ impl<T: Real> Rasterizer<T> {
                         T::backward_tile(isa, &tile, slots);
                         (by_gain, Vec::new())
                     }
-                    None => (by_gain, kernel::scalar_backward(&tile)),
+                    None => (by_gain, kernel::scalar_backward(&tile, faults)),
                 }
             })
             .collect();
@@ -166,6 +168,7 @@ fn adjoint_of_tile<T: Real>(
     light: &Light,
     image: &ImageGradient<'_, T>,
     adjoint: &mut [T],
+    faults: impl Faults,
 ) -> [f64; 3] {
     let (gain, background) = (light.gain.map(T::of), light.background.map(T::of));
     let mut by_gain = [0.0; 3];
@@ -193,7 +196,9 @@ fn adjoint_of_tile<T: Real>(
             let by_depth = image.depth[o] / covered;
             adjoint[3 * PIXELS + p] = by_depth;
             behind += by_depth * state[3 * PIXELS + p];
-            by_left += by_depth * state[3 * PIXELS + p] / covered;
+            if !faults.has(Fault::DepthQuotientForgotten) {
+                by_left += by_depth * state[3 * PIXELS + p] / covered;
+            }
         }
         adjoint[4 * PIXELS + p] = behind + left * by_left;
     }

@@ -14,6 +14,7 @@
 use crate::ffi::splat::{self as native, Aligned, Isa, Slots};
 
 use super::bin::TILE;
+use super::fault::{Fault, Faults};
 use super::project::{Row, at};
 use super::real::Real;
 
@@ -205,7 +206,7 @@ pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
 }
 
 /// Carries the gradient of one tile to the moments of its entries, one row for each.
-pub fn scalar_backward<T: Real>(t: &BackwardTile<'_, T>) -> Vec<Aligned<T>> {
+pub fn scalar_backward<T: Real>(t: &BackwardTile<'_, T>, faults: impl Faults) -> Vec<Aligned<T>> {
     let mut slots = vec![Aligned([T::zero(); 16]); t.entries.len()];
     let mut left = [T::one(); PIXELS];
     let mut behind = [T::zero(); PIXELS];
@@ -230,8 +231,15 @@ pub fn scalar_backward<T: Real>(t: &BackwardTile<'_, T>) -> Vec<Aligned<T>> {
                     value += q[at::DEPTH] * adjoint(3);
                 }
                 behind[p] -= weight * value;
-                if raw <= T::of(0.99) {
-                    let v = alpha * (now * value - behind[p] / (T::one() - alpha));
+                if raw <= T::of(0.99) || faults.has(Fault::AlphaCutIgnored) {
+                    let mut hidden = behind[p] / (T::one() - alpha);
+                    if faults.has(Fault::OcclusionForgotten) {
+                        hidden = T::zero();
+                    }
+                    if faults.has(Fault::SurvivalFactorMissing) {
+                        hidden = behind[p];
+                    }
+                    let v = alpha * (now * value - hidden);
                     for (k, moment) in [T::one(), dx, dy, dx * dx, dx * dy, dy * dy].into_iter().enumerate() {
                         sums[k] += v * moment;
                     }

@@ -13,6 +13,7 @@ use crate::ffi::system::grow;
 use crate::ffi::splat_bin::Boxes;
 
 use super::bin::{Bins, TILE, TileBox};
+use super::fault::{Fault, Faults, Sound};
 use super::kernel::Parts;
 use super::native::Numbers;
 use super::project::Projector;
@@ -219,6 +220,28 @@ impl<T: Real> Rasterizer<T> {
         image: &ImageGradient<'_, T>,
         wanted: Wanted,
     ) -> Result<&Gradients<T>> {
+        self.backward_as(gaussians, image, wanted, Sound)
+    }
+
+    /// [`Rasterizer::backward`] of the plain twin with a mistake in it: for those who check the gradients to see that
+    /// their check can fail.
+    pub fn backward_with_fault(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        image: &ImageGradient<'_, T>,
+        wanted: Wanted,
+        fault: Fault,
+    ) -> Result<&Gradients<T>> {
+        self.backward_as(gaussians, image, wanted, fault)
+    }
+
+    fn backward_as(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        image: &ImageGradient<'_, T>,
+        wanted: Wanted,
+        faults: impl Faults,
+    ) -> Result<&Gradients<T>> {
         let (view, settings, n) = self.last.ok_or_else(|| Error::input("backward needs a render before it"))?;
         gaussians.validate()?;
         if gaussians.len() != n {
@@ -227,7 +250,7 @@ impl<T: Real> Rasterizer<T> {
         self.clock.start();
         self.check_image(image, &settings)?;
         let projector = Projector::new(&view, &settings)?;
-        let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE);
+        let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE | Wanted::LENS);
         let geometry = through_position || wanted.any(Wanted::SHAPES | Wanted::OPACITIES);
         let parts = Parts {
             geometry,
@@ -235,9 +258,9 @@ impl<T: Real> Rasterizer<T> {
             depth: geometry && !image.depth.is_empty(),
         };
         let parts = (parts.geometry || parts.color).then_some(parts);
-        self.composite_backward(image, &settings, parts, wanted.any(Wanted::GAIN));
+        self.composite_backward(image, &settings, parts, wanted.any(Wanted::GAIN), faults);
         self.clock.end(Stage::CompositeBackward);
-        self.chain(gaussians, &projector, wanted);
+        self.chain(gaussians, &projector, wanted, faults);
         self.clock.end(Stage::Chain);
         Ok(&self.gradients)
     }
