@@ -3,10 +3,12 @@
 
 use rayon::prelude::*;
 
+use crate::ffi::splat::Aligned;
 use crate::ffi::splat_image::{ImageBand, Light};
 use crate::ffi::system::grow;
 
 use super::bin::{TILE, cut};
+use super::fault::{Fault, Faults};
 use super::kernel::{self, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of, pixel_of};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
@@ -108,44 +110,50 @@ impl<T: Real> Rasterizer<T> {
         settings: &Settings,
         parts: Option<Parts>,
         with_gain: bool,
+        faults: impl Faults,
     ) {
         let bins = &self.bins;
         if parts.is_some() && self.slots.len() < bins.entries.len() {
             grow(&mut self.slots, bins.entries.len());
         }
-        let size = |w: &[u32]| if parts.is_some() { (w[1] - w[0]) as usize } else { 0 };
-        let slots = cut(&mut self.slots, bins.offsets.windows(2).map(size));
+        let shared = if faults.is_sound() { T::shared(self.isa, &mut self.slots) } else { None };
         let (rows, isa, states) = (&self.rows, self.isa, &self.state);
         let image_size = [self.rendered.width, self.rendered.height];
         let light = Light { gain: settings.gain, background: settings.background, with_depth: !image.depth.is_empty() };
-        let tiles = slots.into_par_iter().zip(states.par_chunks(PLANES * PIXELS)).enumerate();
-        let gains: Vec<[f64; 3]> = tiles
-            .map(|(t, (slots, state))| {
+        let tiles = states[..bins.tiles_x * bins.tiles_y * PLANES * PIXELS].par_chunks(PLANES * PIXELS).enumerate();
+        let done: Vec<([f64; 3], Vec<Aligned<T>>)> = tiles
+            .map(|(t, state)| {
                 let corner = [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE];
                 let mut adjoint = [T::zero(); PLANES * PIXELS];
                 let by_gain = T::adjoint_tile(state, corner, image_size, &light, image, &mut adjoint)
-                    .unwrap_or_else(|| adjoint_of_tile(state, corner, image_size, &light, image, &mut adjoint));
-                let Some(parts) = parts else { return by_gain };
+                    .unwrap_or_else(|| adjoint_of_tile(state, corner, image_size, &light, image, &mut adjoint, faults));
+                let Some(parts) = parts else { return (by_gain, Vec::new()) };
                 let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
-                let mut tile = BackwardTile {
+                let tile = BackwardTile {
                     rows,
                     entries: &bins.entries[range.clone()],
-                    masks: &bins.masks[range],
+                    masks: &bins.masks[range.clone()],
+                    targets: &bins.targets[range],
                     corner,
                     adjoint: &adjoint,
-                    slots,
                     parts,
                 };
-                if !T::backward_tile(isa, &mut tile) {
-                    kernel::scalar_backward(&mut tile);
+                match &shared {
+                    Some(slots) => {
+                        T::backward_tile(isa, &tile, slots);
+                        (by_gain, Vec::new())
+                    }
+                    None => (by_gain, kernel::scalar_backward(&tile, faults)),
                 }
-                by_gain
             })
             .collect();
         self.gradients.gain = [0.0; 3];
-        for tile in gains.iter().filter(|_| with_gain) {
-            for k in 0..3 {
-                self.gradients.gain[k] += tile[k];
+        for (t, (by_gain, moments)) in done.into_iter().enumerate() {
+            for k in (0..3).filter(|_| with_gain) {
+                self.gradients.gain[k] += by_gain[k];
+            }
+            for (entry, moments) in (self.bins.offsets[t] as usize..).zip(moments) {
+                self.slots[self.bins.targets[entry] as usize] = moments;
             }
         }
     }
@@ -160,6 +168,7 @@ fn adjoint_of_tile<T: Real>(
     light: &Light,
     image: &ImageGradient<'_, T>,
     adjoint: &mut [T],
+    faults: impl Faults,
 ) -> [f64; 3] {
     let (gain, background) = (light.gain.map(T::of), light.background.map(T::of));
     let mut by_gain = [0.0; 3];
@@ -187,7 +196,9 @@ fn adjoint_of_tile<T: Real>(
             let by_depth = image.depth[o] / covered;
             adjoint[3 * PIXELS + p] = by_depth;
             behind += by_depth * state[3 * PIXELS + p];
-            by_left += by_depth * state[3 * PIXELS + p] / covered;
+            if !faults.has(Fault::DepthQuotientForgotten) {
+                by_left += by_depth * state[3 * PIXELS + p] / covered;
+            }
         }
         adjoint[4 * PIXELS + p] = behind + left * by_left;
     }

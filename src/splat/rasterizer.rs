@@ -10,7 +10,10 @@ use crate::base::{Error, Result};
 use crate::ffi::splat::{Aligned, Isa};
 use crate::ffi::system::grow;
 
+use crate::ffi::splat_bin::Boxes;
+
 use super::bin::{Bins, TILE, TileBox};
+use super::fault::{Fault, Faults, Sound};
 use super::kernel::Parts;
 use super::native::Numbers;
 use super::project::Projector;
@@ -29,6 +32,7 @@ pub struct Rasterizer<T> {
     pub(super) active: Option<Vec<u32>>,
     pub(super) rows: Vec<Aligned<T>>,
     boxes: Vec<[u32; 2]>,
+    keys: Vec<u32>,
     pub(super) bins: Bins,
     pub(super) state: Vec<T>,
     pub(super) moving: Vec<T>,
@@ -64,6 +68,7 @@ impl<T: Real> Rasterizer<T> {
             active: None,
             rows: Vec::new(),
             boxes: Vec::new(),
+            keys: Vec::new(),
             bins: Bins::default(),
             state: Vec::new(),
             moving: Vec::new(),
@@ -104,7 +109,7 @@ impl<T: Real> Rasterizer<T> {
 
     /// Renders the Gaussians named in `active` (indices in strictly ascending order; `None` is all of them).
     ///
-    /// Order is by z-depth of the centre (rounded to f32), ties by index. Gaussians with a number that is not finite,
+    /// Order is by z-depth of the centre (computed in f64, rounded to f32), ties by index. Gaussians with a number that is not finite,
     /// with no opacity, or before the near plane are left out; the images are finite whatever goes in.
     /// Errors: arrays that do not belong together, a camera or settings that make no sense, a bad `active`.
     pub fn render(
@@ -166,22 +171,26 @@ impl<T: Real> Rasterizer<T> {
         let tiles = [view.camera.width, view.camera.height].map(|v| (v as usize).div_ceil(TILE));
         grow(&mut self.rows, n.max(1));
         grow(&mut self.boxes, n);
+        grow(&mut self.keys, n);
         self.rendered.visible.resize(n, false);
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
         let chunks = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
+        let chunks = chunks.zip(self.keys.par_chunks_mut(CHUNK));
         chunks.zip(self.rendered.visible.par_chunks_mut(CHUNK)).enumerate().for_each(
-            |(chunk, ((rows, boxes), visible))| {
+            |(chunk, (((rows, boxes), keys), visible))| {
                 let first = chunk * CHUNK;
                 if let Some(native) = &native {
-                    return native.project(first, tiles, rows, boxes, visible);
+                    return native.project(first, tiles, rows, boxes, keys, visible);
                 }
                 for k in 0..rows.len() {
-                    let found = projector.project(gaussians, active.map_or(first + k, |list| list[first + k] as usize));
+                    let i = active.map_or(first + k, |list| list[first + k] as usize);
+                    let found = projector.project(gaussians, i);
                     visible[k] = found.is_some();
                     if let Some(found) = found {
                         boxes[k] = TileBox::of(&found, tiles).pack();
+                        keys[k] = projector.key(gaussians.positions[i]);
                         rows[k].0 = found;
                     }
                 }
@@ -189,7 +198,12 @@ impl<T: Real> Rasterizer<T> {
         );
         self.rendered.visible_count = self.rendered.visible.iter().filter(|v| **v).count();
         self.clock.end(Stage::Project);
-        self.bins.fill(tiles, &self.rows, &self.boxes, &self.rendered.visible);
+        let all = Boxes { boxes: &self.boxes, keys: &self.keys, visible: &self.rendered.visible };
+        if self.isa == Isa::Scalar {
+            self.bins.fill_plainly(tiles, &all);
+        } else {
+            self.bins.fill(tiles, &all);
+        }
         self.rendered.intersections = self.bins.entries.len();
         self.clock.end(Stage::Bin);
     }
@@ -206,6 +220,28 @@ impl<T: Real> Rasterizer<T> {
         image: &ImageGradient<'_, T>,
         wanted: Wanted,
     ) -> Result<&Gradients<T>> {
+        self.backward_as(gaussians, image, wanted, Sound)
+    }
+
+    /// [`Rasterizer::backward`] of the plain twin with a mistake in it: for those who check the gradients to see that
+    /// their check can fail.
+    pub fn backward_with_fault(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        image: &ImageGradient<'_, T>,
+        wanted: Wanted,
+        fault: Fault,
+    ) -> Result<&Gradients<T>> {
+        self.backward_as(gaussians, image, wanted, fault)
+    }
+
+    fn backward_as(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        image: &ImageGradient<'_, T>,
+        wanted: Wanted,
+        faults: impl Faults,
+    ) -> Result<&Gradients<T>> {
         let (view, settings, n) = self.last.ok_or_else(|| Error::input("backward needs a render before it"))?;
         gaussians.validate()?;
         if gaussians.len() != n {
@@ -214,7 +250,7 @@ impl<T: Real> Rasterizer<T> {
         self.clock.start();
         self.check_image(image, &settings)?;
         let projector = Projector::new(&view, &settings)?;
-        let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE);
+        let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE | Wanted::LENS);
         let geometry = through_position || wanted.any(Wanted::SHAPES | Wanted::OPACITIES);
         let parts = Parts {
             geometry,
@@ -222,9 +258,9 @@ impl<T: Real> Rasterizer<T> {
             depth: geometry && !image.depth.is_empty(),
         };
         let parts = (parts.geometry || parts.color).then_some(parts);
-        self.composite_backward(image, &settings, parts, wanted.any(Wanted::GAIN));
+        self.composite_backward(image, &settings, parts, wanted.any(Wanted::GAIN), faults);
         self.clock.end(Stage::CompositeBackward);
-        self.chain(gaussians, &projector, wanted);
+        self.chain(gaussians, &projector, wanted, faults);
         self.clock.end(Stage::Chain);
         Ok(&self.gradients)
     }

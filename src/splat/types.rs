@@ -133,6 +133,18 @@ pub enum DepthOutput {
     Surface,
 }
 
+/// What the screen-space filter (`Settings::dilation_px2`) does to a splat's peak.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Filter {
+    /// 3DGS: the splat grows and keeps its opacity, so that what is smaller than a pixel gains weight.
+    #[default]
+    Dilate,
+    /// Mip-Splatting (Yu et al., 2024; gsplat's `antialiased`): the opacity is multiplied by
+    /// `sqrt(det before / det after)` of the covariance on screen, so that the splat keeps its weight. Projection and
+    /// gradients run in the plain twin (compositing stays vectorised).
+    Compensate,
+}
+
 /// How to render.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
@@ -140,6 +152,8 @@ pub struct Settings {
     pub near_mm: f64,
     /// Added to the diagonal of the projected covariance (px^2): the screen-space filter of 3DGS.
     pub dilation_px2: f64,
+    /// What that filter does to the opacity.
+    pub filter: Filter,
     /// Multiplies the finished image per channel (exposure).
     pub gain: [f64; 3],
     /// Colour behind everything (before the gain).
@@ -150,7 +164,14 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Settings { near_mm: 0.2, dilation_px2: 0.3, gain: [1.0; 3], background: [0.0; 3], depth: DepthOutput::Expected }
+        Settings {
+            near_mm: 0.2,
+            dilation_px2: 0.3,
+            filter: Filter::Dilate,
+            gain: [1.0; 3],
+            background: [0.0; 3],
+            depth: DepthOutput::Expected,
+        }
     }
 }
 
@@ -188,7 +209,7 @@ pub struct ImageGradient<'a, T> {
 
 /// Groups of parameters whose gradients are wanted; the others cost nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub struct Wanted(u8);
+pub struct Wanted(u16);
 
 impl Wanted {
     /// Nothing.
@@ -205,8 +226,10 @@ impl Wanted {
     pub const POSE: Wanted = Wanted(16);
     /// Exposure.
     pub const GAIN: Wanted = Wanted(32);
-    /// Everything.
+    /// All of the above: every parameter of the Gaussians, the pose and the exposure.
     pub const ALL: Wanted = Wanted(63);
+    /// Focal lengths and principal point; computed in the plain twin.
+    pub const LENS: Wanted = Wanted(64);
 
     /// The groups as bits, as the kernels know them.
     pub(super) fn bits(self) -> u32 {
@@ -247,4 +270,6 @@ pub struct Gradients<T> {
     pub pose: [f64; 6],
     /// Of the gain per channel.
     pub gain: [f64; 3],
+    /// Of `fl_x`, `fl_y`, `cx`, `cy` of the camera (per pixel).
+    pub lens: [f64; 4],
 }
