@@ -7,11 +7,12 @@ use crate::ffi::splat_image::{ImageBand, Light};
 use crate::ffi::system::grow;
 
 use super::bin::{TILE, cut};
+use super::disc_tile::{DiscTile, corner_of};
 use super::fault::{Fault, Faults};
 use super::kernel::{self, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of, pixel_of};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
-use super::types::{DepthOutput, ImageGradient, Settings, View};
+use super::types::{DepthOutput, Footprint, ImageGradient, Settings, View};
 
 /// Pixels of line `line` of a tile in the per-pixel tables: four pieces of four.
 fn line_of(line: usize) -> [usize; 4] {
@@ -65,7 +66,7 @@ impl<T: Real> Rasterizer<T> {
         let (state, tiles_x) = (&self.state, self.bins.tiles_x);
         let gain = settings.gain.map(T::of);
         let background = settings.background.map(T::of);
-        let with_depth = settings.depth == DepthOutput::Expected;
+        let with_depth = has_depth(settings);
         let light = Light { gain: settings.gain, background: settings.background, with_depth };
         let band = TILE * width;
         let bands = out.color.par_chunks_mut(3 * band).zip(out.depth.par_chunks_mut(band));
@@ -102,33 +103,69 @@ impl<T: Real> Rasterizer<T> {
         });
     }
 
+    /// Composites all tiles of exact discs.
+    pub(super) fn composite_discs(&mut self, view: &View, settings: &Settings) {
+        let tiles = self.bins.tiles_x * self.bins.tiles_y;
+        let mut state = std::mem::take(&mut self.state);
+        grow(&mut state, tiles * PLANES * PIXELS);
+        let optics = self.optics(view, settings);
+        let bins = &self.bins;
+        state.par_chunks_mut(PLANES * PIXELS).take(tiles).enumerate().for_each(|(t, state)| {
+            let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
+            let tile = DiscTile {
+                rows: &self.rows,
+                discs: &self.discs,
+                entries: &bins.entries[range],
+                corner: corner_of(t, bins.tiles_x),
+                optics,
+            };
+            tile.forward(state, has_depth(settings));
+        });
+        self.state = state;
+    }
+
     /// Moments of every entry, and the gradient of the gain. Where no `parts` are wanted, the gain alone.
     pub(super) fn composite_backward(
         &mut self,
         image: &ImageGradient<'_, T>,
+        view: &View,
         settings: &Settings,
         parts: Option<Parts>,
         with_gain: bool,
         faults: impl Faults,
     ) {
-        let bins = &self.bins;
-        if parts.is_some() && self.slots.len() < bins.entries.len() {
-            grow(&mut self.slots, bins.entries.len());
+        let discs = settings.footprint == Footprint::Disc;
+        let entries = if parts.is_some() { self.bins.entries.len() } else { 0 };
+        let (mut slots, mut sums) = (std::mem::take(&mut self.slots), std::mem::take(&mut self.disc_slots));
+        if !discs && slots.len() < entries {
+            grow(&mut slots, entries);
         }
+        if discs && sums.len() < entries {
+            grow(&mut sums, entries);
+        }
+        let optics = self.optics(view, settings);
+        let bins = &self.bins;
         let size = |w: &[u32]| if parts.is_some() { (w[1] - w[0]) as usize } else { 0 };
-        let slots = cut(&mut self.slots, bins.offsets.windows(2).map(size));
+        let sizes = |used: bool| bins.offsets.windows(2).map(move |w| if used { size(w) } else { 0 });
+        let pieces = cut(&mut slots, sizes(!discs)).into_par_iter().zip(cut(&mut sums, sizes(discs)));
         let (rows, isa, states) = (&self.rows, self.isa, &self.state);
         let image_size = [self.rendered.width, self.rendered.height];
         let light = Light { gain: settings.gain, background: settings.background, with_depth: !image.depth.is_empty() };
-        let tiles = slots.into_par_iter().zip(states.par_chunks(PLANES * PIXELS)).enumerate();
+        let tiles = pieces.zip(states.par_chunks(PLANES * PIXELS)).enumerate();
         let gains: Vec<[f64; 3]> = tiles
-            .map(|(t, (slots, state))| {
+            .map(|(t, ((slots, sums), state))| {
                 let corner = [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE];
                 let mut adjoint = [T::zero(); PLANES * PIXELS];
                 let by_gain = T::adjoint_tile(state, corner, image_size, &light, image, &mut adjoint)
                     .unwrap_or_else(|| adjoint_of_tile(state, corner, image_size, &light, image, &mut adjoint, faults));
                 let Some(parts) = parts else { return by_gain };
                 let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
+                if discs {
+                    let entries = &bins.entries[range];
+                    let tile = DiscTile { rows, discs: &self.discs, entries, corner, optics };
+                    tile.backward(&adjoint, sums, parts, faults);
+                    return by_gain;
+                }
                 let mut tile = BackwardTile {
                     rows,
                     entries: &bins.entries[range.clone()],
@@ -144,12 +181,21 @@ impl<T: Real> Rasterizer<T> {
                 by_gain
             })
             .collect();
+        (self.slots, self.disc_slots) = (slots, sums);
         self.gradients.gain = [0.0; 3];
         for tile in gains.iter().filter(|_| with_gain) {
             for k in 0..3 {
                 self.gradients.gain[k] += tile[k];
             }
         }
+    }
+}
+
+/// Whether the depth is composited with the colours.
+pub(super) fn has_depth(settings: &Settings) -> bool {
+    match settings.footprint {
+        Footprint::Ewa => settings.depth == DepthOutput::Expected,
+        Footprint::Disc => settings.depth != DepthOutput::Skip,
     }
 }
 

@@ -13,7 +13,7 @@ use crate::base::{Camera, Result};
 
 use super::fault::Fault;
 use super::rasterizer::Rasterizer;
-use super::types::{Filter, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted};
+use super::types::{Filter, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted};
 
 /// Step and order of the first difference, and of those after it where values disagree.
 const STEPS: [(f64, Order); 7] = [
@@ -114,12 +114,14 @@ fn gaussians(n: usize, ellipsoids: bool, sh_degree: u8, r: &mut CounterRng) -> G
 }
 
 impl Case {
-    /// Scene number `seed`: ellipsoids or discs, pinhole or fisheye, SH of degree 0 to 3, either filter, 4 to 12
+    /// Scene number `seed`: ellipsoids or discs, pinhole or fisheye, SH of degree 0 to 3, either filter, EWA or
+    /// exact discs, 4 to 12
     /// Gaussians in 35x22 pixels, some of them outside the image or the clamp of the Jacobian.
     pub fn new(seed: u64) -> Case {
         let r = &mut CounterRng::new(seed, Stage::Test, &[4]);
         let (ellipsoids, fisheye) = (seed.is_multiple_of(2), seed / 2 % 2 == 1);
         let filter = if seed / 4 % 2 == 1 { Filter::Compensate } else { Filter::Dilate };
+        let footprint = if seed % 3 == 2 { Footprint::Disc } else { Footprint::Ewa };
         let sh_degree = [1, 0, 2, 3, 1][(seed % 5) as usize];
         let mut camera = Camera::pinhole(35, 22, 80f64.to_radians());
         (camera.cx, camera.cy, camera.fl_y) = (camera.cx + 0.7, camera.cy - 0.4, 1.1 * camera.fl_y);
@@ -129,14 +131,20 @@ impl Case {
         let mut plane = |n: usize| (0..n).map(|_| r.normal()).collect();
         Case {
             name: format!(
-                "{} {} of SH degree {sh_degree}, {}, {filter:?}",
+                "{} {} of SH degree {sh_degree}, {}, {footprint:?} {filter:?}",
                 scene.len(),
                 if ellipsoids { "ellipsoids" } else { "discs" },
                 if fisheye { "fisheye" } else { "pinhole" },
             ),
             scene,
             view: View::new(camera, world_from_camera()),
-            settings: Settings { background: [0.2, 0.5, 0.1], gain: [0.8, 1.2, 1.1], filter, ..Settings::default() },
+            settings: Settings {
+                background: [0.2, 0.5, 0.1],
+                gain: [0.8, 1.2, 1.1],
+                filter,
+                footprint,
+                ..Settings::default()
+            },
             color: plane(3 * pixels),
             depth: plane(pixels),
             alpha: plane(pixels),
@@ -152,11 +160,15 @@ impl Case {
         let mut rasterizer = Rasterizer::<f64>::new();
         rasterizer.render(&self.scene, &self.view, &self.settings, None)?;
         let image = ImageGradient { color: &self.color, depth: &self.depth, alpha: &self.alpha };
-        let wanted = Wanted::ALL | Wanted::LENS;
-        Ok(groups(match fault {
+        let discs = self.settings.footprint == Footprint::Disc;
+        let lens = if discs && self.view.camera.fisheye.is_some() { Wanted::NONE } else { Wanted::LENS };
+        let wanted = Wanted::ALL | lens;
+        let mut found = groups(match fault {
             Some(fault) => rasterizer.backward_with_fault(&self.scene, &image, wanted, fault)?,
             None => rasterizer.backward(&self.scene, &image, wanted)?,
-        }))
+        });
+        found.retain(|(name, _)| *name != "lens" || wanted.any(Wanted::LENS));
+        Ok(found)
     }
 
     /// The case with value `k` of a group changed by `step`.

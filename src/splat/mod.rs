@@ -11,6 +11,9 @@ mod anchors;
 mod bin;
 mod chain;
 mod composite;
+mod disc_chain;
+mod disc_mode;
+mod disc_tile;
 mod dual;
 mod fault;
 pub mod gradient_check;
@@ -36,4 +39,6 @@ pub use rasterizer::Rasterizer;
 pub use real::Real;
 pub use stages::{Stage, StageTimes};
 pub use tangent::{Direction, Motion};
-pub use types::{DepthOutput, Filter, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted};
+pub use types::{
+    DepthOutput, Filter, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted,
+};

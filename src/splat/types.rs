@@ -145,12 +145,26 @@ pub enum Filter {
     Compensate,
 }
 
+/// How a Gaussian comes onto the screen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Footprint {
+    /// The affine projection of 3DGS (EWA), vectorised.
+    #[default]
+    Ewa,
+    /// Flat discs that each ray meets exactly (2DGS; `disc_mode.rs`), in plain code. Ellipsoids lose their shortest
+    /// axis. Expected depth is that of the points met.
+    Disc,
+}
+
 /// How to render.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
+    /// How a Gaussian comes onto the screen.
+    pub footprint: Footprint,
     /// Gaussians with a centre nearer than this z-depth are left out.
     pub near_mm: f64,
-    /// Added to the diagonal of the projected covariance (px^2): the screen-space filter of 3DGS.
+    /// Added to the diagonal of the projected covariance (px^2): the screen-space filter of 3DGS. With `Footprint::Disc`
+    /// the variance that a disc has on screen at least; 0 is no filter.
     pub dilation_px2: f64,
     /// What that filter does to the opacity.
     pub filter: Filter,
@@ -165,6 +179,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Settings {
+            footprint: Footprint::Ewa,
             near_mm: 0.2,
             dilation_px2: 0.3,
             filter: Filter::Dilate,
