@@ -195,7 +195,7 @@ impl<T: Real> Rasterizer<T> {
 pub(super) fn has_depth(settings: &Settings) -> bool {
     match settings.footprint {
         Footprint::Ewa => settings.depth == DepthOutput::Expected,
-        Footprint::Disc => settings.depth != DepthOutput::Skip,
+        Footprint::Disc => matches!(settings.depth, DepthOutput::Expected | DepthOutput::Surface),
     }
 }
 

@@ -6,6 +6,9 @@
 //!    ^                   ^                                           |
 //!    +----pullback-------+-------------chain<------moments<----------+  image gradients
 //! ```
+//!
+//! The way of `Footprint::Disc` parts from it at the projection (`disc_mode`, `disc_tile`, `disc_chain`). What is asked
+//! for beyond colour, depth and alpha: `extra_channels` (features, normals), `sight` (median depth, contributors).
 
 mod anchors;
 mod bin;
@@ -15,6 +18,7 @@ mod disc_chain;
 mod disc_mode;
 mod disc_tile;
 mod dual;
+mod extra_channels;
 mod fault;
 pub mod gradient_check;
 mod jvp;
@@ -25,6 +29,7 @@ mod project;
 mod rasterizer;
 mod real;
 mod sh;
+mod sight;
 mod stages;
 mod surface_depth;
 mod tangent;

@@ -13,13 +13,13 @@ use crate::ffi::system::grow;
 use super::bin::{Bins, TILE, TileBox};
 use super::disc_mode::{Disc, Rays, refuse_fisheye_lens};
 use super::disc_tile::Sums;
+use super::extra_channels::Extra;
 use super::fault::{Fault, Faults, Sound};
 use super::kernel::Parts;
 use super::native::Numbers;
 use super::project::Projector;
 use super::real::Real;
 use super::stages::{Clock, Stage, StageTimes};
-use super::surface_depth;
 use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
 
 /// Gaussians per task; the pose is summed in these chunks.
@@ -40,6 +40,7 @@ pub struct Rasterizer<T> {
     pub(super) discs: Vec<Disc<T>>,
     pub(super) disc_slots: Vec<Sums<T>>,
     pub(super) rays: Rays<T>,
+    pub(super) extra: Extra<T>,
     pub(super) rendered: Rendered<T>,
     pub(super) tangents: Vec<Vec<T>>,
     pub(super) gradients: Gradients<T>,
@@ -78,6 +79,7 @@ impl<T: Real> Rasterizer<T> {
             discs: Vec::new(),
             disc_slots: Vec::new(),
             rays: Rays::default(),
+            extra: Extra::default(),
             rendered: Rendered::default(),
             tangents: Vec::new(),
             gradients: Gradients::default(),
@@ -131,10 +133,7 @@ impl<T: Real> Rasterizer<T> {
         self.clock.end(Stage::Composite);
         self.develop(view, settings);
         self.clock.end(Stage::Develop);
-        if settings.depth == DepthOutput::Surface && settings.footprint == Footprint::Ewa {
-            let depth = &mut self.rendered.depth;
-            surface_depth::fill(gaussians, self.active.as_deref(), view, &self.rows, &self.bins, depth)?;
-        }
+        self.fill_depth(gaussians, view, settings);
         Ok(&self.rendered)
     }
 
@@ -148,6 +147,7 @@ impl<T: Real> Rasterizer<T> {
     ) -> Result<()> {
         self.clock.start();
         self.last = None;
+        self.extra.count = 0;
         gaussians.validate()?;
         let projector = Projector::new(view, settings)?;
         self.activate(active, gaussians.len())?;
@@ -270,6 +270,7 @@ impl<T: Real> Rasterizer<T> {
         };
         let parts = (parts.geometry || parts.color).then_some(parts);
         self.composite_backward(image, &view, &settings, parts, wanted.any(Wanted::GAIN), faults);
+        self.channels_backward(image.channels, &view, &settings, geometry, wanted, faults);
         self.clock.end(Stage::CompositeBackward);
         self.chain(gaussians, &projector, wanted, faults);
         self.clock.end(Stage::Chain);
@@ -278,9 +279,12 @@ impl<T: Real> Rasterizer<T> {
 
     fn check_image(&self, image: &ImageGradient<'_, T>, settings: &Settings) -> Result<()> {
         let pixels = self.rendered.width * self.rendered.height;
-        for (name, plane, per_pixel) in
-            [("colour", image.color, 3), ("depth", image.depth, 1), ("alpha", image.alpha, 1)]
-        {
+        for (name, plane, per_pixel) in [
+            ("colour", image.color, 3),
+            ("depth", image.depth, 1),
+            ("alpha", image.alpha, 1),
+            ("channel", image.channels, self.extra.count),
+        ] {
             if !plane.is_empty() && plane.len() != pixels * per_pixel {
                 return Err(Error::input(format!("the {name} gradient has {} values", plane.len())));
             }

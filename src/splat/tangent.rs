@@ -196,7 +196,7 @@ impl<T: Real> Rasterizer<T> {
         let moving: Vec<usize> = (0..directions.len()).filter(|&d| is_motion(&directions[d])).collect();
         let projector = Projector::new(view, settings)?;
         let usable = T::native(self.isa, gaussians, &projector, &mut Numbers::default(), None).is_some();
-        if moving.is_empty() || !usable || settings.depth == DepthOutput::Surface {
+        if moving.is_empty() || !usable || matches!(settings.depth, DepthOutput::Surface | DepthOutput::Median) {
             return Ok(false);
         }
         self.prepare(gaussians, view, settings, active)?;
