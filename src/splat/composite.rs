@@ -3,11 +3,12 @@
 
 use rayon::prelude::*;
 
+use crate::ffi::splat::Aligned;
 use crate::ffi::splat_image::{ImageBand, Light};
 use crate::ffi::system::grow;
 
 use super::bin::{TILE, cut};
-use super::disc_tile::{DiscTile, corner_of};
+use super::disc_tile::{DiscTile, Sums, corner_of};
 use super::fault::{Fault, Faults};
 use super::kernel::{self, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of, pixel_of};
 use super::rasterizer::Rasterizer;
@@ -136,60 +137,72 @@ impl<T: Real> Rasterizer<T> {
     ) {
         let discs = settings.footprint == Footprint::Disc;
         let entries = if parts.is_some() { self.bins.entries.len() } else { 0 };
-        let (mut slots, mut sums) = (std::mem::take(&mut self.slots), std::mem::take(&mut self.disc_slots));
-        if !discs && slots.len() < entries {
-            grow(&mut slots, entries);
+        if !discs && self.slots.len() < entries {
+            grow(&mut self.slots, entries);
         }
-        if discs && sums.len() < entries {
-            grow(&mut sums, entries);
+        if discs && self.disc_slots.len() < entries {
+            grow(&mut self.disc_slots, entries);
         }
+        let mut slots = std::mem::take(&mut self.slots);
+        let shared = if faults.is_sound() { T::shared(self.isa, &mut slots) } else { None };
         let optics = self.optics(view, settings);
-        let bins = &self.bins;
-        let size = |w: &[u32]| if parts.is_some() { (w[1] - w[0]) as usize } else { 0 };
-        let sizes = |used: bool| bins.offsets.windows(2).map(move |w| if used { size(w) } else { 0 });
-        let pieces = cut(&mut slots, sizes(!discs)).into_par_iter().zip(cut(&mut sums, sizes(discs)));
-        let (rows, isa, states) = (&self.rows, self.isa, &self.state);
+        let (bins, rows, isa, states) = (&self.bins, &self.rows, self.isa, &self.state);
         let image_size = [self.rendered.width, self.rendered.height];
         let light = Light { gain: settings.gain, background: settings.background, with_depth: !image.depth.is_empty() };
-        let tiles = pieces.zip(states.par_chunks(PLANES * PIXELS)).enumerate();
-        let gains: Vec<[f64; 3]> = tiles
-            .map(|(t, ((slots, sums), state))| {
+        let tiles = states[..bins.tiles_x * bins.tiles_y * PLANES * PIXELS].par_chunks(PLANES * PIXELS).enumerate();
+        let done: Vec<TileSums<T>> = tiles
+            .map(|(t, state)| {
                 let corner = [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE];
                 let mut adjoint = [T::zero(); PLANES * PIXELS];
                 let by_gain = T::adjoint_tile(state, corner, image_size, &light, image, &mut adjoint)
                     .unwrap_or_else(|| adjoint_of_tile(state, corner, image_size, &light, image, &mut adjoint, faults));
-                let Some(parts) = parts else { return by_gain };
+                let none = (by_gain, Vec::new(), Vec::new());
+                let Some(parts) = parts else { return none };
                 let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
                 if discs {
                     let entries = &bins.entries[range];
                     let tile = DiscTile { rows, discs: &self.discs, entries, corner, optics };
-                    tile.backward(&adjoint, sums, parts, faults);
-                    return by_gain;
+                    return (by_gain, Vec::new(), tile.backward(&adjoint, parts, faults));
                 }
-                let mut tile = BackwardTile {
+                let tile = BackwardTile {
                     rows,
                     entries: &bins.entries[range.clone()],
-                    masks: &bins.masks[range],
+                    masks: &bins.masks[range.clone()],
+                    targets: &bins.targets[range],
                     corner,
                     adjoint: &adjoint,
-                    slots,
                     parts,
                 };
-                if !(faults.is_sound() && T::backward_tile(isa, &mut tile)) {
-                    kernel::scalar_backward(&mut tile, faults);
+                match &shared {
+                    Some(slots) => {
+                        T::backward_tile(isa, &tile, slots);
+                        none
+                    }
+                    None => (by_gain, kernel::scalar_backward(&tile, faults), Vec::new()),
                 }
-                by_gain
             })
             .collect();
-        (self.slots, self.disc_slots) = (slots, sums);
+        drop(shared);
+        self.slots = slots;
         self.gradients.gain = [0.0; 3];
-        for tile in gains.iter().filter(|_| with_gain) {
-            for k in 0..3 {
-                self.gradients.gain[k] += tile[k];
+        for (t, (by_gain, moments, sums)) in done.into_iter().enumerate() {
+            for k in (0..3).filter(|_| with_gain) {
+                self.gradients.gain[k] += by_gain[k];
+            }
+            let targets = &self.bins.targets[self.bins.offsets[t] as usize..];
+            for (&target, moments) in targets.iter().zip(moments) {
+                self.slots[target as usize] = moments;
+            }
+            for (&target, sums) in targets.iter().zip(sums) {
+                self.disc_slots[target as usize] = sums;
             }
         }
     }
 }
+
+/// What the backward pass of one tile gives: gradient of the gain, and where no slots are shared the moments or the sums
+/// of its entries.
+type TileSums<T> = ([f64; 3], Vec<Aligned<T>>, Vec<Sums<T>>);
 
 /// Whether the depth is composited with the colours.
 pub(super) fn has_depth(settings: &Settings) -> bool {

@@ -206,17 +206,21 @@ impl<T: Real> Rasterizer<T> {
         let active = self.active.as_deref();
         let tables = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
         let tables = tables.zip(self.rendered.visible.par_chunks_mut(CHUNK)).zip(self.discs.par_chunks_mut(CHUNK));
-        tables.enumerate().for_each(|(chunk, (((rows, boxes), visible), discs))| {
-            for k in 0..rows.len() {
-                let j = chunk * CHUNK + k;
-                let found = projector.project_disc(gaussians, active.map_or(j, |list| list[j] as usize));
-                visible[k] = found.is_some();
-                if let Some((row, disc)) = found {
-                    boxes[k] = TileBox::of(&row, tiles).pack();
-                    (rows[k].0, discs[k]) = (row, disc);
+        tables.zip(self.keys.par_chunks_mut(CHUNK)).enumerate().for_each(
+            |(chunk, ((((rows, boxes), visible), discs), keys))| {
+                for k in 0..rows.len() {
+                    let j = chunk * CHUNK + k;
+                    let i = active.map_or(j, |list| list[j] as usize);
+                    let found = projector.project_disc(gaussians, i);
+                    visible[k] = found.is_some();
+                    if let Some((row, disc)) = found {
+                        boxes[k] = TileBox::of(&row, tiles).pack();
+                        keys[k] = projector.key(gaussians.positions[i]);
+                        (rows[k].0, discs[k]) = (row, disc);
+                    }
                 }
-            }
-        });
+            },
+        );
     }
 
     /// The optics of the last view.

@@ -154,8 +154,8 @@ impl<T: Real> DiscTile<'_, T> {
     }
 
     /// Carries the gradient of the tile (`adjoint` as in `kernel::BackwardTile`) to the sums of its entries.
-    pub fn backward(&self, adjoint: &[T], out: &mut [Sums<T>], parts: Parts, faults: impl Faults) {
-        out.fill([T::zero(); sum::COUNT]);
+    pub fn backward(&self, adjoint: &[T], parts: Parts, faults: impl Faults) -> Vec<Sums<T>> {
+        let mut out = vec![[T::zero(); sum::COUNT]; self.entries.len()];
         for p in 0..PIXELS {
             let Some((_, d)) = self.pixel(p) else { continue };
             let by = |k: usize| adjoint[k * PIXELS + p];
@@ -184,6 +184,7 @@ impl<T: Real> DiscTile<'_, T> {
                 }
             });
         }
+        out
     }
 }
 

@@ -163,13 +163,12 @@ impl<T: Real> Rasterizer<T> {
                 }
             }
             if with_features {
-                let (starts, places) = self.bins.places();
+                let starts = &self.bins.starts;
                 let out = self.gradients.channels.par_chunks_mut(count).zip(starts.par_windows(2));
                 out.for_each(|(out, span)| {
                     for (k, out) in out.iter_mut().skip(GROUP * group).take(GROUP).enumerate() {
                         let mut total = T::zero();
-                        for &place in &places[span[0] as usize..span[1] as usize] {
-                            let place = place as usize;
+                        for place in span[0] as usize..span[1] as usize {
                             total += if discs {
                                 of_group.1[place][sum::RED + k]
                             } else {

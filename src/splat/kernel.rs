@@ -11,7 +11,7 @@
 //!
 //! A tile is 16 blocks of 4x4 pixels, numbered down the columns; per-pixel tables go block by block.
 
-use crate::ffi::splat::{self as native, Aligned, Isa};
+use crate::ffi::splat::{self as native, Aligned, Isa, Slots};
 
 use super::bin::TILE;
 use super::fault::{Fault, Faults};
@@ -71,11 +71,11 @@ pub struct BackwardTile<'a, T> {
     pub rows: &'a [Aligned<T>],
     pub entries: &'a [u32],
     pub masks: &'a [u16],
+    /// Slot of each entry.
+    pub targets: &'a [u32],
     pub corner: [usize; 2],
     /// `PLANES` planes: dL/d red, green, blue, depth sums, and `behind`.
     pub adjoint: &'a [T],
-    /// Out: moments of each entry with a mask that is not 0.
-    pub slots: &'a mut [Aligned<T>],
     pub parts: Parts,
 }
 
@@ -105,11 +105,10 @@ pub fn vector_forward(isa: Isa, t: &mut ForwardTile<'_, f32>, velocities: &[[f32
 }
 
 /// Backward of [`vector_forward`].
-pub fn vector_backward(isa: Isa, t: &mut BackwardTile<'_, f32>) -> bool {
-    if isa != Isa::Scalar {
-        native::backward(isa, t.rows, t.entries, t.masks, corner_f32(t.corner), t.adjoint, t.slots, t.parts.bits());
-    }
-    isa != Isa::Scalar
+pub fn vector_backward(isa: Isa, t: &BackwardTile<'_, f32>, slots: &Slots<'_>) {
+    let (corner, parts) = (corner_f32(t.corner), t.parts.bits());
+    let &BackwardTile { rows, entries, masks, targets, adjoint, .. } = t;
+    native::backward(isa, &native::Backward { rows, entries, masks, targets, corner, adjoint }, slots, parts);
 }
 
 /// Blocks whose pixel centres the ellipse `alpha >= 1/255` can reach: its x-extent over each band of 4 pixel rows.
@@ -206,8 +205,9 @@ pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
     }
 }
 
-/// Carries the gradient of one tile to the moments of its entries.
-pub fn scalar_backward<T: Real>(t: &mut BackwardTile<'_, T>, faults: impl Faults) {
+/// Carries the gradient of one tile to the moments of its entries, one row for each.
+pub fn scalar_backward<T: Real>(t: &BackwardTile<'_, T>, faults: impl Faults) -> Vec<Aligned<T>> {
+    let mut slots = vec![Aligned([T::zero(); 16]); t.entries.len()];
     let mut left = [T::one(); PIXELS];
     let mut behind = [T::zero(); PIXELS];
     behind.copy_from_slice(&t.adjoint[4 * PIXELS..]);
@@ -254,6 +254,7 @@ pub fn scalar_backward<T: Real>(t: &mut BackwardTile<'_, T>, faults: impl Faults
                 sums[moment::DEPTH] += weight * adjoint(3);
             }
         }
-        t.slots[i].0 = sums;
+        slots[i].0 = sums;
     }
+    slots
 }

@@ -68,8 +68,7 @@ impl<T: Real> Rasterizer<T> {
         let mut numbers = Numbers::default();
         let plain = wanted.any(Wanted::LENS) || !faults.is_sound();
         let native = if plain { None } else { T::native(self.isa, gaussians, projector, &mut numbers, active) };
-        let (starts, places) = self.bins.places();
-        let (slots, sums) = (&self.slots, &self.disc_slots);
+        let (starts, slots, sums) = (&self.bins.starts, &self.slots, &self.disc_slots);
         let discs = projector.footprint() == Footprint::Disc;
         let cameras: Vec<([f64; 6], [f64; 4])> = tasks
             .into_par_iter()
@@ -77,16 +76,16 @@ impl<T: Real> Rasterizer<T> {
                 let starts = &starts[task.first..=task.first + task.count];
                 if let Some(native) = &native {
                     let mut pose = [0.0; 6];
-                    native.chain(task.first, starts, places, slots, wanted, task.outputs(&mut pose));
+                    native.chain(task.first, starts, slots, wanted, task.outputs(&mut pose));
                     return (pose, [0.0; 4]);
                 }
                 task.plain(active, gaussians, wanted, faults, |k, i, by_sh| {
                     let entries = starts[k] as usize..starts[k + 1] as usize;
                     if discs {
-                        let m = added(entries.map(|e| &sums[places[e] as usize]))?;
+                        let m = added(entries.map(|e| &sums[e]))?;
                         return gradients_of_disc(projector, gaussians, i, &m, wanted, by_sh, faults);
                     }
-                    let m = added(entries.map(|e| &slots[places[e] as usize].0))?;
+                    let m = added(entries.map(|e| &slots[e].0))?;
                     gradients_of_one(projector, gaussians, i, &m, wanted, by_sh, faults)
                 })
             })

@@ -69,6 +69,8 @@ pub struct Projector<T> {
     footprint: Footprint,
     fisheye: Option<[T; 4]>,
     fisheye_stretch: Option<T>,
+    /// z-depth of a position is `depth[0..3] . position + depth[3]`, see [`Projector::key`].
+    pub(super) depth: [f64; 4],
 }
 
 /// What the projection of one Gaussian passes through; its backward starts here.
@@ -166,6 +168,7 @@ impl<T: Real> Projector<T> {
             footprint: settings.footprint,
             fisheye: camera.fisheye.map(|k| k.map(T::of)),
             fisheye_stretch: camera.fisheye.map(|k| T::of(largest_stretch(k))),
+            depth: [m.x_axis.z, m.y_axis.z, m.z_axis.z, transform.translation.z],
         })
     }
 
@@ -224,6 +227,14 @@ impl<T: Real> Projector<T> {
         let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(vectors.as_flattened()).chain(&scalars);
         out.iter_mut().zip(all).for_each(|(place, v)| *place = v.to_f64() as f32);
         out
+    }
+
+    /// What splats are sorted by: z-depth of the centre, computed in double for every number type and rounded once, so
+    /// that the order belongs to the scene and not to rounding. Positive floats sort like their bits.
+    #[inline(always)]
+    pub fn key(&self, position: [T; 3]) -> u32 {
+        let [x, y, z] = [0, 1, 2].map(|k| position[k].to_f64() * self.depth[k]);
+        ((x + y + z + self.depth[3]) as f32).to_bits()
     }
 
     /// A vector in camera axes.

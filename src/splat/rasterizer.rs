@@ -10,6 +10,8 @@ use crate::base::{Error, Result};
 use crate::ffi::splat::{Aligned, Isa};
 use crate::ffi::system::grow;
 
+use crate::ffi::splat_bin::Boxes;
+
 use super::bin::{Bins, TILE, TileBox};
 use super::disc_mode::{Disc, Rays, refuse_fisheye_lens};
 use super::disc_tile::Sums;
@@ -32,6 +34,7 @@ pub struct Rasterizer<T> {
     pub(super) active: Option<Vec<u32>>,
     pub(super) rows: Vec<Aligned<T>>,
     pub(super) boxes: Vec<[u32; 2]>,
+    pub(super) keys: Vec<u32>,
     pub(super) bins: Bins,
     pub(super) state: Vec<T>,
     pub(super) moving: Vec<T>,
@@ -71,6 +74,7 @@ impl<T: Real> Rasterizer<T> {
             active: None,
             rows: Vec::new(),
             boxes: Vec::new(),
+            keys: Vec::new(),
             bins: Bins::default(),
             state: Vec::new(),
             moving: Vec::new(),
@@ -115,7 +119,7 @@ impl<T: Real> Rasterizer<T> {
 
     /// Renders the Gaussians named in `active` (indices in strictly ascending order; `None` is all of them).
     ///
-    /// Order is by z-depth of the centre (rounded to f32), ties by index. Gaussians with a number that is not finite,
+    /// Order is by z-depth of the centre (computed in f64, rounded to f32), ties by index. Gaussians with a number that is not finite,
     /// with no opacity, or before the near plane are left out; the images are finite whatever goes in.
     /// Errors: arrays that do not belong together, a camera or settings that make no sense, a bad `active`.
     pub fn render(
@@ -178,6 +182,7 @@ impl<T: Real> Rasterizer<T> {
         let tiles = [view.camera.width, view.camera.height].map(|v| (v as usize).div_ceil(TILE));
         grow(&mut self.rows, n.max(1));
         grow(&mut self.boxes, n);
+        grow(&mut self.keys, n);
         self.rendered.visible.resize(n, false);
         if projector.footprint() == Footprint::Disc {
             self.project_discs(gaussians, projector, view);
@@ -187,17 +192,20 @@ impl<T: Real> Rasterizer<T> {
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
         let chunks = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
+        let chunks = chunks.zip(self.keys.par_chunks_mut(CHUNK));
         chunks.zip(self.rendered.visible.par_chunks_mut(CHUNK)).enumerate().for_each(
-            |(chunk, ((rows, boxes), visible))| {
+            |(chunk, (((rows, boxes), keys), visible))| {
                 let first = chunk * CHUNK;
                 if let Some(native) = &native {
-                    return native.project(first, tiles, rows, boxes, visible);
+                    return native.project(first, tiles, rows, boxes, keys, visible);
                 }
                 for k in 0..rows.len() {
-                    let found = projector.project(gaussians, active.map_or(first + k, |list| list[first + k] as usize));
+                    let i = active.map_or(first + k, |list| list[first + k] as usize);
+                    let found = projector.project(gaussians, i);
                     visible[k] = found.is_some();
                     if let Some(found) = found {
                         boxes[k] = TileBox::of(&found, tiles).pack();
+                        keys[k] = projector.key(gaussians.positions[i]);
                         rows[k].0 = found;
                     }
                 }
@@ -211,7 +219,12 @@ impl<T: Real> Rasterizer<T> {
     fn deal(&mut self, tiles: [usize; 2]) {
         self.rendered.visible_count = self.rendered.visible.iter().filter(|v| **v).count();
         self.clock.end(Stage::Project);
-        self.bins.fill(tiles, &self.rows, &self.boxes, &self.rendered.visible);
+        let all = Boxes { boxes: &self.boxes, keys: &self.keys, visible: &self.rendered.visible };
+        if self.isa == Isa::Scalar {
+            self.bins.fill_plainly(tiles, &all);
+        } else {
+            self.bins.fill(tiles, &all);
+        }
         self.rendered.intersections = self.bins.entries.len();
         self.clock.end(Stage::Bin);
     }
