@@ -6,7 +6,7 @@ use crate::ffi::splat::{self as native, Aligned, ChainOutput, Isa, SplatMotion, 
 use super::project::Projector;
 use super::real::Real;
 use super::tangent::Direction;
-use super::types::{Filter, Gaussians, Shape, Wanted};
+use super::types::{Filter, Footprint, Gaussians, Shape, Wanted};
 
 /// What kernels do for numbers of type `T` in one scene seen by one camera.
 pub trait Native<T: Real>: Sync {
@@ -42,7 +42,7 @@ pub struct Numbers {
 }
 
 impl<'a> Work<'a> {
-    /// `None` where the plain twin has to do it: asked for, or a lens or filter that the kernels do not know.
+    /// `None` where the plain twin has to do it: asked for, or a lens, filter or footprint that the kernels do not know.
     pub fn new(
         isa: Isa,
         gaussians: &'a Gaussians<f32>,
@@ -50,7 +50,8 @@ impl<'a> Work<'a> {
         numbers: &'a mut Numbers,
         active: Option<&'a [u32]>,
     ) -> Option<Self> {
-        if isa == Isa::Scalar || !projector.is_pinhole() || projector.filter() != Filter::Dilate {
+        let plain = projector.filter() != Filter::Dilate || projector.footprint() != Footprint::Ewa;
+        if isa == Isa::Scalar || !projector.is_pinhole() || plain {
             return None;
         }
         *numbers = Numbers { view: projector.numbers(), depth: projector.depth };

@@ -17,7 +17,7 @@ use super::dual::Dual;
 use super::fault::{Fault, Faults};
 use super::real::Real;
 use super::sh;
-use super::types::{Filter, Gaussians, Settings, Shape, View};
+use super::types::{Filter, Footprint, Gaussians, Settings, Shape, View};
 
 /// Where a splat's numbers stand in its row of 16.
 pub(super) mod at {
@@ -66,7 +66,9 @@ pub struct Projector<T> {
     near: T,
     dilation: T,
     filter: Filter,
+    footprint: Footprint,
     fisheye: Option<[T; 4]>,
+    fisheye_stretch: Option<T>,
     /// z-depth of a position is `depth[0..3] . position + depth[3]`, see [`Projector::key`].
     pub(super) depth: [f64; 4],
 }
@@ -163,7 +165,9 @@ impl<T: Real> Projector<T> {
             near: T::of(settings.near_mm),
             dilation: T::of(settings.dilation_px2),
             filter: settings.filter,
+            footprint: settings.footprint,
             fisheye: camera.fisheye.map(|k| k.map(T::of)),
+            fisheye_stretch: camera.fisheye.map(|k| T::of(largest_stretch(k))),
             depth: [m.x_axis.z, m.y_axis.z, m.z_axis.z, transform.translation.z],
         })
     }
@@ -176,6 +180,43 @@ impl<T: Real> Projector<T> {
     /// What the screen-space filter does.
     pub fn filter(&self) -> Filter {
         self.filter
+    }
+
+    /// How Gaussians come onto the screen.
+    pub fn footprint(&self) -> Footprint {
+        self.footprint
+    }
+
+    pub(super) fn near_depth(&self) -> T {
+        self.near
+    }
+
+    pub(super) fn focal_length(&self) -> [T; 2] {
+        self.focal
+    }
+
+    pub(super) fn center(&self) -> [T; 2] {
+        self.center
+    }
+
+    pub(super) fn image_size(&self) -> [T; 2] {
+        self.size
+    }
+
+    /// Variance of the screen-space filter.
+    pub(super) fn filter_px2(&self) -> T {
+        self.dilation
+    }
+
+    /// Image point of `t` in camera axes.
+    #[inline(always)]
+    pub(super) fn image_point(&self, t: [T; 3]) -> [T; 2] {
+        self.lens(t).point
+    }
+
+    /// Pixels per radian that a fisheye has at most before the camera, along both axes; `None` for a pinhole.
+    pub(super) fn fisheye_stretch(&self) -> Option<[T; 2]> {
+        self.fisheye_stretch.map(|s| self.focal.map(|f| f * s))
     }
 
     /// Everything but the distortion, in single precision: `View` of `cpp/splat_kernel.h`.
@@ -424,6 +465,19 @@ pub(super) fn sum_of_basis<T: Real>(basis: &[T; 16], coefficients: &[T]) -> [T; 
         }
     }
     color
+}
+
+/// Largest factor between an angle before the camera (up to 90 degrees off its axis) and its image at focal length 1,
+/// along the meridian or across it, with 5 % of room.
+fn largest_stretch([k1, k2, k3, k4]: [f64; 4]) -> f64 {
+    let factors = (1..=90).map(|degrees| {
+        let theta = f64::from(degrees).to_radians();
+        let t2 = theta * theta;
+        let distorted = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))));
+        let slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)));
+        slope.abs().max((distorted / theta.sin()).abs())
+    });
+    1.05 * factors.fold(1.0, f64::max)
 }
 
 /// OpenCV's fisheye model: `theta_d = theta (1 + k1 theta^2 + ..)`, image point `f (x, y) theta_d / r + c`, and its

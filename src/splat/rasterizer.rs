@@ -13,14 +13,16 @@ use crate::ffi::system::grow;
 use crate::ffi::splat_bin::Boxes;
 
 use super::bin::{Bins, TILE, TileBox};
+use super::disc_mode::{Disc, Rays, refuse_fisheye_lens};
+use super::disc_tile::Sums;
+use super::extra_channels::Extra;
 use super::fault::{Fault, Faults, Sound};
 use super::kernel::Parts;
 use super::native::Numbers;
 use super::project::Projector;
 use super::real::Real;
 use super::stages::{Clock, Stage, StageTimes};
-use super::surface_depth;
-use super::types::{DepthOutput, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
+use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
 
 /// Gaussians per task; the pose is summed in these chunks.
 pub(super) const CHUNK: usize = 512;
@@ -31,18 +33,22 @@ pub struct Rasterizer<T> {
     pub(super) isa: Isa,
     pub(super) active: Option<Vec<u32>>,
     pub(super) rows: Vec<Aligned<T>>,
-    boxes: Vec<[u32; 2]>,
-    keys: Vec<u32>,
+    pub(super) boxes: Vec<[u32; 2]>,
+    pub(super) keys: Vec<u32>,
     pub(super) bins: Bins,
     pub(super) state: Vec<T>,
     pub(super) moving: Vec<T>,
     pub(super) velocities: Vec<[T; 8]>,
     pub(super) slots: Vec<Aligned<T>>,
+    pub(super) discs: Vec<Disc<T>>,
+    pub(super) disc_slots: Vec<Sums<T>>,
+    pub(super) rays: Rays<T>,
+    pub(super) extra: Extra<T>,
     pub(super) rendered: Rendered<T>,
     pub(super) tangents: Vec<Vec<T>>,
     pub(super) gradients: Gradients<T>,
     pub(super) clock: Clock,
-    last: Option<(View, Settings, usize)>,
+    pub(super) last: Option<(View, Settings, usize)>,
 }
 
 impl<T: Real> Default for Rasterizer<T> {
@@ -74,6 +80,10 @@ impl<T: Real> Rasterizer<T> {
             moving: Vec::new(),
             velocities: Vec::new(),
             slots: Vec::new(),
+            discs: Vec::new(),
+            disc_slots: Vec::new(),
+            rays: Rays::default(),
+            extra: Extra::default(),
             rendered: Rendered::default(),
             tangents: Vec::new(),
             gradients: Gradients::default(),
@@ -120,14 +130,14 @@ impl<T: Real> Rasterizer<T> {
         active: Option<&[u32]>,
     ) -> Result<&Rendered<T>> {
         self.prepare(gaussians, view, settings, active)?;
-        self.composite(settings.depth, &[], 0);
+        match settings.footprint {
+            Footprint::Ewa => drop(self.composite(settings.depth, &[], 0)),
+            Footprint::Disc => self.composite_discs(view, settings),
+        }
         self.clock.end(Stage::Composite);
         self.develop(view, settings);
         self.clock.end(Stage::Develop);
-        if settings.depth == DepthOutput::Surface {
-            let depth = &mut self.rendered.depth;
-            surface_depth::fill(gaussians, self.active.as_deref(), view, &self.rows, &self.bins, depth)?;
-        }
+        self.fill_depth(gaussians, view, settings);
         Ok(&self.rendered)
     }
 
@@ -141,6 +151,7 @@ impl<T: Real> Rasterizer<T> {
     ) -> Result<()> {
         self.clock.start();
         self.last = None;
+        self.extra.count = 0;
         gaussians.validate()?;
         let projector = Projector::new(view, settings)?;
         self.activate(active, gaussians.len())?;
@@ -173,6 +184,10 @@ impl<T: Real> Rasterizer<T> {
         grow(&mut self.boxes, n);
         grow(&mut self.keys, n);
         self.rendered.visible.resize(n, false);
+        if projector.footprint() == Footprint::Disc {
+            self.project_discs(gaussians, projector, view);
+            return self.deal(tiles);
+        }
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
@@ -196,6 +211,12 @@ impl<T: Real> Rasterizer<T> {
                 }
             },
         );
+        drop(native);
+        self.deal(tiles);
+    }
+
+    /// Visible splats to the lists of the tiles.
+    fn deal(&mut self, tiles: [usize; 2]) {
         self.rendered.visible_count = self.rendered.visible.iter().filter(|v| **v).count();
         self.clock.end(Stage::Project);
         let all = Boxes { boxes: &self.boxes, keys: &self.keys, visible: &self.rendered.visible };
@@ -250,6 +271,9 @@ impl<T: Real> Rasterizer<T> {
         self.clock.start();
         self.check_image(image, &settings)?;
         let projector = Projector::new(&view, &settings)?;
+        if wanted.any(Wanted::LENS) && settings.footprint == Footprint::Disc && !projector.is_pinhole() {
+            return Err(refuse_fisheye_lens());
+        }
         let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE | Wanted::LENS);
         let geometry = through_position || wanted.any(Wanted::SHAPES | Wanted::OPACITIES);
         let parts = Parts {
@@ -258,7 +282,8 @@ impl<T: Real> Rasterizer<T> {
             depth: geometry && !image.depth.is_empty(),
         };
         let parts = (parts.geometry || parts.color).then_some(parts);
-        self.composite_backward(image, &settings, parts, wanted.any(Wanted::GAIN), faults);
+        self.composite_backward(image, &view, &settings, parts, wanted.any(Wanted::GAIN), faults);
+        self.channels_backward(image.channels, &view, &settings, geometry, wanted, faults);
         self.clock.end(Stage::CompositeBackward);
         self.chain(gaussians, &projector, wanted, faults);
         self.clock.end(Stage::Chain);
@@ -267,9 +292,12 @@ impl<T: Real> Rasterizer<T> {
 
     fn check_image(&self, image: &ImageGradient<'_, T>, settings: &Settings) -> Result<()> {
         let pixels = self.rendered.width * self.rendered.height;
-        for (name, plane, per_pixel) in
-            [("colour", image.color, 3), ("depth", image.depth, 1), ("alpha", image.alpha, 1)]
-        {
+        for (name, plane, per_pixel) in [
+            ("colour", image.color, 3),
+            ("depth", image.depth, 1),
+            ("alpha", image.alpha, 1),
+            ("channel", image.channels, self.extra.count),
+        ] {
             if !plane.is_empty() && plane.len() != pixels * per_pixel {
                 return Err(Error::input(format!("the {name} gradient has {} values", plane.len())));
             }
@@ -285,7 +313,8 @@ impl<T: Real> Rasterizer<T> {
                 )));
             }
         }
-        if !image.depth.is_empty() && settings.depth != DepthOutput::Expected {
+        let met = settings.footprint == Footprint::Disc && settings.depth == DepthOutput::Surface;
+        if !image.depth.is_empty() && settings.depth != DepthOutput::Expected && !met {
             return Err(Error::input("a depth gradient needs a render with expected depth"));
         }
         Ok(())
