@@ -12,10 +12,12 @@ mod native;
 mod revision;
 
 /// Files with a `#[cxx::bridge]`.
-const BRIDGES: &[&str] = &["src/ffi/loss.rs", "src/ffi/splat.rs", "src/ffi/splat_image.rs", "src/ffi/tracer.rs"];
+const BRIDGES: &[&str] =
+    &["src/ffi/loss.rs", "src/ffi/splat.rs", "src/ffi/splat_bin.rs", "src/ffi/splat_image.rs", "src/ffi/tracer.rs"];
 
 /// Own C++ compiled once, for the baseline x86-64.
-const SOURCES: &[&str] = &["cpp/loss.cpp", "cpp/splat.cpp", "cpp/splat_image.cpp", "cpp/tracer.cpp"];
+const SOURCES: &[&str] =
+    &["cpp/loss.cpp", "cpp/splat.cpp", "cpp/splat_bin.cpp", "cpp/splat_image.cpp", "cpp/tracer.cpp"];
 
 /// The splat kernels, compiled once per instruction set.
 const SPLAT_SOURCES: &[&str] =

@@ -24,12 +24,16 @@ void check_isa(std::uint8_t isa) {
     default: return baseline::function(__VA_ARGS__);         \
   }
 
+bool all_below(rust::Slice<const std::uint32_t> values, std::size_t bound) {
+  std::uint32_t most = 0;
+  for (std::uint32_t v : values) most = v > most ? v : most;
+  return values.empty() || most < bound;
+}
+
 void check_tile(std::uint8_t isa, std::size_t rows, rust::Slice<const std::uint32_t> entries, std::size_t masks) {
   check_isa(isa);
   require(rows % 16 == 0 && masks == entries.size(), "tables of a tile differ in length");
-  std::uint32_t most = 0;
-  for (std::uint32_t e : entries) most = e > most ? e : most;
-  require(entries.empty() || most < rows / 16, "tile entry names no splat");
+  require(all_below(entries, rows / 16), "tile entry names no splat");
 }
 
 // The scene as the kernels see it, where numbers first..first + count exist.
@@ -39,7 +43,7 @@ Scene scene_of(const SplatScene& s, View& view, std::size_t first, std::size_t c
   require(s.sh_degree <= 3 && s.positions.size() == 3 * n && s.shape.size() == columns * n &&
               (s.scales.empty() || s.scales.size() == 3 * n) && s.sh.size() == 3 * basis * n,
           "the arrays of the Gaussians differ in length");
-  require(s.view.size() == sizeof(View) / sizeof(float), "a view has 22 numbers");
+  require(s.view.size() == sizeof(View) / sizeof(float) && s.depth.size() == 4, "a view has 22 numbers and 4");
   const std::size_t known = s.all ? n : s.active.size();
   require(first <= known && count <= known - first, "there are not as many Gaussians");
   if (!s.all) {
@@ -49,7 +53,7 @@ Scene scene_of(const SplatScene& s, View& view, std::size_t first, std::size_t c
   }
   __builtin_memcpy(&view, s.view.data(), sizeof view);
   return {&view,          s.positions.data(), s.shape.data(),     s.scales.empty() ? nullptr : s.scales.data(),
-          s.opacities.data(), s.sh.data(),    s.sh_degree, s.all ? nullptr : s.active.data()};
+          s.opacities.data(), s.sh.data(),    s.sh_degree, s.all ? nullptr : s.active.data(), s.depth.data()};
 }
 
 const float* given(rust::Slice<const float> values, std::size_t wanted) {
@@ -72,13 +76,13 @@ std::uint8_t splat_widest_isa() {
 
 void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
                    std::uint32_t tiles_y, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
-                   rust::Slice<bool> visible) {
+                   rust::Slice<std::uint32_t> keys, rust::Slice<bool> visible) {
   check_isa(isa);
   const std::size_t count = visible.size();
-  require(rows.size() == 16 * count && boxes.size() == 2 * count, "tables of a projection differ in length");
+  require(rows.size() == 16 * count && boxes.size() == 2 * count && keys.size() == count, "tables of a projection differ in length");
   View view;
   const Scene s = scene_of(scene, view, first, count);
-  const ProjectChunk chunk{first, count, tiles_x, tiles_y, rows.data(), boxes.data(), visible.data()};
+  const ProjectChunk chunk{first, count, tiles_x, tiles_y, rows.data(), boxes.data(), keys.data(), visible.data()};
   CALL(isa, project, s, chunk)
 }
 
@@ -103,7 +107,7 @@ void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t fir
 }
 
 void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const std::uint32_t> starts,
-                 rust::Slice<const std::uint32_t> places, rust::Slice<const float> slots, std::uint32_t wanted,
+                 rust::Slice<const float> slots, std::uint32_t wanted,
                  rust::Slice<float> positions, rust::Slice<float> shape, rust::Slice<float> scales,
                  rust::Slice<float> opacities, rust::Slice<float> sh, rust::Slice<double> pose) {
   check_isa(isa);
@@ -121,9 +125,8 @@ void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, r
   View view;
   const Scene s = scene_of(scene, view, first, count);
   for (std::size_t k = 0; k < count; ++k) require(starts[k] <= starts[k + 1], "entries of a splat are out of order");
-  require(starts[count] <= places.size(), "a splat has more entries than there are");
-  require(starts[0] == starts[count] || slots.size() >= 16, "an entry has no slot");
-  const ChainChunk chunk{first,          count,         starts.data(),    places.data(), slots.data(), slots.size() / 16, wanted,
+  require(starts[count] <= slots.size() / 16, "an entry has no slot");
+  const ChainChunk chunk{first,          count,         starts.data(),    slots.data(), wanted,
                          positions.data(), shape.data(), scales.data(), opacities.data(), sh.data(),    pose.data()};
   CALL(isa, chain, s, chunk)
 }
@@ -144,11 +147,12 @@ void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<
 }
 
 void splat_backward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
-                    rust::Slice<const std::uint16_t> masks, float x, float y, rust::Slice<const float> adjoint,
-                    rust::Slice<float> slots, std::uint32_t parts) {
+                    rust::Slice<const std::uint16_t> masks, rust::Slice<const std::uint32_t> targets, float x, float y,
+                    rust::Slice<const float> adjoint, float* slots, std::size_t slot_count, std::uint32_t parts) {
   check_tile(isa, rows.size(), entries, masks.size());
-  require(adjoint.size() == PLANES * PIXELS && slots.size() == 16 * entries.size(), "tables of a tile differ in length");
-  const BackwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, adjoint.data(), slots.data()};
+  require(adjoint.size() == PLANES * PIXELS && targets.size() == entries.size(), "tables of a tile differ in length");
+  require(all_below(targets, slot_count), "an entry has no slot");
+  const BackwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, adjoint.data(), targets.data(), slots};
   CALL(isa, backward, tile, parts)
 }
 

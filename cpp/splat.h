@@ -17,21 +17,22 @@ std::uint8_t splat_widest_isa();
 // Splats of the Gaussians number first..first + visible.size() of the scene; see splat_kernel.h for the tables.
 void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
                    std::uint32_t tiles_y, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
-                   rust::Slice<bool> visible);
+                   rust::Slice<std::uint32_t> keys, rust::Slice<bool> visible);
 // Their velocities along a motion.
 void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
                       const SplatMotion& motion, rust::Slice<float> rows);
 // Gradients from moments; a slice that is not wanted is empty.
 void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const std::uint32_t> starts,
-                 rust::Slice<const std::uint32_t> places, rust::Slice<const float> slots, std::uint32_t wanted,
+                 rust::Slice<const float> slots, std::uint32_t wanted,
                  rust::Slice<float> positions, rust::Slice<float> shape, rust::Slice<float> scales,
                  rust::Slice<float> opacities, rust::Slice<float> sh, rust::Slice<double> pose);
 // One tile. `velocities`: 8 floats per splat and direction, direction by direction.
 void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
                    rust::Slice<std::uint16_t> masks, float x, float y, rust::Slice<float> state, std::uint32_t parts,
                    rust::Slice<const float> velocities, rust::Slice<float> moving);
+// Writes the slots that `targets` name, of slot_count slots of 16 floats: no other thread may use those at the same time.
 void splat_backward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
-                    rust::Slice<const std::uint16_t> masks, float x, float y, rust::Slice<const float> adjoint,
-                    rust::Slice<float> slots, std::uint32_t parts);
+                    rust::Slice<const std::uint16_t> masks, rust::Slice<const std::uint32_t> targets, float x, float y,
+                    rust::Slice<const float> adjoint, float* slots, std::size_t slot_count, std::uint32_t parts);
 
 }  // namespace respire

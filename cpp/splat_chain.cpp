@@ -38,19 +38,6 @@ struct Chain {
 
   bool wants(std::uint32_t groups) const { return (o.wanted & groups) != 0; }
 
-  // Whatever `places` says, a slot that exists.
-  const float* slot(std::size_t e) const {
-    const std::size_t place = o.places[e];
-    return o.slots + 16 * (place < o.slot_count ? place : 0);
-  }
-
-  // Slots lie in the order of tiles: asked for one round ahead.
-  void prefetch(std::size_t k0) const {
-    const std::size_t first = k0 + LANES, last = first + LANES;
-    if (last > o.count) return;
-    for (std::uint32_t e = o.starts[first]; e < o.starts[last]; ++e) __builtin_prefetch(slot(e));
-  }
-
   // Sums of the slots of LANES splats, field by field. Splats that nobody sees have none.
   void moments(std::size_t k0, int count, V* m) const {
     alignas(64) float sums[LANES][16];
@@ -59,7 +46,7 @@ struct Chain {
       for (V& v : total) v = V{};
       if (l < count) {
         for (std::uint32_t e = o.starts[k0 + l]; e < o.starts[k0 + l + 1]; ++e)
-          for (int p = 0; p < PARTS; ++p) total[p] += load(slot(e) + LANES * p);
+          for (int p = 0; p < PARTS; ++p) total[p] += load(o.slots + 16 * static_cast<std::size_t>(e) + LANES * p);
       }
       for (int p = 0; p < PARTS; ++p) store(sums[l] + LANES * p, total[p]);
     }
@@ -89,7 +76,6 @@ struct Chain {
     for (std::size_t at = o.first; at < end; at += LANES) {
       const std::size_t k0 = at - o.first;
       const int count = end - at < LANES ? static_cast<int>(end - at) : LANES;
-      prefetch(k0);
       if (o.starts[k0] == o.starts[k0 + count]) {
         if (wants(POSITIONS)) clear<3>(o.positions, k0, count);
         if (wants(OPACITIES)) clear<1>(o.opacities, k0, count);

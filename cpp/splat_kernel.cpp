@@ -37,7 +37,7 @@ alignas(64) const float LINE[16] = {.5, .5, .5, .5, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5
 
 // Blocks whose pixel centres the ellipse can reach: the x-extent of the ellipse over each band of 4 pixel rows, the
 // four bands side by side in one vector, against the four columns of blocks.
-inline std::uint32_t block_mask(const float* q, float tile_x, float tile_y) {
+[[maybe_unused]] inline std::uint32_t block_mask(const float* q, float tile_x, float tile_y) {
   const __m128 zero = _mm_setzero_ps();
   const float slack = 1e-3f + 1e-5f * (q[HALF_WIDTH] + q[HALF_HEIGHT]);
   const float hy = q[HALF_HEIGHT] + slack;
@@ -65,6 +65,109 @@ inline std::uint32_t block_mask(const float* q, float tile_x, float tile_y) {
   }
   return mask;
 }
+
+#if defined(__AVX512F__)
+
+// The masks of the sixteen entries `e` (those beyond `count` repeat another; their masks are 0), four entries side by
+// side: `block_mask` with a lane for each entry and band.
+inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count, float tile_x, float tile_y) {
+  const __m512i band = _mm512_set4_epi32(3, 2, 1, 0);
+  const __m512 line = _mm512_add_ps(_mm512_set1_ps(tile_y), _mm512_set4_ps(12.5f, 8.5f, 4.5f, 0.5f));
+  const __m512 zero = _mm512_setzero_ps();
+  // Bit c of the index to bit 4 c of the value.
+  const __m512i spread = _mm512_setr_epi32(0, 0x1, 0x10, 0x11, 0x100, 0x101, 0x110, 0x111, 0x1000, 0x1001, 0x1010, 0x1011,
+                                           0x1100, 0x1101, 0x1110, 0x1111);
+  __m512i masks = _mm512_setzero_si512();
+  for (int g = 0; 4 * g < count; ++g) {
+    const float* q[4];
+    for (int l = 0; l < 4; ++l) q[l] = rows + 16 * static_cast<std::size_t>(e[4 * g + l]);
+    auto four = [&](int at) {
+      __m512 v = _mm512_castps128_ps512(_mm_loadu_ps(q[0] + at));
+      v = _mm512_insertf32x4(v, _mm_loadu_ps(q[1] + at), 1);
+      v = _mm512_insertf32x4(v, _mm_loadu_ps(q[2] + at), 2);
+      return _mm512_insertf32x4(v, _mm_loadu_ps(q[3] + at), 3);
+    };
+    static_assert(X == 0 && Y == 1 && B == 3 && HALF_WIDTH == 10 && HALF_HEIGHT == 11 && DISCRIMINANT == 12 && WIDEST == 13 &&
+                      HALF_OVER_A == 14 && FOUR_A_REACH == 15,
+                  "the columns as they are picked below");
+    const __m512 q0 = four(0), q2 = four(8), q3 = four(12);
+    const __m512 b = _mm512_permute_ps(q0, 0xff), half_height = _mm512_permute_ps(q2, 0xff);
+    const __m512 slack = _mm512_fmadd_ps(_mm512_set1_ps(1e-5f), _mm512_add_ps(_mm512_permute_ps(q2, 0xaa), half_height),
+                                         _mm512_set1_ps(1e-3f));
+    const __m512 limit = _mm512_add_ps(half_height, slack), below = _mm512_sub_ps(zero, limit);
+    const __m512 y0 = _mm512_sub_ps(line, _mm512_permute_ps(q0, 0x55)), y1 = _mm512_add_ps(y0, _mm512_set1_ps(3.0f));
+    const __m512 lo = _mm512_max_ps(y0, below), hi = _mm512_min_ps(y1, limit);
+    const __m512 widest = _mm512_permute_ps(q3, 0x55);
+    const __m512 y_right = _mm512_min_ps(_mm512_max_ps(widest, lo), hi);
+    const __m512 y_left = _mm512_min_ps(_mm512_max_ps(_mm512_sub_ps(zero, widest), lo), hi);
+    const __m512 d = _mm512_permute_ps(q3, 0x00), reach = _mm512_permute_ps(q3, 0xff), scale = _mm512_permute_ps(q3, 0xaa);
+    auto root = [&](__m512 y) {
+      return _mm512_sqrt_ps(_mm512_max_ps(_mm512_fmadd_ps(_mm512_mul_ps(d, y), y, reach), zero));
+    };
+    const __m512 offset = _mm512_sub_ps(_mm512_permute_ps(q0, 0x00), _mm512_set1_ps(tile_x + 0.5f));
+    const __m512 right = _mm512_fmadd_ps(scale, _mm512_fnmadd_ps(b, y_right, root(y_right)), _mm512_add_ps(offset, slack));
+    const __m512 left = _mm512_fnmadd_ps(scale, _mm512_fmadd_ps(b, y_left, root(y_left)), _mm512_sub_ps(offset, slack));
+    // Columns of blocks c with left <= 4 c + 3 and right >= 4 c: from first to before last.
+    const __m512 quarter = _mm512_set1_ps(0.25f);
+    const __m512 first = _mm512_mul_ps(_mm512_sub_ps(left, _mm512_set1_ps(3.0f)), quarter);
+    const __m512 last = _mm512_fmadd_ps(right, quarter, _mm512_set1_ps(1.0f));
+    const __m512 most = _mm512_set1_ps(4.0f);
+    const __m512i c0 = _mm512_cvt_roundps_epi32(_mm512_min_ps(_mm512_max_ps(first, zero), most),
+                                                _MM_FROUND_TO_POS_INF | _MM_FROUND_NO_EXC);
+    const __m512i c1 = _mm512_cvt_roundps_epi32(_mm512_min_ps(_mm512_max_ps(last, zero), most),
+                                                _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC);
+    const __mmask16 inside = _mm512_mask_cmplt_epi32_mask(_mm512_cmp_ps_mask(lo, hi, _CMP_LE_OQ), c0, c1);
+    const __m512i one = _mm512_set1_epi32(1);
+    const __m512i columns = _mm512_maskz_sub_epi32(inside, _mm512_sllv_epi32(one, c1), _mm512_sllv_epi32(one, c0));
+    __m512i m = _mm512_sllv_epi32(_mm512_permutexvar_epi32(columns, spread), band);
+    m = _mm512_or_si512(m, _mm512_shuffle_epi32(m, _MM_PERM_BADC));
+    m = _mm512_or_si512(m, _mm512_shuffle_epi32(m, _MM_PERM_CDAB));
+    // All four lanes of an entry are alike: one of each goes to lanes 4 g to 4 g + 3.
+    const __m512i pick = _mm512_set4_epi32(12, 8, 4, 0);
+    masks = _mm512_mask_permutexvar_epi32(masks, static_cast<__mmask16>(0xf << (4 * g)), pick, m);
+  }
+  return _mm512_maskz_mov_epi32(static_cast<__mmask16>((1u << count) - 1), masks);
+}
+
+// Masks of the entries i..end, and their splats dealt to the lists of the blocks in `alive`, without a branch on what is
+// dealt: for each block the entries of sixteen that touch it are pushed together.
+template <std::size_t ROOM>
+void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM], int* sizes) {
+  for (; i < end; i += 16) {
+    const int count = end - i < 16 ? static_cast<int>(end - i) : 16;
+    const __mmask16 there = static_cast<__mmask16>((1u << count) - 1);
+    alignas(64) std::uint32_t e[16];
+    const __m512i splats = _mm512_mask_loadu_epi32(_mm512_set1_epi32(static_cast<int>(t.entries[i])), there, t.entries + i);
+    _mm512_store_si512(e, splats);
+    const std::size_t ahead = i + 16 < t.count ? (t.count - i - 16 < 16 ? t.count - i - 16 : 16) : 0;
+    for (std::size_t k = 0; k < ahead; ++k) __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + 16 + k]));
+    const __m512i masks = _mm512_and_si512(block_masks(t.rows, e, count, t.x, t.y), _mm512_set1_epi32(static_cast<int>(alive)));
+    _mm256_mask_storeu_epi16(t.masks + i, there, _mm512_cvtepi32_epi16(masks));
+    for (std::uint32_t todo = alive; todo; todo &= todo - 1) {
+      const int s = __builtin_ctz(todo);
+      const __mmask16 hit = _mm512_test_epi32_mask(masks, _mm512_set1_epi32(1 << s));
+      _mm512_storeu_si512(lists[s] + sizes[s], _mm512_maskz_compress_epi32(hit, splats));
+      sizes[s] += __builtin_popcount(hit);
+    }
+  }
+}
+
+#else
+
+template <std::size_t ROOM>
+void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM], int* sizes) {
+  for (; i < end; ++i) {
+    if (i + 6 < end) __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + 6]));
+    std::uint32_t mask = block_mask(t.rows + 16 * static_cast<std::size_t>(t.entries[i]), t.x, t.y) & alive;
+    t.masks[i] = static_cast<std::uint16_t>(mask);
+    for (; mask; mask &= mask - 1) {
+      const int s = __builtin_ctz(mask);
+      lists[s][sizes[s]++] = t.entries[i];
+    }
+  }
+}
+
+#endif
 
 // One block over one list. `state`: PLANES planes and, behind them, what is left of each pixel (0 where it has
 // stopped); `moving`: MOVING planes for each of the K directions of `t`.
@@ -127,8 +230,8 @@ bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float
 
 template <bool WITH_Z, int K>
 void forward_tile(const ForwardTile& t) {
-  constexpr std::size_t CHUNK = 192;
-  std::uint32_t lists[16][CHUNK];
+  constexpr std::size_t CHUNK = 192, ROOM = CHUNK + 16;
+  std::uint32_t lists[16][ROOM];
   int sizes[16];
   alignas(64) float state[6 * PIXELS];
   for (int i = 0; i < 4 * PIXELS; ++i) state[i] = 0;
@@ -139,18 +242,10 @@ void forward_tile(const ForwardTile& t) {
   while (i < t.count && alive) {
     const std::size_t end = i + CHUNK < t.count ? i + CHUNK : t.count;
     for (int& size : sizes) size = 0;
-    for (; i < end; ++i) {
-      if (i + 6 < end) {
-        __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + 6]));
-        for (int d = 0; d < K; ++d) __builtin_prefetch(t.velocities[d] + 8 * static_cast<std::size_t>(t.entries[i + 6]));
-      }
-      std::uint32_t mask = block_mask(t.rows + 16 * static_cast<std::size_t>(t.entries[i]), t.x, t.y) & alive;
-      t.masks[i] = static_cast<std::uint16_t>(mask);
-      for (; mask; mask &= mask - 1) {
-        const int s = __builtin_ctz(mask);
-        lists[s][sizes[s]++] = t.entries[i];
-      }
-    }
+    for (int d = 0; d < K; ++d)
+      for (std::size_t k = i; k < end; ++k) __builtin_prefetch(t.velocities[d] + 8 * static_cast<std::size_t>(t.entries[k]));
+    deal(t, i, end, alive, lists, sizes);
+    i = end;
     for (std::uint32_t todo = alive; todo; todo &= todo - 1) {
       const int s = __builtin_ctz(todo);
       if (!sizes[s]) continue;
@@ -162,6 +257,27 @@ void forward_tile(const ForwardTile& t) {
   __builtin_memcpy(t.state, state, PLANES * PIXELS * sizeof(float));
 }
 
+#if defined(__AVX512F__)
+
+// slot[k] = the sum over the lanes of v[k], 0 for the last four of sixteen: transposed and added by halves.
+inline void store_sums(const V* v, float* slot) {
+  __m512 pairs[6], quads[3];
+  for (int k = 0; k < 6; ++k) {
+    const __m512 a = (__m512)v[2 * k], b = (__m512)v[2 * k + 1];
+    pairs[k] = _mm512_add_ps(_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
+  }
+  for (int k = 0; k < 3; ++k) {
+    const __m512 a = pairs[2 * k], b = pairs[2 * k + 1];
+    quads[k] = _mm512_add_ps(_mm512_shuffle_ps(a, b, 0x44), _mm512_shuffle_ps(a, b, 0xee));
+  }
+  const __m512 zero = _mm512_setzero_ps();
+  const __m512 low = _mm512_add_ps(_mm512_shuffle_f32x4(quads[0], quads[1], 0x44), _mm512_shuffle_f32x4(quads[0], quads[1], 0xee));
+  const __m512 high = _mm512_add_ps(_mm512_shuffle_f32x4(quads[2], zero, 0x44), _mm512_shuffle_f32x4(quads[2], zero, 0xee));
+  _mm512_storeu_ps(slot, _mm512_add_ps(_mm512_shuffle_f32x4(low, high, 0x88), _mm512_shuffle_f32x4(low, high, 0xdd)));
+}
+
+#else
+
 // Four sums at once: lane k of the result is the sum over the lanes of argument k.
 inline __m128 sums(V a, V b, V c, V d) {
   const __m128 fa = (__m128)fold(a), fb = (__m128)fold(b), fc = (__m128)fold(c), fd = (__m128)fold(d);
@@ -169,6 +285,13 @@ inline __m128 sums(V a, V b, V c, V d) {
   const __m128 cd = _mm_add_ps(_mm_unpacklo_ps(fc, fd), _mm_unpackhi_ps(fc, fd));
   return _mm_add_ps(_mm_movelh_ps(ab, cd), _mm_movehl_ps(cd, ab));
 }
+
+inline void store_sums(const V* v, float* slot) {
+  for (int k = 0; k < 12; k += 4) _mm_storeu_ps(slot + k, sums(v[k], v[k + 1], v[k + 2], v[k + 3]));
+  _mm_storeu_ps(slot + 12, _mm_setzero_ps());
+}
+
+#endif
 
 template <bool WITH_GEOMETRY, bool WITH_COLOR, bool WITH_Z>
 void backward_tile(const BackwardTile& t) {
@@ -178,7 +301,7 @@ void backward_tile(const BackwardTile& t) {
   const float *vr = t.adjoint, *vg = vr + PIXELS, *vb = vg + PIXELS, *vz = vb + PIXELS;
   std::uint32_t alive = 0xffff;
   for (std::size_t i = 0; i < t.count; ++i) {
-    float* slot = t.slots + 16 * i;
+    float* slot = t.slots + 16 * static_cast<std::size_t>(t.targets[i]);
     if (!(t.masks[i] & alive)) {
       __builtin_memset(slot, 0, 16 * sizeof(float));
       continue;
@@ -233,11 +356,8 @@ void backward_tile(const BackwardTile& t) {
       }
       if (!block_alive) alive &= ~(1u << block);
     }
-    const __m128 zero = _mm_setzero_ps();
-    _mm_storeu_ps(slot, WITH_GEOMETRY ? sums(s, sx, sy, sxx) : zero);
-    _mm_storeu_ps(slot + 4, WITH_GEOMETRY ? sums(sxy, syy, sz, V{}) : zero);
-    _mm_storeu_ps(slot + 8, WITH_COLOR ? sums(sr, sg, sb, V{}) : zero);
-    _mm_storeu_ps(slot + 12, zero);
+    const V moments[12] = {s, sx, sy, sxx, sxy, syy, sz, V{}, sr, sg, sb, V{}};
+    store_sums(moments, slot);
   }
 }
 

@@ -32,6 +32,7 @@ struct Scene {
   const float *positions, *shape, *scales, *opacities, *sh;
   std::uint32_t sh_degree;
   const std::uint32_t* active;
+  const double* depth;  // z-depth = depth[0..3] . position + depth[3]: what splats are sorted by
 };
 
 struct ProjectChunk {
@@ -39,6 +40,7 @@ struct ProjectChunk {
   std::uint32_t tiles_x, tiles_y;
   float* rows;           // out, 16 floats each, where visible
   std::uint32_t* boxes;  // out, two words each: x0 | y0 << 16, x1 | y1 << 16, where visible
+  std::uint32_t* keys;   // out, bits of the z-depth rounded from double, where visible
   bool* visible;         // out
 };
 
@@ -54,10 +56,8 @@ enum Group : std::uint32_t { POSITIONS = 1, SHAPES = 2, OPACITIES = 4, HARMONICS
 
 struct ChainChunk {
   std::size_t first, count;
-  const std::uint32_t* starts;  // entries of number k are places[starts[k]..starts[k + 1]]
-  const std::uint32_t* places;
+  const std::uint32_t* starts;  // slots of number k are starts[k]..starts[k + 1]
   const float* slots;
-  std::size_t slot_count;
   std::uint32_t wanted;
   float *positions, *shape, *scales, *opacities, *sh;  // out, those that are wanted
   double* pose;                                        // out, 6
@@ -82,7 +82,8 @@ struct BackwardTile {
   std::size_t count;
   float x, y;
   const float* adjoint;  // dL/d red, green, blue, depth sums; then the loss still to come behind (PIXELS each)
-  float* slots;          // out: 16 moments per entry
+  const std::uint32_t* targets;  // slot of each entry
+  float* slots;          // out: 16 moments in the slot of each entry
 };
 
 enum Part : std::uint32_t { GEOMETRY = 1, COLOR = 2, WITH_DEPTH = 4 };

@@ -22,6 +22,9 @@ constexpr int PARTS = 16 / LANES;
 typedef float V __attribute__((vector_size(4 * LANES)));
 typedef int VI __attribute__((vector_size(4 * LANES)));
 typedef float V4 __attribute__((vector_size(16)));
+// Half as many lanes: what fits into a vector of doubles.
+typedef float VH __attribute__((vector_size(2 * LANES)));
+typedef double VD __attribute__((vector_size(4 * LANES)));
 
 
 inline V all(float v) { return v - V{}; }

@@ -14,6 +14,24 @@ struct Projection {
     return __builtin_convertvector(smaller(larger(v * 0.0625f, V{}), all(static_cast<float>(tiles) - 1.0f)), VI);
   }
 
+  // z-depth, computed in double and rounded once: the order of splats belongs to the scene, not to rounding.
+  V depth(const V* position) const {
+    float p[3][LANES], out[LANES];
+    for (int k = 0; k < 3; ++k) store(p[k], position[k]);
+    for (int half = 0; half < 2; ++half) {
+      VD z = VD{} + s.depth[3], part[3];
+      for (int k = 0; k < 3; ++k) {
+        VH v;
+        __builtin_memcpy(&v, p[k] + LANES / 2 * half, sizeof v);
+        part[k] = __builtin_convertvector(v, VD) * s.depth[k];
+      }
+      z = ((part[0] + part[1]) + part[2]) + z;
+      const VH rounded = __builtin_convertvector(z, VH);
+      __builtin_memcpy(out + LANES / 2 * half, &rounded, sizeof rounded);
+    }
+    return load(out);
+  }
+
   template <int DEGREE, int COLUMNS>
   void run() const {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
@@ -24,9 +42,9 @@ struct Projection {
       const int count = end - at < LANES ? static_cast<int>(end - at) : LANES;
       std::uint32_t index[LANES];
       indices(s, at, end, index);
-      V offset[3];
-      gather<3>(s.positions, index, offset);
-      for (int k = 0; k < 3; ++k) offset[k] -= w.eye[k];
+      V position[3], offset[3];
+      gather<3>(s.positions, index, position);
+      for (int k = 0; k < 3; ++k) offset[k] = position[k] - w.eye[k];
       Geometry<V, COLUMNS> g;
       turn(w, offset, g.t);
       VI seen = g.t[2] >= w.near;
@@ -62,11 +80,13 @@ struct Projection {
       row[HALF_OVER_A] = 0.5f / row[A];
       row[FOUR_A_REACH] = 4.0f * row[A] * reach;
       scatter<16>(o.rows + 16 * k0, count, row);
+      const VI key = (VI)depth(position);
       const VI low = cell(g.point[0] - half[0], o.tiles_x) | cell(g.point[1] - half[1], o.tiles_y) << 16;
       const VI high = cell(g.point[0] + half[0], o.tiles_x) | cell(g.point[1] + half[1], o.tiles_y) << 16;
       for (int l = 0; l < count; ++l) {
         o.boxes[2 * (k0 + l)] = static_cast<std::uint32_t>(low[l]);
         o.boxes[2 * (k0 + l) + 1] = static_cast<std::uint32_t>(high[l]);
+        o.keys[k0 + l] = static_cast<std::uint32_t>(key[l]);
         o.visible[k0 + l] = seen[l] != 0;
       }
     }

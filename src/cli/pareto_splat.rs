@@ -16,7 +16,8 @@ use crate::base::{Camera, Result, files};
 use crate::ffi::system::cpu_time_s;
 use crate::report::pareto::{Chart, Point, Standing, write};
 use crate::splat::{
-    DepthOutput, Direction, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings, Shape, View, Wanted,
+    DepthOutput, Direction, Filter, Footprint, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings,
+    Shape, View, Wanted,
 };
 
 /// Arguments of `pareto splat`.
@@ -66,8 +67,15 @@ fn view(side: u32) -> View {
     View::new(Camera::pinhole(side, side, 90f64.to_radians()), world)
 }
 
-const SETTINGS: Settings =
-    Settings { near_mm: 0.2, dilation_px2: 0.3, gain: [1.0; 3], background: [0.0; 3], depth: DepthOutput::Skip };
+const SETTINGS: Settings = Settings {
+    footprint: Footprint::Ewa,
+    near_mm: 0.2,
+    dilation_px2: 0.3,
+    filter: Filter::Dilate,
+    gain: [1.0; 3],
+    background: [0.0; 3],
+    depth: DepthOutput::Skip,
+};
 
 /// CPU seconds of `work`, the median of `repeat` after one to warm up.
 fn seconds(repeat: usize, mut work: impl FnMut() -> Result<()>) -> Result<f64> {

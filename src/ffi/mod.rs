@@ -7,6 +7,7 @@
 pub mod embree;
 pub mod loss;
 pub mod splat;
+pub mod splat_bin;
 pub mod splat_image;
 pub mod system;
 pub mod tracer;

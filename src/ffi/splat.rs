@@ -1,7 +1,7 @@
 //! The vectorised compositing kernels of the rasteriser: C++ (`cpp/splat_kernel.cpp`), compiled once per instruction
 //! set and chosen at run time, through cxx.
 
-use std::sync::atomic::AtomicU32;
+use std::marker::PhantomData;
 
 use crate::base::{Error, Result};
 
@@ -19,6 +19,7 @@ mod bridge {
         sh_degree: u32,
         active: &'a [u32],
         all: bool,
+        depth: &'a [f64],
     }
 
     /// Velocities of all Gaussians, or of the camera.
@@ -41,6 +42,7 @@ mod bridge {
             tiles_y: u32,
             rows: &mut [f32],
             boxes: &mut [u32],
+            keys: &mut [u32],
             visible: &mut [bool],
         ) -> Result<()>;
         fn splat_velocities(
@@ -56,7 +58,6 @@ mod bridge {
             scene: &SplatScene,
             first: usize,
             starts: &[u32],
-            places: &[u32],
             slots: &[f32],
             wanted: u32,
             positions: &mut [f32],
@@ -78,27 +79,23 @@ mod bridge {
             velocities: &[f32],
             moving: &mut [f32],
         ) -> Result<()>;
-        fn splat_backward(
+        unsafe fn splat_backward(
             isa: u8,
             rows: &[f32],
             entries: &[u32],
             masks: &[u16],
+            targets: &[u32],
             x: f32,
             y: f32,
             adjoint: &[f32],
-            slots: &mut [f32],
+            slots: *mut f32,
+            slot_count: usize,
             parts: u32,
         ) -> Result<()>;
     }
 }
 
 pub use bridge::{SplatMotion, SplatScene};
-
-/// The words of atomics that nobody else holds.
-pub fn words(atomics: &mut [AtomicU32]) -> &mut [u32] {
-    // SAFETY: an `AtomicU32` has the size, the alignment and the bit validity of a `u32`, and the borrow is exclusive.
-    unsafe { &mut *(std::ptr::from_mut(atomics) as *mut [u32]) }
-}
 
 /// Sixteen numbers that begin at a cache line.
 #[repr(C, align(64))]
@@ -188,10 +185,11 @@ pub fn project(
     tiles: [usize; 2],
     rows: &mut [Aligned<f32>],
     boxes: &mut [[u32; 2]],
+    keys: &mut [u32],
     visible: &mut [bool],
 ) {
     let (x, y) = (tiles[0] as u32, tiles[1] as u32);
-    bridge::splat_project(isa.code(), scene, first, x, y, flat_mut(rows), boxes.as_flattened_mut(), visible)
+    bridge::splat_project(isa.code(), scene, first, x, y, flat_mut(rows), boxes.as_flattened_mut(), keys, visible)
         .expect(AGREE);
 }
 
@@ -224,13 +222,12 @@ pub struct ChainOutput<'a, T> {
 }
 
 /// Gradients of the Gaussians number `first..` from their moments: those of number `first + k` are the sum over
-/// `slots[places[starts[k]..starts[k + 1]]]`.
+/// `slots[starts[k]..starts[k + 1]]`.
 pub fn chain(
     isa: Isa,
     scene: &SplatScene<'_>,
     first: usize,
     starts: &[u32],
-    places: &[u32],
     slots: &[Aligned<f32>],
     wanted: u32,
     out: ChainOutput<'_, f32>,
@@ -240,7 +237,6 @@ pub fn chain(
         scene,
         first,
         starts,
-        places,
         flat(slots),
         wanted,
         out.positions,
@@ -270,17 +266,60 @@ pub fn forward(
     bridge::splat_forward(isa.code(), flat(rows), entries, masks, x, y, state, parts, velocities, moving).expect(AGREE);
 }
 
+/// Slots that several tiles write at the same time, each its own: the entries' targets are all different
+/// (`super::splat_bin`, tested there against the plain twin).
+pub struct Slots<'a> {
+    start: *mut f32,
+    count: usize,
+    owner: PhantomData<&'a mut [Aligned<f32>]>,
+}
+
+// SAFETY: the slots are plain numbers that nobody else can reach while the exclusive borrow lasts, and threads that share
+// a `Slots` write different ones.
+unsafe impl Sync for Slots<'_> {}
+
+impl<'a> Slots<'a> {
+    /// All of `slots`, to be shared among tiles.
+    pub fn new(slots: &'a mut [Aligned<f32>]) -> Self {
+        Slots { start: slots.as_mut_ptr().cast(), count: slots.len(), owner: PhantomData }
+    }
+}
+
+/// One tile whose image gradient goes to the slots of its entries.
+pub struct Backward<'a> {
+    /// All splats.
+    pub rows: &'a [Aligned<f32>],
+    /// Those of the tile, front to back.
+    pub entries: &'a [u32],
+    /// Blocks of each.
+    pub masks: &'a [u16],
+    /// Slot of each.
+    pub targets: &'a [u32],
+    /// Upper left corner in pixels.
+    pub corner: [f32; 2],
+    /// See `cpp/splat_kernel.h`.
+    pub adjoint: &'a [f32],
+}
+
 /// Backward of [`forward`].
-pub fn backward(
-    isa: Isa,
-    rows: &[Aligned<f32>],
-    entries: &[u32],
-    masks: &[u16],
-    corner: [f32; 2],
-    adjoint: &[f32],
-    slots: &mut [Aligned<f32>],
-    parts: u32,
-) {
-    let [x, y] = corner;
-    bridge::splat_backward(isa.code(), flat(rows), entries, masks, x, y, adjoint, flat_mut(slots), parts).expect(AGREE);
+pub fn backward(isa: Isa, tile: &Backward<'_>, slots: &Slots<'_>, parts: u32) {
+    let [x, y] = tile.corner;
+    // SAFETY: C++ checks that every target lies within the slots, which are borrowed exclusively as long as `slots` lives;
+    // tiles that run at the same time have different targets.
+    unsafe {
+        bridge::splat_backward(
+            isa.code(),
+            flat(tile.rows),
+            tile.entries,
+            tile.masks,
+            tile.targets,
+            x,
+            y,
+            tile.adjoint,
+            slots.start,
+            slots.count,
+            parts,
+        )
+    }
+    .expect(AGREE);
 }

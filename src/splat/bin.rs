@@ -1,12 +1,15 @@
 //! From splats to the list of each 16x16 tile: splats are dealt to bands of tile rows, each band is sorted by depth
 //! (stable radix sort) and counted out to its tiles. Depth ties keep the order of the Gaussians. Bands are independent
 //! tasks; how many there are depends on the image alone, so what is filled does not depend on the threads.
-
-use std::sync::atomic::{AtomicU32, Ordering};
+//! The work on a chunk or a band is C++ (`cpp/splat_bin.cpp`); the plain twin is [`Bins::fill_plainly`].
+//!
+//! Every entry has a slot for its moments. Slots lie splat by splat, so that the chain reads them one after the other;
+//! it is the tiles that write them here and there, for which nobody waits.
 
 use rayon::prelude::*;
 
-use crate::ffi::splat::{Aligned, words};
+use crate::ffi::splat_bin::{self as native, BANDS, Band, Boxes, Counts};
+use crate::ffi::system::grow;
 
 use super::project::{Row, at};
 use super::real::Real;
@@ -16,9 +19,6 @@ pub(super) const TILE: usize = 16;
 
 /// Splats per task of the dealing.
 const CHUNK: usize = 2048;
-
-/// Most bands of an image.
-const BANDS: usize = 16;
 
 /// Tiles that a splat's bounding box meets, inclusive: `x0 | y0 << 16`, `x1 | y1 << 16`.
 #[derive(Clone, Copy, Debug, Default)]
@@ -55,10 +55,8 @@ impl TileBox {
         self.x1 - self.x0 + 1
     }
 
-    /// Tile rows from `low` to before `high` that the box meets.
-    #[inline(always)]
-    fn rows_within(&self, low: usize, high: usize) -> std::ops::Range<usize> {
-        self.y0.max(low)..(self.y1 + 1).min(high)
+    fn tiles(&self) -> usize {
+        self.width() * (self.y1 - self.y0 + 1)
     }
 }
 
@@ -71,55 +69,15 @@ pub(super) struct Bins {
     pub offsets: Vec<u32>,
     /// Splat of each entry, front to back within a tile.
     pub entries: Vec<u32>,
+    /// Slot of each entry: a number of its own.
+    pub targets: Vec<u32>,
     /// Sub-blocks of each entry that the forward pass looked at.
     pub masks: Vec<u16>,
-    /// Entries of splat `j`, row by row of its box: `places[starts[j]..starts[j + 1]]`; none when it is not visible.
+    /// Slots of splat `j`, row by row of its box: `starts[j]..starts[j + 1]`; none when it is not visible.
     pub starts: Vec<u32>,
-    places: Vec<AtomicU32>,
-    items: Vec<Keyed>,
-    spare: Vec<Keyed>,
+    items: Vec<u64>,
+    scratch: Vec<u64>,
     counts: Vec<Counts>,
-}
-
-#[derive(Clone, Copy, Debug, Default)]
-struct Keyed {
-    depth: u32,
-    splat: u32,
-}
-
-/// What a chunk of splats has for each band: splats and entries.
-#[derive(Clone, Debug, Default)]
-struct Counts {
-    splats: [u32; BANDS],
-    entries: [u32; BANDS],
-}
-
-/// Stable ascending sort of `items` by depth, 11 bits at a time; passes over bits that are all the same are left out.
-fn radix_sort<'a>(mut items: &'a mut [Keyed], mut spare: &'a mut [Keyed]) -> &'a [Keyed] {
-    let mut counts = [[0u32; 2048]; 3];
-    let digit = |item: &Keyed, pass: usize| ((item.depth >> (11 * pass)) & 2047) as usize;
-    for item in items.iter() {
-        for (pass, counts) in counts.iter_mut().enumerate() {
-            counts[digit(item, pass)] += 1;
-        }
-    }
-    let Some(first) = items.first().copied() else { return items };
-    for (pass, counts) in counts.iter_mut().enumerate() {
-        if counts[digit(&first, pass)] as usize == items.len() {
-            continue;
-        }
-        let mut sum = 0;
-        for count in counts.iter_mut() {
-            sum += std::mem::replace(count, sum);
-        }
-        for item in items.iter() {
-            let slot = &mut counts[digit(item, pass)];
-            spare[*slot as usize] = *item;
-            *slot += 1;
-        }
-        std::mem::swap(&mut items, &mut spare);
-    }
-    items
 }
 
 /// Cuts `slice` into pieces of the given lengths.
@@ -133,163 +91,148 @@ pub(super) fn cut<V>(mut slice: &mut [V], lengths: impl Iterator<Item = usize>) 
         .collect()
 }
 
-/// One band: which tile rows, and where its part of the tables lies.
-struct Band<'a> {
-    rows: std::ops::Range<usize>,
-    items: &'a mut [Keyed],
-    spare: &'a mut [Keyed],
-    offsets: &'a mut [u32],
-    entries: &'a mut [u32],
-    /// Number of the band's first entry.
-    first: u32,
+fn chunk_of<'a>(all: &Boxes<'a>, chunk: usize) -> Boxes<'a> {
+    let range = chunk * CHUNK..all.boxes.len().min((chunk + 1) * CHUNK);
+    Boxes { boxes: &all.boxes[range.clone()], visible: &all.visible[range.clone()], keys: &all.keys[range] }
 }
 
 impl Bins {
-    /// Fills the lists from `rows` and `boxes` of the splats that are `visible`.
-    pub fn fill<T: Real>(&mut self, tiles: [usize; 2], rows: &[Aligned<T>], boxes: &[[u32; 2]], visible: &[bool]) {
+    /// Fills the lists of `tiles` (columns, rows) from the boxes and keys of the splats.
+    pub fn fill(&mut self, tiles: [usize; 2], all: &Boxes<'_>) {
         [self.tiles_x, self.tiles_y] = tiles;
-        let height = tiles[1].div_ceil(BANDS).max(2);
-        let bands = tiles[1].div_ceil(height);
-        self.count(height, boxes, visible);
-        let total = |of: fn(&Counts) -> &[u32; BANDS], b: usize| self.counts.iter().map(|c| of(c)[b] as usize).sum();
-        let splats: Vec<usize> = (0..bands).map(|b| total(|c| &c.splats, b)).collect();
-        let entries: Vec<usize> = (0..bands).map(|b| total(|c| &c.entries, b)).collect();
-        let all_entries: usize = entries.iter().sum();
-        self.items.resize(splats.iter().sum(), Keyed::default());
-        self.spare.resize(self.items.len(), Keyed::default());
-        self.entries.resize(all_entries, 0);
-        self.masks.resize(all_entries, 0);
-        if self.places.len() < all_entries {
-            self.places.resize_with(all_entries, AtomicU32::default);
-        }
-        self.deal(height, bands, rows, boxes, visible);
-        self.offsets.resize(tiles[0] * tiles[1] + 1, 0);
-        self.offsets[tiles[0] * tiles[1]] = all_entries as u32;
-        let (starts, places) = (&self.starts, &self.places);
+        let n = all.boxes.len();
+        // As few bands as the threads of a large machine can use; a power of 2 of tile rows each.
+        let shift = (1..).find(|s| tiles[1].div_ceil(1 << s) <= BANDS).expect("an image has at most 1024 tile rows");
+        let (height, bands) = (1 << shift, tiles[1].div_ceil(1 << shift));
+        self.starts.resize(n + 1, 0);
+        self.counts.resize(n.div_ceil(CHUNK), Counts::default());
+        let chunks = self.starts[1..].par_chunks_mut(CHUNK).zip(&mut self.counts).enumerate();
+        chunks.for_each(|(c, (starts, counts))| native::count(&chunk_of(all, c), shift, starts, counts));
+        let total = |kind: usize, b: usize| self.counts.iter().map(|c| c[kind][b] as usize).sum::<usize>();
+        let splats: Vec<usize> = (0..bands).map(|b| total(0, b)).collect();
+        let entries: Vec<usize> = (0..bands).map(|b| total(1, b)).collect();
+        let (all_splats, all_entries) = (splats.iter().sum(), entries.iter().sum());
+        self.make_room(tiles, all_entries);
+        grow(&mut self.items, all_splats);
+        grow(&mut self.scratch, 2 * all_splats);
+        let pieces = self.deal(all, shift, bands);
+        let (items, starts) = (&self.items, &self.starts);
         let mut first = 0;
-        let tasks: Vec<Band<'_>> = cut(&mut self.items, splats.iter().copied())
+        let tasks: Vec<Band<'_>> = cut(&mut self.scratch, splats.iter().map(|s| 2 * s))
             .into_iter()
-            .zip(cut(&mut self.spare, splats.iter().copied()))
             .zip(cut(&mut self.entries, entries.iter().copied()))
+            .zip(cut(&mut self.targets, entries.iter().copied()))
             .zip(self.offsets[..tiles[0] * tiles[1]].chunks_mut(height * tiles[0]))
+            .zip(pieces)
             .enumerate()
-            .map(|(b, (((items, spare), entries), offsets))| {
+            .map(|(b, ((((scratch, entries), targets), offsets), pieces))| {
                 let rows = b * height..((b + 1) * height).min(tiles[1]);
-                let band = Band { rows, items, spare, offsets, first, entries };
+                let band = Band { pieces, rows, first, scratch, offsets, entries, targets };
                 first += band.entries.len() as u32;
                 band
             })
             .collect();
-        tasks.into_par_iter().for_each(|band| band.fill(tiles[0], boxes, starts, places));
+        tasks.into_par_iter().for_each(|band| native::fill(band, items, all.boxes, starts, tiles[0]));
     }
 
-    fn count(&mut self, height: usize, boxes: &[[u32; 2]], visible: &[bool]) {
-        self.starts.resize(boxes.len() + 1, 0);
-        self.counts.resize(boxes.len().div_ceil(CHUNK), Counts::default());
-        let tasks = self.starts[1..].par_chunks_mut(CHUNK).zip(boxes.par_chunks(CHUNK)).zip(visible.par_chunks(CHUNK));
-        tasks.zip(&mut self.counts).for_each(|(((starts, boxes), visible), counts)| {
-            *counts = Counts::default();
-            let mut sum = 0;
-            for ((start, &packed), &seen) in starts.iter_mut().zip(boxes).zip(visible) {
-                if seen {
-                    let b = TileBox::unpack(packed);
-                    let width = b.width() as u32;
-                    for band in b.y0 / height..=b.y1 / height {
-                        let rows = b.rows_within(band * height, (band + 1) * height).len() as u32;
-                        counts.splats[band] += 1;
-                        counts.entries[band] += rows * width;
-                        sum += rows * width;
-                    }
-                }
-                // Within the chunk; those before are added in `deal`.
-                *start = sum;
+    fn make_room(&mut self, tiles: [usize; 2], entries: usize) {
+        grow(&mut self.entries, entries);
+        grow(&mut self.targets, entries);
+        grow(&mut self.masks, entries);
+        self.offsets.resize(tiles[0] * tiles[1] + 1, 0);
+        self.offsets[tiles[0] * tiles[1]] = entries as u32;
+    }
+
+    /// Puts every visible splat into the list of its chunk for each of its bands, in the order of the splats; returns
+    /// where the pieces of each band lie.
+    fn deal(&mut self, all: &Boxes<'_>, shift: u32, bands: usize) -> Vec<Vec<[u32; 2]>> {
+        let sum = |counts: &[u32; BANDS]| counts.iter().sum::<u32>();
+        let mut pieces = vec![Vec::with_capacity(self.counts.len()); bands];
+        let (mut place, mut base, mut bases) = (0, 0, Vec::with_capacity(self.counts.len()));
+        for [splats, entries] in &self.counts {
+            bases.push(base);
+            base += sum(entries);
+            for (pieces, &count) in pieces.iter_mut().zip(splats) {
+                pieces.push([place, place + count]);
+                place += count;
             }
-        });
-    }
-
-    /// Puts every visible splat into the lists of its bands, in the order of the splats.
-    fn deal<T: Real>(
-        &mut self,
-        height: usize,
-        bands: usize,
-        rows: &[Aligned<T>],
-        boxes: &[[u32; 2]],
-        visible: &[bool],
-    ) {
-        let chunks = self.counts.len();
-        let counts = &self.counts;
-        let lengths = (0..bands).flat_map(|b| (0..chunks).map(move |c| counts[c].splats[b] as usize));
-        let mut pieces: Vec<Vec<&mut [Keyed]>> = (0..chunks).map(|_| Vec::with_capacity(bands)).collect();
-        for (k, piece) in cut(&mut self.items, lengths).into_iter().enumerate() {
-            pieces[k % chunks].push(piece);
         }
-        let mut before = 0;
-        let bases: Vec<u32> = counts
-            .iter()
-            .map(|c| {
-                let base = before;
-                before += c.entries.iter().sum::<u32>();
-                base
-            })
-            .collect();
-        pieces.into_par_iter().zip(self.starts[1..].par_chunks_mut(CHUNK)).enumerate().for_each(
-            |(c, (mut pieces, starts))| {
-                let mut cursors = [0; BANDS];
-                for (k, start) in starts.iter_mut().enumerate() {
-                    let j = c * CHUNK + k;
-                    *start += bases[c];
-                    if !visible[j] {
-                        continue;
-                    }
-                    let b = TileBox::unpack(boxes[j]);
-                    // Positive floats sort like their bits; every number type sorts by depth rounded to f32.
-                    let depth = (rows[j].0[at::DEPTH].to_f64() as f32).to_bits();
-                    for band in b.y0 / height..=b.y1 / height {
-                        pieces[band][cursors[band]] = Keyed { depth, splat: j as u32 };
-                        cursors[band] += 1;
-                    }
-                }
-            },
-        );
+        let (counts, starts) = (&self.counts, &mut self.starts[1..]);
+        let items = cut(&mut self.items, counts.iter().map(|c| sum(&c[0]) as usize));
+        items.into_par_iter().zip(starts.par_chunks_mut(CHUNK)).enumerate().for_each(|(c, (items, starts))| {
+            native::deal(&chunk_of(all, c), c * CHUNK, shift, bases[c], starts, &counts[c], items);
+        });
+        pieces
     }
 
-    /// Entry numbers of all splats; see `starts`.
-    pub fn places(&mut self) -> (&[u32], &[u32]) {
-        (&self.starts, words(&mut self.places))
+    /// The plain twin of [`Bins::fill`].
+    pub fn fill_plainly(&mut self, tiles: [usize; 2], all: &Boxes<'_>) {
+        [self.tiles_x, self.tiles_y] = tiles;
+        let n = all.boxes.len();
+        let boxes: Vec<TileBox> = all.boxes.iter().map(|&b| TileBox::unpack(b)).collect();
+        let mut order: Vec<u32> = (0..n as u32).filter(|&j| all.visible[j as usize]).collect();
+        order.sort_by_key(|&j| (all.keys[j as usize], j));
+        self.starts.clear();
+        self.starts.push(0);
+        let mut sum = 0;
+        for (b, &seen) in boxes.iter().zip(all.visible) {
+            sum += if seen { b.tiles() as u32 } else { 0 };
+            self.starts.push(sum);
+        }
+        self.make_room(tiles, sum as usize);
+        let mut lists = vec![Vec::new(); tiles[0] * tiles[1]];
+        for &j in &order {
+            let b = boxes[j as usize];
+            let cells = (b.y0..=b.y1).flat_map(|y| (b.x0..=b.x1).map(move |x| y * tiles[0] + x));
+            for (cell, slot) in cells.zip(self.starts[j as usize]..) {
+                lists[cell].push((j, slot));
+            }
+        }
+        let mut entry = 0;
+        for (offset, list) in self.offsets.iter_mut().zip(lists) {
+            *offset = entry as u32;
+            for (splat, slot) in list {
+                (self.entries[entry], self.targets[entry]) = (splat, slot);
+                entry += 1;
+            }
+        }
     }
 }
 
-impl Band<'_> {
-    fn fill(self, tiles_x: usize, boxes: &[[u32; 2]], starts: &[u32], places: &[AtomicU32]) {
-        let (low, high) = (self.rows.start, self.rows.end);
-        let mut cursors = vec![0u32; self.offsets.len()];
-        for item in self.items.iter() {
-            let b = TileBox::unpack(boxes[item.splat as usize]);
-            for y in b.rows_within(low, high) {
-                let row = (y - low) * tiles_x;
-                for cursor in &mut cursors[row + b.x0..=row + b.x1] {
-                    *cursor += 1;
-                }
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::random::{CounterRng, Stage};
+
+    /// Random boxes, depths with many ties, chunks that nobody sees: the same tables as the plain twin, every slot once.
+    #[test]
+    fn vectorised_and_plain_agree() {
+        for (seed, n, tiles) in
+            [(1, 0, [1, 1]), (2, 1, [3, 2]), (3, 5000, [16, 16]), (4, 9000, [25, 37]), (5, 700, [1, 40])]
+        {
+            let mut rng = CounterRng::new(seed, Stage::Test, &[n as u64]);
+            let mut below = |bound: usize| (rng.uniform() * bound as f64) as usize;
+            let (mut boxes, mut visible, mut keys) = (Vec::new(), Vec::new(), Vec::new());
+            for j in 0..n {
+                let (x0, y0) = (below(tiles[0]), below(tiles[1]));
+                let (x1, y1) = ((x0 + below(4)).min(tiles[0] - 1), (y0 + below(9)).min(tiles[1] - 1));
+                boxes.push(TileBox { x0, y0, x1, y1 }.pack());
+                visible.push(below(3) > 0 && !(2048..4096).contains(&j));
+                keys.push((0.2 + 0.01 * below(700) as f32).to_bits());
             }
-        }
-        let mut sum = 0;
-        for (cursor, offset) in cursors.iter_mut().zip(self.offsets) {
-            *offset = self.first + sum;
-            sum += std::mem::replace(cursor, sum);
-        }
-        for item in radix_sort(self.items, self.spare) {
-            let j = item.splat as usize;
-            let b = TileBox::unpack(boxes[j]);
-            for y in b.rows_within(low, high) {
-                let row = (y - low) * tiles_x;
-                let start = starts[j] as usize + (y - b.y0) * b.width();
-                let cells = &mut cursors[row + b.x0..=row + b.x1];
-                for (cursor, place) in cells.iter_mut().zip(&places[start..]) {
-                    self.entries[*cursor as usize] = item.splat;
-                    place.store(self.first + *cursor, Ordering::Relaxed);
-                    *cursor += 1;
-                }
+            let all = Boxes { boxes: &boxes, visible: &visible, keys: &keys };
+            let (mut fast, mut plain) = (Bins::default(), Bins::default());
+            for _ in 0..2 {
+                fast.fill(tiles, &all);
             }
+            plain.fill_plainly(tiles, &all);
+            assert_eq!(fast.offsets, plain.offsets);
+            assert_eq!(fast.entries, plain.entries);
+            assert_eq!(fast.targets, plain.targets);
+            assert_eq!(fast.starts, plain.starts);
+            let mut slots = fast.targets.clone();
+            slots.sort_unstable();
+            assert!(slots.iter().copied().eq(0..slots.len() as u32));
         }
     }
 }

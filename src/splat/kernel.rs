@@ -11,9 +11,10 @@
 //!
 //! A tile is 16 blocks of 4x4 pixels, numbered down the columns; per-pixel tables go block by block.
 
-use crate::ffi::splat::{self as native, Aligned, Isa};
+use crate::ffi::splat::{self as native, Aligned, Isa, Slots};
 
 use super::bin::TILE;
+use super::fault::{Fault, Faults};
 use super::project::{Row, at};
 use super::real::Real;
 
@@ -70,11 +71,11 @@ pub struct BackwardTile<'a, T> {
     pub rows: &'a [Aligned<T>],
     pub entries: &'a [u32],
     pub masks: &'a [u16],
+    /// Slot of each entry.
+    pub targets: &'a [u32],
     pub corner: [usize; 2],
     /// `PLANES` planes: dL/d red, green, blue, depth sums, and `behind`.
     pub adjoint: &'a [T],
-    /// Out: moments of each entry with a mask that is not 0.
-    pub slots: &'a mut [Aligned<T>],
     pub parts: Parts,
 }
 
@@ -104,11 +105,10 @@ pub fn vector_forward(isa: Isa, t: &mut ForwardTile<'_, f32>, velocities: &[[f32
 }
 
 /// Backward of [`vector_forward`].
-pub fn vector_backward(isa: Isa, t: &mut BackwardTile<'_, f32>) -> bool {
-    if isa != Isa::Scalar {
-        native::backward(isa, t.rows, t.entries, t.masks, corner_f32(t.corner), t.adjoint, t.slots, t.parts.bits());
-    }
-    isa != Isa::Scalar
+pub fn vector_backward(isa: Isa, t: &BackwardTile<'_, f32>, slots: &Slots<'_>) {
+    let (corner, parts) = (corner_f32(t.corner), t.parts.bits());
+    let &BackwardTile { rows, entries, masks, targets, adjoint, .. } = t;
+    native::backward(isa, &native::Backward { rows, entries, masks, targets, corner, adjoint }, slots, parts);
 }
 
 /// Blocks whose pixel centres the ellipse `alpha >= 1/255` can reach: its x-extent over each band of 4 pixel rows.
@@ -205,8 +205,9 @@ pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
     }
 }
 
-/// Carries the gradient of one tile to the moments of its entries.
-pub fn scalar_backward<T: Real>(t: &mut BackwardTile<'_, T>) {
+/// Carries the gradient of one tile to the moments of its entries, one row for each.
+pub fn scalar_backward<T: Real>(t: &BackwardTile<'_, T>, faults: impl Faults) -> Vec<Aligned<T>> {
+    let mut slots = vec![Aligned([T::zero(); 16]); t.entries.len()];
     let mut left = [T::one(); PIXELS];
     let mut behind = [T::zero(); PIXELS];
     behind.copy_from_slice(&t.adjoint[4 * PIXELS..]);
@@ -230,8 +231,15 @@ pub fn scalar_backward<T: Real>(t: &mut BackwardTile<'_, T>) {
                     value += q[at::DEPTH] * adjoint(3);
                 }
                 behind[p] -= weight * value;
-                if raw <= T::of(0.99) {
-                    let v = alpha * (now * value - behind[p] / (T::one() - alpha));
+                if raw <= T::of(0.99) || faults.has(Fault::AlphaCutIgnored) {
+                    let mut hidden = behind[p] / (T::one() - alpha);
+                    if faults.has(Fault::OcclusionForgotten) {
+                        hidden = T::zero();
+                    }
+                    if faults.has(Fault::SurvivalFactorMissing) {
+                        hidden = behind[p];
+                    }
+                    let v = alpha * (now * value - hidden);
                     for (k, moment) in [T::one(), dx, dy, dx * dx, dx * dy, dy * dy].into_iter().enumerate() {
                         sums[k] += v * moment;
                     }
@@ -246,6 +254,7 @@ pub fn scalar_backward<T: Real>(t: &mut BackwardTile<'_, T>) {
                 sums[moment::DEPTH] += weight * adjoint(3);
             }
         }
-        t.slots[i].0 = sums;
+        slots[i].0 = sums;
     }
+    slots
 }

@@ -6,12 +6,21 @@
 //!    ^                   ^                                           |
 //!    +----pullback-------+-------------chain<------moments<----------+  image gradients
 //! ```
+//!
+//! The way of `Footprint::Disc` parts from it at the projection (`disc_mode`, `disc_tile`, `disc_chain`). What is asked
+//! for beyond colour, depth and alpha: `extra_channels` (features, normals), `sight` (median depth, contributors).
 
 mod anchors;
 mod bin;
 mod chain;
 mod composite;
+mod disc_chain;
+mod disc_mode;
+mod disc_tile;
 mod dual;
+mod extra_channels;
+mod fault;
+pub mod gradient_check;
 mod jvp;
 mod kernel;
 mod native;
@@ -20,6 +29,7 @@ mod project;
 mod rasterizer;
 mod real;
 mod sh;
+mod sight;
 mod stages;
 mod surface_depth;
 mod tangent;
@@ -28,9 +38,12 @@ mod types;
 pub use crate::ffi::splat::Isa;
 pub use anchors::{Anchors, Carrier, Frame};
 pub use dual::Dual;
+pub use fault::Fault;
 pub use jvp::PhaseTangent;
 pub use rasterizer::Rasterizer;
 pub use real::Real;
 pub use stages::{Stage, StageTimes};
 pub use tangent::{Direction, Motion};
-pub use types::{DepthOutput, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted};
+pub use types::{
+    DepthOutput, Filter, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted,
+};

@@ -6,31 +6,24 @@ use crate::ffi::splat::{self as native, Aligned, ChainOutput, Isa, SplatMotion, 
 use super::project::Projector;
 use super::real::Real;
 use super::tangent::Direction;
-use super::types::{Gaussians, Shape, Wanted};
+use super::types::{Filter, Footprint, Gaussians, Shape, Wanted};
 
 /// What kernels do for numbers of type `T` in one scene seen by one camera.
 pub trait Native<T: Real>: Sync {
-    /// Projects the Gaussians number `first..` of the active; where visible, their rows and boxes.
+    /// Projects the Gaussians number `first..` of the active; where visible, their rows, boxes and sort keys.
     fn project(
         &self,
         first: usize,
         tiles: [usize; 2],
         rows: &mut [Aligned<T>],
         boxes: &mut [[u32; 2]],
+        keys: &mut [u32],
         visible: &mut [bool],
     );
     /// Velocities of their splats along a direction other than the gain, where visible.
     fn velocities(&self, first: usize, visible: &[bool], direction: &Direction<'_, T>, rows: &mut [[T; 8]]);
-    /// Their gradients from the moments in `slots[places[starts[k]..starts[k + 1]]]`.
-    fn chain(
-        &self,
-        first: usize,
-        starts: &[u32],
-        places: &[u32],
-        slots: &[Aligned<T>],
-        wanted: Wanted,
-        out: ChainOutput<'_, T>,
-    );
+    /// Their gradients from the moments in `slots[starts[k]..starts[k + 1]]`.
+    fn chain(&self, first: usize, starts: &[u32], slots: &[Aligned<T>], wanted: Wanted, out: ChainOutput<'_, T>);
 }
 
 /// A scene and a view as the kernels take them.
@@ -39,11 +32,17 @@ pub struct Work<'a> {
     scene: SplatScene<'a>,
 }
 
-/// The numbers of the camera, as `View` of `cpp/splat_kernel.h` has them.
-pub type Numbers = [f32; 22];
+/// The numbers of the camera, as the kernels take them.
+#[derive(Default)]
+pub struct Numbers {
+    /// `View` of `cpp/splat_kernel.h`.
+    pub view: [f32; 22],
+    /// What the z-depth is computed with.
+    pub depth: [f64; 4],
+}
 
 impl<'a> Work<'a> {
-    /// `None` where the plain twin has to do it: asked for, or a lens that the kernels do not know.
+    /// `None` where the plain twin has to do it: asked for, or a lens, filter or footprint that the kernels do not know.
     pub fn new(
         isa: Isa,
         gaussians: &'a Gaussians<f32>,
@@ -51,16 +50,18 @@ impl<'a> Work<'a> {
         numbers: &'a mut Numbers,
         active: Option<&'a [u32]>,
     ) -> Option<Self> {
-        if isa == Isa::Scalar || !projector.is_pinhole() {
+        let plain = projector.filter() != Filter::Dilate || projector.footprint() != Footprint::Ewa;
+        if isa == Isa::Scalar || !projector.is_pinhole() || plain {
             return None;
         }
-        *numbers = projector.numbers();
+        *numbers = Numbers { view: projector.numbers(), depth: projector.depth };
         let (shape, scales): (&[f32], &[f32]) = match &gaussians.shape {
             Shape::Ellipsoids { rotations, scales } => (rotations.as_flattened(), scales.as_flattened()),
             Shape::Discs { axes } => (axes.as_flattened().as_flattened(), &[]),
         };
         let scene = SplatScene {
-            view: numbers,
+            view: &numbers.view,
+            depth: &numbers.depth,
             positions: gaussians.positions.as_flattened(),
             shape,
             scales,
@@ -81,9 +82,10 @@ impl Native<f32> for Work<'_> {
         tiles: [usize; 2],
         rows: &mut [Aligned<f32>],
         boxes: &mut [[u32; 2]],
+        keys: &mut [u32],
         visible: &mut [bool],
     ) {
-        native::project(self.isa, &self.scene, first, tiles, rows, boxes, visible);
+        native::project(self.isa, &self.scene, first, tiles, rows, boxes, keys, visible);
     }
 
     fn velocities(&self, first: usize, visible: &[bool], direction: &Direction<'_, f32>, rows: &mut [[f32; 8]]) {
@@ -103,15 +105,7 @@ impl Native<f32> for Work<'_> {
         native::velocities(self.isa, &self.scene, first, visible, &motion, rows);
     }
 
-    fn chain(
-        &self,
-        first: usize,
-        starts: &[u32],
-        places: &[u32],
-        slots: &[Aligned<f32>],
-        wanted: Wanted,
-        out: ChainOutput<'_, f32>,
-    ) {
-        native::chain(self.isa, &self.scene, first, starts, places, slots, wanted.bits(), out);
+    fn chain(&self, first: usize, starts: &[u32], slots: &[Aligned<f32>], wanted: Wanted, out: ChainOutput<'_, f32>) {
+        native::chain(self.isa, &self.scene, first, starts, slots, wanted.bits(), out);
     }
 }

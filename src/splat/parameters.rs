@@ -7,30 +7,38 @@ use crate::ffi::splat::ChainOutput;
 
 use super::bin::cut;
 use super::chain::{One, ellipsoid_gradient, gradients_of_one};
-use super::kernel::moment;
+use super::disc_chain::gradients_of_disc;
+use super::fault::Faults;
 use super::native::Numbers;
 use super::project::Projector;
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
-use super::types::{Gaussians, Shape, Wanted};
+use super::types::{Footprint, Gaussians, Shape, Wanted};
 
 impl<T: Real> Rasterizer<T> {
     /// Gradients of the wanted groups from the moments in the slots.
-    pub(super) fn chain(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>, wanted: Wanted) {
+    pub(super) fn chain(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        projector: &Projector<T>,
+        wanted: Wanted,
+        faults: impl Faults,
+    ) {
         let n = self.rendered.visible.len();
         let stride = gaussians.sh_stride();
-        let discs = matches!(gaussians.shape, Shape::Discs { .. });
+        let has_axes = matches!(gaussians.shape, Shape::Discs { .. });
         let size = |group: Wanted| if wanted.any(group) { n } else { 0 };
         let out = &mut self.gradients;
         let zero = [T::zero(); 3];
         out.positions.resize(size(Wanted::POSITIONS), zero);
-        out.rotations.resize(if discs { 0 } else { size(Wanted::SHAPES) }, [T::zero(); 4]);
-        out.scales.resize(if discs { 0 } else { size(Wanted::SHAPES) }, zero);
-        out.axes.resize(if discs { size(Wanted::SHAPES) } else { 0 }, [zero; 2]);
+        out.rotations.resize(if has_axes { 0 } else { size(Wanted::SHAPES) }, [T::zero(); 4]);
+        out.scales.resize(if has_axes { 0 } else { size(Wanted::SHAPES) }, zero);
+        out.axes.resize(if has_axes { size(Wanted::SHAPES) } else { 0 }, [zero; 2]);
         out.opacities.resize(size(Wanted::OPACITIES), T::zero());
         out.sh.resize(size(Wanted::SH) * stride, T::zero());
-        out.pose = [0.0; 6];
-        if !wanted.any(Wanted::POSITIONS | Wanted::SHAPES | Wanted::OPACITIES | Wanted::SH | Wanted::POSE) {
+        (out.pose, out.lens) = ([0.0; 6], [0.0; 4]);
+        let of_gaussians = Wanted::POSITIONS | Wanted::SHAPES | Wanted::OPACITIES | Wanted::SH;
+        if !wanted.any(of_gaussians | Wanted::POSE | Wanted::LENS) {
             return;
         }
         let chunks = n.div_ceil(CHUNK);
@@ -39,9 +47,9 @@ impl<T: Real> Rasterizer<T> {
         };
         let tasks: Vec<Task<'_, T>> = cut(&mut out.positions, lengths(size(Wanted::POSITIONS), 1))
             .into_iter()
-            .zip(cut(&mut out.rotations, lengths(if discs { 0 } else { size(Wanted::SHAPES) }, 1)))
-            .zip(cut(&mut out.scales, lengths(if discs { 0 } else { size(Wanted::SHAPES) }, 1)))
-            .zip(cut(&mut out.axes, lengths(if discs { size(Wanted::SHAPES) } else { 0 }, 1)))
+            .zip(cut(&mut out.rotations, lengths(if has_axes { 0 } else { size(Wanted::SHAPES) }, 1)))
+            .zip(cut(&mut out.scales, lengths(if has_axes { 0 } else { size(Wanted::SHAPES) }, 1)))
+            .zip(cut(&mut out.axes, lengths(if has_axes { size(Wanted::SHAPES) } else { 0 }, 1)))
             .zip(cut(&mut out.opacities, lengths(size(Wanted::OPACITIES), 1)))
             .zip(cut(&mut out.sh, lengths(size(Wanted::SH), stride)))
             .enumerate()
@@ -58,25 +66,33 @@ impl<T: Real> Rasterizer<T> {
             .collect();
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
-        let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
-        let (starts, places) = self.bins.places();
-        let slots = &self.slots;
-        let poses: Vec<[f64; 6]> = tasks
+        let plain = wanted.any(Wanted::LENS) || !faults.is_sound();
+        let native = if plain { None } else { T::native(self.isa, gaussians, projector, &mut numbers, active) };
+        let (starts, slots, sums) = (&self.bins.starts, &self.slots, &self.disc_slots);
+        let discs = projector.footprint() == Footprint::Disc;
+        let cameras: Vec<([f64; 6], [f64; 4])> = tasks
             .into_par_iter()
             .map(|mut task| {
                 let starts = &starts[task.first..=task.first + task.count];
                 if let Some(native) = &native {
                     let mut pose = [0.0; 6];
-                    native.chain(task.first, starts, places, slots, wanted, task.outputs(&mut pose));
-                    return pose;
+                    native.chain(task.first, starts, slots, wanted, task.outputs(&mut pose));
+                    return (pose, [0.0; 4]);
                 }
-                task.plain(gaussians, projector, active, starts, |e| &slots[places[e] as usize].0, wanted)
+                task.plain(active, gaussians, wanted, faults, |k, i, by_sh| {
+                    let entries = starts[k] as usize..starts[k + 1] as usize;
+                    if discs {
+                        let m = added(entries.map(|e| &sums[e]))?;
+                        return gradients_of_disc(projector, gaussians, i, &m, wanted, by_sh, faults);
+                    }
+                    let m = added(entries.map(|e| &slots[e].0))?;
+                    gradients_of_one(projector, gaussians, i, &m, wanted, by_sh, faults)
+                })
             })
             .collect();
-        for pose in poses {
-            for k in 0..6 {
-                self.gradients.pose[k] += pose[k];
-            }
+        for (pose, lens) in cameras {
+            self.gradients.pose.iter_mut().zip(pose).for_each(|(sum, part)| *sum += part);
+            self.gradients.lens.iter_mut().zip(lens).for_each(|(sum, part)| *sum += part);
         }
     }
 }
@@ -106,31 +122,29 @@ impl<T: Real> Task<'_, T> {
         }
     }
 
-    /// The plain twin of the vectorised chain; returns the pose.
-    fn plain<'s>(
+    /// The plain twin of the vectorised chain (`gradients`: number within the chunk, number of the Gaussian, place for
+    /// the SH); returns the gradients of pose and intrinsics.
+    fn plain(
         &mut self,
-        gaussians: &Gaussians<T>,
-        projector: &Projector<T>,
         active: Option<&[u32]>,
-        starts: &[u32],
-        slot: impl Fn(usize) -> &'s [T; 16],
+        gaussians: &Gaussians<T>,
         wanted: Wanted,
-    ) -> [f64; 6] {
+        faults: impl Faults,
+        gradients: impl Fn(usize, usize, &mut [T]) -> Option<One<T>>,
+    ) -> ([f64; 6], [f64; 4]) {
         let stride = gaussians.sh_stride();
-        let mut pose = [0.0; 6];
+        let (mut pose, mut lens) = ([0.0; 6], [0.0; 4]);
         for k in 0..self.count {
             let i = active.map_or(self.first + k, |list| list[self.first + k] as usize);
-            let entries = starts[k] as usize..starts[k + 1] as usize;
             let by_sh = self.sh.get_mut(k * stride..(k + 1) * stride).unwrap_or_default();
-            let one =
-                moments(entries.map(&slot)).and_then(|m| gradients_of_one(projector, gaussians, i, &m, wanted, by_sh));
-            if wanted.any(Wanted::POSE) {
-                let parts = one.as_ref().map_or([T::zero(); 6], |one| one.pose);
-                pose.iter_mut().zip(parts).for_each(|(sum, part)| *sum += part.to_f64());
+            let one = gradients(k, i, by_sh);
+            if let Some(one) = one.as_ref().filter(|_| wanted.any(Wanted::POSE | Wanted::LENS)) {
+                pose.iter_mut().zip(one.pose).for_each(|(sum, part)| *sum += part.to_f64());
+                lens.iter_mut().zip(one.lens).for_each(|(sum, part)| *sum += part.to_f64());
             }
-            self.write(k, i, one.as_ref(), gaussians, stride, wanted);
+            self.write(k, i, one.as_ref(), gaussians, stride, wanted, faults);
         }
-        pose
+        (pose, lens)
     }
 
     fn write(
@@ -141,6 +155,7 @@ impl<T: Real> Task<'_, T> {
         gaussians: &Gaussians<T>,
         stride: usize,
         wanted: Wanted,
+        faults: impl Faults,
     ) {
         let zero = [T::zero(); 3];
         if let Some(place) = self.positions.get_mut(k) {
@@ -151,7 +166,7 @@ impl<T: Real> Task<'_, T> {
         }
         if let (Some(rotation), Some(scale)) = (self.rotations.get_mut(k), self.scales.get_mut(k)) {
             (*rotation, *scale) =
-                one.map_or(([T::zero(); 4], zero), |one| ellipsoid_gradient(&gaussians.shape, i, &one.columns));
+                one.map_or(([T::zero(); 4], zero), |one| ellipsoid_gradient(&gaussians.shape, i, &one.columns, faults));
         }
         if let Some(place) = self.opacities.get_mut(k) {
             *place = one.map_or(T::zero(), |one| one.opacity);
@@ -164,12 +179,12 @@ impl<T: Real> Task<'_, T> {
 }
 
 /// Sum of the moments of one splat over its tiles; `None` when it has none.
-fn moments<'s, T: Real>(slots: impl Iterator<Item = &'s [T; 16]>) -> Option<[T; 16]> {
-    let mut total: Option<[T; 16]> = None;
+fn added<'s, T: Real, const N: usize>(slots: impl Iterator<Item = &'s [T; N]>) -> Option<[T; N]> {
+    let mut total: Option<[T; N]> = None;
     for slot in slots {
         match &mut total {
             None => total = Some(*slot),
-            Some(sum) => (0..moment::RED + 3).for_each(|k| sum[k] += slot[k]),
+            Some(sum) => sum.iter_mut().zip(slot).for_each(|(sum, part)| *sum += *part),
         }
     }
     total

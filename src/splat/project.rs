@@ -5,16 +5,19 @@
 //! a disc), `R`, `eye` camera, `t = R (p - eye)`, `c_k = R m_k`, `J` Jacobian of the projection at `t`, `u_k = J c_k`,
 //! covariance on screen `sum u_k u_k^T + dilation I`, conic `(A, B, C)` its inverse.
 //! The Jacobian of a pinhole is taken at `t` clamped to 1.3 times the half field of view, as in 3DGS.
-//! A splat reaches as far as its alpha is 1/255 or more, whatever its opacity.
+//! A splat reaches as far as its alpha is 1/255 or more, whatever its opacity. With `Filter::Compensate` the opacity is
+//! first multiplied by `sqrt(det / det dilated)`; what is visible then has a determinant that is not tiny, so that the
+//! gradient needs no floor.
 
 use std::f64::consts::LOG2_E;
 
 use crate::base::{Error, Result};
 
 use super::dual::Dual;
+use super::fault::{Fault, Faults};
 use super::real::Real;
 use super::sh;
-use super::types::{Gaussians, Settings, Shape, View};
+use super::types::{Filter, Footprint, Gaussians, Settings, Shape, View};
 
 /// Where a splat's numbers stand in its row of 16.
 pub(super) mod at {
@@ -62,7 +65,12 @@ pub struct Projector<T> {
     size: [T; 2],
     near: T,
     dilation: T,
+    filter: Filter,
+    footprint: Footprint,
     fisheye: Option<[T; 4]>,
+    fisheye_stretch: Option<T>,
+    /// z-depth of a position is `depth[0..3] . position + depth[3]`, see [`Projector::key`].
+    pub(super) depth: [f64; 4],
 }
 
 /// What the projection of one Gaussian passes through; its backward starts here.
@@ -78,6 +86,8 @@ pub struct Geometry<T> {
     pub covariance: [T; 3],
     pub conic: [T; 3],
     pub inverse_determinant: T,
+    /// Of the covariance before dilation.
+    pub plain_determinant: T,
     /// Unit vector from the eye, and the distance.
     pub direction: [T; 3],
     pub distance: T,
@@ -154,13 +164,59 @@ impl<T: Real> Projector<T> {
             size: [T::of(width), T::of(height)],
             near: T::of(settings.near_mm),
             dilation: T::of(settings.dilation_px2),
+            filter: settings.filter,
+            footprint: settings.footprint,
             fisheye: camera.fisheye.map(|k| k.map(T::of)),
+            fisheye_stretch: camera.fisheye.map(|k| T::of(largest_stretch(k))),
+            depth: [m.x_axis.z, m.y_axis.z, m.z_axis.z, transform.translation.z],
         })
     }
 
     /// True for a camera without distortion.
     pub fn is_pinhole(&self) -> bool {
         self.fisheye.is_none()
+    }
+
+    /// What the screen-space filter does.
+    pub fn filter(&self) -> Filter {
+        self.filter
+    }
+
+    /// How Gaussians come onto the screen.
+    pub fn footprint(&self) -> Footprint {
+        self.footprint
+    }
+
+    pub(super) fn near_depth(&self) -> T {
+        self.near
+    }
+
+    pub(super) fn focal_length(&self) -> [T; 2] {
+        self.focal
+    }
+
+    pub(super) fn center(&self) -> [T; 2] {
+        self.center
+    }
+
+    pub(super) fn image_size(&self) -> [T; 2] {
+        self.size
+    }
+
+    /// Variance of the screen-space filter.
+    pub(super) fn filter_px2(&self) -> T {
+        self.dilation
+    }
+
+    /// Image point of `t` in camera axes.
+    #[inline(always)]
+    pub(super) fn image_point(&self, t: [T; 3]) -> [T; 2] {
+        self.lens(t).point
+    }
+
+    /// Pixels per radian that a fisheye has at most before the camera, along both axes; `None` for a pinhole.
+    pub(super) fn fisheye_stretch(&self) -> Option<[T; 2]> {
+        self.fisheye_stretch.map(|s| self.focal.map(|f| f * s))
     }
 
     /// Everything but the distortion, in single precision: `View` of `cpp/splat_kernel.h`.
@@ -171,6 +227,14 @@ impl<T: Real> Projector<T> {
         let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(vectors.as_flattened()).chain(&scalars);
         out.iter_mut().zip(all).for_each(|(place, v)| *place = v.to_f64() as f32);
         out
+    }
+
+    /// What splats are sorted by: z-depth of the centre, computed in double for every number type and rounded once, so
+    /// that the order belongs to the scene and not to rounding. Positive floats sort like their bits.
+    #[inline(always)]
+    pub fn key(&self, position: [T; 3]) -> u32 {
+        let [x, y, z] = [0, 1, 2].map(|k| position[k].to_f64() * self.depth[k]);
+        ((x + y + z + self.depth[3]) as f32).to_bits()
     }
 
     /// A vector in camera axes.
@@ -212,9 +276,9 @@ impl<T: Real> Projector<T> {
 
     /// Gradient with respect to `t` of a loss with gradients `point` and `jacobian`.
     #[inline(always)]
-    pub fn lens_pullback(&self, t: [T; 3], point: [T; 2], jacobian: [[T; 3]; 2]) -> [T; 3] {
+    pub(super) fn lens_pullback(&self, t: [T; 3], point: [T; 2], jacobian: [[T; 3]; 2], faults: impl Faults) -> [T; 3] {
         match self.fisheye {
-            None => self.pinhole_pullback(t, point, jacobian),
+            None => self.pinhole_pullback(t, point, jacobian, faults),
             Some(k) => {
                 // Second derivatives of the lens come from its Jacobian evaluated in dual numbers.
                 let focal = self.focal.map(Dual::constant);
@@ -235,7 +299,7 @@ impl<T: Real> Projector<T> {
     }
 
     #[inline(always)]
-    fn pinhole_pullback(&self, t: [T; 3], point: [T; 2], jacobian: [[T; 3]; 2]) -> [T; 3] {
+    fn pinhole_pullback(&self, t: [T; 3], point: [T; 2], jacobian: [[T; 3]; 2], faults: impl Faults) -> [T; 3] {
         let [fx, fy] = self.focal;
         let rz = T::one() / t[2];
         let u = self.clamped(t, rz);
@@ -246,11 +310,28 @@ impl<T: Real> Projector<T> {
         out[2] += rz * rz * (fx * u[0] * jacobian[0][2] + fy * u[1] * jacobian[1][2]);
         for (k, f) in [(0, fx), (1, fy)] {
             let ratio = t[k] * rz;
-            if ratio == u[k] {
+            if ratio == u[k] || faults.has(Fault::JacobianClampIgnored) {
                 let slope = -f * rz * jacobian[k][2] * rz;
                 out[k] += slope;
                 out[2] -= slope * ratio;
             }
+        }
+        out
+    }
+
+    /// Gradients of `fl_x`, `fl_y`, `cx`, `cy` of a loss with gradients `by_point` and `by_jacobian` at `t`. Both are
+    /// proportional to the focal lengths; where the pinhole's Jacobian is clamped, its third column is not.
+    #[inline(always)]
+    pub fn intrinsics_pullback(&self, g: &Geometry<T>, by_point: [T; 2], by_jacobian: [[T; 3]; 2]) -> [T; 4] {
+        let mut out = [T::zero(), T::zero(), by_point[0], by_point[1]];
+        for k in 0..2 {
+            let j = g.jacobian[k];
+            let mut slope = (g.point[k] - self.center[k]) * by_point[k] + dot(j, by_jacobian[k]);
+            let ratio = g.t[k] / g.t[2];
+            if self.is_pinhole() && (ratio > self.limit[k] || ratio < -self.limit[k]) {
+                slope -= j[2] * by_jacobian[k][2];
+            }
+            out[k] = slope / self.focal[k];
         }
         out
     }
@@ -278,7 +359,8 @@ impl<T: Real> Projector<T> {
         // Cauchy and Binet: the determinant as a sum of squares, so that thin splats keep their digits.
         let cross = |a: usize, b: usize| u[a][0] * u[b][1] - u[a][1] * u[b][0];
         let (k01, k02, k12) = (cross(0, 1), cross(0, 2), cross(1, 2));
-        let determinant = k01 * k01 + k02 * k02 + k12 * k12 + d * (plain[0] + plain[2]) + d * d;
+        let plain_determinant = k01 * k01 + k02 * k02 + k12 * k12;
+        let determinant = plain_determinant + d * (plain[0] + plain[2]) + d * d;
         let covariance = [plain[0] + d, plain[1], plain[2] + d];
         let inverse_determinant = T::one() / determinant;
         let conic = [
@@ -294,7 +376,19 @@ impl<T: Real> Projector<T> {
         if !finite || determinant <= T::zero() {
             return None;
         }
-        Some(Geometry { t, c, u, jacobian, point, covariance, conic, inverse_determinant, direction, distance })
+        Some(Geometry {
+            t,
+            c,
+            u,
+            jacobian,
+            point,
+            covariance,
+            conic,
+            inverse_determinant,
+            plain_determinant,
+            direction,
+            distance,
+        })
     }
 
     /// The splat of Gaussian `i`, `None` when it cannot be seen or is not finite.
@@ -322,8 +416,15 @@ impl<T: Real> Projector<T> {
         if !(color[0] + color[1] + color[2]).is_finite() {
             return None;
         }
+        let log2_opacity = match self.filter {
+            Filter::Dilate => log2_opacity,
+            Filter::Compensate => log2_opacity + T::of(0.5) * (g.plain_determinant * g.inverse_determinant).log2(),
+        };
         // Half axes of the box around `exponent >= -log2(255)`.
         let reach = log2_opacity + T::of(LOG2_255);
+        if self.filter == Filter::Compensate && !(reach.is_finite() && reach > T::zero()) {
+            return None;
+        }
         let k = T::of(2.0 / LOG2_E) * reach;
         let mut row = [T::zero(); 16];
         row[at::X] = g.point[0];
@@ -364,6 +465,19 @@ pub(super) fn sum_of_basis<T: Real>(basis: &[T; 16], coefficients: &[T]) -> [T; 
         }
     }
     color
+}
+
+/// Largest factor between an angle before the camera (up to 90 degrees off its axis) and its image at focal length 1,
+/// along the meridian or across it, with 5 % of room.
+fn largest_stretch([k1, k2, k3, k4]: [f64; 4]) -> f64 {
+    let factors = (1..=90).map(|degrees| {
+        let theta = f64::from(degrees).to_radians();
+        let t2 = theta * theta;
+        let distorted = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))));
+        let slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)));
+        slope.abs().max((distorted / theta.sin()).abs())
+    });
+    1.05 * factors.fold(1.0, f64::max)
 }
 
 /// OpenCV's fisheye model: `theta_d = theta (1 + k1 theta^2 + ..)`, image point `f (x, y) theta_d / r + c`, and its

@@ -10,14 +10,19 @@ use crate::base::{Error, Result};
 use crate::ffi::splat::{Aligned, Isa};
 use crate::ffi::system::grow;
 
+use crate::ffi::splat_bin::Boxes;
+
 use super::bin::{Bins, TILE, TileBox};
+use super::disc_mode::{Disc, Rays, refuse_fisheye_lens};
+use super::disc_tile::Sums;
+use super::extra_channels::Extra;
+use super::fault::{Fault, Faults, Sound};
 use super::kernel::Parts;
 use super::native::Numbers;
 use super::project::Projector;
 use super::real::Real;
 use super::stages::{Clock, Stage, StageTimes};
-use super::surface_depth;
-use super::types::{DepthOutput, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
+use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
 
 /// Gaussians per task; the pose is summed in these chunks.
 pub(super) const CHUNK: usize = 512;
@@ -28,17 +33,22 @@ pub struct Rasterizer<T> {
     pub(super) isa: Isa,
     pub(super) active: Option<Vec<u32>>,
     pub(super) rows: Vec<Aligned<T>>,
-    boxes: Vec<[u32; 2]>,
+    pub(super) boxes: Vec<[u32; 2]>,
+    pub(super) keys: Vec<u32>,
     pub(super) bins: Bins,
     pub(super) state: Vec<T>,
     pub(super) moving: Vec<T>,
     pub(super) velocities: Vec<[T; 8]>,
     pub(super) slots: Vec<Aligned<T>>,
+    pub(super) discs: Vec<Disc<T>>,
+    pub(super) disc_slots: Vec<Sums<T>>,
+    pub(super) rays: Rays<T>,
+    pub(super) extra: Extra<T>,
     pub(super) rendered: Rendered<T>,
     pub(super) tangents: Vec<Vec<T>>,
     pub(super) gradients: Gradients<T>,
     pub(super) clock: Clock,
-    last: Option<(View, Settings, usize)>,
+    pub(super) last: Option<(View, Settings, usize)>,
 }
 
 impl<T: Real> Default for Rasterizer<T> {
@@ -64,11 +74,16 @@ impl<T: Real> Rasterizer<T> {
             active: None,
             rows: Vec::new(),
             boxes: Vec::new(),
+            keys: Vec::new(),
             bins: Bins::default(),
             state: Vec::new(),
             moving: Vec::new(),
             velocities: Vec::new(),
             slots: Vec::new(),
+            discs: Vec::new(),
+            disc_slots: Vec::new(),
+            rays: Rays::default(),
+            extra: Extra::default(),
             rendered: Rendered::default(),
             tangents: Vec::new(),
             gradients: Gradients::default(),
@@ -104,7 +119,7 @@ impl<T: Real> Rasterizer<T> {
 
     /// Renders the Gaussians named in `active` (indices in strictly ascending order; `None` is all of them).
     ///
-    /// Order is by z-depth of the centre (rounded to f32), ties by index. Gaussians with a number that is not finite,
+    /// Order is by z-depth of the centre (computed in f64, rounded to f32), ties by index. Gaussians with a number that is not finite,
     /// with no opacity, or before the near plane are left out; the images are finite whatever goes in.
     /// Errors: arrays that do not belong together, a camera or settings that make no sense, a bad `active`.
     pub fn render(
@@ -115,14 +130,14 @@ impl<T: Real> Rasterizer<T> {
         active: Option<&[u32]>,
     ) -> Result<&Rendered<T>> {
         self.prepare(gaussians, view, settings, active)?;
-        self.composite(settings.depth, &[], 0);
+        match settings.footprint {
+            Footprint::Ewa => drop(self.composite(settings.depth, &[], 0)),
+            Footprint::Disc => self.composite_discs(view, settings),
+        }
         self.clock.end(Stage::Composite);
         self.develop(view, settings);
         self.clock.end(Stage::Develop);
-        if settings.depth == DepthOutput::Surface {
-            let depth = &mut self.rendered.depth;
-            surface_depth::fill(gaussians, self.active.as_deref(), view, &self.rows, &self.bins, depth)?;
-        }
+        self.fill_depth(gaussians, view, settings);
         Ok(&self.rendered)
     }
 
@@ -136,6 +151,7 @@ impl<T: Real> Rasterizer<T> {
     ) -> Result<()> {
         self.clock.start();
         self.last = None;
+        self.extra.count = 0;
         gaussians.validate()?;
         let projector = Projector::new(view, settings)?;
         self.activate(active, gaussians.len())?;
@@ -166,30 +182,49 @@ impl<T: Real> Rasterizer<T> {
         let tiles = [view.camera.width, view.camera.height].map(|v| (v as usize).div_ceil(TILE));
         grow(&mut self.rows, n.max(1));
         grow(&mut self.boxes, n);
+        grow(&mut self.keys, n);
         self.rendered.visible.resize(n, false);
+        if projector.footprint() == Footprint::Disc {
+            self.project_discs(gaussians, projector, view);
+            return self.deal(tiles);
+        }
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
         let chunks = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
+        let chunks = chunks.zip(self.keys.par_chunks_mut(CHUNK));
         chunks.zip(self.rendered.visible.par_chunks_mut(CHUNK)).enumerate().for_each(
-            |(chunk, ((rows, boxes), visible))| {
+            |(chunk, (((rows, boxes), keys), visible))| {
                 let first = chunk * CHUNK;
                 if let Some(native) = &native {
-                    return native.project(first, tiles, rows, boxes, visible);
+                    return native.project(first, tiles, rows, boxes, keys, visible);
                 }
                 for k in 0..rows.len() {
-                    let found = projector.project(gaussians, active.map_or(first + k, |list| list[first + k] as usize));
+                    let i = active.map_or(first + k, |list| list[first + k] as usize);
+                    let found = projector.project(gaussians, i);
                     visible[k] = found.is_some();
                     if let Some(found) = found {
                         boxes[k] = TileBox::of(&found, tiles).pack();
+                        keys[k] = projector.key(gaussians.positions[i]);
                         rows[k].0 = found;
                     }
                 }
             },
         );
+        drop(native);
+        self.deal(tiles);
+    }
+
+    /// Visible splats to the lists of the tiles.
+    fn deal(&mut self, tiles: [usize; 2]) {
         self.rendered.visible_count = self.rendered.visible.iter().filter(|v| **v).count();
         self.clock.end(Stage::Project);
-        self.bins.fill(tiles, &self.rows, &self.boxes, &self.rendered.visible);
+        let all = Boxes { boxes: &self.boxes, keys: &self.keys, visible: &self.rendered.visible };
+        if self.isa == Isa::Scalar {
+            self.bins.fill_plainly(tiles, &all);
+        } else {
+            self.bins.fill(tiles, &all);
+        }
         self.rendered.intersections = self.bins.entries.len();
         self.clock.end(Stage::Bin);
     }
@@ -206,6 +241,28 @@ impl<T: Real> Rasterizer<T> {
         image: &ImageGradient<'_, T>,
         wanted: Wanted,
     ) -> Result<&Gradients<T>> {
+        self.backward_as(gaussians, image, wanted, Sound)
+    }
+
+    /// [`Rasterizer::backward`] of the plain twin with a mistake in it: for those who check the gradients to see that
+    /// their check can fail.
+    pub fn backward_with_fault(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        image: &ImageGradient<'_, T>,
+        wanted: Wanted,
+        fault: Fault,
+    ) -> Result<&Gradients<T>> {
+        self.backward_as(gaussians, image, wanted, fault)
+    }
+
+    fn backward_as(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        image: &ImageGradient<'_, T>,
+        wanted: Wanted,
+        faults: impl Faults,
+    ) -> Result<&Gradients<T>> {
         let (view, settings, n) = self.last.ok_or_else(|| Error::input("backward needs a render before it"))?;
         gaussians.validate()?;
         if gaussians.len() != n {
@@ -214,7 +271,10 @@ impl<T: Real> Rasterizer<T> {
         self.clock.start();
         self.check_image(image, &settings)?;
         let projector = Projector::new(&view, &settings)?;
-        let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE);
+        if wanted.any(Wanted::LENS) && settings.footprint == Footprint::Disc && !projector.is_pinhole() {
+            return Err(refuse_fisheye_lens());
+        }
+        let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE | Wanted::LENS);
         let geometry = through_position || wanted.any(Wanted::SHAPES | Wanted::OPACITIES);
         let parts = Parts {
             geometry,
@@ -222,18 +282,22 @@ impl<T: Real> Rasterizer<T> {
             depth: geometry && !image.depth.is_empty(),
         };
         let parts = (parts.geometry || parts.color).then_some(parts);
-        self.composite_backward(image, &settings, parts, wanted.any(Wanted::GAIN));
+        self.composite_backward(image, &view, &settings, parts, wanted.any(Wanted::GAIN), faults);
+        self.channels_backward(image.channels, &view, &settings, geometry, wanted, faults);
         self.clock.end(Stage::CompositeBackward);
-        self.chain(gaussians, &projector, wanted);
+        self.chain(gaussians, &projector, wanted, faults);
         self.clock.end(Stage::Chain);
         Ok(&self.gradients)
     }
 
     fn check_image(&self, image: &ImageGradient<'_, T>, settings: &Settings) -> Result<()> {
         let pixels = self.rendered.width * self.rendered.height;
-        for (name, plane, per_pixel) in
-            [("colour", image.color, 3), ("depth", image.depth, 1), ("alpha", image.alpha, 1)]
-        {
+        for (name, plane, per_pixel) in [
+            ("colour", image.color, 3),
+            ("depth", image.depth, 1),
+            ("alpha", image.alpha, 1),
+            ("channel", image.channels, self.extra.count),
+        ] {
             if !plane.is_empty() && plane.len() != pixels * per_pixel {
                 return Err(Error::input(format!("the {name} gradient has {} values", plane.len())));
             }
@@ -249,7 +313,8 @@ impl<T: Real> Rasterizer<T> {
                 )));
             }
         }
-        if !image.depth.is_empty() && settings.depth != DepthOutput::Expected {
+        let met = settings.footprint == Footprint::Disc && settings.depth == DepthOutput::Surface;
+        if !image.depth.is_empty() && settings.depth != DepthOutput::Expected && !met {
             return Err(Error::input("a depth gradient needs a render with expected depth"));
         }
         Ok(())

@@ -4,7 +4,7 @@
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
-use crate::ffi::splat::Isa;
+use crate::ffi::splat::{Aligned, Isa, Slots};
 use crate::ffi::splat_image::{self as image, ImageBand, Light};
 
 use super::kernel::{BackwardTile, ForwardTile};
@@ -124,10 +124,13 @@ pub trait Real:
         false
     }
 
-    /// Backward of [`Real::forward_tile`].
-    fn backward_tile(_isa: Isa, _tile: &mut BackwardTile<'_, Self>) -> bool {
-        false
+    /// The slots as the vectorised backward kernel shares them among tiles; `None` when there is none for this type.
+    fn shared(_isa: Isa, _slots: &mut [Aligned<Self>]) -> Option<Slots<'_>> {
+        None
     }
+
+    /// Backward of [`Real::forward_tile`], for a type that has shared slots.
+    fn backward_tile(_isa: Isa, _tile: &BackwardTile<'_, Self>, _slots: &Slots<'_>) {}
 }
 
 macro_rules! real_functions {
@@ -212,7 +215,11 @@ impl Real for f32 {
         super::kernel::vector_forward(isa, tile, &[], &mut [])
     }
 
-    fn backward_tile(isa: Isa, tile: &mut BackwardTile<'_, f32>) -> bool {
-        super::kernel::vector_backward(isa, tile)
+    fn shared(isa: Isa, slots: &mut [Aligned<f32>]) -> Option<Slots<'_>> {
+        (isa != Isa::Scalar).then(|| Slots::new(slots))
+    }
+
+    fn backward_tile(isa: Isa, tile: &BackwardTile<'_, f32>, slots: &Slots<'_>) {
+        super::kernel::vector_backward(isa, tile, slots);
     }
 }
