@@ -110,7 +110,7 @@ mod tests {
         let (at, velocity, h) = (Vec3::new(3.0, -1.0, 9.0), Vec3::new(-2.0, 1.5, 3.0), 1e-2);
         let mut shades = Vec::new();
         light.shades(&disc(at), &[velocity.to_array()], &mut shades);
-        let mut value = |p: Vec3| {
+        let value = |p: Vec3| {
             let mut out = Vec::new();
             light.shades(&disc(p), &[], &mut out);
             out[0].value

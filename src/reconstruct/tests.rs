@@ -226,3 +226,38 @@ fn sanity_rows_recover_what_they_can() {
     let (fixed, _) = recover(&Ours::new(unlit("static-ct"), Row::StaticCt, 0.5), &still);
     assert!(fixed >= 38.0, "{fixed}");
 }
+
+#[test]
+fn a_face_that_comes_near_gets_more_discs_and_looks_as_before() {
+    let mesh = tube(24, 18, 40.0);
+    let mut settings = shipped("ours").appearance;
+    settings.gaussian_budget.value = 1;
+    let mut surface = Surface::new(&mesh, &settings, Frame::InheritStretch, Start::Even, 5);
+    paint(&mesh, [0.75, 0.4, 0.35], 0.0, &mut surface.sh);
+    let view = View::new(
+        Camera::pinhole(96, 96, 1.6),
+        world_from_camera_looking(DVec3::new(0.5, 0.3, 8.0), DVec3::new(0.05, 0.02, 1.0), DVec3::Y),
+    );
+    let vertices = to_f32(&mesh.vertices);
+    let faces: Vec<u32> = (0..mesh.faces.len() as u32).collect();
+    let picture = |surface: &Surface| {
+        let mut patch = surface.patch(&faces).unwrap();
+        patch.place(&patch.pick(&vertices)).unwrap();
+        let mut rasterizer = Rasterizer::<f32>::new();
+        rasterizer.render(&patch.gaussians, &view, &Settings::default(), None).unwrap().clone()
+    };
+    let (before, discs) = (picture(&surface), surface.len());
+    let wanted: Vec<f32> = faces.iter().map(|&f| if f % 2 == 0 { 1.0 } else { 3.0 }).collect();
+    let parents = surface.refine(&faces, &wanted);
+    // Half of the faces had one disc and asked for three: they have four now.
+    assert_eq!(parents.len(), discs / 2 * 3);
+    assert_eq!(surface.len(), discs + parents.len());
+    assert!(surface.discs_of(0).eq([0]));
+    assert_eq!(surface.discs_of(1).count(), 4);
+    assert!(surface.refine(&faces, &wanted).is_empty(), "nobody needs more");
+    let after = picture(&surface);
+    let apart: f32 = before.color.iter().zip(&after.color).map(|(a, b)| (a - b).abs()).sum::<f32>();
+    let covered = |r: &Rendered<f32>| r.alpha.iter().sum::<f32>() / r.alpha.len() as f32;
+    assert!(apart / (before.color.len() as f32) < 0.02, "{}", apart / before.color.len() as f32);
+    assert!(covered(&after) > covered(&before) - 0.01, "{} {}", covered(&after), covered(&before));
+}
