@@ -86,6 +86,20 @@ void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first,
   CALL(isa, project, s, chunk)
 }
 
+bool splat_recolor(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
+                   rust::Slice<float> rows) {
+  check_isa(isa);
+  const std::size_t count = visible.size();
+  require(rows.size() == 16 * count, "tables of a projection differ in length");
+  View view;
+  const Scene s = scene_of(scene, view, first, count);
+  bool finite = true;
+  const RecolorChunk chunk{first, count, visible.data(), rows.data(), &finite};
+  const auto run = [&] { CALL(isa, recolor, s, chunk) };
+  run();
+  return finite;
+}
+
 void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
                       const SplatMotion& motion, rust::Slice<float> rows) {
   check_isa(isa);

@@ -44,6 +44,13 @@ struct ProjectChunk {
   bool* visible;         // out
 };
 
+struct RecolorChunk {
+  std::size_t first, count;
+  const bool* visible;
+  float* rows;   // in and out: the colours are written, where visible
+  bool* finite;  // set to false when one is not
+};
+
 struct TangentChunk {
   std::size_t first, count;
   const bool* visible;
@@ -66,7 +73,7 @@ struct ChainChunk {
 struct ForwardTile {
   const float* rows;             // 16 floats per splat
   const std::uint32_t* entries;  // splats of this tile, front to back
-  std::uint16_t* masks;          // out: blocks that an entry may touch; 0 once nobody looks any more
+  std::uint16_t* masks;          // out (in with KNOWN_MASKS): blocks that an entry may touch; 0 once nobody looks any more
   std::size_t count;
   float x, y;                    // upper left corner in pixels
   float* state;                  // out: PLANES planes of PIXELS
@@ -86,11 +93,12 @@ struct BackwardTile {
   float* slots;          // out: 16 moments in the slot of each entry
 };
 
-enum Part : std::uint32_t { GEOMETRY = 1, COLOR = 2, WITH_DEPTH = 4 };
+enum Part : std::uint32_t { GEOMETRY = 1, COLOR = 2, WITH_DEPTH = 4, KNOWN_MASKS = 8 };
 
 #define RESPIRE_KERNELS(ISA)                             \
   namespace ISA {                                        \
   void project(const Scene&, const ProjectChunk&);       \
+  void recolor(const Scene&, const RecolorChunk&);       \
   void velocities(const Scene&, const TangentChunk&);    \
   void chain(const Scene&, const ChainChunk&);           \
   void forward(const ForwardTile&, std::uint32_t parts); \

@@ -32,6 +32,33 @@ struct Projection {
     return load(out);
   }
 
+  // Splats that lie beside the image for sure, before their covariance is known. With s the largest standard deviation,
+  // half a box is at most sqrt(scale) (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in the centre.
+  template <int COLUMNS>
+  VI beside(const std::uint32_t* index, const V* t, V scale) const {
+    const View& w = *s.view;
+    V size;
+    if (COLUMNS == 2) {
+      V axes[6], sum{};
+      gather<6>(s.shape, index, axes);
+      for (const V& v : axes) sum += v * v;
+      size = square_root(sum);
+    } else {
+      V scales[3];
+      gather<3>(s.scales, index, scales);
+      for (V& v : scales) v = larger(v, -v);
+      size = larger(larger(scales[0], scales[1]), scales[2]);
+    }
+    const V root = square_root(scale) * 1.001f, margin = root * square_root(all(w.dilation)) + 1e-2f;
+    VI out{};
+    for (int k = 0; k < 2; ++k) {
+      const V spread = root * size * (w.focal[k] * (1.0f + w.limit[k]));
+      out |= w.focal[k] * t[k] + (margin + w.center[k]) * t[2] + spread < 0.0f;
+      out |= w.focal[k] * t[k] + (w.center[k] - w.size[k] - margin) * t[2] - spread > 0.0f;
+    }
+    return out;
+  }
+
   template <int DEGREE, int COLUMNS>
   void run() const {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
@@ -48,18 +75,19 @@ struct Projection {
       Geometry<V, COLUMNS> g;
       turn(w, offset, g.t);
       VI seen = g.t[2] >= w.near;
-      for (int l = 0; l < count; ++l) o.visible[k0 + l] = false;
+      __builtin_memset(o.visible + k0, 0, static_cast<std::size_t>(count));
       if (!any_of(seen)) continue;
       V opacity[1];
       gather<1>(s.opacities, index, opacity);
       const V log2_opacity = log2(opacity[0]);
       const V reach = log2_opacity + REACH;
       seen &= (reach > 0.0f) & finite(opacity[0]) & (opacity[0] > 1e-3f);
+      const V scale = 2.0f / LOG2_E * reach;
+      if (!any_of(seen & ~beside<COLUMNS>(index, g.t, scale))) continue;
       Shape<COLUMNS> shape;
       shape.load(s, index);
       for (int k = 0; k < COLUMNS; ++k) turn(w, shape.m[k], g.c[k]);
       g.complete(w, offset);
-      const V scale = 2.0f / LOG2_E * reach;
       const V half[2] = {square_root(scale * g.covariance[0]), square_root(scale * g.covariance[2])};
       seen &= g.good;
       for (int k = 0; k < 2; ++k) seen &= (g.point[k] + half[k] > 0.0f) & (g.point[k] - half[k] < w.size[k]);
@@ -89,6 +117,39 @@ struct Projection {
         o.keys[k0 + l] = static_cast<std::uint32_t>(key[l]);
         o.visible[k0 + l] = seen[l] != 0;
       }
+    }
+  }
+};
+
+// The colours of splats whose geometry stays: the operations of `Projection`.
+struct Recoloring {
+  const Scene& s;
+  const RecolorChunk& o;
+
+  template <int DEGREE, int COLUMNS>
+  void run() const {
+    constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
+    const View& w = *s.view;
+    const std::size_t end = o.first + o.count;
+    for (std::size_t at = o.first; at < end; at += LANES) {
+      const std::size_t k0 = at - o.first;
+      const int count = end - at < LANES ? static_cast<int>(end - at) : LANES;
+      VI seen{};
+      for (int l = 0; l < count; ++l) seen[l] = o.visible[k0 + l] ? -1 : 0;
+      if (!any_of(seen)) continue;
+      std::uint32_t index[LANES];
+      indices(s, at, end, index);
+      V offset[3], direction[3], distance, sh[SH], color[3];
+      gather<3>(s.positions, index, offset);
+      for (int k = 0; k < 3; ++k) offset[k] -= w.eye[k];
+      aim(offset, direction, distance);
+      gather<SH>(s.sh, index, sh);
+      shown<V, DEGREE>(direction, sh, color);
+      if (any_of(seen & ~finite(color[0] + color[1] + color[2]))) *o.finite = false;
+      for (int k = 0; k < 3; ++k) color[k] = larger(color[k], V{});
+      for (int l = 0; l < count; ++l)
+        if (seen[l])
+          for (int k = 0; k < 3; ++k) o.rows[16 * (k0 + l) + RED + k] = color[k][l];
     }
   }
 };
@@ -187,6 +248,11 @@ struct Velocity {
 
 void project(const Scene& scene, const ProjectChunk& chunk) {
   const Projection f{scene, chunk};
+  for_scene(scene, f);
+}
+
+void recolor(const Scene& scene, const RecolorChunk& chunk) {
+  const Recoloring f{scene, chunk};
   for_scene(scene, f);
 }
 

@@ -20,6 +20,8 @@ pub trait Native<T: Real>: Sync {
         keys: &mut [u32],
         visible: &mut [bool],
     );
+    /// Writes their colours into the rows, where visible; `false` when one is not finite.
+    fn recolor(&self, first: usize, visible: &[bool], rows: &mut [Aligned<T>]) -> bool;
     /// Velocities of their splats along a direction other than the gain, where visible.
     fn velocities(&self, first: usize, visible: &[bool], direction: &Direction<'_, T>, rows: &mut [[T; 8]]);
     /// Their gradients from the moments in `slots[starts[k]..starts[k + 1]]`.
@@ -85,6 +87,10 @@ impl Native<f32> for Work<'_> {
         visible: &mut [bool],
     ) {
         native::project(self.isa, &self.scene, first, tiles, rows, boxes, keys, visible);
+    }
+
+    fn recolor(&self, first: usize, visible: &[bool], rows: &mut [Aligned<f32>]) -> bool {
+        native::recolor(self.isa, &self.scene, first, visible, rows)
     }
 
     fn velocities(&self, first: usize, visible: &[bool], direction: &Direction<'_, f32>, rows: &mut [[f32; 8]]) {

@@ -303,7 +303,7 @@ impl<T: Real> Rasterizer<T> {
                     masks: &mut masks,
                     corner: [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE],
                     state: &mut state,
-                    parts: Parts { geometry: false, color: true, depth: false },
+                    parts: Parts { geometry: false, color: true, depth: false, known: false },
                 });
                 state
             })

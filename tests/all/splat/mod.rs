@@ -4,6 +4,7 @@ mod anchoring;
 mod command;
 mod forward;
 mod gradients;
+mod reuse;
 mod robustness;
 mod scenes;
 mod tangent;
