@@ -32,7 +32,7 @@ struct Scene {
   const float *positions, *shape, *scales, *opacities, *sh;
   std::uint32_t sh_degree;
   const std::uint32_t* active;
-  const double* depth;  // z-depth = depth[0..3] . position + depth[3]: what splats are sorted by
+  const double* camera;  // in double: rotation (9), eye (3), focal (2), center (2)
 };
 
 struct ProjectChunk {

@@ -14,22 +14,28 @@ struct Projection {
     return __builtin_convertvector(smaller(larger(v * 0.0625f, V{}), all(static_cast<float>(tiles) - 1.0f)), VI);
   }
 
-  // z-depth, computed in double and rounded once: the order of splats belongs to the scene, not to rounding.
-  V depth(const V* position) const {
-    float p[3][LANES], out[LANES];
-    for (int k = 0; k < 3; ++k) store(p[k], position[k]);
+  // Centres in camera axes and on screen, computed in double and rounded once: the order of splats and their places belong
+  // to the scene, not to rounding.
+  void place(const V* position, V* t, V* point) const {
+    const double *r = s.camera, *eye = r + 9, *focal = r + 12, *center = r + 14;
+    float in[3][LANES], out[5][LANES];
+    for (int k = 0; k < 3; ++k) store(in[k], position[k]);
     for (int half = 0; half < 2; ++half) {
-      VD z = VD{} + s.depth[3], part[3];
+      VD d[3], seen[5];
       for (int k = 0; k < 3; ++k) {
         VH v;
-        __builtin_memcpy(&v, p[k] + LANES / 2 * half, sizeof v);
-        part[k] = __builtin_convertvector(v, VD) * s.depth[k];
+        __builtin_memcpy(&v, in[k] + LANES / 2 * half, sizeof v);
+        d[k] = __builtin_convertvector(v, VD) - eye[k];
       }
-      z = ((part[0] + part[1]) + part[2]) + z;
-      const VH rounded = __builtin_convertvector(z, VH);
-      __builtin_memcpy(out + LANES / 2 * half, &rounded, sizeof rounded);
+      for (int k = 0; k < 3; ++k) seen[k] = r[3 * k] * d[0] + r[3 * k + 1] * d[1] + r[3 * k + 2] * d[2];
+      for (int k = 0; k < 2; ++k) seen[3 + k] = focal[k] * (seen[k] / seen[2]) + center[k];
+      for (int k = 0; k < 5; ++k) {
+        const VH rounded = __builtin_convertvector(seen[k], VH);
+        __builtin_memcpy(out[k] + LANES / 2 * half, &rounded, sizeof rounded);
+      }
     }
-    return load(out);
+    for (int k = 0; k < 3; ++k) t[k] = load(out[k]);
+    for (int k = 0; k < 2; ++k) point[k] = load(out[3 + k]);
   }
 
   // Splats that lie beside the image for sure, before their covariance is known. With s the largest standard deviation,
@@ -73,7 +79,8 @@ struct Projection {
       gather<3>(s.positions, index, position);
       for (int k = 0; k < 3; ++k) offset[k] = position[k] - w.eye[k];
       Geometry<V, COLUMNS> g;
-      turn(w, offset, g.t);
+      V point[2];
+      place(position, g.t, point);
       VI seen = g.t[2] >= w.near;
       __builtin_memset(o.visible + k0, 0, static_cast<std::size_t>(count));
       if (!any_of(seen)) continue;
@@ -88,6 +95,7 @@ struct Projection {
       shape.load(s, index);
       for (int k = 0; k < COLUMNS; ++k) turn(w, shape.m[k], g.c[k]);
       g.complete(w, offset);
+      for (int k = 0; k < 2; ++k) g.point[k] = point[k];
       const V half[2] = {square_root(scale * g.covariance[0]), square_root(scale * g.covariance[2])};
       seen &= g.good;
       for (int k = 0; k < 2; ++k) seen &= (g.point[k] + half[k] > 0.0f) & (g.point[k] - half[k] < w.size[k]);
@@ -108,7 +116,7 @@ struct Projection {
       row[HALF_OVER_A] = 0.5f / row[A];
       row[FOUR_A_REACH] = 4.0f * row[A] * reach;
       scatter<16>(o.rows + 16 * k0, count, row);
-      const VI key = (VI)depth(position);
+      const VI key = (VI)g.t[2];
       const VI low = cell(g.point[0] - half[0], o.tiles_x) | cell(g.point[1] - half[1], o.tiles_y) << 16;
       const VI high = cell(g.point[0] + half[0], o.tiles_x) | cell(g.point[1] + half[1], o.tiles_y) << 16;
       for (int l = 0; l < count; ++l) {

@@ -23,7 +23,12 @@ mod run;
 mod selection;
 mod simulate;
 mod splat;
+mod splat_gradients;
 mod stress;
+mod stress_derivatives;
+mod stress_inputs;
+mod stress_metrics;
+mod stress_scenes;
 mod terminal;
 mod watch;
 

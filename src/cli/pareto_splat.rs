@@ -16,8 +16,8 @@ use crate::base::{Camera, Result, files};
 use crate::ffi::system::cpu_time_s;
 use crate::report::pareto::{Chart, Point, Standing, write};
 use crate::splat::{
-    DepthOutput, Direction, Filter, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings, Shape, View,
-    Wanted,
+    DepthOutput, Direction, Filter, Footprint, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings,
+    Shape, View, Wanted,
 };
 
 /// Arguments of `pareto splat`.
@@ -68,6 +68,7 @@ fn view(side: u32) -> View {
 }
 
 const SETTINGS: Settings = Settings {
+    footprint: Footprint::Ewa,
     near_mm: 0.2,
     dilation_px2: 0.3,
     filter: Filter::Dilate,

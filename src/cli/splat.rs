@@ -7,14 +7,15 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::Terminal;
+use super::splat_gradients::{Sums, Weights};
 use crate::base::image::codes_from_unit;
 use crate::base::{Error, Image, Result, files};
 use crate::formats::gaussians_ply::{self, GaussianCloud};
 use crate::formats::transforms::Transforms;
 use crate::formats::{exr, npy, png};
 use crate::splat::{
-    DepthOutput, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Rendered, Settings, Shape, Stage, StageTimes,
-    View, Wanted,
+    DepthOutput, Filter, Footprint, Gaussians, ImageGradient, Isa, Rasterizer, Rendered, Settings, Shape, Stage,
+    StageTimes, View, Wanted,
 };
 
 /// Stages of the forward pass.
@@ -24,9 +25,12 @@ const FORWARD: usize = 4;
 #[derive(Args)]
 #[command(
     after_help = "Writes per frame NNNNNN.exr (R, G, B), NNNNNN.png, NNNNNN_depth.exr (Z: z-depth, 0 = nothing),\n\
-    NNNNNN_alpha.exr (A) and timing.json into DIR; with --gradients also gradients.npz: d(sum of w * image)/d(means,\n\
-    scales, quats, opacities, sh), summed over the frames, of the activated parameters (linear scales, unit quaternions\n\
-    w x y z, opacities in [0, 1]), one row per Gaussian of the file.\n\
+    NNNNNN_alpha.exr (A) and timing.json into DIR; on request NNNNNN_normals.exr (R, G, B: x, y, z in OpenCV camera\n\
+    axes), NNNNNN_contributors.exr (N), NNNNNN_channels.exr (C000, C001, ..).\n\
+    With --gradients also gradients.npz: d(sum of w * image)/d(means, scales, quats, opacities, sh), summed over the\n\
+    frames, of the activated parameters (linear scales, unit quaternions w x y z, opacities in [0, 1]), one row per\n\
+    Gaussian of the file; pose: one row per frame, rotation vector (rad) and translation of\n\
+    camera_from_world <- exp(xi) camera_from_world in OpenCV camera axes; with --lens also lens: fl_x, fl_y, cx, cy.\n\
     Example: respire-bench splat scene.ply --cameras transforms.json --out /tmp/views"
 )]
 pub struct Arguments {
@@ -48,6 +52,24 @@ pub struct Arguments {
     /// What the depth image shows
     #[arg(long, value_enum, default_value_t = Depth::Expected)]
     depth: Depth,
+    /// How a Gaussian comes onto the screen
+    #[arg(long, value_enum, default_value_t = Mode::Ewa)]
+    mode: Mode,
+    /// What the screen-space filter of 0.3 px^2 does
+    #[arg(long, value_enum, default_value_t = ScreenFilter::Dilate)]
+    filter: ScreenFilter,
+    /// Write the normals too (shortest axes, weighted like the image, not divided by alpha)
+    #[arg(long)]
+    normals: bool,
+    /// Write how many Gaussians each pixel blends
+    #[arg(long)]
+    contributors: bool,
+    /// Features to composite too: (Gaussians of the file, channels)
+    #[arg(long, value_name = "FEATURES.npy")]
+    channels: Option<PathBuf>,
+    /// With --gradients: those of the focal lengths and the principal point too
+    #[arg(long, requires = "gradients")]
+    lens: bool,
     /// Kernels to use; the widest that the processor has by default
     #[arg(long, value_enum)]
     isa: Option<Kernels>,
@@ -62,6 +84,24 @@ enum Depth {
     Expected,
     /// Mean of where the ray meets them
     Surface,
+    /// Where half of the light is gone
+    Median,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Mode {
+    /// Affine projection, as 3DGS
+    Ewa,
+    /// Flat discs that each ray meets exactly, as 2DGS (the shortest axis is left out)
+    Disc,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum ScreenFilter {
+    /// Grow and keep the opacity, as 3DGS
+    Dilate,
+    /// Grow and keep the weight, as Mip-Splatting
+    Compensate,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -153,6 +193,56 @@ fn frame_timing(times: &[StageTimes], with_backward: bool, image: &Rendered<f32>
     }
 }
 
+/// Features of the Gaussians that are kept.
+struct Features {
+    data: Vec<f32>,
+    count: usize,
+}
+
+impl Features {
+    fn read(path: &Path, cloud: &GaussianCloud) -> Result<Features> {
+        let array = npy::read(path)?;
+        let &[n, count] = array.shape.as_slice() else {
+            return Err(Error::input(format!("has shape {:?}; (Gaussians, channels) is wanted", array.shape)).at(path));
+        };
+        if n != cloud.count_in_file || count == 0 {
+            let message = format!("has shape [{n}, {count}]; the file has {} Gaussians", cloud.count_in_file);
+            return Err(Error::input(message).at(path));
+        }
+        let of = |&i: &u32| &array.data[i as usize * count..(i as usize + 1) * count];
+        Ok(Features { data: cloud.index.iter().flat_map(of).copied().collect(), count })
+    }
+}
+
+/// What was asked for beyond colour, depth and alpha.
+fn write_more(
+    arguments: &Arguments,
+    number: usize,
+    scene: &Gaussians<f32>,
+    view: &View,
+    features: Option<&Features>,
+    rasterizer: &mut Rasterizer<f32>,
+) -> Result<()> {
+    let (width, height) = (view.camera.width as usize, view.camera.height as usize);
+    let name = |ending: &str| arguments.out.join(format!("{number:06}{ending}"));
+    let image = |channels: usize, data: Vec<f32>| Image { width, height, channels, data };
+    if arguments.contributors {
+        let counts = rasterizer.contributors()?.into_iter().map(|count| count as f32).collect();
+        exr::write_channel(&name("_contributors.exr"), "N", &image(1, counts))?;
+    }
+    if arguments.normals {
+        let normals = rasterizer.render_channels(&scene.normals(view), 3)?.to_vec();
+        exr::write_rgb(&name("_normals.exr"), &image(3, normals))?;
+    }
+    if let Some(features) = features {
+        let found = rasterizer.render_channels(&features.data, features.count)?.to_vec();
+        let names: Vec<String> = (0..features.count).map(|k| format!("C{k:03}")).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        exr::write(&name("_channels.exr"), &image(features.count, found), &names)?;
+    }
+    Ok(())
+}
+
 fn write_images(folder: &Path, number: usize, image: &Rendered<f32>) -> Result<()> {
     let plane = |channels: usize, data: &[f32]| Image {
         width: image.width,
@@ -166,78 +256,6 @@ fn write_images(folder: &Path, number: usize, image: &Rendered<f32>) -> Result<(
     png::write_rgb(&name(".png"), &codes_from_unit(&color))?;
     exr::write_channel(&name("_depth.exr"), "Z", &plane(1, &image.depth))?;
     exr::write_channel(&name("_alpha.exr"), "A", &plane(1, &image.alpha))
-}
-
-/// Weights of each frame, all in one array.
-struct Weights {
-    data: Vec<f32>,
-    per_frame: usize,
-}
-
-impl Weights {
-    fn read(path: &Path, [height, width]: [usize; 2], frames: usize) -> Result<Weights> {
-        let array = npy::read(path)?;
-        let one = [height, width, 3];
-        if array.shape != one && array.shape != [frames, height, width, 3] {
-            let message = format!("has shape {:?}; {one:?} is wanted, or one such image per frame", array.shape);
-            return Err(Error::input(message).at(path));
-        }
-        Ok(Weights { data: array.data, per_frame: height * width * 3 })
-    }
-
-    fn of_frame(&self, frame: usize) -> &[f32] {
-        let start = frame * self.per_frame;
-        self.data.get(start..start + self.per_frame).unwrap_or(&self.data[..self.per_frame])
-    }
-}
-
-/// Gradients summed over the frames, one row per Gaussian of the file (zeros for those left out).
-struct Sums {
-    groups: [(&'static str, Vec<f64>, Vec<usize>); 5],
-}
-
-impl Sums {
-    fn new(n: usize, coefficients: usize) -> Sums {
-        let group = |name, shape: &[usize]| (name, vec![0.0; shape.iter().product()], shape.to_vec());
-        Sums {
-            groups: [
-                group("means", &[n, 3]),
-                group("scales", &[n, 3]),
-                group("quats", &[n, 4]),
-                group("opacities", &[n]),
-                group("sh", &[n, coefficients, 3]),
-            ],
-        }
-    }
-
-    fn add(&mut self, cloud: &GaussianCloud, gradients: &Gradients<f32>) {
-        let values: [&[f32]; 5] = [
-            gradients.positions.as_flattened(),
-            gradients.scales.as_flattened(),
-            gradients.rotations.as_flattened(),
-            &gradients.opacities,
-            &gradients.sh,
-        ];
-        for ((_, sums, shape), values) in self.groups.iter_mut().zip(values) {
-            let each = shape[1..].iter().product::<usize>();
-            for (row, &i) in values.chunks(each).zip(&cloud.index) {
-                let place = &mut sums[i as usize * each..(i as usize + 1) * each];
-                place.iter_mut().zip(row).for_each(|(sum, v)| *sum += f64::from(*v));
-            }
-        }
-    }
-
-    fn write(&self, path: &Path) -> Result<()> {
-        let narrow: Vec<Vec<f32>> =
-            self.groups.iter().map(|(_, sums, _)| sums.iter().map(|&v| v as f32).collect()).collect();
-        let arrays: Vec<(&str, &[usize], &[f32])> = self
-            .groups
-            .iter()
-            .zip(&narrow)
-            .map(|((name, _, shape), data)| (*name, shape.as_slice(), data.as_slice()))
-            .collect();
-        npy::write_npz(path, &arrays)
-    }
 }
 
 /// Runs the command.
@@ -260,11 +278,24 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let depth = match arguments.depth {
         Depth::Expected => DepthOutput::Expected,
         Depth::Surface => DepthOutput::Surface,
+        Depth::Median => DepthOutput::Median,
     };
-    let settings = Settings { background, depth, ..Settings::default() };
+    let footprint = match arguments.mode {
+        Mode::Ewa => Footprint::Ewa,
+        Mode::Disc => Footprint::Disc,
+    };
+    let filter = match arguments.filter {
+        ScreenFilter::Dilate => Filter::Dilate,
+        ScreenFilter::Compensate => Filter::Compensate,
+    };
+    let settings = Settings { background, depth, footprint, filter, ..Settings::default() };
+    let features = arguments.channels.as_deref().map(|path| Features::read(path, &cloud)).transpose()?;
     let mut rasterizer = Rasterizer::with_isa(arguments.isa.map_or_else(Isa::widest, Kernels::isa))?;
     rasterizer.measure_cpu();
-    let mut sums = Sums::new(cloud.count_in_file, (cloud.sh_degree as usize + 1).pow(2));
+    let of_gaussians = Wanted::POSITIONS | Wanted::SHAPES | Wanted::OPACITIES | Wanted::SH;
+    let wanted = of_gaussians | Wanted::POSE | if arguments.lens { Wanted::LENS } else { Wanted::NONE };
+    let coefficients = (cloud.sh_degree as usize + 1).pow(2);
+    let mut sums = Sums::new(cloud.count_in_file, coefficients, transforms.frames.len(), wanted);
     let mut frames = Vec::new();
     for (number, frame) in transforms.frames.iter().enumerate() {
         terminal.stage(format!("frame {number}"));
@@ -274,15 +305,15 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
             rasterizer.render(&scene, &view, &settings, None)?;
             if let Some(weights) = &weights {
                 let image = ImageGradient { color: weights.of_frame(number), ..ImageGradient::default() };
-                let groups = Wanted::POSITIONS | Wanted::SHAPES | Wanted::OPACITIES | Wanted::SH;
-                rasterizer.backward(&scene, &image, groups)?;
+                rasterizer.backward(&scene, &image, wanted)?;
             }
             times.push(rasterizer.stage_times());
         }
         if weights.is_some() {
-            sums.add(&cloud, rasterizer.gradients());
+            sums.add(&cloud, number, rasterizer.gradients());
         }
         write_images(&arguments.out, number, rasterizer.rendered())?;
+        write_more(&arguments, number, &scene, &view, features.as_ref(), &mut rasterizer)?;
         frames.push(frame_timing(&times, weights.is_some(), rasterizer.rendered()));
     }
     if weights.is_some() {

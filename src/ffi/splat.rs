@@ -19,7 +19,7 @@ mod bridge {
         sh_degree: u32,
         active: &'a [u32],
         all: bool,
-        depth: &'a [f64],
+        exact: &'a [f64],
     }
 
     /// Velocities of all Gaussians, or of the camera.

@@ -33,7 +33,8 @@ pub fn write_channel(path: &Path, channel: &str, image: &Image<f32>) -> Result<(
     write(path, image, &[channel])
 }
 
-fn write(path: &Path, image: &Image<f32>, names: &[&str]) -> Result<()> {
+/// Writes all channels under the names given in one atomic step.
+pub fn write(path: &Path, image: &Image<f32>, names: &[&str]) -> Result<()> {
     files::write_bytes(path, &encode(image, names).map_err(|e| e.at(path))?)
 }
 

@@ -1,6 +1,7 @@
 //! From the moments of one splat to the gradients of its Gaussian and of the camera: the reverse of `project.rs`, with
 //! its symbols. The projection is computed again rather than stored.
 
+use super::disc_mode::cross;
 use super::fault::{Fault, Faults};
 use super::kernel::moment;
 use super::project::{Geometry, Projector, Row, columns, dot, normalized, rotation_columns, sum_of_basis};
@@ -19,9 +20,20 @@ pub(super) struct One<T> {
     pub lens: [T; 4],
 }
 
-#[inline(always)]
-fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+impl<T: Real> One<T> {
+    pub fn zero() -> Self {
+        let zero = [T::zero(); 3];
+        One { position: zero, opacity: T::zero(), columns: [zero; 3], pose: [T::zero(); 6], lens: [T::zero(); 4] }
+    }
+
+    /// True when every number is finite: a sum is finite only if every term is.
+    #[inline(always)]
+    pub fn is_finite(&self) -> bool {
+        let ones = [T::one(); 3];
+        let [a, b, c] = self.columns.map(|column| dot(column, ones));
+        let pose = self.pose.iter().chain(&self.lens).fold(T::zero(), |sum, &v| sum + v);
+        (self.opacity + dot(self.position, ones) + a + b + c + pose).is_finite()
+    }
 }
 
 /// Gradient of the covariance on screen `(va, vb; vb, vc)` from that of the conic: `-Q G Q`.
@@ -59,20 +71,20 @@ fn compensation_pullback<T: Real>(g: &Geometry<T>, by_log: T, by_u: &mut [[T; 2]
 /// Writes the gradient of the SH coefficients (where there is room for it) and returns that of the view direction (as if
 /// it were free).
 #[inline(always)]
-fn color_gradient<T: Real>(
+pub(super) fn color_gradient<T: Real>(
     gaussians: &Gaussians<T>,
     i: usize,
-    g: &Geometry<T>,
-    m: &Row<T>,
+    direction: [T; 3],
+    by_color: [T; 3],
     by_sh: &mut [T],
     faults: impl Faults,
 ) -> [T; 3] {
     let stride = gaussians.sh_stride();
     let coefficients = &gaussians.sh[i * stride..(i + 1) * stride];
-    let basis = sh::basis(g.direction, gaussians.sh_degree);
+    let basis = sh::basis(direction, gaussians.sh_degree);
     let shown = sum_of_basis(&basis, coefficients);
     let shows = |k: usize| shown[k] > T::zero() || faults.has(Fault::ColorCutIgnored);
-    let v = [0, 1, 2].map(|k| if shows(k) { m[moment::RED + k] } else { T::zero() });
+    let v = [0, 1, 2].map(|k| if shows(k) { by_color[k] } else { T::zero() });
     for (place, b) in by_sh.as_chunks_mut::<3>().0.iter_mut().zip(&basis) {
         *place = v.map(|k| *b * k);
     }
@@ -83,7 +95,14 @@ fn color_gradient<T: Real>(
     for (weight, rgb) in weights.iter_mut().zip(coefficients.as_chunks::<3>().0) {
         *weight = dot(*rgb, v);
     }
-    sh::basis_pullback(g.direction, gaussians.sh_degree, &weights)
+    sh::basis_pullback(direction, gaussians.sh_degree, &weights)
+}
+
+/// Through the normalisation of the view direction.
+#[inline(always)]
+pub(super) fn by_view_direction<T: Real>(free: [T; 3], direction: [T; 3], distance: T) -> [T; 3] {
+    let along = dot(free, direction);
+    [0, 1, 2].map(|k| (free[k] - along * direction[k]) / distance)
 }
 
 /// Gradients of Gaussian `i` from the moments `m` of its splat, those of the SH into `by_sh` (empty if not wanted);
@@ -99,30 +118,21 @@ pub(super) fn gradients_of_one<T: Real>(
     faults: impl Faults,
 ) -> Option<One<T>> {
     let g = projector.geometry(gaussians.positions[i], columns(&gaussians.shape, i))?;
-    let mut one = One {
-        position: [T::zero(); 3],
-        opacity: if faults.has(Fault::OpacityFactorMissing) {
-            m[moment::S]
-        } else {
-            m[moment::S] / gaussians.opacities[i]
-        },
-        columns: [[T::zero(); 3]; 3],
-        pose: [T::zero(); 6],
-        lens: [T::zero(); 4],
-    };
+    let mut one = One::zero();
+    let opacity = gaussians.opacities[i];
+    one.opacity = if faults.has(Fault::OpacityFactorMissing) { m[moment::S] } else { m[moment::S] / opacity };
     let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE | Wanted::LENS);
     let mut by_direction = [T::zero(); 3];
     if wanted.any(Wanted::SH) || (through_position && gaussians.sh_degree > 0) {
-        let direction = color_gradient(gaussians, i, &g, m, by_sh, faults);
-        // Through the normalisation of the direction.
-        let along = dot(direction, g.direction);
-        by_direction = [0, 1, 2].map(|k| (direction[k] - along * g.direction[k]) / g.distance);
+        let by_color = [m[moment::RED], m[moment::RED + 1], m[moment::RED + 2]];
+        let free = color_gradient(gaussians, i, g.direction, by_color, by_sh, faults);
+        by_direction = by_view_direction(free, g.direction, g.distance);
     }
     if through_position || wanted.any(Wanted::SHAPES) {
         let [va, vb, vc] = covariance_gradient(&g, m, faults);
         let two = T::of(if faults.has(Fault::ColumnFactorMissing) { 1.0 } else { 2.0 });
         let mut by_u = g.u.map(|[x, y]| [two * (va * x + vb * y), two * (vb * x + vc * y)]);
-        if projector.filter() == Filter::Compensate {
+        if projector.filter() == Filter::Compensate && !faults.has(Fault::CompensationHeldFixed) {
             compensation_pullback(&g, m[moment::S], &mut by_u);
         }
         let j = &g.jacobian;
@@ -150,34 +160,30 @@ pub(super) fn gradients_of_one<T: Real>(
             let back = projector.turn_back(by_t);
             one.position = [0, 1, 2].map(|k| back[k] + by_direction[k]);
             if wanted.any(Wanted::POSE) {
-                one.pose = pose_gradient(projector, &g, by_t, &by_c, by_direction, faults);
+                one.pose = pose_gradient(projector, g.t, &g.c, by_t, &by_c, by_direction, faults);
             }
             if wanted.any(Wanted::LENS) {
                 one.lens = projector.intrinsics_pullback(&g, by_point, by_jacobian);
             }
         }
     }
-    let ones = [T::one(); 3];
-    let columns = dot(one.columns[0], ones) + dot(one.columns[1], ones) + dot(one.columns[2], ones);
     let colors = m[moment::RED] + m[moment::RED + 1] + m[moment::RED + 2];
-    let pose = dot([one.pose[0], one.pose[1], one.pose[2]], ones) + one.pose[3] + one.pose[4] + one.pose[5];
-    let lens = one.lens[0] + one.lens[1] + one.lens[2] + one.lens[3];
-    let sum = one.opacity + dot(one.position, ones) + columns + colors + pose + lens;
-    sum.is_finite().then_some(one)
+    (one.is_finite() && colors.is_finite()).then_some(one)
 }
 
 /// A motion of the camera turns and shifts the centre and turns the columns in camera axes; turning leaves the eye.
 #[inline(always)]
-fn pose_gradient<T: Real>(
+pub(super) fn pose_gradient<T: Real>(
     projector: &Projector<T>,
-    g: &Geometry<T>,
+    t: [T; 3],
+    columns: &[[T; 3]; 3],
     by_t: [T; 3],
     by_c: &[[T; 3]; 3],
     by_direction: [T; 3],
     faults: impl Faults,
 ) -> [T; 6] {
-    let mut turn = cross(g.t, by_t);
-    for (c, v) in g.c.iter().zip(by_c) {
+    let mut turn = cross(t, by_t);
+    for (c, v) in columns.iter().zip(by_c) {
         let moment = cross(*c, *v);
         for k in 0..3 {
             turn[k] += moment[k];

@@ -8,11 +8,12 @@ use crate::ffi::splat_image::{ImageBand, Light};
 use crate::ffi::system::grow;
 
 use super::bin::{TILE, cut};
+use super::disc_tile::{DiscTile, Sums, corner_of};
 use super::fault::{Fault, Faults};
 use super::kernel::{self, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of, pixel_of};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
-use super::types::{DepthOutput, ImageGradient, Settings, View};
+use super::types::{DepthOutput, Footprint, ImageGradient, Settings, View};
 
 /// Pixels of line `line` of a tile in the per-pixel tables: four pieces of four.
 fn line_of(line: usize) -> [usize; 4] {
@@ -68,7 +69,7 @@ impl<T: Real> Rasterizer<T> {
         let (state, tiles_x) = (&self.state, self.bins.tiles_x);
         let gain = settings.gain.map(T::of);
         let background = settings.background.map(T::of);
-        let with_depth = settings.depth == DepthOutput::Expected;
+        let with_depth = has_depth(settings);
         let light = Light { gain: settings.gain, background: settings.background, with_depth };
         let band = TILE * width;
         let bands = out.color.par_chunks_mut(3 * band).zip(out.depth.par_chunks_mut(band));
@@ -105,32 +106,66 @@ impl<T: Real> Rasterizer<T> {
         });
     }
 
+    /// Composites all tiles of exact discs.
+    pub(super) fn composite_discs(&mut self, view: &View, settings: &Settings) {
+        let tiles = self.bins.tiles_x * self.bins.tiles_y;
+        let mut state = std::mem::take(&mut self.state);
+        grow(&mut state, tiles * PLANES * PIXELS);
+        let optics = self.optics(view, settings);
+        let bins = &self.bins;
+        state.par_chunks_mut(PLANES * PIXELS).take(tiles).enumerate().for_each(|(t, state)| {
+            let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
+            let tile = DiscTile {
+                rows: &self.rows,
+                discs: &self.discs,
+                entries: &bins.entries[range],
+                corner: corner_of(t, bins.tiles_x),
+                optics,
+            };
+            tile.forward(state, has_depth(settings));
+        });
+        self.state = state;
+    }
+
     /// Moments of every entry, and the gradient of the gain. Where no `parts` are wanted, the gain alone.
     pub(super) fn composite_backward(
         &mut self,
         image: &ImageGradient<'_, T>,
+        view: &View,
         settings: &Settings,
         parts: Option<Parts>,
         with_gain: bool,
         faults: impl Faults,
     ) {
-        let bins = &self.bins;
-        if parts.is_some() && self.slots.len() < bins.entries.len() {
-            grow(&mut self.slots, bins.entries.len());
+        let discs = settings.footprint == Footprint::Disc;
+        let entries = if parts.is_some() { self.bins.entries.len() } else { 0 };
+        if !discs && self.slots.len() < entries {
+            grow(&mut self.slots, entries);
         }
-        let shared = if faults.is_sound() { T::shared(self.isa, &mut self.slots) } else { None };
-        let (rows, isa, states) = (&self.rows, self.isa, &self.state);
+        if discs && self.disc_slots.len() < entries {
+            grow(&mut self.disc_slots, entries);
+        }
+        let mut slots = std::mem::take(&mut self.slots);
+        let shared = if faults.is_sound() { T::shared(self.isa, &mut slots) } else { None };
+        let optics = self.optics(view, settings);
+        let (bins, rows, isa, states) = (&self.bins, &self.rows, self.isa, &self.state);
         let image_size = [self.rendered.width, self.rendered.height];
         let light = Light { gain: settings.gain, background: settings.background, with_depth: !image.depth.is_empty() };
         let tiles = states[..bins.tiles_x * bins.tiles_y * PLANES * PIXELS].par_chunks(PLANES * PIXELS).enumerate();
-        let done: Vec<([f64; 3], Vec<Aligned<T>>)> = tiles
+        let done: Vec<TileSums<T>> = tiles
             .map(|(t, state)| {
                 let corner = [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE];
                 let mut adjoint = [T::zero(); PLANES * PIXELS];
                 let by_gain = T::adjoint_tile(state, corner, image_size, &light, image, &mut adjoint)
                     .unwrap_or_else(|| adjoint_of_tile(state, corner, image_size, &light, image, &mut adjoint, faults));
-                let Some(parts) = parts else { return (by_gain, Vec::new()) };
+                let none = (by_gain, Vec::new(), Vec::new());
+                let Some(parts) = parts else { return none };
                 let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
+                if discs {
+                    let entries = &bins.entries[range];
+                    let tile = DiscTile { rows, discs: &self.discs, entries, corner, optics };
+                    return (by_gain, Vec::new(), tile.backward(&adjoint, parts, faults));
+                }
                 let tile = BackwardTile {
                     rows,
                     entries: &bins.entries[range.clone()],
@@ -143,21 +178,39 @@ impl<T: Real> Rasterizer<T> {
                 match &shared {
                     Some(slots) => {
                         T::backward_tile(isa, &tile, slots);
-                        (by_gain, Vec::new())
+                        none
                     }
-                    None => (by_gain, kernel::scalar_backward(&tile, faults)),
+                    None => (by_gain, kernel::scalar_backward(&tile, faults), Vec::new()),
                 }
             })
             .collect();
+        drop(shared);
+        self.slots = slots;
         self.gradients.gain = [0.0; 3];
-        for (t, (by_gain, moments)) in done.into_iter().enumerate() {
+        for (t, (by_gain, moments, sums)) in done.into_iter().enumerate() {
             for k in (0..3).filter(|_| with_gain) {
                 self.gradients.gain[k] += by_gain[k];
             }
-            for (entry, moments) in (self.bins.offsets[t] as usize..).zip(moments) {
-                self.slots[self.bins.targets[entry] as usize] = moments;
+            let targets = &self.bins.targets[self.bins.offsets[t] as usize..];
+            for (&target, moments) in targets.iter().zip(moments) {
+                self.slots[target as usize] = moments;
+            }
+            for (&target, sums) in targets.iter().zip(sums) {
+                self.disc_slots[target as usize] = sums;
             }
         }
+    }
+}
+
+/// What the backward pass of one tile gives: gradient of the gain, and where no slots are shared the moments or the sums
+/// of its entries.
+type TileSums<T> = ([f64; 3], Vec<Aligned<T>>, Vec<Sums<T>>);
+
+/// Whether the depth is composited with the colours.
+pub(super) fn has_depth(settings: &Settings) -> bool {
+    match settings.footprint {
+        Footprint::Ewa => settings.depth == DepthOutput::Expected,
+        Footprint::Disc => matches!(settings.depth, DepthOutput::Expected | DepthOutput::Surface),
     }
 }
 

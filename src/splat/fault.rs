@@ -38,11 +38,17 @@ pub enum Fault {
     OpacityFactorMissing,
     /// The eye stays when the camera is pushed.
     EyeHeldFixed,
+    /// The factor of the opacity of `Filter::Compensate` is taken as constant.
+    CompensationHeldFixed,
+    /// The plane of an exact disc does not tilt.
+    PlaneTiltIgnored,
+    /// The screen filter of an exact disc stays when the centre moves.
+    FilterCenterHeldFixed,
 }
 
 impl Fault {
     /// All of them.
-    pub const ALL: [Fault; 16] = [
+    pub const ALL: [Fault; 19] = [
         Fault::OcclusionForgotten,
         Fault::SurvivalFactorMissing,
         Fault::AlphaCutIgnored,
@@ -59,6 +65,9 @@ impl Fault {
         Fault::EllipsoidTransposed,
         Fault::OpacityFactorMissing,
         Fault::EyeHeldFixed,
+        Fault::CompensationHeldFixed,
+        Fault::PlaneTiltIgnored,
+        Fault::FilterCenterHeldFixed,
     ];
 }
 

@@ -6,12 +6,19 @@
 //!    ^                   ^                                           |
 //!    +----pullback-------+-------------chain<------moments<----------+  image gradients
 //! ```
+//!
+//! The way of `Footprint::Disc` parts from it at the projection (`disc_mode`, `disc_tile`, `disc_chain`). What is asked
+//! for beyond colour, depth and alpha: `extra_channels` (features, normals), `sight` (median depth, contributors).
 
 mod anchors;
 mod bin;
 mod chain;
 mod composite;
+mod disc_chain;
+mod disc_mode;
+mod disc_tile;
 mod dual;
+mod extra_channels;
 mod fault;
 pub mod gradient_check;
 mod jvp;
@@ -23,6 +30,7 @@ mod rasterizer;
 mod real;
 mod reuse;
 mod sh;
+mod sight;
 mod stages;
 mod surface_depth;
 mod tangent;
@@ -38,4 +46,6 @@ pub use real::Real;
 pub use reuse::Reuse;
 pub use stages::{Stage, StageTimes};
 pub use tangent::{Direction, Motion};
-pub use types::{DepthOutput, Filter, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted};
+pub use types::{
+    DepthOutput, Filter, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted,
+};

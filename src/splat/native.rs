@@ -6,7 +6,7 @@ use crate::ffi::splat::{self as native, Aligned, ChainOutput, Isa, SplatMotion, 
 use super::project::Projector;
 use super::real::Real;
 use super::tangent::Direction;
-use super::types::{Filter, Gaussians, Shape, Wanted};
+use super::types::{Filter, Footprint, Gaussians, Shape, Wanted};
 
 /// What kernels do for numbers of type `T` in one scene seen by one camera.
 pub trait Native<T: Real>: Sync {
@@ -39,12 +39,12 @@ pub struct Work<'a> {
 pub struct Numbers {
     /// `View` of `cpp/splat_kernel.h`.
     pub view: [f32; 22],
-    /// What the z-depth is computed with.
-    pub depth: [f64; 4],
+    /// `Scene::camera` there.
+    pub exact: [f64; 16],
 }
 
 impl<'a> Work<'a> {
-    /// `None` where the plain twin has to do it: asked for, or a lens or filter that the kernels do not know.
+    /// `None` where the plain twin has to do it: asked for, or a lens, filter or footprint that the kernels do not know.
     pub fn new(
         isa: Isa,
         gaussians: &'a Gaussians<f32>,
@@ -52,17 +52,18 @@ impl<'a> Work<'a> {
         numbers: &'a mut Numbers,
         active: Option<&'a [u32]>,
     ) -> Option<Self> {
-        if isa == Isa::Scalar || !projector.is_pinhole() || projector.filter() != Filter::Dilate {
+        let plain = projector.filter() != Filter::Dilate || projector.footprint() != Footprint::Ewa;
+        if isa == Isa::Scalar || !projector.is_pinhole() || plain {
             return None;
         }
-        *numbers = Numbers { view: projector.numbers(), depth: projector.depth };
+        *numbers = Numbers { view: projector.numbers(), exact: projector.exact.numbers() };
         let (shape, scales): (&[f32], &[f32]) = match &gaussians.shape {
             Shape::Ellipsoids { rotations, scales } => (rotations.as_flattened(), scales.as_flattened()),
             Shape::Discs { axes } => (axes.as_flattened().as_flattened(), &[]),
         };
         let scene = SplatScene {
             view: &numbers.view,
-            depth: &numbers.depth,
+            exact: &numbers.exact,
             positions: gaussians.positions.as_flattened(),
             shape,
             scales,

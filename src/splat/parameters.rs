@@ -7,13 +7,13 @@ use crate::ffi::splat::ChainOutput;
 
 use super::bin::cut;
 use super::chain::{One, ellipsoid_gradient, gradients_of_one};
+use super::disc_chain::gradients_of_disc;
 use super::fault::Faults;
-use super::kernel::moment;
 use super::native::Numbers;
 use super::project::Projector;
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
-use super::types::{Gaussians, Shape, Wanted};
+use super::types::{Footprint, Gaussians, Shape, Wanted};
 
 impl<T: Real> Rasterizer<T> {
     /// Gradients of the wanted groups from the moments in the slots.
@@ -26,14 +26,14 @@ impl<T: Real> Rasterizer<T> {
     ) {
         let n = self.rendered.visible.len();
         let stride = gaussians.sh_stride();
-        let discs = matches!(gaussians.shape, Shape::Discs { .. });
+        let has_axes = matches!(gaussians.shape, Shape::Discs { .. });
         let size = |group: Wanted| if wanted.any(group) { n } else { 0 };
         let out = &mut self.gradients;
         let zero = [T::zero(); 3];
         out.positions.resize(size(Wanted::POSITIONS), zero);
-        out.rotations.resize(if discs { 0 } else { size(Wanted::SHAPES) }, [T::zero(); 4]);
-        out.scales.resize(if discs { 0 } else { size(Wanted::SHAPES) }, zero);
-        out.axes.resize(if discs { size(Wanted::SHAPES) } else { 0 }, [zero; 2]);
+        out.rotations.resize(if has_axes { 0 } else { size(Wanted::SHAPES) }, [T::zero(); 4]);
+        out.scales.resize(if has_axes { 0 } else { size(Wanted::SHAPES) }, zero);
+        out.axes.resize(if has_axes { size(Wanted::SHAPES) } else { 0 }, [zero; 2]);
         out.opacities.resize(size(Wanted::OPACITIES), T::zero());
         out.sh.resize(size(Wanted::SH) * stride, T::zero());
         (out.pose, out.lens) = ([0.0; 6], [0.0; 4]);
@@ -43,7 +43,7 @@ impl<T: Real> Rasterizer<T> {
         }
         let chunks = n.div_ceil(CHUNK);
         // A chunk that nobody sees and whose gradients are zero already costs nothing.
-        let layout = (n, stride, discs, wanted);
+        let layout = (n, stride, has_axes, wanted);
         if self.written_layout != Some(layout) {
             self.written_layout = Some(layout);
             self.written = vec![true; chunks];
@@ -53,9 +53,9 @@ impl<T: Real> Rasterizer<T> {
         };
         let tasks: Vec<Task<'_, T>> = cut(&mut out.positions, lengths(size(Wanted::POSITIONS), 1))
             .into_iter()
-            .zip(cut(&mut out.rotations, lengths(if discs { 0 } else { size(Wanted::SHAPES) }, 1)))
-            .zip(cut(&mut out.scales, lengths(if discs { 0 } else { size(Wanted::SHAPES) }, 1)))
-            .zip(cut(&mut out.axes, lengths(if discs { size(Wanted::SHAPES) } else { 0 }, 1)))
+            .zip(cut(&mut out.rotations, lengths(if has_axes { 0 } else { size(Wanted::SHAPES) }, 1)))
+            .zip(cut(&mut out.scales, lengths(if has_axes { 0 } else { size(Wanted::SHAPES) }, 1)))
+            .zip(cut(&mut out.axes, lengths(if has_axes { size(Wanted::SHAPES) } else { 0 }, 1)))
             .zip(cut(&mut out.opacities, lengths(size(Wanted::OPACITIES), 1)))
             .zip(cut(&mut out.sh, lengths(size(Wanted::SH), stride)))
             .enumerate()
@@ -74,7 +74,8 @@ impl<T: Real> Rasterizer<T> {
         let mut numbers = Numbers::default();
         let plain = wanted.any(Wanted::LENS) || !faults.is_sound();
         let native = if plain { None } else { T::native(self.isa, gaussians, projector, &mut numbers, active) };
-        let (starts, slots) = (&self.bins.starts, &self.slots);
+        let (starts, slots, sums) = (&self.bins.starts, &self.slots, &self.disc_slots);
+        let discs = projector.footprint() == Footprint::Disc;
         let cameras: Vec<([f64; 6], [f64; 4])> = tasks
             .into_par_iter()
             .zip(&mut self.written)
@@ -89,7 +90,15 @@ impl<T: Real> Rasterizer<T> {
                     native.chain(task.first, starts, slots, wanted, task.outputs(&mut pose));
                     return (pose, [0.0; 4]);
                 }
-                task.plain(gaussians, projector, active, starts, |e| &slots[e].0, wanted, faults)
+                task.plain(active, gaussians, wanted, faults, |k, i, by_sh| {
+                    let entries = starts[k] as usize..starts[k + 1] as usize;
+                    if discs {
+                        let m = added(entries.map(|e| &sums[e]))?;
+                        return gradients_of_disc(projector, gaussians, i, &m, wanted, by_sh, faults);
+                    }
+                    let m = added(entries.map(|e| &slots[e].0))?;
+                    gradients_of_one(projector, gaussians, i, &m, wanted, by_sh, faults)
+                })
             })
             .collect();
         for (pose, lens) in cameras {
@@ -124,25 +133,22 @@ impl<T: Real> Task<'_, T> {
         }
     }
 
-    /// The plain twin of the vectorised chain; returns the gradients of pose and intrinsics.
-    fn plain<'s>(
+    /// The plain twin of the vectorised chain (`gradients`: number within the chunk, number of the Gaussian, place for
+    /// the SH); returns the gradients of pose and intrinsics.
+    fn plain(
         &mut self,
-        gaussians: &Gaussians<T>,
-        projector: &Projector<T>,
         active: Option<&[u32]>,
-        starts: &[u32],
-        slot: impl Fn(usize) -> &'s [T; 16],
+        gaussians: &Gaussians<T>,
         wanted: Wanted,
         faults: impl Faults,
+        gradients: impl Fn(usize, usize, &mut [T]) -> Option<One<T>>,
     ) -> ([f64; 6], [f64; 4]) {
         let stride = gaussians.sh_stride();
         let (mut pose, mut lens) = ([0.0; 6], [0.0; 4]);
         for k in 0..self.count {
             let i = active.map_or(self.first + k, |list| list[self.first + k] as usize);
-            let entries = starts[k] as usize..starts[k + 1] as usize;
             let by_sh = self.sh.get_mut(k * stride..(k + 1) * stride).unwrap_or_default();
-            let one = moments(entries.map(&slot))
-                .and_then(|m| gradients_of_one(projector, gaussians, i, &m, wanted, by_sh, faults));
+            let one = gradients(k, i, by_sh);
             if let Some(one) = one.as_ref().filter(|_| wanted.any(Wanted::POSE | Wanted::LENS)) {
                 pose.iter_mut().zip(one.pose).for_each(|(sum, part)| *sum += part.to_f64());
                 lens.iter_mut().zip(one.lens).for_each(|(sum, part)| *sum += part.to_f64());
@@ -184,12 +190,12 @@ impl<T: Real> Task<'_, T> {
 }
 
 /// Sum of the moments of one splat over its tiles; `None` when it has none.
-fn moments<'s, T: Real>(slots: impl Iterator<Item = &'s [T; 16]>) -> Option<[T; 16]> {
-    let mut total: Option<[T; 16]> = None;
+fn added<'s, T: Real, const N: usize>(slots: impl Iterator<Item = &'s [T; N]>) -> Option<[T; N]> {
+    let mut total: Option<[T; N]> = None;
     for slot in slots {
         match &mut total {
             None => total = Some(*slot),
-            Some(sum) => (0..moment::RED + 3).for_each(|k| sum[k] += slot[k]),
+            Some(sum) => sum.iter_mut().zip(slot).for_each(|(sum, part)| *sum += *part),
         }
     }
     total

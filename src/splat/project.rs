@@ -17,7 +17,7 @@ use super::dual::Dual;
 use super::fault::{Fault, Faults};
 use super::real::Real;
 use super::sh;
-use super::types::{Filter, Gaussians, Settings, Shape, View};
+use super::types::{Filter, Footprint, Gaussians, Settings, Shape, View};
 
 /// Where a splat's numbers stand in its row of 16.
 pub(super) mod at {
@@ -55,6 +55,39 @@ struct Lens<T> {
     jacobian: [[T; 3]; 2],
 }
 
+/// The camera in double: where splats stand is computed with it and then rounded. Rounded cameras and centres were the
+/// largest part of the error of single precision: all splats shift together, and alphas cross 1/255.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Exact {
+    rotation: [[f64; 3]; 3],
+    eye: [f64; 3],
+    focal: [f64; 2],
+    center: [f64; 2],
+}
+
+impl Exact {
+    /// A position in camera axes.
+    #[inline(always)]
+    fn seen(&self, position: [f64; 3]) -> [f64; 3] {
+        let d = [0, 1, 2].map(|k| position[k] - self.eye[k]);
+        self.rotation.map(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2])
+    }
+
+    /// Its image through a pinhole.
+    #[inline(always)]
+    fn point(&self, t: [f64; 3]) -> [f64; 2] {
+        [0, 1].map(|k| self.focal[k] * (t[k] / t[2]) + self.center[k])
+    }
+
+    /// As the kernels take it (`Scene::camera` of `cpp/splat_kernel.h`).
+    pub fn numbers(&self) -> [f64; 16] {
+        let mut out = [0.0; 16];
+        let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(&self.focal).chain(&self.center);
+        out.iter_mut().zip(all).for_each(|(place, v)| *place = *v);
+        out
+    }
+}
+
 /// One view, ready to project.
 pub struct Projector<T> {
     pub(super) rotation: [[T; 3]; 3],
@@ -66,9 +99,10 @@ pub struct Projector<T> {
     near: T,
     dilation: T,
     filter: Filter,
+    footprint: Footprint,
     fisheye: Option<[T; 4]>,
-    /// z-depth of a position is `depth[0..3] . position + depth[3]`, see [`Projector::key`].
-    pub(super) depth: [f64; 4],
+    fisheye_stretch: Option<T>,
+    pub(super) exact: Exact,
 }
 
 /// What the projection of one Gaussian passes through; its backward starts here.
@@ -163,8 +197,15 @@ impl<T: Real> Projector<T> {
             near: T::of(settings.near_mm),
             dilation: T::of(settings.dilation_px2),
             filter: settings.filter,
+            footprint: settings.footprint,
             fisheye: camera.fisheye.map(|k| k.map(T::of)),
-            depth: [m.x_axis.z, m.y_axis.z, m.z_axis.z, transform.translation.z],
+            fisheye_stretch: camera.fisheye.map(|k| T::of(largest_stretch(k))),
+            exact: Exact {
+                rotation: [0, 1, 2].map(|i| [m.x_axis[i], m.y_axis[i], m.z_axis[i]]),
+                eye: eye.to_array(),
+                focal: [camera.fl_x, camera.fl_y],
+                center: [camera.cx, camera.cy],
+            },
         })
     }
 
@@ -176,6 +217,43 @@ impl<T: Real> Projector<T> {
     /// What the screen-space filter does.
     pub fn filter(&self) -> Filter {
         self.filter
+    }
+
+    /// How Gaussians come onto the screen.
+    pub fn footprint(&self) -> Footprint {
+        self.footprint
+    }
+
+    pub(super) fn near_depth(&self) -> T {
+        self.near
+    }
+
+    pub(super) fn focal_length(&self) -> [T; 2] {
+        self.focal
+    }
+
+    pub(super) fn center(&self) -> [T; 2] {
+        self.center
+    }
+
+    pub(super) fn image_size(&self) -> [T; 2] {
+        self.size
+    }
+
+    /// Variance of the screen-space filter.
+    pub(super) fn filter_px2(&self) -> T {
+        self.dilation
+    }
+
+    /// Image point of `t` in camera axes.
+    #[inline(always)]
+    pub(super) fn image_point(&self, t: [T; 3]) -> [T; 2] {
+        self.lens(t).point
+    }
+
+    /// Pixels per radian that a fisheye has at most before the camera, along both axes; `None` for a pinhole.
+    pub(super) fn fisheye_stretch(&self) -> Option<[T; 2]> {
+        self.fisheye_stretch.map(|s| self.focal.map(|f| f * s))
     }
 
     /// Everything but the distortion, in single precision: `View` of `cpp/splat_kernel.h`.
@@ -192,8 +270,7 @@ impl<T: Real> Projector<T> {
     /// that the order belongs to the scene and not to rounding. Positive floats sort like their bits.
     #[inline(always)]
     pub fn key(&self, position: [T; 3]) -> u32 {
-        let [x, y, z] = [0, 1, 2].map(|k| position[k].to_f64() * self.depth[k]);
-        ((x + y + z + self.depth[3]) as f32).to_bits()
+        (self.exact.seen(position.map(T::to_f64))[2] as f32).to_bits()
     }
 
     /// A vector in camera axes.
@@ -299,12 +376,17 @@ impl<T: Real> Projector<T> {
     #[inline(always)]
     pub fn geometry(&self, position: [T; 3], columns: [[T; 3]; 3]) -> Option<Geometry<T>> {
         let offset = [0, 1, 2].map(|k| position[k] - self.eye[k]);
-        let t = self.turn(offset);
+        let exact = self.exact.seen(position.map(T::to_f64));
+        let t = if T::PLAIN { exact.map(T::of) } else { self.turn(offset) };
         let in_front = t[2] >= self.near;
         if !in_front {
             return None;
         }
-        self.geometry_of(t, columns.map(|m| self.turn(m)), offset)
+        let mut g = self.geometry_of(t, columns.map(|m| self.turn(m)), offset)?;
+        if T::PLAIN && self.is_pinhole() {
+            g.point = self.exact.point(exact).map(T::of);
+        }
+        Some(g)
     }
 
     /// The same from the centre and the columns in camera axes, and the vector from the eye in world axes.
@@ -424,6 +506,19 @@ pub(super) fn sum_of_basis<T: Real>(basis: &[T; 16], coefficients: &[T]) -> [T; 
         }
     }
     color
+}
+
+/// Largest factor between an angle before the camera (up to 90 degrees off its axis) and its image at focal length 1,
+/// along the meridian or across it, with 5 % of room.
+fn largest_stretch([k1, k2, k3, k4]: [f64; 4]) -> f64 {
+    let factors = (1..=90).map(|degrees| {
+        let theta = f64::from(degrees).to_radians();
+        let t2 = theta * theta;
+        let distorted = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))));
+        let slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)));
+        slope.abs().max((distorted / theta.sin()).abs())
+    });
+    1.05 * factors.fold(1.0, f64::max)
 }
 
 /// OpenCV's fisheye model: `theta_d = theta (1 + k1 theta^2 + ..)`, image point `f (x, y) theta_d / r + c`, and its

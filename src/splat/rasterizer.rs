@@ -13,6 +13,9 @@ use crate::ffi::system::grow;
 use crate::ffi::splat_bin::Boxes;
 
 use super::bin::{Bins, TILE, TileBox};
+use super::disc_mode::{Disc, Rays, refuse_fisheye_lens};
+use super::disc_tile::Sums;
+use super::extra_channels::Extra;
 use super::fault::{Fault, Faults, Sound};
 use super::kernel::Parts;
 use super::native::Numbers;
@@ -20,8 +23,7 @@ use super::project::Projector;
 use super::real::Real;
 use super::reuse::{Kept, Reuse, Same};
 use super::stages::{Clock, Stage, StageTimes};
-use super::surface_depth;
-use super::types::{DepthOutput, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
+use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
 
 /// Gaussians per task; the pose is summed in these chunks.
 pub(super) const CHUNK: usize = 512;
@@ -32,13 +34,17 @@ pub struct Rasterizer<T> {
     pub(super) isa: Isa,
     pub(super) active: Option<Vec<u32>>,
     pub(super) rows: Vec<Aligned<T>>,
-    boxes: Vec<[u32; 2]>,
-    keys: Vec<u32>,
+    pub(super) boxes: Vec<[u32; 2]>,
+    pub(super) keys: Vec<u32>,
     pub(super) bins: Bins,
     pub(super) state: Vec<T>,
     pub(super) moving: Vec<T>,
     pub(super) velocities: Vec<[T; 8]>,
     pub(super) slots: Vec<Aligned<T>>,
+    pub(super) discs: Vec<Disc<T>>,
+    pub(super) disc_slots: Vec<Sums<T>>,
+    pub(super) rays: Rays<T>,
+    pub(super) extra: Extra<T>,
     pub(super) rendered: Rendered<T>,
     pub(super) tangents: Vec<Vec<T>>,
     pub(super) gradients: Gradients<T>,
@@ -48,7 +54,7 @@ pub struct Rasterizer<T> {
     pub(super) clock: Clock,
     pub(super) reuse: Reuse,
     pub(super) kept: Option<Kept<T>>,
-    last: Option<(View, Settings, usize)>,
+    pub(super) last: Option<(View, Settings, usize)>,
 }
 
 impl<T: Real> Default for Rasterizer<T> {
@@ -80,6 +86,10 @@ impl<T: Real> Rasterizer<T> {
             moving: Vec::new(),
             velocities: Vec::new(),
             slots: Vec::new(),
+            discs: Vec::new(),
+            disc_slots: Vec::new(),
+            rays: Rays::default(),
+            extra: Extra::default(),
             rendered: Rendered::default(),
             tangents: Vec::new(),
             gradients: Gradients::default(),
@@ -130,14 +140,14 @@ impl<T: Real> Rasterizer<T> {
         active: Option<&[u32]>,
     ) -> Result<&Rendered<T>> {
         self.prepare(gaussians, view, settings, active)?;
-        self.composite(settings.depth, &[], 0);
+        match settings.footprint {
+            Footprint::Ewa => drop(self.composite(settings.depth, &[], 0)),
+            Footprint::Disc => self.composite_discs(view, settings),
+        }
         self.clock.end(Stage::Composite);
         self.develop(view, settings);
         self.clock.end(Stage::Develop);
-        if settings.depth == DepthOutput::Surface {
-            let depth = &mut self.rendered.depth;
-            surface_depth::fill(gaussians, self.active.as_deref(), view, &self.rows, &self.bins, depth)?;
-        }
+        self.fill_depth(gaussians, view, settings);
         Ok(&self.rendered)
     }
 
@@ -151,6 +161,7 @@ impl<T: Real> Rasterizer<T> {
     ) -> Result<()> {
         self.clock.start();
         self.last = None;
+        self.extra.count = 0;
         gaussians.validate()?;
         let projector = Projector::new(view, settings)?;
         let mut same = self.same(gaussians, view, settings, active);
@@ -200,6 +211,10 @@ impl<T: Real> Rasterizer<T> {
         grow(&mut self.boxes, n);
         grow(&mut self.keys, n);
         self.rendered.visible.resize(n, false);
+        if projector.footprint() == Footprint::Disc {
+            self.project_discs(gaussians, projector, view);
+            return self.deal(tiles, None);
+        }
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
@@ -223,10 +238,17 @@ impl<T: Real> Rasterizer<T> {
                 }
             },
         );
+        drop(native);
+        let kept = (same == Same::Lists).then_some(seen);
+        self.deal(tiles, kept);
+    }
+
+    /// Visible splats to the lists of the tiles; those of before stay where they were made for the same splats (`kept`).
+    fn deal(&mut self, tiles: [usize; 2], kept: Option<Vec<bool>>) {
         self.rendered.visible_count = self.rendered.visible.iter().filter(|v| **v).count();
         self.clock.end(Stage::Project);
         self.bins.masks_known = false;
-        if same == Same::Lists && seen == self.rendered.visible {
+        if kept.is_some_and(|seen| seen == self.rendered.visible) {
             return self.clock.end(Stage::Bin);
         }
         let all = Boxes { boxes: &self.boxes, keys: &self.keys, visible: &self.rendered.visible };
@@ -281,6 +303,9 @@ impl<T: Real> Rasterizer<T> {
         self.clock.start();
         self.check_image(image, &settings)?;
         let projector = Projector::new(&view, &settings)?;
+        if wanted.any(Wanted::LENS) && settings.footprint == Footprint::Disc && !projector.is_pinhole() {
+            return Err(refuse_fisheye_lens());
+        }
         let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE | Wanted::LENS);
         let geometry = through_position || wanted.any(Wanted::SHAPES | Wanted::OPACITIES);
         let parts = Parts {
@@ -290,7 +315,8 @@ impl<T: Real> Rasterizer<T> {
             known: false,
         };
         let parts = (parts.geometry || parts.color).then_some(parts);
-        self.composite_backward(image, &settings, parts, wanted.any(Wanted::GAIN), faults);
+        self.composite_backward(image, &view, &settings, parts, wanted.any(Wanted::GAIN), faults);
+        self.channels_backward(image.channels, &view, &settings, geometry, wanted, faults);
         self.clock.end(Stage::CompositeBackward);
         self.chain(gaussians, &projector, wanted, faults);
         self.clock.end(Stage::Chain);
@@ -299,9 +325,12 @@ impl<T: Real> Rasterizer<T> {
 
     fn check_image(&self, image: &ImageGradient<'_, T>, settings: &Settings) -> Result<()> {
         let pixels = self.rendered.width * self.rendered.height;
-        for (name, plane, per_pixel) in
-            [("colour", image.color, 3), ("depth", image.depth, 1), ("alpha", image.alpha, 1)]
-        {
+        for (name, plane, per_pixel) in [
+            ("colour", image.color, 3),
+            ("depth", image.depth, 1),
+            ("alpha", image.alpha, 1),
+            ("channel", image.channels, self.extra.count),
+        ] {
             if !plane.is_empty() && plane.len() != pixels * per_pixel {
                 return Err(Error::input(format!("the {name} gradient has {} values", plane.len())));
             }
@@ -317,7 +346,8 @@ impl<T: Real> Rasterizer<T> {
                 )));
             }
         }
-        if !image.depth.is_empty() && settings.depth != DepthOutput::Expected {
+        let met = settings.footprint == Footprint::Disc && settings.depth == DepthOutput::Surface;
+        if !image.depth.is_empty() && settings.depth != DepthOutput::Expected && !met {
             return Err(Error::input("a depth gradient needs a render with expected depth"));
         }
         Ok(())

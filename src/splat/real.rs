@@ -31,6 +31,8 @@ pub trait Real:
     + MulAssign
     + 'static
 {
+    /// A number without a derivative: what is computed in double and rounded loses nothing.
+    const PLAIN: bool = false;
     /// The nearest number to `value`.
     fn of(value: f64) -> Self;
     /// The value (without any derivative) as `f64`.
@@ -171,10 +173,12 @@ macro_rules! real_functions {
 }
 
 impl Real for f64 {
+    const PLAIN: bool = true;
     real_functions!(f64);
 }
 
 impl Real for f32 {
+    const PLAIN: bool = true;
     real_functions!(f32);
 
     fn native<'a>(

@@ -8,7 +8,7 @@ use super::native::Numbers;
 use super::project::{Projector, at, color, dot};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
-use super::types::{Gaussians, Settings, Shape, View};
+use super::types::{Footprint, Gaussians, Settings, Shape, View};
 
 /// What is kept from one render to the next.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -29,8 +29,8 @@ pub enum Reuse {
 }
 
 impl Reuse {
-    /// The bound that leaves images and gradients of the tube scenes unchanged to 1e-6 (relative L2, measured: see
-    /// `docs/performance.md`).
+    /// The bound that leaves images and gradients of the tube scene unchanged to 1e-6 (relative L2; measured in
+    /// `tests/all/splat/reuse.rs`, which prints what larger ones do: order is what they change first).
     pub const LISTS: Reuse = Reuse::Within { mm: 1e-6 };
 }
 
@@ -105,7 +105,8 @@ impl<T: Real> Kept<T> {
             && self.active.as_deref() == active
             && self.sh_degree == gaussians.sh_degree
             && within(&self.opacities, &gaussians.opacities, T::zero());
-        if !frame {
+        // Exact discs have tables of their own: they are projected anew.
+        if !frame || settings.footprint == Footprint::Disc {
             return Same::Nothing;
         }
         let near = |bound: T| {

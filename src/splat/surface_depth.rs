@@ -4,17 +4,8 @@
 //! peak `t = d . S c / d . S d` of an ellipsoid (S inverse covariance, d ray, c centre, both in camera axes). These
 //! depths are averaged with the weights of the image. A centre can be millimetres off at a pixel that its disc covers:
 //! on a wall seen at a grazing angle that is a bias of tens of percent.
-//! Forward only, in plain code: it runs once per finished frame, not in an optimisation.
+//! Forward only (`sight.rs`): it runs once per finished frame, not in an optimisation.
 
-use glam::DVec2;
-use rayon::prelude::*;
-
-use crate::base::{Error, Result};
-use crate::ffi::splat::Aligned;
-
-use super::bin::{Bins, TILE};
-use super::kernel::{PIXELS, alpha_at, pixel_of};
-use super::project::Row;
 use super::real::Real;
 use super::types::{Gaussians, Shape, View};
 
@@ -23,7 +14,7 @@ use super::types::{Gaussians, Shape, View};
 const FARTHEST: f64 = 4.0;
 
 /// One splat in camera axes.
-struct Body {
+pub(super) struct Body {
     kind: Kind,
     /// z-depth of the centre in mm.
     center: f64,
@@ -41,7 +32,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 impl Body {
-    fn of<T: Real>(gaussians: &Gaussians<T>, i: usize, view: &View) -> Body {
+    pub fn of<T: Real>(gaussians: &Gaussians<T>, i: usize, view: &View) -> Body {
         let turn = |v: glam::DVec3| view.camera_from_world.transform_vector3(v).to_array();
         let wide = |v: [T; 3]| glam::DVec3::from_array(v.map(|c| c.to_f64()));
         let center = view.camera_from_world.transform_point3(wide(gaussians.positions[i])).to_array();
@@ -66,7 +57,7 @@ impl Body {
     }
 
     /// z-depth at the ray `d`.
-    fn depth(&self, d: [f64; 3]) -> f64 {
+    pub fn depth(&self, d: [f64; 3]) -> f64 {
         let along = match &self.kind {
             Kind::Plane(normal, height) => height / dot(*normal, d),
             Kind::Ellipsoid(form, local) => {
@@ -80,74 +71,13 @@ impl Body {
     }
 }
 
-/// Fills `out` (one value per pixel, 0 where nothing is) after the tiles of `bins` were composited.
-pub(super) fn fill<T: Real>(
-    gaussians: &Gaussians<T>,
-    active: Option<&[u32]>,
-    view: &View,
-    rows: &[Aligned<T>],
-    bins: &Bins,
-    out: &mut [T],
-) -> Result<()> {
-    let (width, height) = (view.camera.width as usize, view.camera.height as usize);
-    if out.len() != width * height {
-        return Err(Error::input("the depth image has another size than the view"));
-    }
-    let mut needed = vec![false; active.map_or(gaussians.len(), <[u32]>::len)];
-    bins.entries.iter().for_each(|&e| needed[e as usize] = true);
-    let bodies: Vec<Option<Body>> = needed
-        .par_iter()
-        .enumerate()
-        .map(|(j, &n)| n.then(|| Body::of(gaussians, active.map_or(j, |list| list[j] as usize), view)))
-        .collect();
-    let tile = |t: usize| {
-        let span = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
-        let corner = [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE];
-        let entries: Vec<(&Row<T>, &Body)> = bins.entries[span]
-            .iter()
-            .filter_map(|&e| Some((&rows[e as usize].0, bodies[e as usize].as_ref()?)))
-            .collect();
-        (0..PIXELS).map(|p| depth_of_pixel(&entries, view, corner, p)).collect::<Vec<f64>>()
-    };
-    let tiles: Vec<Vec<f64>> = (0..bins.tiles_x * bins.tiles_y).into_par_iter().map(tile).collect();
-    for (t, depths) in tiles.iter().enumerate() {
-        for (p, depth) in depths.iter().enumerate() {
-            let (column, line) = pixel_of(p);
-            let (x, y) = (t % bins.tiles_x * TILE + column, t / bins.tiles_x * TILE + line);
-            if x < width && y < height {
-                out[y * width + x] = T::of(*depth);
-            }
-        }
-    }
-    Ok(())
-}
-
-fn depth_of_pixel<T: Real>(entries: &[(&Row<T>, &Body)], view: &View, corner: [usize; 2], p: usize) -> f64 {
-    let (column, line) = pixel_of(p);
-    let center = DVec2::new((corner[0] + column) as f64 + 0.5, (corner[1] + line) as f64 + 0.5);
-    let ray = view.camera.direction(center).to_array();
-    let (mut left, mut sum, mut weights) = (1.0, 0.0, 0.0);
-    for (row, body) in entries {
-        let Some(alpha) = alpha_at(row, corner, p) else { continue };
-        let alpha = alpha.to_f64();
-        let next = left * (1.0 - alpha);
-        if next <= 1e-4 {
-            break;
-        }
-        sum += left * alpha * body.depth(ray);
-        weights += left * alpha;
-        left = next;
-    }
-    if weights > 0.0 { sum / weights } else { 0.0 }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::Rasterizer;
     use super::super::types::{DepthOutput, Settings};
     use super::*;
     use crate::base::Camera;
-    use glam::DAffine3;
+    use glam::{DAffine3, DVec2};
 
     /// A floor of discs 2 mm below the camera: the depth image must be the floor's, not a mean of centres.
     #[test]

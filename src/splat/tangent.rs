@@ -13,13 +13,14 @@ use crate::base::{Error, Result};
 use crate::ffi::splat::Aligned;
 
 use super::bin::TILE;
+use super::disc_mode::refuse_directions;
 use super::dual::Dual;
 use super::kernel::{self, ForwardTile, MOVING, PIXELS, PLANES, Parts, TOGETHER, pixel_of};
 use super::native::Numbers;
 use super::project::{Projector, Row, columns};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
-use super::types::{DepthOutput, Gaussians, Settings, Shape, View};
+use super::types::{DepthOutput, Footprint, Gaussians, Settings, Shape, View};
 
 /// How every Gaussian moves per unit of the unknown. One entry per Gaussian (not per active one); an empty slice is
 /// "not at all".
@@ -146,6 +147,10 @@ impl<T: Real> Rasterizer<T> {
         directions: &[Direction<'_, T>],
     ) -> Result<&[Vec<T>]> {
         let discs = matches!(gaussians.shape, Shape::Discs { .. });
+        let only_gain = directions.iter().all(|d| matches!(d, Direction::Gain(_)));
+        if settings.footprint == Footprint::Disc && !only_gain {
+            return refuse_directions();
+        }
         for direction in directions {
             match direction {
                 Direction::Motion(motion) => motion.check(gaussians.len(), discs)?,
@@ -191,7 +196,7 @@ impl<T: Real> Rasterizer<T> {
         let moving: Vec<usize> = (0..directions.len()).filter(|&d| is_motion(&directions[d])).collect();
         let projector = Projector::new(view, settings)?;
         let usable = T::native(self.isa, gaussians, &projector, &mut Numbers::default(), None).is_some();
-        if moving.is_empty() || !usable || settings.depth == DepthOutput::Surface {
+        if moving.is_empty() || !usable || matches!(settings.depth, DepthOutput::Surface | DepthOutput::Median) {
             return Ok(false);
         }
         self.prepare(gaussians, view, settings, active)?;

@@ -129,8 +129,11 @@ pub enum DepthOutput {
     Skip,
     /// Mean z-depth of the centres weighted by contribution, divided by alpha.
     Expected,
-    /// Mean z-depth of the splats' surfaces along each ray (`surface_depth.rs`); forward only.
+    /// Mean z-depth of the splats' surfaces along each ray (`surface_depth.rs`); forward only with `Footprint::Ewa`.
     Surface,
+    /// z-depth where the ray meets the splat behind which no more than half of the light is left; 0 where there is
+    /// none. Forward only.
+    Median,
 }
 
 /// What the screen-space filter (`Settings::dilation_px2`) does to a splat's peak.
@@ -145,12 +148,26 @@ pub enum Filter {
     Compensate,
 }
 
+/// How a Gaussian comes onto the screen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Footprint {
+    /// The affine projection of 3DGS (EWA), vectorised.
+    #[default]
+    Ewa,
+    /// Flat discs that each ray meets exactly (2DGS; `disc_mode.rs`), in plain code. Ellipsoids lose their shortest
+    /// axis. Expected depth is that of the points met.
+    Disc,
+}
+
 /// How to render.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
+    /// How a Gaussian comes onto the screen.
+    pub footprint: Footprint,
     /// Gaussians with a centre nearer than this z-depth are left out.
     pub near_mm: f64,
-    /// Added to the diagonal of the projected covariance (px^2): the screen-space filter of 3DGS.
+    /// Added to the diagonal of the projected covariance (px^2): the screen-space filter of 3DGS. With `Footprint::Disc`
+    /// the variance that a disc has on screen at least; 0 is no filter.
     pub dilation_px2: f64,
     /// What that filter does to the opacity.
     pub filter: Filter,
@@ -165,6 +182,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Settings {
+            footprint: Footprint::Ewa,
             near_mm: 0.2,
             dilation_px2: 0.3,
             filter: Filter::Dilate,
@@ -184,7 +202,7 @@ pub struct Rendered<T> {
     pub height: usize,
     /// `height * width * 3`, with background and gain.
     pub color: Vec<T>,
-    /// `height * width`: expected z-depth in mm, divided by alpha; 0 where alpha is 0.
+    /// `height * width`: z-depth in mm as asked for ([`DepthOutput`]); the means are divided by alpha, 0 where it is 0.
     pub depth: Vec<T>,
     /// `height * width`: 1 minus what is left of the light from behind.
     pub alpha: Vec<T>,
@@ -205,6 +223,8 @@ pub struct ImageGradient<'a, T> {
     pub depth: &'a [T],
     /// Like `Rendered::alpha`.
     pub alpha: &'a [T],
+    /// Like the image of `Rasterizer::render_channels`.
+    pub channels: &'a [T],
 }
 
 /// Groups of parameters whose gradients are wanted; the others cost nothing.
@@ -230,6 +250,8 @@ impl Wanted {
     pub const ALL: Wanted = Wanted(63);
     /// Focal lengths and principal point; computed in the plain twin.
     pub const LENS: Wanted = Wanted(64);
+    /// Features of the further channels (`Rasterizer::render_channels`).
+    pub const CHANNELS: Wanted = Wanted(128);
 
     /// The groups as bits, as the kernels know them.
     pub(super) fn bits(self) -> u32 {
@@ -263,6 +285,8 @@ pub struct Gradients<T> {
     pub axes: Vec<[[T; 3]; 2]>,
     /// Of the opacities.
     pub opacities: Vec<T>,
+    /// Of the features of the further channels, Gaussian by Gaussian.
+    pub channels: Vec<T>,
     /// Of the SH coefficients, laid out as in [`Gaussians`].
     pub sh: Vec<T>,
     /// Of a small motion of the camera, `camera_from_world <- exp(xi) camera_from_world` with

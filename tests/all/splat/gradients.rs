@@ -1,9 +1,12 @@
 //! Analytic gradients against central differences (f64), f32 kernels against f64, forward mode against backward.
 
 use glam::{DAffine3, DQuat, DVec3};
-use respire_bench::splat::{Gaussians, Gradients, Rasterizer, Real, Settings, Shape, View, Wanted};
+use respire_bench::splat::{
+    Filter, Footprint, Gaussians, Gradients, ImageGradient, Rasterizer, Real, Settings, Shape, View, Wanted,
+};
 
 use super::forward::available;
+use super::numpy_normal::Numpy;
 use super::scenes::{Kind, Lens, Weights, flat, random, relative, tube, view, wide};
 
 const STEP: f64 = 1e-6;
@@ -30,6 +33,7 @@ fn groups<T: Real>(g: &Gradients<T>) -> Vec<(&'static str, Vec<f64>)> {
         ("sh", wide(&g.sh)),
         ("pose", g.pose.to_vec()),
         ("gain", g.gain.to_vec()),
+        ("lens", if g.lens == [0.0; 4] { Vec::new() } else { g.lens.to_vec() }),
     ]
     .into_iter()
     .filter(|(_, values)| !values.is_empty())
@@ -95,20 +99,26 @@ fn every_group_equals_central_differences() {
 }
 
 /// Worst group of the f32 gradients of every kernel against the f64 analytic ones.
-fn f32_errors(scene: &Gaussians<f32>, view: &View, seed: u64) -> Vec<(String, f64)> {
+fn f32_errors(scene: &Gaussians<f32>, view: &View, seed: u64, settings: Settings) -> Vec<(String, f64)> {
     let pixels = (view.camera.width * view.camera.height) as usize;
-    let settings = settings();
     let mut exact = Rasterizer::<f64>::new();
     let scene64 = scene.cast::<f64>();
     exact.render(&scene64, view, &settings, None).unwrap();
     let weights = Weights::<f64>::new(pixels, seed);
-    let truth = groups(exact.backward(&scene64, &weights.gradient(), Wanted::ALL).unwrap());
+    let exact_fisheye = settings.footprint == Footprint::Disc && view.camera.fisheye.is_some();
+    let lens = if exact_fisheye { Wanted::NONE } else { Wanted::LENS };
+    let truth = groups(exact.backward(&scene64, &weights.gradient(), Wanted::ALL | lens).unwrap());
     let weights = Weights::<f32>::new(pixels, seed);
     let mut errors = Vec::new();
     for isa in available() {
         let mut rasterizer = Rasterizer::<f32>::with_isa(isa).unwrap();
         rasterizer.render(scene, view, &settings, None).unwrap();
-        let found = groups(rasterizer.backward(scene, &weights.gradient(), Wanted::ALL).unwrap());
+        let mut found = groups(rasterizer.backward(scene, &weights.gradient(), Wanted::ALL).unwrap());
+        if !exact_fisheye {
+            let lens = rasterizer.backward(scene, &weights.gradient(), Wanted::LENS).unwrap().lens;
+            found.push(("lens", lens.to_vec()));
+        }
+        assert_eq!(found.len(), truth.len());
         for ((name, found), (_, truth)) in found.iter().zip(&truth) {
             errors.push((format!("{isa} {name}"), relative(found, truth)));
         }
@@ -129,8 +139,88 @@ fn single_precision_equals_double() {
         (28, Kind::Ellipsoids, Lens::Pinhole, 1),
     ] {
         let scene = random(60, kind, degree, seed).cast::<f32>();
-        for (name, error) in f32_errors(&scene, &view(lens), seed) {
+        for (name, error) in f32_errors(&scene, &view(lens), seed, settings()) {
             assert!(error <= 1e-4, "scene {seed}: {name} off by {error:e}");
+        }
+    }
+}
+
+/// The modes whose projection runs in plain code; intrinsics too.
+#[test]
+fn single_precision_equals_double_in_every_mode() {
+    let compensated = Settings { filter: Filter::Compensate, ..settings() };
+    let discs = Settings { footprint: Footprint::Disc, ..settings() };
+    for (seed, kind, lens, settings) in [
+        (41, Kind::Ellipsoids, Lens::Pinhole, compensated),
+        (42, Kind::Discs, Lens::Fisheye, compensated),
+        (43, Kind::Discs, Lens::Pinhole, discs),
+        (44, Kind::Ellipsoids, Lens::Pinhole, discs),
+        (45, Kind::Discs, Lens::Fisheye, discs),
+    ] {
+        let scene = random(60, kind, 1, seed).cast::<f32>();
+        for (name, error) in f32_errors(&scene, &view(lens), seed, settings) {
+            println!("scene {seed}: {name} {error:.1e}");
+            assert!(error <= 5e-4, "scene {seed}: {name} off by {error:e}");
+        }
+    }
+}
+
+#[test]
+fn every_mode_on_the_reference_scene() {
+    let Some((tube, view)) = tube("tube_20k.npz", 256) else { return };
+    let compensated = Settings { filter: Filter::Compensate, ..settings() };
+    let discs = Settings { footprint: Footprint::Disc, ..settings() };
+    for (mode, settings) in [("compensated", compensated), ("discs", discs)] {
+        for (name, error) in f32_errors(&tube, &view, 9, settings) {
+            println!("{mode}: {name} {error:.1e}");
+            assert!(error <= 1e-3, "{mode}: {name} off by {error:e}");
+        }
+    }
+}
+
+/// Norms of the gradients of the fixed loss against those of a double-precision program that is not ours.
+#[test]
+fn the_reference_scenes_give_the_reference_gradient_norms() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/reference/splat/ref_expected.json");
+    let Ok(text) = std::fs::read_to_string(&path) else {
+        eprintln!("SKIPPED: {} is absent", path.display());
+        return;
+    };
+    let expected: serde_json::Value = serde_json::from_str(&text).unwrap();
+    for (file, key, side) in [
+        ("tube_20k.npz", "tube_20k_256", 256),
+        ("tube_20k.npz", "tube_20k_400", 400),
+        ("tube_100k.npz", "tube_100k_256", 256),
+        ("tube_100k.npz", "tube_100k_400", 400),
+    ] {
+        let Some((tube, view)) = tube(file, side) else { return };
+        let mut numpy = Numpy::seeded_77();
+        let color: Vec<f32> = (0..3 * side * side).map(|_| numpy.normal() as f32).collect();
+        let settings = Settings::default();
+        let mut rasterizer = Rasterizer::<f32>::new();
+        rasterizer.render(&tube, &view, &settings, None).unwrap();
+        let image = ImageGradient { color: &color, ..ImageGradient::default() };
+        let single = groups(rasterizer.backward(&tube, &image, Wanted::ALL).unwrap());
+        let mut found = vec![("f32", single)];
+        if side == 256 {
+            let (tube, color) = (tube.cast::<f64>(), wide(&color));
+            let mut rasterizer = Rasterizer::<f64>::new();
+            rasterizer.render(&tube, &view, &settings, None).unwrap();
+            let image = ImageGradient { color: &color, ..ImageGradient::default() };
+            found.push(("f64", groups(rasterizer.backward(&tube, &image, Wanted::ALL).unwrap())));
+        }
+        for (kind, groups) in found {
+            for (group, values) in groups {
+                let name = match group {
+                    "positions" => "means",
+                    "rotations" => "quats",
+                    other => other,
+                };
+                let Some(truth) = expected[key][format!("grad_l2_{name}")].as_f64() else { continue };
+                let norm = values.iter().map(|v| v * v).sum::<f64>().sqrt();
+                println!("{key} {kind} {name}: {norm:.4}, {:.1e} from {truth:.4}", norm / truth - 1.0);
+                assert!((norm / truth - 1.0).abs() < 2e-4, "{key} {kind} {name}: {norm} is not {truth}");
+            }
         }
     }
 }
@@ -141,7 +231,7 @@ fn single_precision_equals_double() {
 fn single_precision_equals_double_on_the_reference_scene() {
     for (file, side, bound) in [("tube_20k.npz", 256, 5e-4), ("tube_100k.npz", 400, 2e-3)] {
         let Some((tube, view)) = tube(file, side) else { return };
-        for (name, error) in f32_errors(&tube, &view, 9) {
+        for (name, error) in f32_errors(&tube, &view, 9, settings()) {
             println!("{file} {name}: {error:.1e}");
             assert!(error <= bound, "{file} {name} off by {error:e}");
         }

@@ -2,8 +2,10 @@
 
 mod anchoring;
 mod command;
+mod disc;
 mod forward;
 mod gradients;
+mod numpy_normal;
 mod reuse;
 mod robustness;
 mod scenes;

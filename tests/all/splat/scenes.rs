@@ -89,7 +89,7 @@ impl<T: Real> Weights<T> {
     }
 
     pub fn gradient(&self) -> ImageGradient<'_, T> {
-        ImageGradient { color: &self.color, depth: &self.depth, alpha: &self.alpha }
+        ImageGradient { color: &self.color, depth: &self.depth, alpha: &self.alpha, ..ImageGradient::default() }
     }
 
     pub fn loss(&self, image: &Rendered<T>) -> f64 {
