@@ -78,9 +78,6 @@ pub(super) fn sample<T: Real>(
     d: [T; 3],
 ) -> Option<Seen<T>> {
     let offset = [T::of(x as f64 + 0.5) - row[at::X], T::of(y as f64 + 0.5) - row[at::Y]];
-    if offset[0].maximum(-offset[0]) > row[at::HALF_WIDTH] || offset[1].maximum(-offset[1]) > row[at::HALF_HEIGHT] {
-        return None;
-    }
     let tilt = match optics.per_pixel {
         Some([fx, fy]) => [offset[0] * fx, offset[1] * fy, T::zero()],
         None => [d[0] - disc.slope[0] * d[2], d[1] - disc.slope[1] * d[2], T::zero()],
@@ -123,11 +120,7 @@ impl<T: Real> DiscTile<'_, T> {
         let (column, line) = pixel_of(16 * block);
         let middle = [self.corner[0] + column, self.corner[1] + line].map(|v| T::of(v as f64 + 2.0));
         let half = T::of(1.5);
-        let meets = |k: &usize| {
-            let row = &self.rows[self.entries[*k] as usize].0;
-            let aside = [middle[0] - row[at::X], middle[1] - row[at::Y]].map(|v| v.maximum(-v));
-            aside[0] <= row[at::HALF_WIDTH] + half && aside[1] <= row[at::HALF_HEIGHT] + half
-        };
+        let meets = |k: &usize| self.discs[self.entries[*k] as usize].bounds.holds(middle, half);
         near.clear();
         near.extend((0..self.entries.len()).filter(meets));
     }
