@@ -24,6 +24,8 @@ struct MucosaPoint {
   Vec3 albedo;
   float roughness;  // 0 smooth film .. 1 rough
   Vec3 height_gradient;
+  // Mean square slope (per axis) of relief too fine to be seen from there.
+  float unseen_slope2;
 };
 
 inline std::uint32_t hash_cell(int x, int y, int z, std::uint32_t seed) {
@@ -62,8 +64,9 @@ inline float gradient_noise(Vec3 p, std::uint32_t seed) {
 
 // Distance from `p` to the nearest face of the Voronoi diagram of one jittered point per unit cell, measured along a
 // surface of unit normal `normal` through `p` (a face that lies along the surface is then far away: it would show as a
-// patch, not as a line); `edge_hash` names the two cells that meet there, whichever of them `p` is in.
-inline float voronoi_edge(Vec3 p, Vec3 normal, std::uint32_t seed, std::uint32_t& edge_hash) {
+// patch, not as a line; `steepness` 0, 1 where it stands upright); `edge_hash` names the two cells that meet there, whichever of them `p` is in.
+inline float voronoi_edge(Vec3 p, Vec3 normal, std::uint32_t seed, std::uint32_t& edge_hash,
+                          float& steepness) {
   float fx = std::floor(p.x), fy = std::floor(p.y), fz = std::floor(p.z);
   int ix = static_cast<int>(fx), iy = static_cast<int>(fy), iz = static_cast<int>(fz);
   Vec3 local = {p.x - fx, p.y - fy, p.z - fz};
@@ -90,6 +93,7 @@ inline float voronoi_edge(Vec3 p, Vec3 normal, std::uint32_t seed, std::uint32_t
   Vec3 across = p2 - p1;
   float l2 = dot(across, across) + 1e-12f, along = dot(across, normal);
   float in_surface = std::max(1.0f - along * along / l2, 0.0f);
+  steepness = in_surface;
   return (d2 - d1) / (2.0f * std::sqrt(l2 * in_surface * in_surface) + 1e-6f);
 }
 
@@ -99,14 +103,25 @@ inline float vessel_coverage(Vec3 rest_mm, Vec3 normal, float spacing_mm, float 
                              std::uint32_t seed) {
   if (footprint_mm > 0.5f * spacing_mm) return 0.0f;
   std::uint32_t edge;
-  float distance = voronoi_edge(rest_mm * (1.0f / spacing_mm), normal, seed, edge) * spacing_mm;
+  float steepness;
+  float distance = voronoi_edge(rest_mm * (1.0f / spacing_mm), normal, seed, edge, steepness) * spacing_mm;
   float u = unit_float(edge);
   if (u < absent) return 0.0f;
   float half = 0.5f * width_mm * mix(0.35f, 1.0f, (u - absent) / (1.0f - absent));
   // Vessels lie below a translucent layer: soft borders.
   float soft = 0.7f * half + 0.5f * footprint_mm;
   float coverage = 1.0f - smoothstep(half - 0.6f * soft, half + soft, distance);
-  return coverage * std::min(1.0f, half / (0.5f * footprint_mm + 1e-6f));
+  return coverage * std::min(1.0f, half / (0.5f * footprint_mm + 1e-6f)) * smoothstep(0.25f, 0.6f, steepness);
+}
+
+// Height of the cartilage rings.
+constexpr float kRingHeightMm = 0.45f;
+
+// Cartilage: full in trachea and main bronchi, gone from generation 4 on.
+// The back wall of trachea and main bronchi is a membrane without it: LPS, y to the back, `rest_normal` into the lumen.
+inline float ring_weight(float generation, Vec3 rest_normal) {
+  const float membrane = smoothstep(0.4f, 0.8f, -rest_normal.y) * (1.0f - smoothstep(1.0f, 2.2f, generation));
+  return (1.0f - smoothstep(1.2f, 4.0f, generation)) * (1.0f - membrane);
 }
 
 // The cartilage rings' profile over the distance along the airway: pale bulge, flat gap. Value in [0, 1] and slope per mm.
@@ -138,19 +153,19 @@ inline MucosaPoint mucosa_at(const MucosaLook& look, Vec3 base, Vec3 rest_mm, Ve
   if (look.vessels > 0.0f) {
     // Finer in smaller airways, where the scope is close to the wall, too.
     float calibre = mix(1.0f, 0.5f, clamp(0.25f * generation, 0.0f, 1.0f));
-    float large = vessel_coverage(warped, normal, 4.2f, 0.36f * calibre, footprint_mm, 0.35f, look.seed + 3);
-    float small = vessel_coverage(warped, normal, 1.5f, 0.18f * calibre, footprint_mm, 0.4f, look.seed + 4);
+    float large = vessel_coverage(warped, normal, 3.6f, 0.26f * calibre, footprint_mm, 0.35f, look.seed + 3);
+    float small = vessel_coverage(warped, normal, 1.3f, 0.12f * calibre, footprint_mm, 0.3f, look.seed + 4);
     vessel = look.vessels * std::max(large, 0.7f * small);
   }
-  float slope, ring = ring_profile(axial_mm, std::max(look.ring_spacing_mm, 0.1f), slope);
+  float slope, ring = ring_profile(axial_mm, look.ring_spacing_mm, slope);
   float pale = look.rings * ring_weight * ring * 0.9f;
   float depth = clamp(1.0f + 0.75f * blood - 0.8f * pale, 0.25f, 2.5f);
   // Beer-Lambert-like: albedo falls with blood, in green and blue three times as fast as in red.
   auto fade = [](float rate) { return 1.0f / (1.0f + rate); };
   float red = fade(0.16f * depth) * 1.16f, green = fade(0.5f * depth) * 1.5f, blue = fade(0.46f * depth) * 1.46f;
   out.albedo = base * Vec3{red, green, blue};
-  out.albedo = out.albedo * Vec3{1.0f - 0.2f * std::min(vessel, 1.3f), 1.0f - 0.52f * std::min(vessel, 1.3f),
-                                 1.0f - 0.44f * std::min(vessel, 1.3f)};
+  out.albedo = out.albedo * Vec3{1.0f - 0.16f * std::min(vessel, 1.3f), 1.0f - 0.45f * std::min(vessel, 1.3f),
+                                 1.0f - 0.40f * std::min(vessel, 1.3f)};
   out.albedo = {clamp(out.albedo.x, 0.02f, 0.95f), clamp(out.albedo.y, 0.02f, 0.95f), clamp(out.albedo.z, 0.02f, 0.95f)};
 
   Vec3 g1, g2;
@@ -161,6 +176,9 @@ inline MucosaPoint mucosa_at(const MucosaLook& look, Vec3 base, Vec3 rest_mm, Ve
   float fade1 = clamp(1.5f - footprint_mm / 0.65f, 0.0f, 1.0f), fade2 = clamp(1.5f - footprint_mm / 0.27f, 0.0f, 1.0f);
   // Amplitude over period: slopes of about 0.1.
   out.height_gradient = g1 * (look.relief * fade1 * 0.10f) + g2 * (look.relief * fade2 * 0.06f);
+  // The noise's gradient has a mean square of about 1 per axis.
+  const float lost1 = look.relief * (1.0f - fade1) * 0.10f, lost2 = look.relief * (1.0f - fade2) * 0.06f;
+  out.unseen_slope2 = lost1 * lost1 + lost2 * lost2;
   return out;
 }
 

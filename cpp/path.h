@@ -46,15 +46,18 @@ constexpr std::size_t kFilmChannels = 19;
 // Per vertex: light that the base sends, over its albedo and times pi, by way of the wall (3); irradiance by other walls (3).
 constexpr std::size_t kKnownValues = 6;
 
+// Per face: the lamp's irradiance (3), what the base sends on of it (3), what is sent on to all sides alike of other light (3),
+// centre (3), normal (3), what the coat mirrors of the lamp's light and of other light, over `glint`.
+constexpr std::size_t kLampValues = 17;
+
+// Between walls the coat's lobe is taken as this wide: a narrow one would be all noise with few rays per face.
+constexpr float kWideAlpha = 0.3f;
+
+// Of light that is not the lamp's the coat gets this part from about the lamp's side, the rest from all sides alike.
+constexpr float kFromLampSide = 0.5f;
+
 // In place of a face.
 constexpr std::uint32_t kNothing = ~0u;
-
-// Cartilage: full in trachea and main bronchi, gone from generation 4 on.
-// The back wall of trachea and main bronchi is a membrane without it: LPS, y to the back, `rest_normal` into the lumen.
-inline float ring_weight(float generation, Vec3 rest_normal) {
-  const float membrane = smoothstep(0.4f, 0.8f, -rest_normal.y) * (1.0f - smoothstep(1.0f, 2.2f, generation));
-  return (1.0f - smoothstep(1.2f, 4.0f, generation)) * (1.0f - membrane);
-}
 
 struct Surface {
   Vec3 point, geometric, smooth, shading;  // normals: unit, on the side of the viewer
@@ -156,18 +159,35 @@ class PathIntegrator {
     film[18] += 1.0f;
   }
 
-  // The lamp's irradiance at a face's centre, and what the face sends on of it: base and coat as one diffuse surface.
-  void lamp(std::uint32_t face, Vec3& received, Vec3& sent) {
+  // What the lamp does to a face as a whole, at its centre (kLampValues).
+  void lamp(std::uint32_t face, float* values) {
     const Surface s = face_surface(face, 1.0f / 3.0f, 1.0f / 3.0f);
-    received = irradiance(s, true);
-    sent = received * lamp_reflectance(s);
+    const Vec3 received = irradiance(s, true);
+    const float e = tracer_.mean_coat_;
+    store(values, received);
+    store(values + 3, received * s.albedo * (1.0f - e));
+    const float even = e * (1.0f - kFromLampSide);
+    store(values + 6, s.albedo * (1.0f - e) + Vec3{even, even, even});
+    store(values + 9, s.point);
+    store(values + 12, s.shading);
+    values[15] = values[16] = 0.0f;
+    if (!tracer_.coated_) return;
+    // As much as the coat sends back, through the wider lobe.
+    const float cosine = std::max(dot(s.shading, normalize(light_ - s.point)), 0.0f);
+    const float wide = std::max(tracer_.wide_coat_.albedo(kWideAlpha, cosine), 1e-6f);
+    values[15] = tracer_.coat_.albedo(s.alpha, cosine) / wide;
+    values[16] = e * kFromLampSide / wide;
   }
 
-  // What a face sends on of light from all sides.
-  Vec3 reflectance(std::uint32_t face) const {
-    const Vec3 albedo = face_surface(face, 1.0f / 3.0f, 1.0f / 3.0f).albedo;
-    const float e = tracer_.mean_coat_;
-    return albedo * (1.0f - e) + Vec3{e, e, e};
+  // What the coat of a face sends towards `to` of light that comes from the lamp's side: radiance times pi over what it gets
+  // there. `from`: its kLampValues.
+  float glint(Vec3 to, const float* from) const {
+    const Vec3 point = load(from + 9), way = to - point;
+    const float l2 = dot(way, way);
+    if (!(l2 > 0.0f)) return 0.0f;
+    const Frame frame(load(from + 12));
+    const Vec3 o = frame.local(way * (1.0f / std::sqrt(l2))), i = frame.local(normalize(light_ - point));
+    return kPi * tracer_.wide_coat_.value(o, i, kWideAlpha);
   }
 
   // Faces that `count` rays meet which leave a face after the cosine law; kNothing for what leaves the mesh. The rays
@@ -189,11 +209,12 @@ class PathIntegrator {
     }
   }
 
-  // Where a walk comes out that starts in the tenth of `face` next to its vertex `corner`, and what is left of its light
-  // over the albedo there. False where nothing comes out. (Starts spread over the whole face would blur twice: the
-  // interpolation between vertices does so once.)
+  // Where a walk comes out that starts in `face`, the more likely the nearer to its vertex `corner` (linearly), and what is
+  // left of its light over the albedo there. False where nothing comes out.
   bool walk_from(std::uint32_t face, std::uint32_t corner, Sampler& sampler, std::uint32_t& exit, Vec3& weight) {
-    const float own = 1.0f - 0.1f * std::sqrt(sampler.random());
+    // The middle one of three.
+    const float a = sampler.random(), b = sampler.random(), c = sampler.random();
+    const float own = std::max(std::min(a, b), std::min(std::max(a, b), c));
     const float split = sampler.random();
     float w[3];
     w[corner] = own, w[(corner + 1) % 3] = (1.0f - own) * split, w[(corner + 2) % 3] = (1.0f - own) * (1.0f - split);
@@ -287,13 +308,49 @@ class PathIntegrator {
       const float l2 = dot(n, n);
       if (l2 > 1e-6f) s.smooth = n * (1.0f / std::sqrt(l2));
     }
+    if (!tracer_.ring_height_.empty()) {
+      const Rise rise = ring_rise(face, hit.u, hit.v);
+      s.smooth = bent(s.smooth, direction, face, {rise.first * side, rise.second * side});
+    }
     s.shading = s.smooth;
     s.albedo = tracer_.mucosa_ ? interpolate(tracer_.vertex_albedo_.data(), face, hit.u, hit.v) : tracer_.albedo_;
     s.alpha = tracer_.mucosa_ ? 0.5f * (tracer_.alpha_low_ + tracer_.alpha_high_) : tracer_.alpha_low_;
     return s;
   }
 
-  // The first vertex: with vessels, film and relief.
+  // How much something rises along two edges of a face, from its first corner.
+  struct Rise {
+    float first, second;
+  };
+
+  // The cartilage rings' relief. Rings are as wide as several faces: they bend the normal of every vertex of a path.
+  Rise ring_rise(const std::uint32_t* face, float w1, float w2) const {
+    const Tracer& t = tracer_;
+    const float w0 = 1.0f - w1 - w2;
+    const float height = w0 * t.ring_height_[face[0]] + w1 * t.ring_height_[face[1]] + w2 * t.ring_height_[face[2]];
+    if (height <= 0.0f) return {0.0f, 0.0f};
+    const float a0 = t.axial_mm_[face[0]], a1 = t.axial_mm_[face[1]], a2 = t.axial_mm_[face[2]];
+    float slope;
+    ring_profile(w0 * a0 + w1 * a1 + w2 * a2, t.look_.ring_spacing_mm, slope);
+    return {height * slope * (a1 - a0), height * slope * (a2 - a0)};
+  }
+
+  // `normal` of a face whose surface rises so, seen along `direction`. (A relief's rise along two edges of the rest triangle is
+  // its rise along the deformed ones.)
+  Vec3 bent(Vec3 normal, Vec3 direction, const std::uint32_t* face, Rise rise) const {
+    const Vec3 p0 = load(tracer_.vertices_ + 3ull * face[0]);
+    const Vec3 e1 = load(tracer_.vertices_ + 3ull * face[1]) - p0, e2 = load(tracer_.vertices_ + 3ull * face[2]) - p0;
+    const Vec3 n = cross(e1, e2);
+    const float n2 = dot(n, n);
+    if (n2 <= 1e-20f) return normal;
+    const Vec3 steep = normal - (cross(e2, n) * rise.first + cross(n, e1) * rise.second) * (1.0f / n2);
+    const float away = dot(steep, -direction);
+    const float length = std::sqrt(dot(direction, direction));
+    // A normal that looks away from the viewer is bent back just into view.
+    return normalize(away > 0.02f * length ? steep : steep - direction * ((0.02f - away / length) / length));
+  }
+
+  // The first vertex: with vessels, film and fine relief.
   Surface camera_surface(const Hit& hit, Vec3 direction) const {
     Surface s = surface(hit, origin_, direction);
     if (!tracer_.mucosa_) return s;
@@ -305,31 +362,13 @@ class PathIntegrator {
     };
     const Vec3 rest0 = load(&t.rest_[3ull * face[0]]);
     const Vec3 rest1 = load(&t.rest_[3ull * face[1]]) - rest0, rest2 = load(&t.rest_[3ull * face[2]]) - rest0;
-    const Vec3 rest_normal = unit_or_zero(cross(rest1, rest2));
-    const float generation = scalar(t.generations_), axial = scalar(t.axial_mm_);
-    const float rings = ring_weight(generation, rest_normal);
-    const float footprint = hit.t * frame_.pixel_angle;
     const MucosaPoint m = mucosa_at(t.look_, t.albedo_, rest0 + rest1 * hit.u + rest2 * hit.v,
-                                    rest_normal, axial, rings, generation, footprint);
+                                    unit_or_zero(cross(rest1, rest2)), scalar(t.axial_mm_), scalar(t.ring_weight_),
+                                    scalar(t.generations_), hit.t * frame_.pixel_angle);
     s.albedo = m.albedo;
-    s.alpha = mix(t.alpha_low_, t.alpha_high_, m.roughness);
-    // The relief's change along two edges of the rest triangle is its change along the deformed ones.
-    float ring_slope;
-    ring_profile(axial, std::max(t.look_.ring_spacing_mm, 0.1f), ring_slope);
-    const float ring_height = t.look_.rings * rings * 0.45f * ring_slope;
-    const float a0 = t.axial_mm_[face[0]];
-    const float h1 = dot(m.height_gradient, rest1) + ring_height * (t.axial_mm_[face[1]] - a0);
-    const float h2 = dot(m.height_gradient, rest2) + ring_height * (t.axial_mm_[face[2]] - a0);
-    const Vec3 p0 = load(t.vertices_ + 3ull * face[0]);
-    const Vec3 e1 = load(t.vertices_ + 3ull * face[1]) - p0, e2 = load(t.vertices_ + 3ull * face[2]) - p0;
-    const Vec3 n = cross(e1, e2);
-    const float n2 = dot(n, n);
-    if (n2 <= 1e-20f) return s;
-    const Vec3 gradient = (cross(e2, n) * h1 + cross(n, e1) * h2) * (1.0f / n2);
-    const Vec3 bent = s.smooth - gradient;
-    const float away = dot(bent, -direction);
-    // A normal that looks away from the camera is bent back just into view.
-    s.shading = normalize(away > 0.02f ? bent : bent - direction * (0.02f - away));
+    const float alpha = mix(t.alpha_low_, t.alpha_high_, m.roughness);
+    s.alpha = std::sqrt(alpha * alpha + 2.0f * m.unseen_slope2);
+    s.shading = bent(s.smooth, direction, face, {dot(m.height_gradient, rest1), dot(m.height_gradient, rest2)});
     return s;
   }
 
@@ -407,12 +446,11 @@ class PathIntegrator {
     return {b.x > 0 ? a.x / b.x : 0.0f, b.y > 0 ? a.y / b.y : 0.0f, b.z > 0 ? a.z / b.z : 0.0f};
   }
 
-  // A point of the surface as light that comes out of the wall sees it.
+  // A point of the surface as seen from the lumen, where light comes out of the wall along `direction`.
   Surface exit_surface(const Hit& hit, Vec3 point, Vec3 direction) const {
-    Surface s = surface(hit, point - direction * hit.t, direction);
+    const Vec3 inwards = dot(hit.geometric, direction) > 0.0f ? -hit.geometric : hit.geometric;
+    Surface s = surface(hit, point, inwards);
     s.point = point;
-    // `surface` turns normals towards where the ray comes from: here, into the wall.
-    s.geometric = -s.geometric, s.smooth = -s.smooth, s.shading = -s.shading;
     return s;
   }
 

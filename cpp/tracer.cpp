@@ -73,6 +73,7 @@ Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_
   for (std::uint32_t v : faces) demand(v < count, "a face names a vertex that is not there");
   if (coated_) {
     coat_ = Coat(alpha_low_, alpha_high_, material.ior);
+    wide_coat_ = Coat(kWideAlpha, kWideAlpha, material.ior);
     constexpr int kSteps = 64;
     for (int k = 0; k < kSteps; ++k) {
       const float cosine = (static_cast<float>(k) + 0.5f) / kSteps;
@@ -104,7 +105,7 @@ Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_
     rtcCommitScene(scene);
   }
   update_normals();
-  bake_albedo();
+  bake_look();
 }
 
 void Tracer::update(rust::Slice<const float> vertices) {
@@ -143,8 +144,19 @@ void Tracer::update_normals() {
 }
 
 // Later bounces see the mean colour around each vertex: what they carry is blurred by the next scattering anyway.
-void Tracer::bake_albedo() {
+// Rings of real airways are neither evenly spaced nor of one height: slow noise bends and fades them.
+void Tracer::bake_look() {
   if (!mucosa_) return;
+  ring_weight_.assign(vertex_floats_ / 3, 0.0f);
+  for (std::size_t v = 0; v < ring_weight_.size(); ++v) {
+    const Vec3 p = load(&rest_[3 * v]);
+    axial_mm_[v] += 0.22f * look_.ring_spacing_mm * gradient_noise(p * (1.0f / 9.0f), look_.seed + 8);
+    // `normals_` are those of the rest shape still.
+    ring_weight_[v] = ring_weight(generations_[v], load(&normals_[3 * v])) * clamp(0.85f + 0.5f * gradient_noise(p * (1.0f / 6.0f), look_.seed + 9), 0.0f, 1.2f);
+  }
+  if (look_.rings > 0.0f) {
+    for (float weight : ring_weight_) ring_height_.push_back(kRingHeightMm * look_.rings * weight);
+  }
   vertex_albedo_.assign(vertex_floats_, 0.0f);
   std::vector<float> weights(vertex_floats_ / 3, 0.0f);
   for (std::size_t f = 0; f < face_count_; ++f) {
@@ -156,8 +168,8 @@ void Tracer::bake_albedo() {
     for (int k = 0; k < 3; ++k) {
       std::uint32_t v = face[k];
       Vec3 p = corner[k] * (2.0f / 3.0f) + (corner[(k + 1) % 3] + corner[(k + 2) % 3]) * (1.0f / 6.0f);
-      MucosaPoint m = mucosa_at(look_, albedo_, p, unit_or_zero(normal), axial_mm_[v],
-                                ring_weight(generations_[v], unit_or_zero(normal)), generations_[v], 0.0f);
+      MucosaPoint m = mucosa_at(look_, albedo_, p, unit_or_zero(normal), axial_mm_[v], ring_weight_[v],
+                                generations_[v], 0.0f);
       store(&vertex_albedo_[3 * v], load(&vertex_albedo_[3 * v]) + m.albedo * area);
       weights[v] += area;
     }
@@ -216,18 +228,29 @@ TileCounters Tracer::trace_tile(const FrameSettings& frame, const Tile& tile, ru
 
 std::uint64_t Tracer::lamp(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces,
                            rust::Slice<float> values) const {
-  demand(values.size() == 9 * faces.size(), "nine values per face");
+  demand(values.size() == kLampValues * faces.size(), "so many values per face");
   FloatMode mode;
   PathIntegrator integrator(*this, frame);
   for (std::size_t f = 0; f < faces.size(); ++f) {
     demand(faces[f] < face_count_, "a face that is not there");
-    Vec3 received, sent;
-    integrator.lamp(faces[f], received, sent);
-    store(&values[9 * f], received);
-    store(&values[9 * f + 3], sent);
-    store(&values[9 * f + 6], integrator.reflectance(faces[f]));
+    integrator.lamp(faces[f], &values[kLampValues * f]);
   }
   return integrator.counters.rays;
+}
+
+void Tracer::glints(const FrameSettings& frame, rust::Slice<const float> lamp, rust::Slice<const std::uint32_t> to,
+                    rust::Slice<const std::uint32_t> from, rust::Slice<float> parts) const {
+  demand(!to.empty() && from.size() % to.size() == 0 && parts.size() == from.size(), "the same number of rays for every face");
+  if (!coated_) return;
+  FloatMode mode;
+  const PathIntegrator integrator(*this, frame);
+  const std::size_t count = lamp.size() / kLampValues, rays = from.size() / to.size();
+  for (std::size_t ray = 0; ray < from.size(); ++ray) {
+    const std::uint32_t source = from[ray], face = to[ray / rays];
+    if (source == kNothing) continue;
+    demand(source < count && face < count, "a face that has no lamp values");
+    parts[ray] = integrator.glint(load(&lamp[kLampValues * face + 9]), &lamp[kLampValues * source]);
+  }
 }
 
 std::uint64_t Tracer::gather(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces,

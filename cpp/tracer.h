@@ -65,8 +65,14 @@ class Tracer {
   void trace_distances(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<float> distances,
                        rust::Slice<std::uint32_t> faces) const;
 
-  // Per face: the lamp's irradiance (3), what it sends on of that (3), what it sends on of light from all sides (3).
+  // kLampValues per face (`cpp/path.h`).
   std::uint64_t lamp(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces, rust::Slice<float> values) const;
+
+  // For every ray what the coat of the face that it meets sends along it of light that comes from the lamp's side, as
+  // irradiance over what the coat gets. `lamp`: what `lamp` found, of all faces that take part; `to`: places in it; `from`:
+  // places of the faces that the rays of each meet, ~0 for none, the same number of rays for each.
+  void glints(const FrameSettings& frame, rust::Slice<const float> lamp, rust::Slice<const std::uint32_t> to,
+              rust::Slice<const std::uint32_t> from, rust::Slice<float> parts) const;
 
   // Per face the faces that hits.size() / faces.size() rays from it meet; ~0 where one leaves the mesh.
   std::uint64_t gather(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces, rust::Slice<std::uint32_t> hits) const;
@@ -88,7 +94,7 @@ class Tracer {
  private:
   friend class PathIntegrator;
 
-  void bake_albedo();
+  void bake_look();
   // The wall below a point of diffuse albedo `albedo`.
   Medium medium(Vec3 albedo) const {
     if (fixed_scattering_) return {extinction_, scattering_};
@@ -106,6 +112,8 @@ class Tracer {
   const std::uint32_t* faces_{};
   std::size_t vertex_floats_{}, face_count_{};
   std::vector<float> rest_, normals_, generations_, axial_mm_, vertex_albedo_;
+  // How much cartilage there is at a vertex, and the rings' height in mm (empty without rings).
+  std::vector<float> ring_weight_, ring_height_;
   bool mucosa_{}, coated_{};
   Subsurface subsurface_{};
   // Walks at every vertex of a path instead of the first alone.
@@ -119,7 +127,7 @@ class Tracer {
   Vec3 albedo_{};
   float alpha_low_{}, alpha_high_{};
   MucosaLook look_{};
-  Coat coat_;
+  Coat coat_, wide_coat_;
 };
 
 std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces,

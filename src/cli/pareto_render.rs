@@ -61,6 +61,7 @@ impl View {
         let anatomy = crate::airway::build(case)?;
         let route = Route::plan(&anatomy, &case.trajectory)?;
         let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, material(case)?, case.seed)?;
+        scene.set_other_end(&anatomy.expiration.vertices)?;
         scene.deform(&mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase))?;
         Ok(View {
             name: case.id.clone(),

@@ -146,6 +146,14 @@ mod bridge {
             faces: &mut [u32],
         ) -> Result<()>;
         fn lamp(self: &Tracer, frame: &FrameSettings, faces: &[u32], values: &mut [f32]) -> Result<u64>;
+        fn glints(
+            self: &Tracer,
+            frame: &FrameSettings,
+            lamp: &[f32],
+            to: &[u32],
+            from: &[u32],
+            parts: &mut [f32],
+        ) -> Result<()>;
         fn gather(self: &Tracer, frame: &FrameSettings, faces: &[u32], hits: &mut [u32]) -> Result<u64>;
         fn walks(
             self: &Tracer,
@@ -179,9 +187,9 @@ pub const FILM_CHANNELS: usize = 19;
 /// other walls (3).
 pub const KNOWN_VALUES: usize = 6;
 
-/// Values per face: the lamp's irradiance (3), what the face sends on of it (3), what it sends on of light from all sides
-/// (3).
-pub const LAMP_VALUES: usize = 9;
+/// Values per face: the lamp's irradiance (3), what the base sends on of it (3), what is sent on to all sides alike of other
+/// light (3), centre (3), normal (3), what the coat mirrors of the lamp's light and of other light, over [`MeshTracer::glints`].
+pub const LAMP_VALUES: usize = 17;
 
 /// In place of a face: nothing was hit.
 pub const NO_FACE: u32 = u32::MAX;
@@ -254,6 +262,19 @@ impl MeshTracer {
     /// [`LAMP_VALUES`] per face; gives back the number of rays.
     pub fn lamp(&self, frame: &FrameSettings, faces: &[u32], values: &mut [f32]) -> Result<u64> {
         self.0.lamp(frame, faces, values).map_err(failed)
+    }
+
+    /// For every ray of the faces at the places `to` of `lamp` ([`LAMP_VALUES`] each) what the coat of the face that it meets
+    /// (place in `from`, [`NO_FACE`] for none; the same number for each of `to`) sends along it of light from the lamp's side:
+    /// irradiance over what the coat gets.
+    pub fn glints(
+        &self,
+        frame: &FrameSettings,
+        lamp: &[f32],
+        [to, from]: [&[u32]; 2],
+        parts: &mut [f32],
+    ) -> Result<()> {
+        self.0.glints(frame, lamp, to, from, parts).map_err(failed)
     }
 
     /// Per face the faces that `hits.len() / faces.len()` rays from it meet ([`NO_FACE`] where one leaves the mesh); gives

@@ -17,6 +17,8 @@ pub struct Scene {
     pub(super) topology: Topology,
     /// Light at rest.
     pub(super) tissue: Tissue,
+    /// How far the shape is on the way to the other end of its motion.
+    pub(super) progress: f64,
     /// An index-matched boundary.
     matched: bool,
 }
@@ -41,8 +43,8 @@ impl Scene {
         let vertices = floats(&rest.vertices, shift);
         let tracer = MeshTracer::new(&vertices, rest.faces.as_flattened(), &generation, &axial, &settings)?;
         let topology = Topology::new(rest);
-        let tissue = Tissue::new(Rest { vertices, generation, axial, material: settings }, &topology);
-        Ok(Scene { tracer, shift, topology, tissue, matched: settings.subsurface == 2 })
+        let tissue = Tissue::new(Rest { generation, axial, material: settings }, vertices, &topology);
+        Ok(Scene { tracer, shift, topology, tissue, progress: 0.0, matched: settings.subsurface == 2 })
     }
 
     /// Refuses what has no light at vertices.
@@ -57,6 +59,23 @@ impl Scene {
 
     /// Moves the vertices (world, mm) and refits the hierarchy. The look stays on the tissue.
     pub fn deform(&mut self, vertices: &[DVec3]) -> Result<()> {
+        self.check_vertices(vertices)?;
+        let vertices = floats(vertices, self.shift);
+        self.progress = self.tissue.progress(&vertices);
+        self.tracer.update(&vertices)
+    }
+
+    /// Tells where the motion ends that starts at rest (positions in the world, mm). Light at vertices then weighs which
+    /// walls see each other at either end; without it, that is as at rest.
+    ///
+    /// Errors: another number of vertices.
+    pub fn set_other_end(&mut self, vertices: &[DVec3]) -> Result<()> {
+        self.check_vertices(vertices)?;
+        self.tissue.set_other_end(floats(vertices, self.shift), &self.topology);
+        Ok(())
+    }
+
+    fn check_vertices(&self, vertices: &[DVec3]) -> Result<()> {
         if vertices.len() != self.topology.vertex_count() {
             return Err(Error::input(format!(
                 "{} positions for {} vertices",
@@ -67,7 +86,7 @@ impl Scene {
         if let Some(v) = vertices.iter().position(|v| !v.is_finite()) {
             return Err(Error::input("coordinate is not finite").element(format!("vertex {v}")));
         }
-        self.tracer.update(&floats(vertices, self.shift))
+        Ok(())
     }
 
     /// Number of triangles.

@@ -32,10 +32,8 @@ pub(super) struct Source {
     pub weight: [f32; 3],
 }
 
-/// What makes the rest shape's tracer.
+/// What makes the tracers of the fixed shapes.
 pub(super) struct Rest {
-    /// xyz interleaved, in the tracer's world.
-    pub vertices: Vec<f32>,
     /// Airway generation per vertex.
     pub generation: Vec<f32>,
     /// Distance along the airway per vertex.
@@ -47,10 +45,23 @@ pub(super) struct Rest {
 /// Rows, made where they are asked for.
 pub(super) struct Tissue {
     rest: Rest,
-    tracer: OnceLock<Result<MeshTracer>>,
-    hits: Vec<OnceLock<Box<[u32]>>>,
+    ends: Vec<End>,
     rows: Vec<OnceLock<Box<[Source]>>>,
     scales: Vec<OnceLock<[f32; 3]>>,
+}
+
+/// One of the two ends of the motion, the first one being the shape at rest.
+struct End {
+    /// xyz interleaved, in the tracer's world.
+    vertices: Vec<f32>,
+    tracer: OnceLock<Result<MeshTracer>>,
+    hits: Vec<OnceLock<Box<[u32]>>>,
+}
+
+impl End {
+    fn new(vertices: Vec<f32>, faces: usize) -> Self {
+        End { vertices, tracer: OnceLock::new(), hits: empty(faces) }
+    }
 }
 
 fn empty<T>(count: usize) -> Vec<OnceLock<T>> {
@@ -58,11 +69,34 @@ fn empty<T>(count: usize) -> Vec<OnceLock<T>> {
 }
 
 impl Tissue {
-    /// Nothing is traced yet.
-    pub(super) fn new(rest: Rest, topology: &Topology) -> Self {
-        let vertices = topology.vertex_count();
-        let hits = empty(topology.faces.len());
-        Tissue { rest, tracer: OnceLock::new(), hits, rows: empty(vertices), scales: empty(vertices) }
+    /// Nothing is traced yet. `vertices` of the shape at rest: xyz interleaved, in the tracer's world.
+    pub(super) fn new(rest: Rest, vertices: Vec<f32>, topology: &Topology) -> Self {
+        let count = topology.vertex_count();
+        let ends = vec![End::new(vertices, topology.faces.len())];
+        Tissue { rest, ends, rows: empty(count), scales: empty(count) }
+    }
+
+    /// The shape at the other end of the motion.
+    pub(super) fn set_other_end(&mut self, vertices: Vec<f32>, topology: &Topology) {
+        self.ends.truncate(1);
+        self.ends.push(End::new(vertices, topology.faces.len()));
+    }
+
+    /// How far `vertices` are on the way from rest to the other end: 0 to 1, 0 where there is no other end.
+    pub(super) fn progress(&self, vertices: &[f32]) -> f64 {
+        let [rest, other] = &self.ends[..] else { return 0.0 };
+        let (mut along, mut whole) = (0.0, 0.0);
+        for ((&r, &o), &v) in rest.vertices.iter().zip(&other.vertices).zip(vertices) {
+            along += f64::from(v - r) * f64::from(o - r);
+            whole += f64::from(o - r).powi(2);
+        }
+        if whole > 0.0 { (along / whole).clamp(0.0, 1.0) } else { 0.0 }
+    }
+
+    /// The ends that speak for a shape, and how much.
+    pub(super) fn weighted_ends(&self, progress: f64) -> Vec<(usize, f32)> {
+        let parts = [(0, 1.0 - progress as f32), (1, progress as f32)];
+        parts.into_iter().filter(|&(_, part)| part > 0.0).collect()
     }
 
     /// Light leaves the wall elsewhere than where it enters.
@@ -70,34 +104,37 @@ impl Tissue {
         self.rest.material.subsurface == 1
     }
 
-    fn tracer(&self, topology: &Topology) -> Result<&MeshTracer> {
+    fn tracer(&self, end: usize, topology: &Topology) -> Result<&MeshTracer> {
+        let end = &self.ends[end];
         let make = || {
-            let Rest { vertices, generation, axial, material } = &self.rest;
-            MeshTracer::new(vertices, topology.faces.as_flattened(), generation, axial, material)
+            let Rest { generation, axial, material } = &self.rest;
+            MeshTracer::new(&end.vertices, topology.faces.as_flattened(), generation, axial, material)
         };
-        self.tracer.get_or_init(make).as_ref().map_err(|e| Error::new(e.kind(), e.to_string()))
+        end.tracer.get_or_init(make).as_ref().map_err(|e| Error::new(e.kind(), e.to_string()))
     }
 
-    /// The faces that `per_face` rays from each of `faces` meet, [`NO_FACE`] where one leaves the mesh; and the number of
-    /// rays that were traced for it.
+    /// The faces that `per_face` rays from each of `faces` meet on the shape of `end`, [`NO_FACE`] where one leaves the mesh;
+    /// and the number of rays that were traced for it.
     pub(super) fn hits(
         &self,
         frame: &FrameSettings,
+        end: usize,
         faces: &[u32],
         per_face: usize,
         topology: &Topology,
     ) -> Result<(Vec<u32>, u64)> {
-        let tracer = self.tracer(topology)?;
+        let tracer = self.tracer(end, topology)?;
+        let kept = &self.ends[end].hits;
         let mut all = Vec::with_capacity(faces.len() * per_face);
         let mut rays = 0;
         for &face in faces {
-            let row = match self.hits[face as usize].get() {
+            let row = match kept[face as usize].get() {
                 Some(row) if row.len() >= per_face => row,
                 _ => {
                     let mut row = vec![NO_FACE; per_face];
                     rays += tracer.gather(frame, &[face], &mut row)?;
                     // Whoever comes first is kept: ray k is the same in rows of any length.
-                    self.hits[face as usize].get_or_init(|| row.clone().into_boxed_slice());
+                    kept[face as usize].get_or_init(|| row.clone().into_boxed_slice());
                     all.extend_from_slice(&row);
                     continue;
                 }
@@ -130,7 +167,7 @@ impl Tissue {
     }
 
     fn make_rows(&self, frame: &FrameSettings, missing: &[u32], topology: &Topology) -> Result<u64> {
-        let tracer = self.tracer(topology)?;
+        let tracer = self.tracer(0, topology)?;
         let rays: Vec<u64> = missing
             .par_chunks(CHUNK)
             .map(|chunk| {

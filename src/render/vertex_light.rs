@@ -65,11 +65,20 @@ impl Faces {
     }
 }
 
-/// The rays of one generation: those of face `first + k` are `hits[k * per_face .. (k + 1) * per_face]`.
+/// The rays of one generation: those of face `first + k` meet the faces at the places
+/// `hits[k * weights.len() .. (k + 1) * weights.len()]`, [`NO_FACE`] for none, and count as much as `weights` says.
 struct Generation {
     first: usize,
-    per_face: usize,
+    weights: Vec<f32>,
     hits: Vec<u32>,
+    /// What the coats that the rays meet send along them (`MeshTracer::glints`).
+    glints: Vec<f32>,
+}
+
+impl Generation {
+    fn len(&self) -> usize {
+        self.hits.len() / self.weights.len()
+    }
 }
 
 type Rgb = [f32; 3];
@@ -85,10 +94,11 @@ pub(super) fn vertex_light(
     let mut rays = scene.tissue.prepare(frame, &vertices, &scene.topology)?;
     let mut faces = Faces::new(scene.topology.faces.len());
     vertices.iter().flat_map(|&v| scene.topology.faces_around(v)).for_each(|&f| faces.add(f));
-    let generations = gather(scene, frame, &vertices, rays_per_face, &mut faces, &mut rays)?;
+    let mut generations = gather(scene, frame, &vertices, rays_per_face, &mut faces, &mut rays)?;
     let lamp = lamp(scene, frame, &faces.list, &mut rays)?;
-    let irradiance = solve(frame, &faces, &generations, &lamp);
-    let solved = generations.iter().map(|g| g.hits.len() / g.per_face).sum();
+    add_glints(scene, frame, &mut generations, &lamp)?;
+    let irradiance = solve(frame, &generations, &lamp);
+    let solved = generations.iter().map(Generation::len).sum();
     Ok(VertexLight { known: at_vertices(scene, &vertices, &faces, &lamp, &irradiance, solved), rays })
 }
 
@@ -114,23 +124,37 @@ fn gather(
     faces: &mut Faces,
     rays: &mut u64,
 ) -> Result<Vec<Generation>> {
-    let mut generations = Vec::new();
+    let mut generations: Vec<Generation> = Vec::new();
+    let ends = scene.tissue.weighted_ends(scene.progress);
     let mut first = 0;
     for depth in 0..DEPTH {
         let end = faces.list.len();
         let per_face = if depth == 0 { rays_per_face } else { rays_per_face.div_ceil(LATER_PART) } as usize;
-        let parts: Vec<(Vec<u32>, u64)> = faces.list[first..end]
-            .par_chunks(CHUNK)
-            .map(|chunk| scene.tissue.hits(frame, chunk, per_face, &scene.topology))
-            .collect::<Result<_>>()?;
+        let met = |chunk: &[u32]| -> Result<(Vec<u32>, u64)> {
+            let mut rays = 0;
+            let mut of_ends = Vec::new();
+            for &(shape, _) in &ends {
+                let (hits, traced) = scene.tissue.hits(frame, shape, chunk, per_face, &scene.topology)?;
+                of_ends.push(hits);
+                rays += traced;
+            }
+            let row = |k: usize| of_ends.iter().flat_map(move |hits| &hits[k * per_face..(k + 1) * per_face]).copied();
+            Ok(((0..chunk.len()).flat_map(row).collect(), rays))
+        };
+        let parts: Vec<(Vec<u32>, u64)> = faces.list[first..end].par_chunks(CHUNK).map(met).collect::<Result<_>>()?;
         *rays += parts.iter().map(|p| p.1).sum::<u64>();
         let hits: Vec<u32> = parts.into_iter().flat_map(|p| p.0).collect();
         hits.iter().filter(|h| **h != NO_FACE).for_each(|&h| faces.add(h));
         if depth == 0 {
             vertices.iter().flat_map(|&v| scene.tissue.sources(v)).for_each(|s| faces.add(s.face));
         }
-        generations.push(Generation { first, per_face, hits });
+        let weights =
+            ends.iter().flat_map(|&(_, part)| std::iter::repeat_n(part / per_face as f32, per_face)).collect();
+        generations.push(Generation { first, weights, glints: vec![0.0; hits.len()], hits });
         first = end;
+    }
+    for hit in generations.iter_mut().flat_map(|g| &mut g.hits).filter(|h| **h != NO_FACE) {
+        *hit = faces.place[*hit as usize];
     }
     Ok(generations)
 }
@@ -149,18 +173,40 @@ fn lamp(scene: &Scene, frame: &FrameSettings, faces: &[u32], rays: &mut u64) -> 
     Ok(parts.into_iter().flat_map(|p| p.0).collect())
 }
 
+fn add_glints(scene: &Scene, frame: &FrameSettings, generations: &mut [Generation], lamp: &[f32]) -> Result<()> {
+    for generation in generations.iter_mut().filter(|g| !g.hits.is_empty()) {
+        let to: Vec<u32> = (generation.first..generation.first + generation.len()).map(|p| p as u32).collect();
+        let rays = CHUNK * generation.weights.len();
+        to.par_chunks(CHUNK)
+            .zip(generation.hits.par_chunks(rays))
+            .zip(generation.glints.par_chunks_mut(rays))
+            .try_for_each(|((to, from), parts)| scene.tracer.glints(frame, lamp, [to, from], parts))?;
+    }
+    Ok(())
+}
+
+/// What a face sends to others: by its base to all sides alike, by its coat as [`Generation::glints`] says.
+#[derive(Clone, Copy)]
+struct Sent {
+    base: Rgb,
+    coat: Rgb,
+}
+
 /// Irradiance by other walls, per face.
-fn solve(frame: &FrameSettings, faces: &Faces, generations: &[Generation], lamp: &[f32]) -> Vec<Rgb> {
-    let mut irradiance = vec![[0.0; 3]; faces.list.len()];
+fn solve(frame: &FrameSettings, generations: &[Generation], lamp: &[f32]) -> Vec<Rgb> {
+    let mut irradiance = vec![[0.0; 3]; lamp.len() / LAMP_VALUES];
     let steps = if frame.max_scatterings == 0 { MOST_STEPS } else { frame.max_scatterings - 1 };
     let mut before = 0.0;
     for _ in 0..steps {
-        let sent: Vec<Rgb> = irradiance
+        let sent: Vec<Sent> = irradiance
             .iter()
             .zip(lamp.chunks_exact(LAMP_VALUES))
-            .map(|(e, l)| std::array::from_fn(|c| l[3 + c] + l[6 + c] * e[c]))
+            .map(|(e, l)| Sent {
+                base: std::array::from_fn(|c| l[3 + c] + l[6 + c] * e[c]),
+                coat: std::array::from_fn(|c| l[15] * l[c] + l[16] * e[c]),
+            })
             .collect();
-        irradiance = step(frame, faces, generations, &sent);
+        irradiance = step(frame, generations, &sent);
         let total: f64 = irradiance.iter().flatten().map(|&v| f64::from(v)).sum();
         if frame.max_scatterings == 0 && (total - before).abs() <= CONVERGED * total {
             break;
@@ -170,20 +216,27 @@ fn solve(frame: &FrameSettings, faces: &Faces, generations: &[Generation], lamp:
     irradiance
 }
 
-fn step(frame: &FrameSettings, faces: &Faces, generations: &[Generation], sent: &[Rgb]) -> Vec<Rgb> {
+fn step(frame: &FrameSettings, generations: &[Generation], sent: &[Sent]) -> Vec<Rgb> {
     let outside = frame.background.map(|v| v * std::f32::consts::PI);
     let mut next: Vec<Rgb> = Vec::with_capacity(sent.len());
     for generation in generations.iter().filter(|g| !g.hits.is_empty()) {
         debug_assert_eq!(generation.first, next.len());
-        let mean = |hits: &[u32]| -> Rgb {
+        let rays = generation.weights.len();
+        let received = |(hits, glints): (&[u32], &[f32])| -> Rgb {
             let mut sum = [0.0; 3];
-            for &hit in hits {
-                let light = if hit == NO_FACE { &outside } else { &sent[faces.place(hit)] };
-                (0..3).for_each(|c| sum[c] += light[c]);
+            for ((&hit, &glint), &weight) in hits.iter().zip(glints).zip(&generation.weights) {
+                if hit == NO_FACE {
+                    (0..3).for_each(|c| sum[c] += weight * outside[c]);
+                } else {
+                    let Sent { base, coat } = &sent[hit as usize];
+                    (0..3).for_each(|c| sum[c] += weight * (base[c] + glint * coat[c]));
+                }
             }
-            sum.map(|v| v / generation.per_face as f32)
+            sum
         };
-        next.par_extend(generation.hits.par_chunks_exact(generation.per_face).map(mean));
+        next.par_extend(
+            generation.hits.par_chunks_exact(rays).zip(generation.glints.par_chunks_exact(rays)).map(received),
+        );
     }
     next.resize(sent.len(), [0.0; 3]);
     next
@@ -219,8 +272,40 @@ fn at_vertices(
     for (v, &count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
         known[v * KNOWN_VALUES + 3..][..3].iter_mut().for_each(|e| *e /= count as f32);
     }
+    sharpen(scene, vertices, &mut known);
     spread(scene, vertices, &mut known);
     known
+}
+
+/// Linear interpolation between vertices lies above a valley and below a crest, and means over the faces around a vertex
+/// flatten both: second-order terms that the difference from the neighbours' mean takes off again, where all of them are
+/// known. (Six neighbours at distance h: their mean is h^2/4 times the Laplacian off; interpolation h^2/16 on average
+/// over a face, the mean over the faces around another 5/48 h^2.)
+fn sharpen(scene: &Scene, vertices: &[u32], known: &mut [f32]) {
+    const WALKED: f32 = 1.0 / 2.0;
+    const IRRADIANCE: f32 = 2.0 / 3.0;
+    let sharp = |&v: &u32| -> [f32; KNOWN_VALUES] {
+        let own: [f32; KNOWN_VALUES] = std::array::from_fn(|c| known[v as usize * KNOWN_VALUES + c]);
+        let (mut sum, mut count, mut all) = ([0.0; KNOWN_VALUES], 0.0, [true; KNOWN_VALUES]);
+        for n in scene.topology.neighbours(v).filter(|&n| n != v) {
+            for (c, &value) in known[n as usize * KNOWN_VALUES..][..KNOWN_VALUES].iter().enumerate() {
+                sum[c] += value;
+                all[c] &= value >= 0.0;
+            }
+            count += 1.0;
+        }
+        std::array::from_fn(|c| {
+            let part = if c < 3 { WALKED } else { IRRADIANCE };
+            if !all[c] || count == 0.0 {
+                return own[c];
+            }
+            (own[c] + part * (own[c] - sum[c] / count)).clamp(0.5 * own[c], 1.5 * own[c])
+        })
+    };
+    let sharpened: Vec<[f32; KNOWN_VALUES]> = vertices.par_iter().map(sharp).collect();
+    for (&v, values) in vertices.iter().zip(&sharpened) {
+        known[v as usize * KNOWN_VALUES..][..KNOWN_VALUES].copy_from_slice(values);
+    }
 }
 
 /// Far down a lumen many faces share a pixel and its central ray sees one: what is not known takes the mean of its known

@@ -75,12 +75,14 @@ impl<'a> Studio<'a> {
         material: &Material,
         settings: &'a SimulationSettings,
     ) -> Result<Self> {
+        let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, *material, case.seed)?;
+        scene.set_other_end(&anatomy.expiration.vertices)?;
         Ok(Studio {
             case,
             anatomy,
             film,
             settings,
-            scene: Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, *material, case.seed)?,
+            scene,
             light: light(case),
             sensor: Sensor::new(&film.camera, &case.scope, case.seed),
         })

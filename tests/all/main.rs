@@ -9,6 +9,7 @@ mod gate;
 mod import;
 mod layering;
 mod mesh_damage;
+mod own_tracer;
 mod reference;
 mod render;
 mod render_command;

@@ -79,7 +79,7 @@ fn error_without_noise(image: &Image<f32>, a: &Image<f32>, b: &Image<f32>) -> f6
 
 #[test]
 fn light_in_the_wall_agrees_with_paths_on_a_breathing_shape() {
-    // The tissue's map is made at rest; the picture is of another shape.
+    // The map of the walks is made at rest; the picture is of another shape.
     let rest = tube(96, 150);
     let moved: Vec<DVec3> = rest
         .vertices
@@ -93,6 +93,7 @@ fn light_in_the_wall_agrees_with_paths_on_a_breathing_shape() {
         Material { relief: 0.0, ..Material::default() },
     ] {
         let mut scene = Scene::new(&rest, &[], material, 7).unwrap();
+        scene.set_other_end(&moved).unwrap();
         scene.deform(&moved).unwrap();
         let picture = |settings: &RenderSettings| {
             let settings = RenderSettings { shading: Shading::Smooth, ..*settings };
