@@ -12,6 +12,9 @@
 //! alone). A point counts as met at `near_mm` or beyond; depth is that of the point, of the centre where the filter
 //! counts. Ellipsoids lose their shortest axis. Order, alpha bounds and stop are those of EWA.
 //!
+//! The gradient is that of this function, exactly. Of a disc seen edge-on it holds for steps that are small beside the
+//! width of the line that the disc is on screen, which may be a hundredth of a pixel.
+//!
 //! Plain code over [`Real`]; what it costs beside the vectorised EWA kernels is in `docs/performance.md`. Left out: the directions of
 //! `Rasterizer::render_tangent` (use [`super::PhaseTangent`]), intrinsics of a fisheye, `Filter::Compensate`.
 
