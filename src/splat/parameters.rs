@@ -176,8 +176,9 @@ impl<T: Real> Task<'_, T> {
             *place = one.map_or([zero; 2], |one| [one.columns[0], one.columns[1]]);
         }
         if let (Some(rotation), Some(scale)) = (self.rotations.get_mut(k), self.scales.get_mut(k)) {
-            (*rotation, *scale) =
-                one.map_or(([T::zero(); 4], zero), |one| ellipsoid_gradient(&gaussians.shape, i, &one.columns, faults));
+            let found = one.map(|one| ellipsoid_gradient(&gaussians.shape, i, &one.columns, faults));
+            let finite = |found: &([T; 4], [T; 3])| found.0.iter().chain(&found.1).all(|v| v.is_finite());
+            (*rotation, *scale) = found.filter(finite).unwrap_or(([T::zero(); 4], zero));
         }
         if let Some(place) = self.opacities.get_mut(k) {
             *place = one.map_or(T::zero(), |one| one.opacity);
