@@ -16,6 +16,7 @@ mod import_mesh;
 mod import_tree;
 mod list;
 mod pareto;
+mod pareto_phase;
 mod pareto_render;
 mod pareto_splat;
 mod render;

@@ -3,7 +3,7 @@
 
 use clap::{Args, Subcommand};
 
-use super::{Terminal, pareto_render, pareto_splat};
+use super::{Terminal, pareto_phase, pareto_render, pareto_splat};
 use crate::base::Result;
 
 /// Arguments of `pareto`.
@@ -19,6 +19,8 @@ pub struct Arguments {
 enum Kind {
     /// Path tracer: time against relative error of its modes, on a frame of each of three cases
     Render(pareto_render::Arguments),
+    /// Tracking: time against phase error of Adam and Gauss-Newton, on three cases
+    Phase(pareto_phase::Arguments),
     /// Rasteriser: time against gradient error of its kernels and precisions, and what skipping saves
     Splat(pareto_splat::Arguments),
 }
@@ -27,6 +29,7 @@ enum Kind {
 pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     match arguments.kind {
         Kind::Render(arguments) => pareto_render::run(arguments, terminal),
+        Kind::Phase(arguments) => pareto_phase::run(arguments, terminal),
         Kind::Splat(arguments) => pareto_splat::run(arguments, terminal),
     }
 }

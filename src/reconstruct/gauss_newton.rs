@@ -32,8 +32,10 @@ pub struct Robust {
     pub huber: f64,
     /// Edge of the blocks in pixels whose residuals err together.
     pub block_px: usize,
-    /// Gains stay within `1 - limit` and `1 / (1 - limit)`.
+    /// Gains stay within `1 - limit` and `1 / (1 - limit)` of those of the last frame.
     pub gain_limit: f64,
+    /// Those of the last frame.
+    pub last_gain: [f64; 3],
 }
 
 /// What an image says about the unknowns.
@@ -59,7 +61,7 @@ pub struct Prior {
 }
 
 /// Gains of the channels in the least-squares sense under `weight`.
-pub fn gains(image: &[f32], rendered: &[f32], limit: f64, weight: impl Fn(usize) -> f32) -> [f64; 3] {
+fn gains(image: &[f32], rendered: &[f32], robust: &Robust, weight: impl Fn(usize) -> f32) -> [f64; 3] {
     std::array::from_fn(|c| {
         let (mut cross, mut square) = (0.0f64, 1e-9f64);
         for i in (c..image.len()).step_by(3) {
@@ -67,7 +69,8 @@ pub fn gains(image: &[f32], rendered: &[f32], limit: f64, weight: impl Fn(usize)
             cross += weighted * image[i] as f64;
             square += weighted * rendered[i] as f64;
         }
-        (cross / square).clamp(1.0 - limit, 1.0 / (1.0 - limit))
+        let room = 1.0 - robust.gain_limit;
+        (cross / square).clamp(robust.last_gain[c] * room, robust.last_gain[c] / room)
     })
 }
 
@@ -82,12 +85,12 @@ fn robust_scale(residuals: &[f32]) -> f32 {
 /// Weighs `seen`; `None` when it says nothing about the unknowns (a black rendering, no derivative).
 pub fn evidence(seen: &Comparison<'_>, robust: Robust) -> Option<Evidence> {
     let (n, unknowns) = (seen.image.len(), seen.tangents.len());
-    let first = gains(seen.image, seen.rendered, robust.gain_limit, |_| 1.0);
+    let first = gains(seen.image, seen.rendered, &robust, |_| 1.0);
     let residual = |gain: [f64; 3], i: usize| seen.image[i] - gain[i % 3] as f32 * seen.rendered[i];
     let rough: Vec<f32> = (0..n).map(|i| residual(first, i)).collect();
     let limit = robust.huber as f32 * robust_scale(&rough);
     let weights: Vec<f32> = rough.iter().map(|r| (limit / r.abs().max(limit)).min(1.0)).collect();
-    let gain = gains(seen.image, seen.rendered, robust.gain_limit, |i| weights[i]);
+    let gain = gains(seen.image, seen.rendered, &robust, |i| weights[i]);
 
     // Each column of the Jacobian without what a change of gain explains as well.
     let along = |column: &[f32], c: usize| -> f32 {
@@ -163,7 +166,7 @@ mod tests {
         (image, tangents)
     }
 
-    const ROBUST: Robust = Robust { huber: 2.0, block_px: 8, gain_limit: 0.5 };
+    const ROBUST: Robust = Robust { huber: 2.0, block_px: 8, gain_limit: 0.5, last_gain: [1.0; 3] };
 
     #[test]
     fn a_shift_is_found_through_gain_and_outliers() {

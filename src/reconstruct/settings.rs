@@ -210,6 +210,16 @@ pub struct PhaseMethod {
     pub visibility: Visibility,
 }
 
+/// What a white sheet shows of a scope.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScopeLight {
+    /// Angle from the axis at which the lamp is half as bright as on it; 0 = even.
+    pub emission_half_angle_deg: Sourced<f64>,
+    /// Darkening of the lens: `1 - vignette (1 - cos^4)` of the angle to the axis.
+    pub vignette: Sourced<f64>,
+}
+
 /// Settings of `ours-gn`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -236,13 +246,15 @@ pub struct GaussNewtonMethod {
     pub prior_deviation: Sourced<f64>,
     /// Growth of the random walk of the answer, in standard deviations of each frame's step.
     pub drift_factor: Sourced<f64>,
+    /// Share of that random walk's variance that is left after a frame.
+    pub drift_memory: Sourced<f64>,
     /// A cost so many times its running mean starts a search over all phases.
     pub lost_factor: Sourced<f64>,
     /// Steps of that search, and of the first frame's.
     pub grid_steps: Sourced<u32>,
     /// Largest change of the exposure gain per channel and frame.
     pub exposure_limit: Sourced<f64>,
-    /// Encoded brightness falls with distance to this power.
+    /// Brightness^(1 / 2.2) falls with distance to this power.
     pub falloff_exponent: Sourced<f64>,
     /// Light that does not depend on the incidence, as a share of that which does.
     pub indirect_share: Sourced<f64>,
@@ -253,6 +265,8 @@ pub struct GaussNewtonMethod {
     pub hold_pixels: Sourced<f64>,
     /// How many past looks weigh against the present one.
     pub memory_frames: Sourced<f64>,
+    /// The scope.
+    pub scope: ScopeLight,
     /// Discs.
     pub discs: FixedDiscs,
     /// What is left out.

@@ -183,6 +183,9 @@ fn ours_gn_recovers_its_world_and_the_planted_phase() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
     let mut settings: settings::GaussNewtonMethod = files::read_toml(&folder.join("ours-gn.toml")).unwrap();
     settings.falloff_exponent.value = 0.0;
+    settings.scope.emission_half_angle_deg.value = 0.0;
+    settings.scope.vignette.value = 0.0;
+    settings.discs.gaussians_per_face.value = settings::PerFace::Auto(settings::Auto::Auto);
     settings.discs.gaussian_budget.value = 7000;
     let (psnr, answers) = recover(&OursGn::new(settings, 1.0), &observation);
     let truth = observation.true_phase.as_ref().unwrap();

@@ -1,41 +1,43 @@
 //! `ours-gn`: the geometry of `ours` (discs on the CT mesh, one phase per frame), tracked by Gauss-Newton instead of
 //! Adam. Beyond the paper.
 //!
-//! Appearance. The light sits at the tip of the scope, so a disc at distance `d` seen under the cosine `c` shows
-//! `albedo * (d0 / d)^p * ((c + k) / (1 + k))^(p / 2)` in encoded values, `p = 2 / 2.2` (inverse square through the sRGB
-//! curve), `k` the share of light that comes from all sides. Approaching the wall is thus no change of appearance, and
-//! the albedo needs no chasing. It is a least-squares estimate: sweeps of SIRT (Gilbert 1972), each disc moved by the
-//! weighted mean residual of its pixels, held by what past frames have seen of it.
+//! Appearance. Pictures are flat-fielded and kept in a power law ([`light::Scope`]). The light sits at the tip of the
+//! scope, so a disc at distance `d` seen under the cosine `c` shows
+//! `albedo * (d0 / d)^p * ((c + k) / (1 + k))^(p / 2)`, `k` the share of light that comes from all sides. Approaching the
+//! wall is thus no change of appearance, and the albedo needs no chasing ([`albedo`]). The discs must be small against
+//! the vessels: a map that cannot show them lets them pull the phase along.
 //!
 //! Phase. At a quarter, half and full resolution: render with the derivative of the image by the phase, one robust
 //! step ([`super::gauss_newton`]), together with a prior of constant velocity. A frame whose cost jumps is searched over
 //! all phases again. The standard deviation that comes with the answer has two parts: that of the last step, and a
 //! random walk, since a frame is tracked on what earlier frames have painted, and inherits their errors: its variance
-//! grows by `drift_factor^2` times that of each frame's step.
+//! grows by `drift_factor^2` times that of each frame's step, and keeps `drift_memory` of itself from frame to frame,
+//! since what was painted in the wrong place leaves the view or is painted over.
 //!
 //! Left out: correction of registration errors, unknown poses, learning of disc centres and sizes.
 
+mod albedo;
+mod light;
+mod scene;
+
 use std::time::Instant;
 
-use glam::Vec3;
 use nalgebra::DVector;
 
 use crate::base::{Image, Progress, Result, mesh};
-use crate::splat::{
-    DepthOutput, Direction, Frame, ImageGradient, Motion, Rasterizer, Rendered, Settings, Shape, View, Wanted,
-};
+use crate::splat::{DepthOutput, Direction, Frame, Motion, Rasterizer, Rendered, Settings, View};
 
 use super::active::{Reach, Sides, nothing_in_view, visible_faces};
-use super::anchored::{Patch, SH_C0, SH_VALUES, Start, Surface, to_f32};
+use super::anchored::{Start, Surface, to_f32};
 use super::gauss_newton::{self, Comparison, Evidence, Prior, Robust};
-use super::online::{color_image, fit_in_order, held_out};
-use super::phase_fit::{at_phase, mesh_at, pixels};
+use super::online::{fit_in_order, held_out};
+use super::phase_fit::{at_phase, mesh_at};
 use super::phase_search::{depth_error_mm, grid_search};
 use super::settings::GaussNewtonMethod;
 use super::{Access, FramePrediction, Observation, Reconstruct, Reconstruction};
+use light::{Light, Scope};
+use scene::{Seen, Velocity};
 
-/// d0: distance at which albedo is what is shown.
-const REFERENCE_MM: f32 = 10.0;
 /// Darkest albedo: a colour of zero has no gradient.
 const DARKEST: f32 = 0.005;
 /// Phases around the expected one for which the visible faces are chosen.
@@ -99,6 +101,7 @@ struct Tracker<'a> {
     albedo: Vec<[f32; 3]>,
     /// Weight of past frames, in pixels; 0 = never seen.
     memory: Vec<f32>,
+    scope: Scope,
     rasterizer: Rasterizer<f32>,
     seen: Option<Seen>,
     gain: [f64; 3],
@@ -107,98 +110,6 @@ struct Tracker<'a> {
     phases: Vec<f64>,
     cost: f64,
     mean_color: [f32; 3],
-}
-
-/// The compact copy of what one frame can see.
-struct Seen {
-    patch: Patch,
-    rest: Vec<[f32; 3]>,
-    displacement: Vec<[f32; 3]>,
-    vertices: Vec<[f32; 3]>,
-    albedo: Vec<[f32; 3]>,
-    memory: Vec<f32>,
-    shade: Vec<f32>,
-    velocity: Velocity,
-}
-
-/// Derivatives of the discs by the phase.
-#[derive(Default)]
-struct Velocity {
-    positions: Vec<[f32; 3]>,
-    axes: Vec<[[f32; 3]; 2]>,
-    colors: Vec<[f32; 3]>,
-}
-
-/// How much of its albedo a disc shows, and how that changes while it moves.
-struct Light {
-    eye: Vec3,
-    exponent: f32,
-    indirect: f32,
-}
-
-/// What a disc shows of its albedo, and the derivatives of that.
-struct Shade {
-    value: f32,
-    by_phase: f32,
-}
-
-impl Light {
-    fn shade(&self, centre: [f32; 3], axes: &[[f32; 3]; 2], velocity: [f32; 3]) -> Shade {
-        let offset = Vec3::from(centre) - self.eye;
-        let distance = offset.length().max(1e-3);
-        let towards = offset / distance;
-        let normal = Vec3::from(axes[0]).cross(Vec3::from(axes[1])).normalize_or_zero();
-        let along = normal.dot(towards);
-        let cosine = along.abs();
-        let lit = (cosine + self.indirect) / (1.0 + self.indirect);
-        let logarithm = (REFERENCE_MM / distance).ln() + 0.5 * lit.max(1e-3).ln();
-        let value = (self.exponent * logarithm).exp();
-        let velocity = Vec3::from(velocity);
-        let away = towards.dot(velocity);
-        let turning = normal.dot(velocity - towards * away) / distance * along.signum();
-        let relative = -away / distance + 0.5 * turning / (cosine + self.indirect).max(1e-3);
-        Shade { value, by_phase: value * self.exponent * relative }
-    }
-}
-
-impl Seen {
-    /// Moves the discs to `phase` and colours them as the scope's light shows them.
-    fn place(&mut self, phase: f64, light: &Light) -> Result<()> {
-        at_phase(&self.rest, &self.displacement, phase as f32, &mut self.vertices);
-        self.patch.place(&self.vertices)?;
-        self.shade.clear();
-        let gaussians = &self.patch.gaussians;
-        let Shape::Discs { axes } = &gaussians.shape else { unreachable!("a patch is made of discs") };
-        let shades = gaussians.positions.iter().zip(axes).map(|(p, a)| light.shade(*p, a, [0.0; 3]).value);
-        self.shade.extend(shades);
-        self.color();
-        Ok(())
-    }
-
-    fn color(&mut self) {
-        let shown = self.albedo.iter().zip(&self.shade);
-        for (sh, (albedo, shade)) in self.patch.gaussians.sh.chunks_exact_mut(SH_VALUES).zip(shown) {
-            for c in 0..3 {
-                sh[c] = (albedo[c] * shade - 0.5) / SH_C0;
-            }
-        }
-    }
-
-    /// How discs and their colours move with the phase.
-    fn motion(&mut self, light: &Light) -> Result<()> {
-        let Velocity { positions, axes: moving_axes, colors } = &mut self.velocity;
-        self.patch.place_tangent(&self.vertices, &self.displacement, positions, moving_axes)?;
-        let gaussians = &self.patch.gaussians;
-        let Shape::Discs { axes } = &gaussians.shape else { unreachable!("a patch is made of discs") };
-        colors.clear();
-        for (((centre, axes), velocity), albedo) in
-            gaussians.positions.iter().zip(axes).zip(positions.iter()).zip(&self.albedo)
-        {
-            let shade = light.shade(*centre, axes, *velocity);
-            colors.push(albedo.map(|a| a * shade.by_phase));
-        }
-        Ok(())
-    }
 }
 
 impl<'a> Tracker<'a> {
@@ -216,6 +127,7 @@ impl<'a> Tracker<'a> {
             displacement: mesh::displacement(inspiration, expiration),
             albedo: vec![[0.5; 3]; discs],
             memory: vec![0.0; discs],
+            scope: Scope::new(&observation.camera, &settings.scope),
             rasterizer: Rasterizer::new(),
             seen: None,
             gain: [1.0; 3],
@@ -239,6 +151,7 @@ impl<'a> Tracker<'a> {
             huber: *self.settings.huber,
             block_px: ((width as f64 * *self.settings.block_share).round() as usize).max(2),
             gain_limit: *self.settings.exposure_limit,
+            last_gain: self.gain,
         }
     }
 
@@ -262,7 +175,7 @@ impl<'a> Tracker<'a> {
         }
         let ahead = if held_out(frame) {
             self.render(phase, &view, &light, DepthOutput::Skip)?;
-            Some(color_image(&self.rasterizer))
+            Some(self.shown())
         } else {
             None
         };
@@ -278,7 +191,7 @@ impl<'a> Tracker<'a> {
                 found = self.track(&levels, &light, best)?.or(found);
             }
             if let Some(Tracked { phase: at, deviation: sd, evidence }) = found {
-                self.drift += (*self.settings.drift_factor * sd).powi(2);
+                self.drift = *self.settings.drift_memory * self.drift + (*self.settings.drift_factor * sd).powi(2);
                 (phase, deviation, self.gain) = (at, (sd * sd + self.drift).sqrt(), evidence.gain);
                 let share = if self.cost.is_finite() { COST_SHARE } else { 1.0 };
                 self.cost =
@@ -288,16 +201,22 @@ impl<'a> Tracker<'a> {
         self.place(phase, &light)?;
         self.learn(frame, finest)?;
         self.render(phase, &view, &light, DepthOutput::Surface)?;
-        let color = color_image(&self.rasterizer);
+        let color = self.shown();
         let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);
         self.leave();
         self.phases.push(phase);
         Ok(FramePrediction { frame, color, depth_mm, phase: Some(phase), phase_deviation: Some(deviation), ahead })
     }
 
+    /// The last rendering as the film would show it.
+    fn shown(&self) -> Image<f32> {
+        let rendered = self.rasterizer.rendered();
+        self.scope.shown(rendered.width, rendered.height, &rendered.color)
+    }
+
     /// Coarse to fine; levels that would be too small are left out.
     fn levels(&self, frame: usize, view: &View) -> Vec<Level> {
-        let full = self.observation.images[frame].to_unit();
+        let full = self.scope.flat(&self.observation.images[frame]);
         let mut levels = vec![Level { view: *view, image: full, steps: self.settings.steps[2] }];
         for steps in [self.settings.steps[1], self.settings.steps[0]] {
             let finer = &levels[0];
@@ -418,76 +337,6 @@ impl<'a> Tracker<'a> {
             }
         }
         Ok(tracked)
-    }
-
-    /// Sweeps over the albedo of what is in view, at the present placement.
-    fn learn(&mut self, frame: usize, level: &Level) -> Result<()> {
-        self.color_the_unseen(level);
-        let sweeps = self.settings.appearance_steps[usize::from(frame > 0)] as f64;
-        let gain = self.gain;
-        let settings = Settings { gain, depth: DepthOutput::Skip, ..Settings::default() };
-        let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
-        let before = seen.albedo.clone();
-        let hold_pixels = *self.settings.hold_pixels as f32;
-        let mut pixels_of = Vec::new();
-        for sweep in 0..super::scaled_iterations(sweeps, self.iteration_scale).max(2) {
-            let rendered = self.rasterizer.render(&seen.patch.gaussians, &level.view, &settings, None)?;
-            let residual: Vec<f32> = level.image.data.iter().zip(&rendered.color).map(|(i, r)| i - r).collect();
-            if sweep == 0 {
-                // What each disc contributes, in pixels.
-                let ones = vec![1.0; residual.len()];
-                let image = ImageGradient { color: &ones, ..ImageGradient::default() };
-                let by_color = self.rasterizer.backward(&seen.patch.gaussians, &image, Wanted::SH)?;
-                let shares = by_color.sh.chunks_exact(SH_VALUES).map(|g| g[1] / (SH_C0 * gain[1] as f32));
-                pixels_of = shares.collect();
-            }
-            let image = ImageGradient { color: &residual, ..ImageGradient::default() };
-            let gradients = self.rasterizer.backward(&seen.patch.gaussians, &image, Wanted::SH)?;
-            for (k, by_color) in gradients.sh.chunks_exact(SH_VALUES).enumerate() {
-                let (pixels, memory, shade) = (pixels_of[k], seen.memory[k] + hold_pixels, seen.shade[k]);
-                if pixels < 1e-4 || shade <= 0.0 {
-                    continue;
-                }
-                for c in 0..3 {
-                    let pull = by_color[c] / (SH_C0 * (gain[c] * gain[c]) as f32 * shade);
-                    let hold = memory * (seen.albedo[k][c] - before[k][c]);
-                    let next = seen.albedo[k][c] + (pull - hold) / (pixels + memory);
-                    seen.albedo[k][c] = next.max(DARKEST / shade);
-                }
-            }
-            seen.color();
-        }
-        let most = *self.settings.memory_frames as f32;
-        for (memory, pixels) in seen.memory.iter_mut().zip(&pixels_of).filter(|(_, pixels)| **pixels >= 1e-4) {
-            *memory = (*memory + pixels).min(most * pixels);
-        }
-        Ok(())
-    }
-
-    /// Discs that no frame has shown yet start with the colour of the pixel they fall on, or the mean albedo in view.
-    fn color_the_unseen(&mut self, level: &Level) {
-        let gain = self.gain;
-        let mean = self.mean_color;
-        let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
-        let at = pixels(&level.view, &seen.patch.gaussians);
-        let (mut sum, mut count) = ([0.0f64; 3], 0.0f64);
-        for (k, pixel) in at.into_iter().enumerate() {
-            let shade = seen.shade[k].max(1e-6);
-            if seen.memory[k] == 0.0 {
-                seen.albedo[k] = match pixel {
-                    Some([x, y]) => [0, 1, 2].map(|c| level.image.pixel(x, y)[c] / gain[c] as f32 / shade),
-                    None => mean,
-                };
-            }
-            if pixel.is_some() {
-                (0..3).for_each(|c| sum[c] += seen.albedo[k][c] as f64);
-                count += 1.0;
-            }
-        }
-        if count > 0.0 {
-            self.mean_color = sum.map(|s| (s / count) as f32);
-        }
-        seen.color();
     }
 }
 
