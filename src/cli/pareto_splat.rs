@@ -1,7 +1,8 @@
 //! `respire-bench pareto splat`: time against error of the rasteriser's kernels and precisions on the tube scenes, and
 //! what it saves to leave out what nobody asks for.
 //!
-//! The error is that of the gradients (worst group, relative L2) to the plain twin in f64; the image's stands beside it.
+//! The error is that of the gradients (worst group, relative L2) to the plain twin in f64 of the same footprint (EWA or
+//! exact discs); the image's stands beside it, and how far the image is from that of exact discs in f64.
 //! The cost is CPU time of forward and backward, the median over repetitions.
 
 use std::path::PathBuf;
@@ -108,14 +109,21 @@ fn weights<T: Real>(values: usize) -> Vec<T> {
     (0..values).map(|k| T::of(((k * 7919) % 1009) as f64 / 504.0 - 1.0)).collect()
 }
 
-fn measure<T: Real>(scene: &Gaussians<f64>, side: u32, isa: Isa, repeat: usize) -> Result<Measured> {
+fn measure<T: Real>(
+    scene: &Gaussians<f64>,
+    side: u32,
+    isa: Isa,
+    footprint: Footprint,
+    repeat: usize,
+) -> Result<Measured> {
+    let settings = Settings { footprint, ..SETTINGS };
     let (scene, view) = (scene.cast::<T>(), view(side));
     let mut rasterizer = Rasterizer::<T>::with_isa(isa)?;
     let weights = weights::<T>(3 * (side * side) as usize);
     let gradient = ImageGradient { color: &weights, ..ImageGradient::default() };
-    let forward_s = seconds(repeat, || rasterizer.render(&scene, &view, &SETTINGS, None).map(drop))?;
+    let forward_s = seconds(repeat, || rasterizer.render(&scene, &view, &settings, None).map(drop))?;
     let both_s = seconds(repeat, || {
-        rasterizer.render(&scene, &view, &SETTINGS, None)?;
+        rasterizer.render(&scene, &view, &settings, None)?;
         rasterizer.backward(&scene, &gradient, Wanted::ALL).map(drop)
     })?;
     let image = rasterizer.rendered().color.iter().map(|v| v.to_f64()).collect();
@@ -128,9 +136,10 @@ fn relative(a: &[f64], b: &[f64]) -> f64 {
 }
 
 fn points(subject: &str, scene: &Gaussians<f64>, side: u32, repeat: usize) -> Result<Vec<Point>> {
-    let truth = measure::<f64>(scene, side, Isa::Scalar, 1)?;
+    let truth = measure::<f64>(scene, side, Isa::Scalar, Footprint::Ewa, 1)?;
+    let discs = measure::<f64>(scene, side, Isa::Scalar, Footprint::Disc, 1)?;
     let mut points = Vec::new();
-    let mut add = |mode: &str, setting: String, standing, m: &Measured| {
+    let mut add = |mode: &str, setting: String, standing, m: &Measured, truth: &Measured| {
         let error = m.groups.iter().zip(&truth.groups).map(|(f, t)| relative(f, t)).fold(0.0, f64::max);
         points.push(Point {
             subject: subject.into(),
@@ -139,7 +148,11 @@ fn points(subject: &str, scene: &Gaussians<f64>, side: u32, repeat: usize) -> Re
             cost: m.both_s,
             error,
             standing,
-            extra: vec![("forward_s", m.forward_s), ("image_error", relative(&m.image, &truth.image))],
+            extra: vec![
+                ("forward_s", m.forward_s),
+                ("image_error", relative(&m.image, &truth.image)),
+                ("image_to_exact_discs", relative(&m.image, &discs.image)),
+            ],
         });
     };
     for isa in [Isa::Scalar, Isa::Baseline, Isa::Avx2, Isa::Avx512] {
@@ -148,9 +161,13 @@ fn points(subject: &str, scene: &Gaussians<f64>, side: u32, repeat: usize) -> Re
         }
         let repeat = if isa == Isa::Scalar { 1 } else { repeat };
         let standing = if isa == Isa::widest() { Standing::Default } else { Standing::Alternative };
-        add("single precision", isa.to_string(), standing, &measure::<f32>(scene, side, isa, repeat)?);
+        let measured = measure::<f32>(scene, side, isa, Footprint::Ewa, repeat)?;
+        add("single precision", isa.to_string(), standing, &measured, &truth);
     }
-    add("double precision", "scalar".into(), Standing::Alternative, &truth);
+    add("double precision", "scalar".into(), Standing::Alternative, &truth, &truth);
+    let single = measure::<f32>(scene, side, Isa::widest(), Footprint::Disc, repeat.min(3))?;
+    add("exact discs, single precision", "plain".into(), Standing::Alternative, &single, &discs);
+    add("exact discs, double precision", "plain".into(), Standing::Alternative, &discs, &discs);
     Ok(points)
 }
 

@@ -263,6 +263,9 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let cloud = gaussians_ply::read(&arguments.gaussians)?;
     let transforms = Transforms::read(&arguments.cameras)?;
     let camera = transforms.camera().map_err(|e| e.at(&arguments.cameras))?;
+    if transforms.frames.is_empty() {
+        return Err(Error::input("there is none").element("frames").at(&arguments.cameras));
+    }
     let size = [camera.height as usize, camera.width as usize];
     let weights =
         arguments.gradients.as_deref().map(|p| Weights::read(p, size, transforms.frames.len())).transpose()?;
@@ -302,7 +305,8 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
         let view = View::new(camera, frame.world_from_camera());
         let mut times = Vec::new();
         for _ in 0..arguments.repeat.max(1) {
-            rasterizer.render(&scene, &view, &settings, None)?;
+            let named = |e: Error| e.element(format!("frame {number}")).at(&arguments.cameras);
+            rasterizer.render(&scene, &view, &settings, None).map_err(named)?;
             if let Some(weights) = &weights {
                 let image = ImageGradient { color: weights.of_frame(number), ..ImageGradient::default() };
                 rasterizer.backward(&scene, &image, wanted)?;

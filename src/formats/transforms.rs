@@ -65,7 +65,8 @@ impl TransformsFrame {
 /// The whole file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Transforms {
-    /// `OPENCV` (pinhole) or `OPENCV_FISHEYE`.
+    /// `OPENCV` (pinhole; what is meant where none is named) or `OPENCV_FISHEYE`.
+    #[serde(default = "pinhole")]
     pub camera_model: String,
     /// Image width in pixels.
     pub w: u32,
@@ -91,11 +92,32 @@ pub struct Transforms {
     /// See `k1`.
     #[serde(default)]
     pub k4: f64,
+    /// Tangential distortion, which is not supported.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub p1: f64,
+    /// See `p1`.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub p2: f64,
     /// One unit of a depth image in metres.
     #[serde(default = "thousandth")]
     pub depth_unit_scale_factor: f64,
     /// Frames in order of time.
     pub frames: Vec<TransformsFrame>,
+}
+
+fn pinhole() -> String {
+    "OPENCV".into()
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+/// Columns of unit length at right angles, right-handed: to a thousandth, since files round.
+fn is_rigid(pose: &DAffine3) -> bool {
+    let m = pose.matrix3;
+    let products = (m.transpose() * m - DMat3::IDENTITY).to_cols_array();
+    products.iter().all(|v| v.abs() <= 2e-3) && m.determinant() > 0.0
 }
 
 fn thousandth() -> f64 {
@@ -118,6 +140,8 @@ impl Transforms {
             k2,
             k3,
             k4,
+            p1: 0.0,
+            p2: 0.0,
             depth_unit_scale_factor: thousandth(),
             frames,
         }
@@ -128,10 +152,14 @@ impl Transforms {
         let transforms: Transforms = files::read_json(path)?;
         transforms.camera().map_err(|e| e.at(path))?;
         let broken = |f: &TransformsFrame| f.transform_matrix.iter().flatten().any(|v| !v.is_finite());
-        match transforms.frames.iter().position(broken) {
-            Some(f) => Err(Error::input("transform_matrix is not finite").element(format!("frame {f}")).at(path)),
-            None => Ok(transforms),
+        if let Some(f) = transforms.frames.iter().position(broken) {
+            return Err(Error::input("transform_matrix is not finite").element(format!("frame {f}")).at(path));
         }
+        if let Some(f) = transforms.frames.iter().position(|f| !is_rigid(&f.world_from_camera())) {
+            let message = "transform_matrix is no rotation and translation (it scales, shears, mirrors or is singular)";
+            return Err(Error::input(message).element(format!("frame {f}")).at(path));
+        }
+        Ok(transforms)
     }
 
     /// Writes the file atomically.
@@ -142,6 +170,9 @@ impl Transforms {
     /// Intrinsics. Errors: a camera model that is neither pinhole nor fisheye, impossible values.
     pub fn camera(&self) -> Result<Camera> {
         let distortion = [self.k1, self.k2, self.k3, self.k4];
+        if self.p1 != 0.0 || self.p2 != 0.0 {
+            return Err(Error::input("tangential distortion is not supported").element("p1, p2"));
+        }
         let fisheye = match self.camera_model.as_str() {
             "OPENCV_FISHEYE" => Some(distortion),
             "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" if distortion == [0.0; 4] => None,
@@ -230,5 +261,26 @@ mod tests {
         assert!(Transforms::read(&path).unwrap_err().to_string().contains("camera_model: `EQUIRECTANGULAR`"));
         std::fs::write(&path, "{").unwrap();
         assert!(Transforms::read(&path).unwrap_err().to_string().contains("transforms.json"));
+        let refused = |more: &str, matrix: &str| {
+            let text = format!(
+                "{{\"w\":4,\"h\":4,\"fl_x\":1,\"fl_y\":1,\"cx\":2,\"cy\":2{more},\"frames\":[{{\"file_path\":\"a\",\
+                 \"transform_matrix\":{matrix}}}]}}"
+            );
+            std::fs::write(&path, text).unwrap();
+            Transforms::read(&path).err().map(|e| e.to_string()).unwrap_or_default()
+        };
+        let rigid = "[[1,0,0,0],[0,0,-1,2],[0,1,0,0],[0,0,0,1]]";
+        assert_eq!(refused("", rigid), "", "the model of a camera is a pinhole unless it is named");
+        assert!(refused(",\"p2\":0.01", rigid).contains("tangential"));
+        assert!(refused(",\"k1\":0.1", rigid).contains("k1: radial"));
+        for matrix in [
+            "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]",
+            "[[-1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]",
+            "[[0,0,0,0],[0,0,0,0],[0,0,0,0],[0,0,0,1]]",
+            "[[1,0.1,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]",
+        ] {
+            let sentence = refused("", matrix);
+            assert!(sentence.contains("transforms.json") && sentence.contains("frame 0"), "{sentence}");
+        }
     }
 }

@@ -75,7 +75,8 @@ pub(super) fn gradients_of_disc<T: Real>(
             one.lens = lens(projector, &placed, m, by_point);
         }
     }
-    one.is_finite().then_some(one)
+    let colors = m[sum::RED] + m[sum::RED + 1] + m[sum::RED + 2];
+    (one.is_finite() && colors.is_finite()).then_some(one)
 }
 
 /// Gradients of the intrinsics of a pinhole: the rays of the pixels turn, and the centre on screen moves.

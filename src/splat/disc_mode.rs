@@ -12,7 +12,10 @@
 //! alone). A point counts as met at `near_mm` or beyond; depth is that of the point, of the centre where the filter
 //! counts. Ellipsoids lose their shortest axis. Order, alpha bounds and stop are those of EWA.
 //!
-//! Plain code over [`Real`]: about ten times the time of the vectorised EWA kernels. Left out: the directions of
+//! The gradient is that of this function, exactly. Of a disc seen edge-on it holds for steps that are small beside the
+//! width of the line that the disc is on screen, which may be a hundredth of a pixel.
+//!
+//! Plain code over [`Real`]; what it costs beside the vectorised EWA kernels is in `docs/performance.md`. Left out: the directions of
 //! `Rasterizer::render_tangent` (use [`super::PhaseTangent`]), intrinsics of a fisheye, `Filter::Compensate`.
 
 use rayon::prelude::*;
@@ -39,6 +42,23 @@ pub(super) struct Disc<T> {
     pub height: T,
     /// `t / t_z`.
     pub slope: [T; 2],
+    /// Where it can be seen.
+    pub bounds: Bounds<T>,
+}
+
+/// A box on screen, in pixels.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Bounds<T> {
+    pub low: [T; 2],
+    pub high: [T; 2],
+}
+
+impl<T: Real> Bounds<T> {
+    /// True for a point inside, or nearer to it than `margin`.
+    #[inline(always)]
+    pub fn holds(&self, point: [T; 2], margin: T) -> bool {
+        (0..2).all(|k| point[k] >= self.low[k] - margin && point[k] <= self.high[k] + margin)
+    }
 }
 
 #[inline(always)]
@@ -78,40 +98,83 @@ impl<T: Real> Placed<T> {
 
     pub fn disc(&self) -> Disc<T> {
         let (t, n) = (self.t, cross(self.a, self.b));
-        Disc { p: cross(self.b, t), q: cross(t, self.a), n, height: dot(n, t), slope: [t[0] / t[2], t[1] / t[2]] }
+        Disc {
+            p: cross(self.b, t),
+            q: cross(t, self.a),
+            n,
+            height: dot(n, t),
+            slope: [t[0] / t[2], t[1] / t[2]],
+            bounds: Bounds::default(),
+        }
     }
 
-    /// Half size in pixels of a box around the centre that holds every point met at less than `reach` standard
-    /// deviations.
-    fn half_size(&self, projector: &Projector<T>, reach: T) -> [T; 2] {
-        let everywhere = [T::of(EVERYWHERE); 2];
-        let t = self.t;
+    /// Corners in pixels of a box that holds every point met at less than `reach` standard deviations and at `near` or
+    /// beyond.
+    fn bounds(&self, projector: &Projector<T>, reach: T) -> Bounds<T> {
+        let (t, point) = (self.t, projector.image_point(self.t));
+        let everywhere = T::of(EVERYWHERE);
+        let around = |half: [T; 2]| Bounds {
+            low: [0, 1].map(|k| point[k] - half[k].minimum(everywhere)),
+            high: [0, 1].map(|k| point[k] + half[k].minimum(everywhere)),
+        };
         if let Some(stretch) = projector.fisheye_stretch() {
-            let far = dot(t, t).sqrt();
             let radius = reach * (dot(self.a, self.a) + dot(self.b, self.b)).sqrt();
-            let sine = radius / far;
+            let sine = radius / dot(t, t).sqrt();
             // asin(x) <= pi/2 x
             let angle = sine * T::of(std::f64::consts::FRAC_PI_2);
-            let inside = sine < T::one();
-            return if inside { stretch.map(|s| s * angle) } else { everywhere };
+            return around(if sine < T::one() { stretch.map(|s| s * angle) } else { [everywhere; 2] });
         }
-        let across = |k: usize| [reach * self.a[k], reach * self.b[k]];
-        let along = across(2);
-        let room = t[2] * t[2] - (along[0] * along[0] + along[1] * along[1]);
-        let in_front = room > T::of(1e-6) * t[2] * t[2];
-        if !in_front {
-            return everywhere;
+        let mut bounds = around([T::zero(); 2]);
+        for k in 0..2 {
+            let Some([low, high]) = self.slopes(k, reach, projector.near_depth()) else {
+                return around([everywhere; 2]);
+            };
+            let focal = projector.focal_length()[k];
+            bounds.low[k] = point[k] + (focal * low).maximum(-everywhere);
+            bounds.high[k] = point[k] + (focal * high).minimum(everywhere);
         }
-        // Where lines through the eye, moved so that the centre lies on the axis, touch the ellipse.
-        [0, 1].map(|k| {
-            let slope = t[k] / t[2];
-            let side = across(k);
-            let moved = [side[0] - slope * along[0], side[1] - slope * along[1]];
-            let mixed = moved[0] * along[0] + moved[1] * along[1];
-            let square = moved[0] * moved[0] + moved[1] * moved[1];
-            let distance = mixed.maximum(-mixed) + (mixed * mixed + room * square).sqrt();
-            projector.focal_length()[k] * distance / room
-        })
+        bounds
+    }
+
+    /// Least and greatest slope, less that of the centre, over what the disc shows at `near` or beyond: at the points
+    /// where lines through the eye touch its outline, and where the near plane cuts it. `None` where that is not finite.
+    fn slopes(&self, k: usize, reach: T, near: T) -> Option<[T; 2]> {
+        let t = self.t;
+        let along = [reach * self.a[2], reach * self.b[2]];
+        // Moved so that the centre lies on the axis.
+        let slope = t[k] / t[2];
+        let side = [reach * self.a[k] - slope * along[0], reach * self.b[k] - slope * along[1]];
+        let product = |x: [T; 2], y: [T; 2]| x[0] * y[0] + x[1] * y[1];
+        let (depth, mixed, square) = (product(along, along), product(side, along), product(side, side));
+        let (mut low, mut high) = (T::zero(), T::zero());
+        let mut take = |value: T| {
+            low = low.minimum(value);
+            high = high.maximum(value);
+            value.is_finite()
+        };
+        let room = t[2] * t[2] - depth;
+        let root = (mixed * mixed + room * square).maximum(T::zero()).sqrt();
+        let far = mixed + if mixed < T::zero() { -root } else { root };
+        let whole = t[2] - depth.sqrt() >= near;
+        let mut finite = true;
+        for touching in [-far / room, square / far] {
+            let aside = [side[0] - touching * along[0], side[1] - touching * along[1]];
+            let towards = touching * t[2] / product(aside, aside);
+            let z = t[2] + towards * product(along, aside);
+            if whole || z >= near {
+                // A disc that is a line or a point to the eye is touched nowhere, or everywhere at once.
+                finite &= if square == T::zero() { true } else { take(touching) };
+            }
+        }
+        if !whole {
+            let ratio = (near - t[2]) / depth;
+            let across = (T::one() / depth - ratio * ratio).maximum(T::zero()).sqrt();
+            for sign in [T::one(), -T::one()] {
+                let e = [ratio * along[0] - sign * across * along[1], ratio * along[1] + sign * across * along[0]];
+                finite &= take(product(side, e) / near);
+            }
+        }
+        finite.then_some([low, high])
     }
 }
 
@@ -128,7 +191,7 @@ impl<T: Real> Projector<T> {
         if !in_front {
             return None;
         }
-        let disc = placed.disc();
+        let mut disc = placed.disc();
         let point = self.image_point(placed.t);
         let distance = dot(placed.offset, placed.offset).sqrt();
         let rgb = color(gaussians, i, placed.offset.map(|v| v / distance));
@@ -141,7 +204,14 @@ impl<T: Real> Projector<T> {
         // alpha = 1/255 at `deviations` standard deviations.
         let deviations = (T::of(2.0 * std::f64::consts::LN_2) * reach).sqrt();
         let filter = deviations * self.filter_px2().sqrt();
-        let half = placed.half_size(self, deviations).map(|h| h.maximum(filter).minimum(T::of(EVERYWHERE)));
+        let met = placed.bounds(self, deviations);
+        // A touch more than the bound, against rounding.
+        let slack = T::of(1e-2);
+        for k in 0..2 {
+            let room = slack + T::of(1e-4) * (met.high[k] - met.low[k]);
+            disc.bounds.low[k] = (met.low[k] - room).minimum(point[k] - filter - slack);
+            disc.bounds.high[k] = (met.high[k] + room).maximum(point[k] + filter + slack);
+        }
         let mut row = [T::zero(); 16];
         (row[at::X], row[at::Y]) = (point[0], point[1]);
         row[at::LOG2_OPACITY] = log2_opacity;
@@ -149,14 +219,21 @@ impl<T: Real> Projector<T> {
             row[at::RED + k] = rgb[k].maximum(T::zero());
         }
         row[at::DEPTH] = placed.t[2];
-        // A touch more than the bound, against rounding.
-        (row[at::HALF_WIDTH], row[at::HALF_HEIGHT]) = (half[0] + T::of(1e-2), half[1] + T::of(1e-2));
-        let on_screen = (0..2).all(|axis| {
-            let (center, half) = (row[at::X + axis], row[at::HALF_WIDTH + axis]);
-            center + half > T::zero() && center - half < self.image_size()[axis]
-        });
+        let on_screen = (0..2).all(|k| disc.bounds.high[k] > T::zero() && disc.bounds.low[k] < self.image_size()[k]);
         on_screen.then_some((row, disc))
     }
+}
+
+/// Tiles that a box meets.
+fn tiles_of<T: Real>(bounds: &Bounds<T>, tiles: [usize; 2]) -> TileBox {
+    let half = T::of(0.5);
+    let mut row = [T::zero(); 16];
+    for k in 0..2 {
+        row[at::X + k] = half * (bounds.low[k] + bounds.high[k]);
+        // Halves of large numbers round.
+        row[at::HALF_WIDTH + k] = half * (bounds.high[k] - bounds.low[k]) * T::of(1.0 + 1e-6) + T::of(1e-2);
+    }
+    TileBox::of(&row, tiles)
 }
 
 /// What every pixel of a view has in common.
@@ -214,7 +291,7 @@ impl<T: Real> Rasterizer<T> {
                     let found = projector.project_disc(gaussians, i);
                     visible[k] = found.is_some();
                     if let Some((row, disc)) = found {
-                        boxes[k] = TileBox::of(&row, tiles).pack();
+                        boxes[k] = tiles_of(&disc.bounds, tiles).pack();
                         keys[k] = projector.key(gaussians.positions[i]);
                         (rows[k].0, discs[k]) = (row, disc);
                     }

@@ -78,9 +78,6 @@ pub(super) fn sample<T: Real>(
     d: [T; 3],
 ) -> Option<Seen<T>> {
     let offset = [T::of(x as f64 + 0.5) - row[at::X], T::of(y as f64 + 0.5) - row[at::Y]];
-    if offset[0].maximum(-offset[0]) > row[at::HALF_WIDTH] || offset[1].maximum(-offset[1]) > row[at::HALF_HEIGHT] {
-        return None;
-    }
     let tilt = match optics.per_pixel {
         Some([fx, fy]) => [offset[0] * fx, offset[1] * fy, T::zero()],
         None => [d[0] - disc.slope[0] * d[2], d[1] - disc.slope[1] * d[2], T::zero()],
@@ -118,12 +115,23 @@ impl<T: Real> DiscTile<'_, T> {
         (x < width && y < height).then(|| ([x, y], self.optics.rays[y * width + x]))
     }
 
-    /// Calls `visit` with each disc that pixel `p` blends, front to back: number of the entry, what is seen, the light
-    /// before and after. Stops where the pixel is full.
-    fn walk(&self, p: usize, mut visit: impl FnMut(usize, &Row<T>, &Seen<T>, T, T)) {
+    /// Entries whose box meets the 4x4 pixels of a block.
+    fn near(&self, block: usize, near: &mut Vec<usize>) {
+        let (column, line) = pixel_of(16 * block);
+        let middle = [self.corner[0] + column, self.corner[1] + line].map(|v| T::of(v as f64 + 2.0));
+        let half = T::of(1.5);
+        let meets = |k: &usize| self.discs[self.entries[*k] as usize].bounds.holds(middle, half);
+        near.clear();
+        near.extend((0..self.entries.len()).filter(meets));
+    }
+
+    /// Calls `visit` with each disc of `near` that pixel `p` blends, front to back: number of the entry, what is seen,
+    /// the light before and after. Stops where the pixel is full.
+    fn walk(&self, p: usize, near: &[usize], mut visit: impl FnMut(usize, &Row<T>, &Seen<T>, T, T)) {
         let Some((pixel, ray)) = self.pixel(p) else { return };
         let mut left = T::one();
-        for (k, &entry) in self.entries.iter().enumerate() {
+        for &k in near {
+            let entry = self.entries[k];
             let row = &self.rows[entry as usize].0;
             let Some(seen) = sample(row, &self.discs[entry as usize], &self.optics, pixel, ray) else { continue };
             let next = left - seen.alpha * left;
@@ -137,9 +145,13 @@ impl<T: Real> DiscTile<'_, T> {
 
     /// Fills the state of the tile: sums of red, green, blue, depth, and the light that is left.
     pub fn forward(&self, state: &mut [T], with_depth: bool) {
+        let mut near = Vec::with_capacity(self.entries.len());
         for p in 0..PIXELS {
+            if p % 16 == 0 {
+                self.near(p / 16, &mut near);
+            }
             let mut sums = [T::zero(), T::zero(), T::zero(), T::zero(), T::one()];
-            self.walk(p, |_, row, seen, left, next| {
+            self.walk(p, &near, |_, row, seen, left, next| {
                 let weight = seen.alpha * left;
                 for k in 0..3 {
                     sums[k] += weight * row[at::RED + k];
@@ -156,11 +168,15 @@ impl<T: Real> DiscTile<'_, T> {
     /// Carries the gradient of the tile (`adjoint` as in `kernel::BackwardTile`) to the sums of its entries.
     pub fn backward(&self, adjoint: &[T], parts: Parts, faults: impl Faults) -> Vec<Sums<T>> {
         let mut out = vec![[T::zero(); sum::COUNT]; self.entries.len()];
+        let mut near = Vec::with_capacity(self.entries.len());
         for p in 0..PIXELS {
+            if p % 16 == 0 {
+                self.near(p / 16, &mut near);
+            }
             let Some((_, d)) = self.pixel(p) else { continue };
             let by = |k: usize| adjoint[k * PIXELS + p];
             let mut behind = by(4);
-            self.walk(p, |entry, row, seen, left, _| {
+            self.walk(p, &near, |entry, row, seen, left, _| {
                 let out = &mut out[entry];
                 let weight = seen.alpha * left;
                 if parts.color {

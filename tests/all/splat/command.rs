@@ -125,6 +125,82 @@ fn command_writes_what_the_library_computes() {
     assert!(timing["frames"][1]["stages"]["chain"]["wall_ms"].is_number() && timing["isa"].is_string());
 }
 
+/// What `--gradients` says against differences of what the command itself renders after the `.ply` was changed.
+#[test]
+fn gradients_predict_what_the_command_renders() {
+    let (folder, cloud) = folder();
+    let path = folder.path();
+    // Smooth, so that what single pixels do at the cut at 1/255 weighs little.
+    let weight = |k: usize| {
+        let (x, y) = ((k / 3 % 43) as f32, (k / 3 / 43) as f32);
+        [1.0, 0.6, -0.4][k % 3] * (1.0 + 0.5 * (x / 7.0).sin() + 0.3 * (y / 5.0).cos())
+    };
+    let weights: Vec<f32> = (0..43 * 29 * 3).map(weight).collect();
+    npy::write(&path.join("w.npy"), &[29, 43, 3], &weights).unwrap();
+    for more in [vec![], vec!["--filter", "compensate"]] {
+        gaussians_ply::write(&path.join("scene.ply"), &cloud).unwrap();
+        command(path, &[&["--gradients", "w.npy", "--lens"][..], &more].concat()).success();
+        let mut archive = npyz::npz::NpzArchive::open(path.join("out/gradients.npz")).unwrap();
+        let shapes = [("pose", vec![2, 6]), ("lens", vec![2, 4])];
+        for (name, shape) in shapes {
+            assert_eq!(archive.by_name(name).unwrap().unwrap().shape().to_vec(), shape, "{name}");
+        }
+        for name in ["means", "scales", "opacities", "sh"] {
+            let gradient = archive.by_name(name).unwrap().unwrap().into_vec::<f32>().unwrap();
+            // Along the gradient itself. The cut at 1/255 adds a hundredth or two, which no derivative sees.
+            let largest = gradient.iter().fold(0.0, |most: f32, g| most.max(g.abs()));
+            let direction: Vec<f32> = gradient.iter().map(|g| g / largest).collect();
+            let predicted: f64 = gradient.iter().zip(&direction).map(|(g, d)| f64::from(g * d)).sum();
+            let loss_at = |step: f32| {
+                let mut moved = cloud.clone();
+                let values: &mut [f32] = match name {
+                    "means" => moved.positions.as_flattened_mut(),
+                    "scales" => moved.scales.as_flattened_mut(),
+                    "opacities" => &mut moved.opacities,
+                    _ => &mut moved.sh,
+                };
+                values.iter_mut().zip(&direction).for_each(|(v, d)| *v += step * d);
+                gaussians_ply::write(&path.join("scene.ply"), &moved).unwrap();
+                command(path, &more).success();
+                let frame = |k: usize| exr::read(&path.join(format!("out/{k:06}.exr"))).unwrap().data;
+                let weigh = |k| frame(k).iter().zip(&weights).map(|(v, w)| f64::from(*v) * f64::from(*w)).sum::<f64>();
+                weigh(0) + weigh(1)
+            };
+            let step = 1e-3;
+            let numeric = (loss_at(step) - loss_at(-step)) / (2.0 * f64::from(step));
+            let error = (numeric - predicted).abs() / predicted.abs();
+            println!("{more:?} {name}: {predicted:.4} predicted, {numeric:.4} rendered");
+            assert!(error < 0.1, "{more:?} {name}: {predicted} predicted, {numeric} rendered");
+        }
+    }
+}
+
+#[test]
+fn what_is_asked_for_is_written() {
+    let (folder, cloud) = folder();
+    let path = folder.path();
+    let features: Vec<f32> = (0..40 * 5).map(|k| (k as f32 * 0.7).sin()).collect();
+    npy::write(&path.join("f.npy"), &[40, 5], &features).unwrap();
+    let asked = ["--normals", "--contributors", "--channels", "f.npy", "--depth", "median"];
+    command(path, &asked).success();
+    let normals = exr::read(&path.join("out/000000_normals.exr")).unwrap();
+    let alpha = exr::read(&path.join("out/000000_alpha.exr")).unwrap();
+    let counts = exr::read(&path.join("out/000000_contributors.exr")).unwrap();
+    let depth = exr::read(&path.join("out/000000_depth.exr")).unwrap();
+    assert!(path.join("out/000000_channels.exr").exists() && normals.channels == 3);
+    for (p, normal) in normals.data.chunks(3).enumerate() {
+        let length = normal.iter().map(|v| v * v).sum::<f32>().sqrt();
+        assert!(length <= alpha.data[p] + 1e-5, "a mean of unit vectors is no longer than its weight");
+        assert_eq!(counts.data[p] > 0.0, alpha.data[p] > 0.0);
+        assert_eq!(depth.data[p] > 0.0, alpha.data[p] >= 0.5, "median depth is where half of the light is gone");
+    }
+    assert!(counts.data.iter().any(|&count| count >= 3.0) && cloud.len() == 39);
+    npy::write(&path.join("short.npy"), &[39, 5], &features[..39 * 5]).unwrap();
+    let refused = command(path, &["--channels", "short.npy"]).failure();
+    let sentence = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
+    assert!(sentence.contains("short.npy") && sentence.contains("40 Gaussians"), "{sentence}");
+}
+
 #[test]
 fn every_kernel_can_be_asked_for_and_depth_chosen() {
     let (folder, _) = folder();
@@ -143,6 +219,16 @@ fn command_says_what_is_wrong() {
     assert!(refused(&["--gradients", "w.npy"]).contains("[29, 43, 3] is wanted"));
     npy::write(&path.join("nan.npy"), &[29, 43, 3], &vec![f32::NAN; 29 * 43 * 3]).unwrap();
     assert!(refused(&["--gradients", "nan.npy"]).contains("not finite"));
+    let cameras = std::fs::read_to_string(path.join("transforms.json")).unwrap();
+    let mut value: serde_json::Value = serde_json::from_str(&cameras).unwrap();
+    value["frames"] = serde_json::json!([]);
+    std::fs::write(path.join("transforms.json"), value.to_string()).unwrap();
+    assert!(refused(&[]).contains("transforms.json: frames: there is none"), "{}", refused(&[]));
+    let mut value: serde_json::Value = serde_json::from_str(&cameras).unwrap();
+    value["w"] = 60000.into();
+    std::fs::write(path.join("transforms.json"), value.to_string()).unwrap();
+    assert!(refused(&[]).contains("transforms.json: frame 0: image of 60000"), "{}", refused(&[]));
+    std::fs::write(path.join("transforms.json"), cameras).unwrap();
     std::fs::write(path.join("scene.ply"), "ply\nformat ascii 1.0\nelement vertex 0\nend_header\n").unwrap();
     assert!(refused(&[]).contains("property x"));
 }
@@ -158,9 +244,11 @@ fn stress_passes_and_pareto_marks_the_default() {
     let table = std::fs::read_to_string(folder.path().join("stress/stress.csv")).unwrap();
     assert!(table.lines().count() > 40 && !table.contains("false"), "{table}");
     assert!(table.contains("NaN in positions") && table.contains("depth ties"));
+    let faults = table.lines().filter(|line| line.starts_with("seeded fault")).count();
+    assert!(faults >= 12 && table.contains("central differences") && table.contains("exact discs"), "{faults}");
     run(&["pareto", "splat", "--out", "pareto", "--scenes", "600x48", "--repeat", "1"]);
     let table = std::fs::read_to_string(folder.path().join("pareto/pareto-splat.csv")).unwrap();
     let defaults = table.lines().filter(|line| line.split(',').any(|f| f == "single precision")).count();
-    assert!(defaults >= 2 && table.contains("double precision"), "{table}");
+    assert!(defaults >= 2 && table.contains("double precision") && table.contains("exact discs"), "{table}");
     assert!(std::fs::read_to_string(folder.path().join("pareto/skipping.csv")).unwrap().contains("(JVP)"));
 }

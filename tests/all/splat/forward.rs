@@ -204,3 +204,32 @@ fn depth_ties_go_by_index() {
     let center = 3 * (14 * 43 + 21);
     assert!(image.color[center] > image.color[center + 2] + 0.2, "{:?}", &image.color[center..center + 3]);
 }
+
+#[test]
+fn the_order_of_the_list_does_not_matter() {
+    for seed in 0..20 {
+        let scene = random(150, Kind::Discs, 1, 300 + seed).cast::<f32>();
+        let mut order: Vec<usize> = (0..150).collect();
+        let r = &mut super::scenes::rng(&[17, seed]);
+        (1..150).rev().for_each(|i| order.swap(i, r.index(i + 1)));
+        let Shape::Discs { axes } = &scene.shape else { unreachable!("discs are asked for") };
+        let shuffled = Gaussians {
+            positions: order.iter().map(|&i| scene.positions[i]).collect(),
+            shape: Shape::Discs { axes: order.iter().map(|&i| axes[i]).collect() },
+            opacities: order.iter().map(|&i| scene.opacities[i]).collect(),
+            sh: order.iter().flat_map(|&i| scene.sh[12 * i..12 * i + 12].to_vec()).collect(),
+            sh_degree: 1,
+        };
+        for isa in available() {
+            let run = |scene: &Gaussians<f32>| {
+                let mut rasterizer = Rasterizer::<f32>::with_isa(isa).unwrap();
+                let image = rasterizer.render(scene, &view(Lens::Pinhole), &Settings::default(), None).unwrap().clone();
+                (image, rasterizer.contributors().unwrap())
+            };
+            let ((a, blended), (b, shuffled)) = (run(&scene), run(&shuffled));
+            let worst = a.color.iter().zip(&b.color).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max);
+            assert!(worst <= 1e-6, "scene {seed}, {isa}: {worst:e}");
+            assert_eq!(blended, shuffled, "scene {seed}, {isa}: other Gaussians are blended");
+        }
+    }
+}

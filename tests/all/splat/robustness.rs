@@ -1,7 +1,9 @@
 //! Whatever goes in: no panic, nothing but finite numbers out, or one sentence.
 
 use respire_bench::base::Camera;
-use respire_bench::splat::{Gaussians, Gradients, ImageGradient, Rasterizer, Settings, Shape, View, Wanted};
+use respire_bench::splat::{
+    DepthOutput, Filter, Footprint, Gaussians, Gradients, ImageGradient, Rasterizer, Settings, Shape, View, Wanted,
+};
 
 use super::forward::available;
 use super::scenes::{Kind, Lens, Weights, random, rng, view, world_from_camera};
@@ -47,8 +49,9 @@ fn poisoned(seed: u64) -> Gaussians<f32> {
 
 fn all_finite(g: &Gradients<f32>) -> bool {
     let vectors = g.positions.iter().chain(&g.scales).chain(g.axes.iter().flatten()).flatten();
-    let rest = g.rotations.iter().flatten().chain(&g.opacities).chain(&g.sh);
-    vectors.chain(rest).all(|v| v.is_finite()) && g.pose.iter().chain(&g.gain).all(|v| v.is_finite())
+    let rest = g.rotations.iter().flatten().chain(&g.opacities).chain(&g.sh).chain(&g.channels);
+    let camera = g.pose.iter().chain(&g.gain).chain(&g.lens);
+    vectors.chain(rest).all(|v| v.is_finite()) && camera.into_iter().all(|v| v.is_finite())
 }
 
 #[test]
@@ -56,13 +59,24 @@ fn poisoned_scenes_stay_finite() {
     let weights = Weights::<f32>::new(43 * 29, 1);
     for isa in available() {
         let mut rasterizer = Rasterizer::<f32>::with_isa(isa).unwrap();
-        for seed in 0..1500 {
+        for seed in 0..2500 {
             let scene = poisoned(seed);
             let lens = if seed % 5 == 0 { Lens::Fisheye } else { Lens::Pinhole };
-            let image = rasterizer.render(&scene, &view(lens), &Settings::default(), None).unwrap();
+            let footprint = if seed % 7 == 3 { Footprint::Disc } else { Footprint::Ewa };
+            let filter = if seed % 7 == 5 { Filter::Compensate } else { Filter::Dilate };
+            let depth = [DepthOutput::Expected, DepthOutput::Surface, DepthOutput::Median][seed as usize % 3];
+            let settings = Settings { footprint, filter, depth, ..Settings::default() };
+            let image = rasterizer.render(&scene, &view(lens), &settings, None).unwrap();
             let finite = image.color.iter().chain(&image.depth).chain(&image.alpha).all(|v| v.is_finite());
             assert!(finite, "{isa}, scene {seed}: image");
-            let gradients = rasterizer.backward(&scene, &weights.gradient(), Wanted::ALL).unwrap();
+            let normals = scene.normals(&view(lens));
+            let channels = rasterizer.render_channels(&normals, 3).unwrap();
+            assert!(channels.iter().all(|v| v.is_finite()), "{isa}, scene {seed}: channels");
+            let depth: &[f32] = if depth == DepthOutput::Expected { &weights.depth } else { &[] };
+            let gradient = ImageGradient { depth, channels: &weights.color, ..weights.gradient() };
+            let lens = if footprint == Footprint::Disc && lens == Lens::Fisheye { Wanted::NONE } else { Wanted::LENS };
+            let wanted = Wanted::ALL | Wanted::CHANNELS | if seed % 2 == 0 { lens } else { Wanted::NONE };
+            let gradients = rasterizer.backward(&scene, &gradient, wanted).unwrap();
             assert!(all_finite(gradients), "{isa}, scene {seed}: gradients");
         }
     }
