@@ -45,8 +45,17 @@ struct Sweep {
     for (std::size_t x = 0; x < b.width; x += LANES) store(out + x, window([&](int i) { return load(in + x + i); }));
   }
 
-  V down(const Ring& ring, int map, std::ptrdiff_t y, std::size_t x) const {
-    return window([&](int i) { return load(ring.line(map, y + i - 5) + x); });
+  // The eleven lines around y of each map: found once per line.
+  struct Column {
+    const float* lines[3][11];
+    Column(const Ring& ring, std::ptrdiff_t y) {
+      for (int map = 0; map < 3; ++map)
+        for (int i = 0; i < 11; ++i) lines[map][i] = ring.line(map, y + i - 5);
+    }
+  };
+
+  V down(const Column& column, int map, std::size_t x) const {
+    return window([&](int i) { return load(column.lines[map][i] + x); });
   }
 
   static double sum_of(V v) {
@@ -70,8 +79,9 @@ struct Sweep {
     }
     for (std::size_t i = 0; i < RING; ++i) source[i] = take(), target[i] = take();
     for (float*& line : padded) line = take();
-    float *mean = take(), *square = take(), *weight = take();
+    float *mean = take(), *square = take(), *weight = take(), *l1_weight = take();
     const bool with_ssim = b.ssim_weight > 0;
+    if (!b.mask) weights(y0, b.ssim_weight, weight), weights(y0, 1.0f - b.ssim_weight, l1_weight);
     double total = 0;
     const std::ptrdiff_t from = y0 - 10 < 0 ? 0 : y0 - 10;
     for (std::ptrdiff_t y = from; y < y1 + 10; ++y) {
@@ -92,16 +102,21 @@ struct Sweep {
       }
       const std::ptrdiff_t middle = y - 5;
       if (with_ssim && middle >= 0 && middle < h && middle >= y0 - 5 && middle < y1 + 5) {
-        weights(middle, b.ssim_weight, weight);
+        if (b.mask) weights(middle, b.ssim_weight, weight);
         __builtin_memcpy(mean, b.mean + c * n + w * middle, w * sizeof(float));
         __builtin_memcpy(square, b.square + c * n + w * middle, w * sizeof(float));
         V sum{};
-        for (std::size_t x = 0; x < w; x += LANES) sum += derivatives(first, middle, x, mean, square, weight, padded);
+        const Column column(first, middle);
+        for (std::size_t x = 0; x < w; x += LANES) sum += derivatives(column, x, mean, square, weight, padded);
         if (middle >= y0 && middle < y1) total += sum_of(sum);
         for (int m = 0; m < 3; ++m) across(padded[m], second.lines[m][middle % RING]);
       }
       const std::ptrdiff_t last = y - 10;
-      if (last >= y0 && last < y1) total += finish(second, last, c, source[last % RING], target[last % RING], weight, with_ssim);
+      if (last >= y0 && last < y1) {
+        if (b.mask) weights(last, 1.0f - b.ssim_weight, l1_weight);
+        const float *s = source[last % RING], *t = target[last % RING];
+        total += with_ssim ? finish<true>(second, last, c, s, t, l1_weight) : finish<false>(second, last, c, s, t, l1_weight);
+      }
     }
     return total;
   }
@@ -114,9 +129,9 @@ struct Sweep {
   }
 
   // The weighted 1 - SSIM of LANES pixels; its derivatives by the three blurs go to `out`.
-  V derivatives(const Ring& ring, std::ptrdiff_t y, std::size_t x, const float* mean, const float* square,
-                const float* weight, float* const* out) const {
-    const V mx = down(ring, 0, y, x), xx = down(ring, 1, y, x), xy = down(ring, 2, y, x);
+  V derivatives(const Column& column, std::size_t x, const float* mean, const float* square, const float* weight,
+                float* const* out) const {
+    const V mx = down(column, 0, x), xx = down(column, 1, x), xy = down(column, 2, x);
     const V my = load(mean + x), w = -load(weight + x);
     const V a = 2.0f * mx * my + SSIM_C1, p = 2.0f * (xy - mx * my) + SSIM_C2;
     const V q = mx * mx + my * my + SSIM_C1, d = (xx - mx * mx) + (load(square + x) - my * my) + SSIM_C2;
@@ -128,9 +143,9 @@ struct Sweep {
   }
 
   // The gradient of a line; returns its L1.
-  double finish(const Ring& ring, std::ptrdiff_t y, int c, const float* source, const float* target, float* weight,
-                bool with_ssim) {
-    weights(y, 1.0f - b.ssim_weight, weight);
+  template <bool WITH_SSIM>
+  double finish(const Ring& ring, std::ptrdiff_t y, int c, const float* source, const float* target, const float* weight) const {
+    const Column column(ring, y);
     float* out = b.gradient + 3 * b.width * (y - static_cast<std::ptrdiff_t>(b.y0)) + c;
     V sum{};
     for (std::size_t x = 0; x < b.width; x += LANES) {
@@ -138,9 +153,15 @@ struct Sweep {
       const V sign = pick(d > 0.0f, w, pick(d < 0.0f, -w, V{}));
       sum += sign * d;
       V g = sign;
-      if (with_ssim) g += down(ring, 0, y, x) + 2.0f * s * down(ring, 1, y, x) + t * down(ring, 2, y, x);
+      if (WITH_SSIM) g += down(column, 0, x) + 2.0f * s * down(column, 1, x) + t * down(column, 2, x);
       const std::size_t count = b.width - x < LANES ? b.width - x : LANES;
-      for (std::size_t l = 0; l < count; ++l) out[3 * (x + l)] = g[l];
+      alignas(64) float lanes[LANES];
+      store(lanes, g);
+      if (count == LANES) {
+        for (std::size_t l = 0; l < LANES; ++l) out[3 * (x + l)] = lanes[l];
+      } else {
+        for (std::size_t l = 0; l < count; ++l) out[3 * (x + l)] = lanes[l];
+      }
     }
     return sum_of(sum);
   }

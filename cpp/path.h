@@ -11,81 +11,40 @@
 // Subsurface: at the first vertex (or at every one) the base's light walks through the wall (`cpp/walk.h`) and leaves it
 // elsewhere. With a diffuse boundary it enters by the cosine law and leaves as from a Lambert surface of albedo 1;
 // with a matched boundary the surface does not bend or reflect it at all and every scattering is lit by the lamp.
-// Fine detail (vessels, relief) is evaluated where the camera sees it; later vertices see the wall's mean colour.
-
-#include <embree4/rtcore.h>
-#include <immintrin.h>
 
 #include <cmath>
 
 #include "cpp/coat.h"
+#include "cpp/lamp.h"
 #include "cpp/sampler.h"
-#include "cpp/tracer.h"
 #include "cpp/vector.h"
 #include "cpp/walk.h"
-#include "respire-bench/src/ffi/tracer.rs.h"
 
 namespace respire {
-
-// Flush-to-zero and denormals-are-zero as Embree wants them; the caller's mode comes back at the end of the scope.
-class FloatMode {
- public:
-  FloatMode() : saved_(_mm_getcsr()) { _mm_setcsr(saved_ | 0x8040u); }
-  ~FloatMode() { _mm_setcsr(saved_); }
-  FloatMode(const FloatMode&) = delete;
-  FloatMode& operator=(const FloatMode&) = delete;
-
- private:
-  unsigned saved_;
-};
 
 // Sums per pixel: direct (3), indirect (3), indirect from the base over its albedo (3), indirect from the coat (3),
 // albedo (3), smooth normal (3), hits (1).
 constexpr std::size_t kFilmChannels = 19;
 
-// Per vertex: light that the base sends, over its albedo and times pi, by way of the wall (3); irradiance by other walls (3).
-constexpr std::size_t kKnownValues = 6;
+inline Vec3 cosine_direction(float u, float v) {
+  float c, s;
+  cos_sin_turns(v, c, s);
+  const float r = std::sqrt(u);
+  return {r * c, r * s, std::sqrt(1.0f - u)};
+}
 
-// Per face: the lamp's irradiance (3), what the base sends on of it (3), what is sent on to all sides alike of other light (3),
-// centre (3), normal (3), what the coat mirrors of the lamp's light and of other light, over `glint`.
-constexpr std::size_t kLampValues = 17;
+inline Vec3 over(Vec3 a, Vec3 b) {
+  return {b.x > 0 ? a.x / b.x : 0.0f, b.y > 0 ? a.y / b.y : 0.0f, b.z > 0 ? a.z / b.z : 0.0f};
+}
 
-// Between walls the coat's lobe is taken as this wide: a narrow one would be all noise with few rays per face.
-constexpr float kWideAlpha = 0.3f;
-
-// Of light that is not the lamp's the coat gets this part from about the lamp's side, the rest from all sides alike.
-constexpr float kFromLampSide = 0.5f;
-
-// In place of a face.
-constexpr std::uint32_t kNothing = ~0u;
-
-struct Surface {
-  Vec3 point, geometric, smooth, shading;  // normals: unit, on the side of the viewer
-  Vec3 albedo;
-  float alpha;
-};
-
-class PathIntegrator {
+class PathIntegrator : public LitWall {
  public:
-  TileCounters counters{};
-
   PathIntegrator(const Tracer& tracer, const FrameSettings& frame)
-      : tracer_(tracer),
-        frame_(frame),
-        light_{frame.light[0], frame.light[1], frame.light[2]},
-        intensity_{frame.intensity[0], frame.intensity[1], frame.intensity[2]},
+      : LitWall(tracer, frame),
         background_{frame.background[0], frame.background[1], frame.background[2]},
-        origin_{frame.origin[0], frame.origin[1], frame.origin[2]},
-        light_axis_{frame.rotation[2], frame.rotation[5], frame.rotation[8]},
         limit_(frame.max_scatterings == 0 ? unlimited(tracer) : frame.max_scatterings) {}
 
-  // Camera axes to world axes.
-  Vec3 world_direction(Vec3 d) const {
-    const auto& r = frame_.rotation;
-    return {r[0] * d.x + r[1] * d.y + r[2] * d.z, r[3] * d.x + r[4] * d.y + r[5] * d.z,
-            r[6] * d.x + r[7] * d.y + r[8] * d.z};
-  }
-
+  // One sample through a pixel, all light traced. `hit`: what the camera ray meets, or null.
   void camera_sample(Vec3 direction, const Hit* hit, Sampler& sampler, float* film) {
     ++counters.paths;
     if (!hit) {
@@ -108,145 +67,32 @@ class PathIntegrator {
         direct = direct_light(s, frame, o, !frame_.light_at_camera, Vec3{0, 0, 0});
         scattered_light(s, frame, o, sampler, base, mirrored);
     }
-    const Vec3 indirect = base * s.albedo + mirrored;
-    if (!valid(direct) || !valid(indirect)) {
-      ++counters.rejected;
-      return;
-    }
-    add(film, direct);
-    add(film + 3, indirect);
-    add(film + 6, base);
-    add(film + 9, mirrored);
-    add(film + 12, s.albedo);
-    add(film + 15, s.smooth);
-    film[18] += 1.0f;
+    record(s, direct, base, mirrored, film);
   }
 
-  // Like `camera_sample`, with the light that other walls send, and that walks in the wall, taken from the vertices:
-  // `known` holds kKnownValues per vertex, negative where nothing is known. There a path is traced instead.
-  void known_sample(Vec3 direction, const Hit* hit, rust::Slice<const float> known, Sampler& sampler, float* film) {
-    ++counters.paths;
-    if (!hit) {
-      add(film, background_);
-      return;
-    }
-    const Surface s = camera_surface(*hit, direction);
-    const Frame frame(s.shading);
-    const Vec3 o = upper(frame.local(-direction));
-    const bool walked = tracer_.subsurface_ == Subsurface::kDiffuse;
-    const Vec3 direct = direct_light(s, frame, o, !frame_.light_at_camera, walked ? Vec3{0, 0, 0} : s.albedo);
-    Vec3 base{}, mirrored{}, light;
-    if (known_light(known, *hit, walked ? 0 : 3, light)) {
-      const float share = tracer_.coated_ ? 1.0f - tracer_.coat_.albedo(s.alpha, o.z) : 1.0f;
-      base = light * (share * (1.0f / kPi));
-      if (tracer_.coated_ && limit_ > 1) mirrored = known_mirrored(s, frame, o, known, sampler);
-    } else if (walked) {
-      scattered_light(s, frame, o, sampler, base, mirrored);
-    } else if (limit_ > 1) {
-      indirect_light(s, frame, o, sampler, base, mirrored);
-    }
-    const Vec3 indirect = base * s.albedo + mirrored;
-    if (!valid(direct) || !valid(indirect)) {
-      ++counters.rejected;
-      return;
-    }
-    add(film, direct);
-    add(film + 3, indirect);
-    add(film + 6, base);
-    add(film + 9, mirrored);
-    add(film + 12, s.albedo);
-    add(film + 15, s.smooth);
-    film[18] += 1.0f;
-  }
-
-  // What the lamp does to a face as a whole, at its centre (kLampValues).
-  void lamp(std::uint32_t face, float* values) {
-    const Surface s = face_surface(face, 1.0f / 3.0f, 1.0f / 3.0f);
-    const Vec3 received = irradiance(s, true);
-    const float e = tracer_.mean_coat_;
-    store(values, received);
-    store(values + 3, received * s.albedo * (1.0f - e));
-    const float even = e * (1.0f - kFromLampSide);
-    store(values + 6, s.albedo * (1.0f - e) + Vec3{even, even, even});
-    store(values + 9, s.point);
-    store(values + 12, s.shading);
-    values[15] = values[16] = 0.0f;
-    if (!tracer_.coated_) return;
-    // As much as the coat sends back, through the wider lobe.
-    const float cosine = std::max(dot(s.shading, normalize(light_ - s.point)), 0.0f);
-    const float wide = std::max(tracer_.wide_coat_.albedo(kWideAlpha, cosine), 1e-6f);
-    values[15] = tracer_.coat_.albedo(s.alpha, cosine) / wide;
-    values[16] = e * kFromLampSide / wide;
-  }
-
-  // What the coat of a face sends towards `to` of light that comes from the lamp's side: radiance times pi over what it gets
-  // there. `from`: its kLampValues.
-  float glint(Vec3 to, const float* from) const {
-    const Vec3 point = load(from + 9), way = to - point;
-    const float l2 = dot(way, way);
-    if (!(l2 > 0.0f)) return 0.0f;
-    const Frame frame(load(from + 12));
-    const Vec3 o = frame.local(way * (1.0f / std::sqrt(l2))), i = frame.local(normalize(light_ - point));
-    return kPi * tracer_.wide_coat_.value(o, i, kWideAlpha);
-  }
-
-  // Faces that `count` rays meet which leave a face after the cosine law; kNothing for what leaves the mesh. The rays
-  // lie on the tissue and not in space: what noise they leave moves with the wall and does not flicker.
-  void gather(std::uint32_t face, std::uint32_t count, std::uint32_t* hits) {
-    const std::uint32_t key = hash32(face ^ frame_.pattern_key);
-    for (std::uint32_t k = 0; k < count; ++k) {
-      Sampler sampler(key, k);
-      float u, v, a, b;
-      sampler.next2(u, v);
-      sampler.next2(a, b);
-      // Uniform over the triangle.
-      const float root = std::sqrt(a);
-      const Surface s = face_surface(face, root * (1.0f - b), root * b);
-      const Vec3 direction = tissue_frame(face, s.shading).world(cosine_direction(u, v));
-      Hit hit;
-      const bool leaves = dot(direction, s.geometric) > 0.0f;
-      hits[k] = leaves && intersect(s.point + s.geometric * kOffset, direction, hit) ? hit.face : kNothing;
-    }
-  }
-
-  // Where a walk comes out that starts in `face`, the more likely the nearer to its vertex `corner` (linearly), and what is
-  // left of its light over the albedo there. False where nothing comes out.
-  bool walk_from(std::uint32_t face, std::uint32_t corner, Sampler& sampler, std::uint32_t& exit, Vec3& weight) {
-    // The middle one of three.
-    const float a = sampler.random(), b = sampler.random(), c = sampler.random();
-    const float own = std::max(std::min(a, b), std::min(std::max(a, b), c));
-    const float split = sampler.random();
-    float w[3];
-    w[corner] = own, w[(corner + 1) % 3] = (1.0f - own) * split, w[(corner + 2) % 3] = (1.0f - own) * (1.0f - split);
-    const Surface s = face_surface(face, w[1], w[2]);
-    const Medium medium = tracer_.medium(s.albedo);
-    const RandomWalk walk(tracer_.fast_, medium, counters.rays);
-    const Frame entry(s.geometric);
-    Vec3 local, throughput, point = s.point;
-    // The view is not known: a refracted entry is taken as seen from all sides alike.
-    if (!entry_direction(cosine_direction(sampler.random(), sampler.random()), sampler, local)) return false;
-    Vec3 inwards = entry.world(local);
-    Hit hit;
-    if (!walk.leave(point, inwards, sampler, throughput, hit)) return false;
-    exit = hit.face;
-    weight = over(throughput, s.albedo);
-    return true;
-  }
-
-  // Albedo of the base where a camera ray hits.
-  Vec3 camera_albedo(const Hit& hit, Vec3 direction) const { return camera_surface(hit, direction).albedo; }
-
- private:
+ protected:
   // Roulette ends every path long before; the bound only keeps a perfectly white closed room from running for ever.
   static constexpr std::uint32_t kLongestPath = 4096;
   // Scatterings below the surface are many more.
   static std::uint32_t unlimited(const Tracer& tracer) {
     return tracer.subsurface_ == Subsurface::kMatched ? 1u << 24 : kLongestPath;
   }
-  // Origins are moved off the surface by this much, in mm.
-  static constexpr float kOffset = 2e-4f;
-  // Closer than this to the light nothing is lit more brightly, in mm^2.
-  static constexpr float kNearest2 = 1e-4f;
+
+  // Adds what one sample has found; a sample that cannot be is counted and left out.
+  void record(const Surface& s, Vec3 direct, Vec3 base, Vec3 mirrored, float* film) {
+    const Vec3 indirect = base * s.albedo + mirrored;
+    if (!valid(direct) || !valid(indirect)) {
+      ++counters.rejected;
+      return;
+    }
+    add(film, direct);
+    add(film + 3, indirect);
+    add(film + 6, base);
+    add(film + 9, mirrored);
+    add(film + 12, s.albedo);
+    add(film + 15, s.smooth);
+    film[18] += 1.0f;
+  }
 
   static void add(float* film, Vec3 v) { film[0] += v.x, film[1] += v.y, film[2] += v.z; }
   static bool valid(Vec3 v) { return v.x >= 0 && v.y >= 0 && v.z >= 0 && v.x + v.y + v.z < 1e30f; }
@@ -254,144 +100,6 @@ class PathIntegrator {
   static Vec3 upper(Vec3 o) {
     if (o.z >= 1e-3f) return o;
     return normalize({o.x, o.y, 1e-3f});
-  }
-
-  bool intersect(Vec3 from, Vec3 direction, Hit& hit) {
-    RTCRayHit r;
-    r.ray.org_x = from.x, r.ray.org_y = from.y, r.ray.org_z = from.z;
-    r.ray.dir_x = direction.x, r.ray.dir_y = direction.y, r.ray.dir_z = direction.z;
-    r.ray.tnear = 0, r.ray.tfar = 1e30f, r.ray.time = 0, r.ray.mask = ~0u, r.ray.id = 0, r.ray.flags = 0;
-    r.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-    r.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-    ++counters.rays;
-    rtcIntersect1(tracer_.fast_, &r);
-    const bool missed = r.hit.geomID == RTC_INVALID_GEOMETRY_ID;
-    if (missed || r.hit.Ng_x * direction.x + r.hit.Ng_y * direction.y + r.hit.Ng_z * direction.z > 0.0f) {
-      // Out of the mesh, or a wall seen from behind: perhaps through an edge. The robust scene decides.
-      r.ray.tfar = 1e30f;
-      r.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-      r.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-      ++counters.rays;
-      rtcIntersect1(tracer_.robust_, &r);
-      if (r.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
-    }
-    hit = {r.ray.tfar, r.hit.u, r.hit.v, r.hit.primID, {r.hit.Ng_x, r.hit.Ng_y, r.hit.Ng_z}};
-    return true;
-  }
-
-  bool occluded(Vec3 from, Vec3 direction, float distance) {
-    RTCRay r;
-    r.org_x = from.x, r.org_y = from.y, r.org_z = from.z;
-    r.dir_x = direction.x, r.dir_y = direction.y, r.dir_z = direction.z;
-    r.tnear = 0, r.tfar = distance, r.time = 0, r.mask = ~0u, r.id = 0, r.flags = 0;
-    ++counters.rays;
-    rtcOccluded1(tracer_.fast_, &r);
-    return r.tfar < 0;
-  }
-
-  static Vec3 interpolate(const float* values, const std::uint32_t* face, float u, float v) {
-    return load(values + 3ull * face[0]) * (1.0f - u - v) + load(values + 3ull * face[1]) * u +
-           load(values + 3ull * face[2]) * v;
-  }
-
-  // What every vertex of a path needs; colour from the vertices.
-  Surface surface(const Hit& hit, Vec3 from, Vec3 direction) const {
-    Surface s;
-    s.point = from + direction * hit.t;
-    s.geometric = normalize(hit.geometric);
-    const float side = dot(s.geometric, direction) > 0 ? -1.0f : 1.0f;
-    s.geometric = s.geometric * side;
-    s.smooth = s.geometric;
-    const std::uint32_t* face = tracer_.faces_ + 3ull * hit.face;
-    if (frame_.smooth) {
-      const Vec3 n = interpolate(tracer_.normals_.data(), face, hit.u, hit.v) * side;
-      const float l2 = dot(n, n);
-      if (l2 > 1e-6f) s.smooth = n * (1.0f / std::sqrt(l2));
-    }
-    if (!tracer_.ring_height_.empty()) {
-      const Rise rise = ring_rise(face, hit.u, hit.v);
-      s.smooth = bent(s.smooth, direction, face, {rise.first * side, rise.second * side});
-    }
-    s.shading = s.smooth;
-    s.albedo = tracer_.mucosa_ ? interpolate(tracer_.vertex_albedo_.data(), face, hit.u, hit.v) : tracer_.albedo_;
-    s.alpha = tracer_.mucosa_ ? 0.5f * (tracer_.alpha_low_ + tracer_.alpha_high_) : tracer_.alpha_low_;
-    return s;
-  }
-
-  // How much something rises along two edges of a face, from its first corner.
-  struct Rise {
-    float first, second;
-  };
-
-  // The cartilage rings' relief. Rings are as wide as several faces: they bend the normal of every vertex of a path.
-  Rise ring_rise(const std::uint32_t* face, float w1, float w2) const {
-    const Tracer& t = tracer_;
-    const float w0 = 1.0f - w1 - w2;
-    const float height = w0 * t.ring_height_[face[0]] + w1 * t.ring_height_[face[1]] + w2 * t.ring_height_[face[2]];
-    if (height <= 0.0f) return {0.0f, 0.0f};
-    const float a0 = t.axial_mm_[face[0]], a1 = t.axial_mm_[face[1]], a2 = t.axial_mm_[face[2]];
-    float slope;
-    ring_profile(w0 * a0 + w1 * a1 + w2 * a2, t.look_.ring_spacing_mm, slope);
-    return {height * slope * (a1 - a0), height * slope * (a2 - a0)};
-  }
-
-  // `normal` of a face whose surface rises so, seen along `direction`. (A relief's rise along two edges of the rest triangle is
-  // its rise along the deformed ones.)
-  Vec3 bent(Vec3 normal, Vec3 direction, const std::uint32_t* face, Rise rise) const {
-    const Vec3 p0 = load(tracer_.vertices_ + 3ull * face[0]);
-    const Vec3 e1 = load(tracer_.vertices_ + 3ull * face[1]) - p0, e2 = load(tracer_.vertices_ + 3ull * face[2]) - p0;
-    const Vec3 n = cross(e1, e2);
-    const float n2 = dot(n, n);
-    if (n2 <= 1e-20f) return normal;
-    const Vec3 steep = normal - (cross(e2, n) * rise.first + cross(n, e1) * rise.second) * (1.0f / n2);
-    const float away = dot(steep, -direction);
-    const float length = std::sqrt(dot(direction, direction));
-    // A normal that looks away from the viewer is bent back just into view.
-    return normalize(away > 0.02f * length ? steep : steep - direction * ((0.02f - away / length) / length));
-  }
-
-  // The first vertex: with vessels, film and fine relief.
-  Surface camera_surface(const Hit& hit, Vec3 direction) const {
-    Surface s = surface(hit, origin_, direction);
-    if (!tracer_.mucosa_) return s;
-    const Tracer& t = tracer_;
-    const std::uint32_t* face = t.faces_ + 3ull * hit.face;
-    const float w[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};
-    auto scalar = [&](const std::vector<float>& values) {
-      return w[0] * values[face[0]] + w[1] * values[face[1]] + w[2] * values[face[2]];
-    };
-    const Vec3 rest0 = load(&t.rest_[3ull * face[0]]);
-    const Vec3 rest1 = load(&t.rest_[3ull * face[1]]) - rest0, rest2 = load(&t.rest_[3ull * face[2]]) - rest0;
-    const MucosaPoint m = mucosa_at(t.look_, t.albedo_, rest0 + rest1 * hit.u + rest2 * hit.v,
-                                    unit_or_zero(cross(rest1, rest2)), scalar(t.axial_mm_), scalar(t.ring_weight_),
-                                    scalar(t.generations_), hit.t * frame_.pixel_angle);
-    s.albedo = m.albedo;
-    const float alpha = mix(t.alpha_low_, t.alpha_high_, m.roughness);
-    s.alpha = std::sqrt(alpha * alpha + 2.0f * m.unseen_slope2);
-    s.shading = bent(s.smooth, direction, face, {dot(m.height_gradient, rest1), dot(m.height_gradient, rest2)});
-    return s;
-  }
-
-  // The light's profile: the part of its intensity in a direction of this cosine to its axis (the camera's).
-  float emission(float cosine) const {
-    if (frame_.emission_exponent == 0.0f) return 1.0f;
-    cosine = clamp(cosine, 0.0f, 1.0f);
-    return frame_.emission_exponent == 1.0f ? cosine : std::pow(cosine, frame_.emission_exponent);
-  }
-
-  // Radiance towards `o` by the light itself, from a base of albedo `rho`.
-  Vec3 direct_light(const Surface& s, const Frame& frame, Vec3 o, bool shadows, Vec3 rho) {
-    const Vec3 to_light = light_ - s.point;
-    const float r2 = std::max(dot(to_light, to_light), kNearest2), r = std::sqrt(r2);
-    const Vec3 direction = to_light * (1.0f / r);
-    const float cosine = dot(s.shading, direction);
-    if (cosine <= 0.0f || dot(s.geometric, direction) <= 0.0f) return {0, 0, 0};
-    if (shadows && occluded(s.point + s.geometric * kOffset, direction, r * (1.0f - 1e-5f) - kOffset)) return {0, 0, 0};
-    const Vec3 irradiance = intensity_ * (emission(-dot(direction, light_axis_)) * cosine / r2);
-    if (!tracer_.coated_) return irradiance * rho * (1.0f / kPi);
-    const float e = tracer_.coat_.albedo(s.alpha, o.z);
-    const float mirrored = tracer_.coat_.value(o, frame.local(direction), s.alpha);
-    return irradiance * (rho * ((1.0f - e) / kPi) + Vec3{mirrored, mirrored, mirrored});
   }
 
   // A direction for the next ray. `base` and `coat` are f cos / density of the two terms, the base without its albedo.
@@ -422,13 +130,6 @@ class PathIntegrator {
     return true;
   }
 
-  static Vec3 cosine_direction(float u, float v) {
-    float c, s;
-    cos_sin_turns(v, c, s);
-    const float r = std::sqrt(u);
-    return {r * c, r * s, std::sqrt(1.0f - u)};
-  }
-
   // One sample of the light that reaches the camera's vertex from other walls.
   void indirect_light(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler, Vec3& base, Vec3& mirrored) {
     Vec3 local;
@@ -440,29 +141,6 @@ class PathIntegrator {
     const Vec3 light = incoming(s.point + s.geometric * kOffset, direction, throughput, 2, sampler);
     base = light * base_weight;
     mirrored = light * coat_weight;
-  }
-
-  static Vec3 over(Vec3 a, Vec3 b) {
-    return {b.x > 0 ? a.x / b.x : 0.0f, b.y > 0 ? a.y / b.y : 0.0f, b.z > 0 ? a.z / b.z : 0.0f};
-  }
-
-  // A point of the surface as seen from the lumen, where light comes out of the wall along `direction`.
-  Surface exit_surface(const Hit& hit, Vec3 point, Vec3 direction) const {
-    const Vec3 inwards = dot(hit.geometric, direction) > 0.0f ? -hit.geometric : hit.geometric;
-    Surface s = surface(hit, point, inwards);
-    s.point = point;
-    return s;
-  }
-
-  // Irradiance of the lamp.
-  Vec3 irradiance(const Surface& s, bool shadows) {
-    const Vec3 to_light = light_ - s.point;
-    const float r2 = std::max(dot(to_light, to_light), kNearest2), r = std::sqrt(r2);
-    const Vec3 direction = to_light * (1.0f / r);
-    const float cosine = dot(s.shading, direction);
-    if (cosine <= 0.0f || dot(s.geometric, direction) <= 0.0f) return {0, 0, 0};
-    if (shadows && occluded(s.point + s.geometric * kOffset, direction, r * (1.0f - 1e-5f) - kOffset)) return {0, 0, 0};
-    return intensity_ * (emission(-dot(direction, light_axis_)) * cosine / r2);
   }
 
   // Direction (local, downwards) in which light that leaves towards `o` walked below the surface.
@@ -477,73 +155,6 @@ class PathIntegrator {
     }
     local = -cosine_direction(u, v);
     return true;
-  }
-
-  // Part of the lamp's light that base and coat send back to all sides.
-  Vec3 lamp_reflectance(const Surface& s) const {
-    if (!tracer_.coated_) return s.albedo;
-    const float mean = tracer_.mean_coat_;
-    const float e = tracer_.coat_.albedo(s.alpha, std::max(dot(s.shading, normalize(light_ - s.point)), 0.0f));
-    return s.albedo * (1.0f - mean) + Vec3{e, e, e};
-  }
-
-  // A point of a face as seen from the lumen.
-  Surface face_surface(std::uint32_t face, float u, float v) const {
-    const std::uint32_t* corners = tracer_.faces_ + 3ull * face;
-    const Vec3 p0 = load(tracer_.vertices_ + 3ull * corners[0]);
-    const Vec3 e1 = load(tracer_.vertices_ + 3ull * corners[1]) - p0, e2 = load(tracer_.vertices_ + 3ull * corners[2]) - p0;
-    const Vec3 normal = cross(e1, e2), point = p0 + e1 * u + e2 * v;
-    // `surface` looks along a ray: one that comes from above.
-    Surface s = surface(Hit{0.0f, u, v, face, normal}, point, -normal);
-    s.point = point;
-    return s;
-  }
-
-  // Axes with normal `n` that turn with the face.
-  Frame tissue_frame(std::uint32_t face, Vec3 n) const {
-    const std::uint32_t* corners = tracer_.faces_ + 3ull * face;
-    const Vec3 edge = load(tracer_.vertices_ + 3ull * corners[1]) - load(tracer_.vertices_ + 3ull * corners[0]);
-    Frame frame(n);
-    const Vec3 along = edge - n * dot(edge, n);
-    const float l2 = dot(along, along);
-    if (l2 > 1e-12f) frame.t = along * (1.0f / std::sqrt(l2)), frame.b = cross(n, frame.t);
-    return frame;
-  }
-
-  // Interpolates what is known at the face's vertices, from `offset` on; vertices of which nothing is known leave
-  // their part to the others.
-  bool known_light(rust::Slice<const float> known, const Hit& hit, std::size_t offset, Vec3& light) const {
-    const std::uint32_t* corners = tracer_.faces_ + 3ull * hit.face;
-    const float w[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};
-    float total = 0.0f;
-    light = {0, 0, 0};
-    for (int k = 0; k < 3; ++k) {
-      const float* value = known.data() + kKnownValues * corners[k];
-      if (value[offset] < 0.0f) continue;
-      light += load(value + offset) * w[k];
-      total += w[k];
-    }
-    if (!(total > 0.05f)) return false;
-    light = light * (1.0f / total);
-    return true;
-  }
-
-  // One sample of what the coat mirrors, with light of more than one scattering from the vertices.
-  Vec3 known_mirrored(const Surface& s, const Frame& frame, Vec3 o, rust::Slice<const float> known, Sampler& sampler) {
-    Vec3 direction;
-    float weight;
-    if (!mirrored_direction(s, frame, o, sampler, direction, weight)) return {0, 0, 0};
-    const Vec3 from = s.point + s.geometric * kOffset;
-    Hit hit;
-    if (!intersect(from, direction, hit)) return background_ * weight;
-    // What no ray from a seen face has met in four generations hardly gets light by way of walls.
-    Vec3 light;
-    if (!known_light(known, hit, 3, light)) light = {0, 0, 0};
-    const Surface met = surface(hit, from, direction);
-    // Glare in a mirror would be all noise: the coat met there is taken as diffuse.
-    const float e = tracer_.mean_coat_;
-    const Vec3 received = irradiance(met, true) * lamp_reflectance(met) + light * (met.albedo * (1.0f - e) + Vec3{e, e, e});
-    return received * (weight / kPi);
   }
 
   // One sample of what leaves the wall at `at` by way of a walk that starts there: radiance (towards every side), its
@@ -694,9 +305,7 @@ class PathIntegrator {
     }
   }
 
-  const Tracer& tracer_;
-  const FrameSettings& frame_;
-  Vec3 light_, intensity_, background_, origin_, light_axis_;
+  Vec3 background_;
   std::uint32_t limit_;
 };
 

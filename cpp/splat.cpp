@@ -43,7 +43,7 @@ Scene scene_of(const SplatScene& s, View& view, std::size_t first, std::size_t c
   require(s.sh_degree <= 3 && s.positions.size() == 3 * n && s.shape.size() == columns * n &&
               (s.scales.empty() || s.scales.size() == 3 * n) && s.sh.size() == 3 * basis * n,
           "the arrays of the Gaussians differ in length");
-  require(s.view.size() == sizeof(View) / sizeof(float) && s.depth.size() == 4, "a view has 22 numbers and 4");
+  require(s.view.size() == sizeof(View) / sizeof(float) && s.exact.size() == 16, "a view has 22 numbers and 16");
   const std::size_t known = s.all ? n : s.active.size();
   require(first <= known && count <= known - first, "there are not as many Gaussians");
   if (!s.all) {
@@ -53,7 +53,7 @@ Scene scene_of(const SplatScene& s, View& view, std::size_t first, std::size_t c
   }
   __builtin_memcpy(&view, s.view.data(), sizeof view);
   return {&view,          s.positions.data(), s.shape.data(),     s.scales.empty() ? nullptr : s.scales.data(),
-          s.opacities.data(), s.sh.data(),    s.sh_degree, s.all ? nullptr : s.active.data(), s.depth.data()};
+          s.opacities.data(), s.sh.data(),    s.sh_degree, s.all ? nullptr : s.active.data(), s.exact.data()};
 }
 
 const float* given(rust::Slice<const float> values, std::size_t wanted) {
@@ -84,6 +84,20 @@ void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first,
   const Scene s = scene_of(scene, view, first, count);
   const ProjectChunk chunk{first, count, tiles_x, tiles_y, rows.data(), boxes.data(), keys.data(), visible.data()};
   CALL(isa, project, s, chunk)
+}
+
+bool splat_recolor(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
+                   rust::Slice<float> rows) {
+  check_isa(isa);
+  const std::size_t count = visible.size();
+  require(rows.size() == 16 * count, "tables of a projection differ in length");
+  View view;
+  const Scene s = scene_of(scene, view, first, count);
+  bool finite = true;
+  const RecolorChunk chunk{first, count, visible.data(), rows.data(), &finite};
+  const auto run = [&] { CALL(isa, recolor, s, chunk) };
+  run();
+  return finite;
 }
 
 void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,

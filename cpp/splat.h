@@ -18,6 +18,9 @@ std::uint8_t splat_widest_isa();
 void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
                    std::uint32_t tiles_y, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
                    rust::Slice<std::uint32_t> keys, rust::Slice<bool> visible);
+// Their colours again, where visible; false when one is not finite.
+bool splat_recolor(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
+                   rust::Slice<float> rows);
 // Their velocities along a motion.
 void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
                       const SplatMotion& motion, rust::Slice<float> rows);

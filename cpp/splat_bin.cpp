@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cstring>
 #include <stdexcept>
 #include <vector>
 
@@ -61,6 +62,11 @@ void bin_count(rust::Slice<const std::uint32_t> boxes, rust::Slice<const bool> v
   const bool* seen = visible.data();
   const std::uint32_t* box = boxes.data();
   std::uint32_t* start = starts.data();
+  if (!std::memchr(seen, 1, n)) {
+    std::fill_n(start, n, 0u);
+    std::fill_n(counts.data(), 2 * BANDS, 0u);
+    return;
+  }
   std::uint32_t bands[2 * BANDS] = {}, sum = 0;
   for (std::size_t k = 0; k < n; ++k) {
     if (seen[k]) {
@@ -95,6 +101,10 @@ void bin_deal(std::uint32_t first, rust::Slice<const std::uint32_t> boxes, rust:
   const std::uint32_t *box = boxes.data(), *key = keys.data();
   std::uint32_t* start = starts.data();
   std::uint64_t* out = items.data();
+  if (sum == 0) {
+    std::fill_n(start, n, base);
+    return;
+  }
   for (std::size_t k = 0; k < n; ++k) {
     start[k] += base;
     if (!seen[k]) continue;

@@ -90,6 +90,34 @@ void splat_develop(rust::Slice<const float> state, std::size_t width, std::array
   }
 }
 
+void splat_develop_moving(rust::Slice<const float> moving, std::size_t directions, std::size_t k, std::size_t width,
+                          std::array<float, 3> gain, std::array<float, 3> background, rust::Slice<float> color) {
+  const std::size_t tiles = (width + 15) / 16;
+  require(width > 0 && color.size() % (3 * width) == 0 && color.size() <= 48 * width && k < directions &&
+              moving.size() >= tiles * directions * MOVING * PIXELS,
+          "tables of an image differ in length");
+  const std::size_t lines = color.size() / (3 * width);
+  const float* const tables = moving.data();
+  float* const out = color.data();
+  const __m128 zero = _mm_setzero_ps();
+  for (std::size_t line = 0; line < lines; ++line) {
+    for (std::size_t x = 0; x < width; x += 4) {
+      const float* s = tables + (x / 16 * directions + k) * MOVING * PIXELS + place(x / 4 % 4, line);
+      const __m128 left = _mm_loadu_ps(s + 3 * PIXELS);
+      __m128 rgb[3];
+      for (int c = 0; c < 3; ++c) {
+        const __m128 behind = _mm_mul_ps(left, _mm_set1_ps(background[c]));
+        const __m128 v = _mm_mul_ps(_mm_set1_ps(gain[c]), _mm_add_ps(_mm_loadu_ps(s + c * PIXELS), behind));
+        rgb[c] = _mm_and_ps(v, _mm_cmpeq_ps(_mm_sub_ps(v, v), zero));
+      }
+      const std::size_t o = line * width + x, count = width - x < 4 ? width - x : 4;
+      float room[12];
+      interleave(rgb[0], rgb[1], rgb[2], count == 4 ? out + 3 * o : room);
+      if (count < 4) __builtin_memcpy(out + 3 * o, room, 3 * count * sizeof(float));
+    }
+  }
+}
+
 void splat_adjoint(rust::Slice<const float> state, std::size_t x0, std::size_t y0, std::size_t width,
                    std::size_t height, std::array<float, 3> gain, std::array<float, 3> background,
                    rust::Slice<const float> color, rust::Slice<const float> depth, rust::Slice<const float> alpha,

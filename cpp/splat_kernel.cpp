@@ -131,7 +131,7 @@ inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count,
 
 // Masks of the entries i..end, and their splats dealt to the lists of the blocks in `alive`, without a branch on what is
 // dealt: for each block the entries of sixteen that touch it are pushed together.
-template <std::size_t ROOM>
+template <bool KNOWN, std::size_t ROOM>
 void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM], int* sizes) {
   for (; i < end; i += 16) {
     const int count = end - i < 16 ? static_cast<int>(end - i) : 16;
@@ -141,8 +141,13 @@ void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t al
     _mm512_store_si512(e, splats);
     const std::size_t ahead = i + 16 < t.count ? (t.count - i - 16 < 16 ? t.count - i - 16 : 16) : 0;
     for (std::size_t k = 0; k < ahead; ++k) __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + 16 + k]));
-    const __m512i masks = _mm512_and_si512(block_masks(t.rows, e, count, t.x, t.y), _mm512_set1_epi32(static_cast<int>(alive)));
-    _mm256_mask_storeu_epi16(t.masks + i, there, _mm512_cvtepi32_epi16(masks));
+    __m512i masks;
+    if (KNOWN) {
+      masks = _mm512_cvtepu16_epi32(_mm256_maskz_loadu_epi16(there, t.masks + i));
+    } else {
+      masks = _mm512_and_si512(block_masks(t.rows, e, count, t.x, t.y), _mm512_set1_epi32(static_cast<int>(alive)));
+      _mm256_mask_storeu_epi16(t.masks + i, there, _mm512_cvtepi32_epi16(masks));
+    }
     for (std::uint32_t todo = alive; todo; todo &= todo - 1) {
       const int s = __builtin_ctz(todo);
       const __mmask16 hit = _mm512_test_epi32_mask(masks, _mm512_set1_epi32(1 << s));
@@ -154,12 +159,15 @@ void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t al
 
 #else
 
-template <std::size_t ROOM>
+template <bool KNOWN, std::size_t ROOM>
 void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM], int* sizes) {
   for (; i < end; ++i) {
     if (i + 6 < end) __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + 6]));
-    std::uint32_t mask = block_mask(t.rows + 16 * static_cast<std::size_t>(t.entries[i]), t.x, t.y) & alive;
-    t.masks[i] = static_cast<std::uint16_t>(mask);
+    std::uint32_t mask = t.masks[i];
+    if (!KNOWN) {
+      mask = block_mask(t.rows + 16 * static_cast<std::size_t>(t.entries[i]), t.x, t.y) & alive;
+      t.masks[i] = static_cast<std::uint16_t>(mask);
+    }
     for (; mask; mask &= mask - 1) {
       const int s = __builtin_ctz(mask);
       lists[s][sizes[s]++] = t.entries[i];
@@ -228,7 +236,7 @@ bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float
   return alive;
 }
 
-template <bool WITH_Z, int K>
+template <bool WITH_Z, int K, bool KNOWN>
 void forward_tile(const ForwardTile& t) {
   constexpr std::size_t CHUNK = 192, ROOM = CHUNK + 16;
   std::uint32_t lists[16][ROOM];
@@ -244,7 +252,7 @@ void forward_tile(const ForwardTile& t) {
     for (int& size : sizes) size = 0;
     for (int d = 0; d < K; ++d)
       for (std::size_t k = i; k < end; ++k) __builtin_prefetch(t.velocities[d] + 8 * static_cast<std::size_t>(t.entries[k]));
-    deal(t, i, end, alive, lists, sizes);
+    deal<KNOWN>(t, i, end, alive, lists, sizes);
     i = end;
     for (std::uint32_t todo = alive; todo; todo &= todo - 1) {
       const int s = __builtin_ctz(todo);
@@ -365,16 +373,17 @@ void backward_tile(const BackwardTile& t) {
 
 void forward(const ForwardTile& t, std::uint32_t parts) {
   switch (t.directions) {
-    case 1: return forward_tile<false, 1>(t);
-    case 2: return forward_tile<false, 2>(t);
-    case 3: return forward_tile<false, 3>(t);
-    case 4: return forward_tile<false, 4>(t);
+    case 1: return forward_tile<false, 1, false>(t);
+    case 2: return forward_tile<false, 2, false>(t);
+    case 3: return forward_tile<false, 3, false>(t);
+    case 4: return forward_tile<false, 4, false>(t);
     default: break;
   }
+  const bool known = parts & KNOWN_MASKS;
   if (parts & WITH_DEPTH) {
-    forward_tile<true, 0>(t);
+    known ? forward_tile<true, 0, true>(t) : forward_tile<true, 0, false>(t);
   } else {
-    forward_tile<false, 0>(t);
+    known ? forward_tile<false, 0, true>(t) : forward_tile<false, 0, false>(t);
   }
 }
 

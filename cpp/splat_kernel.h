@@ -32,7 +32,7 @@ struct Scene {
   const float *positions, *shape, *scales, *opacities, *sh;
   std::uint32_t sh_degree;
   const std::uint32_t* active;
-  const double* depth;  // z-depth = depth[0..3] . position + depth[3]: what splats are sorted by
+  const double* camera;  // in double: rotation (9), eye (3), focal (2), center (2)
 };
 
 struct ProjectChunk {
@@ -42,6 +42,13 @@ struct ProjectChunk {
   std::uint32_t* boxes;  // out, two words each: x0 | y0 << 16, x1 | y1 << 16, where visible
   std::uint32_t* keys;   // out, bits of the z-depth rounded from double, where visible
   bool* visible;         // out
+};
+
+struct RecolorChunk {
+  std::size_t first, count;
+  const bool* visible;
+  float* rows;   // in and out: the colours are written, where visible
+  bool* finite;  // set to false when one is not
 };
 
 struct TangentChunk {
@@ -66,7 +73,7 @@ struct ChainChunk {
 struct ForwardTile {
   const float* rows;             // 16 floats per splat
   const std::uint32_t* entries;  // splats of this tile, front to back
-  std::uint16_t* masks;          // out: blocks that an entry may touch; 0 once nobody looks any more
+  std::uint16_t* masks;          // out (in with KNOWN_MASKS): blocks that an entry may touch; 0 once nobody looks any more
   std::size_t count;
   float x, y;                    // upper left corner in pixels
   float* state;                  // out: PLANES planes of PIXELS
@@ -86,11 +93,12 @@ struct BackwardTile {
   float* slots;          // out: 16 moments in the slot of each entry
 };
 
-enum Part : std::uint32_t { GEOMETRY = 1, COLOR = 2, WITH_DEPTH = 4 };
+enum Part : std::uint32_t { GEOMETRY = 1, COLOR = 2, WITH_DEPTH = 4, KNOWN_MASKS = 8 };
 
 #define RESPIRE_KERNELS(ISA)                             \
   namespace ISA {                                        \
   void project(const Scene&, const ProjectChunk&);       \
+  void recolor(const Scene&, const RecolorChunk&);       \
   void velocities(const Scene&, const TangentChunk&);    \
   void chain(const Scene&, const ChainChunk&);           \
   void forward(const ForwardTile&, std::uint32_t parts); \

@@ -14,22 +14,55 @@ struct Projection {
     return __builtin_convertvector(smaller(larger(v * 0.0625f, V{}), all(static_cast<float>(tiles) - 1.0f)), VI);
   }
 
-  // z-depth, computed in double and rounded once: the order of splats belongs to the scene, not to rounding.
-  V depth(const V* position) const {
-    float p[3][LANES], out[LANES];
-    for (int k = 0; k < 3; ++k) store(p[k], position[k]);
+  // Centres in camera axes and on screen, computed in double and rounded once: the order of splats and their places belong
+  // to the scene, not to rounding.
+  void place(const V* position, V* t, V* point) const {
+    const double *r = s.camera, *eye = r + 9, *focal = r + 12, *center = r + 14;
+    float in[3][LANES], out[5][LANES];
+    for (int k = 0; k < 3; ++k) store(in[k], position[k]);
     for (int half = 0; half < 2; ++half) {
-      VD z = VD{} + s.depth[3], part[3];
+      VD d[3], seen[5];
       for (int k = 0; k < 3; ++k) {
         VH v;
-        __builtin_memcpy(&v, p[k] + LANES / 2 * half, sizeof v);
-        part[k] = __builtin_convertvector(v, VD) * s.depth[k];
+        __builtin_memcpy(&v, in[k] + LANES / 2 * half, sizeof v);
+        d[k] = __builtin_convertvector(v, VD) - eye[k];
       }
-      z = ((part[0] + part[1]) + part[2]) + z;
-      const VH rounded = __builtin_convertvector(z, VH);
-      __builtin_memcpy(out + LANES / 2 * half, &rounded, sizeof rounded);
+      for (int k = 0; k < 3; ++k) seen[k] = r[3 * k] * d[0] + r[3 * k + 1] * d[1] + r[3 * k + 2] * d[2];
+      for (int k = 0; k < 2; ++k) seen[3 + k] = focal[k] * (seen[k] / seen[2]) + center[k];
+      for (int k = 0; k < 5; ++k) {
+        const VH rounded = __builtin_convertvector(seen[k], VH);
+        __builtin_memcpy(out[k] + LANES / 2 * half, &rounded, sizeof rounded);
+      }
     }
-    return load(out);
+    for (int k = 0; k < 3; ++k) t[k] = load(out[k]);
+    for (int k = 0; k < 2; ++k) point[k] = load(out[3 + k]);
+  }
+
+  // Splats that lie beside the image for sure, before their covariance is known. With s the largest standard deviation,
+  // half a box is at most sqrt(scale) (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in the centre.
+  template <int COLUMNS>
+  VI beside(const std::uint32_t* index, const V* t, V scale) const {
+    const View& w = *s.view;
+    V size;
+    if (COLUMNS == 2) {
+      V axes[6], sum{};
+      gather<6>(s.shape, index, axes);
+      for (const V& v : axes) sum += v * v;
+      size = square_root(sum);
+    } else {
+      V scales[3];
+      gather<3>(s.scales, index, scales);
+      for (V& v : scales) v = larger(v, -v);
+      size = larger(larger(scales[0], scales[1]), scales[2]);
+    }
+    const V root = square_root(scale) * 1.001f, margin = root * square_root(all(w.dilation)) + 1e-2f;
+    VI out{};
+    for (int k = 0; k < 2; ++k) {
+      const V spread = root * size * (w.focal[k] * (1.0f + w.limit[k]));
+      out |= w.focal[k] * t[k] + (margin + w.center[k]) * t[2] + spread < 0.0f;
+      out |= w.focal[k] * t[k] + (w.center[k] - w.size[k] - margin) * t[2] - spread > 0.0f;
+    }
+    return out;
   }
 
   template <int DEGREE, int COLUMNS>
@@ -46,20 +79,23 @@ struct Projection {
       gather<3>(s.positions, index, position);
       for (int k = 0; k < 3; ++k) offset[k] = position[k] - w.eye[k];
       Geometry<V, COLUMNS> g;
-      turn(w, offset, g.t);
+      V point[2];
+      place(position, g.t, point);
       VI seen = g.t[2] >= w.near;
-      for (int l = 0; l < count; ++l) o.visible[k0 + l] = false;
+      __builtin_memset(o.visible + k0, 0, static_cast<std::size_t>(count));
       if (!any_of(seen)) continue;
       V opacity[1];
       gather<1>(s.opacities, index, opacity);
       const V log2_opacity = log2(opacity[0]);
       const V reach = log2_opacity + REACH;
       seen &= (reach > 0.0f) & finite(opacity[0]) & (opacity[0] > 1e-3f);
+      const V scale = 2.0f / LOG2_E * reach;
+      if (!any_of(seen & ~beside<COLUMNS>(index, g.t, scale))) continue;
       Shape<COLUMNS> shape;
       shape.load(s, index);
       for (int k = 0; k < COLUMNS; ++k) turn(w, shape.m[k], g.c[k]);
       g.complete(w, offset);
-      const V scale = 2.0f / LOG2_E * reach;
+      for (int k = 0; k < 2; ++k) g.point[k] = point[k];
       const V half[2] = {square_root(scale * g.covariance[0]), square_root(scale * g.covariance[2])};
       seen &= g.good;
       for (int k = 0; k < 2; ++k) seen &= (g.point[k] + half[k] > 0.0f) & (g.point[k] - half[k] < w.size[k]);
@@ -80,7 +116,7 @@ struct Projection {
       row[HALF_OVER_A] = 0.5f / row[A];
       row[FOUR_A_REACH] = 4.0f * row[A] * reach;
       scatter<16>(o.rows + 16 * k0, count, row);
-      const VI key = (VI)depth(position);
+      const VI key = (VI)g.t[2];
       const VI low = cell(g.point[0] - half[0], o.tiles_x) | cell(g.point[1] - half[1], o.tiles_y) << 16;
       const VI high = cell(g.point[0] + half[0], o.tiles_x) | cell(g.point[1] + half[1], o.tiles_y) << 16;
       for (int l = 0; l < count; ++l) {
@@ -89,6 +125,39 @@ struct Projection {
         o.keys[k0 + l] = static_cast<std::uint32_t>(key[l]);
         o.visible[k0 + l] = seen[l] != 0;
       }
+    }
+  }
+};
+
+// The colours of splats whose geometry stays: the operations of `Projection`.
+struct Recoloring {
+  const Scene& s;
+  const RecolorChunk& o;
+
+  template <int DEGREE, int COLUMNS>
+  void run() const {
+    constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
+    const View& w = *s.view;
+    const std::size_t end = o.first + o.count;
+    for (std::size_t at = o.first; at < end; at += LANES) {
+      const std::size_t k0 = at - o.first;
+      const int count = end - at < LANES ? static_cast<int>(end - at) : LANES;
+      VI seen{};
+      for (int l = 0; l < count; ++l) seen[l] = o.visible[k0 + l] ? -1 : 0;
+      if (!any_of(seen)) continue;
+      std::uint32_t index[LANES];
+      indices(s, at, end, index);
+      V offset[3], direction[3], distance, sh[SH], color[3];
+      gather<3>(s.positions, index, offset);
+      for (int k = 0; k < 3; ++k) offset[k] -= w.eye[k];
+      aim(offset, direction, distance);
+      gather<SH>(s.sh, index, sh);
+      shown<V, DEGREE>(direction, sh, color);
+      if (any_of(seen & ~finite(color[0] + color[1] + color[2]))) *o.finite = false;
+      for (int k = 0; k < 3; ++k) color[k] = larger(color[k], V{});
+      for (int l = 0; l < count; ++l)
+        if (seen[l])
+          for (int k = 0; k < 3; ++k) o.rows[16 * (k0 + l) + RED + k] = color[k][l];
     }
   }
 };
@@ -187,6 +256,11 @@ struct Velocity {
 
 void project(const Scene& scene, const ProjectChunk& chunk) {
   const Projection f{scene, chunk};
+  for_scene(scene, f);
+}
+
+void recolor(const Scene& scene, const RecolorChunk& chunk) {
+  const Recoloring f{scene, chunk};
   for_scene(scene, f);
 }
 

@@ -54,6 +54,14 @@ struct Shape {
   }
 };
 
+// Unit vector along `offset`, and its length.
+template <class N>
+inline void aim(const N* offset, N* direction, N& distance) {
+  distance = square_root(offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]);
+  const N by_distance = reciprocal_of(distance);
+  for (int k = 0; k < 3; ++k) direction[k] = offset[k] * by_distance;
+}
+
 template <class N, int COLUMNS>
 struct Geometry {
   N t[3], c[COLUMNS][3], u[COLUMNS][2];  // centre and columns in camera axes, columns on screen
@@ -93,9 +101,7 @@ struct Geometry {
     conic[0] = covariance[2] * inverse_determinant;
     conic[1] = -(covariance[1] * inverse_determinant);
     conic[2] = covariance[0] * inverse_determinant;
-    distance = square_root(offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]);
-    const N by_distance = reciprocal_of(distance);
-    for (int k = 0; k < 3; ++k) direction[k] = offset[k] * by_distance;
+    aim(offset, direction, distance);
     const V sum = value(conic[0]) + value(conic[1]) + value(conic[2]) + value(point[0]) + value(point[1]) +
                   value(covariance[0]) + value(covariance[2]) + value(direction[0]) + value(direction[1]) +
                   value(direction[2]) + value(inverse_determinant);

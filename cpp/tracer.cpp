@@ -7,7 +7,8 @@
 #include <stdexcept>
 #include <string>
 
-#include "cpp/path.h"
+#include "cpp/float_mode.h"
+#include "cpp/vertex_light.h"
 #include "respire-bench/src/ffi/tracer.rs.h"
 
 namespace respire {
@@ -186,7 +187,7 @@ TileCounters Tracer::trace_tile(const FrameSettings& frame, const Tile& tile, ru
   demand(corners.size() == 3ull * (frame.width + 1) * (frame.height + 1), "one direction per pixel corner");
   demand(film.size() == static_cast<std::size_t>(tile.x1 - tile.x0) * (tile.y1 - tile.y0) * kFilmChannels, "film size");
   FloatMode mode;
-  PathIntegrator integrator(*this, frame);
+  VertexLight integrator(*this, frame);
   const std::uint32_t columns = tile.x1 - tile.x0, rows = tile.y1 - tile.y0;
   const std::uint64_t total = static_cast<std::uint64_t>(columns) * rows * tile.samples;
   float directions[8 * 3];
@@ -230,7 +231,7 @@ std::uint64_t Tracer::lamp(const FrameSettings& frame, rust::Slice<const std::ui
                            rust::Slice<float> values) const {
   demand(values.size() == kLampValues * faces.size(), "so many values per face");
   FloatMode mode;
-  PathIntegrator integrator(*this, frame);
+  VertexLight integrator(*this, frame);
   for (std::size_t f = 0; f < faces.size(); ++f) {
     demand(faces[f] < face_count_, "a face that is not there");
     integrator.lamp(faces[f], &values[kLampValues * f]);
@@ -243,7 +244,7 @@ void Tracer::glints(const FrameSettings& frame, rust::Slice<const float> lamp, r
   demand(!to.empty() && from.size() % to.size() == 0 && parts.size() == from.size(), "the same number of rays for every face");
   if (!coated_) return;
   FloatMode mode;
-  const PathIntegrator integrator(*this, frame);
+  const VertexLight integrator(*this, frame);
   const std::size_t count = lamp.size() / kLampValues, rays = from.size() / to.size();
   for (std::size_t ray = 0; ray < from.size(); ++ray) {
     const std::uint32_t source = from[ray], face = to[ray / rays];
@@ -257,7 +258,7 @@ std::uint64_t Tracer::gather(const FrameSettings& frame, rust::Slice<const std::
                              rust::Slice<std::uint32_t> hits) const {
   demand(!faces.empty() && hits.size() % faces.size() == 0, "the same number of rays for every face");
   FloatMode mode;
-  PathIntegrator integrator(*this, frame);
+  VertexLight integrator(*this, frame);
   const std::size_t count = hits.size() / faces.size();
   for (std::size_t f = 0; f < faces.size(); ++f) {
     demand(faces[f] < face_count_, "a face that is not there");
@@ -273,7 +274,7 @@ std::uint64_t Tracer::walks(const FrameSettings& frame, rust::Slice<const std::u
   demand(weights.size() == 3 * exits.size(), "three weights per walk");
   demand(offsets.size() == vertex_floats_ / 3 + 1, "one offset per vertex and one for the end");
   FloatMode mode;
-  PathIntegrator integrator(*this, frame);
+  VertexLight integrator(*this, frame);
   const std::size_t count = exits.size() / vertices.size();
   std::vector<float> area_so_far;
   for (std::size_t i = 0; i < vertices.size(); ++i) {
@@ -316,7 +317,7 @@ void Tracer::trace_distances(const FrameSettings& frame, rust::Slice<const float
                              rust::Slice<float> distances, rust::Slice<std::uint32_t> faces) const {
   demand(directions.size() == 3 * distances.size() && faces.size() == distances.size(), "one direction per distance");
   FloatMode mode;
-  PathIntegrator integrator(*this, frame);
+  VertexLight integrator(*this, frame);
   float world[8 * 3];
   RTCRayHit8 packet;
   for (std::size_t first = 0; first < distances.size(); first += 8) {
@@ -336,7 +337,7 @@ void Tracer::probe(const FrameSettings& frame, rust::Slice<const float> directio
                    rust::Slice<float> values) const {
   demand(directions.size() == 3 * faces.size() && values.size() == 6 * faces.size(), "one direction and six values per face");
   FloatMode mode;
-  PathIntegrator integrator(*this, frame);
+  VertexLight integrator(*this, frame);
   float world[8 * 3];
   RTCRayHit8 packet;
   for (std::size_t first = 0; first < faces.size(); first += 8) {

@@ -57,7 +57,7 @@ class Tracer {
 
   // Adds the sums of the samples of one tile to `film`, kFilmChannels floats per pixel of the tile, row-major.
   // `corners` are the (width + 1) x (height + 1) directions through the pixel corners of the whole image.
-  // `known`: kKnownValues per vertex (`cpp/path.h`), or nothing, and all light is traced.
+  // `known`: kKnownValues per vertex (`cpp/vertex_light.h`), or nothing, and all light is traced.
   TileCounters trace_tile(const FrameSettings& frame, const Tile& tile, rust::Slice<const float> corners,
                           rust::Slice<const float> known, rust::Slice<float> film) const;
 
@@ -65,7 +65,7 @@ class Tracer {
   void trace_distances(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<float> distances,
                        rust::Slice<std::uint32_t> faces) const;
 
-  // kLampValues per face (`cpp/path.h`).
+  // kLampValues per face (`cpp/vertex_light.h`).
   std::uint64_t lamp(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces, rust::Slice<float> values) const;
 
   // For every ray what the coat of the face that it meets sends along it of light that comes from the lamp's side, as
@@ -92,7 +92,10 @@ class Tracer {
   void cast(rust::Slice<const float> origins, rust::Slice<const float> directions, rust::Slice<float> distances) const;
 
  private:
+  friend class Wall;
+  friend class LitWall;
   friend class PathIntegrator;
+  friend class VertexLight;
 
   void bake_look();
   // The wall below a point of diffuse albedo `albedo`.

@@ -1,138 +1,208 @@
-//! Times the rasteriser, stage by stage, on a bumpy tube like the one of `../shared/reference/splat`:
-//! `cargo run --release --example splat_timing -- [DISCS] [SIDE] [THREADS] [ISA] [REPETITIONS]`.
+//! Times the rasteriser on the tube of `support/tube.rs`:
+//! `cargo run --release --example splat_timing -- [DISCS] [SIDE] [THREADS] [ISA] [REPETITIONS]`: stage by stage; what an
+//! appearance-only step costs; what five times as many discs out of sight add; the loss; peak memory. With 0 for THREADS:
+//! two threads against one instead, turn by turn.
 //!
 //! On a busy machine believe the CPU times (of the whole process, median), not the wall clock.
 
-use glam::DVec3;
-use respire_bench::base::Camera;
-use respire_bench::base::camera::world_from_camera_looking;
-use respire_bench::base::random::{CounterRng, Stage as Randomness};
+#[path = "support/tube.rs"]
+mod tube;
+
+use std::time::Instant;
+
 use respire_bench::ffi::loss::{self, LossImage};
+use respire_bench::ffi::system::{cpu_time_s, peak_memory_mib};
 use respire_bench::splat::{
-    DepthOutput, Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Settings, Shape, Stage, View, Wanted,
+    Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Reuse, Settings, Stage, View, Wanted,
 };
 
-/// Thin ellipsoids as in the reference scene, in the order of a hexagonal lattice on the wall.
-fn tube(n: usize) -> Gaussians<f32> {
-    let mut r = CounterRng::new(1, Randomness::Test, &[n as u64]);
-    let (around, length) = (std::f64::consts::TAU * 8.0, 100.0);
-    let spacing = (around * length / n as f64).sqrt();
-    let columns = (around / spacing).round().max(1.0);
-    let rows = (n as f64 / columns).ceil();
-    let mut scene = Gaussians::<f32>::discs(n, 1, 0.95);
-    let (mut rotations, mut scales) = (Vec::new(), Vec::new());
-    for (i, position) in scene.positions.iter_mut().enumerate() {
-        let (row, column) = ((i as f64 / columns).floor(), i as f64 % columns);
-        let angle = ((column + 0.5 * (row % 2.0)) * around / columns + 0.15 * spacing * r.normal()) / 8.0;
-        let z = (row + 0.5) * length / rows + 0.15 * spacing * r.normal();
-        let radius = 8.0 + 0.3 * (std::f64::consts::TAU * z / 12.0).sin() * (0.6 + 0.4 * (3.0 * angle).cos());
-        *position = [radius * angle.cos(), radius * angle.sin(), z].map(|v| v as f32);
-        // The third axis looks inwards.
-        let inwards = DVec3::new(-angle.cos(), -angle.sin(), 0.05 * r.normal()).normalize();
-        let turn = glam::DQuat::from_rotation_arc(DVec3::Z, inwards);
-        rotations.push([turn.w, turn.x, turn.y, turn.z].map(|v| v as f32));
-        let size = || 0.7 * spacing;
-        scales.push([size() * r.range(0.85, 1.15), size() * r.range(0.85, 1.15), 0.05 * size()].map(|v| v as f32));
-    }
-    scene.shape = Shape::Ellipsoids { rotations, scales };
-    scene.sh.iter_mut().for_each(|v| *v = (0.3 * r.normal()) as f32);
-    scene
+/// Wall and CPU milliseconds of repeated work.
+#[derive(Default)]
+struct Samples {
+    wall: Vec<f64>,
+    cpu: Vec<f64>,
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2] * 1e3
+impl Samples {
+    fn add(&mut self, wall_s: f64, cpu_s: f64) {
+        self.wall.push(wall_s * 1e3);
+        self.cpu.push(cpu_s * 1e3);
+    }
+
+    fn time(&mut self, work: impl FnOnce()) {
+        let (wall, cpu) = (Instant::now(), cpu_time_s());
+        work();
+        self.add(wall.elapsed().as_secs_f64(), cpu_time_s() - cpu);
+    }
+
+    fn line(&self, name: &str) {
+        let median = |v: &[f64]| {
+            let mut v = v.to_vec();
+            v.sort_by(f64::total_cmp);
+            v[v.len() / 2]
+        };
+        let least = |v: &[f64]| v.iter().copied().fold(f64::MAX, f64::min);
+        println!(
+            "{name:<34} {:>9.3} {:>9.3} {:>9.3} {:>9.3}",
+            median(&self.wall),
+            median(&self.cpu),
+            least(&self.wall),
+            least(&self.cpu)
+        );
+    }
+}
+
+/// One scene, one view.
+struct Bench {
+    scene: Gaussians<f32>,
+    view: View,
+    settings: Settings,
+    color: Vec<f32>,
+    isa: Isa,
+}
+
+impl Bench {
+    fn rasterizer(&self) -> Rasterizer<f32> {
+        let mut rasterizer = Rasterizer::with_isa(self.isa).expect("the processor has it");
+        rasterizer.measure_cpu();
+        rasterizer
+    }
+
+    fn render(&self, rasterizer: &mut Rasterizer<f32>, scene: &Gaussians<f32>) {
+        rasterizer.render(scene, &self.view, &self.settings, None).expect("a good scene");
+    }
+
+    fn both(&self, rasterizer: &mut Rasterizer<f32>, scene: &Gaussians<f32>, wanted: Wanted) {
+        self.render(rasterizer, scene);
+        let gradient = ImageGradient { color: &self.color, ..ImageGradient::default() };
+        rasterizer.backward(scene, &gradient, wanted).expect("a good gradient");
+    }
+
+    fn stages(&self, repetitions: usize) {
+        let mut rasterizer = self.rasterizer();
+        let velocities: Vec<[f32; 3]> = self.scene.positions.iter().map(|p| [0.1 * p[0], 0.1 * p[1], 1.0]).collect();
+        let motion = Direction::Motion(Motion { positions: &velocities, ..Motion::default() });
+        let mut stages: [Samples; 6] = Default::default();
+        let (mut forward, mut both, mut tangent) = Default::default();
+        let total = |samples: &mut Samples, times: &[[f64; 6]; 2], count: usize| {
+            samples.add(times[0][..count].iter().sum(), times[1][..count].iter().sum());
+        };
+        for _ in 0..repetitions {
+            self.both(&mut rasterizer, &self.scene, Wanted::ALL);
+            let times = [rasterizer.stage_times().wall_s, rasterizer.stage_times().cpu_s];
+            stages.iter_mut().enumerate().for_each(|(k, samples)| samples.add(times[0][k], times[1][k]));
+            total(&mut forward, &times, 4);
+            total(&mut both, &times, 6);
+            let Bench { scene, view, settings, .. } = self;
+            Samples::time(&mut tangent, || {
+                rasterizer.render_tangent(scene, view, settings, None, &[motion]).expect("a good motion");
+            });
+        }
+        let image = rasterizer.rendered();
+        println!("{} visible, {} intersections", image.visible_count, image.intersections);
+        for (stage, samples) in Stage::ALL.iter().zip(&stages) {
+            samples.line(stage.name());
+        }
+        forward.line("forward");
+        both.line("forward + backward");
+        tangent.line("forward + one motion (JVP)");
+    }
+
+    /// New SH on the same geometry, with and without reuse.
+    fn repaint(&self, repetitions: usize) {
+        let mut scene = self.scene.clone();
+        let (mut anew, mut kept) = (self.rasterizer(), self.rasterizer());
+        kept.reuse(Reuse::Unchanged);
+        let mut samples: [Samples; 4] = Default::default();
+        for _ in 0..=repetitions {
+            scene.sh.iter_mut().for_each(|v| *v *= 0.999);
+            samples[0].time(|| self.render(&mut anew, &scene));
+            samples[1].time(|| self.both(&mut anew, &scene, Wanted::SH));
+            samples[2].time(|| self.render(&mut kept, &scene));
+            scene.sh.iter_mut().for_each(|v| *v *= 0.999);
+            samples[3].time(|| self.both(&mut kept, &scene, Wanted::SH));
+        }
+        let names = ["forward", "forward + backward of SH", "same geometry: forward", "same geometry: with SH"];
+        names.iter().zip(&samples).for_each(|(name, samples)| samples.line(name));
+    }
+
+    /// Five times as many discs out of sight, turn by turn with the plain scene.
+    fn hidden(&self, repetitions: usize) {
+        let tree = tube::with_hidden(&self.scene, 5);
+        let (mut alone, mut among) = (self.rasterizer(), self.rasterizer());
+        let mut samples: [Samples; 2] = Default::default();
+        for _ in 0..=repetitions {
+            samples[0].time(|| self.both(&mut alone, &self.scene, Wanted::ALL));
+            samples[1].time(|| self.both(&mut among, &tree, Wanted::ALL));
+        }
+        assert_eq!(alone.rendered().visible_count, among.rendered().visible_count);
+        samples[0].line("forward + backward");
+        samples[1].line("with 5x more out of sight");
+    }
+
+    fn loss(&self, side: usize, repetitions: usize) {
+        let plane = vec![0.4f32; 3 * side * side];
+        let window = [0.001, 0.0076, 0.036, 0.1094, 0.213, 0.266];
+        let image = LossImage {
+            width: side,
+            height: side,
+            target: &self.color,
+            mean: &plane,
+            square: &plane,
+            mask: &[],
+            window: &window,
+            ssim_weight: 0.2,
+        };
+        let mut gradient = vec![0.0f32; 3 * side * side];
+        let mut samples = Samples::default();
+        for _ in 0..repetitions {
+            samples.time(|| {
+                std::hint::black_box(loss::band(self.isa, &image, &plane, 0, &mut gradient));
+            });
+        }
+        samples.line("L1 + SSIM with gradient, 1 thread");
+    }
+
+    /// Two threads against one, turn by turn.
+    fn threads(&self, repetitions: usize) {
+        let pool = |n: usize| rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("threads can be made");
+        let pools = [pool(1), pool(2)];
+        let mut rasterizers = [self.rasterizer(), self.rasterizer()];
+        let mut samples: [Samples; 2] = Default::default();
+        for _ in 0..repetitions {
+            for k in 0..2 {
+                let rasterizer = &mut rasterizers[k];
+                pools[k].install(|| samples[k].time(|| self.both(rasterizer, &self.scene, Wanted::ALL)));
+            }
+        }
+        samples[0].line("forward + backward, 1 thread");
+        samples[1].line("forward + backward, 2 threads");
+        let least = |s: &Samples| s.wall.iter().copied().fold(f64::MAX, f64::min);
+        println!("fastest against fastest: {:.2} times", least(&samples[0]) / least(&samples[1]));
+    }
 }
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let number = |k: usize, default: usize| arguments.get(k).and_then(|v| v.parse().ok()).unwrap_or(default);
-    let (n, side, threads) = (number(0, 20_000), number(1, 256), number(2, 2));
-    let repetitions = number(4, 100);
+    let (n, side, threads, repetitions) = (number(0, 20_000), number(1, 256), number(2, 2), number(4, 100));
     let isa = match arguments.get(3).map(String::as_str) {
         Some("scalar") => Isa::Scalar,
         Some("sse2") => Isa::Baseline,
         Some("avx2") => Isa::Avx2,
         _ => Isa::widest(),
     };
+    let color = tube::image_gradient(3 * side * side);
+    let bench = Bench { scene: tube::tube(n), view: tube::view(side), settings: tube::settings(), color, isa };
+    println!("{n} discs, {side}x{side}, {isa}");
+    println!("{:<34} {:>9} {:>9} {:>9} {:>9}", "ms", "wall", "CPU", "least", "least CPU");
+    if threads == 0 {
+        return bench.threads(repetitions);
+    }
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().expect("the pool is made once");
-    let scene = tube(n);
-    let forward = DVec3::new(12f64.to_radians().sin(), 6f64.to_radians().sin(), 1.0);
-    let world = world_from_camera_looking(DVec3::new(1.0, -0.5, 10.0), forward, DVec3::NEG_Y);
-    let view = View::new(Camera::pinhole(side as u32, side as u32, 90f64.to_radians()), world);
-    let settings = Settings { depth: DepthOutput::Skip, ..Settings::default() };
-    let mut rasterizer = Rasterizer::<f32>::with_isa(isa).expect("the processor has it");
-    rasterizer.measure_cpu();
-    let image = rasterizer.render(&scene, &view, &settings, None).expect("a good scene");
-    let counts = (image.visible_count, image.intersections);
-    println!("{n} discs, {side}x{side}, {threads} threads, {isa}: {} visible, {} intersections", counts.0, counts.1);
-    let color: Vec<f32> = (0..side * side * 3).map(|k| ((k * 7919) % 1009) as f32 / 504.0 - 1.0).collect();
-    let gradient = ImageGradient { color: &color, ..ImageGradient::default() };
-    let velocities: Vec<[f32; 3]> = scene.positions.iter().map(|p| [0.1 * p[0], 0.1 * p[1], 1.0]).collect();
-    let motion = Direction::Motion(Motion { positions: &velocities, ..Motion::default() });
-    let (mut walls, mut cpus) = (vec![Vec::new(); 6], vec![Vec::new(); 6]);
-    let (mut forwards, mut boths, mut tangents) = ([Vec::new(), Vec::new()], [Vec::new(), Vec::new()], Vec::new());
-    for _ in 0..repetitions {
-        rasterizer.render(&scene, &view, &settings, None).expect("a good scene");
-        rasterizer.backward(&scene, &gradient, Wanted::ALL).expect("a good gradient");
-        let times = rasterizer.stage_times();
-        for k in 0..6 {
-            walls[k].push(times.wall_s[k]);
-            cpus[k].push(times.cpu_s[k]);
-        }
-        for (k, t) in [times.wall_s, times.cpu_s].iter().enumerate() {
-            forwards[k].push(t[..4].iter().sum::<f64>());
-            boths[k].push(t.iter().sum::<f64>());
-        }
-        let before = respire_bench::ffi::system::cpu_time_s();
-        rasterizer.render_tangent(&scene, &view, &settings, None, &[motion]).expect("a good motion");
-        tangents.push(respire_bench::ffi::system::cpu_time_s() - before);
-    }
-    println!("{:<20} {:>9} {:>9}", "ms (median)", "wall", "CPU");
-    for (k, stage) in Stage::ALL.into_iter().enumerate() {
-        println!("{:<20} {:>9.3} {:>9.3}", stage.name(), median(walls[k].clone()), median(cpus[k].clone()));
-    }
-    let least = |v: &[f64]| v.iter().copied().fold(f64::MAX, f64::min) * 1e3;
-    for (name, [wall, cpu]) in [("forward", forwards), ("forward + backward", boths)] {
-        println!(
-            "{name:<20} {:>9.3} {:>9.3}   fastest {:.3} wall, {:.3} CPU",
-            median(wall.clone()),
-            median(cpu.clone()),
-            least(&wall),
-            least(&cpu)
-        );
-    }
-    println!(
-        "{:<20} {:>9} {:>9.3}   fastest {:.3} CPU",
-        "tangent, one motion",
-        "",
-        median(tangents.clone()),
-        least(&tangents)
-    );
-    let plane = vec![0.4f32; 3 * side * side];
-    let window = [0.001, 0.0076, 0.036, 0.1094, 0.213, 0.266];
-    let image = LossImage {
-        width: side,
-        height: side,
-        target: &color,
-        mean: &plane,
-        square: &plane,
-        mask: &[],
-        window: &window,
-        ssim_weight: 0.2,
-    };
-    let mut gradient = vec![0.0f32; 3 * side * side];
-    let mut times = Vec::new();
-    for _ in 0..repetitions {
-        let before = respire_bench::ffi::system::cpu_time_s();
-        std::hint::black_box(loss::band(isa, &image, &plane, 0, &mut gradient));
-        times.push(respire_bench::ffi::system::cpu_time_s() - before);
-    }
-    println!(
-        "{:<20} {:>9} {:>9.3}   fastest {:.3} CPU",
-        "L1 + SSIM, gradient",
-        "",
-        median(times.clone()),
-        least(&times)
-    );
+    bench.stages(repetitions);
+    println!("peak memory {:.0} MiB", peak_memory_mib());
+    bench.repaint(repetitions);
+    bench.hidden(repetitions);
+    bench.loss(side, repetitions);
 }

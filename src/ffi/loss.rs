@@ -1,5 +1,7 @@
 //! The vectorised photometric loss: C++ (`cpp/loss_kernel.cpp`), compiled once per instruction set, through cxx.
 
+use std::cell::RefCell;
+
 use super::splat::Isa;
 
 #[cxx::bridge(namespace = "respire")]
@@ -37,7 +39,11 @@ pub use bridge::LossImage;
 /// Loss and gradient of some lines of an image, from line `first` on, as many as `gradient` has room for (interleaved).
 /// Panics when the tables do not belong together (a defect of the caller, never of the input).
 pub fn band(isa: Isa, image: &LossImage<'_>, rendered: &[f32], first: usize, gradient: &mut [f32]) -> f64 {
-    let mut room = vec![0.0; bridge::loss_scratch(image.width)];
-    bridge::loss_band(isa.code(), image, rendered, first, gradient, &mut room)
-        .expect("the loss hands over tables that belong together")
+    // Kept for each thread: its first touch would cost a fifth of the loss.
+    thread_local!(static ROOM: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) });
+    ROOM.with_borrow_mut(|room| {
+        room.resize(room.len().max(bridge::loss_scratch(image.width)), 0.0);
+        bridge::loss_band(isa.code(), image, rendered, first, gradient, room)
+            .expect("the loss hands over tables that belong together")
+    })
 }

@@ -19,7 +19,7 @@ mod bridge {
         sh_degree: u32,
         active: &'a [u32],
         all: bool,
-        depth: &'a [f64],
+        exact: &'a [f64],
     }
 
     /// Velocities of all Gaussians, or of the camera.
@@ -45,6 +45,8 @@ mod bridge {
             keys: &mut [u32],
             visible: &mut [bool],
         ) -> Result<()>;
+        fn splat_recolor(isa: u8, scene: &SplatScene, first: usize, visible: &[bool], rows: &mut [f32])
+        -> Result<bool>;
         fn splat_velocities(
             isa: u8,
             scene: &SplatScene,
@@ -191,6 +193,11 @@ pub fn project(
     let (x, y) = (tiles[0] as u32, tiles[1] as u32);
     bridge::splat_project(isa.code(), scene, first, x, y, flat_mut(rows), boxes.as_flattened_mut(), keys, visible)
         .expect(AGREE);
+}
+
+/// Writes the colours of the visible splats into their rows; `false` when one is not finite.
+pub fn recolor(isa: Isa, scene: &SplatScene<'_>, first: usize, visible: &[bool], rows: &mut [Aligned<f32>]) -> bool {
+    bridge::splat_recolor(isa.code(), scene, first, visible, flat_mut(rows)).expect(AGREE)
 }
 
 /// Velocities of the visible splats along a motion, 8 numbers each.

@@ -17,6 +17,15 @@ mod bridge {
             depth: &mut [f32],
             alpha: &mut [f32],
         ) -> Result<()>;
+        fn splat_develop_moving(
+            moving: &[f32],
+            directions: usize,
+            k: usize,
+            width: usize,
+            gain: [f32; 3],
+            background: [f32; 3],
+            color: &mut [f32],
+        ) -> Result<()>;
         fn splat_adjoint(
             state: &[f32],
             x: usize,
@@ -67,6 +76,18 @@ pub fn develop(state: &[f32], width: usize, light: &Light, band: ImageBand<'_, f
     let (gain, background) = (single(light.gain), single(light.background));
     bridge::splat_develop(state, width, gain, background, light.with_depth, band.color, band.depth, band.alpha)
         .expect(AGREE);
+}
+
+/// Velocities of a row of tiles, `directions` in each, to lines of the velocity of the colour along direction `k`.
+pub fn develop_moving(
+    moving: &[f32],
+    [k, directions]: [usize; 2],
+    width: usize,
+    gain: [f64; 3],
+    background: [f64; 3],
+    color: &mut [f32],
+) {
+    bridge::splat_develop_moving(moving, directions, k, width, single(gain), single(background), color).expect(AGREE);
 }
 
 /// Image gradients (colour, depth, alpha; empty for none) to the adjoint of the tile at `corner` of an image of `size`;

@@ -7,22 +7,16 @@ use glam::{DAffine3, DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::denoise::{Guides, denoised_indirect};
+use super::sampling::{Film, MAX_SAMPLES, View, sampled};
 use super::scene::Scene;
 use super::settings::{Denoise, Light, RenderSettings, Shading, Transport};
 use super::vertex_light::vertex_light;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Camera, Error, Image, NoProgress, Progress, Result};
-use crate::ffi::tracer::{FILM_CHANNELS, FrameSettings, NO_FACE, Tile, TileCounters};
+use crate::ffi::tracer::{FrameSettings, NO_FACE, TileCounters};
 
-/// Side of a tile in pixels.
-const TILE_PX: u32 = 16;
-/// Most samples per pixel of one round: the film's f32 sums stay exact enough, and the user can stop between rounds.
-const SAMPLES_PER_ROUND: u32 = 32;
 /// Larger images would need more than 4 GiB for the film.
 const MAX_PIXELS: u64 = 1 << 24;
-/// Where `target_relmse` gives up.
-const MAX_SAMPLES: u32 = 65_536;
-
 /// A rendered frame.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -41,26 +35,10 @@ pub struct Statistics {
     pub paths: u64,
     /// Rays of all kinds.
     pub rays: u64,
-    /// Samples per pixel.
+    /// Samples per pixel, the mean over the picture's tiles where these have different ones.
     pub samples_per_pixel: u32,
     /// Samples that were not finite or negative and were left out: a flaw if ever above 0.
     pub rejected_samples: u64,
-}
-
-/// Means over the samples of every pixel, `FILM_CHANNELS` values each.
-struct Film {
-    sums: Vec<f64>,
-    samples: u32,
-}
-
-impl Film {
-    fn mean(&self, pixel: usize, channel: usize) -> f64 {
-        self.sums[pixel * FILM_CHANNELS + channel] / self.samples.max(1) as f64
-    }
-
-    fn radiance(&self, pixel: usize, c: usize) -> f64 {
-        self.mean(pixel, c) + self.mean(pixel, 3 + c)
-    }
 }
 
 /// [`render_watched`] with nobody watching.
@@ -99,26 +77,13 @@ pub fn render_watched(
             light.known
         }
     };
-    let mut film = Film { sums: vec![0.0; pixel_count(camera) * FILM_CHANNELS], samples: 0 };
-    let mut wanted = settings.samples_per_pixel;
-    loop {
-        let before = settings.target_relmse.map(|_| Film { sums: film.sums.clone(), samples: film.samples });
-        while film.samples < wanted {
-            let count = (wanted - film.samples).min(SAMPLES_PER_ROUND);
-            add_samples(scene, &frame, [&corners, &known], count, &mut film, &mut statistics)?;
-            progress.advance(film.samples as usize, wanted as usize);
-            if progress.cancelled() {
-                return Err(Error::interrupted());
-            }
-        }
-        let (Some(target), Some(before)) = (settings.target_relmse, before) else { break };
-        let good = before.samples > 0 && relative_error(&before, &film) <= target;
-        if good || film.samples >= MAX_SAMPLES {
-            break;
-        }
-        wanted = (wanted * 2).min(MAX_SAMPLES);
-    }
-    statistics.samples_per_pixel = film.samples;
+    let view = View { scene, frame: &frame, corners: &corners, known: &known };
+    let mut counters = TileCounters::default();
+    let film = sampled(&view, settings.samples_per_pixel, settings.target_relmse, &mut counters, progress)?;
+    statistics.paths += counters.paths;
+    statistics.rays += counters.rays;
+    statistics.rejected_samples += counters.rejected;
+    statistics.samples_per_pixel = film.samples_per_pixel();
     let radiance = match settings.denoise {
         Denoise::Off => develop(&film, camera),
         Denoise::On => develop_denoised(&film, camera, &depth_mm),
@@ -182,10 +147,6 @@ pub(super) fn frame_settings(
     }
 }
 
-fn pixel_count(camera: &Camera) -> usize {
-    camera.width as usize * camera.height as usize
-}
-
 /// Directions (camera axes) through the corners of the pixels; inside a pixel the tracer interpolates, which is exact
 /// for a pinhole.
 fn corner_directions(camera: &Camera) -> Vec<f32> {
@@ -196,61 +157,6 @@ fn corner_directions(camera: &Camera) -> Vec<f32> {
         })
         .map(|v| v as f32)
         .collect()
-}
-
-fn tiles(width: u32, height: u32) -> Vec<(u32, u32)> {
-    (0..height)
-        .step_by(TILE_PX as usize)
-        .flat_map(|y| (0..width).step_by(TILE_PX as usize).map(move |x| (x, y)))
-        .collect()
-}
-
-fn add_samples(
-    scene: &Scene,
-    frame: &FrameSettings,
-    [corners, known]: [&[f32]; 2],
-    samples: u32,
-    film: &mut Film,
-    statistics: &mut Statistics,
-) -> Result<()> {
-    let traced: Vec<(Tile, Vec<f32>, TileCounters)> = tiles(frame.width, frame.height)
-        .into_par_iter()
-        .map(|(x0, y0)| {
-            let (x1, y1) = ((x0 + TILE_PX).min(frame.width), (y0 + TILE_PX).min(frame.height));
-            let tile = Tile { x0, x1, y0, y1, first_sample: film.samples, samples };
-            let mut sums = vec![0.0; ((x1 - x0) * (y1 - y0)) as usize * FILM_CHANNELS];
-            let counters = scene.tracer.trace_tile(frame, &tile, corners, known, &mut sums)?;
-            Ok((tile, sums, counters))
-        })
-        .collect::<Result<_>>()?;
-    for (tile, sums, counters) in traced {
-        let row = (tile.x1 - tile.x0) as usize * FILM_CHANNELS;
-        for (y, values) in (tile.y0..tile.y1).zip(sums.chunks_exact(row)) {
-            let start = (y as usize * frame.width as usize + tile.x0 as usize) * FILM_CHANNELS;
-            film.sums[start..start + row].iter_mut().zip(values).for_each(|(sum, &v)| *sum += v as f64);
-        }
-        statistics.paths += counters.paths;
-        statistics.rays += counters.rays;
-        statistics.rejected_samples += counters.rejected;
-    }
-    film.samples += samples;
-    Ok(())
-}
-
-/// Estimated mean of (error / radiance)^2 of `after`, from its first part `before` and the samples since: their
-/// difference, halved, is as large as the error of their mean where both hold as many samples.
-fn relative_error(before: &Film, after: &Film) -> f64 {
-    let pixels = after.sums.len() / FILM_CHANNELS;
-    let since = (after.samples - before.samples) as f64;
-    let mut sum = 0.0;
-    for pixel in 0..pixels {
-        for c in 0..3 {
-            let (first, all) = (before.radiance(pixel, c), after.radiance(pixel, c));
-            let second = (all * after.samples as f64 - first * before.samples as f64) / since;
-            sum += (0.5 * (first - second)).powi(2) / (all * all + 1e-4);
-        }
-    }
-    sum / (pixels * 3) as f64
 }
 
 fn develop(film: &Film, camera: &Camera) -> Image<f32> {

@@ -4,14 +4,15 @@
 //!  TriangleMesh + Material -> Scene --deform--> render(camera, pose, light, settings) -> Frame {radiance, depth}
 //! ```
 //!
-//! `cpp/path.h` holds the light transport, `cpp/coat.h` the reflection, `cpp/mucosa.h` the look of the wall,
-//! `cpp/walk.h` the light inside it.
+//! `cpp/surface.h` holds what rays meet, `cpp/lamp.h` the lamp, `cpp/path.h` paths, `cpp/vertex_light.h` light at
+//! vertices, `cpp/coat.h` the reflection, `cpp/mucosa.h` the look of the wall, `cpp/walk.h` the light inside it.
 
 mod axial;
 mod denoise;
 mod frame;
 mod material;
 pub mod probe;
+mod sampling;
 mod scene;
 pub mod scene_file;
 mod settings;

@@ -78,8 +78,8 @@ pub struct RenderSettings {
     pub max_scatterings: u32,
     /// Camera samples per pixel.
     pub samples_per_pixel: u32,
-    /// With `Some(target)`: sampling goes on in doubling rounds, from `samples_per_pixel`, until the estimated
-    /// mean of (error / radiance)^2 is below `target`.
+    /// With `Some(target)`: tiles double their samples, from `samples_per_pixel`, while their estimated mean of
+    /// (error / radiance)^2 is above `target`, until that of the picture is below it.
     pub target_relmse: Option<f64>,
     /// Light by way of walls.
     pub transport: Transport,

@@ -73,6 +73,8 @@ pub(super) struct Bins {
     pub targets: Vec<u32>,
     /// Sub-blocks of each entry that the forward pass looked at.
     pub masks: Vec<u16>,
+    /// Whether a forward pass of the present splats has written them.
+    pub masks_known: bool,
     /// Slots of splat `j`, row by row of its box: `starts[j]..starts[j + 1]`; none when it is not visible.
     pub starts: Vec<u32>,
     items: Vec<u64>,

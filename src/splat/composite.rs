@@ -33,7 +33,9 @@ impl<T: Real> Rasterizer<T> {
         let moving = cut(&mut self.moving, (0..tiles).map(|_| directions * MOVING * PIXELS));
         let (offsets, entries, tiles_x) = (&bins.offsets, &bins.entries, bins.tiles_x);
         let (rows, isa) = (&self.rows, self.isa);
-        let parts = Parts { geometry: false, color: true, depth: depth == DepthOutput::Expected };
+        let depth = depth == DepthOutput::Expected;
+        let parts = Parts { geometry: false, color: true, depth, known: bins.masks_known };
+        bins.masks_known = true;
         let tiles = masks.into_par_iter().zip(self.state.par_chunks_mut(PLANES * PIXELS)).zip(moving).enumerate();
         tiles
             .map(|(t, ((masks, state), moving))| {

@@ -136,7 +136,7 @@ impl<T: Real> Rasterizer<T> {
             self.extra = extra;
             return;
         }
-        let parts = Some(Parts { geometry, color: with_features, depth: false });
+        let parts = Some(Parts { geometry, color: with_features, depth: false, known: false });
         let (gain, colors) = (self.gradients.gain, self.colors());
         let pixels = self.rendered.width * self.rendered.height;
         let mut by_color = vec![T::zero(); pixels * 3];

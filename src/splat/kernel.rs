@@ -45,11 +45,13 @@ pub struct Parts {
     pub geometry: bool,
     pub color: bool,
     pub depth: bool,
+    /// The masks are those of a forward pass before, of the same splats; the plain twin makes them again.
+    pub known: bool,
 }
 
 impl Parts {
     fn bits(self) -> u32 {
-        self.geometry as u32 + 2 * self.color as u32 + 4 * self.depth as u32
+        self.geometry as u32 + 2 * self.color as u32 + 4 * self.depth as u32 + 8 * self.known as u32
     }
 }
 

@@ -28,6 +28,7 @@ mod parameters;
 mod project;
 mod rasterizer;
 mod real;
+mod reuse;
 mod sh;
 mod sight;
 mod stages;
@@ -42,6 +43,7 @@ pub use fault::Fault;
 pub use jvp::PhaseTangent;
 pub use rasterizer::Rasterizer;
 pub use real::Real;
+pub use reuse::Reuse;
 pub use stages::{Stage, StageTimes};
 pub use tangent::{Direction, Motion};
 pub use types::{

@@ -20,6 +20,8 @@ pub trait Native<T: Real>: Sync {
         keys: &mut [u32],
         visible: &mut [bool],
     );
+    /// Writes their colours into the rows, where visible; `false` when one is not finite.
+    fn recolor(&self, first: usize, visible: &[bool], rows: &mut [Aligned<T>]) -> bool;
     /// Velocities of their splats along a direction other than the gain, where visible.
     fn velocities(&self, first: usize, visible: &[bool], direction: &Direction<'_, T>, rows: &mut [[T; 8]]);
     /// Their gradients from the moments in `slots[starts[k]..starts[k + 1]]`.
@@ -37,8 +39,8 @@ pub struct Work<'a> {
 pub struct Numbers {
     /// `View` of `cpp/splat_kernel.h`.
     pub view: [f32; 22],
-    /// What the z-depth is computed with.
-    pub depth: [f64; 4],
+    /// `Scene::camera` there.
+    pub exact: [f64; 16],
 }
 
 impl<'a> Work<'a> {
@@ -54,14 +56,14 @@ impl<'a> Work<'a> {
         if isa == Isa::Scalar || !projector.is_pinhole() || plain {
             return None;
         }
-        *numbers = Numbers { view: projector.numbers(), depth: projector.depth };
+        *numbers = Numbers { view: projector.numbers(), exact: projector.exact.numbers() };
         let (shape, scales): (&[f32], &[f32]) = match &gaussians.shape {
             Shape::Ellipsoids { rotations, scales } => (rotations.as_flattened(), scales.as_flattened()),
             Shape::Discs { axes } => (axes.as_flattened().as_flattened(), &[]),
         };
         let scene = SplatScene {
             view: &numbers.view,
-            depth: &numbers.depth,
+            exact: &numbers.exact,
             positions: gaussians.positions.as_flattened(),
             shape,
             scales,
@@ -86,6 +88,10 @@ impl Native<f32> for Work<'_> {
         visible: &mut [bool],
     ) {
         native::project(self.isa, &self.scene, first, tiles, rows, boxes, keys, visible);
+    }
+
+    fn recolor(&self, first: usize, visible: &[bool], rows: &mut [Aligned<f32>]) -> bool {
+        native::recolor(self.isa, &self.scene, first, visible, rows)
     }
 
     fn velocities(&self, first: usize, visible: &[bool], direction: &Direction<'_, f32>, rows: &mut [[f32; 8]]) {

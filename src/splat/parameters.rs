@@ -42,6 +42,12 @@ impl<T: Real> Rasterizer<T> {
             return;
         }
         let chunks = n.div_ceil(CHUNK);
+        // A chunk that nobody sees and whose gradients are zero already costs nothing.
+        let layout = (n, stride, has_axes, wanted);
+        if self.written_layout != Some(layout) {
+            self.written_layout = Some(layout);
+            self.written = vec![true; chunks];
+        }
         let lengths = |group: usize, per: usize| {
             (0..chunks).map(move |c| if group == 0 { 0 } else { per * (CHUNK.min(n - c * CHUNK)) })
         };
@@ -72,8 +78,13 @@ impl<T: Real> Rasterizer<T> {
         let discs = projector.footprint() == Footprint::Disc;
         let cameras: Vec<([f64; 6], [f64; 4])> = tasks
             .into_par_iter()
-            .map(|mut task| {
+            .zip(&mut self.written)
+            .map(|(mut task, written)| {
                 let starts = &starts[task.first..=task.first + task.count];
+                let seen = starts[0] != starts[task.count];
+                if !std::mem::replace(written, seen) && !seen {
+                    return ([0.0; 6], [0.0; 4]);
+                }
                 if let Some(native) = &native {
                     let mut pose = [0.0; 6];
                     native.chain(task.first, starts, slots, wanted, task.outputs(&mut pose));

@@ -55,6 +55,39 @@ struct Lens<T> {
     jacobian: [[T; 3]; 2],
 }
 
+/// The camera in double: where splats stand is computed with it and then rounded. Rounded cameras and centres were the
+/// largest part of the error of single precision: all splats shift together, and alphas cross 1/255.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Exact {
+    rotation: [[f64; 3]; 3],
+    eye: [f64; 3],
+    focal: [f64; 2],
+    center: [f64; 2],
+}
+
+impl Exact {
+    /// A position in camera axes.
+    #[inline(always)]
+    fn seen(&self, position: [f64; 3]) -> [f64; 3] {
+        let d = [0, 1, 2].map(|k| position[k] - self.eye[k]);
+        self.rotation.map(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2])
+    }
+
+    /// Its image through a pinhole.
+    #[inline(always)]
+    fn point(&self, t: [f64; 3]) -> [f64; 2] {
+        [0, 1].map(|k| self.focal[k] * (t[k] / t[2]) + self.center[k])
+    }
+
+    /// As the kernels take it (`Scene::camera` of `cpp/splat_kernel.h`).
+    pub fn numbers(&self) -> [f64; 16] {
+        let mut out = [0.0; 16];
+        let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(&self.focal).chain(&self.center);
+        out.iter_mut().zip(all).for_each(|(place, v)| *place = *v);
+        out
+    }
+}
+
 /// One view, ready to project.
 pub struct Projector<T> {
     pub(super) rotation: [[T; 3]; 3],
@@ -69,8 +102,7 @@ pub struct Projector<T> {
     footprint: Footprint,
     fisheye: Option<[T; 4]>,
     fisheye_stretch: Option<T>,
-    /// z-depth of a position is `depth[0..3] . position + depth[3]`, see [`Projector::key`].
-    pub(super) depth: [f64; 4],
+    pub(super) exact: Exact,
 }
 
 /// What the projection of one Gaussian passes through; its backward starts here.
@@ -168,7 +200,12 @@ impl<T: Real> Projector<T> {
             footprint: settings.footprint,
             fisheye: camera.fisheye.map(|k| k.map(T::of)),
             fisheye_stretch: camera.fisheye.map(|k| T::of(largest_stretch(k))),
-            depth: [m.x_axis.z, m.y_axis.z, m.z_axis.z, transform.translation.z],
+            exact: Exact {
+                rotation: [0, 1, 2].map(|i| [m.x_axis[i], m.y_axis[i], m.z_axis[i]]),
+                eye: eye.to_array(),
+                focal: [camera.fl_x, camera.fl_y],
+                center: [camera.cx, camera.cy],
+            },
         })
     }
 
@@ -233,8 +270,7 @@ impl<T: Real> Projector<T> {
     /// that the order belongs to the scene and not to rounding. Positive floats sort like their bits.
     #[inline(always)]
     pub fn key(&self, position: [T; 3]) -> u32 {
-        let [x, y, z] = [0, 1, 2].map(|k| position[k].to_f64() * self.depth[k]);
-        ((x + y + z + self.depth[3]) as f32).to_bits()
+        (self.exact.seen(position.map(T::to_f64))[2] as f32).to_bits()
     }
 
     /// A vector in camera axes.
@@ -340,12 +376,17 @@ impl<T: Real> Projector<T> {
     #[inline(always)]
     pub fn geometry(&self, position: [T; 3], columns: [[T; 3]; 3]) -> Option<Geometry<T>> {
         let offset = [0, 1, 2].map(|k| position[k] - self.eye[k]);
-        let t = self.turn(offset);
+        let exact = self.exact.seen(position.map(T::to_f64));
+        let t = if T::PLAIN { exact.map(T::of) } else { self.turn(offset) };
         let in_front = t[2] >= self.near;
         if !in_front {
             return None;
         }
-        self.geometry_of(t, columns.map(|m| self.turn(m)), offset)
+        let mut g = self.geometry_of(t, columns.map(|m| self.turn(m)), offset)?;
+        if T::PLAIN && self.is_pinhole() {
+            g.point = self.exact.point(exact).map(T::of);
+        }
+        Some(g)
     }
 
     /// The same from the centre and the columns in camera axes, and the vector from the eye in world axes.

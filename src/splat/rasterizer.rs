@@ -21,6 +21,7 @@ use super::kernel::Parts;
 use super::native::Numbers;
 use super::project::Projector;
 use super::real::Real;
+use super::reuse::{Kept, Reuse, Same};
 use super::stages::{Clock, Stage, StageTimes};
 use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
 
@@ -47,7 +48,12 @@ pub struct Rasterizer<T> {
     pub(super) rendered: Rendered<T>,
     pub(super) tangents: Vec<Vec<T>>,
     pub(super) gradients: Gradients<T>,
+    /// Chunks whose gradients are not all zero, and what the gradients are laid out for.
+    pub(super) written: Vec<bool>,
+    pub(super) written_layout: Option<(usize, usize, bool, Wanted)>,
     pub(super) clock: Clock,
+    pub(super) reuse: Reuse,
+    pub(super) kept: Option<Kept<T>>,
     pub(super) last: Option<(View, Settings, usize)>,
 }
 
@@ -87,7 +93,11 @@ impl<T: Real> Rasterizer<T> {
             rendered: Rendered::default(),
             tangents: Vec::new(),
             gradients: Gradients::default(),
+            written: Vec::new(),
+            written_layout: None,
             clock: Clock::default(),
+            reuse: Reuse::Never,
+            kept: None,
             last: None,
         }
     }
@@ -154,8 +164,23 @@ impl<T: Real> Rasterizer<T> {
         self.extra.count = 0;
         gaussians.validate()?;
         let projector = Projector::new(view, settings)?;
-        self.activate(active, gaussians.len())?;
-        self.splats(gaussians, &projector, view);
+        let mut same = self.same(gaussians, view, settings, active);
+        if same == Same::Everything && !self.recolor(gaussians, &projector) {
+            same = Same::Nothing;
+        }
+        match same {
+            Same::Everything => {
+                self.clock.end(Stage::Project);
+                self.clock.end(Stage::Bin);
+            }
+            Same::Lists => self.splats(gaussians, &projector, view, same),
+            Same::Nothing => {
+                self.kept = None;
+                self.activate(active, gaussians.len())?;
+                self.splats(gaussians, &projector, view, same);
+                self.keep(gaussians, view, settings);
+            }
+        }
         self.last = Some((*view, *settings, gaussians.len()));
         Ok(())
     }
@@ -176,8 +201,10 @@ impl<T: Real> Rasterizer<T> {
         Ok(())
     }
 
-    /// Projects all active Gaussians and deals their splats to the tiles.
-    fn splats(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>, view: &View) {
+    /// Projects all active Gaussians and deals their splats to the tiles (or keeps the lists, if they are still the same
+    /// and so are the splats that are seen).
+    fn splats(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>, view: &View, same: Same) {
+        let seen = if same == Same::Lists { self.rendered.visible.clone() } else { Vec::new() };
         let n = self.active.as_ref().map_or(gaussians.len(), Vec::len);
         let tiles = [view.camera.width, view.camera.height].map(|v| (v as usize).div_ceil(TILE));
         grow(&mut self.rows, n.max(1));
@@ -186,7 +213,7 @@ impl<T: Real> Rasterizer<T> {
         self.rendered.visible.resize(n, false);
         if projector.footprint() == Footprint::Disc {
             self.project_discs(gaussians, projector, view);
-            return self.deal(tiles);
+            return self.deal(tiles, None);
         }
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
@@ -212,13 +239,18 @@ impl<T: Real> Rasterizer<T> {
             },
         );
         drop(native);
-        self.deal(tiles);
+        let kept = (same == Same::Lists).then_some(seen);
+        self.deal(tiles, kept);
     }
 
-    /// Visible splats to the lists of the tiles.
-    fn deal(&mut self, tiles: [usize; 2]) {
+    /// Visible splats to the lists of the tiles; those of before stay where they were made for the same splats (`kept`).
+    fn deal(&mut self, tiles: [usize; 2], kept: Option<Vec<bool>>) {
         self.rendered.visible_count = self.rendered.visible.iter().filter(|v| **v).count();
         self.clock.end(Stage::Project);
+        self.bins.masks_known = false;
+        if kept.is_some_and(|seen| seen == self.rendered.visible) {
+            return self.clock.end(Stage::Bin);
+        }
         let all = Boxes { boxes: &self.boxes, keys: &self.keys, visible: &self.rendered.visible };
         if self.isa == Isa::Scalar {
             self.bins.fill_plainly(tiles, &all);
@@ -280,6 +312,7 @@ impl<T: Real> Rasterizer<T> {
             geometry,
             color: wanted.any(Wanted::SH) || (through_position && gaussians.sh_degree > 0),
             depth: geometry && !image.depth.is_empty(),
+            known: false,
         };
         let parts = (parts.geometry || parts.color).then_some(parts);
         self.composite_backward(image, &view, &settings, parts, wanted.any(Wanted::GAIN), faults);

@@ -10,7 +10,7 @@ use crate::ffi::splat_image::{self as image, ImageBand, Light};
 use super::kernel::{BackwardTile, ForwardTile};
 use super::native::{Native, Numbers, Work};
 use super::project::Projector;
-use super::types::{Gaussians, ImageGradient};
+use super::types::{Gaussians, ImageGradient, Settings};
 
 /// A real number.
 pub trait Real:
@@ -31,6 +31,8 @@ pub trait Real:
     + MulAssign
     + 'static
 {
+    /// A number without a derivative: what is computed in double and rounded loses nothing.
+    const PLAIN: bool = false;
     /// The nearest number to `value`.
     fn of(value: f64) -> Self;
     /// The value (without any derivative) as `f64`.
@@ -106,6 +108,18 @@ pub trait Real:
         false
     }
 
+    /// Develops a row of tiles' velocities along direction `k` of `directions` with vectorised code; `false` when there is
+    /// none for this type.
+    fn develop_moving(
+        _moving: &[Self],
+        _of: [usize; 2],
+        _width: usize,
+        _settings: &Settings,
+        _color: &mut [Self],
+    ) -> bool {
+        false
+    }
+
     /// Adjoint of the tile at `corner` with vectorised code, and its part of the gradient of the gain; `None` when there
     /// is none for this type.
     fn adjoint_tile(
@@ -171,10 +185,12 @@ macro_rules! real_functions {
 }
 
 impl Real for f64 {
+    const PLAIN: bool = true;
     real_functions!(f64);
 }
 
 impl Real for f32 {
+    const PLAIN: bool = true;
     real_functions!(f32);
 
     fn native<'a>(
@@ -193,6 +209,11 @@ impl Real for f32 {
 
     fn develop_band(state: &[f32], width: usize, light: &Light, band: ImageBand<'_, f32>) -> bool {
         image::develop(state, width, light, band);
+        true
+    }
+
+    fn develop_moving(moving: &[f32], of: [usize; 2], width: usize, settings: &Settings, color: &mut [f32]) -> bool {
+        image::develop_moving(moving, of, width, settings.gain, settings.background, color);
         true
     }
 

@@ -244,6 +244,10 @@ impl<T: Real> Rasterizer<T> {
         let (gain, background) = (settings.gain.map(T::of), settings.background.map(T::of));
         let (tiles_x, size) = (self.bins.tiles_x, MOVING * PIXELS);
         image.par_chunks_mut(3 * width * TILE).enumerate().for_each(|(tile_y, band)| {
+            let tiles = &self.moving[tile_y * tiles_x * directions * size..][..tiles_x * directions * size];
+            if T::develop_moving(tiles, [k, directions], width, settings, band) {
+                return;
+            }
             for (line, pixels) in band.chunks_mut(3 * width).enumerate() {
                 for (piece, pixels) in pixels.chunks_mut(12).enumerate() {
                     let tile = (tile_y * tiles_x + piece / 4) * directions + k;
@@ -308,7 +312,7 @@ impl<T: Real> Rasterizer<T> {
                     masks: &mut masks,
                     corner: [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE],
                     state: &mut state,
-                    parts: Parts { geometry: false, color: true, depth: false },
+                    parts: Parts { geometry: false, color: true, depth: false, known: false },
                 });
                 state
             })

@@ -416,6 +416,11 @@ fn sampling_goes_on_until_the_target_is_met() {
     assert!(coarse.statistics.samples_per_pixel < fine.statistics.samples_per_pixel);
     let error = relative_mse(&fine.radiance, &truth.radiance);
     assert!(error < 0.004 && error > 0.0002, "{error}");
+    // Tiles that are good enough get no more: the same error costs less than with as many samples everywhere.
+    let even = |spp| relative_mse(&picture(None, spp).radiance, &truth.radiance);
+    let as_good = (2..10).map(|k| 1 << k).find(|&spp| even(spp) <= error).unwrap_or(1024);
+    println!("adaptive {} samples per pixel, even {as_good}", fine.statistics.samples_per_pixel);
+    assert!(fine.statistics.samples_per_pixel < as_good);
 }
 
 #[test]

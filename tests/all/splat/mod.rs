@@ -6,6 +6,7 @@ mod disc;
 mod forward;
 mod gradients;
 mod numpy_normal;
+mod reuse;
 mod robustness;
 mod scenes;
 mod tangent;

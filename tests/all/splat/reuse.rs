@@ -1,0 +1,162 @@
+//! What is taken over from the render before, and what lies out of sight: neither may change a bit.
+
+use respire_bench::splat::{Gaussians, Gradients, Isa, Rasterizer, Real, Reuse, Settings, Shape, View, Wanted};
+
+use super::scenes::{Kind, Lens, Weights, random, relative, rng, tube, view, wide};
+
+const PIXELS: usize = 43 * 29;
+
+/// Images and gradients as bits; `Debug` writes enough digits to tell any two numbers apart.
+fn pass<T: Real>(r: &mut Rasterizer<T>, scene: &Gaussians<T>, view: &View, settings: &Settings) -> String {
+    let weights = Weights::<T>::new(PIXELS, 5);
+    let image = format!("{:?}", r.render(scene, view, settings, None).unwrap());
+    let gradients = r.backward(scene, &weights.gradient(), Wanted::ALL).unwrap();
+    image + &format!("{gradients:?}")
+}
+
+fn repaint<T: Real>(scene: &mut Gaussians<T>, key: u64) {
+    let mut r = rng(&[9, key]);
+    scene.sh.iter_mut().for_each(|v| *v = T::of(0.3 * r.normal()));
+}
+
+fn repainted_equals_fresh<T: Real>(isa: Isa, lens: Lens, kind: Kind, degree: u8) {
+    let mut scene = random(150, kind, degree, 61).cast::<T>();
+    let view = view(lens);
+    let mut kept = Rasterizer::<T>::with_isa(isa).unwrap();
+    kept.reuse(Reuse::Unchanged);
+    for step in 0..4 {
+        repaint(&mut scene, step);
+        let settings =
+            Settings { gain: [1.0, 0.9 + 0.1 * step as f64, 1.1], background: [0.1; 3], ..Settings::default() };
+        if step == 2 {
+            // What is not a colour has changed: nothing may be left of before.
+            scene.positions[7][0] += T::of(0.3);
+        }
+        let fresh = pass(&mut Rasterizer::<T>::with_isa(isa).unwrap(), &scene, &view, &settings);
+        assert!(pass(&mut kept, &scene, &view, &settings) == fresh, "{isa}, degree {degree}, step {step}");
+    }
+}
+
+#[test]
+fn a_repainted_scene_equals_a_fresh_one_bit_for_bit() {
+    for isa in [Isa::Scalar, Isa::Baseline, Isa::Avx2, Isa::Avx512].into_iter().filter(|isa| isa.available().is_ok()) {
+        for degree in 0..=3 {
+            repainted_equals_fresh::<f32>(isa, Lens::Pinhole, Kind::Discs, degree);
+        }
+        repainted_equals_fresh::<f32>(isa, Lens::Pinhole, Kind::Ellipsoids, 1);
+        repainted_equals_fresh::<f32>(isa, Lens::Fisheye, Kind::Discs, 1);
+    }
+    repainted_equals_fresh::<f64>(Isa::Scalar, Lens::Pinhole, Kind::Ellipsoids, 2);
+}
+
+#[test]
+fn reuse_notices_every_change() {
+    let scene = random(80, Kind::Discs, 1, 62).cast::<f32>();
+    let (plain, settings) = (view(Lens::Pinhole), Settings::default());
+    let changes: [(&str, fn(&mut Gaussians<f32>, &mut View, &mut Settings)); 6] = [
+        ("opacity", |g, _, _| g.opacities[3] *= 0.5),
+        ("shape", |g, _, _| {
+            let Shape::Discs { axes } = &mut g.shape else { unreachable!() };
+            axes[5][1][2] += 0.2;
+        }),
+        ("camera", |_, v, _| v.camera.cx += 1.0),
+        ("pose", |_, v, _| v.camera_from_world.translation.x += 0.1),
+        ("dilation", |_, _, s| s.dilation_px2 = 0.6),
+        ("a colour that is not finite", |g, _, _| g.sh[25] = f32::NAN),
+    ];
+    for (name, change) in changes {
+        let (mut scene, mut view, mut settings) = (scene.clone(), plain, settings);
+        let mut kept = Rasterizer::<f32>::new();
+        kept.reuse(Reuse::LISTS);
+        let before = pass(&mut kept, &scene, &view, &settings);
+        change(&mut scene, &mut view, &mut settings);
+        let fresh = pass(&mut Rasterizer::<f32>::new(), &scene, &view, &settings);
+        assert!(before != fresh, "{name}: the change shows");
+        assert!(pass(&mut kept, &scene, &view, &settings) == fresh, "{name}");
+    }
+}
+
+/// Images and gradients of the reference tube after its positions have moved by up to the bound: the default bound leaves
+/// them to 1e-6; what larger ones do is printed.
+#[test]
+fn lists_kept_within_the_bound_change_nothing_that_counts() {
+    let Some((tube, view)) = tube("tube_20k.npz", 256) else { return };
+    let Reuse::Within { mm: default } = Reuse::LISTS else { unreachable!() };
+    let weights = Weights::<f32>::new(256 * 256, 7);
+    let groups = |image: &[f32], g: &Gradients<f32>| {
+        let shapes = [wide(g.scales.as_flattened()), wide(g.rotations.as_flattened())].concat();
+        [wide(image), wide(g.positions.as_flattened()), shapes, wide(&g.sh)]
+    };
+    let settings = Settings::default();
+    for mm in [default, 1e-5, 1e-4, 1e-3] {
+        let mut tube = tube.clone();
+        let mut kept = Rasterizer::<f32>::new();
+        kept.reuse(Reuse::Within { mm });
+        kept.render(&tube, &view, &settings, None).unwrap();
+        let mut r = rng(&[10]);
+        // A little less, so that no rounding to f32 goes beyond the bound.
+        let mut moved = 0;
+        for v in tube.positions.as_flattened_mut() {
+            let new = (*v as f64 + 0.9 * mm * r.range(-1.0, 1.0)) as f32;
+            if (new as f64 - *v as f64).abs() <= mm && new != *v {
+                (*v, moved) = (new, moved + 1);
+            }
+        }
+        assert!(moved > 1000, "{moved} coordinates move by up to {mm} mm");
+        let pass = |r: &mut Rasterizer<f32>| {
+            let image = r.render(&tube, &view, &settings, None).unwrap().color.clone();
+            groups(&image, r.backward(&tube, &weights.gradient(), Wanted::ALL).unwrap())
+        };
+        let (found, fresh) = (pass(&mut kept), pass(&mut Rasterizer::<f32>::new()));
+        for (name, (found, fresh)) in ["image", "positions", "shapes", "sh"].iter().zip(found.iter().zip(&fresh)) {
+            let error = relative(found, fresh);
+            println!("within {mm:e} mm, {moved} coordinates moved: {name} {error:.1e}");
+            assert!(mm > default || error <= 1e-6, "{name} off by {error:e}");
+        }
+    }
+}
+
+/// Thousands of neighbours behind and beside the camera: the same image and gradients, and zeros for them, also after they
+/// were in view once.
+#[test]
+fn what_is_out_of_sight_changes_nothing() {
+    let scene = random(200, Kind::Ellipsoids, 1, 63).cast::<f32>();
+    let view = view(Lens::Pinhole);
+    let mut tree = scene.clone();
+    let copy = |from: &Gaussians<f32>, to: &mut Gaussians<f32>, shift: glam::DVec3| {
+        let (Shape::Ellipsoids { rotations, scales }, Shape::Ellipsoids { rotations: r, scales: s }) =
+            (&from.shape, &mut to.shape)
+        else {
+            unreachable!()
+        };
+        r.extend_from_slice(rotations);
+        s.extend_from_slice(scales);
+        to.positions.extend(from.positions.iter().map(|p| [0, 1, 2].map(|k| p[k] + shift[k] as f32)));
+        to.opacities.extend_from_slice(&from.opacities);
+        to.sh.extend_from_slice(&from.sh);
+    };
+    let back = view.camera_from_world.inverse().matrix3;
+    for k in 0..30 {
+        let shift =
+            if k % 2 == 0 { glam::DVec3::new(0.0, 0.0, -40.0 - k as f64) } else { glam::DVec3::new(90.0, 0.0, 0.0) };
+        copy(&scene, &mut tree, back * shift);
+    }
+    let settings = Settings::default();
+    let weights = Weights::<f32>::new(PIXELS, 5);
+    let (mut alone, mut among) = (Rasterizer::<f32>::new(), Rasterizer::<f32>::new());
+    let mut turned = view;
+    turned.camera_from_world = glam::DAffine3::from_rotation_y(std::f64::consts::PI) * view.camera_from_world;
+    for round in 0..2 {
+        let image = alone.render(&scene, &view, &settings, None).unwrap().clone();
+        let found = among.render(&tree, &view, &settings, None).unwrap();
+        assert!(image.color == found.color && image.alpha == found.alpha && found.visible_count == image.visible_count);
+        let expected = alone.backward(&scene, &weights.gradient(), Wanted::ALL).unwrap();
+        let found = among.backward(&tree, &weights.gradient(), Wanted::ALL).unwrap();
+        assert!(found.positions[..200] == expected.positions && found.sh[..200 * 12] == expected.sh, "round {round}");
+        assert!(found.positions[200..].iter().flatten().chain(&found.sh[200 * 12..]).all(|&v| v == 0.0));
+        assert!(found.rotations[200..].iter().flatten().chain(&found.opacities[200..]).all(|&v| v == 0.0));
+        let behind = among.render(&tree, &turned, &settings, None).unwrap().visible_count;
+        assert!(behind > 0, "the neighbours are in view once");
+        among.backward(&tree, &weights.gradient(), Wanted::ALL).unwrap();
+    }
+}
