@@ -132,6 +132,9 @@ pub(super) fn sizes(small: bool) -> Vec<Item> {
     items
 }
 
+/// Puts a value into the rotations or scales of a Gaussian.
+type Spoil = fn(&mut [[f32; 4]], &mut [[f32; 3]], usize, f32);
+
 /// Every poison in every array.
 pub(super) fn poisons() -> Vec<Item> {
     let values = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e-40, 3e38];
@@ -148,7 +151,7 @@ pub(super) fn poisons() -> Vec<Item> {
         items.push(poisoned("axes", |s, i, v| axes_of(s)[i][i % 2][i % 3] = v));
         items.push(poisoned("opacities", |s, i, v| s.opacities[i] = v));
         items.push(poisoned("SH", |s, i, v| s.sh[12 * i + i % 12] = v));
-        let ellipsoid = |name: &str, place: fn(&mut [[f32; 4]], &mut [[f32; 3]], usize, f32)| {
+        let ellipsoid = |name: &str, place: Spoil| {
             let demand = if value == 3e38 { Demand::Finite } else { Demand::Accuracy };
             let mut scene = ellipsoids(400, 50 + k as u64);
             let r = &mut CounterRng::new(50 + k as u64, Stage::Test, &[99]);

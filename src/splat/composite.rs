@@ -184,7 +184,6 @@ impl<T: Real> Rasterizer<T> {
                 }
             })
             .collect();
-        drop(shared);
         self.slots = slots;
         self.gradients.gain = [0.0; 3];
         for (t, (by_gain, moments, sums)) in done.into_iter().enumerate() {
