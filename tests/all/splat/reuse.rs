@@ -53,7 +53,8 @@ fn a_repainted_scene_equals_a_fresh_one_bit_for_bit() {
 fn reuse_notices_every_change() {
     let scene = random(80, Kind::Discs, 1, 62).cast::<f32>();
     let (plain, settings) = (view(Lens::Pinhole), Settings::default());
-    let changes: [(&str, fn(&mut Gaussians<f32>, &mut View, &mut Settings)); 6] = [
+    type Change = fn(&mut Gaussians<f32>, &mut View, &mut Settings);
+    let changes: [(&str, Change); 6] = [
         ("opacity", |g, _, _| g.opacities[3] *= 0.5),
         ("shape", |g, _, _| {
             let Shape::Discs { axes } = &mut g.shape else { unreachable!() };
