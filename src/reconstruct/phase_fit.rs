@@ -179,12 +179,14 @@ impl Fitter<'_> {
         } else {
             self.color_the_unseen(&view, carried, &image);
         }
+        let before = carried.colors();
+        let before = (before.0.to_vec(), before.1.contained_shade.clone());
         phase = self.optimise_appearance(&view, carried, &mut loss, phase, frame, estimated)?;
         self.place(&view, carried, phase)?;
         self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Surface), None)?;
         let color = color_image(&self.rasterizer);
         let depth_mm = super::depth_image(self.rasterizer.rendered(), width, height);
-        self.mark_fitted(&view, carried, &image);
+        self.mark_fitted(&view, carried, &image, &before);
         carried.leave();
         self.phases.push(phase);
         Ok(FramePrediction { frame, color, depth_mm, phase: estimated.then_some(phase), phase_deviation: None, ahead })
@@ -280,7 +282,15 @@ impl Fitter<'_> {
     }
 
     /// Remembers the shade that the colour of each visible disc contains. Visible: not behind the rendered surface.
-    fn mark_fitted(&mut self, view: &View, carried: &mut dyn Carried, image: &Image<f32>) {
+    /// The others take back their colours of `before` (SH and contained shades): what the image shows of them through the
+    /// wall is too little to learn from, and enough to run wild on.
+    fn mark_fitted(
+        &mut self,
+        view: &View,
+        carried: &mut dyn Carried,
+        image: &Image<f32>,
+        (before, before_shade): &(Vec<f32>, Vec<f32>),
+    ) {
         let pixels = pixels(view, carried.gaussians());
         self.light(view).shades(carried.gaussians(), &[], &mut self.shades);
         let depths = depths(view, carried.gaussians());
@@ -299,6 +309,12 @@ impl Fitter<'_> {
                 memory.contained_shade[k] = shade.value;
                 if frames > 0.0 {
                     memory.add(k, &sh[k * SH_VALUES..][..SH_VALUES], frames);
+                }
+            } else if before_shade[k] > 0.0 {
+                let ratio = memory.contained_shade[k] / before_shade[k];
+                let kept = before[k * SH_VALUES..].iter().enumerate();
+                for (value, (i, was)) in sh[k * SH_VALUES..][..SH_VALUES].iter_mut().zip(kept) {
+                    *value = (was + shift(i)) * ratio - shift(i);
                 }
             }
         }
