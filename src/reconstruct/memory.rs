@@ -57,9 +57,14 @@ impl Memory {
         }
     }
 
+    /// A copy of what is shown.
+    pub fn set_aside(&self, sh: &[f32]) -> Shown {
+        Shown { sh: sh.to_vec(), contained_shade: self.contained_shade.clone() }
+    }
+
     /// Puts the remembered colours into `sh`, at shade 1; what nobody remembers stays as it is. Hands out what `sh` was.
     pub fn recall(&mut self, sh: &mut [f32]) -> Shown {
-        let shown = Shown { sh: sh.to_vec(), contained_shade: self.contained_shade.clone() };
+        let shown = self.set_aside(sh);
         for (k, sh) in sh.chunks_exact_mut(SH_VALUES).enumerate() {
             if self.looks[k] > 0.0 {
                 sh.copy_from_slice(&self.albedo[k * SH_VALUES..][..SH_VALUES]);
@@ -75,6 +80,17 @@ impl Memory {
         self.contained_shade = shown.contained_shade;
     }
 
+    /// Gives Gaussian `k`, whose colours are `sh`, back what it showed in `shown`, at its present shade; nothing if it had
+    /// not been seen then.
+    pub fn put_back(&self, k: usize, sh: &mut [f32], shown: &Shown) {
+        if shown.contained_shade[k] > 0.0 {
+            let ratio = self.contained_shade[k] / shown.contained_shade[k];
+            for (i, (value, was)) in sh.iter_mut().zip(&shown.sh[k * SH_VALUES..]).enumerate() {
+                *value = (was + shift(i)) * ratio - shift(i);
+            }
+        }
+    }
+
     /// Adds what Gaussian `k` shows now (`sh`, at its contained shade): the mean of the first `frames` looks, after
     /// that the newest counts `1 / frames`.
     pub fn add(&mut self, k: usize, sh: &[f32], frames: f32) {
@@ -88,7 +104,7 @@ impl Memory {
     }
 }
 
-/// Colours set aside by [`Memory::recall`].
+/// Colours set aside by [`Memory::set_aside`].
 pub struct Shown {
     sh: Vec<f32>,
     contained_shade: Vec<f32>,

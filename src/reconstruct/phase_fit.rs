@@ -13,7 +13,7 @@ use crate::splat::{DepthOutput, Gaussians, Gradients, ImageGradient, Rasterizer,
 
 use super::anchored::{SH_C0, SH_VALUES};
 use super::loss::photometric::Photometric;
-use super::memory::{Memory, shift};
+use super::memory::{Memory, Shown, shift};
 use super::online::{color_image, fit_in_order, held_out};
 use super::optimiser::{Adam, AdamConstants, StepCounter};
 use super::phase::PhaseActivation;
@@ -179,8 +179,8 @@ impl Fitter<'_> {
         } else {
             self.color_the_unseen(&view, carried, &image);
         }
-        let before = carried.colors();
-        let before = (before.0.to_vec(), before.1.contained_shade.clone());
+        let (sh, memory) = carried.colors();
+        let before = memory.set_aside(sh);
         phase = self.optimise_appearance(&view, carried, &mut loss, phase, frame, estimated)?;
         self.place(&view, carried, phase)?;
         self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Surface), None)?;
@@ -282,15 +282,9 @@ impl Fitter<'_> {
     }
 
     /// Remembers the shade that the colour of each visible disc contains. Visible: not behind the rendered surface.
-    /// The others take back their colours of `before` (SH and contained shades): what the image shows of them through the
+    /// The others take back their colours of `before`: what the image shows of them through the
     /// wall is too little to learn from, and enough to run wild on.
-    fn mark_fitted(
-        &mut self,
-        view: &View,
-        carried: &mut dyn Carried,
-        image: &Image<f32>,
-        (before, before_shade): &(Vec<f32>, Vec<f32>),
-    ) {
+    fn mark_fitted(&mut self, view: &View, carried: &mut dyn Carried, image: &Image<f32>, before: &Shown) {
         let pixels = pixels(view, carried.gaussians());
         self.light(view).shades(carried.gaussians(), &[], &mut self.shades);
         let depths = depths(view, carried.gaussians());
@@ -310,12 +304,8 @@ impl Fitter<'_> {
                 if frames > 0.0 {
                     memory.add(k, &sh[k * SH_VALUES..][..SH_VALUES], frames);
                 }
-            } else if before_shade[k] > 0.0 {
-                let ratio = memory.contained_shade[k] / before_shade[k];
-                let kept = before[k * SH_VALUES..].iter().enumerate();
-                for (value, (i, was)) in sh[k * SH_VALUES..][..SH_VALUES].iter_mut().zip(kept) {
-                    *value = (was + shift(i)) * ratio - shift(i);
-                }
+            } else {
+                memory.put_back(k, &mut sh[k * SH_VALUES..][..SH_VALUES], before);
             }
         }
         let count = (image.width * image.height) as f64;
