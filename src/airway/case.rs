@@ -208,7 +208,24 @@ fn default_deepest() -> u32 {
 impl Case {
     /// Reads and checks a case file. The error names the file and the line, key or missing file.
     pub fn load(path: &Path) -> Result<Case> {
-        let mut case: Case = files::read_toml(path)?;
+        Case::checked(files::read_toml(path)?, path)
+    }
+
+    /// As [`Case::load`], with the keys of `changes` (paths with dots) set to other values first.
+    pub fn load_changed(path: &Path, changes: &toml::Table) -> Result<Case> {
+        if changes.is_empty() {
+            return Case::load(path);
+        }
+        let mut table: toml::Table = files::read_toml(path)?;
+        for (key, value) in changes {
+            let keys: Vec<&str> = key.split('.').collect();
+            files::insert_toml(&mut table, &keys, value.clone()).map_err(|e| e.at(path))?;
+        }
+        let case = table.try_into().map_err(|e: toml::de::Error| Error::input(e.message().trim_end()).at(path))?;
+        Case::checked(case, path)
+    }
+
+    fn checked(mut case: Case, path: &Path) -> Result<Case> {
         case.folder = path.parent().map(Path::to_path_buf).unwrap_or_default();
         case.validate().map_err(|e| e.at(path))?;
         for file in case.anatomy.files() {

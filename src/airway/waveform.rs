@@ -6,7 +6,9 @@
 //! the way in (hysteresis). The warp makes expiration fast first and slow later, like elastic recoil against a
 //! resistance. The phase is 1 - V. At both turning points dP/dt = 0, so dV/dt = 0 whatever k: C1 across half-breaths.
 //!
-//! Left out: pauses, sighs, coughs. The end points of the volume are those of the two CTs; real tidal breathing uses a
+//! A breath may be held at the end of each inhalation (`hold_s`), where the lung is at rest anyway.
+//!
+//! Left out: sighs, coughs. The end points of the volume are those of the two CTs; real tidal breathing uses a
 //! part of that range, which `amplitude` and `offset` express.
 
 use serde::{Deserialize, Serialize};
@@ -39,8 +41,16 @@ pub struct Waveform {
     pub offset: f64,
     /// Where in the breath a sequence starts: 0 is the beginning of the inhalation.
     pub start_s: f64,
+    /// For how long each full inhalation is held; not scaled.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub hold_s: f64,
     /// 0 is perfectly regular; 1 varies duration and depth from breath to breath like restless sleep.
     pub irregularity: f64,
+}
+
+/// Cases without a hold keep the hash that they had before there was one.
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl Default for Waveform {
@@ -52,6 +62,7 @@ impl Default for Waveform {
             amplitude: 1.0,
             offset: 0.0,
             start_s: 0.0,
+            hold_s: 0.0,
             irregularity: 0.0,
         }
     }
@@ -71,7 +82,12 @@ impl Waveform {
                 return Err(Error::input(format!("{value} must be positive")).element(format!("waveform.{key}")));
             }
         }
-        let not_negative = [("offset", self.offset), ("start_s", self.start_s), ("irregularity", self.irregularity)];
+        let not_negative = [
+            ("offset", self.offset),
+            ("start_s", self.start_s),
+            ("hold_s", self.hold_s),
+            ("irregularity", self.irregularity),
+        ];
         for (key, value) in not_negative {
             if !(value.is_finite() && value >= 0.0) {
                 return Err(Error::input(format!("{value} must not be negative")).element(format!("waveform.{key}")));
@@ -92,7 +108,7 @@ impl Waveform {
 
     /// Mean duration of one breath in seconds.
     pub fn period_s(&self) -> f64 {
-        (self.inhale_s + self.exhale_s) * self.period_scale
+        (self.inhale_s + self.exhale_s) * self.period_scale + self.hold_s
     }
 
     /// Breathing phase in [0, 1] (0 full inspiration, 1 full expiration) `time_s` after the start of the sequence
@@ -112,6 +128,10 @@ impl Waveform {
                 return now.start + (now.turn - now.start) * volume(pressure, STIFFNESS_IN);
             }
             left_s -= now.inhale_s;
+            if left_s < self.hold_s {
+                return now.turn;
+            }
+            left_s -= self.hold_s;
             if left_s < now.exhale_s {
                 let uniform = left_s / now.exhale_s;
                 let warped = uniform + RECOIL * (std::f64::consts::PI * uniform).sin() / std::f64::consts::PI;
@@ -167,6 +187,7 @@ mod tests {
             Waveform::default(),
             Waveform { period_scale: 1.3, amplitude: 0.8, offset: 0.1, start_s: 2.2, ..Waveform::default() },
             Waveform { irregularity: 1.0, ..Waveform::default() },
+            Waveform { hold_s: 1.1, period_scale: 0.9, ..Waveform::default() },
         ]
     }
 
@@ -203,6 +224,18 @@ mod tests {
         for i in 150..399 {
             let t = i as f64 * 0.01;
             assert!(w.phase(t + 0.01, 0) > w.phase(t, 0), "exhaling at {t}");
+        }
+    }
+
+    #[test]
+    fn a_held_breath_stays_at_full_inspiration_and_then_goes_on_as_if_nothing_had_been() {
+        let (free, held) = (Waveform::default(), Waveform { hold_s: 2.0, ..Waveform::default() });
+        assert_eq!(held.period_s(), 6.0);
+        for i in 0..15 {
+            let t = 0.1 * i as f64;
+            assert!(held.phase(1.5 + t, 0).abs() < 1e-12);
+            assert!((held.phase(3.5 + t, 0) - free.phase(1.5 + t, 0)).abs() < 1e-12);
+            assert!((held.phase(6.0 + t, 0) - free.phase(4.0 + t, 0)).abs() < 1e-12);
         }
     }
 

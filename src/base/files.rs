@@ -73,6 +73,21 @@ pub fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T> {
     })
 }
 
+/// Puts `value` at `path`, which need not be there: a case file leaves out what has a default.
+pub fn insert_toml(table: &mut toml::Table, path: &[&str], value: toml::Value) -> Result<()> {
+    let (last, groups) = path.split_last().ok_or_else(|| Error::input("an empty key"))?;
+    let mut at = table;
+    for group in groups {
+        at = at
+            .entry(*group)
+            .or_insert_with(|| toml::Value::Table(toml::Table::new()))
+            .as_table_mut()
+            .ok_or_else(|| Error::input(format!("`{group}` in `{}` is no table", path.join("."))))?;
+    }
+    at.insert((*last).to_owned(), value);
+    Ok(())
+}
+
 /// Where the byte `offset` of `text` stands, as people count, with the beginning of its line.
 fn place(text: &str, offset: usize) -> String {
     let before = text.get(..offset).unwrap_or(text);
@@ -112,5 +127,13 @@ mod tests {
         assert!(failed.unwrap_err().to_string().contains("b.txt"));
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(fs::read_dir(folder.path().join("a")).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn toml_takes_keys_that_were_left_out() {
+        let mut table: toml::Table = toml::from_str("id = 'a'").unwrap();
+        insert_toml(&mut table, &["waveform", "hold_s"], toml::Value::from(2.0)).unwrap();
+        assert_eq!(table["waveform"]["hold_s"].as_float(), Some(2.0));
+        assert!(insert_toml(&mut table, &["id", "x"], toml::Value::from(1)).is_err());
     }
 }

@@ -3,6 +3,7 @@
 //! ```text
 //! bench-cases/<case>.toml         a case each
 //! bench-cases/gate.toml           thresholds
+//! bench-cases/ablations.toml      variants of the methods and cases
 //! bench-cases/methods/<id>.toml   a method each
 //! bench-cases/profiles/<id>.toml  a profile each
 //! ```
@@ -12,8 +13,9 @@ use std::path::{Path, PathBuf};
 use super::plan::toml_ids;
 use crate::base::{Error, Result};
 
-/// The thresholds' file, which is no case.
+/// The thresholds and the ablations, which are no cases.
 const GATE: &str = "gate";
+const ABLATIONS: &str = "ablations";
 
 /// An opened `bench-cases` folder.
 #[derive(Clone, Debug)]
@@ -45,7 +47,7 @@ impl Catalogue {
 
     /// Ids of the cases, in the order of people.
     pub fn case_ids(&self) -> Result<Vec<String>> {
-        Ok(toml_ids(&self.root)?.into_iter().filter(|id| id != GATE).collect())
+        Ok(toml_ids(&self.root)?.into_iter().filter(|id| id != GATE && id != ABLATIONS).collect())
     }
 
     /// The file of a case: `<id>.toml` here, or `wish` itself when it is the path of a TOML file.
@@ -73,6 +75,11 @@ impl Catalogue {
         self.root.join("profiles")
     }
 
+    /// The ablations.
+    pub fn ablations_file(&self) -> PathBuf {
+        self.root.join(ABLATIONS).with_extension("toml")
+    }
+
     /// The thresholds.
     pub fn gate_file(&self) -> PathBuf {
         self.root.join(GATE).with_extension("toml")
@@ -86,7 +93,7 @@ mod tests {
     #[test]
     fn cases_are_found_by_id_or_path_and_the_gate_is_none() {
         let folder = tempfile::tempdir().unwrap();
-        for name in ["case1.toml", "case2.toml", "gate.toml"] {
+        for name in ["case1.toml", "case2.toml", "gate.toml", "ablations.toml"] {
             std::fs::write(folder.path().join(name), "").unwrap();
         }
         let catalogue = Catalogue::find(Some(folder.path())).unwrap();

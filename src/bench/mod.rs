@@ -20,6 +20,7 @@ pub mod revision;
 pub mod stages;
 pub mod store;
 pub mod timing;
+pub mod variant;
 
 pub use catalogue::Catalogue;
 pub use environment::Environment;
@@ -30,3 +31,4 @@ pub use plan::{Cell, Plan};
 pub use profile::Profile;
 pub use stages::Stages;
 pub use store::Store;
+pub use variant::{Ablations, Variant};

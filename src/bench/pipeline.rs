@@ -11,6 +11,7 @@ use super::profile::Profile;
 use super::revision::Revisions;
 use super::stages::Stages;
 use super::timing::StageTiming;
+use super::variant::Variant;
 use crate::airway::case::Case;
 
 use crate::base::{Error, Progress, Result, files, hash};
@@ -51,6 +52,33 @@ struct Method {
 impl Pipeline {
     /// Reads the profile, the cases and the methods. Every mistake in them is found here, before any work.
     pub fn new(catalogue: &Catalogue, profile: &str, wishes: Wishes) -> Result<Self> {
+        Self::assemble(catalogue, profile, wishes, &toml::Table::new(), methods)
+    }
+
+    /// The stages of one variant: its method alone, on cases with its changes.
+    pub fn of_variant(
+        catalogue: &Catalogue,
+        profile: &str,
+        cases: &[String],
+        seeds: &[u64],
+        variant: &Variant,
+    ) -> Result<Self> {
+        let wishes = Wishes { cases: Some(cases.to_vec()), methods: None, seeds: Some(seeds.to_vec()) };
+        Self::assemble(catalogue, profile, wishes, &variant.case, |catalogue, profile, _| {
+            let folder = tempfile::tempdir().map_err(|e| Error::io("making", &std::env::temp_dir(), e))?;
+            let path = variant.write_method(&catalogue.methods(), folder.path())?;
+            let method = reconstruct::method(&path, profile.iteration_scale)?;
+            Ok(vec![Method { content: content(&path, profile)?, method }])
+        })
+    }
+
+    fn assemble(
+        catalogue: &Catalogue,
+        profile: &str,
+        wishes: Wishes,
+        changes: &toml::Table,
+        methods: impl FnOnce(&Catalogue, &Profile, Option<&[String]>) -> Result<Vec<Method>>,
+    ) -> Result<Self> {
         let profile = Profile::load(&catalogue.profiles(), profile)?;
         let wanted_cases = match wishes.cases.or_else(|| profile.cases.clone()) {
             Some(wanted) => wanted,
@@ -59,7 +87,9 @@ impl Pipeline {
         if wanted_cases.is_empty() {
             return Err(Error::input("there are no case files").at(catalogue.root()));
         }
-        let load = |wish: &String| Ok(Case::load(&catalogue.case_file(wish)?)?.without(&profile.without));
+        let load = |wish: &String| {
+            Ok(Case::load_changed(&catalogue.case_file(wish)?, changes)?.without(&profile.without))
+        };
         let cases: Vec<Case> = wanted_cases.iter().map(load).collect::<Result<_>>()?;
         refuse_doubles(cases.iter().map(|case| case.id.as_str()), "case")?;
         let seeds = wishes.seeds.unwrap_or_else(|| profile.seeds.clone());
@@ -160,13 +190,17 @@ fn refuse_doubles<T: PartialEq + std::fmt::Display>(items: impl Iterator<Item = 
     Ok(())
 }
 
+/// Hash of what a method file says: parsed, so that a comment or a blank does not make a cell anew.
+fn content(path: &Path, profile: &Profile) -> Result<String> {
+    let table: toml::Table = files::read_toml(path)?;
+    hash::of_value(&(table, profile.iteration_scale))
+}
+
 fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>) -> Result<Vec<Method>> {
     let mut found = Vec::new();
     for method in reconstruct::methods(&catalogue.methods(), profile.iteration_scale)? {
-        // Parsed, so that a comment or a blank does not make a cell anew.
         let path = catalogue.methods().join(format!("{}.toml", method.id()));
-        let table: toml::Table = files::read_toml(&path)?;
-        found.push(Method { content: hash::of_value(&(table, profile.iteration_scale))?, method });
+        found.push(Method { content: content(&path, profile)?, method });
     }
     let place = |m: &Method| ORDER.iter().position(|id| *id == m.method.id()).unwrap_or(ORDER.len());
     found.sort_by_key(place);

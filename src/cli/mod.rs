@@ -3,6 +3,7 @@
 //! A command is a file with `Arguments` (clap) and `run(Arguments, &Terminal) -> Result<()>`. To add one: a `mod`
 //! line and a line in `commands!` below.
 
+mod ablate;
 mod all_cases;
 mod check;
 mod compare;
@@ -79,6 +80,8 @@ commands! {
     Gate => gate,
     /// Two runs side by side, with intervals
     Compare => compare,
+    /// What each part of a method, and each property of a film, is worth
+    Ablate => ablate,
     /// What a metric is
     Explain => explain,
     /// Measures cost against error of many settings, and draws the front

@@ -7,6 +7,8 @@ mod active;
 mod anchored;
 mod bridgesplat;
 mod bridgesplat_nomesh;
+#[cfg(test)]
+mod bridgesplat_tests;
 mod control_points;
 mod free;
 mod gauss_newton;
@@ -146,9 +148,9 @@ pub trait Reconstruct: Send + Sync {
     ) -> Result<Reconstruction>;
 }
 
-/// `published * scale`, at least one.
+/// `published * scale`, at least one; none stays none.
 fn scaled_iterations(published: f64, scale: f64) -> usize {
-    (published * scale).round().max(1.0) as usize
+    if published == 0.0 { 0 } else { (published * scale).round().max(1.0) as usize }
 }
 
 /// Factor on appearance and deformation rates that keeps the distance Adam can travel in a frame when a profile cuts

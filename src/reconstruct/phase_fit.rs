@@ -86,7 +86,7 @@ pub fn run(
     let mut fitter = Fitter {
         settings,
         observation,
-        activation: PhaseActivation { leak: *settings.phase_leak },
+        activation: PhaseActivation { kind: *settings.activation, leak: *settings.phase_leak },
         scale: iteration_scale,
         rasterizer: Rasterizer::new(),
         gradient: Vec::new(),
@@ -422,7 +422,8 @@ impl Fitter<'_> {
         let by_phase = *self.settings.color_weight * self.phase_derivative(view, carried)?
             + self.temporal(self.activation.phase(at)).1;
         adam.step(rate, theta, &[(by_phase * self.activation.slope(at)) as f32]);
-        theta[0] = theta[0].clamp(0.0, std::f32::consts::PI);
+        let [low, high] = self.activation.range();
+        theta[0] = theta[0].clamp(low as f32, high as f32);
         Ok(())
     }
 

@@ -5,6 +5,9 @@ use std::ops::Deref;
 
 use serde::{Deserialize, Serialize};
 
+use super::phase::Activation;
+use crate::splat::Frame;
+
 /// Where a number comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Source {
@@ -180,6 +183,8 @@ pub struct PhaseMethod {
     pub ssim_weight: Sourced<f64>,
     /// w_t of Eq. 4.
     pub temporal_weight: Sourced<f64>,
+    /// How theta becomes a phase: `cosine-leak` (Eq. 3), or the ablations `sigmoid` and `clamp`.
+    pub activation: Sourced<Activation>,
     /// eps of Eq. 3.
     pub phase_leak: Sourced<f64>,
     /// Adam rate of theta in stage (i): first and last iteration, geometric between.
@@ -204,10 +209,32 @@ pub struct PhaseMethod {
     pub pixels_per_disc: Sourced<f64>,
     /// Largest number of discs a face asks for.
     pub most_per_face: Sourced<u32>,
+    /// What a disc takes over from its deformed face: `stretch` (direction and stretch) or `normal` (direction alone;
+    /// mesh only).
+    pub inherits: Sourced<Inherits>,
     /// Gaussians.
     pub appearance: Appearance,
     /// What is left out.
     pub visibility: Visibility,
+}
+
+/// What a disc takes over from its face as the mesh deforms.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Inherits {
+    /// Rotation and stretch of the face.
+    Stretch,
+    /// The direction of its normal, as BridgeSplat has it.
+    Normal,
+}
+
+impl From<Inherits> for Frame {
+    fn from(inherits: Inherits) -> Self {
+        match inherits {
+            Inherits::Stretch => Frame::InheritStretch,
+            Inherits::Normal => Frame::NormalOnly,
+        }
+    }
 }
 
 /// What a white sheet shows of a scope.

@@ -158,7 +158,7 @@ fn unlit(id: &str) -> PhaseMethod {
     settings
 }
 
-fn bridge(id: &str) -> settings::BridgeMethod {
+pub(super) fn bridge(id: &str) -> settings::BridgeMethod {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
     let mut settings: settings::BridgeMethod = files::read_toml(&folder.join(format!("{id}.toml"))).unwrap();
     settings.appearance.gaussian_budget.value = 7000;

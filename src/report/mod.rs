@@ -5,6 +5,7 @@
 //!                                             report.md report.html table.tex plots/ panels/
 //! ```
 
+pub mod ablation;
 pub mod compare;
 pub mod gate;
 pub mod gate_files;

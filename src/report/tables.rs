@@ -65,7 +65,8 @@ pub fn text(value: &str) -> String {
     if value.starts_with(['=', '+', '-', '@', '\t', '\r']) { format!("'{value}") } else { value.to_owned() }
 }
 
-fn write_csv(path: &Path, header: &[String], rows: &[Row]) -> Result<()> {
+/// Writes a table; the error names the file.
+pub fn write_csv(path: &Path, header: &[String], rows: &[Row]) -> Result<()> {
     let mut writer = csv::WriterBuilder::new().terminator(csv::Terminator::Any(b'\n')).from_writer(Vec::new());
     let failed = |e: csv::Error| Error::input(format!("encoding as CSV failed: {e}")).at(path);
     for row in std::iter::once(header).chain(rows.iter().map(Vec::as_slice)) {
