@@ -23,6 +23,10 @@ use super::optimiser::{Adam, AdamConstants, StepCounter};
 use super::settings::{BridgeMethod, Variant};
 use super::{Access, FramePrediction, Observation, Reconstruct, Reconstruction};
 
+#[cfg(test)]
+#[path = "bridgesplat_tests.rs"]
+mod tests;
+
 /// BridgeSplat with its mesh.
 pub struct Bridgesplat {
     settings: BridgeMethod,

@@ -7,8 +7,6 @@ mod active;
 mod anchored;
 mod bridgesplat;
 mod bridgesplat_nomesh;
-#[cfg(test)]
-mod bridgesplat_tests;
 mod control_points;
 mod free;
 mod gauss_newton;

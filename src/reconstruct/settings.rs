@@ -181,6 +181,8 @@ pub struct PhaseMethod {
     pub color_weight: Sourced<f64>,
     /// w_s of Eq. 4.
     pub ssim_weight: Sourced<f64>,
+    /// w_s where theta alone is optimised.
+    pub phase_ssim_weight: Sourced<f64>,
     /// w_t of Eq. 4.
     pub temporal_weight: Sourced<f64>,
     /// How theta becomes a phase: `cosine-leak` (Eq. 3), or the ablations `sigmoid` and `clamp`.
