@@ -168,7 +168,8 @@ impl Fitter<'_> {
         };
         // From here on the frame's image may be looked at.
         let image = self.observation.images[frame].to_unit();
-        let mut loss = Photometric::new(&image.data, width, height, *self.settings.ssim_weight, None);
+        let mut loss = Photometric::new(&image.data, width, height, *self.settings.ssim_weight, None)
+            .with_norm(self.settings.norm());
         if frame > 0 {
             if estimated {
                 phase = self.measure_phase(&view, carried, &mut loss, &image, phase, frame)?;
