@@ -222,7 +222,8 @@ impl<'a> State<'a> {
                 deformation.regularise(s, &mut by_control);
             }
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };
-            patch.step(&mut self.adam, self.rasterizer.gradients(), &local)?;
+            let visible = &self.rasterizer.rendered().visible;
+            patch.step(&mut self.adam, self.rasterizer.gradients(), visible, &local)?;
             let rate = *s.displacement_rate * factor;
             deformation.adam.step(rate, deformation.displacement.as_flattened_mut(), by_control.as_flattened());
         }
