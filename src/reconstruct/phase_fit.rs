@@ -9,7 +9,7 @@
 use glam::Vec3;
 
 use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
-use crate::splat::{DepthOutput, Gaussians, Gradients, ImageGradient, Rasterizer, Settings, View, Wanted};
+use crate::splat::{DepthOutput, Gaussians, Gradients, ImageGradient, Rasterizer, Reuse, Settings, View, Wanted};
 
 use super::anchored::{SH_C0, SH_VALUES};
 use super::loss::photometric::Photometric;
@@ -43,8 +43,8 @@ pub trait Carried {
     fn begin_appearance(&mut self);
     /// Groups that [`Carried::step_appearance`] needs.
     fn appearance_groups(&self) -> Wanted;
-    /// One optimiser step of appearance.
-    fn step_appearance(&mut self, gradients: &Gradients<f32>) -> Result<()>;
+    /// One optimiser step of appearance of what is `visible` (one flag per Gaussian of the compact copy).
+    fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()>;
     /// Takes the compact copy back.
     fn leave(&mut self);
 }
@@ -168,9 +168,12 @@ impl Fitter<'_> {
         };
         // From here on the frame's image may be looked at.
         let image = self.observation.images[frame].to_unit();
-        let mut loss = Photometric::new(&image.data, width, height, *self.settings.ssim_weight, None);
+        let [of_phase, of_all] = [*self.settings.phase_ssim_weight, *self.settings.ssim_weight];
+        let mut loss = Photometric::new(&image.data, width, height, of_phase.max(of_all), None)
+            .with_norm(self.settings.norm());
         if frame > 0 {
             if estimated {
+                loss.set_ssim_weight(of_phase);
                 phase = self.measure_phase(&view, carried, &mut loss, &image, phase, frame)?;
                 self.place(&view, carried, phase)?;
             }
@@ -181,6 +184,7 @@ impl Fitter<'_> {
         }
         let (sh, memory) = carried.colors();
         let before = memory.set_aside(sh);
+        loss.set_ssim_weight(of_all);
         phase = self.optimise_appearance(&view, carried, &mut loss, phase, frame, estimated)?;
         self.place(&view, carried, phase)?;
         self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Surface), None)?;
@@ -400,14 +404,22 @@ impl Fitter<'_> {
         let mut adam = Adam::new(AdamConstants::default());
         adam.begin(1, StepCounter::Restarted);
         let mut theta = [self.activation.theta(start) as f32];
+        let mut settling = Settling::new(*self.settings.settled);
+        let mut best = (f64::INFINITY, start);
         for i in 0..iterations {
             let phase = self.activation.phase(theta[0] as f64);
             self.place(view, carried, phase)?;
-            self.evaluate(view, carried, loss)?;
+            let value = *self.settings.color_weight * self.evaluate(view, carried, loss)? + self.temporal(phase).0;
+            if value < best.0 {
+                best = (value, phase);
+            }
+            if settling.settled(value) {
+                break;
+            }
             self.backward(carried, self.phase_groups())?;
             self.step_theta(view, carried, &mut adam, &mut theta, geometric(*self.settings.theta_rate, i, iterations))?;
         }
-        Ok(self.activation.phase(theta[0] as f64))
+        Ok(best.1)
     }
 
     fn step_theta(
@@ -444,22 +456,58 @@ impl Fitter<'_> {
         adam.begin(1, StepCounter::Restarted);
         carried.begin_appearance();
         let mut theta = [self.activation.theta(start) as f32];
-        for i in 0..alone + joint {
-            self.evaluate(view, carried, loss)?;
-            self.backward(carried, groups)?;
+        // While only colours are learned, splats and lists are those of the first iteration.
+        let still = !groups.any(Wanted::POSITIONS | Wanted::SHAPES);
+        self.rasterizer.reuse(if still { Reuse::Unchanged } else { Reuse::Never });
+        let mut settling = Settling::new(*self.settings.settled);
+        let mut i = 0;
+        while i < alone + joint {
+            let value = self.evaluate(view, carried, loss)?;
+            if settling.settled(value) {
+                if i >= alone {
+                    break;
+                }
+                (i, settling) = (alone, Settling::new(*self.settings.settled));
+            }
             let moves = move_theta && i >= alone;
+            self.backward(carried, if moves { groups | self.phase_groups() } else { groups })?;
             if moves {
                 let rate = geometric(*self.settings.theta_rate_joint, i - alone, joint);
                 self.step_theta(view, carried, &mut adam, &mut theta, rate)?;
             }
-            carried.step_appearance(self.rasterizer.gradients())?;
+            carried.step_appearance(self.rasterizer.gradients(), &self.rasterizer.rendered().visible)?;
             if moves {
                 self.place(view, carried, self.activation.phase(theta[0] as f64))?;
-            } else {
+            } else if !still {
                 carried.place(start)?;
             }
+            i += 1;
         }
+        self.rasterizer.reuse(Reuse::Never);
         Ok(if move_theta { self.activation.phase(theta[0] as f64) } else { start })
+    }
+}
+
+/// Iterations over which a stage must have made progress.
+const SETTLING: usize = 5;
+
+/// Notices when a loss no longer falls.
+struct Settling {
+    share: f64,
+    last: [f64; SETTLING],
+    seen: usize,
+}
+
+impl Settling {
+    /// A loss has settled when it fell by less than `share` of itself over [`SETTLING`] iterations; never with 0.
+    fn new(share: f64) -> Self {
+        Settling { share, last: [f64::INFINITY; SETTLING], seen: 0 }
+    }
+
+    fn settled(&mut self, value: f64) -> bool {
+        let before = std::mem::replace(&mut self.last[self.seen % SETTLING], value);
+        self.seen += 1;
+        self.share > 0.0 && before - value < self.share * value
     }
 }
 

@@ -5,6 +5,7 @@ use std::ops::Deref;
 
 use serde::{Deserialize, Serialize};
 
+use super::loss::norm::Norm;
 use super::phase::Activation;
 use crate::splat::Frame;
 
@@ -175,10 +176,15 @@ pub struct PhaseMethod {
     pub description: String,
     /// Iterations on theta alone, appearance alone, both.
     pub iterations: Sourced<[u32; 3]>,
+    /// A stage ends early when its last five iterations lowered the loss by less than this share of it (0 = never).
+    pub settled: Sourced<f64>,
     /// Appearance iterations of the first frame are so many times those of the others.
     pub first_frame_factor: Sourced<f64>,
     /// w_c of Eq. 4.
     pub color_weight: Sourced<f64>,
+    /// What a difference costs in the first part of Eq. 4; L1 as published where nothing is said.
+    #[serde(default)]
+    pub color_norm: Option<Sourced<Norm>>,
     /// w_s of Eq. 4.
     pub ssim_weight: Sourced<f64>,
     /// w_s where theta alone is optimised.
@@ -218,6 +224,13 @@ pub struct PhaseMethod {
     pub appearance: Appearance,
     /// What is left out.
     pub visibility: Visibility,
+}
+
+impl PhaseMethod {
+    /// The norm of the photometric loss.
+    pub fn norm(&self) -> Norm {
+        self.color_norm.as_ref().map_or(Norm::L1, |n| **n)
+    }
 }
 
 /// What a disc takes over from its face as the mesh deforms.
@@ -322,6 +335,9 @@ pub struct BridgeMethod {
     pub unit_mm: Sourced<f64>,
     /// Weight of the masked L1.
     pub color_weight: Sourced<f64>,
+    /// What a difference costs in its place; L1 as published where nothing is said.
+    #[serde(default)]
+    pub color_norm: Option<Sourced<Norm>>,
     /// Weight of the ARAP sum (mesh only).
     pub arap_weight: Sourced<f64>,
     /// Weight of the displacement of what is not visible.
@@ -344,6 +360,13 @@ pub struct BridgeMethod {
     pub appearance: Appearance,
     /// What is left out.
     pub visibility: Visibility,
+}
+
+impl BridgeMethod {
+    /// The norm of the photometric loss.
+    pub fn norm(&self) -> Norm {
+        self.color_norm.as_ref().map_or(Norm::L1, |n| **n)
+    }
 }
 
 /// Which objective of BridgeSplat.
