@@ -266,6 +266,8 @@ pub struct GaussNewtonMethod {
     pub grid_steps: Sourced<u32>,
     /// Largest change of the exposure gain per channel and frame.
     pub exposure_limit: Sourced<f64>,
+    /// Whether a smooth unevenness of the brightness across the image says nothing about the unknowns.
+    pub uneven_light: Sourced<bool>,
     /// Brightness^(1 / 2.2) falls with distance to this power.
     pub falloff_exponent: Sourced<f64>,
     /// Light that does not depend on the incidence, as a share of that which does.

@@ -290,11 +290,11 @@ mod tests {
 
     #[test]
     fn poses_are_read_row_by_row_and_their_damage_is_named() {
-        let text = "frame,m00\n0,1,0,0,7,0,0,-1,8,0,1,0,9\n";
+        let text = "frame,m00,m01,m02,m03,m10,m11,m12,m13,m20,m21,m22,m23\n0,1,0,0,7,0,0,-1,8,0,1,0,9\n";
         let pose = parse_poses(text.as_bytes(), 1).unwrap()[0];
         assert_eq!(pose.transform_point3(DVec3::new(1.0, 2.0, 3.0)), DVec3::new(8.0, 5.0, 11.0));
         assert!(parse_poses(text.as_bytes(), 2).unwrap_err().to_string().contains("frame 1 is missing"));
-        assert!(parse_poses(b"frame\n0,1,2\n", 1).unwrap_err().to_string().contains("line 2"));
+        assert!(parse_poses(b"frame,m00,m01\n0,1,2\n", 1).unwrap_err().to_string().contains("line 2"));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use super::pose::{POSE, motion};
 use super::scene::Velocity;
 use super::{Level, Tracker};
 use crate::base::Result;
-use crate::reconstruct::gauss_newton::{self, Comparison, Evidence, Prior, Robust};
+use crate::reconstruct::gauss_newton::{self, Comparison, Evidence, Prior, Robust, Unevenness};
 use crate::reconstruct::phase_search::grid_search;
 use crate::splat::{DepthOutput, Direction, Motion, Settings, View};
 
@@ -56,6 +56,7 @@ impl Tracker<'_> {
             block_px: ((width as f64 * *self.settings.block_share).round() as usize).max(2),
             gain_limit: *self.settings.exposure_limit,
             last_gain: self.gain,
+            unevenness: if *self.settings.uneven_light { Unevenness::Smooth } else { Unevenness::Even },
         }
     }
 
