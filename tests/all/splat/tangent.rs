@@ -2,7 +2,7 @@
 //! pass, and every f32 kernel against f64.
 
 use respire_bench::splat::{
-    Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Real, Settings, Shape, View, Wanted,
+    Direction, Footprint, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Real, Settings, Shape, View, Wanted,
 };
 
 use super::forward::available;
@@ -105,15 +105,20 @@ fn unit(k: usize) -> [f64; 6] {
 
 #[test]
 fn every_direction_equals_central_differences() {
-    for (seed, kind, lens, degree) in [
-        (41, Kind::Discs, Lens::Pinhole, 1),
-        (42, Kind::Ellipsoids, Lens::Pinhole, 3),
-        (43, Kind::Discs, Lens::Fisheye, 2),
-        (44, Kind::Ellipsoids, Lens::Fisheye, 0),
+    let (ewa, disc) = (Footprint::Ewa, Footprint::Disc);
+    for (seed, kind, lens, degree, footprint) in [
+        (41, Kind::Discs, Lens::Pinhole, 1, ewa),
+        (42, Kind::Ellipsoids, Lens::Pinhole, 3, ewa),
+        (43, Kind::Discs, Lens::Fisheye, 2, ewa),
+        (44, Kind::Ellipsoids, Lens::Fisheye, 0, ewa),
+        (45, Kind::Discs, Lens::Pinhole, 1, disc),
+        (46, Kind::Ellipsoids, Lens::Pinhole, 3, disc),
+        (47, Kind::Discs, Lens::Fisheye, 2, disc),
+        (48, Kind::Ellipsoids, Lens::Fisheye, 1, disc),
     ] {
         let scene = random(25, kind, degree, seed);
         let velocities = Velocities::new(&scene, seed);
-        let (view, settings) = (view(lens), settings());
+        let (view, settings) = (view(lens), Settings { footprint, ..settings() });
         let mut directions = vec![Direction::Motion(velocities.motion())];
         directions.extend((0..6).map(|k| Direction::Pose(unit(k))));
         directions.push(Direction::Gain([0.5, -1.0, 2.0]));
@@ -139,9 +144,15 @@ fn every_direction_equals_central_differences() {
 /// `v . (J d) = (J^T v) . d`: forward and backward mode are two programs for one matrix.
 #[test]
 fn forward_mode_is_the_transpose_of_backward_mode() {
+    for footprint in [Footprint::Ewa, Footprint::Disc] {
+        transpose(Settings { footprint, ..settings() });
+    }
+}
+
+fn transpose(settings: Settings) {
     let scene = random(60, Kind::Discs, 1, 51);
     let velocities = Velocities { colors: Vec::new(), ..Velocities::new(&scene, 51) };
-    let (view, settings) = (view(Lens::Pinhole), settings());
+    let view = view(Lens::Pinhole);
     let active: Vec<u32> = (0..60).filter(|i| i % 4 != 2).collect();
     let mut rasterizer = Rasterizer::<f64>::new();
     let xi = [0.1, -0.2, 0.3, 0.4, -0.5, 0.6];
