@@ -36,6 +36,7 @@ mod skips;
 mod stages;
 mod surface_depth;
 mod tangent;
+pub mod tube;
 mod types;
 
 pub use crate::ffi::splat::Isa;
