@@ -72,11 +72,9 @@ fn groups(g: &Gradients<f32>) -> Vec<Vec<f64>> {
 /// Image and the worst group of gradients of the second rasteriser against the first.
 fn change([with, without]: &[Rasterizer<f32>; 2]) -> [f64; 2] {
     let image = relative(&wide(&without.rendered().color), &wide(&with.rendered().color));
-    let worst = groups(without.gradients())
-        .iter()
-        .zip(groups(with.gradients()))
-        .filter(|(_, truth)| truth.iter().any(|v| *v != 0.0))
-        .map(|(found, truth)| relative(found, &truth));
+    let (found, truth) = (groups(without.gradients()), groups(with.gradients()));
+    let asked = found.iter().zip(&truth).filter(|(_, truth)| truth.iter().any(|v| *v != 0.0));
+    let worst = asked.map(|(found, truth)| relative(found, truth));
     [image, worst.fold(0.0, f64::max)]
 }
 
