@@ -24,7 +24,7 @@ impl Rule {
         // A zero gradient from the start leaves both moments zero: no step, rather than 0 / eps.
         let root = if root > f32::MIN_POSITIVE { root } else { f32::MIN_POSITIVE };
         let moved = *parameter - rate * (m * self.unbias[0]) / root;
-        let finite = g - g == 0.0;
+        let finite = g.is_finite();
         *first = if finite { m } else { *first };
         *second = if finite { v } else { *second };
         *parameter = if finite { moved } else { *parameter };

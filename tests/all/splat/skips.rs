@@ -28,7 +28,8 @@ fn all<T: Real>(g: &Gradients<T>) -> [Vec<f64>; 5] {
     [wide(g.positions.as_flattened()), wide(axes), wide(&g.opacities), wide(&g.sh), g.pose.to_vec()]
 }
 
-fn nothing_is_lost<T: Real>(isa: Isa, lens: Lens, filter: Filter) {
+/// Largest change of a value without the stop.
+fn nothing_is_lost<T: Real>(isa: Isa, lens: Lens, filter: Filter) -> f64 {
     // Dense enough that pixels stop, wide enough that many lie beside the image.
     let scene = random(400, Kind::Discs, 1, 31).cast::<f32>().cast::<T>();
     let (view, settings) = (view(lens), Settings { filter, ..Settings::default() });
@@ -43,17 +44,15 @@ fn nothing_is_lost<T: Real>(isa: Isa, lens: Lens, filter: Filter) {
     }
     let (found, _) = pass(isa, &scene, &view, &settings, Skips::ALL.without(Skips::STOP));
     let largest = found.iter().zip(&image).map(|(a, b)| (a.to_f64() - b.to_f64()).abs()).fold(0.0, f64::max);
-    // The compensated splats of this scene leave more light.
-    assert!(
-        (largest > 0.0 || filter == Filter::Compensate) && largest < 1e-3,
-        "{isa}: light beyond the stop changes {largest:e}"
-    );
+    assert!(largest < 1e-3, "{isa}: light beyond the stop changes {largest:e}");
+    largest
 }
 
 #[test]
 fn what_is_skipped_cannot_be_seen() {
     for isa in available() {
-        nothing_is_lost::<f32>(isa, Lens::Pinhole, Filter::Dilate);
+        // Some pixels of this scene stop; seen otherwise none may.
+        assert!(nothing_is_lost::<f32>(isa, Lens::Pinhole, Filter::Dilate) > 0.0);
     }
     nothing_is_lost::<f32>(Isa::widest(), Lens::Pinhole, Filter::Compensate);
     nothing_is_lost::<f64>(Isa::Scalar, Lens::Fisheye, Filter::Dilate);
