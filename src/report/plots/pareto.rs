@@ -18,6 +18,8 @@ const COLORS: [RGBColor; 7] = [
     RGBColor(86, 180, 233),
     RGBColor(140, 140, 140),
 ];
+/// The line of the front.
+const FRONT: RGBColor = RGBColor(180, 180, 180);
 /// Most panels beside each other.
 const COLUMNS: usize = 3;
 
@@ -60,7 +62,7 @@ impl<'a> ParetoPlot<'a> {
                 None => panels.push((&point.subject, vec![dot])),
             }
         }
-        names.push(("front".into(), GRID));
+        names.push(("front".into(), FRONT));
         names.push(("ring: default".into(), INK));
         panels.retain(|(_, dots)| dots.iter().any(|dot| dot.at.1 > 0.0));
         if panels.iter().flat_map(|(_, dots)| dots).any(|dot| dot.at.1 == 0.0) {
@@ -126,8 +128,9 @@ fn draw_panel<DB: DrawingBackend>(
     let place = |d: &Dot| (d.at.0, if d.at.1 > 0.0 { d.at.1 } else { y[0] });
     let mut front: Vec<(f64, f64)> = dots.iter().filter(|d| d.on_front).map(place).collect();
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
-    chart.draw_series(std::iter::once(PathElement::new(front, pen.line(RGBColor(180, 180, 180), 2.5))))?;
+    chart.draw_series(std::iter::once(PathElement::new(front, pen.line(FRONT, 2.5))))?;
     let mut taken: Vec<Rectangle> = Vec::new();
+    let floor = chart.backend_coord(&(x[0], y[0])).1;
     for dot in dots {
         let at = place(dot);
         chart.draw_series(std::iter::once(Circle::new(at, pen.px(4.5), dot.color.filled())))?;
@@ -141,7 +144,7 @@ fn draw_panel<DB: DrawingBackend>(
         let (at, style) = (place(dot), pen.text(9.5));
         let (width, height) = area.estimate_text_size(&dot.label, &style)?;
         let (x, y) = chart.backend_coord(&at);
-        let (shift, spot) = free_spot((x, y), [width as i32, height as i32], pen, &taken);
+        let (shift, spot) = free_spot((x, y), [width as i32, height as i32], pen, (floor, &taken));
         taken.push(spot);
         let label = Text::new(dot.label.clone(), shift, style.pos(Pos::new(HPos::Left, VPos::Top)));
         chart.draw_series(std::iter::once(EmptyElement::at(at) + label))?;
@@ -167,8 +170,13 @@ impl Rectangle {
 }
 
 /// Where the label of a dot goes without covering anything: how far its upper left corner is from the dot. To the right,
-/// above or below, then farther away; beside the dot where nothing is free.
-fn free_spot((x, y): (i32, i32), [width, height]: [i32; 2], pen: Pen, taken: &[Rectangle]) -> ((i32, i32), Rectangle) {
+/// above or below, then farther away, never below `floor`; beside the dot where nothing is free.
+fn free_spot(
+    (x, y): (i32, i32),
+    [width, height]: [i32; 2],
+    pen: Pen,
+    (floor, taken): (i32, &[Rectangle]),
+) -> ((i32, i32), Rectangle) {
     let gap = pen.at(6.0);
     let shifts = (0..6).flat_map(|away| {
         let lines = away * height;
@@ -187,6 +195,7 @@ fn free_spot((x, y): (i32, i32), [width, height]: [i32; 2], pen: Pen, taken: &[R
         high: (x + right + width, y + down + height),
     };
     let mut shifts = shifts.map(|shift| (shift, spot(shift)));
-    let free = shifts.find(|(_, spot)| spot.low.0 > 0 && !taken.iter().any(|other| other.meets(spot)));
+    let inside = |spot: &Rectangle| spot.low.0 > 0 && spot.high.1 <= floor;
+    let free = shifts.find(|(_, spot)| inside(spot) && !taken.iter().any(|other| other.meets(spot)));
     free.unwrap_or(((gap, -height), spot((gap, -height))))
 }
