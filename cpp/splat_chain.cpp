@@ -72,7 +72,7 @@ struct Chain {
     const View& w = *s.view;
     const std::size_t end = o.first + o.count;
     const bool through_position = wants(POSITIONS | POSE), shapes = wants(SHAPES);
-    double pose_sum[6] = {0, 0, 0, 0, 0, 0};
+    VD pose_sums[6] = {};
     for (std::size_t at = o.first; at < end; at += LANES) {
       const std::size_t k0 = at - o.first;
       const int count = end - at < LANES ? static_cast<int>(end - at) : LANES;
@@ -194,13 +194,13 @@ struct Chain {
       if (shapes && COLUMNS == 2) write<6>(o.shape, k0, count, good, &by_columns[0][0]);
       if (shapes && COLUMNS == 3) ellipsoids(k0, count, good, shape, by_columns);
       if (wants(POSE)) {
-        for (int k = 0; k < 6; ++k) {
-          const V v = keep(good, pose[k]);
-          for (int l = 0; l < count; ++l) pose_sum[k] += v[l];
-        }
+        for (int k = 0; k < 6; ++k) pose_sums[k] += in_double(keep(good, pose[k]));
       }
     }
-    for (int k = 0; k < 6; ++k) o.pose[k] = pose_sum[k];
+    for (int k = 0; k < 6; ++k) {
+      o.pose[k] = 0;
+      for (int l = 0; l < LANES / 2; ++l) o.pose[k] += pose_sums[k][l];
+    }
   }
 
   template <int COLUMNS>

@@ -26,7 +26,6 @@ typedef float V4 __attribute__((vector_size(16)));
 typedef float VH __attribute__((vector_size(2 * LANES)));
 typedef double VD __attribute__((vector_size(4 * LANES)));
 
-
 inline V all(float v) { return v - V{}; }
 
 #if defined(__AVX512F__)
@@ -99,6 +98,12 @@ inline V load(const float* p) {
 }
 inline void store(float* p, V v) { __builtin_memcpy(p, &v, sizeof v); }
 
+// The two halves added.
+inline VD in_double(V v) {
+  VH half[2];
+  __builtin_memcpy(half, &v, sizeof v);
+  return __builtin_convertvector(half[0], VD) + __builtin_convertvector(half[1], VD);
+}
 
 #if defined(__AVX512F__)
 inline V square_root(V v) { return (V)_mm512_sqrt_ps((__m512)v); }

@@ -15,10 +15,10 @@ struct Projection {
   }
 
   // Centres in camera axes and on screen, computed in double and rounded once: the order of splats and their places belong
-  // to the scene, not to rounding.
-  void place(const V* position, V* t, V* point) const {
+  // to the scene, not to rounding. `rest`: what rounding takes from the places on screen.
+  void place(const V* position, V* t, V* point, V* rest) const {
     const double *r = s.camera, *eye = r + 9, *focal = r + 12, *center = r + 14;
-    float in[3][LANES], out[5][LANES];
+    float in[3][LANES], out[7][LANES];
     for (int k = 0; k < 3; ++k) store(in[k], position[k]);
     for (int half = 0; half < 2; ++half) {
       VD d[3], seen[5];
@@ -32,10 +32,13 @@ struct Projection {
       for (int k = 0; k < 5; ++k) {
         const VH rounded = __builtin_convertvector(seen[k], VH);
         __builtin_memcpy(out[k] + LANES / 2 * half, &rounded, sizeof rounded);
+        if (k < 3) continue;
+        const VH left = __builtin_convertvector(seen[k] - __builtin_convertvector(rounded, VD), VH);
+        __builtin_memcpy(out[k + 2] + LANES / 2 * half, &left, sizeof left);
       }
     }
     for (int k = 0; k < 3; ++k) t[k] = load(out[k]);
-    for (int k = 0; k < 2; ++k) point[k] = load(out[3 + k]);
+    for (int k = 0; k < 2; ++k) point[k] = load(out[3 + k]), rest[k] = load(out[5 + k]);
   }
 
   // Splats that lie beside the image for sure, before their covariance is known. With s the largest standard deviation,
@@ -79,8 +82,8 @@ struct Projection {
       gather<3>(s.positions, index, position);
       for (int k = 0; k < 3; ++k) offset[k] = position[k] - w.eye[k];
       Geometry<V, COLUMNS> g;
-      V point[2];
-      place(position, g.t, point);
+      V point[2], rest[2];
+      place(position, g.t, point, rest);
       VI seen = g.t[2] >= w.near;
       __builtin_memset(o.visible + k0, 0, static_cast<std::size_t>(count));
       if (!any_of(seen)) continue;
@@ -113,8 +116,7 @@ struct Projection {
       row[HALF_WIDTH] = half[0], row[HALF_HEIGHT] = half[1];
       row[DISCRIMINANT] = -LOG2_E * LOG2_E * g.inverse_determinant;
       row[WIDEST] = -0.5f * row[B] * half[0] / row[C];
-      row[HALF_OVER_A] = 0.5f / row[A];
-      row[FOUR_A_REACH] = 4.0f * row[A] * reach;
+      row[X_REST] = rest[0], row[Y_REST] = rest[1];
       scatter<16>(o.rows + 16 * k0, count, row);
       const VI key = (VI)g.t[2];
       const VI low = cell(g.point[0] - half[0], o.tiles_x) | cell(g.point[1] - half[1], o.tiles_y) << 16;

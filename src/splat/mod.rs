@@ -25,6 +25,7 @@ mod jvp;
 mod kernel;
 mod native;
 mod parameters;
+mod pool;
 mod project;
 mod rasterizer;
 mod real;

@@ -37,10 +37,12 @@ pub(super) mod at {
     pub const HALF_HEIGHT: usize = 11;
     /// `B^2 - 4 A C`, computed without cancellation.
     pub const DISCRIMINANT: usize = 12;
-    /// For the outline of alpha = 1/255: `y` of its rightmost point, `1 / 2 A`, `4 A (LOG2_OPACITY + log2(255))`.
+    /// `y` of the rightmost point of the outline of alpha = 1/255.
     pub const WIDEST: usize = 13;
-    pub const HALF_OVER_A: usize = 14;
-    pub const FOUR_A_REACH: usize = 15;
+    /// What rounding took from X and Y: at some hundred pixels single precision is a hundred thousandth of a pixel, which
+    /// changes the alpha of a splat that is no larger than a pixel by 1e-4.
+    pub const X_REST: usize = 14;
+    pub const Y_REST: usize = 15;
 }
 
 /// One splat.
@@ -113,7 +115,9 @@ pub struct Geometry<T> {
     pub c: [[T; 3]; 3],
     pub u: [[T; 2]; 3],
     pub jacobian: [[T; 3]; 2],
+    /// Centre on screen, and what rounding took from it.
     pub point: [T; 2],
+    pub rest: [T; 2],
     /// Covariance on screen and the inverse's `(A, B, C)`.
     pub covariance: [T; 3],
     pub conic: [T; 3],
@@ -384,7 +388,9 @@ impl<T: Real> Projector<T> {
         }
         let mut g = self.geometry_of(t, columns.map(|m| self.turn(m)), offset)?;
         if T::PLAIN && self.is_pinhole() {
-            g.point = self.exact.point(exact).map(T::of);
+            let point = self.exact.point(exact);
+            g.point = point.map(T::of);
+            g.rest = [0, 1].map(|k| T::of(point[k] - g.point[k].to_f64()));
         }
         Some(g)
     }
@@ -423,6 +429,7 @@ impl<T: Real> Projector<T> {
             u,
             jacobian,
             point,
+            rest: [T::zero(); 2],
             covariance,
             conic,
             inverse_determinant,
@@ -482,8 +489,8 @@ impl<T: Real> Projector<T> {
         row[at::HALF_HEIGHT] = (k * g.covariance[2]).sqrt();
         row[at::DISCRIMINANT] = T::of(-LOG2_E * LOG2_E) * g.inverse_determinant;
         row[at::WIDEST] = -T::of(0.5) * row[at::B] * row[at::HALF_WIDTH] / row[at::C];
-        row[at::HALF_OVER_A] = T::of(0.5) / row[at::A];
-        row[at::FOUR_A_REACH] = T::of(4.0) * row[at::A] * reach;
+        row[at::X_REST] = g.rest[0];
+        row[at::Y_REST] = g.rest[1];
         Some(row)
     }
 }
