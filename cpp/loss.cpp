@@ -16,7 +16,8 @@ double loss_band(std::uint8_t isa, const LossImage& image, rust::Slice<const flo
   const bool agree = isa <= splat_widest_isa() && w > 0 && rendered.size() == 3 * n && image.target.size() == 3 * n &&
                      image.mean.size() == 3 * n && image.square.size() == 3 * n &&
                      (image.mask.empty() || image.mask.size() == n) && gradient.size() % line == 0 && y0 <= h &&
-                     gradient.size() / line <= h - y0 && room.size() >= loss_room(w) && image.window.size() == 6;
+                     gradient.size() / line <= h - y0 && room.size() >= loss_room(w) && image.window.size() == 6 &&
+                     image.norm <= 2;
   if (!agree) throw std::invalid_argument("tables of a loss differ in length");
   const LossBand band{rendered.data(),
                       image.target.data(),
@@ -29,6 +30,8 @@ double loss_band(std::uint8_t isa, const LossImage& image, rust::Slice<const flo
                       y0 + gradient.size() / line,
                       image.ssim_weight,
                       1.0f / (3.0f * static_cast<float>(n)),
+                      static_cast<Norm>(image.norm),
+                      image.softness,
                       image.window.data(),
                       gradient.data(),
                       room.data()};

@@ -142,17 +142,45 @@ struct Sweep {
     return w * s - w;
   }
 
-  // The gradient of a line; returns its L1.
   template <bool WITH_SSIM>
+  double finish(const Ring& ring, std::ptrdiff_t y, int c, const float* source, const float* target, const float* weight) const {
+    switch (b.norm) {
+      case Norm::CHARBONNIER: return finish<WITH_SSIM, Norm::CHARBONNIER>(ring, y, c, source, target, weight);
+      case Norm::HUBER: return finish<WITH_SSIM, Norm::HUBER>(ring, y, c, source, target, weight);
+      default: return finish<WITH_SSIM, Norm::L1>(ring, y, c, source, target, weight);
+    }
+  }
+
+  // Weighted cost of LANES differences; their weighted slopes go to `slope`.
+  template <Norm NORM>
+  V cost(V d, V w, V* slope) const {
+    const V sign = pick(d > 0.0f, w, pick(d < 0.0f, -w, V{}));
+    const V e = all(b.softness);
+    if (NORM == Norm::CHARBONNIER) {
+      const V root = square_root(d * d + e * e);
+      *slope = w * d / root;
+      return w * d * d / (root + e);
+    }
+    if (NORM == Norm::HUBER) {
+      const V size = pick(d < 0.0f, -d, d);
+      const VI near = size < e;
+      *slope = pick(near, w * d / e, sign);
+      return w * pick(near, d * d / (e + e), size - 0.5f * e);
+    }
+    *slope = sign;
+    return sign * d;
+  }
+
+  // The gradient of a line; returns its L1, or what stands in its place.
+  template <bool WITH_SSIM, Norm NORM>
   double finish(const Ring& ring, std::ptrdiff_t y, int c, const float* source, const float* target, const float* weight) const {
     const Column column(ring, y);
     float* out = b.gradient + 3 * b.width * (y - static_cast<std::ptrdiff_t>(b.y0)) + c;
     V sum{};
     for (std::size_t x = 0; x < b.width; x += LANES) {
       const V s = load(source + x), t = load(target + x), w = load(weight + x), d = s - t;
-      const V sign = pick(d > 0.0f, w, pick(d < 0.0f, -w, V{}));
-      sum += sign * d;
-      V g = sign;
+      V g;
+      sum += cost<NORM>(d, w, &g);
       if (WITH_SSIM) g += down(column, 0, x) + 2.0f * s * down(column, 1, x) + t * down(column, 2, x);
       const std::size_t count = b.width - x < LANES ? b.width - x : LANES;
       alignas(64) float lanes[LANES];

@@ -5,6 +5,9 @@
 
 namespace respire {
 
+// What a difference costs (src/reconstruct/loss/norm.rs).
+enum class Norm : unsigned char { L1, CHARBONNIER, HUBER };
+
 // Lines y0..y1 of the loss of one image and its gradient; the twin, which explains the symbols, is
 // src/reconstruct/loss/photometric.rs. Planes: red, green, blue one after the other, width * height each.
 struct LossBand {
@@ -13,6 +16,8 @@ struct LossBand {
   const float* mask;                    // weight per pixel, or null
   std::size_t width, height, y0, y1;
   float ssim_weight, uniform;  // `uniform`: weight of a pixel without mask
+  Norm norm;                   // in the place of L1, and where it becomes linear
+  float softness;
   const float* window;         // 6 taps, the outermost first
   float* gradient;             // out: interleaved, from line y0 on
   float* room;                 // scratch of loss_room(width) floats

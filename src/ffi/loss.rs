@@ -17,6 +17,10 @@ mod bridge {
         mask: &'a [f32],
         window: &'a [f32],
         ssim_weight: f32,
+        /// 0: L1, 1: Charbonnier, 2: Huber.
+        norm: u8,
+        /// Where the norm becomes linear.
+        softness: f32,
     }
 
     unsafe extern "C++" {

@@ -5,10 +5,10 @@ use glam::DVec3;
 
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Result, TriangleMesh};
-use crate::splat::{Anchors, Carrier, Frame, Gaussians, Gradients};
+use crate::splat::{Anchors, Carrier, Frame, Gaussians, Gradients, Wanted};
 
 use super::neighbours;
-use super::optimiser::{Adam, AdamConstants, StepCounter};
+use super::optimiser::{AdamConstants, RowAdam, StepCounter};
 use super::settings::{Appearance, Layout};
 
 /// SH degree of all methods here.
@@ -285,14 +285,28 @@ impl Patch {
         self.anchors.vertex_pullback(gradients, self.carrier(vertices), None, out)
     }
 
-    /// One Adam step of logits, scales and SH.
-    pub fn step(&mut self, adam: &mut DiscAdam, gradients: &Gradients<f32>, vertices: &[[f32; 3]]) -> Result<()> {
-        let (mut logits, mut scales) = (std::mem::take(&mut self.logit_step), std::mem::take(&mut self.scale_step));
-        self.anchors.pullback(gradients, self.carrier(vertices), None, &mut logits, &mut scales)?;
-        adam.logits.step(adam.rates.position, self.anchors.logits.as_flattened_mut(), logits.as_flattened());
-        adam.scales.step(adam.rates.scale, self.anchors.log_scales.as_flattened_mut(), scales.as_flattened());
-        adam.sh_step(&mut self.gaussians.sh, &gradients.sh);
-        (self.logit_step, self.scale_step) = (logits, scales);
+    /// One Adam step of logits, scales and SH: of the groups that `adam` learns, and of the discs that `visible` names or
+    /// an earlier step of the frame has touched.
+    pub fn step(
+        &mut self,
+        adam: &mut DiscAdam,
+        gradients: &Gradients<f32>,
+        visible: &[bool],
+        vertices: &[[f32; 3]],
+    ) -> Result<()> {
+        let rates = adam.rates;
+        if rates.learn_geometry() {
+            let (mut logits, mut scales) = (std::mem::take(&mut self.logit_step), std::mem::take(&mut self.scale_step));
+            self.anchors.pullback(gradients, self.carrier(vertices), None, &mut logits, &mut scales)?;
+            let parameters = self.anchors.logits.as_flattened_mut();
+            adam.logits.step([rates.position; 3], parameters, logits.as_flattened(), visible);
+            let parameters = self.anchors.log_scales.as_flattened_mut();
+            adam.scales.step([rates.scale; 2], parameters, scales.as_flattened(), visible);
+            (self.logit_step, self.scale_step) = (logits, scales);
+        }
+        if rates.learn_colors() {
+            adam.sh.step(rates.sh(), &mut self.gaussians.sh, &gradients.sh, visible);
+        }
         Ok(())
     }
 }
@@ -323,6 +337,27 @@ impl Rates {
             sh_rest: *settings.sh_rest_rate * factor,
         }
     }
+
+    /// Whether centres, rotations or scales are learned at all.
+    pub fn learn_geometry(&self) -> bool {
+        self.position > 0.0 || self.rotation > 0.0 || self.scale > 0.0
+    }
+
+    /// Whether colours are.
+    pub fn learn_colors(&self) -> bool {
+        self.sh_dc > 0.0 || self.sh_rest > 0.0
+    }
+
+    /// Groups of gradients that a step at these rates needs.
+    pub fn groups(&self) -> Wanted {
+        let geometry = if self.learn_geometry() { Wanted::POSITIONS | Wanted::SHAPES } else { Wanted::NONE };
+        if self.learn_colors() { geometry | Wanted::SH } else { geometry }
+    }
+
+    /// The rate of each SH coefficient.
+    pub fn sh(&self) -> [f64; SH_VALUES] {
+        std::array::from_fn(|k| if k < 3 { self.sh_dc } else { self.sh_rest })
+    }
 }
 
 /// Adam's constants for images of `values` values: with `quiet_values`, a Gaussian that the image hardly shows hardly
@@ -338,32 +373,32 @@ pub struct DiscAdam {
     /// The rates, which a schedule may change.
     pub rates: Rates,
     counter: StepCounter,
-    logits: Adam,
-    scales: Adam,
-    sh: Adam,
+    logits: RowAdam<3>,
+    scales: RowAdam<2>,
+    sh: RowAdam<SH_VALUES>,
 }
 
 impl DiscAdam {
     /// An optimiser with `rates`.
     pub fn new(rates: Rates, counter: StepCounter, constants: AdamConstants) -> Self {
-        let adam = || Adam::new(constants);
-        DiscAdam { rates, counter, logits: adam(), scales: adam(), sh: adam() }
+        let (logits, scales) = (RowAdam::new(constants), RowAdam::new(constants));
+        DiscAdam { rates, counter, logits, scales, sh: RowAdam::new(constants) }
     }
 
-    /// Zero moments for a patch of `discs` discs.
+    /// Zero moments for a patch of `discs` discs, in the groups that are learned.
     pub fn begin(&mut self, discs: usize) {
-        self.logits.begin(discs * 3, self.counter);
-        self.scales.begin(discs * 2, self.counter);
-        self.sh.begin(discs * SH_VALUES, self.counter);
+        if self.rates.learn_geometry() {
+            self.logits.begin(discs, self.counter);
+            self.scales.begin(discs, self.counter);
+        }
+        if self.rates.learn_colors() {
+            self.sh.begin(discs, self.counter);
+        }
     }
 
-    fn sh_step(&mut self, sh: &mut [f32], gradient: &[f32]) {
-        step_sh(&mut self.sh, self.rates, sh, gradient);
+    /// [`RowAdam::touched_rows_and_room`] of logits, scales, SH.
+    #[cfg(test)]
+    pub fn touched_rows_and_room(&self) -> [(usize, usize); 3] {
+        [self.logits.touched_rows_and_room(), self.scales.touched_rows_and_room(), self.sh.touched_rows_and_room()]
     }
-}
-
-/// One Adam step of SH, constant and linear coefficients at their own rates.
-pub fn step_sh(adam: &mut Adam, rates: Rates, sh: &mut [f32], gradient: &[f32]) {
-    let (dc, rest) = (rates.sh_dc as f32, rates.sh_rest as f32);
-    adam.step_by(sh, gradient, |i| if i % SH_VALUES < 3 { dc } else { rest });
 }

@@ -193,7 +193,7 @@ impl<'a> State<'a> {
     fn optimise(&mut self, frame: usize, view: &View, patch: &mut Patch, invisible: &[u32]) -> Result<()> {
         let s = self.settings;
         let image = self.observation.images[frame].to_unit();
-        let mut loss = Photometric::new(&image.data, image.width, image.height, 0.0, None);
+        let mut loss = Photometric::new(&image.data, image.width, image.height, 0.0, None).with_norm(s.norm());
         let iterations = super::scaled_iterations(s.iterations[usize::from(frame > 0)] as f64, self.scale);
         let sh_from = if frame > 0 { 0 } else { super::scaled_iterations(*s.sh_from_iteration as f64, self.scale) };
         let sh_rest = self.adam.rates.sh_rest;
@@ -222,7 +222,8 @@ impl<'a> State<'a> {
                 deformation.regularise(s, &mut by_control);
             }
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };
-            patch.step(&mut self.adam, self.rasterizer.gradients(), &local)?;
+            let visible = &self.rasterizer.rendered().visible;
+            patch.step(&mut self.adam, self.rasterizer.gradients(), visible, &local)?;
             let rate = *s.displacement_rate * factor;
             deformation.adam.step(rate, deformation.displacement.as_flattened_mut(), by_control.as_flattened());
         }

@@ -153,6 +153,7 @@ impl<'a> State<'a> {
                 Rates::new(&settings.appearance, super::rate_factor(scale)),
                 StepCounter::Kept,
                 AdamConstants::default(),
+                Learned::AllButScales,
             ),
             reach: Reach::new(&settings.visibility),
             image_gradient: Vec::new(),
@@ -212,7 +213,7 @@ impl<'a> State<'a> {
     ) -> Result<()> {
         let s = self.settings;
         let image = self.observation.images[frame].to_unit();
-        let mut loss = Photometric::new(&image.data, image.width, image.height, 0.0, None);
+        let mut loss = Photometric::new(&image.data, image.width, image.height, 0.0, None).with_norm(s.norm());
         let iterations = super::scaled_iterations(s.iterations[usize::from(frame > 0)] as f64, self.scale);
         let factor = super::rate_factor(self.scale);
         let sh_from = if frame > 0 { 0 } else { super::scaled_iterations(*s.sh_from_iteration as f64, self.scale) };
@@ -231,13 +232,14 @@ impl<'a> State<'a> {
             self.image_gradient.iter_mut().for_each(|g| *g *= *s.color_weight as f32);
             let gradient = ImageGradient { color: &self.image_gradient, ..ImageGradient::default() };
             let wanted = Wanted::POSITIONS | Wanted::SHAPES | Wanted::SH;
-            let gradients = self.rasterizer.backward(&patch.gaussians, &gradient, wanted)?;
+            self.rasterizer.backward(&patch.gaussians, &gradient, wanted)?;
+            let gradients = self.rasterizer.gradients();
             let by_points: Vec<[f32; 3]> = gradients.positions.iter().map(|g| g.map(|v| v * unit)).collect();
             field.pull_back(&by_points, &mut by_shift);
             field.pull_back(&gradients.rotations, &mut by_turn);
             self.anchors.regularise(s, invisible, &mut by_shift, &mut by_turn);
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };
-            patch.step(&mut self.adam, gradients, Learned::AllButScales);
+            patch.step(&mut self.adam, gradients, &self.rasterizer.rendered().visible);
             self.anchors.step(*s.displacement_rate * factor, &by_shift, &by_turn);
         }
         self.adam.rates.sh_rest = sh_rest;

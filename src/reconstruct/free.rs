@@ -7,9 +7,9 @@ use crate::base::TriangleMesh;
 use crate::base::random::{CounterRng, Stage};
 use crate::splat::{Gaussians, Gradients, Shape};
 
-use super::anchored::{Rates, SH_C0, SH_DEGREE, SH_VALUES, step_sh};
+use super::anchored::{Rates, SH_C0, SH_DEGREE, SH_VALUES};
 use super::neighbours;
-use super::optimiser::{Adam, AdamConstants, StepCounter};
+use super::optimiser::{AdamConstants, RowAdam, StepCounter};
 use super::settings::{Appearance, PerFace};
 
 /// All free Gaussians.
@@ -150,21 +150,30 @@ impl FreePatch {
         }
     }
 
-    /// One Adam step of the own parameters.
-    pub fn step(&mut self, adam: &mut FreeAdam, gradients: &Gradients<f32>, learned: Learned) {
+    /// One Adam step of the own parameters: of the groups that are learned, and of the Gaussians that `visible` names or an
+    /// earlier step of the frame has touched.
+    pub fn step(&mut self, adam: &mut FreeAdam, gradients: &Gradients<f32>, visible: &[bool]) {
         let rates = adam.rates;
-        adam.centres.step(rates.position, self.centres.as_flattened_mut(), gradients.positions.as_flattened());
-        adam.rotations.step(rates.rotation, self.rotations.as_flattened_mut(), gradients.rotations.as_flattened());
-        if learned == Learned::All {
+        if rates.position > 0.0 {
+            let (centres, by_centre) = (self.centres.as_flattened_mut(), gradients.positions.as_flattened());
+            adam.centres.step([rates.position; 3], centres, by_centre, visible);
+        }
+        if rates.rotation > 0.0 {
+            let (rotations, by_rotation) = (self.rotations.as_flattened_mut(), gradients.rotations.as_flattened());
+            adam.rotations.step([rates.rotation; 4], rotations, by_rotation, visible);
+        }
+        if rates.scale > 0.0 {
             let by_log: Vec<[f32; 3]> = gradients
                 .scales
                 .iter()
                 .zip(&self.log_scales)
                 .map(|(g, s)| [0, 1, 2].map(|k| g[k] * s[k].exp()))
                 .collect();
-            adam.scales.step(rates.scale, self.log_scales.as_flattened_mut(), by_log.as_flattened());
+            adam.scales.step([rates.scale; 3], self.log_scales.as_flattened_mut(), by_log.as_flattened(), visible);
         }
-        step_sh(&mut adam.sh, rates, &mut self.gaussians.sh, &gradients.sh);
+        if rates.learn_colors() {
+            adam.sh.step(rates.sh(), &mut self.gaussians.sh, &gradients.sh, visible);
+        }
     }
 }
 
@@ -173,24 +182,39 @@ pub struct FreeAdam {
     /// The rates.
     pub rates: Rates,
     counter: StepCounter,
-    centres: Adam,
-    rotations: Adam,
-    scales: Adam,
-    sh: Adam,
+    centres: RowAdam<3>,
+    rotations: RowAdam<4>,
+    scales: RowAdam<3>,
+    sh: RowAdam<SH_VALUES>,
 }
 
 impl FreeAdam {
-    /// An optimiser with `rates`.
-    pub fn new(rates: Rates, counter: StepCounter, constants: AdamConstants) -> Self {
-        let adam = || Adam::new(constants);
-        FreeAdam { rates, counter, centres: adam(), rotations: adam(), scales: adam(), sh: adam() }
+    /// An optimiser with `rates`; where `learned` leaves scales out, their rate is 0.
+    pub fn new(rates: Rates, counter: StepCounter, constants: AdamConstants, learned: Learned) -> Self {
+        FreeAdam {
+            rates: Rates { scale: if learned == Learned::All { rates.scale } else { 0.0 }, ..rates },
+            counter,
+            centres: RowAdam::new(constants),
+            rotations: RowAdam::new(constants),
+            scales: RowAdam::new(constants),
+            sh: RowAdam::new(constants),
+        }
     }
 
-    /// Zero moments for `n` Gaussians.
+    /// Zero moments for `n` Gaussians, in the groups that are learned.
     pub fn begin(&mut self, n: usize) {
-        self.centres.begin(n * 3, self.counter);
-        self.rotations.begin(n * 4, self.counter);
-        self.scales.begin(n * 3, self.counter);
-        self.sh.begin(n * SH_VALUES, self.counter);
+        let rates = self.rates;
+        if rates.position > 0.0 {
+            self.centres.begin(n, self.counter);
+        }
+        if rates.rotation > 0.0 {
+            self.rotations.begin(n, self.counter);
+        }
+        if rates.scale > 0.0 {
+            self.scales.begin(n, self.counter);
+        }
+        if rates.learn_colors() {
+            self.sh.begin(n, self.counter);
+        }
     }
 }

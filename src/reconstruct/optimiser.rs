@@ -4,6 +4,14 @@
 //! rows only, and they start at zero with every frame, as the released BridgeSplat does ("moments zeroed, step counter
 //! kept"). Whether the step counter is kept too is [`StepCounter`]: with a kept counter the bias correction is gone
 //! and the first steps after zeroing are up to 3.2 times as long.
+//!
+//! [`RowAdam`] is the same for one row of values per Gaussian, and touches only rows that some render of the frame has
+//! shown: a row without a gradient so far has zero moments and a step of exactly zero, so that leaving it alone is no
+//! approximation. One pass over moments, parameters and gradients (which the rasteriser writes anew, so that nobody has to
+//! clear them), without a branch inside, so that the compiler uses vectors; values do not depend on each other, so
+//! that any number of threads gives the same bytes.
+
+use rayon::prelude::*;
 
 /// Constants of Adam.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,6 +37,61 @@ pub enum StepCounter {
     Kept,
     /// It starts again, so that the bias correction is right for the zeroed moments.
     Restarted,
+}
+
+/// The numbers of one step.
+#[derive(Clone, Copy)]
+struct Rule {
+    keep: [f32; 2],
+    add: [f32; 2],
+    unbias: [f32; 2],
+    epsilon: f32,
+}
+
+impl Rule {
+    /// Of step number `steps`, counted from 1.
+    fn new(constants: AdamConstants, steps: u64) -> Self {
+        let steps = steps.min(i32::MAX as u64) as i32;
+        let betas = [constants.beta1, constants.beta2];
+        Rule {
+            keep: betas.map(|b| b as f32),
+            add: betas.map(|b| (1.0 - b) as f32),
+            unbias: betas.map(|b| (1.0 / (1.0 - b.powi(steps))) as f32),
+            epsilon: constants.epsilon as f32,
+        }
+    }
+
+    /// One value. A gradient that is not finite changes nothing.
+    #[inline(always)]
+    fn apply(&self, rate: f32, parameter: &mut f32, g: f32, first: &mut f32, second: &mut f32) {
+        let m = self.keep[0] * *first + self.add[0] * g;
+        let v = self.keep[1] * *second + self.add[1] * g * g;
+        let root = (v * self.unbias[1]).sqrt() + self.epsilon;
+        // A zero gradient from the start leaves both moments zero: no step, rather than 0 / eps.
+        let root = if root > f32::MIN_POSITIVE { root } else { f32::MIN_POSITIVE };
+        let moved = *parameter - rate * (m * self.unbias[0]) / root;
+        let finite = g - g == 0.0;
+        *first = if finite { m } else { *first };
+        *second = if finite { v } else { *second };
+        *parameter = if finite { moved } else { *parameter };
+    }
+
+    /// Many values, all slices as long as `parameters`.
+    #[inline(always)]
+    fn apply_all(
+        &self,
+        rates: &[f32],
+        parameters: &mut [f32],
+        gradient: &[f32],
+        first: &mut [f32],
+        second: &mut [f32],
+    ) {
+        let n = parameters.len();
+        let (rates, gradient, first, second) = (&rates[..n], &gradient[..n], &mut first[..n], &mut second[..n]);
+        for i in 0..n {
+            self.apply(rates[i], &mut parameters[i], gradient[i], &mut first[i], &mut second[i]);
+        }
+    }
 }
 
 /// Adam's state for one group of parameters.
@@ -59,29 +122,94 @@ impl Adam {
 
     /// One step against `gradient` at learning rate `rate`. Values whose gradient is not finite stay as they are.
     pub fn step(&mut self, rate: f64, parameters: &mut [f32], gradient: &[f32]) {
-        self.step_by(parameters, gradient, |_| rate as f32);
-    }
-
-    /// [`Adam::step`] with a learning rate that depends on the index of the value.
-    pub fn step_by(&mut self, parameters: &mut [f32], gradient: &[f32], rate: impl Fn(usize) -> f32) {
         assert!(parameters.len() == gradient.len() && gradient.len() == self.first.len(), "group sizes differ");
         self.steps += 1;
-        let AdamConstants { beta1, beta2, epsilon } = self.constants;
-        let steps = self.steps.min(i32::MAX as u64) as i32;
-        let unbias1 = (1.0 / (1.0 - beta1.powi(steps))) as f32;
-        let unbias2 = (1.0 / (1.0 - beta2.powi(steps))) as f32;
-        let (b1, b2, eps) = (beta1 as f32, beta2 as f32, epsilon as f32);
-        let (new1, new2) = ((1.0 - beta1) as f32, (1.0 - beta2) as f32);
+        let rule = Rule::new(self.constants, self.steps);
         let moments = self.first.iter_mut().zip(self.second.iter_mut());
-        for (i, ((p, &g), (m, v))) in parameters.iter_mut().zip(gradient).zip(moments).enumerate() {
-            if !g.is_finite() {
-                continue;
-            }
-            *m = b1 * *m + new1 * g;
-            *v = b2 * *v + new2 * g * g;
-            // A zero gradient from the start leaves both moments zero: no step, rather than 0 / eps.
-            *p -= rate(i) * (*m * unbias1) / ((*v * unbias2).sqrt() + eps).max(f32::MIN_POSITIVE);
+        for ((parameter, &g), (first, second)) in parameters.iter_mut().zip(gradient).zip(moments) {
+            rule.apply(rate as f32, parameter, g, first, second);
         }
+    }
+}
+
+/// Rows per task.
+const ROWS: usize = 512;
+/// Rows that one table of rates serves.
+const RUN: usize = 64;
+
+/// Adam's state for rows of `K` values, one row per Gaussian.
+#[derive(Clone, Debug)]
+pub struct RowAdam<const K: usize> {
+    constants: AdamConstants,
+    steps: u64,
+    first: Vec<f32>,
+    second: Vec<f32>,
+    /// Rows that a step has touched since [`RowAdam::begin`]; the moments of the others mean nothing.
+    touched: Vec<bool>,
+}
+
+impl<const K: usize> RowAdam<K> {
+    /// No rows yet; [`RowAdam::begin`] makes room.
+    pub fn new(constants: AdamConstants) -> Self {
+        RowAdam { constants, steps: 0, first: Vec::new(), second: Vec::new(), touched: Vec::new() }
+    }
+
+    /// Zero moments for `rows` rows: they are written when a row is first seen.
+    pub fn begin(&mut self, rows: usize, counter: StepCounter) {
+        if self.first.len() < rows * K {
+            // Pages of zeros that the system maps when they are first written.
+            self.first = vec![0.0; rows * K];
+            self.second = vec![0.0; rows * K];
+        }
+        self.touched.clear();
+        self.touched.resize(rows, false);
+        if counter == StepCounter::Restarted {
+            self.steps = 0;
+        }
+    }
+
+    /// How many rows the steps since [`RowAdam::begin`] have touched, and how many numbers of moments there is room for.
+    pub fn touched_rows_and_room(&self) -> (usize, usize) {
+        (self.touched.iter().filter(|t| **t).count(), self.first.len() + self.second.len())
+    }
+
+    /// One step of every row that `visible` names or an earlier step has touched, value `k` of a row at rate `rates[k]`.
+    /// `parameters` and `gradient` hold `K` values a row. Values whose gradient is not finite stay as they are.
+    pub fn step(&mut self, rates: [f64; K], parameters: &mut [f32], gradient: &[f32], visible: &[bool]) {
+        let rows = self.touched.len();
+        let sizes = [parameters.len(), gradient.len(), visible.len() * K];
+        assert!(sizes == [rows * K; 3], "group sizes differ");
+        self.steps += 1;
+        let rule = Rule::new(self.constants, self.steps);
+        let rates: Vec<f32> = rates.iter().map(|&r| r as f32).cycle().take(RUN * K).collect();
+        let moments = self.first[..rows * K].par_chunks_mut(ROWS * K).zip(self.second.par_chunks_mut(ROWS * K));
+        let values = parameters.par_chunks_mut(ROWS * K).zip(gradient.par_chunks(ROWS * K));
+        let flags = self.touched.par_chunks_mut(ROWS).zip(visible.par_chunks(ROWS));
+        moments.zip(values).zip(flags).for_each(|(((first, second), (parameters, gradient)), (touched, visible))| {
+            let mut row = 0;
+            while row < touched.len() {
+                let start = row;
+                while row < touched.len() && row - start < RUN && (touched[row] || visible[row]) {
+                    if !touched[row] {
+                        touched[row] = true;
+                        first[row * K..(row + 1) * K].fill(0.0);
+                        second[row * K..(row + 1) * K].fill(0.0);
+                    }
+                    row += 1;
+                }
+                let run = start * K..row * K;
+                rule.apply_all(
+                    &rates,
+                    &mut parameters[run.clone()],
+                    &gradient[run.clone()],
+                    &mut first[run.clone()],
+                    &mut second[run],
+                );
+                if row == start {
+                    row += 1;
+                }
+            }
+        });
     }
 }
 
@@ -126,5 +254,72 @@ mod tests {
         let mut x = [3.0f32, 4.0];
         adam.step(1.0, &mut x, &[0.0, f32::NAN]);
         assert_eq!(x, [3.0, 4.0]);
+    }
+
+    use crate::base::random::{CounterRng, Stage};
+
+    /// Gradients of rows that come into view and leave it.
+    fn frames(rows: usize) -> Vec<(Vec<bool>, Vec<f32>)> {
+        let mut r = CounterRng::new(5, Stage::Test, &[]);
+        (0..25)
+            .map(|frame| {
+                let visible: Vec<bool> = (0..rows).map(|k| k % 7 != 3 && (k / 90 + frame) % 5 != 0).collect();
+                let gradient = (0..rows * 12).map(|i| if visible[i / 12] { r.normal() as f32 } else { 0.0 }).collect();
+                (visible, gradient)
+            })
+            .collect()
+    }
+
+    fn fit_rows(rows: usize, threads: usize) -> (Vec<f32>, RowAdam<12>) {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut adam = RowAdam::<12>::new(AdamConstants::default());
+        let mut x: Vec<f32> = (0..rows * 12).map(|i| i as f32 * 1e-3).collect();
+        adam.begin(rows, StepCounter::Restarted);
+        // What is left of another frame must not matter.
+        adam.first.fill(7.0);
+        adam.second.fill(7.0);
+        let rates = std::array::from_fn(|k| if k < 3 { 0.01 } else { 0.002 });
+        pool.install(|| frames(rows).iter().for_each(|(visible, g)| adam.step(rates, &mut x, g, visible)));
+        (x, adam)
+    }
+
+    #[test]
+    fn rows_step_as_the_whole_does_and_what_no_frame_shows_is_not_touched() {
+        let rows = 1500;
+        let (x, adam) = fit_rows(rows, 1);
+        let mut whole = [Adam::new(AdamConstants::default()), Adam::new(AdamConstants::default())];
+        whole.iter_mut().for_each(|adam| adam.begin(rows * 12, StepCounter::Restarted));
+        let mut y: [Vec<f32>; 2] = std::array::from_fn(|_| (0..rows * 12).map(|i| i as f32 * 1e-3).collect());
+        for (_, g) in &frames(rows) {
+            whole.iter_mut().zip(&mut y).zip([0.01, 0.002]).for_each(|((adam, y), rate)| adam.step(rate, y, g));
+        }
+        for (i, value) in x.iter().enumerate() {
+            assert_eq!(value.to_bits(), y[usize::from(i % 12 >= 3)][i].to_bits(), "value {i}");
+        }
+        let hidden = (0..rows).filter(|k| k % 7 == 3);
+        assert_eq!(adam.touched_rows_and_room(), (rows - hidden.clone().count(), 2 * rows * 12));
+        for k in hidden {
+            assert!(adam.first[k * 12..][..12].iter().chain(&adam.second[k * 12..][..12]).all(|v| *v == 7.0));
+        }
+    }
+
+    #[test]
+    fn rows_are_the_same_bytes_for_any_number_of_threads() {
+        let one = fit_rows(1500, 1).0;
+        for threads in [2, 8] {
+            assert!(fit_rows(1500, threads).0.iter().zip(&one).all(|(a, b)| a.to_bits() == b.to_bits()));
+        }
+    }
+
+    #[test]
+    fn rows_with_a_gradient_that_is_not_finite_stay() {
+        let mut adam = RowAdam::<2>::new(AdamConstants { epsilon: 0.0, ..AdamConstants::default() });
+        adam.begin(3, StepCounter::Restarted);
+        let mut x = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+        adam.step([1.0; 2], &mut x, &[0.0, f32::NAN, f32::INFINITY, 1.0, f32::NEG_INFINITY, 0.0], &[true; 3]);
+        assert_eq!(x, [1.0, 2.0, 3.0, 3.0, 5.0, 6.0]);
+        // Nothing of the refused gradients is remembered.
+        adam.step([1.0; 2], &mut x, &[0.0; 6], &[true; 3]);
+        assert_eq!((x[1], x[2], x[4]), (2.0, 3.0, 5.0));
     }
 }

@@ -193,12 +193,12 @@ impl Carried for OnMesh {
     }
 
     fn appearance_groups(&self) -> Wanted {
-        Wanted::POSITIONS | Wanted::SHAPES | Wanted::SH
+        self.adam.rates.groups()
     }
 
-    fn step_appearance(&mut self, gradients: &Gradients<f32>) -> Result<()> {
+    fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()> {
         let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
-        seen.patch.step(&mut self.adam, gradients, &seen.vertices)
+        seen.patch.step(&mut self.adam, gradients, visible, &seen.vertices)
     }
 
     fn leave(&mut self) {

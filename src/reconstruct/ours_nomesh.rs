@@ -101,6 +101,7 @@ impl InField {
                 Rates::new(&settings.appearance, super::rate_factor(iteration_scale)),
                 StepCounter::Restarted,
                 adam_constants(&settings.appearance, observation.images[0].data.len()),
+                Learned::All,
             ),
             patch: None,
             local: Vec::new(),
@@ -164,12 +165,12 @@ impl Carried for InField {
     }
 
     fn appearance_groups(&self) -> Wanted {
-        Wanted::POSITIONS | Wanted::SHAPES | Wanted::SH
+        self.adam.rates.groups()
     }
 
-    fn step_appearance(&mut self, gradients: &Gradients<f32>) -> Result<()> {
+    fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()> {
         let patch = self.patch.as_mut().expect("a frame is entered before it is worked on");
-        patch.step(&mut self.adam, gradients, Learned::All);
+        patch.step(&mut self.adam, gradients, visible);
         Ok(())
     }
 

@@ -9,7 +9,7 @@
 use glam::Vec3;
 
 use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
-use crate::splat::{DepthOutput, Gaussians, Gradients, ImageGradient, Rasterizer, Settings, View, Wanted};
+use crate::splat::{DepthOutput, Gaussians, Gradients, ImageGradient, Rasterizer, Reuse, Settings, View, Wanted};
 
 use super::anchored::{SH_C0, SH_VALUES};
 use super::loss::photometric::Photometric;
@@ -43,8 +43,8 @@ pub trait Carried {
     fn begin_appearance(&mut self);
     /// Groups that [`Carried::step_appearance`] needs.
     fn appearance_groups(&self) -> Wanted;
-    /// One optimiser step of appearance.
-    fn step_appearance(&mut self, gradients: &Gradients<f32>) -> Result<()>;
+    /// One optimiser step of appearance of what is `visible` (one flag per Gaussian of the compact copy).
+    fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()>;
     /// Takes the compact copy back.
     fn leave(&mut self);
 }
@@ -168,7 +168,8 @@ impl Fitter<'_> {
         };
         // From here on the frame's image may be looked at.
         let image = self.observation.images[frame].to_unit();
-        let mut loss = Photometric::new(&image.data, width, height, *self.settings.ssim_weight, None);
+        let mut loss = Photometric::new(&image.data, width, height, *self.settings.ssim_weight, None)
+            .with_norm(self.settings.norm());
         if frame > 0 {
             if estimated {
                 phase = self.measure_phase(&view, carried, &mut loss, &image, phase, frame)?;
@@ -443,21 +444,25 @@ impl Fitter<'_> {
         adam.begin(1, StepCounter::Restarted);
         carried.begin_appearance();
         let mut theta = [self.activation.theta(start) as f32];
+        // While only colours are learned, splats and lists are those of the first iteration.
+        let still = !groups.any(Wanted::POSITIONS | Wanted::SHAPES);
+        self.rasterizer.reuse(if still { Reuse::Unchanged } else { Reuse::Never });
         for i in 0..alone + joint {
             self.evaluate(view, carried, loss)?;
-            self.backward(carried, groups)?;
             let moves = move_theta && i >= alone;
+            self.backward(carried, if moves { groups | self.phase_groups() } else { groups })?;
             if moves {
                 let rate = geometric(*self.settings.theta_rate_joint, i - alone, joint);
                 self.step_theta(view, carried, &mut adam, &mut theta, rate)?;
             }
-            carried.step_appearance(self.rasterizer.gradients())?;
+            carried.step_appearance(self.rasterizer.gradients(), &self.rasterizer.rendered().visible)?;
             if moves {
                 self.place(view, carried, self.activation.phase(theta[0] as f64))?;
-            } else {
+            } else if !still {
                 carried.place(start)?;
             }
         }
+        self.rasterizer.reuse(Reuse::Never);
         Ok(if move_theta { self.activation.phase(theta[0] as f64) } else { start })
     }
 }

@@ -5,6 +5,8 @@ use std::ops::Deref;
 
 use serde::{Deserialize, Serialize};
 
+use super::loss::norm::Norm;
+
 /// Where a number comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Source {
@@ -176,6 +178,9 @@ pub struct PhaseMethod {
     pub first_frame_factor: Sourced<f64>,
     /// w_c of Eq. 4.
     pub color_weight: Sourced<f64>,
+    /// What a difference costs in the first part of Eq. 4; L1 as published where nothing is said.
+    #[serde(default)]
+    pub color_norm: Option<Sourced<Norm>>,
     /// w_s of Eq. 4.
     pub ssim_weight: Sourced<f64>,
     /// w_t of Eq. 4.
@@ -208,6 +213,13 @@ pub struct PhaseMethod {
     pub appearance: Appearance,
     /// What is left out.
     pub visibility: Visibility,
+}
+
+impl PhaseMethod {
+    /// The norm of the photometric loss.
+    pub fn norm(&self) -> Norm {
+        self.color_norm.as_ref().map_or(Norm::L1, |n| **n)
+    }
 }
 
 /// What a white sheet shows of a scope.
@@ -293,6 +305,9 @@ pub struct BridgeMethod {
     pub unit_mm: Sourced<f64>,
     /// Weight of the masked L1.
     pub color_weight: Sourced<f64>,
+    /// What a difference costs in its place; L1 as published where nothing is said.
+    #[serde(default)]
+    pub color_norm: Option<Sourced<Norm>>,
     /// Weight of the ARAP sum (mesh only).
     pub arap_weight: Sourced<f64>,
     /// Weight of the displacement of what is not visible.
@@ -315,6 +330,13 @@ pub struct BridgeMethod {
     pub appearance: Appearance,
     /// What is left out.
     pub visibility: Visibility,
+}
+
+impl BridgeMethod {
+    /// The norm of the photometric loss.
+    pub fn norm(&self) -> Norm {
+        self.color_norm.as_ref().map_or(Norm::L1, |n| **n)
+    }
 }
 
 /// Which objective of BridgeSplat.

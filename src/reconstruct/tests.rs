@@ -3,15 +3,16 @@
 use glam::{DAffine3, DVec3};
 
 use super::active::{Reach, Sides, visible_faces};
-use super::anchored::{SH_VALUES, Start, Surface, to_f32};
+use super::anchored::{DiscAdam, Rates, SH_VALUES, Start, Surface, to_f32};
 use super::free::Free;
+use super::optimiser::{AdamConstants, StepCounter};
 use super::settings::PhaseMethod;
 use super::*;
 use crate::base::camera::world_from_camera_looking;
 use crate::base::image::codes_from_unit;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{NoProgress, files, mesh};
-use crate::splat::{DepthOutput, Frame, Rasterizer, Settings, View};
+use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Settings, View, Wanted};
 
 /// A tube along +z, normals inwards, closed at the far end by its narrowing.
 fn tube(rings: usize, around: usize, length_mm: f64) -> TriangleMesh {
@@ -263,4 +264,65 @@ fn a_face_that_comes_near_gets_more_discs_and_looks_as_before() {
     let covered = |r: &Rendered<f32>| r.alpha.iter().sum::<f32>() / r.alpha.len() as f32;
     assert!(apart / (before.color.len() as f32) < 0.02, "{}", apart / before.color.len() as f32);
     assert!(covered(&after) > covered(&before) - 0.01, "{} {}", covered(&after), covered(&before));
+}
+
+/// Groups that are not learned: no gradients, no moments, not one number changed; of the others, only discs in sight.
+#[test]
+fn frozen_groups_have_no_gradients_and_no_moments() {
+    let inspiration = tube(24, 24, 60.0);
+    let mut settings = shipped("ours").appearance;
+    settings.gaussian_budget.value = 3000;
+    settings.position_rate.value = 0.0;
+    settings.scale_rate.value = 0.0;
+    let surface = Surface::new(&inspiration, &settings, Frame::InheritStretch, Start::Even, 5);
+    let faces: Vec<u32> = (0..inspiration.faces.len() as u32).collect();
+    let vertices = to_f32(&inspiration.vertices);
+    let mut patch = surface.patch(&faces).unwrap();
+    let local = patch.pick(&vertices);
+    patch.place(&local).unwrap();
+    let pose = world_from_camera_looking(DVec3::new(0.5, 0.3, 30.0), DVec3::Z, DVec3::Y);
+    let view = View::new(Camera::pinhole(64, 64, 1.6), pose);
+    let mut rasterizer = Rasterizer::new();
+    let flags = rasterizer.render(&patch.gaussians, &view, &Settings::default(), None).unwrap().visible.clone();
+    let seen = flags.iter().filter(|v| **v).count();
+    assert!(seen > 100 && seen < flags.len() - 100, "{seen} of {}", flags.len());
+
+    let rates = Rates::new(&settings, 1.0);
+    assert_eq!(rates.groups(), Wanted::SH);
+    let mut adam = DiscAdam::new(rates, StepCounter::Restarted, AdamConstants::default());
+    adam.begin(patch.discs.len());
+    let before = patch.gaussians.clone();
+    let weights = vec![1.0; 3 * 64 * 64];
+    let image = ImageGradient { color: &weights, ..ImageGradient::default() };
+    let gradients = rasterizer.backward(&patch.gaussians, &image, rates.groups()).unwrap();
+    let geometry = [gradients.positions.capacity(), gradients.axes.capacity(), gradients.opacities.capacity()];
+    assert_eq!(geometry, [0; 3], "room for gradients that nobody wanted");
+    patch.step(&mut adam, gradients, &flags, &local).unwrap();
+    patch.place(&local).unwrap();
+    assert_eq!(adam.touched_rows_and_room(), [(0, 0), (0, 0), (seen, 2 * patch.discs.len() * SH_VALUES)]);
+    assert_eq!((&patch.gaussians.positions, &patch.gaussians.shape), (&before.positions, &before.shape));
+    for (k, seen) in flags.iter().enumerate() {
+        let [now, was] = [&patch.gaussians.sh, &before.sh].map(|sh| &sh[k * SH_VALUES..][..SH_VALUES]);
+        assert!(*seen || now == was, "disc {k} is out of sight and has changed");
+    }
+    assert_ne!(patch.gaussians.sh, before.sh);
+}
+
+/// The same method with fixed places and sizes (a setting of its file): splats and lists are kept while colours are learned.
+#[test]
+fn ours_tracks_with_frozen_geometry() {
+    let observation = world(Made::Discs, 8, 64, |t| 0.3 + 0.03 * t as f64);
+    let mut settings = shipped("ours");
+    settings.appearance.gaussian_budget.value = 7000;
+    settings.appearance.position_rate.value = 0.0;
+    settings.appearance.scale_rate.value = 0.0;
+    let mut phases = Vec::new();
+    let mut keep = |p: FramePrediction| {
+        phases.push(p.phase.unwrap());
+        Ok(())
+    };
+    Ours::new(settings, Row::Ours, 1.0).run(&observation, &mut keep, &NoProgress).unwrap();
+    let truth = observation.true_phase.unwrap();
+    let error = phases.iter().zip(&truth).map(|(a, b)| (a - b).abs()).sum::<f64>() / truth.len() as f64;
+    assert!(error < 0.03, "phase error {error}");
 }

@@ -1,5 +1,5 @@
 //! Photometric loss between a rendering and an image: `(1 - w_s) L1 + w_s (1 - SSIM)` (first part of the paper's
-//! Eq. 4), with its gradient by the rendering.
+//! Eq. 4), with its gradient by the rendering; a robust norm may stand in the place of L1 ([`Norm`]).
 //!
 //! SSIM after Wang et al. 2004 as all the Gaussian-splatting code bases compute it: 11x11 Gaussian window, sigma 1.5,
 //! each channel on its own, zero padding, K1 = .01, K2 = .03, range [0, 1], mean over pixels and channels. With blurs
@@ -13,6 +13,8 @@ use rayon::prelude::*;
 
 use crate::ffi::loss::{self as native, LossImage};
 use crate::ffi::splat::Isa;
+
+use super::norm::Norm;
 
 const RADIUS: usize = 5;
 const C1: f32 = 0.01 * 0.01;
@@ -33,20 +35,32 @@ pub trait Scalar:
     + std::ops::Div<Output = Self>
     + std::ops::AddAssign
 {
+    /// Square root.
+    fn root(self) -> Self;
+
     /// Loss and gradient with vectorised code; `None` when there is none for this type.
     fn evaluate(_prepared: &Photometric<Self>, _rendered: &[Self], _gradient: &mut [Self]) -> Option<f64> {
         None
     }
 }
 
-impl Scalar for f64 {}
+impl Scalar for f64 {
+    fn root(self) -> Self {
+        self.sqrt()
+    }
+}
 
 impl Scalar for f32 {
+    fn root(self) -> Self {
+        self.sqrt()
+    }
+
     fn evaluate(prepared: &Photometric<f32>, rendered: &[f32], gradient: &mut [f32]) -> Option<f64> {
         let isa = Isa::widest();
         let (width, height) = (prepared.width, prepared.height);
         let [target, mean, square] = &prepared.planes;
         let window = kernel::<f32>();
+        let (norm, softness) = prepared.norm.code();
         let image = LossImage {
             width,
             height,
@@ -56,6 +70,8 @@ impl Scalar for f32 {
             mask: prepared.mask.as_deref().unwrap_or_default(),
             window: &window,
             ssim_weight: prepared.ssim_weight,
+            norm,
+            softness,
         };
         let bands = gradient.par_chunks_mut(3 * width * BAND).enumerate();
         let losses: Vec<f64> =
@@ -72,6 +88,7 @@ pub struct Photometric<T> {
     width: usize,
     height: usize,
     ssim_weight: T,
+    norm: Norm,
     /// Weights per pixel divided by their sum; `None` is uniform.
     mask: Option<Vec<T>>,
     channels: [Channel<T>; 3],
@@ -162,7 +179,13 @@ impl<T: Scalar> Photometric<T> {
         });
         let all = |of: fn(&Channel<T>) -> &Vec<T>| channels.iter().flat_map(|c| of(c).iter().copied()).collect();
         let planes = [all(|c| &c.target), all(|c| &c.mean), all(|c| &c.square)];
-        Photometric { width, height, ssim_weight: T::from(ssim_weight as f32), mask, channels, planes }
+        let (ssim_weight, norm) = (T::from(ssim_weight as f32), Norm::L1);
+        Photometric { width, height, ssim_weight, norm, mask, channels, planes }
+    }
+
+    /// The same with `norm` in the place of L1; it must be valid.
+    pub fn with_norm(self, norm: Norm) -> Self {
+        Photometric { norm, ..self }
     }
 
     /// Loss of `rendered` (`height * width * 3`); its gradient is written to `gradient`.
@@ -173,7 +196,7 @@ impl<T: Scalar> Photometric<T> {
     /// The plain twin of the vectorised code.
     fn evaluate_plainly(&mut self, rendered: &[T], gradient: &mut [T]) -> f64 {
         let (width, height) = (self.width, self.height);
-        let (ssim_weight, mask) = (self.ssim_weight, self.mask.as_deref());
+        let (ssim_weight, norm, mask) = (self.ssim_weight, self.norm, self.mask.as_deref());
         let losses: Vec<f64> = self
             .channels
             .par_iter_mut()
@@ -182,7 +205,7 @@ impl<T: Scalar> Photometric<T> {
                 for (s, v) in channel.source.iter_mut().zip(rendered.iter().skip(c).step_by(3)) {
                     *s = *v;
                 }
-                channel.evaluate(width, height, ssim_weight, mask)
+                channel.evaluate(width, height, ssim_weight, norm, mask)
             })
             .collect();
         for (c, channel) in self.channels.iter().enumerate() {
@@ -196,7 +219,7 @@ impl<T: Scalar> Photometric<T> {
 
 impl<T: Scalar> Channel<T> {
     /// This channel's share of the loss; fills `gradient`.
-    fn evaluate(&mut self, width: usize, height: usize, ssim_weight: T, mask: Option<&[T]>) -> f64 {
+    fn evaluate(&mut self, width: usize, height: usize, ssim_weight: T, norm: Norm, mask: Option<&[T]>) -> f64 {
         let n = width * height;
         let (zero, one) = (T::default(), T::from(1.0));
         let uniform = one / T::from(3.0 * n as f32);
@@ -207,17 +230,10 @@ impl<T: Scalar> Channel<T> {
         for y in 0..height {
             let mut sum = zero;
             for i in y * width..(y + 1) * width {
-                let d = self.source[i] - self.target[i];
+                let (cost, slope) = norm.at(self.source[i] - self.target[i]);
                 let w = weight(i) * l1_weight;
-                let sign = if d > zero {
-                    w
-                } else if d < zero {
-                    zero - w
-                } else {
-                    zero
-                };
-                self.gradient[i] = sign;
-                sum += sign * d;
+                self.gradient[i] = w * slope;
+                sum += w * cost;
             }
             l1 += sum.into();
         }
@@ -326,12 +342,15 @@ mod tests {
     }
 
     #[test]
-    fn gradient_equals_central_differences_with_and_without_mask() {
+    fn gradient_equals_central_differences_for_every_norm_with_and_without_mask() {
         let (w, h) = (14, 12);
         let (mut x, y) = (noise(w * h * 3, 3), noise(w * h * 3, 4));
         let weights = noise(w * h, 5);
-        for mask in [None, Some(&weights[..])] {
-            let mut loss = Photometric::new(&y, w, h, 0.6, mask);
+        let masks = [None, Some(&weights[..])];
+        // Half of the differences on either side of where Huber's norm becomes linear.
+        let norms = [Norm::L1, Norm::Charbonnier(0.1), Norm::Huber(0.3)];
+        for (mask, norm) in masks.into_iter().flat_map(|m| norms.map(|n| (m, n))) {
+            let mut loss = Photometric::new(&y, w, h, 0.6, mask).with_norm(norm);
             let mut gradient = vec![0.0; x.len()];
             let mut unused = vec![0.0; x.len()];
             loss.evaluate(&x, &mut gradient);
@@ -356,13 +375,15 @@ mod tests {
             let (x, y) = (single(noise(w * h * 3, 6)), single(noise(w * h * 3, 7)));
             let weights = single(noise(w * h, 8));
             for mask in [None, Some(&weights[..])] {
-                let mut loss = Photometric::new(&y, w, h, ssim_weight, mask);
-                let (mut fast, mut plain) = (vec![0.0; x.len()], vec![0.0; x.len()]);
-                let (a, b) = (loss.evaluate(&x, &mut fast), loss.evaluate_plainly(&x, &mut plain));
-                assert!((a - b).abs() < 1e-5 * b.abs(), "{a} {b}");
-                let largest = plain.iter().fold(0.0f32, |m, v| m.max(v.abs()));
-                let worst = fast.iter().zip(&plain).map(|(f, p)| (f - p).abs()).fold(0.0, f32::max);
-                assert!(worst < 1e-4 * largest, "{w}x{h}: {worst} of {largest}");
+                for norm in [Norm::L1, Norm::Charbonnier(0.05), Norm::Huber(0.2)] {
+                    let mut loss = Photometric::new(&y, w, h, ssim_weight, mask).with_norm(norm);
+                    let (mut fast, mut plain) = (vec![0.0; x.len()], vec![0.0; x.len()]);
+                    let (a, b) = (loss.evaluate(&x, &mut fast), loss.evaluate_plainly(&x, &mut plain));
+                    assert!((a - b).abs() < 1e-5 * b.abs(), "{a} {b}");
+                    let largest = plain.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+                    let worst = fast.iter().zip(&plain).map(|(f, p)| (f - p).abs()).fold(0.0, f32::max);
+                    assert!(worst < 1e-4 * largest, "{w}x{h} {norm:?}: {worst} of {largest}");
+                }
             }
         }
     }
@@ -372,9 +393,11 @@ mod tests {
         let (w, h) = (20, 20);
         let mut gradient = vec![0.0f32; w * h * 3];
         for (a, b) in [(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)] {
-            let mut loss = Photometric::new(&vec![a; w * h * 3], w, h, 0.5, None);
-            assert!(loss.evaluate(&vec![b; w * h * 3], &mut gradient).is_finite());
-            assert!(gradient.iter().all(|g| g.is_finite()));
+            for norm in [Norm::L1, Norm::Charbonnier(1e-3), Norm::Huber(1e-3)] {
+                let mut loss = Photometric::new(&vec![a; w * h * 3], w, h, 0.5, None).with_norm(norm);
+                assert!(loss.evaluate(&vec![b; w * h * 3], &mut gradient).is_finite());
+                assert!(gradient.iter().all(|g| g.is_finite()));
+            }
         }
     }
 }
