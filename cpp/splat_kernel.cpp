@@ -63,41 +63,12 @@ struct Alphas {
 alignas(64) const float COLUMN[16] = {.5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5};
 alignas(64) const float LINE[16] = {.5, .5, .5, .5, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5, 2.5, 2.5, 3.5, 3.5, 3.5, 3.5};
 
-// Blocks whose pixel centres the ellipse can reach: the x-extent of the ellipse over each band of 4 pixel rows, the
-// four bands side by side in one vector, against the four columns of blocks.
-[[maybe_unused]] inline std::uint32_t block_mask(const float* q, float tile_x, float tile_y) {
-  const __m128 zero = _mm_setzero_ps();
-  const float slack = 1e-3f + 1e-5f * (q[HALF_WIDTH] + q[HALF_HEIGHT]);
-  const float hy = q[HALF_HEIGHT] + slack;
-  const __m128 y0 = _mm_add_ps(_mm_setr_ps(0.5f, 4.5f, 8.5f, 12.5f), _mm_set1_ps(tile_y - q[Y]));
-  const __m128 y1 = _mm_add_ps(y0, _mm_set1_ps(3.0f));
-  const __m128 lo = _mm_max_ps(y0, _mm_set1_ps(-hy)), hi = _mm_min_ps(y1, _mm_set1_ps(hy));
-  const __m128 inside = _mm_cmple_ps(lo, hi);
-  // The ellipse is widest to the right at y = -B half_width / (2 C), to the left at the opposite point.
-  const float widest = q[WIDEST];
-  const __m128 y_right = _mm_min_ps(_mm_max_ps(_mm_set1_ps(widest), lo), hi);
-  const __m128 y_left = _mm_min_ps(_mm_max_ps(_mm_set1_ps(-widest), lo), hi);
-  const __m128 d = _mm_set1_ps(q[DISCRIMINANT]), k = _mm_set1_ps(-q[DISCRIMINANT] * q[HALF_HEIGHT] * q[HALF_HEIGHT]);
-  const __m128 b = _mm_set1_ps(-q[B]), scale = _mm_set1_ps(0.5f / q[A]);
-  auto root = [&](__m128 y) { return _mm_sqrt_ps(_mm_max_ps(_mm_add_ps(_mm_mul_ps(_mm_mul_ps(d, y), y), k), zero)); };
-  const float offset = q[X] - tile_x - 0.5f;
-  __m128 right = _mm_mul_ps(scale, _mm_add_ps(_mm_mul_ps(b, y_right), root(y_right)));
-  __m128 left = _mm_mul_ps(scale, _mm_sub_ps(_mm_mul_ps(b, y_left), root(y_left)));
-  right = _mm_add_ps(right, _mm_set1_ps(offset + slack));
-  left = _mm_add_ps(left, _mm_set1_ps(offset - slack));
-  std::uint32_t mask = 0;
-  for (int column = 0; column < 4; ++column) {
-    const __m128 hit = _mm_and_ps(_mm_cmple_ps(left, _mm_set1_ps(4.0f * column + 3.0f)),
-                                  _mm_cmpge_ps(right, _mm_set1_ps(4.0f * column)));
-    mask |= static_cast<std::uint32_t>(_mm_movemask_ps(_mm_and_ps(hit, inside))) << (4 * column);
-  }
-  return mask;
-}
+// Which blocks have pixel centres that the ellipse can reach: the x-extent of the ellipse over each band of 4 pixel rows,
+// the four bands of an entry side by side in one vector, against the four columns of blocks.
 
 #if defined(__AVX512F__)
 
-// The masks of the sixteen entries `e` (those beyond `count` repeat another; their masks are 0), four entries side by
-// side: `block_mask` with a lane for each entry and band.
+// The masks of the sixteen entries `e` (those beyond `count` repeat another; their masks are 0), four entries side by side.
 inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count, float tile_x, float tile_y) {
   const __m512i band = _mm512_set4_epi32(3, 2, 1, 0);
   const __m512 line = _mm512_add_ps(_mm512_set1_ps(tile_y), _mm512_set4_ps(12.5f, 8.5f, 4.5f, 0.5f));
@@ -126,6 +97,7 @@ inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count,
     const __m512 y0 = _mm512_sub_ps(line, _mm512_permute_ps(q0, 0x55)), y1 = _mm512_add_ps(y0, _mm512_set1_ps(3.0f));
     const __m512 lo = _mm512_max_ps(y0, below), hi = _mm512_min_ps(y1, limit);
     const __m512 widest = _mm512_permute_ps(q3, 0x55);
+    // The ellipse is widest to the right at y = -B half_width / (2 C), to the left at the opposite point.
     const __m512 y_right = _mm512_min_ps(_mm512_max_ps(widest, lo), hi);
     const __m512 y_left = _mm512_min_ps(_mm512_max_ps(_mm512_sub_ps(zero, widest), lo), hi);
     const __m512 d = _mm512_permute_ps(q3, 0x00), scale = (__m512)(0.5f * reciprocal((V)_mm512_permute_ps(q0, 0xaa)));
@@ -188,18 +160,52 @@ void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t al
 
 #else
 
+constexpr int ENTRIES = LANES / 4;
+
+// The masks of the splats q.
+inline void block_masks(const float* const* q, float tile_x, float tile_y, std::uint32_t* masks) {
+  auto four = [&](int at) {
+    __m128 parts[ENTRIES];
+    for (int e = 0; e < ENTRIES; ++e) parts[e] = _mm_loadu_ps(q[e] + at);
+    return join(parts);
+  };
+  static_assert(X == 0 && Y == 1 && A == 2 && B == 3 && HALF_WIDTH == 10 && HALF_HEIGHT == 11 && DISCRIMINANT == 12 && WIDEST == 13,
+                "the columns as they are picked below");
+  const V q0 = four(0), q2 = four(8), q3 = four(12), zero{};
+  const V half_height = spread<3>(q2), slack = 1e-5f * (spread<2>(q2) + half_height) + 1e-3f, limit = half_height + slack;
+  V line;
+  for (int l = 0; l < LANES; ++l) line[l] = 4.0f * (l % 4) + 0.5f;
+  const V y0 = line + (tile_y - spread<1>(q0)), lo = most(y0, -limit), hi = least(y0 + 3.0f, limit);
+  // The ellipse is widest to the right at y = -B half_width / (2 C), to the left at the opposite point.
+  const V widest = spread<1>(q3), y_right = least(most(widest, lo), hi), y_left = least(most(-widest, lo), hi);
+  const V d = spread<0>(q3), b = spread<3>(q0), scale = 0.5f / spread<2>(q0), reach = -(d * half_height * half_height);
+  auto root = [&](V y) { return square_root(most(d * y * y + reach, zero)); };
+  const V offset = spread<0>(q0) - (tile_x + 0.5f);
+  const V right = scale * (root(y_right) - b * y_right) + (offset + slack);
+  const V left = (offset - slack) - scale * (root(y_left) + b * y_left);
+  for (int e = 0; e < ENTRIES; ++e) masks[e] = 0;
+  for (int column = 0; column < 4; ++column) {
+    const int hit = lanes_of((lo <= hi) & (left <= 4.0f * column + 3.0f) & (right >= 4.0f * column));
+    for (int e = 0; e < ENTRIES; ++e) masks[e] |= static_cast<std::uint32_t>(hit >> (4 * e) & 0xf) << (4 * column);
+  }
+}
+
 template <bool KNOWN, std::size_t ROOM>
 void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM], int* sizes) {
-  for (; i < end; ++i) {
-    if (i + 6 < end) __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + 6]));
-    std::uint32_t mask = t.masks[i];
-    if (!KNOWN) {
-      mask = block_mask(t.rows + 16 * static_cast<std::size_t>(t.entries[i]), t.x, t.y) & alive;
-      t.masks[i] = static_cast<std::uint16_t>(mask);
+  for (; i < end; i += ENTRIES) {
+    const float* q[ENTRIES];
+    std::uint32_t masks[ENTRIES];
+    for (std::size_t e = 0; e < ENTRIES; ++e) {
+      if (i + e + 6 < end) __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + e + 6]));
+      q[e] = t.rows + 16 * static_cast<std::size_t>(t.entries[i + e < end ? i + e : i]);
     }
-    for (; mask; mask &= mask - 1) {
-      const int s = __builtin_ctz(mask);
-      lists[s][sizes[s]++] = t.entries[i];
+    if (!KNOWN) block_masks(q, t.x, t.y, masks);
+    for (std::size_t e = 0; e < ENTRIES && i + e < end; ++e) {
+      if (!KNOWN) t.masks[i + e] = static_cast<std::uint16_t>(masks[e] & alive);
+      for (std::uint32_t mask = t.masks[i + e]; mask; mask &= mask - 1) {
+        const int s = __builtin_ctz(mask);
+        lists[s][sizes[s]++] = t.entries[i + e];
+      }
     }
   }
 }

@@ -68,6 +68,12 @@ inline V power2(V x, V p, V n) {
 inline V fma(V a, V b, V c) { return (V)_mm256_fmadd_ps((__m256)a, (__m256)b, (__m256)c); }
 inline V fnma(V a, V b, V c) { return (V)_mm256_fnmadd_ps((__m256)a, (__m256)b, (__m256)c); }
 inline V least(V a, V b) { return (V)_mm256_min_ps((__m256)a, (__m256)b); }
+inline V most(V a, V b) { return (V)_mm256_max_ps((__m256)a, (__m256)b); }
+template <int N>
+inline V spread(V v) {
+  return (V)_mm256_permute_ps((__m256)v, 0x55 * N);
+}
+inline int lanes_of(VI condition) { return _mm256_movemask_ps((__m256)condition); }
 inline V pick_gt(V a, V b, V x, V y) {
   return (V)_mm256_blendv_ps((__m256)y, (__m256)x, _mm256_cmp_ps((__m256)a, (__m256)b, _CMP_GT_OQ));
 }
@@ -80,6 +86,13 @@ inline V4 fold(V v) {
 inline V fma(V a, V b, V c) { return a * b + c; }
 inline V fnma(V a, V b, V c) { return c - a * b; }
 inline V least(V a, V b) { return (V)_mm_min_ps((__m128)a, (__m128)b); }
+inline V most(V a, V b) { return (V)_mm_max_ps((__m128)a, (__m128)b); }
+// Field N of each four in all four of them.
+template <int N>
+inline V spread(V v) {
+  return (V)_mm_shuffle_ps((__m128)v, (__m128)v, 0x55 * N);
+}
+inline int lanes_of(VI condition) { return _mm_movemask_ps((__m128)condition); }
 inline V pick_gt(V a, V b, V x, V y) { return (V)(((VI)x & (VI)(a > b)) | ((VI)y & ~(VI)(a > b))); }
 inline bool any(V a) { return _mm_movemask_epi8(_mm_cmpeq_epi32((__m128i)a, _mm_setzero_si128())) != 0xffff; }
 inline V nearest(V x) {
@@ -189,6 +202,28 @@ inline void gather(const float* base, const std::uint32_t* index, V* out) {
   }
   for (int f = 0; f < N; ++f) out[f] = join(parts[f]);
 }
+
+// out[f] lane l = base[3 * l + f], of LANES Gaussians one after the other.
+#if defined(__AVX512F__)
+inline void triples(const float* base, V* out) {
+  const __m512 a = _mm512_loadu_ps(base), b = _mm512_loadu_ps(base + 16), c = _mm512_loadu_ps(base + 32);
+  const __m512i third = _mm512_setr_epi32(0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 30, 33, 36, 39, 42, 45);
+  const __m512i lane = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  for (int f = 0; f < 3; ++f) {
+    const __m512i from = _mm512_add_epi32(third, _mm512_set1_epi32(f));
+    const __m512 ab = _mm512_permutex2var_ps(a, from, b);
+    // From 32 on: in c, which the second permutation numbers from 16 on.
+    const __mmask16 in_c = _mm512_cmpge_epi32_mask(from, _mm512_set1_epi32(32));
+    out[f] = (V)_mm512_permutex2var_ps(ab, _mm512_mask_sub_epi32(lane, in_c, from, _mm512_set1_epi32(16)), c);
+  }
+}
+#else
+inline void triples(const float* base, V* out) {
+  std::uint32_t lane[LANES];
+  for (int l = 0; l < LANES; ++l) lane[l] = static_cast<std::uint32_t>(l);
+  gather<3>(base, lane, out);
+}
+#endif
 
 // base[N * l + f] = in[f] lane l, for the first `count` lanes.
 template <int N>

@@ -135,7 +135,10 @@ impl Bins {
                 band
             })
             .collect();
-        tasks.into_par_iter().with_max_len(PIECE).for_each(|band| native::fill(band, items, all.boxes, starts, tiles[0]));
+        tasks
+            .into_par_iter()
+            .with_max_len(PIECE)
+            .for_each(|band| native::fill(band, items, all.boxes, starts, tiles[0]));
     }
 
     fn make_room(&mut self, tiles: [usize; 2], entries: usize) {

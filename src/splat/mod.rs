@@ -23,6 +23,7 @@ mod fault;
 pub mod gradient_check;
 mod jvp;
 mod kernel;
+mod lens;
 mod native;
 mod parameters;
 mod pool;

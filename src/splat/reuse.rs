@@ -155,7 +155,11 @@ impl<T: Real> Rasterizer<T> {
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
         let visible = &self.rendered.visible;
-        let chunks = self.rows[..visible.len()].par_chunks_mut(CHUNK).zip(visible.par_chunks(CHUNK)).enumerate().with_max_len(PIECE);
+        let chunks = self.rows[..visible.len()]
+            .par_chunks_mut(CHUNK)
+            .zip(visible.par_chunks(CHUNK))
+            .enumerate()
+            .with_max_len(PIECE);
         let finite: Vec<bool> = chunks
             .map(|(chunk, (rows, visible))| {
                 let first = chunk * CHUNK;

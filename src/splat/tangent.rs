@@ -166,8 +166,7 @@ impl<T: Real> Rasterizer<T> {
         }
         let mut images = std::mem::take(&mut self.tangents);
         images.resize_with(directions.len(), Vec::new);
-        let done =
-            in_pool(|| self.render_moving(gaussians, view, settings, active, directions, &mut images))?;
+        let done = in_pool(|| self.render_moving(gaussians, view, settings, active, directions, &mut images))?;
         if !done {
             self.render(gaussians, view, settings, active)?;
         }
