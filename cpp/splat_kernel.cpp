@@ -14,7 +14,6 @@ namespace {
 
 constexpr float ALPHA_MIN = 1.0f / 255.0f;
 constexpr float ALPHA_MAX = 0.99f;
-constexpr float STOP = 1e-4f;
 
 // Vectors of pixels whose alphas are computed side by side: each is one long chain of dependent operations, and the
 // processor looks ahead over little more than one of them.
@@ -212,18 +211,18 @@ void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t al
 
 #endif
 
-// Some pixels of a block: the sums, what is left of them (some STOP or less where they have stopped) and what was left
+// Some pixels of a block: the sums, what is left of them (no more than `stop` where they have stopped) and what was left
 // before they stopped, and the velocities of the sums and of what is left along K directions.
 template <bool WITH_Z, int K>
 struct Pixels {
-  V px, py, sums[4], kept, left, moving[K + 1][MOVING];
+  V px, py, stop, sums[4], kept, left, moving[K + 1][MOVING];
 
   void blend(const ForwardTile& t, std::size_t splat, V dx, V dy, V raw) {
     const float* q = t.rows + 16 * splat;
     V a = least(raw, all(ALPHA_MAX));
     a = keep_ge(a, all(ALPHA_MIN), a);
     const V next = fnma(a, left, left);
-    const V weight = keep_gt(next, all(STOP), a * left);
+    const V weight = keep_gt(next, stop, a * left);
     for (int d = 0; d < K; ++d) {
       const float* v = t.velocities[d] + 8 * splat;
       V* m = moving[d];
@@ -231,13 +230,13 @@ struct Pixels {
       const V by_log = fma(p, dx, fma(all(v[VYY]), dy, all(v[VY])) * dy);
       // d weight = d alpha T + alpha dT; no alpha moves where it is clamped, nothing where the pixel has stopped.
       const V by_alpha = keep_ge(all(ALPHA_MAX), raw, by_log * weight);
-      const V by_weight = keep_gt(next, all(STOP), fma(a, m[3], by_alpha));
+      const V by_weight = keep_gt(next, stop, fma(a, m[3], by_alpha));
       m[0] = fma(by_weight, all(q[RED]), fma(weight, all(v[VRED]), m[0]));
       m[1] = fma(by_weight, all(q[GREEN]), fma(weight, all(v[VGREEN]), m[1]));
       m[2] = fma(by_weight, all(q[BLUE]), fma(weight, all(v[VBLUE]), m[2]));
       m[3] -= by_weight;
     }
-    kept = pick_gt(next, all(STOP), next, kept);
+    kept = pick_gt(next, stop, next, kept);
     // Never grows: where a pixel has stopped, nothing later is blended.
     left = next;
     for (int c = 0; c < (WITH_Z ? 4 : 3); ++c) sums[c] = fma(weight, all(q[RED + c]), sums[c]);
@@ -254,7 +253,7 @@ struct Pixels {
 
   // True while one of them goes on; those that have stopped have nothing left.
   bool look() {
-    left = keep_gt(left, all(STOP), left);
+    left = keep_gt(left, stop, left);
     return any(left);
   }
 };
@@ -268,7 +267,7 @@ bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float
   for (int k = 0; k < PARTS; ++k) {
     float* s = state + LANES * k;
     Pixels<WITH_Z, K> p;
-    p.px = load(COLUMN + LANES * k) + all(x), p.py = load(LINE + LANES * k) + all(y);
+    p.px = load(COLUMN + LANES * k) + all(x), p.py = load(LINE + LANES * k) + all(y), p.stop = all(t.stop);
     for (int c = 0; c < (WITH_Z ? 4 : 3); ++c) p.sums[c] = load(s + c * PIXELS);
     p.kept = load(s + 4 * PIXELS), p.left = load(s + 5 * PIXELS);
     for (int d = 0; d < K; ++d)
@@ -415,6 +414,7 @@ void backward_tile(const BackwardTile& t) {
     for (int i = 0; i < 16; ++i) columns[b][i] = COLUMN[i] + (t.x + 4.0f * b), lines[b][i] = LINE[i] + (t.y + 4.0f * b);
   const float *vr = t.adjoint, *vg = vr + PIXELS, *vb = vg + PIXELS, *vz = vb + PIXELS;
   Pairs pairs;
+  const V stop = all(t.stop);
   std::uint32_t alive = 0xffff;
   for (std::size_t first = 0; first < t.count; first += BATCH) {
     const int count = t.count - first < BATCH ? static_cast<int>(t.count - first) : BATCH;
@@ -436,8 +436,8 @@ void backward_tile(const BackwardTile& t) {
           const V a = least(raw, all(ALPHA_MAX));
           const V now = load(left + p);
           const V next = fnma(a, now, now);
-          const V weight = keep_gt(next, all(STOP), a * now);
-          store(left + p, keep_gt(next, all(STOP), next));
+          const V weight = keep_gt(next, stop, a * now);
+          store(left + p, keep_gt(next, stop, next));
           const V r = load(vr + p), g = load(vg + p), b = load(vb + p);
           if (WITH_GEOMETRY) {
             const V dx = (load(columns[block >> 2] + LANES * k) - all(q[X])) - all(q[X_REST]);
@@ -448,7 +448,7 @@ void backward_tile(const BackwardTile& t) {
             store(behind + p, rest);
             // d loss / d alpha, then d loss / d log(alpha); none where alpha is clamped or the pixel has stopped.
             const V by_alpha = fnma(rest, reciprocal(all(1) - a), now * value);
-            V v = keep_gt(next, all(STOP), a * by_alpha);
+            V v = keep_gt(next, stop, a * by_alpha);
             v = keep_ge(all(ALPHA_MAX), raw, v);
             const V mx = v * dx, my = v * dy;
             s += v;
@@ -498,7 +498,7 @@ void forward(const ForwardTile& t, std::uint32_t parts) {
 }
 
 void backward(const BackwardTile& t, std::uint32_t parts) {
-  switch (parts) {
+  switch (parts & (GEOMETRY | COLOR | WITH_DEPTH)) {
     case GEOMETRY: return backward_tile<true, false, false>(t);
     case COLOR: return backward_tile<false, true, false>(t);
     case GEOMETRY | COLOR: return backward_tile<true, true, false>(t);

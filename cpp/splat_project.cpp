@@ -92,8 +92,10 @@ struct Projection {
       const V log2_opacity = log2(opacity[0]);
       const V reach = log2_opacity + REACH;
       seen &= (reach > 0.0f) & finite(opacity[0]) & (opacity[0] > 1e-3f);
-      const V scale = 2.0f / LOG2_E * reach;
-      if (!any_of(seen & ~beside<COLUMNS>(index, about, error, scale))) return;
+      const V extent = w.by_opacity * log2_opacity + REACH;
+      const V scale = 2.0f / LOG2_E * extent;
+      if (!any_of(seen)) return;
+      if (w.beside > 0.0f && !any_of(seen & ~beside<COLUMNS>(index, about, error, scale))) return;
       Geometry<V, COLUMNS> g;
       V point[2], rest[2];
       place(position, g.t, point, rest);

@@ -4,15 +4,14 @@
 //! What is compared is measured turn by turn in one run, wall clock, median and in brackets the least, in milliseconds: one
 //! thread and two, AVX-512 and AVX2, forward mode, discs out of sight, the loss of the methods, a million discs.
 
-#[path = "support/tube.rs"]
-mod tube;
-
 use std::time::Instant;
 
 use rayon::ThreadPool;
 use respire_bench::ffi::system::peak_memory_mib;
 use respire_bench::reconstruct::loss::photometric::Photometric;
-use respire_bench::splat::{Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Settings, View, Wanted};
+use respire_bench::splat::{
+    Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Settings, View, Wanted, tube,
+};
 
 /// Wall milliseconds of something, again and again.
 struct Row {

@@ -5,7 +5,7 @@
 //! The decisions (which splats, in which order, what is left out, where a pixel stops) are those of the plain render,
 //! and so is the clamp of the pinhole's Jacobian: the derivative is that of the very function that is rendered.
 //! The vectorised kernels composite values and up to four velocities in one pass; the plain twin, for every number type,
-//! runs projection and compositing in dual numbers.
+//! runs projection and compositing in dual numbers. Exact discs: `disc_tangent.rs`.
 
 use rayon::prelude::*;
 
@@ -13,7 +13,6 @@ use crate::base::{Error, Result};
 use crate::ffi::splat::Aligned;
 
 use super::bin::TILE;
-use super::disc_mode::refuse_directions;
 use super::dual::Dual;
 use super::kernel::{self, ForwardTile, MOVING, PIXELS, PLANES, Parts, TOGETHER, pixel_of};
 use super::native::Numbers;
@@ -21,6 +20,7 @@ use super::pool::{PIECE, in_pool};
 use super::project::{Projector, Row, columns};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
+use super::skips::Skips;
 use super::types::{DepthOutput, Footprint, Gaussians, Settings, Shape, View};
 
 /// How every Gaussian moves per unit of the unknown. One entry per Gaussian (not per active one); an empty slice is
@@ -67,7 +67,7 @@ fn moving<T: Real>(value: [T; 3], velocity: [T; 3]) -> [Dual<T>; 3] {
     [0, 1, 2].map(|k| Dual::new(value[k], velocity[k]))
 }
 
-fn finite_or_zero<T: Real>(v: T) -> T {
+pub(super) fn finite_or_zero<T: Real>(v: T) -> T {
     if v.is_finite() { v } else { T::zero() }
 }
 
@@ -148,10 +148,6 @@ impl<T: Real> Rasterizer<T> {
         directions: &[Direction<'_, T>],
     ) -> Result<&[Vec<T>]> {
         let discs = matches!(gaussians.shape, Shape::Discs { .. });
-        let only_gain = directions.iter().all(|d| matches!(d, Direction::Gain(_)));
-        if settings.footprint == Footprint::Disc && !only_gain {
-            return refuse_directions();
-        }
         for direction in directions {
             match direction {
                 Direction::Motion(motion) => motion.check(gaussians.len(), discs)?,
@@ -175,6 +171,9 @@ impl<T: Real> Rasterizer<T> {
             match direction {
                 Direction::Gain(gain) => self.gain_tangent(settings, gain.map(T::of), image),
                 _ if done => {}
+                _ if settings.footprint == Footprint::Disc => {
+                    self.disc_tangent(gaussians, view, settings, direction, image)?;
+                }
                 _ => self.splat_tangent(gaussians, view, settings, direction, image)?,
             }
         }
@@ -314,7 +313,13 @@ impl<T: Real> Rasterizer<T> {
                     masks: &mut masks,
                     corner: [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE],
                     state: &mut state,
-                    parts: Parts { geometry: false, color: true, depth: false, known: false },
+                    parts: Parts {
+                        geometry: false,
+                        color: true,
+                        depth: false,
+                        known: false,
+                        endless: !self.skips.any(Skips::STOP),
+                    },
                 });
                 state
             })
