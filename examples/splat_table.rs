@@ -83,7 +83,7 @@ fn passes(pools: &[ThreadPool; 2], n: usize, side: usize, repetitions: usize) {
     tree.discs = tube::with_hidden(&scene.discs, 5);
     let velocities: Vec<[f32; 3]> = scene.discs.positions.iter().map(|p| [0.1 * p[0], 0.1 * p[1], 1.0]).collect();
     let motion = Direction::Motion(Motion { positions: &velocities, ..Motion::default() });
-    let new = || Rasterizer::<f32>::new();
+    let new = Rasterizer::<f32>::new;
     let (mut one, mut two, mut moving, mut among) = (new(), new(), new(), new());
     let mut avx2 = Rasterizer::<f32>::with_isa(narrow).expect("the processor has it");
     let mut rows = [
