@@ -182,7 +182,9 @@ fn add_glints(scene: &Scene, frame: &FrameSettings, generations: &mut [Generatio
         to.par_chunks(CHUNK)
             .zip(generation.hits.par_chunks(rays))
             .zip(generation.parts.par_chunks_mut(rays))
-            .try_for_each(|((to, from), parts)| scene.tracer.glints(frame, lamp, [to, from], parts.as_flattened_mut()))?;
+            .try_for_each(|((to, from), parts)| {
+                scene.tracer.glints(frame, lamp, [to, from], parts.as_flattened_mut())
+            })?;
     }
     Ok(())
 }

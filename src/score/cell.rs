@@ -7,12 +7,12 @@ use serde::{Deserialize, Serialize};
 
 use super::contour::{ContourOverlay, Correspondence, Enclosure, TargetErrors, target_errors};
 use super::depth::{DepthErrors, depth_errors};
-use super::image_quality::{Psnr, Ssim, psnr, psnr_ceiling, ssim};
+use super::image_quality::{Psnr, Ssim, psnr_ceiling, psnr_within, ssim_within};
 use super::prediction::Prediction;
 use super::registry::registry;
 use super::statistics::{MeanInterval, bootstrap_series, pearson};
 use super::truth::{Truth, final_mesh};
-use crate::base::{Error, Result};
+use crate::base::{Error, Mask, Result};
 
 /// Why a value is what it is, or why there is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -160,10 +160,14 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
         return Err(Error::input(format!("the sequence of case {} has no frames", truth.case_id())));
     }
     let prediction = Prediction::open(prediction, truth.camera(), frames)?;
-    let measured: Vec<Measured> =
-        (0..frames).into_par_iter().map(|frame| measure(truth, &prediction, frame)).collect::<Result<_>>()?;
+    let mask = truth.mask()?;
+    let measured: Vec<Measured> = (0..frames)
+        .into_par_iter()
+        .map(|frame| measure(truth, &prediction, mask.as_ref(), frame))
+        .collect::<Result<_>>()?;
     let target = target(truth, &prediction, settings)?;
-    let ceiling = psnr_ceiling(truth.camera().width as usize * truth.camera().height as usize * 3);
+    let pixels = mask.map_or(truth.camera().width as usize * truth.camera().height as usize, |mask| mask.count());
+    let ceiling = psnr_ceiling(pixels * 3);
     let seed = settings.target_seed;
     let metrics = registry()
         .iter()
@@ -212,7 +216,7 @@ struct Measured {
     phase_error: Option<f64>,
 }
 
-fn measure(truth: &dyn Truth, prediction: &Prediction, frame: usize) -> Result<Measured> {
+fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, frame: usize) -> Result<Measured> {
     let image = truth.image(frame)?;
     let color = prediction.color(frame)?;
     if !color.same_shape(&image) {
@@ -222,15 +226,28 @@ fn measure(truth: &dyn Truth, prediction: &Prediction, frame: usize) -> Result<M
         )));
     }
     let psnr_ahead = match prediction.ahead_frames().binary_search(&frame) {
-        Ok(_) => Some(psnr(&prediction.ahead(frame)?, &image)),
+        Ok(_) => Some(psnr_within(&prediction.ahead(frame)?, &image, mask)),
         Err(_) => None,
     };
     let depth = match prediction.depth_mm(frame)? {
-        Some(depth) => Some(depth_errors(&depth, &truth.depth_mm(frame)?)),
+        Some(depth) => {
+            let mut true_depth = truth.depth_mm(frame)?;
+            // What has no true depth does not count.
+            if let Some(mask) = mask {
+                mask.hide(&mut true_depth, 0.0);
+            }
+            Some(depth_errors(&depth, &true_depth))
+        }
         None => None,
     };
     let phase_error = prediction.phase().map(|p| (p[frame] - truth.frames()[frame].phase).abs());
-    Ok(Measured { psnr: psnr(&color, &image), psnr_ahead, ssim: ssim(&color, &image)?, depth, phase_error })
+    Ok(Measured {
+        psnr: psnr_within(&color, &image, mask),
+        psnr_ahead,
+        ssim: ssim_within(&color, &image, mask)?,
+        depth,
+        phase_error,
+    })
 }
 
 /// What came of the target metrics.
@@ -293,7 +310,7 @@ fn psnr_mean(id: &str, frames: Vec<Psnr>, ceiling: f64, seed: u64) -> MetricScor
 fn ssim_mean(measured: &[Measured], seed: u64) -> MetricScore {
     let values: Vec<f64> = measured.iter().filter_map(|f| f.ssim.valid).collect();
     if values.is_empty() {
-        return entry("ssim", None, Status::Degenerate, 0, "the images are smaller than the 11x11 window");
+        return entry("ssim", None, Status::Degenerate, 0, "no 11x11 window lies within image and mask");
     }
     series_mean("ssim", values, seed)
 }
