@@ -43,7 +43,7 @@ Scene scene_of(const SplatScene& s, View& view, std::size_t first, std::size_t c
   require(s.sh_degree <= 3 && s.positions.size() == 3 * n && s.shape.size() == columns * n &&
               (s.scales.empty() || s.scales.size() == 3 * n) && s.sh.size() == 3 * basis * n,
           "the arrays of the Gaussians differ in length");
-  require(s.view.size() == sizeof(View) / sizeof(float) && s.exact.size() == 16, "a view has 22 numbers and 16");
+  require(s.view.size() == sizeof(View) / sizeof(float) && s.exact.size() == 16, "a view has 24 numbers and 16");
   const std::size_t known = s.all ? n : s.active.size();
   require(first <= known && count <= known - first, "there are not as many Gaussians");
   if (!s.all) {
@@ -60,6 +60,8 @@ const float* given(rust::Slice<const float> values, std::size_t wanted) {
   require(values.empty() || values.size() == wanted, "a motion has another length than the Gaussians");
   return values.empty() ? nullptr : values.data();
 }
+
+float stop_of(std::uint32_t parts) { return parts & ENDLESS ? -1.0f : STOP; }
 
 }  // namespace
 
@@ -154,7 +156,7 @@ void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<
   require(state.size() == PLANES * PIXELS && moving.size() == directions * MOVING * PIXELS && directions <= TOGETHER &&
               velocities.size() == directions * 8 * splats,
           "tables of a tile differ in length");
-  ForwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, state.data(),
+  ForwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, stop_of(parts), state.data(),
                    static_cast<std::uint32_t>(directions), {}, moving.data()};
   for (std::size_t d = 0; d < directions; ++d) tile.velocities[d] = velocities.data() + d * 8 * splats;
   CALL(isa, forward, tile, parts)
@@ -166,7 +168,7 @@ void splat_backward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice
   check_tile(isa, rows.size(), entries, masks.size());
   require(adjoint.size() == PLANES * PIXELS && targets.size() == entries.size(), "tables of a tile differ in length");
   require(all_below(targets, slot_count), "an entry has no slot");
-  const BackwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, adjoint.data(), targets.data(), slots};
+  const BackwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, stop_of(parts), adjoint.data(), targets.data(), slots};
   CALL(isa, backward, tile, parts)
 }
 

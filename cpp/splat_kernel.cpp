@@ -14,7 +14,6 @@ namespace {
 
 constexpr float ALPHA_MIN = 1.0f / 255.0f;
 constexpr float ALPHA_MAX = 0.99f;
-constexpr float STOP = 1e-4f;
 
 // 2^x for x <= 127, relative error 1.5e-7 (minimax polynomial of degree 5 of 2^f, |f| <= 1/2).
 inline V exp2(V x) {
@@ -181,6 +180,7 @@ void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t al
 // stopped); `moving`: MOVING planes for each of the K directions of `t`.
 template <bool WITH_Z, int K>
 bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float x, float y, float* state, float* moving) {
+  const V stop = all(t.stop);
   bool alive = false;
   for (int k = 0; k < PARTS; ++k) {
     float* s = state + LANES * k;
@@ -202,21 +202,21 @@ bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float
       V a = least(raw, all(ALPHA_MAX));
       a = keep_ge(a, all(ALPHA_MIN), a);
       const V next = fnma(a, left, left);
-      const V weight = keep_gt(next, all(STOP), a * left);
+      const V weight = keep_gt(next, stop, a * left);
       for (int d = 0; d < K; ++d) {
         const float* v = t.velocities[d] + 8 * splat;
         const V p = fma(all(v[VXX]), dx, fma(all(v[VXY]), dy, all(v[VX])));
         const V by_log = fma(p, dx, fma(all(v[VYY]), dy, all(v[VY])) * dy);
         // d weight = d alpha T + alpha dT; no alpha moves where it is clamped, nothing where the pixel has stopped.
         const V by_alpha = keep_ge(all(ALPHA_MAX), raw, by_log * weight);
-        const V by_weight = keep_gt(next, all(STOP), fma(a, m[d][3], by_alpha));
+        const V by_weight = keep_gt(next, stop, fma(a, m[d][3], by_alpha));
         m[d][0] = fma(by_weight, all(q[RED]), fma(weight, all(v[VRED]), m[d][0]));
         m[d][1] = fma(by_weight, all(q[GREEN]), fma(weight, all(v[VGREEN]), m[d][1]));
         m[d][2] = fma(by_weight, all(q[BLUE]), fma(weight, all(v[VBLUE]), m[d][2]));
         m[d][3] -= by_weight;
       }
-      kept = pick_gt(next, all(STOP), next, kept);
-      left = keep_gt(next, all(STOP), next);
+      kept = pick_gt(next, stop, next, kept);
+      left = keep_gt(next, stop, next);
       r = fma(weight, all(q[RED]), r);
       g = fma(weight, all(q[GREEN]), g);
       b = fma(weight, all(q[BLUE]), b);
@@ -307,6 +307,7 @@ void backward_tile(const BackwardTile& t) {
   for (int i = 0; i < PIXELS; ++i) left[i] = 1;
   __builtin_memcpy(behind, t.adjoint + 4 * PIXELS, sizeof behind);
   const float *vr = t.adjoint, *vg = vr + PIXELS, *vb = vg + PIXELS, *vz = vb + PIXELS;
+  const V stop = all(t.stop);
   std::uint32_t alive = 0xffff;
   for (std::size_t i = 0; i < t.count; ++i) {
     float* slot = t.slots + 16 * static_cast<std::size_t>(t.targets[i]);
@@ -333,8 +334,8 @@ void backward_tile(const BackwardTile& t) {
         a = keep_ge(a, all(ALPHA_MIN), a);
         const V now = load(left + p);
         const V next = fnma(a, now, now);
-        const V weight = keep_gt(next, all(STOP), a * now);
-        const V after = keep_gt(next, all(STOP), next);
+        const V weight = keep_gt(next, stop, a * now);
+        const V after = keep_gt(next, stop, next);
         store(left + p, after);
         block_alive |= any(after);
         const V r = load(vr + p), g = load(vg + p), b = load(vb + p);
@@ -345,7 +346,7 @@ void backward_tile(const BackwardTile& t) {
           store(behind + p, rest);
           // d loss / d alpha, then d loss / d log(alpha); none where alpha is clamped or the pixel has stopped.
           const V by_alpha = fnma(rest, reciprocal(all(1) - a), now * value);
-          V v = keep_gt(next, all(STOP), a * by_alpha);
+          V v = keep_gt(next, stop, a * by_alpha);
           v = keep_ge(all(ALPHA_MAX), raw, v);
           const V mx = v * dx, my = v * dy;
           s += v;
@@ -388,7 +389,7 @@ void forward(const ForwardTile& t, std::uint32_t parts) {
 }
 
 void backward(const BackwardTile& t, std::uint32_t parts) {
-  switch (parts) {
+  switch (parts & (GEOMETRY | COLOR | WITH_DEPTH)) {
     case GEOMETRY: return backward_tile<true, false, false>(t);
     case COLOR: return backward_tile<false, true, false>(t);
     case GEOMETRY | COLOR: return backward_tile<true, true, false>(t);

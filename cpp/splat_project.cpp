@@ -89,8 +89,10 @@ struct Projection {
       const V log2_opacity = log2(opacity[0]);
       const V reach = log2_opacity + REACH;
       seen &= (reach > 0.0f) & finite(opacity[0]) & (opacity[0] > 1e-3f);
-      const V scale = 2.0f / LOG2_E * reach;
-      if (!any_of(seen & ~beside<COLUMNS>(index, g.t, scale))) continue;
+      const V extent = w.by_opacity * log2_opacity + REACH;
+      const V scale = 2.0f / LOG2_E * extent;
+      if (!any_of(seen)) continue;
+      if (w.beside > 0.0f && !any_of(seen & ~beside<COLUMNS>(index, g.t, scale))) continue;
       Shape<COLUMNS> shape;
       shape.load(s, index);
       for (int k = 0; k < COLUMNS; ++k) turn(w, shape.m[k], g.c[k]);
@@ -114,7 +116,7 @@ struct Projection {
       row[DISCRIMINANT] = -LOG2_E * LOG2_E * g.inverse_determinant;
       row[WIDEST] = -0.5f * row[B] * half[0] / row[C];
       row[HALF_OVER_A] = 0.5f / row[A];
-      row[FOUR_A_REACH] = 4.0f * row[A] * reach;
+      row[FOUR_A_REACH] = 4.0f * row[A] * extent;
       scatter<16>(o.rows + 16 * k0, count, row);
       const VI key = (VI)g.t[2];
       const VI low = cell(g.point[0] - half[0], o.tiles_x) | cell(g.point[1] - half[1], o.tiles_y) << 16;

@@ -18,6 +18,7 @@ mod list;
 mod pareto;
 mod pareto_phase;
 mod pareto_render;
+mod pareto_skipping;
 mod pareto_splat;
 mod render;
 mod run;

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use glam::{DAffine3, DQuat};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -181,6 +182,12 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
             "depth_coverage" => depth_mean(m.id, &measured, |d| d.coverage, seed),
             "phase_mae" => series_mean(m.id, measured.iter().filter_map(|f| f.phase_error).collect(), seed),
             "phase_pearson_r" => correlation(m.id, truth, &prediction),
+            "pose_error_mm" => {
+                series_mean(m.id, measured.iter().filter_map(|f| f.pose_error).map(|e| e[0]).collect(), seed)
+            }
+            "pose_error_deg" => {
+                series_mean(m.id, measured.iter().filter_map(|f| f.pose_error).map(|e| e[1]).collect(), seed)
+            }
             "contour_rmse_mm" => contour_score(m.id, &target),
             "target_error_mm" => target_score(m.id, &target, |t| t.target_mm),
             "target_error_mean_mm" => target_score(m.id, &target, |t| t.mean_mm),
@@ -214,6 +221,8 @@ struct Measured {
     /// `None`: no depth predicted. `Some(None)`: the frame has no true depth.
     depth: Option<Option<DepthErrors>>,
     phase_error: Option<f64>,
+    /// mm, degrees.
+    pose_error: Option<[f64; 2]>,
 }
 
 fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, frame: usize) -> Result<Measured> {
@@ -241,13 +250,16 @@ fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, fram
         None => None,
     };
     let phase_error = prediction.phase().map(|p| (p[frame] - truth.frames()[frame].phase).abs());
-    Ok(Measured {
-        psnr: psnr_within(&color, &image, mask),
-        psnr_ahead,
-        ssim: ssim_within(&color, &image, mask)?,
-        depth,
-        phase_error,
-    })
+    let pose_error = prediction.poses().map(|p| pose_error(&p[frame], &truth.frames()[frame].world_from_camera));
+    let (psnr, ssim) = (psnr_within(&color, &image, mask), ssim_within(&color, &image, mask)?);
+    Ok(Measured { psnr, psnr_ahead, ssim, depth, phase_error, pose_error })
+}
+
+/// Distance in mm between two poses, and the angle in degrees between them.
+fn pose_error(predicted: &DAffine3, truth: &DAffine3) -> [f64; 2] {
+    let turn = DQuat::from_mat3(&(truth.matrix3.transpose() * predicted.matrix3));
+    let angle = 2.0 * turn.xyz().length().atan2(turn.w.abs());
+    [predicted.translation.distance(truth.translation), angle.to_degrees()]
 }
 
 /// What came of the target metrics.
@@ -396,6 +408,10 @@ fn frame_values(m: &Measured) -> Vec<FrameValue> {
     }
     if let Some(error) = m.phase_error {
         values.push(value("phase_mae", Some(error), Status::Degenerate));
+    }
+    if let Some([mm, degrees]) = m.pose_error {
+        values.push(value("pose_error_mm", Some(mm), Status::Degenerate));
+        values.push(value("pose_error_deg", Some(degrees), Status::Degenerate));
     }
     if let Some(p) = m.psnr_ahead {
         values.push(value("psnr_ahead_db", decibel(p), Status::Identical));

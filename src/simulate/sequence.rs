@@ -105,6 +105,8 @@ pub fn frame_mesh_name(frame: usize) -> String {
 pub const INSPIRATION: &str = "mesh/inspiration.ply";
 /// Surface at full expiration, same faces.
 pub const EXPIRATION: &str = "mesh/expiration.ply";
+/// Surface at full expiration as the registration has it, where the case says that it errs.
+pub const REGISTERED_EXPIRATION: &str = "mesh/expiration_registered.ply";
 /// Centreline at inspiration.
 pub const CENTERLINE: &str = "centerline.csv";
 /// Cameras and truth in nerfstudio's layout.
@@ -200,6 +202,12 @@ impl Sequence {
     /// Surface at full expiration, same faces as [`Sequence::inspiration`].
     pub fn expiration(&self) -> Result<TriangleMesh> {
         mesh::read(&self.root.join(EXPIRATION))
+    }
+
+    /// The surface at full expiration that methods are given: with the registration's error, where the case has one.
+    pub fn registered_expiration(&self) -> Result<TriangleMesh> {
+        let path = self.root.join(REGISTERED_EXPIRATION);
+        if path.is_file() { mesh::read(&path) } else { self.expiration() }
     }
 
     /// Centreline at inspiration.

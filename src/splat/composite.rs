@@ -13,6 +13,7 @@ use super::fault::{Fault, Faults};
 use super::kernel::{self, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of, pixel_of};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
+use super::skips::Skips;
 use super::types::{DepthOutput, Footprint, ImageGradient, Settings, View};
 
 /// Pixels of line `line` of a tile in the per-pixel tables: four pieces of four.
@@ -25,6 +26,11 @@ impl<T: Real> Rasterizer<T> {
     /// motion of every pixel too. `false` when there is no kernel for velocities.
     pub(super) fn composite(&mut self, depth: DepthOutput, velocities: &[[T; 8]], directions: usize) -> bool {
         let bins = &mut self.bins;
+        if !self.skips.any(Skips::BLOCKS) {
+            // All blocks of the tile, as if the kernel had found them.
+            bins.masks.fill(u16::MAX);
+            bins.masks_known = true;
+        }
         let tiles = bins.tiles_x * bins.tiles_y;
         grow(&mut self.state, tiles * PLANES * PIXELS);
         grow(&mut self.moving, tiles * directions * MOVING * PIXELS);
@@ -34,7 +40,8 @@ impl<T: Real> Rasterizer<T> {
         let (offsets, entries, tiles_x) = (&bins.offsets, &bins.entries, bins.tiles_x);
         let (rows, isa) = (&self.rows, self.isa);
         let depth = depth == DepthOutput::Expected;
-        let parts = Parts { geometry: false, color: true, depth, known: bins.masks_known };
+        let endless = !self.skips.any(Skips::STOP);
+        let parts = Parts { geometry: false, color: true, depth, known: bins.masks_known, endless };
         bins.masks_known = true;
         let tiles = masks.into_par_iter().zip(self.state.par_chunks_mut(PLANES * PIXELS)).zip(moving).enumerate();
         tiles

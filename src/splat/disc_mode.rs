@@ -20,7 +20,7 @@
 
 use rayon::prelude::*;
 
-use crate::base::{Camera, Error, Result};
+use crate::base::{Camera, Error};
 
 use super::bin::{TILE, TileBox};
 use super::project::{LOG2_255, Projector, Row, at, color, columns, dot};
@@ -317,9 +317,4 @@ impl<T: Real> Rasterizer<T> {
 /// Errors for what this mode does not differentiate.
 pub(super) fn refuse_fisheye_lens() -> Error {
     Error::input("the intrinsics of a fisheye have no gradient with exact discs")
-}
-
-/// Errors for directions of forward mode.
-pub(super) fn refuse_directions<V>() -> Result<V> {
-    Err(Error::input("exact discs have no directions of motion or pose: use PhaseTangent, or EWA"))
 }

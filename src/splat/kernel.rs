@@ -45,13 +45,24 @@ pub struct Parts {
     pub geometry: bool,
     pub color: bool,
     pub depth: bool,
-    /// The masks are those of a forward pass before, of the same splats; the plain twin makes them again.
+    /// The masks are those of a forward pass before, of the same splats.
     pub known: bool,
+    /// Pixels do not stop (`Skips::STOP` switched off).
+    pub endless: bool,
 }
 
 impl Parts {
+    /// A pixel stops at the splat that would leave no more than this of the light.
+    fn stop<T: Real>(self) -> T {
+        T::of(if self.endless { -1.0 } else { 1e-4 })
+    }
+
     fn bits(self) -> u32 {
-        self.geometry as u32 + 2 * self.color as u32 + 4 * self.depth as u32 + 8 * self.known as u32
+        self.geometry as u32
+            + 2 * self.color as u32
+            + 4 * self.depth as u32
+            + 8 * self.known as u32
+            + 16 * self.endless as u32
     }
 }
 
@@ -173,10 +184,11 @@ pub fn alpha_at<T: Real>(row: &Row<T>, corner: [usize; 2], p: usize) -> Option<T
 /// Composites one tile, pixel by pixel.
 pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
     let corner = t.corner.map(|v| T::of(v as f64));
-    for (mask, &entry) in t.masks.iter_mut().zip(t.entries) {
+    for (mask, &entry) in t.masks.iter_mut().zip(t.entries).filter(|_| !t.parts.known) {
         *mask = block_mask(&t.rows[entry as usize].0, corner);
     }
     t.state.fill(T::zero());
+    let stop = t.parts.stop::<T>();
     for p in 0..PIXELS {
         let bit = 1u16 << (p / 16);
         let mut left = T::one();
@@ -188,7 +200,7 @@ pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
             let q = &t.rows[entry as usize].0;
             let Some(Sample { alpha, .. }) = sample(q, t.corner, p) else { continue };
             let next = left - alpha * left;
-            if next <= T::of(1e-4) {
+            if next <= stop {
                 break;
             }
             let weight = alpha * left;
@@ -213,6 +225,7 @@ pub fn scalar_backward<T: Real>(t: &BackwardTile<'_, T>, faults: impl Faults) ->
     let mut left = [T::one(); PIXELS];
     let mut behind = [T::zero(); PIXELS];
     behind.copy_from_slice(&t.adjoint[4 * PIXELS..]);
+    let stop = t.parts.stop::<T>();
     for (i, &entry) in t.entries.iter().enumerate() {
         let q = &t.rows[entry as usize].0;
         let mut sums = [T::zero(); 16];
@@ -220,7 +233,7 @@ pub fn scalar_backward<T: Real>(t: &BackwardTile<'_, T>, faults: impl Faults) ->
             let Some(Sample { offset: [dx, dy], raw, alpha }) = sample(q, t.corner, p) else { continue };
             let now = left[p];
             let next = now - alpha * now;
-            if next <= T::of(1e-4) {
+            if next <= stop {
                 left[p] = T::zero();
                 continue;
             }

@@ -16,6 +16,7 @@ mod chain;
 mod composite;
 mod disc_chain;
 mod disc_mode;
+mod disc_tangent;
 mod disc_tile;
 mod dual;
 mod extra_channels;
@@ -31,9 +32,11 @@ mod real;
 mod reuse;
 mod sh;
 mod sight;
+mod skips;
 mod stages;
 mod surface_depth;
 mod tangent;
+pub mod tube;
 mod types;
 
 pub use crate::ffi::splat::Isa;
@@ -44,6 +47,7 @@ pub use jvp::PhaseTangent;
 pub use rasterizer::Rasterizer;
 pub use real::Real;
 pub use reuse::Reuse;
+pub use skips::Skips;
 pub use stages::{Stage, StageTimes};
 pub use tangent::{Direction, Motion};
 pub use types::{

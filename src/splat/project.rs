@@ -17,6 +17,7 @@ use super::dual::Dual;
 use super::fault::{Fault, Faults};
 use super::real::Real;
 use super::sh;
+use super::skips::Skips;
 use super::types::{Filter, Footprint, Gaussians, Settings, Shape, View};
 
 /// Where a splat's numbers stand in its row of 16.
@@ -100,6 +101,7 @@ pub struct Projector<T> {
     dilation: T,
     filter: Filter,
     footprint: Footprint,
+    skips: Skips,
     fisheye: Option<[T; 4]>,
     fisheye_stretch: Option<T>,
     pub(super) exact: Exact,
@@ -198,6 +200,7 @@ impl<T: Real> Projector<T> {
             dilation: T::of(settings.dilation_px2),
             filter: settings.filter,
             footprint: settings.footprint,
+            skips: Skips::ALL,
             fisheye: camera.fisheye.map(|k| k.map(T::of)),
             fisheye_stretch: camera.fisheye.map(|k| T::of(largest_stretch(k))),
             exact: Exact {
@@ -207,6 +210,18 @@ impl<T: Real> Projector<T> {
                 center: [camera.cx, camera.cy],
             },
         })
+    }
+
+    /// The same, leaving out what `skips` says.
+    pub fn with_skips(self, skips: Skips) -> Self {
+        Projector { skips, ..self }
+    }
+
+    /// How far below its peak, in powers of 2, a splat of that opacity ends.
+    #[inline(always)]
+    pub(super) fn extent(&self, log2_opacity: T) -> T {
+        let by_opacity = if self.skips.any(Skips::EXTENTS) { log2_opacity } else { T::zero() };
+        by_opacity + T::of(LOG2_255)
     }
 
     /// True for a camera without distortion.
@@ -257,10 +272,11 @@ impl<T: Real> Projector<T> {
     }
 
     /// Everything but the distortion, in single precision: `View` of `cpp/splat_kernel.h`.
-    pub fn numbers(&self) -> [f32; 22] {
-        let mut out = [0.0; 22];
+    pub fn numbers(&self) -> [f32; 24] {
+        let mut out = [0.0; 24];
         let vectors = [self.focal, self.center, self.limit, self.size];
-        let scalars = [self.near, self.dilation];
+        let flag = |skip: Skips| T::of(f64::from(u8::from(self.skips.any(skip))));
+        let scalars = [self.near, self.dilation, flag(Skips::EXTENTS), flag(Skips::BESIDE)];
         let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(vectors.as_flattened()).chain(&scalars);
         out.iter_mut().zip(all).for_each(|(place, v)| *place = v.to_f64() as f32);
         out
@@ -466,6 +482,7 @@ impl<T: Real> Projector<T> {
         if self.filter == Filter::Compensate && !(reach.is_finite() && reach > T::zero()) {
             return None;
         }
+        let reach = self.extent(log2_opacity);
         let k = T::of(2.0 / LOG2_E) * reach;
         let mut row = [T::zero(); 16];
         row[at::X] = g.point[0];

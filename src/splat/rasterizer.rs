@@ -22,6 +22,7 @@ use super::native::Numbers;
 use super::project::Projector;
 use super::real::Real;
 use super::reuse::{Kept, Reuse, Same};
+use super::skips::Skips;
 use super::stages::{Clock, Stage, StageTimes};
 use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
 
@@ -53,6 +54,7 @@ pub struct Rasterizer<T> {
     pub(super) written_layout: Option<(usize, usize, bool, Wanted)>,
     pub(super) clock: Clock,
     pub(super) reuse: Reuse,
+    pub(super) skips: Skips,
     pub(super) kept: Option<Kept<T>>,
     pub(super) last: Option<(View, Settings, usize)>,
 }
@@ -97,6 +99,7 @@ impl<T: Real> Rasterizer<T> {
             written_layout: None,
             clock: Clock::default(),
             reuse: Reuse::Never,
+            skips: Skips::ALL,
             kept: None,
             last: None,
         }
@@ -163,7 +166,7 @@ impl<T: Real> Rasterizer<T> {
         self.last = None;
         self.extra.count = 0;
         gaussians.validate()?;
-        let projector = Projector::new(view, settings)?;
+        let projector = Projector::new(view, settings)?.with_skips(self.skips);
         let mut same = self.same(gaussians, view, settings, active);
         if same == Same::Everything && !self.recolor(gaussians, &projector) {
             same = Same::Nothing;
@@ -313,6 +316,7 @@ impl<T: Real> Rasterizer<T> {
             color: wanted.any(Wanted::SH) || (through_position && gaussians.sh_degree > 0),
             depth: geometry && !image.depth.is_empty(),
             known: false,
+            endless: !self.skips.any(Skips::STOP),
         };
         let parts = (parts.geometry || parts.color).then_some(parts);
         self.composite_backward(image, &view, &settings, parts, wanted.any(Wanted::GAIN), faults);

@@ -5,7 +5,7 @@
 //! The decisions (which splats, in which order, what is left out, where a pixel stops) are those of the plain render,
 //! and so is the clamp of the pinhole's Jacobian: the derivative is that of the very function that is rendered.
 //! The vectorised kernels composite values and up to four velocities in one pass; the plain twin, for every number type,
-//! runs projection and compositing in dual numbers.
+//! runs projection and compositing in dual numbers. Exact discs: `disc_tangent.rs`.
 
 use rayon::prelude::*;
 
@@ -13,13 +13,13 @@ use crate::base::{Error, Result};
 use crate::ffi::splat::Aligned;
 
 use super::bin::TILE;
-use super::disc_mode::refuse_directions;
 use super::dual::Dual;
 use super::kernel::{self, ForwardTile, MOVING, PIXELS, PLANES, Parts, TOGETHER, pixel_of};
 use super::native::Numbers;
 use super::project::{Projector, Row, columns};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
+use super::skips::Skips;
 use super::types::{DepthOutput, Footprint, Gaussians, Settings, Shape, View};
 
 /// How every Gaussian moves per unit of the unknown. One entry per Gaussian (not per active one); an empty slice is
@@ -66,7 +66,7 @@ fn moving<T: Real>(value: [T; 3], velocity: [T; 3]) -> [Dual<T>; 3] {
     [0, 1, 2].map(|k| Dual::new(value[k], velocity[k]))
 }
 
-fn finite_or_zero<T: Real>(v: T) -> T {
+pub(super) fn finite_or_zero<T: Real>(v: T) -> T {
     if v.is_finite() { v } else { T::zero() }
 }
 
@@ -147,10 +147,6 @@ impl<T: Real> Rasterizer<T> {
         directions: &[Direction<'_, T>],
     ) -> Result<&[Vec<T>]> {
         let discs = matches!(gaussians.shape, Shape::Discs { .. });
-        let only_gain = directions.iter().all(|d| matches!(d, Direction::Gain(_)));
-        if settings.footprint == Footprint::Disc && !only_gain {
-            return refuse_directions();
-        }
         for direction in directions {
             match direction {
                 Direction::Motion(motion) => motion.check(gaussians.len(), discs)?,
@@ -174,6 +170,9 @@ impl<T: Real> Rasterizer<T> {
             match direction {
                 Direction::Gain(gain) => self.gain_tangent(settings, gain.map(T::of), image),
                 _ if done => {}
+                _ if settings.footprint == Footprint::Disc => {
+                    self.disc_tangent(gaussians, view, settings, direction, image)?;
+                }
                 _ => self.splat_tangent(gaussians, view, settings, direction, image)?,
             }
         }
@@ -312,7 +311,13 @@ impl<T: Real> Rasterizer<T> {
                     masks: &mut masks,
                     corner: [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE],
                     state: &mut state,
-                    parts: Parts { geometry: false, color: true, depth: false, known: false },
+                    parts: Parts {
+                        geometry: false,
+                        color: true,
+                        depth: false,
+                        known: false,
+                        endless: !self.skips.any(Skips::STOP),
+                    },
                 });
                 state
             })
