@@ -1,11 +1,8 @@
 //! Wall clock of the splat core and its parts: `cargo bench --bench splat` (divan; on a quiet machine). CPU time per stage:
 //! `examples/splat_timing.rs`; instructions: `scripts/count-instructions.sh`.
 
-#[path = "../examples/support/tube.rs"]
-mod tube;
-
 use divan::{Bencher, black_box};
-use respire_bench::splat::{Gaussians, ImageGradient, Rasterizer, Reuse, View, Wanted};
+use respire_bench::splat::{Gaussians, ImageGradient, Rasterizer, Reuse, View, Wanted, tube};
 
 /// Discs and image side.
 const SCENES: [(usize, usize); 3] = [(5_000, 128), (20_000, 256), (100_000, 400)];

@@ -41,6 +41,16 @@ class LitWall : public Wall {
     return irradiance(s, shadows, unused);
   }
 
+  // Irradiance of the lamp as it would be if nothing stood in its way, fine relief left out.
+  Vec3 unshadowed(const Surface& s) const {
+    const Vec3 to_light = light_ - s.point;
+    const float r2 = std::max(dot(to_light, to_light), kNearest2);
+    const Vec3 direction = to_light * (1.0f / std::sqrt(r2));
+    const float cosine = dot(s.smooth, direction);
+    if (cosine <= 0.0f || dot(s.geometric, direction) <= 0.0f) return {0, 0, 0};
+    return intensity_ * (emission(-dot(direction, light_axis_)) * cosine / r2);
+  }
+
   // Radiance towards `o` by the lamp itself, from a base of albedo `rho`.
   Vec3 direct_light(const Surface& s, const Frame& frame, Vec3 o, bool shadows, Vec3 rho) {
     Vec3 direction;
@@ -50,14 +60,6 @@ class LitWall : public Wall {
     const float e = tracer_.coat_.albedo(s.alpha, o.z);
     const float mirrored = tracer_.coat_.value(o, frame.local(direction), s.alpha);
     return received * (rho * ((1.0f - e) / kPi) + Vec3{mirrored, mirrored, mirrored});
-  }
-
-  // Part of the lamp's light that base and coat send back to all sides.
-  Vec3 lamp_reflectance(const Surface& s) const {
-    if (!tracer_.coated_) return s.albedo;
-    const float mean = tracer_.mean_coat_;
-    const float e = tracer_.coat_.albedo(s.alpha, std::max(dot(s.shading, normalize(light_ - s.point)), 0.0f));
-    return s.albedo * (1.0f - mean) + Vec3{e, e, e};
   }
 
   Vec3 light_, intensity_, light_axis_;

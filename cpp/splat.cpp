@@ -43,12 +43,13 @@ Scene scene_of(const SplatScene& s, View& view, std::size_t first, std::size_t c
   require(s.sh_degree <= 3 && s.positions.size() == 3 * n && s.shape.size() == columns * n &&
               (s.scales.empty() || s.scales.size() == 3 * n) && s.sh.size() == 3 * basis * n,
           "the arrays of the Gaussians differ in length");
-  require(s.view.size() == sizeof(View) / sizeof(float) && s.exact.size() == 16, "a view has 22 numbers and 16");
+  require(s.view.size() == sizeof(View) / sizeof(float) && s.exact.size() == 16, "a view has 24 numbers and 16");
   const std::size_t known = s.all ? n : s.active.size();
   require(first <= known && count <= known - first, "there are not as many Gaussians");
   if (!s.all) {
+    const std::uint32_t* active = s.active.data();
     std::uint32_t most = 0;
-    for (std::size_t k = first; k < first + count; ++k) most = s.active[k] > most ? s.active[k] : most;
+    for (std::size_t k = first; k < first + count; ++k) most = active[k] > most ? active[k] : most;
     require(count == 0 || most < n, "an active index names no Gaussian");
   }
   __builtin_memcpy(&view, s.view.data(), sizeof view);
@@ -60,6 +61,8 @@ const float* given(rust::Slice<const float> values, std::size_t wanted) {
   require(values.empty() || values.size() == wanted, "a motion has another length than the Gaussians");
   return values.empty() ? nullptr : values.data();
 }
+
+float stop_of(std::uint32_t parts) { return parts & ENDLESS ? -1.0f : STOP; }
 
 }  // namespace
 
@@ -138,8 +141,12 @@ void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, r
   has(HARMONICS, sh.size(), 3 * (scene.sh_degree + 1) * (scene.sh_degree + 1));
   View view;
   const Scene s = scene_of(scene, view, first, count);
-  for (std::size_t k = 0; k < count; ++k) require(starts[k] <= starts[k + 1], "entries of a splat are out of order");
-  require(starts[count] <= slots.size() / 16, "an entry has no slot");
+  // A slice asks Rust for its pointer each time.
+  const std::uint32_t* start = starts.data();
+  bool ascending = true;
+  for (std::size_t k = 0; k < count; ++k) ascending &= start[k] <= start[k + 1];
+  require(ascending, "entries of a splat are out of order");
+  require(start[count] <= slots.size() / 16, "an entry has no slot");
   const ChainChunk chunk{first,          count,         starts.data(),    slots.data(), wanted,
                          positions.data(), shape.data(), scales.data(), opacities.data(), sh.data(),    pose.data()};
   CALL(isa, chain, s, chunk)
@@ -154,7 +161,7 @@ void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<
   require(state.size() == PLANES * PIXELS && moving.size() == directions * MOVING * PIXELS && directions <= TOGETHER &&
               velocities.size() == directions * 8 * splats,
           "tables of a tile differ in length");
-  ForwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, state.data(),
+  ForwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, stop_of(parts), state.data(),
                    static_cast<std::uint32_t>(directions), {}, moving.data()};
   for (std::size_t d = 0; d < directions; ++d) tile.velocities[d] = velocities.data() + d * 8 * splats;
   CALL(isa, forward, tile, parts)
@@ -166,7 +173,7 @@ void splat_backward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice
   check_tile(isa, rows.size(), entries, masks.size());
   require(adjoint.size() == PLANES * PIXELS && targets.size() == entries.size(), "tables of a tile differ in length");
   require(all_below(targets, slot_count), "an entry has no slot");
-  const BackwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, adjoint.data(), targets.data(), slots};
+  const BackwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, stop_of(parts), adjoint.data(), targets.data(), slots};
   CALL(isa, backward, tile, parts)
 }
 

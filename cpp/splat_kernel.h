@@ -9,7 +9,7 @@ namespace respire {
 
 // Columns of the tables; the same as in src/splat/project.rs and src/splat/kernel.rs.
 enum Row { X, Y, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, DISCRIMINANT,
-           WIDEST, HALF_OVER_A, FOUR_A_REACH };
+           WIDEST, X_REST, Y_REST };
 enum Moment { S, SX, SY, SXX, SXY, SYY, SDEPTH, SPAD, SRED, SGREEN, SBLUE };
 
 // Velocity of a splat along a direction, times ln 2: d log(alpha) = (VX + VXX dx + VXY dy) dx + (VY + VYY dy) dy.
@@ -18,11 +18,13 @@ enum Velocity { VX, VY, VXX, VXY, VYY, VRED, VGREEN, VBLUE };
 constexpr int PIXELS = 256;  // 16x16, block by block: 4x4 blocks, numbered down the columns of the tile
 constexpr int PLANES = 5;    // of a tile's state: red, green, blue, depth sums and transmittance
 constexpr int MOVING = 4;    // planes of a tile's velocity: red, green, blue sums and transmittance
+constexpr float STOP = 1e-4f;  // what a pixel stops at; with ENDLESS none does
 constexpr int TOGETHER = 4;  // directions that one pass can carry
 
 // Pinhole camera; the same order as in src/splat/native.rs.
 struct View {
   float rotation[9], eye[3], focal[2], center[2], limit[2], size[2], near, dilation;
+  float by_opacity, beside;  // 1 or 0: extents depend on the opacity; what is beside the image is left early
 };
 
 // Gaussians as they lie in memory. `shape`: 6 floats (two axes) of discs, whose `scales` are null; quaternions of
@@ -76,6 +78,7 @@ struct ForwardTile {
   std::uint16_t* masks;          // out (in with KNOWN_MASKS): blocks that an entry may touch; 0 once nobody looks any more
   std::size_t count;
   float x, y;                    // upper left corner in pixels
+  float stop;                    // a pixel stops at the splat that would leave no more than this of the light
   float* state;                  // out: PLANES planes of PIXELS
   std::uint32_t directions;      // 0 to TOGETHER
   const float* velocities[TOGETHER];  // 8 floats per splat and direction
@@ -87,13 +90,13 @@ struct BackwardTile {
   const std::uint32_t* entries;
   const std::uint16_t* masks;
   std::size_t count;
-  float x, y;
+  float x, y, stop;
   const float* adjoint;  // dL/d red, green, blue, depth sums; then the loss still to come behind (PIXELS each)
   const std::uint32_t* targets;  // slot of each entry
   float* slots;          // out: 16 moments in the slot of each entry
 };
 
-enum Part : std::uint32_t { GEOMETRY = 1, COLOR = 2, WITH_DEPTH = 4, KNOWN_MASKS = 8 };
+enum Part : std::uint32_t { GEOMETRY = 1, COLOR = 2, WITH_DEPTH = 4, KNOWN_MASKS = 8, ENDLESS = 16 };
 
 #define RESPIRE_KERNELS(ISA)                             \
   namespace ISA {                                        \

@@ -113,6 +113,7 @@ void Tracer::update(rust::Slice<const float> vertices) {
   demand(vertices.size() == vertex_floats_, "the number of vertices cannot change");
   FloatMode mode;
   void* v = rtcGetGeometryBufferData(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
+  if (std::memcmp(v, vertices.data(), vertices.size() * sizeof(float)) == 0) return;
   std::memcpy(v, vertices.data(), vertices.size() * sizeof(float));
   refit();
   update_normals();
@@ -227,6 +228,45 @@ TileCounters Tracer::trace_tile(const FrameSettings& frame, const Tile& tile, ru
   return integrator.counters;
 }
 
+// The faces around a vertex and their areas (doubled).
+class Tracer::AreasAround {
+ public:
+  AreasAround(const Tracer& tracer, std::uint32_t vertex, rust::Slice<const std::uint32_t> offsets,
+              rust::Slice<const std::uint32_t> adjacent) {
+    demand(offsets.size() == tracer.vertex_floats_ / 3 + 1, "one offset per vertex and one for the end");
+    demand(vertex + 1 < offsets.size() && offsets[vertex] <= offsets[vertex + 1] && offsets[vertex + 1] <= adjacent.size(), "a vertex that is not there");
+    faces_ = adjacent.data() + offsets[vertex];
+    float total = 0.0f;
+    for (std::uint32_t k = offsets[vertex]; k < offsets[vertex + 1]; ++k) {
+      demand(adjacent[k] < tracer.face_count_, "a face that is not there");
+      const std::uint32_t* face = tracer.faces_ + 3ull * adjacent[k];
+      const Vec3 p = load(tracer.vertices_ + 3ull * face[0]);
+      total += length(cross(load(tracer.vertices_ + 3ull * face[1]) - p, load(tracer.vertices_ + 3ull * face[2]) - p));
+      so_far_.push_back(total);
+    }
+  }
+
+  std::size_t count() const { return so_far_.size(); }
+  std::uint32_t face(std::size_t k) const { return faces_[k]; }
+  float area(std::size_t k) const { return k == 0 ? so_far_[0] : so_far_[k] - so_far_[k - 1]; }
+  float total() const { return so_far_.empty() ? 0.0f : so_far_.back(); }
+  // The face below which the part `part` of the area lies.
+  std::uint32_t face_at(float part) const {
+    std::size_t k = 0;
+    while (k + 1 < so_far_.size() && so_far_[k] <= part * total()) ++k;
+    return faces_[k];
+  }
+
+ private:
+  const std::uint32_t* faces_;
+  std::vector<float> so_far_;
+};
+
+std::uint32_t Tracer::corner_of(std::uint32_t face, std::uint32_t vertex) const {
+  const std::uint32_t* corners = faces_ + 3ull * face;
+  return corners[0] == vertex ? 0 : corners[1] == vertex ? 1 : 2;
+}
+
 std::uint64_t Tracer::lamp(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces,
                            rust::Slice<float> values) const {
   demand(values.size() == kLampValues * faces.size(), "so many values per face");
@@ -241,7 +281,7 @@ std::uint64_t Tracer::lamp(const FrameSettings& frame, rust::Slice<const std::ui
 
 void Tracer::glints(const FrameSettings& frame, rust::Slice<const float> lamp, rust::Slice<const std::uint32_t> to,
                     rust::Slice<const std::uint32_t> from, rust::Slice<float> parts) const {
-  demand(!to.empty() && from.size() % to.size() == 0 && parts.size() == from.size(), "the same number of rays for every face");
+  demand(!to.empty() && from.size() % to.size() == 0 && parts.size() == 2 * from.size(), "the same number of rays for every face");
   if (!coated_) return;
   FloatMode mode;
   const VertexLight integrator(*this, frame);
@@ -250,7 +290,7 @@ void Tracer::glints(const FrameSettings& frame, rust::Slice<const float> lamp, r
     const std::uint32_t source = from[ray], face = to[ray / rays];
     if (source == kNothing) continue;
     demand(source < count && face < count, "a face that has no lamp values");
-    parts[ray] = integrator.glint(load(&lamp[kLampValues * face + 9]), &lamp[kLampValues * source]);
+    integrator.glint(load(&lamp[kLampValues * face + 9]), &lamp[kLampValues * source], &parts[2 * ray]);
   }
 }
 
@@ -269,48 +309,63 @@ std::uint64_t Tracer::gather(const FrameSettings& frame, rust::Slice<const std::
 
 std::uint64_t Tracer::walks(const FrameSettings& frame, rust::Slice<const std::uint32_t> vertices,
                             rust::Slice<const std::uint32_t> offsets, rust::Slice<const std::uint32_t> adjacent,
-                            rust::Slice<std::uint32_t> exits, rust::Slice<float> weights) const {
+                            rust::Slice<std::uint32_t> exits, rust::Slice<float> places, rust::Slice<float> weights,
+                            rust::Slice<float> flat) const {
   demand(!vertices.empty() && exits.size() % vertices.size() == 0, "the same number of walks for every vertex");
-  demand(weights.size() == 3 * exits.size(), "three weights per walk");
-  demand(offsets.size() == vertex_floats_ / 3 + 1, "one offset per vertex and one for the end");
+  demand(weights.size() == 3 * exits.size() && places.size() == 2 * exits.size(), "three weights and a place per walk");
+  demand(flat.size() == 3 * vertices.size(), "three values per vertex");
   FloatMode mode;
   VertexLight integrator(*this, frame);
   const std::size_t count = exits.size() / vertices.size();
-  std::vector<float> area_so_far;
   for (std::size_t i = 0; i < vertices.size(); ++i) {
     const std::uint32_t vertex = vertices[i];
-    demand(vertex + 1 < offsets.size() && offsets[vertex] <= offsets[vertex + 1] && offsets[vertex + 1] <= adjacent.size(), "a vertex that is not there");
-    area_so_far.clear();
-    float total = 0.0f;
-    for (std::uint32_t k = offsets[vertex]; k < offsets[vertex + 1]; ++k) {
-      demand(adjacent[k] < face_count_, "a face that is not there");
-      const std::uint32_t* face = faces_ + 3ull * adjacent[k];
-      const Vec3 p = load(vertices_ + 3ull * face[0]);
-      total += length(cross(load(vertices_ + 3ull * face[1]) - p, load(vertices_ + 3ull * face[2]) - p));
-      area_so_far.push_back(total);
-    }
+    const AreasAround around(*this, vertex, offsets, adjacent);
+    Vec3 excess{0, 0, 0};
     for (std::size_t k = 0; k < count; ++k) {
-      std::uint32_t& exit = exits[i * count + k];
-      exit = kNothing;
-      store(&weights[3 * (i * count + k)], Vec3{0, 0, 0});
-      if (!(total > 0.0f)) continue;
-      Sampler sampler(hash32(vertex ^ hash32(frame.pattern_key + 1)), static_cast<std::uint32_t>(k));
-      // Stratified over the faces around.
-      const float wanted = total * (static_cast<float>(k) + sampler.random()) / static_cast<float>(count);
-      std::size_t around = 0;
-      while (around + 1 < area_so_far.size() && area_so_far[around] <= wanted) ++around;
-      const std::uint32_t face = adjacent[offsets[vertex] + around];
-      const std::uint32_t* corners = faces_ + 3ull * face;
-      const std::uint32_t corner = corners[0] == vertex ? 0 : corners[1] == vertex ? 1 : 2;
-      Vec3 weight;
-      if (!integrator.walk_from(face, corner, sampler, exit, weight)) {
-        exit = kNothing;
-        continue;
+      const std::size_t walk = i * count + k;
+      VertexLight::Exit exit;
+      if (around.total() > 0.0f) {
+        Sampler sampler(hash32(vertex ^ hash32(frame.pattern_key + 1)), static_cast<std::uint32_t>(k));
+        // Stratified over the faces around.
+        const std::uint32_t face = around.face_at((static_cast<float>(k) + sampler.random()) / static_cast<float>(count));
+        exit = integrator.walk_from(face, corner_of(face, vertex), sampler);
       }
-      store(&weights[3 * (i * count + k)], weight);
+      exits[walk] = exit.face;
+      places[2 * walk] = exit.u, places[2 * walk + 1] = exit.v;
+      store(&weights[3 * walk], exit.weight);
+      excess += exit.flat;
     }
+    store(&flat[3 * i], excess * (1.0f / static_cast<float>(count)));
   }
   return integrator.counters.rays;
+}
+
+void Tracer::unshadowed(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces, rust::Slice<const float> places,
+                        rust::Slice<float> values) const {
+  demand(places.size() == 2 * faces.size() && values.size() == 3 * faces.size(), "a place and three values per face");
+  FloatMode mode;
+  const VertexLight integrator(*this, frame);
+  for (std::size_t k = 0; k < faces.size(); ++k) {
+    demand(faces[k] < face_count_, "a face that is not there");
+    store(&values[3 * k], integrator.unshadowed_at(faces[k], places[2 * k], places[2 * k + 1]));
+  }
+}
+
+void Tracer::unshadowed_around(const FrameSettings& frame, rust::Slice<const std::uint32_t> vertices,
+                               rust::Slice<const std::uint32_t> offsets, rust::Slice<const std::uint32_t> adjacent,
+                               rust::Slice<float> values) const {
+  demand(values.size() == 3 * vertices.size(), "three values per vertex");
+  FloatMode mode;
+  const VertexLight integrator(*this, frame);
+  for (std::size_t i = 0; i < vertices.size(); ++i) {
+    const AreasAround around(*this, vertices[i], offsets, adjacent);
+    Vec3 sum{0, 0, 0};
+    for (std::size_t k = 0; k < around.count(); ++k) {
+      const std::uint32_t face = around.face(k);
+      sum += integrator.unshadowed_near(face, corner_of(face, vertices[i])) * around.area(k);
+    }
+    store(&values[3 * i], around.total() > 0.0f ? sum * (1.0f / around.total()) : sum);
+  }
 }
 
 void Tracer::trace_distances(const FrameSettings& frame, rust::Slice<const float> directions,

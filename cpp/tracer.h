@@ -68,8 +68,8 @@ class Tracer {
   // kLampValues per face (`cpp/vertex_light.h`).
   std::uint64_t lamp(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces, rust::Slice<float> values) const;
 
-  // For every ray what the coat of the face that it meets sends along it of light that comes from the lamp's side, as
-  // irradiance over what the coat gets. `lamp`: what `lamp` found, of all faces that take part; `to`: places in it; `from`:
+  // For every ray two values: what the base of the face that it meets sends along it over its mean to all sides, and what the
+  // coat sends of light that comes from the lamp's side, as irradiance over what the coat gets. `lamp`: what `lamp` found, of all faces that take part; `to`: places in it; `from`:
   // places of the faces that the rays of each meet, ~0 for none, the same number of rays for each.
   void glints(const FrameSettings& frame, rust::Slice<const float> lamp, rust::Slice<const std::uint32_t> to,
               rust::Slice<const std::uint32_t> from, rust::Slice<float> parts) const;
@@ -78,10 +78,22 @@ class Tracer {
   std::uint64_t gather(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces, rust::Slice<std::uint32_t> hits) const;
 
   // Per vertex exits.size() / vertices.size() walks through the wall: the faces where they come out (~0 where they do
-  // not) and their weights (3). `adjacent[offsets[v] .. offsets[v + 1]]` are the faces around vertex v.
+  // not), the places there (barycentric weights of the second and third corner) and their weights (3). `flat`, per vertex (3): by
+  // how much the mean weight of the same walks below a flat surface is above what is known of it.
+  // `adjacent[offsets[v] .. offsets[v + 1]]` are the faces around vertex v.
   std::uint64_t walks(const FrameSettings& frame, rust::Slice<const std::uint32_t> vertices,
                       rust::Slice<const std::uint32_t> offsets, rust::Slice<const std::uint32_t> adjacent,
-                      rust::Slice<std::uint32_t> exits, rust::Slice<float> weights) const;
+                      rust::Slice<std::uint32_t> exits, rust::Slice<float> places, rust::Slice<float> weights,
+                      rust::Slice<float> flat) const;
+
+  // The lamp's irradiance (3) at places in faces (barycentric weights of the second and third corner) if nothing stood in its way.
+  void unshadowed(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces, rust::Slice<const float> places,
+                  rust::Slice<float> values) const;
+
+  // The same around vertices, as a mean with the weights of linear interpolation.
+  void unshadowed_around(const FrameSettings& frame, rust::Slice<const std::uint32_t> vertices,
+                         rust::Slice<const std::uint32_t> offsets, rust::Slice<const std::uint32_t> adjacent,
+                         rust::Slice<float> values) const;
 
   // What camera rays along unit directions (camera axes) hit: face (~0 for nothing), and per ray distance, the
   // barycentric weights of the face's second and third corner, albedo (3).
@@ -96,6 +108,10 @@ class Tracer {
   friend class LitWall;
   friend class PathIntegrator;
   friend class VertexLight;
+
+  class AreasAround;
+  // Which corner of a face a vertex is.
+  std::uint32_t corner_of(std::uint32_t face, std::uint32_t vertex) const;
 
   void bake_look();
   // The wall below a point of diffuse albedo `albedo`.

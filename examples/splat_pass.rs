@@ -1,10 +1,7 @@
-//! Some forward and backward passes on the tube of `support/tube.rs` in one thread, for `scripts/count-instructions.sh`:
+//! Some forward and backward passes on the tube of `splat::tube` in one thread, for `scripts/count-instructions.sh`:
 //! `cargo run --release --example splat_pass -- [DISCS] [SIDE] [PASSES]`.
 
-#[path = "support/tube.rs"]
-mod tube;
-
-use respire_bench::splat::{ImageGradient, Rasterizer, Wanted};
+use respire_bench::splat::{ImageGradient, Rasterizer, Wanted, tube};
 
 fn main() {
     let arguments: Vec<usize> = std::env::args().skip(1).filter_map(|v| v.parse().ok()).collect();

@@ -1,19 +1,16 @@
-//! Times the rasteriser on the tube of `support/tube.rs`:
+//! Times the rasteriser on the tube of `splat::tube`:
 //! `cargo run --release --example splat_timing -- [DISCS] [SIDE] [THREADS] [ISA] [REPETITIONS]`: stage by stage; what an
 //! appearance-only step costs; what five times as many discs out of sight add; the loss; peak memory. With 0 for THREADS:
 //! two threads against one instead, turn by turn.
 //!
 //! On a busy machine believe the CPU times (of the whole process, median), not the wall clock.
 
-#[path = "support/tube.rs"]
-mod tube;
-
 use std::time::Instant;
 
 use respire_bench::ffi::loss::{self, LossImage};
 use respire_bench::ffi::system::{cpu_time_s, peak_memory_mib};
 use respire_bench::splat::{
-    Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Reuse, Settings, Stage, View, Wanted,
+    Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Reuse, Settings, Stage, View, Wanted, tube,
 };
 
 /// Wall and CPU milliseconds of repeated work.

@@ -22,7 +22,7 @@ if command -v inferno-flamegraph >/dev/null; then
 else
   perf script --input "$data" | awk '
     /^[^ \t#]/ { next }
-    /^[ \t]/ { name = $2; for (i = 3; i < NF; ++i) name = name " " $i; stack = stack == "" ? name : name ";" stack; next }
+    /^[ \t]/ { name = $2; for (i = 3; i < NF; ++i) name = name " " $i; sub(/\+0x[0-9a-f]+$/, "", name); stack = stack == "" ? name : name ";" stack; next }
     /^$/ { if (stack != "") ++count[stack]; stack = "" }
     END { for (s in count) print s, count[s] }' >"${out%.svg}.folded"
   echo "${out%.svg}.folded (inferno-flamegraph is not installed)"

@@ -188,9 +188,17 @@ pub struct Case {
     /// Motion; absent only for a mesh pair.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub breathing: Option<Breathing>,
+    /// Root mean square error in mm of the registration between the two CTs, as methods get it: a smooth random field is
+    /// added to the expiration mesh that they are given. The film and the truth do not know of it.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub registration_error_mm: f64,
     /// Folder of the case file, for its relative paths.
     #[serde(skip)]
     pub folder: PathBuf,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 fn default_light() -> [f64; 3] {
@@ -267,6 +275,7 @@ impl Case {
             ("trajectory.speed_mm_per_s", positive(t.speed_mm_per_s), "must be positive"),
             ("trajectory.scope_radius_mm", positive(t.scope_radius_mm), "must be positive"),
             ("light_intensity", self.light_intensity.iter().all(|&v| positive(v)), "must be positive"),
+            ("registration_error_mm", (0.0..=20.0).contains(&self.registration_error_mm), "must lie between 0 and 20"),
             ("anatomy.least_radius_mm", (0.1..=10.0).contains(&least_radius_mm), "must lie between 0.1 and 10"),
             ("breathing", self.breathing.is_some() == needs_field, {
                 if needs_field { "is missing" } else { "does not belong to a mesh pair, which has its motion" }

@@ -27,6 +27,8 @@ pub enum Stage {
     Score = 9,
     /// Sensor noise.
     Sensor = 10,
+    /// Error of a registration.
+    Registration = 11,
     /// Tests.
     Test = 99,
 }

@@ -135,6 +135,7 @@ impl CommonArguments {
             material: toml::Table::new(),
             anatomy,
             breathing,
+            registration_error_mm: 0.0,
             folder: self.out.clone(),
         }
     }

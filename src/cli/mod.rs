@@ -19,6 +19,7 @@ mod list;
 mod pareto;
 mod pareto_phase;
 mod pareto_render;
+mod pareto_skipping;
 mod pareto_splat;
 mod render;
 mod run;

@@ -21,7 +21,7 @@ enum Kind {
     Render(pareto_render::Arguments),
     /// Tracking: time against phase error of Adam and Gauss-Newton, on three cases
     Phase(pareto_phase::Arguments),
-    /// Rasteriser: time against gradient error of its kernels and precisions, and what skipping saves
+    /// Rasteriser: time against error of kernels, threads, precisions, footprints, filters and blocks; what skipping saves
     Splat(pareto_splat::Arguments),
 }
 

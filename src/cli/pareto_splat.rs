@@ -1,24 +1,22 @@
-//! `respire-bench pareto splat`: time against error of the rasteriser's kernels and precisions on the tube scenes, and
-//! what it saves to leave out what nobody asks for.
+//! `respire-bench pareto splat`: time against error of everything that the rasteriser lets one choose, on tubes of several
+//! sizes: kernels, threads, precision, blocks or whole tiles, dilated or compensated, EWA or exact discs; and what it saves
+//! to leave out what nobody sees or asks for (`pareto_skipping`).
 //!
-//! The error is that of the gradients (worst group, relative L2) to the plain twin in f64 of the same footprint (EWA or
-//! exact discs); the image's stands beside it, and how far the image is from that of exact discs in f64.
-//! The cost is CPU time of forward and backward, the median over repetitions.
+//! Two charts: the errors of the gradients (worst group) and of the image, relative L2 to the plain twin in f64 of the same
+//! footprint and filter. The cost is CPU time of forward and backward, the median over repetitions; the least wall clock
+//! stands beside it, and how far the image is from that of exact discs in f64, which is what EWA approximates.
 
 use std::path::PathBuf;
+use std::time::Instant;
 
 use clap::Args;
-use glam::{DQuat, DVec3};
 
-use super::Terminal;
-use crate::base::camera::world_from_camera_looking;
-use crate::base::random::{CounterRng, Stage};
-use crate::base::{Camera, Result, files};
+use super::{Terminal, pareto_skipping};
+use crate::base::{Error, Result, files};
 use crate::ffi::system::cpu_time_s;
 use crate::report::pareto::{Chart, Point, Standing, write};
 use crate::splat::{
-    DepthOutput, Direction, Filter, Footprint, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings,
-    Shape, View, Wanted,
+    Filter, Footprint, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings, Skips, Wanted, tube,
 };
 
 /// Arguments of `pareto splat`.
@@ -28,75 +26,59 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Scenes as DISCSxPIXELS
-    #[arg(long, value_delimiter = ',', value_name = "NxPX,..", default_value = "5000x128,20000x256,100000x400")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "NxPX,..",
+        default_value = "5000x128,20000x128,20000x256,20000x512,100000x400,1000000x1024"
+    )]
     scenes: Vec<String>,
-    /// Passes per setting
+    /// Passes per setting; a tenth of it, at least one, where a pass takes tenths of a second
     #[arg(long, default_value_t = 15, value_name = "N")]
     repeat: usize,
 }
 
-/// Thin ellipsoids on the wall of a bumpy tube of 8 mm radius.
-fn tube(n: usize) -> Gaussians<f64> {
-    let mut r = CounterRng::new(1, Stage::Test, &[n as u64]);
-    let (around, length) = (std::f64::consts::TAU * 8.0, 100.0);
-    let spacing = (around * length / n as f64).sqrt();
-    let columns = (around / spacing).round().max(1.0);
-    let rows = (n as f64 / columns).ceil();
-    let mut scene = Gaussians::<f64>::discs(n, 1, 0.95);
-    let (mut rotations, mut scales) = (Vec::new(), Vec::new());
-    for (i, position) in scene.positions.iter_mut().enumerate() {
-        let (row, column) = ((i as f64 / columns).floor(), i as f64 % columns);
-        let angle = ((column + 0.5 * (row % 2.0)) * around / columns + 0.15 * spacing * r.normal()) / 8.0;
-        let z = (row + 0.5) * length / rows + 0.15 * spacing * r.normal();
-        let radius = 8.0 + 0.3 * (std::f64::consts::TAU * z / 12.0).sin() * (0.6 + 0.4 * (3.0 * angle).cos());
-        *position = [radius * angle.cos(), radius * angle.sin(), z];
-        let inwards = DVec3::new(-angle.cos(), -angle.sin(), 0.05 * r.normal()).normalize();
-        let turn = DQuat::from_rotation_arc(DVec3::Z, inwards);
-        rotations.push([turn.w, turn.x, turn.y, turn.z]);
-        let size = 0.7 * spacing;
-        scales.push([size * r.range(0.85, 1.15), size * r.range(0.85, 1.15), 0.05 * size]);
+/// One thing to choose of everything.
+#[derive(Clone, Copy)]
+struct Choice {
+    mode: &'static str,
+    isa: Isa,
+    threads: usize,
+    footprint: Footprint,
+    filter: Filter,
+    skips: Skips,
+}
+
+impl Choice {
+    /// What the program uses.
+    fn default() -> Self {
+        Choice {
+            mode: "EWA, f32",
+            isa: Isa::widest(),
+            threads: 1,
+            footprint: Footprint::Ewa,
+            filter: Filter::Dilate,
+            skips: Skips::ALL,
+        }
     }
-    scene.shape = Shape::Ellipsoids { rotations, scales };
-    scene.sh.iter_mut().for_each(|v| *v = 0.3 * r.normal());
-    // Every precision gets the very numbers that the lowest one can hold.
-    scene.cast::<f32>().cast()
-}
 
-fn view(side: u32) -> View {
-    let forward = DVec3::new(12f64.to_radians().sin(), 6f64.to_radians().sin(), 1.0);
-    let world = world_from_camera_looking(DVec3::new(1.0, -0.5, 10.0), forward, DVec3::NEG_Y);
-    View::new(Camera::pinhole(side, side, 90f64.to_radians()), world)
-}
-
-const SETTINGS: Settings = Settings {
-    footprint: Footprint::Ewa,
-    near_mm: 0.2,
-    dilation_px2: 0.3,
-    filter: Filter::Dilate,
-    gain: [1.0; 3],
-    background: [0.0; 3],
-    depth: DepthOutput::Skip,
-};
-
-/// CPU seconds of `work`, the median of `repeat` after one to warm up.
-fn seconds(repeat: usize, mut work: impl FnMut() -> Result<()>) -> Result<f64> {
-    let mut times = Vec::new();
-    for _ in 0..=repeat.max(1) {
-        let start = cpu_time_s();
-        work()?;
-        times.push(cpu_time_s() - start);
+    fn settings(&self) -> Settings {
+        Settings { footprint: self.footprint, filter: self.filter, ..tube::settings() }
     }
-    times.remove(0);
-    times.sort_by(f64::total_cmp);
-    Ok(times[times.len() / 2])
+
+    fn label(&self) -> String {
+        let kernel = if self.footprint == Footprint::Disc { "plain".into() } else { self.isa.to_string() };
+        if self.threads == 1 { kernel } else { format!("{kernel}, {} threads", self.threads) }
+    }
 }
 
-/// What one setting computes and costs.
+/// What one choice computes and costs.
 struct Measured {
     image: Vec<f64>,
     groups: Vec<Vec<f64>>,
     forward_s: f64,
     both_s: f64,
+    wall_s: f64,
 }
 
 fn groups<T: Real>(g: &Gradients<T>) -> Vec<Vec<f64>> {
@@ -105,125 +87,130 @@ fn groups<T: Real>(g: &Gradients<T>) -> Vec<Vec<f64>> {
     vec![wide(g.positions.as_flattened()), rotations, scales, wide(&g.opacities), wide(&g.sh), g.pose.to_vec()]
 }
 
-fn weights<T: Real>(values: usize) -> Vec<T> {
-    (0..values).map(|k| T::of(((k * 7919) % 1009) as f64 / 504.0 - 1.0)).collect()
+/// CPU seconds of `work`, the median, and the least of its wall clock; after one to warm up.
+fn seconds(repeat: usize, mut work: impl FnMut() -> Result<()>) -> Result<[f64; 2]> {
+    work()?;
+    let (mut times, mut least) = (Vec::new(), f64::INFINITY);
+    for _ in 0..repeat.max(1) {
+        let (cpu, wall) = (cpu_time_s(), Instant::now());
+        work()?;
+        least = least.min(wall.elapsed().as_secs_f64());
+        times.push(cpu_time_s() - cpu);
+    }
+    times.sort_by(f64::total_cmp);
+    Ok([times[times.len() / 2], least])
 }
 
-fn measure<T: Real>(
-    scene: &Gaussians<f64>,
-    side: u32,
-    isa: Isa,
-    footprint: Footprint,
-    repeat: usize,
-) -> Result<Measured> {
-    let settings = Settings { footprint, ..SETTINGS };
-    let (scene, view) = (scene.cast::<T>(), view(side));
-    let mut rasterizer = Rasterizer::<T>::with_isa(isa)?;
-    let weights = weights::<T>(3 * (side * side) as usize);
+/// Runs `work` with so many threads.
+pub(super) fn with_threads<R: Send>(threads: usize, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map_err(|e| Error::input(format!("{threads} threads cannot be had: {e}")))?.install(work)
+}
+
+fn measure<T: Real>(scene: &Gaussians<f32>, side: usize, choice: Choice, repeat: usize) -> Result<Measured> {
+    let (scene, view, settings) = (scene.cast::<T>(), tube::view(side), choice.settings());
+    let weights: Vec<T> = tube::image_gradient(3 * side * side).iter().map(|&w| T::of(f64::from(w))).collect();
     let gradient = ImageGradient { color: &weights, ..ImageGradient::default() };
-    let forward_s = seconds(repeat, || rasterizer.render(&scene, &view, &settings, None).map(drop))?;
-    let both_s = seconds(repeat, || {
-        rasterizer.render(&scene, &view, &settings, None)?;
-        rasterizer.backward(&scene, &gradient, Wanted::ALL).map(drop)
-    })?;
-    let image = rasterizer.rendered().color.iter().map(|v| v.to_f64()).collect();
-    Ok(Measured { image, groups: groups(rasterizer.gradients()), forward_s, both_s })
+    with_threads(choice.threads, || {
+        let mut rasterizer = Rasterizer::<T>::with_isa(choice.isa)?;
+        rasterizer.skips(choice.skips);
+        let [forward_s, _] = seconds(repeat, || rasterizer.render(&scene, &view, &settings, None).map(drop))?;
+        let [both_s, wall_s] = seconds(repeat, || {
+            rasterizer.render(&scene, &view, &settings, None)?;
+            rasterizer.backward(&scene, &gradient, Wanted::ALL).map(drop)
+        })?;
+        let image = rasterizer.rendered().color.iter().map(|v| v.to_f64()).collect();
+        Ok(Measured { image, groups: groups(rasterizer.gradients()), forward_s, both_s, wall_s })
+    })
 }
 
-fn relative(a: &[f64], b: &[f64]) -> f64 {
+/// `|a - b| / |b|`, L2.
+pub(super) fn relative(a: &[f64], b: &[f64]) -> f64 {
     let norm = b.iter().map(|v| v * v).sum::<f64>().sqrt();
     a.iter().zip(b).map(|(x, y)| (x - y).powi(2)).sum::<f64>().sqrt() / norm
 }
 
-fn points(subject: &str, scene: &Gaussians<f64>, side: u32, repeat: usize) -> Result<Vec<Point>> {
-    let truth = measure::<f64>(scene, side, Isa::Scalar, Footprint::Ewa, 1)?;
-    let discs = measure::<f64>(scene, side, Isa::Scalar, Footprint::Disc, 1)?;
-    let mut points = Vec::new();
-    let mut add = |mode: &str, setting: String, standing, m: &Measured, truth: &Measured| {
-        let error = m.groups.iter().zip(&truth.groups).map(|(f, t)| relative(f, t)).fold(0.0, f64::max);
-        points.push(Point {
-            subject: subject.into(),
-            mode: mode.into(),
-            setting,
-            cost: m.both_s,
-            error,
-            standing,
-            extra: vec![
-                ("forward_s", m.forward_s),
-                ("image_error", relative(&m.image, &truth.image)),
-                ("image_to_exact_discs", relative(&m.image, &discs.image)),
-            ],
-        });
+/// The points of a scene, for the chart of gradients and for that of the image.
+fn points(subject: &str, scene: &Gaussians<f32>, side: usize, repeat: usize) -> Result<[Vec<Point>; 2]> {
+    let few = if scene.len() >= 500_000 { repeat.div_ceil(10) } else { repeat };
+    let slow = repeat.div_ceil(10);
+    let default = Choice::default();
+    let compensated = Choice { filter: Filter::Compensate, ..default };
+    let discs = Choice { footprint: Footprint::Disc, ..default };
+    let twin = |choice: Choice| measure::<f64>(scene, side, Choice { isa: Isa::Scalar, ..choice }, slow);
+    let (truth, truth_compensated, truth_discs) = (twin(default)?, twin(compensated)?, twin(discs)?);
+
+    let mut charts = [Vec::new(), Vec::new()];
+    let mut add = |choice: Choice, m: &Measured, truth: &Measured, standing: Standing| {
+        let gradients = m.groups.iter().zip(&truth.groups).map(|(f, t)| relative(f, t)).fold(0.0, f64::max);
+        let image = relative(&m.image, &truth.image);
+        for (chart, error) in charts.iter_mut().zip([gradients, image]) {
+            chart.push(Point {
+                subject: subject.into(),
+                mode: choice.mode.into(),
+                setting: choice.label(),
+                cost: m.both_s,
+                error,
+                standing,
+                extra: vec![
+                    ("threads", choice.threads as f64),
+                    ("forward_s", m.forward_s),
+                    ("least_wall_s", m.wall_s),
+                    ("gradient_error", gradients),
+                    ("image_error", image),
+                    ("image_to_exact_discs", relative(&m.image, &truth_discs.image)),
+                ],
+            });
+        }
     };
     for isa in [Isa::Scalar, Isa::Baseline, Isa::Avx2, Isa::Avx512] {
-        if isa.available().is_err() {
-            continue;
+        if isa.available().is_ok() {
+            let choice = Choice { isa, ..default };
+            let measured = measure::<f32>(scene, side, choice, if isa == Isa::Scalar { slow } else { few })?;
+            let standing = if isa == Isa::widest() { Standing::Default } else { Standing::Alternative };
+            add(choice, &measured, &truth, standing);
         }
-        let repeat = if isa == Isa::Scalar { 1 } else { repeat };
-        let standing = if isa == Isa::widest() { Standing::Default } else { Standing::Alternative };
-        let measured = measure::<f32>(scene, side, isa, Footprint::Ewa, repeat)?;
-        add("single precision", isa.to_string(), standing, &measured, &truth);
     }
-    add("double precision", "scalar".into(), Standing::Alternative, &truth, &truth);
-    let single = measure::<f32>(scene, side, Isa::widest(), Footprint::Disc, repeat.min(3))?;
-    add("exact discs, single precision", "plain".into(), Standing::Alternative, &single, &discs);
-    add("exact discs, double precision", "plain".into(), Standing::Alternative, &discs, &discs);
-    Ok(points)
-}
-
-/// CPU time of forward and backward for the groups wanted, over that of all, and of one tangent over a forward pass.
-fn skipping(subject: &str, scene: &Gaussians<f64>, side: u32, repeat: usize) -> Result<String> {
-    let (scene, view) = (scene.cast::<f32>(), view(side));
-    let mut rasterizer = Rasterizer::<f32>::new();
-    let weights = weights::<f32>(3 * (side * side) as usize);
-    let gradient = ImageGradient { color: &weights, ..ImageGradient::default() };
-    let forward = seconds(repeat, || rasterizer.render(&scene, &view, &SETTINGS, None).map(drop))?;
-    let mut text = String::new();
-    let wanted = [
-        ("all groups", Wanted::ALL),
-        ("positions and shapes", Wanted::POSITIONS | Wanted::SHAPES),
-        ("opacities", Wanted::OPACITIES),
-        ("SH", Wanted::SH),
-        ("pose", Wanted::POSE),
-        ("gain", Wanted::GAIN),
-    ];
-    for (name, groups) in wanted {
-        let both = seconds(repeat, || {
-            rasterizer.render(&scene, &view, &SETTINGS, None)?;
-            rasterizer.backward(&scene, &gradient, groups).map(drop)
-        })?;
-        text += &format!("{subject},forward + backward for {name},{:.6},{:.3}\n", both, both / forward);
+    for (choice, truth, repeat) in [
+        (Choice { threads: 2, ..default }, &truth, few),
+        (Choice { mode: "EWA, f32, whole tiles", skips: Skips::ALL.without(Skips::BLOCKS), ..default }, &truth, few),
+        (Choice { mode: "EWA compensated, f32", ..compensated }, &truth_compensated, few),
+        (Choice { mode: "exact discs, f32", ..discs }, &truth_discs, slow),
+    ] {
+        add(choice, &measure::<f32>(scene, side, choice, repeat)?, truth, Standing::Alternative);
     }
-    let directions = [Direction::Pose([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])];
-    let tangent = seconds(repeat, || rasterizer.render_tangent(&scene, &view, &SETTINGS, None, &directions).map(drop))?;
-    text += &format!("{subject},forward with one direction (JVP),{tangent:.6},{:.3}\n", tangent / forward);
-    let half: Vec<u32> = (0..scene.len() as u32 / 2).collect();
-    let active = seconds(repeat, || rasterizer.render(&scene, &view, &SETTINGS, Some(&half)).map(drop))?;
-    text += &format!("{subject},forward of the nearer half of the Gaussians,{active:.6},{:.3}\n", active / forward);
-    Ok(text)
+    let plain = |mode, choice| Choice { mode, isa: Isa::Scalar, ..choice };
+    add(plain("EWA, f64", default), &truth, &truth, Standing::Alternative);
+    add(plain("EWA compensated, f64", compensated), &truth_compensated, &truth_compensated, Standing::Alternative);
+    add(plain("exact discs, f64", discs), &truth_discs, &truth_discs, Standing::Alternative);
+    Ok(charts)
 }
 
 /// Runs the command.
 pub(super) fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
-    let mut all = Vec::new();
-    let mut saved = "subject,what,cpu_s,of_forward\n".to_string();
+    let mut charts = [Vec::new(), Vec::new()];
+    let mut saved = pareto_skipping::HEADER.to_string();
     for name in &arguments.scenes {
         let parsed = name.split_once('x').and_then(|(n, side)| Some((n.parse().ok()?, side.parse().ok()?)));
         let Some((n, side @ 1..=4096)) = parsed else {
-            return Err(crate::base::Error::usage(format!("`{name}` is no scene; 20000x256 would be one")));
+            return Err(Error::usage(format!("`{name}` is no scene; 20000x256 would be one")));
         };
         let subject = format!("{n} discs, {side} px");
         terminal.stage(&subject);
-        let scene = tube(n);
-        all.extend(points(&subject, &scene, side, arguments.repeat)?);
-        saved += &skipping(&subject.replace(", ", " at "), &scene, side, arguments.repeat)?;
+        let scene = tube::tube(n);
+        let found = points(&subject, &scene, side, arguments.repeat)?;
+        charts.iter_mut().zip(found).for_each(|(chart, points)| chart.extend(points));
+        if n < 500_000 {
+            let rows = with_threads(1, || pareto_skipping::rows(&scene, side, arguments.repeat))?;
+            rows.iter().for_each(|row| saved += &row.line(&subject.replace(", ", " at ")));
+        }
     }
-    let chart = Chart {
-        cost: "CPU seconds, forward and backward",
-        error: "gradients to f64, worst group, relative L2",
-        points: all,
-    };
+    let [gradients, image] = charts;
+    let cost = "CPU seconds, forward and backward";
+    let chart = Chart { cost, error: "gradients to f64, worst group, relative L2", points: gradients };
     let table = write(&chart, &arguments.out, "pareto-splat")?;
+    let chart = Chart { cost, error: "image to f64, relative L2", points: image };
+    write(&chart, &arguments.out, "pareto-splat-image")?;
     files::write_bytes(&arguments.out.join("skipping.csv"), saved.as_bytes())?;
     terminal.line(table.display());
     Ok(())

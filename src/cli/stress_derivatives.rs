@@ -5,6 +5,8 @@ use crate::base::Result;
 use crate::splat::Fault;
 use crate::splat::gradient_check::{Case, LANE_LIMIT, Truth};
 
+/// How the rows of the faults begin.
+pub(super) const FAULT: &str = "seeded fault";
 /// Scenes of the check.
 const SCENES: u64 = 75;
 /// Scenes that the faults are tried on.
@@ -42,7 +44,7 @@ pub(super) fn rows() -> Result<Vec<Row>> {
             }
         }
         let caught = worst > LANE_LIMIT;
-        let row = Row::of_claim(format!("seeded fault {fault:?} is caught"), caught);
+        let row = Row::of_claim(format!("{FAULT} {fault:?} is caught"), caught);
         groups.push(Row { gradient_error: worst, worst_group: group, ..row });
     }
     Ok(groups)

@@ -1,9 +1,11 @@
-//! The wall between Rust and C/C++: Embree (bindgen), OpenCV (the `opencv` crate), own C++ (cxx, `cpp/`), libc.
+//! The wall between Rust and C/C++: Embree (bindgen), OpenCV (the `opencv` crate), own C++ (cxx, `cpp/`), libc;
+//! and what Rust compiles for one instruction set.
 //!
 //! The only room that may say `unsafe`. Every C object has one owning handle; `Mat`, `RTCScene` and cxx types never
 //! leave this room. Knows nothing of airways.
 #![allow(unsafe_code)]
 
+pub mod adam;
 pub mod embree;
 pub mod loss;
 pub mod splat;

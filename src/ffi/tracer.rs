@@ -162,8 +162,25 @@ mod bridge {
             offsets: &[u32],
             adjacent: &[u32],
             exits: &mut [u32],
+            places: &mut [f32],
             weights: &mut [f32],
+            flat: &mut [f32],
         ) -> Result<u64>;
+        fn unshadowed(
+            self: &Tracer,
+            frame: &FrameSettings,
+            faces: &[u32],
+            places: &[f32],
+            values: &mut [f32],
+        ) -> Result<()>;
+        fn unshadowed_around(
+            self: &Tracer,
+            frame: &FrameSettings,
+            vertices: &[u32],
+            offsets: &[u32],
+            adjacent: &[u32],
+            values: &mut [f32],
+        ) -> Result<()>;
         fn probe(
             self: &Tracer,
             frame: &FrameSettings,
@@ -184,12 +201,29 @@ mod bridge {
 pub const FILM_CHANNELS: usize = 19;
 
 /// Values per vertex: what the base sends of light that walked in the wall, over its albedo and times pi (3); irradiance by
-/// other walls (3).
-pub const KNOWN_VALUES: usize = 6;
+/// other walls (3); the part of walks that comes out nearby, over the albedo (3), and that part times the lamp's unshadowed
+/// irradiance around the vertex (3).
+pub const KNOWN_VALUES: usize = 12;
 
 /// Values per face: the lamp's irradiance (3), what the base sends on of it (3), what is sent on to all sides alike of other
-/// light (3), centre (3), normal (3), what the coat mirrors of the lamp's light and of other light, over [`MeshTracer::glints`].
-pub const LAMP_VALUES: usize = 17;
+/// light (3), centre (3), normal (3), what the coat mirrors of the lamp's light and of other light, over [`MeshTracer::glints`]
+/// (2); the lamp's unshadowed irradiance (3); 1 where the face is so near that this is not even over it, or 0.
+pub const LAMP_VALUES: usize = 21;
+
+/// Walks through the wall, the same number for every vertex.
+#[derive(Clone, Debug, Default)]
+pub struct Walks {
+    /// Per walk the face where it comes out; [`NO_FACE`] where it does not.
+    pub exits: Vec<u32>,
+    /// Per walk the place there: barycentric weights of the face's second and third corner.
+    pub places: Vec<f32>,
+    /// Per walk what is left of its light over the albedo where it began, three channels.
+    pub weights: Vec<f32>,
+    /// Per vertex, three channels: by how much the mean weight of the same walks below a flat surface is above what is known of it.
+    pub flat: Vec<f32>,
+    /// Rays that it took.
+    pub rays: u64,
+}
 
 /// In place of a face: nothing was hit.
 pub const NO_FACE: u32 = u32::MAX;
@@ -264,9 +298,10 @@ impl MeshTracer {
         self.0.lamp(frame, faces, values).map_err(failed)
     }
 
-    /// For every ray of the faces at the places `to` of `lamp` ([`LAMP_VALUES`] each) what the coat of the face that it meets
-    /// (place in `from`, [`NO_FACE`] for none; the same number for each of `to`) sends along it of light from the lamp's side:
-    /// irradiance over what the coat gets.
+    /// Two values for every ray of the faces at the places `to` of `lamp` ([`LAMP_VALUES`] each), which meets a face (place in
+    /// `from`, [`NO_FACE`] for none; the same number for each of `to`): what that face's base sends along it, over its mean to
+    /// all sides, and what its coat sends of light from the lamp's side, as irradiance over what the coat gets. Left alone
+    /// where there is no coat.
     pub fn glints(
         &self,
         frame: &FrameSettings,
@@ -283,18 +318,42 @@ impl MeshTracer {
         self.0.gather(frame, faces, hits).map_err(failed)
     }
 
-    /// Per vertex `exits.len() / vertices.len()` walks through the wall: faces where they come out ([`NO_FACE`] where they
-    /// do not) and three weights. `adjacent[offsets[v]..offsets[v + 1]]` are the faces around vertex v. Gives back the
-    /// number of rays.
+    /// `count` walks through the wall for every vertex. `adjacent[offsets[v]..offsets[v + 1]]` are the faces around vertex v.
     pub fn walks(
         &self,
         frame: &FrameSettings,
         vertices: &[u32],
         [offsets, adjacent]: [&[u32]; 2],
-        exits: &mut [u32],
-        weights: &mut [f32],
-    ) -> Result<u64> {
-        self.0.walks(frame, vertices, offsets, adjacent, exits, weights).map_err(failed)
+        count: usize,
+    ) -> Result<Walks> {
+        let all = vertices.len() * count;
+        let mut walks = Walks {
+            exits: vec![NO_FACE; all],
+            places: vec![0.0; 2 * all],
+            weights: vec![0.0; 3 * all],
+            flat: vec![0.0; 3 * vertices.len()],
+            rays: 0,
+        };
+        let Walks { exits, places, weights, flat, rays } = &mut walks;
+        *rays = self.0.walks(frame, vertices, offsets, adjacent, exits, places, weights, flat).map_err(failed)?;
+        Ok(walks)
+    }
+
+    /// The lamp's irradiance (three channels) at `places` in `faces` (barycentric weights of the second and third corner) if
+    /// nothing stood in its way.
+    pub fn unshadowed(&self, frame: &FrameSettings, faces: &[u32], places: &[f32], values: &mut [f32]) -> Result<()> {
+        self.0.unshadowed(frame, faces, places, values).map_err(failed)
+    }
+
+    /// The same around `vertices`, as a mean with the weights of linear interpolation.
+    pub fn unshadowed_around(
+        &self,
+        frame: &FrameSettings,
+        vertices: &[u32],
+        [offsets, adjacent]: [&[u32]; 2],
+        values: &mut [f32],
+    ) -> Result<()> {
+        self.0.unshadowed_around(frame, vertices, offsets, adjacent, values).map_err(failed)
     }
 
     /// What camera rays along unit directions (camera axes) hit: face (`u32::MAX` for nothing) and [`PROBE_VALUES`] values.

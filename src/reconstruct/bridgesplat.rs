@@ -21,7 +21,7 @@ use super::loss::photometric::Photometric;
 use super::online::{color_image, fit_in_order, held_out};
 use super::optimiser::{Adam, AdamConstants, StepCounter};
 use super::settings::{BridgeMethod, Variant};
-use super::{Access, FramePrediction, Observation, Reconstruct, Reconstruction};
+use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 
 #[cfg(test)]
 #[path = "bridgesplat_tests.rs"]
@@ -46,7 +46,7 @@ impl Reconstruct for Bridgesplat {
     }
 
     fn access(&self) -> Access {
-        Access { expiration_mesh: false, first_depth: false, true_phase: false }
+        Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: Poses::True }
     }
 
     fn run(
@@ -156,7 +156,15 @@ impl<'a> State<'a> {
         self.surface.absorb(&patch);
         let color = color_image(&self.rasterizer);
         let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);
-        Ok(FramePrediction { frame, color, depth_mm, phase: None, phase_deviation: None, ahead })
+        Ok(FramePrediction {
+            frame,
+            color,
+            depth_mm,
+            phase: None,
+            phase_deviation: None,
+            world_from_camera: None,
+            ahead,
+        })
     }
 
     /// False for vertices of any face that has a disc outside the image (occlusion is not tested).

@@ -22,7 +22,7 @@ use super::loss::photometric::Photometric;
 use super::online::{color_image, fit_in_order, held_out};
 use super::optimiser::{Adam, AdamConstants, StepCounter};
 use super::settings::BridgeMethod;
-use super::{Access, FramePrediction, Observation, Reconstruct, Reconstruction};
+use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 
 /// BridgeSplat without its mesh.
 pub struct BridgesplatNomesh {
@@ -43,7 +43,7 @@ impl Reconstruct for BridgesplatNomesh {
     }
 
     fn access(&self) -> Access {
-        Access { expiration_mesh: false, first_depth: false, true_phase: false }
+        Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: Poses::True }
     }
 
     fn run(
@@ -193,7 +193,15 @@ impl<'a> State<'a> {
         self.free.absorb(&patch);
         let color = color_image(&self.rasterizer);
         let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);
-        Ok(FramePrediction { frame, color, depth_mm, phase: None, phase_deviation: None, ahead })
+        Ok(FramePrediction {
+            frame,
+            color,
+            depth_mm,
+            phase: None,
+            phase_deviation: None,
+            world_from_camera: None,
+            ahead,
+        })
     }
 
     /// Anchors whose own Gaussian is outside the image.

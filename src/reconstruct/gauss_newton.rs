@@ -36,6 +36,39 @@ pub struct Robust {
     pub gain_limit: f64,
     /// Those of the last frame.
     pub last_gain: [f64; 3],
+    /// What else of the brightness is nobody's fault.
+    pub unevenness: Unevenness,
+}
+
+/// Brightness of an image against its rendering, beyond one gain per channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unevenness {
+    /// None.
+    Even,
+    /// A gain that is linear across the image, and one that grows with the square of the distance from its middle: walls
+    /// light each other as no model here says.
+    Smooth,
+}
+
+/// Smooth functions of the place in an image that a gain may follow.
+const TERMS: usize = 4;
+
+/// What a gain per channel explains: factors on the [`TERMS`] functions.
+type Shares = [[f32; TERMS]; 3];
+
+/// The functions at each pixel; empty where only the constant counts.
+fn terms(seen: &Comparison<'_>, unevenness: Unevenness) -> Vec<[f32; TERMS]> {
+    if unevenness == Unevenness::Even {
+        return Vec::new();
+    }
+    let (width, pixels) = (seen.width as f32, seen.image.len() / 3);
+    let height = pixels as f32 / width;
+    let term = |i: usize| {
+        let (x, y) = ((i % seen.width) as f32 + 0.5, (i / seen.width) as f32 + 0.5);
+        let (u, v) = (2.0 * x / width - 1.0, 2.0 * y / height - 1.0);
+        [1.0, u, v, u * u + v * v]
+    };
+    (0..pixels).map(term).collect()
 }
 
 /// What an image says about the unknowns.
@@ -92,17 +125,43 @@ pub fn evidence(seen: &Comparison<'_>, robust: Robust) -> Option<Evidence> {
     let weights: Vec<f32> = rough.iter().map(|r| (limit / r.abs().max(limit)).min(1.0)).collect();
     let gain = gains(seen.image, seen.rendered, &robust, |i| weights[i]);
 
-    // Each column of the Jacobian without what a change of gain explains as well.
-    let along = |column: &[f32], c: usize| -> f32 {
-        let (mut cross, mut square) = (0.0f64, 1e-9f64);
-        for i in (c..n).step_by(3) {
-            let weighted = (weights[i] * seen.rendered[i]) as f64;
-            cross += weighted * column[i] as f64;
-            square += weighted * seen.rendered[i] as f64;
+    // Residuals and each column of the Jacobian without what a change of gain explains as well.
+    let terms = terms(seen, robust.unevenness);
+    let count = if terms.is_empty() { 1 } else { TERMS };
+    let term = |i: usize, m: usize| terms.get(i / 3).map_or(1.0, |t| t[m]);
+    let squares: Vec<DMatrix<f64>> = (0..3)
+        .map(|c| {
+            let mut square = DMatrix::identity(count, count) * 1e-9;
+            for i in (c..n).step_by(3) {
+                let weighted = (weights[i] * seen.rendered[i] * seen.rendered[i]) as f64;
+                for (a, b) in (0..count).flat_map(|a| (0..=a).map(move |b| (a, b))) {
+                    square[(a, b)] += weighted * (term(i, a) * term(i, b)) as f64;
+                }
+            }
+            square.fill_upper_triangle_with_lower_triangle();
+            square
+        })
+        .collect();
+    let along = |column: &dyn Fn(usize) -> f32| -> Option<Shares> {
+        let mut shares = [[0.0; TERMS]; 3];
+        for (c, square) in squares.iter().enumerate() {
+            let mut cross = DVector::<f64>::zeros(count);
+            for i in (c..n).step_by(3) {
+                let weighted = (weights[i] * seen.rendered[i] * column(i)) as f64;
+                (0..count).for_each(|m| cross[m] += weighted * term(i, m) as f64);
+            }
+            let solved = square.clone().cholesky()?.solve(&cross);
+            (0..count).for_each(|m| shares[c][m] = solved[m] as f32);
         }
-        (cross / square) as f32
+        Some(shares)
     };
-    let shares: Vec<[f32; 3]> = seen.tangents.iter().map(|t| [0, 1, 2].map(|c| along(t, c))).collect();
+    let explained = |shares: &Shares, i: usize| {
+        let share = &shares[i % 3];
+        let factor = if terms.is_empty() { share[0] } else { (0..TERMS).map(|m| share[m] * terms[i / 3][m]).sum() };
+        factor * seen.rendered[i]
+    };
+    let shares: Vec<Shares> = seen.tangents.iter().map(|t| along(&|i| t[i])).collect::<Option<_>>()?;
+    let uneven = if terms.is_empty() { [[0.0; TERMS]; 3] } else { along(&|i| residual(gain, i))? };
 
     let row = 3 * seen.width;
     let blocks_x = seen.width.div_ceil(robust.block_px);
@@ -112,11 +171,11 @@ pub fn evidence(seen: &Comparison<'_>, robust: Robust) -> Option<Evidence> {
     let mut jacobian = vec![0.0f64; unknowns];
     let mut cost = 0.0f64;
     for i in 0..n {
-        let (r, w) = (residual(gain, i), weights[i]);
+        let (r, w) = (residual(gain, i) - explained(&uneven, i), weights[i]);
         let size = r.abs();
         cost += if size <= limit { 0.5 * size * size } else { limit * (size - 0.5 * limit) } as f64;
         for (k, (t, share)) in seen.tangents.iter().zip(&shares).enumerate() {
-            jacobian[k] = gain[i % 3] * (t[i] - share[i % 3] * seen.rendered[i]) as f64;
+            jacobian[k] = gain[i % 3] * (t[i] - explained(share, i)) as f64;
         }
         let score = &mut scores[block_of(i)];
         for a in 0..unknowns {
@@ -166,7 +225,8 @@ mod tests {
         (image, tangents)
     }
 
-    const ROBUST: Robust = Robust { huber: 2.0, block_px: 8, gain_limit: 0.5, last_gain: [1.0; 3] };
+    const ROBUST: Robust =
+        Robust { huber: 2.0, block_px: 8, gain_limit: 0.5, last_gain: [1.0; 3], unevenness: Unevenness::Even };
 
     #[test]
     fn a_shift_is_found_through_gain_and_outliers() {
@@ -190,6 +250,24 @@ mod tests {
         let last = last.unwrap();
         assert!((at[0] - truth[0]).abs() < 1e-3 && (at[1] - truth[1]).abs() < 1e-3, "{at:?}");
         assert!((last.gain[0] - 1.2).abs() < 5e-3 && (last.gain[1] - 0.9).abs() < 5e-3, "{:?}", last.gain);
+    }
+
+    /// A slope of brightness across the image is no shift, once it may be uneven.
+    #[test]
+    fn a_shift_is_found_under_an_uneven_light() {
+        let mut image = wave([0.0, 0.0]).0;
+        for (i, v) in image.iter_mut().enumerate() {
+            let (x, y) = ((i / 3 % SIZE) as f32 / SIZE as f32, (i / 3 / SIZE) as f32 / SIZE as f32);
+            *v *= 0.8 + 0.3 * x + 0.1 * y;
+        }
+        let (rendered, tangents) = wave([0.0, 0.0]);
+        let seen = Comparison { width: SIZE, image: &image, rendered: &rendered, tangents: &tangents };
+        let off = |unevenness| {
+            let found = evidence(&seen, Robust { unevenness, ..ROBUST }).unwrap();
+            found.step.norm()
+        };
+        let (even, smooth) = (off(Unevenness::Even), off(Unevenness::Smooth));
+        assert!(even > 2e-3 && smooth < 0.2 * even, "{even} {smooth}");
     }
 
     /// Noise that is constant on blocks: a bound that took pixels as independent would be far too sure.

@@ -70,8 +70,16 @@ mod tests {
     fn the_methods_are_there() {
         let all = methods(&shipped(), 1.0).unwrap();
         let ids: Vec<&str> = all.iter().map(|m| m.id()).collect();
-        let expected =
-            ["bridgesplat", "bridgesplat-nomesh", "oracle-phase", "ours", "ours-gn", "ours-nomesh", "static-ct"];
+        let expected = [
+            "bridgesplat",
+            "bridgesplat-nomesh",
+            "oracle-phase",
+            "ours",
+            "ours-gn",
+            "ours-gn-pose",
+            "ours-nomesh",
+            "static-ct",
+        ];
         assert_eq!(ids, expected);
     }
 

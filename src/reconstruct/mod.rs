@@ -24,6 +24,7 @@ pub mod phase;
 mod phase_fit;
 mod phase_search;
 mod prediction;
+mod rough_poses;
 mod scope_light;
 pub mod settings;
 #[cfg(test)]
@@ -42,6 +43,7 @@ pub use ours::{Ours, Row};
 pub use ours_gn::OursGn;
 pub use ours_nomesh::OursNomesh;
 pub use prediction::write_prediction;
+pub use rough_poses::rough_poses;
 
 /// What a method asks to see beyond images, times, camera and poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +54,17 @@ pub struct Access {
     pub first_depth: bool,
     /// The true phase of every frame (the `oracle-phase` row only).
     pub true_phase: bool,
+    /// How well the poses are known.
+    pub poses: Poses,
+}
+
+/// How well the poses are known that a method is handed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Poses {
+    /// As they are: the paper's assumption.
+    True,
+    /// Wrong by 2 mm and 3 degrees ([`rough_poses`]).
+    Rough,
 }
 
 /// What a method is handed.
@@ -116,6 +129,8 @@ pub struct FramePrediction {
     pub phase: Option<f64>,
     /// Standard deviation of that estimate, where the method knows one.
     pub phase_deviation: Option<f64>,
+    /// Estimated pose, where the method has one of its own.
+    pub world_from_camera: Option<DAffine3>,
     /// Rendering made before the frame's image was looked at (every eighth frame).
     pub ahead: Option<Image<f32>>,
 }

@@ -8,10 +8,12 @@
 //! [`RowAdam`] is the same for one row of values per Gaussian, and touches only rows that some render of the frame has
 //! shown: a row without a gradient so far has zero moments and a step of exactly zero, so that leaving it alone is no
 //! approximation. One pass over moments, parameters and gradients (which the rasteriser writes anew, so that nobody has to
-//! clear them), without a branch inside, so that the compiler uses vectors; values do not depend on each other, so
-//! that any number of threads gives the same bytes.
+//! clear them), in vectors (`ffi/adam.rs`); values do not depend on each other, so that any number of threads gives the
+//! same bytes.
 
 use rayon::prelude::*;
+
+use crate::ffi::adam::Rule;
 
 /// Constants of Adam.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,58 +41,15 @@ pub enum StepCounter {
     Restarted,
 }
 
-/// The numbers of one step.
-#[derive(Clone, Copy)]
-struct Rule {
-    keep: [f32; 2],
-    add: [f32; 2],
-    unbias: [f32; 2],
-    epsilon: f32,
-}
-
-impl Rule {
-    /// Of step number `steps`, counted from 1.
-    fn new(constants: AdamConstants, steps: u64) -> Self {
-        let steps = steps.min(i32::MAX as u64) as i32;
-        let betas = [constants.beta1, constants.beta2];
-        Rule {
-            keep: betas.map(|b| b as f32),
-            add: betas.map(|b| (1.0 - b) as f32),
-            unbias: betas.map(|b| (1.0 / (1.0 - b.powi(steps))) as f32),
-            epsilon: constants.epsilon as f32,
-        }
-    }
-
-    /// One value. A gradient that is not finite changes nothing.
-    #[inline(always)]
-    fn apply(&self, rate: f32, parameter: &mut f32, g: f32, first: &mut f32, second: &mut f32) {
-        let m = self.keep[0] * *first + self.add[0] * g;
-        let v = self.keep[1] * *second + self.add[1] * g * g;
-        let root = (v * self.unbias[1]).sqrt() + self.epsilon;
-        // A zero gradient from the start leaves both moments zero: no step, rather than 0 / eps.
-        let root = if root > f32::MIN_POSITIVE { root } else { f32::MIN_POSITIVE };
-        let moved = *parameter - rate * (m * self.unbias[0]) / root;
-        let finite = g - g == 0.0;
-        *first = if finite { m } else { *first };
-        *second = if finite { v } else { *second };
-        *parameter = if finite { moved } else { *parameter };
-    }
-
-    /// Many values, all slices as long as `parameters`.
-    #[inline(always)]
-    fn apply_all(
-        &self,
-        rates: &[f32],
-        parameters: &mut [f32],
-        gradient: &[f32],
-        first: &mut [f32],
-        second: &mut [f32],
-    ) {
-        let n = parameters.len();
-        let (rates, gradient, first, second) = (&rates[..n], &gradient[..n], &mut first[..n], &mut second[..n]);
-        for i in 0..n {
-            self.apply(rates[i], &mut parameters[i], gradient[i], &mut first[i], &mut second[i]);
-        }
+/// The numbers of step number `steps`, counted from 1.
+fn rule(constants: AdamConstants, steps: u64) -> Rule {
+    let steps = steps.min(i32::MAX as u64) as i32;
+    let betas = [constants.beta1, constants.beta2];
+    Rule {
+        keep: betas.map(|b| b as f32),
+        add: betas.map(|b| (1.0 - b) as f32),
+        unbias: betas.map(|b| (1.0 / (1.0 - b.powi(steps))) as f32),
+        epsilon: constants.epsilon as f32,
     }
 }
 
@@ -124,7 +83,7 @@ impl Adam {
     pub fn step(&mut self, rate: f64, parameters: &mut [f32], gradient: &[f32]) {
         assert!(parameters.len() == gradient.len() && gradient.len() == self.first.len(), "group sizes differ");
         self.steps += 1;
-        let rule = Rule::new(self.constants, self.steps);
+        let rule = rule(self.constants, self.steps);
         let moments = self.first.iter_mut().zip(self.second.iter_mut());
         for ((parameter, &g), (first, second)) in parameters.iter_mut().zip(gradient).zip(moments) {
             rule.apply(rate as f32, parameter, g, first, second);
@@ -180,7 +139,7 @@ impl<const K: usize> RowAdam<K> {
         let sizes = [parameters.len(), gradient.len(), visible.len() * K];
         assert!(sizes == [rows * K; 3], "group sizes differ");
         self.steps += 1;
-        let rule = Rule::new(self.constants, self.steps);
+        let rule = rule(self.constants, self.steps);
         let rates: Vec<f32> = rates.iter().map(|&r| r as f32).cycle().take(RUN * K).collect();
         let moments = self.first[..rows * K].par_chunks_mut(ROWS * K).zip(self.second.par_chunks_mut(ROWS * K));
         let values = parameters.par_chunks_mut(ROWS * K).zip(gradient.par_chunks(ROWS * K));

@@ -10,7 +10,7 @@ use super::memory::Memory;
 use super::optimiser::StepCounter;
 use super::phase_fit::{self, Carried, PhaseSource, at_phase};
 use super::settings::PhaseMethod;
-use super::{Access, FramePrediction, Observation, Reconstruct, Reconstruction};
+use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 
 /// Which row of the report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +47,7 @@ impl Reconstruct for Ours {
             expiration_mesh: self.row != Row::StaticCt,
             first_depth: self.row == Row::Ours,
             true_phase: self.row == Row::OraclePhase,
+            poses: Poses::True,
         }
     }
 

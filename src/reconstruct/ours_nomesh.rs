@@ -14,7 +14,7 @@ use super::neighbours;
 use super::optimiser::StepCounter;
 use super::phase_fit::{self, Carried, PhaseSource};
 use super::settings::PhaseMethod;
-use super::{Access, FramePrediction, Observation, Reconstruct, Reconstruction};
+use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 
 /// Mesh vertices whose displacements a Gaussian averages.
 const FIELD_NEIGHBOURS: usize = 4;
@@ -38,7 +38,7 @@ impl Reconstruct for OursNomesh {
     }
 
     fn access(&self) -> Access {
-        Access { expiration_mesh: true, first_depth: true, true_phase: false }
+        Access { expiration_mesh: true, first_depth: true, true_phase: false, poses: Poses::True }
     }
 
     fn run(

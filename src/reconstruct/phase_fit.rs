@@ -193,7 +193,15 @@ impl Fitter<'_> {
         self.mark_fitted(&view, carried, &image, &before);
         carried.leave();
         self.phases.push(phase);
-        Ok(FramePrediction { frame, color, depth_mm, phase: estimated.then_some(phase), phase_deviation: None, ahead })
+        Ok(FramePrediction {
+            frame,
+            color,
+            depth_mm,
+            phase: estimated.then_some(phase),
+            phase_deviation: None,
+            world_from_camera: None,
+            ahead,
+        })
     }
 
     /// First frame: the phase whose rendered depth is nearest to the given one.

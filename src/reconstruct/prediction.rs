@@ -4,6 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::DAffine3;
 use serde::Serialize;
 
 use crate::base::image::codes_from_unit;
@@ -27,8 +28,10 @@ pub fn write_prediction(
     progress: &dyn Progress,
 ) -> Result<()> {
     let mut phases: Vec<(usize, f64, Option<f64>)> = Vec::new();
+    let mut poses: Vec<(usize, DAffine3)> = Vec::new();
     let mut emit = |prediction: FramePrediction| -> Result<()> {
         write_frame(folder, &prediction)?;
+        poses.extend(prediction.world_from_camera.map(|pose| (prediction.frame, pose)));
         phases.extend(prediction.phase.map(|phase| (prediction.frame, phase, prediction.phase_deviation)));
         Ok(())
     };
@@ -47,12 +50,30 @@ pub fn write_prediction(
         let bytes = writer.into_inner().map_err(|e| Error::input(e.to_string()))?;
         files::write_bytes(&folder.join("phase.csv"), &bytes)?;
     }
+    if !poses.is_empty() {
+        files::write_bytes(&folder.join("poses.csv"), pose_table(&poses).as_bytes())?;
+    }
     if let Some(final_mesh) = &done.final_mesh {
         mesh::write_ply(&folder.join("mesh/final.ply"), final_mesh, &["airway surface at the last frame, mm"])?;
     }
     let frames = observation.images.len();
     let timing = Timing { time_total_s: done.seconds, time_per_frame_s: done.seconds / frames as f64, frames };
     files::write_json(&folder.join("timing.json"), &timing)
+}
+
+/// Columns `frame` and `m00` to `m23`: the upper rows of world_from_camera, mm.
+fn pose_table(poses: &[(usize, DAffine3)]) -> String {
+    let mut table = String::from("frame,m00,m01,m02,m03,m10,m11,m12,m13,m20,m21,m22,m23\n");
+    for (frame, pose) in poses {
+        table += &frame.to_string();
+        for row in 0..3 {
+            for column in [pose.matrix3.x_axis, pose.matrix3.y_axis, pose.matrix3.z_axis, pose.translation] {
+                table += &format!(",{:.9}", column[row]);
+            }
+        }
+        table.push('\n');
+    }
+    table
 }
 
 fn frame_file(folder: &Path, kind: &str, frame: usize, extension: &str) -> PathBuf {

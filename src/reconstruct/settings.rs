@@ -296,12 +296,30 @@ pub struct GaussNewtonMethod {
     pub grid_steps: Sourced<u32>,
     /// Largest change of the exposure gain per channel and frame.
     pub exposure_limit: Sourced<f64>,
+    /// Whether a smooth unevenness of the brightness across the image says nothing about the unknowns.
+    pub uneven_light: Sourced<bool>,
     /// Brightness^(1 / 2.2) falls with distance to this power.
     pub falloff_exponent: Sourced<f64>,
     /// Light that does not depend on the incidence, as a share of that which does.
     pub indirect_share: Sourced<f64>,
     /// Sweeps over the albedo in the first frame and in the others.
     pub appearance_steps: Sourced<[u32; 2]>,
+    /// Further sweeps over the colours that are shown, forgotten after the frame.
+    pub touch_up_steps: Sourced<u32>,
+    /// Whether the breath is expected to repeat itself once its period is known.
+    pub period_prior: Sourced<bool>,
+    /// Whether the given poses are rough and to be refined.
+    pub unknown_pose: Sourced<bool>,
+    /// Standard deviation per axis of the error of the first given pose: rad, mm.
+    pub pose_deviation: Sourced<[f64; 2]>,
+    /// Standard deviation per axis of the change of that error from frame to frame: rad, mm.
+    pub pose_drift: Sourced<[f64; 2]>,
+    /// Centres of the correction of the displacement field that each frame estimates; 0 = no correction.
+    pub correction_rank: Sourced<u32>,
+    /// Width of the correction around a centre (standard deviation of a bell).
+    pub correction_reach_mm: Sourced<f64>,
+    /// Standard deviation per axis of the error of the registration.
+    pub correction_deviation_mm: Sourced<f64>,
     /// Pixels by which a disc's albedo is held at what it was: several discs share a pixel where the wall is far or
     /// grazed, and the image cannot tell them apart.
     pub hold_pixels: Sourced<f64>,

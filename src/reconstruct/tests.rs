@@ -178,9 +178,8 @@ fn ours_recovers_its_world_and_the_planted_phase() {
     assert!(mae < 0.01, "{mae}");
 }
 
-#[test]
-fn ours_gn_recovers_its_world_and_the_planted_phase() {
-    let observation = world(Made::Discs, 24, 64, breath);
+/// `ours-gn` for a world of coarse discs without a light of its own.
+fn unlit_gn() -> settings::GaussNewtonMethod {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
     let mut settings: settings::GaussNewtonMethod = files::read_toml(&folder.join("ours-gn.toml")).unwrap();
     settings.falloff_exponent.value = 0.0;
@@ -188,13 +187,75 @@ fn ours_gn_recovers_its_world_and_the_planted_phase() {
     settings.scope.vignette.value = 0.0;
     settings.discs.gaussians_per_face.value = settings::PerFace::Auto(settings::Auto::Auto);
     settings.discs.gaussian_budget.value = 7000;
-    let (psnr, answers) = recover(&OursGn::new(settings, 1.0), &observation);
+    // The world's discs have gaps between them.
+    settings.discs.initial_scale.value = 0.6;
+    settings
+}
+
+fn mean_phase_error(answers: &[FramePrediction], observation: &Observation) -> f64 {
     let truth = observation.true_phase.as_ref().unwrap();
     let errors: Vec<f64> = answers.iter().zip(truth).map(|(p, t)| p.phase.unwrap() - t).collect();
     println!("phase errors {errors:.4?}");
-    let mae = errors.iter().map(|e| e.abs()).sum::<f64>() / errors.len() as f64;
+    errors.iter().map(|e| e.abs()).sum::<f64>() / errors.len() as f64
+}
+
+#[test]
+fn ours_gn_recovers_its_world_and_the_planted_phase() {
+    let observation = world(Made::Discs, 24, 64, breath);
+    let (psnr, answers) = recover(&OursGn::new(unlit_gn(), 1.0), &observation);
+    let mae = mean_phase_error(&answers, &observation);
     assert!(psnr >= 38.0, "{psnr}");
     assert!(mae < 0.01, "{mae}");
+}
+
+/// Poses that are off by 2 mm and 3 degrees: the depth of the first frame tells by how much. The drift after that (0.04 mm
+/// a frame) is not followed yet (docs/methods.md).
+#[test]
+fn ours_gn_finds_where_the_scope_starts() {
+    let mut observation = world(Made::Discs, 12, 64, breath);
+    let truth = observation.world_from_camera.clone();
+    observation.world_from_camera = rough_poses(&truth, &observation.time_s, 3);
+    let mut settings = unlit_gn();
+    settings.unknown_pose.value = true;
+    settings.pose_drift.value = [0.001, 0.03];
+    let (_, answers) = recover(&OursGn::new(settings, 1.0), &observation);
+    let poses = answers.iter().map(|p| p.world_from_camera.unwrap());
+    let far: Vec<f64> = poses.zip(&truth).map(|(p, t)| p.translation.distance(t.translation)).collect();
+    println!("mm {far:.3?}");
+    let mean = far.iter().sum::<f64>() / far.len() as f64;
+    assert!(far[0] < 0.1, "{}", far[0]);
+    assert!(mean < 0.35, "{mean}");
+    assert!(mean_phase_error(&answers, &observation) < 0.05);
+}
+
+/// A registration that is wrong by a bell of 1 mm across the airway: what the last frame sees of it is mended.
+#[test]
+fn ours_gn_finds_a_planted_error_of_the_registration() {
+    let mut observation = world(Made::Discs, 24, 64, |t| 0.04 * t as f64);
+    let truth = observation.expiration.clone().unwrap();
+    let middle = observation.world_from_camera[12].translation + DVec3::Z * 12.0;
+    let wrong =
+        |v: DVec3, at: DVec3| v + DVec3::new(1.0, 0.0, 0.0) * (-0.5 * at.distance_squared(middle) / 400.0).exp();
+    let places = observation.inspiration.vertices.clone();
+    let vertices = truth.vertices.iter().zip(&places).map(|(v, at)| wrong(*v, *at)).collect();
+    observation.expiration = Some(TriangleMesh { vertices, faces: truth.faces.clone() });
+    let phase = observation.true_phase.as_ref().unwrap()[23];
+    let last = observation.world_from_camera[23].translation;
+    let near = |v: &DVec3| (4.0..25.0).contains(&(v.z - last.z));
+    let error = |rank: u32| {
+        let mut settings = unlit_gn();
+        settings.correction_rank.value = rank;
+        let found = OursGn::new(settings, 1.0).run(&observation, &mut |_| Ok(()), &NoProgress).unwrap();
+        let true_mesh = mesh::interpolate(&places, &truth.vertices, phase);
+        let all = found.final_mesh.unwrap().vertices;
+        let off: Vec<f64> =
+            all.iter().zip(&true_mesh).filter(|(_, t)| near(t)).map(|(a, t)| a.distance_squared(*t)).collect();
+        (off.iter().sum::<f64>() / off.len() as f64).sqrt()
+    };
+    let (without, with) = (error(0), error(2));
+    println!("without {without:.3} mm, with {with:.3} mm");
+    assert!(without > 0.4, "{without}");
+    assert!(with < 0.7 * without, "{with} of {without}");
 }
 
 #[test]

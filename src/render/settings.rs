@@ -58,7 +58,7 @@ pub enum Transport {
 
 impl Transport {
     /// Light at vertices with as many rays as the measurements of `docs/decisions/0005-light-at-vertices.md` suggest.
-    pub const VERTICES: Transport = Transport::Vertices { rays_per_face: 16 };
+    pub const VERTICES: Transport = Transport::Vertices { rays_per_face: 32 };
 }
 
 /// Whether the indirect light is filtered.

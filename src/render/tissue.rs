@@ -16,20 +16,46 @@ use rayon::prelude::*;
 
 use super::topology::Topology;
 use crate::base::{Error, Result};
-use crate::ffi::tracer::{FrameSettings, MaterialSettings, MeshTracer, NO_FACE};
+use crate::ffi::tracer::{FrameSettings, MaterialSettings, MeshTracer, NO_FACE, Walks};
 
 /// Walks per vertex.
-pub(super) const WALKS: usize = 64;
+pub(super) const WALKS: usize = 256;
 /// Vertices per task.
 const CHUNK: usize = 16;
 
-/// One face from which a vertex gets light.
+/// One place from which a vertex gets light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Source {
-    /// The face.
+    /// Its face.
     pub face: u32,
+    /// Barycentric weights of the face's second and third corner.
+    pub place: [f32; 2],
     /// Part of its irradiance that comes out at the vertex, over the vertex' albedo.
     pub weight: [f32; 3],
+}
+
+/// Where one vertex gets its light from.
+struct Row {
+    sources: Box<[Source]>,
+    /// Sum of the weights, free of the noise that the same walks have below a flat surface.
+    sum: [f32; 3],
+}
+
+impl Row {
+    fn new(walks: &Walks, vertex: usize) -> Self {
+        let mut sources = Vec::new();
+        let mut sum: [f32; 3] = std::array::from_fn(|c| -walks.flat[3 * vertex + c]);
+        for walk in (vertex * WALKS..(vertex + 1) * WALKS).filter(|&w| walks.exits[w] != NO_FACE) {
+            let weight: [f32; 3] = std::array::from_fn(|c| walks.weights[3 * walk + c] / WALKS as f32);
+            (0..3).for_each(|c| sum[c] += weight[c]);
+            sources.push(Source {
+                face: walks.exits[walk],
+                place: [walks.places[2 * walk], walks.places[2 * walk + 1]],
+                weight,
+            });
+        }
+        Row { sources: sources.into_boxed_slice(), sum }
+    }
 }
 
 /// What makes the tracers of the fixed shapes.
@@ -46,7 +72,7 @@ pub(super) struct Rest {
 pub(super) struct Tissue {
     rest: Rest,
     ends: Vec<End>,
-    rows: Vec<OnceLock<Box<[Source]>>>,
+    rows: Vec<OnceLock<Row>>,
     scales: Vec<OnceLock<[f32; 3]>>,
 }
 
@@ -171,73 +197,38 @@ impl Tissue {
         let rays: Vec<u64> = missing
             .par_chunks(CHUNK)
             .map(|chunk| {
-                let mut exits = vec![NO_FACE; chunk.len() * WALKS];
-                let mut weights = vec![0.0; exits.len() * 3];
-                let rays = tracer.walks(frame, chunk, topology.around(), &mut exits, &mut weights)?;
-                for ((&v, exits), weights) in
-                    chunk.iter().zip(exits.chunks_exact(WALKS)).zip(weights.chunks_exact(3 * WALKS))
-                {
-                    self.rows[v as usize].get_or_init(|| row(exits, weights));
+                let walks = tracer.walks(frame, chunk, topology.around(), WALKS)?;
+                for (place, &v) in chunk.iter().enumerate() {
+                    self.rows[v as usize].get_or_init(|| Row::new(&walks, place));
                 }
-                Ok(rays)
+                Ok(walks.rays)
             })
             .collect::<Result<_>>()?;
         Ok(rays.iter().sum())
     }
 
+    /// What brings the sum of a row to the mean of those around it.
     fn scale(&self, vertex: u32, around: &[u32]) -> [f32; 3] {
         let mut mean = [0.0; 3];
-        for &v in around {
-            let sum = self.sum(v);
-            (0..3).for_each(|c| mean[c] += sum[c] / around.len() as f32);
+        for row in around.iter().filter_map(|&v| self.rows[v as usize].get()) {
+            (0..3).for_each(|c| mean[c] += row.sum[c] / around.len() as f32);
         }
-        let own = self.sum(vertex);
-        std::array::from_fn(|c| if own[c] > 0.0 { mean[c] / own[c] } else { 0.0 })
-    }
-
-    fn sum(&self, vertex: u32) -> [f32; 3] {
-        let mut sum = [0.0; 3];
+        let mut own = [0.0; 3];
         for source in self.sources(vertex) {
-            (0..3).for_each(|c| sum[c] += source.weight[c]);
+            (0..3).for_each(|c| own[c] += source.weight[c]);
         }
-        sum
+        std::array::from_fn(|c| if own[c] > 0.0 { mean[c].max(0.0) / own[c] } else { 0.0 })
     }
 
     /// Where a vertex gets its light from, unscaled; empty before [`Tissue::prepare`].
     pub(super) fn sources(&self, vertex: u32) -> &[Source] {
-        self.rows[vertex as usize].get().map_or(&[], |r| r)
+        self.rows[vertex as usize].get().map_or(&[], |r| &r.sources)
     }
 
-    /// Light that comes out at a vertex, over its albedo and times pi. `received`: irradiance of a face.
-    pub(super) fn light(&self, vertex: u32, received: impl Fn(u32) -> [f32; 3]) -> [f32; 3] {
-        let mut light = [0.0; 3];
-        for source in self.sources(vertex) {
-            let irradiance = received(source.face);
-            (0..3).for_each(|c| light[c] += source.weight[c] * irradiance[c]);
-        }
-        let scale = self.scales[vertex as usize].get().copied().unwrap_or([0.0; 3]);
-        std::array::from_fn(|c| light[c] * scale[c])
+    /// What brings a vertex' row to the mean sum of those around it; 0 before [`Tissue::prepare`].
+    pub(super) fn scale_of(&self, vertex: u32) -> [f32; 3] {
+        self.scales[vertex as usize].get().copied().unwrap_or([0.0; 3])
     }
-}
-
-/// Walks that come out at the same face become one source.
-fn row(exits: &[u32], weights: &[f32]) -> Box<[Source]> {
-    let mut walks: Vec<Source> = exits
-        .iter()
-        .zip(weights.chunks_exact(3))
-        .filter(|(face, _)| **face != NO_FACE)
-        .map(|(&face, w)| Source { face, weight: [w[0], w[1], w[2]].map(|v| v / WALKS as f32) })
-        .collect();
-    // Stable: walks to one face are added in their order.
-    walks.sort_by_key(|s| s.face);
-    let mut row: Vec<Source> = Vec::new();
-    for walk in walks {
-        match row.last_mut().filter(|last| last.face == walk.face) {
-            Some(last) => (0..3).for_each(|c| last.weight[c] += walk.weight[c]),
-            None => row.push(walk),
-        }
-    }
-    row.into_boxed_slice()
 }
 
 #[cfg(test)]
@@ -245,12 +236,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn walks_to_one_face_are_added() {
-        let weights = [1.0, 2.0, 3.0, 10.0, 10.0, 10.0, 1.0, 1.0, 1.0, 9.0, 9.0, 9.0];
-        let found = row(&[7, 3, 7, NO_FACE], &weights);
-        let scale = 1.0 / WALKS as f32;
-        assert_eq!(found.len(), 2);
-        assert_eq!(found[0], Source { face: 3, weight: [10.0 * scale; 3] });
-        assert_eq!(found[1], Source { face: 7, weight: [2.0 * scale, 3.0 * scale, 4.0 * scale] });
+    fn a_row_holds_what_comes_out_and_its_sum_is_freed_of_the_flat_walks_noise() {
+        let mut walks = Walks {
+            exits: vec![NO_FACE; 2 * WALKS],
+            places: vec![0.25; 4 * WALKS],
+            weights: vec![0.0; 6 * WALKS],
+            flat: vec![0.0, 0.0, 0.0, 0.5, -0.5, 0.0],
+            rays: 0,
+        };
+        walks.exits[WALKS + 3] = 7;
+        walks.weights[3 * (WALKS + 3)..][..3].copy_from_slice(&[1.0, 2.0, 3.0]);
+        let row = Row::new(&walks, 1);
+        let part = 1.0 / WALKS as f32;
+        assert_eq!(*row.sources, [Source { face: 7, place: [0.25; 2], weight: [part, 2.0 * part, 3.0 * part] }]);
+        assert_eq!(row.sum, [part - 0.5, 2.0 * part + 0.5, 3.0 * part]);
+        assert!(Row::new(&walks, 0).sources.is_empty());
     }
 }

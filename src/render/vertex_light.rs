@@ -18,6 +18,7 @@
 use rayon::prelude::*;
 
 use super::scene::Scene;
+use super::tissue::Source;
 use crate::base::Result;
 use crate::ffi::tracer::{FrameSettings, KNOWN_VALUES, LAMP_VALUES, NO_FACE};
 
@@ -71,8 +72,8 @@ struct Generation {
     first: usize,
     weights: Vec<f32>,
     hits: Vec<u32>,
-    /// What the coats that the rays meet send along them (`MeshTracer::glints`).
-    glints: Vec<f32>,
+    /// What base and coat of the faces that the rays meet send along them (`MeshTracer::glints`).
+    parts: Vec<[f32; 2]>,
 }
 
 impl Generation {
@@ -99,7 +100,8 @@ pub(super) fn vertex_light(
     add_glints(scene, frame, &mut generations, &lamp)?;
     let irradiance = solve(frame, &generations, &lamp);
     let solved = generations.iter().map(Generation::len).sum();
-    Ok(VertexLight { known: at_vertices(scene, &vertices, &faces, &lamp, &irradiance, solved), rays })
+    let walked = walked_light(scene, frame, &vertices, &faces, &lamp, &irradiance)?;
+    Ok(VertexLight { known: at_vertices(scene, &vertices, &walked, &faces, &irradiance, solved), rays })
 }
 
 /// Corners of the seen faces, each once.
@@ -150,7 +152,7 @@ fn gather(
         }
         let weights =
             ends.iter().flat_map(|&(_, part)| std::iter::repeat_n(part / per_face as f32, per_face)).collect();
-        generations.push(Generation { first, weights, glints: vec![0.0; hits.len()], hits });
+        generations.push(Generation { first, weights, parts: vec![[1.0, 0.0]; hits.len()], hits });
         first = end;
     }
     for hit in generations.iter_mut().flat_map(|g| &mut g.hits).filter(|h| **h != NO_FACE) {
@@ -179,13 +181,15 @@ fn add_glints(scene: &Scene, frame: &FrameSettings, generations: &mut [Generatio
         let rays = CHUNK * generation.weights.len();
         to.par_chunks(CHUNK)
             .zip(generation.hits.par_chunks(rays))
-            .zip(generation.glints.par_chunks_mut(rays))
-            .try_for_each(|((to, from), parts)| scene.tracer.glints(frame, lamp, [to, from], parts))?;
+            .zip(generation.parts.par_chunks_mut(rays))
+            .try_for_each(|((to, from), parts)| {
+                scene.tracer.glints(frame, lamp, [to, from], parts.as_flattened_mut())
+            })?;
     }
     Ok(())
 }
 
-/// What a face sends to others: by its base to all sides alike, by its coat as [`Generation::glints`] says.
+/// What a face sends to others: by its base to all sides alike, by its coat as [`Generation::parts`] says.
 #[derive(Clone, Copy)]
 struct Sent {
     base: Rgb,
@@ -222,41 +226,107 @@ fn step(frame: &FrameSettings, generations: &[Generation], sent: &[Sent]) -> Vec
     for generation in generations.iter().filter(|g| !g.hits.is_empty()) {
         debug_assert_eq!(generation.first, next.len());
         let rays = generation.weights.len();
-        let received = |(hits, glints): (&[u32], &[f32])| -> Rgb {
+        let received = |(hits, parts): (&[u32], &[[f32; 2]])| -> Rgb {
             let mut sum = [0.0; 3];
-            for ((&hit, &glint), &weight) in hits.iter().zip(glints).zip(&generation.weights) {
+            for ((&hit, part), &weight) in hits.iter().zip(parts).zip(&generation.weights) {
                 if hit == NO_FACE {
                     (0..3).for_each(|c| sum[c] += weight * outside[c]);
                 } else {
                     let Sent { base, coat } = &sent[hit as usize];
-                    (0..3).for_each(|c| sum[c] += weight * (base[c] + glint * coat[c]));
+                    (0..3).for_each(|c| sum[c] += weight * (part[0] * base[c] + part[1] * coat[c]));
                 }
             }
             sum
         };
         next.par_extend(
-            generation.hits.par_chunks_exact(rays).zip(generation.glints.par_chunks_exact(rays)).map(received),
+            generation.hits.par_chunks_exact(rays).zip(generation.parts.par_chunks_exact(rays)).map(received),
         );
     }
     next.resize(sent.len(), [0.0; 3]);
     next
 }
 
-fn at_vertices(
+/// What a vertex sends by way of the wall, over its albedo and times pi.
+#[derive(Clone, Copy, Default)]
+struct Walked {
+    light: Rgb,
+    /// Part of the walks' light that comes out at the faces around the vertex.
+    nearby: Rgb,
+    /// `nearby` times the lamp's unshadowed irradiance there.
+    lamp_nearby: Rgb,
+}
+
+impl Walked {
+    fn known(&self, irradiance: Rgb) -> [f32; KNOWN_VALUES] {
+        let parts = [self.light, irradiance, self.nearby, self.lamp_nearby];
+        std::array::from_fn(|c| parts[c / 3][c % 3])
+    }
+}
+
+/// Light that has walked to the vertices. Faces near the lamp are not lit evenly: there the lamp's unshadowed irradiance is
+/// taken at the place where a walk comes out, and what else there is (shadow, other walls) as even.
+fn walked_light(
     scene: &Scene,
+    frame: &FrameSettings,
     vertices: &[u32],
     faces: &Faces,
     lamp: &[f32],
     irradiance: &[Rgb],
+) -> Result<Vec<Walked>> {
+    if !scene.tissue.walks() {
+        return Ok(Vec::new());
+    }
+    let of_lamp = |face: u32| &lamp[faces.place(face) * LAMP_VALUES..][..LAMP_VALUES];
+    let near = |source: &&Source| of_lamp(source.face)[20] > 0.0;
+    let chunk = |vertices: &[u32]| -> Result<Vec<Walked>> {
+        let mut around = vec![0.0; 3 * vertices.len()];
+        scene.tracer.unshadowed_around(frame, vertices, scene.topology.around(), &mut around)?;
+        let sources = || vertices.iter().flat_map(|&v| scene.tissue.sources(v));
+        let exits: Vec<u32> = sources().filter(near).map(|s| s.face).collect();
+        let places: Vec<f32> = sources().filter(near).flat_map(|s| s.place).collect();
+        let mut sharp = vec![0.0; 3 * exits.len()];
+        scene.tracer.unshadowed(frame, &exits, &places, &mut sharp)?;
+        let mut sharp = sharp.chunks_exact(3);
+        let walked = |(&v, around): (&u32, &[f32])| {
+            let mut found = Walked::default();
+            for source in scene.tissue.sources(v) {
+                let (lamp, indirect) = (of_lamp(source.face), irradiance[faces.place(source.face)]);
+                let own = scene.topology.faces[source.face as usize].contains(&v);
+                let sharp = if near(&source) { sharp.next() } else { None };
+                for c in 0..3 {
+                    let uneven = sharp.map_or(0.0, |sharp| sharp[c] - lamp[17 + c]);
+                    found.light[c] += source.weight[c] * (lamp[c] + indirect[c] + uneven);
+                    found.nearby[c] += if own { source.weight[c] } else { 0.0 };
+                }
+            }
+            let scale = scene.tissue.scale_of(v);
+            for c in 0..3 {
+                found.light[c] = (found.light[c] * scale[c]).max(0.0);
+                found.nearby[c] *= scale[c];
+                found.lamp_nearby[c] = found.nearby[c] * around[c];
+            }
+            found
+        };
+        Ok(vertices.iter().zip(around.chunks_exact(3)).map(walked).collect())
+    };
+    let parts: Vec<Vec<Walked>> = vertices.par_chunks(CHUNK).map(chunk).collect::<Result<_>>()?;
+    Ok(parts.into_iter().flatten().collect())
+}
+
+/// [`KNOWN_VALUES`] per vertex of the mesh. `walked`: of `vertices`, or empty.
+fn at_vertices(
+    scene: &Scene,
+    vertices: &[u32],
+    walked: &[Walked],
+    faces: &Faces,
+    irradiance: &[Rgb],
     solved: usize,
 ) -> Vec<f32> {
-    let received: Vec<Rgb> =
-        lamp.chunks_exact(LAMP_VALUES).zip(irradiance).map(|(l, e)| std::array::from_fn(|c| l[c] + e[c])).collect();
-    let walked: Vec<Rgb> =
-        vertices.par_iter().map(|&v| scene.tissue.light(v, |face| received[faces.place(face)])).collect();
-    let mut known = vec![-1.0; scene.topology.vertex_count() * KNOWN_VALUES];
-    for (&v, light) in vertices.iter().zip(&walked) {
-        known[v as usize * KNOWN_VALUES..][..3].copy_from_slice(light);
+    let nothing = Walked { light: [-1.0; 3], ..Walked::default() };
+    let mut known = nothing.known([-1.0; 3]).repeat(scene.topology.vertex_count());
+    for (k, &v) in vertices.iter().enumerate() {
+        let walked = walked.get(k).copied().unwrap_or_default();
+        known[v as usize * KNOWN_VALUES..][..KNOWN_VALUES].copy_from_slice(&walked.known([-1.0; 3]));
     }
     // Also where the camera does not look: the coat mirrors it.
     let mut counts = vec![0u32; scene.topology.vertex_count()];
@@ -277,6 +347,9 @@ fn at_vertices(
     known
 }
 
+/// Channels of light (walked light and irradiance) among the [`KNOWN_VALUES`].
+const LIGHTS: usize = 6;
+
 /// Linear interpolation between vertices lies above a valley and below a crest, and means over the faces around a vertex
 /// flatten both: second-order terms that the difference from the neighbours' mean takes off again, where all of them are
 /// known. (Six neighbours at distance h: their mean is h^2/4 times the Laplacian off; interpolation h^2/16 on average
@@ -284,13 +357,18 @@ fn at_vertices(
 fn sharpen(scene: &Scene, vertices: &[u32], known: &mut [f32]) {
     const WALKED: f32 = 1.0 / 2.0;
     const IRRADIANCE: f32 = 2.0 / 3.0;
-    let sharp = |&v: &u32| -> [f32; KNOWN_VALUES] {
-        let own: [f32; KNOWN_VALUES] = std::array::from_fn(|c| known[v as usize * KNOWN_VALUES + c]);
-        let (mut sum, mut count, mut all) = ([0.0; KNOWN_VALUES], 0.0, [true; KNOWN_VALUES]);
+    // What is not taken sharply anyway (`Walked::lamp_nearby`).
+    let blunt = |v: u32| -> [f32; LIGHTS] {
+        let values = &known[v as usize * KNOWN_VALUES..][..KNOWN_VALUES];
+        std::array::from_fn(|c| if c < 3 { values[c] - values[9 + c] } else { values[c] })
+    };
+    let sharp = |&v: &u32| -> [f32; LIGHTS] {
+        let (own, own_blunt) = (&known[v as usize * KNOWN_VALUES..][..LIGHTS], blunt(v));
+        let (mut sum, mut count, mut all) = ([0.0; LIGHTS], 0.0, [true; LIGHTS]);
         for n in scene.topology.neighbours(v).filter(|&n| n != v) {
-            for (c, &value) in known[n as usize * KNOWN_VALUES..][..KNOWN_VALUES].iter().enumerate() {
+            for (c, value) in blunt(n).into_iter().enumerate() {
                 sum[c] += value;
-                all[c] &= value >= 0.0;
+                all[c] &= known[n as usize * KNOWN_VALUES + c] >= 0.0;
             }
             count += 1.0;
         }
@@ -299,12 +377,12 @@ fn sharpen(scene: &Scene, vertices: &[u32], known: &mut [f32]) {
             if !all[c] || count == 0.0 {
                 return own[c];
             }
-            (own[c] + part * (own[c] - sum[c] / count)).clamp(0.5 * own[c], 1.5 * own[c])
+            (own[c] + part * (own_blunt[c] - sum[c] / count)).clamp(0.5 * own[c], 1.5 * own[c])
         })
     };
-    let sharpened: Vec<[f32; KNOWN_VALUES]> = vertices.par_iter().map(sharp).collect();
+    let sharpened: Vec<[f32; LIGHTS]> = vertices.par_iter().map(sharp).collect();
     for (&v, values) in vertices.iter().zip(&sharpened) {
-        known[v as usize * KNOWN_VALUES..][..KNOWN_VALUES].copy_from_slice(values);
+        known[v as usize * KNOWN_VALUES..][..LIGHTS].copy_from_slice(values);
     }
 }
 
@@ -317,9 +395,9 @@ fn spread(scene: &Scene, vertices: &[u32], known: &mut [f32]) {
         beyond.retain(|&v| known[v as usize * KNOWN_VALUES] < 0.0);
         beyond.sort_unstable();
         beyond.dedup();
-        let means: Vec<[f32; KNOWN_VALUES]> = beyond.iter().map(|&v| mean_around(scene, v, known)).collect();
+        let means: Vec<[f32; LIGHTS]> = beyond.iter().map(|&v| mean_around(scene, v, known)).collect();
         for (&v, value) in beyond.iter().zip(&means) {
-            for (c, own) in known[v as usize * KNOWN_VALUES..][..KNOWN_VALUES].iter_mut().enumerate() {
+            for (c, own) in known[v as usize * KNOWN_VALUES..][..LIGHTS].iter_mut().enumerate() {
                 if *own < 0.0 {
                     *own = value[c];
                 }
@@ -330,10 +408,10 @@ fn spread(scene: &Scene, vertices: &[u32], known: &mut [f32]) {
 }
 
 /// Means over the neighbours of which something is known; -1 where of none.
-fn mean_around(scene: &Scene, vertex: u32, known: &[f32]) -> [f32; KNOWN_VALUES] {
-    let (mut sum, mut count) = ([0.0; KNOWN_VALUES], [0u32; KNOWN_VALUES]);
+fn mean_around(scene: &Scene, vertex: u32, known: &[f32]) -> [f32; LIGHTS] {
+    let (mut sum, mut count) = ([0.0; LIGHTS], [0u32; LIGHTS]);
     for n in scene.topology.neighbours(vertex) {
-        for (c, &value) in known[n as usize * KNOWN_VALUES..][..KNOWN_VALUES].iter().enumerate() {
+        for (c, &value) in known[n as usize * KNOWN_VALUES..][..LIGHTS].iter().enumerate() {
             if value >= 0.0 {
                 sum[c] += value;
                 count[c] += 1;

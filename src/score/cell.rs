@@ -2,17 +2,18 @@
 
 use std::path::Path;
 
+use glam::{DAffine3, DQuat};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::contour::{ContourOverlay, Correspondence, Enclosure, TargetErrors, target_errors};
 use super::depth::{DepthErrors, depth_errors};
-use super::image_quality::{Psnr, Ssim, psnr, psnr_ceiling, ssim};
+use super::image_quality::{Psnr, Ssim, psnr_ceiling, psnr_within, ssim_within};
 use super::prediction::Prediction;
 use super::registry::registry;
 use super::statistics::{MeanInterval, bootstrap_series, pearson};
 use super::truth::{Truth, final_mesh};
-use crate::base::{Error, Result};
+use crate::base::{Error, Mask, Result};
 
 /// Why a value is what it is, or why there is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -160,10 +161,14 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
         return Err(Error::input(format!("the sequence of case {} has no frames", truth.case_id())));
     }
     let prediction = Prediction::open(prediction, truth.camera(), frames)?;
-    let measured: Vec<Measured> =
-        (0..frames).into_par_iter().map(|frame| measure(truth, &prediction, frame)).collect::<Result<_>>()?;
+    let mask = truth.mask()?;
+    let measured: Vec<Measured> = (0..frames)
+        .into_par_iter()
+        .map(|frame| measure(truth, &prediction, mask.as_ref(), frame))
+        .collect::<Result<_>>()?;
     let target = target(truth, &prediction, settings)?;
-    let ceiling = psnr_ceiling(truth.camera().width as usize * truth.camera().height as usize * 3);
+    let pixels = mask.map_or(truth.camera().width as usize * truth.camera().height as usize, |mask| mask.count());
+    let ceiling = psnr_ceiling(pixels * 3);
     let seed = settings.target_seed;
     let metrics = registry()
         .iter()
@@ -177,6 +182,12 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
             "depth_coverage" => depth_mean(m.id, &measured, |d| d.coverage, seed),
             "phase_mae" => series_mean(m.id, measured.iter().filter_map(|f| f.phase_error).collect(), seed),
             "phase_pearson_r" => correlation(m.id, truth, &prediction),
+            "pose_error_mm" => {
+                series_mean(m.id, measured.iter().filter_map(|f| f.pose_error).map(|e| e[0]).collect(), seed)
+            }
+            "pose_error_deg" => {
+                series_mean(m.id, measured.iter().filter_map(|f| f.pose_error).map(|e| e[1]).collect(), seed)
+            }
             "contour_rmse_mm" => contour_score(m.id, &target),
             "target_error_mm" => target_score(m.id, &target, |t| t.target_mm),
             "target_error_mean_mm" => target_score(m.id, &target, |t| t.mean_mm),
@@ -210,9 +221,11 @@ struct Measured {
     /// `None`: no depth predicted. `Some(None)`: the frame has no true depth.
     depth: Option<Option<DepthErrors>>,
     phase_error: Option<f64>,
+    /// mm, degrees.
+    pose_error: Option<[f64; 2]>,
 }
 
-fn measure(truth: &dyn Truth, prediction: &Prediction, frame: usize) -> Result<Measured> {
+fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, frame: usize) -> Result<Measured> {
     let image = truth.image(frame)?;
     let color = prediction.color(frame)?;
     if !color.same_shape(&image) {
@@ -222,15 +235,31 @@ fn measure(truth: &dyn Truth, prediction: &Prediction, frame: usize) -> Result<M
         )));
     }
     let psnr_ahead = match prediction.ahead_frames().binary_search(&frame) {
-        Ok(_) => Some(psnr(&prediction.ahead(frame)?, &image)),
+        Ok(_) => Some(psnr_within(&prediction.ahead(frame)?, &image, mask)),
         Err(_) => None,
     };
     let depth = match prediction.depth_mm(frame)? {
-        Some(depth) => Some(depth_errors(&depth, &truth.depth_mm(frame)?)),
+        Some(depth) => {
+            let mut true_depth = truth.depth_mm(frame)?;
+            // What has no true depth does not count.
+            if let Some(mask) = mask {
+                mask.hide(&mut true_depth, 0.0);
+            }
+            Some(depth_errors(&depth, &true_depth))
+        }
         None => None,
     };
     let phase_error = prediction.phase().map(|p| (p[frame] - truth.frames()[frame].phase).abs());
-    Ok(Measured { psnr: psnr(&color, &image), psnr_ahead, ssim: ssim(&color, &image)?, depth, phase_error })
+    let pose_error = prediction.poses().map(|p| pose_error(&p[frame], &truth.frames()[frame].world_from_camera));
+    let (psnr, ssim) = (psnr_within(&color, &image, mask), ssim_within(&color, &image, mask)?);
+    Ok(Measured { psnr, psnr_ahead, ssim, depth, phase_error, pose_error })
+}
+
+/// Distance in mm between two poses, and the angle in degrees between them.
+fn pose_error(predicted: &DAffine3, truth: &DAffine3) -> [f64; 2] {
+    let turn = DQuat::from_mat3(&(truth.matrix3.transpose() * predicted.matrix3));
+    let angle = 2.0 * turn.xyz().length().atan2(turn.w.abs());
+    [predicted.translation.distance(truth.translation), angle.to_degrees()]
 }
 
 /// What came of the target metrics.
@@ -293,7 +322,7 @@ fn psnr_mean(id: &str, frames: Vec<Psnr>, ceiling: f64, seed: u64) -> MetricScor
 fn ssim_mean(measured: &[Measured], seed: u64) -> MetricScore {
     let values: Vec<f64> = measured.iter().filter_map(|f| f.ssim.valid).collect();
     if values.is_empty() {
-        return entry("ssim", None, Status::Degenerate, 0, "the images are smaller than the 11x11 window");
+        return entry("ssim", None, Status::Degenerate, 0, "no 11x11 window lies within image and mask");
     }
     series_mean("ssim", values, seed)
 }
@@ -379,6 +408,10 @@ fn frame_values(m: &Measured) -> Vec<FrameValue> {
     }
     if let Some(error) = m.phase_error {
         values.push(value("phase_mae", Some(error), Status::Degenerate));
+    }
+    if let Some([mm, degrees]) = m.pose_error {
+        values.push(value("pose_error_mm", Some(mm), Status::Degenerate));
+        values.push(value("pose_error_deg", Some(degrees), Status::Degenerate));
     }
     if let Some(p) = m.psnr_ahead {
         values.push(value("psnr_ahead_db", decibel(p), Status::Identical));

@@ -7,7 +7,7 @@ use glam::{DAffine3, DVec3};
 
 use super::truth::{Truth, final_mesh};
 use crate::base::random::{CounterRng, Stage};
-use crate::base::{Camera, Image, Result, TriangleMesh, files};
+use crate::base::{Camera, Image, Mask, Result, TriangleMesh, files};
 use crate::formats::{exr, mesh, png};
 use crate::simulate::sequence::FrameRecord;
 
@@ -114,6 +114,10 @@ impl Truth for TubeTruth {
         Ok(depth)
     }
 
+    fn mask(&self) -> Result<Option<Mask>> {
+        Ok(None)
+    }
+
     fn inspiration(&self) -> Result<TriangleMesh> {
         Ok(self.inspiration.clone())
     }
@@ -142,6 +146,8 @@ pub struct Distortion {
     pub phase_offset: f64,
     /// The final surface is moved sideways by this.
     pub surface_shift_mm: f64,
+    /// The camera is moved sideways by so many mm, and turned by so many degrees.
+    pub pose_shift: f64,
     /// Seconds claimed.
     pub seconds: f64,
 }
@@ -168,6 +174,14 @@ pub fn write_prediction(truth: &dyn Truth, folder: &Path, d: &Distortion) {
         rows.push_str(&format!("{frame},{phase}\n"));
     }
     files::write_bytes(&folder.join("phase.csv"), rows.as_bytes()).unwrap();
+    let mut rows = "frame,m00,m01,m02,m03,m10,m11,m12,m13,m20,m21,m22,m23\n".to_owned();
+    for (frame, record) in truth.frames().iter().enumerate() {
+        let turn = DAffine3::from_rotation_z(d.pose_shift.to_radians());
+        let pose = DAffine3::from_translation(DVec3::X * d.pose_shift) * record.world_from_camera * turn;
+        let m = [0, 1, 2].map(|r| [0, 1, 2, 3].map(|c| pose.to_cols_array()[3 * c + r].to_string()).join(","));
+        rows.push_str(&format!("{frame},{}\n", m.join(",")));
+    }
+    files::write_bytes(&folder.join("poses.csv"), rows.as_bytes()).unwrap();
     let mut surface = final_mesh(truth).unwrap();
     for vertex in &mut surface.vertices {
         vertex.x += d.surface_shift_mm;

@@ -5,6 +5,7 @@
 //! depth/NNNNNN.{exr,npy,png}     one per frame, z-depth in mm, 0 = none; PNG: 16-bit grey times depth_unit_mm
 //! ahead/NNNNNN.png               renderings made before the frame's image was looked at; any frames
 //! phase.csv                      frame,phase; one row per frame, 0 = full inspiration, 1 = full expiration
+//! poses.csv                      frame,m00..m23; world_from_camera where the method has poses of its own
 //! mesh/final.ply                 surface at the last frame, mm, the sequence's world
 //! timing.json                    {"time_total_s": seconds of the method alone}
 //! prediction.json                {"method": id, "depth_unit_mm": 1.0}
@@ -12,6 +13,7 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::{DAffine3, DMat3, DVec3};
 use serde::Deserialize;
 
 use crate::base::{Camera, Error, Image, Result, TriangleMesh, files};
@@ -31,6 +33,7 @@ pub struct Prediction {
     ahead: Vec<usize>,
     method: Option<String>,
     phase: Option<Vec<f64>>,
+    poses: Option<Vec<DAffine3>>,
     time_total_s: Option<f64>,
 }
 
@@ -73,6 +76,7 @@ impl Prediction {
             ahead: frames_present(&root.join("ahead"), frames)?,
             method: about.method,
             phase: read_phase(&root.join("phase.csv"), frames)?,
+            poses: read_poses(&root.join("poses.csv"), frames)?,
             time_total_s: read_time(&root.join("timing.json"))?,
             root: root.to_path_buf(),
         })
@@ -117,6 +121,11 @@ impl Prediction {
     /// Predicted phase of every frame, if there is one.
     pub fn phase(&self) -> Option<&[f64]> {
         self.phase.as_deref()
+    }
+
+    /// Predicted pose (world from camera, mm) of every frame, if there is one.
+    pub fn poses(&self) -> Option<&[DAffine3]> {
+        self.poses.as_deref()
     }
 
     /// Seconds of the method alone, if known.
@@ -207,6 +216,37 @@ fn read_phase(path: &Path, frames: usize) -> Result<Option<Vec<f64>>> {
     parse_phase(&files::read_bytes(path)?, frames).map(Some).map_err(|e| e.at(path))
 }
 
+fn read_poses(path: &Path, frames: usize) -> Result<Option<Vec<DAffine3>>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    parse_poses(&files::read_bytes(path)?, frames).map(Some).map_err(|e| e.at(path))
+}
+
+/// Frame and the three upper rows of world_from_camera, frames in order.
+fn parse_poses(bytes: &[u8], frames: usize) -> Result<Vec<DAffine3>> {
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+    let mut poses = Vec::with_capacity(frames);
+    for (row, record) in reader.records().enumerate() {
+        let line = format!("line {}", row + 2);
+        let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
+        let numbers: Vec<f64> = record.iter().filter_map(|v| v.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
+        let [frame, m @ ..] = numbers.as_slice() else {
+            return Err(Error::input("is empty").element(line));
+        };
+        if m.len() != 12 || *frame != row as f64 || row >= frames {
+            let sentence = format!("wanted frame {row} of {frames} and twelve numbers");
+            return Err(Error::input(sentence).element(line));
+        }
+        let column = |k: usize| DVec3::new(m[k], m[4 + k], m[8 + k]);
+        poses.push(DAffine3::from_mat3_translation(DMat3::from_cols(column(0), column(1), column(2)), column(3)));
+    }
+    if poses.len() < frames {
+        return Err(Error::input(format!("frame {} is missing", poses.len())));
+    }
+    Ok(poses)
+}
+
 /// Columns `frame` and `phase` by name, rows in any order, every frame exactly once.
 fn parse_phase(bytes: &[u8], frames: usize) -> Result<Vec<f64>> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
@@ -246,6 +286,15 @@ mod tests {
     fn phases_are_read_by_name_in_any_order() {
         let phases = parse_phase(b"phase,frame,extra\n0.5,1,x\n0.25,0,y\n", 2).unwrap();
         assert_eq!(phases, [0.25, 0.5]);
+    }
+
+    #[test]
+    fn poses_are_read_row_by_row_and_their_damage_is_named() {
+        let text = "frame,m00,m01,m02,m03,m10,m11,m12,m13,m20,m21,m22,m23\n0,1,0,0,7,0,0,-1,8,0,1,0,9\n";
+        let pose = parse_poses(text.as_bytes(), 1).unwrap()[0];
+        assert_eq!(pose.transform_point3(DVec3::new(1.0, 2.0, 3.0)), DVec3::new(8.0, 5.0, 11.0));
+        assert!(parse_poses(text.as_bytes(), 2).unwrap_err().to_string().contains("frame 1 is missing"));
+        assert!(parse_poses(b"frame,m00,m01\n0,1,2\n", 1).unwrap_err().to_string().contains("line 2"));
     }
 
     #[test]

@@ -38,7 +38,7 @@ fn graded_distortions_are_told_apart() {
     let truth = TubeTruth::new("tube", 40, 24);
     let none = Distortion::default();
     type Kind = (&'static str, &'static [&'static str], fn(f64) -> Distortion);
-    let kinds: [Kind; 8] = [
+    let kinds: [Kind; 9] = [
         ("noise", &["psnr_db", "ssim", "ssim_padded", "psnr_ahead_db"], |g| Distortion {
             noise: 6.0 * g,
             ..Default::default()
@@ -55,6 +55,7 @@ fn graded_distortions_are_told_apart() {
         }),
         ("lag", &["phase_mae", "phase_pearson_r"], |g| Distortion { lag: 2 * g as usize, ..Default::default() }),
         ("offset", &["phase_mae"], |g| Distortion { phase_offset: -0.1 * g, ..Default::default() }),
+        ("pose", &["pose_error_mm", "pose_error_deg"], |g| Distortion { pose_shift: 0.4 * g, ..Default::default() }),
         ("surface", &["contour_rmse_mm", "target_error_mm", "target_error_mean_mm", "target_error_p95_mm"], |g| {
             Distortion { surface_shift_mm: 0.5 * g, ..Default::default() }
         }),

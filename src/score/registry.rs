@@ -158,6 +158,7 @@ const ALL: &str = "every prediction";
 const WITH_DEPTH: &str = "predictions with depth images";
 const WITH_PHASE: &str = "predictions with phase.csv: methods that model the respiratory state";
 const WITH_MESH: &str = "predictions with mesh/final.ply: methods that keep an explicit surface";
+const WITH_POSES: &str = "methods that estimate poses";
 const WITH_TIME: &str = "predictions with timing.json";
 
 const fn base(id: &'static str, label: &'static str, unit: &'static str, direction: Direction, group: Group) -> Metric {
@@ -233,6 +234,19 @@ static REGISTRY: &[Metric] = &[
         standing: Standing::Paper,
         applies_to: WITH_PHASE,
         ..base("phase_pearson_r", "Pearson r", "", Direction::Higher, Group::Breathing)
+    },
+    Metric {
+        definition: "Distance between predicted and true centre of the camera, mean over all frames.",
+        digits: 2,
+        applies_to: WITH_POSES,
+        ..base("pose_error_mm", "Pose", "mm", Direction::Lower, Group::Breathing)
+    },
+    Metric {
+        definition: "Angle of the rotation between predicted and true orientation of the camera, mean over all frames.",
+        range: [Some(0.0), Some(180.0)],
+        digits: 2,
+        applies_to: WITH_POSES,
+        ..base("pose_error_deg", "Pose angle", "deg", Direction::Lower, Group::Breathing)
     },
     Metric {
         definition: "True and predicted surface at the last frame are cut by the plane through the last camera's centre, normal \

@@ -2,6 +2,7 @@
 
 pub mod exposure;
 pub mod film;
+mod misregister;
 pub mod preview;
 pub mod sensor;
 pub mod sequence;
@@ -21,12 +22,13 @@ use crate::formats::transforms::Transforms;
 use crate::formats::{mesh as mesh_file, png};
 use crate::render::Material;
 use film::Film;
+use misregister::misregister;
 use sensor::Sensor;
 use sequence::{ManifestHead, Sequence};
 use truth::{TruthMap, TruthSet};
 
 /// Changes whenever the same case and settings give other pixels or other truth.
-const SIMULATOR_VERSION: u32 = 5;
+const SIMULATOR_VERSION: u32 = 6;
 
 /// Which meshes a sequence folder holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -172,6 +174,10 @@ fn write_truth(
     let comments = ["units mm", "space LPS", "normals point into the lumen"];
     mesh_file::write_ply(&out.join(sequence::INSPIRATION), &anatomy.inspiration, &comments)?;
     mesh_file::write_ply(&out.join(sequence::EXPIRATION), &anatomy.expiration, &comments)?;
+    if case.registration_error_mm > 0.0 {
+        let registered = misregister(&anatomy.expiration, case.registration_error_mm, case.seed);
+        mesh_file::write_ply(&out.join(sequence::REGISTERED_EXPIRATION), &registered, &comments)?;
+    }
     files::write_bytes(&out.join(sequence::CENTERLINE), case_centerline::to_csv(&anatomy.centerline).as_bytes())?;
     let mask = Sensor::new(&film.camera, &case.scope, case.seed).mask(&film.camera);
     if let Some(mask) = &mask {

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::airway::case_centerline;
 use crate::airway::centerline::Centerline;
-use crate::base::{Camera, Error, Image, Result, TriangleMesh, files};
+use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files};
 use crate::formats::transforms::{Transforms, TransformsFrame};
 use crate::formats::{exr, mesh, png};
 
@@ -39,6 +39,8 @@ pub struct Sequence {
     pub camera: Camera,
     /// One record per frame, in order.
     pub frames: Vec<FrameRecord>,
+    /// Mask of all frames, relative to the folder.
+    mask_path: Option<String>,
 }
 
 /// What `manifest.json` says at least; the rest of it is for people and other programs.
@@ -103,6 +105,8 @@ pub fn frame_mesh_name(frame: usize) -> String {
 pub const INSPIRATION: &str = "mesh/inspiration.ply";
 /// Surface at full expiration, same faces.
 pub const EXPIRATION: &str = "mesh/expiration.ply";
+/// Surface at full expiration as the registration has it, where the case says that it errs.
+pub const REGISTERED_EXPIRATION: &str = "mesh/expiration_registered.ply";
 /// Centreline at inspiration.
 pub const CENTERLINE: &str = "centerline.csv";
 /// Cameras and truth in nerfstudio's layout.
@@ -158,7 +162,8 @@ impl Sequence {
             frames.push(record(frame).map_err(|e| e.element(format!("frame {index}")).at(&path))?);
         }
         let camera = transforms.camera()?;
-        Ok(Sequence { root: root.to_path_buf(), case_id: head.case_id, hash: head.hash, camera, frames })
+        let mask_path = transforms.frames[0].mask_path.clone();
+        Ok(Sequence { root: root.to_path_buf(), case_id: head.case_id, hash: head.hash, camera, frames, mask_path })
     }
 
     /// The 8-bit sRGB image of a frame. Errors name a file that is missing, damaged or of another size.
@@ -180,6 +185,15 @@ impl Sequence {
         Ok(depth)
     }
 
+    /// Which pixels of the images count, `None` where all do: those of the scope's mask, less one pixel at its rim, which the
+    /// mask may hide in part. Errors name a file that is missing, damaged, of another size, or hides everything.
+    pub fn mask(&self) -> Result<Option<Mask>> {
+        let Some(path) = self.mask_path.as_ref().map(|name| self.root.join(name)) else { return Ok(None) };
+        let image = png::read_rgb(&path)?;
+        self.check_size(image.width, image.height, &path)?;
+        Mask::from_image(&image).and_then(|mask| mask.eroded(1)).map(Some).map_err(|e| e.at(path))
+    }
+
     /// Surface at full inspiration; normals point into the lumen.
     pub fn inspiration(&self) -> Result<TriangleMesh> {
         mesh::read(&self.root.join(INSPIRATION))
@@ -188,6 +202,12 @@ impl Sequence {
     /// Surface at full expiration, same faces as [`Sequence::inspiration`].
     pub fn expiration(&self) -> Result<TriangleMesh> {
         mesh::read(&self.root.join(EXPIRATION))
+    }
+
+    /// The surface at full expiration that methods are given: with the registration's error, where the case has one.
+    pub fn registered_expiration(&self) -> Result<TriangleMesh> {
+        let path = self.root.join(REGISTERED_EXPIRATION);
+        if path.is_file() { mesh::read(&path) } else { self.expiration() }
     }
 
     /// Centreline at inspiration.

@@ -20,9 +20,10 @@
 
 use rayon::prelude::*;
 
-use crate::base::{Camera, Error, Result};
+use crate::base::{Camera, Error};
 
 use super::bin::{TILE, TileBox};
+use super::pool::PIECE;
 use super::project::{LOG2_255, Projector, Row, at, color, columns, dot};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
@@ -283,7 +284,7 @@ impl<T: Real> Rasterizer<T> {
         let active = self.active.as_deref();
         let tables = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
         let tables = tables.zip(self.rendered.visible.par_chunks_mut(CHUNK)).zip(self.discs.par_chunks_mut(CHUNK));
-        tables.zip(self.keys.par_chunks_mut(CHUNK)).enumerate().for_each(
+        tables.zip(self.keys.par_chunks_mut(CHUNK)).enumerate().with_max_len(PIECE).for_each(
             |(chunk, ((((rows, boxes), visible), discs), keys))| {
                 for k in 0..rows.len() {
                     let j = chunk * CHUNK + k;
@@ -317,9 +318,4 @@ impl<T: Real> Rasterizer<T> {
 /// Errors for what this mode does not differentiate.
 pub(super) fn refuse_fisheye_lens() -> Error {
     Error::input("the intrinsics of a fisheye have no gradient with exact discs")
-}
-
-/// Errors for directions of forward mode.
-pub(super) fn refuse_directions<V>() -> Result<V> {
-    Err(Error::input("exact discs have no directions of motion or pose: use PhaseTangent, or EWA"))
 }

@@ -19,6 +19,7 @@ use super::kernel::{PIXELS, PLANES, Parts, index_of, moment};
 use super::project::{at, columns, dot};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
+use super::skips::Skips;
 use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Settings, Shape, View, Wanted};
 
 /// Channels per pass.
@@ -136,7 +137,13 @@ impl<T: Real> Rasterizer<T> {
             self.extra = extra;
             return;
         }
-        let parts = Some(Parts { geometry, color: with_features, depth: false, known: false });
+        let parts = Some(Parts {
+            geometry,
+            color: with_features,
+            depth: false,
+            known: false,
+            endless: !self.skips.any(Skips::STOP),
+        });
         let (gain, colors) = (self.gradients.gain, self.colors());
         let pixels = self.rendered.width * self.rendered.height;
         let mut by_color = vec![T::zero(); pixels * 3];

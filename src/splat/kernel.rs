@@ -45,15 +45,30 @@ pub struct Parts {
     pub geometry: bool,
     pub color: bool,
     pub depth: bool,
-    /// The masks are those of a forward pass before, of the same splats; the plain twin makes them again.
+    /// The masks are those of a forward pass before, of the same splats.
     pub known: bool,
+    /// Pixels do not stop (`Skips::STOP` switched off).
+    pub endless: bool,
 }
 
 impl Parts {
+    /// A pixel stops at the splat that would leave no more than this of the light.
+    fn stop<T: Real>(self) -> T {
+        T::of(if self.endless { -1.0 } else { 1e-4 })
+    }
+
     fn bits(self) -> u32 {
-        self.geometry as u32 + 2 * self.color as u32 + 4 * self.depth as u32 + 8 * self.known as u32
+        self.geometry as u32
+            + 2 * self.color as u32
+            + 4 * self.depth as u32
+            + 8 * self.known as u32
+            + 16 * self.endless as u32
     }
 }
+
+/// The adjoint of a tile where vectors read it fastest.
+#[repr(C, align(64))]
+pub struct Adjoint<T>(pub [T; PLANES * PIXELS]);
 
 /// One tile to composite.
 pub struct ForwardTile<'a, T> {
@@ -120,9 +135,11 @@ fn block_mask<T: Real>(q: &Row<T>, corner: [T; 2]) -> u16 {
     let limit = q[at::HALF_HEIGHT] + slack;
     // Widest to the right at y = -B half_width / (2 C), to the left at the opposite point.
     let widest = q[at::WIDEST];
+    // 4 A (LOG2_OPACITY + log2(255))
+    let reach = -q[at::DISCRIMINANT] * q[at::HALF_HEIGHT] * q[at::HALF_HEIGHT];
     let extent = |y: T, sign: T| {
-        let root = (q[at::DISCRIMINANT] * y * y + q[at::FOUR_A_REACH]).maximum(T::zero()).sqrt();
-        q[at::HALF_OVER_A] * (sign * root - q[at::B] * y)
+        let root = (q[at::DISCRIMINANT] * y * y + reach).maximum(T::zero()).sqrt();
+        (sign * root - q[at::B] * y) * half / q[at::A]
     };
     let offset = q[at::X] - corner[0] - half;
     let mut mask = 0;
@@ -153,8 +170,8 @@ struct Sample<T> {
 
 fn sample<T: Real>(q: &Row<T>, corner: [usize; 2], p: usize) -> Option<Sample<T>> {
     let (column, line) = pixel_of(p);
-    let dx = T::of((corner[0] + column) as f64 + 0.5) - q[at::X];
-    let dy = T::of((corner[1] + line) as f64 + 0.5) - q[at::Y];
+    let dx = T::of((corner[0] + column) as f64 + 0.5) - q[at::X] - q[at::X_REST];
+    let dy = T::of((corner[1] + line) as f64 + 0.5) - q[at::Y] - q[at::Y_REST];
     let exponent = q[at::LOG2_OPACITY] - q[at::C] * dy * dy - (q[at::A] * dx + q[at::B] * dy) * dx;
     // Well below 1/255: spare the power.
     if exponent < T::of(-8.0) {
@@ -173,10 +190,11 @@ pub fn alpha_at<T: Real>(row: &Row<T>, corner: [usize; 2], p: usize) -> Option<T
 /// Composites one tile, pixel by pixel.
 pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
     let corner = t.corner.map(|v| T::of(v as f64));
-    for (mask, &entry) in t.masks.iter_mut().zip(t.entries) {
+    for (mask, &entry) in t.masks.iter_mut().zip(t.entries).filter(|_| !t.parts.known) {
         *mask = block_mask(&t.rows[entry as usize].0, corner);
     }
     t.state.fill(T::zero());
+    let stop = t.parts.stop::<T>();
     for p in 0..PIXELS {
         let bit = 1u16 << (p / 16);
         let mut left = T::one();
@@ -188,7 +206,7 @@ pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
             let q = &t.rows[entry as usize].0;
             let Some(Sample { alpha, .. }) = sample(q, t.corner, p) else { continue };
             let next = left - alpha * left;
-            if next <= T::of(1e-4) {
+            if next <= stop {
                 break;
             }
             let weight = alpha * left;
@@ -213,6 +231,7 @@ pub fn scalar_backward<T: Real>(t: &BackwardTile<'_, T>, faults: impl Faults) ->
     let mut left = [T::one(); PIXELS];
     let mut behind = [T::zero(); PIXELS];
     behind.copy_from_slice(&t.adjoint[4 * PIXELS..]);
+    let stop = t.parts.stop::<T>();
     for (i, &entry) in t.entries.iter().enumerate() {
         let q = &t.rows[entry as usize].0;
         let mut sums = [T::zero(); 16];
@@ -220,7 +239,7 @@ pub fn scalar_backward<T: Real>(t: &BackwardTile<'_, T>, faults: impl Faults) ->
             let Some(Sample { offset: [dx, dy], raw, alpha }) = sample(q, t.corner, p) else { continue };
             let now = left[p];
             let next = now - alpha * now;
-            if next <= T::of(1e-4) {
+            if next <= stop {
                 left[p] = T::zero();
                 continue;
             }

@@ -38,7 +38,7 @@ pub struct Work<'a> {
 #[derive(Default)]
 pub struct Numbers {
     /// `View` of `cpp/splat_kernel.h`.
-    pub view: [f32; 22],
+    pub view: [f32; 24],
     /// `Scene::camera` there.
     pub exact: [f64; 16],
 }

@@ -5,7 +5,7 @@
 //! The decisions (which splats, in which order, what is left out, where a pixel stops) are those of the plain render,
 //! and so is the clamp of the pinhole's Jacobian: the derivative is that of the very function that is rendered.
 //! The vectorised kernels composite values and up to four velocities in one pass; the plain twin, for every number type,
-//! runs projection and compositing in dual numbers.
+//! runs projection and compositing in dual numbers. Exact discs: `disc_tangent.rs`.
 
 use rayon::prelude::*;
 
@@ -13,13 +13,14 @@ use crate::base::{Error, Result};
 use crate::ffi::splat::Aligned;
 
 use super::bin::TILE;
-use super::disc_mode::refuse_directions;
 use super::dual::Dual;
 use super::kernel::{self, ForwardTile, MOVING, PIXELS, PLANES, Parts, TOGETHER, pixel_of};
 use super::native::Numbers;
+use super::pool::{PIECE, in_pool};
 use super::project::{Projector, Row, columns};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
+use super::skips::Skips;
 use super::types::{DepthOutput, Footprint, Gaussians, Settings, Shape, View};
 
 /// How every Gaussian moves per unit of the unknown. One entry per Gaussian (not per active one); an empty slice is
@@ -66,7 +67,7 @@ fn moving<T: Real>(value: [T; 3], velocity: [T; 3]) -> [Dual<T>; 3] {
     [0, 1, 2].map(|k| Dual::new(value[k], velocity[k]))
 }
 
-fn finite_or_zero<T: Real>(v: T) -> T {
+pub(super) fn finite_or_zero<T: Real>(v: T) -> T {
     if v.is_finite() { v } else { T::zero() }
 }
 
@@ -147,10 +148,6 @@ impl<T: Real> Rasterizer<T> {
         directions: &[Direction<'_, T>],
     ) -> Result<&[Vec<T>]> {
         let discs = matches!(gaussians.shape, Shape::Discs { .. });
-        let only_gain = directions.iter().all(|d| matches!(d, Direction::Gain(_)));
-        if settings.footprint == Footprint::Disc && !only_gain {
-            return refuse_directions();
-        }
         for direction in directions {
             match direction {
                 Direction::Motion(motion) => motion.check(gaussians.len(), discs)?,
@@ -165,7 +162,7 @@ impl<T: Real> Rasterizer<T> {
         }
         let mut images = std::mem::take(&mut self.tangents);
         images.resize_with(directions.len(), Vec::new);
-        let done = self.render_moving(gaussians, view, settings, active, directions, &mut images)?;
+        let done = in_pool(|| self.render_moving(gaussians, view, settings, active, directions, &mut images))?;
         if !done {
             self.render(gaussians, view, settings, active)?;
         }
@@ -174,6 +171,9 @@ impl<T: Real> Rasterizer<T> {
             match direction {
                 Direction::Gain(gain) => self.gain_tangent(settings, gain.map(T::of), image),
                 _ if done => {}
+                _ if settings.footprint == Footprint::Disc => {
+                    self.disc_tangent(gaussians, view, settings, direction, image)?;
+                }
                 _ => self.splat_tangent(gaussians, view, settings, direction, image)?,
             }
         }
@@ -230,7 +230,8 @@ impl<T: Real> Rasterizer<T> {
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, self.active.as_deref());
         for (rows, direction) in velocities.chunks_mut(n).zip(directions) {
-            rows.par_chunks_mut(CHUNK).zip(visible.par_chunks(CHUNK)).enumerate().for_each(|(c, (rows, visible))| {
+            let chunks = rows.par_chunks_mut(CHUNK).zip(visible.par_chunks(CHUNK)).enumerate().with_max_len(PIECE);
+            chunks.for_each(|(c, (rows, visible))| {
                 if let Some(native) = &native {
                     native.velocities(c * CHUNK, visible, direction, &mut rows[..visible.len()]);
                 }
@@ -243,7 +244,7 @@ impl<T: Real> Rasterizer<T> {
         let width = view.camera.width as usize;
         let (gain, background) = (settings.gain.map(T::of), settings.background.map(T::of));
         let (tiles_x, size) = (self.bins.tiles_x, MOVING * PIXELS);
-        image.par_chunks_mut(3 * width * TILE).enumerate().for_each(|(tile_y, band)| {
+        image.par_chunks_mut(3 * width * TILE).enumerate().with_max_len(PIECE).for_each(|(tile_y, band)| {
             let tiles = &self.moving[tile_y * tiles_x * directions * size..][..tiles_x * directions * size];
             if T::develop_moving(tiles, [k, directions], width, settings, band) {
                 return;
@@ -312,7 +313,13 @@ impl<T: Real> Rasterizer<T> {
                     masks: &mut masks,
                     corner: [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE],
                     state: &mut state,
-                    parts: Parts { geometry: false, color: true, depth: false, known: false },
+                    parts: Parts {
+                        geometry: false,
+                        color: true,
+                        depth: false,
+                        known: false,
+                        endless: !self.skips.any(Skips::STOP),
+                    },
                 });
                 state
             })

@@ -1,53 +1,94 @@
 //! The albedo of `ours-gn`: sweeps of SIRT (Gilbert 1972) over the discs in view, each moved by the weighted mean residual
-//! of its pixels, held by what past frames have seen of it.
+//! of its pixels, held by what past frames have seen of it. What is shown of a frame is touched up by a few more sweeps
+//! that nothing holds, with Nesterov's (1983) momentum; they are forgotten with the frame.
 
 use super::{DARKEST, Level, Tracker};
 use crate::base::Result;
-use crate::reconstruct::anchored::{SH_C0, SH_VALUES};
+use crate::reconstruct::anchored::SH_C0;
 use crate::reconstruct::phase_fit::pixels;
 use crate::splat::{DepthOutput, ImageGradient, Settings, Wanted};
+
+/// Discs that contribute fewer pixels are not in view.
+const FEWEST_PIXELS: f32 = 1e-4;
+
+/// What holds a disc at the albedo it had.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Hold {
+    /// What past frames have seen of it.
+    Memory,
+    /// Nothing; sweeps have momentum.
+    Nothing,
+}
 
 impl Tracker<'_> {
     /// Sweeps over the albedo of what is in view, at the present placement.
     pub fn learn(&mut self, frame: usize, level: &Level) -> Result<()> {
         self.color_the_unseen(level);
         let sweeps = self.settings.appearance_steps[usize::from(frame > 0)] as f64;
+        self.count_pixels(level)?;
+        self.sweep(level, crate::reconstruct::scaled_iterations(sweeps, self.iteration_scale).max(2), Hold::Memory)?;
+        let most = *self.settings.memory_frames as f32;
+        let seen = self.seen();
+        for (memory, pixels) in seen.memory.iter_mut().zip(&seen.pixels).filter(|(_, p)| **p >= FEWEST_PIXELS) {
+            *memory = (*memory + pixels).min(most * pixels);
+        }
+        Ok(())
+    }
+
+    /// Touches up the colours, not the albedo, after [`Tracker::learn`].
+    pub fn touch_up(&mut self, level: &Level) -> Result<()> {
+        let kept = self.seen().albedo.clone();
+        self.sweep(level, *self.settings.touch_up_steps as usize, Hold::Nothing)?;
+        self.seen().albedo = kept;
+        Ok(())
+    }
+
+    /// What each disc contributes, in pixels.
+    fn count_pixels(&mut self, level: &Level) -> Result<()> {
         let gain = self.gain;
         let settings = Settings { gain, depth: DepthOutput::Skip, ..Settings::default() };
         let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
-        let before = seen.albedo.clone();
+        self.rasterizer.render(&seen.patch.gaussians, &level.view, &settings, None)?;
+        let ones = vec![1.0; level.image.data.len()];
+        let image = ImageGradient { color: &ones, ..ImageGradient::default() };
+        let by_color = self.rasterizer.backward(&seen.patch.gaussians, &image, Wanted::SH)?;
+        seen.pixels.clear();
+        seen.pixels.extend(by_color.sh.chunks_exact(3).map(|g| g[1] / (SH_C0 * gain[1] as f32)));
+        Ok(())
+    }
+
+    fn sweep(&mut self, level: &Level, sweeps: usize, hold: Hold) -> Result<()> {
+        let gain = self.gain;
+        let settings = Settings { gain, depth: DepthOutput::Skip, ..Settings::default() };
         let hold_pixels = *self.settings.hold_pixels as f32;
-        let mut pixels_of = Vec::new();
-        for sweep in 0..crate::reconstruct::scaled_iterations(sweeps, self.iteration_scale).max(2) {
+        let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
+        let before = seen.albedo.clone();
+        let mut last = seen.albedo.clone();
+        for sweep in 0..sweeps {
             let rendered = self.rasterizer.render(&seen.patch.gaussians, &level.view, &settings, None)?;
             let residual: Vec<f32> = level.image.data.iter().zip(&rendered.color).map(|(i, r)| i - r).collect();
-            if sweep == 0 {
-                // What each disc contributes, in pixels.
-                let ones = vec![1.0; residual.len()];
-                let image = ImageGradient { color: &ones, ..ImageGradient::default() };
-                let by_color = self.rasterizer.backward(&seen.patch.gaussians, &image, Wanted::SH)?;
-                let shares = by_color.sh.chunks_exact(SH_VALUES).map(|g| g[1] / (SH_C0 * gain[1] as f32));
-                pixels_of = shares.collect();
-            }
             let image = ImageGradient { color: &residual, ..ImageGradient::default() };
             let gradients = self.rasterizer.backward(&seen.patch.gaussians, &image, Wanted::SH)?;
-            for (k, by_color) in gradients.sh.chunks_exact(SH_VALUES).enumerate() {
-                let (pixels, memory, shade) = (pixels_of[k], seen.memory[k] + hold_pixels, seen.shade[k]);
-                if pixels < 1e-4 || shade <= 0.0 {
+            let momentum = match hold {
+                Hold::Nothing if sweep + 1 < sweeps => sweep as f32 / (sweep as f32 + 3.0),
+                _ => 0.0,
+            };
+            for (k, by_color) in gradients.sh.chunks_exact(3).enumerate() {
+                let (pixels, shade) = (seen.pixels[k], seen.shade[k]);
+                if pixels < FEWEST_PIXELS || shade <= 0.0 {
                     continue;
                 }
+                let memory = hold_pixels + if hold == Hold::Memory { seen.memory[k] } else { 0.0 };
                 for c in 0..3 {
                     let pull = by_color[c] / (SH_C0 * (gain[c] * gain[c]) as f32 * shade);
-                    let hold = memory * (seen.albedo[k][c] - before[k][c]);
-                    let next = seen.albedo[k][c] + (pull - hold) / (pixels + memory);
-                    seen.albedo[k][c] = next.max(DARKEST / shade);
+                    let back = memory * (seen.albedo[k][c] - before[k][c]);
+                    let next = (seen.albedo[k][c] + (pull - back) / (pixels + memory)).max(DARKEST / shade);
+                    let ahead = next + momentum * (next - last[k][c]);
+                    last[k][c] = next;
+                    seen.albedo[k][c] = ahead.max(DARKEST / shade);
                 }
             }
             seen.color();
-        }
-        let most = *self.settings.memory_frames as f32;
-        for (memory, pixels) in seen.memory.iter_mut().zip(&pixels_of).filter(|(_, pixels)| **pixels >= 1e-4) {
-            *memory = (*memory + pixels).min(most * pixels);
         }
         Ok(())
     }

@@ -49,8 +49,9 @@ impl Light {
         let along = normal.dot(towards);
         let cosine = along.abs();
         let lit = (cosine + self.indirect) / (1.0 + self.indirect);
-        let logarithm = (REFERENCE_MM / distance).ln() + 0.5 * lit.max(1e-3).ln();
-        let value = (self.exponent * logarithm).exp();
+        let shown = REFERENCE_MM / distance * lit.max(1e-3).sqrt();
+        // The shipped exponent is 1, and this is done for every disc of every step.
+        let value = if self.exponent == 1.0 { shown } else { shown.powf(self.exponent) };
         let velocity = Vec3::from(velocity);
         let away = towards.dot(velocity);
         let turning = normal.dot(velocity - towards * away) / distance * along.signum();

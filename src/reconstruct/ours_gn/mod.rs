@@ -8,35 +8,47 @@
 //! the vessels: a map that cannot show them lets them pull the phase along.
 //!
 //! Phase. At a quarter, half and full resolution: render with the derivative of the image by the phase, one robust
-//! step ([`super::gauss_newton`]), together with a prior of constant velocity. A frame whose cost jumps is searched over
-//! all phases again. The standard deviation that comes with the answer has two parts: that of the last step, and a
+//! step ([`super::gauss_newton`], [`track`]), together with what is expected of the breath ([`breath`]). A frame whose cost
+//! jumps is searched over all phases again. The standard deviation that comes with the answer has two parts: that of the last step, and a
 //! random walk, since a frame is tracked on what earlier frames have painted, and inherits their errors: its variance
 //! grows by `drift_factor^2` times that of each frame's step, and keeps `drift_memory` of itself from frame to frame,
 //! since what was painted in the wrong place leaves the view or is painted over.
 //!
-//! Left out: correction of registration errors, unknown poses, learning of disc centres and sizes.
+//! Options: poses that are only roughly known ([`pose`]), and a correction of the registration of the two CTs
+//! ([`correction`]), both estimated with the phase. Depth, and what is hidden, are those of the mesh ([`depth`]).
+//!
+//! Left out: learning of disc centres and sizes.
 
 mod albedo;
+mod breath;
+mod correction;
+mod depth;
 mod light;
+mod pose;
 mod scene;
+mod track;
 
 use std::time::Instant;
 
-use nalgebra::DVector;
+use glam::Vec3;
 
-use crate::base::{Image, Progress, Result, mesh};
-use crate::splat::{DepthOutput, Direction, Frame, Motion, Rasterizer, Rendered, Settings, View};
+use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
+use crate::splat::{DepthOutput, Frame, Rasterizer, Rendered, Settings, View};
 
 use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{Start, Surface, to_f32};
-use super::gauss_newton::{self, Comparison, Evidence, Prior, Robust};
 use super::online::{fit_in_order, held_out};
-use super::phase_fit::{at_phase, mesh_at};
-use super::phase_search::{depth_error_mm, grid_search};
+use super::phase_fit::at_phase;
+use super::phase_search::grid_search;
 use super::settings::GaussNewtonMethod;
-use super::{Access, FramePrediction, Observation, Reconstruct, Reconstruction};
-use light::{Light, Scope};
-use scene::{Seen, Velocity};
+use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+use breath::{Breath, Repetition};
+use correction::Correction;
+use depth::{Rays, depth_gap_mm, nearest_depth_mm, unhidden};
+use light::Scope;
+use pose::{Before, POSE};
+use scene::Seen;
+use track::{Tracked, moved};
 
 /// Darkest albedo: a colour of zero has no gradient.
 const DARKEST: f32 = 0.005;
@@ -64,7 +76,8 @@ impl Reconstruct for OursGn {
     }
 
     fn access(&self) -> Access {
-        Access { expiration_mesh: true, first_depth: true, true_phase: false }
+        let poses = if *self.settings.unknown_pose { Poses::Rough } else { Poses::True };
+        Access { expiration_mesh: true, first_depth: true, true_phase: false, poses }
     }
 
     fn run(
@@ -78,8 +91,7 @@ impl Reconstruct for OursGn {
         let mut tracker = Tracker::new(&self.settings, self.iteration_scale, observation);
         let preparation = start.elapsed().as_secs_f64();
         let fitting = fit_in_order(observation.images.len(), |frame| tracker.fit(frame), emit, progress)?;
-        let last = tracker.phases.last().copied().unwrap_or(0.0);
-        Ok(Reconstruction { final_mesh: Some(mesh_at(observation, last)), seconds: preparation + fitting })
+        Ok(Reconstruction { final_mesh: Some(tracker.mesh()), seconds: preparation + fitting })
     }
 }
 
@@ -96,18 +108,28 @@ struct Tracker<'a> {
     observation: &'a Observation,
     surface: Surface,
     rest: Vec<[f32; 3]>,
+    given_displacement: Vec<[f32; 3]>,
+    /// With what is known of its error.
     displacement: Vec<[f32; 3]>,
+    correction: Correction,
+    /// Centres of the correction in view.
+    centres: Vec<usize>,
+    /// Correction of the given poses, as of the last frame.
+    pose: [f64; POSE],
     /// Per disc of the surface.
     albedo: Vec<[f32; 3]>,
     /// Weight of past frames, in pixels; 0 = never seen.
     memory: Vec<f32>,
     scope: Scope,
+    rays: Rays,
     rasterizer: Rasterizer<f32>,
     seen: Option<Seen>,
+    /// Faces of `seen`.
+    faces: Vec<u32>,
     gain: [f64; 3],
     /// Variance of what all past frames may have painted in the wrong place.
     drift: f64,
-    phases: Vec<f64>,
+    breath: Breath,
     cost: f64,
     mean_color: [f32; 3],
 }
@@ -118,94 +140,119 @@ impl<'a> Tracker<'a> {
         let expiration = observation.expiration.as_ref().unwrap_or(inspiration);
         let surface = Surface::new(inspiration, &settings.discs, Frame::InheritStretch, Start::Even, observation.seed);
         let discs = surface.faces.len() * surface.per_face;
+        let repetition = if *settings.period_prior { Repetition::Expected } else { Repetition::Ignored };
+        let rest = to_f32(&inspiration.vertices);
+        let displacement = mesh::displacement(inspiration, expiration);
+        let [rank, reach_mm, deviation_mm] =
+            [*settings.correction_rank as f64, *settings.correction_reach_mm, *settings.correction_deviation_mm];
+        let poses = &observation.world_from_camera;
         Tracker {
+            correction: Correction::new(&rest, poses, rank as usize, reach_mm, deviation_mm),
+            centres: Vec::new(),
+            pose: [0.0; POSE],
+            given_displacement: displacement.clone(),
             settings,
             iteration_scale,
             observation,
             surface,
-            rest: to_f32(&inspiration.vertices),
-            displacement: mesh::displacement(inspiration, expiration),
+            rest,
+            displacement,
             albedo: vec![[0.5; 3]; discs],
             memory: vec![0.0; discs],
             scope: Scope::new(&observation.camera, &settings.scope),
+            rays: Rays::new(&observation.camera),
             rasterizer: Rasterizer::new(),
             seen: None,
+            faces: Vec::new(),
             gain: [1.0; 3],
             drift: 0.0,
-            phases: Vec::new(),
+            breath: Breath::new(*settings.velocity, repetition),
             cost: f64::INFINITY,
             mean_color: [0.5; 3],
         }
     }
 
-    fn light(&self, view: &View) -> Light {
-        Light {
-            eye: view.camera_from_world.inverse().translation.as_vec3(),
-            exponent: *self.settings.falloff_exponent as f32,
-            indirect: *self.settings.indirect_share as f32,
-        }
-    }
-
-    fn robust(&self, width: usize) -> Robust {
-        Robust {
-            huber: *self.settings.huber,
-            block_px: ((width as f64 * *self.settings.block_share).round() as usize).max(2),
-            gain_limit: *self.settings.exposure_limit,
-            last_gain: self.gain,
-        }
-    }
-
-    fn expected(&self) -> f64 {
-        match *self.phases.as_slice() {
-            [] => 0.5,
-            [only] => only,
-            [.., before, last] => (last + *self.settings.velocity * (last - before)).clamp(0.0, 1.0),
-        }
-    }
-
     fn fit(&mut self, frame: usize) -> Result<FramePrediction> {
-        let view = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
-        let light = self.light(&view);
-        let mut phase = self.expected();
-        let reach = if frame == 0 { [0.0, 1.0] } else { [(phase - REACH).max(0.0), (phase + REACH).min(1.0)] };
-        self.enter(&view, reach)?;
+        let given = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
+        let mut phase = if frame == 0 { self.search_by_depth(&given)? } else { self.breath.expected() };
         let mut deviation = *self.settings.prior_deviation;
-        if frame == 0 {
-            phase = self.search_by_depth(&view, &light)?;
-        }
+        self.enter(&given, phase, REACH)?;
         let ahead = if held_out(frame) {
-            self.render(phase, &view, &light, DepthOutput::Skip)?;
+            self.place(phase, &given)?;
+            self.draw(&moved(&given, self.pose))?;
             Some(self.shown())
         } else {
             None
         };
         // From here on the frame's image may be looked at.
-        let levels = self.levels(frame, &view);
-        let finest = levels.last().expect("there is always the full resolution");
-        if frame > 0 {
-            let mut found = self.track(&levels, &light, phase)?;
-            if self.is_lost(found.as_ref()) {
-                self.leave();
-                self.enter(&view, [0.0, 1.0])?;
-                let best = self.search_by_image(&levels[0], &light)?;
-                found = self.track(&levels, &light, best)?.or(found);
-            }
-            if let Some(Tracked { phase: at, deviation: sd, evidence }) = found {
-                self.drift = *self.settings.drift_memory * self.drift + (*self.settings.drift_factor * sd).powi(2);
-                (phase, deviation, self.gain) = (at, (sd * sd + self.drift).sqrt(), evidence.gain);
-                let share = if self.cost.is_finite() { COST_SHARE } else { 1.0 };
-                self.cost =
-                    (if self.cost.is_finite() { self.cost } else { 0.0 }) * (1.0 - share) + evidence.cost * share;
-            }
+        let mut levels = self.levels(frame, &given);
+        if frame > 0
+            && let Some(found) = self.find(&given, &levels, phase)?
+        {
+            phase = found.state.phase;
+            deviation = self.take(&found);
         }
-        self.place(phase, &light)?;
-        self.learn(frame, finest)?;
-        self.render(phase, &view, &light, DepthOutput::Surface)?;
+        self.place(phase, &given)?;
+        let mut finest = levels.pop().expect("there is always the full resolution");
+        finest.view = moved(&given, self.pose);
+        self.learn(frame, &finest)?;
+        self.touch_up(&finest)?;
+        self.draw(&finest.view)?;
         let color = self.shown();
-        let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);
         self.leave();
-        self.phases.push(phase);
-        Ok(FramePrediction { frame, color, depth_mm, phase: Some(phase), phase_deviation: Some(deviation), ahead })
+        let depth_mm = self.depth_mm(&finest.view, phase);
+        self.breath.add(phase);
+        let world_from_camera = self.settings.unknown_pose.then(|| finest.view.camera_from_world.inverse());
+        Ok(FramePrediction {
+            frame,
+            color,
+            depth_mm,
+            phase: Some(phase),
+            phase_deviation: Some(deviation),
+            world_from_camera,
+            ahead,
+        })
+    }
+
+    /// Tracks from the expected `phase`; where that is lost, from the best of all phases.
+    fn find(&mut self, given: &View, levels: &[Level], phase: f64) -> Result<Option<Tracked>> {
+        let found = self.track(levels, self.state_at(phase))?;
+        if !self.is_lost(found.as_ref()) {
+            return Ok(found);
+        }
+        self.leave();
+        self.enter(given, 0.5, 1.0)?;
+        let best = self.search_by_image(&levels[0])?;
+        Ok(self.track(levels, self.state_at(best))?.or(found))
+    }
+
+    /// Takes over what a frame has found; the standard deviation of its phase, drift included.
+    fn take(&mut self, found: &Tracked) -> f64 {
+        let step = found.deviation;
+        self.drift = *self.settings.drift_memory * self.drift + (*self.settings.drift_factor * step).powi(2);
+        self.gain = found.evidence.gain;
+        self.pose = found.state.pose;
+        for ((&centre, c), deviations) in
+            self.centres.iter().zip(&found.state.coefficients).zip(&found.coefficient_deviations)
+        {
+            self.correction.learn(centre, *c, *deviations);
+        }
+        if !self.centres.is_empty() {
+            self.displacement = self.correction.corrected(&self.given_displacement);
+            self.seen().correct(&found.state.coefficients);
+        }
+        let cost = found.evidence.cost;
+        self.cost = if self.cost.is_finite() { self.cost + COST_SHARE * (cost - self.cost) } else { cost };
+        (step * step + self.drift).sqrt()
+    }
+
+    /// The airway as the last frame has it.
+    fn mesh(&self) -> TriangleMesh {
+        let phase = self.breath.phases().last().copied().unwrap_or(0.0);
+        let rest = &self.observation.inspiration;
+        let moved = rest.vertices.iter().zip(&self.displacement);
+        let vertices = moved.map(|(v, d)| *v + phase * Vec3::from(*d).as_dvec3()).collect();
+        TriangleMesh { vertices, faces: rest.faces.clone() }
     }
 
     /// The last rendering as the film would show it.
@@ -232,30 +279,42 @@ impl<'a> Tracker<'a> {
         levels
     }
 
-    fn enter(&mut self, view: &View, [low, high]: [f64; 2]) -> Result<()> {
-        let states = [low, 0.5 * (low + high), high].map(|phase| {
-            let mut out = Vec::new();
-            at_phase(&self.rest, &self.displacement, phase as f32, &mut out);
-            out
-        });
-        let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
-        let reach = Reach::new(&self.settings.visibility);
-        let faces = visible_faces(&self.surface.faces, &states, view, reach, Sides::Lumen);
-        if faces.is_empty() {
+    fn at(&self, phase: f64) -> Vec<[f32; 3]> {
+        let mut out = Vec::new();
+        at_phase(&self.rest, &self.displacement, phase as f32, &mut out);
+        out
+    }
+
+    /// Makes the compact copy of what can be seen from the `given` pose, corrected, at phases within `reach` of `phase`.
+    fn enter(&mut self, given: &View, phase: f64, reach: f64) -> Result<()> {
+        let view = &moved(given, self.pose);
+        let states = [(phase - reach).max(0.0), phase, (phase + reach).min(1.0)].map(|phase| self.at(phase));
+        let bounds = Reach::new(&self.settings.visibility);
+        let faces = &self.surface.faces;
+        let mut seen = visible_faces(faces, &[&states[0], &states[1], &states[2]], view, bounds, Sides::Lumen);
+        if reach <= REACH {
+            seen = unhidden(view, &self.rays, &states[1], faces, &seen);
+        }
+        if seen.is_empty() {
             return Err(nothing_in_view());
         }
-        let patch = self.surface.patch(&faces)?;
-        self.seen = Some(Seen {
-            rest: patch.pick(&self.rest),
-            displacement: patch.pick(&self.displacement),
-            vertices: Vec::new(),
-            albedo: patch.discs.iter().map(|&i| self.albedo[i as usize]).collect(),
-            memory: patch.discs.iter().map(|&i| self.memory[i as usize]).collect(),
-            shade: Vec::new(),
-            velocity: Default::default(),
-            patch,
-        });
+        let patch = self.surface.patch(&seen)?;
+        let memory = patch.discs.iter().map(|&i| self.memory[i as usize]).collect();
+        let albedo = patch.discs.iter().map(|&i| self.albedo[i as usize]).collect();
+        let (rest, displacement) = (patch.pick(&self.rest), patch.pick(&self.displacement));
+        self.faces = seen;
+        self.centres = self.correction.in_view(&view.camera_from_world.inverse());
+        let modes = self.centres.iter().map(|&c| self.correction.pick(c, &patch.vertices)).collect();
+        let coefficients: Vec<[f64; 3]> = self.centres.iter().map(|&c| self.correction.prior(c).0).collect();
+        let mut seen = Seen::new(patch, rest, displacement, albedo, memory, *self.settings.discs.opacity as f32);
+        seen.set_modes(modes, &coefficients);
+        self.seen = Some(seen);
         Ok(())
+    }
+
+    /// Depth of the mesh at `phase`.
+    fn depth_mm(&self, view: &View, phase: f64) -> Image<f32> {
+        nearest_depth_mm(view, &self.rays, &self.at(phase), &self.surface.faces, &self.faces)
     }
 
     fn leave(&mut self) {
@@ -271,78 +330,34 @@ impl<'a> Tracker<'a> {
         self.seen.as_mut().expect("a frame is entered before it is worked on")
     }
 
-    fn place(&mut self, phase: f64, light: &Light) -> Result<()> {
-        self.seen().place(phase, light)
+    /// Puts the discs where they are at `phase`, seen from the `given` pose, corrected.
+    fn place(&mut self, phase: f64, given: &View) -> Result<()> {
+        let light = self.light(&moved(given, self.pose));
+        self.seen().place(phase, &light)
     }
 
-    fn render(&mut self, phase: f64, view: &View, light: &Light, depth: DepthOutput) -> Result<&Rendered<f32>> {
-        self.place(phase, light)?;
-        let settings = Settings { gain: self.gain, depth, ..Settings::default() };
+    /// Renders the discs as they are.
+    fn draw(&mut self, view: &View) -> Result<&Rendered<f32>> {
+        let settings = Settings { gain: self.gain, depth: DepthOutput::Skip, ..Settings::default() };
         let seen = self.seen.as_ref().expect("a frame is entered before it is worked on");
         self.rasterizer.render(&seen.patch.gaussians, view, &settings, None)
     }
 
-    fn search_by_depth(&mut self, view: &View, light: &Light) -> Result<f64> {
+    /// Phase of the first frame, and where asked for its pose, by the depth that is given there.
+    fn search_by_depth(&mut self, view: &View) -> Result<f64> {
         let observation = self.observation;
-        let Some(given) = &observation.first_depth_mm else { return Ok(0.0) };
-        grid_search(*self.settings.grid_steps, |phase| {
-            Ok(depth_error_mm(self.render(phase, view, light, DepthOutput::Surface)?, given))
-        })
-    }
-
-    fn search_by_image(&mut self, level: &Level, light: &Light) -> Result<f64> {
-        grid_search(*self.settings.grid_steps, |phase| {
-            Ok(self.look(level, light, phase)?.map_or(f64::INFINITY, |found| found.cost))
-        })
-    }
-
-    fn is_lost(&self, found: Option<&Tracked>) -> bool {
-        found.is_none_or(|f| self.cost.is_finite() && f.evidence.cost > *self.settings.lost_factor * self.cost)
-    }
-
-    /// What `level` says about the phase at `phase`.
-    fn look(&mut self, level: &Level, light: &Light, phase: f64) -> Result<Option<Evidence>> {
-        let robust = self.robust(level.image.width);
-        let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
-        seen.place(phase, light)?;
-        seen.motion(light)?;
-        let Velocity { positions, axes, colors } = &seen.velocity;
-        let breathing = Motion { positions, axes, colors, ..Motion::default() };
-        let settings = Settings { depth: DepthOutput::Skip, ..Settings::default() };
-        let directions = [Direction::Motion(breathing)];
-        let gaussians = &seen.patch.gaussians;
-        let tangents = self.rasterizer.render_tangent(gaussians, &level.view, &settings, None, &directions)?.to_vec();
-        let rendered = &self.rasterizer.rendered().color;
-        let seen = Comparison { width: level.image.width, image: &level.image.data, rendered, tangents: &tangents };
-        Ok(gauss_newton::evidence(&seen, robust))
-    }
-
-    /// Gauss-Newton from the phase `start`, coarse to fine; `None` when the image says nothing.
-    fn track(&mut self, levels: &[Level], light: &Light, start: f64) -> Result<Option<Tracked>> {
-        let s = self.settings;
-        let prior = Prior {
-            mean: DVector::from_element(1, self.expected()),
-            deviation: DVector::from_element(1, *s.prior_deviation),
+        let Some(depth) = &observation.first_depth_mm else { return Ok(0.0) };
+        self.enter(view, 0.5, 1.0)?;
+        let found = if *self.settings.unknown_pose {
+            let [turn, shift_mm] = *self.settings.pose_deviation;
+            let before = Before { phase: 1.0, turn, shift_mm };
+            let (phase, pose) = pose::register(depth, &before, |phase, xi| self.depth_mm(&moved(view, xi), phase));
+            self.pose = pose;
+            phase
+        } else {
+            grid_search(*self.settings.grid_steps, |phase| Ok(depth_gap_mm(&self.depth_mm(view, phase), depth)))?
         };
-        let (mut phase, mut tracked) = (start, None);
-        for level in levels {
-            for _ in 0..level.steps {
-                let Some(evidence) = self.look(level, light, phase)? else { return Ok(tracked) };
-                let now = DVector::from_element(1, phase);
-                let Some((step, covariance)) = gauss_newton::posterior(&evidence, &prior, &now) else {
-                    return Ok(tracked);
-                };
-                phase = (phase + step[0].clamp(-*s.longest_step, *s.longest_step)).clamp(0.0, 1.0);
-                tracked = Some(Tracked { phase, deviation: covariance[(0, 0)].sqrt(), evidence });
-            }
-        }
-        Ok(tracked)
+        self.leave();
+        Ok(found)
     }
-}
-
-/// A frame's phase with its standard deviation, and what the last step saw.
-struct Tracked {
-    phase: f64,
-    deviation: f64,
-    evidence: Evidence,
 }

@@ -2,10 +2,11 @@
 //! both change with the phase.
 
 use crate::base::Result;
-use crate::splat::Shape;
+use crate::splat::{Gaussians, Shape};
 
+use super::correction::add;
 use super::light::Light;
-use crate::reconstruct::anchored::{Patch, SH_C0, SH_VALUES};
+use crate::reconstruct::anchored::{Patch, SH_C0};
 use crate::reconstruct::phase_fit::at_phase;
 
 /// The compact copy of what one frame can see.
@@ -22,24 +23,61 @@ pub struct Seen {
     pub albedo: Vec<[f32; 3]>,
     /// Weight of past frames, in pixels; 0 = never seen.
     pub memory: Vec<f32>,
+    /// What each disc contributes to the image, in pixels; filled by `Tracker::learn`.
+    pub pixels: Vec<f32>,
     /// What each disc shows of its albedo now.
     pub shade: Vec<f32>,
-    /// Filled by [`Seen::motion`].
-    pub velocity: Velocity,
+    /// Weights of the local vertices at each centre of the correction in view.
+    pub modes: Vec<Vec<f32>>,
+    /// `displacement` without the correction of those centres.
+    plain: Vec<[f32; 3]>,
 }
 
-/// Derivatives of the discs by the phase.
-#[derive(Default)]
+/// Derivatives of the discs by one unknown.
 pub struct Velocity {
     /// Of the centres, mm.
     pub positions: Vec<[f32; 3]>,
-    /// Of the axes, mm.
+    /// Of the axes, mm; empty: they stay.
     pub axes: Vec<[[f32; 3]; 2]>,
     /// Of the colours.
     pub colors: Vec<[f32; 3]>,
 }
 
 impl Seen {
+    /// The discs of `patch`, with colours that look the same from all sides.
+    pub fn new(
+        mut patch: Patch,
+        rest: Vec<[f32; 3]>,
+        displacement: Vec<[f32; 3]>,
+        albedo: Vec<[f32; 3]>,
+        memory: Vec<f32>,
+        opacity: f32,
+    ) -> Seen {
+        patch.gaussians = Gaussians::discs(patch.discs.len(), 0, opacity);
+        let (vertices, pixels, shade) = (Vec::new(), Vec::new(), Vec::new());
+        let (modes, plain) = (Vec::new(), displacement.clone());
+        Seen { patch, rest, displacement, vertices, albedo, memory, pixels, shade, modes, plain }
+    }
+
+    /// Names the centres of the correction in view, by the weights of the local vertices and the coefficients that
+    /// `displacement` contains.
+    pub fn set_modes(&mut self, modes: Vec<Vec<f32>>, coefficients: &[[f64; 3]]) {
+        for (weights, c) in modes.iter().zip(coefficients) {
+            add(&mut self.plain, weights, c.map(|v| -v));
+        }
+        self.modes = modes;
+    }
+
+    /// Gives the centres in view other coefficients.
+    pub fn correct(&mut self, coefficients: &[[f64; 3]]) {
+        if !self.modes.is_empty() {
+            self.displacement.clone_from(&self.plain);
+            for (weights, c) in self.modes.iter().zip(coefficients) {
+                add(&mut self.displacement, weights, *c);
+            }
+        }
+    }
+
     /// Moves the discs to `phase` and colours them as the scope's light shows them.
     pub fn place(&mut self, phase: f64, light: &Light) -> Result<()> {
         at_phase(&self.rest, &self.displacement, phase as f32, &mut self.vertices);
@@ -56,26 +94,36 @@ impl Seen {
     /// Colours the discs by albedo and shade.
     pub fn color(&mut self) {
         let shown = self.albedo.iter().zip(&self.shade);
-        for (sh, (albedo, shade)) in self.patch.gaussians.sh.chunks_exact_mut(SH_VALUES).zip(shown) {
+        for (sh, (albedo, shade)) in self.patch.gaussians.sh.chunks_exact_mut(3).zip(shown) {
             for c in 0..3 {
                 sh[c] = (albedo[c] * shade - 0.5) / SH_C0;
             }
         }
     }
 
-    /// How discs and their colours move with the phase.
-    pub fn motion(&mut self, light: &Light) -> Result<()> {
-        let Velocity { positions, axes: moving_axes, colors } = &mut self.velocity;
-        self.patch.place_tangent(&self.vertices, &self.displacement, positions, moving_axes)?;
+    /// How discs and their colours move while the local vertices move by `by`.
+    pub fn velocity(&self, light: &Light, by: &[[f32; 3]]) -> Result<Velocity> {
+        let (mut positions, mut axes) = (Vec::new(), Vec::new());
+        self.patch.place_tangent(&self.vertices, by, &mut positions, &mut axes)?;
+        let colors = self.color_change(light, |k| positions[k]);
+        Ok(Velocity { positions, axes, colors })
+    }
+
+    /// How discs and their colours move while the scope moves against `by` (mm, world), or all else by it.
+    pub fn shift(&self, light: &Light, by: [f32; 3]) -> Velocity {
+        let colors = self.color_change(light, |_| by);
+        Velocity { positions: vec![by; colors.len()], axes: Vec::new(), colors }
+    }
+
+    fn color_change(&self, light: &Light, velocity: impl Fn(usize) -> [f32; 3]) -> Vec<[f32; 3]> {
         let gaussians = &self.patch.gaussians;
         let Shape::Discs { axes } = &gaussians.shape else { unreachable!("a patch is made of discs") };
-        colors.clear();
-        for (((centre, axes), velocity), albedo) in
-            gaussians.positions.iter().zip(axes).zip(positions.iter()).zip(&self.albedo)
-        {
-            let shade = light.shade(*centre, axes, *velocity);
-            colors.push(albedo.map(|a| a * shade.by_phase));
-        }
-        Ok(())
+        let discs = gaussians.positions.iter().zip(axes).zip(&self.albedo).enumerate();
+        discs
+            .map(|(k, ((centre, axes), albedo))| {
+                let shade = light.shade(*centre, axes, velocity(k));
+                albedo.map(|a| a * shade.by_phase)
+            })
+            .collect()
     }
 }

@@ -1,4 +1,5 @@
-//! Cost against error, one panel per subject, both axes logarithmic; the front as a line, the default as a ring.
+//! Cost against error, one panel per subject, both axes logarithmic; the front as a line, the default as a ring. What has no
+//! error at all (a reference) stands on the lower edge.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -17,6 +18,8 @@ const COLORS: [RGBColor; 7] = [
     RGBColor(86, 180, 233),
     RGBColor(140, 140, 140),
 ];
+/// The line of the front.
+const FRONT: RGBColor = RGBColor(180, 180, 180);
 /// Most panels beside each other.
 const COLUMNS: usize = 3;
 
@@ -41,7 +44,7 @@ impl<'a> ParetoPlot<'a> {
         let mut names: Vec<(String, RGBColor)> = Vec::new();
         let mut panels: Vec<(&str, Vec<Dot>)> = Vec::new();
         for (point, &on_front) in chart.points.iter().zip(front) {
-            if !(point.cost > 0.0 && point.error > 0.0) {
+            if !(point.cost > 0.0 && point.error >= 0.0) {
                 continue;
             }
             let color = match names.iter().find(|(name, _)| *name == point.mode) {
@@ -59,8 +62,12 @@ impl<'a> ParetoPlot<'a> {
                 None => panels.push((&point.subject, vec![dot])),
             }
         }
-        names.push(("front".into(), GRID));
+        names.push(("front".into(), FRONT));
         names.push(("ring: default".into(), INK));
+        panels.retain(|(_, dots)| dots.iter().any(|dot| dot.at.1 > 0.0));
+        if panels.iter().flat_map(|(_, dots)| dots).any(|dot| dot.at.1 == 0.0) {
+            names.push(("lower edge: the reference itself".into(), WHITE));
+        }
         (!panels.is_empty()).then_some(ParetoPlot { chart, names, panels })
     }
 }
@@ -118,17 +125,77 @@ fn draw_panel<DB: DrawingBackend>(
         .x_desc(words.cost)
         .y_desc(words.error)
         .draw()?;
-    let mut front: Vec<(f64, f64)> = dots.iter().filter(|d| d.on_front).map(|d| d.at).collect();
+    let place = |d: &Dot| (d.at.0, if d.at.1 > 0.0 { d.at.1 } else { y[0] });
+    let mut front: Vec<(f64, f64)> = dots.iter().filter(|d| d.on_front).map(place).collect();
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
-    chart.draw_series(std::iter::once(PathElement::new(front, pen.line(RGBColor(180, 180, 180), 2.5))))?;
+    chart.draw_series(std::iter::once(PathElement::new(front, pen.line(FRONT, 2.5))))?;
+    let mut taken: Vec<Rectangle> = Vec::new();
+    let floor = chart.backend_coord(&(x[0], y[0])).1;
     for dot in dots {
-        chart.draw_series(std::iter::once(Circle::new(dot.at, pen.px(4.5), dot.color.filled())))?;
+        let at = place(dot);
+        chart.draw_series(std::iter::once(Circle::new(at, pen.px(4.5), dot.color.filled())))?;
         if dot.standing == Standing::Default {
-            chart.draw_series(std::iter::once(Circle::new(dot.at, pen.px(9.0), pen.line(INK, 2.0))))?;
+            chart.draw_series(std::iter::once(Circle::new(at, pen.px(9.0), pen.line(INK, 2.0))))?;
         }
-        let style = pen.text(9.5).pos(Pos::new(HPos::Left, VPos::Bottom));
-        let label = Text::new(dot.label.clone(), (pen.at(6.0), pen.at(-4.0)), style);
-        chart.draw_series(std::iter::once(EmptyElement::at(dot.at) + label))?;
+        let (x, y) = chart.backend_coord(&at);
+        taken.push(Rectangle::around((x, y), pen.at(if dot.standing == Standing::Default { 9.0 } else { 4.5 })));
+    }
+    for dot in dots {
+        let (at, style) = (place(dot), pen.text(9.5));
+        let (width, height) = area.estimate_text_size(&dot.label, &style)?;
+        let (x, y) = chart.backend_coord(&at);
+        let (shift, spot) = free_spot((x, y), [width as i32, height as i32], pen, (floor, &taken));
+        taken.push(spot);
+        let label = Text::new(dot.label.clone(), shift, style.pos(Pos::new(HPos::Left, VPos::Top)));
+        chart.draw_series(std::iter::once(EmptyElement::at(at) + label))?;
     }
     Ok(())
+}
+
+/// Pixels that something covers.
+#[derive(Clone, Copy)]
+struct Rectangle {
+    low: (i32, i32),
+    high: (i32, i32),
+}
+
+impl Rectangle {
+    fn around((x, y): (i32, i32), radius: i32) -> Self {
+        Rectangle { low: (x - radius, y - radius), high: (x + radius, y + radius) }
+    }
+
+    fn meets(&self, other: &Rectangle) -> bool {
+        self.low.0 < other.high.0 && other.low.0 < self.high.0 && self.low.1 < other.high.1 && other.low.1 < self.high.1
+    }
+}
+
+/// Where the label of a dot goes without covering anything: how far its upper left corner is from the dot. To the right,
+/// above or below, then farther away, never below `floor`; beside the dot where nothing is free.
+fn free_spot(
+    (x, y): (i32, i32),
+    [width, height]: [i32; 2],
+    pen: Pen,
+    (floor, taken): (i32, &[Rectangle]),
+) -> ((i32, i32), Rectangle) {
+    let gap = pen.at(6.0);
+    let shifts = (0..6).flat_map(|away| {
+        let lines = away * height;
+        let (above, below) = (-height - gap / 2 - lines, gap / 2 + lines);
+        [
+            (gap, above),
+            (gap, below),
+            (-width - gap, above),
+            (-width - gap, below),
+            (-width / 2, above - gap),
+            (-width / 2, below + gap),
+        ]
+    });
+    let spot = |(right, down): (i32, i32)| Rectangle {
+        low: (x + right, y + down),
+        high: (x + right + width, y + down + height),
+    };
+    let mut shifts = shifts.map(|shift| (shift, spot(shift)));
+    let inside = |spot: &Rectangle| spot.low.0 > 0 && spot.high.1 <= floor;
+    let free = shifts.find(|(_, spot)| inside(spot) && !taken.iter().any(|other| other.meets(spot)));
+    free.unwrap_or(((gap, -height), spot((gap, -height))))
 }

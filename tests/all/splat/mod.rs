@@ -9,4 +9,5 @@ mod numpy_normal;
 mod reuse;
 mod robustness;
 mod scenes;
+mod skips;
 mod tangent;

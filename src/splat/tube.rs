@@ -1,10 +1,11 @@
-//! The scene of the timings: a bumpy tube of thin discs seen from inside, like the one of `../shared/reference/splat`.
+//! The scene of the timings (benchmarks, `pareto splat`, examples): a bumpy tube of thin discs seen from inside, like the one of
+//! `../shared/reference/splat`.
 
+use super::types::{DepthOutput, Gaussians, Settings, Shape, View};
+use crate::base::Camera;
+use crate::base::camera::world_from_camera_looking;
+use crate::base::random::{CounterRng, Stage};
 use glam::DVec3;
-use respire_bench::base::Camera;
-use respire_bench::base::camera::world_from_camera_looking;
-use respire_bench::base::random::{CounterRng, Stage};
-use respire_bench::splat::{DepthOutput, Gaussians, Settings, Shape, View};
 
 /// Thin ellipsoids as in the reference scene, in the order of a hexagonal lattice on the wall.
 pub fn tube(n: usize) -> Gaussians<f32> {

@@ -1,0 +1,95 @@
+//! How far the light at vertices is off the mean of its own paths, case by case.
+//!
+//! ```text
+//! cargo run --release --example vertex_bias [CASE,.. [SAMPLES [PIXELS]]]
+//! ```
+//! Two frames per case: half way at phase .3 and nine tenths of the way at phase .8, lit as in the films. Per frame: the
+//! ratio of the mean picture to that of the paths, per channel, with the standard error of the paths' mean (from eight
+//! parts), and the CPU seconds of one frame. References are kept in `target/vertex_bias`; delete them after a change of the
+//! look.
+
+use std::path::Path;
+
+use respire_bench::airway::{self, case::Case};
+use respire_bench::base::{Image, Result, mesh};
+use respire_bench::ffi::system::cpu_time_s;
+use respire_bench::formats::exr;
+use respire_bench::render::{Light, RenderSettings, Scene, Shading, Transport, render};
+use respire_bench::simulate::{material, trajectory::Route};
+
+/// Parts of the way and phases.
+const PLACES: [(f64, f64); 2] = [(0.5, 0.3), (0.9, 0.8)];
+/// Independent parts of a reference.
+const PARTS: u64 = 8;
+
+fn main() -> Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let all = (1..=9).map(|n| format!("case{n}")).collect::<Vec<_>>().join(",");
+    let names = arguments.next().unwrap_or(all);
+    let samples: u32 = arguments.next().and_then(|v| v.parse().ok()).unwrap_or(256);
+    let pixels: u32 = arguments.next().and_then(|v| v.parse().ok()).unwrap_or(96);
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for name in names.split(',') {
+        let case = Case::load(&root.join(format!("bench-cases/{name}.toml")))?;
+        let anatomy = airway::build(&case)?;
+        let route = Route::plan(&anatomy, &case.trajectory)?;
+        let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, material(&case)?, case.seed)?;
+        scene.set_other_end(&anatomy.expiration.vertices)?;
+        for (part, phase) in PLACES {
+            scene.deform(&mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase))?;
+            let pose = route.pose(part * route.length_mm(), phase);
+            let exponent = Light::exponent_of_half_angle(case.scope.emission_half_angle_deg);
+            let light = Light { emission_exponent: exponent, ..Light::at_camera(case.light_intensity) };
+            let picture = |settings: &RenderSettings| -> Result<Image<f32>> {
+                Ok(render(&scene, &case.camera.camera(pixels, pixels), &pose, &light, settings)?.radiance)
+            };
+            let folder = root.join(format!("target/vertex_bias/{name}-{part}-{samples}x{pixels}"));
+            let paths = reference(&folder, samples, &picture)?;
+            let vertices = RenderSettings { transport: Transport::VERTICES, ..settings(4, case.seed) };
+            picture(&vertices)?;
+            let cpu = cpu_time_s();
+            let found = mean(&picture(&vertices)?);
+            let cpu = cpu_time_s() - cpu;
+            report(name, part, &paths, found, cpu);
+        }
+    }
+    Ok(())
+}
+
+fn settings(samples_per_pixel: u32, seed: u64) -> RenderSettings {
+    RenderSettings { samples_per_pixel, shading: Shading::Smooth, seed, ..RenderSettings::default() }
+}
+
+/// Mean pictures of the parts.
+fn reference(
+    folder: &Path,
+    samples: u32,
+    picture: &dyn Fn(&RenderSettings) -> Result<Image<f32>>,
+) -> Result<Vec<[f64; 3]>> {
+    let file = |part| folder.join(format!("{part}.exr"));
+    (0..PARTS)
+        .map(|part| {
+            if !file(part).is_file() {
+                let image = picture(&settings(samples / PARTS as u32, 7000 + part))?;
+                exr::write_rgb(&file(part), &image)?;
+            }
+            Ok(mean(&exr::read(&file(part))?))
+        })
+        .collect()
+}
+
+fn mean(image: &Image<f32>) -> [f64; 3] {
+    let sum = |c: usize| image.data.iter().skip(c).step_by(3).map(|&v| f64::from(v)).sum::<f64>();
+    std::array::from_fn(|c| sum(c) / (image.data.len() / 3) as f64)
+}
+
+fn report(name: &str, part: f64, paths: &[[f64; 3]], found: [f64; 3], cpu: f64) {
+    let count = paths.len() as f64;
+    let mut line = format!("{name} at {part}:");
+    for c in 0..3 {
+        let truth = paths.iter().map(|p| p[c]).sum::<f64>() / count;
+        let variance = paths.iter().map(|p| (p[c] - truth).powi(2)).sum::<f64>() / (count * (count - 1.0));
+        line += &format!(" {:+.2} +- {:.2} %", 100.0 * (found[c] / truth - 1.0), 100.0 * variance.sqrt() / truth);
+    }
+    println!("{line}   {cpu:.3} CPU-s");
+}

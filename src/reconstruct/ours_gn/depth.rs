@@ -1,0 +1,194 @@
+//! Depth of the mesh itself, by the faces in view and a z-buffer, exact for pinhole and fisheye. Discs on a mesh only blur
+//! where it is; and what lies behind a wall need not be drawn.
+//!
+//! With corners `a`, `b`, `c` in camera axes and the ray `r` of a pixel, `r . (b x c)`, `r . (c x a)` and `r . (a x b)` have
+//! one sign where the ray meets the face, and it meets it at `a . (b x c) / sum * r`.
+
+use glam::{DVec2, Vec3};
+use rayon::prelude::*;
+
+use crate::base::{Camera, Image};
+use crate::splat::View;
+
+/// Faces that reach nearer than this to the plane of the camera are left out.
+const NEAR_MM: f32 = 0.05;
+/// Rows that one thread fills at a time.
+const BAND: usize = 16;
+/// A face counts as hidden when it lies so much of its depth, and so many mm, behind the nearest wall around its pixel.
+const SLACK: [f32; 2] = [0.05, 1.0];
+/// Largest error of a depth that counts, as a share of it.
+const LARGEST_SHARE: f32 = 0.25;
+
+/// The ray of each pixel of a camera, z = 1.
+pub struct Rays {
+    width: usize,
+    rays: Vec<Vec3>,
+}
+
+impl Rays {
+    /// The rays through the pixel centres of `camera`; those that look sideways or back see nothing.
+    pub fn new(camera: &Camera) -> Rays {
+        let width = camera.width as usize;
+        let ray = |i: usize| {
+            let direction = camera.direction(DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5));
+            if direction.z > 1e-3 { (direction / direction.z).as_vec3() } else { Vec3::ZERO }
+        };
+        Rays { width, rays: (0..width * camera.height as usize).map(ray).collect() }
+    }
+}
+
+/// A face as the pixels see it: see the head of this file; and the rectangle that it covers.
+struct Triangle {
+    sides: [Vec3; 3],
+    volume: f32,
+    columns: [usize; 2],
+    rows: [usize; 2],
+}
+
+fn on_screen(camera: &Camera, [a, b, c]: [Vec3; 3]) -> Option<Triangle> {
+    if a.z.min(b.z).min(c.z) < NEAR_MM {
+        return None;
+    }
+    let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    for p in [a, b, c] {
+        let pixel = camera.project(p.as_dvec3())?;
+        (low, high) = (low.min(pixel), high.max(pixel));
+    }
+    // A lens bends edges outwards.
+    let bulge = if camera.fisheye.is_some() { 0.1 * (high - low).max_element() } else { 0.0 };
+    let (low, high) = (low - bulge, high + bulge);
+    let last = DVec2::new(camera.width as f64 - 1.0, camera.height as f64 - 1.0);
+    if !(high.cmpge(DVec2::ZERO).all() && low.cmple(last + 1.0).all()) {
+        return None;
+    }
+    let (low, high) = (low.max(DVec2::ZERO), high.min(last));
+    Some(Triangle {
+        sides: [b.cross(c), c.cross(a), a.cross(b)],
+        volume: a.dot(b.cross(c)),
+        columns: [low.x as usize, high.x.max(0.0) as usize],
+        rows: [low.y as usize, high.y.max(0.0) as usize],
+    })
+}
+
+/// Fills what `triangle` covers of `band`, rows from `first` on, where it is nearer than what is there.
+fn fill(band: &mut [f32], rays: &Rays, first: usize, triangle: &Triangle) {
+    let last = first + band.len() / rays.width - 1;
+    for y in triangle.rows[0].max(first)..=triangle.rows[1].min(last) {
+        let columns = triangle.columns[0]..=triangle.columns[1];
+        let row = &rays.rays[y * rays.width..][..rays.width];
+        let near = &mut band[(y - first) * rays.width..][..rays.width];
+        for (near, ray) in near[columns.clone()].iter_mut().zip(&row[columns]) {
+            let [u, v, w] = triangle.sides.map(|side| side.dot(*ray));
+            if (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0) {
+                let depth = triangle.volume / (u + v + w);
+                if depth > 0.0 && depth < *near {
+                    *near = depth;
+                }
+            }
+        }
+    }
+}
+
+/// z-depth in mm of the nearest of the faces `which` at each pixel of `view`, whose rays are `rays`; 0 where there is none.
+pub fn nearest_depth_mm(
+    view: &View,
+    rays: &Rays,
+    vertices: &[[f32; 3]],
+    faces: &[[u32; 3]],
+    which: &[u32],
+) -> Image<f32> {
+    let camera_from_world = view.camera_from_world.as_affine3();
+    let corner = |v: u32| camera_from_world.transform_point3(Vec3::from(vertices[v as usize]));
+    let triangle = |f: &u32| on_screen(&view.camera, faces[*f as usize].map(corner));
+    let triangles: Vec<Triangle> = which.par_iter().with_min_len(512).filter_map(triangle).collect();
+    let mut data = vec![f32::INFINITY; rays.rays.len()];
+    data.par_chunks_mut(rays.width * BAND).enumerate().for_each(|(band, near)| {
+        let first = band * BAND;
+        let here = triangles.iter().filter(|t| t.rows[0] < first + BAND && t.rows[1] >= first);
+        here.for_each(|t| fill(near, rays, first, t));
+        near.iter_mut().filter(|v| v.is_infinite()).for_each(|v| *v = 0.0);
+    });
+    Image { width: rays.width, height: view.camera.height as usize, channels: 1, data }
+}
+
+/// Mean absolute difference in mm between rendered and given depth where both are; infinite where nothing is.
+/// Differences beyond [`LARGEST_SHARE`] of the given depth count as that share: edges and holes do not decide.
+pub fn depth_gap_mm(rendered: &Image<f32>, given: &Image<f32>) -> f64 {
+    let both = rendered.data.iter().zip(&given.data).filter(|(d, t)| **d > 0.0 && **t > 0.0);
+    let (sum, count) = both
+        .fold((0.0, 0usize), |(sum, count), (&d, &t)| (sum + (d - t).abs().min(LARGEST_SHARE * t) as f64, count + 1));
+    if count == 0 { f64::INFINITY } else { sum / count as f64 }
+}
+
+/// Of the faces `which` those that no nearer wall hides, judged with some slack.
+pub fn unhidden(view: &View, rays: &Rays, vertices: &[[f32; 3]], faces: &[[u32; 3]], which: &[u32]) -> Vec<u32> {
+    let depth = nearest_depth_mm(view, rays, vertices, faces, which);
+    let (width, height) = (depth.width as i64, depth.height as i64);
+    let camera_from_world = view.camera_from_world.as_affine3();
+    // Farthest wall around a pixel; infinite where there is a hole.
+    let farthest = |x: i64, y: i64| {
+        let mut far = 0.0f32;
+        for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))) {
+            let (x, y) = ((x + dx).clamp(0, width - 1), (y + dy).clamp(0, height - 1));
+            let d = depth.data[(y * width + x) as usize];
+            far = far.max(if d > 0.0 { d } else { f32::INFINITY });
+        }
+        far
+    };
+    let seen = |p: Vec3| match view.camera.project(p.as_dvec3()) {
+        Some(pixel) => {
+            let far = farthest((pixel.x as i64).clamp(0, width - 1), (pixel.y as i64).clamp(0, height - 1));
+            p.z <= far * (1.0 + SLACK[0]) + SLACK[1]
+        }
+        None => true,
+    };
+    let corner = |v: u32| camera_from_world.transform_point3(Vec3::from(vertices[v as usize]));
+    let flags: Vec<bool> =
+        which.par_iter().with_min_len(512).map(|&f| faces[f as usize].map(corner).into_iter().any(seen)).collect();
+    which.iter().zip(flags).filter(|(_, seen)| *seen).map(|(&f, _)| f).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DAffine3, DVec3};
+
+    use super::*;
+
+    const EYE: DVec3 = DVec3::new(2.0, -1.0, 5.0);
+
+    /// Two triangles that fill the view: a slanted one, and a farther one behind it.
+    fn scene(fisheye: Option<[f64; 4]>) -> (View, Vec<[f32; 3]>, Vec<[u32; 3]>) {
+        let camera = Camera { fisheye, ..Camera::pinhole(40, 30, 1.5) };
+        let view = View::new(camera, DAffine3::from_translation(EYE));
+        let at = |x: f64, y: f64, z: f64| (EYE + DVec3::new(x, y, z)).as_vec3().to_array();
+        let near = [at(-60.0, -50.0, 4.0), at(60.0, -50.0, 16.0), at(0.0, 90.0, 10.0)];
+        let far = [at(-99.0, -99.0, 30.0), at(99.0, -99.0, 30.0), at(0.0, 140.0, 30.0)];
+        (view, [near, far].concat(), vec![[0, 1, 2], [3, 4, 5]])
+    }
+
+    #[test]
+    fn depth_is_that_of_the_plane_which_each_ray_meets() {
+        for fisheye in [None, Some([0.05, -0.01, 0.002, 0.0])] {
+            let (view, vertices, faces) = scene(fisheye);
+            let [a, b, c] = [0, 1, 2].map(|i| Vec3::from(vertices[i]).as_dvec3() - EYE);
+            let normal = (b - a).cross(c - a);
+            let found = nearest_depth_mm(&view, &Rays::new(&view.camera), &vertices, &faces, &[0, 1]);
+            for (i, &depth) in found.data.iter().enumerate() {
+                let pixel = DVec2::new((i % 40) as f64 + 0.5, (i / 40) as f64 + 0.5);
+                let ray = view.camera.direction(pixel);
+                let expected = normal.dot(a) / normal.dot(ray) * ray.z;
+                assert!((depth as f64 - expected).abs() < 1e-3 * expected, "{pixel}: {depth} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_stands_behind_a_wall_is_hidden_and_what_stands_before_it_is_not() {
+        let (view, mut vertices, faces) = scene(None);
+        let rays = Rays::new(&view.camera);
+        assert_eq!(unhidden(&view, &rays, &vertices, &faces, &[0, 1]), [0]);
+        vertices[3..].iter_mut().for_each(|v| v[2] -= 28.0);
+        assert_eq!(unhidden(&view, &rays, &vertices, &faces, &[0, 1]), [1]);
+        assert_eq!(unhidden(&view, &rays, &vertices, &faces, &[0]), [0]);
+    }
+}
