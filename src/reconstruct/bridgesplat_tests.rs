@@ -91,6 +91,7 @@ fn film(bump: Bump, most: f64) -> (Observation, Vec<DVec3>) {
         world_from_camera: vec![DAffine3::IDENTITY; FRAMES],
         time_s: (0..FRAMES).map(|t| t as f64 * 0.04).collect(),
         images,
+        mask: None,
         inspiration: rest,
         expiration: None,
         first_depth_mm: None,

@@ -32,7 +32,7 @@ mod tests;
 
 use glam::DAffine3;
 
-use crate::base::{Camera, Error, Image, Progress, Result, TriangleMesh};
+use crate::base::{Camera, Error, Image, Mask, Progress, Result, TriangleMesh};
 use crate::splat::Rendered;
 
 pub use bridgesplat::Bridgesplat;
@@ -78,6 +78,8 @@ pub struct Observation {
     pub time_s: Vec<f64>,
     /// 8-bit sRGB images, one per frame.
     pub images: Vec<Image<u8>>,
+    /// Which pixels of the images hold a picture; `None` where all do.
+    pub mask: Option<Mask>,
     /// CT surface at inspiration; normals point into the lumen.
     pub inspiration: TriangleMesh,
     /// CT surface at expiration, same faces; only if asked for.
@@ -91,6 +93,16 @@ pub struct Observation {
 }
 
 impl Observation {
+    /// A weight per pixel for losses; `None` where all count alike.
+    pub fn pixel_weights(&self) -> Option<Vec<f32>> {
+        self.mask.as_ref().map(Mask::weights)
+    }
+
+    /// Whether pixel `index` (row-major) holds a picture.
+    pub fn shows(&self, index: usize) -> bool {
+        self.mask.as_ref().is_none_or(|mask| mask.shows(index))
+    }
+
     /// Errors when arrays differ in length or something is missing that `access` asks for.
     pub fn validate(&self, access: Access) -> Result<()> {
         let frames = self.images.len();
@@ -101,6 +113,9 @@ impl Observation {
         let size = (self.camera.width as usize, self.camera.height as usize, 3);
         if let Some(i) = self.images.iter().position(|i| (i.width, i.height, i.channels) != size) {
             return Err(Error::input("the image has another size than the camera").element(format!("frame {i}")));
+        }
+        if self.mask.as_ref().is_some_and(|m| (m.width, m.height) != (size.0, size.1)) {
+            return Err(Error::input("the mask has another size than the camera"));
         }
         self.inspiration.validate()?;
         if access.expiration_mesh && self.expiration.as_ref().is_none_or(|e| e.faces != self.inspiration.faces) {

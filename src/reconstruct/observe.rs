@@ -23,6 +23,7 @@ pub fn observe(sequence: &Sequence, access: Access, seed: u64) -> Result<Observa
         },
         time_s,
         images: images.into_iter().collect::<Result<_>>()?,
+        mask: sequence.mask()?,
         inspiration: sequence.inspiration()?,
         expiration: if access.expiration_mesh { Some(sequence.registered_expiration()?) } else { None },
         first_depth_mm: if access.first_depth { Some(sequence.depth_mm(0)?) } else { None },

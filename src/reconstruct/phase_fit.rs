@@ -169,7 +169,8 @@ impl Fitter<'_> {
         // From here on the frame's image may be looked at.
         let image = self.observation.images[frame].to_unit();
         let [of_phase, of_all] = [*self.settings.phase_ssim_weight, *self.settings.ssim_weight];
-        let mut loss = Photometric::new(&image.data, width, height, of_phase.max(of_all), None)
+        let weights = self.observation.pixel_weights();
+        let mut loss = Photometric::new(&image.data, width, height, of_phase.max(of_all), weights.as_deref())
             .with_norm(self.settings.norm());
         if frame > 0 {
             if estimated {
@@ -266,9 +267,9 @@ impl Fitter<'_> {
         let rendered =
             self.rasterizer.render(carried.gaussians(), view, &self.render_settings(DepthOutput::Skip), None)?;
         for c in 0..3 {
-            let pairs = rendered.color.iter().zip(&image.data).skip(c).step_by(3);
+            let pairs = rendered.color.iter().zip(&image.data).skip(c).step_by(3).enumerate();
             let (mut cross, mut square) = (0.0f64, 1e-9f64);
-            for (&r, &i) in pairs {
+            for (_, (&r, &i)) in pairs.filter(|(pixel, _)| self.observation.shows(*pixel)) {
                 cross += (r * i) as f64;
                 square += (r * r) as f64;
             }
@@ -280,7 +281,7 @@ impl Fitter<'_> {
     /// Discs that no frame has shown yet start with the colour of the pixel they fall on, or the mean colour.
     fn color_the_unseen(&mut self, view: &View, carried: &mut dyn Carried, image: &Image<f32>) {
         let gain = self.gain;
-        let pixels = pixels(view, carried.gaussians());
+        let pixels = self.pixels(view, carried);
         let mean = self.mean_color;
         let (sh, memory) = carried.colors();
         for ((sh, at), pixel) in sh.chunks_exact_mut(SH_VALUES).zip(&memory.contained_shade).zip(pixels) {
@@ -297,7 +298,7 @@ impl Fitter<'_> {
     /// The others take back their colours of `before`: what the image shows of them through the
     /// wall is too little to learn from, and enough to run wild on.
     fn mark_fitted(&mut self, view: &View, carried: &mut dyn Carried, image: &Image<f32>, before: &Shown) {
-        let pixels = pixels(view, carried.gaussians());
+        let pixels = self.pixels(view, carried);
         self.light(view).shades(carried.gaussians(), &[], &mut self.shades);
         let depths = depths(view, carried.gaussians());
         let rendered = self.rasterizer.rendered();
@@ -320,11 +321,18 @@ impl Fitter<'_> {
                 memory.put_back(k, &mut sh[k * SH_VALUES..][..SH_VALUES], before);
             }
         }
-        let count = (image.width * image.height) as f64;
+        let shown: Vec<usize> = (0..image.width * image.height).filter(|&i| self.observation.shows(i)).collect();
         for c in 0..3 {
-            let sum: f64 = image.data.iter().skip(c).step_by(3).map(|&v| v as f64).sum();
-            self.mean_color[c] = (sum / count / self.gain[c]) as f32;
+            let sum: f64 = shown.iter().map(|i| image.data[3 * i + c] as f64).sum();
+            self.mean_color[c] = (sum / shown.len() as f64 / self.gain[c]) as f32;
         }
+    }
+
+    /// The pixel on which each centre falls, if it holds a picture.
+    fn pixels(&self, view: &View, carried: &dyn Carried) -> Vec<Option<[usize; 2]>> {
+        let width = view.camera.width as usize;
+        let shown = |pixel: &[usize; 2]| self.observation.shows(pixel[1] * width + pixel[0]);
+        pixels(view, carried.gaussians()).into_iter().map(|pixel| pixel.filter(shown)).collect()
     }
 
     /// Photometric loss and its image gradient at the present placement.

@@ -108,6 +108,7 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
         world_from_camera: poses,
         time_s: (0..frames).map(|t| t as f64 * 0.1).collect(),
         images,
+        mask: None,
         inspiration,
         expiration: Some(expiration),
         first_depth_mm: depth,
