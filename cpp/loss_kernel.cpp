@@ -1,6 +1,7 @@
-// L1 + SSIM with gradient in one sweep over the lines of an image, all three channels: lines are blurred across into
-// rings of 16, down from there, turned into the derivatives of SSIM, and these blurred again, so that nothing but the
-// images themselves leaves the nearest caches. The plain twin is src/reconstruct/loss/photometric.rs.
+// L1 + SSIM with gradient in one sweep over the lines of an image, all three channels as they lie (red, green, blue by
+// turns, so that a neighbour is three values away): lines are blurred across into rings of 16, down from there, turned
+// into the derivatives of SSIM, and these blurred again. Four lines at a time: blurred down, they share most of what is
+// loaded. The plain twin is src/reconstruct/loss/photometric.rs.
 #include "cpp/loss_kernel.h"
 #include "cpp/splat_lanes.h"
 
@@ -8,54 +9,141 @@ namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-constexpr std::size_t RADIUS = 5, RING = 16;
+constexpr int CHANNELS = 3, MAPS = 3, GROUP = 4, TAPS = 11, RADIUS = 5;
+constexpr std::ptrdiff_t RING = 16;
+constexpr std::size_t AHEAD = 256;  // values
 constexpr float SSIM_C1 = 0.01f * 0.01f, SSIM_C2 = 0.03f * 0.03f;
+static_assert(LOSS_MARGIN >= CHANNELS * RADIUS && LOSS_MARGIN >= LANES, "a window must not leave its line");
+static_assert(GROUP + TAPS - 1 <= RING, "lines must last until they have been used");
 
 // 16 lines of three maps, and the line of zeros beyond the image.
 struct Ring {
-  float* lines[3][RING];
+  float* lines[MAPS][RING];
   const float* zeros;
-  std::size_t height;
-  const float* line(int map, std::ptrdiff_t y) const {
-    return y < 0 || y >= static_cast<std::ptrdiff_t>(height) ? zeros : lines[map][y % RING];
-  }
+  std::ptrdiff_t height;
+  float* at(int map, std::ptrdiff_t y) const { return lines[map][y % RING]; }
+  const float* line(int map, std::ptrdiff_t y) const { return y < 0 || y >= height ? zeros : at(map, y); }
 };
+
+// The first `count` values, the rest 0.
+inline V load_first(const float* p, std::size_t count) {
+  if (count >= static_cast<std::size_t>(LANES)) return load(p);
+  V v{};
+  __builtin_memcpy(&v, p, count * sizeof(float));
+  return v;
+}
+
+inline void store_first(float* p, V v, std::size_t count) {
+  if (count >= static_cast<std::size_t>(LANES)) return store(p, v);
+  __builtin_memcpy(p, &v, count * sizeof(float));
+}
+
+#if defined(__AVX512F__)
+// Values N.. of two vectors one after the other.
+template <int N>
+inline V beginning_at(V a, V b) {
+  return (V)_mm512_alignr_epi32((__m512i)b, (__m512i)a, N);
+}
+#endif
 
 struct Sweep {
   const LossBand& b;
-  std::size_t stride;
+  const std::size_t values, stride;  // of a line; of lines in the room
+  const std::ptrdiff_t height, y0, y1;
   float* next;
+  Ring first{}, second{};
+  float *padded[GROUP][MAPS], *weight[GROUP], *l1_weight[GROUP];
 
+  explicit Sweep(const LossBand& band)
+      : b(band),
+        values(CHANNELS * band.width),
+        stride(loss_stride(band.width)),
+        height(static_cast<std::ptrdiff_t>(band.height)),
+        y0(static_cast<std::ptrdiff_t>(band.y0)),
+        y1(static_cast<std::ptrdiff_t>(band.y1)) {
+    const std::uintptr_t room = reinterpret_cast<std::uintptr_t>(band.room);
+    next = band.room + (64 - room % 64) % 64 / sizeof(float);
+    const float* zeros = take();
+    Ring* const rings[2] = {&first, &second};
+    for (Ring* ring : rings) {
+      ring->zeros = zeros, ring->height = height;
+      for (auto& map : ring->lines)
+        for (float*& line : map) line = take();
+    }
+    for (auto& lines : padded)
+      for (float*& line : lines) line = take();
+    for (float*& line : weight) line = take();
+    for (float*& line : l1_weight) line = take();
+    for (int r = 0; r < GROUP && !b.mask; ++r) weigh(y0, r);
+  }
+
+  // A line of zeros, LOSS_MARGIN of them before it.
   float* take() {
-    float* line = next;
+    float* line = next + LOSS_MARGIN;
+    for (std::size_t i = 0; i < stride; ++i) next[i] = 0;
     next += stride;
-    for (std::size_t i = 0; i < stride; ++i) line[i] = 0;
     return line;
   }
 
-  template <class Tap>
-  V window(Tap tap) const {
-    V sum = all(b.window[5]) * tap(5);
-    for (int i = 0; i < 5; ++i) sum = fma(all(b.window[i]), tap(i) + tap(10 - i), sum);
-    return sum;
+  // Weights of line `y` for SSIM and for L1, zero beyond the image.
+  void weigh(std::ptrdiff_t y, int r) {
+    const float ssim = b.ssim_weight, l1 = 1.0f - b.ssim_weight;
+    for (std::size_t x = 0; x < b.width; ++x) {
+      const float w = b.mask ? b.mask[b.width * y + x] * (1.0f / 3.0f) : b.uniform;
+      for (int c = 0; c < CHANNELS; ++c) weight[r][CHANNELS * x + c] = ssim * w, l1_weight[r][CHANNELS * x + c] = l1 * w;
+    }
   }
 
-  // `in` begins RADIUS values before the line.
-  void across(const float* in, float* out) const {
-    for (std::size_t x = 0; x < b.width; x += LANES) store(out + x, window([&](int i) { return load(in + x + i); }));
-  }
-
-  // The eleven lines around y of each map: found once per line.
-  struct Column {
-    const float* lines[3][11];
-    Column(const Ring& ring, std::ptrdiff_t y) {
-      for (int map = 0; map < 3; ++map)
-        for (int i = 0; i < 11; ++i) lines[map][i] = ring.line(map, y + i - 5);
+  // The window: a copy, because stores of other numbers might change the original for all that the compiler knows.
+  struct Window {
+    V weights[RADIUS + 1];
+    explicit Window(const LossBand& b) {
+      for (int i = 0; i <= RADIUS; ++i) weights[i] = all(b.window[i]);
+    }
+    template <class Tap>
+    V over(Tap tap) const {
+      V sum = weights[RADIUS] * tap(RADIUS);
+      for (int i = 0; i < RADIUS; ++i) sum = fma(weights[i], tap(i) + tap(TAPS - 1 - i), sum);
+      return sum;
     }
   };
 
-  V down(const Column& column, int map, std::size_t x) const {
-    return window([&](int i) { return load(column.lines[map][i] + x); });
+  // A line blurred across, from and to all three maps.
+  void across(const float* const* in, const Ring& ring, std::ptrdiff_t y) const {
+    const Window window(b);
+    for (int map = 0; map < MAPS; ++map) {
+      const float* const line = in[map];
+      float* const out = ring.at(map, y);
+#if defined(__AVX512F__)
+      // What lies before is put together from registers, what lies behind is loaded: half the work for either unit.
+      V before = load(line - LANES), here = load(line);
+      for (std::size_t x = 0; x < values; x += LANES) {
+        V taps[TAPS] = {beginning_at<1>(before, here), beginning_at<4>(before, here), beginning_at<7>(before, here),
+                        beginning_at<10>(before, here), beginning_at<13>(before, here), here};
+        for (int i = RADIUS + 1; i < TAPS; ++i) taps[i] = load(line + x + CHANNELS * (i - RADIUS));
+        store(out + x, window.over([&](int i) { return taps[i]; }));
+        before = here, here = load(line + x + LANES);
+      }
+#else
+      for (std::size_t x = 0; x < values; x += LANES)
+        store(out + x, window.over([&](int i) { return load(line + static_cast<std::ptrdiff_t>(x) + CHANNELS * (i - RADIUS)); }));
+#endif
+    }
+  }
+
+  // The lines that GROUP lines from y on are blurred down from: found once per group.
+  struct Columns {
+    const float* lines[MAPS][GROUP + TAPS - 1];
+    Columns(const Ring& ring, std::ptrdiff_t y) {
+      for (int map = 0; map < MAPS; ++map)
+        for (int i = 0; i < GROUP + TAPS - 1; ++i) lines[map][i] = ring.line(map, y + i - RADIUS);
+    }
+  };
+
+  static void down(const Window& window, const Columns& columns, int map, std::size_t x, V* out) {
+    V in[GROUP + TAPS - 1];
+    for (int i = 0; i < GROUP + TAPS - 1; ++i) in[i] = load(columns.lines[map][i] + x);
+    for (int r = 0; r < GROUP; ++r) out[r] = window.over([&](int i) { return in[r + i]; });
   }
 
   static double sum_of(V v) {
@@ -64,90 +152,85 @@ struct Sweep {
     return sum;
   }
 
-  double channel(int c) {
-    const std::size_t w = b.width, n = w * b.height;
-    const std::ptrdiff_t h = static_cast<std::ptrdiff_t>(b.height);
-    const std::ptrdiff_t y0 = static_cast<std::ptrdiff_t>(b.y0), y1 = static_cast<std::ptrdiff_t>(b.y1);
-    Ring first{}, second{};
-    float *source[RING], *target[RING], *padded[3];
-    const float* zeros = take();
-    Ring* const rings[2] = {&first, &second};
-    for (Ring* ring : rings) {
-      ring->zeros = zeros, ring->height = b.height;
-      for (auto& map : ring->lines)
-        for (float*& line : map) line = take();
-    }
-    for (std::size_t i = 0; i < RING; ++i) source[i] = take(), target[i] = take();
-    for (float*& line : padded) line = take();
-    float *mean = take(), *square = take(), *weight = take(), *l1_weight = take();
-    const bool with_ssim = b.ssim_weight > 0;
-    if (!b.mask) weights(y0, b.ssim_weight, weight), weights(y0, 1.0f - b.ssim_weight, l1_weight);
+  double run() {
     double total = 0;
-    const std::ptrdiff_t from = y0 - 10 < 0 ? 0 : y0 - 10;
-    for (std::ptrdiff_t y = from; y < y1 + 10; ++y) {
-      if (y < h) {
-        float *s = source[y % RING], *t = target[y % RING];
-        const float* rgb = b.rendered + 3 * w * y + c;
-        for (std::size_t x = 0; x < w; ++x) s[x] = rgb[3 * x];
-        __builtin_memcpy(t, b.target + c * n + w * y, w * sizeof(float));
-        if (with_ssim) {
-          for (std::size_t x = 0; x < w; x += LANES) {
-            const V v = load(s + x);
-            store(padded[0] + RADIUS + x, v);
-            store(padded[1] + RADIUS + x, v * v);
-            store(padded[2] + RADIUS + x, v * load(t + x));
-          }
-          for (int m = 0; m < 3; ++m) across(padded[m], first.lines[m][y % RING]);
-        }
-      }
-      const std::ptrdiff_t middle = y - 5;
-      if (with_ssim && middle >= 0 && middle < h && middle >= y0 - 5 && middle < y1 + 5) {
-        if (b.mask) weights(middle, b.ssim_weight, weight);
-        __builtin_memcpy(mean, b.mean + c * n + w * middle, w * sizeof(float));
-        __builtin_memcpy(square, b.square + c * n + w * middle, w * sizeof(float));
-        V sum{};
-        const Column column(first, middle);
-        for (std::size_t x = 0; x < w; x += LANES) sum += derivatives(column, x, mean, square, weight, padded);
-        if (middle >= y0 && middle < y1) total += sum_of(sum);
-        for (int m = 0; m < 3; ++m) across(padded[m], second.lines[m][middle % RING]);
-      }
-      const std::ptrdiff_t last = y - 10;
-      if (last >= y0 && last < y1) {
-        if (b.mask) weights(last, 1.0f - b.ssim_weight, l1_weight);
-        const float *s = source[last % RING], *t = target[last % RING];
-        total += with_ssim ? finish<true>(second, last, c, s, t, l1_weight) : finish<false>(second, last, c, s, t, l1_weight);
-      }
+    if (!(b.ssim_weight > 0)) {
+      for (std::ptrdiff_t y = y0; y < y1; y += GROUP) total += finish<false>(y);
+      return total;
+    }
+    const auto least = [](std::ptrdiff_t a, std::ptrdiff_t c) { return a < c ? a : c; };
+    const std::ptrdiff_t from = y0 < 2 * RADIUS ? 0 : y0 - 2 * RADIUS;
+    for (std::ptrdiff_t y = from; y < y1 + 2 * RADIUS; y += GROUP) {
+      for (std::ptrdiff_t line = y; line < least(y + GROUP, least(height, y1 + 2 * RADIUS)); ++line) read(line);
+      const std::ptrdiff_t middle = y - RADIUS, last = y - 2 * RADIUS;
+      if (middle + GROUP > 0 && middle + GROUP > y0 - RADIUS && middle < least(height, y1 + RADIUS)) total += derive(middle);
+      if (last + GROUP > y0 && last < y1) total += finish<true>(last);
     }
     return total;
   }
 
-  // Weights of a line times `part`, zero beyond the image.
-  void weights(std::ptrdiff_t y, float part, float* out) const {
-    for (std::size_t x = 0; x < b.width; ++x) {
-      out[x] = part * (b.mask ? b.mask[b.width * y + x] * (1.0f / 3.0f) : b.uniform);
+  // The maps of a line, blurred across.
+  void read(std::ptrdiff_t y) {
+    const float *source = b.rendered + values * y, *target = b.target + values * y;
+    for (std::size_t x = 0; x < values; x += LANES) {
+      const V v = load_first(source + x, values - x), t = load_first(target + x, values - x);
+      store(padded[0][0] + x, v);
+      store(padded[0][1] + x, v * v);
+      store(padded[0][2] + x, v * t);
     }
+    across(padded[0], first, y);
   }
 
-  // The weighted 1 - SSIM of LANES pixels; its derivatives by the three blurs go to `out`.
-  V derivatives(const Column& column, std::size_t x, const float* mean, const float* square, const float* weight,
-                float* const* out) const {
-    const V mx = down(column, 0, x), xx = down(column, 1, x), xy = down(column, 2, x);
-    const V my = load(mean + x), w = -load(weight + x);
+  // The derivatives of SSIM in the lines from y on, blurred across; returns what of the loss lies in the band.
+  double derive(std::ptrdiff_t y) {
+    const Columns columns(first, y);
+    const Window window(b);
+    V sums[GROUP];
+    bool there[GROUP];
+    for (int r = 0; r < GROUP; ++r) {
+      sums[r] = V{};
+      there[r] = y + r >= 0 && y + r < height;
+      if (b.mask && there[r]) weigh(y + r, r);
+    }
+    for (std::size_t x = 0; x < values; x += LANES) {
+      V mean[GROUP], square[GROUP], cross[GROUP];
+      down(window, columns, 0, x, mean), down(window, columns, 1, x, square), down(window, columns, 2, x, cross);
+      for (int r = 0; r < GROUP; ++r) {
+        if (!there[r]) continue;
+        const std::size_t at = values * static_cast<std::size_t>(y + r) + x;
+        // Eight lines of numbers side by side are more than the processor follows by itself.
+        __builtin_prefetch(b.mean + at + AHEAD), __builtin_prefetch(b.square + at + AHEAD);
+        const V my = load_first(b.mean + at, values - x), yy = load_first(b.square + at, values - x);
+        sums[r] += derivatives(mean[r], square[r], cross[r], my, yy, load(weight[r] + x), padded[r], x);
+      }
+    }
+    double total = 0;
+    for (int r = 0; r < GROUP; ++r) {
+      if (!there[r]) continue;
+      across(padded[r], second, y + r);
+      if (y + r >= y0 && y + r < y1) total += sum_of(sums[r]);
+    }
+    return total;
+  }
+
+  // The weighted 1 - SSIM of LANES values; its derivatives by the three blurs go to `out`.
+  static V derivatives(V mx, V xx, V xy, V my, V yy, V weight, float* const* out, std::size_t x) {
+    const V w = -weight;
     const V a = 2.0f * mx * my + SSIM_C1, p = 2.0f * (xy - mx * my) + SSIM_C2;
-    const V q = mx * mx + my * my + SSIM_C1, d = (xx - mx * mx) + (load(square + x) - my * my) + SSIM_C2;
+    const V q = mx * mx + my * my + SSIM_C1, d = (xx - mx * mx) + (yy - my * my) + SSIM_C2;
     const V inverse = 1.0f / (q * d), s = a * p * inverse;
-    store(out[0] + RADIUS + x, w * 2.0f * (my * (p - a) * inverse + mx * s * (q - d) * inverse));
-    store(out[1] + RADIUS + x, -w * s * q * inverse);
-    store(out[2] + RADIUS + x, w * 2.0f * a * inverse);
+    store(out[0] + x, w * 2.0f * (my * (p - a) * inverse + mx * s * (q - d) * inverse));
+    store(out[1] + x, -w * s * q * inverse);
+    store(out[2] + x, w * 2.0f * a * inverse);
     return w * s - w;
   }
 
   template <bool WITH_SSIM>
-  double finish(const Ring& ring, std::ptrdiff_t y, int c, const float* source, const float* target, const float* weight) const {
+  double finish(std::ptrdiff_t y) {
     switch (b.norm) {
-      case Norm::CHARBONNIER: return finish<WITH_SSIM, Norm::CHARBONNIER>(ring, y, c, source, target, weight);
-      case Norm::HUBER: return finish<WITH_SSIM, Norm::HUBER>(ring, y, c, source, target, weight);
-      default: return finish<WITH_SSIM, Norm::L1>(ring, y, c, source, target, weight);
+      case Norm::CHARBONNIER: return finish<WITH_SSIM, Norm::CHARBONNIER>(y);
+      case Norm::HUBER: return finish<WITH_SSIM, Norm::HUBER>(y);
+      default: return finish<WITH_SSIM, Norm::L1>(y);
     }
   }
 
@@ -171,40 +254,42 @@ struct Sweep {
     return sign * d;
   }
 
-  // The gradient of a line; returns its L1, or what stands in its place.
+  // The gradient of those of GROUP lines from y on that lie in the band; returns their L1, or what stands in its place.
   template <bool WITH_SSIM, Norm NORM>
-  double finish(const Ring& ring, std::ptrdiff_t y, int c, const float* source, const float* target, const float* weight) const {
-    const Column column(ring, y);
-    float* out = b.gradient + 3 * b.width * (y - static_cast<std::ptrdiff_t>(b.y0)) + c;
-    V sum{};
-    for (std::size_t x = 0; x < b.width; x += LANES) {
-      const V s = load(source + x), t = load(target + x), w = load(weight + x), d = s - t;
-      V g;
-      sum += cost<NORM>(d, w, &g);
-      if (WITH_SSIM) g += down(column, 0, x) + 2.0f * s * down(column, 1, x) + t * down(column, 2, x);
-      const std::size_t count = b.width - x < LANES ? b.width - x : LANES;
-      alignas(64) float lanes[LANES];
-      store(lanes, g);
-      if (count == LANES) {
-        for (std::size_t l = 0; l < LANES; ++l) out[3 * (x + l)] = lanes[l];
-      } else {
-        for (std::size_t l = 0; l < count; ++l) out[3 * (x + l)] = lanes[l];
+  double finish(std::ptrdiff_t y) {
+    const Columns columns(second, y);
+    const Window window(b);
+    V sums[GROUP];
+    bool there[GROUP];
+    for (int r = 0; r < GROUP; ++r) {
+      sums[r] = V{};
+      there[r] = y + r >= y0 && y + r < y1;
+      if (b.mask && there[r]) weigh(y + r, r);
+    }
+    for (std::size_t x = 0; x < values; x += LANES) {
+      V by_mean[GROUP], by_square[GROUP], by_cross[GROUP];
+      if (WITH_SSIM) {
+        down(window, columns, 0, x, by_mean), down(window, columns, 1, x, by_square), down(window, columns, 2, x, by_cross);
+      }
+      for (int r = 0; r < GROUP; ++r) {
+        if (!there[r]) continue;
+        const std::size_t at = values * static_cast<std::size_t>(y + r) + x, count = values - x;
+        const V s = load_first(b.rendered + at, count), t = load_first(b.target + at, count);
+        V g;
+        sums[r] += cost<NORM>(s - t, load(l1_weight[r] + x), &g);
+        if (WITH_SSIM) g += by_mean[r] + 2.0f * s * by_square[r] + t * by_cross[r];
+        store_first(b.gradient + values * static_cast<std::size_t>(y + r - y0) + x, g, count);
       }
     }
-    return sum_of(sum);
+    double total = 0;
+    for (const V& sum : sums) total += sum_of(sum);
+    return total;
   }
 };
 
 }  // namespace
 
-double loss(const LossBand& band) {
-  double total = 0;
-  for (int c = 0; c < 3; ++c) {
-    Sweep sweep{band, loss_stride(band.width), band.room};
-    total += sweep.channel(c);
-  }
-  return total;
-}
+double loss(const LossBand& band) { return Sweep(band).run(); }
 
 }  // namespace RESPIRE_ISA
 }  // namespace respire

@@ -46,6 +46,22 @@ class PathIntegrator : public LitWall {
 
   // One sample through a pixel, all light traced. `hit`: what the camera ray meets, or null.
   void camera_sample(Vec3 direction, const Hit* hit, Sampler& sampler, float* film) {
+    first_vertex(direction, hit, film, [&](const Surface& s, const Frame& frame, Vec3 o, Vec3& base, Vec3& mirrored) {
+      traced_light(s, frame, o, direction, sampler, base, mirrored);
+    });
+  }
+
+ protected:
+  // Roulette ends every path long before; the bound only keeps a perfectly white closed room from running for ever.
+  static constexpr std::uint32_t kLongestPath = 4096;
+  // Scatterings below the surface are many more.
+  static std::uint32_t unlimited(const Tracer& tracer) {
+    return tracer.subsurface_ == Subsurface::kMatched ? 1u << 24 : kLongestPath;
+  }
+
+  // The camera's vertex: the lamp's own light on it, and what `indirect` (surface, frame, view, base, mirrored) finds.
+  template <class Indirect>
+  void first_vertex(Vec3 direction, const Hit* hit, float* film, Indirect&& indirect) {
     ++counters.paths;
     if (!hit) {
       add(film, background_);
@@ -55,27 +71,27 @@ class PathIntegrator : public LitWall {
     const Frame frame(s.shading);
     const Vec3 o = upper(frame.local(-direction));
     Vec3 direct{}, base{}, mirrored{};
+    // Light that walks in the wall is found with the indirect light; a matched boundary has no coat either.
+    if (tracer_.subsurface_ != Subsurface::kMatched) {
+      const bool walks = tracer_.subsurface_ == Subsurface::kDiffuse;
+      direct = direct_light(s, frame, o, !frame_.light_at_camera, walks ? Vec3{0, 0, 0} : s.albedo);
+    }
+    indirect(s, frame, o, base, mirrored);
+    record(s, direct, base, mirrored, film);
+  }
+
+  // One sample of all light but the lamp's own on the first vertex.
+  void traced_light(const Surface& s, const Frame& frame, Vec3 o, Vec3 direction, Sampler& sampler, Vec3& base, Vec3& mirrored) {
     switch (tracer_.subsurface_) {
       case Subsurface::kOff:
-        direct = direct_light(s, frame, o, !frame_.light_at_camera, s.albedo);
         if (limit_ > 1) indirect_light(s, frame, o, sampler, base, mirrored);
         break;
       case Subsurface::kMatched:
         base = over(matched_light(s, direction, sampler), s.albedo);
         break;
       case Subsurface::kDiffuse:
-        direct = direct_light(s, frame, o, !frame_.light_at_camera, Vec3{0, 0, 0});
         scattered_light(s, frame, o, sampler, base, mirrored);
     }
-    record(s, direct, base, mirrored, film);
-  }
-
- protected:
-  // Roulette ends every path long before; the bound only keeps a perfectly white closed room from running for ever.
-  static constexpr std::uint32_t kLongestPath = 4096;
-  // Scatterings below the surface are many more.
-  static std::uint32_t unlimited(const Tracer& tracer) {
-    return tracer.subsurface_ == Subsurface::kMatched ? 1u << 24 : kLongestPath;
   }
 
   // Adds what one sample has found; a sample that cannot be is counted and left out.

@@ -47,8 +47,9 @@ Scene scene_of(const SplatScene& s, View& view, std::size_t first, std::size_t c
   const std::size_t known = s.all ? n : s.active.size();
   require(first <= known && count <= known - first, "there are not as many Gaussians");
   if (!s.all) {
+    const std::uint32_t* active = s.active.data();
     std::uint32_t most = 0;
-    for (std::size_t k = first; k < first + count; ++k) most = s.active[k] > most ? s.active[k] : most;
+    for (std::size_t k = first; k < first + count; ++k) most = active[k] > most ? active[k] : most;
     require(count == 0 || most < n, "an active index names no Gaussian");
   }
   __builtin_memcpy(&view, s.view.data(), sizeof view);
@@ -140,8 +141,12 @@ void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, r
   has(HARMONICS, sh.size(), 3 * (scene.sh_degree + 1) * (scene.sh_degree + 1));
   View view;
   const Scene s = scene_of(scene, view, first, count);
-  for (std::size_t k = 0; k < count; ++k) require(starts[k] <= starts[k + 1], "entries of a splat are out of order");
-  require(starts[count] <= slots.size() / 16, "an entry has no slot");
+  // A slice asks Rust for its pointer each time.
+  const std::uint32_t* start = starts.data();
+  bool ascending = true;
+  for (std::size_t k = 0; k < count; ++k) ascending &= start[k] <= start[k + 1];
+  require(ascending, "entries of a splat are out of order");
+  require(start[count] <= slots.size() / 16, "an entry has no slot");
   const ChainChunk chunk{first,          count,         starts.data(),    slots.data(), wanted,
                          positions.data(), shape.data(), scales.data(), opacities.data(), sh.data(),    pose.data()};
   CALL(isa, chain, s, chunk)

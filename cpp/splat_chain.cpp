@@ -70,30 +70,27 @@ struct Chain {
   void run() const {
     constexpr int BASIS = (DEGREE + 1) * (DEGREE + 1), SH = 3 * BASIS;
     const View& w = *s.view;
-    const std::size_t end = o.first + o.count;
     const bool through_position = wants(POSITIONS | POSE), shapes = wants(SHAPES);
-    double pose_sum[6] = {0, 0, 0, 0, 0, 0};
-    for (std::size_t at = o.first; at < end; at += LANES) {
-      const std::size_t k0 = at - o.first;
-      const int count = end - at < LANES ? static_cast<int>(end - at) : LANES;
+    VD pose_sums[6] = {};
+    for_groups(s, o.first, o.count, [&](const Group& group) {
+      const std::size_t k0 = group.k0;
+      const int count = group.count;
       if (o.starts[k0] == o.starts[k0 + count]) {
         if (wants(POSITIONS)) clear<3>(o.positions, k0, count);
         if (wants(OPACITIES)) clear<1>(o.opacities, k0, count);
         if (wants(HARMONICS)) clear<SH>(o.sh, k0, count);
         if (shapes && COLUMNS == 2) clear<6>(o.shape, k0, count);
         if (shapes && COLUMNS == 3) clear<4>(o.shape, k0, count), clear<3>(o.scales, k0, count);
-        continue;
+        return;
       }
-      std::uint32_t index[LANES];
-      indices(s, at, end, index);
+      const std::uint32_t* const index = group.index;
       V m[16];
       moments(k0, count, m);
       VI seen;
       for (int l = 0; l < LANES; ++l) seen[l] = l < count && o.starts[k0 + l] != o.starts[k0 + l + 1] ? -1 : 0;
-      V opacity[1], offset[3];
+      V opacity[1], position[3], offset[3];
       gather<1>(s.opacities, index, opacity);
-      gather<3>(s.positions, index, offset);
-      for (int k = 0; k < 3; ++k) offset[k] -= w.eye[k];
+      centers(s, group, position, offset);
       Geometry<V, COLUMNS> g;
       turn(w, offset, g.t);
       Shape<COLUMNS> shape;
@@ -194,13 +191,13 @@ struct Chain {
       if (shapes && COLUMNS == 2) write<6>(o.shape, k0, count, good, &by_columns[0][0]);
       if (shapes && COLUMNS == 3) ellipsoids(k0, count, good, shape, by_columns);
       if (wants(POSE)) {
-        for (int k = 0; k < 6; ++k) {
-          const V v = keep(good, pose[k]);
-          for (int l = 0; l < count; ++l) pose_sum[k] += v[l];
-        }
+        for (int k = 0; k < 6; ++k) pose_sums[k] += in_double(keep(good, pose[k]));
       }
+    });
+    for (int k = 0; k < 6; ++k) {
+      o.pose[k] = 0;
+      for (int l = 0; l < LANES / 2; ++l) o.pose[k] += pose_sums[k][l];
     }
-    for (int k = 0; k < 6; ++k) o.pose[k] = pose_sum[k];
   }
 
   template <int COLUMNS>

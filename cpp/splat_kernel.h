@@ -9,7 +9,7 @@ namespace respire {
 
 // Columns of the tables; the same as in src/splat/project.rs and src/splat/kernel.rs.
 enum Row { X, Y, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, DISCRIMINANT,
-           WIDEST, HALF_OVER_A, FOUR_A_REACH };
+           WIDEST, X_REST, Y_REST };
 enum Moment { S, SX, SY, SXX, SXY, SYY, SDEPTH, SPAD, SRED, SGREEN, SBLUE };
 
 // Velocity of a splat along a direction, times ln 2: d log(alpha) = (VX + VXX dx + VXY dy) dx + (VY + VYY dy) dy.

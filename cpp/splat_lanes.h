@@ -26,7 +26,6 @@ typedef float V4 __attribute__((vector_size(16)));
 typedef float VH __attribute__((vector_size(2 * LANES)));
 typedef double VD __attribute__((vector_size(4 * LANES)));
 
-
 inline V all(float v) { return v - V{}; }
 
 #if defined(__AVX512F__)
@@ -69,6 +68,12 @@ inline V power2(V x, V p, V n) {
 inline V fma(V a, V b, V c) { return (V)_mm256_fmadd_ps((__m256)a, (__m256)b, (__m256)c); }
 inline V fnma(V a, V b, V c) { return (V)_mm256_fnmadd_ps((__m256)a, (__m256)b, (__m256)c); }
 inline V least(V a, V b) { return (V)_mm256_min_ps((__m256)a, (__m256)b); }
+inline V most(V a, V b) { return (V)_mm256_max_ps((__m256)a, (__m256)b); }
+template <int N>
+inline V spread(V v) {
+  return (V)_mm256_permute_ps((__m256)v, 0x55 * N);
+}
+inline int lanes_of(VI condition) { return _mm256_movemask_ps((__m256)condition); }
 inline V pick_gt(V a, V b, V x, V y) {
   return (V)_mm256_blendv_ps((__m256)y, (__m256)x, _mm256_cmp_ps((__m256)a, (__m256)b, _CMP_GT_OQ));
 }
@@ -81,6 +86,13 @@ inline V4 fold(V v) {
 inline V fma(V a, V b, V c) { return a * b + c; }
 inline V fnma(V a, V b, V c) { return c - a * b; }
 inline V least(V a, V b) { return (V)_mm_min_ps((__m128)a, (__m128)b); }
+inline V most(V a, V b) { return (V)_mm_max_ps((__m128)a, (__m128)b); }
+// Field N of each four in all four of them.
+template <int N>
+inline V spread(V v) {
+  return (V)_mm_shuffle_ps((__m128)v, (__m128)v, 0x55 * N);
+}
+inline int lanes_of(VI condition) { return _mm_movemask_ps((__m128)condition); }
 inline V pick_gt(V a, V b, V x, V y) { return (V)(((VI)x & (VI)(a > b)) | ((VI)y & ~(VI)(a > b))); }
 inline bool any(V a) { return _mm_movemask_epi8(_mm_cmpeq_epi32((__m128i)a, _mm_setzero_si128())) != 0xffff; }
 inline V nearest(V x) {
@@ -99,6 +111,12 @@ inline V load(const float* p) {
 }
 inline void store(float* p, V v) { __builtin_memcpy(p, &v, sizeof v); }
 
+// The two halves added.
+inline VD in_double(V v) {
+  VH half[2];
+  __builtin_memcpy(half, &v, sizeof v);
+  return __builtin_convertvector(half[0], VD) + __builtin_convertvector(half[1], VD);
+}
 
 #if defined(__AVX512F__)
 inline V square_root(V v) { return (V)_mm512_sqrt_ps((__m512)v); }
@@ -163,46 +181,89 @@ inline void store_few(float* p, __m128 v) {
   if (N == 3) _mm_store_ss(p + 2, _mm_movehl_ps(v, v));
 }
 
+// Four vectors as the rows of 4x4 matrices, one per four lanes: transposed.
+inline void transpose(V* v) {
+#if defined(__AVX512F__)
+  const __m512 a = (__m512)v[0], b = (__m512)v[1], c = (__m512)v[2], d = (__m512)v[3];
+  const __m512 ab = _mm512_unpacklo_ps(a, b), cd = _mm512_unpacklo_ps(c, d);
+  const __m512 ab_high = _mm512_unpackhi_ps(a, b), cd_high = _mm512_unpackhi_ps(c, d);
+  v[0] = (V)_mm512_shuffle_ps(ab, cd, 0x44), v[1] = (V)_mm512_shuffle_ps(ab, cd, 0xee);
+  v[2] = (V)_mm512_shuffle_ps(ab_high, cd_high, 0x44), v[3] = (V)_mm512_shuffle_ps(ab_high, cd_high, 0xee);
+#elif defined(__AVX2__)
+  const __m256 a = (__m256)v[0], b = (__m256)v[1], c = (__m256)v[2], d = (__m256)v[3];
+  const __m256 ab = _mm256_unpacklo_ps(a, b), cd = _mm256_unpacklo_ps(c, d);
+  const __m256 ab_high = _mm256_unpackhi_ps(a, b), cd_high = _mm256_unpackhi_ps(c, d);
+  v[0] = (V)_mm256_shuffle_ps(ab, cd, 0x44), v[1] = (V)_mm256_shuffle_ps(ab, cd, 0xee);
+  v[2] = (V)_mm256_shuffle_ps(ab_high, cd_high, 0x44), v[3] = (V)_mm256_shuffle_ps(ab_high, cd_high, 0xee);
+#else
+  __m128 a = (__m128)v[0], b = (__m128)v[1], c = (__m128)v[2], d = (__m128)v[3];
+  _MM_TRANSPOSE4_PS(a, b, c, d);
+  v[0] = (V)a, v[1] = (V)b, v[2] = (V)c, v[3] = (V)d;
+#endif
+}
+
 // out[f] lane l = base[N * index[l] + f].
 template <int N>
 inline void gather(const float* base, const std::uint32_t* index, V* out) {
-  __m128 parts[N + 3][LANES / 4];
-  for (int g = 0; g < LANES / 4; ++g) {
-    const float* p[4];
-    for (int l = 0; l < 4; ++l) p[l] = base + static_cast<std::size_t>(N) * index[4 * g + l];
-    for (int f = 0; f + 4 <= N; f += 4) {
-      __m128 a = _mm_loadu_ps(p[0] + f), b = _mm_loadu_ps(p[1] + f), c = _mm_loadu_ps(p[2] + f), d = _mm_loadu_ps(p[3] + f);
-      _MM_TRANSPOSE4_PS(a, b, c, d);
-      parts[f][g] = a, parts[f + 1][g] = b, parts[f + 2][g] = c, parts[f + 3][g] = d;
+  constexpr int REST = N % 4 ? N % 4 : 1;
+  for (int f = 0; f < N; f += 4) {
+    V rows[4];
+    for (int j = 0; j < 4; ++j) {
+      __m128 parts[LANES / 4];
+      for (int g = 0; g < LANES / 4; ++g) {
+        const float* p = base + static_cast<std::size_t>(N) * index[4 * g + j] + f;
+        parts[g] = f + 4 <= N ? _mm_loadu_ps(p) : load_few<REST>(p);
+      }
+      rows[j] = join(parts);
     }
-    if (N % 4) {
-      constexpr int R = N % 4 ? N % 4 : 1, F = N - N % 4;
-      __m128 a = load_few<R>(p[0] + F), b = load_few<R>(p[1] + F), c = load_few<R>(p[2] + F), d = load_few<R>(p[3] + F);
-      _MM_TRANSPOSE4_PS(a, b, c, d);
-      parts[F][g] = a, parts[F + 1][g] = b, parts[F + 2][g] = c;
-    }
+    transpose(rows);
+    for (int k = 0; k < 4 && f + k < N; ++k) out[f + k] = rows[k];
   }
-  for (int f = 0; f < N; ++f) out[f] = join(parts[f]);
 }
 
-// base[N * l + f] = in[f] lane l, for the first `count` lanes.
+// out[f] lane l = base[3 * l + f], of LANES Gaussians one after the other.
+#if defined(__AVX512F__)
+inline void triples(const float* base, V* out) {
+  const __m512 a = _mm512_loadu_ps(base), b = _mm512_loadu_ps(base + 16), c = _mm512_loadu_ps(base + 32);
+  const __m512i third = _mm512_setr_epi32(0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 30, 33, 36, 39, 42, 45);
+  const __m512i lane = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  for (int f = 0; f < 3; ++f) {
+    const __m512i from = _mm512_add_epi32(third, _mm512_set1_epi32(f));
+    const __m512 ab = _mm512_permutex2var_ps(a, from, b);
+    // From 32 on: in c, which the second permutation numbers from 16 on.
+    const __mmask16 in_c = _mm512_cmpge_epi32_mask(from, _mm512_set1_epi32(32));
+    out[f] = (V)_mm512_permutex2var_ps(ab, _mm512_mask_sub_epi32(lane, in_c, from, _mm512_set1_epi32(16)), c);
+  }
+}
+#else
+inline void triples(const float* base, V* out) {
+  std::uint32_t lane[LANES];
+  for (int l = 0; l < LANES; ++l) lane[l] = static_cast<std::uint32_t>(l);
+  gather<3>(base, lane, out);
+}
+#endif
+
+// base[N * l + f] = in[f] lane l, for the first `count` lanes: from the first number to the last, which is what memory
+// likes best.
 template <int N>
 inline void scatter(float* base, int count, const V* in) {
-  __m128 parts[N + 3][LANES / 4];
-  for (int f = 0; f < N; ++f) split(in[f], parts[f]);
-  for (int g = 0; g < LANES / 4; ++g) {
-    for (int f = 0; f < N; f += 4) {
-      __m128 v[4] = {parts[f][g], _mm_setzero_ps(), _mm_setzero_ps(), _mm_setzero_ps()};
-      for (int k = 1; k < 4 && f + k < N; ++k) v[k] = parts[f + k][g];
-      _MM_TRANSPOSE4_PS(v[0], v[1], v[2], v[3]);
-      for (int l = 0; l < 4; ++l) {
-        if (4 * g + l >= count) break;
-        float* p = base + static_cast<std::size_t>(N) * (4 * g + l) + f;
-        if (f + 4 <= N) {
-          _mm_storeu_ps(p, v[l]);
-        } else {
-          store_few<N % 4 ? N % 4 : 1>(p, v[l]);
-        }
+  constexpr int FOURS = (N + 3) / 4, REST = N % 4 ? N % 4 : 1;
+  __m128 parts[4 * FOURS][LANES / 4];
+  for (int f = 0; f < FOURS; ++f) {
+    V rows[4];
+    for (int k = 0; k < 4; ++k) rows[k] = 4 * f + k < N ? in[4 * f + k] : V{};
+    transpose(rows);
+    for (int k = 0; k < 4; ++k) split(rows[k], parts[4 * f + k]);
+  }
+  for (int l = 0; l < LANES; ++l) {
+    if (l >= count) break;
+    float* p = base + static_cast<std::size_t>(N) * l;
+    for (int f = 0; f < FOURS; ++f) {
+      const __m128 v = parts[4 * f + l % 4][l / 4];
+      if (4 * f + 4 <= N) {
+        _mm_storeu_ps(p + 4 * f, v);
+      } else {
+        store_few<REST>(p + 4 * f, v);
       }
     }
   }

@@ -15,10 +15,10 @@ struct Projection {
   }
 
   // Centres in camera axes and on screen, computed in double and rounded once: the order of splats and their places belong
-  // to the scene, not to rounding.
-  void place(const V* position, V* t, V* point) const {
+  // to the scene, not to rounding. `rest`: what rounding takes from the places on screen.
+  void place(const V* position, V* t, V* point, V* rest) const {
     const double *r = s.camera, *eye = r + 9, *focal = r + 12, *center = r + 14;
-    float in[3][LANES], out[5][LANES];
+    float in[3][LANES], out[7][LANES];
     for (int k = 0; k < 3; ++k) store(in[k], position[k]);
     for (int half = 0; half < 2; ++half) {
       VD d[3], seen[5];
@@ -32,16 +32,20 @@ struct Projection {
       for (int k = 0; k < 5; ++k) {
         const VH rounded = __builtin_convertvector(seen[k], VH);
         __builtin_memcpy(out[k] + LANES / 2 * half, &rounded, sizeof rounded);
+        if (k < 3) continue;
+        const VH left = __builtin_convertvector(seen[k] - __builtin_convertvector(rounded, VD), VH);
+        __builtin_memcpy(out[k + 2] + LANES / 2 * half, &left, sizeof left);
       }
     }
     for (int k = 0; k < 3; ++k) t[k] = load(out[k]);
-    for (int k = 0; k < 2; ++k) point[k] = load(out[3 + k]);
+    for (int k = 0; k < 2; ++k) point[k] = load(out[3 + k]), rest[k] = load(out[5 + k]);
   }
 
   // Splats that lie beside the image for sure, before their covariance is known. With s the largest standard deviation,
-  // half a box is at most sqrt(scale) (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in the centre.
+  // half a box is at most sqrt(scale) (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in the centre,
+  // which is known to `error`.
   template <int COLUMNS>
-  VI beside(const std::uint32_t* index, const V* t, V scale) const {
+  VI beside(const std::uint32_t* index, const V* t, V error, V scale) const {
     const View& w = *s.view;
     V size;
     if (COLUMNS == 2) {
@@ -58,7 +62,7 @@ struct Projection {
     const V root = square_root(scale) * 1.001f, margin = root * square_root(all(w.dilation)) + 1e-2f;
     VI out{};
     for (int k = 0; k < 2; ++k) {
-      const V spread = root * size * (w.focal[k] * (1.0f + w.limit[k]));
+      const V spread = root * size * (w.focal[k] * (1.0f + w.limit[k])) + error * (w.focal[k] + w.size[k] + margin);
       out |= w.focal[k] * t[k] + (margin + w.center[k]) * t[2] + spread < 0.0f;
       out |= w.focal[k] * t[k] + (w.center[k] - w.size[k] - margin) * t[2] - spread > 0.0f;
     }
@@ -69,21 +73,20 @@ struct Projection {
   void run() const {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     const View& w = *s.view;
-    const std::size_t end = o.first + o.count;
-    for (std::size_t at = o.first; at < end; at += LANES) {
-      const std::size_t k0 = at - o.first;
-      const int count = end - at < LANES ? static_cast<int>(end - at) : LANES;
-      std::uint32_t index[LANES];
-      indices(s, at, end, index);
-      V position[3], offset[3];
-      gather<3>(s.positions, index, position);
-      for (int k = 0; k < 3; ++k) offset[k] = position[k] - w.eye[k];
-      Geometry<V, COLUMNS> g;
-      V point[2];
-      place(position, g.t, point);
-      VI seen = g.t[2] >= w.near;
+    for_groups(s, o.first, o.count, [&](const Group& group) {
+      const std::size_t k0 = group.k0;
+      const int count = group.count;
+      const std::uint32_t* const index = group.index;
       __builtin_memset(o.visible + k0, 0, static_cast<std::size_t>(count));
-      if (!any_of(seen)) continue;
+      V position[3], offset[3], about[3], error = all(1e-3f * w.near);
+      centers(s, group, position, offset);
+      for (int k = 0; k < 3; ++k) {
+        error += 1e-6f * (larger(position[k], -position[k]) + (w.eye[k] < 0 ? -w.eye[k] : w.eye[k]));
+      }
+      // What is behind or beside for sure costs little more than a look at it.
+      turn(w, offset, about);
+      VI seen = about[2] + error >= w.near;
+      if (!any_of(seen)) return;
       V opacity[1];
       gather<1>(s.opacities, index, opacity);
       const V log2_opacity = log2(opacity[0]);
@@ -91,8 +94,12 @@ struct Projection {
       seen &= (reach > 0.0f) & finite(opacity[0]) & (opacity[0] > 1e-3f);
       const V extent = w.by_opacity * log2_opacity + REACH;
       const V scale = 2.0f / LOG2_E * extent;
-      if (!any_of(seen)) continue;
-      if (w.beside > 0.0f && !any_of(seen & ~beside<COLUMNS>(index, g.t, scale))) continue;
+      if (!any_of(seen)) return;
+      if (w.beside > 0.0f && !any_of(seen & ~beside<COLUMNS>(index, about, error, scale))) return;
+      Geometry<V, COLUMNS> g;
+      V point[2], rest[2];
+      place(position, g.t, point, rest);
+      seen &= g.t[2] >= w.near;
       Shape<COLUMNS> shape;
       shape.load(s, index);
       for (int k = 0; k < COLUMNS; ++k) turn(w, shape.m[k], g.c[k]);
@@ -101,7 +108,7 @@ struct Projection {
       const V half[2] = {square_root(scale * g.covariance[0]), square_root(scale * g.covariance[2])};
       seen &= g.good;
       for (int k = 0; k < 2; ++k) seen &= (g.point[k] + half[k] > 0.0f) & (g.point[k] - half[k] < w.size[k]);
-      if (!any_of(seen)) continue;
+      if (!any_of(seen)) return;
       V sh[SH], color[3];
       gather<SH>(s.sh, index, sh);
       shown<V, DEGREE>(g.direction, sh, color);
@@ -115,8 +122,7 @@ struct Projection {
       row[HALF_WIDTH] = half[0], row[HALF_HEIGHT] = half[1];
       row[DISCRIMINANT] = -LOG2_E * LOG2_E * g.inverse_determinant;
       row[WIDEST] = -0.5f * row[B] * half[0] / row[C];
-      row[HALF_OVER_A] = 0.5f / row[A];
-      row[FOUR_A_REACH] = 4.0f * row[A] * extent;
+      row[X_REST] = rest[0], row[Y_REST] = rest[1];
       scatter<16>(o.rows + 16 * k0, count, row);
       const VI key = (VI)g.t[2];
       const VI low = cell(g.point[0] - half[0], o.tiles_x) | cell(g.point[1] - half[1], o.tiles_y) << 16;
@@ -127,7 +133,7 @@ struct Projection {
         o.keys[k0 + l] = static_cast<std::uint32_t>(key[l]);
         o.visible[k0 + l] = seen[l] != 0;
       }
-    }
+    });
   }
 };
 
@@ -139,19 +145,15 @@ struct Recoloring {
   template <int DEGREE, int COLUMNS>
   void run() const {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
-    const View& w = *s.view;
-    const std::size_t end = o.first + o.count;
-    for (std::size_t at = o.first; at < end; at += LANES) {
-      const std::size_t k0 = at - o.first;
-      const int count = end - at < LANES ? static_cast<int>(end - at) : LANES;
+    for_groups(s, o.first, o.count, [&](const Group& group) {
+      const std::size_t k0 = group.k0;
+      const int count = group.count;
+      const std::uint32_t* const index = group.index;
       VI seen{};
       for (int l = 0; l < count; ++l) seen[l] = o.visible[k0 + l] ? -1 : 0;
-      if (!any_of(seen)) continue;
-      std::uint32_t index[LANES];
-      indices(s, at, end, index);
-      V offset[3], direction[3], distance, sh[SH], color[3];
-      gather<3>(s.positions, index, offset);
-      for (int k = 0; k < 3; ++k) offset[k] -= w.eye[k];
+      if (!any_of(seen)) return;
+      V position[3], offset[3], direction[3], distance, sh[SH], color[3];
+      centers(s, group, position, offset);
       aim(offset, direction, distance);
       gather<SH>(s.sh, index, sh);
       shown<V, DEGREE>(direction, sh, color);
@@ -160,7 +162,7 @@ struct Recoloring {
       for (int l = 0; l < count; ++l)
         if (seen[l])
           for (int k = 0; k < 3; ++k) o.rows[16 * (k0 + l) + RED + k] = color[k][l];
-    }
+    });
   }
 };
 
@@ -173,25 +175,21 @@ struct Velocity {
   void run() const {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     const View& w = *s.view;
-    const std::size_t end = o.first + o.count;
-    for (std::size_t at = o.first; at < end; at += LANES) {
-      const std::size_t k0 = at - o.first;
-      const int count = end - at < LANES ? static_cast<int>(end - at) : LANES;
+    for_groups(s, o.first, o.count, [&](const Group& group) {
+      const std::size_t k0 = group.k0;
+      const int count = group.count;
+      const std::uint32_t* const index = group.index;
       bool seen = false;
       for (int l = 0; l < count; ++l) seen |= o.visible[k0 + l];
-      if (!seen) continue;
-      std::uint32_t index[LANES];
-      indices(s, at, end, index);
-      V position[3], opacity[1], t[3], sh[SH];
-      gather<3>(s.positions, index, position);
-      gather<1>(s.opacities, index, opacity);
-      for (int k = 0; k < 3; ++k) position[k] -= w.eye[k];
-      turn(w, position, t);
+      if (!seen) return;
+      V position[3], from_eye[3], t[3], sh[SH];
+      centers(s, group, position, from_eye);
+      turn(w, from_eye, t);
       Shape<COLUMNS> shape;
       shape.load(s, index);
       Dual offset[3], color[3];
       Geometry<Dual, COLUMNS> g;
-      for (int k = 0; k < 3; ++k) offset[k].v = position[k], g.t[k].v = t[k];
+      for (int k = 0; k < 3; ++k) offset[k].v = from_eye[k], g.t[k].v = t[k];
       for (int c = 0; c < COLUMNS; ++c) {
         V turned[3];
         turn(w, shape.m[c], turned);
@@ -220,7 +218,7 @@ struct Velocity {
       const VI good = finite(sum);
       for (int k = 0; k < 8; ++k) row[k] = keep(good, row[k]);
       scatter<8>(o.rows + 8 * k0, count, row);
-    }
+    });
   }
 
   template <int COLUMNS>

@@ -146,15 +146,37 @@ inline void shown(const N* direction, const V* sh, N* color) {
   }
 }
 
-// Indices of the LANES Gaussians from number `at` on; the last one repeats beyond `end`.
-inline void indices(const Scene& s, std::size_t at, std::size_t end, std::uint32_t* index) {
-  for (int l = 0; l < LANES; ++l) {
-    const std::size_t j = at + l < end ? at + l : end - 1;
-    index[l] = s.active ? s.active[j] : static_cast<std::uint32_t>(j);
+// LANES Gaussians of a chunk, from its number k0 on: `count` of them, and in `index` the last one again beyond that.
+struct Group {
+  std::size_t k0;
+  int count;
+  std::uint32_t index[LANES];
+};
+
+// Calls f(group) for all groups of the Gaussians number first..first + count.
+template <class F>
+inline void for_groups(const Scene& s, std::size_t first, std::size_t count, F f) {
+  for (std::size_t k0 = 0; k0 < count; k0 += LANES) {
+    Group group{k0, count - k0 < LANES ? static_cast<int>(count - k0) : LANES, {}};
+    for (int l = 0; l < LANES; ++l) {
+      const std::size_t j = first + k0 + static_cast<std::size_t>(l < group.count ? l : group.count - 1);
+      group.index[l] = s.active ? s.active[j] : static_cast<std::uint32_t>(j);
+    }
+    f(group);
   }
 }
 
-// Calls f.operator()<DEGREE, COLUMNS>() for those of the scene.
+// Their centres, and the vectors to these from the eye (world axes).
+inline void centers(const Scene& s, const Group& group, V* position, V* offset) {
+  if (!s.active && group.count == LANES) {
+    triples(s.positions + 3 * static_cast<std::size_t>(group.index[0]), position);
+  } else {
+    gather<3>(s.positions, group.index, position);
+  }
+  for (int k = 0; k < 3; ++k) offset[k] = position[k] - s.view->eye[k];
+}
+
+// Calls f.run<DEGREE, COLUMNS>() for those of the scene.
 template <class F>
 inline void for_scene(const Scene& s, F& f) {
   switch (s.sh_degree * 2 + (s.scales != nullptr)) {

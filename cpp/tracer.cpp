@@ -113,6 +113,7 @@ void Tracer::update(rust::Slice<const float> vertices) {
   demand(vertices.size() == vertex_floats_, "the number of vertices cannot change");
   FloatMode mode;
   void* v = rtcGetGeometryBufferData(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
+  if (std::memcmp(v, vertices.data(), vertices.size() * sizeof(float)) == 0) return;
   std::memcpy(v, vertices.data(), vertices.size() * sizeof(float));
   refit();
   update_normals();

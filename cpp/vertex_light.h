@@ -28,28 +28,15 @@ class VertexLight : public PathIntegrator {
   // Like `camera_sample`, with the light that other walls send, and that walks in the wall, taken from the vertices:
   // `known` holds kKnownValues per vertex, negative where nothing is known. There a path is traced instead.
   void known_sample(Vec3 direction, const Hit* hit, rust::Slice<const float> known, Sampler& sampler, float* film) {
-    ++counters.paths;
-    if (!hit) {
-      add(film, background_);
-      return;
-    }
-    const Surface s = camera_surface(*hit, direction);
-    const Frame frame(s.shading);
-    const Vec3 o = upper(frame.local(-direction));
-    const bool walked = tracer_.subsurface_ == Subsurface::kDiffuse;
-    const Vec3 direct = direct_light(s, frame, o, !frame_.light_at_camera, walked ? Vec3{0, 0, 0} : s.albedo);
-    Vec3 base{}, mirrored{}, light;
-    if (known_light(known, *hit, walked ? 0 : 3, light)) {
+    first_vertex(direction, hit, film, [&](const Surface& s, const Frame& frame, Vec3 o, Vec3& base, Vec3& mirrored) {
+      const bool walked = tracer_.subsurface_ == Subsurface::kDiffuse;
+      Vec3 light;
+      if (!known_light(known, *hit, walked ? 0 : 3, light)) return traced_light(s, frame, o, direction, sampler, base, mirrored);
       if (walked) light = sharpened(known, *hit, light, s);
       const float share = tracer_.coated_ ? 1.0f - tracer_.coat_.albedo(s.alpha, o.z) : 1.0f;
       base = light * (share * (1.0f / kPi));
       if (tracer_.coated_ && limit_ > 1) mirrored = known_mirrored(s, frame, o, known, sampler);
-    } else if (walked) {
-      scattered_light(s, frame, o, sampler, base, mirrored);
-    } else if (limit_ > 1) {
-      indirect_light(s, frame, o, sampler, base, mirrored);
-    }
-    record(s, direct, base, mirrored, film);
+    });
   }
 
   // What the lamp does to a face as a whole (kLampValues): means over equal parts of it, the more of them the nearer it is.

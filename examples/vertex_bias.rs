@@ -8,13 +8,13 @@
 //! parts), and the CPU seconds of one frame. References are kept in `target/vertex_bias`; delete them after a change of the
 //! look.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use respire_bench::airway::{self, case::Case};
 use respire_bench::base::{Image, Result, mesh};
 use respire_bench::ffi::system::cpu_time_s;
 use respire_bench::formats::exr;
-use respire_bench::render::{Light, Material, RenderSettings, Scene, Shading, Transport, render};
+use respire_bench::render::{Light, RenderSettings, Scene, Shading, Transport, render};
 use respire_bench::simulate::{material, trajectory::Route};
 
 /// Parts of the way and phases.
@@ -31,16 +31,11 @@ fn main() -> Result<()> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     for name in names.split(',') {
         let case = Case::load(&root.join(format!("bench-cases/{name}.toml")))?;
-        let mut anatomy = airway::build(&case)?;
-        if std::env::var("FINE").is_ok() {
-            fine(&mut anatomy);
-        }
+        let anatomy = airway::build(&case)?;
         let route = Route::plan(&anatomy, &case.trajectory)?;
-        let look = look(&case)?;
-        let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, look, case.seed)?;
+        let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, material(&case)?, case.seed)?;
         scene.set_other_end(&anatomy.expiration.vertices)?;
         for (part, phase) in PLACES {
-            let phase = std::env::var("PHASE").ok().map_or(phase, |p| p.parse().unwrap());
             scene.deform(&mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase))?;
             let pose = route.pose(part * route.length_mm(), phase);
             let exponent = Light::exponent_of_half_angle(case.scope.emission_half_angle_deg);
@@ -48,14 +43,9 @@ fn main() -> Result<()> {
             let picture = |settings: &RenderSettings| -> Result<Image<f32>> {
                 Ok(render(&scene, &case.camera.camera(pixels, pixels), &pose, &light, settings)?.radiance)
             };
-            let mut variant = std::env::var("LOOK").unwrap_or_default();
-            variant += &std::env::var("FINE").unwrap_or_default();
-            variant += &std::env::var("PHASE").unwrap_or_default();
-            let folder = root.join(format!("target/vertex_bias/{name}{variant}-{part}-{samples}x{pixels}"));
+            let folder = root.join(format!("target/vertex_bias/{name}-{part}-{samples}x{pixels}"));
             let paths = reference(&folder, samples, &picture)?;
-            let rays_per_face = std::env::var("RAYS").ok().map_or(32, |p| p.parse().unwrap());
-            let spp = std::env::var("SPP").ok().map_or(4, |p| p.parse().unwrap());
-            let vertices = RenderSettings { transport: Transport::Vertices { rays_per_face }, ..settings(spp, case.seed) };
+            let vertices = RenderSettings { transport: Transport::VERTICES, ..settings(4, case.seed) };
             picture(&vertices)?;
             let cpu = cpu_time_s();
             let found = mean(&picture(&vertices)?);
@@ -66,49 +56,13 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-fn fine(a: &mut airway::Anatomy) {
-    let mut mids = std::collections::HashMap::new();
-    let mut faces = Vec::new();
-    let old = a.inspiration.faces.clone();
-    for f in old {
-        let m: [u32; 3] = std::array::from_fn(|k| {
-            let (i, j) = (f[k].min(f[(k + 1) % 3]), f[k].max(f[(k + 1) % 3]));
-            *mids.entry((i, j)).or_insert_with(|| {
-                let (i, j) = (i as usize, j as usize);
-                for v in [&mut a.inspiration.vertices, &mut a.expiration.vertices] {
-                    let m = v[i].lerp(v[j], 0.5);
-                    v.push(m);
-                }
-                let g = 0.5 * (a.vertex_generation[i] + a.vertex_generation[j]);
-                a.vertex_generation.push(g);
-                a.vertex_generation.len() as u32 - 1
-            })
-        });
-        faces.extend([[f[0], m[0], m[2]], [m[0], f[1], m[1]], [m[2], m[1], f[2]], m]);
-    }
-    a.inspiration.faces = faces.clone();
-    a.expiration.faces = faces;
-}
-
-fn look(case: &Case) -> Result<Material> {
-    let mut look = material(case)?;
-    let off: respire_bench::render::Subsurface = respire_bench::render::Subsurface::Off;
-    match std::env::var("LOOK").as_deref() {
-        Ok("lambert") => return Ok(Material::lambert(look.albedo)),
-        Ok("nosss") => look.subsurface = Some(off),
-        Ok("norings") => look.rings = 0.0,
-        _ => {}
-    }
-    Ok(look)
-}
-
 fn settings(samples_per_pixel: u32, seed: u64) -> RenderSettings {
     RenderSettings { samples_per_pixel, shading: Shading::Smooth, seed, ..RenderSettings::default() }
 }
 
 /// Mean pictures of the parts.
 fn reference(
-    folder: &PathBuf,
+    folder: &Path,
     samples: u32,
     picture: &dyn Fn(&RenderSettings) -> Result<Image<f32>>,
 ) -> Result<Vec<[f64; 3]>> {

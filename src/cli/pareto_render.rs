@@ -132,7 +132,7 @@ fn modes(view: &View, most_samples: u32) -> Vec<Mode> {
         mode("paths", plain, most_samples),
         mode("paths, filtered", RenderSettings { denoise: Denoise::On, ..plain }, most_samples),
     ];
-    for rays_per_face in [4, 16, 64] {
+    for rays_per_face in [8, 32, 128] {
         let settings = RenderSettings { transport: Transport::Vertices { rays_per_face }, ..plain };
         modes.push(mode(&format!("vertices, {rays_per_face} rays"), settings, most_samples.min(16)));
     }

@@ -7,7 +7,7 @@ use super::splat::Isa;
 #[cxx::bridge(namespace = "respire")]
 #[allow(missing_docs, unused_qualifications)]
 mod bridge {
-    /// The image of one frame, prepared; planes are red, green, blue one after the other.
+    /// The image of one frame, prepared: itself, its blur and the blur of its square, red, green, blue of each pixel.
     struct LossImage<'a> {
         width: usize,
         height: usize,

@@ -97,7 +97,7 @@ pub struct Band<'a> {
     pub rows: std::ops::Range<usize>,
     /// Number of its first entry.
     pub first: u32,
-    /// Twice as many as items.
+    /// Four times as many as items.
     pub scratch: &'a mut [u64],
     /// Out: where each tile's entries begin.
     pub offsets: &'a mut [u32],

@@ -8,12 +8,12 @@ use serde::{Deserialize, Serialize};
 
 use super::contour::{ContourOverlay, Correspondence, Enclosure, TargetErrors, target_errors};
 use super::depth::{DepthErrors, depth_errors};
-use super::image_quality::{Psnr, Ssim, psnr, psnr_ceiling, ssim};
+use super::image_quality::{Psnr, Ssim, psnr_ceiling, psnr_within, ssim_within};
 use super::prediction::Prediction;
 use super::registry::registry;
 use super::statistics::{MeanInterval, bootstrap_series, pearson};
 use super::truth::{Truth, final_mesh};
-use crate::base::{Error, Result};
+use crate::base::{Error, Mask, Result};
 
 /// Why a value is what it is, or why there is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -161,10 +161,14 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
         return Err(Error::input(format!("the sequence of case {} has no frames", truth.case_id())));
     }
     let prediction = Prediction::open(prediction, truth.camera(), frames)?;
-    let measured: Vec<Measured> =
-        (0..frames).into_par_iter().map(|frame| measure(truth, &prediction, frame)).collect::<Result<_>>()?;
+    let mask = truth.mask()?;
+    let measured: Vec<Measured> = (0..frames)
+        .into_par_iter()
+        .map(|frame| measure(truth, &prediction, mask.as_ref(), frame))
+        .collect::<Result<_>>()?;
     let target = target(truth, &prediction, settings)?;
-    let ceiling = psnr_ceiling(truth.camera().width as usize * truth.camera().height as usize * 3);
+    let pixels = mask.map_or(truth.camera().width as usize * truth.camera().height as usize, |mask| mask.count());
+    let ceiling = psnr_ceiling(pixels * 3);
     let seed = settings.target_seed;
     let metrics = registry()
         .iter()
@@ -221,7 +225,7 @@ struct Measured {
     pose_error: Option<[f64; 2]>,
 }
 
-fn measure(truth: &dyn Truth, prediction: &Prediction, frame: usize) -> Result<Measured> {
+fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, frame: usize) -> Result<Measured> {
     let image = truth.image(frame)?;
     let color = prediction.color(frame)?;
     if !color.same_shape(&image) {
@@ -231,16 +235,23 @@ fn measure(truth: &dyn Truth, prediction: &Prediction, frame: usize) -> Result<M
         )));
     }
     let psnr_ahead = match prediction.ahead_frames().binary_search(&frame) {
-        Ok(_) => Some(psnr(&prediction.ahead(frame)?, &image)),
+        Ok(_) => Some(psnr_within(&prediction.ahead(frame)?, &image, mask)),
         Err(_) => None,
     };
     let depth = match prediction.depth_mm(frame)? {
-        Some(depth) => Some(depth_errors(&depth, &truth.depth_mm(frame)?)),
+        Some(depth) => {
+            let mut true_depth = truth.depth_mm(frame)?;
+            // What has no true depth does not count.
+            if let Some(mask) = mask {
+                mask.hide(&mut true_depth, 0.0);
+            }
+            Some(depth_errors(&depth, &true_depth))
+        }
         None => None,
     };
     let phase_error = prediction.phase().map(|p| (p[frame] - truth.frames()[frame].phase).abs());
     let pose_error = prediction.poses().map(|p| pose_error(&p[frame], &truth.frames()[frame].world_from_camera));
-    let (psnr, ssim) = (psnr(&color, &image), ssim(&color, &image)?);
+    let (psnr, ssim) = (psnr_within(&color, &image, mask), ssim_within(&color, &image, mask)?);
     Ok(Measured { psnr, psnr_ahead, ssim, depth, phase_error, pose_error })
 }
 
@@ -311,7 +322,7 @@ fn psnr_mean(id: &str, frames: Vec<Psnr>, ceiling: f64, seed: u64) -> MetricScor
 fn ssim_mean(measured: &[Measured], seed: u64) -> MetricScore {
     let values: Vec<f64> = measured.iter().filter_map(|f| f.ssim.valid).collect();
     if values.is_empty() {
-        return entry("ssim", None, Status::Degenerate, 0, "the images are smaller than the 11x11 window");
+        return entry("ssim", None, Status::Degenerate, 0, "no 11x11 window lies within image and mask");
     }
     series_mean("ssim", values, seed)
 }

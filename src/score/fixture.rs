@@ -7,7 +7,7 @@ use glam::{DAffine3, DVec3};
 
 use super::truth::{Truth, final_mesh};
 use crate::base::random::{CounterRng, Stage};
-use crate::base::{Camera, Image, Result, TriangleMesh, files};
+use crate::base::{Camera, Image, Mask, Result, TriangleMesh, files};
 use crate::formats::{exr, mesh, png};
 use crate::simulate::sequence::FrameRecord;
 
@@ -112,6 +112,10 @@ impl Truth for TubeTruth {
         // A few pixels look out of the far end.
         depth.pixel_mut(0, 0)[0] = 0.0;
         Ok(depth)
+    }
+
+    fn mask(&self) -> Result<Option<Mask>> {
+        Ok(None)
     }
 
     fn inspiration(&self) -> Result<TriangleMesh> {

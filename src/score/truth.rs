@@ -1,7 +1,7 @@
 //! What scoring asks of a sequence.
 
 use crate::base::mesh::interpolate;
-use crate::base::{Camera, Error, Image, Result, TriangleMesh};
+use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh};
 use crate::simulate::sequence::{FrameRecord, Sequence};
 
 /// A sequence with its ground truth.
@@ -23,6 +23,9 @@ pub trait Truth: Send + Sync {
 
     /// True z-depth of a frame in mm, 0 where nothing was hit.
     fn depth_mm(&self, frame: usize) -> Result<Image<f32>>;
+
+    /// Which pixels of all frames count; `None`: all.
+    fn mask(&self) -> Result<Option<Mask>>;
 
     /// Surface at full inspiration.
     fn inspiration(&self) -> Result<TriangleMesh>;
@@ -54,6 +57,10 @@ impl Truth for Sequence {
 
     fn depth_mm(&self, frame: usize) -> Result<Image<f32>> {
         Sequence::depth_mm(self, frame)
+    }
+
+    fn mask(&self) -> Result<Option<Mask>> {
+        Sequence::mask(self)
     }
 
     fn inspiration(&self) -> Result<TriangleMesh> {

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::airway::case_centerline;
 use crate::airway::centerline::Centerline;
-use crate::base::{Camera, Error, Image, Result, TriangleMesh, files};
+use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files};
 use crate::formats::transforms::{Transforms, TransformsFrame};
 use crate::formats::{exr, mesh, png};
 
@@ -39,6 +39,8 @@ pub struct Sequence {
     pub camera: Camera,
     /// One record per frame, in order.
     pub frames: Vec<FrameRecord>,
+    /// Mask of all frames, relative to the folder.
+    mask_path: Option<String>,
 }
 
 /// What `manifest.json` says at least; the rest of it is for people and other programs.
@@ -160,7 +162,8 @@ impl Sequence {
             frames.push(record(frame).map_err(|e| e.element(format!("frame {index}")).at(&path))?);
         }
         let camera = transforms.camera()?;
-        Ok(Sequence { root: root.to_path_buf(), case_id: head.case_id, hash: head.hash, camera, frames })
+        let mask_path = transforms.frames[0].mask_path.clone();
+        Ok(Sequence { root: root.to_path_buf(), case_id: head.case_id, hash: head.hash, camera, frames, mask_path })
     }
 
     /// The 8-bit sRGB image of a frame. Errors name a file that is missing, damaged or of another size.
@@ -180,6 +183,15 @@ impl Sequence {
             return Err(Error::input(format!("has {} channels instead of 1", depth.channels)).at(path));
         }
         Ok(depth)
+    }
+
+    /// Which pixels of the images count, `None` where all do: those of the scope's mask, less one pixel at its rim, which the
+    /// mask may hide in part. Errors name a file that is missing, damaged, of another size, or hides everything.
+    pub fn mask(&self) -> Result<Option<Mask>> {
+        let Some(path) = self.mask_path.as_ref().map(|name| self.root.join(name)) else { return Ok(None) };
+        let image = png::read_rgb(&path)?;
+        self.check_size(image.width, image.height, &path)?;
+        Mask::from_image(&image).and_then(|mask| mask.eroded(1)).map(Some).map_err(|e| e.at(path))
     }
 
     /// Surface at full inspiration; normals point into the lumen.

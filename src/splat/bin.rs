@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use crate::ffi::splat_bin::{self as native, BANDS, Band, Boxes, Counts};
 use crate::ffi::system::grow;
 
+use super::pool::PIECE;
 use super::project::{Row, at};
 use super::real::Real;
 
@@ -108,7 +109,7 @@ impl Bins {
         let (height, bands) = (1 << shift, tiles[1].div_ceil(1 << shift));
         self.starts.resize(n + 1, 0);
         self.counts.resize(n.div_ceil(CHUNK), Counts::default());
-        let chunks = self.starts[1..].par_chunks_mut(CHUNK).zip(&mut self.counts).enumerate();
+        let chunks = self.starts[1..].par_chunks_mut(CHUNK).zip(&mut self.counts).enumerate().with_max_len(PIECE);
         chunks.for_each(|(c, (starts, counts))| native::count(&chunk_of(all, c), shift, starts, counts));
         let total = |kind: usize, b: usize| self.counts.iter().map(|c| c[kind][b] as usize).sum::<usize>();
         let splats: Vec<usize> = (0..bands).map(|b| total(0, b)).collect();
@@ -116,11 +117,11 @@ impl Bins {
         let (all_splats, all_entries) = (splats.iter().sum(), entries.iter().sum());
         self.make_room(tiles, all_entries);
         grow(&mut self.items, all_splats);
-        grow(&mut self.scratch, 2 * all_splats);
+        grow(&mut self.scratch, 4 * all_splats);
         let pieces = self.deal(all, shift, bands);
         let (items, starts) = (&self.items, &self.starts);
         let mut first = 0;
-        let tasks: Vec<Band<'_>> = cut(&mut self.scratch, splats.iter().map(|s| 2 * s))
+        let tasks: Vec<Band<'_>> = cut(&mut self.scratch, splats.iter().map(|s| 4 * s))
             .into_iter()
             .zip(cut(&mut self.entries, entries.iter().copied()))
             .zip(cut(&mut self.targets, entries.iter().copied()))
@@ -134,7 +135,10 @@ impl Bins {
                 band
             })
             .collect();
-        tasks.into_par_iter().for_each(|band| native::fill(band, items, all.boxes, starts, tiles[0]));
+        tasks
+            .into_par_iter()
+            .with_max_len(PIECE)
+            .for_each(|band| native::fill(band, items, all.boxes, starts, tiles[0]));
     }
 
     fn make_room(&mut self, tiles: [usize; 2], entries: usize) {
@@ -161,7 +165,8 @@ impl Bins {
         }
         let (counts, starts) = (&self.counts, &mut self.starts[1..]);
         let items = cut(&mut self.items, counts.iter().map(|c| sum(&c[0]) as usize));
-        items.into_par_iter().zip(starts.par_chunks_mut(CHUNK)).enumerate().for_each(|(c, (items, starts))| {
+        let chunks = items.into_par_iter().zip(starts.par_chunks_mut(CHUNK)).enumerate().with_max_len(PIECE);
+        chunks.for_each(|(c, (items, starts))| {
             native::deal(&chunk_of(all, c), c * CHUNK, shift, bases[c], starts, &counts[c], items);
         });
         pieces

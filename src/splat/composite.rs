@@ -10,7 +10,8 @@ use crate::ffi::system::grow;
 use super::bin::{TILE, cut};
 use super::disc_tile::{DiscTile, Sums, corner_of};
 use super::fault::{Fault, Faults};
-use super::kernel::{self, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of, pixel_of};
+use super::kernel::{self, Adjoint, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of, pixel_of};
+use super::pool::{PIECE, TILES};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
 use super::skips::Skips;
@@ -43,7 +44,12 @@ impl<T: Real> Rasterizer<T> {
         let endless = !self.skips.any(Skips::STOP);
         let parts = Parts { geometry: false, color: true, depth, known: bins.masks_known, endless };
         bins.masks_known = true;
-        let tiles = masks.into_par_iter().zip(self.state.par_chunks_mut(PLANES * PIXELS)).zip(moving).enumerate();
+        let tiles = masks
+            .into_par_iter()
+            .zip(self.state.par_chunks_mut(PLANES * PIXELS))
+            .zip(moving)
+            .enumerate()
+            .with_max_len(TILES);
         tiles
             .map(|(t, ((masks, state), moving))| {
                 let mut tile = ForwardTile {
@@ -80,37 +86,39 @@ impl<T: Real> Rasterizer<T> {
         let light = Light { gain: settings.gain, background: settings.background, with_depth };
         let band = TILE * width;
         let bands = out.color.par_chunks_mut(3 * band).zip(out.depth.par_chunks_mut(band));
-        bands.zip(out.alpha.par_chunks_mut(band)).enumerate().for_each(|(tile_y, ((color, depth), alpha))| {
-            let row = &state[tile_y * tiles_x * PLANES * PIXELS..][..tiles_x * PLANES * PIXELS];
-            if T::develop_band(
-                row,
-                width,
-                &light,
-                ImageBand { color: &mut *color, depth: &mut *depth, alpha: &mut *alpha },
-            ) {
-                return;
-            }
-            let lines = color.chunks_mut(3 * width).zip(depth.chunks_mut(width)).zip(alpha.chunks_mut(width));
-            for (line, ((color, depth), alpha)) in lines.enumerate() {
-                let pieces = color.chunks_mut(12).zip(depth.chunks_mut(4)).zip(alpha.chunks_mut(4)).enumerate();
-                for (piece, ((color, depth), alpha)) in pieces {
-                    let tile = &row[piece / 4 * PLANES * PIXELS..][..PLANES * PIXELS];
-                    let p = line_of(line)[piece % 4];
-                    let plane = |k: usize| &tile[k * PIXELS + p..][..4];
-                    let (sums, left) = ([plane(0), plane(1), plane(2)], plane(4));
-                    for (i, pixel) in color.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-                        *pixel = [0, 1, 2].map(|k| gain[k] * (sums[k][i] + left[i] * background[k]));
-                    }
-                    for (i, covered) in alpha.iter_mut().enumerate() {
-                        *covered = T::one() - left[i];
-                    }
-                    for (i, depth) in depth.iter_mut().enumerate() {
-                        let shown = with_depth && alpha[i] > T::zero();
-                        *depth = if shown { plane(3)[i] / alpha[i] } else { T::zero() };
+        bands.zip(out.alpha.par_chunks_mut(band)).enumerate().with_max_len(PIECE).for_each(
+            |(tile_y, ((color, depth), alpha))| {
+                let row = &state[tile_y * tiles_x * PLANES * PIXELS..][..tiles_x * PLANES * PIXELS];
+                if T::develop_band(
+                    row,
+                    width,
+                    &light,
+                    ImageBand { color: &mut *color, depth: &mut *depth, alpha: &mut *alpha },
+                ) {
+                    return;
+                }
+                let lines = color.chunks_mut(3 * width).zip(depth.chunks_mut(width)).zip(alpha.chunks_mut(width));
+                for (line, ((color, depth), alpha)) in lines.enumerate() {
+                    let pieces = color.chunks_mut(12).zip(depth.chunks_mut(4)).zip(alpha.chunks_mut(4)).enumerate();
+                    for (piece, ((color, depth), alpha)) in pieces {
+                        let tile = &row[piece / 4 * PLANES * PIXELS..][..PLANES * PIXELS];
+                        let p = line_of(line)[piece % 4];
+                        let plane = |k: usize| &tile[k * PIXELS + p..][..4];
+                        let (sums, left) = ([plane(0), plane(1), plane(2)], plane(4));
+                        for (i, pixel) in color.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                            *pixel = [0, 1, 2].map(|k| gain[k] * (sums[k][i] + left[i] * background[k]));
+                        }
+                        for (i, covered) in alpha.iter_mut().enumerate() {
+                            *covered = T::one() - left[i];
+                        }
+                        for (i, depth) in depth.iter_mut().enumerate() {
+                            let shown = with_depth && alpha[i] > T::zero();
+                            *depth = if shown { plane(3)[i] / alpha[i] } else { T::zero() };
+                        }
                     }
                 }
-            }
-        });
+            },
+        );
     }
 
     /// Composites all tiles of exact discs.
@@ -120,7 +128,7 @@ impl<T: Real> Rasterizer<T> {
         grow(&mut state, tiles * PLANES * PIXELS);
         let optics = self.optics(view, settings);
         let bins = &self.bins;
-        state.par_chunks_mut(PLANES * PIXELS).take(tiles).enumerate().for_each(|(t, state)| {
+        state.par_chunks_mut(PLANES * PIXELS).take(tiles).enumerate().with_max_len(TILES).for_each(|(t, state)| {
             let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
             let tile = DiscTile {
                 rows: &self.rows,
@@ -158,20 +166,23 @@ impl<T: Real> Rasterizer<T> {
         let (bins, rows, isa, states) = (&self.bins, &self.rows, self.isa, &self.state);
         let image_size = [self.rendered.width, self.rendered.height];
         let light = Light { gain: settings.gain, background: settings.background, with_depth: !image.depth.is_empty() };
-        let tiles = states[..bins.tiles_x * bins.tiles_y * PLANES * PIXELS].par_chunks(PLANES * PIXELS).enumerate();
+        let tiles = states[..bins.tiles_x * bins.tiles_y * PLANES * PIXELS]
+            .par_chunks(PLANES * PIXELS)
+            .enumerate()
+            .with_max_len(TILES);
         let done: Vec<TileSums<T>> = tiles
             .map(|(t, state)| {
                 let corner = [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE];
-                let mut adjoint = [T::zero(); PLANES * PIXELS];
-                let by_gain = T::adjoint_tile(state, corner, image_size, &light, image, &mut adjoint)
-                    .unwrap_or_else(|| adjoint_of_tile(state, corner, image_size, &light, image, &mut adjoint, faults));
+                let Adjoint(adjoint) = &mut Adjoint([T::zero(); PLANES * PIXELS]);
+                let by_gain = T::adjoint_tile(state, corner, image_size, &light, image, adjoint)
+                    .unwrap_or_else(|| adjoint_of_tile(state, corner, image_size, &light, image, adjoint, faults));
                 let none = (by_gain, Vec::new(), Vec::new());
                 let Some(parts) = parts else { return none };
                 let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
                 if discs {
                     let entries = &bins.entries[range];
                     let tile = DiscTile { rows, discs: &self.discs, entries, corner, optics };
-                    return (by_gain, Vec::new(), tile.backward(&adjoint, parts, faults));
+                    return (by_gain, Vec::new(), tile.backward(adjoint, parts, faults));
                 }
                 let tile = BackwardTile {
                     rows,
@@ -179,7 +190,7 @@ impl<T: Real> Rasterizer<T> {
                     masks: &bins.masks[range.clone()],
                     targets: &bins.targets[range],
                     corner,
-                    adjoint: &adjoint,
+                    adjoint,
                     parts,
                 };
                 match &shared {

@@ -23,6 +23,7 @@ use rayon::prelude::*;
 use crate::base::{Camera, Error};
 
 use super::bin::{TILE, TileBox};
+use super::pool::PIECE;
 use super::project::{LOG2_255, Projector, Row, at, color, columns, dot};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
@@ -283,7 +284,7 @@ impl<T: Real> Rasterizer<T> {
         let active = self.active.as_deref();
         let tables = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
         let tables = tables.zip(self.rendered.visible.par_chunks_mut(CHUNK)).zip(self.discs.par_chunks_mut(CHUNK));
-        tables.zip(self.keys.par_chunks_mut(CHUNK)).enumerate().for_each(
+        tables.zip(self.keys.par_chunks_mut(CHUNK)).enumerate().with_max_len(PIECE).for_each(
             |(chunk, ((((rows, boxes), visible), discs), keys))| {
                 for k in 0..rows.len() {
                     let j = chunk * CHUNK + k;

@@ -66,6 +66,10 @@ impl Parts {
     }
 }
 
+/// The adjoint of a tile where vectors read it fastest.
+#[repr(C, align(64))]
+pub struct Adjoint<T>(pub [T; PLANES * PIXELS]);
+
 /// One tile to composite.
 pub struct ForwardTile<'a, T> {
     pub rows: &'a [Aligned<T>],
@@ -131,9 +135,11 @@ fn block_mask<T: Real>(q: &Row<T>, corner: [T; 2]) -> u16 {
     let limit = q[at::HALF_HEIGHT] + slack;
     // Widest to the right at y = -B half_width / (2 C), to the left at the opposite point.
     let widest = q[at::WIDEST];
+    // 4 A (LOG2_OPACITY + log2(255))
+    let reach = -q[at::DISCRIMINANT] * q[at::HALF_HEIGHT] * q[at::HALF_HEIGHT];
     let extent = |y: T, sign: T| {
-        let root = (q[at::DISCRIMINANT] * y * y + q[at::FOUR_A_REACH]).maximum(T::zero()).sqrt();
-        q[at::HALF_OVER_A] * (sign * root - q[at::B] * y)
+        let root = (q[at::DISCRIMINANT] * y * y + reach).maximum(T::zero()).sqrt();
+        (sign * root - q[at::B] * y) * half / q[at::A]
     };
     let offset = q[at::X] - corner[0] - half;
     let mut mask = 0;
@@ -164,8 +170,8 @@ struct Sample<T> {
 
 fn sample<T: Real>(q: &Row<T>, corner: [usize; 2], p: usize) -> Option<Sample<T>> {
     let (column, line) = pixel_of(p);
-    let dx = T::of((corner[0] + column) as f64 + 0.5) - q[at::X];
-    let dy = T::of((corner[1] + line) as f64 + 0.5) - q[at::Y];
+    let dx = T::of((corner[0] + column) as f64 + 0.5) - q[at::X] - q[at::X_REST];
+    let dy = T::of((corner[1] + line) as f64 + 0.5) - q[at::Y] - q[at::Y_REST];
     let exponent = q[at::LOG2_OPACITY] - q[at::C] * dy * dy - (q[at::A] * dx + q[at::B] * dy) * dx;
     // Well below 1/255: spare the power.
     if exponent < T::of(-8.0) {

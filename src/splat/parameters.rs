@@ -10,6 +10,7 @@ use super::chain::{One, ellipsoid_gradient, gradients_of_one};
 use super::disc_chain::gradients_of_disc;
 use super::fault::Faults;
 use super::native::Numbers;
+use super::pool::PIECE;
 use super::project::Projector;
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
@@ -79,6 +80,7 @@ impl<T: Real> Rasterizer<T> {
         let cameras: Vec<([f64; 6], [f64; 4])> = tasks
             .into_par_iter()
             .zip(&mut self.written)
+            .with_max_len(PIECE)
             .map(|(mut task, written)| {
                 let starts = &starts[task.first..=task.first + task.count];
                 let seen = starts[0] != starts[task.count];

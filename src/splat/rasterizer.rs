@@ -19,6 +19,7 @@ use super::extra_channels::Extra;
 use super::fault::{Fault, Faults, Sound};
 use super::kernel::Parts;
 use super::native::Numbers;
+use super::pool::{PIECE, in_pool};
 use super::project::Projector;
 use super::real::Real;
 use super::reuse::{Kept, Reuse, Same};
@@ -142,6 +143,17 @@ impl<T: Real> Rasterizer<T> {
         settings: &Settings,
         active: Option<&[u32]>,
     ) -> Result<&Rendered<T>> {
+        in_pool(|| self.render_in_pool(gaussians, view, settings, active))?;
+        Ok(&self.rendered)
+    }
+
+    fn render_in_pool(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        view: &View,
+        settings: &Settings,
+        active: Option<&[u32]>,
+    ) -> Result<()> {
         self.prepare(gaussians, view, settings, active)?;
         match settings.footprint {
             Footprint::Ewa => drop(self.composite(settings.depth, &[], 0)),
@@ -151,7 +163,7 @@ impl<T: Real> Rasterizer<T> {
         self.develop(view, settings);
         self.clock.end(Stage::Develop);
         self.fill_depth(gaussians, view, settings);
-        Ok(&self.rendered)
+        Ok(())
     }
 
     /// Everything of a render before compositing.
@@ -223,7 +235,7 @@ impl<T: Real> Rasterizer<T> {
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
         let chunks = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
         let chunks = chunks.zip(self.keys.par_chunks_mut(CHUNK));
-        chunks.zip(self.rendered.visible.par_chunks_mut(CHUNK)).enumerate().for_each(
+        chunks.zip(self.rendered.visible.par_chunks_mut(CHUNK)).enumerate().with_max_len(PIECE).for_each(
             |(chunk, (((rows, boxes), keys), visible))| {
                 let first = chunk * CHUNK;
                 if let Some(native) = &native {
@@ -276,7 +288,8 @@ impl<T: Real> Rasterizer<T> {
         image: &ImageGradient<'_, T>,
         wanted: Wanted,
     ) -> Result<&Gradients<T>> {
-        self.backward_as(gaussians, image, wanted, Sound)
+        self.backward_as(gaussians, image, wanted, Sound)?;
+        Ok(&self.gradients)
     }
 
     /// [`Rasterizer::backward`] of the plain twin with a mistake in it: for those who check the gradients to see that
@@ -288,7 +301,8 @@ impl<T: Real> Rasterizer<T> {
         wanted: Wanted,
         fault: Fault,
     ) -> Result<&Gradients<T>> {
-        self.backward_as(gaussians, image, wanted, fault)
+        self.backward_as(gaussians, image, wanted, fault)?;
+        Ok(&self.gradients)
     }
 
     fn backward_as(
@@ -297,7 +311,17 @@ impl<T: Real> Rasterizer<T> {
         image: &ImageGradient<'_, T>,
         wanted: Wanted,
         faults: impl Faults,
-    ) -> Result<&Gradients<T>> {
+    ) -> Result<()> {
+        in_pool(|| self.backward_in_pool(gaussians, image, wanted, faults))
+    }
+
+    fn backward_in_pool(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        image: &ImageGradient<'_, T>,
+        wanted: Wanted,
+        faults: impl Faults,
+    ) -> Result<()> {
         let (view, settings, n) = self.last.ok_or_else(|| Error::input("backward needs a render before it"))?;
         gaussians.validate()?;
         if gaussians.len() != n {
@@ -324,7 +348,7 @@ impl<T: Real> Rasterizer<T> {
         self.clock.end(Stage::CompositeBackward);
         self.chain(gaussians, &projector, wanted, faults);
         self.clock.end(Stage::Chain);
-        Ok(&self.gradients)
+        Ok(())
     }
 
     fn check_image(&self, image: &ImageGradient<'_, T>, settings: &Settings) -> Result<()> {

@@ -5,6 +5,7 @@
 use rayon::prelude::*;
 
 use super::native::Numbers;
+use super::pool::PIECE;
 use super::project::{Projector, at, color, dot};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
@@ -154,7 +155,11 @@ impl<T: Real> Rasterizer<T> {
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
         let visible = &self.rendered.visible;
-        let chunks = self.rows[..visible.len()].par_chunks_mut(CHUNK).zip(visible.par_chunks(CHUNK)).enumerate();
+        let chunks = self.rows[..visible.len()]
+            .par_chunks_mut(CHUNK)
+            .zip(visible.par_chunks(CHUNK))
+            .enumerate()
+            .with_max_len(PIECE);
         let finite: Vec<bool> = chunks
             .map(|(chunk, (rows, visible))| {
                 let first = chunk * CHUNK;

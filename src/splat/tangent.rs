@@ -16,6 +16,7 @@ use super::bin::TILE;
 use super::dual::Dual;
 use super::kernel::{self, ForwardTile, MOVING, PIXELS, PLANES, Parts, TOGETHER, pixel_of};
 use super::native::Numbers;
+use super::pool::{PIECE, in_pool};
 use super::project::{Projector, Row, columns};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
@@ -161,7 +162,7 @@ impl<T: Real> Rasterizer<T> {
         }
         let mut images = std::mem::take(&mut self.tangents);
         images.resize_with(directions.len(), Vec::new);
-        let done = self.render_moving(gaussians, view, settings, active, directions, &mut images)?;
+        let done = in_pool(|| self.render_moving(gaussians, view, settings, active, directions, &mut images))?;
         if !done {
             self.render(gaussians, view, settings, active)?;
         }
@@ -229,7 +230,8 @@ impl<T: Real> Rasterizer<T> {
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, self.active.as_deref());
         for (rows, direction) in velocities.chunks_mut(n).zip(directions) {
-            rows.par_chunks_mut(CHUNK).zip(visible.par_chunks(CHUNK)).enumerate().for_each(|(c, (rows, visible))| {
+            let chunks = rows.par_chunks_mut(CHUNK).zip(visible.par_chunks(CHUNK)).enumerate().with_max_len(PIECE);
+            chunks.for_each(|(c, (rows, visible))| {
                 if let Some(native) = &native {
                     native.velocities(c * CHUNK, visible, direction, &mut rows[..visible.len()]);
                 }
@@ -242,7 +244,7 @@ impl<T: Real> Rasterizer<T> {
         let width = view.camera.width as usize;
         let (gain, background) = (settings.gain.map(T::of), settings.background.map(T::of));
         let (tiles_x, size) = (self.bins.tiles_x, MOVING * PIXELS);
-        image.par_chunks_mut(3 * width * TILE).enumerate().for_each(|(tile_y, band)| {
+        image.par_chunks_mut(3 * width * TILE).enumerate().with_max_len(PIECE).for_each(|(tile_y, band)| {
             let tiles = &self.moving[tile_y * tiles_x * directions * size..][..tiles_x * directions * size];
             if T::develop_moving(tiles, [k, directions], width, settings, band) {
                 return;

@@ -8,10 +8,11 @@ use std::path::Path;
 use glam::{DAffine3, DVec2, DVec3};
 use respire_bench::airway::case::{Case, Effect, ScopeSettings};
 use respire_bench::base::{Camera, NoProgress, TriangleMesh};
-use respire_bench::formats::exr;
+use respire_bench::formats::{exr, png};
 use respire_bench::render::probe::probe;
 use respire_bench::render::{Light, Material, RenderSettings, Scene, render};
-use respire_bench::simulate::sequence::{FRAMES, Sequence, radiance_name};
+use respire_bench::score::{ScoreSettings, score};
+use respire_bench::simulate::sequence::{FRAMES, MASK, Sequence, radiance_name};
 use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
 
 use crate::own_tracer::{DARK, Wall, dark_wall, differs, direction, image_point};
@@ -276,4 +277,41 @@ fn a_blurred_frame_is_the_mean_over_the_open_shutter() {
     ways.sort_by(f64::total_cmp);
     let (told, seen) = (columns(&blurred)["blur_px"][1], ways[ways.len() / 2]);
     assert!(seen > 0.5 && (told / seen - 1.0).abs() < 0.1, "{told} px told, {seen} px seen");
+}
+
+#[test]
+fn what_the_mask_hides_counts_in_no_metric() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = SimulationSettings { width_px: 48, height_px: 48, frames: 2, ..tiny() };
+    let masked = simulate(&everything(), &settings, &folder.path().join("film"), &NoProgress).unwrap();
+    let mask = masked.mask().unwrap().expect("the scope has a mask");
+    let file = png::read_rgb(&masked.root.join(MASK)).unwrap();
+    let hidden = file.data.iter().step_by(3).filter(|v| **v == 0).count();
+    assert!(hidden > 300 && mask.count() < 48 * 48 - hidden, "one pixel at the rim does not count either");
+    // A prediction that is a little off everywhere, and three that differ where nobody looks.
+    let predict = |name: &str, outside: u8| {
+        let root = folder.path().join(name);
+        for frame in 0..2 {
+            let mut image = masked.image(frame).unwrap();
+            image.data.iter_mut().enumerate().for_each(|(i, v)| *v = v.saturating_add((i % 7) as u8));
+            let mut depth = masked.depth_mm(frame).unwrap();
+            depth.data.iter_mut().for_each(|d| *d *= 1.1);
+            for p in (0..48 * 48).filter(|&p| !mask.shows(p)) {
+                image.pixel_mut(p % 48, p / 48).fill(outside.wrapping_mul(p as u8));
+                depth.pixel_mut(p % 48, p / 48)[0] = f32::from(outside);
+            }
+            png::write_rgb(&root.join(format!("color/{frame:06}.png")), &image).unwrap();
+            exr::write_channel(&root.join(format!("depth/{frame:06}.exr")), "Z", &depth).unwrap();
+        }
+        score(&masked, &root, &ScoreSettings::default()).unwrap()
+    };
+    let first = predict("first", 0);
+    for id in ["psnr_db", "ssim", "ssim_padded", "depth_rmse_mm"] {
+        assert!(first.value(id).is_some(), "{id}");
+    }
+    for (name, outside) in [("second", 255), ("third", 91)] {
+        assert_eq!(predict(name, outside).metrics, first.metrics, "{name}");
+    }
+    let whole = simulate(&everything().without(&[Effect::Mask]), &settings, &folder.path().join("whole"), &NoProgress);
+    assert_eq!(whole.unwrap().mask().unwrap(), None);
 }

@@ -58,7 +58,7 @@ impl Scalar for f32 {
     fn evaluate(prepared: &Photometric<f32>, rendered: &[f32], gradient: &mut [f32]) -> Option<f64> {
         let isa = Isa::widest();
         let (width, height) = (prepared.width, prepared.height);
-        let [target, mean, square] = &prepared.planes;
+        let [target, mean, square] = &prepared.images;
         let window = kernel::<f32>();
         let (norm, softness) = prepared.norm.code();
         let image = LossImage {
@@ -92,8 +92,8 @@ pub struct Photometric<T> {
     /// Weights per pixel divided by their sum; `None` is uniform.
     mask: Option<Vec<T>>,
     channels: [Channel<T>; 3],
-    /// Image, its blur and the blur of its square, red, green, blue one after the other.
-    planes: [Vec<T>; 3],
+    /// Image, its blur and the blur of its square, as the image lies.
+    images: [Vec<T>; 3],
 }
 
 struct Channel<T> {
@@ -177,10 +177,10 @@ impl<T: Scalar> Photometric<T> {
             let sum: f64 = m.iter().map(|&v| v.into()).sum();
             m.iter().map(|&v| v / T::from(sum as f32)).collect()
         });
-        let all = |of: fn(&Channel<T>) -> &Vec<T>| channels.iter().flat_map(|c| of(c).iter().copied()).collect();
-        let planes = [all(|c| &c.target), all(|c| &c.mean), all(|c| &c.square)];
+        let all = |of: fn(&Channel<T>) -> &Vec<T>| (0..3 * n).map(|i| of(&channels[i % 3])[i / 3]).collect();
+        let images = [all(|c| &c.target), all(|c| &c.mean), all(|c| &c.square)];
         let (ssim_weight, norm) = (T::from(ssim_weight as f32), Norm::L1);
-        Photometric { width, height, ssim_weight, norm, mask, channels, planes }
+        Photometric { width, height, ssim_weight, norm, mask, channels, images }
     }
 
     /// The same with `norm` in the place of L1; it must be valid.

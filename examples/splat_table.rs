@@ -1,0 +1,153 @@
+//! The figures of the splat core in one go, for a quiet machine:
+//! `cargo run --release --example splat_table -- [REPETITIONS]`.
+//!
+//! What is compared is measured turn by turn in one run, wall clock, median and in brackets the least, in milliseconds: one
+//! thread and two, AVX-512 and AVX2, forward mode, discs out of sight, the loss of the methods, a million discs.
+
+use std::time::Instant;
+
+use rayon::ThreadPool;
+use respire_bench::ffi::system::peak_memory_mib;
+use respire_bench::reconstruct::loss::photometric::Photometric;
+use respire_bench::splat::{
+    Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Settings, View, Wanted, tube,
+};
+
+/// Wall milliseconds of something, again and again.
+struct Row {
+    name: String,
+    times: Vec<f64>,
+}
+
+impl Row {
+    fn new(name: impl Into<String>) -> Self {
+        Row { name: name.into(), times: Vec::new() }
+    }
+
+    fn time(&mut self, pool: &ThreadPool, work: impl FnOnce() + Send) {
+        let start = Instant::now();
+        pool.install(work);
+        self.times.push(start.elapsed().as_secs_f64() * 1e3);
+    }
+
+    fn median(&self) -> f64 {
+        let mut times = self.times.clone();
+        times.sort_by(f64::total_cmp);
+        times[times.len() / 2]
+    }
+
+    fn least(&self) -> f64 {
+        self.times.iter().copied().fold(f64::MAX, f64::min)
+    }
+
+    fn print(&self) {
+        println!("{:<54} {:>9.3} ({:.3})", self.name, self.median(), self.least());
+    }
+
+    /// The ratio to another row of the same turns, by medians and by the least.
+    fn print_ratio(&self, name: &str, to: &Row) {
+        println!("{name:<54} {:>9.2} ({:.2})", self.median() / to.median(), self.least() / to.least());
+    }
+}
+
+/// One scene, one view.
+struct Scene {
+    discs: Gaussians<f32>,
+    view: View,
+    settings: Settings,
+    color: Vec<f32>,
+}
+
+impl Scene {
+    fn new(n: usize, side: usize) -> Self {
+        let color = tube::image_gradient(3 * side * side);
+        Scene { discs: tube::tube(n), view: tube::view(side), settings: tube::settings(), color }
+    }
+
+    fn forward(&self, rasterizer: &mut Rasterizer<f32>) {
+        rasterizer.render(&self.discs, &self.view, &self.settings, None).expect("a good scene");
+    }
+
+    fn both(&self, rasterizer: &mut Rasterizer<f32>) {
+        self.forward(rasterizer);
+        let gradient = ImageGradient { color: &self.color, ..ImageGradient::default() };
+        rasterizer.backward(&self.discs, &gradient, Wanted::ALL).expect("a good gradient");
+    }
+}
+
+fn passes(pools: &[ThreadPool; 2], n: usize, side: usize, repetitions: usize) {
+    let scene = Scene::new(n, side);
+    println!("{n} discs, {side}x{side}");
+    let narrow = Isa::Avx2.available().unwrap_or(Isa::Baseline);
+    let mut tree = Scene::new(n, side);
+    tree.discs = tube::with_hidden(&scene.discs, 5);
+    let velocities: Vec<[f32; 3]> = scene.discs.positions.iter().map(|p| [0.1 * p[0], 0.1 * p[1], 1.0]).collect();
+    let motion = Direction::Motion(Motion { positions: &velocities, ..Motion::default() });
+    let new = Rasterizer::<f32>::new;
+    let (mut one, mut two, mut moving, mut among) = (new(), new(), new(), new());
+    let mut avx2 = Rasterizer::<f32>::with_isa(narrow).expect("the processor has it");
+    let mut rows = [
+        "forward, 1 thread",
+        "forward, 2 threads",
+        "forward + backward, 1 thread",
+        "forward + backward, 2 threads",
+        "forward with one direction (JVP), 2 threads",
+        "forward + backward with 5x more out of sight, 2 threads",
+        "forward, AVX2, 2 threads",
+        "forward + backward, AVX2, 2 threads",
+    ]
+    .map(Row::new);
+    let mut photometric = Photometric::new(&vec![0.4; scene.color.len()], side, side, 0.2, None);
+    let mut gradient = vec![0.0f32; scene.color.len()];
+    let mut loss = ["L1 + SSIM with gradient, 1 thread", "L1 + SSIM with gradient, 2 threads"].map(Row::new);
+    for turn in 0..=repetitions {
+        rows[0].time(&pools[0], || scene.forward(&mut one));
+        rows[1].time(&pools[1], || scene.forward(&mut two));
+        rows[2].time(&pools[0], || scene.both(&mut one));
+        rows[3].time(&pools[1], || scene.both(&mut two));
+        rows[4].time(&pools[1], || {
+            let Scene { discs, view, settings, .. } = &scene;
+            moving.render_tangent(discs, view, settings, None, &[motion]).expect("a good motion");
+        });
+        rows[5].time(&pools[1], || tree.both(&mut among));
+        rows[6].time(&pools[1], || scene.forward(&mut avx2));
+        rows[7].time(&pools[1], || scene.both(&mut avx2));
+        for (row, pool) in loss.iter_mut().zip(pools) {
+            row.time(pool, || {
+                photometric.evaluate(&two.rendered().color, &mut gradient);
+            });
+        }
+        if turn == 0 {
+            // The first turn fills tables.
+            rows.iter_mut().chain(&mut loss).for_each(|row| row.times.clear());
+        }
+    }
+    rows.iter().chain(&loss).for_each(Row::print);
+    rows[0].print_ratio("forward: 1 thread over 2", &rows[1]);
+    rows[2].print_ratio("forward + backward: 1 thread over 2", &rows[3]);
+    rows[4].print_ratio("JVP over forward", &rows[1]);
+    rows[5].print_ratio("5x more out of sight over none", &rows[3]);
+    rows[6].print_ratio("forward: AVX2 over AVX-512", &rows[1]);
+    rows[7].print_ratio("forward + backward: AVX2 over AVX-512", &rows[3]);
+    loss[1].print_ratio("loss over forward, 2 threads", &rows[1]);
+}
+
+fn main() {
+    let repetitions = std::env::args().nth(1).and_then(|v| v.parse().ok()).unwrap_or(100);
+    let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads can be made");
+    let pools = [pool(1), pool(2)];
+    println!("{:<54} {:>9} (least), ms", Isa::widest().to_string(), "median");
+    passes(&pools, 20_000, 256, repetitions);
+    passes(&pools, 100_000, 400, repetitions.div_ceil(2));
+    let before = peak_memory_mib();
+    let scene = Scene::new(1_000_000, 1024);
+    let with_scene = peak_memory_mib();
+    let mut rasterizer = Rasterizer::<f32>::new();
+    let mut row = Row::new("1000000 discs, 1024x1024, forward + backward, 2 threads");
+    for _ in 0..=repetitions.div_ceil(10) {
+        row.time(&pools[1], || scene.both(&mut rasterizer));
+    }
+    row.times.remove(0);
+    row.print();
+    println!("peak memory: {:.0} MiB before, {with_scene:.0} with the scene, {:.0} after", before, peak_memory_mib());
+}
