@@ -208,9 +208,10 @@ fn ours_gn_recovers_its_world_and_the_planted_phase() {
     assert!(mae < 0.01, "{mae}");
 }
 
-/// Poses that are off by 2 mm and 3 degrees: the depth of the first frame tells by how much, the images keep to it.
+/// Poses that are off by 2 mm and 3 degrees: the depth of the first frame tells by how much. The drift after that (0.04 mm
+/// a frame) is not followed yet (docs/methods.md).
 #[test]
-fn ours_gn_finds_where_the_scope_is() {
+fn ours_gn_finds_where_the_scope_starts() {
     let mut observation = world(Made::Discs, 12, 64, breath);
     let truth = observation.world_from_camera.clone();
     observation.world_from_camera = rough_poses(&truth, &observation.time_s, 3);
@@ -222,8 +223,8 @@ fn ours_gn_finds_where_the_scope_is() {
     let far: Vec<f64> = poses.zip(&truth).map(|(p, t)| p.translation.distance(t.translation)).collect();
     println!("mm {far:.3?}");
     let mean = far.iter().sum::<f64>() / far.len() as f64;
-    assert!(far[0] < 0.3, "{}", far[0]);
-    assert!(mean < 0.7, "{mean}");
+    assert!(far[0] < 0.1, "{}", far[0]);
+    assert!(mean < 0.35, "{mean}");
     assert!(mean_phase_error(&answers, &observation) < 0.05);
 }
 

@@ -66,7 +66,7 @@ fn list_has_the_keys_that_scripts_rely_on() {
     assert_eq!(code, 0, "{err}");
     let listed: serde_json::Value = serde_json::from_str(&out).unwrap();
     let entries = |key: &str| listed[key].as_array().unwrap().clone();
-    assert_eq!((entries("cases").len(), entries("methods").len(), entries("cells").len()), (9, 7, 63));
+    assert_eq!((entries("cases").len(), entries("methods").len(), entries("cells").len()), (9, 8, 72));
     for key in ["cases", "methods", "metrics", "cells"] {
         assert!(entries(key).iter().all(|entry| !entry["id"].as_str().unwrap().is_empty()), "{key}");
     }

@@ -8,13 +8,16 @@
 //! the vessels: a map that cannot show them lets them pull the phase along.
 //!
 //! Phase. At a quarter, half and full resolution: render with the derivative of the image by the phase, one robust
-//! step ([`super::gauss_newton`]), together with a prior of constant velocity. A frame whose cost jumps is searched over
-//! all phases again. The standard deviation that comes with the answer has two parts: that of the last step, and a
+//! step ([`super::gauss_newton`], [`track`]), together with what is expected of the breath ([`breath`]). A frame whose cost
+//! jumps is searched over all phases again. The standard deviation that comes with the answer has two parts: that of the last step, and a
 //! random walk, since a frame is tracked on what earlier frames have painted, and inherits their errors: its variance
 //! grows by `drift_factor^2` times that of each frame's step, and keeps `drift_memory` of itself from frame to frame,
 //! since what was painted in the wrong place leaves the view or is painted over.
 //!
-//! Left out: correction of registration errors, unknown poses, learning of disc centres and sizes.
+//! Options: poses that are only roughly known ([`pose`]), and a correction of the registration of the two CTs
+//! ([`correction`]), both estimated with the phase. Depth, and what is hidden, are those of the mesh ([`depth`]).
+//!
+//! Left out: learning of disc centres and sizes.
 
 mod albedo;
 mod breath;
