@@ -87,9 +87,8 @@ impl Pipeline {
         if wanted_cases.is_empty() {
             return Err(Error::input("there are no case files").at(catalogue.root()));
         }
-        let load = |wish: &String| {
-            Ok(Case::load_changed(&catalogue.case_file(wish)?, changes)?.without(&profile.without))
-        };
+        let load =
+            |wish: &String| Ok(Case::load_changed(&catalogue.case_file(wish)?, changes)?.without(&profile.without));
         let cases: Vec<Case> = wanted_cases.iter().map(load).collect::<Result<_>>()?;
         refuse_doubles(cases.iter().map(|case| case.id.as_str()), "case")?;
         let seeds = wishes.seeds.unwrap_or_else(|| profile.seeds.clone());

@@ -134,7 +134,8 @@ mod tests {
             let path = variant.write_method(&shipped().join("methods"), folder.path()).unwrap();
             crate::reconstruct::method(&path, 1.0).unwrap();
             for case in &ablations.cases {
-                crate::airway::case::Case::load_changed(&shipped().join(format!("{case}.toml")), &variant.case).unwrap();
+                crate::airway::case::Case::load_changed(&shipped().join(format!("{case}.toml")), &variant.case)
+                    .unwrap();
             }
         }
         let wish = ["no such".to_owned()];

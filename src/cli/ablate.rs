@@ -10,9 +10,11 @@ use crate::report::ablation::{VariantScores, write};
 
 /// Arguments of `ablate`.
 #[derive(clap::Args)]
-#[command(after_help = "Runs the lines of bench-cases/ablations.toml, and each of their methods as shipped with several seeds: \
+#[command(
+    after_help = "Runs the lines of bench-cases/ablations.toml, and each of their methods as shipped with several seeds: \
     the spread between seeds is the noise below which a difference says nothing. Finished cells are kept.\n\
-    Example: respire-bench ablate --only activation --out reports/ablations")]
+    Example: respire-bench ablate --only activation --out reports/ablations"
+)]
 pub struct Arguments {
     /// Groups of the file; all when not given
     #[arg(long, value_delimiter = ',', value_name = "GROUP,..")]

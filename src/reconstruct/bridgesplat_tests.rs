@@ -3,10 +3,10 @@
 use glam::DAffine3;
 
 use super::*;
+use crate::base::image::codes_from_unit;
+use crate::base::{Camera, Image};
 use crate::reconstruct::anchored::{SH_C0, SH_VALUES, to_f32};
 use crate::reconstruct::tests::bridge;
-use crate::base::{Camera, Image};
-use crate::base::image::codes_from_unit;
 
 const FRAMES: usize = 14;
 /// Frames in which nothing moves yet.

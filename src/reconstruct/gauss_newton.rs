@@ -21,6 +21,8 @@ pub struct Comparison<'a> {
     pub image: &'a [f32],
     /// Like `image`.
     pub rendered: &'a [f32],
+    /// How much each pixel counts; empty where all count alike.
+    pub weights: &'a [f32],
     /// d(rendered)/d(unknown), one image per unknown.
     pub tangents: &'a [Vec<f32>],
 }
@@ -118,11 +120,17 @@ fn robust_scale(residuals: &[f32]) -> f32 {
 /// Weighs `seen`; `None` when it says nothing about the unknowns (a black rendering, no derivative).
 pub fn evidence(seen: &Comparison<'_>, robust: Robust) -> Option<Evidence> {
     let (n, unknowns) = (seen.image.len(), seen.tangents.len());
-    let first = gains(seen.image, seen.rendered, &robust, |_| 1.0);
+    let counts = |i: usize| seen.weights.get(i / 3).copied().unwrap_or(1.0);
+    let first = gains(seen.image, seen.rendered, &robust, counts);
     let residual = |gain: [f64; 3], i: usize| seen.image[i] - gain[i % 3] as f32 * seen.rendered[i];
     let rough: Vec<f32> = (0..n).map(|i| residual(first, i)).collect();
-    let limit = robust.huber as f32 * robust_scale(&rough);
-    let weights: Vec<f32> = rough.iter().map(|r| (limit / r.abs().max(limit)).min(1.0)).collect();
+    let counting: Vec<f32> = (0..n).filter(|&i| counts(i) > 0.0).map(|i| rough[i]).collect();
+    if counting.is_empty() {
+        return None;
+    }
+    let limit = robust.huber as f32 * robust_scale(&counting);
+    let weights: Vec<f32> =
+        rough.iter().enumerate().map(|(i, r)| counts(i) * (limit / r.abs().max(limit)).min(1.0)).collect();
     let gain = gains(seen.image, seen.rendered, &robust, |i| weights[i]);
 
     // Residuals and each column of the Jacobian without what a change of gain explains as well.
@@ -173,7 +181,7 @@ pub fn evidence(seen: &Comparison<'_>, robust: Robust) -> Option<Evidence> {
     for i in 0..n {
         let (r, w) = (residual(gain, i) - explained(&uneven, i), weights[i]);
         let size = r.abs();
-        cost += if size <= limit { 0.5 * size * size } else { limit * (size - 0.5 * limit) } as f64;
+        cost += (counts(i) * if size <= limit { 0.5 * size * size } else { limit * (size - 0.5 * limit) }) as f64;
         for (k, (t, share)) in seen.tangents.iter().zip(&shares).enumerate() {
             jacobian[k] = gain[i % 3] * (t[i] - explained(share, i)) as f64;
         }
@@ -193,7 +201,7 @@ pub fn evidence(seen: &Comparison<'_>, robust: Robust) -> Option<Evidence> {
     let step = hessian.clone().cholesky()?.solve(&gradient);
     let information = &hessian * scatter.cholesky()?.solve(&hessian);
     let finite = step.iter().chain(information.iter()).all(|v| v.is_finite());
-    finite.then_some(Evidence { step, information, cost: cost / n as f64, gain })
+    finite.then_some(Evidence { step, information, cost: cost / counting.len() as f64, gain })
 }
 
 /// The change of the unknowns from `now` that image and prior agree on, and the covariance after it.
@@ -229,6 +237,27 @@ mod tests {
         Robust { huber: 2.0, block_px: 8, gain_limit: 0.5, last_gain: [1.0; 3], unevenness: Unevenness::Even };
 
     #[test]
+    fn what_a_mask_hides_says_nothing() {
+        let n = 3 * SIZE * SIZE;
+        let at = |i: usize, phase: f32| 0.5 + 0.3 * (0.2 * i as f32 + phase).sin();
+        let rendered: Vec<f32> = (0..n).map(|i| at(i, 0.0)).collect();
+        let tangents = [(0..n).map(|i| 0.3 * (0.2 * i as f32).cos()).collect::<Vec<f32>>()];
+        let weights: Vec<f32> = (0..SIZE * SIZE).map(|i| f32::from(i % SIZE < SIZE / 2)).collect();
+        let image: Vec<f32> = (0..n).map(|i| at(i, 0.05)).collect();
+        let spoilt: Vec<f32> = (0..n).map(|i| if weights[i / 3] > 0.0 { image[i] } else { 0.9 }).collect();
+        let of = |image: &[f32]| {
+            let seen = Comparison { width: SIZE, image, rendered: &rendered, weights: &weights, tangents: &tangents };
+            evidence(&seen, ROBUST).unwrap()
+        };
+        let (clean, hidden) = (of(&image), of(&spoilt));
+        assert_eq!((clean.step[0], clean.cost), (hidden.step[0], hidden.cost));
+        assert!((clean.step[0] - 0.05).abs() < 0.01, "{}", clean.step[0]);
+        let blind = vec![0.0; SIZE * SIZE];
+        let seen = Comparison { width: SIZE, image: &image, rendered: &rendered, weights: &blind, tangents: &tangents };
+        assert!(evidence(&seen, ROBUST).is_none());
+    }
+
+    #[test]
     fn a_shift_is_found_through_gain_and_outliers() {
         let truth = [0.05, -0.03];
         let mut image = wave(truth).0;
@@ -242,7 +271,8 @@ mod tests {
         let mut last = None;
         for _ in 0..6 {
             let (rendered, tangents) = wave(at);
-            let seen = Comparison { width: SIZE, image: &image, rendered: &rendered, tangents: &tangents };
+            let seen =
+                Comparison { width: SIZE, image: &image, rendered: &rendered, weights: &[], tangents: &tangents };
             let found = evidence(&seen, ROBUST).unwrap();
             at = [at[0] + found.step[0], at[1] + found.step[1]];
             last = Some(found);
@@ -261,7 +291,7 @@ mod tests {
             *v *= 0.8 + 0.3 * x + 0.1 * y;
         }
         let (rendered, tangents) = wave([0.0, 0.0]);
-        let seen = Comparison { width: SIZE, image: &image, rendered: &rendered, tangents: &tangents };
+        let seen = Comparison { width: SIZE, image: &image, rendered: &rendered, weights: &[], tangents: &tangents };
         let off = |unevenness| {
             let found = evidence(&seen, Robust { unevenness, ..ROBUST }).unwrap();
             found.step.norm()
@@ -280,7 +310,7 @@ mod tests {
             let blocks: Vec<f32> = (0..(SIZE / 8).pow(2)).map(|_| 0.02 * rng.normal() as f32).collect();
             let noisy = |(i, v): (usize, &f32)| v + blocks[(i / 3 / SIZE / 8) * (SIZE / 8) + (i / 3 % SIZE) / 8];
             let image: Vec<f32> = clean.iter().enumerate().map(noisy).collect();
-            let seen = Comparison { width: SIZE, image: &image, rendered: &clean, tangents: &tangents };
+            let seen = Comparison { width: SIZE, image: &image, rendered: &clean, weights: &[], tangents: &tangents };
             let found = evidence(&seen, ROBUST).unwrap();
             let covariance = found.information.clone().try_inverse().unwrap();
             scores.extend((0..2).map(|k| found.step[k] / covariance[(k, k)].sqrt()));
@@ -309,7 +339,7 @@ mod tests {
     fn nothing_is_said_by_a_black_or_rigid_rendering() {
         let image = vec![0.5; 3 * 64];
         let still = vec![vec![0.0; 3 * 64]];
-        let seen = Comparison { width: 8, image: &image, rendered: &[0.0; 192], tangents: &still };
+        let seen = Comparison { width: 8, image: &image, rendered: &[0.0; 192], weights: &[], tangents: &still };
         assert!(evidence(&seen, ROBUST).is_none());
     }
 }

@@ -102,7 +102,8 @@ impl OnMesh {
         let expiration = observation.expiration.as_ref().unwrap_or(rest);
         let rates = Rates::new(&settings.appearance, super::rate_factor(iteration_scale));
         let constants = adam_constants(&settings.appearance, observation.images[0].data.len());
-        let surface = Surface::new(rest, &settings.appearance, Frame::from(*settings.inherits), Start::Even, observation.seed);
+        let surface =
+            Surface::new(rest, &settings.appearance, Frame::from(*settings.inherits), Start::Even, observation.seed);
         Ok(OnMesh {
             memory: Memory::new(surface.len()),
             pixels_per_disc: *settings.pixels_per_disc as f32,

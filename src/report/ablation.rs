@@ -81,10 +81,12 @@ fn markdown(all: &[VariantScores], title: &str) -> String {
     for scores in all {
         let what = if scores.group.is_empty() { "*as shipped*".to_owned() } else { escape(&scores.group) };
         let cells: String = paper_metrics()
-            .map(|metric| match (value(scores, metric), scores.group.is_empty().then(|| noise(scores, metric)).flatten()) {
-                (None, _) => " – |".to_owned(),
-                (Some(v), None) => format!(" {} |", metric.format(v)),
-                (Some(v), Some(n)) => format!(" {} ± {} |", metric.format(v), metric.format(n)),
+            .map(|metric| {
+                match (value(scores, metric), scores.group.is_empty().then(|| noise(scores, metric)).flatten()) {
+                    (None, _) => " – |".to_owned(),
+                    (Some(v), None) => format!(" {} |", metric.format(v)),
+                    (Some(v), Some(n)) => format!(" {} ± {} |", metric.format(v), metric.format(n)),
+                }
             })
             .collect();
         let failed = if scores.failed > 0 { format!(" ({} failed)", scores.failed) } else { String::new() };

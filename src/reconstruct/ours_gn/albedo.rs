@@ -49,8 +49,8 @@ impl Tracker<'_> {
         let settings = Settings { gain, depth: DepthOutput::Skip, ..Settings::default() };
         let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
         self.rasterizer.render(&seen.patch.gaussians, &level.view, &settings, None)?;
-        let ones = vec![1.0; level.image.data.len()];
-        let image = ImageGradient { color: &ones, ..ImageGradient::default() };
+        let counting: Vec<f32> = (0..level.image.data.len()).map(|i| level.weight(i / 3)).collect();
+        let image = ImageGradient { color: &counting, ..ImageGradient::default() };
         let by_color = self.rasterizer.backward(&seen.patch.gaussians, &image, Wanted::SH)?;
         seen.pixels.clear();
         seen.pixels.extend(by_color.sh.chunks_exact(3).map(|g| g[1] / (SH_C0 * gain[1] as f32)));
@@ -66,7 +66,8 @@ impl Tracker<'_> {
         let mut last = seen.albedo.clone();
         for sweep in 0..sweeps {
             let rendered = self.rasterizer.render(&seen.patch.gaussians, &level.view, &settings, None)?;
-            let residual: Vec<f32> = level.image.data.iter().zip(&rendered.color).map(|(i, r)| i - r).collect();
+            let pairs = level.image.data.iter().zip(&rendered.color).enumerate();
+            let residual: Vec<f32> = pairs.map(|(at, (i, r))| level.weight(at / 3) * (i - r)).collect();
             let image = ImageGradient { color: &residual, ..ImageGradient::default() };
             let gradients = self.rasterizer.backward(&seen.patch.gaussians, &image, Wanted::SH)?;
             let momentum = match hold {
@@ -101,6 +102,7 @@ impl Tracker<'_> {
         let at = pixels(&level.view, &seen.patch.gaussians);
         let (mut sum, mut count) = ([0.0f64; 3], 0.0f64);
         for (k, pixel) in at.into_iter().enumerate() {
+            let pixel = pixel.filter(|[x, y]| level.weight(y * level.image.width + x) > 0.0);
             let shade = seen.shade[k].max(1e-6);
             if seen.memory[k] == 0.0 {
                 seen.albedo[k] = match pixel {

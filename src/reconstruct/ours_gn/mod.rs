@@ -95,11 +95,29 @@ impl Reconstruct for OursGn {
     }
 }
 
+/// Weights of the pixels of a halved image: those count whose four parts all do.
+fn halved(weights: &[f32], image: &Image<f32>) -> Vec<f32> {
+    if weights.is_empty() {
+        return Vec::new();
+    }
+    let parts = Image { width: image.width, height: image.height, channels: 1, data: weights.to_vec() };
+    parts.halved().data.into_iter().map(f32::floor).collect()
+}
+
 /// One resolution of a frame.
 struct Level {
     view: View,
     image: Image<f32>,
+    /// How much each pixel counts; empty where all count alike.
+    weights: Vec<f32>,
     steps: u32,
+}
+
+impl Level {
+    /// How much pixel `index` (row-major) counts.
+    fn weight(&self, index: usize) -> f32 {
+        self.weights.get(index).copied().unwrap_or(1.0)
+    }
 }
 
 struct Tracker<'a> {
@@ -264,7 +282,8 @@ impl<'a> Tracker<'a> {
     /// Coarse to fine; levels that would be too small are left out.
     fn levels(&self, frame: usize, view: &View) -> Vec<Level> {
         let full = self.scope.flat(&self.observation.images[frame]);
-        let mut levels = vec![Level { view: *view, image: full, steps: self.settings.steps[2] }];
+        let weights = self.observation.pixel_weights().unwrap_or_default();
+        let mut levels = vec![Level { view: *view, image: full, weights, steps: self.settings.steps[2] }];
         for steps in [self.settings.steps[1], self.settings.steps[0]] {
             let finer = &levels[0];
             let image = finer.image.halved();
@@ -274,7 +293,8 @@ impl<'a> Tracker<'a> {
             let mut camera = finer.view.camera.scaled(0.5);
             (camera.width, camera.height) = (image.width as u32, image.height as u32);
             let view = View { camera, ..finer.view };
-            levels.insert(0, Level { view, image, steps });
+            let weights = halved(&finer.weights, &finer.image);
+            levels.insert(0, Level { view, image, weights, steps });
         }
         levels
     }

@@ -133,7 +133,13 @@ impl Tracker<'_> {
         let tangents = self.rasterizer.render_tangent(&seen.patch.gaussians, &view, &settings, None, &directions)?;
         let tangents = tangents.to_vec();
         let rendered = &self.rasterizer.rendered().color;
-        let seen = Comparison { width: level.image.width, image: &level.image.data, rendered, tangents: &tangents };
+        let seen = Comparison {
+            width: level.image.width,
+            image: &level.image.data,
+            rendered,
+            weights: &level.weights,
+            tangents: &tangents,
+        };
         Ok(gauss_newton::evidence(&seen, robust))
     }
 
