@@ -55,7 +55,7 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let count = stages.len();
     for (i, (variant, pipeline)) in stages.into_iter().enumerate() {
         let name = [&variant.group[..], &variant.setting].join(" ");
-        terminal.stage(&format!("{} of {count}: {} {}", i + 1, variant.method, name.trim()));
+        terminal.stage(format!("{} of {count}: {} {}", i + 1, variant.method, name.trim()));
         let finished = execute(&pipeline.plan()?, &pipeline, &mut store, Freshness::Resume, terminal)?;
         let scored = finished.iter().filter(|cell| cell.failure.is_none());
         let cells = scored.map(|cell| files::read_json(&cell.score)).collect::<Result<Vec<_>>>()?;
