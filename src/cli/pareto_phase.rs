@@ -12,6 +12,7 @@ use clap::Args;
 
 use super::Terminal;
 use crate::base::{Error, NoProgress, Progress, Result, files};
+use crate::bench::variant::replace;
 use crate::bench::{Catalogue, Freshness, Pipeline, Profile, Store, Wishes, execute};
 use crate::ffi::system::cpu_time_s;
 use crate::reconstruct::{Observation, method, observe};
@@ -50,10 +51,10 @@ struct Variant {
     standing: Standing,
 }
 
-const STEPS: &[&str] = &["steps", "value"];
-const WIDTH: &[&str] = &["smallest_width", "value"];
-const DISCS: &[&str] = &["discs", "gaussians_per_face", "value"];
-const ADAM_DISCS: &[&str] = &["appearance", "gaussians_per_face", "value"];
+const STEPS: &[&str] = &["steps"];
+const WIDTH: &[&str] = &["smallest_width"];
+const DISCS: &[&str] = &["discs", "gaussians_per_face"];
+const ADAM_DISCS: &[&str] = &["appearance", "gaussians_per_face"];
 
 fn variants() -> Vec<Variant> {
     let gauss_newton = |mode, setting: String, changes| {
@@ -88,18 +89,6 @@ fn variants() -> Vec<Variant> {
     }
     all.push(adam("Adam: discs a face", "4".into(), 1.0, Some(4)));
     all
-}
-
-/// Replaces the value at `path`; an error when the file has no such key.
-fn replace(table: &mut toml::Table, path: &[&str], value: toml::Value) -> Result<()> {
-    let missing = || Error::input(format!("has no key `{}`", path.join(".")));
-    let (last, groups) = path.split_last().ok_or_else(missing)?;
-    let mut at = table;
-    for group in groups {
-        at = at.get_mut(*group).and_then(toml::Value::as_table_mut).ok_or_else(missing)?;
-    }
-    *at.get_mut(*last).ok_or_else(missing)? = value;
-    Ok(())
 }
 
 impl Variant {
