@@ -222,8 +222,9 @@ impl Stages for Pipeline {
         reconstruct::write_prediction(method.as_ref(), &observation, prediction, progress)
     }
 
-    fn score(&self, _cell: &Cell, sequence: &Path, prediction: &Path, score: &Path) -> Result<()> {
-        let scored = score::score(&Sequence::open(sequence)?, prediction, &score::ScoreSettings::default())?;
+    fn score(&self, cell: &Cell, sequence: &Path, prediction: &Path, score: &Path) -> Result<()> {
+        let settings = score::ScoreSettings { seed: cell.seed, ..score::ScoreSettings::default() };
+        let scored = score::score(&Sequence::open(sequence)?, prediction, &settings)?;
         files::write_json(score, &scored)
     }
 }

@@ -14,7 +14,7 @@ use crate::base::{Error, Result, files};
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Variant {
-    /// What is varied; lines of one group stand together.
+    /// What is varied; lines of one group stand together. Empty for a method as shipped.
     pub group: String,
     /// To what.
     pub setting: String,
@@ -32,7 +32,7 @@ impl Variant {
     /// The method as shipped, on the cases as shipped.
     pub fn shipped(method: &str) -> Self {
         Variant {
-            group: "shipped".into(),
+            group: String::new(),
             setting: String::new(),
             method: method.into(),
             set: toml::Table::new(),

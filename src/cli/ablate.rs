@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use super::Terminal;
 use super::selection::Places;
 use crate::base::{Result, files};
-use crate::bench::{Ablations, Freshness, Pipeline, Store, Variant, execute};
+use crate::bench::{Ablations, FinishedCell, Freshness, Pipeline, Store, Variant, execute};
 use crate::report::ablation::{VariantScores, write};
+use crate::score::CellScore;
 
 /// Arguments of `ablate`.
 #[derive(clap::Args)]
@@ -54,11 +55,16 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let mut all = Vec::new();
     let count = stages.len();
     for (i, (variant, pipeline)) in stages.into_iter().enumerate() {
-        let name = [&variant.group[..], &variant.setting].join(" ");
-        terminal.stage(format!("{} of {count}: {} {}", i + 1, variant.method, name.trim()));
+        let group = if variant.group.is_empty() { "as shipped" } else { &variant.group };
+        terminal.stage(format!("{} of {count}: {} {group} {}", i + 1, variant.method, variant.setting).trim_end());
         let finished = execute(&pipeline.plan()?, &pipeline, &mut store, Freshness::Resume, terminal)?;
         let scored = finished.iter().filter(|cell| cell.failure.is_none());
-        let cells = scored.map(|cell| files::read_json(&cell.score)).collect::<Result<Vec<_>>>()?;
+        let read = |cell: &FinishedCell| {
+            let score: CellScore = files::read_json(&cell.score)?;
+            // A score may have been made, and kept, before it knew its seed.
+            Ok(CellScore { seed: cell.cell.seed, ..score })
+        };
+        let cells = scored.map(read).collect::<Result<Vec<_>>>()?;
         all.push(VariantScores {
             group: variant.group,
             setting: variant.setting,

@@ -94,3 +94,50 @@ fn markdown(all: &[VariantScores], title: &str) -> String {
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::score::{MetricScore, Status};
+
+    /// A cell that has a phase error and nothing else.
+    fn cell(seed: u64, value: f64) -> CellScore {
+        let metric = MetricScore {
+            metric: "phase_mae".into(),
+            value: Some(value),
+            status: Status::Ok,
+            deviation: None,
+            count: 1,
+            interval: None,
+            detail: String::new(),
+        };
+        CellScore {
+            case_id: "case1".into(),
+            case_hash: String::new(),
+            method: "ours".into(),
+            seed,
+            frames: 1,
+            metrics: vec![metric],
+            frame_scores: Vec::new(),
+            overlay: None,
+        }
+    }
+
+    fn scores(group: &str, values: &[(u64, f64)]) -> VariantScores {
+        let cells = values.iter().map(|&(seed, value)| cell(seed, value)).collect();
+        VariantScores { group: group.into(), setting: "0".into(), method: "ours".into(), cells, failed: 0 }
+    }
+
+    #[test]
+    fn a_variant_stands_beside_the_shipped_method_and_its_noise() {
+        let folder = tempfile::tempdir().unwrap();
+        let all = [scores("", &[(0, 0.02), (1, 0.04)]), scores("w_t", &[(0, 0.05)])];
+        let text = std::fs::read_to_string(write(&all, "two", folder.path()).unwrap()).unwrap();
+        assert!(text.contains("*as shipped*") && text.contains("0.030 ± 0.014") && text.contains("0.050"), "{text}");
+        let csv = std::fs::read_to_string(folder.path().join("ablations.csv")).unwrap();
+        let row = csv.lines().find(|l| l.starts_with("w_t,0,ours,phase_mae")).unwrap();
+        let fields: Vec<f64> = row.split(',').skip(6).map(|v| v.parse().unwrap()).collect();
+        let expected = [0.05, 0.03, 0.02, 0.02 / 2f64.sqrt()];
+        assert!(fields.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{row}");
+    }
+}
