@@ -63,7 +63,7 @@ pub struct Access {
 pub enum Poses {
     /// As they are: the paper's assumption.
     True,
-    /// Wrong by 2 mm and 3 degrees ([`rough_poses`]).
+    /// Wrong by 2 mm and 3 degrees ([`rough_poses()`]).
     Rough,
 }
 
