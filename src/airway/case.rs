@@ -197,7 +197,8 @@ pub struct Case {
     pub folder: PathBuf,
 }
 
-fn is_zero(value: &f64) -> bool {
+/// What is left out of the hash, so that cases without it keep theirs.
+pub(super) fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 

@@ -18,7 +18,7 @@ use super::control_points::ControlField;
 use super::loss::arap::Arap;
 use super::loss::pairs::{self, Pairs};
 use super::loss::photometric::Photometric;
-use super::online::{color_image, fit_in_order, held_out};
+use super::online::{color_image, fit_in_order, held_out, rendered_prediction};
 use super::optimiser::{Adam, AdamConstants, StepCounter};
 use super::settings::{BridgeMethod, Variant};
 use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
@@ -154,17 +154,7 @@ impl<'a> State<'a> {
         patch.place(&local)?;
         self.render(&patch, &view, DepthOutput::Surface)?;
         self.surface.absorb(&patch);
-        let color = color_image(&self.rasterizer);
-        let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);
-        Ok(FramePrediction {
-            frame,
-            color,
-            depth_mm,
-            phase: None,
-            phase_deviation: None,
-            world_from_camera: None,
-            ahead,
-        })
+        Ok(rendered_prediction(frame, &self.rasterizer, ahead))
     }
 
     /// False for vertices of any face that has a disc outside the image (occlusion is not tested).

@@ -19,7 +19,7 @@ use super::control_points::ControlField;
 use super::free::{Free, FreeAdam, FreePatch, Learned};
 use super::loss::pairs::{self, Pairs};
 use super::loss::photometric::Photometric;
-use super::online::{color_image, fit_in_order, held_out};
+use super::online::{color_image, fit_in_order, held_out, rendered_prediction};
 use super::optimiser::{Adam, AdamConstants, StepCounter};
 use super::settings::BridgeMethod;
 use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
@@ -191,17 +191,7 @@ impl<'a> State<'a> {
         self.place(&mut patch, &field);
         self.render(&patch, &view, DepthOutput::Surface)?;
         self.free.absorb(&patch);
-        let color = color_image(&self.rasterizer);
-        let depth_mm = super::depth_image(self.rasterizer.rendered(), color.width, color.height);
-        Ok(FramePrediction {
-            frame,
-            color,
-            depth_mm,
-            phase: None,
-            phase_deviation: None,
-            world_from_camera: None,
-            ahead,
-        })
+        Ok(rendered_prediction(frame, &self.rasterizer, ahead))
     }
 
     /// Anchors whose own Gaussian is outside the image.

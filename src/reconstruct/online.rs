@@ -35,6 +35,13 @@ pub fn fit_in_order(
     Ok(seconds)
 }
 
+/// The answer that the last rendering gives for `frame`, of a method that estimates neither phase nor pose.
+pub fn rendered_prediction(frame: usize, rasterizer: &Rasterizer<f32>, ahead: Option<Image<f32>>) -> FramePrediction {
+    let color = color_image(rasterizer);
+    let depth_mm = super::depth_image(rasterizer.rendered(), color.width, color.height);
+    FramePrediction { frame, color, depth_mm, phase: None, phase_deviation: None, world_from_camera: None, ahead }
+}
+
 /// The rendered colour, cut to what an image can show.
 pub fn color_image(rasterizer: &Rasterizer<f32>) -> Image<f32> {
     let rendered = rasterizer.rendered();

@@ -480,7 +480,7 @@ impl Fitter<'_> {
         while i < alone + joint {
             let value = self.evaluate(view, carried, loss)?;
             if settling.settled(value) {
-                if i >= alone {
+                if i >= alone || joint == 0 {
                     break;
                 }
                 (i, settling) = (alone, Settling::new(*self.settings.settled));
@@ -527,8 +527,11 @@ impl Settling {
     }
 }
 
-/// Value `i` of `n` between the first and the last rate, in equal ratios.
+/// Value `i` of `n` between the first and the last rate, in equal ratios; a first rate of 0 stays 0.
 fn geometric([first, last]: [f64; 2], i: usize, n: usize) -> f64 {
+    if first == 0.0 {
+        return 0.0;
+    }
     first * (last / first).powf(i as f64 / (n.max(2) - 1) as f64)
 }
 
@@ -552,4 +555,27 @@ pub fn pixels(view: &View, gaussians: &Gaussians<f32>) -> Vec<Option<[usize; 2]>
             inside.then_some([pixel.x as usize, pixel.y as usize])
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loss_settles_when_five_iterations_gain_less_than_the_share() {
+        let first_settled = |share: f64, loss: fn(usize) -> f64| {
+            let mut settling = Settling::new(share);
+            (0..50).find(|&i| settling.settled(loss(i)))
+        };
+        assert_eq!(first_settled(0.01, |_| 1.0), Some(SETTLING));
+        assert_eq!(first_settled(0.01, |i| 0.9f64.powi(i as i32)), None);
+        assert_eq!(first_settled(0.01, |i| if i < 10 { 0.9f64.powi(i as i32) } else { 0.3 }), Some(15));
+        assert_eq!(first_settled(0.0, |_| 1.0), None);
+    }
+
+    #[test]
+    fn a_rate_of_zero_stays_zero() {
+        assert!((geometric([0.04, 0.004], 9, 10) - 0.004).abs() < 1e-12);
+        assert_eq!(geometric([0.0, 0.0], 3, 10), 0.0);
+    }
 }
