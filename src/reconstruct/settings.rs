@@ -325,6 +325,14 @@ pub struct GaussNewtonMethod {
     pub hold_pixels: Sourced<f64>,
     /// How many past looks weigh against the present one.
     pub memory_frames: Sourced<f64>,
+    /// Keyframes against whose pictures each frame is placed, whatever the map says; 0 = the map alone.
+    pub window_keyframes: Sourced<u32>,
+    /// Share of what the window knows that outlives a keyframe.
+    pub window_memory: Sourced<f64>,
+    /// Standard deviation of what the map says of the phase, as the window takes it.
+    pub window_prior_deviation: Sourced<f64>,
+    /// Standard deviation of the answer, in those that the window claims.
+    pub window_deviation_factor: Sourced<f64>,
     /// The scope.
     pub scope: ScopeLight,
     /// Discs.

@@ -71,7 +71,7 @@ fn on_screen(camera: &Camera, [a, b, c]: [Vec3; 3]) -> Option<Triangle> {
 }
 
 /// Fills what `triangle` covers of `band`, rows from `first` on, where it is nearer than what is there.
-fn fill(band: &mut [f32], rays: &Rays, first: usize, triangle: &Triangle) {
+fn fill(band: &mut [(f32, u32)], rays: &Rays, first: usize, face: u32, triangle: &Triangle) {
     let last = first + band.len() / rays.width - 1;
     for y in triangle.rows[0].max(first)..=triangle.rows[1].min(last) {
         let columns = triangle.columns[0]..=triangle.columns[1];
@@ -81,8 +81,8 @@ fn fill(band: &mut [f32], rays: &Rays, first: usize, triangle: &Triangle) {
             let [u, v, w] = triangle.sides.map(|side| side.dot(*ray));
             if (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0) {
                 let depth = triangle.volume / (u + v + w);
-                if depth > 0.0 && depth < *near {
-                    *near = depth;
+                if depth > 0.0 && depth < near.0 {
+                    *near = (depth, face);
                 }
             }
         }
@@ -97,18 +97,31 @@ pub fn nearest_depth_mm(
     faces: &[[u32; 3]],
     which: &[u32],
 ) -> Image<f32> {
+    let nearest = nearest_faces(view, rays, vertices, faces, which);
+    let data = nearest.into_iter().map(|(depth, _)| depth).collect();
+    Image { width: rays.width, height: view.camera.height as usize, channels: 1, data }
+}
+
+/// z-depth in mm of the nearest of the faces `which` at each pixel of `view`, and its index; depth 0 where there is none.
+pub fn nearest_faces(
+    view: &View,
+    rays: &Rays,
+    vertices: &[[f32; 3]],
+    faces: &[[u32; 3]],
+    which: &[u32],
+) -> Vec<(f32, u32)> {
     let camera_from_world = view.camera_from_world.as_affine3();
     let corner = |v: u32| camera_from_world.transform_point3(Vec3::from(vertices[v as usize]));
-    let triangle = |f: &u32| on_screen(&view.camera, faces[*f as usize].map(corner));
-    let triangles: Vec<Triangle> = which.par_iter().with_min_len(512).filter_map(triangle).collect();
-    let mut data = vec![f32::INFINITY; rays.rays.len()];
-    data.par_chunks_mut(rays.width * BAND).enumerate().for_each(|(band, near)| {
+    let triangle = |f: &u32| Some((*f, on_screen(&view.camera, faces[*f as usize].map(corner))?));
+    let triangles: Vec<(u32, Triangle)> = which.par_iter().with_min_len(512).filter_map(triangle).collect();
+    let mut nearest = vec![(f32::INFINITY, 0); rays.rays.len()];
+    nearest.par_chunks_mut(rays.width * BAND).enumerate().for_each(|(band, near)| {
         let first = band * BAND;
-        let here = triangles.iter().filter(|t| t.rows[0] < first + BAND && t.rows[1] >= first);
-        here.for_each(|t| fill(near, rays, first, t));
-        near.iter_mut().filter(|v| v.is_infinite()).for_each(|v| *v = 0.0);
+        let here = triangles.iter().filter(|(_, t)| t.rows[0] < first + BAND && t.rows[1] >= first);
+        here.for_each(|(face, t)| fill(near, rays, first, *face, t));
+        near.iter_mut().filter(|v| v.0.is_infinite()).for_each(|v| v.0 = 0.0);
     });
-    Image { width: rays.width, height: view.camera.height as usize, channels: 1, data }
+    nearest
 }
 
 /// Mean absolute difference in mm between rendered and given depth where both are; infinite where nothing is.

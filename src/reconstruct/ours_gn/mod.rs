@@ -27,6 +27,7 @@ mod light;
 mod pose;
 mod scene;
 mod track;
+mod window;
 
 use std::time::Instant;
 
@@ -49,11 +50,14 @@ use light::Scope;
 use pose::{Before, POSE};
 use scene::Seen;
 use track::{Tracked, moved};
+use window::{Arrival, Placed, Shape, Window};
 
 /// Darkest albedo: a colour of zero has no gradient.
 const DARKEST: f32 = 0.005;
 /// Phases around the expected one for which the visible faces are chosen.
 const REACH: f64 = 0.15;
+/// The window works on the finest level that is not wider.
+const WIDEST_IN_WINDOW: usize = 160;
 /// Share of the newest frame in the running mean of the cost.
 const COST_SHARE: f64 = 0.2;
 
@@ -150,6 +154,8 @@ struct Tracker<'a> {
     breath: Breath,
     cost: f64,
     mean_color: [f32; 3],
+    /// From the first frame on.
+    window: Option<Window>,
 }
 
 impl<'a> Tracker<'a> {
@@ -187,6 +193,7 @@ impl<'a> Tracker<'a> {
             breath: Breath::new(*settings.velocity, repetition),
             cost: f64::INFINITY,
             mean_color: [0.5; 3],
+            window: None,
         }
     }
 
@@ -209,6 +216,10 @@ impl<'a> Tracker<'a> {
         {
             phase = found.state.phase;
             deviation = self.take(&found);
+        }
+        if *self.settings.window_keyframes > 0 {
+            let placed = self.place_in_window(&levels, phase);
+            (phase, deviation) = (placed.phase, *self.settings.window_deviation_factor * placed.deviation);
         }
         self.place(phase, &given)?;
         let mut finest = levels.pop().expect("there is always the full resolution");
@@ -242,6 +253,22 @@ impl<'a> Tracker<'a> {
         self.enter(given, 0.5, 1.0)?;
         let best = self.search_by_image(&levels[0])?;
         Ok(self.track(levels, self.state_at(best))?.or(found))
+    }
+
+    /// Places the frame in the window of keyframes, near `phase`.
+    fn place_in_window(&mut self, levels: &[Level], phase: f64) -> Placed {
+        let level = levels.iter().rev().find(|l| l.image.width <= WIDEST_IN_WINDOW).unwrap_or(&levels[0]);
+        let s = self.settings;
+        let new = || Window::new(&level.view.camera, *s.window_keyframes as usize, *s.window_memory);
+        let window = self.window.get_or_insert_with(new);
+        let arrival = Arrival {
+            view: moved(&level.view, self.pose),
+            image: &level.image,
+            weights: &level.weights,
+            visible: &self.faces,
+        };
+        let shape = Shape { rest: &self.rest, displacement: &self.displacement, faces: &self.surface.faces };
+        window.place(&arrival, phase, *s.window_prior_deviation, shape)
     }
 
     /// Takes over what a frame has found; the standard deviation of its phase, drift included.
