@@ -1,7 +1,9 @@
 // L1 + SSIM with gradient in one sweep over the lines of an image, all three channels as they lie (red, green, blue by
-// turns, so that a neighbour is three values away): lines are blurred across into rings of 16, down from there, turned
-// into the derivatives of SSIM, and these blurred again. Four lines at a time: blurred down, they share most of what is
-// loaded. The plain twin is src/reconstruct/loss/photometric.rs.
+// turns, so that a neighbour is three values away). A group of lines is blurred down from the image itself, across, turned
+// into the derivatives of SSIM; these are kept in a ring of lines until the next group is there, blurred down and across
+// the same way, and make the gradient. Two things decide about time: lines are blurred down in groups, which share most of
+// what they load, since that comes from the second cache; and what is blurred down is blurred across a strip later, while
+// it is in the first. The plain twin is src/reconstruct/loss/photometric.rs.
 #include "cpp/loss_kernel.h"
 #include "cpp/splat_lanes.h"
 
@@ -9,21 +11,12 @@ namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-constexpr int CHANNELS = 3, MAPS = 3, GROUP = 4, TAPS = 11, RADIUS = 5;
-constexpr std::ptrdiff_t RING = 16;
-constexpr std::size_t AHEAD = 256;  // values
+constexpr int CHANNELS = 3, MAPS = 3, GROUP = LOSS_GROUP, TAPS = 11, RADIUS = 5, RING = LOSS_RING;
+constexpr std::size_t STRIP = 32 * LANES;  // values that are blurred down before they are blurred across
+static_assert(STRIP > LOSS_MARGIN, "a strip must be longer than what lies behind");
 constexpr float SSIM_C1 = 0.01f * 0.01f, SSIM_C2 = 0.03f * 0.03f;
 static_assert(LOSS_MARGIN >= CHANNELS * RADIUS && LOSS_MARGIN >= LANES, "a window must not leave its line");
-static_assert(GROUP + TAPS - 1 <= RING, "lines must last until they have been used");
-
-// 16 lines of three maps, and the line of zeros beyond the image.
-struct Ring {
-  float* lines[MAPS][RING];
-  const float* zeros;
-  std::ptrdiff_t height;
-  float* at(int map, std::ptrdiff_t y) const { return lines[map][y % RING]; }
-  const float* line(int map, std::ptrdiff_t y) const { return y < 0 || y >= height ? zeros : at(map, y); }
-};
+static_assert(2 * GROUP + TAPS - 1 <= RING, "lines must last until they have been used");
 
 // The first `count` values, the rest 0.
 inline V load_first(const float* p, std::size_t count) {
@@ -46,13 +39,17 @@ inline V beginning_at(V a, V b) {
 }
 #endif
 
+// Loops whose numbers must stay in registers.
+#define INLINE __attribute__((always_inline)) inline
+#define NOT_INLINE __attribute__((noinline))
+
 struct Sweep {
   const LossBand& b;
   const std::size_t values, stride;  // of a line; of lines in the room
   const std::ptrdiff_t height, y0, y1;
   float* next;
-  Ring first{}, second{};
-  float *padded[GROUP][MAPS], *weight[GROUP], *l1_weight[GROUP];
+  const float* zeros;
+  float *ring[MAPS][RING], *padded[MAPS][GROUP], *weight[GROUP], *l1_weight[GROUP];
 
   explicit Sweep(const LossBand& band)
       : b(band),
@@ -63,18 +60,15 @@ struct Sweep {
         y1(static_cast<std::ptrdiff_t>(band.y1)) {
     const std::uintptr_t room = reinterpret_cast<std::uintptr_t>(band.room);
     next = band.room + (64 - room % 64) % 64 / sizeof(float);
-    const float* zeros = take();
-    Ring* const rings[2] = {&first, &second};
-    for (Ring* ring : rings) {
-      ring->zeros = zeros, ring->height = height;
-      for (auto& map : ring->lines)
-        for (float*& line : map) line = take();
-    }
-    for (auto& lines : padded)
-      for (float*& line : lines) line = take();
-    for (float*& line : weight) line = take();
-    for (float*& line : l1_weight) line = take();
-    for (int r = 0; r < GROUP && !b.mask; ++r) weigh(y0, r);
+    zeros = take();
+    for (auto& map : ring)
+      for (float*& line : map) line = take();
+    for (auto& map : padded)
+      for (float*& line : map) line = take();
+    // Without a mask all lines weigh the same.
+    for (int r = 0; r < GROUP; ++r) weight[r] = r == 0 || b.mask ? take() : weight[0];
+    for (int r = 0; r < GROUP; ++r) l1_weight[r] = r == 0 || b.mask ? take() : l1_weight[0];
+    if (!b.mask) weigh(y0, 0);
   }
 
   // A line of zeros, LOSS_MARGIN of them before it.
@@ -101,49 +95,87 @@ struct Sweep {
       for (int i = 0; i <= RADIUS; ++i) weights[i] = all(b.window[i]);
     }
     template <class Tap>
-    V over(Tap tap) const {
+    INLINE V over(Tap tap) const {
       V sum = weights[RADIUS] * tap(RADIUS);
       for (int i = 0; i < RADIUS; ++i) sum = fma(weights[i], tap(i) + tap(TAPS - 1 - i), sum);
       return sum;
     }
   };
 
-  // A line blurred across, from and to all three maps.
-  void across(const float* const* in, const Ring& ring, std::ptrdiff_t y) const {
-    const Window window(b);
-    for (int map = 0; map < MAPS; ++map) {
-      const float* const line = in[map];
-      float* const out = ring.at(map, y);
-#if defined(__AVX512F__)
-      // What lies before is put together from registers, what lies behind is loaded: half the work for either unit.
-      V before = load(line - LANES), here = load(line);
-      for (std::size_t x = 0; x < values; x += LANES) {
-        V taps[TAPS] = {beginning_at<1>(before, here), beginning_at<4>(before, here), beginning_at<7>(before, here),
-                        beginning_at<10>(before, here), beginning_at<13>(before, here), here};
-        for (int i = RADIUS + 1; i < TAPS; ++i) taps[i] = load(line + x + CHANNELS * (i - RADIUS));
-        store(out + x, window.over([&](int i) { return taps[i]; }));
-        before = here, here = load(line + x + LANES);
-      }
-#else
-      for (std::size_t x = 0; x < values; x += LANES)
-        store(out + x, window.over([&](int i) { return load(line + static_cast<std::ptrdiff_t>(x) + CHANNELS * (i - RADIUS)); }));
-#endif
-    }
-  }
-
-  // The lines that GROUP lines from y on are blurred down from: found once per group.
+  // The lines that a group from y on is blurred down from: found once per group.
   struct Columns {
-    const float* lines[MAPS][GROUP + TAPS - 1];
-    Columns(const Ring& ring, std::ptrdiff_t y) {
-      for (int map = 0; map < MAPS; ++map)
-        for (int i = 0; i < GROUP + TAPS - 1; ++i) lines[map][i] = ring.line(map, y + i - RADIUS);
+    const float* lines[GROUP + TAPS - 1];
+    template <class Line>
+    Columns(const Sweep& sweep, std::ptrdiff_t y, Line line) {
+      for (int i = 0; i < GROUP + TAPS - 1; ++i) {
+        const std::ptrdiff_t from = y + i - RADIUS;
+        lines[i] = from < 0 || from >= sweep.height ? sweep.zeros : line(from);
+      }
     }
   };
 
-  static void down(const Window& window, const Columns& columns, int map, std::size_t x, V* out) {
-    V in[GROUP + TAPS - 1];
-    for (int i = 0; i < GROUP + TAPS - 1; ++i) in[i] = load(columns.lines[map][i] + x);
-    for (int r = 0; r < GROUP; ++r) out[r] = window.over([&](int i) { return in[r + i]; });
+  // Values from x on of a group of lines blurred down; `in(i)` is those of line i.
+  template <class In>
+  INLINE void down(const Window& window, int map, std::size_t x, In in) const {
+    V taps[GROUP + TAPS - 1];
+#pragma GCC unroll 32
+    for (int i = 0; i < GROUP + TAPS - 1; ++i) taps[i] = in(i);
+#pragma GCC unroll 32
+    for (int r = 0; r < GROUP; ++r) store(padded[map][r] + x, window.over([&](int i) { return taps[r + i]; }));
+  }
+
+  // Values `from` to `to` of the group: the three maps of SSIM from the lines of two images, blurred down.
+  NOT_INLINE void maps_down(const Columns& source, const Columns& target, std::size_t from, std::size_t to) const {
+    const Window window(b);
+    for (std::size_t x = from; x < to; x += LANES) {
+      const std::size_t left = values - x;
+      const auto down_all = [&](auto s, auto t) {
+        down(window, 0, x, s);
+        down(window, 1, x, [&](int i) { return s(i) * s(i); });
+        down(window, 2, x, [&](int i) { return s(i) * t(i); });
+      };
+      if (left >= static_cast<std::size_t>(LANES)) {
+        down_all([&](int i) { return load(source.lines[i] + x); }, [&](int i) { return load(target.lines[i] + x); });
+      } else {
+        down_all([&](int i) { return load_first(source.lines[i] + x, left); },
+                 [&](int i) { return load_first(target.lines[i] + x, left); });
+      }
+    }
+  }
+
+  // The same of the derivatives.
+  NOT_INLINE void derivatives_down(const Columns* maps, std::size_t from, std::size_t to) const {
+    const Window window(b);
+    for (std::size_t x = from; x < to; x += LANES)
+      for (int map = 0; map < MAPS; ++map) down(window, map, x, [&](int i) { return load(maps[map].lines[i] + x); });
+  }
+
+  // LANES values blurred across.
+  INLINE static V across(const Window& window, const float* line) {
+#if defined(__AVX512F__)
+    // What lies before is put together from registers, what lies behind is loaded: half the work for either unit.
+    const V before = load(line - LANES), here = load(line);
+    V taps[TAPS] = {beginning_at<1>(before, here), beginning_at<4>(before, here), beginning_at<7>(before, here),
+                    beginning_at<10>(before, here), beginning_at<13>(before, here), here};
+    for (int i = RADIUS + 1; i < TAPS; ++i) taps[i] = load(line + CHANNELS * (i - RADIUS));
+    return window.over([&](int i) { return taps[i]; });
+#else
+    return window.over([&](int i) { return load(line + CHANNELS * (i - RADIUS)); });
+#endif
+  }
+
+  // Calls down(from, to) for all values of a line and later across(r, from, to) for those of each of the first `count` lines
+  // of the group, strip by strip: what is blurred across lies a little behind, for its neighbours must be there.
+  template <class Down, class Across>
+  void strips(int count, Down down, Across across) const {
+    std::size_t done = 0;
+    for (std::size_t x = 0; done < values;) {
+      const std::size_t end = x + STRIP < values ? x + STRIP : values;
+      down(x, end), x = end;
+      const std::size_t ready = end == values ? values : end - LOSS_MARGIN;
+      for (int r = 0; r < count; ++r) across(r, done, ready);
+      done = ready;
+    }
   }
 
   static double sum_of(V v) {
@@ -158,71 +190,57 @@ struct Sweep {
       for (std::ptrdiff_t y = y0; y < y1; y += GROUP) total += finish<false>(y);
       return total;
     }
-    const auto least = [](std::ptrdiff_t a, std::ptrdiff_t c) { return a < c ? a : c; };
-    const std::ptrdiff_t from = y0 < 2 * RADIUS ? 0 : y0 - 2 * RADIUS;
-    for (std::ptrdiff_t y = from; y < y1 + 2 * RADIUS; y += GROUP) {
-      for (std::ptrdiff_t line = y; line < least(y + GROUP, least(height, y1 + 2 * RADIUS)); ++line) read(line);
-      const std::ptrdiff_t middle = y - RADIUS, last = y - 2 * RADIUS;
-      if (middle + GROUP > 0 && middle + GROUP > y0 - RADIUS && middle < least(height, y1 + RADIUS)) total += derive(middle);
-      if (last + GROUP > y0 && last < y1) total += finish<true>(last);
+    const std::ptrdiff_t needed = y1 + RADIUS < height ? y1 + RADIUS : height;
+    std::ptrdiff_t derived = y0 < RADIUS ? 0 : y0 - RADIUS;
+    for (std::ptrdiff_t y = y0; y < y1; y += GROUP) {
+      for (; derived < needed && derived < y + GROUP + RADIUS; derived += GROUP) total += derive(derived, needed);
+      total += finish<true>(y);
     }
     return total;
   }
 
-  // The maps of a line, blurred across.
-  void read(std::ptrdiff_t y) {
-    const float *source = b.rendered + values * y, *target = b.target + values * y;
-    for (std::size_t x = 0; x < values; x += LANES) {
-      const V v = load_first(source + x, values - x), t = load_first(target + x, values - x);
-      store(padded[0][0] + x, v);
-      store(padded[0][1] + x, v * v);
-      store(padded[0][2] + x, v * t);
-    }
-    across(padded[0], first, y);
-  }
-
-  // The derivatives of SSIM in the lines from y on, blurred across; returns what of the loss lies in the band.
-  double derive(std::ptrdiff_t y) {
-    const Columns columns(first, y);
+  // The derivatives of SSIM in a group of lines from y on that ends before `needed`; returns what of the loss lies in the
+  // band.
+  double derive(std::ptrdiff_t y, std::ptrdiff_t needed) {
+    const Columns source(*this, y, [&](std::ptrdiff_t at) { return b.rendered + values * at; });
+    const Columns target(*this, y, [&](std::ptrdiff_t at) { return b.target + values * at; });
     const Window window(b);
+    const int count = y + GROUP <= needed ? GROUP : static_cast<int>(needed - y);
     V sums[GROUP];
-    bool there[GROUP];
-    for (int r = 0; r < GROUP; ++r) {
-      sums[r] = V{};
-      there[r] = y + r >= 0 && y + r < height;
-      if (b.mask && there[r]) weigh(y + r, r);
-    }
-    for (std::size_t x = 0; x < values; x += LANES) {
-      V mean[GROUP], square[GROUP], cross[GROUP];
-      down(window, columns, 0, x, mean), down(window, columns, 1, x, square), down(window, columns, 2, x, cross);
-      for (int r = 0; r < GROUP; ++r) {
-        if (!there[r]) continue;
-        const std::size_t at = values * static_cast<std::size_t>(y + r) + x;
-        // Eight lines of numbers side by side are more than the processor follows by itself.
-        __builtin_prefetch(b.mean + at + AHEAD), __builtin_prefetch(b.square + at + AHEAD);
-        const V my = load_first(b.mean + at, values - x), yy = load_first(b.square + at, values - x);
-        sums[r] += derivatives(mean[r], square[r], cross[r], my, yy, load(weight[r] + x), padded[r], x);
+    for (int r = 0; r < GROUP; ++r) sums[r] = V{};
+    for (int r = 0; r < count && b.mask; ++r) weigh(y + r, r);
+    const auto blur_down = [&](std::size_t from, std::size_t to) { maps_down(source, target, from, to); };
+    strips(count, blur_down, [&](int r, std::size_t from, std::size_t to) {
+      const std::size_t line = values * static_cast<std::size_t>(y + r), place = static_cast<std::size_t>(y + r) % RING;
+      const float *const mean = b.mean + line, *const square = b.square + line, *const weights = weight[r];
+      const float* const in[MAPS] = {padded[0][r], padded[1][r], padded[2][r]};
+      float* const out[MAPS] = {ring[0][place], ring[1][place], ring[2][place]};
+      V sum{};
+      for (std::size_t x = from; x < to; x += LANES) {
+        __builtin_prefetch(mean + x + STRIP), __builtin_prefetch(square + x + STRIP);
+        const V my = load_first(mean + x, values - x), yy = load_first(square + x, values - x);
+        const V mx = across(window, in[0] + x), xx = across(window, in[1] + x), xy = across(window, in[2] + x);
+        sum += derivatives(mx, xx, xy, my, yy, load(weights + x), out, x);
       }
-    }
+      sums[r] += sum;
+    });
     double total = 0;
-    for (int r = 0; r < GROUP; ++r) {
-      if (!there[r]) continue;
-      across(padded[r], second, y + r);
+    for (int r = 0; r < count; ++r)
       if (y + r >= y0 && y + r < y1) total += sum_of(sums[r]);
-    }
     return total;
   }
 
   // The weighted 1 - SSIM of LANES values; its derivatives by the three blurs go to `out`.
-  static V derivatives(V mx, V xx, V xy, V my, V yy, V weight, float* const* out, std::size_t x) {
-    const V w = -weight;
-    const V a = 2.0f * mx * my + SSIM_C1, p = 2.0f * (xy - mx * my) + SSIM_C2;
-    const V q = mx * mx + my * my + SSIM_C1, d = (xx - mx * mx) + (yy - my * my) + SSIM_C2;
-    const V inverse = 1.0f / (q * d), s = a * p * inverse;
-    store(out[0] + x, w * 2.0f * (my * (p - a) * inverse + mx * s * (q - d) * inverse));
+  INLINE static V derivatives(V mx, V xx, V xy, V my, V yy, V weight, float* const* out, std::size_t x) {
+    const V w = -weight, w2 = w + w;
+    const V product = mx * my, squares = fma(mx, mx, my * my);
+    const V a = fma(all(2.0f), product, all(SSIM_C1)), p = fma(all(2.0f), xy - product, all(SSIM_C2));
+    const V q = squares + SSIM_C1, d = (xx + yy - squares) + SSIM_C2;
+    const V inverse = reciprocal(q * d), ap = a * p, s = ap * inverse, w_inverse = w2 * inverse;
+    store(out[0] + x, w_inverse * fma(my, p - a, mx * s * (q - d)));
     store(out[1] + x, -w * s * q * inverse);
-    store(out[2] + x, w * 2.0f * a * inverse);
-    return w * s - w;
+    store(out[2] + x, w_inverse * a);
+    return fma(w, s, -w);
   }
 
   template <bool WITH_SSIM>
@@ -257,29 +275,37 @@ struct Sweep {
   // The gradient of those of GROUP lines from y on that lie in the band; returns their L1, or what stands in its place.
   template <bool WITH_SSIM, Norm NORM>
   double finish(std::ptrdiff_t y) {
-    const Columns columns(second, y);
     const Window window(b);
+    const int count = y + GROUP <= y1 ? GROUP : static_cast<int>(y1 - y);
     V sums[GROUP];
-    bool there[GROUP];
-    for (int r = 0; r < GROUP; ++r) {
-      sums[r] = V{};
-      there[r] = y + r >= y0 && y + r < y1;
-      if (b.mask && there[r]) weigh(y + r, r);
-    }
-    for (std::size_t x = 0; x < values; x += LANES) {
-      V by_mean[GROUP], by_square[GROUP], by_cross[GROUP];
-      if (WITH_SSIM) {
-        down(window, columns, 0, x, by_mean), down(window, columns, 1, x, by_square), down(window, columns, 2, x, by_cross);
-      }
-      for (int r = 0; r < GROUP; ++r) {
-        if (!there[r]) continue;
-        const std::size_t at = values * static_cast<std::size_t>(y + r) + x, count = values - x;
-        const V s = load_first(b.rendered + at, count), t = load_first(b.target + at, count);
+    for (int r = 0; r < GROUP; ++r) sums[r] = V{};
+    for (int r = 0; r < count && b.mask; ++r) weigh(y + r, r);
+    const auto write = [&](int r, std::size_t from, std::size_t to) {
+      const std::size_t line = values * static_cast<std::size_t>(y + r);
+      const float *const source = b.rendered + line, *const target = b.target + line, *const weights = l1_weight[r];
+      const float* const in[MAPS] = {padded[0][r], padded[1][r], padded[2][r]};
+      float* const out = b.gradient + values * static_cast<std::size_t>(y + r - y0);
+      V sum{};
+      for (std::size_t x = from; x < to; x += LANES) {
+        const V s = load_first(source + x, values - x), t = load_first(target + x, values - x);
         V g;
-        sums[r] += cost<NORM>(s - t, load(l1_weight[r] + x), &g);
-        if (WITH_SSIM) g += by_mean[r] + 2.0f * s * by_square[r] + t * by_cross[r];
-        store_first(b.gradient + values * static_cast<std::size_t>(y + r - y0) + x, g, count);
+        sum += cost<NORM>(s - t, load(weights + x), &g);
+        if (WITH_SSIM) {
+          const V by_square = across(window, in[1] + x), by_cross = across(window, in[2] + x);
+          g += across(window, in[0] + x) + fma(s + s, by_square, t * by_cross);
+        }
+        store_first(out + x, g, values - x);
       }
+      sums[r] += sum;
+    };
+    if (WITH_SSIM) {
+      const Columns maps[MAPS] = {Columns(*this, y, [&](std::ptrdiff_t at) { return ring[0][at % RING]; }),
+                                  Columns(*this, y, [&](std::ptrdiff_t at) { return ring[1][at % RING]; }),
+                                  Columns(*this, y, [&](std::ptrdiff_t at) { return ring[2][at % RING]; })};
+      const auto blur_down = [&](std::size_t from, std::size_t to) { derivatives_down(maps, from, to); };
+      strips(count, blur_down, write);
+    } else {
+      for (int r = 0; r < count; ++r) write(r, 0, values);
     }
     double total = 0;
     for (const V& sum : sums) total += sum_of(sum);

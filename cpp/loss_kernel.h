@@ -31,8 +31,12 @@ constexpr std::size_t loss_stride(std::size_t width) {
   const std::size_t stride = (3 * width + 15) / 16 * 16 + 2 * LOSS_MARGIN;
   return stride % 256 ? stride : stride + 16;
 }
-// Two rings of 16 lines of 3 maps, a line of zeros, 12 maps and 8 weights; and room to begin at a cache line.
-constexpr std::size_t loss_room(std::size_t width) { return 117 * loss_stride(width) + 16; }
+// Lines that are blurred together, and lines of derivatives that are kept.
+constexpr int LOSS_GROUP = 8, LOSS_RING = 26;
+// A line of zeros, the ring and a group of 3 maps, two weights for a group; and room to begin at a cache line.
+constexpr std::size_t loss_room(std::size_t width) {
+  return (1 + 3 * LOSS_RING + 5 * LOSS_GROUP) * loss_stride(width) + 16;
+}
 
 namespace baseline {
 double loss(const LossBand&);

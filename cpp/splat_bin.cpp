@@ -95,8 +95,8 @@ const std::uint64_t* sort(std::uint64_t* a, std::uint64_t* b, std::size_t n, std
 
 }  // namespace
 
-void bin_count(rust::Slice<const std::uint32_t> boxes, rust::Slice<const bool> visible, std::uint32_t shift,
-               rust::Slice<std::uint32_t> starts, rust::Slice<std::uint32_t> counts) {
+std::uint32_t bin_count(rust::Slice<const std::uint32_t> boxes, rust::Slice<const bool> visible, std::uint32_t shift,
+                        rust::Slice<std::uint32_t> starts, rust::Slice<std::uint32_t> counts) {
   const std::size_t n = visible.size();
   require(boxes.size() == 2 * n && starts.size() == n && counts.size() == 2 * BANDS && shift <= MOST_SHIFT,
           "tables of the bins differ in length");
@@ -104,10 +104,11 @@ void bin_count(rust::Slice<const std::uint32_t> boxes, rust::Slice<const bool> v
   const bool* seen = visible.data();
   const std::uint32_t* box = boxes.data();
   std::uint32_t* start = starts.data();
-  if (!std::memchr(seen, 1, n)) {
-    std::fill_n(start, n, 0u);
+  std::uint32_t all = 0;
+  for (std::size_t k = 0; k < n; ++k) all += seen[k];
+  if (!all) {
     std::fill_n(counts.data(), 2 * BANDS, 0u);
-    return;
+    return 0;
   }
   // What begins and ends with a band and with a row of tiles: no loop over what a box meets, whose end nobody foresees.
   std::uint32_t sum = 0, first_last[BANDS + 1] = {}, rows[(BANDS << MOST_SHIFT) + 1];
@@ -133,6 +134,7 @@ void bin_count(rust::Slice<const std::uint32_t> boxes, rust::Slice<const bool> v
     counts[band] = splats += first_last[band];
     counts[BANDS + band] = in_band;
   }
+  return all;
 }
 
 void bin_deal(std::uint32_t first, rust::Slice<const std::uint32_t> boxes, rust::Slice<const bool> visible,

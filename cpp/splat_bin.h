@@ -13,8 +13,8 @@ constexpr std::size_t BANDS = 16;
 // and x1 | y1 << 16, in tiles, inclusive. A band has 2^shift rows of tiles.
 
 // Of a chunk of splats: `starts[k]` = tiles of splats 0..=k; `counts` = splats in each band, then tiles in each band.
-void bin_count(rust::Slice<const std::uint32_t> boxes, rust::Slice<const bool> visible, std::uint32_t shift,
-               rust::Slice<std::uint32_t> starts, rust::Slice<std::uint32_t> counts);
+std::uint32_t bin_count(rust::Slice<const std::uint32_t> boxes, rust::Slice<const bool> visible, std::uint32_t shift,
+                        rust::Slice<std::uint32_t> starts, rust::Slice<std::uint32_t> counts);
 // Puts the visible splats of a chunk, the first of them number `first`, into `items` (key << 32 | splat), band after
 // band, in their order; adds `base` to `starts`.
 void bin_deal(std::uint32_t first, rust::Slice<const std::uint32_t> boxes, rust::Slice<const bool> visible,

@@ -45,17 +45,17 @@ struct Projection {
   // half a box is at most sqrt(scale) (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in the centre,
   // which is known to `error`.
   template <int COLUMNS>
-  VI beside(const std::uint32_t* index, const V* t, V error, V scale) const {
+  VI beside(const Group& group, const V* t, V error, V scale) const {
     const View& w = *s.view;
     V size;
     if (COLUMNS == 2) {
       V axes[6], sum{};
-      gather<6>(s.shape, index, axes);
+      gather<6>(s.shape, group.index, axes);
       for (const V& v : axes) sum += v * v;
       size = square_root(sum);
     } else {
       V scales[3];
-      gather<3>(s.scales, index, scales);
+      threes(s.scales, group, scales);
       for (V& v : scales) v = larger(v, -v);
       size = larger(larger(scales[0], scales[1]), scales[2]);
     }
@@ -73,11 +73,11 @@ struct Projection {
   void run() const {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     const View& w = *s.view;
+    __builtin_memset(o.visible, 0, o.count);
     for_groups(s, o.first, o.count, [&](const Group& group) {
       const std::size_t k0 = group.k0;
       const int count = group.count;
       const std::uint32_t* const index = group.index;
-      __builtin_memset(o.visible + k0, 0, static_cast<std::size_t>(count));
       V position[3], offset[3], about[3], error = all(1e-3f * w.near);
       centers(s, group, position, offset);
       for (int k = 0; k < 3; ++k) {
@@ -87,15 +87,16 @@ struct Projection {
       turn(w, offset, about);
       VI seen = about[2] + error >= w.near;
       if (!any_of(seen)) return;
-      V opacity[1];
-      gather<1>(s.opacities, index, opacity);
-      const V log2_opacity = log2(opacity[0]);
+      const V opacity = ones(s.opacities, group);
+      // As far as any splat reaches whose opacity is no more than 1.
+      constexpr float MOST = 2.0f / LOG2_E * REACH;
+      if (w.beside > 0.0f && !any_of(opacity > 1.0f) && !any_of(seen & ~beside<COLUMNS>(group, about, error, all(MOST)))) return;
+      const V log2_opacity = log2(opacity);
       const V reach = log2_opacity + REACH;
-      seen &= (reach > 0.0f) & finite(opacity[0]) & (opacity[0] > 1e-3f);
+      seen &= (reach > 0.0f) & finite(opacity) & (opacity > 1e-3f);
       const V extent = w.by_opacity * log2_opacity + REACH;
       const V scale = 2.0f / LOG2_E * extent;
       if (!any_of(seen)) return;
-      if (w.beside > 0.0f && !any_of(seen & ~beside<COLUMNS>(index, about, error, scale))) return;
       Geometry<V, COLUMNS> g;
       V point[2], rest[2];
       place(position, g.t, point, rest);

@@ -151,16 +151,38 @@ struct Group {
   std::size_t k0;
   int count;
   std::uint32_t index[LANES];
+  bool in_a_row;  // LANES of them, one after the other
 };
+
+// Their numbers from a table of one or of three per Gaussian.
+inline V ones(const float* base, const Group& group) {
+  if (group.in_a_row) return load(base + group.index[0]);
+  V out[1];
+  gather<1>(base, group.index, out);
+  return out[0];
+}
+inline void threes(const float* base, const Group& group, V* out) {
+  if (group.in_a_row) {
+    triples(base + 3 * static_cast<std::size_t>(group.index[0]), out);
+  } else {
+    gather<3>(base, group.index, out);
+  }
+}
 
 // Calls f(group) for all groups of the Gaussians number first..first + count.
 template <class F>
 inline void for_groups(const Scene& s, std::size_t first, std::size_t count, F f) {
   for (std::size_t k0 = 0; k0 < count; k0 += LANES) {
-    Group group{k0, count - k0 < LANES ? static_cast<int>(count - k0) : LANES, {}};
-    for (int l = 0; l < LANES; ++l) {
-      const std::size_t j = first + k0 + static_cast<std::size_t>(l < group.count ? l : group.count - 1);
-      group.index[l] = s.active ? s.active[j] : static_cast<std::uint32_t>(j);
+    Group group{k0, count - k0 < LANES ? static_cast<int>(count - k0) : LANES, {}, false};
+    const std::uint32_t from = static_cast<std::uint32_t>(first + k0);
+    if (!s.active && group.count == LANES) {
+      for (int l = 0; l < LANES; ++l) group.index[l] = from + static_cast<std::uint32_t>(l);
+      group.in_a_row = true;
+    } else {
+      for (int l = 0; l < LANES; ++l) {
+        const std::uint32_t j = from + static_cast<std::uint32_t>(l < group.count ? l : group.count - 1);
+        group.index[l] = s.active ? s.active[j] : j;
+      }
     }
     f(group);
   }
@@ -168,11 +190,7 @@ inline void for_groups(const Scene& s, std::size_t first, std::size_t count, F f
 
 // Their centres, and the vectors to these from the eye (world axes).
 inline void centers(const Scene& s, const Group& group, V* position, V* offset) {
-  if (!s.active && group.count == LANES) {
-    triples(s.positions + 3 * static_cast<std::size_t>(group.index[0]), position);
-  } else {
-    gather<3>(s.positions, group.index, position);
-  }
+  threes(s.positions, group, position);
   for (int k = 0; k < 3; ++k) offset[k] = position[k] - s.view->eye[k];
 }
 

@@ -7,7 +7,7 @@ mod bridge {
         include!("cpp/splat_bin.h");
 
         fn bin_count(boxes: &[u32], visible: &[bool], shift: u32, starts: &mut [u32], counts: &mut [u32])
-        -> Result<()>;
+        -> Result<u32>;
         fn bin_deal(
             first: u32,
             boxes: &[u32],
@@ -54,14 +54,20 @@ pub struct Boxes<'a> {
     pub keys: &'a [u32],
 }
 
-/// Splats, then tiles, that a chunk has in each band.
-pub type Counts = [[u32; BANDS]; 2];
+/// What a chunk has.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Counts {
+    /// Splats, then tiles, in each band.
+    pub bands: [[u32; BANDS]; 2],
+    /// Visible splats.
+    pub seen: u32,
+}
 
-/// Counts the splats and the tiles of a chunk in bands of `2^shift` tile rows, and the tiles of the splats up to and with
-/// each. Panics (as all of these) when the tables do not belong together.
+/// Counts the splats and the tiles of a chunk in bands of `2^shift` tile rows, and, where it has visible ones, the tiles of
+/// the splats up to and with each. Panics (as all of these) when the tables do not belong together.
 pub fn count(chunk: &Boxes<'_>, shift: u32, starts: &mut [u32], counts: &mut Counts) {
-    bridge::bin_count(chunk.boxes.as_flattened(), chunk.visible, shift, starts, counts.as_flattened_mut())
-        .expect(AGREE);
+    let bands = counts.bands.as_flattened_mut();
+    counts.seen = bridge::bin_count(chunk.boxes.as_flattened(), chunk.visible, shift, starts, bands).expect(AGREE);
 }
 
 /// Puts the visible splats of a chunk that begins at number `first` into `items`, band after band; adds `base` to
@@ -83,7 +89,7 @@ pub fn deal(
         shift,
         base,
         starts,
-        counts.as_flattened(),
+        counts.bands.as_flattened(),
         items,
     )
     .expect(AGREE);

@@ -11,15 +11,13 @@ use rayon::prelude::*;
 use crate::ffi::splat_bin::{self as native, BANDS, Band, Boxes, Counts};
 use crate::ffi::system::grow;
 
-use super::pool::PIECE;
+use super::pool::{PIECE, piece_of};
 use super::project::{Row, at};
+use super::rasterizer::CHUNK;
 use super::real::Real;
 
 /// Side of a tile in pixels.
 pub(super) const TILE: usize = 16;
-
-/// Splats per task of the dealing.
-const CHUNK: usize = 2048;
 
 /// Tiles that a splat's bounding box meets, inclusive: `x0 | y0 << 16`, `x1 | y1 << 16`.
 #[derive(Clone, Copy, Debug, Default)]
@@ -83,6 +81,16 @@ pub(super) struct Bins {
     counts: Vec<Counts>,
 }
 
+/// Where chunks of splats are counted.
+pub(super) struct Counting<'a> {
+    /// Tile rows of a band, as a power of 2.
+    pub shift: u32,
+    /// Tiles of the splats of the chunk up to and with each.
+    pub starts: &'a mut [u32],
+    /// One per chunk.
+    pub counts: &'a mut [Counts],
+}
+
 /// Cuts `slice` into pieces of the given lengths.
 pub(super) fn cut<V>(mut slice: &mut [V], lengths: impl Iterator<Item = usize>) -> Vec<&mut [V]> {
     lengths
@@ -94,24 +102,58 @@ pub(super) fn cut<V>(mut slice: &mut [V], lengths: impl Iterator<Item = usize>) 
         .collect()
 }
 
+/// As few bands as the threads of a large machine can use: 2 to this power tile rows each.
+fn shift_of(tiles: [usize; 2]) -> u32 {
+    (1..).find(|s| tiles[1].div_ceil(1 << s) <= BANDS).expect("an image has at most 1024 tile rows")
+}
+
+/// Bands in an order that ends with small ones in either half: threads take halves, and what comes last decides how long
+/// they wait for each other.
+fn longest_first(mut bands: Vec<Band<'_>>) -> Vec<Band<'_>> {
+    bands.sort_by_key(|band| std::cmp::Reverse(band.entries.len()));
+    let (mut halves, last) = ([Vec::new(), Vec::new()], bands.len());
+    for (k, band) in bands.into_iter().enumerate() {
+        // 0 1 1 0 0 1 1 0 ..
+        let full = halves[0].len() == last.div_ceil(2);
+        halves[usize::from((k + 1) / 2 % 2 == 1 || full)].push(band);
+    }
+    let [mut all, second] = halves;
+    all.extend(second);
+    all
+}
+
 fn chunk_of<'a>(all: &Boxes<'a>, chunk: usize) -> Boxes<'a> {
     let range = chunk * CHUNK..all.boxes.len().min((chunk + 1) * CHUNK);
     Boxes { boxes: &all.boxes[range.clone()], visible: &all.visible[range.clone()], keys: &all.keys[range] }
 }
 
 impl Bins {
-    /// Fills the lists of `tiles` (columns, rows) from the boxes and keys of the splats.
-    pub fn fill(&mut self, tiles: [usize; 2], all: &Boxes<'_>) {
-        [self.tiles_x, self.tiles_y] = tiles;
-        let n = all.boxes.len();
-        // As few bands as the threads of a large machine can use; a power of 2 of tile rows each.
-        let shift = (1..).find(|s| tiles[1].div_ceil(1 << s) <= BANDS).expect("an image has at most 1024 tile rows");
-        let (height, bands) = (1 << shift, tiles[1].div_ceil(1 << shift));
+    /// Where the tiles of `n` splats are counted, chunk by chunk, before [`Bins::fill`].
+    pub fn counting(&mut self, tiles: [usize; 2], n: usize) -> Counting<'_> {
         self.starts.resize(n + 1, 0);
         self.counts.resize(n.div_ceil(CHUNK), Counts::default());
-        let chunks = self.starts[1..].par_chunks_mut(CHUNK).zip(&mut self.counts).enumerate().with_max_len(PIECE);
+        Counting { shift: shift_of(tiles), starts: &mut self.starts[1..], counts: &mut self.counts }
+    }
+
+    /// Counts all chunks.
+    pub fn count(&mut self, tiles: [usize; 2], all: &Boxes<'_>) {
+        let Counting { shift, starts, counts } = self.counting(tiles, all.boxes.len());
+        let piece = piece_of(counts.len());
+        let chunks = starts.par_chunks_mut(CHUNK).zip(counts).enumerate().with_max_len(piece);
         chunks.for_each(|(c, (starts, counts))| native::count(&chunk_of(all, c), shift, starts, counts));
-        let total = |kind: usize, b: usize| self.counts.iter().map(|c| c[kind][b] as usize).sum::<usize>();
+    }
+
+    /// Visible splats that were counted.
+    pub fn seen(&self) -> usize {
+        self.counts.iter().map(|c| c.seen as usize).sum()
+    }
+
+    /// Fills the lists of `tiles` (columns, rows) from the boxes and keys of the splats, which have been counted.
+    pub fn fill(&mut self, tiles: [usize; 2], all: &Boxes<'_>) {
+        [self.tiles_x, self.tiles_y] = tiles;
+        let shift = shift_of(tiles);
+        let (height, bands) = (1 << shift, tiles[1].div_ceil(1 << shift));
+        let total = |kind: usize, b: usize| self.counts.iter().map(|c| c.bands[kind][b] as usize).sum::<usize>();
         let splats: Vec<usize> = (0..bands).map(|b| total(0, b)).collect();
         let entries: Vec<usize> = (0..bands).map(|b| total(1, b)).collect();
         let (all_splats, all_entries) = (splats.iter().sum(), entries.iter().sum());
@@ -135,7 +177,7 @@ impl Bins {
                 band
             })
             .collect();
-        tasks
+        longest_first(tasks)
             .into_par_iter()
             .with_max_len(PIECE)
             .for_each(|band| native::fill(band, items, all.boxes, starts, tiles[0]));
@@ -155,17 +197,21 @@ impl Bins {
         let sum = |counts: &[u32; BANDS]| counts.iter().sum::<u32>();
         let mut pieces = vec![Vec::with_capacity(self.counts.len()); bands];
         let (mut place, mut base, mut bases) = (0, 0, Vec::with_capacity(self.counts.len()));
-        for [splats, entries] in &self.counts {
+        for counts in &self.counts {
             bases.push(base);
-            base += sum(entries);
-            for (pieces, &count) in pieces.iter_mut().zip(splats) {
+            if counts.seen == 0 {
+                continue;
+            }
+            base += sum(&counts.bands[1]);
+            for (pieces, &count) in pieces.iter_mut().zip(&counts.bands[0]) {
                 pieces.push([place, place + count]);
                 place += count;
             }
         }
         let (counts, starts) = (&self.counts, &mut self.starts[1..]);
-        let items = cut(&mut self.items, counts.iter().map(|c| sum(&c[0]) as usize));
-        let chunks = items.into_par_iter().zip(starts.par_chunks_mut(CHUNK)).enumerate().with_max_len(PIECE);
+        let items = cut(&mut self.items, counts.iter().map(|c| sum(&c.bands[0]) as usize));
+        let piece = piece_of(counts.len());
+        let chunks = items.into_par_iter().zip(starts.par_chunks_mut(CHUNK)).enumerate().with_max_len(piece);
         chunks.for_each(|(c, (items, starts))| {
             native::deal(&chunk_of(all, c), c * CHUNK, shift, bases[c], starts, &counts[c], items);
         });
@@ -230,6 +276,7 @@ mod tests {
             let all = Boxes { boxes: &boxes, visible: &visible, keys: &keys };
             let (mut fast, mut plain) = (Bins::default(), Bins::default());
             for _ in 0..2 {
+                fast.count(tiles, &all);
                 fast.fill(tiles, &all);
             }
             plain.fill_plainly(tiles, &all);
@@ -237,6 +284,7 @@ mod tests {
             assert_eq!(fast.entries, plain.entries);
             assert_eq!(fast.targets, plain.targets);
             assert_eq!(fast.starts, plain.starts);
+            assert_eq!(fast.seen(), visible.iter().filter(|seen| **seen).count());
             let mut slots = fast.targets.clone();
             slots.sort_unstable();
             assert!(slots.iter().copied().eq(0..slots.len() as u32));

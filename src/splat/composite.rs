@@ -143,6 +143,7 @@ impl<T: Real> Rasterizer<T> {
     }
 
     /// Moments of every entry, and the gradient of the gain. Where no `parts` are wanted, the gain alone.
+    /// `false` where the gradient of a colour may not be finite.
     pub(super) fn composite_backward(
         &mut self,
         image: &ImageGradient<'_, T>,
@@ -151,7 +152,7 @@ impl<T: Real> Rasterizer<T> {
         parts: Option<Parts>,
         with_gain: bool,
         faults: impl Faults,
-    ) {
+    ) -> bool {
         let discs = settings.footprint == Footprint::Disc;
         let entries = if parts.is_some() { self.bins.entries.len() } else { 0 };
         if !discs && self.slots.len() < entries {
@@ -203,6 +204,8 @@ impl<T: Real> Rasterizer<T> {
             })
             .collect();
         self.slots = slots;
+        // The sums of what shows a pixel times its gradient are finite only if all gradients are.
+        let finite = done.iter().all(|(by_gain, ..)| by_gain.iter().all(|v| v.is_finite()));
         self.gradients.gain = [0.0; 3];
         for (t, (by_gain, moments, sums)) in done.into_iter().enumerate() {
             for k in (0..3).filter(|_| with_gain) {
@@ -216,6 +219,7 @@ impl<T: Real> Rasterizer<T> {
                 self.disc_slots[target as usize] = sums;
             }
         }
+        finite
     }
 }
 

@@ -10,7 +10,7 @@ use super::chain::{One, ellipsoid_gradient, gradients_of_one};
 use super::disc_chain::gradients_of_disc;
 use super::fault::Faults;
 use super::native::Numbers;
-use super::pool::PIECE;
+use super::pool::piece_of;
 use super::project::Projector;
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
@@ -52,6 +52,9 @@ impl<T: Real> Rasterizer<T> {
         let lengths = |group: usize, per: usize| {
             (0..chunks).map(move |c| if group == 0 { 0 } else { per * (CHUNK.min(n - c * CHUNK)) })
         };
+        let starts = &self.bins.starts;
+        let shown = |first: usize, count: usize| starts[first] != starts[first + count];
+        let written = &mut self.written;
         let tasks: Vec<Task<'_, T>> = cut(&mut out.positions, lengths(size(Wanted::POSITIONS), 1))
             .into_iter()
             .zip(cut(&mut out.rotations, lengths(if has_axes { 0 } else { size(Wanted::SHAPES) }, 1)))
@@ -70,23 +73,23 @@ impl<T: Real> Rasterizer<T> {
                 opacities,
                 sh,
             })
+            .filter(|task| {
+                let (seen, before) = (shown(task.first, task.count), &mut written[task.first / CHUNK]);
+                std::mem::replace(before, seen) || seen
+            })
             .collect();
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
         let plain = wanted.any(Wanted::LENS) || !faults.is_sound();
         let native = if plain { None } else { T::native(self.isa, gaussians, projector, &mut numbers, active) };
-        let (starts, slots, sums) = (&self.bins.starts, &self.slots, &self.disc_slots);
+        let (slots, sums) = (&self.slots, &self.disc_slots);
+        let piece = piece_of(tasks.len());
         let discs = projector.footprint() == Footprint::Disc;
         let cameras: Vec<([f64; 6], [f64; 4])> = tasks
             .into_par_iter()
-            .zip(&mut self.written)
-            .with_max_len(PIECE)
-            .map(|(mut task, written)| {
+            .with_max_len(piece)
+            .map(|mut task| {
                 let starts = &starts[task.first..=task.first + task.count];
-                let seen = starts[0] != starts[task.count];
-                if !std::mem::replace(written, seen) && !seen {
-                    return ([0.0; 6], [0.0; 4]);
-                }
                 if let Some(native) = &native {
                     let mut pose = [0.0; 6];
                     native.chain(task.first, starts, slots, wanted, task.outputs(&mut pose));

@@ -10,16 +10,16 @@ use crate::base::{Error, Result};
 use crate::ffi::splat::{Aligned, Isa};
 use crate::ffi::system::grow;
 
-use crate::ffi::splat_bin::Boxes;
+use crate::ffi::splat_bin::{self, Boxes};
 
-use super::bin::{Bins, TILE, TileBox};
+use super::bin::{Bins, Counting, TILE, TileBox};
 use super::disc_mode::{Disc, Rays, refuse_fisheye_lens};
 use super::disc_tile::Sums;
 use super::extra_channels::Extra;
 use super::fault::{Fault, Faults, Sound};
 use super::kernel::Parts;
 use super::native::Numbers;
-use super::pool::{PIECE, in_pool};
+use super::pool::{in_pool, piece_of};
 use super::project::Projector;
 use super::real::Real;
 use super::reuse::{Kept, Reuse, Same};
@@ -29,6 +29,13 @@ use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, 
 
 /// Gaussians per task; the pose is summed in these chunks.
 pub(super) const CHUNK: usize = 512;
+
+/// Which splats have been counted into the bins.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Counted {
+    All,
+    Not,
+}
 
 /// The differentiable rasteriser. Owns all intermediate tables, so keep one per thread of control and use it again.
 #[derive(Debug)]
@@ -228,18 +235,26 @@ impl<T: Real> Rasterizer<T> {
         self.rendered.visible.resize(n, false);
         if projector.footprint() == Footprint::Disc {
             self.project_discs(gaussians, projector, view);
-            return self.deal(tiles, None);
+            return self.deal(tiles, None, Counted::Not);
         }
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
-        let chunks = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
-        let chunks = chunks.zip(self.keys.par_chunks_mut(CHUNK));
-        chunks.zip(self.rendered.visible.par_chunks_mut(CHUNK)).enumerate().with_max_len(PIECE).for_each(
-            |(chunk, (((rows, boxes), keys), visible))| {
+        // What is projected is counted while it is there; unless the lists of before may stay, with their counts.
+        let counted = if native.is_some() && same == Same::Nothing { Counted::All } else { Counted::Not };
+        let Counting { shift, starts, counts } = self.bins.counting(tiles, n);
+        let tables = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
+        let tables = tables.zip(self.keys.par_chunks_mut(CHUNK)).zip(self.rendered.visible.par_chunks_mut(CHUNK));
+        let bins = starts.par_chunks_mut(CHUNK).zip(counts);
+        tables.zip(bins).enumerate().with_max_len(piece_of(n.div_ceil(CHUNK))).for_each(
+            |(chunk, ((((rows, boxes), keys), visible), (starts, counts)))| {
                 let first = chunk * CHUNK;
                 if let Some(native) = &native {
-                    return native.project(first, tiles, rows, boxes, keys, visible);
+                    native.project(first, tiles, rows, boxes, keys, visible);
+                    if counted == Counted::All {
+                        splat_bin::count(&Boxes { boxes, visible, keys }, shift, starts, counts);
+                    }
+                    return;
                 }
                 for k in 0..rows.len() {
                     let i = active.map_or(first + k, |list| list[first + k] as usize);
@@ -255,12 +270,15 @@ impl<T: Real> Rasterizer<T> {
         );
         drop(native);
         let kept = (same == Same::Lists).then_some(seen);
-        self.deal(tiles, kept);
+        self.deal(tiles, kept, counted);
     }
 
     /// Visible splats to the lists of the tiles; those of before stay where they were made for the same splats (`kept`).
-    fn deal(&mut self, tiles: [usize; 2], kept: Option<Vec<bool>>) {
-        self.rendered.visible_count = self.rendered.visible.iter().filter(|v| **v).count();
+    fn deal(&mut self, tiles: [usize; 2], kept: Option<Vec<bool>>, counted: Counted) {
+        self.rendered.visible_count = match counted {
+            Counted::All => self.bins.seen(),
+            Counted::Not => self.rendered.visible.iter().filter(|v| **v).count(),
+        };
         self.clock.end(Stage::Project);
         self.bins.masks_known = false;
         if kept.is_some_and(|seen| seen == self.rendered.visible) {
@@ -270,6 +288,9 @@ impl<T: Real> Rasterizer<T> {
         if self.isa == Isa::Scalar {
             self.bins.fill_plainly(tiles, &all);
         } else {
+            if counted == Counted::Not {
+                self.bins.count(tiles, &all);
+            }
             self.bins.fill(tiles, &all);
         }
         self.rendered.intersections = self.bins.entries.len();
@@ -343,7 +364,9 @@ impl<T: Real> Rasterizer<T> {
             endless: !self.skips.any(Skips::STOP),
         };
         let parts = (parts.geometry || parts.color).then_some(parts);
-        self.composite_backward(image, &view, &settings, parts, wanted.any(Wanted::GAIN), faults);
+        if !self.composite_backward(image, &view, &settings, parts, wanted.any(Wanted::GAIN), faults) {
+            self.check_finite("colour", image.color, 3)?;
+        }
         self.channels_backward(image.channels, &view, &settings, geometry, wanted, faults);
         self.clock.end(Stage::CompositeBackward);
         self.chain(gaussians, &projector, wanted, faults);
@@ -362,16 +385,9 @@ impl<T: Real> Rasterizer<T> {
             if !plane.is_empty() && plane.len() != pixels * per_pixel {
                 return Err(Error::input(format!("the {name} gradient has {} values", plane.len())));
             }
-            if T::all_finite(plane) {
-                continue;
-            }
-            if let Some(bad) = plane.iter().position(|v| !v.is_finite()) {
-                let pixel = bad / per_pixel;
-                return Err(Error::input(format!("the {name} gradient is not finite")).element(format!(
-                    "pixel ({}, {})",
-                    pixel % self.rendered.width,
-                    pixel / self.rendered.width
-                )));
+            // The tiles look at the colours in passing.
+            if name != "colour" {
+                self.check_finite(name, plane, per_pixel)?;
             }
         }
         let met = settings.footprint == Footprint::Disc && settings.depth == DepthOutput::Surface;
@@ -379,5 +395,16 @@ impl<T: Real> Rasterizer<T> {
             return Err(Error::input("a depth gradient needs a render with expected depth"));
         }
         Ok(())
+    }
+
+    /// An error that names the first pixel of `plane` that is not finite.
+    fn check_finite(&self, name: &str, plane: &[T], per_pixel: usize) -> Result<()> {
+        if T::all_finite(plane) {
+            return Ok(());
+        }
+        let Some(bad) = plane.iter().position(|v| !v.is_finite()) else { return Ok(()) };
+        let (pixel, width) = (bad / per_pixel, self.rendered.width);
+        let at = format!("pixel ({}, {})", pixel % width, pixel / width);
+        Err(Error::input(format!("the {name} gradient is not finite")).element(at))
     }
 }

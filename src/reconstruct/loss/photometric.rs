@@ -73,15 +73,19 @@ impl Scalar for f32 {
             norm,
             softness,
         };
-        let bands = gradient.par_chunks_mut(3 * width * BAND).enumerate();
+        let lines = band_of(height);
+        let bands = gradient.par_chunks_mut(3 * width * lines).enumerate();
         let losses: Vec<f64> =
-            bands.map(|(b, gradient)| native::band(isa, &image, rendered, b * BAND, gradient)).collect();
+            bands.map(|(b, gradient)| native::band(isa, &image, rendered, b * lines, gradient)).collect();
         Some(losses.iter().sum())
     }
 }
 
-/// Lines per task of the vectorised code.
-const BAND: usize = 128;
+/// Lines per task of the vectorised code: an even number of tasks of the same size, for two threads, but none so small that
+/// the ten lines beyond either end cost much.
+fn band_of(height: usize) -> usize {
+    if height <= 128 { height.max(1) } else { height.div_ceil(2 * height.div_ceil(256)) }
+}
 
 /// The image of one frame, prepared for many evaluations.
 pub struct Photometric<T> {
