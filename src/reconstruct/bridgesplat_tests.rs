@@ -147,7 +147,9 @@ fn a_planted_smooth_deformation_of_5_mm_is_recovered() {
     let of_narrow = error_mm(&shipped, Colors::Known, &narrow, &narrow_truth);
     let (gentle, gentle_truth) = film(Bump::Gentle, 1.0);
     let of_gentle = error_mm(&shipped, Colors::Known, &gentle, &gentle_truth);
-    println!("5 mm: {error:.3} mm, with half the strain {of_gentle:.3}; frozen {without:.3}, colours at random {at_random:.3}, narrow bump {of_narrow:.3}");
+    println!(
+        "5 mm: {error:.3} mm, with half the strain {of_gentle:.3}; frozen {without:.3}, colours at random {at_random:.3}, narrow bump {of_narrow:.3}"
+    );
     assert!(error <= 0.7, "{error}");
     assert!(of_gentle <= 0.55, "{of_gentle}");
     assert!(without > 3.0, "the test would pass without any deformation: {without}");
