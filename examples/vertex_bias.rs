@@ -3,7 +3,7 @@
 //! ```text
 //! cargo run --release --example vertex_bias [CASE,.. [SAMPLES [PIXELS]]]
 //! ```
-//! Two frames per case: half way at phase .3 and nine tenths of the way at phase .8, lit as in the films. Per frame: the
+//! Six frames per case: half way and nine tenths of the way, at phases 0, .5 and 1, lit as in the films. Per frame: the
 //! ratio of the mean picture to that of the paths, per channel, with the standard error of the paths' mean (from eight
 //! parts), and the CPU seconds of one frame. References are kept in `target/vertex_bias`; delete them after a change of the
 //! look.
@@ -18,7 +18,7 @@ use respire_bench::render::{Light, RenderSettings, Scene, Shading, Transport, re
 use respire_bench::simulate::{material, trajectory::Route};
 
 /// Parts of the way and phases.
-const PLACES: [(f64, f64); 2] = [(0.5, 0.3), (0.9, 0.8)];
+const PLACES: [(f64, f64); 6] = [(0.5, 0.0), (0.5, 0.5), (0.5, 1.0), (0.9, 0.0), (0.9, 0.5), (0.9, 1.0)];
 /// Independent parts of a reference.
 const PARTS: u64 = 8;
 
@@ -43,14 +43,14 @@ fn main() -> Result<()> {
             let picture = |settings: &RenderSettings| -> Result<Image<f32>> {
                 Ok(render(&scene, &case.camera.camera(pixels, pixels), &pose, &light, settings)?.radiance)
             };
-            let folder = root.join(format!("target/vertex_bias/{name}-{part}-{samples}x{pixels}"));
+            let folder = root.join(format!("target/vertex_bias/{name}-{part}-{phase}-{samples}x{pixels}"));
             let paths = reference(&folder, samples, &picture)?;
             let vertices = RenderSettings { transport: Transport::VERTICES, ..settings(4, case.seed) };
             picture(&vertices)?;
             let cpu = cpu_time_s();
             let found = mean(&picture(&vertices)?);
             let cpu = cpu_time_s() - cpu;
-            report(name, part, &paths, found, cpu);
+            report(name, [part, phase], &paths, found, cpu);
         }
     }
     Ok(())
@@ -83,9 +83,9 @@ fn mean(image: &Image<f32>) -> [f64; 3] {
     std::array::from_fn(|c| sum(c) / (image.data.len() / 3) as f64)
 }
 
-fn report(name: &str, part: f64, paths: &[[f64; 3]], found: [f64; 3], cpu: f64) {
+fn report(name: &str, [part, phase]: [f64; 2], paths: &[[f64; 3]], found: [f64; 3], cpu: f64) {
     let count = paths.len() as f64;
-    let mut line = format!("{name} at {part}:");
+    let mut line = format!("{name} at {part}, phase {phase}:");
     for c in 0..3 {
         let truth = paths.iter().map(|p| p[c]).sum::<f64>() / count;
         let variance = paths.iter().map(|p| (p[c] - truth).powi(2)).sum::<f64>() / (count * (count - 1.0));

@@ -1,13 +1,13 @@
-//! What light does on the rest shape, fixed to the tissue: which faces a face's rays meet, and where walks through the wall
-//! come out. Both are kept, once made.
+//! What light does on the shapes at the two ends of the motion, fixed to the tissue: which faces a face's rays meet, and
+//! where walks through the wall come out. Both are kept, once made, and weighed by how far a shape is on its way.
 //!
-//! Rows of walks, one per vertex, are a linear map from the light that falls on the faces to the light that comes out at
-//! the vertex. Most of the noise of a few walks is in how much light survives, which hardly differs between neighbours:
-//! every row is scaled to the mean sum of the rows around it.
+//! Rows of walks, one per vertex and end, are a linear map from the light that falls on the faces to the light that comes
+//! out at the vertex. Most of the noise of a few walks is in how much light survives, which hardly differs between
+//! neighbours: every row is scaled to the mean sum of the rows around it.
 //!
-//! A row is made when a camera first sees its vertex or face, and serves every frame; it depends on the rest shape, the
+//! A row is made when a camera first sees its vertex or face, and serves every frame; it depends on the two shapes, the
 //! material and the seed alone, and not on which frames came before. So noise does not flicker, and light changes
-//! smoothly with the breath. That the wall is stretched by a breath, and the rows are not, is the approximation
+//! smoothly with the breath. That the ends speak for the shapes between them is the approximation
 //! (`docs/decisions/0005-light-at-vertices.md` has its size).
 
 use std::sync::OnceLock;
@@ -18,8 +18,8 @@ use super::topology::Topology;
 use crate::base::{Error, Result};
 use crate::ffi::tracer::{FrameSettings, MaterialSettings, MeshTracer, NO_FACE, Walks};
 
-/// Walks per vertex.
-pub(super) const WALKS: usize = 256;
+/// Walks per vertex and end.
+const WALKS: usize = 128;
 /// Vertices per task.
 const CHUNK: usize = 16;
 
@@ -72,8 +72,6 @@ pub(super) struct Rest {
 pub(super) struct Tissue {
     rest: Rest,
     ends: Vec<End>,
-    rows: Vec<OnceLock<Row>>,
-    scales: Vec<OnceLock<[f32; 3]>>,
 }
 
 /// One of the two ends of the motion, the first one being the shape at rest.
@@ -82,11 +80,31 @@ struct End {
     vertices: Vec<f32>,
     tracer: OnceLock<Result<MeshTracer>>,
     hits: Vec<OnceLock<Box<[u32]>>>,
+    rows: Vec<OnceLock<Row>>,
+    scales: Vec<OnceLock<[f32; 3]>>,
 }
 
 impl End {
-    fn new(vertices: Vec<f32>, faces: usize) -> Self {
-        End { vertices, tracer: OnceLock::new(), hits: empty(faces) }
+    fn new(vertices: Vec<f32>, topology: &Topology) -> Self {
+        let (faces, count) = (topology.faces.len(), topology.vertex_count());
+        End { vertices, tracer: OnceLock::new(), hits: empty(faces), rows: empty(count), scales: empty(count) }
+    }
+
+    /// What brings the sum of a row to the mean of those around it.
+    fn scale(&self, vertex: u32, around: &[u32]) -> [f32; 3] {
+        let mut mean = [0.0; 3];
+        for row in around.iter().filter_map(|&v| self.rows[v as usize].get()) {
+            (0..3).for_each(|c| mean[c] += row.sum[c] / around.len() as f32);
+        }
+        let mut own = [0.0; 3];
+        for source in self.sources(vertex) {
+            (0..3).for_each(|c| own[c] += source.weight[c]);
+        }
+        std::array::from_fn(|c| if own[c] > 0.0 { mean[c].max(0.0) / own[c] } else { 0.0 })
+    }
+
+    fn sources(&self, vertex: u32) -> &[Source] {
+        self.rows[vertex as usize].get().map_or(&[], |r| &r.sources)
     }
 }
 
@@ -97,15 +115,13 @@ fn empty<T>(count: usize) -> Vec<OnceLock<T>> {
 impl Tissue {
     /// Nothing is traced yet. `vertices` of the shape at rest: xyz interleaved, in the tracer's world.
     pub(super) fn new(rest: Rest, vertices: Vec<f32>, topology: &Topology) -> Self {
-        let count = topology.vertex_count();
-        let ends = vec![End::new(vertices, topology.faces.len())];
-        Tissue { rest, ends, rows: empty(count), scales: empty(count) }
+        Tissue { rest, ends: vec![End::new(vertices, topology)] }
     }
 
     /// The shape at the other end of the motion.
     pub(super) fn set_other_end(&mut self, vertices: Vec<f32>, topology: &Topology) {
         self.ends.truncate(1);
-        self.ends.push(End::new(vertices, topology.faces.len()));
+        self.ends.push(End::new(vertices, topology));
     }
 
     /// How far `vertices` are on the way from rest to the other end: 0 to 1, 0 where there is no other end.
@@ -134,7 +150,11 @@ impl Tissue {
         let end = &self.ends[end];
         let make = || {
             let Rest { generation, axial, material } = &self.rest;
-            MeshTracer::new(&end.vertices, topology.faces.as_flattened(), generation, axial, material)
+            // The look belongs to the shape at rest.
+            let rest = &self.ends[0].vertices;
+            let mut tracer = MeshTracer::new(rest, topology.faces.as_flattened(), generation, axial, material)?;
+            tracer.update(&end.vertices)?;
+            Ok(tracer)
         };
         end.tracer.get_or_init(make).as_ref().map_err(|e| Error::new(e.kind(), e.to_string()))
     }
@@ -170,36 +190,43 @@ impl Tissue {
         Ok((all, rays))
     }
 
-    /// Makes the rows of `vertices` that are not there yet. Gives back the number of rays.
-    pub(super) fn prepare(&self, frame: &FrameSettings, vertices: &[u32], topology: &Topology) -> Result<u64> {
+    /// Makes the rows of `vertices` at `end` that are not there yet. Gives back the number of rays.
+    pub(super) fn prepare(
+        &self,
+        frame: &FrameSettings,
+        end: usize,
+        vertices: &[u32],
+        topology: &Topology,
+    ) -> Result<u64> {
         if !self.walks() {
             return Ok(0);
         }
+        let kept = &self.ends[end];
         let unscaled: Vec<u32> =
-            vertices.iter().copied().filter(|&v| self.scales[v as usize].get().is_none()).collect();
+            vertices.iter().copied().filter(|&v| kept.scales[v as usize].get().is_none()).collect();
         if unscaled.is_empty() {
             return Ok(0);
         }
         let neighbourhoods: Vec<Vec<u32>> = unscaled.par_iter().map(|&v| topology.second_ring(v)).collect();
         let mut missing: Vec<u32> =
-            neighbourhoods.iter().flatten().copied().filter(|&v| self.rows[v as usize].get().is_none()).collect();
+            neighbourhoods.iter().flatten().copied().filter(|&v| kept.rows[v as usize].get().is_none()).collect();
         missing.sort_unstable();
         missing.dedup();
-        let rays = self.make_rows(frame, &missing, topology)?;
+        let rays = self.make_rows(frame, end, &missing, topology)?;
         unscaled.par_iter().zip(&neighbourhoods).for_each(|(&v, around)| {
-            self.scales[v as usize].get_or_init(|| self.scale(v, around));
+            kept.scales[v as usize].get_or_init(|| kept.scale(v, around));
         });
         Ok(rays)
     }
 
-    fn make_rows(&self, frame: &FrameSettings, missing: &[u32], topology: &Topology) -> Result<u64> {
-        let tracer = self.tracer(0, topology)?;
+    fn make_rows(&self, frame: &FrameSettings, end: usize, missing: &[u32], topology: &Topology) -> Result<u64> {
+        let tracer = self.tracer(end, topology)?;
         let rays: Vec<u64> = missing
             .par_chunks(CHUNK)
             .map(|chunk| {
                 let walks = tracer.walks(frame, chunk, topology.around(), WALKS)?;
                 for (place, &v) in chunk.iter().enumerate() {
-                    self.rows[v as usize].get_or_init(|| Row::new(&walks, place));
+                    self.ends[end].rows[v as usize].get_or_init(|| Row::new(&walks, place));
                 }
                 Ok(walks.rays)
             })
@@ -207,27 +234,14 @@ impl Tissue {
         Ok(rays.iter().sum())
     }
 
-    /// What brings the sum of a row to the mean of those around it.
-    fn scale(&self, vertex: u32, around: &[u32]) -> [f32; 3] {
-        let mut mean = [0.0; 3];
-        for row in around.iter().filter_map(|&v| self.rows[v as usize].get()) {
-            (0..3).for_each(|c| mean[c] += row.sum[c] / around.len() as f32);
-        }
-        let mut own = [0.0; 3];
-        for source in self.sources(vertex) {
-            (0..3).for_each(|c| own[c] += source.weight[c]);
-        }
-        std::array::from_fn(|c| if own[c] > 0.0 { mean[c].max(0.0) / own[c] } else { 0.0 })
+    /// Where a vertex gets its light from at `end`, unscaled; empty before [`Tissue::prepare`].
+    pub(super) fn sources(&self, end: usize, vertex: u32) -> &[Source] {
+        self.ends[end].sources(vertex)
     }
 
-    /// Where a vertex gets its light from, unscaled; empty before [`Tissue::prepare`].
-    pub(super) fn sources(&self, vertex: u32) -> &[Source] {
-        self.rows[vertex as usize].get().map_or(&[], |r| &r.sources)
-    }
-
-    /// What brings a vertex' row to the mean sum of those around it; 0 before [`Tissue::prepare`].
-    pub(super) fn scale_of(&self, vertex: u32) -> [f32; 3] {
-        self.scales[vertex as usize].get().copied().unwrap_or([0.0; 3])
+    /// What brings a vertex' row at `end` to the mean sum of those around it; 0 before [`Tissue::prepare`].
+    pub(super) fn scale_of(&self, end: usize, vertex: u32) -> [f32; 3] {
+        self.ends[end].scales[vertex as usize].get().copied().unwrap_or([0.0; 3])
     }
 }
 

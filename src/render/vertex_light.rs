@@ -6,10 +6,10 @@
 //!
 //! 1. The faces around the seen vertices each send some rays after the cosine law; the faces that these meet send
 //!    fewer, and so on for [`DEPTH`] generations: cost follows what can be seen, not the size of the tree. Which faces
-//!    meet which is found once, on the rest shape (`tissue.rs`): breathing hardly changes it.
+//!    meet which is found once at either end of the breath (`tissue.rs`) and weighed by the phase.
 //! 2. Every face met gets the lamp's irradiance in closed form (one shadow ray).
 //! 3. Jacobi steps of `E = G (sent + R E)` along the recorded rays: all bounces, or as many as were asked for.
-//! 4. Vertices take the mean of the faces around them; with light in the wall also their row of `tissue.rs`.
+//! 4. Vertices take the mean of the faces around them; with light in the wall also their rows of `tissue.rs`.
 //!
 //! Approximations: faces reflect all
 //! they reflect as Lambert surfaces do (the coat's share too), light is even over a face, and after the last generation
@@ -92,15 +92,19 @@ pub(super) fn vertex_light(
     rays_per_face: u32,
 ) -> Result<VertexLight> {
     let vertices = seen_vertices(scene, seen);
-    let mut rays = scene.tissue.prepare(frame, &vertices, &scene.topology)?;
+    let ends = scene.tissue.weighted_ends(scene.progress);
+    let mut rays = 0;
+    for &(end, _) in &ends {
+        rays += scene.tissue.prepare(frame, end, &vertices, &scene.topology)?;
+    }
     let mut faces = Faces::new(scene.topology.faces.len());
     vertices.iter().flat_map(|&v| scene.topology.faces_around(v)).for_each(|&f| faces.add(f));
-    let mut generations = gather(scene, frame, &vertices, rays_per_face, &mut faces, &mut rays)?;
+    let mut generations = gather(scene, frame, &ends, &vertices, rays_per_face, &mut faces, &mut rays)?;
     let lamp = lamp(scene, frame, &faces.list, &mut rays)?;
     add_glints(scene, frame, &mut generations, &lamp)?;
     let irradiance = solve(frame, &generations, &lamp);
     let solved = generations.iter().map(Generation::len).sum();
-    let walked = walked_light(scene, frame, &vertices, &faces, &lamp, &irradiance)?;
+    let walked = walked_light(scene, frame, &ends, &vertices, &faces, &lamp, &irradiance)?;
     Ok(VertexLight { known: at_vertices(scene, &vertices, &walked, &faces, &irradiance, solved), rays })
 }
 
@@ -121,13 +125,13 @@ fn seen_vertices(scene: &Scene, seen: &[u32]) -> Vec<u32> {
 fn gather(
     scene: &Scene,
     frame: &FrameSettings,
+    ends: &[(usize, f32)],
     vertices: &[u32],
     rays_per_face: u32,
     faces: &mut Faces,
     rays: &mut u64,
 ) -> Result<Vec<Generation>> {
     let mut generations: Vec<Generation> = Vec::new();
-    let ends = scene.tissue.weighted_ends(scene.progress);
     let mut first = 0;
     for depth in 0..DEPTH {
         let end = faces.list.len();
@@ -135,7 +139,7 @@ fn gather(
         let met = |chunk: &[u32]| -> Result<(Vec<u32>, u64)> {
             let mut rays = 0;
             let mut of_ends = Vec::new();
-            for &(shape, _) in &ends {
+            for &(shape, _) in ends {
                 let (hits, traced) = scene.tissue.hits(frame, shape, chunk, per_face, &scene.topology)?;
                 of_ends.push(hits);
                 rays += traced;
@@ -148,7 +152,9 @@ fn gather(
         let hits: Vec<u32> = parts.into_iter().flat_map(|p| p.0).collect();
         hits.iter().filter(|h| **h != NO_FACE).for_each(|&h| faces.add(h));
         if depth == 0 {
-            vertices.iter().flat_map(|&v| scene.tissue.sources(v)).for_each(|s| faces.add(s.face));
+            for &(end, _) in ends {
+                vertices.iter().flat_map(|&v| scene.tissue.sources(end, v)).for_each(|s| faces.add(s.face));
+            }
         }
         let weights =
             ends.iter().flat_map(|&(_, part)| std::iter::repeat_n(part / per_face as f32, per_face)).collect();
@@ -268,6 +274,7 @@ impl Walked {
 fn walked_light(
     scene: &Scene,
     frame: &FrameSettings,
+    ends: &[(usize, f32)],
     vertices: &[u32],
     faces: &Faces,
     lamp: &[f32],
@@ -281,7 +288,8 @@ fn walked_light(
     let chunk = |vertices: &[u32]| -> Result<Vec<Walked>> {
         let mut around = vec![0.0; 3 * vertices.len()];
         scene.tracer.unshadowed_around(frame, vertices, scene.topology.around(), &mut around)?;
-        let sources = || vertices.iter().flat_map(|&v| scene.tissue.sources(v));
+        let sources =
+            || vertices.iter().flat_map(|&v| ends.iter().flat_map(move |&(end, _)| scene.tissue.sources(end, v)));
         let exits: Vec<u32> = sources().filter(near).map(|s| s.face).collect();
         let places: Vec<f32> = sources().filter(near).flat_map(|s| s.place).collect();
         let mut sharp = vec![0.0; 3 * exits.len()];
@@ -289,20 +297,22 @@ fn walked_light(
         let mut sharp = sharp.chunks_exact(3);
         let walked = |(&v, around): (&u32, &[f32])| {
             let mut found = Walked::default();
-            for source in scene.tissue.sources(v) {
-                let (lamp, indirect) = (of_lamp(source.face), irradiance[faces.place(source.face)]);
-                let own = scene.topology.faces[source.face as usize].contains(&v);
-                let sharp = if near(&source) { sharp.next() } else { None };
-                for c in 0..3 {
-                    let uneven = sharp.map_or(0.0, |sharp| sharp[c] - lamp[17 + c]);
-                    found.light[c] += source.weight[c] * (lamp[c] + indirect[c] + uneven);
-                    found.nearby[c] += if own { source.weight[c] } else { 0.0 };
+            for &(end, part) in ends {
+                let scale = scene.tissue.scale_of(end, v).map(|s| s * part);
+                for source in scene.tissue.sources(end, v) {
+                    let (lamp, indirect) = (of_lamp(source.face), irradiance[faces.place(source.face)]);
+                    let own = scene.topology.faces[source.face as usize].contains(&v);
+                    let sharp = if near(&source) { sharp.next() } else { None };
+                    for c in 0..3 {
+                        let uneven = sharp.map_or(0.0, |sharp| sharp[c] - lamp[17 + c]);
+                        let weight = source.weight[c] * scale[c];
+                        found.light[c] += weight * (lamp[c] + indirect[c] + uneven);
+                        found.nearby[c] += if own { weight } else { 0.0 };
+                    }
                 }
             }
-            let scale = scene.tissue.scale_of(v);
             for c in 0..3 {
-                found.light[c] = (found.light[c] * scale[c]).max(0.0);
-                found.nearby[c] *= scale[c];
+                found.light[c] = found.light[c].max(0.0);
                 found.lamp_nearby[c] = found.nearby[c] * around[c];
             }
             found

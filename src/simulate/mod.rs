@@ -28,7 +28,7 @@ use sequence::{ManifestHead, Sequence};
 use truth::{TruthMap, TruthSet};
 
 /// Changes whenever the same case and settings give other pixels or other truth.
-const SIMULATOR_VERSION: u32 = 6;
+const SIMULATOR_VERSION: u32 = 7;
 
 /// Which meshes a sequence folder holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
