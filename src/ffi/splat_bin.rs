@@ -6,8 +6,13 @@ mod bridge {
     unsafe extern "C++" {
         include!("cpp/splat_bin.h");
 
-        fn bin_count(boxes: &[u32], visible: &[bool], shift: u32, starts: &mut [u32], counts: &mut [u32])
-        -> Result<u32>;
+        fn bin_count(
+            boxes: &[u32],
+            visible: &[bool],
+            shift: u32,
+            starts: &mut [u32],
+            counts: &mut [u32],
+        ) -> Result<u32>;
         fn bin_deal(
             first: u32,
             boxes: &[u32],
