@@ -173,45 +173,64 @@ class PathIntegrator : public LitWall {
     return true;
   }
 
-  // One sample of what leaves the wall at `at` by way of a walk that starts there: radiance (towards every side), its
-  // first scattering included. `towards`: unit direction to
-  // where the path comes from. `carried`: throughput before (for roulette only).
-  Vec3 walked_light(const Surface& at, Vec3 towards, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
+  // Walks from `at` until the light of one sample comes out again: where, and what is left of it. False where nothing is.
+  // `towards`: unit direction to where the path comes from.
+  bool walk_out(const Surface& at, Vec3 towards, Sampler& sampler, Vec3& throughput, Hit& hit, Surface& s) {
     const Medium medium = tracer_.medium(at.albedo);
     const RandomWalk walk(tracer_.fast_, medium, counters.rays);
-    float u, v;
     const Frame entry(at.geometric);
-    Vec3 point = at.point, throughput, inwards;
-    if (!entry_direction(upper(entry.local(towards)), sampler, inwards)) return {0, 0, 0};
+    Vec3 point = at.point, inwards;
+    if (!entry_direction(upper(entry.local(towards)), sampler, inwards)) return false;
     inwards = entry.world(inwards);
+    if (!walk.leave(point, inwards, sampler, throughput, hit)) return false;
+    s = exit_surface(hit, point, inwards);
+    return true;
+  }
+
+  // One sample of what leaves the wall at `at` by way of a walk that starts there: radiance (towards every side), its
+  // first scattering included. `carried`: throughput before (for roulette only).
+  Vec3 walked_light(const Surface& at, Vec3 towards, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
+    Vec3 throughput;
     Hit hit;
-    if (!walk.leave(point, inwards, sampler, throughput, hit)) return {0, 0, 0};
-    const Surface s = exit_surface(hit, point, inwards);
-    const float survival = scattering > 1 ? std::min(max_component(carried * throughput), 1.0f) : 1.0f;
+    Surface s;
+    if (!walk_out(at, towards, sampler, throughput, hit, s)) return {0, 0, 0};
+    return throughput * lit_exit(s, carried * throughput, scattering, sampler);
+  }
+
+  // What a place sends on of all light (radiance over its albedo) where a walk comes out.
+  Vec3 lit_exit(const Surface& s, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
+    const float survival = scattering > 1 ? std::min(max_component(carried), 1.0f) : 1.0f;
     Vec3 light = irradiance(s, true) * (1.0f / kPi);
     if (scattering < limit_ && (survival >= 1.0f || sampler.random() < survival)) {
+      float u, v;
       sampler.next2(u, v);
       const Vec3 direction = Frame(s.shading).world(cosine_direction(u, v));
-      const Vec3 onwards = carried * throughput * (1.0f / survival);
+      const Vec3 onwards = carried * (1.0f / survival);
       if (dot(direction, s.geometric) > 0.0f)
         light += incoming(s.point + s.geometric * kOffset, direction, onwards, scattering + 1, sampler) * (1.0f / survival);
     }
-    return throughput * light;
+    return light;
   }
 
   // What the first vertex of a subsurface material sends: by its base over its albedo, and mirrored by its coat.
   void scattered_light(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler, Vec3& base, Vec3& mirrored) {
-    float share = 1.0f;
-    if (tracer_.coated_) {
-      const float e = tracer_.coat_.albedo(s.alpha, o.z);
-      const float p_coat = e / (e + (1.0f - e) * max_component(s.albedo) + 1e-6f);
-      if (sampler.next1() < p_coat) {
-        if (limit_ > 1) mirrored = mirrored_light(s, frame, o, sampler) * (1.0f / p_coat);
-        return;
-      }
-      share = (1.0f - e) / (1.0f - p_coat);
+    float share;
+    if (coat_is_chosen(s, o, sampler, share)) {
+      if (limit_ > 1) mirrored = mirrored_light(s, frame, o, sampler) * share;
+      return;
     }
     base = over(walked_light(s, frame.world(o), Vec3{share, share, share}, 1, sampler), s.albedo) * share;
+  }
+
+  // Which of the two terms a sample goes on with, and its weight: the coat over the probability, or the base under its coat.
+  bool coat_is_chosen(const Surface& s, Vec3 o, Sampler& sampler, float& share) const {
+    share = 1.0f;
+    if (!tracer_.coated_) return false;
+    const float e = tracer_.coat_.albedo(s.alpha, o.z);
+    const float p_coat = e / (e + (1.0f - e) * max_component(s.albedo) + 1e-6f);
+    const bool chosen = sampler.next1() < p_coat;
+    share = chosen ? 1.0f / p_coat : (1.0f - e) / (1.0f - p_coat);
+    return chosen;
   }
 
   // Where the coat mirrors to, and with which weight; false where nowhere.
@@ -228,11 +247,11 @@ class PathIntegrator : public LitWall {
   }
 
   // One sample of what the coat mirrors of other walls.
-  Vec3 mirrored_light(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler) {
+  Vec3 mirrored_light(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler, std::uint32_t scattering = 2) {
     Vec3 direction;
     float weight;
     if (!mirrored_direction(s, frame, o, sampler, direction, weight)) return {0, 0, 0};
-    return incoming(s.point + s.geometric * kOffset, direction, Vec3{weight, weight, weight}, 2, sampler) * weight;
+    return incoming(s.point + s.geometric * kOffset, direction, Vec3{weight, weight, weight}, scattering, sampler) * weight;
   }
 
   // Radiance that comes out of an index-matched wall against `direction`, seen at `entry`: every scattering in the wall

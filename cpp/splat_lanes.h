@@ -146,8 +146,18 @@ inline void split(V v, __m128* p) { p[0] = (__m128)v; }
 inline V pick(VI condition, V yes, V no) { return (V)(((VI)yes & condition) | ((VI)no & ~condition)); }
 inline V keep(VI condition, V v) { return (V)((VI)v & condition); }
 inline bool any_of(VI condition) { return any((V)condition); }
-inline V larger(V a, V b) { return pick(a > b, a, b); }
-inline V smaller(V a, V b) { return pick(a < b, a, b); }
+// b where the two cannot be compared.
+#if defined(__AVX512F__)
+inline V larger(V a, V b) { return (V)_mm512_max_ps((__m512)a, (__m512)b); }
+inline V smaller(V a, V b) { return (V)_mm512_min_ps((__m512)a, (__m512)b); }
+#elif defined(__AVX2__)
+inline V larger(V a, V b) { return (V)_mm256_max_ps((__m256)a, (__m256)b); }
+inline V smaller(V a, V b) { return (V)_mm256_min_ps((__m256)a, (__m256)b); }
+#else
+inline V larger(V a, V b) { return (V)_mm_max_ps((__m128)a, (__m128)b); }
+inline V smaller(V a, V b) { return (V)_mm_min_ps((__m128)a, (__m128)b); }
+#endif
+inline V absolute(V v) { return (V)((VI)v & 0x7fffffff); }
 // 0 times infinity and infinities of both signs give NaN: a sum is finite only if every term is.
 inline VI finite(V v) { return (v - v) == V{}; }
 

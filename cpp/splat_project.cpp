@@ -43,9 +43,9 @@ struct Projection {
 
   // Splats that lie beside the image for sure, before their covariance is known. With s the largest standard deviation,
   // half a box is at most sqrt(scale) (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in the centre,
-  // which is known to `error`.
+  // which is known to `error`. `root`: square root of the scale, and `margin` what the dilation makes of it.
   template <int COLUMNS>
-  VI beside(const Group& group, const V* t, V error, V scale) const {
+  VI beside(const Group& group, const V* t, V error, float root, float margin) const {
     const View& w = *s.view;
     V size;
     if (COLUMNS == 2) {
@@ -56,10 +56,9 @@ struct Projection {
     } else {
       V scales[3];
       threes(s.scales, group, scales);
-      for (V& v : scales) v = larger(v, -v);
+      for (V& v : scales) v = absolute(v);
       size = larger(larger(scales[0], scales[1]), scales[2]);
     }
-    const V root = square_root(scale) * 1.001f, margin = root * square_root(all(w.dilation)) + 1e-2f;
     VI out{};
     for (int k = 0; k < 2; ++k) {
       const V spread = root * size * (w.focal[k] * (1.0f + w.limit[k])) + error * (w.focal[k] + w.size[k] + margin);
@@ -74,23 +73,25 @@ struct Projection {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     const View& w = *s.view;
     __builtin_memset(o.visible, 0, o.count);
+    // As far as any splat reaches whose opacity is no more than 1.
+    const float root = __builtin_sqrtf(2.0f / LOG2_E * REACH) * 1.001f;
+    const float margin = root * __builtin_sqrtf(w.dilation) + 1e-2f;
+    float uncertain = 1e-3f * w.near;
+    for (float v : w.eye) uncertain += 1e-6f * __builtin_fabsf(v);
     for_groups(s, o.first, o.count, [&](const Group& group) {
       const std::size_t k0 = group.k0;
       const int count = group.count;
       const std::uint32_t* const index = group.index;
-      V position[3], offset[3], about[3], error = all(1e-3f * w.near);
+      V position[3], offset[3], about[3];
       centers(s, group, position, offset);
-      for (int k = 0; k < 3; ++k) {
-        error += 1e-6f * (larger(position[k], -position[k]) + (w.eye[k] < 0 ? -w.eye[k] : w.eye[k]));
-      }
+      const V error = 1e-6f * (absolute(position[0]) + absolute(position[1]) + absolute(position[2])) + uncertain;
       // What is behind or beside for sure costs little more than a look at it.
       turn(w, offset, about);
       VI seen = about[2] + error >= w.near;
       if (!any_of(seen)) return;
       const V opacity = ones(s.opacities, group);
-      // As far as any splat reaches whose opacity is no more than 1.
-      constexpr float MOST = 2.0f / LOG2_E * REACH;
-      if (w.beside > 0.0f && !any_of(opacity > 1.0f) && !any_of(seen & ~beside<COLUMNS>(group, about, error, all(MOST)))) return;
+      const bool looked = w.beside > 0.0f && !any_of(opacity > 1.0f);
+      if (looked && !any_of(seen & ~beside<COLUMNS>(group, about, error, root, margin))) return;
       const V log2_opacity = log2(opacity);
       const V reach = log2_opacity + REACH;
       seen &= (reach > 0.0f) & finite(opacity) & (opacity > 1e-3f);

@@ -221,6 +221,8 @@ TileCounters Tracer::trace_tile(const FrameSettings& frame, const Tile& tile, ru
       float* sums = film.data() + pixel * kFilmChannels;
       if (known.empty())
         integrator.camera_sample(load(directions + 3 * lane), found ? &hit : nullptr, samplers[lane], sums);
+      else if (frame.gathers)
+        integrator.gathered_sample(load(directions + 3 * lane), found ? &hit : nullptr, known, samplers[lane], sums);
       else
         integrator.known_sample(load(directions + 3 * lane), found ? &hit : nullptr, known, samplers[lane], sums);
     }

@@ -39,6 +39,18 @@ class VertexLight : public PathIntegrator {
     });
   }
 
+  // Like `camera_sample`, with the light that other walls send taken from the vertices one wall later: a sample's first ray, or
+  // its walk, is traced, and what it meets is lit by the lamp exactly and by other walls as `known` says (its first three
+  // values are not used). What the coat there mirrors is traced. Where nothing is known the path goes on.
+  void gathered_sample(Vec3 direction, const Hit* hit, rust::Slice<const float> known, Sampler& sampler, float* film) {
+    first_vertex(direction, hit, film, [&](const Surface& s, const Frame& frame, Vec3 o, Vec3& base, Vec3& mirrored) {
+      if (tracer_.subsurface_ == Subsurface::kDiffuse)
+        gathered_walk(s, frame, o, known, sampler, base, mirrored);
+      else if (limit_ > 1)
+        gathered_light(s, frame, o, known, sampler, base, mirrored);
+    });
+  }
+
   // What the lamp does to a face as a whole (kLampValues): means over equal parts of it, the more of them the nearer it is.
   void lamp(std::uint32_t face, float* values) {
     const Surface s = face_surface(face, 1.0f / 3.0f, 1.0f / 3.0f);
@@ -165,6 +177,55 @@ class VertexLight : public PathIntegrator {
   }
 
  private:
+  void gathered_light(const Surface& s, const Frame& frame, Vec3 o, rust::Slice<const float> known, Sampler& sampler, Vec3& base,
+                      Vec3& mirrored) {
+    Vec3 local;
+    float base_weight, coat_weight;
+    if (!sample_direction(s, o, max_component(s.albedo), sampler, local, base_weight, coat_weight)) return;
+    const Vec3 direction = frame.world(local);
+    if (dot(direction, s.geometric) <= 0.0f) return;
+    const Vec3 carried = s.albedo * base_weight + Vec3{coat_weight, coat_weight, coat_weight};
+    const Vec3 light = gathered(s.point + s.geometric * kOffset, direction, carried, known, sampler);
+    base = light * base_weight;
+    mirrored = light * coat_weight;
+  }
+
+  void gathered_walk(const Surface& s, const Frame& frame, Vec3 o, rust::Slice<const float> known, Sampler& sampler, Vec3& base,
+                     Vec3& mirrored) {
+    float share;
+    if (coat_is_chosen(s, o, sampler, share)) {
+      if (limit_ > 1) mirrored = mirrored_light(s, frame, o, sampler) * share;
+      return;
+    }
+    Vec3 throughput, light;
+    Hit hit;
+    Surface out;
+    if (!walk_out(s, frame.world(o), sampler, throughput, hit, out)) return;
+    if (known_light(known, hit, 3, light))
+      light = (light + irradiance(out, true)) * (1.0f / kPi);
+    else
+      light = lit_exit(out, throughput * share, 1, sampler);
+    base = over(throughput * light, s.albedo) * share;
+  }
+
+  // Radiance that arrives along a ray from a first vertex.
+  Vec3 gathered(Vec3 from, Vec3 direction, Vec3 carried, rust::Slice<const float> known, Sampler& sampler) {
+    Hit hit;
+    if (!intersect(from, direction, hit)) return background_;
+    Vec3 light;
+    if (!known_light(known, hit, 3, light)) return reflected(hit, from, direction, carried, 2, sampler);
+    const Surface met = surface(hit, from, direction);
+    const Frame frame(met.shading);
+    const Vec3 o = tracer_.coated_ ? upper(frame.local(-direction)) : Vec3{0, 0, 1};
+    Vec3 radiance = direct_light(met, frame, o, true, met.albedo);
+    if (limit_ == 2) return radiance;
+    const float share = tracer_.coated_ ? 1.0f - tracer_.coat_.albedo(met.alpha, o.z) : 1.0f;
+    radiance += light * met.albedo * (share * (1.0f / kPi));
+    float weight;
+    if (coat_is_chosen(met, o, sampler, weight)) radiance += mirrored_light(met, frame, o, sampler, 3) * weight;
+    return radiance;
+  }
+
   // Interpolates what is known at the face's vertices, from `offset` on; vertices of which nothing is known leave
   // their part to the others.
   bool known_light(rust::Slice<const float> known, const Hit& hit, std::size_t offset, Vec3& light) const {

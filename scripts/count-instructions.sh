@@ -9,7 +9,8 @@ cargo build --release --quiet --example splat_pass
 discs=${1:-20000} side=${2:-256} folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 count() {
-  valgrind --tool=callgrind --callgrind-out-file="$folder/$1" target/release/examples/splat_pass "$discs" "$side" "$1" 2>/dev/null
+  # One thread: one that looks for work in vain would be counted too.
+  RAYON_NUM_THREADS=1 valgrind --tool=callgrind --callgrind-out-file="$folder/$1" target/release/examples/splat_pass "$discs" "$side" "$1" 2>/dev/null
   awk '/^summary:|^totals:/ { print $2; exit }' "$folder/$1"
 }
 one=$(count 1) three=$(count 3)

@@ -27,4 +27,4 @@ else
     END { for (s in count) print s, count[s] }' >"${out%.svg}.folded"
   echo "${out%.svg}.folded (inferno-flamegraph is not installed)"
 fi
-perf report --input "$data" --no-children --stdio 2>/dev/null | grep -v '^#' | grep '%' | head -15
+perf report --input "$data" --no-children --stdio -g none 2>/dev/null | grep -v '^#' | grep '%' | head -15

@@ -15,7 +15,7 @@ use super::variant::Variant;
 use crate::airway::case::Case;
 
 use crate::base::{Error, Progress, Result, files, hash};
-use crate::reconstruct::{self, Reconstruct};
+use crate::reconstruct::{self, Listing, Reconstruct};
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use crate::score::{self, Truth};
 use crate::simulate::sequence::Sequence;
@@ -206,6 +206,9 @@ fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>) 
     let known: Vec<String> = found.iter().map(|m| m.method.id().to_owned()).collect();
     let chosen = choose(&known, wanted, "method")?;
     found.retain(|m| chosen.iter().any(|id| id == m.method.id()));
+    if wanted.is_none() {
+        found.retain(|m| m.method.listing() == Listing::Always);
+    }
     Ok(found)
 }
 

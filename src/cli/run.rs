@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::Terminal;
-use super::selection::Places;
+use super::selection::{Places, PoseChoice};
 use crate::base::{Result, files};
 use crate::bench::{Freshness, Pipeline, Store, Wishes, execute};
 use crate::score::{self, CellScore};
@@ -34,6 +34,8 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
+    poses: PoseChoice,
+    #[command(flatten)]
     places: Places,
 }
 
@@ -41,7 +43,7 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let wishes = Wishes {
         cases: Some(vec![arguments.case]),
-        methods: Some(vec![arguments.method]),
+        methods: arguments.poses.rows(Some(vec![arguments.method]))?,
         seeds: Some(vec![arguments.seed]),
     };
     let pipeline = Pipeline::new(&arguments.places.catalogue()?, &arguments.profile, wishes)?;

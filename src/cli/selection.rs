@@ -4,8 +4,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::bench::{Catalogue, Pipeline, Wishes};
+
+/// The method that can refine poses, with poses that are true and with rough ones.
+const WITH_POSES: &str = "ours-gn";
+const WITHOUT_POSES: &str = "ours-gn-pose";
 
 /// Profile, cases, methods, seeds.
 #[derive(Args)]
@@ -19,11 +23,36 @@ pub struct Selection {
     /// Methods by id; the profile's when not given
     #[arg(long, value_delimiter = ',', value_name = "METHOD,..")]
     methods: Vec<String>,
+    #[command(flatten)]
+    poses: PoseChoice,
     /// Seeds of the methods' randomness; the profile's when not given
     #[arg(long, value_delimiter = ',', value_name = "N,..")]
     seeds: Vec<u64>,
     #[command(flatten)]
     places: Places,
+}
+
+/// How well the poses are known.
+#[derive(Args)]
+pub struct PoseChoice {
+    /// Poses that are off by 2 mm and 3 degrees, refined with the phase: `ours-gn` becomes `ours-gn-pose`
+    #[arg(long)]
+    unknown_pose: bool,
+}
+
+impl PoseChoice {
+    /// The rows that do what `methods` ask for. Errors where one of them takes its poses for granted.
+    pub fn rows(&self, methods: Option<Vec<String>>) -> Result<Option<Vec<String>>> {
+        if !self.unknown_pose {
+            return Ok(methods);
+        }
+        let named = methods.unwrap_or_else(|| vec![WITH_POSES.to_owned()]);
+        if let Some(other) = named.iter().find(|m| ![WITH_POSES, WITHOUT_POSES].contains(&m.as_str())) {
+            let sentence = format!("--unknown-pose is for `{WITH_POSES}`; `{other}` takes its poses for granted");
+            return Err(Error::usage(sentence));
+        }
+        Ok(Some(vec![WITHOUT_POSES.to_owned()]))
+    }
 }
 
 /// Where cases, methods and profiles are described.
@@ -48,7 +77,25 @@ fn wish<T>(given: Vec<T>) -> Option<Vec<T>> {
 impl Selection {
     /// Reads everything that was chosen; every mistake in it is found here, before any work.
     pub fn pipeline(self) -> Result<Pipeline> {
-        let wishes = Wishes { cases: wish(self.cases), methods: wish(self.methods), seeds: wish(self.seeds) };
+        let methods = self.poses.rows(wish(self.methods))?;
+        let wishes = Wishes { cases: wish(self.cases), methods, seeds: wish(self.seeds) };
         Pipeline::new(&self.places.catalogue()?, &self.profile, wishes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unknown_poses_choose_the_row_that_refines_them_and_refuse_others() {
+        let names = |list: &[&str]| Some(list.iter().map(|s| s.to_string()).collect::<Vec<_>>());
+        let rough = PoseChoice { unknown_pose: true };
+        for asked in [None, names(&["ours-gn"]), names(&["ours-gn-pose"])] {
+            assert_eq!(rough.rows(asked).unwrap(), names(&["ours-gn-pose"]));
+        }
+        let error = rough.rows(names(&["ours-gn", "ours"])).unwrap_err();
+        assert_eq!(error.kind().exit_code(), 2);
+        assert_eq!(PoseChoice { unknown_pose: false }.rows(names(&["ours"])).unwrap(), names(&["ours"]));
     }
 }

@@ -80,6 +80,8 @@ mod bridge {
         max_scatterings: u32,
         /// Interpolated instead of geometric normals.
         smooth: bool,
+        /// What is known at vertices lights what a camera sample's first ray or walk meets, and not what the camera sees.
+        gathers: bool,
         /// Radians that a pixel spans.
         pixel_angle: f32,
         /// Key of the sample sequences (seed and frame).

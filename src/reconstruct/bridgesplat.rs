@@ -21,7 +21,7 @@ use super::loss::photometric::Photometric;
 use super::online::{color_image, fit_in_order, held_out, rendered_prediction};
 use super::optimiser::{Adam, AdamConstants, StepCounter};
 use super::settings::{BridgeMethod, Variant};
-use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+use super::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
 
 #[cfg(test)]
 #[path = "bridgesplat_tests.rs"]
@@ -47,6 +47,13 @@ impl Reconstruct for Bridgesplat {
 
     fn access(&self) -> Access {
         Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: Poses::True }
+    }
+
+    fn listing(&self) -> Listing {
+        match self.settings.variant {
+            Variant::Full => Listing::Always,
+            Variant::Release => Listing::OnRequest,
+        }
     }
 
     fn run(

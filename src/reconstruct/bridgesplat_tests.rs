@@ -1,4 +1,7 @@
-//! Does BridgeSplat do what it was made for? A textured patch, seen by a still camera, deforms smoothly by 5 mm.
+//! Does BridgeSplat do what it was made for? A textured patch, seen by a still camera, deforms smoothly by 5 mm. A still
+//! camera tells directions only: a patch that grows and recedes looks the same, and what decides between the two is that
+//! lengths are kept (isometry). So the test asks whether image and isometry together put the surface where it was planted; the
+//! more the planted motion strains, the more the two disagree, and the error grows with the strain.
 
 use glam::DAffine3;
 
@@ -37,6 +40,8 @@ fn patch() -> TriangleMesh {
 /// How the patch deforms: 5 mm at the centre, mostly sideways.
 #[derive(Clone, Copy, PartialEq)]
 enum Bump {
+    /// Fades to 3.5 mm at the rim: strains up to a twentieth.
+    Gentle,
     /// Fades to 2 mm at the rim, as a breathing organ does: strains up to a tenth.
     Wide,
     /// Fades to nothing within 20 mm: strains up to a third.
@@ -45,6 +50,7 @@ enum Bump {
 
 fn planted(bump: Bump, at: DVec3, share: f64) -> DVec3 {
     let fade = match bump {
+        Bump::Gentle => 0.85 + 0.15 * (at.x / 13.0).cos() * (at.y / 13.0).cos(),
         Bump::Wide => 0.7 + 0.3 * (at.x / 13.0).cos() * (at.y / 13.0).cos(),
         Bump::Narrow => (-(at.x * at.x + at.y * at.y) / (2.0 * 9.0 * 9.0)).exp(),
     };
@@ -139,8 +145,13 @@ fn a_planted_smooth_deformation_of_5_mm_is_recovered() {
     let at_random = error_mm(&shipped, Colors::Random, &observation, &truth);
     let (narrow, narrow_truth) = film(Bump::Narrow, 1.0);
     let of_narrow = error_mm(&shipped, Colors::Known, &narrow, &narrow_truth);
-    println!("5 mm: {error:.3} mm; frozen {without:.3}, colours at random {at_random:.3}, narrow bump {of_narrow:.3}");
+    let (gentle, gentle_truth) = film(Bump::Gentle, 1.0);
+    let of_gentle = error_mm(&shipped, Colors::Known, &gentle, &gentle_truth);
+    println!(
+        "5 mm: {error:.3} mm, with half the strain {of_gentle:.3}; frozen {without:.3}, colours at random {at_random:.3}, narrow bump {of_narrow:.3}"
+    );
     assert!(error <= 0.7, "{error}");
+    assert!(of_gentle <= 0.55, "{of_gentle}");
     assert!(without > 3.0, "the test would pass without any deformation: {without}");
 }
 

@@ -86,13 +86,13 @@ pub struct Evidence {
     pub gain: [f64; 3],
 }
 
-/// What is known before the image: unknown `i` has mean `mean[i]` and standard deviation `deviation[i]`.
+/// What is known before the image of the change of the unknowns.
 #[derive(Clone, Debug)]
 pub struct Prior {
-    /// Means.
-    pub mean: DVector<f64>,
-    /// Standard deviations, positive.
-    pub deviation: DVector<f64>,
+    /// The change that would bring them to what is expected.
+    pub step: DVector<f64>,
+    /// Its inverse covariance.
+    pub precision: DMatrix<f64>,
 }
 
 /// Gains of the channels in the least-squares sense under `weight`.
@@ -204,12 +204,10 @@ pub fn evidence(seen: &Comparison<'_>, robust: Robust) -> Option<Evidence> {
     finite.then_some(Evidence { step, information, cost: cost / counting.len() as f64, gain })
 }
 
-/// The change of the unknowns from `now` that image and prior agree on, and the covariance after it.
-pub fn posterior(evidence: &Evidence, prior: &Prior, now: &DVector<f64>) -> Option<(DVector<f64>, DMatrix<f64>)> {
-    let precision = prior.deviation.map(|d| 1.0 / (d * d));
-    let pull = precision.component_mul(&(&prior.mean - now));
-    let total = &evidence.information + DMatrix::from_diagonal(&precision);
-    let factor = total.cholesky()?;
+/// The change of the unknowns that image and prior agree on, and the covariance after it.
+pub fn posterior(evidence: &Evidence, prior: &Prior) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    let factor = (&evidence.information + &prior.precision).cholesky()?;
+    let pull = &prior.precision * &prior.step;
     Some((factor.solve(&(&evidence.information * &evidence.step + pull)), factor.inverse()))
 }
 
@@ -321,17 +319,16 @@ mod tests {
 
     #[test]
     fn a_prior_wins_where_the_image_is_silent_and_yields_where_it_speaks() {
-        let prior = Prior { mean: DVector::from_element(1, 0.5), deviation: DVector::from_element(1, 0.1) };
-        let now = DVector::from_element(1, 0.2);
+        let prior = Prior { step: DVector::from_element(1, 0.3), precision: DMatrix::from_element(1, 1, 100.0) };
         let with = |information: f64| Evidence {
             step: DVector::from_element(1, 0.1),
             information: DMatrix::from_element(1, 1, information),
             cost: 0.0,
             gain: [1.0; 3],
         };
-        let (quiet, covariance) = posterior(&with(1e-6), &prior, &now).unwrap();
+        let (quiet, covariance) = posterior(&with(1e-6), &prior).unwrap();
         assert!((quiet[0] - 0.3).abs() < 1e-6 && (covariance[(0, 0)] - 0.01).abs() < 1e-6);
-        let (loud, covariance) = posterior(&with(1e8), &prior, &now).unwrap();
+        let (loud, covariance) = posterior(&with(1e8), &prior).unwrap();
         assert!((loud[0] - 0.1).abs() < 1e-5 && covariance[(0, 0)] < 1.1e-8);
     }
 

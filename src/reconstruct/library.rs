@@ -73,6 +73,7 @@ mod tests {
         let expected = [
             "bridgesplat",
             "bridgesplat-nomesh",
+            "bridgesplat-release",
             "oracle-phase",
             "ours",
             "ours-gn",

@@ -58,6 +58,15 @@ pub struct Access {
     pub poses: Poses,
 }
 
+/// When a method is run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Listing {
+    /// Unless others are named.
+    Always,
+    /// Only where it is named: a variant of a row of the table.
+    OnRequest,
+}
+
 /// How well the poses are known that a method is handed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Poses {
@@ -166,6 +175,11 @@ pub trait Reconstruct: Send + Sync {
 
     /// What it asks to see.
     fn access(&self) -> Access;
+
+    /// When it is run.
+    fn listing(&self) -> Listing {
+        Listing::Always
+    }
 
     /// Fits all frames in order, handing each answer to `emit`.
     fn run(

@@ -58,20 +58,23 @@ impl ScopeLight {
         }
     }
 
-    fn shade(&self, centre: Vec3, normal: Option<Vec3>, velocity: Vec3) -> Shade {
+    /// The shade of one Gaussian at `centre`, upright where it has no `normal`, while it moves with `velocity`.
+    pub fn shade(&self, centre: Vec3, normal: Option<Vec3>, velocity: Vec3) -> Shade {
         let offset = centre - self.eye;
         let distance = offset.length().max(NEAREST_MM);
         let towards = offset / distance;
         let away = towards.dot(velocity);
-        let mut logarithm = (REFERENCE_MM / distance).ln();
+        let mut shown = REFERENCE_MM / distance;
         let mut slope = -away / distance;
         if let Some(normal) = normal {
             let along = normal.dot(towards);
-            let shown = (along.abs() + self.indirect).max(1e-3);
-            logarithm += 0.5 * (shown / (1.0 + self.indirect)).ln();
-            slope += 0.5 * along.signum() * normal.dot(velocity - towards * away) / distance / shown;
+            let lit = (along.abs() + self.indirect).max(1e-3);
+            shown *= (lit / (1.0 + self.indirect)).sqrt();
+            slope += 0.5 * along.signum() * normal.dot(velocity - towards * away) / distance / lit;
         }
-        Shade { value: (self.exponent * logarithm).exp(), relative_slope: self.exponent * slope }
+        // An exponent of 1 is common, and this is done for every disc of every step.
+        let value = if self.exponent == 1.0 { shown } else { shown.powf(self.exponent) };
+        Shade { value, relative_slope: self.exponent * slope }
     }
 }
 

@@ -312,8 +312,12 @@ pub struct GaussNewtonMethod {
     pub unknown_pose: Sourced<bool>,
     /// Standard deviation per axis of the error of the first given pose: rad, mm.
     pub pose_deviation: Sourced<[f64; 2]>,
-    /// Standard deviation per axis of the change of that error from frame to frame: rad, mm.
+    /// Standard deviation per axis of the change of that error per second: rad, mm.
     pub pose_drift: Sourced<[f64; 2]>,
+    /// Seconds within which that change forgets itself.
+    pub pose_steady_s: Sourced<f64>,
+    /// Where poses are refined, errors of what an image tells count as so many times larger than its residuals say.
+    pub pose_caution: Sourced<f64>,
     /// Centres of the correction of the displacement field that each frame estimates; 0 = no correction.
     pub correction_rank: Sourced<u32>,
     /// Width of the correction around a centre (standard deviation of a bell).

@@ -70,7 +70,7 @@ pub fn render_watched(
     let (depth_mm, seen) = depth(scene, &frame, camera)?;
     let known = match settings.transport {
         Transport::Paths => Vec::new(),
-        Transport::Vertices { rays_per_face } => {
+        Transport::Vertices { rays_per_face } | Transport::Gather { rays_per_face } => {
             scene.check_vertex_light()?;
             let light = vertex_light(scene, &frame, &seen, rays_per_face)?;
             statistics.rays += light.rays;
@@ -110,7 +110,8 @@ fn check(camera: &Camera, pose: &DAffine3, light: &Light, settings: &RenderSetti
     if settings.background.iter().any(|v| !v.is_finite() || *v < 0.0) {
         return Err(Error::input("the background must be finite and not negative"));
     }
-    if matches!(settings.transport, Transport::Vertices { rays_per_face } if !(1..=4096).contains(&rays_per_face)) {
+    if matches!(settings.transport, Transport::Vertices { rays_per_face } | Transport::Gather { rays_per_face } if !(1..=4096).contains(&rays_per_face))
+    {
         return Err(Error::input("rays per face must lie in 1 to 4096"));
     }
     if settings.samples_per_pixel == 0 || settings.samples_per_pixel > MAX_SAMPLES {
@@ -141,6 +142,7 @@ pub(super) fn frame_settings(
         background: settings.background.map(|v| v as f32),
         max_scatterings: settings.max_scatterings,
         smooth: settings.shading == Shading::Smooth,
+        gathers: matches!(settings.transport, Transport::Gather { .. }),
         pixel_angle: (1.0 / camera.fl_x) as f32,
         key: CounterRng::new(settings.seed, Stage::Render, &[settings.frame]).next_u32(),
         pattern_key: CounterRng::new(settings.seed, Stage::Render, &[u64::MAX, 1]).next_u32(),

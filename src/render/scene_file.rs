@@ -89,6 +89,8 @@ pub enum TransportName {
     Paths,
     /// [`Transport::Vertices`].
     Vertices,
+    /// [`Transport::Gather`].
+    Gather,
 }
 
 /// `[integrator]`
@@ -102,9 +104,9 @@ pub struct IntegratorSection {
     /// Sampling goes on until the estimated mean squared relative error is below this.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target_relmse: Option<f64>,
-    /// How light by way of walls is found: "paths" or "vertices".
+    /// How light by way of walls is found: "paths", "vertices" or "gather".
     pub transport: TransportName,
-    /// Rays per face of "vertices".
+    /// Rays per face of "vertices" and "gather".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rays_per_face: Option<u32>,
     /// Seed of samples and procedural look.
@@ -196,6 +198,8 @@ impl SceneFile {
                 (TransportName::Paths, _) => Transport::Paths,
                 (TransportName::Vertices, None) => Transport::VERTICES,
                 (TransportName::Vertices, Some(rays_per_face)) => Transport::Vertices { rays_per_face },
+                (TransportName::Gather, None) => Transport::GATHER,
+                (TransportName::Gather, Some(rays_per_face)) => Transport::Gather { rays_per_face },
             },
             shading: i.shading,
             denoise: if i.denoise { Denoise::On } else { Denoise::Off },

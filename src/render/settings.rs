@@ -54,11 +54,19 @@ pub enum Transport {
         /// Rays that every face around a seen vertex sends out, 1 to 4096.
         rays_per_face: u32,
     },
+    /// A ray (or a walk) from every camera sample, and light at the vertices of what it meets: less bias and more noise than
+    /// [`Transport::Vertices`], a fraction of the noise of [`Transport::Paths`]. For stills; faces wound as there.
+    Gather {
+        /// As in [`Transport::Vertices`].
+        rays_per_face: u32,
+    },
 }
 
 impl Transport {
     /// Light at vertices with as many rays as the measurements of `docs/decisions/0005-light-at-vertices.md` suggest.
     pub const VERTICES: Transport = Transport::Vertices { rays_per_face: 32 };
+    /// A ray or walk, then light at vertices, with as many rays.
+    pub const GATHER: Transport = Transport::Gather { rays_per_face: 32 };
 }
 
 /// Whether the indirect light is filtered.

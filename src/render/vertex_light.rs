@@ -91,10 +91,12 @@ pub(super) fn vertex_light(
     seen: &[u32],
     rays_per_face: u32,
 ) -> Result<VertexLight> {
-    let vertices = seen_vertices(scene, seen);
+    let mut vertices = seen_vertices(scene, seen);
     let ends = scene.tissue.weighted_ends(scene.progress);
+    // Where a camera sample's own walk comes out, or its ray ends, only the light of other walls is asked for.
+    let walks = scene.tissue.walks() && !frame.gathers;
     let mut rays = 0;
-    for &(end, _) in &ends {
+    for &(end, _) in ends.iter().filter(|_| walks) {
         rays += scene.tissue.prepare(frame, end, &vertices, &scene.topology)?;
     }
     let mut faces = Faces::new(scene.topology.faces.len());
@@ -102,10 +104,17 @@ pub(super) fn vertex_light(
     let mut generations = gather(scene, frame, &ends, &vertices, rays_per_face, &mut faces, &mut rays)?;
     let lamp = lamp(scene, frame, &faces.list, &mut rays)?;
     add_glints(scene, frame, &mut generations, &lamp)?;
-    let irradiance = solve(frame, &generations, &lamp);
+    let irradiance = solve(frame, steps(scene, frame), &generations, &lamp);
     let solved = generations.iter().map(Generation::len).sum();
-    let walked = walked_light(scene, frame, &ends, &vertices, &faces, &lamp, &irradiance)?;
-    Ok(VertexLight { known: at_vertices(scene, &vertices, &walked, &faces, &irradiance, solved), rays })
+    let walked =
+        if walks { walked_light(scene, frame, &ends, &vertices, &faces, &lamp, &irradiance)? } else { Vec::new() };
+    let mut known = means_at_vertices(scene, &vertices, &walked, &faces, &irradiance, solved);
+    if frame.gathers {
+        vertices = (0..scene.topology.vertex_count() as u32).filter(|&v| is_lit(&known, v)).collect();
+    }
+    sharpen(scene, &vertices, &mut known);
+    spread(scene, &vertices, &mut known);
+    Ok(VertexLight { known, rays })
 }
 
 /// Corners of the seen faces, each once.
@@ -151,7 +160,7 @@ fn gather(
         *rays += parts.iter().map(|p| p.1).sum::<u64>();
         let hits: Vec<u32> = parts.into_iter().flat_map(|p| p.0).collect();
         hits.iter().filter(|h| **h != NO_FACE).for_each(|&h| faces.add(h));
-        if depth == 0 {
+        if depth == 0 && !frame.gathers {
             for &(end, _) in ends {
                 vertices.iter().flat_map(|&v| scene.tissue.sources(end, v)).for_each(|s| faces.add(s.face));
             }
@@ -202,12 +211,18 @@ struct Sent {
     coat: Rgb,
 }
 
+/// How often light is sent on between walls; `None`: until nothing changes any more.
+fn steps(scene: &Scene, frame: &FrameSettings) -> Option<u32> {
+    // A gathered ray is a scattering of its own; a walk and what it comes out of count as one.
+    let own = if frame.gathers && !scene.tissue.walks() { 2 } else { 1 };
+    (frame.max_scatterings > 0).then(|| frame.max_scatterings.saturating_sub(own))
+}
+
 /// Irradiance by other walls, per face.
-fn solve(frame: &FrameSettings, generations: &[Generation], lamp: &[f32]) -> Vec<Rgb> {
+fn solve(frame: &FrameSettings, steps: Option<u32>, generations: &[Generation], lamp: &[f32]) -> Vec<Rgb> {
     let mut irradiance = vec![[0.0; 3]; lamp.len() / LAMP_VALUES];
-    let steps = if frame.max_scatterings == 0 { MOST_STEPS } else { frame.max_scatterings - 1 };
     let mut before = 0.0;
-    for _ in 0..steps {
+    for _ in 0..steps.unwrap_or(MOST_STEPS) {
         let sent: Vec<Sent> = irradiance
             .iter()
             .zip(lamp.chunks_exact(LAMP_VALUES))
@@ -218,7 +233,7 @@ fn solve(frame: &FrameSettings, generations: &[Generation], lamp: &[f32]) -> Vec
             .collect();
         irradiance = step(frame, generations, &sent);
         let total: f64 = irradiance.iter().flatten().map(|&v| f64::from(v)).sum();
-        if frame.max_scatterings == 0 && (total - before).abs() <= CONVERGED * total {
+        if steps.is_none() && (total - before).abs() <= CONVERGED * total {
             break;
         }
         before = total;
@@ -280,9 +295,6 @@ fn walked_light(
     lamp: &[f32],
     irradiance: &[Rgb],
 ) -> Result<Vec<Walked>> {
-    if !scene.tissue.walks() {
-        return Ok(Vec::new());
-    }
     let of_lamp = |face: u32| &lamp[faces.place(face) * LAMP_VALUES..][..LAMP_VALUES];
     let near = |source: &&Source| of_lamp(source.face)[20] > 0.0;
     let chunk = |vertices: &[u32]| -> Result<Vec<Walked>> {
@@ -324,7 +336,7 @@ fn walked_light(
 }
 
 /// [`KNOWN_VALUES`] per vertex of the mesh. `walked`: of `vertices`, or empty.
-fn at_vertices(
+fn means_at_vertices(
     scene: &Scene,
     vertices: &[u32],
     walked: &[Walked],
@@ -338,7 +350,7 @@ fn at_vertices(
         let walked = walked.get(k).copied().unwrap_or_default();
         known[v as usize * KNOWN_VALUES..][..KNOWN_VALUES].copy_from_slice(&walked.known([-1.0; 3]));
     }
-    // Also where the camera does not look: the coat mirrors it.
+    // Also where the camera does not look: the coat mirrors it, and rays are gathered from there.
     let mut counts = vec![0u32; scene.topology.vertex_count()];
     for (&face, light) in faces.list.iter().zip(irradiance).take(solved) {
         for v in scene.topology.faces[face as usize].map(|v| v as usize) {
@@ -352,9 +364,12 @@ fn at_vertices(
     for (v, &count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
         known[v * KNOWN_VALUES + 3..][..3].iter_mut().for_each(|e| *e /= count as f32);
     }
-    sharpen(scene, vertices, &mut known);
-    spread(scene, vertices, &mut known);
     known
+}
+
+/// Whether light of other walls is known at a vertex.
+fn is_lit(known: &[f32], vertex: u32) -> bool {
+    known[vertex as usize * KNOWN_VALUES + 3] >= 0.0
 }
 
 /// Channels of light (walked light and irradiance) among the [`KNOWN_VALUES`].
@@ -373,8 +388,9 @@ fn sharpen(scene: &Scene, vertices: &[u32], known: &mut [f32]) {
         std::array::from_fn(|c| if c < 3 { values[c] - values[9 + c] } else { values[c] })
     };
     let sharp = |&v: &u32| -> [f32; LIGHTS] {
-        let (own, own_blunt) = (&known[v as usize * KNOWN_VALUES..][..LIGHTS], blunt(v));
-        let (mut sum, mut count, mut all) = ([0.0; LIGHTS], 0.0, [true; LIGHTS]);
+        let own: [f32; LIGHTS] = std::array::from_fn(|c| known[v as usize * KNOWN_VALUES + c]);
+        let own_blunt = blunt(v);
+        let (mut sum, mut count, mut all) = ([0.0; LIGHTS], 0.0, own.map(|v| v >= 0.0));
         for n in scene.topology.neighbours(v).filter(|&n| n != v) {
             for (c, value) in blunt(n).into_iter().enumerate() {
                 sum[c] += value;

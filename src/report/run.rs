@@ -65,6 +65,7 @@ impl MethodInfo {
     pub fn of(id: &str) -> Self {
         let (title, role, ct_scans, mesh) = match id {
             "bridgesplat" => ("BridgeSplat", Role::Ranked, Some(1), Some(true)),
+            "bridgesplat-release" => ("BridgeSplat, as released", Role::Ranked, Some(1), Some(true)),
             "bridgesplat-nomesh" => ("BridgeSplat (no mesh)", Role::Ranked, Some(1), Some(false)),
             "ours-nomesh" => ("Ours (no mesh)", Role::Ranked, Some(2), Some(false)),
             "ours" => ("Ours", Role::Ranked, Some(2), Some(true)),

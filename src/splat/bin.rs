@@ -115,7 +115,7 @@ fn longest_first(mut bands: Vec<Band<'_>>) -> Vec<Band<'_>> {
     for (k, band) in bands.into_iter().enumerate() {
         // 0 1 1 0 0 1 1 0 ..
         let full = halves[0].len() == last.div_ceil(2);
-        halves[usize::from((k + 1) / 2 % 2 == 1 || full)].push(band);
+        halves[usize::from(k.div_ceil(2) % 2 == 1 || full)].push(band);
     }
     let [mut all, second] = halves;
     all.extend(second);

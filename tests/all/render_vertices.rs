@@ -37,14 +37,20 @@ fn closed_sphere_with_a_lamp_at_its_centre() {
 }
 
 /// Mean and mean squared relative error against an image that another renderer made.
-fn compare_with_reference(material: Material, file: &str, mean_tolerance: f64, most_error: f64) {
+fn compare_with_reference(
+    material: Material,
+    settings: RenderSettings,
+    file: &str,
+    mean_tolerance: f64,
+    most_error: f64,
+) {
     let Some(reference) = Reference::open("reference/pathtrace") else { return };
     let (Some(mesh), Some(expected)) = (reference.mesh("tube.ply"), reference.npy_rgb(&format!("refs/{file}"))) else {
         return;
     };
     let scene = Scene::new(&mesh, &[], material, 1).unwrap();
     let (camera, pose) = tube_camera();
-    let settings = RenderSettings { max_scatterings: 6, ..vertices(32, 4) };
+    let settings = RenderSettings { max_scatterings: 6, ..settings };
     let frame = render(&scene, &camera, &pose, &Light::at_camera([400.0; 3]), &settings).unwrap();
     assert_eq!(frame.statistics.rejected_samples, 0);
     let (found, wanted) = (mean(&frame.radiance), mean(&expected));
@@ -60,12 +66,49 @@ fn compare_with_reference(material: Material, file: &str, mean_tolerance: f64, m
 
 #[test]
 fn lambert_tube_agrees_with_other_renderers() {
-    compare_with_reference(Material::lambert(RHO), "best_M1_n6.npy", 0.005, 0.002);
+    compare_with_reference(Material::lambert(RHO), vertices(32, 4), "best_M1_n6.npy", 0.005, 0.002);
 }
 
 #[test]
 fn coated_tube_agrees_with_other_renderers() {
-    compare_with_reference(Material::coated(RHO, 0.15, 1.4), "best_M2_n6.npy", 0.008, 0.005);
+    compare_with_reference(Material::coated(RHO, 0.15, 1.4), vertices(32, 4), "best_M2_n6.npy", 0.008, 0.005);
+}
+
+fn gather(samples_per_pixel: u32) -> RenderSettings {
+    RenderSettings { transport: Transport::GATHER, samples_per_pixel, ..RenderSettings::default() }
+}
+
+#[test]
+fn gathered_light_agrees_with_other_renderers() {
+    compare_with_reference(Material::lambert(RHO), gather(8), "best_M1_n6.npy", 0.002, 0.04);
+    compare_with_reference(Material::coated(RHO, 0.15, 1.4), gather(8), "best_M2_n6.npy", 0.002, 0.2);
+}
+
+#[test]
+fn gathered_light_agrees_with_paths_on_a_breathing_shape() {
+    let mut scene = Scene::new(&small_tube(), &[], Material::default(), 7).unwrap();
+    let moved: Vec<DVec3> = small_tube().vertices.iter().map(|v| DVec3::new(0.9 * v.x, 0.85 * v.y, v.z)).collect();
+    scene.set_other_end(&moved).unwrap();
+    scene.deform(&moved).unwrap();
+    let camera = Camera::pinhole(48, 48, 1.6);
+    let pose = DAffine3::from_translation(DVec3::new(0.3, 0.0, 2.0));
+    let picture = |settings: &RenderSettings| {
+        let settings = RenderSettings { shading: Shading::Smooth, ..*settings };
+        mean(&render(&scene, &camera, &pose, &Light::at_camera([100.0; 3]), &settings).unwrap().radiance)
+    };
+    let gathered = picture(&gather(64));
+    // What other transports have left in the scene changes nothing.
+    let at_vertices = picture(&vertices(32, 8));
+    assert_eq!(gathered, picture(&gather(64)));
+    let paths = picture(&RenderSettings { samples_per_pixel: 256, seed: 11, ..RenderSettings::default() });
+    for c in 0..3 {
+        println!(
+            "channel {c}: {:+.4} (at vertices {:+.4})",
+            gathered[c] / paths[c] - 1.0,
+            at_vertices[c] / paths[c] - 1.0
+        );
+        assert!((gathered[c] / paths[c] - 1.0).abs() < 0.01, "{gathered:?} for {paths:?}");
+    }
 }
 
 /// Mean squared relative error of `image` against the mean of two independent noisy images, free of their noise.

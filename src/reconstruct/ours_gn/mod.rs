@@ -47,7 +47,7 @@ use breath::{Breath, Repetition};
 use correction::Correction;
 use depth::{Rays, depth_gap_mm, nearest_depth_mm, unhidden};
 use light::Scope;
-use pose::{Before, POSE};
+use pose::{Before, POSE, Walk};
 use scene::Seen;
 use track::{Tracked, moved};
 use window::{Arrival, Placed, Shape, Window};
@@ -58,6 +58,8 @@ const DARKEST: f32 = 0.005;
 const REACH: f64 = 0.15;
 /// The window works on the finest level that is not wider.
 const WIDEST_IN_WINDOW: usize = 160;
+/// Share of the image width around it in which a wall counts while the first pose is sought.
+const BLIND_MARGIN: f64 = 1.5;
 /// Share of the newest frame in the running mean of the cost.
 const COST_SHARE: f64 = 0.2;
 
@@ -136,8 +138,10 @@ struct Tracker<'a> {
     correction: Correction,
     /// Centres of the correction in view.
     centres: Vec<usize>,
-    /// Correction of the given poses, as of the last frame.
+    /// Correction of the given poses.
     pose: [f64; POSE],
+    /// How that drifts.
+    walk: Walk,
     /// Per disc of the surface.
     albedo: Vec<[f32; 3]>,
     /// Weight of past frames, in pixels; 0 = never seen.
@@ -174,6 +178,7 @@ impl<'a> Tracker<'a> {
             correction: Correction::new(&rest, poses, rank as usize, reach_mm, deviation_mm),
             centres: Vec::new(),
             pose: [0.0; POSE],
+            walk: Walk::new(*settings.pose_drift, *settings.pose_steady_s),
             given_displacement: displacement.clone(),
             settings,
             iteration_scale,
@@ -199,6 +204,10 @@ impl<'a> Tracker<'a> {
 
     fn fit(&mut self, frame: usize) -> Result<FramePrediction> {
         let given = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
+        if frame > 0 && *self.settings.unknown_pose {
+            self.walk.wait(self.observation.time_s[frame] - self.observation.time_s[frame - 1]);
+            self.pose = self.walk.expected();
+        }
         let mut phase = if frame == 0 { self.search_by_depth(&given)? } else { self.breath.expected() };
         let mut deviation = *self.settings.prior_deviation;
         self.enter(&given, phase, REACH)?;
@@ -277,6 +286,9 @@ impl<'a> Tracker<'a> {
         self.drift = *self.settings.drift_memory * self.drift + (*self.settings.drift_factor * step).powi(2);
         self.gain = found.evidence.gain;
         self.pose = found.state.pose;
+        if let Some(covariance) = &found.pose_covariance {
+            self.walk.learn(self.pose, covariance);
+        }
         for ((&centre, c), deviations) in
             self.centres.iter().zip(&found.state.coefficients).zip(&found.coefficient_deviations)
         {
@@ -396,10 +408,16 @@ impl<'a> Tracker<'a> {
         let Some(depth) = &observation.first_depth_mm else { return Ok(0.0) };
         self.enter(view, 0.5, 1.0)?;
         let found = if *self.settings.unknown_pose {
+            // A wrong pose must not hide what the true one sees.
+            let states = [0.0, 0.5, 1.0].map(|phase| self.at(phase));
+            let bounds = Reach { margin: BLIND_MARGIN, range_mm: *self.settings.visibility.range_mm };
+            let states = states.each_ref().map(|s| s.as_slice());
+            self.faces = visible_faces(&self.surface.faces, &states, view, bounds, Sides::Both);
             let [turn, shift_mm] = *self.settings.pose_deviation;
             let before = Before { phase: 1.0, turn, shift_mm };
             let (phase, pose) = pose::register(depth, &before, |phase, xi| self.depth_mm(&moved(view, xi), phase));
             self.pose = pose;
+            self.walk.begin(pose);
             phase
         } else {
             grid_search(*self.settings.grid_steps, |phase| Ok(depth_gap_mm(&self.depth_mm(view, phase), depth)))?

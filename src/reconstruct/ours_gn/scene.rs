@@ -1,13 +1,15 @@
 //! The discs that one frame of `ours-gn` can see: placed at a phase, coloured as the scope's light shows them, and how
 //! both change with the phase.
 
+use glam::Vec3;
+
 use crate::base::Result;
 use crate::splat::{Gaussians, Shape};
 
 use super::correction::add;
-use super::light::Light;
 use crate::reconstruct::anchored::{Patch, SH_C0};
 use crate::reconstruct::phase_fit::at_phase;
+use crate::reconstruct::scope_light::ScopeLight;
 
 /// The compact copy of what one frame can see.
 pub struct Seen {
@@ -79,14 +81,14 @@ impl Seen {
     }
 
     /// Moves the discs to `phase` and colours them as the scope's light shows them.
-    pub fn place(&mut self, phase: f64, light: &Light) -> Result<()> {
+    pub fn place(&mut self, phase: f64, light: &ScopeLight) -> Result<()> {
         at_phase(&self.rest, &self.displacement, phase as f32, &mut self.vertices);
         self.patch.place(&self.vertices)?;
         self.shade.clear();
         let gaussians = &self.patch.gaussians;
         let Shape::Discs { axes } = &gaussians.shape else { unreachable!("a patch is made of discs") };
-        let shades = gaussians.positions.iter().zip(axes).map(|(p, a)| light.shade(*p, a, [0.0; 3]).value);
-        self.shade.extend(shades);
+        let shades = gaussians.positions.iter().zip(axes);
+        self.shade.extend(shades.map(|(p, a)| light.shade((*p).into(), Some(normal(a)), Vec3::ZERO).value));
         self.color();
         Ok(())
     }
@@ -102,7 +104,7 @@ impl Seen {
     }
 
     /// How discs and their colours move while the local vertices move by `by`.
-    pub fn velocity(&self, light: &Light, by: &[[f32; 3]]) -> Result<Velocity> {
+    pub fn velocity(&self, light: &ScopeLight, by: &[[f32; 3]]) -> Result<Velocity> {
         let (mut positions, mut axes) = (Vec::new(), Vec::new());
         self.patch.place_tangent(&self.vertices, by, &mut positions, &mut axes)?;
         let colors = self.color_change(light, |k| positions[k]);
@@ -110,20 +112,25 @@ impl Seen {
     }
 
     /// How discs and their colours move while the scope moves against `by` (mm, world), or all else by it.
-    pub fn shift(&self, light: &Light, by: [f32; 3]) -> Velocity {
+    pub fn shift(&self, light: &ScopeLight, by: [f32; 3]) -> Velocity {
         let colors = self.color_change(light, |_| by);
         Velocity { positions: vec![by; colors.len()], axes: Vec::new(), colors }
     }
 
-    fn color_change(&self, light: &Light, velocity: impl Fn(usize) -> [f32; 3]) -> Vec<[f32; 3]> {
+    fn color_change(&self, light: &ScopeLight, velocity: impl Fn(usize) -> [f32; 3]) -> Vec<[f32; 3]> {
         let gaussians = &self.patch.gaussians;
         let Shape::Discs { axes } = &gaussians.shape else { unreachable!("a patch is made of discs") };
         let discs = gaussians.positions.iter().zip(axes).zip(&self.albedo).enumerate();
         discs
             .map(|(k, ((centre, axes), albedo))| {
-                let shade = light.shade(*centre, axes, velocity(k));
-                albedo.map(|a| a * shade.by_phase)
+                let shade = light.shade((*centre).into(), Some(normal(axes)), velocity(k).into());
+                albedo.map(|a| a * shade.value * shade.relative_slope)
             })
             .collect()
     }
+}
+
+/// Unit normal of a disc.
+fn normal([a, b]: &[[f32; 3]; 2]) -> Vec3 {
+    Vec3::from(*a).cross(Vec3::from(*b)).normalize_or_zero()
 }

@@ -1,15 +1,15 @@
 //! One frame of `ours-gn` against its image: robust Gauss-Newton on phase, and where asked for on the pose of the scope and
 //! on the correction of the registration, coarse to fine, on the forward-mode derivatives of the image.
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
-use super::light::Light;
-use super::pose::{POSE, motion};
+use super::pose::{POSE, after, apart, motion};
 use super::scene::Velocity;
 use super::{Level, Tracker};
 use crate::base::Result;
 use crate::reconstruct::gauss_newton::{self, Comparison, Evidence, Prior, Robust, Unevenness};
 use crate::reconstruct::phase_search::grid_search;
+use crate::reconstruct::scope_light::ScopeLight;
 use crate::splat::{DepthOutput, Direction, Motion, Settings, View};
 
 /// Longest step of an angle (rad), a place and a correction (mm).
@@ -33,6 +33,8 @@ pub struct Tracked {
     pub state: State,
     /// Standard deviation of the phase by this frame alone.
     pub deviation: f64,
+    /// Covariance of the pose, where it is estimated.
+    pub pose_covariance: Option<DMatrix<f64>>,
     /// Those of the coefficients, mm.
     pub coefficient_deviations: Vec<[f64; 3]>,
     /// What the last step saw.
@@ -73,17 +75,21 @@ impl Tracker<'_> {
         DVector::from_vec(all.chain(state.coefficients.iter().flatten().copied()).collect())
     }
 
-    /// What is known of the unknowns before the image.
-    fn prior(&self) -> Prior {
-        let s = self.settings;
-        let [turn, shift] = *s.pose_drift;
-        let pose: &[f64] = if self.refines_pose() { &[turn, turn, turn, shift, shift, shift] } else { &[] };
+    /// What is known of the unknowns before the image, seen from `state`.
+    fn prior(&self, state: &State) -> Prior {
+        let expected = self.state_at(self.breath.expected());
         let corrections = self.centres.iter().flat_map(|&c| self.correction.prior(c).1);
-        let deviation = [*s.prior_deviation].into_iter().chain(pose.iter().copied()).chain(corrections);
-        Prior {
-            mean: self.vector(&self.state_at(self.breath.expected())),
-            deviation: DVector::from_vec(deviation.collect()),
+        let deviations: Vec<f64> = [*self.settings.prior_deviation].into_iter().chain(corrections).collect();
+        let mut variances = DMatrix::from_diagonal(&DVector::from_vec(deviations)).map(|d| d * d);
+        let mut step = self.vector(&expected) - self.vector(state);
+        if self.refines_pose() {
+            variances = variances.insert_rows(1, POSE, 0.0).insert_columns(1, POSE, 0.0);
+            variances.view_mut((1, 1), (POSE, POSE)).copy_from(&self.walk.covariance());
+            step.rows_mut(1, POSE).copy_from_slice(&apart(expected.pose, state.pose));
         }
+        let size = step.len();
+        let precision = variances.try_inverse().unwrap_or_else(|| DMatrix::zeros(size, size));
+        Prior { step, precision }
     }
 
     /// Takes a step, none of its parts longer than is sensible.
@@ -92,10 +98,12 @@ impl Tracker<'_> {
         state.phase = (state.phase + step[0].clamp(-longest, longest)).clamp(0.0, 1.0);
         let mut rest = step.iter().skip(1);
         if self.refines_pose() {
-            for (k, (value, step)) in state.pose.iter_mut().zip(rest.by_ref()).enumerate() {
+            let mut change = [0.0; POSE];
+            for (k, (value, step)) in change.iter_mut().zip(rest.by_ref()).enumerate() {
                 let longest = if k < 3 { LONGEST_TURN } else { LONGEST_SHIFT_MM };
-                *value += step.clamp(-longest, longest);
+                *value = step.clamp(-longest, longest);
             }
+            state.pose = after(change, state.pose);
         }
         for (value, step) in state.coefficients.iter_mut().flatten().zip(rest) {
             *value += step.clamp(-LONGEST_SHIFT_MM, LONGEST_SHIFT_MM);
@@ -145,12 +153,16 @@ impl Tracker<'_> {
 
     /// Gauss-Newton from `start`, coarse to fine; `None` when the image says nothing.
     pub fn track(&mut self, levels: &[Level], start: State) -> Result<Option<Tracked>> {
-        let prior = self.prior();
         let (mut state, mut tracked) = (start, None);
         for level in levels {
             for _ in 0..level.steps {
-                let Some(evidence) = self.look(level, &state)? else { return Ok(tracked) };
-                let Some((step, covariance)) = gauss_newton::posterior(&evidence, &prior, &self.vector(&state)) else {
+                let Some(mut evidence) = self.look(level, &state)? else { return Ok(tracked) };
+                if self.refines_pose() {
+                    // What the model of the light gets wrong looks like a motion, and stays the same for many frames.
+                    evidence.information /= self.settings.pose_caution.powi(2);
+                }
+                let prior = self.prior(&state);
+                let Some((step, covariance)) = gauss_newton::posterior(&evidence, &prior) else {
                     return Ok(tracked);
                 };
                 self.advance(&mut state, &step);
@@ -159,6 +171,7 @@ impl Tracker<'_> {
                 tracked = Some(Tracked {
                     state: state.clone(),
                     deviation: deviations[0],
+                    pose_covariance: self.refines_pose().then(|| covariance.view((1, 1), (POSE, POSE)).into()),
                     coefficient_deviations: deviations[first..].as_chunks::<3>().0.to_vec(),
                     evidence,
                 });
@@ -181,12 +194,8 @@ impl Tracker<'_> {
     }
 
     /// The light of the scope at `view`.
-    pub fn light(&self, view: &View) -> Light {
-        Light {
-            eye: view.camera_from_world.inverse().translation.as_vec3(),
-            exponent: *self.settings.falloff_exponent as f32,
-            indirect: *self.settings.indirect_share as f32,
-        }
+    pub fn light(&self, view: &View) -> ScopeLight {
+        ScopeLight::new(view, *self.settings.falloff_exponent, *self.settings.indirect_share)
     }
 }
 
