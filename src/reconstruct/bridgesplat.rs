@@ -50,10 +50,7 @@ impl Reconstruct for Bridgesplat {
     }
 
     fn listing(&self) -> Listing {
-        match self.settings.variant {
-            Variant::Full => Listing::Always,
-            Variant::Release => Listing::OnRequest,
-        }
+        self.settings.listing
     }
 
     fn run(

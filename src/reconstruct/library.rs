@@ -79,6 +79,7 @@ mod tests {
             "ours-gn",
             "ours-gn-pose",
             "ours-nomesh",
+            "ours-plain",
             "static-ct",
         ];
         assert_eq!(ids, expected);

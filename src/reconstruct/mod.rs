@@ -10,9 +10,11 @@ mod bridgesplat_nomesh;
 mod control_points;
 mod free;
 mod gauss_newton;
+mod level;
 mod library;
 pub mod loss;
 mod memory;
+mod mesh_depth;
 mod neighbours;
 mod observe;
 mod online;
@@ -29,8 +31,10 @@ mod scope_light;
 pub mod settings;
 #[cfg(test)]
 mod tests;
+mod window;
 
 use glam::DAffine3;
+use serde::{Deserialize, Serialize};
 
 use crate::base::{Camera, Error, Image, Mask, Progress, Result, TriangleMesh};
 use crate::splat::Rendered;
@@ -59,9 +63,11 @@ pub struct Access {
 }
 
 /// When a method is run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Listing {
     /// Unless others are named.
+    #[default]
     Always,
     /// Only where it is named: a variant of a row of the table.
     OnRequest,

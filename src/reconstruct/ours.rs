@@ -6,11 +6,17 @@ use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
 
 use super::active::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
 use super::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
+use super::level::Level;
 use super::memory::Memory;
+use super::mesh_depth::{Rays, unhidden};
 use super::optimiser::StepCounter;
 use super::phase_fit::{self, Carried, PhaseSource, at_phase};
 use super::settings::PhaseMethod;
-use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+use super::window::{Shape, Window};
+use super::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
+
+/// Phases farther apart may show what is hidden at both of them.
+const WIDEST_REACH: f64 = 0.3;
 
 /// Which row of the report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +46,10 @@ impl Ours {
 impl Reconstruct for Ours {
     fn id(&self) -> &str {
         &self.settings.id
+    }
+
+    fn listing(&self) -> Listing {
+        self.settings.listing
     }
 
     fn access(&self) -> Access {
@@ -80,15 +90,18 @@ struct OnMesh {
     inspiration: Vec<[f32; 3]>,
     displacement: Vec<[f32; 3]>,
     reach: Reach,
+    rays: Rays,
     adam: DiscAdam,
     seen: Option<Seen>,
     memory: Memory,
+    window: Option<Window>,
     pixels_per_disc: f32,
     most_per_face: f32,
 }
 
 /// The compact copy of one frame.
 struct Seen {
+    faces: Vec<u32>,
     patch: Patch,
     rest: Vec<[f32; 3]>,
     displacement: Vec<[f32; 3]>,
@@ -106,15 +119,27 @@ impl OnMesh {
             Surface::new(rest, &settings.appearance, Frame::from(*settings.inherits), Start::Even, observation.seed);
         Ok(OnMesh {
             memory: Memory::new(surface.len()),
+            window: Window::new(&settings.window),
             pixels_per_disc: *settings.pixels_per_disc as f32,
             most_per_face: *settings.most_per_face as f32,
             surface,
             inspiration: to_f32(&rest.vertices),
             displacement: mesh::displacement(rest, expiration),
             reach: Reach::new(&settings.visibility),
+            rays: Rays::new(&observation.camera),
             adam: DiscAdam::new(rates, StepCounter::Restarted, constants),
             seen: None,
         })
+    }
+
+    /// Of `faces` those that no wall hides in one of the `states`.
+    fn unhidden(&self, view: &View, states: &[&[[f32; 3]]], faces: &[u32]) -> Vec<u32> {
+        let mut seen: Vec<u32> = (states.iter())
+            .flat_map(|vertices| unhidden(view, &self.rays, vertices, &self.surface.faces, faces))
+            .collect();
+        seen.sort_unstable();
+        seen.dedup();
+        seen
     }
 
     /// Faces that have come near get more discs.
@@ -148,7 +173,10 @@ impl Carried for OnMesh {
             })
             .collect();
         let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
-        let faces = visible_faces(&self.surface.faces, &states, view, self.reach, Sides::Lumen);
+        let mut faces = visible_faces(&self.surface.faces, &states, view, self.reach, Sides::Lumen);
+        if high - low <= WIDEST_REACH {
+            faces = self.unhidden(view, &states, &faces);
+        }
         if faces.is_empty() {
             return Err(nothing_in_view());
         }
@@ -160,6 +188,7 @@ impl Carried for OnMesh {
             vertices: Vec::new(),
             memory: self.memory.pick(&patch.discs),
             patch,
+            faces,
         });
         Ok(())
     }
@@ -201,6 +230,16 @@ impl Carried for OnMesh {
     fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()> {
         let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
         seen.patch.step(&mut self.adam, gradients, visible, &seen.vertices)
+    }
+
+    fn place_among_keyframes(&mut self, frame: Level, expected: f64) -> f64 {
+        let (Some(window), Some(seen)) = (&mut self.window, &self.seen) else { return expected };
+        let mut level = frame;
+        while !Window::suits(&level) {
+            level = level.halved();
+        }
+        let shape = Shape { rest: &self.inspiration, displacement: &self.displacement, faces: &self.surface.faces };
+        window.place(&level, &seen.faces, expected, shape).phase
     }
 
     fn leave(&mut self) {

@@ -12,6 +12,7 @@ use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
 use crate::splat::{DepthOutput, Gaussians, Gradients, ImageGradient, Rasterizer, Reuse, Settings, View, Wanted};
 
 use super::anchored::{SH_C0, SH_VALUES};
+use super::level::Level;
 use super::loss::photometric::Photometric;
 use super::memory::{Memory, Shown, shift};
 use super::online::{color_image, fit_in_order, held_out};
@@ -45,6 +46,10 @@ pub trait Carried {
     fn appearance_groups(&self) -> Wanted;
     /// One optimiser step of appearance of what is `visible` (one flag per Gaussian of the compact copy).
     fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()>;
+    /// The phase by the pictures of past frames, near what is `expected`; that itself where no surface carries pictures.
+    fn place_among_keyframes(&mut self, _frame: Level, expected: f64) -> f64 {
+        expected
+    }
     /// Takes the compact copy back.
     fn leave(&mut self);
 }
@@ -172,17 +177,19 @@ impl Fitter<'_> {
         let weights = self.observation.pixel_weights();
         let mut loss = Photometric::new(&image.data, width, height, of_phase.max(of_all), weights.as_deref())
             .with_norm(self.settings.norm());
-        if frame > 0 {
-            if estimated {
+        if estimated {
+            if frame > 0 {
                 loss.set_ssim_weight(of_phase);
                 phase = self.measure_phase(&view, carried, &mut loss, &image, phase, frame)?;
-                self.place(&view, carried, phase)?;
             }
-            self.fit_gain(&view, carried, &image)?;
-            self.color_the_unseen(&view, carried, &image);
-        } else {
-            self.color_the_unseen(&view, carried, &image);
+            let weights = weights.unwrap_or_default();
+            phase = carried.place_among_keyframes(Level { view, image: image.clone(), weights }, phase);
+            self.place(&view, carried, phase)?;
         }
+        if frame > 0 {
+            self.fit_gain(&view, carried, &image)?;
+        }
+        self.color_the_unseen(&view, carried, &image);
         let (sh, memory) = carried.colors();
         let before = memory.set_aside(sh);
         loss.set_ssim_weight(of_all);

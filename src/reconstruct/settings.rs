@@ -5,6 +5,7 @@ use std::ops::Deref;
 
 use serde::{Deserialize, Serialize};
 
+use super::Listing;
 use super::loss::norm::Norm;
 use super::phase::Activation;
 use crate::splat::Frame;
@@ -174,6 +175,9 @@ pub struct PhaseMethod {
     pub kind: String,
     /// One line for `list`.
     pub description: String,
+    /// When it is run; `always` where nothing is said.
+    #[serde(default)]
+    pub listing: Listing,
     /// Iterations on theta alone, appearance alone, both.
     pub iterations: Sourced<[u32; 3]>,
     /// A stage ends early when its last five iterations lowered the loss by less than this share of it (0 = never).
@@ -220,6 +224,8 @@ pub struct PhaseMethod {
     /// What a disc takes over from its deformed face: `stretch` (direction and stretch) or `normal` (direction alone;
     /// mesh only).
     pub inherits: Sourced<Inherits>,
+    /// Keyframes (mesh only).
+    pub window: Window,
     /// Gaussians.
     pub appearance: Appearance,
     /// What is left out.
@@ -250,6 +256,18 @@ impl From<Inherits> for Frame {
             Inherits::Normal => Frame::NormalOnly,
         }
     }
+}
+
+/// Keyframes against whose pictures each frame is placed, whatever the map says of its phase.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Window {
+    /// How many; 0 = the map alone.
+    pub keyframes: Sourced<u32>,
+    /// Share of what the window knows that outlives a keyframe.
+    pub memory: Sourced<f64>,
+    /// Standard deviation of what the map says of the phase, as the window takes it.
+    pub prior_deviation: Sourced<f64>,
 }
 
 /// What a white sheet shows of a scope.
@@ -329,14 +347,10 @@ pub struct GaussNewtonMethod {
     pub hold_pixels: Sourced<f64>,
     /// How many past looks weigh against the present one.
     pub memory_frames: Sourced<f64>,
-    /// Keyframes against whose pictures each frame is placed, whatever the map says; 0 = the map alone.
-    pub window_keyframes: Sourced<u32>,
-    /// Share of what the window knows that outlives a keyframe.
-    pub window_memory: Sourced<f64>,
-    /// Standard deviation of what the map says of the phase, as the window takes it.
-    pub window_prior_deviation: Sourced<f64>,
     /// Standard deviation of the answer, in those that the window claims.
     pub window_deviation_factor: Sourced<f64>,
+    /// Keyframes.
+    pub window: Window,
     /// The scope.
     pub scope: ScopeLight,
     /// Discs.
@@ -355,6 +369,9 @@ pub struct BridgeMethod {
     pub kind: String,
     /// One line for `list`.
     pub description: String,
+    /// When it is run; `always` where nothing is said.
+    #[serde(default)]
+    pub listing: Listing,
     /// `full` (working rigidity and isometry; the row of the table) or `release` (what the released code computes).
     pub variant: Variant,
     /// Iterations of the first frame and of the others.

@@ -170,7 +170,11 @@ pub(super) fn bridge(id: &str) -> settings::BridgeMethod {
 #[test]
 fn ours_recovers_its_world_and_the_planted_phase() {
     let observation = world(Made::Discs, 24, 64, breath);
-    let (psnr, answers) = recover(&Ours::new(unlit("ours"), Row::Ours, 0.5), &observation);
+    let mut settings = unlit("ours");
+    // What shows of coarse, overlapping discs moves otherwise than the wall does: here the splats alone are tested, and
+    // the window in its own room.
+    settings.window.keyframes.value = 0;
+    let (psnr, answers) = recover(&Ours::new(settings, Row::Ours, 0.5), &observation);
     let truth = observation.true_phase.as_ref().unwrap();
     let errors: Vec<f64> = answers.iter().zip(truth).map(|(p, t)| (p.phase.unwrap() - t).abs()).collect();
     let mae = errors.iter().sum::<f64>() / errors.len() as f64;
@@ -192,7 +196,7 @@ fn unlit_gn() -> settings::GaussNewtonMethod {
     settings.discs.initial_scale.value = 0.6;
     // What shows of coarse, overlapping discs moves otherwise than the wall does: here the map alone is tested, and the
     // window in its own room.
-    settings.window_keyframes.value = 0;
+    settings.window.keyframes.value = 0;
     settings.steps.value = [3, 2, 1];
     settings
 }

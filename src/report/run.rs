@@ -70,6 +70,7 @@ impl MethodInfo {
             "ours-nomesh" => ("Ours (no mesh)", Role::Ranked, Some(2), Some(false)),
             "ours" => ("Ours", Role::Ranked, Some(2), Some(true)),
             "ours-gn" => ("Ours (Gauss-Newton)", Role::Ranked, Some(2), Some(true)),
+            "ours-plain" => ("Ours, the paper's equations alone", Role::Ranked, Some(2), Some(true)),
             "ours-gn-pose" => ("Ours (Gauss-Newton), rough poses", Role::Ranked, Some(2), Some(true)),
             "static-ct" => ("Static CT", Role::Sanity, Some(1), Some(true)),
             "oracle-phase" => ("Oracle phase", Role::Sanity, Some(2), Some(true)),

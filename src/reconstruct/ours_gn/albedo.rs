@@ -2,9 +2,10 @@
 //! of its pixels, held by what past frames have seen of it. What is shown of a frame is touched up by a few more sweeps
 //! that nothing holds, with Nesterov's (1983) momentum; they are forgotten with the frame.
 
-use super::{DARKEST, Level, Tracker};
+use super::{DARKEST, Tracker};
 use crate::base::Result;
 use crate::reconstruct::anchored::SH_C0;
+use crate::reconstruct::level::Level;
 use crate::reconstruct::phase_fit::pixels;
 use crate::splat::{DepthOutput, ImageGradient, Settings, Wanted};
 

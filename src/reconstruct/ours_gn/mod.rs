@@ -22,12 +22,10 @@
 mod albedo;
 mod breath;
 mod correction;
-mod depth;
 mod light;
 mod pose;
 mod scene;
 mod track;
-mod window;
 
 use std::time::Instant;
 
@@ -38,26 +36,25 @@ use crate::splat::{DepthOutput, Frame, Rasterizer, Rendered, Settings, View};
 
 use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{Start, Surface, to_f32};
+use super::level::Level;
+use super::mesh_depth::{Rays, depth_gap_mm, nearest_depth_mm, unhidden};
 use super::online::{fit_in_order, held_out};
 use super::phase_fit::at_phase;
 use super::phase_search::grid_search;
 use super::settings::GaussNewtonMethod;
+use super::window::{Shape, Window};
 use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 use breath::{Breath, Repetition};
 use correction::Correction;
-use depth::{Rays, depth_gap_mm, nearest_depth_mm, unhidden};
 use light::Scope;
 use pose::{Before, POSE, Walk};
 use scene::Seen;
 use track::{Tracked, moved};
-use window::{Arrival, Placed, Shape, Window};
 
 /// Darkest albedo: a colour of zero has no gradient.
 const DARKEST: f32 = 0.005;
 /// Phases around the expected one for which the visible faces are chosen.
 const REACH: f64 = 0.15;
-/// The window works on the finest level that is not wider.
-const WIDEST_IN_WINDOW: usize = 160;
 /// Share of the image width around it in which a wall counts while the first pose is sought.
 const BLIND_MARGIN: f64 = 1.5;
 /// Share of the newest frame in the running mean of the cost.
@@ -101,31 +98,6 @@ impl Reconstruct for OursGn {
     }
 }
 
-/// Weights of the pixels of a halved image: those count whose four parts all do.
-fn halved(weights: &[f32], image: &Image<f32>) -> Vec<f32> {
-    if weights.is_empty() {
-        return Vec::new();
-    }
-    let parts = Image { width: image.width, height: image.height, channels: 1, data: weights.to_vec() };
-    parts.halved().data.into_iter().map(f32::floor).collect()
-}
-
-/// One resolution of a frame.
-struct Level {
-    view: View,
-    image: Image<f32>,
-    /// How much each pixel counts; empty where all count alike.
-    weights: Vec<f32>,
-    steps: u32,
-}
-
-impl Level {
-    /// How much pixel `index` (row-major) counts.
-    fn weight(&self, index: usize) -> f32 {
-        self.weights.get(index).copied().unwrap_or(1.0)
-    }
-}
-
 struct Tracker<'a> {
     settings: &'a GaussNewtonMethod,
     iteration_scale: f64,
@@ -158,7 +130,6 @@ struct Tracker<'a> {
     breath: Breath,
     cost: f64,
     mean_color: [f32; 3],
-    /// From the first frame on.
     window: Option<Window>,
 }
 
@@ -198,7 +169,7 @@ impl<'a> Tracker<'a> {
             breath: Breath::new(*settings.velocity, repetition),
             cost: f64::INFINITY,
             mean_color: [0.5; 3],
-            window: None,
+            window: Window::new(&settings.window),
         }
     }
 
@@ -226,13 +197,15 @@ impl<'a> Tracker<'a> {
             phase = found.state.phase;
             deviation = self.take(&found);
         }
-        if *self.settings.window_keyframes > 0 {
-            let placed = self.place_in_window(&levels, phase);
+        levels.iter_mut().for_each(|level| level.view = moved(&level.view, self.pose));
+        if let Some(window) = &mut self.window {
+            let level = levels.iter().rev().find(|level| Window::suits(level)).unwrap_or(&levels[0]);
+            let shape = Shape { rest: &self.rest, displacement: &self.displacement, faces: &self.surface.faces };
+            let placed = window.place(level, &self.faces, phase, shape);
             (phase, deviation) = (placed.phase, *self.settings.window_deviation_factor * placed.deviation);
         }
         self.place(phase, &given)?;
-        let mut finest = levels.pop().expect("there is always the full resolution");
-        finest.view = moved(&given, self.pose);
+        let finest = levels.pop().expect("there is always the full resolution");
         self.learn(frame, &finest)?;
         self.touch_up(&finest)?;
         self.draw(&finest.view)?;
@@ -262,22 +235,6 @@ impl<'a> Tracker<'a> {
         self.enter(given, 0.5, 1.0)?;
         let best = self.search_by_image(&levels[0])?;
         Ok(self.track(levels, self.state_at(best))?.or(found))
-    }
-
-    /// Places the frame in the window of keyframes, near `phase`.
-    fn place_in_window(&mut self, levels: &[Level], phase: f64) -> Placed {
-        let level = levels.iter().rev().find(|l| l.image.width <= WIDEST_IN_WINDOW).unwrap_or(&levels[0]);
-        let s = self.settings;
-        let new = || Window::new(&level.view.camera, *s.window_keyframes as usize, *s.window_memory);
-        let window = self.window.get_or_insert_with(new);
-        let arrival = Arrival {
-            view: moved(&level.view, self.pose),
-            image: &level.image,
-            weights: &level.weights,
-            visible: &self.faces,
-        };
-        let shape = Shape { rest: &self.rest, displacement: &self.displacement, faces: &self.surface.faces };
-        window.place(&arrival, phase, *s.window_prior_deviation, shape)
     }
 
     /// Takes over what a frame has found; the standard deviation of its phase, drift included.
@@ -322,18 +279,13 @@ impl<'a> Tracker<'a> {
     fn levels(&self, frame: usize, view: &View) -> Vec<Level> {
         let full = self.scope.flat(&self.observation.images[frame]);
         let weights = self.observation.pixel_weights().unwrap_or_default();
-        let mut levels = vec![Level { view: *view, image: full, weights, steps: self.settings.steps[2] }];
-        for steps in [self.settings.steps[1], self.settings.steps[0]] {
-            let finer = &levels[0];
-            let image = finer.image.halved();
-            if image.width.min(image.height) < *self.settings.smallest_width as usize {
+        let mut levels = vec![Level { view: *view, image: full, weights }];
+        while levels.len() < self.settings.steps.len() {
+            let coarser = levels[0].halved();
+            if coarser.image.width.min(coarser.image.height) < *self.settings.smallest_width as usize {
                 break;
             }
-            let mut camera = finer.view.camera.scaled(0.5);
-            (camera.width, camera.height) = (image.width as u32, image.height as u32);
-            let view = View { camera, ..finer.view };
-            let weights = halved(&finer.weights, &finer.image);
-            levels.insert(0, Level { view, image, weights, steps });
+            levels.insert(0, coarser);
         }
         levels
     }

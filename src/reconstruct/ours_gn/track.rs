@@ -3,11 +3,12 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::Tracker;
 use super::pose::{POSE, after, apart, motion};
 use super::scene::Velocity;
-use super::{Level, Tracker};
 use crate::base::Result;
 use crate::reconstruct::gauss_newton::{self, Comparison, Evidence, Prior, Robust, Unevenness};
+use crate::reconstruct::level::Level;
 use crate::reconstruct::phase_search::grid_search;
 use crate::reconstruct::scope_light::ScopeLight;
 use crate::splat::{DepthOutput, Direction, Motion, Settings, View};
@@ -154,8 +155,10 @@ impl Tracker<'_> {
     /// Gauss-Newton from `start`, coarse to fine; `None` when the image says nothing.
     pub fn track(&mut self, levels: &[Level], start: State) -> Result<Option<Tracked>> {
         let (mut state, mut tracked) = (start, None);
-        for level in levels {
-            for _ in 0..level.steps {
+        // Levels that would be too small are left out.
+        let left_out = self.settings.steps.len() - levels.len();
+        for (level, steps) in levels.iter().zip(self.settings.steps[left_out..].to_vec()) {
+            for _ in 0..steps {
                 let Some(mut evidence) = self.look(level, &state)? else { return Ok(tracked) };
                 if self.refines_pose() {
                     // What the model of the light gets wrong looks like a motion, and stays the same for many frames.

@@ -20,15 +20,20 @@ use glam::{DMat3, DVec2, DVec3, Vec3};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::depth::{Rays, nearest_faces};
-use crate::base::{Camera, Image};
-use crate::reconstruct::phase_fit::at_phase;
+use crate::base::Image;
 use crate::splat::View;
+
+use super::level::Level;
+use super::mesh_depth::{Rays, nearest_faces};
+use super::phase_fit::at_phase;
+use super::settings;
 
 /// Most Gauss-Newton steps per frame, the longest of them, and one that ends them.
 const STEPS: usize = 4;
 const LONGEST_STEP: f64 = 0.05;
 const SHORTEST_STEP: f64 = 2e-4;
+/// The window works on the finest halving of a picture that is not wider than this many pixels.
+const WIDEST: usize = 160;
 /// Half width of the square over which a picture is averaged (twice), as a share of its width.
 const RADIUS_SHARE: f64 = 3.0 / 128.0;
 /// Added to the averaged picture: darker than this has no contrast.
@@ -85,18 +90,6 @@ impl Shape<'_> {
     }
 }
 
-/// A frame to be placed in the breath.
-pub struct Arrival<'a> {
-    /// Where it was taken from; its camera is that of the window.
-    pub view: View,
-    /// Flat picture in the power law.
-    pub image: &'a Image<f32>,
-    /// How much each pixel counts; empty where all count alike.
-    pub weights: &'a [f32],
-    /// Indices of the faces in view.
-    pub visible: &'a [u32],
-}
-
 /// Phase of a frame, and its standard deviation by the window.
 #[derive(Clone, Copy, Debug)]
 pub struct Placed {
@@ -108,9 +101,11 @@ pub struct Placed {
 
 /// The keyframes, and what is known about their phases.
 pub struct Window {
-    rays: Rays,
+    /// Of the pictures' camera, from the first one on.
+    rays: Option<Rays>,
     most: usize,
     kept: f64,
+    prior_deviation: f64,
     keyframes: Vec<Keyframe>,
     phases: DVector<f64>,
     information: DMatrix<f64>,
@@ -161,18 +156,34 @@ struct Pair {
 }
 
 impl Window {
-    /// A window of at most `most` keyframes of `camera`; `kept` is the share of what is known that outlives a keyframe.
-    pub fn new(camera: &Camera, most: usize, kept: f64) -> Window {
-        let (phases, information) = (DVector::zeros(0), DMatrix::zeros(0, 0));
-        Window { rays: Rays::new(camera), most, kept, keyframes: Vec::new(), phases, information, waited: 0 }
+    /// An empty window; `None` where `settings` ask for no keyframes.
+    pub fn new(settings: &settings::Window) -> Option<Window> {
+        let empty = Window {
+            rays: None,
+            most: *settings.keyframes as usize,
+            kept: *settings.memory,
+            prior_deviation: *settings.prior_deviation,
+            keyframes: Vec::new(),
+            phases: DVector::zeros(0),
+            information: DMatrix::zeros(0, 0),
+            waited: 0,
+        };
+        (empty.most > 0).then_some(empty)
     }
 
-    /// Places `arrival`, which is expected at `expected` with a standard deviation of `deviation`.
-    pub fn place(&mut self, arrival: &Arrival<'_>, expected: f64, deviation: f64, shape: Shape<'_>) -> Placed {
-        let deviation = if self.keyframes.is_empty() { FIRST_DEVIATION } else { deviation };
-        let picture = picture(arrival.image, arrival.weights);
-        let nearest = nearest_faces(&arrival.view, &self.rays, &shape.at(expected), shape.faces, arrival.visible);
-        let sight = Sight { view: &arrival.view, picture: &picture, nearest: &nearest };
+    /// Whether the window works on pictures of this size; larger ones are to be halved.
+    pub fn suits(level: &Level) -> bool {
+        level.image.width <= WIDEST
+    }
+
+    /// Places a frame in the breath, which is expected at `expected` and has the faces `visible` in view. All frames have
+    /// one camera.
+    pub fn place(&mut self, frame: &Level, visible: &[u32], expected: f64, shape: Shape<'_>) -> Placed {
+        let deviation = if self.keyframes.is_empty() { FIRST_DEVIATION } else { self.prior_deviation };
+        let rays = self.rays.take().unwrap_or_else(|| Rays::new(&frame.view.camera));
+        let picture = picture(&frame.image, &frame.weights);
+        let nearest = nearest_faces(&frame.view, &rays, &shape.at(expected), shape.faces, visible);
+        let sight = Sight { view: &frame.view, picture: &picture, nearest: &nearest };
         let now = self.keyframes.len();
         let mean = self.phases.clone().push(expected);
         let mut known = self.information.clone().resize(now + 1, now + 1, 0.0);
@@ -208,11 +219,11 @@ impl Window {
         self.waited += 1;
         let enough = |pair: Pair| pair.flow > LONGEST_FLOW || pair.kept < FEWEST_KEPT;
         if last.is_none_or(enough) || self.waited >= LONGEST_WAIT {
-            let nearest =
-                nearest_faces(&arrival.view, &self.rays, &shape.at(placed.phase), shape.faces, arrival.visible);
+            let nearest = nearest_faces(&frame.view, &rays, &shape.at(placed.phase), shape.faces, visible);
             let sight = Sight { nearest: &nearest, ..sight };
             self.add(keyframe(&sight, shape), at, total);
         }
+        self.rays = Some(rays);
         placed
     }
 
@@ -413,6 +424,8 @@ mod tests {
     use glam::DAffine3;
 
     use super::*;
+    use crate::base::Camera;
+    use crate::reconstruct::settings::{Source, Sourced};
 
     const SIZE: usize = 64;
     const AROUND: u32 = 48;
@@ -473,18 +486,23 @@ mod tests {
         }
     }
 
+    fn ours<T>(value: T) -> Sourced<T> {
+        Sourced { value, source: Source::Ours, why: String::new() }
+    }
+
     /// Errors of the window over a film, whose first frame is believed to be `off` from its phase and later ones `off` from theirs.
-    fn errors(off: f64, most: usize) -> Vec<f64> {
+    fn errors(off: f64) -> Vec<f64> {
         let tube = Tube::new();
         let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
-        let mut window = None;
+        let mut window =
+            Window::new(&settings::Window { keyframes: ours(8), memory: ours(0.7), prior_deviation: ours(0.05) })
+                .expect("there are keyframes");
         (0..40)
             .map(|frame| {
                 let truth = 0.5 + 0.3 * (frame as f64 * 0.15).sin();
                 let (view, image) = tube.film(2.0 + 0.3 * frame as f64, truth);
-                let window = window.get_or_insert_with(|| Window::new(&view.camera, most, 0.7));
-                let arrival = Arrival { view, image: &image, weights: &[], visible: &all };
-                window.place(&arrival, truth + off, 0.05, tube.shape()).phase - truth
+                let frame = Level { view, image, weights: Vec::new() };
+                window.place(&frame, &all, truth + off, tube.shape()).phase - truth
             })
             .collect()
     }
@@ -492,7 +510,7 @@ mod tests {
     #[test]
     fn phases_that_are_expected_in_the_wrong_place_are_mended_by_parallax() {
         for off in [0.06, -0.06] {
-            let errors = errors(off, 8);
+            let errors = errors(off);
             assert!((errors[0] - off).abs() < 1e-3, "one frame alone has no parallax: {}", errors[0]);
             let late = errors[30..].iter().map(|e| e.abs()).fold(0.0, f64::max);
             assert!(late < 0.012, "{errors:.4?}");
