@@ -1,5 +1,6 @@
 //! `ours`: discs anchored to the CT mesh, carried by one phase per frame (the paper's Sections 3.1 to 3.4). The same
-//! program runs the sanity rows `static-ct` (inspiration mesh, phase 0 throughout) and `oracle-phase` (true phase).
+//! program runs the sanity rows `static-ct` (inspiration mesh, phase 0 throughout) and `oracle-phase` (true phase). Discs on
+//! faces that a wall hides are no part of a frame.
 
 use crate::base::{Progress, Result, mesh};
 use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};

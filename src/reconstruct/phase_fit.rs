@@ -3,7 +3,8 @@
 //! (Eq. 3 and 4). What carries the Gaussians (a mesh, or nothing) is behind [`Carried`].
 //!
 //! Ours where the paper is silent, each with its number in the TOML: the guess of a frame's phase continues part of the
-//! last change; a few candidates around it are rendered before stage (i); an exposure gain per channel and frame in
+//! last change; a few candidates around it are rendered before stage (i); after it the frame is placed among keyframes,
+//! since what is painted alone lets the phase drift ([`super::window`]); an exposure gain per channel and frame in
 //! closed form; brightness carried from frame to frame by the law of the light at the scope.
 
 use glam::Vec3;

@@ -15,7 +15,7 @@
 //! since what was painted in the wrong place leaves the view or is painted over.
 //!
 //! Options: poses that are only roughly known ([`pose`]), and a correction of the registration of the two CTs
-//! ([`correction`]), both estimated with the phase. Depth, and what is hidden, are those of the mesh ([`depth`]).
+//! ([`correction`]), both estimated with the phase. Depth, and what is hidden, are those of the mesh ([`super::mesh_depth`]).
 //!
 //! Left out: learning of disc centres and sizes.
 
