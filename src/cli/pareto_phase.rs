@@ -55,6 +55,7 @@ const STEPS: &[&str] = &["steps"];
 const WIDTH: &[&str] = &["smallest_width"];
 const DISCS: &[&str] = &["discs", "gaussians_per_face"];
 const ADAM_DISCS: &[&str] = &["appearance", "gaussians_per_face"];
+const KEYFRAMES: &[&str] = &["window", "keyframes"];
 
 fn variants() -> Vec<Variant> {
     let gauss_newton = |mode, setting: String, changes| {
@@ -63,31 +64,40 @@ fn variants() -> Vec<Variant> {
     };
     let mut all = vec![gauss_newton("Gauss-Newton", "as shipped".into(), Vec::new())];
     all[0].standing = Standing::Default;
-    for steps in [[1, 1, 1], [2, 1, 1], [4, 3, 2], [0, 0, 2], [0, 3, 1], [6, 0, 0]] {
+    for steps in [[1, 1, 0], [3, 2, 1], [0, 0, 2], [0, 3, 0], [6, 0, 0]] {
         let mut changes = vec![(STEPS, toml::Value::from(steps.to_vec()))];
-        if steps[2] == 0 {
+        if steps[1..] == [0, 0] {
             changes.push((WIDTH, toml::Value::from(8)));
         }
         let [quarter, half, full] = steps;
         all.push(gauss_newton("Gauss-Newton: steps at 1/4, 1/2, 1", format!("{quarter}-{half}-{full}"), changes));
     }
+    for keyframes in [0, 4, 16] {
+        let mut changes = vec![(KEYFRAMES, toml::Value::from(keyframes))];
+        if keyframes == 0 {
+            changes.push((STEPS, toml::Value::from(vec![3, 2, 1])));
+        }
+        all.push(gauss_newton("Gauss-Newton: keyframes", format!("{keyframes}"), changes));
+    }
     for discs in [1, 2, 8] {
         let changes = vec![(DISCS, toml::Value::from(discs))];
         all.push(gauss_newton("Gauss-Newton: discs a face", format!("{discs}"), changes));
     }
-    let adam = |mode, setting: String, share, discs: Option<i64>| Variant {
-        mode,
-        setting,
-        id: "ours",
-        changes: discs.map(|n| (ADAM_DISCS, toml::Value::from(n))).into_iter().collect(),
-        iteration_share: share,
-        standing: Standing::Alternative,
+    let adam = |mode, setting: String, iteration_share, changes| {
+        let standing = Standing::Alternative;
+        Variant { mode, setting, id: "ours", changes, iteration_share, standing }
     };
-    all.push(Variant { standing: Standing::Default, ..adam("Adam", "as shipped".into(), 1.0, None) });
+    all.push(Variant { standing: Standing::Default, ..adam("Adam", "as shipped".into(), 1.0, Vec::new()) });
     for share in [0.25, 0.5, 2.0] {
-        all.push(adam("Adam: iterations", format!("{share} times"), share, None));
+        all.push(adam("Adam: iterations", format!("{share} times"), share, Vec::new()));
     }
-    all.push(adam("Adam: discs a face", "4".into(), 1.0, Some(4)));
+    for keyframes in [0, 4] {
+        let changes = vec![(KEYFRAMES, toml::Value::from(keyframes))];
+        all.push(adam("Adam: keyframes", format!("{keyframes}"), 1.0, changes));
+    }
+    all.push(adam("Adam: discs a face", "4".into(), 1.0, vec![(ADAM_DISCS, toml::Value::from(4))]));
+    let plain = adam("Adam", "the paper's equations alone".into(), 1.0, Vec::new());
+    all.push(Variant { id: "ours-plain", ..plain });
     all
 }
 
