@@ -1,0 +1,68 @@
+//! What is compared of a picture: its local contrast, which the light on large areas does not change.
+
+use rayon::prelude::*;
+
+use crate::base::Image;
+
+/// Half width of the square over which a picture is averaged (twice), as a share of its width.
+const RADIUS_SHARE: f64 = 3.0 / 128.0;
+/// Added to the averaged picture: darker than this has no contrast.
+const CONTRAST_FLOOR: f32 = 0.05;
+
+/// What is compared of a picture.
+pub struct Picture {
+    /// Three channels.
+    pub contrast: Image<f32>,
+    /// Whether a pixel holds a picture.
+    pub counts: Vec<bool>,
+}
+
+/// Local contrast `(I - B) / (B + floor)` of `image`, `B` its mean over a neighbourhood, per channel.
+pub fn picture(image: &Image<f32>, weights: &[f32]) -> Picture {
+    let (width, pixels) = (image.width, image.width * image.height);
+    let counts: Vec<bool> = (0..pixels).map(|i| weights.get(i).is_none_or(|&w| w > 0.0)).collect();
+    let radius = ((width as f64 * RADIUS_SHARE).round() as usize).max(1);
+    // The fourth plane counts the pixels in the neighbourhood that count.
+    let value = |i: usize, c: usize| if c < 3 { image.data[3 * i + c] } else { 1.0 };
+    let averaged = |c: usize| {
+        let mut plane: Vec<f32> = (0..pixels).map(|i| if counts[i] { value(i, c) } else { 0.0 }).collect();
+        for _ in 0..2 {
+            average_rows(&mut plane, width, radius);
+            plane = transposed(&plane, width);
+            average_rows(&mut plane, image.height, radius);
+            plane = transposed(&plane, image.height);
+        }
+        plane
+    };
+    let planes: Vec<Vec<f32>> = (0..4).into_par_iter().map(averaged).collect();
+    let mut contrast = Image::filled(width, image.height, 3, 0.0f32);
+    for i in (0..pixels).filter(|&i| counts[i]) {
+        for (c, plane) in planes[..3].iter().enumerate() {
+            let mean = plane[i] / planes[3][i];
+            contrast.data[3 * i + c] = (value(i, c) - mean) / (mean + CONTRAST_FLOOR);
+        }
+    }
+    Picture { contrast, counts }
+}
+
+/// Sums over `2 radius + 1` pixels along rows of `width`, zero outside.
+fn average_rows(plane: &mut [f32], width: usize, radius: usize) {
+    let mut row = vec![0.0f32; width];
+    for values in plane.chunks_exact_mut(width) {
+        row.copy_from_slice(values);
+        let mut sum: f32 = row.iter().take(radius).sum();
+        for (i, value) in values.iter_mut().enumerate() {
+            sum += row.get(i + radius).unwrap_or(&0.0);
+            if i > radius {
+                sum -= row[i - radius - 1];
+            }
+            *value = sum;
+        }
+    }
+}
+
+/// Rows of `width` as columns.
+fn transposed(plane: &[f32], width: usize) -> Vec<f32> {
+    let height = plane.len() / width;
+    (0..plane.len()).map(|i| plane[(i % height) * width + i / height]).collect()
+}

@@ -1,0 +1,137 @@
+use glam::{DAffine3, DVec2, DVec3};
+
+use super::contrast::picture;
+use super::pair::{Point, Shape, carried};
+use super::*;
+use crate::base::{Camera, Image};
+use crate::reconstruct::settings::{Source, Sourced};
+use crate::splat::View;
+
+const SIZE: usize = 64;
+const AROUND: u32 = 48;
+const RINGS: u32 = 61;
+const RADIUS_MM: f64 = 6.0;
+
+/// A tube along z that breathing narrows, shifts and draws towards the camera.
+struct Tube {
+    rest: Vec<[f32; 3]>,
+    displacement: Vec<[f32; 3]>,
+    faces: Vec<[u32; 3]>,
+}
+
+impl Tube {
+    fn new() -> Tube {
+        let place = |i: u32| {
+            let (turn, z) = ((i % AROUND) as f64 / AROUND as f64 * std::f64::consts::TAU, (i / AROUND) as f64);
+            DVec3::new(RADIUS_MM * turn.cos(), RADIUS_MM * turn.sin(), z)
+        };
+        let all = (0..AROUND * RINGS).map(place);
+        let way = |p: DVec3| DVec3::new(3.0 - 0.2 * p.x, 2.0 - 0.2 * p.y, -3.0 - 0.05 * p.z);
+        let faces = (0..AROUND * (RINGS - 1)).flat_map(|i| {
+            let next = i / AROUND * AROUND + (i + 1) % AROUND;
+            [[i, next, i + AROUND], [next, next + AROUND, i + AROUND]]
+        });
+        Tube {
+            rest: all.clone().map(|p| p.as_vec3().to_array()).collect(),
+            displacement: all.map(|p| way(p).as_vec3().to_array()).collect(),
+            faces: faces.collect(),
+        }
+    }
+
+    fn shape(&self) -> Shape<'_> {
+        Shape { rest: &self.rest, displacement: &self.displacement, faces: &self.faces }
+    }
+
+    /// What a camera at `z` mm sees at `phase`: a pattern that is fixed to the rest shape, under a light that is not.
+    fn film(&self, z: f64, phase: f64) -> (View, Image<f32>) {
+        let camera = Camera::pinhole(SIZE as u32, SIZE as u32, 1.7);
+        let view = View::new(camera, DAffine3::from_translation(DVec3::new(0.8, -0.5, z)));
+        let all: Vec<u32> = (0..self.faces.len() as u32).collect();
+        let shape = self.shape();
+        let nearest = nearest_faces(&view, &Rays::new(&camera), &shape.at(phase), &self.faces, &all);
+        let mut image = Image::filled(SIZE, SIZE, 3, 0.02f32);
+        for (i, &(depth, face)) in nearest.iter().enumerate().filter(|(_, (depth, _))| *depth > 0.0) {
+            let pixel = DVec2::new((i % SIZE) as f64 + 0.5, (i / SIZE) as f64 + 0.5);
+            let direction = camera.direction(pixel);
+            let point =
+                Point { pixel, ray: direction / direction.z, face: self.faces[face as usize], contrast: [0.0; 3] };
+            let eye = view.camera_from_world.inverse().translation;
+            let [p, ..] = carried(eye, &point, phase, 0.0, shape).unwrap();
+            let turn = p.y.atan2(p.x);
+            let pattern = (5.0 * turn).sin() * (1.7 * p.z).cos() + (3.0 * turn + 0.8 * p.z).sin();
+            let light = 8.0 / (4.0 + depth as f64);
+            (0..3).for_each(|c| image.data[3 * i + c] = (light * (0.5 + 0.1 * pattern)) as f32);
+        }
+        (view, image)
+    }
+}
+
+fn ours<T>(value: T) -> Sourced<T> {
+    Sourced { value, source: Source::Ours, why: String::new() }
+}
+
+/// Errors of the window over a film, whose first frame is believed to be `off` from its phase and later ones `off` from theirs.
+fn errors(off: f64) -> Vec<f64> {
+    let tube = Tube::new();
+    let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
+    let mut window =
+        Window::new(&settings::Window { keyframes: ours(8), memory: ours(0.7), prior_deviation: ours(0.05) })
+            .expect("there are keyframes");
+    (0..40)
+        .map(|frame| {
+            let truth = 0.5 + 0.3 * (frame as f64 * 0.15).sin();
+            let (view, image) = tube.film(2.0 + 0.3 * frame as f64, truth);
+            let frame = Level { view, image, weights: Vec::new() };
+            window.place(&frame, &all, truth + off, tube.shape()).phase - truth
+        })
+        .collect()
+}
+
+#[test]
+fn phases_that_are_expected_in_the_wrong_place_are_mended_by_parallax() {
+    for off in [0.06, -0.06] {
+        let errors = errors(off);
+        assert!((errors[0] - off).abs() < 1e-3, "one frame alone has no parallax: {}", errors[0]);
+        let late = errors[30..].iter().map(|e| e.abs()).fold(0.0, f64::max);
+        assert!(late < 0.012, "{errors:.4?}");
+    }
+}
+
+#[test]
+fn the_derivatives_of_a_carried_point_are_those_of_its_place() {
+    let tube = Tube::new();
+    let shape = tube.shape();
+    let (view, _) = tube.film(3.0, 0.4);
+    let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
+    let nearest = nearest_faces(&view, &Rays::new(&view.camera), &shape.at(0.4), &tube.faces, &all);
+    let eye = view.camera_from_world.inverse().translation;
+    for i in (7..SIZE * SIZE).step_by(131).filter(|&i| nearest[i].0 > 0.0) {
+        let pixel = DVec2::new((i % SIZE) as f64 + 0.5, (i / SIZE) as f64 + 0.5);
+        let face = tube.faces[nearest[i].1 as usize];
+        let point = Point { pixel, ray: view.camera.direction(pixel), face, contrast: [0.0; 3] };
+        let at = |first: f64, second: f64| carried(eye, &point, first, second, shape).unwrap();
+        let [_, by_first, by_second] = at(0.4, 0.7);
+        let h = 1e-5;
+        let numeric_first = (at(0.4 + h, 0.7)[0] - at(0.4 - h, 0.7)[0]) / (2.0 * h);
+        let numeric_second = (at(0.4, 0.7 + h)[0] - at(0.4, 0.7 - h)[0]) / (2.0 * h);
+        assert!((by_first - numeric_first).length() < 1e-5 * (1.0 + by_first.length()), "{by_first} {numeric_first}");
+        assert!((by_second - numeric_second).length() < 1e-5 * (1.0 + by_second.length()));
+    }
+}
+
+#[test]
+fn contrast_knows_no_gain_and_no_hidden_pixels() {
+    let image = Image {
+        width: 40,
+        height: 30,
+        channels: 3,
+        data: (0..3600).map(|i| 0.5 + 0.3 * (i as f32 * 0.37).sin()).collect(),
+    };
+    let weights: Vec<f32> = (0..1200).map(|i| f32::from(u8::from(i % 40 < 30))).collect();
+    let mut other = image.clone();
+    (0..1200).filter(|i| i % 40 >= 30).for_each(|i| other.data[3 * i] = 9.0);
+    let (a, b) = (picture(&image, &weights), picture(&other, &weights));
+    assert_eq!(a.contrast.data, b.contrast.data);
+    let flat = picture(&Image::filled(40, 30, 3, 0.6), &[]);
+    assert!(flat.contrast.data.iter().all(|v| v.abs() < 1e-5));
+}
