@@ -28,7 +28,7 @@ use super::level::Level;
 use super::mesh_depth::{Rays, nearest_faces};
 use super::settings;
 use contrast::picture;
-use pair::{Keyframe, Pair, Sight, keyframe, pair};
+use pair::{Keyframe, Pair, Sight, keyframe, misfit, pair};
 
 pub use pair::Shape;
 
@@ -36,6 +36,11 @@ pub use pair::Shape;
 const STEPS: usize = 4;
 const LONGEST_STEP: f64 = 0.05;
 const SHORTEST_STEP: f64 = 2e-4;
+/// A least misfit is narrow: before the first step it is looked for at so many phases either way, so far apart, and
+/// believed where it is less than this share of that at the expected phase.
+const TRIED: i32 = 6;
+const APART: f64 = 0.01;
+const BETTER: f64 = 0.75;
 /// The window works on the finest halving of a picture that is not wider than this many pixels.
 const WIDEST: usize = 160;
 /// A frame becomes a keyframe after so many frames, or when the points of the last one have moved by this share of the
@@ -103,6 +108,7 @@ impl Window {
         let mut known = self.information.clone().resize(now + 1, now + 1, 0.0);
         known[(now, now)] = 1.0 / (deviation * deviation);
         let (mut at, mut total) = (mean.clone(), known.clone());
+        at[now] = self.nearest_fit(&sight, expected, shape);
         let mut last = None;
         for _ in 0..STEPS {
             let pairs: Vec<Pair> = (self.keyframes.par_iter().enumerate())
@@ -139,6 +145,19 @@ impl Window {
         }
         self.rays = Some(rays);
         placed
+    }
+
+    /// The phase around `expected` at which a frame agrees best with the last keyframe, if it does so clearly better.
+    fn nearest_fit(&self, sight: &Sight<'_>, expected: f64, shape: Shape<'_>) -> f64 {
+        let Some(last) = self.keyframes.last() else { return expected };
+        let known = self.phases[self.keyframes.len() - 1];
+        let score = |phase: f64| (misfit(last, known, sight, phase, shape), phase);
+        let tried: Vec<f64> = (-TRIED..=TRIED).map(|k| (expected + APART * k as f64).clamp(0.0, 1.0)).collect();
+        let best = tried.into_par_iter().map(score).min_by(|a, b| a.0.total_cmp(&b.0));
+        match best {
+            Some((least, phase)) if least < BETTER * score(expected).0 => phase,
+            _ => expected,
+        }
     }
 
     /// Takes a keyframe in, given all phases with it and what is known about them; the oldest leaves a full window.

@@ -18,6 +18,8 @@ const SMALLEST_SCALE: f32 = 0.01;
 const TOGETHER: f64 = 20.0;
 /// Pairs with fewer points say nothing.
 const FEWEST_POINTS: usize = 30;
+/// One of so many points is looked at where only the misfit is asked for.
+const LOOKED_AT: usize = 4;
 /// A point is hidden where it lies so much of the wall's depth, and so many mm, behind the nearest wall, and has left its
 /// face where it lies three times that much before it.
 const SLACK: f64 = 0.05;
@@ -189,6 +191,21 @@ fn row(eye: DVec3, point: &Point, first: f64, sight: &Sight<'_>, second: f64, sh
         (row.by[0][c], row.by[1][c]) = (slope.dot(ways[0]), slope.dot(ways[1]));
     }
     Some(row)
+}
+
+/// How badly the later frame at phase `second` agrees with `key` at phase `first`, by every fourth point: mean difference of
+/// contrast, larger where fewer points are seen; infinite where too few are.
+pub fn misfit(key: &Keyframe, first: f64, sight: &Sight<'_>, second: f64, shape: Shape<'_>) -> f64 {
+    let points = key.points.iter().step_by(LOOKED_AT);
+    let tried = points.len();
+    let sizes: Vec<f64> = (points.filter_map(|p| row(key.eye, p, first, sight, second, shape)))
+        .map(|row| row.residual.iter().map(|r| r.abs() as f64).sum())
+        .collect();
+    if sizes.len() * LOOKED_AT < FEWEST_POINTS {
+        return f64::INFINITY;
+    }
+    let kept = sizes.len() as f64 / tried as f64;
+    sizes.iter().sum::<f64>() / sizes.len() as f64 / kept.sqrt()
 }
 
 /// What the points of `key` at phase `first` say about both phases when the later frame is at `second`.
