@@ -12,9 +12,10 @@
 //! Pictures are compared by their local contrast ([`picture`]): what the light does to large areas says nothing. Each frame is
 //! placed against all keyframes of the window; a frame that shows enough new wall becomes one, and the oldest leaves, its
 //! knowledge marginalised. Of what is known a share is forgotten with each keyframe, since systematic errors (glare,
-//! light inside the wall) do not average out. Left out: levels of resolution (the map's track is near enough to start from),
-//! and poses that are unknown: with six more unknowns per frame the way along a tube and the phase are one, and both run
-//! away (docs/methods.md).
+//! light inside the wall) do not average out. Where walls are near, the valley of the misfit is .01 of a phase wide: before the
+//! first step the phase around the expected one is looked for at which the frame agrees best with the last keyframe.
+//! Left out: levels of resolution, and poses that are unknown: with six more unknowns per frame the way along a tube and the
+//! phase are one, and both run away (docs/methods.md).
 
 mod contrast;
 mod pair;
