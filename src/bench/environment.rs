@@ -6,6 +6,7 @@ use crate::base::hash;
 use crate::ffi::versions::{EMBREE_HEADER, embree_complaint, embree_runtime};
 use crate::ffi::{system, vision};
 use crate::render;
+use crate::splat::Isa;
 
 /// Below this a `quick` run does not fit.
 const MEMORY_NEEDED_MIB: f64 = 1500.0;
@@ -26,7 +27,9 @@ pub struct Environment {
     /// Instruction sets of the processor.
     pub isa_available: Vec<&'static str>,
     /// The one that rays are traced with: pinned, so that images are the same on every machine that has it.
-    pub isa_used: &'static str,
+    pub isa_of_rays: &'static str,
+    /// The one that splats are drawn with: the widest.
+    pub isa_of_splats: String,
     /// Processor model.
     pub processor: String,
     /// Logical cores.
@@ -82,7 +85,8 @@ impl Environment {
             embree_header: EMBREE_HEADER.to_string(),
             opencv: vision::version(),
             isa_available,
-            isa_used: render::ISA,
+            isa_of_rays: render::ISA,
+            isa_of_splats: Isa::widest().to_string(),
             processor: processor(),
             cores: std::thread::available_parallelism().map_or(1, |n| n.get()),
             threads: rayon::current_num_threads(),
