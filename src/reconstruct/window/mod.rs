@@ -7,7 +7,7 @@
 //! phase that makes it wider still mends that: an error of the phase grows by a factor of e on a way as long as the wall
 //! is distant. Two frames from different places see that the wall is elsewhere (parallax). With the point that a pixel of
 //! frame `k` shows at `X_k(a_k) = o + t r`, in barycentric coordinates `b(a_k)` of its face, frame `n` sees it at
-//! `X_n = sum b_i v_i(a_n)`; the derivatives of its place in that picture by `a_k` and by `a_n` differ ([`pair`]).
+//! `X_n = sum b_i v_i(a_n)`; the derivatives of its place in that picture by `a_k` and by `a_n` differ ([`fn@pair`]).
 //!
 //! Pictures are compared by their local contrast ([`picture`]): what the light does to large areas says nothing. Each frame is
 //! placed against all keyframes of the window; a frame that shows enough new wall becomes one, and the oldest leaves, its
