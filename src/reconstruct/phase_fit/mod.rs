@@ -25,8 +25,14 @@ use super::scope_light::{ScopeLight, Shade};
 use super::settings::PhaseMethod;
 use super::{FramePrediction, Observation, Reconstruction};
 
-/// Darkest colour that a Gaussian keeps after a frame.
+/// Darkest colour that a Gaussian keeps after a frame: one below zero is shown as zero and has no gradient, and would stay
+/// black for ever.
 const DARKEST: f32 = 0.01;
+/// Largest change of colour with the direction that it keeps, as a share of its colour, per axis. What is learned at a grazing
+/// look is small there and wild from elsewhere.
+const LARGEST_CHANGE: f32 = 0.3;
+/// Linear spherical harmonics of the unit directions.
+const SH_C1: f32 = 0.488_602_5;
 
 /// Gaussians that a phase moves.
 pub trait Carried {
@@ -313,10 +319,7 @@ impl Fitter<'_> {
         let rendered = self.rasterizer.rendered();
         let width = rendered.width;
         let (sh, memory) = carried.colors();
-        for value in sh.chunks_exact_mut(SH_VALUES).flat_map(|s| &mut s[..3]) {
-            // A colour below zero is shown as zero and has no gradient: it would stay black for ever.
-            *value = value.max((DARKEST - 0.5) / SH_C0);
-        }
+        sh.chunks_exact_mut(SH_VALUES).for_each(bound);
         let frames = *self.settings.memory_frames as f32;
         for (k, ((pixel, shade), depth)) in pixels.into_iter().zip(&self.shades).zip(depths).enumerate() {
             if let Some([x, y]) = pixel
@@ -373,6 +376,16 @@ fn depths(view: &View, gaussians: &Gaussians<f32>) -> Vec<f32> {
     in_camera(view, gaussians).iter().map(|p| p.z).collect()
 }
 
+/// Keeps the colours of one Gaussian within what a wall can show.
+fn bound(sh: &mut [f32]) {
+    let (constant, linear) = sh.split_at_mut(3);
+    for (c, value) in constant.iter_mut().enumerate() {
+        *value = value.max((DARKEST - 0.5) / SH_C0);
+        let most = LARGEST_CHANGE * (*value * SH_C0 + 0.5) / SH_C1;
+        linear.iter_mut().skip(c).step_by(3).for_each(|v| *v = v.clamp(-most, most));
+    }
+}
+
 /// The pixel on which each centre falls.
 pub fn pixels(view: &View, gaussians: &Gaussians<f32>) -> Vec<Option<[usize; 2]>> {
     let (width, height) = (view.camera.width as f64, view.camera.height as f64);
@@ -384,4 +397,25 @@ pub fn pixels(view: &View, gaussians: &Gaussians<f32>) -> Vec<Option<[usize; 2]>
             inside.then_some([pixel.x as usize, pixel.y as usize])
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_colour_changes_with_the_direction_by_a_share_of_itself() {
+        let mut sh = vec![0.0f32; SH_VALUES];
+        sh[..3].copy_from_slice(&[(0.4 - 0.5) / SH_C0, (-0.2 - 0.5) / SH_C0, (0.8 - 0.5) / SH_C0]);
+        sh[3..].copy_from_slice(&[5.0, 5.0, 0.1, -5.0, -5.0, -0.1, 0.01, 0.001, 0.0]);
+        bound(&mut sh);
+        let colors = [0, 1, 2].map(|c| sh[c] * SH_C0 + 0.5);
+        for (color, expected) in colors.into_iter().zip([0.4, DARKEST, 0.8]) {
+            assert!((color - expected).abs() < 1e-6, "{colors:?}");
+        }
+        for (i, value) in sh[3..].iter().enumerate() {
+            assert!((value * SH_C1).abs() <= LARGEST_CHANGE * colors[i % 3] * 1.0001, "{sh:?}");
+        }
+        assert_eq!([sh[5], sh[8], sh[9]], [0.1, -0.1, 0.01], "what is small stays");
+    }
 }
