@@ -16,8 +16,9 @@ use super::settings::PhaseMethod;
 use super::window::{Shape, Window};
 use super::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
 
-/// Phases farther apart may show what is hidden at both of them.
-const WIDEST_REACH: f64 = 0.3;
+/// Phases farther apart may show what is hidden at both of them. A hair above the reach of a frame with a guess, which
+/// rounding may widen.
+const WIDEST_REACH: f64 = 2.0 * phase_fit::REACH + 1e-6;
 
 /// Which row of the report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

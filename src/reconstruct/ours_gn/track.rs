@@ -157,8 +157,8 @@ impl Tracker<'_> {
         let (mut state, mut tracked) = (start, None);
         // Levels that would be too small are left out.
         let left_out = self.settings.steps.len() - levels.len();
-        for (level, steps) in levels.iter().zip(self.settings.steps[left_out..].to_vec()) {
-            for _ in 0..steps {
+        for (k, level) in levels.iter().enumerate() {
+            for _ in 0..self.settings.steps[left_out + k] {
                 let Some(mut evidence) = self.look(level, &state)? else { return Ok(tracked) };
                 if self.refines_pose() {
                     // What the model of the light gets wrong looks like a motion, and stays the same for many frames.

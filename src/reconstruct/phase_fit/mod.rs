@@ -25,6 +25,8 @@ use super::scope_light::{ScopeLight, Shade};
 use super::settings::PhaseMethod;
 use super::{FramePrediction, Observation, Reconstruction};
 
+/// How far a frame's phase may be from its guess.
+pub const REACH: f64 = 0.15;
 /// Darkest colour that a Gaussian keeps after a frame: one below zero is shown as zero and has no gradient, and would stay
 /// black for ever.
 const DARKEST: f32 = 0.01;
@@ -164,7 +166,7 @@ impl Fitter<'_> {
         };
         let reach = match (estimated, frame) {
             (true, 0) => [0.0, 1.0],
-            (true, _) => [(phase - 0.15).max(0.0), (phase + 0.15).min(1.0)],
+            (true, _) => [(phase - REACH).max(0.0), (phase + REACH).min(1.0)],
             (false, _) => [phase, phase],
         };
         carried.enter(&view, reach)?;
