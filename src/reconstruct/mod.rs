@@ -8,6 +8,7 @@ mod anchored;
 mod bridgesplat;
 mod bridgesplat_nomesh;
 mod control_points;
+mod correction;
 mod free;
 mod gauss_newton;
 mod level;

@@ -7,6 +7,7 @@ use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
 
 use super::active::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
 use super::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
+use super::correction::Correction;
 use super::level::Level;
 use super::memory::Memory;
 use super::mesh_depth::{Rays, unhidden};
@@ -241,7 +242,7 @@ impl Carried for OnMesh {
             level = level.halved();
         }
         let shape = Shape { rest: &self.inspiration, displacement: &self.displacement, faces: &self.surface.faces };
-        window.place(&level, &seen.faces, expected, shape).phase
+        window.place(&level, &seen.faces, expected, shape, &mut Correction::none()).phase
     }
 
     fn leave(&mut self) {

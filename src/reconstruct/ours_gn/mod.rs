@@ -15,13 +15,12 @@
 //! since what was painted in the wrong place leaves the view or is painted over.
 //!
 //! Options: poses that are only roughly known ([`pose`]), and a correction of the registration of the two CTs
-//! ([`correction`]), both estimated with the phase. Depth, and what is hidden, are those of the mesh ([`super::mesh_depth`]).
+//! ([`super::correction`]), both estimated with the phase. Depth, and what is hidden, are those of the mesh ([`super::mesh_depth`]).
 //!
 //! Left out: learning of disc centres and sizes.
 
 mod albedo;
 mod breath;
-mod correction;
 mod light;
 mod pose;
 mod scene;
@@ -34,6 +33,7 @@ use glam::Vec3;
 use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
 use crate::splat::{DepthOutput, Frame, Rasterizer, Rendered, Settings, View};
 
+use super::correction::Correction;
 use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{Start, Surface, to_f32};
 use super::level::Level;
@@ -45,7 +45,6 @@ use super::settings::GaussNewtonMethod;
 use super::window::{Shape, Window};
 use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 use breath::{Breath, Repetition};
-use correction::Correction;
 use light::Scope;
 use pose::{Before, POSE, Walk};
 use scene::Seen;
@@ -108,7 +107,7 @@ struct Tracker<'a> {
     /// With what is known of its error.
     displacement: Vec<[f32; 3]>,
     correction: Correction,
-    /// Centres of the correction in view.
+    /// Centres of the correction in view that each frame estimates on the map.
     centres: Vec<usize>,
     /// Correction of the given poses.
     pose: [f64; POSE],
@@ -200,9 +199,14 @@ impl<'a> Tracker<'a> {
         levels.iter_mut().for_each(|level| level.view = moved(&level.view, self.pose));
         if let Some(window) = &mut self.window {
             let level = levels.iter().rev().find(|level| Window::suits(level)).unwrap_or(&levels[0]);
-            let shape = Shape { rest: &self.rest, displacement: &self.displacement, faces: &self.surface.faces };
-            let placed = window.place(level, &self.faces, phase, shape);
+            let shape = Shape { rest: &self.rest, displacement: &self.given_displacement, faces: &self.surface.faces };
+            let placed = window.place(level, &self.faces, phase, shape, &mut self.correction);
             (phase, deviation) = (placed.phase, *self.settings.window_deviation_factor * placed.deviation);
+            if self.correction.estimates() {
+                self.displacement = self.corrected();
+                let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
+                seen.displacement = seen.patch.pick(&self.displacement);
+            }
         }
         self.place(phase, &given)?;
         let finest = levels.pop().expect("there is always the full resolution");
@@ -252,12 +256,17 @@ impl<'a> Tracker<'a> {
             self.correction.learn(centre, *c, *deviations);
         }
         if !self.centres.is_empty() {
-            self.displacement = self.correction.corrected(&self.given_displacement);
+            self.displacement = self.corrected();
             self.seen().correct(&found.state.coefficients);
         }
         let cost = found.evidence.cost;
         self.cost = if self.cost.is_finite() { self.cost + COST_SHARE * (cost - self.cost) } else { cost };
         (step * step + self.drift).sqrt()
+    }
+
+    /// The displacement field by all that is known.
+    fn corrected(&self) -> Vec<[f32; 3]> {
+        self.correction.corrected(&self.given_displacement, &self.correction.coefficients).into_owned()
     }
 
     /// The airway as the last frame has it.
@@ -314,7 +323,11 @@ impl<'a> Tracker<'a> {
         let albedo = patch.discs.iter().map(|&i| self.albedo[i as usize]).collect();
         let (rest, displacement) = (patch.pick(&self.rest), patch.pick(&self.displacement));
         self.faces = seen;
-        self.centres = self.correction.in_view(&view.camera_from_world.inverse());
+        // Where there is a window, it is the window that estimates the correction.
+        self.centres = match &self.window {
+            Some(_) => Vec::new(),
+            None => self.correction.in_view(&view.camera_from_world.inverse()),
+        };
         let modes = self.centres.iter().map(|&c| self.correction.pick(c, &patch.vertices)).collect();
         let coefficients: Vec<[f64; 3]> = self.centres.iter().map(|&c| self.correction.prior(c).0).collect();
         let mut seen = Seen::new(patch, rest, displacement, albedo, memory, *self.settings.discs.opacity as f32);

@@ -6,8 +6,8 @@ use glam::Vec3;
 use crate::base::Result;
 use crate::splat::{Gaussians, Shape};
 
-use super::correction::add;
 use crate::reconstruct::anchored::{Patch, SH_C0};
+use crate::reconstruct::correction::add;
 use crate::reconstruct::phase_fit::at_phase;
 use crate::reconstruct::scope_light::ScopeLight;
 

@@ -1,6 +1,7 @@
 //! A keyframe and a later frame: how the points of the one show in the other, and what that says about both phases.
 
 use glam::{DMat3, DVec2, DVec3, Vec3};
+use nalgebra::{DMatrix, DVector};
 
 use crate::splat::View;
 
@@ -85,13 +86,13 @@ pub struct Sight<'a> {
     pub nearest: &'a [(f32, u32)],
 }
 
-/// What a pair of frames says about the phases of both.
-#[derive(Clone, Copy, Debug, Default)]
+/// What a pair of frames says about the phases of both, and about the coefficients of a correction, three per centre.
+#[derive(Clone, Debug)]
 pub struct Pair {
-    /// Of the first, of both, of the second.
-    pub hessian: [f64; 3],
-    /// By the first and by the second.
-    pub gradient: [f64; 2],
+    /// Phase of the first, of the second, coefficients.
+    pub hessian: DMatrix<f64>,
+    /// Likewise.
+    pub gradient: DVector<f64>,
     /// Share of the points that the second frame shows.
     pub kept: f64,
     /// Mean way of the points across the picture, as a share of its width.
@@ -132,9 +133,21 @@ pub fn keyframe(sight: &Sight<'_>, shape: Shape<'_>) -> Keyframe {
     Keyframe { eye: world_from_camera.translation, points }
 }
 
-/// Where what a ray from `eye` meets on its face at phase `first` is at phase `second`, and the derivatives of that by
-/// both phases (mm, world); `None` where the ray grazes the face.
-pub fn carried(eye: DVec3, point: &Point, first: f64, second: f64, shape: Shape<'_>) -> Option<[DVec3; 3]> {
+/// What a ray of a keyframe meets on its face, seen at another phase.
+pub struct Carried {
+    /// Where it is, mm, world.
+    pub place: DVec3,
+    /// The derivatives of that by the first and by the second phase.
+    pub by_phase: [DVec3; 2],
+    /// And by an offset of the face's way to expiration, per axis.
+    pub by_offset: [DVec3; 3],
+    /// Share of each corner in it.
+    pub shares: [f64; 3],
+}
+
+/// Where what a ray from `eye` meets on its face at phase `first` is at phase `second`; `None` where the ray grazes the
+/// face.
+pub fn carried(eye: DVec3, point: &Point, first: f64, second: f64, shape: Shape<'_>) -> Option<Carried> {
     let [a, b, c] = shape.corners(point.face, first);
     let [way_a, way_b, way_c] = point.face.map(|v| shape.way(v));
     // eye + t ray = a + u (b - a) + v (c - a).
@@ -146,9 +159,15 @@ pub fn carried(eye: DVec3, point: &Point, first: f64, second: f64, shape: Shape<
     let uvt = solved * (eye - a);
     let on_face = |[a, b, c]: [DVec3; 3]| a + uvt.x * (b - a) + uvt.y * (c - a);
     let way = on_face([way_a, way_b, way_c]);
-    let change = solved * -way;
     let later = shape.corners(point.face, second);
-    Some([on_face(later), change.x * (later[1] - later[0]) + change.y * (later[2] - later[0]), way])
+    // How the place moves when what the ray meets moves on its face.
+    let slide = |change: DVec3| change.x * (later[1] - later[0]) + change.y * (later[2] - later[0]);
+    Some(Carried {
+        place: on_face(later),
+        by_phase: [slide(solved * -way), way],
+        by_offset: DVec3::AXES.map(|axis| second * axis - first * slide(solved * axis)),
+        shares: [1.0 - uvt.x - uvt.y, uvt.x, uvt.y],
+    })
 }
 
 /// A point as both frames show it: difference of contrasts, and the derivatives of the later one by both phases.
@@ -156,13 +175,36 @@ struct Row {
     residual: [f32; 3],
     by: [[f64; 3]; 2],
     way_px: f64,
+    offset: Option<Offset>,
 }
 
-fn row(eye: DVec3, point: &Point, first: f64, sight: &Sight<'_>, second: f64, shape: Shape<'_>) -> Option<Row> {
+/// The derivatives of the later contrast by an offset of the whole face, axis by axis, and the face.
+struct Offset {
+    by: [[f64; 3]; 3],
+    face: [u32; 3],
+    shares: [f64; 3],
+}
+
+/// Whether a row knows what an offset of its face does.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Offsets {
+    Wanted,
+    Left,
+}
+
+fn row(
+    eye: DVec3,
+    point: &Point,
+    first: f64,
+    sight: &Sight<'_>,
+    second: f64,
+    shape: Shape<'_>,
+    offsets: Offsets,
+) -> Option<Row> {
     let Sight { view: View { camera, camera_from_world, .. }, picture: Picture { contrast, counts }, nearest } = *sight;
     let (width, height) = (contrast.width, contrast.height);
-    let [place, by_first, by_second] = carried(eye, point, first, second, shape)?;
-    let place = camera_from_world.transform_point3(place);
+    let carried = carried(eye, point, first, second, shape)?;
+    let place = camera_from_world.transform_point3(carried.place);
     let pixel = if place.z > 0.0 { camera.project(place)? } else { return None };
     let (x, y) = (pixel.x - 0.5, pixel.y - 0.5);
     if !(x >= 1.0 && y >= 1.0 && x < width as f64 - 2.0 && y < height as f64 - 2.0) {
@@ -179,9 +221,18 @@ fn row(eye: DVec3, point: &Point, first: f64, sight: &Sight<'_>, second: f64, sh
         let by = camera_from_world.transform_vector3(by);
         Some((camera.project(place + WIDTH * by)? - pixel) / WIDTH)
     };
+    let [by_first, by_second] = carried.by_phase;
     let ways = [moved(by_first)?, moved(by_second)?];
+    let offset_ways = match offsets {
+        Offsets::Wanted => {
+            let [x, y, z] = carried.by_offset;
+            [moved(x)?, moved(y)?, moved(z)?]
+        }
+        Offsets::Left => [DVec2::ZERO; 3],
+    };
+    let mut by_offset = [[0.0; 3]; 3];
     let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
-    let mut row = Row { residual: [0.0; 3], by: [[0.0; 3]; 2], way_px: (pixel - point.pixel).length() };
+    let mut row = Row { residual: [0.0; 3], by: [[0.0; 3]; 2], way_px: (pixel - point.pixel).length(), offset: None };
     for c in 0..3 {
         let at = |dx: usize, dy: usize| contrast.data[((j + dy) * width + i + dx) * 3 + c];
         let [v00, v10, v01, v11] = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
@@ -189,6 +240,10 @@ fn row(eye: DVec3, point: &Point, first: f64, sight: &Sight<'_>, second: f64, sh
         let slope = DVec2::new(((v10 - v00) * (1.0 - fy) + (v11 - v01) * fy) as f64, (bottom - top) as f64);
         row.residual[c] = point.contrast[c] - (top + (bottom - top) * fy);
         (row.by[0][c], row.by[1][c]) = (slope.dot(ways[0]), slope.dot(ways[1]));
+        by_offset.iter_mut().zip(offset_ways).for_each(|(by, way)| by[c] = slope.dot(way));
+    }
+    if offsets == Offsets::Wanted {
+        row.offset = Some(Offset { by: by_offset, face: point.face, shares: carried.shares });
     }
     Some(row)
 }
@@ -198,7 +253,7 @@ fn row(eye: DVec3, point: &Point, first: f64, sight: &Sight<'_>, second: f64, sh
 pub fn misfit(key: &Keyframe, first: f64, sight: &Sight<'_>, second: f64, shape: Shape<'_>) -> f64 {
     let points = key.points.iter().step_by(LOOKED_AT);
     let tried = points.len();
-    let sizes: Vec<f64> = (points.filter_map(|p| row(key.eye, p, first, sight, second, shape)))
+    let sizes: Vec<f64> = (points.filter_map(|p| row(key.eye, p, first, sight, second, shape, Offsets::Left)))
         .map(|row| row.residual.iter().map(|r| r.abs() as f64).sum())
         .collect();
     if sizes.len() * LOOKED_AT < FEWEST_POINTS {
@@ -208,32 +263,69 @@ pub fn misfit(key: &Keyframe, first: f64, sight: &Sight<'_>, second: f64, shape:
     sizes.iter().sum::<f64>() / sizes.len() as f64 / kept.sqrt()
 }
 
-/// What the points of `key` at phase `first` say about both phases when the later frame is at `second`.
-pub fn pair(key: &Keyframe, first: f64, sight: &Sight<'_>, second: f64, shape: Shape<'_>) -> Pair {
-    let rows: Vec<Row> = key.points.iter().filter_map(|p| row(key.eye, p, first, sight, second, shape)).collect();
+/// What the points of `key` at phase `first` say about both phases when the later frame is at `second`, and about the
+/// coefficients of a correction of the displacement field whose centres have these `weights` of all vertices.
+pub fn pair(
+    key: &Keyframe,
+    first: f64,
+    sight: &Sight<'_>,
+    second: f64,
+    shape: Shape<'_>,
+    weights: &[&[f32]],
+) -> Pair {
+    let size = 2 + 3 * weights.len();
+    let (hessian, gradient) = (DMatrix::zeros(size, size), DVector::zeros(size));
+    let mut pair = Pair { hessian, gradient, kept: 0.0, flow: 0.0 };
+    let offsets = if weights.is_empty() { Offsets::Left } else { Offsets::Wanted };
+    let rows = key.points.iter().filter_map(|p| row(key.eye, p, first, sight, second, shape, offsets));
+    let rows: Vec<Row> = rows.collect();
     if rows.len() < FEWEST_POINTS {
-        return Pair::default();
+        return pair;
     }
     let mut sizes: Vec<f32> = rows.iter().flat_map(|row| row.residual.map(f32::abs)).collect();
     let middle = sizes.len() / 2;
     let scale = (1.4826 * *sizes.select_nth_unstable_by(middle, f32::total_cmp).1).max(SMALLEST_SCALE);
     let limit = HUBER * scale;
     let per_value = 1.0 / (scale as f64 * scale as f64 * TOGETHER);
+    let weight = |r: f32| (limit / r.abs().max(limit)) as f64 * per_value;
     let way_px: f64 = rows.iter().map(|row| row.way_px).sum();
-    let mut pair = Pair {
-        kept: rows.len() as f64 / key.points.len() as f64,
-        flow: way_px / rows.len() as f64 / sight.picture.contrast.width as f64,
-        ..Pair::default()
-    };
+    pair.kept = rows.len() as f64 / key.points.len() as f64;
+    pair.flow = way_px / rows.len() as f64 / sight.picture.contrast.width as f64;
+    // Of the first phase, of both, of the second.
+    let (mut second_order, mut first_order) = ([0.0f64; 3], [0.0f64; 2]);
     for Row { residual, by: [first, second], .. } in &rows {
         for ((r, a), b) in residual.iter().zip(first).zip(second) {
-            let weight = (limit / r.abs().max(limit)) as f64 * per_value;
-            pair.hessian[0] += weight * a * a;
-            pair.hessian[1] += weight * a * b;
-            pair.hessian[2] += weight * b * b;
-            pair.gradient[0] += weight * a * *r as f64;
-            pair.gradient[1] += weight * b * *r as f64;
+            let weight = weight(*r);
+            second_order[0] += weight * a * a;
+            second_order[1] += weight * a * b;
+            second_order[2] += weight * b * b;
+            first_order[0] += weight * a * *r as f64;
+            first_order[1] += weight * b * *r as f64;
         }
     }
+    for row in &rows {
+        let Some(Offset { by, face, shares }) = &row.offset else { continue };
+        let share = |weights: &&[f32]| {
+            face.iter().zip(shares).map(|(&v, share)| share * weights[v as usize] as f64).sum::<f64>()
+        };
+        let share: Vec<f64> = weights.iter().map(share).collect();
+        let mut column = vec![0.0; size];
+        for (c, r) in row.residual.iter().enumerate() {
+            (column[0], column[1]) = (row.by[0][c], row.by[1][c]);
+            for (k, value) in column[2..].iter_mut().enumerate() {
+                *value = share[k / 3] * by[k % 3][c];
+            }
+            let weight = weight(*r);
+            for i in 2..size {
+                let along = weight * column[i];
+                pair.gradient[i] += along * *r as f64;
+                (0..=i).for_each(|j| pair.hessian[(i, j)] += along * column[j]);
+            }
+        }
+    }
+    pair.hessian.fill_upper_triangle_with_lower_triangle();
+    let [a, both, b] = second_order;
+    (pair.hessian[(0, 0)], pair.hessian[(0, 1)], pair.hessian[(1, 0)], pair.hessian[(1, 1)]) = (a, both, both, b);
+    (pair.gradient[0], pair.gradient[1]) = (first_order[0], first_order[1]);
     pair
 }

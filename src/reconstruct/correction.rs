@@ -1,7 +1,10 @@
 //! A low-rank correction of the displacement field between the two CTs: their registration errs, smoothly, by a mm or so.
 //! `D(x) = D_given(x) + sum_k exp(-|x - x_k|^2 / (2 reach^2)) c_k`, one vector `c_k` (mm) per centre `x_k`; the centres stand
-//! along the way of the scope. Each frame estimates the few in front of it together with the phase, under a prior that
-//! narrows with what earlier frames have said.
+//! along the way of the scope. The few in front of a frame are estimated together with its phase: by the window of keyframes
+//! ([`super::window`]) where there is one, else on the map (`ours_gn/track.rs`), under a prior that narrows with what earlier
+//! frames have said.
+
+use std::borrow::Cow;
 
 use glam::{DAffine3, DVec3};
 
@@ -51,6 +54,21 @@ impl Correction {
         }
     }
 
+    /// No centres.
+    pub fn none() -> Self {
+        Correction { centres: Vec::new(), weights: Vec::new(), coefficients: Vec::new(), deviations: Vec::new(), rank: 0 }
+    }
+
+    /// Whether there is anything to estimate.
+    pub fn estimates(&self) -> bool {
+        self.rank > 0
+    }
+
+    /// Weights of all vertices at `centre`.
+    pub fn weights(&self, centre: usize) -> &[f32] {
+        &self.weights[centre]
+    }
+
     /// The centres that the scope at `pose` looks at, nearest first.
     pub fn in_view(&self, pose: &DAffine3) -> Vec<usize> {
         let place = looked_at(pose);
@@ -70,17 +88,27 @@ impl Correction {
         (self.coefficients[centre], self.deviations[centre])
     }
 
+    /// Precision of the prior of all coefficients, three per centre, 1 / mm^2.
+    pub fn precision(&self) -> Vec<f64> {
+        self.deviations.iter().flatten().map(|d| 1.0 / (d * d)).collect()
+    }
+
+    /// Replaces all coefficients, three per centre.
+    pub fn set(&mut self, coefficients: &[[f64; 3]]) {
+        self.coefficients.copy_from_slice(coefficients);
+    }
+
     /// Takes what a frame has found of `centre`.
     pub fn learn(&mut self, centre: usize, coefficients: [f64; 3], deviations: [f64; 3]) {
         self.coefficients[centre] = coefficients;
         self.deviations[centre] = deviations.map(|d| d.max(LEAST_DEVIATION_MM));
     }
 
-    /// `given` with the correction.
-    pub fn corrected(&self, given: &[[f32; 3]]) -> Vec<[f32; 3]> {
-        let mut out = given.to_vec();
-        for (weights, c) in self.weights.iter().zip(&self.coefficients).filter(|(_, c)| **c != [0.0; 3]) {
-            add(&mut out, weights, *c);
+    /// `given` with these coefficients' correction.
+    pub fn corrected<'a>(&self, given: &'a [[f32; 3]], coefficients: &[[f64; 3]]) -> Cow<'a, [[f32; 3]]> {
+        let mut out = Cow::Borrowed(given);
+        for (weights, c) in self.weights.iter().zip(coefficients).filter(|(_, c)| **c != [0.0; 3]) {
+            add(out.to_mut(), weights, *c);
         }
         out
     }
@@ -111,7 +139,7 @@ mod tests {
         assert_eq!(correction.in_view(&poses[49]), [2, 1]);
         correction.learn(0, [1.0, 0.0, -2.0], [0.5, 0.0, 0.5]);
         assert_eq!(correction.prior(0).1, [0.5, LEAST_DEVIATION_MM, 0.5]);
-        let out = correction.corrected(&[[1.0; 3]; 3]);
+        let out = correction.corrected(&[[1.0; 3]; 3], &correction.coefficients);
         let there = (-0.5f32 * 1.44).exp();
         assert_eq!(out[0], [2.0, 1.0, -1.0]);
         assert!((out[1][2] - (1.0 - 2.0 * there)).abs() < 1e-5 && out[2] == [1.0; 3], "{out:?}");
