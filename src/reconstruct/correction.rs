@@ -56,7 +56,13 @@ impl Correction {
 
     /// No centres.
     pub fn none() -> Self {
-        Correction { centres: Vec::new(), weights: Vec::new(), coefficients: Vec::new(), deviations: Vec::new(), rank: 0 }
+        Correction {
+            centres: Vec::new(),
+            weights: Vec::new(),
+            coefficients: Vec::new(),
+            deviations: Vec::new(),
+            rank: 0,
+        }
     }
 
     /// Whether there is anything to estimate.

@@ -26,6 +26,7 @@ mod ours_nomesh;
 pub mod phase;
 mod phase_fit;
 mod phase_search;
+mod pose_drift;
 mod prediction;
 mod rough_poses;
 mod scope_light;

@@ -14,7 +14,7 @@ use super::mesh_depth::{Rays, unhidden};
 use super::optimiser::StepCounter;
 use super::phase_fit::{self, Carried, PhaseSource, at_phase};
 use super::settings::PhaseMethod;
-use super::window::{Shape, Window};
+use super::window::{Setting, Shape, Window};
 use super::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
 
 /// Phases farther apart may show what is hidden at both of them. A hair above the reach of a frame with a guess, which
@@ -122,7 +122,7 @@ impl OnMesh {
             Surface::new(rest, &settings.appearance, Frame::from(*settings.inherits), Start::Even, observation.seed);
         Ok(OnMesh {
             memory: Memory::new(surface.len()),
-            window: Window::new(&settings.window),
+            window: Window::new(&settings.window, None),
             pixels_per_disc: *settings.pixels_per_disc as f32,
             most_per_face: *settings.most_per_face as f32,
             surface,
@@ -242,7 +242,8 @@ impl Carried for OnMesh {
             level = level.halved();
         }
         let shape = Shape { rest: &self.inspiration, displacement: &self.displacement, faces: &self.surface.faces };
-        window.place(&level, &seen.faces, expected, shape, &mut Correction::none()).phase
+        let setting = Setting { shape, visible: &seen.faces };
+        window.place(&level, 0.0, setting, expected, &mut Correction::none()).phase
     }
 
     fn leave(&mut self) {

@@ -33,20 +33,21 @@ use glam::Vec3;
 use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
 use crate::splat::{DepthOutput, Frame, Rasterizer, Rendered, Settings, View};
 
-use super::correction::Correction;
 use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{Start, Surface, to_f32};
+use super::correction::Correction;
 use super::level::Level;
 use super::mesh_depth::{Rays, depth_gap_mm, nearest_depth_mm, unhidden};
 use super::online::{fit_in_order, held_out};
 use super::phase_fit::at_phase;
 use super::phase_search::grid_search;
+use super::pose_drift::{Drift, POSE, Walk};
 use super::settings::GaussNewtonMethod;
-use super::window::{Shape, Window};
+use super::window::{Setting, Shape, Window};
 use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 use breath::{Breath, Repetition};
 use light::Scope;
-use pose::{Before, POSE, Walk};
+use pose::Before;
 use scene::Seen;
 use track::{Tracked, moved};
 
@@ -144,11 +145,12 @@ impl<'a> Tracker<'a> {
         let [rank, reach_mm, deviation_mm] =
             [*settings.correction_rank as f64, *settings.correction_reach_mm, *settings.correction_deviation_mm];
         let poses = &observation.world_from_camera;
+        let drift = Drift::new(*settings.pose_drift, *settings.pose_steady_s, *settings.pose_caution);
         Tracker {
             correction: Correction::new(&rest, poses, rank as usize, reach_mm, deviation_mm),
             centres: Vec::new(),
             pose: [0.0; POSE],
-            walk: Walk::new(*settings.pose_drift, *settings.pose_steady_s),
+            walk: Walk::new(drift),
             given_displacement: displacement.clone(),
             settings,
             iteration_scale,
@@ -168,7 +170,7 @@ impl<'a> Tracker<'a> {
             breath: Breath::new(*settings.velocity, repetition),
             cost: f64::INFINITY,
             mean_color: [0.5; 3],
-            window: Window::new(&settings.window),
+            window: Window::new(&settings.window, settings.unknown_pose.then_some(drift)),
         }
     }
 
@@ -176,7 +178,10 @@ impl<'a> Tracker<'a> {
         let given = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
         if frame > 0 && *self.settings.unknown_pose {
             self.walk.wait(self.observation.time_s[frame] - self.observation.time_s[frame - 1]);
-            self.pose = self.walk.expected();
+            self.pose = match &mut self.window {
+                Some(window) => window.wait_until(self.observation.time_s[frame]),
+                None => self.walk.expected(),
+            };
         }
         let mut phase = if frame == 0 { self.search_by_depth(&given)? } else { self.breath.expected() };
         let mut deviation = *self.settings.prior_deviation;
@@ -196,11 +201,13 @@ impl<'a> Tracker<'a> {
             phase = found.state.phase;
             deviation = self.take(&found);
         }
-        levels.iter_mut().for_each(|level| level.view = moved(&level.view, self.pose));
         if let Some(window) = &mut self.window {
             let level = levels.iter().rev().find(|level| Window::suits(level)).unwrap_or(&levels[0]);
             let shape = Shape { rest: &self.rest, displacement: &self.given_displacement, faces: &self.surface.faces };
-            let placed = window.place(level, &self.faces, phase, shape, &mut self.correction);
+            let time_s = self.observation.time_s[frame];
+            let placed =
+                window.place(level, time_s, Setting { shape, visible: &self.faces }, phase, &mut self.correction);
+            self.pose = placed.pose;
             (phase, deviation) = (placed.phase, *self.settings.window_deviation_factor * placed.deviation);
             if self.correction.estimates() {
                 self.displacement = self.corrected();
@@ -208,6 +215,7 @@ impl<'a> Tracker<'a> {
                 seen.displacement = seen.patch.pick(&self.displacement);
             }
         }
+        levels.iter_mut().for_each(|level| level.view = moved(&level.view, self.pose));
         self.place(phase, &given)?;
         let finest = levels.pop().expect("there is always the full resolution");
         self.learn(frame, &finest)?;
@@ -383,6 +391,9 @@ impl<'a> Tracker<'a> {
             let (phase, pose) = pose::register(depth, &before, |phase, xi| self.depth_mm(&moved(view, xi), phase));
             self.pose = pose;
             self.walk.begin(pose);
+            if let Some(window) = &mut self.window {
+                window.begin(pose, observation.time_s[0]);
+            }
             phase
         } else {
             grid_search(*self.settings.grid_steps, |phase| Ok(depth_gap_mm(&self.depth_mm(view, phase), depth)))?

@@ -4,12 +4,12 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::Tracker;
-use super::pose::{POSE, after, apart, motion};
 use super::scene::Velocity;
 use crate::base::Result;
 use crate::reconstruct::gauss_newton::{self, Comparison, Evidence, Prior, Robust, Unevenness};
 use crate::reconstruct::level::Level;
 use crate::reconstruct::phase_search::grid_search;
+use crate::reconstruct::pose_drift::{POSE, after, apart, motion};
 use crate::reconstruct::scope_light::ScopeLight;
 use crate::splat::{DepthOutput, Direction, Motion, Settings, View};
 
@@ -48,9 +48,9 @@ pub fn moved(view: &View, pose: [f64; POSE]) -> View {
 }
 
 impl Tracker<'_> {
-    /// Whether poses are to be estimated.
+    /// Whether the map is to tell poses; where there is a window, that does.
     fn refines_pose(&self) -> bool {
-        *self.settings.unknown_pose
+        *self.settings.unknown_pose && self.window.is_none()
     }
 
     fn robust(&self, width: usize) -> Robust {
@@ -161,7 +161,6 @@ impl Tracker<'_> {
             for _ in 0..self.settings.steps[left_out + k] {
                 let Some(mut evidence) = self.look(level, &state)? else { return Ok(tracked) };
                 if self.refines_pose() {
-                    // What the model of the light gets wrong looks like a motion, and stays the same for many frames.
                     evidence.information /= self.settings.pose_caution.powi(2);
                 }
                 let prior = self.prior(&state);

@@ -24,6 +24,8 @@ mod pair;
 #[cfg(test)]
 mod tests;
 
+use std::borrow::Cow;
+
 use glam::DAffine3;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -31,9 +33,11 @@ use rayon::prelude::*;
 use super::correction::Correction;
 use super::level::Level;
 use super::mesh_depth::{Rays, nearest_faces};
+use super::pose_drift::{Drift, POSE, motion};
 use super::settings;
-use contrast::picture;
-use pair::{Keyframe, Pair, Sight, keyframe, misfit, pair};
+use crate::splat::View;
+use contrast::{Picture, picture};
+use pair::{Assumed, Keyframe, Others, Pair, Poses, Sight, keyframe, misfit, pair};
 
 pub use pair::Shape;
 
@@ -41,7 +45,7 @@ pub use pair::Shape;
 const STEPS: usize = 4;
 const LONGEST_STEP: f64 = 0.05;
 const SHORTEST_STEP: f64 = 2e-4;
-/// Longest step of a coefficient of the correction.
+/// Longest step of a coefficient of the correction and of a place; angles are never so long.
 const LONGEST_SHIFT_MM: f64 = 0.3;
 /// A least misfit is narrow: before the first step it is looked for at so many phases either way, so far apart, and
 /// believed where it is less than this share of that at the expected phase.
@@ -65,6 +69,17 @@ pub struct Placed {
     pub phase: f64,
     /// Its standard deviation.
     pub deviation: f64,
+    /// Correction of its pose.
+    pub pose: [f64; POSE],
+}
+
+/// What a frame is to be placed in.
+#[derive(Clone, Copy)]
+pub struct Setting<'a> {
+    /// The airway as it is given.
+    pub shape: Shape<'a>,
+    /// Faces in view.
+    pub visible: &'a [u32],
 }
 
 /// The keyframes, and what is known about their phases.
@@ -75,7 +90,12 @@ pub struct Window {
     kept: f64,
     prior_deviation: f64,
     keyframes: Vec<Keyframe>,
-    /// The unknowns: coefficients of the correction in mm, three per centre, then the phases of the keyframes.
+    /// How given poses drift; `None`: they are true.
+    drift: Option<Drift>,
+    /// When the correction of the poses is what `unknowns` says.
+    time_s: f64,
+    /// The unknowns: correction of the poses and its change per second, where they drift; coefficients of the correction of
+    /// the displacement field in mm, three per centre; phases of the keyframes.
     unknowns: DVector<f64>,
     /// What images say about them around there: second and first derivatives. Where there is no correction, the first are 0.
     information: DMatrix<f64>,
@@ -85,20 +105,71 @@ pub struct Window {
 }
 
 impl Window {
-    /// An empty window; `None` where `settings` ask for no keyframes.
-    pub fn new(settings: &settings::Window) -> Option<Window> {
+    /// An empty window; `None` where `settings` ask for no keyframes. Poses are true, or off by what drifts.
+    pub fn new(settings: &settings::Window, drift: Option<Drift>) -> Option<Window> {
         let empty = Window {
             rays: None,
             most: *settings.keyframes as usize,
             kept: *settings.memory,
             prior_deviation: *settings.prior_deviation,
             keyframes: Vec::new(),
+            drift,
+            time_s: 0.0,
             unknowns: DVector::zeros(0),
             information: DMatrix::zeros(0, 0),
             pull: DVector::zeros(0),
             waited: 0,
         };
-        (empty.most > 0).then_some(empty)
+        let mut window = (empty.most > 0).then_some(empty)?;
+        window.begin([0.0; POSE], 0.0);
+        Some(window)
+    }
+
+    /// Begins with the correction `xi` of the first frame's pose.
+    pub fn begin(&mut self, xi: [f64; POSE], time_s: f64) {
+        if let Some(drift) = self.drift {
+            self.time_s = time_s;
+            self.unknowns = DVector::zeros(2 * POSE);
+            self.unknowns.rows_mut(0, POSE).copy_from_slice(&xi);
+            let variances = DVector::from_column_slice(&drift.start_variances());
+            self.information = DMatrix::from_diagonal(&variances.map(|v| 1.0 / v));
+            self.pull = DVector::zeros(2 * POSE);
+        }
+    }
+
+    /// Lets the poses drift until `time_s`; the correction that is expected then.
+    pub fn wait_until(&mut self, time_s: f64) -> [f64; POSE] {
+        let Some(drift) = self.drift else { return [0.0; POSE] };
+        let seconds = time_s - self.time_s;
+        self.time_s = time_s;
+        if seconds > 0.0 {
+            const S: usize = 2 * POSE;
+            let step = drift.transition(seconds);
+            let noise = DMatrix::from_diagonal(&DVector::from_column_slice(&drift.noise(seconds)).map(|v| 1.0 / v));
+            let now = &step * self.unknowns.rows(0, S);
+            self.unknowns.rows_mut(0, S).copy_from(&now);
+            // The new state before the old one, which is then no longer asked for.
+            let n = self.information.nrows();
+            let mut all = DMatrix::zeros(S + n, S + n);
+            all.view_mut((S, S), (n, n)).copy_from(&self.information);
+            all.view_mut((0, 0), (S, S)).copy_from(&noise);
+            let across = &noise * &step;
+            all.view_mut((0, S), (S, S)).copy_from(&-&across);
+            all.view_mut((S, 0), (S, S)).copy_from(&-across.transpose());
+            let mut old = all.view_mut((S, S), (S, S));
+            old += step.transpose() * across;
+            for _ in 0..S {
+                all = without(all, S);
+            }
+            self.information = all;
+        }
+        self.correction_of_poses(&self.unknowns, 0.0)
+    }
+
+    /// The correction of the poses by `unknowns`, so many seconds ago.
+    fn correction_of_poses(&self, unknowns: &DVector<f64>, ago_s: f64) -> [f64; POSE] {
+        let part = |k: usize| unknowns[k] - ago_s * unknowns[POSE + k];
+        std::array::from_fn(|k| if self.drift.is_some() { part(k) } else { 0.0 })
     }
 
     /// Whether the window works on pictures of this size; larger ones are to be halved.
@@ -106,112 +177,170 @@ impl Window {
         level.image.width <= WIDEST
     }
 
-    /// Places a frame in the breath, which is expected at `expected` and has the faces `visible` in view; `shape` is the one that
-    /// is given, without `correction`, which learns from the frame. All frames have one camera and one correction.
+    /// Places a frame in the breath, which is expected at `expected`; the setting is the one that is given, without
+    /// `correction`, which learns from the frame. All frames have one camera and one correction.
     pub fn place(
         &mut self,
         frame: &Level,
-        visible: &[u32],
+        time_s: f64,
+        Setting { shape, visible }: Setting<'_>,
         expected: f64,
-        shape: Shape<'_>,
         correction: &mut Correction,
     ) -> Placed {
-        let deviation = if self.keyframes.is_empty() { FIRST_DEVIATION } else { self.prior_deviation };
         let rays = self.rays.take().unwrap_or_else(|| Rays::new(&frame.view.camera));
-        let picture = picture(&frame.image, &frame.weights);
-        let offsets = self.offsets(correction, &frame.view.camera_from_world.inverse());
-        let mut displacement = correction.corrected(shape.displacement, &correction.coefficients);
-        let assumed = Shape { displacement: &displacement, ..shape };
-        let nearest = nearest_faces(&frame.view, &rays, &assumed.at(expected), shape.faces, visible);
-        let sight = Sight { view: &frame.view, picture: &picture, nearest: &nearest };
-        let (first, now) = (offsets.precision.len(), self.unknowns.len());
-        let mean = self.unknowns.clone().push(expected);
-        let mut known = self.information.clone().resize(now + 1, now + 1, 0.0);
-        known[(now, now)] = 1.0 / (deviation * deviation);
-        let pull = self.pull.clone().push(0.0);
-        let (mut at, mut total) = (mean.clone(), known.clone());
-        at[now] = self.nearest_fit(&sight, expected, assumed);
-        let mut last = None;
-        for _ in 0..STEPS {
-            let assumed = Shape { displacement: &displacement, ..shape };
-            let pairs: Vec<Pair> = (self.keyframes.par_iter().enumerate())
-                .map(|(k, key)| pair(key, at[first + k], &sight, at[now], assumed, &offsets.weights))
-                .collect();
-            total.copy_from(&known);
-            let mut gradient = &pull + &known * (&mean - &at);
-            for (k, pair) in pairs.iter().enumerate() {
-                // Columns of the pair among the unknowns.
-                let places = [first + k, now].into_iter().chain(offsets.places.iter().copied());
-                let places: Vec<usize> = places.collect();
-                for (i, &a) in places.iter().enumerate() {
-                    gradient[a] += pair.gradient[i];
-                    places.iter().enumerate().for_each(|(j, &b)| total[(a, b)] += pair.hessian[(i, j)]);
-                }
-            }
-            last = pairs.last().map(|pair| (pair.flow, pair.kept));
-            // The prior of the correction is no part of what images say.
-            let mut posterior = total.clone();
-            for (k, precision) in offsets.precision.iter().enumerate() {
-                posterior[(k, k)] += precision;
-                gradient[k] -= precision * at[k];
-            }
-            let Some(factor) = posterior.cholesky() else { break };
-            let step = factor.solve(&gradient);
-            for (k, (value, step)) in at.iter_mut().zip(step.iter()).enumerate() {
-                *value = if k < first {
-                    *value + step.clamp(-LONGEST_SHIFT_MM, LONGEST_SHIFT_MM)
-                } else {
-                    (*value + step.clamp(-LONGEST_STEP, LONGEST_STEP)).clamp(0.0, 1.0)
-                };
-            }
-            if correction.estimates() {
-                displacement = correction.corrected(shape.displacement, at.as_slice()[..first].as_chunks().0);
-            }
-            if step.amax() < SHORTEST_STEP {
-                break;
-            }
-        }
-        let mut posterior = total.clone();
-        offsets.precision.iter().enumerate().for_each(|(k, precision)| posterior[(k, k)] += precision);
-        let variance = posterior.cholesky().map_or(deviation * deviation, |f| f.inverse()[(now, now)]);
-        let placed = Placed { phase: at[now], deviation: variance.sqrt() };
+        let layout = Layout::new(self.drift.is_some(), correction, &frame.view);
+        self.make_room(layout.first);
         self.waited += 1;
+        let picture = picture(&frame.image, &frame.weights);
+        let expected_at = self.unknowns.clone().push(expected);
+        let look = |at: &DVector<f64>| {
+            let view = self.moved(&frame.view, at, 0.0);
+            let corrected = layout.corrected(correction, shape, at);
+            let shape = Shape { displacement: &corrected, ..shape };
+            (view, nearest_faces(&view, &rays, &shape.at(at[at.len() - 1]), shape.faces, visible))
+        };
+        let nearest = look(&expected_at).1;
+        let picture = Seen { given: &frame.view, time_s, picture: &picture, nearest: &nearest };
+        let found = self.solve(&picture, expected_at, &layout, shape, correction);
+        let now = found.at.len() - 1;
+        let placed = Placed {
+            phase: found.at[now],
+            deviation: found.deviation(&layout).unwrap_or(self.prior_deviation),
+            pose: self.correction_of_poses(&found.at, 0.0),
+        };
         let enough = |(flow, kept): (f64, f64)| flow > LONGEST_FLOW || kept < FEWEST_KEPT;
-        if last.is_none_or(enough) || self.waited >= LONGEST_WAIT {
-            let assumed = Shape { displacement: &displacement, ..shape };
-            let nearest = nearest_faces(&frame.view, &rays, &assumed.at(placed.phase), shape.faces, visible);
-            let sight = Sight { nearest: &nearest, ..sight };
-            // At the answer, images pull the correction as much one way as its prior the other.
-            let pull = DVector::from_fn(now + 1, |k, _| offsets.precision.get(k).map_or(0.0, |p| p * at[k]));
-            self.add(keyframe(&sight, assumed), at, total, pull, &offsets);
+        if found.last.is_none_or(enough) || self.waited >= LONGEST_WAIT {
+            let (view, nearest) = look(&found.at);
+            let sight = Sight { view: &view, picture: picture.picture, nearest: &nearest };
+            let key = keyframe(&sight, &frame.view, time_s, shape.faces);
+            self.remember(key, found, &layout);
         }
         // A frame that leaves no information behind leaves no correction.
-        correction.set(self.unknowns.as_slice()[..first].as_chunks().0);
+        correction.set(self.unknowns.as_slice()[layout.poses..layout.first].as_chunks().0);
         self.rays = Some(rays);
         placed
     }
 
-    /// What of `correction` a scope at `pose` tells; its unknowns come first in the window.
-    fn offsets<'a>(&mut self, correction: &'a Correction, pose: &DAffine3) -> Offsets<'a> {
-        let precision = correction.precision();
+    /// Room for so many unknowns before the first phase.
+    fn make_room(&mut self, first: usize) {
         if self.keyframes.is_empty() {
-            let n = precision.len();
-            (self.unknowns, self.pull) = (DVector::zeros(n), DVector::zeros(n));
-            self.information = DMatrix::zeros(n, n);
-        }
-        let ahead = correction.in_view(pose);
-        Offsets {
-            weights: ahead.iter().map(|&centre| correction.weights(centre)).collect(),
-            places: ahead.iter().flat_map(|&centre| (0..3).map(move |axis| 3 * centre + axis)).collect(),
-            precision,
+            self.unknowns.resize_vertically_mut(first, 0.0);
+            self.information.resize_mut(first, first, 0.0);
+            self.pull.resize_vertically_mut(first, 0.0);
         }
     }
 
-    /// The phase around `expected` at which a frame agrees best with the last keyframe, if it does so clearly better.
-    fn nearest_fit(&self, sight: &Sight<'_>, expected: f64, shape: Shape<'_>) -> f64 {
+    /// Gauss-Newton on all unknowns and the phase of the frame that is `seen`, the last of `mean`.
+    fn solve(
+        &self,
+        seen: &Seen<'_>,
+        mean: DVector<f64>,
+        layout: &Layout<'_>,
+        shape: Shape<'_>,
+        correction: &Correction,
+    ) -> Found {
+        let now = mean.len() - 1;
+        let deviation = if self.keyframes.is_empty() { FIRST_DEVIATION } else { self.prior_deviation };
+        let mut known = self.information.clone().resize(now + 1, now + 1, 0.0);
+        known[(now, now)] = 1.0 / (deviation * deviation);
+        let pull = self.pull.clone().push(0.0);
+        let mut found = Found { at: mean.clone(), total: known.clone(), last: None };
+        found.at[now] =
+            self.nearest_fit(seen, &mean, Shape { displacement: &layout.corrected(correction, shape, &mean), ..shape });
+        for _ in 0..STEPS {
+            let corrected = layout.corrected(correction, shape, &found.at);
+            let pairs = self.pairs(seen, &found.at, layout, Shape { displacement: &corrected, ..shape });
+            found.total.copy_from(&known);
+            let mut gradient = &pull + &known * (&mean - &found.at);
+            for (k, pair) in pairs.iter().enumerate() {
+                let places = layout.places(k, now);
+                for (i, &a) in places.iter().enumerate() {
+                    gradient[a] += pair.gradient[i];
+                    places.iter().enumerate().for_each(|(j, &b)| found.total[(a, b)] += pair.hessian[(i, j)]);
+                }
+            }
+            found.last = pairs.last().map(|pair| (pair.flow, pair.kept));
+            // The prior of the correction is no part of what images say.
+            gradient -= layout.pull(&found.at);
+            let Some(factor) = layout.with_prior(&found.total).cholesky() else { break };
+            let step = factor.solve(&gradient);
+            layout.advance(&mut found.at, &step);
+            if step.amax() < SHORTEST_STEP {
+                break;
+            }
+        }
+        found
+    }
+
+    /// What each keyframe and the frame that is `seen` say.
+    fn pairs(&self, seen: &Seen<'_>, at: &DVector<f64>, layout: &Layout<'_>, shape: Shape<'_>) -> Vec<Pair> {
+        let view = self.moved(seen.given, at, 0.0);
+        let sight = Sight { view: &view, picture: seen.picture, nearest: seen.nearest };
+        let pair_with = |(k, key): (usize, &Keyframe)| {
+            let elapsed_s = seen.time_s - key.time_s;
+            let assumed = Assumed {
+                first: at[layout.first + k],
+                key_from_world: self.key_from_world(key, seen, at),
+                second: at[at.len() - 1],
+                shape,
+            };
+            let corrections = [elapsed_s, 0.0].map(|ago_s| self.correction_of_poses(at, ago_s));
+            let poses = self.drift.map(|_| Poses { corrections, elapsed_s });
+            let mut pair = pair(key, &sight, &assumed, &Others { poses, weights: &layout.weights });
+            if let Some(drift) = self.drift {
+                pair.hessian /= drift.caution.powi(2);
+                pair.gradient /= drift.caution.powi(2);
+            }
+            pair
+        };
+        self.keyframes.par_iter().enumerate().map(pair_with).collect()
+    }
+
+    /// Where a keyframe was taken from by the unknowns `at` the time of the frame that is `seen`.
+    fn key_from_world(&self, key: &Keyframe, seen: &Seen<'_>, at: &DVector<f64>) -> DAffine3 {
+        let given = View { camera_from_world: key.camera_from_world, ..*seen.given };
+        self.moved(&given, at, seen.time_s - key.time_s).camera_from_world
+    }
+
+    /// Makes a keyframe of the last frame, and takes over what was `found` with it; the oldest leaves a full window.
+    fn remember(&mut self, keyframe: Keyframe, found: Found, layout: &Layout<'_>) {
+        self.waited = 0;
+        self.keyframes.push(keyframe);
+        // At the answer, images pull the correction as much one way as its prior the other.
+        self.pull = layout.pull(&found.at);
+        (self.unknowns, self.information) = (found.at, found.total);
+        if self.keyframes.len() > self.most {
+            self.information = without(std::mem::take(&mut self.information), layout.first);
+            self.pull = self.pull.clone().remove_row(layout.first);
+            self.unknowns = self.unknowns.clone().remove_row(layout.first);
+            self.keyframes.remove(0);
+        }
+        // What is not looked at any more is not forgotten, and a drift forgets itself.
+        let forgets = |k: usize| k >= layout.first || (k >= layout.poses && layout.others.contains(&k));
+        let kept = DVector::from_fn(self.unknowns.len(), |k, _| if forgets(k) { self.kept } else { 1.0 });
+        for (k, column) in kept.iter().enumerate() {
+            self.information.column_mut(k).iter_mut().zip(&kept).for_each(|(value, row)| *value *= row.min(*column));
+        }
+        self.pull.component_mul_assign(&kept);
+    }
+
+    /// The `given` view of so many seconds ago with the correction of its pose by `unknowns`.
+    fn moved(&self, given: &View, unknowns: &DVector<f64>, ago_s: f64) -> View {
+        if self.drift.is_none() {
+            return *given;
+        }
+        let xi = self.correction_of_poses(unknowns, ago_s);
+        View { camera_from_world: motion(xi) * given.camera_from_world, ..*given }
+    }
+
+    /// The phase around the last of `mean` at which the frame agrees best with the last keyframe, if it does so clearly better.
+    fn nearest_fit(&self, seen: &Seen<'_>, mean: &DVector<f64>, shape: Shape<'_>) -> f64 {
+        let expected = mean[mean.len() - 1];
         let Some(last) = self.keyframes.last() else { return expected };
-        let known = self.unknowns[self.unknowns.len() - 1];
-        let score = |phase: f64| (misfit(last, known, sight, phase, shape), phase);
+        let view = self.moved(seen.given, mean, 0.0);
+        let sight = Sight { view: &view, picture: seen.picture, nearest: seen.nearest };
+        let (first, key_from_world) = (mean[mean.len() - 2], self.key_from_world(last, seen, mean));
+        let score = |second: f64| (misfit(last, &sight, &Assumed { first, key_from_world, second, shape }), second);
         let tried: Vec<f64> = (-TRIED..=TRIED).map(|k| (expected + APART * k as f64).clamp(0.0, 1.0)).collect();
         let best = tried.into_par_iter().map(score).min_by(|a, b| a.0.total_cmp(&b.0));
         match best {
@@ -219,44 +348,103 @@ impl Window {
             _ => expected,
         }
     }
+}
 
-    /// Takes a keyframe in, given all unknowns with its phase and what images say about them; the oldest leaves a full window.
-    fn add(
-        &mut self,
-        keyframe: Keyframe,
-        unknowns: DVector<f64>,
-        mut information: DMatrix<f64>,
-        mut pull: DVector<f64>,
-        offsets: &Offsets<'_>,
-    ) {
-        self.waited = 0;
-        self.keyframes.push(keyframe);
-        self.unknowns = unknowns;
-        let first = offsets.precision.len();
-        if self.keyframes.len() > self.most {
-            // What is known about the others without it: Schur's complement.
-            let own = information[(first, first)];
-            let column = information.column(first).clone_owned();
-            information -= &column * column.transpose() / own;
-            information = information.remove_row(first).remove_column(first);
-            pull = pull.remove_row(first);
-            self.keyframes.remove(0);
-            self.unknowns = self.unknowns.clone().remove_row(first);
-        }
-        // What is not looked at any more is not forgotten.
-        let kept = |k: usize| if k >= first || offsets.places.contains(&k) { self.kept } else { 1.0 };
-        self.information =
-            DMatrix::from_fn(information.nrows(), information.ncols(), |i, j| kept(i).min(kept(j)) * information[(i, j)]);
-        self.pull = DVector::from_fn(pull.len(), |k, _| kept(k) * pull[k]);
+/// The frame that is to be placed.
+struct Seen<'a> {
+    /// Its pose as it is given, with its camera.
+    given: &'a View,
+    time_s: f64,
+    picture: &'a Picture,
+    nearest: &'a [(f32, u32)],
+}
+
+/// What a frame was found to say.
+struct Found {
+    /// All unknowns, its phase the last.
+    at: DVector<f64>,
+    /// What images say about them.
+    total: DMatrix<f64>,
+    /// Flow of the points of the last keyframe, and the share of them that is left.
+    last: Option<(f64, f64)>,
+}
+
+impl Found {
+    /// Standard deviation of the phase.
+    fn deviation(&self, layout: &Layout<'_>) -> Option<f64> {
+        let now = self.at.len() - 1;
+        layout.with_prior(&self.total).cholesky().map(|factor| factor.inverse()[(now, now)].sqrt())
     }
 }
 
-/// What a frame may tell about the correction.
-struct Offsets<'a> {
-    /// Weights of all vertices at each centre in view.
+/// Where what is among the unknowns, and what is known of the correction of the displacement field before any image.
+struct Layout<'a> {
+    /// How many belong to the poses; they are the first.
+    poses: usize,
+    /// The first phase.
+    first: usize,
+    /// Those that a frame tells besides phases.
+    others: Vec<usize>,
+    /// Weights of all vertices at the centres of the correction that a frame tells.
     weights: Vec<&'a [f32]>,
-    /// Their coefficients among the unknowns.
-    places: Vec<usize>,
     /// Of the prior of all coefficients.
     precision: Vec<f64>,
+}
+
+impl<'a> Layout<'a> {
+    fn new(drifts: bool, correction: &'a Correction, given: &View) -> Layout<'a> {
+        let poses = if drifts { 2 * POSE } else { 0 };
+        let ahead = correction.in_view(&given.camera_from_world.inverse());
+        let offsets = ahead.iter().flat_map(|&centre| (0..3).map(move |axis| poses + 3 * centre + axis));
+        let precision = correction.precision();
+        Layout {
+            poses,
+            first: poses + precision.len(),
+            others: (0..poses).chain(offsets).collect(),
+            weights: ahead.iter().map(|&centre| correction.weights(centre)).collect(),
+            precision,
+        }
+    }
+
+    /// The unknowns that a pair of keyframe `k` and the frame `now` tells, in its order.
+    fn places(&self, k: usize, now: usize) -> Vec<usize> {
+        [self.first + k, now].into_iter().chain(self.others.iter().copied()).collect()
+    }
+
+    /// The displacement field of `shape` by the unknowns `at`.
+    fn corrected<'s>(&self, correction: &Correction, shape: Shape<'s>, at: &DVector<f64>) -> Cow<'s, [[f32; 3]]> {
+        correction.corrected(shape.displacement, at.as_slice()[self.poses..self.first].as_chunks().0)
+    }
+
+    /// `information` with that of the prior.
+    fn with_prior(&self, information: &DMatrix<f64>) -> DMatrix<f64> {
+        let mut all = information.clone();
+        self.precision.iter().enumerate().for_each(|(k, p)| all[(self.poses + k, self.poses + k)] += p);
+        all
+    }
+
+    /// How much the prior pulls the coefficients back.
+    fn pull(&self, at: &DVector<f64>) -> DVector<f64> {
+        let mut pull = DVector::zeros(at.len());
+        self.precision.iter().enumerate().for_each(|(k, p)| pull[self.poses + k] = p * at[self.poses + k]);
+        pull
+    }
+
+    /// Takes a step, none of its parts longer than is sensible.
+    fn advance(&self, at: &mut DVector<f64>, step: &DVector<f64>) {
+        for (k, (value, step)) in at.iter_mut().zip(step.iter()).enumerate() {
+            if k < self.first {
+                *value += step.clamp(-LONGEST_SHIFT_MM, LONGEST_SHIFT_MM);
+            } else {
+                *value = (*value + step.clamp(-LONGEST_STEP, LONGEST_STEP)).clamp(0.0, 1.0);
+            }
+        }
+    }
+}
+
+/// What is known about the others without unknown number `k`: Schur's complement.
+fn without(mut information: DMatrix<f64>, k: usize) -> DMatrix<f64> {
+    let column = information.column(k).clone_owned();
+    information -= &column * column.transpose() / column[k];
+    information.remove_row(k).remove_column(k)
 }

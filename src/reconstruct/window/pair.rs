@@ -1,12 +1,13 @@
 //! A keyframe and a later frame: how the points of the one show in the other, and what that says about both phases.
 
-use glam::{DMat3, DVec2, DVec3, Vec3};
+use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
 use nalgebra::{DMatrix, DVector};
 
 use crate::splat::View;
 
 use super::contrast::Picture;
 use crate::reconstruct::phase_fit::at_phase;
+use crate::reconstruct::pose_drift::{POSE, turns};
 
 /// One point, that of the steepest contrast, is taken from each square of so many pixels a side.
 const CELL_PX: usize = 4;
@@ -58,8 +59,10 @@ impl Shape<'_> {
 
 /// A frame whose points are looked for in later ones.
 pub struct Keyframe {
-    /// Where it was taken from, mm.
-    pub eye: DVec3,
+    /// Where it was taken from, as it is given.
+    pub camera_from_world: DAffine3,
+    /// When.
+    pub time_s: f64,
     /// Its points.
     pub points: Vec<Point>,
 }
@@ -68,7 +71,7 @@ pub struct Keyframe {
 pub struct Point {
     /// Where it is in its picture.
     pub pixel: DVec2,
-    /// Its direction in the world, of unit z-depth.
+    /// Its direction in camera axes, of unit z-depth.
     pub ray: DVec3,
     /// Corners of the face that it shows.
     pub face: [u32; 3],
@@ -86,10 +89,10 @@ pub struct Sight<'a> {
     pub nearest: &'a [(f32, u32)],
 }
 
-/// What a pair of frames says about the phases of both, and about the coefficients of a correction, three per centre.
+/// What a pair of frames says about the phases of both and about [`Others`].
 #[derive(Clone, Debug)]
 pub struct Pair {
-    /// Phase of the first, of the second, coefficients.
+    /// Phase of the first, of the second; correction of the poses, its change per second; offsets, three per centre.
     pub hessian: DMatrix<f64>,
     /// Likewise.
     pub gradient: DVector<f64>,
@@ -100,9 +103,8 @@ pub struct Pair {
 }
 
 /// The points of a frame: of each cell the pixel on a wall whose contrast is steepest.
-pub fn keyframe(sight: &Sight<'_>, shape: Shape<'_>) -> Keyframe {
+pub fn keyframe(sight: &Sight<'_>, given: &View, time_s: f64, faces: &[[u32; 3]]) -> Keyframe {
     let Sight { view, picture: Picture { contrast, counts }, nearest } = *sight;
-    let world_from_camera = view.camera_from_world.inverse();
     let (width, height) = (contrast.width, contrast.height);
     let on_wall = |i: usize| {
         let depth = nearest[i].0;
@@ -125,85 +127,124 @@ pub fn keyframe(sight: &Sight<'_>, shape: Shape<'_>) -> Keyframe {
         let direction = view.camera.direction(pixel);
         points.push(Point {
             pixel,
-            ray: world_from_camera.transform_vector3(direction / direction.z),
-            face: shape.faces[nearest[i].1 as usize],
+            ray: direction / direction.z,
+            face: faces[nearest[i].1 as usize],
             contrast: [0, 1, 2].map(|c| contrast.data[3 * i + c]),
         });
     }
-    Keyframe { eye: world_from_camera.translation, points }
+    Keyframe { camera_from_world: given.camera_from_world, time_s, points }
 }
 
 /// What a ray of a keyframe meets on its face, seen at another phase.
 pub struct Carried {
     /// Where it is, mm, world.
     pub place: DVec3,
-    /// The derivatives of that by the first and by the second phase.
-    pub by_phase: [DVec3; 2],
-    /// And by an offset of the face's way to expiration, per axis.
-    pub by_offset: [DVec3; 3],
+    /// How far it is along the ray, mm of z-depth.
+    pub depth: f64,
+    /// How the face moves there with the phase.
+    pub way: DVec3,
+    /// How the place moves when the ray does where it meets the face.
+    pub slide: DMat3,
     /// Share of each corner in it.
     pub shares: [f64; 3],
 }
 
-/// Where what a ray from `eye` meets on its face at phase `first` is at phase `second`; `None` where the ray grazes the
-/// face.
-pub fn carried(eye: DVec3, point: &Point, first: f64, second: f64, shape: Shape<'_>) -> Option<Carried> {
-    let [a, b, c] = shape.corners(point.face, first);
-    let [way_a, way_b, way_c] = point.face.map(|v| shape.way(v));
+impl Carried {
+    /// The derivatives of the place by the first and by the second phase.
+    pub fn by_phase(&self) -> [DVec3; 2] {
+        [self.slide * -self.way, self.way]
+    }
+
+    /// By an offset of the face's way to expiration, per axis.
+    pub fn by_offset(&self, first: f64, second: f64) -> DMat3 {
+        DMat3::from_diagonal(DVec3::splat(second)) - first * self.slide
+    }
+}
+
+/// Where what a `ray` from `eye` meets on `face` at phase `first` is at phase `second`; `None` where the ray grazes the face.
+pub fn carried([eye, ray]: [DVec3; 2], face: [u32; 3], first: f64, second: f64, shape: Shape<'_>) -> Option<Carried> {
+    let [a, b, c] = shape.corners(face, first);
+    let [way_a, way_b, way_c] = face.map(|v| shape.way(v));
     // eye + t ray = a + u (b - a) + v (c - a).
-    let met = DMat3::from_cols(b - a, c - a, -point.ray);
+    let met = DMat3::from_cols(b - a, c - a, -ray);
     if met.determinant().abs() < 1e-9 {
         return None;
     }
     let solved = met.inverse();
     let uvt = solved * (eye - a);
     let on_face = |[a, b, c]: [DVec3; 3]| a + uvt.x * (b - a) + uvt.y * (c - a);
-    let way = on_face([way_a, way_b, way_c]);
-    let later = shape.corners(point.face, second);
-    // How the place moves when what the ray meets moves on its face.
-    let slide = |change: DVec3| change.x * (later[1] - later[0]) + change.y * (later[2] - later[0]);
+    let later = shape.corners(face, second);
+    let [along_u, along_v] = [later[1] - later[0], later[2] - later[0]];
+    let slide = |change: DVec3| change.x * along_u + change.y * along_v;
     Some(Carried {
         place: on_face(later),
-        by_phase: [slide(solved * -way), way],
-        by_offset: DVec3::AXES.map(|axis| second * axis - first * slide(solved * axis)),
+        depth: uvt.z,
+        way: on_face([way_a, way_b, way_c]),
+        slide: DMat3::from_cols(slide(solved.x_axis), slide(solved.y_axis), slide(solved.z_axis)),
         shares: [1.0 - uvt.x - uvt.y, uvt.x, uvt.y],
     })
 }
 
-/// A point as both frames show it: difference of contrasts, and the derivatives of the later one by both phases.
-struct Row {
+/// The corrections of the poses of a pair, which are one correction and its change per second.
+#[derive(Clone, Copy, Debug)]
+pub struct Poses {
+    /// Of the first and of the later frame.
+    pub corrections: [[f64; POSE]; 2],
+    /// Seconds between the two.
+    pub elapsed_s: f64,
+}
+
+/// What besides the phases is unknown.
+#[derive(Clone, Copy, Default)]
+pub struct Others<'a> {
+    /// The correction of the poses, if any.
+    pub poses: Option<Poses>,
+    /// Weights of all vertices at the centres of a correction of the displacement field.
+    pub weights: &'a [&'a [f32]],
+}
+
+impl Others<'_> {
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        (if self.poses.is_some() { 2 * POSE } else { 0 }) + 3 * self.weights.len()
+    }
+}
+
+/// A point as both frames show it.
+pub struct Row {
+    /// Difference of contrasts.
     residual: [f32; 3],
-    by: [[f64; 3]; 2],
-    way_px: f64,
-    offset: Option<Offset>,
+    /// Slopes of the later one, per pixel.
+    slope: [DVec2; 3],
+    /// Its way from one to the other, pixels, and the derivatives of that.
+    pub way: DVec2,
+    /// By both phases.
+    pub by_phase: [DVec2; 2],
+    /// By all else.
+    pub by_others: Vec<DVec2>,
 }
 
-/// The derivatives of the later contrast by an offset of the whole face, axis by axis, and the face.
-struct Offset {
-    by: [[f64; 3]; 3],
-    face: [u32; 3],
-    shares: [f64; 3],
+/// A pair of frames, as it is assumed to be.
+#[derive(Clone, Copy)]
+pub struct Assumed<'a> {
+    /// Phase of the first.
+    pub first: f64,
+    /// Its pose.
+    pub key_from_world: DAffine3,
+    /// Phase of the later one.
+    pub second: f64,
+    /// The airway.
+    pub shape: Shape<'a>,
 }
 
-/// Whether a row knows what an offset of its face does.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Offsets {
-    Wanted,
-    Left,
-}
-
-fn row(
-    eye: DVec3,
-    point: &Point,
-    first: f64,
-    sight: &Sight<'_>,
-    second: f64,
-    shape: Shape<'_>,
-    offsets: Offsets,
-) -> Option<Row> {
+/// `point` as both frames show it; `None` where the later one does not.
+pub fn row(point: &Point, sight: &Sight<'_>, assumed: &Assumed<'_>, others: &Others<'_>) -> Option<Row> {
     let Sight { view: View { camera, camera_from_world, .. }, picture: Picture { contrast, counts }, nearest } = *sight;
+    let Assumed { first, key_from_world, second, shape } = *assumed;
     let (width, height) = (contrast.width, contrast.height);
-    let carried = carried(eye, point, first, second, shape)?;
+    let world_from_key = key_from_world.inverse();
+    let ray = world_from_key.transform_vector3(point.ray);
+    let carried = carried([world_from_key.translation, ray], point.face, first, second, shape)?;
     let place = camera_from_world.transform_point3(carried.place);
     let pixel = if place.z > 0.0 { camera.project(place)? } else { return None };
     let (x, y) = (pixel.x - 0.5, pixel.y - 0.5);
@@ -217,43 +258,53 @@ fn row(
     if !counts[j * width + i] || wall <= 0.0 || behind > slack + SLACK_MM || behind < -3.0 * slack - SLACK_MM {
         return None;
     }
-    let moved = |by: DVec3| {
-        let by = camera_from_world.transform_vector3(by);
-        Some((camera.project(place + WIDTH * by)? - pixel) / WIDTH)
-    };
-    let [by_first, by_second] = carried.by_phase;
-    let ways = [moved(by_first)?, moved(by_second)?];
-    let offset_ways = match offsets {
-        Offsets::Wanted => {
-            let [x, y, z] = carried.by_offset;
-            [moved(x)?, moved(y)?, moved(z)?]
+    let moved = |by: DVec3| Some((camera.project(place + WIDTH * by)? - pixel) / WIDTH);
+    let turned = |by: DVec3| camera_from_world.transform_vector3(by);
+    let [by_first, by_second] = carried.by_phase();
+    let by_phase = [moved(turned(by_first))?, moved(turned(by_second))?];
+    let mut by_others = Vec::new();
+    if others.count() > 0 {
+        let [right, down, ahead] = [moved(DVec3::X)?, moved(DVec3::Y)?, moved(DVec3::Z)?];
+        let seen = |by: DVec3| by.x * right + by.y * down + by.z * ahead;
+        if let Some(Poses { corrections: [of_key, own], elapsed_s }) = others.poses {
+            let shift = |xi: [f64; POSE]| DVec3::from_slice(&xi[3..]);
+            let (hit, place) = (carried.depth * point.ray - shift(of_key), place - shift(own));
+            // The ray moves against the camera.
+            let by_key = |by: DVec3| seen(turned(carried.slide * -world_from_key.transform_vector3(by)));
+            let key = (turns(of_key).map(|turn| by_key(turn.cross(hit))), DVec3::AXES.map(by_key));
+            let own = (turns(own).map(|turn| seen(turn.cross(place))), [right, down, ahead]);
+            let both = key.0.into_iter().chain(key.1).zip(own.0.into_iter().chain(own.1));
+            by_others.extend(both.map(|(key, own)| key + own));
+            by_others.extend(key.0.into_iter().chain(key.1).map(|key| -elapsed_s * key));
         }
-        Offsets::Left => [DVec2::ZERO; 3],
-    };
-    let mut by_offset = [[0.0; 3]; 3];
+        let by_offset = carried.by_offset(first, second);
+        let by_offset = [by_offset.x_axis, by_offset.y_axis, by_offset.z_axis].map(|by| seen(turned(by)));
+        for weights in others.weights {
+            let share = |(&v, share): (&u32, f64)| share * weights[v as usize] as f64;
+            let share: f64 = point.face.iter().zip(carried.shares).map(share).sum();
+            by_others.extend(by_offset.map(|by| share * by));
+        }
+    }
     let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
-    let mut row = Row { residual: [0.0; 3], by: [[0.0; 3]; 2], way_px: (pixel - point.pixel).length(), offset: None };
+    let way = pixel - point.pixel;
+    let mut row = Row { residual: [0.0; 3], slope: [DVec2::ZERO; 3], way, by_phase, by_others };
     for c in 0..3 {
         let at = |dx: usize, dy: usize| contrast.data[((j + dy) * width + i + dx) * 3 + c];
         let [v00, v10, v01, v11] = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
         let (top, bottom) = (v00 + (v10 - v00) * fx, v01 + (v11 - v01) * fx);
-        let slope = DVec2::new(((v10 - v00) * (1.0 - fy) + (v11 - v01) * fy) as f64, (bottom - top) as f64);
+        row.slope[c] = DVec2::new(((v10 - v00) * (1.0 - fy) + (v11 - v01) * fy) as f64, (bottom - top) as f64);
         row.residual[c] = point.contrast[c] - (top + (bottom - top) * fy);
-        (row.by[0][c], row.by[1][c]) = (slope.dot(ways[0]), slope.dot(ways[1]));
-        by_offset.iter_mut().zip(offset_ways).for_each(|(by, way)| by[c] = slope.dot(way));
-    }
-    if offsets == Offsets::Wanted {
-        row.offset = Some(Offset { by: by_offset, face: point.face, shares: carried.shares });
     }
     Some(row)
 }
 
-/// How badly the later frame at phase `second` agrees with `key` at phase `first`, by every fourth point: mean difference of
-/// contrast, larger where fewer points are seen; infinite where too few are.
-pub fn misfit(key: &Keyframe, first: f64, sight: &Sight<'_>, second: f64, shape: Shape<'_>) -> f64 {
+/// How badly the later frame agrees with `key`, by every fourth point: mean difference of contrast, larger where fewer points
+/// are seen; infinite where too few are.
+pub fn misfit(key: &Keyframe, sight: &Sight<'_>, assumed: &Assumed<'_>) -> f64 {
     let points = key.points.iter().step_by(LOOKED_AT);
     let tried = points.len();
-    let sizes: Vec<f64> = (points.filter_map(|p| row(key.eye, p, first, sight, second, shape, Offsets::Left)))
+    let phases_alone = Others::default();
+    let sizes: Vec<f64> = (points.filter_map(|p| row(p, sight, assumed, &phases_alone)))
         .map(|row| row.residual.iter().map(|r| r.abs() as f64).sum())
         .collect();
     if sizes.len() * LOOKED_AT < FEWEST_POINTS {
@@ -263,22 +314,12 @@ pub fn misfit(key: &Keyframe, first: f64, sight: &Sight<'_>, second: f64, shape:
     sizes.iter().sum::<f64>() / sizes.len() as f64 / kept.sqrt()
 }
 
-/// What the points of `key` at phase `first` say about both phases when the later frame is at `second`, and about the
-/// coefficients of a correction of the displacement field whose centres have these `weights` of all vertices.
-pub fn pair(
-    key: &Keyframe,
-    first: f64,
-    sight: &Sight<'_>,
-    second: f64,
-    shape: Shape<'_>,
-    weights: &[&[f32]],
-) -> Pair {
-    let size = 2 + 3 * weights.len();
+/// What the points of `key` say about both phases and about what else is unknown.
+pub fn pair(key: &Keyframe, sight: &Sight<'_>, assumed: &Assumed<'_>, others: &Others<'_>) -> Pair {
+    let size = 2 + others.count();
     let (hessian, gradient) = (DMatrix::zeros(size, size), DVector::zeros(size));
     let mut pair = Pair { hessian, gradient, kept: 0.0, flow: 0.0 };
-    let offsets = if weights.is_empty() { Offsets::Left } else { Offsets::Wanted };
-    let rows = key.points.iter().filter_map(|p| row(key.eye, p, first, sight, second, shape, offsets));
-    let rows: Vec<Row> = rows.collect();
+    let rows: Vec<Row> = key.points.iter().filter_map(|p| row(p, sight, assumed, others)).collect();
     if rows.len() < FEWEST_POINTS {
         return pair;
     }
@@ -287,35 +328,26 @@ pub fn pair(
     let scale = (1.4826 * *sizes.select_nth_unstable_by(middle, f32::total_cmp).1).max(SMALLEST_SCALE);
     let limit = HUBER * scale;
     let per_value = 1.0 / (scale as f64 * scale as f64 * TOGETHER);
-    let weight = |r: f32| (limit / r.abs().max(limit)) as f64 * per_value;
-    let way_px: f64 = rows.iter().map(|row| row.way_px).sum();
+    let way_px: f64 = rows.iter().map(|row| row.way.length()).sum();
     pair.kept = rows.len() as f64 / key.points.len() as f64;
     pair.flow = way_px / rows.len() as f64 / sight.picture.contrast.width as f64;
     // Of the first phase, of both, of the second.
     let (mut second_order, mut first_order) = ([0.0f64; 3], [0.0f64; 2]);
-    for Row { residual, by: [first, second], .. } in &rows {
-        for ((r, a), b) in residual.iter().zip(first).zip(second) {
-            let weight = weight(*r);
+    let mut column = vec![0.0; size];
+    for Row { residual, slope, by_phase, by_others, .. } in &rows {
+        for (r, slope) in residual.iter().zip(slope) {
+            let weight = (limit / r.abs().max(limit)) as f64 * per_value;
+            let [a, b] = by_phase.map(|way| slope.dot(way));
             second_order[0] += weight * a * a;
             second_order[1] += weight * a * b;
             second_order[2] += weight * b * b;
             first_order[0] += weight * a * *r as f64;
             first_order[1] += weight * b * *r as f64;
-        }
-    }
-    for row in &rows {
-        let Some(Offset { by, face, shares }) = &row.offset else { continue };
-        let share = |weights: &&[f32]| {
-            face.iter().zip(shares).map(|(&v, share)| share * weights[v as usize] as f64).sum::<f64>()
-        };
-        let share: Vec<f64> = weights.iter().map(share).collect();
-        let mut column = vec![0.0; size];
-        for (c, r) in row.residual.iter().enumerate() {
-            (column[0], column[1]) = (row.by[0][c], row.by[1][c]);
-            for (k, value) in column[2..].iter_mut().enumerate() {
-                *value = share[k / 3] * by[k % 3][c];
+            if by_others.is_empty() {
+                continue;
             }
-            let weight = weight(*r);
+            (column[0], column[1]) = (a, b);
+            column[2..].iter_mut().zip(by_others).for_each(|(value, way)| *value = slope.dot(*way));
             for i in 2..size {
                 let along = weight * column[i];
                 pair.gradient[i] += along * *r as f64;
