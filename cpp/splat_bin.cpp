@@ -152,7 +152,8 @@ void bin_deal(std::uint32_t first, rust::Slice<const std::uint32_t> boxes, rust:
   std::uint32_t* start = starts.data();
   std::uint64_t* out = items.data();
   if (sum == 0) {
-    std::fill_n(start, n, base);
+    // Nobody asks for the slots of a chunk that nobody sees, but for where the next one begins.
+    if (n) start[n - 1] = base;
     return;
   }
   for (std::size_t k = 0; k < n; ++k) {

@@ -24,8 +24,8 @@ impl Row {
         Row { name: name.into(), times: Vec::new() }
     }
 
+    /// From inside the pool: how long a thread outside waits for it to wake up is no part of the core.
     fn time(&mut self, pool: &ThreadPool, work: impl FnOnce() + Send) {
-        // From inside the pool: how long a thread outside waits for it to wake up is no part of the core.
         self.times.push(pool.install(|| {
             let start = Instant::now();
             work();
@@ -78,61 +78,109 @@ impl Scene {
     }
 }
 
+type Pass = fn(&Scene, &mut Rasterizer<f32>);
+
+/// Two things turn by turn, each first every other time, so that neither finds the caches in a better state.
+fn turn_by_turn(
+    pool: &ThreadPool,
+    repetitions: usize,
+    rows: [Row; 2],
+    mut first: impl FnMut() + Send,
+    mut second: impl FnMut() + Send,
+) -> [Row; 2] {
+    let [mut a, mut b] = rows;
+    for turn in 0..2 * repetitions.div_ceil(2) + 2 {
+        if turn % 2 == 0 {
+            a.time(pool, &mut first);
+            b.time(pool, &mut second);
+        } else {
+            b.time(pool, &mut second);
+            a.time(pool, &mut first);
+        }
+        if turn == 1 {
+            // The first turns fill tables.
+            a.times.clear();
+            b.times.clear();
+        }
+    }
+    a.print();
+    b.print();
+    [a, b]
+}
+
 fn passes(pools: &[ThreadPool; 2], n: usize, side: usize, repetitions: usize) {
     let scene = Scene::new(n, side);
     println!("{n} discs, {side}x{side}");
-    let narrow = Isa::Avx2.available().unwrap_or(Isa::Baseline);
-    let mut tree = Scene::new(n, side);
-    tree.discs = tube::with_hidden(&scene.discs, 5);
+    let new = Rasterizer::<f32>::new;
+    let what = [("forward", Scene::forward as Pass), ("forward + backward", Scene::both)];
+    for (name, work) in what {
+        let mut rasterizer = new();
+        let mut rows = ["1 thread", "2 threads"].map(|threads| Row::new(format!("{name}, {threads}")));
+        for turn in 0..=repetitions {
+            for (row, pool) in rows.iter_mut().zip(pools) {
+                row.time(pool, || work(&scene, &mut rasterizer));
+            }
+            if turn == 0 {
+                rows.iter_mut().for_each(|row| row.times.clear());
+            }
+        }
+        rows.iter().for_each(Row::print);
+        rows[0].print_ratio(&format!("{name}: 1 thread over 2"), &rows[1]);
+    }
+
     let velocities: Vec<[f32; 3]> = scene.discs.positions.iter().map(|p| [0.1 * p[0], 0.1 * p[1], 1.0]).collect();
     let motion = Direction::Motion(Motion { positions: &velocities, ..Motion::default() });
-    let new = Rasterizer::<f32>::new;
-    let (mut one, mut two, mut moving, mut among) = (new(), new(), new(), new());
-    let mut avx2 = Rasterizer::<f32>::with_isa(narrow).expect("the processor has it");
-    let mut rows = [
-        "forward, 1 thread",
-        "forward, 2 threads",
-        "forward + backward, 1 thread",
-        "forward + backward, 2 threads",
-        "forward with one direction (JVP), 2 threads",
-        "forward + backward with 5x more out of sight, 2 threads",
-        "forward, AVX2, 2 threads",
-        "forward + backward, AVX2, 2 threads",
-    ]
-    .map(Row::new);
-    let mut photometric = Photometric::new(&vec![0.4; scene.color.len()], side, side, 0.2, None);
-    let mut gradient = vec![0.0f32; scene.color.len()];
-    let mut loss = ["L1 + SSIM with gradient, 1 thread", "L1 + SSIM with gradient, 2 threads"].map(Row::new);
-    for turn in 0..=repetitions {
-        rows[0].time(&pools[0], || scene.forward(&mut one));
-        rows[1].time(&pools[1], || scene.forward(&mut two));
-        rows[2].time(&pools[0], || scene.both(&mut one));
-        rows[3].time(&pools[1], || scene.both(&mut two));
-        rows[4].time(&pools[1], || {
+    let (mut still, mut moving) = (new(), new());
+    let rows = ["forward, 2 threads", "forward with one direction (JVP), 2 threads"].map(Row::new);
+    let [plain, tangent] = turn_by_turn(
+        &pools[1],
+        repetitions,
+        rows,
+        || scene.forward(&mut still),
+        || {
             let Scene { discs, view, settings, .. } = &scene;
             moving.render_tangent(discs, view, settings, None, &[motion]).expect("a good motion");
+        },
+    );
+    tangent.print_ratio("JVP over forward", &plain);
+
+    let mut tree = Scene::new(n, side);
+    tree.discs = tube::with_hidden(&scene.discs, 5);
+    let (mut alone, mut among) = (new(), new());
+    let rows = ["forward + backward, 2 threads", "the same with 5x more out of sight"].map(Row::new);
+    let both = turn_by_turn(&pools[1], repetitions, rows, || scene.both(&mut alone), || tree.both(&mut among));
+    both[1].print_ratio("5x more out of sight over none", &both[0]);
+
+    let narrow = Isa::Avx2.available().unwrap_or(Isa::Baseline);
+    let of = |isa| Rasterizer::<f32>::with_isa(isa).expect("the processor has it");
+    for (name, work) in what {
+        let (mut wide, mut small) = (new(), of(narrow));
+        let rows = [Isa::widest(), narrow].map(|isa| Row::new(format!("{name}, {isa}, 2 threads")));
+        let both = turn_by_turn(&pools[1], repetitions, rows, || work(&scene, &mut wide), || work(&scene, &mut small));
+        both[1].print_ratio(&format!("{name}: {narrow} over {}", Isa::widest()), &both[0]);
+    }
+
+    // The loss among passes, as a method calls it: what it needs has left the caches in between.
+    let mut photometric = Photometric::new(&vec![0.4; scene.color.len()], side, side, 0.2, None);
+    let mut gradient = vec![0.0f32; scene.color.len()];
+    let mut rasterizer = new();
+    let mut rows = ["forward, 2 threads", "L1 + SSIM with gradient, 2 threads"].map(Row::new);
+    for turn in 0..=repetitions {
+        rows[0].time(&pools[1], || scene.forward(&mut rasterizer));
+        rows[1].time(&pools[1], || {
+            photometric.evaluate(&rasterizer.rendered().color, &mut gradient);
         });
-        rows[5].time(&pools[1], || tree.both(&mut among));
-        rows[6].time(&pools[1], || scene.forward(&mut avx2));
-        rows[7].time(&pools[1], || scene.both(&mut avx2));
-        for (row, pool) in loss.iter_mut().zip(pools) {
-            row.time(pool, || {
-                photometric.evaluate(&two.rendered().color, &mut gradient);
-            });
-        }
+        // What a backward pass leaves in the caches.
+        pools[1].install(|| {
+            let gradient = ImageGradient { color: &gradient, ..ImageGradient::default() };
+            rasterizer.backward(&scene.discs, &gradient, Wanted::ALL).expect("a good gradient");
+        });
         if turn == 0 {
-            // The first turn fills tables.
-            rows.iter_mut().chain(&mut loss).for_each(|row| row.times.clear());
+            rows.iter_mut().for_each(|row| row.times.clear());
         }
     }
-    rows.iter().chain(&loss).for_each(Row::print);
-    rows[0].print_ratio("forward: 1 thread over 2", &rows[1]);
-    rows[2].print_ratio("forward + backward: 1 thread over 2", &rows[3]);
-    rows[4].print_ratio("JVP over forward", &rows[1]);
-    rows[5].print_ratio("5x more out of sight over none", &rows[3]);
-    rows[6].print_ratio("forward: AVX2 over AVX-512", &rows[1]);
-    rows[7].print_ratio("forward + backward: AVX2 over AVX-512", &rows[3]);
-    loss[1].print_ratio("loss over forward, 2 threads", &rows[1]);
+    rows.iter().for_each(Row::print);
+    rows[1].print_ratio("loss over forward, 2 threads", &rows[0]);
 }
 
 fn main() {

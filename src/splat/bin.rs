@@ -74,7 +74,8 @@ pub(super) struct Bins {
     pub masks: Vec<u16>,
     /// Whether a forward pass of the present splats has written them.
     pub masks_known: bool,
-    /// Slots of splat `j`, row by row of its box: `starts[j]..starts[j + 1]`; none when it is not visible.
+    /// Slots of splat `j`, row by row of its box: `starts[j]..starts[j + 1]`; none when it is not visible. In a chunk that
+    /// nobody sees only the last number means anything.
     pub starts: Vec<u32>,
     items: Vec<u64>,
     scratch: Vec<u64>,
@@ -153,9 +154,13 @@ impl Bins {
         [self.tiles_x, self.tiles_y] = tiles;
         let shift = shift_of(tiles);
         let (height, bands) = (1 << shift, tiles[1].div_ceil(1 << shift));
-        let total = |kind: usize, b: usize| self.counts.iter().map(|c| c.bands[kind][b] as usize).sum::<usize>();
-        let splats: Vec<usize> = (0..bands).map(|b| total(0, b)).collect();
-        let entries: Vec<usize> = (0..bands).map(|b| total(1, b)).collect();
+        let mut totals = [[0usize; BANDS]; 2];
+        for counts in self.counts.iter().filter(|c| c.seen > 0) {
+            for (total, count) in totals.as_flattened_mut().iter_mut().zip(counts.bands.as_flattened()) {
+                *total += *count as usize;
+            }
+        }
+        let [splats, entries] = totals.each_ref().map(|kind| &kind[..bands]);
         let (all_splats, all_entries) = (splats.iter().sum(), entries.iter().sum());
         self.make_room(tiles, all_entries);
         grow(&mut self.items, all_splats);

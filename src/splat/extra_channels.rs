@@ -172,7 +172,8 @@ impl<T: Real> Rasterizer<T> {
             if with_features {
                 let starts = &self.bins.starts;
                 let out = self.gradients.channels.par_chunks_mut(count).zip(starts.par_windows(2));
-                out.for_each(|(out, span)| {
+                out.zip(&self.rendered.visible).for_each(|((out, span), visible)| {
+                    let span = if *visible { span } else { &[0, 0] };
                     for (k, out) in out.iter_mut().skip(GROUP * group).take(GROUP).enumerate() {
                         let mut total = T::zero();
                         for place in span[0] as usize..span[1] as usize {

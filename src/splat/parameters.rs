@@ -66,6 +66,7 @@ impl<T: Real> Rasterizer<T> {
             .map(|(chunk, (((((positions, rotations), scales), axes), opacities), sh))| Task {
                 first: chunk * CHUNK,
                 count: CHUNK.min(n - chunk * CHUNK),
+                seen: shown(chunk * CHUNK, CHUNK.min(n - chunk * CHUNK)),
                 positions,
                 rotations,
                 scales,
@@ -74,8 +75,8 @@ impl<T: Real> Rasterizer<T> {
                 sh,
             })
             .filter(|task| {
-                let (seen, before) = (shown(task.first, task.count), &mut written[task.first / CHUNK]);
-                std::mem::replace(before, seen) || seen
+                let before = &mut written[task.first / CHUNK];
+                std::mem::replace(before, task.seen) || task.seen
             })
             .collect();
         let active = self.active.as_deref();
@@ -89,6 +90,10 @@ impl<T: Real> Rasterizer<T> {
             .into_par_iter()
             .with_max_len(piece)
             .map(|mut task| {
+                if !task.seen {
+                    task.clear();
+                    return ([0.0; 6], [0.0; 4]);
+                }
                 let starts = &starts[task.first..=task.first + task.count];
                 if let Some(native) = &native {
                     let mut pose = [0.0; 6];
@@ -117,6 +122,8 @@ impl<T: Real> Rasterizer<T> {
 struct Task<'a, T> {
     first: usize,
     count: usize,
+    /// Whether any of them is visible.
+    seen: bool,
     positions: &'a mut [[T; 3]],
     rotations: &'a mut [[T; 4]],
     scales: &'a mut [[T; 3]],
@@ -126,6 +133,17 @@ struct Task<'a, T> {
 }
 
 impl<T: Real> Task<'_, T> {
+    /// Gradients of what nobody sees.
+    fn clear(&mut self) {
+        let zero = T::zero();
+        self.positions.as_flattened_mut().fill(zero);
+        self.rotations.as_flattened_mut().fill(zero);
+        self.scales.as_flattened_mut().fill(zero);
+        self.axes.as_flattened_mut().as_flattened_mut().fill(zero);
+        self.opacities.fill(zero);
+        self.sh.fill(zero);
+    }
+
     fn outputs<'a>(&'a mut self, pose: &'a mut [f64; 6]) -> ChainOutput<'a, T> {
         let discs = self.axes.as_flattened_mut().as_flattened_mut();
         ChainOutput {
