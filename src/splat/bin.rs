@@ -288,7 +288,12 @@ mod tests {
             assert_eq!(fast.offsets, plain.offsets);
             assert_eq!(fast.entries, plain.entries);
             assert_eq!(fast.targets, plain.targets);
-            assert_eq!(fast.starts, plain.starts);
+            // In a chunk that nobody sees only the last number means anything.
+            let chunks = fast.starts[1..].chunks(CHUNK).zip(plain.starts[1..].chunks(CHUNK)).zip(visible.chunks(CHUNK));
+            for ((fast, plain), visible) in chunks {
+                assert!(fast == plain || (!visible.contains(&true) && fast.last() == plain.last()));
+            }
+            assert_eq!(fast.starts[0], 0);
             assert_eq!(fast.seen(), visible.iter().filter(|seen| **seen).count());
             let mut slots = fast.targets.clone();
             slots.sort_unstable();

@@ -16,8 +16,9 @@
 //! any phase, may go into a correction of the displacement field ([`super::correction`]): its coefficients are unknowns of
 //! the window, too, which no keyframe takes along when it leaves. Where walls are near, the valley of the misfit is .01 of a phase wide: before the
 //! first step the phase around the expected one is looked for at which the frame agrees best with the last keyframe.
-//! Left out: levels of resolution, and poses that are unknown: with six more unknowns per frame the way along a tube and the
-//! phase are one, and both run away (docs/methods.md).
+//! Poses that are off may be unknowns, too: one correction and its change per second for the whole window, under the drift of
+//! [`super::pose_drift`]. (Six unknowns per frame run away: along a tube, way and phase are one.)
+//! Left out: levels of resolution.
 
 mod contrast;
 mod pair;
