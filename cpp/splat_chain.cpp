@@ -66,7 +66,7 @@ struct Chain {
     for (int i = 0; i < N * count; ++i) base[N * k0 + i] = 0;
   }
 
-  template <int DEGREE, int COLUMNS>
+  template <int DEGREE, int COLUMNS, template <class> class Camera>
   void run() const {
     constexpr int BASIS = (DEGREE + 1) * (DEGREE + 1), SH = 3 * BASIS;
     const View& w = *s.view;
@@ -91,7 +91,7 @@ struct Chain {
       V opacity[1], position[3], offset[3];
       gather<1>(s.opacities, index, opacity);
       centers(s, group, position, offset);
-      Geometry<V, COLUMNS> g;
+      Geometry<V, COLUMNS, Camera> g;
       turn(w, offset, g.t);
       Shape<COLUMNS> shape;
       shape.load(s, index);
@@ -128,14 +128,11 @@ struct Chain {
         const V ga = -0.5f * m[SXX], gb = -0.5f * m[SXY], gc = -0.5f * m[SYY];
         const V e0 = a * ga + b * gb, e1 = a * gb + b * gc, e2 = b * ga + c * gb, e3 = b * gb + c * gc;
         const V va = -(e0 * a + e1 * b), vb = -(e0 * b + e1 * c), vc = -(e2 * b + e3 * c);
-        const V j0[2] = {w.focal[0] * g.rz, w.focal[1] * g.rz};
-        const V j2[2] = {-j0[0] * g.clamped[0], -j0[1] * g.clamped[1]};
         V by_u[COLUMNS][2], by_c[COLUMNS][3];
         for (int k = 0; k < COLUMNS; ++k) {
           by_u[k][0] = 2.0f * (va * g.u[k][0] + vb * g.u[k][1]);
           by_u[k][1] = 2.0f * (vb * g.u[k][0] + vc * g.u[k][1]);
-          by_c[k][0] = j0[0] * by_u[k][0], by_c[k][1] = j0[1] * by_u[k][1];
-          by_c[k][2] = j2[0] * by_u[k][0] + j2[1] * by_u[k][1];
+          g.camera.back(w, by_u[k], by_c[k]);
         }
         if (shapes) {
           for (int k = 0; k < COLUMNS; ++k) {
@@ -144,26 +141,10 @@ struct Chain {
           }
         }
         if (through_position) {
-          V by_j0[2] = {V{}, V{}}, by_j2[2] = {V{}, V{}};
-          for (int k = 0; k < COLUMNS; ++k)
-            for (int r = 0; r < 2; ++r) {
-              by_j0[r] += by_u[k][r] * g.c[k][r];
-              by_j2[r] += by_u[k][r] * g.c[k][2];
-            }
           const V by_point[2] = {a * m[SX] + b * m[SY], b * m[SX] + c * m[SY]};
-          V by_t[3] = {V{}, V{}, m[SDEPTH]};
-          for (int r = 0; r < 2; ++r) {
-            const float f = w.focal[r];
-            const V rz2 = g.rz * g.rz;
-            by_t[r] = f * g.rz * by_point[r];
-            by_t[2] -= f * g.t[r] * by_point[r] * rz2;
-            // J0 = f / z, J2 = -f u / z with u = clamp(x / z).
-            by_t[2] -= rz2 * f * by_j0[r];
-            by_t[2] += rz2 * f * g.clamped[r] * by_j2[r];
-            const V slope = keep(g.slope[r] == g.clamped[r], -f * g.rz * by_j2[r] * g.rz);
-            by_t[r] += slope;
-            by_t[2] -= slope * g.slope[r];
-          }
+          V by_t[3];
+          g.camera.template pullback<COLUMNS>(w, by_point, by_u, g.c, by_t);
+          by_t[2] += m[SDEPTH];
           turn_back(w, by_t, by_position);
           for (int k = 0; k < 3; ++k) {
             by_position[k] += by_offset[k];

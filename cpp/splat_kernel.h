@@ -21,10 +21,12 @@ constexpr int MOVING = 4;    // planes of a tile's velocity: red, green, blue su
 constexpr float STOP = 1e-4f;  // what a pixel stops at; with ENDLESS none does
 constexpr int TOGETHER = 4;  // directions that one pass can carry
 
-// Pinhole camera; the same order as in src/splat/native.rs.
+// The camera; the same order as in `Projector::numbers` (src/splat/project.rs).
 struct View {
   float rotation[9], eye[3], focal[2], center[2], limit[2], size[2], near, dilation;
   float by_opacity, beside;  // 1 or 0: extents depend on the opacity; what is beside the image is left early
+  float lens[4], cone[3];    // a fisheye's distortion; cosine and sine of the cone that it sees, and how far beyond it splats reach
+  float fisheye;             // 1, or 0 for a pinhole
 };
 
 // Gaussians as they lie in memory. `shape`: 6 floats (two axes) of discs, whose `scales` are null; quaternions of
@@ -34,7 +36,7 @@ struct Scene {
   const float *positions, *shape, *scales, *opacities, *sh;
   std::uint32_t sh_degree;
   const std::uint32_t* active;
-  const double* camera;  // in double: rotation (9), eye (3), focal (2), center (2)
+  const double* camera;  // in double: rotation (9), eye (3), focal (2), center (2), lens (4)
 };
 
 struct ProjectChunk {

@@ -120,6 +120,7 @@ inline VD in_double(V v) {
 
 #if defined(__AVX512F__)
 inline V square_root(V v) { return (V)_mm512_sqrt_ps((__m512)v); }
+inline VD square_root(VD v) { return (VD)_mm512_sqrt_pd((__m512d)v); }
 inline V join(const __m128* p) {
   __m512 v = _mm512_insertf32x4(_mm512_castps128_ps512(p[0]), p[1], 1);
   return (V)_mm512_insertf32x4(_mm512_insertf32x4(v, p[2], 2), p[3], 3);
@@ -132,6 +133,7 @@ inline void split(V v, __m128* p) {
 }
 #elif defined(__AVX2__)
 inline V square_root(V v) { return (V)_mm256_sqrt_ps((__m256)v); }
+inline VD square_root(VD v) { return (VD)_mm256_sqrt_pd((__m256d)v); }
 inline V join(const __m128* p) { return (V)_mm256_insertf128_ps(_mm256_castps128_ps256(p[0]), p[1], 1); }
 inline void split(V v, __m128* p) {
   p[0] = _mm256_castps256_ps128((__m256)v);
@@ -139,6 +141,7 @@ inline void split(V v, __m128* p) {
 }
 #else
 inline V square_root(V v) { return (V)_mm_sqrt_ps((__m128)v); }
+inline VD square_root(VD v) { return (VD)_mm_sqrt_pd((__m128d)v); }
 inline V join(const __m128* p) { return (V)p[0]; }
 inline void split(V v, __m128* p) { p[0] = (__m128)v; }
 #endif

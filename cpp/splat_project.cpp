@@ -16,8 +16,9 @@ struct Projection {
 
   // Centres in camera axes and on screen, computed in double and rounded once: the order of splats and their places belong
   // to the scene, not to rounding. `rest`: what rounding takes from the places on screen.
+  template <template <class> class Camera>
   void place(const V* position, V* t, V* point, V* rest) const {
-    const double *r = s.camera, *eye = r + 9, *focal = r + 12, *center = r + 14;
+    const double *r = s.camera, *eye = r + 9;
     float in[3][LANES], out[7][LANES];
     for (int k = 0; k < 3; ++k) store(in[k], position[k]);
     for (int half = 0; half < 2; ++half) {
@@ -28,7 +29,7 @@ struct Projection {
         d[k] = __builtin_convertvector(v, VD) - eye[k];
       }
       for (int k = 0; k < 3; ++k) seen[k] = r[3 * k] * d[0] + r[3 * k + 1] * d[1] + r[3 * k + 2] * d[2];
-      for (int k = 0; k < 2; ++k) seen[3 + k] = focal[k] * (seen[k] / seen[2]) + center[k];
+      Camera<V>::exact(s.camera, seen, seen + 3);
       for (int k = 0; k < 5; ++k) {
         const VH rounded = __builtin_convertvector(seen[k], VH);
         __builtin_memcpy(out[k] + LANES / 2 * half, &rounded, sizeof rounded);
@@ -42,8 +43,9 @@ struct Projection {
   }
 
   // Splats that lie beside the image for sure, before their covariance is known. With s the largest standard deviation,
-  // half a box is at most sqrt(scale) (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in the centre,
-  // which is known to `error`. `root`: square root of the scale, and `margin` what the dilation makes of it.
+  // half a box of a pinhole is at most sqrt(scale) (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in
+  // the centre, which is known to `error`. `root`: square root of the scale, and `margin` what the dilation makes of it.
+  // A fisheye sees a cone, and its splats are known by their distance from that (`Projector::cone` of the plain twin).
   template <int COLUMNS>
   VI beside(const Group& group, const V* t, V error, float root, float margin) const {
     const View& w = *s.view;
@@ -59,6 +61,10 @@ struct Projection {
       for (V& v : scales) v = absolute(v);
       size = larger(larger(scales[0], scales[1]), scales[2]);
     }
+    if (w.fisheye > 0.0f) {
+      const V from_axis = square_root(t[0] * t[0] + t[1] * t[1]);
+      return w.cone[0] * from_axis - w.cone[1] * t[2] - root * w.cone[2] * size - 2.0f * error > 0.0f;
+    }
     VI out{};
     for (int k = 0; k < 2; ++k) {
       const V spread = root * size * (w.focal[k] * (1.0f + w.limit[k])) + error * (w.focal[k] + w.size[k] + margin);
@@ -68,7 +74,7 @@ struct Projection {
     return out;
   }
 
-  template <int DEGREE, int COLUMNS>
+  template <int DEGREE, int COLUMNS, template <class> class Camera>
   void run() const {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     const View& w = *s.view;
@@ -98,9 +104,9 @@ struct Projection {
       const V extent = w.by_opacity * log2_opacity + REACH;
       const V scale = 2.0f / LOG2_E * extent;
       if (!any_of(seen)) return;
-      Geometry<V, COLUMNS> g;
+      Geometry<V, COLUMNS, Camera> g;
       V point[2], rest[2];
-      place(position, g.t, point, rest);
+      place<Camera>(position, g.t, point, rest);
       seen &= g.t[2] >= w.near;
       Shape<COLUMNS> shape;
       shape.load(s, index);
@@ -144,7 +150,7 @@ struct Recoloring {
   const Scene& s;
   const RecolorChunk& o;
 
-  template <int DEGREE, int COLUMNS>
+  template <int DEGREE, int COLUMNS, template <class> class Camera>
   void run() const {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     for_groups(s, o.first, o.count, [&](const Group& group) {
@@ -173,7 +179,7 @@ struct Velocity {
   const Scene& s;
   const TangentChunk& o;
 
-  template <int DEGREE, int COLUMNS>
+  template <int DEGREE, int COLUMNS, template <class> class Camera>
   void run() const {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     const View& w = *s.view;
@@ -190,7 +196,7 @@ struct Velocity {
       Shape<COLUMNS> shape;
       shape.load(s, index);
       Dual offset[3], color[3];
-      Geometry<Dual, COLUMNS> g;
+      Geometry<Dual, COLUMNS, Camera> g;
       for (int k = 0; k < 3; ++k) offset[k].v = from_eye[k], g.t[k].v = t[k];
       for (int c = 0; c < COLUMNS; ++c) {
         V turned[3];
@@ -223,8 +229,8 @@ struct Velocity {
     });
   }
 
-  template <int COLUMNS>
-  void move(const std::uint32_t* index, Geometry<Dual, COLUMNS>& g, Dual* offset) const {
+  template <int COLUMNS, template <class> class Camera>
+  void move(const std::uint32_t* index, Geometry<Dual, COLUMNS, Camera>& g, Dual* offset) const {
     const View& w = *s.view;
     V velocity[3] = {V{}, V{}, V{}}, turned[3];
     if (o.pose) {

@@ -1,8 +1,7 @@
 #pragma once
 // Projection of LANES Gaussians at once, for values (V) and for values with a derivative (Dual); the plain twin, which
-// also explains the symbols, is src/splat/project.rs. Pinhole cameras only.
-#include "cpp/splat_kernel.h"
-#include "cpp/splat_lanes.h"
+// also explains the symbols, is src/splat/project.rs.
+#include "cpp/splat_camera.h"
 
 namespace respire {
 namespace RESPIRE_ISA {
@@ -62,26 +61,18 @@ inline void aim(const N* offset, N* direction, N& distance) {
   for (int k = 0; k < 3; ++k) direction[k] = offset[k] * by_distance;
 }
 
-template <class N, int COLUMNS>
+template <class N, int COLUMNS, template <class> class Camera>
 struct Geometry {
   N t[3], c[COLUMNS][3], u[COLUMNS][2];  // centre and columns in camera axes, columns on screen
-  N rz, slope[2], clamped[2], point[2], covariance[3], conic[3], inverse_determinant;
+  Camera<N> camera;
+  N point[2], covariance[3], conic[3], inverse_determinant;
   N direction[3], distance;
   VI good;
 
   // From t, c and the vector from the eye (world axes).
   void complete(const View& w, const N* offset) {
-    rz = reciprocal_of(t[2]);
-    N j0[2], j2[2];
-    for (int k = 0; k < 2; ++k) {
-      slope[k] = t[k] * rz;
-      clamped[k] = clamp(slope[k], w.limit[k]);
-      point[k] = w.focal[k] * slope[k] + w.center[k];
-      j0[k] = w.focal[k] * rz;
-      j2[k] = -(j0[k] * clamped[k]);
-    }
-    for (int k = 0; k < COLUMNS; ++k)
-      for (int a = 0; a < 2; ++a) u[k][a] = j0[a] * c[k][a] + j2[a] * c[k][2];
+    camera.look(w, t, point);
+    for (int k = 0; k < COLUMNS; ++k) camera.carry(w, c[k], u[k]);
     N plain[3];
     for (int k = 0; k < 3; ++k) {
       const int a = k / 2, b = (k + 1) / 2;
@@ -194,19 +185,25 @@ inline void centers(const Scene& s, const Group& group, V* position, V* offset) 
   for (int k = 0; k < 3; ++k) offset[k] = position[k] - s.view->eye[k];
 }
 
-// Calls f.run<DEGREE, COLUMNS>() for those of the scene.
+template <template <class> class Camera, class F>
+inline void for_shapes(const Scene& s, F& f) {
+  switch (s.sh_degree * 2 + (s.scales != nullptr)) {
+    case 0: return f.template run<0, 2, Camera>();
+    case 1: return f.template run<0, 3, Camera>();
+    case 2: return f.template run<1, 2, Camera>();
+    case 3: return f.template run<1, 3, Camera>();
+    case 4: return f.template run<2, 2, Camera>();
+    case 5: return f.template run<2, 3, Camera>();
+    case 6: return f.template run<3, 2, Camera>();
+    default: return f.template run<3, 3, Camera>();
+  }
+}
+
+// Calls f.run<DEGREE, COLUMNS, Camera>() for those of the scene.
 template <class F>
 inline void for_scene(const Scene& s, F& f) {
-  switch (s.sh_degree * 2 + (s.scales != nullptr)) {
-    case 0: return f.template run<0, 2>();
-    case 1: return f.template run<0, 3>();
-    case 2: return f.template run<1, 2>();
-    case 3: return f.template run<1, 3>();
-    case 4: return f.template run<2, 2>();
-    case 5: return f.template run<2, 3>();
-    case 6: return f.template run<3, 2>();
-    default: return f.template run<3, 3>();
-  }
+  if (s.view->fisheye > 0.0f) return for_shapes<Fisheye>(s, f);
+  for_shapes<Pinhole>(s, f);
 }
 
 }  // namespace

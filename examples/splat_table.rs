@@ -2,7 +2,7 @@
 //! `cargo run --release --example splat_table -- [REPETITIONS]`.
 //!
 //! What is compared is measured turn by turn in one run, wall clock, median and in brackets the least, in milliseconds: one
-//! thread and two, AVX-512 and AVX2, forward mode, discs out of sight, the loss of the methods, a million discs.
+//! thread and two, AVX-512 and AVX2, forward mode, discs out of sight, a fisheye, the loss of the methods, a million discs.
 
 use std::time::Instant;
 
@@ -150,6 +150,13 @@ fn passes(pools: &[ThreadPool; 2], n: usize, side: usize, repetitions: usize) {
     let rows = ["forward + backward, 2 threads", "the same with 5x more out of sight"].map(Row::new);
     let both = turn_by_turn(&pools[1], repetitions, rows, || scene.both(&mut alone), || tree.both(&mut among));
     both[1].print_ratio("5x more out of sight over none", &both[0]);
+
+    let mut bent = Scene::new(n, side);
+    bent.view.camera.fisheye = Some([-0.03, 0.002, 0.0, 0.0]);
+    let (mut straight, mut curved) = (new(), new());
+    let rows = ["forward + backward, 2 threads", "the same through a fisheye"].map(Row::new);
+    let both = turn_by_turn(&pools[1], repetitions, rows, || scene.both(&mut straight), || bent.both(&mut curved));
+    both[1].print_ratio("fisheye over pinhole", &both[0]);
 
     let narrow = Isa::Avx2.available().unwrap_or(Isa::Baseline);
     let of = |isa| Rasterizer::<f32>::with_isa(isa).expect("the processor has it");

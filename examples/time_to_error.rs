@@ -3,7 +3,8 @@
 //! ```text
 //! cargo run --release --example time_to_error [SCENE,.. [TRANSPORT,.. [SPP,..]]]
 //! ```
-//! Per scene (M1, M2, M3c; six scatterings, 256 x 256), transport (paths, vertices, gather) and number of samples: relMSE
+//! Per scene (M1, M2, M3c; six scatterings, 256 x 256), transport (paths, vertices, gather; `gather+denoise` with the
+//! filter) and number of samples: relMSE
 //! (mean of `(x - r)^2 / (r^2 + 1e-4)`), ratio of the image means less 1 per channel, median relative difference of
 //! 16 x 16 blocks, CPU seconds of a first rendering over two (what two quiet cores would take), rays and paths per
 //! core-second. M3c's reference is as noisy as what is measured: there the error is the product of the differences from
@@ -18,7 +19,7 @@ use respire_bench::base::{Camera, Error, Image, Result, TriangleMesh};
 use respire_bench::ffi::system::cpu_time_s;
 use respire_bench::formats::{mesh, npy};
 use respire_bench::render::{
-    Boundary, Frame, Light, Material, RenderSettings, Scene, Transport, WalkedVertices, render,
+    Boundary, Denoise, Frame, Light, Material, RenderSettings, Scene, Transport, WalkedVertices, render,
 };
 
 const RHO: [f64; 3] = [0.75, 0.40, 0.35];
@@ -71,32 +72,48 @@ impl Stage<'_> {
         let first = Image { width: array.shape[1], height: array.shape[0], channels: 3, data: array.data };
         let mut stage = Stage { name: name.into(), tube, material, references: [first.clone(), first] };
         if name == "M3c" {
-            stage.references[1] = stage.picture(Transport::Paths, SECOND_REFERENCE_SPP, 4711)?.0.radiance;
+            stage.references[1] = stage.picture(Transport::Paths, SECOND_REFERENCE_SPP, 4711, Denoise::Off)?.0.radiance;
         }
         Ok(stage)
     }
 
     /// A first rendering and its CPU seconds.
-    fn picture(&self, transport: Transport, samples_per_pixel: u32, seed: u64) -> Result<(Frame, f64)> {
+    fn picture(
+        &self,
+        transport: Transport,
+        samples_per_pixel: u32,
+        seed: u64,
+        denoise: Denoise,
+    ) -> Result<(Frame, f64)> {
         let scene = Scene::new(self.tube, &[], self.material, 1)?;
         let origin = DVec3::new(0.4, -0.3, 0.0);
         let pose: DAffine3 = world_from_camera_looking(origin, DVec3::new(3.0, 0.6, 40.0) - origin, DVec3::Y);
         let camera = Camera::pinhole(256, 256, PI / 2.0);
-        let settings =
-            RenderSettings { max_scatterings: 6, samples_per_pixel, transport, seed, ..RenderSettings::default() };
+        let settings = RenderSettings {
+            max_scatterings: 6,
+            samples_per_pixel,
+            transport,
+            seed,
+            denoise,
+            ..RenderSettings::default()
+        };
         let cpu = cpu_time_s();
         let frame = render(&scene, &camera, &pose, &Light::at_camera([400.0; 3]), &settings)?;
         Ok((frame, cpu_time_s() - cpu))
     }
 
     fn measure(&self, transport: &str, spp: u32) -> Result<()> {
-        let kind = match transport {
+        let (name, denoise) = match transport.strip_suffix("+denoise") {
+            Some(name) => (name, Denoise::On),
+            None => (transport, Denoise::Off),
+        };
+        let kind = match name {
             "paths" => Transport::Paths,
             "vertices" => Transport::VERTICES,
             "gather" => Transport::GATHER,
             _ => return Err(Error::usage(format!("`{transport}` is none of paths, vertices, gather"))),
         };
-        let (frame, cpu) = self.picture(kind, spp, 5)?;
+        let (frame, cpu) = self.picture(kind, spp, 5, denoise)?;
         let image = &frame.radiance;
         let [a, b] = &self.references;
         let truth: Vec<f64> = a.data.iter().zip(&b.data).map(|(&a, &b)| 0.5 * f64::from(a + b)).collect();

@@ -20,6 +20,7 @@ pub(super) struct Exact {
     pub eye: [f64; 3],
     pub focal: [f64; 2],
     pub center: [f64; 2],
+    pub fisheye: Option<[f64; 4]>,
 }
 
 impl Exact {
@@ -30,16 +31,47 @@ impl Exact {
         self.rotation.map(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2])
     }
 
-    /// Its image through a pinhole.
+    /// Its image.
     #[inline(always)]
     pub fn point(&self, t: [f64; 3]) -> [f64; 2] {
-        [0, 1].map(|k| self.focal[k] * (t[k] / t[2]) + self.center[k])
+        match self.fisheye {
+            None => [0, 1].map(|k| self.focal[k] * (t[k] / t[2]) + self.center[k]),
+            Some(k) => fisheye(t, self.focal, self.center, k).point,
+        }
+    }
+
+    /// The cone outside of which a splat lies beside the image for sure: cosine and sine of its half angle, and `reach`,
+    /// such that with `r` the distance from the axis and `s` the largest standard deviation of the Gaussian (mm),
+    /// `cosine r - sine z >= 3.34 reach s` is beside. All 0, which is never true, where no such cone exists before the
+    /// camera.
+    ///
+    /// A splat reaches 3.34 standard deviations on the image along each axis, which are no more than `stretch s / distance`
+    /// and the dilation (in units of the focal length); it misses the image where its centre is farther from every pixel
+    /// than sqrt(2) times that, and beyond the cone the image point moves out with the angle by at least `slope`.
+    pub fn cone(&self, lens: [f64; 4], size: [f64; 2], dilation: f64) -> [f64; 3] {
+        const STEPS: usize = 1000;
+        let corner = [0, 1].map(|k| self.center[k].abs().max((size[k] - self.center[k]).abs()) / self.focal[k]);
+        let filter = 3.34 * dilation.sqrt() + 0.01;
+        let edge = corner[0].hypot(corner[1]) + std::f64::consts::SQRT_2 * filter / self.focal[0].min(self.focal[1]);
+        let angle = |step: usize| step as f64 / STEPS as f64 * std::f64::consts::FRAC_PI_2;
+        // The last angle whose image is not yet beyond the edge.
+        let Some(last) = (0..=STEPS).rev().find(|&step| distorted_angle(angle(step), lens).0 <= edge) else {
+            return [0.0; 3];
+        };
+        let slope = (last..=STEPS).map(|step| distorted_angle(angle(step), lens).1).fold(f64::INFINITY, f64::min);
+        if last + 1 >= STEPS || slope < 0.05 {
+            return [0.0; 3];
+        }
+        let (sine, cosine) = angle(last + 1).sin_cos();
+        [cosine, sine, std::f64::consts::SQRT_2 * largest_stretch(lens) / (0.99 * slope)]
     }
 
     /// As the kernels take it (`Scene::camera` of `cpp/splat_kernel.h`).
-    pub fn numbers(&self) -> [f64; 16] {
-        let mut out = [0.0; 16];
+    pub fn numbers(&self) -> [f64; 20] {
+        let mut out = [0.0; 20];
+        let lens = self.fisheye.unwrap_or_default();
         let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(&self.focal).chain(&self.center);
+        let all = all.chain(&lens);
         out.iter_mut().zip(all).for_each(|(place, v)| *place = *v);
         out
     }
@@ -135,15 +167,20 @@ impl<T: Real> Projector<T> {
 
 /// Largest factor between an angle before the camera (up to 90 degrees off its axis) and its image at focal length 1,
 /// along the meridian or across it, with 5 % of room.
-pub(super) fn largest_stretch([k1, k2, k3, k4]: [f64; 4]) -> f64 {
+pub(super) fn largest_stretch(lens: [f64; 4]) -> f64 {
     let factors = (1..=90).map(|degrees| {
         let theta = f64::from(degrees).to_radians();
-        let t2 = theta * theta;
-        let distorted = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))));
-        let slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)));
+        let (distorted, slope) = distorted_angle(theta, lens);
         slope.abs().max((distorted / theta.sin()).abs())
     });
     1.05 * factors.fold(1.0, f64::max)
+}
+
+/// `theta_d` of an angle, and its derivative.
+fn distorted_angle(theta: f64, [k1, k2, k3, k4]: [f64; 4]) -> (f64, f64) {
+    let t2 = theta * theta;
+    let slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)));
+    (theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))), slope)
 }
 
 /// OpenCV's fisheye model: `theta_d = theta (1 + k1 theta^2 + ..)`, image point `f (x, y) theta_d / r + c`, and its

@@ -38,13 +38,13 @@ pub struct Work<'a> {
 #[derive(Default)]
 pub struct Numbers {
     /// `View` of `cpp/splat_kernel.h`.
-    pub view: [f32; 24],
+    pub view: [f32; 32],
     /// `Scene::camera` there.
-    pub exact: [f64; 16],
+    pub exact: [f64; 20],
 }
 
 impl<'a> Work<'a> {
-    /// `None` where the plain twin has to do it: asked for, or a lens, filter or footprint that the kernels do not know.
+    /// `None` where the plain twin has to do it: asked for, or a filter or footprint that the kernels do not know.
     pub fn new(
         isa: Isa,
         gaussians: &'a Gaussians<f32>,
@@ -53,7 +53,7 @@ impl<'a> Work<'a> {
         active: Option<&'a [u32]>,
     ) -> Option<Self> {
         let plain = projector.filter() != Filter::Dilate || projector.footprint() != Footprint::Ewa;
-        if isa == Isa::Scalar || !projector.is_pinhole() || plain {
+        if isa == Isa::Scalar || plain {
             return None;
         }
         *numbers = Numbers { view: projector.numbers(), exact: projector.exact.numbers() };

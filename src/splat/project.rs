@@ -172,6 +172,7 @@ impl<T: Real> Projector<T> {
                 eye: eye.to_array(),
                 focal: [camera.fl_x, camera.fl_y],
                 center: [camera.cx, camera.cy],
+                fisheye: camera.fisheye,
             },
         })
     }
@@ -235,14 +236,20 @@ impl<T: Real> Projector<T> {
         self.fisheye_stretch.map(|s| self.focal.map(|f| f * s))
     }
 
-    /// Everything but the distortion, in single precision: `View` of `cpp/splat_kernel.h`.
-    pub fn numbers(&self) -> [f32; 24] {
-        let mut out = [0.0; 24];
+    /// The camera in single precision: `View` of `cpp/splat_kernel.h`.
+    pub fn numbers(&self) -> [f32; 32] {
+        let mut out = [0.0; 32];
         let vectors = [self.focal, self.center, self.limit, self.size];
         let flag = |skip: Skips| T::of(f64::from(u8::from(self.skips.any(skip))));
         let scalars = [self.near, self.dilation, flag(Skips::EXTENTS), flag(Skips::BESIDE)];
         let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(vectors.as_flattened()).chain(&scalars);
         out.iter_mut().zip(all).for_each(|(place, v)| *place = v.to_f64() as f32);
+        if let Some(lens) = self.exact.fisheye {
+            let dilation = self.dilation.to_f64();
+            let size = self.size.map(T::to_f64);
+            let rest = lens.into_iter().chain(self.exact.cone(lens, size, dilation)).chain([1.0]);
+            out[24..].iter_mut().zip(rest).for_each(|(place, v)| *place = v as f32);
+        }
         out
     }
 
@@ -277,7 +284,7 @@ impl<T: Real> Projector<T> {
             return None;
         }
         let mut g = self.geometry_of(t, columns.map(|m| self.turn(m)), offset)?;
-        if T::PLAIN && self.is_pinhole() {
+        if T::PLAIN {
             let point = self.exact.point(exact);
             g.point = point.map(T::of);
             g.rest = [0, 1].map(|k| T::of(point[k] - g.point[k].to_f64()));

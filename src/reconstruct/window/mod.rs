@@ -201,8 +201,8 @@ impl Window {
             (view, nearest_faces(&view, &rays, &shape.at(at[at.len() - 1]), shape.faces, visible))
         };
         let nearest = look(&expected_at).1;
-        let picture = Seen { given: &frame.view, time_s, picture: &picture, nearest: &nearest };
-        let found = self.solve(&picture, expected_at, &layout, shape, correction);
+        let seen = Seen { given: &frame.view, time_s, picture: &picture, nearest: &nearest };
+        let found = self.solve(&seen, expected_at, &layout, shape, correction);
         let now = found.at.len() - 1;
         let placed = Placed {
             phase: found.at[now],
@@ -212,7 +212,7 @@ impl Window {
         let enough = |(flow, kept): (f64, f64)| flow > LONGEST_FLOW || kept < FEWEST_KEPT;
         if found.last.is_none_or(enough) || self.waited >= LONGEST_WAIT {
             let (view, nearest) = look(&found.at);
-            let sight = Sight { view: &view, picture: picture.picture, nearest: &nearest };
+            let sight = Sight { view: &view, picture: &picture, nearest: &nearest };
             let key = keyframe(&sight, &frame.view, time_s, shape.faces);
             self.remember(key, found, &layout);
         }

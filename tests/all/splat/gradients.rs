@@ -137,6 +137,9 @@ fn single_precision_equals_double() {
         (26, Kind::Discs, Lens::Pinhole, 3),
         (27, Kind::Ellipsoids, Lens::Pinhole, 0),
         (28, Kind::Ellipsoids, Lens::Pinhole, 1),
+        (29, Kind::Ellipsoids, Lens::Fisheye, 3),
+        (30, Kind::Discs, Lens::Fisheye, 0),
+        (31, Kind::Ellipsoids, Lens::Fisheye, 1),
     ] {
         let scene = random(60, kind, degree, seed).cast::<f32>();
         for (name, error) in f32_errors(&scene, &view(lens), seed, settings()) {
@@ -229,11 +232,16 @@ fn the_reference_scenes_give_the_reference_gradient_norms() {
 /// (`../shared/reference/splat/PEERS.md`).
 #[test]
 fn single_precision_equals_double_on_the_reference_scene() {
-    for (file, side) in [("tube_20k.npz", 256), ("tube_100k.npz", 400)] {
-        let Some((tube, view)) = tube(file, side) else { return };
+    for (file, side, fisheye) in [
+        ("tube_20k.npz", 256, None),
+        ("tube_100k.npz", 400, None),
+        ("tube_20k.npz", 256, Some([-0.03, 0.002, 0.0, 0.0])),
+    ] {
+        let Some((tube, mut view)) = tube(file, side) else { return };
+        view.camera.fisheye = fisheye;
         for (name, error) in f32_errors(&tube, &view, 9, settings()) {
-            println!("{file} {name}: {error:.1e}");
-            assert!(error <= 5e-4, "{file} {name} off by {error:e}");
+            println!("{file} {fisheye:?} {name}: {error:.1e}");
+            assert!(error <= 5e-4, "{file} {fisheye:?} {name} off by {error:e}");
         }
     }
 }

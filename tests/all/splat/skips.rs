@@ -1,11 +1,12 @@
 //! What a pass leaves out must not be seen: each skip switched off, on every kernel, against the default.
 
+use glam::DVec3;
 use respire_bench::splat::{
-    Filter, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings, Skips, View, Wanted,
+    Filter, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings, Shape, Skips, View, Wanted,
 };
 
 use super::forward::available;
-use super::scenes::{Kind, Lens, random, relative, view, wide};
+use super::scenes::{Kind, Lens, random, relative, view, wide, world_from_camera};
 
 fn pass<T: Real>(
     isa: Isa,
@@ -53,9 +54,52 @@ fn what_is_skipped_cannot_be_seen() {
     for isa in available() {
         // Some pixels of this scene stop; seen otherwise none may.
         assert!(nothing_is_lost::<f32>(isa, Lens::Pinhole, Filter::Dilate) > 0.0);
+        nothing_is_lost::<f32>(isa, Lens::Fisheye, Filter::Dilate);
     }
     nothing_is_lost::<f32>(Isa::widest(), Lens::Pinhole, Filter::Compensate);
     nothing_is_lost::<f64>(Isa::Scalar, Lens::Fisheye, Filter::Dilate);
+}
+
+/// Discs of all sizes around the edge of what a camera sees, ordered by their angle so that whole groups lie beside: no
+/// splat that reaches the image may be left early, whatever the lens.
+#[test]
+fn what_is_beside_reaches_no_pixel() {
+    let lenses = [[0.0; 4], [0.05, -0.02, 0.01, -0.003], [-0.12, 0.01, 0.0, 0.0], [0.3, 0.0, 0.0, 0.0]];
+    let views = lenses.iter().map(|&lens| {
+        let mut view = view(Lens::Fisheye);
+        view.camera.fisheye = Some(lens);
+        view
+    });
+    for (number, view) in views.chain([view(Lens::Pinhole)]).enumerate() {
+        let mut scene = random(0, Kind::Discs, 0, 1);
+        let mut axes = Vec::new();
+        for k in 0..6000usize {
+            let (angle, turn) = (1.55 * k as f64 / 6000.0, 2.4 * k as f64);
+            let (distance, size) = (1.0 + (k % 7) as f64, 0.02 * 3f64.powi((k / 16 % 5) as i32));
+            let ray = DVec3::new(angle.sin() * turn.cos(), angle.sin() * turn.sin(), angle.cos());
+            let across = DVec3::new(-turn.sin(), turn.cos(), 0.0);
+            let world = world_from_camera();
+            let axis = |v: DVec3| (size * world.transform_vector3(v)).to_array();
+            scene.positions.push(world.transform_point3(distance * ray).to_array());
+            axes.push([axis(across), axis(ray.cross(across))]);
+            scene.opacities.push(1.0);
+            scene.sh.extend([0.3; 3]);
+        }
+        scene.shape = Shape::Discs { axes };
+        let scene = scene.cast::<f32>();
+        for isa in available() {
+            let visible = |skips: Skips| {
+                let mut rasterizer = Rasterizer::<f32>::with_isa(isa).unwrap();
+                rasterizer.skips(skips);
+                rasterizer.render(&scene, &view, &Settings::default(), None).unwrap().visible.clone()
+            };
+            let (with, without) = (visible(Skips::ALL), visible(Skips::ALL.without(Skips::BESIDE)));
+            let lost = (0..6000).find(|&k| with[k] != without[k]);
+            assert_eq!(lost, None, "camera {number}, {isa}: a splat that the image shows is left");
+            let shown = without.iter().filter(|v| **v).count();
+            assert!(shown > 500 && shown < 5500, "camera {number}: {shown} of 6000 are shown: nothing to tell");
+        }
+    }
 }
 
 #[test]
