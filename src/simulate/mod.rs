@@ -2,6 +2,7 @@
 
 pub mod exposure;
 pub mod film;
+mod kin;
 mod misregister;
 pub mod preview;
 pub mod sensor;
@@ -76,7 +77,8 @@ pub struct SimulationSettings {
 /// Films `case` into the folder `out` and opens the result.
 ///
 /// A finished folder with the same content hash is only opened; a half-made one is resumed frame by frame; one of
-/// another content is made anew. The bytes depend on case and settings alone.
+/// another content is made anew. The bytes depend on case and settings alone. Frames of the same film that a finished folder
+/// beside `out` holds (films of one case with different errors of the registration) are copied, not rendered.
 /// Errors: the case's (anatomy, way, material), a folder that is no sequence, writing; `Interrupted` between frames.
 pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress: &dyn Progress) -> Result<Sequence> {
     check(settings)?;
@@ -91,6 +93,7 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
     let anatomy = airway::build(case)?;
     let film = Film::plan(case, &anatomy, settings, &material)?;
     film.notes.iter().for_each(|note| progress.note(&format!("{}: {note}", case.id)));
+    kin::copy_frames(case, settings, out, progress)?;
     shoot::shoot(case, &anatomy, &film, &material, settings, out, progress)?;
     write_truth(case, &anatomy, &film, settings, &hash, out)?;
     Sequence::open(out)
@@ -189,7 +192,7 @@ fn write_truth(
     files::write_bytes(&out.join(sequence::FRAMES), film.frames_csv().as_bytes())?;
     files::write_bytes(&out.join(sequence::FORMAT), include_bytes!("FORMAT.md"))?;
     preview::write(out, film.frames.len(), settings.frames_per_second)?;
-    let hashes: Vec<(String, String)> = content_names(case, film, settings)
+    let hashes: Vec<(String, String)> = content_names(case, settings)
         .into_par_iter()
         .map(|name| hash::of_file(&out.join(&name)).map(|h| (name, h)))
         .collect::<Result<_>>()?;
@@ -197,6 +200,7 @@ fn write_truth(
     let mut manifest = serde_json::to_value(head).map_err(|e| Error::input(e.to_string()))?;
     manifest["simulator_version"] = SIMULATOR_VERSION.into();
     manifest["case_hash"] = case.hash()?.into();
+    manifest["film_hash"] = kin::film_hash(case, settings)?.into();
     manifest["settings"] = serde_json::to_value(settings).map_err(|e| Error::input(e.to_string()))?;
     manifest["case"] = serde_json::to_value(case).map_err(|e| Error::input(e.to_string()))?;
     manifest["material"] = serde_json::to_value(material(case)?).map_err(|e| Error::input(e.to_string()))?;
@@ -207,7 +211,7 @@ fn write_truth(
 }
 
 /// All files of the folder but plan and manifest, in order.
-fn content_names(case: &Case, film: &Film, settings: &SimulationSettings) -> Vec<String> {
+fn content_names(case: &Case, settings: &SimulationSettings) -> Vec<String> {
     let fixed = [
         sequence::INSPIRATION,
         sequence::EXPIRATION,
@@ -222,24 +226,28 @@ fn content_names(case: &Case, film: &Film, settings: &SimulationSettings) -> Vec
     if case.scope.mask_radius > 0.0 {
         names.push(sequence::MASK.to_string());
     }
-    let frames = film.frames.len();
-    for frame in 0..frames {
-        names.extend([sequence::image_name(frame), sequence::depth_name(frame)]);
-        let truth = [
-            (TruthMap::Normals, true, sequence::normal_name(frame)),
-            (TruthMap::Albedo, true, sequence::albedo_name(frame)),
-            (TruthMap::Motion, frame + 1 < frames, sequence::forward_motion_name(frame)),
-            (TruthMap::Motion, frame > 0, sequence::backward_motion_name(frame)),
-            (TruthMap::PhaseSensitivity, true, sequence::sensitivity_name(frame)),
-        ];
-        names.extend(truth.into_iter().filter(|(map, exists, _)| *exists && settings.truth.has(*map)).map(|t| t.2));
-        if settings.meshes == MeshOutput::EveryFrame {
-            names.push(sequence::frame_mesh_name(frame));
-        }
-        if settings.radiance == RadianceOutput::Exr {
-            names.push(sequence::radiance_name(frame));
-        }
+    names.extend((0..settings.frames).flat_map(|frame| frame_names(frame, settings)));
+    names
+}
+
+/// The files of one frame, the image last.
+fn frame_names(frame: usize, settings: &SimulationSettings) -> Vec<String> {
+    let truth = [
+        (TruthMap::Normals, true, sequence::normal_name(frame)),
+        (TruthMap::Albedo, true, sequence::albedo_name(frame)),
+        (TruthMap::Motion, frame + 1 < settings.frames, sequence::forward_motion_name(frame)),
+        (TruthMap::Motion, frame > 0, sequence::backward_motion_name(frame)),
+        (TruthMap::PhaseSensitivity, true, sequence::sensitivity_name(frame)),
+    ];
+    let mut names = vec![sequence::depth_name(frame)];
+    names.extend(truth.into_iter().filter(|(map, exists, _)| *exists && settings.truth.has(*map)).map(|t| t.2));
+    if settings.meshes == MeshOutput::EveryFrame {
+        names.push(sequence::frame_mesh_name(frame));
     }
+    if settings.radiance == RadianceOutput::Exr {
+        names.push(sequence::radiance_name(frame));
+    }
+    names.push(sequence::image_name(frame));
     names
 }
 

@@ -51,8 +51,13 @@ impl<T: Real> Sight<'_, T> {
         let ray = self.view.camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).to_array();
         let ray_of_type = ray.map(T::of);
         let mut left = 1.0;
-        for &entry in &bins.entries[bins.offsets[tile] as usize..bins.offsets[tile + 1] as usize] {
-            let j = entry as usize;
+        let block = 1u16 << (p / 16);
+        for at in bins.offsets[tile] as usize..bins.offsets[tile + 1] as usize {
+            // Of the pass before: splats that cannot touch this block of pixels, or that it met too late.
+            if bins.masks_known && bins.masks[at] & block == 0 {
+                continue;
+            }
+            let j = bins.entries[at] as usize;
             let row = &self.rows[j].0;
             let found = match &self.surfaces {
                 Surfaces::None => alpha_at(row, corner, p).map(|alpha| (alpha.to_f64(), 0.0)),

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::{DVec2, DVec3};
@@ -110,6 +111,63 @@ fn the_bytes_do_not_depend_on_threads_or_interruptions() {
     let shorter = SimulationSettings { frames: 3, meshes: MeshOutput::EndStates, ..small() };
     assert_eq!(simulate(&case(), &shorter, &resumed, &NoProgress).unwrap().frames.len(), 3);
     assert!(!resumed.join("images/000005.png").exists());
+}
+
+/// Hears what it is told.
+#[derive(Default)]
+struct Listener {
+    notes: Mutex<Vec<String>>,
+}
+
+impl Progress for Listener {
+    fn advance(&self, _done: usize, _total: usize) {}
+
+    fn cancelled(&self) -> bool {
+        false
+    }
+
+    fn note(&self, sentence: &str) {
+        self.notes.lock().unwrap().push(sentence.to_owned());
+    }
+}
+
+/// How many frames a film took from its neighbours, by what it said.
+fn copied(listener: &Listener) -> usize {
+    let notes = listener.notes.lock().unwrap();
+    let number = |note: &String| note.split_once(" frames are those of")?.0.rsplit(' ').next()?.parse::<usize>().ok();
+    notes.iter().filter_map(number).sum()
+}
+
+#[test]
+fn another_registration_of_a_film_renders_no_frame_again() {
+    let settings = SimulationSettings { truth: TruthMap::ALL.into_iter().collect(), ..small() };
+    let wrong = Case { registration_error_mm: 1.0, ..case() };
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    simulate(&case(), &settings, &at("case1-exact"), &NoProgress).unwrap();
+    // Elsewhere there is nothing to copy.
+    simulate(&wrong, &settings, &at("elsewhere/case1-wrong"), &NoProgress).unwrap();
+
+    let listener = Listener::default();
+    simulate(&wrong, &settings, &at("case1-wrong"), &listener).unwrap();
+    assert_eq!(copied(&listener), 6);
+    assert_same(&at("elsewhere/case1-wrong"), &at("case1-wrong"));
+
+    // A frame that is no longer what it was is rendered, and so are all of another film.
+    fs::remove_dir_all(at("case1-exact")).unwrap();
+    fs::write(at("case1-wrong/depth/000002.exr"), "damaged").unwrap();
+    let listener = Listener::default();
+    let worse = Case { registration_error_mm: 2.0, ..case() };
+    simulate(&worse, &settings, &at("case1-worse"), &listener).unwrap();
+    assert_eq!(copied(&listener), 5);
+    assert_eq!(
+        contents(&at("case1-worse"))["depth/000002.exr"],
+        contents(&at("elsewhere/case1-wrong"))["depth/000002.exr"]
+    );
+    let listener = Listener::default();
+    let darker = Case { light_intensity: case().light_intensity.map(|v| 0.5 * v), ..case() };
+    simulate(&darker, &small(), &at("case1-darker"), &listener).unwrap();
+    assert_eq!(copied(&listener), 0);
 }
 
 #[test]

@@ -1,0 +1,83 @@
+//! Frames of the same film that another folder holds already: films of one case with different errors of the registration
+//! have the same pixels and truth, and only the mesh that methods are given differs.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use crate::airway::case::Case;
+use crate::base::{Error, Progress, Result, files, hash};
+
+use super::{SIMULATOR_VERSION, SimulationSettings, frame_names, sequence};
+
+/// What a manifest says of the film it stands beside.
+#[derive(Deserialize)]
+struct Kin {
+    film_hash: Option<String>,
+    files: BTreeMap<String, String>,
+}
+
+/// Content hash of the frames of `case`: of everything but what methods are told of the motion, 64 hex digits.
+pub(super) fn film_hash(case: &Case, settings: &SimulationSettings) -> Result<String> {
+    let film = Case { registration_error_mm: 0.0, ..case.clone() };
+    hash::of_value(&("film", SIMULATOR_VERSION, film.hash()?, settings))
+}
+
+/// Copies into `out` the frames that it lacks and that a finished film beside it has, byte by byte what that film's
+/// manifest says; whatever else there is, is left to be rendered. Gives back how many there were.
+///
+/// Errors: writing into `out`. Damage to the other folder is none: its frames are not taken.
+pub(super) fn copy_frames(
+    case: &Case,
+    settings: &SimulationSettings,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<usize> {
+    let missing: Vec<usize> =
+        (0..settings.frames).filter(|&frame| !out.join(sequence::image_name(frame)).is_file()).collect();
+    if missing.is_empty() {
+        return Ok(0);
+    }
+    let Some((folder, kin)) = find(case, &film_hash(case, settings)?, out) else { return Ok(0) };
+    let mut copied = 0;
+    for frame in missing {
+        if progress.cancelled() {
+            return Err(Error::interrupted());
+        }
+        // In the order of writing: the image is the last, so that an image means a whole frame.
+        let names = frame_names(frame, settings);
+        let Some(contents) = names.iter().map(|name| whole(&folder, name, &kin)).collect::<Option<Vec<_>>>() else {
+            continue;
+        };
+        for (name, content) in names.iter().zip(contents) {
+            files::write_bytes(&out.join(name), &content)?;
+        }
+        copied += 1;
+    }
+    if copied > 0 {
+        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        progress
+            .note(&format!("{}: {copied} frames are those of {name}, another registration of the same film", case.id));
+    }
+    Ok(copied)
+}
+
+/// The first finished folder beside `out`, by name, that belongs to the case and has the film.
+fn find(case: &Case, wanted: &str, out: &Path) -> Option<(PathBuf, Kin)> {
+    let mut beside: Vec<PathBuf> =
+        out.parent()?.read_dir().ok()?.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    beside.sort();
+    let start = format!("{}-", case.id);
+    let of_case = |path: &PathBuf| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with(&start));
+    beside.into_iter().filter(|path| path != out && of_case(path)).find_map(|path| {
+        let kin: Kin = files::read_json(&path.join(sequence::MANIFEST)).ok()?;
+        (kin.film_hash.as_deref() == Some(wanted)).then_some((path, kin))
+    })
+}
+
+/// A file of that film, if it is what it was when it was finished.
+fn whole(folder: &Path, name: &str, kin: &Kin) -> Option<Vec<u8>> {
+    let content = files::read_bytes(&folder.join(name)).ok()?;
+    (kin.files.get(name)? == &hash::of_bytes(&content)).then_some(content)
+}
