@@ -43,7 +43,7 @@ Scene scene_of(const SplatScene& s, View& view, std::size_t first, std::size_t c
   require(s.sh_degree <= 3 && s.positions.size() == 3 * n && s.shape.size() == columns * n &&
               (s.scales.empty() || s.scales.size() == 3 * n) && s.sh.size() == 3 * basis * n,
           "the arrays of the Gaussians differ in length");
-  require(s.view.size() == sizeof(View) / sizeof(float) && s.exact.size() == 20, "a view has 32 numbers and 20");
+  require(s.view.size() == sizeof(View) / sizeof(float) && s.exact.size() == 20, "a view has 33 numbers and 20");
   const std::size_t known = s.all ? n : s.active.size();
   require(first <= known && count <= known - first, "there are not as many Gaussians");
   if (!s.all) {
@@ -126,9 +126,9 @@ void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t fir
 void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const std::uint32_t> starts,
                  rust::Slice<const float> slots, std::uint32_t wanted,
                  rust::Slice<float> positions, rust::Slice<float> shape, rust::Slice<float> scales,
-                 rust::Slice<float> opacities, rust::Slice<float> sh, rust::Slice<double> pose) {
+                 rust::Slice<float> opacities, rust::Slice<float> sh, rust::Slice<double> camera) {
   check_isa(isa);
-  require(!starts.empty() && pose.size() == 6, "tables of a chain differ in length");
+  require(!starts.empty() && camera.size() == 10, "tables of a chain differ in length");
   const std::size_t count = starts.size() - 1;
   const bool discs = scene.scales.empty();
   auto has = [&](std::uint32_t group, std::size_t size, std::size_t each) {
@@ -148,7 +148,7 @@ void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, r
   require(ascending, "entries of a splat are out of order");
   require(start[count] <= slots.size() / 16, "an entry has no slot");
   const ChainChunk chunk{first,          count,         starts.data(),    slots.data(), wanted,
-                         positions.data(), shape.data(), scales.data(), opacities.data(), sh.data(),    pose.data()};
+                         positions.data(), shape.data(), scales.data(), opacities.data(), sh.data(),    camera.data()};
   CALL(isa, chain, s, chunk)
 }
 

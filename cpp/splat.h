@@ -28,7 +28,7 @@ void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t fir
 void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const std::uint32_t> starts,
                  rust::Slice<const float> slots, std::uint32_t wanted,
                  rust::Slice<float> positions, rust::Slice<float> shape, rust::Slice<float> scales,
-                 rust::Slice<float> opacities, rust::Slice<float> sh, rust::Slice<double> pose);
+                 rust::Slice<float> opacities, rust::Slice<float> sh, rust::Slice<double> camera);
 // One tile. `velocities`: 8 floats per splat and direction, direction by direction.
 void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
                    rust::Slice<std::uint16_t> masks, float x, float y, rust::Slice<float> state, std::uint32_t parts,

@@ -6,6 +6,7 @@
 //   carry(w, c, u)                 u = J c
 //   back(w, by_u, by_c)            by_c = J^T by_u
 //   pullback(w, by_point, ..)      gradient with respect to t, through the image point and through J (V only)
+//   unscaled(k, by_u, c)           what of row k of J, times its gradient, does not grow with the focal length (V only)
 //   exact(camera, t, point)        the image point in double
 #include "cpp/splat_kernel.h"
 #include "cpp/splat_lanes.h"
@@ -61,6 +62,14 @@ struct Pinhole {
       by_t[r] += along;
       by_t[2] -= along * slope[r];
     }
+  }
+
+  // The third column, where it is clamped: the limit is one of the image.
+  template <int COLUMNS>
+  N unscaled(int k, const N by_u[COLUMNS][2], const N c[COLUMNS][3]) const {
+    N by_j2{};
+    for (int column = 0; column < COLUMNS; ++column) by_j2 += by_u[column][k] * c[column][2];
+    return keep(slope[k] != clamped[k], j2[k] * by_j2);
   }
 
   static void exact(const double* camera, const VD* t, VD* point) {
@@ -169,6 +178,11 @@ struct Fisheye {
     const N by_r2 = q * by_s + 4.0f * (second * rz) * (rz2 * rz2) * by_q + turning * by_w;
     by_t[0] += t[0] * by_r2, by_t[1] += t[1] * by_r2;
     by_t[2] = -w * by_s - turning * by_q - (2.0f * s * rz2 + v * (10.0f * first + 4.0f * (v * second)) * (rz * rz2)) * by_w;
+  }
+
+  template <int COLUMNS>
+  N unscaled(int, const N[COLUMNS][2], const N[COLUMNS][3]) const {
+    return N{};
   }
 
   static void exact(const double* camera, const VD* t, VD* point) {

@@ -30,6 +30,23 @@ inline void basis_pullback(const V* v, const V* w, V* g) {
   }
 }
 
+// Adds to by_u what comes through the factor sqrt(det / det dilated) of the opacity, whose logarithm has the gradient
+// by_log: det is the sum of the squares of the cross products of the u.
+template <class G, int COLUMNS>
+inline void compensation_pullback(const G& g, V by_log, V by_u[COLUMNS][2]) {
+  const V over = 1.0f / g.plain_determinant;
+  for (int k = 0; k < COLUMNS; ++k) {
+    const V x = g.u[k][0], y = g.u[k][1];
+    V dx = -(g.conic[0] * x + g.conic[1] * y), dy = -(g.conic[1] * x + g.conic[2] * y);
+    for (int other = 0; other < COLUMNS; ++other) {
+      if (other == k) continue;
+      const V cross = (x * g.u[other][1] - y * g.u[other][0]) * over;
+      dx += cross * g.u[other][1], dy -= cross * g.u[other][0];
+    }
+    by_u[k][0] += by_log * dx, by_u[k][1] += by_log * dy;
+  }
+}
+
 inline V dot(const V* a, const V* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 struct Chain {
@@ -70,8 +87,8 @@ struct Chain {
   void run() const {
     constexpr int BASIS = (DEGREE + 1) * (DEGREE + 1), SH = 3 * BASIS;
     const View& w = *s.view;
-    const bool through_position = wants(POSITIONS | POSE), shapes = wants(SHAPES);
-    VD pose_sums[6] = {};
+    const bool through_position = wants(POSITIONS | POSE | LENS), shapes = wants(SHAPES);
+    VD pose_sums[6] = {}, lens_sums[4] = {};
     for_groups(s, o.first, o.count, [&](const Group& group) {
       const std::size_t k0 = group.k0;
       const int count = group.count;
@@ -120,8 +137,9 @@ struct Chain {
           for (int k = 0; k < 3; ++k) by_offset[k] = (direction[k] - along * g.direction[k]) * by_distance;
         }
       }
-      V by_columns[3][3], by_position[3] = {V{}, V{}, V{}}, pose[6];
+      V by_columns[3][3], by_position[3] = {V{}, V{}, V{}}, pose[6], lens[4];
       for (V& v : pose) v = V{};
+      for (V& v : lens) v = V{};
       if (through_position || shapes) {
         // The covariance from the conic: -Q G Q.
         const V a = g.conic[0], b = g.conic[1], c = g.conic[2];
@@ -132,8 +150,9 @@ struct Chain {
         for (int k = 0; k < COLUMNS; ++k) {
           by_u[k][0] = 2.0f * (va * g.u[k][0] + vb * g.u[k][1]);
           by_u[k][1] = 2.0f * (vb * g.u[k][0] + vc * g.u[k][1]);
-          g.camera.back(w, by_u[k], by_c[k]);
         }
+        if (w.compensate > 0.0f) compensation_pullback<Geometry<V, COLUMNS, Camera>, COLUMNS>(g, m[S], by_u);
+        for (int k = 0; k < COLUMNS; ++k) g.camera.back(w, by_u[k], by_c[k]);
         if (shapes) {
           for (int k = 0; k < COLUMNS; ++k) {
             turn_back(w, by_c[k], by_columns[k]);
@@ -163,6 +182,15 @@ struct Chain {
             for (int k = 0; k < 3; ++k) pose[3 + k] = by_t[k] + eye[k];
             for (const V& v : pose) sum += v;
           }
+          if (wants(LENS)) {
+            for (int k = 0; k < 2; ++k) {
+              // Image point and Jacobian are proportional to the focal length.
+              V along = (g.point[k] - w.center[k]) * by_point[k] - g.camera.template unscaled<COLUMNS>(k, by_u, g.c);
+              for (int c = 0; c < COLUMNS; ++c) along += by_u[c][k] * g.u[c][k];
+              lens[k] = along / w.focal[k], lens[2 + k] = by_point[k];
+            }
+            for (const V& v : lens) sum += v;
+          }
         }
       }
       const VI good = seen & g.good & finite(sum);
@@ -174,10 +202,13 @@ struct Chain {
       if (wants(POSE)) {
         for (int k = 0; k < 6; ++k) pose_sums[k] += in_double(keep(good, pose[k]));
       }
+      if (wants(LENS)) {
+        for (int k = 0; k < 4; ++k) lens_sums[k] += in_double(keep(good, lens[k]));
+      }
     });
-    for (int k = 0; k < 6; ++k) {
-      o.pose[k] = 0;
-      for (int l = 0; l < LANES / 2; ++l) o.pose[k] += pose_sums[k][l];
+    for (int k = 0; k < 10; ++k) {
+      o.camera[k] = 0;
+      for (int l = 0; l < LANES / 2; ++l) o.camera[k] += k < 6 ? pose_sums[k][l] : lens_sums[k - 6][l];
     }
   }
 

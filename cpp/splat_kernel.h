@@ -27,6 +27,7 @@ struct View {
   float by_opacity, beside;  // 1 or 0: extents depend on the opacity; what is beside the image is left early
   float lens[4], cone[3];    // a fisheye's distortion; cosine and sine of the cone that it sees, and how far beyond it splats reach
   float fisheye;             // 1, or 0 for a pinhole
+  float compensate;          // 1: opacities are multiplied by the root of det / det dilated; 0: they stay
 };
 
 // Gaussians as they lie in memory. `shape`: 6 floats (two axes) of discs, whose `scales` are null; quaternions of
@@ -63,7 +64,7 @@ struct TangentChunk {
   float* rows;                              // out, 8 floats each, where visible
 };
 
-enum Group : std::uint32_t { POSITIONS = 1, SHAPES = 2, OPACITIES = 4, HARMONICS = 8, POSE = 16 };
+enum Group : std::uint32_t { POSITIONS = 1, SHAPES = 2, OPACITIES = 4, HARMONICS = 8, POSE = 16, LENS = 64 };
 
 struct ChainChunk {
   std::size_t first, count;
@@ -71,7 +72,7 @@ struct ChainChunk {
   const float* slots;
   std::uint32_t wanted;
   float *positions, *shape, *scales, *opacities, *sh;  // out, those that are wanted
-  double* pose;                                        // out, 6
+  double* camera;                                      // out, 6 of the pose and 4 of the intrinsics
 };
 
 struct ForwardTile {

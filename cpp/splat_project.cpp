@@ -98,11 +98,8 @@ struct Projection {
       const V opacity = ones(s.opacities, group);
       const bool looked = w.beside > 0.0f && !any_of(opacity > 1.0f);
       if (looked && !any_of(seen & ~beside<COLUMNS>(group, about, error, root, margin))) return;
-      const V log2_opacity = log2(opacity);
-      const V reach = log2_opacity + REACH;
-      seen &= (reach > 0.0f) & finite(opacity) & (opacity > 1e-3f);
-      const V extent = w.by_opacity * log2_opacity + REACH;
-      const V scale = 2.0f / LOG2_E * extent;
+      V log2_opacity = log2(opacity);
+      seen &= (log2_opacity + REACH > 0.0f) & finite(opacity) & (opacity > 1e-3f);
       if (!any_of(seen)) return;
       Geometry<V, COLUMNS, Camera> g;
       V point[2], rest[2];
@@ -113,6 +110,11 @@ struct Projection {
       for (int k = 0; k < COLUMNS; ++k) turn(w, shape.m[k], g.c[k]);
       g.complete(w, offset);
       for (int k = 0; k < 2; ++k) g.point[k] = point[k];
+      if (w.compensate > 0.0f) {
+        log2_opacity += 0.5f * log2(g.plain_determinant * g.inverse_determinant);
+        seen &= log2_opacity + REACH > 0.0f;
+      }
+      const V scale = 2.0f / LOG2_E * (w.by_opacity * log2_opacity + REACH);
       const V half[2] = {square_root(scale * g.covariance[0]), square_root(scale * g.covariance[2])};
       seen &= g.good;
       for (int k = 0; k < 2; ++k) seen &= (g.point[k] + half[k] > 0.0f) & (g.point[k] - half[k] < w.size[k]);

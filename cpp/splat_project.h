@@ -65,7 +65,7 @@ template <class N, int COLUMNS, template <class> class Camera>
 struct Geometry {
   N t[3], c[COLUMNS][3], u[COLUMNS][2];  // centre and columns in camera axes, columns on screen
   Camera<N> camera;
-  N point[2], covariance[3], conic[3], inverse_determinant;
+  N point[2], covariance[3], conic[3], inverse_determinant, plain_determinant;  // the last one before dilation
   N direction[3], distance;
   VI good;
 
@@ -82,9 +82,11 @@ struct Geometry {
     const float d = w.dilation;
     // Cauchy and Binet: the determinant as a sum of squares, so that thin splats keep their digits.
     N cross = u[0][0] * u[1][1] - u[0][1] * u[1][0];
+    plain_determinant = cross * cross;
     N determinant = cross * cross + d * (plain[0] + plain[2]) + d * d;
     for (int k = 0; k < COLUMNS - 1 && COLUMNS == 3; ++k) {
       cross = u[k][0] * u[COLUMNS - 1][1] - u[k][1] * u[COLUMNS - 1][0];
+      plain_determinant = plain_determinant + cross * cross;
       determinant = determinant + cross * cross;
     }
     covariance[0] = plain[0] + d, covariance[1] = plain[1], covariance[2] = plain[2] + d;

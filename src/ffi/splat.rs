@@ -67,7 +67,7 @@ mod bridge {
             scales: &mut [f32],
             opacities: &mut [f32],
             sh: &mut [f32],
-            pose: &mut [f64],
+            camera: &mut [f64],
         ) -> Result<()>;
         fn splat_forward(
             isa: u8,
@@ -224,8 +224,8 @@ pub struct ChainOutput<'a, T> {
     pub opacities: &'a mut [T],
     /// As in the scene.
     pub sh: &'a mut [T],
-    /// Sum over the chunk.
-    pub pose: &'a mut [f64; 6],
+    /// Sums over the chunk: six of the pose, four of the intrinsics (0 where not wanted).
+    pub camera: &'a mut [f64; 10],
 }
 
 /// Gradients of the Gaussians number `first..` from their moments: those of number `first + k` are the sum over
@@ -251,7 +251,7 @@ pub fn chain(
         out.scales,
         out.opacities,
         out.sh,
-        out.pose,
+        out.camera,
     )
     .expect(AGREE);
 }

@@ -6,7 +6,7 @@ use crate::ffi::splat::{self as native, Aligned, ChainOutput, Isa, SplatMotion, 
 use super::project::Projector;
 use super::real::Real;
 use super::tangent::Direction;
-use super::types::{Filter, Footprint, Gaussians, Shape, Wanted};
+use super::types::{Footprint, Gaussians, Shape, Wanted};
 
 /// What kernels do for numbers of type `T` in one scene seen by one camera.
 pub trait Native<T: Real>: Sync {
@@ -22,7 +22,8 @@ pub trait Native<T: Real>: Sync {
     );
     /// Writes their colours into the rows, where visible; `false` when one is not finite.
     fn recolor(&self, first: usize, visible: &[bool], rows: &mut [Aligned<T>]) -> bool;
-    /// Velocities of their splats along a direction other than the gain, where visible.
+    /// Velocities of their splats along a direction other than the gain, where visible; not of `Filter::Compensate`, which
+    /// lets opacities move.
     fn velocities(&self, first: usize, visible: &[bool], direction: &Direction<'_, T>, rows: &mut [[T; 8]]);
     /// Their gradients from the moments in `slots[starts[k]..starts[k + 1]]`.
     fn chain(&self, first: usize, starts: &[u32], slots: &[Aligned<T>], wanted: Wanted, out: ChainOutput<'_, T>);
@@ -35,16 +36,21 @@ pub struct Work<'a> {
 }
 
 /// The numbers of the camera, as the kernels take them.
-#[derive(Default)]
 pub struct Numbers {
     /// `View` of `cpp/splat_kernel.h`.
-    pub view: [f32; 32],
+    pub view: [f32; 33],
     /// `Scene::camera` there.
     pub exact: [f64; 20],
 }
 
+impl Default for Numbers {
+    fn default() -> Self {
+        Numbers { view: [0.0; 33], exact: [0.0; 20] }
+    }
+}
+
 impl<'a> Work<'a> {
-    /// `None` where the plain twin has to do it: asked for, or a filter or footprint that the kernels do not know.
+    /// `None` where the plain twin has to do it: asked for, or a footprint that the kernels do not know.
     pub fn new(
         isa: Isa,
         gaussians: &'a Gaussians<f32>,
@@ -52,8 +58,7 @@ impl<'a> Work<'a> {
         numbers: &'a mut Numbers,
         active: Option<&'a [u32]>,
     ) -> Option<Self> {
-        let plain = projector.filter() != Filter::Dilate || projector.footprint() != Footprint::Ewa;
-        if isa == Isa::Scalar || plain {
+        if isa == Isa::Scalar || projector.footprint() != Footprint::Ewa {
             return None;
         }
         *numbers = Numbers { view: projector.numbers(), exact: projector.exact.numbers() };

@@ -81,8 +81,8 @@ impl<T: Real> Rasterizer<T> {
             .collect();
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
-        let plain = wanted.any(Wanted::LENS) || !faults.is_sound();
-        let native = if plain { None } else { T::native(self.isa, gaussians, projector, &mut numbers, active) };
+        let native =
+            if faults.is_sound() { T::native(self.isa, gaussians, projector, &mut numbers, active) } else { None };
         let (slots, sums) = (&self.slots, &self.disc_slots);
         let piece = piece_of(tasks.len());
         let discs = projector.footprint() == Footprint::Disc;
@@ -96,9 +96,10 @@ impl<T: Real> Rasterizer<T> {
                 }
                 let starts = &starts[task.first..=task.first + task.count];
                 if let Some(native) = &native {
-                    let mut pose = [0.0; 6];
-                    native.chain(task.first, starts, slots, wanted, task.outputs(&mut pose));
-                    return (pose, [0.0; 4]);
+                    let mut camera = [0.0; 10];
+                    native.chain(task.first, starts, slots, wanted, task.outputs(&mut camera));
+                    let (pose, lens) = camera.split_at(6);
+                    return (std::array::from_fn(|k| pose[k]), std::array::from_fn(|k| lens[k]));
                 }
                 task.plain(active, gaussians, wanted, faults, |k, i, by_sh| {
                     let entries = starts[k] as usize..starts[k + 1] as usize;
@@ -144,7 +145,7 @@ impl<T: Real> Task<'_, T> {
         self.sh.fill(zero);
     }
 
-    fn outputs<'a>(&'a mut self, pose: &'a mut [f64; 6]) -> ChainOutput<'a, T> {
+    fn outputs<'a>(&'a mut self, camera: &'a mut [f64; 10]) -> ChainOutput<'a, T> {
         let discs = self.axes.as_flattened_mut().as_flattened_mut();
         ChainOutput {
             positions: self.positions.as_flattened_mut(),
@@ -152,7 +153,7 @@ impl<T: Real> Task<'_, T> {
             scales: self.scales.as_flattened_mut(),
             opacities: self.opacities,
             sh: self.sh,
-            pose,
+            camera,
         }
     }
 

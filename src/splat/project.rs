@@ -237,8 +237,9 @@ impl<T: Real> Projector<T> {
     }
 
     /// The camera in single precision: `View` of `cpp/splat_kernel.h`.
-    pub fn numbers(&self) -> [f32; 32] {
-        let mut out = [0.0; 32];
+    pub fn numbers(&self) -> [f32; 33] {
+        let mut out = [0.0; 33];
+        out[32] = f32::from(u8::from(self.filter == Filter::Compensate));
         let vectors = [self.focal, self.center, self.limit, self.size];
         let flag = |skip: Skips| T::of(f64::from(u8::from(self.skips.any(skip))));
         let scalars = [self.near, self.dilation, flag(Skips::EXTENTS), flag(Skips::BESIDE)];

@@ -21,7 +21,7 @@ use super::project::{Projector, Row, columns};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
 use super::skips::Skips;
-use super::types::{DepthOutput, Footprint, Gaussians, Settings, Shape, View};
+use super::types::{DepthOutput, Filter, Footprint, Gaussians, Settings, Shape, View};
 
 /// How every Gaussian moves per unit of the unknown. One entry per Gaussian (not per active one); an empty slice is
 /// "not at all".
@@ -195,7 +195,9 @@ impl<T: Real> Rasterizer<T> {
         let is_motion = |d: &Direction<'_, T>| !matches!(d, Direction::Gain(_));
         let moving: Vec<usize> = (0..directions.len()).filter(|&d| is_motion(&directions[d])).collect();
         let projector = Projector::new(view, settings)?;
-        let usable = T::native(self.isa, gaussians, &projector, &mut Numbers::default(), None).is_some();
+        // The velocity of a splat has no place for that of its opacity.
+        let usable = settings.filter == Filter::Dilate
+            && T::native(self.isa, gaussians, &projector, &mut Numbers::default(), None).is_some();
         if moving.is_empty() || !usable || matches!(settings.depth, DepthOutput::Surface | DepthOutput::Median) {
             return Ok(false);
         }

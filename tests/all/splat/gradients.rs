@@ -148,7 +148,7 @@ fn single_precision_equals_double() {
     }
 }
 
-/// The modes whose projection runs in plain code; intrinsics too.
+/// Beyond EWA with its fixed filter; intrinsics too.
 #[test]
 fn single_precision_equals_double_in_every_mode() {
     let compensated = Settings { filter: Filter::Compensate, ..settings() };
