@@ -104,14 +104,12 @@ std::uint32_t bin_count(rust::Slice<const std::uint32_t> boxes, rust::Slice<cons
   const bool* seen = visible.data();
   const std::uint32_t* box = boxes.data();
   std::uint32_t* start = starts.data();
-  std::uint32_t all = 0;
-  for (std::size_t k = 0; k < n; ++k) all += seen[k];
-  if (!all) {
+  if (!n || !std::memchr(seen, 1, n)) {
     std::fill_n(counts.data(), 2 * BANDS, 0u);
     return 0;
   }
   // What begins and ends with a band and with a row of tiles: no loop over what a box meets, whose end nobody foresees.
-  std::uint32_t sum = 0, first_last[BANDS + 1] = {}, rows[(BANDS << MOST_SHIFT) + 1];
+  std::uint32_t all = 0, sum = 0, first_last[BANDS + 1] = {}, rows[(BANDS << MOST_SHIFT) + 1];
   const std::uint32_t height = 1u << shift;
   std::fill_n(rows, BANDS * height + 1, 0u);
   for (std::size_t k = 0; k < n; ++k) {
@@ -119,6 +117,7 @@ std::uint32_t bin_count(rust::Slice<const std::uint32_t> boxes, rust::Slice<cons
       const Box b(box + 2 * k);
       require(b.x0 <= b.x1 && b.y0 <= b.y1 && (b.y1 >> shift) < BANDS, "a box of tiles is empty or too large");
       const std::uint32_t w = b.width();
+      ++all;
       ++first_last[b.y0 >> shift];
       --first_last[(b.y1 >> shift) + 1];
       rows[b.y0] += w;

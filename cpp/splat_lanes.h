@@ -250,9 +250,21 @@ inline void triples(const float* base, V* out) {
 }
 #else
 inline void triples(const float* base, V* out) {
-  std::uint32_t lane[LANES];
-  for (int l = 0; l < LANES; ++l) lane[l] = static_cast<std::uint32_t>(l);
-  gather<3>(base, lane, out);
+#if defined(__AVX2__)
+  const auto pair = [&](int at) {
+    return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(base + at)), _mm_loadu_ps(base + at + 12), 1);
+  };
+#define SHUFFLE _mm256_shuffle_ps
+#else
+  const auto pair = [&](int at) { return _mm_loadu_ps(base + at); };
+#define SHUFFLE _mm_shuffle_ps
+#endif
+  const auto a = pair(0), b = pair(4), c = pair(8);
+  const auto xy = SHUFFLE(b, c, _MM_SHUFFLE(2, 1, 3, 2)), yz = SHUFFLE(a, b, _MM_SHUFFLE(1, 0, 2, 1));
+  out[0] = (V)SHUFFLE(a, xy, _MM_SHUFFLE(2, 0, 3, 0));
+  out[1] = (V)SHUFFLE(yz, xy, _MM_SHUFFLE(3, 1, 2, 0));
+  out[2] = (V)SHUFFLE(yz, c, _MM_SHUFFLE(3, 0, 3, 1));
+#undef SHUFFLE
 }
 #endif
 

@@ -84,7 +84,7 @@ struct Projection {
     const float margin = root * __builtin_sqrtf(w.dilation) + 1e-2f;
     float uncertain = 1e-3f * w.near;
     for (float v : w.eye) uncertain += 1e-6f * __builtin_fabsf(v);
-    for_groups(s, o.first, o.count, [&](const Group& group) {
+    for_unnamed_groups(s, o.first, o.count, [&](Group& group) {
       const std::size_t k0 = group.k0;
       const int count = group.count;
       const std::uint32_t* const index = group.index;
@@ -92,12 +92,15 @@ struct Projection {
       centers(s, group, position, offset);
       const V error = 1e-6f * (absolute(position[0]) + absolute(position[1]) + absolute(position[2])) + uncertain;
       // What is behind or beside for sure costs little more than a look at it.
-      turn(w, offset, about);
+      about[2] = turned(w, offset, 2);
       VI seen = about[2] + error >= w.near;
       if (!any_of(seen)) return;
+      for (int k = 0; k < 2; ++k) about[k] = turned(w, offset, k);
+      if (COLUMNS == 2 && group.in_a_row) group.name(s);
       const V opacity = ones(s.opacities, group);
       const bool looked = w.beside > 0.0f && !any_of(opacity > 1.0f);
       if (looked && !any_of(seen & ~beside<COLUMNS>(group, about, error, root, margin))) return;
+      if (COLUMNS == 3 && group.in_a_row) group.name(s);
       V log2_opacity = log2(opacity);
       seen &= (log2_opacity + REACH > 0.0f) & finite(opacity) & (opacity > 1e-3f);
       if (!any_of(seen)) return;

@@ -10,9 +10,15 @@ namespace {
 constexpr float LOG2_E = 1.4426950408889634f;
 constexpr float REACH = 7.994353436858858f;  // log2(255)
 
+// One component of a vector in camera axes.
+template <class N>
+inline N turned(const View& w, const N* v, int k) {
+  return w.rotation[3 * k] * v[0] + w.rotation[3 * k + 1] * v[1] + w.rotation[3 * k + 2] * v[2];
+}
+
 template <class N>
 inline void turn(const View& w, const N* v, N* out) {
-  for (int k = 0; k < 3; ++k) out[k] = w.rotation[3 * k] * v[0] + w.rotation[3 * k + 1] * v[1] + w.rotation[3 * k + 2] * v[2];
+  for (int k = 0; k < 3; ++k) out[k] = turned(w, v, k);
 }
 
 template <class N>
@@ -143,42 +149,56 @@ inline void shown(const N* direction, const V* sh, N* color) {
 struct Group {
   std::size_t k0;
   int count;
+  std::uint32_t from;
+  bool in_a_row;  // LANES of them, one after the other, from number `from` on
   std::uint32_t index[LANES];
-  bool in_a_row;  // LANES of them, one after the other
+
+  Group(const Scene& s, std::size_t first, std::size_t k0, std::size_t all)
+      : k0(k0),
+        count(all - k0 < LANES ? static_cast<int>(all - k0) : LANES),
+        from(static_cast<std::uint32_t>(first + k0)),
+        in_a_row(!s.active && count == LANES) {}
+
+  void name(const Scene& s) {
+    for (int l = 0; l < LANES; ++l) {
+      const std::uint32_t j = from + static_cast<std::uint32_t>(l < count ? l : count - 1);
+      index[l] = s.active ? s.active[j] : j;
+    }
+  }
 };
 
 // Their numbers from a table of one or of three per Gaussian.
 inline V ones(const float* base, const Group& group) {
-  if (group.in_a_row) return load(base + group.index[0]);
+  if (group.in_a_row) return load(base + group.from);
   V out[1];
   gather<1>(base, group.index, out);
   return out[0];
 }
 inline void threes(const float* base, const Group& group, V* out) {
   if (group.in_a_row) {
-    triples(base + 3 * static_cast<std::size_t>(group.index[0]), out);
+    triples(base + 3 * static_cast<std::size_t>(group.from), out);
   } else {
     gather<3>(base, group.index, out);
   }
 }
 
-// Calls f(group) for all groups of the Gaussians number first..first + count.
+// Calls f(group) for all groups of the Gaussians number first..first + count. A group in a row has no `index` yet: most of
+// what is out of sight never needs it.
 template <class F>
-inline void for_groups(const Scene& s, std::size_t first, std::size_t count, F f) {
+inline void for_unnamed_groups(const Scene& s, std::size_t first, std::size_t count, F f) {
   for (std::size_t k0 = 0; k0 < count; k0 += LANES) {
-    Group group{k0, count - k0 < LANES ? static_cast<int>(count - k0) : LANES, {}, false};
-    const std::uint32_t from = static_cast<std::uint32_t>(first + k0);
-    if (!s.active && group.count == LANES) {
-      for (int l = 0; l < LANES; ++l) group.index[l] = from + static_cast<std::uint32_t>(l);
-      group.in_a_row = true;
-    } else {
-      for (int l = 0; l < LANES; ++l) {
-        const std::uint32_t j = from + static_cast<std::uint32_t>(l < group.count ? l : group.count - 1);
-        group.index[l] = s.active ? s.active[j] : j;
-      }
-    }
+    Group group(s, first, k0, count);
+    if (!group.in_a_row) group.name(s);
     f(group);
   }
+}
+
+template <class F>
+inline void for_groups(const Scene& s, std::size_t first, std::size_t count, F f) {
+  for_unnamed_groups(s, first, count, [&](Group& group) {
+    if (group.in_a_row) group.name(s);
+    f(group);
+  });
 }
 
 // Their centres, and the vectors to these from the eye (world axes).
