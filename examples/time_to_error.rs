@@ -3,7 +3,8 @@
 //! ```text
 //! cargo run --release --example time_to_error [SCENE,.. [TRANSPORT,.. [SPP,..]]]
 //! ```
-//! Per scene (M1, M2, M3c; six scatterings, 256 x 256), transport (paths, vertices, gather; `gather+denoise` with the
+//! Per scene (M1, M2, M3c: six scatterings; M1-unlimited, M2-unlimited, M3: as many as there are; M3-32: 32 in the wall; all
+//! 256 x 256), transport (paths, vertices, gather; `gather+denoise` with the
 //! filter) and number of samples: relMSE
 //! (mean of `(x - r)^2 / (r^2 + 1e-4)`), ratio of the image means less 1 per channel, median relative difference of
 //! 16 x 16 blocks, CPU seconds of a first rendering over two (what two quiet cores would take), rays and paths per
@@ -52,6 +53,8 @@ struct Stage<'a> {
     name: String,
     tube: &'a TriangleMesh,
     material: Material,
+    /// 0: as many as there are.
+    max_scatterings: u32,
     /// The same picture twice where one is too noisy.
     references: [Image<f32>; 2],
 }
@@ -62,15 +65,26 @@ impl Stage<'_> {
             single_scattering_albedo: Some([0.9855396, 0.8529496, 0.8111069]),
             ..Material::subsurface(RHO, [1.0, 0.4, 0.25], Boundary::Mixed, WalkedVertices::First)
         };
-        let (material, file) = match name {
-            "M1" => (Material::lambert(RHO), "best_M1_n6.npy"),
-            "M2" => (Material::coated(RHO, 0.15, 1.4), "best_M2_n6.npy"),
-            "M3c" => (medium, "minipt_M3c_n6.npy"),
-            _ => return Err(Error::usage(format!("`{name}` is none of M1, M2, M3c"))),
+        let (lambert, coated) = (Material::lambert(RHO), Material::coated(RHO, 0.15, 1.4));
+        let matched = Material { boundary: Boundary::Matched, walk: WalkedVertices::Every, ..medium };
+        let (material, max_scatterings, file) = match name {
+            "M1" => (lambert, 6, "best_M1_n6.npy"),
+            "M1-unlimited" => (lambert, 0, "mitsuba_M1_unl.npy"),
+            "M2" => (coated, 6, "best_M2_n6.npy"),
+            "M2-unlimited" => (coated, 0, "mitsuba_M2_unl.npy"),
+            "M3" => (matched, 0, "minipt_M3_unl.npy"),
+            "M3-32" => (matched, 32, "mitsuba_M3_n32.npy"),
+            "M3c" => (medium, 6, "minipt_M3c_n6.npy"),
+            _ => {
+                return Err(Error::usage(format!(
+                    "`{name}` is no scene: M1, M2, M3, M3-32, M3c, M1-unlimited or M2-unlimited"
+                )));
+            }
         };
         let array = npy::read(&folder().join("refs").join(file))?;
         let first = Image { width: array.shape[1], height: array.shape[0], channels: 3, data: array.data };
-        let mut stage = Stage { name: name.into(), tube, material, references: [first.clone(), first] };
+        let mut stage =
+            Stage { name: name.into(), tube, material, max_scatterings, references: [first.clone(), first] };
         if name == "M3c" {
             stage.references[1] = stage.picture(Transport::Paths, SECOND_REFERENCE_SPP, 4711, Denoise::Off)?.0.radiance;
         }
@@ -90,7 +104,7 @@ impl Stage<'_> {
         let pose: DAffine3 = world_from_camera_looking(origin, DVec3::new(3.0, 0.6, 40.0) - origin, DVec3::Y);
         let camera = Camera::pinhole(256, 256, PI / 2.0);
         let settings = RenderSettings {
-            max_scatterings: 6,
+            max_scatterings: self.max_scatterings,
             samples_per_pixel,
             transport,
             seed,
