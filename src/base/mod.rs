@@ -10,6 +10,7 @@ pub mod mask;
 pub mod mesh;
 pub mod progress;
 pub mod random;
+pub mod revision;
 
 pub use camera::Camera;
 pub use error::{Error, ErrorKind, Result};

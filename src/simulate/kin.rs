@@ -9,7 +9,7 @@ use serde::Deserialize;
 use crate::airway::case::Case;
 use crate::base::{Error, Progress, Result, files, hash};
 
-use super::{SIMULATOR_VERSION, SimulationSettings, frame_names, sequence};
+use super::{SimulationSettings, frame_names, sequence};
 
 /// What a manifest says of the film it stands beside.
 #[derive(Deserialize)]
@@ -18,10 +18,11 @@ struct Kin {
     files: BTreeMap<String, String>,
 }
 
-/// Content hash of the frames of `case`: of everything but what methods are told of the motion, 64 hex digits.
+/// Content hash of the frames of `case`: of everything but what methods are told of the motion, this program's code included
+/// (who changes the renderer wants no frame of before). 64 hex digits.
 pub(super) fn film_hash(case: &Case, settings: &SimulationSettings) -> Result<String> {
     let film = Case { registration_error_mm: 0.0, ..case.clone() };
-    hash::of_value(&("film", SIMULATOR_VERSION, film.hash()?, settings))
+    hash::of_value(&("film", super::revision(), film.hash()?, settings))
 }
 
 /// Copies into `out` the frames that it lacks and that a finished film beside it has, byte by byte what that film's

@@ -18,6 +18,7 @@ use serde::Serialize;
 
 use crate::airway::case::Case;
 use crate::airway::{self, Anatomy, case_centerline};
+use crate::base::revision::of_rooms;
 use crate::base::{Error, Progress, Result, files, hash};
 use crate::formats::transforms::Transforms;
 use crate::formats::{mesh as mesh_file, png};
@@ -97,6 +98,11 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
     shoot::shoot(case, &anatomy, &film, &material, settings, out, progress)?;
     write_truth(case, &anatomy, &film, settings, &hash, out)?;
     Sequence::open(out)
+}
+
+/// Revision of the code that films a sequence.
+pub fn revision() -> String {
+    of_rooms(&["outside", "base", "ffi", "formats", "airway", "render", "simulate"])
 }
 
 /// Content hash of the sequence that `case` and `settings` make, 64 hex digits.

@@ -1,0 +1,35 @@
+//! Revisions of the code itself, room by room: `build.rs` hashes the sources of every room (comments and tests left out),
+//! and as "outside" the own C++ and the locked versions of the dependencies.
+
+use super::hash;
+
+/// Makes `room_revision(name)` from the hashes that `build.rs` hands over.
+macro_rules! rooms {
+    ($($room:literal => $variable:literal,)+) => {
+        fn room_revision(room: &str) -> &'static str {
+            match room {
+                $($room => env!($variable),)+
+                _ => unreachable!("build.rs hashes every room that is asked for"),
+            }
+        }
+    };
+}
+
+rooms! {
+    "base" => "RESPIRE_BENCH_REVISION_BASE",
+    "ffi" => "RESPIRE_BENCH_REVISION_FFI",
+    "formats" => "RESPIRE_BENCH_REVISION_FORMATS",
+    "airway" => "RESPIRE_BENCH_REVISION_AIRWAY",
+    "render" => "RESPIRE_BENCH_REVISION_RENDER",
+    "simulate" => "RESPIRE_BENCH_REVISION_SIMULATE",
+    "splat" => "RESPIRE_BENCH_REVISION_SPLAT",
+    "reconstruct" => "RESPIRE_BENCH_REVISION_RECONSTRUCT",
+    "score" => "RESPIRE_BENCH_REVISION_SCORE",
+    "outside" => "RESPIRE_BENCH_REVISION_OUTSIDE",
+}
+
+/// Of several rooms together, 64 hex digits. A room that no build script hashes is a bug.
+pub fn of_rooms(rooms: &[&str]) -> String {
+    let parts: Vec<&str> = rooms.iter().map(|room| room_revision(room)).collect();
+    hash::of_bytes(parts.join(" ").as_bytes())
+}
