@@ -45,7 +45,7 @@ struct Projection {
   // Splats that lie beside the image for sure, before their covariance is known. With s the largest standard deviation,
   // half a box of a pinhole is at most sqrt(scale) (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in
   // the centre, which is known to `error`. `root`: square root of the scale, and `margin` what the dilation makes of it.
-  // A fisheye sees a cone, and its splats are known by their distance from that (`Projector::cone` of the plain twin).
+  // A fisheye sees a cone, and its splats are known by their distance from that (`Exact::cone` in src/splat/lens.rs).
   template <int COLUMNS>
   VI beside(const Group& group, const V* t, V error, float root, float margin) const {
     const View& w = *s.view;

@@ -26,7 +26,7 @@ pub(super) fn film_hash(case: &Case, settings: &SimulationSettings) -> Result<St
 }
 
 /// Copies into `out` the frames that it lacks and that a finished film beside it has, byte by byte what that film's
-/// manifest says; whatever else there is, is left to be rendered. Gives back how many there were.
+/// manifest says; whatever else there is, is left to be rendered.
 ///
 /// Errors: writing into `out`. Damage to the other folder is none: its frames are not taken.
 pub(super) fn copy_frames(
@@ -34,13 +34,13 @@ pub(super) fn copy_frames(
     settings: &SimulationSettings,
     out: &Path,
     progress: &dyn Progress,
-) -> Result<usize> {
+) -> Result<()> {
     let missing: Vec<usize> =
         (0..settings.frames).filter(|&frame| !out.join(sequence::image_name(frame)).is_file()).collect();
     if missing.is_empty() {
-        return Ok(0);
+        return Ok(());
     }
-    let Some((folder, kin)) = find(case, &film_hash(case, settings)?, out) else { return Ok(0) };
+    let Some((folder, kin)) = find(case, &film_hash(case, settings)?, out) else { return Ok(()) };
     let mut copied = 0;
     for frame in missing {
         if progress.cancelled() {
@@ -61,7 +61,7 @@ pub(super) fn copy_frames(
         progress
             .note(&format!("{}: {copied} frames are those of {name}, another registration of the same film", case.id));
     }
-    Ok(copied)
+    Ok(())
 }
 
 /// The first finished folder beside `out`, by name, that belongs to the case and has the film.
