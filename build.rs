@@ -17,15 +17,20 @@ const BRIDGES: &[&str] =
 
 /// Own C++ compiled once, for the baseline x86-64.
 const SOURCES: &[&str] =
-    &["cpp/loss.cpp", "cpp/splat.cpp", "cpp/splat_bin.cpp", "cpp/splat_image.cpp", "cpp/tracer.cpp"];
+    &["cpp/isa.cpp", "cpp/loss.cpp", "cpp/splat.cpp", "cpp/splat_bin.cpp", "cpp/splat_image.cpp", "cpp/tracer.cpp"];
 
-/// The splat kernels, compiled once per instruction set.
-const SPLAT_SOURCES: &[&str] =
-    &["cpp/splat_kernel.cpp", "cpp/splat_project.cpp", "cpp/splat_chain.cpp", "cpp/loss_kernel.cpp"];
+/// The kernels, compiled once per instruction set.
+const KERNELS: &[&str] = &[
+    "cpp/loss_kernel.cpp",
+    "cpp/noise_kernel.cpp",
+    "cpp/splat_chain.cpp",
+    "cpp/splat_kernel.cpp",
+    "cpp/splat_project.cpp",
+];
 
 /// The instruction sets: (namespace in C++, what the compiler may use). Which one runs is
-/// decided on the user's machine (`cpp/splat.cpp`).
-const SPLAT_KERNELS: &[(&str, &[&str])] = &[
+/// decided on the user's machine (`cpp/isa.cpp`).
+const INSTRUCTION_SETS: &[(&str, &[&str])] = &[
     ("baseline", &["-msse2"]),
     ("avx2", &["-mavx2", "-mfma"]),
     ("avx512", &["-mavx512f", "-mavx512vl", "-mavx512dq", "-mavx512bw", "-mprefer-vector-width=512"]),
@@ -38,7 +43,7 @@ fn main() {
     if native::is_inner_call() {
         bind_embree(prefix.as_deref(), &out);
         compile_cpp(prefix.as_deref());
-        compile_splat_kernels();
+        compile_kernels();
         link_embree(prefix.as_deref());
         return;
     }
@@ -115,19 +120,21 @@ fn compile_cpp(prefix: Option<&Path>) {
     }
 }
 
-fn compile_splat_kernels() {
-    for (namespace, flags) in SPLAT_KERNELS {
+fn compile_kernels() {
+    for (namespace, flags) in INSTRUCTION_SETS {
         let mut build = cc::Build::new();
-        build.cpp(true).files(SPLAT_SOURCES).include(".").std("c++17").opt_level(3);
+        build.cpp(true).files(KERNELS).include(".").std("c++17").opt_level(3);
         build.flag("-Wall").flag("-Wextra").define("RESPIRE_ISA", *namespace);
         // Forward and backward must take the same decisions: no contraction but the written one.
         build.flag("-ffp-contract=off").flag("-fno-math-errno").flag("-fno-trapping-math").flag("-fno-exceptions");
         // GCC 12 takes the deliberately undefined operands of its own AVX-512 header for defects.
         build.flag("-Wno-uninitialized").flag("-Wno-maybe-uninitialized");
+        // No vector crosses a border between two files.
+        build.flag("-Wno-psabi");
         for flag in *flags {
             build.flag(flag);
         }
-        build.compile(&format!("respire_splat_{namespace}"));
+        build.compile(&format!("respire_kernels_{namespace}"));
     }
 }
 

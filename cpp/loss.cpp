@@ -2,8 +2,8 @@
 
 #include <stdexcept>
 
+#include "cpp/isa.h"
 #include "cpp/loss_kernel.h"
-#include "cpp/splat.h"
 #include "respire-bench/src/ffi/loss.rs.h"
 
 namespace respire {
@@ -13,7 +13,7 @@ std::size_t loss_scratch(std::size_t width) { return loss_room(width); }
 double loss_band(std::uint8_t isa, const LossImage& image, rust::Slice<const float> rendered, std::size_t y0,
                  rust::Slice<float> gradient, rust::Slice<float> room) {
   const std::size_t w = image.width, h = image.height, n = w * h, line = 3 * w;
-  const bool agree = isa <= splat_widest_isa() && w > 0 && rendered.size() == 3 * n && image.target.size() == 3 * n &&
+  const bool agree = isa <= widest_isa() && w > 0 && rendered.size() == 3 * n && image.target.size() == 3 * n &&
                      image.mean.size() == 3 * n && image.square.size() == 3 * n &&
                      (image.mask.empty() || image.mask.size() == n) && gradient.size() % line == 0 && y0 <= h &&
                      gradient.size() / line <= h - y0 && room.size() >= loss_room(w) && image.window.size() == 6 &&

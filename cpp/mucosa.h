@@ -2,12 +2,13 @@
 // The look of the airway wall, a pure function of the point on the *rest* shape, so that it moves with the tissue:
 // blotchy colour, two generations of vessels, mucus film of varying roughness, fine relief.
 // Vessels are the edges of a warped three-dimensional Voronoi diagram cut by the surface (their junctions have three
-// arms, as vessels have), each edge with its own calibre, many of them absent. Noise after Perlin (SIGGRAPH 2002) with
-// analytic gradient. Colours: pale pink to red as the blood volume rises; nothing here is a measurement.
+// arms, as vessels have), each edge with its own calibre, many of them absent. Colours: pale pink to red as the blood
+// volume rises; nothing here is a measurement.
 
 #include <cmath>
 #include <cstdint>
 
+#include "cpp/noise.h"
 #include "cpp/sampler.h"
 #include "cpp/vector.h"
 
@@ -28,83 +29,37 @@ struct MucosaPoint {
   float unseen_slope2;
 };
 
-inline std::uint32_t hash_cell(int x, int y, int z, std::uint32_t seed) {
-  return hash32(static_cast<std::uint32_t>(x) * 0x8da6b343u ^ static_cast<std::uint32_t>(y) * 0xd8163841u ^
-                static_cast<std::uint32_t>(z) * 0xcb1ab31fu ^ seed);
-}
-
 // Gradient noise in about [-1, 1] and its gradient; period of a feature is about 1.
-inline float gradient_noise(Vec3 p, std::uint32_t seed, Vec3& gradient) {
-  float fx = std::floor(p.x), fy = std::floor(p.y), fz = std::floor(p.z);
-  int ix = static_cast<int>(fx), iy = static_cast<int>(fy), iz = static_cast<int>(fz);
-  float x = p.x - fx, y = p.y - fy, z = p.z - fz;
-  auto fade = [](float t) { return t * t * t * (t * (t * 6.0f - 15.0f) + 10.0f); };
-  auto slope = [](float t) { return 30.0f * t * t * (t * (t - 2.0f) + 1.0f); };
-  float u[2] = {1.0f - fade(x), fade(x)}, v[2] = {1.0f - fade(y), fade(y)}, w[2] = {1.0f - fade(z), fade(z)};
-  float du = slope(x), dv = slope(y), dw = slope(z), value = 0.0f;
-  gradient = {0, 0, 0};
-  for (int c = 0; c < 8; ++c) {
-    int a = c & 1, b = (c >> 1) & 1, d = c >> 2;
-    std::uint32_t h = hash_cell(ix + a, iy + b, iz + d, seed);
-    Vec3 g = Vec3{static_cast<float>(h & 1023u), static_cast<float>((h >> 10) & 1023u), static_cast<float>((h >> 20) & 1023u)} *
-                 (2.0f / 1023.0f) - Vec3{1.0f, 1.0f, 1.0f};
-    float n = g.x * (x - static_cast<float>(a)) + g.y * (y - static_cast<float>(b)) + g.z * (z - static_cast<float>(d));
-    float weight = u[a] * v[b] * w[d];
-    value += weight * n;
-    gradient += g * weight + Vec3{(a ? du : -du) * v[b] * w[d], (b ? dv : -dv) * u[a] * w[d], (d ? dw : -dw) * u[a] * v[b]} * n;
-  }
-  gradient = gradient * 1.4f;
-  return value * 1.4f;
+inline float gradient_noise(const NoiseKernel& noise, Vec3 p, std::uint32_t seed, Vec3& gradient) {
+  const Noise n = noise.gradient(&p.x, seed);
+  gradient = load(n.gradient);
+  return n.value;
 }
 
-inline float gradient_noise(Vec3 p, std::uint32_t seed) {
-  Vec3 unused;
-  return gradient_noise(p, seed, unused);
-}
+inline float gradient_noise(const NoiseKernel& noise, Vec3 p, std::uint32_t seed) { return noise.gradient(&p.x, seed).value; }
 
 // Distance from `p` to the nearest face of the Voronoi diagram of one jittered point per unit cell, measured along a
 // surface of unit normal `normal` through `p` (a face that lies along the surface is then far away: it would show as a
 // patch, not as a line; `steepness` 0, 1 where it stands upright); `edge_hash` names the two cells that meet there, whichever of them `p` is in.
-inline float voronoi_edge(Vec3 p, Vec3 normal, std::uint32_t seed, std::uint32_t& edge_hash,
+inline float voronoi_edge(const NoiseKernel& noise, Vec3 p, Vec3 normal, std::uint32_t seed, std::uint32_t& edge_hash,
                           float& steepness) {
-  float fx = std::floor(p.x), fy = std::floor(p.y), fz = std::floor(p.z);
-  int ix = static_cast<int>(fx), iy = static_cast<int>(fy), iz = static_cast<int>(fz);
-  Vec3 local = {p.x - fx, p.y - fy, p.z - fz};
-  float d1 = 1e9f, d2 = 1e9f;
-  Vec3 p1{}, p2{};
-  std::uint32_t h1 = 0, h2 = 0;
-  for (int dz = -1; dz <= 1; ++dz)
-    for (int dy = -1; dy <= 1; ++dy)
-      for (int dx = -1; dx <= 1; ++dx) {
-        std::uint32_t h = hash_cell(ix + dx, iy + dy, iz + dz, seed);
-        Vec3 q = {static_cast<float>(dx) + static_cast<float>(h & 1023u) * (1.0f / 1024.0f),
-                  static_cast<float>(dy) + static_cast<float>((h >> 10) & 1023u) * (1.0f / 1024.0f),
-                  static_cast<float>(dz) + static_cast<float>((h >> 20) & 1023u) * (1.0f / 1024.0f)};
-        Vec3 e = q - local;
-        float d = dot(e, e);
-        if (d < d1) {
-          d2 = d1, p2 = p1, h2 = h1;
-          d1 = d, p1 = q, h1 = h;
-        } else if (d < d2) {
-          d2 = d, p2 = q, h2 = h;
-        }
-      }
-  edge_hash = hash32(h1 ^ h2);
-  Vec3 across = p2 - p1;
+  const Neighbours next = noise.neighbours(&p.x, seed);
+  edge_hash = hash32(next.cell[0] ^ next.cell[1]);
+  Vec3 across = load(next.place[1]) - load(next.place[0]);
   float l2 = dot(across, across) + 1e-12f, along = dot(across, normal);
   float in_surface = std::max(1.0f - along * along / l2, 0.0f);
   steepness = in_surface;
-  return (d2 - d1) / (2.0f * std::sqrt(l2 * in_surface * in_surface) + 1e-6f);
+  return (next.distance2[1] - next.distance2[0]) / (2.0f * std::sqrt(l2 * in_surface * in_surface) + 1e-6f);
 }
 
 // Coverage in [0, 1] of the vessels of one generation. `spacing_mm` between vessels, `width_mm` of the widest,
 // `footprint_mm` of a pixel: what is thinner than a pixel fades instead of flickering.
-inline float vessel_coverage(Vec3 rest_mm, Vec3 normal, float spacing_mm, float width_mm, float footprint_mm, float absent,
+inline float vessel_coverage(const NoiseKernel& noise, Vec3 rest_mm, Vec3 normal, float spacing_mm, float width_mm, float footprint_mm, float absent,
                              std::uint32_t seed) {
   if (footprint_mm > 0.5f * spacing_mm) return 0.0f;
   std::uint32_t edge;
   float steepness;
-  float distance = voronoi_edge(rest_mm * (1.0f / spacing_mm), normal, seed, edge, steepness) * spacing_mm;
+  float distance = voronoi_edge(noise, rest_mm * (1.0f / spacing_mm), normal, seed, edge, steepness) * spacing_mm;
   float u = unit_float(edge);
   if (u < absent) return 0.0f;
   float half = 0.5f * width_mm * mix(0.35f, 1.0f, (u - absent) / (1.0f - absent));
@@ -137,13 +92,13 @@ inline float ring_profile(float axial_mm, float spacing_mm, float& slope) {
 // `rest_mm` point on the rest shape and `normal` of the rest shape there, `axial_mm` distance along the airway, `ring_weight` how much cartilage there is
 // (1 in the trachea, 0 in small airways), `generation` of the airway. Leaves the rings' relief to the caller, who
 // knows the axial gradient.
-inline MucosaPoint mucosa_at(const MucosaLook& look, Vec3 base, Vec3 rest_mm, Vec3 normal, float axial_mm, float ring_weight,
+inline MucosaPoint mucosa_at(const NoiseKernel& noise, const MucosaLook& look, Vec3 base, Vec3 rest_mm, Vec3 normal, float axial_mm, float ring_weight,
                              float generation, float footprint_mm) {
   MucosaPoint out;
   Vec3 warp_gradient;
-  float coarse = gradient_noise(rest_mm * (1.0f / 7.0f), look.seed + 1, warp_gradient);
+  float coarse = gradient_noise(noise, rest_mm * (1.0f / 7.0f), look.seed + 1, warp_gradient);
   Vec3 fine_gradient;
-  float medium = gradient_noise(rest_mm * (1.0f / 2.6f), look.seed + 2, fine_gradient);
+  float medium = gradient_noise(noise, rest_mm * (1.0f / 2.6f), look.seed + 2, fine_gradient);
   // Gradients bend the Voronoi diagram's straight edges.
   Vec3 warped = rest_mm + warp_gradient * 0.8f + fine_gradient * 0.35f;
 
@@ -153,8 +108,8 @@ inline MucosaPoint mucosa_at(const MucosaLook& look, Vec3 base, Vec3 rest_mm, Ve
   if (look.vessels > 0.0f) {
     // Finer in smaller airways, where the scope is close to the wall, too.
     float calibre = mix(1.0f, 0.5f, clamp(0.25f * generation, 0.0f, 1.0f));
-    float large = vessel_coverage(warped, normal, 3.6f, 0.26f * calibre, footprint_mm, 0.35f, look.seed + 3);
-    float small = vessel_coverage(warped, normal, 1.3f, 0.12f * calibre, footprint_mm, 0.3f, look.seed + 4);
+    float large = vessel_coverage(noise, warped, normal, 3.6f, 0.26f * calibre, footprint_mm, 0.35f, look.seed + 3);
+    float small = vessel_coverage(noise, warped, normal, 1.3f, 0.12f * calibre, footprint_mm, 0.3f, look.seed + 4);
     vessel = look.vessels * std::max(large, 0.7f * small);
   }
   float slope, ring = ring_profile(axial_mm, look.ring_spacing_mm, slope);
@@ -169,10 +124,10 @@ inline MucosaPoint mucosa_at(const MucosaLook& look, Vec3 base, Vec3 rest_mm, Ve
   out.albedo = {clamp(out.albedo.x, 0.02f, 0.95f), clamp(out.albedo.y, 0.02f, 0.95f), clamp(out.albedo.z, 0.02f, 0.95f)};
 
   Vec3 g1, g2;
-  float wet = gradient_noise(rest_mm * (1.0f / 3.7f), look.seed + 5);
+  float wet = gradient_noise(noise, rest_mm * (1.0f / 3.7f), look.seed + 5);
   out.roughness = clamp(0.4f + look.film * 0.9f * wet, 0.0f, 1.0f);
-  gradient_noise(rest_mm * (1.0f / 1.3f), look.seed + 6, g1);
-  gradient_noise(rest_mm * (1.0f / 0.55f), look.seed + 7, g2);
+  gradient_noise(noise, rest_mm * (1.0f / 1.3f), look.seed + 6, g1);
+  gradient_noise(noise, rest_mm * (1.0f / 0.55f), look.seed + 7, g2);
   float fade1 = clamp(1.5f - footprint_mm / 0.65f, 0.0f, 1.0f), fade2 = clamp(1.5f - footprint_mm / 0.27f, 0.0f, 1.0f);
   // Amplitude over period: slopes of about 0.1.
   out.height_gradient = g1 * (look.relief * fade1 * 0.10f) + g2 * (look.relief * fade2 * 0.06f);

@@ -2,6 +2,7 @@
 
 #include <stdexcept>
 
+#include "cpp/isa.h"
 #include "cpp/splat_kernel.h"
 #include "respire-bench/src/ffi/splat.rs.h"
 
@@ -13,7 +14,7 @@ void require(bool good, const char* what) {
 }
 
 void check_isa(std::uint8_t isa) {
-  require(isa <= splat_widest_isa(), "this processor lacks the instruction set asked for");
+  require(isa <= widest_isa(), "this processor lacks the instruction set asked for");
 }
 
 // The kernels of `isa`.
@@ -65,17 +66,6 @@ const float* given(rust::Slice<const float> values, std::size_t wanted) {
 float stop_of(std::uint32_t parts) { return parts & ENDLESS ? -1.0f : STOP; }
 
 }  // namespace
-
-std::uint8_t splat_widest_isa() {
-  static const std::uint8_t widest = [] {
-    __builtin_cpu_init();
-    const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-    const bool avx512 = avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
-                        __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw");
-    return static_cast<std::uint8_t>(avx512 ? 2 : avx2 ? 1 : 0);
-  }();
-  return widest;
-}
 
 void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
                    std::uint32_t tiles_y, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,

@@ -9,9 +9,6 @@ namespace respire {
 struct SplatScene;
 struct SplatMotion;
 
-// Widest instruction set of this processor that a kernel was compiled for: 0 baseline x86-64, 1 AVX2+FMA, 2 AVX-512.
-std::uint8_t splat_widest_isa();
-
 // All functions check every index and length, and throw std::invalid_argument.
 
 // Splats of the Gaussians number first..first + visible.size() of the scene; see splat_kernel.h for the tables.

@@ -152,7 +152,7 @@ class Wall {
     };
     const Vec3 rest0 = load(&t.rest_[3ull * face[0]]);
     const Vec3 rest1 = load(&t.rest_[3ull * face[1]]) - rest0, rest2 = load(&t.rest_[3ull * face[2]]) - rest0;
-    const MucosaPoint m = mucosa_at(t.look_, t.albedo_, rest0 + rest1 * hit.u + rest2 * hit.v,
+    const MucosaPoint m = mucosa_at(t.noise_, t.look_, t.albedo_, rest0 + rest1 * hit.u + rest2 * hit.v,
                                     unit_or_zero(cross(rest1, rest2)), scalar(t.axial_mm_), scalar(t.ring_weight_),
                                     scalar(t.generations_), hit.t * frame_.pixel_angle);
     s.albedo = m.albedo;

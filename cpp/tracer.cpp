@@ -8,6 +8,7 @@
 #include <string>
 
 #include "cpp/float_mode.h"
+#include "cpp/isa.h"
 #include "cpp/vertex_light.h"
 #include "respire-bench/src/ffi/tracer.rs.h"
 
@@ -66,7 +67,8 @@ Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_
       alpha_low_(material.alpha_low),
       alpha_high_(material.alpha_high),
       look_{material.vessels, material.blotches, material.relief, material.film, material.rings,
-            material.ring_spacing_mm, material.seed} {
+            material.ring_spacing_mm, material.seed},
+      noise_(noise_kernel(widest_isa())) {
   demand(vertices.size() % 3 == 0 && faces.size() % 3 == 0, "vertex and index lengths must be multiples of 3");
   std::size_t count = vertices.size() / 3;
   demand(material.subsurface <= 2, "a kind of subsurface scattering that is not there");
@@ -152,9 +154,9 @@ void Tracer::bake_look() {
   ring_weight_.assign(vertex_floats_ / 3, 0.0f);
   for (std::size_t v = 0; v < ring_weight_.size(); ++v) {
     const Vec3 p = load(&rest_[3 * v]);
-    axial_mm_[v] += 0.22f * look_.ring_spacing_mm * gradient_noise(p * (1.0f / 9.0f), look_.seed + 8);
+    axial_mm_[v] += 0.22f * look_.ring_spacing_mm * gradient_noise(noise_, p * (1.0f / 9.0f), look_.seed + 8);
     // `normals_` are those of the rest shape still.
-    ring_weight_[v] = ring_weight(generations_[v], load(&normals_[3 * v])) * clamp(0.85f + 0.5f * gradient_noise(p * (1.0f / 6.0f), look_.seed + 9), 0.0f, 1.2f);
+    ring_weight_[v] = ring_weight(generations_[v], load(&normals_[3 * v])) * clamp(0.85f + 0.5f * gradient_noise(noise_, p * (1.0f / 6.0f), look_.seed + 9), 0.0f, 1.2f);
   }
   if (look_.rings > 0.0f) {
     for (float weight : ring_weight_) ring_height_.push_back(kRingHeightMm * look_.rings * weight);
@@ -170,7 +172,7 @@ void Tracer::bake_look() {
     for (int k = 0; k < 3; ++k) {
       std::uint32_t v = face[k];
       Vec3 p = corner[k] * (2.0f / 3.0f) + (corner[(k + 1) % 3] + corner[(k + 2) % 3]) * (1.0f / 6.0f);
-      MucosaPoint m = mucosa_at(look_, albedo_, p, unit_or_zero(normal), axial_mm_[v], ring_weight_[v],
+      MucosaPoint m = mucosa_at(noise_, look_, albedo_, p, unit_or_zero(normal), axial_mm_[v], ring_weight_[v],
                                 generations_[v], 0.0f);
       store(&vertex_albedo_[3 * v], load(&vertex_albedo_[3 * v]) + m.albedo * area);
       weights[v] += area;
@@ -466,6 +468,23 @@ void sobol_pair(std::uint32_t key, std::uint32_t index, std::uint32_t dimension,
   demand(pair.size() == 2, "a pair has two values");
   Sampler sampler(key, index);
   for (std::uint32_t d = 0; d <= dimension; ++d) sampler.next2(pair[0], pair[1]);
+}
+
+void gradient_noise(std::uint8_t isa, rust::Slice<const float> point, std::uint32_t seed, rust::Slice<float> values) {
+  demand(isa <= widest_isa() && point.size() == 3 && values.size() == 4, "a noise has four values");
+  const Noise n = noise_kernel(isa).gradient(point.data(), seed);
+  std::memcpy(values.data(), &n, sizeof n);
+}
+
+void noise_neighbours(std::uint8_t isa, rust::Slice<const float> point, std::uint32_t seed, rust::Slice<float> values,
+                      rust::Slice<std::uint32_t> cells) {
+  demand(isa <= widest_isa() && point.size() == 3 && values.size() == 8 && cells.size() == 2, "two neighbours of four values");
+  const Neighbours n = noise_kernel(isa).neighbours(point.data(), seed);
+  for (std::size_t k = 0; k < 2; ++k) {
+    std::memcpy(&values[4 * k], n.place[k], sizeof n.place[k]);
+    values[4 * k + 3] = n.distance2[k];
+    cells[k] = n.cell[k];
+  }
 }
 
 }  // namespace respire

@@ -146,6 +146,7 @@ class Tracer {
   Vec3 albedo_{};
   float alpha_low_{}, alpha_high_{};
   MucosaLook look_{};
+  NoiseKernel noise_{};
   Coat coat_, wide_coat_;
 };
 
@@ -157,5 +158,8 @@ std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slic
 float coat_albedo(float alpha, float ior, float cosine);
 float medium_albedo(float rho);
 void sobol_pair(std::uint32_t key, std::uint32_t index, std::uint32_t dimension, rust::Slice<float> pair);
+void gradient_noise(std::uint8_t isa, rust::Slice<const float> point, std::uint32_t seed, rust::Slice<float> values);
+void noise_neighbours(std::uint8_t isa, rust::Slice<const float> point, std::uint32_t seed, rust::Slice<float> values,
+                      rust::Slice<std::uint32_t> cells);
 
 }  // namespace respire

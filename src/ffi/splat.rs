@@ -32,8 +32,9 @@ mod bridge {
 
     unsafe extern "C++" {
         include!("cpp/splat.h");
+        include!("cpp/isa.h");
 
-        fn splat_widest_isa() -> u8;
+        fn widest_isa() -> u8;
         fn splat_project(
             isa: u8,
             scene: &SplatScene,
@@ -136,7 +137,7 @@ pub enum Isa {
 impl Isa {
     /// The widest that this processor runs.
     pub fn widest() -> Isa {
-        match bridge::splat_widest_isa() {
+        match bridge::widest_isa() {
             2 => Isa::Avx512,
             1 => Isa::Avx2,
             _ => Isa::Baseline,

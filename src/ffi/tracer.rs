@@ -5,6 +5,7 @@
 
 use cxx::UniquePtr;
 
+use super::splat::Isa;
 use crate::base::{Error, ErrorKind, Result};
 
 pub use bridge::{FrameSettings, MaterialSettings, Tile, TileCounters};
@@ -195,6 +196,8 @@ mod bridge {
         fn coat_albedo(alpha: f32, ior: f32, cosine: f32) -> f32;
         fn medium_albedo(rho: f32) -> f32;
         fn sobol_pair(key: u32, index: u32, dimension: u32, pair: &mut [f32]) -> Result<()>;
+        fn gradient_noise(isa: u8, point: &[f32], seed: u32, values: &mut [f32]) -> Result<()>;
+        fn noise_neighbours(isa: u8, point: &[f32], seed: u32, values: &mut [f32], cells: &mut [u32]) -> Result<()>;
     }
 }
 
@@ -390,4 +393,21 @@ pub fn sobol_pair(key: u32, index: u32, dimension: u32) -> [f32; 2] {
     let mut pair = [0.0; 2];
     bridge::sobol_pair(key, index, dimension, &mut pair).expect("two values are given");
     pair
+}
+
+/// Gradient noise (after Perlin, SIGGRAPH 2002) at a point: its value, in about [-1, 1], and its gradient. Features have a
+/// period of 1. Panics where this processor lacks `isa`.
+pub fn gradient_noise(isa: Isa, point: [f32; 3], seed: u32) -> [f32; 4] {
+    let mut values = [0.0; 4];
+    bridge::gradient_noise(isa.code(), &point, seed, &mut values).expect("a processor that has the instruction set");
+    values
+}
+
+/// The two nearest points of the jittered lattice, one point per unit cell: place relative to the cell that `point` lies in
+/// (3), squared distance; and the hash that names the cell. Panics where this processor lacks `isa`.
+pub fn noise_neighbours(isa: Isa, point: [f32; 3], seed: u32) -> [([f32; 4], u32); 2] {
+    let (mut values, mut cells) = ([0.0; 8], [0; 2]);
+    bridge::noise_neighbours(isa.code(), &point, seed, &mut values, &mut cells)
+        .expect("a processor that has the instruction set");
+    [0, 1].map(|k| (std::array::from_fn(|i| values[4 * k + i]), cells[k]))
 }

@@ -14,6 +14,7 @@ mod reference;
 mod render;
 mod render_command;
 mod render_convergence;
+mod render_noise;
 mod render_subsurface;
 mod render_vertices;
 mod scope;

@@ -3,7 +3,7 @@
 mod anchoring;
 mod command;
 mod disc;
-mod forward;
+pub mod forward;
 mod gradients;
 mod numpy_normal;
 mod reuse;
