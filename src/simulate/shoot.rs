@@ -31,7 +31,26 @@ pub(super) struct Studio<'a> {
     sensor: Sensor,
 }
 
-/// Renders every frame that is not there yet. A frame's image is written last, so an image means a whole frame.
+/// A frame that is not on disk yet.
+struct Shot {
+    index: usize,
+    depth_mm: Image<f32>,
+    radiance: Option<Image<f32>>,
+    image: Image<u8>,
+}
+
+impl Shot {
+    fn write(&self, out: &Path) -> Result<()> {
+        exr::write_channel(&out.join(sequence::depth_name(self.index)), "Z", &self.depth_mm)?;
+        if let Some(radiance) = &self.radiance {
+            exr::write_rgb(&out.join(sequence::radiance_name(self.index)), radiance)?;
+        }
+        png::write_rgb(&out.join(sequence::image_name(self.index)), &self.image)
+    }
+}
+
+/// Renders every frame that is not there yet. A frame's image is written last, so an image means a whole frame; it is
+/// written while the next one is rendered.
 pub(super) fn shoot(
     case: &Case,
     anatomy: &Anatomy,
@@ -42,20 +61,26 @@ pub(super) fn shoot(
     progress: &dyn Progress,
 ) -> Result<()> {
     let mut studio = None;
+    let mut last: Option<Shot> = None;
     for index in 0..film.frames.len() {
         progress.advance(index, film.frames.len());
         if out.join(sequence::image_name(index)).is_file() {
             continue;
         }
         if progress.cancelled() {
+            last.map_or(Ok(()), |shot| shot.write(out))?;
             return Err(Error::interrupted());
         }
         let studio = match &mut studio {
             Some(studio) => studio,
             None => studio.insert(Studio::new(case, anatomy, film, material, settings)?),
         };
-        studio.make_frame(index, out)?;
+        let (shot, written) =
+            rayon::join(|| studio.shoot(index, out), || last.as_ref().map_or(Ok(()), |shot| shot.write(out)));
+        written?;
+        last = Some(shot?);
     }
+    last.map_or(Ok(()), |shot| shot.write(out))?;
     progress.advance(film.frames.len(), film.frames.len());
     Ok(())
 }
@@ -88,26 +113,23 @@ impl<'a> Studio<'a> {
         })
     }
 
-    fn make_frame(&mut self, index: usize, out: &Path) -> Result<()> {
+    /// Renders a frame; writes what was asked for besides it.
+    fn shoot(&mut self, index: usize, out: &Path) -> Result<Shot> {
         let record = self.film.frames[index];
         let frame = self.exposed_frame(index)?;
-        exr::write_channel(&out.join(sequence::depth_name(index)), "Z", &frame.depth_mm)?;
         if self.settings.meshes == MeshOutput::EveryFrame {
             let deformed =
                 TriangleMesh { vertices: self.vertices(record.phase), faces: self.anatomy.inspiration.faces.clone() };
             mesh_file::write_ply(&out.join(sequence::frame_mesh_name(index)), &deformed, &["units mm", "space LPS"])?;
         }
-        if self.settings.radiance == RadianceOutput::Exr {
-            exr::write_rgb(&out.join(sequence::radiance_name(index)), &frame.radiance)?;
-        }
         self.write_surface_truth(index, out)?;
-        let exposed = self.exposed(index);
-        let image = self.sensor.image(&frame.radiance, &exposed, index as u64);
+        let image = self.sensor.image(&frame.radiance, &self.exposed(index), index as u64);
         if self.settings.truth.has(TruthMap::PhaseSensitivity) {
             let sensitivity = self.phase_sensitivity(index, PHASE_STEP)?;
             exr::write_rgb(&out.join(sequence::sensitivity_name(index)), &sensitivity)?;
         }
-        png::write_rgb(&out.join(sequence::image_name(index)), &image)
+        let radiance = (self.settings.radiance == RadianceOutput::Exr).then_some(frame.radiance);
+        Ok(Shot { index, depth_mm: frame.depth_mm, radiance, image })
     }
 
     fn exposed(&self, index: usize) -> Exposed {
