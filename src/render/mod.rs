@@ -5,7 +5,8 @@
 //! ```
 //!
 //! `cpp/surface.h` holds what rays meet, `cpp/lamp.h` the lamp, `cpp/path.h` paths, `cpp/vertex_light.h` light at
-//! vertices, `cpp/coat.h` the reflection, `cpp/mucosa.h` the look of the wall, `cpp/walk.h` the light inside it.
+//! vertices, `cpp/coat.h` the reflection, `cpp/mucosa.h` the look of the wall (`cpp/noise_kernel.cpp` its noise, in vectors),
+//! `cpp/walk.h` the light inside it.
 
 mod axial;
 mod denoise;
