@@ -245,7 +245,7 @@ impl Window {
         let mut known = self.information.clone().resize(now + 1, now + 1, 0.0);
         known[(now, now)] = 1.0 / (deviation * deviation);
         let pull = self.pull.clone().push(0.0);
-        let mut found = Found { at: mean.clone(), total: known.clone(), last: None };
+        let mut found = Found { at: mean.clone(), total: known.clone(), push: DVector::zeros(now + 1), last: None };
         found.at[now] =
             self.nearest_fit(seen, &mean, Shape { displacement: &layout.corrected(correction, shape, &mean), ..shape });
         for _ in 0..STEPS {
@@ -263,8 +263,9 @@ impl Window {
             found.last = pairs.last().map(|pair| (pair.flow, pair.kept));
             // The prior of the correction is no part of what images say.
             gradient -= layout.pull(&found.at);
-            let Some(factor) = layout.with_prior(&found.total).cholesky() else { break };
-            let step = factor.solve(&gradient);
+            let curvature = layout.with_prior(&found.total);
+            let Some(Step { step, push }) = bounded(&curvature, &gradient, &found.at, layout.first) else { break };
+            found.push = push;
             layout.advance(&mut found.at, &step);
             if step.amax() < SHORTEST_STEP {
                 break;
@@ -308,10 +309,16 @@ impl Window {
         self.waited = 0;
         self.keyframes.push(keyframe);
         // At the answer, images pull the correction as much one way as its prior the other.
-        self.pull = layout.pull(&found.at);
+        self.pull = layout.pull(&found.at) + &found.push;
+        let oldest_is_held = found.push[layout.first] != 0.0;
         (self.unknowns, self.information) = (found.at, found.total);
         if self.keyframes.len() > self.most {
-            self.information = without(std::mem::take(&mut self.information), layout.first);
+            let information = std::mem::take(&mut self.information);
+            self.information = if oldest_is_held {
+                information.remove_row(layout.first).remove_column(layout.first)
+            } else {
+                without(information, layout.first)
+            };
             self.pull = self.pull.clone().remove_row(layout.first);
             self.unknowns = self.unknowns.clone().remove_row(layout.first);
             self.keyframes.remove(0);
@@ -366,6 +373,8 @@ struct Found {
     at: DVector<f64>,
     /// What images say about them.
     total: DMatrix<f64>,
+    /// How hard they push phases against the ends of the breath; 0 for those that lie between.
+    push: DVector<f64>,
     /// Flow of the points of the last keyframe, and the share of them that is left.
     last: Option<(f64, f64)>,
 }
@@ -440,6 +449,37 @@ impl<'a> Layout<'a> {
                 *value = (*value + step.clamp(-LONGEST_STEP, LONGEST_STEP)).clamp(0.0, 1.0);
             }
         }
+    }
+}
+
+/// A step to where a quadratic model is least within bounds, and how hard the model pushes against those that hold it.
+struct Step {
+    step: DVector<f64>,
+    push: DVector<f64>,
+}
+
+/// The step of Gauss-Newton with phases, from number `first` on, within 0..1: those that would leave it stop at its end, and all others
+/// go where the images then agree best. A push against an end of the breath so tells the others where they are. By principal
+/// pivots, the last of those that are wrong each time, which ends (Murty, "Note on a Bard-type scheme for solving the
+/// complementarity problem", 1974). `None` where the curvature is none.
+fn bounded(curvature: &DMatrix<f64>, gradient: &DVector<f64>, at: &DVector<f64>, first: usize) -> Option<Step> {
+    let count = at.len();
+    // Where phases are held.
+    let mut ends: Vec<Option<f64>> = vec![None; count];
+    loop {
+        let free: Vec<usize> = (0..count).filter(|&k| ends[k].is_none()).collect();
+        let mut step = DVector::from_fn(count, |k, _| ends[k].map_or(0.0, |end| end - at[k]));
+        let rest = gradient - curvature * &step;
+        let found = curvature.select_rows(&free).select_columns(&free).cholesky()?.solve(&rest.select_rows(&free));
+        free.iter().zip(found.iter()).for_each(|(&k, &value)| step[k] = value);
+        let left = gradient - curvature * &step;
+        let push = DVector::from_fn(count, |k, _| if ends[k].is_some() { left[k] } else { 0.0 });
+        let is_wrong = |k: &usize| match ends[*k] {
+            None => !(0.0..=1.0).contains(&(at[*k] + step[*k])),
+            Some(end) => push[*k] * (end - 0.5) < 0.0,
+        };
+        let Some(wrong) = (first..count).rev().find(is_wrong) else { return Some(Step { step, push }) };
+        ends[wrong] = if ends[wrong].is_none() { Some((at[wrong] + step[wrong]).clamp(0.0, 1.0)) } else { None };
     }
 }
 

@@ -109,6 +109,34 @@ fn phases_that_are_expected_in_the_wrong_place_are_mended_by_parallax() {
     }
 }
 
+/// Before the first step the phase at which a frame agrees with the last keyframe is looked for: the nearest that was tried is
+/// found from either side, and what is expected rightly stays to the last bit.
+#[test]
+fn a_phase_that_is_expected_in_the_wrong_place_is_looked_for() {
+    let tube = Tube::new();
+    let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
+    let mut window = window_of(None);
+    let setting = Setting { shape: tube.shape(), visible: &all };
+    let (view, image) = tube.film(2.0, 0.5);
+    window.place(&Level { view, image, weights: Vec::new() }, 0.0, setting, 0.5, &mut Correction::none());
+    const TRUTH: f64 = 0.62;
+    let (view, image) = tube.film(2.6, TRUTH);
+    let picture = picture(&image, &[]);
+    let look_from = |expected: f64| {
+        let nearest =
+            nearest_faces(&view, &Rays::new(&view.camera), &tube.shape().at(expected), &tube.faces, setting.visible);
+        let seen = Seen { given: &view, time_s: 0.04, picture: &picture, nearest: &nearest };
+        window.nearest_fit(&seen, &window.unknowns.clone().push(expected), tube.shape())
+    };
+    for off in [-0.055, -0.03, 0.03, 0.055] {
+        let found = look_from(TRUTH + off);
+        assert!((found - TRUTH).abs() < 0.011, "{off}: {found}");
+    }
+    assert_eq!(look_from(TRUTH), TRUTH);
+    // Beyond what is tried, the best of that is taken.
+    assert!((look_from(TRUTH + 0.12) - TRUTH - 0.06).abs() < 0.011);
+}
+
 #[test]
 fn the_derivatives_of_a_carried_point_are_those_of_its_place() {
     let tube = Tube::new();
@@ -230,6 +258,42 @@ fn the_derivatives_of_a_way_are_those_of_its_pixel() {
         }
     }
     assert!(compared > 200, "{compared}");
+}
+
+/// Against all ways to hold some of three phases at either end: of those that stay within the breath, the one with the least cost.
+#[test]
+fn a_step_within_the_breath_is_the_best_of_all_such() {
+    use crate::base::random::{CounterRng, Stage};
+    const FIRST: usize = 2;
+    const COUNT: usize = 5;
+    let mut held = 0;
+    for seed in 0..200 {
+        let mut rng = CounterRng::new(seed, Stage::Test, &[]);
+        let root = DMatrix::from_fn(COUNT, COUNT, |_, _| rng.normal());
+        let curvature: DMatrix<f64> = &root * root.transpose() + 0.05 * DMatrix::identity(COUNT, COUNT);
+        let gradient = DVector::from_fn(COUNT, |_, _| 3.0 * rng.normal());
+        let at = DVector::from_fn(COUNT, |_, _| rng.uniform());
+        let cost = |step: &DVector<f64>| 0.5 * step.dot(&(&curvature * step)) - gradient.dot(step);
+        let within = |step: &DVector<f64>| (FIRST..COUNT).all(|k| (-1e-9..=1.0 + 1e-9).contains(&(at[k] + step[k])));
+        let mut least = f64::INFINITY;
+        for choice in 0..3usize.pow(3) {
+            let end = |k: usize| (k >= FIRST).then(|| choice / 3usize.pow((k - FIRST) as u32) % 3);
+            let (mut matrix, mut right) = (curvature.clone(), gradient.clone());
+            for k in 0..COUNT {
+                if let Some(side @ 0..=1) = end(k) {
+                    matrix.row_mut(k).fill(0.0);
+                    matrix[(k, k)] = 1.0;
+                    right[k] = side as f64 - at[k];
+                }
+            }
+            let step = matrix.lu().solve(&right).unwrap();
+            least = if within(&step) { least.min(cost(&step)) } else { least };
+        }
+        let Step { step, push } = bounded(&curvature, &gradient, &at, FIRST).unwrap();
+        assert!(within(&step) && (cost(&step) - least).abs() < 1e-9 * (1.0 + least.abs()), "{seed}: {step}");
+        held += push.iter().filter(|p| **p != 0.0).count();
+    }
+    assert!(held > 100, "{held} phases were held in all");
 }
 
 /// Poses as a tracker gives them that drifts across the tube and turns: 1.6 mm and 2.3 degrees over the film. The start is known.
