@@ -17,7 +17,8 @@
 //! the window, too, which no keyframe takes along when it leaves. Where walls are near, the valley of the misfit is .01 of a phase wide: before the
 //! first step the phase around the expected one is looked for at which the frame agrees best with the last keyframe.
 //! Poses that are off may be unknowns, too: one correction and its change per second for the whole window, under the drift of
-//! [`super::pose_drift`]. (Six unknowns per frame run away: along a tube, way and phase are one.)
+//! [`super::pose_drift`]. (Six unknowns per frame run away: along a tube, way and phase are one.) Phases stay within 0..1 in every step
+//! ([`bounded`]): where images push one against an end of the breath, it is the poses that must be wrong.
 //! Left out: levels of resolution.
 
 mod contrast;
