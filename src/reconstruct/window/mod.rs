@@ -314,12 +314,12 @@ impl Window {
         let oldest_is_held = found.push[layout.first] != 0.0;
         (self.unknowns, self.information) = (found.at, found.total);
         if self.keyframes.len() > self.most {
-            let information = std::mem::take(&mut self.information);
-            self.information = if oldest_is_held {
-                information.remove_row(layout.first).remove_column(layout.first)
-            } else {
-                without(information, layout.first)
-            };
+            let mut information = std::mem::take(&mut self.information);
+            if oldest_is_held {
+                // The end pushes back as hard as images push; whether it does is as sure as any phase is before an image.
+                information[(layout.first, layout.first)] += self.prior_deviation.powi(-2);
+            }
+            self.information = without(information, layout.first);
             self.pull = self.pull.clone().remove_row(layout.first);
             self.unknowns = self.unknowns.clone().remove_row(layout.first);
             self.keyframes.remove(0);
