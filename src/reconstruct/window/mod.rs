@@ -47,6 +47,8 @@ pub use pair::Shape;
 const STEPS: usize = 4;
 const LONGEST_STEP: f64 = 0.05;
 const SHORTEST_STEP: f64 = 2e-4;
+/// Most pivots of a step; two dozen phases take fewer.
+const MOST_PIVOTS: usize = 1000;
 /// Longest step of a coefficient of the correction and of a place; angles are never so long.
 const LONGEST_SHIFT_MM: f64 = 0.3;
 /// A least misfit is narrow: before the first step it is looked for at so many phases either way, so far apart, and
@@ -467,7 +469,7 @@ fn bounded(curvature: &DMatrix<f64>, gradient: &DVector<f64>, at: &DVector<f64>,
     let count = at.len();
     // Where phases are held.
     let mut ends: Vec<Option<f64>> = vec![None; count];
-    loop {
+    for pivots in 0.. {
         let free: Vec<usize> = (0..count).filter(|&k| ends[k].is_none()).collect();
         let mut step = DVector::from_fn(count, |k, _| ends[k].map_or(0.0, |end| end - at[k]));
         let rest = gradient - curvature * &step;
@@ -479,9 +481,12 @@ fn bounded(curvature: &DMatrix<f64>, gradient: &DVector<f64>, at: &DVector<f64>,
             None => !(0.0..=1.0).contains(&(at[*k] + step[*k])),
             Some(end) => push[*k] * (end - 0.5) < 0.0,
         };
-        let Some(wrong) = (first..count).rev().find(is_wrong) else { return Some(Step { step, push }) };
+        // Rounding may turn a phase that is just at an end to and fro.
+        let wrong = (first..count).rev().find(is_wrong).filter(|_| pivots < MOST_PIVOTS);
+        let Some(wrong) = wrong else { return Some(Step { step, push }) };
         ends[wrong] = if ends[wrong].is_none() { Some((at[wrong] + step[wrong]).clamp(0.0, 1.0)) } else { None };
     }
+    None
 }
 
 /// What is known about the others without unknown number `k`: Schur's complement.
