@@ -68,14 +68,15 @@ float stop_of(std::uint32_t parts) { return parts & ENDLESS ? -1.0f : STOP; }
 }  // namespace
 
 void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
-                   std::uint32_t tiles_y, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
+                   std::uint32_t tiles_y, std::uint32_t side, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
                    rust::Slice<std::uint32_t> keys, rust::Slice<bool> visible) {
   check_isa(isa);
   const std::size_t count = visible.size();
   require(rows.size() == 16 * count && boxes.size() == 2 * count && keys.size() == count, "tables of a projection differ in length");
   View view;
   const Scene s = scene_of(scene, view, first, count);
-  const ProjectChunk chunk{first, count, tiles_x, tiles_y, rows.data(), boxes.data(), keys.data(), visible.data()};
+  require(side > 0, "a tile has no pixels");
+  const ProjectChunk chunk{first, count, tiles_x, tiles_y, 1.0f / static_cast<float>(side), rows.data(), boxes.data(), keys.data(), visible.data()};
   CALL(isa, project, s, chunk)
 }
 
@@ -143,15 +144,15 @@ void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, r
 }
 
 void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
-                   rust::Slice<std::uint16_t> masks, float x, float y, rust::Slice<float> state, std::uint32_t parts,
-                   rust::Slice<const float> velocities, rust::Slice<float> moving) {
+                   rust::Slice<std::uint16_t> masks, float x, float y, std::uint16_t blocks, rust::Slice<float> state,
+                   std::uint32_t parts, rust::Slice<const float> velocities, rust::Slice<float> moving) {
   check_tile(isa, rows.size(), entries, masks.size());
   const std::size_t splats = rows.size() / 16;
   const std::size_t directions = moving.size() / (MOVING * PIXELS);
   require(state.size() == PLANES * PIXELS && moving.size() == directions * MOVING * PIXELS && directions <= TOGETHER &&
               velocities.size() == directions * 8 * splats,
           "tables of a tile differ in length");
-  ForwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, stop_of(parts), state.data(),
+  ForwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, blocks, stop_of(parts), state.data(),
                    static_cast<std::uint32_t>(directions), {}, moving.data()};
   for (std::size_t d = 0; d < directions; ++d) tile.velocities[d] = velocities.data() + d * 8 * splats;
   CALL(isa, forward, tile, parts)

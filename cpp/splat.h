@@ -11,9 +11,10 @@ struct SplatMotion;
 
 // All functions check every index and length, and throw std::invalid_argument.
 
-// Splats of the Gaussians number first..first + visible.size() of the scene; see splat_kernel.h for the tables.
+// Splats of the Gaussians number first..first + visible.size() of the scene; see splat_kernel.h for the tables. Tiles are
+// `side` pixels wide.
 void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
-                   std::uint32_t tiles_y, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
+                   std::uint32_t tiles_y, std::uint32_t side, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
                    rust::Slice<std::uint32_t> keys, rust::Slice<bool> visible);
 // Their colours again, where visible; false when one is not finite.
 bool splat_recolor(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
@@ -26,10 +27,10 @@ void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, r
                  rust::Slice<const float> slots, std::uint32_t wanted,
                  rust::Slice<float> positions, rust::Slice<float> shape, rust::Slice<float> scales,
                  rust::Slice<float> opacities, rust::Slice<float> sh, rust::Slice<double> camera);
-// One tile. `velocities`: 8 floats per splat and direction, direction by direction.
+// The `blocks` of one tile. `velocities`: 8 floats per splat and direction, direction by direction.
 void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
-                   rust::Slice<std::uint16_t> masks, float x, float y, rust::Slice<float> state, std::uint32_t parts,
-                   rust::Slice<const float> velocities, rust::Slice<float> moving);
+                   rust::Slice<std::uint16_t> masks, float x, float y, std::uint16_t blocks, rust::Slice<float> state,
+                   std::uint32_t parts, rust::Slice<const float> velocities, rust::Slice<float> moving);
 // Writes the slots that `targets` name, of slot_count slots of 16 floats: no other thread may use those at the same time.
 void splat_backward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
                     rust::Slice<const std::uint16_t> masks, rust::Slice<const std::uint32_t> targets, float x, float y,

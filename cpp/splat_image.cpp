@@ -14,6 +14,8 @@ void require(bool good, const char* what) {
   if (!good) throw std::invalid_argument(what);
 }
 
+bool is_side(std::size_t side) { return side == 4 || side == 8 || side == 16; }
+
 // Where line `line` of a tile has pixels 4 * piece to 4 * piece + 3.
 std::size_t place(std::size_t piece, std::size_t line) { return 16 * (4 * piece + line / 4) + 4 * (line % 4); }
 
@@ -48,17 +50,19 @@ const float* padded(const float* from, std::size_t count, float* room) {
 
 }  // namespace
 
-void splat_develop(rust::Slice<const float> state, std::size_t width, std::array<float, 3> gain,
-                   std::array<float, 3> background, bool with_depth, rust::Slice<float> color, rust::Slice<float> depth,
+void splat_develop(rust::Slice<const float> state, std::size_t width, std::size_t side,
+                   std::array<float, 3> gain, std::array<float, 3> background, bool with_depth, rust::Slice<float> color, rust::Slice<float> depth,
                    rust::Slice<float> alpha) {
-  const std::size_t tiles = (width + 15) / 16, pixels = alpha.size();
-  require(width > 0 && pixels % width == 0 && pixels <= 16 * width && color.size() == 3 * pixels &&
+  require(is_side(side), "a tile is 4, 8 or 16 pixels wide");
+  const std::size_t tiles = (width + side - 1) / side, pixels = alpha.size();
+  require(width > 0 && pixels % width == 0 && pixels <= side * width && color.size() == 3 * pixels &&
               depth.size() == pixels && state.size() >= tiles * PLANES * PIXELS,
           "tables of an image differ in length");
+  const int shift = __builtin_ctzll(side);
   const __m128 one = _mm_set1_ps(1.0f), zero = _mm_setzero_ps();
   for (std::size_t line = 0; line < pixels / width; ++line) {
     for (std::size_t x = 0; x < width; x += 4) {
-      const float* s = state.data() + x / 16 * PLANES * PIXELS + place(x / 4 % 4, line);
+      const float* s = state.data() + (x >> shift) * PLANES * PIXELS + place((x & (side - 1)) / 4, line);
       const __m128 left = _mm_loadu_ps(s + 4 * PIXELS);
       __m128 rgb[3];
       for (int k = 0; k < 3; ++k) {
@@ -91,18 +95,20 @@ void splat_develop(rust::Slice<const float> state, std::size_t width, std::array
 }
 
 void splat_develop_moving(rust::Slice<const float> moving, std::size_t directions, std::size_t k, std::size_t width,
-                          std::array<float, 3> gain, std::array<float, 3> background, rust::Slice<float> color) {
-  const std::size_t tiles = (width + 15) / 16;
-  require(width > 0 && color.size() % (3 * width) == 0 && color.size() <= 48 * width && k < directions &&
+                          std::size_t side, std::array<float, 3> gain, std::array<float, 3> background, rust::Slice<float> color) {
+  require(is_side(side), "a tile is 4, 8 or 16 pixels wide");
+  const std::size_t tiles = (width + side - 1) / side;
+  require(width > 0 && color.size() % (3 * width) == 0 && color.size() <= 3 * side * width && k < directions &&
               moving.size() >= tiles * directions * MOVING * PIXELS,
           "tables of an image differ in length");
   const std::size_t lines = color.size() / (3 * width);
+  const int shift = __builtin_ctzll(side);
   const float* const tables = moving.data();
   float* const out = color.data();
   const __m128 zero = _mm_setzero_ps();
   for (std::size_t line = 0; line < lines; ++line) {
     for (std::size_t x = 0; x < width; x += 4) {
-      const float* s = tables + (x / 16 * directions + k) * MOVING * PIXELS + place(x / 4 % 4, line);
+      const float* s = tables + ((x >> shift) * directions + k) * MOVING * PIXELS + place((x & (side - 1)) / 4, line);
       const __m128 left = _mm_loadu_ps(s + 3 * PIXELS);
       __m128 rgb[3];
       for (int c = 0; c < 3; ++c) {
@@ -118,20 +124,20 @@ void splat_develop_moving(rust::Slice<const float> moving, std::size_t direction
   }
 }
 
-void splat_adjoint(rust::Slice<const float> state, std::size_t x0, std::size_t y0, std::size_t width,
+void splat_adjoint(rust::Slice<const float> state, std::size_t x0, std::size_t y0, std::size_t side, std::size_t width,
                    std::size_t height, std::array<float, 3> gain, std::array<float, 3> background,
                    rust::Slice<const float> color, rust::Slice<const float> depth, rust::Slice<const float> alpha,
                    rust::Slice<float> adjoint, std::array<double, 3>& by_gain) {
   const std::size_t pixels = width * height;
-  require(state.size() == PLANES * PIXELS && adjoint.size() == PLANES * PIXELS &&
+  require(is_side(side) && state.size() == PLANES * PIXELS && adjoint.size() == PLANES * PIXELS &&
               (color.empty() || color.size() == 3 * pixels) && (depth.empty() || depth.size() == pixels) &&
               (alpha.empty() || alpha.size() == pixels),
           "tables of an image differ in length");
   const __m128 one = _mm_set1_ps(1.0f), zero = _mm_setzero_ps();
   __m128d sums[3][2];
   for (auto& sum : sums) sum[0] = sum[1] = _mm_setzero_pd();
-  for (std::size_t line = 0; line < 16; ++line) {
-    for (std::size_t piece = 0; piece < 4; ++piece) {
+  for (std::size_t line = 0; line < side; ++line) {
+    for (std::size_t piece = 0; piece < side / 4; ++piece) {
       const std::size_t p = place(piece, line), x = x0 + 4 * piece, y = y0 + line, o = y * width + x;
       float* a = adjoint.data() + p;
       if (x >= width || y >= height) {

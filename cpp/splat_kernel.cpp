@@ -1,7 +1,7 @@
-// Compositing of one 16x16 tile, forward and backward, in GCC vector extensions; compiled once per instruction set
+// Compositing of one tile, forward and backward, in GCC vector extensions; compiled once per instruction set
 // with -DRESPIRE_ISA=<namespace>. The plain twin is src/splat/kernel.rs, which also explains the symbols.
 //
-// A tile is 16 blocks of 4x4 pixels. For each entry (splat in tile) a mask says which blocks the ellipse alpha >= 1/255
+// A tile is 16 blocks of 4x4 pixels, or some of them. For each entry (splat in tile) a mask says which blocks the ellipse alpha >= 1/255
 // can touch. Forward: entries are dealt to the lists of their blocks, and a block is composited with its state in
 // registers. Backward: entry by entry, front to back, replaying the forward decisions, so that the nine sums of an
 // entry are reduced once per tile. A pixel that has stopped is one whose running transmittance is 0.
@@ -165,10 +165,13 @@ void forward_tile(const ForwardTile& t) {
   std::uint32_t lists[16][ROOM];
   int sizes[16];
   alignas(64) float state[6 * PIXELS];
-  for (int i = 0; i < 4 * PIXELS; ++i) state[i] = 0;
-  for (int i = 4 * PIXELS; i < 6 * PIXELS; ++i) state[i] = 1;
-  for (int i = 0; i < K * MOVING * PIXELS; ++i) t.moving[i] = 0;
-  std::uint32_t alive = 0xffff;
+  // What comes after the last block of a small tile belongs to nobody.
+  const int pixels = 16 * (32 - __builtin_clz(t.blocks));
+  for (int plane = 0; plane < 6; ++plane)
+    for (int i = 0; i < pixels; ++i) state[plane * PIXELS + i] = plane < 4 ? 0 : 1;
+  for (int plane = 0; plane < K * MOVING; ++plane)
+    for (int i = 0; i < pixels; ++i) t.moving[plane * PIXELS + i] = 0;
+  std::uint32_t alive = t.blocks;
   std::size_t i = 0;
   while (i < t.count && alive) {
     const std::size_t end = i + CHUNK < t.count ? i + CHUNK : t.count;
@@ -185,7 +188,7 @@ void forward_tile(const ForwardTile& t) {
     }
   }
   for (; i < t.count; ++i) t.masks[i] = 0;
-  __builtin_memcpy(t.state, state, PLANES * PIXELS * sizeof(float));
+  for (int plane = 0; plane < PLANES; ++plane) __builtin_memcpy(t.state + plane * PIXELS, state + plane * PIXELS, pixels * sizeof(float));
 }
 
 #if defined(__AVX512F__)

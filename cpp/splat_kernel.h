@@ -15,7 +15,7 @@ enum Moment { S, SX, SY, SXX, SXY, SYY, SDEPTH, SPAD, SRED, SGREEN, SBLUE };
 // Velocity of a splat along a direction, times ln 2: d log(alpha) = (VX + VXX dx + VXY dy) dx + (VY + VYY dy) dy.
 enum Velocity { VX, VY, VXX, VXY, VYY, VRED, VGREEN, VBLUE };
 
-constexpr int PIXELS = 256;  // 16x16, block by block: 4x4 blocks, numbered down the columns of the tile
+constexpr int PIXELS = 256;  // of the largest tile, 16x16, block by block: 4x4 blocks, numbered down the columns
 constexpr int PLANES = 5;    // of a tile's state: red, green, blue, depth sums and transmittance
 constexpr int MOVING = 4;    // planes of a tile's velocity: red, green, blue sums and transmittance
 constexpr float STOP = 1e-4f;  // what a pixel stops at; with ENDLESS none does
@@ -43,6 +43,7 @@ struct Scene {
 struct ProjectChunk {
   std::size_t first, count;  // numbers in `active`
   std::uint32_t tiles_x, tiles_y;
+  float tiles_per_px;
   float* rows;           // out, 16 floats each, where visible
   std::uint32_t* boxes;  // out, two words each: x0 | y0 << 16, x1 | y1 << 16, where visible
   std::uint32_t* keys;   // out, bits of the z-depth rounded from double, where visible
@@ -81,6 +82,7 @@ struct ForwardTile {
   std::uint16_t* masks;          // out (in with KNOWN_MASKS): blocks that an entry may touch; 0 once nobody looks any more
   std::size_t count;
   float x, y;                    // upper left corner in pixels
+  std::uint32_t blocks;          // those that the tile has: a smaller tile than 16x16 has not all; not 0
   float stop;                    // a pixel stops at the splat that would leave no more than this of the light
   float* state;                  // out: PLANES planes of PIXELS
   std::uint32_t directions;      // 0 to TOGETHER

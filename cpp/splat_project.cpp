@@ -10,8 +10,8 @@ struct Projection {
   const ProjectChunk& o;
 
   // Tile of a coordinate, clamped to the image.
-  static VI cell(V v, std::uint32_t tiles) {
-    return __builtin_convertvector(smaller(larger(v * 0.0625f, V{}), all(static_cast<float>(tiles) - 1.0f)), VI);
+  VI cell(V v, std::uint32_t tiles) const {
+    return __builtin_convertvector(smaller(larger(v * o.tiles_per_px, V{}), all(static_cast<float>(tiles) - 1.0f)), VI);
   }
 
   // Centres in camera axes and on screen, computed in double and rounded once: the order of splats and their places belong

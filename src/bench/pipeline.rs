@@ -132,13 +132,14 @@ impl Pipeline {
             let truth = sequence.map(|sequence| Arc::new(sequence) as Arc<dyn Truth>);
             CaseInfo { id: case.id.clone(), title: case.title.clone(), truth }
         });
+        let (id, machine_id) = (plan.run_id()?, Environment::examine().machine_id());
         Ok(Run {
-            id: plan.run_id()?,
             profile: plan.profile.clone(),
-            machine_id: Environment::examine().machine_id(),
+            notes: Vec::new(),
             cases: cases.collect(),
             methods: self.method_infos(),
-            cells: finished.iter().map(cell_record).collect::<Result<_>>()?,
+            cells: finished.iter().map(|cell| cell_record(cell, &id, &machine_id)).collect::<Result<_>>()?,
+            id,
         })
     }
 
@@ -156,7 +157,7 @@ impl Pipeline {
     }
 }
 
-fn cell_record(finished: &FinishedCell) -> Result<CellRecord> {
+fn cell_record(finished: &FinishedCell, run_id: &str, machine_id: &str) -> Result<CellRecord> {
     let outcome = match &finished.failure {
         Some(error) => Outcome::Failed(error.to_string()),
         None => Outcome::Scored(Box::new(files::read_json(&finished.score)?)),
@@ -167,8 +168,10 @@ fn cell_record(finished: &FinishedCell) -> Result<CellRecord> {
         cpu_s: t.cpu_s,
         peak_memory_mib: t.peak_memory_mib,
         threads: t.threads,
+        machine_id: machine_id.to_owned(),
     };
     Ok(CellRecord {
+        run_id: run_id.to_owned(),
         case_id: finished.cell.case_id.clone(),
         method: finished.cell.method.clone(),
         seed: finished.cell.seed,

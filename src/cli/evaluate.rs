@@ -73,12 +73,13 @@ fn print(found: &CellScore, terminal: &Terminal) {
 /// One case, one method: the report of a single prediction.
 fn as_run(sequence: Sequence, found: CellScore, prediction: PathBuf) -> Run {
     let case_id = found.case_id.clone();
+    let id = format!("evaluate-{case_id}-{}", found.method);
     Run {
-        id: format!("evaluate-{case_id}-{}", found.method),
         profile: "evaluate".into(),
-        machine_id: String::new(),
+        notes: Vec::new(),
         methods: vec![MethodInfo::of(&found.method)],
         cells: vec![CellRecord {
+            run_id: id.clone(),
             case_id: case_id.clone(),
             method: found.method.clone(),
             seed: found.seed,
@@ -86,6 +87,7 @@ fn as_run(sequence: Sequence, found: CellScore, prediction: PathBuf) -> Run {
             outcome: Outcome::Scored(Box::new(found)),
             timings: Vec::new(),
         }],
+        id,
         cases: vec![CaseInfo { title: case_id.clone(), id: case_id, truth: Some(Arc::new(sequence)) }],
     }
 }

@@ -16,6 +16,7 @@ mod import;
 mod import_mesh;
 mod import_tree;
 mod list;
+mod merge;
 mod pareto;
 mod pareto_phase;
 mod pareto_render;
@@ -81,6 +82,8 @@ commands! {
     Gate => gate,
     /// Two runs side by side, with intervals
     Compare => compare,
+    /// Several runs, or scores of a third party, as one report
+    Merge => merge,
     /// What each part of a method, and each property of a film, is worth
     Ablate => ablate,
     /// What a metric is

@@ -41,6 +41,7 @@ mod bridge {
             first: usize,
             tiles_x: u32,
             tiles_y: u32,
+            side: u32,
             rows: &mut [f32],
             boxes: &mut [u32],
             keys: &mut [u32],
@@ -77,6 +78,7 @@ mod bridge {
             masks: &mut [u16],
             x: f32,
             y: f32,
+            blocks: u16,
             state: &mut [f32],
             parts: u32,
             velocities: &[f32],
@@ -180,20 +182,31 @@ impl std::fmt::Display for Isa {
 const AGREE: &str = "the rasteriser hands over tables that belong together";
 
 /// Splats of the Gaussians number `first..first + visible.len()` of the active ones; see `cpp/splat_kernel.h` for the
-/// tables. Panics (as all of these) when the tables do not belong together.
+/// tables; the image has so many tiles (columns, rows) of so many pixels a side. Panics (as all of these) when the tables do not belong together.
 pub fn project(
     isa: Isa,
     scene: &SplatScene<'_>,
     first: usize,
-    tiles: [usize; 2],
+    (tiles, side): ([usize; 2], usize),
     rows: &mut [Aligned<f32>],
     boxes: &mut [[u32; 2]],
     keys: &mut [u32],
     visible: &mut [bool],
 ) {
-    let (x, y) = (tiles[0] as u32, tiles[1] as u32);
-    bridge::splat_project(isa.code(), scene, first, x, y, flat_mut(rows), boxes.as_flattened_mut(), keys, visible)
-        .expect(AGREE);
+    let (x, y, side) = (tiles[0] as u32, tiles[1] as u32, side as u32);
+    bridge::splat_project(
+        isa.code(),
+        scene,
+        first,
+        x,
+        y,
+        side,
+        flat_mut(rows),
+        boxes.as_flattened_mut(),
+        keys,
+        visible,
+    )
+    .expect(AGREE);
 }
 
 /// Writes the colours of the visible splats into their rows; `false` when one is not finite.
@@ -257,13 +270,14 @@ pub fn chain(
     .expect(AGREE);
 }
 
-/// Composites one tile, with the velocities of its pixels along up to four directions; see `cpp/splat_kernel.h`.
+/// Composites the `blocks` of one tile, with the velocities of its pixels along up to four directions; see `cpp/splat_kernel.h`.
 pub fn forward(
     isa: Isa,
     rows: &[Aligned<f32>],
     entries: &[u32],
     masks: &mut [u16],
     corner: [f32; 2],
+    blocks: u16,
     state: &mut [f32],
     parts: u32,
     velocities: &[[f32; 8]],
@@ -271,7 +285,8 @@ pub fn forward(
 ) {
     let [x, y] = corner;
     let velocities = velocities.as_flattened();
-    bridge::splat_forward(isa.code(), flat(rows), entries, masks, x, y, state, parts, velocities, moving).expect(AGREE);
+    bridge::splat_forward(isa.code(), flat(rows), entries, masks, x, y, blocks, state, parts, velocities, moving)
+        .expect(AGREE);
 }
 
 /// Slots that several tiles write at the same time, each its own: the entries' targets are all different

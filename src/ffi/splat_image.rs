@@ -10,6 +10,7 @@ mod bridge {
         fn splat_develop(
             state: &[f32],
             width: usize,
+            side: usize,
             gain: [f32; 3],
             background: [f32; 3],
             with_depth: bool,
@@ -22,6 +23,7 @@ mod bridge {
             directions: usize,
             k: usize,
             width: usize,
+            side: usize,
             gain: [f32; 3],
             background: [f32; 3],
             color: &mut [f32],
@@ -30,6 +32,7 @@ mod bridge {
             state: &[f32],
             x: usize,
             y: usize,
+            side: usize,
             width: usize,
             height: usize,
             gain: [f32; 3],
@@ -56,7 +59,7 @@ pub struct Light {
     pub with_depth: bool,
 }
 
-/// Up to 16 lines of the three images.
+/// The lines of the three images that a row of tiles covers.
 #[derive(Debug)]
 pub struct ImageBand<'a, T> {
     /// 3 values a pixel.
@@ -71,10 +74,10 @@ fn single(v: [f64; 3]) -> [f32; 3] {
     v.map(|c| c as f32)
 }
 
-/// Sums of a row of tiles to images of `width` pixels.
-pub fn develop(state: &[f32], width: usize, light: &Light, band: ImageBand<'_, f32>) {
+/// Sums of a row of tiles of `side` pixels to images of `width` pixels.
+pub fn develop(state: &[f32], [width, side]: [usize; 2], light: &Light, band: ImageBand<'_, f32>) {
     let (gain, background) = (single(light.gain), single(light.background));
-    bridge::splat_develop(state, width, gain, background, light.with_depth, band.color, band.depth, band.alpha)
+    bridge::splat_develop(state, width, side, gain, background, light.with_depth, band.color, band.depth, band.alpha)
         .expect(AGREE);
 }
 
@@ -82,19 +85,21 @@ pub fn develop(state: &[f32], width: usize, light: &Light, band: ImageBand<'_, f
 pub fn develop_moving(
     moving: &[f32],
     [k, directions]: [usize; 2],
-    width: usize,
+    [width, side]: [usize; 2],
     gain: [f64; 3],
     background: [f64; 3],
     color: &mut [f32],
 ) {
-    bridge::splat_develop_moving(moving, directions, k, width, single(gain), single(background), color).expect(AGREE);
+    bridge::splat_develop_moving(moving, directions, k, width, side, single(gain), single(background), color)
+        .expect(AGREE);
 }
 
-/// Image gradients (colour, depth, alpha; empty for none) to the adjoint of the tile at `corner` of an image of `size`;
+/// Image gradients (colour, depth, alpha; empty for none) to the adjoint of the tile at `corner`, `side` pixels wide, of an image of `size`;
 /// returns the tile's part of the gradient of the gain.
 pub fn adjoint(
     state: &[f32],
     corner: [usize; 2],
+    side: usize,
     size: [usize; 2],
     light: &Light,
     image: [&[f32]; 3],
@@ -104,8 +109,22 @@ pub fn adjoint(
     let ([x, y], [width, height]) = (corner, size);
     let (gain, background) = (single(light.gain), single(light.background));
     let [color, depth, alpha] = image;
-    bridge::splat_adjoint(state, x, y, width, height, gain, background, color, depth, alpha, adjoint, &mut by_gain)
-        .expect(AGREE);
+    bridge::splat_adjoint(
+        state,
+        x,
+        y,
+        side,
+        width,
+        height,
+        gain,
+        background,
+        color,
+        depth,
+        alpha,
+        adjoint,
+        &mut by_gain,
+    )
+    .expect(AGREE);
     by_gain
 }
 

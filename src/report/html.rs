@@ -40,6 +40,7 @@ pub fn report(run: &Run, table: &ComparisonTable, pictures: &Pictures) -> String
                     (run.cases.len()) " cases, " (run.methods.len()) " methods, " (run.cells.len()) " cells, "
                     (failed.len()) " failed. Profile " code { (run.profile) } "."
                 }
+                @for note in &run.notes { p.muted { (note) } }
                 h2 { "Comparison" }
                 (comparison(table))
                 @if !failed.is_empty() {
@@ -53,7 +54,7 @@ pub fn report(run: &Run, table: &ComparisonTable, pictures: &Pictures) -> String
                 h2 { "Every case" }
                 @for case in &run.cases {
                     details {
-                        summary { (case.id) ": " (case.title) }
+                        summary { (case.heading()) }
                         (case_table(run, &case.id))
                         @for (_, of_case) in pictures.by_case.iter().filter(|(id, _)| *id == case.id) {
                             @for picture in of_case { (figure(picture)) }

@@ -20,6 +20,9 @@ pub fn report(run: &Run, summaries: &[MethodSummary], table: &ComparisonTable, p
         run.cells.len(),
         run.profile
     );
+    for note in &run.notes {
+        let _ = writeln!(out, "{}\n", escape(note));
+    }
     comparison(&mut out, table);
     intervals(&mut out, summaries);
     failures(&mut out, run);
@@ -123,7 +126,7 @@ fn cases(out: &mut String, run: &Run) {
     out.push_str("## Every case\n\n");
     let metrics: Vec<&Metric> = paper_metrics().collect();
     for case in &run.cases {
-        let _ = writeln!(out, "<details><summary>{}: {}</summary>\n", escape(&case.id), escape(&case.title));
+        let _ = writeln!(out, "<details><summary>{}</summary>\n", escape(&case.heading()));
         let headings: String = metrics.iter().map(|m| format!(" {} {} |", escape(&m.heading()), arrow(m))).collect();
         let _ = writeln!(out, "| Method | Seed |{headings}\n|---|--:|{}", "--:|".repeat(metrics.len()));
         for cell in run.cells.iter().filter(|c| c.case_id == case.id) {

@@ -14,6 +14,9 @@ mod gate_tests;
 mod html;
 mod latex;
 mod markdown;
+pub mod merge;
+#[cfg(test)]
+mod merge_tests;
 mod paper;
 pub mod pareto;
 pub mod plots;

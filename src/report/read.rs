@@ -101,19 +101,19 @@ fn distinct<'a>(words: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     words
 }
 
-struct Table {
+pub(super) struct Table {
     path: std::path::PathBuf,
     columns: BTreeMap<String, usize>,
     records: Vec<csv::StringRecord>,
 }
 
-struct Row<'a> {
+pub(super) struct Row<'a> {
     table: &'a Table,
     index: usize,
 }
 
 impl Table {
-    fn read(path: &Path) -> Result<Table> {
+    pub(super) fn read(path: &Path) -> Result<Table> {
         let bytes = files::read_bytes(path)?;
         let mut reader = csv::Reader::from_reader(bytes.as_slice());
         let bad = |e: csv::Error| Error::input(e.to_string().replace('\n', " ")).at(path);
@@ -122,7 +122,7 @@ impl Table {
         Ok(Table { path: path.to_path_buf(), columns, records })
     }
 
-    fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+    pub(super) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
         (0..self.records.len()).map(|index| Row { table: self, index })
     }
 }
@@ -132,7 +132,7 @@ impl Row<'_> {
         format!("line {}", self.index + 2)
     }
 
-    fn text(&self, column: &str) -> Result<String> {
+    pub(super) fn text(&self, column: &str) -> Result<String> {
         let place = self
             .table
             .columns
@@ -141,19 +141,20 @@ impl Row<'_> {
         Ok(self.table.records[self.index].get(*place).unwrap_or("").to_owned())
     }
 
-    fn number(&self, column: &str) -> Result<Option<f64>> {
+    pub(super) fn number(&self, column: &str) -> Result<Option<f64>> {
         let text = self.text(column)?;
         if text.is_empty() {
             return Ok(None);
         }
-        text.parse().map(Some).map_err(|_| {
-            Error::input(format!("\"{text}\" is not a number"))
-                .element(format!("{}, column {column}", self.line()))
-                .at(&self.table.path)
-        })
+        text.parse().map(Some).map_err(|_| self.refuse(column, format!("\"{text}\" is not a number")))
     }
 
-    fn key(&self, method_column: &str, metric: String) -> Result<Key> {
+    /// An error that names this row and the column.
+    pub(super) fn refuse(&self, column: &str, why: String) -> Error {
+        Error::input(why).element(format!("{}, column {column}", self.line())).at(&self.table.path)
+    }
+
+    pub(super) fn key(&self, method_column: &str, metric: String) -> Result<Key> {
         let seed = self.text("seed")?;
         let seed = seed
             .parse()

@@ -53,9 +53,11 @@ pub(super) fn sample_run(folder: &Path, side: u32, frames: usize) -> Run {
                 cpu_s: 2.5,
                 peak_memory_mib: 100.0,
                 threads: 2,
+                machine_id: "machine".into(),
             }];
             let case_id = truth.case_id().to_owned();
-            cells.push(CellRecord { case_id, method: method.into(), seed: 1, prediction, outcome, timings });
+            let run_id = "smoke-01234567".into();
+            cells.push(CellRecord { run_id, case_id, method: method.into(), seed: 1, prediction, outcome, timings });
         }
     }
     let case = |t: &Arc<TubeTruth>| CaseInfo {
@@ -66,7 +68,7 @@ pub(super) fn sample_run(folder: &Path, side: u32, frames: usize) -> Run {
     Run {
         id: "smoke-01234567".into(),
         profile: "smoke".into(),
-        machine_id: "machine".into(),
+        notes: Vec::new(),
         cases: truths.iter().map(case).collect(),
         methods: methods.map(MethodInfo::of).to_vec(),
         cells,

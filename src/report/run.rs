@@ -14,8 +14,8 @@ pub struct Run {
     pub id: String,
     /// Profile name.
     pub profile: String,
-    /// Id of the machine, for `timings.csv`; empty when unknown.
-    pub machine_id: String,
+    /// What a reader should know of where the cells come from, a sentence each; none for a single run.
+    pub notes: Vec<String>,
     /// Cases in order.
     pub cases: Vec<CaseInfo>,
     /// Methods in order.
@@ -29,10 +29,17 @@ pub struct Run {
 pub struct CaseInfo {
     /// Id in tables and folders.
     pub id: String,
-    /// For people.
+    /// For people; empty when unknown.
     pub title: String,
     /// Its sequence, for pictures; `None` leaves them out.
     pub truth: Option<Arc<dyn Truth>>,
+}
+
+impl CaseInfo {
+    /// Id and, where it is known, title.
+    pub fn heading(&self) -> String {
+        if self.title.is_empty() { self.id.clone() } else { format!("{}: {}", self.id, self.title) }
+    }
 }
 
 /// Whether a method competes.
@@ -92,6 +99,8 @@ pub enum Outcome {
 /// One cell.
 #[derive(Clone, Debug)]
 pub struct CellRecord {
+    /// Id of the run that made it.
+    pub run_id: String,
     /// Case id.
     pub case_id: String,
     /// Method id.
@@ -119,6 +128,8 @@ pub struct StageCost {
     pub peak_memory_mib: f64,
     /// Threads it could use.
     pub threads: usize,
+    /// Id of the machine; empty when unknown.
+    pub machine_id: String,
 }
 
 impl CellRecord {

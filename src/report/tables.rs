@@ -96,13 +96,13 @@ pub fn write_results(run: &Run, path: &Path) -> Result<()> {
     let mut rows = Vec::new();
     for cell in &run.cells {
         for m in registry().iter().filter(|m| !m.is_runtime()) {
-            rows.push(results_row(run, cell, m));
+            rows.push(results_row(cell, m));
         }
     }
     write_csv(path, &header(&RESULTS_COLUMNS), &rows)
 }
 
-fn results_row(run: &Run, cell: &CellRecord, m: &Metric) -> Row {
+fn results_row(cell: &CellRecord, m: &Metric) -> Row {
     let score = cell.score().and_then(|s| s.metric(m.id));
     let (status, detail) = match (&cell.outcome, score) {
         (Outcome::Failed(why), _) => (Status::Failed, why.as_str()),
@@ -111,7 +111,7 @@ fn results_row(run: &Run, cell: &CellRecord, m: &Metric) -> Row {
     };
     let interval = score.and_then(|s| s.interval);
     vec![
-        text(&run.id),
+        text(&cell.run_id),
         text(&cell.case_id),
         cell.score().map_or_else(String::new, |s| s.case_hash.clone()),
         text(&cell.method),
@@ -142,7 +142,7 @@ pub fn write_frames(run: &Run, path: &Path) -> Result<()> {
             let mut push = |split: Split, metric: &str, value: Option<f64>, status: Status| {
                 let folder = if split == Split::Ahead { "ahead" } else { "color" };
                 rows.push(vec![
-                    text(&run.id),
+                    text(&cell.run_id),
                     text(&cell.case_id),
                     text(&cell.method),
                     cell.seed.to_string(),
@@ -173,7 +173,7 @@ pub fn write_timings(run: &Run, path: &Path) -> Result<()> {
     for cell in &run.cells {
         for t in &cell.timings {
             rows.push(vec![
-                text(&run.id),
+                text(&cell.run_id),
                 text(&cell.case_id),
                 text(&cell.method),
                 text(&t.stage),
@@ -181,7 +181,7 @@ pub fn write_timings(run: &Run, path: &Path) -> Result<()> {
                 number(Some(t.cpu_s)),
                 number(Some(t.peak_memory_mib)),
                 t.threads.to_string(),
-                text(&run.machine_id),
+                text(&t.machine_id),
                 String::new(),
                 cell.seed.to_string(),
             ]);

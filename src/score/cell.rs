@@ -36,6 +36,22 @@ pub enum Status {
 }
 
 impl Status {
+    /// All of them.
+    pub const ALL: [Status; 7] = [
+        Status::Ok,
+        Status::Identical,
+        Status::NotApplicable,
+        Status::Degenerate,
+        Status::NoContour,
+        Status::CameraOutside,
+        Status::Failed,
+    ];
+
+    /// The status that `results.csv` calls `word`.
+    pub fn of_word(word: &str) -> Option<Status> {
+        Status::ALL.into_iter().find(|status| status.word() == word)
+    }
+
     /// As in `results.csv`.
     pub fn word(self) -> &'static str {
         match self {

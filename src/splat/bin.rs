@@ -1,4 +1,4 @@
-//! From splats to the list of each 16x16 tile: splats are dealt to bands of tile rows, each band is sorted by depth
+//! From splats to the list of each tile: splats are dealt to bands of tile rows, each band is sorted by depth
 //! (stable radix sort) and counted out to its tiles. Depth ties keep the order of the Gaussians. Bands are independent
 //! tasks; how many there are depends on the image alone, so what is filled does not depend on the threads.
 //! The work on a chunk or a band is C++ (`cpp/splat_bin.cpp`); the plain twin is [`Bins::fill_plainly`].
@@ -15,9 +15,7 @@ use super::pool::{PIECE, piece_of};
 use super::project::{Row, at};
 use super::rasterizer::CHUNK;
 use super::real::Real;
-
-/// Side of a tile in pixels.
-pub(super) const TILE: usize = 16;
+use super::tile::Tiling;
 
 /// Tiles that a splat's bounding box meets, inclusive: `x0 | y0 << 16`, `x1 | y1 << 16`.
 #[derive(Clone, Copy, Debug, Default)]
@@ -29,8 +27,10 @@ pub(super) struct TileBox {
 }
 
 impl TileBox {
-    pub fn of<T: Real>(row: &Row<T>, tiles: [usize; 2]) -> Self {
-        let cell = |v: T, n: usize| (v.to_f64() * (1.0 / TILE as f64)).clamp(0.0, n as f64 - 1.0) as usize;
+    pub fn of<T: Real>(row: &Row<T>, tiling: &Tiling) -> Self {
+        let per_px = 1.0 / tiling.side.px() as f64;
+        let cell = |v: T, n: usize| (v.to_f64() * per_px).clamp(0.0, n as f64 - 1.0) as usize;
+        let tiles = [tiling.columns, tiling.rows];
         TileBox {
             x0: cell(row[at::X] - row[at::HALF_WIDTH], tiles[0]),
             y0: cell(row[at::Y] - row[at::HALF_HEIGHT], tiles[1]),
@@ -62,8 +62,7 @@ impl TileBox {
 /// The lists of all tiles.
 #[derive(Debug, Default)]
 pub(super) struct Bins {
-    pub tiles_x: usize,
-    pub tiles_y: usize,
+    pub tiling: Tiling,
     /// Entries of tile `t` are `offsets[t]..offsets[t + 1]`.
     pub offsets: Vec<u32>,
     /// Splat of each entry, front to back within a tile.
@@ -104,8 +103,8 @@ pub(super) fn cut<V>(mut slice: &mut [V], lengths: impl Iterator<Item = usize>) 
 }
 
 /// As few bands as the threads of a large machine can use: 2 to this power tile rows each.
-fn shift_of(tiles: [usize; 2]) -> u32 {
-    (1..).find(|s| tiles[1].div_ceil(1 << s) <= BANDS).expect("an image has at most 1024 tile rows")
+fn shift_of(tiling: &Tiling) -> u32 {
+    (1..).find(|s| tiling.rows.div_ceil(1 << s) <= BANDS).expect("an image has a finite number of tile rows")
 }
 
 /// Bands in an order that ends with small ones in either half: threads take halves, and what comes last decides how long
@@ -130,15 +129,15 @@ fn chunk_of<'a>(all: &Boxes<'a>, chunk: usize) -> Boxes<'a> {
 
 impl Bins {
     /// Where the tiles of `n` splats are counted, chunk by chunk, before [`Bins::fill`].
-    pub fn counting(&mut self, tiles: [usize; 2], n: usize) -> Counting<'_> {
+    pub fn counting(&mut self, tiling: &Tiling, n: usize) -> Counting<'_> {
         self.starts.resize(n + 1, 0);
         self.counts.resize(n.div_ceil(CHUNK), Counts::default());
-        Counting { shift: shift_of(tiles), starts: &mut self.starts[1..], counts: &mut self.counts }
+        Counting { shift: shift_of(tiling), starts: &mut self.starts[1..], counts: &mut self.counts }
     }
 
     /// Counts all chunks.
-    pub fn count(&mut self, tiles: [usize; 2], all: &Boxes<'_>) {
-        let Counting { shift, starts, counts } = self.counting(tiles, all.boxes.len());
+    pub fn count(&mut self, tiling: &Tiling, all: &Boxes<'_>) {
+        let Counting { shift, starts, counts } = self.counting(tiling, all.boxes.len());
         let piece = piece_of(counts.len());
         let chunks = starts.par_chunks_mut(CHUNK).zip(counts).enumerate().with_max_len(piece);
         chunks.for_each(|(c, (starts, counts))| native::count(&chunk_of(all, c), shift, starts, counts));
@@ -149,11 +148,11 @@ impl Bins {
         self.counts.iter().map(|c| c.seen as usize).sum()
     }
 
-    /// Fills the lists of `tiles` (columns, rows) from the boxes and keys of the splats, which have been counted.
-    pub fn fill(&mut self, tiles: [usize; 2], all: &Boxes<'_>) {
-        [self.tiles_x, self.tiles_y] = tiles;
-        let shift = shift_of(tiles);
-        let (height, bands) = (1 << shift, tiles[1].div_ceil(1 << shift));
+    /// Fills the lists of the tiles from the boxes and keys of the splats, which have been counted.
+    pub fn fill(&mut self, tiling: Tiling, all: &Boxes<'_>) {
+        self.tiling = tiling;
+        let (shift, columns) = (shift_of(&tiling), tiling.columns);
+        let (height, bands) = (1 << shift, tiling.rows.div_ceil(1 << shift));
         let mut totals = [[0usize; BANDS]; 2];
         for counts in self.counts.iter().filter(|c| c.seen > 0) {
             for (total, count) in totals.as_flattened_mut().iter_mut().zip(counts.bands.as_flattened()) {
@@ -162,7 +161,7 @@ impl Bins {
         }
         let [splats, entries] = totals.each_ref().map(|kind| &kind[..bands]);
         let (all_splats, all_entries) = (splats.iter().sum(), entries.iter().sum());
-        self.make_room(tiles, all_entries);
+        self.make_room(all_entries);
         grow(&mut self.items, all_splats);
         grow(&mut self.scratch, 4 * all_splats);
         let pieces = self.deal(all, shift, bands);
@@ -172,11 +171,11 @@ impl Bins {
             .into_iter()
             .zip(cut(&mut self.entries, entries.iter().copied()))
             .zip(cut(&mut self.targets, entries.iter().copied()))
-            .zip(self.offsets[..tiles[0] * tiles[1]].chunks_mut(height * tiles[0]))
+            .zip(self.offsets[..tiling.count()].chunks_mut(height * columns))
             .zip(pieces)
             .enumerate()
             .map(|(b, ((((scratch, entries), targets), offsets), pieces))| {
-                let rows = b * height..((b + 1) * height).min(tiles[1]);
+                let rows = b * height..((b + 1) * height).min(tiling.rows);
                 let band = Band { pieces, rows, first, scratch, offsets, entries, targets };
                 first += band.entries.len() as u32;
                 band
@@ -185,15 +184,16 @@ impl Bins {
         longest_first(tasks)
             .into_par_iter()
             .with_max_len(PIECE)
-            .for_each(|band| native::fill(band, items, all.boxes, starts, tiles[0]));
+            .for_each(|band| native::fill(band, items, all.boxes, starts, columns));
     }
 
-    fn make_room(&mut self, tiles: [usize; 2], entries: usize) {
+    fn make_room(&mut self, entries: usize) {
+        let tiles = self.tiling.count();
         grow(&mut self.entries, entries);
         grow(&mut self.targets, entries);
         grow(&mut self.masks, entries);
-        self.offsets.resize(tiles[0] * tiles[1] + 1, 0);
-        self.offsets[tiles[0] * tiles[1]] = entries as u32;
+        self.offsets.resize(tiles + 1, 0);
+        self.offsets[tiles] = entries as u32;
     }
 
     /// Puts every visible splat into the list of its chunk for each of its bands, in the order of the splats; returns
@@ -224,8 +224,8 @@ impl Bins {
     }
 
     /// The plain twin of [`Bins::fill`].
-    pub fn fill_plainly(&mut self, tiles: [usize; 2], all: &Boxes<'_>) {
-        [self.tiles_x, self.tiles_y] = tiles;
+    pub fn fill_plainly(&mut self, tiling: Tiling, all: &Boxes<'_>) {
+        self.tiling = tiling;
         let n = all.boxes.len();
         let boxes: Vec<TileBox> = all.boxes.iter().map(|&b| TileBox::unpack(b)).collect();
         let mut order: Vec<u32> = (0..n as u32).filter(|&j| all.visible[j as usize]).collect();
@@ -237,11 +237,11 @@ impl Bins {
             sum += if seen { b.tiles() as u32 } else { 0 };
             self.starts.push(sum);
         }
-        self.make_room(tiles, sum as usize);
-        let mut lists = vec![Vec::new(); tiles[0] * tiles[1]];
+        self.make_room(sum as usize);
+        let mut lists = vec![Vec::new(); tiling.count()];
         for &j in &order {
             let b = boxes[j as usize];
-            let cells = (b.y0..=b.y1).flat_map(|y| (b.x0..=b.x1).map(move |x| y * tiles[0] + x));
+            let cells = (b.y0..=b.y1).flat_map(|y| (b.x0..=b.x1).map(move |x| y * tiling.columns + x));
             for (cell, slot) in cells.zip(self.starts[j as usize]..) {
                 lists[cell].push((j, slot));
             }
@@ -268,6 +268,7 @@ mod tests {
         for (seed, n, tiles) in
             [(1, 0, [1, 1]), (2, 1, [3, 2]), (3, 5000, [16, 16]), (4, 9000, [25, 37]), (5, 700, [1, 40])]
         {
+            let tiling = Tiling { columns: tiles[0], rows: tiles[1], ..Tiling::default() };
             let mut rng = CounterRng::new(seed, Stage::Test, &[n as u64]);
             let mut below = |bound: usize| (rng.uniform() * bound as f64) as usize;
             let (mut boxes, mut visible, mut keys) = (Vec::new(), Vec::new(), Vec::new());
@@ -281,10 +282,10 @@ mod tests {
             let all = Boxes { boxes: &boxes, visible: &visible, keys: &keys };
             let (mut fast, mut plain) = (Bins::default(), Bins::default());
             for _ in 0..2 {
-                fast.count(tiles, &all);
-                fast.fill(tiles, &all);
+                fast.count(&tiling, &all);
+                fast.fill(tiling, &all);
             }
-            plain.fill_plainly(tiles, &all);
+            plain.fill_plainly(tiling, &all);
             assert_eq!(fast.offsets, plain.offsets);
             assert_eq!(fast.entries, plain.entries);
             assert_eq!(fast.targets, plain.targets);

@@ -7,38 +7,35 @@ use crate::ffi::splat::Aligned;
 use crate::ffi::splat_image::{ImageBand, Light};
 use crate::ffi::system::grow;
 
-use super::bin::{TILE, cut};
-use super::disc_tile::{DiscTile, Sums, corner_of};
+use super::bin::cut;
+use super::disc_tile::{DiscTile, Sums};
 use super::fault::{Fault, Faults};
-use super::kernel::{self, Adjoint, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of, pixel_of};
+use super::kernel::{self, Adjoint, BackwardTile, ForwardTile, MOVING, PIXELS, PLANES, Parts, index_of};
 use super::pool::{PIECE, TILES};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
 use super::skips::Skips;
+use super::tile::Tiling;
 use super::types::{DepthOutput, Footprint, ImageGradient, Settings, View};
-
-/// Pixels of line `line` of a tile in the per-pixel tables: four pieces of four.
-fn line_of(line: usize) -> [usize; 4] {
-    [0, 4, 8, 12].map(|column| index_of(column, line))
-}
 
 impl<T: Real> Rasterizer<T> {
     /// Composites all tiles; with velocities (`directions` of them, one row per splat, direction by direction) the
     /// motion of every pixel too. `false` when there is no kernel for velocities.
     pub(super) fn composite(&mut self, depth: DepthOutput, velocities: &[[T; 8]], directions: usize) -> bool {
         let bins = &mut self.bins;
+        let tiling = bins.tiling;
         if !self.skips.any(Skips::BLOCKS) {
             // All blocks of the tile, as if the kernel had found them.
-            bins.masks.fill(u16::MAX);
+            bins.masks.fill(tiling.side.blocks());
             bins.masks_known = true;
         }
-        let tiles = bins.tiles_x * bins.tiles_y;
+        let tiles = tiling.count();
         grow(&mut self.state, tiles * PLANES * PIXELS);
         grow(&mut self.moving, tiles * directions * MOVING * PIXELS);
         let sizes = bins.offsets.windows(2).map(|w| (w[1] - w[0]) as usize);
         let masks = cut(&mut bins.masks, sizes);
         let moving = cut(&mut self.moving, (0..tiles).map(|_| directions * MOVING * PIXELS));
-        let (offsets, entries, tiles_x) = (&bins.offsets, &bins.entries, bins.tiles_x);
+        let (offsets, entries) = (&bins.offsets, &bins.entries);
         let (rows, isa) = (&self.rows, self.isa);
         let depth = depth == DepthOutput::Expected;
         let endless = !self.skips.any(Skips::STOP);
@@ -56,7 +53,8 @@ impl<T: Real> Rasterizer<T> {
                     rows,
                     entries: &entries[offsets[t] as usize..offsets[t + 1] as usize],
                     masks,
-                    corner: [t % tiles_x * TILE, t / tiles_x * TILE],
+                    corner: tiling.corner(t),
+                    side: tiling.side,
                     state,
                     parts,
                 };
@@ -79,19 +77,20 @@ impl<T: Real> Rasterizer<T> {
         out.color.resize(width * height * 3, T::zero());
         out.depth.resize(width * height, T::zero());
         out.alpha.resize(width * height, T::zero());
-        let (state, tiles_x) = (&self.state, self.bins.tiles_x);
+        let (state, tiling) = (&self.state, self.bins.tiling);
+        let (tiles_x, side) = (tiling.columns, tiling.side.px());
         let gain = settings.gain.map(T::of);
         let background = settings.background.map(T::of);
         let with_depth = has_depth(settings);
         let light = Light { gain: settings.gain, background: settings.background, with_depth };
-        let band = TILE * width;
+        let band = side * width;
         let bands = out.color.par_chunks_mut(3 * band).zip(out.depth.par_chunks_mut(band));
         bands.zip(out.alpha.par_chunks_mut(band)).enumerate().with_max_len(PIECE).for_each(
             |(tile_y, ((color, depth), alpha))| {
                 let row = &state[tile_y * tiles_x * PLANES * PIXELS..][..tiles_x * PLANES * PIXELS];
                 if T::develop_band(
                     row,
-                    width,
+                    [width, side],
                     &light,
                     ImageBand { color: &mut *color, depth: &mut *depth, alpha: &mut *alpha },
                 ) {
@@ -101,8 +100,8 @@ impl<T: Real> Rasterizer<T> {
                 for (line, ((color, depth), alpha)) in lines.enumerate() {
                     let pieces = color.chunks_mut(12).zip(depth.chunks_mut(4)).zip(alpha.chunks_mut(4)).enumerate();
                     for (piece, ((color, depth), alpha)) in pieces {
-                        let tile = &row[piece / 4 * PLANES * PIXELS..][..PLANES * PIXELS];
-                        let p = line_of(line)[piece % 4];
+                        let tile = &row[4 * piece / side * PLANES * PIXELS..][..PLANES * PIXELS];
+                        let p = index_of(4 * piece % side, line);
                         let plane = |k: usize| &tile[k * PIXELS + p..][..4];
                         let (sums, left) = ([plane(0), plane(1), plane(2)], plane(4));
                         for (i, pixel) in color.as_chunks_mut::<3>().0.iter_mut().enumerate() {
@@ -123,7 +122,7 @@ impl<T: Real> Rasterizer<T> {
 
     /// Composites all tiles of exact discs.
     pub(super) fn composite_discs(&mut self, view: &View, settings: &Settings) {
-        let tiles = self.bins.tiles_x * self.bins.tiles_y;
+        let tiles = self.bins.tiling.count();
         let mut state = std::mem::take(&mut self.state);
         grow(&mut state, tiles * PLANES * PIXELS);
         let optics = self.optics(view, settings);
@@ -134,7 +133,7 @@ impl<T: Real> Rasterizer<T> {
                 rows: &self.rows,
                 discs: &self.discs,
                 entries: &bins.entries[range],
-                corner: corner_of(t, bins.tiles_x),
+                tile: (bins.tiling, t),
                 optics,
             };
             tile.forward(state, has_depth(settings));
@@ -167,22 +166,21 @@ impl<T: Real> Rasterizer<T> {
         let (bins, rows, isa, states) = (&self.bins, &self.rows, self.isa, &self.state);
         let image_size = [self.rendered.width, self.rendered.height];
         let light = Light { gain: settings.gain, background: settings.background, with_depth: !image.depth.is_empty() };
-        let tiles = states[..bins.tiles_x * bins.tiles_y * PLANES * PIXELS]
-            .par_chunks(PLANES * PIXELS)
-            .enumerate()
-            .with_max_len(TILES);
+        let tiles =
+            states[..bins.tiling.count() * PLANES * PIXELS].par_chunks(PLANES * PIXELS).enumerate().with_max_len(TILES);
         let done: Vec<TileSums<T>> = tiles
             .map(|(t, state)| {
-                let corner = [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE];
+                let place = (bins.tiling, t);
+                let corner = bins.tiling.corner(t);
                 let Adjoint(adjoint) = &mut Adjoint([T::zero(); PLANES * PIXELS]);
-                let by_gain = T::adjoint_tile(state, corner, image_size, &light, image, adjoint)
-                    .unwrap_or_else(|| adjoint_of_tile(state, corner, image_size, &light, image, adjoint, faults));
+                let by_gain = T::adjoint_tile(state, place, image_size, &light, image, adjoint)
+                    .unwrap_or_else(|| adjoint_of_tile(state, place, image_size, &light, image, adjoint, faults));
                 let none = (by_gain, Vec::new(), Vec::new());
                 let Some(parts) = parts else { return none };
                 let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
                 if discs {
                     let entries = &bins.entries[range];
-                    let tile = DiscTile { rows, discs: &self.discs, entries, corner, optics };
+                    let tile = DiscTile { rows, discs: &self.discs, entries, tile: place, optics };
                     return (by_gain, Vec::new(), tile.backward(adjoint, parts, faults));
                 }
                 let tile = BackwardTile {
@@ -239,8 +237,8 @@ pub(super) fn has_depth(settings: &Settings) -> bool {
 /// gradient of the gain.
 fn adjoint_of_tile<T: Real>(
     state: &[T],
-    corner: [usize; 2],
-    [width, height]: [usize; 2],
+    (tiling, t): (Tiling, usize),
+    size: [usize; 2],
     light: &Light,
     image: &ImageGradient<'_, T>,
     adjoint: &mut [T],
@@ -249,12 +247,8 @@ fn adjoint_of_tile<T: Real>(
     let (gain, background) = (light.gain.map(T::of), light.background.map(T::of));
     let mut by_gain = [0.0; 3];
     for p in 0..PIXELS {
-        let (column, line) = pixel_of(p);
-        let (x, y) = (corner[0] + column, corner[1] + line);
-        if x >= width || y >= height {
-            continue;
-        }
-        let o = y * width + x;
+        let Some([x, y]) = tiling.pixel(t, p, size) else { continue };
+        let o = y * size[0] + x;
         let left = state[4 * PIXELS + p];
         let mut behind = T::zero();
         // The background is what the light that is left falls on.

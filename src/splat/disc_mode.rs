@@ -22,11 +22,12 @@ use rayon::prelude::*;
 
 use crate::base::{Camera, Error};
 
-use super::bin::{TILE, TileBox};
+use super::bin::TileBox;
 use super::pool::PIECE;
 use super::project::{LOG2_255, Projector, Row, at, color, columns, dot};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
+use super::tile::Tiling;
 use super::types::{Gaussians, Settings, Shape, View};
 
 /// A box that reaches beyond every image.
@@ -226,7 +227,7 @@ impl<T: Real> Projector<T> {
 }
 
 /// Tiles that a box meets.
-fn tiles_of<T: Real>(bounds: &Bounds<T>, tiles: [usize; 2]) -> TileBox {
+fn tiles_of<T: Real>(bounds: &Bounds<T>, tiling: &Tiling) -> TileBox {
     let half = T::of(0.5);
     let mut row = [T::zero(); 16];
     for k in 0..2 {
@@ -234,7 +235,7 @@ fn tiles_of<T: Real>(bounds: &Bounds<T>, tiles: [usize; 2]) -> TileBox {
         // Halves of large numbers round.
         row[at::HALF_WIDTH + k] = half * (bounds.high[k] - bounds.low[k]) * T::of(1.0 + 1e-6) + T::of(1e-2);
     }
-    TileBox::of(&row, tiles)
+    TileBox::of(&row, tiling)
 }
 
 /// What every pixel of a view has in common.
@@ -278,7 +279,7 @@ impl<T: Real> Rasterizer<T> {
     /// Projects all active discs: rows, boxes, visibility.
     pub(super) fn project_discs(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>, view: &View) {
         self.rays.of(&view.camera);
-        let tiles = [view.camera.width, view.camera.height].map(|v| (v as usize).div_ceil(TILE));
+        let tiling = Tiling::of(view.size(), self.tile_side);
         let n = self.rendered.visible.len();
         self.discs.resize(n, Disc::default());
         let active = self.active.as_deref();
@@ -292,7 +293,7 @@ impl<T: Real> Rasterizer<T> {
                     let found = projector.project_disc(gaussians, i);
                     visible[k] = found.is_some();
                     if let Some((row, disc)) = found {
-                        boxes[k] = tiles_of(&disc.bounds, tiles).pack();
+                        boxes[k] = tiles_of(&disc.bounds, &tiling).pack();
                         keys[k] = projector.key(gaussians.positions[i]);
                         (rows[k].0, discs[k]) = (row, disc);
                     }

@@ -7,12 +7,12 @@
 
 use std::f64::consts::LOG2_E;
 
-use super::bin::TILE;
 use super::disc_mode::{Disc, Optics};
 use super::fault::{Fault, Faults};
 use super::kernel::{PIXELS, PLANES, Parts, pixel_of};
 use super::project::{Row, at, dot};
 use super::real::Real;
+use super::tile::Tiling;
 use crate::ffi::splat::Aligned;
 
 /// Columns of the sums of one entry.
@@ -43,8 +43,8 @@ pub(super) struct DiscTile<'a, T> {
     pub rows: &'a [Aligned<T>],
     pub discs: &'a [Disc<T>],
     pub entries: &'a [u32],
-    /// Upper left corner in pixels.
-    pub corner: [usize; 2],
+    /// Which tile of which.
+    pub tile: (Tiling, usize),
     pub optics: Optics<'a, T>,
 }
 
@@ -109,16 +109,17 @@ pub(super) fn sample<T: Real>(
 impl<T: Real> DiscTile<'_, T> {
     /// Pixel `p` of the tile with its ray; `None` outside the image.
     fn pixel(&self, p: usize) -> Option<([usize; 2], [T; 3])> {
-        let (column, line) = pixel_of(p);
-        let (x, y) = (self.corner[0] + column, self.corner[1] + line);
-        let [width, height] = self.optics.size;
-        (x < width && y < height).then(|| ([x, y], self.optics.rays[y * width + x]))
+        let (tiling, t) = self.tile;
+        let [x, y] = tiling.pixel(t, p, self.optics.size)?;
+        Some(([x, y], self.optics.rays[y * self.optics.size[0] + x]))
     }
 
     /// Entries whose box meets the 4x4 pixels of a block.
     fn near(&self, block: usize, near: &mut Vec<usize>) {
         let (column, line) = pixel_of(16 * block);
-        let middle = [self.corner[0] + column, self.corner[1] + line].map(|v| T::of(v as f64 + 2.0));
+        let (tiling, t) = self.tile;
+        let corner = tiling.corner(t);
+        let middle = [corner[0] + column, corner[1] + line].map(|v| T::of(v as f64 + 2.0));
         let half = T::of(1.5);
         let meets = |k: &usize| self.discs[self.entries[*k] as usize].bounds.holds(middle, half);
         near.clear();
@@ -146,7 +147,7 @@ impl<T: Real> DiscTile<'_, T> {
     /// Fills the state of the tile: sums of red, green, blue, depth, and the light that is left.
     pub fn forward(&self, state: &mut [T], with_depth: bool) {
         let mut near = Vec::with_capacity(self.entries.len());
-        for p in 0..PIXELS {
+        for p in (0..PIXELS).filter(|&p| self.tile.0.side.has(p)) {
             if p % 16 == 0 {
                 self.near(p / 16, &mut near);
             }
@@ -169,7 +170,7 @@ impl<T: Real> DiscTile<'_, T> {
     pub fn backward(&self, adjoint: &[T], parts: Parts, faults: impl Faults) -> Vec<Sums<T>> {
         let mut out = vec![[T::zero(); sum::COUNT]; self.entries.len()];
         let mut near = Vec::with_capacity(self.entries.len());
-        for p in 0..PIXELS {
+        for p in (0..PIXELS).filter(|&p| self.tile.0.side.has(p)) {
             if p % 16 == 0 {
                 self.near(p / 16, &mut near);
             }
@@ -238,9 +239,4 @@ impl<T: Real> Seen<T> {
         out[sum::P_ALONG] += by_p * d[2];
         out[sum::Q_ALONG] += by_q * d[2];
     }
-}
-
-/// Corner of tile `t` in pixels.
-pub(super) fn corner_of(t: usize, tiles_x: usize) -> [usize; 2] {
-    [t % tiles_x * TILE, t / tiles_x * TILE]
 }

@@ -10,12 +10,11 @@ use glam::DVec3;
 
 use crate::base::{Error, Result};
 
-use super::bin::TILE;
 use super::chain::ellipsoid_gradient;
 use super::disc_mode::{cross, plane_of};
 use super::disc_tile::sum;
 use super::fault::{Faults, Sound};
-use super::kernel::{PIXELS, PLANES, Parts, index_of, moment};
+use super::kernel::{PIXELS, PLANES, Parts, moment};
 use super::project::{at, columns, dot};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
@@ -80,11 +79,11 @@ impl<T: Real> Rasterizer<T> {
                 Footprint::Disc => self.composite_discs(&view, &plain(&settings)),
             }
             std::mem::swap(&mut self.state, &mut extra.states[group]);
-            let (state, tiles_x) = (&extra.states[group], self.bins.tiles_x);
+            let (state, tiling) = (&extra.states[group], self.bins.tiling);
             extra.image.par_chunks_mut(width * count).enumerate().for_each(|(y, line)| {
                 for (x, pixel) in line.chunks_mut(count).enumerate() {
-                    let p = index_of(x % TILE, y % TILE);
-                    let tile = &state[(y / TILE * tiles_x + x / TILE) * PLANES * PIXELS..][..PLANES * PIXELS];
+                    let (t, p) = tiling.place(x, y);
+                    let tile = &state[t * PLANES * PIXELS..][..PLANES * PIXELS];
                     for (k, value) in pixel.iter_mut().skip(GROUP * group).take(GROUP).enumerate() {
                         *value = tile[k * PIXELS + p];
                     }

@@ -1,4 +1,4 @@
-//! Compositing of one 16x16 tile, forward and backward: the plain twin of `cpp/splat_kernel.cpp`, for every number type.
+//! Compositing of one tile, forward and backward: the plain twin of `cpp/splat_kernel.cpp`, for every number type.
 //!
 //! Front to back at a pixel with offset `d` from the centre of a splat: `alpha = min(0.99, 2^(l - A dx^2 - B dx dy -
 //! C dy^2))`, left out below 1/255; the pixel stops at the splat that would leave `T (1 - alpha) <= 1e-4`, which is not
@@ -9,17 +9,18 @@
 //! `v = alpha d loss / d alpha` the moments `sum v, v dx, v dy, v dx^2, v dx dy, v dy^2` are all that the chain to the
 //! parameters needs (`chain.rs`).
 //!
-//! A tile is 16 blocks of 4x4 pixels, numbered down the columns; per-pixel tables go block by block.
+//! A tile is 16 blocks of 4x4 pixels, numbered down the columns, or some of them (`tile.rs`); per-pixel tables go block
+//! by block.
 
 use crate::ffi::splat::{self as native, Aligned, Isa, Slots};
 
-use super::bin::TILE;
 use super::fault::{Fault, Faults};
 use super::project::{Row, at};
 use super::real::Real;
+use super::tile::TileSide;
 
-/// Pixels of a tile.
-pub const PIXELS: usize = TILE * TILE;
+/// Pixels of the largest tile.
+pub const PIXELS: usize = TileSide::Px16.px() * TileSide::Px16.px();
 /// Planes of a tile's state (red, green, blue, depth, transmittance) and of its adjoint (the same, then `behind`).
 pub const PLANES: usize = 5;
 /// Planes of the velocity of a tile along a direction: red, green, blue, transmittance.
@@ -78,6 +79,7 @@ pub struct ForwardTile<'a, T> {
     pub masks: &'a mut [u16],
     /// Upper left corner in pixels.
     pub corner: [usize; 2],
+    pub side: TileSide,
     /// Out: `PLANES` planes of `PIXELS`.
     pub state: &'a mut [T],
     pub parts: Parts,
@@ -116,7 +118,18 @@ fn corner_f32(corner: [usize; 2]) -> [f32; 2] {
 pub fn vector_forward(isa: Isa, t: &mut ForwardTile<'_, f32>, velocities: &[[f32; 8]], moving: &mut [f32]) -> bool {
     if isa != Isa::Scalar {
         let corner = corner_f32(t.corner);
-        native::forward(isa, t.rows, t.entries, t.masks, corner, t.state, t.parts.bits(), velocities, moving);
+        native::forward(
+            isa,
+            t.rows,
+            t.entries,
+            t.masks,
+            corner,
+            t.side.blocks(),
+            t.state,
+            t.parts.bits(),
+            velocities,
+            moving,
+        );
     }
     isa != Isa::Scalar
 }
@@ -191,11 +204,11 @@ pub fn alpha_at<T: Real>(row: &Row<T>, corner: [usize; 2], p: usize) -> Option<T
 pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
     let corner = t.corner.map(|v| T::of(v as f64));
     for (mask, &entry) in t.masks.iter_mut().zip(t.entries).filter(|_| !t.parts.known) {
-        *mask = block_mask(&t.rows[entry as usize].0, corner);
+        *mask = block_mask(&t.rows[entry as usize].0, corner) & t.side.blocks();
     }
     t.state.fill(T::zero());
     let stop = t.parts.stop::<T>();
-    for p in 0..PIXELS {
+    for p in (0..PIXELS).filter(|&p| t.side.has(p)) {
         let bit = 1u16 << (p / 16);
         let mut left = T::one();
         let mut sums = [T::zero(); 4];

@@ -38,6 +38,7 @@ mod skips;
 mod stages;
 mod surface_depth;
 mod tangent;
+mod tile;
 pub mod tube;
 mod types;
 
@@ -52,6 +53,7 @@ pub use reuse::Reuse;
 pub use skips::Skips;
 pub use stages::{Stage, StageTimes};
 pub use tangent::{Direction, Motion};
+pub use tile::TileSide;
 pub use types::{
     DepthOutput, Filter, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted,
 };

@@ -6,6 +6,7 @@ use crate::ffi::splat::{self as native, Aligned, ChainOutput, Isa, SplatMotion, 
 use super::project::Projector;
 use super::real::Real;
 use super::tangent::Direction;
+use super::tile::Tiling;
 use super::types::{Footprint, Gaussians, Shape, Wanted};
 
 /// What kernels do for numbers of type `T` in one scene seen by one camera.
@@ -14,7 +15,7 @@ pub trait Native<T: Real>: Sync {
     fn project(
         &self,
         first: usize,
-        tiles: [usize; 2],
+        tiling: &Tiling,
         rows: &mut [Aligned<T>],
         boxes: &mut [[u32; 2]],
         keys: &mut [u32],
@@ -86,13 +87,14 @@ impl Native<f32> for Work<'_> {
     fn project(
         &self,
         first: usize,
-        tiles: [usize; 2],
+        tiling: &Tiling,
         rows: &mut [Aligned<f32>],
         boxes: &mut [[u32; 2]],
         keys: &mut [u32],
         visible: &mut [bool],
     ) {
-        native::project(self.isa, &self.scene, first, tiles, rows, boxes, keys, visible);
+        let (tiles, side) = ([tiling.columns, tiling.rows], tiling.side.px());
+        native::project(self.isa, &self.scene, first, (tiles, side), rows, boxes, keys, visible);
     }
 
     fn recolor(&self, first: usize, visible: &[bool], rows: &mut [Aligned<f32>]) -> bool {

@@ -12,7 +12,7 @@ use crate::ffi::system::grow;
 
 use crate::ffi::splat_bin::{self, Boxes};
 
-use super::bin::{Bins, Counting, TILE, TileBox};
+use super::bin::{Bins, Counting, TileBox};
 use super::disc_mode::{Disc, Rays, refuse_fisheye_lens};
 use super::disc_tile::Sums;
 use super::extra_channels::Extra;
@@ -25,6 +25,7 @@ use super::real::Real;
 use super::reuse::{Kept, Reuse, Same};
 use super::skips::Skips;
 use super::stages::{Clock, Stage, StageTimes};
+use super::tile::{TileSide, Tiling};
 use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
 
 /// Gaussians per task; the pose is summed in these chunks.
@@ -63,6 +64,7 @@ pub struct Rasterizer<T> {
     pub(super) clock: Clock,
     pub(super) reuse: Reuse,
     pub(super) skips: Skips,
+    pub(super) tile_side: TileSide,
     pub(super) kept: Option<Kept<T>>,
     pub(super) last: Option<(View, Settings, usize)>,
 }
@@ -108,9 +110,17 @@ impl<T: Real> Rasterizer<T> {
             clock: Clock::default(),
             reuse: Reuse::Never,
             skips: Skips::ALL,
+            tile_side: TileSide::default(),
             kept: None,
             last: None,
         }
+    }
+
+    /// Side of the tiles of later passes; [`TileSide::Px16`] unless told.
+    pub fn tile_side(&mut self, side: TileSide) {
+        self.tile_side = side;
+        self.kept = None;
+        self.last = None;
     }
 
     /// Which kernels composite.
@@ -228,21 +238,21 @@ impl<T: Real> Rasterizer<T> {
     fn splats(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>, view: &View, same: Same) {
         let seen = if same == Same::Lists { self.rendered.visible.clone() } else { Vec::new() };
         let n = self.active.as_ref().map_or(gaussians.len(), Vec::len);
-        let tiles = [view.camera.width, view.camera.height].map(|v| (v as usize).div_ceil(TILE));
+        let tiling = Tiling::of(view.size(), self.tile_side);
         grow(&mut self.rows, n.max(1));
         grow(&mut self.boxes, n);
         grow(&mut self.keys, n);
         self.rendered.visible.resize(n, false);
         if projector.footprint() == Footprint::Disc {
             self.project_discs(gaussians, projector, view);
-            return self.deal(tiles, None, Counted::Not);
+            return self.deal(tiling, None, Counted::Not);
         }
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
         // What is projected is counted while it is there; unless the lists of before may stay, with their counts.
         let counted = if native.is_some() && same == Same::Nothing { Counted::All } else { Counted::Not };
-        let Counting { shift, starts, counts } = self.bins.counting(tiles, n);
+        let Counting { shift, starts, counts } = self.bins.counting(&tiling, n);
         let tables = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
         let tables = tables.zip(self.keys.par_chunks_mut(CHUNK)).zip(self.rendered.visible.par_chunks_mut(CHUNK));
         let bins = starts.par_chunks_mut(CHUNK).zip(counts);
@@ -250,7 +260,7 @@ impl<T: Real> Rasterizer<T> {
             |(chunk, ((((rows, boxes), keys), visible), (starts, counts)))| {
                 let first = chunk * CHUNK;
                 if let Some(native) = &native {
-                    native.project(first, tiles, rows, boxes, keys, visible);
+                    native.project(first, &tiling, rows, boxes, keys, visible);
                     if counted == Counted::All {
                         splat_bin::count(&Boxes { boxes, visible, keys }, shift, starts, counts);
                     }
@@ -261,7 +271,7 @@ impl<T: Real> Rasterizer<T> {
                     let found = projector.project(gaussians, i);
                     visible[k] = found.is_some();
                     if let Some(found) = found {
-                        boxes[k] = TileBox::of(&found, tiles).pack();
+                        boxes[k] = TileBox::of(&found, &tiling).pack();
                         keys[k] = projector.key(gaussians.positions[i]);
                         rows[k].0 = found;
                     }
@@ -270,11 +280,11 @@ impl<T: Real> Rasterizer<T> {
         );
         drop(native);
         let kept = (same == Same::Lists).then_some(seen);
-        self.deal(tiles, kept, counted);
+        self.deal(tiling, kept, counted);
     }
 
     /// Visible splats to the lists of the tiles; those of before stay where they were made for the same splats (`kept`).
-    fn deal(&mut self, tiles: [usize; 2], kept: Option<Vec<bool>>, counted: Counted) {
+    fn deal(&mut self, tiling: Tiling, kept: Option<Vec<bool>>, counted: Counted) {
         self.rendered.visible_count = match counted {
             Counted::All => self.bins.seen(),
             Counted::Not => self.rendered.visible.iter().filter(|v| **v).count(),
@@ -286,12 +296,12 @@ impl<T: Real> Rasterizer<T> {
         }
         let all = Boxes { boxes: &self.boxes, keys: &self.keys, visible: &self.rendered.visible };
         if self.isa == Isa::Scalar {
-            self.bins.fill_plainly(tiles, &all);
+            self.bins.fill_plainly(tiling, &all);
         } else {
             if counted == Counted::Not {
-                self.bins.count(tiles, &all);
+                self.bins.count(&tiling, &all);
             }
-            self.bins.fill(tiles, &all);
+            self.bins.fill(tiling, &all);
         }
         self.rendered.intersections = self.bins.entries.len();
         self.clock.end(Stage::Bin);

@@ -10,6 +10,7 @@ use crate::ffi::splat_image::{self as image, ImageBand, Light};
 use super::kernel::{BackwardTile, ForwardTile};
 use super::native::{Native, Numbers, Work};
 use super::project::Projector;
+use super::tile::Tiling;
 use super::types::{Gaussians, ImageGradient, Settings};
 
 /// A real number.
@@ -103,8 +104,8 @@ pub trait Real:
         false
     }
 
-    /// Develops a row of tiles with vectorised code; `false` when there is none for this type.
-    fn develop_band(_state: &[Self], _width: usize, _light: &Light, _band: ImageBand<'_, Self>) -> bool {
+    /// Develops a row of tiles (width of the image, side of a tile) with vectorised code; `false` when there is none for this type.
+    fn develop_band(_state: &[Self], _width_and_side: [usize; 2], _light: &Light, _band: ImageBand<'_, Self>) -> bool {
         false
     }
 
@@ -113,18 +114,18 @@ pub trait Real:
     fn develop_moving(
         _moving: &[Self],
         _of: [usize; 2],
-        _width: usize,
+        _width_and_side: [usize; 2],
         _settings: &Settings,
         _color: &mut [Self],
     ) -> bool {
         false
     }
 
-    /// Adjoint of the tile at `corner` with vectorised code, and its part of the gradient of the gain; `None` when there
+    /// Adjoint of a tile of an image of `size` with vectorised code, and its part of the gradient of the gain; `None` when there
     /// is none for this type.
     fn adjoint_tile(
         _state: &[Self],
-        _corner: [usize; 2],
+        _tile: (Tiling, usize),
         _size: [usize; 2],
         _light: &Light,
         _image: &ImageGradient<'_, Self>,
@@ -207,25 +208,32 @@ impl Real for f32 {
         image::all_finite(values)
     }
 
-    fn develop_band(state: &[f32], width: usize, light: &Light, band: ImageBand<'_, f32>) -> bool {
-        image::develop(state, width, light, band);
+    fn develop_band(state: &[f32], width_and_side: [usize; 2], light: &Light, band: ImageBand<'_, f32>) -> bool {
+        image::develop(state, width_and_side, light, band);
         true
     }
 
-    fn develop_moving(moving: &[f32], of: [usize; 2], width: usize, settings: &Settings, color: &mut [f32]) -> bool {
-        image::develop_moving(moving, of, width, settings.gain, settings.background, color);
+    fn develop_moving(
+        moving: &[f32],
+        of: [usize; 2],
+        width_and_side: [usize; 2],
+        settings: &Settings,
+        color: &mut [f32],
+    ) -> bool {
+        image::develop_moving(moving, of, width_and_side, settings.gain, settings.background, color);
         true
     }
 
     fn adjoint_tile(
         state: &[f32],
-        corner: [usize; 2],
+        (tiling, t): (Tiling, usize),
         size: [usize; 2],
         light: &Light,
         image: &ImageGradient<'_, f32>,
         adjoint: &mut [f32],
     ) -> Option<[f64; 3]> {
-        Some(image::adjoint(state, corner, size, light, [image.color, image.depth, image.alpha], adjoint))
+        let (corner, side) = (tiling.corner(t), tiling.side.px());
+        Some(image::adjoint(state, corner, side, size, light, [image.color, image.depth, image.alpha], adjoint))
     }
 
     fn forward_moving(isa: Isa, tile: &mut ForwardTile<'_, f32>, velocities: &[[f32; 8]], moving: &mut [f32]) -> bool {

@@ -10,7 +10,7 @@ use crate::ffi::splat::Aligned;
 use super::bin::Bins;
 use super::disc_mode::{Disc, Optics};
 use super::disc_tile;
-use super::kernel::{PIXELS, alpha_at, pixel_of};
+use super::kernel::{PIXELS, alpha_at};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
 use super::surface_depth::Body;
@@ -47,7 +47,7 @@ impl<T: Real> Sight<'_, T> {
     /// Calls `visit` for every splat that the pixel `(x, y)` blends, front to back, while it gives back `true`.
     fn walk(&self, tile: usize, p: usize, [x, y]: [usize; 2], mut visit: impl FnMut(Glance) -> bool) {
         let bins = self.bins;
-        let corner = disc_tile::corner_of(tile, bins.tiles_x);
+        let corner = bins.tiling.corner(tile);
         let ray = self.view.camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).to_array();
         let ray_of_type = ray.map(T::of);
         let mut left = 1.0;
@@ -82,22 +82,18 @@ impl<T: Real> Sight<'_, T> {
 
     /// One value per pixel, row by row.
     fn image<V: Send + Copy + Default>(&self, value: impl Fn(usize, usize, [usize; 2]) -> V + Sync) -> Vec<V> {
-        let (width, height) = (self.view.camera.width as usize, self.view.camera.height as usize);
-        let tiles: Vec<Vec<([usize; 2], V)>> = (0..self.bins.tiles_x * self.bins.tiles_y)
+        let size = self.view.size();
+        let tiling = self.bins.tiling;
+        let tiles: Vec<Vec<([usize; 2], V)>> = (0..tiling.count())
             .into_par_iter()
             .map(|t| {
-                let corner = disc_tile::corner_of(t, self.bins.tiles_x);
-                let place = |p: usize| {
-                    let (column, line) = pixel_of(p);
-                    (p, [corner[0] + column, corner[1] + line])
-                };
-                let inside = (0..PIXELS).map(place).filter(|(_, [x, y])| *x < width && *y < height);
-                inside.map(|(p, pixel)| (pixel, value(t, p, pixel))).collect()
+                let seen = |p: usize| tiling.pixel(t, p, size).map(|pixel| (pixel, value(t, p, pixel)));
+                (0..PIXELS).filter_map(seen).collect()
             })
             .collect();
-        let mut out = vec![V::default(); width * height];
+        let mut out = vec![V::default(); size[0] * size[1]];
         for ([x, y], value) in tiles.into_iter().flatten() {
-            out[y * width + x] = value;
+            out[y * size[0] + x] = value;
         }
         out
     }

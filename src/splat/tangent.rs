@@ -12,9 +12,8 @@ use rayon::prelude::*;
 use crate::base::{Error, Result};
 use crate::ffi::splat::Aligned;
 
-use super::bin::TILE;
 use super::dual::Dual;
-use super::kernel::{self, ForwardTile, MOVING, PIXELS, PLANES, Parts, TOGETHER, pixel_of};
+use super::kernel::{self, ForwardTile, MOVING, PIXELS, PLANES, Parts, TOGETHER};
 use super::native::Numbers;
 use super::pool::{PIECE, in_pool};
 use super::project::{Projector, Row, columns};
@@ -245,16 +244,17 @@ impl<T: Real> Rasterizer<T> {
     fn develop_moving(&self, view: &View, settings: &Settings, [k, directions]: [usize; 2], image: &mut [T]) {
         let width = view.camera.width as usize;
         let (gain, background) = (settings.gain.map(T::of), settings.background.map(T::of));
-        let (tiles_x, size) = (self.bins.tiles_x, MOVING * PIXELS);
-        image.par_chunks_mut(3 * width * TILE).enumerate().with_max_len(PIECE).for_each(|(tile_y, band)| {
+        let (tiles_x, size) = (self.bins.tiling.columns, MOVING * PIXELS);
+        let side = self.bins.tiling.side.px();
+        image.par_chunks_mut(3 * width * side).enumerate().with_max_len(PIECE).for_each(|(tile_y, band)| {
             let tiles = &self.moving[tile_y * tiles_x * directions * size..][..tiles_x * directions * size];
-            if T::develop_moving(tiles, [k, directions], width, settings, band) {
+            if T::develop_moving(tiles, [k, directions], [width, side], settings, band) {
                 return;
             }
             for (line, pixels) in band.chunks_mut(3 * width).enumerate() {
                 for (piece, pixels) in pixels.chunks_mut(12).enumerate() {
-                    let tile = (tile_y * tiles_x + piece / 4) * directions + k;
-                    let p = kernel::index_of(piece % 4 * 4, line);
+                    let tile = (tile_y * tiles_x + 4 * piece / side) * directions + k;
+                    let p = kernel::index_of(4 * piece % side, line);
                     let plane = |c: usize| &self.moving[tile * size + c * PIXELS + p..][..4];
                     let (sums, left) = ([plane(0), plane(1), plane(2)], plane(3));
                     for (i, pixel) in pixels.as_chunks_mut::<3>().0.iter_mut().enumerate() {
@@ -267,12 +267,12 @@ impl<T: Real> Rasterizer<T> {
 
     /// The image before the gain, times the change of the gain.
     fn gain_tangent(&self, settings: &Settings, change: [T; 3], image: &mut [T]) {
-        let (tiles_x, background) = (self.bins.tiles_x, settings.background.map(T::of));
+        let background = settings.background.map(T::of);
         let (width, height) = (self.rendered.width, self.rendered.height);
         for y in 0..height {
             for x in 0..width {
-                let tile = &self.state[(y / TILE * tiles_x + x / TILE) * PLANES * PIXELS..][..PLANES * PIXELS];
-                let p = kernel::index_of(x % TILE, y % TILE);
+                let (t, p) = self.bins.tiling.place(x, y);
+                let tile = &self.state[t * PLANES * PIXELS..][..PLANES * PIXELS];
                 let left = tile[4 * PIXELS + p];
                 for k in 0..3 {
                     image[3 * (y * width + x) + k] = change[k] * (tile[k * PIXELS + p] + left * background[k]);
@@ -303,7 +303,7 @@ impl<T: Real> Rasterizer<T> {
             .map(|j| Aligned(row_of(j).unwrap_or_else(|| still(j))))
             .collect();
         let bins = &self.bins;
-        let states: Vec<Vec<Dual<T>>> = (0..bins.tiles_x * bins.tiles_y)
+        let states: Vec<Vec<Dual<T>>> = (0..bins.tiling.count())
             .into_par_iter()
             .map(|t| {
                 let span = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
@@ -313,7 +313,8 @@ impl<T: Real> Rasterizer<T> {
                     rows: &rows,
                     entries: &bins.entries[span],
                     masks: &mut masks,
-                    corner: [t % bins.tiles_x * TILE, t / bins.tiles_x * TILE],
+                    corner: bins.tiling.corner(t),
+                    side: bins.tiling.side,
                     state: &mut state,
                     parts: Parts {
                         geometry: false,
@@ -327,18 +328,14 @@ impl<T: Real> Rasterizer<T> {
             })
             .collect();
         let (gain, background) = (settings.gain.map(T::of), settings.background.map(T::of));
-        let (width, height) = (self.rendered.width, self.rendered.height);
+        let size = [self.rendered.width, self.rendered.height];
         for (t, state) in states.iter().enumerate() {
             for p in 0..PIXELS {
-                let (column, line) = pixel_of(p);
-                let (x, y) = (t % bins.tiles_x * TILE + column, t / bins.tiles_x * TILE + line);
-                if x >= width || y >= height {
-                    continue;
-                }
+                let Some([x, y]) = bins.tiling.pixel(t, p, size) else { continue };
                 let left = state[4 * PIXELS + p].derivative;
                 for k in 0..3 {
                     let sum = state[k * PIXELS + p].derivative + left * background[k];
-                    image[3 * (y * width + x) + k] = finite_or_zero(gain[k] * sum);
+                    image[3 * (y * size[0] + x) + k] = finite_or_zero(gain[k] * sum);
                 }
             }
         }

@@ -120,6 +120,11 @@ impl View {
     pub fn new(camera: Camera, world_from_camera: DAffine3) -> Self {
         View { camera, camera_from_world: world_from_camera.inverse() }
     }
+
+    /// Width and height of its image in pixels.
+    pub(super) fn size(&self) -> [usize; 2] {
+        [self.camera.width, self.camera.height].map(|v| v as usize)
+    }
 }
 
 /// Whether the expected depth is composited too (it costs about a twentieth of the forward pass).

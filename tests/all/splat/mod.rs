@@ -11,3 +11,4 @@ mod robustness;
 mod scenes;
 mod skips;
 mod tangent;
+mod tiles;

@@ -1,0 +1,59 @@
+//! `merge`: several runs, or scores of a third party, as one report.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use super::{Terminal, comparison};
+use crate::base::{Error, Result, files};
+use crate::report::merge::{Films, merge, read_run};
+use crate::report::summary::summarise;
+use crate::report::table::ComparisonTable;
+use crate::report::{self, Run};
+
+/// Arguments of `merge`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "For cells that were run on several machines, rows that were renewed, and predictions of another program \
+    beside the methods. A cell that several runs have is taken from the last. Contours and panels need films and \
+    predictions and are left out.\n\
+    Example: respire-bench merge reports/latest mine/case1 mine/case2 --out table"
+)]
+pub struct Arguments {
+    /// Report folders, of `all-cases` or of `evaluate --out`
+    #[arg(value_name = "DIR", required = true, num_args = 1..)]
+    runs: Vec<PathBuf>,
+    /// Folder of the merged report
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Merge scores of different films of a case (another revision of the simulator) too; the report says which they are
+    #[arg(long)]
+    other_films: bool,
+}
+
+/// Reads, merges, writes, and prints the table.
+pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+    let parts = arguments.runs.iter().map(|folder| read_run(folder)).collect::<Result<Vec<Run>>>()?;
+    if let Some(folder) = arguments.runs.iter().find(|folder| same_folder(folder, &arguments.out)) {
+        return Err(Error::usage(format!("--out is one of the runs: {}", folder.display())));
+    }
+    let mut environments: BTreeMap<String, serde_json::Value> = BTreeMap::new();
+    for (folder, part) in arguments.runs.iter().zip(&parts) {
+        let path = folder.join("environment.json");
+        if path.exists() {
+            environments.insert(part.id.clone(), files::read_json(&path)?);
+        }
+    }
+    let merged = merge(parts, if arguments.other_films { Films::Other } else { Films::Same })?;
+    terminal.stage("writing the report");
+    let written = report::write(&merged, &arguments.out, terminal)?;
+    files::write_json(&arguments.out.join("environments.json"), &environments)?;
+    terminal.finish();
+    let table = ComparisonTable::new(&summarise(&merged));
+    comparison::lines(&table).iter().for_each(|line| terminal.line(line));
+    terminal.line(format_args!("report: {}", written.html.display()));
+    Ok(())
+}
+
+fn same_folder(a: &std::path::Path, b: &std::path::Path) -> bool {
+    a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
+}

@@ -1,0 +1,106 @@
+//! Runs are read back from their tables without loss, and put together cell by cell.
+
+use std::fs;
+
+use super::merge::{Films, merge, read_run};
+use super::report_tests::sample_run;
+use super::*;
+use crate::base::NoProgress;
+
+/// All tables of a run, as bytes.
+fn tables_of(folder: &Path) -> Vec<(&'static str, Vec<u8>)> {
+    let names = ["results.csv", "frames.csv", "timings.csv", "comparison.csv", "summary.csv", "table.tex"];
+    names.map(|name| (name, fs::read(folder.join(name)).unwrap())).to_vec()
+}
+
+#[test]
+fn a_run_that_is_read_back_writes_the_same_tables() {
+    let folder = tempfile::tempdir().unwrap();
+    let (first, second) = (folder.path().join("first"), folder.path().join("second"));
+    write(&sample_run(folder.path(), 48, 6), &first, &NoProgress).unwrap();
+    let back = read_run(&first).unwrap();
+    assert_eq!(back.profile, "smoke");
+    write(&back, &second, &NoProgress).unwrap();
+    for ((name, a), (_, b)) in tables_of(&first).iter().zip(&tables_of(&second)) {
+        assert!(a == b, "{name} is another after reading it back");
+    }
+}
+
+#[test]
+fn the_last_run_that_has_a_cell_gives_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = sample_run(folder.path(), 48, 6);
+    let only = |methods: &[&str], id: &str| {
+        let mut run = whole.clone();
+        run.id = id.into();
+        run.cells.retain(|c| methods.contains(&c.method.as_str()));
+        run.cells.iter_mut().for_each(|c| c.run_id = id.into());
+        run.methods.retain(|m| methods.contains(&m.id.as_str()));
+        let place = folder.path().join(id);
+        write(&run, &place, &NoProgress).unwrap();
+        read_run(&place).unwrap()
+    };
+    let (old, new) = (only(&["ours", "static-ct"], "quick-00000001"), only(&["ours", "bridgesplat"], "quick-00000002"));
+    let merged = merge(vec![old, new], Films::Same).unwrap();
+    let found: Vec<(&str, &str, &str)> =
+        merged.cells.iter().map(|c| (c.case_id.as_str(), c.method.as_str(), c.run_id.as_str())).collect();
+    let (first, second) = ("quick-00000001", "quick-00000002");
+    let of_case = |case| [(case, "ours", second), (case, "static-ct", first), (case, "bridgesplat", second)];
+    assert_eq!(found, [of_case("case1"), of_case("case2")].concat());
+    assert_eq!(merged.notes.len(), 1);
+    assert!(merged.notes[0].contains(first) && merged.notes[0].contains(second));
+    // The numbers are those of the whole run.
+    for cell in &merged.cells {
+        let is_same = |c: &&CellRecord| c.case_id == cell.case_id && c.method == cell.method;
+        let before = whole.cells.iter().find(is_same).unwrap();
+        assert_eq!(cell.score().map(|s| s.value("psnr_db")), before.score().map(|s| s.value("psnr_db")));
+        assert_eq!(cell.score().map(|s| s.value("time_total_s")), before.score().map(|s| s.value("time_total_s")));
+    }
+}
+
+#[test]
+fn scores_of_different_films_are_merged_only_on_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = sample_run(folder.path(), 48, 6);
+    let mut other = run.clone();
+    other.id = "smoke-89abcdef".into();
+    other.cells.retain(|c| c.method == "ours");
+    for cell in &mut other.cells {
+        cell.method = "mine".into();
+        if let Outcome::Scored(score) = &mut cell.outcome {
+            score.case_hash = "f".repeat(64);
+        }
+    }
+    let refused = merge(vec![run.clone(), other.clone()], Films::Same).err().unwrap().to_string();
+    assert!(
+        refused.contains("case1 was filmed more than once") && refused.contains("ffffffffffff (mine)"),
+        "{refused}"
+    );
+    let merged = merge(vec![run, other], Films::Other).unwrap();
+    assert!(merged.methods.iter().any(|m| m.id == "mine"));
+    assert_eq!(merged.notes.iter().filter(|note| note.contains("was filmed more than once")).count(), 2);
+    let place = folder.path().join("merged");
+    let written = write(&merged, &place, &NoProgress).unwrap();
+    assert!(fs::read_to_string(written.markdown).unwrap().contains("ffffffffffff (mine)"));
+    assert!(fs::read_to_string(written.html).unwrap().contains("ffffffffffff (mine)"));
+}
+
+#[test]
+fn a_table_that_does_not_fit_is_refused_by_line_and_column() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("run");
+    write(&sample_run(folder.path(), 48, 6), &place, &NoProgress).unwrap();
+    let path = place.join("results.csv");
+    let good = fs::read_to_string(&path).unwrap();
+    for (from, to, words) in [
+        (",psnr_db,", ",loudness,", ["line 2", "\"loudness\" is no metric"]),
+        (",ok,", ",fine,", ["line 2, column status", "\"fine\" is no status"]),
+        ("run_id,", "run,", ["column run_id", "is missing"]),
+    ] {
+        fs::write(&path, good.replacen(from, to, 1)).unwrap();
+        let refused = read_run(&place).err().unwrap().to_string();
+        assert!(words.iter().all(|w| refused.contains(w)) && refused.contains("results.csv"), "{refused}");
+    }
+    fs::write(&path, good.lines().next().unwrap()).unwrap();
+    assert!(read_run(&place).err().unwrap().to_string().contains("has no rows"));
+}
