@@ -24,6 +24,7 @@ const KERNELS: &[&str] = &[
     "cpp/loss_kernel.cpp",
     "cpp/noise_kernel.cpp",
     "cpp/splat_chain.cpp",
+    "cpp/splat_disc.cpp",
     "cpp/splat_kernel.cpp",
     "cpp/splat_project.cpp",
 ];

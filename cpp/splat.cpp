@@ -63,6 +63,16 @@ const float* given(rust::Slice<const float> values, std::size_t wanted) {
   return values.empty() ? nullptr : values.data();
 }
 
+DiscTile disc_tile_of(std::uint8_t isa, const SplatDiscs& d) {
+  check_isa(isa);
+  require(d.rows.size() % 16 == 0 && d.discs.size() == d.rows.size() && all_below(d.entries, d.rows.size() / 16),
+          "tile entry names no disc");
+  require(d.rays.size() == 3 * static_cast<std::size_t>(d.width) * d.height && d.blocks != 0 && d.x < d.width && d.y < d.height,
+          "a tile of discs lies outside the image");
+  return {d.rows.data(), d.discs.data(), d.entries.data(), d.entries.size(), d.x, d.y, d.width, d.height, d.blocks,
+          d.rays.data(), d.pinhole, {d.per_px[0], d.per_px[1]}, d.near, d.filter};
+}
+
 float stop_of(std::uint32_t parts) { return parts & ENDLESS ? -1.0f : STOP; }
 
 }  // namespace
@@ -166,6 +176,19 @@ void splat_backward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice
   require(all_below(targets, slot_count), "an entry has no slot");
   const BackwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, stop_of(parts), adjoint.data(), targets.data(), slots};
   CALL(isa, backward, tile, parts)
+}
+
+void splat_disc_forward(std::uint8_t isa, const SplatDiscs& discs, bool with_depth, rust::Slice<float> state) {
+  const DiscTile tile = disc_tile_of(isa, discs);
+  require(state.size() == PLANES * PIXELS, "tables of a tile differ in length");
+  CALL(isa, disc_forward, tile, with_depth, state.data())
+}
+
+void splat_disc_backward(std::uint8_t isa, const SplatDiscs& discs, rust::Slice<const float> adjoint,
+                         std::uint32_t parts, rust::Slice<float> sums) {
+  const DiscTile tile = disc_tile_of(isa, discs);
+  require(adjoint.size() == PLANES * PIXELS && sums.size() == DISC_SUMS * tile.count, "tables of a tile differ in length");
+  CALL(isa, disc_backward, tile, adjoint.data(), parts, sums.data())
 }
 
 }  // namespace respire

@@ -8,6 +8,7 @@ namespace respire {
 
 struct SplatScene;
 struct SplatMotion;
+struct SplatDiscs;
 
 // All functions check every index and length, and throw std::invalid_argument.
 
@@ -35,5 +36,10 @@ void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<
 void splat_backward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
                     rust::Slice<const std::uint16_t> masks, rust::Slice<const std::uint32_t> targets, float x, float y,
                     rust::Slice<const float> adjoint, float* slots, std::size_t slot_count, std::uint32_t parts);
+// The exact discs of one tile: sums and light that is left, to `state` as of splat_forward.
+void splat_disc_forward(std::uint8_t isa, const SplatDiscs& discs, bool with_depth, rust::Slice<float> state);
+// Backward: DISC_SUMS sums for each entry.
+void splat_disc_backward(std::uint8_t isa, const SplatDiscs& discs, rust::Slice<const float> adjoint,
+                         std::uint32_t parts, rust::Slice<float> sums);
 
 }  // namespace respire

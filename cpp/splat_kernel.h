@@ -18,6 +18,8 @@ enum Velocity { VX, VY, VXX, VXY, VYY, VRED, VGREEN, VBLUE };
 constexpr int PIXELS = 256;  // of the largest tile, 16x16, block by block: 4x4 blocks, numbered down the columns
 constexpr int PLANES = 5;    // of a tile's state: red, green, blue, depth sums and transmittance
 constexpr int MOVING = 4;    // planes of a tile's velocity: red, green, blue sums and transmittance
+constexpr float ALPHA_MIN = 1.0f / 255.0f;  // below it nothing is blended
+constexpr float ALPHA_MAX = 0.99f;          // no alpha is larger
 constexpr float STOP = 1e-4f;  // what a pixel stops at; with ENDLESS none does
 constexpr int TOGETHER = 4;  // directions that one pass can carry
 
@@ -101,6 +103,24 @@ struct BackwardTile {
   float* slots;          // out: 16 moments in the slot of each entry
 };
 
+// Columns of an exact disc (`Disc::pack` of src/splat/disc_mode.rs, which explains the symbols).
+enum DiscColumn { DISC_P, DISC_Q = DISC_P + 3, DISC_N = DISC_Q + 3, DISC_HEIGHT = DISC_N + 3, DISC_SLOPE,
+                  DISC_LOW = DISC_SLOPE + 2, DISC_HIGH = DISC_LOW + 2 };
+// Columns of the sums of an entry (`sum` of src/splat/disc_tile.rs).
+enum DiscSum { SUM_S, SUM_RED, SUM_FILTER = SUM_RED + 3, SUM_DEPTH = SUM_FILTER + 2, SUM_HEIGHT, SUM_P, SUM_Q = SUM_P + 3,
+               SUM_P_ALONG = SUM_Q + 3, SUM_Q_ALONG, SUM_N, DISC_SUMS = SUM_N + 3 };
+
+struct DiscTile {
+  const float *rows, *discs;     // 16 floats per splat each
+  const std::uint32_t* entries;  // front to back
+  std::size_t count;
+  std::uint32_t x, y, width, height;  // upper left corner, size of the image
+  std::uint32_t blocks;
+  const float* rays;  // of the image, row by row, 3 floats each
+  bool pinhole;
+  float per_px[2], near, filter;  // 1 / focal length; 1 / variance of the screen filter, 0 for none
+};
+
 enum Part : std::uint32_t { GEOMETRY = 1, COLOR = 2, WITH_DEPTH = 4, KNOWN_MASKS = 8, ENDLESS = 16 };
 
 #define RESPIRE_KERNELS(ISA)                             \
@@ -111,6 +131,8 @@ enum Part : std::uint32_t { GEOMETRY = 1, COLOR = 2, WITH_DEPTH = 4, KNOWN_MASKS
   void chain(const Scene&, const ChainChunk&);           \
   void forward(const ForwardTile&, std::uint32_t parts); \
   void backward(const BackwardTile&, std::uint32_t parts); \
+  void disc_forward(const DiscTile&, bool with_depth, float* state); \
+  void disc_backward(const DiscTile&, const float* adjoint, std::uint32_t parts, float* sums); \
   }
 RESPIRE_KERNELS(baseline)
 RESPIRE_KERNELS(avx2)

@@ -104,6 +104,23 @@ inline V4 fold(V v) { return v; }
 inline V reciprocal(V x) { return 1.0f / x; }
 #endif
 
+// Each of U vectors: 2^x for x <= 127, relative error 1.5e-7 (minimax polynomial of degree 5 of 2^f, |f| <= 1/2).
+template <int U>
+inline void exp2(V* x) {
+  constexpr float TERMS[] = {9.675541334e-3f, 5.550713274e-2f, 2.402211972e-1f, 6.931469671e-1f, 1.0f};
+  V n[U], p[U];
+  for (int u = 0; u < U; ++u) {
+#if !defined(__AVX512F__)
+    x[u] = pick_gt(x[u], all(-1000.0f), x[u], all(-1000.0f));
+#endif
+    n[u] = nearest(x[u]);
+  }
+  for (int u = 0; u < U; ++u) x[u] = x[u] - n[u], p[u] = all(1.327647198e-3f);
+  for (float term : TERMS)
+    for (int u = 0; u < U; ++u) p[u] = fma(p[u], x[u], all(term));
+  for (int u = 0; u < U; ++u) x[u] = power2(x[u], p[u], n[u]);
+}
+
 inline V load(const float* p) {
   V v;
   __builtin_memcpy(&v, p, sizeof v);

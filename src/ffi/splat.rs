@@ -30,6 +30,23 @@ mod bridge {
         pose: &'a [f32],
     }
 
+    /// The exact discs of one tile; see `DiscTile` of `cpp/splat_kernel.h`.
+    struct SplatDiscs<'a> {
+        rows: &'a [f32],
+        discs: &'a [f32],
+        entries: &'a [u32],
+        x: u32,
+        y: u32,
+        width: u32,
+        height: u32,
+        blocks: u16,
+        rays: &'a [f32],
+        pinhole: bool,
+        per_px: [f32; 2],
+        near: f32,
+        filter: f32,
+    }
+
     unsafe extern "C++" {
         include!("cpp/splat.h");
         include!("cpp/isa.h");
@@ -84,6 +101,14 @@ mod bridge {
             velocities: &[f32],
             moving: &mut [f32],
         ) -> Result<()>;
+        fn splat_disc_forward(isa: u8, discs: &SplatDiscs, with_depth: bool, state: &mut [f32]) -> Result<()>;
+        fn splat_disc_backward(
+            isa: u8,
+            discs: &SplatDiscs,
+            adjoint: &[f32],
+            parts: u32,
+            sums: &mut [f32],
+        ) -> Result<()>;
         unsafe fn splat_backward(
             isa: u8,
             rows: &[f32],
@@ -100,7 +125,7 @@ mod bridge {
     }
 }
 
-pub use bridge::{SplatMotion, SplatScene};
+pub use bridge::{SplatDiscs, SplatMotion, SplatScene};
 
 /// Sixteen numbers that begin at a cache line.
 #[repr(C, align(64))]
@@ -287,6 +312,21 @@ pub fn forward(
     let velocities = velocities.as_flattened();
     bridge::splat_forward(isa.code(), flat(rows), entries, masks, x, y, blocks, state, parts, velocities, moving)
         .expect(AGREE);
+}
+
+/// Sixteen numbers a row, one row after the other.
+pub fn columns(rows: &[Aligned<f32>]) -> &[f32] {
+    flat(rows)
+}
+
+/// Composites one tile of exact discs into `state`.
+pub fn disc_forward(isa: Isa, discs: &SplatDiscs<'_>, with_depth: bool, state: &mut [f32]) {
+    bridge::splat_disc_forward(isa.code(), discs, with_depth, state).expect(AGREE);
+}
+
+/// Backward of [`disc_forward`]: the sums of each entry.
+pub fn disc_backward(isa: Isa, discs: &SplatDiscs<'_>, adjoint: &[f32], parts: u32, sums: &mut [f32]) {
+    bridge::splat_disc_backward(isa.code(), discs, adjoint, parts, sums).expect(AGREE);
 }
 
 /// Slots that several tiles write at the same time, each its own: the entries' targets are all different

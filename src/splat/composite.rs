@@ -136,7 +136,9 @@ impl<T: Real> Rasterizer<T> {
                 tile: (bins.tiling, t),
                 optics,
             };
-            tile.forward(state, has_depth(settings));
+            if !T::disc_forward(self.isa, &tile, has_depth(settings), state) {
+                tile.forward(state, has_depth(settings));
+            }
         });
         self.state = state;
     }
@@ -181,7 +183,8 @@ impl<T: Real> Rasterizer<T> {
                 if discs {
                     let entries = &bins.entries[range];
                     let tile = DiscTile { rows, discs: &self.discs, entries, tile: place, optics };
-                    return (by_gain, Vec::new(), tile.backward(adjoint, parts, faults));
+                    let sums = faults.is_sound().then(|| T::disc_backward(isa, &tile, adjoint, parts)).flatten();
+                    return (by_gain, Vec::new(), sums.unwrap_or_else(|| tile.backward(adjoint, parts, faults)));
                 }
                 let tile = BackwardTile {
                     rows,

@@ -15,12 +15,14 @@
 //! The gradient is that of this function, exactly. Of a disc seen edge-on it holds for steps that are small beside the
 //! width of the line that the disc is on screen, which may be a hundredth of a pixel.
 //!
-//! Plain code over [`Real`]; what it costs beside the vectorised EWA kernels is in `docs/performance.md`. Left out: the directions of
+//! Tiles are composited by vectorised kernels (`cpp/splat_disc.cpp`); projection, chain and the kernels' twin
+//! (`disc_tile.rs`) are plain code over [`Real`]. What all of it costs beside EWA is in `docs/performance.md`. Left out: the directions of
 //! `Rasterizer::render_tangent` (use [`super::PhaseTangent`]), intrinsics of a fisheye, `Filter::Compensate`.
 
 use rayon::prelude::*;
 
 use crate::base::{Camera, Error};
+use crate::ffi::splat::Aligned;
 
 use super::bin::TileBox;
 use super::pool::PIECE;
@@ -46,6 +48,44 @@ pub(super) struct Disc<T> {
     pub slope: [T; 2],
     /// Where it can be seen.
     pub bounds: Bounds<T>,
+}
+
+impl<T: Real> Disc<T> {
+    /// As it lies in the tables (`DiscColumn` of `cpp/splat_kernel.h`).
+    pub fn pack(&self) -> Aligned<T> {
+        let (p, q, n, low, high) = (self.p, self.q, self.n, self.bounds.low, self.bounds.high);
+        Aligned([
+            p[0],
+            p[1],
+            p[2],
+            q[0],
+            q[1],
+            q[2],
+            n[0],
+            n[1],
+            n[2],
+            self.height,
+            self.slope[0],
+            self.slope[1],
+            low[0],
+            low[1],
+            high[0],
+            high[1],
+        ])
+    }
+
+    /// The inverse of [`Disc::pack`].
+    #[inline(always)]
+    pub fn unpack(Aligned(v): &Aligned<T>) -> Self {
+        Disc {
+            p: [v[0], v[1], v[2]],
+            q: [v[3], v[4], v[5]],
+            n: [v[6], v[7], v[8]],
+            height: v[9],
+            slope: [v[10], v[11]],
+            bounds: Bounds { low: [v[12], v[13]], high: [v[14], v[15]] },
+        }
+    }
 }
 
 /// A box on screen, in pixels.
@@ -240,7 +280,7 @@ fn tiles_of<T: Real>(bounds: &Bounds<T>, tiling: &Tiling) -> TileBox {
 
 /// What every pixel of a view has in common.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Optics<'a, T> {
+pub struct Optics<'a, T> {
     /// Ray of each pixel in camera axes, row by row.
     pub rays: &'a [[T; 3]],
     pub size: [usize; 2],
@@ -281,7 +321,7 @@ impl<T: Real> Rasterizer<T> {
         self.rays.of(&view.camera);
         let tiling = Tiling::of(view.size(), self.tile_side);
         let n = self.rendered.visible.len();
-        self.discs.resize(n, Disc::default());
+        self.discs.resize(n, Aligned::default());
         let active = self.active.as_deref();
         let tables = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
         let tables = tables.zip(self.rendered.visible.par_chunks_mut(CHUNK)).zip(self.discs.par_chunks_mut(CHUNK));
@@ -295,7 +335,7 @@ impl<T: Real> Rasterizer<T> {
                     if let Some((row, disc)) = found {
                         boxes[k] = tiles_of(&disc.bounds, &tiling).pack();
                         keys[k] = projector.key(gaussians.positions[i]);
-                        (rows[k].0, discs[k]) = (row, disc);
+                        (rows[k].0, discs[k]) = (row, disc.pack());
                     }
                 }
             },

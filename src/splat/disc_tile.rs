@@ -1,4 +1,4 @@
-//! Compositing of one tile of exact discs, forward and backward; symbols as in `disc_mode.rs`, transmittance and the
+//! Compositing of one tile of exact discs, forward and backward: the plain twin of `cpp/splat_disc.cpp`; symbols as in `disc_mode.rs`, transmittance and the
 //! bookkeeping of what lies behind as in `kernel.rs`.
 //!
 //! Of `v = alpha d loss / d alpha` a disc that is met gets `-v s / w` for `p = P.d`, `-v u / w` for `q = Q.d` and
@@ -13,7 +13,7 @@ use super::kernel::{PIXELS, PLANES, Parts, pixel_of};
 use super::project::{Row, at, dot};
 use super::real::Real;
 use super::tile::Tiling;
-use crate::ffi::splat::Aligned;
+use crate::ffi::splat::{self as native, Aligned, SplatDiscs};
 
 /// Columns of the sums of one entry.
 pub(super) mod sum {
@@ -36,12 +36,12 @@ pub(super) mod sum {
 }
 
 /// The sums of one entry.
-pub(super) type Sums<T> = [T; sum::COUNT];
+pub type Sums<T> = [T; sum::COUNT];
 
 /// The discs of one tile, front to back.
-pub(super) struct DiscTile<'a, T> {
+pub struct DiscTile<'a, T> {
     pub rows: &'a [Aligned<T>],
-    pub discs: &'a [Disc<T>],
+    pub discs: &'a [Aligned<T>],
     pub entries: &'a [u32],
     /// Which tile of which.
     pub tile: (Tiling, usize),
@@ -106,6 +106,29 @@ pub(super) fn sample<T: Real>(
     })
 }
 
+impl DiscTile<'_, f32> {
+    /// As the vectorised kernels take it.
+    pub fn native(&self) -> SplatDiscs<'_> {
+        let (tiling, t) = self.tile;
+        let ([x, y], [width, height]) = (tiling.corner(t), self.optics.size);
+        SplatDiscs {
+            rows: native::columns(self.rows),
+            discs: native::columns(self.discs),
+            entries: self.entries,
+            x: x as u32,
+            y: y as u32,
+            width: width as u32,
+            height: height as u32,
+            blocks: tiling.side.blocks(),
+            rays: self.optics.rays.as_flattened(),
+            pinhole: self.optics.per_pixel.is_some(),
+            per_px: self.optics.per_pixel.unwrap_or_default(),
+            near: self.optics.near,
+            filter: self.optics.filter.unwrap_or_default(),
+        }
+    }
+}
+
 impl<T: Real> DiscTile<'_, T> {
     /// Pixel `p` of the tile with its ray; `None` outside the image.
     fn pixel(&self, p: usize) -> Option<([usize; 2], [T; 3])> {
@@ -121,7 +144,7 @@ impl<T: Real> DiscTile<'_, T> {
         let corner = tiling.corner(t);
         let middle = [corner[0] + column, corner[1] + line].map(|v| T::of(v as f64 + 2.0));
         let half = T::of(1.5);
-        let meets = |k: &usize| self.discs[self.entries[*k] as usize].bounds.holds(middle, half);
+        let meets = |k: &usize| Disc::unpack(&self.discs[self.entries[*k] as usize]).bounds.holds(middle, half);
         near.clear();
         near.extend((0..self.entries.len()).filter(meets));
     }
@@ -134,7 +157,9 @@ impl<T: Real> DiscTile<'_, T> {
         for &k in near {
             let entry = self.entries[k];
             let row = &self.rows[entry as usize].0;
-            let Some(seen) = sample(row, &self.discs[entry as usize], &self.optics, pixel, ray) else { continue };
+            let Some(seen) = sample(row, &Disc::unpack(&self.discs[entry as usize]), &self.optics, pixel, ray) else {
+                continue;
+            };
             let next = left - seen.alpha * left;
             if next <= T::of(1e-4) {
                 break;
@@ -167,7 +192,7 @@ impl<T: Real> DiscTile<'_, T> {
     }
 
     /// Carries the gradient of the tile (`adjoint` as in `kernel::BackwardTile`) to the sums of its entries.
-    pub fn backward(&self, adjoint: &[T], parts: Parts, faults: impl Faults) -> Vec<Sums<T>> {
+    pub(super) fn backward(&self, adjoint: &[T], parts: Parts, faults: impl Faults) -> Vec<Sums<T>> {
         let mut out = vec![[T::zero(); sum::COUNT]; self.entries.len()];
         let mut near = Vec::with_capacity(self.entries.len());
         for p in (0..PIXELS).filter(|&p| self.tile.0.side.has(p)) {

@@ -58,7 +58,7 @@ impl Parts {
         T::of(if self.endless { -1.0 } else { 1e-4 })
     }
 
-    fn bits(self) -> u32 {
+    pub fn bits(self) -> u32 {
         self.geometry as u32
             + 2 * self.color as u32
             + 4 * self.depth as u32

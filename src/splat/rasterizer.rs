@@ -13,7 +13,7 @@ use crate::ffi::system::grow;
 use crate::ffi::splat_bin::{self, Boxes};
 
 use super::bin::{Bins, Counting, TileBox};
-use super::disc_mode::{Disc, Rays, refuse_fisheye_lens};
+use super::disc_mode::{Rays, refuse_fisheye_lens};
 use super::disc_tile::Sums;
 use super::extra_channels::Extra;
 use super::fault::{Fault, Faults, Sound};
@@ -51,7 +51,7 @@ pub struct Rasterizer<T> {
     pub(super) moving: Vec<T>,
     pub(super) velocities: Vec<[T; 8]>,
     pub(super) slots: Vec<Aligned<T>>,
-    pub(super) discs: Vec<Disc<T>>,
+    pub(super) discs: Vec<Aligned<T>>,
     pub(super) disc_slots: Vec<Sums<T>>,
     pub(super) rays: Rays<T>,
     pub(super) extra: Extra<T>,

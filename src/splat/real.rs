@@ -4,10 +4,11 @@
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
-use crate::ffi::splat::{Aligned, Isa, Slots};
+use crate::ffi::splat::{self as native, Aligned, Isa, Slots};
 use crate::ffi::splat_image::{self as image, ImageBand, Light};
 
-use super::kernel::{BackwardTile, ForwardTile};
+use super::disc_tile::{DiscTile, Sums};
+use super::kernel::{BackwardTile, ForwardTile, Parts};
 use super::native::{Native, Numbers, Work};
 use super::project::Projector;
 use super::tile::Tiling;
@@ -139,6 +140,21 @@ pub trait Real:
         false
     }
 
+    /// Composites one tile of exact discs with a vectorised kernel; `false` when there is none for this type.
+    fn disc_forward(_isa: Isa, _tile: &DiscTile<'_, Self>, _with_depth: bool, _state: &mut [Self]) -> bool {
+        false
+    }
+
+    /// Backward of [`Real::disc_forward`]: the sums of each entry.
+    fn disc_backward(
+        _isa: Isa,
+        _tile: &DiscTile<'_, Self>,
+        _adjoint: &[Self],
+        _parts: Parts,
+    ) -> Option<Vec<Sums<Self>>> {
+        None
+    }
+
     /// The slots as the vectorised backward kernel shares them among tiles; `None` when there is none for this type.
     fn shared(_isa: Isa, _slots: &mut [Aligned<Self>]) -> Option<Slots<'_>> {
         None
@@ -242,6 +258,22 @@ impl Real for f32 {
 
     fn forward_tile(isa: Isa, tile: &mut ForwardTile<'_, f32>) -> bool {
         super::kernel::vector_forward(isa, tile, &[], &mut [])
+    }
+
+    fn disc_forward(isa: Isa, tile: &DiscTile<'_, f32>, with_depth: bool, state: &mut [f32]) -> bool {
+        if isa != Isa::Scalar {
+            native::disc_forward(isa, &tile.native(), with_depth, state);
+        }
+        isa != Isa::Scalar
+    }
+
+    fn disc_backward(isa: Isa, tile: &DiscTile<'_, f32>, adjoint: &[f32], parts: Parts) -> Option<Vec<Sums<f32>>> {
+        if isa == Isa::Scalar {
+            return None;
+        }
+        let mut sums = vec![Sums::<f32>::default(); tile.entries.len()];
+        native::disc_backward(isa, &tile.native(), adjoint, parts.bits(), sums.as_flattened_mut());
+        Some(sums)
     }
 
     fn shared(isa: Isa, slots: &mut [Aligned<f32>]) -> Option<Slots<'_>> {

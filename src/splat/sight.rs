@@ -33,7 +33,7 @@ enum Surfaces<'a, T> {
     /// Bodies of the splats of an affine projection.
     Bodies(Vec<Option<Body>>),
     /// Exact discs.
-    Discs(&'a [Disc<T>], Optics<'a, T>),
+    Discs(&'a [Aligned<T>], Optics<'a, T>),
 }
 
 struct Sight<'a, T> {
@@ -64,8 +64,10 @@ impl<T: Real> Sight<'_, T> {
                 Surfaces::Bodies(bodies) => alpha_at(row, corner, p)
                     .zip(bodies[j].as_ref())
                     .map(|(alpha, body)| (alpha.to_f64(), body.depth(ray))),
-                Surfaces::Discs(discs, optics) => disc_tile::sample(row, &discs[j], optics, [x, y], ray_of_type)
-                    .map(|seen| (seen.alpha.to_f64(), seen.depth.to_f64())),
+                Surfaces::Discs(discs, optics) => {
+                    disc_tile::sample(row, &Disc::unpack(&discs[j]), optics, [x, y], ray_of_type)
+                        .map(|seen| (seen.alpha.to_f64(), seen.depth.to_f64()))
+                }
             };
             let Some((alpha, depth)) = found else { continue };
             let next = left * (1.0 - alpha);

@@ -129,3 +129,44 @@ fn a_metric_is_explained() {
     assert_eq!(all[0]["id"], "psnr_db");
     assert_eq!(all[0]["direction"], "higher");
 }
+
+/// The reference report, taken apart by methods and put together again, is the reference report.
+#[test]
+fn runs_are_merged() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports/reference/paper");
+    let part = |name: &str, keep: &dyn Fn(&str) -> bool| {
+        let place = folder.path().join(name);
+        fs::create_dir_all(&place).unwrap();
+        for (table, column) in [("results.csv", 3), ("comparison.csv", 1), ("timings.csv", 2)] {
+            let text = fs::read_to_string(whole.join(table)).unwrap();
+            let kept = |(k, line): &(usize, &str)| *k == 0 || keep(line.split(',').nth(column).unwrap());
+            let lines: Vec<&str> = text.lines().enumerate().filter(kept).map(|(_, line)| line).collect();
+            fs::write(place.join(table), lines.join("\n") + "\n").unwrap();
+        }
+        place.to_str().unwrap().to_owned()
+    };
+    let (all, mine, others) =
+        (part("all", &|_| true), part("mine", &|m| m.starts_with("ours")), part("others", &|m| !m.starts_with("ours")));
+    let out = folder.path().join("merged").to_str().unwrap().to_owned();
+    let (code, said, complaint) = run(&["merge", &others, &mine, "--out", &out]);
+    assert_eq!(code, 0, "{complaint}");
+    assert!(said.contains("Static CT") && said.contains("report.html"), "{said}");
+    let rows = |path: &Path| {
+        let text = fs::read_to_string(path).unwrap();
+        let mut rows: Vec<String> = text.lines().map(str::to_owned).collect();
+        rows.sort();
+        rows
+    };
+    for table in ["results.csv", "comparison.csv", "summary.csv", "timings.csv"] {
+        assert_eq!(rows(&folder.path().join("merged").join(table)), rows(&whole.join(table)), "{table}");
+    }
+    for picture in ["report.md", "plots/methods.png", "plots/error-against-time.png", "environments.json"] {
+        assert!(folder.path().join("merged").join(picture).exists(), "{picture}");
+    }
+
+    let (code, _, complaint) = run(&["merge", &all, "--out", &all]);
+    assert!(code == 2 && complaint.contains("--out is one of the runs"), "{complaint}");
+    let (code, _, complaint) = run(&["merge", "nothing-here", "--out", &out]);
+    assert!(code == 4 && complaint.contains("nothing-here/results.csv"), "{complaint}");
+}

@@ -2,8 +2,9 @@
 
 use glam::{DMat3, DVec2, DVec3};
 use respire_bench::base::Camera;
-use respire_bench::splat::{DepthOutput, Footprint, Gaussians, Rasterizer, Real, Settings, Shape, View};
+use respire_bench::splat::{DepthOutput, Footprint, Gaussians, Isa, Rasterizer, Real, Settings, Shape, View};
 
+use super::forward::available;
 use super::scenes::{Kind, Lens, random, tube, view};
 
 const DISC: Settings = Settings {
@@ -78,8 +79,8 @@ fn brute_force(g: &Gaussians<f64>, view: &View, settings: &Settings) -> Vec<Pixe
     pixels.collect()
 }
 
-fn worst<T: Real>(scene: &Gaussians<f64>, view: &View, truth: &[Pixel]) -> f64 {
-    let mut rasterizer = Rasterizer::<T>::new();
+fn worst<T: Real>(isa: Isa, scene: &Gaussians<f64>, view: &View, truth: &[Pixel]) -> f64 {
+    let mut rasterizer = Rasterizer::<T>::with_isa(isa).unwrap();
     let image = rasterizer.render(&scene.cast(), view, &DISC, None).unwrap();
     let (mut worst, mut compared) = (0f64, 0);
     for (p, pixel) in truth.iter().enumerate().filter(|(_, pixel)| pixel.margin > 1e-3) {
@@ -94,18 +95,22 @@ fn worst<T: Real>(scene: &Gaussians<f64>, view: &View, truth: &[Pixel]) -> f64 {
 
 #[test]
 fn forward_equals_rays_met_one_by_one() {
-    let mut worst_single = 0f64;
+    let mut worst_single: Vec<(Isa, f64)> = available().map(|isa| (isa, 0.0)).collect();
     for seed in 0..200 {
         let n = [1, 5, 20, 50][seed as usize % 4];
         let lens = if seed % 3 == 0 { Lens::Fisheye } else { Lens::Pinhole };
         let scene = random(n, Kind::Discs, 1, 700 + seed).cast::<f32>().cast::<f64>();
         let truth = brute_force(&scene, &view(lens), &DISC);
-        let error = worst::<f64>(&scene, &view(lens), &truth);
+        let error = worst::<f64>(Isa::Scalar, &scene, &view(lens), &truth);
         assert!(error < 1e-8, "scene {seed}, f64: {error:e}");
-        worst_single = worst_single.max(worst::<f32>(&scene, &view(lens), &truth));
+        for (isa, most) in &mut worst_single {
+            *most = most.max(worst::<f32>(*isa, &scene, &view(lens), &truth));
+        }
     }
-    println!("f32: worst {worst_single:.1e}");
-    assert!(worst_single < 1e-4, "f32: {worst_single:e}");
+    for (isa, worst) in worst_single {
+        println!("f32, {isa}: worst {worst:.1e}");
+        assert!(worst < 1e-4, "f32, {isa}: {worst:e}");
+    }
 }
 
 /// On the tube 20,000 discs are small enough that the affine projection is a fair one: 44 dB apart in

@@ -72,5 +72,9 @@ fn the_side_of_the_tiles_is_not_seen() {
     for depth in [DepthOutput::Median, DepthOutput::Surface] {
         nothing_changes::<f32>(Isa::widest(), Lens::Pinhole, &Settings { depth, ..settings }, 2e-5);
     }
-    nothing_changes::<f64>(Isa::Scalar, Lens::Pinhole, &Settings { footprint: Footprint::Disc, ..settings }, 1e-11);
+    let discs = Settings { footprint: Footprint::Disc, ..settings };
+    nothing_changes::<f64>(Isa::Scalar, Lens::Pinhole, &discs, 1e-11);
+    for isa in available() {
+        nothing_changes::<f32>(isa, Lens::Fisheye, &discs, 2e-4);
+    }
 }
