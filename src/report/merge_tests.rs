@@ -7,6 +7,23 @@ use super::report_tests::sample_run;
 use super::*;
 use crate::base::NoProgress;
 
+/// A row of fewer cases says so and is nobody's best.
+#[test]
+fn a_row_of_fewer_cases_is_marked_and_not_ranked() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 48, 6);
+    // The best of all by far, on one case.
+    let mut mine = run.cells.iter().find(|c| c.case_id == "case1" && c.method == "oracle-phase").unwrap().clone();
+    mine.method = "mine".into();
+    run.methods.push(MethodInfo::of("mine"));
+    run.cells.push(mine);
+    let table = table::ComparisonTable::new(&summary::summarise(&run));
+    let titles: Vec<&str> = table.rows.iter().map(|r| r.method.title.as_str()).collect();
+    assert!(titles.contains(&"mine (1 of 2 cases)") && titles.contains(&"BridgeSplat (1 of 2 cases)"), "{titles:?}");
+    let best = |id: &str| table.rows.iter().find(|r| r.method.id == id).unwrap().cells.iter().any(|c| c.best);
+    assert!(!best("mine") && best("ours"));
+}
+
 /// All tables of a run, as bytes.
 fn tables_of(folder: &Path) -> Vec<(&'static str, Vec<u8>)> {
     let names = ["results.csv", "frames.csv", "timings.csv", "comparison.csv", "summary.csv", "table.tex"];

@@ -46,11 +46,14 @@ pub fn summarise(run: &Run) -> Vec<MethodSummary> {
     run.methods.iter().map(of).collect()
 }
 
-/// Ids of the ranked methods whose mean is the best of `metric`, to the decimals that tables show.
+/// Ids of the ranked methods whose mean is the best of `metric`, to the decimals that tables show. A method that was scored on
+/// fewer cases than others is not among them: its mean is one of other cases.
 pub fn best(summaries: &[MethodSummary], metric: &Metric) -> Vec<String> {
     let shown = |s: &MethodSummary| s.mean(metric.id).and_then(|m| metric.format(m.mean).parse::<f64>().ok());
+    let most = summaries.iter().map(|s| s.cases).max().unwrap_or(0);
+    let whole = summaries.iter().filter(|s| s.cases == most);
     let ranked: Vec<(&MethodSummary, f64)> =
-        summaries.iter().filter(|s| s.method.role == Role::Ranked).filter_map(|s| shown(s).map(|v| (s, v))).collect();
+        whole.filter(|s| s.method.role == Role::Ranked).filter_map(|s| shown(s).map(|v| (s, v))).collect();
     let top = |v: f64| !ranked.iter().any(|(_, other)| metric.direction.better(*other, v));
     ranked.iter().filter(|(_, v)| top(*v)).map(|(s, _)| s.method.id.clone()).collect()
 }

@@ -21,7 +21,7 @@ pub struct TableCell {
 /// One row: a method.
 #[derive(Clone, Debug)]
 pub struct TableRow {
-    /// Which.
+    /// Which; the title says so where it was scored on fewer cases than other rows.
     pub method: MethodInfo,
     /// CT scans it is given.
     pub ct_scans: String,
@@ -85,17 +85,22 @@ impl ComparisonTable {
     /// Dresses the summaries.
     pub fn new(summaries: &[MethodSummary]) -> Self {
         let best: Vec<Vec<String>> = paper_metrics().map(|m| best(summaries, m)).collect();
+        let cases = summaries.iter().map(|s| s.cases).max().unwrap_or(0);
+        let named = |s: &MethodSummary| {
+            let mut method = s.method.clone();
+            if s.cases < cases {
+                method.title += &format!(" ({} of {cases} cases)", s.cases);
+            }
+            method
+        };
         let row = |s: &MethodSummary| TableRow {
-            method: s.method.clone(),
+            method: named(s),
             ct_scans: s.method.ct_scans.map_or_else(|| "–".into(), |n| n.to_string()),
             failed: s.failed,
             cells: paper_metrics().zip(&best).map(|(m, best)| cell(s, m, best)).collect(),
         };
         let of = |role: Role| summaries.iter().filter(move |s| s.method.role == role);
-        ComparisonTable {
-            rows: of(Role::Ranked).chain(of(Role::Sanity)).map(row).collect(),
-            cases: summaries.iter().map(|s| s.cases).max().unwrap_or(0),
-        }
+        ComparisonTable { rows: of(Role::Ranked).chain(of(Role::Sanity)).map(row).collect(), cases }
     }
 }
 

@@ -148,8 +148,7 @@ pub enum Filter {
     #[default]
     Dilate,
     /// Mip-Splatting (Yu et al., 2024; gsplat's `antialiased`): the opacity is multiplied by
-    /// `sqrt(det before / det after)` of the covariance on screen, so that the splat keeps its weight. Projection and
-    /// gradients run in the plain twin (compositing stays vectorised).
+    /// `sqrt(det before / det after)` of the covariance on screen, so that the splat keeps its weight.
     Compensate,
 }
 
@@ -215,7 +214,7 @@ pub struct Rendered<T> {
     pub visible: Vec<bool>,
     /// How many flags are set.
     pub visible_count: usize,
-    /// Pairs of Gaussian and 16x16 tile whose bounding boxes meet.
+    /// Pairs of Gaussian and tile whose bounding boxes meet.
     pub intersections: usize,
 }
 
@@ -253,7 +252,7 @@ impl Wanted {
     pub const GAIN: Wanted = Wanted(32);
     /// All of the above: every parameter of the Gaussians, the pose and the exposure.
     pub const ALL: Wanted = Wanted(63);
-    /// Focal lengths and principal point; computed in the plain twin.
+    /// Focal lengths and principal point.
     pub const LENS: Wanted = Wanted(64);
     /// Features of the further channels (`Rasterizer::render_channels`).
     pub const CHANNELS: Wanted = Wanted(128);
