@@ -2,6 +2,7 @@
 //! the optimiser works. Frozen or unseen parameters cost nothing.
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Result, TriangleMesh};
@@ -70,6 +71,9 @@ fn softmax(logits: [f32; 3]) -> [f32; 3] {
     let e = logits.map(f32::exp);
     e.map(|v| v / (e[0] + e[1] + e[2]))
 }
+
+/// Discs per task, at least, where little is done for each.
+const PIECE: usize = 4096;
 
 impl Surface {
     /// Discs on `mesh` at rest.
@@ -189,8 +193,8 @@ impl Surface {
         let mut anchors = Anchors::new(
             self.frame,
             face,
-            discs.iter().map(|i| self.logits[take(i)]).collect(),
-            discs.iter().map(|i| self.log_scales[take(i)]).collect(),
+            discs.par_iter().with_min_len(PIECE).map(|i| self.logits[take(i)]).collect(),
+            discs.par_iter().with_min_len(PIECE).map(|i| self.log_scales[take(i)]).collect(),
             Carrier { vertices: &rest, faces: &local_faces },
         )?;
         if self.cap > 0.0 {
@@ -199,9 +203,8 @@ impl Surface {
                 discs.iter().map(|i| self.initial_log_scales[take(i)].map(|s| s + room)).collect();
         }
         let mut gaussians = Gaussians::discs(discs.len(), SH_DEGREE, self.opacity);
-        for (to, i) in gaussians.sh.chunks_exact_mut(SH_VALUES).zip(&discs) {
-            to.copy_from_slice(&self.sh[take(i) * SH_VALUES..][..SH_VALUES]);
-        }
+        let colors = gaussians.sh.par_chunks_exact_mut(SH_VALUES).zip(&discs).with_min_len(PIECE);
+        colors.for_each(|(to, i)| to.copy_from_slice(&self.sh[take(i) * SH_VALUES..][..SH_VALUES]));
         Ok(Patch {
             discs,
             vertices,
@@ -241,7 +244,7 @@ pub struct Patch {
 impl Patch {
     /// Picks this patch's entries of a per-vertex array of the mesh.
     pub fn pick(&self, all: &[[f32; 3]]) -> Vec<[f32; 3]> {
-        self.vertices.iter().map(|&v| all[v as usize]).collect()
+        self.vertices.par_iter().with_min_len(PIECE).map(|&v| all[v as usize]).collect()
     }
 
     fn carrier<'a>(&'a self, vertices: &'a [[f32; 3]]) -> Carrier<'a, f32> {

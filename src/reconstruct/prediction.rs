@@ -5,6 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::DAffine3;
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::base::image::codes_from_unit;
@@ -12,6 +13,9 @@ use crate::base::{Error, Progress, Result, files};
 use crate::formats::{exr, mesh, png};
 
 use super::{FramePrediction, Observation, Reconstruct};
+
+/// Frames that wait to be written together: on all threads, and while no method is timed.
+const BATCH: usize = 16;
 
 #[derive(Serialize)]
 struct Timing {
@@ -29,13 +33,19 @@ pub fn write_prediction(
 ) -> Result<()> {
     let mut phases: Vec<(usize, f64, Option<f64>)> = Vec::new();
     let mut poses: Vec<(usize, DAffine3)> = Vec::new();
+    let mut waiting: Vec<FramePrediction> = Vec::with_capacity(BATCH);
     let mut emit = |prediction: FramePrediction| -> Result<()> {
-        write_frame(folder, &prediction)?;
         poses.extend(prediction.world_from_camera.map(|pose| (prediction.frame, pose)));
         phases.extend(prediction.phase.map(|phase| (prediction.frame, phase, prediction.phase_deviation)));
+        waiting.push(prediction);
+        if waiting.len() == BATCH {
+            write_frames(folder, &waiting)?;
+            waiting.clear();
+        }
         Ok(())
     };
     let done = method.run(observation, &mut emit, progress)?;
+    write_frames(folder, &waiting)?;
     if !phases.is_empty() {
         let mut writer = csv::Writer::from_writer(Vec::new());
         let failed = |e: csv::Error| Error::input(format!("cannot be written: {e}")).at(folder.join("phase.csv"));
@@ -78,6 +88,10 @@ fn pose_table(poses: &[(usize, DAffine3)]) -> String {
 
 fn frame_file(folder: &Path, kind: &str, frame: usize, extension: &str) -> PathBuf {
     folder.join(kind).join(format!("{frame:06}.{extension}"))
+}
+
+fn write_frames(folder: &Path, predictions: &[FramePrediction]) -> Result<()> {
+    predictions.par_iter().try_for_each(|prediction| write_frame(folder, prediction))
 }
 
 fn write_frame(folder: &Path, prediction: &FramePrediction) -> Result<()> {

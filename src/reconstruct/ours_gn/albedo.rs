@@ -2,15 +2,21 @@
 //! of its pixels, held by what past frames have seen of it. What is shown of a frame is touched up by a few more sweeps
 //! that nothing holds, with Nesterov's (1983) momentum; they are forgotten with the frame.
 
+use rayon::prelude::*;
+
+use super::scene::{DISCS, Seen};
 use super::{DARKEST, Tracker};
 use crate::base::Result;
 use crate::reconstruct::anchored::SH_C0;
 use crate::reconstruct::level::Level;
 use crate::reconstruct::phase_fit::pixels;
-use crate::splat::{DepthOutput, ImageGradient, Settings, Wanted};
+use crate::splat::{DepthOutput, ImageGradient, Reuse, Settings, Wanted};
 
 /// Discs that contribute fewer pixels are not in view.
 const FEWEST_PIXELS: f32 = 1e-4;
+
+/// Pixels per task.
+const PIXELS: usize = 4096;
 
 /// What holds a disc at the albedo it had.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -24,6 +30,8 @@ enum Hold {
 impl Tracker<'_> {
     /// Sweeps over the albedo of what is in view, at the present placement.
     pub fn learn(&mut self, frame: usize, level: &Level) -> Result<()> {
+        // From here to the end of the frame nothing moves: only colours are splatted anew.
+        self.rasterizer.reuse(Reuse::Unchanged);
         self.color_the_unseen(level);
         let sweeps = self.settings.appearance_steps[usize::from(frame > 0)] as f64;
         self.count_pixels(level)?;
@@ -65,31 +73,43 @@ impl Tracker<'_> {
         let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
         let before = seen.albedo.clone();
         let mut last = seen.albedo.clone();
+        let mut residual = vec![0.0; level.image.data.len()];
         for sweep in 0..sweeps {
             let rendered = self.rasterizer.render(&seen.patch.gaussians, &level.view, &settings, None)?;
-            let pairs = level.image.data.iter().zip(&rendered.color).enumerate();
-            let residual: Vec<f32> = pairs.map(|(at, (i, r))| level.weight(at / 3) * (i - r)).collect();
+            let images = level.image.data.par_chunks(3 * PIXELS).zip(rendered.color.par_chunks(3 * PIXELS));
+            residual.par_chunks_mut(3 * PIXELS).zip(images).enumerate().for_each(
+                |(piece, (out, (image, rendered)))| {
+                    let pixels = image.as_chunks::<3>().0.iter().zip(rendered.as_chunks::<3>().0).enumerate();
+                    for (out, (at, (image, rendered))) in out.as_chunks_mut::<3>().0.iter_mut().zip(pixels) {
+                        let weight = level.weight(PIXELS * piece + at);
+                        *out = [0, 1, 2].map(|c| weight * (image[c] - rendered[c]));
+                    }
+                },
+            );
             let image = ImageGradient { color: &residual, ..ImageGradient::default() };
             let gradients = self.rasterizer.backward(&seen.patch.gaussians, &image, Wanted::SH)?;
             let momentum = match hold {
                 Hold::Nothing if sweep + 1 < sweeps => sweep as f32 / (sweep as f32 + 3.0),
                 _ => 0.0,
             };
-            for (k, by_color) in gradients.sh.chunks_exact(3).enumerate() {
-                let (pixels, shade) = (seen.pixels[k], seen.shade[k]);
+            let Seen { pixels, shade, memory, albedo, .. } = seen;
+            let step = |k: usize, by_color: &[f32], albedo: &mut [f32; 3], last: &mut [f32; 3]| {
+                let (pixels, shade) = (pixels[k], shade[k]);
                 if pixels < FEWEST_PIXELS || shade <= 0.0 {
-                    continue;
+                    return;
                 }
-                let memory = hold_pixels + if hold == Hold::Memory { seen.memory[k] } else { 0.0 };
+                let memory = hold_pixels + if hold == Hold::Memory { memory[k] } else { 0.0 };
                 for c in 0..3 {
                     let pull = by_color[c] / (SH_C0 * (gain[c] * gain[c]) as f32 * shade);
-                    let back = memory * (seen.albedo[k][c] - before[k][c]);
-                    let next = (seen.albedo[k][c] + (pull - back) / (pixels + memory)).max(DARKEST / shade);
-                    let ahead = next + momentum * (next - last[k][c]);
-                    last[k][c] = next;
-                    seen.albedo[k][c] = ahead.max(DARKEST / shade);
+                    let back = memory * (albedo[c] - before[k][c]);
+                    let next = (albedo[c] + (pull - back) / (pixels + memory)).max(DARKEST / shade);
+                    let ahead = next + momentum * (next - last[c]);
+                    last[c] = next;
+                    albedo[c] = ahead.max(DARKEST / shade);
                 }
-            }
+            };
+            let discs = albedo.par_iter_mut().zip(&mut last).zip(gradients.sh.par_chunks_exact(3)).enumerate();
+            discs.with_min_len(DISCS).for_each(|(k, ((albedo, last), by_color))| step(k, by_color, albedo, last));
             seen.color();
         }
         Ok(())

@@ -6,6 +6,7 @@
 //! foot: in a pure power law a gain stays a gain, and the fall-off with distance a power of it, however dark the place.
 
 use glam::DVec2;
+use rayon::prelude::*;
 
 use crate::base::color::{linear_from_srgb, srgb_from_linear};
 use crate::base::{Camera, Image};
@@ -16,6 +17,8 @@ use crate::reconstruct::settings::ScopeLight;
 const GAMMA: f32 = 2.2;
 /// Entries of the table from the power law to sRGB; linear between them, well below half a code.
 const ENTRIES: usize = 1024;
+/// Pixels per task, at least.
+const PIXELS: usize = 4096;
 /// Least share of the light that a pixel is taken to get.
 const DARKEST_SHARE: f64 = 0.02;
 
@@ -48,9 +51,10 @@ impl Scope {
 
     /// An image of the film, flat and in the power law.
     pub fn flat(&self, image: &Image<u8>) -> Image<f32> {
-        let pixels = image.data.chunks_exact(3).zip(&self.shadow);
-        let data = pixels.flat_map(|(p, shadow)| [0, 1, 2].map(|c| self.decode[p[c] as usize] / shadow)).collect();
-        Image { width: image.width, height: image.height, channels: 3, data }
+        let pixels = image.data.par_chunks_exact(3).zip(&self.shadow).with_min_len(PIXELS);
+        let flat: Vec<[f32; 3]> =
+            pixels.map(|(p, shadow)| [0, 1, 2].map(|c| self.decode[p[c] as usize] / shadow)).collect();
+        Image { width: image.width, height: image.height, channels: 3, data: flat.into_flattened() }
     }
 
     /// The inverse of [`Scope::flat`]: as the film would show what was rendered, sRGB in 0..1.
@@ -62,9 +66,9 @@ impl Scope {
             let share = place - below as f32;
             self.encode[below] * (1.0 - share) + self.encode[below + 1] * share
         };
-        let pixels = rendered.chunks_exact(3).zip(&self.shadow);
-        let data = pixels.flat_map(|(p, shadow)| [0, 1, 2].map(|c| encoded(p[c] * shadow))).collect();
-        Image { width, height, channels: 3, data }
+        let pixels = rendered.par_chunks_exact(3).zip(&self.shadow).with_min_len(PIXELS);
+        let shown: Vec<[f32; 3]> = pixels.map(|(p, shadow)| [0, 1, 2].map(|c| encoded(p[c] * shadow))).collect();
+        Image { width, height, channels: 3, data: shown.into_flattened() }
     }
 }
 

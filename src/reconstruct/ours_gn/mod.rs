@@ -29,9 +29,10 @@ mod track;
 use std::time::Instant;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
-use crate::splat::{DepthOutput, Frame, Rasterizer, Rendered, Settings, View};
+use crate::splat::{DepthOutput, Frame, Rasterizer, Rendered, Reuse, Settings, View};
 
 use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{Start, Surface, to_f32};
@@ -48,7 +49,7 @@ use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruc
 use breath::{Breath, Repetition};
 use light::Scope;
 use pose::Before;
-use scene::Seen;
+use scene::{DISCS, Seen};
 use track::{Tracked, moved};
 
 /// Darkest albedo: a colour of zero has no gradient.
@@ -93,7 +94,13 @@ impl Reconstruct for OursGn {
         let start = Instant::now();
         let mut tracker = Tracker::new(&self.settings, self.iteration_scale, observation);
         let preparation = start.elapsed().as_secs_f64();
-        let fitting = fit_in_order(observation.images.len(), |frame| tracker.fit(frame), emit, progress)?;
+        let fitting = fit_in_order(
+            observation.images.len(),
+            // From inside the pool: handing it work from outside costs more than much of this work does.
+            |frame| rayon::scope(|_| tracker.fit(frame)),
+            emit,
+            progress,
+        )?;
         Ok(Reconstruction { final_mesh: Some(tracker.mesh()), seconds: preparation + fitting })
     }
 }
@@ -222,6 +229,7 @@ impl<'a> Tracker<'a> {
         self.touch_up(&finest)?;
         self.draw(&finest.view)?;
         let color = self.shown();
+        self.rasterizer.reuse(Reuse::Never);
         self.leave();
         let depth_mm = self.depth_mm(&finest.view, phase);
         self.breath.add(phase);
@@ -327,8 +335,8 @@ impl<'a> Tracker<'a> {
             return Err(nothing_in_view());
         }
         let patch = self.surface.patch(&seen)?;
-        let memory = patch.discs.iter().map(|&i| self.memory[i as usize]).collect();
-        let albedo = patch.discs.iter().map(|&i| self.albedo[i as usize]).collect();
+        let discs = patch.discs.par_iter().with_min_len(DISCS);
+        let (memory, albedo) = discs.map(|&i| (self.memory[i as usize], self.albedo[i as usize])).unzip();
         let (rest, displacement) = (patch.pick(&self.rest), patch.pick(&self.displacement));
         self.faces = seen;
         // Where there is a window, it is the window that estimates the correction.

@@ -2,6 +2,7 @@
 //! both change with the phase.
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use crate::base::Result;
 use crate::splat::{Gaussians, Shape};
@@ -10,6 +11,9 @@ use crate::reconstruct::anchored::{Patch, SH_C0};
 use crate::reconstruct::correction::add;
 use crate::reconstruct::phase_fit::at_phase;
 use crate::reconstruct::scope_light::ScopeLight;
+
+/// Discs per task, at least.
+pub const DISCS: usize = 1024;
 
 /// The compact copy of what one frame can see.
 pub struct Seen {
@@ -84,23 +88,24 @@ impl Seen {
     pub fn place(&mut self, phase: f64, light: &ScopeLight) -> Result<()> {
         at_phase(&self.rest, &self.displacement, phase as f32, &mut self.vertices);
         self.patch.place(&self.vertices)?;
-        self.shade.clear();
         let gaussians = &self.patch.gaussians;
         let Shape::Discs { axes } = &gaussians.shape else { unreachable!("a patch is made of discs") };
-        let shades = gaussians.positions.iter().zip(axes);
-        self.shade.extend(shades.map(|(p, a)| light.shade((*p).into(), Some(normal(a)), Vec3::ZERO).value));
+        let shades = gaussians.positions.par_iter().zip(axes).with_min_len(DISCS);
+        shades
+            .map(|(p, a)| light.shade((*p).into(), Some(normal(a)), Vec3::ZERO).value)
+            .collect_into_vec(&mut self.shade);
         self.color();
         Ok(())
     }
 
     /// Colours the discs by albedo and shade.
     pub fn color(&mut self) {
-        let shown = self.albedo.iter().zip(&self.shade);
-        for (sh, (albedo, shade)) in self.patch.gaussians.sh.chunks_exact_mut(3).zip(shown) {
+        let shown = self.albedo.par_iter().zip(&self.shade).with_min_len(DISCS);
+        self.patch.gaussians.sh.par_chunks_exact_mut(3).zip(shown).for_each(|(sh, (albedo, shade))| {
             for c in 0..3 {
                 sh[c] = (albedo[c] * shade - 0.5) / SH_C0;
             }
-        }
+        });
     }
 
     /// How discs and their colours move while the local vertices move by `by`.
@@ -117,11 +122,12 @@ impl Seen {
         Velocity { positions: vec![by; colors.len()], axes: Vec::new(), colors }
     }
 
-    fn color_change(&self, light: &ScopeLight, velocity: impl Fn(usize) -> [f32; 3]) -> Vec<[f32; 3]> {
+    fn color_change(&self, light: &ScopeLight, velocity: impl Fn(usize) -> [f32; 3] + Sync) -> Vec<[f32; 3]> {
         let gaussians = &self.patch.gaussians;
         let Shape::Discs { axes } = &gaussians.shape else { unreachable!("a patch is made of discs") };
-        let discs = gaussians.positions.iter().zip(axes).zip(&self.albedo).enumerate();
+        let discs = gaussians.positions.par_iter().zip(axes).zip(&self.albedo).enumerate();
         discs
+            .with_min_len(DISCS)
             .map(|(k, ((centre, axes), albedo))| {
                 let shade = light.shade((*centre).into(), Some(normal(axes)), velocity(k).into());
                 albedo.map(|a| a * shade.value * shade.relative_slope)

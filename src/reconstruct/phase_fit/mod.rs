@@ -10,6 +10,7 @@
 mod stages;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
 use crate::splat::{DepthOutput, Gaussians, Gradients, ImageGradient, Rasterizer, Settings, View, Wanted};
@@ -119,8 +120,8 @@ pub fn run(
 
 /// `rest + phase * displacement`, vertex by vertex.
 pub fn at_phase(rest: &[[f32; 3]], displacement: &[[f32; 3]], phase: f32, out: &mut Vec<[f32; 3]>) {
-    out.clear();
-    out.extend(rest.iter().zip(displacement).map(|(r, d)| [0, 1, 2].map(|k| r[k] + phase * d[k])));
+    let moved = rest.par_iter().zip(displacement).with_min_len(4096);
+    moved.map(|(r, d)| [0, 1, 2].map(|k| r[k] + phase * d[k])).collect_into_vec(out);
 }
 
 /// The airway at `phase` by the two CTs.
@@ -371,7 +372,8 @@ impl Fitter<'_> {
 
 fn in_camera(view: &View, gaussians: &Gaussians<f32>) -> Vec<Vec3> {
     let transform = view.camera_from_world.as_affine3();
-    gaussians.positions.iter().map(|p| transform.transform_point3(Vec3::from(*p))).collect()
+    let centres = gaussians.positions.par_iter().with_min_len(4096);
+    centres.map(|p| transform.transform_point3(Vec3::from(*p))).collect()
 }
 
 fn depths(view: &View, gaussians: &Gaussians<f32>) -> Vec<f32> {
@@ -392,7 +394,8 @@ fn bound(sh: &mut [f32]) {
 pub fn pixels(view: &View, gaussians: &Gaussians<f32>) -> Vec<Option<[usize; 2]>> {
     let (width, height) = (view.camera.width as f64, view.camera.height as f64);
     in_camera(view, gaussians)
-        .iter()
+        .par_iter()
+        .with_min_len(1024)
         .map(|p| {
             let pixel = view.camera.project(p.as_dvec3())?;
             let inside = p.z > 0.2 && pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
