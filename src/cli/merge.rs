@@ -42,6 +42,11 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
         if path.exists() {
             environments.insert(part.id.clone(), files::read_json(&path)?);
         }
+        // Of runs that were merged before.
+        let path = folder.join("environments.json");
+        if path.exists() {
+            environments.extend(files::read_json::<BTreeMap<String, serde_json::Value>>(&path)?);
+        }
     }
     let merged = merge(parts, if arguments.other_films { Films::Other } else { Films::Same })?;
     terminal.stage("writing the report");

@@ -70,7 +70,7 @@ impl Choice {
     }
 
     fn label(&self) -> String {
-        let kernel = if self.footprint == Footprint::Disc { "plain".into() } else { self.isa.to_string() };
+        let kernel = self.isa.to_string();
         match (self.threads, self.tile_side) {
             (1, TileSide::Px16) => kernel,
             (1, side) => format!("{kernel}, tiles of {} px", side.px()),
