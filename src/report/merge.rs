@@ -75,9 +75,15 @@ pub fn read_run(folder: &Path) -> Result<Run> {
 
 /// Puts `parts` together; of a cell that several have, the last one's.
 ///
-/// Errors: no part; with [`Films::Same`], a case of which two parts scored different films.
+/// Errors: with [`Films::Same`], a case of which two parts scored different films.
 pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
-    let ids: Vec<String> = parts.iter().map(|run| run.id.clone()).collect();
+    // A part may have been put together before.
+    let mut ids: Vec<String> = Vec::new();
+    for id in parts.iter().flat_map(|run| &run.cells).map(|cell| &cell.run_id) {
+        if !ids.contains(id) {
+            ids.push(id.clone());
+        }
+    }
     let mut profiles: Vec<String> = Vec::new();
     let mut cells: Vec<CellRecord> = Vec::new();
     for run in parts {

@@ -66,6 +66,11 @@ fn the_last_run_that_has_a_cell_gives_it() {
     assert_eq!(found, [of_case("case1"), of_case("case2")].concat());
     assert_eq!(merged.notes.len(), 1);
     assert!(merged.notes[0].contains(first) && merged.notes[0].contains(second));
+    // Put together once more, it still knows where its cells come from.
+    let place = folder.path().join("merged");
+    write(&merged, &place, &NoProgress).unwrap();
+    let again = merge(vec![read_run(&place).unwrap()], Films::Same).unwrap();
+    assert!(again.notes[0].contains(first) && again.notes[0].contains(second));
     // The numbers are those of the whole run.
     for cell in &merged.cells {
         let is_same = |c: &&CellRecord| c.case_id == cell.case_id && c.method == cell.method;
