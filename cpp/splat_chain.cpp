@@ -49,6 +49,9 @@ inline void compensation_pullback(const G& g, V by_log, V by_u[COLUMNS][2]) {
 
 inline V dot(const V* a, const V* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
+// A slot is asked for this many slots before it is summed.
+constexpr int AHEAD = 48;
+
 struct Chain {
   const Scene& s;
   const ChainChunk& o;
@@ -62,8 +65,11 @@ struct Chain {
       V total[PARTS];
       for (V& v : total) v = V{};
       if (l < count) {
-        for (std::uint32_t e = o.starts[k0 + l]; e < o.starts[k0 + l + 1]; ++e)
-          for (int p = 0; p < PARTS; ++p) total[p] += load(o.slots + 16 * static_cast<std::size_t>(e) + LANES * p);
+        for (std::uint32_t e = o.starts[k0 + l]; e < o.starts[k0 + l + 1]; ++e) {
+          const float* slot = o.slots + 16 * static_cast<std::size_t>(e);
+          __builtin_prefetch(slot + 16 * AHEAD);
+          for (int p = 0; p < PARTS; ++p) total[p] += load(slot + LANES * p);
+        }
       }
       for (int p = 0; p < PARTS; ++p) store(sums[l] + LANES * p, total[p]);
     }
@@ -101,6 +107,14 @@ struct Chain {
         return;
       }
       const std::uint32_t* const index = group.index;
+      // Tables of a hundred thousand Gaussians are in no near cache, and there are a dozen of them: too many for the processor to see
+      // what comes next in each.
+      ask_for_next<SH, COLUMNS>(s, group);
+      if (wants(POSITIONS)) ask<3, 1>(o.positions, k0);
+      if (wants(OPACITIES)) ask<1, 1>(o.opacities, k0);
+      if (wants(HARMONICS)) ask<SH, 1>(o.sh, k0);
+      if (shapes) ask<COLUMNS == 2 ? 6 : 4, 1>(o.shape, k0);
+      if (shapes && COLUMNS == 3) ask<3, 1>(o.scales, k0);
       V m[16];
       moments(k0, count, m);
       VI seen;

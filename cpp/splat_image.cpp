@@ -3,6 +3,7 @@
 
 #include <emmintrin.h>
 
+#include <algorithm>
 #include <stdexcept>
 
 #include "cpp/splat_kernel.h"
@@ -58,11 +59,15 @@ void splat_develop(rust::Slice<const float> state, std::size_t width, std::size_
   require(width > 0 && pixels % width == 0 && pixels <= side * width && color.size() == 3 * pixels &&
               depth.size() == pixels && state.size() >= tiles * PLANES * PIXELS,
           "tables of an image differ in length");
-  const int shift = __builtin_ctzll(side);
   const __m128 one = _mm_set1_ps(1.0f), zero = _mm_setzero_ps();
-  for (std::size_t line = 0; line < pixels / width; ++line) {
+  // A slice asks Rust for its pointer each time.
+  const float* const sums = state.data();
+  float *const colors = color.data(), *const depths = depth.data(), *const alphas = alpha.data();
+  const std::size_t lines = pixels / width;
+  const int shift = __builtin_ctzll(side);
+  for (std::size_t line = 0; line < lines; ++line) {
     for (std::size_t x = 0; x < width; x += 4) {
-      const float* s = state.data() + (x >> shift) * PLANES * PIXELS + place((x & (side - 1)) / 4, line);
+      const float* s = sums + (x >> shift) * PLANES * PIXELS + place((x & (side - 1)) / 4, line);
       const __m128 left = _mm_loadu_ps(s + 4 * PIXELS);
       __m128 rgb[3];
       for (int k = 0; k < 3; ++k) {
@@ -76,9 +81,9 @@ void splat_develop(rust::Slice<const float> state, std::size_t width, std::size_
       }
       const std::size_t o = line * width + x, count = width - x < 4 ? width - x : 4;
       if (count == 4) {
-        interleave(rgb[0], rgb[1], rgb[2], color.data() + 3 * o);
-        _mm_storeu_ps(alpha.data() + o, covered);
-        _mm_storeu_ps(depth.data() + o, deep);
+        interleave(rgb[0], rgb[1], rgb[2], colors + 3 * o);
+        _mm_storeu_ps(alphas + o, covered);
+        _mm_storeu_ps(depths + o, deep);
         continue;
       }
       float room[20];
@@ -86,9 +91,9 @@ void splat_develop(rust::Slice<const float> state, std::size_t width, std::size_
       _mm_storeu_ps(room + 12, covered);
       _mm_storeu_ps(room + 16, deep);
       for (std::size_t i = 0; i < count; ++i) {
-        for (int k = 0; k < 3; ++k) color[3 * (o + i) + k] = room[3 * i + k];
-        alpha[o + i] = room[12 + i];
-        depth[o + i] = room[16 + i];
+        for (int k = 0; k < 3; ++k) colors[3 * (o + i) + k] = room[3 * i + k];
+        alphas[o + i] = room[12 + i];
+        depths[o + i] = room[16 + i];
       }
     }
   }
@@ -134,28 +139,34 @@ void splat_adjoint(rust::Slice<const float> state, std::size_t x0, std::size_t y
               (alpha.empty() || alpha.size() == pixels),
           "tables of an image differ in length");
   const __m128 one = _mm_set1_ps(1.0f), zero = _mm_setzero_ps();
+  // A slice asks Rust for its pointer each time; null where there is none.
+  const float* const states = state.data();
+  const float* const colors = color.empty() ? nullptr : color.data();
+  const float* const depths = depth.empty() ? nullptr : depth.data();
+  const float* const alphas = alpha.empty() ? nullptr : alpha.data();
+  float* const out = adjoint.data();
   __m128d sums[3][2];
   for (auto& sum : sums) sum[0] = sum[1] = _mm_setzero_pd();
   for (std::size_t line = 0; line < side; ++line) {
     for (std::size_t piece = 0; piece < side / 4; ++piece) {
       const std::size_t p = place(piece, line), x = x0 + 4 * piece, y = y0 + line, o = y * width + x;
-      float* a = adjoint.data() + p;
+      float* a = out + p;
       if (x >= width || y >= height) {
         for (int k = 0; k < PLANES; ++k) _mm_storeu_ps(a + k * PIXELS, zero);
         continue;
       }
       const std::size_t count = width - x < 4 ? width - x : 4;
-      const float* s = state.data() + p;
+      const float* s = states + p;
       float room[12];
       const __m128 left = _mm_loadu_ps(s + 4 * PIXELS);
       __m128 behind = zero, by_left = zero, by_depth = zero;
-      if (!alpha.empty()) {
-        const __m128 v = _mm_loadu_ps(padded<1>(alpha.data() + o, count, room));
+      if (alphas) {
+        const __m128 v = _mm_loadu_ps(padded<1>(alphas + o, count, room));
         by_left = _mm_sub_ps(zero, v);
       }
-      if (!color.empty()) {
+      if (colors) {
         __m128 rgb[3];
-        part(padded<3>(color.data() + 3 * o, count, room), rgb);
+        part(padded<3>(colors + 3 * o, count, room), rgb);
         for (int k = 0; k < 3; ++k) {
           const __m128 v = _mm_mul_ps(rgb[k], _mm_set1_ps(gain[k])), plain = _mm_loadu_ps(s + k * PIXELS);
           const __m128 back = _mm_set1_ps(background[k]);
@@ -169,8 +180,8 @@ void splat_adjoint(rust::Slice<const float> state, std::size_t x0, std::size_t y
       } else {
         for (int k = 0; k < 3; ++k) _mm_storeu_ps(a + k * PIXELS, zero);
       }
-      if (!depth.empty()) {
-        const __m128 v = _mm_loadu_ps(padded<1>(depth.data() + o, count, room));
+      if (depths) {
+        const __m128 v = _mm_loadu_ps(padded<1>(depths + o, count, room));
         const __m128 covered = _mm_sub_ps(one, left), there = _mm_cmpgt_ps(covered, zero);
         by_depth = _mm_and_ps(there, _mm_div_ps(v, covered));
         const __m128 sum = _mm_mul_ps(by_depth, _mm_loadu_ps(s + 3 * PIXELS));
@@ -181,6 +192,14 @@ void splat_adjoint(rust::Slice<const float> state, std::size_t x0, std::size_t y
       _mm_storeu_ps(a + 4 * PIXELS, _mm_add_ps(behind, _mm_mul_ps(left, by_left)));
     }
   }
+  if (colors) {
+    // What the next tile will read: its lines are too short for the processor to see them coming.
+    const bool wraps = x0 + side >= width;
+    const std::size_t x = wraps ? 0 : x0 + side, top = wraps ? y0 + side : y0, bottom = std::min(height, top + side);
+    for (std::size_t y = top; y < bottom; ++y)
+      for (std::size_t k = 0; k < 3 * side; k += 16) __builtin_prefetch(colors + 3 * (y * width + x) + k);
+  }
+  for (int k = 0; k < PLANES * PIXELS; k += 16) __builtin_prefetch(states + PLANES * PIXELS + k);
   for (int k = 0; k < 3; ++k) {
     double two[2];
     _mm_storeu_pd(two, _mm_add_pd(sums[k][0], sums[k][1]));

@@ -268,18 +268,28 @@ void backward_tile(const BackwardTile& t) {
   const float *vr = t.adjoint, *vg = vr + PIXELS, *vb = vg + PIXELS, *vz = vb + PIXELS;
   Pairs pairs;
   const V stop = all(t.stop);
+  const float* const rows = t.rows;
+  float* const slots = t.slots;
+  const std::uint32_t *const entries = t.entries, *const targets = t.targets;
   std::uint32_t alive = 0xffff;
   for (std::size_t first = 0; first < t.count; first += BATCH) {
     const int count = t.count - first < BATCH ? static_cast<int>(t.count - first) : BATCH;
-    for (std::size_t i = first + BATCH; i < first + 2 * BATCH && i < t.count; ++i) {
-      __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i]));
-      __builtin_prefetch(t.slots + 16 * static_cast<std::size_t>(t.targets[i]), 1);
+    // What the next batch needs.
+    const std::size_t next = first + BATCH, end = next + BATCH < t.count ? next + BATCH : t.count;
+    for (std::size_t i = next; i < end; ++i) {
+      __builtin_prefetch(rows + 16 * static_cast<std::size_t>(entries[i]));
+      __builtin_prefetch(slots + 16 * static_cast<std::size_t>(targets[i]), 1);
     }
     pairs.find(t, first, count, alive);
     pairs.fill(t, first, count, columns, lines);
     for (int e = 0; e < count; ++e) {
-      float* slot = t.slots + 16 * static_cast<std::size_t>(t.targets[first + e]);
-      const float* q = t.rows + 16 * static_cast<std::size_t>(t.entries[first + e]);
+      float* slot = slots + 16 * static_cast<std::size_t>(targets[first + e]);
+      const float* q = rows + 16 * static_cast<std::size_t>(entries[first + e]);
+      if (pairs.starts[e] == pairs.starts[e + 1]) {
+        // One in six of the tube: its box meets the tile, its ellipse does not.
+        for (int k = 0; k < PARTS; ++k) store(slot + LANES * k, V{});
+        continue;
+      }
       V s{}, sx{}, sy{}, sxx{}, sxy{}, syy{}, sr{}, sg{}, sb{}, sz{};
       for (int pair = pairs.starts[e]; pair < pairs.starts[e + 1]; ++pair) {
         const int block = pairs.blocks[pair];

@@ -101,6 +101,8 @@ struct Projection {
       const bool looked = w.beside > 0.0f && !any_of(opacity > 1.0f);
       if (looked && !any_of(seen & ~beside<COLUMNS>(group, about, error, root, margin))) return;
       if (COLUMNS == 3 && group.in_a_row) group.name(s);
+      ask_for_next<SH, COLUMNS>(s, group);
+      ask<16, 1>(o.rows, k0);
       V log2_opacity = log2(opacity);
       seen &= (log2_opacity + REACH > 0.0f) & finite(opacity) & (opacity > 1e-3f);
       if (!any_of(seen)) return;

@@ -182,6 +182,23 @@ inline void threes(const float* base, const Group& group, V* out) {
   }
 }
 
+// Asks the caches for N numbers of each of the LANES Gaussians after number `from`, wherever the table ends: nobody reads what is not
+// there. Always inlined, because GCC 12 takes a function that does nothing else for one without effects, and drops its calls.
+template <int N, int FOR_WRITING = 0>
+inline __attribute__((always_inline)) void ask(const float* base, std::size_t from) {
+  for (int i = 0; i < N * LANES; i += 16) __builtin_prefetch(base + N * (from + LANES) + i, FOR_WRITING);
+}
+// For all that is known of the group after one in a row.
+template <int SH, int COLUMNS>
+inline __attribute__((always_inline)) void ask_for_next(const Scene& s, const Group& group) {
+  if (!group.in_a_row) return;
+  ask<3>(s.positions, group.from);
+  ask<COLUMNS == 2 ? 6 : 4>(s.shape, group.from);
+  if (COLUMNS == 3) ask<3>(s.scales, group.from);
+  ask<1>(s.opacities, group.from);
+  ask<SH>(s.sh, group.from);
+}
+
 // Calls f(group) for all groups of the Gaussians number first..first + count. A group in a row has no `index` yet: most of
 // what is out of sight never needs it.
 template <class F>
