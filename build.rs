@@ -12,8 +12,14 @@ mod native;
 mod revision;
 
 /// Files with a `#[cxx::bridge]`.
-const BRIDGES: &[&str] =
-    &["src/ffi/loss.rs", "src/ffi/splat.rs", "src/ffi/splat_bin.rs", "src/ffi/splat_image.rs", "src/ffi/tracer.rs"];
+const BRIDGES: &[&str] = &[
+    "src/ffi/isa.rs",
+    "src/ffi/loss.rs",
+    "src/ffi/splat.rs",
+    "src/ffi/splat_bin.rs",
+    "src/ffi/splat_image.rs",
+    "src/ffi/tracer.rs",
+];
 
 /// Own C++ compiled once, for the baseline x86-64.
 const SOURCES: &[&str] =

@@ -3,14 +3,27 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-const ROOMS: [&str; 9] = ["base", "ffi", "formats", "airway", "render", "simulate", "splat", "reconstruct", "score"];
+const ROOMS: [&str; 8] = ["base", "formats", "airway", "render", "simulate", "splat", "reconstruct", "score"];
 
-/// Sets `RESPIRE_BENCH_REVISION_<ROOM>` for the compiler; OUTSIDE is what lies beside `src`.
+/// How the names of the splat core's own C++, and of its bridges in `src/ffi`, begin: no film depends on them, and nothing
+/// else there includes them (`tests/all/layering.rs`).
+const KERNELS: [&str; 3] = ["adam", "loss", "splat"];
+
+/// Sets `RESPIRE_BENCH_REVISION_<ROOM>` for the compiler; OUTSIDE is what lies beside `src`, but for the own C++: that of the
+/// splat core is KERNELS, the rest TRACER, each with its bridges.
 pub fn tell(root: &Path) {
     for room in ROOMS {
         set(room, &[root.join("src").join(room)]);
     }
-    set("outside", &[root.join("cpp"), root.join("build.rs"), root.join("Cargo.lock")]);
+    set("outside", &[root.join("build.rs"), root.join("Cargo.lock")]);
+    let mut bridged = Vec::new();
+    [root.join("cpp"), root.join("src/ffi")].iter().for_each(|folder| list(folder, &mut bridged));
+    let (kernels, tracer): (Vec<_>, Vec<_>) = bridged.into_iter().partition(|file| {
+        let name = file.file_name().expect("a listed file has a name").to_string_lossy();
+        KERNELS.iter().any(|start| name.starts_with(start))
+    });
+    set("kernels", &kernels);
+    set("tracer", &tracer);
     println!("cargo:rerun-if-changed=src");
     println!("cargo:rerun-if-changed=Cargo.lock");
 }

@@ -1,5 +1,6 @@
 //! Revisions of the code itself, room by room: `build.rs` hashes the sources of every room (comments and tests left out),
-//! and as "outside" the own C++ and the locked versions of the dependencies.
+//! as "kernels" the C++ of the splat core with its bridges, as "tracer" all other C++ and bridges, and as "outside" the build
+//! script and the locked versions of the dependencies.
 
 use super::hash;
 
@@ -17,7 +18,6 @@ macro_rules! rooms {
 
 rooms! {
     "base" => "RESPIRE_BENCH_REVISION_BASE",
-    "ffi" => "RESPIRE_BENCH_REVISION_FFI",
     "formats" => "RESPIRE_BENCH_REVISION_FORMATS",
     "airway" => "RESPIRE_BENCH_REVISION_AIRWAY",
     "render" => "RESPIRE_BENCH_REVISION_RENDER",
@@ -25,6 +25,8 @@ rooms! {
     "splat" => "RESPIRE_BENCH_REVISION_SPLAT",
     "reconstruct" => "RESPIRE_BENCH_REVISION_RECONSTRUCT",
     "score" => "RESPIRE_BENCH_REVISION_SCORE",
+    "kernels" => "RESPIRE_BENCH_REVISION_KERNELS",
+    "tracer" => "RESPIRE_BENCH_REVISION_TRACER",
     "outside" => "RESPIRE_BENCH_REVISION_OUTSIDE",
 }
 

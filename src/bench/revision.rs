@@ -1,7 +1,7 @@
 //! Which revision of the code makes a sequence, a prediction, a score.
 //!
 //! [`crate::base::revision`] knows those of the rooms. A change in the report therefore keeps every cached cell, a change in
-//! a method redoes the cells but not the sequences, and a stale cell is never shown as a fresh one.
+//! a method or in the splat core redoes the cells but not the sequences, and a stale cell is never shown as a fresh one.
 
 use crate::base::revision::of_rooms;
 use crate::simulate;
@@ -22,8 +22,17 @@ impl Revisions {
     pub fn of_this_program() -> Self {
         Revisions {
             sequence: simulate::revision(),
-            prediction: of_rooms(&["outside", "base", "ffi", "formats", "simulate", "splat", "reconstruct"]),
-            score: of_rooms(&["outside", "base", "ffi", "formats", "simulate", "score"]),
+            prediction: of_rooms(&[
+                "outside",
+                "tracer",
+                "kernels",
+                "base",
+                "formats",
+                "simulate",
+                "splat",
+                "reconstruct",
+            ]),
+            score: of_rooms(&["outside", "tracer", "kernels", "base", "formats", "simulate", "score"]),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 
-use super::splat::Isa;
+use super::isa::Isa;
 
 #[cxx::bridge(namespace = "respire")]
 #[allow(missing_docs, unused_qualifications)]

@@ -7,6 +7,7 @@
 
 pub mod adam;
 pub mod embree;
+pub mod isa;
 pub mod loss;
 pub mod splat;
 pub mod splat_bin;

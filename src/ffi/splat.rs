@@ -3,7 +3,7 @@
 
 use std::marker::PhantomData;
 
-use crate::base::{Error, Result};
+use super::isa::Isa;
 
 #[cxx::bridge(namespace = "respire")]
 #[allow(missing_docs, unused_qualifications)]
@@ -49,9 +49,6 @@ mod bridge {
 
     unsafe extern "C++" {
         include!("cpp/splat.h");
-        include!("cpp/isa.h");
-
-        fn widest_isa() -> u8;
         fn splat_project(
             isa: u8,
             scene: &SplatScene,
@@ -146,61 +143,6 @@ fn flat(rows: &[Aligned<f32>]) -> &[f32] {
 fn flat_mut(rows: &mut [Aligned<f32>]) -> &mut [f32] {
     // SAFETY: as in `flat`; the borrow is exclusive.
     unsafe { std::slice::from_raw_parts_mut(rows.as_mut_ptr().cast(), rows.len() * 16) }
-}
-
-/// Which code composites.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Isa {
-    /// The plain Rust twin, pixel by pixel.
-    Scalar,
-    /// C++ for any x86-64 (SSE2).
-    Baseline,
-    /// C++ for AVX2 with FMA.
-    Avx2,
-    /// C++ for AVX-512 (F, VL, DQ, BW).
-    Avx512,
-}
-
-impl Isa {
-    /// The widest that this processor runs.
-    pub fn widest() -> Isa {
-        match bridge::widest_isa() {
-            2 => Isa::Avx512,
-            1 => Isa::Avx2,
-            _ => Isa::Baseline,
-        }
-    }
-
-    /// `self`, or an error of the environment when this processor cannot run it.
-    pub fn available(self) -> Result<Isa> {
-        if self <= Isa::widest() {
-            Ok(self)
-        } else {
-            Err(Error::new(
-                crate::base::ErrorKind::Environment,
-                format!("this processor has no {self}; the widest is {}", Isa::widest()),
-            ))
-        }
-    }
-
-    pub(super) fn code(self) -> u8 {
-        match self {
-            Isa::Scalar | Isa::Baseline => 0,
-            Isa::Avx2 => 1,
-            Isa::Avx512 => 2,
-        }
-    }
-}
-
-impl std::fmt::Display for Isa {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Isa::Scalar => "scalar",
-            Isa::Baseline => "sse2",
-            Isa::Avx2 => "avx2",
-            Isa::Avx512 => "avx512",
-        })
-    }
 }
 
 /// What the caller never breaks: it is a defect of this crate, never of the input.

@@ -5,7 +5,7 @@
 
 use cxx::UniquePtr;
 
-use super::splat::Isa;
+use super::isa::Isa;
 use crate::base::{Error, ErrorKind, Result};
 
 pub use bridge::{FrameSettings, MaterialSettings, Tile, TileCounters};

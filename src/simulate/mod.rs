@@ -102,7 +102,7 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
 
 /// Revision of the code that films a sequence.
 pub fn revision() -> String {
-    of_rooms(&["outside", "base", "ffi", "formats", "airway", "render", "simulate"])
+    of_rooms(&["outside", "tracer", "base", "formats", "airway", "render", "simulate"])
 }
 
 /// Content hash of the sequence that `case` and `settings` make, 64 hex digits.

@@ -12,7 +12,8 @@
 //! A tile is 16 blocks of 4x4 pixels, numbered down the columns, or some of them (`tile.rs`); per-pixel tables go block
 //! by block.
 
-use crate::ffi::splat::{self as native, Aligned, Isa, Slots};
+use crate::ffi::isa::Isa;
+use crate::ffi::splat::{self as native, Aligned, Slots};
 
 use super::fault::{Fault, Faults};
 use super::project::{Row, at};

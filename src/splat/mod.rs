@@ -42,7 +42,7 @@ mod tile;
 pub mod tube;
 mod types;
 
-pub use crate::ffi::splat::Isa;
+pub use crate::ffi::isa::Isa;
 pub use anchors::{Anchors, Carrier, Frame};
 pub use dual::Dual;
 pub use fault::Fault;

@@ -1,7 +1,8 @@
 //! The vectorised kernels for `f32` behind the generic code: what C++ (`cpp/splat_*.cpp`) takes over, if the
 //! instruction set and the camera allow. Each kernel has its plain twin in Rust.
 
-use crate::ffi::splat::{self as native, Aligned, ChainOutput, Isa, SplatMotion, SplatScene};
+use crate::ffi::isa::Isa;
+use crate::ffi::splat::{self as native, Aligned, ChainOutput, SplatMotion, SplatScene};
 
 use super::project::Projector;
 use super::real::Real;

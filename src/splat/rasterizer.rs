@@ -7,7 +7,8 @@
 use rayon::prelude::*;
 
 use crate::base::{Error, Result};
-use crate::ffi::splat::{Aligned, Isa};
+use crate::ffi::isa::Isa;
+use crate::ffi::splat::Aligned;
 use crate::ffi::system::grow;
 
 use crate::ffi::splat_bin::{self, Boxes};

@@ -4,7 +4,8 @@
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
-use crate::ffi::splat::{self as native, Aligned, Isa, Slots};
+use crate::ffi::isa::Isa;
+use crate::ffi::splat::{self as native, Aligned, Slots};
 use crate::ffi::splat_image::{self as image, ImageBand, Light};
 
 use super::disc_tile::{DiscTile, Sums};

@@ -114,3 +114,25 @@ fn unsafe_lives_in_one_room() {
         }
     }
 }
+
+/// Films are kept when the splat core changes (`build/revision.rs`): nothing that films may include its C++, or use its bridges.
+#[test]
+fn what_films_knows_nothing_of_the_splat_core() {
+    let of_the_core = |name: &str| ["adam", "loss", "splat"].iter().any(|start| name.starts_with(start));
+    let (mut files, mut of_films) = (Vec::new(), 0);
+    for folder in ["cpp", "src/ffi", "src/render", "src/airway", "src/simulate", "src/formats", "src/base"] {
+        let entries = fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)).unwrap();
+        files.extend(entries.map(|e| e.unwrap().path()).filter(|path| path.is_file()));
+    }
+    for path in files.iter().filter(|path| !of_the_core(&path.file_name().unwrap().to_string_lossy())) {
+        let text = fs::read_to_string(path).unwrap();
+        of_films += 1;
+        for line in text.lines().map(|line| line.split("//").next().unwrap()) {
+            let used =
+                line.split("cpp/").skip(1).chain(line.split("ffi::").skip(1)).chain(line.split("super::").skip(1));
+            let bad = used.filter(|rest| of_the_core(rest)).count();
+            assert_eq!(bad, 0, "{}: {line}", path.display());
+        }
+    }
+    assert!(of_films > 20, "{of_films} files were looked at");
+}

@@ -1,7 +1,7 @@
 //! The random functions that the look of the wall is made of: vectors against plain f64, one instruction set against another.
 
 use respire_bench::base::random::{CounterRng, Stage};
-use respire_bench::ffi::splat::Isa;
+use respire_bench::ffi::isa::Isa;
 use respire_bench::ffi::tracer::{gradient_noise, noise_neighbours};
 
 use crate::splat::forward::available;

@@ -11,8 +11,8 @@
 
 use rayon::prelude::*;
 
+use crate::ffi::isa::Isa;
 use crate::ffi::loss::{self as native, LossImage};
-use crate::ffi::splat::Isa;
 
 use super::norm::Norm;
 
