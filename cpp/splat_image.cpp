@@ -57,12 +57,12 @@ void splat_develop(rust::Slice<const float> state, std::size_t width, std::size_
   require(is_side(side), "a tile is 4, 8 or 16 pixels wide");
   const std::size_t tiles = (width + side - 1) / side, pixels = alpha.size();
   require(width > 0 && pixels % width == 0 && pixels <= side * width && color.size() == 3 * pixels &&
-              depth.size() == pixels && state.size() >= tiles * PLANES * PIXELS,
+              (depth.empty() || depth.size() == pixels) && state.size() >= tiles * PLANES * PIXELS,
           "tables of an image differ in length");
   const __m128 one = _mm_set1_ps(1.0f), zero = _mm_setzero_ps();
   // A slice asks Rust for its pointer each time.
   const float* const sums = state.data();
-  float *const colors = color.data(), *const depths = depth.data(), *const alphas = alpha.data();
+  float *const colors = color.data(), *const alphas = alpha.data(), *const depths = depth.empty() ? nullptr : depth.data();
   const std::size_t lines = pixels / width;
   const int shift = __builtin_ctzll(side);
   for (std::size_t line = 0; line < lines; ++line) {
@@ -83,7 +83,7 @@ void splat_develop(rust::Slice<const float> state, std::size_t width, std::size_
       if (count == 4) {
         interleave(rgb[0], rgb[1], rgb[2], colors + 3 * o);
         _mm_storeu_ps(alphas + o, covered);
-        _mm_storeu_ps(depths + o, deep);
+        if (depths) _mm_storeu_ps(depths + o, deep);
         continue;
       }
       float room[20];
@@ -93,7 +93,7 @@ void splat_develop(rust::Slice<const float> state, std::size_t width, std::size_
       for (std::size_t i = 0; i < count; ++i) {
         for (int k = 0; k < 3; ++k) colors[3 * (o + i) + k] = room[3 * i + k];
         alphas[o + i] = room[12 + i];
-        depths[o + i] = room[16 + i];
+        if (depths) depths[o + i] = room[16 + i];
       }
     }
   }

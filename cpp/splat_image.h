@@ -5,7 +5,7 @@
 
 namespace respire {
 
-// From the sums of one row of tiles, `side` pixels wide, to lines of the images; the twin is in src/splat/composite.rs.
+// From the sums of one row of tiles, `side` pixels wide, to lines of the images (no depth where that is empty); the twin is in src/splat/composite.rs.
 void splat_develop(rust::Slice<const float> state, std::size_t width, std::size_t side,
                    std::array<float, 3> gain, std::array<float, 3> background, bool with_depth, rust::Slice<float> color, rust::Slice<float> depth,
                    rust::Slice<float> alpha);

@@ -64,7 +64,7 @@ pub struct Light {
 pub struct ImageBand<'a, T> {
     /// 3 values a pixel.
     pub color: &'a mut [T],
-    /// 1 value a pixel.
+    /// 1 value a pixel, or empty where it stays as it is.
     pub depth: &'a mut [T],
     /// 1 value a pixel.
     pub alpha: &'a mut [T],

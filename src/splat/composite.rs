@@ -75,6 +75,9 @@ impl<T: Real> Rasterizer<T> {
         let out = &mut self.rendered;
         (out.width, out.height) = (width, height);
         out.color.resize(width * height * 3, T::zero());
+        // What nobody asks for stays as it is once it is 0.
+        let depth_stays =
+            settings.depth == DepthOutput::Skip && self.depth_is_zero && out.depth.len() == width * height;
         out.depth.resize(width * height, T::zero());
         out.alpha.resize(width * height, T::zero());
         let (state, tiling) = (&self.state, self.bins.tiling);
@@ -84,7 +87,9 @@ impl<T: Real> Rasterizer<T> {
         let with_depth = has_depth(settings);
         let light = Light { gain: settings.gain, background: settings.background, with_depth };
         let band = side * width;
-        let bands = out.color.par_chunks_mut(3 * band).zip(out.depth.par_chunks_mut(band));
+        let depth = if depth_stays { &mut [][..] } else { &mut out.depth[..] };
+        let depths = cut(depth, out.alpha.chunks(band).map(|alpha| if depth_stays { 0 } else { alpha.len() }));
+        let bands = out.color.par_chunks_mut(3 * band).zip(depths);
         bands.zip(out.alpha.par_chunks_mut(band)).enumerate().with_max_len(PIECE).for_each(
             |(tile_y, ((color, depth), alpha))| {
                 let row = &state[tile_y * tiles_x * PLANES * PIXELS..][..tiles_x * PLANES * PIXELS];
@@ -96,6 +101,8 @@ impl<T: Real> Rasterizer<T> {
                 ) {
                     return;
                 }
+                let mut none = vec![T::zero(); if depth_stays { alpha.len() } else { 0 }];
+                let depth = if depth_stays { &mut none[..] } else { depth };
                 let lines = color.chunks_mut(3 * width).zip(depth.chunks_mut(width)).zip(alpha.chunks_mut(width));
                 for (line, ((color, depth), alpha)) in lines.enumerate() {
                     let pieces = color.chunks_mut(12).zip(depth.chunks_mut(4)).zip(alpha.chunks_mut(4)).enumerate();
@@ -118,6 +125,7 @@ impl<T: Real> Rasterizer<T> {
                 }
             },
         );
+        self.depth_is_zero = !with_depth;
     }
 
     /// Composites all tiles of exact discs.

@@ -57,6 +57,8 @@ pub struct Rasterizer<T> {
     pub(super) rays: Rays<T>,
     pub(super) extra: Extra<T>,
     pub(super) rendered: Rendered<T>,
+    /// Whether all of `rendered.depth` is known to be 0.
+    pub(super) depth_is_zero: bool,
     pub(super) tangents: Vec<Vec<T>>,
     pub(super) gradients: Gradients<T>,
     /// Chunks whose gradients are not all zero, and what the gradients are laid out for.
@@ -104,6 +106,7 @@ impl<T: Real> Rasterizer<T> {
             rays: Rays::default(),
             extra: Extra::default(),
             rendered: Rendered::default(),
+            depth_is_zero: false,
             tangents: Vec::new(),
             gradients: Gradients::default(),
             written: Vec::new(),

@@ -146,6 +146,7 @@ impl<T: Real> Rasterizer<T> {
         let depth = sight
             .image(|t, p, pixel| T::of(if median { sight.median(t, p, pixel) } else { sight.surface(t, p, pixel) }));
         self.rendered.depth = depth;
+        self.depth_is_zero = false;
     }
 
     fn bodies(&self, gaussians: &Gaussians<T>, view: &View) -> Vec<Option<Body>> {

@@ -1,6 +1,8 @@
 //! What is taken over from the render before, and what lies out of sight: neither may change a bit.
 
-use respire_bench::splat::{Gaussians, Gradients, Isa, Rasterizer, Real, Reuse, Settings, Shape, View, Wanted};
+use respire_bench::splat::{
+    DepthOutput, Gaussians, Gradients, Isa, Rasterizer, Real, Reuse, Settings, Shape, View, Wanted,
+};
 
 use super::scenes::{Kind, Lens, Weights, random, relative, rng, tube, view, wide};
 
@@ -47,6 +49,34 @@ fn a_repainted_scene_equals_a_fresh_one_bit_for_bit() {
         repainted_equals_fresh::<f32>(isa, Lens::Fisheye, Kind::Discs, 1);
     }
     repainted_equals_fresh::<f64>(Isa::Scalar, Lens::Pinhole, Kind::Ellipsoids, 2);
+}
+
+/// A depth image that nobody asks for is not written again while it is 0: whatever was rendered before, it is 0.
+fn depth_equals_fresh<T: Real>(isa: Isa) {
+    use DepthOutput::{Expected, Median, Skip, Surface};
+    let scene = random(60, Kind::Discs, 0, 64).cast::<T>();
+    let mut kept = Rasterizer::<T>::with_isa(isa).unwrap();
+    let asked = [Skip, Skip, Expected, Skip, Median, Skip, Skip, Surface, Skip, Expected, Expected, Skip, Skip];
+    for (step, depth) in asked.into_iter().enumerate() {
+        let mut view = view(Lens::Pinhole);
+        if step % 5 == 4 {
+            view.camera.height -= 6;
+        }
+        let settings = Settings { depth, ..Settings::default() };
+        let fresh =
+            Rasterizer::<T>::with_isa(isa).unwrap().render(&scene, &view, &settings, None).unwrap().depth.clone();
+        let rendered = kept.render(&scene, &view, &settings, None).unwrap();
+        assert!(rendered.depth == fresh, "{isa}, step {step}");
+        assert_eq!(fresh.iter().any(|v| v.to_f64() > 0.0), depth != Skip, "{isa}, step {step}");
+    }
+}
+
+#[test]
+fn a_depth_that_nobody_asks_for_is_zero() {
+    for isa in [Isa::Scalar, Isa::Baseline].into_iter().filter(|isa| isa.available().is_ok()) {
+        depth_equals_fresh::<f32>(isa);
+    }
+    depth_equals_fresh::<f64>(Isa::Scalar);
 }
 
 #[test]
