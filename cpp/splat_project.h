@@ -151,7 +151,7 @@ struct Group {
   int count;
   std::uint32_t from;
   bool in_a_row;  // LANES of them, one after the other, from number `from` on
-  std::uint32_t index[LANES];
+  std::uint32_t index[LANES];  // once named: most of what is out of sight never needs it
 
   Group(const Scene& s, std::size_t first, std::size_t k0, std::size_t all)
       : k0(k0),
@@ -199,23 +199,14 @@ inline __attribute__((always_inline)) void ask_for_next(const Scene& s, const Gr
   ask<SH>(s.sh, group.from);
 }
 
-// Calls f(group) for all groups of the Gaussians number first..first + count. A group in a row has no `index` yet: most of
-// what is out of sight never needs it.
-template <class F>
-inline void for_unnamed_groups(const Scene& s, std::size_t first, std::size_t count, F f) {
-  for (std::size_t k0 = 0; k0 < count; k0 += LANES) {
-    Group group(s, first, k0, count);
-    if (!group.in_a_row) group.name(s);
-    f(group);
-  }
-}
-
+// Calls f(group) for all groups of the Gaussians number first..first + count.
 template <class F>
 inline void for_groups(const Scene& s, std::size_t first, std::size_t count, F f) {
-  for_unnamed_groups(s, first, count, [&](Group& group) {
-    if (group.in_a_row) group.name(s);
+  for (std::size_t k0 = 0; k0 < count; k0 += LANES) {
+    Group group(s, first, k0, count);
+    group.name(s);
     f(group);
-  });
+  }
 }
 
 // Their centres, and the vectors to these from the eye (world axes).
