@@ -161,8 +161,14 @@ struct Projection {
       row[X_REST] = rest[0], row[Y_REST] = rest[1];
       scatter<16>(o.rows + 16 * k0, count, row);
       const VI key = (VI)g.t[2];
-      const VI low = cell(g.point[0] - half[0], o.tiles_x) | cell(g.point[1] - half[1], o.tiles_y) << 16;
-      const VI high = cell(g.point[0] + half[0], o.tiles_x) | cell(g.point[1] + half[1], o.tiles_y) << 16;
+      // Tiles of the pixel centres that the box holds; the slack of the masks (splat_lists.h).
+      const V inside = 0.499f - 1e-5f * (half[0] + half[1]);
+      const std::uint32_t tiles[2] = {o.tiles_x, o.tiles_y};
+      VI low{}, high{};
+      for (int k = 0; k < 2; ++k) {
+        const V from = g.point[k] - half[k] + inside, to = g.point[k] + half[k] - inside;
+        low |= cell(from, tiles[k]) << 16 * k, high |= cell(larger(from, to), tiles[k]) << 16 * k;
+      }
       for (int l = 0; l < count; ++l) {
         o.boxes[2 * (k0 + l)] = static_cast<std::uint32_t>(low[l]);
         o.boxes[2 * (k0 + l) + 1] = static_cast<std::uint32_t>(high[l]);

@@ -27,16 +27,19 @@ pub(super) struct TileBox {
 }
 
 impl TileBox {
+    /// Tiles of the pixel centres within the splat's half width and height, and a slack against rounding (that of the masks
+    /// of blocks, `kernel.rs`). Where there are none, the tile of its left or upper end.
     pub fn of<T: Real>(row: &Row<T>, tiling: &Tiling) -> Self {
         let per_px = 1.0 / tiling.side.px() as f64;
-        let cell = |v: T, n: usize| (v.to_f64() * per_px).clamp(0.0, n as f64 - 1.0) as usize;
-        let tiles = [tiling.columns, tiling.rows];
-        TileBox {
-            x0: cell(row[at::X] - row[at::HALF_WIDTH], tiles[0]),
-            y0: cell(row[at::Y] - row[at::HALF_HEIGHT], tiles[1]),
-            x1: cell(row[at::X] + row[at::HALF_WIDTH], tiles[0]),
-            y1: cell(row[at::Y] + row[at::HALF_HEIGHT], tiles[1]),
-        }
+        let inside = T::of(0.499) - T::of(1e-5) * (row[at::HALF_WIDTH] + row[at::HALF_HEIGHT]);
+        let ends = |axis: usize, n: usize| {
+            let (center, half) = (row[at::X + axis], row[at::HALF_WIDTH + axis]);
+            let cell = |v: T| (v.to_f64() * per_px).clamp(0.0, n as f64 - 1.0) as usize;
+            let (from, to) = (center - half + inside, center + half - inside);
+            (cell(from), cell(from.maximum(to)))
+        };
+        let ((x0, x1), (y0, y1)) = (ends(0, tiling.columns), ends(1, tiling.rows));
+        TileBox { x0, y0, x1, y1 }
     }
 
     #[inline(always)]
