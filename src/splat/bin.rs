@@ -17,7 +17,7 @@ use super::rasterizer::CHUNK;
 use super::real::Real;
 use super::tile::Tiling;
 
-/// Tiles that a splat's bounding box meets, inclusive: `x0 | y0 << 16`, `x1 | y1 << 16`.
+/// Tiles in whose lists a splat is, inclusive; packed: `x0 | y0 << 16`, `x1 | y1 << 16`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TileBox {
     pub x0: usize,
@@ -30,15 +30,19 @@ impl TileBox {
     /// Tiles of the pixel centres within the splat's half width and height, and a slack against rounding (that of the masks
     /// of blocks, `kernel.rs`). Where there are none, the tile of its left or upper end.
     pub fn of<T: Real>(row: &Row<T>, tiling: &Tiling) -> Self {
+        let slack = T::of(1e-3) + T::of(1e-5) * (row[at::HALF_WIDTH] + row[at::HALF_HEIGHT]);
+        Self::around(row, tiling, T::of(0.5) - slack)
+    }
+
+    /// Tiles that the splat's bounding box meets when it is made smaller by `less` pixels on every side.
+    pub fn around<T: Real>(row: &Row<T>, tiling: &Tiling, less: T) -> Self {
         let per_px = 1.0 / tiling.side.px() as f64;
-        let inside = T::of(0.499) - T::of(1e-5) * (row[at::HALF_WIDTH] + row[at::HALF_HEIGHT]);
         let ends = |axis: usize, n: usize| {
             let (center, half) = (row[at::X + axis], row[at::HALF_WIDTH + axis]);
-            let cell = |v: T| (v.to_f64() * per_px).clamp(0.0, n as f64 - 1.0) as usize;
-            let (from, to) = (center - half + inside, center + half - inside);
-            (cell(from), cell(from.maximum(to)))
+            let (from, to) = (center - half + less, center + half - less);
+            [from, from.maximum(to)].map(|v| (v.to_f64() * per_px).clamp(0.0, n as f64 - 1.0) as usize)
         };
-        let ((x0, x1), (y0, y1)) = (ends(0, tiling.columns), ends(1, tiling.rows));
+        let ([x0, x1], [y0, y1]) = (ends(0, tiling.columns), ends(1, tiling.rows));
         TileBox { x0, y0, x1, y1 }
     }
 
@@ -52,13 +56,9 @@ impl TileBox {
         [self.x0 as u32 | (self.y0 as u32) << 16, self.x1 as u32 | (self.y1 as u32) << 16]
     }
 
-    #[inline(always)]
-    fn width(&self) -> usize {
-        self.x1 - self.x0 + 1
-    }
-
-    fn tiles(&self) -> usize {
-        self.width() * (self.y1 - self.y0 + 1)
+    /// How many.
+    pub fn count(&self) -> usize {
+        (self.x1 - self.x0 + 1) * (self.y1 - self.y0 + 1)
     }
 }
 
@@ -237,7 +237,7 @@ impl Bins {
         self.starts.push(0);
         let mut sum = 0;
         for (b, &seen) in boxes.iter().zip(all.visible) {
-            sum += if seen { b.tiles() as u32 } else { 0 };
+            sum += if seen { b.count() as u32 } else { 0 };
             self.starts.push(sum);
         }
         self.make_room(sum as usize);

@@ -311,6 +311,13 @@ impl<T: Real> Rasterizer<T> {
         self.clock.end(Stage::Bin);
     }
 
+    /// Pairs of a tile and a visible splat of the last render whose bounding box meets it, which is what other renderers count; the
+    /// lists have fewer ([`Rendered::intersections`]). Not for exact discs, whose boxes are not kept.
+    pub fn box_intersections(&self) -> usize {
+        let rows = self.rows.iter().zip(&self.rendered.visible).filter(|(_, seen)| **seen);
+        rows.map(|(row, _)| TileBox::around(&row.0, &self.bins.tiling, T::zero()).count()).sum()
+    }
+
     /// Gradients of a loss, given its derivatives with respect to the images of the last [`Rasterizer::render`], whose
     /// Gaussians must be handed in again unchanged. Only the groups in `wanted` are computed; entry `k` of a group
     /// belongs to the `k`-th active Gaussian.
