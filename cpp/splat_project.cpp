@@ -42,12 +42,39 @@ struct Projection {
     for (int k = 0; k < 2; ++k) point[k] = load(out[3 + k]), rest[k] = load(out[5 + k]);
   }
 
+  // What keeps a look at a group on the safe side.
+  struct Room {
+    float root;       // of what standard deviations are multiplied with, for the reach of a splat whose opacity is no more than 1
+    float uncertain;  // of heights above the near plane, apart from what large coordinates add
+    // A pinhole sees what lies between two planes for each axis of the image, through the eye; outwards from these a splat with the
+    // largest standard deviation s reaches no further than by_size s + by_error times the uncertainty of its centre.
+    float sides[2][2][3], by_size[2], by_error[2];
+
+    explicit Room(const View& w) {
+      root = __builtin_sqrtf(2.0f / LOG2_E * REACH) * 1.001f;
+      uncertain = 1e-3f * w.near;
+      for (float v : w.eye) uncertain += 1e-6f * __builtin_fabsf(v);
+      const float margin = root * __builtin_sqrtf(w.dilation) + 1e-2f;
+      for (int k = 0; k < 2; ++k) {
+        const float low = w.center[k] + margin, high = w.center[k] - w.size[k] - margin;
+        for (int c = 0; c < 3; ++c) {
+          sides[k][0][c] = -(w.focal[k] * w.rotation[3 * k + c] + low * w.rotation[6 + c]);
+          sides[k][1][c] = w.focal[k] * w.rotation[3 * k + c] + high * w.rotation[6 + c];
+        }
+        by_size[k] = root * w.focal[k] * (1.0f + w.limit[k]);
+        by_error[k] = w.focal[k] + w.size[k] + margin;
+      }
+    }
+  };
+
+  static V along(const float* axis, const V* v) { return fma(all(axis[2]), v[2], fma(all(axis[1]), v[1], all(axis[0]) * v[0])); }
+
   // Splats that lie beside the image for sure, before their covariance is known. With s the largest standard deviation,
   // half a box of a pinhole is at most sqrt(scale) (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in
-  // the centre, which is known to `error`. `root`: square root of the scale, and `margin` what the dilation makes of it.
+  // the centre, which is known to `error`.
   // A fisheye sees a cone, and its splats are known by their distance from that (`Exact::cone` in src/splat/lens.rs).
   template <int COLUMNS>
-  VI beside(const Group& group, const V* t, V error, float root, float margin) const {
+  VI beside(const Group& group, const V* offset, V height, V error, const Room& room) const {
     const View& w = *s.view;
     V size;
     if (COLUMNS == 2) {
@@ -62,42 +89,34 @@ struct Projection {
       size = larger(larger(scales[0], scales[1]), scales[2]);
     }
     if (w.fisheye > 0.0f) {
-      const V from_axis = square_root(t[0] * t[0] + t[1] * t[1]);
-      return w.cone[0] * from_axis - w.cone[1] * t[2] - root * w.cone[2] * size - 2.0f * error > 0.0f;
+      const V x = turned(w, offset, 0), y = turned(w, offset, 1);
+      return w.cone[0] * square_root(x * x + y * y) - w.cone[1] * height - room.root * w.cone[2] * size - 2.0f * error > 0.0f;
     }
     VI out{};
     for (int k = 0; k < 2; ++k) {
-      const V spread = root * size * (w.focal[k] * (1.0f + w.limit[k])) + error * (w.focal[k] + w.size[k] + margin);
-      out |= w.focal[k] * t[k] + (margin + w.center[k]) * t[2] + spread < 0.0f;
-      out |= w.focal[k] * t[k] + (w.center[k] - w.size[k] - margin) * t[2] - spread > 0.0f;
+      const V spread = fma(all(room.by_size[k]), size, room.by_error[k] * error);
+      out |= larger(along(room.sides[k][0], offset), along(room.sides[k][1], offset)) > spread;
     }
     return out;
   }
 
-  // What keeps a look at a group on the safe side.
-  struct Room {
-    float root, margin;  // of `beside`
-    float uncertain;     // of heights above the near plane, apart from what large coordinates add
-  };
-
   // The first group from k0 on that is not behind or beside for sure. For what is out of sight, a short loop of its own costs two thirds
   // of leaving the long one of `run` early, which begins by saving registers and making room for 8 KB.
   template <int COLUMNS>
-  std::size_t next(std::size_t k0, const Room room) const {
+  std::size_t next(std::size_t k0, const Room& room) const {
     const View& w = *s.view;
     for (; k0 < o.count; k0 += LANES) {
       Group group(s, o.first, k0, o.count);
       if (!group.in_a_row) group.name(s);
-      V position[3], offset[3], about[3];
+      V position[3], offset[3];
       centers(s, group, position, offset);
-      const V error = 1e-6f * (absolute(position[0]) + absolute(position[1]) + absolute(position[2])) + room.uncertain;
-      about[2] = turned(w, offset, 2);
-      const VI seen = about[2] + error >= w.near;
+      const V far = absolute(position[0]) + absolute(position[1]) + absolute(position[2]), height = along(w.rotation + 6, offset);
+      const V error = fma(all(1e-6f), far, all(room.uncertain));
+      const VI seen = height + error >= w.near;
       if (!any_of(seen)) continue;
       if (w.beside <= 0.0f || any_of(ones(s.opacities, group) > 1.0f)) break;
-      for (int k = 0; k < 2; ++k) about[k] = turned(w, offset, k);
       if (COLUMNS == 2 && group.in_a_row) group.name(s);
-      if (any_of(seen & ~beside<COLUMNS>(group, about, error, room.root, room.margin))) break;
+      if (any_of(seen & ~beside<COLUMNS>(group, offset, height, error, room))) break;
     }
     return k0;
   }
@@ -107,12 +126,7 @@ struct Projection {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     const View& w = *s.view;
     __builtin_memset(o.visible, 0, o.count);
-    // As far as any splat reaches whose opacity is no more than 1.
-    const float root = __builtin_sqrtf(2.0f / LOG2_E * REACH) * 1.001f;
-    const float margin = root * __builtin_sqrtf(w.dilation) + 1e-2f;
-    float uncertain = 1e-3f * w.near;
-    for (float v : w.eye) uncertain += 1e-6f * __builtin_fabsf(v);
-    const Room room{root, margin, uncertain};
+    const Room room(w);
     for (std::size_t from = next<COLUMNS>(0, room); from < o.count; from = next<COLUMNS>(from + LANES, room)) {
       Group group(s, o.first, from, o.count);
       group.name(s);

@@ -30,7 +30,7 @@ use super::tile::{TileSide, Tiling};
 use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
 
 /// Gaussians per task; the pose is summed in these chunks.
-pub(super) const CHUNK: usize = 512;
+pub(super) const CHUNK: usize = 1024;
 
 /// Which splats have been counted into the bins.
 #[derive(Clone, Copy, PartialEq, Eq)]
