@@ -15,7 +15,8 @@
 //! light inside the wall) do not average out. What two frames from different places say about where the wall is, beyond
 //! any phase, may go into a correction of the displacement field ([`super::correction`]): its coefficients are unknowns of
 //! the window, too, which no keyframe takes along when it leaves. Where walls are near, the valley of the misfit is .01 of a phase wide: before the
-//! first step the phase around the expected one is looked for at which the frame agrees best with the last keyframe.
+//! first step the phase around the expected one is looked for at which the frame agrees best with the last keyframe. Where that is
+//! elsewhere, steps are taken from both, and all keyframes choose: walls that are very near can mislead one of them.
 //! Poses that are off may be unknowns, too: one correction and its change per second for the whole window, under the drift of
 //! [`super::pose_drift`]. (Six unknowns per frame run away: along a tube, way and phase are one.) Phases stay within 0..1 in every step
 //! ([`bounded`]): where images push one against an end of the breath, it is the poses that must be wrong.
@@ -234,11 +235,48 @@ impl Window {
         }
     }
 
-    /// Gauss-Newton on all unknowns and the phase of the frame that is `seen`, the last of `mean`.
+    /// Gauss-Newton on all unknowns and the phase of the frame that is `seen`, the last of `mean`: from there, and from where the
+    /// frame agrees much better with the last keyframe. Of two answers it is the one that all keyframes agree with best.
     fn solve(
         &self,
         seen: &Seen<'_>,
         mean: DVector<f64>,
+        layout: &Layout<'_>,
+        shape: Shape<'_>,
+        correction: &Correction,
+    ) -> Found {
+        let expected = mean[mean.len() - 1];
+        let corrected = |at: &DVector<f64>| layout.corrected(correction, shape, at).into_owned();
+        let nearest = self.nearest_fit(seen, &mean, Shape { displacement: &corrected(&mean), ..shape });
+        let from = |start: f64| self.solve_from(start, seen, &mean, layout, shape, correction);
+        let found = from(nearest);
+        if nearest == expected {
+            return found;
+        }
+        let other = from(expected);
+        let misfits = |at: &DVector<f64>| self.misfits(seen, at, Shape { displacement: &corrected(at), ..shape });
+        let differences = misfits(&found.at).into_iter().zip(misfits(&other.at)).map(|(a, b)| a - b);
+        if differences.filter(|d| d.is_finite()).sum::<f64>() <= 0.0 { found } else { other }
+    }
+
+    /// How badly each keyframe agrees with the frame that is `seen`.
+    fn misfits(&self, seen: &Seen<'_>, at: &DVector<f64>, shape: Shape<'_>) -> Vec<f64> {
+        let view = self.moved(seen.given, at, 0.0);
+        let sight = Sight { view: &view, picture: seen.picture, nearest: seen.nearest };
+        let (first, second) = (at.len() - 1 - self.keyframes.len(), at[at.len() - 1]);
+        let of = |(k, key): (usize, &Keyframe)| {
+            let key_from_world = self.key_from_world(key, seen, at);
+            misfit(key, &sight, &Assumed { first: at[first + k], key_from_world, second, shape })
+        };
+        self.keyframes.par_iter().enumerate().map(of).collect()
+    }
+
+    /// [`Window::solve`] with the frame's phase first taken for `start`.
+    fn solve_from(
+        &self,
+        start: f64,
+        seen: &Seen<'_>,
+        mean: &DVector<f64>,
         layout: &Layout<'_>,
         shape: Shape<'_>,
         correction: &Correction,
@@ -249,13 +287,12 @@ impl Window {
         known[(now, now)] = 1.0 / (deviation * deviation);
         let pull = self.pull.clone().push(0.0);
         let mut found = Found { at: mean.clone(), total: known.clone(), push: DVector::zeros(now + 1), last: None };
-        found.at[now] =
-            self.nearest_fit(seen, &mean, Shape { displacement: &layout.corrected(correction, shape, &mean), ..shape });
+        found.at[now] = start;
         for _ in 0..STEPS {
             let corrected = layout.corrected(correction, shape, &found.at);
             let pairs = self.pairs(seen, &found.at, layout, Shape { displacement: &corrected, ..shape });
             found.total.copy_from(&known);
-            let mut gradient = &pull + &known * (&mean - &found.at);
+            let mut gradient = &pull + &known * (mean - &found.at);
             for (k, pair) in pairs.iter().enumerate() {
                 let places = layout.places(k, now);
                 for (i, &a) in places.iter().enumerate() {

@@ -109,6 +109,36 @@ fn phases_that_are_expected_in_the_wrong_place_are_mended_by_parallax() {
     }
 }
 
+/// A last keyframe that is taken for another phase than its own sends the search astray: the answer is the one that all keyframes
+/// agree with, and not the one next to where the search ended.
+#[test]
+fn of_two_answers_all_keyframes_choose() {
+    let tube = Tube::new();
+    let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
+    let setting = Setting { shape: tube.shape(), visible: &all };
+    let mut window = window_of(None);
+    let truth = |frame: usize| 0.5 + 0.3 * (frame as f64 * 0.15).sin();
+    let film = |frame: usize| tube.film(2.0 + 0.3 * frame as f64, truth(frame));
+    for frame in 0..12 {
+        let (view, image) = film(frame);
+        let level = Level { view, image, weights: Vec::new() };
+        window.place(&level, 0.0, setting, truth(frame), &mut Correction::none());
+    }
+    let last = window.unknowns.len() - 1;
+    window.unknowns[last] += 0.06;
+    let (view, image) = film(12);
+    let contrast = picture(&image, &[]);
+    let expected = truth(12);
+    let rays = Rays::new(&view.camera);
+    let nearest = nearest_faces(&view, &rays, &tube.shape().at(expected), &tube.faces, setting.visible);
+    let seen = Seen { given: &view, time_s: 0.0, picture: &contrast, nearest: &nearest };
+    let astray = window.nearest_fit(&seen, &window.unknowns.clone().push(expected), tube.shape());
+    let level = Level { view, image, weights: Vec::new() };
+    let placed = window.place(&level, 0.0, setting, expected, &mut Correction::none());
+    assert!((astray - expected).abs() > 0.03, "the search is not sent astray: {astray}");
+    assert!((placed.phase - expected).abs() < 0.012, "{} instead of {expected}", placed.phase);
+}
+
 /// Before the first step the phase at which a frame agrees with the last keyframe is looked for: the nearest that was tried is
 /// found from either side, and what is expected rightly stays to the last bit.
 #[test]
