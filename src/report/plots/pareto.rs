@@ -8,8 +8,8 @@ use super::canvas::{Area, Drawn, Figure, GRID, INK, Pen, legend};
 use super::methods::{log_range, log_ticks};
 use crate::report::pareto::{Chart, Standing};
 
-/// Okabe and Ito's palette, in the order of the modes.
-const COLORS: [RGBColor; 7] = [
+/// Okabe and Ito's palette and one more, in the order of the modes.
+const COLORS: [RGBColor; 8] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -17,6 +17,7 @@ const COLORS: [RGBColor; 7] = [
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
     RGBColor(140, 140, 140),
+    RGBColor(120, 94, 240),
 ];
 /// The line of the front.
 const FRONT: RGBColor = RGBColor(180, 180, 180);
