@@ -286,7 +286,7 @@ void backward_tile(const BackwardTile& t) {
       float* slot = slots + 16 * static_cast<std::size_t>(targets[first + e]);
       const float* q = rows + 16 * static_cast<std::size_t>(entries[first + e]);
       if (pairs.starts[e] == pairs.starts[e + 1]) {
-        // One in six of the tube: its box meets the tile, its ellipse does not.
+        // One in eleven of the tube: most lie behind blocks that have stopped, some are corners of boxes that the ellipse does not reach.
         for (int k = 0; k < PARTS; ++k) store(slot + LANES * k, V{});
         continue;
       }
