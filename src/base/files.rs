@@ -9,6 +9,9 @@ use serde::de::DeserializeOwned;
 
 use super::error::{Error, Result};
 
+/// How the name of an unfinished file begins and ends.
+const UNFINISHED: (&str, &str) = (".", ".tmp");
+
 /// Writes `path` in one atomic step through `write`; the folder is made when missing. On failure the old file, if
 /// any, stays as it was and nothing else is left behind.
 pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
@@ -18,7 +21,7 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::
     };
     let fail = |e| Error::io("writing", path, e);
     fs::create_dir_all(folder).map_err(fail)?;
-    let file = tempfile::Builder::new().prefix(".").suffix(".tmp").tempfile_in(folder).map_err(fail)?;
+    let file = tempfile::Builder::new().prefix(UNFINISHED.0).suffix(UNFINISHED.1).tempfile_in(folder).map_err(fail)?;
     let mut buffered = BufWriter::new(file);
     write(&mut buffered).map_err(fail)?;
     let file = buffered.into_inner().map_err(|e| fail(e.into_error()))?;
@@ -32,6 +35,31 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::
 fn set_umask_permissions(file: &File) -> std::io::Result<()> {
     use std::os::unix::fs::PermissionsExt;
     file.set_permissions(fs::Permissions::from_mode(0o644))
+}
+
+/// Removes what a kill in the middle of [`write_atomically`] left behind in `folder` and below it. Only who alone writes
+/// there may ask for it. A missing folder is an empty one.
+pub fn remove_unfinished(folder: &Path) -> Result<()> {
+    let fail = |e| Error::io("reading", folder, e);
+    let entries = match fs::read_dir(folder) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        entries => entries.map_err(fail)?,
+    };
+    for entry in entries {
+        let entry = entry.map_err(fail)?;
+        let (kind, path) = (entry.file_type().map_err(fail)?, entry.path());
+        if kind.is_dir() {
+            remove_unfinished(&path)?;
+        } else if kind.is_file() && is_unfinished(&entry.file_name().to_string_lossy()) {
+            fs::remove_file(&path).map_err(|e| Error::io("removing", &path, e))?;
+        }
+    }
+    Ok(())
+}
+
+/// Whether [`write_atomically`] gives such names to files that it has not finished.
+fn is_unfinished(name: &str) -> bool {
+    name.starts_with(UNFINISHED.0) && name.ends_with(UNFINISHED.1)
 }
 
 /// [`write_atomically`] for bytes that are at hand.
@@ -127,6 +155,22 @@ mod tests {
         assert!(failed.unwrap_err().to_string().contains("b.txt"));
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(fs::read_dir(folder.path().join("a")).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_a_kill_left_behind_is_removed_at_any_depth_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| folder.path().join(name);
+        for name in ["a/b/.Ab12cd.tmp", ".Ef34gh.tmp", "a/kept.tmp", "a/.lock", "a/b/kept.png"] {
+            write_bytes(&place(name), b"x").unwrap();
+        }
+        std::os::unix::fs::symlink("kept.tmp", place("a/.link.tmp")).unwrap();
+        remove_unfinished(folder.path()).unwrap();
+        assert!(!place("a/b/.Ab12cd.tmp").exists() && !place(".Ef34gh.tmp").exists());
+        for name in ["a/kept.tmp", "a/.lock", "a/b/kept.png", "a/.link.tmp"] {
+            assert!(place(name).exists(), "{name}");
+        }
+        remove_unfinished(&place("nowhere")).unwrap();
     }
 
     #[test]

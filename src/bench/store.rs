@@ -16,7 +16,7 @@ use rayon::prelude::*;
 
 use super::journal::{self, Entry, Journal};
 use super::plan::{Cell, Plan, Planned};
-use crate::base::{Error, Result, hash};
+use crate::base::{Error, Result, files, hash};
 
 /// Holds a folder for this process until it is dropped, or the process ends however it ends.
 #[derive(Debug)]
@@ -47,6 +47,9 @@ impl Lock {
     }
 }
 
+/// Where products lie; whatever else is in the folder is not ours.
+const FOLDERS: [&str; 2] = ["sequences", "cells"];
+
 /// What the cache knows of a product.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
@@ -69,9 +72,13 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens for work: takes the lock, reads the journal, cuts off a torn last line.
+    /// Opens for work: takes the lock, clears away what a killed run was writing, reads the journal, cuts off a torn
+    /// last line.
     pub fn open(root: &Path) -> Result<Store> {
         let lock = Lock::take(root)?;
+        for folder in FOLDERS {
+            files::remove_unfinished(&root.join(folder))?;
+        }
         let path = root.join("journal.jsonl");
         let (entries, whole) = journal::read(&path)?;
         let journal = Journal::open(&path, whole)?;
@@ -204,6 +211,23 @@ mod tests {
         assert_eq!(store.state("cells/a", "key"), State::Whole);
         fs::remove_dir_all(store.path("cells/a")).unwrap();
         assert_eq!(store.state("cells/a", "key"), State::Damaged);
+    }
+
+    /// A kill while the costs of a cell are written leaves half a file beside its products.
+    #[test]
+    fn what_a_killed_run_was_writing_is_cleared_away_by_the_next() {
+        let folder = tempfile::tempdir().unwrap();
+        let half = |place: &str| {
+            fs::create_dir_all(folder.path().join(place)).unwrap();
+            let path = folder.path().join(place).join(".Ab12cd.tmp");
+            fs::write(&path, "half").unwrap();
+            path
+        };
+        let (cell, film, foreign) = (half("cells/a"), half("sequences"), half("somebody"));
+        Store::look(folder.path()).unwrap();
+        assert!(cell.exists() && film.exists());
+        Store::open(folder.path()).unwrap();
+        assert!(!cell.exists() && !film.exists() && foreign.exists());
     }
 
     #[test]

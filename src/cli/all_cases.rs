@@ -45,6 +45,7 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     }
     // Both folders are taken before any work: a run that cannot be written is refused now and not in ten minutes.
     let _lock = Lock::take(&folder)?;
+    files::remove_unfinished(&folder)?;
     let mut store = Store::open(&arguments.cache)?;
     let finished = execute(&plan, &pipeline, &mut store, freshness, terminal)?;
 

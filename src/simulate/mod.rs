@@ -154,21 +154,8 @@ fn prepare_folder(out: &Path, hash: &str) -> Result<()> {
         }
         files::write_json(&plan, &serde_json::json!({ "hash": hash }))?;
     }
-    remove_unfinished_files(out)
-}
-
-/// A kill in the middle of an atomic write leaves its temporary file behind: nothing of the film, so away with it.
-fn remove_unfinished_files(out: &Path) -> Result<()> {
-    for folder in sequence::FOLDERS.iter().map(|part| out.join(part)).chain([out.to_path_buf()]) {
-        let Ok(entries) = folder.read_dir() else { continue };
-        for path in entries.filter_map(|entry| entry.ok().map(|e| e.path())) {
-            let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
-            if name.starts_with('.') && name.ends_with(".tmp") {
-                std::fs::remove_file(&path).map_err(|e| Error::io("removing", &path, e))?;
-            }
-        }
-    }
-    Ok(())
+    // Nothing of the film, so away with it.
+    files::remove_unfinished(out)
 }
 
 /// Everything but the frames; the manifest last.
