@@ -47,8 +47,7 @@ struct Pixels {
 
   void blend(const ForwardTile& t, std::size_t splat, V dx, V dy, V raw) {
     const float* q = t.rows + 16 * splat;
-    V a = least(raw, all(ALPHA_MAX));
-    a = keep_ge(a, all(ALPHA_MIN), a);
+    const V a = clip(raw, all(ALPHA_MIN), all(ALPHA_MAX));
     const V next = fnma(a, left, left);
     const V weight = keep_gt(next, stop, a * left);
     for (int d = 0; d < K; ++d) {
@@ -307,11 +306,10 @@ void backward_tile(const BackwardTile& t) {
             const V dy = (load(lines[block & 3] + LANES * k) - all(q[Y])) - all(q[Y_REST]);
             V value = fma(all(q[RED]), r, fma(all(q[GREEN]), g, all(q[BLUE]) * b));
             if (WITH_Z) value = fma(all(q[DEPTH]), load(vz + p), value);
-            const V rest = fnma(weight, value, load(behind + p));
+            const V own = weight * value, rest = load(behind + p) - own;
             store(behind + p, rest);
-            // d loss / d alpha, then d loss / d log(alpha); none where alpha is clamped or the pixel has stopped.
-            const V by_alpha = fnma(rest, reciprocal(all(1) - a), now * value);
-            V v = keep_gt(next, stop, a * by_alpha);
+            // d loss / d log(alpha) = alpha d loss / d alpha; none where alpha is clamped or the pixel has stopped.
+            V v = keep_gt(next, stop, fnma(rest, a * reciprocal(all(1) - a), own));
             v = keep_ge(all(ALPHA_MAX), raw, v);
             const V mx = v * dx, my = v * dy;
             s += v;

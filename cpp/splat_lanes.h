@@ -38,6 +38,10 @@ inline V keep_ge(V a, V b, V v) {
 inline V keep_gt(V a, V b, V v) {
   return (V)_mm512_maskz_mov_ps(_mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_GT_OQ), (__m512)v);
 }
+// The lesser of v and `high` where v >= low, 0 elsewhere; low <= high.
+inline V clip(V v, V low, V high) {
+  return (V)_mm512_maskz_min_ps(_mm512_cmp_ps_mask((__m512)v, (__m512)low, _CMP_GE_OQ), (__m512)v, (__m512)high);
+}
 inline V pick_gt(V a, V b, V x, V y) {
   return (V)_mm512_mask_mov_ps((__m512)y, _mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_GT_OQ), (__m512)x);
 }
@@ -101,6 +105,7 @@ inline V nearest(V x) {
 }
 inline V4 fold(V v) { return v; }
 #endif
+inline V clip(V v, V low, V high) { return keep_ge(v, low, least(v, high)); }
 inline V reciprocal(V x) { return 1.0f / x; }
 #endif
 

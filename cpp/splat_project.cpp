@@ -238,6 +238,9 @@ struct Velocity {
       bool seen = false;
       for (int l = 0; l < count; ++l) seen |= o.visible[k0 + l];
       if (!seen) return;
+      ask_for_next<SH, COLUMNS>(s, group);
+      if (group.in_a_row && o.positions) ask<3>(o.positions, group.from);
+      ask<8, 1>(o.rows, k0);
       V position[3], from_eye[3], t[3], sh[SH];
       centers(s, group, position, from_eye);
       turn(w, from_eye, t);
@@ -251,7 +254,7 @@ struct Velocity {
         turn(w, shape.m[c], turned);
         for (int k = 0; k < 3; ++k) g.c[c][k].v = turned[k];
       }
-      move(index, g, offset);
+      move(group, g, offset);
       g.complete(w, offset);
       gather<SH>(s.sh, index, sh);
       shown<Dual, DEGREE>(g.direction, sh, color);
@@ -278,7 +281,7 @@ struct Velocity {
   }
 
   template <int COLUMNS, template <class> class Camera>
-  void move(const std::uint32_t* index, Geometry<Dual, COLUMNS, Camera>& g, Dual* offset) const {
+  void move(const Group& group, Geometry<Dual, COLUMNS, Camera>& g, Dual* offset) const {
     const View& w = *s.view;
     V velocity[3] = {V{}, V{}, V{}}, turned[3];
     if (o.pose) {
@@ -295,12 +298,14 @@ struct Velocity {
         for (int k = 0; k < 3; ++k) g.c[c][k].d = turning(g.c[c], k);
       return;
     }
-    if (o.positions) gather<3>(o.positions, index, velocity);
+    if (o.positions) threes(o.positions, group, velocity);
     turn(w, velocity, turned);
     for (int k = 0; k < 3; ++k) offset[k].d = velocity[k], g.t[k].d = turned[k];
+    for (auto& column : g.c)
+      for (Dual& v : column) v.d = V{};
+    if (!o.shape) return;
     V columns[3 * COLUMNS];
-    for (V& v : columns) v = V{};
-    if (o.shape) gather<3 * COLUMNS>(o.shape, index, columns);
+    gather<3 * COLUMNS>(o.shape, group.index, columns);
     for (int c = 0; c < COLUMNS; ++c) {
       turn(w, columns + 3 * c, turned);
       for (int k = 0; k < 3; ++k) g.c[c][k].d = turned[k];
