@@ -60,22 +60,29 @@ struct Sweep {
         y1(static_cast<std::ptrdiff_t>(band.y1)) {
     const std::uintptr_t room = reinterpret_cast<std::uintptr_t>(band.room);
     next = band.room + (64 - room % 64) % 64 / sizeof(float);
-    zeros = take();
+    zeros = take_zeros();
     for (auto& map : ring)
       for (float*& line : map) line = take();
     for (auto& map : padded)
       for (float*& line : map) line = take();
     // Without a mask all lines weigh the same.
-    for (int r = 0; r < GROUP; ++r) weight[r] = r == 0 || b.mask ? take() : weight[0];
-    for (int r = 0; r < GROUP; ++r) l1_weight[r] = r == 0 || b.mask ? take() : l1_weight[0];
+    for (int r = 0; r < GROUP; ++r) weight[r] = r == 0 || b.mask ? take_zeros() : weight[0];
+    for (int r = 0; r < GROUP; ++r) l1_weight[r] = r == 0 || b.mask ? take_zeros() : l1_weight[0];
     if (!b.mask) weigh(y0, 0);
   }
 
-  // A line of zeros, LOSS_MARGIN of them before it.
+  // A line with zeros on either side.
   float* take() {
-    float* line = next + LOSS_MARGIN;
-    for (std::size_t i = 0; i < stride; ++i) next[i] = 0;
+    float* const line = next + LOSS_MARGIN;
     next += stride;
+    for (float* p = line - LOSS_MARGIN; p < line; ++p) *p = 0;
+    for (float* p = line + values; p < next; ++p) *p = 0;
+    return line;
+  }
+  // A line of zeros.
+  float* take_zeros() {
+    float* const line = take();
+    for (std::size_t x = 0; x < values; ++x) line[x] = 0;
     return line;
   }
 
