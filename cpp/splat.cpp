@@ -63,6 +63,21 @@ const float* given(rust::Slice<const float> values, std::size_t wanted) {
   return values.empty() ? nullptr : values.data();
 }
 
+TangentChunk tangent_of(const SplatScene& scene, std::size_t first, std::size_t count, const bool* visible,
+                        const SplatMotion& motion, rust::Slice<float> rows) {
+  require(rows.empty() || rows.size() == 8 * count, "tables of a motion differ in length");
+  require(motion.pose.empty() || motion.pose.size() == 6, "a motion of the camera has 6 numbers");
+  const std::size_t n = scene.opacities.size(), columns = scene.scales.empty() ? 6 : 9;
+  return {first,
+          count,
+          visible,
+          given(motion.positions, 3 * n),
+          given(motion.shape, columns * n),
+          given(motion.colors, 3 * n),
+          motion.pose.empty() ? nullptr : motion.pose.data(),
+          rows.data()};
+}
+
 DiscTile disc_tile_of(std::uint8_t isa, const SplatDiscs& d) {
   check_isa(isa);
   require(d.rows.size() % 16 == 0 && d.discs.size() == d.rows.size() && all_below(d.entries, d.rows.size() / 16),
@@ -79,14 +94,17 @@ float stop_of(std::uint32_t parts) { return parts & ENDLESS ? -1.0f : STOP; }
 
 void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
                    std::uint32_t tiles_y, std::uint32_t side, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
-                   rust::Slice<std::uint32_t> keys, rust::Slice<bool> visible) {
+                   rust::Slice<std::uint32_t> keys, rust::Slice<bool> visible, const SplatMotion& motion,
+                   rust::Slice<float> velocities) {
   check_isa(isa);
   const std::size_t count = visible.size();
   require(rows.size() == 16 * count && boxes.size() == 2 * count && keys.size() == count, "tables of a projection differ in length");
   View view;
   const Scene s = scene_of(scene, view, first, count);
   require(side > 0, "a tile has no pixels");
-  const ProjectChunk chunk{first, count, tiles_x, tiles_y, 1.0f / static_cast<float>(side), rows.data(), boxes.data(), keys.data(), visible.data()};
+  const TangentChunk tangent = tangent_of(scene, first, count, visible.data(), motion, velocities);
+  const ProjectChunk chunk{first, count, tiles_x, tiles_y, 1.0f / static_cast<float>(side), rows.data(), boxes.data(),
+                           keys.data(), visible.data(), velocities.empty() ? nullptr : &tangent};
   CALL(isa, project, s, chunk)
 }
 
@@ -107,20 +125,11 @@ bool splat_recolor(std::uint8_t isa, const SplatScene& scene, std::size_t first,
 void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
                       const SplatMotion& motion, rust::Slice<float> rows) {
   check_isa(isa);
-  const std::size_t count = visible.size(), n = scene.opacities.size();
+  const std::size_t count = visible.size();
   require(rows.size() == 8 * count, "tables of a motion differ in length");
-  require(motion.pose.empty() || motion.pose.size() == 6, "a motion of the camera has 6 numbers");
   View view;
   const Scene s = scene_of(scene, view, first, count);
-  const std::size_t columns = scene.scales.empty() ? 6 : 9;
-  const TangentChunk chunk{first,
-                           count,
-                           visible.data(),
-                           given(motion.positions, 3 * n),
-                           given(motion.shape, columns * n),
-                           given(motion.colors, 3 * n),
-                           motion.pose.empty() ? nullptr : motion.pose.data(),
-                           rows.data()};
+  const TangentChunk chunk = tangent_of(scene, first, count, visible.data(), motion, rows);
   CALL(isa, velocities, s, chunk)
 }
 

@@ -13,10 +13,11 @@ struct SplatDiscs;
 // All functions check every index and length, and throw std::invalid_argument.
 
 // Splats of the Gaussians number first..first + visible.size() of the scene; see splat_kernel.h for the tables. Tiles are
-// `side` pixels wide.
+// `side` pixels wide. With `velocities`, 8 floats per splat, those along a motion, too.
 void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
                    std::uint32_t tiles_y, std::uint32_t side, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
-                   rust::Slice<std::uint32_t> keys, rust::Slice<bool> visible);
+                   rust::Slice<std::uint32_t> keys, rust::Slice<bool> visible, const SplatMotion& motion,
+                   rust::Slice<float> velocities);
 // Their colours again, where visible; false when one is not finite.
 bool splat_recolor(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
                    rust::Slice<float> rows);

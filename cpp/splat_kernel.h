@@ -42,6 +42,14 @@ struct Scene {
   const double* camera;  // in double: rotation (9), eye (3), focal (2), center (2), lens (4)
 };
 
+struct TangentChunk {
+  std::size_t first, count;
+  const bool* visible;
+  const float *positions, *shape, *colors;  // velocities, one per Gaussian; null for none
+  const float* pose;                        // six numbers instead, or null
+  float* rows;                              // out, 8 floats each, where visible
+};
+
 struct ProjectChunk {
   std::size_t first, count;  // numbers in `active`
   std::uint32_t tiles_x, tiles_y;
@@ -50,6 +58,7 @@ struct ProjectChunk {
   std::uint32_t* boxes;  // out, two words each: x0 | y0 << 16, x1 | y1 << 16, where visible
   std::uint32_t* keys;   // out, bits of the z-depth rounded from double, where visible
   bool* visible;         // out
+  const TangentChunk* motion;  // what its splats' velocities are wanted along, or null
 };
 
 struct RecolorChunk {
@@ -57,14 +66,6 @@ struct RecolorChunk {
   const bool* visible;
   float* rows;   // in and out: the colours are written, where visible
   bool* finite;  // set to false when one is not
-};
-
-struct TangentChunk {
-  std::size_t first, count;
-  const bool* visible;
-  const float *positions, *shape, *colors;  // velocities, one per Gaussian; null for none
-  const float* pose;                        // six numbers instead, or null
-  float* rows;                              // out, 8 floats each, where visible
 };
 
 enum Group : std::uint32_t { POSITIONS = 1, SHAPES = 2, OPACITIES = 4, HARMONICS = 8, POSE = 16, LENS = 64 };

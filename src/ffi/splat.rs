@@ -60,6 +60,8 @@ mod bridge {
             boxes: &mut [u32],
             keys: &mut [u32],
             visible: &mut [bool],
+            motion: &SplatMotion,
+            velocities: &mut [f32],
         ) -> Result<()>;
         fn splat_recolor(isa: u8, scene: &SplatScene, first: usize, visible: &[bool], rows: &mut [f32])
         -> Result<bool>;
@@ -149,7 +151,8 @@ fn flat_mut(rows: &mut [Aligned<f32>]) -> &mut [f32] {
 const AGREE: &str = "the rasteriser hands over tables that belong together";
 
 /// Splats of the Gaussians number `first..first + visible.len()` of the active ones; see `cpp/splat_kernel.h` for the
-/// tables; the image has so many tiles (columns, rows) of so many pixels a side. Panics (as all of these) when the tables do not belong together.
+/// tables; the image has so many tiles (columns, rows) of so many pixels a side. Where `velocities` has room (8 numbers each), those of the
+/// visible splats along `motion`, too. Panics (as all of these) when the tables do not belong together.
 pub fn project(
     isa: Isa,
     scene: &SplatScene<'_>,
@@ -159,6 +162,8 @@ pub fn project(
     boxes: &mut [[u32; 2]],
     keys: &mut [u32],
     visible: &mut [bool],
+    motion: &SplatMotion<'_>,
+    velocities: &mut [[f32; 8]],
 ) {
     let (x, y, side) = (tiles[0] as u32, tiles[1] as u32, side as u32);
     bridge::splat_project(
@@ -172,6 +177,8 @@ pub fn project(
         boxes.as_flattened_mut(),
         keys,
         visible,
+        motion,
+        velocities.as_flattened_mut(),
     )
     .expect(AGREE);
 }

@@ -12,7 +12,8 @@ use super::types::{Footprint, Gaussians, Shape, Wanted};
 
 /// What kernels do for numbers of type `T` in one scene seen by one camera.
 pub trait Native<T: Real>: Sync {
-    /// Projects the Gaussians number `first..` of the active; where visible, their rows, boxes and sort keys.
+    /// Projects the Gaussians number `first..` of the active; where visible, their rows, boxes and sort keys; with `moving`
+    /// their velocities along that direction as well, as [`Native::velocities`] gives them.
     fn project(
         &self,
         first: usize,
@@ -21,6 +22,7 @@ pub trait Native<T: Real>: Sync {
         boxes: &mut [[u32; 2]],
         keys: &mut [u32],
         visible: &mut [bool],
+        moving: Option<(&Direction<'_, T>, &mut [[T; 8]])>,
     );
     /// Writes their colours into the rows, where visible; `false` when one is not finite.
     fn recolor(&self, first: usize, visible: &[bool], rows: &mut [Aligned<T>]) -> bool;
@@ -84,6 +86,23 @@ impl<'a> Work<'a> {
     }
 }
 
+/// A direction as the kernels take it; `pose` is room for that of the camera, which stands still for those that no splat
+/// moves along.
+fn motion_of<'m>(direction: &Direction<'m, f32>, pose: &'m mut [f32; 6]) -> SplatMotion<'m> {
+    match direction {
+        Direction::Motion(m) => {
+            let axes = m.axes.as_flattened().as_flattened();
+            let shape = if axes.is_empty() { m.columns.as_flattened().as_flattened() } else { axes };
+            SplatMotion { positions: m.positions.as_flattened(), shape, colors: m.colors.as_flattened(), pose: &[] }
+        }
+        Direction::Pose(xi) => {
+            *pose = xi.map(|v| v as f32);
+            SplatMotion { positions: &[], shape: &[], colors: &[], pose }
+        }
+        Direction::Gain(_) => SplatMotion { positions: &[], shape: &[], colors: &[], pose },
+    }
+}
+
 impl Native<f32> for Work<'_> {
     fn project(
         &self,
@@ -93,9 +112,15 @@ impl Native<f32> for Work<'_> {
         boxes: &mut [[u32; 2]],
         keys: &mut [u32],
         visible: &mut [bool],
+        moving: Option<(&Direction<'_, f32>, &mut [[f32; 8]])>,
     ) {
         let (tiles, side) = ([tiling.columns, tiling.rows], tiling.side.px());
-        native::project(self.isa, &self.scene, first, (tiles, side), rows, boxes, keys, visible);
+        let mut pose = [0.0; 6];
+        let (motion, velocities): (_, &mut [_]) = match moving {
+            Some((direction, velocities)) => (motion_of(direction, &mut pose), velocities),
+            None => (motion_of(&Direction::Gain([0.0; 3]), &mut pose), &mut []),
+        };
+        native::project(self.isa, &self.scene, first, (tiles, side), rows, boxes, keys, visible, &motion, velocities);
     }
 
     fn recolor(&self, first: usize, visible: &[bool], rows: &mut [Aligned<f32>]) -> bool {
@@ -104,19 +129,7 @@ impl Native<f32> for Work<'_> {
 
     fn velocities(&self, first: usize, visible: &[bool], direction: &Direction<'_, f32>, rows: &mut [[f32; 8]]) {
         let mut pose = [0.0; 6];
-        let motion = match direction {
-            Direction::Motion(m) => {
-                let axes = m.axes.as_flattened().as_flattened();
-                let shape = if axes.is_empty() { m.columns.as_flattened().as_flattened() } else { axes };
-                SplatMotion { positions: m.positions.as_flattened(), shape, colors: m.colors.as_flattened(), pose: &[] }
-            }
-            Direction::Pose(xi) => {
-                pose = xi.map(|v| v as f32);
-                SplatMotion { positions: &[], shape: &[], colors: &[], pose: &pose }
-            }
-            Direction::Gain(_) => SplatMotion { positions: &[], shape: &[], colors: &[], pose: &pose },
-        };
-        native::velocities(self.isa, &self.scene, first, visible, &motion, rows);
+        native::velocities(self.isa, &self.scene, first, visible, &motion_of(direction, &mut pose), rows);
     }
 
     fn chain(&self, first: usize, starts: &[u32], slots: &[Aligned<f32>], wanted: Wanted, out: ChainOutput<'_, f32>) {

@@ -13,7 +13,7 @@ use crate::ffi::system::grow;
 
 use crate::ffi::splat_bin::{self, Boxes};
 
-use super::bin::{Bins, Counting, TileBox};
+use super::bin::{Bins, Counting, TileBox, cut};
 use super::disc_mode::{Rays, refuse_fisheye_lens};
 use super::disc_tile::Sums;
 use super::extra_channels::Extra;
@@ -26,6 +26,7 @@ use super::real::Real;
 use super::reuse::{Kept, Reuse, Same};
 use super::skips::Skips;
 use super::stages::{Clock, Stage, StageTimes};
+use super::tangent::Direction;
 use super::tile::{TileSide, Tiling};
 use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
 
@@ -175,7 +176,7 @@ impl<T: Real> Rasterizer<T> {
         settings: &Settings,
         active: Option<&[u32]>,
     ) -> Result<()> {
-        self.prepare(gaussians, view, settings, active)?;
+        self.prepare(gaussians, view, settings, active, None)?;
         match settings.footprint {
             Footprint::Ewa => drop(self.composite(settings.depth, &[], 0)),
             Footprint::Disc => self.composite_discs(view, settings),
@@ -187,14 +188,16 @@ impl<T: Real> Rasterizer<T> {
         Ok(())
     }
 
-    /// Everything of a render before compositing.
+    /// Everything of a render before compositing; where splats are projected anew by the vectorised kernels, their velocities
+    /// along `moving`, too. `true` when these are there.
     pub(super) fn prepare(
         &mut self,
         gaussians: &Gaussians<T>,
         view: &View,
         settings: &Settings,
         active: Option<&[u32]>,
-    ) -> Result<()> {
+        moving: Option<&Direction<'_, T>>,
+    ) -> Result<bool> {
         self.clock.start();
         self.last = None;
         self.extra.count = 0;
@@ -204,21 +207,23 @@ impl<T: Real> Rasterizer<T> {
         if same == Same::Everything && !self.recolor(gaussians, &projector) {
             same = Same::Nothing;
         }
-        match same {
+        let moved = match same {
             Same::Everything => {
                 self.clock.end(Stage::Project);
                 self.clock.end(Stage::Bin);
+                false
             }
-            Same::Lists => self.splats(gaussians, &projector, view, same),
+            Same::Lists => self.splats(gaussians, &projector, view, same, moving),
             Same::Nothing => {
                 self.kept = None;
                 self.activate(active, gaussians.len())?;
-                self.splats(gaussians, &projector, view, same);
+                let moved = self.splats(gaussians, &projector, view, same, moving);
                 self.keep(gaussians, view, settings);
+                moved
             }
-        }
+        };
         self.last = Some((*view, *settings, gaussians.len()));
-        Ok(())
+        Ok(moved)
     }
 
     fn activate(&mut self, active: Option<&[u32]>, n: usize) -> Result<()> {
@@ -238,8 +243,15 @@ impl<T: Real> Rasterizer<T> {
     }
 
     /// Projects all active Gaussians and deals their splats to the tiles (or keeps the lists, if they are still the same
-    /// and so are the splats that are seen).
-    fn splats(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>, view: &View, same: Same) {
+    /// and so are the splats that are seen). With `moving` also the velocities along it; `false` when these are not there.
+    fn splats(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        projector: &Projector<T>,
+        view: &View,
+        same: Same,
+        moving: Option<&Direction<'_, T>>,
+    ) -> bool {
         let seen = if same == Same::Lists { self.rendered.visible.clone() } else { Vec::new() };
         let n = self.active.as_ref().map_or(gaussians.len(), Vec::len);
         let tiling = Tiling::of(view.size(), self.tile_side);
@@ -249,22 +261,30 @@ impl<T: Real> Rasterizer<T> {
         self.rendered.visible.resize(n, false);
         if projector.footprint() == Footprint::Disc {
             self.project_discs(gaussians, projector, view);
-            return self.deal(tiling, None, Counted::Not);
+            self.deal(tiling, None, Counted::Not);
+            return false;
         }
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
         // What is projected is counted while it is there; unless the lists of before may stay, with their counts.
         let counted = if native.is_some() && same == Same::Nothing { Counted::All } else { Counted::Not };
+        let moving = moving.filter(|_| native.is_some());
+        if moving.is_some() && self.velocities.len() < n {
+            grow(&mut self.velocities, n);
+        }
+        let chunks = (0..n).step_by(CHUNK).map(|first| if moving.is_some() { CHUNK.min(n - first) } else { 0 });
+        let velocities = cut(&mut self.velocities, chunks);
         let Counting { shift, starts, counts } = self.bins.counting(&tiling, n);
         let tables = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
         let tables = tables.zip(self.keys.par_chunks_mut(CHUNK)).zip(self.rendered.visible.par_chunks_mut(CHUNK));
         let bins = starts.par_chunks_mut(CHUNK).zip(counts);
-        tables.zip(bins).enumerate().with_max_len(piece_of(n.div_ceil(CHUNK))).for_each(
-            |(chunk, ((((rows, boxes), keys), visible), (starts, counts)))| {
+        tables.zip(bins).zip(velocities).enumerate().with_max_len(piece_of(n.div_ceil(CHUNK))).for_each(
+            |(chunk, (((((rows, boxes), keys), visible), (starts, counts)), velocities))| {
                 let first = chunk * CHUNK;
                 if let Some(native) = &native {
-                    native.project(first, &tiling, rows, boxes, keys, visible);
+                    let moving = moving.map(|direction| (direction, velocities));
+                    native.project(first, &tiling, rows, boxes, keys, visible, moving);
                     if counted == Counted::All {
                         splat_bin::count(&Boxes { boxes, visible, keys }, shift, starts, counts);
                     }
@@ -285,6 +305,7 @@ impl<T: Real> Rasterizer<T> {
         drop(native);
         let kept = (same == Same::Lists).then_some(seen);
         self.deal(tiling, kept, counted);
+        moving.is_some()
     }
 
     /// Visible splats to the lists of the tiles; those of before stay where they were made for the same splats (`kept`).

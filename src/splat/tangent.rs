@@ -200,10 +200,11 @@ impl<T: Real> Rasterizer<T> {
         if moving.is_empty() || !usable || matches!(settings.depth, DepthOutput::Surface | DepthOutput::Median) {
             return Ok(false);
         }
-        self.prepare(gaussians, view, settings, active)?;
+        let mut known = usize::from(self.prepare(gaussians, view, settings, active, Some(&directions[moving[0]]))?);
         for group in moving.chunks(TOGETHER) {
             let mut velocities = std::mem::take(&mut self.velocities);
-            self.velocities_of(gaussians, &projector, group.iter().map(|&d| &directions[d]), &mut velocities);
+            let along = group.iter().map(|&d| &directions[d]);
+            self.velocities_of(gaussians, &projector, along, &mut velocities, std::mem::take(&mut known));
             self.composite(DepthOutput::Skip, &velocities, group.len());
             self.velocities = velocities;
             for (k, &d) in group.iter().enumerate() {
@@ -218,19 +219,20 @@ impl<T: Real> Rasterizer<T> {
         Ok(true)
     }
 
-    /// Velocities of all visible splats, direction by direction.
+    /// Velocities of all visible splats, direction by direction; those along the first `known` are there.
     fn velocities_of<'d>(
         &self,
         gaussians: &Gaussians<T>,
         projector: &Projector<T>,
         directions: impl ExactSizeIterator<Item = &'d Direction<'d, T>>,
         velocities: &mut Vec<[T; 8]>,
+        known: usize,
     ) {
         let (n, visible) = (self.rows.len(), &self.rendered.visible);
         velocities.resize(n * directions.len(), [T::zero(); 8]);
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, self.active.as_deref());
-        for (rows, direction) in velocities.chunks_mut(n).zip(directions) {
+        for (rows, direction) in velocities.chunks_mut(n).zip(directions).skip(known) {
             let chunks = rows.par_chunks_mut(CHUNK).zip(visible.par_chunks(CHUNK)).enumerate().with_max_len(PIECE);
             chunks.for_each(|(c, (rows, visible))| {
                 if let Some(native) = &native {
