@@ -58,22 +58,19 @@ struct Velocity {
       place<Camera>(s, position, t, point, rest);
       Shape<COLUMNS> shape;
       shape.load(s, index);
-      Dual offset[3], color[3];
+      Dual away[3], color[3];
       Geometry<Dual, COLUMNS, Camera> g;
-      for (int k = 0; k < 3; ++k) offset[k].v = from_eye[k], g.t[k].v = t[k];
-      for (int c = 0; c < COLUMNS; ++c) {
-        V turned[3];
-        turn(w, shape.m[c], turned);
-        for (int k = 0; k < 3; ++k) g.c[c][k].v = turned[k];
-      }
-      move(group, g, offset);
-      g.complete(w, offset);
+      g.place(w, t, shape.m);
+      for (int k = 0; k < 3; ++k) constant(from_eye[k], &away[k]);
+      move(group, g, away);
+      g.complete(w, away);
       gather<SH>(s.sh, index, sh);
       shown<Dual, DEGREE>(g.direction, sh, color);
       write(group, g, color);
     });
   }
 
+  // Sets a group at rest moving; `offset` is its vector from the eye.
   template <int COLUMNS, template <class> class Camera>
   void move(const Group& group, Geometry<Dual, COLUMNS, Camera>& g, Dual* offset) const {
     const View& w = *s.view;
@@ -95,8 +92,6 @@ struct Velocity {
     if (o.positions) threes(o.positions, group, velocity);
     turn(w, velocity, turned);
     for (int k = 0; k < 3; ++k) offset[k].d = velocity[k], g.t[k].d = turned[k];
-    for (auto& column : g.c)
-      for (Dual& v : column) v.d = V{};
     if (!o.shape) return;
     V columns[3 * COLUMNS];
     gather<3 * COLUMNS>(o.shape, group.index, columns);
@@ -257,9 +252,8 @@ struct Projection {
       shape.load(s, index);
       Geometry<N, COLUMNS, Camera> g;
       N away[3];
-      for (int k = 0; k < 3; ++k) constant(t[k], &g.t[k]), constant(offset[k], &away[k]);
-      for (int c = 0; c < COLUMNS; ++c)
-        for (int k = 0; k < 3; ++k) constant(turned(w, shape.m[c], k), &g.c[c][k]);
+      g.place(w, t, shape.m);
+      for (int k = 0; k < 3; ++k) constant(offset[k], &away[k]);
       if constexpr (MOVING) Velocity{s, *o.motion}.move(group, g, away);
       g.complete(w, away);
       if (w.compensate > 0.0f) {

@@ -75,6 +75,13 @@ struct Geometry {
   N direction[3], distance;
   VI good;
 
+  // At rest: the centre in camera axes, and the columns of a shape in world axes.
+  void place(const View& w, const V* center, const V (*columns)[3]) {
+    for (int k = 0; k < 3; ++k) constant(center[k], &t[k]);
+    for (int i = 0; i < COLUMNS; ++i)
+      for (int k = 0; k < 3; ++k) constant(turned(w, columns[i], k), &c[i][k]);
+  }
+
   // From t, c and the vector from the eye (world axes).
   void complete(const View& w, const N* offset) {
     camera.look(w, t, point);
