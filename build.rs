@@ -14,29 +14,35 @@ mod revision;
 /// Files with a `#[cxx::bridge]`.
 const BRIDGES: &[&str] = &[
     "src/ffi/isa.rs",
-    "src/ffi/loss.rs",
-    "src/ffi/splat.rs",
-    "src/ffi/splat_bin.rs",
-    "src/ffi/splat_image.rs",
-    "src/ffi/tracer.rs",
+    "src/ffi/splat/loss.rs",
+    "src/ffi/splat/rasterize.rs",
+    "src/ffi/splat/bin.rs",
+    "src/ffi/splat/image.rs",
+    "src/ffi/trace/tracer.rs",
 ];
 
 /// Own C++ compiled once, for the baseline x86-64.
-const SOURCES: &[&str] =
-    &["cpp/isa.cpp", "cpp/loss.cpp", "cpp/splat.cpp", "cpp/splat_bin.cpp", "cpp/splat_image.cpp", "cpp/tracer.cpp"];
+const SOURCES: &[&str] = &[
+    "cpp/common/isa.cpp",
+    "cpp/splat/loss.cpp",
+    "cpp/splat/rasterize.cpp",
+    "cpp/splat/bin.cpp",
+    "cpp/splat/image.cpp",
+    "cpp/trace/tracer.cpp",
+];
 
 /// The kernels, compiled once per instruction set.
 const KERNELS: &[&str] = &[
-    "cpp/loss_kernel.cpp",
-    "cpp/noise_kernel.cpp",
-    "cpp/splat_chain.cpp",
-    "cpp/splat_disc.cpp",
-    "cpp/splat_kernel.cpp",
-    "cpp/splat_project.cpp",
+    "cpp/splat/loss_kernel.cpp",
+    "cpp/trace/noise_kernel.cpp",
+    "cpp/splat/chain.cpp",
+    "cpp/splat/disc.cpp",
+    "cpp/splat/kernel.cpp",
+    "cpp/splat/project.cpp",
 ];
 
 /// The instruction sets: (namespace in C++, what the compiler may use). Which one runs is
-/// decided on the user's machine (`cpp/isa.cpp`).
+/// decided on the user's machine (`cpp/common/isa.cpp`).
 const INSTRUCTION_SETS: &[(&str, &[&str])] = &[
     ("baseline", &["-msse2"]),
     ("avx2", &["-mavx2", "-mfma"]),
@@ -92,7 +98,7 @@ fn bind_embree(prefix: Option<&Path>, out: &Path) {
         header.display()
     );
     let mut builder = bindgen::Builder::default()
-        .header("cpp/embree.h")
+        .header("cpp/trace/embree.h")
         .allowlist_function("rtc.*")
         .allowlist_type("RTC.*")
         .allowlist_var("RTC_.*")

@@ -5,25 +5,30 @@ use std::path::{Path, PathBuf};
 
 const ROOMS: [&str; 8] = ["base", "formats", "airway", "render", "simulate", "splat", "reconstruct", "score"];
 
-/// How the names of the splat core's own C++, and of its bridges in `src/ffi`, begin: no film depends on them, and nothing
-/// else there includes them (`tests/all/layering.rs`).
-const KERNELS: [&str; 3] = ["adam", "loss", "splat"];
+/// The splat core's own C++ and its bridges: no film depends on them, and nothing else there includes them
+/// (`tests/all/layering.rs`).
+const KERNELS: [&str; 2] = ["cpp/splat", "src/ffi/splat"];
 
-/// Sets `RESPIRE_BENCH_REVISION_<ROOM>` for the compiler; OUTSIDE is what lies beside `src`, but for the own C++: that of the
-/// splat core is KERNELS, the rest TRACER, each with its bridges.
+/// The own C++ of the path tracer, what both share, and their bridges.
+const TRACER: [&str; 8] = [
+    "cpp/common",
+    "cpp/trace",
+    "src/ffi/isa.rs",
+    "src/ffi/mod.rs",
+    "src/ffi/system.rs",
+    "src/ffi/trace",
+    "src/ffi/versions.rs",
+    "src/ffi/vision.rs",
+];
+
+/// Sets `RESPIRE_BENCH_REVISION_<ROOM>` for the compiler; OUTSIDE is the build script and the locked dependencies.
 pub fn tell(root: &Path) {
     for room in ROOMS {
         set(room, &[root.join("src").join(room)]);
     }
     set("outside", &[root.join("build.rs"), root.join("Cargo.lock")]);
-    let mut bridged = Vec::new();
-    [root.join("cpp"), root.join("src/ffi")].iter().for_each(|folder| list(folder, &mut bridged));
-    let (kernels, tracer): (Vec<_>, Vec<_>) = bridged.into_iter().partition(|file| {
-        let name = file.file_name().expect("a listed file has a name").to_string_lossy();
-        KERNELS.iter().any(|start| name.starts_with(start))
-    });
-    set("kernels", &kernels);
-    set("tracer", &tracer);
+    set("kernels", &KERNELS.map(|path| root.join(path)));
+    set("tracer", &TRACER.map(|path| root.join(path)));
     println!("cargo:rerun-if-changed=src");
     println!("cargo:rerun-if-changed=Cargo.lock");
 }

@@ -7,7 +7,7 @@
 
 use std::time::Instant;
 
-use respire_bench::ffi::loss::{self, LossImage};
+use respire_bench::ffi::splat::loss::{self, LossImage};
 use respire_bench::ffi::system::{cpu_time_s, peak_memory_mib};
 use respire_bench::splat::{
     Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Reuse, Settings, Stage, View, Wanted, tube,

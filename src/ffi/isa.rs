@@ -5,7 +5,7 @@ use crate::base::{Error, ErrorKind, Result};
 #[cxx::bridge(namespace = "respire")]
 mod bridge {
     unsafe extern "C++" {
-        include!("cpp/isa.h");
+        include!("cpp/common/isa.h");
 
         fn widest_isa() -> u8;
     }
@@ -46,7 +46,7 @@ impl Isa {
         }
     }
 
-    pub(super) fn code(self) -> u8 {
+    pub(in crate::ffi) fn code(self) -> u8 {
         match self {
             Isa::Scalar | Isa::Baseline => 0,
             Isa::Avx2 => 1,

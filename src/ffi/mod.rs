@@ -5,14 +5,9 @@
 //! leave this room. Knows nothing of airways.
 #![allow(unsafe_code)]
 
-pub mod adam;
-pub mod embree;
 pub mod isa;
-pub mod loss;
 pub mod splat;
-pub mod splat_bin;
-pub mod splat_image;
 pub mod system;
-pub mod tracer;
+pub mod trace;
 pub mod versions;
 pub mod vision;

@@ -1,6 +1,6 @@
 //! Which Embree the program runs on, and which one it was built against.
 
-use super::embree;
+use super::trace::embree;
 
 /// An Embree version as the library counts it: 40303 is 4.3.3.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -13,7 +13,7 @@
 
 use rayon::prelude::*;
 
-use crate::ffi::adam::Rule;
+use crate::ffi::splat::adam::Rule;
 
 /// Constants of Adam.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -13,7 +13,7 @@ use super::settings::{Denoise, Light, RenderSettings, Shading, Transport};
 use super::vertex_light::vertex_light;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Camera, Error, Image, NoProgress, Progress, Result};
-use crate::ffi::tracer::{FrameSettings, NO_FACE, TileCounters};
+use crate::ffi::trace::tracer::{FrameSettings, NO_FACE, TileCounters};
 
 /// Larger images would need more than 4 GiB for the film.
 const MAX_PIXELS: u64 = 1 << 24;

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Error, Result};
-use crate::ffi::tracer::MaterialSettings;
+use crate::ffi::trace::tracer::MaterialSettings;
 
 /// Family of a material.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -4,9 +4,9 @@
 //!  TriangleMesh + Material -> Scene --deform--> render(camera, pose, light, settings) -> Frame {radiance, depth}
 //! ```
 //!
-//! `cpp/surface.h` holds what rays meet, `cpp/lamp.h` the lamp, `cpp/path.h` paths, `cpp/vertex_light.h` light at
-//! vertices, `cpp/coat.h` the reflection, `cpp/mucosa.h` the look of the wall (`cpp/noise_kernel.cpp` its noise, in vectors),
-//! `cpp/walk.h` the light inside it.
+//! `cpp/trace/surface.h` holds what rays meet, `cpp/trace/lamp.h` the lamp, `cpp/trace/path.h` paths, `cpp/trace/vertex_light.h` light at
+//! vertices, `cpp/trace/coat.h` the reflection, `cpp/trace/mucosa.h` the look of the wall (`cpp/trace/noise_kernel.cpp` its noise, in vectors),
+//! `cpp/trace/walk.h` the light inside it.
 
 mod axial;
 mod denoise;

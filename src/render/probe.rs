@@ -7,7 +7,7 @@ use super::frame::frame_settings;
 use super::scene::Scene;
 use super::settings::{Light, RenderSettings};
 use crate::base::{Camera, Image, Result};
-use crate::ffi::tracer::PROBE_VALUES;
+use crate::ffi::trace::tracer::PROBE_VALUES;
 
 /// The point of the wall that one pixel's central ray hits.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::scene::Scene;
 use crate::base::{Error, Progress, Result};
-use crate::ffi::tracer::{FILM_CHANNELS, FrameSettings, Tile, TileCounters};
+use crate::ffi::trace::tracer::{FILM_CHANNELS, FrameSettings, Tile, TileCounters};
 
 /// Side of a tile in pixels.
 const TILE_PX: u32 = 16;

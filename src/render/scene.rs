@@ -7,7 +7,7 @@ use super::material::Material;
 use super::tissue::{Rest, Tissue};
 use super::topology::Topology;
 use crate::base::{Error, Result, TriangleMesh};
-use crate::ffi::tracer::MeshTracer;
+use crate::ffi::trace::tracer::MeshTracer;
 
 /// The scene: one surface, its look on the rest shape, its hierarchy. Built once, refitted per frame.
 pub struct Scene {

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 
 use super::topology::Topology;
 use crate::base::{Error, Result};
-use crate::ffi::tracer::{FrameSettings, MaterialSettings, MeshTracer, NO_FACE, Walks};
+use crate::ffi::trace::tracer::{FrameSettings, MaterialSettings, MeshTracer, NO_FACE, Walks};
 
 /// Walks per vertex and end.
 const WALKS: usize = 128;

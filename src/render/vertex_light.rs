@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use super::scene::Scene;
 use super::tissue::Source;
 use crate::base::Result;
-use crate::ffi::tracer::{FrameSettings, KNOWN_VALUES, LAMP_VALUES, NO_FACE};
+use crate::ffi::trace::tracer::{FrameSettings, KNOWN_VALUES, LAMP_VALUES, NO_FACE};
 
 /// Generations of faces that send rays.
 const DEPTH: usize = 4;

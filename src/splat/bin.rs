@@ -1,14 +1,14 @@
 //! From splats to the list of each tile: splats are dealt to bands of tile rows, each band is sorted by depth
 //! (stable radix sort) and counted out to its tiles. Depth ties keep the order of the Gaussians. Bands are independent
 //! tasks; how many there are depends on the image alone, so what is filled does not depend on the threads.
-//! The work on a chunk or a band is C++ (`cpp/splat_bin.cpp`); the plain twin is [`Bins::fill_plainly`].
+//! The work on a chunk or a band is C++ (`cpp/splat/bin.cpp`); the plain twin is [`Bins::fill_plainly`].
 //!
 //! Every entry has a slot for its moments. Slots lie splat by splat, so that the chain reads them one after the other;
 //! it is the tiles that write them here and there, for which nobody waits.
 
 use rayon::prelude::*;
 
-use crate::ffi::splat_bin::{self as native, BANDS, Band, Boxes, Counts};
+use crate::ffi::splat::bin::{self as native, BANDS, Band, Boxes, Counts};
 use crate::ffi::system::grow;
 
 use super::pool::{PIECE, piece_of};

@@ -3,8 +3,8 @@
 
 use rayon::prelude::*;
 
-use crate::ffi::splat::Aligned;
-use crate::ffi::splat_image::{ImageBand, Light};
+use crate::ffi::splat::image::{ImageBand, Light};
+use crate::ffi::splat::rasterize::Aligned;
 use crate::ffi::system::grow;
 
 use super::bin::cut;

@@ -15,14 +15,14 @@
 //! The gradient is that of this function, exactly. Of a disc seen edge-on it holds for steps that are small beside the
 //! width of the line that the disc is on screen, which may be a hundredth of a pixel.
 //!
-//! Tiles are composited by vectorised kernels (`cpp/splat_disc.cpp`); projection, chain and the kernels' twin
+//! Tiles are composited by vectorised kernels (`cpp/splat/disc.cpp`); projection, chain and the kernels' twin
 //! (`disc_tile.rs`) are plain code over [`Real`]. What all of it costs beside EWA is in `docs/performance.md`. Left out: the directions of
 //! `Rasterizer::render_tangent` (use [`super::PhaseTangent`]), intrinsics of a fisheye, `Filter::Compensate`.
 
 use rayon::prelude::*;
 
 use crate::base::{Camera, Error};
-use crate::ffi::splat::Aligned;
+use crate::ffi::splat::rasterize::Aligned;
 
 use super::bin::TileBox;
 use super::pool::PIECE;
@@ -51,7 +51,7 @@ pub(super) struct Disc<T> {
 }
 
 impl<T: Real> Disc<T> {
-    /// As it lies in the tables (`DiscColumn` of `cpp/splat_kernel.h`).
+    /// As it lies in the tables (`DiscColumn` of `cpp/splat/kernel.h`).
     pub fn pack(&self) -> Aligned<T> {
         let (p, q, n, low, high) = (self.p, self.q, self.n, self.bounds.low, self.bounds.high);
         Aligned([

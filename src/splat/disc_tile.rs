@@ -1,4 +1,4 @@
-//! Compositing of one tile of exact discs, forward and backward: the plain twin of `cpp/splat_disc.cpp`; symbols as in `disc_mode.rs`, transmittance and the
+//! Compositing of one tile of exact discs, forward and backward: the plain twin of `cpp/splat/disc.cpp`; symbols as in `disc_mode.rs`, transmittance and the
 //! bookkeeping of what lies behind as in `kernel.rs`.
 //!
 //! Of `v = alpha d loss / d alpha` a disc that is met gets `-v s / w` for `p = P.d`, `-v u / w` for `q = Q.d` and
@@ -13,7 +13,7 @@ use super::kernel::{PIXELS, PLANES, Parts, pixel_of};
 use super::project::{Row, at, dot};
 use super::real::Real;
 use super::tile::Tiling;
-use crate::ffi::splat::{self as native, Aligned, SplatDiscs};
+use crate::ffi::splat::rasterize::{self as native, Aligned, SplatDiscs};
 
 /// Columns of the sums of one entry.
 pub(super) mod sum {

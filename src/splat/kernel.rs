@@ -1,4 +1,4 @@
-//! Compositing of one tile, forward and backward: the plain twin of `cpp/splat_kernel.cpp`, for every number type.
+//! Compositing of one tile, forward and backward: the plain twin of `cpp/splat/kernel.cpp`, for every number type.
 //!
 //! Front to back at a pixel with offset `d` from the centre of a splat: `alpha = min(0.99, 2^(l - A dx^2 - B dx dy -
 //! C dy^2))`, left out below 1/255; the pixel stops at the splat that would leave `T (1 - alpha) <= 1e-4`, which is not
@@ -13,7 +13,7 @@
 //! by block.
 
 use crate::ffi::isa::Isa;
-use crate::ffi::splat::{self as native, Aligned, Slots};
+use crate::ffi::splat::rasterize::{self as native, Aligned, Slots};
 
 use super::fault::{Fault, Faults};
 use super::project::{Row, at};

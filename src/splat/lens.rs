@@ -66,7 +66,7 @@ impl Exact {
         [cosine, sine, std::f64::consts::SQRT_2 * largest_stretch(lens) / (0.99 * slope)]
     }
 
-    /// As the kernels take it (`Scene::camera` of `cpp/splat_kernel.h`).
+    /// As the kernels take it (`Scene::camera` of `cpp/splat/kernel.h`).
     pub fn numbers(&self) -> [f64; 20] {
         let mut out = [0.0; 20];
         let lens = self.fisheye.unwrap_or_default();

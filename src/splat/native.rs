@@ -1,8 +1,8 @@
-//! The vectorised kernels for `f32` behind the generic code: what C++ (`cpp/splat_*.cpp`) takes over, if the
+//! The vectorised kernels for `f32` behind the generic code: what C++ (`cpp/splat/`) takes over, if the
 //! instruction set and the camera allow. Each kernel has its plain twin in Rust.
 
 use crate::ffi::isa::Isa;
-use crate::ffi::splat::{self as native, Aligned, ChainOutput, SplatMotion, SplatScene};
+use crate::ffi::splat::rasterize::{self as native, Aligned, ChainOutput, SplatMotion, SplatScene};
 
 use super::project::Projector;
 use super::real::Real;
@@ -41,7 +41,7 @@ pub struct Work<'a> {
 
 /// The numbers of the camera, as the kernels take them.
 pub struct Numbers {
-    /// `View` of `cpp/splat_kernel.h`.
+    /// `View` of `cpp/splat/kernel.h`.
     pub view: [f32; 33],
     /// `Scene::camera` there.
     pub exact: [f64; 20],

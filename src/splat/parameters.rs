@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 
-use crate::ffi::splat::ChainOutput;
+use crate::ffi::splat::rasterize::ChainOutput;
 
 use super::bin::cut;
 use super::chain::{One, ellipsoid_gradient, gradients_of_one};

@@ -236,7 +236,7 @@ impl<T: Real> Projector<T> {
         self.fisheye_stretch.map(|s| self.focal.map(|f| f * s))
     }
 
-    /// The camera in single precision: `View` of `cpp/splat_kernel.h`.
+    /// The camera in single precision: `View` of `cpp/splat/kernel.h`.
     pub fn numbers(&self) -> [f32; 33] {
         let mut out = [0.0; 33];
         out[32] = f32::from(u8::from(self.filter == Filter::Compensate));

@@ -8,10 +8,10 @@ use rayon::prelude::*;
 
 use crate::base::{Error, Result};
 use crate::ffi::isa::Isa;
-use crate::ffi::splat::Aligned;
+use crate::ffi::splat::rasterize::Aligned;
 use crate::ffi::system::grow;
 
-use crate::ffi::splat_bin::{self, Boxes};
+use crate::ffi::splat::bin::{self as native_bin, Boxes};
 
 use super::bin::{Bins, Counting, TileBox, cut};
 use super::disc_mode::{Rays, refuse_fisheye_lens};
@@ -286,7 +286,7 @@ impl<T: Real> Rasterizer<T> {
                     let moving = moving.map(|direction| (direction, velocities));
                     native.project(first, &tiling, rows, boxes, keys, visible, moving);
                     if counted == Counted::All {
-                        splat_bin::count(&Boxes { boxes, visible, keys }, shift, starts, counts);
+                        native_bin::count(&Boxes { boxes, visible, keys }, shift, starts, counts);
                     }
                     return;
                 }

@@ -5,8 +5,8 @@ use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
 use crate::ffi::isa::Isa;
-use crate::ffi::splat::{self as native, Aligned, Slots};
-use crate::ffi::splat_image::{self as image, ImageBand, Light};
+use crate::ffi::splat::image::{self as image, ImageBand, Light};
+use crate::ffi::splat::rasterize::{self as native, Aligned, Slots};
 
 use super::disc_tile::{DiscTile, Sums};
 use super::kernel::{BackwardTile, ForwardTile, Parts};

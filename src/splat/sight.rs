@@ -5,7 +5,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use crate::base::{Error, Result};
-use crate::ffi::splat::Aligned;
+use crate::ffi::splat::rasterize::Aligned;
 
 use super::bin::Bins;
 use super::disc_mode::{Disc, Optics};

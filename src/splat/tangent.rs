@@ -10,7 +10,7 @@
 use rayon::prelude::*;
 
 use crate::base::{Error, Result};
-use crate::ffi::splat::Aligned;
+use crate::ffi::splat::rasterize::Aligned;
 
 use super::dual::Dual;
 use super::kernel::{self, ForwardTile, MOVING, PIXELS, PLANES, Parts, TOGETHER};

@@ -7,7 +7,7 @@ use rayon::ThreadPoolBuilder;
 use respire_bench::base::camera::world_from_camera_looking;
 use respire_bench::base::random::{CounterRng, Stage};
 use respire_bench::base::{Camera, Image, TriangleMesh};
-use respire_bench::ffi::tracer::{coat_albedo, sobol_pair};
+use respire_bench::ffi::trace::tracer::{coat_albedo, sobol_pair};
 use respire_bench::render::{Denoise, Light, Material, RenderSettings, Scene, Shading, Subsurface, render};
 
 use crate::reference::{Reference, block_errors, relative_mse};

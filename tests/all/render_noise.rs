@@ -2,7 +2,7 @@
 
 use respire_bench::base::random::{CounterRng, Stage};
 use respire_bench::ffi::isa::Isa;
-use respire_bench::ffi::tracer::{gradient_noise, noise_neighbours};
+use respire_bench::ffi::trace::tracer::{gradient_noise, noise_neighbours};
 
 use crate::splat::forward::available;
 

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use glam::{DAffine3, DVec3};
 use respire_bench::base::camera::world_from_camera_looking;
 use respire_bench::base::{Camera, Image};
-use respire_bench::ffi::tracer::medium_albedo;
+use respire_bench::ffi::trace::tracer::medium_albedo;
 use respire_bench::render::{Boundary, Light, Material, RenderSettings, Scene, WalkedVertices, render};
 
 use crate::reference::Reference;

@@ -12,7 +12,7 @@
 use rayon::prelude::*;
 
 use crate::ffi::isa::Isa;
-use crate::ffi::loss::{self as native, LossImage};
+use crate::ffi::splat::loss::{self as native, LossImage};
 
 use super::norm::Norm;
 

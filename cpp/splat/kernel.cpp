@@ -1,0 +1,373 @@
+// Compositing of one tile, forward and backward, in GCC vector extensions; compiled once per instruction set
+// with -DRESPIRE_ISA=<namespace>. The plain twin is src/splat/kernel.rs, which also explains the symbols.
+//
+// A tile is 16 blocks of 4x4 pixels, or some of them. For each entry (splat in tile) a mask says which blocks the ellipse alpha >= 1/255
+// can touch. Forward: entries are dealt to the lists of their blocks, and a block is composited with its state in
+// registers. Backward: entry by entry, front to back, replaying the forward decisions, so that the nine sums of an
+// entry are reduced once per tile. A pixel that has stopped is one whose running transmittance is 0.
+#include "cpp/splat/kernel.h"
+#include "cpp/splat/lanes.h"
+#include "cpp/splat/lists.h"
+
+namespace respire {
+namespace RESPIRE_ISA {
+namespace {
+
+// Vectors of pixels whose alphas are computed side by side: each is one long chain of dependent operations, and the
+// processor looks ahead over little more than one of them.
+constexpr int ABREAST = 4;
+
+// 2^exponent (not yet clamped) of the splats q[u] at the pixels (px[u], py[u]), and the offsets of these.
+template <int U>
+struct Alphas {
+  V dx[U], dy[U], raw[U];
+  Alphas(const float* const* q, const V* px, const V* py) {
+    V part[U];
+    for (int u = 0; u < U; ++u) dx[u] = (px[u] - all(q[u][X])) - all(q[u][X_REST]);
+    for (int u = 0; u < U; ++u) dy[u] = (py[u] - all(q[u][Y])) - all(q[u][Y_REST]);
+    for (int u = 0; u < U; ++u) part[u] = all(q[u][B]) * dy[u], raw[u] = all(q[u][C]) * dy[u];
+    for (int u = 0; u < U; ++u) {
+      part[u] = fma(all(q[u][A]), dx[u], part[u]);
+      raw[u] = fnma(raw[u], dy[u], all(q[u][LOG2_OPACITY]));
+    }
+    for (int u = 0; u < U; ++u) raw[u] = fnma(part[u], dx[u], raw[u]);
+    exp2<U>(raw);
+  }
+};
+
+// Pixel centres of a block relative to the tile's corner.
+alignas(64) const float COLUMN[16] = {.5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5};
+alignas(64) const float LINE[16] = {.5, .5, .5, .5, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5, 2.5, 2.5, 3.5, 3.5, 3.5, 3.5};
+
+// Some pixels of a block: the sums, what is left of them (no more than `stop` where they have stopped) and what was left
+// before they stopped, and the velocities of the sums and of what is left along K directions.
+template <bool WITH_Z, int K>
+struct Pixels {
+  V px, py, stop, sums[4], kept, left, moving[K + 1][MOVING];
+
+  void blend(const ForwardTile& t, std::size_t splat, V dx, V dy, V raw) {
+    const float* q = t.rows + 16 * splat;
+    const V a = clip(raw, all(ALPHA_MIN), all(ALPHA_MAX));
+    const V next = fnma(a, left, left);
+    const V weight = keep_gt(next, stop, a * left);
+    for (int d = 0; d < K; ++d) {
+      const float* v = t.velocities[d] + 8 * splat;
+      V* m = moving[d];
+      const V p = fma(all(v[VXX]), dx, fma(all(v[VXY]), dy, all(v[VX])));
+      const V by_log = fma(p, dx, fma(all(v[VYY]), dy, all(v[VY])) * dy);
+      // d weight = d alpha T + alpha dT; no alpha moves where it is clamped, nothing where the pixel has stopped.
+      const V by_alpha = keep_ge(all(ALPHA_MAX), raw, by_log * weight);
+      const V by_weight = keep_gt(next, stop, fma(a, m[3], by_alpha));
+      m[0] = fma(by_weight, all(q[RED]), fma(weight, all(v[VRED]), m[0]));
+      m[1] = fma(by_weight, all(q[GREEN]), fma(weight, all(v[VGREEN]), m[1]));
+      m[2] = fma(by_weight, all(q[BLUE]), fma(weight, all(v[VBLUE]), m[2]));
+      m[3] -= by_weight;
+    }
+    kept = pick_gt(next, stop, next, kept);
+    // Never grows: where a pixel has stopped, nothing later is blended.
+    left = next;
+    for (int c = 0; c < (WITH_Z ? 4 : 3); ++c) sums[c] = fma(weight, all(q[RED + c]), sums[c]);
+  }
+
+  // True while one of them goes on; those that have stopped have nothing left.
+  bool look() {
+    left = keep_gt(left, stop, left);
+    return any(left);
+  }
+};
+
+// A block: as many vectors of pixels as it takes.
+template <bool WITH_Z, int K>
+struct Block {
+  Pixels<WITH_Z, K> parts[PARTS];
+
+  template <int U>
+  void add(const ForwardTile& t, const std::uint32_t* splats) {
+    constexpr int N = U * PARTS;
+    const float* q[N];
+    V x[N], y[N];
+    for (int n = 0; n < N; ++n) {
+      q[n] = t.rows + 16 * static_cast<std::size_t>(splats[n / PARTS]);
+      x[n] = parts[n % PARTS].px, y[n] = parts[n % PARTS].py;
+    }
+    const Alphas<N> alphas(q, x, y);
+    for (int n = 0; n < N; ++n) parts[n % PARTS].blend(t, splats[n / PARTS], alphas.dx[n], alphas.dy[n], alphas.raw[n]);
+  }
+
+  bool look() {
+    bool alive = false;
+    for (Pixels<WITH_Z, K>& p : parts) alive |= p.look();
+    return alive;
+  }
+};
+
+// One block over one list. `state`: PLANES planes and, behind them, what is left of each pixel (0 where it has
+// stopped); `moving`: MOVING planes for each of the K directions of `t`.
+template <bool WITH_Z, int K>
+bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float x, float y, float* state, float* moving) {
+  static_assert(DEPTH == RED + 3, "the depth is summed like a fourth colour");
+  constexpr int SUMS = WITH_Z ? 4 : 3, U = ABREAST / PARTS;
+  static_assert(8 % U == 0, "a look after every eight entries");
+  Block<WITH_Z, K> block;
+  for (int k = 0; k < PARTS; ++k) {
+    Pixels<WITH_Z, K>& p = block.parts[k];
+    const float *s = state + LANES * k, *m = moving + LANES * k;
+    p.px = load(COLUMN + LANES * k) + all(x), p.py = load(LINE + LANES * k) + all(y), p.stop = all(t.stop);
+    for (int c = 0; c < SUMS; ++c) p.sums[c] = load(s + c * PIXELS);
+    p.kept = load(s + 4 * PIXELS), p.left = load(s + 5 * PIXELS);
+    for (int d = 0; d < K; ++d)
+      for (int c = 0; c < MOVING; ++c) p.moving[d][c] = load(m + (d * MOVING + c) * PIXELS);
+  }
+  bool goes_on = true;
+  int j = 0;
+  for (; goes_on && j + U <= count; j += U) {
+    block.template add<U>(t, list + j);
+    if ((j + U) % 8 == 0) goes_on = block.look();
+  }
+  for (; goes_on && j < count; ++j) block.template add<1>(t, list + j);
+  const bool alive = block.look();
+  for (int k = 0; k < PARTS; ++k) {
+    const Pixels<WITH_Z, K>& p = block.parts[k];
+    float *s = state + LANES * k, *m = moving + LANES * k;
+    for (int c = 0; c < SUMS; ++c) store(s + c * PIXELS, p.sums[c]);
+    store(s + 4 * PIXELS, p.kept);
+    store(s + 5 * PIXELS, p.left);
+    for (int d = 0; d < K; ++d)
+      for (int c = 0; c < MOVING; ++c) store(m + (d * MOVING + c) * PIXELS, p.moving[d][c]);
+  }
+  return alive;
+}
+
+template <bool WITH_Z, int K, bool KNOWN>
+void forward_tile(const ForwardTile& t) {
+  constexpr std::size_t CHUNK = 192, ROOM = CHUNK + 16;
+  std::uint32_t lists[16][ROOM];
+  int sizes[16];
+  alignas(64) float state[6 * PIXELS];
+  // What comes after the last block of a small tile belongs to nobody.
+  const int pixels = 16 * (32 - __builtin_clz(t.blocks));
+  for (int plane = 0; plane < 6; ++plane)
+    for (int i = 0; i < pixels; ++i) state[plane * PIXELS + i] = plane < 4 ? 0 : 1;
+  for (int plane = 0; plane < K * MOVING; ++plane)
+    for (int i = 0; i < pixels; ++i) t.moving[plane * PIXELS + i] = 0;
+  std::uint32_t alive = t.blocks;
+  std::size_t i = 0;
+  while (i < t.count && alive) {
+    const std::size_t end = i + CHUNK < t.count ? i + CHUNK : t.count;
+    for (int& size : sizes) size = 0;
+    for (int d = 0; d < K; ++d)
+      for (std::size_t k = i; k < end; ++k) __builtin_prefetch(t.velocities[d] + 8 * static_cast<std::size_t>(t.entries[k]));
+    deal<KNOWN>(t, i, end, alive, lists, sizes);
+    i = end;
+    for (std::uint32_t todo = alive; todo; todo &= todo - 1) {
+      const int s = __builtin_ctz(todo);
+      if (!sizes[s]) continue;
+      const float x = t.x + 4.0f * (s >> 2), y = t.y + 4.0f * (s & 3);
+      if (!composite<WITH_Z, K>(t, lists[s], sizes[s], x, y, state + 16 * s, t.moving + 16 * s)) alive &= ~(1u << s);
+    }
+  }
+  for (; i < t.count; ++i) t.masks[i] = 0;
+  for (int plane = 0; plane < PLANES; ++plane) __builtin_memcpy(t.state + plane * PIXELS, state + plane * PIXELS, pixels * sizeof(float));
+}
+
+#if defined(__AVX512F__)
+
+// slot[k] = the sum over the lanes of v[k], 0 for the last four of sixteen: transposed and added by halves.
+inline void store_sums(const V* v, float* slot) {
+  __m512 pairs[6], quads[3];
+  for (int k = 0; k < 6; ++k) {
+    const __m512 a = (__m512)v[2 * k], b = (__m512)v[2 * k + 1];
+    pairs[k] = _mm512_add_ps(_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
+  }
+  for (int k = 0; k < 3; ++k) {
+    const __m512 a = pairs[2 * k], b = pairs[2 * k + 1];
+    quads[k] = _mm512_add_ps(_mm512_shuffle_ps(a, b, 0x44), _mm512_shuffle_ps(a, b, 0xee));
+  }
+  const __m512 zero = _mm512_setzero_ps();
+  const __m512 low = _mm512_add_ps(_mm512_shuffle_f32x4(quads[0], quads[1], 0x44), _mm512_shuffle_f32x4(quads[0], quads[1], 0xee));
+  const __m512 high = _mm512_add_ps(_mm512_shuffle_f32x4(quads[2], zero, 0x44), _mm512_shuffle_f32x4(quads[2], zero, 0xee));
+  _mm512_storeu_ps(slot, _mm512_add_ps(_mm512_shuffle_f32x4(low, high, 0x88), _mm512_shuffle_f32x4(low, high, 0xdd)));
+}
+
+#else
+
+// Four sums at once: lane k of the result is the sum over the lanes of argument k.
+inline __m128 sums(V a, V b, V c, V d) {
+  const __m128 fa = (__m128)fold(a), fb = (__m128)fold(b), fc = (__m128)fold(c), fd = (__m128)fold(d);
+  const __m128 ab = _mm_add_ps(_mm_unpacklo_ps(fa, fb), _mm_unpackhi_ps(fa, fb));
+  const __m128 cd = _mm_add_ps(_mm_unpacklo_ps(fc, fd), _mm_unpackhi_ps(fc, fd));
+  return _mm_add_ps(_mm_movelh_ps(ab, cd), _mm_movehl_ps(cd, ab));
+}
+
+inline void store_sums(const V* v, float* slot) {
+  for (int k = 0; k < 12; k += 4) _mm_storeu_ps(slot + k, sums(v[k], v[k + 1], v[k + 2], v[k + 3]));
+  _mm_storeu_ps(slot + 12, _mm_setzero_ps());
+}
+
+#endif
+
+// Entries whose alphas are computed before their sums.
+constexpr int BATCH = 16;
+
+// The pairs of an entry of a batch and a block that it may touch, entry after entry, and 2^exponent of their pixels (0
+// below ALPHA_MIN).
+struct Pairs {
+  alignas(64) float raw[16 * BATCH][16];
+  std::uint8_t owners[16 * BATCH + 16], blocks[16 * BATCH + 16];
+  int starts[BATCH + 1];
+
+  void find(const BackwardTile& t, std::size_t first, int count, std::uint32_t alive) {
+    int end = 0;
+    for (int k = 0; k < count; ++k) {
+      starts[k] = end;
+      const std::uint32_t mask = t.masks[first + k] & alive;
+#if defined(__AVX512F__)
+      const __m512i numbers = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+      const __m512i found = _mm512_maskz_compress_epi32(static_cast<__mmask16>(mask), numbers);
+      _mm_storeu_si128(reinterpret_cast<__m128i*>(blocks + end), _mm512_cvtepi32_epi8(found));
+      _mm_storeu_si128(reinterpret_cast<__m128i*>(owners + end), _mm_set1_epi8(static_cast<char>(k)));
+      end += __builtin_popcount(mask);
+#else
+      for (std::uint32_t todo = mask; todo; todo &= todo - 1) {
+        blocks[end] = static_cast<std::uint8_t>(__builtin_ctz(todo));
+        owners[end++] = static_cast<std::uint8_t>(k);
+      }
+#endif
+    }
+    starts[count] = end;
+    // Whole groups: what is too much belongs to the first entry and is not looked at.
+    for (int k = 0; k < ABREAST; ++k) owners[end + k] = blocks[end + k] = 0;
+  }
+
+  // `columns` and `lines`: pixel centres of the four columns and lines of blocks.
+  void fill(const BackwardTile& t, std::size_t first, int count, const float (*columns)[16], const float (*lines)[16]) {
+    constexpr int U = ABREAST, AT_ONCE = U / PARTS;
+    for (int p = 0; p < starts[count]; p += AT_ONCE) {
+      const float* q[U];
+      V x[U], y[U];
+      for (int u = 0; u < U; ++u) {
+        const int pair = p + u / PARTS, part = LANES * (u % PARTS);
+        q[u] = t.rows + 16 * static_cast<std::size_t>(t.entries[first + owners[pair]]);
+        x[u] = load(columns[blocks[pair] >> 2] + part), y[u] = load(lines[blocks[pair] & 3] + part);
+      }
+      const Alphas<U> alphas(q, x, y);
+      for (int u = 0; u < U; ++u)
+        store(raw[p + u / PARTS] + LANES * (u % PARTS), keep_ge(alphas.raw[u], all(ALPHA_MIN), alphas.raw[u]));
+    }
+  }
+};
+
+template <bool WITH_GEOMETRY, bool WITH_COLOR, bool WITH_Z>
+void backward_tile(const BackwardTile& t) {
+  alignas(64) float left[PIXELS], behind[PIXELS], columns[4][16], lines[4][16];
+  for (int i = 0; i < PIXELS; ++i) left[i] = 1;
+  __builtin_memcpy(behind, t.adjoint + 4 * PIXELS, sizeof behind);
+  for (int b = 0; b < 4; ++b)
+    for (int i = 0; i < 16; ++i) columns[b][i] = COLUMN[i] + (t.x + 4.0f * b), lines[b][i] = LINE[i] + (t.y + 4.0f * b);
+  const float *vr = t.adjoint, *vg = vr + PIXELS, *vb = vg + PIXELS, *vz = vb + PIXELS;
+  Pairs pairs;
+  const V stop = all(t.stop);
+  const float* const rows = t.rows;
+  float* const slots = t.slots;
+  const std::uint32_t *const entries = t.entries, *const targets = t.targets;
+  std::uint32_t alive = 0xffff;
+  for (std::size_t first = 0; first < t.count; first += BATCH) {
+    const int count = t.count - first < BATCH ? static_cast<int>(t.count - first) : BATCH;
+    // What the next batch needs.
+    const std::size_t next = first + BATCH, end = next + BATCH < t.count ? next + BATCH : t.count;
+    for (std::size_t i = next; i < end; ++i) {
+      __builtin_prefetch(rows + 16 * static_cast<std::size_t>(entries[i]));
+      __builtin_prefetch(slots + 16 * static_cast<std::size_t>(targets[i]), 1);
+    }
+    pairs.find(t, first, count, alive);
+    pairs.fill(t, first, count, columns, lines);
+    for (int e = 0; e < count; ++e) {
+      float* slot = slots + 16 * static_cast<std::size_t>(targets[first + e]);
+      const float* q = rows + 16 * static_cast<std::size_t>(entries[first + e]);
+      if (pairs.starts[e] == pairs.starts[e + 1]) {
+        // One in eleven of the tube: most lie behind blocks that have stopped, some are corners of boxes that the ellipse does not reach.
+        for (int k = 0; k < PARTS; ++k) store(slot + LANES * k, V{});
+        continue;
+      }
+      V s{}, sx{}, sy{}, sxx{}, sxy{}, syy{}, sr{}, sg{}, sb{}, sz{};
+      for (int pair = pairs.starts[e]; pair < pairs.starts[e + 1]; ++pair) {
+        const int block = pairs.blocks[pair];
+        for (int k = 0; k < PARTS; ++k) {
+          const int p = 16 * block + LANES * k;
+          const V raw = load(pairs.raw[pair] + LANES * k);
+          const V a = least(raw, all(ALPHA_MAX));
+          const V now = load(left + p);
+          const V next = fnma(a, now, now);
+          const V weight = keep_gt(next, stop, a * now);
+          store(left + p, keep_gt(next, stop, next));
+          const V r = load(vr + p), g = load(vg + p), b = load(vb + p);
+          if (WITH_GEOMETRY) {
+            const V dx = (load(columns[block >> 2] + LANES * k) - all(q[X])) - all(q[X_REST]);
+            const V dy = (load(lines[block & 3] + LANES * k) - all(q[Y])) - all(q[Y_REST]);
+            V value = fma(all(q[RED]), r, fma(all(q[GREEN]), g, all(q[BLUE]) * b));
+            if (WITH_Z) value = fma(all(q[DEPTH]), load(vz + p), value);
+            const V own = weight * value, rest = load(behind + p) - own;
+            store(behind + p, rest);
+            // d loss / d log(alpha) = alpha d loss / d alpha; none where alpha is clamped or the pixel has stopped.
+            V v = keep_gt(next, stop, fnma(rest, a * reciprocal(all(1) - a), own));
+            v = keep_ge(all(ALPHA_MAX), raw, v);
+            const V mx = v * dx, my = v * dy;
+            s += v;
+            sx += mx;
+            sy += my;
+            sxx = fma(mx, dx, sxx);
+            sxy = fma(mx, dy, sxy);
+            syy = fma(my, dy, syy);
+          }
+          if (WITH_COLOR) {
+            sr = fma(weight, r, sr);
+            sg = fma(weight, g, sg);
+            sb = fma(weight, b, sb);
+          }
+          if (WITH_Z) sz = fma(weight, load(vz + p), sz);
+        }
+      }
+      const V moments[12] = {s, sx, sy, sxx, sxy, syy, sz, V{}, sr, sg, sb, V{}};
+      store_sums(moments, slot);
+    }
+    // Blocks whose pixels have all stopped.
+    for (std::uint32_t todo = alive; todo; todo &= todo - 1) {
+      const int block = __builtin_ctz(todo);
+      bool goes_on = false;
+      for (int k = 0; k < PARTS; ++k) goes_on |= any(load(left + 16 * block + LANES * k));
+      if (!goes_on) alive &= ~(1u << block);
+    }
+  }
+}
+
+}  // namespace
+
+void forward(const ForwardTile& t, std::uint32_t parts) {
+  switch (t.directions) {
+    case 1: return forward_tile<false, 1, false>(t);
+    case 2: return forward_tile<false, 2, false>(t);
+    case 3: return forward_tile<false, 3, false>(t);
+    case 4: return forward_tile<false, 4, false>(t);
+    default: break;
+  }
+  const bool known = parts & KNOWN_MASKS;
+  if (parts & WITH_DEPTH) {
+    known ? forward_tile<true, 0, true>(t) : forward_tile<true, 0, false>(t);
+  } else {
+    known ? forward_tile<false, 0, true>(t) : forward_tile<false, 0, false>(t);
+  }
+}
+
+void backward(const BackwardTile& t, std::uint32_t parts) {
+  switch (parts & (GEOMETRY | COLOR | WITH_DEPTH)) {
+    case GEOMETRY: return backward_tile<true, false, false>(t);
+    case COLOR: return backward_tile<false, true, false>(t);
+    case GEOMETRY | COLOR: return backward_tile<true, true, false>(t);
+    case GEOMETRY | WITH_DEPTH: return backward_tile<true, false, true>(t);
+    case GEOMETRY | COLOR | WITH_DEPTH: return backward_tile<true, true, true>(t);
+    default: return;
+  }
+}
+
+}  // namespace RESPIRE_ISA
+}  // namespace respire
