@@ -60,3 +60,4 @@ pub mod report;
 
 pub mod bench;
 pub mod cli;
+pub mod experiments;

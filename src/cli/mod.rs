@@ -3,7 +3,6 @@
 //! A command is a file with `Arguments` (clap) and `run(Arguments, &Terminal) -> Result<()>`. To add one: a `mod`
 //! line and a line in `commands!` below.
 
-mod ablate;
 mod all_cases;
 mod check;
 mod compare;
@@ -18,21 +17,13 @@ mod import_tree;
 mod list;
 mod merge;
 mod pareto;
-mod pareto_phase;
-mod pareto_render;
-mod pareto_skipping;
-mod pareto_splat;
 mod render;
 mod run;
-mod selection;
+pub(crate) mod selection;
 mod simulate;
 mod splat;
 mod splat_gradients;
-mod stress;
-mod stress_derivatives;
-mod stress_inputs;
-mod stress_metrics;
-mod stress_scenes;
+pub(crate) mod stress;
 mod terminal;
 mod watch;
 
@@ -41,6 +32,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::base::{Error, Result};
+use crate::experiments::ablation;
 pub use terminal::Terminal;
 
 /// Makes the subcommand enum and its dispatch from lines `Variant => file`.
@@ -85,7 +77,7 @@ commands! {
     /// Several runs, or scores of a third party, as one report
     Merge => merge,
     /// What each part of a method, and each property of a film, is worth
-    Ablate => ablate,
+    Ablate => ablation,
     /// What a metric is
     Explain => explain,
     /// Measures cost against error of many settings, and draws the front

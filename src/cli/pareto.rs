@@ -3,8 +3,9 @@
 
 use clap::{Args, Subcommand};
 
-use super::{Terminal, pareto_phase, pareto_render, pareto_splat};
+use super::Terminal;
 use crate::base::Result;
+use crate::experiments::pareto::{phase as pareto_phase, render as pareto_render, splat as pareto_splat};
 
 /// Arguments of `pareto`.
 #[derive(Args)]

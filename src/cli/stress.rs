@@ -10,10 +10,10 @@ use clap::Args;
 use serde::Serialize;
 
 use super::Terminal;
-use super::stress_scenes::{self as scenes, Demand, Item};
-use super::{stress_derivatives as derivatives, stress_inputs as inputs, stress_metrics as metrics};
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Error, ErrorKind, Result, files};
+use crate::experiments::stress::scenes::{self, Demand, Item};
+use crate::experiments::stress::{derivatives, inputs, metrics};
 use crate::splat::{Footprint, Gradients, ImageGradient, Rasterizer, Real, Wanted};
 
 /// Largest relative error (L2) of an image that passes.
@@ -44,7 +44,7 @@ pub struct Arguments {
 
 /// One line of the table.
 #[derive(Clone, Serialize)]
-pub(super) struct Row {
+pub(crate) struct Row {
     pub item: String,
     pub image_error: f64,
     pub gradient_error: f64,

@@ -11,7 +11,7 @@ use std::path::Path;
 
 use canvas::Figure;
 
-use super::pareto::Chart;
+use super::pareto_chart::Chart;
 use super::run::Run;
 use super::summary::MethodSummary;
 use crate::base::{Image, Progress, Result, files};

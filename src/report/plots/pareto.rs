@@ -6,7 +6,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::canvas::{Area, Drawn, Figure, GRID, INK, Pen, legend};
 use super::methods::{log_range, log_ticks};
-use crate::report::pareto::{Chart, Standing};
+use crate::report::pareto_chart::{Chart, Standing};
 
 /// Okabe and Ito's palette and one more, in the order of the modes.
 const COLORS: [RGBColor; 8] = [

@@ -1,7 +1,7 @@
 //! What skipping saves: each thing that the core or the optimiser leaves out switched off, one at a time, turn by turn with
 //! the default: CPU time without the skip over that with it, and how far image and gradients are from the default's.
 
-use super::pareto_splat::relative;
+use super::splat::relative;
 use crate::base::Result;
 use crate::ffi::system::cpu_time_s;
 use crate::reconstruct::optimiser::{AdamConstants, RowAdam, StepCounter};
@@ -11,11 +11,11 @@ use crate::splat::{
 };
 
 /// First line of `skipping.csv`.
-pub(super) const HEADER: &str =
+pub(crate) const HEADER: &str =
     "subject,skipped,measured,with_skip_cpu_s,without_cpu_s,ratio,image_change,gradient_change\n";
 
 /// One skip.
-pub(super) struct Row {
+pub(crate) struct Row {
     skipped: &'static str,
     measured: &'static str,
     cpu_s: [f64; 2],
@@ -176,7 +176,7 @@ impl Bench<'_> {
 }
 
 /// All skips on one scene.
-pub(super) fn rows(scene: &Gaussians<f32>, side: usize, repeat: usize) -> Result<Vec<Row>> {
+pub(crate) fn rows(scene: &Gaussians<f32>, side: usize, repeat: usize) -> Result<Vec<Row>> {
     let weights = tube::image_gradient(3 * side * side);
     let bench = Bench { scene, view: tube::view(side), settings: tube::settings(), weights, repeat };
     let mut faint = scene.clone();

@@ -3,8 +3,8 @@
 
 use glam::{DAffine3, DVec3};
 
-use super::stress::Row;
 use crate::base::{Image, Result, TriangleMesh};
+use crate::cli::stress::Row;
 use crate::reconstruct::loss::norm::Norm;
 use crate::reconstruct::loss::photometric::Photometric;
 use crate::score::contour::target_errors;
@@ -21,7 +21,7 @@ fn frame(code: u8) -> Image<u8> {
 }
 
 /// All rows.
-pub(super) fn rows() -> Result<Vec<Row>> {
+pub(crate) fn rows() -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for (a, b) in [(0, 0), (255, 255), (0, 255), (128, 128), (1, 0), (254, 255)] {
         rows.extend(constant_frames(a, b)?);

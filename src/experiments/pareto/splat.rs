@@ -11,10 +11,11 @@ use std::time::Instant;
 
 use clap::Args;
 
-use super::{Terminal, pareto_skipping};
+use super::skipping as pareto_skipping;
 use crate::base::{Error, Result, files};
+use crate::cli::Terminal;
 use crate::ffi::system::cpu_time_s;
-use crate::report::pareto::{Chart, Point, Standing, write};
+use crate::report::pareto_chart::{Chart, Point, Standing, write};
 use crate::splat::{
     Filter, Footprint, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings, Skips, TileSide, Wanted,
     tube,
@@ -22,7 +23,7 @@ use crate::splat::{
 
 /// Arguments of `pareto splat`.
 #[derive(Args)]
-pub(super) struct Arguments {
+pub(crate) struct Arguments {
     /// Folder for tables and plots
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -109,7 +110,7 @@ fn seconds(repeat: usize, mut work: impl FnMut() -> Result<()>) -> Result<[f64; 
 }
 
 /// Runs `work` with so many threads.
-pub(super) fn with_threads<R: Send>(threads: usize, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
+pub(crate) fn with_threads<R: Send>(threads: usize, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|e| Error::input(format!("{threads} threads cannot be had: {e}")))?.install(work)
 }
@@ -133,7 +134,7 @@ fn measure<T: Real>(scene: &Gaussians<f32>, side: usize, choice: Choice, repeat:
 }
 
 /// `|a - b| / |b|`, L2.
-pub(super) fn relative(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn relative(a: &[f64], b: &[f64]) -> f64 {
     let norm = b.iter().map(|v| v * v).sum::<f64>().sqrt();
     a.iter().zip(b).map(|(x, y)| (x - y).powi(2)).sum::<f64>().sqrt() / norm
 }
@@ -197,7 +198,7 @@ fn points(subject: &str, scene: &Gaussians<f32>, side: usize, repeat: usize) -> 
 }
 
 /// Runs the command.
-pub(super) fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub(crate) fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let mut charts = [Vec::new(), Vec::new()];
     let mut saved = pareto_skipping::HEADER.to_string();
     for name in &arguments.scenes {

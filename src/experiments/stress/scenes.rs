@@ -8,7 +8,7 @@ use crate::splat::{Anchors, Carrier, Filter, Footprint, Frame, Gaussians, Settin
 
 /// What an item must show.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Demand {
+pub(crate) enum Demand {
     /// The numbers of double precision.
     Accuracy,
     /// Finite numbers: its values overflow in single precision, where their Gaussians are left out, and not in double.
@@ -16,7 +16,7 @@ pub(super) enum Demand {
 }
 
 /// A scene of the matrix.
-pub(super) struct Item {
+pub(crate) struct Item {
     pub demand: Demand,
     pub name: String,
     pub scene: Gaussians<f32>,
@@ -24,12 +24,12 @@ pub(super) struct Item {
     pub settings: Settings,
 }
 
-pub(super) fn view(width: u32, height: u32) -> View {
+pub(crate) fn view(width: u32, height: u32) -> View {
     View::new(Camera::pinhole(width, height, 90f64.to_radians()), DAffine3::IDENTITY)
 }
 
 /// `n` discs on a wall 4 to 9 mm before the camera, of about `size` mm.
-pub(super) fn wall(n: usize, size: f64, seed: u64) -> Gaussians<f32> {
+pub(crate) fn wall(n: usize, size: f64, seed: u64) -> Gaussians<f32> {
     let r = &mut CounterRng::new(seed, Stage::Test, &[n as u64]);
     let mut scene = Gaussians::<f32>::discs(n, 1, 0.8);
     let mut axes = Vec::with_capacity(n);
@@ -70,7 +70,7 @@ fn scaled(factor: f32) -> Item {
     Item { settings: Settings { near_mm, ..Settings::default() }, ..item(&format!("scene scale {factor:e}"), scene) }
 }
 
-pub(super) fn item(name: &str, scene: Gaussians<f32>) -> Item {
+pub(crate) fn item(name: &str, scene: Gaussians<f32>) -> Item {
     Item { demand: Demand::Accuracy, name: name.into(), scene, view: view(96, 80), settings: Settings::default() }
 }
 
@@ -82,7 +82,7 @@ fn changed(name: &str, seed: u64, change: impl Fn(&mut Gaussians<f32>, &mut Coun
 }
 
 /// The shapes, places and opacities of the matrix.
-pub(super) fn geometry() -> Vec<Item> {
+pub(crate) fn geometry() -> Vec<Item> {
     let mut items: Vec<Item> = [1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3].map(scaled).into();
     items
         .push(changed("needles, 1:10000", 2, |s, _| axes_of(s).iter_mut().for_each(|a| a[1] = a[1].map(|v| v * 1e-4))));
@@ -122,7 +122,7 @@ pub(super) fn geometry() -> Vec<Item> {
 }
 
 /// Sizes of scene and image.
-pub(super) fn sizes(small: bool) -> Vec<Item> {
+pub(crate) fn sizes(small: bool) -> Vec<Item> {
     let mut items = vec![item("one Gaussian", wall(1, 2.0, 20)), item("no Gaussian", wall(0, 1.0, 21))];
     items.push(Item { view: view(1, 1), ..item("1x1 pixel", wall(400, 0.5, 22)) });
     if !small {
@@ -136,7 +136,7 @@ pub(super) fn sizes(small: bool) -> Vec<Item> {
 type Spoil = fn(&mut [[f32; 4]], &mut [[f32; 3]], usize, f32);
 
 /// Every poison in every array.
-pub(super) fn poisons() -> Vec<Item> {
+pub(crate) fn poisons() -> Vec<Item> {
     let values = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e-40, 3e38];
     let mut items = Vec::new();
     for (k, value) in values.into_iter().enumerate() {
@@ -172,7 +172,7 @@ pub(super) fn poisons() -> Vec<Item> {
 }
 
 /// The scenes of [`geometry`] with the compensated filter and with exact discs, and a fisheye.
-pub(super) fn modes() -> Vec<Item> {
+pub(crate) fn modes() -> Vec<Item> {
     let compensate = |item: Item| Item {
         name: format!("{}; compensated", item.name),
         settings: Settings { filter: Filter::Compensate, ..item.settings },
@@ -195,7 +195,7 @@ pub(super) fn modes() -> Vec<Item> {
 
 /// Discs that hang on a mesh of bad triangles, at a phase: the discs are placed in single precision, and the phase is
 /// exactly 0 or 1 where a method could start or stop.
-pub(super) fn anchored() -> Vec<Item> {
+pub(crate) fn anchored() -> Vec<Item> {
     let mut items = Vec::new();
     for (name, squeeze) in [("sound", 1.0f32), ("needle", 1e-4), ("zero-area", 0.0)] {
         for phase in [0.0f32, 1.0] {

@@ -9,19 +9,19 @@ use std::time::Instant;
 
 use clap::Args;
 
-use super::Terminal;
 use crate::airway::case::Case;
 use crate::base::{Camera, Error, Image, Progress, Result, mesh};
 use crate::bench::Catalogue;
+use crate::cli::Terminal;
 use crate::ffi::system::cpu_time_s;
 use crate::render::{Denoise, Light, RenderSettings, Scene, Shading, Transport, render};
-use crate::report::pareto::{Chart, Point, Standing, write};
+use crate::report::pareto_chart::{Chart, Point, Standing, write};
 use crate::simulate::material;
 use crate::simulate::trajectory::Route;
 
 /// Arguments of `pareto render`.
 #[derive(Args)]
-pub(super) struct Arguments {
+pub(crate) struct Arguments {
     /// Folder for table and plots
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -178,7 +178,7 @@ fn point(view: &View, reference: &Reference, mode: &Mode, samples_per_pixel: u32
 }
 
 /// Runs the command.
-pub(super) fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub(crate) fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let catalogue = Catalogue::find(arguments.bench_cases.as_deref())?;
     if !(0.0..=1.0).contains(&arguments.phase) {
         return Err(Error::usage(format!("the phase is {}; it must lie in [0, 1]", arguments.phase)));

@@ -10,20 +10,20 @@ use std::time::Instant;
 
 use clap::Args;
 
-use super::Terminal;
 use crate::base::{Error, NoProgress, Progress, Result, files};
 use crate::bench::variant::replace;
 use crate::bench::{Catalogue, Freshness, Pipeline, Profile, Store, Wishes, execute};
+use crate::cli::Terminal;
 use crate::ffi::system::cpu_time_s;
 use crate::reconstruct::{Observation, method, observe};
-use crate::report::pareto::{Chart, Point, Standing, write};
+use crate::report::pareto_chart::{Chart, Point, Standing, write};
 use crate::score::contour::target_errors;
 use crate::score::{final_mesh, statistics};
 use crate::simulate::sequence::Sequence;
 
 /// Arguments of `pareto phase`.
 #[derive(Args)]
-pub(super) struct Arguments {
+pub(crate) struct Arguments {
     /// Folder for table and plots
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -169,7 +169,7 @@ fn point(film: &Film, variant: &Variant, methods: &Path, iteration_scale: f64) -
 }
 
 /// Runs the command.
-pub(super) fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub(crate) fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let catalogue = Catalogue::find(arguments.bench_cases.as_deref())?;
     let iteration_scale = Profile::load(&catalogue.profiles(), &arguments.profile)?.iteration_scale;
     let mut points = Vec::new();

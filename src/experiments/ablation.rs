@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use super::Terminal;
-use super::selection::Places;
 use crate::base::{Result, files};
 use crate::bench::{Ablations, FinishedCell, Freshness, Pipeline, Store, Variant, execute};
+use crate::cli::Terminal;
+use crate::cli::selection::Places;
 use crate::report::ablation::{VariantScores, write};
 use crate::score::CellScore;
 

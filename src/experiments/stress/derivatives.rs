@@ -1,12 +1,12 @@
 //! Gradients against central differences in double precision, and the faults that the same check must catch.
 
-use super::stress::Row;
 use crate::base::Result;
+use crate::cli::stress::Row;
 use crate::splat::Fault;
 use crate::splat::gradient_check::{Case, LANE_LIMIT, Truth};
 
 /// How the rows of the faults begin.
-pub(super) const FAULT: &str = "seeded fault";
+pub(crate) const FAULT: &str = "seeded fault";
 /// Scenes of the check.
 const SCENES: u64 = 75;
 /// Scenes that the faults are tried on.
@@ -14,7 +14,7 @@ const FAULT_SCENES: usize = 12;
 
 /// A row per group of gradients (worst value of all scenes), and one per fault: its error is that of the worst value on
 /// the scene that shows it best, and it passes when it is caught.
-pub(super) fn rows() -> Result<Vec<Row>> {
+pub(crate) fn rows() -> Result<Vec<Row>> {
     let truths = (0..SCENES).map(|seed| Truth::new(Case::new(seed))).collect::<Result<Vec<_>>>()?;
     let mut groups: Vec<Row> = Vec::new();
     for truth in &truths {

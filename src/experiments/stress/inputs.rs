@@ -3,16 +3,16 @@
 
 use glam::DVec3;
 
-use super::stress::Row;
-use super::stress_scenes::{view, wall};
+use super::scenes::{view, wall};
 use crate::base::{Camera, Result};
+use crate::cli::stress::Row;
 use crate::splat::{Direction, ImageGradient, Rasterizer, Settings, View, Wanted};
 
 /// A change of the view and the settings, by name.
 type Damage = (&'static str, fn(&mut Camera, &mut View, &mut Settings));
 
 /// A row per input and poison.
-pub(super) fn refusals() -> Result<Vec<Row>> {
+pub(crate) fn refusals() -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     let scene = wall(50, 0.5, 90);
     let damages: [Damage; 8] = [
