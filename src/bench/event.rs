@@ -7,7 +7,7 @@ use crate::base::{Error, Progress};
 
 /// Whether a product was made now or taken from the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reuse {
+pub enum CacheUse {
     /// Made in this run.
     Made,
     /// Made before, by the same code from the same input, and still whole.
@@ -33,7 +33,7 @@ pub enum Event<'a> {
         /// Whose.
         case_id: &'a str,
         /// Made or cached.
-        reuse: Reuse,
+        cache_use: CacheUse,
         /// Seconds it took now.
         wall_s: f64,
     },
@@ -47,7 +47,7 @@ pub enum Event<'a> {
         /// Which.
         cell: &'a Cell,
         /// Made or cached.
-        reuse: Reuse,
+        cache_use: CacheUse,
         /// Seconds it took now.
         wall_s: f64,
         /// Cells that are done, this one included.

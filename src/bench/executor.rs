@@ -8,7 +8,7 @@ use std::fs::{self, File};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-use super::event::{Event, Reuse, Watcher};
+use super::event::{CacheUse, Event, Watcher};
 use super::plan::{Cell, Plan, Planned};
 use super::stages::Stages;
 use super::store::{State, Store, cell_folder, sequence_product};
@@ -103,7 +103,7 @@ impl Run<'_> {
         let folder = self.store.path(&product);
         let timing_file = folder.with_extension("timing.json");
         if self.usable(&product, &key)? {
-            self.watcher.event(&Event::Filmed { case_id: &case.id, reuse: Reuse::Cached, wall_s: 0.0 });
+            self.watcher.event(&Event::Filmed { case_id: &case.id, cache_use: CacheUse::Cached, wall_s: 0.0 });
             return Ok(());
         }
         if !folder.exists() {
@@ -118,7 +118,7 @@ impl Run<'_> {
         }
         outcome?;
         self.store.commit(&product, &key)?;
-        self.watcher.event(&Event::Filmed { case_id: &case.id, reuse: Reuse::Made, wall_s });
+        self.watcher.event(&Event::Filmed { case_id: &case.id, cache_use: CacheUse::Made, wall_s });
         Ok(())
     }
 
@@ -157,9 +157,9 @@ impl Run<'_> {
             timing::keep(&timing_file, timing)?;
             self.store.commit(&score, &score_key)?;
         }
-        let reuse = if started || rescored { Reuse::Made } else { Reuse::Cached };
+        let cache_use = if started || rescored { CacheUse::Made } else { CacheUse::Cached };
         let (done, total) = (self.finished.len() + 1, self.plan.cells().len());
-        self.watcher.event(&Event::CellFinished { cell, reuse, wall_s, done, total });
+        self.watcher.event(&Event::CellFinished { cell, cache_use, wall_s, done, total });
         Ok(())
     }
 

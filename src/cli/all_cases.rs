@@ -16,7 +16,7 @@ use crate::report::table::ComparisonTable;
 #[command(after_help = "Stop it with Ctrl-C at any time: the same command goes on from there.\n\
     Exit code 1 when a cell failed; the others are done and reported.\n\
     Example: respire-bench all-cases --profile smoke")]
-pub struct Arguments {
+pub struct AllCasesArguments {
     #[command(flatten)]
     selection: Selection,
     /// Folder of the reports; `latest` in it points to the newest
@@ -34,7 +34,7 @@ pub struct Arguments {
 }
 
 /// Runs the plan and writes the report; `ErrorKind::CellFailed` names the cells that failed.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
     let pipeline = arguments.selection.pipeline()?;
     let plan = pipeline.plan()?;

@@ -29,7 +29,7 @@ pub struct Selection {
     #[arg(long, value_delimiter = ',', value_name = "N,..")]
     seeds: Vec<u64>,
     #[command(flatten)]
-    places: Places,
+    catalogue: CatalogueFolder,
 }
 
 /// How well the poses are known.
@@ -57,15 +57,15 @@ impl PoseChoice {
 
 /// Where cases, methods and profiles are described.
 #[derive(Args)]
-pub struct Places {
+pub struct CatalogueFolder {
     /// Folder of cases, methods and profiles; the nearest `bench-cases` when not given
     #[arg(long, value_name = "DIR")]
     bench_cases: Option<PathBuf>,
 }
 
-impl Places {
+impl CatalogueFolder {
     /// Opens the folder.
-    pub fn catalogue(&self) -> Result<Catalogue> {
+    pub fn open(&self) -> Result<Catalogue> {
         Catalogue::find(self.bench_cases.as_deref())
     }
 }
@@ -79,7 +79,7 @@ impl Selection {
     pub fn pipeline(self) -> Result<Pipeline> {
         let methods = self.poses.rows(wish(self.methods))?;
         let wishes = Wishes { cases: wish(self.cases), methods, seeds: wish(self.seeds) };
-        Pipeline::new(&self.places.catalogue()?, &self.profile, wishes)
+        Pipeline::new(&self.catalogue.open()?, &self.profile, wishes)
     }
 }
 

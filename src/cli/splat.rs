@@ -33,7 +33,7 @@ const FORWARD: usize = 4;
     camera_from_world <- exp(xi) camera_from_world in OpenCV camera axes; with --lens also lens: fl_x, fl_y, cx, cy.\n\
     Example: respire-bench splat scene.ply --cameras transforms.json --out /tmp/views"
 )]
-pub struct Arguments {
+pub struct SplatArguments {
     /// Gaussians as Inria's 3DGS writes them
     #[arg(value_name = "GAUSSIANS.ply")]
     gaussians: PathBuf,
@@ -50,14 +50,14 @@ pub struct Arguments {
     #[arg(long, value_name = "WEIGHTS.npy")]
     gradients: Option<PathBuf>,
     /// What the depth image shows
-    #[arg(long, value_enum, default_value_t = Depth::Expected)]
-    depth: Depth,
+    #[arg(long, value_enum, default_value_t = DepthChoice::Expected)]
+    depth: DepthChoice,
     /// How a Gaussian comes onto the screen
-    #[arg(long, value_enum, default_value_t = Mode::Ewa)]
-    mode: Mode,
+    #[arg(long, value_enum, default_value_t = FootprintChoice::Ewa)]
+    mode: FootprintChoice,
     /// What the screen-space filter of 0.3 px^2 does
-    #[arg(long, value_enum, default_value_t = ScreenFilter::Dilate)]
-    filter: ScreenFilter,
+    #[arg(long, value_enum, default_value_t = FilterChoice::Dilate)]
+    filter: FilterChoice,
     /// Write the normals too (shortest axes, weighted like the image, not divided by alpha)
     #[arg(long)]
     normals: bool,
@@ -70,16 +70,16 @@ pub struct Arguments {
     /// With --gradients: those of the focal lengths and the principal point too
     #[arg(long, requires = "gradients")]
     lens: bool,
-    /// Kernels to use; the widest that the processor has by default
+    /// KernelChoice to use; the widest that the processor has by default
     #[arg(long, value_enum)]
-    isa: Option<Kernels>,
+    isa: Option<KernelChoice>,
     /// Colour behind everything
     #[arg(long, num_args = 3, value_names = ["R", "G", "B"], default_values_t = [0.0, 0.0, 0.0])]
     background: Vec<f64>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Depth {
+enum DepthChoice {
     /// Mean of the Gaussians' centres
     Expected,
     /// Mean of where the ray meets them
@@ -89,7 +89,7 @@ enum Depth {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Mode {
+enum FootprintChoice {
     /// Affine projection, as 3DGS
     Ewa,
     /// Flat discs that each ray meets exactly, as 2DGS (the shortest axis is left out)
@@ -97,7 +97,7 @@ enum Mode {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum ScreenFilter {
+enum FilterChoice {
     /// Grow and keep the opacity, as 3DGS
     Dilate,
     /// Grow and keep the weight, as Mip-Splatting
@@ -105,7 +105,7 @@ enum ScreenFilter {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Kernels {
+enum KernelChoice {
     /// Plain Rust
     Scalar,
     /// Any x86-64
@@ -116,13 +116,13 @@ enum Kernels {
     Avx512,
 }
 
-impl Kernels {
+impl KernelChoice {
     fn isa(self) -> Isa {
         match self {
-            Kernels::Scalar => Isa::Scalar,
-            Kernels::Sse2 => Isa::Baseline,
-            Kernels::Avx2 => Isa::Avx2,
-            Kernels::Avx512 => Isa::Avx512,
+            KernelChoice::Scalar => Isa::Scalar,
+            KernelChoice::Sse2 => Isa::Baseline,
+            KernelChoice::Avx2 => Isa::Avx2,
+            KernelChoice::Avx512 => Isa::Avx512,
         }
     }
 }
@@ -216,7 +216,7 @@ impl Features {
 
 /// What was asked for beyond colour, depth and alpha.
 fn write_more(
-    arguments: &Arguments,
+    arguments: &SplatArguments,
     number: usize,
     scene: &Gaussians<f32>,
     view: &View,
@@ -259,7 +259,7 @@ fn write_images(folder: &Path, number: usize, image: &Rendered<f32>) -> Result<(
 }
 
 /// Runs the command.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     let cloud = gaussians_ply::read(&arguments.gaussians)?;
     let transforms = Transforms::read(&arguments.cameras)?;
     let camera = transforms.camera().map_err(|e| e.at(&arguments.cameras))?;
@@ -279,21 +279,21 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let scene = scene_of(&cloud);
     let background = [arguments.background[0], arguments.background[1], arguments.background[2]];
     let depth = match arguments.depth {
-        Depth::Expected => DepthOutput::Expected,
-        Depth::Surface => DepthOutput::Surface,
-        Depth::Median => DepthOutput::Median,
+        DepthChoice::Expected => DepthOutput::Expected,
+        DepthChoice::Surface => DepthOutput::Surface,
+        DepthChoice::Median => DepthOutput::Median,
     };
     let footprint = match arguments.mode {
-        Mode::Ewa => Footprint::Ewa,
-        Mode::Disc => Footprint::Disc,
+        FootprintChoice::Ewa => Footprint::Ewa,
+        FootprintChoice::Disc => Footprint::Disc,
     };
     let filter = match arguments.filter {
-        ScreenFilter::Dilate => Filter::Dilate,
-        ScreenFilter::Compensate => Filter::Compensate,
+        FilterChoice::Dilate => Filter::Dilate,
+        FilterChoice::Compensate => Filter::Compensate,
     };
     let settings = Settings { background, depth, footprint, filter, ..Settings::default() };
     let features = arguments.channels.as_deref().map(|path| Features::read(path, &cloud)).transpose()?;
-    let mut rasterizer = Rasterizer::with_isa(arguments.isa.map_or_else(Isa::widest, Kernels::isa))?;
+    let mut rasterizer = Rasterizer::with_isa(arguments.isa.map_or_else(Isa::widest, KernelChoice::isa))?;
     rasterizer.measure_cpu();
     let of_gaussians = Wanted::POSITIONS | Wanted::SHAPES | Wanted::OPACITIES | Wanted::SH;
     let wanted = of_gaussians | Wanted::POSE | if arguments.lens { Wanted::LENS } else { Wanted::NONE };

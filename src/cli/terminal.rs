@@ -17,11 +17,11 @@ const LINE_INTERVAL: Duration = Duration::from_secs(10);
 pub struct Terminal {
     interrupted: Arc<AtomicBool>,
     watched: bool,
-    state: Mutex<State>,
+    state: Mutex<TerminalState>,
 }
 
 #[derive(Default)]
-struct State {
+struct TerminalState {
     label: String,
     bar: Option<ProgressBar>,
     last_line: Option<Instant>,
@@ -80,7 +80,7 @@ impl Terminal {
     }
 
     /// A panic elsewhere leaves nothing in here half done, so a poisoned lock is as good as a whole one.
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, TerminalState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -95,7 +95,7 @@ impl Progress for Terminal {
     fn advance(&self, done: usize, total: usize) {
         let mut state = self.state();
         if self.watched {
-            let State { label, bar, .. } = &mut *state;
+            let TerminalState { label, bar, .. } = &mut *state;
             let bar = bar.get_or_insert_with(|| bar_of(label));
             bar.set_length(total as u64);
             bar.set_position(done as u64);

@@ -18,6 +18,7 @@ pub mod merge;
 #[cfg(test)]
 mod merge_tests;
 mod paper;
+pub mod pareto;
 pub mod pareto_chart;
 pub mod plots;
 pub mod read;

@@ -1,6 +1,6 @@
-//! Cost against error of many settings.
+//! Cost against error of many settings; each file gives the points of a chart.
 
-pub(crate) mod phase;
-pub(crate) mod render;
-pub(crate) mod skipping;
-pub(crate) mod splat;
+pub mod phase;
+pub mod render;
+pub mod skipping;
+pub mod splat;

@@ -1,210 +1,169 @@
-//! `respire-bench pareto phase`: time against phase error of the two solvers, over steps, resolutions, iterations and
-//! discs per face.
+//! Time against phase error of the two solvers, over steps, resolutions, iterations and discs per face.
 //!
 //! Each setting is the shipped method with one number changed. The error is the mean absolute error of the phase; the
 //! mean error of the targets on the last frame's contour stands beside it. The cost is CPU time per frame of the method
 //! alone, which other work on the machine disturbs least; wall time stands beside it.
 
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::path::Path;
 
-use clap::Args;
-
-use crate::base::{Error, NoProgress, Progress, Result, files};
-use crate::bench::variant::replace;
-use crate::bench::{Catalogue, Freshness, Pipeline, Profile, Store, Wishes, execute};
-use crate::cli::Terminal;
-use crate::ffi::system::cpu_time_s;
-use crate::reconstruct::{Observation, method, observe};
-use crate::report::pareto_chart::{Chart, Point, Standing, write};
+use crate::base::{Error, NoProgress, Result};
+use crate::bench::{Catalogue, Freshness, Pipeline, Profile, Store, Variant, Wishes, execute};
+use crate::experiments::{ExperimentWatcher, timing};
+use crate::reconstruct::{method, observe};
+use crate::report::pareto_chart::{ParetoChart, ParetoPoint, SettingRole};
 use crate::score::contour::target_errors;
 use crate::score::{final_mesh, statistics};
 use crate::simulate::sequence::Sequence;
 
-/// Arguments of `pareto phase`.
-#[derive(Args)]
-pub(crate) struct Arguments {
-    /// Folder for table and plots
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// Cases by id, or paths of case files
-    #[arg(long, value_delimiter = ',', value_name = "CASE,..", default_value = "case1,case5,case9")]
-    cases: Vec<String>,
-    /// How much of everything: smoke, quick, paper, or the path of a profile file
-    #[arg(long, default_value = "quick", value_name = "P")]
-    profile: String,
-    /// Folder of sequences
-    #[arg(long, default_value = ".cache", value_name = "DIR")]
-    cache: PathBuf,
-    /// Folder with cases, methods and profiles
-    #[arg(long, value_name = "DIR")]
-    bench_cases: Option<PathBuf>,
+/// On what the solvers are measured.
+pub struct PhaseSweep<'a> {
+    /// Where cases, methods and profiles are described.
+    pub catalogue: &'a Catalogue,
+    /// Cases by id, or paths of case files.
+    pub cases: Vec<String>,
+    /// Name of the profile, or the path of its file.
+    pub profile: &'a str,
+    /// Folder of the sequences.
+    pub cache: &'a Path,
 }
 
-/// The shipped method `id` with the numbers at `changes` replaced (paths of TOML keys).
-struct Variant {
-    mode: &'static str,
-    setting: String,
-    id: &'static str,
-    changes: Vec<(&'static [&'static str], toml::Value)>,
-    iteration_share: f64,
-    standing: Standing,
-}
-
-const STEPS: &[&str] = &["steps"];
-const WIDTH: &[&str] = &["smallest_width"];
-const DISCS: &[&str] = &["discs", "gaussians_per_face"];
-const ADAM_DISCS: &[&str] = &["appearance", "gaussians_per_face"];
-const KEYFRAMES: &[&str] = &["window", "keyframes"];
-
-fn variants() -> Vec<Variant> {
-    let gauss_newton = |mode, setting: String, changes| {
-        let standing = Standing::Alternative;
-        Variant { mode, setting, id: "ours-gn", changes, iteration_share: 1.0, standing }
-    };
-    let mut all = vec![gauss_newton("Gauss-Newton", "as shipped".into(), Vec::new())];
-    all[0].standing = Standing::Default;
-    for steps in [[1, 1, 0], [3, 2, 1], [0, 0, 2], [0, 3, 0], [6, 0, 0]] {
-        let mut changes = vec![(STEPS, toml::Value::from(steps.to_vec()))];
-        if steps[1..] == [0, 0] {
-            changes.push((WIDTH, toml::Value::from(8)));
+/// Films the cases (or finds their films in the cache) and runs every setting on each.
+pub fn chart(sweep: &PhaseSweep<'_>, watcher: &dyn ExperimentWatcher) -> Result<ParetoChart> {
+    let iteration_scale = Profile::load(&sweep.catalogue.profiles(), sweep.profile)?.iteration_scale;
+    let mut points = Vec::new();
+    for sequence in sequences(sweep, watcher)? {
+        watcher.stage_starts(&sequence.case_id);
+        for setting in settings() {
+            if watcher.cancelled() {
+                return Err(Error::interrupted());
+            }
+            points.push(point(&sequence, &setting, &sweep.catalogue.methods(), iteration_scale)?);
         }
+    }
+    Ok(ParetoChart { cost: "CPU seconds per frame", error: "mean absolute error of the phase", points })
+}
+
+fn sequences(sweep: &PhaseSweep<'_>, watcher: &dyn ExperimentWatcher) -> Result<Vec<Sequence>> {
+    let wishes =
+        Wishes { cases: Some(sweep.cases.clone()), methods: Some(vec!["ours-gn".into()]), seeds: Some(vec![1]) };
+    let pipeline = Pipeline::new(sweep.catalogue, sweep.profile, wishes)?;
+    let mut store = Store::open(sweep.cache)?;
+    let finished = execute(&pipeline.plan()?, &pipeline, &mut store, Freshness::Resume, watcher)?;
+    let open = |cell: crate::bench::FinishedCell| match cell.failure {
+        Some(error) => Err(error),
+        None => Sequence::open(&cell.sequence),
+    };
+    finished.into_iter().map(open).collect()
+}
+
+/// A shipped method with a few of its numbers changed.
+struct SolverSetting {
+    mode: &'static str,
+    name: String,
+    variant: Variant,
+    iteration_share: f64,
+    role: SettingRole,
+}
+
+/// Keys of the method files.
+const STEPS: &str = "steps";
+const SMALLEST_WIDTH: &str = "smallest_width";
+const DISCS: &str = "discs.gaussians_per_face";
+const ADAM_DISCS: &str = "appearance.gaussians_per_face";
+const KEYFRAMES: &str = "window.keyframes";
+
+fn settings() -> Vec<SolverSetting> {
+    let setting = |mode, method: &str, name: &str, changes: Vec<(&str, toml::Value)>| SolverSetting {
+        mode,
+        name: name.into(),
+        variant: Variant {
+            set: changes.into_iter().map(|(key, value)| (key.to_owned(), value)).collect(),
+            ..Variant::shipped(method)
+        },
+        iteration_share: 1.0,
+        role: SettingRole::Alternative,
+    };
+    let shipped =
+        |mode, method| SolverSetting { role: SettingRole::Default, ..setting(mode, method, "as shipped", vec![]) };
+    let mut all = vec![shipped("Gauss-Newton", "ours-gn")];
+    for steps in [[1, 1, 0], [3, 2, 1], [0, 0, 2], [0, 3, 0], [6, 0, 0]] {
         let [quarter, half, full] = steps;
-        all.push(gauss_newton("Gauss-Newton: steps at 1/4, 1/2, 1", format!("{quarter}-{half}-{full}"), changes));
+        let mut changes = vec![(STEPS, toml::Value::from(steps.to_vec()))];
+        if [half, full] == [0, 0] {
+            changes.push((SMALLEST_WIDTH, 8.into()));
+        }
+        let name = format!("{quarter}-{half}-{full}");
+        all.push(setting("Gauss-Newton: steps at 1/4, 1/2, 1", "ours-gn", &name, changes));
     }
     for keyframes in [0, 4, 16] {
-        let mut changes = vec![(KEYFRAMES, toml::Value::from(keyframes))];
+        let mut changes = vec![(KEYFRAMES, keyframes.into())];
         if keyframes == 0 {
-            changes.push((STEPS, toml::Value::from(vec![3, 2, 1])));
+            changes.push((STEPS, vec![3, 2, 1].into()));
         }
-        all.push(gauss_newton("Gauss-Newton: keyframes", format!("{keyframes}"), changes));
+        all.push(setting("Gauss-Newton: keyframes", "ours-gn", &keyframes.to_string(), changes));
     }
     for discs in [1, 2, 8] {
-        let changes = vec![(DISCS, toml::Value::from(discs))];
-        all.push(gauss_newton("Gauss-Newton: discs a face", format!("{discs}"), changes));
+        let changes = vec![(DISCS, discs.into())];
+        all.push(setting("Gauss-Newton: discs a face", "ours-gn", &discs.to_string(), changes));
     }
-    let adam = |mode, setting: String, iteration_share, changes| {
-        let standing = Standing::Alternative;
-        Variant { mode, setting, id: "ours", changes, iteration_share, standing }
-    };
-    all.push(Variant { standing: Standing::Default, ..adam("Adam", "as shipped".into(), 1.0, Vec::new()) });
+    all.push(shipped("Adam", "ours"));
     for share in [0.25, 0.5, 2.0] {
-        all.push(adam("Adam: iterations", format!("{share} times"), share, Vec::new()));
+        let name = format!("{share} times");
+        all.push(SolverSetting { iteration_share: share, ..setting("Adam: iterations", "ours", &name, vec![]) });
     }
     for keyframes in [0, 4] {
-        let changes = vec![(KEYFRAMES, toml::Value::from(keyframes))];
-        all.push(adam("Adam: keyframes", format!("{keyframes}"), 1.0, changes));
+        let changes = vec![(KEYFRAMES, keyframes.into())];
+        all.push(setting("Adam: keyframes", "ours", &keyframes.to_string(), changes));
     }
-    all.push(adam("Adam: discs a face", "4".into(), 1.0, vec![(ADAM_DISCS, toml::Value::from(4))]));
-    let plain = adam("Adam", "the paper's equations alone".into(), 1.0, Vec::new());
-    all.push(Variant { id: "ours-plain", ..plain });
+    all.push(setting("Adam: discs a face", "ours", "4", vec![(ADAM_DISCS, 4.into())]));
+    all.push(setting("Adam", "ours-plain", "the paper's equations alone", vec![]));
     all
 }
 
-impl Variant {
-    /// Writes the method's file into `folder` and gives back its path.
-    fn write(&self, methods: &Path, folder: &Path) -> Result<PathBuf> {
-        let name = format!("{}.toml", self.id);
-        let mut table: toml::Table = files::read_toml(&methods.join(&name))?;
-        for (path, value) in &self.changes {
-            replace(&mut table, path, value.clone()).map_err(|e| e.at(methods.join(&name)))?;
-        }
-        let path = folder.join(name);
-        files::write_bytes(&path, table.to_string().as_bytes())?;
-        Ok(path)
-    }
-}
-
-/// One film of a case.
-struct Film {
-    name: String,
-    sequence: Sequence,
-}
-
-/// Films the cases, or finds their films in the cache.
-fn films(arguments: &Arguments, catalogue: &Catalogue, terminal: &Terminal) -> Result<Vec<Film>> {
-    let wishes =
-        Wishes { cases: Some(arguments.cases.clone()), methods: Some(vec!["ours-gn".into()]), seeds: Some(vec![1]) };
-    let pipeline = Pipeline::new(catalogue, &arguments.profile, wishes)?;
-    let mut store = Store::open(&arguments.cache)?;
-    let finished = execute(&pipeline.plan()?, &pipeline, &mut store, Freshness::Resume, terminal)?;
-    let open = |(case, cell): (&crate::airway::case::Case, &crate::bench::FinishedCell)| {
-        if let Some(error) = &cell.failure {
-            return Err(error.clone());
-        }
-        Ok(Film { name: case.id.clone(), sequence: Sequence::open(&cell.sequence)? })
-    };
-    pipeline.cases().iter().zip(&finished).map(open).collect()
-}
-
-fn point(film: &Film, variant: &Variant, methods: &Path, iteration_scale: f64) -> Result<Point> {
+fn point(sequence: &Sequence, setting: &SolverSetting, methods: &Path, iteration_scale: f64) -> Result<ParetoPoint> {
     let folder = tempfile::tempdir().map_err(|e| Error::io("making", &std::env::temp_dir(), e))?;
-    let path = variant.write(methods, folder.path())?;
-    let method = method(&path, iteration_scale * variant.iteration_share)?;
-    let observation: Observation = observe(&film.sequence, method.access(), 1)?;
-    let frames = film.sequence.frames.len() as f64;
+    let path = setting.variant.write_method(methods, folder.path())?;
+    let method = method(&path, iteration_scale * setting.iteration_share)?;
+    let observation = observe(sequence, method.access(), 1)?;
+    let frames = sequence.frames.len() as f64;
     let mut errors = Vec::new();
-    let (wall, cpu) = (Instant::now(), cpu_time_s());
-    let done = method.run(
-        &observation,
-        &mut |answer| {
-            errors.extend(answer.phase.map(|phase| (phase - film.sequence.frames[answer.frame].phase).abs()));
-            Ok(())
-        },
-        &NoProgress,
-    )?;
-    let (wall, cpu) = (wall.elapsed().as_secs_f64(), cpu_time_s() - cpu);
-    let pose = film.sequence.frames.last().map(|f| f.world_from_camera).unwrap_or_default();
-    let predicted = done.final_mesh.unwrap_or_else(|| observation.inspiration.clone());
-    let target = target_errors(&final_mesh(&film.sequence)?, &predicted, &pose, 1)?.and_then(|t| t.mean_mm);
-    Ok(Point {
-        subject: film.name.clone(),
-        mode: variant.mode.into(),
-        setting: variant.setting.clone(),
-        cost: cpu / frames,
+    let mut answer = |found: crate::reconstruct::FramePrediction| {
+        errors.extend(found.phase.map(|phase| (phase - sequence.frames[found.frame].phase).abs()));
+        Ok(())
+    };
+    let (done, cost) = timing::measure(|| method.run(&observation, &mut answer, &NoProgress));
+    let predicted = done?.final_mesh.unwrap_or_else(|| observation.inspiration.clone());
+    let pose = sequence.frames.last().map(|f| f.world_from_camera).unwrap_or_default();
+    let target = target_errors(&final_mesh(sequence)?, &predicted, &pose, 1)?.and_then(|t| t.mean_mm);
+    Ok(ParetoPoint {
+        subject: sequence.case_id.clone(),
+        mode: setting.mode.into(),
+        setting: setting.name.clone(),
+        cost: cost.cpu_s / frames,
         error: statistics::mean(&errors).unwrap_or(f64::NAN),
-        standing: variant.standing,
-        extra: vec![("target_mean_mm", target.unwrap_or(f64::NAN)), ("wall_s_per_frame", wall / frames)],
+        role: setting.role,
+        extra: vec![("target_mean_mm", target.unwrap_or(f64::NAN)), ("wall_s_per_frame", cost.wall_s / frames)],
     })
-}
-
-/// Runs the command.
-pub(crate) fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
-    let catalogue = Catalogue::find(arguments.bench_cases.as_deref())?;
-    let iteration_scale = Profile::load(&catalogue.profiles(), &arguments.profile)?.iteration_scale;
-    let mut points = Vec::new();
-    for film in films(&arguments, &catalogue, terminal)? {
-        terminal.stage(&film.name);
-        for variant in variants() {
-            if terminal.cancelled() {
-                return Err(Error::interrupted());
-            }
-            points.push(point(&film, &variant, &catalogue.methods(), iteration_scale)?);
-        }
-    }
-    let chart = Chart { cost: "CPU seconds per frame", error: "mean absolute error of the phase", points };
-    let table = write(&chart, &arguments.out, "pareto-phase")?;
-    terminal.line(table.display());
-    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A key that a method's file no longer has would make a variant that changes nothing.
+    /// A setting that changes nothing would be a second point of the shipped method.
     #[test]
-    fn every_variant_is_a_method_that_can_be_read() {
-        let methods_folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
-        for variant in variants() {
-            let folder = tempfile::tempdir().unwrap();
-            let path = variant.write(&methods_folder, folder.path()).unwrap();
-            assert_eq!(method(&path, 1.0).unwrap().id(), variant.id);
-            let shipped: toml::Table = files::read_toml(&methods_folder.join(format!("{}.toml", variant.id))).unwrap();
-            let written: toml::Table = files::read_toml(&path).unwrap();
-            assert_eq!(shipped == written, variant.changes.is_empty(), "{} {}", variant.mode, variant.setting);
+    fn every_setting_is_a_method_that_can_be_read() {
+        let methods = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
+        let folder = tempfile::tempdir().unwrap();
+        for setting in settings() {
+            let id = &setting.variant.method;
+            let text = |variant: &Variant| {
+                let path = variant.write_method(&methods, folder.path()).unwrap();
+                assert_eq!(method(&path, 1.0).unwrap().id(), id);
+                std::fs::read_to_string(path).unwrap()
+            };
+            let same = text(&setting.variant) == text(&Variant::shipped(id));
+            assert_eq!(same, setting.variant.set.is_empty(), "{} {}", setting.mode, setting.name);
         }
-        let mut table = toml::Table::new();
-        assert!(replace(&mut table, STEPS, toml::Value::from(1)).is_err());
     }
 }

@@ -1,199 +1,157 @@
 //! What skipping saves: each thing that the core or the optimiser leaves out switched off, one at a time, turn by turn with
 //! the default: CPU time without the skip over that with it, and how far image and gradients are from the default's.
 
-use super::splat::relative;
 use crate::base::Result;
-use crate::ffi::system::cpu_time_s;
+use crate::experiments::difference::{gradient_groups, relative_l2, widened};
+use crate::experiments::timing::{Samples, TimedScene, in_turns};
 use crate::reconstruct::optimiser::{AdamConstants, RowAdam, StepCounter};
-use crate::splat::{
-    DepthOutput, Direction, Gaussians, Gradients, ImageGradient, Motion, Rasterizer, Reuse, Settings, Skips, View,
-    Wanted, tube,
-};
+use crate::splat::{DepthOutput, Rasterizer, Reuse, Settings, Skips, Wanted};
 
-/// First line of `skipping.csv`.
-pub(crate) const HEADER: &str =
-    "subject,skipped,measured,with_skip_cpu_s,without_cpu_s,ratio,image_change,gradient_change\n";
+/// Columns of `skipping.csv`.
+pub const COLUMNS: [&str; 8] =
+    ["subject", "skipped", "measured", "with_skip_cpu_s", "without_cpu_s", "ratio", "image_change", "gradient_change"];
 
-/// One skip.
-pub(crate) struct Row {
+/// What one skip saves.
+#[derive(Clone, Debug)]
+pub struct SkipSaving {
     skipped: &'static str,
     measured: &'static str,
+    /// Medians with and without the skip.
     cpu_s: [f64; 2],
     /// Relative L2 of image and gradients (worst group) to those with the skip.
     change: [f64; 2],
 }
 
-impl Row {
-    /// As a line of the table.
-    pub fn line(&self, subject: &str) -> String {
-        let [with, without] = self.cpu_s;
-        let (ratio, [image, gradients]) = (without / with, self.change);
-        let Row { skipped, measured, .. } = self;
-        format!("{subject},{skipped},{measured},{with:.6},{without:.6},{ratio:.3},{image:.2e},{gradients:.2e}\n")
+impl SkipSaving {
+    fn new(skipped: &'static str, measured: &'static str, samples: [Samples; 2], change: [f64; 2]) -> SkipSaving {
+        SkipSaving { skipped, measured, cpu_s: samples.map(|s| s.cpu().median_s), change }
+    }
+
+    /// As a row of the table.
+    pub fn row(&self, subject: &str) -> Vec<String> {
+        let ([with, without], [image, gradients]) = (self.cpu_s, self.change);
+        let words = [subject, self.skipped, self.measured].map(str::to_owned);
+        let seconds = [format!("{with:.6}"), format!("{without:.6}"), format!("{:.3}", without / with)];
+        words.into_iter().chain(seconds).chain([format!("{image:.2e}"), format!("{gradients:.2e}")]).collect()
     }
 }
 
-/// Medians of the CPU seconds of two pieces of work, turn by turn after one of each to warm up.
-fn turn_by_turn(repeat: usize, work: &mut dyn FnMut(usize) -> Result<()>) -> Result<[f64; 2]> {
-    let mut times = [Vec::new(), Vec::new()];
-    for turn in 0..=repeat.max(1) {
-        for (which, times) in times.iter_mut().enumerate() {
-            let start = cpu_time_s();
-            work(which)?;
-            if turn > 0 {
-                times.push(cpu_time_s() - start);
-            }
-        }
-    }
-    Ok(times.map(|mut t| {
-        t.sort_by(f64::total_cmp);
-        t[t.len() / 2]
-    }))
-}
-
-/// A scene and everything around it.
-struct Bench<'a> {
-    scene: &'a Gaussians<f32>,
-    view: View,
-    settings: Settings,
-    weights: Vec<f32>,
-    repeat: usize,
-}
-
-fn wide(v: &[f32]) -> Vec<f64> {
-    v.iter().map(|&v| f64::from(v)).collect()
-}
-
-fn groups(g: &Gradients<f32>) -> Vec<Vec<f64>> {
-    let (rotations, scales) = (wide(g.rotations.as_flattened()), wide(g.scales.as_flattened()));
-    vec![wide(g.positions.as_flattened()), rotations, scales, wide(&g.opacities), wide(&g.sh), g.pose.to_vec()]
+/// With the skip and without.
+fn pair() -> [Rasterizer<f32>; 2] {
+    [Rasterizer::new(), Rasterizer::new()]
 }
 
 /// Image and the worst group of gradients of the second rasteriser against the first.
 fn change([with, without]: &[Rasterizer<f32>; 2]) -> [f64; 2] {
-    let image = relative(&wide(&without.rendered().color), &wide(&with.rendered().color));
-    let (found, truth) = (groups(without.gradients()), groups(with.gradients()));
-    let asked = found.iter().zip(&truth).filter(|(_, truth)| truth.iter().any(|v| *v != 0.0));
-    let worst = asked.map(|(found, truth)| relative(found, truth));
+    let image = relative_l2(&widened(&without.rendered().color), &widened(&with.rendered().color));
+    let (found, truth) = (gradient_groups(without.gradients()), gradient_groups(with.gradients()));
+    let asked = found.iter().zip(&truth).filter(|(_, truth)| truth.1.iter().any(|v| *v != 0.0));
+    let worst = asked.map(|(found, truth)| relative_l2(&found.1, &truth.1));
     [image, worst.fold(0.0, f64::max)]
 }
 
-impl Bench<'_> {
-    fn both(&self, rasterizer: &mut Rasterizer<f32>, scene: &Gaussians<f32>, wanted: Wanted) -> Result<()> {
-        rasterizer.render(scene, &self.view, &self.settings, None)?;
-        let gradient = ImageGradient { color: &self.weights, ..ImageGradient::default() };
-        rasterizer.backward(scene, &gradient, wanted).map(drop)
-    }
+const BOTH: &str = "forward + backward";
 
-    /// A switch of the rasteriser.
-    fn switch(&self, skipped: &'static str, skip: Skips, scene: &Gaussians<f32>) -> Result<Row> {
-        let mut pair = [Rasterizer::<f32>::new(), Rasterizer::<f32>::new()];
-        pair[1].skips(Skips::ALL.without(skip));
-        let cpu_s = turn_by_turn(self.repeat, &mut |k| self.both(&mut pair[k], scene, Wanted::ALL))?;
-        Ok(Row { skipped, measured: "forward + backward", cpu_s, change: change(&pair) })
-    }
+/// A switch of the rasteriser.
+fn switch(skipped: &'static str, skip: Skips, scene: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
+    let mut pair = pair();
+    pair[1].skips(Skips::ALL.without(skip));
+    let samples =
+        in_turns(repetitions, |k, samples| samples.time(|| scene.forward_backward(&mut pair[k], Wanted::ALL)))?;
+    Ok(SkipSaving::new(skipped, BOTH, samples, change(&pair)))
+}
 
-    /// Groups that a step does not learn.
-    fn frozen(&self, skipped: &'static str, wanted: Wanted) -> Result<Row> {
-        let mut pair = [Rasterizer::<f32>::new(), Rasterizer::<f32>::new()];
-        let cpu_s = turn_by_turn(self.repeat, &mut |k| self.both(&mut pair[k], self.scene, [wanted, Wanted::ALL][k]))?;
-        Ok(Row { skipped, measured: "forward + backward", cpu_s, change: [0.0; 2] })
-    }
+/// Groups that a step does not learn.
+fn frozen(skipped: &'static str, wanted: Wanted, scene: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
+    let mut pair = pair();
+    let samples = in_turns(repetitions, |k, samples| {
+        samples.time(|| scene.forward_backward(&mut pair[k], [wanted, Wanted::ALL][k]))
+    })?;
+    Ok(SkipSaving::new(skipped, BOTH, samples, [0.0; 2]))
+}
 
-    /// One direction in forward mode, against the gradient of everything that this direction moves.
-    fn one_direction(&self) -> Result<Row> {
-        let velocities: Vec<[f32; 3]> = self.scene.positions.iter().map(|p| [0.1 * p[0], 0.1 * p[1], 1.0]).collect();
-        let directions = [Direction::Motion(Motion { positions: &velocities, ..Motion::default() })];
-        let mut pair = [Rasterizer::<f32>::new(), Rasterizer::<f32>::new()];
-        let (mut along, mut back) = (0.0f64, 0.0f64);
-        let cpu_s = turn_by_turn(self.repeat, &mut |k| {
+/// One direction in forward mode, against the gradient of everything that this direction moves. The two derivatives of
+/// the loss along the direction must agree.
+fn one_direction(scene: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
+    let velocities = scene.velocities();
+    let [mut tangent, mut gradient] = pair();
+    let (mut along, mut back) = (0.0, 0.0);
+    let samples = in_turns(repetitions, |k, samples| {
+        samples.time(|| {
             if k == 0 {
-                let images = pair[0].render_tangent(self.scene, &self.view, &self.settings, None, &directions)?;
-                along = images[0].iter().zip(&self.weights).map(|(d, w)| f64::from(d * w)).sum();
+                let images = scene.forward_tangent(&mut tangent, &velocities)?;
+                along = images[0].iter().zip(&scene.color_gradient).map(|(d, w)| f64::from(d * w)).sum();
             } else {
-                self.both(&mut pair[1], self.scene, Wanted::POSITIONS)?;
-                let moved = pair[1].gradients().positions.as_flattened().iter().zip(velocities.as_flattened());
+                scene.forward_backward(&mut gradient, Wanted::POSITIONS)?;
+                let moved = gradient.gradients().positions.as_flattened().iter().zip(velocities.as_flattened());
                 back = moved.map(|(g, v)| f64::from(g * v)).sum();
             }
             Ok(())
-        })?;
-        let change = [0.0, ((back - along) / along).abs()];
-        Ok(Row {
-            skipped: "gradients where one direction is asked for (JVP)",
-            measured: "forward + derivative",
-            cpu_s,
-            change,
         })
-    }
+    })?;
+    let change = [0.0, f64::abs((back - along) / along)];
+    Ok(SkipSaving::new("gradients where one direction is asked for (JVP)", "forward + derivative", samples, change))
+}
 
-    /// Lists of before, for new colours on the same geometry or for centres moved by `shift_mm`.
-    fn lists(&self, skipped: &'static str, reuse: Reuse, shift_mm: f32) -> Result<Row> {
-        let mut pair = [Rasterizer::<f32>::new(), Rasterizer::<f32>::new()];
-        pair[0].reuse(reuse);
-        let mut scenes = [self.scene.clone(), self.scene.clone()];
-        let wanted = if shift_mm == 0.0 { Wanted::SH } else { Wanted::ALL };
-        let mut turn = 0;
-        let cpu_s = turn_by_turn(self.repeat, &mut |k| {
-            if k == 0 {
-                turn += 1;
-            }
-            let scene = &mut scenes[k];
-            scene.sh.iter_mut().for_each(|v| *v *= 0.999);
-            if shift_mm != 0.0 {
-                let shift = if turn % 2 == 0 { shift_mm } else { 0.0 };
-                scene.positions.iter_mut().zip(&self.scene.positions).for_each(|(p, q)| *p = q.map(|v| v + shift));
-            }
-            self.both(&mut pair[k], scene, wanted)
-        })?;
-        Ok(Row { skipped, measured: "forward + backward", cpu_s, change: change(&pair) })
-    }
+/// Splats and lists of before, for new colours on the same geometry.
+fn unchanged_geometry(scene: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
+    let mut pair = pair();
+    pair[0].reuse(Reuse::Unchanged);
+    let mut scenes = [scene.clone(), scene.clone()];
+    let samples = in_turns(repetitions, |k, samples| {
+        scenes[k].gaussians.sh.iter_mut().for_each(|v| *v *= 0.999);
+        samples.time(|| scenes[k].forward_backward(&mut pair[k], Wanted::SH))
+    })?;
+    Ok(SkipSaving::new("splats and lists of unchanged geometry (Unchanged)", BOTH, samples, change(&pair)))
+}
 
-    fn depth(&self) -> Result<Row> {
-        let mut pair = [Rasterizer::<f32>::new(), Rasterizer::<f32>::new()];
-        let settings = [DepthOutput::Skip, DepthOutput::Expected].map(|depth| Settings { depth, ..self.settings });
-        let cpu_s =
-            turn_by_turn(self.repeat, &mut |k| pair[k].render(self.scene, &self.view, &settings[k], None).map(drop))?;
-        Ok(Row { skipped: "depth that nobody asks for", measured: "forward", cpu_s, change: [change(&pair)[0], 0.0] })
-    }
+fn depth(scene: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
+    let mut pair = pair();
+    let scenes = [DepthOutput::Skip, DepthOutput::Expected].map(|depth| {
+        let mut scene = scene.clone();
+        scene.settings = Settings { depth, ..scene.settings };
+        scene
+    });
+    let samples = in_turns(repetitions, |k, samples| samples.time(|| scenes[k].forward(&mut pair[k])))?;
+    Ok(SkipSaving::new("depth that nobody asks for", "forward", samples, [change(&pair)[0], 0.0]))
+}
 
-    /// One step of SH on a scene of which a sixth is in sight: rows in sight, or all.
-    fn optimiser(&self) -> Result<Row> {
-        let hidden = tube::with_hidden(self.scene, 5);
-        let mut rasterizer = Rasterizer::<f32>::new();
-        self.both(&mut rasterizer, &hidden, Wanted::SH)?;
-        let flags = [rasterizer.rendered().visible.clone(), vec![true; hidden.len()]];
-        let mut learned = [hidden.sh.clone(), hidden.sh.clone()];
-        let mut adams = [(); 2].map(|()| RowAdam::<12>::new(AdamConstants::default()));
-        adams.iter_mut().for_each(|adam| adam.begin(hidden.len(), StepCounter::Restarted));
-        let gradient = &rasterizer.gradients().sh;
-        let cpu_s = turn_by_turn(self.repeat, &mut |k| {
-            adams[k].step([1e-3; 12], &mut learned[k], gradient, &flags[k]);
-            Ok(())
-        })?;
-        let change = [0.0, relative(&wide(&learned[1]), &wide(&learned[0]))];
-        Ok(Row { skipped: "moments of what is out of sight", measured: "Adam's step of SH", cpu_s, change })
-    }
+/// One step of SH on a scene of which a sixth is in sight: rows in sight, or all.
+fn optimiser(hidden: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
+    let count = hidden.gaussians.len();
+    let mut rasterizer = Rasterizer::<f32>::new();
+    hidden.forward_backward(&mut rasterizer, Wanted::SH)?;
+    let rows = [rasterizer.rendered().visible.clone(), vec![true; count]];
+    let mut learned = [hidden.gaussians.sh.clone(), hidden.gaussians.sh.clone()];
+    let mut adams = [(); 2].map(|()| RowAdam::<12>::new(AdamConstants::default()));
+    adams.iter_mut().for_each(|adam| adam.begin(count, StepCounter::Restarted));
+    let gradient = &rasterizer.gradients().sh;
+    let samples = in_turns(repetitions, |k, samples| {
+        samples.time(|| adams[k].step([1e-3; 12], &mut learned[k], gradient, &rows[k]));
+        Ok(())
+    })?;
+    let change = [0.0, relative_l2(&widened(&learned[1]), &widened(&learned[0]))];
+    Ok(SkipSaving::new("moments of what is out of sight", "Adam's step of SH", samples, change))
 }
 
 /// All skips on one scene.
-pub(crate) fn rows(scene: &Gaussians<f32>, side: usize, repeat: usize) -> Result<Vec<Row>> {
-    let weights = tube::image_gradient(3 * side * side);
-    let bench = Bench { scene, view: tube::view(side), settings: tube::settings(), weights, repeat };
+pub fn savings(scene: &TimedScene, repetitions: usize) -> Result<Vec<SkipSaving>> {
     let mut faint = scene.clone();
-    faint.opacities.fill(0.1);
-    let hidden = tube::with_hidden(scene, 5);
+    faint.gaussians.opacities.fill(0.1);
+    let hidden = scene.with_hidden(5);
+    let n = repetitions;
+    let geometry = Wanted::POSITIONS | Wanted::SHAPES;
     Ok(vec![
-        bench.switch("extents beyond an alpha of 1/255; opacity .95", Skips::EXTENTS, scene)?,
-        bench.switch("extents beyond an alpha of 1/255; opacity .1", Skips::EXTENTS, &faint)?,
-        bench.switch("blocks that the ellipse does not touch", Skips::BLOCKS, scene)?,
-        bench.switch("groups beside the image; five times more out of sight", Skips::BESIDE, &hidden)?,
-        bench.switch("splats behind a stopped pixel", Skips::STOP, scene)?,
-        bench.frozen("all groups but SH (frozen)", Wanted::SH)?,
-        bench.frozen("all groups but positions and shapes (frozen)", Wanted::POSITIONS | Wanted::SHAPES)?,
-        bench.one_direction()?,
-        bench.lists("splats and lists of unchanged geometry (Unchanged)", Reuse::Unchanged, 0.0)?,
-        bench.lists("lists within 1e-6 mm (Within)", Reuse::LISTS, 9e-7)?,
-        bench.depth()?,
-        bench.optimiser()?,
+        switch("extents beyond an alpha of 1/255; opacity .95", Skips::EXTENTS, scene, n)?,
+        switch("extents beyond an alpha of 1/255; opacity .1", Skips::EXTENTS, &faint, n)?,
+        switch("blocks that the ellipse does not touch", Skips::BLOCKS, scene, n)?,
+        switch("groups beside the image; five times more out of sight", Skips::BESIDE, &hidden, n)?,
+        switch("splats behind a stopped pixel", Skips::STOP, scene, n)?,
+        frozen("all groups but SH (frozen)", Wanted::SH, scene, n)?,
+        frozen("all groups but positions and shapes (frozen)", geometry, scene, n)?,
+        one_direction(scene, n)?,
+        unchanged_geometry(scene, n)?,
+        depth(scene, n)?,
+        optimiser(&hidden, n)?,
     ])
 }

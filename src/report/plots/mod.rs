@@ -11,7 +11,7 @@ use std::path::Path;
 
 use canvas::Figure;
 
-use super::pareto_chart::Chart;
+use super::pareto_chart::ParetoChart;
 use super::run::Run;
 use super::summary::MethodSummary;
 use crate::base::{Image, Progress, Result, files};
@@ -110,7 +110,7 @@ pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dy
 }
 
 /// Draws cost against error as `<stem>.svg` and `<stem>.png`; `front` says which points lie on the front.
-pub fn draw_pareto(chart: &Chart, front: &[bool], folder: &Path, stem: &str) -> Result<()> {
+pub fn draw_pareto(chart: &ParetoChart, front: &[bool], folder: &Path, stem: &str) -> Result<()> {
     let Some(figure) = pareto::ParetoPlot::new(chart, front) else { return Ok(()) };
     files::write_bytes(&folder.join(format!("{stem}.svg")), canvas::svg(&figure)?.as_bytes())?;
     png::write_rgb(&folder.join(format!("{stem}.png")), &canvas::bitmap(&figure)?)
