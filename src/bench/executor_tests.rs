@@ -85,7 +85,7 @@ impl Watcher for Events {
             Event::Discarded { reason, .. } => format!("discarded: {reason}"),
             Event::CellFailed { cell, error } => format!("{} failed: {error}", cell.id()),
             Event::CellFinished { cell, cache_use, done, total, .. } => {
-                format!("{} {reuse:?} {done}/{total}", cell.id())
+                format!("{} {cache_use:?} {done}/{total}", cell.id())
             }
             _ => return,
         });

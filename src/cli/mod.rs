@@ -26,6 +26,7 @@ mod selection;
 mod simulate;
 mod splat;
 mod splat_gradients;
+mod splat_output;
 mod stress;
 mod terminal;
 mod watch;

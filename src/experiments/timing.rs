@@ -5,13 +5,21 @@
 //! pieces of work are compared turn by turn, either first every other time, so that neither finds the caches in a better
 //! state.
 
+use std::ops::Range;
 use std::time::Instant;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::base::{Error, Result};
 use crate::ffi::system::cpu_time_s;
-use crate::splat::{Direction, Gaussians, ImageGradient, Motion, Rasterizer, Real, Settings, View, Wanted, tube};
+use crate::splat::{
+    Direction, Gaussians, ImageGradient, Motion, Rasterizer, Real, Settings, Stage, StageTimes, View, Wanted, tube,
+};
+
+/// Stages of the forward pass among [`Stage::ALL`].
+pub const FORWARD_STAGES: Range<usize> = 0..4;
+/// Stages of the backward pass.
+pub const BACKWARD_STAGES: Range<usize> = FORWARD_STAGES.end..Stage::ALL.len();
 
 /// Wall and CPU seconds of one piece of work.
 #[derive(Clone, Copy, Debug, Default)]
@@ -81,6 +89,18 @@ impl Samples {
     /// Of the CPU time.
     pub fn cpu(&self) -> Spread {
         Spread::of(&self.cpu_s)
+    }
+}
+
+impl Samples {
+    /// The summed cost of the stages `range` (of [`Stage::ALL`]), pass by pass.
+    pub fn of_stages(passes: &[StageTimes], range: Range<usize>) -> Samples {
+        let mut samples = Samples::default();
+        for times in passes {
+            let sum = |seconds: &[f64; 6]| seconds[range.clone()].iter().sum();
+            samples.add(Cost { wall_s: sum(&times.wall_s), cpu_s: sum(&times.cpu_s) });
+        }
+        samples
     }
 }
 
