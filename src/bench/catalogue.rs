@@ -79,11 +79,6 @@ impl Catalogue {
     pub fn ablations_file(&self) -> PathBuf {
         self.root.join(ABLATIONS).with_extension("toml")
     }
-
-    /// The thresholds.
-    pub fn gate_file(&self) -> PathBuf {
-        self.root.join(GATE).with_extension("toml")
-    }
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use super::event::{CacheUse, Event, Watcher};
 use super::plan::{Cell, Plan, Planned};
 use super::stages::Stages;
-use super::store::{State, Store, cell_folder, sequence_product};
+use super::store::{ProductState, Store, cell_folder, sequence_product};
 use super::timing::{self, StageTiming, measured};
 use crate::base::{Error, ErrorKind, Result};
 
@@ -41,7 +41,7 @@ pub struct FinishedCell {
     pub failure: Option<Error>,
 }
 
-struct Run<'a> {
+struct Execution<'a> {
     plan: &'a Plan,
     stages: &'a dyn Stages,
     store: &'a mut Store,
@@ -59,14 +59,14 @@ pub fn execute(
     watcher: &dyn Watcher,
 ) -> Result<Vec<FinishedCell>> {
     watcher.event(&Event::Started { plan });
-    let mut run = Run { plan, stages, store, freshness, watcher, finished: Vec::new() };
+    let mut run = Execution { plan, stages, store, freshness, watcher, finished: Vec::new() };
     for case in &plan.cases {
         run.case(case)?;
     }
     Ok(run.finished)
 }
 
-impl Run<'_> {
+impl Execution<'_> {
     fn case(&mut self, case: &Planned) -> Result<()> {
         let filmed = self.film(case);
         if let Some(stop) = filmed.as_ref().err().filter(|e| self.stops_the_run(e)) {
@@ -188,11 +188,11 @@ impl Run<'_> {
         let state = self.store.state(product, key);
         let path = self.store.path(product);
         let reason = match (state, self.freshness) {
-            (State::Whole, Freshness::Resume) => return Ok(true),
-            (State::Absent, Freshness::Resume) => return Ok(false),
-            (State::Absent | State::Whole, Freshness::Fresh) => None,
-            (State::Outdated, _) => Some("it was made by another version of the program or from other input"),
-            (State::Damaged, _) => Some("its files are not what they were when it was finished"),
+            (ProductState::Whole, Freshness::Resume) => return Ok(true),
+            (ProductState::Absent, Freshness::Resume) => return Ok(false),
+            (ProductState::Absent | ProductState::Whole, Freshness::Fresh) => None,
+            (ProductState::Outdated, _) => Some("it was made by another version of the program or from other input"),
+            (ProductState::Damaged, _) => Some("its files are not what they were when it was finished"),
         };
         if let Some(reason) = reason {
             self.watcher.event(&Event::Discarded { path: &path, reason });

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::selection::Selection;
 use super::{Terminal, comparison};
 use crate::base::{Error, ErrorKind, Result, files};
-use crate::bench::store::{Lock, State, cell_folder, sequence_product};
+use crate::bench::store::{Lock, ProductState, cell_folder, sequence_product};
 use crate::bench::{Environment, Freshness, Plan, Store, execute};
 use crate::report;
 use crate::report::summary::summarise;
@@ -68,8 +68,8 @@ pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
 }
 
 fn print_plan(plan: &Plan, store: &Store, folder: &Path, freshness: Freshness, terminal: &Terminal) -> Result<()> {
-    let word = |state: State| match state {
-        State::Whole if freshness == Freshness::Resume => "cached",
+    let word = |state: ProductState| match state {
+        ProductState::Whole if freshness == Freshness::Resume => "cached",
         _ => "to do",
     };
     for case in &plan.cases {

@@ -3,7 +3,7 @@
 use super::paper::paper_value;
 use super::run::{MethodInfo, Role};
 use super::summary::{MethodSummary, best};
-use crate::score::{Direction, Group, Metric, paper_metrics};
+use crate::score::{Goal, Group, Metric, paper_metrics};
 
 /// One value of the table.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,8 +55,8 @@ pub fn heading(metric: &Metric) -> &'static str {
 /// The arrow of the better direction.
 pub fn arrow(metric: &Metric) -> &'static str {
     match metric.direction {
-        Direction::Higher => "↑",
-        Direction::Lower => "↓",
+        Goal::Higher => "↑",
+        Goal::Lower => "↓",
     }
 }
 

@@ -22,5 +22,5 @@ mod truth;
 pub use cell::{CellScore, FrameScore, FrameValue, MetricScore, ScoreSettings, Status, score};
 pub use check::{Contents, check_prediction, check_truth};
 pub use prediction::Prediction;
-pub use registry::{Direction, Group, Metric, Split, Standing, metric, paper_metrics, registry};
+pub use registry::{Goal, Group, Metric, Split, Standing, metric, paper_metrics, registry};
 pub use truth::{Truth, final_mesh};
