@@ -1,5 +1,5 @@
-//! Wall clock of the splat core and its parts: `cargo bench --bench splat` (divan; on a quiet machine). CPU time per stage:
-//! `examples/splat_timing.rs`; instructions: `scripts/count-instructions.sh`.
+//! Wall clock of the splat core and its parts: `cargo bench --bench splat` (divan; on a quiet machine). CPU time per
+//! stage: `examples/splat_timing.rs`; instructions: `scripts/count-instructions.sh`.
 
 use divan::{Bencher, black_box};
 use respire_bench::experiments::timing::TimedScene;

@@ -4,9 +4,9 @@
 //! cargo run --release --example frame_cost [CASE [PIXELS]]
 //! ```
 //! Three measurements in CPU seconds, which a busy machine disturbs least: deforming and rendering one frame of the
-//! case's airway alone and with three more airways of its size that the camera cannot see, in turns; one refit of 100,000
-//! triangles; and the mean temporal difference of two neighbouring frames beyond the converged one, of the default mode
-//! and of 64 paths per pixel.
+//! case's airway alone and with three more airways of its size that the camera cannot see, in turns; one refit of
+//! 100,000 triangles; and the mean temporal difference of two neighbouring frames beyond the converged one, of the
+//! default mode and of 64 paths per pixel.
 
 use std::path::Path;
 

@@ -5,10 +5,11 @@
 //! cargo run --release --example splat_timing -- table [REPETITIONS]
 //! cargo run --release --example splat_timing -- pass [DISCS] [SIDE] [PASSES]
 //! ```
-//! The first times each stage of a pass, and then turn by turn: forward mode (JVP), steps of the appearance alone, five times
-//! as many discs out of sight, a fisheye, AVX2 against the widest kernels, the loss of the methods; with 0 for THREADS, two
-//! threads against one. `table` does all of it at 20,000 discs and 256x256 and at 100,000 and 400x400, and a million discs,
-//! with two threads. `pass` does some passes in one thread and says nothing, for `scripts/count-instructions.sh`.
+//! The first times each stage of a pass, and then turn by turn: forward mode (JVP), steps of the appearance alone,
+//! five times as many discs out of sight, a fisheye, AVX2 against the widest kernels, the loss of the methods; with 0
+//! for THREADS, two threads against one. `table` does all of it at 20,000 discs and 256x256 and at 100,000 and
+//! 400x400, and a million discs, with two threads. `pass` does some passes in one thread and says nothing, for
+//! `scripts/count-instructions.sh`.
 //!
 //! On a busy machine believe the CPU times (of the whole process, median), not the wall clock.
 

@@ -3,12 +3,12 @@
 //! ```text
 //! cargo run --release --example time_to_error [SCENE,.. [TRANSPORT,.. [SPP,..]]]
 //! ```
-//! Per scene (M1, M2, M3c: six scatterings; M1-unlimited, M2-unlimited, M3: as many as there are; M3-32: 32 in the wall;
-//! all 256 x 256), transport (paths, vertices, gather; `gather+denoise` with the filter) and number of samples: relMSE
-//! (mean of `(x - r)^2 / (r^2 + 1e-4)`), ratio of the image means less 1 per channel, median relative difference of
-//! 16 x 16 blocks, CPU seconds of a first rendering over two (what two quiet cores would take), rays and paths per
-//! core-second. M3c's reference is as noisy as what is measured: there the error is the product of the differences from
-//! it and from paths of another seed. Then the least of a hundred refits of 99,840 triangles.
+//! Per scene (M1, M2, M3c: six scatterings; M1-unlimited, M2-unlimited, M3: as many as there are; M3-32: 32 in the
+//! wall; all 256 x 256), transport (paths, vertices, gather; `gather+denoise` with the filter) and number of samples:
+//! relMSE (mean of `(x - r)^2 / (r^2 + 1e-4)`), ratio of the image means less 1 per channel, median relative
+//! difference of 16 x 16 blocks, CPU seconds of a first rendering over two (what two quiet cores would take), rays and
+//! paths per core-second. M3c's reference is as noisy as what is measured: there the error is the product of the
+//! differences from it and from paths of another seed. Then the least of a hundred refits of 99,840 triangles.
 
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};

@@ -3,11 +3,11 @@
 //! ```text
 //! cargo run --release --example vertex_bias [CASE,.. [SAMPLES [PIXELS]]]
 //! ```
-//! Six frames per case: half way and nine tenths of the way, at phases 0, .5 and 1, lit as in the films. Per frame: the
-//! ratio of the mean picture to that of the paths, per channel, with the standard error of the paths' mean (from eight
-//! parts), relMSE free of the reference's noise (the product of the differences from two halves of the parts, over the square
-//! of their mean and 1e-4 of the picture's), and the CPU seconds of one frame. References are kept in
-//! `target/vertex_bias`; delete them after a change of the look.
+//! Six frames per case: half way and nine tenths of the way, at phases 0, .5 and 1, lit as in the films. Per frame:
+//! the ratio of the mean picture to that of the paths, per channel, with the standard error of the paths' mean (from
+//! eight parts), relMSE free of the reference's noise (the product of the differences from two halves of the parts,
+//! over the square of their mean and 1e-4 of the picture's), and the CPU seconds of one frame. References are kept in
+//! `target/vertex_bias`; delete them after a change of the materials.
 
 use std::path::Path;
 

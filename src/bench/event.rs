@@ -1,4 +1,4 @@
-//! What happens during a run, as data: the command line and the tests read it, nobody parses text.
+//! What happens during a run, as data: for the command line and the tests, which then need not parse text.
 
 use std::path::Path;
 
@@ -25,12 +25,12 @@ pub enum Event<'a> {
     },
     /// A sequence is about to be filmed (not sent when it is cached).
     Filming {
-        /// Whose.
+        /// The case.
         case_id: &'a str,
     },
     /// A sequence is there.
     Filmed {
-        /// Whose.
+        /// The case.
         case_id: &'a str,
         /// Made or cached.
         cache_use: CacheUse,
@@ -39,12 +39,12 @@ pub enum Event<'a> {
     },
     /// A cell is about to be computed (not sent when it is cached).
     CellStarted {
-        /// Which.
+        /// The cell.
         cell: &'a Cell,
     },
     /// A cell is scored.
     CellFinished {
-        /// Which.
+        /// The cell.
         cell: &'a Cell,
         /// Made or cached.
         cache_use: CacheUse,
@@ -57,16 +57,16 @@ pub enum Event<'a> {
     },
     /// A cell failed; the run goes on.
     CellFailed {
-        /// Which.
+        /// The cell.
         cell: &'a Cell,
         /// Why.
         error: &'a Error,
     },
-    /// Something cached cannot be used again and is made once more.
+    /// A cached product cannot be used and is made again.
     Discarded {
         /// Folder or file.
         path: &'a Path,
-        /// Why, as half a sentence.
+        /// Why, as a clause.
         reason: &'a str,
     },
 }

@@ -20,14 +20,14 @@ use crate::base::{Error, ErrorKind, Result};
 pub enum Freshness {
     /// Take what is finished and unchanged.
     Resume,
-    /// Make everything of the plan once more.
+    /// Make everything of the plan again.
     Fresh,
 }
 
 /// A cell after the run: where its files are, what it cost, or why it failed.
 #[derive(Clone, Debug)]
 pub struct FinishedCell {
-    /// Which.
+    /// The cell.
     pub cell: Cell,
     /// Folder of the sequence.
     pub sequence: PathBuf,
@@ -89,7 +89,7 @@ impl Execution<'_> {
         Ok(())
     }
 
-    /// A cell's own failure is told in its row; these would hit every further cell as well.
+    /// True for errors that would hit every further cell too; any other failure is reported in its cell's row.
     fn stops_the_run(&self, error: &Error) -> bool {
         match error.kind() {
             ErrorKind::Interrupted | ErrorKind::Environment => true,
@@ -163,7 +163,7 @@ impl Execution<'_> {
         Ok(())
     }
 
-    /// Readers see a whole prediction or none: it is made under another name.
+    /// Makes the prediction under another name and then renames it, so that readers see a whole one or none.
     fn reconstruct(&mut self, cell: &Cell, sequence: &Path, prediction: &str) -> Result<StageTiming> {
         let whole = self.store.path(prediction);
         let partial = whole.with_file_name(".partial");
@@ -182,8 +182,8 @@ impl Execution<'_> {
         Ok(timing)
     }
 
-    /// True when the product is finished, from the same key, and whole. Otherwise what is there of a *finished* one
-    /// is removed; what an interrupted stage left behind stays, for the stage to go on from.
+    /// True when the product is finished, from the same key, and whole. Otherwise the files of a *finished*
+    /// product are removed; those that an interrupted stage left behind stay, so that the stage can resume.
     fn usable(&mut self, product: &str, key: &str) -> Result<bool> {
         let state = self.store.state(product, key);
         let path = self.store.path(product);

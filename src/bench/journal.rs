@@ -31,7 +31,8 @@ pub struct Journal {
     file: File,
 }
 
-/// The newest entry of each product, and how many bytes of the file are whole lines. A missing file is an empty journal.
+/// The newest entry of each product, and how many bytes of the file are whole lines. A missing file is an empty
+/// journal.
 pub fn read(path: &Path) -> Result<(BTreeMap<String, JournalEntry>, u64)> {
     if !path.exists() {
         return Ok((BTreeMap::new(), 0));

@@ -47,10 +47,10 @@ impl Lock {
     }
 }
 
-/// Where products lie; whatever else is in the folder is not ours.
+/// Where products lie; other files in the folder are left alone.
 const FOLDERS: [&str; 2] = ["sequences", "cells"];
 
-/// What the cache knows of a product.
+/// The state of a product in the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProductState {
     /// There, made from the same key, and its files hash as they did when it was finished.

@@ -25,7 +25,8 @@ pub struct MergeArguments {
     /// Folder of the merged report
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Merge scores of different films of a case (another revision of the simulator) too; the report says which they are
+    /// Merge scores of different films of a case (another revision of the simulator) too; the report says which they
+    /// are
     #[arg(long)]
     other_films: bool,
 }

@@ -1,7 +1,7 @@
 //! Words in, words out: arguments, progress, exit codes, one file per command. No algorithms.
 //!
-//! A command `name` is a file with `NameArguments` (clap) and `run(NameArguments, &Terminal) -> Result<()>`. To add one: a
-//! `mod` line and a line in `commands!` below.
+//! A command `name` is a file with `NameArguments` (clap) and `run(NameArguments, &Terminal) -> Result<()>`. To add
+//! one: a `mod` line and a line in `commands!` below.
 
 mod ablate;
 mod all_cases;

@@ -30,7 +30,8 @@ enum ChartArguments {
     Render(RenderChartArguments),
     /// Tracking: time against phase error of Adam and Gauss-Newton, on three cases
     Phase(PhaseChartArguments),
-    /// Rasteriser: time against error of kernels, threads, precisions, footprints, filters and blocks; what skipping saves
+    /// Rasteriser: time against error of kernels, threads, precisions, footprints, filters and blocks; what skipping
+    /// saves
     Splat(SplatChartArguments),
 }
 

@@ -41,7 +41,7 @@ pub struct PoseChoice {
 }
 
 impl PoseChoice {
-    /// The rows that do what `methods` ask for. Errors where one of them takes its poses for granted.
+    /// The methods to run. Errors where one of them needs true poses.
     pub fn rows(&self, methods: Option<Vec<String>>) -> Result<Option<Vec<String>>> {
         if !self.unknown_pose {
             return Ok(methods);
@@ -75,7 +75,7 @@ fn wish<T>(given: Vec<T>) -> Option<Vec<T>> {
 }
 
 impl Selection {
-    /// Reads everything that was chosen; every mistake in it is found here, before any work.
+    /// Reads everything that was chosen; every mistake in it is reported here, before any work.
     pub fn pipeline(self) -> Result<Pipeline> {
         let methods = self.poses.rows(wish(self.methods))?;
         let wishes = Wishes { cases: wish(self.cases), methods, seeds: wish(self.seeds) };

@@ -46,8 +46,8 @@ pub struct SimulateArguments {
     /// Also writes these ground-truth images: normals, albedo, motion, phase-sensitivity
     #[arg(long, value_name = "MAP,..", value_delimiter = ',')]
     truth: Vec<TruthMap>,
-    /// Switches effects of the scope off: emission, auto-exposure, lag, overshoot, gain-drift, white-balance, shot-noise,
-    /// read-noise, vignette, distortion, motion-blur, mask
+    /// Switches effects of the scope off: emission, auto-exposure, lag, overshoot, gain-drift, white-balance,
+    /// shot-noise, read-noise, vignette, distortion, motion-blur, mask
     #[arg(long, value_name = "EFFECT,..", value_delimiter = ',')]
     without: Vec<Effect>,
     #[command(flatten)]

@@ -38,7 +38,7 @@ pub(super) struct GradientSums {
 }
 
 impl GradientSums {
-    /// For `n` Gaussians of so many SH coefficients, seen in `frames` frames.
+    /// For `n` Gaussians of `coefficients` SH coefficients in `frames` frames.
     pub fn new(n: usize, coefficients: usize, frames: usize, wanted: Wanted) -> GradientSums {
         let group = |name, shape: &[usize]| (name, vec![0.0; shape.iter().product()], shape.to_vec());
         let mut groups = vec![

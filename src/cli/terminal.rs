@@ -10,10 +10,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::base::{Error, ErrorKind, Progress, Result};
 
-/// Without a terminal, a running stage says how far it is no more often than this.
+/// Without a terminal, a running stage reports its progress no more often than this.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
-/// What a command talks to. Progress and notes go to standard error, results to standard output.
+/// Where a command reports. Progress and notes go to standard error, results to standard output.
 pub struct Terminal {
     interrupted: Arc<AtomicBool>,
     watched: bool,
@@ -74,7 +74,7 @@ impl Terminal {
         Ok(())
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(&self) {
         self.stage("");
     }

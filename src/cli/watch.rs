@@ -38,7 +38,7 @@ impl Watcher for Terminal {
                 self.finish();
                 self.note(&format!("{} FAILED: {error}", cell.id()));
             }
-            Event::Discarded { path, reason } => self.note(&format!("making {} anew: {reason}", path.display())),
+            Event::Discarded { path, reason } => self.note(&format!("making {} again: {reason}", path.display())),
         }
     }
 }

@@ -1,5 +1,5 @@
-//! What each part of a method, and each property of a film, is worth: the lines of `bench-cases/ablations.toml`, and each
-//! of their methods as shipped with several seeds, scored beside each other.
+//! What each part of a method, and each property of a film, is worth: the lines of `bench-cases/ablations.toml`, and
+//! each of their methods as shipped with several seeds, scored beside each other.
 
 use std::path::Path;
 
@@ -23,8 +23,8 @@ pub struct AblationPlan<'a> {
     pub cache: &'a Path,
 }
 
-/// Runs the shipped methods and then the variants. `each` is handed all scores so far after every variant, so that a long
-/// run can be looked at, and stopped.
+/// Runs the shipped methods and then the variants. `each` is handed all scores so far after every variant, so that a
+/// long run can be looked at, and stopped.
 pub fn run(
     plan: &AblationPlan<'_>,
     watcher: &dyn ExperimentWatcher,

@@ -1,5 +1,5 @@
-//! A case's airway as a scene of the path tracer, and places on the way to look at it from: what the experiments with the
-//! path tracer render.
+//! A case's airway as a scene of the path tracer, and cameras on the scope's way: what the experiments with the path
+//! tracer render.
 
 use glam::{DAffine3, DVec3};
 

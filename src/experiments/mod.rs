@@ -1,5 +1,5 @@
-//! Measurements of the program itself: what each part of a method is worth, cost against error of its settings, numerical
-//! stability, time. Computes and returns data; the command line prints it.
+//! Measurements of the program itself: what each part of a method is worth, cost against error of its settings,
+//! numerical stability, time. Computes and returns data; the command line prints it.
 //!
 //! ```text
 //! ablation: variants of methods and cases, scored beside the shipped ones

@@ -1,9 +1,9 @@
-//! How the rasteriser is timed: the scene, the warm-up, the repetitions and what is said of them. Used by `pareto splat`,
+//! How the rasteriser is timed: scene, warm-up, repetitions, least, median and largest. Used by `pareto splat`,
 //! by `examples/splat_timing.rs` and by `benches/splat.rs`.
 //!
 //! CPU times are those of the whole process, all threads together; other work on the machine disturbs them least. Two
-//! pieces of work are compared turn by turn, either first every other time, so that neither finds the caches in a better
-//! state.
+//! pieces of work are compared turn by turn, either first every other time, so that neither finds the caches in a
+//! better state.
 
 use std::ops::Range;
 use std::time::Instant;
@@ -160,7 +160,7 @@ impl TimedScene {
         }
     }
 
-    /// The same with `copies` times as many Gaussians more, out of sight.
+    /// The same with `copies` more copies of its Gaussians where the camera cannot see them.
     pub fn with_hidden(&self, copies: usize) -> Self {
         TimedScene { gaussians: tube::with_hidden(&self.gaussians, copies), ..self.clone() }
     }

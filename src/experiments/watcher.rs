@@ -1,4 +1,4 @@
-//! Who is told how far an experiment is.
+//! Progress of an experiment.
 
 use crate::bench::Watcher;
 

@@ -10,7 +10,7 @@ use crate::score::{Goal, Metric, registry};
 /// Seed of the bootstrap: fixed, so that the same tables give the same bounds.
 const BOOTSTRAP_SEED: u64 = 1;
 
-/// How a difference reads.
+/// What a difference means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Change {

@@ -90,14 +90,14 @@ pub struct Relative {
     pub advisory: bool,
 }
 
-/// How one check came out.
+/// The outcome of one check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// Good enough.
     Pass,
     /// Not shown to be good enough.
     Fail,
-    /// Worth saying, no failure.
+    /// Reported, not a failure.
     Note,
 }
 
@@ -121,7 +121,7 @@ pub struct Check {
     pub method: String,
     /// Metric, empty likewise.
     pub metric: String,
-    /// How it came out.
+    /// Its outcome.
     pub verdict: Verdict,
     /// The numbers and the limit.
     pub sentence: String,

@@ -1,4 +1,4 @@
-//! `report.html`: one file that needs nothing else, no network and no script. Plots are inline SVG, images are
+//! `report.html`: one self-contained file without scripts. Plots are inline SVG, images are
 //! embedded PNG.
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -144,7 +144,7 @@ fn figure(picture: &ReportImage) -> Markup {
     }
 }
 
-/// An SVG document as an element: without an XML declaration before it.
+/// An SVG document without its XML declaration, to stand inside HTML.
 fn without_prolog(svg: &str) -> &str {
     svg.find("<svg").map_or(svg, |start| &svg[start..])
 }

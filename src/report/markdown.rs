@@ -32,7 +32,7 @@ pub fn report(run: &Run, summaries: &[MethodSummary], table: &ComparisonTable, p
     out
 }
 
-/// Text that Markdown will not take for markup.
+/// Text that Markdown does not take for markup.
 pub fn escape(text: &str) -> String {
     text.replace('\\', "\\\\").replace('|', "\\|").replace('<', "&lt;").replace(['\n', '\r'], " ")
 }

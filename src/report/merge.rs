@@ -1,7 +1,7 @@
-//! Runs that were made apart, as one: cells from several machines, rows that were renewed, a third party's predictions beside
+//! Merges runs that were made separately: cells from several machines, renewed rows, a third party's predictions beside
 //! the methods. Each is read back from its report folder; a cell that several have is taken from the last.
 //!
-//! Nothing is computed again: values, intervals and times are those of the tables. Pictures that need films or predictions
+//! Nothing is recomputed: values, intervals and times are those of the tables. Pictures that need films or predictions
 //! (panels, contours) are left out.
 
 use std::collections::BTreeMap;
@@ -12,7 +12,7 @@ use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use crate::base::{Error, Result, hash};
 use crate::score::{CellScore, FrameScore, FrameValue, MetricScore, Status, registry};
 
-/// Whether scores of different films of a case may stand in one table.
+/// Whether a table may hold scores of different films of one case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Films {
     /// No: two runs that filmed a case differently are refused.
@@ -21,7 +21,8 @@ pub enum Films {
     Other,
 }
 
-/// Reads the tables of a finished run back (`results.csv`, `comparison.csv`; `frames.csv` and `timings.csv` where they are).
+/// Reads the tables of a finished run back (`results.csv`, `comparison.csv`; `frames.csv` and `timings.csv` where they
+/// are).
 ///
 /// Errors name file, line and column; a metric or status that this version does not know is an error.
 pub fn read_run(folder: &Path) -> Result<Run> {
@@ -73,11 +74,11 @@ pub fn read_run(folder: &Path) -> Result<Run> {
     Ok(Run { id, profile, ..gathered(cells) })
 }
 
-/// Puts `parts` together; of a cell that several have, the last one's.
+/// Merges `parts`; a cell that several have is taken from the last.
 ///
-/// Errors: with [`Films::Same`], a case of which two parts scored different films.
+/// Errors: with [`Films::Same`], two parts that scored different films of one case.
 pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
-    // A part may have been put together before.
+    // A part may itself be a merged run.
     let mut ids: Vec<String> = Vec::new();
     for id in parts.iter().flat_map(|run| &run.cells).map(|cell| &cell.run_id) {
         if !ids.contains(id) {
@@ -240,7 +241,7 @@ fn status_of(row: &CsvRow<'_>) -> Result<Status> {
     Status::of_word(&word).ok_or_else(|| row.refuse("status", format!("\"{word}\" is no status")))
 }
 
-/// Text as it was before [`super::tables::text`] made it harmless for spreadsheets.
+/// Undoes [`super::tables::text`].
 fn plain(text: String) -> String {
     match text.strip_prefix('\'') {
         Some(rest) if super::tables::text(rest) == text => rest.to_owned(),

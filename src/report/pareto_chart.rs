@@ -1,6 +1,6 @@
 //! Cost against error of many settings: the points of a chart, and which of them no other beats (the Pareto front).
 
-/// Whether a point is the setting that the program uses when nobody asks for another.
+/// Whether a point is the program's default setting.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SettingRole {
     /// One of the others.
@@ -21,7 +21,7 @@ pub struct ParetoPoint {
     pub setting: String,
     /// What it costs, in the chart's unit; above 0.
     pub cost: f64,
-    /// How wrong it is, in the chart's unit; at most zero where it cannot be told from noise.
+    /// Its error, in the chart's unit; zero or negative where it lies within the reference's noise.
     pub error: f64,
     /// The default or not.
     pub role: SettingRole,

@@ -1,4 +1,4 @@
-//! Reads the tables of a finished run back: what `gate` and `compare` work on, be they ours or edited by hand.
+//! Reads the tables of a finished run back: the input of `gate` and `compare`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::base::{Error, Result, files};
 use crate::score::{Status, registry};
 
-/// Which number.
+/// Names a number of the tables.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Key {
     /// Case id.
@@ -19,10 +19,10 @@ pub struct Key {
     pub metric: String,
 }
 
-/// A number as it stands in the tables.
+/// A number of the tables.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResultEntry {
-    /// The value; may be NaN, when somebody wrote one.
+    /// The value; NaN where the file says so.
     pub value: Option<f64>,
     /// The status word.
     pub status: String,

@@ -50,7 +50,7 @@ const TIMINGS_COLUMNS: [&str; 11] = [
     "seed",
 ];
 
-/// A number as its shortest round-trip text; nothing for what is no number.
+/// A number as its shortest round-trip text; empty for none, NaN and infinity.
 pub fn number(value: Option<f64>) -> String {
     match value {
         Some(v) if v.is_finite() => format!("{v}"),
@@ -58,7 +58,7 @@ pub fn number(value: Option<f64>) -> String {
     }
 }
 
-/// Text as a spreadsheet will not run it.
+/// Text that no spreadsheet takes for a formula.
 pub fn text(value: &str) -> String {
     if value.starts_with(['=', '+', '-', '@', '\t', '\r']) { format!("'{value}") } else { value.to_owned() }
 }

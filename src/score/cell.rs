@@ -15,7 +15,7 @@ use super::statistics::{MeanInterval, bootstrap_series, pearson};
 use super::truth::{Truth, final_mesh};
 use crate::base::{Error, Mask, Result};
 
-/// Why a value is what it is, or why there is none.
+/// What kind of value it is, or why there is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
@@ -73,7 +73,7 @@ pub struct MetricScore {
     pub metric: String,
     /// The value; never NaN, never infinite.
     pub value: Option<f64>,
-    /// Why.
+    /// What kind of value it is, or why there is none.
     pub status: Status,
     /// Standard deviation over frames, where the value is a mean over frames.
     pub deviation: Option<f64>,
@@ -92,7 +92,7 @@ pub struct FrameValue {
     pub metric: String,
     /// The value.
     pub value: Option<f64>,
-    /// Why.
+    /// What kind of value it is, or why there is none.
     pub status: Status,
 }
 
@@ -150,14 +150,14 @@ impl CellScore {
     }
 }
 
-/// What scoring is told beside the two folders.
+/// Settings of the scoring, beside the two folders.
 #[derive(Clone, Debug)]
 pub struct ScoreSettings {
     /// Method id for the tables; `None` takes the prediction's own name, or `prediction`.
     pub method: Option<String>,
     /// Seed of the method's randomness, for the tables.
     pub seed: u64,
-    /// Chooses the target vertex; one value for a whole run, so that all methods are asked for the same target.
+    /// Chooses the target vertex; one value for a whole run, so that all methods are scored on the same target.
     pub target_seed: u64,
 }
 
@@ -257,7 +257,7 @@ fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, fram
     let depth = match prediction.depth_mm(frame)? {
         Some(depth) => {
             let mut true_depth = truth.depth_mm(frame)?;
-            // What has no true depth does not count.
+            // Pixels without true depth do not count.
             if let Some(mask) = mask {
                 mask.hide(&mut true_depth, 0.0);
             }
@@ -278,7 +278,7 @@ fn pose_error(predicted: &DAffine3, truth: &DAffine3) -> [f64; 2] {
     [predicted.translation.distance(truth.translation), angle.to_degrees()]
 }
 
-/// What came of the target metrics.
+/// The outcome of the target metrics.
 enum TargetOutcome {
     /// The prediction has no surface.
     NoSurface,
@@ -295,7 +295,7 @@ fn target(truth: &dyn Truth, prediction: &Prediction, settings: &ScoreSettings) 
 }
 
 fn entry(id: &str, value: Option<f64>, status: Status, count: usize, detail: &str) -> MetricScore {
-    // Whatever went in, no NaN and no infinity comes out.
+    // Scores hold no NaN and no infinity, whatever the prediction was.
     let (value, status) = match value {
         Some(v) if !v.is_finite() => (None, Status::Degenerate),
         value => (value, status),

@@ -1,4 +1,5 @@
-//! Metrics: registry, one file per family, protocol, aggregation. Reads folders; does not know how predictions were made.
+//! Metrics: registry, one file per family, protocol, aggregation. Reads folders; does not know how predictions were
+//! made.
 //!
 //! ```text
 //! Truth (a sequence) + Prediction (a folder) -> score() -> CellScore -> report, gate

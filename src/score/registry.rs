@@ -74,7 +74,7 @@ impl Group {
 pub enum Standing {
     /// A column of the paper's Table 1 and of `comparison.csv`.
     Paper,
-    /// Ours beside it.
+    /// An addition of ours.
     Extra,
 }
 

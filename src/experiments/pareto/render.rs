@@ -1,8 +1,8 @@
 //! Time against error of the path tracer's modes.
 //!
-//! The error is relMSE, the mean of `(x - r)^2 / (r^2 + 1e-4 m^2)`, to a reference r with unlimited bounces, m its mean; the
-//! reference's own noise, estimated from its two halves, is taken off. The cost is CPU time, which other work on the
-//! machine disturbs least.
+//! The error is relMSE, the mean of `(x - r)^2 / (r^2 + 1e-4 m^2)`, to a reference r with unlimited bounces, m its
+//! mean; the reference's own noise, estimated from its two halves, is taken off. The cost is CPU time, which other
+//! work on the machine disturbs least.
 
 use crate::airway::{self, case::Case};
 use crate::base::{Error, Image, Result};

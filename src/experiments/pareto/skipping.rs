@@ -1,5 +1,6 @@
-//! What skipping saves: each thing that the core or the optimiser leaves out switched off, one at a time, turn by turn with
-//! the default: CPU time without the skip over that with it, and how far image and gradients are from the default's.
+//! What skipping saves: each thing that the core or the optimiser leaves out switched off, one at a time, turn by turn
+//! with the default: CPU time without the skip over that with it, and how far image and gradients are from the
+//! default's.
 
 use crate::base::Result;
 use crate::experiments::difference::{gradient_groups, relative_l2, widened};
@@ -61,7 +62,7 @@ fn switch(skipped: &'static str, skip: Skips, scene: &TimedScene, repetitions: u
     Ok(SkipSaving::new(skipped, BOTH, samples, change(&pair)))
 }
 
-/// Groups that a step does not learn.
+/// Gradients of groups that a step does not learn, left out.
 fn frozen(skipped: &'static str, wanted: Wanted, scene: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
     let mut pair = pair();
     let samples = in_turns(repetitions, |k, samples| {
@@ -116,7 +117,7 @@ fn depth(scene: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
     Ok(SkipSaving::new("depth that nobody asks for", "forward", samples, [change(&pair)[0], 0.0]))
 }
 
-/// One step of SH on a scene of which a sixth is in sight: rows in sight, or all.
+/// One step of SH on a scene of which a sixth is visible: visible rows alone, or all.
 fn optimiser(hidden: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
     let count = hidden.gaussians.len();
     let mut rasterizer = Rasterizer::<f32>::new();

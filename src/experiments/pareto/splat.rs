@@ -1,10 +1,11 @@
 //! Time against error of everything that the rasteriser lets one choose, on tubes of several sizes: kernels, threads,
-//! precision, blocks, dilated or compensated, EWA or exact discs; and what it saves to leave out what cannot be seen or is
-//! not asked for ([`super::skipping`]).
+//! precision, blocks, dilated or compensated, EWA or exact discs; and what it saves to leave out what cannot be seen
+//! or is not asked for ([`super::skipping`]).
 //!
-//! Two charts: the errors of the gradients (worst group) and of the image, relative L2 to the plain twin in f64 of the same
-//! footprint and filter. The cost is CPU time of forward and backward, the median over repetitions; the least wall clock
-//! stands beside it, and how far the image is from that of exact discs in f64, which is what EWA approximates.
+//! Two charts: the errors of the gradients (worst group) and of the image, relative L2 to the plain twin in f64 of the
+//! same footprint and filter. The cost is CPU time of forward and backward, the median over repetitions; the least
+//! wall clock stands beside it, and how far the image is from that of exact discs in f64, which is what EWA
+//! approximates.
 
 use std::str::FromStr;
 

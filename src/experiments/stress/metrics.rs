@@ -1,4 +1,4 @@
-//! The metrics where their definitions come to an edge: frames without contrast, identical frames, depth that is absent
+//! The metrics at the limits of their definitions: frames without contrast, identical frames, depth that is absent
 //! or true nowhere, phases that do not move, contours that miss the camera. Each against its closed form in double.
 
 use glam::{DAffine3, DVec3};
@@ -130,7 +130,7 @@ fn phases() -> Vec<StressRow> {
     ]
 }
 
-/// A tube of radius 5 along z, as seen from inside at its middle; `shift` moves it.
+/// A tube of `radius` mm along z around the camera, moved by `shift`.
 fn tube(radius: f64, shift: DVec3) -> TriangleMesh {
     let (around, along) = (48u32, 8u32);
     let vertices = (0..=along).flat_map(|j| {

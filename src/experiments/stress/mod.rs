@@ -1,7 +1,7 @@
-//! The numerical-stability table: a fixed matrix of scenes that go wrong in single precision (`scenes`), each rendered and
-//! differentiated in f32 (fastest kernels) and in f64 (plain twin) (`precision`); what must be refused (`inputs`); the
-//! metrics on frames, maps and contours at the edge of their definition, against closed forms (`metrics`); gradients
-//! against central differences, and the seeded faults that this check must catch (`derivatives`).
+//! The numerical-stability table: a fixed matrix of scenes that go wrong in single precision (`scenes`), each rendered
+//! and differentiated in f32 (fastest kernels) and in f64 (plain twin) (`precision`); what must be refused (`inputs`);
+//! the metrics on frames, maps and contours at the edge of their definition, against closed forms (`metrics`);
+//! gradients against central differences, and the seeded faults that this check must catch (`derivatives`).
 
 mod derivatives;
 mod inputs;

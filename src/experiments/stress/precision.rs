@@ -12,8 +12,8 @@ const IMAGE_LIMIT: f64 = 1e-3;
 /// The same for the worst group of gradients.
 const GRADIENT_LIMIT: f64 = 2e-2;
 
-/// The depth image among the groups: checked for finite numbers with the rest; it is a quotient, and has no error of its
-/// own to bound.
+/// The depth image among the groups: checked for finite numbers with the rest; it is a quotient, and has no error of
+/// its own to bound.
 const DEPTH: &str = "depth";
 
 /// The values of a group of gradients, with its name.

@@ -1,4 +1,4 @@
-//! Paper, pens and colours: one look for all plots, as SVG and as PNG.
+//! Page, pens and colours: one style for all plots, as SVG and as PNG.
 
 use std::error::Error as StdError;
 use std::sync::Once;
@@ -15,7 +15,7 @@ use crate::base::{Error, Image, Result};
 /// Pixels of the PNG for one unit of the SVG.
 const PNG_SCALE: f64 = 2.0;
 
-/// What a drawing step gives back.
+/// Result of a drawing step.
 pub type Drawn<T, DB> = std::result::Result<T, DrawingAreaErrorKind<<DB as DrawingBackend>::ErrorType>>;
 /// A panel to draw in.
 pub type Area<DB> = DrawingArea<DB, Shift>;
@@ -92,7 +92,7 @@ pub trait Figure {
     fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB>;
 }
 
-/// Plotters knows no font by itself.
+/// Registers the fonts once: plotters has none of its own.
 pub fn prepare_fonts() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {

@@ -6,7 +6,8 @@ use super::canvas::{Area, Drawn, Figure, LinearChart, PanelAxes, Pen, TRUTH, cha
 use crate::report::run::Run;
 use crate::score::contour::ContourOverlay;
 
-/// A predicted contour far away may not shrink the truth to a dot: the panel shows this many times its extent.
+/// Half side of a panel at most, in half extents of the true contour: a predicted contour far away would otherwise
+/// shrink the truth to a dot.
 const MAX_EXTENT: f64 = 2.2;
 
 struct ContourPanel {
@@ -67,7 +68,7 @@ impl Figure for ContourGrid {
     }
 }
 
-/// Image up is up on paper.
+/// Flips y: image rows grow downwards, the plot's axis upwards.
 fn upright(point: [f64; 2]) -> [f64; 2] {
     [point[0], -point[1]]
 }

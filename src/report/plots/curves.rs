@@ -6,7 +6,7 @@ use super::canvas::{Area, Drawn, Figure, LinearChart, PanelAxes, Pen, TRUTH, cha
 use crate::report::run::Run;
 use crate::score::{CellScore, metric};
 
-/// A coloured curve; `NaN` never gets here.
+/// A coloured curve without NaN.
 type Curve = (RGBColor, Vec<(f64, f64)>);
 
 fn draw_curves<DB: DrawingBackend>(

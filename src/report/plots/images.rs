@@ -1,4 +1,4 @@
-//! Pictures beside each other, truth first: renderings, and depth error maps on one logarithmic colour scale.
+//! Images side by side, truth first: renderings, and depth error maps on one logarithmic colour scale.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -26,13 +26,13 @@ const FOOT: usize = 24;
 const LEFT: usize = 104;
 const SCALE_BAR: usize = 66;
 
-/// One picture with its words.
+/// One image and the text below it.
 struct LabelledImage {
     image: Image<u8>,
     foot: String,
 }
 
-/// A table of pictures.
+/// A table of images with headings.
 struct ImageGrid {
     heads: Vec<String>,
     rows: Vec<(String, Vec<LabelledImage>)>,

@@ -1,4 +1,4 @@
-//! Methods beside each other: bars with intervals per metric, and error against run time.
+//! Methods compared: bars with intervals per metric, and error against run time.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};

@@ -17,10 +17,10 @@ use super::summary::MethodSummary;
 use crate::base::{Image, Progress, Result, files};
 use crate::formats::png;
 
-/// A picture that was written.
+/// An image that was written.
 #[derive(Clone, Debug)]
 pub struct ReportImage {
-    /// For readers who cannot see it.
+    /// Alternative text.
     pub title: String,
     /// What it shows.
     pub caption: String,
@@ -32,12 +32,12 @@ pub struct ReportImage {
     pub svg: Option<String>,
 }
 
-/// All pictures of a report.
+/// All images of a report.
 #[derive(Clone, Debug, Default)]
 pub struct ReportImages {
     /// Over all cases.
     pub overview: Vec<ReportImage>,
-    /// Case id and its pictures.
+    /// Case id and its images.
     pub by_case: Vec<(String, Vec<ReportImage>)>,
 }
 

@@ -1,5 +1,5 @@
-//! Cost against error, one panel per subject, both axes logarithmic; the front as a line, the default as a ring. What has no
-//! error at all (a reference) stands on the lower edge.
+//! Cost against error, one panel per subject, both axes logarithmic; the front as a line, the default as a ring. What
+//! has no error at all (a reference) stands on the lower edge.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -170,8 +170,8 @@ impl Rectangle {
     }
 }
 
-/// Where the label of a dot goes without covering anything: how far its upper left corner is from the dot. To the right,
-/// above or below, then farther away, never below `floor`; beside the dot where nothing is free.
+/// Where the label of a dot goes without covering anything: how far its upper left corner is from the dot. To the
+/// right, above or below, then farther away, never below `floor`; beside the dot where nothing is free.
 fn free_spot(
     (x, y): (i32, i32),
     [width, height]: [i32; 2],
