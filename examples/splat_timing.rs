@@ -153,17 +153,13 @@ impl Program {
 
     /// New SH on the same geometry, with and without reuse.
     fn appearance(&self) -> Result<()> {
-        for (what, backward) in [("forward", false), ("forward + backward of SH", true)] {
+        for (what, wanted) in [("forward", None), ("forward + backward of SH", Some(Wanted::SH))] {
             let mut rasterizers = [self.rasterizer()?, self.rasterizer()?];
             rasterizers[1].reuse(Reuse::Unchanged);
             let mut scenes = [self.scene.clone(), self.scene.clone()];
             let samples = in_turns(self.repetitions, |k, samples| {
                 scenes[k].gaussians.sh.iter_mut().for_each(|v| *v *= 0.999);
-                let (scene, rasterizer) = (&scenes[k], &mut rasterizers[k]);
-                samples.time(|| match backward {
-                    true => scene.forward_backward(rasterizer, Wanted::SH),
-                    false => scene.forward(rasterizer),
-                })
+                samples.time(|| scenes[k].pass(&mut rasterizers[k], wanted))
             })?;
             print_pair([what, "the same on unchanged geometry"], &samples);
         }
@@ -202,13 +198,7 @@ impl Program {
         for (what, wanted) in [("forward", None), ("forward + backward", Some(Wanted::ALL))] {
             let mut rasterizers = [self.rasterizer()?, self.rasterizer()?];
             let samples = in_turns(self.repetitions, |k, samples| {
-                let (scene, rasterizer) = (&self.scene, &mut rasterizers[k]);
-                pools[k].install(|| {
-                    samples.time(|| match wanted {
-                        Some(wanted) => scene.forward_backward(rasterizer, wanted),
-                        None => scene.forward(rasterizer),
-                    })
-                })
+                pools[k].install(|| samples.time(|| self.scene.pass(&mut rasterizers[k], wanted)))
             })?;
             print_pair([&format!("{what}, 2 threads"), &format!("{what}, 1 thread")], &samples);
         }

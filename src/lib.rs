@@ -61,5 +61,7 @@ pub mod score;
 pub mod report;
 
 pub mod bench;
-pub mod cli;
+
 pub mod experiments;
+
+pub mod cli;

@@ -169,8 +169,8 @@ impl TimedScene {
     pub fn cast<U: Real>(&self) -> TimedScene<U> {
         TimedScene {
             gaussians: self.gaussians.cast(),
-            view: self.view.clone(),
-            settings: self.settings.clone(),
+            view: self.view,
+            settings: self.settings,
             color_gradient: self.color_gradient.iter().map(|&v| U::of(f64::from(v))).collect(),
         }
     }
@@ -195,6 +195,14 @@ impl<T: Real> TimedScene<T> {
     /// One forward pass.
     pub fn forward(&self, rasterizer: &mut Rasterizer<T>) -> Result<()> {
         rasterizer.render(&self.gaussians, &self.view, &self.settings, None).map(drop)
+    }
+
+    /// One forward pass, and a backward pass where gradients are wanted.
+    pub fn pass(&self, rasterizer: &mut Rasterizer<T>, wanted: Option<Wanted>) -> Result<()> {
+        match wanted {
+            Some(wanted) => self.forward_backward(rasterizer, wanted),
+            None => self.forward(rasterizer),
+        }
     }
 
     /// One forward and backward pass.
