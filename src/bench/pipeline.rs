@@ -192,7 +192,7 @@ fn refuse_doubles<T: PartialEq + std::fmt::Display>(items: impl Iterator<Item = 
     Ok(())
 }
 
-/// Hash of what a method file says: parsed, so that a comment or a blank does not make a cell anew.
+/// Hash of the parsed method file, so that changing a comment or a blank recomputes no cell.
 fn content(path: &Path, profile: &Profile) -> Result<String> {
     let table: toml::Table = files::read_toml(path)?;
     hash::of_value(&(table, profile.iteration_scale))
