@@ -6,13 +6,14 @@ use serde::Deserialize;
 
 use crate::base::{Error, Result, files};
 
-use super::bridgesplat::Bridgesplat;
-use super::bridgesplat_nomesh::BridgesplatNomesh;
-use super::loss::norm::Norm;
-use super::ours::{Ours, Row};
-use super::ours_gn::OursGn;
-use super::ours_nomesh::OursNomesh;
-use super::{Reconstruct, settings};
+use super::contract::Reconstruct;
+use super::fitting::loss::norm::Norm;
+use super::methods::bridgesplat::Bridgesplat;
+use super::methods::bridgesplat_nomesh::BridgesplatNomesh;
+use super::methods::ours::{Ours, Row};
+use super::methods::ours_gn::OursGn;
+use super::methods::ours_nomesh::OursNomesh;
+use super::settings;
 
 /// What every method file says; the rest depends on `kind`.
 #[derive(Deserialize)]

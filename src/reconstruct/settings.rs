@@ -5,9 +5,9 @@ use std::ops::Deref;
 
 use serde::{Deserialize, Serialize};
 
-use super::Listing;
-use super::loss::norm::Norm;
-use super::phase::Activation;
+use super::activation::Activation;
+use super::contract::Listing;
+use super::fitting::loss::norm::Norm;
 use crate::splat::Frame;
 
 /// Where a number comes from.

@@ -8,21 +8,20 @@
 //! the vessels: a map that cannot show them lets them pull the phase along.
 //!
 //! Phase. At a quarter, half and full resolution: render with the derivative of the image by the phase, one robust
-//! step ([`super::gauss_newton`], [`track`]), together with what is expected of the breath ([`breath`]). A frame whose cost
+//! step ([`crate::reconstruct::estimate::gauss_newton`], [`track`]), together with what is expected of the breath ([`crate::reconstruct::estimate::breath`]). A frame whose cost
 //! jumps is searched over all phases again. The standard deviation that comes with the answer has two parts: that of the last step, and a
 //! random walk, since a frame is tracked on what earlier frames have painted, and inherits their errors: its variance
 //! grows by `drift_factor^2` times that of each frame's step, and keeps `drift_memory` of itself from frame to frame,
 //! since what was painted in the wrong place leaves the view or is painted over.
 //!
-//! Options: poses that are only roughly known ([`pose`]), and a correction of the registration of the two CTs
-//! ([`super::correction`]), both estimated with the phase. Depth, and what is hidden, are those of the mesh ([`super::mesh_depth`]).
+//! Options: poses that are only roughly known ([`registration`]), and a correction of the registration of the two CTs
+//! ([`crate::reconstruct::estimate::window::correction`]), both estimated with the phase. Depth, and what is hidden, are those of the mesh ([`crate::reconstruct::geometry::mesh_depth`]).
 //!
 //! Left out: learning of disc centres and sizes.
 
 mod albedo;
-mod breath;
 mod light;
-mod pose;
+mod registration;
 mod scene;
 mod track;
 
@@ -34,21 +33,21 @@ use rayon::prelude::*;
 use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
 use crate::splat::{DepthOutput, Frame, Rasterizer, Rendered, Reuse, Settings, View};
 
-use super::active::{Reach, Sides, nothing_in_view, visible_faces};
-use super::anchored::{Start, Surface, to_f32};
-use super::correction::Correction;
-use super::level::Level;
-use super::mesh_depth::{Rays, depth_gap_mm, nearest_depth_mm, unhidden};
-use super::online::{fit_in_order, held_out};
-use super::phase_fit::at_phase;
-use super::phase_search::grid_search;
-use super::pose_drift::{Drift, POSE, Walk};
-use super::settings::GaussNewtonMethod;
-use super::window::{Setting, Shape, Window};
-use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
-use breath::{Breath, Repetition};
+use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::estimate::breath::{Breath, Repetition};
+use crate::reconstruct::estimate::phase_fit::at_phase;
+use crate::reconstruct::estimate::window::correction::Correction;
+use crate::reconstruct::estimate::window::drift::{Drift, POSE, Walk};
+use crate::reconstruct::estimate::window::{Setting, Shape, Window};
+use crate::reconstruct::fitting::anchored::{Start, Surface, to_f32};
+use crate::reconstruct::fitting::grid_search::grid_search;
+use crate::reconstruct::geometry::mesh_depth::{Rays, depth_gap_mm, nearest_depth_mm, unhidden};
+use crate::reconstruct::geometry::pyramid::Level;
+use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
+use crate::reconstruct::online::{fit_in_order, held_out};
+use crate::reconstruct::settings::GaussNewtonMethod;
 use light::Scope;
-use pose::Before;
+use registration::Before;
 use scene::{DISCS, Seen};
 use track::{Tracked, moved};
 
@@ -396,7 +395,8 @@ impl<'a> Tracker<'a> {
             self.faces = visible_faces(&self.surface.faces, &states, view, bounds, Sides::Both);
             let [turn, shift_mm] = *self.settings.pose_deviation;
             let before = Before { phase: 1.0, turn, shift_mm };
-            let (phase, pose) = pose::register(depth, &before, |phase, xi| self.depth_mm(&moved(view, xi), phase));
+            let (phase, pose) =
+                registration::register(depth, &before, |phase, xi| self.depth_mm(&moved(view, xi), phase));
             self.pose = pose;
             self.walk.begin(pose);
             if let Some(window) = &mut self.window {

@@ -4,7 +4,7 @@
 //!
 //! Ours where the paper is silent, each with its number in the TOML: the guess of a frame's phase continues part of the
 //! last change; a few candidates around it are rendered before stage (i); after it the frame is placed among keyframes,
-//! since what is painted alone lets the phase drift ([`super::window`]); an exposure gain per channel and frame in
+//! since what is painted alone lets the phase drift ([`crate::reconstruct::estimate::window`]); an exposure gain per channel and frame in
 //! closed form; brightness carried from frame to frame by the law of the light at the scope.
 
 mod stages;
@@ -13,18 +13,20 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
+use crate::reconstruct::fitting::schedule::scaled_iterations;
+use crate::reconstruct::online::depth_image;
 use crate::splat::{DepthOutput, Gaussians, Gradients, ImageGradient, Rasterizer, Settings, View, Wanted};
 
-use super::anchored::{SH_C0, SH_VALUES};
-use super::level::Level;
-use super::loss::photometric::Photometric;
-use super::memory::{Memory, Shown, shift};
-use super::online::{color_image, fit_in_order, held_out};
-use super::phase::PhaseActivation;
-use super::phase_search::{depth_error_mm, grid_search};
-use super::scope_light::{ScopeLight, Shade};
-use super::settings::PhaseMethod;
-use super::{FramePrediction, Observation, Reconstruction};
+use crate::reconstruct::activation::PhaseActivation;
+use crate::reconstruct::contract::{FramePrediction, Observation, Reconstruction};
+use crate::reconstruct::fitting::anchored::{SH_C0, SH_VALUES};
+use crate::reconstruct::fitting::grid_search::{depth_error_mm, grid_search};
+use crate::reconstruct::fitting::loss::photometric::Photometric;
+use crate::reconstruct::fitting::memory::{Memory, Shown, shift};
+use crate::reconstruct::fitting::scope_light::{ScopeLight, Shade};
+use crate::reconstruct::geometry::pyramid::Level;
+use crate::reconstruct::online::{color_image, fit_in_order, held_out};
+use crate::reconstruct::settings::PhaseMethod;
 
 /// How far a frame's phase may be from its guess.
 pub const REACH: f64 = 0.15;
@@ -154,7 +156,7 @@ impl Fitter<'_> {
 
     fn iterations(&self, stage: usize, frame: usize) -> usize {
         let factor = if frame == 0 && stage > 0 { *self.settings.first_frame_factor } else { 1.0 };
-        super::scaled_iterations(self.settings.iterations[stage] as f64 * factor, self.scale)
+        scaled_iterations(self.settings.iterations[stage] as f64 * factor, self.scale)
     }
 
     fn fit(&mut self, frame: usize, source: &PhaseSource, carried: &mut dyn Carried) -> Result<FramePrediction> {
@@ -208,7 +210,7 @@ impl Fitter<'_> {
         self.place(&view, carried, phase)?;
         self.rasterizer.render(carried.gaussians(), &view, &self.render_settings(DepthOutput::Surface), None)?;
         let color = color_image(&self.rasterizer);
-        let depth_mm = super::depth_image(self.rasterizer.rendered(), width, height);
+        let depth_mm = depth_image(self.rasterizer.rendered(), width, height);
         self.mark_fitted(&view, carried, &image, &before);
         carried.leave();
         self.phases.push(phase);

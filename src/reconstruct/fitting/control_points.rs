@@ -4,7 +4,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::neighbours;
+use crate::reconstruct::geometry::neighbours;
 
 /// Below this sum of weights a point follows only in part (released code).
 const WEIGHT_FLOOR: f64 = 1e-2;

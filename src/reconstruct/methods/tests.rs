@@ -2,17 +2,19 @@
 
 use glam::{DAffine3, DVec3};
 
-use super::active::{Reach, Sides, visible_faces};
-use super::anchored::{DiscAdam, Rates, SH_VALUES, Start, Surface, to_f32};
-use super::free::Free;
-use super::optimiser::{AdamConstants, StepCounter};
-use super::settings::PhaseMethod;
-use super::*;
 use crate::base::camera::world_from_camera_looking;
 use crate::base::image::codes_from_unit;
 use crate::base::random::{CounterRng, Stage};
+use crate::base::{Camera, Image, TriangleMesh};
 use crate::base::{NoProgress, files, mesh};
-use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Settings, View, Wanted};
+use crate::reconstruct::fitting::anchored::{DiscAdam, Rates, SH_VALUES, Start, Surface, to_f32};
+use crate::reconstruct::fitting::free::Free;
+use crate::reconstruct::fitting::optimiser::{AdamConstants, StepCounter};
+use crate::reconstruct::geometry::visible::{Reach, Sides, visible_faces};
+use crate::reconstruct::online::depth_image;
+use crate::reconstruct::settings::PhaseMethod;
+use crate::reconstruct::*;
+use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Rendered, Settings, View, Wanted};
 
 /// A tube along +z, normals inwards, closed at the far end by its narrowing.
 fn tube(rings: usize, around: usize, length_mm: f64) -> TriangleMesh {
@@ -122,7 +124,7 @@ fn shipped(id: &str) -> PhaseMethod {
     files::read_toml(&folder.join(format!("{id}.toml"))).unwrap()
 }
 
-pub(super) fn psnr(a: &Image<f32>, b: &Image<u8>) -> f64 {
+pub fn psnr(a: &Image<f32>, b: &Image<u8>) -> f64 {
     let b = b.to_unit();
     let mse: f64 = a.data.iter().zip(&b.data).map(|(x, y)| ((x - y) as f64).powi(2)).sum::<f64>() / a.data.len() as f64;
     -10.0 * mse.log10()
@@ -160,7 +162,7 @@ fn unlit(id: &str) -> PhaseMethod {
     settings
 }
 
-pub(super) fn bridge(id: &str) -> settings::BridgeMethod {
+pub fn bridge(id: &str) -> settings::BridgeMethod {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
     let mut settings: settings::BridgeMethod = files::read_toml(&folder.join(format!("{id}.toml"))).unwrap();
     settings.appearance.gaussian_budget.value = 7000;

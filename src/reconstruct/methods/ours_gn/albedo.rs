@@ -7,9 +7,10 @@ use rayon::prelude::*;
 use super::scene::{DISCS, Seen};
 use super::{DARKEST, Tracker};
 use crate::base::Result;
-use crate::reconstruct::anchored::SH_C0;
-use crate::reconstruct::level::Level;
-use crate::reconstruct::phase_fit::pixels;
+use crate::reconstruct::estimate::phase_fit::pixels;
+use crate::reconstruct::fitting::anchored::SH_C0;
+use crate::reconstruct::fitting::schedule::scaled_iterations;
+use crate::reconstruct::geometry::pyramid::Level;
 use crate::splat::{DepthOutput, ImageGradient, Reuse, Settings, Wanted};
 
 /// Discs that contribute fewer pixels are not in view.
@@ -35,7 +36,7 @@ impl Tracker<'_> {
         self.color_the_unseen(level);
         let sweeps = self.settings.appearance_steps[usize::from(frame > 0)] as f64;
         self.count_pixels(level)?;
-        self.sweep(level, crate::reconstruct::scaled_iterations(sweeps, self.iteration_scale).max(2), Hold::Memory)?;
+        self.sweep(level, scaled_iterations(sweeps, self.iteration_scale).max(2), Hold::Memory)?;
         let most = *self.settings.memory_frames as f32;
         let seen = self.seen();
         for (memory, pixels) in seen.memory.iter_mut().zip(&seen.pixels).filter(|(_, p)| **p >= FEWEST_PIXELS) {

@@ -2,12 +2,12 @@
 //! `camera_from_world = exp(xi) given`, `xi = (omega, tau)` in camera axes (rad, mm). The first frame is registered to the
 //! mesh by the depth that is given there, together with the phase: Gauss-Newton with central differences on the robust
 //! relative error of depth, from several phases, with a norm that gets stricter. Later frames estimate `xi` from the image
-//! (`track.rs`) or from the window of keyframes, around what is expected of it ([`crate::reconstruct::pose_drift`]).
+//! (`track.rs`) or from the window of keyframes, around what is expected of it ([`crate::reconstruct::estimate::window::drift`]).
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::base::Image;
-use crate::reconstruct::pose_drift::POSE;
+use crate::reconstruct::estimate::window::drift::POSE;
 
 /// Phases from which the first frame is registered.
 const STARTS: [f64; 4] = [0.05, 0.35, 0.65, 0.95];

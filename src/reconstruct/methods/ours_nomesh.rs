@@ -4,17 +4,18 @@
 //! nearest mesh vertices (inverse distance); own centre, rotation, scale and SH-1 are learned. No mesh comes out.
 
 use crate::base::{Progress, Result};
+use crate::reconstruct::fitting::schedule::rate_factor;
 use crate::splat::{Gaussians, Gradients, View, Wanted};
 
-use super::active::{Reach, Sides, nothing_in_view, visible_faces};
-use super::anchored::{Rates, adam_constants, to_f32};
-use super::free::{Free, FreeAdam, FreePatch, Learned};
-use super::memory::Memory;
-use super::neighbours;
-use super::optimiser::StepCounter;
-use super::phase_fit::{self, Carried, PhaseSource};
-use super::settings::PhaseMethod;
-use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::estimate::phase_fit::{self, Carried, PhaseSource};
+use crate::reconstruct::fitting::anchored::{Rates, adam_constants, to_f32};
+use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch, Learned};
+use crate::reconstruct::fitting::memory::Memory;
+use crate::reconstruct::fitting::optimiser::StepCounter;
+use crate::reconstruct::geometry::neighbours;
+use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
+use crate::reconstruct::settings::PhaseMethod;
 
 /// Mesh vertices whose displacements a Gaussian averages.
 const FIELD_NEIGHBOURS: usize = 4;
@@ -98,7 +99,7 @@ impl InField {
             ends: [to_f32(&rest.vertices), to_f32(&expiration.vertices)],
             reach: Reach::new(&settings.visibility),
             adam: FreeAdam::new(
-                Rates::new(&settings.appearance, super::rate_factor(iteration_scale)),
+                Rates::new(&settings.appearance, rate_factor(iteration_scale)),
                 StepCounter::Restarted,
                 adam_constants(&settings.appearance, observation.images[0].data.len()),
                 Learned::All,

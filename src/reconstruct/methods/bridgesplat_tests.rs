@@ -8,8 +8,8 @@ use glam::DAffine3;
 use super::*;
 use crate::base::image::codes_from_unit;
 use crate::base::{Camera, Image};
-use crate::reconstruct::anchored::{SH_C0, SH_VALUES, to_f32};
-use crate::reconstruct::tests::bridge;
+use crate::reconstruct::fitting::anchored::{SH_C0, SH_VALUES, to_f32};
+use crate::reconstruct::methods::tests::bridge;
 
 const FRAMES: usize = 14;
 /// Frames in which nothing moves yet.

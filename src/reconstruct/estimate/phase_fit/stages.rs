@@ -2,8 +2,8 @@
 
 use super::{Carried, Fitter};
 use crate::base::{Image, Result};
-use crate::reconstruct::loss::photometric::Photometric;
-use crate::reconstruct::optimiser::{Adam, AdamConstants, StepCounter};
+use crate::reconstruct::fitting::loss::photometric::Photometric;
+use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::splat::{Reuse, View, Wanted};
 
 impl Fitter<'_> {

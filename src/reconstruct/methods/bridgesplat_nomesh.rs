@@ -11,18 +11,19 @@ use glam::DVec3;
 
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Progress, Result};
+use crate::reconstruct::fitting::schedule::{rate_factor, scaled_iterations};
 use crate::splat::{DepthOutput, ImageGradient, Rasterizer, Settings, View, Wanted};
 
-use super::active::{Reach, Sides, nothing_in_view, visible_faces};
-use super::anchored::{Rates, to_f32};
-use super::control_points::ControlField;
-use super::free::{Free, FreeAdam, FreePatch, Learned};
-use super::loss::pairs::{self, Pairs};
-use super::loss::photometric::Photometric;
-use super::online::{color_image, fit_in_order, held_out, rendered_prediction};
-use super::optimiser::{Adam, AdamConstants, StepCounter};
-use super::settings::BridgeMethod;
-use super::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::fitting::anchored::{Rates, to_f32};
+use crate::reconstruct::fitting::control_points::ControlField;
+use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch, Learned};
+use crate::reconstruct::fitting::loss::pairs::{self, Pairs};
+use crate::reconstruct::fitting::loss::photometric::Photometric;
+use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
+use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
+use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction};
+use crate::reconstruct::settings::BridgeMethod;
 
 /// BridgeSplat without its mesh.
 pub struct BridgesplatNomesh {
@@ -150,7 +151,7 @@ impl<'a> State<'a> {
             free,
             rasterizer: Rasterizer::new(),
             adam: FreeAdam::new(
-                Rates::new(&settings.appearance, super::rate_factor(scale)),
+                Rates::new(&settings.appearance, rate_factor(scale)),
                 StepCounter::Kept,
                 AdamConstants::default(),
                 Learned::AllButScales,
@@ -214,9 +215,9 @@ impl<'a> State<'a> {
         let weights = self.observation.pixel_weights();
         let mut loss =
             Photometric::new(&image.data, image.width, image.height, 0.0, weights.as_deref()).with_norm(s.norm());
-        let iterations = super::scaled_iterations(s.iterations[usize::from(frame > 0)] as f64, self.scale);
-        let factor = super::rate_factor(self.scale);
-        let sh_from = if frame > 0 { 0 } else { super::scaled_iterations(*s.sh_from_iteration as f64, self.scale) };
+        let iterations = scaled_iterations(s.iterations[usize::from(frame > 0)] as f64, self.scale);
+        let factor = rate_factor(self.scale);
+        let sh_from = if frame > 0 { 0 } else { scaled_iterations(*s.sh_from_iteration as f64, self.scale) };
         let sh_rest = self.adam.rates.sh_rest;
         self.adam.begin(patch.ids.len());
         self.anchors.previous = (self.anchors.positions(), self.anchors.quaternions());

@@ -1,7 +1,7 @@
 //! A low-rank correction of the displacement field between the two CTs: their registration errs, smoothly, by a mm or so.
 //! `D(x) = D_given(x) + sum_k exp(-|x - x_k|^2 / (2 reach^2)) c_k`, one vector `c_k` (mm) per centre `x_k`; the centres stand
 //! along the way of the scope. The few in front of a frame are estimated together with its phase: by the window of keyframes
-//! ([`super::window`]) where there is one, else on the map (`ours_gn/track.rs`), under a prior that narrows with what earlier
+//! ([`crate::reconstruct::estimate::window`]) where there is one, else on the map (`ours_gn/track.rs`), under a prior that narrows with what earlier
 //! frames have said.
 
 use std::borrow::Cow;

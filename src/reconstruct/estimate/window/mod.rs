@@ -13,16 +13,18 @@
 //! placed against all keyframes of the window; a frame that shows enough new wall becomes one, and the oldest leaves, its
 //! knowledge marginalised. Of what is known a share is forgotten with each keyframe, since systematic errors (glare,
 //! light inside the wall) do not average out. What two frames from different places say about where the wall is, beyond
-//! any phase, may go into a correction of the displacement field ([`super::correction`]): its coefficients are unknowns of
+//! any phase, may go into a correction of the displacement field ([`crate::reconstruct::estimate::window::correction`]): its coefficients are unknowns of
 //! the window, too, which no keyframe takes along when it leaves. Where walls are near, the valley of the misfit is .01 of a phase wide: before the
 //! first step the phase around the expected one is looked for at which the frame agrees best with the last keyframe. Where that is
 //! elsewhere, steps are taken from both, and all keyframes choose: walls that are very near can mislead one of them.
 //! Poses that are off may be unknowns, too: one correction and its change per second for the whole window, under the drift of
-//! [`super::pose_drift`]. (Six unknowns per frame run away: along a tube, way and phase are one.) Phases stay within 0..1 in every step
+//! [`crate::reconstruct::estimate::window::drift`]. (Six unknowns per frame run away: along a tube, way and phase are one.) Phases stay within 0..1 in every step
 //! ([`bounded`]): where images push one against an end of the breath, it is the poses that must be wrong.
 //! Left out: levels of resolution.
 
 mod contrast;
+pub mod correction;
+pub mod drift;
 mod pair;
 #[cfg(test)]
 mod tests;
@@ -33,11 +35,11 @@ use glam::DAffine3;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::correction::Correction;
-use super::level::Level;
-use super::mesh_depth::{Rays, nearest_faces};
-use super::pose_drift::{Drift, POSE, motion};
-use super::settings;
+use crate::reconstruct::estimate::window::correction::Correction;
+use crate::reconstruct::estimate::window::drift::{Drift, POSE, motion};
+use crate::reconstruct::geometry::mesh_depth::{Rays, nearest_faces};
+use crate::reconstruct::geometry::pyramid::Level;
+use crate::reconstruct::settings;
 use crate::splat::View;
 use contrast::{Picture, picture};
 use pair::{Assumed, Keyframe, Others, Pair, Poses, Sight, keyframe, misfit, pair};

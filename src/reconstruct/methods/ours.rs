@@ -3,19 +3,20 @@
 //! faces that a wall hides are no part of a frame.
 
 use crate::base::{Progress, Result, mesh};
+use crate::reconstruct::fitting::schedule::rate_factor;
 use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
 
-use super::active::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
-use super::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
-use super::correction::Correction;
-use super::level::Level;
-use super::memory::Memory;
-use super::mesh_depth::{Rays, unhidden};
-use super::optimiser::StepCounter;
-use super::phase_fit::{self, Carried, PhaseSource, at_phase};
-use super::settings::PhaseMethod;
-use super::window::{Setting, Shape, Window};
-use super::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::estimate::phase_fit::{self, Carried, PhaseSource, at_phase};
+use crate::reconstruct::estimate::window::correction::Correction;
+use crate::reconstruct::estimate::window::{Setting, Shape, Window};
+use crate::reconstruct::fitting::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
+use crate::reconstruct::fitting::memory::Memory;
+use crate::reconstruct::fitting::optimiser::StepCounter;
+use crate::reconstruct::geometry::mesh_depth::{Rays, unhidden};
+use crate::reconstruct::geometry::pyramid::Level;
+use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
+use crate::reconstruct::settings::PhaseMethod;
 
 /// Phases farther apart may show what is hidden at both of them. A hair above the reach of a frame with a guess, which
 /// rounding may widen.
@@ -116,7 +117,7 @@ impl OnMesh {
     fn new(settings: &PhaseMethod, iteration_scale: f64, observation: &Observation) -> Result<Self> {
         let rest = &observation.inspiration;
         let expiration = observation.expiration.as_ref().unwrap_or(rest);
-        let rates = Rates::new(&settings.appearance, super::rate_factor(iteration_scale));
+        let rates = Rates::new(&settings.appearance, rate_factor(iteration_scale));
         let constants = adam_constants(&settings.appearance, observation.images[0].data.len());
         let surface =
             Surface::new(rest, &settings.appearance, Frame::from(*settings.inherits), Start::Even, observation.seed);

@@ -6,8 +6,8 @@ use nalgebra::{DMatrix, DVector};
 use crate::splat::View;
 
 use super::contrast::Picture;
-use crate::reconstruct::phase_fit::at_phase;
-use crate::reconstruct::pose_drift::{POSE, turns};
+use super::drift::{POSE, turns};
+use crate::reconstruct::estimate::phase_fit::at_phase;
 
 /// One point, that of the steepest contrast, is taken from each square of so many pixels a side.
 const CELL_PX: usize = 4;

@@ -8,9 +8,9 @@ use crate::base::random::{CounterRng, Stage};
 use crate::base::{Result, TriangleMesh};
 use crate::splat::{Anchors, Carrier, Frame, Gaussians, Gradients, Wanted};
 
-use super::neighbours;
 use super::optimiser::{AdamConstants, RowAdam, StepCounter};
-use super::settings::{Appearance, Layout};
+use crate::reconstruct::geometry::neighbours;
+use crate::reconstruct::settings::{Appearance, Layout};
 
 /// SH degree of all methods here.
 pub const SH_DEGREE: u8 = 1;

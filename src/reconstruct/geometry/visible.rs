@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::base::Error;
 use crate::splat::View;
 
-use super::settings::Visibility;
+use crate::reconstruct::settings::Visibility;
 
 /// Bounds of what is worth computing.
 #[derive(Clone, Copy, Debug)]

@@ -7,10 +7,10 @@ use rayon::prelude::*;
 use crate::base::Result;
 use crate::splat::{Gaussians, Shape};
 
-use crate::reconstruct::anchored::{Patch, SH_C0};
-use crate::reconstruct::correction::add;
-use crate::reconstruct::phase_fit::at_phase;
-use crate::reconstruct::scope_light::ScopeLight;
+use crate::reconstruct::estimate::phase_fit::at_phase;
+use crate::reconstruct::estimate::window::correction::add;
+use crate::reconstruct::fitting::anchored::{Patch, SH_C0};
+use crate::reconstruct::fitting::scope_light::ScopeLight;
 
 /// Discs per task, at least.
 pub const DISCS: usize = 1024;

@@ -6,11 +6,11 @@ use nalgebra::{DMatrix, DVector};
 use super::Tracker;
 use super::scene::Velocity;
 use crate::base::Result;
-use crate::reconstruct::gauss_newton::{self, Comparison, Evidence, Prior, Robust, Unevenness};
-use crate::reconstruct::level::Level;
-use crate::reconstruct::phase_search::grid_search;
-use crate::reconstruct::pose_drift::{POSE, after, apart, motion};
-use crate::reconstruct::scope_light::ScopeLight;
+use crate::reconstruct::estimate::gauss_newton::{self, Comparison, Evidence, Prior, Robust, Unevenness};
+use crate::reconstruct::estimate::window::drift::{POSE, after, apart, motion};
+use crate::reconstruct::fitting::grid_search::grid_search;
+use crate::reconstruct::fitting::scope_light::ScopeLight;
+use crate::reconstruct::geometry::pyramid::Level;
 use crate::splat::{DepthOutput, Direction, Motion, Settings, View};
 
 /// Longest step of an angle (rad), a place and a correction (mm).

@@ -10,18 +10,19 @@ use std::time::Instant;
 use glam::DVec3;
 
 use crate::base::{Progress, Result, TriangleMesh};
+use crate::reconstruct::fitting::schedule::{rate_factor, scaled_iterations};
 use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Settings, View, Wanted};
 
-use super::active::{Reach, Sides, nothing_in_view, visible_faces};
-use super::anchored::{DiscAdam, Patch, Rates, Start, Surface};
-use super::control_points::ControlField;
-use super::loss::arap::Arap;
-use super::loss::pairs::{self, Pairs};
-use super::loss::photometric::Photometric;
-use super::online::{color_image, fit_in_order, held_out, rendered_prediction};
-use super::optimiser::{Adam, AdamConstants, StepCounter};
-use super::settings::{BridgeMethod, Variant};
-use super::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::fitting::anchored::{DiscAdam, Patch, Rates, Start, Surface};
+use crate::reconstruct::fitting::control_points::ControlField;
+use crate::reconstruct::fitting::loss::arap::Arap;
+use crate::reconstruct::fitting::loss::pairs::{self, Pairs};
+use crate::reconstruct::fitting::loss::photometric::Photometric;
+use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
+use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
+use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction};
+use crate::reconstruct::settings::{BridgeMethod, Variant};
 
 #[cfg(test)]
 #[path = "bridgesplat_tests.rs"]
@@ -115,7 +116,7 @@ impl<'a> State<'a> {
             deformation: None,
             rasterizer: Rasterizer::new(),
             adam: DiscAdam::new(
-                Rates::new(&settings.appearance, super::rate_factor(scale)),
+                Rates::new(&settings.appearance, rate_factor(scale)),
                 StepCounter::Kept,
                 AdamConstants::default(),
             ),
@@ -202,10 +203,10 @@ impl<'a> State<'a> {
         let weights = self.observation.pixel_weights();
         let mut loss =
             Photometric::new(&image.data, image.width, image.height, 0.0, weights.as_deref()).with_norm(s.norm());
-        let iterations = super::scaled_iterations(s.iterations[usize::from(frame > 0)] as f64, self.scale);
-        let sh_from = if frame > 0 { 0 } else { super::scaled_iterations(*s.sh_from_iteration as f64, self.scale) };
+        let iterations = scaled_iterations(s.iterations[usize::from(frame > 0)] as f64, self.scale);
+        let sh_from = if frame > 0 { 0 } else { scaled_iterations(*s.sh_from_iteration as f64, self.scale) };
         let sh_rest = self.adam.rates.sh_rest;
-        let factor = super::rate_factor(self.scale);
+        let factor = rate_factor(self.scale);
         self.adam.begin(patch.discs.len());
         let mut deformation = self.deformation.take().expect("control points are chosen before the first step");
         deformation.adam.begin(deformation.rest.len() * 3, StepCounter::Kept);

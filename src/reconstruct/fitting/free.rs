@@ -8,9 +8,9 @@ use crate::base::random::{CounterRng, Stage};
 use crate::splat::{Gaussians, Gradients, Shape};
 
 use super::anchored::{Rates, SH_C0, SH_DEGREE, SH_VALUES};
-use super::neighbours;
 use super::optimiser::{AdamConstants, RowAdam, StepCounter};
-use super::settings::{Appearance, PerFace};
+use crate::reconstruct::geometry::neighbours;
+use crate::reconstruct::settings::{Appearance, PerFace};
 
 /// All free Gaussians.
 pub struct Free {

@@ -9,7 +9,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::reconstruct::neighbours;
+use crate::reconstruct::geometry::neighbours;
 
 /// Who is near whom at rest.
 pub struct Pairs {
