@@ -11,11 +11,10 @@ use std::time::Instant;
 use clap::Args;
 
 use super::Terminal;
-use crate::base::{Error, NoProgress, Progress, Result, files};
-use crate::bench::variant::replace;
+use crate::base::{Error, NoProgress, Progress, Result};
 use crate::bench::{Catalogue, Freshness, Pipeline, Profile, Store, Wishes, execute};
 use crate::ffi::system::cpu_time_s;
-use crate::reconstruct::{Observation, method, observe};
+use crate::reconstruct::{MethodFile, Observation, observe};
 use crate::report::pareto::{Chart, Point, Standing, write};
 use crate::score::contour::target_errors;
 use crate::score::{final_mesh, statistics};
@@ -41,26 +40,26 @@ pub(super) struct Arguments {
     bench_cases: Option<PathBuf>,
 }
 
-/// The shipped method `id` with the numbers at `changes` replaced (paths of TOML keys).
-struct Variant {
+/// The shipped method `id` with the numbers of `changes` replaced (paths of TOML keys).
+struct PhaseSetting {
     mode: &'static str,
     setting: String,
     id: &'static str,
-    changes: Vec<(&'static [&'static str], toml::Value)>,
+    changes: Vec<(&'static str, toml::Value)>,
     iteration_share: f64,
     standing: Standing,
 }
 
-const STEPS: &[&str] = &["steps"];
-const WIDTH: &[&str] = &["smallest_width"];
-const DISCS: &[&str] = &["discs", "gaussians_per_face"];
-const ADAM_DISCS: &[&str] = &["appearance", "gaussians_per_face"];
-const KEYFRAMES: &[&str] = &["window", "keyframes"];
+const STEPS: &str = "steps";
+const WIDTH: &str = "smallest_width";
+const DISCS: &str = "discs.gaussians_per_face";
+const ADAM_DISCS: &str = "appearance.gaussians_per_face";
+const KEYFRAMES: &str = "window.keyframes";
 
-fn variants() -> Vec<Variant> {
+fn variants() -> Vec<PhaseSetting> {
     let gauss_newton = |mode, setting: String, changes| {
         let standing = Standing::Alternative;
-        Variant { mode, setting, id: "ours-gn", changes, iteration_share: 1.0, standing }
+        PhaseSetting { mode, setting, id: "ours-gn", changes, iteration_share: 1.0, standing }
     };
     let mut all = vec![gauss_newton("Gauss-Newton", "as shipped".into(), Vec::new())];
     all[0].standing = Standing::Default;
@@ -85,9 +84,9 @@ fn variants() -> Vec<Variant> {
     }
     let adam = |mode, setting: String, iteration_share, changes| {
         let standing = Standing::Alternative;
-        Variant { mode, setting, id: "ours", changes, iteration_share, standing }
+        PhaseSetting { mode, setting, id: "ours", changes, iteration_share, standing }
     };
-    all.push(Variant { standing: Standing::Default, ..adam("Adam", "as shipped".into(), 1.0, Vec::new()) });
+    all.push(PhaseSetting { standing: Standing::Default, ..adam("Adam", "as shipped".into(), 1.0, Vec::new()) });
     for share in [0.25, 0.5, 2.0] {
         all.push(adam("Adam: iterations", format!("{share} times"), share, Vec::new()));
     }
@@ -97,21 +96,15 @@ fn variants() -> Vec<Variant> {
     }
     all.push(adam("Adam: discs a face", "4".into(), 1.0, vec![(ADAM_DISCS, toml::Value::from(4))]));
     let plain = adam("Adam", "the paper's equations alone".into(), 1.0, Vec::new());
-    all.push(Variant { id: "ours-plain", ..plain });
+    all.push(PhaseSetting { id: "ours-plain", ..plain });
     all
 }
 
-impl Variant {
-    /// Writes the method's file into `folder` and gives back its path.
-    fn write(&self, methods: &Path, folder: &Path) -> Result<PathBuf> {
-        let name = format!("{}.toml", self.id);
-        let mut table: toml::Table = files::read_toml(&methods.join(&name))?;
-        for (path, value) in &self.changes {
-            replace(&mut table, path, value.clone()).map_err(|e| e.at(methods.join(&name)))?;
-        }
-        let path = folder.join(name);
-        files::write_bytes(&path, table.to_string().as_bytes())?;
-        Ok(path)
+impl PhaseSetting {
+    /// The method's file with the changes; `methods` is the folder of the shipped files.
+    fn method_file(&self, methods: &Path) -> Result<MethodFile> {
+        let file = MethodFile::load(&methods.join(format!("{}.toml", self.id)))?;
+        file.with(self.changes.iter().map(|(key, value)| (*key, value)))
     }
 }
 
@@ -137,10 +130,8 @@ fn films(arguments: &Arguments, catalogue: &Catalogue, terminal: &Terminal) -> R
     pipeline.cases().iter().zip(&finished).map(open).collect()
 }
 
-fn point(film: &Film, variant: &Variant, methods: &Path, iteration_scale: f64) -> Result<Point> {
-    let folder = tempfile::tempdir().map_err(|e| Error::io("making", &std::env::temp_dir(), e))?;
-    let path = variant.write(methods, folder.path())?;
-    let method = method(&path, iteration_scale * variant.iteration_share)?;
+fn point(film: &Film, variant: &PhaseSetting, methods: &Path, iteration_scale: f64) -> Result<Point> {
+    let method = variant.method_file(methods)?.method(iteration_scale * variant.iteration_share)?;
     let observation: Observation = observe(&film.sequence, method.access(), 1)?;
     let frames = film.sequence.frames.len() as f64;
     let mut errors = Vec::new();
@@ -197,14 +188,11 @@ mod tests {
     fn every_variant_is_a_method_that_can_be_read() {
         let methods_folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
         for variant in variants() {
-            let folder = tempfile::tempdir().unwrap();
-            let path = variant.write(&methods_folder, folder.path()).unwrap();
-            assert_eq!(method(&path, 1.0).unwrap().id(), variant.id);
-            let shipped: toml::Table = files::read_toml(&methods_folder.join(format!("{}.toml", variant.id))).unwrap();
-            let written: toml::Table = files::read_toml(&path).unwrap();
-            assert_eq!(shipped == written, variant.changes.is_empty(), "{} {}", variant.mode, variant.setting);
+            let changed = variant.method_file(&methods_folder).unwrap();
+            assert_eq!(changed.header().id, variant.id);
+            let shipped = MethodFile::load(&methods_folder.join(format!("{}.toml", variant.id))).unwrap();
+            let same = shipped.keys() == changed.keys();
+            assert_eq!(same, variant.changes.is_empty(), "{} {}", variant.mode, variant.setting);
         }
-        let mut table = toml::Table::new();
-        assert!(replace(&mut table, STEPS, toml::Value::from(1)).is_err());
     }
 }

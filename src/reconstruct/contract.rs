@@ -4,8 +4,8 @@
 //! of it. Every eighth frame is also rendered *before* its image is looked at (`ahead`).
 
 use glam::DAffine3;
-use serde::{Deserialize, Serialize};
 
+use super::settings::{Listing, MethodHeader};
 use crate::base::{Camera, Error, Image, Mask, Progress, Result, TriangleMesh};
 
 /// What a method asks to see beyond images, times, camera and poses.
@@ -19,17 +19,6 @@ pub struct Access {
     pub true_phase: bool,
     /// How well the poses are known.
     pub poses: Poses,
-}
-
-/// When a method is run.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Listing {
-    /// Unless others are named.
-    #[default]
-    Always,
-    /// Only where it is named: a variant of a row of the table.
-    OnRequest,
 }
 
 /// How well the poses are known that a method is handed.
@@ -135,16 +124,21 @@ pub struct Reconstruction {
 
 /// A reconstruction method.
 pub trait Reconstruct: Send + Sync {
-    /// Its id in tables and folders.
-    fn id(&self) -> &str;
+    /// What its file says, whatever its kind.
+    fn header(&self) -> &MethodHeader;
 
-    /// What it asks to see.
-    fn access(&self) -> Access;
+    /// Its id in tables and folders.
+    fn id(&self) -> &str {
+        &self.header().id
+    }
 
     /// When it is run.
     fn listing(&self) -> Listing {
-        Listing::Always
+        self.header().listing
     }
+
+    /// What it asks to see.
+    fn access(&self) -> Access;
 
     /// Fits all frames in order, handing each answer to `emit`.
     fn run(

@@ -24,14 +24,15 @@ mod prediction;
 mod rough_poses;
 pub mod settings;
 
-pub use contract::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
+pub use contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 pub use fitting::{loss, optimiser};
-pub use library::{method, methods};
+pub use library::{MethodFile, method_files};
 pub use methods::bridgesplat::Bridgesplat;
 pub use methods::bridgesplat_nomesh::BridgesplatNomesh;
-pub use methods::ours::{Ours, Row};
+pub use methods::ours::{GivenPhase, Ours};
 pub use methods::ours_gn::OursGn;
 pub use methods::ours_nomesh::OursNomesh;
 pub use observe::observe;
 pub use prediction::write_prediction;
 pub use rough_poses::rough_poses;
+pub use settings::Listing;

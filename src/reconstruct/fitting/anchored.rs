@@ -10,7 +10,7 @@ use crate::splat::{Anchors, Carrier, Frame, Gaussians, Gradients, Wanted};
 
 use super::optimiser::{AdamConstants, RowAdam, StepCounter};
 use crate::reconstruct::geometry::neighbours;
-use crate::reconstruct::settings::{Appearance, Layout};
+use crate::reconstruct::settings::{AnchoredAppearance, DiscLayout};
 
 /// SH degree of all methods here.
 pub const SH_DEGREE: u8 = 1;
@@ -77,7 +77,7 @@ const PIECE: usize = 4096;
 
 impl Surface {
     /// Discs on `mesh` at rest.
-    pub fn new(mesh: &TriangleMesh, layout: impl Into<Layout>, frame: Frame, start: Start, seed: u64) -> Self {
+    pub fn new(mesh: &TriangleMesh, layout: impl Into<DiscLayout>, frame: Frame, start: Start, seed: u64) -> Self {
         let layout = layout.into();
         let per_face = layout.per_face.resolve(mesh.faces.len(), layout.budget);
         let n = mesh.faces.len() * per_face;
@@ -330,14 +330,15 @@ pub struct Rates {
 }
 
 impl Rates {
-    /// The rates of `settings`, each times `factor`.
-    pub fn new(settings: &Appearance, factor: f64) -> Self {
+    /// The rates that settings name, each times `factor`.
+    pub fn new(settings: impl Into<Rates>, factor: f64) -> Self {
+        let Rates { position, scale, rotation, sh_dc, sh_rest } = settings.into();
         Rates {
-            position: *settings.position_rate * factor,
-            scale: *settings.scale_rate * factor,
-            rotation: settings.rotation_rate.as_ref().map_or(0.0, |r| **r) * factor,
-            sh_dc: *settings.sh_dc_rate * factor,
-            sh_rest: *settings.sh_rest_rate * factor,
+            position: position * factor,
+            scale: scale * factor,
+            rotation: rotation * factor,
+            sh_dc: sh_dc * factor,
+            sh_rest: sh_rest * factor,
         }
     }
 
@@ -363,12 +364,23 @@ impl Rates {
     }
 }
 
+impl From<&AnchoredAppearance> for Rates {
+    fn from(settings: &AnchoredAppearance) -> Self {
+        Rates {
+            position: *settings.rates.position_rate,
+            scale: *settings.scale_rate,
+            rotation: 0.0,
+            sh_dc: *settings.rates.sh_dc_rate,
+            sh_rest: *settings.rates.sh_rest_rate,
+        }
+    }
+}
+
 /// Adam's constants for images of `values` values: with `quiet_values`, a Gaussian that the image hardly shows hardly
 /// moves, where the published epsilon of 1e-15 lets it wander at full speed.
-pub fn adam_constants(settings: &Appearance, values: usize) -> AdamConstants {
-    let quiet = settings.quiet_values.as_ref().map_or(0.0, |q| **q);
+pub fn adam_constants(quiet_values: f64, values: usize) -> AdamConstants {
     let published = AdamConstants::default();
-    AdamConstants { epsilon: published.epsilon.max(quiet * SH_C0 as f64 / values as f64), ..published }
+    AdamConstants { epsilon: published.epsilon.max(quiet_values * SH_C0 as f64 / values as f64), ..published }
 }
 
 /// Optimiser of a patch.

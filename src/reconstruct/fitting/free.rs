@@ -10,7 +10,7 @@ use crate::splat::{Gaussians, Gradients, Shape};
 use super::anchored::{Rates, SH_C0, SH_DEGREE, SH_VALUES};
 use super::optimiser::{AdamConstants, RowAdam, StepCounter};
 use crate::reconstruct::geometry::neighbours;
-use crate::reconstruct::settings::{Appearance, PerFace};
+use crate::reconstruct::settings::{FreeAppearance, GaussianSettings, PerFace};
 
 /// All free Gaussians.
 pub struct Free {
@@ -27,7 +27,7 @@ pub struct Free {
 
 impl Free {
     /// One at each face centroid when `gaussians_per_face` is 1, else so many at random points of the surface.
-    pub fn new(mesh: &TriangleMesh, settings: &Appearance, color: f32, seed: u64) -> Self {
+    pub fn new(mesh: &TriangleMesh, settings: &GaussianSettings, color: f32, seed: u64) -> Self {
         let (first, centres) = match *settings.gaussians_per_face {
             PerFace::Count(1) => {
                 let centroid = |f: usize| mesh.corners(f).iter().sum::<DVec3>() / 3.0;
@@ -127,13 +127,17 @@ pub struct FreePatch {
     pub gaussians: Gaussians<f32>,
 }
 
-/// Which own parameters are learned.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Learned {
-    /// Centres, rotations, scales and colour.
-    All,
-    /// Centres, rotations and colour; scales stay (the code BridgeSplat was built on).
-    AllButScales,
+impl From<&FreeAppearance> for Rates {
+    /// Scales are not learned.
+    fn from(settings: &FreeAppearance) -> Self {
+        Rates {
+            position: *settings.rates.position_rate,
+            scale: 0.0,
+            rotation: *settings.rotation_rate,
+            sh_dc: *settings.rates.sh_dc_rate,
+            sh_rest: *settings.rates.sh_rest_rate,
+        }
+    }
 }
 
 impl FreePatch {
@@ -189,10 +193,10 @@ pub struct FreeAdam {
 }
 
 impl FreeAdam {
-    /// An optimiser with `rates`; where `learned` leaves scales out, their rate is 0.
-    pub fn new(rates: Rates, counter: StepCounter, constants: AdamConstants, learned: Learned) -> Self {
+    /// An optimiser with `rates`.
+    pub fn new(rates: Rates, counter: StepCounter, constants: AdamConstants) -> Self {
         FreeAdam {
-            rates: Rates { scale: if learned == Learned::All { rates.scale } else { 0.0 }, ..rates },
+            rates,
             counter,
             centres: RowAdam::new(constants),
             rotations: RowAdam::new(constants),

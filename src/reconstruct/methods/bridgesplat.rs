@@ -13,7 +13,7 @@ use crate::base::{Progress, Result, TriangleMesh};
 use crate::reconstruct::fitting::schedule::{rate_factor, scaled_iterations};
 use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Settings, View, Wanted};
 
-use crate::reconstruct::contract::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 use crate::reconstruct::fitting::anchored::{DiscAdam, Patch, Rates, Start, Surface};
 use crate::reconstruct::fitting::control_points::ControlField;
 use crate::reconstruct::fitting::loss::arap::Arap;
@@ -22,7 +22,7 @@ use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction};
-use crate::reconstruct::settings::{BridgeMethod, Variant};
+use crate::reconstruct::settings::{BridgeCommon, BridgeObjective, BridgesplatSettings, MethodHeader};
 
 #[cfg(test)]
 #[path = "bridgesplat_tests.rs"]
@@ -30,28 +30,24 @@ mod tests;
 
 /// BridgeSplat with its mesh.
 pub struct Bridgesplat {
-    settings: BridgeMethod,
+    settings: BridgesplatSettings,
     iteration_scale: f64,
 }
 
 impl Bridgesplat {
     /// With `settings`, every iteration count times `iteration_scale`.
-    pub fn new(settings: BridgeMethod, iteration_scale: f64) -> Self {
+    pub fn new(settings: BridgesplatSettings, iteration_scale: f64) -> Self {
         Bridgesplat { settings, iteration_scale }
     }
 }
 
 impl Reconstruct for Bridgesplat {
-    fn id(&self) -> &str {
-        &self.settings.id
+    fn header(&self) -> &MethodHeader {
+        &self.settings.header
     }
 
     fn access(&self) -> Access {
         Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: Poses::True }
-    }
-
-    fn listing(&self) -> Listing {
-        self.settings.listing
     }
 
     fn run(
@@ -66,7 +62,7 @@ impl Reconstruct for Bridgesplat {
         let preparation = start.elapsed().as_secs_f64();
         let fitting = fit_in_order(observation.images.len(), |frame| state.fit(frame), emit, progress)?;
         let faces = observation.inspiration.faces.clone();
-        let vertices = state.vertices.iter().map(|v| *v * *self.settings.unit_mm).collect();
+        let vertices = state.vertices.iter().map(|v| *v * *self.settings.common.unit_mm).collect();
         Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), seconds: preparation + fitting })
     }
 }
@@ -83,7 +79,7 @@ struct Deformation {
 }
 
 struct State<'a> {
-    settings: &'a BridgeMethod,
+    settings: &'a BridgesplatSettings,
     scale: f64,
     observation: &'a Observation,
     rest: Vec<DVec3>,
@@ -100,9 +96,9 @@ struct State<'a> {
 }
 
 impl<'a> State<'a> {
-    fn new(settings: &'a BridgeMethod, scale: f64, observation: &'a Observation) -> Result<Self> {
+    fn new(settings: &'a BridgesplatSettings, scale: f64, observation: &'a Observation) -> Result<Self> {
         let mesh = &observation.inspiration;
-        let unit = *settings.unit_mm;
+        let unit = *settings.common.unit_mm;
         let in_units =
             TriangleMesh { vertices: mesh.vertices.iter().map(|v| *v / unit).collect(), faces: mesh.faces.clone() };
         Ok(State {
@@ -120,7 +116,7 @@ impl<'a> State<'a> {
                 StepCounter::Kept,
                 AdamConstants::default(),
             ),
-            reach: Reach::new(&settings.visibility),
+            reach: Reach::new(&settings.common.visibility),
             image_gradient: Vec::new(),
             by_patch: Vec::new(),
             by_vertex: Vec::new(),
@@ -128,7 +124,7 @@ impl<'a> State<'a> {
     }
 
     fn vertices_mm(&self) -> Vec<[f32; 3]> {
-        let unit = *self.settings.unit_mm;
+        let unit = *self.settings.common.unit_mm;
         self.vertices.iter().map(|v| (*v * unit).as_vec3().to_array()).collect()
     }
 
@@ -179,7 +175,7 @@ impl<'a> State<'a> {
 
     /// Every n-th visible vertex of the first frame.
     fn control_points(&self, visible: &[bool]) -> Result<Deformation> {
-        let s = self.settings;
+        let s = &self.settings.common;
         let step = s.control_subsample.value.max(1) as usize;
         let seen = self.rest.iter().zip(visible).filter(|(_, v)| **v).map(|(p, _)| *p);
         let mut rest: Vec<DVec3> = seen.step_by(step).collect();
@@ -198,7 +194,7 @@ impl<'a> State<'a> {
     }
 
     fn optimise(&mut self, frame: usize, view: &View, patch: &mut Patch, invisible: &[u32]) -> Result<()> {
-        let s = self.settings;
+        let s = &self.settings.common;
         let image = self.observation.images[frame].to_unit();
         let weights = self.observation.pixel_weights();
         let mut loss =
@@ -227,7 +223,7 @@ impl<'a> State<'a> {
             self.vertex_gradient(patch, &local, invisible)?;
             let by_points: Vec<[f32; 3]> = self.by_vertex.iter().map(|g| g.as_vec3().to_array()).collect();
             deformation.field.pull_back(&by_points, &mut by_control);
-            if s.variant == Variant::Full {
+            if self.settings.variant == BridgeObjective::Full {
                 deformation.regularise(s, &mut by_control);
             }
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };
@@ -251,20 +247,20 @@ impl<'a> State<'a> {
     }
 
     fn local_mm(&self, patch: &Patch) -> Vec<[f32; 3]> {
-        let unit = *self.settings.unit_mm;
+        let unit = *self.settings.common.unit_mm;
         patch.vertices.iter().map(|&v| (self.vertices[v as usize] * unit).as_vec3().to_array()).collect()
     }
 
     /// Gradient of colour, ARAP and visibility by all vertices, in units.
     fn vertex_gradient(&mut self, patch: &Patch, local: &[[f32; 3]], invisible: &[u32]) -> Result<()> {
-        let s = self.settings;
+        let s = &self.settings.common;
         patch.vertex_gradient(self.rasterizer.gradients(), local, &mut self.by_patch)?;
         self.by_vertex.clear();
         self.by_vertex.resize(self.rest.len(), DVec3::ZERO);
         for (&v, g) in patch.vertices.iter().zip(&self.by_patch) {
             self.by_vertex[v as usize] = DVec3::from(g.map(f64::from)) * *s.unit_mm;
         }
-        self.arap.evaluate(&self.vertices, *s.arap_weight, &mut self.by_vertex);
+        self.arap.evaluate(&self.vertices, *self.settings.arap_weight, &mut self.by_vertex);
         let delta: Vec<DVec3> = self.vertices.iter().zip(&self.rest).map(|(v, r)| *v - *r).collect();
         let count = invisible.len() as f64;
         pairs::visibility(invisible, &delta, count, *s.visibility_weight, &mut self.by_vertex);
@@ -278,7 +274,7 @@ impl Deformation {
     }
 
     /// Adds the gradients of rigidity and isometry.
-    fn regularise(&self, settings: &BridgeMethod, by_control: &mut [[f32; 3]]) {
+    fn regularise(&self, settings: &BridgeCommon, by_control: &mut [[f32; 3]]) {
         let current = self.positions();
         let mut gradient = vec![DVec3::ZERO; current.len()];
         self.pairs.rigidity(&self.previous, &current, *settings.rigid_weight, &mut gradient);

@@ -17,30 +17,30 @@ use crate::splat::{DepthOutput, ImageGradient, Rasterizer, Settings, View, Wante
 use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 use crate::reconstruct::fitting::anchored::{Rates, to_f32};
 use crate::reconstruct::fitting::control_points::ControlField;
-use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch, Learned};
+use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch};
 use crate::reconstruct::fitting::loss::pairs::{self, Pairs};
 use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction};
-use crate::reconstruct::settings::BridgeMethod;
+use crate::reconstruct::settings::{BridgesplatNomeshSettings, MethodHeader};
 
 /// BridgeSplat without its mesh.
 pub struct BridgesplatNomesh {
-    settings: BridgeMethod,
+    settings: BridgesplatNomeshSettings,
     iteration_scale: f64,
 }
 
 impl BridgesplatNomesh {
     /// With `settings`, every iteration count times `iteration_scale`.
-    pub fn new(settings: BridgeMethod, iteration_scale: f64) -> Self {
+    pub fn new(settings: BridgesplatNomeshSettings, iteration_scale: f64) -> Self {
         BridgesplatNomesh { settings, iteration_scale }
     }
 }
 
 impl Reconstruct for BridgesplatNomesh {
-    fn id(&self) -> &str {
-        &self.settings.id
+    fn header(&self) -> &MethodHeader {
+        &self.settings.header
     }
 
     fn access(&self) -> Access {
@@ -63,7 +63,7 @@ impl Reconstruct for BridgesplatNomesh {
 }
 
 struct State<'a> {
-    settings: &'a BridgeMethod,
+    settings: &'a BridgesplatNomeshSettings,
     scale: f64,
     observation: &'a Observation,
     surface: Vec<[f32; 3]>,
@@ -88,15 +88,16 @@ struct Anchors {
 }
 
 impl Anchors {
-    fn new(settings: &BridgeMethod, centres: &[[f32; 3]], seed: u64) -> Self {
-        let points: Vec<DVec3> = centres.iter().map(|c| glam::Vec3::from(*c).as_dvec3() / *settings.unit_mm).collect();
-        let wanted = (points.len() / settings.control_subsample.value.max(1) as usize).max(1);
+    fn new(settings: &BridgesplatNomeshSettings, centres: &[[f32; 3]], seed: u64) -> Self {
+        let points: Vec<DVec3> =
+            centres.iter().map(|c| glam::Vec3::from(*c).as_dvec3() / *settings.common.unit_mm).collect();
+        let wanted = (points.len() / settings.common.control_subsample.value.max(1) as usize).max(1);
         let mut rng = CounterRng::new(seed, Stage::Method, &[3]);
         let mut ids: Vec<u32> = (0..wanted).map(|_| rng.index(points.len()) as u32).collect();
         ids.sort_unstable();
         ids.dedup();
         let rest: Vec<DVec3> = ids.iter().map(|&i| points[i as usize]).collect();
-        let (count, decay) = (*settings.control_neighbours as usize, *settings.control_decay);
+        let (count, decay) = (*settings.common.control_neighbours as usize, *settings.common.control_decay);
         Anchors {
             field: ControlField::new(&rest, &points, count, decay),
             pairs: Pairs::new(&rest, count, decay),
@@ -118,13 +119,20 @@ impl Anchors {
     }
 
     /// Adds the gradients of the regularisers to those of colour.
-    fn regularise(&self, s: &BridgeMethod, invisible: &[u32], by_shift: &mut [[f32; 3]], by_turn: &mut [[f32; 4]]) {
+    fn regularise(
+        &self,
+        settings: &BridgesplatNomeshSettings,
+        invisible: &[u32],
+        by_shift: &mut [[f32; 3]],
+        by_turn: &mut [[f32; 4]],
+    ) {
+        let s = &settings.common;
         let (positions, quaternions) = (self.positions(), self.quaternions());
         let mut shift = vec![DVec3::ZERO; positions.len()];
         let mut turn = vec![[0.0; 4]; positions.len()];
         self.pairs.rigidity(&self.previous.0, &positions, *s.rigid_weight, &mut shift);
         self.pairs.isometry(&positions, *s.isometry_weight, &mut shift);
-        self.pairs.rotation(&self.previous.1, &quaternions, *s.rotation_weight, &mut turn);
+        self.pairs.rotation(&self.previous.1, &quaternions, *settings.rotation_weight, &mut turn);
         let moved: Vec<DVec3> = positions.iter().zip(&self.rest).map(|(p, r)| *p - *r).collect();
         pairs::visibility(invisible, &moved, invisible.len() as f64 + 1.0, *s.visibility_weight, &mut shift);
         for ((out, g), (out_turn, g_turn)) in by_shift.iter_mut().zip(&shift).zip(by_turn.iter_mut().zip(&turn)) {
@@ -140,8 +148,8 @@ impl Anchors {
 }
 
 impl<'a> State<'a> {
-    fn new(settings: &'a BridgeMethod, scale: f64, observation: &'a Observation) -> Self {
-        let free = Free::new(&observation.inspiration, &settings.appearance, 1.0, observation.seed);
+    fn new(settings: &'a BridgesplatNomeshSettings, scale: f64, observation: &'a Observation) -> Self {
+        let free = Free::new(&observation.inspiration, &settings.appearance.gaussians, 1.0, observation.seed);
         State {
             settings,
             scale,
@@ -154,9 +162,8 @@ impl<'a> State<'a> {
                 Rates::new(&settings.appearance, rate_factor(scale)),
                 StepCounter::Kept,
                 AdamConstants::default(),
-                Learned::AllButScales,
             ),
-            reach: Reach::new(&settings.visibility),
+            reach: Reach::new(&settings.common.visibility),
             image_gradient: Vec::new(),
         }
     }
@@ -165,7 +172,7 @@ impl<'a> State<'a> {
         let (mut shift, mut turn) = (Vec::new(), Vec::new());
         field.apply(&self.anchors.displacement, &mut shift);
         field.apply(&self.anchors.turn, &mut turn);
-        let unit = *self.settings.unit_mm as f32;
+        let unit = *self.settings.common.unit_mm as f32;
         patch.place(|k| shift[k].map(|v| v * unit), |k| turn[k]);
     }
 
@@ -210,7 +217,7 @@ impl<'a> State<'a> {
         field: &ControlField,
         invisible: &[u32],
     ) -> Result<()> {
-        let s = self.settings;
+        let s = &self.settings.common;
         let image = self.observation.images[frame].to_unit();
         let weights = self.observation.pixel_weights();
         let mut loss =
@@ -238,7 +245,7 @@ impl<'a> State<'a> {
             let by_points: Vec<[f32; 3]> = gradients.positions.iter().map(|g| g.map(|v| v * unit)).collect();
             field.pull_back(&by_points, &mut by_shift);
             field.pull_back(&gradients.rotations, &mut by_turn);
-            self.anchors.regularise(s, invisible, &mut by_shift, &mut by_turn);
+            self.anchors.regularise(self.settings, invisible, &mut by_shift, &mut by_turn);
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };
             patch.step(&mut self.adam, gradients, &self.rasterizer.rendered().visible);
             self.anchors.step(*s.displacement_rate * factor, &by_shift, &by_turn);

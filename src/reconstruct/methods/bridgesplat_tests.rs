@@ -9,7 +9,7 @@ use super::*;
 use crate::base::image::codes_from_unit;
 use crate::base::{Camera, Image};
 use crate::reconstruct::fitting::anchored::{SH_C0, SH_VALUES, to_f32};
-use crate::reconstruct::methods::tests::bridge;
+use crate::reconstruct::methods::tests::bridgesplat;
 
 const FRAMES: usize = 14;
 /// Frames in which nothing moves yet.
@@ -88,7 +88,7 @@ fn color(surface: &mut Surface, positions: &[[f32; 3]]) {
 /// What a still camera sees of it while the deformation grows, and the surface at the end.
 fn film(bump: Bump, most: f64) -> (Observation, Vec<DVec3>) {
     let rest = patch();
-    let settings = bridge("bridgesplat").appearance;
+    let settings = bridgesplat().appearance;
     let mut surface = Surface::new(&rest, &settings, Frame::NormalOnly, Start::Random, SEED);
     let camera = Camera::pinhole(72, 72, 0.9);
     let view = View::new(camera, DAffine3::IDENTITY);
@@ -132,7 +132,7 @@ enum Colors {
 }
 
 /// Root mean square distance of the recovered surface to the true one in mm.
-fn error_mm(settings: &BridgeMethod, colors: Colors, observation: &Observation, truth: &[DVec3]) -> f64 {
+fn error_mm(settings: &BridgesplatSettings, colors: Colors, observation: &Observation, truth: &[DVec3]) -> f64 {
     let mut state = State::new(settings, 1.0, observation).unwrap();
     if colors == Colors::Known {
         let faces: Vec<u32> = (0..observation.inspiration.faces.len() as u32).collect();
@@ -143,7 +143,7 @@ fn error_mm(settings: &BridgeMethod, colors: Colors, observation: &Observation, 
     for frame in 0..observation.images.len() {
         state.fit(frame).unwrap();
     }
-    let off: Vec<DVec3> = state.vertices.iter().zip(truth).map(|(v, t)| *v * *settings.unit_mm - *t).collect();
+    let off: Vec<DVec3> = state.vertices.iter().zip(truth).map(|(v, t)| *v * *settings.common.unit_mm - *t).collect();
     let rms = |of: fn(&DVec3) -> f64| (off.iter().map(of).sum::<f64>() / off.len() as f64).sqrt();
     println!("sideways {:.3} mm, in depth {:.3} mm", rms(|d| d.truncate().length_squared()), rms(|d| d.z * d.z));
     rms(|d| d.length_squared())
@@ -151,11 +151,11 @@ fn error_mm(settings: &BridgeMethod, colors: Colors, observation: &Observation, 
 
 #[test]
 fn a_planted_smooth_deformation_of_5_mm_is_recovered() {
-    let shipped = bridge("bridgesplat");
+    let shipped = bridgesplat();
     let (observation, truth) = film(Bump::Wide, 1.0);
     let error = error_mm(&shipped, Colors::Known, &observation, &truth);
     let mut frozen = shipped.clone();
-    frozen.displacement_rate.value = 0.0;
+    frozen.common.displacement_rate.value = 0.0;
     let without = error_mm(&frozen, Colors::Known, &observation, &truth);
     let at_random = error_mm(&shipped, Colors::Random, &observation, &truth);
     let (narrow, narrow_truth) = film(Bump::Narrow, 1.0);
@@ -181,6 +181,6 @@ fn a_planted_smooth_deformation_of_5_mm_is_recovered() {
 #[test]
 fn what_does_not_move_is_left_in_place() {
     let (observation, truth) = film(Bump::Wide, 0.0);
-    let error = error_mm(&bridge("bridgesplat"), Colors::Known, &observation, &truth);
+    let error = error_mm(&bridgesplat(), Colors::Known, &observation, &truth);
     assert!(error <= 0.5, "{error}");
 }

@@ -6,7 +6,7 @@ use crate::base::{Progress, Result, mesh};
 use crate::reconstruct::fitting::schedule::rate_factor;
 use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
 
-use crate::reconstruct::contract::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 use crate::reconstruct::estimate::phase_fit::{self, Carried, PhaseSource, at_phase};
 use crate::reconstruct::estimate::window::correction::Correction;
 use crate::reconstruct::estimate::window::{Setting, Shape, Window};
@@ -16,51 +16,60 @@ use crate::reconstruct::fitting::optimiser::StepCounter;
 use crate::reconstruct::geometry::mesh_depth::{Rays, unhidden};
 use crate::reconstruct::geometry::pyramid::Level;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
-use crate::reconstruct::settings::PhaseMethod;
+use crate::reconstruct::settings::{GivenPhaseSettings, KeyframeSettings, MethodHeader, OursSettings, PhaseEstimation};
 
 /// Phases farther apart may show what is hidden at both of them. A hair above the reach of a frame with a guess, which
 /// rounding may widen.
 const WIDEST_REACH: f64 = 2.0 * phase_fit::REACH + 1e-6;
 
-/// Which row of the report.
+/// The phase that a sanity row is given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Row {
-    /// The paper's method.
-    Ours,
-    /// Inspiration mesh, no deformation.
-    StaticCt,
-    /// True phase.
-    OraclePhase,
+pub enum GivenPhase {
+    /// 0 throughout: the inspiration mesh, which does not move.
+    Inspiration,
+    /// The true one.
+    True,
+}
+
+/// Which row of the report.
+enum ReportRow {
+    /// The paper's method, with how it estimates the phase and its keyframes.
+    Estimated(PhaseEstimation, KeyframeSettings),
+    /// A sanity row.
+    Given(GivenPhase),
 }
 
 /// Mesh-anchored method with one phase per frame.
 pub struct Ours {
-    settings: PhaseMethod,
-    row: Row,
+    settings: GivenPhaseSettings,
+    row: ReportRow,
     iteration_scale: f64,
 }
 
 impl Ours {
-    /// With `settings`, every iteration count times `iteration_scale`.
-    pub fn new(settings: PhaseMethod, row: Row, iteration_scale: f64) -> Self {
-        Ours { settings, row, iteration_scale }
+    /// The paper's method, with every iteration count times `iteration_scale`.
+    pub fn new(settings: OursSettings, iteration_scale: f64) -> Self {
+        let OursSettings { header, fit, estimation, window, discs } = settings;
+        let row = ReportRow::Estimated(estimation, window);
+        Ours { settings: GivenPhaseSettings { header, fit, discs }, row, iteration_scale }
+    }
+
+    /// The same with the phase given.
+    pub fn with_given_phase(settings: GivenPhaseSettings, phase: GivenPhase, iteration_scale: f64) -> Self {
+        Ours { settings, row: ReportRow::Given(phase), iteration_scale }
     }
 }
 
 impl Reconstruct for Ours {
-    fn id(&self) -> &str {
-        &self.settings.id
-    }
-
-    fn listing(&self) -> Listing {
-        self.settings.listing
+    fn header(&self) -> &MethodHeader {
+        &self.settings.header
     }
 
     fn access(&self) -> Access {
         Access {
-            expiration_mesh: self.row != Row::StaticCt,
-            first_depth: self.row == Row::Ours,
-            true_phase: self.row == Row::OraclePhase,
+            expiration_mesh: !matches!(self.row, ReportRow::Given(GivenPhase::Inspiration)),
+            first_depth: matches!(self.row, ReportRow::Estimated(..)),
+            true_phase: matches!(self.row, ReportRow::Given(GivenPhase::True)),
             poses: Poses::True,
         }
     }
@@ -73,15 +82,28 @@ impl Reconstruct for Ours {
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
         let start = std::time::Instant::now();
-        let mut carried = OnMesh::new(&self.settings, self.iteration_scale, observation)?;
-        let preparation = start.elapsed().as_secs_f64();
-        let source = match self.row {
-            Row::Ours => PhaseSource::Estimated,
-            Row::StaticCt => PhaseSource::Given(vec![0.0; observation.images.len()]),
-            Row::OraclePhase => PhaseSource::Given(observation.true_phase.clone().unwrap_or_default()),
+        let window = match &self.row {
+            ReportRow::Estimated(_, keyframes) => Window::new(keyframes, None),
+            ReportRow::Given(_) => None,
         };
-        let (phase, mut done) =
-            phase_fit::run(&self.settings, self.iteration_scale, &source, observation, &mut carried, emit, progress)?;
+        let mut carried = OnMesh::new(&self.settings, window, self.iteration_scale, observation)?;
+        let preparation = start.elapsed().as_secs_f64();
+        let source = match &self.row {
+            ReportRow::Estimated(estimation, _) => PhaseSource::Estimated(estimation),
+            ReportRow::Given(GivenPhase::Inspiration) => PhaseSource::Given(vec![0.0; observation.images.len()]),
+            ReportRow::Given(GivenPhase::True) => {
+                PhaseSource::Given(observation.true_phase.clone().unwrap_or_default())
+            }
+        };
+        let (phase, mut done) = phase_fit::run(
+            &self.settings.fit,
+            self.iteration_scale,
+            &source,
+            observation,
+            &mut carried,
+            emit,
+            progress,
+        )?;
         done.final_mesh = Some(phase_fit::mesh_at(observation, phase));
         done.seconds += preparation;
         Ok(done)
@@ -114,22 +136,28 @@ struct Seen {
 }
 
 impl OnMesh {
-    fn new(settings: &PhaseMethod, iteration_scale: f64, observation: &Observation) -> Result<Self> {
+    fn new(
+        settings: &GivenPhaseSettings,
+        window: Option<Window>,
+        iteration_scale: f64,
+        observation: &Observation,
+    ) -> Result<Self> {
+        let discs = &settings.discs;
         let rest = &observation.inspiration;
         let expiration = observation.expiration.as_ref().unwrap_or(rest);
-        let rates = Rates::new(&settings.appearance, rate_factor(iteration_scale));
-        let constants = adam_constants(&settings.appearance, observation.images[0].data.len());
+        let rates = Rates::new(&discs.appearance, rate_factor(iteration_scale));
+        let constants = adam_constants(*discs.quiet_values, observation.images[0].data.len());
         let surface =
-            Surface::new(rest, &settings.appearance, Frame::from(*settings.inherits), Start::Even, observation.seed);
+            Surface::new(rest, &discs.appearance, Frame::from(*discs.on_face.inherits), Start::Even, observation.seed);
         Ok(OnMesh {
             memory: Memory::new(surface.len()),
-            window: Window::new(&settings.window, None),
-            pixels_per_disc: *settings.pixels_per_disc as f32,
-            most_per_face: *settings.most_per_face as f32,
+            window,
+            pixels_per_disc: *discs.on_face.pixels_per_disc as f32,
+            most_per_face: *discs.on_face.most_per_face as f32,
             surface,
             inspiration: to_f32(&rest.vertices),
             displacement: mesh::displacement(rest, expiration),
-            reach: Reach::new(&settings.visibility),
+            reach: Reach::new(&settings.fit.visibility),
             rays: Rays::new(&observation.camera),
             adam: DiscAdam::new(rates, StepCounter::Restarted, constants),
             seen: None,

@@ -10,32 +10,32 @@ use crate::splat::{Gaussians, Gradients, View, Wanted};
 use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
 use crate::reconstruct::estimate::phase_fit::{self, Carried, PhaseSource};
 use crate::reconstruct::fitting::anchored::{Rates, adam_constants, to_f32};
-use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch, Learned};
+use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch};
 use crate::reconstruct::fitting::memory::Memory;
 use crate::reconstruct::fitting::optimiser::StepCounter;
 use crate::reconstruct::geometry::neighbours;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
-use crate::reconstruct::settings::PhaseMethod;
+use crate::reconstruct::settings::{MethodHeader, OursNomeshSettings};
 
 /// Mesh vertices whose displacements a Gaussian averages.
 const FIELD_NEIGHBOURS: usize = 4;
 
 /// Free Gaussians with one phase per frame.
 pub struct OursNomesh {
-    settings: PhaseMethod,
+    settings: OursNomeshSettings,
     iteration_scale: f64,
 }
 
 impl OursNomesh {
     /// With `settings`, every iteration count times `iteration_scale`.
-    pub fn new(settings: PhaseMethod, iteration_scale: f64) -> Self {
+    pub fn new(settings: OursNomeshSettings, iteration_scale: f64) -> Self {
         OursNomesh { settings, iteration_scale }
     }
 }
 
 impl Reconstruct for OursNomesh {
-    fn id(&self) -> &str {
-        &self.settings.id
+    fn header(&self) -> &MethodHeader {
+        &self.settings.header
     }
 
     fn access(&self) -> Access {
@@ -52,9 +52,16 @@ impl Reconstruct for OursNomesh {
         let start = std::time::Instant::now();
         let mut carried = InField::new(&self.settings, self.iteration_scale, observation);
         let preparation = start.elapsed().as_secs_f64();
-        let source = PhaseSource::Estimated;
-        let (_, mut done) =
-            phase_fit::run(&self.settings, self.iteration_scale, &source, observation, &mut carried, emit, progress)?;
+        let source = PhaseSource::Estimated(&self.settings.estimation);
+        let (_, mut done) = phase_fit::run(
+            &self.settings.fit,
+            self.iteration_scale,
+            &source,
+            observation,
+            &mut carried,
+            emit,
+            progress,
+        )?;
         done.seconds += preparation;
         Ok(done)
     }
@@ -74,10 +81,10 @@ struct InField {
 }
 
 impl InField {
-    fn new(settings: &PhaseMethod, iteration_scale: f64, observation: &Observation) -> Self {
+    fn new(settings: &OursNomeshSettings, iteration_scale: f64, observation: &Observation) -> Self {
         let rest = &observation.inspiration;
         let expiration = observation.expiration.as_ref().unwrap_or(rest);
-        let free = Free::new(rest, &settings.appearance, 0.5, observation.seed);
+        let free = Free::new(rest, &settings.appearance.gaussians, 0.5, observation.seed);
         let centres: Vec<_> = free.centres.iter().map(|c| glam::Vec3::from(*c).as_dvec3()).collect();
         let displacement = neighbours::nearest(&rest.vertices, &centres, FIELD_NEIGHBOURS)
             .iter()
@@ -92,17 +99,17 @@ impl InField {
             })
             .collect();
         let memory = Memory::new(free.centres.len());
+        let rates = Rates { scale: *settings.scale_rate, ..Rates::from(&settings.appearance) };
         InField {
             free,
             displacement,
             faces: rest.faces.clone(),
             ends: [to_f32(&rest.vertices), to_f32(&expiration.vertices)],
-            reach: Reach::new(&settings.visibility),
+            reach: Reach::new(&settings.fit.visibility),
             adam: FreeAdam::new(
-                Rates::new(&settings.appearance, rate_factor(iteration_scale)),
+                Rates::new(rates, rate_factor(iteration_scale)),
                 StepCounter::Restarted,
-                adam_constants(&settings.appearance, observation.images[0].data.len()),
-                Learned::All,
+                adam_constants(*settings.quiet_values, observation.images[0].data.len()),
             ),
             patch: None,
             local: Vec::new(),

@@ -6,13 +6,16 @@ use crate::base::camera::world_from_camera_looking;
 use crate::base::image::codes_from_unit;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Camera, Image, TriangleMesh};
-use crate::base::{NoProgress, files, mesh};
+use crate::base::{NoProgress, mesh};
 use crate::reconstruct::fitting::anchored::{DiscAdam, Rates, SH_VALUES, Start, Surface, to_f32};
 use crate::reconstruct::fitting::free::Free;
 use crate::reconstruct::fitting::optimiser::{AdamConstants, StepCounter};
 use crate::reconstruct::geometry::visible::{Reach, Sides, visible_faces};
 use crate::reconstruct::online::depth_image;
-use crate::reconstruct::settings::PhaseMethod;
+use crate::reconstruct::settings::{
+    AnchoredAppearance, Auto, BridgesplatNomeshSettings, BridgesplatSettings, FitSettings, GaussianSettings,
+    GivenPhaseSettings, MethodSettings, OursGnSettings, OursNomeshSettings, OursSettings, PerFace,
+};
 use crate::reconstruct::*;
 use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Rendered, Settings, View, Wanted};
 
@@ -72,10 +75,11 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
         let t = v.z / 60.0;
         *v = DVec3::new(v.x * (1.0 - 0.12 * t), v.y * (1.0 - 0.12 * t) + 2.0 * t * t, v.z + 4.0 + 6.0 * t);
     }
-    let mut settings = shipped("ours").appearance;
-    settings.gaussian_budget.value = 7000;
+    let mut settings = shipped_discs();
+    settings.gaussians.gaussian_budget.value = 7000;
     let mut surface = Surface::new(&inspiration, &settings, Frame::InheritStretch, Start::Even, 5);
-    let mut free = Free::new(&inspiration, &bridge("bridgesplat-nomesh").appearance, 1.0, 5);
+    let free = shipped::<BridgesplatNomeshSettings>("bridgesplat-nomesh").appearance;
+    let mut free = Free::new(&inspiration, &free.gaussians, 1.0, 5);
     let grain = if made == Made::Discs { 1.0 } else { 0.0 };
     paint(&inspiration, [0.75, 0.4, 0.35], grain, &mut surface.sh);
     paint(&inspiration, [0.95, 0.85, 0.8], grain, &mut free.sh);
@@ -119,9 +123,13 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
     }
 }
 
-fn shipped(id: &str) -> PhaseMethod {
+fn shipped<S: MethodSettings>(id: &str) -> S {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
-    files::read_toml(&folder.join(format!("{id}.toml"))).unwrap()
+    MethodFile::load(&folder.join(format!("{id}.toml"))).unwrap().settings().unwrap()
+}
+
+fn shipped_discs() -> AnchoredAppearance {
+    shipped::<OursSettings>("ours").discs.appearance
 }
 
 pub fn psnr(a: &Image<f32>, b: &Image<u8>) -> f64 {
@@ -154,29 +162,34 @@ fn breath(t: usize) -> f64 {
 }
 
 /// The test world has no light of its own and a small mesh.
-fn unlit(id: &str) -> PhaseMethod {
-    let mut settings = shipped(id);
-    settings.falloff_exponent.value = 0.0;
-    settings.exposure_limit.value = 0.0;
-    settings.appearance.gaussian_budget.value = 7000;
+fn unlight(fit: &mut FitSettings, gaussians: &mut GaussianSettings) {
+    fit.falloff_exponent.value = 0.0;
+    fit.exposure_limit.value = 0.0;
+    gaussians.gaussian_budget.value = 7000;
+}
+
+fn unlit_with_given_phase(id: &str) -> GivenPhaseSettings {
+    let mut settings: GivenPhaseSettings = shipped(id);
+    unlight(&mut settings.fit, &mut settings.discs.appearance.gaussians);
     settings
 }
 
-pub fn bridge(id: &str) -> settings::BridgeMethod {
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
-    let mut settings: settings::BridgeMethod = files::read_toml(&folder.join(format!("{id}.toml"))).unwrap();
-    settings.appearance.gaussian_budget.value = 7000;
+/// `bridgesplat` for a small mesh.
+pub fn bridgesplat() -> BridgesplatSettings {
+    let mut settings: BridgesplatSettings = shipped("bridgesplat");
+    settings.appearance.gaussians.gaussian_budget.value = 7000;
     settings
 }
 
 #[test]
 fn ours_recovers_its_world_and_the_planted_phase() {
     let observation = world(Made::Discs, 24, 64, breath);
-    let mut settings = unlit("ours");
+    let mut settings: OursSettings = shipped("ours");
+    unlight(&mut settings.fit, &mut settings.discs.appearance.gaussians);
     // What shows of coarse, overlapping discs moves otherwise than the wall does: here the splats alone are tested, and
     // the window in its own room.
     settings.window.keyframes.value = 0;
-    let (psnr, answers) = recover(&Ours::new(settings, Row::Ours, 0.5), &observation);
+    let (psnr, answers) = recover(&Ours::new(settings, 0.5), &observation);
     let truth = observation.true_phase.as_ref().unwrap();
     let errors: Vec<f64> = answers.iter().zip(truth).map(|(p, t)| (p.phase.unwrap() - t).abs()).collect();
     let mae = errors.iter().sum::<f64>() / errors.len() as f64;
@@ -186,13 +199,12 @@ fn ours_recovers_its_world_and_the_planted_phase() {
 }
 
 /// `ours-gn` for a world of coarse discs without a light of its own.
-fn unlit_gn() -> settings::GaussNewtonMethod {
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
-    let mut settings: settings::GaussNewtonMethod = files::read_toml(&folder.join("ours-gn.toml")).unwrap();
+fn unlit_gn() -> OursGnSettings {
+    let mut settings: OursGnSettings = shipped("ours-gn");
     settings.falloff_exponent.value = 0.0;
     settings.scope.emission_half_angle_deg.value = 0.0;
     settings.scope.vignette.value = 0.0;
-    settings.discs.gaussians_per_face.value = settings::PerFace::Auto(settings::Auto::Auto);
+    settings.discs.gaussians_per_face.value = PerFace::Auto(Auto::Auto);
     settings.discs.gaussian_budget.value = 7000;
     // The world's discs have gaps between them.
     settings.discs.initial_scale.value = 0.6;
@@ -273,16 +285,18 @@ fn ours_gn_finds_a_planted_error_of_the_registration() {
 #[test]
 fn ours_nomesh_recovers_its_world() {
     let observation = world(Made::Discs, 24, 64, breath);
-    let (psnr, _) = recover(&OursNomesh::new(unlit("ours-nomesh"), 0.5), &observation);
+    let mut settings: OursNomeshSettings = shipped("ours-nomesh");
+    unlight(&mut settings.fit, &mut settings.appearance.gaussians);
+    let (psnr, _) = recover(&OursNomesh::new(settings, 0.5), &observation);
     assert!(psnr >= 38.0, "{psnr}");
 }
 
 #[test]
 fn bridgesplat_recovers_its_world() {
     let observation = world(Made::SmoothDiscs, 32, 64, |_| 0.0);
-    let mut settings = bridge("bridgesplat");
+    let mut settings = bridgesplat();
     // Nearer to the published 25 discs a face: with 2, the constant rates leave a jitter of 37 dB.
-    settings.appearance.gaussian_budget.value = 4 * observation.inspiration.faces.len() as u32;
+    settings.appearance.gaussians.gaussian_budget.value = 4 * observation.inspiration.faces.len() as u32;
     let (psnr, _) = recover(&Bridgesplat::new(settings, 1.0), &observation);
     assert!(psnr >= 38.0, "{psnr}");
 }
@@ -290,25 +304,27 @@ fn bridgesplat_recovers_its_world() {
 #[test]
 fn bridgesplat_nomesh_recovers_its_world() {
     let observation = world(Made::Free, 24, 64, |_| 0.0);
-    let (psnr, _) = recover(&BridgesplatNomesh::new(bridge("bridgesplat-nomesh"), 1.0), &observation);
+    let (psnr, _) = recover(&BridgesplatNomesh::new(shipped("bridgesplat-nomesh"), 1.0), &observation);
     assert!(psnr >= 38.0, "{psnr}");
 }
 
 #[test]
 fn sanity_rows_recover_what_they_can() {
     let observation = world(Made::Free, 12, 64, |t| 0.1 * t as f64 / 12.0);
-    let (oracle, _) = recover(&Ours::new(unlit("oracle-phase"), Row::OraclePhase, 0.5), &observation);
+    let settings = unlit_with_given_phase("oracle-phase");
+    let (oracle, _) = recover(&Ours::with_given_phase(settings, GivenPhase::True, 0.5), &observation);
     assert!(oracle >= 38.0, "{oracle}");
     let still = world(Made::Discs, 12, 64, |_| 0.0);
-    let (fixed, _) = recover(&Ours::new(unlit("static-ct"), Row::StaticCt, 0.5), &still);
+    let settings = unlit_with_given_phase("static-ct");
+    let (fixed, _) = recover(&Ours::with_given_phase(settings, GivenPhase::Inspiration, 0.5), &still);
     assert!(fixed >= 38.0, "{fixed}");
 }
 
 #[test]
 fn a_face_that_comes_near_gets_more_discs_and_looks_as_before() {
     let mesh = tube(24, 18, 40.0);
-    let mut settings = shipped("ours").appearance;
-    settings.gaussian_budget.value = 1;
+    let mut settings = shipped_discs();
+    settings.gaussians.gaussian_budget.value = 1;
     let mut surface = Surface::new(&mesh, &settings, Frame::InheritStretch, Start::Even, 5);
     paint(&mesh, [0.75, 0.4, 0.35], 0.0, &mut surface.sh);
     let view = View::new(
@@ -343,9 +359,9 @@ fn a_face_that_comes_near_gets_more_discs_and_looks_as_before() {
 #[test]
 fn frozen_groups_have_no_gradients_and_no_moments() {
     let inspiration = tube(24, 24, 60.0);
-    let mut settings = shipped("ours").appearance;
-    settings.gaussian_budget.value = 3000;
-    settings.position_rate.value = 0.0;
+    let mut settings = shipped_discs();
+    settings.gaussians.gaussian_budget.value = 3000;
+    settings.rates.position_rate.value = 0.0;
     settings.scale_rate.value = 0.0;
     let surface = Surface::new(&inspiration, &settings, Frame::InheritStretch, Start::Even, 5);
     let faces: Vec<u32> = (0..inspiration.faces.len() as u32).collect();
@@ -385,16 +401,16 @@ fn frozen_groups_have_no_gradients_and_no_moments() {
 #[test]
 fn ours_tracks_with_frozen_geometry() {
     let observation = world(Made::Discs, 8, 64, |t| 0.3 + 0.03 * t as f64);
-    let mut settings = shipped("ours");
-    settings.appearance.gaussian_budget.value = 7000;
-    settings.appearance.position_rate.value = 0.0;
-    settings.appearance.scale_rate.value = 0.0;
+    let mut settings: OursSettings = shipped("ours");
+    settings.discs.appearance.gaussians.gaussian_budget.value = 7000;
+    settings.discs.appearance.rates.position_rate.value = 0.0;
+    settings.discs.appearance.scale_rate.value = 0.0;
     let mut phases = Vec::new();
     let mut keep = |p: FramePrediction| {
         phases.push(p.phase.unwrap());
         Ok(())
     };
-    Ours::new(settings, Row::Ours, 1.0).run(&observation, &mut keep, &NoProgress).unwrap();
+    Ours::new(settings, 1.0).run(&observation, &mut keep, &NoProgress).unwrap();
     let truth = observation.true_phase.unwrap();
     let error = phases.iter().zip(&truth).map(|(a, b)| (a - b).abs()).sum::<f64>() / truth.len() as f64;
     assert!(error < 0.03, "phase error {error}");

@@ -26,7 +26,7 @@ use crate::reconstruct::fitting::memory::{Memory, Shown, shift};
 use crate::reconstruct::fitting::scope_light::{ScopeLight, Shade};
 use crate::reconstruct::geometry::pyramid::Level;
 use crate::reconstruct::online::{color_image, fit_in_order, held_out};
-use crate::reconstruct::settings::PhaseMethod;
+use crate::reconstruct::settings::{FitSettings, PhaseEstimation};
 
 /// How far a frame's phase may be from its guess.
 pub const REACH: f64 = 0.15;
@@ -69,18 +69,19 @@ pub trait Carried {
 
 /// Where the phase comes from.
 #[derive(Clone, Debug)]
-pub enum PhaseSource {
+pub enum PhaseSource<'a> {
     /// Estimated from RGB; the first one by depth.
-    Estimated,
+    Estimated(&'a PhaseEstimation),
     /// Given for every frame (`static-ct`: zeros; `oracle-phase`: the truth).
     Given(Vec<f64>),
 }
 
 /// The running estimate.
 struct Fitter<'a> {
-    settings: &'a PhaseMethod,
+    settings: &'a FitSettings,
+    /// `None` where the phase is given.
+    estimation: Option<&'a PhaseEstimation>,
     observation: &'a Observation,
-    activation: PhaseActivation,
     scale: f64,
     rasterizer: Rasterizer<f32>,
     gradient: Vec<f32>,
@@ -93,9 +94,9 @@ struct Fitter<'a> {
 
 /// Runs the loop over all frames.
 pub fn run(
-    settings: &PhaseMethod,
+    settings: &FitSettings,
     iteration_scale: f64,
-    source: &PhaseSource,
+    source: &PhaseSource<'_>,
     observation: &Observation,
     carried: &mut dyn Carried,
     emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
@@ -103,8 +104,11 @@ pub fn run(
 ) -> Result<(f64, Reconstruction)> {
     let mut fitter = Fitter {
         settings,
+        estimation: match source {
+            PhaseSource::Estimated(estimation) => Some(estimation),
+            PhaseSource::Given(_) => None,
+        },
         observation,
-        activation: PhaseActivation { kind: *settings.activation, leak: *settings.phase_leak },
         scale: iteration_scale,
         rasterizer: Rasterizer::new(),
         gradient: Vec::new(),
@@ -135,7 +139,16 @@ pub fn mesh_at(observation: &Observation, phase: f64) -> TriangleMesh {
     TriangleMesh { vertices, faces: observation.inspiration.faces.clone() }
 }
 
-impl Fitter<'_> {
+impl<'a> Fitter<'a> {
+    fn estimation(&self) -> &'a PhaseEstimation {
+        self.estimation.expect("nothing asks how the phase is estimated where it is given")
+    }
+
+    fn activation(&self) -> PhaseActivation {
+        let estimation = self.estimation();
+        PhaseActivation { kind: *estimation.activation, leak: *estimation.phase_leak }
+    }
+
     fn view(&self, frame: usize) -> View {
         View::new(self.observation.camera, self.observation.world_from_camera[frame])
     }
@@ -149,7 +162,7 @@ impl Fitter<'_> {
         match *self.phases.as_slice() {
             [] => 0.0,
             [only] => only,
-            [.., before, last] if frame > 1 => (last + *self.settings.velocity * (last - before)).clamp(0.0, 1.0),
+            [.., before, last] if frame > 1 => (last + *self.estimation().velocity * (last - before)).clamp(0.0, 1.0),
             [.., last] => last,
         }
     }
@@ -159,13 +172,13 @@ impl Fitter<'_> {
         scaled_iterations(self.settings.iterations[stage] as f64 * factor, self.scale)
     }
 
-    fn fit(&mut self, frame: usize, source: &PhaseSource, carried: &mut dyn Carried) -> Result<FramePrediction> {
+    fn fit(&mut self, frame: usize, source: &PhaseSource<'_>, carried: &mut dyn Carried) -> Result<FramePrediction> {
         let view = self.view(frame);
         let (width, height) = (view.camera.width as usize, view.camera.height as usize);
-        let estimated = matches!(source, PhaseSource::Estimated);
+        let estimated = self.estimation.is_some();
         let mut phase = match source {
             PhaseSource::Given(phases) => phases[frame],
-            PhaseSource::Estimated => self.guess(frame),
+            PhaseSource::Estimated(_) => self.guess(frame),
         };
         let reach = match (estimated, frame) {
             (true, 0) => [0.0, 1.0],
@@ -186,7 +199,8 @@ impl Fitter<'_> {
         };
         // From here on the frame's image may be looked at.
         let image = self.observation.images[frame].to_unit();
-        let [of_phase, of_all] = [*self.settings.phase_ssim_weight, *self.settings.ssim_weight];
+        let of_all = *self.settings.ssim_weight;
+        let of_phase = self.estimation.map_or(of_all, |estimation| *estimation.phase_ssim_weight);
         let weights = self.observation.pixel_weights();
         let mut loss = Photometric::new(&image.data, width, height, of_phase.max(of_all), weights.as_deref())
             .with_norm(self.settings.norm());
@@ -229,7 +243,7 @@ impl Fitter<'_> {
     fn search_by_depth(&mut self, view: &View, carried: &mut dyn Carried) -> Result<f64> {
         let Some(truth) = &self.observation.first_depth_mm else { return Ok(0.0) };
         let settings = self.render_settings(DepthOutput::Surface);
-        grid_search(*self.settings.grid_steps, |phase| {
+        grid_search(*self.estimation().grid_steps, |phase| {
             self.place(view, carried, phase)?;
             Ok(depth_error_mm(self.rasterizer.render(carried.gaussians(), view, &settings, None)?, truth))
         })
@@ -325,7 +339,7 @@ impl Fitter<'_> {
         let width = rendered.width;
         let (sh, memory) = carried.colors();
         sh.chunks_exact_mut(SH_VALUES).for_each(bound);
-        let frames = *self.settings.memory_frames as f32;
+        let frames = self.estimation.map_or(0.0, |estimation| *estimation.memory_frames as f32);
         for (k, ((pixel, shade), depth)) in pixels.into_iter().zip(&self.shades).zip(depths).enumerate() {
             if let Some([x, y]) = pixel
                 && depth < 1.1 * rendered.depth[y * width + x] + 1.0

@@ -9,7 +9,7 @@ use crate::splat::{Reuse, View, Wanted};
 impl Fitter<'_> {
     fn temporal(&self, phase: f64) -> (f64, f64) {
         let Some(last) = self.phases.last() else { return (0.0, 0.0) };
-        let (weight, change) = (*self.settings.temporal_weight, phase - last);
+        let (weight, change) = (*self.estimation().temporal_weight, phase - last);
         (weight * change * change, 2.0 * weight * change)
     }
 
@@ -23,7 +23,7 @@ impl Fitter<'_> {
         guess: f64,
         frame: usize,
     ) -> Result<f64> {
-        let shown = (*self.settings.memory_frames > 0.0).then(|| {
+        let shown = (*self.estimation().memory_frames > 0.0).then(|| {
             let (sh, memory) = carried.colors();
             memory.recall(sh)
         });
@@ -47,12 +47,12 @@ impl Fitter<'_> {
         loss: &mut Photometric<f32>,
         guess: f64,
     ) -> Result<f64> {
-        let mut tried: Vec<f64> = self.settings.candidates.iter().map(|c| (guess + c).clamp(0.0, 1.0)).collect();
+        let mut tried: Vec<f64> = self.estimation().candidates.iter().map(|c| (guess + c).clamp(0.0, 1.0)).collect();
         tried.dedup();
         let mut best = (f64::INFINITY, guess);
         for phase in tried {
             self.place(view, carried, phase)?;
-            let value = *self.settings.color_weight * self.evaluate(view, carried, loss)? + self.temporal(phase).0;
+            let value = *self.estimation().color_weight * self.evaluate(view, carried, loss)? + self.temporal(phase).0;
             if value < best.0 {
                 best = (value, phase);
             }
@@ -72,13 +72,13 @@ impl Fitter<'_> {
         let iterations = self.iterations(0, frame);
         let mut adam = Adam::new(AdamConstants::default());
         adam.begin(1, StepCounter::Restarted);
-        let mut theta = [self.activation.theta(start) as f32];
+        let mut theta = [self.activation().theta(start) as f32];
         let mut settling = Settling::new(*self.settings.settled);
         let mut best = (f64::INFINITY, start);
         for i in 0..iterations {
-            let phase = self.activation.phase(theta[0] as f64);
+            let phase = self.activation().phase(theta[0] as f64);
             self.place(view, carried, phase)?;
-            let value = *self.settings.color_weight * self.evaluate(view, carried, loss)? + self.temporal(phase).0;
+            let value = *self.estimation().color_weight * self.evaluate(view, carried, loss)? + self.temporal(phase).0;
             if value < best.0 {
                 best = (value, phase);
             }
@@ -86,7 +86,13 @@ impl Fitter<'_> {
                 break;
             }
             self.backward(carried, self.phase_groups())?;
-            self.step_theta(view, carried, &mut adam, &mut theta, geometric(*self.settings.theta_rate, i, iterations))?;
+            self.step_theta(
+                view,
+                carried,
+                &mut adam,
+                &mut theta,
+                geometric(*self.estimation().theta_rate, i, iterations),
+            )?;
         }
         Ok(best.1)
     }
@@ -100,10 +106,10 @@ impl Fitter<'_> {
         rate: f64,
     ) -> Result<()> {
         let at = theta[0] as f64;
-        let by_phase = *self.settings.color_weight * self.phase_derivative(view, carried)?
-            + self.temporal(self.activation.phase(at)).1;
-        adam.step(rate, theta, &[(by_phase * self.activation.slope(at)) as f32]);
-        let [low, high] = self.activation.range();
+        let by_phase = *self.estimation().color_weight * self.phase_derivative(view, carried)?
+            + self.temporal(self.activation().phase(at)).1;
+        adam.step(rate, theta, &[(by_phase * self.activation().slope(at)) as f32]);
+        let [low, high] = self.activation().range();
         theta[0] = theta[0].clamp(low as f32, high as f32);
         Ok(())
     }
@@ -124,7 +130,7 @@ impl Fitter<'_> {
         let mut adam = Adam::new(AdamConstants::default());
         adam.begin(1, StepCounter::Restarted);
         carried.begin_appearance();
-        let mut theta = [self.activation.theta(start) as f32];
+        let mut theta = [if move_theta { self.activation().theta(start) as f32 } else { 0.0 }];
         // While only colours are learned, splats and lists are those of the first iteration.
         let still = !groups.any(Wanted::POSITIONS | Wanted::SHAPES);
         self.rasterizer.reuse(if still { Reuse::Unchanged } else { Reuse::Never });
@@ -141,19 +147,19 @@ impl Fitter<'_> {
             let moves = move_theta && i >= alone;
             self.backward(carried, if moves { groups | self.phase_groups() } else { groups })?;
             if moves {
-                let rate = geometric(*self.settings.theta_rate_joint, i - alone, joint);
+                let rate = geometric(*self.estimation().theta_rate_joint, i - alone, joint);
                 self.step_theta(view, carried, &mut adam, &mut theta, rate)?;
             }
             carried.step_appearance(self.rasterizer.gradients(), &self.rasterizer.rendered().visible)?;
             if moves {
-                self.place(view, carried, self.activation.phase(theta[0] as f64))?;
+                self.place(view, carried, self.activation().phase(theta[0] as f64))?;
             } else if !still {
                 carried.place(start)?;
             }
             i += 1;
         }
         self.rasterizer.reuse(Reuse::Never);
-        Ok(if move_theta { self.activation.phase(theta[0] as f64) } else { start })
+        Ok(if move_theta { self.activation().phase(theta[0] as f64) } else { start })
     }
 }
 

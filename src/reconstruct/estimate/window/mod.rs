@@ -113,7 +113,7 @@ pub struct Window {
 
 impl Window {
     /// An empty window; `None` where `settings` ask for no keyframes. Poses are true, or off by what drifts.
-    pub fn new(settings: &settings::Window, drift: Option<Drift>) -> Option<Window> {
+    pub fn new(settings: &settings::KeyframeSettings, drift: Option<Drift>) -> Option<Window> {
         let empty = Window {
             rays: None,
             most: *settings.keyframes as usize,

@@ -4,7 +4,7 @@ use super::contrast::picture;
 use super::pair::{Shape, carried, row};
 use super::*;
 use crate::base::{Camera, Image};
-use crate::reconstruct::settings::{Source, Sourced};
+use crate::reconstruct::settings::{Provenance, Sourced};
 use crate::splat::View;
 
 const SIZE: usize = 64;
@@ -66,12 +66,12 @@ impl Tube {
 }
 
 fn ours<T>(value: T) -> Sourced<T> {
-    Sourced { value, source: Source::Ours, why: String::new() }
+    Sourced { value, source: Provenance::Ours, why: String::new() }
 }
 
 fn window_of(drift: Option<Drift>) -> Window {
     let memory = if drift.is_some() { 1.0 } else { 0.7 };
-    let settings = settings::Window { keyframes: ours(8), memory: ours(memory), prior_deviation: ours(0.05) };
+    let settings = settings::KeyframeSettings { keyframes: ours(8), memory: ours(memory), prior_deviation: ours(0.05) };
     Window::new(&settings, drift).expect("there are keyframes")
 }
 

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::base::color::{linear_from_srgb, srgb_from_linear};
 use crate::base::{Camera, Image};
 
-use crate::reconstruct::settings::ScopeLight;
+use crate::reconstruct::settings::LampSettings;
 
 /// Exponent of the power law.
 const GAMMA: f32 = 2.2;
@@ -32,7 +32,7 @@ pub struct Scope {
 
 impl Scope {
     /// The scope of `camera`.
-    pub fn new(camera: &Camera, light: &ScopeLight) -> Scope {
+    pub fn new(camera: &Camera, light: &LampSettings) -> Scope {
         let half = light.emission_half_angle_deg.to_radians();
         let exponent = if half > 0.0 { 0.5f64.ln() / half.cos().ln() } else { 0.0 };
         let mut shadow = Vec::with_capacity((camera.width * camera.height) as usize);
@@ -75,11 +75,11 @@ impl Scope {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reconstruct::settings::{Source, Sourced};
+    use crate::reconstruct::settings::{Provenance, Sourced};
 
     fn scope(camera: &Camera, half: f64, vignette: f64) -> Scope {
-        let number = |value| Sourced { value, source: Source::Ours, why: String::new() };
-        Scope::new(camera, &ScopeLight { emission_half_angle_deg: number(half), vignette: number(vignette) })
+        let number = |value| Sourced { value, source: Provenance::Ours, why: String::new() };
+        Scope::new(camera, &LampSettings { emission_half_angle_deg: number(half), vignette: number(vignette) })
     }
 
     #[test]

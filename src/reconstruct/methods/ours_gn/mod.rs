@@ -45,7 +45,7 @@ use crate::reconstruct::geometry::mesh_depth::{Rays, depth_gap_mm, nearest_depth
 use crate::reconstruct::geometry::pyramid::Level;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::online::{fit_in_order, held_out};
-use crate::reconstruct::settings::GaussNewtonMethod;
+use crate::reconstruct::settings::{MethodHeader, OursGnSettings};
 use light::Scope;
 use registration::Before;
 use scene::{DISCS, Seen};
@@ -62,20 +62,20 @@ const COST_SHARE: f64 = 0.2;
 
 /// The method with its settings.
 pub struct OursGn {
-    settings: GaussNewtonMethod,
+    settings: OursGnSettings,
     iteration_scale: f64,
 }
 
 impl OursGn {
     /// With `settings`; `iteration_scale` multiplies the sweeps over the appearance.
-    pub fn new(settings: GaussNewtonMethod, iteration_scale: f64) -> Self {
+    pub fn new(settings: OursGnSettings, iteration_scale: f64) -> Self {
         OursGn { settings, iteration_scale }
     }
 }
 
 impl Reconstruct for OursGn {
-    fn id(&self) -> &str {
-        &self.settings.id
+    fn header(&self) -> &MethodHeader {
+        &self.settings.header
     }
 
     fn access(&self) -> Access {
@@ -105,7 +105,7 @@ impl Reconstruct for OursGn {
 }
 
 struct Tracker<'a> {
-    settings: &'a GaussNewtonMethod,
+    settings: &'a OursGnSettings,
     iteration_scale: f64,
     observation: &'a Observation,
     surface: Surface,
@@ -140,7 +140,7 @@ struct Tracker<'a> {
 }
 
 impl<'a> Tracker<'a> {
-    fn new(settings: &'a GaussNewtonMethod, iteration_scale: f64, observation: &'a Observation) -> Self {
+    fn new(settings: &'a OursGnSettings, iteration_scale: f64, observation: &'a Observation) -> Self {
         let inspiration = &observation.inspiration;
         let expiration = observation.expiration.as_ref().unwrap_or(inspiration);
         let surface = Surface::new(inspiration, &settings.discs, Frame::InheritStretch, Start::Even, observation.seed);
