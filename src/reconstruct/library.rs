@@ -7,7 +7,6 @@ use serde::Deserialize;
 use crate::base::{Error, Result, files};
 
 use super::contract::Reconstruct;
-use super::fitting::loss::norm::Norm;
 use super::methods::bridgesplat::Bridgesplat;
 use super::methods::bridgesplat_nomesh::BridgesplatNomesh;
 use super::methods::ours::{Ours, Row};
@@ -30,9 +29,8 @@ pub fn method(path: &Path, iteration_scale: f64) -> Result<Box<dyn Reconstruct>>
     if path.file_stem().is_none_or(|stem| stem.to_string_lossy() != header.id) {
         return Err(Error::input(format!("must be the file's name, not `{}`", header.id)).element("id").at(path));
     }
-    let sound = |norm: Norm| norm.validate().map_err(|e| e.at(path));
-    let phase = || files::read_toml::<settings::PhaseMethod>(path).and_then(|s| sound(s.norm()).map(|()| s));
-    let bridge = || files::read_toml::<settings::BridgeMethod>(path).and_then(|s| sound(s.norm()).map(|()| s));
+    let phase = || files::read_toml::<settings::PhaseMethod>(path);
+    let bridge = || files::read_toml::<settings::BridgeMethod>(path);
     Ok(match header.kind.as_str() {
         "ours" => Box::new(Ours::new(phase()?, Row::Ours, iteration_scale)),
         "static-ct" => Box::new(Ours::new(phase()?, Row::StaticCt, iteration_scale)),
@@ -87,20 +85,6 @@ mod tests {
     }
 
     #[test]
-    fn a_norm_is_named_in_the_file_and_is_l1_where_it_is_not() {
-        let good = std::fs::read_to_string(shipped().join("ours.toml")).unwrap();
-        let norm = |line: &str| toml::from_str::<settings::PhaseMethod>(&(line.to_owned() + &good)).unwrap().norm();
-        assert_eq!(norm(""), Norm::L1);
-        for (value, expected) in [
-            ("\"l1\"", Norm::L1),
-            ("{ huber = 0.02 }", Norm::Huber(0.02)),
-            ("{ charbonnier = 0.01 }", Norm::Charbonnier(0.01)),
-        ] {
-            assert_eq!(norm(&format!("color_norm = {{ value = {value}, source = \"ours\" }}\n")), expected);
-        }
-    }
-
-    #[test]
     fn a_wrong_file_is_named_with_its_key() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("ours.toml");
@@ -109,12 +93,6 @@ mod tests {
             ("kind = \"ours\"", "kind = \"theirs\"", "there is no kind `theirs`"),
             ("id = \"ours\"", "id = \"mine\"", "must be the file's name"),
             ("color_weight", "colour_weight", "colour_weight"),
-            (
-                "color_weight",
-                "color_norm = { value = { huber = -1.0 }, source = \"ours\" }\ncolor_weight",
-                "color_norm",
-            ),
-            ("color_weight", "color_norm = { value = \"l3\", source = \"ours\" }\ncolor_weight", "l3"),
             ("source = \"paper\"", "source = \"hearsay\"", "hearsay"),
         ] {
             assert!(good.contains(from));

@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 
 use super::activation::Activation;
 use super::contract::Listing;
-use super::fitting::loss::norm::Norm;
 use crate::splat::Frame;
 
 /// Where a number comes from.
@@ -186,9 +185,6 @@ pub struct PhaseMethod {
     pub first_frame_factor: Sourced<f64>,
     /// w_c of Eq. 4.
     pub color_weight: Sourced<f64>,
-    /// What a difference costs in the first part of Eq. 4; L1 as published where nothing is said.
-    #[serde(default)]
-    pub color_norm: Option<Sourced<Norm>>,
     /// w_s of Eq. 4.
     pub ssim_weight: Sourced<f64>,
     /// w_s where theta alone is optimised.
@@ -230,13 +226,6 @@ pub struct PhaseMethod {
     pub appearance: Appearance,
     /// What is left out.
     pub visibility: Visibility,
-}
-
-impl PhaseMethod {
-    /// The norm of the photometric loss.
-    pub fn norm(&self) -> Norm {
-        self.color_norm.as_ref().map_or(Norm::L1, |n| **n)
-    }
 }
 
 /// What a disc takes over from its face as the mesh deforms.
@@ -304,18 +293,12 @@ pub struct GaussNewtonMethod {
     pub velocity: Sourced<f64>,
     /// Standard deviation of the phase around what is expected.
     pub prior_deviation: Sourced<f64>,
-    /// Growth of the random walk of the answer, in standard deviations of each frame's step.
-    pub drift_factor: Sourced<f64>,
-    /// Share of that random walk's variance that is left after a frame.
-    pub drift_memory: Sourced<f64>,
     /// A cost so many times its running mean starts a search over all phases.
     pub lost_factor: Sourced<f64>,
     /// Steps of that search, and of the first frame's.
     pub grid_steps: Sourced<u32>,
     /// Largest change of the exposure gain per channel and frame.
     pub exposure_limit: Sourced<f64>,
-    /// Whether a smooth unevenness of the brightness across the image says nothing about the unknowns.
-    pub uneven_light: Sourced<bool>,
     /// Brightness^(1 / 2.2) falls with distance to this power.
     pub falloff_exponent: Sourced<f64>,
     /// Light that does not depend on the incidence, as a share of that which does.
@@ -382,9 +365,6 @@ pub struct BridgeMethod {
     pub unit_mm: Sourced<f64>,
     /// Weight of the masked L1.
     pub color_weight: Sourced<f64>,
-    /// What a difference costs in its place; L1 as published where nothing is said.
-    #[serde(default)]
-    pub color_norm: Option<Sourced<Norm>>,
     /// Weight of the ARAP sum (mesh only).
     pub arap_weight: Sourced<f64>,
     /// Weight of the displacement of what is not visible.
@@ -407,13 +387,6 @@ pub struct BridgeMethod {
     pub appearance: Appearance,
     /// What is left out.
     pub visibility: Visibility,
-}
-
-impl BridgeMethod {
-    /// The norm of the photometric loss.
-    pub fn norm(&self) -> Norm {
-        self.color_norm.as_ref().map_or(Norm::L1, |n| **n)
-    }
 }
 
 /// Which objective of BridgeSplat.

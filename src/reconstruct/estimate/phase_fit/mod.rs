@@ -188,8 +188,7 @@ impl Fitter<'_> {
         let image = self.observation.images[frame].to_unit();
         let [of_phase, of_all] = [*self.settings.phase_ssim_weight, *self.settings.ssim_weight];
         let weights = self.observation.pixel_weights();
-        let mut loss = Photometric::new(&image.data, width, height, of_phase.max(of_all), weights.as_deref())
-            .with_norm(self.settings.norm());
+        let mut loss = Photometric::new(&image.data, width, height, of_phase.max(of_all), weights.as_deref());
         if estimated {
             if frame > 0 {
                 loss.set_ssim_weight(of_phase);
