@@ -197,8 +197,7 @@ impl<'a> State<'a> {
         let s = &self.settings.common;
         let image = self.observation.images[frame].to_unit();
         let weights = self.observation.pixel_weights();
-        let mut loss =
-            Photometric::new(&image.data, image.width, image.height, 0.0, weights.as_deref()).with_norm(s.norm());
+        let mut loss = Photometric::new(&image.data, image.width, image.height, 0.0, weights.as_deref());
         let iterations = scaled_iterations(s.iterations[usize::from(frame > 0)] as f64, self.scale);
         let sh_from = if frame > 0 { 0 } else { scaled_iterations(*s.sh_from_iteration as f64, self.scale) };
         let sh_rest = self.adam.rates.sh_rest;

@@ -7,7 +7,6 @@ use super::header::MethodHeader;
 use super::keys::{Keys, MethodSettings};
 use super::sourced::Sourced;
 use crate::base::Result;
-use crate::reconstruct::fitting::loss::norm::Norm;
 
 /// Which objective of BridgeSplat is minimised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,9 +29,6 @@ pub struct BridgeCommon {
     pub unit_mm: Sourced<f64>,
     /// Weight of the masked L1.
     pub color_weight: Sourced<f64>,
-    /// What a difference costs in its place; L1 as published where nothing is said.
-    #[serde(default)]
-    pub color_norm: Option<Sourced<Norm>>,
     /// Weight of the displacement of what is not visible.
     pub visibility_weight: Sourced<f64>,
     /// Weight of rigidity.
@@ -49,19 +45,6 @@ pub struct BridgeCommon {
     pub displacement_rate: Sourced<f64>,
     /// What is left out.
     pub visibility: Visibility,
-}
-
-impl BridgeCommon {
-    fn read(keys: &mut Keys) -> Result<Self> {
-        let common: BridgeCommon = keys.part()?;
-        common.norm().validate()?;
-        Ok(common)
-    }
-
-    /// The norm of the photometric loss.
-    pub fn norm(&self) -> Norm {
-        self.color_norm.as_ref().map_or(Norm::L1, |n| **n)
-    }
 }
 
 /// Settings of `bridgesplat`.
@@ -83,7 +66,7 @@ impl MethodSettings for BridgesplatSettings {
     fn read(keys: &mut Keys) -> Result<Self> {
         Ok(BridgesplatSettings {
             header: keys.part()?,
-            common: BridgeCommon::read(keys)?,
+            common: keys.part()?,
             variant: keys.key("variant")?,
             arap_weight: keys.key("arap_weight")?,
             appearance: keys.table("appearance", AnchoredAppearance::read)?,
@@ -108,7 +91,7 @@ impl MethodSettings for BridgesplatNomeshSettings {
     fn read(keys: &mut Keys) -> Result<Self> {
         Ok(BridgesplatNomeshSettings {
             header: keys.part()?,
-            common: BridgeCommon::read(keys)?,
+            common: keys.part()?,
             rotation_weight: keys.key("rotation_weight")?,
             appearance: keys.table("appearance", FreeAppearance::read)?,
         })

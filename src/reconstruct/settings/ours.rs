@@ -8,7 +8,6 @@ use super::keys::{Keys, MethodSettings};
 use super::sourced::Sourced;
 use crate::base::Result;
 use crate::reconstruct::activation::Activation;
-use crate::reconstruct::fitting::loss::norm::Norm;
 
 /// How the appearance of a frame is fitted, wherever its phase comes from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -20,9 +19,6 @@ pub struct FitSettings {
     pub settled: Sourced<f64>,
     /// Factor on the appearance iterations in the first frame.
     pub first_frame_factor: Sourced<f64>,
-    /// What a difference costs in the first part of Eq. 4; L1 as published where nothing is said.
-    #[serde(default)]
-    pub color_norm: Option<Sourced<Norm>>,
     /// w_s of Eq. 4, the weight of SSIM.
     pub ssim_weight: Sourced<f64>,
     /// Largest relative change of the exposure gain, which is fitted in closed form per channel and frame (0 = no gain).
@@ -33,19 +29,6 @@ pub struct FitSettings {
     pub indirect_share: Sourced<f64>,
     /// What is left out.
     pub visibility: Visibility,
-}
-
-impl FitSettings {
-    fn read(keys: &mut Keys) -> Result<Self> {
-        let fit: FitSettings = keys.part()?;
-        fit.norm().validate()?;
-        Ok(fit)
-    }
-
-    /// The norm of the photometric loss.
-    pub fn norm(&self) -> Norm {
-        self.color_norm.as_ref().map_or(Norm::L1, |n| **n)
-    }
 }
 
 /// How the phase of a frame is estimated.
@@ -137,7 +120,7 @@ impl MethodSettings for OursSettings {
     fn read(keys: &mut Keys) -> Result<Self> {
         Ok(OursSettings {
             header: keys.part()?,
-            fit: FitSettings::read(keys)?,
+            fit: keys.part()?,
             estimation: keys.part()?,
             window: keys.key("window")?,
             discs: AnchoredDiscs::read(keys)?,
@@ -158,7 +141,7 @@ pub struct GivenPhaseSettings {
 
 impl MethodSettings for GivenPhaseSettings {
     fn read(keys: &mut Keys) -> Result<Self> {
-        let (header, fit) = (keys.part()?, FitSettings::read(keys)?);
+        let (header, fit) = (keys.part()?, keys.part()?);
         Ok(GivenPhaseSettings { header, fit, discs: AnchoredDiscs::read(keys)? })
     }
 }
@@ -182,7 +165,7 @@ pub struct OursNomeshSettings {
 
 impl MethodSettings for OursNomeshSettings {
     fn read(keys: &mut Keys) -> Result<Self> {
-        let (header, fit, estimation) = (keys.part()?, FitSettings::read(keys)?, keys.part()?);
+        let (header, fit, estimation) = (keys.part()?, keys.part()?, keys.part()?);
         keys.table("appearance", |table| {
             let appearance = FreeAppearance::read(table)?;
             let (scale_rate, quiet_values) = (table.key("scale_rate")?, table.key("quiet_values")?);

@@ -38,18 +38,12 @@ pub struct OursGnSettings {
     pub velocity: Sourced<f64>,
     /// Standard deviation of the phase around its prediction.
     pub prior_deviation: Sourced<f64>,
-    /// Standard deviation that each frame adds to the random walk of the estimate, as a multiple of that of the frame's step.
-    pub drift_factor: Sourced<f64>,
-    /// Share of that random walk's variance that is left after a frame.
-    pub drift_memory: Sourced<f64>,
     /// A cost of this many times its running mean starts a search over all phases.
     pub lost_factor: Sourced<f64>,
     /// Grid steps of that search, and of the first frame's.
     pub grid_steps: Sourced<u32>,
     /// Largest relative change of the exposure gain, which is fitted in closed form per channel and frame.
     pub exposure_limit: Sourced<f64>,
-    /// Whether a brightness change that varies smoothly across the image is fitted and left out of the residuals.
-    pub uneven_light: Sourced<bool>,
     /// Encoded brightness, `brightness^(1 / 2.2)`, falls with distance to this power.
     pub falloff_exponent: Sourced<f64>,
     /// Light that does not depend on the incidence, as a share of that which does.

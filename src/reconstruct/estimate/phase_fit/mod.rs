@@ -202,8 +202,7 @@ impl<'a> Fitter<'a> {
         let of_all = *self.settings.ssim_weight;
         let of_phase = self.estimation.map_or(of_all, |estimation| *estimation.phase_ssim_weight);
         let weights = self.observation.pixel_weights();
-        let mut loss = Photometric::new(&image.data, width, height, of_phase.max(of_all), weights.as_deref())
-            .with_norm(self.settings.norm());
+        let mut loss = Photometric::new(&image.data, width, height, of_phase.max(of_all), weights.as_deref());
         if estimated {
             if frame > 0 {
                 loss.set_ssim_weight(of_phase);

@@ -1,5 +1,5 @@
 //! Photometric loss between a rendering and an image: `(1 - w_s) L1 + w_s (1 - SSIM)` (first part of the paper's
-//! Eq. 4), with its gradient by the rendering; a robust norm may stand in the place of L1 ([`Norm`]).
+//! Eq. 4), with its gradient by the rendering.
 //!
 //! SSIM after Wang et al. 2004 as all the Gaussian-splatting code bases compute it: 11x11 Gaussian window, sigma 1.5,
 //! each channel on its own, zero padding, K1 = .01, K2 = .03, range [0, 1], mean over pixels and channels. With blurs
@@ -13,8 +13,6 @@ use rayon::prelude::*;
 
 use crate::ffi::isa::Isa;
 use crate::ffi::splat::loss::{self as native, LossImage};
-
-use super::norm::Norm;
 
 const RADIUS: usize = 5;
 const C1: f32 = 0.01 * 0.01;
@@ -35,26 +33,15 @@ pub trait Scalar:
     + std::ops::Div<Output = Self>
     + std::ops::AddAssign
 {
-    /// Square root.
-    fn root(self) -> Self;
-
     /// Loss and gradient with vectorised code; `None` when there is none for this type.
     fn evaluate(_prepared: &Photometric<Self>, _rendered: &[Self], _gradient: &mut [Self]) -> Option<f64> {
         None
     }
 }
 
-impl Scalar for f64 {
-    fn root(self) -> Self {
-        self.sqrt()
-    }
-}
+impl Scalar for f64 {}
 
 impl Scalar for f32 {
-    fn root(self) -> Self {
-        self.sqrt()
-    }
-
     fn evaluate(prepared: &Photometric<f32>, rendered: &[f32], gradient: &mut [f32]) -> Option<f64> {
         Some(prepared.evaluate_with(Isa::widest(), rendered, gradient))
     }
@@ -71,7 +58,6 @@ pub struct Photometric<T> {
     width: usize,
     height: usize,
     ssim_weight: T,
-    norm: Norm,
     /// Whether the image's blurs are there.
     has_blurs: bool,
     /// Weights per pixel divided by their sum; `None` is uniform.
@@ -138,7 +124,6 @@ impl Photometric<f32> {
         let (width, height) = (self.width, self.height);
         let [target, mean, square] = &self.images;
         let window = kernel::<f32>();
-        let (norm, softness) = self.norm.code();
         let image = LossImage {
             width,
             height,
@@ -148,8 +133,8 @@ impl Photometric<f32> {
             mask: self.mask.as_deref().unwrap_or_default(),
             window: &window,
             ssim_weight: self.ssim_weight,
-            norm,
-            softness,
+            norm: 0,
+            softness: 1.0,
         };
         let lines = band_of(height);
         let bands = gradient.par_chunks_mut(3 * width * lines).enumerate();
@@ -191,13 +176,8 @@ impl<T: Scalar> Photometric<T> {
         });
         let all = |of: fn(&Channel<T>) -> &Vec<T>| (0..3 * n).map(|i| of(&channels[i % 3])[i / 3]).collect();
         let images = [all(|c| &c.target), all(|c| &c.mean), all(|c| &c.square)];
-        let (ssim_weight, norm, has_blurs) = (T::from(ssim_weight as f32), Norm::L1, ssim_weight > 0.0);
-        Photometric { width, height, ssim_weight, norm, has_blurs, mask, channels, images }
-    }
-
-    /// The same with `norm` in the place of L1; it must be valid.
-    pub fn with_norm(self, norm: Norm) -> Self {
-        Photometric { norm, ..self }
+        let (ssim_weight, has_blurs) = (T::from(ssim_weight as f32), ssim_weight > 0.0);
+        Photometric { width, height, ssim_weight, has_blurs, mask, channels, images }
     }
 
     /// Changes the share of SSIM; what was prepared without SSIM stays without.
@@ -214,7 +194,7 @@ impl<T: Scalar> Photometric<T> {
     /// The plain twin of the vectorised code.
     fn evaluate_plainly(&mut self, rendered: &[T], gradient: &mut [T]) -> f64 {
         let (width, height) = (self.width, self.height);
-        let (ssim_weight, norm, mask) = (self.ssim_weight, self.norm, self.mask.as_deref());
+        let (ssim_weight, mask) = (self.ssim_weight, self.mask.as_deref());
         let losses: Vec<f64> = self
             .channels
             .par_iter_mut()
@@ -223,7 +203,7 @@ impl<T: Scalar> Photometric<T> {
                 for (s, v) in channel.source.iter_mut().zip(rendered.iter().skip(c).step_by(3)) {
                     *s = *v;
                 }
-                channel.evaluate(width, height, ssim_weight, norm, mask)
+                channel.evaluate(width, height, ssim_weight, mask)
             })
             .collect();
         for (c, channel) in self.channels.iter().enumerate() {
@@ -237,7 +217,7 @@ impl<T: Scalar> Photometric<T> {
 
 impl<T: Scalar> Channel<T> {
     /// This channel's share of the loss; fills `gradient`.
-    fn evaluate(&mut self, width: usize, height: usize, ssim_weight: T, norm: Norm, mask: Option<&[T]>) -> f64 {
+    fn evaluate(&mut self, width: usize, height: usize, ssim_weight: T, mask: Option<&[T]>) -> f64 {
         let n = width * height;
         let (zero, one) = (T::default(), T::from(1.0));
         let uniform = one / T::from(3.0 * n as f32);
@@ -248,7 +228,12 @@ impl<T: Scalar> Channel<T> {
         for y in 0..height {
             let mut sum = zero;
             for i in y * width..(y + 1) * width {
-                let (cost, slope) = norm.at(self.source[i] - self.target[i]);
+                let difference = self.source[i] - self.target[i];
+                let (cost, slope) = match (difference > zero, difference < zero) {
+                    (true, _) => (difference, one),
+                    (_, true) => (zero - difference, zero - one),
+                    _ => (difference, zero),
+                };
                 let w = weight(i) * l1_weight;
                 self.gradient[i] = w * slope;
                 sum += w * cost;
@@ -360,15 +345,13 @@ mod tests {
     }
 
     #[test]
-    fn gradient_equals_central_differences_for_every_norm_with_and_without_mask() {
+    fn gradient_equals_central_differences_with_and_without_mask() {
         let (w, h) = (14, 12);
         let (mut x, y) = (noise(w * h * 3, 3), noise(w * h * 3, 4));
         let weights = noise(w * h, 5);
         let masks = [None, Some(&weights[..])];
-        // Half of the differences on either side of where Huber's norm becomes linear.
-        let norms = [Norm::L1, Norm::Charbonnier(0.1), Norm::Huber(0.3)];
-        for (mask, norm) in masks.into_iter().flat_map(|m| norms.map(|n| (m, n))) {
-            let mut loss = Photometric::new(&y, w, h, 0.6, mask).with_norm(norm);
+        for mask in masks {
+            let mut loss = Photometric::new(&y, w, h, 0.6, mask);
             let mut gradient = vec![0.0; x.len()];
             let mut unused = vec![0.0; x.len()];
             loss.evaluate(&x, &mut gradient);
@@ -393,19 +376,15 @@ mod tests {
             let (x, y) = (single(noise(w * h * 3, 6)), single(noise(w * h * 3, 7)));
             let weights = single(noise(w * h, 8));
             for mask in [None, Some(&weights[..])] {
-                for norm in [Norm::L1, Norm::Charbonnier(0.05), Norm::Huber(0.2)] {
-                    let mut loss = Photometric::new(&y, w, h, ssim_weight, mask).with_norm(norm);
-                    let (mut fast, mut plain) = (vec![0.0; x.len()], vec![0.0; x.len()]);
-                    let b = loss.evaluate_plainly(&x, &mut plain);
-                    let largest = plain.iter().fold(0.0f32, |m, v| m.max(v.abs()));
-                    for isa in
-                        [Isa::Baseline, Isa::Avx2, Isa::Avx512].into_iter().filter_map(|isa| isa.available().ok())
-                    {
-                        let a = loss.evaluate_with(isa, &x, &mut fast);
-                        assert!((a - b).abs() < 1e-5 * b.abs(), "{isa}: {a} {b}");
-                        let worst = fast.iter().zip(&plain).map(|(f, p)| (f - p).abs()).fold(0.0, f32::max);
-                        assert!(worst < 1e-4 * largest, "{isa}, {w}x{h} {norm:?}: {worst} of {largest}");
-                    }
+                let mut loss = Photometric::new(&y, w, h, ssim_weight, mask);
+                let (mut fast, mut plain) = (vec![0.0; x.len()], vec![0.0; x.len()]);
+                let b = loss.evaluate_plainly(&x, &mut plain);
+                let largest = plain.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+                for isa in [Isa::Baseline, Isa::Avx2, Isa::Avx512].into_iter().filter_map(|isa| isa.available().ok()) {
+                    let a = loss.evaluate_with(isa, &x, &mut fast);
+                    assert!((a - b).abs() < 1e-5 * b.abs(), "{isa}: {a} {b}");
+                    let worst = fast.iter().zip(&plain).map(|(f, p)| (f - p).abs()).fold(0.0, f32::max);
+                    assert!(worst < 1e-4 * largest, "{isa}, {w}x{h}: {worst} of {largest}");
                 }
             }
         }
@@ -416,11 +395,9 @@ mod tests {
         let (w, h) = (20, 20);
         let mut gradient = vec![0.0f32; w * h * 3];
         for (a, b) in [(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)] {
-            for norm in [Norm::L1, Norm::Charbonnier(1e-3), Norm::Huber(1e-3)] {
-                let mut loss = Photometric::new(&vec![a; w * h * 3], w, h, 0.5, None).with_norm(norm);
-                assert!(loss.evaluate(&vec![b; w * h * 3], &mut gradient).is_finite());
-                assert!(gradient.iter().all(|g| g.is_finite()));
-            }
+            let mut loss = Photometric::new(&vec![a; w * h * 3], w, h, 0.5, None);
+            assert!(loss.evaluate(&vec![b; w * h * 3], &mut gradient).is_finite());
+            assert!(gradient.iter().all(|g| g.is_finite()));
         }
     }
 }

@@ -9,10 +9,8 @@
 //!
 //! Phase. At a quarter, half and full resolution: render with the derivative of the image by the phase, one robust
 //! step ([`crate::reconstruct::estimate::gauss_newton`], [`track`]), together with what is expected of the breath ([`crate::reconstruct::estimate::breath`]). A frame whose cost
-//! jumps is searched over all phases again. The standard deviation that comes with the answer has two parts: that of the last step, and a
-//! random walk, since a frame is tracked on what earlier frames have painted, and inherits their errors: its variance
-//! grows by `drift_factor^2` times that of each frame's step, and keeps `drift_memory` of itself from frame to frame,
-//! since what was painted in the wrong place leaves the view or is painted over.
+//! jumps is searched over all phases again. The keyframe window then goes on from there; the standard deviation that comes
+//! with the answer is the window's, and there is none without a window.
 //!
 //! Options: poses that are only roughly known ([`registration`]), and a correction of the registration of the two CTs
 //! ([`crate::reconstruct::estimate::window::correction`]), both estimated with the phase. Depth, and what is hidden, are those of the mesh ([`crate::reconstruct::geometry::mesh_depth`]).
@@ -131,8 +129,6 @@ struct Tracker<'a> {
     /// Faces of `seen`.
     faces: Vec<u32>,
     gain: [f64; 3],
-    /// Variance of what all past frames may have painted in the wrong place.
-    drift: f64,
     breath: Breath,
     cost: f64,
     mean_color: [f32; 3],
@@ -172,7 +168,6 @@ impl<'a> Tracker<'a> {
             seen: None,
             faces: Vec::new(),
             gain: [1.0; 3],
-            drift: 0.0,
             breath: Breath::new(*settings.velocity, repetition),
             cost: f64::INFINITY,
             mean_color: [0.5; 3],
@@ -190,7 +185,7 @@ impl<'a> Tracker<'a> {
             };
         }
         let mut phase = if frame == 0 { self.search_by_depth(&given)? } else { self.breath.expected() };
-        let mut deviation = *self.settings.prior_deviation;
+        let mut deviation = None;
         self.enter(&given, phase, REACH)?;
         let ahead = if held_out(frame) {
             self.place(phase, &given)?;
@@ -205,7 +200,7 @@ impl<'a> Tracker<'a> {
             && let Some(found) = self.find(&given, &levels, phase)?
         {
             phase = found.state.phase;
-            deviation = self.take(&found);
+            self.take(&found);
         }
         if let Some(window) = &mut self.window {
             let level = levels.iter().rev().find(|level| Window::suits(level)).unwrap_or(&levels[0]);
@@ -214,7 +209,7 @@ impl<'a> Tracker<'a> {
             let placed =
                 window.place(level, time_s, Setting { shape, visible: &self.faces }, phase, &mut self.correction);
             self.pose = placed.pose;
-            (phase, deviation) = (placed.phase, *self.settings.window_deviation_factor * placed.deviation);
+            (phase, deviation) = (placed.phase, Some(*self.settings.window_deviation_factor * placed.deviation));
             if self.correction.estimates() {
                 self.displacement = self.corrected();
                 let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
@@ -238,7 +233,7 @@ impl<'a> Tracker<'a> {
             color,
             depth_mm,
             phase: Some(phase),
-            phase_deviation: Some(deviation),
+            phase_deviation: deviation,
             world_from_camera,
             ahead,
         })
@@ -256,10 +251,8 @@ impl<'a> Tracker<'a> {
         Ok(self.track(levels, self.state_at(best))?.or(found))
     }
 
-    /// Takes over what a frame has found; the standard deviation of its phase, drift included.
-    fn take(&mut self, found: &Tracked) -> f64 {
-        let step = found.deviation;
-        self.drift = *self.settings.drift_memory * self.drift + (*self.settings.drift_factor * step).powi(2);
+    /// Takes over what a frame has found.
+    fn take(&mut self, found: &Tracked) {
         self.gain = found.evidence.gain;
         self.pose = found.state.pose;
         if let Some(covariance) = &found.pose_covariance {
@@ -276,7 +269,6 @@ impl<'a> Tracker<'a> {
         }
         let cost = found.evidence.cost;
         self.cost = if self.cost.is_finite() { self.cost + COST_SHARE * (cost - self.cost) } else { cost };
-        (step * step + self.drift).sqrt()
     }
 
     /// The displacement field by all that is known.

@@ -59,7 +59,7 @@ impl Tracker<'_> {
             block_px: ((width as f64 * *self.settings.block_share).round() as usize).max(2),
             gain_limit: *self.settings.exposure_limit,
             last_gain: self.gain,
-            unevenness: if *self.settings.uneven_light { Unevenness::Smooth } else { Unevenness::Even },
+            unevenness: Unevenness::Even,
         }
     }
 
