@@ -17,7 +17,7 @@ use super::methods::bridgesplat_nomesh::BridgesplatNomesh;
 use super::methods::ours::{GivenPhase, Ours};
 use super::methods::ours_gn::OursGn;
 use super::methods::ours_nomesh::OursNomesh;
-use super::settings::{Keys, Kind, MethodHeader, MethodSettings, contains, overlay, remove, replace};
+use super::settings::{Keys, MethodHeader, MethodKind, MethodSettings, contains, overlay, remove, replace};
 
 /// A method file with everything that it inherits.
 #[derive(Clone, Debug)]
@@ -110,17 +110,20 @@ impl MethodFile {
         Ok((method, keys.unread()))
     }
 
+    /// The program that the kind names, with its settings taken from `keys`.
     fn of_kind(&self, keys: &mut Keys, scale: f64) -> Result<Box<dyn Reconstruct>> {
         Ok(match self.header.kind {
-            Kind::Ours => Box::new(Ours::new(MethodSettings::read(keys)?, scale)),
-            Kind::StaticCt => {
+            MethodKind::Ours => Box::new(Ours::new(MethodSettings::read(keys)?, scale)),
+            MethodKind::StaticCt => {
                 Box::new(Ours::with_given_phase(MethodSettings::read(keys)?, GivenPhase::Inspiration, scale))
             }
-            Kind::OraclePhase => Box::new(Ours::with_given_phase(MethodSettings::read(keys)?, GivenPhase::True, scale)),
-            Kind::OursNomesh => Box::new(OursNomesh::new(MethodSettings::read(keys)?, scale)),
-            Kind::OursGn => Box::new(OursGn::new(MethodSettings::read(keys)?, scale)),
-            Kind::Bridgesplat => Box::new(Bridgesplat::new(MethodSettings::read(keys)?, scale)),
-            Kind::BridgesplatNomesh => Box::new(BridgesplatNomesh::new(MethodSettings::read(keys)?, scale)),
+            MethodKind::OraclePhase => {
+                Box::new(Ours::with_given_phase(MethodSettings::read(keys)?, GivenPhase::True, scale))
+            }
+            MethodKind::OursNomesh => Box::new(OursNomesh::new(MethodSettings::read(keys)?, scale)),
+            MethodKind::OursGn => Box::new(OursGn::new(MethodSettings::read(keys)?, scale)),
+            MethodKind::Bridgesplat => Box::new(Bridgesplat::new(MethodSettings::read(keys)?, scale)),
+            MethodKind::BridgesplatNomesh => Box::new(BridgesplatNomesh::new(MethodSettings::read(keys)?, scale)),
         })
     }
 }

@@ -13,7 +13,7 @@ use crate::reconstruct::fitting::optimiser::{AdamConstants, StepCounter};
 use crate::reconstruct::geometry::visible::{Reach, Sides, visible_faces};
 use crate::reconstruct::online::depth_image;
 use crate::reconstruct::settings::{
-    AnchoredAppearance, Auto, BridgesplatNomeshSettings, BridgesplatSettings, FitSettings, GaussianSettings,
+    AnchoredAppearance, Auto, BridgesplatNomeshSettings, BridgesplatSettings, FrameFitSettings, GaussianSettings,
     GivenPhaseSettings, MethodSettings, OursGnSettings, OursNomeshSettings, OursSettings, PerFace,
 };
 use crate::reconstruct::*;
@@ -162,7 +162,7 @@ fn breath(t: usize) -> f64 {
 }
 
 /// The test world has no light of its own and a small mesh.
-fn unlight(fit: &mut FitSettings, gaussians: &mut GaussianSettings) {
+fn unlight(fit: &mut FrameFitSettings, gaussians: &mut GaussianSettings) {
     fit.falloff_exponent.value = 0.0;
     fit.exposure_limit.value = 0.0;
     gaussians.gaussian_budget.value = 7000;

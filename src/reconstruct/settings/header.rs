@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// Which program runs a method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Kind {
+pub enum MethodKind {
     /// Discs on the CT mesh, one breathing phase per frame: the paper's method.
     Ours,
     /// The same on the inspiration mesh, which does not move.
@@ -39,7 +39,7 @@ pub struct MethodHeader {
     /// Id in tables and folders; the file's name.
     pub id: String,
     /// Which program runs it.
-    pub kind: Kind,
+    pub kind: MethodKind,
     /// One line for people.
     pub description: String,
     /// When it is run; `always` where the file does not say.

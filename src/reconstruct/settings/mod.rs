@@ -16,11 +16,11 @@ pub use bridgesplat::{BridgeCommon, BridgeObjective, BridgesplatNomeshSettings, 
 pub use gaussians::{
     AnchoredAppearance, Auto, ColorRates, DiscLayout, FreeAppearance, GaussianSettings, Inherits, PerFace, Visibility,
 };
-pub use header::{Kind, Listing, MethodHeader};
+pub use header::{Listing, MethodHeader, MethodKind};
 pub use keys::{Keys, MethodSettings};
 pub(super) use keys::{contains, overlay, remove, replace};
 pub use ours::{
-    AnchoredDiscs, FitSettings, GivenPhaseSettings, KeyframeSettings, OnFace, OursNomeshSettings, OursSettings,
+    AnchoredDiscs, FrameFitSettings, GivenPhaseSettings, KeyframeSettings, OnFace, OursNomeshSettings, OursSettings,
     PhaseEstimation,
 };
 pub use ours_gn::{LampSettings, OursGnSettings};

@@ -11,7 +11,7 @@ use crate::reconstruct::activation::Activation;
 
 /// How the appearance of a frame is fitted, wherever its phase comes from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FitSettings {
+pub struct FrameFitSettings {
     /// Iterations of stage (i), theta alone; (ii), appearance alone; (iii), both. Where the phase is given, (i) is left
     /// out and (iii) is appearance alone.
     pub iterations: Sourced<[u32; 3]>,
@@ -107,7 +107,7 @@ pub struct OursSettings {
     /// What every method file says.
     pub header: MethodHeader,
     /// How the appearance is fitted.
-    pub fit: FitSettings,
+    pub fit: FrameFitSettings,
     /// How the phase is estimated.
     pub estimation: PhaseEstimation,
     /// Keyframes.
@@ -134,7 +134,7 @@ pub struct GivenPhaseSettings {
     /// What every method file says.
     pub header: MethodHeader,
     /// How the appearance is fitted.
-    pub fit: FitSettings,
+    pub fit: FrameFitSettings,
     /// Discs.
     pub discs: AnchoredDiscs,
 }
@@ -152,7 +152,7 @@ pub struct OursNomeshSettings {
     /// What every method file says.
     pub header: MethodHeader,
     /// How the appearance is fitted.
-    pub fit: FitSettings,
+    pub fit: FrameFitSettings,
     /// How the phase is estimated.
     pub estimation: PhaseEstimation,
     /// Gaussians.

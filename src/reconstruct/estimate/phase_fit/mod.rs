@@ -26,7 +26,7 @@ use crate::reconstruct::fitting::memory::{Memory, Shown, shift};
 use crate::reconstruct::fitting::scope_light::{ScopeLight, Shade};
 use crate::reconstruct::geometry::pyramid::Level;
 use crate::reconstruct::online::{color_image, fit_in_order, held_out};
-use crate::reconstruct::settings::{FitSettings, PhaseEstimation};
+use crate::reconstruct::settings::{FrameFitSettings, PhaseEstimation};
 
 /// How far a frame's phase may be from its guess.
 pub const REACH: f64 = 0.15;
@@ -78,7 +78,7 @@ pub enum PhaseSource<'a> {
 
 /// The running estimate.
 struct Fitter<'a> {
-    settings: &'a FitSettings,
+    settings: &'a FrameFitSettings,
     /// `None` where the phase is given.
     estimation: Option<&'a PhaseEstimation>,
     observation: &'a Observation,
@@ -94,7 +94,7 @@ struct Fitter<'a> {
 
 /// Runs the loop over all frames.
 pub fn run(
-    settings: &FitSettings,
+    settings: &FrameFitSettings,
     iteration_scale: f64,
     source: &PhaseSource<'_>,
     observation: &Observation,
