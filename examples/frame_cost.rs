@@ -4,20 +4,21 @@
 //! cargo run --release --example frame_cost [CASE [PIXELS]]
 //! ```
 //! Three measurements in CPU seconds, which a busy machine disturbs least: deforming and rendering one frame of the
-//! case's airway alone and with three more airways of its size that the camera cannot see, in turns; one refit of 100,000
-//! triangles; and the mean temporal difference of two neighbouring frames beyond the converged one, of the default mode
-//! and of 64 paths per pixel.
+//! case's airway alone and with three more airways of its size that the camera cannot see, in turns; one refit of
+//! 100,000 triangles; and the mean temporal difference of two neighbouring frames beyond the converged one, of the
+//! default mode and of 64 paths per pixel.
 
 use std::path::Path;
 
-use glam::{DAffine3, DVec3};
+use glam::DVec3;
 use respire_bench::airway::{self, Anatomy, case::Case};
-use respire_bench::base::{Camera, Image, Result, TriangleMesh, mesh};
-use respire_bench::ffi::system::cpu_time_s;
-use respire_bench::render::{Light, RenderSettings, Scene, Shading, Transport, render};
-use respire_bench::simulate::{material, trajectory::Route};
+use respire_bench::base::{Image, Result, TriangleMesh};
+use respire_bench::experiments::case_scene::{CaseScene, Viewpoint};
+use respire_bench::experiments::timing::{Spread, in_turns};
+use respire_bench::render::{Light, RenderSettings, Shading, Transport};
+use respire_bench::simulate::trajectory::Route;
 
-/// Turns of the race.
+/// Turns of a comparison.
 const TURNS: usize = 9;
 
 fn main() -> Result<()> {
@@ -27,12 +28,12 @@ fn main() -> Result<()> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let case = Case::load(&root.join(format!("bench-cases/{name}.toml")))?;
     let anatomy = airway::build(&case)?;
-    race(&case, &anatomy, pixels)?;
+    cost(&case, &anatomy, pixels)?;
     refit(&case, &anatomy)?;
     flicker(&case, &anatomy)
 }
 
-/// An airway, and `more` others of its size out of sight.
+/// A mesh, and `more` others of its size out of sight.
 fn with_others(mesh: &TriangleMesh, more: u32) -> TriangleMesh {
     let mut all = mesh.clone();
     for copy in 1..=more {
@@ -43,97 +44,71 @@ fn with_others(mesh: &TriangleMesh, more: u32) -> TriangleMesh {
     all
 }
 
-/// A scene and the two ends of its motion.
-struct Stage {
-    scene: Scene,
-    ends: [Vec<DVec3>; 2],
+/// The airway and `more` others of its size out of sight.
+fn scene(case: &Case, anatomy: &Anatomy, more: u32) -> Result<CaseScene> {
+    let [inspiration, expiration] = [&anatomy.inspiration, &anatomy.expiration].map(|m| with_others(m, more));
+    let vertex_generation = anatomy.vertex_generation.repeat(more as usize + 1);
+    CaseScene::new(case, &Anatomy { inspiration, expiration, vertex_generation, ..anatomy.clone() })
 }
 
-impl Stage {
-    fn new(case: &Case, anatomy: &Anatomy, more: u32) -> Result<Stage> {
-        let [rest, other] = [&anatomy.inspiration, &anatomy.expiration].map(|m| with_others(m, more));
-        let generation = anatomy.vertex_generation.repeat(more as usize + 1);
-        let mut scene = Scene::new(&rest, &generation, material(case)?, case.seed)?;
-        scene.set_other_end(&other.vertices)?;
-        Ok(Stage { scene, ends: [rest.vertices, other.vertices] })
-    }
-
-    fn picture(&mut self, view: &View, settings: &RenderSettings) -> Result<Image<f32>> {
-        self.scene.deform(&mesh::interpolate(&self.ends[0], &self.ends[1], view.phase))?;
-        Ok(render(&self.scene, &view.camera, &view.pose, &view.light, settings)?.radiance)
-    }
+/// What the camera sees `later_s` after the middle of the way, and the phase then.
+fn frame(case: &Case, anatomy: &Anatomy, pixels: u32, later_s: f64) -> Result<(Viewpoint, f64)> {
+    let route = Route::plan(anatomy, &case.trajectory)?;
+    let (phase, way_mm) = (0.5 + 0.4 * later_s, 0.5 * route.length_mm() + case.trajectory.speed_mm_per_s * later_s);
+    let mut viewpoint = Viewpoint::on_route(case, &route, way_mm, phase, pixels);
+    viewpoint.light = Light { emission_exponent: 1.0, ..viewpoint.light };
+    Ok((viewpoint, phase))
 }
 
-struct View {
-    camera: Camera,
-    pose: DAffine3,
-    light: Light,
-    phase: f64,
-}
-
-impl View {
-    /// The middle of the way, some hundredths of a second later.
-    fn new(case: &Case, anatomy: &Anatomy, pixels: u32, later: f64) -> Result<View> {
-        let route = Route::plan(anatomy, &case.trajectory)?;
-        let phase = 0.5 + 0.4 * later;
-        Ok(View {
-            camera: case.camera.camera(pixels, pixels),
-            pose: route.pose(0.5 * route.length_mm() + case.trajectory.speed_mm_per_s * later, phase),
-            light: Light { emission_exponent: 1.0, ..Light::at_camera(case.light_intensity) },
-            phase,
-        })
-    }
+fn image(scene: &mut CaseScene, frame: &(Viewpoint, f64), settings: &RenderSettings) -> Result<Image<f32>> {
+    scene.set_phase(frame.1)?;
+    frame.0.radiance(&scene.scene, settings)
 }
 
 fn settings(seed: u64, frame: u64, transport: Transport, samples_per_pixel: u32) -> RenderSettings {
     RenderSettings { samples_per_pixel, transport, shading: Shading::Smooth, seed, frame, ..RenderSettings::default() }
 }
 
-fn race(case: &Case, anatomy: &Anatomy, pixels: u32) -> Result<()> {
-    let view = View::new(case, anatomy, pixels, 0.0)?;
-    let mut stages = [Stage::new(case, anatomy, 0)?, Stage::new(case, anatomy, 3)?];
-    let mut best = [f64::INFINITY; 2];
-    // The first turn makes what a film keeps.
-    for turn in 0..=TURNS {
-        for (stage, best) in stages.iter_mut().zip(&mut best) {
-            let start = cpu_time_s();
-            stage.picture(&view, &settings(case.seed, turn as u64, Transport::VERTICES, 4))?;
-            if turn > 0 {
-                *best = best.min(cpu_time_s() - start);
-            }
-        }
-    }
-    let triangles = stages[0].scene.triangles();
+fn cost(case: &Case, anatomy: &Anatomy, pixels: u32) -> Result<()> {
+    let seen = frame(case, anatomy, pixels, 0.0)?;
+    let mut scenes = [scene(case, anatomy, 0)?, scene(case, anatomy, 3)?];
+    let mut turn = 0;
+    // The first turn, which is not counted, makes what a film keeps.
+    let [alone, among] = in_turns(TURNS, |k, samples| {
+        let settings = settings(case.seed, turn / 2, Transport::VERTICES, 4);
+        turn += 1;
+        samples.time(|| image(&mut scenes[k], &seen, &settings)).map(drop)
+    })?
+    .map(|samples| samples.cpu().least_s);
+    let triangles = scenes[0].scene.triangles();
     println!(
-        "one frame of {pixels} x {pixels}, 4 samples: {:.4} CPU-s with {triangles} triangles, {:.4} with {} ({:+.1} %)",
-        best[0],
-        best[1],
+        "one frame of {pixels} x {pixels}, 4 samples: {alone:.4} CPU-s with {triangles} triangles, {among:.4} with {} ({:+.1} %)",
         4 * triangles,
-        100.0 * (best[1] / best[0] - 1.0)
+        100.0 * (among / alone - 1.0)
     );
     Ok(())
 }
 
 fn refit(case: &Case, anatomy: &Anatomy) -> Result<()> {
     let more = (100_000 / anatomy.inspiration.faces.len()) as u32;
-    let mut stage = Stage::new(case, anatomy, more)?;
-    let triangles = stage.scene.triangles();
-    let mut seconds: Vec<f64> = (0..TURNS).map(|_| stage.scene.refit_seconds()).collect::<Result<_>>()?;
-    seconds.sort_by(f64::total_cmp);
+    let mut scene = scene(case, anatomy, more)?.scene;
+    let seconds: Vec<f64> = (0..TURNS).map(|_| scene.refit_seconds()).collect::<Result<_>>()?;
+    let spread = Spread::of(&seconds);
     println!(
-        "refit of {triangles} triangles: {:.2} ms at best, median {:.2}",
-        1e3 * seconds[0],
-        1e3 * seconds[TURNS / 2]
+        "refit of {} triangles: {:.2} ms at best, median {:.2}",
+        scene.triangles(),
+        1e3 * spread.least_s,
+        1e3 * spread.median_s
     );
     Ok(())
 }
 
 fn flicker(case: &Case, anatomy: &Anatomy) -> Result<()> {
-    let mut stage = Stage::new(case, anatomy, 0)?;
-    let views = [View::new(case, anatomy, 64, 0.0)?, View::new(case, anatomy, 64, 0.04)?];
+    let mut scene = scene(case, anatomy, 0)?;
+    let frames = [frame(case, anatomy, 64, 0.0)?, frame(case, anatomy, 64, 0.04)?];
     let mut change = |transport, samples, seed| -> Result<Vec<f32>> {
-        let mut picture = |k: usize| stage.picture(&views[k], &settings(seed, k as u64, transport, samples));
-        let (first, second) = (picture(0)?, picture(1)?);
+        let mut image = |k: usize| image(&mut scene, &frames[k], &settings(seed, k as u64, transport, samples));
+        let (first, second) = (image(0)?, image(1)?);
         Ok(first.data.iter().zip(&second.data).map(|(a, b)| b - a).collect())
     };
     // The wall's pattern follows the scene's seed, not this one.

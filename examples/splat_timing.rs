@@ -1,207 +1,217 @@
-//! Times the rasteriser on the tube of `splat::tube`:
-//! `cargo run --release --example splat_timing -- [DISCS] [SIDE] [THREADS] [ISA] [REPETITIONS]`: stage by stage; what an
-//! appearance-only step costs; what five times as many discs out of sight add; the loss; peak memory. With 0 for THREADS:
-//! two threads against one instead, turn by turn.
+//! Times the rasteriser on the tube of `splat::tube` (all of it in milliseconds):
+//!
+//! ```text
+//! cargo run --release --example splat_timing -- [DISCS] [SIDE] [THREADS] [ISA] [REPETITIONS]
+//! cargo run --release --example splat_timing -- table [REPETITIONS]
+//! cargo run --release --example splat_timing -- pass [DISCS] [SIDE] [PASSES]
+//! ```
+//! The first times each stage of a pass, and then turn by turn: forward mode (JVP), steps of the appearance alone,
+//! five times as many discs out of sight, a fisheye, AVX2 against the widest kernels, the loss of the methods; with 0
+//! for THREADS, two threads against one. `table` does all of it at 20,000 discs and 256x256 and at 100,000 and
+//! 400x400, and a million discs, with two threads. `pass` does some passes in one thread and says nothing, for
+//! `scripts/count-instructions.sh`.
 //!
 //! On a busy machine believe the CPU times (of the whole process, median), not the wall clock.
 
-use std::time::Instant;
-
-use respire_bench::ffi::splat::loss::{self, LossImage};
-use respire_bench::ffi::system::{cpu_time_s, peak_memory_mib};
-use respire_bench::splat::{
-    Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Reuse, Settings, Stage, View, Wanted, tube,
+use rayon::ThreadPool;
+use respire_bench::base::Result;
+use respire_bench::experiments::timing::{
+    BACKWARD_STAGES, FORWARD_STAGES, Samples, TimedScene, in_turns, pool, repeat,
 };
+use respire_bench::ffi::system::peak_memory_mib;
+use respire_bench::reconstruct::loss::photometric::Photometric;
+use respire_bench::splat::{Isa, Rasterizer, Reuse, Stage, Wanted};
 
-/// Wall and CPU milliseconds of repeated work.
-#[derive(Default)]
-struct Samples {
-    wall: Vec<f64>,
-    cpu: Vec<f64>,
-}
-
-impl Samples {
-    fn add(&mut self, wall_s: f64, cpu_s: f64) {
-        self.wall.push(wall_s * 1e3);
-        self.cpu.push(cpu_s * 1e3);
-    }
-
-    fn time(&mut self, work: impl FnOnce()) {
-        let (wall, cpu) = (Instant::now(), cpu_time_s());
-        work();
-        self.add(wall.elapsed().as_secs_f64(), cpu_time_s() - cpu);
-    }
-
-    fn line(&self, name: &str) {
-        let median = |v: &[f64]| {
-            let mut v = v.to_vec();
-            v.sort_by(f64::total_cmp);
-            v[v.len() / 2]
-        };
-        let least = |v: &[f64]| v.iter().copied().fold(f64::MAX, f64::min);
-        println!(
-            "{name:<34} {:>9.3} {:>9.3} {:>9.3} {:>9.3}",
-            median(&self.wall),
-            median(&self.cpu),
-            least(&self.wall),
-            least(&self.cpu)
-        );
+fn main() -> Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let number = |k: usize, default: usize| arguments.get(k).and_then(|v| v.parse().ok()).unwrap_or(default);
+    match arguments.first().map(String::as_str) {
+        Some("table") => table(number(1, 100)),
+        Some("pass") => {
+            let (scene, passes) = (TimedScene::tube(number(1, 20_000), number(2, 256)), number(3, 1));
+            let mut rasterizer = Rasterizer::new();
+            pool(1)?.install(|| (0..passes).try_for_each(|_| scene.forward_backward(&mut rasterizer, Wanted::ALL)))
+        }
+        _ => {
+            let isa = match arguments.get(3).map(String::as_str) {
+                Some("scalar") => Isa::Scalar,
+                Some("sse2") => Isa::Baseline,
+                Some("avx2") => Isa::Avx2,
+                _ => Isa::widest(),
+            };
+            let (discs, side, threads) = (number(0, 20_000), number(1, 256), number(2, 2));
+            let program = Program { scene: TimedScene::tube(discs, side), isa, repetitions: number(4, 100) };
+            program.head(discs, side);
+            match threads {
+                0 => program.threads(),
+                _ => program.all(&pool(threads)?),
+            }
+        }
     }
 }
 
-/// One scene, one view.
-struct Bench {
-    scene: Gaussians<f32>,
-    view: View,
-    settings: Settings,
-    color: Vec<f32>,
+fn table(repetitions: usize) -> Result<()> {
+    let two = pool(2)?;
+    for (discs, side, repetitions) in [(20_000, 256, repetitions), (100_000, 400, repetitions.div_ceil(2))] {
+        let program = Program { scene: TimedScene::tube(discs, side), isa: Isa::widest(), repetitions };
+        program.head(discs, side);
+        program.threads()?;
+        program.all(&two)?;
+    }
+    let scene = TimedScene::tube(1_000_000, 1024);
+    let mut rasterizer = Rasterizer::new();
+    println!("1000000 discs, 1024x1024; peak memory {:.0} MiB with the scene", peak_memory_mib());
+    let passes = || repeat(repetitions.div_ceil(10), || scene.forward_backward(&mut rasterizer, Wanted::ALL));
+    print("forward + backward", &two.install(passes)?);
+    println!("peak memory {:.0} MiB", peak_memory_mib());
+    Ok(())
+}
+
+fn print(name: &str, samples: &Samples) {
+    let ([wall, cpu], ms) = ([samples.wall(), samples.cpu()], 1e3);
+    println!(
+        "{name:<38} {:>9.3} {:>9.3} {:>9.3} {:>9.3}",
+        ms * wall.median_s,
+        ms * cpu.median_s,
+        ms * wall.least_s,
+        ms * cpu.least_s
+    );
+}
+
+/// Two rows, and the second over the first.
+fn print_pair(names: [&str; 2], samples: &[Samples; 2]) {
+    names.iter().zip(samples).for_each(|(name, samples)| print(name, samples));
+    let [a, b] = samples.each_ref().map(|s| [s.wall().median_s, s.cpu().median_s, s.wall().least_s, s.cpu().least_s]);
+    let ratios: String = a.iter().zip(b).map(|(a, b)| format!(" {:>9.3}", b / a)).collect();
+    println!("  {:<36}{ratios}", "the second over the first");
+}
+
+/// One scene and the kernels in question.
+struct Program {
+    scene: TimedScene,
     isa: Isa,
+    repetitions: usize,
 }
 
-impl Bench {
-    fn rasterizer(&self) -> Rasterizer<f32> {
-        let mut rasterizer = Rasterizer::with_isa(self.isa).expect("the processor has it");
+impl Program {
+    fn head(&self, discs: usize, side: usize) {
+        println!("{discs} discs, {side}x{side}, {}", self.isa);
+        println!("{:<38} {:>9} {:>9} {:>9} {:>9}", "ms", "wall", "CPU", "least", "least CPU");
+    }
+
+    fn rasterizer(&self) -> Result<Rasterizer<f32>> {
+        let mut rasterizer = Rasterizer::with_isa(self.isa)?;
         rasterizer.measure_cpu();
-        rasterizer
+        Ok(rasterizer)
     }
 
-    fn render(&self, rasterizer: &mut Rasterizer<f32>, scene: &Gaussians<f32>) {
-        rasterizer.render(scene, &self.view, &self.settings, None).expect("a good scene");
+    fn all(&self, pool: &ThreadPool) -> Result<()> {
+        pool.install(|| {
+            self.stages()?;
+            println!("peak memory {:.0} MiB", peak_memory_mib());
+            self.tangent()?;
+            self.appearance()?;
+            let mut fisheye = self.scene.clone();
+            fisheye.view.camera.fisheye = Some([-0.03, 0.002, 0.0, 0.0]);
+            self.against("with 5x more out of sight", &self.scene.with_hidden(5), self.rasterizer()?)?;
+            self.against("through a fisheye", &fisheye, self.rasterizer()?)?;
+            if self.isa > Isa::Avx2 {
+                self.against("with AVX2", &self.scene, Rasterizer::with_isa(Isa::Avx2)?)?;
+            }
+            self.loss()
+        })
     }
 
-    fn both(&self, rasterizer: &mut Rasterizer<f32>, scene: &Gaussians<f32>, wanted: Wanted) {
-        self.render(rasterizer, scene);
-        let gradient = ImageGradient { color: &self.color, ..ImageGradient::default() };
-        rasterizer.backward(scene, &gradient, wanted).expect("a good gradient");
-    }
-
-    fn stages(&self, repetitions: usize) {
-        let mut rasterizer = self.rasterizer();
-        let velocities: Vec<[f32; 3]> = self.scene.positions.iter().map(|p| [0.1 * p[0], 0.1 * p[1], 1.0]).collect();
-        let motion = Direction::Motion(Motion { positions: &velocities, ..Motion::default() });
-        let mut stages: [Samples; 6] = Default::default();
-        let (mut forward, mut both, mut tangent) = Default::default();
-        let total = |samples: &mut Samples, times: &[[f64; 6]; 2], count: usize| {
-            samples.add(times[0][..count].iter().sum(), times[1][..count].iter().sum());
-        };
-        for _ in 0..repetitions {
-            self.both(&mut rasterizer, &self.scene, Wanted::ALL);
-            let times = [rasterizer.stage_times().wall_s, rasterizer.stage_times().cpu_s];
-            stages.iter_mut().enumerate().for_each(|(k, samples)| samples.add(times[0][k], times[1][k]));
-            total(&mut forward, &times, 4);
-            total(&mut both, &times, 6);
-            let Bench { scene, view, settings, .. } = self;
-            Samples::time(&mut tangent, || {
-                rasterizer.render_tangent(scene, view, settings, None, &[motion]).expect("a good motion");
-            });
+    fn stages(&self) -> Result<()> {
+        let (mut rasterizer, mut passes) = (self.rasterizer()?, Vec::new());
+        for _ in 0..self.repetitions {
+            self.scene.forward_backward(&mut rasterizer, Wanted::ALL)?;
+            passes.push(rasterizer.stage_times());
         }
         let image = rasterizer.rendered();
         println!("{} visible, {} intersections", image.visible_count, image.intersections);
-        for (stage, samples) in Stage::ALL.iter().zip(&stages) {
-            samples.line(stage.name());
+        for (k, stage) in Stage::ALL.iter().enumerate() {
+            print(stage.name(), &Samples::of_stages(&passes, k..k + 1));
         }
-        forward.line("forward");
-        both.line("forward + backward");
-        tangent.line("forward + one motion (JVP)");
+        print("forward", &Samples::of_stages(&passes, FORWARD_STAGES));
+        print("forward + backward", &Samples::of_stages(&passes, 0..BACKWARD_STAGES.end));
+        Ok(())
+    }
+
+    fn tangent(&self) -> Result<()> {
+        let velocities = self.scene.velocities();
+        let mut rasterizers = [self.rasterizer()?, self.rasterizer()?];
+        let samples = in_turns(self.repetitions, |k, samples| {
+            samples.time(|| match k {
+                0 => self.scene.forward(&mut rasterizers[0]),
+                _ => self.scene.forward_tangent(&mut rasterizers[1], &velocities).map(drop),
+            })
+        })?;
+        print_pair(["forward", "forward with one motion (JVP)"], &samples);
+        Ok(())
     }
 
     /// New SH on the same geometry, with and without reuse.
-    fn repaint(&self, repetitions: usize) {
-        let mut scene = self.scene.clone();
-        let (mut anew, mut kept) = (self.rasterizer(), self.rasterizer());
-        kept.reuse(Reuse::Unchanged);
-        let mut samples: [Samples; 4] = Default::default();
-        for _ in 0..=repetitions {
-            scene.sh.iter_mut().for_each(|v| *v *= 0.999);
-            samples[0].time(|| self.render(&mut anew, &scene));
-            samples[1].time(|| self.both(&mut anew, &scene, Wanted::SH));
-            samples[2].time(|| self.render(&mut kept, &scene));
-            scene.sh.iter_mut().for_each(|v| *v *= 0.999);
-            samples[3].time(|| self.both(&mut kept, &scene, Wanted::SH));
+    fn appearance(&self) -> Result<()> {
+        for (what, backward) in [("forward", false), ("forward + backward of SH", true)] {
+            let mut rasterizers = [self.rasterizer()?, self.rasterizer()?];
+            rasterizers[1].reuse(Reuse::Unchanged);
+            let mut scenes = [self.scene.clone(), self.scene.clone()];
+            let samples = in_turns(self.repetitions, |k, samples| {
+                scenes[k].gaussians.sh.iter_mut().for_each(|v| *v *= 0.999);
+                let (scene, rasterizer) = (&scenes[k], &mut rasterizers[k]);
+                samples.time(|| match backward {
+                    true => scene.forward_backward(rasterizer, Wanted::SH),
+                    false => scene.forward(rasterizer),
+                })
+            })?;
+            print_pair([what, "the same on unchanged geometry"], &samples);
         }
-        let names = ["forward", "forward + backward of SH", "same geometry: forward", "same geometry: with SH"];
-        names.iter().zip(&samples).for_each(|(name, samples)| samples.line(name));
+        Ok(())
     }
 
-    /// Five times as many discs out of sight, turn by turn with the plain scene.
-    fn hidden(&self, repetitions: usize) {
-        let tree = tube::with_hidden(&self.scene, 5);
-        let (mut alone, mut among) = (self.rasterizer(), self.rasterizer());
-        let mut samples: [Samples; 2] = Default::default();
-        for _ in 0..=repetitions {
-            samples[0].time(|| self.both(&mut alone, &self.scene, Wanted::ALL));
-            samples[1].time(|| self.both(&mut among, &tree, Wanted::ALL));
-        }
-        assert_eq!(alone.rendered().visible_count, among.rendered().visible_count);
-        samples[0].line("forward + backward");
-        samples[1].line("with 5x more out of sight");
+    /// Forward and backward of the scene against those of another.
+    fn against(&self, name: &str, other: &TimedScene, rasterizer: Rasterizer<f32>) -> Result<()> {
+        let mut rasterizers = [self.rasterizer()?, rasterizer];
+        let samples = in_turns(self.repetitions, |k, samples| {
+            samples.time(|| [&self.scene, other][k].forward_backward(&mut rasterizers[k], Wanted::ALL))
+        })?;
+        print_pair(["forward + backward", name], &samples);
+        Ok(())
     }
 
-    fn loss(&self, side: usize, repetitions: usize) {
-        let plane = vec![0.4f32; 3 * side * side];
-        let window = [0.001, 0.0076, 0.036, 0.1094, 0.213, 0.266];
-        let image = LossImage {
-            width: side,
-            height: side,
-            target: &self.color,
-            mean: &plane,
-            square: &plane,
-            mask: &[],
-            window: &window,
-            ssim_weight: 0.2,
-            norm: 0,
-            softness: 1.0,
-        };
+    /// The loss among passes, as a method calls it: what it needs has left the caches in between.
+    fn loss(&self) -> Result<()> {
+        let side = self.scene.view.camera.width as usize;
+        let mut photometric = Photometric::new(&vec![0.4; 3 * side * side], side, side, 0.2, None);
         let mut gradient = vec![0.0f32; 3 * side * side];
-        let mut samples = Samples::default();
-        for _ in 0..repetitions {
-            samples.time(|| {
-                std::hint::black_box(loss::band(self.isa, &image, &plane, 0, &mut gradient));
-            });
+        let mut rasterizer = self.rasterizer()?;
+        let mut samples = [Samples::default(), Samples::default()];
+        for _ in 0..self.repetitions {
+            samples[0].time(|| self.scene.forward(&mut rasterizer))?;
+            samples[1].time(|| photometric.evaluate(&rasterizer.rendered().color, &mut gradient));
+            self.scene.backward(&mut rasterizer, &gradient, Wanted::ALL)?;
         }
-        samples.line("L1 + SSIM with gradient, 1 thread");
+        print_pair(["forward", "L1 + SSIM with gradient"], &samples);
+        Ok(())
     }
 
-    /// Two threads against one, turn by turn.
-    fn threads(&self, repetitions: usize) {
-        let pool = |n: usize| rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("threads can be made");
-        let pools = [pool(1), pool(2)];
-        let mut rasterizers = [self.rasterizer(), self.rasterizer()];
-        let mut samples: [Samples; 2] = Default::default();
-        for _ in 0..repetitions {
-            for k in 0..2 {
-                let rasterizer = &mut rasterizers[k];
-                pools[k].install(|| samples[k].time(|| self.both(rasterizer, &self.scene, Wanted::ALL)));
-            }
+    /// Two threads against one.
+    fn threads(&self) -> Result<()> {
+        let pools = [pool(2)?, pool(1)?];
+        for (what, wanted) in [("forward", None), ("forward + backward", Some(Wanted::ALL))] {
+            let mut rasterizers = [self.rasterizer()?, self.rasterizer()?];
+            let samples = in_turns(self.repetitions, |k, samples| {
+                let (scene, rasterizer) = (&self.scene, &mut rasterizers[k]);
+                pools[k].install(|| {
+                    samples.time(|| match wanted {
+                        Some(wanted) => scene.forward_backward(rasterizer, wanted),
+                        None => scene.forward(rasterizer),
+                    })
+                })
+            })?;
+            print_pair([&format!("{what}, 2 threads"), &format!("{what}, 1 thread")], &samples);
         }
-        samples[0].line("forward + backward, 1 thread");
-        samples[1].line("forward + backward, 2 threads");
-        let least = |s: &Samples| s.wall.iter().copied().fold(f64::MAX, f64::min);
-        println!("fastest against fastest: {:.2} times", least(&samples[0]) / least(&samples[1]));
+        Ok(())
     }
-}
-
-fn main() {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let number = |k: usize, default: usize| arguments.get(k).and_then(|v| v.parse().ok()).unwrap_or(default);
-    let (n, side, threads, repetitions) = (number(0, 20_000), number(1, 256), number(2, 2), number(4, 100));
-    let isa = match arguments.get(3).map(String::as_str) {
-        Some("scalar") => Isa::Scalar,
-        Some("sse2") => Isa::Baseline,
-        Some("avx2") => Isa::Avx2,
-        _ => Isa::widest(),
-    };
-    let color = tube::image_gradient(3 * side * side);
-    let bench = Bench { scene: tube::tube(n), view: tube::view(side), settings: tube::settings(), color, isa };
-    println!("{n} discs, {side}x{side}, {isa}");
-    println!("{:<34} {:>9} {:>9} {:>9} {:>9}", "ms", "wall", "CPU", "least", "least CPU");
-    if threads == 0 {
-        return bench.threads(repetitions);
-    }
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().expect("the pool is made once");
-    bench.stages(repetitions);
-    println!("peak memory {:.0} MiB", peak_memory_mib());
-    bench.repaint(repetitions);
-    bench.hidden(repetitions);
-    bench.loss(side, repetitions);
 }

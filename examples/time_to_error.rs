@@ -3,13 +3,12 @@
 //! ```text
 //! cargo run --release --example time_to_error [SCENE,.. [TRANSPORT,.. [SPP,..]]]
 //! ```
-//! Per scene (M1, M2, M3c: six scatterings; M1-unlimited, M2-unlimited, M3: as many as there are; M3-32: 32 in the wall; all
-//! 256 x 256), transport (paths, vertices, gather; `gather+denoise` with the
-//! filter) and number of samples: relMSE
-//! (mean of `(x - r)^2 / (r^2 + 1e-4)`), ratio of the image means less 1 per channel, median relative difference of
-//! 16 x 16 blocks, CPU seconds of a first rendering over two (what two quiet cores would take), rays and paths per
-//! core-second. M3c's reference is as noisy as what is measured: there the error is the product of the differences from
-//! it and from paths of another seed. Then the least of a hundred refits of 99,840 triangles.
+//! Per scene (M1, M2, M3c: six scatterings; M1-unlimited, M2-unlimited, M3: as many as there are; M3-32: 32 in the
+//! wall; all 256 x 256), transport (paths, vertices, gather; `gather+denoise` with the filter) and number of samples:
+//! relMSE (mean of `(x - r)^2 / (r^2 + 1e-4)`), ratio of the image means less 1 per channel, median relative
+//! difference of 16 x 16 blocks, CPU seconds of a first rendering over two (what two quiet cores would take), rays and
+//! paths per core-second. M3c's reference is as noisy as what is measured: there the error is the product of the
+//! differences from it and from paths of another seed. Then the least of a hundred refits of 99,840 triangles.
 
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
@@ -17,7 +16,7 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DVec3};
 use respire_bench::base::camera::world_from_camera_looking;
 use respire_bench::base::{Camera, Error, Image, Result, TriangleMesh};
-use respire_bench::ffi::system::cpu_time_s;
+use respire_bench::experiments::{difference::relative_mse, timing};
 use respire_bench::formats::{mesh, npy};
 use respire_bench::render::{
     Boundary, Denoise, Frame, Light, Material, RenderSettings, Scene, Transport, WalkedVertices, render,
@@ -111,9 +110,9 @@ impl Stage<'_> {
             denoise,
             ..RenderSettings::default()
         };
-        let cpu = cpu_time_s();
-        let frame = render(&scene, &camera, &pose, &Light::at_camera([400.0; 3]), &settings)?;
-        Ok((frame, cpu_time_s() - cpu))
+        let light = Light::at_camera([400.0; 3]);
+        let (frame, cost) = timing::measure(|| render(&scene, &camera, &pose, &light, &settings));
+        Ok((frame?, cost.cpu_s))
     }
 
     fn measure(&self, transport: &str, spp: u32) -> Result<()> {
@@ -129,10 +128,9 @@ impl Stage<'_> {
         };
         let (frame, cpu) = self.picture(kind, spp, 5, denoise)?;
         let image = &frame.radiance;
-        let [a, b] = &self.references;
-        let truth: Vec<f64> = a.data.iter().zip(&b.data).map(|(&a, &b)| 0.5 * f64::from(a + b)).collect();
-        let product = |k: usize| f64::from(image.data[k] - a.data[k]) * f64::from(image.data[k] - b.data[k]);
-        let error = (0..truth.len()).map(|k| product(k) / (truth[k].powi(2) + 1e-4)).sum::<f64>() / truth.len() as f64;
+        let [a, b] = self.references.each_ref().map(|r| r.data.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>());
+        let truth: Vec<f64> = a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect();
+        let error = relative_mse(&image.data, [&a, &b], 1e-4);
         let sum = |values: &mut dyn Iterator<Item = f64>, c: usize| values.skip(c).step_by(3).sum::<f64>();
         let bias: [f64; 3] = std::array::from_fn(|c| {
             let found = sum(&mut image.data.iter().map(|&v| f64::from(v)), c);
@@ -179,12 +177,8 @@ fn refit(tube: &TriangleMesh) -> Result<()> {
     let count = tube.vertices.len() as u32;
     both.faces.extend(tube.faces.iter().map(|f| f.map(|v| v + count)));
     let mut scene = Scene::new(&both, &[], Material::lambert(RHO), 1)?;
-    let mut wall = f64::INFINITY;
-    let cpu = cpu_time_s();
-    for _ in 0..100 {
-        wall = wall.min(scene.refit_seconds()?);
-    }
-    let cpu = (cpu_time_s() - cpu) / 100.0;
+    let (seconds, cost) = timing::measure(|| (0..100).map(|_| scene.refit_seconds()).collect::<Result<Vec<f64>>>());
+    let (wall, cpu) = (timing::Spread::of(&seconds?).least_s, cost.cpu_s / 100.0);
     println!(
         "refit of {} triangles: {:.3} ms at best, {:.3} ms of CPU on the mean",
         both.faces.len(),

@@ -3,20 +3,21 @@
 //! ```text
 //! cargo run --release --example vertex_bias [CASE,.. [SAMPLES [PIXELS]]]
 //! ```
-//! Six frames per case: half way and nine tenths of the way, at phases 0, .5 and 1, lit as in the films. Per frame: the
-//! ratio of the mean picture to that of the paths, per channel, with the standard error of the paths' mean (from eight
-//! parts), relMSE free of the reference's noise (the product of the differences from two halves of the parts, over the square of
-//! their mean and 1e-4 of the picture's), and the CPU seconds of one frame. References are kept in `target/vertex_bias`; delete them after a change of the
-//! look.
+//! Six frames per case: half way and nine tenths of the way, at phases 0, .5 and 1, lit as in the films. Per frame:
+//! the ratio of the mean picture to that of the paths, per channel, with the standard error of the paths' mean (from
+//! eight parts), relMSE free of the reference's noise (the product of the differences from two halves of the parts,
+//! over the square of their mean and 1e-4 of the picture's), and the CPU seconds of one frame. References are kept in
+//! `target/vertex_bias`; delete them after a change of the materials.
 
 use std::path::Path;
 
 use respire_bench::airway::{self, case::Case};
-use respire_bench::base::{Image, Result, mesh};
-use respire_bench::ffi::system::cpu_time_s;
+use respire_bench::base::{Image, Result};
+use respire_bench::experiments::case_scene::{CaseScene, Viewpoint};
+use respire_bench::experiments::{difference::relative_mse, timing};
 use respire_bench::formats::exr;
-use respire_bench::render::{Light, RenderSettings, Scene, Shading, Transport, render};
-use respire_bench::simulate::{material, trajectory::Route};
+use respire_bench::render::{Light, RenderSettings, Shading, Transport};
+use respire_bench::simulate::trajectory::Route;
 
 /// Parts of the way and phases.
 const PLACES: [(f64, f64); 6] = [(0.5, 0.0), (0.5, 0.5), (0.5, 1.0), (0.9, 0.0), (0.9, 0.5), (0.9, 1.0)];
@@ -34,24 +35,19 @@ fn main() -> Result<()> {
         let case = Case::load(&root.join(format!("bench-cases/{name}.toml")))?;
         let anatomy = airway::build(&case)?;
         let route = Route::plan(&anatomy, &case.trajectory)?;
-        let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, material(&case)?, case.seed)?;
-        scene.set_other_end(&anatomy.expiration.vertices)?;
+        let mut scene = CaseScene::new(&case, &anatomy)?;
         for (part, phase) in PLACES {
-            scene.deform(&mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase))?;
-            let pose = route.pose(part * route.length_mm(), phase);
-            let exponent = Light::exponent_of_half_angle(case.scope.emission_half_angle_deg);
-            let light = Light { emission_exponent: exponent, ..Light::at_camera(case.light_intensity) };
-            let picture = |settings: &RenderSettings| -> Result<Image<f32>> {
-                Ok(render(&scene, &case.camera.camera(pixels, pixels), &pose, &light, settings)?.radiance)
-            };
+            scene.set_phase(phase)?;
+            let mut viewpoint = Viewpoint::on_route(&case, &route, part * route.length_mm(), phase, pixels);
+            let emission_exponent = Light::exponent_of_half_angle(case.scope.emission_half_angle_deg);
+            viewpoint.light = Light { emission_exponent, ..viewpoint.light };
+            let picture = |settings: &RenderSettings| viewpoint.radiance(&scene.scene, settings);
             let folder = root.join(format!("target/vertex_bias/{name}-{part}-{phase}-{samples}x{pixels}"));
             let paths = reference(&folder, samples, &picture)?;
             let vertices = RenderSettings { transport: Transport::VERTICES, ..settings(4, case.seed) };
             picture(&vertices)?;
-            let cpu = cpu_time_s();
-            let found = picture(&vertices)?;
-            let cpu = cpu_time_s() - cpu;
-            report(name, [part, phase], &paths, &found, cpu);
+            let (found, cost) = timing::measure(|| picture(&vertices));
+            report(name, [part, phase], &paths, &found?, cost.cpu_s);
         }
     }
     Ok(())
@@ -92,12 +88,8 @@ fn relative_error(found: &Image<f32>, parts: &[Image<f32>]) -> f64 {
         (0..found.data.len()).map(value).collect()
     };
     let (a, b) = (half(0), half(1));
-    let count = a.len() as f64;
-    let floor = 1e-4 * (a.iter().chain(&b).sum::<f64>() / (2.0 * count)).powi(2);
-    let term = |((&x, a), b): ((&f32, &f64), &f64)| {
-        (f64::from(x) - a) * (f64::from(x) - b) / ((0.5 * (a + b)).powi(2) + floor)
-    };
-    found.data.iter().zip(&a).zip(&b).map(term).sum::<f64>() / count
+    let mean = a.iter().chain(&b).sum::<f64>() / (2.0 * a.len() as f64);
+    relative_mse(&found.data, [&a, &b], 1e-4 * mean * mean)
 }
 
 fn report(name: &str, [part, phase]: [f64; 2], parts: &[Image<f32>], picture: &Image<f32>, cpu: f64) {

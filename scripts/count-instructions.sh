@@ -5,12 +5,12 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 command -v valgrind >/dev/null || { echo "valgrind is not installed" >&2; exit 2; }
-cargo build --release --quiet --example splat_pass
+cargo build --release --quiet --example splat_timing
 discs=${1:-20000} side=${2:-256} folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 count() {
   # One thread: one that looks for work in vain would be counted too.
-  RAYON_NUM_THREADS=1 valgrind --tool=callgrind --callgrind-out-file="$folder/$1" target/release/examples/splat_pass "$discs" "$side" "$1" 2>/dev/null
+  RAYON_NUM_THREADS=1 valgrind --tool=callgrind --callgrind-out-file="$folder/$1" target/release/examples/splat_timing pass "$discs" "$side" "$1" 2>/dev/null
   awk '/^summary:|^totals:/ { print $2; exit }' "$folder/$1"
 }
 one=$(count 1) three=$(count 3)

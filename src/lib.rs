@@ -16,6 +16,7 @@
 //!                   render                          splat
 //!
 //!     bench: which cells, in which order, resumed from where          cli: words in, words out
+//!     experiments: ablations, cost against error, numerical stability, timing
 //!     base, ffi, formats: below everything; the only `unsafe` is in ffi
 //! ```
 //!
@@ -35,7 +36,8 @@
 //! | [`score`] | metric registry, protocol, aggregation | how predictions were made |
 //! | [`report`] | CSV, Markdown, LaTeX, HTML, plots, JUnit, gate verdicts | how scores were made |
 //! | [`mod@bench`] | profiles, plan of cells, executor, journal | formats of the report |
-//! | [`cli`] | arguments, progress, exit codes | algorithms |
+//! | [`experiments`] | ablations, cost against error, numerical stability, timing | arguments, printing |
+//! | [`cli`] | arguments, progress, printing, exit codes | algorithms |
 //!
 //! Conventions, one home each: millimetres, seconds, radians; right-handed world; camera axes as OpenCV (x right,
 //! y down, z forward); transforms named by what they map (`world_from_camera`); pixel centres at integer + 0.5;
@@ -60,3 +62,4 @@ pub mod report;
 
 pub mod bench;
 pub mod cli;
+pub mod experiments;

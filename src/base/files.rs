@@ -37,8 +37,8 @@ fn set_umask_permissions(file: &File) -> std::io::Result<()> {
     file.set_permissions(fs::Permissions::from_mode(0o644))
 }
 
-/// Removes what a kill in the middle of [`write_atomically`] left behind in `folder` and below it. Only who alone writes
-/// there may ask for it. A missing folder is an empty one.
+/// Removes what a kill in the middle of [`write_atomically`] left behind in `folder` and below it. Call it only as the
+/// one writer of the folder. A missing folder is an empty one.
 pub fn remove_unfinished(folder: &Path) -> Result<()> {
     let fail = |e| Error::io("reading", folder, e);
     let entries = match fs::read_dir(folder) {
@@ -57,12 +57,12 @@ pub fn remove_unfinished(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether [`write_atomically`] gives such names to files that it has not finished.
+/// Whether a name is one that [`write_atomically`] gives to unfinished files.
 fn is_unfinished(name: &str) -> bool {
     name.starts_with(UNFINISHED.0) && name.ends_with(UNFINISHED.1)
 }
 
-/// [`write_atomically`] for bytes that are at hand.
+/// [`write_atomically`] for bytes in memory.
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write_atomically(path, |w| w.write_all(bytes))
 }
@@ -101,7 +101,7 @@ pub fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T> {
     })
 }
 
-/// Puts `value` at `path`, which need not be there: a case file leaves out what has a default.
+/// Sets `value` at `path` and makes the path where it is missing: a case file leaves out what has a default.
 pub fn insert_toml(table: &mut toml::Table, path: &[&str], value: toml::Value) -> Result<()> {
     let (last, groups) = path.split_last().ok_or_else(|| Error::input("an empty key"))?;
     let mut at = table;
@@ -116,7 +116,7 @@ pub fn insert_toml(table: &mut toml::Table, path: &[&str], value: toml::Value) -
     Ok(())
 }
 
-/// Where the byte `offset` of `text` stands, as people count, with the beginning of its line.
+/// Line and column of the byte `offset` of `text`, counted from 1, with the beginning of its line.
 fn place(text: &str, offset: usize) -> String {
     let before = text.get(..offset).unwrap_or(text);
     let line_start = before.rfind('\n').map_or(0, |end| end + 1);

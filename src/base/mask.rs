@@ -1,4 +1,4 @@
-//! Which pixels of a film hold a picture: what lies outside of a scope's circular mask counts nowhere.
+//! Which pixels of a film hold an image: pixels outside a scope's circular mask count in no metric and no loss.
 
 use super::{Error, Image, Result};
 
@@ -23,8 +23,8 @@ impl Mask {
         if self.visible.contains(&true) { Ok(self) } else { Err(Error::input("the mask hides every pixel")) }
     }
 
-    /// Hides also what lies within `pixels` of a hidden pixel, sideways, up, down or diagonally. The image's own border hides
-    /// nothing. Fails where nothing is left.
+    /// Hides also what lies within `pixels` of a hidden pixel, sideways, up, down or diagonally. The image's own
+    /// border hides nothing. Fails where nothing is left.
     pub fn eroded(&self, pixels: usize) -> Result<Mask> {
         let spread = |visible: &[bool], here: usize, step: usize, count: usize, at: usize| {
             (at.saturating_sub(pixels)..(at + pixels + 1).min(count)).all(|k| visible[here + k * step - at * step])

@@ -69,7 +69,8 @@ impl TriangleMesh {
         edges
     }
 
-    /// Vertex neighbours, sorted, as (offsets, flat list): the neighbours of `v` are `list[offsets[v]..offsets[v + 1]]`.
+    /// Vertex neighbours, sorted, as (offsets, flat list): the neighbours of `v` are `list[offsets[v]..offsets[v +
+    /// 1]]`.
     pub fn neighbours(&self) -> (Vec<u32>, Vec<u32>) {
         let edges = self.edges();
         let mut offsets = vec![0u32; self.vertices.len() + 1];

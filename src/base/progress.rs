@@ -1,6 +1,6 @@
-//! How long work reports and how it is stopped; the rooms below the command line never print.
+//! How long-running work reports progress and is stopped; rooms below the command line never print.
 
-/// Watches a piece of long work and may stop it.
+/// Receives the progress of long-running work and may stop it.
 pub trait Progress: Sync {
     /// `done` of `total` steps (frames, mostly) are finished.
     fn advance(&self, done: usize, total: usize);
@@ -12,7 +12,7 @@ pub trait Progress: Sync {
     fn note(&self, _sentence: &str) {}
 }
 
-/// Nobody watches, nobody stops.
+/// Shows no progress and never stops the work.
 pub struct NoProgress;
 
 impl Progress for NoProgress {

@@ -3,7 +3,7 @@
 //!
 //! Mixing: the finaliser of SplitMix64 (Steele et al., OOPSLA 2014), applied once per key.
 
-/// Who asks for randomness; two stages never share a stream.
+/// What the random numbers are for; two stages never share a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u64)]
 pub enum Stage {

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use super::plan::toml_ids;
 use crate::base::{Error, Result};
 
-/// The thresholds and the ablations, which are no cases.
+/// Files beside the cases: the thresholds and the ablations.
 const GATE: &str = "gate";
 const ABLATIONS: &str = "ablations";
 
@@ -45,7 +45,7 @@ impl Catalogue {
         &self.root
     }
 
-    /// Ids of the cases, in the order of people.
+    /// Ids of the cases in natural order (`case2` before `case10`).
     pub fn case_ids(&self) -> Result<Vec<String>> {
         Ok(toml_ids(&self.root)?.into_iter().filter(|id| id != GATE && id != ABLATIONS).collect())
     }
@@ -78,11 +78,6 @@ impl Catalogue {
     /// The ablations.
     pub fn ablations_file(&self) -> PathBuf {
         self.root.join(ABLATIONS).with_extension("toml")
-    }
-
-    /// The thresholds.
-    pub fn gate_file(&self) -> PathBuf {
-        self.root.join(GATE).with_extension("toml")
     }
 }
 

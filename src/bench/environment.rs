@@ -8,13 +8,13 @@ use crate::ffi::{system, vision};
 use crate::render;
 use crate::splat::Isa;
 
-/// Below this a `quick` run does not fit.
+/// A `quick` run does not fit into less.
 const MEMORY_NEEDED_MIB: f64 = 1500.0;
 
-/// What is here.
+/// The machine, the libraries and what is missing.
 #[derive(Clone, Debug, Serialize)]
 pub struct Environment {
-    /// Of this program.
+    /// Version of this program.
     pub version: &'static str,
     /// The compiler that built it.
     pub rustc: &'static str,
@@ -26,9 +26,9 @@ pub struct Environment {
     pub opencv: String,
     /// Instruction sets of the processor.
     pub isa_available: Vec<&'static str>,
-    /// The one that rays are traced with: pinned, so that images are the same on every machine that has it.
+    /// Instruction set for tracing rays: pinned, so that images are the same on every machine that has it.
     pub isa_of_rays: &'static str,
-    /// The one that splats are drawn with: the widest.
+    /// Instruction set for rasterising: the widest.
     pub isa_of_splats: String,
     /// Processor model.
     pub processor: String,
@@ -65,7 +65,7 @@ fn processor() -> String {
 }
 
 impl Environment {
-    /// Looks around.
+    /// Examines this machine.
     pub fn examine() -> Self {
         let embree = embree_runtime();
         let isa_available = isa_available();

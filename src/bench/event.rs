@@ -1,4 +1,4 @@
-//! What happens during a run, as data: the command line and the tests read it, nobody parses text.
+//! What happens during a run, as data: for the command line and the tests, which then need not parse text.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use crate::base::{Error, Progress};
 
 /// Whether a product was made now or taken from the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reuse {
+pub enum CacheUse {
     /// Made in this run.
     Made,
     /// Made before, by the same code from the same input, and still whole.
@@ -25,29 +25,29 @@ pub enum Event<'a> {
     },
     /// A sequence is about to be filmed (not sent when it is cached).
     Filming {
-        /// Whose.
+        /// The case.
         case_id: &'a str,
     },
     /// A sequence is there.
     Filmed {
-        /// Whose.
+        /// The case.
         case_id: &'a str,
         /// Made or cached.
-        reuse: Reuse,
+        cache_use: CacheUse,
         /// Seconds it took now.
         wall_s: f64,
     },
     /// A cell is about to be computed (not sent when it is cached).
     CellStarted {
-        /// Which.
+        /// The cell.
         cell: &'a Cell,
     },
     /// A cell is scored.
     CellFinished {
-        /// Which.
+        /// The cell.
         cell: &'a Cell,
         /// Made or cached.
-        reuse: Reuse,
+        cache_use: CacheUse,
         /// Seconds it took now.
         wall_s: f64,
         /// Cells that are done, this one included.
@@ -57,16 +57,16 @@ pub enum Event<'a> {
     },
     /// A cell failed; the run goes on.
     CellFailed {
-        /// Which.
+        /// The cell.
         cell: &'a Cell,
         /// Why.
         error: &'a Error,
     },
-    /// Something cached cannot be used again and is made once more.
+    /// A cached product cannot be used and is made again.
     Discarded {
         /// Folder or file.
         path: &'a Path,
-        /// Why, as half a sentence.
+        /// Why, as a clause.
         reason: &'a str,
     },
 }

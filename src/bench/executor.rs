@@ -8,10 +8,10 @@ use std::fs::{self, File};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-use super::event::{Event, Reuse, Watcher};
+use super::event::{CacheUse, Event, Watcher};
 use super::plan::{Cell, Plan, Planned};
 use super::stages::Stages;
-use super::store::{State, Store, cell_folder, sequence_product};
+use super::store::{ProductState, Store, cell_folder, sequence_product};
 use super::timing::{self, StageTiming, measured};
 use crate::base::{Error, ErrorKind, Result};
 
@@ -20,14 +20,14 @@ use crate::base::{Error, ErrorKind, Result};
 pub enum Freshness {
     /// Take what is finished and unchanged.
     Resume,
-    /// Make everything of the plan once more.
+    /// Make everything of the plan again.
     Fresh,
 }
 
 /// A cell after the run: where its files are, what it cost, or why it failed.
 #[derive(Clone, Debug)]
 pub struct FinishedCell {
-    /// Which.
+    /// The cell.
     pub cell: Cell,
     /// Folder of the sequence.
     pub sequence: PathBuf,
@@ -41,7 +41,7 @@ pub struct FinishedCell {
     pub failure: Option<Error>,
 }
 
-struct Run<'a> {
+struct Execution<'a> {
     plan: &'a Plan,
     stages: &'a dyn Stages,
     store: &'a mut Store,
@@ -59,14 +59,14 @@ pub fn execute(
     watcher: &dyn Watcher,
 ) -> Result<Vec<FinishedCell>> {
     watcher.event(&Event::Started { plan });
-    let mut run = Run { plan, stages, store, freshness, watcher, finished: Vec::new() };
+    let mut run = Execution { plan, stages, store, freshness, watcher, finished: Vec::new() };
     for case in &plan.cases {
         run.case(case)?;
     }
     Ok(run.finished)
 }
 
-impl Run<'_> {
+impl Execution<'_> {
     fn case(&mut self, case: &Planned) -> Result<()> {
         let filmed = self.film(case);
         if let Some(stop) = filmed.as_ref().err().filter(|e| self.stops_the_run(e)) {
@@ -89,7 +89,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// A cell's own failure is told in its row; these would hit every further cell as well.
+    /// True for errors that would hit every further cell too; any other failure is reported in its cell's row.
     fn stops_the_run(&self, error: &Error) -> bool {
         match error.kind() {
             ErrorKind::Interrupted | ErrorKind::Environment => true,
@@ -103,7 +103,7 @@ impl Run<'_> {
         let folder = self.store.path(&product);
         let timing_file = folder.with_extension("timing.json");
         if self.usable(&product, &key)? {
-            self.watcher.event(&Event::Filmed { case_id: &case.id, reuse: Reuse::Cached, wall_s: 0.0 });
+            self.watcher.event(&Event::Filmed { case_id: &case.id, cache_use: CacheUse::Cached, wall_s: 0.0 });
             return Ok(());
         }
         if !folder.exists() {
@@ -118,7 +118,7 @@ impl Run<'_> {
         }
         outcome?;
         self.store.commit(&product, &key)?;
-        self.watcher.event(&Event::Filmed { case_id: &case.id, reuse: Reuse::Made, wall_s });
+        self.watcher.event(&Event::Filmed { case_id: &case.id, cache_use: CacheUse::Made, wall_s });
         Ok(())
     }
 
@@ -157,13 +157,13 @@ impl Run<'_> {
             timing::keep(&timing_file, timing)?;
             self.store.commit(&score, &score_key)?;
         }
-        let reuse = if started || rescored { Reuse::Made } else { Reuse::Cached };
+        let cache_use = if started || rescored { CacheUse::Made } else { CacheUse::Cached };
         let (done, total) = (self.finished.len() + 1, self.plan.cells().len());
-        self.watcher.event(&Event::CellFinished { cell, reuse, wall_s, done, total });
+        self.watcher.event(&Event::CellFinished { cell, cache_use, wall_s, done, total });
         Ok(())
     }
 
-    /// Readers see a whole prediction or none: it is made under another name.
+    /// Makes the prediction under another name and then renames it, so that readers see a whole one or none.
     fn reconstruct(&mut self, cell: &Cell, sequence: &Path, prediction: &str) -> Result<StageTiming> {
         let whole = self.store.path(prediction);
         let partial = whole.with_file_name(".partial");
@@ -182,17 +182,17 @@ impl Run<'_> {
         Ok(timing)
     }
 
-    /// True when the product is finished, from the same key, and whole. Otherwise what is there of a *finished* one
-    /// is removed; what an interrupted stage left behind stays, for the stage to go on from.
+    /// True when the product is finished, from the same key, and whole. Otherwise the files of a *finished*
+    /// product are removed; those that an interrupted stage left behind stay, so that the stage can resume.
     fn usable(&mut self, product: &str, key: &str) -> Result<bool> {
         let state = self.store.state(product, key);
         let path = self.store.path(product);
         let reason = match (state, self.freshness) {
-            (State::Whole, Freshness::Resume) => return Ok(true),
-            (State::Absent, Freshness::Resume) => return Ok(false),
-            (State::Absent | State::Whole, Freshness::Fresh) => None,
-            (State::Outdated, _) => Some("it was made by another version of the program or from other input"),
-            (State::Damaged, _) => Some("its files are not what they were when it was finished"),
+            (ProductState::Whole, Freshness::Resume) => return Ok(true),
+            (ProductState::Absent, Freshness::Resume) => return Ok(false),
+            (ProductState::Absent | ProductState::Whole, Freshness::Fresh) => None,
+            (ProductState::Outdated, _) => Some("it was made by another version of the program or from other input"),
+            (ProductState::Damaged, _) => Some("its files are not what they were when it was finished"),
         };
         if let Some(reason) = reason {
             self.watcher.event(&Event::Discarded { path: &path, reason });

@@ -84,7 +84,9 @@ impl Watcher for Events {
         self.0.lock().unwrap().push(match event {
             Event::Discarded { reason, .. } => format!("discarded: {reason}"),
             Event::CellFailed { cell, error } => format!("{} failed: {error}", cell.id()),
-            Event::CellFinished { cell, reuse, done, total, .. } => format!("{} {reuse:?} {done}/{total}", cell.id()),
+            Event::CellFinished { cell, cache_use, done, total, .. } => {
+                format!("{} {cache_use:?} {done}/{total}", cell.id())
+            }
             _ => return,
         });
     }

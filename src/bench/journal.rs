@@ -15,7 +15,7 @@ use crate::base::{Error, Result, files};
 /// A finished product.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Entry {
+pub struct JournalEntry {
     /// Folder or file below the cache folder.
     pub product: String,
     /// What it is a function of.
@@ -31,8 +31,9 @@ pub struct Journal {
     file: File,
 }
 
-/// The newest entry of each product, and how many bytes of the file are whole lines. A missing file is an empty journal.
-pub fn read(path: &Path) -> Result<(BTreeMap<String, Entry>, u64)> {
+/// The newest entry of each product, and how many bytes of the file are whole lines. A missing file is an empty
+/// journal.
+pub fn read(path: &Path) -> Result<(BTreeMap<String, JournalEntry>, u64)> {
     if !path.exists() {
         return Ok((BTreeMap::new(), 0));
     }
@@ -40,7 +41,7 @@ pub fn read(path: &Path) -> Result<(BTreeMap<String, Entry>, u64)> {
     let whole = bytes.iter().rposition(|&b| b == b'\n').map_or(0, |last| last + 1);
     let mut entries = BTreeMap::new();
     for (number, line) in bytes[..whole].split(|&b| b == b'\n').enumerate().filter(|(_, line)| !line.is_empty()) {
-        let entry: Entry = serde_json::from_slice(line).map_err(|e| {
+        let entry: JournalEntry = serde_json::from_slice(line).map_err(|e| {
             Error::input(format!("is damaged ({e}); remove the file to start afresh"))
                 .element(format!("line {}", number + 1))
                 .at(path)
@@ -61,7 +62,7 @@ impl Journal {
     }
 
     /// Appends a line and waits until it is on disk.
-    pub fn append(&mut self, entry: &Entry) -> Result<()> {
+    pub fn append(&mut self, entry: &JournalEntry) -> Result<()> {
         let mut line = serde_json::to_vec(entry).map_err(|e| Error::input(e.to_string()).at(&self.path))?;
         line.push(b'\n');
         let written = self.file.write_all(&line).and_then(|()| self.file.sync_data());
@@ -73,8 +74,8 @@ impl Journal {
 mod tests {
     use super::*;
 
-    fn entry(product: &str, key: &str) -> Entry {
-        Entry { product: product.into(), key: key.into(), outputs: "o".into() }
+    fn entry(product: &str, key: &str) -> JournalEntry {
+        JournalEntry { product: product.into(), key: key.into(), outputs: "o".into() }
     }
 
     #[test]

@@ -24,7 +24,7 @@ pub mod variant;
 
 pub use catalogue::Catalogue;
 pub use environment::Environment;
-pub use event::{Event, Reuse, Watcher};
+pub use event::{CacheUse, Event, Watcher};
 pub use executor::{FinishedCell, Freshness, execute};
 pub use pipeline::{Pipeline, Wishes};
 pub use plan::{Cell, Plan};

@@ -52,7 +52,7 @@ struct Method {
 impl Method {
     fn new(file: &MethodFile, profile: &Profile) -> Result<Self> {
         let scale = profile.iteration_scale;
-        // The parsed keys, so that a comment or a blank does not make a cell anew; with those of the bases.
+        // Hash of the parsed keys, inherited ones included, so that changing a comment or a blank recomputes no cell.
         Ok(Method { content: hash::of_value(&(file.keys(), scale))?, method: file.method(scale)? })
     }
 }

@@ -45,7 +45,7 @@ pub struct Plan {
     pub methods: Vec<Planned>,
     /// Seeds in order.
     pub seeds: Vec<u64>,
-    /// The code that will do it.
+    /// Revisions of the code that will do it.
     pub revisions: Revisions,
 }
 

@@ -43,8 +43,8 @@ pub struct Profile {
 }
 
 impl Profile {
-    /// Reads `<folder>/<wish>.toml`, or `wish` itself when it is the path of a TOML file. An unknown id is a usage error
-    /// that lists the known ones.
+    /// Reads `<folder>/<wish>.toml`, or `wish` itself when it is the path of a TOML file. An unknown id is a usage
+    /// error that lists the known ones.
     pub fn load(folder: &Path, wish: &str) -> Result<Profile> {
         let path = if wish.ends_with(".toml") { PathBuf::from(wish) } else { folder.join(format!("{wish}.toml")) };
         if !wish.ends_with(".toml") && !path.exists() {

@@ -1,7 +1,8 @@
 //! Which revision of the code makes a sequence, a prediction, a score.
 //!
-//! [`crate::base::revision`] knows those of the rooms. A change in the report therefore keeps every cached cell, a change in
-//! a method or in the splat core redoes the cells but not the sequences, and a stale cell is never shown as a fresh one.
+//! [`crate::base::revision`] knows those of the rooms. A change in the report therefore keeps every cached cell, a
+//! change in a method or in the splat core redoes the cells but not the sequences, and a stale cell is never shown as
+//! a fresh one.
 
 use crate::base::revision::of_rooms;
 use crate::simulate;

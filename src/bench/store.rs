@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::journal::{self, Entry, Journal};
+use super::journal::{self, Journal, JournalEntry};
 use super::plan::{Cell, Plan, Planned};
 use crate::base::{Error, Result, files, hash};
 
@@ -47,12 +47,12 @@ impl Lock {
     }
 }
 
-/// Where products lie; whatever else is in the folder is not ours.
+/// Where products lie; other files in the folder are left alone.
 const FOLDERS: [&str; 2] = ["sequences", "cells"];
 
-/// What the cache knows of a product.
+/// The state of a product in the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
+pub enum ProductState {
     /// There, made from the same key, and its files hash as they did when it was finished.
     Whole,
     /// Never finished.
@@ -67,7 +67,7 @@ pub enum State {
 #[derive(Debug)]
 pub struct Store {
     root: PathBuf,
-    entries: BTreeMap<String, Entry>,
+    entries: BTreeMap<String, JournalEntry>,
     writer: Option<(Journal, Lock)>,
 }
 
@@ -102,13 +102,13 @@ impl Store {
     }
 
     /// Checks a product against its key and, when the key fits, its files against their hash.
-    pub fn state(&self, product: &str, key: &str) -> State {
+    pub fn state(&self, product: &str, key: &str) -> ProductState {
         match self.entries.get(product) {
-            None => State::Absent,
-            Some(entry) if entry.key != key => State::Outdated,
+            None => ProductState::Absent,
+            Some(entry) if entry.key != key => ProductState::Outdated,
             Some(entry) => match hash_of_files(&self.path(product)) {
-                Ok(outputs) if outputs == entry.outputs => State::Whole,
-                _ => State::Damaged,
+                Ok(outputs) if outputs == entry.outputs => ProductState::Whole,
+                _ => ProductState::Damaged,
             },
         }
     }
@@ -116,7 +116,7 @@ impl Store {
     /// Says that a product is finished, once its files are on disk.
     pub fn commit(&mut self, product: &str, key: &str) -> Result<()> {
         let outputs = hash_of_files(&self.path(product))?;
-        let entry = Entry { product: product.into(), key: key.into(), outputs };
+        let entry = JournalEntry { product: product.into(), key: key.into(), outputs };
         let (journal, _) = self.writer.as_mut().expect("only an opened store is committed to");
         journal.append(&entry)?;
         self.entries.insert(product.into(), entry);
@@ -194,23 +194,23 @@ mod tests {
         fs::create_dir_all(store.path("cells/a/deep")).unwrap();
         fs::write(store.path("cells/a/x.png"), "1").unwrap();
         fs::write(store.path("cells/a/deep/y.png"), "2").unwrap();
-        assert_eq!(store.state("cells/a", "key"), State::Absent);
+        assert_eq!(store.state("cells/a", "key"), ProductState::Absent);
         store.commit("cells/a", "key").unwrap();
-        assert_eq!(store.state("cells/a", "key"), State::Whole);
-        assert_eq!(store.state("cells/a", "other"), State::Outdated);
+        assert_eq!(store.state("cells/a", "key"), ProductState::Whole);
+        assert_eq!(store.state("cells/a", "other"), ProductState::Outdated);
         drop(store);
 
         let store = Store::look(folder.path()).unwrap();
-        assert_eq!(store.state("cells/a", "key"), State::Whole);
+        assert_eq!(store.state("cells/a", "key"), ProductState::Whole);
         fs::write(store.path("cells/a/deep/y.png"), "3").unwrap();
-        assert_eq!(store.state("cells/a", "key"), State::Damaged);
+        assert_eq!(store.state("cells/a", "key"), ProductState::Damaged);
         fs::write(store.path("cells/a/deep/y.png"), "2").unwrap();
         fs::write(store.path("cells/a/z.png"), "").unwrap();
-        assert_eq!(store.state("cells/a", "key"), State::Damaged);
+        assert_eq!(store.state("cells/a", "key"), ProductState::Damaged);
         fs::remove_file(store.path("cells/a/z.png")).unwrap();
-        assert_eq!(store.state("cells/a", "key"), State::Whole);
+        assert_eq!(store.state("cells/a", "key"), ProductState::Whole);
         fs::remove_dir_all(store.path("cells/a")).unwrap();
-        assert_eq!(store.state("cells/a", "key"), State::Damaged);
+        assert_eq!(store.state("cells/a", "key"), ProductState::Damaged);
     }
 
     /// A kill while the costs of a cell are written leaves half a file beside its products.
@@ -234,7 +234,7 @@ mod tests {
     fn looking_touches_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let absent = folder.path().join("nowhere");
-        assert_eq!(Store::look(&absent).unwrap().state("cells/a", "key"), State::Absent);
+        assert_eq!(Store::look(&absent).unwrap().state("cells/a", "key"), ProductState::Absent);
         assert!(!absent.exists());
     }
 }

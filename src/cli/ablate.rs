@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use super::Terminal;
-use super::selection::Places;
+use super::selection::CatalogueFolder;
 use crate::base::{Result, files};
-use crate::bench::{Ablations, FinishedCell, Freshness, Pipeline, Store, Variant, execute};
-use crate::report::ablation::{VariantScores, write};
-use crate::score::CellScore;
+use crate::bench::Ablations;
+use crate::experiments::ablation::{AblationPlan, run as run_variants};
+use crate::report::ablation::write;
 
 /// Arguments of `ablate`.
 #[derive(clap::Args)]
@@ -16,7 +16,7 @@ use crate::score::CellScore;
     the spread between seeds is the noise below which a difference says nothing. Finished cells are kept.\n\
     Example: respire-bench ablate --only activation --out reports/ablations"
 )]
-pub struct Arguments {
+pub struct AblateArguments {
     /// Groups of the file; all when not given
     #[arg(long, value_delimiter = ',', value_name = "GROUP,..")]
     only: Vec<String>,
@@ -33,49 +33,19 @@ pub struct Arguments {
     #[arg(long, default_value = ".cache", value_name = "DIR")]
     cache: PathBuf,
     #[command(flatten)]
-    places: Places,
+    catalogue: CatalogueFolder,
 }
 
 /// Runs the variants and writes the table.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
-    let catalogue = arguments.places.catalogue()?;
+pub fn run(arguments: AblateArguments, terminal: &Terminal) -> Result<()> {
+    let catalogue = arguments.catalogue.open()?;
     let only = (!arguments.only.is_empty()).then_some(&arguments.only[..]);
     let ablations = Ablations::load(&catalogue.ablations_file(), only)?;
     let cases = if arguments.cases.is_empty() { &ablations.cases } else { &arguments.cases };
-    let shipped = ablations.methods();
-    let shipped = shipped.iter().map(|method| (Variant::shipped(method), &ablations.noise_seeds[..]));
-    let varied = ablations.ablation.iter().map(|v| (v.clone(), &ablations.noise_seeds[..1]));
-    let mut stages = Vec::new();
-    for (variant, seeds) in shipped.chain(varied) {
-        // All are read before the first is run: a mistake in the last line shows now.
-        let pipeline = Pipeline::of_variant(&catalogue, &arguments.profile, cases, seeds, &variant)?;
-        stages.push((variant, pipeline));
-    }
-    let mut store = Store::open(&arguments.cache)?;
-    let mut all = Vec::new();
-    let count = stages.len();
-    for (i, (variant, pipeline)) in stages.into_iter().enumerate() {
-        let group = if variant.group.is_empty() { "as shipped" } else { &variant.group };
-        terminal.stage(format!("{} of {count}: {} {group} {}", i + 1, variant.method, variant.setting).trim_end());
-        let finished = execute(&pipeline.plan()?, &pipeline, &mut store, Freshness::Resume, terminal)?;
-        let scored = finished.iter().filter(|cell| cell.failure.is_none());
-        let read = |cell: &FinishedCell| {
-            let score: CellScore = files::read_json(&cell.score)?;
-            // A score may have been made, and kept, before it knew its seed.
-            Ok(CellScore { seed: cell.cell.seed, ..score })
-        };
-        let cells = scored.map(read).collect::<Result<Vec<_>>>()?;
-        all.push(VariantScores {
-            group: variant.group,
-            setting: variant.setting,
-            method: variant.method,
-            failed: finished.len() - cells.len(),
-            cells,
-        });
-        // After every variant, so that a long run can be looked at, and stopped.
-        let title = format!("Profile `{}`, cases {}", arguments.profile, cases.join(", "));
-        write(&all, &title, &arguments.out)?;
-    }
+    let (profile, cache) = (&arguments.profile, &arguments.cache);
+    let plan = AblationPlan { catalogue: &catalogue, ablations: &ablations, cases, profile, cache };
+    let title = format!("Profile `{profile}`, cases {}", cases.join(", "));
+    run_variants(&plan, terminal, |scores| write(scores, &title, &arguments.out).map(drop))?;
     terminal.finish();
     terminal.line(files::read_text(&arguments.out.join("ablations.md"))?.trim_end());
     Ok(())

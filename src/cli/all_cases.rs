@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::selection::Selection;
 use super::{Terminal, comparison};
 use crate::base::{Error, ErrorKind, Result, files};
-use crate::bench::store::{Lock, State, cell_folder, sequence_product};
+use crate::bench::store::{Lock, ProductState, cell_folder, sequence_product};
 use crate::bench::{Environment, Freshness, Plan, Store, execute};
 use crate::report;
 use crate::report::summary::summarise;
@@ -16,7 +16,7 @@ use crate::report::table::ComparisonTable;
 #[command(after_help = "Stop it with Ctrl-C at any time: the same command goes on from there.\n\
     Exit code 1 when a cell failed; the others are done and reported.\n\
     Example: respire-bench all-cases --profile smoke")]
-pub struct Arguments {
+pub struct AllCasesArguments {
     #[command(flatten)]
     selection: Selection,
     /// Folder of the reports; `latest` in it points to the newest
@@ -34,7 +34,7 @@ pub struct Arguments {
 }
 
 /// Runs the plan and writes the report; `ErrorKind::CellFailed` names the cells that failed.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
     let pipeline = arguments.selection.pipeline()?;
     let plan = pipeline.plan()?;
@@ -68,8 +68,8 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
 }
 
 fn print_plan(plan: &Plan, store: &Store, folder: &Path, freshness: Freshness, terminal: &Terminal) -> Result<()> {
-    let word = |state: State| match state {
-        State::Whole if freshness == Freshness::Resume => "cached",
+    let word = |state: ProductState| match state {
+        ProductState::Whole if freshness == Freshness::Resume => "cached",
         _ => "to do",
     };
     for case in &plan.cases {

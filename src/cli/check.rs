@@ -13,7 +13,7 @@ use crate::simulate::sequence::Sequence;
     after_help = "Without --sequence the folder is checked as a sequence. Exit code 4 when something is wrong.\n\
     Example: respire-bench check my-method/case1 --sequence .cache/sequences/case1-0123456789ab"
 )]
-pub struct Arguments {
+pub struct CheckArguments {
     /// Folder of predictions, or a sequence
     #[arg(value_name = "DIR")]
     folder: PathBuf,
@@ -26,7 +26,7 @@ pub struct Arguments {
 }
 
 /// Reads every file; says what is there, or fails with the first thing that is wrong.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: CheckArguments, terminal: &Terminal) -> Result<()> {
     let Some(sequence) = &arguments.sequence else {
         let frames = check_truth(&Sequence::open(&arguments.folder)?).map_err(|e| e.at(&arguments.folder))?;
         if arguments.json {

@@ -14,7 +14,7 @@ use crate::score::metric;
     after_help = "Differences are B - A over the cases that both runs have, paired, with 95 % bootstrap bounds.\n\
     Example: respire-bench compare reports/reference/quick reports/latest --method ours"
 )]
-pub struct Arguments {
+pub struct CompareArguments {
     /// First report folder
     #[arg(value_name = "A")]
     a: PathBuf,
@@ -30,7 +30,7 @@ pub struct Arguments {
 }
 
 /// Prints one line per method and metric.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: CompareArguments, terminal: &Terminal) -> Result<()> {
     let mut found = compare(&read::read(&arguments.a)?, &read::read(&arguments.b)?);
     if let Some(wanted) = &arguments.method {
         found.retain(|c| c.method == *wanted);

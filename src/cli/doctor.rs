@@ -10,14 +10,14 @@ const REMEDY: &str = "scripts/setup.sh";
 /// Arguments of `doctor`.
 #[derive(clap::Args)]
 #[command(after_help = "Exit code 5 when something is missing.\nExample: respire-bench doctor --json")]
-pub struct Arguments {
+pub struct DoctorArguments {
     /// Write JSON.
     #[arg(long)]
     json: bool,
 }
 
 /// Prints the findings; `ErrorKind::Environment` when something is missing.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: DoctorArguments, terminal: &Terminal) -> Result<()> {
     let found = Environment::examine();
     if arguments.json {
         terminal.json(&found)?;

@@ -17,7 +17,7 @@ use crate::simulate::sequence::Sequence;
     ({\"method\": .., \"depth_unit_mm\": ..}); see docs/metrics.md.\n\
     Example: respire-bench evaluate --sequence .cache/sequences/case1-0123456789ab --predictions my-method/case1 --out report"
 )]
-pub struct Arguments {
+pub struct EvaluateArguments {
     /// Sequence folder with the truth
     #[arg(long, value_name = "DIR")]
     sequence: PathBuf,
@@ -36,7 +36,7 @@ pub struct Arguments {
 }
 
 /// Scores, prints, and writes a report where asked for.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
     let sequence = Sequence::open(&arguments.sequence)?;
     let settings = ScoreSettings { method: arguments.method.clone(), ..ScoreSettings::default() };
     let found = score(&sequence, &arguments.predictions, &settings)?;

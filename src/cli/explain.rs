@@ -7,7 +7,7 @@ use crate::score::{Metric, metric, registry};
 /// Arguments of `explain`.
 #[derive(clap::Args)]
 #[command(after_help = "Without a metric: all of them, one line each.\nExample: respire-bench explain contour_rmse_mm")]
-pub struct Arguments {
+pub struct ExplainArguments {
     /// Metric id
     #[arg(value_name = "METRIC")]
     metric: Option<String>,
@@ -17,7 +17,7 @@ pub struct Arguments {
 }
 
 /// Prints definition, unit, range, direction and applicability.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: ExplainArguments, terminal: &Terminal) -> Result<()> {
     let Some(id) = &arguments.metric else {
         if arguments.json {
             return terminal.json(&registry());

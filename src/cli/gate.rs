@@ -14,7 +14,7 @@ use crate::report::{gate_files, read};
     its limit, an empty or broken value, a missing case, method or metric.\n\
     Example: respire-bench gate --results reports/latest --baseline reports/reference/smoke"
 )]
-pub struct Arguments {
+pub struct GateArguments {
     /// Report folder to judge
     #[arg(long, value_name = "DIR")]
     results: PathBuf,
@@ -33,7 +33,7 @@ pub struct Arguments {
 }
 
 /// Judges, writes the reports, then decides; `ErrorKind::Regression` when a check fails.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
     let thresholds = read_thresholds(&arguments.thresholds)?;
     let results = read::read(&arguments.results)?;
     let baseline = arguments.baseline.as_deref().map(read::read).transpose()?;

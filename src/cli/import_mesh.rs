@@ -6,14 +6,14 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::Terminal;
-use super::import::{MotionArguments, fit_motion, still_breathing};
+use super::import_axes::AxesChoice;
+use super::import_motion::{MotionArguments, fit_motion, still_breathing};
 use crate::airway::case::{
     AnatomySource, Breathing, CameraSettings, Case, ExposureSettings, Region, ScopeSettings, TrajectorySettings,
 };
 use crate::airway::case_build::{self, read_mesh};
 use crate::airway::centerline::{Centerline, CenterlineSettings, extract};
 use crate::airway::import_breathing::breathing_toml;
-use crate::airway::import_tree::Axes;
 use crate::airway::{self, case_centerline};
 use crate::base::{Error, Progress, Result, TriangleMesh, files};
 use crate::formats::mesh::write_ply;
@@ -56,7 +56,7 @@ pub struct PairArguments {
 struct CommonArguments {
     /// Which way the files' axes point (landmarks are always LPS)
     #[arg(long, value_enum, default_value = "lps")]
-    axes: AxesWord,
+    axes: AxesChoice,
     /// Name of the case: letters, digits, `-`, `_`
     #[arg(long)]
     id: String,
@@ -71,22 +71,14 @@ struct CommonArguments {
     scope_radius_mm: f64,
     /// Part of the lungs in which the way ends
     #[arg(long, value_enum, default_value = "any")]
-    region: RegionWord,
+    region: RegionChoice,
     /// Seed of everything random
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum AxesWord {
-    /// x left, y posterior, z superior
-    Lps,
-    /// x right, y anterior, z superior
-    Ras,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum RegionWord {
+enum RegionChoice {
     Any,
     RightUpper,
     RightLower,
@@ -97,20 +89,17 @@ enum RegionWord {
 impl CommonArguments {
     fn region(&self) -> Region {
         match self.region {
-            RegionWord::Any => Region::Any,
-            RegionWord::RightUpper => Region::RightUpper,
-            RegionWord::RightLower => Region::RightLower,
-            RegionWord::LeftUpper => Region::LeftUpper,
-            RegionWord::LeftLower => Region::LeftLower,
+            RegionChoice::Any => Region::Any,
+            RegionChoice::RightUpper => Region::RightUpper,
+            RegionChoice::RightLower => Region::RightLower,
+            RegionChoice::LeftUpper => Region::LeftUpper,
+            RegionChoice::LeftLower => Region::LeftLower,
         }
     }
 
     /// A surface in LPS with normals into the lumen.
     fn read(&self, path: &Path) -> Result<TriangleMesh> {
-        let axes = match self.axes {
-            AxesWord::Lps => Axes::Lps,
-            AxesWord::Ras => Axes::Ras,
-        };
+        let axes = self.axes.axes();
         let mut mesh = read_mesh(path)?;
         mesh.vertices.iter_mut().for_each(|v| *v = axes.to_lps(*v));
         Ok(mesh)

@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 
 use super::Terminal;
-use crate::airway::import_tree::{Axes, from_mesh, from_table};
+use super::import_axes::AxesChoice;
+use crate::airway::import_tree::{from_mesh, from_table};
 use crate::base::{Error, Progress, Result, files};
 use crate::formats;
 
@@ -21,7 +22,7 @@ pub struct TreeArguments {
     input: PathBuf,
     /// Which way the file's axes point
     #[arg(long, value_enum, default_value = "lps")]
-    axes: AxesWord,
+    axes: AxesChoice,
     /// Data set, citation and licence, kept in the table
     #[arg(long)]
     source: String,
@@ -36,20 +37,9 @@ pub struct TreeArguments {
     out: PathBuf,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum AxesWord {
-    /// x left, y posterior, z superior
-    Lps,
-    /// x right, y anterior, z superior
-    Ras,
-}
-
 /// Runs the command.
 pub fn run(arguments: &TreeArguments, terminal: &Terminal) -> Result<()> {
-    let axes = match arguments.axes {
-        AxesWord::Lps => Axes::Lps,
-        AxesWord::Ras => Axes::Ras,
-    };
+    let axes = arguments.axes.axes();
     let input = &arguments.input;
     let tree = if input.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
         from_table(input, axes, &arguments.source)?

@@ -10,7 +10,7 @@ use crate::score;
 /// Arguments of `list`.
 #[derive(clap::Args)]
 #[command(after_help = "Example: respire-bench list --json --profile smoke")]
-pub struct Arguments {
+pub struct ListArguments {
     #[command(flatten)]
     selection: Selection,
     /// Write JSON: {"cases": [..], "methods": [..], "metrics": [..], "cells": [..]}
@@ -19,7 +19,7 @@ pub struct Arguments {
 }
 
 /// Prints the lists.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: ListArguments, terminal: &Terminal) -> Result<()> {
     let pipeline = arguments.selection.pipeline()?;
     let plan = pipeline.plan()?;
     let cells = plan.cells();

@@ -18,20 +18,21 @@ use crate::report::{self, Run};
     predictions and are left out.\n\
     Example: respire-bench merge reports/latest mine/case1 mine/case2 --out table"
 )]
-pub struct Arguments {
+pub struct MergeArguments {
     /// Report folders, of `all-cases` or of `evaluate --out`
     #[arg(value_name = "DIR", required = true, num_args = 1..)]
     runs: Vec<PathBuf>,
     /// Folder of the merged report
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Merge scores of different films of a case (another revision of the simulator) too; the report says which they are
+    /// Merge scores of different films of a case (another revision of the simulator) too; the report says which they
+    /// are
     #[arg(long)]
     other_films: bool,
 }
 
 /// Reads, merges, writes, and prints the table.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
     let parts = arguments.runs.iter().map(|folder| read_run(folder)).collect::<Result<Vec<Run>>>()?;
     if let Some(folder) = arguments.runs.iter().find(|folder| same_folder(folder, &arguments.out)) {
         return Err(Error::usage(format!("--out is one of the runs: {}", folder.display())));

@@ -1,7 +1,7 @@
 //! Words in, words out: arguments, progress, exit codes, one file per command. No algorithms.
 //!
-//! A command is a file with `Arguments` (clap) and `run(Arguments, &Terminal) -> Result<()>`. To add one: a `mod`
-//! line and a line in `commands!` below.
+//! A command `name` is a file with `NameArguments` (clap) and `run(NameArguments, &Terminal) -> Result<()>`. To add
+//! one: a `mod` line and a line in `commands!` below.
 
 mod ablate;
 mod all_cases;
@@ -13,26 +13,21 @@ mod evaluate;
 mod explain;
 mod gate;
 mod import;
+mod import_axes;
 mod import_mesh;
+mod import_motion;
 mod import_tree;
 mod list;
 mod merge;
 mod pareto;
-mod pareto_phase;
-mod pareto_render;
-mod pareto_skipping;
-mod pareto_splat;
 mod render;
 mod run;
 mod selection;
 mod simulate;
 mod splat;
 mod splat_gradients;
+mod splat_output;
 mod stress;
-mod stress_derivatives;
-mod stress_inputs;
-mod stress_metrics;
-mod stress_scenes;
 mod terminal;
 mod watch;
 
@@ -43,12 +38,12 @@ use clap::{Parser, Subcommand};
 use crate::base::{Error, Result};
 pub use terminal::Terminal;
 
-/// Makes the subcommand enum and its dispatch from lines `Variant => file`.
+/// Makes the subcommand enum and its dispatch from lines `Variant => file::Arguments`.
 macro_rules! commands {
-    ($($(#[$help:meta])* $variant:ident => $file:ident,)+) => {
+    ($($(#[$help:meta])* $variant:ident => $file:ident::$arguments:ident,)+) => {
         #[derive(Subcommand)]
         enum Command {
-            $($(#[$help])* $variant($file::Arguments),)+
+            $($(#[$help])* $variant($file::$arguments),)+
         }
 
         impl Command {
@@ -63,39 +58,39 @@ macro_rules! commands {
 
 commands! {
     /// The main job: film, reconstruct, score and report all cases; resumes by default
-    AllCases => all_cases,
+    AllCases => all_cases::AllCasesArguments,
     /// One cell: one case x one method x one seed
-    Run => run,
+    Run => run::RunArguments,
     /// Cases, methods, metrics, and the cells of a plan
-    List => list,
+    List => list::ListArguments,
     /// What is installed, which instruction set, which library versions
-    Doctor => doctor,
+    Doctor => doctor::DoctorArguments,
     /// Turns a user's anatomy or a measured motion into a case
-    Import => import,
+    Import => import::ImportArguments,
     /// Films cases into sequence folders
-    Simulate => simulate,
+    Simulate => simulate::SimulateArguments,
     /// Scores the predictions of any program against a sequence
-    Evaluate => evaluate,
+    Evaluate => evaluate::EvaluateArguments,
     /// Says in one sentence what is wrong with a folder of predictions, or with a sequence
-    Check => check,
+    Check => check::CheckArguments,
     /// Passes or fails a run: limits, and losses against a baseline
-    Gate => gate,
+    Gate => gate::GateArguments,
     /// Two runs side by side, with intervals
-    Compare => compare,
+    Compare => compare::CompareArguments,
     /// Several runs, or scores of a third party, as one report
-    Merge => merge,
+    Merge => merge::MergeArguments,
     /// What each part of a method, and each property of a film, is worth
-    Ablate => ablate,
+    Ablate => ablate::AblateArguments,
     /// What a metric is
-    Explain => explain,
+    Explain => explain::ExplainArguments,
     /// Measures cost against error of many settings, and draws the front
-    Pareto => pareto,
+    Pareto => pareto::ParetoArguments,
     /// Path-trace one scene file: linear EXR, depth EXR, timing JSON
-    Render => render,
+    Render => render::RenderArguments,
     /// Rasterise a 3DGS .ply: images, depth, alpha, timing; gradients of a weighted sum
-    Splat => splat,
+    Splat => splat::SplatArguments,
     /// The numerical-stability table
-    Stress => stress,
+    Stress => stress::StressArguments,
 }
 
 /// How accurate is a method that reconstructs a breathing airway from bronchoscopy video, and what does it cost?

@@ -19,7 +19,7 @@ use crate::render::{ISA, render_watched};
     after_help = "Writes image.exr (R, G, B: linear radiance, no clamp), depth.exr (Z: z-depth in mm, 0 = nothing)\n\
     and timing.json into DIR.\nExample: respire-bench render scene.toml --out /tmp/view"
 )]
-pub struct Arguments {
+pub struct RenderArguments {
     /// Scene file: mesh, camera, light, material, integrator
     #[arg(value_name = "SCENE.toml")]
     scene: PathBuf,
@@ -32,7 +32,7 @@ pub struct Arguments {
 const REFITS: usize = 5;
 
 #[derive(Serialize)]
-struct Timing {
+struct RenderTiming {
     render_wall_s: f64,
     render_cpu_s: f64,
     bvh_build_s: f64,
@@ -47,7 +47,7 @@ struct Timing {
 }
 
 /// Runs the command.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: RenderArguments, terminal: &Terminal) -> Result<()> {
     let file = SceneFile::load(&arguments.scene)?;
     let (camera, pose) = (file.camera.intrinsics()?, file.camera.pose()?);
     let built = Instant::now();
@@ -59,7 +59,7 @@ pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
     let (wall, cpu) = (Instant::now(), cpu_time_s());
     terminal.stage(arguments.scene.display());
     let frame = render_watched(&scene, &camera, &pose, &file.light, &file.settings(), terminal)?;
-    let timing = Timing {
+    let timing = RenderTiming {
         render_wall_s: wall.elapsed().as_secs_f64(),
         render_cpu_s: cpu_time_s() - cpu,
         bvh_build_s,

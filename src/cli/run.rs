@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::Terminal;
-use super::selection::{Places, PoseChoice};
+use super::selection::{CatalogueFolder, PoseChoice};
 use crate::base::{Result, files};
 use crate::bench::{Freshness, Pipeline, Store, Wishes, execute};
 use crate::score::{self, CellScore};
@@ -11,7 +11,7 @@ use crate::score::{self, CellScore};
 /// Arguments of `run`.
 #[derive(clap::Args)]
 #[command(after_help = "Example: respire-bench run --case case1 --method ours --profile smoke")]
-pub struct Arguments {
+pub struct RunArguments {
     /// Case by id, or the path of a case file
     #[arg(long, value_name = "CASE")]
     case: String,
@@ -36,17 +36,17 @@ pub struct Arguments {
     #[command(flatten)]
     poses: PoseChoice,
     #[command(flatten)]
-    places: Places,
+    catalogue: CatalogueFolder,
 }
 
 /// Runs the cell and prints its score.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: RunArguments, terminal: &Terminal) -> Result<()> {
     let wishes = Wishes {
         cases: Some(vec![arguments.case]),
         methods: arguments.poses.rows(Some(vec![arguments.method]))?,
         seeds: Some(vec![arguments.seed]),
     };
-    let pipeline = Pipeline::new(&arguments.places.catalogue()?, &arguments.profile, wishes)?;
+    let pipeline = Pipeline::new(&arguments.catalogue.open()?, &arguments.profile, wishes)?;
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
     let mut store = Store::open(&arguments.cache)?;
     let finished = execute(&pipeline.plan()?, &pipeline, &mut store, freshness, terminal)?;

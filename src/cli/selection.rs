@@ -29,7 +29,7 @@ pub struct Selection {
     #[arg(long, value_delimiter = ',', value_name = "N,..")]
     seeds: Vec<u64>,
     #[command(flatten)]
-    places: Places,
+    catalogue: CatalogueFolder,
 }
 
 /// How well the poses are known.
@@ -41,7 +41,7 @@ pub struct PoseChoice {
 }
 
 impl PoseChoice {
-    /// The rows that do what `methods` ask for. Errors where one of them takes its poses for granted.
+    /// The methods to run. Errors where one of them needs true poses.
     pub fn rows(&self, methods: Option<Vec<String>>) -> Result<Option<Vec<String>>> {
         if !self.unknown_pose {
             return Ok(methods);
@@ -57,15 +57,15 @@ impl PoseChoice {
 
 /// Where cases, methods and profiles are described.
 #[derive(Args)]
-pub struct Places {
+pub struct CatalogueFolder {
     /// Folder of cases, methods and profiles; the nearest `bench-cases` when not given
     #[arg(long, value_name = "DIR")]
     bench_cases: Option<PathBuf>,
 }
 
-impl Places {
+impl CatalogueFolder {
     /// Opens the folder.
-    pub fn catalogue(&self) -> Result<Catalogue> {
+    pub fn open(&self) -> Result<Catalogue> {
         Catalogue::find(self.bench_cases.as_deref())
     }
 }
@@ -75,11 +75,11 @@ fn wish<T>(given: Vec<T>) -> Option<Vec<T>> {
 }
 
 impl Selection {
-    /// Reads everything that was chosen; every mistake in it is found here, before any work.
+    /// Reads everything that was chosen; every mistake in it is reported here, before any work.
     pub fn pipeline(self) -> Result<Pipeline> {
         let methods = self.poses.rows(wish(self.methods))?;
         let wishes = Wishes { cases: wish(self.cases), methods, seeds: wish(self.seeds) };
-        Pipeline::new(&self.places.catalogue()?, &self.profile, wishes)
+        Pipeline::new(&self.catalogue.open()?, &self.profile, wishes)
     }
 }
 

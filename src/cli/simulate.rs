@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Terminal;
+use super::selection::CatalogueFolder;
 use crate::airway::case::{Case, Effect};
 use crate::base::Result;
-use crate::bench::catalogue::Catalogue;
 use crate::bench::profile::Profile;
 use crate::simulate::truth::TruthMap;
 use crate::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
@@ -18,7 +18,7 @@ use crate::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
     after_help = "Writes one folder per case: DIR/<case> with images, depth, poses, phases and meshes (FORMAT.md there).\n\
     Example: respire-bench simulate case1 mine/own.toml --out /tmp/films --profile quick"
 )]
-pub struct Arguments {
+pub struct SimulateArguments {
     /// Cases by id, or paths of case files
     #[arg(value_name = "CASE", required = true)]
     cases: Vec<String>,
@@ -46,18 +46,17 @@ pub struct Arguments {
     /// Also writes these ground-truth images: normals, albedo, motion, phase-sensitivity
     #[arg(long, value_name = "MAP,..", value_delimiter = ',')]
     truth: Vec<TruthMap>,
-    /// Switches effects of the scope off: emission, auto-exposure, lag, overshoot, gain-drift, white-balance, shot-noise,
-    /// read-noise, vignette, distortion, motion-blur, mask
+    /// Switches effects of the scope off: emission, auto-exposure, lag, overshoot, gain-drift, white-balance,
+    /// shot-noise, read-noise, vignette, distortion, motion-blur, mask
     #[arg(long, value_name = "EFFECT,..", value_delimiter = ',')]
     without: Vec<Effect>,
-    /// Folder with cases and profiles
-    #[arg(long, value_name = "DIR")]
-    bench_cases: Option<PathBuf>,
+    #[command(flatten)]
+    catalogue: CatalogueFolder,
 }
 
 /// Runs the command.
-pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<()> {
-    let catalogue = Catalogue::find(arguments.bench_cases.as_deref())?;
+pub fn run(arguments: SimulateArguments, terminal: &Terminal) -> Result<()> {
+    let catalogue = arguments.catalogue.open()?;
     let profile = Profile::load(&catalogue.profiles(), &arguments.profile)?;
     let files: Vec<PathBuf> = arguments.cases.iter().map(|c| catalogue.case_file(c)).collect::<Result<_>>()?;
     let load = |file: &PathBuf| Ok(Case::load(file)?.without(&profile.without).without(&arguments.without));

@@ -33,13 +33,13 @@ impl Weights {
 }
 
 /// Gradients summed over the frames, one row per Gaussian of the file (zeros for those left out).
-pub(super) struct Sums {
+pub(super) struct GradientSums {
     groups: Vec<(&'static str, Vec<f64>, Vec<usize>)>,
 }
 
-impl Sums {
-    /// For `n` Gaussians of so many SH coefficients, seen in `frames` frames.
-    pub fn new(n: usize, coefficients: usize, frames: usize, wanted: Wanted) -> Sums {
+impl GradientSums {
+    /// For `n` Gaussians of `coefficients` SH coefficients in `frames` frames.
+    pub fn new(n: usize, coefficients: usize, frames: usize, wanted: Wanted) -> GradientSums {
         let group = |name, shape: &[usize]| (name, vec![0.0; shape.iter().product()], shape.to_vec());
         let mut groups = vec![
             group("means", &[n, 3]),
@@ -52,7 +52,7 @@ impl Sums {
         if wanted.any(Wanted::LENS) {
             groups.push(group("lens", &[frames, 4]));
         }
-        Sums { groups }
+        GradientSums { groups }
     }
 
     /// Adds the gradients of a frame.

@@ -10,18 +10,18 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::base::{Error, ErrorKind, Progress, Result};
 
-/// Without a terminal, a running stage says how far it is no more often than this.
+/// Without a terminal, a running stage reports its progress no more often than this.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
-/// What a command talks to. Progress and notes go to standard error, results to standard output.
+/// Where a command reports. Progress and notes go to standard error, results to standard output.
 pub struct Terminal {
     interrupted: Arc<AtomicBool>,
     watched: bool,
-    state: Mutex<State>,
+    state: Mutex<TerminalState>,
 }
 
 #[derive(Default)]
-struct State {
+struct TerminalState {
     label: String,
     bar: Option<ProgressBar>,
     last_line: Option<Instant>,
@@ -74,13 +74,13 @@ impl Terminal {
         Ok(())
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(&self) {
         self.stage("");
     }
 
     /// A panic elsewhere leaves nothing in here half done, so a poisoned lock is as good as a whole one.
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, TerminalState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -95,7 +95,7 @@ impl Progress for Terminal {
     fn advance(&self, done: usize, total: usize) {
         let mut state = self.state();
         if self.watched {
-            let State { label, bar, .. } = &mut *state;
+            let TerminalState { label, bar, .. } = &mut *state;
             let bar = bar.get_or_insert_with(|| bar_of(label));
             bar.set_length(total as u64);
             bar.set_position(done as u64);

@@ -1,8 +1,9 @@
-//! A run's events as lines and bars.
+//! The events of runs and experiments as lines and bars.
 
 use super::Terminal;
 use crate::base::Progress;
-use crate::bench::{Event, Reuse, Watcher};
+use crate::bench::{CacheUse, Event, Watcher};
+use crate::experiments::ExperimentWatcher;
 
 impl Watcher for Terminal {
     fn event(&self, event: &Event<'_>) {
@@ -17,17 +18,19 @@ impl Watcher for Terminal {
                 ));
             }
             Event::Filming { case_id } => self.stage(format_args!("{case_id}: filming")),
-            Event::Filmed { case_id, reuse: Reuse::Made, wall_s } => {
+            Event::Filmed { case_id, cache_use: CacheUse::Made, wall_s } => {
                 self.finish();
                 self.note(&format!("{case_id}: filmed in {wall_s:.1} s"));
             }
-            Event::Filmed { case_id, reuse: Reuse::Cached, .. } => self.note(&format!("{case_id}: film is cached")),
+            Event::Filmed { case_id, cache_use: CacheUse::Cached, .. } => {
+                self.note(&format!("{case_id}: film is cached"))
+            }
             Event::CellStarted { cell } => self.stage(format_args!("{}: {}", cell.case_id, cell.method)),
-            Event::CellFinished { cell, reuse, wall_s, done, total } => {
+            Event::CellFinished { cell, cache_use, wall_s, done, total } => {
                 self.finish();
-                let how = match reuse {
-                    Reuse::Made => format!("{wall_s:.1} s"),
-                    Reuse::Cached => "cached".to_owned(),
+                let how = match cache_use {
+                    CacheUse::Made => format!("{wall_s:.1} s"),
+                    CacheUse::Cached => "cached".to_owned(),
                 };
                 self.note(&format!("[{done}/{total}] {}: {how}", cell.id()));
             }
@@ -35,7 +38,13 @@ impl Watcher for Terminal {
                 self.finish();
                 self.note(&format!("{} FAILED: {error}", cell.id()));
             }
-            Event::Discarded { path, reason } => self.note(&format!("making {} anew: {reason}", path.display())),
+            Event::Discarded { path, reason } => self.note(&format!("making {} again: {reason}", path.display())),
         }
+    }
+}
+
+impl ExperimentWatcher for Terminal {
+    fn stage_starts(&self, label: &str) {
+        self.stage(label);
     }
 }

@@ -1,5 +1,5 @@
-//! Depth as 16-bit grey PNG, 0 where there is none (nerfstudio, KITTI and most endoscopy sets; the unit is the
-//! reader's to know).
+//! Depth as 16-bit grey PNG, 0 where there is none (nerfstudio, KITTI and most endoscopy sets; the file
+//! does not say its unit).
 
 use std::io::Cursor;
 use std::path::Path;

@@ -13,7 +13,7 @@ use crate::base::{Error, Image, Result, files};
 
 /// Values (pixels times channels) that a file may declare.
 const MAX_VALUES: usize = 1 << 28;
-/// ZIP cannot pack tighter than this; a header that promises more values than its file can hold lies.
+/// ZIP cannot pack tighter than this: a header that declares more values than its file can hold is damaged.
 const MAX_VALUES_PER_BYTE: usize = 2048;
 
 /// Reads the first layer: channels R, G, B as three channels, or the only channel there is as one.
@@ -67,7 +67,7 @@ fn encode(image: &Image<f32>, names: &[&str]) -> Result<Vec<u8>> {
 }
 
 fn decode(bytes: &[u8]) -> Result<Image<f32>> {
-    // The decoder meets whatever the file holds: should it have a flaw, that is the file's error, not a crash.
+    // A panic of the decoder on a damaged file becomes an error of that file.
     catch_unwind(AssertUnwindSafe(|| decode_unguarded(bytes)))
         .unwrap_or_else(|_| Err(Error::input("is a damaged OpenEXR file: the decoder gave up")))
 }

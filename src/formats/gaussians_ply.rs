@@ -35,7 +35,7 @@ pub struct GaussianCloud {
 }
 
 /// Where the properties of a Gaussian stand in a record.
-struct Places {
+struct PropertyColumns {
     fields: [usize; 14],
     rest: Vec<usize>,
 }
@@ -57,7 +57,7 @@ impl GaussianCloud {
     }
 
     /// Adds one record of the file, or leaves it out when it holds a value that is not finite or no direction.
-    fn push(&mut self, number: usize, record: &[f64], places: &Places, channel: usize) {
+    fn push(&mut self, number: usize, record: &[f64], places: &PropertyColumns, channel: usize) {
         let field = |k: usize| record[places.fields[k]];
         let quaternion = [10, 11, 12, 13].map(field);
         let length = quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -111,7 +111,7 @@ fn parse(bytes: &[u8]) -> Result<GaussianCloud> {
     })?;
     body.expect_room(vertex)?;
     let channel = rest.len() / 3;
-    let places = Places { fields, rest };
+    let places = PropertyColumns { fields, rest };
     let mut cloud = GaussianCloud {
         sh_degree: degree.min(MOST_DEGREE) as u8,
         count_in_file: vertex.count as usize,

@@ -1,4 +1,5 @@
-//! Landmark pairs as CSV: `insp_x,insp_y,insp_z,exp_x,exp_y,exp_z` in mm, one pair a row (DIR-Lab by way of Lung250M-4B).
+//! Landmark pairs as CSV: `insp_x,insp_y,insp_z,exp_x,exp_y,exp_z` in mm, one pair a row (DIR-Lab by way of
+//! Lung250M-4B).
 
 use std::path::Path;
 
@@ -30,7 +31,7 @@ pub fn read(path: &Path) -> Result<Vec<LandmarkPair>> {
     parse(&files::read_bytes(path)?).map_err(|e| e.at(path))
 }
 
-/// [`read`] for bytes that are at hand.
+/// [`read`] for bytes in memory.
 pub fn parse(bytes: &[u8]) -> Result<Vec<LandmarkPair>> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
     let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();

@@ -64,12 +64,12 @@ pub(super) struct Element {
 }
 
 /// Reads numbers one after the other.
-pub(super) struct Body<'a> {
+pub(super) struct PlyBody<'a> {
     pub bytes: &'a [u8],
     encoding: Encoding,
 }
 
-impl Body<'_> {
+impl PlyBody<'_> {
     pub fn next(&mut self, number: Number) -> Option<f64> {
         if self.encoding == Encoding::Ascii {
             let start = self.bytes.iter().position(|b| !b.is_ascii_whitespace())?;
@@ -120,7 +120,7 @@ impl Body<'_> {
 }
 
 /// Header and what follows it.
-pub(super) fn parse_header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>)> {
+pub(super) fn parse_header(bytes: &[u8]) -> Result<(Vec<Element>, PlyBody<'_>)> {
     let mut rest = bytes;
     let mut elements: Vec<Element> = Vec::new();
     let mut encoding = None;
@@ -162,7 +162,7 @@ pub(super) fn parse_header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>)> {
             }
             ["end_header"] => {
                 let encoding = encoding.ok_or_else(|| Error::input("the header names no format"))?;
-                return Ok((elements, Body { bytes: rest, encoding }));
+                return Ok((elements, PlyBody { bytes: rest, encoding }));
             }
             _ => return Err(fail("cannot be understood")),
         }

@@ -79,7 +79,7 @@ fn encode(shape: &[usize], data: &[f32]) -> Result<Vec<u8>> {
 }
 
 fn decode(bytes: &[u8]) -> Result<Array> {
-    // The decoder meets whatever the file holds: should it have a flaw, that is the file's error, not a crash.
+    // A panic of the decoder on a damaged file becomes an error of that file.
     catch_unwind(AssertUnwindSafe(|| decode_unguarded(bytes)))
         .unwrap_or_else(|_| Err(Error::input("is a damaged .npy file: the decoder gave up")))
 }

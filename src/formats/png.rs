@@ -30,8 +30,8 @@ pub fn write_grey(path: &Path, image: &Image<u8>) -> Result<()> {
     files::write_bytes(path, &encode_as(image, 1, ExtendedColorType::L8).map_err(|e| e.at(path))?)
 }
 
-/// Writes RGB images of one size as an endless animated PNG, `seconds` each, in one atomic step. Readers without animation
-/// show the first. Errors: no image, or images of several sizes.
+/// Writes RGB images of one size as an endless animated PNG, `seconds` each, in one atomic step. Readers without
+/// animation show the first. Errors: no image, or images of several sizes.
 pub fn write_animation(path: &Path, images: &[Image<u8>], seconds: f64) -> Result<()> {
     files::write_bytes(path, &animation(images, seconds).map_err(|e| e.at(path))?)
 }

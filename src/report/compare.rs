@@ -5,12 +5,12 @@ use serde::Serialize;
 
 use super::read::Results;
 use crate::score::statistics::bootstrap;
-use crate::score::{Direction, Metric, registry};
+use crate::score::{Goal, Metric, registry};
 
 /// Seed of the bootstrap: fixed, so that the same tables give the same bounds.
 const BOOTSTRAP_SEED: u64 = 1;
 
-/// How a difference reads.
+/// What a difference means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Change {
@@ -87,7 +87,7 @@ fn compare_one(a: &Results, b: &Results, method: &str, m: &'static Metric) -> Op
         match mean.interval {
             None => Change::Single,
             Some([low, high]) if low > 0.0 || high < 0.0 => {
-                if (low > 0.0) == (m.direction == Direction::Higher) {
+                if (low > 0.0) == (m.direction == Goal::Higher) {
                     Change::Better
                 } else {
                     Change::Worse

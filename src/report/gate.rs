@@ -20,7 +20,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::read::{Entry, Key, Results};
+use super::read::{Key, ResultEntry, Results};
 use crate::base::{Error, Result, files};
 use crate::score::{Metric, Status, metric, statistics};
 
@@ -90,14 +90,14 @@ pub struct Relative {
     pub advisory: bool,
 }
 
-/// How one check came out.
+/// The outcome of one check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// Good enough.
     Pass,
     /// Not shown to be good enough.
     Fail,
-    /// Worth saying, no failure.
+    /// Reported, not a failure.
     Note,
 }
 
@@ -121,7 +121,7 @@ pub struct Check {
     pub method: String,
     /// Metric, empty likewise.
     pub metric: String,
-    /// How it came out.
+    /// Its outcome.
     pub verdict: Verdict,
     /// The numbers and the limit.
     pub sentence: String,
@@ -215,7 +215,7 @@ fn mean(results: &Results, limit: &Absolute) -> Check {
     let m = metric(&limit.metric).expect("thresholds were checked when they were read");
     let of_method = |k: &&Key| k.metric == m.id && k.method == limit.method;
     let cells = results.entries.keys().filter(of_method).count();
-    let rows: Vec<&Entry> = results.entries.iter().filter(|(k, _)| of_method(k)).map(|(_, e)| e).collect();
+    let rows: Vec<&ResultEntry> = results.entries.iter().filter(|(k, _)| of_method(k)).map(|(_, e)| e).collect();
     let values: Vec<f64> = results.case_values(&limit.method, m.id).into_iter().map(|(_, v)| v).collect();
     // A mean that silently leaves a case out would pass when the worst case loses its value.
     let whole = cells > 0 && rows.iter().all(|e| matches!(shown_value(e), Value::Number(v) if v.is_finite()));
@@ -235,7 +235,7 @@ enum Value {
     None(String),
 }
 
-fn shown_value(entry: &Entry) -> Value {
+fn shown_value(entry: &ResultEntry) -> Value {
     match entry.value {
         _ if entry.status == Status::Identical.word() => Value::Identical,
         Some(value) => Value::Number(value),
@@ -277,7 +277,7 @@ fn against(results: &Results, thresholds: &Thresholds, baseline: &Results) -> Ve
     checks
 }
 
-fn relative(m: &Metric, limit: &Relative, key: &Key, old: &Entry, new: Option<&Entry>) -> Check {
+fn relative(m: &Metric, limit: &Relative, key: &Key, old: &ResultEntry, new: Option<&ResultEntry>) -> Check {
     let place = (key.case.as_str(), key.method.as_str(), m.id);
     let fail = or_note(limit.advisory);
     let Some(new) = new else {

@@ -1,9 +1,9 @@
-//! `report.html`: one file that needs nothing else, no network and no script. Plots are inline SVG, images are
+//! `report.html`: one self-contained file without scripts. Plots are inline SVG, images are
 //! embedded PNG.
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::plots::{Picture, Pictures};
+use super::plots::{ReportImage, ReportImages};
 use super::run::{Outcome, Role, Run};
 use super::table::{ComparisonTable, TableCell, arrow, groups, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
@@ -22,7 +22,7 @@ details{margin:.6rem 0}summary{cursor:pointer;font-weight:600}.wide{overflow-x:a
 ";
 
 /// The whole page.
-pub fn report(run: &Run, table: &ComparisonTable, pictures: &Pictures) -> String {
+pub fn report(run: &Run, table: &ComparisonTable, pictures: &ReportImages) -> String {
     let failed: Vec<_> = run.cells.iter().filter(|c| c.score().is_none()).collect();
     html! {
         (DOCTYPE)
@@ -132,7 +132,7 @@ fn case_table(run: &Run, case: &str) -> Markup {
     }
 }
 
-fn figure(picture: &Picture) -> Markup {
+fn figure(picture: &ReportImage) -> Markup {
     html! {
         figure {
             @match &picture.svg {
@@ -144,7 +144,7 @@ fn figure(picture: &Picture) -> Markup {
     }
 }
 
-/// An SVG document as an element: without an XML declaration before it.
+/// An SVG document without its XML declaration, to stand inside HTML.
 fn without_prolog(svg: &str) -> &str {
     svg.find("<svg").map_or(svg, |start| &svg[start..])
 }

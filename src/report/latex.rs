@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::run::Role;
 use super::table::{ComparisonTable, TableCell, groups, heading};
-use crate::score::{Direction, paper_metrics};
+use crate::score::{Goal, paper_metrics};
 
 /// The whole `table*` environment; ours in black, the paper's value in grey below each.
 pub fn table(table: &ComparisonTable, run_id: &str) -> String {
@@ -67,8 +67,8 @@ pub fn table(table: &ComparisonTable, run_id: &str) -> String {
 
 fn column_heading(metric: &crate::score::Metric) -> String {
     let arrow = match metric.direction {
-        Direction::Higher => "$\\uparrow$",
-        Direction::Lower => "$\\downarrow$",
+        Goal::Higher => "$\\uparrow$",
+        Goal::Lower => "$\\downarrow$",
     };
     format!("& {}{arrow} ", escape(heading(metric)))
 }

@@ -2,14 +2,14 @@
 
 use std::fmt::Write;
 
-use super::plots::Pictures;
+use super::plots::ReportImages;
 use super::run::{Outcome, Role, Run};
 use super::summary::MethodSummary;
 use super::table::{ComparisonTable, TableCell, arrow, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 /// The whole file.
-pub fn report(run: &Run, summaries: &[MethodSummary], table: &ComparisonTable, pictures: &Pictures) -> String {
+pub fn report(run: &Run, summaries: &[MethodSummary], table: &ComparisonTable, pictures: &ReportImages) -> String {
     let mut out = format!("# respire-bench: {}\n\n", run.id);
     let failed = run.cells.iter().filter(|c| c.score().is_none()).count();
     let _ = writeln!(
@@ -32,7 +32,7 @@ pub fn report(run: &Run, summaries: &[MethodSummary], table: &ComparisonTable, p
     out
 }
 
-/// Text that Markdown will not take for markup.
+/// Text that Markdown does not take for markup.
 pub fn escape(text: &str) -> String {
     text.replace('\\', "\\\\").replace('|', "\\|").replace('<', "&lt;").replace(['\n', '\r'], " ")
 }
@@ -108,7 +108,7 @@ fn failures(out: &mut String, run: &Run) {
     }
 }
 
-fn images(out: &mut String, pictures: &Pictures) {
+fn images(out: &mut String, pictures: &ReportImages) {
     out.push_str("## Pictures\n\n");
     for picture in &pictures.overview {
         let _ = writeln!(out, "![{}]({})\n\n{}\n", escape(&picture.title), picture.png, escape(&picture.caption));

@@ -1,18 +1,18 @@
-//! Runs that were made apart, as one: cells from several machines, rows that were renewed, a third party's predictions beside
+//! Merges runs that were made separately: cells from several machines, renewed rows, a third party's predictions beside
 //! the methods. Each is read back from its report folder; a cell that several have is taken from the last.
 //!
-//! Nothing is computed again: values, intervals and times are those of the tables. Pictures that need films or predictions
+//! Nothing is recomputed: values, intervals and times are those of the tables. Pictures that need films or predictions
 //! (panels, contours) are left out.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::read::{Row, Table};
+use super::read::{CsvRow, CsvTable};
 use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use crate::base::{Error, Result, hash};
 use crate::score::{CellScore, FrameScore, FrameValue, MetricScore, Status, registry};
 
-/// Whether scores of different films of a case may stand in one table.
+/// Whether a table may hold scores of different films of one case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Films {
     /// No: two runs that filmed a case differently are refused.
@@ -21,13 +21,14 @@ pub enum Films {
     Other,
 }
 
-/// Reads the tables of a finished run back (`results.csv`, `comparison.csv`; `frames.csv` and `timings.csv` where they are).
+/// Reads the tables of a finished run back (`results.csv`, `comparison.csv`; `frames.csv` and `timings.csv` where they
+/// are).
 ///
 /// Errors name file, line and column; a metric or status that this version does not know is an error.
 pub fn read_run(folder: &Path) -> Result<Run> {
     let mut cells: Vec<CellRecord> = Vec::new();
     let results = folder.join("results.csv");
-    for row in Table::read(&results)?.rows() {
+    for row in CsvTable::read(&results)?.rows() {
         let cell = cell_of(&mut cells, &row, "config")?;
         cell.run_id = plain(row.text("run_id")?);
         let status = status_of(&row)?;
@@ -52,7 +53,7 @@ pub fn read_run(folder: &Path) -> Result<Run> {
     }
     let Some(first) = cells.first() else { return Err(Error::input("has no rows").at(results)) };
     let id = first.run_id.clone();
-    for row in Table::read(&folder.join("comparison.csv"))?.rows() {
+    for row in CsvTable::read(&folder.join("comparison.csv"))?.rows() {
         let cell = cell_of(&mut cells, &row, "method")?;
         if let Outcome::Scored(score) = &mut cell.outcome {
             add_times(score, &row)?;
@@ -60,11 +61,11 @@ pub fn read_run(folder: &Path) -> Result<Run> {
     }
     let frames = folder.join("frames.csv");
     if frames.exists() {
-        Table::read(&frames)?.rows().try_for_each(|row| add_frame(&mut cells, &row))?;
+        CsvTable::read(&frames)?.rows().try_for_each(|row| add_frame(&mut cells, &row))?;
     }
     let timings = folder.join("timings.csv");
     if timings.exists() {
-        Table::read(&timings)?.rows().try_for_each(|row| add_timing(&mut cells, &row))?;
+        CsvTable::read(&timings)?.rows().try_for_each(|row| add_timing(&mut cells, &row))?;
     }
     // `<profile>-<hash of the plan>`, or `evaluate-<case>-<method>`.
     let is_hash = |word: &str| word.len() == 8 && word.bytes().all(|b| b.is_ascii_hexdigit());
@@ -73,11 +74,11 @@ pub fn read_run(folder: &Path) -> Result<Run> {
     Ok(Run { id, profile, ..gathered(cells) })
 }
 
-/// Puts `parts` together; of a cell that several have, the last one's.
+/// Merges `parts`; a cell that several have is taken from the last.
 ///
-/// Errors: with [`Films::Same`], a case of which two parts scored different films.
+/// Errors: with [`Films::Same`], two parts that scored different films of one case.
 pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
-    // A part may have been put together before.
+    // A part may itself be a merged run.
     let mut ids: Vec<String> = Vec::new();
     for id in parts.iter().flat_map(|run| &run.cells).map(|cell| &cell.run_id) {
         if !ids.contains(id) {
@@ -154,7 +155,7 @@ fn is_same(a: &CellRecord, b: &CellRecord) -> bool {
 }
 
 /// The cell of a row, made where it is new.
-fn cell_of<'a>(cells: &'a mut Vec<CellRecord>, row: &Row<'_>, method_column: &str) -> Result<&'a mut CellRecord> {
+fn cell_of<'a>(cells: &'a mut Vec<CellRecord>, row: &CsvRow<'_>, method_column: &str) -> Result<&'a mut CellRecord> {
     let key = row.key(method_column, String::new())?;
     let (case_id, method) = (plain(key.case), plain(key.method));
     let at = cells.iter().position(|c| c.case_id == case_id && c.method == method && c.seed == key.seed);
@@ -183,7 +184,7 @@ fn cell_of<'a>(cells: &'a mut Vec<CellRecord>, row: &Row<'_>, method_column: &st
 }
 
 /// Times and the number of frames stand in `comparison.csv` alone.
-fn add_times(score: &mut CellScore, row: &Row<'_>) -> Result<()> {
+fn add_times(score: &mut CellScore, row: &CsvRow<'_>) -> Result<()> {
     score.frames = row.number("frames")?.unwrap_or(0.0) as usize;
     for m in registry().iter().filter(|m| m.is_runtime()) {
         let value = row.number(m.id)?;
@@ -196,7 +197,7 @@ fn add_times(score: &mut CellScore, row: &Row<'_>) -> Result<()> {
     Ok(())
 }
 
-fn add_frame(cells: &mut Vec<CellRecord>, row: &Row<'_>) -> Result<()> {
+fn add_frame(cells: &mut Vec<CellRecord>, row: &CsvRow<'_>) -> Result<()> {
     let Outcome::Scored(score) = &mut cell_of(cells, row, "config")?.outcome else { return Ok(()) };
     let number = |column: &str| row.number(column).map(|v| v.unwrap_or(f64::NAN));
     let (frame, time_s, phase) = (number("frame")? as usize, number("time_s")?, number("phase")?);
@@ -213,7 +214,7 @@ fn add_frame(cells: &mut Vec<CellRecord>, row: &Row<'_>) -> Result<()> {
     Ok(())
 }
 
-fn add_timing(cells: &mut Vec<CellRecord>, row: &Row<'_>) -> Result<()> {
+fn add_timing(cells: &mut Vec<CellRecord>, row: &CsvRow<'_>) -> Result<()> {
     let number = |column: &str| row.number(column).map(|v| v.unwrap_or(0.0));
     let cost = StageCost {
         stage: plain(row.text("stage")?),
@@ -227,7 +228,7 @@ fn add_timing(cells: &mut Vec<CellRecord>, row: &Row<'_>) -> Result<()> {
     Ok(())
 }
 
-fn metric_of(row: &Row<'_>) -> Result<String> {
+fn metric_of(row: &CsvRow<'_>) -> Result<String> {
     let id = row.text("metric")?;
     if registry().iter().any(|m| m.id == id) {
         return Ok(id);
@@ -235,12 +236,12 @@ fn metric_of(row: &Row<'_>) -> Result<String> {
     Err(row.refuse("metric", format!("\"{id}\" is no metric of this version")))
 }
 
-fn status_of(row: &Row<'_>) -> Result<Status> {
+fn status_of(row: &CsvRow<'_>) -> Result<Status> {
     let word = row.text("status")?;
     Status::of_word(&word).ok_or_else(|| row.refuse("status", format!("\"{word}\" is no status")))
 }
 
-/// Text as it was before [`super::tables::text`] made it harmless for spreadsheets.
+/// Undoes [`super::tables::text`].
 fn plain(text: String) -> String {
     match text.strip_prefix('\'') {
         Some(rest) if super::tables::text(rest) == text => rest.to_owned(),

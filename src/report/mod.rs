@@ -19,6 +19,7 @@ pub mod merge;
 mod merge_tests;
 mod paper;
 pub mod pareto;
+pub mod pareto_chart;
 pub mod plots;
 pub mod read;
 #[cfg(test)]

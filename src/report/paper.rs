@@ -1,4 +1,4 @@
-//! Table 1 of the paper (mean over its nine COPDGene cases), to stand beside ours. Its anatomy, images and machine
+//! Table 1 of the paper (mean over its nine COPDGene cases), shown beside ours. Its anatomy, images and machine
 //! differ from ours, so the comparison is of orders and ratios, not of decimals.
 
 /// One row of the paper's Table 1.

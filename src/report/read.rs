@@ -1,4 +1,4 @@
-//! Reads the tables of a finished run back: what `gate` and `compare` work on, be they ours or edited by hand.
+//! Reads the tables of a finished run back: the input of `gate` and `compare`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::base::{Error, Result, files};
 use crate::score::{Status, registry};
 
-/// Which number.
+/// Names a number of the tables.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Key {
     /// Case id.
@@ -19,10 +19,10 @@ pub struct Key {
     pub metric: String,
 }
 
-/// A number as it stands in the tables.
+/// A number of the tables.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
-    /// The value; may be NaN, when somebody wrote one.
+pub struct ResultEntry {
+    /// The value; NaN where the file says so.
     pub value: Option<f64>,
     /// The status word.
     pub status: String,
@@ -34,7 +34,7 @@ pub struct Entry {
 #[derive(Clone, Debug, Default)]
 pub struct Results {
     /// Sorted by case, method, seed, metric.
-    pub entries: BTreeMap<Key, Entry>,
+    pub entries: BTreeMap<Key, ResultEntry>,
 }
 
 /// Reads `results.csv` of `folder`, and the times from its `comparison.csv` where there is one.
@@ -43,10 +43,13 @@ pub struct Results {
 pub fn read(folder: &Path) -> Result<Results> {
     let mut results = Results::default();
     let path = folder.join("results.csv");
-    for row in Table::read(&path)?.rows() {
+    for row in CsvTable::read(&path)?.rows() {
         let key = row.key("config", row.text("metric")?)?;
-        let entry =
-            Entry { value: row.number("value")?, status: row.text("status")?, definition: row.text("definition")? };
+        let entry = ResultEntry {
+            value: row.number("value")?,
+            status: row.text("status")?,
+            definition: row.text("definition")?,
+        };
         if results.entries.insert(key.clone(), entry).is_some() {
             return Err(Error::input(format!("{} {} {} is there twice", key.case, key.method, key.metric))
                 .element(row.line())
@@ -55,11 +58,11 @@ pub fn read(folder: &Path) -> Result<Results> {
     }
     let path = folder.join("comparison.csv");
     if path.exists() {
-        for row in Table::read(&path)?.rows() {
+        for row in CsvTable::read(&path)?.rows() {
             for m in registry().iter().filter(|m| m.is_runtime()) {
                 let value = row.number(m.id)?;
                 let status = if value.is_some() { Status::Ok } else { Status::NotApplicable };
-                let entry = Entry { value, status: status.word().into(), definition: String::new() };
+                let entry = ResultEntry { value, status: status.word().into(), definition: String::new() };
                 results.entries.insert(row.key("method", m.id.into())?, entry);
             }
         }
@@ -101,33 +104,33 @@ fn distinct<'a>(words: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     words
 }
 
-pub(super) struct Table {
+pub(super) struct CsvTable {
     path: std::path::PathBuf,
     columns: BTreeMap<String, usize>,
     records: Vec<csv::StringRecord>,
 }
 
-pub(super) struct Row<'a> {
-    table: &'a Table,
+pub(super) struct CsvRow<'a> {
+    table: &'a CsvTable,
     index: usize,
 }
 
-impl Table {
-    pub(super) fn read(path: &Path) -> Result<Table> {
+impl CsvTable {
+    pub(super) fn read(path: &Path) -> Result<CsvTable> {
         let bytes = files::read_bytes(path)?;
         let mut reader = csv::Reader::from_reader(bytes.as_slice());
         let bad = |e: csv::Error| Error::input(e.to_string().replace('\n', " ")).at(path);
         let columns = reader.headers().map_err(bad)?.iter().enumerate().map(|(i, h)| (h.to_owned(), i)).collect();
         let records = reader.records().collect::<std::result::Result<_, _>>().map_err(bad)?;
-        Ok(Table { path: path.to_path_buf(), columns, records })
+        Ok(CsvTable { path: path.to_path_buf(), columns, records })
     }
 
-    pub(super) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
-        (0..self.records.len()).map(|index| Row { table: self, index })
+    pub(super) fn rows(&self) -> impl Iterator<Item = CsvRow<'_>> {
+        (0..self.records.len()).map(|index| CsvRow { table: self, index })
     }
 }
 
-impl Row<'_> {
+impl CsvRow<'_> {
     fn line(&self) -> String {
         format!("line {}", self.index + 2)
     }

@@ -29,7 +29,7 @@ pub struct Run {
 pub struct CaseInfo {
     /// Id in tables and folders.
     pub id: String,
-    /// For people; empty when unknown.
+    /// One line; empty when unknown.
     pub title: String,
     /// Its sequence, for pictures; `None` leaves them out.
     pub truth: Option<Arc<dyn Truth>>,
@@ -42,13 +42,13 @@ impl CaseInfo {
     }
 }
 
-/// Whether a method competes.
+/// Whether a method is ranked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
-    /// It does.
+    /// Ranked.
     Ranked,
-    /// A bound from above or below, shown and never ranked.
+    /// A bound from above or below: shown, never ranked.
     Sanity,
 }
 
@@ -57,9 +57,9 @@ pub enum Role {
 pub struct MethodInfo {
     /// Id in tables and folders.
     pub id: String,
-    /// For people.
+    /// Name in tables.
     pub title: String,
-    /// Whether it competes.
+    /// Whether it is ranked.
     pub role: Role,
     /// How many CT scans it is given, if known.
     pub ct_scans: Option<u8>,
@@ -87,7 +87,7 @@ impl MethodInfo {
     }
 }
 
-/// What became of one cell.
+/// The outcome of one cell.
 #[derive(Clone, Debug)]
 pub enum Outcome {
     /// It was scored.

@@ -1,4 +1,4 @@
-//! Means over cases, and who is best.
+//! Means over cases, and the best method of each metric.
 
 use super::run::{MethodInfo, Role, Run};
 use crate::score::statistics::{MeanInterval, bootstrap};
@@ -10,7 +10,7 @@ const BOOTSTRAP_SEED: u64 = 1;
 /// Mean over cases of every metric for one method.
 #[derive(Clone, Debug)]
 pub struct MethodSummary {
-    /// Which.
+    /// The method.
     pub method: MethodInfo,
     /// Cases with at least one scored cell.
     pub cases: usize,
@@ -46,8 +46,8 @@ pub fn summarise(run: &Run) -> Vec<MethodSummary> {
     run.methods.iter().map(of).collect()
 }
 
-/// Ids of the ranked methods whose mean is the best of `metric`, to the decimals that tables show. A method that was scored on
-/// fewer cases than others is not among them: its mean is one of other cases.
+/// Ids of the ranked methods whose mean is the best of `metric`, to the decimals that tables show. A method that was
+/// scored on fewer cases than others is left out: its mean is over different cases.
 pub fn best(summaries: &[MethodSummary], metric: &Metric) -> Vec<String> {
     let shown = |s: &MethodSummary| s.mean(metric.id).and_then(|m| metric.format(m.mean).parse::<f64>().ok());
     let most = summaries.iter().map(|s| s.cases).max().unwrap_or(0);

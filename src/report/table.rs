@@ -1,9 +1,9 @@
-//! The comparison table in the layout of the paper's Table 1, ready for Markdown, LaTeX and HTML to dress.
+//! The comparison table in the layout of the paper's Table 1, to be formatted as Markdown, LaTeX and HTML.
 
 use super::paper::paper_value;
 use super::run::{MethodInfo, Role};
 use super::summary::{MethodSummary, best};
-use crate::score::{Direction, Group, Metric, paper_metrics};
+use crate::score::{Goal, Group, Metric, paper_metrics};
 
 /// One value of the table.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,7 +21,7 @@ pub struct TableCell {
 /// One row: a method.
 #[derive(Clone, Debug)]
 pub struct TableRow {
-    /// Which; the title says so where it was scored on fewer cases than other rows.
+    /// The method; the title says so where it was scored on fewer cases than other rows.
     pub method: MethodInfo,
     /// CT scans it is given.
     pub ct_scans: String,
@@ -55,8 +55,8 @@ pub fn heading(metric: &Metric) -> &'static str {
 /// The arrow of the better direction.
 pub fn arrow(metric: &Metric) -> &'static str {
     match metric.direction {
-        Direction::Higher => "↑",
-        Direction::Lower => "↓",
+        Goal::Higher => "↑",
+        Goal::Lower => "↓",
     }
 }
 
@@ -82,7 +82,7 @@ pub fn show(metric: &Metric, value: f64) -> String {
 }
 
 impl ComparisonTable {
-    /// Dresses the summaries.
+    /// Formats the summaries.
     pub fn new(summaries: &[MethodSummary]) -> Self {
         let best: Vec<Vec<String>> = paper_metrics().map(|m| best(summaries, m)).collect();
         let cases = summaries.iter().map(|s| s.cases).max().unwrap_or(0);

@@ -50,9 +50,7 @@ const TIMINGS_COLUMNS: [&str; 11] = [
     "seed",
 ];
 
-type Row = Vec<String>;
-
-/// A number as its shortest round-trip text; nothing for what is no number.
+/// A number as its shortest round-trip text; empty for none, NaN and infinity.
 pub fn number(value: Option<f64>) -> String {
     match value {
         Some(v) if v.is_finite() => format!("{v}"),
@@ -60,13 +58,13 @@ pub fn number(value: Option<f64>) -> String {
     }
 }
 
-/// Text as a spreadsheet will not run it.
+/// Text that no spreadsheet takes for a formula.
 pub fn text(value: &str) -> String {
     if value.starts_with(['=', '+', '-', '@', '\t', '\r']) { format!("'{value}") } else { value.to_owned() }
 }
 
 /// Writes a table; the error names the file.
-pub fn write_csv(path: &Path, header: &[String], rows: &[Row]) -> Result<()> {
+pub fn write_csv(path: &Path, header: &[String], rows: &[Vec<String>]) -> Result<()> {
     let mut writer = csv::WriterBuilder::new().terminator(csv::Terminator::Any(b'\n')).from_writer(Vec::new());
     let failed = |e: csv::Error| Error::input(format!("encoding as CSV failed: {e}")).at(path);
     for row in std::iter::once(header).chain(rows.iter().map(Vec::as_slice)) {
@@ -102,7 +100,7 @@ pub fn write_results(run: &Run, path: &Path) -> Result<()> {
     write_csv(path, &header(&RESULTS_COLUMNS), &rows)
 }
 
-fn results_row(cell: &CellRecord, m: &Metric) -> Row {
+fn results_row(cell: &CellRecord, m: &Metric) -> Vec<String> {
     let score = cell.score().and_then(|s| s.metric(m.id));
     let (status, detail) = match (&cell.outcome, score) {
         (Outcome::Failed(why), _) => (Status::Failed, why.as_str()),
@@ -200,7 +198,7 @@ pub fn write_comparison(run: &Run, path: &Path) -> Result<()> {
     columns.extend(extras().map(|m| m.id.to_owned()));
     columns.extend(paper_metrics().map(|m| format!("rank_{}", m.id)));
     columns.push("detail".into());
-    let rows: Vec<Row> = run
+    let rows: Vec<Vec<String>> = run
         .cells
         .iter()
         .map(|cell| {
@@ -240,7 +238,7 @@ pub fn write_summary(summaries: &[MethodSummary], path: &Path) -> Result<()> {
             format!("{}_n", m.id),
         ]);
     }
-    let rows: Vec<Row> = summaries
+    let rows: Vec<Vec<String>> = summaries
         .iter()
         .map(|s| {
             let role = if s.method.role == Role::Ranked { "ranked" } else { "sanity" };

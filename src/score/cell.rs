@@ -15,7 +15,7 @@ use super::statistics::{MeanInterval, bootstrap_series, pearson};
 use super::truth::{Truth, final_mesh};
 use crate::base::{Error, Mask, Result};
 
-/// Why a value is what it is, or why there is none.
+/// What kind of value it is, or why there is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
@@ -73,7 +73,7 @@ pub struct MetricScore {
     pub metric: String,
     /// The value; never NaN, never infinite.
     pub value: Option<f64>,
-    /// Why.
+    /// What kind of value it is, or why there is none.
     pub status: Status,
     /// Standard deviation over frames, where the value is a mean over frames.
     pub deviation: Option<f64>,
@@ -92,7 +92,7 @@ pub struct FrameValue {
     pub metric: String,
     /// The value.
     pub value: Option<f64>,
-    /// Why.
+    /// What kind of value it is, or why there is none.
     pub status: Status,
 }
 
@@ -150,14 +150,14 @@ impl CellScore {
     }
 }
 
-/// What scoring is told beside the two folders.
+/// Settings of the scoring, beside the two folders.
 #[derive(Clone, Debug)]
 pub struct ScoreSettings {
     /// Method id for the tables; `None` takes the prediction's own name, or `prediction`.
     pub method: Option<String>,
     /// Seed of the method's randomness, for the tables.
     pub seed: u64,
-    /// Chooses the target vertex; one value for a whole run, so that all methods are asked for the same target.
+    /// Chooses the target vertex; one value for a whole run, so that all methods are scored on the same target.
     pub target_seed: u64,
 }
 
@@ -178,7 +178,7 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
     }
     let prediction = Prediction::open(prediction, truth.camera(), frames)?;
     let mask = truth.mask()?;
-    let measured: Vec<Measured> = (0..frames)
+    let measured: Vec<FrameMeasurement> = (0..frames)
         .into_par_iter()
         .map(|frame| measure(truth, &prediction, mask.as_ref(), frame))
         .collect::<Result<_>>()?;
@@ -223,14 +223,14 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
         metrics,
         frame_scores: frame_scores(truth, &prediction, &measured),
         overlay: match target {
-            Target::Measured(t) if !t.overlay.predicted.is_empty() => Some(t.overlay),
+            TargetOutcome::Measured(t) if !t.overlay.predicted.is_empty() => Some(t.overlay),
             _ => None,
         },
     })
 }
 
 /// Everything measured on one frame.
-struct Measured {
+struct FrameMeasurement {
     psnr: Psnr,
     psnr_ahead: Option<Psnr>,
     ssim: Ssim,
@@ -241,7 +241,7 @@ struct Measured {
     pose_error: Option<[f64; 2]>,
 }
 
-fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, frame: usize) -> Result<Measured> {
+fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, frame: usize) -> Result<FrameMeasurement> {
     let image = truth.image(frame)?;
     let color = prediction.color(frame)?;
     if !color.same_shape(&image) {
@@ -257,7 +257,7 @@ fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, fram
     let depth = match prediction.depth_mm(frame)? {
         Some(depth) => {
             let mut true_depth = truth.depth_mm(frame)?;
-            // What has no true depth does not count.
+            // Pixels without true depth do not count.
             if let Some(mask) = mask {
                 mask.hide(&mut true_depth, 0.0);
             }
@@ -268,7 +268,7 @@ fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, fram
     let phase_error = prediction.phase().map(|p| (p[frame] - truth.frames()[frame].phase).abs());
     let pose_error = prediction.poses().map(|p| pose_error(&p[frame], &truth.frames()[frame].world_from_camera));
     let (psnr, ssim) = (psnr_within(&color, &image, mask), ssim_within(&color, &image, mask)?);
-    Ok(Measured { psnr, psnr_ahead, ssim, depth, phase_error, pose_error })
+    Ok(FrameMeasurement { psnr, psnr_ahead, ssim, depth, phase_error, pose_error })
 }
 
 /// Distance in mm between two poses, and the angle in degrees between them.
@@ -278,8 +278,8 @@ fn pose_error(predicted: &DAffine3, truth: &DAffine3) -> [f64; 2] {
     [predicted.translation.distance(truth.translation), angle.to_degrees()]
 }
 
-/// What came of the target metrics.
-enum Target {
+/// The outcome of the target metrics.
+enum TargetOutcome {
     /// The prediction has no surface.
     NoSurface,
     /// The truth has no contour around the camera.
@@ -287,15 +287,15 @@ enum Target {
     Measured(Box<TargetErrors>),
 }
 
-fn target(truth: &dyn Truth, prediction: &Prediction, settings: &ScoreSettings) -> Result<Target> {
-    let Some(surface) = prediction.final_mesh()? else { return Ok(Target::NoSurface) };
+fn target(truth: &dyn Truth, prediction: &Prediction, settings: &ScoreSettings) -> Result<TargetOutcome> {
+    let Some(surface) = prediction.final_mesh()? else { return Ok(TargetOutcome::NoSurface) };
     let last = &truth.frames()[truth.frames().len() - 1];
     let errors = target_errors(&final_mesh(truth)?, &surface, &last.world_from_camera, settings.target_seed)?;
-    Ok(errors.map_or(Target::NoTrueContour, |e| Target::Measured(Box::new(e))))
+    Ok(errors.map_or(TargetOutcome::NoTrueContour, |e| TargetOutcome::Measured(Box::new(e))))
 }
 
 fn entry(id: &str, value: Option<f64>, status: Status, count: usize, detail: &str) -> MetricScore {
-    // Whatever went in, no NaN and no infinity comes out.
+    // Scores hold no NaN and no infinity, whatever the prediction was.
     let (value, status) = match value {
         Some(v) if !v.is_finite() => (None, Status::Degenerate),
         value => (value, status),
@@ -335,7 +335,7 @@ fn psnr_mean(id: &str, frames: Vec<Psnr>, ceiling: f64, seed: u64) -> MetricScor
     score
 }
 
-fn ssim_mean(measured: &[Measured], seed: u64) -> MetricScore {
+fn ssim_mean(measured: &[FrameMeasurement], seed: u64) -> MetricScore {
     let values: Vec<f64> = measured.iter().filter_map(|f| f.ssim.valid).collect();
     if values.is_empty() {
         return entry("ssim", None, Status::Degenerate, 0, "no 11x11 window lies within image and mask");
@@ -343,7 +343,7 @@ fn ssim_mean(measured: &[Measured], seed: u64) -> MetricScore {
     series_mean("ssim", values, seed)
 }
 
-fn depth_mean(id: &str, measured: &[Measured], part: impl Fn(&DepthErrors) -> f64, seed: u64) -> MetricScore {
+fn depth_mean(id: &str, measured: &[FrameMeasurement], part: impl Fn(&DepthErrors) -> f64, seed: u64) -> MetricScore {
     let claimed: Vec<&Option<DepthErrors>> = measured.iter().filter_map(|f| f.depth.as_ref()).collect();
     let values: Vec<f64> = claimed.iter().filter_map(|d| d.as_ref().map(&part)).collect();
     match (claimed.is_empty(), values.is_empty()) {
@@ -361,9 +361,9 @@ fn correlation(id: &str, truth: &dyn Truth, prediction: &Prediction) -> MetricSc
     }
 }
 
-fn contour_score(id: &str, target: &Target) -> MetricScore {
+fn contour_score(id: &str, target: &TargetOutcome) -> MetricScore {
     match target {
-        Target::Measured(t) => match (t.contour_rmse_mm, t.enclosure) {
+        TargetOutcome::Measured(t) => match (t.contour_rmse_mm, t.enclosure) {
             (Some(_), Enclosure::Inside) => entry(id, t.contour_rmse_mm, Status::Ok, t.overlay.truth.len(), ""),
             (Some(_), Enclosure::Outside) => {
                 let detail = "no predicted contour encloses the camera; the nearest one was taken";
@@ -375,13 +375,13 @@ fn contour_score(id: &str, target: &Target) -> MetricScore {
     }
 }
 
-fn target_score(id: &str, target: &Target, part: impl Fn(&TargetErrors) -> Option<f64>) -> MetricScore {
+fn target_score(id: &str, target: &TargetOutcome, part: impl Fn(&TargetErrors) -> Option<f64>) -> MetricScore {
     match target {
-        Target::NoSurface => plain(id, None, 0),
-        Target::NoTrueContour => {
+        TargetOutcome::NoSurface => plain(id, None, 0),
+        TargetOutcome::NoTrueContour => {
             entry(id, None, Status::NoContour, 0, "no contour of the true surface encloses the final camera")
         }
-        Target::Measured(t) => match part(t) {
+        TargetOutcome::Measured(t) => match part(t) {
             None => entry(id, None, Status::NoContour, 0, "the plane does not meet the predicted surface"),
             value => {
                 let detail = match t.correspondence {
@@ -394,8 +394,8 @@ fn target_score(id: &str, target: &Target, part: impl Fn(&TargetErrors) -> Optio
     }
 }
 
-fn frame_scores(truth: &dyn Truth, prediction: &Prediction, measured: &[Measured]) -> Vec<FrameScore> {
-    let frame_score = |(frame, m): (usize, &Measured)| {
+fn frame_scores(truth: &dyn Truth, prediction: &Prediction, measured: &[FrameMeasurement]) -> Vec<FrameScore> {
+    let frame_score = |(frame, m): (usize, &FrameMeasurement)| {
         let record = &truth.frames()[frame];
         FrameScore {
             frame,
@@ -408,7 +408,7 @@ fn frame_scores(truth: &dyn Truth, prediction: &Prediction, measured: &[Measured
     measured.iter().enumerate().map(frame_score).collect()
 }
 
-fn frame_values(m: &Measured) -> Vec<FrameValue> {
+fn frame_values(m: &FrameMeasurement) -> Vec<FrameValue> {
     let value = |metric: &str, value: Option<f64>, without: Status| FrameValue {
         metric: metric.into(),
         value: value.filter(|v| v.is_finite()),

@@ -1,4 +1,4 @@
-//! Reads everything that scoring would read, and says what is there; the first thing wrong is the error.
+//! Reads everything that scoring would read, and lists what is there; the first problem is the error.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use super::registry::registry;
 use super::truth::{Truth, final_mesh};
 use crate::base::{Error, Result};
 
-/// What a sound folder holds.
+/// Contents of a valid folder.
 #[derive(Clone, Debug, Serialize)]
 pub struct Contents {
     /// Frames.

@@ -19,16 +19,16 @@ const SAMPLE_STEP_MM: f64 = 0.05;
 /// Samples of one contour at most: a damaged mesh may have contours of any length.
 const MAX_SAMPLES: usize = 5000;
 
-/// Where the camera is as seen from a surface.
+/// Whether a surface's contour runs around the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Enclosure {
-    /// A contour runs around it.
+    /// One does.
     Inside,
     /// None does; the nearest one was taken.
     Outside,
 }
 
-/// How the target was found on the predicted surface.
+/// How the target was matched on the predicted surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Correspondence {
     /// Same faces: the same material point.

@@ -1,4 +1,4 @@
-//! For tests: a small true sequence in memory, and predictions of it on disk, as good or as bad as wanted.
+//! For tests: a small true sequence in memory, and predictions of it on disk with errors of a chosen size.
 
 use std::f64::consts::TAU;
 use std::path::Path;

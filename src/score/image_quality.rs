@@ -4,12 +4,12 @@
 //! `SSIM = (2 mu_a mu_b + C1)(2 sigma_ab + C2) / ((mu_a^2 + mu_b^2 + C1)(sigma_a^2 + sigma_b^2 + C2))` with
 //! `C1 = 0.01^2`, `C2 = 0.03^2` for values in [0, 1], per colour channel.
 //!
-//! The value of record averages only the windows that lie wholly in the image, as Wang's own program and
-//! scikit-image do: a zero border is equal in both images and would lift every score (by 0.014 for noise of 6 %,
-//! more for small images). The zero-padded mean, which the Gaussian-splatting code bases print, is kept beside it.
-//! With a mask, hidden pixels count nowhere: PSNR leaves them out, SSIM takes the windows that hold none of them, and the
-//! zero-padded mean goes over the visible pixels as if zeros were hidden.
-//! Everything is f64: variances are differences of large numbers.
+//! The value of record averages only the windows that lie wholly in the image, as Wang's own program and scikit-image
+//! do: a zero border is equal in both images and would lift every score (by 0.014 for noise of 6 %, more for small
+//! images). The zero-padded mean, which the Gaussian-splatting code bases print, is kept beside it. With a mask,
+//! hidden pixels count nowhere: PSNR leaves them out, SSIM takes the windows that hold none of them, and the
+//! zero-padded mean goes over the visible pixels as if zeros were hidden. Everything is f64: variances are differences
+//! of large numbers.
 
 use crate::base::{Image, Mask, Result};
 use crate::ffi::vision::{LocalMoments, local_moments};
@@ -25,7 +25,7 @@ const C2: f64 = 0.03 * 0.03;
 pub enum Psnr {
     /// Decibels.
     Decibel(f64),
-    /// Not one code differs.
+    /// All codes are equal.
     Identical,
 }
 

@@ -1,4 +1,5 @@
-//! Metrics: registry, one file per family, protocol, aggregation. Reads folders; does not know how predictions were made.
+//! Metrics: registry, one file per family, protocol, aggregation. Reads folders; does not know how predictions were
+//! made.
 //!
 //! ```text
 //! Truth (a sequence) + Prediction (a folder) -> score() -> CellScore -> report, gate
@@ -22,5 +23,5 @@ mod truth;
 pub use cell::{CellScore, FrameScore, FrameValue, MetricScore, ScoreSettings, Status, score};
 pub use check::{Contents, check_prediction, check_truth};
 pub use prediction::Prediction;
-pub use registry::{Direction, Group, Metric, Split, Standing, metric, paper_metrics, registry};
+pub use registry::{Goal, Group, Metric, Split, Standing, metric, paper_metrics, registry};
 pub use truth::{Truth, final_mesh};

@@ -44,7 +44,7 @@ struct About {
 }
 
 #[derive(Deserialize)]
-struct Timing {
+struct TimingFile {
     time_total_s: f64,
 }
 
@@ -202,8 +202,8 @@ fn read_optional<T: serde::de::DeserializeOwned>(path: &Path) -> Result<Option<T
 }
 
 fn read_time(path: &Path) -> Result<Option<f64>> {
-    match read_optional::<Timing>(path)? {
-        Some(Timing { time_total_s }) if time_total_s.is_finite() && time_total_s >= 0.0 => Ok(Some(time_total_s)),
+    match read_optional::<TimingFile>(path)? {
+        Some(TimingFile { time_total_s }) if time_total_s.is_finite() && time_total_s >= 0.0 => Ok(Some(time_total_s)),
         Some(_) => Err(Error::input("is not a number of seconds").element("time_total_s").at(path)),
         None => Ok(None),
     }

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use super::fixture::{Distortion, TubeTruth, write_prediction};
-use super::{CellScore, Direction, ScoreSettings, Status, metric, registry, score};
+use super::{CellScore, Goal, ScoreSettings, Status, metric, registry, score};
 use crate::base::{TriangleMesh, files};
 use crate::formats::mesh;
 
@@ -66,8 +66,8 @@ fn graded_distortions_are_told_apart() {
             let values: Vec<f64> = grades.iter().map(|s| s.value(id).unwrap()).collect();
             let m = metric(id).unwrap();
             let perfect = m.perfect.unwrap_or(match m.direction {
-                Direction::Higher => f64::INFINITY,
-                Direction::Lower => 0.0,
+                Goal::Higher => f64::INFINITY,
+                Goal::Lower => 0.0,
             });
             let worse =
                 |a: f64, b: f64| m.direction.better(a, b) || (kind == "scale" && *id == "depth_delta_1_25" && a == b);

@@ -6,35 +6,35 @@ use serde::Serialize;
 /// Which way a metric gets better.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Direction {
+pub enum Goal {
     /// Larger is better.
     Higher,
     /// Smaller is better.
     Lower,
 }
 
-impl Direction {
+impl Goal {
     /// `higher` or `lower`, as in `results.csv`.
     pub fn word(self) -> &'static str {
         match self {
-            Direction::Higher => "higher",
-            Direction::Lower => "lower",
+            Goal::Higher => "higher",
+            Goal::Lower => "lower",
         }
     }
 
     /// True when `a` is strictly better than `b`. False as soon as one of them is not a number.
     pub fn better(self, a: f64, b: f64) -> bool {
         match self {
-            Direction::Higher => a > b,
-            Direction::Lower => a < b,
+            Goal::Higher => a > b,
+            Goal::Lower => a < b,
         }
     }
 
     /// How much worse `value` is than `reference`, in the metric's unit; negative when it is better.
     pub fn loss(self, value: f64, reference: f64) -> f64 {
         match self {
-            Direction::Higher => reference - value,
-            Direction::Lower => value - reference,
+            Goal::Higher => reference - value,
+            Goal::Lower => value - reference,
         }
     }
 }
@@ -74,7 +74,7 @@ impl Group {
 pub enum Standing {
     /// A column of the paper's Table 1 and of `comparison.csv`.
     Paper,
-    /// Ours beside it.
+    /// An addition of ours.
     Extra,
 }
 
@@ -111,7 +111,7 @@ pub struct Metric {
     /// Unit; empty for a pure number.
     pub unit: &'static str,
     /// Which way is better.
-    pub direction: Direction,
+    pub direction: Goal,
     /// What it is, in full.
     pub definition: &'static str,
     /// Goes up when the definition changes; results of different versions are never compared.
@@ -161,7 +161,7 @@ const WITH_MESH: &str = "predictions with mesh/final.ply: methods that keep an e
 const WITH_POSES: &str = "methods that estimate poses";
 const WITH_TIME: &str = "predictions with timing.json";
 
-const fn base(id: &'static str, label: &'static str, unit: &'static str, direction: Direction, group: Group) -> Metric {
+const fn base(id: &'static str, label: &'static str, unit: &'static str, direction: Goal, group: Group) -> Metric {
     Metric {
         id,
         label,
@@ -186,7 +186,7 @@ static REGISTRY: &[Metric] = &[
             8 bits can show (one code in one value); if all frames are equal the value is empty, status `identical`.",
         perfect: None,
         standing: Standing::Paper,
-        ..base("psnr_db", "PSNR", "dB", Direction::Higher, Group::Rendering)
+        ..base("psnr_db", "PSNR", "dB", Goal::Higher, Group::Rendering)
     },
     Metric {
         definition: "Structural similarity per frame on encoded sRGB in [0, 1], per channel: Gaussian window 11x11 with sigma \
@@ -197,7 +197,7 @@ static REGISTRY: &[Metric] = &[
         perfect: Some(1.0),
         digits: 3,
         standing: Standing::Paper,
-        ..base("ssim", "SSIM", "", Direction::Higher, Group::Rendering)
+        ..base("ssim", "SSIM", "", Goal::Higher, Group::Rendering)
     },
     Metric {
         definition: "Root mean square of predicted minus true z-depth per frame over the pixels whose true depth is above 0, \
@@ -206,7 +206,7 @@ static REGISTRY: &[Metric] = &[
         digits: 2,
         standing: Standing::Paper,
         applies_to: WITH_DEPTH,
-        ..base("depth_rmse_mm", "Depth RMSE", "mm", Direction::Lower, Group::Depth)
+        ..base("depth_rmse_mm", "Depth RMSE", "mm", Goal::Lower, Group::Depth)
     },
     Metric {
         definition: "Share of the pixels with true depth above 0 where max(predicted / true, true / predicted) < 1.25, per \
@@ -216,14 +216,14 @@ static REGISTRY: &[Metric] = &[
         digits: 3,
         standing: Standing::Paper,
         applies_to: WITH_DEPTH,
-        ..base("depth_delta_1_25", "δ<1.25", "", Direction::Higher, Group::Depth)
+        ..base("depth_delta_1_25", "δ<1.25", "", Goal::Higher, Group::Depth)
     },
     Metric {
         definition: "Mean over all frames of |predicted phase - true phase|; phase 0 is full inspiration, 1 full expiration.",
         digits: 3,
         standing: Standing::Paper,
         applies_to: WITH_PHASE,
-        ..base("phase_mae", "Phase MAE", "", Direction::Lower, Group::Breathing)
+        ..base("phase_mae", "Phase MAE", "", Goal::Lower, Group::Breathing)
     },
     Metric {
         definition: "Pearson correlation of predicted and true phase over all frames. A trajectory without variance has none: \
@@ -233,20 +233,20 @@ static REGISTRY: &[Metric] = &[
         digits: 3,
         standing: Standing::Paper,
         applies_to: WITH_PHASE,
-        ..base("phase_pearson_r", "Pearson r", "", Direction::Higher, Group::Breathing)
+        ..base("phase_pearson_r", "Pearson r", "", Goal::Higher, Group::Breathing)
     },
     Metric {
         definition: "Distance between predicted and true centre of the camera, mean over all frames.",
         digits: 2,
         applies_to: WITH_POSES,
-        ..base("pose_error_mm", "Pose", "mm", Direction::Lower, Group::Breathing)
+        ..base("pose_error_mm", "Pose", "mm", Goal::Lower, Group::Breathing)
     },
     Metric {
         definition: "Angle of the rotation between predicted and true orientation of the camera, mean over all frames.",
         range: [Some(0.0), Some(180.0)],
         digits: 2,
         applies_to: WITH_POSES,
-        ..base("pose_error_deg", "Pose angle", "deg", Direction::Lower, Group::Breathing)
+        ..base("pose_error_deg", "Pose angle", "deg", Goal::Lower, Group::Breathing)
     },
     Metric {
         definition: "True and predicted surface at the last frame are cut by the plane through the last camera's centre, normal \
@@ -257,7 +257,7 @@ static REGISTRY: &[Metric] = &[
         standing: Standing::Paper,
         split: Split::Final,
         applies_to: WITH_MESH,
-        ..base("contour_rmse_mm", "Contour RMSE", "mm", Direction::Lower, Group::Target)
+        ..base("contour_rmse_mm", "Contour RMSE", "mm", Goal::Lower, Group::Target)
     },
     Metric {
         definition: "Distance in 3D between one vertex of the true contour (see contour_rmse_mm; chosen by seed, the same for \
@@ -266,7 +266,7 @@ static REGISTRY: &[Metric] = &[
         standing: Standing::Paper,
         split: Split::Final,
         applies_to: WITH_MESH,
-        ..base("target_error_mm", "Target error", "mm", Direction::Lower, Group::Target)
+        ..base("target_error_mm", "Target error", "mm", Goal::Lower, Group::Target)
     },
     Metric {
         definition: "Wall time of the method alone for all frames: no reading, writing or scoring.",
@@ -274,7 +274,7 @@ static REGISTRY: &[Metric] = &[
         digits: 1,
         standing: Standing::Paper,
         applies_to: WITH_TIME,
-        ..base("time_total_s", "Time", "s", Direction::Lower, Group::Runtime)
+        ..base("time_total_s", "Time", "s", Goal::Lower, Group::Runtime)
     },
     Metric {
         definition: "time_total_s divided by the number of frames.",
@@ -282,14 +282,14 @@ static REGISTRY: &[Metric] = &[
         digits: 3,
         standing: Standing::Paper,
         applies_to: WITH_TIME,
-        ..base("time_per_frame_s", "Time per frame", "s", Direction::Lower, Group::Runtime)
+        ..base("time_per_frame_s", "Time per frame", "s", Goal::Lower, Group::Runtime)
     },
     Metric {
         definition: "psnr_db over the frames rendered before their image was looked at (every eighth), from ahead/NNNNNN.png.",
         perfect: None,
         split: Split::Ahead,
         applies_to: "predictions with an ahead folder",
-        ..base("psnr_ahead_db", "PSNR ahead", "dB", Direction::Higher, Group::Rendering)
+        ..base("psnr_ahead_db", "PSNR ahead", "dB", Goal::Higher, Group::Rendering)
     },
     Metric {
         definition: "As ssim, but averaged over all pixels with zeros outside the image, as the Gaussian-splatting code bases \
@@ -297,7 +297,7 @@ static REGISTRY: &[Metric] = &[
         range: [Some(-1.0), Some(1.0)],
         perfect: Some(1.0),
         digits: 3,
-        ..base("ssim_padded", "SSIM zero-padded", "", Direction::Higher, Group::Rendering)
+        ..base("ssim_padded", "SSIM zero-padded", "", Goal::Higher, Group::Rendering)
     },
     Metric {
         definition: "Share of the pixels with true depth above 0 for which a depth was predicted, mean over frames.",
@@ -305,20 +305,20 @@ static REGISTRY: &[Metric] = &[
         perfect: Some(1.0),
         digits: 3,
         applies_to: WITH_DEPTH,
-        ..base("depth_coverage", "Depth coverage", "", Direction::Higher, Group::Depth)
+        ..base("depth_coverage", "Depth coverage", "", Goal::Higher, Group::Depth)
     },
     Metric {
         definition: "Mean over all vertices of the true contour of the error that target_error_mm takes at one of them.",
         split: Split::Final,
         applies_to: WITH_MESH,
-        ..base("target_error_mean_mm", "Target error mean", "mm", Direction::Lower, Group::Target)
+        ..base("target_error_mean_mm", "Target error mean", "mm", Goal::Lower, Group::Target)
     },
     Metric {
         definition: "95th percentile (linear between ranks) over all vertices of the true contour of the error that \
             target_error_mm takes at one of them.",
         split: Split::Final,
         applies_to: WITH_MESH,
-        ..base("target_error_p95_mm", "Target error p95", "mm", Direction::Lower, Group::Target)
+        ..base("target_error_p95_mm", "Target error p95", "mm", Goal::Lower, Group::Target)
     },
 ];
 
@@ -367,10 +367,10 @@ mod tests {
 
     #[test]
     fn a_value_that_is_no_number_is_never_better() {
-        for direction in [Direction::Higher, Direction::Lower] {
+        for direction in [Goal::Higher, Goal::Lower] {
             assert!(!direction.better(f64::NAN, 1.0) && !direction.better(1.0, f64::NAN));
         }
-        assert_eq!(Direction::Higher.loss(20.0, 21.0), 1.0);
-        assert_eq!(Direction::Lower.loss(20.0, 21.0), -1.0);
+        assert_eq!(Goal::Higher.loss(20.0, 21.0), 1.0);
+        assert_eq!(Goal::Lower.loss(20.0, 21.0), -1.0);
     }
 }

@@ -1,4 +1,4 @@
-//! Paper, pens and colours: one look for all plots, as SVG and as PNG.
+//! Page, pens and colours: one style for all plots, as SVG and as PNG.
 
 use std::error::Error as StdError;
 use std::sync::Once;
@@ -15,12 +15,12 @@ use crate::base::{Error, Image, Result};
 /// Pixels of the PNG for one unit of the SVG.
 const PNG_SCALE: f64 = 2.0;
 
-/// What a drawing step gives back.
+/// Result of a drawing step.
 pub type Drawn<T, DB> = std::result::Result<T, DrawingAreaErrorKind<<DB as DrawingBackend>::ErrorType>>;
 /// A panel to draw in.
 pub type Area<DB> = DrawingArea<DB, Shift>;
 /// A panel with two linear axes.
-pub type Chart<'a, DB> = ChartContext<'a, DB, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+pub type LinearChart<'a, DB> = ChartContext<'a, DB, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// Text and axes.
 pub const INK: RGBColor = RGBColor(26, 26, 26);
@@ -92,7 +92,7 @@ pub trait Figure {
     fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB>;
 }
 
-/// Plotters knows no font by itself.
+/// Registers the fonts once: plotters has none of its own.
 pub fn prepare_fonts() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -170,7 +170,7 @@ pub fn legend<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, entries: &[(String,
 }
 
 /// Words and ranges of one panel.
-pub struct Axes<'a> {
+pub struct PanelAxes<'a> {
     /// Above the panel.
     pub title: &'a str,
     /// Below, with unit.
@@ -184,7 +184,11 @@ pub struct Axes<'a> {
 }
 
 /// A panel with title, axes and a light grid.
-pub fn chart<'a, DB: DrawingBackend + 'a>(area: &Area<DB>, pen: Pen, axes: &Axes) -> Drawn<Chart<'a, DB>, DB> {
+pub fn chart<'a, DB: DrawingBackend + 'a>(
+    area: &Area<DB>,
+    pen: Pen,
+    axes: &PanelAxes,
+) -> Drawn<LinearChart<'a, DB>, DB> {
     let mut chart = ChartBuilder::on(area)
         .caption(axes.title, pen.bold(14.0))
         .margin(pen.px(6.0))

@@ -2,21 +2,22 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{Area, Axes, Chart, Drawn, Figure, Pen, TRUTH, chart, clip, color_of, legend};
+use super::canvas::{Area, Drawn, Figure, LinearChart, PanelAxes, Pen, TRUTH, chart, clip, color_of, legend};
 use crate::report::run::Run;
 use crate::score::contour::ContourOverlay;
 
-/// A predicted contour far away may not shrink the truth to a dot: the panel shows this many times its extent.
+/// Half side of a panel at most, in half extents of the true contour: a predicted contour far away would otherwise
+/// shrink the truth to a dot.
 const MAX_EXTENT: f64 = 2.2;
 
-struct Panel {
+struct ContourPanel {
     title: String,
     overlays: Vec<(RGBColor, ContourOverlay)>,
 }
 
 /// The grid of panels.
 pub struct ContourGrid {
-    panels: Vec<Panel>,
+    panels: Vec<ContourPanel>,
     names: Vec<(String, RGBColor)>,
 }
 
@@ -37,7 +38,7 @@ impl ContourGrid {
                 }
             }
             if !overlays.is_empty() {
-                panels.push(Panel { title: case.id.clone(), overlays });
+                panels.push(ContourPanel { title: case.id.clone(), overlays });
             }
         }
         (!panels.is_empty()).then_some(ContourGrid { panels, names })
@@ -67,13 +68,13 @@ impl Figure for ContourGrid {
     }
 }
 
-/// Image up is up on paper.
+/// Flips y: image rows grow downwards, the plot's axis upwards.
 fn upright(point: [f64; 2]) -> [f64; 2] {
     [point[0], -point[1]]
 }
 
 /// Centre and half side of the square that a panel shows.
-fn window(panel: &Panel) -> ([f64; 2], f64) {
+fn window(panel: &ContourPanel) -> ([f64; 2], f64) {
     let bounds = |points: &mut dyn Iterator<Item = [f64; 2]>| {
         points.fold(([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]), |(low, high), p| {
             ([low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])])
@@ -92,7 +93,7 @@ fn window(panel: &Panel) -> ([f64; 2], f64) {
     (centre, 1.12 * reach.min(MAX_EXTENT * half))
 }
 
-fn draw_panel<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, panel: &Panel) -> Drawn<(), DB> {
+fn draw_panel<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, panel: &ContourPanel) -> Drawn<(), DB> {
     let (centre, half) = window(panel);
     // The label areas are wider than high: equal scales need unequal ranges.
     let (width, height) = area.dim_in_pixel();
@@ -101,7 +102,7 @@ fn draw_panel<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, panel: &Panel) -> D
     let unit = 2.0 * half / plot_width.min(plot_height);
     let (half_x, half_y) = (unit * plot_width / 2.0, unit * plot_height / 2.0);
     let (low, high) = ([centre[0] - half_x, centre[1] - half_y], [centre[0] + half_x, centre[1] + half_y]);
-    let axes = Axes {
+    let axes = PanelAxes {
         title: &panel.title,
         x: "x in the final camera's plane [mm]",
         y: "y [mm]",
@@ -130,7 +131,7 @@ fn draw_panel<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, panel: &Panel) -> D
 }
 
 fn outline<DB: DrawingBackend>(
-    chart: &mut Chart<'_, DB>,
+    chart: &mut LinearChart<'_, DB>,
     points: &[[f64; 2]],
     closed: bool,
     style: ShapeStyle,

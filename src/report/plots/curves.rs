@@ -2,14 +2,19 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{Area, Axes, Chart, Drawn, Figure, Pen, TRUTH, chart, color_of, legend, range_of};
+use super::canvas::{Area, Drawn, Figure, LinearChart, PanelAxes, Pen, TRUTH, chart, color_of, legend, range_of};
 use crate::report::run::Run;
 use crate::score::{CellScore, metric};
 
-/// A coloured curve; `NaN` never gets here.
+/// A coloured curve without NaN.
 type Curve = (RGBColor, Vec<(f64, f64)>);
 
-fn draw_curves<DB: DrawingBackend>(chart: &mut Chart<'_, DB>, pen: Pen, curves: &[Curve], width: f64) -> Drawn<(), DB> {
+fn draw_curves<DB: DrawingBackend>(
+    chart: &mut LinearChart<'_, DB>,
+    pen: Pen,
+    curves: &[Curve],
+    width: f64,
+) -> Drawn<(), DB> {
     for (color, points) in curves {
         chart.draw_series(LineSeries::new(points.iter().copied(), pen.line(*color, width)))?;
     }
@@ -79,7 +84,7 @@ impl Figure for PhaseGrid {
         {
             let end = curves.iter().flat_map(|c| &c.1).map(|p| p.0).fold(0.0, f64::max);
             let bottom = index + self.columns() >= self.panels.len();
-            let axes = Axes {
+            let axes = PanelAxes {
                 title: case,
                 x: if bottom { "time [s]" } else { "" },
                 y: if index % self.columns() == 0 { "breathing phase" } else { "" },
@@ -136,7 +141,7 @@ impl Figure for FrameErrors {
         for (index, (area, (name, curves))) in
             rest.split_evenly((self.panels.len(), 1)).iter().zip(&self.panels).enumerate()
         {
-            let axes = Axes {
+            let axes = PanelAxes {
                 title: "",
                 x: if index + 1 == self.panels.len() { "time [s]" } else { "" },
                 y: name,

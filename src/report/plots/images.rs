@@ -1,4 +1,4 @@
-//! Pictures beside each other, truth first: renderings, and depth error maps on one logarithmic colour scale.
+//! Images side by side, truth first: renderings, and depth error maps on one logarithmic colour scale.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -26,16 +26,16 @@ const FOOT: usize = 24;
 const LEFT: usize = 104;
 const SCALE_BAR: usize = 66;
 
-/// One picture with its words.
-struct Tile {
+/// One image and the text below it.
+struct LabelledImage {
     image: Image<u8>,
     foot: String,
 }
 
-/// A table of pictures.
-struct Panel {
+/// A table of images with headings.
+struct ImageGrid {
     heads: Vec<String>,
-    rows: Vec<(String, Vec<Tile>)>,
+    rows: Vec<(String, Vec<LabelledImage>)>,
 }
 
 /// Renderings of a few frames: truth and each method. `None` without cells or frames to show.
@@ -44,18 +44,18 @@ pub fn renderings(run: &Run, case_id: &str, truth: &dyn Truth) -> Result<Option<
     let predictions = opened(&shown, truth)?;
     let mut rows = Vec::new();
     for frame in chosen(truth.frames().len()) {
-        let mut tiles = vec![Tile { image: truth.image(frame)?, foot: String::new() }];
+        let mut tiles = vec![LabelledImage { image: truth.image(frame)?, foot: String::new() }];
         for ((_, _, score), prediction) in shown.iter().zip(&predictions) {
             let value =
                 |id: &str| score.frame_scores[frame].values.iter().find(|v| v.metric == id).and_then(|v| v.value);
             let decibel = value("psnr_db").map_or_else(|| "identical".into(), |v| format!("{v:.1} dB"));
             let foot = value("ssim").map_or(decibel.clone(), |v| format!("{decibel}, SSIM {v:.3}"));
-            tiles.push(Tile { image: prediction.color(frame)?, foot });
+            tiles.push(LabelledImage { image: prediction.color(frame)?, foot });
         }
         rows.push((row_name(truth, frame), tiles));
     }
     let heads = std::iter::once("Truth".to_owned()).chain(shown.iter().map(|(m, _, _)| m.title.clone())).collect();
-    compose(Panel { heads, rows }, None)
+    compose(ImageGrid { heads, rows }, None)
 }
 
 /// True depth, and for each method |predicted - true depth|; a pixel without a prediction is magenta.
@@ -63,12 +63,12 @@ pub fn depth_errors(run: &Run, case_id: &str, truth: &dyn Truth) -> Result<Optio
     let shown = run.shown(case_id);
     let predictions = opened(&shown, truth)?;
     let mut heads = vec!["True depth".to_owned()];
-    let mut rows: Vec<(String, Vec<Tile>)> = Vec::new();
+    let mut rows: Vec<(String, Vec<LabelledImage>)> = Vec::new();
     for frame in chosen(truth.frames().len()) {
         let depth = truth.depth_mm(frame)?;
         let far = depth.data.iter().filter_map(|&d| present(d)).fold(0.0, f64::max).max(1e-6);
         let map = painted(&depth, |_, d| present(d).map_or(NO_TRUTH, |d| shade(1.0 - d / far)));
-        rows.push((row_name(truth, frame), vec![Tile { image: map, foot: format!("0 to {far:.0} mm") }]));
+        rows.push((row_name(truth, frame), vec![LabelledImage { image: map, foot: format!("0 to {far:.0} mm") }]));
     }
     for ((method, _, score), prediction) in shown.iter().zip(&predictions) {
         let mut any = false;
@@ -82,7 +82,10 @@ pub fn depth_errors(run: &Run, case_id: &str, truth: &dyn Truth) -> Result<Optio
             });
             let value =
                 score.frame_scores[frame].values.iter().find(|v| v.metric == "depth_rmse_mm").and_then(|v| v.value);
-            tiles.push(Tile { image: map, foot: value.map_or_else(String::new, |v| format!("RMSE {v:.2} mm")) });
+            tiles.push(LabelledImage {
+                image: map,
+                foot: value.map_or_else(String::new, |v| format!("RMSE {v:.2} mm")),
+            });
             any = true;
         }
         if any {
@@ -92,12 +95,13 @@ pub fn depth_errors(run: &Run, case_id: &str, truth: &dyn Truth) -> Result<Optio
     if heads.len() < 2 {
         return Ok(None);
     }
-    compose(Panel { heads, rows }, Some("|depth error| [mm]"))
+    compose(ImageGrid { heads, rows }, Some("|depth error| [mm]"))
 }
 
-type Shown<'a> = (&'a crate::report::run::MethodInfo, &'a crate::report::run::CellRecord, &'a crate::score::CellScore);
+type ShownCell<'a> =
+    (&'a crate::report::run::MethodInfo, &'a crate::report::run::CellRecord, &'a crate::score::CellScore);
 
-fn opened(shown: &[Shown], truth: &dyn Truth) -> Result<Vec<Prediction>> {
+fn opened(shown: &[ShownCell], truth: &dyn Truth) -> Result<Vec<Prediction>> {
     let frames = truth.frames().len();
     shown.iter().map(|(_, cell, _)| Prediction::open(&cell.prediction, truth.camera(), frames)).collect()
 }
@@ -141,7 +145,7 @@ fn paste(page: &mut Image<u8>, tile: &Image<u8>, left: usize, top: usize, factor
     }
 }
 
-fn compose(panel: Panel, scale_title: Option<&str>) -> Result<Option<Image<u8>>> {
+fn compose(panel: ImageGrid, scale_title: Option<&str>) -> Result<Option<Image<u8>>> {
     let Some(first) = panel.rows.first().and_then(|(_, tiles)| tiles.first()) else { return Ok(None) };
     let factor = LEAST_SIDE.div_ceil(first.image.width.max(1)).max(1);
     let (width, height) = (first.image.width * factor, first.image.height * factor);

@@ -1,4 +1,4 @@
-//! Methods beside each other: bars with intervals per metric, and error against run time.
+//! Methods compared: bars with intervals per metric, and error against run time.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -90,12 +90,12 @@ fn draw_bars<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, bars: &[
 }
 
 /// Colour, time and error of a method.
-type Point = (RGBColor, MeanInterval, MeanInterval);
+type MethodPoint = (RGBColor, MeanInterval, MeanInterval);
 
 /// Time per frame against an error, both axes logarithmic.
 pub struct ErrorAgainstTime {
     names: Vec<(String, RGBColor)>,
-    panels: Vec<(&'static Metric, Vec<Point>)>,
+    panels: Vec<(&'static Metric, Vec<MethodPoint>)>,
 }
 
 impl ErrorAgainstTime {
@@ -152,7 +152,7 @@ fn bounds_of(mean: &MeanInterval) -> impl Iterator<Item = f64> {
     [mean.mean, high, if low > 0.0 { low } else { mean.mean }].into_iter()
 }
 
-fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points: &[Point]) -> Drawn<(), DB> {
+fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points: &[MethodPoint]) -> Drawn<(), DB> {
     let x = log_range(points.iter().flat_map(|p| bounds_of(&p.1)));
     let y = log_range(points.iter().flat_map(|p| bounds_of(&p.2)));
     let mut chart = ChartBuilder::on(area)

@@ -11,16 +11,16 @@ use std::path::Path;
 
 use canvas::Figure;
 
-use super::pareto::Chart;
+use super::pareto_chart::ParetoChart;
 use super::run::Run;
 use super::summary::MethodSummary;
 use crate::base::{Image, Progress, Result, files};
 use crate::formats::png;
 
-/// A picture that was written.
+/// An image that was written.
 #[derive(Clone, Debug)]
-pub struct Picture {
-    /// For readers who cannot see it.
+pub struct ReportImage {
+    /// Alternative text.
     pub title: String,
     /// What it shows.
     pub caption: String,
@@ -32,19 +32,19 @@ pub struct Picture {
     pub svg: Option<String>,
 }
 
-/// All pictures of a report.
+/// All images of a report.
 #[derive(Clone, Debug, Default)]
-pub struct Pictures {
+pub struct ReportImages {
     /// Over all cases.
-    pub overview: Vec<Picture>,
-    /// Case id and its pictures.
-    pub by_case: Vec<(String, Vec<Picture>)>,
+    pub overview: Vec<ReportImage>,
+    /// Case id and its images.
+    pub by_case: Vec<(String, Vec<ReportImage>)>,
 }
 
 /// Draws everything that the run has data for into `folder`/plots and `folder`/panels.
-pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dyn Progress) -> Result<Pictures> {
-    let mut pictures = Pictures::default();
-    let mut overview = |picture: Option<Picture>| pictures.overview.extend(picture);
+pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dyn Progress) -> Result<ReportImages> {
+    let mut pictures = ReportImages::default();
+    let mut overview = |picture: Option<ReportImage>| pictures.overview.extend(picture);
     overview(plot(
         folder,
         "methods",
@@ -110,26 +110,38 @@ pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dy
 }
 
 /// Draws cost against error as `<stem>.svg` and `<stem>.png`; `front` says which points lie on the front.
-pub fn draw_pareto(chart: &Chart, front: &[bool], folder: &Path, stem: &str) -> Result<()> {
+pub fn draw_pareto(chart: &ParetoChart, front: &[bool], folder: &Path, stem: &str) -> Result<()> {
     let Some(figure) = pareto::ParetoPlot::new(chart, front) else { return Ok(()) };
     files::write_bytes(&folder.join(format!("{stem}.svg")), canvas::svg(&figure)?.as_bytes())?;
     png::write_rgb(&folder.join(format!("{stem}.png")), &canvas::bitmap(&figure)?)
 }
 
-fn plot(folder: &Path, stem: &str, figure: Option<impl Figure>, title: &str, caption: &str) -> Result<Option<Picture>> {
+fn plot(
+    folder: &Path,
+    stem: &str,
+    figure: Option<impl Figure>,
+    title: &str,
+    caption: &str,
+) -> Result<Option<ReportImage>> {
     let Some(figure) = figure else { return Ok(None) };
     let svg = canvas::svg(&figure)?;
     let png = format!("plots/{stem}.png");
     files::write_bytes(&folder.join(format!("plots/{stem}.svg")), svg.as_bytes())?;
     png::write_rgb(&folder.join(&png), &canvas::bitmap(&figure)?)?;
-    Ok(Some(Picture { title: title.into(), caption: caption.into(), png, png_bytes: Vec::new(), svg: Some(svg) }))
+    Ok(Some(ReportImage { title: title.into(), caption: caption.into(), png, png_bytes: Vec::new(), svg: Some(svg) }))
 }
 
-fn panel(folder: &Path, stem: &str, image: Option<Image<u8>>, title: &str, caption: &str) -> Result<Option<Picture>> {
+fn panel(
+    folder: &Path,
+    stem: &str,
+    image: Option<Image<u8>>,
+    title: &str,
+    caption: &str,
+) -> Result<Option<ReportImage>> {
     let Some(image) = image else { return Ok(None) };
     let png = format!("panels/{stem}.png");
     let path = folder.join(&png);
     png::write_rgb(&path, &image)?;
     let png_bytes = files::read_bytes(&path)?;
-    Ok(Some(Picture { title: title.into(), caption: caption.into(), png, png_bytes, svg: None }))
+    Ok(Some(ReportImage { title: title.into(), caption: caption.into(), png, png_bytes, svg: None }))
 }

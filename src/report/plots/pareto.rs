@@ -1,12 +1,12 @@
-//! Cost against error, one panel per subject, both axes logarithmic; the front as a line, the default as a ring. What has no
-//! error at all (a reference) stands on the lower edge.
+//! Cost against error, one panel per subject, both axes logarithmic; the front as a line, the default as a ring. What
+//! has no error at all (a reference) stands on the lower edge.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::canvas::{Area, Drawn, Figure, GRID, INK, Pen, legend};
 use super::methods::{log_range, log_ticks};
-use crate::report::pareto::{Chart, Standing};
+use crate::report::pareto_chart::{ParetoChart, SettingRole};
 
 /// Okabe and Ito's palette and one more, in the order of the modes.
 const COLORS: [RGBColor; 8] = [
@@ -28,20 +28,20 @@ struct Dot {
     at: (f64, f64),
     color: RGBColor,
     label: String,
-    standing: Standing,
+    role: SettingRole,
     on_front: bool,
 }
 
 /// The figure.
 pub struct ParetoPlot<'a> {
-    chart: &'a Chart,
+    chart: &'a ParetoChart,
     names: Vec<(String, RGBColor)>,
     panels: Vec<(&'a str, Vec<Dot>)>,
 }
 
 impl<'a> ParetoPlot<'a> {
     /// `None` where no point can stand on logarithmic axes. `front`: one per point.
-    pub fn new(chart: &'a Chart, front: &[bool]) -> Option<Self> {
+    pub fn new(chart: &'a ParetoChart, front: &[bool]) -> Option<Self> {
         let mut names: Vec<(String, RGBColor)> = Vec::new();
         let mut panels: Vec<(&str, Vec<Dot>)> = Vec::new();
         for (point, &on_front) in chart.points.iter().zip(front) {
@@ -57,7 +57,7 @@ impl<'a> ParetoPlot<'a> {
                 }
             };
             let at = (point.cost, point.error);
-            let dot = Dot { at, color, label: point.setting.clone(), standing: point.standing, on_front };
+            let dot = Dot { at, color, label: point.setting.clone(), role: point.role, on_front };
             match panels.iter_mut().find(|(subject, _)| *subject == point.subject) {
                 Some((_, dots)) => dots.push(dot),
                 None => panels.push((&point.subject, vec![dot])),
@@ -98,7 +98,7 @@ fn short(value: &f64) -> String {
 fn draw_panel<DB: DrawingBackend>(
     area: &Area<DB>,
     pen: Pen,
-    words: &Chart,
+    words: &ParetoChart,
     subject: &str,
     dots: &[Dot],
 ) -> Drawn<(), DB> {
@@ -135,11 +135,11 @@ fn draw_panel<DB: DrawingBackend>(
     for dot in dots {
         let at = place(dot);
         chart.draw_series(std::iter::once(Circle::new(at, pen.px(4.5), dot.color.filled())))?;
-        if dot.standing == Standing::Default {
+        if dot.role == SettingRole::Default {
             chart.draw_series(std::iter::once(Circle::new(at, pen.px(9.0), pen.line(INK, 2.0))))?;
         }
         let (x, y) = chart.backend_coord(&at);
-        taken.push(Rectangle::around((x, y), pen.at(if dot.standing == Standing::Default { 9.0 } else { 4.5 })));
+        taken.push(Rectangle::around((x, y), pen.at(if dot.role == SettingRole::Default { 9.0 } else { 4.5 })));
     }
     for dot in dots {
         let (at, style) = (place(dot), pen.text(9.5));
@@ -170,8 +170,8 @@ impl Rectangle {
     }
 }
 
-/// Where the label of a dot goes without covering anything: how far its upper left corner is from the dot. To the right,
-/// above or below, then farther away, never below `floor`; beside the dot where nothing is free.
+/// Where the label of a dot goes without covering anything: how far its upper left corner is from the dot. To the
+/// right, above or below, then farther away, never below `floor`; beside the dot where nothing is free.
 fn free_spot(
     (x, y): (i32, i32),
     [width, height]: [i32; 2],

@@ -16,7 +16,7 @@ pub(super) enum Demand {
 }
 
 /// A scene of the matrix.
-pub(super) struct Item {
+pub(super) struct StressItem {
     pub demand: Demand,
     pub name: String,
     pub scene: Gaussians<f32>,
@@ -62,28 +62,31 @@ fn axes_of(scene: &mut Gaussians<f32>) -> &mut [[[f32; 3]; 2]] {
     }
 }
 
-fn scaled(factor: f32) -> Item {
+fn scaled(factor: f32) -> StressItem {
     let mut scene = wall(400, 0.5, 1);
     scene.positions.iter_mut().flatten().for_each(|v| *v *= factor);
     axes_of(&mut scene).iter_mut().flatten().flatten().for_each(|v| *v *= factor);
     let near_mm = 0.2 * f64::from(factor);
-    Item { settings: Settings { near_mm, ..Settings::default() }, ..item(&format!("scene scale {factor:e}"), scene) }
+    StressItem {
+        settings: Settings { near_mm, ..Settings::default() },
+        ..item(&format!("scene scale {factor:e}"), scene)
+    }
 }
 
-pub(super) fn item(name: &str, scene: Gaussians<f32>) -> Item {
-    Item { demand: Demand::Accuracy, name: name.into(), scene, view: view(96, 80), settings: Settings::default() }
+pub(super) fn item(name: &str, scene: Gaussians<f32>) -> StressItem {
+    StressItem { demand: Demand::Accuracy, name: name.into(), scene, view: view(96, 80), settings: Settings::default() }
 }
 
 /// A scene of `wall` after a change.
-fn changed(name: &str, seed: u64, change: impl Fn(&mut Gaussians<f32>, &mut CounterRng)) -> Item {
+fn changed(name: &str, seed: u64, change: impl Fn(&mut Gaussians<f32>, &mut CounterRng)) -> StressItem {
     let mut scene = wall(400, 0.5, seed);
     change(&mut scene, &mut CounterRng::new(seed, Stage::Test, &[99]));
     item(name, scene)
 }
 
 /// The shapes, places and opacities of the matrix.
-pub(super) fn geometry() -> Vec<Item> {
-    let mut items: Vec<Item> = [1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3].map(scaled).into();
+pub(super) fn geometry() -> Vec<StressItem> {
+    let mut items: Vec<StressItem> = [1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3].map(scaled).into();
     items
         .push(changed("needles, 1:10000", 2, |s, _| axes_of(s).iter_mut().for_each(|a| a[1] = a[1].map(|v| v * 1e-4))));
     items.push(changed("no area", 3, |s, _| axes_of(s).iter_mut().for_each(|a| a[1] = a[0])));
@@ -122,12 +125,12 @@ pub(super) fn geometry() -> Vec<Item> {
 }
 
 /// Sizes of scene and image.
-pub(super) fn sizes(small: bool) -> Vec<Item> {
+pub(super) fn sizes(small: bool) -> Vec<StressItem> {
     let mut items = vec![item("one Gaussian", wall(1, 2.0, 20)), item("no Gaussian", wall(0, 1.0, 21))];
-    items.push(Item { view: view(1, 1), ..item("1x1 pixel", wall(400, 0.5, 22)) });
+    items.push(StressItem { view: view(1, 1), ..item("1x1 pixel", wall(400, 0.5, 22)) });
     if !small {
         items.push(item("1000000 Gaussians", wall(1_000_000, 0.02, 23)));
-        items.push(Item { view: view(4096, 4096), ..item("4096x4096 pixels", wall(400, 0.5, 24)) });
+        items.push(StressItem { view: view(4096, 4096), ..item("4096x4096 pixels", wall(400, 0.5, 24)) });
     }
     items
 }
@@ -136,7 +139,7 @@ pub(super) fn sizes(small: bool) -> Vec<Item> {
 type Spoil = fn(&mut [[f32; 4]], &mut [[f32; 3]], usize, f32);
 
 /// Every poison in every array.
-pub(super) fn poisons() -> Vec<Item> {
+pub(super) fn poisons() -> Vec<StressItem> {
     let values = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e-40, 3e38];
     let mut items = Vec::new();
     for (k, value) in values.into_iter().enumerate() {
@@ -145,7 +148,7 @@ pub(super) fn poisons() -> Vec<Item> {
             let scene = changed(&format!("{value:e} in {name}"), 30 + k as u64, |s, r| {
                 (0..40).for_each(|_| place(s, r.index(400), value));
             });
-            Item { demand, ..scene }
+            StressItem { demand, ..scene }
         };
         items.push(poisoned("positions", |s, i, v| s.positions[i][i % 3] = v));
         items.push(poisoned("axes", |s, i, v| axes_of(s)[i][i % 2][i % 3] = v));
@@ -158,7 +161,7 @@ pub(super) fn poisons() -> Vec<Item> {
             if let Shape::Ellipsoids { rotations, scales } = &mut scene.shape {
                 (0..40).for_each(|_| place(rotations, scales, r.index(400), value));
             }
-            Item { demand, ..item(&format!("{value:e} in {name}"), scene) }
+            StressItem { demand, ..item(&format!("{value:e} in {name}"), scene) }
         };
         items.push(ellipsoid("rotations", |q, _, i, v| q[i][i % 4] = v));
         items.push(ellipsoid("scales", |_, s, i, v| s[i][i % 3] = v));
@@ -172,22 +175,22 @@ pub(super) fn poisons() -> Vec<Item> {
 }
 
 /// The scenes of [`geometry`] with the compensated filter and with exact discs, and a fisheye.
-pub(super) fn modes() -> Vec<Item> {
-    let compensate = |item: Item| Item {
+pub(super) fn modes() -> Vec<StressItem> {
+    let compensate = |item: StressItem| StressItem {
         name: format!("{}; compensated", item.name),
         settings: Settings { filter: Filter::Compensate, ..item.settings },
         ..item
     };
-    let discs = |item: Item| Item {
+    let discs = |item: StressItem| StressItem {
         name: format!("{}; exact discs", item.name),
         settings: Settings { footprint: Footprint::Disc, ..item.settings },
         ..item
     };
-    let fisheye = |mut item: Item| {
+    let fisheye = |mut item: StressItem| {
         item.view.camera.fisheye = Some([0.05, -0.02, 0.01, -0.003]);
-        Item { name: format!("{}; fisheye", item.name), ..item }
+        StressItem { name: format!("{}; fisheye", item.name), ..item }
     };
-    let mut items: Vec<Item> = geometry().into_iter().map(compensate).collect();
+    let mut items: Vec<StressItem> = geometry().into_iter().map(compensate).collect();
     items.extend(geometry().into_iter().map(discs));
     items.extend(geometry().into_iter().map(fisheye));
     items
@@ -195,7 +198,7 @@ pub(super) fn modes() -> Vec<Item> {
 
 /// Discs that hang on a mesh of bad triangles, at a phase: the discs are placed in single precision, and the phase is
 /// exactly 0 or 1 where a method could start or stop.
-pub(super) fn anchored() -> Vec<Item> {
+pub(super) fn anchored() -> Vec<StressItem> {
     let mut items = Vec::new();
     for (name, squeeze) in [("sound", 1.0f32), ("needle", 1e-4), ("zero-area", 0.0)] {
         for phase in [0.0f32, 1.0] {

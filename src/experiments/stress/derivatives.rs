@@ -1,6 +1,6 @@
 //! Gradients against central differences in double precision, and the faults that the same check must catch.
 
-use super::stress::Row;
+use super::row::StressRow;
 use crate::base::Result;
 use crate::splat::Fault;
 use crate::splat::gradient_check::{Case, LANE_LIMIT, Truth};
@@ -14,19 +14,19 @@ const FAULT_SCENES: usize = 12;
 
 /// A row per group of gradients (worst value of all scenes), and one per fault: its error is that of the worst value on
 /// the scene that shows it best, and it passes when it is caught.
-pub(super) fn rows() -> Result<Vec<Row>> {
+pub(super) fn rows() -> Result<Vec<StressRow>> {
     let truths = (0..SCENES).map(|seed| Truth::new(Case::new(seed))).collect::<Result<Vec<_>>>()?;
-    let mut groups: Vec<Row> = Vec::new();
+    let mut groups: Vec<StressRow> = Vec::new();
     for truth in &truths {
         for finding in truth.compare(None)? {
             let name = format!("f64 gradient of {} by central differences", finding.group);
             let found = groups.iter_mut().find(|row| row.item == name);
             let error = found.as_ref().map_or(0.0, |row| row.gradient_error).max(finding.worst_lane);
-            let row = Row {
+            let row = StressRow {
                 gradient_error: error,
                 worst_group: finding.group,
                 passed: error <= LANE_LIMIT,
-                ..Row::of_claim(name, true)
+                ..StressRow::of_claim(name, true)
             };
             match found {
                 Some(place) => *place = row,
@@ -44,8 +44,8 @@ pub(super) fn rows() -> Result<Vec<Row>> {
             }
         }
         let caught = worst > LANE_LIMIT;
-        let row = Row::of_claim(format!("{FAULT} {fault:?} is caught"), caught);
-        groups.push(Row { gradient_error: worst, worst_group: group, ..row });
+        let row = StressRow::of_claim(format!("{FAULT} {fault:?} is caught"), caught);
+        groups.push(StressRow { gradient_error: worst, worst_group: group, ..row });
     }
     Ok(groups)
 }

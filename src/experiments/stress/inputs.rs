@@ -3,8 +3,8 @@
 
 use glam::DVec3;
 
-use super::stress::Row;
-use super::stress_scenes::{view, wall};
+use super::row::StressRow;
+use super::scenes::{view, wall};
 use crate::base::{Camera, Result};
 use crate::splat::{Direction, ImageGradient, Rasterizer, Settings, View, Wanted};
 
@@ -12,7 +12,7 @@ use crate::splat::{Direction, ImageGradient, Rasterizer, Settings, View, Wanted}
 type Damage = (&'static str, fn(&mut Camera, &mut View, &mut Settings));
 
 /// A row per input and poison.
-pub(super) fn refusals() -> Result<Vec<Row>> {
+pub(super) fn refusals() -> Result<Vec<StressRow>> {
     let mut rows = Vec::new();
     let scene = wall(50, 0.5, 90);
     let damages: [Damage; 8] = [
@@ -31,7 +31,7 @@ pub(super) fn refusals() -> Result<Vec<Row>> {
         damage(&mut camera, &mut seen, &mut settings);
         seen.camera = camera;
         let refused = Rasterizer::<f32>::new().render(&scene, &seen, &settings, None).is_err();
-        rows.push(Row::of_claim(format!("{name} is refused"), refused));
+        rows.push(StressRow::of_claim(format!("{name} is refused"), refused));
     }
     let mut rasterizer = Rasterizer::<f32>::new();
     rasterizer.render(&scene, &view(32, 24), &Settings::default(), None)?;
@@ -48,17 +48,17 @@ pub(super) fn refusals() -> Result<Vec<Row>> {
         for (name, gradient) in gradients {
             let found = rasterizer.backward(&scene, &gradient, Wanted::ALL).err().map(|e| e.to_string());
             let named = found.is_some_and(|sentence| sentence.contains("pixel (7, 5)"));
-            rows.push(Row::of_claim(format!("{poison} in the {name} gradient is refused by its pixel"), named));
+            rows.push(StressRow::of_claim(format!("{poison} in the {name} gradient is refused by its pixel"), named));
         }
         let mut features = vec![0.5; 50 * 2];
         features[2 * 31 + 1] = poison;
         let found = rasterizer.render_channels(&features, 2).err().map(|e| e.to_string());
         let named = found.is_some_and(|sentence| sentence.contains("Gaussian 31, channel 1"));
-        rows.push(Row::of_claim(format!("{poison} in a feature is refused by its Gaussian"), named));
+        rows.push(StressRow::of_claim(format!("{poison} in a feature is refused by its Gaussian"), named));
         let directions = [Direction::Pose([0.0, 0.0, f64::from(poison), 0.0, 0.0, 0.0])];
         let refused =
             rasterizer.render_tangent(&scene, &view(32, 24), &Settings::default(), None, &directions).is_err();
-        rows.push(Row::of_claim(format!("{poison} in a direction of the camera is refused"), refused));
+        rows.push(StressRow::of_claim(format!("{poison} in a direction of the camera is refused"), refused));
         rasterizer.render(&scene, &view(32, 24), &Settings::default(), None)?;
     }
     Ok(rows)

@@ -1,0 +1,135 @@
+//! What `splat` writes: images, what was asked for beyond them, timing.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::base::image::codes_from_unit;
+use crate::base::{Error, Image, Result};
+use crate::experiments::timing::{BACKWARD_STAGES, FORWARD_STAGES, Samples};
+use crate::formats::gaussians_ply::GaussianCloud;
+use crate::formats::{exr, npy, png};
+use crate::splat::{Gaussians, Rasterizer, Rendered, Stage, StageTimes, View};
+
+/// Medians of one stage in milliseconds.
+#[derive(Serialize)]
+pub(super) struct SplatStageTiming {
+    wall_ms: f64,
+    cpu_ms: f64,
+}
+
+/// Medians of one frame.
+#[derive(Serialize)]
+pub(super) struct FrameTiming {
+    forward_ms: f64,
+    backward_ms: Option<f64>,
+    forward_cpu_ms: f64,
+    backward_cpu_ms: Option<f64>,
+    visible: usize,
+    intersections: usize,
+    stages: BTreeMap<&'static str, SplatStageTiming>,
+}
+
+/// `timing.json`.
+#[derive(Serialize)]
+pub(super) struct SplatTiming {
+    pub frames: Vec<FrameTiming>,
+    pub threads: usize,
+    pub isa: String,
+    pub gaussians: usize,
+    pub dropped: usize,
+    pub sh_degree: u8,
+    pub repeat: usize,
+}
+
+impl FrameTiming {
+    /// Medians over the repetitions; stages that did not run are left out.
+    pub fn new(times: &[StageTimes], with_backward: bool, image: &Rendered<f32>) -> FrameTiming {
+        let median = |stages: std::ops::Range<usize>| {
+            let samples = Samples::of_stages(times, stages);
+            SplatStageTiming { wall_ms: 1e3 * samples.wall().median_s, cpu_ms: 1e3 * samples.cpu().median_s }
+        };
+        let count = if with_backward { BACKWARD_STAGES.end } else { FORWARD_STAGES.end };
+        let (forward, backward) = (median(FORWARD_STAGES), with_backward.then(|| median(BACKWARD_STAGES)));
+        FrameTiming {
+            forward_ms: forward.wall_ms,
+            backward_ms: backward.as_ref().map(|t| t.wall_ms),
+            forward_cpu_ms: forward.cpu_ms,
+            backward_cpu_ms: backward.map(|t| t.cpu_ms),
+            visible: image.visible_count,
+            intersections: image.intersections,
+            stages: (0..count).map(|k| (Stage::ALL[k].name(), median(k..k + 1))).collect(),
+        }
+    }
+}
+
+/// Features of the Gaussians that are kept.
+pub(super) struct Features {
+    data: Vec<f32>,
+    count: usize,
+}
+
+impl Features {
+    /// Reads the features; the error names the file and the shape that is wanted.
+    pub fn read(path: &Path, cloud: &GaussianCloud) -> Result<Features> {
+        let array = npy::read(path)?;
+        let &[n, count] = array.shape.as_slice() else {
+            return Err(Error::input(format!("has shape {:?}; (Gaussians, channels) is wanted", array.shape)).at(path));
+        };
+        if n != cloud.count_in_file || count == 0 {
+            let message = format!("has shape [{n}, {count}]; the file has {} Gaussians", cloud.count_in_file);
+            return Err(Error::input(message).at(path));
+        }
+        let of = |&i: &u32| &array.data[i as usize * count..(i as usize + 1) * count];
+        Ok(Features { data: cloud.index.iter().flat_map(of).copied().collect(), count })
+    }
+}
+
+/// The folder of the output, and what goes into it beyond colour, depth and alpha.
+pub(super) struct SplatOutput {
+    pub folder: PathBuf,
+    pub normals: bool,
+    pub contributors: bool,
+    pub features: Option<Features>,
+}
+
+impl SplatOutput {
+    fn path(&self, number: usize, ending: &str) -> PathBuf {
+        self.folder.join(format!("{number:06}{ending}"))
+    }
+
+    /// Everything of the frame that `rasterizer` rendered last.
+    pub fn write(
+        &self,
+        number: usize,
+        scene: &Gaussians<f32>,
+        view: &View,
+        rasterizer: &mut Rasterizer<f32>,
+    ) -> Result<()> {
+        let (width, height) = (view.camera.width as usize, view.camera.height as usize);
+        let image = |channels: usize, data: Vec<f32>| Image { width, height, channels, data };
+        let path = |ending: &str| self.path(number, ending);
+        let rendered = rasterizer.rendered();
+        let color = image(3, rendered.color.clone());
+        exr::write_rgb(&path(".exr"), &color)?;
+        png::write_rgb(&path(".png"), &codes_from_unit(&color))?;
+        exr::write_channel(&path("_depth.exr"), "Z", &image(1, rendered.depth.clone()))?;
+        exr::write_channel(&path("_alpha.exr"), "A", &image(1, rendered.alpha.clone()))?;
+        if self.contributors {
+            let counts = rasterizer.contributors()?.into_iter().map(|count| count as f32).collect();
+            exr::write_channel(&path("_contributors.exr"), "N", &image(1, counts))?;
+        }
+        if self.normals {
+            let normals = rasterizer.render_channels(&scene.normals(view), 3)?.to_vec();
+            exr::write_rgb(&path("_normals.exr"), &image(3, normals))?;
+        }
+        if let Some(features) = &self.features {
+            let channels = rasterizer.render_channels(&features.data, features.count)?.to_vec();
+            let names: Vec<String> = (0..features.count).map(|k| format!("C{k:03}")).collect();
+            let names: Vec<&str> = names.iter().map(String::as_str).collect();
+            exr::write(&path("_channels.exr"), &image(features.count, channels), &names)?;
+        }
+        Ok(())
+    }
+}

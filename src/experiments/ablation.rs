@@ -1,0 +1,72 @@
+//! What each part of a method, and each property of a film, is worth: the lines of `bench-cases/ablations.toml`, and
+//! each of their methods as shipped with several seeds, scored beside each other.
+
+use std::path::Path;
+
+use crate::base::{Result, files};
+use crate::bench::{Ablations, Catalogue, FinishedCell, Freshness, Pipeline, Store, Variant, execute};
+use crate::experiments::ExperimentWatcher;
+use crate::report::ablation::VariantScores;
+use crate::score::CellScore;
+
+/// Which variants are run, and on what.
+pub struct AblationPlan<'a> {
+    /// Where cases, methods and profiles are described.
+    pub catalogue: &'a Catalogue,
+    /// The lines of the file.
+    pub ablations: &'a Ablations,
+    /// Ids of the cases.
+    pub cases: &'a [String],
+    /// Name of the profile, or the path of its file.
+    pub profile: &'a str,
+    /// Folder of sequences and finished cells.
+    pub cache: &'a Path,
+}
+
+/// Runs the shipped methods and then the variants. `each` is handed all scores so far after every variant, so that a
+/// long run can be looked at, and stopped.
+pub fn run(
+    plan: &AblationPlan<'_>,
+    watcher: &dyn ExperimentWatcher,
+    mut each: impl FnMut(&[VariantScores]) -> Result<()>,
+) -> Result<()> {
+    let seeds = &plan.ablations.noise_seeds;
+    let shipped = plan.ablations.methods();
+    let shipped = shipped.iter().map(|method| (Variant::shipped(method), &seeds[..]));
+    let varied = plan.ablations.ablation.iter().map(|v| (v.clone(), &seeds[..1]));
+    let mut pipelines = Vec::new();
+    for (variant, seeds) in shipped.chain(varied) {
+        // All are read before the first is run: a mistake in the last line shows now.
+        let pipeline = Pipeline::of_variant(plan.catalogue, plan.profile, plan.cases, seeds, &variant)?;
+        pipelines.push((variant, pipeline));
+    }
+    let mut store = Store::open(plan.cache)?;
+    let mut all = Vec::new();
+    let count = pipelines.len();
+    for (i, (variant, pipeline)) in pipelines.into_iter().enumerate() {
+        let group = if variant.group.is_empty() { "as shipped" } else { &variant.group };
+        let label = format!("{} of {count}: {} {group} {}", i + 1, variant.method, variant.setting);
+        watcher.stage_starts(label.trim_end());
+        let finished = execute(&pipeline.plan()?, &pipeline, &mut store, Freshness::Resume, watcher)?;
+        all.push(scores(variant, &finished)?);
+        each(&all)?;
+    }
+    Ok(())
+}
+
+fn scores(variant: Variant, finished: &[FinishedCell]) -> Result<VariantScores> {
+    let read = |cell: &FinishedCell| {
+        let score: CellScore = files::read_json(&cell.score)?;
+        // A score may have been made, and kept, before it knew its seed.
+        Ok(CellScore { seed: cell.cell.seed, ..score })
+    };
+    let scored = finished.iter().filter(|cell| cell.failure.is_none());
+    let cells = scored.map(read).collect::<Result<Vec<_>>>()?;
+    Ok(VariantScores {
+        group: variant.group,
+        setting: variant.setting,
+        method: variant.method,
+        failed: finished.len() - cells.len(),
+        cells,
+    })
+}
