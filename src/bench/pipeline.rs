@@ -15,7 +15,7 @@ use super::variant::Variant;
 use crate::airway::case::Case;
 
 use crate::base::{Error, Progress, Result, files, hash};
-use crate::reconstruct::{self, Listing, Reconstruct};
+use crate::reconstruct::{self, Listing, MethodFile, Reconstruct};
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use crate::score::{self, Truth};
 use crate::simulate::sequence::Sequence;
@@ -49,6 +49,14 @@ struct Method {
     method: Box<dyn Reconstruct>,
 }
 
+impl Method {
+    fn new(file: &MethodFile, profile: &Profile) -> Result<Self> {
+        let scale = profile.iteration_scale;
+        // Hash of the parsed keys, inherited ones included, so that changing a comment or a blank recomputes no cell.
+        Ok(Method { content: hash::of_value(&(file.keys(), scale))?, method: file.method(scale)? })
+    }
+}
+
 impl Pipeline {
     /// Reads the profile, the cases and the methods. Every mistake in them is found here, before any work.
     pub fn new(catalogue: &Catalogue, profile: &str, wishes: Wishes) -> Result<Self> {
@@ -65,10 +73,7 @@ impl Pipeline {
     ) -> Result<Self> {
         let wishes = Wishes { cases: Some(cases.to_vec()), methods: None, seeds: Some(seeds.to_vec()) };
         Self::assemble(catalogue, profile, wishes, &variant.case, |catalogue, profile, _| {
-            let folder = tempfile::tempdir().map_err(|e| Error::io("making", &std::env::temp_dir(), e))?;
-            let path = variant.write_method(&catalogue.methods(), folder.path())?;
-            let method = reconstruct::method(&path, profile.iteration_scale)?;
-            Ok(vec![Method { content: content(&path, profile)?, method }])
+            Ok(vec![Method::new(&variant.method_file(&catalogue.methods())?, profile)?])
         })
     }
 
@@ -192,17 +197,10 @@ fn refuse_doubles<T: PartialEq + std::fmt::Display>(items: impl Iterator<Item = 
     Ok(())
 }
 
-/// Hash of the parsed method file, so that changing a comment or a blank recomputes no cell.
-fn content(path: &Path, profile: &Profile) -> Result<String> {
-    let table: toml::Table = files::read_toml(path)?;
-    hash::of_value(&(table, profile.iteration_scale))
-}
-
 fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>) -> Result<Vec<Method>> {
     let mut found = Vec::new();
-    for method in reconstruct::methods(&catalogue.methods(), profile.iteration_scale)? {
-        let path = catalogue.methods().join(format!("{}.toml", method.id()));
-        found.push(Method { content: content(&path, profile)?, method });
+    for file in reconstruct::method_files(&catalogue.methods())? {
+        found.push(Method::new(&file, profile)?);
     }
     let place = |m: &Method| ORDER.iter().position(|id| *id == m.method.id()).unwrap_or(ORDER.len());
     found.sort_by_key(place);

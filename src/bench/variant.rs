@@ -3,12 +3,13 @@
 //! A key is a path of TOML keys with dots (`appearance.gaussians_per_face`). Where it names a sourced number
 //! (`{ value = .., source = .. }`), the value is what changes.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Deserialize;
 
 use super::plan::choose;
-use crate::base::{Error, Result, files};
+use crate::base::{Result, files};
+use crate::reconstruct::MethodFile;
 
 /// One line of `bench-cases/ablations.toml`.
 #[derive(Clone, Debug, Deserialize)]
@@ -40,18 +41,10 @@ impl Variant {
         }
     }
 
-    /// Writes the method's file with its changes into `folder`; gives back its path.
-    pub fn write_method(&self, methods: &Path, folder: &Path) -> Result<PathBuf> {
-        let name = format!("{}.toml", self.method);
-        let shipped = methods.join(&name);
-        let mut table: toml::Table = files::read_toml(&shipped)?;
-        for (key, value) in &self.set {
-            let path: Vec<&str> = key.split('.').collect();
-            replace(&mut table, &path, value.clone()).map_err(|e| e.at(&shipped))?;
-        }
-        let path = folder.join(name);
-        files::write_bytes(&path, table.to_string().as_bytes())?;
-        Ok(path)
+    /// The method's file with its changes. `methods` is the folder of the shipped files.
+    pub fn method_file(&self, methods: &Path) -> Result<MethodFile> {
+        let file = MethodFile::load(&methods.join(format!("{}.toml", self.method)))?;
+        file.with(self.set.iter().map(|(key, value)| (key.as_str(), value)))
     }
 }
 
@@ -90,49 +83,21 @@ impl Ablations {
     }
 }
 
-/// Replaces what stands at `path`; an error when there is no such key.
-pub fn replace(table: &mut toml::Table, path: &[&str], value: toml::Value) -> Result<()> {
-    let missing = || Error::input(format!("has no key `{}`", path.join(".")));
-    let (last, groups) = path.split_last().ok_or_else(missing)?;
-    let mut at = table;
-    for group in groups {
-        at = at.get_mut(*group).and_then(toml::Value::as_table_mut).ok_or_else(missing)?;
-    }
-    match at.get_mut(*last).ok_or_else(missing)? {
-        toml::Value::Table(sourced) if sourced.contains_key("value") => sourced.insert("value".into(), value),
-        plain => Some(std::mem::replace(plain, value)),
-    };
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn shipped() -> PathBuf {
+    fn shipped() -> std::path::PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases")
-    }
-
-    #[test]
-    fn sourced_numbers_keep_their_source_and_unknown_keys_are_named() {
-        let mut table: toml::Table =
-            toml::from_str("variant = 'full'\n[appearance]\nrate = { value = 1, source = 'ours' }").unwrap();
-        replace(&mut table, &["appearance", "rate"], toml::Value::from(3)).unwrap();
-        replace(&mut table, &["variant"], toml::Value::from("release")).unwrap();
-        assert_eq!(table["appearance"]["rate"]["value"].as_integer(), Some(3));
-        assert_eq!(table["appearance"]["rate"]["source"].as_str(), Some("ours"));
-        assert_eq!(table["variant"].as_str(), Some("release"));
-        let error = replace(&mut table, &["appearance", "speed"], toml::Value::from(3)).unwrap_err();
-        assert!(error.to_string().contains("appearance.speed"), "{error}");
     }
 
     #[test]
     fn every_shipped_ablation_makes_a_method_and_cases_that_can_be_read() {
         let ablations = Ablations::load(&shipped().join("ablations.toml"), None).unwrap();
-        let folder = tempfile::tempdir().unwrap();
         for variant in &ablations.ablation {
-            let path = variant.write_method(&shipped().join("methods"), folder.path()).unwrap();
-            crate::reconstruct::method(&path, 1.0).unwrap();
+            let shipped_method = MethodFile::load(&shipped().join("methods").join(format!("{}.toml", variant.method)));
+            let changed = variant.method_file(&shipped().join("methods")).unwrap();
+            assert_eq!(changed.keys() == shipped_method.unwrap().keys(), variant.set.is_empty(), "{variant:?}");
             for case in &ablations.cases {
                 crate::airway::case::Case::load_changed(&shipped().join(format!("{case}.toml")), &variant.case)
                     .unwrap();

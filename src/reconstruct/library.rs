@@ -1,125 +1,322 @@
-//! The methods that `bench-cases/methods/*.toml` define.
+//! From the method files in `bench-cases/methods/` to the methods.
+//!
+//! A file may name another one as its `base` and then states only what differs from it; a base may have a base of its
+//! own. Values are inherited together with their source. The header is not inherited: every file has its own. Nor are
+//! keys that the file's kind does not read, so that `static-ct`, which is given the phase, can build on `ours`, which
+//! estimates it. What a file itself states must be read by its kind: every other key is refused by name.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
+use toml::{Table, Value};
 
 use crate::base::{Error, Result, files};
 
-use super::bridgesplat::Bridgesplat;
-use super::bridgesplat_nomesh::BridgesplatNomesh;
-use super::loss::norm::Norm;
-use super::ours::{Ours, Row};
-use super::ours_gn::OursGn;
-use super::ours_nomesh::OursNomesh;
-use super::{Reconstruct, settings};
+use super::contract::Reconstruct;
+use super::methods::bridgesplat::Bridgesplat;
+use super::methods::bridgesplat_nomesh::BridgesplatNomesh;
+use super::methods::ours::{GivenPhase, Ours};
+use super::methods::ours_gn::OursGn;
+use super::methods::ours_nomesh::OursNomesh;
+use super::settings::{Keys, MethodHeader, MethodKind, MethodSettings, contains, overlay, remove, replace};
 
-/// What every method file says; the rest depends on `kind`.
-#[derive(Deserialize)]
-struct Header {
-    id: String,
-    kind: String,
+/// A method file with everything that it inherits.
+#[derive(Clone, Debug)]
+pub struct MethodFile {
+    path: PathBuf,
+    header: MethodHeader,
+    keys: Table,
 }
 
-/// Reads one method. `iteration_scale` multiplies every iteration count (a profile's `iteration_scale`).
-///
-/// Errors: a file that is not TOML, an unknown key or kind, an id that is not the file's name.
-pub fn method(path: &Path, iteration_scale: f64) -> Result<Box<dyn Reconstruct>> {
-    let header: Header = files::read_toml(path)?;
-    if path.file_stem().is_none_or(|stem| stem.to_string_lossy() != header.id) {
-        return Err(Error::input(format!("must be the file's name, not `{}`", header.id)).element("id").at(path));
+impl MethodFile {
+    /// Reads a method file and its bases, which stand in the same folder.
+    ///
+    /// Errors: a file that is not TOML, an id that is not the file's name, an unknown kind, a base that is missing or
+    /// leads back to the file, a key that is missing, that the file's kind does not read, or whose value has another type.
+    pub fn load(path: &Path) -> Result<Self> {
+        Self::inherit(path, &mut Vec::new())
     }
-    let sound = |norm: Norm| norm.validate().map_err(|e| e.at(path));
-    let phase = || files::read_toml::<settings::PhaseMethod>(path).and_then(|s| sound(s.norm()).map(|()| s));
-    let bridge = || files::read_toml::<settings::BridgeMethod>(path).and_then(|s| sound(s.norm()).map(|()| s));
-    Ok(match header.kind.as_str() {
-        "ours" => Box::new(Ours::new(phase()?, Row::Ours, iteration_scale)),
-        "static-ct" => Box::new(Ours::new(phase()?, Row::StaticCt, iteration_scale)),
-        "oracle-phase" => Box::new(Ours::new(phase()?, Row::OraclePhase, iteration_scale)),
-        "ours-gn" => Box::new(OursGn::new(files::read_toml(path)?, iteration_scale)),
-        "ours-nomesh" => Box::new(OursNomesh::new(phase()?, iteration_scale)),
-        "bridgesplat" => Box::new(Bridgesplat::new(bridge()?, iteration_scale)),
-        "bridgesplat-nomesh" => Box::new(BridgesplatNomesh::new(bridge()?, iteration_scale)),
-        other => {
-            let known = "ours, ours-nomesh, ours-gn, bridgesplat, bridgesplat-nomesh, static-ct, oracle-phase";
-            return Err(Error::input(format!("there is no kind `{other}`; the kinds are {known}"))
-                .element("kind")
-                .at(path));
+
+    /// `heirs` are the files that lead here.
+    fn inherit(path: &Path, heirs: &mut Vec<String>) -> Result<Self> {
+        let own: Table = files::read_toml(path)?;
+        let header: MethodHeader = files::read_toml(path)?;
+        if path.file_stem().is_none_or(|stem| stem.to_string_lossy() != header.id) {
+            let sentence = format!("must be the file's name, not `{}`", header.id);
+            return Err(Error::input(sentence).element("id").at(path));
         }
-    })
+        let mut keys = Table::new();
+        if let Some(base) = &header.base {
+            let refused = |sentence: String| Err(Error::input(sentence).element("base").at(path));
+            heirs.push(header.id.clone());
+            if heirs.contains(base) {
+                return refused(format!("the bases form a circle: {} -> {base}", heirs.join(" -> ")));
+            }
+            let base_path = path.with_file_name(format!("{base}.toml"));
+            if !base_path.exists() {
+                return refused(format!("there is no method `{base}` in this folder"));
+            }
+            keys = Self::inherit(&base_path, heirs)?.keys;
+            MethodHeader::KEYS.iter().for_each(|key| drop(keys.remove(*key)));
+        }
+        overlay(&mut keys, own.clone());
+        let mut file = MethodFile { path: path.to_owned(), header, keys };
+        for key in file.build(1.0)?.1 {
+            if contains(&own, &key) {
+                let sentence = format!("methods of kind {} read no such key", own["kind"]);
+                return Err(Error::input(sentence).element(key.join(".")).at(path));
+            }
+            remove(&mut file.keys, &key);
+        }
+        Ok(file)
+    }
+
+    /// The same method with the values of some keys changed. A key is a path with dots (`window.keyframes`).
+    ///
+    /// Errors: a key that the method does not have, or a value of another type.
+    pub fn with<'a>(mut self, changes: impl IntoIterator<Item = (&'a str, &'a Value)>) -> Result<Self> {
+        for (key, value) in changes {
+            let path: Vec<&str> = key.split('.').collect();
+            replace(&mut self.keys, &path, value.clone()).map_err(|e| e.at(&self.path))?;
+        }
+        self.build(1.0)?;
+        Ok(self)
+    }
+
+    /// What every method file says.
+    pub fn header(&self) -> &MethodHeader {
+        &self.header
+    }
+
+    /// All keys that the method runs with, inherited ones included.
+    pub fn keys(&self) -> &Table {
+        &self.keys
+    }
+
+    /// The method. `iteration_scale` multiplies every iteration count (a profile's `iteration_scale`).
+    pub fn method(&self, iteration_scale: f64) -> Result<Box<dyn Reconstruct>> {
+        self.build(iteration_scale).map(|(method, _)| method)
+    }
+
+    /// The settings, of the type that belongs to the method's kind.
+    #[cfg(test)]
+    pub fn settings<S: MethodSettings>(&self) -> Result<S> {
+        S::read(&mut Keys::new(self.keys.clone()))
+    }
+
+    /// The method, and the paths of the keys that its kind does not read.
+    fn build(&self, scale: f64) -> Result<(Box<dyn Reconstruct>, Vec<Vec<String>>)> {
+        let mut keys = Keys::new(self.keys.clone());
+        let method = self.of_kind(&mut keys, scale).map_err(|e| e.at(&self.path))?;
+        Ok((method, keys.unread()))
+    }
+
+    /// The program that the kind names, with its settings taken from `keys`.
+    fn of_kind(&self, keys: &mut Keys, scale: f64) -> Result<Box<dyn Reconstruct>> {
+        Ok(match self.header.kind {
+            MethodKind::Ours => Box::new(Ours::new(MethodSettings::read(keys)?, scale)),
+            MethodKind::StaticCt => {
+                Box::new(Ours::with_given_phase(MethodSettings::read(keys)?, GivenPhase::Inspiration, scale))
+            }
+            MethodKind::OraclePhase => {
+                Box::new(Ours::with_given_phase(MethodSettings::read(keys)?, GivenPhase::True, scale))
+            }
+            MethodKind::OursNomesh => Box::new(OursNomesh::new(MethodSettings::read(keys)?, scale)),
+            MethodKind::OursGn => Box::new(OursGn::new(MethodSettings::read(keys)?, scale)),
+            MethodKind::Bridgesplat => Box::new(Bridgesplat::new(MethodSettings::read(keys)?, scale)),
+            MethodKind::BridgesplatNomesh => Box::new(BridgesplatNomesh::new(MethodSettings::read(keys)?, scale)),
+        })
+    }
 }
 
-/// All methods of a folder, sorted by id.
-pub fn methods(folder: &Path, iteration_scale: f64) -> Result<Vec<Box<dyn Reconstruct>>> {
+/// All method files of a folder, sorted by id.
+pub fn method_files(folder: &Path) -> Result<Vec<MethodFile>> {
     let entries = std::fs::read_dir(folder).map_err(|e| Error::io("reading", folder, e))?;
     let mut paths: Vec<_> = entries.filter_map(|e| e.ok()).map(|e| e.path()).collect();
     paths.retain(|p| p.extension().is_some_and(|e| e == "toml"));
     paths.sort_by_key(|p| p.file_stem().map(|stem| stem.to_owned()));
-    paths.iter().map(|p| method(p, iteration_scale)).collect()
+    paths.iter().map(|p| MethodFile::load(p)).collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::settings::Listing;
     use super::*;
 
-    fn shipped() -> std::path::PathBuf {
+    fn shipped() -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods")
     }
 
-    #[test]
-    fn the_methods_are_there() {
-        let all = methods(&shipped(), 1.0).unwrap();
-        let ids: Vec<&str> = all.iter().map(|m| m.id()).collect();
-        let expected = [
-            "bridgesplat",
-            "bridgesplat-nomesh",
-            "bridgesplat-release",
-            "oracle-phase",
-            "ours",
-            "ours-gn",
-            "ours-gn-pose",
-            "ours-nomesh",
-            "ours-plain",
-            "static-ct",
-        ];
-        assert_eq!(ids, expected);
+    /// A copy of the shipped folder.
+    fn copy() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for entry in std::fs::read_dir(shipped()).unwrap() {
+            let path = entry.unwrap().path();
+            std::fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
+        }
+        folder
+    }
+
+    /// What is said of the method `id` after `from` has become `to` in its file.
+    fn refusal(folder: &Path, id: &str, from: &str, to: &str) -> String {
+        let path = folder.join(format!("{id}.toml"));
+        let good = std::fs::read_to_string(&path).unwrap();
+        assert!(good.contains(from), "{id}: {from}");
+        std::fs::write(&path, good.replacen(from, to, 1)).unwrap();
+        let error = MethodFile::load(&path).err().unwrap_or_else(|| panic!("{id} is read with {to}"));
+        std::fs::write(&path, good).unwrap();
+        assert_eq!(error.kind().exit_code(), 4, "{error}");
+        let text = error.to_string();
+        assert!(text.contains(".toml: ") && !text.contains('\n'), "{text}");
+        text
     }
 
     #[test]
-    fn a_norm_is_named_in_the_file_and_is_l1_where_it_is_not() {
-        let good = std::fs::read_to_string(shipped().join("ours.toml")).unwrap();
-        let norm = |line: &str| toml::from_str::<settings::PhaseMethod>(&(line.to_owned() + &good)).unwrap().norm();
-        assert_eq!(norm(""), Norm::L1);
-        for (value, expected) in [
-            ("\"l1\"", Norm::L1),
-            ("{ huber = 0.02 }", Norm::Huber(0.02)),
-            ("{ charbonnier = 0.01 }", Norm::Charbonnier(0.01)),
-        ] {
-            assert_eq!(norm(&format!("color_norm = {{ value = {value}, source = \"ours\" }}\n")), expected);
+    fn every_shipped_file_is_read_with_what_it_inherits() {
+        let files = method_files(&shipped()).unwrap();
+        let read: Vec<_> = files.iter().map(|f| (f.header().id.as_str(), f.header().base.as_deref())).collect();
+        let expected = [
+            ("bridgesplat", None),
+            ("bridgesplat-nomesh", None),
+            ("bridgesplat-release", Some("bridgesplat")),
+            ("oracle-phase", Some("ours")),
+            ("ours", None),
+            ("ours-gn", None),
+            ("ours-gn-pose", Some("ours-gn")),
+            ("ours-nomesh", Some("ours")),
+            ("ours-plain", Some("ours")),
+            ("static-ct", Some("ours")),
+        ];
+        assert_eq!(read, expected);
+        let number = |id: &str, key: &str| {
+            let file = files.iter().find(|f| f.header().id == id).unwrap();
+            key.split('.').try_fold(&Value::Table(file.keys().clone()), |at, key| at.get(key)).cloned()
+        };
+        // Inherited, replaced, and not read.
+        assert_eq!(number("ours-plain", "color_weight"), number("ours", "color_weight"));
+        assert_eq!(number("ours-plain", "window.memory"), number("ours", "window.memory"));
+        assert_eq!(number("ours-plain", "velocity.value"), Some(Value::from(0.0)));
+        assert_eq!(number("ours-plain", "velocity.source"), Some(Value::from("paper")));
+        assert_eq!(number("static-ct", "appearance.opacity"), number("ours", "appearance.opacity"));
+        assert_eq!(number("static-ct", "velocity"), None);
+        assert_eq!(number("ours-nomesh", "inherits"), None);
+    }
+
+    #[test]
+    fn the_listing_is_read_for_every_kind() {
+        let folder = copy();
+        for file in method_files(&shipped()).unwrap() {
+            let path = folder.path().join(format!("{}.toml", file.header().id));
+            let text = std::fs::read_to_string(&path).unwrap();
+            let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("listing")).collect();
+            for (line, listing) in [("", Listing::Always), ("listing = \"on-request\"\n", Listing::OnRequest)] {
+                std::fs::write(&path, format!("{line}{}", lines.join("\n"))).unwrap();
+                let method = MethodFile::load(&path).unwrap().method(1.0).unwrap();
+                assert_eq!((method.id(), method.listing()), (file.header().id.as_str(), listing));
+            }
+            std::fs::write(&path, text).unwrap();
         }
     }
 
     #[test]
     fn a_wrong_file_is_named_with_its_key() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ours.toml");
-        let good = std::fs::read_to_string(shipped().join("ours.toml")).unwrap();
+        let folder = copy();
         for (from, to, says) in [
-            ("kind = \"ours\"", "kind = \"theirs\"", "there is no kind `theirs`"),
+            ("kind = \"ours\"", "kind = \"theirs\"", "unknown variant `theirs`"),
             ("id = \"ours\"", "id = \"mine\"", "must be the file's name"),
-            ("color_weight", "colour_weight", "colour_weight"),
-            (
-                "color_weight",
-                "color_norm = { value = { huber = -1.0 }, source = \"ours\" }\ncolor_weight",
-                "color_norm",
-            ),
-            ("color_weight", "color_norm = { value = \"l3\", source = \"ours\" }\ncolor_weight", "l3"),
+            ("color_weight", "colour_weight", "missing field `color_weight`"),
+            ("color_weight", "colour_weight = 1\ncolor_weight", "colour_weight: "),
+            ("quiet_values", "quite_values", "appearance: missing field `quiet_values`"),
             ("source = \"paper\"", "source = \"hearsay\"", "hearsay"),
+            ("velocity = { value = 0.7", "velocity = { value = \"fast\"", "velocity"),
+            ("velocity = { value", "velocity = { note = 1, value", "note"),
         ] {
-            assert!(good.contains(from));
-            std::fs::write(&path, good.replacen(from, to, 1)).unwrap();
-            let error = method(&path, 1.0).err().unwrap().to_string();
-            assert!(error.contains(says) && error.contains("ours.toml"), "{error}");
+            let text = refusal(folder.path(), "ours", from, to);
+            assert!(text.contains(says) && text.contains("ours.toml"), "{text}");
+        }
+    }
+
+    /// One line per kind and key that another kind reads.
+    #[test]
+    fn a_key_that_the_kind_does_not_read_is_refused() {
+        let folder = copy();
+        let appearance =
+            ["scale_cap", "rotation_rate", "quiet_values", "scale_rate"].map(|k| format!("appearance.{k}"));
+        let [scale_cap, rotation_rate, quiet_values, scale_rate] = appearance.each_ref().map(String::as_str);
+        let estimation = [
+            "color_weight",
+            "phase_ssim_weight",
+            "temporal_weight",
+            "activation",
+            "phase_leak",
+            "theta_rate",
+            "theta_rate_joint",
+            "candidates",
+            "velocity",
+            "grid_steps",
+            "memory_frames",
+            "window.keyframes",
+        ];
+        let unread: [(&str, &[&str]); 7] = [
+            ("ours", &[rotation_rate, "steps", "arap_weight"]),
+            ("static-ct", &[&estimation[..], &[rotation_rate]].concat()),
+            ("oracle-phase", &[&estimation[..], &[rotation_rate]].concat()),
+            ("ours-nomesh", &["pixels_per_disc", "most_per_face", "inherits", "window.keyframes", scale_cap]),
+            ("ours-gn", &["activation", "appearance.opacity", "pixels_per_disc"]),
+            ("bridgesplat", &["rotation_weight", rotation_rate, quiet_values, "window.keyframes"]),
+            ("bridgesplat-nomesh", &["arap_weight", "variant", scale_cap, scale_rate, quiet_values]),
+        ];
+        for (id, keys) in unread {
+            let path = folder.path().join(format!("{id}.toml"));
+            let good: Table = files::read_toml(&path).unwrap();
+            for key in keys {
+                let mut table = good.clone();
+                let stray: Table = toml::from_str(&format!("{key} = {{ value = 1, source = 'ours' }}")).unwrap();
+                overlay(&mut table, stray);
+                std::fs::write(&path, table.to_string()).unwrap();
+                let error = MethodFile::load(&path).err().unwrap_or_else(|| panic!("{id} reads {key}"));
+                assert_eq!(error.kind().exit_code(), 4);
+                let says = format!("{id}.toml: {key}: methods of kind \"{id}\" read no such key");
+                assert!(error.to_string().contains(&says), "{error}");
+            }
+            std::fs::write(&path, good.to_string()).unwrap();
+        }
+    }
+
+    #[test]
+    fn bases_may_form_a_chain_and_no_circle() {
+        let folder = copy();
+        let heir = "id = 'heir'\nkind = 'ours'\nbase = 'ours-plain'\ndescription = ''\n";
+        let path = folder.path().join("heir.toml");
+        std::fs::write(&path, heir).unwrap();
+        let settings: super::super::settings::OursSettings = MethodFile::load(&path).unwrap().settings().unwrap();
+        assert_eq!((*settings.estimation.velocity, *settings.estimation.phase_leak), (0.0, 0.05));
+        assert_eq!(settings.header.listing, Listing::Always, "a header is not inherited");
+
+        let missing = refusal(folder.path(), "heir", "'ours-plain'", "'yours'");
+        assert!(missing.contains("base: there is no method `yours`"), "{missing}");
+        let circle = refusal(folder.path(), "ours", "kind", "base = 'heir'\nkind");
+        let says = "ours-plain.toml: base: the bases form a circle: ours -> heir -> ours-plain -> ours";
+        assert!(circle.contains(says), "{circle}");
+        let own = refusal(folder.path(), "ours", "kind", "base = 'ours'\nkind");
+        assert!(own.contains("ours.toml: base: the bases form a circle: ours -> ours"), "{own}");
+        let wrong_base = refusal(folder.path(), "ours", "color_weight", "colour_weight = 1\ncolor_weight");
+        assert!(wrong_base.contains("colour_weight"), "{wrong_base}");
+    }
+
+    #[test]
+    fn a_changed_key_is_one_that_the_kind_reads() {
+        let load = |id: &str| MethodFile::load(&shipped().join(format!("{id}.toml"))).unwrap();
+        let change = |id: &str, key: &str, value: Value| load(id).with([(key, &value)]).map(|f| f.keys().clone());
+        let changed = change("ours-plain", "window.keyframes", Value::from(4)).unwrap();
+        assert_eq!(changed["window"]["keyframes"]["value"].as_integer(), Some(4));
+        assert_eq!(changed["window"]["keyframes"]["source"].as_str(), Some("paper"));
+        for (id, key, value) in [
+            ("static-ct", "velocity", Value::from(0.5)),
+            ("ours", "velocities", Value::from(0.5)),
+            ("ours", "velocity", Value::from("fast")),
+        ] {
+            let error = change(id, key, value).unwrap_err().to_string();
+            assert!(error.contains(key) && error.contains(&format!("{id}.toml")), "{error}");
         }
     }
 }

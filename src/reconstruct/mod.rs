@@ -1,220 +1,38 @@
 //! The methods. Each is handed an [`Observation`]: what it may see, and nothing else.
 //!
-//! Protocol (the paper's, online): frames arrive in order; the method fits frame `t` and hands back its rendering
-//! of it. Every eighth frame is also rendered *before* its image is looked at (`ahead`).
+//! The floors of this room; each imports from those above it only:
+//!
+//! | floor | holds |
+//! |---|---|
+//! | `contract`, `settings`, `activation`, `online`, `observe`, `rough_poses`, `prediction` | what a method may see and must answer, its numbers, the protocol |
+//! | `geometry` | the mesh at a phase: visible faces, depth, image pyramid, rigid motions, neighbours |
+//! | `fitting` | building blocks: optimiser, losses, discs and free Gaussians, light, memory of colours |
+//! | `estimate` | estimators, which do not know each other: phase fit, keyframe window, Gauss-Newton, breath |
+//! | `methods` | the methods, which combine the floors above |
+//! | `library` | from a method's file to the method |
 
-mod active;
-mod anchored;
-mod bridgesplat;
-mod bridgesplat_nomesh;
-mod control_points;
-mod correction;
-mod free;
-mod gauss_newton;
-mod level;
+mod activation;
+mod contract;
+mod estimate;
+mod fitting;
+mod geometry;
 mod library;
-pub mod loss;
-mod memory;
-mod mesh_depth;
-mod neighbours;
+mod methods;
 mod observe;
 mod online;
-pub mod optimiser;
-mod ours;
-mod ours_gn;
-mod ours_nomesh;
-pub mod phase;
-mod phase_fit;
-mod phase_search;
-mod pose_drift;
 mod prediction;
 mod rough_poses;
-mod scope_light;
 pub mod settings;
-#[cfg(test)]
-mod tests;
-mod window;
 
-use glam::DAffine3;
-use serde::{Deserialize, Serialize};
-
-use crate::base::{Camera, Error, Image, Mask, Progress, Result, TriangleMesh};
-use crate::splat::Rendered;
-
-pub use bridgesplat::Bridgesplat;
-pub use bridgesplat_nomesh::BridgesplatNomesh;
-pub use library::{method, methods};
+pub use contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+pub use fitting::{loss, optimiser};
+pub use library::{MethodFile, method_files};
+pub use methods::bridgesplat::Bridgesplat;
+pub use methods::bridgesplat_nomesh::BridgesplatNomesh;
+pub use methods::ours::{GivenPhase, Ours};
+pub use methods::ours_gn::OursGn;
+pub use methods::ours_nomesh::OursNomesh;
 pub use observe::observe;
-pub use ours::{Ours, Row};
-pub use ours_gn::OursGn;
-pub use ours_nomesh::OursNomesh;
 pub use prediction::write_prediction;
 pub use rough_poses::rough_poses;
-
-/// What a method asks to see beyond images, times, camera and poses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Access {
-    /// The expiration mesh (a second CT).
-    pub expiration_mesh: bool,
-    /// The depth image of the first frame.
-    pub first_depth: bool,
-    /// The true phase of every frame (the `oracle-phase` row only).
-    pub true_phase: bool,
-    /// How well the poses are known.
-    pub poses: Poses,
-}
-
-/// When a method is run.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Listing {
-    /// Unless others are named.
-    #[default]
-    Always,
-    /// Only where it is named: a variant of a row of the table.
-    OnRequest,
-}
-
-/// How well the poses are known that a method is handed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Poses {
-    /// As they are: the paper's assumption.
-    True,
-    /// Wrong by 2 mm and 3 degrees ([`rough_poses()`]).
-    Rough,
-}
-
-/// What a method is handed.
-#[derive(Clone, Debug)]
-pub struct Observation {
-    /// Intrinsics.
-    pub camera: Camera,
-    /// Known pose of each frame.
-    pub world_from_camera: Vec<DAffine3>,
-    /// Seconds since the first frame.
-    pub time_s: Vec<f64>,
-    /// 8-bit sRGB images, one per frame.
-    pub images: Vec<Image<u8>>,
-    /// Which pixels of the images hold a picture; `None` where all do.
-    pub mask: Option<Mask>,
-    /// CT surface at inspiration; normals point into the lumen.
-    pub inspiration: TriangleMesh,
-    /// CT surface at expiration, same faces; only if asked for.
-    pub expiration: Option<TriangleMesh>,
-    /// z-depth in mm of frame 0, 0 where nothing was hit; only if asked for.
-    pub first_depth_mm: Option<Image<f32>>,
-    /// True phases; only if asked for.
-    pub true_phase: Option<Vec<f64>>,
-    /// Seed of the method's own randomness.
-    pub seed: u64,
-}
-
-impl Observation {
-    /// A weight per pixel for losses; `None` where all count alike.
-    pub fn pixel_weights(&self) -> Option<Vec<f32>> {
-        self.mask.as_ref().map(Mask::weights)
-    }
-
-    /// Whether pixel `index` (row-major) holds a picture.
-    pub fn shows(&self, index: usize) -> bool {
-        self.mask.as_ref().is_none_or(|mask| mask.shows(index))
-    }
-
-    /// Errors when arrays differ in length or something is missing that `access` asks for.
-    pub fn validate(&self, access: Access) -> Result<()> {
-        let frames = self.images.len();
-        let lengths = [self.world_from_camera.len(), self.time_s.len()];
-        if frames == 0 || lengths != [frames; 2] {
-            return Err(Error::input("an observation needs as many poses and times as images, and at least one"));
-        }
-        let size = (self.camera.width as usize, self.camera.height as usize, 3);
-        if let Some(i) = self.images.iter().position(|i| (i.width, i.height, i.channels) != size) {
-            return Err(Error::input("the image has another size than the camera").element(format!("frame {i}")));
-        }
-        if self.mask.as_ref().is_some_and(|m| (m.width, m.height) != (size.0, size.1)) {
-            return Err(Error::input("the mask has another size than the camera"));
-        }
-        self.inspiration.validate()?;
-        if access.expiration_mesh && self.expiration.as_ref().is_none_or(|e| e.faces != self.inspiration.faces) {
-            return Err(Error::input("an expiration mesh with the faces of the inspiration mesh is needed"));
-        }
-        if access.first_depth && self.first_depth_mm.is_none() {
-            return Err(Error::input("the depth of the first frame is needed"));
-        }
-        if access.true_phase && self.true_phase.as_ref().is_none_or(|p| p.len() != frames) {
-            return Err(Error::input("the true phase of every frame is needed"));
-        }
-        Ok(())
-    }
-}
-
-/// A method's answer for one frame.
-#[derive(Clone, Debug)]
-pub struct FramePrediction {
-    /// Index of the frame.
-    pub frame: usize,
-    /// Rendered image, encoded sRGB in [0, 1].
-    pub color: Image<f32>,
-    /// Rendered z-depth in mm, 0 where nothing is.
-    pub depth_mm: Image<f32>,
-    /// Estimated breathing phase, where the method has one.
-    pub phase: Option<f64>,
-    /// Standard deviation of that estimate, where the method knows one.
-    pub phase_deviation: Option<f64>,
-    /// Estimated pose, where the method has one of its own.
-    pub world_from_camera: Option<DAffine3>,
-    /// Rendering made before the frame's image was looked at (every eighth frame).
-    pub ahead: Option<Image<f32>>,
-}
-
-/// What remains when all frames are done.
-#[derive(Clone, Debug, Default)]
-pub struct Reconstruction {
-    /// Airway surface at the last frame, where the method keeps one.
-    pub final_mesh: Option<TriangleMesh>,
-    /// Seconds of the method alone: no reading, writing or scoring.
-    pub seconds: f64,
-}
-
-/// A reconstruction method.
-pub trait Reconstruct: Send + Sync {
-    /// Its id in tables and folders.
-    fn id(&self) -> &str;
-
-    /// What it asks to see.
-    fn access(&self) -> Access;
-
-    /// When it is run.
-    fn listing(&self) -> Listing {
-        Listing::Always
-    }
-
-    /// Fits all frames in order, handing each answer to `emit`.
-    fn run(
-        &self,
-        observation: &Observation,
-        emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
-        progress: &dyn Progress,
-    ) -> Result<Reconstruction>;
-}
-
-/// `published * scale`, at least one; none stays none.
-fn scaled_iterations(published: f64, scale: f64) -> usize {
-    if published == 0.0 { 0 } else { (published * scale).round().max(1.0) as usize }
-}
-
-/// Factor on appearance and deformation rates that keeps the distance Adam can travel in a frame when a profile cuts
-/// the iterations: the same for all methods.
-fn rate_factor(iteration_scale: f64) -> f64 {
-    (1.0 / iteration_scale).clamp(1.0, 10.0)
-}
-
-fn stop_if_cancelled(progress: &dyn Progress) -> Result<()> {
-    if progress.cancelled() { Err(Error::interrupted()) } else { Ok(()) }
-}
-
-/// Rendered depth where something was rendered, 0 elsewhere.
-fn depth_image(rendered: &Rendered<f32>, width: usize, height: usize) -> Image<f32> {
-    let depth = rendered.depth.iter().zip(&rendered.alpha).map(|(&d, &a)| if a > 0.5 { d } else { 0.0 });
-    Image { width, height, channels: 1, data: depth.collect() }
-}
+pub use settings::Listing;

@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use crate::base::{Image, Result};
 use crate::simulate::sequence::Sequence;
 
-use super::{Access, Observation, Poses, rough_poses};
+use super::contract::{Access, Observation, Poses};
+use super::rough_poses::rough_poses;
 
 /// Reads what `access` asks for, and nothing else.
 pub fn observe(sequence: &Sequence, access: Access, seed: u64) -> Result<Observation> {

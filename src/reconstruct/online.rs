@@ -3,10 +3,10 @@
 
 use std::time::Instant;
 
-use crate::base::{Image, Progress, Result};
-use crate::splat::Rasterizer;
+use crate::base::{Error, Image, Progress, Result};
+use crate::splat::{Rasterizer, Rendered};
 
-use super::{FramePrediction, stop_if_cancelled};
+use super::contract::FramePrediction;
 
 /// Every eighth frame is held out.
 const HELD_OUT_PERIOD: usize = 8;
@@ -38,7 +38,7 @@ pub fn fit_in_order(
 /// The answer that the last rendering gives for `frame`, of a method that estimates neither phase nor pose.
 pub fn rendered_prediction(frame: usize, rasterizer: &Rasterizer<f32>, ahead: Option<Image<f32>>) -> FramePrediction {
     let color = color_image(rasterizer);
-    let depth_mm = super::depth_image(rasterizer.rendered(), color.width, color.height);
+    let depth_mm = depth_image(rasterizer.rendered(), color.width, color.height);
     FramePrediction { frame, color, depth_mm, phase: None, phase_deviation: None, world_from_camera: None, ahead }
 }
 
@@ -47,4 +47,14 @@ pub fn color_image(rasterizer: &Rasterizer<f32>) -> Image<f32> {
     let rendered = rasterizer.rendered();
     let data = rendered.color.iter().map(|v| v.clamp(0.0, 1.0)).collect();
     Image { width: rendered.width, height: rendered.height, channels: 3, data }
+}
+
+fn stop_if_cancelled(progress: &dyn Progress) -> Result<()> {
+    if progress.cancelled() { Err(Error::interrupted()) } else { Ok(()) }
+}
+
+/// Rendered depth where something was rendered, 0 elsewhere.
+pub fn depth_image(rendered: &Rendered<f32>, width: usize, height: usize) -> Image<f32> {
+    let depth = rendered.depth.iter().zip(&rendered.alpha).map(|(&d, &a)| if a > 0.5 { d } else { 0.0 });
+    Image { width, height, channels: 1, data: depth.collect() }
 }

@@ -12,7 +12,7 @@ use crate::base::image::codes_from_unit;
 use crate::base::{Error, Progress, Result, files};
 use crate::formats::{exr, mesh, png};
 
-use super::{FramePrediction, Observation, Reconstruct};
+use super::contract::{FramePrediction, Observation, Reconstruct};
 
 /// Frames that wait to be written together: on all threads, and while no method is timed.
 const BATCH: usize = 16;

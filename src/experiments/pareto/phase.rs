@@ -9,7 +9,7 @@ use std::path::Path;
 use crate::base::{Error, NoProgress, Result};
 use crate::bench::{Catalogue, Freshness, Pipeline, Profile, Store, Variant, Wishes, execute};
 use crate::experiments::{ExperimentWatcher, timing};
-use crate::reconstruct::{method, observe};
+use crate::reconstruct::observe;
 use crate::report::pareto_chart::{ParetoChart, ParetoPoint, SettingRole};
 use crate::score::contour::target_errors;
 use crate::score::{final_mesh, statistics};
@@ -121,9 +121,7 @@ fn settings() -> Vec<SolverSetting> {
 }
 
 fn point(sequence: &Sequence, setting: &SolverSetting, methods: &Path, iteration_scale: f64) -> Result<ParetoPoint> {
-    let folder = tempfile::tempdir().map_err(|e| Error::io("making", &std::env::temp_dir(), e))?;
-    let path = setting.variant.write_method(methods, folder.path())?;
-    let method = method(&path, iteration_scale * setting.iteration_share)?;
+    let method = setting.variant.method_file(methods)?.method(iteration_scale * setting.iteration_share)?;
     let observation = observe(sequence, method.access(), 1)?;
     let frames = sequence.frames.len() as f64;
     let mut errors = Vec::new();
@@ -154,15 +152,12 @@ mod tests {
     #[test]
     fn every_setting_is_a_method_that_can_be_read() {
         let methods = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
-        let folder = tempfile::tempdir().unwrap();
         for setting in settings() {
             let id = &setting.variant.method;
-            let text = |variant: &Variant| {
-                let path = variant.write_method(&methods, folder.path()).unwrap();
-                assert_eq!(method(&path, 1.0).unwrap().id(), id);
-                std::fs::read_to_string(path).unwrap()
-            };
-            let same = text(&setting.variant) == text(&Variant::shipped(id));
+            let [changed, shipped] =
+                [&setting.variant, &Variant::shipped(id)].map(|v| v.method_file(&methods).unwrap());
+            assert_eq!(&changed.header().id, id);
+            let same = changed.keys() == shipped.keys();
             assert_eq!(same, setting.variant.set.is_empty(), "{} {}", setting.mode, setting.name);
         }
     }

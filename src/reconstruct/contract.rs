@@ -1,0 +1,150 @@
+//! What a method may see and what it answers: the contract between the protocol and the methods.
+//!
+//! Protocol (the paper's, online): frames arrive in order; the method fits frame `t` and hands back its rendering
+//! of it. Every eighth frame is also rendered *before* its image is looked at (`ahead`).
+
+use glam::DAffine3;
+
+use super::settings::{Listing, MethodHeader};
+use crate::base::{Camera, Error, Image, Mask, Progress, Result, TriangleMesh};
+
+/// What a method asks to see beyond images, times, camera and poses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Access {
+    /// The expiration mesh (a second CT).
+    pub expiration_mesh: bool,
+    /// The depth image of the first frame.
+    pub first_depth: bool,
+    /// The true phase of every frame (the `oracle-phase` row only).
+    pub true_phase: bool,
+    /// How well the poses are known.
+    pub poses: Poses,
+}
+
+/// How well the poses are known that a method is handed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Poses {
+    /// As they are: the paper's assumption.
+    True,
+    /// Wrong by 2 mm and 3 degrees ([`super::rough_poses()`]).
+    Rough,
+}
+
+/// What a method is handed.
+#[derive(Clone, Debug)]
+pub struct Observation {
+    /// Intrinsics.
+    pub camera: Camera,
+    /// Known pose of each frame.
+    pub world_from_camera: Vec<DAffine3>,
+    /// Seconds since the first frame.
+    pub time_s: Vec<f64>,
+    /// 8-bit sRGB images, one per frame.
+    pub images: Vec<Image<u8>>,
+    /// Which pixels of the images hold a picture; `None` where all do.
+    pub mask: Option<Mask>,
+    /// CT surface at inspiration; normals point into the lumen.
+    pub inspiration: TriangleMesh,
+    /// CT surface at expiration, same faces; only if asked for.
+    pub expiration: Option<TriangleMesh>,
+    /// z-depth in mm of frame 0, 0 where nothing was hit; only if asked for.
+    pub first_depth_mm: Option<Image<f32>>,
+    /// True phases; only if asked for.
+    pub true_phase: Option<Vec<f64>>,
+    /// Seed of the method's own randomness.
+    pub seed: u64,
+}
+
+impl Observation {
+    /// A weight per pixel for losses; `None` where all count alike.
+    pub fn pixel_weights(&self) -> Option<Vec<f32>> {
+        self.mask.as_ref().map(Mask::weights)
+    }
+
+    /// Whether pixel `index` (row-major) holds a picture.
+    pub fn shows(&self, index: usize) -> bool {
+        self.mask.as_ref().is_none_or(|mask| mask.shows(index))
+    }
+
+    /// Errors when arrays differ in length or something is missing that `access` asks for.
+    pub fn validate(&self, access: Access) -> Result<()> {
+        let frames = self.images.len();
+        let lengths = [self.world_from_camera.len(), self.time_s.len()];
+        if frames == 0 || lengths != [frames; 2] {
+            return Err(Error::input("an observation needs as many poses and times as images, and at least one"));
+        }
+        let size = (self.camera.width as usize, self.camera.height as usize, 3);
+        if let Some(i) = self.images.iter().position(|i| (i.width, i.height, i.channels) != size) {
+            return Err(Error::input("the image has another size than the camera").element(format!("frame {i}")));
+        }
+        if self.mask.as_ref().is_some_and(|m| (m.width, m.height) != (size.0, size.1)) {
+            return Err(Error::input("the mask has another size than the camera"));
+        }
+        self.inspiration.validate()?;
+        if access.expiration_mesh && self.expiration.as_ref().is_none_or(|e| e.faces != self.inspiration.faces) {
+            return Err(Error::input("an expiration mesh with the faces of the inspiration mesh is needed"));
+        }
+        if access.first_depth && self.first_depth_mm.is_none() {
+            return Err(Error::input("the depth of the first frame is needed"));
+        }
+        if access.true_phase && self.true_phase.as_ref().is_none_or(|p| p.len() != frames) {
+            return Err(Error::input("the true phase of every frame is needed"));
+        }
+        Ok(())
+    }
+}
+
+/// A method's answer for one frame.
+#[derive(Clone, Debug)]
+pub struct FramePrediction {
+    /// Index of the frame.
+    pub frame: usize,
+    /// Rendered image, encoded sRGB in [0, 1].
+    pub color: Image<f32>,
+    /// Rendered z-depth in mm, 0 where nothing is.
+    pub depth_mm: Image<f32>,
+    /// Estimated breathing phase, where the method has one.
+    pub phase: Option<f64>,
+    /// Standard deviation of that estimate, where the method knows one.
+    pub phase_deviation: Option<f64>,
+    /// Estimated pose, where the method has one of its own.
+    pub world_from_camera: Option<DAffine3>,
+    /// Rendering made before the frame's image was looked at (every eighth frame).
+    pub ahead: Option<Image<f32>>,
+}
+
+/// What remains when all frames are done.
+#[derive(Clone, Debug, Default)]
+pub struct Reconstruction {
+    /// Airway surface at the last frame, where the method keeps one.
+    pub final_mesh: Option<TriangleMesh>,
+    /// Seconds of the method alone: no reading, writing or scoring.
+    pub seconds: f64,
+}
+
+/// A reconstruction method.
+pub trait Reconstruct: Send + Sync {
+    /// What its file says, whatever its kind.
+    fn header(&self) -> &MethodHeader;
+
+    /// Its id in tables and folders.
+    fn id(&self) -> &str {
+        &self.header().id
+    }
+
+    /// When it is run.
+    fn listing(&self) -> Listing {
+        self.header().listing
+    }
+
+    /// What it asks to see.
+    fn access(&self) -> Access;
+
+    /// Fits all frames in order, handing each answer to `emit`.
+    fn run(
+        &self,
+        observation: &Observation,
+        emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
+        progress: &dyn Progress,
+    ) -> Result<Reconstruction>;
+}

@@ -1,0 +1,6 @@
+//! The estimators. They do not know each other: a method combines them.
+
+pub mod breath;
+pub mod gauss_newton;
+pub mod phase_fit;
+pub mod window;

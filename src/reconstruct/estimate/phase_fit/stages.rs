@@ -1,0 +1,218 @@
+//! The three stages of a frame: (i) theta alone, (ii) appearance alone, (iii) both; and when each has settled.
+
+use super::{Carried, Fitter};
+use crate::base::{Image, Result};
+use crate::reconstruct::fitting::loss::photometric::Photometric;
+use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
+use crate::splat::{Reuse, View, Wanted};
+
+impl Fitter<'_> {
+    fn temporal(&self, phase: f64) -> (f64, f64) {
+        let Some(last) = self.phases.last() else { return (0.0, 0.0) };
+        let (weight, change) = (*self.estimation().temporal_weight, phase - last);
+        (weight * change * change, 2.0 * weight * change)
+    }
+
+    /// Stage (i): candidates, then theta alone; on the remembered colours where there is a memory.
+    pub(super) fn measure_phase(
+        &mut self,
+        view: &View,
+        carried: &mut dyn Carried,
+        loss: &mut Photometric<f32>,
+        image: &Image<f32>,
+        guess: f64,
+        frame: usize,
+    ) -> Result<f64> {
+        let shown = (*self.estimation().memory_frames > 0.0).then(|| {
+            let (sh, memory) = carried.colors();
+            memory.recall(sh)
+        });
+        self.place(view, carried, guess)?;
+        self.fit_gain(view, carried, image)?;
+        self.color_the_unseen(view, carried, image);
+        let start = self.best_candidate(view, carried, loss, guess)?;
+        let phase = self.optimise_phase(view, carried, loss, start, frame)?;
+        if let Some(shown) = shown {
+            let (sh, memory) = carried.colors();
+            memory.restore(shown, sh);
+        }
+        Ok(phase)
+    }
+
+    /// The candidate around `guess` with the least loss.
+    fn best_candidate(
+        &mut self,
+        view: &View,
+        carried: &mut dyn Carried,
+        loss: &mut Photometric<f32>,
+        guess: f64,
+    ) -> Result<f64> {
+        let mut tried: Vec<f64> = self.estimation().candidates.iter().map(|c| (guess + c).clamp(0.0, 1.0)).collect();
+        tried.dedup();
+        let mut best = (f64::INFINITY, guess);
+        for phase in tried {
+            self.place(view, carried, phase)?;
+            let value = *self.estimation().color_weight * self.evaluate(view, carried, loss)? + self.temporal(phase).0;
+            if value < best.0 {
+                best = (value, phase);
+            }
+        }
+        Ok(best.1)
+    }
+
+    /// Stage (i).
+    fn optimise_phase(
+        &mut self,
+        view: &View,
+        carried: &mut dyn Carried,
+        loss: &mut Photometric<f32>,
+        start: f64,
+        frame: usize,
+    ) -> Result<f64> {
+        let iterations = self.iterations(0, frame);
+        let mut adam = Adam::new(AdamConstants::default());
+        adam.begin(1, StepCounter::Restarted);
+        let mut theta = [self.activation().theta(start) as f32];
+        let mut settling = Settling::new(*self.settings.settled);
+        let mut best = (f64::INFINITY, start);
+        for i in 0..iterations {
+            let phase = self.activation().phase(theta[0] as f64);
+            self.place(view, carried, phase)?;
+            let value = *self.estimation().color_weight * self.evaluate(view, carried, loss)? + self.temporal(phase).0;
+            if value < best.0 {
+                best = (value, phase);
+            }
+            if settling.settled(value) {
+                break;
+            }
+            self.backward(carried, self.phase_groups())?;
+            self.step_theta(
+                view,
+                carried,
+                &mut adam,
+                &mut theta,
+                geometric(*self.estimation().theta_rate, i, iterations),
+            )?;
+        }
+        Ok(best.1)
+    }
+
+    fn step_theta(
+        &mut self,
+        view: &View,
+        carried: &mut dyn Carried,
+        adam: &mut Adam,
+        theta: &mut [f32; 1],
+        rate: f64,
+    ) -> Result<()> {
+        let at = theta[0] as f64;
+        let by_phase = *self.estimation().color_weight * self.phase_derivative(view, carried)?
+            + self.temporal(self.activation().phase(at)).1;
+        adam.step(rate, theta, &[(by_phase * self.activation().slope(at)) as f32]);
+        let [low, high] = self.activation().range();
+        theta[0] = theta[0].clamp(low as f32, high as f32);
+        Ok(())
+    }
+
+    /// Stages (ii) and (iii); returns the phase.
+    pub(super) fn optimise_appearance(
+        &mut self,
+        view: &View,
+        carried: &mut dyn Carried,
+        loss: &mut Photometric<f32>,
+        start: f64,
+        frame: usize,
+        estimated: bool,
+    ) -> Result<f64> {
+        let (alone, joint) = (self.iterations(1, frame), self.iterations(2, frame));
+        let groups = carried.appearance_groups();
+        let move_theta = estimated && frame > 0;
+        let mut adam = Adam::new(AdamConstants::default());
+        adam.begin(1, StepCounter::Restarted);
+        carried.begin_appearance();
+        let mut theta = [if move_theta { self.activation().theta(start) as f32 } else { 0.0 }];
+        // While only colours are learned, splats and lists are those of the first iteration.
+        let still = !groups.any(Wanted::POSITIONS | Wanted::SHAPES);
+        self.rasterizer.reuse(if still { Reuse::Unchanged } else { Reuse::Never });
+        let mut settling = Settling::new(*self.settings.settled);
+        let mut i = 0;
+        while i < alone + joint {
+            let value = self.evaluate(view, carried, loss)?;
+            if settling.settled(value) {
+                if i >= alone || joint == 0 {
+                    break;
+                }
+                (i, settling) = (alone, Settling::new(*self.settings.settled));
+            }
+            let moves = move_theta && i >= alone;
+            self.backward(carried, if moves { groups | self.phase_groups() } else { groups })?;
+            if moves {
+                let rate = geometric(*self.estimation().theta_rate_joint, i - alone, joint);
+                self.step_theta(view, carried, &mut adam, &mut theta, rate)?;
+            }
+            carried.step_appearance(self.rasterizer.gradients(), &self.rasterizer.rendered().visible)?;
+            if moves {
+                self.place(view, carried, self.activation().phase(theta[0] as f64))?;
+            } else if !still {
+                carried.place(start)?;
+            }
+            i += 1;
+        }
+        self.rasterizer.reuse(Reuse::Never);
+        Ok(if move_theta { self.activation().phase(theta[0] as f64) } else { start })
+    }
+}
+
+/// Iterations over which a stage must have made progress.
+const SETTLING: usize = 5;
+
+/// Notices when a loss no longer falls.
+struct Settling {
+    share: f64,
+    last: [f64; SETTLING],
+    seen: usize,
+}
+
+impl Settling {
+    /// A loss has settled when it fell by less than `share` of itself over [`SETTLING`] iterations; never with 0.
+    fn new(share: f64) -> Self {
+        Settling { share, last: [f64::INFINITY; SETTLING], seen: 0 }
+    }
+
+    fn settled(&mut self, value: f64) -> bool {
+        let before = std::mem::replace(&mut self.last[self.seen % SETTLING], value);
+        self.seen += 1;
+        self.share > 0.0 && before - value < self.share * value
+    }
+}
+
+/// Value `i` of `n` between the first and the last rate, in equal ratios; a first rate of 0 stays 0.
+fn geometric([first, last]: [f64; 2], i: usize, n: usize) -> f64 {
+    if first == 0.0 {
+        return 0.0;
+    }
+    first * (last / first).powf(i as f64 / (n.max(2) - 1) as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loss_settles_when_five_iterations_gain_less_than_the_share() {
+        let first_settled = |share: f64, loss: fn(usize) -> f64| {
+            let mut settling = Settling::new(share);
+            (0..50).find(|&i| settling.settled(loss(i)))
+        };
+        assert_eq!(first_settled(0.01, |_| 1.0), Some(SETTLING));
+        assert_eq!(first_settled(0.01, |i| 0.9f64.powi(i as i32)), None);
+        assert_eq!(first_settled(0.01, |i| if i < 10 { 0.9f64.powi(i as i32) } else { 0.3 }), Some(15));
+        assert_eq!(first_settled(0.0, |_| 1.0), None);
+    }
+
+    #[test]
+    fn a_rate_of_zero_stays_zero() {
+        assert!((geometric([0.04, 0.004], 9, 10) - 0.004).abs() < 1e-12);
+        assert_eq!(geometric([0.0, 0.0], 3, 10), 0.0);
+    }
+}

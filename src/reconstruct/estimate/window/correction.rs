@@ -1,0 +1,154 @@
+//! A low-rank correction of the displacement field between the two CTs: their registration errs, smoothly, by a mm or so.
+//! `D(x) = D_given(x) + sum_k exp(-|x - x_k|^2 / (2 reach^2)) c_k`, one vector `c_k` (mm) per centre `x_k`; the centres stand
+//! along the way of the scope. The few in front of a frame are estimated together with its phase: by the window of keyframes
+//! ([`crate::reconstruct::estimate::window`]) where there is one, else on the map (`ours_gn/track.rs`), under a prior that narrows with what earlier
+//! frames have said.
+
+use std::borrow::Cow;
+
+use glam::{DAffine3, DVec3};
+
+/// Distance between centres, in reaches.
+const SPACING: f64 = 1.2;
+/// How far in front of the scope the wall is that it looks at, mm.
+const AHEAD_MM: f64 = 12.0;
+/// What a coefficient stays uncertain by, mm: frames look at what earlier ones have painted, so they do not add up forever.
+const LEAST_DEVIATION_MM: f64 = 0.05;
+
+/// The correction of a whole mesh.
+pub struct Correction {
+    centres: Vec<DVec3>,
+    /// Weight of each vertex of the mesh, centre by centre.
+    weights: Vec<Vec<f32>>,
+    /// Coefficients, mm, three per centre.
+    pub coefficients: Vec<[f64; 3]>,
+    deviations: Vec<[f64; 3]>,
+    rank: usize,
+}
+
+impl Correction {
+    /// Centres along the way of `poses` for the mesh `rest`; `rank` of them are estimated per frame (0: no correction),
+    /// each with a prior of `deviation_mm` per axis.
+    pub fn new(rest: &[[f32; 3]], poses: &[DAffine3], rank: usize, reach_mm: f64, deviation_mm: f64) -> Self {
+        let mut centres: Vec<DVec3> = Vec::new();
+        if rank > 0 {
+            for place in poses.iter().map(looked_at) {
+                if centres.iter().all(|c| c.distance(place) >= SPACING * reach_mm) {
+                    centres.push(place);
+                }
+            }
+        }
+        let falloff = |c: &DVec3| {
+            let weight = |v: &[f32; 3]| {
+                let distance2 = v.iter().zip(c.to_array()).map(|(a, b)| (f64::from(*a) - b).powi(2)).sum::<f64>();
+                (-0.5 * distance2 / (reach_mm * reach_mm)).exp() as f32
+            };
+            rest.iter().map(weight).collect()
+        };
+        Correction {
+            weights: centres.iter().map(falloff).collect(),
+            coefficients: vec![[0.0; 3]; centres.len()],
+            deviations: vec![[deviation_mm; 3]; centres.len()],
+            rank: rank.min(centres.len()),
+            centres,
+        }
+    }
+
+    /// No centres.
+    pub fn none() -> Self {
+        Correction {
+            centres: Vec::new(),
+            weights: Vec::new(),
+            coefficients: Vec::new(),
+            deviations: Vec::new(),
+            rank: 0,
+        }
+    }
+
+    /// Whether there is anything to estimate.
+    pub fn estimates(&self) -> bool {
+        self.rank > 0
+    }
+
+    /// Weights of all vertices at `centre`.
+    pub fn weights(&self, centre: usize) -> &[f32] {
+        &self.weights[centre]
+    }
+
+    /// The centres that the scope at `pose` looks at, nearest first.
+    pub fn in_view(&self, pose: &DAffine3) -> Vec<usize> {
+        let place = looked_at(pose);
+        let mut order: Vec<usize> = (0..self.centres.len()).collect();
+        order.sort_by(|&a, &b| self.centres[a].distance(place).total_cmp(&self.centres[b].distance(place)));
+        order.truncate(self.rank);
+        order
+    }
+
+    /// Weights of the mesh's `vertices` at `centre`.
+    pub fn pick(&self, centre: usize, vertices: &[u32]) -> Vec<f32> {
+        vertices.iter().map(|&v| self.weights[centre][v as usize]).collect()
+    }
+
+    /// What is known of the coefficients of `centre`: means and standard deviations, mm.
+    pub fn prior(&self, centre: usize) -> ([f64; 3], [f64; 3]) {
+        (self.coefficients[centre], self.deviations[centre])
+    }
+
+    /// Precision of the prior of all coefficients, three per centre, 1 / mm^2.
+    pub fn precision(&self) -> Vec<f64> {
+        self.deviations.iter().flatten().map(|d| 1.0 / (d * d)).collect()
+    }
+
+    /// Replaces all coefficients, three per centre.
+    pub fn set(&mut self, coefficients: &[[f64; 3]]) {
+        self.coefficients.copy_from_slice(coefficients);
+    }
+
+    /// Takes what a frame has found of `centre`.
+    pub fn learn(&mut self, centre: usize, coefficients: [f64; 3], deviations: [f64; 3]) {
+        self.coefficients[centre] = coefficients;
+        self.deviations[centre] = deviations.map(|d| d.max(LEAST_DEVIATION_MM));
+    }
+
+    /// `given` with these coefficients' correction.
+    pub fn corrected<'a>(&self, given: &'a [[f32; 3]], coefficients: &[[f64; 3]]) -> Cow<'a, [[f32; 3]]> {
+        let mut out = Cow::Borrowed(given);
+        for (weights, c) in self.weights.iter().zip(coefficients).filter(|(_, c)| **c != [0.0; 3]) {
+            add(out.to_mut(), weights, *c);
+        }
+        out
+    }
+}
+
+/// Adds `coefficients`, weighed, to every vertex.
+pub fn add(displacement: &mut [[f32; 3]], weights: &[f32], coefficients: [f64; 3]) {
+    let c = coefficients.map(|v| v as f32);
+    for (d, w) in displacement.iter_mut().zip(weights) {
+        (0..3).for_each(|k| d[k] += w * c[k]);
+    }
+}
+
+fn looked_at(pose: &DAffine3) -> DVec3 {
+    pose.transform_point3(DVec3::new(0.0, 0.0, AHEAD_MM))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn centres_stand_apart_along_the_way_and_correct_what_is_near() {
+        let poses: Vec<DAffine3> = (0..50).map(|i| DAffine3::from_translation(DVec3::Z * i as f64)).collect();
+        let rest = [[0.0, 0.0, 12.0], [0.0, 0.0, 36.0], [0.0, 0.0, 500.0]];
+        let mut correction = Correction::new(&rest, &poses, 2, 20.0, 1.0);
+        assert_eq!(correction.centres.len(), 3);
+        assert_eq!(correction.in_view(&poses[49]), [2, 1]);
+        correction.learn(0, [1.0, 0.0, -2.0], [0.5, 0.0, 0.5]);
+        assert_eq!(correction.prior(0).1, [0.5, LEAST_DEVIATION_MM, 0.5]);
+        let out = correction.corrected(&[[1.0; 3]; 3], &correction.coefficients);
+        let there = (-0.5f32 * 1.44).exp();
+        assert_eq!(out[0], [2.0, 1.0, -1.0]);
+        assert!((out[1][2] - (1.0 - 2.0 * there)).abs() < 1e-5 && out[2] == [1.0; 3], "{out:?}");
+        assert!(Correction::new(&rest, &poses, 0, 20.0, 1.0).in_view(&poses[0]).is_empty());
+    }
+}

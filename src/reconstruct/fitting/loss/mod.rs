@@ -1,0 +1,5 @@
+//! Losses and their analytic gradients, one file each.
+
+pub mod arap;
+pub mod pairs;
+pub mod photometric;

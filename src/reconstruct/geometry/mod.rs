@@ -1,0 +1,6 @@
+//! The geometry of the mesh at a phase, seen from a pose.
+
+pub mod mesh_depth;
+pub mod neighbours;
+pub mod pyramid;
+pub mod visible;

@@ -1,0 +1,86 @@
+//! Which faces a frame can see at all: in the frustum with a margin, near enough and, where asked for, turned towards
+//! the camera. Occlusion is not tested (nor is it in the released BridgeSplat).
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::base::Error;
+use crate::splat::View;
+
+use crate::reconstruct::settings::Visibility;
+
+/// Bounds of what is worth computing.
+#[derive(Clone, Copy, Debug)]
+pub struct Reach {
+    /// Share of the image width by which a face centre may lie outside.
+    pub margin: f64,
+    /// Largest z-depth in mm.
+    pub range_mm: f64,
+}
+
+impl Reach {
+    /// The bounds that a method's settings name.
+    pub fn new(visibility: &Visibility) -> Self {
+        Reach { margin: *visibility.margin, range_mm: *visibility.range_mm }
+    }
+}
+
+/// What a method answers when nothing of the airway is in view.
+pub fn nothing_in_view() -> Error {
+    Error::input("the camera sees no face of the airway mesh: poses and mesh do not belong together")
+}
+
+/// Which sides of a face count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sides {
+    /// The one that looks into the lumen: enough for a camera that stays inside.
+    Lumen,
+    /// Both: a mesh that deforms freely may leave the camera outside.
+    Both,
+}
+
+/// Pixels that each of `faces` covers in `view`, by its area, distance and incidence at `vertices`.
+pub fn pixel_areas(faces: &[[u32; 3]], of: &[u32], vertices: &[[f32; 3]], view: &View) -> Vec<f32> {
+    let eye = view.camera_from_world.inverse().translation.as_vec3();
+    let focal_px2 = (view.camera.fl_x * view.camera.fl_y) as f32;
+    of.iter()
+        .map(|&f| {
+            let [a, b, c] = faces[f as usize].map(|i| Vec3::from(vertices[i as usize]));
+            let (offset, twice_area) = ((a + b + c) / 3.0 - eye, (b - a).cross(c - a));
+            let distance2 = offset.length_squared().max(1e-6);
+            0.5 * twice_area.dot(offset).abs() / distance2.sqrt() / distance2 * focal_px2
+        })
+        .collect()
+}
+
+/// Faces that `view` can see in any of the `states` of the vertices, ascending.
+pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, reach: Reach, sides: Sides) -> Vec<u32> {
+    let camera_from_world = view.camera_from_world.as_affine3();
+    let eye = view.camera_from_world.inverse().translation.as_vec3();
+    let margin = (reach.margin * view.camera.width as f64) as f32;
+    let (width, height) = (view.camera.width as f32, view.camera.height as f32);
+    let sees = |corners: [Vec3; 3]| {
+        let [a, b, c] = corners;
+        let centre = (a + b + c) / 3.0;
+        let size = (b - a).length().max((c - a).length());
+        let normal = (b - a).cross(c - a);
+        // A face that the camera grazes may turn towards it under the breath: a tenth of its length of slack.
+        let towards =
+            sides == Sides::Both || normal.dot(eye - centre) > -0.1 * normal.length() * (eye - centre).length();
+        let p = camera_from_world.transform_point3(centre);
+        if !towards || p.z > reach.range_mm as f32 || p.z < 0.5 * size {
+            return false;
+        }
+        let Some(pixel) = view.camera.project(p.as_dvec3()) else { return false };
+        // Beside the camera the linearised projection of a Gaussian covers the whole image: such faces stay out.
+        let slack = margin + (size / p.z * view.camera.fl_x as f32).min(0.15 * width);
+        let (x, y) = (pixel.x as f32, pixel.y as f32);
+        x > -slack && y > -slack && x < width + slack && y < height + slack
+    };
+    let flags: Vec<bool> = faces
+        .par_iter()
+        .with_min_len(1024)
+        .map(|face| states.iter().any(|v| sees(face.map(|i| Vec3::from(v[i as usize])))))
+        .collect();
+    (0..faces.len() as u32).filter(|&f| flags[f as usize]).collect()
+}

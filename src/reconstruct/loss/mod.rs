@@ -1,6 +1,0 @@
-//! Losses and their analytic gradients, one file each.
-
-pub mod arap;
-pub mod norm;
-pub mod pairs;
-pub mod photometric;

@@ -1,0 +1,186 @@
+//! Does BridgeSplat do what it was made for? A textured patch, seen by a still camera, deforms smoothly by 5 mm. A still
+//! camera tells directions only: a patch that grows and recedes looks the same, and what decides between the two is that
+//! lengths are kept (isometry). So the test asks whether image and isometry together put the surface where it was planted; the
+//! more the planted motion strains, the more the two disagree, and the error grows with the strain.
+
+use glam::DAffine3;
+
+use super::*;
+use crate::base::image::codes_from_unit;
+use crate::base::{Camera, Image};
+use crate::reconstruct::fitting::anchored::{SH_C0, SH_VALUES, to_f32};
+use crate::reconstruct::methods::tests::bridgesplat;
+
+const FRAMES: usize = 14;
+/// Frames in which nothing moves yet.
+const STILL: usize = 2;
+/// Frames in which it deforms.
+const MOVING: usize = 5;
+const SIDE: usize = 26;
+const SEED: u64 = 1;
+
+/// Of a bent patch: a corner, 27.3 mm from the middle across the axis, is then displaced by 5 mm.
+const BEND_RADIUS_MM: f64 = 74.6;
+
+/// A square of 40 mm, 50 mm in front of the camera and facing it.
+fn patch() -> TriangleMesh {
+    let mut mesh = TriangleMesh::default();
+    for y in 0..SIDE {
+        for x in 0..SIDE {
+            mesh.vertices.push(DVec3::new(1.6 * x as f64 - 20.0, 1.6 * y as f64 - 20.0, 50.0));
+        }
+    }
+    for y in 0..SIDE - 1 {
+        for x in 0..SIDE - 1 {
+            let i = (y * SIDE + x) as u32;
+            let below = i + SIDE as u32;
+            mesh.faces.extend([[i, below, i + 1], [i + 1, below, below + 1]]);
+        }
+    }
+    mesh
+}
+
+/// How the patch deforms: by 5 mm where it does most.
+#[derive(Clone, Copy, PartialEq)]
+enum Bump {
+    /// Rolls up like paper around an axis at 30 degrees to its rows: the rim comes 5 mm nearer, and no length changes.
+    Bend,
+    /// Fades to 3.5 mm at the rim: strains up to a twentieth.
+    Gentle,
+    /// Fades to 2 mm at the rim, as a breathing organ does: strains up to a tenth.
+    Wide,
+    /// Fades to nothing within 20 mm: strains up to a third.
+    Narrow,
+}
+
+fn planted(bump: Bump, at: DVec3, share: f64) -> DVec3 {
+    if bump == Bump::Bend {
+        let across = DVec3::new(30f64.to_radians().cos(), 30f64.to_radians().sin(), 0.0);
+        let (length, curvature) = (at.dot(across), share / BEND_RADIUS_MM);
+        if curvature == 0.0 {
+            return at;
+        }
+        let angle = length * curvature;
+        return at + across * (angle.sin() / curvature - length) - DVec3::Z * ((1.0 - angle.cos()) / curvature);
+    }
+    let fade = match bump {
+        Bump::Bend => unreachable!("has no fade"),
+        Bump::Gentle => 0.85 + 0.15 * (at.x / 13.0).cos() * (at.y / 13.0).cos(),
+        Bump::Wide => 0.7 + 0.3 * (at.x / 13.0).cos() * (at.y / 13.0).cos(),
+        Bump::Narrow => (-(at.x * at.x + at.y * at.y) / (2.0 * 9.0 * 9.0)).exp(),
+    };
+    at + DVec3::new(3.5, 2.5, -2.549) * share * fade
+}
+
+fn texture(at: DVec3) -> [f64; 3] {
+    let waves = (0.9 * at.x + 0.5 * at.y).sin() * (0.4 * at.x - 1.1 * at.y).cos() + 0.6 * (1.7 * at.y).sin();
+    [0.65 + 0.15 * waves, 0.45 + 0.12 * waves, 0.4 + 0.1 * (1.3 * at.x).cos()]
+}
+
+/// Gives each disc the texture at its place on the patch at rest.
+fn color(surface: &mut Surface, positions: &[[f32; 3]]) {
+    for (sh, at) in surface.sh.chunks_exact_mut(SH_VALUES).zip(positions) {
+        let color = texture(DVec3::from(at.map(f64::from)));
+        (0..3).for_each(|c| sh[c] = (color[c] as f32 - 0.5) / SH_C0);
+    }
+}
+
+/// What a still camera sees of it while the deformation grows, and the surface at the end.
+fn film(bump: Bump, most: f64) -> (Observation, Vec<DVec3>) {
+    let rest = patch();
+    let settings = bridgesplat().appearance;
+    let mut surface = Surface::new(&rest, &settings, Frame::NormalOnly, Start::Random, SEED);
+    let camera = Camera::pinhole(72, 72, 0.9);
+    let view = View::new(camera, DAffine3::IDENTITY);
+    let faces: Vec<u32> = (0..rest.faces.len() as u32).collect();
+    let mut discs = surface.patch(&faces).unwrap();
+    discs.place(&to_f32(&rest.vertices)).unwrap();
+    color(&mut surface, &discs.gaussians.positions);
+    let mut discs = surface.patch(&faces).unwrap();
+    let (mut images, mut vertices) = (Vec::new(), rest.vertices.clone());
+    let mut rasterizer = Rasterizer::new();
+    for t in 0..FRAMES {
+        let share = most * (t.saturating_sub(STILL) as f64 / MOVING as f64).min(1.0);
+        vertices = rest.vertices.iter().map(|v| planted(bump, *v, share)).collect();
+        discs.place(&to_f32(&vertices)).unwrap();
+        let rendered = rasterizer.render(&discs.gaussians, &view, &Settings::default(), None).unwrap();
+        let (width, height) = (rendered.width, rendered.height);
+        images.push(codes_from_unit(&Image { width, height, channels: 3, data: rendered.color.clone() }));
+    }
+    let observation = Observation {
+        camera,
+        world_from_camera: vec![DAffine3::IDENTITY; FRAMES],
+        time_s: (0..FRAMES).map(|t| t as f64 * 0.04).collect(),
+        images,
+        mask: None,
+        inspiration: rest,
+        expiration: None,
+        first_depth_mm: None,
+        true_phase: None,
+        seed: SEED,
+    };
+    (observation, vertices)
+}
+
+/// How the colours of the method start.
+#[derive(Clone, Copy, PartialEq)]
+enum Colors {
+    /// As published: at random.
+    Random,
+    /// As after a long look at a still patch.
+    Known,
+}
+
+/// Root mean square distance of the recovered surface to the true one in mm.
+fn error_mm(settings: &BridgesplatSettings, colors: Colors, observation: &Observation, truth: &[DVec3]) -> f64 {
+    let mut state = State::new(settings, 1.0, observation).unwrap();
+    if colors == Colors::Known {
+        let faces: Vec<u32> = (0..observation.inspiration.faces.len() as u32).collect();
+        let mut discs = state.surface.patch(&faces).unwrap();
+        discs.place(&to_f32(&observation.inspiration.vertices)).unwrap();
+        color(&mut state.surface, &discs.gaussians.positions);
+    }
+    for frame in 0..observation.images.len() {
+        state.fit(frame).unwrap();
+    }
+    let off: Vec<DVec3> = state.vertices.iter().zip(truth).map(|(v, t)| *v * *settings.common.unit_mm - *t).collect();
+    let rms = |of: fn(&DVec3) -> f64| (off.iter().map(of).sum::<f64>() / off.len() as f64).sqrt();
+    println!("sideways {:.3} mm, in depth {:.3} mm", rms(|d| d.truncate().length_squared()), rms(|d| d.z * d.z));
+    rms(|d| d.length_squared())
+}
+
+#[test]
+fn a_planted_smooth_deformation_of_5_mm_is_recovered() {
+    let shipped = bridgesplat();
+    let (observation, truth) = film(Bump::Wide, 1.0);
+    let error = error_mm(&shipped, Colors::Known, &observation, &truth);
+    let mut frozen = shipped.clone();
+    frozen.common.displacement_rate.value = 0.0;
+    let without = error_mm(&frozen, Colors::Known, &observation, &truth);
+    let at_random = error_mm(&shipped, Colors::Random, &observation, &truth);
+    let (narrow, narrow_truth) = film(Bump::Narrow, 1.0);
+    let of_narrow = error_mm(&shipped, Colors::Known, &narrow, &narrow_truth);
+    let (gentle, gentle_truth) = film(Bump::Gentle, 1.0);
+    let of_gentle = error_mm(&shipped, Colors::Known, &gentle, &gentle_truth);
+    let (bent, bent_truth) = film(Bump::Bend, 1.0);
+    let of_bent = error_mm(&shipped, Colors::Known, &bent, &bent_truth);
+    let displacements: Vec<f64> =
+        patch().vertices.iter().map(|v| planted(Bump::Bend, *v, 1.0).distance_squared(*v)).collect();
+    let most = displacements.iter().copied().fold(0.0, f64::max).sqrt();
+    let of_still = (displacements.iter().sum::<f64>() / displacements.len() as f64).sqrt();
+    println!("bent by {most:.2} mm without strain: {of_bent:.3} mm, if it stays {of_still:.3}");
+    println!(
+        "5 mm: {error:.3} mm, with half the strain {of_gentle:.3}; frozen {without:.3}, colours at random {at_random:.3}, narrow bump {of_narrow:.3}"
+    );
+    assert!(error <= 0.7, "{error}");
+    assert!(of_gentle <= 0.5, "{of_gentle}");
+    assert!((most - 5.0).abs() < 0.05 && of_bent < 0.7 * of_still, "{of_bent} of {of_still}, {most}");
+    assert!(without > 3.0, "the test would pass without any deformation: {without}");
+}
+
+#[test]
+fn what_does_not_move_is_left_in_place() {
+    let (observation, truth) = film(Bump::Wide, 0.0);
+    let error = error_mm(&bridgesplat(), Colors::Known, &observation, &truth);
+    assert!(error <= 0.5, "{error}");
+}

@@ -1,0 +1,9 @@
+//! The methods, one file or folder each.
+
+pub mod bridgesplat;
+pub mod bridgesplat_nomesh;
+pub mod ours;
+pub mod ours_gn;
+pub mod ours_nomesh;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,145 @@
+//! The albedo of `ours-gn`: sweeps of SIRT (Gilbert 1972) over the discs in view, each moved by the weighted mean residual
+//! of its pixels, held by what past frames have seen of it. What is shown of a frame is touched up by a few more sweeps
+//! that nothing holds, with Nesterov's (1983) momentum; they are forgotten with the frame.
+
+use rayon::prelude::*;
+
+use super::scene::{DISCS, Seen};
+use super::{DARKEST, Tracker};
+use crate::base::Result;
+use crate::reconstruct::estimate::phase_fit::pixels;
+use crate::reconstruct::fitting::anchored::SH_C0;
+use crate::reconstruct::fitting::schedule::scaled_iterations;
+use crate::reconstruct::geometry::pyramid::Level;
+use crate::splat::{DepthOutput, ImageGradient, Reuse, Settings, Wanted};
+
+/// Discs that contribute fewer pixels are not in view.
+const FEWEST_PIXELS: f32 = 1e-4;
+
+/// Pixels per task.
+const PIXELS: usize = 4096;
+
+/// What holds a disc at the albedo it had.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Hold {
+    /// What past frames have seen of it.
+    Memory,
+    /// Nothing; sweeps have momentum.
+    Nothing,
+}
+
+impl Tracker<'_> {
+    /// Sweeps over the albedo of what is in view, at the present placement.
+    pub fn learn(&mut self, frame: usize, level: &Level) -> Result<()> {
+        // From here to the end of the frame nothing moves: only colours are splatted anew.
+        self.rasterizer.reuse(Reuse::Unchanged);
+        self.color_the_unseen(level);
+        let sweeps = self.settings.appearance_steps[usize::from(frame > 0)] as f64;
+        self.count_pixels(level)?;
+        self.sweep(level, scaled_iterations(sweeps, self.iteration_scale).max(2), Hold::Memory)?;
+        let most = *self.settings.memory_frames as f32;
+        let seen = self.seen();
+        for (memory, pixels) in seen.memory.iter_mut().zip(&seen.pixels).filter(|(_, p)| **p >= FEWEST_PIXELS) {
+            *memory = (*memory + pixels).min(most * pixels);
+        }
+        Ok(())
+    }
+
+    /// Touches up the colours, not the albedo, after [`Tracker::learn`].
+    pub fn touch_up(&mut self, level: &Level) -> Result<()> {
+        let kept = self.seen().albedo.clone();
+        self.sweep(level, *self.settings.touch_up_steps as usize, Hold::Nothing)?;
+        self.seen().albedo = kept;
+        Ok(())
+    }
+
+    /// What each disc contributes, in pixels.
+    fn count_pixels(&mut self, level: &Level) -> Result<()> {
+        let gain = self.gain;
+        let settings = Settings { gain, depth: DepthOutput::Skip, ..Settings::default() };
+        let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
+        self.rasterizer.render(&seen.patch.gaussians, &level.view, &settings, None)?;
+        let counting: Vec<f32> = (0..level.image.data.len()).map(|i| level.weight(i / 3)).collect();
+        let image = ImageGradient { color: &counting, ..ImageGradient::default() };
+        let by_color = self.rasterizer.backward(&seen.patch.gaussians, &image, Wanted::SH)?;
+        seen.pixels.clear();
+        seen.pixels.extend(by_color.sh.chunks_exact(3).map(|g| g[1] / (SH_C0 * gain[1] as f32)));
+        Ok(())
+    }
+
+    fn sweep(&mut self, level: &Level, sweeps: usize, hold: Hold) -> Result<()> {
+        let gain = self.gain;
+        let settings = Settings { gain, depth: DepthOutput::Skip, ..Settings::default() };
+        let hold_pixels = *self.settings.hold_pixels as f32;
+        let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
+        let before = seen.albedo.clone();
+        let mut last = seen.albedo.clone();
+        let mut residual = vec![0.0; level.image.data.len()];
+        for sweep in 0..sweeps {
+            let rendered = self.rasterizer.render(&seen.patch.gaussians, &level.view, &settings, None)?;
+            let images = level.image.data.par_chunks(3 * PIXELS).zip(rendered.color.par_chunks(3 * PIXELS));
+            residual.par_chunks_mut(3 * PIXELS).zip(images).enumerate().for_each(
+                |(piece, (out, (image, rendered)))| {
+                    let pixels = image.as_chunks::<3>().0.iter().zip(rendered.as_chunks::<3>().0).enumerate();
+                    for (out, (at, (image, rendered))) in out.as_chunks_mut::<3>().0.iter_mut().zip(pixels) {
+                        let weight = level.weight(PIXELS * piece + at);
+                        *out = [0, 1, 2].map(|c| weight * (image[c] - rendered[c]));
+                    }
+                },
+            );
+            let image = ImageGradient { color: &residual, ..ImageGradient::default() };
+            let gradients = self.rasterizer.backward(&seen.patch.gaussians, &image, Wanted::SH)?;
+            let momentum = match hold {
+                Hold::Nothing if sweep + 1 < sweeps => sweep as f32 / (sweep as f32 + 3.0),
+                _ => 0.0,
+            };
+            let Seen { pixels, shade, memory, albedo, .. } = seen;
+            let step = |k: usize, by_color: &[f32], albedo: &mut [f32; 3], last: &mut [f32; 3]| {
+                let (pixels, shade) = (pixels[k], shade[k]);
+                if pixels < FEWEST_PIXELS || shade <= 0.0 {
+                    return;
+                }
+                let memory = hold_pixels + if hold == Hold::Memory { memory[k] } else { 0.0 };
+                for c in 0..3 {
+                    let pull = by_color[c] / (SH_C0 * (gain[c] * gain[c]) as f32 * shade);
+                    let back = memory * (albedo[c] - before[k][c]);
+                    let next = (albedo[c] + (pull - back) / (pixels + memory)).max(DARKEST / shade);
+                    let ahead = next + momentum * (next - last[c]);
+                    last[c] = next;
+                    albedo[c] = ahead.max(DARKEST / shade);
+                }
+            };
+            let discs = albedo.par_iter_mut().zip(&mut last).zip(gradients.sh.par_chunks_exact(3)).enumerate();
+            discs.with_min_len(DISCS).for_each(|(k, ((albedo, last), by_color))| step(k, by_color, albedo, last));
+            seen.color();
+        }
+        Ok(())
+    }
+
+    /// Discs that no frame has shown yet start with the colour of the pixel they fall on, or the mean albedo in view.
+    fn color_the_unseen(&mut self, level: &Level) {
+        let gain = self.gain;
+        let mean = self.mean_color;
+        let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
+        let at = pixels(&level.view, &seen.patch.gaussians);
+        let (mut sum, mut count) = ([0.0f64; 3], 0.0f64);
+        for (k, pixel) in at.into_iter().enumerate() {
+            let pixel = pixel.filter(|[x, y]| level.weight(y * level.image.width + x) > 0.0);
+            let shade = seen.shade[k].max(1e-6);
+            if seen.memory[k] == 0.0 {
+                seen.albedo[k] = match pixel {
+                    Some([x, y]) => [0, 1, 2].map(|c| level.image.pixel(x, y)[c] / gain[c] as f32 / shade),
+                    None => mean,
+                };
+            }
+            if pixel.is_some() {
+                (0..3).for_each(|c| sum[c] += seen.albedo[k][c] as f64);
+                count += 1.0;
+            }
+        }
+        if count > 0.0 {
+            self.mean_color = sum.map(|s| (s / count) as f32);
+        }
+        seen.color();
+    }
+}

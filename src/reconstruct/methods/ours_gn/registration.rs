@@ -1,0 +1,152 @@
+//! Where the scope is, when its given pose is wrong by a few mm and degrees. The correction is
+//! `camera_from_world = exp(xi) given`, `xi = (omega, tau)` in camera axes (rad, mm). The first frame is registered to the
+//! mesh by the depth that is given there, together with the phase: Gauss-Newton with central differences on the robust
+//! relative error of depth, from several phases, with a norm that gets stricter. Later frames estimate `xi` from the image
+//! (`track.rs`) or from the window of keyframes, around what is expected of it ([`crate::reconstruct::estimate::window::drift`]).
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::base::Image;
+use crate::reconstruct::estimate::window::drift::POSE;
+
+/// Phases from which the first frame is registered.
+const STARTS: [f64; 4] = [0.05, 0.35, 0.65, 0.95];
+/// Steps with each.
+const STEPS: [usize; 4] = [8, 12, 20, 40];
+/// How many of them go on.
+const BEST: usize = 3;
+/// Half widths of the central differences: phase, rad, mm.
+const WIDTHS: [f64; 1 + POSE] = [0.01, 2e-3, 2e-3, 2e-3, 0.03, 0.03, 0.03];
+/// Relative error of depth beyond which a pixel counts linearly: from each start, from the best ones, and in the end.
+const HUBER: [f64; 4] = [0.1, 0.03, 0.01, 0.003];
+/// Beyond this a pixel does not count.
+const LARGEST: f64 = 0.3;
+/// A stage ends when a step gains less than this share of the cost, or when damped beyond this.
+const SETTLED: f64 = 1e-4;
+const LARGEST_DAMPING: f64 = 1e6;
+/// Neighbouring pixels err together: so many count as one.
+const TOGETHER: f64 = 100.0;
+
+/// What is known before: standard deviations of phase, angles and places.
+pub struct Before {
+    /// Phases around one half.
+    pub phase: f64,
+    /// Per axis, rad.
+    pub turn: f64,
+    /// Per axis, mm.
+    pub shift_mm: f64,
+}
+
+/// Relative errors of the depth rendered for an answer, pixel by pixel; NaN where there is none.
+fn errors(rendered: &Image<f32>, given: &Image<f32>) -> Vec<f64> {
+    let error = |(&d, &t): (&f32, &f32)| if d > 0.0 && t > 0.0 { f64::from(d / t - 1.0) } else { f64::NAN };
+    rendered.data.iter().zip(&given.data).map(error).collect()
+}
+
+fn weight(error: f64, huber: f64) -> f64 {
+    if error.abs() < LARGEST { (huber / error.abs().max(huber)) / (huber * huber) } else { 0.0 }
+}
+
+fn cost(errors: &[f64], huber: f64, x: &DVector<f64>, mean: &DVector<f64>, precision: &DVector<f64>) -> f64 {
+    let most = huber * (LARGEST - 0.5 * huber);
+    let one = |e: &f64| {
+        let size = e.abs();
+        // A pixel without a counterpart is as wrong as the worst.
+        let loss = if size <= huber { 0.5 * size * size } else { huber * (size - 0.5 * huber) };
+        if loss.is_nan() { most } else { loss.min(most) }
+    };
+    let prior: f64 = (x - mean).iter().zip(precision.iter()).map(|(d, p)| 0.5 * p * d * d).sum();
+    errors.iter().map(one).sum::<f64>() / (huber * huber) / TOGETHER + prior
+}
+
+/// Phase and pose whose rendered depth is most like `given`. `render` answers phase and `xi` with a depth image in mm.
+pub fn register(
+    given: &Image<f32>,
+    before: &Before,
+    mut render: impl FnMut(f64, [f64; POSE]) -> Image<f32>,
+) -> (f64, [f64; POSE]) {
+    let mut errors_at = |x: &DVector<f64>| errors(&render(x[0].clamp(0.0, 1.0), unpacked(x)), given);
+    let (r, t) = (before.turn, before.shift_mm);
+    let precision = DVector::from_vec([before.phase, r, r, r, t, t, t].map(|d| 1.0 / (d * d)).to_vec());
+    let mean = DVector::from_vec(vec![0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let mut descend = |mut x: DVector<f64>, stage: usize| {
+        let (steps, huber) = (STEPS[stage], HUBER[stage]);
+        let mut here = errors_at(&x);
+        let mut lowest = cost(&here, huber, &x, &mean, &precision);
+        let mut damping = 1e-3;
+        for _ in 0..steps {
+            let columns: Vec<Vec<f64>> = (0..=POSE)
+                .map(|k| {
+                    let mut side = |sign: f64| {
+                        let mut moved = x.clone();
+                        moved[k] += sign * WIDTHS[k];
+                        errors_at(&moved)
+                    };
+                    let (plus, minus) = (side(1.0), side(-1.0));
+                    let slope = |(p, m): (&f64, &f64)| (p - m) / (2.0 * WIDTHS[k]);
+                    plus.iter().zip(&minus).map(slope).collect()
+                })
+                .collect();
+            let mut hessian = DMatrix::from_diagonal(&precision);
+            let mut pull = precision.component_mul(&(&mean - &x));
+            for (i, e) in here.iter().enumerate() {
+                let row: [f64; 1 + POSE] = std::array::from_fn(|k| columns[k][i]);
+                // Edges of the wall jump: their slopes say nothing.
+                if e.is_nan() || row.iter().zip(WIDTHS).any(|(v, w)| !(v * w).is_finite() || (v * w).abs() > 0.05) {
+                    continue;
+                }
+                let w = weight(*e, huber) / TOGETHER;
+                for a in 0..=POSE {
+                    pull[a] -= w * row[a] * e;
+                    (0..=POSE).for_each(|b| hessian[(a, b)] += w * row[a] * row[b]);
+                }
+            }
+            let damped = &hessian + DMatrix::from_diagonal(&hessian.diagonal()) * damping;
+            let Some(mut step) = damped.clone().cholesky().map(|c| c.solve(&pull)) else { break };
+            if !(0.0..=1.0).contains(&(x[0] + step[0])) {
+                // At the end of the breath the others must not count on more of it.
+                let rest = damped.remove_row(0).remove_column(0);
+                let edge = (x[0] + step[0]).clamp(0.0, 1.0) - x[0];
+                let against = DVector::from_fn(POSE, |k, _| pull[k + 1] - hessian[(k + 1, 0)] * edge);
+                let Some(others) = rest.cholesky().map(|c| c.solve(&against)) else { break };
+                step[0] = edge;
+                step.rows_mut(1, POSE).copy_from(&others);
+            }
+            let mut next = &x + step;
+            next[0] = next[0].clamp(0.0, 1.0);
+            let there = errors_at(&next);
+            let found = cost(&there, huber, &next, &mean, &precision);
+            if found < lowest {
+                let settled = lowest - found < SETTLED * lowest;
+                (x, here, lowest, damping) = (next, there, found, damping * 0.1);
+                if settled {
+                    break;
+                }
+            } else {
+                damping *= 4.0;
+                if damping > LARGEST_DAMPING {
+                    break;
+                }
+            }
+        }
+        (lowest, x)
+    };
+    let from = |&phase: &f64| {
+        let mut start = mean.clone();
+        start[0] = phase;
+        start
+    };
+    let mut found: Vec<(f64, DVector<f64>)> = STARTS.iter().map(from).map(|x| descend(x, 0)).collect();
+    for stage in [1, 2, 3] {
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        found.truncate(BEST);
+        found = found.into_iter().map(|(_, x)| descend(x, stage)).collect();
+    }
+    found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (_, x) = found.swap_remove(0);
+    (x[0].clamp(0.0, 1.0), unpacked(&x))
+}
+
+fn unpacked(x: &DVector<f64>) -> [f64; POSE] {
+    std::array::from_fn(|k| x[1 + k])
+}

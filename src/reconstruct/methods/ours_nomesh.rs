@@ -1,0 +1,191 @@
+//! `ours-nomesh`: free Gaussians carried by the interpolated displacement field of the two CTs, one phase per frame
+//! ("Ours w/o mesh" of the paper, which does not say how; this is our reading). Born at random points of the
+//! inspiration surface; centre = own centre + phase * displacement, the displacement interpolated once from the
+//! nearest mesh vertices (inverse distance); own centre, rotation, scale and SH-1 are learned. No mesh comes out.
+
+use crate::base::{Progress, Result};
+use crate::reconstruct::fitting::schedule::rate_factor;
+use crate::splat::{Gaussians, Gradients, View, Wanted};
+
+use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::estimate::phase_fit::{self, Carried, PhaseSource};
+use crate::reconstruct::fitting::anchored::{Rates, adam_constants, to_f32};
+use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch};
+use crate::reconstruct::fitting::memory::Memory;
+use crate::reconstruct::fitting::optimiser::StepCounter;
+use crate::reconstruct::geometry::neighbours;
+use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
+use crate::reconstruct::settings::{MethodHeader, OursNomeshSettings};
+
+/// Mesh vertices whose displacements a Gaussian averages.
+const FIELD_NEIGHBOURS: usize = 4;
+
+/// Free Gaussians with one phase per frame.
+pub struct OursNomesh {
+    settings: OursNomeshSettings,
+    iteration_scale: f64,
+}
+
+impl OursNomesh {
+    /// With `settings`, every iteration count times `iteration_scale`.
+    pub fn new(settings: OursNomeshSettings, iteration_scale: f64) -> Self {
+        OursNomesh { settings, iteration_scale }
+    }
+}
+
+impl Reconstruct for OursNomesh {
+    fn header(&self) -> &MethodHeader {
+        &self.settings.header
+    }
+
+    fn access(&self) -> Access {
+        Access { expiration_mesh: true, first_depth: true, true_phase: false, poses: Poses::True }
+    }
+
+    fn run(
+        &self,
+        observation: &Observation,
+        emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
+        progress: &dyn Progress,
+    ) -> Result<Reconstruction> {
+        observation.validate(self.access())?;
+        let start = std::time::Instant::now();
+        let mut carried = InField::new(&self.settings, self.iteration_scale, observation);
+        let preparation = start.elapsed().as_secs_f64();
+        let source = PhaseSource::Estimated(&self.settings.estimation);
+        let (_, mut done) = phase_fit::run(
+            &self.settings.fit,
+            self.iteration_scale,
+            &source,
+            observation,
+            &mut carried,
+            emit,
+            progress,
+        )?;
+        done.seconds += preparation;
+        Ok(done)
+    }
+}
+
+struct InField {
+    free: Free,
+    displacement: Vec<[f32; 3]>,
+    faces: Vec<[u32; 3]>,
+    ends: [Vec<[f32; 3]>; 2],
+    reach: Reach,
+    adam: FreeAdam,
+    patch: Option<FreePatch>,
+    local: Vec<[f32; 3]>,
+    memory: Memory,
+    seen: Memory,
+}
+
+impl InField {
+    fn new(settings: &OursNomeshSettings, iteration_scale: f64, observation: &Observation) -> Self {
+        let rest = &observation.inspiration;
+        let expiration = observation.expiration.as_ref().unwrap_or(rest);
+        let free = Free::new(rest, &settings.appearance.gaussians, 0.5, observation.seed);
+        let centres: Vec<_> = free.centres.iter().map(|c| glam::Vec3::from(*c).as_dvec3()).collect();
+        let displacement = neighbours::nearest(&rest.vertices, &centres, FIELD_NEIGHBOURS)
+            .iter()
+            .map(|list| {
+                let (mut sum, mut weights) = (glam::DVec3::ZERO, 0.0);
+                for &(v, d) in list {
+                    let w = 1.0 / (d + 1e-3);
+                    sum += (expiration.vertices[v as usize] - rest.vertices[v as usize]) * w;
+                    weights += w;
+                }
+                (sum / weights).as_vec3().to_array()
+            })
+            .collect();
+        let memory = Memory::new(free.centres.len());
+        let rates = Rates { scale: *settings.scale_rate, ..Rates::from(&settings.appearance) };
+        InField {
+            free,
+            displacement,
+            faces: rest.faces.clone(),
+            ends: [to_f32(&rest.vertices), to_f32(&expiration.vertices)],
+            reach: Reach::new(&settings.fit.visibility),
+            adam: FreeAdam::new(
+                Rates::new(rates, rate_factor(iteration_scale)),
+                StepCounter::Restarted,
+                adam_constants(*settings.quiet_values, observation.images[0].data.len()),
+            ),
+            patch: None,
+            local: Vec::new(),
+            memory,
+            seen: Memory::default(),
+        }
+    }
+
+    fn patch(&self) -> &FreePatch {
+        self.patch.as_ref().expect("a frame is entered before it is worked on")
+    }
+}
+
+impl Carried for InField {
+    fn enter(&mut self, view: &View, [low, high]: [f64; 2]) -> Result<()> {
+        let at = |phase: f64| -> Vec<[f32; 3]> {
+            let p = phase as f32;
+            self.ends[0].iter().zip(&self.ends[1]).map(|(a, b)| [0, 1, 2].map(|k| a[k] + p * (b[k] - a[k]))).collect()
+        };
+        let states = [at(low), at(0.5 * (low + high)), at(high)];
+        let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
+        let faces = visible_faces(&self.faces, &states, view, self.reach, Sides::Lumen);
+        if faces.is_empty() {
+            return Err(nothing_in_view());
+        }
+        let patch = self.free.patch(&faces);
+        self.local = patch.ids.iter().map(|&i| self.displacement[i as usize]).collect();
+        self.seen = self.memory.pick(&patch.ids);
+        self.patch = Some(patch);
+        Ok(())
+    }
+
+    fn place(&mut self, phase: f64) -> Result<()> {
+        let (local, p) = (&self.local, phase as f32);
+        let patch = self.patch.as_mut().expect("a frame is entered before it is worked on");
+        patch.place(|k| local[k].map(|v| p * v), |_| [0.0; 4]);
+        Ok(())
+    }
+
+    fn gaussians(&self) -> &Gaussians<f32> {
+        &self.patch().gaussians
+    }
+
+    fn colors(&mut self) -> (&mut [f32], &mut Memory) {
+        let patch = self.patch.as_mut().expect("a frame is entered before it is worked on");
+        (&mut patch.gaussians.sh, &mut self.seen)
+    }
+
+    fn velocities(&self, out: &mut Vec<[f32; 3]>) -> Result<()> {
+        out.clone_from(&self.local);
+        Ok(())
+    }
+
+    fn phase_derivative(&self, gradients: &Gradients<f32>) -> Result<f64> {
+        let dot = |(g, d): (&[f32; 3], &[f32; 3])| (0..3).map(|k| (g[k] * d[k]) as f64).sum::<f64>();
+        Ok(gradients.positions.iter().zip(&self.local).map(dot).sum())
+    }
+
+    fn begin_appearance(&mut self) {
+        self.adam.begin(self.local.len());
+    }
+
+    fn appearance_groups(&self) -> Wanted {
+        self.adam.rates.groups()
+    }
+
+    fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()> {
+        let patch = self.patch.as_mut().expect("a frame is entered before it is worked on");
+        patch.step(&mut self.adam, gradients, visible);
+        Ok(())
+    }
+
+    fn leave(&mut self) {
+        if let Some(patch) = self.patch.take() {
+            self.free.absorb(&patch);
+            self.memory.put(&patch.ids, &self.seen);
+        }
+    }
+}
