@@ -8,7 +8,7 @@
 // Russian roulette: from its second bounce on a path survives with the probability of its throughput (the largest
 // channel), never capped: a cap below the albedo would make the variance infinite in a closed lumen. (Roulette at the
 // first bounce too saves 8 % of the rays and costs 60 % in median variance on the reference tube.)
-// Subsurface: at the first vertex (or at every one) the base's light walks through the wall (`cpp/trace/walk.h`) and leaves it
+// Subsurface: at the first vertex (or at every one) the base's light walks through the wall (`cpp/trace/scatter_walk.h`) and leaves it
 // elsewhere. With a diffuse boundary it enters by the cosine law and leaves as from a Lambert surface of albedo 1;
 // with a matched boundary the surface does not bend or reflect it at all and every scattering is lit by the lamp.
 
@@ -18,7 +18,7 @@
 #include "cpp/trace/lamp.h"
 #include "cpp/trace/sampler.h"
 #include "cpp/trace/vector.h"
-#include "cpp/trace/walk.h"
+#include "cpp/trace/scatter_walk.h"
 
 namespace respire {
 

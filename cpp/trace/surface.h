@@ -10,7 +10,7 @@
 
 #include "cpp/trace/tracer.h"
 #include "cpp/trace/vector.h"
-#include "cpp/trace/walk.h"
+#include "cpp/trace/scatter_walk.h"
 #include "respire-bench/src/ffi/trace/tracer.rs.h"
 
 namespace respire {

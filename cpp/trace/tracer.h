@@ -8,7 +8,7 @@
 #include "cpp/trace/coat.h"
 #include "cpp/trace/mucosa.h"
 #include "cpp/trace/vector.h"
-#include "cpp/trace/walk.h"
+#include "cpp/trace/scatter_walk.h"
 #include "rust/cxx.h"
 
 namespace respire {

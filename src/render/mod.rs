@@ -6,7 +6,7 @@
 //!
 //! `cpp/trace/surface.h` holds what rays meet, `cpp/trace/lamp.h` the lamp, `cpp/trace/path.h` paths, `cpp/trace/vertex_light.h` light at
 //! vertices, `cpp/trace/coat.h` the reflection, `cpp/trace/mucosa.h` the look of the wall (`cpp/trace/noise_kernel.cpp` its noise, in vectors),
-//! `cpp/trace/walk.h` the light inside it.
+//! `cpp/trace/scatter_walk.h` the light inside it.
 
 mod axial;
 mod denoise;
