@@ -1,7 +1,7 @@
 //! The path tracer: Embree 4, multi-bounce, co-located inverse-square light. Knows nothing of breathing or methods.
 //!
 //! ```text
-//!  TriangleMesh + Material -> Scene --deform--> render(camera, pose, light, settings) -> Frame {radiance, depth}
+//!  TriangleMesh + Material -> Scene --deform--> render(camera, pose, light, settings) -> RenderedFrame
 //! ```
 //!
 //! `cpp/trace/surface.h` holds what rays meet, `cpp/trace/lamp.h` the lamp, `cpp/trace/path.h` paths, `cpp/trace/vertex_light.h` light at
@@ -21,7 +21,7 @@ mod tissue;
 mod topology;
 mod vertex_light;
 
-pub use frame::{Frame, Statistics, render, render_watched};
+pub use frame::{RenderedFrame, Statistics, render, render_watched};
 pub use material::{Boundary, Material, MaterialKind, Subsurface, WalkedVertices};
 pub use scene::Scene;
 pub use settings::{Denoise, Light, RenderSettings, Shading, Transport};

@@ -8,7 +8,7 @@ use crate::airway::Anatomy;
 use crate::airway::case::Case;
 use crate::base::{Error, Image, Progress, Result, TriangleMesh, mesh};
 use crate::formats::{exr, mesh as mesh_file, png};
-use crate::render::{Frame, Light, Material, RenderSettings, Scene, Shading, Transport, render};
+use crate::render::{Light, Material, RenderSettings, RenderedFrame, Scene, Shading, Transport, render};
 
 use super::film::Film;
 use super::sensor::{Exposed, Sensor};
@@ -147,7 +147,7 @@ impl<'a> Studio<'a> {
 
     /// The radiance that the sensor gathers while the shutter is open, and the depth at the frame's own time. Leaves the
     /// scene at that time.
-    fn exposed_frame(&mut self, index: usize) -> Result<Frame> {
+    fn exposed_frame(&mut self, index: usize) -> Result<RenderedFrame> {
         let record = self.film.frames[index];
         let shutter_s = self.case.scope.shutter_s;
         if shutter_s <= 0.0 {
@@ -171,7 +171,7 @@ impl<'a> Studio<'a> {
         Ok(frame)
     }
 
-    fn moment(&mut self, pose: &DAffine3, phase: f64, key: u64, samples_per_pixel: u32) -> Result<Frame> {
+    fn moment(&mut self, pose: &DAffine3, phase: f64, key: u64, samples_per_pixel: u32) -> Result<RenderedFrame> {
         self.scene.deform(&self.vertices(phase))?;
         let settings = RenderSettings {
             samples_per_pixel,
