@@ -68,7 +68,8 @@ class FaceLighting {
     if (!(l2 > 0.0f)) return out;
     const TangentFrame frame(load(from.normal.data()));
     const Vec3 o = frame.local(way * (1.0f / std::sqrt(l2))), i = frame.local(normalize(lamp_.position() - point));
-    out.base = (1.0f - material_.coat().albedo(material_.mean_alpha(), std::max(o.z, 0.0f))) / (1.0f - material_.mean_coat());
+    out.base =
+        (1.0f - material_.coat().albedo(material_.mean_alpha(), std::max(o.z, 0.0f))) / (1.0f - material_.mean_coat());
     out.coat = kPi * material_.wide_coat().value(o, i, kWideAlpha);
     return out;
   }
@@ -88,7 +89,8 @@ class FaceLighting {
       const Vec3 direction = wall_.tissue_frame(face, s.shading).world(cosine_direction(u, v));
       Hit hit;
       const bool leaves = dot(direction, s.geometric) > 0.0f;
-      hits[k] = leaves && caster_.intersect(s.point + s.geometric * kSurfaceOffset, direction, hit) ? hit.face : kNoFace;
+      hits[k] =
+          leaves && caster_.intersect(s.point + s.geometric * kSurfaceOffset, direction, hit) ? hit.face : kNoFace;
     }
   }
 

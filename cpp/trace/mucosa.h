@@ -36,7 +36,9 @@ inline float gradient_noise(const NoiseKernel& noise, Vec3 p, std::uint32_t seed
   return n.value;
 }
 
-inline float gradient_noise(const NoiseKernel& noise, Vec3 p, std::uint32_t seed) { return noise.gradient(&p.x, seed).value; }
+inline float gradient_noise(const NoiseKernel& noise, Vec3 p, std::uint32_t seed) {
+  return noise.gradient(&p.x, seed).value;
+}
 
 // Distance from `p` to the nearest face of the Voronoi diagram of one jittered point per unit cell, measured along a
 // surface of unit normal `normal` through `p` (a face that lies along the surface is then far away: it would show as a
@@ -60,11 +62,13 @@ struct VesselNet {
 
 // Coverage in [0, 1] by a net of vessels. `footprint_mm` of a pixel: what is thinner than a pixel fades instead of
 // flickering.
-inline float vessel_coverage(const NoiseKernel& noise, Vec3 rest_mm, Vec3 normal, const VesselNet& net, float footprint_mm) {
+inline float vessel_coverage(const NoiseKernel& noise, Vec3 rest_mm, Vec3 normal, const VesselNet& net,
+                             float footprint_mm) {
   if (footprint_mm > 0.5f * net.spacing_mm) return 0.0f;
   std::uint32_t edge;
   float steepness;
-  float distance = voronoi_edge(noise, rest_mm * (1.0f / net.spacing_mm), normal, net.seed, edge, steepness) * net.spacing_mm;
+  float distance =
+      voronoi_edge(noise, rest_mm * (1.0f / net.spacing_mm), normal, net.seed, edge, steepness) * net.spacing_mm;
   float u = unit_float(edge);
   if (u < net.absent) return 0.0f;
   float half = 0.5f * net.width_mm * mix(0.35f, 1.0f, (u - net.absent) / (1.0f - net.absent));
@@ -121,8 +125,10 @@ inline MucosaPoint mucosa_at(const NoiseKernel& noise, const MucosaLook& look, V
   if (look.vessels > 0.0f) {
     // Finer in smaller airways, where the scope is close to the wall, too.
     float calibre = mix(1.0f, 0.5f, clamp(0.25f * point.generation, 0.0f, 1.0f));
-    float large = vessel_coverage(noise, warped, point.normal, {3.6f, 0.26f * calibre, 0.35f, look.seed + 3}, footprint_mm);
-    float small = vessel_coverage(noise, warped, point.normal, {1.3f, 0.12f * calibre, 0.3f, look.seed + 4}, footprint_mm);
+    float large =
+        vessel_coverage(noise, warped, point.normal, {3.6f, 0.26f * calibre, 0.35f, look.seed + 3}, footprint_mm);
+    float small =
+        vessel_coverage(noise, warped, point.normal, {1.3f, 0.12f * calibre, 0.3f, look.seed + 4}, footprint_mm);
     vessel = look.vessels * std::max(large, 0.7f * small);
   }
   // Albedo: pale over cartilage, red and dark with blood.
@@ -135,7 +141,8 @@ inline MucosaPoint mucosa_at(const NoiseKernel& noise, const MucosaLook& look, V
   out.albedo = base * Vec3{red, green, blue};
   out.albedo = out.albedo * Vec3{1.0f - 0.16f * std::min(vessel, 1.3f), 1.0f - 0.45f * std::min(vessel, 1.3f),
                                  1.0f - 0.40f * std::min(vessel, 1.3f)};
-  out.albedo = {clamp(out.albedo.x, 0.02f, 0.95f), clamp(out.albedo.y, 0.02f, 0.95f), clamp(out.albedo.z, 0.02f, 0.95f)};
+  out.albedo = {clamp(out.albedo.x, 0.02f, 0.95f), clamp(out.albedo.y, 0.02f, 0.95f),
+                clamp(out.albedo.z, 0.02f, 0.95f)};
 
   // Film and fine relief; what is finer than a pixel fades.
   Vec3 g1, g2;

@@ -93,12 +93,8 @@ class PathTracer {
   Indirect traced_light(const Vertex& at, Vec3 direction, Sampler& sampler) {
     Indirect light;
     switch (material_.subsurface()) {
-      case SubsurfaceKind::Matched:
-        light.base = quotient(matched_light(at.s, direction, sampler), at.s.albedo);
-        break;
-      case SubsurfaceKind::Diffuse:
-        light = scattered_light(at, sampler);
-        break;
+      case SubsurfaceKind::Matched: light.base = quotient(matched_light(at.s, direction, sampler), at.s.albedo); break;
+      case SubsurfaceKind::Diffuse: light = scattered_light(at, sampler); break;
       default:
         if (limit_ > 1) light = reflected_light(at, sampler);
     }

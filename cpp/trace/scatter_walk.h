@@ -52,7 +52,8 @@ class ScatterWalk {
   static constexpr float kStart = kSurfaceOffset;
 
   // Inside a mesh; `rays` counts the rays.
-  ScatterWalk(RTCScene scene, const Medium& medium, std::uint64_t& rays) : scene_(scene), medium_(medium), rays_(&rays) {}
+  ScatterWalk(RTCScene scene, const Medium& medium, std::uint64_t& rays)
+      : scene_(scene), medium_(medium), rays_(&rays) {}
 
   // Below a flat surface through `point` with unit `normal` instead of a mesh.
   ScatterWalk(Vec3 point, Vec3 normal, const Medium& medium) : point_(point), normal_(normal), medium_(medium) {}

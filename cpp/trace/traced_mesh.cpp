@@ -37,7 +37,8 @@ TracedMesh::TracedMesh(rust::Slice<const float> vertices, rust::Slice<const std:
   for (std::uint32_t v : faces) demand(v < vertex_count_, "a face names a vertex that is not there");
   FloatMode mode;
   device_.reset(rtcNewDevice("isa=avx2"));
-  if (!device_) throw std::runtime_error("Embree refuses a device: error " + std::to_string(rtcGetDeviceError(nullptr)));
+  if (!device_)
+    throw std::runtime_error("Embree refuses a device: error " + std::to_string(rtcGetDeviceError(nullptr)));
   robust_.reset(rtcNewScene(device_));
   fast_.reset(rtcNewScene(device_));
   // Two-level mode: the only one that refits.

@@ -47,7 +47,10 @@ class RayPacket {
   // Whether a lane's ray has met the mesh, and where.
   bool hit(std::size_t lane, Hit& hit) const {
     if (rays_.hit.geomID[lane] == RTC_INVALID_GEOMETRY_ID) return false;
-    hit = {rays_.ray.tfar[lane], rays_.hit.u[lane], rays_.hit.v[lane], rays_.hit.primID[lane],
+    hit = {rays_.ray.tfar[lane],
+           rays_.hit.u[lane],
+           rays_.hit.v[lane],
+           rays_.hit.primID[lane],
            {rays_.hit.Ng_x[lane], rays_.hit.Ng_y[lane], rays_.hit.Ng_z[lane]}};
     return true;
   }

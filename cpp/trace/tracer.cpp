@@ -56,7 +56,8 @@ class AreasAround {
 
 // Calls `found(ray, direction, hit)` for the camera rays along unit `directions` (camera axes); `hit` is null at a miss.
 template <class Found>
-void for_each_camera_ray(const Wall& wall, const FrameSettings& frame, rust::Slice<const float> directions, Found&& found) {
+void for_each_camera_ray(const Wall& wall, const FrameSettings& frame, rust::Slice<const float> directions,
+                         Found&& found) {
   float world[RayPacket::kWidth * 3];
   RayPacket packet;
   const std::size_t rays = directions.size() / 3;
@@ -74,7 +75,8 @@ void for_each_camera_ray(const Wall& wall, const FrameSettings& frame, rust::Sli
 }
 
 void check_tile(const FrameSettings& frame, const TileRequest& tile, std::size_t corners, std::size_t film) {
-  demand(tile.x1 <= frame.width && tile.y1 <= frame.height && tile.x0 < tile.x1 && tile.y0 < tile.y1, "tile outside the image");
+  demand(tile.x1 <= frame.width && tile.y1 <= frame.height && tile.x0 < tile.x1 && tile.y0 < tile.y1,
+         "tile outside the image");
   demand(corners == 3ull * (frame.width + 1) * (frame.height + 1), "one direction per pixel corner");
   demand(film == static_cast<std::size_t>(tile.x1 - tile.x0) * (tile.y1 - tile.y0), "film size");
 }
@@ -93,7 +95,8 @@ Vec3 direction_through(rust::Slice<const float> corners, const FrameSettings& fr
 }  // namespace
 
 Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces,
-               rust::Slice<const float> generations, rust::Slice<const float> axial_mm, const MaterialSettings& material)
+               rust::Slice<const float> generations, rust::Slice<const float> axial_mm,
+               const MaterialSettings& material)
     : mesh_(vertices, faces), material_(std::make_unique<WallMaterial>(material, mesh_, generations, axial_mm)) {}
 
 Tracer::~Tracer() = default;
@@ -162,7 +165,8 @@ void Tracer::probe_depth(const FrameSettings& frame, rust::Slice<const float> di
   });
 }
 
-void Tracer::probe(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<ProbedPoint> points) const {
+void Tracer::probe(const FrameSettings& frame, rust::Slice<const float> directions,
+                   rust::Slice<ProbedPoint> points) const {
   demand(directions.size() == 3 * points.size(), "one direction per point");
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
@@ -268,7 +272,8 @@ std::uint64_t Tracer::scatter_walks(const FrameSettings& frame, rust::Slice<cons
   return lighting.rays();
 }
 
-void Tracer::unshadowed(const FrameSettings& frame, rust::Slice<const FacePlace> places, rust::Slice<float> irradiance) const {
+void Tracer::unshadowed(const FrameSettings& frame, rust::Slice<const FacePlace> places,
+                        rust::Slice<float> irradiance) const {
   demand(irradiance.size() == 3 * places.size(), "three values per place");
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);

@@ -83,7 +83,8 @@ inline float exp_minus(float x) {
   const int whole = static_cast<int>(y + 0.5f);
   // The product of `whole` with the first part of ln 2 is exact.
   const float r = (static_cast<float>(whole) * 0.693359375f - x) - static_cast<float>(whole) * 2.12194440e-4f;
-  const float e = 1.0f + r * (1.0f + r * (0.5f + r * (0.16666667f + r * (0.041666667f + r * (0.0083333333f + r * 0.0013888889f)))));
+  const float e =
+      1.0f + r * (1.0f + r * (0.5f + r * (0.16666667f + r * (0.041666667f + r * (0.0083333333f + r * 0.0013888889f)))));
   const std::uint32_t bits = static_cast<std::uint32_t>(127 - whole) << 23;
   float scale;
   std::memcpy(&scale, &bits, sizeof scale);

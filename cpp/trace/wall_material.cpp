@@ -12,8 +12,8 @@ WallMaterial::WallMaterial(const MaterialSettings& settings, const TracedMesh& r
       albedo_(load(settings.albedo.data())),
       extinction_(load(settings.extinction.data())),
       scattering_(load(settings.scattering.data())),
-      look_{settings.vessels, settings.blotches, settings.relief, settings.film, settings.rings,
-            settings.ring_spacing_mm, settings.seed},
+      look_{settings.vessels, settings.blotches,        settings.relief, settings.film,
+            settings.rings,   settings.ring_spacing_mm, settings.seed},
       noise_(noise_kernel(widest_isa())),
       generations_(generations.begin(), generations.end()),
       axial_mm_(axial_mm.begin(), axial_mm.end()) {
@@ -46,9 +46,11 @@ void WallMaterial::bend_and_fade_rings(const TracedMesh& rest) {
   ring_weight_.assign(rest.vertex_count(), 0.0f);
   for (std::size_t v = 0; v < ring_weight_.size(); ++v) {
     const Vec3 p = load(&rest_[3 * v]);
-    axial_mm_[v] += kShift * look_.ring_spacing_mm * gradient_noise(noise_, p * (1.0f / kShiftPeriodMm), look_.seed + 8);
+    axial_mm_[v] +=
+        kShift * look_.ring_spacing_mm * gradient_noise(noise_, p * (1.0f / kShiftPeriodMm), look_.seed + 8);
     const float fade = gradient_noise(noise_, p * (1.0f / kHeightPeriodMm), look_.seed + 9);
-    ring_weight_[v] = ring_weight(generations_[v], load(rest.normals() + 3 * v)) * clamp(0.85f + 0.5f * fade, 0.0f, 1.2f);
+    ring_weight_[v] =
+        ring_weight(generations_[v], load(rest.normals() + 3 * v)) * clamp(0.85f + 0.5f * fade, 0.0f, 1.2f);
   }
   if (look_.rings > 0.0f) {
     for (float weight : ring_weight_) ring_height_.push_back(kRingHeightMm * look_.rings * weight);

@@ -53,7 +53,8 @@ class WallMaterial {
 
   // The look at a point of a face as the camera sees it from a distance at which a pixel spans `footprint_mm`; `edge1` and
   // `edge2`: the face's edges at rest, from its first corner.
-  MucosaPoint look_at(const std::uint32_t* corners, float u, float v, float footprint_mm, Vec3& edge1, Vec3& edge2) const {
+  MucosaPoint look_at(const std::uint32_t* corners, float u, float v, float footprint_mm, Vec3& edge1,
+                      Vec3& edge2) const {
     const float w[3] = {1.0f - u - v, u, v};
     auto scalar = [&](const std::vector<float>& values) {
       return w[0] * values[corners[0]] + w[1] * values[corners[1]] + w[2] * values[corners[2]];
@@ -86,7 +87,9 @@ class WallMaterial {
   // The wall below a point of diffuse albedo `albedo`.
   Medium medium(Vec3 albedo) const {
     if (settings_.fixed_scattering) return {extinction_, scattering_};
-    return {extinction_, {single_scattering_albedo(albedo.x), single_scattering_albedo(albedo.y), single_scattering_albedo(albedo.z)}};
+    return {
+        extinction_,
+        {single_scattering_albedo(albedo.x), single_scattering_albedo(albedo.y), single_scattering_albedo(albedo.z)}};
   }
 
   // Direction (local, downwards) in which light that leaves towards `o` travelled below the surface: by the cosine law, or,
