@@ -11,9 +11,10 @@ use crate::airway::case::{
     AnatomySource, Breathing, CameraSettings, Case, ExposureSettings, Region, ScopeSettings, TrajectorySettings,
 };
 use crate::airway::case_build::{self, read_mesh};
-use crate::airway::centerline::{Centerline, CenterlineSettings, extract};
+use crate::airway::centerline::{Centerline, CenterlineSettings};
+use crate::airway::centerline_extract::extract;
 use crate::airway::import_breathing::breathing_toml;
-use crate::airway::import_tree::Axes;
+use crate::airway::import_tree::PatientAxes;
 use crate::airway::{self, case_centerline};
 use crate::base::{Error, Progress, Result, TriangleMesh, files};
 use crate::formats::mesh::write_ply;
@@ -108,8 +109,8 @@ impl CommonArguments {
     /// A surface in LPS with normals into the lumen.
     fn read(&self, path: &Path) -> Result<TriangleMesh> {
         let axes = match self.axes {
-            AxesWord::Lps => Axes::Lps,
-            AxesWord::Ras => Axes::Ras,
+            AxesWord::Lps => PatientAxes::Lps,
+            AxesWord::Ras => PatientAxes::Ras,
         };
         let mut mesh = read_mesh(path)?;
         mesh.vertices.iter_mut().for_each(|v| *v = axes.to_lps(*v));

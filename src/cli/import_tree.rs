@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::Terminal;
-use crate::airway::import_tree::{Axes, from_mesh, from_table};
+use crate::airway::import_tree::{PatientAxes, from_mesh, from_table};
 use crate::base::{Error, Progress, Result, files};
 use crate::formats;
 
@@ -47,8 +47,8 @@ enum AxesWord {
 /// Runs the command.
 pub fn run(arguments: &TreeArguments, terminal: &Terminal) -> Result<()> {
     let axes = match arguments.axes {
-        AxesWord::Lps => Axes::Lps,
-        AxesWord::Ras => Axes::Ras,
+        AxesWord::Lps => PatientAxes::Lps,
+        AxesWord::Ras => PatientAxes::Ras,
     };
     let input = &arguments.input;
     let tree = if input.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {

@@ -2,11 +2,11 @@
 
 pub mod exposure;
 pub mod film;
-mod kin;
 mod misregister;
 pub mod preview;
 pub mod sensor;
 pub mod sequence;
+mod shared_frames;
 mod shoot;
 pub mod trajectory;
 pub mod truth;
@@ -94,7 +94,7 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
     let anatomy = airway::build(case)?;
     let film = Film::plan(case, &anatomy, settings, &material)?;
     film.notes.iter().for_each(|note| progress.note(&format!("{}: {note}", case.id)));
-    kin::copy_frames(case, settings, out, progress)?;
+    shared_frames::copy_frames(case, settings, out, progress)?;
     shoot::shoot(case, &anatomy, &film, &material, settings, out, progress)?;
     write_truth(case, &anatomy, &film, settings, &hash, out)?;
     Sequence::open(out)
@@ -193,7 +193,7 @@ fn write_truth(
     let mut manifest = serde_json::to_value(head).map_err(|e| Error::input(e.to_string()))?;
     manifest["simulator_version"] = SIMULATOR_VERSION.into();
     manifest["case_hash"] = case.hash()?.into();
-    manifest["film_hash"] = kin::film_hash(case, settings)?.into();
+    manifest["film_hash"] = shared_frames::film_hash(case, settings)?.into();
     manifest["settings"] = serde_json::to_value(settings).map_err(|e| Error::input(e.to_string()))?;
     manifest["case"] = serde_json::to_value(case).map_err(|e| Error::input(e.to_string()))?;
     manifest["material"] = serde_json::to_value(material(case)?).map_err(|e| Error::input(e.to_string()))?;
