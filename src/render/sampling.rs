@@ -18,23 +18,23 @@ const SAMPLES_PER_ROUND: u32 = 32;
 /// Where adaptive sampling gives up.
 pub(super) const MAX_SAMPLES: u32 = 65_536;
 
-type Rgb = [f64; 3];
+type RgbSum = [f64; 3];
 
 /// Sums over a pixel's samples ([`FilmPixel`]), exact enough for any number of them.
 #[derive(Clone, Copy, Default)]
 pub(super) struct PixelSums {
-    pub direct: Rgb,
-    pub indirect: Rgb,
-    pub indirect_base: Rgb,
-    pub indirect_coat: Rgb,
-    pub albedo: Rgb,
-    pub normal: Rgb,
+    pub direct: RgbSum,
+    pub indirect: RgbSum,
+    pub indirect_base: RgbSum,
+    pub indirect_coat: RgbSum,
+    pub albedo: RgbSum,
+    pub normal: RgbSum,
     pub hits: f64,
 }
 
 impl PixelSums {
     fn add(&mut self, more: &FilmPixel) {
-        let add = |sum: &mut Rgb, more: [f32; 3]| (0..3).for_each(|c| sum[c] += more[c] as f64);
+        let add = |sum: &mut RgbSum, more: [f32; 3]| (0..3).for_each(|c| sum[c] += more[c] as f64);
         add(&mut self.direct, more.direct);
         add(&mut self.indirect, more.indirect);
         add(&mut self.indirect_base, more.indirect_base);
@@ -82,7 +82,7 @@ impl SampledImage {
     }
 
     /// Means of three channels, as f32.
-    pub(super) fn means(&self, channels: impl Fn(&PixelSums) -> Rgb) -> Vec<[f32; 3]> {
+    pub(super) fn means(&self, channels: impl Fn(&PixelSums) -> RgbSum) -> Vec<[f32; 3]> {
         (0..self.sums.len()).map(|p| std::array::from_fn(|c| self.mean(p, |sums| channels(sums)[c]) as f32)).collect()
     }
 
@@ -131,13 +131,13 @@ impl SampledImage {
     }
 
     /// Radiance of all pixels.
-    fn picture(&self) -> Vec<Rgb> {
+    fn picture(&self) -> Vec<RgbSum> {
         (0..self.sums.len()).map(|p| std::array::from_fn(|c| self.radiance(p, c))).collect()
     }
 
     /// Estimated mean of (error / radiance)^2 of every tile, from the picture `before` and the samples since, which are as
     /// many: their difference, halved, is as large as the error of their mean.
-    fn errors(&self, before: &[Rgb]) -> Vec<f64> {
+    fn errors(&self, before: &[RgbSum]) -> Vec<f64> {
         let mut sums = vec![(0.0, 0.0); self.samples.len()];
         for (pixel, first) in before.iter().enumerate() {
             let (sum, count) = &mut sums[self.tile_of(pixel)];

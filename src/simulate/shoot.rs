@@ -10,10 +10,11 @@ use crate::base::{Error, Image, Progress, Result, TriangleMesh, mesh};
 use crate::formats::{exr, mesh as mesh_file, png};
 use crate::render::{Light, Material, RenderSettings, RenderedFrame, Scene, Shading, Transport, render};
 
-use super::film::Film;
+use super::film::{Film, scope_light};
 use super::sensor::{Exposed, Sensor};
-use super::truth::{Seen, TruthMap};
-use super::{MeshOutput, RadianceOutput, SimulationSettings, sequence};
+use super::sequence;
+use super::settings::{MeshOutput, RadianceOutput, SimulationSettings};
+use super::truth::{TruthMap, VisibleWall};
 
 /// Renderings whose mean is a blurred frame; odd, so that the middle one is the frame's own moment.
 const MOMENTS: u64 = 7;
@@ -85,13 +86,6 @@ pub(super) fn shoot(
     Ok(())
 }
 
-/// The light at the tip of the scope.
-pub(super) fn light(case: &Case) -> Light {
-    let half_angle_deg = case.scope.emission_half_angle_deg;
-    let emission_exponent = if half_angle_deg > 0.0 { Light::exponent_of_half_angle(half_angle_deg) } else { 0.0 };
-    Light { emission_exponent, ..Light::at_camera(case.light_intensity) }
-}
-
 impl<'a> Studio<'a> {
     fn new(
         case: &'a Case,
@@ -108,7 +102,7 @@ impl<'a> Studio<'a> {
             film,
             settings,
             scene,
-            light: light(case),
+            light: scope_light(case),
             sensor: Sensor::new(&film.camera, &case.scope, case.seed),
         })
     }
@@ -192,22 +186,22 @@ impl<'a> Studio<'a> {
         }
         let record = self.film.frames[index];
         let (rest, other) = (&self.anatomy.inspiration, &self.anatomy.expiration.vertices);
-        let seen = Seen::new(&self.scene, &self.film.camera, &record.world_from_camera, rest, other)?;
+        let visible = VisibleWall::new(&self.scene, &self.film.camera, &record.world_from_camera, rest, other)?;
         if wanted.has(TruthMap::Normals) {
-            let normals = seen.normals(record.phase, &record.world_from_camera);
+            let normals = visible.normals(record.phase, &record.world_from_camera);
             exr::write_rgb(&out.join(sequence::normal_name(index)), &normals)?;
         }
         if wanted.has(TruthMap::Albedo) {
-            exr::write_rgb(&out.join(sequence::albedo_name(index)), &seen.albedo())?;
+            exr::write_rgb(&out.join(sequence::albedo_name(index)), &visible.albedo())?;
         }
         if wanted.has(TruthMap::Motion) {
             let neighbour = |i: usize| self.film.frames[i].phase;
             if index + 1 < self.film.frames.len() {
-                let motion = seen.motion(record.phase, neighbour(index + 1));
+                let motion = visible.motion(record.phase, neighbour(index + 1));
                 exr::write_rgb(&out.join(sequence::forward_motion_name(index)), &motion)?;
             }
             if index > 0 {
-                let motion = seen.motion(record.phase, neighbour(index - 1));
+                let motion = visible.motion(record.phase, neighbour(index - 1));
                 exr::write_rgb(&out.join(sequence::backward_motion_name(index)), &motion)?;
             }
         }
