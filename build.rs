@@ -28,7 +28,10 @@ const SOURCES: &[&str] = &[
     "cpp/splat/rasterize.cpp",
     "cpp/splat/bin.cpp",
     "cpp/splat/image.cpp",
+    "cpp/trace/coat.cpp",
+    "cpp/trace/traced_mesh.cpp",
     "cpp/trace/tracer.cpp",
+    "cpp/trace/wall_material.cpp",
 ];
 
 /// The kernels, compiled once per instruction set.

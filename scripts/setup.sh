@@ -6,11 +6,9 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 prefix=$PWD/.deps/embree4
 
-say() { printf 'setup: %s\n' "$*"; }
-# One sentence, and the documented exit code for an environment that lacks something.
-stop() { printf 'setup: %s\n' "$*" >&2; exit 5; }
+program=setup
+. scripts/packages.sh
 
-installed() { dpkg-query -W -f '${db:Status-Status}' "$1" 2>/dev/null | grep -qx installed; }
 candidate() { LC_ALL=C apt-cache policy "$1" 2>/dev/null | awk '/Candidate:/ && $2 != "(none)" {print $2}'; }
 
 # --- the machine -----------------------------------------------------------------------------------------------
@@ -18,13 +16,6 @@ candidate() { LC_ALL=C apt-cache policy "$1" 2>/dev/null | awk '/Candidate:/ && 
 command -v apt-get >/dev/null && command -v dpkg >/dev/null || stop \
   "this is not Debian; install Embree 4.3 or later, OpenCV 4 (core, imgproc), clang and g++ yourself, set EMBREE_DIR, and see docs/BUILD.md."
 command -v cargo >/dev/null || stop "Rust is missing; install Rust 1.95 or later first (https://rustup.rs)."
-
-as_root() {
-  if [ "$(id -u)" = 0 ]; then "$@"
-  elif command -v sudo >/dev/null; then sudo "$@"
-  else stop "packages are missing and this is neither root nor sudo; run scripts/setup.sh as root once."
-  fi
-}
 
 # --- Debian's packages -----------------------------------------------------------------------------------------
 # clang: bindgen wants libclang, the opencv crate the clang program. OpenCV's two libraries are 47 MB, the meta-package 690 MB.
@@ -38,7 +29,6 @@ embree_of_debian() {
   dpkg --compare-versions "$version" ge 4.3
 }
 
-missing=()
 if installed libembree-dev && [ -e /usr/include/embree4/rtcore.h ] || { [ ! -e "$prefix/.ok" ] && embree_of_debian; }; then
   embree=debian
   packages+=(libembree-dev)
@@ -50,19 +40,11 @@ else
   packages+=(libtbb12)
   if [ ! -e "$prefix/.ok" ]; then
     packages+=(patchelf)
-    python3 -m pip --version >/dev/null 2>&1 || packages+=(python3-pip)
+    has_pip python3 || packages+=(python3-pip)
   fi
 fi
 
-for package in "${packages[@]}"; do installed "$package" || missing+=("$package"); done
-if [ ${#missing[@]} -gt 0 ]; then
-  say "installing ${missing[*]}"
-  log=$(mktemp)
-  as_root apt-get update -qq >"$log" 2>&1 || true
-  as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >>"$log" 2>&1 ||
-    stop "apt could not install ${missing[*]}: $(grep -m1 '^E:' "$log" || tail -n1 "$log") (whole output: $log)"
-  rm -f "$log"
-fi
+install_packages "${packages[@]}"
 
 # --- Embree 4 where Debian has only Embree 3 --------------------------------------------------------------------
 # Library: the PyPI wheel embreex (glibc 2.28 or later), by its hash. Headers: Debian 13's libembree-dev, unpacked and
@@ -70,13 +52,8 @@ fi
 wheel='embreex==4.4.0.post1 --hash=sha256:2cd0f7d5c6342e6247e31f700761689cae7829454d8c6de0c41e62124a023e1f'
 
 fetch_library() {
-  local python=python3
-  python3 -m pip --version >/dev/null 2>&1 || python=/usr/bin/python3
-  "$python" -m pip download -q --disable-pip-version-check --no-deps --only-binary=:all: --python-version 3.11 \
-    --implementation cp --abi cp311 --platform manylinux_2_28_x86_64 --platform manylinux_2_27_x86_64 \
-    --require-hashes -r <(echo "$wheel") -d "$work" >"$work/pip.log" 2>&1 ||
-    stop "the library of Embree 4 cannot be had from the Python package index: $(grep -m1 ERROR "$work/pip.log" || tail -n1 "$work/pip.log")"
-  "$python" -m zipfile -e "$work"/embreex-*.whl "$work/wheel"
+  fetch_wheel "$work" "$wheel" --python-version 3.11 --implementation cp --abi cp311 \
+    --platform manylinux_2_28_x86_64 --platform manylinux_2_27_x86_64
 }
 
 fetch_headers() {

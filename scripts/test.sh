@@ -8,6 +8,7 @@ step setup
 scripts/setup.sh
 step format
 cargo fmt --check
+scripts/format-cpp.sh --check
 step lints
 cargo clippy --release --locked --all-targets --quiet -- -D warnings
 step documentation

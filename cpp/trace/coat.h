@@ -21,27 +21,42 @@ inline float fresnel(float c, float ior) {
   return 0.5f * a * a * (1.0f + b * b);
 }
 
+// Smith's Lambda of GGX: (sqrt(1 + alpha^2 tan^2) - 1) / 2.
 inline float smith_lambda(float cosine, float alpha) {
   float c2 = cosine * cosine;
   return 0.5f * (std::sqrt(1.0f + alpha * alpha * (1.0f - c2) / c2) - 1.0f);
 }
 
+// GGX distribution of microfacet normals: D = alpha^2 / (pi (cos_h^2 (alpha^2 - 1) + 1)^2).
 inline float ggx(float cosine_h, float alpha) {
   float a2 = alpha * alpha, d = cosine_h * cosine_h * (a2 - 1.0f) + 1.0f;
   return a2 / (kPi * d * d);
 }
 
+// Weight of the direction `i` that the sampled visible normal h mirrors `o` to: f cos_i / density = F G2 / G1, or
+//   F(o.h) (1 + Lambda(o)) / (1 + Lambda(o) + Lambda(i)).
+inline float mirror_weight(Vec3 o, Vec3 h, Vec3 i, float alpha, float ior) {
+  const float lo = smith_lambda(o.z, alpha), li = smith_lambda(i.z, alpha);
+  return fresnel(dot(o, h), ior) * (1.0f + lo) / (1.0f + lo + li);
+}
+
+// `o` mirrored about `h`.
+inline Vec3 mirror(Vec3 o, Vec3 h) { return h * (2.0f * dot(o, h)) - o; }
+
 // A visible microfacet normal seen from `o` (Heitz, JCGT 2018).
 inline Vec3 visible_normal(Vec3 o, float alpha, float u, float v) {
+  // Stretched to the hemisphere (roughness 1), and two tangents there.
   Vec3 s = normalize({alpha * o.x, alpha * o.y, o.z});
   float plane2 = s.x * s.x + s.y * s.y;
   Vec3 t1 = plane2 > 1e-12f ? Vec3{-s.y, s.x, 0.0f} * (1.0f / std::sqrt(plane2)) : Vec3{1.0f, 0.0f, 0.0f};
   Vec3 t2 = cross(s, t1);
+  // A point of the projected area: a disc, its one half squeezed as seen from `s`.
   float r = std::sqrt(u), a, b;
   cos_sin_turns(v, a, b);
   a *= r, b *= r;
   float side = 0.5f * (1.0f + s.z);
   b = (1.0f - side) * std::sqrt(std::max(0.0f, 1.0f - a * a)) + side * b;
+  // Up to the hemisphere, and stretched back.
   Vec3 n = t1 * a + t2 * b + s * std::sqrt(std::max(0.0f, 1.0f - a * a - b * b));
   return normalize({alpha * n.x, alpha * n.y, std::max(1e-6f, n.z)});
 }
@@ -82,7 +97,9 @@ class Coat {
   }
 
  private:
+  // Columns of the table, evenly spaced in the cosine; rows, evenly spaced in roughness, where it varies.
   static constexpr int kCosines = 129;
+  static constexpr int kRoughnesses = 8;
   int rows_ = 0;
   float alpha_low_ = 0, rows_per_alpha_ = 0, ior_ = 1;
   std::vector<float> table_;

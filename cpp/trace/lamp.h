@@ -1,68 +1,85 @@
 #pragma once
-// The lamp: a point with inverse-square falloff and a profile around the camera's axis, and what a vertex of a path sends on of
-// its light. Where the lamp sits at the camera and the camera sees a point, this is a closed form without a shadow ray.
+// The lamp: a point of intensity I with inverse-square falloff and a profile around the camera's axis,
+//   E = I max(cos_axis, 0)^m cos / r^2,
+// and what a vertex of a path sends on of its light. Where the lamp sits at the camera and the camera sees a point, this is a
+// closed form without a shadow ray.
 
 #include "cpp/trace/surface.h"
 
 namespace respire {
 
-class LitWall : public Wall {
+class Lamp {
  public:
-  LitWall(const Tracer& tracer, const FrameSettings& frame)
-      : Wall(tracer, frame),
-        light_{frame.light[0], frame.light[1], frame.light[2]},
-        intensity_{frame.intensity[0], frame.intensity[1], frame.intensity[2]},
-        light_axis_{frame.rotation[2], frame.rotation[5], frame.rotation[8]} {}
+  explicit Lamp(const FrameSettings& frame)
+      : position_(load(frame.light.data())),
+        intensity_(load(frame.intensity.data())),
+        axis_{frame.rotation[2], frame.rotation[5], frame.rotation[8]},
+        exponent_(frame.emission_exponent) {}
 
- protected:
-  // Closer than this to the light nothing is lit more brightly, in mm^2.
-  static constexpr float kNearest2 = 1e-4f;
+  Vec3 position() const { return position_; }
+  Vec3 intensity() const { return intensity_; }
 
-  // The light's profile: the part of its intensity in a direction of this cosine to its axis (the camera's).
-  float emission(float cosine) const {
-    if (frame_.emission_exponent == 0.0f) return 1.0f;
-    cosine = clamp(cosine, 0.0f, 1.0f);
-    return frame_.emission_exponent == 1.0f ? cosine : std::pow(cosine, frame_.emission_exponent);
+  // The part of the intensity in a direction of the light's travel.
+  float emission(Vec3 towards_lamp) const {
+    if (exponent_ == 0.0f) return 1.0f;
+    const float cosine = clamp(-dot(towards_lamp, axis_), 0.0f, 1.0f);
+    return exponent_ == 1.0f ? cosine : std::pow(cosine, exponent_);
   }
 
-  // Irradiance of the lamp, and where it is.
-  Vec3 irradiance(const Surface& s, bool shadows, Vec3& direction) {
-    const Vec3 to_light = light_ - s.point;
-    const float r2 = std::max(dot(to_light, to_light), kNearest2), r = std::sqrt(r2);
-    direction = to_light * (1.0f / r);
+  // From a point: squared distance and direction.
+  float direction_from(Vec3 point, Vec3& direction) const {
+    const Vec3 way = position_ - point;
+    const float r2 = squared(way);
+    direction = way * (1.0f / std::sqrt(r2));
+    return r2;
+  }
+
+  // A distance's square as the falloff uses it.
+  static float squared(Vec3 way) { return std::max(dot(way, way), kNearest2); }
+
+  // Irradiance, and where the lamp is. `shadows` casts the shadow ray; null: nothing can stand in between.
+  Vec3 irradiance(const Surface& s, RayCaster* shadows, Vec3& direction) const {
+    const float r2 = direction_from(s.point, direction);
     const float cosine = dot(s.shading, direction);
     if (cosine <= 0.0f || dot(s.geometric, direction) <= 0.0f) return {0, 0, 0};
-    if (shadows && occluded(s.point + s.geometric * kOffset, direction, r * (1.0f - 1e-5f) - kOffset)) return {0, 0, 0};
-    return intensity_ * (emission(-dot(direction, light_axis_)) * cosine / r2);
+    const Vec3 origin = s.point + s.geometric * kSurfaceOffset;
+    const float length = std::sqrt(r2) * (1.0f - 1e-5f) - kSurfaceOffset;
+    if (shadows && shadows->occluded(origin, direction, length)) return {0, 0, 0};
+    return intensity_ * (emission(direction) * cosine / r2);
   }
 
-  Vec3 irradiance(const Surface& s, bool shadows) {
+  Vec3 irradiance(const Surface& s, RayCaster* shadows) const {
     Vec3 unused;
     return irradiance(s, shadows, unused);
   }
 
-  // Irradiance of the lamp as it would be if nothing stood in its way, fine relief left out.
+  // Irradiance as it would be if nothing stood in its way, fine relief left out.
   Vec3 unshadowed(const Surface& s) const {
-    const Vec3 to_light = light_ - s.point;
-    const float r2 = std::max(dot(to_light, to_light), kNearest2);
-    const Vec3 direction = to_light * (1.0f / std::sqrt(r2));
+    Vec3 direction;
+    const float r2 = direction_from(s.point, direction);
     const float cosine = dot(s.smooth, direction);
     if (cosine <= 0.0f || dot(s.geometric, direction) <= 0.0f) return {0, 0, 0};
-    return intensity_ * (emission(-dot(direction, light_axis_)) * cosine / r2);
+    return intensity_ * (emission(direction) * cosine / r2);
   }
 
-  // Radiance towards `o` by the lamp itself, from a base of albedo `rho`.
-  Vec3 direct_light(const Surface& s, const Frame& frame, Vec3 o, bool shadows, Vec3 rho) {
+  // Radiance towards `o` by the lamp itself, from a base of albedo `rho` under the material's coat (`coat.h`).
+  Vec3 direct_light(const WallMaterial& material, const Surface& s, const TangentFrame& frame, Vec3 o, Vec3 rho,
+                    RayCaster* shadows) const {
     Vec3 direction;
     const Vec3 received = irradiance(s, shadows, direction);
     if (!(received.x + received.y + received.z > 0.0f)) return {0, 0, 0};
-    if (!tracer_.coated_) return received * rho * (1.0f / kPi);
-    const float e = tracer_.coat_.albedo(s.alpha, o.z);
-    const float mirrored = tracer_.coat_.value(o, frame.local(direction), s.alpha);
+    if (!material.coated()) return received * rho * (1.0f / kPi);
+    const float e = material.coat().albedo(s.alpha, o.z);
+    const float mirrored = material.coat().value(o, frame.local(direction), s.alpha);
     return received * (rho * ((1.0f - e) / kPi) + Vec3{mirrored, mirrored, mirrored});
   }
 
-  Vec3 light_, intensity_, light_axis_;
+ private:
+  // Closer than this to the light nothing is lit more brightly, in mm^2: a hundredth of a millimetre.
+  static constexpr float kNearest2 = 1e-4f;
+
+  Vec3 position_, intensity_, axis_;
+  float exponent_;
 };
 
 }  // namespace respire

@@ -36,7 +36,9 @@ inline float gradient_noise(const NoiseKernel& noise, Vec3 p, std::uint32_t seed
   return n.value;
 }
 
-inline float gradient_noise(const NoiseKernel& noise, Vec3 p, std::uint32_t seed) { return noise.gradient(&p.x, seed).value; }
+inline float gradient_noise(const NoiseKernel& noise, Vec3 p, std::uint32_t seed) {
+  return noise.gradient(&p.x, seed).value;
+}
 
 // Distance from `p` to the nearest face of the Voronoi diagram of one jittered point per unit cell, measured along a
 // surface of unit normal `normal` through `p` (a face that lies along the surface is then far away: it would show as a
@@ -52,17 +54,24 @@ inline float voronoi_edge(const NoiseKernel& noise, Vec3 p, Vec3 normal, std::ui
   return (next.distance2[1] - next.distance2[0]) / (2.0f * std::sqrt(l2 * in_surface * in_surface) + 1e-6f);
 }
 
-// Coverage in [0, 1] of the vessels of one generation. `spacing_mm` between vessels, `width_mm` of the widest,
-// `footprint_mm` of a pixel: what is thinner than a pixel fades instead of flickering.
-inline float vessel_coverage(const NoiseKernel& noise, Vec3 rest_mm, Vec3 normal, float spacing_mm, float width_mm, float footprint_mm, float absent,
-                             std::uint32_t seed) {
-  if (footprint_mm > 0.5f * spacing_mm) return 0.0f;
+// The vessels of one generation: distance between two, width of the widest, part of them that is absent.
+struct VesselNet {
+  float spacing_mm, width_mm, absent;
+  std::uint32_t seed;
+};
+
+// Coverage in [0, 1] by a net of vessels. `footprint_mm` of a pixel: what is thinner than a pixel fades instead of
+// flickering.
+inline float vessel_coverage(const NoiseKernel& noise, Vec3 rest_mm, Vec3 normal, const VesselNet& net,
+                             float footprint_mm) {
+  if (footprint_mm > 0.5f * net.spacing_mm) return 0.0f;
   std::uint32_t edge;
   float steepness;
-  float distance = voronoi_edge(noise, rest_mm * (1.0f / spacing_mm), normal, seed, edge, steepness) * spacing_mm;
+  float distance =
+      voronoi_edge(noise, rest_mm * (1.0f / net.spacing_mm), normal, net.seed, edge, steepness) * net.spacing_mm;
   float u = unit_float(edge);
-  if (u < absent) return 0.0f;
-  float half = 0.5f * width_mm * mix(0.35f, 1.0f, (u - absent) / (1.0f - absent));
+  if (u < net.absent) return 0.0f;
+  float half = 0.5f * net.width_mm * mix(0.35f, 1.0f, (u - net.absent) / (1.0f - net.absent));
   // Vessels lie below a translucent layer: soft borders.
   float soft = 0.7f * half + 0.5f * footprint_mm;
   float coverage = 1.0f - smoothstep(half - 0.6f * soft, half + soft, distance);
@@ -89,12 +98,20 @@ inline float ring_profile(float axial_mm, float spacing_mm, float& slope) {
   return 0.5f - 0.5f * c;
 }
 
-// `rest_mm` point on the rest shape and `normal` of the rest shape there, `axial_mm` distance along the airway, `ring_weight` how much cartilage there is
-// (1 in the trachea, 0 in small airways), `generation` of the airway. Leaves the rings' relief to the caller, who
-// knows the axial gradient.
-inline MucosaPoint mucosa_at(const NoiseKernel& noise, const MucosaLook& look, Vec3 base, Vec3 rest_mm, Vec3 normal, float axial_mm, float ring_weight,
-                             float generation, float footprint_mm) {
+// A point of the rest shape: where it is, the normal there, the distance along the airway, how much cartilage there is (1 in
+// the trachea, 0 in small airways), and the generation of the airway.
+struct RestPoint {
+  Vec3 place_mm, normal;
+  float axial_mm, ring_weight, generation;
+};
+
+// The look at a point; `base` is the mean albedo, `footprint_mm` the size of a pixel there. Leaves the rings' relief to the
+// caller, who knows the axial gradient. Every seed + k is a noise of its own.
+inline MucosaPoint mucosa_at(const NoiseKernel& noise, const MucosaLook& look, Vec3 base, const RestPoint& point,
+                             float footprint_mm) {
+  const Vec3 rest_mm = point.place_mm;
   MucosaPoint out;
+  // Two slow noises: patches of colour, and the bending of the vessels.
   Vec3 warp_gradient;
   float coarse = gradient_noise(noise, rest_mm * (1.0f / 7.0f), look.seed + 1, warp_gradient);
   Vec3 fine_gradient;
@@ -103,17 +120,20 @@ inline MucosaPoint mucosa_at(const NoiseKernel& noise, const MucosaLook& look, V
   Vec3 warped = rest_mm + warp_gradient * 0.8f + fine_gradient * 0.35f;
 
   // Blood volume: more is redder and darker.
-  float blood = look.blotches * (0.55f * coarse + 0.5f * medium) + 0.03f * std::min(generation, 8.0f);
+  float blood = look.blotches * (0.55f * coarse + 0.5f * medium) + 0.03f * std::min(point.generation, 8.0f);
   float vessel = 0.0f;
   if (look.vessels > 0.0f) {
     // Finer in smaller airways, where the scope is close to the wall, too.
-    float calibre = mix(1.0f, 0.5f, clamp(0.25f * generation, 0.0f, 1.0f));
-    float large = vessel_coverage(noise, warped, normal, 3.6f, 0.26f * calibre, footprint_mm, 0.35f, look.seed + 3);
-    float small = vessel_coverage(noise, warped, normal, 1.3f, 0.12f * calibre, footprint_mm, 0.3f, look.seed + 4);
+    float calibre = mix(1.0f, 0.5f, clamp(0.25f * point.generation, 0.0f, 1.0f));
+    float large =
+        vessel_coverage(noise, warped, point.normal, {3.6f, 0.26f * calibre, 0.35f, look.seed + 3}, footprint_mm);
+    float small =
+        vessel_coverage(noise, warped, point.normal, {1.3f, 0.12f * calibre, 0.3f, look.seed + 4}, footprint_mm);
     vessel = look.vessels * std::max(large, 0.7f * small);
   }
-  float slope, ring = ring_profile(axial_mm, look.ring_spacing_mm, slope);
-  float pale = look.rings * ring_weight * ring * 0.9f;
+  // Albedo: pale over cartilage, red and dark with blood.
+  float slope, ring = ring_profile(point.axial_mm, look.ring_spacing_mm, slope);
+  float pale = look.rings * point.ring_weight * ring * 0.9f;
   float depth = clamp(1.0f + 0.75f * blood - 0.8f * pale, 0.25f, 2.5f);
   // Beer-Lambert-like: albedo falls with blood, in green and blue three times as fast as in red.
   auto fade = [](float rate) { return 1.0f / (1.0f + rate); };
@@ -121,8 +141,10 @@ inline MucosaPoint mucosa_at(const NoiseKernel& noise, const MucosaLook& look, V
   out.albedo = base * Vec3{red, green, blue};
   out.albedo = out.albedo * Vec3{1.0f - 0.16f * std::min(vessel, 1.3f), 1.0f - 0.45f * std::min(vessel, 1.3f),
                                  1.0f - 0.40f * std::min(vessel, 1.3f)};
-  out.albedo = {clamp(out.albedo.x, 0.02f, 0.95f), clamp(out.albedo.y, 0.02f, 0.95f), clamp(out.albedo.z, 0.02f, 0.95f)};
+  out.albedo = {clamp(out.albedo.x, 0.02f, 0.95f), clamp(out.albedo.y, 0.02f, 0.95f),
+                clamp(out.albedo.z, 0.02f, 0.95f)};
 
+  // Film and fine relief; what is finer than a pixel fades.
   Vec3 g1, g2;
   float wet = gradient_noise(noise, rest_mm * (1.0f / 3.7f), look.seed + 5);
   out.roughness = clamp(0.4f + look.film * 0.9f * wet, 0.0f, 1.0f);

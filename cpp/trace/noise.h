@@ -25,10 +25,10 @@ struct NoiseKernel {
   Neighbours (*neighbours)(const float* point, std::uint32_t seed);
 };
 
-#define RESPIRE_NOISE(isa)                                        \
-  namespace isa {                                                 \
-  Noise gradient_noise(const float* point, std::uint32_t seed);   \
-  Neighbours neighbours(const float* point, std::uint32_t seed);  \
+#define RESPIRE_NOISE(isa)                                       \
+  namespace isa {                                                \
+  Noise gradient_noise(const float* point, std::uint32_t seed);  \
+  Neighbours neighbours(const float* point, std::uint32_t seed); \
   }
 RESPIRE_NOISE(baseline)
 RESPIRE_NOISE(avx2)

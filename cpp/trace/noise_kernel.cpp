@@ -41,8 +41,10 @@ struct Cell {
 };
 inline Cell cell_of(const float* p) {
   const float fx = __builtin_floorf(p[0]), fy = __builtin_floorf(p[1]), fz = __builtin_floorf(p[2]);
-  return {static_cast<std::uint32_t>(static_cast<int>(fx)) * X, static_cast<std::uint32_t>(static_cast<int>(fy)) * Y,
-          static_cast<std::uint32_t>(static_cast<int>(fz)) * Z, {p[0] - fx, p[1] - fy, p[2] - fz}};
+  return {static_cast<std::uint32_t>(static_cast<int>(fx)) * X,
+          static_cast<std::uint32_t>(static_cast<int>(fy)) * Y,
+          static_cast<std::uint32_t>(static_cast<int>(fz)) * Z,
+          {p[0] - fx, p[1] - fy, p[2] - fz}};
 }
 
 // sum + t0 + t1 + t2 + t3, in this order, for four sums at once.
@@ -144,7 +146,8 @@ Neighbours neighbours(const float* point, std::uint32_t seed) {
     out.place[k][1] = AROUND.y[i] + static_cast<float>((h >> 10) & 1023u) * (1.0f / 1024.0f);
     out.place[k][2] = AROUND.z[i] + static_cast<float>((h >> 20) & 1023u) * (1.0f / 1024.0f);
     // Rather once more than wait until a table of squared distances lies in memory.
-    const float x = out.place[k][0] - cell.local[0], y = out.place[k][1] - cell.local[1], z = out.place[k][2] - cell.local[2];
+    const float x = out.place[k][0] - cell.local[0], y = out.place[k][1] - cell.local[1],
+                z = out.place[k][2] - cell.local[2];
     out.distance2[k] = x * x + y * y + z * z;
     for (int j = 0; k == 0 && j < 4; ++j) d[j] = load<U8>(AROUND.index + 8 * j) == i ? all(2e18f) : d[j];
   }

@@ -1,6 +1,9 @@
 #pragma once
 // Unidirectional path tracing with next event estimation of one point light.
 //
+//   L_o(x, o) = E_lamp f + integral of L_i f cos,   f of `coat.h`,
+// estimated along one path: radiance += throughput * direct light; throughput *= f cos / density at every vertex.
+//
 // All noise of a scene lit from the camera is in the indirect light (the direct light of a camera-visible point is a
 // closed form and needs no shadow ray), so the film keeps the two apart, and the indirect part again in what the
 // Lambert base sends (demodulated by its albedo: the field that is smooth over the surface) and what the coat mirrors.
@@ -8,338 +11,355 @@
 // Russian roulette: from its second bounce on a path survives with the probability of its throughput (the largest
 // channel), never capped: a cap below the albedo would make the variance infinite in a closed lumen. (Roulette at the
 // first bounce too saves 8 % of the rays and costs 60 % in median variance on the reference tube.)
-// Subsurface: at the first vertex (or at every one) the base's light walks through the wall (`cpp/trace/walk.h`) and leaves it
-// elsewhere. With a diffuse boundary it enters by the cosine law and leaves as from a Lambert surface of albedo 1;
+// Subsurface: at the first vertex (or at every one) the base's light scatters through the wall
+// (`cpp/trace/scatter_walk.h`) and leaves it elsewhere. With a diffuse boundary it enters by the cosine law and leaves as from a Lambert surface of albedo 1;
 // with a matched boundary the surface does not bend or reflect it at all and every scattering is lit by the lamp.
 
 #include <cmath>
 
-#include "cpp/trace/coat.h"
 #include "cpp/trace/lamp.h"
 #include "cpp/trace/sampler.h"
+#include "cpp/trace/scatter_walk.h"
 #include "cpp/trace/vector.h"
-#include "cpp/trace/walk.h"
 
 namespace respire {
 
-// Sums per pixel: direct (3), indirect (3), indirect from the base over its albedo (3), indirect from the coat (3),
-// albedo (3), smooth normal (3), hits (1).
-constexpr std::size_t kFilmChannels = 19;
+inline Vec3 grey(float v) { return {v, v, v}; }
 
-inline Vec3 cosine_direction(float u, float v) {
-  float c, s;
-  cos_sin_turns(v, c, s);
-  const float r = std::sqrt(u);
-  return {r * c, r * s, std::sqrt(1.0f - u)};
-}
+// The probability of following the coat's term of directional albedo `e`, not the base's of albedo `base`.
+inline float coat_probability(float e, float base) { return e / (e + (1.0f - e) * base + 1e-6f); }
 
-inline Vec3 over(Vec3 a, Vec3 b) {
-  return {b.x > 0 ? a.x / b.x : 0.0f, b.y > 0 ? a.y / b.y : 0.0f, b.z > 0 ? a.z / b.z : 0.0f};
-}
+// A vertex of a path: the surface, axes around its shading normal, and in these the direction that the path comes from.
+struct Vertex {
+  Surface s;
+  TangentFrame frame;
+  Vec3 o;
+  explicit Vertex(const Surface& surface) : s(surface), frame(surface.shading), o{0, 0, 1} {}
+  // Seen along a ray's `direction`.
+  Vertex(const Surface& surface, Vec3 direction) : Vertex(surface) { o = upper(frame.local(-direction)); }
+  Vec3 origin() const { return s.point + s.geometric * kSurfaceOffset; }
+};
 
-class PathIntegrator : public LitWall {
+// Light that a vertex sends to the viewer by way of other walls or its own: by the base over its albedo, and by the coat.
+struct Indirect {
+  Vec3 base{}, coat{};
+};
+
+class PathTracer {
  public:
-  PathIntegrator(const Tracer& tracer, const FrameSettings& frame)
-      : LitWall(tracer, frame),
-        background_{frame.background[0], frame.background[1], frame.background[2]},
-        limit_(frame.max_scatterings == 0 ? unlimited(tracer) : frame.max_scatterings) {}
+  PathTracer(const Wall& wall, const Lamp& lamp, const FrameSettings& frame)
+      : wall_(wall),
+        material_(wall.material),
+        lamp_(lamp),
+        caster_(wall.mesh),
+        light_at_camera_(frame.light_at_camera),
+        background_(load(frame.background.data())),
+        limit_(frame.max_scatterings == 0 ? unlimited(wall.material) : frame.max_scatterings) {}
+
+  std::uint64_t paths = 0, rejected = 0;
+
+  RayCaster& caster() { return caster_; }
+  const Wall& wall() const { return wall_; }
+  const Lamp& lamp() const { return lamp_; }
+  Vec3 background() const { return background_; }
+  // Surface scatterings of the longest path, direct light = 1.
+  std::uint32_t limit() const { return limit_; }
 
   // One sample through a pixel, all light traced. `hit`: what the camera ray meets, or null.
-  void camera_sample(Vec3 direction, const Hit* hit, Sampler& sampler, float* film) {
-    first_vertex(direction, hit, film, [&](const Surface& s, const Frame& frame, Vec3 o, Vec3& base, Vec3& mirrored) {
-      traced_light(s, frame, o, direction, sampler, base, mirrored);
-    });
+  void camera_sample(Vec3 direction, const Hit* hit, Sampler& sampler, FilmPixel& film) {
+    first_vertex(direction, hit, film, [&](const Vertex& at) { return traced_light(at, direction, sampler); });
   }
 
- protected:
-  // Roulette ends every path long before; the bound only keeps a perfectly white closed room from running for ever.
-  static constexpr std::uint32_t kLongestPath = 4096;
-  // Scatterings below the surface are many more.
-  static std::uint32_t unlimited(const Tracer& tracer) {
-    return tracer.subsurface_ == Subsurface::kMatched ? 1u << 24 : kLongestPath;
-  }
-
-  // The camera's vertex: the lamp's own light on it, and what `indirect` (surface, frame, view, base, mirrored) finds.
-  template <class Indirect>
-  void first_vertex(Vec3 direction, const Hit* hit, float* film, Indirect&& indirect) {
-    ++counters.paths;
+  // The camera's vertex: the lamp's own light on it, and what `indirect(vertex)` finds.
+  template <class Find>
+  void first_vertex(Vec3 direction, const Hit* hit, FilmPixel& film, Find&& indirect) {
+    ++paths;
     if (!hit) {
-      add(film, background_);
+      add(film.direct, background_);
       return;
     }
-    const Surface s = camera_surface(*hit, direction);
-    const Frame frame(s.shading);
-    const Vec3 o = upper(frame.local(-direction));
-    Vec3 direct{}, base{}, mirrored{};
-    // Light that walks in the wall is found with the indirect light; a matched boundary has no coat either.
-    if (tracer_.subsurface_ != Subsurface::kMatched) {
-      const bool walks = tracer_.subsurface_ == Subsurface::kDiffuse;
-      direct = direct_light(s, frame, o, !frame_.light_at_camera, walks ? Vec3{0, 0, 0} : s.albedo);
+    const Vertex at(wall_.camera_surface(*hit, direction), direction);
+    Vec3 direct{};
+    // Light that scatters in the wall is found with the indirect light; a matched boundary has no coat either.
+    if (material_.subsurface() != SubsurfaceKind::Matched) {
+      const bool scatters = material_.subsurface() == SubsurfaceKind::Diffuse;
+      const Vec3 rho = scatters ? Vec3{0, 0, 0} : at.s.albedo;
+      direct = lamp_.direct_light(material_, at.s, at.frame, at.o, rho, light_at_camera_ ? nullptr : &caster_);
     }
-    indirect(s, frame, o, base, mirrored);
-    record(s, direct, base, mirrored, film);
+    record(at.s, direct, indirect(at), film);
   }
 
-  // One sample of all light but the lamp's own on the first vertex.
-  void traced_light(const Surface& s, const Frame& frame, Vec3 o, Vec3 direction, Sampler& sampler, Vec3& base, Vec3& mirrored) {
-    switch (tracer_.subsurface_) {
-      case Subsurface::kOff:
-        if (limit_ > 1) indirect_light(s, frame, o, sampler, base, mirrored);
-        break;
-      case Subsurface::kMatched:
-        base = over(matched_light(s, direction, sampler), s.albedo);
-        break;
-      case Subsurface::kDiffuse:
-        scattered_light(s, frame, o, sampler, base, mirrored);
-    }
-  }
-
-  // Adds what one sample has found; a sample that cannot be is counted and left out.
-  void record(const Surface& s, Vec3 direct, Vec3 base, Vec3 mirrored, float* film) {
-    const Vec3 indirect = base * s.albedo + mirrored;
-    if (!valid(direct) || !valid(indirect)) {
-      ++counters.rejected;
-      return;
-    }
-    add(film, direct);
-    add(film + 3, indirect);
-    add(film + 6, base);
-    add(film + 9, mirrored);
-    add(film + 12, s.albedo);
-    add(film + 15, s.smooth);
-    film[18] += 1.0f;
-  }
-
-  static void add(float* film, Vec3 v) { film[0] += v.x, film[1] += v.y, film[2] += v.z; }
-  static bool valid(Vec3 v) { return v.x >= 0 && v.y >= 0 && v.z >= 0 && v.x + v.y + v.z < 1e30f; }
-  // The viewer is above the surface; interpolated normals may say otherwise at the silhouette.
-  static Vec3 upper(Vec3 o) {
-    if (o.z >= 1e-3f) return o;
-    return normalize({o.x, o.y, 1e-3f});
-  }
-
-  // A direction for the next ray. `base` and `coat` are f cos / density of the two terms, the base without its albedo.
-  // False where the path ends.
-  bool sample_direction(const Surface& s, Vec3 o, float base_albedo, Sampler& sampler, Vec3& local, float& base, float& coat) const {
-    float u, v;
-    if (!tracer_.coated_) {
-      sampler.next2(u, v);
-      local = cosine_direction(u, v);
-      base = 1.0f, coat = 0.0f;
-      return true;
-    }
-    const float e = tracer_.coat_.albedo(s.alpha, o.z);
-    const float p_coat = e / (e + (1.0f - e) * base_albedo + 1e-6f);
-    const float choice = sampler.next1();
-    sampler.next2(u, v);
-    if (choice < p_coat) {
-      const Vec3 h = visible_normal(o, s.alpha, u, v);
-      local = h * (2.0f * dot(o, h)) - o;
-      if (local.z <= 0.0f) return false;
-    } else {
-      local = cosine_direction(u, v);
-    }
-    const float density = p_coat * Coat::density(o, local, s.alpha) + (1.0f - p_coat) * local.z * (1.0f / kPi);
-    if (!(density > 1e-12f)) return false;
-    base = (1.0f - e) * (1.0f / kPi) * local.z / density;
-    coat = tracer_.coat_.value(o, local, s.alpha) * local.z / density;
-    return true;
-  }
-
-  // One sample of the light that reaches the camera's vertex from other walls.
-  void indirect_light(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler, Vec3& base, Vec3& mirrored) {
-    Vec3 local;
-    float base_weight, coat_weight;
-    if (!sample_direction(s, o, max_component(s.albedo), sampler, local, base_weight, coat_weight)) return;
-    const Vec3 direction = frame.world(local);
-    if (dot(direction, s.geometric) <= 0.0f) return;
-    const Vec3 throughput = s.albedo * base_weight + Vec3{coat_weight, coat_weight, coat_weight};
-    const Vec3 light = incoming(s.point + s.geometric * kOffset, direction, throughput, 2, sampler);
-    base = light * base_weight;
-    mirrored = light * coat_weight;
-  }
-
-  // Direction (local, downwards) in which light that leaves towards `o` walked below the surface.
-  bool entry_direction(Vec3 o, Sampler& sampler, Vec3& local) const {
-    float u, v;
-    sampler.next2(u, v);
-    if (tracer_.refracted_entry_ > 0.0f && sampler.random() < tracer_.refracted_entry_) {
-      const Vec3 h = visible_normal(o, 1.0f, u, v);
-      const float eta = 1.0f / tracer_.ior_, cosine = dot(o, h);
-      local = h * (eta * cosine - std::sqrt(std::max(0.0f, 1.0f - eta * eta * (1.0f - cosine * cosine)))) - o * eta;
-      return local.z < 0.0f;
-    }
-    local = -cosine_direction(u, v);
-    return true;
-  }
-
-  // Walks from `at` until the light of one sample comes out again: where, and what is left of it. False where nothing is.
-  // `towards`: unit direction to where the path comes from.
-  bool walk_out(const Surface& at, Vec3 towards, Sampler& sampler, Vec3& throughput, Hit& hit, Surface& s) {
-    const Medium medium = tracer_.medium(at.albedo);
-    const RandomWalk walk(tracer_.fast_, medium, counters.rays);
-    const Frame entry(at.geometric);
-    Vec3 point = at.point, inwards;
-    if (!entry_direction(upper(entry.local(towards)), sampler, inwards)) return false;
-    inwards = entry.world(inwards);
-    if (!walk.leave(point, inwards, sampler, throughput, hit)) return false;
-    s = exit_surface(hit, point, inwards);
-    return true;
-  }
-
-  // One sample of what leaves the wall at `at` by way of a walk that starts there: radiance (towards every side), its
-  // first scattering included. `carried`: throughput before (for roulette only).
-  Vec3 walked_light(const Surface& at, Vec3 towards, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
-    Vec3 throughput;
-    Hit hit;
-    Surface s;
-    if (!walk_out(at, towards, sampler, throughput, hit, s)) return {0, 0, 0};
-    return throughput * lit_exit(s, carried * throughput, scattering, sampler);
-  }
-
-  // What a place sends on of all light (radiance over its albedo) where a walk comes out.
-  Vec3 lit_exit(const Surface& s, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
-    const float survival = scattering > 1 ? std::min(max_component(carried), 1.0f) : 1.0f;
-    Vec3 light = irradiance(s, true) * (1.0f / kPi);
-    if (scattering < limit_ && (survival >= 1.0f || sampler.random() < survival)) {
-      float u, v;
-      sampler.next2(u, v);
-      const Vec3 direction = Frame(s.shading).world(cosine_direction(u, v));
-      const Vec3 onwards = carried * (1.0f / survival);
-      if (dot(direction, s.geometric) > 0.0f)
-        light += incoming(s.point + s.geometric * kOffset, direction, onwards, scattering + 1, sampler) * (1.0f / survival);
+  // One sample of all light but the lamp's own on the first vertex, which the camera sees along `direction`.
+  Indirect traced_light(const Vertex& at, Vec3 direction, Sampler& sampler) {
+    Indirect light;
+    switch (material_.subsurface()) {
+      case SubsurfaceKind::Matched: light.base = quotient(matched_light(at.s, direction, sampler), at.s.albedo); break;
+      case SubsurfaceKind::Diffuse: light = scattered_light(at, sampler); break;
+      default:
+        if (limit_ > 1) light = reflected_light(at, sampler);
     }
     return light;
   }
 
-  // What the first vertex of a subsurface material sends: by its base over its albedo, and mirrored by its coat.
-  void scattered_light(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler, Vec3& base, Vec3& mirrored) {
-    float share;
-    if (coat_is_chosen(s, o, sampler, share)) {
-      if (limit_ > 1) mirrored = mirrored_light(s, frame, o, sampler) * share;
-      return;
+  // A direction for the next ray (local), and f cos / density of the two terms, the base without its albedo.
+  struct Scattering {
+    Vec3 local;
+    float base, coat;
+  };
+
+  // False where the path ends. One of the two terms proposes the direction; the density is that of both together.
+  bool sample_direction(const Vertex& at, Sampler& sampler, Scattering& next) const {
+    float u, v;
+    if (!material_.coated()) {
+      sampler.next2(u, v);
+      next = {cosine_direction(u, v), 1.0f, 0.0f};
+      return true;
     }
-    base = over(walked_light(s, frame.world(o), Vec3{share, share, share}, 1, sampler), s.albedo) * share;
+    const Coat& coat = material_.coat();
+    const float e = coat.albedo(at.s.alpha, at.o.z);
+    const float p_coat = coat_probability(e, max_component(at.s.albedo));
+    const float choice = sampler.next1();
+    sampler.next2(u, v);
+    if (choice < p_coat) {
+      next.local = mirror(at.o, visible_normal(at.o, at.s.alpha, u, v));
+      if (next.local.z <= 0.0f) return false;
+    } else {
+      next.local = cosine_direction(u, v);
+    }
+    const float density =
+        p_coat * Coat::density(at.o, next.local, at.s.alpha) + (1.0f - p_coat) * next.local.z * (1.0f / kPi);
+    if (!(density > 1e-12f)) return false;
+    next.base = (1.0f - e) * (1.0f / kPi) * next.local.z / density;
+    next.coat = coat.value(at.o, next.local, at.s.alpha) * next.local.z / density;
+    return true;
   }
 
   // Which of the two terms a sample goes on with, and its weight: the coat over the probability, or the base under its coat.
-  bool coat_is_chosen(const Surface& s, Vec3 o, Sampler& sampler, float& share) const {
-    share = 1.0f;
-    if (!tracer_.coated_) return false;
-    const float e = tracer_.coat_.albedo(s.alpha, o.z);
-    const float p_coat = e / (e + (1.0f - e) * max_component(s.albedo) + 1e-6f);
+  bool coat_is_chosen(const Vertex& at, Sampler& sampler, float& weight) const {
+    weight = 1.0f;
+    if (!material_.coated()) return false;
+    const float e = material_.coat().albedo(at.s.alpha, at.o.z);
+    const float p_coat = coat_probability(e, max_component(at.s.albedo));
     const bool chosen = sampler.next1() < p_coat;
-    share = chosen ? 1.0f / p_coat : (1.0f - e) / (1.0f - p_coat);
+    weight = chosen ? 1.0f / p_coat : (1.0f - e) / (1.0f - p_coat);
     return chosen;
   }
 
   // Where the coat mirrors to, and with which weight; false where nowhere.
-  bool mirrored_direction(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler, Vec3& direction, float& weight) const {
+  bool mirrored_direction(const Vertex& at, Sampler& sampler, Vec3& direction, float& weight) const {
     float u, v;
     sampler.next2(u, v);
-    const Vec3 h = visible_normal(o, s.alpha, u, v), local = h * (2.0f * dot(o, h)) - o;
+    const Vec3 h = visible_normal(at.o, at.s.alpha, u, v), local = mirror(at.o, h);
     if (local.z <= 0.0f) return false;
-    direction = frame.world(local);
-    if (dot(direction, s.geometric) <= 0.0f) return false;
-    const float lo = smith_lambda(o.z, s.alpha), li = smith_lambda(local.z, s.alpha);
-    weight = fresnel(dot(o, h), tracer_.coat_.ior()) * (1.0f + lo) / (1.0f + lo + li);
+    direction = at.frame.world(local);
+    if (dot(direction, at.s.geometric) <= 0.0f) return false;
+    weight = mirror_weight(at.o, h, local, at.s.alpha, material_.coat().ior());
     return true;
   }
 
   // One sample of what the coat mirrors of other walls.
-  Vec3 mirrored_light(const Surface& s, const Frame& frame, Vec3 o, Sampler& sampler, std::uint32_t scattering = 2) {
+  Vec3 mirrored_light(const Vertex& at, Sampler& sampler, std::uint32_t scattering = 2) {
     Vec3 direction;
     float weight;
-    if (!mirrored_direction(s, frame, o, sampler, direction, weight)) return {0, 0, 0};
-    return incoming(s.point + s.geometric * kOffset, direction, Vec3{weight, weight, weight}, scattering, sampler) * weight;
+    if (!mirrored_direction(at, sampler, direction, weight)) return {0, 0, 0};
+    return incoming(at.origin(), direction, grey(weight), scattering, sampler) * weight;
   }
 
-  // Radiance that comes out of an index-matched wall against `direction`, seen at `entry`: every scattering in the wall
-  // is lit by the lamp through the boundary, and light that leaves the wall goes on to the next one.
-  Vec3 matched_light(const Surface& entry, Vec3 direction, Sampler& sampler) {
-    const Medium medium = tracer_.medium(entry.albedo);
-    const RandomWalk walk(tracer_.fast_, medium, counters.rays);
-    Vec3 radiance{0, 0, 0}, throughput{1, 1, 1}, point = entry.point;
-    float near = RandomWalk::kStart;
-    Hit hit;
-    for (std::uint32_t scattering = 0;;) {
-      const RandomWalk::Step step = walk.flight(point, direction, near, throughput, sampler, hit);
-      if (step == RandomWalk::Step::kAbsorbed) return radiance;
-      if (step == RandomWalk::Step::kSurface) {
-        // Through the lumen to the next wall.
-        const Vec3 from = point + direction * kOffset;
-        if (!intersect(from, direction, hit)) return radiance + throughput * background_;
-        if (!tracer_.every_vertex_) return radiance + throughput * reflected(hit, from, direction, throughput, scattering + 1, sampler);
-        point = from + direction * hit.t;
-        near = RandomWalk::kStart;
-        continue;
-      }
-      ++scattering;
-      radiance += throughput * lamp_through_boundary(walk, medium, point);
-      if (scattering >= limit_ || !RandomWalk::survives(throughput, sampler)) return radiance;
-      direction = isotropic_direction(sampler.random(), sampler.random());
-      near = 0.0f;
-    }
+  // A scatter walk from `at` until the light of one sample comes out again: where, and what is left of it. False where
+  // nothing is. `towards`: unit direction to where the path comes from.
+  bool scatter_out(const Surface& at, Vec3 towards, Sampler& sampler, Vec3& throughput, Hit& hit, Surface& out) {
+    const Medium medium = material_.medium(at.albedo);
+    const ScatterWalk walk(wall_.mesh.fast(), medium, caster_.rays);
+    const TangentFrame entry(at.geometric);
+    Vec3 inwards;
+    if (!material_.entry_direction(upper(entry.local(towards)), sampler, inwards)) return false;
+    ScatterWalk::Flight flight{at.point, entry.world(inwards), {}};
+    if (!walk.leave(flight, sampler, hit)) return false;
+    throughput = flight.throughput;
+    out = wall_.exit_surface(hit, flight.point, flight.direction);
+    return true;
   }
 
-  // What a scattering inside the wall sends on of the lamp's light, which crosses the boundary unbent, perhaps often.
-  Vec3 lamp_through_boundary(const RandomWalk& walk, const Medium& medium, Vec3 point) {
-    const Vec3 to_light = light_ - point;
-    const float r2 = std::max(dot(to_light, to_light), kNearest2), r = std::sqrt(r2);
-    const Vec3 direction = to_light * (1.0f / r);
-    const float thinnest = std::min(medium.extinction.x, std::min(medium.extinction.y, medium.extinction.z));
-    float in_wall = 0.0f, so_far = 0.0f;
-    bool inside = true;
-    Hit hit;
-    for (float near = 0.0f;; near = so_far + RandomWalk::kStart, inside = !inside) {
-      const bool surface = near < r && walk.reaches(point, direction, near, r, hit);
-      const float end = surface ? hit.t : r;
-      if (inside) in_wall += end - so_far;
-      // Nothing to be seen of what is left.
-      if (in_wall * thinnest > 20.0f) return {0, 0, 0};
-      if (!surface) break;
-      so_far = end;
+  // What a place sends on of all light (radiance over its albedo) where a scatter walk comes out.
+  Vec3 lit_exit(const Surface& s, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
+    const float survival = scattering > 1 ? std::min(max_component(carried), 1.0f) : 1.0f;
+    Vec3 light = lamp_.irradiance(s, &caster_) * (1.0f / kPi);
+    if (scattering < limit_ && (survival >= 1.0f || sampler.random() < survival)) {
+      float u, v;
+      sampler.next2(u, v);
+      const Vertex at(s);
+      const Vec3 direction = at.frame.world(cosine_direction(u, v));
+      const Vec3 onwards = carried * (1.0f / survival);
+      if (dot(direction, s.geometric) > 0.0f)
+        light += incoming(at.origin(), direction, onwards, scattering + 1, sampler) * (1.0f / survival);
     }
-    return intensity_ * attenuation(medium.extinction, in_wall) * (emission(-dot(direction, light_axis_)) / (4.0f * kPi * r2));
+    return light;
   }
 
   // Radiance that arrives along a ray from a first vertex; `carried` is the throughput up to there (for roulette only).
   // `scattering` counts that at the vertex which the ray meets.
   Vec3 incoming(Vec3 from, Vec3 direction, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
     Hit hit;
-    if (!intersect(from, direction, hit)) return background_;
+    if (!caster_.intersect(from, direction, hit)) return background_;
     return reflected(hit, from, direction, carried, scattering, sampler);
   }
 
   // The same where the ray's end is known.
   Vec3 reflected(Hit hit, Vec3 from, Vec3 direction, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
-    if (tracer_.every_vertex_) {
-      const Surface s = surface(hit, from, direction);
-      return walked_light(s, -direction, carried, scattering, sampler);
+    if (material_.scatters_at_every_vertex()) {
+      const Surface s = wall_.surface(hit, from, direction);
+      return subsurface_light(s, -direction, carried, scattering, sampler);
     }
     Vec3 radiance{0, 0, 0}, throughput{1, 1, 1};
     for (;; ++scattering) {
-      const Surface s = surface(hit, from, direction);
-      const Frame frame(s.shading);
-      const Vec3 o = tracer_.coated_ ? upper(frame.local(-direction)) : Vec3{0, 0, 1};
-      radiance += throughput * direct_light(s, frame, o, true, s.albedo);
+      const Vertex at = met(hit, from, direction);
+      // Next event estimation.
+      radiance += throughput * lamp_.direct_light(material_, at.s, at.frame, at.o, at.s.albedo, &caster_);
       if (scattering >= limit_) return radiance;
-      Vec3 local;
-      float base_weight, coat_weight;
-      if (!sample_direction(s, o, max_component(s.albedo), sampler, local, base_weight, coat_weight)) return radiance;
-      direction = frame.world(local);
-      if (dot(direction, s.geometric) <= 0.0f) return radiance;
-      throughput = throughput * (s.albedo * base_weight + Vec3{coat_weight, coat_weight, coat_weight});
+      // Onwards.
+      Scattering next;
+      if (!sample_direction(at, sampler, next)) return radiance;
+      direction = at.frame.world(next.local);
+      if (dot(direction, at.s.geometric) <= 0.0f) return radiance;
+      throughput = throughput * (at.s.albedo * next.base + grey(next.coat));
+      // Roulette.
       const float survival = max_component(throughput * carried);
       if (survival < 1.0f) {
         if (sampler.next1() >= survival) return radiance;
         throughput = throughput * (1.0f / survival);
       }
-      from = s.point + s.geometric * kOffset;
-      if (!intersect(from, direction, hit)) return radiance + throughput * background_;
+      from = at.origin();
+      if (!caster_.intersect(from, direction, hit)) return radiance + throughput * background_;
     }
   }
 
+  // The vertex that a ray meets; without a coat nothing asks for the view.
+  Vertex met(const Hit& hit, Vec3 from, Vec3 direction) const {
+    const Surface s = wall_.surface(hit, from, direction);
+    return material_.coated() ? Vertex(s, direction) : Vertex(s);
+  }
+
+ private:
+  // Roulette ends every path long before; the bound only keeps a perfectly white closed room from running for ever.
+  static constexpr std::uint32_t kLongestPath = 4096;
+  // The same for a matched boundary, where every scattering below the surface counts.
+  static constexpr std::uint32_t kLongestMatchedPath = 1u << 24;
+  static std::uint32_t unlimited(const WallMaterial& material) {
+    return material.subsurface() == SubsurfaceKind::Matched ? kLongestMatchedPath : kLongestPath;
+  }
+
+  static void add(std::array<float, 3>& sum, Vec3 v) { sum[0] += v.x, sum[1] += v.y, sum[2] += v.z; }
+  static bool valid(Vec3 v) { return v.x >= 0 && v.y >= 0 && v.z >= 0 && v.x + v.y + v.z < 1e30f; }
+
+  // Adds what one sample has found; a sample that cannot be is counted and left out.
+  void record(const Surface& s, Vec3 direct, const Indirect& light, FilmPixel& film) {
+    const Vec3 indirect = light.base * s.albedo + light.coat;
+    if (!valid(direct) || !valid(indirect)) {
+      ++rejected;
+      return;
+    }
+    add(film.direct, direct);
+    add(film.indirect, indirect);
+    add(film.indirect_base, light.base);
+    add(film.indirect_coat, light.coat);
+    add(film.albedo, s.albedo);
+    add(film.normal, s.smooth);
+    film.hits += 1.0f;
+  }
+
+  // One sample of the light that reaches the camera's vertex from other walls.
+  Indirect reflected_light(const Vertex& at, Sampler& sampler) {
+    Scattering next;
+    if (!sample_direction(at, sampler, next)) return {};
+    const Vec3 direction = at.frame.world(next.local);
+    if (dot(direction, at.s.geometric) <= 0.0f) return {};
+    const Vec3 throughput = at.s.albedo * next.base + grey(next.coat);
+    const Vec3 light = incoming(at.origin(), direction, throughput, 2, sampler);
+    return {light * next.base, light * next.coat};
+  }
+
+  // One sample of what leaves the wall at `at` by way of a scatter walk that starts there: radiance (towards every side),
+  // its first scattering included. `carried`: throughput before (for roulette only).
+  Vec3 subsurface_light(const Surface& at, Vec3 towards, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
+    Vec3 throughput;
+    Hit hit;
+    Surface out;
+    if (!scatter_out(at, towards, sampler, throughput, hit, out)) return {0, 0, 0};
+    return throughput * lit_exit(out, carried * throughput, scattering, sampler);
+  }
+
+  // What the first vertex of a subsurface material sends.
+  Indirect scattered_light(const Vertex& at, Sampler& sampler) {
+    float weight;
+    if (coat_is_chosen(at, sampler, weight)) {
+      if (limit_ <= 1) return {};
+      return {{}, mirrored_light(at, sampler) * weight};
+    }
+    const Vec3 light = subsurface_light(at.s, at.frame.world(at.o), grey(weight), 1, sampler);
+    return {quotient(light, at.s.albedo) * weight, {}};
+  }
+
+  // Radiance that comes out of an index-matched wall against `direction`, seen at `entry`: every scattering in the wall
+  // is lit by the lamp through the boundary, and light that leaves the wall goes on to the next one.
+  Vec3 matched_light(const Surface& entry, Vec3 direction, Sampler& sampler) {
+    const Medium medium = material_.medium(entry.albedo);
+    const ScatterWalk walk(wall_.mesh.fast(), medium, caster_.rays);
+    Vec3 radiance{0, 0, 0};
+    ScatterWalk::Flight flight{entry.point, direction, {1, 1, 1}};
+    float near = ScatterWalk::kStart;
+    Hit hit;
+    for (std::uint32_t scattering = 0;;) {
+      const ScatterWalk::Step step = walk.fly(flight, near, sampler, hit);
+      if (step == ScatterWalk::Step::kAbsorbed) return radiance;
+      if (step == ScatterWalk::Step::kSurface) {
+        // Through the lumen to the next wall.
+        const Vec3 from = flight.point + flight.direction * kSurfaceOffset;
+        if (!caster_.intersect(from, flight.direction, hit)) return radiance + flight.throughput * background_;
+        if (!material_.scatters_at_every_vertex()) {
+          const Vec3 onwards = reflected(hit, from, flight.direction, flight.throughput, scattering + 1, sampler);
+          return radiance + flight.throughput * onwards;
+        }
+        flight.point = from + flight.direction * hit.t;
+        near = ScatterWalk::kStart;
+        continue;
+      }
+      ++scattering;
+      radiance += flight.throughput * lamp_through_boundary(walk, medium, flight.point);
+      if (scattering >= limit_ || !ScatterWalk::survives(flight.throughput, sampler)) return radiance;
+      const float v = sampler.random(), u = sampler.random();
+      flight.direction = isotropic_direction(u, v);
+      near = 0.0f;
+    }
+  }
+
+  // What a scattering inside the wall sends on of the lamp's light, which crosses the boundary unbent, perhaps often:
+  // I exp(-sigma d) / (4 pi r^2), d the length of the way that lies in the wall.
+  Vec3 lamp_through_boundary(const ScatterWalk& walk, const Medium& medium, Vec3 point) {
+    // Beyond this optical depth nothing is to be seen of what is left (2e-9).
+    constexpr float kOpaque = 20.0f;
+    Vec3 direction;
+    const float r2 = lamp_.direction_from(point, direction), r = std::sqrt(r2);
+    const float thinnest = std::min(medium.extinction.x, std::min(medium.extinction.y, medium.extinction.z));
+    float in_wall = 0.0f, so_far = 0.0f;
+    bool inside = true;
+    Hit hit;
+    for (float near = 0.0f;; near = so_far + ScatterWalk::kStart, inside = !inside) {
+      const bool surface = near < r && walk.reaches(point, direction, near, r, hit);
+      const float end = surface ? hit.t : r;
+      if (inside) in_wall += end - so_far;
+      if (in_wall * thinnest > kOpaque) return {0, 0, 0};
+      if (!surface) break;
+      so_far = end;
+    }
+    const float falloff = lamp_.emission(direction) / (4.0f * kPi * r2);
+    return lamp_.intensity() * attenuation(medium.extinction, in_wall) * falloff;
+  }
+
+  const Wall& wall_;
+  const WallMaterial& material_;
+  const Lamp& lamp_;
+  RayCaster caster_;
+  bool light_at_camera_;
   Vec3 background_;
   std::uint32_t limit_;
 };

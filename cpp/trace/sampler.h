@@ -47,7 +47,9 @@ class Sampler {
  public:
   // `pixel_key` differs between pixels, frames and seeds; `index` counts the samples of the pixel.
   Sampler(std::uint32_t pixel_key, std::uint32_t index)
-      : key_(pixel_key), reversed_index_(reverse_bits(index)), state_(hash32(pixel_key ^ hash32(index + 0x9e3779b9u))) {}
+      : key_(pixel_key),
+        reversed_index_(reverse_bits(index)),
+        state_(hash32(pixel_key ^ hash32(index + 0x9e3779b9u))) {}
 
   float next1() {
     if (dimension_ >= kStratified) return unit_float(next_hash());

@@ -1,5 +1,5 @@
 #pragma once
-// Three floats and the few mathematical functions of the hot path. sqrt is exact by IEEE 754; sine and cosine are our
+// Three floats, and the few mathematical functions and sampled directions of the hot path. sqrt is exact by IEEE 754; sine and cosine are our
 // own polynomials, because a C library may pick other last bits on another processor.
 
 #include <algorithm>
@@ -32,6 +32,10 @@ inline Vec3 unit_or_zero(Vec3 a) {
 inline float max_component(Vec3 a) { return std::max(a.x, std::max(a.y, a.z)); }
 inline Vec3 load(const float* p) { return {p[0], p[1], p[2]}; }
 inline void store(float* p, Vec3 a) { p[0] = a.x, p[1] = a.y, p[2] = a.z; }
+// Component by component; 0 where `b` is not positive.
+inline Vec3 quotient(Vec3 a, Vec3 b) {
+  return {b.x > 0 ? a.x / b.x : 0.0f, b.y > 0 ? a.y / b.y : 0.0f, b.z > 0 ? a.z / b.z : 0.0f};
+}
 inline float clamp(float v, float low, float high) { return std::min(std::max(v, low), high); }
 inline float mix(float a, float b, float t) { return a + (b - a) * t; }
 
@@ -79,17 +83,34 @@ inline float exp_minus(float x) {
   const int whole = static_cast<int>(y + 0.5f);
   // The product of `whole` with the first part of ln 2 is exact.
   const float r = (static_cast<float>(whole) * 0.693359375f - x) - static_cast<float>(whole) * 2.12194440e-4f;
-  const float e = 1.0f + r * (1.0f + r * (0.5f + r * (0.16666667f + r * (0.041666667f + r * (0.0083333333f + r * 0.0013888889f)))));
+  const float e =
+      1.0f + r * (1.0f + r * (0.5f + r * (0.16666667f + r * (0.041666667f + r * (0.0083333333f + r * 0.0013888889f)))));
   const std::uint32_t bits = static_cast<std::uint32_t>(127 - whole) << 23;
   float scale;
   std::memcpy(&scale, &bits, sizeof scale);
   return e * scale;
 }
 
+// A direction of the upper half-space from two uniform numbers, density cos / pi (Malley's method).
+inline Vec3 cosine_direction(float u, float v) {
+  float c, s;
+  cos_sin_turns(v, c, s);
+  const float r = std::sqrt(u);
+  return {r * c, r * s, std::sqrt(1.0f - u)};
+}
+
+// A direction of the whole sphere from two uniform numbers, density 1 / (4 pi).
+inline Vec3 isotropic_direction(float u, float v) {
+  float c, s;
+  cos_sin_turns(v, c, s);
+  const float z = 1.0f - 2.0f * u, r = std::sqrt(std::max(0.0f, 1.0f - z * z));
+  return {r * c, r * s, z};
+}
+
 // Two tangents that make a right-handed frame with the unit vector `n` (Duff et al., JCGT 2017).
-struct Frame {
+struct TangentFrame {
   Vec3 t, b, n;
-  explicit Frame(Vec3 normal) : n(normal) {
+  explicit TangentFrame(Vec3 normal) : n(normal) {
     float sign = std::copysign(1.0f, n.z), a = -1.0f / (sign + n.z), c = n.x * n.y * a;
     t = {1.0f + sign * n.x * n.x * a, sign * c, -sign * n.x};
     b = {c, sign + n.y * n.y * a, -n.y};

@@ -190,16 +190,11 @@ pub struct Case {
     pub breathing: Option<Breathing>,
     /// Root mean square error in mm of the registration between the two CTs, as methods get it: a smooth random field is
     /// added to the expiration mesh that they are given. The film and the truth do not know of it.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "super::waveform::is_zero")]
     pub registration_error_mm: f64,
     /// Folder of the case file, for its relative paths.
     #[serde(skip)]
     pub folder: PathBuf,
-}
-
-/// What is left out of the hash, so that cases without it keep theirs.
-pub(super) fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }
 
 fn default_light() -> [f64; 3] {
@@ -293,6 +288,27 @@ impl Case {
             breathing.field.validate()?;
         }
         Ok(())
+    }
+
+    /// The case with `effects` switched off.
+    pub fn without(mut self, effects: &[Effect]) -> Case {
+        for effect in effects {
+            match effect {
+                Effect::Emission => self.scope.emission_half_angle_deg = 0.0,
+                Effect::AutoExposure => self.exposure.control = ExposureControl::Fixed,
+                Effect::Lag => self.exposure.lag_s = 0.0,
+                Effect::Overshoot => self.exposure.overshoot = 0.0,
+                Effect::GainDrift => self.exposure.drift = 0.0,
+                Effect::WhiteBalance => self.exposure.white_balance_drift = 0.0,
+                Effect::ShotNoise => self.scope.shot_noise = 0.0,
+                Effect::ReadNoise => self.scope.read_noise = 0.0,
+                Effect::Vignette => self.scope.vignette = 0.0,
+                Effect::Distortion => self.camera.fisheye = None,
+                Effect::MotionBlur => self.scope.shutter_s = 0.0,
+                Effect::Mask => self.scope.mask_radius = 0.0,
+            }
+        }
+        self
     }
 }
 

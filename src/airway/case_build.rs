@@ -8,7 +8,8 @@ use rayon::prelude::*;
 use super::Anatomy;
 use super::case::{AnatomySource, Breathing, Case};
 use super::case_centerline;
-use super::centerline::{self, Centerline, CenterlineSettings};
+use super::centerline::{Centerline, CenterlineSettings};
+use super::centerline_extract::extract;
 use super::field_calibre::{Axis, AxisPoint};
 use super::field_check;
 use super::grow::grow;
@@ -86,7 +87,7 @@ pub fn read_mesh(path: &Path) -> Result<TriangleMesh> {
 fn read_or_extract(case: &Case, file: Option<&Path>, mesh: &TriangleMesh) -> Result<Centerline> {
     match file {
         Some(path) => case_centerline::read(&case.resolve(path)),
-        None => centerline::extract(mesh, &CenterlineSettings::default()),
+        None => extract(mesh, &CenterlineSettings::default()),
     }
 }
 

@@ -3,7 +3,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::case::Case;
 use crate::base::{Error, Result};
 
 /// Who sets the gain.
@@ -154,29 +153,6 @@ impl std::str::FromStr for Effect {
             let known: Vec<&str> = Effect::ALL.iter().map(|e| e.name()).collect();
             format!("there is no effect `{name}`; there are {}", known.join(", "))
         })
-    }
-}
-
-impl Case {
-    /// The case with `effects` switched off.
-    pub fn without(mut self, effects: &[Effect]) -> Case {
-        for effect in effects {
-            match effect {
-                Effect::Emission => self.scope.emission_half_angle_deg = 0.0,
-                Effect::AutoExposure => self.exposure.control = ExposureControl::Fixed,
-                Effect::Lag => self.exposure.lag_s = 0.0,
-                Effect::Overshoot => self.exposure.overshoot = 0.0,
-                Effect::GainDrift => self.exposure.drift = 0.0,
-                Effect::WhiteBalance => self.exposure.white_balance_drift = 0.0,
-                Effect::ShotNoise => self.scope.shot_noise = 0.0,
-                Effect::ReadNoise => self.scope.read_noise = 0.0,
-                Effect::Vignette => self.scope.vignette = 0.0,
-                Effect::Distortion => self.camera.fisheye = None,
-                Effect::MotionBlur => self.scope.shutter_s = 0.0,
-                Effect::Mask => self.scope.mask_radius = 0.0,
-            }
-        }
-        self
     }
 }
 

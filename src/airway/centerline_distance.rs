@@ -11,7 +11,7 @@ use crate::base::TriangleMesh;
 /// Most triangles in a leaf.
 const LEAF: usize = 4;
 
-struct Node {
+struct BoxNode {
     low: DVec3,
     high: DVec3,
     /// First triangle of a leaf, or the right child of an inner node (the left one follows its parent).
@@ -22,7 +22,7 @@ struct Node {
 
 /// The triangles of one mesh, ready for distance queries.
 pub struct SurfaceDistance {
-    nodes: Vec<Node>,
+    nodes: Vec<BoxNode>,
     triangles: Vec<[DVec3; 3]>,
 }
 
@@ -79,14 +79,14 @@ impl SurfaceDistance {
 }
 
 /// Appends the subtree of the triangles `order`, which begin at `offset` of the whole list.
-fn build(corners: &[[DVec3; 3]], centroids: &[DVec3], order: &mut [u32], offset: usize, nodes: &mut Vec<Node>) {
+fn build(corners: &[[DVec3; 3]], centroids: &[DVec3], order: &mut [u32], offset: usize, nodes: &mut Vec<BoxNode>) {
     let empty = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     let (low, high) = order
         .iter()
         .flat_map(|&f| corners[f as usize])
         .fold(empty, |(low, high), corner| (low.min(corner), high.max(corner)));
     let index = nodes.len();
-    nodes.push(Node { low, high, first: offset as u32, count: order.len() as u32 });
+    nodes.push(BoxNode { low, high, first: offset as u32, count: order.len() as u32 });
     if order.len() <= LEAF {
         return;
     }

@@ -25,7 +25,7 @@ const NARROWED: f64 = 0.6;
 
 /// One node of the traced tree.
 #[derive(Clone, Copy, Debug)]
-pub struct Node {
+pub struct TraceNode {
     /// Position in mm.
     pub position_mm: DVec3,
     /// Distance in mm to the wall.
@@ -37,7 +37,7 @@ pub struct Node {
 /// The traced tree: nodes, parents first, and the first node of every path.
 pub struct Traces {
     /// All nodes; node 0 is the inlet.
-    pub nodes: Vec<Node>,
+    pub nodes: Vec<TraceNode>,
     /// Path `p` has the nodes `starts[p]..starts[p + 1]`; the last entry is the number of nodes.
     pub starts: Vec<u32>,
 }
@@ -48,7 +48,7 @@ pub fn trace(voxels: &Voxels, inlet: u32, minimal_radius_mm: f64) -> Traces {
     let (lengths, _) = shortest_paths(voxels, &neighbours, inlet, |_| 1.0);
     let centring = |v: u32| 1.0 / (voxels.distance_mm[v as usize].powi(2) + 1e-3);
     let (_, towards_inlet) = shortest_paths(voxels, &neighbours, inlet, centring);
-    let mut tracer = Tracer::new(voxels, towards_inlet);
+    let mut tracer = VoxelTracer::new(voxels, towards_inlet);
     for tip in tips(&neighbours, &lengths) {
         tracer.follow(tip, minimal_radius_mm);
     }
@@ -96,16 +96,16 @@ fn tips(neighbours: &[[u32; 26]], lengths: &[f64]) -> Vec<u32> {
     tips
 }
 
-struct Tracer<'a> {
+struct VoxelTracer<'a> {
     voxels: &'a Voxels,
     towards_inlet: Vec<u32>,
-    nodes: Vec<Node>,
+    nodes: Vec<TraceNode>,
     starts: Vec<u32>,
     /// The nearest node whose ball takes in the voxel, and how far it is.
     owner: Vec<(u32, f64)>,
 }
 
-impl<'a> Tracer<'a> {
+impl<'a> VoxelTracer<'a> {
     fn new(voxels: &'a Voxels, towards_inlet: Vec<u32>) -> Self {
         let owner = vec![(NONE, f64::INFINITY); voxels.len()];
         Self { voxels, towards_inlet, nodes: Vec::new(), starts: vec![0], owner }
@@ -122,7 +122,7 @@ impl<'a> Tracer<'a> {
         for &v in path.iter().rev() {
             let (position_mm, radius_mm) = (self.voxels.center(v), self.voxels.distance_mm[v as usize]);
             let index = self.nodes.len() as u32;
-            self.nodes.push(Node { position_mm, radius_mm, parent });
+            self.nodes.push(TraceNode { position_mm, radius_mm, parent });
             self.claim_ball(index);
             parent = index;
         }

@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::centerline::{Centerline, CenterlinePoint, CenterlineSettings};
 use super::centerline_distance::SurfaceDistance;
-use super::centerline_trace::{Node, Traces};
+use super::centerline_trace::{TraceNode, Traces};
 use super::centerline_voxels::{NONE, Voxels};
 
 /// A piece between two junctions shorter than this many radii belongs to the junction: its daughters count as the
@@ -37,7 +37,7 @@ pub fn centre(traces: &mut Traces, voxels: &Voxels, surface: &SurfaceDistance) {
 }
 
 /// Laplacian smoothing; the last point stays, the first one too unless it hangs on `join`.
-fn smooth(points: &mut [DVec3], join: Option<Node>, passes: usize, voxels: &Voxels) {
+fn smooth(points: &mut [DVec3], join: Option<TraceNode>, passes: usize, voxels: &Voxels) {
     for _ in 0..passes {
         let old = points.to_vec();
         for k in 0..old.len().saturating_sub(1) {
@@ -129,7 +129,7 @@ pub fn assemble(
 }
 
 /// Cuts the kept nodes at their junctions; parents come before their children.
-fn split(nodes: &[Node], kept: &[bool]) -> Vec<Piece> {
+fn split(nodes: &[TraceNode], kept: &[bool]) -> Vec<Piece> {
     let mut children: Vec<Vec<u32>> = vec![Vec::new(); nodes.len()];
     for (n, node) in nodes.iter().enumerate().filter(|(n, node)| kept[*n] && node.parent != NONE) {
         children[node.parent as usize].push(n as u32);
@@ -151,7 +151,7 @@ fn split(nodes: &[Node], kept: &[bool]) -> Vec<Piece> {
 }
 
 /// Marks the nodes of end pieces that are narrower than allowed as dropped; whether there were any.
-fn drop_narrow(pieces: &[Piece], nodes: &[Node], minimal_radius_mm: f64, kept: &mut [bool]) -> bool {
+fn drop_narrow(pieces: &[Piece], nodes: &[TraceNode], minimal_radius_mm: f64, kept: &mut [bool]) -> bool {
     let mut dropped = false;
     for piece in pieces.iter().filter(|p| p.children == 0 && p.parent.is_some()) {
         let mean = piece.nodes.iter().map(|&n| nodes[n as usize].radius_mm).sum::<f64>() / piece.nodes.len() as f64;
@@ -163,7 +163,7 @@ fn drop_narrow(pieces: &[Piece], nodes: &[Node], minimal_radius_mm: f64, kept: &
     dropped
 }
 
-fn length(piece: &Piece, nodes: &[Node]) -> f64 {
+fn length(piece: &Piece, nodes: &[TraceNode]) -> f64 {
     let at = |n: u32| nodes[n as usize].position_mm;
     let first = piece.nodes[0];
     let lead = match nodes[first as usize].parent {
@@ -174,13 +174,13 @@ fn length(piece: &Piece, nodes: &[Node]) -> f64 {
 }
 
 /// Whether an inner piece is so short that its two ends are one junction.
-fn is_junction(piece: &Piece, nodes: &[Node]) -> bool {
+fn is_junction(piece: &Piece, nodes: &[TraceNode]) -> bool {
     let start = nodes[nodes[piece.nodes[0] as usize].parent as usize];
     piece.children > 0 && length(piece, nodes) < JUNCTION_RADII * start.radius_mm
 }
 
 /// Points about `spacing_mm` apart along a piece, its last node exactly; the parent's node only leads in.
-fn resample(piece: &Piece, nodes: &[Node], spacing_mm: f64, voxels: &Voxels) -> Vec<DVec3> {
+fn resample(piece: &Piece, nodes: &[TraceNode], spacing_mm: f64, voxels: &Voxels) -> Vec<DVec3> {
     let lead = nodes[piece.nodes[0] as usize].parent;
     let line: Vec<DVec3> = (lead != NONE)
         .then_some(lead)

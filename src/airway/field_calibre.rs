@@ -100,26 +100,26 @@ pub struct AxisPoint {
 
 /// A centreline sampled densely enough to be averaged.
 pub struct Axis {
-    samples: Vec<Sample>,
+    samples: Vec<AxisSample>,
     /// Spheres around runs of [`RUN`] samples: whole runs are passed over when even their nearest could not matter.
-    runs: Vec<Run>,
+    runs: Vec<SampleRun>,
 }
 
 /// Samples per run.
 const RUN: usize = 16;
 
-struct Run {
+struct SampleRun {
     center: DVec3,
     reach: f64,
     sharpness_over_radius2: f64,
 }
 
-impl Run {
-    fn around(samples: &[Sample]) -> Run {
+impl SampleRun {
+    fn around(samples: &[AxisSample]) -> SampleRun {
         let center = samples.iter().map(|s| s.position).sum::<DVec3>() / samples.len() as f64;
         let reach = samples.iter().map(|s| s.position.distance(center)).fold(0.0, f64::max);
         let widest = samples.iter().map(|s| s.radius).fold(0.0, f64::max);
-        Run { center, reach, sharpness_over_radius2: SHARPNESS / (widest * widest) }
+        SampleRun { center, reach, sharpness_over_radius2: SHARPNESS / (widest * widest) }
     }
 
     /// No sample of the run has a smaller exponent at `x`.
@@ -129,7 +129,7 @@ impl Run {
     }
 }
 
-struct Sample {
+struct AxisSample {
     position: DVec3,
     radius: f64,
     inverse_radius2: f64,
@@ -155,7 +155,7 @@ impl Axis {
             for piece in 0..pieces as usize {
                 let t = (piece as f64 + 0.5) / pieces;
                 let radius = (from.radius_mm + (point.radius_mm - from.radius_mm) * t).max(0.1);
-                samples.push(Sample {
+                samples.push(AxisSample {
                     position: from.position_mm + step * t,
                     radius,
                     inverse_radius2: 1.0 / (radius * radius),
@@ -165,13 +165,13 @@ impl Axis {
                 });
             }
         }
-        let runs = samples.chunks(RUN).map(Run::around).collect();
+        let runs = samples.chunks(RUN).map(SampleRun::around).collect();
         Axis { samples, runs }
     }
 
     /// Where `x` belongs; `None` only for a centreline without length.
     pub fn foot(&self, x: DVec3) -> Option<AxisPoint> {
-        let exponent = |s: &Sample| (x - s.position).length_squared() * s.inverse_radius2 * SHARPNESS;
+        let exponent = |s: &AxisSample| (x - s.position).length_squared() * s.inverse_radius2 * SHARPNESS;
         let runs = || self.runs.iter().zip(self.samples.chunks(RUN));
         let mut best = f64::INFINITY;
         for (run, samples) in runs() {

@@ -138,7 +138,7 @@ struct Tip {
 }
 
 /// One child as planned, before it is known to keep clear of the others.
-struct Plan {
+struct BranchPlan {
     shoot: Shoot,
     across: DVec3,
     region: GrowthRegion,
@@ -166,7 +166,7 @@ impl Grower<'_> {
     }
 
     /// The two main bronchi: one lung each, in the frontal plane.
-    fn plan_main(&self, tip: &Tip, joint: DVec3, rng: &mut CounterRng) -> Option<Vec<Plan>> {
+    fn plan_main(&self, tip: &Tip, joint: DVec3, rng: &mut CounterRng) -> Option<Vec<BranchPlan>> {
         let [right, left] = tip.region.split(joint, DVec3::NEG_X)?;
         let whole = (right.share() + left.share()).max(1e-9);
         let plans = [right, left].into_iter().enumerate().map(|(side, region)| {
@@ -175,7 +175,7 @@ impl Grower<'_> {
             let direction = DVec3::new(sign * angle.sin(), 0.12 + 0.05 * rng.normal(), -angle.cos()).normalize();
             let radius_mm = self.child_radius(tip.radius_mm, region.share() / whole, 1, rng);
             let length_mm = self.child_length(radius_mm, 1, rng) * MAIN_LENGTH[side];
-            Plan {
+            BranchPlan {
                 shoot: Shoot { from: joint, parent_direction: tip.direction, direction, length_mm, radius_mm },
                 across: DVec3::Y,
                 region,
@@ -185,7 +185,7 @@ impl Grower<'_> {
     }
 
     /// Rules 2 to 8 for every generation below the main bronchi; `turn` turns the branching plane, `shorter` shortens.
-    fn plan(&self, tip: &Tip, joint: DVec3, turn: f64, shorter: f64, rng: &mut CounterRng) -> Option<Vec<Plan>> {
+    fn plan(&self, tip: &Tip, joint: DVec3, turn: f64, shorter: f64, rng: &mut CounterRng) -> Option<Vec<BranchPlan>> {
         let generation = self.tree.branches[tip.branch].generation + 1;
         let n = self.settings.flow_exponent;
         let upright = (tip.across - tip.direction * tip.across.dot(tip.direction)).normalize_or(DVec3::Y);
@@ -217,7 +217,7 @@ impl Grower<'_> {
             if !region.lungs().contain(shoot.end()) {
                 return None;
             }
-            plans.push(Plan { shoot, across: next_across, region });
+            plans.push(BranchPlan { shoot, across: next_across, region });
         }
         // A lone child would be a kink, not a bifurcation.
         (plans.len() == 2).then_some(plans)

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::centerline::{self, Centerline, CenterlinePoint, CenterlineSettings};
+use super::centerline::{Centerline, CenterlinePoint, CenterlineSettings};
+use super::centerline_extract::extract;
 use super::tree::Tree;
 use crate::base::{Error, Result, TriangleMesh, files};
 
@@ -16,33 +17,33 @@ const STEP_MM: f64 = 1.5;
 
 /// Which way the axes of a file point; tables are in LPS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Axes {
+pub enum PatientAxes {
     /// x left, y posterior, z superior.
     Lps,
     /// x right, y anterior, z superior.
     Ras,
 }
 
-impl Axes {
+impl PatientAxes {
     /// The point in LPS.
     pub fn to_lps(self, point: DVec3) -> DVec3 {
         match self {
-            Axes::Lps => point,
-            Axes::Ras => DVec3::new(-point.x, -point.y, point.z),
+            PatientAxes::Lps => point,
+            PatientAxes::Ras => DVec3::new(-point.x, -point.y, point.z),
         }
     }
 }
 
 /// Reads a table with the columns `id,x_mm,y_mm,z_mm,radius_mm,branch,generation,parent_id` (rows in any order, the
 /// inlet's parent is -1) and makes a tree of it. Errors name file and line.
-pub fn from_table(path: &Path, axes: Axes, source: &str) -> Result<Tree> {
+pub fn from_table(path: &Path, axes: PatientAxes, source: &str) -> Result<Tree> {
     let centerline = parse_table(&files::read_text(path)?, axes).map_err(|e| e.at(path))?;
     from_centerline(&centerline, source).map_err(|e| e.at(path))
 }
 
 /// Extracts the centreline of a closed airway surface and makes a tree of it.
-pub fn from_mesh(mesh: &TriangleMesh, axes: Axes, source: &str) -> Result<Tree> {
-    let mut centerline = centerline::extract(mesh, &CenterlineSettings::default())?;
+pub fn from_mesh(mesh: &TriangleMesh, axes: PatientAxes, source: &str) -> Result<Tree> {
+    let mut centerline = extract(mesh, &CenterlineSettings::default())?;
     for point in &mut centerline.points {
         point.position_mm = axes.to_lps(point.position_mm);
     }
@@ -56,7 +57,7 @@ pub fn from_centerline(centerline: &Centerline, source: &str) -> Result<Tree> {
     Ok(tree)
 }
 
-fn parse_table(text: &str, axes: Axes) -> Result<Centerline> {
+fn parse_table(text: &str, axes: PatientAxes) -> Result<Centerline> {
     let mut lines = text.lines();
     let header: Vec<&str> = lines.next().unwrap_or("").split(',').map(str::trim).collect();
     if header != COLUMNS {
@@ -105,7 +106,7 @@ mod tests {
 
     #[test]
     fn rows_in_any_order_make_a_tree_in_lps() {
-        let centerline = parse_table(TABLE, Axes::Ras).unwrap();
+        let centerline = parse_table(TABLE, PatientAxes::Ras).unwrap();
         assert_eq!(centerline.points[2].parent, Some(1));
         assert_eq!(centerline.points[3].position_mm, DVec3::new(0.0, -2.0, -30.0));
         let tree = from_centerline(&centerline, "test").unwrap();
@@ -116,9 +117,9 @@ mod tests {
     #[test]
     fn damage_is_named() {
         let orphan = TABLE.replace("2,0,1,-20,4,1,1,1", "2,0,1,-20,4,1,1,7");
-        assert!(parse_table(&orphan, Axes::Lps).unwrap_err().to_string().contains("id 2"));
+        assert!(parse_table(&orphan, PatientAxes::Lps).unwrap_err().to_string().contains("id 2"));
         let short = TABLE.replace("2,0,1,-20,4,1,1,1", "2,0,1,x");
-        assert!(parse_table(&short, Axes::Lps).unwrap_err().to_string().contains("line 3"));
-        assert!(parse_table("", Axes::Lps).is_err());
+        assert!(parse_table(&short, PatientAxes::Lps).unwrap_err().to_string().contains("line 3"));
+        assert!(parse_table("", PatientAxes::Lps).is_err());
     }
 }

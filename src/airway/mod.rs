@@ -7,6 +7,7 @@ pub mod case_centerline;
 mod case_scope;
 pub mod centerline;
 mod centerline_distance;
+pub mod centerline_extract;
 mod centerline_trace;
 mod centerline_tree;
 mod centerline_voxels;

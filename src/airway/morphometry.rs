@@ -27,7 +27,7 @@ pub struct Literature {
 
 /// What a tree has in one generation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Row {
+pub struct GenerationRow {
     /// The generation, 0 for the trachea.
     pub generation: u32,
     /// Number of branches.
@@ -124,7 +124,7 @@ fn angle(tree: &Tree, branch: &Branch) -> Option<f64> {
 }
 
 /// One row for each generation that the (valid) tree has, in order.
-pub fn rows(tree: &Tree) -> Vec<Row> {
+pub fn rows(tree: &Tree) -> Vec<GenerationRow> {
     let deepest = tree.branches.iter().map(|b| b.generation).max().unwrap_or(0);
     let divides: Vec<bool> =
         (0..tree.branches.len() as u32).map(|b| tree.branches.iter().any(|c| c.parent == Some(b))).collect();
@@ -134,7 +134,7 @@ pub fn rows(tree: &Tree) -> Vec<Row> {
                 (0..tree.branches.len()).filter(|&b| tree.branches[b].generation == generation).collect();
             let inner: Vec<usize> = here.iter().copied().filter(|&b| divides[b]).collect();
             let whole = if inner.is_empty() { &here } else { &inner };
-            Some(Row {
+            Some(GenerationRow {
                 generation,
                 branches: here.len(),
                 diameter_mm: median(here.iter().map(|&b| diameter(tree, &tree.branches[b])).collect())?,

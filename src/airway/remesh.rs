@@ -12,7 +12,7 @@ use crate::base::TriangleMesh;
 const DEAD: [u32; 3] = [u32::MAX; 3];
 
 /// The surface under work: positions, target lengths, faces, faces around each vertex.
-struct Work {
+struct WorkingMesh {
     position: Vec<DVec3>,
     target_mm: Vec<f64>,
     faces: Vec<[u32; 3]>,
@@ -27,7 +27,7 @@ pub fn remesh(
     target_mm: impl Fn(DVec3) -> f64,
     project: impl Fn(DVec3) -> DVec3,
 ) -> TriangleMesh {
-    let mut work = Work::new(mesh, &target_mm);
+    let mut work = WorkingMesh::new(mesh, &target_mm);
     for _ in 0..rounds {
         work.split_long(&target_mm, &project);
         work.collapse_short();
@@ -37,7 +37,7 @@ pub fn remesh(
     work.finish()
 }
 
-impl Work {
+impl WorkingMesh {
     fn new(mesh: &TriangleMesh, target_mm: &impl Fn(DVec3) -> f64) -> Self {
         let mut around = vec![Vec::with_capacity(8); mesh.vertices.len()];
         for (f, face) in mesh.faces.iter().enumerate() {
@@ -45,7 +45,7 @@ impl Work {
                 around[v as usize].push(f as u32);
             }
         }
-        Work {
+        WorkingMesh {
             position: mesh.vertices.clone(),
             target_mm: mesh.vertices.iter().map(|&v| target_mm(v)).collect(),
             faces: mesh.faces.clone(),

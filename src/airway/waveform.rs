@@ -42,10 +42,15 @@ pub struct Waveform {
     /// Where in the breath a sequence starts: 0 is the beginning of the inhalation.
     pub start_s: f64,
     /// For how long each full inhalation is held; not scaled.
-    #[serde(skip_serializing_if = "super::case::is_zero")]
+    #[serde(skip_serializing_if = "is_zero")]
     pub hold_s: f64,
     /// 0 is perfectly regular; 1 varies duration and depth from breath to breath like restless sleep.
     pub irregularity: f64,
+}
+
+/// What is left out of the hash, so that cases without it keep theirs.
+pub(super) fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl Default for Waveform {

@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 
-use crate::airway::import_tree::Axes;
+use crate::airway::import_tree::PatientAxes;
 
 #[derive(Clone, Copy, ValueEnum)]
 pub(super) enum AxesChoice {
@@ -13,10 +13,10 @@ pub(super) enum AxesChoice {
 }
 
 impl AxesChoice {
-    pub fn axes(self) -> Axes {
+    pub fn axes(self) -> PatientAxes {
         match self {
-            AxesChoice::Lps => Axes::Lps,
-            AxesChoice::Ras => Axes::Ras,
+            AxesChoice::Lps => PatientAxes::Lps,
+            AxesChoice::Ras => PatientAxes::Ras,
         }
     }
 }

@@ -12,7 +12,8 @@ use crate::airway::case::{
     AnatomySource, Breathing, CameraSettings, Case, ExposureSettings, Region, ScopeSettings, TrajectorySettings,
 };
 use crate::airway::case_build::{self, read_mesh};
-use crate::airway::centerline::{Centerline, CenterlineSettings, extract};
+use crate::airway::centerline::{Centerline, CenterlineSettings};
+use crate::airway::centerline_extract::extract;
 use crate::airway::import_breathing::breathing_toml;
 use crate::airway::{self, case_centerline};
 use crate::base::{Error, Progress, Result, TriangleMesh, files};

@@ -7,7 +7,7 @@ use glam::{DAffine3, DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::denoise::{Guides, denoised_indirect};
-use super::sampling::{Film, MAX_SAMPLES, View, sampled};
+use super::sampling::{MAX_SAMPLES, SampledImage, TracedView, sampled};
 use super::scene::Scene;
 use super::settings::{Denoise, Light, RenderSettings, Shading, Transport};
 use super::vertex_light::vertex_light;
@@ -19,7 +19,7 @@ use crate::ffi::trace::tracer::{FrameSettings, NO_FACE, TileCounters};
 const MAX_PIXELS: u64 = 1 << 24;
 /// A rendered frame.
 #[derive(Clone, Debug)]
-pub struct Frame {
+pub struct RenderedFrame {
     /// Linear RGB radiance, W / (sr mm^2), neither scaled nor clamped.
     pub radiance: Image<f32>,
     /// z-depth in mm through the pixel centres, 0 where nothing is hit.
@@ -48,7 +48,7 @@ pub fn render(
     world_from_camera: &DAffine3,
     light: &Light,
     settings: &RenderSettings,
-) -> Result<Frame> {
+) -> Result<RenderedFrame> {
     render_watched(scene, camera, world_from_camera, light, settings, &NoProgress)
 }
 
@@ -62,22 +62,22 @@ pub fn render_watched(
     light: &Light,
     settings: &RenderSettings,
     progress: &dyn Progress,
-) -> Result<Frame> {
+) -> Result<RenderedFrame> {
     check(camera, world_from_camera, light, settings)?;
     let frame = frame_settings(scene, camera, world_from_camera, light, settings);
     let corners = corner_directions(camera);
     let mut statistics = Statistics::default();
-    let (depth_mm, seen) = depth(scene, &frame, camera)?;
+    let (depth_mm, visible) = depth(scene, &frame, camera)?;
     let known = match settings.transport {
         Transport::Paths => Vec::new(),
         Transport::Vertices { rays_per_face } | Transport::Gather { rays_per_face } => {
             scene.check_vertex_light()?;
-            let light = vertex_light(scene, &frame, &seen, rays_per_face)?;
+            let light = vertex_light(scene, &frame, &visible, rays_per_face)?;
             statistics.rays += light.rays;
             light.known
         }
     };
-    let view = View { scene, frame: &frame, corners: &corners, known: &known };
+    let view = TracedView { scene, frame: &frame, corners: &corners, known: &known };
     let mut counters = TileCounters::default();
     let film = sampled(&view, settings.samples_per_pixel, settings.target_relmse, &mut counters, progress)?;
     statistics.paths += counters.paths;
@@ -88,7 +88,7 @@ pub fn render_watched(
         Denoise::Off => develop(&film, camera),
         Denoise::On => develop_denoised(&film, camera, &depth_mm),
     };
-    Ok(Frame { radiance, depth_mm, statistics })
+    Ok(RenderedFrame { radiance, depth_mm, statistics })
 }
 
 fn check(camera: &Camera, pose: &DAffine3, light: &Light, settings: &RenderSettings) -> Result<()> {
@@ -161,7 +161,7 @@ fn corner_directions(camera: &Camera) -> Vec<f32> {
         .collect()
 }
 
-fn develop(film: &Film, camera: &Camera) -> Image<f32> {
+fn develop(film: &SampledImage, camera: &Camera) -> Image<f32> {
     let mut image = Image::filled(camera.width as usize, camera.height as usize, 3, 0.0);
     for (pixel, values) in image.data.chunks_exact_mut(3).enumerate() {
         for c in 0..3 {
@@ -171,23 +171,20 @@ fn develop(film: &Film, camera: &Camera) -> Image<f32> {
     image
 }
 
-fn develop_denoised(film: &Film, camera: &Camera, depth_mm: &Image<f32>) -> Image<f32> {
+fn develop_denoised(film: &SampledImage, camera: &Camera, depth_mm: &Image<f32>) -> Image<f32> {
     let (width, height) = (camera.width as usize, camera.height as usize);
-    let planes = |first: usize| -> Vec<[f32; 3]> {
-        (0..width * height).map(|p| std::array::from_fn(|c| film.mean(p, first + c) as f32)).collect()
-    };
     let directions: Vec<DVec3> = (0..width * height)
         .map(|p| camera.direction(DVec2::new((p % width) as f64 + 0.5, (p / width) as f64 + 0.5)))
         .collect();
-    let guides = Guides::new(width, height, &directions, &depth_mm.data, &planes(15));
-    let base = denoised_indirect(&guides, planes(6));
-    let coat = denoised_indirect(&guides, planes(9));
-    let albedo = planes(12);
+    let guides = Guides::new(width, height, &directions, &depth_mm.data, &film.means(|s| s.normal));
+    let base = denoised_indirect(&guides, film.means(|s| s.indirect_base));
+    let coat = denoised_indirect(&guides, film.means(|s| s.indirect_coat));
+    let albedo = film.means(|s| s.albedo);
     let mut image = Image::filled(width, height, 3, 0.0);
     for (p, values) in image.data.chunks_exact_mut(3).enumerate() {
         for c in 0..3 {
-            let hit = film.mean(p, 18).max(1e-6) as f32;
-            values[c] = film.mean(p, c) as f32 + base[p][c] * albedo[p][c] / hit + coat[p][c];
+            let hit = film.mean(p, |s| s.hits).max(1e-6) as f32;
+            values[c] = film.mean(p, |s| s.direct[c]) as f32 + base[p][c] * albedo[p][c] / hit + coat[p][c];
         }
     }
     image

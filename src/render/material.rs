@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Error, Result};
-use crate::ffi::trace::tracer::MaterialSettings;
+use crate::ffi::trace::tracer::{MaterialSettings, SubsurfaceKind};
 
 /// Family of a material.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -183,11 +183,11 @@ impl Material {
             ring_spacing_mm: self.ring_spacing_mm as f32,
             seed: CounterRng::new(seed, Stage::Texture, &[]).next_u32(),
             subsurface: match (self.kind, self.boundary) {
-                (MaterialKind::Subsurface, Boundary::Diffuse | Boundary::Mixed) => 1,
-                (MaterialKind::Subsurface, Boundary::Matched) => 2,
-                (MaterialKind::Coated, _) if self.subsurface == Some(Subsurface::Walk) => 1,
-                (MaterialKind::Mucosa, _) if self.subsurface != Some(Subsurface::Off) => 1,
-                _ => 0,
+                (MaterialKind::Subsurface, Boundary::Diffuse | Boundary::Mixed) => SubsurfaceKind::Diffuse,
+                (MaterialKind::Subsurface, Boundary::Matched) => SubsurfaceKind::Matched,
+                (MaterialKind::Coated, _) if self.subsurface == Some(Subsurface::Walk) => SubsurfaceKind::Diffuse,
+                (MaterialKind::Mucosa, _) if self.subsurface != Some(Subsurface::Off) => SubsurfaceKind::Diffuse,
+                _ => SubsurfaceKind::Off,
             },
             walk_at_every_vertex: self.kind == MaterialKind::Subsurface && self.walk == WalkedVertices::Every,
             refracted_entry: match (self.kind, self.boundary) {

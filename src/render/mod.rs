@@ -1,12 +1,20 @@
 //! The path tracer: Embree 4, multi-bounce, co-located inverse-square light. Knows nothing of breathing or methods.
 //!
 //! ```text
-//!  TriangleMesh + Material -> Scene --deform--> render(camera, pose, light, settings) -> Frame {radiance, depth}
+//!  TriangleMesh + Material -> Scene --deform--> render(camera, pose, light, settings) -> RenderedFrame
 //! ```
 //!
-//! `cpp/trace/surface.h` holds what rays meet, `cpp/trace/lamp.h` the lamp, `cpp/trace/path.h` paths, `cpp/trace/vertex_light.h` light at
-//! vertices, `cpp/trace/coat.h` the reflection, `cpp/trace/mucosa.h` the look of the wall (`cpp/trace/noise_kernel.cpp` its noise, in vectors),
-//! `cpp/trace/walk.h` the light inside it.
+//! In `cpp/trace/`:
+//!
+//! | file | what |
+//! |---|---|
+//! | `traced_mesh.h` | the mesh in Embree, rays through it |
+//! | `wall_material.h`, `mucosa.h`, `noise.h` | what the wall is made of, its look, the look's noise |
+//! | `coat.h`, `scatter_walk.h` | reflection by the coat, light inside the wall |
+//! | `surface.h`, `lamp.h` | the wall as a path's vertex sees it, the lamp's light on it |
+//! | `path.h` | paths |
+//! | `face_light.h`, `known_light.h` | light on faces and at vertices, camera samples that use it |
+//! | `tracer.h` | the border to Rust |
 
 mod axial;
 mod denoise;
@@ -21,7 +29,7 @@ mod tissue;
 mod topology;
 mod vertex_light;
 
-pub use frame::{Frame, Statistics, render, render_watched};
+pub use frame::{RenderedFrame, Statistics, render, render_watched};
 pub use material::{Boundary, Material, MaterialKind, Subsurface, WalkedVertices};
 pub use scene::Scene;
 pub use settings::{Denoise, Light, RenderSettings, Shading, Transport};

@@ -7,7 +7,7 @@ use super::frame::frame_settings;
 use super::scene::Scene;
 use super::settings::{Light, RenderSettings};
 use crate::base::{Camera, Image, Result};
-use crate::ffi::trace::tracer::PROBE_VALUES;
+use crate::ffi::trace::tracer::{NO_FACE, ProbedPoint};
 
 /// The point of the wall that one pixel's central ray hits.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,18 +33,15 @@ pub fn probe(scene: &Scene, camera: &Camera, world_from_camera: &DAffine3) -> Re
         .map(|y| {
             let centre = |x: usize| camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize();
             let directions: Vec<f32> = (0..width).flat_map(|x| centre(x).to_array()).map(|v| v as f32).collect();
-            let mut faces = vec![0; width];
-            let mut values = vec![0.0; width * PROBE_VALUES];
-            scene.tracer.probe(&frame, &directions, &mut faces, &mut values)?;
-            let point = |(&face, v): (&u32, &[f32])| {
-                let (u, w) = (v[1] as f64, v[2] as f64);
-                (face != u32::MAX).then(|| SurfacePoint {
-                    face,
-                    weights: [1.0 - u - w, u, w],
-                    albedo: [v[3], v[4], v[5]],
+            let point = |p: ProbedPoint| {
+                let (u, v) = (p.place.u as f64, p.place.v as f64);
+                (p.place.face != NO_FACE).then(|| SurfacePoint {
+                    face: p.place.face,
+                    weights: [1.0 - u - v, u, v],
+                    albedo: p.albedo,
                 })
             };
-            Ok(faces.iter().zip(values.chunks_exact(PROBE_VALUES)).map(point).collect())
+            Ok(scene.tracer.probe(&frame, &directions)?.into_iter().map(point).collect())
         })
         .collect::<Result<_>>()?;
     Ok(rows.concat())

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::scene::Scene;
 use crate::base::{Error, Progress, Result};
-use crate::ffi::trace::tracer::{FILM_CHANNELS, FrameSettings, Tile, TileCounters};
+use crate::ffi::trace::tracer::{FilmPixel, FrameSettings, KnownLight, TileCounters, TileRequest};
 
 /// Side of a tile in pixels.
 const TILE_PX: u32 = 16;
@@ -18,34 +18,57 @@ const SAMPLES_PER_ROUND: u32 = 32;
 /// Where adaptive sampling gives up.
 pub(super) const MAX_SAMPLES: u32 = 65_536;
 
-/// Sums over the samples of every pixel, `FILM_CHANNELS` values each.
-pub(super) struct Film {
+type RgbSum = [f64; 3];
+
+/// Sums over a pixel's samples ([`FilmPixel`]), exact enough for any number of them.
+#[derive(Clone, Copy, Default)]
+pub(super) struct PixelSums {
+    pub direct: RgbSum,
+    pub indirect: RgbSum,
+    pub indirect_base: RgbSum,
+    pub indirect_coat: RgbSum,
+    pub albedo: RgbSum,
+    pub normal: RgbSum,
+    pub hits: f64,
+}
+
+impl PixelSums {
+    fn add(&mut self, more: &FilmPixel) {
+        let add = |sum: &mut RgbSum, more: [f32; 3]| (0..3).for_each(|c| sum[c] += more[c] as f64);
+        add(&mut self.direct, more.direct);
+        add(&mut self.indirect, more.indirect);
+        add(&mut self.indirect_base, more.indirect_base);
+        add(&mut self.indirect_coat, more.indirect_coat);
+        add(&mut self.albedo, more.albedo);
+        add(&mut self.normal, more.normal);
+        self.hits += more.hits as f64;
+    }
+}
+
+/// The samples of all pixels.
+pub(super) struct SampledImage {
     width: u32,
-    sums: Vec<f64>,
+    sums: Vec<PixelSums>,
     /// Per tile.
     samples: Vec<u32>,
 }
 
 /// What the samples are taken of.
-pub(super) struct View<'a> {
+pub(super) struct TracedView<'a> {
     pub scene: &'a Scene,
     pub frame: &'a FrameSettings,
     /// Directions through the pixels' corners.
     pub corners: &'a [f32],
     /// Light at the vertices, or nothing.
-    pub known: &'a [f32],
+    pub known: &'a [KnownLight],
 }
 
-impl Film {
+impl SampledImage {
     /// Without samples.
     pub(super) fn new(width: u32, height: u32) -> Self {
         let pixels = width as usize * height as usize;
         let tiles = width.div_ceil(TILE_PX) as usize * height.div_ceil(TILE_PX) as usize;
-        Film { width, sums: vec![0.0; pixels * FILM_CHANNELS], samples: vec![0; tiles] }
-    }
-
-    fn pixels(&self) -> usize {
-        self.sums.len() / FILM_CHANNELS
+        SampledImage { width, sums: vec![PixelSums::default(); pixels], samples: vec![0; tiles] }
     }
 
     fn tile_of(&self, pixel: usize) -> usize {
@@ -54,13 +77,18 @@ impl Film {
     }
 
     /// Mean of one channel over a pixel's samples.
-    pub(super) fn mean(&self, pixel: usize, channel: usize) -> f64 {
-        self.sums[pixel * FILM_CHANNELS + channel] / self.samples[self.tile_of(pixel)].max(1) as f64
+    pub(super) fn mean(&self, pixel: usize, channel: impl Fn(&PixelSums) -> f64) -> f64 {
+        channel(&self.sums[pixel]) / self.samples[self.tile_of(pixel)].max(1) as f64
+    }
+
+    /// Means of three channels, as f32.
+    pub(super) fn means(&self, channels: impl Fn(&PixelSums) -> RgbSum) -> Vec<[f32; 3]> {
+        (0..self.sums.len()).map(|p| std::array::from_fn(|c| self.mean(p, |sums| channels(sums)[c]) as f32)).collect()
     }
 
     /// All light of a pixel.
     pub(super) fn radiance(&self, pixel: usize, c: usize) -> f64 {
-        self.mean(pixel, c) + self.mean(pixel, 3 + c)
+        self.mean(pixel, |sums| sums.direct[c]) + self.mean(pixel, |sums| sums.indirect[c])
     }
 
     /// Samples per pixel: the mean over the tiles, rounded.
@@ -69,30 +97,30 @@ impl Film {
         (sum as f64 / self.samples.len() as f64).round() as u32
     }
 
-    fn tile(&self, index: usize, height: u32, samples: u32) -> Tile {
+    fn tile(&self, index: usize, height: u32, samples: u32) -> TileRequest {
         let columns = self.width.div_ceil(TILE_PX);
         let (x0, y0) = (index as u32 % columns * TILE_PX, index as u32 / columns * TILE_PX);
         let (x1, y1) = ((x0 + TILE_PX).min(self.width), (y0 + TILE_PX).min(height));
-        Tile { x0, x1, y0, y1, first_sample: self.samples[index], samples }
+        TileRequest { x0, x1, y0, y1, first_sample: self.samples[index], samples }
     }
 
     /// `samples` more of every pixel of some tiles (pairs of tile and number).
-    fn add(&mut self, view: &View, wanted: &[(usize, u32)], counters: &mut TileCounters) -> Result<()> {
+    fn add(&mut self, view: &TracedView, wanted: &[(usize, u32)], counters: &mut TileCounters) -> Result<()> {
         let height = view.frame.height;
-        let traced: Vec<(Tile, Vec<f32>, TileCounters)> = wanted
+        let traced: Vec<(TileRequest, Vec<FilmPixel>, TileCounters)> = wanted
             .par_iter()
             .map(|&(index, samples)| {
                 let tile = self.tile(index, height, samples);
-                let mut sums = vec![0.0; ((tile.x1 - tile.x0) * (tile.y1 - tile.y0)) as usize * FILM_CHANNELS];
-                let counters = view.scene.tracer.trace_tile(view.frame, &tile, view.corners, view.known, &mut sums)?;
-                Ok((tile, sums, counters))
+                let mut film = vec![FilmPixel::default(); ((tile.x1 - tile.x0) * (tile.y1 - tile.y0)) as usize];
+                let counters = view.scene.tracer.trace_tile(view.frame, &tile, view.corners, view.known, &mut film)?;
+                Ok((tile, film, counters))
             })
             .collect::<Result<_>>()?;
-        for ((tile, sums, more), &(index, samples)) in traced.into_iter().zip(wanted) {
-            let row = (tile.x1 - tile.x0) as usize * FILM_CHANNELS;
-            for (y, values) in (tile.y0..tile.y1).zip(sums.chunks_exact(row)) {
-                let start = (y as usize * self.width as usize + tile.x0 as usize) * FILM_CHANNELS;
-                self.sums[start..start + row].iter_mut().zip(values).for_each(|(sum, &v)| *sum += v as f64);
+        for ((tile, film, more), &(index, samples)) in traced.into_iter().zip(wanted) {
+            let row = (tile.x1 - tile.x0) as usize;
+            for (y, pixels) in (tile.y0..tile.y1).zip(film.chunks_exact(row)) {
+                let start = y as usize * self.width as usize + tile.x0 as usize;
+                self.sums[start..start + row].iter_mut().zip(pixels).for_each(|(sums, pixel)| sums.add(pixel));
             }
             self.samples[index] += samples;
             counters.paths += more.paths;
@@ -103,13 +131,13 @@ impl Film {
     }
 
     /// Radiance of all pixels.
-    fn picture(&self) -> Vec<[f64; 3]> {
-        (0..self.pixels()).map(|p| std::array::from_fn(|c| self.radiance(p, c))).collect()
+    fn picture(&self) -> Vec<RgbSum> {
+        (0..self.sums.len()).map(|p| std::array::from_fn(|c| self.radiance(p, c))).collect()
     }
 
     /// Estimated mean of (error / radiance)^2 of every tile, from the picture `before` and the samples since, which are as
     /// many: their difference, halved, is as large as the error of their mean.
-    fn errors(&self, before: &[[f64; 3]]) -> Vec<f64> {
+    fn errors(&self, before: &[RgbSum]) -> Vec<f64> {
         let mut sums = vec![(0.0, 0.0); self.samples.len()];
         for (pixel, first) in before.iter().enumerate() {
             let (sum, count) = &mut sums[self.tile_of(pixel)];
@@ -125,13 +153,13 @@ impl Film {
 
     /// The whole picture's mean of what every tile has.
     fn mean_error(&self, errors: &[f64]) -> f64 {
-        (0..self.pixels()).map(|p| errors[self.tile_of(p)]).sum::<f64>() / self.pixels() as f64
+        (0..self.sums.len()).map(|p| errors[self.tile_of(p)]).sum::<f64>() / self.sums.len() as f64
     }
 
     /// Brings the tiles to numbers of samples, in rounds.
     fn sample(
         &mut self,
-        view: &View,
+        view: &TracedView,
         goals: &[u32],
         counters: &mut TileCounters,
         progress: &dyn Progress,
@@ -154,13 +182,13 @@ impl Film {
 
 /// Samples every pixel `samples_per_pixel` times; with a target, goes on as the header says.
 pub(super) fn sampled(
-    view: &View,
+    view: &TracedView,
     samples_per_pixel: u32,
     target_relmse: Option<f64>,
     counters: &mut TileCounters,
     progress: &dyn Progress,
-) -> Result<Film> {
-    let mut film = Film::new(view.frame.width, view.frame.height);
+) -> Result<SampledImage> {
+    let mut film = SampledImage::new(view.frame.width, view.frame.height);
     let mut goals = vec![samples_per_pixel; film.samples.len()];
     film.sample(view, &goals, counters, progress)?;
     let Some(target) = target_relmse else { return Ok(film) };

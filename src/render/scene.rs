@@ -4,10 +4,10 @@ use glam::DVec3;
 
 use super::axial::axial_distance_mm;
 use super::material::Material;
-use super::tissue::{Rest, Tissue};
+use super::tissue::{RestShape, Tissue};
 use super::topology::Topology;
 use crate::base::{Error, Result, TriangleMesh};
-use crate::ffi::trace::tracer::MeshTracer;
+use crate::ffi::trace::tracer::{MeshTracer, SubsurfaceKind};
 
 /// The scene: one surface, its look on the rest shape, its hierarchy. Built once, refitted per frame.
 pub struct Scene {
@@ -43,8 +43,15 @@ impl Scene {
         let vertices = floats(&rest.vertices, shift);
         let tracer = MeshTracer::new(&vertices, rest.faces.as_flattened(), &generation, &axial, &settings)?;
         let topology = Topology::new(rest);
-        let tissue = Tissue::new(Rest { generation, axial, material: settings }, vertices, &topology);
-        Ok(Scene { tracer, shift, topology, tissue, progress: 0.0, matched: settings.subsurface == 2 })
+        let tissue = Tissue::new(RestShape { generation, axial, material: settings }, vertices, &topology);
+        Ok(Scene {
+            tracer,
+            shift,
+            topology,
+            tissue,
+            progress: 0.0,
+            matched: settings.subsurface == SubsurfaceKind::Matched,
+        })
     }
 
     /// Refuses what has no light at vertices.

@@ -1,5 +1,5 @@
 //! What light does on the shapes at the two ends of the motion, fixed to the tissue: which faces a face's rays meet, and
-//! where walks through the wall come out. Both are kept, once made, and weighed by how far a shape is on its way.
+//! where scatter walks through the wall come out. Both are kept, once made, and weighed by how far a shape is on its way.
 //!
 //! Rows of walks, one per vertex and end, are a linear map from the light that falls on the faces to the light that comes
 //! out at the vertex. Most of the noise of a few walks is in how much light survives, which hardly differs between
@@ -16,50 +16,37 @@ use rayon::prelude::*;
 
 use super::topology::Topology;
 use crate::base::{Error, Result};
-use crate::ffi::trace::tracer::{FrameSettings, MaterialSettings, MeshTracer, NO_FACE, Walks};
+use crate::ffi::trace::tracer::{FrameSettings, MaterialSettings, MeshTracer, NO_FACE, ScatterExit, SubsurfaceKind};
 
-/// Walks per vertex and end.
+/// Scatter walks per vertex and end.
 const WALKS: usize = 128;
 /// Vertices per task.
 const CHUNK: usize = 16;
 
-/// One place from which a vertex gets light.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Source {
-    /// Its face.
-    pub face: u32,
-    /// Barycentric weights of the face's second and third corner.
-    pub place: [f32; 2],
-    /// Part of its irradiance that comes out at the vertex, over the vertex' albedo.
-    pub weight: [f32; 3],
-}
-
 /// Where one vertex gets its light from.
-struct Row {
-    sources: Box<[Source]>,
+struct ScatterRow {
+    /// Exits of the walks that come out, weights over the number of walks: parts of the irradiance there that come out at
+    /// the vertex, over the vertex' albedo.
+    exits: Box<[ScatterExit]>,
     /// Sum of the weights, free of the noise that the same walks have below a flat surface.
     sum: [f32; 3],
 }
 
-impl Row {
-    fn new(walks: &Walks, vertex: usize) -> Self {
-        let mut sources = Vec::new();
-        let mut sum: [f32; 3] = std::array::from_fn(|c| -walks.flat[3 * vertex + c]);
-        for walk in (vertex * WALKS..(vertex + 1) * WALKS).filter(|&w| walks.exits[w] != NO_FACE) {
-            let weight: [f32; 3] = std::array::from_fn(|c| walks.weights[3 * walk + c] / WALKS as f32);
+impl ScatterRow {
+    fn new(walks: &[ScatterExit], flat_excess: [f32; 3]) -> Self {
+        let mut exits = Vec::new();
+        let mut sum = flat_excess.map(|v| -v);
+        for walk in walks.iter().filter(|walk| walk.place.face != NO_FACE) {
+            let weight = walk.weight.map(|v| v / walks.len() as f32);
             (0..3).for_each(|c| sum[c] += weight[c]);
-            sources.push(Source {
-                face: walks.exits[walk],
-                place: [walks.places[2 * walk], walks.places[2 * walk + 1]],
-                weight,
-            });
+            exits.push(ScatterExit { weight, ..*walk });
         }
-        Row { sources: sources.into_boxed_slice(), sum }
+        ScatterRow { exits: exits.into_boxed_slice(), sum }
     }
 }
 
 /// What makes the tracers of the fixed shapes.
-pub(super) struct Rest {
+pub(super) struct RestShape {
     /// Airway generation per vertex.
     pub generation: Vec<f32>,
     /// Distance along the airway per vertex.
@@ -70,24 +57,24 @@ pub(super) struct Rest {
 
 /// Rows, made where they are asked for.
 pub(super) struct Tissue {
-    rest: Rest,
-    ends: Vec<End>,
+    rest: RestShape,
+    ends: Vec<MotionEnd>,
 }
 
 /// One of the two ends of the motion, the first one being the shape at rest.
-struct End {
+struct MotionEnd {
     /// xyz interleaved, in the tracer's world.
     vertices: Vec<f32>,
     tracer: OnceLock<Result<MeshTracer>>,
     hits: Vec<OnceLock<Box<[u32]>>>,
-    rows: Vec<OnceLock<Row>>,
+    rows: Vec<OnceLock<ScatterRow>>,
     scales: Vec<OnceLock<[f32; 3]>>,
 }
 
-impl End {
+impl MotionEnd {
     fn new(vertices: Vec<f32>, topology: &Topology) -> Self {
         let (faces, count) = (topology.faces.len(), topology.vertex_count());
-        End { vertices, tracer: OnceLock::new(), hits: empty(faces), rows: empty(count), scales: empty(count) }
+        MotionEnd { vertices, tracer: OnceLock::new(), hits: empty(faces), rows: empty(count), scales: empty(count) }
     }
 
     /// What brings the sum of a row to the mean of those around it.
@@ -97,14 +84,14 @@ impl End {
             (0..3).for_each(|c| mean[c] += row.sum[c] / around.len() as f32);
         }
         let mut own = [0.0; 3];
-        for source in self.sources(vertex) {
-            (0..3).for_each(|c| own[c] += source.weight[c]);
+        for exit in self.exits(vertex) {
+            (0..3).for_each(|c| own[c] += exit.weight[c]);
         }
         std::array::from_fn(|c| if own[c] > 0.0 { mean[c].max(0.0) / own[c] } else { 0.0 })
     }
 
-    fn sources(&self, vertex: u32) -> &[Source] {
-        self.rows[vertex as usize].get().map_or(&[], |r| &r.sources)
+    fn exits(&self, vertex: u32) -> &[ScatterExit] {
+        self.rows[vertex as usize].get().map_or(&[], |r| &r.exits)
     }
 }
 
@@ -114,14 +101,14 @@ fn empty<T>(count: usize) -> Vec<OnceLock<T>> {
 
 impl Tissue {
     /// Nothing is traced yet. `vertices` of the shape at rest: xyz interleaved, in the tracer's world.
-    pub(super) fn new(rest: Rest, vertices: Vec<f32>, topology: &Topology) -> Self {
-        Tissue { rest, ends: vec![End::new(vertices, topology)] }
+    pub(super) fn new(rest: RestShape, vertices: Vec<f32>, topology: &Topology) -> Self {
+        Tissue { rest, ends: vec![MotionEnd::new(vertices, topology)] }
     }
 
     /// The shape at the other end of the motion.
     pub(super) fn set_other_end(&mut self, vertices: Vec<f32>, topology: &Topology) {
         self.ends.truncate(1);
-        self.ends.push(End::new(vertices, topology));
+        self.ends.push(MotionEnd::new(vertices, topology));
     }
 
     /// How far `vertices` are on the way from rest to the other end: 0 to 1, 0 where there is no other end.
@@ -143,13 +130,13 @@ impl Tissue {
 
     /// Light leaves the wall elsewhere than where it enters.
     pub(super) fn walks(&self) -> bool {
-        self.rest.material.subsurface == 1
+        self.rest.material.subsurface == SubsurfaceKind::Diffuse
     }
 
     fn tracer(&self, end: usize, topology: &Topology) -> Result<&MeshTracer> {
         let end = &self.ends[end];
         let make = || {
-            let Rest { generation, axial, material } = &self.rest;
+            let RestShape { generation, axial, material } = &self.rest;
             // The look belongs to the shape at rest.
             let rest = &self.ends[0].vertices;
             let mut tracer = MeshTracer::new(rest, topology.faces.as_flattened(), generation, axial, material)?;
@@ -224,9 +211,10 @@ impl Tissue {
         let rays: Vec<u64> = missing
             .par_chunks(CHUNK)
             .map(|chunk| {
-                let walks = tracer.walks(frame, chunk, topology.around(), WALKS)?;
-                for (place, &v) in chunk.iter().enumerate() {
-                    self.ends[end].rows[v as usize].get_or_init(|| Row::new(&walks, place));
+                let walks = tracer.scatter_walks(frame, chunk, &topology.around(), WALKS)?;
+                let exits = walks.exits.chunks_exact(WALKS);
+                for ((&v, exits), &flat) in chunk.iter().zip(exits).zip(&walks.flat_excess) {
+                    self.ends[end].rows[v as usize].get_or_init(|| ScatterRow::new(exits, flat));
                 }
                 Ok(walks.rays)
             })
@@ -235,8 +223,8 @@ impl Tissue {
     }
 
     /// Where a vertex gets its light from at `end`, unscaled; empty before [`Tissue::prepare`].
-    pub(super) fn sources(&self, end: usize, vertex: u32) -> &[Source] {
-        self.ends[end].sources(vertex)
+    pub(super) fn exits(&self, end: usize, vertex: u32) -> &[ScatterExit] {
+        self.ends[end].exits(vertex)
     }
 
     /// What brings a vertex' row at `end` to the mean sum of those around it; 0 before [`Tissue::prepare`].
@@ -248,22 +236,18 @@ impl Tissue {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ffi::trace::tracer::FacePlace;
 
     #[test]
     fn a_row_holds_what_comes_out_and_its_sum_is_freed_of_the_flat_walks_noise() {
-        let mut walks = Walks {
-            exits: vec![NO_FACE; 2 * WALKS],
-            places: vec![0.25; 4 * WALKS],
-            weights: vec![0.0; 6 * WALKS],
-            flat: vec![0.0, 0.0, 0.0, 0.5, -0.5, 0.0],
-            rays: 0,
-        };
-        walks.exits[WALKS + 3] = 7;
-        walks.weights[3 * (WALKS + 3)..][..3].copy_from_slice(&[1.0, 2.0, 3.0]);
-        let row = Row::new(&walks, 1);
+        let nowhere = ScatterExit { place: FacePlace { face: NO_FACE, u: 0.25, v: 0.25 }, weight: [0.0; 3] };
+        let mut walks = vec![nowhere; WALKS];
+        assert!(ScatterRow::new(&walks, [0.0; 3]).exits.is_empty());
+        let place = FacePlace { face: 7, u: 0.25, v: 0.25 };
+        walks[3] = ScatterExit { place, weight: [1.0, 2.0, 3.0] };
+        let row = ScatterRow::new(&walks, [0.5, -0.5, 0.0]);
         let part = 1.0 / WALKS as f32;
-        assert_eq!(*row.sources, [Source { face: 7, place: [0.25; 2], weight: [part, 2.0 * part, 3.0 * part] }]);
+        assert_eq!(*row.exits, [ScatterExit { place, weight: [part, 2.0 * part, 3.0 * part] }]);
         assert_eq!(row.sum, [part - 0.5, 2.0 * part + 0.5, 3.0 * part]);
-        assert!(Row::new(&walks, 0).sources.is_empty());
     }
 }

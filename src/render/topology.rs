@@ -1,6 +1,7 @@
 //! Which faces and vertices lie around a vertex.
 
 use crate::base::TriangleMesh;
+use crate::ffi::trace::tracer::FacesAround;
 
 /// Faces of a mesh and what is around its vertices.
 pub(super) struct Topology {
@@ -34,9 +35,9 @@ impl Topology {
         self.offsets.len() - 1
     }
 
-    /// Faces around all vertices: offsets (one more than vertices) and list.
-    pub(super) fn around(&self) -> [&[u32]; 2] {
-        [&self.offsets, &self.list]
+    /// Faces around all vertices.
+    pub(super) fn around(&self) -> FacesAround<'_> {
+        FacesAround { offsets: &self.offsets, faces: &self.list }
     }
 
     /// Faces around a vertex.
@@ -71,6 +72,6 @@ mod tests {
         let topology = Topology::new(&mesh);
         assert_eq!(topology.faces_around(2), [0, 1, 2]);
         assert_eq!(topology.second_ring(0), [0, 1, 2, 3, 4]);
-        assert_eq!((topology.vertex_count(), topology.around()[0].len()), (6, 7));
+        assert_eq!((topology.vertex_count(), topology.around().offsets.len()), (6, 7));
     }
 }

@@ -98,7 +98,7 @@ pub struct Exposure {
 /// Follows the wanted gains with lag, overshoot and limits, then adds the seeded drift.
 pub fn follow(wanted: &[f64], time_s: &[f64], settings: &ExposureSettings, seed: u64) -> Vec<Exposure> {
     let median = median(wanted.iter().map(|g| g.ln()));
-    let drift = [0, 1, 2].map(|channel| Drift::new(seed, channel));
+    let drift = [0, 1, 2].map(|channel| SlowDrift::new(seed, channel));
     let mut follower: Option<Follower> = None;
     let mut before_s = 0.0;
     wanted
@@ -161,12 +161,12 @@ impl Follower {
 }
 
 /// A smooth seeded signal of zero mean and unit variance: three sines of incommensurate periods between 1.5 and 8 s.
-struct Drift([(f64, f64); 3]);
+struct SlowDrift([(f64, f64); 3]);
 
-impl Drift {
+impl SlowDrift {
     fn new(seed: u64, channel: u64) -> Self {
         let mut random = CounterRng::new(seed, Stage::Exposure, &[channel]);
-        Drift([(1.5, 2.5), (2.5, 4.5), (4.5, 8.0)].map(|(low, high)| {
+        SlowDrift([(1.5, 2.5), (2.5, 4.5), (4.5, 8.0)].map(|(low, high)| {
             (std::f64::consts::TAU / random.range(low, high), random.range(0.0, std::f64::consts::TAU))
         }))
     }
@@ -257,11 +257,11 @@ mod tests {
 
     #[test]
     fn drift_has_unit_variance_and_follows_the_seed() {
-        let d = Drift::new(3, 0);
+        let d = SlowDrift::new(3, 0);
         let values: Vec<f64> = (0..200_000).map(|i| d.at(i as f64 * 0.01)).collect();
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64;
         assert!(mean.abs() < 0.02 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
-        assert_ne!(d.at(1.0), Drift::new(4, 0).at(1.0));
+        assert_ne!(d.at(1.0), SlowDrift::new(4, 0).at(1.0));
     }
 }

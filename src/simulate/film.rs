@@ -6,13 +6,14 @@ use crate::airway::Anatomy;
 use crate::airway::case::{Case, ScopeSettings};
 use crate::airway::waveform::Waveform;
 use crate::base::{Camera, Error, Result, mesh};
-use crate::render::{Material, Scene};
+use crate::render::{Light, Material, Scene};
 
+use super::exposure;
 use super::sensor::mask_radius_px;
 use super::sequence::FrameRecord;
+use super::settings::SimulationSettings;
 use super::trajectory::{Route, nearest_mm};
-use super::truth::Seen;
-use super::{SimulationSettings, exposure, shoot};
+use super::truth::VisibleWall;
 
 /// Rays per image side that measure motion blur.
 const BLUR_RAYS: f64 = 24.0;
@@ -90,7 +91,7 @@ impl Film {
         let generation = arc_mm.iter().map(|&arc| route.generation(arc)).collect();
         let waveform = case.waveform.clone();
         let way = Way { route, waveform, seed: case.seed, start_mm: start, speed_mm_per_s: speed };
-        let light = shoot::light(case);
+        let light = scope_light(case);
         let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, flat(material), case.seed)?;
         let (mut frames, mut wanted, mut clearance_mm) = (Vec::new(), Vec::new(), Vec::new());
         let mut blur_px = Vec::new();
@@ -198,11 +199,18 @@ fn blur(scene: &Scene, camera: &Camera, anatomy: &Anatomy, way: &Way, time_s: f6
     let factor = BLUR_RAYS / camera.width as f64;
     let coarse = Camera { height: BLUR_RAYS as u32, ..camera.scaled(factor) };
     let [open, now, close] = [-0.5, 0.0, 0.5].map(|part| way.state_at(time_s + part * shutter_s));
-    let seen = Seen::new(scene, &coarse, &now.0, &anatomy.inspiration, &anatomy.expiration.vertices)?;
-    Ok(seen.image_motion_px(camera, (&open.0, open.1), (&close.0, close.1)))
+    let visible = VisibleWall::new(scene, &coarse, &now.0, &anatomy.inspiration, &anatomy.expiration.vertices)?;
+    Ok(visible.image_motion_px(camera, (&open.0, open.1), (&close.0, close.1)))
 }
 
 /// The proxy needs geometry alone: no texture is made for it.
 fn flat(material: &Material) -> Material {
     Material::lambert(material.albedo)
+}
+
+/// The light at the tip of the scope.
+pub(super) fn scope_light(case: &Case) -> Light {
+    let half_angle_deg = case.scope.emission_half_angle_deg;
+    let emission_exponent = if half_angle_deg > 0.0 { Light::exponent_of_half_angle(half_angle_deg) } else { 0.0 };
+    Light { emission_exponent, ..Light::at_camera(case.light_intensity) }
 }

@@ -2,78 +2,34 @@
 
 pub mod exposure;
 pub mod film;
-mod kin;
+mod identity;
 mod misregister;
 pub mod preview;
 pub mod sensor;
 pub mod sequence;
+mod settings;
+mod shared_frames;
 mod shoot;
 pub mod trajectory;
 pub mod truth;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rayon::prelude::*;
-use serde::Serialize;
 
 use crate::airway::case::Case;
 use crate::airway::{self, Anatomy, case_centerline};
-use crate::base::revision::of_rooms;
 use crate::base::{Error, Progress, Result, files, hash};
 use crate::formats::transforms::Transforms;
 use crate::formats::{mesh as mesh_file, png};
 use crate::render::Material;
 use film::Film;
+use identity::{SIMULATOR_VERSION, film_hash};
+pub use identity::{revision, sequence_folder, sequence_hash};
 use misregister::misregister;
 use sensor::Sensor;
 use sequence::{ManifestHead, Sequence};
-use truth::{TruthMap, TruthSet};
-
-/// Changes whenever the same case and settings give other pixels or other truth.
-const SIMULATOR_VERSION: u32 = 7;
-
-/// Which meshes a sequence folder holds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum MeshOutput {
-    /// Inspiration and expiration: any other follows from the phase.
-    #[default]
-    EndStates,
-    /// The deformed mesh of every frame as well.
-    EveryFrame,
-}
-
-/// Whether linear images are kept beside the 8-bit ones.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum RadianceOutput {
-    /// 8-bit sRGB only.
-    #[default]
-    None,
-    /// Linear radiance before gain and white balance, as OpenEXR.
-    Exr,
-}
-
-/// How a case is filmed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct SimulationSettings {
-    /// Image width in pixels.
-    pub width_px: u32,
-    /// Image height in pixels.
-    pub height_px: u32,
-    /// Frame rate of the video.
-    pub frames_per_second: f64,
-    /// Number of frames.
-    pub frames: usize,
-    /// Paths traced per pixel.
-    pub samples_per_pixel: u32,
-    /// Meshes to write.
-    pub meshes: MeshOutput,
-    /// Linear images to write.
-    pub radiance: RadianceOutput,
-    /// Ground-truth images to write.
-    pub truth: TruthSet,
-}
+pub use settings::{MeshOutput, RadianceOutput, SimulationSettings};
 
 /// Films `case` into the folder `out` and opens the result.
 ///
@@ -82,7 +38,7 @@ pub struct SimulationSettings {
 /// beside `out` holds (films of one case with different errors of the registration) are copied, not rendered.
 /// Errors: the case's (anatomy, way, material), a folder that is no sequence, writing; `Interrupted` between frames.
 pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress: &dyn Progress) -> Result<Sequence> {
-    check(settings)?;
+    settings.check()?;
     let hash = sequence_hash(case, settings)?;
     if let Ok(done) = Sequence::open(out)
         && done.hash == hash
@@ -94,20 +50,10 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
     let anatomy = airway::build(case)?;
     let film = Film::plan(case, &anatomy, settings, &material)?;
     film.notes.iter().for_each(|note| progress.note(&format!("{}: {note}", case.id)));
-    kin::copy_frames(case, settings, out, progress)?;
+    shared_frames::copy_frames(case, settings, out, progress)?;
     shoot::shoot(case, &anatomy, &film, &material, settings, out, progress)?;
     write_truth(case, &anatomy, &film, settings, &hash, out)?;
     Sequence::open(out)
-}
-
-/// Revision of the code that films a sequence.
-pub fn revision() -> String {
-    of_rooms(&["outside", "tracer", "base", "formats", "airway", "render", "simulate"])
-}
-
-/// Content hash of the sequence that `case` and `settings` make, 64 hex digits.
-pub fn sequence_hash(case: &Case, settings: &SimulationSettings) -> Result<String> {
-    hash::of_value(&(SIMULATOR_VERSION, case.hash()?, settings))
 }
 
 /// The look that the case file asks for.
@@ -121,25 +67,14 @@ pub fn material(case: &Case) -> Result<Material> {
     Ok(material)
 }
 
-fn check(settings: &SimulationSettings) -> Result<()> {
-    let size = |v: u32| (1..=8192).contains(&v);
-    if !size(settings.width_px) || !size(settings.height_px) || settings.samples_per_pixel == 0 {
-        return Err(Error::usage("a film needs images of 1 to 8192 pixels a side and at least one sample per pixel"));
-    }
-    if settings.frames < 2 || !(settings.frames_per_second.is_finite() && settings.frames_per_second > 0.0) {
-        return Err(Error::usage("a film needs at least two frames and a positive frame rate"));
-    }
-    Ok(())
-}
-
 /// Makes the folder ready for the content `hash`: keeps the frames of the same content, removes those of another.
 fn prepare_folder(out: &Path, hash: &str) -> Result<()> {
     #[derive(serde::Deserialize)]
-    struct Plan {
+    struct FilmPlan {
         hash: String,
     }
     let plan = out.join(sequence::PLAN);
-    let same = plan.is_file() && files::read_json::<Plan>(&plan).is_ok_and(|p| p.hash == hash);
+    let same = plan.is_file() && files::read_json::<FilmPlan>(&plan).is_ok_and(|p| p.hash == hash);
     if !same {
         let empty = !out.exists() || out.read_dir().map_err(|e| Error::io("reading", out, e))?.next().is_none();
         if !empty && !plan.is_file() {
@@ -154,7 +89,7 @@ fn prepare_folder(out: &Path, hash: &str) -> Result<()> {
         }
         files::write_json(&plan, &serde_json::json!({ "hash": hash }))?;
     }
-    // Nothing of the film, so away with it.
+    // What a killed run was writing is no part of the film.
     files::remove_unfinished(out)
 }
 
@@ -185,7 +120,8 @@ fn write_truth(
     files::write_bytes(&out.join(sequence::FRAMES), film.frames_csv().as_bytes())?;
     files::write_bytes(&out.join(sequence::FORMAT), include_bytes!("FORMAT.md"))?;
     preview::write(out, film.frames.len(), settings.frames_per_second)?;
-    let hashes: Vec<(String, String)> = content_names(case, settings)
+    let hashes: Vec<(String, String)> = settings
+        .content_names(case)
         .into_par_iter()
         .map(|name| hash::of_file(&out.join(&name)).map(|h| (name, h)))
         .collect::<Result<_>>()?;
@@ -193,7 +129,7 @@ fn write_truth(
     let mut manifest = serde_json::to_value(head).map_err(|e| Error::input(e.to_string()))?;
     manifest["simulator_version"] = SIMULATOR_VERSION.into();
     manifest["case_hash"] = case.hash()?.into();
-    manifest["film_hash"] = kin::film_hash(case, settings)?.into();
+    manifest["film_hash"] = film_hash(case, settings)?.into();
     manifest["settings"] = serde_json::to_value(settings).map_err(|e| Error::input(e.to_string()))?;
     manifest["case"] = serde_json::to_value(case).map_err(|e| Error::input(e.to_string()))?;
     manifest["material"] = serde_json::to_value(material(case)?).map_err(|e| Error::input(e.to_string()))?;
@@ -201,50 +137,4 @@ fn write_truth(
     manifest["files"] =
         hashes.into_iter().map(|(name, hash)| (name, hash.into())).collect::<serde_json::Map<_, _>>().into();
     files::write_json(&out.join(sequence::MANIFEST), &manifest)
-}
-
-/// All files of the folder but plan and manifest, in order.
-fn content_names(case: &Case, settings: &SimulationSettings) -> Vec<String> {
-    let fixed = [
-        sequence::INSPIRATION,
-        sequence::EXPIRATION,
-        sequence::CENTERLINE,
-        sequence::TRANSFORMS,
-        sequence::FRAMES,
-        sequence::FORMAT,
-        sequence::CONTACT_SHEET,
-        sequence::PREVIEW,
-    ];
-    let mut names: Vec<String> = fixed.iter().map(|n| n.to_string()).collect();
-    if case.scope.mask_radius > 0.0 {
-        names.push(sequence::MASK.to_string());
-    }
-    names.extend((0..settings.frames).flat_map(|frame| frame_names(frame, settings)));
-    names
-}
-
-/// The files of one frame, the image last.
-fn frame_names(frame: usize, settings: &SimulationSettings) -> Vec<String> {
-    let truth = [
-        (TruthMap::Normals, true, sequence::normal_name(frame)),
-        (TruthMap::Albedo, true, sequence::albedo_name(frame)),
-        (TruthMap::Motion, frame + 1 < settings.frames, sequence::forward_motion_name(frame)),
-        (TruthMap::Motion, frame > 0, sequence::backward_motion_name(frame)),
-        (TruthMap::PhaseSensitivity, true, sequence::sensitivity_name(frame)),
-    ];
-    let mut names = vec![sequence::depth_name(frame)];
-    names.extend(truth.into_iter().filter(|(map, exists, _)| *exists && settings.truth.has(*map)).map(|t| t.2));
-    if settings.meshes == MeshOutput::EveryFrame {
-        names.push(sequence::frame_mesh_name(frame));
-    }
-    if settings.radiance == RadianceOutput::Exr {
-        names.push(sequence::radiance_name(frame));
-    }
-    names.push(sequence::image_name(frame));
-    names
-}
-
-/// Where the sequence of `case` lives below `root`: `<case>-<hash12>`.
-pub fn sequence_folder(root: &Path, case: &Case, settings: &SimulationSettings) -> Result<PathBuf> {
-    Ok(root.join(format!("{}-{}", case.id, &sequence_hash(case, settings)?[..12])))
 }

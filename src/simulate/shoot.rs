@@ -8,12 +8,13 @@ use crate::airway::Anatomy;
 use crate::airway::case::Case;
 use crate::base::{Error, Image, Progress, Result, TriangleMesh, mesh};
 use crate::formats::{exr, mesh as mesh_file, png};
-use crate::render::{Frame, Light, Material, RenderSettings, Scene, Shading, Transport, render};
+use crate::render::{Light, Material, RenderSettings, RenderedFrame, Scene, Shading, Transport, render};
 
-use super::film::Film;
+use super::film::{Film, scope_light};
 use super::sensor::{Exposed, Sensor};
-use super::truth::{Seen, TruthMap};
-use super::{MeshOutput, RadianceOutput, SimulationSettings, sequence};
+use super::sequence;
+use super::settings::{MeshOutput, RadianceOutput, SimulationSettings};
+use super::truth::{TruthMap, VisibleWall};
 
 /// Renderings whose mean is a blurred frame; odd, so that the middle one is the frame's own moment.
 const MOMENTS: u64 = 7;
@@ -85,13 +86,6 @@ pub(super) fn shoot(
     Ok(())
 }
 
-/// The light at the tip of the scope.
-pub(super) fn light(case: &Case) -> Light {
-    let half_angle_deg = case.scope.emission_half_angle_deg;
-    let emission_exponent = if half_angle_deg > 0.0 { Light::exponent_of_half_angle(half_angle_deg) } else { 0.0 };
-    Light { emission_exponent, ..Light::at_camera(case.light_intensity) }
-}
-
 impl<'a> Studio<'a> {
     fn new(
         case: &'a Case,
@@ -108,7 +102,7 @@ impl<'a> Studio<'a> {
             film,
             settings,
             scene,
-            light: light(case),
+            light: scope_light(case),
             sensor: Sensor::new(&film.camera, &case.scope, case.seed),
         })
     }
@@ -147,7 +141,7 @@ impl<'a> Studio<'a> {
 
     /// The radiance that the sensor gathers while the shutter is open, and the depth at the frame's own time. Leaves the
     /// scene at that time.
-    fn exposed_frame(&mut self, index: usize) -> Result<Frame> {
+    fn exposed_frame(&mut self, index: usize) -> Result<RenderedFrame> {
         let record = self.film.frames[index];
         let shutter_s = self.case.scope.shutter_s;
         if shutter_s <= 0.0 {
@@ -171,7 +165,7 @@ impl<'a> Studio<'a> {
         Ok(frame)
     }
 
-    fn moment(&mut self, pose: &DAffine3, phase: f64, key: u64, samples_per_pixel: u32) -> Result<Frame> {
+    fn moment(&mut self, pose: &DAffine3, phase: f64, key: u64, samples_per_pixel: u32) -> Result<RenderedFrame> {
         self.scene.deform(&self.vertices(phase))?;
         let settings = RenderSettings {
             samples_per_pixel,
@@ -192,22 +186,22 @@ impl<'a> Studio<'a> {
         }
         let record = self.film.frames[index];
         let (rest, other) = (&self.anatomy.inspiration, &self.anatomy.expiration.vertices);
-        let seen = Seen::new(&self.scene, &self.film.camera, &record.world_from_camera, rest, other)?;
+        let visible = VisibleWall::new(&self.scene, &self.film.camera, &record.world_from_camera, rest, other)?;
         if wanted.has(TruthMap::Normals) {
-            let normals = seen.normals(record.phase, &record.world_from_camera);
+            let normals = visible.normals(record.phase, &record.world_from_camera);
             exr::write_rgb(&out.join(sequence::normal_name(index)), &normals)?;
         }
         if wanted.has(TruthMap::Albedo) {
-            exr::write_rgb(&out.join(sequence::albedo_name(index)), &seen.albedo())?;
+            exr::write_rgb(&out.join(sequence::albedo_name(index)), &visible.albedo())?;
         }
         if wanted.has(TruthMap::Motion) {
             let neighbour = |i: usize| self.film.frames[i].phase;
             if index + 1 < self.film.frames.len() {
-                let motion = seen.motion(record.phase, neighbour(index + 1));
+                let motion = visible.motion(record.phase, neighbour(index + 1));
                 exr::write_rgb(&out.join(sequence::forward_motion_name(index)), &motion)?;
             }
             if index > 0 {
-                let motion = seen.motion(record.phase, neighbour(index - 1));
+                let motion = visible.motion(record.phase, neighbour(index - 1));
                 exr::write_rgb(&out.join(sequence::backward_motion_name(index)), &motion)?;
             }
         }

@@ -156,7 +156,7 @@ impl Route {
 }
 
 /// A reachable end.
-struct End {
+struct RouteEnd {
     /// Centreline points from the inlet to the end of the branch.
     chain: Vec<usize>,
     /// The last of them that the scope can pass.
@@ -176,17 +176,17 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec
     let mut has_child = vec![false; points.len()];
     points.iter().filter_map(|p| p.parent).for_each(|parent| has_child[parent as usize] = true);
     let carina = points.iter().rposition(|p| p.generation == 0).map_or(DVec3::ZERO, |i| points[i].position_mm);
-    let mut ends: Vec<End> = Vec::new();
+    let mut ends: Vec<RouteEnd> = Vec::new();
     for leaf in (0..points.len()).filter(|&i| !has_child[i]) {
         let chain = chain_to(anatomy, leaf);
         let way = passable(anatomy, &chain, settings.scope_radius_mm);
         let Some(&last) = way.last() else { continue };
         let length_mm = way.windows(2).map(|w| points[w[0]].position_mm.distance(points[w[1]].position_mm)).sum();
         if way.len() > 1 && !ends.iter().any(|other| other.last == last) {
-            ends.push(End { chain, last, length_mm });
+            ends.push(RouteEnd { chain, last, length_mm });
         }
     }
-    let place = |end: &End| points[end.last].position_mm - carina;
+    let place = |end: &RouteEnd| points[end.last].position_mm - carina;
     let deepest = ends.iter().map(|end| -place(end).z).fold(0.0, f64::max);
     ends.retain(|end| {
         let from_carina = place(end);

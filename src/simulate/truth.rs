@@ -71,14 +71,14 @@ impl Serialize for TruthSet {
 }
 
 /// The wall as one frame sees it.
-pub struct Seen<'a> {
+pub struct VisibleWall<'a> {
     points: Vec<Option<SurfacePoint>>,
     width: usize,
     rest: &'a TriangleMesh,
     other: &'a [DVec3],
 }
 
-impl<'a> Seen<'a> {
+impl<'a> VisibleWall<'a> {
     /// Casts the central ray of every pixel into `scene`, which is deformed to the frame's phase; `rest` is the airway at
     /// inspiration and `other` its vertices at expiration.
     pub fn new(
@@ -88,7 +88,7 @@ impl<'a> Seen<'a> {
         rest: &'a TriangleMesh,
         other: &'a [DVec3],
     ) -> Result<Self> {
-        Ok(Seen { points: probe(scene, camera, world_from_camera)?, width: camera.width as usize, rest, other })
+        Ok(VisibleWall { points: probe(scene, camera, world_from_camera)?, width: camera.width as usize, rest, other })
     }
 
     /// Normals at `phase`, camera axes.
@@ -107,7 +107,7 @@ impl<'a> Seen<'a> {
         image_of(&self.points, self.width, 3, |point, out| out.copy_from_slice(&point.albedo))
     }
 
-    /// Displacement of the seen tissue from `phase` to `other_phase`, mm, scanner's frame.
+    /// Displacement of the visible tissue from `phase` to `other_phase`, mm, scanner's frame.
     pub fn motion(&self, phase: f64, other_phase: f64) -> Image<f32> {
         image_of(&self.points, self.width, 3, |point, out| {
             let from_rest = point.on(self.other, &self.rest.faces) - point.on(&self.rest.vertices, &self.rest.faces);
@@ -115,8 +115,8 @@ impl<'a> Seen<'a> {
         })
     }
 
-    /// Median over the pixels of the way in pixels that the seen tissue moves over the image from one state of camera and
-    /// airway to another; 0 where nothing is seen in both.
+    /// Median over the pixels of the way in pixels that the visible tissue moves over the image from one state of camera and
+    /// airway to another; 0 where nothing is visible in both.
     pub fn image_motion_px(&self, camera: &Camera, from: (&DAffine3, f64), to: (&DAffine3, f64)) -> f64 {
         let image_point = |point: &SurfacePoint, (pose, phase): (&DAffine3, f64)| {
             let [a, b] = [&self.rest.vertices[..], self.other].map(|v| point.on(v, &self.rest.faces));

@@ -128,7 +128,7 @@ fn diameters(trees: &[(String, Tree)]) -> String {
     text += &"---:|".repeat(trees.len() + 3);
     for generation in 0..=7u32 {
         let cell = |value: Option<f64>| value.map_or(String::from("-"), |v| format!("{v:.1}"));
-        let of = |rows: &Vec<morphometry::Row>| {
+        let of = |rows: &Vec<morphometry::GenerationRow>| {
             cell(rows.iter().find(|r| r.generation == generation).map(|r| r.diameter_mm))
         };
         let cells: Vec<String> = rows.iter().map(of).collect();

@@ -2,7 +2,7 @@
 
 use respire_bench::base::random::{CounterRng, Stage};
 use respire_bench::ffi::isa::Isa;
-use respire_bench::ffi::trace::tracer::{gradient_noise, noise_neighbours};
+use respire_bench::ffi::trace::tracer::{GradientNoise, gradient_noise, noise_neighbours};
 
 use crate::splat::forward::available;
 
@@ -47,7 +47,7 @@ fn points() -> Vec<[f32; 3]> {
 #[test]
 fn gradient_noise_is_that_of_plain_double_precision() {
     for point in points() {
-        let [value, gradient @ ..] = gradient_noise(Isa::widest(), point, 17);
+        let GradientNoise { value, gradient } = gradient_noise(Isa::widest(), point, 17);
         let exact = point.map(f64::from);
         let twin = value_of_noise(exact, 17);
         assert!((f64::from(value) - twin).abs() < 3e-6, "{point:?}: {value}, not {twin}");
@@ -59,7 +59,7 @@ fn gradient_noise_is_that_of_plain_double_precision() {
         }
     }
     // Zero on the lattice, where the directions meet.
-    assert_eq!(gradient_noise(Isa::widest(), [3.0, -7.0, 12.0], 3)[0], 0.0);
+    assert_eq!(gradient_noise(Isa::widest(), [3.0, -7.0, 12.0], 3).value, 0.0);
 }
 
 #[test]
@@ -76,12 +76,12 @@ fn neighbours_are_the_nearest_two_of_the_27_cells_around() {
             all.push((away, place, hash));
         }
         all.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for (k, (values, cell)) in noise_neighbours(Isa::widest(), point, 23).into_iter().enumerate() {
+        for (k, found) in noise_neighbours(Isa::widest(), point, 23).into_iter().enumerate() {
             let (away, place, hash) = all[k];
-            assert!((f64::from(values[3]) - away).abs() < 1e-5, "{point:?}: {}, not {away}", values[3]);
+            assert!((f64::from(found.distance2) - away).abs() < 1e-5, "{point:?}: {}, not {away}", found.distance2);
             // Two that are equally far to rounding may change places.
             if all[k + 1].0 - away > 1e-5 && (k == 0 || away - all[0].0 > 1e-5) {
-                assert_eq!((cell, [0, 1, 2].map(|i| f64::from(values[i]))), (hash, place), "{point:?}");
+                assert_eq!((found.cell, found.place.map(f64::from)), (hash, place), "{point:?}");
             }
         }
     }
@@ -95,8 +95,9 @@ fn noise_is_the_same_bytes_on_every_processor() {
         // The sign of what is not a number means nothing.
         let bits = |v: f32| if v.is_nan() { f32::NAN.to_bits() } else { v.to_bits() };
         let of = |isa| {
-            let neighbours = noise_neighbours(isa, point, 9).map(|(values, cell)| (values.map(bits), cell));
-            (gradient_noise(isa, point, 9).map(bits), neighbours)
+            let neighbours = noise_neighbours(isa, point, 9).map(|n| (n.place.map(bits), bits(n.distance2), n.cell));
+            let noise = gradient_noise(isa, point, 9);
+            (bits(noise.value), noise.gradient.map(bits), neighbours)
         };
         let plain = of(Isa::Baseline);
         for isa in available().filter(|&isa| isa > Isa::Baseline) {

@@ -1,18 +1,36 @@
-//! The path tracer's hot part: C++ (`cpp/trace/tracer.cpp`) on Embree 4 through cxx, one call per tile of pixels.
+//! The path tracer's hot part: C++ (`cpp/trace/tracer.cpp`) on Embree 4 through cxx. Every call takes whole arrays (a tile of
+//! pixels, a chunk of faces or vertices); `docs/decisions/path-tracer-in-cpp.md` says why.
 //!
 //! Embree wants flush-to-zero while it runs and Rust assumes the default floating-point mode: the C++ side sets and
-//! restores it inside each call. `docs/decisions/path-tracer-in-cpp.md` says why whole tiles cross this border.
+//! restores it inside each call.
+//!
+//! Colours are linear RGB, lengths mm. A place in a face is given by the barycentric weights `u` and `v` of its second and
+//! third corner.
 
 use cxx::UniquePtr;
 
 use crate::base::{Error, ErrorKind, Result};
 use crate::ffi::isa::Isa;
 
-pub use bridge::{FrameSettings, MaterialSettings, Tile, TileCounters};
+pub use bridge::{
+    FaceLight, FacePlace, FacesAround, FilmPixel, FrameSettings, Glint, GradientNoise, KnownLight, MaterialSettings,
+    NoiseNeighbour, ProbedPoint, ScatterExit, SubsurfaceKind, TileCounters, TileRequest,
+};
 
 #[allow(unused_qualifications)] // cxx spells its generated derives in full
 #[cxx::bridge(namespace = "respire")]
 mod bridge {
+    /// How the light that enters the wall leaves it.
+    #[derive(Clone, Copy, Debug)]
+    enum SubsurfaceKind {
+        /// Where it enters.
+        Off,
+        /// After scattering below a diffuse boundary.
+        Diffuse,
+        /// After scattering below a boundary of the same refractive index on both sides.
+        Matched,
+    }
+
     /// What the wall is made of.
     #[derive(Clone, Copy, Debug, PartialEq)]
     struct MaterialSettings {
@@ -42,11 +60,12 @@ mod bridge {
         ring_spacing_mm: f32,
         /// Seed of the pattern.
         seed: u32,
-        /// Light in the wall: 0 stays where it enters, 1 walks below a diffuse boundary, 2 below a matched one.
-        subsurface: u8,
-        /// Walks at every vertex of a path instead of the first alone.
+        /// Light in the wall.
+        subsurface: SubsurfaceKind,
+        /// Light scatters in the wall at every vertex of a path instead of the first alone.
         walk_at_every_vertex: bool,
-        /// Part of the walks that starts refracted through a rough surface of index `ior` instead of by the cosine law.
+        /// Part of the scatter walks that starts refracted through a rough surface of index `ior` instead of by the cosine
+        /// law.
         refracted_entry: f32,
         /// Extinction in the wall, per mm.
         extinction: [f32; 3],
@@ -81,7 +100,8 @@ mod bridge {
         max_scatterings: u32,
         /// Interpolated instead of geometric normals.
         smooth: bool,
-        /// What is known at vertices lights what a camera sample's first ray or walk meets, and not what the camera sees.
+        /// What is known at vertices lights what a camera sample's first ray or scatter walk meets, and not what the camera
+        /// sees.
         gathers: bool,
         /// Radians that a pixel spans.
         pixel_angle: f32,
@@ -93,7 +113,7 @@ mod bridge {
 
     /// Pixels `x0..x1` x `y0..y1` and the samples to take of each.
     #[derive(Clone, Copy, Debug, PartialEq)]
-    struct Tile {
+    struct TileRequest {
         /// First column.
         x0: u32,
         /// One past the last column.
@@ -119,6 +139,128 @@ mod bridge {
         rejected: u64,
     }
 
+    /// Sums over a pixel's samples.
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct FilmPixel {
+        /// The lamp's own light.
+        direct: [f32; 3],
+        /// All other light.
+        indirect: [f32; 3],
+        /// Of that, what the base sends, over its albedo.
+        indirect_base: [f32; 3],
+        /// Of that, what the coat mirrors.
+        indirect_coat: [f32; 3],
+        /// Albedo of the base.
+        albedo: [f32; 3],
+        /// Smooth normal, world axes.
+        normal: [f32; 3],
+        /// Samples that have met the wall.
+        hits: f32,
+    }
+
+    /// Light at a vertex; negative where it is not known.
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct KnownLight {
+        /// What the base sends of light that has scattered in the wall, over its albedo and times pi.
+        scattered: [f32; 3],
+        /// Irradiance by other walls.
+        irradiance: [f32; 3],
+        /// Part of the scatter walks' light that comes out at the faces around the vertex, over the albedo.
+        nearby: [f32; 3],
+        /// That part times the lamp's unshadowed irradiance around the vertex.
+        lamp_nearby: [f32; 3],
+    }
+
+    /// What the lamp does to a face, and what the face does with light.
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct FaceLight {
+        /// The lamp's irradiance.
+        irradiance: [f32; 3],
+        /// What the base sends on of it (radiosity).
+        sent: [f32; 3],
+        /// Part of other light that is sent on to all sides alike.
+        reflectance: [f32; 3],
+        /// Centre.
+        centre: [f32; 3],
+        /// Normal there.
+        normal: [f32; 3],
+        /// What the coat mirrors of the lamp's irradiance, over [`Glint::coat`].
+        mirrored_lamp: f32,
+        /// The same of other light.
+        mirrored_other: f32,
+        /// The lamp's irradiance if nothing stood in its way.
+        unshadowed: [f32; 3],
+        /// The face is so near the lamp that its light is not even over it.
+        uneven: bool,
+    }
+
+    /// What a face sends along a ray.
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct Glint {
+        /// By its base, over the mean to all sides (under its coat less at a flat angle).
+        base: f32,
+        /// By its coat of light from the lamp's side: radiance times pi over the irradiance from there.
+        coat: f32,
+    }
+
+    /// A place in a face.
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct FacePlace {
+        /// The face, or [`NO_FACE`].
+        face: u32,
+        /// Weight of its second corner.
+        u: f32,
+        /// Weight of its third corner.
+        v: f32,
+    }
+
+    /// Where a scatter walk comes out of the wall.
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct ScatterExit {
+        /// The place; [`NO_FACE`] where none of its light comes out.
+        place: FacePlace,
+        /// What is left of its light, over the albedo where it began.
+        weight: [f32; 3],
+    }
+
+    /// The faces around every vertex: those of vertex v are `faces[offsets[v]..offsets[v + 1]]`.
+    #[derive(Clone, Copy, Debug)]
+    struct FacesAround<'a> {
+        /// One per vertex, and the end.
+        offsets: &'a [u32],
+        /// Faces, vertex after vertex.
+        faces: &'a [u32],
+    }
+
+    /// What a camera ray hits.
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct ProbedPoint {
+        /// The place; [`NO_FACE`] at a miss.
+        place: FacePlace,
+        /// Albedo of the base.
+        albedo: [f32; 3],
+    }
+
+    /// Gradient noise at a point.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    struct GradientNoise {
+        /// Value, in about [-1, 1].
+        value: f32,
+        /// Its gradient.
+        gradient: [f32; 3],
+    }
+
+    /// A point of the jittered lattice.
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct NoiseNeighbour {
+        /// Relative to the cell that the asking point lies in.
+        place: [f32; 3],
+        /// Squared distance from the asking point.
+        distance2: f32,
+        /// Hash that names its cell.
+        cell: u32,
+    }
+
     unsafe extern "C++" {
         include!("cpp/trace/tracer.h");
 
@@ -133,108 +275,74 @@ mod bridge {
         ) -> Result<UniquePtr<Tracer>>;
         fn update(self: Pin<&mut Tracer>, vertices: &[f32]) -> Result<()>;
         fn refit(self: Pin<&mut Tracer>) -> Result<()>;
+
         fn trace_tile(
             self: &Tracer,
             frame: &FrameSettings,
-            tile: &Tile,
+            tile: &TileRequest,
             corners: &[f32],
-            known: &[f32],
-            film: &mut [f32],
+            known: &[KnownLight],
+            film: &mut [FilmPixel],
         ) -> Result<TileCounters>;
-        fn trace_distances(
+        fn probe_depth(
             self: &Tracer,
             frame: &FrameSettings,
             directions: &[f32],
             distances: &mut [f32],
             faces: &mut [u32],
         ) -> Result<()>;
-        fn lamp(self: &Tracer, frame: &FrameSettings, faces: &[u32], values: &mut [f32]) -> Result<u64>;
+        fn probe(self: &Tracer, frame: &FrameSettings, directions: &[f32], points: &mut [ProbedPoint]) -> Result<()>;
+        fn cast(self: &Tracer, origins: &[f32], directions: &[f32], distances: &mut [f32]) -> Result<()>;
+
+        fn lamp_on_faces(self: &Tracer, frame: &FrameSettings, faces: &[u32], light: &mut [FaceLight]) -> Result<u64>;
         fn glints(
             self: &Tracer,
             frame: &FrameSettings,
-            lamp: &[f32],
+            light: &[FaceLight],
             to: &[u32],
             from: &[u32],
-            parts: &mut [f32],
+            glints: &mut [Glint],
         ) -> Result<()>;
         fn gather(self: &Tracer, frame: &FrameSettings, faces: &[u32], hits: &mut [u32]) -> Result<u64>;
-        fn walks(
+        fn scatter_walks(
             self: &Tracer,
             frame: &FrameSettings,
             vertices: &[u32],
-            offsets: &[u32],
-            adjacent: &[u32],
-            exits: &mut [u32],
-            places: &mut [f32],
-            weights: &mut [f32],
-            flat: &mut [f32],
+            around: &FacesAround,
+            exits: &mut [ScatterExit],
+            flat_excess: &mut [f32],
         ) -> Result<u64>;
-        fn unshadowed(
-            self: &Tracer,
-            frame: &FrameSettings,
-            faces: &[u32],
-            places: &[f32],
-            values: &mut [f32],
-        ) -> Result<()>;
+        fn unshadowed(self: &Tracer, frame: &FrameSettings, places: &[FacePlace], irradiance: &mut [f32])
+        -> Result<()>;
         fn unshadowed_around(
             self: &Tracer,
             frame: &FrameSettings,
             vertices: &[u32],
-            offsets: &[u32],
-            adjacent: &[u32],
-            values: &mut [f32],
+            around: &FacesAround,
+            irradiance: &mut [f32],
         ) -> Result<()>;
-        fn probe(
-            self: &Tracer,
-            frame: &FrameSettings,
-            directions: &[f32],
-            faces: &mut [u32],
-            values: &mut [f32],
-        ) -> Result<()>;
-        fn cast(self: &Tracer, origins: &[f32], directions: &[f32], distances: &mut [f32]) -> Result<()>;
 
         fn coat_albedo(alpha: f32, ior: f32, cosine: f32) -> f32;
         fn medium_albedo(rho: f32) -> f32;
         fn sobol_pair(key: u32, index: u32, dimension: u32, pair: &mut [f32]) -> Result<()>;
-        fn gradient_noise(isa: u8, point: &[f32], seed: u32, values: &mut [f32]) -> Result<()>;
-        fn noise_neighbours(isa: u8, point: &[f32], seed: u32, values: &mut [f32], cells: &mut [u32]) -> Result<()>;
+        fn gradient_noise(isa: u8, point: &[f32], seed: u32) -> Result<GradientNoise>;
+        fn noise_neighbours(isa: u8, point: &[f32], seed: u32, nearest: &mut [NoiseNeighbour]) -> Result<()>;
     }
-}
-
-/// Values per pixel of a tile's film, in this order: direct (3), indirect (3), indirect from the base over its albedo
-/// (3), indirect from the coat (3), albedo (3), smooth normal (3), hits (1). Sums over samples.
-pub const FILM_CHANNELS: usize = 19;
-
-/// Values per vertex: what the base sends of light that walked in the wall, over its albedo and times pi (3); irradiance by
-/// other walls (3); the part of walks that comes out nearby, over the albedo (3), and that part times the lamp's unshadowed
-/// irradiance around the vertex (3).
-pub const KNOWN_VALUES: usize = 12;
-
-/// Values per face: the lamp's irradiance (3), what the base sends on of it (3), what is sent on to all sides alike of other
-/// light (3), centre (3), normal (3), what the coat mirrors of the lamp's light and of other light, over [`MeshTracer::glints`]
-/// (2); the lamp's unshadowed irradiance (3); 1 where the face is so near that this is not even over it, or 0.
-pub const LAMP_VALUES: usize = 21;
-
-/// Walks through the wall, the same number for every vertex.
-#[derive(Clone, Debug, Default)]
-pub struct Walks {
-    /// Per walk the face where it comes out; [`NO_FACE`] where it does not.
-    pub exits: Vec<u32>,
-    /// Per walk the place there: barycentric weights of the face's second and third corner.
-    pub places: Vec<f32>,
-    /// Per walk what is left of its light over the albedo where it began, three channels.
-    pub weights: Vec<f32>,
-    /// Per vertex, three channels: by how much the mean weight of the same walks below a flat surface is above what is known of it.
-    pub flat: Vec<f32>,
-    /// Rays that it took.
-    pub rays: u64,
 }
 
 /// In place of a face: nothing was hit.
 pub const NO_FACE: u32 = u32::MAX;
 
-/// Values per probed ray: distance, barycentric weights of the face's second and third corner, albedo (3).
-pub const PROBE_VALUES: usize = 6;
+/// Scatter walks through the wall, the same number for every vertex.
+#[derive(Clone, Debug, Default)]
+pub struct ScatterWalks {
+    /// Vertex after vertex.
+    pub exits: Vec<ScatterExit>,
+    /// Per vertex: by how much the mean weight of the same walks below a flat surface is above what is known of it.
+    pub flat_excess: Vec<[f32; 3]>,
+    /// Rays that it took.
+    pub rays: u64,
+}
 
 /// One triangle mesh, its material and its bounding volume hierarchy.
 pub struct MeshTracer(UniquePtr<bridge::Tracer>);
@@ -272,21 +380,20 @@ impl MeshTracer {
         self.0.pin_mut().refit().map_err(failed)
     }
 
-    /// Adds a tile's samples to its film ([`FILM_CHANNELS`] values per pixel). `corners`: directions in camera axes
-    /// through the (width + 1) x (height + 1) pixel corners of the image. `known`: [`KNOWN_VALUES`] per vertex,
-    /// negative where nothing is known, or empty: then all light is traced.
+    /// Adds a tile's samples to its film, row-major. `corners`: directions in camera axes (xyz) through the
+    /// (width + 1) x (height + 1) pixel corners of the image. `known`: light per vertex, or empty: then all light is traced.
     pub fn trace_tile(
         &self,
         frame: &FrameSettings,
-        tile: &Tile,
+        tile: &TileRequest,
         corners: &[f32],
-        known: &[f32],
-        film: &mut [f32],
+        known: &[KnownLight],
+        film: &mut [FilmPixel],
     ) -> Result<TileCounters> {
         self.0.trace_tile(frame, tile, corners, known, film).map_err(failed)
     }
 
-    /// Lengths of camera rays along unit directions (camera axes) and the faces there; infinity and [`NO_FACE`] where
+    /// Lengths of camera rays along unit directions (camera axes, xyz) and the faces there; infinity and [`NO_FACE`] where
     /// nothing is hit.
     pub fn distances(
         &self,
@@ -295,26 +402,39 @@ impl MeshTracer {
         distances: &mut [f32],
         faces: &mut [u32],
     ) -> Result<()> {
-        self.0.trace_distances(frame, directions, distances, faces).map_err(failed)
+        self.0.probe_depth(frame, directions, distances, faces).map_err(failed)
     }
 
-    /// [`LAMP_VALUES`] per face; gives back the number of rays.
-    pub fn lamp(&self, frame: &FrameSettings, faces: &[u32], values: &mut [f32]) -> Result<u64> {
-        self.0.lamp(frame, faces, values).map_err(failed)
+    /// What camera rays along unit directions (camera axes, xyz) hit.
+    pub fn probe(&self, frame: &FrameSettings, directions: &[f32]) -> Result<Vec<ProbedPoint>> {
+        let mut points = vec![ProbedPoint::default(); directions.len() / 3];
+        self.0.probe(frame, directions, &mut points).map_err(failed)?;
+        Ok(points)
     }
 
-    /// Two values for every ray of the faces at the places `to` of `lamp` ([`LAMP_VALUES`] each), which meets a face (place in
-    /// `from`, [`NO_FACE`] for none; the same number for each of `to`): what that face's base sends along it, over its mean to
-    /// all sides, and what its coat sends of light from the lamp's side, as irradiance over what the coat gets. Left alone
-    /// where there is no coat.
+    /// Lengths of arbitrary rays in the tracer's world, in units of the directions' lengths; infinity at a miss.
+    pub fn cast(&self, origins: &[f32], directions: &[f32], distances: &mut [f32]) -> Result<()> {
+        self.0.cast(origins, directions, distances).map_err(failed)
+    }
+
+    /// What the lamp does to faces, and the number of rays that it took.
+    pub fn lamp_on(&self, frame: &FrameSettings, faces: &[u32]) -> Result<(Vec<FaceLight>, u64)> {
+        let mut light = vec![FaceLight::default(); faces.len()];
+        let rays = self.0.lamp_on_faces(frame, faces, &mut light).map_err(failed)?;
+        Ok((light, rays))
+    }
+
+    /// What the rays of the faces at the places `to` of `light` bring, each from the face that it meets (place in `from`,
+    /// [`NO_FACE`] for none; the same number for each of `to`). Left alone where there is no coat.
     pub fn glints(
         &self,
         frame: &FrameSettings,
-        lamp: &[f32],
-        [to, from]: [&[u32]; 2],
-        parts: &mut [f32],
+        light: &[FaceLight],
+        to: &[u32],
+        from: &[u32],
+        glints: &mut [Glint],
     ) -> Result<()> {
-        self.0.glints(frame, lamp, to, from, parts).map_err(failed)
+        self.0.glints(frame, light, to, from, glints).map_err(failed)
     }
 
     /// Per face the faces that `hits.len() / faces.len()` rays from it meet ([`NO_FACE`] where one leaves the mesh); gives
@@ -323,31 +443,26 @@ impl MeshTracer {
         self.0.gather(frame, faces, hits).map_err(failed)
     }
 
-    /// `count` walks through the wall for every vertex. `adjacent[offsets[v]..offsets[v + 1]]` are the faces around vertex v.
-    pub fn walks(
+    /// `count` scatter walks through the wall for every vertex.
+    pub fn scatter_walks(
         &self,
         frame: &FrameSettings,
         vertices: &[u32],
-        [offsets, adjacent]: [&[u32]; 2],
+        around: &FacesAround,
         count: usize,
-    ) -> Result<Walks> {
-        let all = vertices.len() * count;
-        let mut walks = Walks {
-            exits: vec![NO_FACE; all],
-            places: vec![0.0; 2 * all],
-            weights: vec![0.0; 3 * all],
-            flat: vec![0.0; 3 * vertices.len()],
-            rays: 0,
-        };
-        let Walks { exits, places, weights, flat, rays } = &mut walks;
-        *rays = self.0.walks(frame, vertices, offsets, adjacent, exits, places, weights, flat).map_err(failed)?;
-        Ok(walks)
+    ) -> Result<ScatterWalks> {
+        let mut exits = vec![ScatterExit::default(); vertices.len() * count];
+        let mut flat_excess = vec![[0.0; 3]; vertices.len()];
+        let flat = flat_excess.as_flattened_mut();
+        let rays = self.0.scatter_walks(frame, vertices, around, &mut exits, flat).map_err(failed)?;
+        Ok(ScatterWalks { exits, flat_excess, rays })
     }
 
-    /// The lamp's irradiance (three channels) at `places` in `faces` (barycentric weights of the second and third corner) if
-    /// nothing stood in its way.
-    pub fn unshadowed(&self, frame: &FrameSettings, faces: &[u32], places: &[f32], values: &mut [f32]) -> Result<()> {
-        self.0.unshadowed(frame, faces, places, values).map_err(failed)
+    /// The lamp's irradiance at places if nothing stood in its way.
+    pub fn unshadowed(&self, frame: &FrameSettings, places: &[FacePlace]) -> Result<Vec<[f32; 3]>> {
+        let mut irradiance = vec![[0.0; 3]; places.len()];
+        self.0.unshadowed(frame, places, irradiance.as_flattened_mut()).map_err(failed)?;
+        Ok(irradiance)
     }
 
     /// The same around `vertices`, as a mean with the weights of linear interpolation.
@@ -355,26 +470,11 @@ impl MeshTracer {
         &self,
         frame: &FrameSettings,
         vertices: &[u32],
-        [offsets, adjacent]: [&[u32]; 2],
-        values: &mut [f32],
-    ) -> Result<()> {
-        self.0.unshadowed_around(frame, vertices, offsets, adjacent, values).map_err(failed)
-    }
-
-    /// What camera rays along unit directions (camera axes) hit: face (`u32::MAX` for nothing) and [`PROBE_VALUES`] values.
-    pub fn probe(
-        &self,
-        frame: &FrameSettings,
-        directions: &[f32],
-        faces: &mut [u32],
-        values: &mut [f32],
-    ) -> Result<()> {
-        self.0.probe(frame, directions, faces, values).map_err(failed)
-    }
-
-    /// Lengths of arbitrary rays in the tracer's world, in units of the directions' lengths; infinity at a miss.
-    pub fn cast(&self, origins: &[f32], directions: &[f32], distances: &mut [f32]) -> Result<()> {
-        self.0.cast(origins, directions, distances).map_err(failed)
+        around: &FacesAround,
+    ) -> Result<Vec<[f32; 3]>> {
+        let mut irradiance = vec![[0.0; 3]; vertices.len()];
+        self.0.unshadowed_around(frame, vertices, around, irradiance.as_flattened_mut()).map_err(failed)?;
+        Ok(irradiance)
     }
 }
 
@@ -395,19 +495,15 @@ pub fn sobol_pair(key: u32, index: u32, dimension: u32) -> [f32; 2] {
     pair
 }
 
-/// Gradient noise (after Perlin, SIGGRAPH 2002) at a point: its value, in about [-1, 1], and its gradient. Features have a
-/// period of 1. Panics where this processor lacks `isa`.
-pub fn gradient_noise(isa: Isa, point: [f32; 3], seed: u32) -> [f32; 4] {
-    let mut values = [0.0; 4];
-    bridge::gradient_noise(isa.code(), &point, seed, &mut values).expect("a processor that has the instruction set");
-    values
+/// Gradient noise (after Perlin, SIGGRAPH 2002) at a point; features have a period of 1. Panics where this processor lacks
+/// `isa`.
+pub fn gradient_noise(isa: Isa, point: [f32; 3], seed: u32) -> GradientNoise {
+    bridge::gradient_noise(isa.code(), &point, seed).expect("a processor that has the instruction set")
 }
 
-/// The two nearest points of the jittered lattice, one point per unit cell: place relative to the cell that `point` lies in
-/// (3), squared distance; and the hash that names the cell. Panics where this processor lacks `isa`.
-pub fn noise_neighbours(isa: Isa, point: [f32; 3], seed: u32) -> [([f32; 4], u32); 2] {
-    let (mut values, mut cells) = ([0.0; 8], [0; 2]);
-    bridge::noise_neighbours(isa.code(), &point, seed, &mut values, &mut cells)
-        .expect("a processor that has the instruction set");
-    [0, 1].map(|k| (std::array::from_fn(|i| values[4 * k + i]), cells[k]))
+/// The two nearest points of the jittered lattice, one point per unit cell. Panics where this processor lacks `isa`.
+pub fn noise_neighbours(isa: Isa, point: [f32; 3], seed: u32) -> [NoiseNeighbour; 2] {
+    let mut nearest = [NoiseNeighbour::default(); 2];
+    bridge::noise_neighbours(isa.code(), &point, seed, &mut nearest).expect("a processor that has the instruction set");
+    nearest
 }

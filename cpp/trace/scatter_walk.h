@@ -1,8 +1,12 @@
 #pragma once
-// Random walk of light in the wall: a homogeneous medium with isotropic scattering below the surface, its extinction
-// and single-scattering albedo different for red, green and blue.
+// A scatter walk, the random walk of light in the wall: a homogeneous medium with isotropic scattering below the surface,
+// its extinction sigma and single-scattering albedo a different for red, green and blue. One free flight from x along w:
+//   channel c with probability p_c = T_c a_c / sum(T a)           T throughput, of which a_c is what would scatter on
+//   distance t = -ln(1 - u) / sigma_c
+//   T <- T exp(-sigma t) sigma / sum_c(p_c exp(-sigma_c t) sigma_c)     scattered in the medium (then T <- T a)
+//   T <- T exp(-sigma s) / sum_c(p_c exp(-sigma_c s))                   at the surface after s < t
 //
-// Distances are drawn for one channel, chosen by what each channel would carry on, and weighted by the balance
+// So distances are drawn for one channel, chosen by what each channel would carry on, and weighted by the balance
 // heuristic over the three (Wrenninge, Villemin, Hery 2017, "Path traced subsurface scattering using anisotropic phase
 // functions and non-exponential free flights"; with three different extinctions a single channel's density gives
 // unbounded weights). The single-scattering albedo that makes a half-space of diffuse albedo A is van de Hulst's
@@ -10,28 +14,22 @@
 // kRouletteBelow, never capped. Left out: anisotropic phase functions (use reduced coefficients), guiding (Dwivedi's
 // saves 6 to 13 % here: the red albedo is too close to 1).
 
-#include <embree4/rtcore.h>
-
 #include <cmath>
 #include <cstdint>
 
 #include "cpp/trace/sampler.h"
+#include "cpp/trace/traced_mesh.h"
 #include "cpp/trace/vector.h"
 
 namespace respire {
-
-struct Hit {
-  float t, u, v;
-  std::uint32_t face;
-  Vec3 geometric;  // not normalised
-};
 
 // Extinction per mm and single-scattering albedo.
 struct Medium {
   Vec3 extinction, albedo;
 };
 
-// A half-space of this single-scattering albedo sends back the part `rho` of diffuse light.
+// A half-space of the single-scattering albedo `a` sends back the part `rho` of diffuse light:
+//   a = 1 - s^2, s = 4.09712 + 4.20863 rho - sqrt(9.59217 + 41.6808 rho + 17.7126 rho^2)
 inline float single_scattering_albedo(float rho) {
   const float s = 4.09712f + 4.20863f * rho - std::sqrt(9.59217f + 41.6808f * rho + 17.7126f * rho * rho);
   const float positive = std::max(s, 0.0f);
@@ -46,27 +44,31 @@ inline Vec3 attenuation(Vec3 extinction, float distance) {
   return {exp_minus(extinction.x * distance), exp_minus(extinction.y * distance), exp_minus(extinction.z * distance)};
 }
 
-inline Vec3 isotropic_direction(float u, float v) {
-  float c, s;
-  cos_sin_turns(v, c, s);
-  const float z = 1.0f - 2.0f * u, r = std::sqrt(std::max(0.0f, 1.0f - z * z));
-  return {r * c, r * s, z};
-}
-
-class RandomWalk {
+class ScatterWalk {
  public:
   enum class Step { kScattered, kSurface, kAbsorbed };
 
-  RandomWalk(RTCScene scene, const Medium& medium, std::uint64_t& rays) : scene_(scene), medium_(medium), rays_(&rays) {}
+  // A flight from the surface starts this far below it, in mm, like a ray in the lumen above it.
+  static constexpr float kStart = kSurfaceOffset;
+
+  // Inside a mesh; `rays` counts the rays.
+  ScatterWalk(RTCScene scene, const Medium& medium, std::uint64_t& rays)
+      : scene_(scene), medium_(medium), rays_(&rays) {}
 
   // Below a flat surface through `point` with unit `normal` instead of a mesh.
-  RandomWalk(Vec3 point, Vec3 normal, const Medium& medium) : point_(point), normal_(normal), medium_(medium) {}
+  ScatterWalk(Vec3 point, Vec3 normal, const Medium& medium) : point_(point), normal_(normal), medium_(medium) {}
 
-  // One free flight from `point` along `direction`; moves the point and multiplies `throughput`, which includes the
-  // albedo where it ends in a scattering. `hit` is set where it ends at the surface. `near`: where the ray starts.
-  // `stratified`: over the samples of a pixel or vertex, which pays for the first flights.
-  Step flight(Vec3& point, Vec3 direction, float near, Vec3& throughput, Sampler& sampler, Hit& hit, bool stratified = false) const {
-    const Vec3 carried = throughput * medium_.albedo;
+  // Where a flight goes, and what it carries.
+  struct Flight {
+    Vec3 point, direction, throughput;
+  };
+
+  // One free flight; moves the point and multiplies the throughput, which includes the albedo where the flight ends in a
+  // scattering. `hit` is set where it ends at the surface. `near`: where the ray starts. `stratified`: over the samples of
+  // a pixel or vertex, which pays for the first flights.
+  Step fly(Flight& flight, float near, Sampler& sampler, Hit& hit, bool stratified = false) const {
+    // Channel, by what each would carry on.
+    const Vec3 carried = flight.throughput * medium_.albedo;
     const float sum = carried.x + carried.y + carried.z;
     if (!(sum > 0.0f)) return Step::kAbsorbed;
     const Vec3 choice = carried * (1.0f / sum);
@@ -75,39 +77,41 @@ class RandomWalk {
       sampler.next2(distance, which);
     else
       which = sampler.random(), distance = sampler.random();
-    const float extinction = which < choice.x                ? medium_.extinction.x
+    const float extinction = which < choice.x              ? medium_.extinction.x
                              : which < choice.x + choice.y ? medium_.extinction.y
                                                            : medium_.extinction.z;
+    // Distance, cut off at the surface.
     const float free = minus_log(1.0f - distance) / extinction;
-    const bool surface = reaches(point, direction, near, free, hit);
+    const bool surface = reaches(flight.point, flight.direction, near, free, hit);
     const float length = surface ? hit.t : free;
+    // Weight over the balance heuristic's density.
     Vec3 value = attenuation(medium_.extinction, length);
     if (!surface) value = value * medium_.extinction;
     const float density = dot(choice, value);
     if (!(density > 0.0f)) return Step::kAbsorbed;
-    throughput = throughput * value * (1.0f / density);
-    point += direction * length;
+    flight.throughput = flight.throughput * value * (1.0f / density);
+    flight.point += flight.direction * length;
     if (surface) return Step::kSurface;
-    throughput = throughput * medium_.albedo;
+    flight.throughput = flight.throughput * medium_.albedo;
     return Step::kScattered;
   }
 
-  // Walks from the surface point `point` into the wall along `direction` until it comes out again: on true `point`,
-  // `direction` and `hit` say where, and `throughput` what is left.
-  bool leave(Vec3& point, Vec3& direction, Sampler& sampler, Vec3& throughput, Hit& hit) const {
-    throughput = {1, 1, 1};
+  // Walks from the surface point `flight.point` into the wall along `flight.direction` until the light comes out again: on
+  // true `flight` and `hit` say where, and what is left of it (the throughput starts at 1).
+  bool leave(Flight& flight, Sampler& sampler, Hit& hit) const {
+    flight.throughput = {1, 1, 1};
     float near = kStart;
     for (int step = 0; step < kLongest; ++step) {
       const bool stratified = step < kStratifiedSteps;
-      const Step outcome = flight(point, direction, near, throughput, sampler, hit, stratified);
+      const Step outcome = fly(flight, near, sampler, hit, stratified);
       if (outcome == Step::kSurface) return true;
-      if (outcome == Step::kAbsorbed || !survives(throughput, sampler)) return false;
+      if (outcome == Step::kAbsorbed || !survives(flight.throughput, sampler)) return false;
       float u, v;
       if (stratified)
         sampler.next2(u, v);
       else
         u = sampler.random(), v = sampler.random();
-      direction = isotropic_direction(u, v);
+      flight.direction = isotropic_direction(u, v);
       near = 0.0f;
     }
     return false;
@@ -122,16 +126,6 @@ class RandomWalk {
     return true;
   }
 
-  // A flight from the surface starts this far below it, in mm.
-  static constexpr float kStart = 2e-4f;
-
- private:
-  static constexpr float kRouletteBelow = 0.5f;
-  static constexpr int kStratifiedSteps = 2;
-  // Ends walks in perfectly white, closed walls.
-  static constexpr int kLongest = 1 << 16;
-
- public:
   // Whether the surface lies between `near` and `far` along the ray; where the first such point is.
   bool reaches(Vec3 from, Vec3 direction, float near, float far, Hit& hit) const {
     if (!scene_) {
@@ -139,20 +133,18 @@ class RandomWalk {
       hit.t = rise > 0.0f ? dot(point_ - from, normal_) / rise : far;
       return rise > 0.0f && hit.t >= near && hit.t < far;
     }
-    RTCRayHit r;
-    r.ray.org_x = from.x, r.ray.org_y = from.y, r.ray.org_z = from.z;
-    r.ray.dir_x = direction.x, r.ray.dir_y = direction.y, r.ray.dir_z = direction.z;
-    r.ray.tnear = near, r.ray.tfar = far, r.ray.time = 0, r.ray.mask = ~0u, r.ray.id = 0, r.ray.flags = 0;
-    r.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-    r.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
     ++*rays_;
-    rtcIntersect1(scene_, &r);
-    if (r.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
-    hit = {r.ray.tfar, r.hit.u, r.hit.v, r.hit.primID, {r.hit.Ng_x, r.hit.Ng_y, r.hit.Ng_z}};
-    return true;
+    return first_hit(scene_, ray_of(from, direction, near, far), hit);
   }
 
  private:
+  // Throughput below which roulette starts.
+  static constexpr float kRouletteBelow = 0.5f;
+  // The first flights, for which stratification pays; later ones use plain random numbers.
+  static constexpr int kStratifiedSteps = 2;
+  // Flights of the longest walk: ends walks in perfectly white, closed walls.
+  static constexpr int kLongest = 1 << 16;
+
   RTCScene scene_ = nullptr;
   Vec3 point_{}, normal_{};
   const Medium& medium_;

@@ -1,5 +1,5 @@
-//! Frames of the same film that another folder holds already: films of one case with different errors of the registration
-//! have the same pixels and truth, and only the mesh that methods are given differs.
+//! Frames that two sequences share: films of one case with different errors of the registration have the same pixels and
+//! truth, and only the mesh that methods are given differs. Such frames are copied from the folder that has them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,26 +9,21 @@ use serde::Deserialize;
 use crate::airway::case::Case;
 use crate::base::{Error, Progress, Result, files, hash};
 
-use super::{SimulationSettings, frame_names, sequence};
+use super::identity::film_hash;
+use super::sequence;
+use super::settings::SimulationSettings;
 
 /// What a manifest says of the film it stands beside.
 #[derive(Deserialize)]
-struct Kin {
+struct FilmManifest {
     film_hash: Option<String>,
     files: BTreeMap<String, String>,
 }
 
-/// Content hash of the frames of `case`: of everything but what methods are told of the motion, this program's code included
-/// (who changes the renderer wants no frame of before). 64 hex digits.
-pub(super) fn film_hash(case: &Case, settings: &SimulationSettings) -> Result<String> {
-    let film = Case { registration_error_mm: 0.0, ..case.clone() };
-    hash::of_value(&("film", super::revision(), film.hash()?, settings))
-}
-
-/// Copies into `out` the frames that it lacks and that a finished film beside it has, byte by byte what that film's
-/// manifest says; whatever else there is, is left to be rendered.
+/// Copies into `out` the frames that it lacks and that a finished film beside it has, where they are byte by byte what that
+/// film's manifest says. All others are left to be rendered.
 ///
-/// Errors: writing into `out`. Damage to the other folder is none: its frames are not taken.
+/// Errors: writing into `out`. Damage to the other folder is no error: its frames are not taken.
 pub(super) fn copy_frames(
     case: &Case,
     settings: &SimulationSettings,
@@ -40,15 +35,16 @@ pub(super) fn copy_frames(
     if missing.is_empty() {
         return Ok(());
     }
-    let Some((folder, kin)) = find(case, &film_hash(case, settings)?, out) else { return Ok(()) };
+    let Some((folder, manifest)) = find(case, &film_hash(case, settings)?, out) else { return Ok(()) };
     let mut copied = 0;
     for frame in missing {
         if progress.cancelled() {
             return Err(Error::interrupted());
         }
         // In the order of writing: the image is the last, so that an image means a whole frame.
-        let names = frame_names(frame, settings);
-        let Some(contents) = names.iter().map(|name| whole(&folder, name, &kin)).collect::<Option<Vec<_>>>() else {
+        let names = settings.frame_names(frame);
+        let Some(contents) = names.iter().map(|name| intact(&folder, name, &manifest)).collect::<Option<Vec<_>>>()
+        else {
             continue;
         };
         for (name, content) in names.iter().zip(contents) {
@@ -65,20 +61,20 @@ pub(super) fn copy_frames(
 }
 
 /// The first finished folder beside `out`, by name, that belongs to the case and has the film.
-fn find(case: &Case, wanted: &str, out: &Path) -> Option<(PathBuf, Kin)> {
+fn find(case: &Case, wanted: &str, out: &Path) -> Option<(PathBuf, FilmManifest)> {
     let mut beside: Vec<PathBuf> =
         out.parent()?.read_dir().ok()?.filter_map(|entry| Some(entry.ok()?.path())).collect();
     beside.sort();
     let start = format!("{}-", case.id);
     let of_case = |path: &PathBuf| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with(&start));
     beside.into_iter().filter(|path| path != out && of_case(path)).find_map(|path| {
-        let kin: Kin = files::read_json(&path.join(sequence::MANIFEST)).ok()?;
-        (kin.film_hash.as_deref() == Some(wanted)).then_some((path, kin))
+        let manifest: FilmManifest = files::read_json(&path.join(sequence::MANIFEST)).ok()?;
+        (manifest.film_hash.as_deref() == Some(wanted)).then_some((path, manifest))
     })
 }
 
 /// A file of that film, if it is what it was when it was finished.
-fn whole(folder: &Path, name: &str, kin: &Kin) -> Option<Vec<u8>> {
+fn intact(folder: &Path, name: &str, manifest: &FilmManifest) -> Option<Vec<u8>> {
     let content = files::read_bytes(&folder.join(name)).ok()?;
-    (kin.files.get(name)? == &hash::of_bytes(&content)).then_some(content)
+    (manifest.files.get(name)? == &hash::of_bytes(&content)).then_some(content)
 }

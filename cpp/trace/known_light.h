@@ -1,0 +1,165 @@
+#pragma once
+// Camera samples that take smooth light from the vertices, where `src/render/vertex_light.rs` has solved for it.
+//
+// What is known at a vertex (`KnownLight`): light that the base sends by way of scattering in the wall, irradiance by other
+// walls, and of the scattered light the part that comes out nearby. Negative where nothing is known: there a path is traced.
+
+#include "cpp/trace/face_light.h"
+#include "cpp/trace/path.h"
+
+namespace respire {
+
+class KnownLightTracer {
+ public:
+  // `known`: one per vertex of the mesh.
+  KnownLightTracer(PathTracer& paths, const KnownLight* known)
+      : paths_(paths), wall_(paths.wall()), material_(paths.wall().material), lamp_(paths.lamp()), known_(known) {}
+
+  // Like `PathTracer::camera_sample`, with the light that other walls send, and that scatters in the wall, from the vertices.
+  void known_sample(Vec3 direction, const Hit* hit, Sampler& sampler, FilmPixel& film) {
+    paths_.first_vertex(direction, hit, film, [&](const Vertex& at) -> Indirect {
+      const bool scatters = material_.subsurface() == SubsurfaceKind::Diffuse;
+      Vec3 light;
+      if (!(scatters ? scattered_at(*hit, light) : irradiance_at(*hit, light)))
+        return paths_.traced_light(at, direction, sampler);
+      if (scatters) light = sharpened(*hit, light, at.s);
+      const float share = material_.coated() ? 1.0f - material_.coat().albedo(at.s.alpha, at.o.z) : 1.0f;
+      Indirect found;
+      found.base = light * (share * (1.0f / kPi));
+      if (material_.coated() && paths_.limit() > 1) found.coat = mirrored(at, sampler);
+      return found;
+    });
+  }
+
+  // The same with the light of the vertices one wall later: a sample's first ray, or its scatter walk, is traced, and what it
+  // meets is lit by the lamp exactly and by other walls from the vertices. What the coat there mirrors is traced.
+  void gathered_sample(Vec3 direction, const Hit* hit, Sampler& sampler, FilmPixel& film) {
+    paths_.first_vertex(direction, hit, film, [&](const Vertex& at) -> Indirect {
+      if (material_.subsurface() == SubsurfaceKind::Diffuse) return gathered_walk(at, sampler);
+      if (paths_.limit() > 1) return gathered_ray(at, sampler);
+      return {};
+    });
+  }
+
+ private:
+  Indirect gathered_ray(const Vertex& at, Sampler& sampler) {
+    PathTracer::Scattering next;
+    if (!paths_.sample_direction(at, sampler, next)) return {};
+    const Vec3 direction = at.frame.world(next.local);
+    if (dot(direction, at.s.geometric) <= 0.0f) return {};
+    const Vec3 carried = at.s.albedo * next.base + grey(next.coat);
+    const Vec3 light = gathered(at.origin(), direction, carried, sampler);
+    return {light * next.base, light * next.coat};
+  }
+
+  Indirect gathered_walk(const Vertex& at, Sampler& sampler) {
+    float weight;
+    if (paths_.coat_is_chosen(at, sampler, weight)) {
+      if (paths_.limit() <= 1) return {};
+      return {{}, paths_.mirrored_light(at, sampler) * weight};
+    }
+    Vec3 throughput, light;
+    Hit hit;
+    Surface out;
+    if (!paths_.scatter_out(at.s, at.frame.world(at.o), sampler, throughput, hit, out)) return {};
+    if (irradiance_at(hit, light))
+      light = (light + lamp_.irradiance(out, &paths_.caster())) * (1.0f / kPi);
+    else
+      light = paths_.lit_exit(out, throughput * weight, 1, sampler);
+    return {quotient(throughput * light, at.s.albedo) * weight, {}};
+  }
+
+  // Radiance that arrives along a ray from a first vertex.
+  Vec3 gathered(Vec3 from, Vec3 direction, Vec3 carried, Sampler& sampler) {
+    Hit hit;
+    if (!paths_.caster().intersect(from, direction, hit)) return paths_.background();
+    Vec3 light;
+    if (!irradiance_at(hit, light)) return paths_.reflected(hit, from, direction, carried, 2, sampler);
+    const Vertex met = paths_.met(hit, from, direction);
+    // The lamp, then other walls by the base and by the coat.
+    Vec3 radiance = lamp_.direct_light(material_, met.s, met.frame, met.o, met.s.albedo, &paths_.caster());
+    if (paths_.limit() == 2) return radiance;
+    const float share = material_.coated() ? 1.0f - material_.coat().albedo(met.s.alpha, met.o.z) : 1.0f;
+    radiance += light * met.s.albedo * (share * (1.0f / kPi));
+    float weight;
+    if (paths_.coat_is_chosen(met, sampler, weight)) radiance += paths_.mirrored_light(met, sampler, 3) * weight;
+    return radiance;
+  }
+
+  // One sample of what the coat mirrors, with light of more than one scattering from the vertices.
+  Vec3 mirrored(const Vertex& at, Sampler& sampler) {
+    Vec3 direction;
+    float weight;
+    if (!paths_.mirrored_direction(at, sampler, direction, weight)) return {0, 0, 0};
+    const Vec3 from = at.origin();
+    Hit hit;
+    if (!paths_.caster().intersect(from, direction, hit)) return paths_.background() * weight;
+    // What no ray from a visible face has met in four generations hardly gets light by way of walls.
+    Vec3 light;
+    if (!irradiance_at(hit, light)) light = {0, 0, 0};
+    const Vertex met(wall_.surface(hit, from, direction), direction);
+    // Sharp glare in a mirror would be all noise: the coat met there has the wide lobe.
+    const Vec3 to_lamp = met.frame.local(normalize(lamp_.position() - met.s.point));
+    const float cosine = std::max(to_lamp.z, 0.0f);
+    const float wide = std::max(material_.wide_coat().albedo(kWideAlpha, cosine), 1e-6f);
+    const float glint = kPi / wide * material_.wide_coat().value(met.o, to_lamp, kWideAlpha);
+    const float lamp = material_.coat().albedo(met.s.alpha, cosine) * glint;
+    // As much of what comes from all sides alike as it would send there of light from this side.
+    const float e = material_.coat().albedo(met.s.alpha, met.o.z);
+    const float other = (1.0f - kFromLampSide) * e + kFromLampSide * material_.mean_coat() * glint;
+    const Vec3 base = met.s.albedo * (1.0f - e);
+    const Vec3 by_lamp = lamp_.irradiance(met.s, &paths_.caster()) * (base + grey(lamp));
+    return (by_lamp + light * (base + grey(other))) * (weight / kPi);
+  }
+
+  bool scattered_at(const Hit& hit, Vec3& light) const {
+    return interpolated(hit, [](const KnownLight& at) { return at.scattered.data(); }, light);
+  }
+  bool irradiance_at(const Hit& hit, Vec3& light) const {
+    return interpolated(hit, [](const KnownLight& at) { return at.irradiance.data(); }, light);
+  }
+
+  // Interpolates what is known at the face's vertices; vertices of which nothing is known leave their part to the others.
+  // False where hardly anything is.
+  template <class Values>
+  bool interpolated(const Hit& hit, Values&& values, Vec3& light) const {
+    // Least part of the weights at which the rest may speak for all.
+    constexpr float kEnough = 0.05f;
+    const std::uint32_t* corners = wall_.mesh.corners(hit.face);
+    const float w[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};
+    float total = 0.0f;
+    light = {0, 0, 0};
+    for (int k = 0; k < 3; ++k) {
+      const float* value = values(known_[corners[k]]);
+      if (value[0] < 0.0f) continue;
+      light += load(value) * w[k];
+      total += w[k];
+    }
+    if (!(total > kEnough)) return false;
+    light = light * (1.0f / total);
+    return true;
+  }
+
+  // Takes the lamp's light that has come out nearby as it is at the sample's own place instead of interpolated.
+  Vec3 sharpened(const Hit& hit, Vec3 light, const Surface& s) const {
+    const std::uint32_t* corners = wall_.mesh.corners(hit.face);
+    const float w[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};
+    Vec3 nearby{}, smooth{};
+    for (int k = 0; k < 3; ++k) {
+      const KnownLight& at = known_[corners[k]];
+      if (at.scattered[0] < 0.0f) return light;
+      nearby += load(at.nearby.data()) * w[k];
+      smooth += load(at.lamp_nearby.data()) * w[k];
+    }
+    const Vec3 sharp = light + nearby * lamp_.unshadowed(s) - smooth;
+    return {std::max(sharp.x, 0.0f), std::max(sharp.y, 0.0f), std::max(sharp.z, 0.0f)};
+  }
+
+  PathTracer& paths_;
+  const Wall& wall_;
+  const WallMaterial& material_;
+  const Lamp& lamp_;
+  const KnownLight* known_;
+};
+
+}  // namespace respire

@@ -1,0 +1,84 @@
+#include "cpp/trace/wall_material.h"
+
+#include "cpp/common/float_mode.h"
+#include "cpp/common/isa.h"
+#include "cpp/trace/demand.h"
+
+namespace respire {
+
+WallMaterial::WallMaterial(const MaterialSettings& settings, const TracedMesh& rest,
+                           rust::Slice<const float> generations, rust::Slice<const float> axial_mm)
+    : settings_(settings),
+      albedo_(load(settings.albedo.data())),
+      extinction_(load(settings.extinction.data())),
+      scattering_(load(settings.scattering.data())),
+      look_{settings.vessels, settings.blotches,        settings.relief, settings.film,
+            settings.rings,   settings.ring_spacing_mm, settings.seed},
+      noise_(noise_kernel(widest_isa())),
+      generations_(generations.begin(), generations.end()),
+      axial_mm_(axial_mm.begin(), axial_mm.end()) {
+  demand(generations.size() == rest.vertex_count() && axial_mm.size() == rest.vertex_count(),
+         "one generation and axial distance per vertex");
+  if (coated()) {
+    coat_ = Coat(settings.alpha_low, settings.alpha_high, settings.ior);
+    wide_coat_ = Coat(kWideAlpha, kWideAlpha, settings.ior);
+    // Integral of 2 E(cos) cos dcos by the midpoint rule.
+    constexpr int kSteps = 64;
+    for (int k = 0; k < kSteps; ++k) {
+      const float cosine = (static_cast<float>(k) + 0.5f) / kSteps;
+      mean_coat_ += coat_.albedo(mean_alpha(), cosine) * cosine * (2.0f / kSteps);
+    }
+  }
+  if (!mucosa()) return;
+  FloatMode mode;
+  for (std::uint32_t v = 0; v < rest.vertex_count(); ++v) {
+    const Vec3 p = rest.position(v);
+    rest_.insert(rest_.end(), {p.x, p.y, p.z});
+  }
+  bend_and_fade_rings(rest);
+  bake_vertex_albedo(rest);
+}
+
+// Noise of this period in mm shifts the rings by up to this part of their spacing; noise of that period scales their
+// height. Chosen by eye.
+void WallMaterial::bend_and_fade_rings(const TracedMesh& rest) {
+  constexpr float kShiftPeriodMm = 9.0f, kShift = 0.22f, kHeightPeriodMm = 6.0f;
+  ring_weight_.assign(rest.vertex_count(), 0.0f);
+  for (std::size_t v = 0; v < ring_weight_.size(); ++v) {
+    const Vec3 p = load(&rest_[3 * v]);
+    axial_mm_[v] +=
+        kShift * look_.ring_spacing_mm * gradient_noise(noise_, p * (1.0f / kShiftPeriodMm), look_.seed + 8);
+    const float fade = gradient_noise(noise_, p * (1.0f / kHeightPeriodMm), look_.seed + 9);
+    ring_weight_[v] =
+        ring_weight(generations_[v], load(rest.normals() + 3 * v)) * clamp(0.85f + 0.5f * fade, 0.0f, 1.2f);
+  }
+  if (look_.rings > 0.0f) {
+    for (float weight : ring_weight_) ring_height_.push_back(kRingHeightMm * look_.rings * weight);
+  }
+}
+
+// Area-weighted means over the faces around every vertex, each face's colour taken near the vertex.
+void WallMaterial::bake_vertex_albedo(const TracedMesh& rest) {
+  vertex_albedo_.assign(3 * rest.vertex_count(), 0.0f);
+  std::vector<float> weights(rest.vertex_count(), 0.0f);
+  for (std::uint32_t f = 0; f < rest.face_count(); ++f) {
+    const std::uint32_t* face = rest.corners(f);
+    Vec3 corner[3];
+    for (int k = 0; k < 3; ++k) corner[k] = load(&rest_[3ull * face[k]]);
+    Vec3 normal = cross(corner[1] - corner[0], corner[2] - corner[0]);
+    float area = length(normal);
+    for (int k = 0; k < 3; ++k) {
+      std::uint32_t v = face[k];
+      Vec3 p = corner[k] * (2.0f / 3.0f) + (corner[(k + 1) % 3] + corner[(k + 2) % 3]) * (1.0f / 6.0f);
+      const RestPoint point = {p, unit_or_zero(normal), axial_mm_[v], ring_weight_[v], generations_[v]};
+      const MucosaPoint m = mucosa_at(noise_, look_, albedo_, point, 0.0f);
+      store(&vertex_albedo_[3ull * v], load(&vertex_albedo_[3ull * v]) + m.albedo * area);
+      weights[v] += area;
+    }
+  }
+  for (std::size_t v = 0; v < weights.size(); ++v) {
+    if (weights[v] > 0.0f) store(&vertex_albedo_[3 * v], load(&vertex_albedo_[3 * v]) * (1.0f / weights[v]));
+  }
+}
+
+}  // namespace respire

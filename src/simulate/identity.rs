@@ -1,0 +1,33 @@
+//! What makes two sequences the same: content hashes, and the folder's name that follows from them.
+
+use std::path::{Path, PathBuf};
+
+use super::settings::SimulationSettings;
+use crate::airway::case::Case;
+use crate::base::revision::of_rooms;
+use crate::base::{Result, hash};
+
+/// Changes whenever the same case and settings give other pixels or other truth.
+pub(super) const SIMULATOR_VERSION: u32 = 7;
+
+/// Revision of the code that films a sequence.
+pub fn revision() -> String {
+    of_rooms(&["outside", "tracer", "base", "formats", "airway", "render", "simulate"])
+}
+
+/// Content hash of the sequence that `case` and `settings` make, 64 hex digits.
+pub fn sequence_hash(case: &Case, settings: &SimulationSettings) -> Result<String> {
+    hash::of_value(&(SIMULATOR_VERSION, case.hash()?, settings))
+}
+
+/// Content hash of the frames of `case`: of everything but what methods are told of the motion, this program's code included
+/// (a changed renderer must not reuse older frames). 64 hex digits.
+pub(super) fn film_hash(case: &Case, settings: &SimulationSettings) -> Result<String> {
+    let film = Case { registration_error_mm: 0.0, ..case.clone() };
+    hash::of_value(&("film", revision(), film.hash()?, settings))
+}
+
+/// Where the sequence of `case` lives below `root`: `<case>-<hash12>`.
+pub fn sequence_folder(root: &Path, case: &Case, settings: &SimulationSettings) -> Result<PathBuf> {
+    Ok(root.join(format!("{}-{}", case.id, &sequence_hash(case, settings)?[..12])))
+}
