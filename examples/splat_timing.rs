@@ -147,10 +147,8 @@ impl Bench {
             mean: &plane,
             square: &plane,
             mask: &[],
-            window: &window,
+            window,
             ssim_weight: 0.2,
-            norm: 0,
-            softness: 1.0,
         };
         let mut gradient = vec![0.0f32; 3 * side * side];
         let mut samples = Samples::default();

@@ -7,7 +7,7 @@
 //   back(w, by_u, by_c)            by_c = J^T by_u
 //   pullback(w, by_point, ..)      gradient with respect to t, through the image point and through J (V only)
 //   unscaled(k, by_u, c)           what of row k of J, times its gradient, does not grow with the focal length (V only)
-//   exact(camera, t, point)        the image point in double
+//   exact(view, t, point)        the image point in double
 #include "cpp/splat/kernel.h"
 #include "cpp/splat/lanes.h"
 
@@ -72,9 +72,8 @@ struct Pinhole {
     return keep(slope[k] != clamped[k], j2[k] * by_j2);
   }
 
-  static void exact(const double* camera, const VD* t, VD* point) {
-    const double *focal = camera + 12, *center = focal + 2;
-    for (int k = 0; k < 2; ++k) point[k] = focal[k] * (t[k] / t[2]) + center[k];
+  static void exact(const ExactView& view, const VD* t, VD* point) {
+    for (int k = 0; k < 2; ++k) point[k] = view.focal[k] * (t[k] / t[2]) + view.center[k];
   }
 };
 
@@ -185,8 +184,8 @@ struct Fisheye {
     return N{};
   }
 
-  static void exact(const double* camera, const VD* t, VD* point) {
-    const double *focal = camera + 12, *center = focal + 2, *k = center + 2;
+  static void exact(const ExactView& view, const VD* t, VD* point) {
+    const double* const k = view.lens;
     const VD r2 = t[0] * t[0] + t[1] * t[1];
     // The angle halved three times.
     const VD once = 1.0 / (t[2] + square_root(r2 + t[2] * t[2])), half = r2 * once * once;
@@ -198,7 +197,7 @@ struct Fisheye {
     for (double c : ARC) p = p * y + c;
     const VD a = 8.0 * once * twice * thrice * p, angle2 = r2 * a * a;
     const VD s = a * (1.0 + angle2 * (k[0] + angle2 * (k[1] + angle2 * (k[2] + angle2 * k[3]))));
-    for (int i = 0; i < 2; ++i) point[i] = focal[i] * (t[i] * s) + center[i];
+    for (int i = 0; i < 2; ++i) point[i] = view.focal[i] * (t[i] * s) + view.center[i];
   }
 };
 

@@ -49,6 +49,12 @@ inline void compensation_pullback(const G& g, V by_log, V by_u[COLUMNS][2]) {
 
 inline V dot(const V* a, const V* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
+inline double total(VD v) {
+  double sum = 0;
+  for (int l = 0; l < LANES / 2; ++l) sum += v[l];
+  return sum;
+}
+
 // A slot is asked for this many slots before it is summed.
 constexpr int AHEAD = 48;
 
@@ -92,7 +98,7 @@ struct Chain {
   template <int DEGREE, int COLUMNS, template <class> class Camera>
   void run() const {
     constexpr int BASIS = (DEGREE + 1) * (DEGREE + 1), SH = 3 * BASIS;
-    const View& w = *s.view;
+    const View& w = s.view;
     const bool through_position = wants(POSITIONS | POSE | LENS), shapes = wants(SHAPES);
     VD pose_sums[6] = {}, lens_sums[4] = {};
     for_groups(s, o.first, o.count, [&](const Group& group) {
@@ -165,7 +171,7 @@ struct Chain {
           by_u[k][0] = 2.0f * (va * g.u[k][0] + vb * g.u[k][1]);
           by_u[k][1] = 2.0f * (vb * g.u[k][0] + vc * g.u[k][1]);
         }
-        if (w.compensate > 0.0f) compensation_pullback<Geometry<V, COLUMNS, Camera>, COLUMNS>(g, m[S], by_u);
+        if (w.compensate) compensation_pullback<Geometry<V, COLUMNS, Camera>, COLUMNS>(g, m[S], by_u);
         for (int k = 0; k < COLUMNS; ++k) g.camera.back(w, by_u[k], by_c[k]);
         if (shapes) {
           for (int k = 0; k < COLUMNS; ++k) {
@@ -220,10 +226,8 @@ struct Chain {
         for (int k = 0; k < 4; ++k) lens_sums[k] += in_double(keep(good, lens[k]));
       }
     });
-    for (int k = 0; k < 10; ++k) {
-      o.camera[k] = 0;
-      for (int l = 0; l < LANES / 2; ++l) o.camera[k] += k < 6 ? pose_sums[k][l] : lens_sums[k - 6][l];
-    }
+    for (int k = 0; k < 6; ++k) o.pose[k] = total(pose_sums[k]);
+    for (int k = 0; k < 4; ++k) o.intrinsics[k] = total(lens_sums[k]);
   }
 
   template <int COLUMNS>

@@ -14,8 +14,7 @@ struct Rays {
   alignas(64) float x[PIXELS], y[PIXELS], ray[3][PIXELS];
 
   explicit Rays(const DiscTile& t) {
-    for (std::uint32_t todo = t.blocks; todo; todo &= todo - 1) {
-      const int block = __builtin_ctz(todo);
+    for (int block = 0; block < 16; ++block) {
       for (int i = 0; i < 16; ++i) {
         const int p = 16 * block + i;
         const std::uint32_t column = t.x + 4 * (block >> 2) + i % 4, line = t.y + 4 * (block & 3) + i / 4;
@@ -82,7 +81,7 @@ inline std::uint32_t blocks_of(const DiscTile& t, const float* d) {
     columns |= static_cast<std::uint32_t>(x >= d[DISC_LOW] - 1.5f && x <= d[DISC_HIGH] + 1.5f) << (4 * b);
     lines |= static_cast<std::uint32_t>(y >= d[DISC_LOW + 1] - 1.5f && y <= d[DISC_HIGH + 1] + 1.5f) << b;
   }
-  return columns * lines & t.blocks;
+  return columns * lines;
 }
 
 // Some pixels of a block; see `Pixels` of splat_kernel.cpp.
@@ -149,7 +148,7 @@ void backward_tile(const DiscTile& t, const float* adjoint, float* out) {
   __builtin_memcpy(behind, adjoint + 4 * PIXELS, sizeof behind);
   const float *vr = adjoint, *vg = vr + PIXELS, *vb = vg + PIXELS, *vz = vb + PIXELS;
   const V stop = all(STOP);
-  std::uint32_t alive = t.blocks;
+  std::uint32_t alive = ALL_BLOCKS;
   for (std::size_t e = 0; e < t.count; ++e) {
     const std::uint32_t splat = t.entries[e];
     const float* q = t.rows + 16 * static_cast<std::size_t>(splat);
@@ -226,7 +225,7 @@ void disc_forward(const DiscTile& t, bool with_depth, float* state) {
   Pixels pixels[16][PARTS];
   for (auto& block : pixels)
     for (Pixels& p : block) p = {{}, all(1), all(1)};
-  std::uint32_t alive = t.blocks;
+  std::uint32_t alive = ALL_BLOCKS;
   for (std::size_t i = 0; i < t.count && alive; i += CHUNK) {
     const std::size_t end = i + CHUNK < t.count ? i + CHUNK : t.count;
     for (int& size : sizes) size = 0;
@@ -242,8 +241,7 @@ void disc_forward(const DiscTile& t, bool with_depth, float* state) {
       if (!composite(t, rays, s, lists[s], sizes[s], pixels[s])) alive &= ~(1u << s);
     }
   }
-  for (std::uint32_t todo = t.blocks; todo; todo &= todo - 1) {
-    const int s = __builtin_ctz(todo);
+  for (int s = 0; s < 16; ++s) {
     for (int k = 0; k < PARTS; ++k) {
       float* out = state + 16 * s + LANES * k;
       for (int c = 0; c < 3; ++c) store(out + c * PIXELS, pixels[s][k].sums[c]);

@@ -144,13 +144,9 @@ void forward_tile(const ForwardTile& t) {
   std::uint32_t lists[16][ROOM];
   int sizes[16];
   alignas(64) float state[6 * PIXELS];
-  // What comes after the last block of a small tile belongs to nobody.
-  const int pixels = 16 * (32 - __builtin_clz(t.blocks));
-  for (int plane = 0; plane < 6; ++plane)
-    for (int i = 0; i < pixels; ++i) state[plane * PIXELS + i] = plane < 4 ? 0 : 1;
-  for (int plane = 0; plane < K * MOVING; ++plane)
-    for (int i = 0; i < pixels; ++i) t.moving[plane * PIXELS + i] = 0;
-  std::uint32_t alive = t.blocks;
+  for (int i = 0; i < 6 * PIXELS; ++i) state[i] = i < 4 * PIXELS ? 0 : 1;
+  for (int i = 0; i < K * MOVING * PIXELS; ++i) t.moving[i] = 0;
+  std::uint32_t alive = ALL_BLOCKS;
   std::size_t i = 0;
   while (i < t.count && alive) {
     const std::size_t end = i + CHUNK < t.count ? i + CHUNK : t.count;
@@ -167,7 +163,7 @@ void forward_tile(const ForwardTile& t) {
     }
   }
   for (; i < t.count; ++i) t.masks[i] = 0;
-  for (int plane = 0; plane < PLANES; ++plane) __builtin_memcpy(t.state + plane * PIXELS, state + plane * PIXELS, pixels * sizeof(float));
+  __builtin_memcpy(t.state, state, PLANES * PIXELS * sizeof(float));
 }
 
 #if defined(__AVX512F__)
@@ -270,7 +266,7 @@ void backward_tile(const BackwardTile& t) {
   const float* const rows = t.rows;
   float* const slots = t.slots;
   const std::uint32_t *const entries = t.entries, *const targets = t.targets;
-  std::uint32_t alive = 0xffff;
+  std::uint32_t alive = ALL_BLOCKS;
   for (std::size_t first = 0; first < t.count; first += BATCH) {
     const int count = t.count - first < BATCH ? static_cast<int>(t.count - first) : BATCH;
     // What the next batch needs.
@@ -368,6 +364,8 @@ void backward(const BackwardTile& t, std::uint32_t parts) {
     default: return;
   }
 }
+
+const Kernels KERNELS = {project, recolor, velocities, chain, forward, backward, disc_forward, disc_backward};
 
 }  // namespace RESPIRE_ISA
 }  // namespace respire

@@ -58,8 +58,8 @@ struct Sweep {
         height(static_cast<std::ptrdiff_t>(band.height)),
         y0(static_cast<std::ptrdiff_t>(band.y0)),
         y1(static_cast<std::ptrdiff_t>(band.y1)) {
-    const std::uintptr_t room = reinterpret_cast<std::uintptr_t>(band.room);
-    next = band.room + (64 - room % 64) % 64 / sizeof(float);
+    const std::uintptr_t room = reinterpret_cast<std::uintptr_t>(band.scratch);
+    next = band.scratch + (64 - room % 64) % 64 / sizeof(float);
     zeros = take_zeros();
     for (auto& map : ring)
       for (float*& line : map) line = take();
@@ -250,37 +250,8 @@ struct Sweep {
     return fma(w, s, -w);
   }
 
+  // The gradient of those of GROUP lines from y on that lie in the band; returns their weighted L1.
   template <bool WITH_SSIM>
-  double finish(std::ptrdiff_t y) {
-    switch (b.norm) {
-      case Norm::CHARBONNIER: return finish<WITH_SSIM, Norm::CHARBONNIER>(y);
-      case Norm::HUBER: return finish<WITH_SSIM, Norm::HUBER>(y);
-      default: return finish<WITH_SSIM, Norm::L1>(y);
-    }
-  }
-
-  // Weighted cost of LANES differences; their weighted slopes go to `slope`.
-  template <Norm NORM>
-  V cost(V d, V w, V* slope) const {
-    const V sign = pick(d > 0.0f, w, pick(d < 0.0f, -w, V{}));
-    const V e = all(b.softness);
-    if (NORM == Norm::CHARBONNIER) {
-      const V root = square_root(d * d + e * e);
-      *slope = w * d / root;
-      return w * d * d / (root + e);
-    }
-    if (NORM == Norm::HUBER) {
-      const V size = pick(d < 0.0f, -d, d);
-      const VI near = size < e;
-      *slope = pick(near, w * d / e, sign);
-      return w * pick(near, d * d / (e + e), size - 0.5f * e);
-    }
-    *slope = sign;
-    return sign * d;
-  }
-
-  // The gradient of those of GROUP lines from y on that lie in the band; returns their L1, or what stands in its place.
-  template <bool WITH_SSIM, Norm NORM>
   double finish(std::ptrdiff_t y) {
     const Window window(b);
     const int count = y + GROUP <= y1 ? GROUP : static_cast<int>(y1 - y);
@@ -295,8 +266,10 @@ struct Sweep {
       V sum{};
       for (std::size_t x = from; x < to; x += LANES) {
         const V s = load_first(source + x, values - x), t = load_first(target + x, values - x);
-        V g;
-        sum += cost<NORM>(s - t, load(weights + x), &g);
+        // w |s - t| and its slope w sign(s - t).
+        const V d = s - t, w = load(weights + x), sign = pick(d > 0.0f, w, pick(d < 0.0f, -w, V{}));
+        sum += sign * d;
+        V g = sign;
         if (WITH_SSIM) {
           const V by_square = across(window, in[1] + x), by_cross = across(window, in[2] + x);
           g += across(window, in[0] + x) + fma(s + s, by_square, t * by_cross);

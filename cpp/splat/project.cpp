@@ -9,7 +9,7 @@ namespace {
 // to the scene, not to rounding. `rest`: what rounding takes from the places on screen.
 template <template <class> class Camera>
 inline void place(const Scene& s, const V* position, V* t, V* point, V* rest) {
-  const double *r = s.camera, *eye = r + 9;
+  const double *r = s.exact.rotation, *eye = s.exact.eye;
   float in[3][LANES], out[7][LANES];
   for (int k = 0; k < 3; ++k) store(in[k], position[k]);
   for (int half = 0; half < 2; ++half) {
@@ -20,7 +20,7 @@ inline void place(const Scene& s, const V* position, V* t, V* point, V* rest) {
       d[k] = __builtin_convertvector(v, VD) - eye[k];
     }
     for (int k = 0; k < 3; ++k) seen[k] = r[3 * k] * d[0] + r[3 * k + 1] * d[1] + r[3 * k + 2] * d[2];
-    Camera<V>::exact(s.camera, seen, seen + 3);
+    Camera<V>::exact(s.exact, seen, seen + 3);
     for (int k = 0; k < 5; ++k) {
       const VH rounded = __builtin_convertvector(seen[k], VH);
       __builtin_memcpy(out[k] + LANES / 2 * half, &rounded, sizeof rounded);
@@ -41,7 +41,7 @@ struct Velocity {
   template <int DEGREE, int COLUMNS, template <class> class Camera>
   void run() const {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
-    const View& w = *s.view;
+    const View& w = s.view;
     for_groups(s, o.first, o.count, [&](const Group& group) {
       const std::size_t k0 = group.k0;
       const int count = group.count;
@@ -73,7 +73,7 @@ struct Velocity {
   // Sets a group at rest moving; `offset` is its vector from the eye.
   template <int COLUMNS, template <class> class Camera>
   void move(const Group& group, Geometry<Dual, COLUMNS, Camera>& g, Dual* offset) const {
-    const View& w = *s.view;
+    const View& w = s.view;
     V velocity[3] = {V{}, V{}, V{}}, turned[3];
     if (o.pose) {
       const float *omega = o.pose, *tau = o.pose + 3;
@@ -132,7 +132,7 @@ struct Projection {
 
   // Tile of a coordinate, clamped to the image.
   VI cell(V v, std::uint32_t tiles) const {
-    return __builtin_convertvector(smaller(larger(v * o.tiles_per_px, V{}), all(static_cast<float>(tiles) - 1.0f)), VI);
+    return __builtin_convertvector(smaller(larger(v * TILES_PER_PX, V{}), all(static_cast<float>(tiles) - 1.0f)), VI);
   }
 
   // What keeps a look at a group on the safe side.
@@ -168,7 +168,7 @@ struct Projection {
   // A fisheye sees a cone, and its splats are known by their distance from that (`Exact::cone` in src/splat/lens.rs).
   template <int COLUMNS>
   VI beside(const Group& group, const V* offset, V height, V error, const Room& room) const {
-    const View& w = *s.view;
+    const View& w = s.view;
     V size;
     if (COLUMNS == 2) {
       V axes[6], sum{};
@@ -181,9 +181,9 @@ struct Projection {
       for (V& v : scales) v = absolute(v);
       size = larger(larger(scales[0], scales[1]), scales[2]);
     }
-    if (w.fisheye > 0.0f) {
+    if (w.fisheye) {
       const V x = turned(w, offset, 0), y = turned(w, offset, 1);
-      return w.cone[0] * square_root(x * x + y * y) - w.cone[1] * height - room.root * w.cone[2] * size - 2.0f * error > 0.0f;
+      return w.cone_cosine * square_root(x * x + y * y) - w.cone_sine * height - room.root * w.cone_reach * size - 2.0f * error > 0.0f;
     }
     VI out{};
     for (int k = 0; k < 2; ++k) {
@@ -197,7 +197,7 @@ struct Projection {
   // of leaving the long one of `run` early, which begins by saving registers and making room for 8 KB.
   template <int COLUMNS>
   std::size_t next(std::size_t k0, const Room& room) const {
-    const View& w = *s.view;
+    const View& w = s.view;
     for (; k0 < o.count; k0 += LANES) {
       Group group(s, o.first, k0, o.count);
       if (!group.in_a_row) group.name(s);
@@ -207,7 +207,7 @@ struct Projection {
       const V error = fma(all(1e-6f), far, all(room.uncertain));
       const VI seen = height + error >= w.near;
       if (!any_of(seen)) continue;
-      if (w.beside <= 0.0f || any_of(ones(s.opacities, group) > 1.0f)) break;
+      if (!w.skip_beside || any_of(ones(s.opacities, group) > 1.0f)) break;
       if (COLUMNS == 2 && group.in_a_row) group.name(s);
       if (any_of(seen & ~beside<COLUMNS>(group, offset, height, error, room))) break;
     }
@@ -224,7 +224,7 @@ struct Projection {
   void run_as() const {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     constexpr bool MOVING = sizeof(N) == sizeof(Dual);
-    const View& w = *s.view;
+    const View& w = s.view;
     __builtin_memset(o.visible, 0, o.count);
     const Room room(w);
     for (std::size_t from = next<COLUMNS>(0, room); from < o.count; from = next<COLUMNS>(from + LANES, room)) {
@@ -256,7 +256,7 @@ struct Projection {
       for (int k = 0; k < 3; ++k) constant(offset[k], &away[k]);
       if constexpr (MOVING) Velocity{s, *o.motion}.move(group, g, away);
       g.complete(w, away);
-      if (w.compensate > 0.0f) {
+      if (w.compensate) {
         log2_opacity += 0.5f * log2(value(g.plain_determinant) * value(g.inverse_determinant));
         seen &= log2_opacity + REACH > 0.0f;
       }
@@ -305,9 +305,10 @@ struct Projection {
 struct Recoloring {
   const Scene& s;
   const RecolorChunk& o;
+  bool finite_colors = true;
 
   template <int DEGREE, int COLUMNS, template <class> class Camera>
-  void run() const {
+  void run() {
     constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     for_groups(s, o.first, o.count, [&](const Group& group) {
       const std::size_t k0 = group.k0;
@@ -321,7 +322,7 @@ struct Recoloring {
       aim(offset, direction, distance);
       gather<SH>(s.sh, index, sh);
       shown<V, DEGREE>(direction, sh, color);
-      if (any_of(seen & ~finite(color[0] + color[1] + color[2]))) *o.finite = false;
+      if (any_of(seen & ~finite(color[0] + color[1] + color[2]))) finite_colors = false;
       for (int k = 0; k < 3; ++k) color[k] = larger(color[k], V{});
       for (int l = 0; l < count; ++l)
         if (seen[l])
@@ -337,9 +338,10 @@ void project(const Scene& scene, const ProjectChunk& chunk) {
   for_scene(scene, f);
 }
 
-void recolor(const Scene& scene, const RecolorChunk& chunk) {
-  const Recoloring f{scene, chunk};
+bool recolor(const Scene& scene, const RecolorChunk& chunk) {
+  Recoloring f{scene, chunk};
   for_scene(scene, f);
+  return f.finite_colors;
 }
 
 void velocities(const Scene& scene, const TangentChunk& chunk) {

@@ -219,7 +219,7 @@ inline void for_groups(const Scene& s, std::size_t first, std::size_t count, F f
 // Their centres, and the vectors to these from the eye (world axes).
 inline void centers(const Scene& s, const Group& group, V* position, V* offset) {
   threes(s.positions, group, position);
-  for (int k = 0; k < 3; ++k) offset[k] = position[k] - s.view->eye[k];
+  for (int k = 0; k < 3; ++k) offset[k] = position[k] - s.view.eye[k];
 }
 
 template <template <class> class Camera, class F>
@@ -239,7 +239,7 @@ inline void for_shapes(const Scene& s, F& f) {
 // Calls f.run<DEGREE, COLUMNS, Camera>() for those of the scene.
 template <class F>
 inline void for_scene(const Scene& s, F& f) {
-  if (s.view->fisheye > 0.0f) return for_shapes<Fisheye>(s, f);
+  if (s.view.fisheye) return for_shapes<Fisheye>(s, f);
   for_shapes<Pinhole>(s, f);
 }
 
