@@ -172,8 +172,9 @@ void bin_fill(const BinItems& all, Band band) {
   const std::uint64_t* in = all.items.data();
   const std::array<std::uint32_t, 2>* boxes = all.boxes.data();
   const std::uint32_t* start = all.starts.data();
-  std::uint64_t* room = band.scratch.data();
-  Record* const records = reinterpret_cast<Record*>(room + 2 * n);
+  // The scratch: items and their other half of the radix sort, then the records.
+  std::uint64_t* scratch = band.scratch.data();
+  Record* const records = reinterpret_cast<Record*>(scratch + 2 * n);
   std::uint32_t *const offset = band.offsets.data(), *const entry = band.entries.data(), *const target = band.targets.data();
   const std::size_t item_count = all.items.size(), stride = tiles_x + 1;
   // The changes of the number of entries at each tile: what begins and ends there, so that sums along rows and columns
@@ -199,7 +200,7 @@ void bin_fill(const BinItems& all, Band band) {
       --cursor[y1 * stride + b.x0];
       ++cursor[y1 * stride + b.x1 + 1];
       records[filled] = {static_cast<std::uint32_t>(y0 * stride) + b.x0, (y1 - y0) << 16 | width, start[splat] + above * width, splat};
-      room[filled] = static_cast<std::uint64_t>(key) << 32 | filled;
+      scratch[filled] = static_cast<std::uint64_t>(key) << 32 | filled;
       ++filled;
     }
   }
@@ -224,7 +225,7 @@ void bin_fill(const BinItems& all, Band band) {
     entry[at] = splat;
     target[at] = slot;
   };
-  const std::uint64_t* sorted = sort(room, room + n, n, least, most);
+  const std::uint64_t* sorted = sort(scratch, scratch + n, n, least, most);
   for (std::size_t i = 0; i < n; ++i) {
     const Record r = records[static_cast<std::uint32_t>(sorted[i])];
     const std::uint32_t height = r.size >> 16, width = r.size & 0xffff;

@@ -18,7 +18,7 @@ enum VelocityColumn { VX, VY, VXX, VXY, VYY, VRED, VGREEN, VBLUE };
 constexpr int PIXELS = 256;  // of a tile of 16x16: sixteen blocks of 4x4, numbered down the columns, pixel by pixel
 constexpr int PLANES = 5;    // of a tile's state: red, green, blue and depth sums, transmittance
 constexpr int MOVING = 4;    // planes of a tile's velocity: red, green and blue sums, transmittance
-constexpr int MAX_DIRECTIONS = 4;  // that one pass carries: more do not fit into the registers
+constexpr int MAX_DIRECTIONS = 4;  // that one pass carries; each takes MOVING registers
 constexpr std::uint32_t ALL_BLOCKS = 0xffff;  // of a tile, a bit each
 constexpr float TILES_PER_PX = 1.0f / 16.0f;
 // The three thresholds of 3DGS (Kerbl et al. 2023, its public rasteriser): nothing is blended below ALPHA_MIN, no alpha is
@@ -77,7 +77,7 @@ struct RecolorChunk {
 };
 
 // Groups of parameters whose gradients are wanted; the bits of `Wanted` (src/splat/types.rs).
-enum Group : std::uint32_t { POSITIONS = 1, SHAPES = 2, OPACITIES = 4, HARMONICS = 8, POSE = 16, LENS = 64 };
+enum ParameterGroup : std::uint32_t { POSITIONS = 1, SHAPES = 2, OPACITIES = 4, HARMONICS = 8, POSE = 16, LENS = 64 };
 
 struct ChainChunk {
   std::size_t first, count;

@@ -114,5 +114,5 @@ pub fn adjoint(
 pub fn all_finite(values: &[f32]) -> bool {
     // Without branches, so that the compiler can test many at once.
     let wrong = |v: &f32| (v.to_bits() & 0x7f80_0000 == 0x7f80_0000) as u32;
-    values.chunks(1024).all(|chunk| chunk.iter().fold(0, |found, v| found | wrong(v)) == 0)
+    values.chunks(1024).all(|chunk| chunk.iter().fold(0, |any, v| any | wrong(v)) == 0)
 }
