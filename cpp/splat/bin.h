@@ -6,27 +6,26 @@
 
 namespace respire {
 
-// Bands of tile rows that an image has at most; the same as in src/splat/bin.rs.
+// Bands of tile rows that an image has at most; the same as in src/ffi/splat/bin.rs.
 constexpr std::size_t BANDS = 16;
 
-// All functions check every index and length, and throw std::invalid_argument. `boxes`: two words per splat, x0 | y0 << 16
+// The records of src/ffi/splat/bin.rs, which explains them.
+struct BinSplats;
+struct BinItems;
+struct Band;
+struct Counts;
+struct Distribution;
+
+// All functions check every index and length, and throw std::invalid_argument. Boxes: two words per splat, x0 | y0 << 16
 // and x1 | y1 << 16, in tiles, inclusive. A band has 2^shift rows of tiles.
 
-// Of a chunk of splats: `starts[k]` = tiles of splats 0..=k; `counts` = splats in each band, then tiles in each band.
-std::uint32_t bin_count(rust::Slice<const std::uint32_t> boxes, rust::Slice<const bool> visible, std::uint32_t shift,
-                        rust::Slice<std::uint32_t> starts, rust::Slice<std::uint32_t> counts);
-// Puts the visible splats of a chunk, the first of them number `first`, into `items` (key << 32 | splat), band after
-// band, in their order; adds `base` to `starts`.
-void bin_deal(std::uint32_t first, rust::Slice<const std::uint32_t> boxes, rust::Slice<const bool> visible,
-              rust::Slice<const std::uint32_t> keys, std::uint32_t shift, std::uint32_t base,
-              rust::Slice<std::uint32_t> starts, rust::Slice<const std::uint32_t> counts,
-              rust::Slice<std::uint64_t> items);
-// The lists of the tile rows low..high from the pieces of `items` that belong to them (pairs of begin and end). Entries
-// begin at number `first`; `targets`: the slot of each entry, starts[splat] + its number in the splat's box.
-void bin_fill(rust::Slice<const std::uint64_t> items, rust::Slice<const std::uint32_t> pieces,
-              rust::Slice<const std::uint32_t> boxes, rust::Slice<const std::uint32_t> starts, std::uint32_t tiles_x,
-              std::uint32_t low, std::uint32_t high, std::uint32_t first, rust::Slice<std::uint64_t> scratch,
-              rust::Slice<std::uint32_t> offsets, rust::Slice<std::uint32_t> entries,
-              rust::Slice<std::uint32_t> targets);
+// Of a chunk of splats: `starts[k]` = tiles of splats 0..=k, where any is visible; splats and tiles in each band.
+void bin_count(const BinSplats& chunk, std::uint32_t shift, rust::Slice<std::uint32_t> starts, Counts& counts);
+// Puts the visible splats of a chunk into items, band after band, in their order; adds the base to the starts. Where none
+// is visible, only the last start is written.
+void bin_distribute(const BinSplats& chunk, std::uint32_t shift, const Counts& counts, Distribution to);
+// The lists of one band from the pieces of the items that belong to it; the slot of an entry is starts[splat] + its number
+// in the splat's box.
+void bin_fill(const BinItems& all, Band band);
 
 }  // namespace respire

@@ -1,12 +1,12 @@
-// From the moments of splats to the gradients of Gaussians and camera, LANES at a time: the reverse of
-// splat_project.cpp, with its symbols. The plain twin is src/splat/chain.rs.
+// From the moments of splats to the gradients of Gaussians and camera, LANES at a time: the reverse of project.cpp, with its
+// symbols. Compiled once per instruction set; the plain twin, which derives the equations, is src/splat/chain.rs.
 #include "cpp/splat/project.h"
 
 namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-// Gradient of sum_k weights[k] * basis[k] with respect to the vector (as if it were free).
+// Gradient of sum_k w[k] basis[k] by the vector v, as if its length were free.
 template <int DEGREE>
 inline void basis_pullback(const V* v, const V* w, V* g) {
   const V x = v[0], y = v[1], z = v[2];
@@ -30,8 +30,8 @@ inline void basis_pullback(const V* v, const V* w, V* g) {
   }
 }
 
-// Adds to by_u what comes through the factor sqrt(det / det dilated) of the opacity, whose logarithm has the gradient
-// by_log: det is the sum of the squares of the cross products of the u.
+// Adds to by_u the gradient through the factor sqrt(det / det dilated) of the opacity; by_log is that by its logarithm. det is
+// the sum of the squared cross products of the u.
 template <class G, int COLUMNS>
 inline void compensation_pullback(const G& g, V by_log, V by_u[COLUMNS][2]) {
   const V over = 1.0f / g.plain_determinant;
@@ -49,17 +49,24 @@ inline void compensation_pullback(const G& g, V by_log, V by_u[COLUMNS][2]) {
 
 inline V dot(const V* a, const V* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-// A slot is asked for this many slots before it is summed.
+// Sum over the lanes.
+inline double total(VD v) {
+  double sum = 0;
+  for (int l = 0; l < LANES / 2; ++l) sum += v[l];
+  return sum;
+}
+
+// How many slots ahead of the sum slots are prefetched.
 constexpr int AHEAD = 48;
 
-struct Chain {
+struct ChainKernel {
   const Scene& s;
   const ChainChunk& o;
 
   bool wants(std::uint32_t groups) const { return (o.wanted & groups) != 0; }
 
-  // Sums of the slots of LANES splats, field by field. Splats that nobody sees have none.
-  void moments(std::size_t k0, int count, V* m) const {
+  // Sums of the slots of LANES splats, field by field. Splats that are not visible have no slots.
+  void sum_slots(std::size_t k0, int count, V* m) const {
     alignas(64) float sums[LANES][16];
     for (int l = 0; l < LANES; ++l) {
       V total[PARTS];
@@ -92,10 +99,10 @@ struct Chain {
   template <int DEGREE, int COLUMNS, template <class> class Camera>
   void run() const {
     constexpr int BASIS = (DEGREE + 1) * (DEGREE + 1), SH = 3 * BASIS;
-    const View& w = *s.view;
+    const View& w = s.view;
     const bool through_position = wants(POSITIONS | POSE | LENS), shapes = wants(SHAPES);
     VD pose_sums[6] = {}, lens_sums[4] = {};
-    for_groups(s, o.first, o.count, [&](const Group& group) {
+    for_groups(s, o.first, o.count, [&](const LaneGroup& group) {
       const std::size_t k0 = group.k0;
       const int count = group.count;
       if (o.starts[k0] == o.starts[k0 + count]) {
@@ -107,37 +114,40 @@ struct Chain {
         return;
       }
       const std::uint32_t* const index = group.index;
-      // Tables of a hundred thousand Gaussians are in no near cache, and there are a dozen of them: too many for the processor to see
-      // what comes next in each.
-      ask_for_next<SH, COLUMNS>(s, group);
-      if (wants(POSITIONS)) ask<3, 1>(o.positions, k0);
-      if (wants(OPACITIES)) ask<1, 1>(o.opacities, k0);
-      if (wants(HARMONICS)) ask<SH, 1>(o.sh, k0);
-      if (shapes) ask<COLUMNS == 2 ? 6 : 4, 1>(o.shape, k0);
-      if (shapes && COLUMNS == 3) ask<3, 1>(o.scales, k0);
+      // Tables of a hundred thousand Gaussians fit into no near cache, and there are a dozen of them: too many streams for the
+      // processor's own prefetcher.
+      prefetch_next_group<SH, COLUMNS>(s, group);
+      if (wants(POSITIONS)) prefetch_after<3, 1>(o.positions, k0);
+      if (wants(OPACITIES)) prefetch_after<1, 1>(o.opacities, k0);
+      if (wants(HARMONICS)) prefetch_after<SH, 1>(o.sh, k0);
+      if (shapes) prefetch_after<COLUMNS == 2 ? 6 : 4, 1>(o.shape, k0);
+      if (shapes && COLUMNS == 3) prefetch_after<3, 1>(o.scales, k0);
       V m[16];
-      moments(k0, count, m);
-      VI seen;
-      for (int l = 0; l < LANES; ++l) seen[l] = l < count && o.starts[k0 + l] != o.starts[k0 + l + 1] ? -1 : 0;
+      sum_slots(k0, count, m);
+      VI visible;
+      for (int l = 0; l < LANES; ++l) visible[l] = l < count && o.starts[k0 + l] != o.starts[k0 + l + 1] ? -1 : 0;
+      // The projection again.
       V opacity[1], position[3], offset[3];
       gather<1>(s.opacities, index, opacity);
-      centers(s, group, position, offset);
+      load_centers(s, group, position, offset);
       Geometry<V, COLUMNS, Camera> g;
-      turn(w, offset, g.t);
+      rotate(w, offset, g.t);
       Shape<COLUMNS> shape;
       shape.load(s, index);
-      for (int k = 0; k < COLUMNS; ++k) turn(w, shape.m[k], g.c[k]);
+      for (int k = 0; k < COLUMNS; ++k) rotate(w, shape.m[k], g.c[k]);
       g.complete(w, offset);
 
+      // Opacity: d log(alpha) / d o = 1 / o.
       V by_opacity[1] = {m[S] / opacity[0]};
       V sum = by_opacity[0] + m[SRED] + m[SGREEN] + m[SBLUE];
+      // Colour: to the coefficients, and through the direction to the centre.
       V by_sh[SH], by_offset[3] = {V{}, V{}, V{}};
       if (wants(HARMONICS) || (through_position && DEGREE > 0)) {
         V sh[SH], b[BASIS], color[3], v[3];
         gather<SH>(s.sh, index, sh);
         basis<V, DEGREE>(g.direction, b);
         for (int k = 0; k < 3; ++k) {
-          color[k] = all(0.5f);
+          color[k] = broadcast(0.5f);
           for (int i = 0; i < BASIS; ++i) color[k] += b[i] * sh[3 * i + k];
           v[k] = keep(color[k] > 0.0f, m[SRED + k]);
         }
@@ -151,11 +161,12 @@ struct Chain {
           for (int k = 0; k < 3; ++k) by_offset[k] = (direction[k] - along * g.direction[k]) * by_distance;
         }
       }
+      // Shape, centre, camera.
       V by_columns[3][3], by_position[3] = {V{}, V{}, V{}}, pose[6], lens[4];
       for (V& v : pose) v = V{};
       for (V& v : lens) v = V{};
       if (through_position || shapes) {
-        // The covariance from the conic: -Q G Q.
+        // By the covariance, from the gradient G by the conic Q: -Q G Q; then by the u of which it is the sum.
         const V a = g.conic[0], b = g.conic[1], c = g.conic[2];
         const V ga = -0.5f * m[SXX], gb = -0.5f * m[SXY], gc = -0.5f * m[SYY];
         const V e0 = a * ga + b * gb, e1 = a * gb + b * gc, e2 = b * ga + c * gb, e3 = b * gb + c * gc;
@@ -165,27 +176,28 @@ struct Chain {
           by_u[k][0] = 2.0f * (va * g.u[k][0] + vb * g.u[k][1]);
           by_u[k][1] = 2.0f * (vb * g.u[k][0] + vc * g.u[k][1]);
         }
-        if (w.compensate > 0.0f) compensation_pullback<Geometry<V, COLUMNS, Camera>, COLUMNS>(g, m[S], by_u);
-        for (int k = 0; k < COLUMNS; ++k) g.camera.back(w, by_u[k], by_c[k]);
+        if (w.compensate) compensation_pullback<Geometry<V, COLUMNS, Camera>, COLUMNS>(g, m[S], by_u);
+        for (int k = 0; k < COLUMNS; ++k) g.camera.apply_transposed(w, by_u[k], by_c[k]);
         if (shapes) {
           for (int k = 0; k < COLUMNS; ++k) {
-            turn_back(w, by_c[k], by_columns[k]);
+            rotate_back(w, by_c[k], by_columns[k]);
             sum += by_columns[k][0] + by_columns[k][1] + by_columns[k][2];
           }
         }
+        // By t, through the image point and the Jacobian; by the pose (a turn omega: v' = omega x v) and the intrinsics.
         if (through_position) {
           const V by_point[2] = {a * m[SX] + b * m[SY], b * m[SX] + c * m[SY]};
           V by_t[3];
           g.camera.template pullback<COLUMNS>(w, by_point, by_u, g.c, by_t);
           by_t[2] += m[SDEPTH];
-          turn_back(w, by_t, by_position);
+          rotate_back(w, by_t, by_position);
           for (int k = 0; k < 3; ++k) {
             by_position[k] += by_offset[k];
             sum += by_position[k];
           }
           if (wants(POSE)) {
             V eye[3];
-            turn(w, by_offset, eye);
+            rotate(w, by_offset, eye);
             auto add_turn = [&](const V* v, const V* by) {
               pose[0] += v[1] * by[2] - v[2] * by[1];
               pose[1] += v[2] * by[0] - v[0] * by[2];
@@ -199,7 +211,7 @@ struct Chain {
           if (wants(LENS)) {
             for (int k = 0; k < 2; ++k) {
               // Image point and Jacobian are proportional to the focal length.
-              V along = (g.point[k] - w.center[k]) * by_point[k] - g.camera.template unscaled<COLUMNS>(k, by_u, g.c);
+              V along = (g.point[k] - w.center[k]) * by_point[k] - g.camera.template focal_independent<COLUMNS>(k, by_u, g.c);
               for (int c = 0; c < COLUMNS; ++c) along += by_u[c][k] * g.u[c][k];
               lens[k] = along / w.focal[k], lens[2 + k] = by_point[k];
             }
@@ -207,27 +219,27 @@ struct Chain {
           }
         }
       }
-      const VI good = seen & g.good & finite(sum);
+      // A gradient that is not finite becomes 0, with all others of its Gaussian.
+      const VI good = visible & g.good & finite(sum);
       if (wants(POSITIONS)) write<3>(o.positions, k0, count, good, by_position);
       if (wants(OPACITIES)) write<1>(o.opacities, k0, count, good, by_opacity);
       if (wants(HARMONICS)) write<SH>(o.sh, k0, count, good, by_sh);
       if (shapes && COLUMNS == 2) write<6>(o.shape, k0, count, good, &by_columns[0][0]);
-      if (shapes && COLUMNS == 3) ellipsoids(k0, count, good, shape, by_columns);
+      if (shapes && COLUMNS == 3) write_ellipsoids(k0, count, good, shape, by_columns);
       if (wants(POSE)) {
-        for (int k = 0; k < 6; ++k) pose_sums[k] += in_double(keep(good, pose[k]));
+        for (int k = 0; k < 6; ++k) pose_sums[k] += add_halves_in_double(keep(good, pose[k]));
       }
       if (wants(LENS)) {
-        for (int k = 0; k < 4; ++k) lens_sums[k] += in_double(keep(good, lens[k]));
+        for (int k = 0; k < 4; ++k) lens_sums[k] += add_halves_in_double(keep(good, lens[k]));
       }
     });
-    for (int k = 0; k < 10; ++k) {
-      o.camera[k] = 0;
-      for (int l = 0; l < LANES / 2; ++l) o.camera[k] += k < 6 ? pose_sums[k][l] : lens_sums[k - 6][l];
-    }
+    for (int k = 0; k < 6; ++k) o.pose[k] = total(pose_sums[k]);
+    for (int k = 0; k < 4; ++k) o.intrinsics[k] = total(lens_sums[k]);
   }
 
+  // From the columns R_c s_c of an ellipsoid to its scales and its quaternion, through the normalisation of the latter.
   template <int COLUMNS>
-  void ellipsoids(std::size_t k0, int count, VI good, const Shape<COLUMNS>& shape, const V by_columns[3][3]) const {
+  void write_ellipsoids(std::size_t k0, int count, VI good, const Shape<COLUMNS>& shape, const V by_columns[3][3]) const {
     V by_scale[3], r[3][3], by_q[4];
     for (int c = 0; c < 3; ++c) {
       by_scale[c] = dot(by_columns[c], shape.axes[c]);
@@ -252,7 +264,7 @@ struct Chain {
 }  // namespace
 
 void chain(const Scene& scene, const ChainChunk& chunk) {
-  const Chain f{scene, chunk};
+  const ChainKernel f{scene, chunk};
   for_scene(scene, f);
 }
 

@@ -1,6 +1,11 @@
-// Compositing of one tile of exact discs, forward and backward; compiled once per instruction set. The plain twin is
-// src/splat/disc_tile.rs; src/splat/disc_mode.rs explains the symbols. Blocks, lists and the running transmittance are
-// those of splat_kernel.cpp.
+// Compositing of one tile of exact discs, forward and backward, after 2D Gaussian splatting (Huang et al. 2024, Eqs. 8 to
+// 11); compiled once per instruction set. The plain twin is src/splat/disc_tile.rs; src/splat/disc_mode.rs explains the
+// symbols:
+//
+//   s = P.d / N.d,  u = Q.d / N.d,  depth = N.t d_z / N.d,  alpha = min(0.99, o exp(-(s^2 + u^2) / 2))
+//
+// or, where it is larger, the alpha of a screen filter around the centre. Blocks, lists and the running transmittance are
+// those of kernel.cpp. Left out: velocities.
 #include "cpp/splat/kernel.h"
 #include "cpp/splat/lanes.h"
 
@@ -8,14 +13,13 @@ namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-// The pixels of a tile block by block: centres and rays. Those outside the image look straight ahead and show nothing to
-// anybody.
+// The pixels of a tile block by block: centres and rays. Pixels outside the image get a ray straight ahead; what is computed
+// for them is never read.
 struct Rays {
   alignas(64) float x[PIXELS], y[PIXELS], ray[3][PIXELS];
 
   explicit Rays(const DiscTile& t) {
-    for (std::uint32_t todo = t.blocks; todo; todo &= todo - 1) {
-      const int block = __builtin_ctz(todo);
+    for (int block = 0; block < 16; ++block) {
       for (int i = 0; i < 16; ++i) {
         const int p = 16 * block + i;
         const std::uint32_t column = t.x + 4 * (block >> 2) + i % 4, line = t.y + 4 * (block & 3) + i / 4;
@@ -28,53 +32,59 @@ struct Rays {
   }
 };
 
-// What U vectors of pixels see, each of a disc of its own. `raw` is 0 below ALPHA_MIN; `s`, `u` and `over` are 0 where the
-// screen filter counts and not the plane.
-template <int U>
-struct Look {
-  V dx[U], dy[U], tx[U], ty[U], rx[U], ry[U], rz[U], over[U], s[U], u[U], square[U], depth[U], raw[U];
-  VI met[U];
+// Half of log2(e): exp(-q / 2) = 2^(-HALF_LOG2_E q).
+constexpr float HALF_LOG2_E = 0.72134752044448170f;
+// Squared distance in standard deviations of a ray that misses the plane where there is no filter: its alpha is 0.
+constexpr float MISSED = 1e9f;
 
-  Look(const DiscTile& t, const Rays& rays, const std::uint32_t* splats, const int* pixels) {
+// U vectors of pixels, each with a disc of its own: where the rays meet the disc's plane, and alpha before the clamp (`raw`,
+// 0 below ALPHA_MIN). `s`, `u` and `over` = 1 / N.d are 0 where the screen filter counts and not the plane.
+template <int U>
+struct DiscSamples {
+  V dx[U], dy[U], tx[U], ty[U], rx[U], ry[U], rz[U], over[U], s[U], u[U], square[U], depth[U], raw[U];
+  VI hit[U];
+
+  DiscSamples(const DiscTile& t, const Rays& rays, const std::uint32_t* splats, const int* pixels) {
     const float *q[U], *d[U];
     for (int k = 0; k < U; ++k) {
       q[k] = t.rows + 16 * static_cast<std::size_t>(splats[k]), d[k] = t.discs + 16 * static_cast<std::size_t>(splats[k]);
       rx[k] = load(rays.ray[0] + pixels[k]), ry[k] = load(rays.ray[1] + pixels[k]), rz[k] = load(rays.ray[2] + pixels[k]);
-      dx[k] = load(rays.x + pixels[k]) - all(q[k][X]), dy[k] = load(rays.y + pixels[k]) - all(q[k][Y]);
+      dx[k] = load(rays.x + pixels[k]) - broadcast(q[k][X]), dy[k] = load(rays.y + pixels[k]) - broadcast(q[k][Y]);
     }
+    // The ray's offset from that of the centre, d - t d_z / t_z, and 1 / N.d.
     for (int k = 0; k < U; ++k) {
       if (t.pinhole) {
-        tx[k] = dx[k] * all(t.per_px[0]), ty[k] = dy[k] * all(t.per_px[1]);
+        tx[k] = dx[k] * broadcast(t.per_px[0]), ty[k] = dy[k] * broadcast(t.per_px[1]);
       } else {
-        tx[k] = fnma(all(d[k][DISC_SLOPE]), rz[k], rx[k]), ty[k] = fnma(all(d[k][DISC_SLOPE + 1]), rz[k], ry[k]);
+        tx[k] = fnma(broadcast(d[k][DISC_SLOPE]), rz[k], rx[k]), ty[k] = fnma(broadcast(d[k][DISC_SLOPE + 1]), rz[k], ry[k]);
       }
-      over[k] = 1.0f / fma(all(d[k][DISC_N]), rx[k], fma(all(d[k][DISC_N + 1]), ry[k], all(d[k][DISC_N + 2]) * rz[k]));
+      over[k] = 1.0f / fma(broadcast(d[k][DISC_N]), rx[k], fma(broadcast(d[k][DISC_N + 1]), ry[k], broadcast(d[k][DISC_N + 2]) * rz[k]));
     }
+    // Intersection with the plane; the filter counts where it is missed, behind the near plane or farther off.
     for (int k = 0; k < U; ++k) {
-      s[k] = fma(all(d[k][DISC_P]), tx[k], all(d[k][DISC_P + 1]) * ty[k]) * over[k];
-      u[k] = fma(all(d[k][DISC_Q]), tx[k], all(d[k][DISC_Q + 1]) * ty[k]) * over[k];
+      s[k] = fma(broadcast(d[k][DISC_P]), tx[k], broadcast(d[k][DISC_P + 1]) * ty[k]) * over[k];
+      u[k] = fma(broadcast(d[k][DISC_Q]), tx[k], broadcast(d[k][DISC_Q + 1]) * ty[k]) * over[k];
       square[k] = fma(s[k], s[k], u[k] * u[k]);
-      depth[k] = all(d[k][DISC_HEIGHT]) * rz[k] * over[k];
-      met[k] = (depth[k] >= all(t.near)) & finite(square[k]);
-      V distance = all(1e9f);
+      depth[k] = broadcast(d[k][DISC_HEIGHT]) * rz[k] * over[k];
+      hit[k] = (depth[k] >= broadcast(t.near)) & finite(square[k]);
+      V distance = broadcast(MISSED);
       if (t.filter > 0.0f) {
-        distance = fma(dx[k], dx[k], dy[k] * dy[k]) * all(t.filter);
-        met[k] &= square[k] <= distance;
+        distance = fma(dx[k], dx[k], dy[k] * dy[k]) * broadcast(t.filter);
+        hit[k] &= square[k] <= distance;
       }
-      distance = pick(met[k], square[k], distance);
-      raw[k] = fnma(all(HALF_LOG2_E), distance, all(q[k][LOG2_OPACITY]));
-      depth[k] = pick(met[k], depth[k], all(q[k][DEPTH]));
-      s[k] = keep(met[k], s[k]), u[k] = keep(met[k], u[k]), over[k] = keep(met[k], over[k]);
-      square[k] = keep(met[k], square[k]);
+      distance = select(hit[k], square[k], distance);
+      raw[k] = fnma(broadcast(HALF_LOG2_E), distance, broadcast(q[k][LOG2_OPACITY]));
+      depth[k] = select(hit[k], depth[k], broadcast(q[k][DEPTH]));
+      s[k] = keep(hit[k], s[k]), u[k] = keep(hit[k], u[k]), over[k] = keep(hit[k], over[k]);
+      square[k] = keep(hit[k], square[k]);
     }
     exp2<U>(raw);
-    for (int k = 0; k < U; ++k) raw[k] = keep_ge(raw[k], all(ALPHA_MIN), raw[k]);
+    for (int k = 0; k < U; ++k) raw[k] = keep_ge(raw[k], broadcast(ALPHA_MIN), raw[k]);
   }
-
-  static constexpr float HALF_LOG2_E = 0.72134752044448170f;
 };
 
-// The blocks of the tile that have pixel centres in the disc's box: those whose middle is no further from it than 1.5 px.
+// The blocks of the tile that have pixel centres in the disc's box: those whose middle is no further from it than 1.5 px, the
+// distance of the outermost pixel centres.
 inline std::uint32_t blocks_of(const DiscTile& t, const float* d) {
   std::uint32_t columns = 0, lines = 0;
   for (int b = 0; b < 4; ++b) {
@@ -82,74 +92,81 @@ inline std::uint32_t blocks_of(const DiscTile& t, const float* d) {
     columns |= static_cast<std::uint32_t>(x >= d[DISC_LOW] - 1.5f && x <= d[DISC_HIGH] + 1.5f) << (4 * b);
     lines |= static_cast<std::uint32_t>(y >= d[DISC_LOW + 1] - 1.5f && y <= d[DISC_HIGH + 1] + 1.5f) << b;
   }
-  return columns * lines & t.blocks;
+  return columns * lines;
 }
 
-// Some pixels of a block; see `Pixels` of splat_kernel.cpp.
-struct Pixels {
-  V sums[4], kept, left;
+// LANES pixels of a block; see `PixelLanes` of kernel.cpp.
+struct PixelLanes {
+  V sums[4], transmittance, running;
 
   void blend(const float* q, V raw, V depth) {
-    const V a = least(raw, all(ALPHA_MAX)), next = fnma(a, left, left), stop = all(STOP);
-    const V weight = keep_gt(next, stop, a * left);
-    kept = pick_gt(next, stop, next, kept);
-    left = next;
-    for (int c = 0; c < 3; ++c) sums[c] = fma(weight, all(q[RED + c]), sums[c]);
+    const V a = min(raw, broadcast(ALPHA_MAX)), next = fnma(a, running, running), stop = broadcast(STOP);
+    const V weight = keep_gt(next, stop, a * running);
+    transmittance = select_gt(next, stop, next, transmittance);
+    running = next;
+    for (int c = 0; c < 3; ++c) sums[c] = fma(weight, broadcast(q[RED + c]), sums[c]);
     sums[3] = fma(weight, depth, sums[3]);
   }
 };
 
-// Vectors looked at side by side.
-constexpr int ABREAST = PARTS > 2 ? PARTS : 2;
+// Vectors of pixels whose alphas are evaluated side by side: fewer than in kernel.cpp, since each has a dozen
+// values.
+constexpr int INTERLEAVED = PARTS > 2 ? PARTS : 2;
 
-// E entries over one block.
+// Blends E entries over one block.
 template <int E>
-void add(const DiscTile& t, const Rays& rays, int block, const std::uint32_t* entries, Pixels* pixels) {
+void blend_entries(const DiscTile& t, const Rays& rays, int block, const std::uint32_t* entries, PixelLanes* pixels) {
   constexpr int U = E * PARTS;
   std::uint32_t splats[U];
   int places[U];
   for (int k = 0; k < U; ++k) splats[k] = entries[k / PARTS], places[k] = 16 * block + LANES * (k % PARTS);
-  const Look<U> look(t, rays, splats, places);
+  const DiscSamples<U> samples(t, rays, splats, places);
   for (int k = 0; k < U; ++k)
-    pixels[k % PARTS].blend(t.rows + 16 * static_cast<std::size_t>(splats[k]), look.raw[k], look.depth[k]);
+    pixels[k % PARTS].blend(t.rows + 16 * static_cast<std::size_t>(splats[k]), samples.raw[k], samples.depth[k]);
 }
 
-// One block over one list; false once all its pixels have stopped.
-bool composite(const DiscTile& t, const Rays& rays, int block, const std::uint32_t* list, int count, Pixels* pixels) {
-  constexpr int E = ABREAST / PARTS;
-  static_assert(8 % E == 0, "a look after every eight entries");
-  Pixels own[PARTS];
+// Composites one block over one list; false once all its pixels have stopped.
+bool composite(const DiscTile& t, const Rays& rays, int block, const std::uint32_t* list, int count, PixelLanes* pixels) {
+  constexpr int E = INTERLEAVED / PARTS;
+  static_assert(8 % E == 0, "every eight entries it is tested whether all pixels have stopped");
+  PixelLanes own[PARTS];
   for (int k = 0; k < PARTS; ++k) own[k] = pixels[k];
   const auto alive = [&own] {
     bool goes_on = false;
-    for (const Pixels& p : own) goes_on |= any(keep_gt(p.left, all(STOP), p.left));
+    for (const PixelLanes& p : own) goes_on |= any(keep_gt(p.running, broadcast(STOP), p.running));
     return goes_on;
   };
   bool goes_on = true;
   int j = 0;
   for (; goes_on && j + E <= count; j += E) {
-    add<E>(t, rays, block, list + j, own);
+    blend_entries<E>(t, rays, block, list + j, own);
     if ((j + E) % 8 == 0) goes_on = alive();
   }
-  for (; goes_on && j < count; ++j) add<1>(t, rays, block, list + j, own);
+  for (; goes_on && j < count; ++j) blend_entries<1>(t, rays, block, list + j, own);
   for (int k = 0; k < PARTS; ++k) pixels[k] = own[k];
   return alive();
 }
 
+// Sum over the lanes.
 inline float total(V v) {
   const V4 four = fold(v);
   return (four[0] + four[2]) + (four[1] + four[3]);
 }
 
+// As in kernel.cpp up to v = dL/d log(alpha); from there (src/splat/disc_tile.rs), where the plane is hit,
+//
+//   dL/dp = -v s / w for p = P.d,  dL/dq = -v u / w for q = Q.d,  dL/dw = v (s^2 + u^2) / w - dL/d depth depth / w for w = N.d,
+//
+// summed over the pixels with their rays, and where the filter counts v dx, v dy.
 template <bool WITH_GEOMETRY, bool WITH_COLOR, bool WITH_Z>
 void backward_tile(const DiscTile& t, const float* adjoint, float* out) {
   const Rays rays(t);
-  alignas(64) float left[PIXELS], behind[PIXELS];
-  for (float& v : left) v = 1;
+  alignas(64) float running[PIXELS], behind[PIXELS];
+  for (float& v : running) v = 1;
   __builtin_memcpy(behind, adjoint + 4 * PIXELS, sizeof behind);
   const float *vr = adjoint, *vg = vr + PIXELS, *vb = vg + PIXELS, *vz = vb + PIXELS;
-  const V stop = all(STOP);
-  std::uint32_t alive = t.blocks;
+  const V stop = broadcast(STOP);
+  std::uint32_t alive = ALL_BLOCKS;
   for (std::size_t e = 0; e < t.count; ++e) {
     const std::uint32_t splat = t.entries[e];
     const float* q = t.rows + 16 * static_cast<std::size_t>(splat);
@@ -160,15 +177,16 @@ void backward_tile(const DiscTile& t, const float* adjoint, float* out) {
       std::uint32_t splats[PARTS];
       int places[PARTS];
       for (int k = 0; k < PARTS; ++k) splats[k] = splat, places[k] = 16 * block + LANES * k;
-      const Look<PARTS> o(t, rays, splats, places);
+      const DiscSamples<PARTS> o(t, rays, splats, places);
       bool goes_on = false;
       for (int k = 0; k < PARTS; ++k) {
+        // The forward pass again.
         const int p = places[k];
-        const V a = least(o.raw[k], all(ALPHA_MAX)), now = load(left + p), next = fnma(a, now, now);
+        const V a = min(o.raw[k], broadcast(ALPHA_MAX)), now = load(running + p), next = fnma(a, now, now);
         const V weight = keep_gt(next, stop, a * now);
-        const V rest_of_light = keep_gt(next, stop, next);
-        store(left + p, rest_of_light);
-        goes_on |= any(rest_of_light);
+        const V still_running = keep_gt(next, stop, next);
+        store(running + p, still_running);
+        goes_on |= any(still_running);
         const V r = load(vr + p), g = load(vg + p), b = load(vb + p);
         if (WITH_COLOR) {
           sums[SUM_RED] = fma(weight, r, sums[SUM_RED]);
@@ -177,22 +195,22 @@ void backward_tile(const DiscTile& t, const float* adjoint, float* out) {
         }
         V by_w{};
         if (WITH_Z) {
-          const V by_depth = weight * load(vz + p), by_point = keep(o.met[k], by_depth) * o.over[k];
-          sums[SUM_DEPTH] += keep(~o.met[k], by_depth);
+          const V by_depth = weight * load(vz + p), by_point = keep(o.hit[k], by_depth) * o.over[k];
+          sums[SUM_DEPTH] += keep(~o.hit[k], by_depth);
           sums[SUM_HEIGHT] = fma(by_point, o.rz[k], sums[SUM_HEIGHT]);
           by_w = -(by_point * o.depth[k]);
         }
         if (WITH_GEOMETRY) {
-          V value = fma(all(q[RED]), r, fma(all(q[GREEN]), g, all(q[BLUE]) * b));
+          V value = fma(broadcast(q[RED]), r, fma(broadcast(q[GREEN]), g, broadcast(q[BLUE]) * b));
           if (WITH_Z) value = fma(o.depth[k], load(vz + p), value);
           const V rest = fnma(weight, value, load(behind + p));
           store(behind + p, rest);
-          // d loss / d alpha, then d loss / d log(alpha); none where alpha is clamped or the pixel has stopped.
-          const V by_alpha = fnma(rest, reciprocal(all(1) - a), now * value);
+          // dL/d alpha, then dL/d log(alpha); 0 where alpha is clamped or the pixel has stopped.
+          const V by_alpha = fnma(rest, reciprocal(broadcast(1) - a), now * value);
           V v = keep_gt(next, stop, a * by_alpha);
-          v = keep_ge(all(ALPHA_MAX), o.raw[k], v);
+          v = keep_ge(broadcast(ALPHA_MAX), o.raw[k], v);
           sums[SUM_S] += v;
-          const V filtered = keep(~o.met[k], v), scaled = v * o.over[k];
+          const V filtered = keep(~o.hit[k], v), scaled = v * o.over[k];
           sums[SUM_FILTER] = fma(filtered, o.dx[k], sums[SUM_FILTER]);
           sums[SUM_FILTER + 1] = fma(filtered, o.dy[k], sums[SUM_FILTER + 1]);
           const V by_p = scaled * o.s[k], by_q = scaled * o.u[k];
@@ -223,10 +241,10 @@ void disc_forward(const DiscTile& t, bool with_depth, float* state) {
   const Rays rays(t);
   std::uint32_t lists[16][CHUNK];
   int sizes[16];
-  Pixels pixels[16][PARTS];
+  PixelLanes pixels[16][PARTS];
   for (auto& block : pixels)
-    for (Pixels& p : block) p = {{}, all(1), all(1)};
-  std::uint32_t alive = t.blocks;
+    for (PixelLanes& p : block) p = {{}, broadcast(1), broadcast(1)};
+  std::uint32_t alive = ALL_BLOCKS;
   for (std::size_t i = 0; i < t.count && alive; i += CHUNK) {
     const std::size_t end = i + CHUNK < t.count ? i + CHUNK : t.count;
     for (int& size : sizes) size = 0;
@@ -242,13 +260,12 @@ void disc_forward(const DiscTile& t, bool with_depth, float* state) {
       if (!composite(t, rays, s, lists[s], sizes[s], pixels[s])) alive &= ~(1u << s);
     }
   }
-  for (std::uint32_t todo = t.blocks; todo; todo &= todo - 1) {
-    const int s = __builtin_ctz(todo);
+  for (int s = 0; s < 16; ++s) {
     for (int k = 0; k < PARTS; ++k) {
       float* out = state + 16 * s + LANES * k;
       for (int c = 0; c < 3; ++c) store(out + c * PIXELS, pixels[s][k].sums[c]);
       store(out + 3 * PIXELS, with_depth ? pixels[s][k].sums[3] : V{});
-      store(out + 4 * PIXELS, pixels[s][k].kept);
+      store(out + 4 * PIXELS, pixels[s][k].transmittance);
     }
   }
 }

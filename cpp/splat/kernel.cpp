@@ -1,10 +1,15 @@
 // Compositing of one tile, forward and backward, in GCC vector extensions; compiled once per instruction set
-// with -DRESPIRE_ISA=<namespace>. The plain twin is src/splat/kernel.rs, which also explains the symbols.
+// with -DRESPIRE_ISA=<namespace>. After 3DGS (Kerbl et al. 2023, Eq. 3: C = sum c_i a_i prod_j<i (1 - a_j)); the backward
+// pass goes front to back after FastGS and Brush. The plain twin is src/splat/kernel.rs, which also explains the symbols.
 //
-// A tile is 16 blocks of 4x4 pixels, or some of them. For each entry (splat in tile) a mask says which blocks the ellipse alpha >= 1/255
-// can touch. Forward: entries are dealt to the lists of their blocks, and a block is composited with its state in
-// registers. Backward: entry by entry, front to back, replaying the forward decisions, so that the nine sums of an
-// entry are reduced once per tile. A pixel that has stopped is one whose running transmittance is 0.
+//   alpha = min(0.99, 2^(l - A dx^2 - B dx dy - C dy^2)), 0 below 1/255;  weight = alpha T;  T' = T (1 - alpha)
+//
+// A tile is 16 blocks of 4x4 pixels. For each entry (splat in tile) a mask says which blocks the ellipse alpha >= 1/255 can
+// touch. Forward: entries are distributed to the lists of their blocks, and a block is composited with its state in
+// registers. Backward: entry by entry, replaying the forward decisions, so that the sums of an entry are reduced once per
+// tile. A pixel that has stopped is one whose running transmittance is 0.
+//
+// Left out: exact discs (disc.cpp), and the velocity of opacities.
 #include "cpp/splat/kernel.h"
 #include "cpp/splat/lanes.h"
 #include "cpp/splat/lists.h"
@@ -13,76 +18,81 @@ namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-// Vectors of pixels whose alphas are computed side by side: each is one long chain of dependent operations, and the
-// processor looks ahead over little more than one of them.
-constexpr int ABREAST = 4;
+// Vectors of pixels whose alphas are evaluated side by side. Each is one long chain of dependent operations; four of them
+// in turn hide the latency, which the processor's reorder window (little more than one chain) does not.
+constexpr int INTERLEAVED = 4;
 
-// 2^exponent (not yet clamped) of the splats q[u] at the pixels (px[u], py[u]), and the offsets of these.
+// Offsets (dx, dy) of the pixels (px[u], py[u]) from the splats q[u], and `raw` = 2^exponent there, not yet clamped:
+// exponent = l - (A dx + B dy) dx - C dy^2.
 template <int U>
-struct Alphas {
+struct AlphaSamples {
   V dx[U], dy[U], raw[U];
-  Alphas(const float* const* q, const V* px, const V* py) {
+  AlphaSamples(const float* const* q, const V* px, const V* py) {
     V part[U];
-    for (int u = 0; u < U; ++u) dx[u] = (px[u] - all(q[u][X])) - all(q[u][X_REST]);
-    for (int u = 0; u < U; ++u) dy[u] = (py[u] - all(q[u][Y])) - all(q[u][Y_REST]);
-    for (int u = 0; u < U; ++u) part[u] = all(q[u][B]) * dy[u], raw[u] = all(q[u][C]) * dy[u];
+    for (int u = 0; u < U; ++u) dx[u] = (px[u] - broadcast(q[u][X])) - broadcast(q[u][X_REST]);
+    for (int u = 0; u < U; ++u) dy[u] = (py[u] - broadcast(q[u][Y])) - broadcast(q[u][Y_REST]);
+    for (int u = 0; u < U; ++u) part[u] = broadcast(q[u][B]) * dy[u], raw[u] = broadcast(q[u][C]) * dy[u];
     for (int u = 0; u < U; ++u) {
-      part[u] = fma(all(q[u][A]), dx[u], part[u]);
-      raw[u] = fnma(raw[u], dy[u], all(q[u][LOG2_OPACITY]));
+      part[u] = fma(broadcast(q[u][A]), dx[u], part[u]);
+      raw[u] = fnma(raw[u], dy[u], broadcast(q[u][LOG2_OPACITY]));
     }
     for (int u = 0; u < U; ++u) raw[u] = fnma(part[u], dx[u], raw[u]);
     exp2<U>(raw);
   }
 };
 
-// Pixel centres of a block relative to the tile's corner.
+// Pixel centres of a block relative to its corner.
 alignas(64) const float COLUMN[16] = {.5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5};
 alignas(64) const float LINE[16] = {.5, .5, .5, .5, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5, 2.5, 2.5, 3.5, 3.5, 3.5, 3.5};
 
-// Some pixels of a block: the sums, what is left of them (no more than `stop` where they have stopped) and what was left
-// before they stopped, and the velocities of the sums and of what is left along K directions.
+// The state of LANES pixels of a block: the sums; the transmittance, and the same running, which is no more than `stop`
+// where a pixel has stopped; the velocities of sums and transmittance along K directions.
 template <bool WITH_Z, int K>
-struct Pixels {
-  V px, py, stop, sums[4], kept, left, moving[K + 1][MOVING];
+struct PixelLanes {
+  V px, py, stop, sums[4], transmittance, running, moving[K + 1][MOVING];
 
+  // Blends one splat.
   void blend(const ForwardTile& t, std::size_t splat, V dx, V dy, V raw) {
     const float* q = t.rows + 16 * splat;
-    const V a = clip(raw, all(ALPHA_MIN), all(ALPHA_MAX));
-    const V next = fnma(a, left, left);
-    const V weight = keep_gt(next, stop, a * left);
+    // weight = alpha T, where the pixel does not stop at this splat.
+    const V a = clip(raw, broadcast(ALPHA_MIN), broadcast(ALPHA_MAX));
+    const V next = fnma(a, running, running);
+    const V weight = keep_gt(next, stop, a * running);
+    // Velocities: d log(alpha) first, from the splat's velocity.
     for (int d = 0; d < K; ++d) {
       const float* v = t.velocities[d] + 8 * splat;
       V* m = moving[d];
-      const V p = fma(all(v[VXX]), dx, fma(all(v[VXY]), dy, all(v[VX])));
-      const V by_log = fma(p, dx, fma(all(v[VYY]), dy, all(v[VY])) * dy);
-      // d weight = d alpha T + alpha dT; no alpha moves where it is clamped, nothing where the pixel has stopped.
-      const V by_alpha = keep_ge(all(ALPHA_MAX), raw, by_log * weight);
+      const V p = fma(broadcast(v[VXX]), dx, fma(broadcast(v[VXY]), dy, broadcast(v[VX])));
+      const V by_log = fma(p, dx, fma(broadcast(v[VYY]), dy, broadcast(v[VY])) * dy);
+      // d weight = d alpha T + alpha dT; d alpha is 0 where alpha is clamped, all is 0 where the pixel has stopped.
+      const V by_alpha = keep_ge(broadcast(ALPHA_MAX), raw, by_log * weight);
       const V by_weight = keep_gt(next, stop, fma(a, m[3], by_alpha));
-      m[0] = fma(by_weight, all(q[RED]), fma(weight, all(v[VRED]), m[0]));
-      m[1] = fma(by_weight, all(q[GREEN]), fma(weight, all(v[VGREEN]), m[1]));
-      m[2] = fma(by_weight, all(q[BLUE]), fma(weight, all(v[VBLUE]), m[2]));
+      m[0] = fma(by_weight, broadcast(q[RED]), fma(weight, broadcast(v[VRED]), m[0]));
+      m[1] = fma(by_weight, broadcast(q[GREEN]), fma(weight, broadcast(v[VGREEN]), m[1]));
+      m[2] = fma(by_weight, broadcast(q[BLUE]), fma(weight, broadcast(v[VBLUE]), m[2]));
       m[3] -= by_weight;
     }
-    kept = pick_gt(next, stop, next, kept);
-    // Never grows: where a pixel has stopped, nothing later is blended.
-    left = next;
-    for (int c = 0; c < (WITH_Z ? 4 : 3); ++c) sums[c] = fma(weight, all(q[RED + c]), sums[c]);
+    transmittance = select_gt(next, stop, next, transmittance);
+    // T' = T (1 - alpha) never grows: where a pixel has stopped, nothing later is blended.
+    running = next;
+    for (int c = 0; c < (WITH_Z ? 4 : 3); ++c) sums[c] = fma(weight, broadcast(q[RED + c]), sums[c]);
   }
 
-  // True while one of them goes on; those that have stopped have nothing left.
-  bool look() {
-    left = keep_gt(left, stop, left);
-    return any(left);
+  // Sets the running transmittance of stopped pixels to 0; false when all have stopped.
+  bool drop_stopped() {
+    running = keep_gt(running, stop, running);
+    return any(running);
   }
 };
 
-// A block: as many vectors of pixels as it takes.
+// The 16 pixels of a block.
 template <bool WITH_Z, int K>
 struct Block {
-  Pixels<WITH_Z, K> parts[PARTS];
+  PixelLanes<WITH_Z, K> parts[PARTS];
 
+  // Blends U splats, whose alphas are evaluated side by side.
   template <int U>
-  void add(const ForwardTile& t, const std::uint32_t* splats) {
+  void blend_entries(const ForwardTile& t, const std::uint32_t* splats) {
     constexpr int N = U * PARTS;
     const float* q[N];
     V x[N], y[N];
@@ -90,74 +100,75 @@ struct Block {
       q[n] = t.rows + 16 * static_cast<std::size_t>(splats[n / PARTS]);
       x[n] = parts[n % PARTS].px, y[n] = parts[n % PARTS].py;
     }
-    const Alphas<N> alphas(q, x, y);
-    for (int n = 0; n < N; ++n) parts[n % PARTS].blend(t, splats[n / PARTS], alphas.dx[n], alphas.dy[n], alphas.raw[n]);
+    const AlphaSamples<N> samples(q, x, y);
+    for (int n = 0; n < N; ++n) parts[n % PARTS].blend(t, splats[n / PARTS], samples.dx[n], samples.dy[n], samples.raw[n]);
   }
 
-  bool look() {
+  bool drop_stopped() {
     bool alive = false;
-    for (Pixels<WITH_Z, K>& p : parts) alive |= p.look();
+    for (PixelLanes<WITH_Z, K>& p : parts) alive |= p.drop_stopped();
     return alive;
   }
 };
 
-// One block over one list. `state`: PLANES planes and, behind them, what is left of each pixel (0 where it has
-// stopped); `moving`: MOVING planes for each of the K directions of `t`.
+// Composites one block over one list of splats; false once all its pixels have stopped. `state`: PLANES planes, then the
+// running transmittance (0 where a pixel has stopped); `moving`: MOVING planes for each of the K directions of `t`.
 template <bool WITH_Z, int K>
 bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float x, float y, float* state, float* moving) {
   static_assert(DEPTH == RED + 3, "the depth is summed like a fourth colour");
-  constexpr int SUMS = WITH_Z ? 4 : 3, U = ABREAST / PARTS;
-  static_assert(8 % U == 0, "a look after every eight entries");
+  constexpr int SUMS = WITH_Z ? 4 : 3, U = INTERLEAVED / PARTS;
+  static_assert(8 % U == 0, "every eight entries it is tested whether all pixels have stopped");
+  // The state comes into registers...
   Block<WITH_Z, K> block;
   for (int k = 0; k < PARTS; ++k) {
-    Pixels<WITH_Z, K>& p = block.parts[k];
+    PixelLanes<WITH_Z, K>& p = block.parts[k];
     const float *s = state + LANES * k, *m = moving + LANES * k;
-    p.px = load(COLUMN + LANES * k) + all(x), p.py = load(LINE + LANES * k) + all(y), p.stop = all(t.stop);
+    p.px = load(COLUMN + LANES * k) + broadcast(x), p.py = load(LINE + LANES * k) + broadcast(y), p.stop = broadcast(t.stop);
     for (int c = 0; c < SUMS; ++c) p.sums[c] = load(s + c * PIXELS);
-    p.kept = load(s + 4 * PIXELS), p.left = load(s + 5 * PIXELS);
+    p.transmittance = load(s + 4 * PIXELS), p.running = load(s + 5 * PIXELS);
     for (int d = 0; d < K; ++d)
       for (int c = 0; c < MOVING; ++c) p.moving[d][c] = load(m + (d * MOVING + c) * PIXELS);
   }
+  // ...meets the splats, front to back...
   bool goes_on = true;
   int j = 0;
   for (; goes_on && j + U <= count; j += U) {
-    block.template add<U>(t, list + j);
-    if ((j + U) % 8 == 0) goes_on = block.look();
+    block.template blend_entries<U>(t, list + j);
+    if ((j + U) % 8 == 0) goes_on = block.drop_stopped();
   }
-  for (; goes_on && j < count; ++j) block.template add<1>(t, list + j);
-  const bool alive = block.look();
+  for (; goes_on && j < count; ++j) block.template blend_entries<1>(t, list + j);
+  const bool alive = block.drop_stopped();
+  // ...and goes back.
   for (int k = 0; k < PARTS; ++k) {
-    const Pixels<WITH_Z, K>& p = block.parts[k];
+    const PixelLanes<WITH_Z, K>& p = block.parts[k];
     float *s = state + LANES * k, *m = moving + LANES * k;
     for (int c = 0; c < SUMS; ++c) store(s + c * PIXELS, p.sums[c]);
-    store(s + 4 * PIXELS, p.kept);
-    store(s + 5 * PIXELS, p.left);
+    store(s + 4 * PIXELS, p.transmittance);
+    store(s + 5 * PIXELS, p.running);
     for (int d = 0; d < K; ++d)
       for (int c = 0; c < MOVING; ++c) store(m + (d * MOVING + c) * PIXELS, p.moving[d][c]);
   }
   return alive;
 }
 
+// Composites a tile, CHUNK entries at a time: their lists stay in the first cache, and little is distributed in vain once all
+// pixels have stopped.
 template <bool WITH_Z, int K, bool KNOWN>
 void forward_tile(const ForwardTile& t) {
-  constexpr std::size_t CHUNK = 192, ROOM = CHUNK + 16;
+  constexpr std::size_t CHUNK = 192, ROOM = CHUNK + 16;  // `distribute` writes sixteen at a time
   std::uint32_t lists[16][ROOM];
   int sizes[16];
   alignas(64) float state[6 * PIXELS];
-  // What comes after the last block of a small tile belongs to nobody.
-  const int pixels = 16 * (32 - __builtin_clz(t.blocks));
-  for (int plane = 0; plane < 6; ++plane)
-    for (int i = 0; i < pixels; ++i) state[plane * PIXELS + i] = plane < 4 ? 0 : 1;
-  for (int plane = 0; plane < K * MOVING; ++plane)
-    for (int i = 0; i < pixels; ++i) t.moving[plane * PIXELS + i] = 0;
-  std::uint32_t alive = t.blocks;
+  for (int i = 0; i < 6 * PIXELS; ++i) state[i] = i < 4 * PIXELS ? 0 : 1;
+  for (int i = 0; i < K * MOVING * PIXELS; ++i) t.moving[i] = 0;
+  std::uint32_t alive = ALL_BLOCKS;  // blocks with pixels that have not stopped
   std::size_t i = 0;
   while (i < t.count && alive) {
     const std::size_t end = i + CHUNK < t.count ? i + CHUNK : t.count;
     for (int& size : sizes) size = 0;
     for (int d = 0; d < K; ++d)
       for (std::size_t k = i; k < end; ++k) __builtin_prefetch(t.velocities[d] + 8 * static_cast<std::size_t>(t.entries[k]));
-    deal<KNOWN>(t, i, end, alive, lists, sizes);
+    distribute<KNOWN>(t, i, end, alive, lists, sizes);
     i = end;
     for (std::uint32_t todo = alive; todo; todo &= todo - 1) {
       const int s = __builtin_ctz(todo);
@@ -167,12 +178,13 @@ void forward_tile(const ForwardTile& t) {
     }
   }
   for (; i < t.count; ++i) t.masks[i] = 0;
-  for (int plane = 0; plane < PLANES; ++plane) __builtin_memcpy(t.state + plane * PIXELS, state + plane * PIXELS, pixels * sizeof(float));
+  __builtin_memcpy(t.state, state, PLANES * PIXELS * sizeof(float));
 }
 
 #if defined(__AVX512F__)
 
-// slot[k] = the sum over the lanes of v[k], 0 for the last four of sixteen: transposed and added by halves.
+// Horizontal sums: slot[k] = the sum over the lanes of v[k] for twelve vectors, then four zeros; transposed and added by
+// halves.
 inline void store_sums(const V* v, float* slot) {
   __m512 pairs[6], quads[3];
   for (int k = 0; k < 6; ++k) {
@@ -206,17 +218,19 @@ inline void store_sums(const V* v, float* slot) {
 
 #endif
 
-// Entries whose alphas are computed before their sums.
+// Entries of the backward pass whose alphas are evaluated before their sums: 16, so that a batch (16 KB) stays in the first
+// cache.
 constexpr int BATCH = 16;
 
-// The pairs of an entry of a batch and a block that it may touch, entry after entry, and 2^exponent of their pixels (0
-// below ALPHA_MIN).
-struct Pairs {
+// The pairs of an entry of a batch and a block that it may touch, entry after entry, with 2^exponent of their pixels (0
+// below ALPHA_MIN). All alphas of a batch are evaluated first, since they do not depend on each other.
+struct EntryBlocks {
   alignas(64) float raw[16 * BATCH][16];
   std::uint8_t owners[16 * BATCH + 16], blocks[16 * BATCH + 16];
   int starts[BATCH + 1];
 
-  void find(const BackwardTile& t, std::size_t first, int count, std::uint32_t alive) {
+  // Lists the pairs of the entries first..first + count and the blocks in `alive`.
+  void collect(const BackwardTile& t, std::size_t first, int count, std::uint32_t alive) {
     int end = 0;
     for (int k = 0; k < count; ++k) {
       starts[k] = end;
@@ -235,13 +249,13 @@ struct Pairs {
 #endif
     }
     starts[count] = end;
-    // Whole groups: what is too much belongs to the first entry and is not looked at.
-    for (int k = 0; k < ABREAST; ++k) owners[end + k] = blocks[end + k] = 0;
+    // Padding to whole groups; its alphas are evaluated and never read.
+    for (int k = 0; k < INTERLEAVED; ++k) owners[end + k] = blocks[end + k] = 0;
   }
 
-  // `columns` and `lines`: pixel centres of the four columns and lines of blocks.
-  void fill(const BackwardTile& t, std::size_t first, int count, const float (*columns)[16], const float (*lines)[16]) {
-    constexpr int U = ABREAST, AT_ONCE = U / PARTS;
+  // `columns` and `lines`: pixel centres of the four columns and the four lines of blocks.
+  void evaluate_alphas(const BackwardTile& t, std::size_t first, int count, const float (*columns)[16], const float (*lines)[16]) {
+    constexpr int U = INTERLEAVED, AT_ONCE = U / PARTS;
     for (int p = 0; p < starts[count]; p += AT_ONCE) {
       const float* q[U];
       V x[U], y[U];
@@ -250,42 +264,49 @@ struct Pairs {
         q[u] = t.rows + 16 * static_cast<std::size_t>(t.entries[first + owners[pair]]);
         x[u] = load(columns[blocks[pair] >> 2] + part), y[u] = load(lines[blocks[pair] & 3] + part);
       }
-      const Alphas<U> alphas(q, x, y);
+      const AlphaSamples<U> samples(q, x, y);
       for (int u = 0; u < U; ++u)
-        store(raw[p + u / PARTS] + LANES * (u % PARTS), keep_ge(alphas.raw[u], all(ALPHA_MIN), alphas.raw[u]));
+        store(raw[p + u / PARTS] + LANES * (u % PARTS), keep_ge(samples.raw[u], broadcast(ALPHA_MIN), samples.raw[u]));
     }
   }
 };
 
+// With v = (dL/d red, green, blue, depth sum) of a pixel and `behind` what the splats behind the current one still bring:
+//
+//   value = v . (red, green, blue, depth);  behind' = behind - weight value
+//   dL/d log(alpha) = alpha (T value - behind' / (1 - alpha))
+//
+// and its moments over the pixels are sum, sum dx, sum dy, sum dx^2, sum dx dy, sum dy^2.
 template <bool WITH_GEOMETRY, bool WITH_COLOR, bool WITH_Z>
 void backward_tile(const BackwardTile& t) {
-  alignas(64) float left[PIXELS], behind[PIXELS], columns[4][16], lines[4][16];
-  for (int i = 0; i < PIXELS; ++i) left[i] = 1;
+  alignas(64) float running[PIXELS], behind[PIXELS], columns[4][16], lines[4][16];
+  for (int i = 0; i < PIXELS; ++i) running[i] = 1;
   __builtin_memcpy(behind, t.adjoint + 4 * PIXELS, sizeof behind);
   for (int b = 0; b < 4; ++b)
     for (int i = 0; i < 16; ++i) columns[b][i] = COLUMN[i] + (t.x + 4.0f * b), lines[b][i] = LINE[i] + (t.y + 4.0f * b);
   const float *vr = t.adjoint, *vg = vr + PIXELS, *vb = vg + PIXELS, *vz = vb + PIXELS;
-  Pairs pairs;
-  const V stop = all(t.stop);
+  EntryBlocks pairs;
+  const V stop = broadcast(t.stop);
   const float* const rows = t.rows;
   float* const slots = t.slots;
   const std::uint32_t *const entries = t.entries, *const targets = t.targets;
-  std::uint32_t alive = 0xffff;
+  std::uint32_t alive = ALL_BLOCKS;
   for (std::size_t first = 0; first < t.count; first += BATCH) {
     const int count = t.count - first < BATCH ? static_cast<int>(t.count - first) : BATCH;
-    // What the next batch needs.
+    // Rows and slots of the next batch.
     const std::size_t next = first + BATCH, end = next + BATCH < t.count ? next + BATCH : t.count;
     for (std::size_t i = next; i < end; ++i) {
       __builtin_prefetch(rows + 16 * static_cast<std::size_t>(entries[i]));
       __builtin_prefetch(slots + 16 * static_cast<std::size_t>(targets[i]), 1);
     }
-    pairs.find(t, first, count, alive);
-    pairs.fill(t, first, count, columns, lines);
+    pairs.collect(t, first, count, alive);
+    pairs.evaluate_alphas(t, first, count, columns, lines);
     for (int e = 0; e < count; ++e) {
       float* slot = slots + 16 * static_cast<std::size_t>(targets[first + e]);
       const float* q = rows + 16 * static_cast<std::size_t>(entries[first + e]);
       if (pairs.starts[e] == pairs.starts[e + 1]) {
-        // One in eleven of the tube: most lie behind blocks that have stopped, some are corners of boxes that the ellipse does not reach.
+        // No block: one entry in eleven of the scene of the timings (src/splat/tube.rs). Most lie behind blocks that have
+        // stopped, some in corners of boxes that the ellipse does not reach.
         for (int k = 0; k < PARTS; ++k) store(slot + LANES * k, V{});
         continue;
       }
@@ -294,23 +315,24 @@ void backward_tile(const BackwardTile& t) {
         const int block = pairs.blocks[pair];
         for (int k = 0; k < PARTS; ++k) {
           const int p = 16 * block + LANES * k;
+          // The forward pass again.
           const V raw = load(pairs.raw[pair] + LANES * k);
-          const V a = least(raw, all(ALPHA_MAX));
-          const V now = load(left + p);
+          const V a = min(raw, broadcast(ALPHA_MAX));
+          const V now = load(running + p);
           const V next = fnma(a, now, now);
           const V weight = keep_gt(next, stop, a * now);
-          store(left + p, keep_gt(next, stop, next));
+          store(running + p, keep_gt(next, stop, next));
           const V r = load(vr + p), g = load(vg + p), b = load(vb + p);
           if (WITH_GEOMETRY) {
-            const V dx = (load(columns[block >> 2] + LANES * k) - all(q[X])) - all(q[X_REST]);
-            const V dy = (load(lines[block & 3] + LANES * k) - all(q[Y])) - all(q[Y_REST]);
-            V value = fma(all(q[RED]), r, fma(all(q[GREEN]), g, all(q[BLUE]) * b));
-            if (WITH_Z) value = fma(all(q[DEPTH]), load(vz + p), value);
+            const V dx = (load(columns[block >> 2] + LANES * k) - broadcast(q[X])) - broadcast(q[X_REST]);
+            const V dy = (load(lines[block & 3] + LANES * k) - broadcast(q[Y])) - broadcast(q[Y_REST]);
+            V value = fma(broadcast(q[RED]), r, fma(broadcast(q[GREEN]), g, broadcast(q[BLUE]) * b));
+            if (WITH_Z) value = fma(broadcast(q[DEPTH]), load(vz + p), value);
             const V own = weight * value, rest = load(behind + p) - own;
             store(behind + p, rest);
-            // d loss / d log(alpha) = alpha d loss / d alpha; none where alpha is clamped or the pixel has stopped.
-            V v = keep_gt(next, stop, fnma(rest, a * reciprocal(all(1) - a), own));
-            v = keep_ge(all(ALPHA_MAX), raw, v);
+            // dL/d log(alpha); 0 where alpha is clamped or the pixel has stopped.
+            V v = keep_gt(next, stop, fnma(rest, a * reciprocal(broadcast(1) - a), own));
+            v = keep_ge(broadcast(ALPHA_MAX), raw, v);
             const V mx = v * dx, my = v * dy;
             s += v;
             sx += mx;
@@ -330,11 +352,11 @@ void backward_tile(const BackwardTile& t) {
       const V moments[12] = {s, sx, sy, sxx, sxy, syy, sz, V{}, sr, sg, sb, V{}};
       store_sums(moments, slot);
     }
-    // Blocks whose pixels have all stopped.
+    // Blocks whose pixels have all stopped take no part any more.
     for (std::uint32_t todo = alive; todo; todo &= todo - 1) {
       const int block = __builtin_ctz(todo);
       bool goes_on = false;
-      for (int k = 0; k < PARTS; ++k) goes_on |= any(load(left + 16 * block + LANES * k));
+      for (int k = 0; k < PARTS; ++k) goes_on |= any(load(running + 16 * block + LANES * k));
       if (!goes_on) alive &= ~(1u << block);
     }
   }
@@ -368,6 +390,8 @@ void backward(const BackwardTile& t, std::uint32_t parts) {
     default: return;
   }
 }
+
+const Kernels KERNELS = {project, recolor, velocities, chain, forward, backward, disc_forward, disc_backward};
 
 }  // namespace RESPIRE_ISA
 }  // namespace respire

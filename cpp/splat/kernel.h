@@ -1,49 +1,59 @@
 #pragma once
-// The interface between the dispatcher (splat.cpp) and the kernels, which are one source (splat_kernel.cpp) compiled
-// once per instruction set. Plain pointers and no library headers: code compiled for a wider instruction set must not
-// leave inline functions behind that the linker could pick for everybody.
+// The interface between the dispatcher (rasterize.cpp) and the kernels (project.cpp, chain.cpp, kernel.cpp, disc.cpp), whose
+// sources are compiled once per instruction set. Plain pointers and no library headers: code compiled for a wider
+// instruction set must not leave inline functions behind that the linker could pick for everybody.
 #include <cstddef>
 #include <cstdint>
 
 namespace respire {
 
-// Columns of the tables; the same as in src/splat/project.rs and src/splat/kernel.rs.
-enum Row { X, Y, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, DISCRIMINANT,
-           WIDEST, X_REST, Y_REST };
-enum Moment { S, SX, SY, SXX, SXY, SYY, SDEPTH, SPAD, SRED, SGREEN, SBLUE };
-
+// Columns of a splat's row; src/splat/project.rs explains them.
+enum RowColumn { X, Y, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, DISCRIMINANT,
+                 WIDEST, X_REST, Y_REST };
+// Moments of an entry (a splat in a tile); src/splat/kernel.rs explains them.
+enum MomentColumn { S, SX, SY, SXX, SXY, SYY, SDEPTH, SPAD, SRED, SGREEN, SBLUE };
 // Velocity of a splat along a direction, times ln 2: d log(alpha) = (VX + VXX dx + VXY dy) dx + (VY + VYY dy) dy.
-enum Velocity { VX, VY, VXX, VXY, VYY, VRED, VGREEN, VBLUE };
+enum VelocityColumn { VX, VY, VXX, VXY, VYY, VRED, VGREEN, VBLUE };
 
-constexpr int PIXELS = 256;  // of the largest tile, 16x16, block by block: 4x4 blocks, numbered down the columns
-constexpr int PLANES = 5;    // of a tile's state: red, green, blue, depth sums and transmittance
-constexpr int MOVING = 4;    // planes of a tile's velocity: red, green, blue sums and transmittance
-constexpr float ALPHA_MIN = 1.0f / 255.0f;  // below it nothing is blended
-constexpr float ALPHA_MAX = 0.99f;          // no alpha is larger
-constexpr float STOP = 1e-4f;  // what a pixel stops at; with ENDLESS none does
-constexpr int TOGETHER = 4;  // directions that one pass can carry
+constexpr int PIXELS = 256;  // of a tile of 16x16: sixteen blocks of 4x4, numbered down the columns, pixel by pixel
+constexpr int PLANES = 5;    // of a tile's state: red, green, blue and depth sums, transmittance
+constexpr int MOVING = 4;    // planes of a tile's velocity: red, green and blue sums, transmittance
+constexpr int MAX_DIRECTIONS = 4;  // that one pass carries; each takes MOVING registers
+constexpr std::uint32_t ALL_BLOCKS = 0xffff;  // of a tile, a bit each
+constexpr float TILES_PER_PX = 1.0f / 16.0f;
+// The three thresholds of 3DGS (Kerbl et al. 2023, its public rasteriser): nothing is blended below ALPHA_MIN, no alpha is
+// larger than ALPHA_MAX, and a pixel stops at the splat that would leave no more than STOP of the light.
+constexpr float ALPHA_MIN = 1.0f / 255.0f, ALPHA_MAX = 0.99f, STOP = 1e-4f;
 
-// The camera; the same order as in `Projector::numbers` (src/splat/project.rs).
+// The camera; rasterize.cpp fills it from `SplatCamera` (src/ffi/splat/rasterize.rs), which gives the units.
 struct View {
   float rotation[9], eye[3], focal[2], center[2], limit[2], size[2], near, dilation;
-  float by_opacity, beside;  // 1 or 0: extents depend on the opacity; what is beside the image is left early
-  float lens[4], cone[3];    // a fisheye's distortion; cosine and sine of the cone that it sees, and how far beyond it splats reach
-  float fisheye;             // 1, or 0 for a pinhole
-  float compensate;          // 1: opacities are multiplied by the root of det / det dilated; 0: they stay
+  float by_opacity;  // 1: extents depend on the opacity; 0: they do not
+  bool skip_beside;  // groups beside the image are skipped before their covariance is known
+  bool compensate;   // opacities are multiplied by sqrt(det / det dilated)
+  bool fisheye;      // or else a pinhole
+  float lens[4];     // distortion of a fisheye
+  float cone_cosine, cone_sine, cone_reach;  // of the cone that a fisheye sees, and how far beyond it splats reach
 };
 
-// Gaussians as they lie in memory. `shape`: 6 floats (two axes) of discs, whose `scales` are null; quaternions of
-// ellipsoids. `active` may be null: all.
+// The same in double precision, for centres.
+struct ExactView {
+  double rotation[9], eye[3], focal[2], center[2], lens[4];
+};
+
+// Gaussians as they lie in memory. `shape`: 6 floats (two axes) a disc, a quaternion an ellipsoid. `scales` is null for
+// discs, `active` where all Gaussians take part.
 struct Scene {
-  const View* view;
+  View view;
+  ExactView exact;
   const float *positions, *shape, *scales, *opacities, *sh;
   std::uint32_t sh_degree;
   const std::uint32_t* active;
-  const double* camera;  // in double: rotation (9), eye (3), focal (2), center (2), lens (4)
 };
 
+// Velocities of the splats of a chunk along one direction.
 struct TangentChunk {
-  std::size_t first, count;
+  std::size_t first, count;                 // numbers in `active`
   const bool* visible;
   const float *positions, *shape, *colors;  // velocities, one per Gaussian; null for none
   const float* pose;                        // six numbers instead, or null
@@ -53,22 +63,21 @@ struct TangentChunk {
 struct ProjectChunk {
   std::size_t first, count;  // numbers in `active`
   std::uint32_t tiles_x, tiles_y;
-  float tiles_per_px;
   float* rows;           // out, 16 floats each, where visible
   std::uint32_t* boxes;  // out, two words each: x0 | y0 << 16, x1 | y1 << 16, where visible
   std::uint32_t* keys;   // out, bits of the z-depth rounded from double, where visible
   bool* visible;         // out
-  const TangentChunk* motion;  // what its splats' velocities are wanted along, or null
+  const TangentChunk* motion;  // the direction along which velocities are wanted too, or null
 };
 
 struct RecolorChunk {
   std::size_t first, count;
   const bool* visible;
-  float* rows;   // in and out: the colours are written, where visible
-  bool* finite;  // set to false when one is not
+  float* rows;  // in and out: the colours are written, where visible
 };
 
-enum Group : std::uint32_t { POSITIONS = 1, SHAPES = 2, OPACITIES = 4, HARMONICS = 8, POSE = 16, LENS = 64 };
+// Groups of parameters whose gradients are wanted; the bits of `Wanted` (src/splat/types.rs).
+enum ParameterGroup : std::uint32_t { POSITIONS = 1, SHAPES = 2, OPACITIES = 4, HARMONICS = 8, POSE = 16, LENS = 64 };
 
 struct ChainChunk {
   std::size_t first, count;
@@ -76,21 +85,20 @@ struct ChainChunk {
   const float* slots;
   std::uint32_t wanted;
   float *positions, *shape, *scales, *opacities, *sh;  // out, those that are wanted
-  double* camera;                                      // out, 6 of the pose and 4 of the intrinsics
+  double *pose, *intrinsics;                           // out, 6 and 4 sums; 0 where not wanted
 };
 
 struct ForwardTile {
   const float* rows;             // 16 floats per splat
   const std::uint32_t* entries;  // splats of this tile, front to back
-  std::uint16_t* masks;          // out (in with KNOWN_MASKS): blocks that an entry may touch; 0 once nobody looks any more
+  std::uint16_t* masks;  // out (in with KNOWN_MASKS): blocks that an entry may touch; 0 for entries behind the last that was read
   std::size_t count;
   float x, y;                    // upper left corner in pixels
-  std::uint32_t blocks;          // those that the tile has: a smaller tile than 16x16 has not all; not 0
   float stop;                    // a pixel stops at the splat that would leave no more than this of the light
   float* state;                  // out: PLANES planes of PIXELS
-  std::uint32_t directions;      // 0 to TOGETHER
-  const float* velocities[TOGETHER];  // 8 floats per splat and direction
-  float* moving;                      // out: MOVING planes of PIXELS per direction
+  std::uint32_t directions;      // 0 to MAX_DIRECTIONS
+  const float* velocities[MAX_DIRECTIONS];  // 8 floats per splat and direction
+  float* moving;                            // out: MOVING planes of PIXELS per direction
 };
 
 struct BackwardTile {
@@ -99,9 +107,9 @@ struct BackwardTile {
   const std::uint16_t* masks;
   std::size_t count;
   float x, y, stop;
-  const float* adjoint;  // dL/d red, green, blue, depth sums; then the loss still to come behind (PIXELS each)
+  const float* adjoint;          // dL/d red, green, blue, depth sums; then the loss still to come behind (PIXELS each)
   const std::uint32_t* targets;  // slot of each entry
-  float* slots;          // out: 16 moments in the slot of each entry
+  float* slots;                  // out: 16 moments in the slot of each entry
 };
 
 // Columns of an exact disc (`Disc::pack` of src/splat/disc_mode.rs, which explains the symbols).
@@ -116,28 +124,53 @@ struct DiscTile {
   const std::uint32_t* entries;  // front to back
   std::size_t count;
   std::uint32_t x, y, width, height;  // upper left corner, size of the image
-  std::uint32_t blocks;
-  const float* rays;  // of the image, row by row, 3 floats each
+  const float* rays;                  // of the image, row by row, 3 floats each
   bool pinhole;
-  float per_px[2], near, filter;  // 1 / focal length; 1 / variance of the screen filter, 0 for none
+  float per_px[2], near, filter;  // 1 / focal length; nearest depth; 1 / variance of the screen filter, 0 for none
 };
 
-enum Part : std::uint32_t { GEOMETRY = 1, COLOR = 2, WITH_DEPTH = 4, KNOWN_MASKS = 8, ENDLESS = 16 };
+// What a compositing kernel computes beyond colour; the bits of `Parts` (src/splat/kernel.rs).
+enum Part : std::uint32_t {
+  GEOMETRY = 1,
+  COLOR = 2,
+  WITH_DEPTH = 4,
+  KNOWN_MASKS = 8,  // the masks are those of a forward pass before, of the same splats
+  ENDLESS = 16,     // pixels do not stop
+};
 
-#define RESPIRE_KERNELS(ISA)                             \
-  namespace ISA {                                        \
-  void project(const Scene&, const ProjectChunk&);       \
-  void recolor(const Scene&, const RecolorChunk&);       \
-  void velocities(const Scene&, const TangentChunk&);    \
-  void chain(const Scene&, const ChainChunk&);           \
-  void forward(const ForwardTile&, std::uint32_t parts); \
-  void backward(const BackwardTile&, std::uint32_t parts); \
-  void disc_forward(const DiscTile&, bool with_depth, float* state); \
-  void disc_backward(const DiscTile&, const float* adjoint, std::uint32_t parts, float* sums); \
-  }
-RESPIRE_KERNELS(baseline)
-RESPIRE_KERNELS(avx2)
-RESPIRE_KERNELS(avx512)
-#undef RESPIRE_KERNELS
+// The kernels of one instruction set.
+struct Kernels {
+  void (*project)(const Scene&, const ProjectChunk&);
+  bool (*recolor)(const Scene&, const RecolorChunk&);  // false when a visible colour is not finite
+  void (*velocities)(const Scene&, const TangentChunk&);
+  void (*chain)(const Scene&, const ChainChunk&);
+  void (*forward)(const ForwardTile&, std::uint32_t parts);
+  void (*backward)(const BackwardTile&, std::uint32_t parts);
+  void (*disc_forward)(const DiscTile&, bool with_depth, float* state);
+  void (*disc_backward)(const DiscTile&, const float* adjoint, std::uint32_t parts, float* sums);
+};
+namespace baseline {
+extern const Kernels KERNELS;
+}
+namespace avx2 {
+extern const Kernels KERNELS;
+}
+namespace avx512 {
+extern const Kernels KERNELS;
+}
+
+#if defined(RESPIRE_ISA)
+// Each of them stands in the file that its name suggests; kernel.cpp puts them into the table.
+namespace RESPIRE_ISA {
+void project(const Scene&, const ProjectChunk&);
+bool recolor(const Scene&, const RecolorChunk&);
+void velocities(const Scene&, const TangentChunk&);
+void chain(const Scene&, const ChainChunk&);
+void forward(const ForwardTile&, std::uint32_t parts);
+void backward(const BackwardTile&, std::uint32_t parts);
+void disc_forward(const DiscTile&, bool with_depth, float* state);
+void disc_backward(const DiscTile&, const float* adjoint, std::uint32_t parts, float* sums);
+}  // namespace RESPIRE_ISA
+#endif
 
 }  // namespace respire

@@ -1,7 +1,7 @@
 #pragma once
-// A vector of LANES floats as wide as the instruction set that a file is compiled for, in GCC vector extensions, with
-// the few operations that those lack; and tables of structures against vectors of fields. Everything has internal
-// linkage: code compiled for a wider instruction set must not be picked by the linker for everybody.
+// A vector of LANES floats as wide as the instruction set that a file is compiled for, in GCC vector extensions, with the
+// operations that those lack; transposition between tables of records and vectors of fields; dual numbers of vectors.
+// Everything has internal linkage: code compiled for a wider instruction set must not be picked by the linker for everybody.
 #include <immintrin.h>
 
 #include <cstddef>
@@ -18,7 +18,7 @@ constexpr int LANES = 8;
 #else
 constexpr int LANES = 4;
 #endif
-constexpr int PARTS = 16 / LANES;
+constexpr int PARTS = 16 / LANES;  // vectors that a block of 4x4 pixels, or a row of 16 floats, takes
 typedef float V __attribute__((vector_size(4 * LANES)));
 typedef int VI __attribute__((vector_size(4 * LANES)));
 typedef float V4 __attribute__((vector_size(16)));
@@ -26,32 +26,43 @@ typedef float V4 __attribute__((vector_size(16)));
 typedef float VH __attribute__((vector_size(2 * LANES)));
 typedef double VD __attribute__((vector_size(4 * LANES)));
 
-inline V all(float v) { return v - V{}; }
+inline V broadcast(float v) { return v - V{}; }
 
+// Below, lanes of a comparison (VI) are -1 where it holds and 0 elsewhere. The comments of the AVX-512 functions hold for the
+// others of the same name.
 #if defined(__AVX512F__)
+// a b + c and c - a b, rounded once where the instruction set has it.
 inline V fma(V a, V b, V c) { return (V)_mm512_fmadd_ps((__m512)a, (__m512)b, (__m512)c); }
 inline V fnma(V a, V b, V c) { return (V)_mm512_fnmadd_ps((__m512)a, (__m512)b, (__m512)c); }
-inline V least(V a, V b) { return (V)_mm512_min_ps((__m512)a, (__m512)b); }
+// min and max give b where the two cannot be compared.
+inline V min(V a, V b) { return (V)_mm512_min_ps((__m512)a, (__m512)b); }
+inline V max(V a, V b) { return (V)_mm512_max_ps((__m512)a, (__m512)b); }
+// v where a >= b (a > b), 0 elsewhere.
 inline V keep_ge(V a, V b, V v) {
   return (V)_mm512_maskz_mov_ps(_mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_GE_OQ), (__m512)v);
 }
 inline V keep_gt(V a, V b, V v) {
   return (V)_mm512_maskz_mov_ps(_mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_GT_OQ), (__m512)v);
 }
-// The lesser of v and `high` where v >= low, 0 elsewhere; low <= high.
+// min(v, high) where v >= low, 0 elsewhere; low <= high.
 inline V clip(V v, V low, V high) {
   return (V)_mm512_maskz_min_ps(_mm512_cmp_ps_mask((__m512)v, (__m512)low, _CMP_GE_OQ), (__m512)v, (__m512)high);
 }
-inline V pick_gt(V a, V b, V x, V y) {
+// x where a > b, y elsewhere.
+inline V select_gt(V a, V b, V x, V y) {
   return (V)_mm512_mask_mov_ps((__m512)y, _mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_GT_OQ), (__m512)x);
 }
+// Whether any lane has a bit set.
 inline bool any(V a) { return _mm512_test_epi32_mask((__m512i)a, (__m512i)a) != 0; }
-inline V power2(V x, V p, V n) { (void)x; return (V)_mm512_scalef_ps((__m512)p, (__m512)n); }
-inline V nearest(V x) { return (V)_mm512_roundscale_ps((__m512)x, 8); }
+// p 2^n for whole n.
+inline V scale_by_power_of_two(V p, V n) { return (V)_mm512_scalef_ps((__m512)p, (__m512)n); }
+inline V round_to_integer(V x) { return (V)_mm512_roundscale_ps((__m512)x, 8); }
+// 1 / x; with AVX-512 an approximation of 14 bits and one Newton step, relative error 2^-28 before rounding.
 inline V reciprocal(V x) {
   V r = (V)_mm512_rcp14_ps((__m512)x);
-  return r * fnma(x, r, all(2));
+  return r * fnma(x, r, broadcast(2));
 }
+// Four lanes with the same sum.
 inline V4 fold(V v) {
   __m256 h = _mm256_add_ps(_mm512_castps512_ps256((__m512)v),
                            _mm256_castpd_ps(_mm512_extractf64x4_pd(_mm512_castps_pd((__m512)v), 1)));
@@ -60,9 +71,8 @@ inline V4 fold(V v) {
 #else
 inline V keep_ge(V a, V b, V v) { return (V)((VI)v & (VI)(a >= b)); }
 inline V keep_gt(V a, V b, V v) { return (V)((VI)v & (VI)(a > b)); }
-inline V power2(V x, V p, V n) {
+inline V scale_by_power_of_two(V p, V n) {
   // Below -126 the result is far under ALPHA_MIN whatever its exact value; the exponent must only not wrap.
-  (void)x;
   V m = (V)__builtin_convertvector(n, VI);
   VI e = (VI)m + 127;
   e = e & (VI)(e > 0);
@@ -71,41 +81,42 @@ inline V power2(V x, V p, V n) {
 #if defined(__AVX2__)
 inline V fma(V a, V b, V c) { return (V)_mm256_fmadd_ps((__m256)a, (__m256)b, (__m256)c); }
 inline V fnma(V a, V b, V c) { return (V)_mm256_fnmadd_ps((__m256)a, (__m256)b, (__m256)c); }
-inline V least(V a, V b) { return (V)_mm256_min_ps((__m256)a, (__m256)b); }
-inline V most(V a, V b) { return (V)_mm256_max_ps((__m256)a, (__m256)b); }
+inline V min(V a, V b) { return (V)_mm256_min_ps((__m256)a, (__m256)b); }
+inline V max(V a, V b) { return (V)_mm256_max_ps((__m256)a, (__m256)b); }
+// Field N of each four in all four of them.
 template <int N>
-inline V spread(V v) {
+inline V broadcast_field(V v) {
   return (V)_mm256_permute_ps((__m256)v, 0x55 * N);
 }
-inline int lanes_of(VI condition) { return _mm256_movemask_ps((__m256)condition); }
-inline V pick_gt(V a, V b, V x, V y) {
+// One bit a lane.
+inline int bits_of(VI condition) { return _mm256_movemask_ps((__m256)condition); }
+inline V select_gt(V a, V b, V x, V y) {
   return (V)_mm256_blendv_ps((__m256)y, (__m256)x, _mm256_cmp_ps((__m256)a, (__m256)b, _CMP_GT_OQ));
 }
 inline bool any(V a) { return !_mm256_testz_si256((__m256i)a, (__m256i)a); }
-inline V nearest(V x) { return (V)_mm256_round_ps((__m256)x, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC); }
+inline V round_to_integer(V x) { return (V)_mm256_round_ps((__m256)x, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC); }
 inline V4 fold(V v) {
   return (V4)_mm_add_ps(_mm256_castps256_ps128((__m256)v), _mm256_extractf128_ps((__m256)v, 1));
 }
 #else
 inline V fma(V a, V b, V c) { return a * b + c; }
 inline V fnma(V a, V b, V c) { return c - a * b; }
-inline V least(V a, V b) { return (V)_mm_min_ps((__m128)a, (__m128)b); }
-inline V most(V a, V b) { return (V)_mm_max_ps((__m128)a, (__m128)b); }
-// Field N of each four in all four of them.
+inline V min(V a, V b) { return (V)_mm_min_ps((__m128)a, (__m128)b); }
+inline V max(V a, V b) { return (V)_mm_max_ps((__m128)a, (__m128)b); }
 template <int N>
-inline V spread(V v) {
+inline V broadcast_field(V v) {
   return (V)_mm_shuffle_ps((__m128)v, (__m128)v, 0x55 * N);
 }
-inline int lanes_of(VI condition) { return _mm_movemask_ps((__m128)condition); }
-inline V pick_gt(V a, V b, V x, V y) { return (V)(((VI)x & (VI)(a > b)) | ((VI)y & ~(VI)(a > b))); }
+inline int bits_of(VI condition) { return _mm_movemask_ps((__m128)condition); }
+inline V select_gt(V a, V b, V x, V y) { return (V)(((VI)x & (VI)(a > b)) | ((VI)y & ~(VI)(a > b))); }
 inline bool any(V a) { return _mm_movemask_epi8(_mm_cmpeq_epi32((__m128i)a, _mm_setzero_si128())) != 0xffff; }
-inline V nearest(V x) {
+inline V round_to_integer(V x) {
   // Adding and taking away 1.5 * 2^23 rounds to the nearest integer (|x| < 2^22: see the clamp in exp2).
-  return (x + all(12582912.0f)) - all(12582912.0f);
+  return (x + broadcast(12582912.0f)) - broadcast(12582912.0f);
 }
 inline V4 fold(V v) { return v; }
 #endif
-inline V clip(V v, V low, V high) { return keep_ge(v, low, least(v, high)); }
+inline V clip(V v, V low, V high) { return keep_ge(v, low, min(v, high)); }
 inline V reciprocal(V x) { return 1.0f / x; }
 #endif
 
@@ -116,14 +127,14 @@ inline void exp2(V* x) {
   V n[U], p[U];
   for (int u = 0; u < U; ++u) {
 #if !defined(__AVX512F__)
-    x[u] = pick_gt(x[u], all(-1000.0f), x[u], all(-1000.0f));
+    x[u] = select_gt(x[u], broadcast(-1000.0f), x[u], broadcast(-1000.0f));
 #endif
-    n[u] = nearest(x[u]);
+    n[u] = round_to_integer(x[u]);
   }
-  for (int u = 0; u < U; ++u) x[u] = x[u] - n[u], p[u] = all(1.327647198e-3f);
+  for (int u = 0; u < U; ++u) x[u] = x[u] - n[u], p[u] = broadcast(1.327647198e-3f);
   for (float term : TERMS)
-    for (int u = 0; u < U; ++u) p[u] = fma(p[u], x[u], all(term));
-  for (int u = 0; u < U; ++u) x[u] = power2(x[u], p[u], n[u]);
+    for (int u = 0; u < U; ++u) p[u] = fma(p[u], x[u], broadcast(term));
+  for (int u = 0; u < U; ++u) x[u] = scale_by_power_of_two(p[u], n[u]);
 }
 
 inline V load(const float* p) {
@@ -133,14 +144,15 @@ inline V load(const float* p) {
 }
 inline void store(float* p, V v) { __builtin_memcpy(p, &v, sizeof v); }
 
-// The two halves added.
-inline VD in_double(V v) {
+// The sum of the two halves, each converted to double.
+inline VD add_halves_in_double(V v) {
   VH half[2];
   __builtin_memcpy(half, &v, sizeof v);
   return __builtin_convertvector(half[0], VD) + __builtin_convertvector(half[1], VD);
 }
 
 #if defined(__AVX512F__)
+// Join: LANES / 4 vectors of four to one; split: the other way.
 inline V square_root(V v) { return (V)_mm512_sqrt_ps((__m512)v); }
 inline VD square_root(VD v) { return (VD)_mm512_sqrt_pd((__m512d)v); }
 inline V join(const __m128* p) {
@@ -168,20 +180,9 @@ inline V join(const __m128* p) { return (V)p[0]; }
 inline void split(V v, __m128* p) { p[0] = (__m128)v; }
 #endif
 
-inline V pick(VI condition, V yes, V no) { return (V)(((VI)yes & condition) | ((VI)no & ~condition)); }
+inline V select(VI condition, V yes, V no) { return (V)(((VI)yes & condition) | ((VI)no & ~condition)); }
 inline V keep(VI condition, V v) { return (V)((VI)v & condition); }
 inline bool any_of(VI condition) { return any((V)condition); }
-// b where the two cannot be compared.
-#if defined(__AVX512F__)
-inline V larger(V a, V b) { return (V)_mm512_max_ps((__m512)a, (__m512)b); }
-inline V smaller(V a, V b) { return (V)_mm512_min_ps((__m512)a, (__m512)b); }
-#elif defined(__AVX2__)
-inline V larger(V a, V b) { return (V)_mm256_max_ps((__m256)a, (__m256)b); }
-inline V smaller(V a, V b) { return (V)_mm256_min_ps((__m256)a, (__m256)b); }
-#else
-inline V larger(V a, V b) { return (V)_mm_max_ps((__m128)a, (__m128)b); }
-inline V smaller(V a, V b) { return (V)_mm_min_ps((__m128)a, (__m128)b); }
-#endif
 inline V absolute(V v) { return (V)((VI)v & 0x7fffffff); }
 // 0 times infinity and infinities of both signs give NaN: a sum is finite only if every term is.
 inline VI finite(V v) { return (v - v) == V{}; }
@@ -193,11 +194,11 @@ inline V log2(V x) {
   const VI exponent = (bits - 0x3f3504f3) >> 23;
   const V m = (V)(bits - (exponent << 23));
   const V s = (m - 1.0f) / (m + 1.0f), ss = s * s;
-  V p = all(0.32059889f);
-  p = fma(p, ss, all(0.41219858f));
-  p = fma(p, ss, all(0.57707802f));
-  p = fma(p, ss, all(0.96179669f));
-  p = fma(p, ss, all(2.88539008f));
+  V p = broadcast(0.32059889f);
+  p = fma(p, ss, broadcast(0.41219858f));
+  p = fma(p, ss, broadcast(0.57707802f));
+  p = fma(p, ss, broadcast(0.96179669f));
+  p = fma(p, ss, broadcast(2.88539008f));
   return fma(p, s, __builtin_convertvector(exponent, V));
 }
 
@@ -237,7 +238,7 @@ inline void transpose(V* v) {
 #endif
 }
 
-// out[f] lane l = base[N * index[l] + f].
+// Gathers N fields of the records named by `index`: out[f] lane l = base[N * index[l] + f].
 template <int N>
 inline void gather(const float* base, const std::uint32_t* index, V* out) {
   constexpr int REST = N % 4 ? N % 4 : 1;
@@ -258,7 +259,7 @@ inline void gather(const float* base, const std::uint32_t* index, V* out) {
 
 // out[f] lane l = base[3 * l + f], of LANES Gaussians one after the other.
 #if defined(__AVX512F__)
-inline void triples(const float* base, V* out) {
+inline void load_triples(const float* base, V* out) {
   const __m512 a = _mm512_loadu_ps(base), b = _mm512_loadu_ps(base + 16), c = _mm512_loadu_ps(base + 32);
   const __m512i third = _mm512_setr_epi32(0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 30, 33, 36, 39, 42, 45);
   const __m512i lane = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
@@ -271,27 +272,33 @@ inline void triples(const float* base, V* out) {
   }
 }
 #else
-inline void triples(const float* base, V* out) {
 #if defined(__AVX2__)
-  const auto pair = [&](int at) {
-    return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(base + at)), _mm_loadu_ps(base + at + 12), 1);
-  };
-#define SHUFFLE _mm256_shuffle_ps
+// Four floats at p, and the twelfth from there on.
+inline V load_four_of_each(const float* p) {
+  return (V)_mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(p)), _mm_loadu_ps(p + 12), 1);
+}
+template <int ORDER>
+inline V shuffle(V a, V b) {
+  return (V)_mm256_shuffle_ps((__m256)a, (__m256)b, ORDER);
+}
 #else
-  const auto pair = [&](int at) { return _mm_loadu_ps(base + at); };
-#define SHUFFLE _mm_shuffle_ps
+inline V load_four_of_each(const float* p) { return load(p); }
+template <int ORDER>
+inline V shuffle(V a, V b) {
+  return (V)_mm_shuffle_ps((__m128)a, (__m128)b, ORDER);
+}
 #endif
-  const auto a = pair(0), b = pair(4), c = pair(8);
-  const auto xy = SHUFFLE(b, c, _MM_SHUFFLE(2, 1, 3, 2)), yz = SHUFFLE(a, b, _MM_SHUFFLE(1, 0, 2, 1));
-  out[0] = (V)SHUFFLE(a, xy, _MM_SHUFFLE(2, 0, 3, 0));
-  out[1] = (V)SHUFFLE(yz, xy, _MM_SHUFFLE(3, 1, 2, 0));
-  out[2] = (V)SHUFFLE(yz, c, _MM_SHUFFLE(3, 0, 3, 1));
-#undef SHUFFLE
+inline void load_triples(const float* base, V* out) {
+  // Per four Gaussians: a = x0 y0 z0 x1, b = y1 z1 x2 y2, c = z2 x3 y3 z3.
+  const V a = load_four_of_each(base), b = load_four_of_each(base + 4), c = load_four_of_each(base + 8);
+  const V xy = shuffle<_MM_SHUFFLE(2, 1, 3, 2)>(b, c), yz = shuffle<_MM_SHUFFLE(1, 0, 2, 1)>(a, b);
+  out[0] = shuffle<_MM_SHUFFLE(2, 0, 3, 0)>(a, xy);
+  out[1] = shuffle<_MM_SHUFFLE(3, 1, 2, 0)>(yz, xy);
+  out[2] = shuffle<_MM_SHUFFLE(3, 0, 3, 1)>(yz, c);
 }
 #endif
 
-// base[N * l + f] = in[f] lane l, for the first `count` lanes: from the first number to the last, which is what memory
-// likes best.
+// base[N * l + f] = in[f] lane l, for the first `count` lanes; written in the order of the addresses, which is fastest.
 template <int N>
 inline void scatter(float* base, int count, const V* in) {
   constexpr int FOURS = (N + 3) / 4, REST = N % 4 ? N % 4 : 1;
@@ -316,7 +323,7 @@ inline void scatter(float* base, int count, const V* in) {
   }
 }
 
-// A value and its derivative.
+// A value and its derivative along one direction: a + b e with e^2 = 0.
 struct Dual {
   V v, d;
 };
@@ -338,13 +345,14 @@ inline Dual square_root(Dual a) {
   const V r = square_root(a.v);
   return {r, keep(r > 0.0f, a.d * 0.5f / r)};
 }
-inline V clamp(V a, float limit) { return smaller(larger(a, all(-limit)), all(limit)); }
+inline V clamp(V a, float limit) { return min(max(a, broadcast(-limit)), broadcast(limit)); }
 inline Dual clamp(Dual a, float limit) {
   const V c = clamp(a.v, limit);
   return {c, keep(c == a.v, a.d)};
 }
 inline V value(V a) { return a; }
 inline V value(Dual a) { return a.v; }
+// Sets a number that does not depend on anything.
 inline void constant(V a, V* out) { *out = a; }
 inline void constant(V a, Dual* out) { *out = {a, V{}}; }
 

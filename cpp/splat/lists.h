@@ -1,5 +1,11 @@
 #pragma once
-// Which entries of a tile touch which of its blocks: masks, and lists of the blocks.
+// Which entries of a tile touch which of its blocks of 4x4 pixels: a mask per entry, and a list of entries per block. The
+// plain twin is `block_mask` of src/splat/kernel.rs.
+//
+// A block is touched when one of its pixel centres can lie in the ellipse alpha >= 1/255. With the offset y from the centre
+// of the splat, the ellipse reaches in x from (-B y - root) / 2A to (-B y + root) / 2A, root^2 = (B^2 - 4 A C) y^2 + reach.
+// Its x-extent over a band of four lines of pixels is that at the y of the band where it is widest, and is compared with the
+// four columns of blocks. The four bands of an entry lie side by side in one vector.
 #include "cpp/splat/kernel.h"
 #include "cpp/splat/lanes.h"
 
@@ -7,8 +13,8 @@ namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-// Which blocks have pixel centres that the ellipse can reach: the x-extent of the ellipse over each band of 4 pixel rows,
-// the four bands of an entry side by side in one vector, against the four columns of blocks.
+// Against rounding the ellipse is made larger by 1e-3 px and 1e-5 of its half sizes.
+constexpr float SLACK_PX = 1e-3f, SLACK_SHARE = 1e-5f;
 
 #if defined(__AVX512F__)
 
@@ -18,7 +24,7 @@ inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count,
   const __m512 line = _mm512_add_ps(_mm512_set1_ps(tile_y), _mm512_set4_ps(12.5f, 8.5f, 4.5f, 0.5f));
   const __m512 zero = _mm512_setzero_ps();
   // Bit c of the index to bit 4 c of the value.
-  const __m512i spread = _mm512_setr_epi32(0, 0x1, 0x10, 0x11, 0x100, 0x101, 0x110, 0x111, 0x1000, 0x1001, 0x1010, 0x1011,
+  const __m512i spread_bits = _mm512_setr_epi32(0, 0x1, 0x10, 0x11, 0x100, 0x101, 0x110, 0x111, 0x1000, 0x1001, 0x1010, 0x1011,
                                            0x1100, 0x1101, 0x1110, 0x1111);
   __m512i masks = _mm512_setzero_si512();
   for (int g = 0; 4 * g < count; ++g) {
@@ -35,8 +41,8 @@ inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count,
                   "the columns as they are picked below");
     const __m512 q0 = four(0), q2 = four(8), q3 = four(12);
     const __m512 b = _mm512_permute_ps(q0, 0xff), half_height = _mm512_permute_ps(q2, 0xff);
-    const __m512 slack = _mm512_fmadd_ps(_mm512_set1_ps(1e-5f), _mm512_add_ps(_mm512_permute_ps(q2, 0xaa), half_height),
-                                         _mm512_set1_ps(1e-3f));
+    const __m512 slack = _mm512_fmadd_ps(_mm512_set1_ps(SLACK_SHARE), _mm512_add_ps(_mm512_permute_ps(q2, 0xaa), half_height),
+                                         _mm512_set1_ps(SLACK_PX));
     const __m512 limit = _mm512_add_ps(half_height, slack), below = _mm512_sub_ps(zero, limit);
     const __m512 y0 = _mm512_sub_ps(line, _mm512_permute_ps(q0, 0x55)), y1 = _mm512_add_ps(y0, _mm512_set1_ps(3.0f));
     const __m512 lo = _mm512_max_ps(y0, below), hi = _mm512_min_ps(y1, limit);
@@ -64,7 +70,7 @@ inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count,
     const __mmask16 inside = _mm512_mask_cmplt_epi32_mask(_mm512_cmp_ps_mask(lo, hi, _CMP_LE_OQ), c0, c1);
     const __m512i one = _mm512_set1_epi32(1);
     const __m512i columns = _mm512_maskz_sub_epi32(inside, _mm512_sllv_epi32(one, c1), _mm512_sllv_epi32(one, c0));
-    __m512i m = _mm512_sllv_epi32(_mm512_permutexvar_epi32(columns, spread), band);
+    __m512i m = _mm512_sllv_epi32(_mm512_permutexvar_epi32(columns, spread_bits), band);
     m = _mm512_or_si512(m, _mm512_shuffle_epi32(m, _MM_PERM_BADC));
     m = _mm512_or_si512(m, _mm512_shuffle_epi32(m, _MM_PERM_CDAB));
     // All four lanes of an entry are alike: one of each goes to lanes 4 g to 4 g + 3.
@@ -74,10 +80,10 @@ inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count,
   return _mm512_maskz_mov_epi32(static_cast<__mmask16>((1u << count) - 1), masks);
 }
 
-// Masks of the entries i..end, and their splats dealt to the lists of the blocks in `alive`, without a branch on what is
-// dealt: for each block the entries of sixteen that touch it are pushed together.
+// Masks of the entries i..end, and their splats appended to the lists of the blocks in `alive` that they touch. Sixteen
+// entries at a time; for each block those that touch it are compressed, so that no branch depends on a mask.
 template <bool KNOWN, std::size_t ROOM>
-void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM], int* sizes) {
+void distribute(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM], int* sizes) {
   for (; i < end; i += 16) {
     const int count = end - i < 16 ? static_cast<int>(end - i) : 16;
     const __mmask16 there = static_cast<__mmask16>((1u << count) - 1);
@@ -116,26 +122,27 @@ inline void block_masks(const float* const* q, float tile_x, float tile_y, std::
   static_assert(X == 0 && Y == 1 && A == 2 && B == 3 && HALF_WIDTH == 10 && HALF_HEIGHT == 11 && DISCRIMINANT == 12 && WIDEST == 13,
                 "the columns as they are picked below");
   const V q0 = four(0), q2 = four(8), q3 = four(12), zero{};
-  const V half_height = spread<3>(q2), slack = 1e-5f * (spread<2>(q2) + half_height) + 1e-3f, limit = half_height + slack;
+  const V half_height = broadcast_field<3>(q2), slack = SLACK_SHARE * (broadcast_field<2>(q2) + half_height) + SLACK_PX, limit = half_height + slack;
   V line;
   for (int l = 0; l < LANES; ++l) line[l] = 4.0f * (l % 4) + 0.5f;
-  const V y0 = line + (tile_y - spread<1>(q0)), lo = most(y0, -limit), hi = least(y0 + 3.0f, limit);
+  const V y0 = line + (tile_y - broadcast_field<1>(q0)), lo = max(y0, -limit), hi = min(y0 + 3.0f, limit);
   // The ellipse is widest to the right at y = -B half_width / (2 C), to the left at the opposite point.
-  const V widest = spread<1>(q3), y_right = least(most(widest, lo), hi), y_left = least(most(-widest, lo), hi);
-  const V d = spread<0>(q3), b = spread<3>(q0), scale = 0.5f / spread<2>(q0), reach = -(d * half_height * half_height);
-  auto root = [&](V y) { return square_root(most(d * y * y + reach, zero)); };
-  const V offset = spread<0>(q0) - (tile_x + 0.5f);
+  const V widest = broadcast_field<1>(q3), y_right = min(max(widest, lo), hi), y_left = min(max(-widest, lo), hi);
+  const V d = broadcast_field<0>(q3), b = broadcast_field<3>(q0), scale = 0.5f / broadcast_field<2>(q0), reach = -(d * half_height * half_height);
+  auto root = [&](V y) { return square_root(max(d * y * y + reach, zero)); };
+  const V offset = broadcast_field<0>(q0) - (tile_x + 0.5f);
   const V right = scale * (root(y_right) - b * y_right) + (offset + slack);
   const V left = (offset - slack) - scale * (root(y_left) + b * y_left);
   for (int e = 0; e < ENTRIES; ++e) masks[e] = 0;
   for (int column = 0; column < 4; ++column) {
-    const int hit = lanes_of((lo <= hi) & (left <= 4.0f * column + 3.0f) & (right >= 4.0f * column));
+    const int hit = bits_of((lo <= hi) & (left <= 4.0f * column + 3.0f) & (right >= 4.0f * column));
     for (int e = 0; e < ENTRIES; ++e) masks[e] |= static_cast<std::uint32_t>(hit >> (4 * e) & 0xf) << (4 * column);
   }
 }
 
+// As with AVX-512, ENTRIES at a time.
 template <bool KNOWN, std::size_t ROOM>
-void deal(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM], int* sizes) {
+void distribute(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM], int* sizes) {
   for (; i < end; i += ENTRIES) {
     const float* q[ENTRIES];
     std::uint32_t masks[ENTRIES];

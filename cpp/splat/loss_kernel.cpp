@@ -1,9 +1,12 @@
-// L1 + SSIM with gradient in one sweep over the lines of an image, all three channels as they lie (red, green, blue by
-// turns, so that a neighbour is three values away). A group of lines is blurred down from the image itself, across, turned
-// into the derivatives of SSIM; these are kept in a ring of lines until the next group is there, blurred down and across
-// the same way, and make the gradient. Two things decide about time: lines are blurred down in groups, which share most of
-// what they load, since that comes from the second cache; and what is blurred down is blurred across a strip later, while
-// it is in the first. The plain twin is src/reconstruct/loss/photometric.rs.
+// L1 + SSIM with gradient: (1 - w) |x - y| + w (1 - S), S after Wang et al. 2004 (Eq. 13), as in src/reconstruct/loss/
+// photometric.rs, which is the plain twin and gives the equations. Compiled once per instruction set.
+//
+// One sweep over the lines of an image, all three channels as they lie (red, green, blue by turns, so that a neighbour is
+// three values away). A group of lines is blurred down (along columns) from the images themselves, then across (along lines),
+// and turned into the derivatives of S by the three blurs. These are kept in a ring of lines until the next group is there, are
+// blurred down and across the same way, and make the gradient. Two things decide about time: lines are blurred down in
+// groups, which share most of what they load from the second cache; and what is blurred down is blurred across a strip later,
+// while it is still in the first.
 #include "cpp/splat/loss_kernel.h"
 #include "cpp/splat/lanes.h"
 
@@ -13,7 +16,8 @@ namespace {
 
 constexpr int CHANNELS = 3, MAPS = 3, GROUP = LOSS_GROUP, TAPS = 11, RADIUS = 5, RING = LOSS_RING;
 constexpr std::size_t STRIP = 32 * LANES;  // values that are blurred down before they are blurred across
-static_assert(STRIP > LOSS_MARGIN, "a strip must be longer than what lies behind");
+static_assert(STRIP > LOSS_MARGIN, "what is blurred across lies a margin behind what is blurred down");
+// (K1 L)^2 and (K2 L)^2 of Wang et al. with L = 1.
 constexpr float SSIM_C1 = 0.01f * 0.01f, SSIM_C2 = 0.03f * 0.03f;
 static_assert(LOSS_MARGIN >= CHANNELS * RADIUS && LOSS_MARGIN >= LANES, "a window must not leave its line");
 static_assert(2 * GROUP + TAPS - 1 <= RING, "lines must last until they have been used");
@@ -32,24 +36,22 @@ inline void store_first(float* p, V v, std::size_t count) {
 }
 
 #if defined(__AVX512F__)
-// Values N.. of two vectors one after the other.
+// LANES values from number N on of two vectors one after the other.
 template <int N>
 inline V beginning_at(V a, V b) {
   return (V)_mm512_alignr_epi32((__m512i)b, (__m512i)a, N);
 }
 #endif
 
-// Loops whose numbers must stay in registers.
-#define INLINE __attribute__((always_inline)) inline
-#define NOT_INLINE __attribute__((noinline))
-
 struct Sweep {
   const LossBand& b;
-  const std::size_t values, stride;  // of a line; of lines in the room
+  const std::size_t values, stride;  // of a line; from line to line in the scratch
   const std::ptrdiff_t height, y0, y1;
-  float* next;
-  const float* zeros;
-  float *ring[MAPS][RING], *padded[MAPS][GROUP], *weight[GROUP], *l1_weight[GROUP];
+  float* next;                 // free scratch
+  const float* zeros;          // a line outside the image
+  float* ring[MAPS][RING];     // derivatives of S by the three blurs, line y in place y % RING
+  float* padded[MAPS][GROUP];  // lines of a group that are blurred down and not yet across
+  float *weight[GROUP], *l1_weight[GROUP];
 
   explicit Sweep(const LossBand& band)
       : b(band),
@@ -58,21 +60,22 @@ struct Sweep {
         height(static_cast<std::ptrdiff_t>(band.height)),
         y0(static_cast<std::ptrdiff_t>(band.y0)),
         y1(static_cast<std::ptrdiff_t>(band.y1)) {
-    const std::uintptr_t room = reinterpret_cast<std::uintptr_t>(band.room);
-    next = band.room + (64 - room % 64) % 64 / sizeof(float);
-    zeros = take_zeros();
+    // From the next cache line on.
+    const std::uintptr_t begin = reinterpret_cast<std::uintptr_t>(band.scratch);
+    next = band.scratch + (64 - begin % 64) % 64 / sizeof(float);
+    zeros = allocate_zeros();
     for (auto& map : ring)
-      for (float*& line : map) line = take();
+      for (float*& line : map) line = allocate_line();
     for (auto& map : padded)
-      for (float*& line : map) line = take();
+      for (float*& line : map) line = allocate_line();
     // Without a mask all lines weigh the same.
-    for (int r = 0; r < GROUP; ++r) weight[r] = r == 0 || b.mask ? take_zeros() : weight[0];
-    for (int r = 0; r < GROUP; ++r) l1_weight[r] = r == 0 || b.mask ? take_zeros() : l1_weight[0];
-    if (!b.mask) weigh(y0, 0);
+    for (int r = 0; r < GROUP; ++r) weight[r] = r == 0 || b.mask ? allocate_zeros() : weight[0];
+    for (int r = 0; r < GROUP; ++r) l1_weight[r] = r == 0 || b.mask ? allocate_zeros() : l1_weight[0];
+    if (!b.mask) fill_weights(y0, 0);
   }
 
-  // A line with zeros on either side.
-  float* take() {
+  // Room for a line, with zeros on either side.
+  float* allocate_line() {
     float* const line = next + LOSS_MARGIN;
     next += stride;
     for (float* p = line - LOSS_MARGIN; p < line; ++p) *p = 0;
@@ -80,14 +83,14 @@ struct Sweep {
     return line;
   }
   // A line of zeros.
-  float* take_zeros() {
-    float* const line = take();
+  float* allocate_zeros() {
+    float* const line = allocate_line();
     for (std::size_t x = 0; x < values; ++x) line[x] = 0;
     return line;
   }
 
   // Weights of line `y` for SSIM and for L1, zero beyond the image.
-  void weigh(std::ptrdiff_t y, int r) {
+  void fill_weights(std::ptrdiff_t y, int r) {
     const float ssim = b.ssim_weight, l1 = 1.0f - b.ssim_weight;
     for (std::size_t x = 0; x < b.width; ++x) {
       const float w = b.mask ? b.mask[b.width * y + x] * (1.0f / 3.0f) : b.uniform;
@@ -95,21 +98,21 @@ struct Sweep {
     }
   }
 
-  // The window: a copy, because stores of other numbers might change the original for all that the compiler knows.
+  // The taps in registers: a copy, because the compiler must assume that stores of other numbers change the original.
   struct Window {
     V weights[RADIUS + 1];
     explicit Window(const LossBand& b) {
-      for (int i = 0; i <= RADIUS; ++i) weights[i] = all(b.window[i]);
+      for (int i = 0; i <= RADIUS; ++i) weights[i] = broadcast(b.window[i]);
     }
     template <class Tap>
-    INLINE V over(Tap tap) const {
+    [[gnu::always_inline]] inline V over(Tap tap) const {
       V sum = weights[RADIUS] * tap(RADIUS);
       for (int i = 0; i < RADIUS; ++i) sum = fma(weights[i], tap(i) + tap(TAPS - 1 - i), sum);
       return sum;
     }
   };
 
-  // The lines that a group from y on is blurred down from: found once per group.
+  // Addresses of the lines that a group from y on is blurred down from.
   struct Columns {
     const float* lines[GROUP + TAPS - 1];
     template <class Line>
@@ -121,9 +124,10 @@ struct Sweep {
     }
   };
 
-  // Values from x on of a group of lines blurred down; `in(i)` is those of line i.
+  // Blurs LANES values of a group of lines down; `in(i)` gives those of line i. (Inlined and unrolled, so that the taps stay
+  // in registers.)
   template <class In>
-  INLINE void down(const Window& window, int map, std::size_t x, In in) const {
+  [[gnu::always_inline]] inline void blur_down(const Window& window, int map, std::size_t x, In in) const {
     V taps[GROUP + TAPS - 1];
 #pragma GCC unroll 32
     for (int i = 0; i < GROUP + TAPS - 1; ++i) taps[i] = in(i);
@@ -131,15 +135,15 @@ struct Sweep {
     for (int r = 0; r < GROUP; ++r) store(padded[map][r] + x, window.over([&](int i) { return taps[r + i]; }));
   }
 
-  // Values `from` to `to` of the group: the three maps of SSIM from the lines of two images, blurred down.
-  NOT_INLINE void maps_down(const Columns& source, const Columns& target, std::size_t from, std::size_t to) const {
+  // Blurs values `from` to `to` of a group down: x, x^2 and x y of the lines of two images.
+  [[gnu::noinline]] void blur_maps_down(const Columns& source, const Columns& target, std::size_t from, std::size_t to) const {
     const Window window(b);
     for (std::size_t x = from; x < to; x += LANES) {
       const std::size_t left = values - x;
       const auto down_all = [&](auto s, auto t) {
-        down(window, 0, x, s);
-        down(window, 1, x, [&](int i) { return s(i) * s(i); });
-        down(window, 2, x, [&](int i) { return s(i) * t(i); });
+        blur_down(window, 0, x, s);
+        blur_down(window, 1, x, [&](int i) { return s(i) * s(i); });
+        blur_down(window, 2, x, [&](int i) { return s(i) * t(i); });
       };
       if (left >= static_cast<std::size_t>(LANES)) {
         down_all([&](int i) { return load(source.lines[i] + x); }, [&](int i) { return load(target.lines[i] + x); });
@@ -150,15 +154,15 @@ struct Sweep {
     }
   }
 
-  // The same of the derivatives.
-  NOT_INLINE void derivatives_down(const Columns* maps, std::size_t from, std::size_t to) const {
+  // The same of the three derivatives.
+  [[gnu::noinline]] void blur_derivatives_down(const Columns* maps, std::size_t from, std::size_t to) const {
     const Window window(b);
     for (std::size_t x = from; x < to; x += LANES)
-      for (int map = 0; map < MAPS; ++map) down(window, map, x, [&](int i) { return load(maps[map].lines[i] + x); });
+      for (int map = 0; map < MAPS; ++map) blur_down(window, map, x, [&](int i) { return load(maps[map].lines[i] + x); });
   }
 
   // LANES values blurred across.
-  INLINE static V across(const Window& window, const float* line) {
+  [[gnu::always_inline]] static inline V blur_across(const Window& window, const float* line) {
 #if defined(__AVX512F__)
     // What lies before is put together from registers, what lies behind is loaded: half the work for either unit.
     const V before = load(line - LANES), here = load(line);
@@ -171,8 +175,8 @@ struct Sweep {
 #endif
   }
 
-  // Calls down(from, to) for all values of a line and later across(r, from, to) for those of each of the first `count` lines
-  // of the group, strip by strip: what is blurred across lies a little behind, for its neighbours must be there.
+  // Strip by strip, calls down(from, to) for all values of a line and later across(r, from, to) for those of each of the first
+  // `count` lines of the group. Blurring across stays a margin behind, since it reads neighbours on both sides.
   template <class Down, class Across>
   void strips(int count, Down down, Across across) const {
     std::size_t done = 0;
@@ -191,33 +195,35 @@ struct Sweep {
     return sum;
   }
 
+  // Loss of the lines of the band; fills their gradient.
   double run() {
     double total = 0;
     if (!(b.ssim_weight > 0)) {
-      for (std::ptrdiff_t y = y0; y < y1; y += GROUP) total += finish<false>(y);
+      for (std::ptrdiff_t y = y0; y < y1; y += GROUP) total += gradient_of_group<false>(y);
       return total;
     }
+    // The gradient of a line takes the derivatives of RADIUS lines on either side.
     const std::ptrdiff_t needed = y1 + RADIUS < height ? y1 + RADIUS : height;
     std::ptrdiff_t derived = y0 < RADIUS ? 0 : y0 - RADIUS;
     for (std::ptrdiff_t y = y0; y < y1; y += GROUP) {
-      for (; derived < needed && derived < y + GROUP + RADIUS; derived += GROUP) total += derive(derived, needed);
-      total += finish<true>(y);
+      for (; derived < needed && derived < y + GROUP + RADIUS; derived += GROUP) total += ssim_of_group(derived, needed);
+      total += gradient_of_group<true>(y);
     }
     return total;
   }
 
-  // The derivatives of SSIM in a group of lines from y on that ends before `needed`; returns what of the loss lies in the
-  // band.
-  double derive(std::ptrdiff_t y, std::ptrdiff_t needed) {
+  // Puts the derivatives of S for a group of lines from y on, up to `needed`, into the ring; returns the weighted sum of 1 - S
+  // over those that lie in the band.
+  double ssim_of_group(std::ptrdiff_t y, std::ptrdiff_t needed) {
     const Columns source(*this, y, [&](std::ptrdiff_t at) { return b.rendered + values * at; });
     const Columns target(*this, y, [&](std::ptrdiff_t at) { return b.target + values * at; });
     const Window window(b);
     const int count = y + GROUP <= needed ? GROUP : static_cast<int>(needed - y);
     V sums[GROUP];
     for (int r = 0; r < GROUP; ++r) sums[r] = V{};
-    for (int r = 0; r < count && b.mask; ++r) weigh(y + r, r);
-    const auto blur_down = [&](std::size_t from, std::size_t to) { maps_down(source, target, from, to); };
-    strips(count, blur_down, [&](int r, std::size_t from, std::size_t to) {
+    for (int r = 0; r < count && b.mask; ++r) fill_weights(y + r, r);
+    const auto blur = [&](std::size_t from, std::size_t to) { blur_maps_down(source, target, from, to); };
+    strips(count, blur, [&](int r, std::size_t from, std::size_t to) {
       const std::size_t line = values * static_cast<std::size_t>(y + r), place = static_cast<std::size_t>(y + r) % RING;
       const float *const mean = b.mean + line, *const square = b.square + line, *const weights = weight[r];
       const float* const in[MAPS] = {padded[0][r], padded[1][r], padded[2][r]};
@@ -226,8 +232,8 @@ struct Sweep {
       for (std::size_t x = from; x < to; x += LANES) {
         __builtin_prefetch(mean + x + STRIP), __builtin_prefetch(square + x + STRIP);
         const V my = load_first(mean + x, values - x), yy = load_first(square + x, values - x);
-        const V mx = across(window, in[0] + x), xx = across(window, in[1] + x), xy = across(window, in[2] + x);
-        sum += derivatives(mx, xx, xy, my, yy, load(weights + x), out, x);
+        const V mx = blur_across(window, in[0] + x), xx = blur_across(window, in[1] + x), xy = blur_across(window, in[2] + x);
+        sum += ssim_derivatives(mx, xx, xy, my, yy, load(weights + x), out, x);
       }
       sums[r] += sum;
     });
@@ -237,11 +243,12 @@ struct Sweep {
     return total;
   }
 
-  // The weighted 1 - SSIM of LANES values; its derivatives by the three blurs go to `out`.
-  INLINE static V derivatives(V mx, V xx, V xy, V my, V yy, V weight, float* const* out, std::size_t x) {
-    const V w = -weight, w2 = w + w;
+  // Weighted 1 - S of LANES values; its derivatives by mx, xx and xy go to `out`. With a = 2 mx my + C1, p = 2 sxy + C2,
+  // q = mx^2 + my^2 + C1, d = sx + sy + C2: S = a p / (q d).
+  [[gnu::always_inline]] static inline V ssim_derivatives(V mx, V xx, V xy, V my, V yy, V weight, float* const* out, std::size_t x) {
+    const V w = -weight, w2 = w + w;  // of S
     const V product = mx * my, squares = fma(mx, mx, my * my);
-    const V a = fma(all(2.0f), product, all(SSIM_C1)), p = fma(all(2.0f), xy - product, all(SSIM_C2));
+    const V a = fma(broadcast(2.0f), product, broadcast(SSIM_C1)), p = fma(broadcast(2.0f), xy - product, broadcast(SSIM_C2));
     const V q = squares + SSIM_C1, d = (xx + yy - squares) + SSIM_C2;
     const V inverse = reciprocal(q * d), ap = a * p, s = ap * inverse, w_inverse = w2 * inverse;
     store(out[0] + x, w_inverse * fma(my, p - a, mx * s * (q - d)));
@@ -250,43 +257,14 @@ struct Sweep {
     return fma(w, s, -w);
   }
 
+  // The gradient of those of GROUP lines from y on that lie in the band; returns their weighted L1.
   template <bool WITH_SSIM>
-  double finish(std::ptrdiff_t y) {
-    switch (b.norm) {
-      case Norm::CHARBONNIER: return finish<WITH_SSIM, Norm::CHARBONNIER>(y);
-      case Norm::HUBER: return finish<WITH_SSIM, Norm::HUBER>(y);
-      default: return finish<WITH_SSIM, Norm::L1>(y);
-    }
-  }
-
-  // Weighted cost of LANES differences; their weighted slopes go to `slope`.
-  template <Norm NORM>
-  V cost(V d, V w, V* slope) const {
-    const V sign = pick(d > 0.0f, w, pick(d < 0.0f, -w, V{}));
-    const V e = all(b.softness);
-    if (NORM == Norm::CHARBONNIER) {
-      const V root = square_root(d * d + e * e);
-      *slope = w * d / root;
-      return w * d * d / (root + e);
-    }
-    if (NORM == Norm::HUBER) {
-      const V size = pick(d < 0.0f, -d, d);
-      const VI near = size < e;
-      *slope = pick(near, w * d / e, sign);
-      return w * pick(near, d * d / (e + e), size - 0.5f * e);
-    }
-    *slope = sign;
-    return sign * d;
-  }
-
-  // The gradient of those of GROUP lines from y on that lie in the band; returns their L1, or what stands in its place.
-  template <bool WITH_SSIM, Norm NORM>
-  double finish(std::ptrdiff_t y) {
+  double gradient_of_group(std::ptrdiff_t y) {
     const Window window(b);
     const int count = y + GROUP <= y1 ? GROUP : static_cast<int>(y1 - y);
     V sums[GROUP];
     for (int r = 0; r < GROUP; ++r) sums[r] = V{};
-    for (int r = 0; r < count && b.mask; ++r) weigh(y + r, r);
+    for (int r = 0; r < count && b.mask; ++r) fill_weights(y + r, r);
     const auto write = [&](int r, std::size_t from, std::size_t to) {
       const std::size_t line = values * static_cast<std::size_t>(y + r);
       const float *const source = b.rendered + line, *const target = b.target + line, *const weights = l1_weight[r];
@@ -295,11 +273,13 @@ struct Sweep {
       V sum{};
       for (std::size_t x = from; x < to; x += LANES) {
         const V s = load_first(source + x, values - x), t = load_first(target + x, values - x);
-        V g;
-        sum += cost<NORM>(s - t, load(weights + x), &g);
+        // w |s - t| and its slope w sign(s - t).
+        const V d = s - t, w = load(weights + x), sign = select(d > 0.0f, w, select(d < 0.0f, -w, V{}));
+        sum += sign * d;
+        V g = sign;
         if (WITH_SSIM) {
-          const V by_square = across(window, in[1] + x), by_cross = across(window, in[2] + x);
-          g += across(window, in[0] + x) + fma(s + s, by_square, t * by_cross);
+          const V by_square = blur_across(window, in[1] + x), by_cross = blur_across(window, in[2] + x);
+          g += blur_across(window, in[0] + x) + fma(s + s, by_square, t * by_cross);
         }
         store_first(out + x, g, values - x);
       }
@@ -309,8 +289,8 @@ struct Sweep {
       const Columns maps[MAPS] = {Columns(*this, y, [&](std::ptrdiff_t at) { return ring[0][at % RING]; }),
                                   Columns(*this, y, [&](std::ptrdiff_t at) { return ring[1][at % RING]; }),
                                   Columns(*this, y, [&](std::ptrdiff_t at) { return ring[2][at % RING]; })};
-      const auto blur_down = [&](std::size_t from, std::size_t to) { derivatives_down(maps, from, to); };
-      strips(count, blur_down, write);
+      const auto blur = [&](std::size_t from, std::size_t to) { blur_derivatives_down(maps, from, to); };
+      strips(count, blur, write);
     } else {
       for (int r = 0; r < count; ++r) write(r, 0, values);
     }

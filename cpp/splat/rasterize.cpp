@@ -1,29 +1,38 @@
+// The dispatcher of the vectorised rasteriser: checks what Rust hands over, once a call, fills the plain structs of
+// kernel.h and calls the kernels of one instruction set.
 #include "cpp/splat/rasterize.h"
 
-#include <stdexcept>
+#include <algorithm>
 
 #include "cpp/common/isa.h"
 #include "cpp/splat/kernel.h"
+#include "cpp/splat/require.h"
 #include "respire-bench/src/ffi/splat/rasterize.rs.h"
 
 namespace respire {
 namespace {
 
-void require(bool good, const char* what) {
-  if (!good) throw std::invalid_argument(what);
-}
-
-void check_isa(std::uint8_t isa) {
+const Kernels& kernels_of(std::uint8_t isa) {
   require(isa <= widest_isa(), "this processor lacks the instruction set asked for");
+  switch (isa) {
+    case 2: return avx512::KERNELS;
+    case 1: return avx2::KERNELS;
+    default: return baseline::KERNELS;
+  }
 }
 
-// The kernels of `isa`.
-#define CALL(isa, function, ...)                             \
-  switch (isa) {                                             \
-    case 2: return avx512::function(__VA_ARGS__);            \
-    case 1: return avx2::function(__VA_ARGS__);              \
-    default: return baseline::function(__VA_ARGS__);         \
-  }
+// Tables of records as the numbers in them. Each call asks Rust for the pointer, so none of these stands in a loop.
+const float* floats(rust::Slice<const AlignedRow> rows) { return reinterpret_cast<const float*>(rows.data()); }
+float* floats(rust::Slice<AlignedRow> rows) { return reinterpret_cast<float*>(rows.data()); }
+template <class T, std::size_t N>
+T* flat(rust::Slice<std::array<T, N>> rows) {
+  return reinterpret_cast<T*>(rows.data());
+}
+template <class T, std::size_t N>
+const T* flat(rust::Slice<const std::array<T, N>> rows) {
+  return reinterpret_cast<const T*>(rows.data());
+}
+const float* null_if_empty(rust::Slice<const float> values) { return values.empty() ? nullptr : values.data(); }
 
 bool all_below(rust::Slice<const std::uint32_t> values, std::size_t bound) {
   std::uint32_t most = 0;
@@ -31,173 +40,243 @@ bool all_below(rust::Slice<const std::uint32_t> values, std::size_t bound) {
   return values.empty() || most < bound;
 }
 
-void check_tile(std::uint8_t isa, std::size_t rows, rust::Slice<const std::uint32_t> entries, std::size_t masks) {
-  check_isa(isa);
-  require(rows % 16 == 0 && masks == entries.size(), "tables of a tile differ in length");
-  require(all_below(entries, rows / 16), "tile entry names no splat");
+template <class T, std::size_t N>
+void copy(const std::array<T, N>& from, T (&to)[N]) {
+  std::copy(from.begin(), from.end(), to);
 }
 
-// The scene as the kernels see it, where numbers first..first + count exist.
-Scene scene_of(const SplatScene& s, View& view, std::size_t first, std::size_t count) {
+View view_of(const SplatCamera& camera) {
+  View view;
+  copy(camera.rotation, view.rotation);
+  copy(camera.eye, view.eye);
+  copy(camera.focal, view.focal);
+  copy(camera.center, view.center);
+  copy(camera.limit, view.limit);
+  copy(camera.size, view.size);
+  view.near = camera.near;
+  view.dilation = camera.dilation;
+  view.by_opacity = camera.extent_by_opacity ? 1.0f : 0.0f;
+  view.skip_beside = camera.skip_beside;
+  view.compensate = camera.compensate;
+  view.fisheye = camera.fisheye;
+  copy(camera.distortion, view.lens);
+  view.cone_cosine = camera.cone_cosine;
+  view.cone_sine = camera.cone_sine;
+  view.cone_reach = camera.cone_reach;
+  return view;
+}
+
+ExactView exact_view_of(const SplatExactCamera& camera) {
+  ExactView view;
+  copy(camera.rotation, view.rotation);
+  copy(camera.eye, view.eye);
+  copy(camera.focal, view.focal);
+  copy(camera.center, view.center);
+  copy(camera.distortion, view.lens);
+  return view;
+}
+
+// The scene as the kernels see it, of which numbers first..first + count exist.
+Scene scene_of(const SplatScene& s, std::size_t first, std::size_t count) {
   const std::size_t n = s.opacities.size(), columns = s.scales.empty() ? 6 : 4;
   const std::size_t basis = (s.sh_degree + 1) * (s.sh_degree + 1);
   require(s.sh_degree <= 3 && s.positions.size() == 3 * n && s.shape.size() == columns * n &&
               (s.scales.empty() || s.scales.size() == 3 * n) && s.sh.size() == 3 * basis * n,
           "the arrays of the Gaussians differ in length");
-  require(s.view.size() == sizeof(View) / sizeof(float) && s.exact.size() == 20, "a view has 33 numbers and 20");
   const std::size_t known = s.all ? n : s.active.size();
   require(first <= known && count <= known - first, "there are not as many Gaussians");
-  if (!s.all) {
-    const std::uint32_t* active = s.active.data();
+  const std::uint32_t* active = s.all ? nullptr : s.active.data();
+  if (active) {
     std::uint32_t most = 0;
     for (std::size_t k = first; k < first + count; ++k) most = active[k] > most ? active[k] : most;
     require(count == 0 || most < n, "an active index names no Gaussian");
   }
-  __builtin_memcpy(&view, s.view.data(), sizeof view);
-  return {&view,          s.positions.data(), s.shape.data(),     s.scales.empty() ? nullptr : s.scales.data(),
-          s.opacities.data(), s.sh.data(),    s.sh_degree, s.all ? nullptr : s.active.data(), s.exact.data()};
+  Scene scene;
+  scene.view = view_of(s.camera);
+  scene.exact = exact_view_of(s.exact_camera);
+  scene.positions = s.positions.data();
+  scene.shape = s.shape.data();
+  scene.scales = null_if_empty(s.scales);
+  scene.opacities = s.opacities.data();
+  scene.sh = s.sh.data();
+  scene.sh_degree = s.sh_degree;
+  scene.active = active;
+  return scene;
 }
 
-const float* given(rust::Slice<const float> values, std::size_t wanted) {
-  require(values.empty() || values.size() == wanted, "a motion has another length than the Gaussians");
-  return values.empty() ? nullptr : values.data();
-}
-
-TangentChunk tangent_of(const SplatScene& scene, std::size_t first, std::size_t count, const bool* visible,
-                        const SplatMotion& motion, rust::Slice<float> rows) {
-  require(rows.empty() || rows.size() == 8 * count, "tables of a motion differ in length");
-  require(motion.pose.empty() || motion.pose.size() == 6, "a motion of the camera has 6 numbers");
+TangentChunk tangent_of(const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
+                        const SplatMotion& motion, rust::Slice<std::array<float, 8>> rows) {
   const std::size_t n = scene.opacities.size(), columns = scene.scales.empty() ? 6 : 9;
-  return {first,
-          count,
-          visible,
-          given(motion.positions, 3 * n),
-          given(motion.shape, columns * n),
-          given(motion.colors, 3 * n),
-          motion.pose.empty() ? nullptr : motion.pose.data(),
-          rows.data()};
+  const auto is_none_or = [](rust::Slice<const float> values, std::size_t size) {
+    return values.empty() || values.size() == size;
+  };
+  require(is_none_or(motion.positions, 3 * n) && is_none_or(motion.shape, columns * n) && is_none_or(motion.colors, 3 * n),
+          "a motion has another length than the Gaussians");
+  require(is_none_or(motion.pose, 6), "a motion of the camera has 6 numbers");
+  TangentChunk chunk;
+  chunk.first = first;
+  chunk.count = visible.size();
+  chunk.visible = visible.data();
+  chunk.positions = null_if_empty(motion.positions);
+  chunk.shape = null_if_empty(motion.shape);
+  chunk.colors = null_if_empty(motion.colors);
+  chunk.pose = null_if_empty(motion.pose);
+  chunk.rows = flat(rows);
+  return chunk;
 }
 
-DiscTile disc_tile_of(std::uint8_t isa, const SplatDiscs& d) {
-  check_isa(isa);
-  require(d.rows.size() % 16 == 0 && d.discs.size() == d.rows.size() && all_below(d.entries, d.rows.size() / 16),
-          "tile entry names no disc");
-  require(d.rays.size() == 3 * static_cast<std::size_t>(d.width) * d.height && d.blocks != 0 && d.x < d.width && d.y < d.height,
+DiscTile disc_tile_of(const SplatDiscs& d) {
+  require(d.discs.size() == d.rows.size() && all_below(d.entries, d.rows.size()), "a tile entry names no disc");
+  require(d.rays.size() == static_cast<std::size_t>(d.width) * d.height && d.x < d.width && d.y < d.height,
           "a tile of discs lies outside the image");
-  return {d.rows.data(), d.discs.data(), d.entries.data(), d.entries.size(), d.x, d.y, d.width, d.height, d.blocks,
-          d.rays.data(), d.pinhole, {d.per_px[0], d.per_px[1]}, d.near, d.filter};
+  DiscTile tile;
+  tile.rows = floats(d.rows);
+  tile.discs = floats(d.discs);
+  tile.entries = d.entries.data();
+  tile.count = d.entries.size();
+  tile.x = d.x, tile.y = d.y;
+  tile.width = d.width, tile.height = d.height;
+  tile.rays = flat(d.rays);
+  tile.pinhole = d.pinhole;
+  copy(d.per_px, tile.per_px);
+  tile.near = d.near;
+  tile.filter = d.filter;
+  return tile;
 }
 
+// What a transmittance is compared with; none is as small as -1.
 float stop_of(std::uint32_t parts) { return parts & ENDLESS ? -1.0f : STOP; }
 
 }  // namespace
 
-void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
-                   std::uint32_t tiles_y, std::uint32_t side, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
-                   rust::Slice<std::uint32_t> keys, rust::Slice<bool> visible, const SplatMotion& motion,
-                   rust::Slice<float> velocities) {
-  check_isa(isa);
-  const std::size_t count = visible.size();
-  require(rows.size() == 16 * count && boxes.size() == 2 * count && keys.size() == count, "tables of a projection differ in length");
-  View view;
-  const Scene s = scene_of(scene, view, first, count);
-  require(side > 0, "a tile has no pixels");
-  const TangentChunk tangent = tangent_of(scene, first, count, visible.data(), motion, velocities);
-  const ProjectChunk chunk{first, count, tiles_x, tiles_y, 1.0f / static_cast<float>(side), rows.data(), boxes.data(),
-                           keys.data(), visible.data(), velocities.empty() ? nullptr : &tangent};
-  CALL(isa, project, s, chunk)
+void splat_project(std::uint8_t isa, const SplatScene& scene, std::array<std::uint32_t, 2> tiles, SplatChunk out,
+                   const SplatMotion& motion) {
+  const Kernels& kernels = kernels_of(isa);
+  const std::size_t count = out.visible.size();
+  require(out.rows.size() == count && out.boxes.size() == count && out.keys.size() == count,
+          "tables of a projection differ in length");
+  require(out.velocities.empty() || out.velocities.size() == count, "tables of a motion differ in length");
+  TangentChunk tangent;
+  const bool moving = !out.velocities.empty();
+  if (moving) tangent = tangent_of(scene, out.first, {out.visible.data(), count}, motion, out.velocities);
+  ProjectChunk chunk;
+  chunk.first = out.first;
+  chunk.count = count;
+  chunk.tiles_x = tiles[0], chunk.tiles_y = tiles[1];
+  chunk.rows = floats(out.rows);
+  chunk.boxes = flat(out.boxes);
+  chunk.keys = out.keys.data();
+  chunk.visible = out.visible.data();
+  chunk.motion = moving ? &tangent : nullptr;
+  kernels.project(scene_of(scene, out.first, count), chunk);
 }
 
 bool splat_recolor(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
-                   rust::Slice<float> rows) {
-  check_isa(isa);
-  const std::size_t count = visible.size();
-  require(rows.size() == 16 * count, "tables of a projection differ in length");
-  View view;
-  const Scene s = scene_of(scene, view, first, count);
-  bool finite = true;
-  const RecolorChunk chunk{first, count, visible.data(), rows.data(), &finite};
-  const auto run = [&] { CALL(isa, recolor, s, chunk) };
-  run();
-  return finite;
+                   rust::Slice<AlignedRow> rows) {
+  const Kernels& kernels = kernels_of(isa);
+  require(rows.size() == visible.size(), "tables of a projection differ in length");
+  const RecolorChunk chunk{first, visible.size(), visible.data(), floats(rows)};
+  return kernels.recolor(scene_of(scene, first, visible.size()), chunk);
 }
 
 void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
-                      const SplatMotion& motion, rust::Slice<float> rows) {
-  check_isa(isa);
-  const std::size_t count = visible.size();
-  require(rows.size() == 8 * count, "tables of a motion differ in length");
-  View view;
-  const Scene s = scene_of(scene, view, first, count);
-  const TangentChunk chunk = tangent_of(scene, first, count, visible.data(), motion, rows);
-  CALL(isa, velocities, s, chunk)
+                      const SplatMotion& motion, rust::Slice<std::array<float, 8>> rows) {
+  const Kernels& kernels = kernels_of(isa);
+  require(rows.size() == visible.size(), "tables of a motion differ in length");
+  kernels.velocities(scene_of(scene, first, visible.size()), tangent_of(scene, first, visible, motion, rows));
 }
 
-void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const std::uint32_t> starts,
-                 rust::Slice<const float> slots, std::uint32_t wanted,
-                 rust::Slice<float> positions, rust::Slice<float> shape, rust::Slice<float> scales,
-                 rust::Slice<float> opacities, rust::Slice<float> sh, rust::Slice<double> camera) {
-  check_isa(isa);
-  require(!starts.empty() && camera.size() == 10, "tables of a chain differ in length");
-  const std::size_t count = starts.size() - 1;
+SplatCameraGradient splat_chain(std::uint8_t isa, const SplatScene& scene, const SplatMoments& moments,
+                                SplatGradients out) {
+  const Kernels& kernels = kernels_of(isa);
+  require(!moments.starts.empty(), "tables of a chain differ in length");
+  const std::size_t count = moments.starts.size() - 1;
   const bool discs = scene.scales.empty();
-  auto has = [&](std::uint32_t group, std::size_t size, std::size_t each) {
-    require(!(wanted & group) || size == each * count, "a wanted gradient has no room");
+  const auto check_room = [&](std::uint32_t group, rust::Slice<float> place, std::size_t each) {
+    require(!(moments.wanted & group) || place.size() == each * count, "a wanted gradient has no room");
   };
-  has(POSITIONS, positions.size(), 3);
-  has(SHAPES, shape.size(), discs ? 6 : 4);
-  has(SHAPES, scales.size(), discs ? 0 : 3);
-  has(OPACITIES, opacities.size(), 1);
-  has(HARMONICS, sh.size(), 3 * (scene.sh_degree + 1) * (scene.sh_degree + 1));
-  View view;
-  const Scene s = scene_of(scene, view, first, count);
-  // A slice asks Rust for its pointer each time.
-  const std::uint32_t* start = starts.data();
+  check_room(POSITIONS, out.positions, 3);
+  check_room(SHAPES, out.shape, discs ? 6 : 4);
+  check_room(SHAPES, out.scales, discs ? 0 : 3);
+  check_room(OPACITIES, out.opacities, 1);
+  check_room(HARMONICS, out.sh, 3 * (scene.sh_degree + 1) * (scene.sh_degree + 1));
+  const std::uint32_t* const starts = moments.starts.data();
   bool ascending = true;
-  for (std::size_t k = 0; k < count; ++k) ascending &= start[k] <= start[k + 1];
+  for (std::size_t k = 0; k < count; ++k) ascending &= starts[k] <= starts[k + 1];
   require(ascending, "entries of a splat are out of order");
-  require(start[count] <= slots.size() / 16, "an entry has no slot");
-  const ChainChunk chunk{first,          count,         starts.data(),    slots.data(), wanted,
-                         positions.data(), shape.data(), scales.data(), opacities.data(), sh.data(),    camera.data()};
-  CALL(isa, chain, s, chunk)
+  require(starts[count] <= moments.slots.size(), "an entry has no slot");
+  SplatCameraGradient camera;
+  ChainChunk chunk;
+  chunk.first = moments.first;
+  chunk.count = count;
+  chunk.starts = starts;
+  chunk.slots = floats(moments.slots);
+  chunk.wanted = moments.wanted;
+  chunk.positions = out.positions.data();
+  chunk.shape = out.shape.data();
+  chunk.scales = out.scales.data();
+  chunk.opacities = out.opacities.data();
+  chunk.sh = out.sh.data();
+  chunk.pose = camera.pose.data();
+  chunk.intrinsics = camera.intrinsics.data();
+  kernels.chain(scene_of(scene, moments.first, count), chunk);
+  return camera;
 }
 
-void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
-                   rust::Slice<std::uint16_t> masks, float x, float y, std::uint16_t blocks, rust::Slice<float> state,
-                   std::uint32_t parts, rust::Slice<const float> velocities, rust::Slice<float> moving) {
-  check_tile(isa, rows.size(), entries, masks.size());
-  const std::size_t splats = rows.size() / 16;
-  const std::size_t directions = moving.size() / (MOVING * PIXELS);
-  require(state.size() == PLANES * PIXELS && moving.size() == directions * MOVING * PIXELS && directions <= TOGETHER &&
-              velocities.size() == directions * 8 * splats,
+void splat_forward(std::uint8_t isa, SplatForward t) {
+  const Kernels& kernels = kernels_of(isa);
+  const std::size_t splats = t.rows.size(), directions = t.moving.size() / (MOVING * PIXELS);
+  require(all_below(t.entries, splats), "a tile entry names no splat");
+  require(t.masks.size() == t.entries.size() && t.state.size() == PLANES * PIXELS, "tables of a tile differ in length");
+  require(t.moving.size() == directions * MOVING * PIXELS && directions <= MAX_DIRECTIONS &&
+              t.velocities.size() == directions * splats,
+          "tables of a tile's motion differ in length");
+  ForwardTile tile;
+  tile.rows = floats(t.rows);
+  tile.entries = t.entries.data();
+  tile.masks = t.masks.data();
+  tile.count = t.entries.size();
+  tile.x = t.corner[0], tile.y = t.corner[1];
+  tile.stop = stop_of(t.parts);
+  tile.state = t.state.data();
+  tile.directions = static_cast<std::uint32_t>(directions);
+  const float* velocities = flat(t.velocities);
+  for (std::size_t d = 0; d < directions; ++d) tile.velocities[d] = velocities + d * 8 * splats;
+  tile.moving = t.moving.data();
+  kernels.forward(tile, t.parts);
+}
+
+void splat_backward(std::uint8_t isa, const SplatBackward& t, AlignedRow* slots, std::size_t slot_count) {
+  const Kernels& kernels = kernels_of(isa);
+  require(all_below(t.entries, t.rows.size()), "a tile entry names no splat");
+  require(t.masks.size() == t.entries.size() && t.targets.size() == t.entries.size() && t.adjoint.size() == PLANES * PIXELS,
           "tables of a tile differ in length");
-  ForwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, blocks, stop_of(parts), state.data(),
-                   static_cast<std::uint32_t>(directions), {}, moving.data()};
-  for (std::size_t d = 0; d < directions; ++d) tile.velocities[d] = velocities.data() + d * 8 * splats;
-  CALL(isa, forward, tile, parts)
-}
-
-void splat_backward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
-                    rust::Slice<const std::uint16_t> masks, rust::Slice<const std::uint32_t> targets, float x, float y,
-                    rust::Slice<const float> adjoint, float* slots, std::size_t slot_count, std::uint32_t parts) {
-  check_tile(isa, rows.size(), entries, masks.size());
-  require(adjoint.size() == PLANES * PIXELS && targets.size() == entries.size(), "tables of a tile differ in length");
-  require(all_below(targets, slot_count), "an entry has no slot");
-  const BackwardTile tile{rows.data(), entries.data(), masks.data(), entries.size(), x, y, stop_of(parts), adjoint.data(), targets.data(), slots};
-  CALL(isa, backward, tile, parts)
+  require(all_below(t.targets, slot_count), "an entry has no slot");
+  BackwardTile tile;
+  tile.rows = floats(t.rows);
+  tile.entries = t.entries.data();
+  tile.masks = t.masks.data();
+  tile.count = t.entries.size();
+  tile.x = t.corner[0], tile.y = t.corner[1];
+  tile.stop = stop_of(t.parts);
+  tile.adjoint = t.adjoint.data();
+  tile.targets = t.targets.data();
+  tile.slots = reinterpret_cast<float*>(slots);
+  kernels.backward(tile, t.parts);
 }
 
 void splat_disc_forward(std::uint8_t isa, const SplatDiscs& discs, bool with_depth, rust::Slice<float> state) {
-  const DiscTile tile = disc_tile_of(isa, discs);
+  const Kernels& kernels = kernels_of(isa);
   require(state.size() == PLANES * PIXELS, "tables of a tile differ in length");
-  CALL(isa, disc_forward, tile, with_depth, state.data())
+  kernels.disc_forward(disc_tile_of(discs), with_depth, state.data());
 }
 
 void splat_disc_backward(std::uint8_t isa, const SplatDiscs& discs, rust::Slice<const float> adjoint,
                          std::uint32_t parts, rust::Slice<float> sums) {
-  const DiscTile tile = disc_tile_of(isa, discs);
-  require(adjoint.size() == PLANES * PIXELS && sums.size() == DISC_SUMS * tile.count, "tables of a tile differ in length");
-  CALL(isa, disc_backward, tile, adjoint.data(), parts, sums.data())
+  const Kernels& kernels = kernels_of(isa);
+  require(adjoint.size() == PLANES * PIXELS && sums.size() == DISC_SUMS * discs.entries.size(),
+          "tables of a tile differ in length");
+  kernels.disc_backward(disc_tile_of(discs), adjoint.data(), parts, sums.data());
 }
 
 }  // namespace respire

@@ -1,4 +1,5 @@
 #pragma once
+#include <array>
 #include <cstddef>
 #include <cstdint>
 
@@ -6,38 +7,44 @@
 
 namespace respire {
 
+// Sixteen numbers that begin at a cache line: the columns of a splat or a disc, or the moments of an entry
+// (`Aligned<f32>` of src/ffi/splat/rasterize.rs).
+struct alignas(64) AlignedRow {
+  float columns[16];
+};
+static_assert(sizeof(AlignedRow) == 64, "as in Rust");
+
+// The records of src/ffi/splat/rasterize.rs, which explains them.
 struct SplatScene;
 struct SplatMotion;
+struct SplatChunk;
+struct SplatMoments;
+struct SplatGradients;
+struct SplatCameraGradient;
+struct SplatForward;
+struct SplatBackward;
 struct SplatDiscs;
 
-// All functions check every index and length, and throw std::invalid_argument.
+// All functions check every index and length, and throw std::invalid_argument. `isa` as of widest_isa.
 
-// Splats of the Gaussians number first..first + visible.size() of the scene; see splat_kernel.h for the tables. Tiles are
-// `side` pixels wide. With `velocities`, 8 floats per splat, those along a motion, too.
-void splat_project(std::uint8_t isa, const SplatScene& scene, std::size_t first, std::uint32_t tiles_x,
-                   std::uint32_t tiles_y, std::uint32_t side, rust::Slice<float> rows, rust::Slice<std::uint32_t> boxes,
-                   rust::Slice<std::uint32_t> keys, rust::Slice<bool> visible, const SplatMotion& motion,
-                   rust::Slice<float> velocities);
+// Splats of a chunk of Gaussians, on an image of tiles[0] x tiles[1] tiles; where the chunk has room for velocities, those
+// along the motion too.
+void splat_project(std::uint8_t isa, const SplatScene& scene, std::array<std::uint32_t, 2> tiles, SplatChunk chunk,
+                   const SplatMotion& motion);
 // Their colours again, where visible; false when one is not finite.
 bool splat_recolor(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
-                   rust::Slice<float> rows);
-// Their velocities along a motion.
+                   rust::Slice<AlignedRow> rows);
+// Their velocities along a motion, where visible.
 void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
-                      const SplatMotion& motion, rust::Slice<float> rows);
-// Gradients from moments; a slice that is not wanted is empty.
-void splat_chain(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const std::uint32_t> starts,
-                 rust::Slice<const float> slots, std::uint32_t wanted,
-                 rust::Slice<float> positions, rust::Slice<float> shape, rust::Slice<float> scales,
-                 rust::Slice<float> opacities, rust::Slice<float> sh, rust::Slice<double> camera);
-// The `blocks` of one tile. `velocities`: 8 floats per splat and direction, direction by direction.
-void splat_forward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
-                   rust::Slice<std::uint16_t> masks, float x, float y, std::uint16_t blocks, rust::Slice<float> state,
-                   std::uint32_t parts, rust::Slice<const float> velocities, rust::Slice<float> moving);
-// Writes the slots that `targets` name, of slot_count slots of 16 floats: no other thread may use those at the same time.
-void splat_backward(std::uint8_t isa, rust::Slice<const float> rows, rust::Slice<const std::uint32_t> entries,
-                    rust::Slice<const std::uint16_t> masks, rust::Slice<const std::uint32_t> targets, float x, float y,
-                    rust::Slice<const float> adjoint, float* slots, std::size_t slot_count, std::uint32_t parts);
-// The exact discs of one tile: sums and light that is left, to `state` as of splat_forward.
+                      const SplatMotion& motion, rust::Slice<std::array<float, 8>> rows);
+// Gradients from moments.
+SplatCameraGradient splat_chain(std::uint8_t isa, const SplatScene& scene, const SplatMoments& moments,
+                                SplatGradients gradients);
+// Composites one tile.
+void splat_forward(std::uint8_t isa, SplatForward tile);
+// Writes the slots that the tile's targets name, of `slot_count`: no other thread may use those at the same time.
+void splat_backward(std::uint8_t isa, const SplatBackward& tile, AlignedRow* slots, std::size_t slot_count);
+// Composites the exact discs of one tile to `state`, as of splat_forward.
 void splat_disc_forward(std::uint8_t isa, const SplatDiscs& discs, bool with_depth, rust::Slice<float> state);
 // Backward: DISC_SUMS sums for each entry.
 void splat_disc_backward(std::uint8_t isa, const SplatDiscs& discs, rust::Slice<const float> adjoint,

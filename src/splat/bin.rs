@@ -8,7 +8,7 @@
 
 use rayon::prelude::*;
 
-use crate::ffi::splat::bin::{self as native, BANDS, Band, Boxes, Counts};
+use crate::ffi::splat::bin::{self as native, BANDS, Band, BinItems, Boxes, Counts, Distribution, ItemRange};
 use crate::ffi::system::grow;
 
 use super::pool::{PIECE, piece_of};
@@ -148,7 +148,7 @@ impl Bins {
 
     /// Visible splats that were counted.
     pub fn seen(&self) -> usize {
-        self.counts.iter().map(|c| c.seen as usize).sum()
+        self.counts.iter().map(|c| c.visible as usize).sum()
     }
 
     /// Fills the lists of the tiles from the boxes and keys of the splats, which have been counted.
@@ -156,19 +156,18 @@ impl Bins {
         self.tiling = tiling;
         let (shift, columns) = (shift_of(&tiling), tiling.columns);
         let (height, bands) = (1 << shift, tiling.rows.div_ceil(1 << shift));
-        let mut totals = [[0usize; BANDS]; 2];
-        for counts in self.counts.iter().filter(|c| c.seen > 0) {
-            for (total, count) in totals.as_flattened_mut().iter_mut().zip(counts.bands.as_flattened()) {
-                *total += *count as usize;
-            }
+        let (mut splats, mut entries) = ([0usize; BANDS], [0usize; BANDS]);
+        for counts in self.counts.iter().filter(|c| c.visible > 0) {
+            splats.iter_mut().zip(counts.splats).for_each(|(total, count)| *total += count as usize);
+            entries.iter_mut().zip(counts.tiles).for_each(|(total, count)| *total += count as usize);
         }
-        let [splats, entries] = totals.each_ref().map(|kind| &kind[..bands]);
+        let (splats, entries) = (&splats[..bands], &entries[..bands]);
         let (all_splats, all_entries) = (splats.iter().sum(), entries.iter().sum());
         self.make_room(all_entries);
         grow(&mut self.items, all_splats);
         grow(&mut self.scratch, 4 * all_splats);
         let pieces = self.deal(all, shift, bands);
-        let (items, starts) = (&self.items, &self.starts);
+        let all = BinItems { items: &self.items, boxes: all.boxes, starts: &self.starts, tiles_x: columns as u32 };
         let mut first = 0;
         let tasks: Vec<Band<'_>> = cut(&mut self.scratch, splats.iter().map(|s| 4 * s))
             .into_iter()
@@ -178,16 +177,13 @@ impl Bins {
             .zip(pieces)
             .enumerate()
             .map(|(b, ((((scratch, entries), targets), offsets), pieces))| {
-                let rows = b * height..((b + 1) * height).min(tiling.rows);
-                let band = Band { pieces, rows, first, scratch, offsets, entries, targets };
+                let (row_begin, row_end) = ((b * height) as u32, ((b + 1) * height).min(tiling.rows) as u32);
+                let band = Band { pieces, row_begin, row_end, first, scratch, offsets, entries, targets };
                 first += band.entries.len() as u32;
                 band
             })
             .collect();
-        longest_first(tasks)
-            .into_par_iter()
-            .with_max_len(PIECE)
-            .for_each(|band| native::fill(band, items, all.boxes, starts, columns));
+        longest_first(tasks).into_par_iter().with_max_len(PIECE).for_each(|band| native::fill(&all, band));
     }
 
     fn make_room(&mut self, entries: usize) {
@@ -201,27 +197,28 @@ impl Bins {
 
     /// Puts every visible splat into the list of its chunk for each of its bands, in the order of the splats; returns
     /// where the pieces of each band lie.
-    fn deal(&mut self, all: &Boxes<'_>, shift: u32, bands: usize) -> Vec<Vec<[u32; 2]>> {
+    fn deal(&mut self, all: &Boxes<'_>, shift: u32, bands: usize) -> Vec<Vec<ItemRange>> {
         let sum = |counts: &[u32; BANDS]| counts.iter().sum::<u32>();
         let mut pieces = vec![Vec::with_capacity(self.counts.len()); bands];
         let (mut place, mut base, mut bases) = (0, 0, Vec::with_capacity(self.counts.len()));
         for counts in &self.counts {
             bases.push(base);
-            if counts.seen == 0 {
+            if counts.visible == 0 {
                 continue;
             }
-            base += sum(&counts.bands[1]);
-            for (pieces, &count) in pieces.iter_mut().zip(&counts.bands[0]) {
-                pieces.push([place, place + count]);
+            base += sum(&counts.tiles);
+            for (pieces, &count) in pieces.iter_mut().zip(&counts.splats) {
+                pieces.push(ItemRange { begin: place, end: place + count });
                 place += count;
             }
         }
         let (counts, starts) = (&self.counts, &mut self.starts[1..]);
-        let items = cut(&mut self.items, counts.iter().map(|c| sum(&c.bands[0]) as usize));
+        let items = cut(&mut self.items, counts.iter().map(|c| sum(&c.splats) as usize));
         let piece = piece_of(counts.len());
         let chunks = items.into_par_iter().zip(starts.par_chunks_mut(CHUNK)).enumerate().with_max_len(piece);
         chunks.for_each(|(c, (items, starts))| {
-            native::deal(&chunk_of(all, c), c * CHUNK, shift, bases[c], starts, &counts[c], items);
+            let to = Distribution { first: (c * CHUNK) as u32, base: bases[c], starts, items };
+            native::distribute(&chunk_of(all, c), shift, &counts[c], to);
         });
         pieces
     }

@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 
-use crate::ffi::splat::image::{ImageBand, Light};
+use crate::ffi::splat::image::{ImageBand, ImageFormation};
 use crate::ffi::splat::rasterize::Aligned;
 use crate::ffi::system::grow;
 
@@ -85,7 +85,7 @@ impl<T: Real> Rasterizer<T> {
         let gain = settings.gain.map(T::of);
         let background = settings.background.map(T::of);
         let with_depth = has_depth(settings);
-        let light = Light { gain: settings.gain, background: settings.background, with_depth };
+        let formation = ImageFormation { gain: settings.gain, background: settings.background, with_depth };
         let band = side * width;
         let depth = if depth_stays { &mut [][..] } else { &mut out.depth[..] };
         let depths = cut(depth, out.alpha.chunks(band).map(|alpha| if depth_stays { 0 } else { alpha.len() }));
@@ -95,8 +95,8 @@ impl<T: Real> Rasterizer<T> {
                 let row = &state[tile_y * tiles_x * PLANES * PIXELS..][..tiles_x * PLANES * PIXELS];
                 if T::develop_band(
                     row,
-                    [width, side],
-                    &light,
+                    width,
+                    &formation,
                     ImageBand { color: &mut *color, depth: &mut *depth, alpha: &mut *alpha },
                 ) {
                     return;
@@ -175,7 +175,11 @@ impl<T: Real> Rasterizer<T> {
         let optics = self.optics(view, settings);
         let (bins, rows, isa, states) = (&self.bins, &self.rows, self.isa, &self.state);
         let image_size = [self.rendered.width, self.rendered.height];
-        let light = Light { gain: settings.gain, background: settings.background, with_depth: !image.depth.is_empty() };
+        let formation = ImageFormation {
+            gain: settings.gain,
+            background: settings.background,
+            with_depth: !image.depth.is_empty(),
+        };
         let tiles =
             states[..bins.tiling.count() * PLANES * PIXELS].par_chunks(PLANES * PIXELS).enumerate().with_max_len(TILES);
         let done: Vec<TileSums<T>> = tiles
@@ -183,8 +187,8 @@ impl<T: Real> Rasterizer<T> {
                 let place = (bins.tiling, t);
                 let corner = bins.tiling.corner(t);
                 let Adjoint(adjoint) = &mut Adjoint([T::zero(); PLANES * PIXELS]);
-                let by_gain = T::adjoint_tile(state, place, image_size, &light, image, adjoint)
-                    .unwrap_or_else(|| adjoint_of_tile(state, place, image_size, &light, image, adjoint, faults));
+                let by_gain = T::adjoint_tile(state, place, image_size, &formation, image, adjoint)
+                    .unwrap_or_else(|| adjoint_of_tile(state, place, image_size, &formation, image, adjoint, faults));
                 let none = (by_gain, Vec::new(), Vec::new());
                 let Some(parts) = parts else { return none };
                 let range = bins.offsets[t] as usize..bins.offsets[t + 1] as usize;
@@ -250,12 +254,12 @@ fn adjoint_of_tile<T: Real>(
     state: &[T],
     (tiling, t): (Tiling, usize),
     size: [usize; 2],
-    light: &Light,
+    formation: &ImageFormation,
     image: &ImageGradient<'_, T>,
     adjoint: &mut [T],
     faults: impl Faults,
 ) -> [f64; 3] {
-    let (gain, background) = (light.gain.map(T::of), light.background.map(T::of));
+    let (gain, background) = (formation.gain.map(T::of), formation.background.map(T::of));
     let mut by_gain = [0.0; 3];
     for p in 0..PIXELS {
         let Some([x, y]) = tiling.pixel(t, p, size) else { continue };
@@ -273,7 +277,7 @@ fn adjoint_of_tile<T: Real>(
             by_left += v * gain[k] * background[k];
         }
         let covered = T::one() - left;
-        if light.with_depth && covered > T::zero() {
+        if formation.with_depth && covered > T::zero() {
             let by_depth = image.depth[o] / covered;
             adjoint[3 * PIXELS + p] = by_depth;
             behind += by_depth * state[3 * PIXELS + p];

@@ -13,7 +13,7 @@ use super::kernel::{PIXELS, PLANES, Parts, pixel_of};
 use super::project::{Row, at, dot};
 use super::real::Real;
 use super::tile::Tiling;
-use crate::ffi::splat::rasterize::{self as native, Aligned, SplatDiscs};
+use crate::ffi::splat::rasterize::{Aligned, SplatDiscs};
 
 /// Columns of the sums of one entry.
 pub(super) mod sum {
@@ -112,15 +112,14 @@ impl DiscTile<'_, f32> {
         let (tiling, t) = self.tile;
         let ([x, y], [width, height]) = (tiling.corner(t), self.optics.size);
         SplatDiscs {
-            rows: native::columns(self.rows),
-            discs: native::columns(self.discs),
+            rows: self.rows,
+            discs: self.discs,
             entries: self.entries,
             x: x as u32,
             y: y as u32,
             width: width as u32,
             height: height as u32,
-            blocks: tiling.side.blocks(),
-            rays: self.optics.rays.as_flattened(),
+            rays: self.optics.rays,
             pinhole: self.optics.per_pixel.is_some(),
             per_px: self.optics.per_pixel.unwrap_or_default(),
             near: self.optics.near,

@@ -13,7 +13,7 @@
 //! by block.
 
 use crate::ffi::isa::Isa;
-use crate::ffi::splat::rasterize::{self as native, Aligned, Slots};
+use crate::ffi::splat::rasterize::{self as native, Aligned, Slots, SplatBackward, SplatForward};
 
 use super::fault::{Fault, Faults};
 use super::project::{Row, at};
@@ -118,19 +118,9 @@ fn corner_f32(corner: [usize; 2]) -> [f32; 2] {
 /// `false` when the plain twin is asked for.
 pub fn vector_forward(isa: Isa, t: &mut ForwardTile<'_, f32>, velocities: &[[f32; 8]], moving: &mut [f32]) -> bool {
     if isa != Isa::Scalar {
-        let corner = corner_f32(t.corner);
-        native::forward(
-            isa,
-            t.rows,
-            t.entries,
-            t.masks,
-            corner,
-            t.side.blocks(),
-            t.state,
-            t.parts.bits(),
-            velocities,
-            moving,
-        );
+        let (corner, parts) = (corner_f32(t.corner), t.parts.bits());
+        let ForwardTile { rows, entries, masks, state, .. } = t;
+        native::forward(isa, SplatForward { rows, entries, masks, corner, parts, state, velocities, moving });
     }
     isa != Isa::Scalar
 }
@@ -139,7 +129,7 @@ pub fn vector_forward(isa: Isa, t: &mut ForwardTile<'_, f32>, velocities: &[[f32
 pub fn vector_backward(isa: Isa, t: &BackwardTile<'_, f32>, slots: &Slots<'_>) {
     let (corner, parts) = (corner_f32(t.corner), t.parts.bits());
     let &BackwardTile { rows, entries, masks, targets, adjoint, .. } = t;
-    native::backward(isa, &native::Backward { rows, entries, masks, targets, corner, adjoint }, slots, parts);
+    native::backward(isa, &SplatBackward { rows, entries, masks, targets, corner, parts, adjoint }, slots);
 }
 
 /// Blocks whose pixel centres the ellipse `alpha >= 1/255` can reach: its x-extent over each band of 4 pixel rows.

@@ -1,6 +1,8 @@
 //! Lenses: where a point in camera axes comes to lie, the Jacobian there, and the way back. Pinhole, with the Jacobian taken
 //! at a clamped point as in 3DGS, and OpenCV's fisheye model. The symbols are those of `project.rs`.
 
+use crate::ffi::splat::rasterize::SplatExactCamera;
+
 use super::dual::Dual;
 use super::fault::{Fault, Faults};
 use super::project::{Geometry, Projector, dot};
@@ -66,14 +68,16 @@ impl Exact {
         [cosine, sine, std::f64::consts::SQRT_2 * largest_stretch(lens) / (0.99 * slope)]
     }
 
-    /// As the kernels take it (`Scene::camera` of `cpp/splat/kernel.h`).
-    pub fn numbers(&self) -> [f64; 20] {
-        let mut out = [0.0; 20];
-        let lens = self.fisheye.unwrap_or_default();
-        let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(&self.focal).chain(&self.center);
-        let all = all.chain(&lens);
-        out.iter_mut().zip(all).for_each(|(place, v)| *place = *v);
-        out
+    /// As the kernels take it.
+    pub fn splat_camera(&self) -> SplatExactCamera {
+        let [r0, r1, r2] = self.rotation;
+        SplatExactCamera {
+            rotation: [r0[0], r0[1], r0[2], r1[0], r1[1], r1[2], r2[0], r2[1], r2[2]],
+            eye: self.eye,
+            focal: self.focal,
+            center: self.center,
+            distortion: self.fisheye.unwrap_or_default(),
+        }
     }
 }
 

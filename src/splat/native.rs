@@ -2,7 +2,9 @@
 //! instruction set and the camera allow. Each kernel has its plain twin in Rust.
 
 use crate::ffi::isa::Isa;
-use crate::ffi::splat::rasterize::{self as native, Aligned, ChainOutput, SplatMotion, SplatScene};
+use crate::ffi::splat::rasterize::{
+    self as native, Aligned, ChainOutput, SplatCameraGradient, SplatChunk, SplatMoments, SplatMotion, SplatScene,
+};
 
 use super::project::Projector;
 use super::real::Real;
@@ -29,8 +31,15 @@ pub trait Native<T: Real>: Sync {
     /// Velocities of their splats along a direction other than the gain, where visible; not of `Filter::Compensate`, which
     /// lets opacities move.
     fn velocities(&self, first: usize, visible: &[bool], direction: &Direction<'_, T>, rows: &mut [[T; 8]]);
-    /// Their gradients from the moments in `slots[starts[k]..starts[k + 1]]`.
-    fn chain(&self, first: usize, starts: &[u32], slots: &[Aligned<T>], wanted: Wanted, out: ChainOutput<'_, T>);
+    /// Their gradients from the moments in `slots[starts[k]..starts[k + 1]]`; returns those by the camera.
+    fn chain(
+        &self,
+        first: usize,
+        starts: &[u32],
+        slots: &[Aligned<T>],
+        wanted: Wanted,
+        out: ChainOutput<'_, T>,
+    ) -> SplatCameraGradient;
 }
 
 /// A scene and a view as the kernels take them.
@@ -39,40 +48,24 @@ pub struct Work<'a> {
     scene: SplatScene<'a>,
 }
 
-/// The numbers of the camera, as the kernels take them.
-pub struct Numbers {
-    /// `View` of `cpp/splat/kernel.h`.
-    pub view: [f32; 33],
-    /// `Scene::camera` there.
-    pub exact: [f64; 20],
-}
-
-impl Default for Numbers {
-    fn default() -> Self {
-        Numbers { view: [0.0; 33], exact: [0.0; 20] }
-    }
-}
-
 impl<'a> Work<'a> {
     /// `None` where the plain twin has to do it: asked for, or a footprint that the kernels do not know.
     pub fn new(
         isa: Isa,
         gaussians: &'a Gaussians<f32>,
         projector: &Projector<f32>,
-        numbers: &'a mut Numbers,
         active: Option<&'a [u32]>,
     ) -> Option<Self> {
         if isa == Isa::Scalar || projector.footprint() != Footprint::Ewa {
             return None;
         }
-        *numbers = Numbers { view: projector.numbers(), exact: projector.exact.numbers() };
         let (shape, scales): (&[f32], &[f32]) = match &gaussians.shape {
             Shape::Ellipsoids { rotations, scales } => (rotations.as_flattened(), scales.as_flattened()),
             Shape::Discs { axes } => (axes.as_flattened().as_flattened(), &[]),
         };
         let scene = SplatScene {
-            view: &numbers.view,
-            exact: &numbers.exact,
+            camera: projector.splat_camera(),
+            exact_camera: projector.exact.splat_camera(),
             positions: gaussians.positions.as_flattened(),
             shape,
             scales,
@@ -114,13 +107,13 @@ impl Native<f32> for Work<'_> {
         visible: &mut [bool],
         moving: Option<(&Direction<'_, f32>, &mut [[f32; 8]])>,
     ) {
-        let (tiles, side) = ([tiling.columns, tiling.rows], tiling.side.px());
         let mut pose = [0.0; 6];
         let (motion, velocities): (_, &mut [_]) = match moving {
             Some((direction, velocities)) => (motion_of(direction, &mut pose), velocities),
             None => (motion_of(&Direction::Gain([0.0; 3]), &mut pose), &mut []),
         };
-        native::project(self.isa, &self.scene, first, (tiles, side), rows, boxes, keys, visible, &motion, velocities);
+        let chunk = SplatChunk { first, rows, boxes, keys, visible, velocities };
+        native::project(self.isa, &self.scene, [tiling.columns, tiling.rows], chunk, &motion);
     }
 
     fn recolor(&self, first: usize, visible: &[bool], rows: &mut [Aligned<f32>]) -> bool {
@@ -132,7 +125,14 @@ impl Native<f32> for Work<'_> {
         native::velocities(self.isa, &self.scene, first, visible, &motion_of(direction, &mut pose), rows);
     }
 
-    fn chain(&self, first: usize, starts: &[u32], slots: &[Aligned<f32>], wanted: Wanted, out: ChainOutput<'_, f32>) {
-        native::chain(self.isa, &self.scene, first, starts, slots, wanted.bits(), out);
+    fn chain(
+        &self,
+        first: usize,
+        starts: &[u32],
+        slots: &[Aligned<f32>],
+        wanted: Wanted,
+        out: ChainOutput<'_, f32>,
+    ) -> SplatCameraGradient {
+        native::chain(self.isa, &self.scene, &SplatMoments { first, starts, slots, wanted: wanted.bits() }, out)
     }
 }

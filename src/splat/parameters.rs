@@ -9,7 +9,6 @@ use super::bin::cut;
 use super::chain::{One, ellipsoid_gradient, gradients_of_one};
 use super::disc_chain::gradients_of_disc;
 use super::fault::Faults;
-use super::native::Numbers;
 use super::pool::piece_of;
 use super::project::Projector;
 use super::rasterizer::{CHUNK, Rasterizer};
@@ -80,9 +79,7 @@ impl<T: Real> Rasterizer<T> {
             })
             .collect();
         let active = self.active.as_deref();
-        let mut numbers = Numbers::default();
-        let native =
-            if faults.is_sound() { T::native(self.isa, gaussians, projector, &mut numbers, active) } else { None };
+        let native = if faults.is_sound() { T::native(self.isa, gaussians, projector, active) } else { None };
         let (slots, sums) = (&self.slots, &self.disc_slots);
         let piece = piece_of(tasks.len());
         let discs = projector.footprint() == Footprint::Disc;
@@ -96,10 +93,8 @@ impl<T: Real> Rasterizer<T> {
                 }
                 let starts = &starts[task.first..=task.first + task.count];
                 if let Some(native) = &native {
-                    let mut camera = [0.0; 10];
-                    native.chain(task.first, starts, slots, wanted, task.outputs(&mut camera));
-                    let (pose, lens) = camera.split_at(6);
-                    return (std::array::from_fn(|k| pose[k]), std::array::from_fn(|k| lens[k]));
+                    let camera = native.chain(task.first, starts, slots, wanted, task.outputs());
+                    return (camera.pose, camera.intrinsics);
                 }
                 task.plain(active, gaussians, wanted, faults, |k, i, by_sh| {
                     let entries = starts[k] as usize..starts[k + 1] as usize;
@@ -145,7 +140,7 @@ impl<T: Real> Task<'_, T> {
         self.sh.fill(zero);
     }
 
-    fn outputs<'a>(&'a mut self, camera: &'a mut [f64; 10]) -> ChainOutput<'a, T> {
+    fn outputs(&mut self) -> ChainOutput<'_, T> {
         let discs = self.axes.as_flattened_mut().as_flattened_mut();
         ChainOutput {
             positions: self.positions.as_flattened_mut(),
@@ -153,7 +148,6 @@ impl<T: Real> Task<'_, T> {
             scales: self.scales.as_flattened_mut(),
             opacities: self.opacities,
             sh: self.sh,
-            camera,
         }
     }
 

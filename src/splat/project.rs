@@ -12,6 +12,7 @@
 use std::f64::consts::LOG2_E;
 
 use crate::base::{Error, Result};
+use crate::ffi::splat::rasterize::SplatCamera;
 
 use super::lens::{Exact, Lens, largest_stretch};
 use super::real::Real;
@@ -236,22 +237,32 @@ impl<T: Real> Projector<T> {
         self.fisheye_stretch.map(|s| self.focal.map(|f| f * s))
     }
 
-    /// The camera in single precision: `View` of `cpp/splat/kernel.h`.
-    pub fn numbers(&self) -> [f32; 33] {
-        let mut out = [0.0; 33];
-        out[32] = f32::from(u8::from(self.filter == Filter::Compensate));
-        let vectors = [self.focal, self.center, self.limit, self.size];
-        let flag = |skip: Skips| T::of(f64::from(u8::from(self.skips.any(skip))));
-        let scalars = [self.near, self.dilation, flag(Skips::EXTENTS), flag(Skips::BESIDE)];
-        let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(vectors.as_flattened()).chain(&scalars);
-        out.iter_mut().zip(all).for_each(|(place, v)| *place = v.to_f64() as f32);
-        if let Some(lens) = self.exact.fisheye {
-            let dilation = self.dilation.to_f64();
-            let size = self.size.map(T::to_f64);
-            let rest = lens.into_iter().chain(self.exact.cone(lens, size, dilation)).chain([1.0]);
-            out[24..].iter_mut().zip(rest).for_each(|(place, v)| *place = v as f32);
+    /// The camera in single precision, as the kernels take it.
+    pub fn splat_camera(&self) -> SplatCamera {
+        let single = |v: T| v.to_f64() as f32;
+        let [r0, r1, r2] = self.rotation.map(|row| row.map(single));
+        let (size, dilation) = (self.size.map(T::to_f64), self.dilation.to_f64());
+        let lens = self.exact.fisheye;
+        let [cone_cosine, cone_sine, cone_reach] =
+            lens.map_or([0.0; 3], |lens| self.exact.cone(lens, size, dilation)).map(|v| v as f32);
+        SplatCamera {
+            rotation: [r0[0], r0[1], r0[2], r1[0], r1[1], r1[2], r2[0], r2[1], r2[2]],
+            eye: self.eye.map(single),
+            focal: self.focal.map(single),
+            center: self.center.map(single),
+            limit: self.limit.map(single),
+            size: self.size.map(single),
+            near: single(self.near),
+            dilation: single(self.dilation),
+            extent_by_opacity: self.skips.any(Skips::EXTENTS),
+            skip_beside: self.skips.any(Skips::BESIDE),
+            compensate: self.filter == Filter::Compensate,
+            fisheye: lens.is_some(),
+            distortion: lens.unwrap_or_default().map(|v| v as f32),
+            cone_cosine,
+            cone_sine,
+            cone_reach,
         }
-        out
     }
 
     /// What splats are sorted by: z-depth of the centre, computed in double for every number type and rounded once, so

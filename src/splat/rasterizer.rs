@@ -19,7 +19,6 @@ use super::disc_tile::Sums;
 use super::extra_channels::Extra;
 use super::fault::{Fault, Faults, Sound};
 use super::kernel::Parts;
-use super::native::Numbers;
 use super::pool::{in_pool, piece_of};
 use super::project::Projector;
 use super::real::Real;
@@ -265,8 +264,7 @@ impl<T: Real> Rasterizer<T> {
             return false;
         }
         let active = self.active.as_deref();
-        let mut numbers = Numbers::default();
-        let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
+        let native = T::native(self.isa, gaussians, projector, active);
         // What is projected is counted while it is there; unless the lists of before may stay, with their counts.
         let counted = if native.is_some() && same == Same::Nothing { Counted::All } else { Counted::Not };
         let moving = moving.filter(|_| native.is_some());

@@ -5,12 +5,12 @@ use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
 use crate::ffi::isa::Isa;
-use crate::ffi::splat::image::{self as image, ImageBand, Light};
+use crate::ffi::splat::image::{self as image, ImageBand, ImageFormation, PixelGradients, TilePlace};
 use crate::ffi::splat::rasterize::{self as native, Aligned, Slots};
 
 use super::disc_tile::{DiscTile, Sums};
 use super::kernel::{BackwardTile, ForwardTile, Parts};
-use super::native::{Native, Numbers, Work};
+use super::native::{Native, Work};
 use super::project::Projector;
 use super::tile::Tiling;
 use super::types::{Gaussians, ImageGradient, Settings};
@@ -88,7 +88,6 @@ pub trait Real:
         _isa: Isa,
         _gaussians: &'a Gaussians<Self>,
         _projector: &Projector<Self>,
-        _numbers: &'a mut Numbers,
         _active: Option<&'a [u32]>,
     ) -> Option<Box<dyn Native<Self> + 'a>> {
         None
@@ -106,8 +105,8 @@ pub trait Real:
         false
     }
 
-    /// Develops a row of tiles (width of the image, side of a tile) with vectorised code; `false` when there is none for this type.
-    fn develop_band(_state: &[Self], _width_and_side: [usize; 2], _light: &Light, _band: ImageBand<'_, Self>) -> bool {
+    /// Develops a row of tiles (width of the image) with vectorised code; `false` when there is none for this type.
+    fn develop_band(_state: &[Self], _width: usize, _formation: &ImageFormation, _band: ImageBand<'_, Self>) -> bool {
         false
     }
 
@@ -116,7 +115,7 @@ pub trait Real:
     fn develop_moving(
         _moving: &[Self],
         _of: [usize; 2],
-        _width_and_side: [usize; 2],
+        _width: usize,
         _settings: &Settings,
         _color: &mut [Self],
     ) -> bool {
@@ -129,7 +128,7 @@ pub trait Real:
         _state: &[Self],
         _tile: (Tiling, usize),
         _size: [usize; 2],
-        _light: &Light,
+        _formation: &ImageFormation,
         _image: &ImageGradient<'_, Self>,
         _adjoint: &mut [Self],
     ) -> Option<[f64; 3]> {
@@ -215,29 +214,23 @@ impl Real for f32 {
         isa: Isa,
         gaussians: &'a Gaussians<f32>,
         projector: &Projector<f32>,
-        numbers: &'a mut Numbers,
         active: Option<&'a [u32]>,
     ) -> Option<Box<dyn Native<f32> + 'a>> {
-        Some(Box::new(Work::new(isa, gaussians, projector, numbers, active)?))
+        Some(Box::new(Work::new(isa, gaussians, projector, active)?))
     }
 
     fn all_finite(values: &[f32]) -> bool {
         image::all_finite(values)
     }
 
-    fn develop_band(state: &[f32], width_and_side: [usize; 2], light: &Light, band: ImageBand<'_, f32>) -> bool {
-        image::develop(state, width_and_side, light, band);
+    fn develop_band(state: &[f32], width: usize, formation: &ImageFormation, band: ImageBand<'_, f32>) -> bool {
+        image::develop(state, width, formation, band);
         true
     }
 
-    fn develop_moving(
-        moving: &[f32],
-        of: [usize; 2],
-        width_and_side: [usize; 2],
-        settings: &Settings,
-        color: &mut [f32],
-    ) -> bool {
-        image::develop_moving(moving, of, width_and_side, settings.gain, settings.background, color);
+    fn develop_moving(moving: &[f32], of: [usize; 2], width: usize, settings: &Settings, color: &mut [f32]) -> bool {
+        let formation = ImageFormation { gain: settings.gain, background: settings.background, with_depth: false };
+        image::develop_moving(moving, of, width, &formation, color);
         true
     }
 
@@ -245,12 +238,13 @@ impl Real for f32 {
         state: &[f32],
         (tiling, t): (Tiling, usize),
         size: [usize; 2],
-        light: &Light,
+        formation: &ImageFormation,
         image: &ImageGradient<'_, f32>,
         adjoint: &mut [f32],
     ) -> Option<[f64; 3]> {
-        let (corner, side) = (tiling.corner(t), tiling.side.px());
-        Some(image::adjoint(state, corner, side, size, light, [image.color, image.depth, image.alpha], adjoint))
+        let place = TilePlace { corner: tiling.corner(t), size };
+        let &ImageGradient { color, depth, alpha, .. } = image;
+        Some(image::adjoint(state, &place, formation, &PixelGradients { color, depth, alpha }, adjoint))
     }
 
     fn forward_moving(isa: Isa, tile: &mut ForwardTile<'_, f32>, velocities: &[[f32; 8]], moving: &mut [f32]) -> bool {

@@ -4,7 +4,6 @@
 
 use rayon::prelude::*;
 
-use super::native::Numbers;
 use super::pool::PIECE;
 use super::project::{Projector, at, color, dot};
 use super::rasterizer::{CHUNK, Rasterizer};
@@ -152,8 +151,7 @@ impl<T: Real> Rasterizer<T> {
     /// longer the same scene.
     pub(super) fn recolor(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>) -> bool {
         let active = self.active.as_deref();
-        let mut numbers = Numbers::default();
-        let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
+        let native = T::native(self.isa, gaussians, projector, active);
         let visible = &self.rendered.visible;
         let chunks = self.rows[..visible.len()]
             .par_chunks_mut(CHUNK)

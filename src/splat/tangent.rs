@@ -14,7 +14,6 @@ use crate::ffi::splat::rasterize::Aligned;
 
 use super::dual::Dual;
 use super::kernel::{self, ForwardTile, MOVING, PIXELS, PLANES, Parts, TOGETHER};
-use super::native::Numbers;
 use super::pool::{PIECE, in_pool};
 use super::project::{Projector, Row, columns};
 use super::rasterizer::{CHUNK, Rasterizer};
@@ -195,8 +194,7 @@ impl<T: Real> Rasterizer<T> {
         let moving: Vec<usize> = (0..directions.len()).filter(|&d| is_motion(&directions[d])).collect();
         let projector = Projector::new(view, settings)?;
         // The velocity of a splat has no place for that of its opacity.
-        let usable = settings.filter == Filter::Dilate
-            && T::native(self.isa, gaussians, &projector, &mut Numbers::default(), None).is_some();
+        let usable = settings.filter == Filter::Dilate && T::native(self.isa, gaussians, &projector, None).is_some();
         if moving.is_empty() || !usable || matches!(settings.depth, DepthOutput::Surface | DepthOutput::Median) {
             return Ok(false);
         }
@@ -230,8 +228,7 @@ impl<T: Real> Rasterizer<T> {
     ) {
         let (n, visible) = (self.rows.len(), &self.rendered.visible);
         velocities.resize(n * directions.len(), [T::zero(); 8]);
-        let mut numbers = Numbers::default();
-        let native = T::native(self.isa, gaussians, projector, &mut numbers, self.active.as_deref());
+        let native = T::native(self.isa, gaussians, projector, self.active.as_deref());
         for (rows, direction) in velocities.chunks_mut(n).zip(directions).skip(known) {
             let chunks = rows.par_chunks_mut(CHUNK).zip(visible.par_chunks(CHUNK)).enumerate().with_max_len(PIECE);
             chunks.for_each(|(c, (rows, visible))| {
@@ -250,7 +247,7 @@ impl<T: Real> Rasterizer<T> {
         let side = self.bins.tiling.side.px();
         image.par_chunks_mut(3 * width * side).enumerate().with_max_len(PIECE).for_each(|(tile_y, band)| {
             let tiles = &self.moving[tile_y * tiles_x * directions * size..][..tiles_x * directions * size];
-            if T::develop_moving(tiles, [k, directions], [width, side], settings, band) {
+            if T::develop_moving(tiles, [k, directions], width, settings, band) {
                 return;
             }
             for (line, pixels) in band.chunks_mut(3 * width).enumerate() {

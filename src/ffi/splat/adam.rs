@@ -1,5 +1,6 @@
-//! Adam's update of many values with AVX2 where the processor has it: stable Rust compiles for SSE2, where the compiler does
-//! not use vectors for it (seven times slower). No operation is fused or reordered, so that the bytes are the same.
+//! Adam's update (Kingma and Ba 2015, Algorithm 1) of many values, compiled for AVX2 as well and used where the processor has
+//! it: Rust compiles for SSE2 otherwise, where the compiler does not vectorise it (seven times slower). No operation is fused
+//! or reordered, so that the bytes are the same. There is no C++ behind this file.
 
 /// The numbers of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]

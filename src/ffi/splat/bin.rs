@@ -1,45 +1,89 @@
-//! The lists of the tiles: C++ (`cpp/splat/bin.cpp`) through cxx.
+//! The lists of the tiles: C++ (`cpp/splat/bin.cpp`) through cxx. Panics when tables do not belong together: that is a
+//! defect of this crate, never of the input.
 
 #[cxx::bridge(namespace = "respire")]
 #[allow(missing_docs, unused_qualifications)]
 mod bridge {
+    /// [`super::Boxes`] as C++ takes it.
+    struct BinSplats<'a> {
+        boxes: &'a [[u32; 2]],
+        visible: &'a [bool],
+        keys: &'a [u32],
+    }
+
+    /// What a chunk of splats has.
+    #[derive(Clone, Debug, Default)]
+    struct Counts {
+        /// Splats in each band.
+        splats: [u32; 16],
+        /// Tiles of these splats in each band.
+        tiles: [u32; 16],
+        /// Visible splats.
+        visible: u32,
+    }
+
+    /// Where the splats of a chunk are distributed to.
+    struct Distribution<'a> {
+        /// Number of the chunk's first splat.
+        first: u32,
+        /// Slots of all chunks before.
+        base: u32,
+        /// In: tiles of the chunk's splats up to and with each. Out: `base` more.
+        starts: &'a mut [u32],
+        /// Out: `key << 32 | splat`, band after band.
+        items: &'a mut [u64],
+    }
+
+    /// Items `begin..end`.
+    #[derive(Clone, Copy, Debug)]
+    struct ItemRange {
+        begin: u32,
+        end: u32,
+    }
+
+    /// All distributed splats.
+    struct BinItems<'a> {
+        /// `key << 32 | splat`.
+        items: &'a [u64],
+        /// Packed boxes of the splats.
+        boxes: &'a [[u32; 2]],
+        /// Slots of splat `j` begin at `starts[j]`.
+        starts: &'a [u32],
+        /// Tiles in a row of the image.
+        tiles_x: u32,
+    }
+
+    /// One band of tile rows and where its lists go.
+    struct Band<'a> {
+        /// The items that belong to it, in the order of the splats.
+        pieces: Vec<ItemRange>,
+        /// Tile rows `row_begin..row_end`.
+        row_begin: u32,
+        row_end: u32,
+        /// Number of its first entry.
+        first: u32,
+        /// Four times as many as items.
+        scratch: &'a mut [u64],
+        /// Out: where each tile's entries begin.
+        offsets: &'a mut [u32],
+        /// Out: splats, front to back within a tile.
+        entries: &'a mut [u32],
+        /// Out: the slot of each entry; no two entries have the same.
+        targets: &'a mut [u32],
+    }
+
+    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/bin.h`) and throw where they
+    // do not fit, which becomes an `Err`; none keeps a pointer.
     unsafe extern "C++" {
         include!("cpp/splat/bin.h");
 
-        fn bin_count(
-            boxes: &[u32],
-            visible: &[bool],
-            shift: u32,
-            starts: &mut [u32],
-            counts: &mut [u32],
-        ) -> Result<u32>;
-        fn bin_deal(
-            first: u32,
-            boxes: &[u32],
-            visible: &[bool],
-            keys: &[u32],
-            shift: u32,
-            base: u32,
-            starts: &mut [u32],
-            counts: &[u32],
-            items: &mut [u64],
-        ) -> Result<()>;
-        fn bin_fill(
-            items: &[u64],
-            pieces: &[u32],
-            boxes: &[u32],
-            starts: &[u32],
-            tiles_x: u32,
-            low: u32,
-            high: u32,
-            first: u32,
-            scratch: &mut [u64],
-            offsets: &mut [u32],
-            entries: &mut [u32],
-            targets: &mut [u32],
-        ) -> Result<()>;
+        fn bin_count(splats: &BinSplats, shift: u32, starts: &mut [u32], counts: &mut Counts) -> Result<()>;
+        fn bin_distribute(splats: &BinSplats, shift: u32, counts: &Counts, to: Distribution) -> Result<()>;
+        fn bin_fill(all: &BinItems, band: Band) -> Result<()>;
     }
 }
+
+pub use bridge::{Band, BinItems, Counts, Distribution, ItemRange};
 
 /// Bands of tile rows that an image has at most.
 pub const BANDS: usize = 16;
@@ -47,8 +91,8 @@ pub const BANDS: usize = 16;
 /// What the caller never breaks: it is a defect of this crate, never of the input.
 const AGREE: &str = "the rasteriser hands over tables that belong together";
 
-/// Splats of a chunk as the bins see them: boxes of tiles (`x0 | y0 << 16`, `x1 | y1 << 16`), whether they are seen, and
-/// the sort keys of their depths.
+/// Splats of a chunk as the bins see them: boxes of tiles (`x0 | y0 << 16`, `x1 | y1 << 16`, inclusive), whether they are
+/// visible, and the sort keys of their depths.
 #[derive(Clone, Copy)]
 pub struct Boxes<'a> {
     /// Two words each.
@@ -59,80 +103,25 @@ pub struct Boxes<'a> {
     pub keys: &'a [u32],
 }
 
-/// What a chunk has.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Counts {
-    /// Splats, then tiles, in each band.
-    pub bands: [[u32; BANDS]; 2],
-    /// Visible splats.
-    pub seen: u32,
+impl<'a> Boxes<'a> {
+    fn bridged(&self) -> bridge::BinSplats<'a> {
+        let &Boxes { boxes, visible, keys } = self;
+        bridge::BinSplats { boxes, visible, keys }
+    }
 }
 
 /// Counts the splats and the tiles of a chunk in bands of `2^shift` tile rows, and, where it has visible ones, the tiles of
-/// the splats up to and with each. Panics (as all of these) when the tables do not belong together.
+/// the splats up to and with each.
 pub fn count(chunk: &Boxes<'_>, shift: u32, starts: &mut [u32], counts: &mut Counts) {
-    let bands = counts.bands.as_flattened_mut();
-    counts.seen = bridge::bin_count(chunk.boxes.as_flattened(), chunk.visible, shift, starts, bands).expect(AGREE);
+    bridge::bin_count(&chunk.bridged(), shift, starts, counts).expect(AGREE);
 }
 
-/// Puts the visible splats of a chunk that begins at number `first` into `items`, band after band; adds `base` to
-/// `starts`.
-pub fn deal(
-    chunk: &Boxes<'_>,
-    first: usize,
-    shift: u32,
-    base: u32,
-    starts: &mut [u32],
-    counts: &Counts,
-    items: &mut [u64],
-) {
-    bridge::bin_deal(
-        first as u32,
-        chunk.boxes.as_flattened(),
-        chunk.visible,
-        chunk.keys,
-        shift,
-        base,
-        starts,
-        counts.bands.as_flattened(),
-        items,
-    )
-    .expect(AGREE);
-}
-
-/// One band of tile rows and where its lists go.
-pub struct Band<'a> {
-    /// Ranges of the items that belong to it, in the order of the splats.
-    pub pieces: Vec<[u32; 2]>,
-    /// Tile rows.
-    pub rows: std::ops::Range<usize>,
-    /// Number of its first entry.
-    pub first: u32,
-    /// Four times as many as items.
-    pub scratch: &'a mut [u64],
-    /// Out: where each tile's entries begin.
-    pub offsets: &'a mut [u32],
-    /// Out: splats, front to back within a tile.
-    pub entries: &'a mut [u32],
-    /// Out: the slot of each entry; no two entries have the same.
-    pub targets: &'a mut [u32],
+/// Puts the visible splats of a chunk into items, band after band, in their order.
+pub fn distribute(chunk: &Boxes<'_>, shift: u32, counts: &Counts, to: Distribution<'_>) {
+    bridge::bin_distribute(&chunk.bridged(), shift, counts, to).expect(AGREE);
 }
 
 /// Fills the lists of one band.
-pub fn fill(band: Band<'_>, items: &[u64], boxes: &[[u32; 2]], starts: &[u32], tiles_x: usize) {
-    bridge::bin_fill(
-        items,
-        band.pieces.as_flattened(),
-        boxes.as_flattened(),
-        starts,
-        tiles_x as u32,
-        band.rows.start as u32,
-        band.rows.end as u32,
-        band.first,
-        band.scratch,
-        band.offsets,
-        band.entries,
-        band.targets,
-    )
-    .expect(AGREE);
+pub fn fill(all: &BinItems<'_>, band: Band<'_>) {
+    bridge::bin_fill(all, band).expect(AGREE);
 }

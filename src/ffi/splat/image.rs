@@ -2,18 +2,48 @@
 //! cxx. Panics when tables do not belong together (a defect of the caller, never of the input).
 
 #[cxx::bridge(namespace = "respire")]
-#[allow(missing_docs)]
+#[allow(missing_docs, unused_qualifications)]
 mod bridge {
+    /// How the sums of a tile become pixels: `color = gain (sum + transmittance background)`.
+    #[derive(Clone, Copy, Debug)]
+    struct ImageFormation {
+        /// Per channel.
+        gain: [f64; 3],
+        /// Before the gain.
+        background: [f64; 3],
+        /// Whether the depth plane is filled.
+        with_depth: bool,
+    }
+
+    /// A tile's place in its image, in pixels.
+    #[derive(Clone, Copy, Debug)]
+    struct TilePlace {
+        /// Upper left corner.
+        corner: [usize; 2],
+        /// Width and height of the image.
+        size: [usize; 2],
+    }
+
+    /// Gradients by the images, row by row; empty for none.
+    #[derive(Clone, Copy, Debug)]
+    struct PixelGradients<'a> {
+        /// 3 values a pixel.
+        color: &'a [f32],
+        /// 1 value a pixel.
+        depth: &'a [f32],
+        /// 1 value a pixel.
+        alpha: &'a [f32],
+    }
+
+    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/image.h`) and throw where they
+    // do not fit, which becomes an `Err`; none keeps a pointer.
     unsafe extern "C++" {
         include!("cpp/splat/image.h");
 
         fn splat_develop(
             state: &[f32],
             width: usize,
-            side: usize,
-            gain: [f32; 3],
-            background: [f32; 3],
-            with_depth: bool,
+            formation: &ImageFormation,
             color: &mut [f32],
             depth: &mut [f32],
             alpha: &mut [f32],
@@ -21,43 +51,25 @@ mod bridge {
         fn splat_develop_moving(
             moving: &[f32],
             directions: usize,
-            k: usize,
+            direction: usize,
             width: usize,
-            side: usize,
-            gain: [f32; 3],
-            background: [f32; 3],
+            formation: &ImageFormation,
             color: &mut [f32],
         ) -> Result<()>;
         fn splat_adjoint(
             state: &[f32],
-            x: usize,
-            y: usize,
-            side: usize,
-            width: usize,
-            height: usize,
-            gain: [f32; 3],
-            background: [f32; 3],
-            color: &[f32],
-            depth: &[f32],
-            alpha: &[f32],
+            place: &TilePlace,
+            formation: &ImageFormation,
+            image: &PixelGradients,
             adjoint: &mut [f32],
-            by_gain: &mut [f64; 3],
-        ) -> Result<()>;
+        ) -> Result<[f64; 3]>;
     }
 }
 
-const AGREE: &str = "the rasteriser hands over tables that belong together";
+pub use bridge::{ImageFormation, PixelGradients, TilePlace};
 
-/// What the sums of a tile are seen through.
-#[derive(Clone, Copy, Debug)]
-pub struct Light {
-    /// Per channel.
-    pub gain: [f64; 3],
-    /// Before the gain.
-    pub background: [f64; 3],
-    /// Whether the depth plane is filled.
-    pub with_depth: bool,
-}
+/// What the caller never breaks: it is a defect of this crate, never of the input.
+const AGREE: &str = "the rasteriser hands over tables that belong together";
 
 /// The lines of the three images that a row of tiles covers.
 #[derive(Debug)]
@@ -70,67 +82,37 @@ pub struct ImageBand<'a, T> {
     pub alpha: &'a mut [T],
 }
 
-fn single(v: [f64; 3]) -> [f32; 3] {
-    v.map(|c| c as f32)
+/// From the sums of a row of tiles to images of `width` pixels.
+pub fn develop(state: &[f32], width: usize, formation: &ImageFormation, band: ImageBand<'_, f32>) {
+    bridge::splat_develop(state, width, formation, band.color, band.depth, band.alpha).expect(AGREE);
 }
 
-/// Sums of a row of tiles of `side` pixels to images of `width` pixels.
-pub fn develop(state: &[f32], [width, side]: [usize; 2], light: &Light, band: ImageBand<'_, f32>) {
-    let (gain, background) = (single(light.gain), single(light.background));
-    bridge::splat_develop(state, width, side, gain, background, light.with_depth, band.color, band.depth, band.alpha)
-        .expect(AGREE);
-}
-
-/// Velocities of a row of tiles, `directions` in each, to lines of the velocity of the colour along direction `k`.
+/// From the velocities of a row of tiles, along `directions` directions in each, to lines of the velocity of the colour
+/// along number `direction`.
 pub fn develop_moving(
     moving: &[f32],
-    [k, directions]: [usize; 2],
-    [width, side]: [usize; 2],
-    gain: [f64; 3],
-    background: [f64; 3],
+    [direction, directions]: [usize; 2],
+    width: usize,
+    formation: &ImageFormation,
     color: &mut [f32],
 ) {
-    bridge::splat_develop_moving(moving, directions, k, width, side, single(gain), single(background), color)
-        .expect(AGREE);
+    bridge::splat_develop_moving(moving, directions, direction, width, formation, color).expect(AGREE);
 }
 
-/// Image gradients (colour, depth, alpha; empty for none) to the adjoint of the tile at `corner`, `side` pixels wide, of an image of `size`;
-/// returns the tile's part of the gradient of the gain.
+/// From image gradients to the adjoint of one tile; returns the tile's part of the gradient of the gain.
 pub fn adjoint(
     state: &[f32],
-    corner: [usize; 2],
-    side: usize,
-    size: [usize; 2],
-    light: &Light,
-    image: [&[f32]; 3],
+    place: &TilePlace,
+    formation: &ImageFormation,
+    image: &PixelGradients<'_>,
     adjoint: &mut [f32],
 ) -> [f64; 3] {
-    let mut by_gain = [0.0; 3];
-    let ([x, y], [width, height]) = (corner, size);
-    let (gain, background) = (single(light.gain), single(light.background));
-    let [color, depth, alpha] = image;
-    bridge::splat_adjoint(
-        state,
-        x,
-        y,
-        side,
-        width,
-        height,
-        gain,
-        background,
-        color,
-        depth,
-        alpha,
-        adjoint,
-        &mut by_gain,
-    )
-    .expect(AGREE);
-    by_gain
+    bridge::splat_adjoint(state, place, formation, image, adjoint).expect(AGREE)
 }
 
 /// True when every value is finite.
 pub fn all_finite(values: &[f32]) -> bool {
-    // Without branches, so that the compiler can look at many at once.
+    // Without branches, so that the compiler can test many at once.
     let wrong = |v: &f32| (v.to_bits() & 0x7f80_0000 == 0x7f80_0000) as u32;
-    values.chunks(1024).all(|chunk| chunk.iter().fold(0, |found, v| found | wrong(v)) == 0)
+    values.chunks(1024).all(|chunk| chunk.iter().fold(0, |any, v| any | wrong(v)) == 0)
 }

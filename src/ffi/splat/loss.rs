@@ -1,4 +1,5 @@
-//! The vectorised photometric loss: C++ (`cpp/splat/loss_kernel.cpp`), compiled once per instruction set, through cxx.
+//! The vectorised photometric loss: C++ through cxx (`cpp/splat/loss.cpp`), which calls the kernel of one instruction set
+//! (`cpp/splat/loss_kernel.cpp`), chosen at run time.
 
 use std::cell::RefCell;
 
@@ -7,22 +8,26 @@ use crate::ffi::isa::Isa;
 #[cxx::bridge(namespace = "respire")]
 #[allow(missing_docs, unused_qualifications)]
 mod bridge {
-    /// The image of one frame, prepared: itself, its blur and the blur of its square, red, green, blue of each pixel.
+    /// The image of one frame, prepared; images are red, green, blue of each pixel, row by row.
     struct LossImage<'a> {
         width: usize,
         height: usize,
+        /// The image itself.
         target: &'a [f32],
+        /// Its blur.
         mean: &'a [f32],
+        /// The blur of its square.
         square: &'a [f32],
+        /// Weight of each pixel; empty where all weigh the same.
         mask: &'a [f32],
-        window: &'a [f32],
+        /// Half of the 11 taps of the blur, the outermost first, the centre last.
+        window: [f32; 6],
+        /// Share of `1 - SSIM`; L1 has the rest.
         ssim_weight: f32,
-        /// 0: L1, 1: Charbonnier, 2: Huber.
-        norm: u8,
-        /// Where the norm becomes linear.
-        softness: f32,
     }
 
+    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/loss.h`) and throw where they
+    // do not fit, which becomes an `Err`; none keeps a pointer.
     unsafe extern "C++" {
         include!("cpp/splat/loss.h");
 
@@ -31,9 +36,9 @@ mod bridge {
             isa: u8,
             image: &LossImage,
             rendered: &[f32],
-            y0: usize,
+            first: usize,
             gradient: &mut [f32],
-            room: &mut [f32],
+            scratch: &mut [f32],
         ) -> Result<f64>;
     }
 }
@@ -44,10 +49,10 @@ pub use bridge::LossImage;
 /// Panics when the tables do not belong together (a defect of the caller, never of the input).
 pub fn band(isa: Isa, image: &LossImage<'_>, rendered: &[f32], first: usize, gradient: &mut [f32]) -> f64 {
     // Kept for each thread: its first touch would cost a fifth of the loss.
-    thread_local!(static ROOM: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) });
-    ROOM.with_borrow_mut(|room| {
-        room.resize(room.len().max(bridge::loss_scratch(image.width)), 0.0);
-        bridge::loss_band(isa.code(), image, rendered, first, gradient, room)
+    thread_local!(static SCRATCH: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) });
+    SCRATCH.with_borrow_mut(|scratch| {
+        scratch.resize(scratch.len().max(bridge::loss_scratch(image.width)), 0.0);
+        bridge::loss_band(isa.code(), image, rendered, first, gradient, scratch)
             .expect("the loss hands over tables that belong together")
     })
 }

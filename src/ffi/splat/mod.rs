@@ -1,4 +1,13 @@
-//! Bridges of the splat core and of what trains it (`cpp/splat/`). No film depends on anything here.
+//! Bridges of the splat core and of what trains it; films are made without it, so that a change here leaves
+//! cached films valid.
+//!
+//! | bridge | C++ (`cpp/splat/`) | kernels, compiled once per instruction set |
+//! |---|---|---|
+//! | [`rasterize`] | `rasterize.cpp` | `project.cpp`, `kernel.cpp`, `disc.cpp`, `chain.cpp` |
+//! | [`bin`] | `bin.cpp` | |
+//! | [`image`] | `image.cpp` | |
+//! | [`loss`] | `loss.cpp` | `loss_kernel.cpp` |
+//! | [`adam`] | none: Rust, compiled for AVX2 as well | |
 
 pub mod adam;
 pub mod bin;

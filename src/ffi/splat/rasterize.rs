@@ -1,104 +1,247 @@
-//! The vectorised compositing kernels of the rasteriser: C++ (`cpp/splat/kernel.cpp`), compiled once per instruction
-//! set and chosen at run time, through cxx.
+//! Projection, compositing, exact discs and the chain to the Gaussians, vectorised: C++ through cxx
+//! (`cpp/splat/rasterize.cpp`), which calls the kernels of one instruction set, chosen at run time:
+//!
+//! | here | kernel |
+//! |---|---|
+//! | [`project`], [`recolor`], [`velocities`] | `cpp/splat/project.cpp` |
+//! | [`forward`], [`backward`] | `cpp/splat/kernel.cpp` |
+//! | [`disc_forward`], [`disc_backward`] | `cpp/splat/disc.cpp` |
+//! | [`chain`] | `cpp/splat/chain.cpp` |
+//!
+//! All functions panic when tables do not belong together: that is a defect of this crate, never of the input.
 
 use std::marker::PhantomData;
+
+use cxx::{ExternType, kind, type_id};
 
 use crate::ffi::isa::Isa;
 
 #[cxx::bridge(namespace = "respire")]
 #[allow(missing_docs, unused_qualifications)]
 mod bridge {
-    /// Gaussians as they lie in memory; see `Scene` of `cpp/splat/kernel.h`.
-    struct SplatScene<'a> {
-        view: &'a [f32],
-        positions: &'a [f32],
-        shape: &'a [f32],
-        scales: &'a [f32],
-        opacities: &'a [f32],
-        sh: &'a [f32],
-        sh_degree: u32,
-        active: &'a [u32],
-        all: bool,
-        exact: &'a [f64],
+    /// A camera in single precision: what `View` of `cpp/splat/kernel.h` is filled from.
+    #[derive(Clone, Debug, Default)]
+    struct SplatCamera {
+        /// From world to camera axes, row by row.
+        rotation: [f32; 9],
+        /// Centre of projection in the world (mm).
+        eye: [f32; 3],
+        /// Focal lengths (pixels).
+        focal: [f32; 2],
+        /// Principal point (pixels).
+        center: [f32; 2],
+        /// Largest `|x / z|` and `|y / z|` at which the Jacobian of a pinhole is evaluated.
+        limit: [f32; 2],
+        /// Width and height of the image (pixels).
+        size: [f32; 2],
+        /// Smallest z-depth of a visible centre (mm).
+        near: f32,
+        /// Variance that the screen-space filter adds (px^2).
+        dilation: f32,
+        /// Whether a splat's extent depends on its opacity.
+        extent_by_opacity: bool,
+        /// Whether groups beside the image are skipped before their covariance is known.
+        skip_beside: bool,
+        /// Whether opacities are multiplied by `sqrt(det / det dilated)`.
+        compensate: bool,
+        /// A fisheye (OpenCV's model), or else a pinhole.
+        fisheye: bool,
+        /// Distortion `k1` to `k4` of a fisheye.
+        distortion: [f32; 4],
+        /// Cosine of the half angle of the cone that a fisheye sees; 0 for none.
+        cone_cosine: f32,
+        /// Sine of that half angle.
+        cone_sine: f32,
+        /// How far beyond the cone splats reach, per standard deviation times 3.34.
+        cone_reach: f32,
     }
 
-    /// Velocities of all Gaussians, or of the camera.
+    /// The same camera in double precision, for centres that are rounded once.
+    #[derive(Clone, Debug, Default)]
+    struct SplatExactCamera {
+        rotation: [f64; 9],
+        eye: [f64; 3],
+        focal: [f64; 2],
+        center: [f64; 2],
+        /// All 0 for a pinhole.
+        distortion: [f64; 4],
+    }
+
+    /// Gaussians as they lie in memory, and the camera that sees them.
+    struct SplatScene<'a> {
+        camera: SplatCamera,
+        exact_camera: SplatExactCamera,
+        /// 3 numbers a Gaussian.
+        positions: &'a [f32],
+        /// 6 numbers (two axes) a disc, 4 (a quaternion) an ellipsoid.
+        shape: &'a [f32],
+        /// 3 numbers an ellipsoid; empty for discs.
+        scales: &'a [f32],
+        opacities: &'a [f32],
+        /// Coefficients of the colours: `3 (sh_degree + 1)^2` a Gaussian.
+        sh: &'a [f32],
+        sh_degree: u32,
+        /// The Gaussians that take part, unless `all` do.
+        active: &'a [u32],
+        all: bool,
+    }
+
+    /// Velocities of all Gaussians (empty for those that stay), or of the camera.
     struct SplatMotion<'a> {
         positions: &'a [f32],
+        /// 6 numbers a disc, 9 an ellipsoid: the columns of the square root of its covariance.
         shape: &'a [f32],
         colors: &'a [f32],
+        /// Rotation and translation of the camera, 6 numbers; empty where the Gaussians move.
         pose: &'a [f32],
+    }
+
+    /// Where the splats of a chunk of Gaussians go, as many as `visible` has room for.
+    struct SplatChunk<'a> {
+        /// Number of the first among the active Gaussians.
+        first: usize,
+        /// Columns as in `cpp/splat/kernel.h`; written where visible, as the next two are.
+        rows: &'a mut [AlignedRow],
+        /// Tiles that the splat meets: `x0 | y0 << 16` and `x1 | y1 << 16`, inclusive.
+        boxes: &'a mut [[u32; 2]],
+        /// Sort keys: the bits of the z-depth.
+        keys: &'a mut [u32],
+        visible: &'a mut [bool],
+        /// Velocities of the visible splats along a motion; empty where none are wanted.
+        velocities: &'a mut [[f32; 8]],
+    }
+
+    /// Moments of the splats of a chunk of Gaussians.
+    struct SplatMoments<'a> {
+        /// Number of the first among the active Gaussians.
+        first: usize,
+        /// The moments of number `first + k` are the sum over `slots[starts[k]..starts[k + 1]]`.
+        starts: &'a [u32],
+        slots: &'a [AlignedRow],
+        /// Bits of `Group` (`cpp/splat/kernel.h`).
+        wanted: u32,
+    }
+
+    /// Where the gradients of a chunk of Gaussians go; see [`super::ChainOutput`].
+    struct SplatGradients<'a> {
+        positions: &'a mut [f32],
+        shape: &'a mut [f32],
+        scales: &'a mut [f32],
+        opacities: &'a mut [f32],
+        sh: &'a mut [f32],
+    }
+
+    /// Gradient by the camera, summed over a chunk; 0 where not wanted.
+    #[derive(Clone, Copy, Debug, Default)]
+    struct SplatCameraGradient {
+        pose: [f64; 6],
+        /// Focal lengths, then the principal point.
+        intrinsics: [f64; 4],
+    }
+
+    /// One tile of 16x16 pixels to composite.
+    struct SplatForward<'a> {
+        /// All splats.
+        rows: &'a [AlignedRow],
+        /// Those of the tile, front to back.
+        entries: &'a [u32],
+        /// Out, or in with the bit `KNOWN_MASKS`: the 4x4 blocks that each entry may touch.
+        masks: &'a mut [u16],
+        /// Upper left corner in pixels.
+        corner: [f32; 2],
+        /// Bits of `Part` (`cpp/splat/kernel.h`).
+        parts: u32,
+        /// Out: 5 planes of 256 pixels.
+        state: &'a mut [f32],
+        /// One row per splat and direction, direction by direction.
+        velocities: &'a [[f32; 8]],
+        /// Out: 4 planes of 256 pixels for each direction, up to four of them.
+        moving: &'a mut [f32],
+    }
+
+    /// One tile whose image gradient goes to the slots of its entries.
+    struct SplatBackward<'a> {
+        /// All splats.
+        rows: &'a [AlignedRow],
+        /// Those of the tile, front to back.
+        entries: &'a [u32],
+        /// Blocks of each.
+        masks: &'a [u16],
+        /// Slot of each.
+        targets: &'a [u32],
+        /// Upper left corner in pixels.
+        corner: [f32; 2],
+        /// Bits of `Part` (`cpp/splat/kernel.h`).
+        parts: u32,
+        /// Gradients of the first four planes of the state, then the loss that is still to come behind.
+        adjoint: &'a [f32],
     }
 
     /// The exact discs of one tile; see `DiscTile` of `cpp/splat/kernel.h`.
     struct SplatDiscs<'a> {
-        rows: &'a [f32],
-        discs: &'a [f32],
+        rows: &'a [AlignedRow],
+        discs: &'a [AlignedRow],
+        /// Those of the tile, front to back.
         entries: &'a [u32],
+        /// Upper left corner of the tile in pixels.
         x: u32,
         y: u32,
+        /// Size of the image.
         width: u32,
         height: u32,
-        blocks: u16,
-        rays: &'a [f32],
+        /// Ray of each pixel of the image, row by row.
+        rays: &'a [[f32; 3]],
         pinhole: bool,
+        /// 1 / focal length of a pinhole.
         per_px: [f32; 2],
+        /// Smallest z-depth at which a ray meets a disc (mm).
         near: f32,
+        /// 1 / variance of the screen filter (1/px^2), 0 for none.
         filter: f32,
     }
 
+    // SAFETY: every function declared safe checks all indices and lengths before it reads or writes (`cpp/splat/rasterize.h`)
+    // and throws where they do not fit, which becomes an `Err`; none keeps a pointer. `splat_backward` cannot check that no
+    // other thread writes the same slots, hence it is unsafe to call.
     unsafe extern "C++" {
         include!("cpp/splat/rasterize.h");
+
+        type AlignedRow = super::AlignedRow;
+
         fn splat_project(
             isa: u8,
             scene: &SplatScene,
-            first: usize,
-            tiles_x: u32,
-            tiles_y: u32,
-            side: u32,
-            rows: &mut [f32],
-            boxes: &mut [u32],
-            keys: &mut [u32],
-            visible: &mut [bool],
+            tiles: [u32; 2],
+            chunk: SplatChunk,
             motion: &SplatMotion,
-            velocities: &mut [f32],
         ) -> Result<()>;
-        fn splat_recolor(isa: u8, scene: &SplatScene, first: usize, visible: &[bool], rows: &mut [f32])
-        -> Result<bool>;
+        fn splat_recolor(
+            isa: u8,
+            scene: &SplatScene,
+            first: usize,
+            visible: &[bool],
+            rows: &mut [AlignedRow],
+        ) -> Result<bool>;
         fn splat_velocities(
             isa: u8,
             scene: &SplatScene,
             first: usize,
             visible: &[bool],
             motion: &SplatMotion,
-            rows: &mut [f32],
+            rows: &mut [[f32; 8]],
         ) -> Result<()>;
         fn splat_chain(
             isa: u8,
             scene: &SplatScene,
-            first: usize,
-            starts: &[u32],
-            slots: &[f32],
-            wanted: u32,
-            positions: &mut [f32],
-            shape: &mut [f32],
-            scales: &mut [f32],
-            opacities: &mut [f32],
-            sh: &mut [f32],
-            camera: &mut [f64],
-        ) -> Result<()>;
-        fn splat_forward(
+            moments: &SplatMoments,
+            gradients: SplatGradients,
+        ) -> Result<SplatCameraGradient>;
+        fn splat_forward(isa: u8, tile: SplatForward) -> Result<()>;
+        unsafe fn splat_backward(
             isa: u8,
-            rows: &[f32],
-            entries: &[u32],
-            masks: &mut [u16],
-            x: f32,
-            y: f32,
-            blocks: u16,
-            state: &mut [f32],
-            parts: u32,
-            velocities: &[f32],
-            moving: &mut [f32],
+            tile: &SplatBackward,
+            slots: *mut AlignedRow,
+            slot_count: usize,
         ) -> Result<()>;
         fn splat_disc_forward(isa: u8, discs: &SplatDiscs, with_depth: bool, state: &mut [f32]) -> Result<()>;
         fn splat_disc_backward(
@@ -108,23 +251,13 @@ mod bridge {
             parts: u32,
             sums: &mut [f32],
         ) -> Result<()>;
-        unsafe fn splat_backward(
-            isa: u8,
-            rows: &[f32],
-            entries: &[u32],
-            masks: &[u16],
-            targets: &[u32],
-            x: f32,
-            y: f32,
-            adjoint: &[f32],
-            slots: *mut f32,
-            slot_count: usize,
-            parts: u32,
-        ) -> Result<()>;
     }
 }
 
-pub use bridge::{SplatDiscs, SplatMotion, SplatScene};
+pub use bridge::{
+    SplatBackward, SplatCamera, SplatCameraGradient, SplatChunk, SplatDiscs, SplatExactCamera, SplatForward,
+    SplatMoments, SplatMotion, SplatScene,
+};
 
 /// Sixteen numbers that begin at a cache line.
 #[repr(C, align(64))]
@@ -137,55 +270,28 @@ impl<T> AsRef<[T; 16]> for Aligned<T> {
     }
 }
 
-fn flat(rows: &[Aligned<f32>]) -> &[f32] {
-    // SAFETY: `Aligned<f32>` is 64 bytes without padding, exactly its 16 floats.
-    unsafe { std::slice::from_raw_parts(rows.as_ptr().cast(), rows.len() * 16) }
-}
+/// A row of the tables that C++ shares: the columns of a splat or a disc, or the moments of an entry.
+pub type AlignedRow = Aligned<f32>;
 
-fn flat_mut(rows: &mut [Aligned<f32>]) -> &mut [f32] {
-    // SAFETY: as in `flat`; the borrow is exclusive.
-    unsafe { std::slice::from_raw_parts_mut(rows.as_mut_ptr().cast(), rows.len() * 16) }
+// SAFETY: `respire::AlignedRow` (`cpp/splat/rasterize.h`) is the same struct: sixteen floats aligned to 64 bytes, without
+// padding (a static_assert there holds the size). It is plain data, hence trivially movable.
+unsafe impl ExternType for AlignedRow {
+    type Id = type_id!("respire::AlignedRow");
+    type Kind = kind::Trivial;
 }
 
 /// What the caller never breaks: it is a defect of this crate, never of the input.
 const AGREE: &str = "the rasteriser hands over tables that belong together";
 
-/// Splats of the Gaussians number `first..first + visible.len()` of the active ones; see `cpp/splat/kernel.h` for the
-/// tables; the image has so many tiles (columns, rows) of so many pixels a side. Where `velocities` has room (8 numbers each), those of the
-/// visible splats along `motion`, too. Panics (as all of these) when the tables do not belong together.
-pub fn project(
-    isa: Isa,
-    scene: &SplatScene<'_>,
-    first: usize,
-    (tiles, side): ([usize; 2], usize),
-    rows: &mut [Aligned<f32>],
-    boxes: &mut [[u32; 2]],
-    keys: &mut [u32],
-    visible: &mut [bool],
-    motion: &SplatMotion<'_>,
-    velocities: &mut [[f32; 8]],
-) {
-    let (x, y, side) = (tiles[0] as u32, tiles[1] as u32, side as u32);
-    bridge::splat_project(
-        isa.code(),
-        scene,
-        first,
-        x,
-        y,
-        side,
-        flat_mut(rows),
-        boxes.as_flattened_mut(),
-        keys,
-        visible,
-        motion,
-        velocities.as_flattened_mut(),
-    )
-    .expect(AGREE);
+/// Projects the Gaussians of a chunk onto an image of `tiles` (columns, rows) of 16x16 pixels. Where the chunk has room
+/// for velocities, those of the visible splats along `motion` too.
+pub fn project(isa: Isa, scene: &SplatScene<'_>, tiles: [usize; 2], chunk: SplatChunk<'_>, motion: &SplatMotion<'_>) {
+    bridge::splat_project(isa.code(), scene, tiles.map(|n| n as u32), chunk, motion).expect(AGREE);
 }
 
 /// Writes the colours of the visible splats into their rows; `false` when one is not finite.
-pub fn recolor(isa: Isa, scene: &SplatScene<'_>, first: usize, visible: &[bool], rows: &mut [Aligned<f32>]) -> bool {
-    bridge::splat_recolor(isa.code(), scene, first, visible, flat_mut(rows)).expect(AGREE)
+pub fn recolor(isa: Isa, scene: &SplatScene<'_>, first: usize, visible: &[bool], rows: &mut [AlignedRow]) -> bool {
+    bridge::splat_recolor(isa.code(), scene, first, visible, rows).expect(AGREE)
 }
 
 /// Velocities of the visible splats along a motion, 8 numbers each.
@@ -197,7 +303,7 @@ pub fn velocities(
     motion: &SplatMotion<'_>,
     rows: &mut [[f32; 8]],
 ) {
-    bridge::splat_velocities(isa.code(), scene, first, visible, motion, rows.as_flattened_mut()).expect(AGREE);
+    bridge::splat_velocities(isa.code(), scene, first, visible, motion, rows).expect(AGREE);
 }
 
 /// Where the gradients of a chunk go; empty where not wanted.
@@ -212,60 +318,23 @@ pub struct ChainOutput<'a, T> {
     pub opacities: &'a mut [T],
     /// As in the scene.
     pub sh: &'a mut [T],
-    /// Sums over the chunk: six of the pose, four of the intrinsics (0 where not wanted).
-    pub camera: &'a mut [f64; 10],
 }
 
-/// Gradients of the Gaussians number `first..` from their moments: those of number `first + k` are the sum over
-/// `slots[starts[k]..starts[k + 1]]`.
+/// Gradients of the Gaussians of a chunk from the moments of their splats; returns those by the camera.
 pub fn chain(
     isa: Isa,
     scene: &SplatScene<'_>,
-    first: usize,
-    starts: &[u32],
-    slots: &[Aligned<f32>],
-    wanted: u32,
+    moments: &SplatMoments<'_>,
     out: ChainOutput<'_, f32>,
-) {
-    bridge::splat_chain(
-        isa.code(),
-        scene,
-        first,
-        starts,
-        flat(slots),
-        wanted,
-        out.positions,
-        out.shape,
-        out.scales,
-        out.opacities,
-        out.sh,
-        out.camera,
-    )
-    .expect(AGREE);
+) -> SplatCameraGradient {
+    let ChainOutput { positions, shape, scales, opacities, sh } = out;
+    let gradients = bridge::SplatGradients { positions, shape, scales, opacities, sh };
+    bridge::splat_chain(isa.code(), scene, moments, gradients).expect(AGREE)
 }
 
-/// Composites the `blocks` of one tile, with the velocities of its pixels along up to four directions; see `cpp/splat/kernel.h`.
-pub fn forward(
-    isa: Isa,
-    rows: &[Aligned<f32>],
-    entries: &[u32],
-    masks: &mut [u16],
-    corner: [f32; 2],
-    blocks: u16,
-    state: &mut [f32],
-    parts: u32,
-    velocities: &[[f32; 8]],
-    moving: &mut [f32],
-) {
-    let [x, y] = corner;
-    let velocities = velocities.as_flattened();
-    bridge::splat_forward(isa.code(), flat(rows), entries, masks, x, y, blocks, state, parts, velocities, moving)
-        .expect(AGREE);
-}
-
-/// Sixteen numbers a row, one row after the other.
-pub fn columns(rows: &[Aligned<f32>]) -> &[f32] {
-    flat(rows)
+/// Composites one tile, with the velocities of its pixels along as many directions as `moving` has room for.
+pub fn forward(isa: Isa, tile: SplatForward<'_>) {
+    bridge::splat_forward(isa.code(), tile).expect(AGREE);
 }
 
 /// Composites one tile of exact discs into `state`.
@@ -281,57 +350,25 @@ pub fn disc_backward(isa: Isa, discs: &SplatDiscs<'_>, adjoint: &[f32], parts: u
 /// Slots that several tiles write at the same time, each its own: the entries' targets are all different
 /// (`super::bin`, tested there against the plain twin).
 pub struct Slots<'a> {
-    start: *mut f32,
+    start: *mut AlignedRow,
     count: usize,
-    owner: PhantomData<&'a mut [Aligned<f32>]>,
+    owner: PhantomData<&'a mut [AlignedRow]>,
 }
 
-// SAFETY: the slots are plain numbers that nobody else can reach while the exclusive borrow lasts, and threads that share
-// a `Slots` write different ones.
+// SAFETY: the slots are plain numbers that nothing else can reach while the exclusive borrow lasts, and threads that
+// share a `Slots` write different ones.
 unsafe impl Sync for Slots<'_> {}
 
 impl<'a> Slots<'a> {
     /// All of `slots`, to be shared among tiles.
-    pub fn new(slots: &'a mut [Aligned<f32>]) -> Self {
-        Slots { start: slots.as_mut_ptr().cast(), count: slots.len(), owner: PhantomData }
+    pub fn new(slots: &'a mut [AlignedRow]) -> Self {
+        Slots { start: slots.as_mut_ptr(), count: slots.len(), owner: PhantomData }
     }
 }
 
-/// One tile whose image gradient goes to the slots of its entries.
-pub struct Backward<'a> {
-    /// All splats.
-    pub rows: &'a [Aligned<f32>],
-    /// Those of the tile, front to back.
-    pub entries: &'a [u32],
-    /// Blocks of each.
-    pub masks: &'a [u16],
-    /// Slot of each.
-    pub targets: &'a [u32],
-    /// Upper left corner in pixels.
-    pub corner: [f32; 2],
-    /// See `cpp/splat/kernel.h`.
-    pub adjoint: &'a [f32],
-}
-
-/// Backward of [`forward`].
-pub fn backward(isa: Isa, tile: &Backward<'_>, slots: &Slots<'_>, parts: u32) {
-    let [x, y] = tile.corner;
-    // SAFETY: C++ checks that every target lies within the slots, which are borrowed exclusively as long as `slots` lives;
-    // tiles that run at the same time have different targets.
-    unsafe {
-        bridge::splat_backward(
-            isa.code(),
-            flat(tile.rows),
-            tile.entries,
-            tile.masks,
-            tile.targets,
-            x,
-            y,
-            tile.adjoint,
-            slots.start,
-            slots.count,
-            parts,
-        )
-    }
-    .expect(AGREE);
+/// Backward of [`forward`]: writes the moments of each entry into its slot.
+pub fn backward(isa: Isa, tile: &SplatBackward<'_>, slots: &Slots<'_>) {
+    // SAFETY: `start` and `count` are those of a slice that is borrowed exclusively as long as `slots` lives; C++ checks
+    // that every target lies below `count`; tiles that run at the same time have different targets.
+    unsafe { bridge::splat_backward(isa.code(), tile, slots.start, slots.count) }.expect(AGREE);
 }

@@ -123,7 +123,6 @@ impl Photometric<f32> {
     fn evaluate_with(&self, isa: Isa, rendered: &[f32], gradient: &mut [f32]) -> f64 {
         let (width, height) = (self.width, self.height);
         let [target, mean, square] = &self.images;
-        let window = kernel::<f32>();
         let image = LossImage {
             width,
             height,
@@ -131,10 +130,8 @@ impl Photometric<f32> {
             mean,
             square,
             mask: self.mask.as_deref().unwrap_or_default(),
-            window: &window,
+            window: kernel(),
             ssim_weight: self.ssim_weight,
-            norm: 0,
-            softness: 1.0,
         };
         let lines = band_of(height);
         let bands = gradient.par_chunks_mut(3 * width * lines).enumerate();

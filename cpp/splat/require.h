@@ -1,0 +1,12 @@
+#pragma once
+// For code compiled once, for any x86-64: kernels must not leave inline functions behind (kernel.h).
+#include <stdexcept>
+
+namespace respire {
+
+// Throws where tables that Rust hands over do not belong together: cxx turns that into an error there.
+inline void require(bool good, const char* what) {
+  if (!good) throw std::invalid_argument(what);
+}
+
+}  // namespace respire
