@@ -34,7 +34,7 @@ pub enum GivenPhase {
 /// Which row of the report.
 enum ReportRow {
     /// The paper's method, with how it estimates the phase and its keyframes.
-    Estimated(PhaseEstimation, KeyframeSettings),
+    Estimated(Box<PhaseEstimation>, KeyframeSettings),
     /// A sanity row.
     Given(GivenPhase),
 }
@@ -50,7 +50,7 @@ impl Ours {
     /// The paper's method, with every iteration count times `iteration_scale`.
     pub fn new(settings: OursSettings, iteration_scale: f64) -> Self {
         let OursSettings { header, fit, estimation, window, discs } = settings;
-        let row = ReportRow::Estimated(estimation, window);
+        let row = ReportRow::Estimated(Box::new(estimation), window);
         Ours { settings: GivenPhaseSettings { header, fit, discs }, row, iteration_scale }
     }
 
