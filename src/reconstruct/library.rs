@@ -9,7 +9,7 @@ use crate::base::{Error, Result, files};
 use super::contract::Reconstruct;
 use super::methods::bridgesplat::Bridgesplat;
 use super::methods::bridgesplat_nomesh::BridgesplatNomesh;
-use super::methods::ours::{Ours, Row};
+use super::methods::ours::{Ours, OursVariant};
 use super::methods::ours_gn::OursGn;
 use super::methods::ours_nomesh::OursNomesh;
 use super::settings;
@@ -32,9 +32,9 @@ pub fn method(path: &Path, iteration_scale: f64) -> Result<Box<dyn Reconstruct>>
     let phase = || files::read_toml::<settings::PhaseMethod>(path);
     let bridge = || files::read_toml::<settings::BridgeMethod>(path);
     Ok(match header.kind.as_str() {
-        "ours" => Box::new(Ours::new(phase()?, Row::Ours, iteration_scale)),
-        "static-ct" => Box::new(Ours::new(phase()?, Row::StaticCt, iteration_scale)),
-        "oracle-phase" => Box::new(Ours::new(phase()?, Row::OraclePhase, iteration_scale)),
+        "ours" => Box::new(Ours::new(phase()?, OursVariant::Ours, iteration_scale)),
+        "static-ct" => Box::new(Ours::new(phase()?, OursVariant::StaticCt, iteration_scale)),
+        "oracle-phase" => Box::new(Ours::new(phase()?, OursVariant::OraclePhase, iteration_scale)),
         "ours-gn" => Box::new(OursGn::new(files::read_toml(path)?, iteration_scale)),
         "ours-nomesh" => Box::new(OursNomesh::new(phase()?, iteration_scale)),
         "bridgesplat" => Box::new(Bridgesplat::new(bridge()?, iteration_scale)),

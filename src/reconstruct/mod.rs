@@ -24,12 +24,12 @@ mod prediction;
 mod rough_poses;
 pub mod settings;
 
-pub use contract::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
+pub use contract::{Access, FramePrediction, Listing, Observation, PoseAccuracy, Reconstruct, Reconstruction};
 pub use fitting::{loss, optimiser};
 pub use library::{method, methods};
 pub use methods::bridgesplat::Bridgesplat;
 pub use methods::bridgesplat_nomesh::BridgesplatNomesh;
-pub use methods::ours::{Ours, Row};
+pub use methods::ours::{Ours, OursVariant};
 pub use methods::ours_gn::OursGn;
 pub use methods::ours_nomesh::OursNomesh;
 pub use observe::observe;

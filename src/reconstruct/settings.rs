@@ -11,7 +11,7 @@ use crate::splat::Frame;
 
 /// Where a number comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Source {
+pub enum NumberSource {
     /// The RESPIRE paper says so.
     #[serde(rename = "paper")]
     Paper,
@@ -30,7 +30,7 @@ pub struct Sourced<T> {
     /// The value.
     pub value: T,
     /// Where it comes from.
-    pub source: Source,
+    pub source: NumberSource,
     /// Place in the source, or the reason of the choice; for people.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub why: String,
@@ -117,7 +117,7 @@ pub struct FixedDiscs {
 
 /// How the discs of a mesh are made.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Layout {
+pub struct DiscLayout {
     /// Discs per face.
     pub per_face: PerFace,
     /// How many in all when that is `auto`.
@@ -130,9 +130,9 @@ pub struct Layout {
     pub scale_cap: f64,
 }
 
-impl From<&Appearance> for Layout {
+impl From<&Appearance> for DiscLayout {
     fn from(a: &Appearance) -> Self {
-        Layout {
+        DiscLayout {
             per_face: *a.gaussians_per_face,
             budget: *a.gaussian_budget,
             opacity: *a.opacity,
@@ -142,9 +142,9 @@ impl From<&Appearance> for Layout {
     }
 }
 
-impl From<&FixedDiscs> for Layout {
+impl From<&FixedDiscs> for DiscLayout {
     fn from(d: &FixedDiscs) -> Self {
-        Layout {
+        DiscLayout {
             per_face: *d.gaussians_per_face,
             budget: *d.gaussian_budget,
             opacity: *d.opacity,
@@ -221,7 +221,7 @@ pub struct PhaseMethod {
     /// mesh only).
     pub inherits: Sourced<Inherits>,
     /// Keyframes (mesh only).
-    pub window: Window,
+    pub window: KeyframeSettings,
     /// Gaussians.
     pub appearance: Appearance,
     /// What is left out.
@@ -250,7 +250,7 @@ impl From<Inherits> for Frame {
 /// Keyframes against whose pictures each frame is placed, whatever the map says of its phase.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Window {
+pub struct KeyframeSettings {
     /// How many; 0 = the map alone.
     pub keyframes: Sourced<u32>,
     /// Share of what the window knows that outlives a keyframe.
@@ -262,7 +262,7 @@ pub struct Window {
 /// What a white sheet shows of a scope.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ScopeLight {
+pub struct ScopeCalibration {
     /// Angle from the axis at which the lamp is half as bright as on it; 0 = even.
     pub emission_half_angle_deg: Sourced<f64>,
     /// Darkening of the lens: `1 - vignette (1 - cos^4)` of the angle to the axis.
@@ -333,9 +333,9 @@ pub struct GaussNewtonMethod {
     /// Standard deviation of the answer, in those that the window claims.
     pub window_deviation_factor: Sourced<f64>,
     /// Keyframes.
-    pub window: Window,
+    pub window: KeyframeSettings,
     /// The scope.
-    pub scope: ScopeLight,
+    pub scope: ScopeCalibration,
     /// Discs.
     pub discs: FixedDiscs,
     /// What is left out.
@@ -356,7 +356,7 @@ pub struct BridgeMethod {
     #[serde(default)]
     pub listing: Listing,
     /// `full` (working rigidity and isometry; the row of the table) or `release` (what the released code computes).
-    pub variant: Variant,
+    pub variant: BridgeObjective,
     /// Iterations of the first frame and of the others.
     pub iterations: Sourced<[u32; 2]>,
     /// Iteration of the first frame after which linear SH coefficients are learned.
@@ -392,7 +392,7 @@ pub struct BridgeMethod {
 /// Which objective of BridgeSplat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Variant {
+pub enum BridgeObjective {
     /// Working rigidity, rotation and isometry.
     Full,
     /// The effective released objective: colour, ARAP, visibility.

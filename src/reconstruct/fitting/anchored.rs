@@ -10,7 +10,7 @@ use crate::splat::{Anchors, Carrier, Frame, Gaussians, Gradients, Wanted};
 
 use super::optimiser::{AdamConstants, RowAdam, StepCounter};
 use crate::reconstruct::geometry::neighbours;
-use crate::reconstruct::settings::{Appearance, Layout};
+use crate::reconstruct::settings::{Appearance, DiscLayout};
 
 /// SH degree of all methods here.
 pub const SH_DEGREE: u8 = 1;
@@ -77,7 +77,7 @@ const PIECE: usize = 4096;
 
 impl Surface {
     /// Discs on `mesh` at rest.
-    pub fn new(mesh: &TriangleMesh, layout: impl Into<Layout>, frame: Frame, start: Start, seed: u64) -> Self {
+    pub fn new(mesh: &TriangleMesh, layout: impl Into<DiscLayout>, frame: Frame, start: Start, seed: u64) -> Self {
         let layout = layout.into();
         let per_face = layout.per_face.resolve(mesh.faces.len(), layout.budget);
         let n = mesh.faces.len() * per_face;

@@ -127,15 +127,6 @@ pub struct FreePatch {
     pub gaussians: Gaussians<f32>,
 }
 
-/// Which own parameters are learned.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Learned {
-    /// Centres, rotations, scales and colour.
-    All,
-    /// Centres, rotations and colour; scales stay (the code BridgeSplat was built on).
-    AllButScales,
-}
-
 impl FreePatch {
     /// Puts own centre plus `shift(k)` and own quaternion plus `turn(k)` into the rendered copy.
     pub fn place(&mut self, shift: impl Fn(usize) -> [f32; 3], turn: impl Fn(usize) -> [f32; 4]) {
@@ -189,10 +180,10 @@ pub struct FreeAdam {
 }
 
 impl FreeAdam {
-    /// An optimiser with `rates`; where `learned` leaves scales out, their rate is 0.
-    pub fn new(rates: Rates, counter: StepCounter, constants: AdamConstants, learned: Learned) -> Self {
+    /// An optimiser with `rates`; a group whose rate is 0 stays as it is.
+    pub fn new(rates: Rates, counter: StepCounter, constants: AdamConstants) -> Self {
         FreeAdam {
-            rates: Rates { scale: if learned == Learned::All { rates.scale } else { 0.0 }, ..rates },
+            rates,
             counter,
             centres: RowAdam::new(constants),
             rotations: RowAdam::new(constants),

@@ -13,7 +13,9 @@ use crate::base::{Progress, Result, TriangleMesh};
 use crate::reconstruct::fitting::schedule::{rate_factor, scaled_iterations};
 use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Settings, View, Wanted};
 
-use crate::reconstruct::contract::{Access, FramePrediction, Listing, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{
+    Access, FramePrediction, Listing, Observation, PoseAccuracy, Reconstruct, Reconstruction,
+};
 use crate::reconstruct::fitting::anchored::{DiscAdam, Patch, Rates, Start, Surface};
 use crate::reconstruct::fitting::control_points::ControlField;
 use crate::reconstruct::fitting::loss::arap::Arap;
@@ -22,7 +24,7 @@ use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction};
-use crate::reconstruct::settings::{BridgeMethod, Variant};
+use crate::reconstruct::settings::{BridgeMethod, BridgeObjective};
 
 #[cfg(test)]
 #[path = "bridgesplat_tests.rs"]
@@ -47,7 +49,7 @@ impl Reconstruct for Bridgesplat {
     }
 
     fn access(&self) -> Access {
-        Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: Poses::True }
+        Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: PoseAccuracy::True }
     }
 
     fn listing(&self) -> Listing {
@@ -62,11 +64,11 @@ impl Reconstruct for Bridgesplat {
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
         let start = Instant::now();
-        let mut state = State::new(&self.settings, self.iteration_scale, observation)?;
+        let mut fit = BridgesplatFit::new(&self.settings, self.iteration_scale, observation)?;
         let preparation = start.elapsed().as_secs_f64();
-        let fitting = fit_in_order(observation.images.len(), |frame| state.fit(frame), emit, progress)?;
+        let fitting = fit_in_order(observation.images.len(), |frame| fit.fit(frame), emit, progress)?;
         let faces = observation.inspiration.faces.clone();
-        let vertices = state.vertices.iter().map(|v| *v * *self.settings.unit_mm).collect();
+        let vertices = fit.vertices.iter().map(|v| *v * *self.settings.unit_mm).collect();
         Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), seconds: preparation + fitting })
     }
 }
@@ -82,7 +84,7 @@ struct Deformation {
     adam: Adam,
 }
 
-struct State<'a> {
+struct BridgesplatFit<'a> {
     settings: &'a BridgeMethod,
     scale: f64,
     observation: &'a Observation,
@@ -99,13 +101,13 @@ struct State<'a> {
     by_vertex: Vec<DVec3>,
 }
 
-impl<'a> State<'a> {
+impl<'a> BridgesplatFit<'a> {
     fn new(settings: &'a BridgeMethod, scale: f64, observation: &'a Observation) -> Result<Self> {
         let mesh = &observation.inspiration;
         let unit = *settings.unit_mm;
         let in_units =
             TriangleMesh { vertices: mesh.vertices.iter().map(|v| *v / unit).collect(), faces: mesh.faces.clone() };
-        Ok(State {
+        Ok(BridgesplatFit {
             settings,
             scale,
             observation,
@@ -226,7 +228,7 @@ impl<'a> State<'a> {
             self.vertex_gradient(patch, &local, invisible)?;
             let by_points: Vec<[f32; 3]> = self.by_vertex.iter().map(|g| g.as_vec3().to_array()).collect();
             deformation.field.pull_back(&by_points, &mut by_control);
-            if s.variant == Variant::Full {
+            if s.variant == BridgeObjective::Full {
                 deformation.regularise(s, &mut by_control);
             }
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };

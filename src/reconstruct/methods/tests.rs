@@ -176,7 +176,7 @@ fn ours_recovers_its_world_and_the_planted_phase() {
     // What shows of coarse, overlapping discs moves otherwise than the wall does: here the splats alone are tested, and
     // the window in its own room.
     settings.window.keyframes.value = 0;
-    let (psnr, answers) = recover(&Ours::new(settings, Row::Ours, 0.5), &observation);
+    let (psnr, answers) = recover(&Ours::new(settings, OursVariant::Ours, 0.5), &observation);
     let truth = observation.true_phase.as_ref().unwrap();
     let errors: Vec<f64> = answers.iter().zip(truth).map(|(p, t)| (p.phase.unwrap() - t).abs()).collect();
     let mae = errors.iter().sum::<f64>() / errors.len() as f64;
@@ -220,7 +220,7 @@ fn ours_gn_recovers_its_world_and_the_planted_phase() {
 }
 
 /// Poses that are off by 2 mm and 3 degrees: the depth of the first frame tells by how much. The drift after that
-/// (0.04 mm a frame) is followed in part.
+/// (0.04 mm a frame) is followed in part, by the window.
 #[test]
 fn ours_gn_finds_where_the_scope_starts() {
     let mut observation = world(Made::Discs, 12, 64, breath);
@@ -228,6 +228,7 @@ fn ours_gn_finds_where_the_scope_starts() {
     observation.world_from_camera = rough_poses(&truth, &observation.time_s, 3);
     let mut settings = unlit_gn();
     settings.unknown_pose.value = true;
+    settings.window.keyframes.value = 8;
     settings.pose_drift.value = [0.005, 0.15];
     let (_, answers) = recover(&OursGn::new(settings, 1.0), &observation);
     let poses = answers.iter().map(|p| p.world_from_camera.unwrap());
@@ -257,6 +258,7 @@ fn ours_gn_finds_a_planted_error_of_the_registration() {
     let error = |rank: u32| {
         let mut settings = unlit_gn();
         settings.correction_rank.value = rank;
+        settings.window.keyframes.value = 8;
         let found = OursGn::new(settings, 1.0).run(&observation, &mut |_| Ok(()), &NoProgress).unwrap();
         let true_mesh = mesh::interpolate(&places, &truth.vertices, phase);
         let all = found.final_mesh.unwrap().vertices;
@@ -268,6 +270,19 @@ fn ours_gn_finds_a_planted_error_of_the_registration() {
     println!("without {without:.3} mm, with {with:.3} mm");
     assert!(without > 0.4, "{without}");
     assert!(with < 0.7 * without, "{with} of {without}");
+}
+
+/// What only the window estimates is refused without one.
+#[test]
+fn ours_gn_names_the_window_where_an_unknown_needs_it() {
+    let observation = world(Made::Discs, 2, 16, breath);
+    let error = |change: fn(&mut settings::GaussNewtonMethod)| {
+        let mut settings = unlit_gn();
+        change(&mut settings);
+        OursGn::new(settings, 1.0).run(&observation, &mut |_| Ok(()), &NoProgress).unwrap_err().to_string()
+    };
+    assert!(error(|s| s.unknown_pose.value = true).contains("window.keyframes"));
+    assert!(error(|s| s.correction_rank.value = 3).contains("window.keyframes"));
 }
 
 #[test]
@@ -297,10 +312,10 @@ fn bridgesplat_nomesh_recovers_its_world() {
 #[test]
 fn sanity_rows_recover_what_they_can() {
     let observation = world(Made::Free, 12, 64, |t| 0.1 * t as f64 / 12.0);
-    let (oracle, _) = recover(&Ours::new(unlit("oracle-phase"), Row::OraclePhase, 0.5), &observation);
+    let (oracle, _) = recover(&Ours::new(unlit("oracle-phase"), OursVariant::OraclePhase, 0.5), &observation);
     assert!(oracle >= 38.0, "{oracle}");
     let still = world(Made::Discs, 12, 64, |_| 0.0);
-    let (fixed, _) = recover(&Ours::new(unlit("static-ct"), Row::StaticCt, 0.5), &still);
+    let (fixed, _) = recover(&Ours::new(unlit("static-ct"), OursVariant::StaticCt, 0.5), &still);
     assert!(fixed >= 38.0, "{fixed}");
 }
 
@@ -394,7 +409,7 @@ fn ours_tracks_with_frozen_geometry() {
         phases.push(p.phase.unwrap());
         Ok(())
     };
-    Ours::new(settings, Row::Ours, 1.0).run(&observation, &mut keep, &NoProgress).unwrap();
+    Ours::new(settings, OursVariant::Ours, 1.0).run(&observation, &mut keep, &NoProgress).unwrap();
     let truth = observation.true_phase.unwrap();
     let error = phases.iter().zip(&truth).map(|(a, b)| (a - b).abs()).sum::<f64>() / truth.len() as f64;
     assert!(error < 0.03, "phase error {error}");
