@@ -24,5 +24,5 @@ pub use ours::{
     AnchoredDiscs, FrameFitSettings, GivenPhaseSettings, KeyframeSettings, OnFace, OursNomeshSettings, OursSettings,
     PhaseEstimation,
 };
-pub use ours_gn::{LampSettings, OursGnSettings};
-pub use sourced::{Provenance, Sourced};
+pub use ours_gn::{OursGnSettings, ScopeCalibration};
+pub use sourced::{NumberSource, Sourced};
