@@ -18,12 +18,12 @@ pub struct Access {
     /// The true phase of every frame (the `oracle-phase` row only).
     pub true_phase: bool,
     /// How well the poses are known.
-    pub poses: Poses,
+    pub poses: PoseAccuracy,
 }
 
 /// How well the poses are known that a method is handed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Poses {
+pub enum PoseAccuracy {
     /// As they are: the paper's assumption.
     True,
     /// Wrong by 2 mm and 3 degrees ([`super::rough_poses()`]).

@@ -17,7 +17,7 @@ use super::methods::bridgesplat_nomesh::BridgesplatNomesh;
 use super::methods::ours::{GivenPhase, Ours};
 use super::methods::ours_gn::OursGn;
 use super::methods::ours_nomesh::OursNomesh;
-use super::settings::{Keys, MethodHeader, MethodKind, MethodSettings, contains, overlay, remove, replace};
+use super::settings::{KeyPath, Keys, MethodHeader, MethodKind, MethodSettings, contains, overlay, remove, replace};
 
 /// A method file with everything that it inherits.
 #[derive(Clone, Debug)]
@@ -31,7 +31,8 @@ impl MethodFile {
     /// Reads a method file and its bases, which stand in the same folder.
     ///
     /// Errors: a file that is not TOML, an id that is not the file's name, an unknown kind, a base that is missing or
-    /// leads back to the file, a key that is missing, that the file's kind does not read, or whose value has another type.
+    /// leads back to the file, a key that is missing, that the file's kind does not read, or whose value has another
+    /// type.
     pub fn load(path: &Path) -> Result<Self> {
         Self::inherit(path, &mut Vec::new())
     }
@@ -104,7 +105,7 @@ impl MethodFile {
     }
 
     /// The method, and the paths of the keys that its kind does not read.
-    fn build(&self, scale: f64) -> Result<(Box<dyn Reconstruct>, Vec<Vec<String>>)> {
+    fn build(&self, scale: f64) -> Result<(Box<dyn Reconstruct>, Vec<KeyPath>)> {
         let mut keys = Keys::new(self.keys.clone());
         let method = self.of_kind(&mut keys, scale).map_err(|e| e.at(&self.path))?;
         Ok((method, keys.unread()))

@@ -24,7 +24,7 @@ mod prediction;
 mod rough_poses;
 pub mod settings;
 
-pub use contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+pub use contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
 pub use fitting::{loss, optimiser};
 pub use library::{MethodFile, method_files};
 pub use methods::bridgesplat::Bridgesplat;

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::base::{Image, Result};
 use crate::simulate::sequence::Sequence;
 
-use super::contract::{Access, Observation, Poses};
+use super::contract::{Access, Observation, PoseAccuracy};
 use super::rough_poses::rough_poses;
 
 /// Reads what `access` asks for, and nothing else.
@@ -19,8 +19,8 @@ pub fn observe(sequence: &Sequence, access: Access, seed: u64) -> Result<Observa
     let observation = Observation {
         camera: sequence.camera,
         world_from_camera: match access.poses {
-            Poses::True => poses,
-            Poses::Rough => rough_poses(&poses, &time_s, seed),
+            PoseAccuracy::True => poses,
+            PoseAccuracy::Rough => rough_poses(&poses, &time_s, seed),
         },
         time_s,
         images: images.into_iter().collect::<Result<_>>()?,

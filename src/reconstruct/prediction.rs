@@ -18,7 +18,7 @@ use super::contract::{FramePrediction, Observation, Reconstruct};
 const BATCH: usize = 16;
 
 #[derive(Serialize)]
-struct Timing {
+struct PredictionTiming {
     time_total_s: f64,
     time_per_frame_s: f64,
     frames: usize,
@@ -67,7 +67,8 @@ pub fn write_prediction(
         mesh::write_ply(&folder.join("mesh/final.ply"), final_mesh, &["airway surface at the last frame, mm"])?;
     }
     let frames = observation.images.len();
-    let timing = Timing { time_total_s: done.seconds, time_per_frame_s: done.seconds / frames as f64, frames };
+    let timing =
+        PredictionTiming { time_total_s: done.seconds, time_per_frame_s: done.seconds / frames as f64, frames };
     files::write_json(&folder.join("timing.json"), &timing)
 }
 

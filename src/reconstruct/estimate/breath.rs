@@ -27,7 +27,7 @@ pub enum Repetition {
 
 /// The phases so far, equally spaced in time.
 #[derive(Clone, Debug)]
-pub struct Breath {
+pub struct BreathPredictor {
     velocity: f64,
     repetition: Repetition,
     phases: Vec<f64>,
@@ -37,10 +37,10 @@ pub struct Breath {
     errors: [Option<f64>; 2],
 }
 
-impl Breath {
+impl BreathPredictor {
     /// Nothing seen yet; `velocity` is the share of the last change that is expected again.
     pub fn new(velocity: f64, repetition: Repetition) -> Self {
-        Breath { velocity, repetition, phases: Vec::new(), period: None, errors: [None; 2] }
+        BreathPredictor { velocity, repetition, phases: Vec::new(), period: None, errors: [None; 2] }
     }
 
     /// The phases so far.
@@ -144,7 +144,7 @@ mod tests {
 
     /// Root mean square of expected against actual after `from` frames.
     fn error(wave: impl Fn(usize) -> f64, frames: usize, from: usize, repetition: Repetition) -> f64 {
-        let mut state = Breath::new(1.0, repetition);
+        let mut state = BreathPredictor::new(1.0, repetition);
         let mut sum = 0.0;
         for frame in 0..frames {
             if frame >= from {

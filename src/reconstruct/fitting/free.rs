@@ -193,7 +193,7 @@ pub struct FreeAdam {
 }
 
 impl FreeAdam {
-    /// An optimiser with `rates`.
+    /// An optimiser with `rates`; a group whose rate is 0 stays as it is.
     pub fn new(rates: Rates, counter: StepCounter, constants: AdamConstants) -> Self {
         FreeAdam {
             rates,

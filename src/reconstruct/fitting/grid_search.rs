@@ -1,11 +1,11 @@
-//! Where the phase of the first frame comes from: the depth that the method is given there (paper, Section 3.4).
+//! The least value of a function of the phase: a grid over 0..1, then golden sections. The first frame's phase is found
+//! so, by the depth that the method is given there (paper, Section 3.4).
 
-use crate::base::{Image, Result};
-use crate::splat::Rendered;
+use crate::base::Result;
 
-/// Differences beyond this share of the given depth count as this share: edges and holes do not decide.
-const LARGEST_SHARE: f32 = 0.25;
+/// Ratio of the golden section.
 const GOLDEN: f64 = 0.618_033_988_749_895;
+/// Golden sections after the grid: each shortens the interval to .618 of itself.
 const GOLDEN_STEPS: usize = 10;
 
 /// The phase in 0..1 of least `error`: the best of `steps` evenly spaced ones, then golden sections around it.
@@ -31,18 +31,6 @@ pub fn grid_search(steps: u32, mut error: impl FnMut(f64) -> Result<f64>) -> Res
     }
     let refined = 0.5 * (low + high);
     Ok(if error(refined)? <= best.0 { refined } else { best.1 })
-}
-
-/// Mean absolute difference in mm between rendered and given depth where both are; infinite where nothing is.
-pub fn depth_error_mm(rendered: &Rendered<f32>, given: &Image<f32>) -> f64 {
-    let (mut sum, mut count) = (0.0, 0usize);
-    for ((&d, &a), &t) in rendered.depth.iter().zip(&rendered.alpha).zip(&given.data) {
-        if t > 0.0 && a > 0.5 {
-            sum += (d - t).abs().min(LARGEST_SHARE * t) as f64;
-            count += 1;
-        }
-    }
-    if count == 0 { f64::INFINITY } else { sum / count as f64 }
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What many frames have seen of the wall. The colours that a method shows follow every frame to the last pixel; a
+//! What many frames have shown of the wall. The colours that a method shows follow every frame to the last pixel; a
 //! phase measured on them is measured against the frame before alone, and its small errors add up. The phase is
 //! therefore measured on remembered colours: per Gaussian the running mean of what past frames painted, without the
 //! light of the scope ([`super::scope_light`]), so that early frames hold later ones in place. Ours, not the paper's.
@@ -18,13 +18,13 @@ pub struct Memory {
     /// Remembered spherical harmonics, [`SH_VALUES`] each, at shade 1.
     albedo: Vec<f32>,
     /// Frames that have added to them.
-    looks: Vec<f32>,
+    frames: Vec<f32>,
 }
 
 impl Memory {
-    /// Nothing seen of `n` Gaussians.
+    /// Nothing remembered of `n` Gaussians.
     pub fn new(n: usize) -> Self {
-        Memory { contained_shade: vec![0.0; n], albedo: vec![0.0; n * SH_VALUES], looks: vec![0.0; n] }
+        Memory { contained_shade: vec![0.0; n], albedo: vec![0.0; n * SH_VALUES], frames: vec![0.0; n] }
     }
 
     /// The entries of `ids`.
@@ -32,7 +32,7 @@ impl Memory {
         Memory {
             contained_shade: ids.iter().map(|&i| self.contained_shade[i as usize]).collect(),
             albedo: ids.iter().flat_map(|&i| &self.albedo[i as usize * SH_VALUES..][..SH_VALUES]).copied().collect(),
-            looks: ids.iter().map(|&i| self.looks[i as usize]).collect(),
+            frames: ids.iter().map(|&i| self.frames[i as usize]).collect(),
         }
     }
 
@@ -41,32 +41,32 @@ impl Memory {
         for (k, &i) in ids.iter().enumerate() {
             let i = i as usize;
             self.contained_shade[i] = from.contained_shade[k];
-            self.looks[i] = from.looks[k];
+            self.frames[i] = from.frames[k];
             self.albedo[i * SH_VALUES..][..SH_VALUES].copy_from_slice(&from.albedo[k * SH_VALUES..][..SH_VALUES]);
         }
     }
 
-    /// Entries for Gaussians that start as copies of `parents`; both have to be looked at anew, closer.
+    /// Entries for Gaussians that start as copies of `parents`; both have to be learned anew, from nearer.
     pub fn split(&mut self, parents: &[u32]) {
         for &parent in parents {
             let parent = parent as usize;
-            self.looks[parent] = self.looks[parent].min(1.0);
-            self.looks.push(self.looks[parent]);
+            self.frames[parent] = self.frames[parent].min(1.0);
+            self.frames.push(self.frames[parent]);
             self.contained_shade.push(self.contained_shade[parent]);
             self.albedo.extend_from_within(parent * SH_VALUES..(parent + 1) * SH_VALUES);
         }
     }
 
     /// A copy of what is shown.
-    pub fn set_aside(&self, sh: &[f32]) -> Shown {
-        Shown { sh: sh.to_vec(), contained_shade: self.contained_shade.clone() }
+    pub fn set_aside(&self, sh: &[f32]) -> ShownColors {
+        ShownColors { sh: sh.to_vec(), contained_shade: self.contained_shade.clone() }
     }
 
     /// Puts the remembered colours into `sh`, at shade 1; what nobody remembers stays as it is. Hands out what `sh` was.
-    pub fn recall(&mut self, sh: &mut [f32]) -> Shown {
+    pub fn recall(&mut self, sh: &mut [f32]) -> ShownColors {
         let shown = self.set_aside(sh);
         for (k, sh) in sh.chunks_exact_mut(SH_VALUES).enumerate() {
-            if self.looks[k] > 0.0 {
+            if self.frames[k] > 0.0 {
                 sh.copy_from_slice(&self.albedo[k * SH_VALUES..][..SH_VALUES]);
                 self.contained_shade[k] = 1.0;
             }
@@ -75,14 +75,14 @@ impl Memory {
     }
 
     /// Undoes [`Memory::recall`].
-    pub fn restore(&mut self, shown: Shown, sh: &mut [f32]) {
+    pub fn restore(&mut self, shown: ShownColors, sh: &mut [f32]) {
         sh.copy_from_slice(&shown.sh);
         self.contained_shade = shown.contained_shade;
     }
 
-    /// Gives Gaussian `k`, whose colours are `sh`, back what it showed in `shown`, at its present shade; nothing if it had
-    /// not been seen then.
-    pub fn put_back(&self, k: usize, sh: &mut [f32], shown: &Shown) {
+    /// Gives Gaussian `k`, whose colours are `sh`, back what it showed in `shown`, at its present shade; nothing if no
+    /// frame had shown it then.
+    pub fn put_back(&self, k: usize, sh: &mut [f32], shown: &ShownColors) {
         if shown.contained_shade[k] > 0.0 {
             let ratio = self.contained_shade[k] / shown.contained_shade[k];
             for (i, (value, was)) in sh.iter_mut().zip(&shown.sh[k * SH_VALUES..]).enumerate() {
@@ -91,11 +91,11 @@ impl Memory {
         }
     }
 
-    /// Adds what Gaussian `k` shows now (`sh`, at its contained shade): the mean of the first `frames` looks, after
-    /// that the newest counts `1 / frames`.
-    pub fn add(&mut self, k: usize, sh: &[f32], frames: f32) {
-        self.looks[k] = (self.looks[k] + 1.0).min(frames);
-        let (share, shade) = (1.0 / self.looks[k], self.contained_shade[k]);
+    /// Adds what Gaussian `k` shows now (`sh`, at its contained shade): the mean of the first `most_frames`, after
+    /// that the newest counts `1 / most_frames`.
+    pub fn add(&mut self, k: usize, sh: &[f32], most_frames: f32) {
+        self.frames[k] = (self.frames[k] + 1.0).min(most_frames);
+        let (share, shade) = (1.0 / self.frames[k], self.contained_shade[k]);
         let remembered = &mut self.albedo[k * SH_VALUES..][..SH_VALUES];
         for (i, (value, &shown)) in remembered.iter_mut().zip(sh).enumerate() {
             let albedo = (shown + shift(i)) / shade - shift(i);
@@ -105,7 +105,7 @@ impl Memory {
 }
 
 /// Colours set aside by [`Memory::set_aside`].
-pub struct Shown {
+pub struct ShownColors {
     sh: Vec<f32>,
     contained_shade: Vec<f32>,
 }
@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_memory_is_the_mean_of_the_first_looks_free_of_light() {
+    fn the_memory_is_the_mean_of_the_first_frames_free_of_light() {
         let mut memory = Memory::new(1);
         let sh_of = |color: f32| -> Vec<f32> {
             (0..SH_VALUES).map(|i| if i < 3 { (color - 0.5) / SH_C0 } else { 0.0 }).collect()

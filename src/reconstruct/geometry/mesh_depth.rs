@@ -20,20 +20,20 @@ const SLACK: [f32; 2] = [0.05, 1.0];
 const LARGEST_SHARE: f32 = 0.25;
 
 /// The ray of each pixel of a camera, z = 1.
-pub struct Rays {
+pub struct PixelRays {
     width: usize,
     rays: Vec<Vec3>,
 }
 
-impl Rays {
+impl PixelRays {
     /// The rays through the pixel centres of `camera`; those that look sideways or back see nothing.
-    pub fn new(camera: &Camera) -> Rays {
+    pub fn new(camera: &Camera) -> PixelRays {
         let width = camera.width as usize;
         let ray = |i: usize| {
             let direction = camera.direction(DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5));
             if direction.z > 1e-3 { (direction / direction.z).as_vec3() } else { Vec3::ZERO }
         };
-        Rays { width, rays: (0..width * camera.height as usize).map(ray).collect() }
+        PixelRays { width, rays: (0..width * camera.height as usize).map(ray).collect() }
     }
 }
 
@@ -71,7 +71,7 @@ fn on_screen(camera: &Camera, [a, b, c]: [Vec3; 3]) -> Option<Triangle> {
 }
 
 /// Fills what `triangle` covers of `band`, rows from `first` on, where it is nearer than what is there.
-fn fill(band: &mut [(f32, u32)], rays: &Rays, first: usize, face: u32, triangle: &Triangle) {
+fn fill(band: &mut [(f32, u32)], rays: &PixelRays, first: usize, face: u32, triangle: &Triangle) {
     let last = first + band.len() / rays.width - 1;
     for y in triangle.rows[0].max(first)..=triangle.rows[1].min(last) {
         let columns = triangle.columns[0]..=triangle.columns[1];
@@ -92,7 +92,7 @@ fn fill(band: &mut [(f32, u32)], rays: &Rays, first: usize, face: u32, triangle:
 /// z-depth in mm of the nearest of the faces `which` at each pixel of `view`, whose rays are `rays`; 0 where there is none.
 pub fn nearest_depth_mm(
     view: &View,
-    rays: &Rays,
+    rays: &PixelRays,
     vertices: &[[f32; 3]],
     faces: &[[u32; 3]],
     which: &[u32],
@@ -105,7 +105,7 @@ pub fn nearest_depth_mm(
 /// z-depth in mm of the nearest of the faces `which` at each pixel of `view`, and its index; depth 0 where there is none.
 pub fn nearest_faces(
     view: &View,
-    rays: &Rays,
+    rays: &PixelRays,
     vertices: &[[f32; 3]],
     faces: &[[u32; 3]],
     which: &[u32],
@@ -134,7 +134,7 @@ pub fn depth_gap_mm(rendered: &Image<f32>, given: &Image<f32>) -> f64 {
 }
 
 /// Of the faces `which` those that no nearer wall hides, judged with some slack.
-pub fn unhidden(view: &View, rays: &Rays, vertices: &[[f32; 3]], faces: &[[u32; 3]], which: &[u32]) -> Vec<u32> {
+pub fn unhidden(view: &View, rays: &PixelRays, vertices: &[[f32; 3]], faces: &[[u32; 3]], which: &[u32]) -> Vec<u32> {
     let depth = nearest_depth_mm(view, rays, vertices, faces, which);
     let (width, height) = (depth.width as i64, depth.height as i64);
     let camera_from_world = view.camera_from_world.as_affine3();
@@ -148,7 +148,7 @@ pub fn unhidden(view: &View, rays: &Rays, vertices: &[[f32; 3]], faces: &[[u32; 
         }
         far
     };
-    let seen = |p: Vec3| match view.camera.project(p.as_dvec3()) {
+    let unhidden = |p: Vec3| match view.camera.project(p.as_dvec3()) {
         Some(pixel) => {
             let far = farthest((pixel.x as i64).clamp(0, width - 1), (pixel.y as i64).clamp(0, height - 1));
             p.z <= far * (1.0 + SLACK[0]) + SLACK[1]
@@ -157,8 +157,8 @@ pub fn unhidden(view: &View, rays: &Rays, vertices: &[[f32; 3]], faces: &[[u32; 
     };
     let corner = |v: u32| camera_from_world.transform_point3(Vec3::from(vertices[v as usize]));
     let flags: Vec<bool> =
-        which.par_iter().with_min_len(512).map(|&f| faces[f as usize].map(corner).into_iter().any(seen)).collect();
-    which.iter().zip(flags).filter(|(_, seen)| *seen).map(|(&f, _)| f).collect()
+        which.par_iter().with_min_len(512).map(|&f| faces[f as usize].map(corner).into_iter().any(unhidden)).collect();
+    which.iter().zip(flags).filter(|(_, unhidden)| *unhidden).map(|(&f, _)| f).collect()
 }
 
 #[cfg(test)]
@@ -185,7 +185,7 @@ mod tests {
             let (view, vertices, faces) = scene(fisheye);
             let [a, b, c] = [0, 1, 2].map(|i| Vec3::from(vertices[i]).as_dvec3() - EYE);
             let normal = (b - a).cross(c - a);
-            let found = nearest_depth_mm(&view, &Rays::new(&view.camera), &vertices, &faces, &[0, 1]);
+            let found = nearest_depth_mm(&view, &PixelRays::new(&view.camera), &vertices, &faces, &[0, 1]);
             for (i, &depth) in found.data.iter().enumerate() {
                 let pixel = DVec2::new((i % 40) as f64 + 0.5, (i / 40) as f64 + 0.5);
                 let ray = view.camera.direction(pixel);
@@ -198,7 +198,7 @@ mod tests {
     #[test]
     fn what_stands_behind_a_wall_is_hidden_and_what_stands_before_it_is_not() {
         let (view, mut vertices, faces) = scene(None);
-        let rays = Rays::new(&view.camera);
+        let rays = PixelRays::new(&view.camera);
         assert_eq!(unhidden(&view, &rays, &vertices, &faces, &[0, 1]), [0]);
         vertices[3..].iter_mut().for_each(|v| v[2] -= 28.0);
         assert_eq!(unhidden(&view, &rays, &vertices, &faces, &[0, 1]), [1]);

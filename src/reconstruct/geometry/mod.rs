@@ -1,6 +1,8 @@
 //! The geometry of the mesh at a phase, seen from a pose.
 
+pub mod breathing;
 pub mod mesh_depth;
 pub mod neighbours;
 pub mod pyramid;
+pub mod rigid;
 pub mod visible;

@@ -84,3 +84,27 @@ pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, re
         .collect();
     (0..faces.len() as u32).filter(|&f| flags[f as usize]).collect()
 }
+
+/// The pixel on which each of the `centres` falls; `None` beside the image and where the scope touches them.
+pub fn pixels(view: &View, centres: &[[f32; 3]]) -> Vec<Option<[usize; 2]>> {
+    let (width, height) = (view.camera.width as f64, view.camera.height as f64);
+    in_camera(view, centres)
+        .par_iter()
+        .with_min_len(1024)
+        .map(|p| {
+            let pixel = view.camera.project(p.as_dvec3())?;
+            let inside = p.z > 0.2 && pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width && pixel.y < height;
+            inside.then_some([pixel.x as usize, pixel.y as usize])
+        })
+        .collect()
+}
+
+/// z-depth in mm of each of the `centres`.
+pub fn depths_mm(view: &View, centres: &[[f32; 3]]) -> Vec<f32> {
+    in_camera(view, centres).iter().map(|p| p.z).collect()
+}
+
+fn in_camera(view: &View, centres: &[[f32; 3]]) -> Vec<Vec3> {
+    let transform = view.camera_from_world.as_affine3();
+    centres.par_iter().with_min_len(4096).map(|p| transform.transform_point3(Vec3::from(*p))).collect()
+}

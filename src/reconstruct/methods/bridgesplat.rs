@@ -13,7 +13,7 @@ use crate::base::{Progress, Result, TriangleMesh};
 use crate::reconstruct::fitting::schedule::{rate_factor, scaled_iterations};
 use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Settings, View, Wanted};
 
-use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
 use crate::reconstruct::fitting::anchored::{DiscAdam, Patch, Rates, Start, Surface};
 use crate::reconstruct::fitting::control_points::ControlField;
 use crate::reconstruct::fitting::loss::arap::Arap;
@@ -47,7 +47,7 @@ impl Reconstruct for Bridgesplat {
     }
 
     fn access(&self) -> Access {
-        Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: Poses::True }
+        Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: PoseAccuracy::True }
     }
 
     fn run(
@@ -58,11 +58,11 @@ impl Reconstruct for Bridgesplat {
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
         let start = Instant::now();
-        let mut state = State::new(&self.settings, self.iteration_scale, observation)?;
+        let mut fit = BridgesplatFit::new(&self.settings, self.iteration_scale, observation)?;
         let preparation = start.elapsed().as_secs_f64();
-        let fitting = fit_in_order(observation.images.len(), |frame| state.fit(frame), emit, progress)?;
+        let fitting = fit_in_order(observation.images.len(), |frame| fit.fit(frame), emit, progress)?;
         let faces = observation.inspiration.faces.clone();
-        let vertices = state.vertices.iter().map(|v| *v * *self.settings.common.unit_mm).collect();
+        let vertices = fit.vertices.iter().map(|v| *v * *self.settings.common.unit_mm).collect();
         Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), seconds: preparation + fitting })
     }
 }
@@ -78,7 +78,7 @@ struct Deformation {
     adam: Adam,
 }
 
-struct State<'a> {
+struct BridgesplatFit<'a> {
     settings: &'a BridgesplatSettings,
     scale: f64,
     observation: &'a Observation,
@@ -95,13 +95,13 @@ struct State<'a> {
     by_vertex: Vec<DVec3>,
 }
 
-impl<'a> State<'a> {
+impl<'a> BridgesplatFit<'a> {
     fn new(settings: &'a BridgesplatSettings, scale: f64, observation: &'a Observation) -> Result<Self> {
         let mesh = &observation.inspiration;
         let unit = *settings.common.unit_mm;
         let in_units =
             TriangleMesh { vertices: mesh.vertices.iter().map(|v| *v / unit).collect(), faces: mesh.faces.clone() };
-        Ok(State {
+        Ok(BridgesplatFit {
             settings,
             scale,
             observation,

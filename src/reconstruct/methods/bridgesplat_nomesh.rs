@@ -14,7 +14,7 @@ use crate::base::{Progress, Result};
 use crate::reconstruct::fitting::schedule::{rate_factor, scaled_iterations};
 use crate::splat::{DepthOutput, ImageGradient, Rasterizer, Settings, View, Wanted};
 
-use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
 use crate::reconstruct::fitting::anchored::{Rates, to_f32};
 use crate::reconstruct::fitting::control_points::ControlField;
 use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch};
@@ -44,7 +44,7 @@ impl Reconstruct for BridgesplatNomesh {
     }
 
     fn access(&self) -> Access {
-        Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: Poses::True }
+        Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: PoseAccuracy::True }
     }
 
     fn run(
@@ -55,28 +55,28 @@ impl Reconstruct for BridgesplatNomesh {
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
         let start = Instant::now();
-        let mut state = State::new(&self.settings, self.iteration_scale, observation);
+        let mut fit = BridgesplatNomeshFit::new(&self.settings, self.iteration_scale, observation);
         let preparation = start.elapsed().as_secs_f64();
-        let fitting = fit_in_order(observation.images.len(), |frame| state.fit(frame), emit, progress)?;
+        let fitting = fit_in_order(observation.images.len(), |frame| fit.fit(frame), emit, progress)?;
         Ok(Reconstruction { final_mesh: None, seconds: preparation + fitting })
     }
 }
 
-struct State<'a> {
+struct BridgesplatNomeshFit<'a> {
     settings: &'a BridgesplatNomeshSettings,
     scale: f64,
     observation: &'a Observation,
     surface: Vec<[f32; 3]>,
     free: Free,
-    anchors: Anchors,
+    anchors: ControlAnchors,
     rasterizer: Rasterizer<f32>,
     adam: FreeAdam,
     reach: Reach,
     image_gradient: Vec<f32>,
 }
 
-/// Anchors: rest position, displacement and quaternion offset (added to the identity).
-struct Anchors {
+/// ControlAnchors: rest position, displacement and quaternion offset (added to the identity).
+struct ControlAnchors {
     ids: Vec<u32>,
     field: ControlField,
     pairs: Pairs,
@@ -87,7 +87,7 @@ struct Anchors {
     adam: [Adam; 2],
 }
 
-impl Anchors {
+impl ControlAnchors {
     fn new(settings: &BridgesplatNomeshSettings, centres: &[[f32; 3]], seed: u64) -> Self {
         let points: Vec<DVec3> =
             centres.iter().map(|c| glam::Vec3::from(*c).as_dvec3() / *settings.common.unit_mm).collect();
@@ -98,7 +98,7 @@ impl Anchors {
         ids.dedup();
         let rest: Vec<DVec3> = ids.iter().map(|&i| points[i as usize]).collect();
         let (count, decay) = (*settings.common.control_neighbours as usize, *settings.common.control_decay);
-        Anchors {
+        ControlAnchors {
             field: ControlField::new(&rest, &points, count, decay),
             pairs: Pairs::new(&rest, count, decay),
             displacement: vec![[0.0; 3]; rest.len()],
@@ -147,15 +147,15 @@ impl Anchors {
     }
 }
 
-impl<'a> State<'a> {
+impl<'a> BridgesplatNomeshFit<'a> {
     fn new(settings: &'a BridgesplatNomeshSettings, scale: f64, observation: &'a Observation) -> Self {
         let free = Free::new(&observation.inspiration, &settings.appearance.gaussians, 1.0, observation.seed);
-        State {
+        BridgesplatNomeshFit {
             settings,
             scale,
             observation,
             surface: to_f32(&observation.inspiration.vertices),
-            anchors: Anchors::new(settings, &free.centres, observation.seed),
+            anchors: ControlAnchors::new(settings, &free.centres, observation.seed),
             free,
             rasterizer: Rasterizer::new(),
             adam: FreeAdam::new(
@@ -202,7 +202,7 @@ impl<'a> State<'a> {
         Ok(rendered_prediction(frame, &self.rasterizer, ahead))
     }
 
-    /// Anchors whose own Gaussian is outside the image.
+    /// ControlAnchors whose own Gaussian is outside the image.
     fn invisible_anchors(&self, patch: &FreePatch) -> Vec<u32> {
         let flags = &self.rasterizer.rendered().visible;
         let seen = |id: u32| patch.ids.binary_search(&id).is_ok_and(|k| flags[k]);

@@ -133,17 +133,17 @@ enum Colors {
 
 /// Root mean square distance of the recovered surface to the true one in mm.
 fn error_mm(settings: &BridgesplatSettings, colors: Colors, observation: &Observation, truth: &[DVec3]) -> f64 {
-    let mut state = State::new(settings, 1.0, observation).unwrap();
+    let mut fit = BridgesplatFit::new(settings, 1.0, observation).unwrap();
     if colors == Colors::Known {
         let faces: Vec<u32> = (0..observation.inspiration.faces.len() as u32).collect();
-        let mut discs = state.surface.patch(&faces).unwrap();
+        let mut discs = fit.surface.patch(&faces).unwrap();
         discs.place(&to_f32(&observation.inspiration.vertices)).unwrap();
-        color(&mut state.surface, &discs.gaussians.positions);
+        color(&mut fit.surface, &discs.gaussians.positions);
     }
     for frame in 0..observation.images.len() {
-        state.fit(frame).unwrap();
+        fit.fit(frame).unwrap();
     }
-    let off: Vec<DVec3> = state.vertices.iter().zip(truth).map(|(v, t)| *v * *settings.common.unit_mm - *t).collect();
+    let off: Vec<DVec3> = fit.vertices.iter().zip(truth).map(|(v, t)| *v * *settings.common.unit_mm - *t).collect();
     let rms = |of: fn(&DVec3) -> f64| (off.iter().map(of).sum::<f64>() / off.len() as f64).sqrt();
     println!("sideways {:.3} mm, in depth {:.3} mm", rms(|d| d.truncate().length_squared()), rms(|d| d.z * d.z));
     rms(|d| d.length_squared())

@@ -3,20 +3,19 @@
 //! faces that a wall hides are no part of a frame.
 
 use crate::base::{Progress, Result, mesh};
-use crate::reconstruct::fitting::schedule::rate_factor;
-use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
-
-use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
-use crate::reconstruct::estimate::phase_fit::{self, Carried, PhaseSource, at_phase};
-use crate::reconstruct::estimate::window::correction::Correction;
-use crate::reconstruct::estimate::window::{Setting, Shape, Window};
+use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
+use crate::reconstruct::estimate::phase_fit::{self, BreathingGaussians, PhaseSource, VisiblePatch};
+use crate::reconstruct::estimate::window::{KeyframeWindow, WindowOptions};
 use crate::reconstruct::fitting::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
 use crate::reconstruct::fitting::memory::Memory;
 use crate::reconstruct::fitting::optimiser::StepCounter;
-use crate::reconstruct::geometry::mesh_depth::{Rays, unhidden};
-use crate::reconstruct::geometry::pyramid::Level;
+use crate::reconstruct::fitting::schedule::rate_factor;
+use crate::reconstruct::geometry::breathing::{BreathingMesh, at_phase, mesh_at};
+use crate::reconstruct::geometry::mesh_depth::{PixelRays, unhidden};
+use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
 use crate::reconstruct::settings::{GivenPhaseSettings, KeyframeSettings, MethodHeader, OursSettings, PhaseEstimation};
+use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
 
 /// Phases farther apart may show what is hidden at both of them. A hair above the reach of a frame with a guess, which
 /// rounding may widen.
@@ -31,10 +30,10 @@ pub enum GivenPhase {
     True,
 }
 
-/// Which row of the report.
-enum ReportRow {
+/// Which row of the report: where displacement and phase come from.
+enum OursVariant {
     /// The paper's method, with how it estimates the phase and its keyframes.
-    Estimated(PhaseEstimation, KeyframeSettings),
+    Ours(Box<PhaseEstimation>, KeyframeSettings),
     /// A sanity row.
     Given(GivenPhase),
 }
@@ -42,7 +41,7 @@ enum ReportRow {
 /// Mesh-anchored method with one phase per frame.
 pub struct Ours {
     settings: GivenPhaseSettings,
-    row: ReportRow,
+    variant: OursVariant,
     iteration_scale: f64,
 }
 
@@ -50,13 +49,13 @@ impl Ours {
     /// The paper's method, with every iteration count times `iteration_scale`.
     pub fn new(settings: OursSettings, iteration_scale: f64) -> Self {
         let OursSettings { header, fit, estimation, window, discs } = settings;
-        let row = ReportRow::Estimated(estimation, window);
-        Ours { settings: GivenPhaseSettings { header, fit, discs }, row, iteration_scale }
+        let variant = OursVariant::Ours(Box::new(estimation), window);
+        Ours { settings: GivenPhaseSettings { header, fit, discs }, variant, iteration_scale }
     }
 
     /// The same with the phase given.
     pub fn with_given_phase(settings: GivenPhaseSettings, phase: GivenPhase, iteration_scale: f64) -> Self {
-        Ours { settings, row: ReportRow::Given(phase), iteration_scale }
+        Ours { settings, variant: OursVariant::Given(phase), iteration_scale }
     }
 }
 
@@ -67,10 +66,10 @@ impl Reconstruct for Ours {
 
     fn access(&self) -> Access {
         Access {
-            expiration_mesh: !matches!(self.row, ReportRow::Given(GivenPhase::Inspiration)),
-            first_depth: matches!(self.row, ReportRow::Estimated(..)),
-            true_phase: matches!(self.row, ReportRow::Given(GivenPhase::True)),
-            poses: Poses::True,
+            expiration_mesh: !matches!(self.variant, OursVariant::Given(GivenPhase::Inspiration)),
+            first_depth: matches!(self.variant, OursVariant::Ours(..)),
+            true_phase: matches!(self.variant, OursVariant::Given(GivenPhase::True)),
+            poses: PoseAccuracy::True,
         }
     }
 
@@ -82,63 +81,45 @@ impl Reconstruct for Ours {
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
         let start = std::time::Instant::now();
-        let window = match &self.row {
-            ReportRow::Estimated(_, keyframes) => Window::new(keyframes, None),
-            ReportRow::Given(_) => None,
+        let window = match &self.variant {
+            OursVariant::Ours(_, keyframes) => KeyframeWindow::new(keyframes, WindowOptions::default()),
+            OursVariant::Given(_) => None,
         };
-        let mut carried = OnMesh::new(&self.settings, window, self.iteration_scale, observation)?;
+        let mut discs = BreathingDiscs::new(&self.settings, window, self.iteration_scale, observation)?;
         let preparation = start.elapsed().as_secs_f64();
-        let source = match &self.row {
-            ReportRow::Estimated(estimation, _) => PhaseSource::Estimated(estimation),
-            ReportRow::Given(GivenPhase::Inspiration) => PhaseSource::Given(vec![0.0; observation.images.len()]),
-            ReportRow::Given(GivenPhase::True) => {
+        let source = match &self.variant {
+            OursVariant::Ours(estimation, _) => PhaseSource::Estimated(estimation),
+            OursVariant::Given(GivenPhase::Inspiration) => PhaseSource::Given(vec![0.0; observation.images.len()]),
+            OursVariant::Given(GivenPhase::True) => {
                 PhaseSource::Given(observation.true_phase.clone().unwrap_or_default())
             }
         };
-        let (phase, mut done) = phase_fit::run(
-            &self.settings.fit,
-            self.iteration_scale,
-            &source,
-            observation,
-            &mut carried,
-            emit,
-            progress,
-        )?;
-        done.final_mesh = Some(phase_fit::mesh_at(observation, phase));
+        let (phase, mut done) =
+            phase_fit::run(&self.settings.fit, self.iteration_scale, &source, observation, &mut discs, emit, progress)?;
+        done.final_mesh = Some(mesh_at(observation, phase));
         done.seconds += preparation;
         Ok(done)
     }
 }
 
 /// Discs on the breathing mesh.
-struct OnMesh {
+struct BreathingDiscs {
     surface: Surface,
     inspiration: Vec<[f32; 3]>,
     displacement: Vec<[f32; 3]>,
     reach: Reach,
-    rays: Rays,
+    rays: PixelRays,
     adam: DiscAdam,
-    seen: Option<Seen>,
     memory: Memory,
-    window: Option<Window>,
+    window: Option<KeyframeWindow>,
     pixels_per_disc: f32,
     most_per_face: f32,
 }
 
-/// The compact copy of one frame.
-struct Seen {
-    faces: Vec<u32>,
-    patch: Patch,
-    rest: Vec<[f32; 3]>,
-    displacement: Vec<[f32; 3]>,
-    vertices: Vec<[f32; 3]>,
-    memory: Memory,
-}
-
-impl OnMesh {
+impl BreathingDiscs {
     fn new(
         settings: &GivenPhaseSettings,
-        window: Option<Window>,
+        window: Option<KeyframeWindow>,
         iteration_scale: f64,
         observation: &Observation,
     ) -> Result<Self> {
@@ -149,7 +130,7 @@ impl OnMesh {
         let constants = adam_constants(*discs.quiet_values, observation.images[0].data.len());
         let surface =
             Surface::new(rest, &discs.appearance, Frame::from(*discs.on_face.inherits), Start::Even, observation.seed);
-        Ok(OnMesh {
+        Ok(BreathingDiscs {
             memory: Memory::new(surface.len()),
             window,
             pixels_per_disc: *discs.on_face.pixels_per_disc as f32,
@@ -158,20 +139,23 @@ impl OnMesh {
             inspiration: to_f32(&rest.vertices),
             displacement: mesh::displacement(rest, expiration),
             reach: Reach::new(&settings.fit.visibility),
-            rays: Rays::new(&observation.camera),
+            rays: PixelRays::new(&observation.camera),
             adam: DiscAdam::new(rates, StepCounter::Restarted, constants),
-            seen: None,
         })
+    }
+
+    fn mesh(&self) -> BreathingMesh<'_> {
+        BreathingMesh { rest: &self.inspiration, displacement: &self.displacement, faces: &self.surface.faces }
     }
 
     /// Of `faces` those that no wall hides in one of the `states`.
     fn unhidden(&self, view: &View, states: &[&[[f32; 3]]], faces: &[u32]) -> Vec<u32> {
-        let mut seen: Vec<u32> = (states.iter())
+        let mut unhidden: Vec<u32> = (states.iter())
             .flat_map(|vertices| unhidden(view, &self.rays, vertices, &self.surface.faces, faces))
             .collect();
-        seen.sort_unstable();
-        seen.dedup();
-        seen
+        unhidden.sort_unstable();
+        unhidden.dedup();
+        unhidden
     }
 
     /// Faces that have come near get more discs.
@@ -183,27 +167,12 @@ impl OnMesh {
             self.memory.split(&parents);
         }
     }
-
-    fn seen(&self) -> &Seen {
-        self.seen.as_ref().expect("a frame is entered before it is worked on")
-    }
-
-    fn seen_mut(&mut self) -> &mut Seen {
-        self.seen.as_mut().expect("a frame is entered before it is worked on")
-    }
 }
 
-impl Carried for OnMesh {
-    fn enter(&mut self, view: &View, [low, high]: [f64; 2]) -> Result<()> {
+impl BreathingGaussians for BreathingDiscs {
+    fn enter<'a>(&'a mut self, view: &View, [low, high]: [f64; 2]) -> Result<Box<dyn VisiblePatch + 'a>> {
         let phases: &[f64] = if low == high { &[low] } else { &[low, 0.5 * (low + high), high] };
-        let states: Vec<Vec<[f32; 3]>> = phases
-            .iter()
-            .map(|&p| {
-                let mut out = Vec::new();
-                at_phase(&self.inspiration, &self.displacement, p as f32, &mut out);
-                out
-            })
-            .collect();
+        let states: Vec<Vec<[f32; 3]>> = phases.iter().map(|&phase| self.mesh().at(phase)).collect();
         let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
         let mut faces = visible_faces(&self.surface.faces, &states, view, self.reach, Sides::Lumen);
         if high - low <= WIDEST_REACH {
@@ -214,71 +183,76 @@ impl Carried for OnMesh {
         }
         self.refine(&faces, states[states.len() / 2], view);
         let patch = self.surface.patch(&faces)?;
-        self.seen = Some(Seen {
+        Ok(Box::new(VisibleDiscs {
             rest: patch.pick(&self.inspiration),
             displacement: patch.pick(&self.displacement),
             vertices: Vec::new(),
             memory: self.memory.pick(&patch.discs),
             patch,
             faces,
-        });
-        Ok(())
+            all: self,
+        }))
     }
+}
 
+/// The discs that one frame can see.
+struct VisibleDiscs<'a> {
+    all: &'a mut BreathingDiscs,
+    faces: Vec<u32>,
+    patch: Patch,
+    rest: Vec<[f32; 3]>,
+    displacement: Vec<[f32; 3]>,
+    vertices: Vec<[f32; 3]>,
+    memory: Memory,
+}
+
+impl VisiblePatch for VisibleDiscs<'_> {
     fn place(&mut self, phase: f64) -> Result<()> {
-        let seen = self.seen_mut();
-        at_phase(&seen.rest, &seen.displacement, phase as f32, &mut seen.vertices);
-        seen.patch.place(&seen.vertices)
+        at_phase(&self.rest, &self.displacement, phase as f32, &mut self.vertices);
+        self.patch.place(&self.vertices)
     }
 
     fn gaussians(&self) -> &Gaussians<f32> {
-        &self.seen().patch.gaussians
+        &self.patch.gaussians
     }
 
     fn colors(&mut self) -> (&mut [f32], &mut Memory) {
-        let seen = self.seen_mut();
-        (&mut seen.patch.gaussians.sh, &mut seen.memory)
+        (&mut self.patch.gaussians.sh, &mut self.memory)
     }
 
     fn velocities(&self, out: &mut Vec<[f32; 3]>) -> Result<()> {
-        let seen = self.seen();
-        seen.patch.place_tangent(&seen.vertices, &seen.displacement, out, &mut Vec::new())
+        self.patch.place_tangent(&self.vertices, &self.displacement, out, &mut Vec::new())
     }
 
     fn phase_derivative(&self, gradients: &Gradients<f32>) -> Result<f64> {
-        let seen = self.seen();
-        seen.patch.phase_derivative(gradients, &seen.vertices, &seen.displacement)
+        self.patch.phase_derivative(gradients, &self.vertices, &self.displacement)
     }
 
     fn begin_appearance(&mut self) {
-        let discs = self.seen().patch.discs.len();
-        self.adam.begin(discs);
+        self.all.adam.begin(self.patch.discs.len());
     }
 
     fn appearance_groups(&self) -> Wanted {
-        self.adam.rates.groups()
+        self.all.adam.rates.groups()
     }
 
     fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()> {
-        let seen = self.seen.as_mut().expect("a frame is entered before it is worked on");
-        seen.patch.step(&mut self.adam, gradients, visible, &seen.vertices)
+        self.patch.step(&mut self.all.adam, gradients, visible, &self.vertices)
     }
 
-    fn place_among_keyframes(&mut self, frame: Level, expected: f64) -> f64 {
-        let (Some(window), Some(seen)) = (&mut self.window, &self.seen) else { return expected };
+    fn place_among_keyframes(&mut self, frame: PyramidLevel, expected: f64) -> f64 {
+        let BreathingDiscs { window, inspiration, displacement, surface, .. } = &mut *self.all;
+        let Some(window) = window else { return expected };
         let mut level = frame;
-        while !Window::suits(&level) {
+        while !KeyframeWindow::suits(&level) {
             level = level.halved();
         }
-        let shape = Shape { rest: &self.inspiration, displacement: &self.displacement, faces: &self.surface.faces };
-        let setting = Setting { shape, visible: &seen.faces };
-        window.place(&level, 0.0, setting, expected, &mut Correction::none()).phase
+        let mesh = BreathingMesh { rest: inspiration, displacement, faces: &surface.faces };
+        window.place(&level, mesh, &self.faces, expected).phase
     }
 
-    fn leave(&mut self) {
-        if let Some(seen) = self.seen.take() {
-            self.surface.absorb(&seen.patch);
-            self.memory.put(&seen.patch.discs, &seen.memory);
-        }
+    fn leave(self: Box<Self>) {
+        self.all.surface.absorb(&self.patch);
+        self.all.memory.put(&self.patch.discs, &self.memory);
     }
 }

@@ -4,18 +4,17 @@
 //! nearest mesh vertices (inverse distance); own centre, rotation, scale and SH-1 are learned. No mesh comes out.
 
 use crate::base::{Progress, Result};
-use crate::reconstruct::fitting::schedule::rate_factor;
-use crate::splat::{Gaussians, Gradients, View, Wanted};
-
-use crate::reconstruct::contract::{Access, FramePrediction, Observation, Poses, Reconstruct, Reconstruction};
-use crate::reconstruct::estimate::phase_fit::{self, Carried, PhaseSource};
+use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
+use crate::reconstruct::estimate::phase_fit::{self, BreathingGaussians, PhaseSource, VisiblePatch};
 use crate::reconstruct::fitting::anchored::{Rates, adam_constants, to_f32};
 use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch};
 use crate::reconstruct::fitting::memory::Memory;
 use crate::reconstruct::fitting::optimiser::StepCounter;
+use crate::reconstruct::fitting::schedule::rate_factor;
 use crate::reconstruct::geometry::neighbours;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::settings::{MethodHeader, OursNomeshSettings};
+use crate::splat::{Gaussians, Gradients, View, Wanted};
 
 /// Mesh vertices whose displacements a Gaussian averages.
 const FIELD_NEIGHBOURS: usize = 4;
@@ -39,7 +38,7 @@ impl Reconstruct for OursNomesh {
     }
 
     fn access(&self) -> Access {
-        Access { expiration_mesh: true, first_depth: true, true_phase: false, poses: Poses::True }
+        Access { expiration_mesh: true, first_depth: true, true_phase: false, poses: PoseAccuracy::True }
     }
 
     fn run(
@@ -50,7 +49,7 @@ impl Reconstruct for OursNomesh {
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
         let start = std::time::Instant::now();
-        let mut carried = InField::new(&self.settings, self.iteration_scale, observation);
+        let mut gaussians = FieldGaussians::new(&self.settings, self.iteration_scale, observation);
         let preparation = start.elapsed().as_secs_f64();
         let source = PhaseSource::Estimated(&self.settings.estimation);
         let (_, mut done) = phase_fit::run(
@@ -58,7 +57,7 @@ impl Reconstruct for OursNomesh {
             self.iteration_scale,
             &source,
             observation,
-            &mut carried,
+            &mut gaussians,
             emit,
             progress,
         )?;
@@ -67,20 +66,18 @@ impl Reconstruct for OursNomesh {
     }
 }
 
-struct InField {
+/// Free Gaussians in the displacement field.
+struct FieldGaussians {
     free: Free,
     displacement: Vec<[f32; 3]>,
     faces: Vec<[u32; 3]>,
     ends: [Vec<[f32; 3]>; 2],
     reach: Reach,
     adam: FreeAdam,
-    patch: Option<FreePatch>,
-    local: Vec<[f32; 3]>,
     memory: Memory,
-    seen: Memory,
 }
 
-impl InField {
+impl FieldGaussians {
     fn new(settings: &OursNomeshSettings, iteration_scale: f64, observation: &Observation) -> Self {
         let rest = &observation.inspiration;
         let expiration = observation.expiration.as_ref().unwrap_or(rest);
@@ -100,7 +97,7 @@ impl InField {
             .collect();
         let memory = Memory::new(free.centres.len());
         let rates = Rates { scale: *settings.scale_rate, ..Rates::from(&settings.appearance) };
-        InField {
+        FieldGaussians {
             free,
             displacement,
             faces: rest.faces.clone(),
@@ -111,20 +108,13 @@ impl InField {
                 StepCounter::Restarted,
                 adam_constants(*settings.quiet_values, observation.images[0].data.len()),
             ),
-            patch: None,
-            local: Vec::new(),
             memory,
-            seen: Memory::default(),
         }
-    }
-
-    fn patch(&self) -> &FreePatch {
-        self.patch.as_ref().expect("a frame is entered before it is worked on")
     }
 }
 
-impl Carried for InField {
-    fn enter(&mut self, view: &View, [low, high]: [f64; 2]) -> Result<()> {
+impl BreathingGaussians for FieldGaussians {
+    fn enter<'a>(&'a mut self, view: &View, [low, high]: [f64; 2]) -> Result<Box<dyn VisiblePatch + 'a>> {
         let at = |phase: f64| -> Vec<[f32; 3]> {
             let p = phase as f32;
             self.ends[0].iter().zip(&self.ends[1]).map(|(a, b)| [0, 1, 2].map(|k| a[k] + p * (b[k] - a[k]))).collect()
@@ -136,56 +126,63 @@ impl Carried for InField {
             return Err(nothing_in_view());
         }
         let patch = self.free.patch(&faces);
-        self.local = patch.ids.iter().map(|&i| self.displacement[i as usize]).collect();
-        self.seen = self.memory.pick(&patch.ids);
-        self.patch = Some(patch);
-        Ok(())
+        Ok(Box::new(VisibleFree {
+            displacement: patch.ids.iter().map(|&i| self.displacement[i as usize]).collect(),
+            memory: self.memory.pick(&patch.ids),
+            patch,
+            all: self,
+        }))
     }
+}
 
+/// The Gaussians that one frame can see.
+struct VisibleFree<'a> {
+    all: &'a mut FieldGaussians,
+    patch: FreePatch,
+    displacement: Vec<[f32; 3]>,
+    memory: Memory,
+}
+
+impl VisiblePatch for VisibleFree<'_> {
     fn place(&mut self, phase: f64) -> Result<()> {
-        let (local, p) = (&self.local, phase as f32);
-        let patch = self.patch.as_mut().expect("a frame is entered before it is worked on");
-        patch.place(|k| local[k].map(|v| p * v), |_| [0.0; 4]);
+        let (displacement, p) = (&self.displacement, phase as f32);
+        self.patch.place(|k| displacement[k].map(|v| p * v), |_| [0.0; 4]);
         Ok(())
     }
 
     fn gaussians(&self) -> &Gaussians<f32> {
-        &self.patch().gaussians
+        &self.patch.gaussians
     }
 
     fn colors(&mut self) -> (&mut [f32], &mut Memory) {
-        let patch = self.patch.as_mut().expect("a frame is entered before it is worked on");
-        (&mut patch.gaussians.sh, &mut self.seen)
+        (&mut self.patch.gaussians.sh, &mut self.memory)
     }
 
     fn velocities(&self, out: &mut Vec<[f32; 3]>) -> Result<()> {
-        out.clone_from(&self.local);
+        out.clone_from(&self.displacement);
         Ok(())
     }
 
     fn phase_derivative(&self, gradients: &Gradients<f32>) -> Result<f64> {
         let dot = |(g, d): (&[f32; 3], &[f32; 3])| (0..3).map(|k| (g[k] * d[k]) as f64).sum::<f64>();
-        Ok(gradients.positions.iter().zip(&self.local).map(dot).sum())
+        Ok(gradients.positions.iter().zip(&self.displacement).map(dot).sum())
     }
 
     fn begin_appearance(&mut self) {
-        self.adam.begin(self.local.len());
+        self.all.adam.begin(self.patch.ids.len());
     }
 
     fn appearance_groups(&self) -> Wanted {
-        self.adam.rates.groups()
+        self.all.adam.rates.groups()
     }
 
     fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()> {
-        let patch = self.patch.as_mut().expect("a frame is entered before it is worked on");
-        patch.step(&mut self.adam, gradients, visible);
+        self.patch.step(&mut self.all.adam, gradients, visible);
         Ok(())
     }
 
-    fn leave(&mut self) {
-        if let Some(patch) = self.patch.take() {
-            self.free.absorb(&patch);
-            self.memory.put(&patch.ids, &self.seen);
-        }
+    fn leave(self: Box<Self>) {
+        self.all.free.absorb(&self.patch);
+        self.all.memory.put(&self.patch.ids, &self.memory);
     }
 }

@@ -232,7 +232,7 @@ fn ours_gn_recovers_its_world_and_the_planted_phase() {
 }
 
 /// Poses that are off by 2 mm and 3 degrees: the depth of the first frame tells by how much. The drift after that
-/// (0.04 mm a frame) is followed in part.
+/// (0.04 mm a frame) is followed in part, by the window.
 #[test]
 fn ours_gn_finds_where_the_scope_starts() {
     let mut observation = world(Made::Discs, 12, 64, breath);
@@ -240,6 +240,7 @@ fn ours_gn_finds_where_the_scope_starts() {
     observation.world_from_camera = rough_poses(&truth, &observation.time_s, 3);
     let mut settings = unlit_gn();
     settings.unknown_pose.value = true;
+    settings.window.keyframes.value = 8;
     settings.pose_drift.value = [0.005, 0.15];
     let (_, answers) = recover(&OursGn::new(settings, 1.0), &observation);
     let poses = answers.iter().map(|p| p.world_from_camera.unwrap());
@@ -269,6 +270,7 @@ fn ours_gn_finds_a_planted_error_of_the_registration() {
     let error = |rank: u32| {
         let mut settings = unlit_gn();
         settings.correction_rank.value = rank;
+        settings.window.keyframes.value = 8;
         let found = OursGn::new(settings, 1.0).run(&observation, &mut |_| Ok(()), &NoProgress).unwrap();
         let true_mesh = mesh::interpolate(&places, &truth.vertices, phase);
         let all = found.final_mesh.unwrap().vertices;
@@ -280,6 +282,19 @@ fn ours_gn_finds_a_planted_error_of_the_registration() {
     println!("without {without:.3} mm, with {with:.3} mm");
     assert!(without > 0.4, "{without}");
     assert!(with < 0.7 * without, "{with} of {without}");
+}
+
+/// What only the window estimates is refused without one.
+#[test]
+fn ours_gn_names_the_window_where_an_unknown_needs_it() {
+    let observation = world(Made::Discs, 2, 16, breath);
+    let error = |change: fn(&mut OursGnSettings)| {
+        let mut settings = unlit_gn();
+        change(&mut settings);
+        OursGn::new(settings, 1.0).run(&observation, &mut |_| Ok(()), &NoProgress).unwrap_err().to_string()
+    };
+    assert!(error(|s| s.unknown_pose.value = true).contains("window.keyframes"));
+    assert!(error(|s| s.correction_rank.value = 3).contains("window.keyframes"));
 }
 
 #[test]

@@ -10,6 +10,9 @@ use toml::{Table, Value};
 
 use crate::base::{Error, Result};
 
+/// Where a key stands: the names of its groups, then its own.
+pub type KeyPath = Vec<String>;
+
 /// Settings of one kind of method.
 pub trait MethodSettings: Sized {
     /// Takes the kind's keys.
@@ -62,7 +65,7 @@ impl Keys {
     }
 
     /// Paths of the keys that nothing has read.
-    pub fn unread(&self) -> Vec<Vec<String>> {
+    pub fn unread(&self) -> Vec<KeyPath> {
         leaves(&self.unread)
     }
 }
@@ -99,7 +102,7 @@ fn subtract(from: &mut Table, read: &Table) {
     }
 }
 
-fn leaves(table: &Table) -> Vec<Vec<String>> {
+fn leaves(table: &Table) -> Vec<KeyPath> {
     let mut found = Vec::new();
     for (name, value) in table {
         let below = group(value).filter(|inner| !inner.is_empty()).map_or_else(|| vec![Vec::new()], leaves);
@@ -182,7 +185,10 @@ mod tests {
             absent: Option<f64>,
         }
         let mut keys = Keys::new(table(
-            "rate = 1\nstray = { value = 1, source = 'ours' }\n[window]\nkeyframes = 3\nsize = 2\n[discs]\nrate = 2.0\nnumber = 4\ncolor = 'red'",
+            "rate = 1
+            stray = { value = 1, source = 'ours' }
+            window = { keyframes = 3, size = 2 }
+            discs = { rate = 2.0, number = 4, color = 'red' }",
         ));
         assert_eq!(keys.part::<Rates>().unwrap().rate, 1.0);
         assert_eq!(keys.key::<Window>("window").unwrap().keyframes, 3);

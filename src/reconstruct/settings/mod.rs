@@ -2,7 +2,8 @@
 //! `sh_rest_rate = { value = 0.000125, source = "released code", why = "configs/ATLAS/atlas_base.yaml" }`.
 //!
 //! A method's `kind` says which program runs it. Each kind has a type here that is put together from what several kinds
-//! share and what it alone needs, so that a key that the kind does not read has no place to go and is refused ([`Keys`]).
+//! share and what it alone needs. A key that the kind does not read has no place in its type and is refused
+//! ([`Keys`]).
 
 mod bridgesplat;
 mod gaussians;
@@ -17,11 +18,11 @@ pub use gaussians::{
     AnchoredAppearance, Auto, ColorRates, DiscLayout, FreeAppearance, GaussianSettings, Inherits, PerFace, Visibility,
 };
 pub use header::{Listing, MethodHeader, MethodKind};
-pub use keys::{Keys, MethodSettings};
+pub use keys::{KeyPath, Keys, MethodSettings};
 pub(super) use keys::{contains, overlay, remove, replace};
 pub use ours::{
     AnchoredDiscs, FrameFitSettings, GivenPhaseSettings, KeyframeSettings, OnFace, OursNomeshSettings, OursSettings,
     PhaseEstimation,
 };
-pub use ours_gn::{LampSettings, OursGnSettings};
-pub use sourced::{Provenance, Sourced};
+pub use ours_gn::{OursGnSettings, ScopeCalibration};
+pub use sourced::{NumberSource, Sourced};

@@ -12,8 +12,8 @@ use crate::reconstruct::activation::Activation;
 /// How the appearance of a frame is fitted, wherever its phase comes from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FrameFitSettings {
-    /// Iterations of stage (i), theta alone; (ii), appearance alone; (iii), both. Where the phase is given, (i) is left
-    /// out and (iii) is appearance alone.
+    /// Iterations of stage (i), theta alone; (ii), appearance alone; (iii), both. Where the phase is given, (i) is
+    /// left out and (iii) is appearance alone.
     pub iterations: Sourced<[u32; 3]>,
     /// A stage ends early when its last five iterations lowered the loss by less than this share of it (0 = never).
     pub settled: Sourced<f64>,
@@ -21,7 +21,8 @@ pub struct FrameFitSettings {
     pub first_frame_factor: Sourced<f64>,
     /// w_s of Eq. 4, the weight of SSIM.
     pub ssim_weight: Sourced<f64>,
-    /// Largest relative change of the exposure gain, which is fitted in closed form per channel and frame (0 = no gain).
+    /// Largest relative change of the exposure gain, which is fitted in closed form per channel and frame; 0 = no
+    /// gain.
     pub exposure_limit: Sourced<f64>,
     /// Encoded brightness falls with distance to this power (0 = appearance is carried over as is).
     pub falloff_exponent: Sourced<f64>,
@@ -34,7 +35,8 @@ pub struct FrameFitSettings {
 /// How the phase of a frame is estimated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PhaseEstimation {
-    /// w_c of Eq. 4, the weight of the photometric loss against the temporal term. Appearance alone does not depend on it.
+    /// w_c of Eq. 4, the weight of the photometric loss against the temporal term. The fit of appearance alone does
+    /// not depend on it.
     pub color_weight: Sourced<f64>,
     /// w_s of Eq. 4 where theta alone is optimised.
     pub phase_ssim_weight: Sourced<f64>,

@@ -11,7 +11,7 @@ use crate::base::Result;
 
 /// The scope's lamp and lens, as a picture of a white sheet shows them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct LampSettings {
+pub struct ScopeCalibration {
     /// Angle from the axis in degrees at which the lamp is half as bright as on it; 0 = even.
     pub emission_half_angle_deg: Sourced<f64>,
     /// Darkening `v` of the lens: brightness is multiplied by `1 - v (1 - cos^4)` of the angle to the axis.
@@ -80,7 +80,7 @@ pub struct OursGnSettings {
     /// Keyframes.
     pub window: KeyframeSettings,
     /// The scope's lamp and lens.
-    pub scope: LampSettings,
+    pub scope: ScopeCalibration,
     /// Discs.
     pub discs: GaussianSettings,
     /// What is left out.

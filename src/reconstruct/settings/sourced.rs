@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// Where a value comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Provenance {
+pub enum NumberSource {
     /// The RESPIRE paper says so.
     #[serde(rename = "paper")]
     Paper,
@@ -25,7 +25,7 @@ pub struct Sourced<T> {
     /// The value.
     pub value: T,
     /// Where it comes from.
-    pub source: Provenance,
+    pub source: NumberSource,
     /// Place in the source, or the reason for the choice; for people.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub why: String,

@@ -1,8 +1,8 @@
 //! The three stages of a frame: (i) theta alone, (ii) appearance alone, (iii) both; and when each has settled.
 
-use super::{Carried, Fitter};
-use crate::base::{Image, Result};
-use crate::reconstruct::fitting::loss::photometric::Photometric;
+use super::fitter::{Fitter, FrameTarget};
+use super::patch::VisiblePatch;
+use crate::base::Result;
 use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::splat::{Reuse, View, Wanted};
 
@@ -16,43 +16,34 @@ impl Fitter<'_> {
     /// Stage (i): candidates, then theta alone; on the remembered colours where there is a memory.
     pub(super) fn measure_phase(
         &mut self,
-        view: &View,
-        carried: &mut dyn Carried,
-        loss: &mut Photometric<f32>,
-        image: &Image<f32>,
+        patch: &mut dyn VisiblePatch,
+        target: &mut FrameTarget,
         guess: f64,
-        frame: usize,
     ) -> Result<f64> {
         let shown = (*self.estimation().memory_frames > 0.0).then(|| {
-            let (sh, memory) = carried.colors();
+            let (sh, memory) = patch.colors();
             memory.recall(sh)
         });
-        self.place(view, carried, guess)?;
-        self.fit_gain(view, carried, image)?;
-        self.color_the_unseen(view, carried, image);
-        let start = self.best_candidate(view, carried, loss, guess)?;
-        let phase = self.optimise_phase(view, carried, loss, start, frame)?;
+        self.place(&target.view, patch, guess)?;
+        self.fit_gain(&target.view, patch, &target.image)?;
+        self.color_the_unseen(&target.view, patch, &target.image);
+        let start = self.best_candidate(patch, target, guess)?;
+        let phase = self.optimise_phase(patch, target, start)?;
         if let Some(shown) = shown {
-            let (sh, memory) = carried.colors();
+            let (sh, memory) = patch.colors();
             memory.restore(shown, sh);
         }
         Ok(phase)
     }
 
     /// The candidate around `guess` with the least loss.
-    fn best_candidate(
-        &mut self,
-        view: &View,
-        carried: &mut dyn Carried,
-        loss: &mut Photometric<f32>,
-        guess: f64,
-    ) -> Result<f64> {
+    fn best_candidate(&mut self, patch: &mut dyn VisiblePatch, target: &mut FrameTarget, guess: f64) -> Result<f64> {
         let mut tried: Vec<f64> = self.estimation().candidates.iter().map(|c| (guess + c).clamp(0.0, 1.0)).collect();
         tried.dedup();
         let mut best = (f64::INFINITY, guess);
         for phase in tried {
-            self.place(view, carried, phase)?;
-            let value = *self.estimation().color_weight * self.evaluate(view, carried, loss)? + self.temporal(phase).0;
+            self.place(&target.view, patch, phase)?;
+            let value = *self.estimation().color_weight * self.evaluate(patch, target)? + self.temporal(phase).0;
             if value < best.0 {
                 best = (value, phase);
             }
@@ -61,15 +52,8 @@ impl Fitter<'_> {
     }
 
     /// Stage (i).
-    fn optimise_phase(
-        &mut self,
-        view: &View,
-        carried: &mut dyn Carried,
-        loss: &mut Photometric<f32>,
-        start: f64,
-        frame: usize,
-    ) -> Result<f64> {
-        let iterations = self.iterations(0, frame);
+    fn optimise_phase(&mut self, patch: &mut dyn VisiblePatch, target: &mut FrameTarget, start: f64) -> Result<f64> {
+        let iterations = self.iterations(0, target.frame);
         let mut adam = Adam::new(AdamConstants::default());
         adam.begin(1, StepCounter::Restarted);
         let mut theta = [self.activation().theta(start) as f32];
@@ -77,18 +61,18 @@ impl Fitter<'_> {
         let mut best = (f64::INFINITY, start);
         for i in 0..iterations {
             let phase = self.activation().phase(theta[0] as f64);
-            self.place(view, carried, phase)?;
-            let value = *self.estimation().color_weight * self.evaluate(view, carried, loss)? + self.temporal(phase).0;
+            self.place(&target.view, patch, phase)?;
+            let value = *self.estimation().color_weight * self.evaluate(patch, target)? + self.temporal(phase).0;
             if value < best.0 {
                 best = (value, phase);
             }
             if settling.settled(value) {
                 break;
             }
-            self.backward(carried, self.phase_groups())?;
+            self.backward(patch, self.phase_groups())?;
             self.step_theta(
-                view,
-                carried,
+                &target.view,
+                patch,
                 &mut adam,
                 &mut theta,
                 geometric(*self.estimation().theta_rate, i, iterations),
@@ -100,13 +84,13 @@ impl Fitter<'_> {
     fn step_theta(
         &mut self,
         view: &View,
-        carried: &mut dyn Carried,
+        patch: &mut dyn VisiblePatch,
         adam: &mut Adam,
         theta: &mut [f32; 1],
         rate: f64,
     ) -> Result<()> {
         let at = theta[0] as f64;
-        let by_phase = *self.estimation().color_weight * self.phase_derivative(view, carried)?
+        let by_phase = *self.estimation().color_weight * self.phase_derivative(view, patch)?
             + self.temporal(self.activation().phase(at)).1;
         adam.step(rate, theta, &[(by_phase * self.activation().slope(at)) as f32]);
         let [low, high] = self.activation().range();
@@ -117,19 +101,17 @@ impl Fitter<'_> {
     /// Stages (ii) and (iii); returns the phase.
     pub(super) fn optimise_appearance(
         &mut self,
-        view: &View,
-        carried: &mut dyn Carried,
-        loss: &mut Photometric<f32>,
+        patch: &mut dyn VisiblePatch,
+        target: &mut FrameTarget,
         start: f64,
-        frame: usize,
         estimated: bool,
     ) -> Result<f64> {
-        let (alone, joint) = (self.iterations(1, frame), self.iterations(2, frame));
-        let groups = carried.appearance_groups();
-        let move_theta = estimated && frame > 0;
+        let (alone, joint) = (self.iterations(1, target.frame), self.iterations(2, target.frame));
+        let groups = patch.appearance_groups();
+        let move_theta = estimated && target.frame > 0;
         let mut adam = Adam::new(AdamConstants::default());
         adam.begin(1, StepCounter::Restarted);
-        carried.begin_appearance();
+        patch.begin_appearance();
         let mut theta = [if move_theta { self.activation().theta(start) as f32 } else { 0.0 }];
         // While only colours are learned, splats and lists are those of the first iteration.
         let still = !groups.any(Wanted::POSITIONS | Wanted::SHAPES);
@@ -137,7 +119,7 @@ impl Fitter<'_> {
         let mut settling = Settling::new(*self.settings.settled);
         let mut i = 0;
         while i < alone + joint {
-            let value = self.evaluate(view, carried, loss)?;
+            let value = self.evaluate(patch, target)?;
             if settling.settled(value) {
                 if i >= alone || joint == 0 {
                     break;
@@ -145,16 +127,16 @@ impl Fitter<'_> {
                 (i, settling) = (alone, Settling::new(*self.settings.settled));
             }
             let moves = move_theta && i >= alone;
-            self.backward(carried, if moves { groups | self.phase_groups() } else { groups })?;
+            self.backward(patch, if moves { groups | self.phase_groups() } else { groups })?;
             if moves {
                 let rate = geometric(*self.estimation().theta_rate_joint, i - alone, joint);
-                self.step_theta(view, carried, &mut adam, &mut theta, rate)?;
+                self.step_theta(&target.view, patch, &mut adam, &mut theta, rate)?;
             }
-            carried.step_appearance(self.rasterizer.gradients(), &self.rasterizer.rendered().visible)?;
+            patch.step_appearance(self.rasterizer.gradients(), &self.rasterizer.rendered().visible)?;
             if moves {
-                self.place(view, carried, self.activation().phase(theta[0] as f64))?;
+                self.place(&target.view, patch, self.activation().phase(theta[0] as f64))?;
             } else if !still {
-                carried.place(start)?;
+                patch.place(start)?;
             }
             i += 1;
         }

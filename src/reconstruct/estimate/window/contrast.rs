@@ -1,24 +1,25 @@
-//! What is compared of a picture: its local contrast, which the light on large areas does not change.
+//! What is compared of an image: its local contrast `(I - B) / (B + floor)`, `B` its mean over a neighbourhood, which the
+//! light on large areas does not change.
 
 use rayon::prelude::*;
 
 use crate::base::Image;
 
-/// Half width of the square over which a picture is averaged (twice), as a share of its width.
+/// Half width of the square over which an image is averaged (twice), as a share of its width.
 const RADIUS_SHARE: f64 = 3.0 / 128.0;
-/// Added to the averaged picture: darker than this has no contrast.
+/// Added to the averaged image: darker than this has no contrast.
 const CONTRAST_FLOOR: f32 = 0.05;
 
-/// What is compared of a picture.
-pub struct Picture {
+/// What is compared of an image.
+pub struct ContrastImage {
     /// Three channels.
     pub contrast: Image<f32>,
-    /// Whether a pixel holds a picture.
+    /// Whether a pixel shows anything.
     pub counts: Vec<bool>,
 }
 
 /// Local contrast `(I - B) / (B + floor)` of `image`, `B` its mean over a neighbourhood, per channel.
-pub fn picture(image: &Image<f32>, weights: &[f32]) -> Picture {
+pub fn contrast_image(image: &Image<f32>, weights: &[f32]) -> ContrastImage {
     let (width, pixels) = (image.width, image.width * image.height);
     let counts: Vec<bool> = (0..pixels).map(|i| weights.get(i).is_none_or(|&w| w > 0.0)).collect();
     let radius = ((width as f64 * RADIUS_SHARE).round() as usize).max(1);
@@ -42,7 +43,7 @@ pub fn picture(image: &Image<f32>, weights: &[f32]) -> Picture {
             contrast.data[3 * i + c] = (value(i, c) - mean) / (mean + CONTRAST_FLOOR);
         }
     }
-    Picture { contrast, counts }
+    ContrastImage { contrast, counts }
 }
 
 /// Sums over `2 radius + 1` pixels along rows of `width`, zero outside.

@@ -1,8 +1,6 @@
 //! A low-rank correction of the displacement field between the two CTs: their registration errs, smoothly, by a mm or so.
 //! `D(x) = D_given(x) + sum_k exp(-|x - x_k|^2 / (2 reach^2)) c_k`, one vector `c_k` (mm) per centre `x_k`; the centres stand
-//! along the way of the scope. The few in front of a frame are estimated together with its phase: by the window of keyframes
-//! ([`crate::reconstruct::estimate::window`]) where there is one, else on the map (`ours_gn/track.rs`), under a prior that narrows with what earlier
-//! frames have said.
+//! along the path of the scope. The few in front of a frame are unknowns of the window of keyframes, together with its phase.
 
 use std::borrow::Cow;
 
@@ -12,22 +10,23 @@ use glam::{DAffine3, DVec3};
 const SPACING: f64 = 1.2;
 /// How far in front of the scope the wall is that it looks at, mm.
 const AHEAD_MM: f64 = 12.0;
-/// What a coefficient stays uncertain by, mm: frames look at what earlier ones have painted, so they do not add up forever.
-const LEAST_DEVIATION_MM: f64 = 0.05;
 
-/// The correction of a whole mesh.
+/// The correction of a whole mesh; the default has no centres and corrects nothing.
+#[derive(Default)]
 pub struct Correction {
     centres: Vec<DVec3>,
     /// Weight of each vertex of the mesh, centre by centre.
     weights: Vec<Vec<f32>>,
     /// Coefficients, mm, three per centre.
-    pub coefficients: Vec<[f64; 3]>,
-    deviations: Vec<[f64; 3]>,
+    coefficients: Vec<[f64; 3]>,
+    /// Inverse prior variance of each coefficient, 1 / mm^2.
+    precision: f64,
+    /// How many centres a frame estimates.
     rank: usize,
 }
 
 impl Correction {
-    /// Centres along the way of `poses` for the mesh `rest`; `rank` of them are estimated per frame (0: no correction),
+    /// Centres along the path of `poses` for the mesh `rest`; `rank` of them are estimated per frame (0: no correction),
     /// each with a prior of `deviation_mm` per axis.
     pub fn new(rest: &[[f32; 3]], poses: &[DAffine3], rank: usize, reach_mm: f64, deviation_mm: f64) -> Self {
         let mut centres: Vec<DVec3> = Vec::new();
@@ -48,20 +47,9 @@ impl Correction {
         Correction {
             weights: centres.iter().map(falloff).collect(),
             coefficients: vec![[0.0; 3]; centres.len()],
-            deviations: vec![[deviation_mm; 3]; centres.len()],
+            precision: 1.0 / (deviation_mm * deviation_mm),
             rank: rank.min(centres.len()),
             centres,
-        }
-    }
-
-    /// No centres.
-    pub fn none() -> Self {
-        Correction {
-            centres: Vec::new(),
-            weights: Vec::new(),
-            coefficients: Vec::new(),
-            deviations: Vec::new(),
-            rank: 0,
         }
     }
 
@@ -84,19 +72,9 @@ impl Correction {
         order
     }
 
-    /// Weights of the mesh's `vertices` at `centre`.
-    pub fn pick(&self, centre: usize, vertices: &[u32]) -> Vec<f32> {
-        vertices.iter().map(|&v| self.weights[centre][v as usize]).collect()
-    }
-
-    /// What is known of the coefficients of `centre`: means and standard deviations, mm.
-    pub fn prior(&self, centre: usize) -> ([f64; 3], [f64; 3]) {
-        (self.coefficients[centre], self.deviations[centre])
-    }
-
     /// Precision of the prior of all coefficients, three per centre, 1 / mm^2.
     pub fn precision(&self) -> Vec<f64> {
-        self.deviations.iter().flatten().map(|d| 1.0 / (d * d)).collect()
+        vec![self.precision; 3 * self.centres.len()]
     }
 
     /// Replaces all coefficients, three per centre.
@@ -104,27 +82,21 @@ impl Correction {
         self.coefficients.copy_from_slice(coefficients);
     }
 
-    /// Takes what a frame has found of `centre`.
-    pub fn learn(&mut self, centre: usize, coefficients: [f64; 3], deviations: [f64; 3]) {
-        self.coefficients[centre] = coefficients;
-        self.deviations[centre] = deviations.map(|d| d.max(LEAST_DEVIATION_MM));
+    /// `given` with the correction as it is known.
+    pub fn apply<'a>(&self, given: &'a [[f32; 3]]) -> Cow<'a, [[f32; 3]]> {
+        self.apply_with(given, &self.coefficients)
     }
 
     /// `given` with these coefficients' correction.
-    pub fn corrected<'a>(&self, given: &'a [[f32; 3]], coefficients: &[[f64; 3]]) -> Cow<'a, [[f32; 3]]> {
+    pub fn apply_with<'a>(&self, given: &'a [[f32; 3]], coefficients: &[[f64; 3]]) -> Cow<'a, [[f32; 3]]> {
         let mut out = Cow::Borrowed(given);
         for (weights, c) in self.weights.iter().zip(coefficients).filter(|(_, c)| **c != [0.0; 3]) {
-            add(out.to_mut(), weights, *c);
+            let c = c.map(|v| v as f32);
+            for (d, w) in out.to_mut().iter_mut().zip(weights) {
+                (0..3).for_each(|k| d[k] += w * c[k]);
+            }
         }
         out
-    }
-}
-
-/// Adds `coefficients`, weighed, to every vertex.
-pub fn add(displacement: &mut [[f32; 3]], weights: &[f32], coefficients: [f64; 3]) {
-    let c = coefficients.map(|v| v as f32);
-    for (d, w) in displacement.iter_mut().zip(weights) {
-        (0..3).for_each(|k| d[k] += w * c[k]);
     }
 }
 
@@ -137,18 +109,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn centres_stand_apart_along_the_way_and_correct_what_is_near() {
+    fn centres_stand_apart_along_the_path_and_correct_what_is_near() {
         let poses: Vec<DAffine3> = (0..50).map(|i| DAffine3::from_translation(DVec3::Z * i as f64)).collect();
         let rest = [[0.0, 0.0, 12.0], [0.0, 0.0, 36.0], [0.0, 0.0, 500.0]];
         let mut correction = Correction::new(&rest, &poses, 2, 20.0, 1.0);
         assert_eq!(correction.centres.len(), 3);
         assert_eq!(correction.in_view(&poses[49]), [2, 1]);
-        correction.learn(0, [1.0, 0.0, -2.0], [0.5, 0.0, 0.5]);
-        assert_eq!(correction.prior(0).1, [0.5, LEAST_DEVIATION_MM, 0.5]);
-        let out = correction.corrected(&[[1.0; 3]; 3], &correction.coefficients);
+        correction.set(&[[1.0, 0.0, -2.0], [0.0; 3], [0.0; 3]]);
+        let out = correction.apply(&[[1.0; 3]; 3]);
         let there = (-0.5f32 * 1.44).exp();
         assert_eq!(out[0], [2.0, 1.0, -1.0]);
         assert!((out[1][2] - (1.0 - 2.0 * there)).abs() < 1e-5 && out[2] == [1.0; 3], "{out:?}");
         assert!(Correction::new(&rest, &poses, 0, 20.0, 1.0).in_view(&poses[0]).is_empty());
+        assert!(!Correction::default().estimates());
     }
 }

@@ -1,17 +1,16 @@
-//! A keyframe and a later frame: how the points of the one show in the other, and what that says about both phases.
+//! A keyframe and a later frame: where the points of the one show in the other, and what that says about both phases.
 
-use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
+use glam::{DAffine3, DMat3, DVec2, DVec3};
 use nalgebra::{DMatrix, DVector};
 
+use super::contrast::ContrastImage;
+use crate::reconstruct::geometry::breathing::BreathingMesh;
+use crate::reconstruct::geometry::rigid::{POSE, turns};
 use crate::splat::View;
 
-use super::contrast::Picture;
-use super::drift::{POSE, turns};
-use crate::reconstruct::estimate::phase_fit::at_phase;
-
-/// One point, that of the steepest contrast, is taken from each square of so many pixels a side.
+/// Side in pixels of the squares from each of which one point is taken, that of the steepest contrast.
 const CELL_PX: usize = 4;
-/// Relative jump of depth that is the edge of a wall: edges move otherwise than walls.
+/// Relative jump of depth that is the edge of a wall: edges move differently from walls.
 const EDGE: f32 = 0.15;
 /// Residuals beyond so many robust standard deviations count linearly, and the least such deviation.
 const HUBER: f32 = 2.0;
@@ -20,8 +19,8 @@ const SMALLEST_SCALE: f32 = 0.01;
 const TOGETHER: f64 = 20.0;
 /// Pairs with fewer points say nothing.
 const FEWEST_POINTS: usize = 30;
-/// One of so many points is looked at where only the misfit is asked for.
-const LOOKED_AT: usize = 4;
+/// The misfit takes one of so many points.
+const MISFIT_STRIDE: usize = 4;
 /// A point is hidden where it lies so much of the wall's depth, and so many mm, behind the nearest wall, and has left its
 /// face where it lies three times that much before it.
 const SLACK: f64 = 0.05;
@@ -29,47 +28,19 @@ const SLACK_MM: f64 = 0.5;
 /// Step over which a projection is differentiated, phase.
 const WIDTH: f64 = 1e-3;
 
-/// The airway at every phase.
-#[derive(Clone, Copy)]
-pub struct Shape<'a> {
-    /// Vertices at inspiration, mm.
-    pub rest: &'a [[f32; 3]],
-    /// Their way to expiration, mm.
-    pub displacement: &'a [[f32; 3]],
-    /// Corners of the faces.
-    pub faces: &'a [[u32; 3]],
-}
-
-impl Shape<'_> {
-    /// Vertices at `phase`.
-    pub fn at(&self, phase: f64) -> Vec<[f32; 3]> {
-        let mut out = Vec::new();
-        at_phase(self.rest, self.displacement, phase as f32, &mut out);
-        out
-    }
-
-    fn corners(&self, face: [u32; 3], phase: f64) -> [DVec3; 3] {
-        face.map(|v| Vec3::from(self.rest[v as usize]).as_dvec3() + phase * self.way(v))
-    }
-
-    fn way(&self, v: u32) -> DVec3 {
-        Vec3::from(self.displacement[v as usize]).as_dvec3()
-    }
-}
-
-/// A frame whose points are looked for in later ones.
+/// A frame whose points are looked up in later ones.
 pub struct Keyframe {
     /// Where it was taken from, as it is given.
     pub camera_from_world: DAffine3,
     /// When.
     pub time_s: f64,
     /// Its points.
-    pub points: Vec<Point>,
+    pub points: Vec<KeyframePoint>,
 }
 
 /// A pixel of a keyframe.
-pub struct Point {
-    /// Where it is in its picture.
+pub struct KeyframePoint {
+    /// Where it is in its image.
     pub pixel: DVec2,
     /// Its direction in camera axes, of unit z-depth.
     pub ray: DVec3,
@@ -79,17 +50,17 @@ pub struct Point {
     pub contrast: [f32; 3],
 }
 
-/// The later frame of a pair.
-pub struct Sight<'a> {
+/// The later frame of a pair, in which the points of the keyframe are looked up.
+pub struct TargetFrame<'a> {
     /// Where it was taken from.
     pub view: &'a View,
     /// What it shows.
-    pub picture: &'a Picture,
+    pub contrast_image: &'a ContrastImage,
     /// Depth in mm and index of the face at each pixel.
     pub nearest: &'a [(f32, u32)],
 }
 
-/// What a pair of frames says about the phases of both and about [`Others`].
+/// What a pair of frames says about the phases of both and about [`OtherUnknowns`].
 #[derive(Clone, Debug)]
 pub struct Pair {
     /// Phase of the first, of the second; correction of the poses, its change per second; offsets, three per centre.
@@ -98,13 +69,13 @@ pub struct Pair {
     pub gradient: DVector<f64>,
     /// Share of the points that the second frame shows.
     pub kept: f64,
-    /// Mean way of the points across the picture, as a share of its width.
+    /// Mean path of the points across the image, as a share of its width.
     pub flow: f64,
 }
 
 /// The points of a frame: of each cell the pixel on a wall whose contrast is steepest.
-pub fn keyframe(sight: &Sight<'_>, given: &View, time_s: f64, faces: &[[u32; 3]]) -> Keyframe {
-    let Sight { view, picture: Picture { contrast, counts }, nearest } = *sight;
+pub fn keyframe(target: &TargetFrame<'_>, given: &View, time_s: f64, faces: &[[u32; 3]]) -> Keyframe {
+    let TargetFrame { view, contrast_image: ContrastImage { contrast, counts }, nearest } = *target;
     let (width, height) = (contrast.width, contrast.height);
     let on_wall = |i: usize| {
         let depth = nearest[i].0;
@@ -125,7 +96,7 @@ pub fn keyframe(sight: &Sight<'_>, given: &View, time_s: f64, faces: &[[u32; 3]]
         let Some((_, i)) = steepest.filter(|(steepness, _)| *steepness > 0.0) else { continue };
         let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
         let direction = view.camera.direction(pixel);
-        points.push(Point {
+        points.push(KeyframePoint {
             pixel,
             ray: direction / direction.z,
             face: faces[nearest[i].1 as usize],
@@ -135,59 +106,68 @@ pub fn keyframe(sight: &Sight<'_>, given: &View, time_s: f64, faces: &[[u32; 3]]
     Keyframe { camera_from_world: given.camera_from_world, time_s, points }
 }
 
-/// What a ray of a keyframe meets on its face, seen at another phase.
-pub struct Carried {
+/// What a ray of a keyframe meets on its face, carried to another phase.
+pub struct CarriedPoint {
     /// Where it is, mm, world.
     pub place: DVec3,
     /// How far it is along the ray, mm of z-depth.
     pub depth: f64,
-    /// How the face moves there with the phase.
-    pub way: DVec3,
-    /// How the place moves when the ray does where it meets the face.
+    /// Velocity of the face there, mm per unit of phase.
+    pub velocity: DVec3,
+    /// How the place moves when the ray moves where it meets the face.
     pub slide: DMat3,
-    /// Share of each corner in it.
+    /// Share of each corner in it: its barycentric coordinates.
     pub shares: [f64; 3],
 }
 
-impl Carried {
-    /// The derivatives of the place by the first and by the second phase.
+impl CarriedPoint {
+    /// The derivatives of the place by the first and by the second phase. While the first phase moves the face by
+    /// `velocity`, the ray meets it as if the ray had moved the other way.
     pub fn by_phase(&self) -> [DVec3; 2] {
-        [self.slide * -self.way, self.way]
+        [self.slide * -self.velocity, self.velocity]
     }
 
-    /// By an offset of the face's way to expiration, per axis.
+    /// By an offset of the face's displacement to expiration, per axis.
     pub fn by_offset(&self, first: f64, second: f64) -> DMat3 {
         DMat3::from_diagonal(DVec3::splat(second)) - first * self.slide
     }
 }
 
-/// Where what a `ray` from `eye` meets on `face` at phase `first` is at phase `second`; `None` where the ray grazes the face.
-pub fn carried([eye, ray]: [DVec3; 2], face: [u32; 3], first: f64, second: f64, shape: Shape<'_>) -> Option<Carried> {
-    let [a, b, c] = shape.corners(face, first);
-    let [way_a, way_b, way_c] = face.map(|v| shape.way(v));
-    // eye + t ray = a + u (b - a) + v (c - a).
-    let met = DMat3::from_cols(b - a, c - a, -ray);
-    if met.determinant().abs() < 1e-9 {
+/// Where what a ray meets on `face` at phase `first` is at phase `second`; `None` where the ray grazes the face.
+///
+/// The ray from `eye` along `ray` meets the corners `v_i(first)` at `eye + t ray = a + u (b - a) + v (c - a)`; the answer is
+/// `sum b_i v_i(second)` with the barycentric coordinates `b = (1 - u - v, u, v)`.
+pub fn carried(
+    [eye, ray]: [DVec3; 2],
+    face: [u32; 3],
+    first: f64,
+    second: f64,
+    mesh: BreathingMesh<'_>,
+) -> Option<CarriedPoint> {
+    let [a, b, c] = mesh.corners(face, first);
+    let displacements = face.map(|v| mesh.displacement_of(v));
+    let meeting = DMat3::from_cols(b - a, c - a, -ray);
+    if meeting.determinant().abs() < 1e-9 {
         return None;
     }
-    let solved = met.inverse();
-    let uvt = solved * (eye - a);
+    let inverse = meeting.inverse();
+    let uvt = inverse * (eye - a);
     let on_face = |[a, b, c]: [DVec3; 3]| a + uvt.x * (b - a) + uvt.y * (c - a);
-    let later = shape.corners(face, second);
+    let later = mesh.corners(face, second);
     let [along_u, along_v] = [later[1] - later[0], later[2] - later[0]];
     let slide = |change: DVec3| change.x * along_u + change.y * along_v;
-    Some(Carried {
+    Some(CarriedPoint {
         place: on_face(later),
         depth: uvt.z,
-        way: on_face([way_a, way_b, way_c]),
-        slide: DMat3::from_cols(slide(solved.x_axis), slide(solved.y_axis), slide(solved.z_axis)),
+        velocity: on_face(displacements),
+        slide: DMat3::from_cols(slide(inverse.x_axis), slide(inverse.y_axis), slide(inverse.z_axis)),
         shares: [1.0 - uvt.x - uvt.y, uvt.x, uvt.y],
     })
 }
 
 /// The corrections of the poses of a pair, which are one correction and its change per second.
 #[derive(Clone, Copy, Debug)]
-pub struct Poses {
+pub struct PairPoses {
     /// Of the first and of the later frame.
     pub corrections: [[f64; POSE]; 2],
     /// Seconds between the two.
@@ -196,29 +176,29 @@ pub struct Poses {
 
 /// What besides the phases is unknown.
 #[derive(Clone, Copy, Default)]
-pub struct Others<'a> {
+pub struct OtherUnknowns<'a> {
     /// The correction of the poses, if any.
-    pub poses: Option<Poses>,
+    pub poses: Option<PairPoses>,
     /// Weights of all vertices at the centres of a correction of the displacement field.
     pub weights: &'a [&'a [f32]],
 }
 
-impl Others<'_> {
+impl OtherUnknowns<'_> {
     /// How many there are.
     pub fn count(&self) -> usize {
         (if self.poses.is_some() { 2 * POSE } else { 0 }) + 3 * self.weights.len()
     }
 }
 
-/// A point as both frames show it.
-pub struct Row {
-    /// Difference of contrasts.
+/// A point of the keyframe as both frames show it.
+pub struct PointResidual {
+    /// Difference of contrasts `r`, per channel.
     residual: [f32; 3],
-    /// Slopes of the later one, per pixel.
+    /// Slope of the later contrast, per channel and pixel.
     slope: [DVec2; 3],
-    /// Its way from one to the other, pixels, and the derivatives of that.
-    pub way: DVec2,
-    /// By both phases.
+    /// The point's path from one image to the other, pixels.
+    pub path: DVec2,
+    /// Derivatives of that path by both phases.
     pub by_phase: [DVec2; 2],
     /// By all else.
     pub by_others: Vec<DVec2>,
@@ -234,23 +214,36 @@ pub struct Assumed<'a> {
     /// Phase of the later one.
     pub second: f64,
     /// The airway.
-    pub shape: Shape<'a>,
+    pub mesh: BreathingMesh<'a>,
 }
 
 /// `point` as both frames show it; `None` where the later one does not.
-pub fn row(point: &Point, sight: &Sight<'_>, assumed: &Assumed<'_>, others: &Others<'_>) -> Option<Row> {
-    let Sight { view: View { camera, camera_from_world, .. }, picture: Picture { contrast, counts }, nearest } = *sight;
-    let Assumed { first, key_from_world, second, shape } = *assumed;
+///
+/// With `x = project(camera_from_world X)` the pixel of the carried point `X`: `r = C_key(point) - C_target(x)`, and by an
+/// unknown `q`, `dx/dq = (d project / dX) camera_from_world dX/dq`.
+pub fn point_residual(
+    point: &KeyframePoint,
+    target: &TargetFrame<'_>,
+    assumed: &Assumed<'_>,
+    others: &OtherUnknowns<'_>,
+) -> Option<PointResidual> {
+    let TargetFrame { view, contrast_image: ContrastImage { contrast, counts }, nearest } = *target;
+    let View { camera, camera_from_world, .. } = view;
+    let Assumed { first, key_from_world, second, mesh } = *assumed;
     let (width, height) = (contrast.width, contrast.height);
+
+    // The point at the later phase, and its pixel in the later frame.
     let world_from_key = key_from_world.inverse();
     let ray = world_from_key.transform_vector3(point.ray);
-    let carried = carried([world_from_key.translation, ray], point.face, first, second, shape)?;
+    let carried = carried([world_from_key.translation, ray], point.face, first, second, mesh)?;
     let place = camera_from_world.transform_point3(carried.place);
     let pixel = if place.z > 0.0 { camera.project(place)? } else { return None };
     let (x, y) = (pixel.x - 0.5, pixel.y - 0.5);
     if !(x >= 1.0 && y >= 1.0 && x < width as f64 - 2.0 && y < height as f64 - 2.0) {
         return None;
     }
+
+    // Occlusion: the wall that the later frame has there must be the point's own.
     let (i, j) = (x as usize, y as usize);
     let wall = nearest[y.round() as usize * width + x.round() as usize].0 as f64;
     let behind = place.z - wall;
@@ -258,86 +251,100 @@ pub fn row(point: &Point, sight: &Sight<'_>, assumed: &Assumed<'_>, others: &Oth
     if !counts[j * width + i] || wall <= 0.0 || behind > slack + SLACK_MM || behind < -3.0 * slack - SLACK_MM {
         return None;
     }
-    let moved = |by: DVec3| Some((camera.project(place + WIDTH * by)? - pixel) / WIDTH);
-    let turned = |by: DVec3| camera_from_world.transform_vector3(by);
+
+    // Derivatives of the pixel by both phases, the projection by a forward difference.
+    let pixel_change = |by: DVec3| Some((camera.project(place + WIDTH * by)? - pixel) / WIDTH);
+    let in_camera = |by: DVec3| camera_from_world.transform_vector3(by);
     let [by_first, by_second] = carried.by_phase();
-    let by_phase = [moved(turned(by_first))?, moved(turned(by_second))?];
+    let by_phase = [pixel_change(in_camera(by_first))?, pixel_change(in_camera(by_second))?];
+
+    // By the other unknowns, all through the same three columns of the projection.
     let mut by_others = Vec::new();
     if others.count() > 0 {
-        let [right, down, ahead] = [moved(DVec3::X)?, moved(DVec3::Y)?, moved(DVec3::Z)?];
-        let seen = |by: DVec3| by.x * right + by.y * down + by.z * ahead;
-        if let Some(Poses { corrections: [of_key, own], elapsed_s }) = others.poses {
+        let [right, down, ahead] = [pixel_change(DVec3::X)?, pixel_change(DVec3::Y)?, pixel_change(DVec3::Z)?];
+        let projected = |by: DVec3| by.x * right + by.y * down + by.z * ahead;
+        if let Some(PairPoses { corrections: [of_key, own], elapsed_s }) = others.poses {
+            // One correction moves both cameras: the key's ray against its camera, the point in the later camera. The
+            // key's correction is `xi - elapsed xi'`.
             let shift = |xi: [f64; POSE]| DVec3::from_slice(&xi[3..]);
             let (hit, place) = (carried.depth * point.ray - shift(of_key), place - shift(own));
-            // The ray moves against the camera.
-            let by_key = |by: DVec3| seen(turned(carried.slide * -world_from_key.transform_vector3(by)));
+            let by_key = |by: DVec3| projected(in_camera(carried.slide * -world_from_key.transform_vector3(by)));
             let key = (turns(of_key).map(|turn| by_key(turn.cross(hit))), DVec3::AXES.map(by_key));
-            let own = (turns(own).map(|turn| seen(turn.cross(place))), [right, down, ahead]);
+            let own = (turns(own).map(|turn| projected(turn.cross(place))), [right, down, ahead]);
             let both = key.0.into_iter().chain(key.1).zip(own.0.into_iter().chain(own.1));
             by_others.extend(both.map(|(key, own)| key + own));
             by_others.extend(key.0.into_iter().chain(key.1).map(|key| -elapsed_s * key));
         }
         let by_offset = carried.by_offset(first, second);
-        let by_offset = [by_offset.x_axis, by_offset.y_axis, by_offset.z_axis].map(|by| seen(turned(by)));
+        let by_offset = [by_offset.x_axis, by_offset.y_axis, by_offset.z_axis].map(|by| projected(in_camera(by)));
         for weights in others.weights {
             let share = |(&v, share): (&u32, f64)| share * weights[v as usize] as f64;
             let share: f64 = point.face.iter().zip(carried.shares).map(share).sum();
             by_others.extend(by_offset.map(|by| share * by));
         }
     }
+
+    // Residual and slope of the later contrast, bilinear.
     let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
-    let way = pixel - point.pixel;
-    let mut row = Row { residual: [0.0; 3], slope: [DVec2::ZERO; 3], way, by_phase, by_others };
+    let path = pixel - point.pixel;
+    let mut found = PointResidual { residual: [0.0; 3], slope: [DVec2::ZERO; 3], path, by_phase, by_others };
     for c in 0..3 {
         let at = |dx: usize, dy: usize| contrast.data[((j + dy) * width + i + dx) * 3 + c];
         let [v00, v10, v01, v11] = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
         let (top, bottom) = (v00 + (v10 - v00) * fx, v01 + (v11 - v01) * fx);
-        row.slope[c] = DVec2::new(((v10 - v00) * (1.0 - fy) + (v11 - v01) * fy) as f64, (bottom - top) as f64);
-        row.residual[c] = point.contrast[c] - (top + (bottom - top) * fy);
+        found.slope[c] = DVec2::new(((v10 - v00) * (1.0 - fy) + (v11 - v01) * fy) as f64, (bottom - top) as f64);
+        found.residual[c] = point.contrast[c] - (top + (bottom - top) * fy);
     }
-    Some(row)
+    Some(found)
 }
 
 /// How badly the later frame agrees with `key`, by every fourth point: mean difference of contrast, larger where fewer points
-/// are seen; infinite where too few are.
-pub fn misfit(key: &Keyframe, sight: &Sight<'_>, assumed: &Assumed<'_>) -> f64 {
-    let points = key.points.iter().step_by(LOOKED_AT);
+/// are visible; infinite where too few are.
+pub fn misfit(key: &Keyframe, target: &TargetFrame<'_>, assumed: &Assumed<'_>) -> f64 {
+    let points = key.points.iter().step_by(MISFIT_STRIDE);
     let tried = points.len();
-    let phases_alone = Others::default();
-    let sizes: Vec<f64> = (points.filter_map(|p| row(p, sight, assumed, &phases_alone)))
-        .map(|row| row.residual.iter().map(|r| r.abs() as f64).sum())
+    let phases_alone = OtherUnknowns::default();
+    let sizes: Vec<f64> = (points.filter_map(|p| point_residual(p, target, assumed, &phases_alone)))
+        .map(|found| found.residual.iter().map(|r| r.abs() as f64).sum())
         .collect();
-    if sizes.len() * LOOKED_AT < FEWEST_POINTS {
+    if sizes.len() * MISFIT_STRIDE < FEWEST_POINTS {
         return f64::INFINITY;
     }
     let kept = sizes.len() as f64 / tried as f64;
     sizes.iter().sum::<f64>() / sizes.len() as f64 / kept.sqrt()
 }
 
-/// What the points of `key` say about both phases and about what else is unknown.
-pub fn pair(key: &Keyframe, sight: &Sight<'_>, assumed: &Assumed<'_>, others: &Others<'_>) -> Pair {
+/// What the points of `key` say about both phases and about what else is unknown: with `J = slope . dx/dq` and Huber weights
+/// `w`, the Hessian `sum w J^T J` and the gradient `sum w J^T r`.
+pub fn pair(key: &Keyframe, target: &TargetFrame<'_>, assumed: &Assumed<'_>, others: &OtherUnknowns<'_>) -> Pair {
     let size = 2 + others.count();
     let (hessian, gradient) = (DMatrix::zeros(size, size), DVector::zeros(size));
     let mut pair = Pair { hessian, gradient, kept: 0.0, flow: 0.0 };
-    let rows: Vec<Row> = key.points.iter().filter_map(|p| row(p, sight, assumed, others)).collect();
-    if rows.len() < FEWEST_POINTS {
+    let residuals: Vec<PointResidual> =
+        key.points.iter().filter_map(|p| point_residual(p, target, assumed, others)).collect();
+    if residuals.len() < FEWEST_POINTS {
         return pair;
     }
-    let mut sizes: Vec<f32> = rows.iter().flat_map(|row| row.residual.map(f32::abs)).collect();
+
+    // Robust scale: 1.4826 times the median absolute residual.
+    let mut sizes: Vec<f32> = residuals.iter().flat_map(|found| found.residual.map(f32::abs)).collect();
     let middle = sizes.len() / 2;
     let scale = (1.4826 * *sizes.select_nth_unstable_by(middle, f32::total_cmp).1).max(SMALLEST_SCALE);
     let limit = HUBER * scale;
     let per_value = 1.0 / (scale as f64 * scale as f64 * TOGETHER);
-    let way_px: f64 = rows.iter().map(|row| row.way.length()).sum();
-    pair.kept = rows.len() as f64 / key.points.len() as f64;
-    pair.flow = way_px / rows.len() as f64 / sight.picture.contrast.width as f64;
-    // Of the first phase, of both, of the second.
+
+    // How much of the keyframe is left, and how far it has moved.
+    let path_px: f64 = residuals.iter().map(|found| found.path.length()).sum();
+    pair.kept = residuals.len() as f64 / key.points.len() as f64;
+    pair.flow = path_px / residuals.len() as f64 / target.contrast_image.contrast.width as f64;
+
+    // Normal equations: the phases apart, since most windows have no other unknowns (first phase, both, second).
     let (mut second_order, mut first_order) = ([0.0f64; 3], [0.0f64; 2]);
     let mut column = vec![0.0; size];
-    for Row { residual, slope, by_phase, by_others, .. } in &rows {
+    for PointResidual { residual, slope, by_phase, by_others, .. } in &residuals {
         for (r, slope) in residual.iter().zip(slope) {
             let weight = (limit / r.abs().max(limit)) as f64 * per_value;
-            let [a, b] = by_phase.map(|way| slope.dot(way));
+            let [a, b] = by_phase.map(|by| slope.dot(by));
             second_order[0] += weight * a * a;
             second_order[1] += weight * a * b;
             second_order[2] += weight * b * b;
@@ -347,7 +354,7 @@ pub fn pair(key: &Keyframe, sight: &Sight<'_>, assumed: &Assumed<'_>, others: &O
                 continue;
             }
             (column[0], column[1]) = (a, b);
-            column[2..].iter_mut().zip(by_others).for_each(|(value, way)| *value = slope.dot(*way));
+            column[2..].iter_mut().zip(by_others).for_each(|(value, by)| *value = slope.dot(*by));
             for i in 2..size {
                 let along = weight * column[i];
                 pair.gradient[i] += along * *r as f64;

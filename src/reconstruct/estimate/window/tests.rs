@@ -1,10 +1,20 @@
 use glam::{DAffine3, DVec2, DVec3, Vec3};
 
-use super::contrast::picture;
-use super::pair::{Shape, carried, row};
+use nalgebra::{DMatrix, DVector};
+
+use super::bounded::{BoundedStep, bounded};
+use super::contrast::contrast_image;
+use super::correction::Correction;
+use super::drift::PoseDrift;
+use super::keyframe_window::IncomingFrame;
+use super::pair::{Assumed, OtherUnknowns, PairPoses, TargetFrame, carried, keyframe, point_residual};
 use super::*;
 use crate::base::{Camera, Image};
-use crate::reconstruct::settings::{Provenance, Sourced};
+use crate::reconstruct::geometry::breathing::BreathingMesh;
+use crate::reconstruct::geometry::mesh_depth::{PixelRays, nearest_faces};
+use crate::reconstruct::geometry::pyramid::PyramidLevel;
+use crate::reconstruct::geometry::rigid::motion;
+use crate::reconstruct::settings::{KeyframeSettings, NumberSource, Sourced};
 use crate::splat::View;
 
 const SIZE: usize = 64;
@@ -38,8 +48,8 @@ impl Tube {
         }
     }
 
-    fn shape(&self) -> Shape<'_> {
-        Shape { rest: &self.rest, displacement: &self.displacement, faces: &self.faces }
+    fn mesh(&self) -> BreathingMesh<'_> {
+        BreathingMesh { rest: &self.rest, displacement: &self.displacement, faces: &self.faces }
     }
 
     /// What a camera at `z` mm sees at `phase`: a pattern that is fixed to the rest shape, under a light that is not.
@@ -47,15 +57,14 @@ impl Tube {
         let camera = Camera::pinhole(SIZE as u32, SIZE as u32, 1.7);
         let view = View::new(camera, DAffine3::from_translation(DVec3::new(0.8, -0.5, z)));
         let all: Vec<u32> = (0..self.faces.len() as u32).collect();
-        let shape = self.shape();
-        let nearest = nearest_faces(&view, &Rays::new(&camera), &shape.at(phase), &self.faces, &all);
+        let mesh = self.mesh();
+        let nearest = nearest_faces(&view, &PixelRays::new(&camera), &mesh.at(phase), &self.faces, &all);
         let mut image = Image::filled(SIZE, SIZE, 3, 0.02f32);
         for (i, &(depth, face)) in nearest.iter().enumerate().filter(|(_, (depth, _))| *depth > 0.0) {
             let pixel = DVec2::new((i % SIZE) as f64 + 0.5, (i / SIZE) as f64 + 0.5);
             let direction = camera.direction(pixel);
             let eye = view.camera_from_world.inverse().translation;
-            let p =
-                carried([eye, direction / direction.z], self.faces[face as usize], phase, 0.0, shape).unwrap().place;
+            let p = carried([eye, direction / direction.z], self.faces[face as usize], phase, 0.0, mesh).unwrap().place;
             let turn = p.y.atan2(p.x);
             let pattern = (5.0 * turn).sin() * (1.7 * p.z).cos() + (3.0 * turn + 0.8 * p.z).sin();
             let light = 8.0 / (4.0 + depth as f64);
@@ -66,13 +75,17 @@ impl Tube {
 }
 
 fn ours<T>(value: T) -> Sourced<T> {
-    Sourced { value, source: Provenance::Ours, why: String::new() }
+    Sourced { value, source: NumberSource::Ours, why: String::new() }
 }
 
-fn window_of(drift: Option<Drift>) -> Window {
-    let memory = if drift.is_some() { 1.0 } else { 0.7 };
-    let settings = settings::KeyframeSettings { keyframes: ours(8), memory: ours(memory), prior_deviation: ours(0.05) };
-    Window::new(&settings, drift).expect("there are keyframes")
+fn window_with(options: WindowOptions) -> KeyframeWindow {
+    let memory = if options.drift.is_some() { 1.0 } else { 0.7 };
+    let settings = KeyframeSettings { keyframes: ours(8), memory: ours(memory), prior_deviation: ours(0.05) };
+    KeyframeWindow::new(&settings, options).expect("there are keyframes")
+}
+
+fn window_of(drift: Option<PoseDrift>) -> KeyframeWindow {
+    window_with(WindowOptions { drift, ..WindowOptions::default() })
 }
 
 /// Errors of the window over a film, whose first frame is believed to be `off` from its phase and later ones `off` from theirs.
@@ -84,17 +97,8 @@ fn errors(off: f64) -> Vec<f64> {
         .map(|frame| {
             let truth = 0.5 + 0.3 * (frame as f64 * 0.15).sin();
             let (view, image) = tube.film(2.0 + 0.3 * frame as f64, truth);
-            let frame = Level { view, image, weights: Vec::new() };
-            window
-                .place(
-                    &frame,
-                    0.0,
-                    Setting { shape: tube.shape(), visible: &all },
-                    truth + off,
-                    &mut Correction::none(),
-                )
-                .phase
-                - truth
+            let frame = PyramidLevel { view, image, weights: Vec::new() };
+            window.place(&frame, tube.mesh(), &all, truth + off).phase - truth
         })
         .collect()
 }
@@ -115,71 +119,68 @@ fn phases_that_are_expected_in_the_wrong_place_are_mended_by_parallax() {
 fn of_two_answers_all_keyframes_choose() {
     let tube = Tube::new();
     let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
-    let setting = Setting { shape: tube.shape(), visible: &all };
     let mut window = window_of(None);
     let truth = |frame: usize| 0.5 + 0.3 * (frame as f64 * 0.15).sin();
     let film = |frame: usize| tube.film(2.0 + 0.3 * frame as f64, truth(frame));
     for frame in 0..12 {
         let (view, image) = film(frame);
-        let level = Level { view, image, weights: Vec::new() };
-        window.place(&level, 0.0, setting, truth(frame), &mut Correction::none());
+        let level = PyramidLevel { view, image, weights: Vec::new() };
+        window.place(&level, tube.mesh(), &all, truth(frame));
     }
     let last = window.unknowns.len() - 1;
     window.unknowns[last] += 0.06;
     let (view, image) = film(12);
-    let contrast = picture(&image, &[]);
+    let contrast = contrast_image(&image, &[]);
     let expected = truth(12);
-    let rays = Rays::new(&view.camera);
-    let nearest = nearest_faces(&view, &rays, &tube.shape().at(expected), &tube.faces, setting.visible);
-    let seen = Seen { given: &view, time_s: 0.0, picture: &contrast, nearest: &nearest };
-    let astray = window.nearest_fit(&seen, &window.unknowns.clone().push(expected), tube.shape());
-    let level = Level { view, image, weights: Vec::new() };
-    let placed = window.place(&level, 0.0, setting, expected, &mut Correction::none());
+    let rays = PixelRays::new(&view.camera);
+    let nearest = nearest_faces(&view, &rays, &tube.mesh().at(expected), &tube.faces, &all);
+    let incoming = IncomingFrame { given: &view, contrast: &contrast, nearest: &nearest };
+    let astray = window.nearest_fit(&incoming, &window.unknowns.clone().push(expected), tube.mesh());
+    let level = PyramidLevel { view, image, weights: Vec::new() };
+    let placed = window.place(&level, tube.mesh(), &all, expected);
     assert!((astray - expected).abs() > 0.03, "the search is not sent astray: {astray}");
     assert!((placed.phase - expected).abs() < 0.012, "{} instead of {expected}", placed.phase);
 }
 
-/// Before the first step the phase at which a frame agrees with the last keyframe is looked for: the nearest that was tried is
+/// Before the first step the phase at which a frame agrees with the last keyframe is searched for: the nearest that was tried is
 /// found from either side, and what is expected rightly stays to the last bit.
 #[test]
-fn a_phase_that_is_expected_in_the_wrong_place_is_looked_for() {
+fn a_phase_that_is_expected_in_the_wrong_place_is_searched_for() {
     let tube = Tube::new();
     let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
     let mut window = window_of(None);
-    let setting = Setting { shape: tube.shape(), visible: &all };
     let (view, image) = tube.film(2.0, 0.5);
-    window.place(&Level { view, image, weights: Vec::new() }, 0.0, setting, 0.5, &mut Correction::none());
+    window.place(&PyramidLevel { view, image, weights: Vec::new() }, tube.mesh(), &all, 0.5);
     const TRUTH: f64 = 0.62;
     let (view, image) = tube.film(2.6, TRUTH);
-    let picture = picture(&image, &[]);
-    let look_from = |expected: f64| {
-        let nearest =
-            nearest_faces(&view, &Rays::new(&view.camera), &tube.shape().at(expected), &tube.faces, setting.visible);
-        let seen = Seen { given: &view, time_s: 0.04, picture: &picture, nearest: &nearest };
-        window.nearest_fit(&seen, &window.unknowns.clone().push(expected), tube.shape())
+    let contrast = contrast_image(&image, &[]);
+    let search_from = |expected: f64| {
+        let nearest = nearest_faces(&view, &PixelRays::new(&view.camera), &tube.mesh().at(expected), &tube.faces, &all);
+        let incoming = IncomingFrame { given: &view, contrast: &contrast, nearest: &nearest };
+        window.nearest_fit(&incoming, &window.unknowns.clone().push(expected), tube.mesh())
     };
     for off in [-0.055, -0.03, 0.03, 0.055] {
-        let found = look_from(TRUTH + off);
+        let found = search_from(TRUTH + off);
         assert!((found - TRUTH).abs() < 0.011, "{off}: {found}");
     }
-    assert_eq!(look_from(TRUTH), TRUTH);
+    assert_eq!(search_from(TRUTH), TRUTH);
     // Beyond what is tried, the best of that is taken.
-    assert!((look_from(TRUTH + 0.12) - TRUTH - 0.06).abs() < 0.011);
+    assert!((search_from(TRUTH + 0.12) - TRUTH - 0.06).abs() < 0.011);
 }
 
 #[test]
 fn the_derivatives_of_a_carried_point_are_those_of_its_place() {
     let tube = Tube::new();
-    let shape = tube.shape();
+    let mesh = tube.mesh();
     let (view, _) = tube.film(3.0, 0.4);
     let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
-    let nearest = nearest_faces(&view, &Rays::new(&view.camera), &shape.at(0.4), &tube.faces, &all);
+    let nearest = nearest_faces(&view, &PixelRays::new(&view.camera), &mesh.at(0.4), &tube.faces, &all);
     let eye = view.camera_from_world.inverse().translation;
     for i in (7..SIZE * SIZE).step_by(131).filter(|&i| nearest[i].0 > 0.0) {
         let pixel = DVec2::new((i % SIZE) as f64 + 0.5, (i / SIZE) as f64 + 0.5);
         let face = tube.faces[nearest[i].1 as usize];
         let ray = [eye, view.camera.direction(pixel)];
-        let at = |first: f64, second: f64| carried(ray, face, first, second, shape).unwrap();
+        let at = |first: f64, second: f64| carried(ray, face, first, second, mesh).unwrap();
         let found = at(0.4, 0.7);
         let ([by_first, by_second], by_offset) = (found.by_phase(), found.by_offset(0.4, 0.7));
         let h = 1e-5;
@@ -193,7 +194,7 @@ fn the_derivatives_of_a_carried_point_are_those_of_its_place() {
             let offset = |h: f32| {
                 let mut displacement = tube.displacement.clone();
                 displacement.iter_mut().for_each(|d| d[axis] += h);
-                carried(ray, face, 0.4, 0.7, Shape { displacement: &displacement, ..shape }).unwrap().place
+                carried(ray, face, 0.4, 0.7, BreathingMesh { displacement: &displacement, ..mesh }).unwrap().place
             };
             let numeric = (offset(h) - offset(-h)) / (2.0 * h as f64);
             assert!((by_offset.col(axis) - numeric).length() < 2e-3, "{} {numeric}", by_offset.col(axis));
@@ -216,16 +217,16 @@ fn an_error_of_the_registration_is_seen_by_parallax() {
     let films: Vec<_> = (0..40).map(|frame| tube.film(2.0 + 0.3 * frame as f64, breath(frame))).collect();
     let poses: Vec<DAffine3> = films.iter().map(|(view, _)| view.camera_from_world.inverse()).collect();
     let run = |rank: usize| {
-        let mut correction = Correction::new(&tube.rest, &poses, rank, 20.0, 0.6);
-        let mut window = window_of(None);
+        let correction = Correction::new(&tube.rest, &poses, rank, 20.0, 0.6);
+        let mut window = window_with(WindowOptions { correction, ..WindowOptions::default() });
         let mut wrong = Vec::new();
         for (frame, (view, image)) in films.iter().enumerate() {
-            let level = Level { view: *view, image: image.clone(), weights: Vec::new() };
-            let shape = Shape { displacement: &given, ..tube.shape() };
-            let placed = window.place(&level, 0.0, Setting { shape, visible: &all }, breath(frame), &mut correction);
+            let level = PyramidLevel { view: *view, image: image.clone(), weights: Vec::new() };
+            let mesh = BreathingMesh { displacement: &given, ..tube.mesh() };
+            let placed = window.place(&level, mesh, &all, breath(frame));
             wrong.push((placed.phase - breath(frame)).abs());
         }
-        let found = correction.corrected(&given, &correction.coefficients);
+        let found = window.corrected(&given).unwrap_or_else(|| given.clone());
         let near =
             tube.rest.iter().zip(found.iter().zip(&tube.displacement)).filter(|(p, _)| (17.0..35.0).contains(&p[2]));
         let squares: Vec<f64> =
@@ -240,38 +241,42 @@ fn an_error_of_the_registration_is_seen_by_parallax() {
 }
 
 #[test]
-fn the_derivatives_of_a_way_are_those_of_its_pixel() {
+fn the_derivatives_of_a_path_are_those_of_its_pixel() {
     let tube = Tube::new();
     let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
     let bell: Vec<f32> = tube.rest.iter().map(|p| (-0.01 * (p[2] - 20.0).powi(2)).exp()).collect();
     let weights: [&[f32]; 1] = [&bell];
     let (key_view, key_image) = tube.film(3.0, 0.4);
     let (view, image) = tube.film(5.0, 0.7);
-    let rays = Rays::new(&view.camera);
-    let nearest = |view: &View, phase: f64| nearest_faces(view, &rays, &tube.shape().at(phase), &tube.faces, &all);
-    let (pictures, depths) =
-        ([&key_image, &image].map(|i| picture(i, &[])), [nearest(&key_view, 0.4), nearest(&view, 0.7)]);
-    let key =
-        keyframe(&Sight { view: &key_view, picture: &pictures[0], nearest: &depths[0] }, &key_view, 1.0, &tube.faces);
+    let rays = PixelRays::new(&view.camera);
+    let nearest = |view: &View, phase: f64| nearest_faces(view, &rays, &tube.mesh().at(phase), &tube.faces, &all);
+    let (contrasts, depths) =
+        ([&key_image, &image].map(|i| contrast_image(i, &[])), [nearest(&key_view, 0.4), nearest(&view, 0.7)]);
+    let key = keyframe(
+        &TargetFrame { view: &key_view, contrast_image: &contrasts[0], nearest: &depths[0] },
+        &key_view,
+        1.0,
+        &tube.faces,
+    );
     let elapsed_s = 0.7;
     // Correction of the poses, its change per second, offset, and both phases.
     let start = [0.02, -0.01, 0.03, 0.5, -0.3, 0.4, 0.01, 0.0, -0.01, 0.1, 0.2, -0.1, 0.1, 0.2, 0.3, 0.4, 0.7];
     let correction = |at: &[f64], ago_s: f64| -> [f64; 6] { std::array::from_fn(|k| at[k] - ago_s * at[6 + k]) };
-    let look = |at: &[f64], point: usize| {
+    let residual_at = |at: &[f64], point: usize| {
         let moved = |view: &View, ago_s: f64| motion(correction(at, ago_s)) * view.camera_from_world;
         let mut displacement = tube.displacement.clone();
         displacement.iter_mut().zip(&bell).for_each(|(d, w)| (0..3).for_each(|k| d[k] += w * at[12 + k] as f32));
-        let shape = Shape { displacement: &displacement, ..tube.shape() };
+        let mesh = BreathingMesh { displacement: &displacement, ..tube.mesh() };
         let now = View { camera_from_world: moved(&view, 0.0), ..view };
-        let sight = Sight { view: &now, picture: &pictures[1], nearest: &depths[1] };
+        let target = TargetFrame { view: &now, contrast_image: &contrasts[1], nearest: &depths[1] };
         let key_from_world = moved(&key_view, elapsed_s);
-        let poses = Some(Poses { corrections: [correction(at, elapsed_s), correction(at, 0.0)], elapsed_s });
-        let assumed = Assumed { first: at[15], key_from_world, second: at[16], shape };
-        row(&key.points[point], &sight, &assumed, &Others { poses, weights: &weights })
+        let poses = Some(PairPoses { corrections: [correction(at, elapsed_s), correction(at, 0.0)], elapsed_s });
+        let assumed = Assumed { first: at[15], key_from_world, second: at[16], mesh };
+        point_residual(&key.points[point], &target, &assumed, &OtherUnknowns { poses, weights: &weights })
     };
     let mut compared = 0;
     for point in (0..key.points.len()).step_by(7) {
-        let Some(here) = look(&start, point) else { continue };
+        let Some(here) = residual_at(&start, point) else { continue };
         let analytic: Vec<DVec2> = here.by_others.iter().chain(&here.by_phase).copied().collect();
         for (k, analytic) in analytic.iter().enumerate() {
             // Offsets are kept in single precision.
@@ -279,7 +284,7 @@ fn the_derivatives_of_a_way_are_those_of_its_pixel() {
             let side = |sign: f64| {
                 let mut at = start;
                 at[k] += sign * h;
-                look(&at, point).map(|row| row.way)
+                residual_at(&at, point).map(|found| found.path)
             };
             let (Some(plus), Some(minus)) = (side(1.0), side(-1.0)) else { continue };
             let numeric = (plus - minus) / (2.0 * h);
@@ -319,7 +324,7 @@ fn a_step_within_the_breath_is_the_best_of_all_such() {
             let step = matrix.lu().solve(&right).unwrap();
             least = if within(&step) { least.min(cost(&step)) } else { least };
         }
-        let Step { step, push } = bounded(&curvature, &gradient, &at, FIRST).unwrap();
+        let BoundedStep { step, push } = bounded(&curvature, &gradient, &at, FIRST).unwrap();
         assert!(within(&step) && (cost(&step) - least).abs() < 1e-9 * (1.0 + least.abs()), "{seed}: {step}");
         held += push.iter().filter(|p| **p != 0.0).count();
     }
@@ -332,17 +337,16 @@ fn a_drift_of_the_given_poses_is_followed() {
     let tube = Tube::new();
     let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
     let drift = |time_s: f64| [0.01, -0.004, 0.0, 0.35, 0.2, 0.0].map(|rate| rate * time_s);
-    let mut window = window_of(Some(Drift::new([0.01, 0.4], 60.0, 1.0)));
+    let mut window = window_of(Some(PoseDrift::new([0.01, 0.4], 60.0, 1.0)));
     let mut wrong = Vec::new();
     for frame in 0..40 {
         let time_s = 0.1 * frame as f64;
         let phase = 0.5 + 0.3 * (1.5 * time_s).sin();
         let (view, image) = tube.film(2.0 + 3.0 * time_s, phase);
         let given = View { camera_from_world: motion(drift(time_s)).inverse() * view.camera_from_world, ..view };
-        window.wait_until(time_s);
-        let level = Level { view: given, image, weights: Vec::new() };
-        let setting = Setting { shape: tube.shape(), visible: &all };
-        let placed = window.place(&level, time_s, setting, phase, &mut Correction::none());
+        window.advance_to(time_s);
+        let level = PyramidLevel { view: given, image, weights: Vec::new() };
+        let placed = window.place(&level, tube.mesh(), &all, phase);
         let off = |from: usize, to: usize| {
             (from..to).map(|k| (placed.pose[k] - drift(time_s)[k]).powi(2)).sum::<f64>().sqrt()
         };
@@ -364,8 +368,8 @@ fn contrast_knows_no_gain_and_no_hidden_pixels() {
     let weights: Vec<f32> = (0..1200).map(|i| f32::from(u8::from(i % 40 < 30))).collect();
     let mut other = image.clone();
     (0..1200).filter(|i| i % 40 >= 30).for_each(|i| other.data[3 * i] = 9.0);
-    let (a, b) = (picture(&image, &weights), picture(&other, &weights));
+    let (a, b) = (contrast_image(&image, &weights), contrast_image(&other, &weights));
     assert_eq!(a.contrast.data, b.contrast.data);
-    let flat = picture(&Image::filled(40, 30, 3, 0.6), &[]);
+    let flat = contrast_image(&Image::filled(40, 30, 3, 0.6), &[]);
     assert!(flat.contrast.data.iter().all(|v| v.abs() < 1e-5));
 }

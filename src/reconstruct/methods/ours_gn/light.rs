@@ -1,4 +1,4 @@
-//! What the scope does to the picture, as `ours-gn` knows it. What a disc shows of its albedo is in `scope_light.rs`.
+//! What the scope does to the picture, as `ours-gn` knows it. What a disc shows of its albedo is in `fitting/scope_light.rs`.
 //!
 //! The scope's lamp is brightest ahead and its lens darkest at the rim, so that a wall gets darker while it moves out of
 //! the middle. Both are properties of the scope that a white sheet shows, not of the tissue: pictures are divided by them
@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::base::color::{linear_from_srgb, srgb_from_linear};
 use crate::base::{Camera, Image};
 
-use crate::reconstruct::settings::LampSettings;
+use crate::reconstruct::settings::ScopeCalibration;
 
 /// Exponent of the power law.
 const GAMMA: f32 = 2.2;
@@ -32,7 +32,7 @@ pub struct Scope {
 
 impl Scope {
     /// The scope of `camera`.
-    pub fn new(camera: &Camera, light: &LampSettings) -> Scope {
+    pub fn new(camera: &Camera, light: &ScopeCalibration) -> Scope {
         let half = light.emission_half_angle_deg.to_radians();
         let exponent = if half > 0.0 { 0.5f64.ln() / half.cos().ln() } else { 0.0 };
         let mut shadow = Vec::with_capacity((camera.width * camera.height) as usize);
@@ -75,11 +75,11 @@ impl Scope {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reconstruct::settings::{Provenance, Sourced};
+    use crate::reconstruct::settings::{NumberSource, Sourced};
 
     fn scope(camera: &Camera, half: f64, vignette: f64) -> Scope {
-        let number = |value| Sourced { value, source: Provenance::Ours, why: String::new() };
-        Scope::new(camera, &LampSettings { emission_half_angle_deg: number(half), vignette: number(vignette) })
+        let number = |value| Sourced { value, source: NumberSource::Ours, why: String::new() };
+        Scope::new(camera, &ScopeCalibration { emission_half_angle_deg: number(half), vignette: number(vignette) })
     }
 
     #[test]

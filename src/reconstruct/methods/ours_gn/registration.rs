@@ -1,13 +1,13 @@
 //! Where the scope is, when its given pose is wrong by a few mm and degrees. The correction is
 //! `camera_from_world = exp(xi) given`, `xi = (omega, tau)` in camera axes (rad, mm). The first frame is registered to the
 //! mesh by the depth that is given there, together with the phase: Gauss-Newton with central differences on the robust
-//! relative error of depth, from several phases, with a norm that gets stricter. Later frames estimate `xi` from the image
-//! (`track.rs`) or from the window of keyframes, around what is expected of it ([`crate::reconstruct::estimate::window::drift`]).
+//! relative error of depth, from several phases, with a norm that gets stricter. In later frames the window of keyframes
+//! estimates `xi`.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::base::Image;
-use crate::reconstruct::estimate::window::drift::POSE;
+use crate::reconstruct::geometry::rigid::POSE;
 
 /// Phases from which the first frame is registered.
 const STARTS: [f64; 4] = [0.05, 0.35, 0.65, 0.95];
@@ -88,7 +88,7 @@ pub fn register(
                 })
                 .collect();
             let mut hessian = DMatrix::from_diagonal(&precision);
-            let mut pull = precision.component_mul(&(&mean - &x));
+            let mut gradient = precision.component_mul(&(&mean - &x));
             for (i, e) in here.iter().enumerate() {
                 let row: [f64; 1 + POSE] = std::array::from_fn(|k| columns[k][i]);
                 // Edges of the wall jump: their slopes say nothing.
@@ -97,17 +97,17 @@ pub fn register(
                 }
                 let w = weight(*e, huber) / TOGETHER;
                 for a in 0..=POSE {
-                    pull[a] -= w * row[a] * e;
+                    gradient[a] -= w * row[a] * e;
                     (0..=POSE).for_each(|b| hessian[(a, b)] += w * row[a] * row[b]);
                 }
             }
             let damped = &hessian + DMatrix::from_diagonal(&hessian.diagonal()) * damping;
-            let Some(mut step) = damped.clone().cholesky().map(|c| c.solve(&pull)) else { break };
+            let Some(mut step) = damped.clone().cholesky().map(|c| c.solve(&gradient)) else { break };
             if !(0.0..=1.0).contains(&(x[0] + step[0])) {
                 // At the end of the breath the others must not count on more of it.
                 let rest = damped.remove_row(0).remove_column(0);
                 let edge = (x[0] + step[0]).clamp(0.0, 1.0) - x[0];
-                let against = DVector::from_fn(POSE, |k, _| pull[k + 1] - hessian[(k + 1, 0)] * edge);
+                let against = DVector::from_fn(POSE, |k, _| gradient[k + 1] - hessian[(k + 1, 0)] * edge);
                 let Some(others) = rest.cholesky().map(|c| c.solve(&against)) else { break };
                 step[0] = edge;
                 step.rows_mut(1, POSE).copy_from(&others);

@@ -1,0 +1,138 @@
+//! One frame after the other.
+
+use super::fitter::{Fitter, FrameTarget};
+use super::patch::{BreathingGaussians, VisiblePatch};
+use crate::base::{Progress, Result};
+use crate::reconstruct::contract::{FramePrediction, Observation, Reconstruction};
+use crate::reconstruct::fitting::grid_search::grid_search;
+use crate::reconstruct::geometry::mesh_depth::depth_gap_mm;
+use crate::reconstruct::geometry::pyramid::PyramidLevel;
+use crate::reconstruct::online::{color_image, depth_image, fit_in_order, held_out};
+use crate::reconstruct::settings::{FrameFitSettings, PhaseEstimation};
+use crate::splat::{DepthOutput, View};
+
+/// How far a frame's phase may be from its guess.
+pub const REACH: f64 = 0.15;
+
+/// Where the phase comes from.
+#[derive(Clone, Debug)]
+pub enum PhaseSource<'a> {
+    /// Estimated from RGB; the first one by depth.
+    Estimated(&'a PhaseEstimation),
+    /// Given for every frame (`static-ct`: zeros; `oracle-phase`: the truth).
+    Given(Vec<f64>),
+}
+
+/// Runs the loop over all frames; the last phase, and what remains.
+pub fn run(
+    settings: &FrameFitSettings,
+    iteration_scale: f64,
+    source: &PhaseSource<'_>,
+    observation: &Observation,
+    gaussians: &mut dyn BreathingGaussians,
+    emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
+    progress: &dyn Progress,
+) -> Result<(f64, Reconstruction)> {
+    let estimation = match source {
+        PhaseSource::Estimated(estimation) => Some(*estimation),
+        PhaseSource::Given(_) => None,
+    };
+    let mut fitter = Fitter::new(settings, estimation, iteration_scale, observation);
+    let frames = observation.images.len();
+    let seconds = fit_in_order(frames, |frame| fitter.fit(frame, source, gaussians), emit, progress)?;
+    let last = fitter.phases.last().copied().unwrap_or(0.0);
+    Ok((last, Reconstruction { final_mesh: None, seconds }))
+}
+
+impl Fitter<'_> {
+    /// What the phase of `frame` will be if the breath goes on as it went.
+    fn guess(&self, frame: usize) -> f64 {
+        match *self.phases.as_slice() {
+            [] => 0.0,
+            [only] => only,
+            [.., before, last] if frame > 1 => (last + *self.estimation().velocity * (last - before)).clamp(0.0, 1.0),
+            [.., last] => last,
+        }
+    }
+
+    fn fit(
+        &mut self,
+        frame: usize,
+        source: &PhaseSource<'_>,
+        gaussians: &mut dyn BreathingGaussians,
+    ) -> Result<FramePrediction> {
+        let view = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
+        let estimated = self.estimation.is_some();
+        let mut phase = match source {
+            PhaseSource::Given(phases) => phases[frame],
+            PhaseSource::Estimated(_) => self.guess(frame),
+        };
+        let reach = match (estimated, frame) {
+            (true, 0) => [0.0, 1.0],
+            (true, _) => [(phase - REACH).max(0.0), (phase + REACH).min(1.0)],
+            (false, _) => [phase, phase],
+        };
+        let mut entered = gaussians.enter(&view, reach)?;
+        let patch = &mut *entered;
+        self.place(&view, patch, phase)?;
+        if estimated && frame == 0 {
+            phase = self.search_by_depth(&view, patch)?;
+            self.place(&view, patch, phase)?;
+        }
+        let ahead = if held_out(frame) {
+            self.render(&view, patch, DepthOutput::Skip)?;
+            Some(color_image(&self.rasterizer))
+        } else {
+            None
+        };
+
+        // From here on the frame's image may be looked at.
+        let mut target = FrameTarget::new(frame, view, self.observation, self.largest_ssim_weight());
+        if estimated {
+            // Stage (i): theta alone.
+            if frame > 0 {
+                target.loss.set_ssim_weight(*self.estimation().phase_ssim_weight);
+                phase = self.measure_phase(patch, &mut target, phase)?;
+            }
+            let weights = self.observation.pixel_weights().unwrap_or_default();
+            phase = patch.place_among_keyframes(PyramidLevel { view, image: target.image.clone(), weights }, phase);
+            self.place(&view, patch, phase)?;
+        }
+        if frame > 0 {
+            self.fit_gain(&view, patch, &target.image)?;
+        }
+        self.color_the_unseen(&view, patch, &target.image);
+        let (sh, memory) = patch.colors();
+        let before = memory.set_aside(sh);
+
+        // Stages (ii) and (iii): appearance, then both.
+        target.loss.set_ssim_weight(*self.settings.ssim_weight);
+        phase = self.optimise_appearance(patch, &mut target, phase, estimated)?;
+        self.place(&view, patch, phase)?;
+        self.render(&view, patch, DepthOutput::Surface)?;
+        let color = color_image(&self.rasterizer);
+        let depth_mm = depth_image(self.rasterizer.rendered(), color.width, color.height);
+        self.mark_fitted(patch, &target, &before);
+        entered.leave();
+        self.phases.push(phase);
+        Ok(FramePrediction {
+            frame,
+            color,
+            depth_mm,
+            phase: estimated.then_some(phase),
+            phase_deviation: None,
+            world_from_camera: None,
+            ahead,
+        })
+    }
+
+    /// First frame: the phase whose rendered depth is nearest to the given one.
+    fn search_by_depth(&mut self, view: &View, patch: &mut dyn VisiblePatch) -> Result<f64> {
+        let Some(given) = &self.observation.first_depth_mm else { return Ok(0.0) };
+        grid_search(*self.estimation().grid_steps, |phase| {
+            self.place(view, patch, phase)?;
+            let rendered = self.render(view, patch, DepthOutput::Surface)?;
+            Ok(depth_gap_mm(&depth_image(rendered, given.width, given.height), given))
+        })
+    }
+}

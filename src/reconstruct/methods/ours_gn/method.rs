@@ -1,0 +1,313 @@
+//! The method: what it sees, and one frame from the expected phase to the answer.
+
+use std::time::Instant;
+
+use glam::Vec3;
+
+use super::light::Scope;
+use super::map::{ActiveFrame, DiscMap};
+use super::registration::{self, Before};
+use super::renderer::DiscRenderer;
+use super::track::Tracked;
+use crate::base::{Error, Image, Progress, Result, TriangleMesh, mesh};
+use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
+use crate::reconstruct::estimate::breath::{BreathPredictor, Repetition};
+use crate::reconstruct::estimate::window::correction::Correction;
+use crate::reconstruct::estimate::window::drift::PoseDrift;
+use crate::reconstruct::estimate::window::{KeyframeWindow, WindowOptions};
+use crate::reconstruct::fitting::anchored::to_f32;
+use crate::reconstruct::fitting::grid_search::grid_search;
+use crate::reconstruct::geometry::breathing::BreathingMesh;
+use crate::reconstruct::geometry::mesh_depth::{PixelRays, depth_gap_mm, nearest_depth_mm, unhidden};
+use crate::reconstruct::geometry::pyramid::PyramidLevel;
+use crate::reconstruct::geometry::rigid::{POSE, moved};
+use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
+use crate::reconstruct::online::{fit_in_order, held_out};
+use crate::reconstruct::settings::{MethodHeader, OursGnSettings};
+use crate::splat::{Reuse, View};
+
+/// Phases around the expected one for which the visible faces are chosen.
+const REACH: f64 = 0.15;
+/// Share of the image width around it in which a wall counts while the first pose is searched for.
+const BLIND_MARGIN: f64 = 1.5;
+/// Share of the newest frame in the running mean of the cost.
+const COST_SHARE: f64 = 0.2;
+
+/// The method with its settings.
+pub struct OursGn {
+    settings: OursGnSettings,
+    iteration_scale: f64,
+}
+
+impl OursGn {
+    /// With `settings`; `iteration_scale` multiplies the sweeps over the appearance.
+    pub fn new(settings: OursGnSettings, iteration_scale: f64) -> Self {
+        OursGn { settings, iteration_scale }
+    }
+}
+
+impl Reconstruct for OursGn {
+    fn header(&self) -> &MethodHeader {
+        &self.settings.header
+    }
+
+    fn access(&self) -> Access {
+        let poses = if *self.settings.unknown_pose { PoseAccuracy::Rough } else { PoseAccuracy::True };
+        Access { expiration_mesh: true, first_depth: true, true_phase: false, poses }
+    }
+
+    fn run(
+        &self,
+        observation: &Observation,
+        emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
+        progress: &dyn Progress,
+    ) -> Result<Reconstruction> {
+        observation.validate(self.access())?;
+        let start = Instant::now();
+        let mut tracker = Tracker::new(&self.settings, self.iteration_scale, observation)?;
+        let preparation = start.elapsed().as_secs_f64();
+        let fitting = fit_in_order(
+            observation.images.len(),
+            // From inside the pool: handing it work from outside costs more than much of this work does.
+            |frame| rayon::scope(|_| tracker.fit(frame)),
+            emit,
+            progress,
+        )?;
+        Ok(Reconstruction { final_mesh: Some(tracker.mesh()), seconds: preparation + fitting })
+    }
+}
+
+struct Tracker<'a> {
+    settings: &'a OursGnSettings,
+    observation: &'a Observation,
+    map: DiscMap,
+    rest: Vec<[f32; 3]>,
+    given_displacement: Vec<[f32; 3]>,
+    /// With what is known of its error.
+    displacement: Vec<[f32; 3]>,
+    /// Correction of the given poses.
+    pose: [f64; POSE],
+    scope: Scope,
+    rays: PixelRays,
+    renderer: DiscRenderer<'a>,
+    breath: BreathPredictor,
+    /// Running mean of the cost of the frames so far.
+    mean_cost: f64,
+    window: Option<KeyframeWindow>,
+}
+
+/// The unknowns of the window besides the phases.
+fn window_options(settings: &OursGnSettings, rest: &[[f32; 3]], observation: &Observation) -> WindowOptions {
+    let drift = PoseDrift::new(*settings.pose_drift, *settings.pose_steady_s, *settings.pose_caution);
+    let [reach_mm, deviation_mm] = [*settings.correction_reach_mm, *settings.correction_deviation_mm];
+    let (poses, rank) = (&observation.world_from_camera, *settings.correction_rank as usize);
+    WindowOptions {
+        drift: settings.unknown_pose.then_some(drift),
+        correction: Correction::new(rest, poses, rank, reach_mm, deviation_mm),
+    }
+}
+
+impl<'a> Tracker<'a> {
+    fn new(settings: &'a OursGnSettings, iteration_scale: f64, observation: &'a Observation) -> Result<Self> {
+        let inspiration = &observation.inspiration;
+        let expiration = observation.expiration.as_ref().unwrap_or(inspiration);
+        let repetition = if *settings.period_prior { Repetition::Expected } else { Repetition::Ignored };
+        let rest = to_f32(&inspiration.vertices);
+        let displacement = mesh::displacement(inspiration, expiration);
+        let window = KeyframeWindow::new(&settings.window, window_options(settings, &rest, observation));
+        if window.is_none() && (*settings.unknown_pose || *settings.correction_rank > 0) {
+            let reason = "unknown poses and a correction of the registration are estimated by the window of keyframes";
+            return Err(Error::input(format!("must not be 0: {reason}")).element("window.keyframes"));
+        }
+        Ok(Tracker {
+            settings,
+            observation,
+            map: DiscMap::new(&settings.discs, observation),
+            rest,
+            given_displacement: displacement.clone(),
+            displacement,
+            pose: [0.0; POSE],
+            scope: Scope::new(&observation.camera, &settings.scope),
+            rays: PixelRays::new(&observation.camera),
+            renderer: DiscRenderer::new(settings, iteration_scale),
+            breath: BreathPredictor::new(*settings.velocity, repetition),
+            mean_cost: f64::INFINITY,
+            window,
+        })
+    }
+
+    fn fit(&mut self, frame: usize) -> Result<FramePrediction> {
+        let given = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
+        let time_s = self.observation.time_s[frame];
+        if frame > 0
+            && let Some(window) = &mut self.window
+        {
+            self.pose = window.advance_to(time_s);
+        }
+        let mut phase = if frame == 0 { self.search_by_depth(&given)? } else { self.breath.expected() };
+        let mut active = self.enter(&given, phase, REACH)?;
+        let ahead = if held_out(frame) {
+            let view = moved(&given, self.pose);
+            active.place(phase, &self.renderer.light(&view))?;
+            self.renderer.draw(&active, &view)?;
+            Some(self.shown())
+        } else {
+            None
+        };
+
+        // From here on the frame's image may be looked at. The phase on the map:
+        let mut levels = self.levels(frame, &given);
+        if frame > 0 {
+            let tracked;
+            (active, tracked) = self.track(active, &given, &levels, phase)?;
+            if let Some(tracked) = tracked {
+                phase = tracked.phase;
+                self.take(&tracked);
+            }
+        }
+
+        // From there, phase, pose and correction of the registration among keyframes.
+        let mut phase_deviation = None;
+        if let Some(window) = &mut self.window {
+            let level = levels.iter().rev().find(|level| KeyframeWindow::suits(level)).unwrap_or(&levels[0]);
+            let mesh =
+                BreathingMesh { rest: &self.rest, displacement: &self.given_displacement, faces: self.map.faces() };
+            let placement = window.place(level, mesh, &active.faces, phase);
+            (phase, self.pose) = (placement.phase, placement.pose);
+            phase_deviation = Some(*self.settings.window_deviation_factor * placement.deviation);
+            if let Some(corrected) = window.corrected(&self.given_displacement) {
+                active.bend(&corrected);
+                self.displacement = corrected;
+            }
+        }
+
+        // Appearance at the answer.
+        let mut finest = levels.pop().expect("there is always the full resolution");
+        finest.view = moved(&finest.view, self.pose);
+        active.place(phase, &self.renderer.light(&finest.view))?;
+        self.renderer.learn(&mut active, frame, &finest)?;
+        self.renderer.touch_up(&mut active, &finest)?;
+        self.renderer.draw(&active, &finest.view)?;
+        let color = self.shown();
+        self.renderer.rasterizer.reuse(Reuse::Never);
+        let depth_mm = self.depth_mm(&finest.view, phase, &active.faces);
+        self.map.leave(active);
+        self.breath.add(phase);
+        let world_from_camera = self.settings.unknown_pose.then(|| finest.view.camera_from_world.inverse());
+        Ok(FramePrediction { frame, color, depth_mm, phase: Some(phase), phase_deviation, world_from_camera, ahead })
+    }
+
+    /// Tracks from the expected `phase`; where that is lost, from the best of all phases.
+    fn track(
+        &mut self,
+        mut active: ActiveFrame,
+        given: &View,
+        levels: &[PyramidLevel],
+        phase: f64,
+    ) -> Result<(ActiveFrame, Option<Tracked>)> {
+        let found = self.renderer.track(&mut active, levels, self.pose, phase, phase)?;
+        if !self.is_lost(found.as_ref()) {
+            return Ok((active, found));
+        }
+        self.map.leave(active);
+        let mut active = self.enter(given, 0.5, 1.0)?;
+        let best = self.renderer.search_by_image(&mut active, &levels[0], self.pose)?;
+        let again = self.renderer.track(&mut active, levels, self.pose, best, phase)?;
+        Ok((active, again.or(found)))
+    }
+
+    /// Whether an answer is none.
+    fn is_lost(&self, found: Option<&Tracked>) -> bool {
+        let largest = *self.settings.lost_factor * self.mean_cost;
+        found.is_none_or(|f| self.mean_cost.is_finite() && f.evidence.cost > largest)
+    }
+
+    /// Takes over exposure and cost of a tracked frame.
+    fn take(&mut self, found: &Tracked) {
+        self.renderer.gain = found.evidence.gain;
+        let cost = found.evidence.cost;
+        let mean = self.mean_cost;
+        self.mean_cost = if mean.is_finite() { mean + COST_SHARE * (cost - mean) } else { cost };
+    }
+
+    /// The airway as the last frame has it.
+    fn mesh(&self) -> TriangleMesh {
+        let phase = self.breath.phases().last().copied().unwrap_or(0.0);
+        let rest = &self.observation.inspiration;
+        let moved = rest.vertices.iter().zip(&self.displacement);
+        let vertices = moved.map(|(v, d)| *v + phase * Vec3::from(*d).as_dvec3()).collect();
+        TriangleMesh { vertices, faces: rest.faces.clone() }
+    }
+
+    fn breathing(&self) -> BreathingMesh<'_> {
+        BreathingMesh { rest: &self.rest, displacement: &self.displacement, faces: self.map.faces() }
+    }
+
+    /// The last rendering as the film would show it.
+    fn shown(&self) -> Image<f32> {
+        let rendered = self.renderer.rasterizer.rendered();
+        self.scope.shown(rendered.width, rendered.height, &rendered.color)
+    }
+
+    /// Coarse to fine; levels that would be too small are left out.
+    fn levels(&self, frame: usize, view: &View) -> Vec<PyramidLevel> {
+        let full = self.scope.flat(&self.observation.images[frame]);
+        let weights = self.observation.pixel_weights().unwrap_or_default();
+        let mut levels = vec![PyramidLevel { view: *view, image: full, weights }];
+        while levels.len() < self.settings.steps.len() {
+            let coarser = levels[0].halved();
+            if coarser.image.width.min(coarser.image.height) < *self.settings.smallest_width as usize {
+                break;
+            }
+            levels.insert(0, coarser);
+        }
+        levels
+    }
+
+    /// Enters a frame: the compact copy of what can be seen from the `given` pose, corrected, at phases within `reach` of
+    /// `phase`.
+    fn enter(&self, given: &View, phase: f64, reach: f64) -> Result<ActiveFrame> {
+        self.map.enter(self.faces_in_view(given, phase, reach)?, self.breathing())
+    }
+
+    fn faces_in_view(&self, given: &View, phase: f64, reach: f64) -> Result<Vec<u32>> {
+        let view = &moved(given, self.pose);
+        let states =
+            [(phase - reach).max(0.0), phase, (phase + reach).min(1.0)].map(|phase| self.breathing().at(phase));
+        let bounds = Reach::new(&self.settings.visibility);
+        let mut faces = visible_faces(self.map.faces(), &states.each_ref().map(|s| &s[..]), view, bounds, Sides::Lumen);
+        if reach <= REACH {
+            faces = unhidden(view, &self.rays, &states[1], self.map.faces(), &faces);
+        }
+        if faces.is_empty() { Err(nothing_in_view()) } else { Ok(faces) }
+    }
+
+    /// Depth of the mesh at `phase`, where `faces` show.
+    fn depth_mm(&self, view: &View, phase: f64, faces: &[u32]) -> Image<f32> {
+        nearest_depth_mm(view, &self.rays, &self.breathing().at(phase), self.map.faces(), faces)
+    }
+
+    /// Phase of the first frame, and where asked for its pose, by the depth that is given there.
+    fn search_by_depth(&mut self, view: &View) -> Result<f64> {
+        let observation = self.observation;
+        let Some(depth) = &observation.first_depth_mm else { return Ok(0.0) };
+        let faces = self.faces_in_view(view, 0.5, 1.0)?;
+        if !*self.settings.unknown_pose {
+            let gap = |phase| Ok(depth_gap_mm(&self.depth_mm(view, phase, &faces), depth));
+            return grid_search(*self.settings.grid_steps, gap);
+        }
+        // A wrong pose must not hide what the true one sees.
+        let states = [0.0, 0.5, 1.0].map(|phase| self.breathing().at(phase));
+        let bounds = Reach { margin: BLIND_MARGIN, range_mm: *self.settings.visibility.range_mm };
+        let faces = visible_faces(self.map.faces(), &states.each_ref().map(|s| &s[..]), view, bounds, Sides::Both);
+        let [turn, shift_mm] = *self.settings.pose_deviation;
+        let before = Before { phase: 1.0, turn, shift_mm };
+        let render = |phase, xi| self.depth_mm(&moved(view, xi), phase, &faces);
+        let (phase, pose) = registration::register(depth, &before, render);
+        self.pose = pose;
+        if let Some(window) = &mut self.window {
+            window.begin(pose, observation.time_s[0]);
+        }
+        Ok(phase)
+    }
+}

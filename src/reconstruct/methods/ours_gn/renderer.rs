@@ -1,0 +1,40 @@
+//! Renders the discs of a frame under the light of the scope and the exposure of the frame.
+
+use super::map::ActiveFrame;
+use crate::base::Result;
+use crate::reconstruct::fitting::scope_light::ScopeLight;
+use crate::reconstruct::settings::OursGnSettings;
+use crate::splat::{DepthOutput, Rasterizer, Rendered, Settings, View};
+
+/// The rasteriser, and what all discs of a frame share.
+pub struct DiscRenderer<'a> {
+    /// The method's numbers.
+    pub settings: &'a OursGnSettings,
+    /// Factor of the profile on the sweeps over the albedo.
+    pub iteration_scale: f64,
+    /// Holds the last rendering.
+    pub rasterizer: Rasterizer<f32>,
+    /// Exposure per channel.
+    pub gain: [f64; 3],
+    /// Mean albedo of what was last in view.
+    pub mean_color: [f32; 3],
+}
+
+impl<'a> DiscRenderer<'a> {
+    /// With an exposure of 1.
+    pub fn new(settings: &'a OursGnSettings, iteration_scale: f64) -> Self {
+        let (rasterizer, gain, mean_color) = (Rasterizer::new(), [1.0; 3], [0.5; 3]);
+        DiscRenderer { settings, iteration_scale, rasterizer, gain, mean_color }
+    }
+
+    /// The light of the scope at `view`.
+    pub fn light(&self, view: &View) -> ScopeLight {
+        ScopeLight::new(view, *self.settings.falloff_exponent, *self.settings.indirect_share)
+    }
+
+    /// Renders the discs as they are placed.
+    pub fn draw(&mut self, active: &ActiveFrame, view: &View) -> Result<&Rendered<f32>> {
+        let settings = Settings { gain: self.gain, depth: DepthOutput::Skip, ..Settings::default() };
+        self.rasterizer.render(active.gaussians(), view, &settings, None)
+    }
+}
