@@ -19,7 +19,7 @@ use respire_bench::base::{Camera, Error, Image, Result, TriangleMesh};
 use respire_bench::experiments::{difference::relative_mse, timing};
 use respire_bench::formats::{mesh, npy};
 use respire_bench::render::{
-    Boundary, Denoise, Frame, Light, Material, RenderSettings, Scene, Transport, WalkedVertices, render,
+    Boundary, Denoise, Light, Material, RenderSettings, RenderedFrame, Scene, Transport, WalkedVertices, render,
 };
 
 const RHO: [f64; 3] = [0.75, 0.40, 0.35];
@@ -97,7 +97,7 @@ impl Stage<'_> {
         samples_per_pixel: u32,
         seed: u64,
         denoise: Denoise,
-    ) -> Result<(Frame, f64)> {
+    ) -> Result<(RenderedFrame, f64)> {
         let scene = Scene::new(self.tube, &[], self.material, 1)?;
         let origin = DVec3::new(0.4, -0.3, 0.0);
         let pose: DAffine3 = world_from_camera_looking(origin, DVec3::new(3.0, 0.6, 40.0) - origin, DVec3::Y);

@@ -1,5 +1,6 @@
 #pragma once
-// Light on whole faces and at vertices: what `src/render/vertex_light.rs` asks for when it solves for light at vertices.
+// Light on whole faces and at vertices: what `src/render/vertex_light.rs` asks for when it solves for light at
+// vertices.
 
 #include "cpp/trace/lamp.h"
 #include "cpp/trace/sampler.h"
@@ -74,8 +75,8 @@ class FaceLighting {
     return out;
   }
 
-  // Faces that `count` rays meet which leave a face after the cosine law; kNoFace for what leaves the mesh. The rays lie on
-  // the tissue and not in space: what noise they leave moves with the wall and does not flicker.
+  // Faces that `count` rays meet which leave a face after the cosine law; kNoFace for what leaves the mesh. The rays
+  // lie on the tissue and not in space: what noise they leave moves with the wall and does not flicker.
   void gather(std::uint32_t face, std::uint32_t count, std::uint32_t* hits) {
     const std::uint32_t key = hash32(face ^ pattern_key_);
     for (std::uint32_t k = 0; k < count; ++k) {
@@ -99,8 +100,9 @@ class FaceLighting {
     return lamp_.unshadowed(wall_.face_surface(face, u, v));
   }
 
-  // The same as a mean over a face with weights that fall from 1 at the vertex `corner` to 0 at the side across (exact to
-  // third order: two points each way, those of Gauss and Jacobi for the weight (1 - x) x, and of Gauss and Legendre).
+  // The same as a mean over a face with weights that fall from 1 at the vertex `corner` to 0 at the side across (exact
+  // to third order: two points each way, those of Gauss and Jacobi for the weight (1 - x) x, and of Gauss and
+  // Legendre).
   Vec3 unshadowed_near(std::uint32_t face, std::uint32_t corner) const {
     Vec3 sum{};
     for (const float own : {0.5f - 0.2236068f, 0.5f + 0.2236068f})
@@ -111,8 +113,8 @@ class FaceLighting {
     return sum * 0.25f;
   }
 
-  // A scatter walk, and per channel what the same random numbers leave below a flat surface (over the albedo), less what is
-  // known to be left there on the mean; 0 where that is not known.
+  // A scatter walk, and per channel what the same random numbers leave below a flat surface (over the albedo), less
+  // what is known to be left there on the mean; 0 where that is not known.
   struct Walked {
     ScatterExit exit;
     Vec3 flat_excess{};
@@ -160,7 +162,8 @@ class FaceLighting {
   static ScatterExit no_exit() { return {{kNoFace, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}}; }
 
  private:
-  // Longest side of a face over its distance from the lamp: above the first limit it is taken in 2 x 2 parts, then 4 x 4, 8 x 8.
+  // A face is taken in 1, 2 x 2, 4 x 4 or 8 x 8 parts by the squared ratio of its longest side to its distance from the
+  // lamp.
   int parts_of(std::uint32_t face, Vec3 centre) const {
     const std::uint32_t* corners = wall_.mesh.corners(face);
     float side2 = 0.0f;

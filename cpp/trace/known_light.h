@@ -1,8 +1,9 @@
 #pragma once
 // Camera samples that take smooth light from the vertices, where `src/render/vertex_light.rs` has solved for it.
 //
-// What is known at a vertex (`KnownLight`): light that the base sends by way of scattering in the wall, irradiance by other
-// walls, and of the scattered light the part that comes out nearby. Negative where nothing is known: there a path is traced.
+// What is known at a vertex (`KnownLight`): light that the base sends by way of scattering in the wall, irradiance by
+// other walls, and of the scattered light the part that comes out nearby. Negative where nothing is known: there a path
+// is traced.
 
 #include "cpp/trace/face_light.h"
 #include "cpp/trace/path.h"
@@ -15,7 +16,8 @@ class KnownLightTracer {
   KnownLightTracer(PathTracer& paths, const KnownLight* known)
       : paths_(paths), wall_(paths.wall()), material_(paths.wall().material), lamp_(paths.lamp()), known_(known) {}
 
-  // Like `PathTracer::camera_sample`, with the light that other walls send, and that scatters in the wall, from the vertices.
+  // Like `PathTracer::camera_sample`, with the light that other walls send, and that scatters in the wall, from the
+  // vertices.
   void known_sample(Vec3 direction, const Hit* hit, Sampler& sampler, FilmPixel& film) {
     paths_.first_vertex(direction, hit, film, [&](const Vertex& at) -> Indirect {
       const bool scatters = material_.subsurface() == SubsurfaceKind::Diffuse;
@@ -31,8 +33,9 @@ class KnownLightTracer {
     });
   }
 
-  // The same with the light of the vertices one wall later: a sample's first ray, or its scatter walk, is traced, and what it
-  // meets is lit by the lamp exactly and by other walls from the vertices. What the coat there mirrors is traced.
+  // The same with the light of the vertices one wall later: a sample's first ray, or its scatter walk, is traced, and
+  // what it meets is lit by the lamp exactly and by other walls from the vertices. What the coat there mirrors is
+  // traced.
   void gathered_sample(Vec3 direction, const Hit* hit, Sampler& sampler, FilmPixel& film) {
     paths_.first_vertex(direction, hit, film, [&](const Vertex& at) -> Indirect {
       if (material_.subsurface() == SubsurfaceKind::Diffuse) return gathered_walk(at, sampler);
@@ -119,8 +122,8 @@ class KnownLightTracer {
     return interpolated(hit, [](const KnownLight& at) { return at.irradiance.data(); }, light);
   }
 
-  // Interpolates what is known at the face's vertices; vertices of which nothing is known leave their part to the others.
-  // False where hardly anything is.
+  // Interpolates what is known at the face's vertices; vertices of which nothing is known leave their part to the
+  // others. False where hardly anything is.
   template <class Values>
   bool interpolated(const Hit& hit, Values&& values, Vec3& light) const {
     // Least part of the weights at which the rest may speak for all.

@@ -1,8 +1,8 @@
 #pragma once
 // The lamp: a point of intensity I with inverse-square falloff and a profile around the camera's axis,
 //   E = I max(cos_axis, 0)^m cos / r^2,
-// and what a vertex of a path sends on of its light. Where the lamp sits at the camera and the camera sees a point, this is a
-// closed form without a shadow ray.
+// and what a vertex of a path sends on of its light. Where the lamp sits at the camera and the camera sees a point,
+// this is a closed form without a shadow ray.
 
 #include "cpp/trace/surface.h"
 
@@ -19,7 +19,7 @@ class Lamp {
   Vec3 position() const { return position_; }
   Vec3 intensity() const { return intensity_; }
 
-  // The part of the intensity in a direction of the light's travel.
+  // Part of the intensity that goes to a point from which the lamp lies in the unit direction `towards_lamp`.
   float emission(Vec3 towards_lamp) const {
     if (exponent_ == 0.0f) return 1.0f;
     const float cosine = clamp(-dot(towards_lamp, axis_), 0.0f, 1.0f);

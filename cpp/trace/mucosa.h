@@ -42,7 +42,8 @@ inline float gradient_noise(const NoiseKernel& noise, Vec3 p, std::uint32_t seed
 
 // Distance from `p` to the nearest face of the Voronoi diagram of one jittered point per unit cell, measured along a
 // surface of unit normal `normal` through `p` (a face that lies along the surface is then far away: it would show as a
-// patch, not as a line; `steepness` 0, 1 where it stands upright); `edge_hash` names the two cells that meet there, whichever of them `p` is in.
+// patch, not as a line; `steepness` 0, 1 where it stands upright); `edge_hash` names the two cells that meet there,
+// whichever of them `p` is in.
 inline float voronoi_edge(const NoiseKernel& noise, Vec3 p, Vec3 normal, std::uint32_t seed, std::uint32_t& edge_hash,
                           float& steepness) {
   const Neighbours next = noise.neighbours(&p.x, seed);
@@ -78,7 +79,7 @@ inline float vessel_coverage(const NoiseKernel& noise, Vec3 rest_mm, Vec3 normal
   return coverage * std::min(1.0f, half / (0.5f * footprint_mm + 1e-6f)) * smoothstep(0.25f, 0.6f, steepness);
 }
 
-// Height of the cartilage rings.
+// Height of the cartilage rings at full strength; like all numbers of the look, no measurement.
 constexpr float kRingHeightMm = 0.45f;
 
 // Cartilage: full in trachea and main bronchi, gone from generation 4 on.
@@ -88,7 +89,8 @@ inline float ring_weight(float generation, Vec3 rest_normal) {
   return (1.0f - smoothstep(1.2f, 4.0f, generation)) * (1.0f - membrane);
 }
 
-// The cartilage rings' profile over the distance along the airway: pale bulge, flat gap. Value in [0, 1] and slope per mm.
+// The cartilage rings' profile over the distance along the airway: pale bulge, flat gap. Value in [0, 1] and slope per
+// mm.
 inline float ring_profile(float axial_mm, float spacing_mm, float& slope) {
   float turns = axial_mm / spacing_mm;
   turns -= std::floor(turns);
@@ -98,15 +100,15 @@ inline float ring_profile(float axial_mm, float spacing_mm, float& slope) {
   return 0.5f - 0.5f * c;
 }
 
-// A point of the rest shape: where it is, the normal there, the distance along the airway, how much cartilage there is (1 in
-// the trachea, 0 in small airways), and the generation of the airway.
+// A point of the rest shape: where it is, the normal there, the distance along the airway, how much cartilage there is
+// (1 in the trachea, 0 in small airways), and the generation of the airway.
 struct RestPoint {
   Vec3 place_mm, normal;
   float axial_mm, ring_weight, generation;
 };
 
-// The look at a point; `base` is the mean albedo, `footprint_mm` the size of a pixel there. Leaves the rings' relief to the
-// caller, who knows the axial gradient. Every seed + k is a noise of its own.
+// The look at a point; `base` is the mean albedo, `footprint_mm` the size of a pixel there. Leaves the rings' relief to
+// the caller, who knows the axial gradient. Every seed + k is a noise of its own.
 inline MucosaPoint mucosa_at(const NoiseKernel& noise, const MucosaLook& look, Vec3 base, const RestPoint& point,
                              float footprint_mm) {
   const Vec3 rest_mm = point.place_mm;

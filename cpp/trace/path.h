@@ -11,9 +11,11 @@
 // Russian roulette: from its second bounce on a path survives with the probability of its throughput (the largest
 // channel), never capped: a cap below the albedo would make the variance infinite in a closed lumen. (Roulette at the
 // first bounce too saves 8 % of the rays and costs 60 % in median variance on the reference tube.)
+//
 // Subsurface: at the first vertex (or at every one) the base's light scatters through the wall
-// (`cpp/trace/scatter_walk.h`) and leaves it elsewhere. With a diffuse boundary it enters by the cosine law and leaves as from a Lambert surface of albedo 1;
-// with a matched boundary the surface does not bend or reflect it at all and every scattering is lit by the lamp.
+// (`cpp/trace/scatter_walk.h`) and leaves it elsewhere. With a diffuse boundary it enters by the cosine law and leaves
+// as from a Lambert surface of albedo 1; with a matched boundary the surface does not bend or reflect it at all and
+// every scattering is lit by the lamp.
 
 #include <cmath>
 
@@ -40,7 +42,8 @@ struct Vertex {
   Vec3 origin() const { return s.point + s.geometric * kSurfaceOffset; }
 };
 
-// Light that a vertex sends to the viewer by way of other walls or its own: by the base over its albedo, and by the coat.
+// Light that a vertex sends to the viewer by way of other walls or its own: by the base over its albedo, and by the
+// coat.
 struct Indirect {
   Vec3 base{}, coat{};
 };
@@ -134,7 +137,8 @@ class PathTracer {
     return true;
   }
 
-  // Which of the two terms a sample goes on with, and its weight: the coat over the probability, or the base under its coat.
+  // Which of the two terms a sample goes on with, and its weight: the coat over the probability, or the base under its
+  // coat.
   bool coat_is_chosen(const Vertex& at, Sampler& sampler, float& weight) const {
     weight = 1.0f;
     if (!material_.coated()) return false;
@@ -278,8 +282,8 @@ class PathTracer {
     return {light * next.base, light * next.coat};
   }
 
-  // One sample of what leaves the wall at `at` by way of a scatter walk that starts there: radiance (towards every side),
-  // its first scattering included. `carried`: throughput before (for roulette only).
+  // One sample of what leaves the wall at `at` by way of a scatter walk that starts there: radiance (towards every
+  // side), its first scattering included. `carried`: throughput before (for roulette only).
   Vec3 subsurface_light(const Surface& at, Vec3 towards, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
     Vec3 throughput;
     Hit hit;

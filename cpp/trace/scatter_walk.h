@@ -1,6 +1,7 @@
 #pragma once
-// A scatter walk, the random walk of light in the wall: a homogeneous medium with isotropic scattering below the surface,
-// its extinction sigma and single-scattering albedo a different for red, green and blue. One free flight from x along w:
+// A scatter walk, the random walk of light in the wall: a homogeneous medium with isotropic scattering below the
+// surface, its extinction sigma and single-scattering albedo a different for red, green and blue. One free flight from
+// x along w:
 //   channel c with probability p_c = T_c a_c / sum(T a)           T throughput, of which a_c is what would scatter on
 //   distance t = -ln(1 - u) / sigma_c
 //   T <- T exp(-sigma t) sigma / sum_c(p_c exp(-sigma_c t) sigma_c)     scattered in the medium (then T <- T a)
@@ -63,9 +64,9 @@ class ScatterWalk {
     Vec3 point, direction, throughput;
   };
 
-  // One free flight; moves the point and multiplies the throughput, which includes the albedo where the flight ends in a
-  // scattering. `hit` is set where it ends at the surface. `near`: where the ray starts. `stratified`: over the samples of
-  // a pixel or vertex, which pays for the first flights.
+  // One free flight; moves the point and multiplies the throughput, which includes the albedo where the flight ends in
+  // a scattering. `hit` is set where it ends at the surface. `near`: where the ray starts. `stratified`: over the
+  // samples of a pixel or vertex, which pays for the first flights.
   Step fly(Flight& flight, float near, Sampler& sampler, Hit& hit, bool stratified = false) const {
     // Channel, by what each would carry on.
     const Vec3 carried = flight.throughput * medium_.albedo;
@@ -96,8 +97,8 @@ class ScatterWalk {
     return Step::kScattered;
   }
 
-  // Walks from the surface point `flight.point` into the wall along `flight.direction` until the light comes out again: on
-  // true `flight` and `hit` say where, and what is left of it (the throughput starts at 1).
+  // Walks from the surface point `flight.point` into the wall along `flight.direction` until the light comes out again:
+  // on true `flight` and `hit` say where, and what is left of it (the throughput starts at 1).
   bool leave(Flight& flight, Sampler& sampler, Hit& hit) const {
     flight.throughput = {1, 1, 1};
     float near = kStart;

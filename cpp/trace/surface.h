@@ -1,8 +1,8 @@
 #pragma once
 // The wall as a path's vertex sees it: point, normals, colour, roughness.
 //
-// Fine detail (vessels, film, fine relief) is evaluated where the camera sees it; later vertices see the wall's mean colour
-// and the cartilage rings' relief.
+// Fine detail (vessels, film, fine relief) is evaluated where the camera sees it; later vertices see the wall's mean
+// colour and the cartilage rings' relief.
 
 #include <cmath>
 
@@ -106,9 +106,9 @@ class Wall {
   }
 
  private:
-  // `normal` of a face whose surface rises so, seen along `direction`: n - grad h, with the gradient from the rise along two
-  // edges, grad h = (rise_1 (e2 x n) + rise_2 (n x e1)) / |n|^2. (A relief's rise along two edges of the rest triangle is
-  // its rise along the deformed ones.)
+  // `normal` of a face whose surface rises so, seen along `direction`: n - grad h, with the gradient from the rise
+  // along two edges, grad h = (rise_1 (e2 x n) + rise_2 (n x e1)) / |n|^2. (A relief's rise along two edges of the rest
+  // triangle is its rise along the deformed ones.)
   Vec3 bent(Vec3 normal, Vec3 direction, const std::uint32_t* corners, WallMaterial::Rise rise) const {
     const Vec3 p0 = mesh.position(corners[0]);
     const Vec3 e1 = mesh.position(corners[1]) - p0, e2 = mesh.position(corners[2]) - p0;

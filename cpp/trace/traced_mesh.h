@@ -1,9 +1,9 @@
 #pragma once
 // One triangle mesh in Embree 4, and the rays through it.
 //
-// The mesh lies in two scenes over the same buffers: `robust` lets no ray through an edge, `fast` does so a few times in
-// 1e7 at three quarters of the cost. Both are refitted, not rebuilt, when the vertices move. Embree wants flush-to-zero
-// while it runs: whoever casts rays holds a `FloatMode`.
+// The mesh lies in two scenes over the same buffers: `robust` lets no ray through an edge, `fast` does so a few times
+// in 1e7 at three quarters of the cost. Both are refitted, not rebuilt, when the vertices move. Embree wants
+// flush-to-zero while it runs: whoever casts rays holds a `FloatMode`.
 
 #include <embree4/rtcore.h>
 
@@ -36,8 +36,8 @@ class RayPacket {
  public:
   static constexpr std::size_t kWidth = 8;
 
-  // The first `count` lanes' rays; `origins` and `directions` are xyz interleaved, `origin_stride` floats lie between two
-  // origins (0: one for all).
+  // The first `count` lanes' rays; `origins` and `directions` are xyz interleaved, `origin_stride` floats lie between
+  // two origins (0: one for all).
   void aim(const float* origins, std::size_t origin_stride, const float* directions, std::size_t count);
 
   // Camera rays of one packet are coherent, rays to all sides are not: Embree traverses them differently.

@@ -54,7 +54,8 @@ class AreasAround {
   std::vector<float> so_far_;
 };
 
-// Calls `found(ray, direction, hit)` for the camera rays along unit `directions` (camera axes); `hit` is null at a miss.
+// Calls `found(ray, direction, hit)` for the camera rays along unit `directions` (camera axes); `hit` is null at a
+// miss.
 template <class Found>
 void for_each_camera_ray(const Wall& wall, const FrameSettings& frame, rust::Slice<const float> directions,
                          Found&& found) {

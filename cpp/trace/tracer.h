@@ -1,6 +1,6 @@
 #pragma once
-// The path tracer as Rust sees it (`src/ffi/trace/tracer.rs` has the records and what each call means). Every call takes
-// whole arrays: a border crossed per ray would cost more than the ray.
+// The path tracer as Rust sees it (`src/ffi/trace/tracer.rs` has the records and what each call means). Every call
+// takes whole arrays: a border crossed per ray would cost more than the ray.
 
 #include <cstdint>
 #include <memory>

@@ -2,8 +2,8 @@
 // What the wall is made of: the case's settings, the tables that follow from them, and what of the look is fixed at the
 // vertices of the rest shape (`cpp/trace/mucosa.h` has the look itself).
 //
-// Later bounces see the mean colour around each vertex: what they carry is blurred by the next scattering anyway. Rings of
-// real airways are neither evenly spaced nor of one height: slow noise bends and fades them.
+// Later bounces see the mean colour around each vertex: what they carry is blurred by the next scattering anyway. Rings
+// of real airways are neither evenly spaced nor of one height: slow noise bends and fades them.
 
 #include <vector>
 
@@ -51,8 +51,8 @@ class WallMaterial {
   }
   float later_alpha() const { return mucosa() ? mean_alpha() : settings_.alpha_low; }
 
-  // The look at a point of a face as the camera sees it from a distance at which a pixel spans `footprint_mm`; `edge1` and
-  // `edge2`: the face's edges at rest, from its first corner.
+  // The look at a point of a face as the camera sees it from a distance at which a pixel spans `footprint_mm`; `edge1`
+  // and `edge2`: the face's edges at rest, from its first corner.
   MucosaPoint look_at(const std::uint32_t* corners, float u, float v, float footprint_mm, Vec3& edge1,
                       Vec3& edge2) const {
     const float w[3] = {1.0f - u - v, u, v};
@@ -92,8 +92,9 @@ class WallMaterial {
         {single_scattering_albedo(albedo.x), single_scattering_albedo(albedo.y), single_scattering_albedo(albedo.z)}};
   }
 
-  // Direction (local, downwards) in which light that leaves towards `o` travelled below the surface: by the cosine law, or,
-  // for the part `refracted_entry` of the walks, refracted through a microfacet of roughness 1. False where there is none.
+  // Direction (local, downwards) in which light that leaves towards `o` travelled below the surface: by the cosine law,
+  // or, for the part `refracted_entry` of the walks, refracted through a microfacet of roughness 1. False where there
+  // is none.
   bool entry_direction(Vec3 o, Sampler& sampler, Vec3& local) const {
     float u, v;
     sampler.next2(u, v);

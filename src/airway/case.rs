@@ -188,8 +188,8 @@ pub struct Case {
     /// Motion; absent only for a mesh pair.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub breathing: Option<Breathing>,
-    /// Root mean square error in mm of the registration between the two CTs, as methods get it: a smooth random field is
-    /// added to the expiration mesh that they are given. The film and the truth do not know of it.
+    /// Root mean square error in mm of the registration between the two CTs, as methods get it: a smooth random field
+    /// is added to the expiration mesh that they are given. The film and the truth do not know of it.
     #[serde(default, skip_serializing_if = "super::waveform::is_zero")]
     pub registration_error_mm: f64,
     /// Folder of the case file, for its relative paths.

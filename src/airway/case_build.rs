@@ -154,9 +154,9 @@ fn moved(points: &[DVec3], feet: &[AxisPoint], breathing: &Breathing) -> Vec<DVe
     points.par_iter().zip(feet).map(move_one).collect()
 }
 
-/// Real surfaces hold slivers much thinner than the scale of the motion, and those may turn over in the finest gradients
-/// of the calibre's change. Around such a face the motion is averaged over neighbours until it no longer does; when that
-/// does not help, the faces are left for [`check_faces`] to name.
+/// Real surfaces hold slivers much thinner than the scale of the motion, and those may turn over in the finest
+/// gradients of the calibre's change. Around such a face the motion is averaged over neighbours until it no longer
+/// does; when that does not help, the faces are left for [`check_faces`] to name.
 fn settled(rest: &TriangleMesh, mut expiration: Vec<DVec3>) -> Vec<DVec3> {
     let mut flipped = field_check::flipped_faces(rest, &expiration);
     if flipped.is_empty() || flipped.len() * SETTLED_PART > rest.faces.len() {

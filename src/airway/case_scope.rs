@@ -51,8 +51,8 @@ impl Default for ExposureSettings {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ScopeSettings {
-    /// The fibre bundle is half as bright at this angle from its axis as on it: intensity falls with the power
-    /// ln(1/2) / ln(cos angle) of the cosine. 60 is a fibre face that radiates after Lambert; 0 is even in all directions.
+    /// The fibre bundle is half as bright at this angle from its axis as on it: intensity falls with the power ln(1/2)
+    /// / ln(cos angle) of the cosine. 60 is a fibre face that radiates after Lambert; 0 is even in all directions.
     pub emission_half_angle_deg: f64,
     /// Vignette: irradiance on the sensor falls by this part of what the cos^4 law says; 1 is the law itself.
     pub vignette: f64,

@@ -1,4 +1,5 @@
-//! Extracts the centreline of a closed surface: voxels of the lumen, paths from the inlet to every end, centred and joined.
+//! Extracts the centreline of a closed surface: voxels of the lumen, paths from the inlet to every end, centred and
+//! joined.
 
 use super::centerline::{Centerline, CenterlineSettings};
 use super::centerline_distance::SurfaceDistance;

@@ -1,6 +1,8 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
+use glam::DVec3;
+
 use super::*;
 
 /// Radius in mm of the axis' quarter circle and of the tube.

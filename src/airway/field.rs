@@ -2,8 +2,8 @@
 //!
 //!   u(x) = scale * ( a + A x + sum_j w_j phi(|x - c_j|) ),   phi(r) = -sqrt(r^2 + s^2)
 //!
-//! a + A x is an affine part; phi is the 3D thin-plate (biharmonic) kernel -r, softened over s so that it is smooth at the
-//! centres too (Hardy's multiquadric); the weights are orthogonal to affine functions, so far from the centres only
+//! a + A x is an affine part; phi is the 3D thin-plate (biharmonic) kernel -r, softened over s so that it is smooth at
+//! the centres too (Hardy's multiquadric); the weights are orthogonal to affine functions, so far from the centres only
 //! the affine part remains. Lengths inside are in units of [`UNIT_MM`] to keep the numbers of a case file readable.
 //! [`super::field_fit`] fits it to landmark pairs. x in the frame of the airway mesh at inspiration, mm.
 
@@ -29,7 +29,8 @@ pub struct BreathingField {
     pub origin_mm: [f64; 3],
     /// Three rows `[a, A_x, A_y, A_z]`: displacement in mm at the origin and per unit along each axis.
     pub affine: [[f64; 4]; 3],
-    /// One row `[c_x, c_y, c_z, w_x, w_y, w_z]` per centre: position relative to the origin in mm, weight in mm per unit.
+    /// One row `[c_x, c_y, c_z, w_x, w_y, w_z]` per centre: position relative to the origin in mm, weight in mm per
+    /// unit.
     pub centers: Vec<[f64; 6]>,
 }
 

@@ -1,7 +1,8 @@
 //! Change of calibre with breathing: every airway shrinks around its own centreline, the trachea's back wall bulges in.
 //!
-//! A point x belongs to a soft mean of the centreline: weights w_k = l_k exp(-K (|x - p_k| / r_k)^2) over centreline points
-//! p_k with radius r_k and arc length l_k give the axis point p(x), radius r(x), generation g(x) and tangent. Then
+//! A point x belongs to a soft mean of the centreline: weights w_k = l_k exp(-K (|x - p_k| / r_k)^2) over centreline
+//! points p_k with radius r_k and arc length l_k give the axis point p(x), radius r(x), generation g(x) and tangent.
+//! Then
 //!
 //!   s(x) = (rho(g) - 1) (x - p)  +  b(g) r * back(x) * forwards
 //!

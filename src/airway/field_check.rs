@@ -1,9 +1,9 @@
 //! Is the interpolation (1 - alpha) V_insp + alpha V_exp free of folds at every alpha in [0, 1]?
 //!
-//! Triangles: with edges e1 + alpha d1 and e2 + alpha d2 the area normal is quadratic in alpha, and so is its projection onto the
-//! normal at rest; the minimum of that quadratic over [0, 1] is known in closed form, so the check is exact. Field: the
-//! determinant of I + alpha grad u is cubic in alpha; its coefficients are the invariants of grad u, and its minimum over [0, 1]
-//! lies at an end or at a root of the derivative: exact as well.
+//! Triangles: with edges e1 + alpha d1 and e2 + alpha d2 the area normal is quadratic in alpha, and so is its
+//! projection onto the normal at rest; the minimum of that quadratic over [0, 1] is known in closed form, so the check
+//! is exact. Field: the determinant of I + alpha grad u is cubic in alpha; its coefficients are the invariants of grad
+//! u, and its minimum over [0, 1] lies at an end or at a root of the derivative: exact as well.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;

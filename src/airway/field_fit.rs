@@ -3,9 +3,9 @@
 //!   minimise  sum_i m_i |u(x_i) - d_i|^2 + lambda * sum_axis w^T K w,   K_jk = phi(|c_j - c_k|),   P^T w = 0
 //!
 //! after Wood (J R Stat Soc B 65:95, 2003; thin-plate regression splines with knots) and Hardy's multiquadric. The side
-//! condition P^T w = 0 (weights orthogonal to 1, x, y, z) is solved exactly through w = Z v with Z an orthonormal basis of the
-//! null space. lambda is the one of a fixed ladder that predicts held-out landmarks best (five folds, every fifth
-//! pair). Anchors (`mass` m_i > 1) hold the top of the trachea. Left out: reweighting of outliers.
+//! condition P^T w = 0 (weights orthogonal to 1, x, y, z) is solved exactly through w = Z v with Z an orthonormal basis
+//! of the null space. lambda is the one of a fixed ladder that predicts held-out landmarks best (five folds, every
+//! fifth pair). Anchors (`mass` m_i > 1) hold the top of the trachea. Left out: reweighting of outliers.
 
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector};

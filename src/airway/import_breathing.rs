@@ -1,9 +1,9 @@
 //! Brings measured lung motion to an airway that is not the patient's: placement by the lungs' box, fit, fold check.
 //!
 //! The airway stays where it is; the patient's landmarks are carried into its frame. Carina goes to carina, assumed at
-//! fixed fractions of the lungs' inspiration box, and each axis is scaled so that the airway fills as much of that box as
-//! airways visible in CT do. So tree and motion are both real, but not of one patient, and case files say so. The top of
-//! the trachea is held by anchors of small motion: landmarks lie in the parenchyma, and the trachea moves least.
+//! fixed fractions of the lungs' inspiration box, and each axis is scaled so that the airway fills as much of that box
+//! as airways visible in CT do. So tree and motion are both real, but not of one patient, and case files say so. The
+//! top of the trachea is held by anchors of small motion: landmarks lie in the parenchyma, and the trachea moves least.
 //! When the interpolated mesh would fold anywhere, smoothing is raised step by step until it does not.
 
 use std::path::Path;
@@ -122,8 +122,8 @@ pub struct MeasuredBreathing {
     pub extra_smoothing: usize,
 }
 
-/// Fits the motion of `pairs` for the airway `rest` with `centerline`, checked free of folds at up to `largest_scale` times
-/// the measured motion.
+/// Fits the motion of `pairs` for the airway `rest` with `centerline`, checked free of folds at up to `largest_scale`
+/// times the measured motion.
 ///
 /// Errors: too few landmarks; folds even at the strongest smoothing.
 pub fn measured_breathing(

@@ -1,8 +1,8 @@
 //! The breathing phase over time: a C1-continuous tidal waveform, 1.5 s in and 2.5 s out by default.
 //!
 //! A driving pressure P(t) in [0, 1] (0 end of expiration, 1 end of inspiration) is a raised cosine of warped time
-//! within each half-breath; the lung follows it along the exponential pressure-volume curve of Salazar and Knowles
-//! (J Appl Physiol 19:97, 1964), V(P) = (1 - exp(-k P)) / (1 - exp(-k)), with another stiffness k on the way out than on
+//! within each half-breath; the lung follows it along the exponential pressure-volume curve of Salazar and Knowles (J
+//! Appl Physiol 19:97, 1964), V(P) = (1 - exp(-k P)) / (1 - exp(-k)), with another stiffness k on the way out than on
 //! the way in (hysteresis). The warp makes expiration fast first and slow later, like elastic recoil against a
 //! resistance. The phase is 1 - V. At both turning points dP/dt = 0, so dV/dt = 0 whatever k: C1 across half-breaths.
 //!

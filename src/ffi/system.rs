@@ -1,8 +1,4 @@
-//! What the operating system knows about this process and machine: CPU time, memory, disk. libc.
-
-use std::ffi::CString;
-use std::os::unix::ffi::OsStrExt;
-use std::path::Path;
+//! What the operating system knows about this process and machine: CPU time, memory. libc.
 
 fn usage() -> libc::rusage {
     // SAFETY: `rusage` is plain numbers, for which all-zero bytes are a value; getrusage writes into memory that is
@@ -34,18 +30,6 @@ pub fn memory_mib() -> f64 {
     // SAFETY: sysconf takes a number and returns a number.
     let (pages, page_bytes) = unsafe { (libc::sysconf(libc::_SC_PHYS_PAGES), libc::sysconf(libc::_SC_PAGESIZE)) };
     if pages < 0 || page_bytes < 0 { 0.0 } else { pages as f64 * page_bytes as f64 / (1024.0 * 1024.0) }
-}
-
-/// Free disk space in MiB for the user at `path`, which must exist.
-pub fn free_disk_mib(path: &Path) -> Option<f64> {
-    let path = CString::new(path.as_os_str().as_bytes()).ok()?;
-    // SAFETY: `statvfs` is plain numbers, for which all-zero bytes are a value; `path` is a NUL-terminated string that
-    // outlives the call; the result is read only when the call says that it filled it.
-    unsafe {
-        let mut answer: libc::statvfs = std::mem::zeroed();
-        (libc::statvfs(path.as_ptr(), &mut answer) == 0)
-            .then(|| answer.f_bavail as f64 * answer.f_frsize as f64 / (1024.0 * 1024.0))
-    }
 }
 
 /// Resizes a table to `n` entries, on huge pages where it grows large: the first touch of 10 MB in small pages takes as
@@ -89,7 +73,5 @@ mod tests {
         assert!(cpu_time_s() < 1e6 && x > 0);
         assert!(memory_mib() > 256.0);
         assert!(peak_memory_mib() > 0.5 && peak_memory_mib() < memory_mib());
-        assert!(free_disk_mib(Path::new("/")).unwrap() >= 0.0);
-        assert!(free_disk_mib(Path::new("/no/such/folder")).is_none());
     }
 }

@@ -97,12 +97,6 @@ impl PlaneContour {
         imgproc::point_polygon_test(&self.0, point, false).map(|side| side >= 0.0).map_err(refused)
     }
 
-    /// Distance from `point` to the contour: positive inside, negative outside (`pointPolygonTest`).
-    pub fn signed_distance(&self, point: [f64; 2]) -> Result<f64> {
-        let point = Point2f::new(point[0] as f32, point[1] as f32);
-        imgproc::point_polygon_test(&self.0, point, true).map_err(refused)
-    }
-
     /// Enclosed area (`contourArea`).
     pub fn area(&self) -> Result<f64> {
         imgproc::contour_area(&self.0, false).map_err(refused)
@@ -141,7 +135,5 @@ mod tests {
         assert_eq!(square.area().unwrap(), 16.0);
         assert_eq!(square.length().unwrap(), 16.0);
         assert!(square.encloses([1.0, 1.0]).unwrap() && !square.encloses([5.0, 1.0]).unwrap());
-        assert_eq!(square.signed_distance([1.0, 2.0]).unwrap(), 1.0);
-        assert_eq!(square.signed_distance([7.0, 2.0]).unwrap(), -3.0);
     }
 }

@@ -21,13 +21,13 @@ pub enum MaterialKind {
     Mucosa,
 }
 
-/// Whether light walks through the wall of a `coated` or `mucosa` material.
+/// Whether light scatters through the wall of a `coated` or `mucosa` material.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Subsurface {
     /// It leaves where it enters (Lambert base).
     Off,
-    /// It walks (`mean_free_path_mm`, at the first vertex of a path; diffuse boundary below the coat).
+    /// It scatters in the wall (`mean_free_path_mm`, at the first vertex of a path; diffuse boundary below the coat).
     Walk,
 }
 
@@ -38,14 +38,14 @@ pub enum Boundary {
     /// Enters by the cosine law and leaves as from a Lambert surface of albedo 1.
     #[default]
     Diffuse,
-    /// Half enters by the cosine law, half is refracted by `coat_ior` through microfacets of GGX alpha 1; leaves as from a
-    /// Lambert surface of albedo 1 (the random walk of Blender 4).
+    /// Half enters by the cosine law, half is refracted by `coat_ior` through microfacets of GGX alpha 1; leaves as
+    /// from a Lambert surface of albedo 1 (the random walk of Blender 4).
     Mixed,
     /// Same refractive index on both sides: neither bent nor reflected.
     Matched,
 }
 
-/// Which vertices of a path walk through a `subsurface` wall.
+/// At which vertices of a path light scatters through a `subsurface` wall.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum WalkedVertices {
@@ -68,7 +68,7 @@ pub struct Material {
     pub coat_alpha: f64,
     /// Refractive index of the coat.
     pub coat_ior: f64,
-    /// Light in the wall of `coated` and `mucosa`; where left out, it walks in `mucosa` and not in `coated`.
+    /// Light in the wall of `coated` and `mucosa`; where left out, it scatters in `mucosa` and not in `coated`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub subsurface: Option<Subsurface>,
     /// Mean free path below the surface in mm per channel (`subsurface`).
@@ -78,7 +78,7 @@ pub struct Material {
     pub single_scattering_albedo: Option<[f64; 3]>,
     /// Surface of a `subsurface` wall.
     pub boundary: Boundary,
-    /// Where paths walk through a `subsurface` wall.
+    /// Where light scatters through a `subsurface` wall.
     pub walk: WalkedVertices,
     /// Strength of the vessels (`mucosa`; 0 none, 1 usual).
     pub vessels: f64,
@@ -127,7 +127,7 @@ impl Material {
         Material { kind: MaterialKind::Coated, albedo, coat_alpha, coat_ior, ..Material::default() }
     }
 
-    /// An uncoated wall with light walking in it.
+    /// An uncoated wall with light scattering in it.
     pub fn subsurface(albedo: [f64; 3], mean_free_path_mm: [f64; 3], boundary: Boundary, walk: WalkedVertices) -> Self {
         Material { kind: MaterialKind::Subsurface, albedo, mean_free_path_mm, boundary, walk, ..Material::default() }
     }
@@ -166,7 +166,7 @@ impl Material {
         self.validate()?;
         let mucosa = self.kind == MaterialKind::Mucosa;
         let alpha = self.coat_alpha as f32;
-        // Film of very different wetness lies on real mucosa: half to twice the middling roughness.
+        // The film on real mucosa varies in wetness: from 0.5 to 1.7 times the middling roughness.
         let (alpha_low, alpha_high) = if mucosa { (alpha * 0.5, (alpha * 1.7).min(1.0)) } else { (alpha, alpha) };
         Ok(MaterialSettings {
             mucosa,

@@ -35,11 +35,8 @@ pub fn probe(scene: &Scene, camera: &Camera, world_from_camera: &DAffine3) -> Re
             let directions: Vec<f32> = (0..width).flat_map(|x| centre(x).to_array()).map(|v| v as f32).collect();
             let point = |p: ProbedPoint| {
                 let (u, v) = (p.place.u as f64, p.place.v as f64);
-                (p.place.face != NO_FACE).then(|| SurfacePoint {
-                    face: p.place.face,
-                    weights: [1.0 - u - v, u, v],
-                    albedo: p.albedo,
-                })
+                let point = SurfacePoint { face: p.place.face, weights: [1.0 - u - v, u, v], albedo: p.albedo };
+                (p.place.face != NO_FACE).then_some(point)
             };
             Ok(scene.tracer.probe(&frame, &directions)?.into_iter().map(point).collect())
         })

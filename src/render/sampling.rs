@@ -1,9 +1,9 @@
 //! Samples of the pixels of a picture: a stated number of each, or as many as a stated error needs.
 //!
 //! Adaptive: tiles of 16 x 16 pixels. After every round a tile knows two halves of its samples, whose difference tells
-//! the error of their mean; tiles above the target double their samples until the picture's mean error is below it. (The
-//! least samples for a given mean error would go as the square root of a tile's error; doubling comes near.) A half's
-//! error is only an estimate: a tile whose rare bright paths neither half has met stops too early.
+//! the error of their mean; tiles above the target double their samples until the picture's mean error is below it.
+//! (The least samples for a given mean error would go as the square root of a tile's error; doubling comes near.) A
+//! half's error is only an estimate: a tile whose rare bright paths neither half has met stops too early.
 
 use rayon::prelude::*;
 
@@ -15,7 +15,7 @@ use crate::ffi::trace::tracer::{FilmPixel, FrameSettings, KnownLight, TileCounte
 const TILE_PX: u32 = 16;
 /// Most samples per pixel of one round: the tracer's f32 sums stay exact enough, and the user can stop between rounds.
 const SAMPLES_PER_ROUND: u32 = 32;
-/// Where adaptive sampling gives up.
+/// Most samples per pixel: adaptive sampling stops there.
 pub(super) const MAX_SAMPLES: u32 = 65_536;
 
 type RgbSum = [f64; 3];
@@ -49,7 +49,7 @@ impl PixelSums {
 pub(super) struct SampledImage {
     width: u32,
     sums: Vec<PixelSums>,
-    /// Per tile.
+    /// Samples per pixel of every tile.
     samples: Vec<u32>,
 }
 
@@ -64,7 +64,7 @@ pub(super) struct TracedView<'a> {
 }
 
 impl SampledImage {
-    /// Without samples.
+    /// A picture without samples yet.
     pub(super) fn new(width: u32, height: u32) -> Self {
         let pixels = width as usize * height as usize;
         let tiles = width.div_ceil(TILE_PX) as usize * height.div_ceil(TILE_PX) as usize;
@@ -135,8 +135,8 @@ impl SampledImage {
         (0..self.sums.len()).map(|p| std::array::from_fn(|c| self.radiance(p, c))).collect()
     }
 
-    /// Estimated mean of (error / radiance)^2 of every tile, from the picture `before` and the samples since, which are as
-    /// many: their difference, halved, is as large as the error of their mean.
+    /// Estimated mean of (error / radiance)^2 of every tile, from the picture `before` and the samples since, which are
+    /// as many: their difference, halved, is as large as the error of their mean.
     fn errors(&self, before: &[RgbSum]) -> Vec<f64> {
         let mut sums = vec![(0.0, 0.0); self.samples.len()];
         for (pixel, first) in before.iter().enumerate() {
@@ -151,12 +151,12 @@ impl SampledImage {
         sums.into_iter().map(|(sum, count)| sum / count).collect()
     }
 
-    /// The whole picture's mean of what every tile has.
+    /// Mean over all pixels of their tiles' errors.
     fn mean_error(&self, errors: &[f64]) -> f64 {
         (0..self.sums.len()).map(|p| errors[self.tile_of(p)]).sum::<f64>() / self.sums.len() as f64
     }
 
-    /// Brings the tiles to numbers of samples, in rounds.
+    /// Takes samples in rounds until every tile has as many per pixel as `goals` says.
     fn sample(
         &mut self,
         view: &TracedView,
@@ -180,7 +180,7 @@ impl SampledImage {
     }
 }
 
-/// Samples every pixel `samples_per_pixel` times; with a target, goes on as the header says.
+/// Samples every pixel `samples_per_pixel` times; with a target, goes on adaptively (see the head of this file).
 pub(super) fn sampled(
     view: &TracedView,
     samples_per_pixel: u32,

@@ -15,9 +15,9 @@ pub struct Scene {
     /// Subtracted from every world position before it becomes f32: keeps coordinates small.
     pub(super) shift: DVec3,
     pub(super) topology: Topology,
-    /// Light at rest.
+    /// Light transport at the two ends of the motion.
     pub(super) tissue: Tissue,
-    /// How far the shape is on the way to the other end of its motion.
+    /// How far the shape is on the way to the other end of its motion, 0 to 1.
     pub(super) progress: f64,
     /// An index-matched boundary.
     matched: bool,
@@ -54,7 +54,7 @@ impl Scene {
         })
     }
 
-    /// Refuses what has no light at vertices.
+    /// Refuses a material that light at vertices cannot represent.
     pub(super) fn check_vertex_light(&self) -> Result<()> {
         if self.matched {
             return Err(Error::input(
@@ -72,8 +72,8 @@ impl Scene {
         self.tracer.update(&vertices)
     }
 
-    /// Tells where the motion ends that starts at rest (positions in the world, mm). Light at vertices then weighs which
-    /// walls see each other at either end; without it, that is as at rest.
+    /// Sets the other end of the motion that starts at rest (positions in the world, mm). Light at vertices then
+    /// interpolates between the two ends in which walls see each other; without it, visibility is that at rest.
     ///
     /// Errors: another number of vertices.
     pub fn set_other_end(&mut self, vertices: &[DVec3]) -> Result<()> {

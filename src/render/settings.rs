@@ -12,9 +12,9 @@ pub struct Light {
     /// Position in the world in mm; `None` is at the camera.
     #[serde(default, rename = "position", skip_serializing_if = "Option::is_none")]
     pub position_mm: Option<DVec3>,
-    /// Emission profile: in directions that make the angle t with the camera's axis the intensity is
-    /// `intensity * max(cos t, 0)^emission_exponent`. 0 is even in all directions (backwards too); 1 is a polished fibre
-    /// face that radiates after Lambert; a fibre bundle of smaller aperture has more ([`Light::exponent_of_half_angle`]).
+    /// Emission profile: in directions that make the angle t with the camera's axis the intensity is `intensity *
+    /// max(cos t, 0)^emission_exponent`. 0 is even in all directions (backwards too); 1 is a polished fibre face that
+    /// radiates after Lambert; a fibre bundle of smaller aperture has more ([`Light::exponent_of_half_angle`]).
     #[serde(default)]
     pub emission_exponent: f64,
 }
@@ -48,14 +48,14 @@ pub enum Transport {
     /// Paths from every camera sample: no bias, noise.
     #[default]
     Paths,
-    /// At the vertices that the camera sees, interpolated (`vertex_light.rs`): a little bias, hardly any noise. Faces must
-    /// be wound so that their normals point into the lumen.
+    /// At the vertices that the camera sees, interpolated (`vertex_light.rs`): a little bias, hardly any noise. Faces
+    /// must be wound so that their normals point into the lumen.
     Vertices {
         /// Rays that every face around a seen vertex sends out, 1 to 4096.
         rays_per_face: u32,
     },
-    /// A ray (or a walk) from every camera sample, and light at the vertices of what it meets: less bias and more noise than
-    /// [`Transport::Vertices`], a fraction of the noise of [`Transport::Paths`]. For stills; faces wound as there.
+    /// A ray (or a walk) from every camera sample, and light at the vertices of what it meets: less bias and more noise
+    /// than [`Transport::Vertices`], a fraction of the noise of [`Transport::Paths`]. For stills; faces wound as there.
     Gather {
         /// As in [`Transport::Vertices`].
         rays_per_face: u32,

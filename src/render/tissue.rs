@@ -1,13 +1,14 @@
-//! What light does on the shapes at the two ends of the motion, fixed to the tissue: which faces a face's rays meet, and
-//! where scatter walks through the wall come out. Both are kept, once made, and weighed by how far a shape is on its way.
+//! What light does on the shapes at the two ends of the motion, fixed to the tissue: which faces a face's rays meet,
+//! and where scatter walks through the wall come out. Both are kept, once made, and weighed by how far a shape is on
+//! its way.
 //!
-//! Rows of walks, one per vertex and end, are a linear map from the light that falls on the faces to the light that comes
-//! out at the vertex. Most of the noise of a few walks is in how much light survives, which hardly differs between
-//! neighbours: every row is scaled to the mean sum of the rows around it.
+//! Rows of walks, one per vertex and end, are a linear map from the light that falls on the faces to the light that
+//! comes out at the vertex. Most of the noise of a few walks is in how much light survives, which hardly differs
+//! between neighbours: every row is scaled to the mean sum of the rows around it.
 //!
 //! A row is made when a camera first sees its vertex or face, and serves every frame; it depends on the two shapes, the
 //! material and the seed alone, and not on which frames came before. So noise does not flicker, and light changes
-//! smoothly with the breath. That the ends speak for the shapes between them is the approximation
+//! smoothly with the breath. Interpolating between the two ends is the approximation
 //! (`docs/decisions/0005-light-at-vertices.md` has its size).
 
 use std::sync::OnceLock;
@@ -23,10 +24,10 @@ const WALKS: usize = 128;
 /// Vertices per task.
 const CHUNK: usize = 16;
 
-/// Where one vertex gets its light from.
+/// Where one vertex gets its scattered light from.
 struct ScatterRow {
-    /// Exits of the walks that come out, weights over the number of walks: parts of the irradiance there that come out at
-    /// the vertex, over the vertex' albedo.
+    /// Exits of the walks that come out, weights over the number of walks: parts of the irradiance there that come out
+    /// at the vertex, over the vertex' albedo.
     exits: Box<[ScatterExit]>,
     /// Sum of the weights, free of the noise that the same walks have below a flat surface.
     sum: [f32; 3],
@@ -45,7 +46,7 @@ impl ScatterRow {
     }
 }
 
-/// What makes the tracers of the fixed shapes.
+/// What the tracers of the two ends are built from.
 pub(super) struct RestShape {
     /// Airway generation per vertex.
     pub generation: Vec<f32>,
@@ -55,7 +56,7 @@ pub(super) struct RestShape {
     pub material: MaterialSettings,
 }
 
-/// Rows, made where they are asked for.
+/// Hits and rows of both ends, computed when first needed.
 pub(super) struct Tissue {
     rest: RestShape,
     ends: Vec<MotionEnd>,
@@ -77,7 +78,7 @@ impl MotionEnd {
         MotionEnd { vertices, tracer: OnceLock::new(), hits: empty(faces), rows: empty(count), scales: empty(count) }
     }
 
-    /// What brings the sum of a row to the mean of those around it.
+    /// The factor that brings the sum of a row to the mean of those around it.
     fn scale(&self, vertex: u32, around: &[u32]) -> [f32; 3] {
         let mut mean = [0.0; 3];
         for row in around.iter().filter_map(|&v| self.rows[v as usize].get()) {
@@ -122,14 +123,14 @@ impl Tissue {
         if whole > 0.0 { (along / whole).clamp(0.0, 1.0) } else { 0.0 }
     }
 
-    /// The ends that speak for a shape, and how much.
+    /// The ends that represent a shape, and their weights.
     pub(super) fn weighted_ends(&self, progress: f64) -> Vec<(usize, f32)> {
         let parts = [(0, 1.0 - progress as f32), (1, progress as f32)];
         parts.into_iter().filter(|&(_, part)| part > 0.0).collect()
     }
 
-    /// Light leaves the wall elsewhere than where it enters.
-    pub(super) fn walks(&self) -> bool {
+    /// Whether light scatters in the wall and leaves it elsewhere.
+    pub(super) fn scatters(&self) -> bool {
         self.rest.material.subsurface == SubsurfaceKind::Diffuse
     }
 
@@ -146,8 +147,8 @@ impl Tissue {
         end.tracer.get_or_init(make).as_ref().map_err(|e| Error::new(e.kind(), e.to_string()))
     }
 
-    /// The faces that `per_face` rays from each of `faces` meet on the shape of `end`, [`NO_FACE`] where one leaves the mesh;
-    /// and the number of rays that were traced for it.
+    /// The faces that `per_face` rays from each of `faces` meet on the shape of `end`, [`NO_FACE`] where one leaves the
+    /// mesh; and the number of rays that were traced for it.
     pub(super) fn hits(
         &self,
         frame: &FrameSettings,
@@ -166,7 +167,7 @@ impl Tissue {
                 _ => {
                     let mut row = vec![NO_FACE; per_face];
                     rays += tracer.gather(frame, &[face], &mut row)?;
-                    // Whoever comes first is kept: ray k is the same in rows of any length.
+                    // The first row made is kept: ray k is the same in rows of any length.
                     kept[face as usize].get_or_init(|| row.clone().into_boxed_slice());
                     all.extend_from_slice(&row);
                     continue;
@@ -185,7 +186,7 @@ impl Tissue {
         vertices: &[u32],
         topology: &Topology,
     ) -> Result<u64> {
-        if !self.walks() {
+        if !self.scatters() {
             return Ok(0);
         }
         let kept = &self.ends[end];
@@ -227,7 +228,7 @@ impl Tissue {
         self.ends[end].exits(vertex)
     }
 
-    /// What brings a vertex' row at `end` to the mean sum of those around it; 0 before [`Tissue::prepare`].
+    /// The factor that brings a vertex' row at `end` to the mean sum of those around it; 0 before [`Tissue::prepare`].
     pub(super) fn scale_of(&self, end: usize, vertex: u32) -> [f32; 3] {
         self.ends[end].scales[vertex as usize].get().copied().unwrap_or([0.0; 3])
     }

@@ -1,21 +1,22 @@
 //! Light at the vertices that the camera sees: a radiosity solution on the faces from which light gets there.
 //!
 //! The light that other walls send (irradiance, all bounces) and the light that has scattered in the wall are smooth
-//! over the surface, so they are computed once per vertex and interpolated; what is sharp (the lamp on an uncovered base, the
-//! coat's glare, colour, edges) stays with the camera's samples. Recipe per frame:
+//! over the surface, so they are computed once per vertex and interpolated; what is sharp (the lamp on an uncovered
+//! base, the coat's glare, colour, edges) stays with the camera's samples. Recipe per frame:
 //!
 //! 1. The faces around the visible vertices each send some rays after the cosine law; the faces that these meet send
-//!    fewer, and so on for [`DEPTH`] generations: cost follows what can be seen, not the size of the tree. Which faces
+//!    fewer, and so on for [`DEPTH`] generations: the cost follows what is visible, not the size of the tree. Which faces
 //!    meet which is found once at either end of the breath (`tissue.rs`) and weighed by the phase.
-//! 2. Every face met gets the lamp's irradiance in closed form (one shadow ray).
+//! 2. Every face that a ray meets gets the lamp's irradiance in closed form (one shadow ray).
 //! 3. Jacobi steps of `E = G (sent + R E)` along the recorded rays: all bounces, or as many as were asked for.
 //! 4. Vertices take the mean of the faces around them; with light in the wall also their rows of `tissue.rs`.
 //!
-//! In symbols, per face: `E` irradiance by other walls, `R` its reflectance, `sent` the radiosity by the lamp's own light
-//! ([`FaceLight`]), `G` the form factors that the recorded rays estimate, with each ray's [`Glint`].
+//! In symbols, per face: `E` irradiance by other walls, `R` its reflectance, `sent` the radiosity by the lamp's own
+//! light ([`FaceLight`]), `G` the form factors that the recorded rays estimate, with each ray's [`Glint`].
 //!
 //! Approximations: faces reflect all they reflect as Lambert surfaces do (the coat's share too), light is even over a
-//! face, and after the last generation only the lamp's light is sent on. `docs/decisions/0005-light-at-vertices.md` has the bias.
+//! face, and after the last generation only the lamp's light is sent on. `docs/decisions/0005-light-at-vertices.md` has
+//! the bias.
 
 use rayon::prelude::*;
 
@@ -27,7 +28,7 @@ use crate::ffi::trace::tracer::{FaceLight, FacePlace, FrameSettings, Glint, Know
 const DEPTH: usize = 4;
 /// Rays per face after the first generation, as a part of the first's.
 const LATER_PART: u32 = 2;
-/// Edges from a visible vertex over which its light stands for others'.
+/// Edges from a visible vertex over which its light is spread to vertices without any.
 const SPREAD_EDGES: usize = 12;
 /// Faces per task.
 const CHUNK: usize = 64;
@@ -98,9 +99,9 @@ pub(super) fn vertex_light(
     let mut vertices = visible_vertices(scene, visible);
     let ends = scene.tissue.weighted_ends(scene.progress);
     // Where a camera sample's own scatter walk comes out, or its ray ends, only the light of other walls is asked for.
-    let walks = scene.tissue.walks() && !frame.gathers;
+    let scatters = scene.tissue.scatters() && !frame.gathers;
     let mut rays = 0;
-    for &(end, _) in ends.iter().filter(|_| walks) {
+    for &(end, _) in ends.iter().filter(|_| scatters) {
         rays += scene.tissue.prepare(frame, end, &vertices, &scene.topology)?;
     }
     let mut faces = Faces::new(scene.topology.faces.len());
@@ -110,8 +111,11 @@ pub(super) fn vertex_light(
     add_glints(scene, frame, &mut generations, &lamp)?;
     let irradiance = solve(frame, steps(scene, frame), &generations, &lamp);
     let solved = generations.iter().map(Generation::len).sum();
-    let scattered =
-        if walks { scattered_light(scene, frame, &ends, &vertices, &faces, &lamp, &irradiance)? } else { Vec::new() };
+    let scattered = if scatters {
+        scattered_light(scene, frame, &ends, &vertices, &faces, &lamp, &irradiance)?
+    } else {
+        Vec::new()
+    };
     let mut known = means_at_vertices(scene, &vertices, &scattered, &faces, &irradiance[..solved]);
     if frame.gathers {
         vertices =
@@ -211,7 +215,7 @@ struct Sent {
 /// How often light is sent on between walls; `None`: until nothing changes any more.
 fn steps(scene: &Scene, frame: &FrameSettings) -> Option<u32> {
     // A gathered ray is a scattering of its own; a scatter walk and what it comes out of count as one.
-    let own = if frame.gathers && !scene.tissue.walks() { 2 } else { 1 };
+    let own = if frame.gathers && !scene.tissue.scatters() { 2 } else { 1 };
     (frame.max_scatterings > 0).then(|| frame.max_scatterings.saturating_sub(own))
 }
 
@@ -265,9 +269,9 @@ fn step(frame: &FrameSettings, generations: &[Generation], sent: &[Sent]) -> Vec
     next
 }
 
-/// Light that has scattered in the wall below the vertices ([`KnownLight`] without the irradiance). Faces near the lamp are
-/// not lit evenly: there the lamp's unshadowed irradiance is taken at the place where a walk comes out, and what else there
-/// is (shadow, other walls) as even.
+/// Light that has scattered in the wall below the vertices ([`KnownLight`] without the irradiance). Faces near the lamp
+/// are not lit evenly: there the lamp's unshadowed irradiance is taken at the place where a walk comes out, and what
+/// else there is (shadow, other walls) as even.
 fn scattered_light(
     scene: &Scene,
     frame: &FrameSettings,
@@ -359,10 +363,10 @@ fn set_channels(known: &mut KnownLight, values: Channels) {
     known.irradiance.copy_from_slice(&values[3..]);
 }
 
-/// Linear interpolation between vertices lies above a valley and below a crest, and means over the faces around a vertex
-/// flatten both: second-order terms that the difference from the neighbours' mean takes off again, where all of them are
-/// known. (Six neighbours at distance h: their mean is h^2/4 times the Laplacian off; interpolation h^2/16 on average
-/// over a face, the mean over the faces around another 5/48 h^2.)
+/// Linear interpolation between vertices lies above a valley and below a crest, and means over the faces around a
+/// vertex flatten both: second-order terms that the difference from the neighbours' mean takes off again, where all of
+/// them are known. (Six neighbours at distance h: their mean is h^2/4 times the Laplacian off; interpolation h^2/16 on
+/// average over a face, the mean over the faces around another 5/48 h^2.)
 fn sharpen(scene: &Scene, vertices: &[u32], known: &mut [KnownLight]) {
     const SCATTERED: f32 = 1.0 / 2.0;
     const IRRADIANCE: f32 = 2.0 / 3.0;
@@ -398,8 +402,8 @@ fn sharpen(scene: &Scene, vertices: &[u32], known: &mut [KnownLight]) {
     }
 }
 
-/// Far down a lumen many faces share a pixel and its central ray sees one: what is not known takes the mean of its known
-/// neighbours, some edges far.
+/// Far down a lumen many faces share a pixel and its central ray sees one: what is not known takes the mean of its
+/// known neighbours, some edges far.
 fn spread(scene: &Scene, vertices: &[u32], known: &mut [KnownLight]) {
     let mut edge = vertices.to_vec();
     for _ in 0..SPREAD_EDGES {
@@ -417,7 +421,7 @@ fn spread(scene: &Scene, vertices: &[u32], known: &mut [KnownLight]) {
     }
 }
 
-/// Means over the neighbours of which something is known; -1 where of none.
+/// Means over the neighbours whose light is known; -1 where none is.
 fn mean_around(scene: &Scene, vertex: u32, known: &[KnownLight]) -> Channels {
     let (mut sum, mut count) = ([0.0; CHANNELS], [0u32; CHANNELS]);
     for n in scene.topology.neighbours(vertex) {

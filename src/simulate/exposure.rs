@@ -1,11 +1,12 @@
 //! Automatic exposure that is known before a frame is rendered, so that frames stay independent.
 //!
-//! A coarse grid of rays gives distance d and slant cos of the wall; radiance there is about albedo I cos / (pi d^2), times
-//! a factor for light that comes by way of other walls, the fibre bundle's profile and the vignette. The gain is the one that brings the mean *encoded* brightness of
-//! that proxy to the target (bisection on a monotone function), followed with a lag and within limits, like the
-//! automatic exposure of a scope: the log gain is a damped oscillator of natural frequency 1 / lag whose damping gives
-//! the stated overshoot after a jump (without overshoot: first order). A seeded slow drift of gain and white balance comes
-//! on top. The noise that the gain brings is the sensor's (`sensor.rs`).
+//! A coarse grid of rays gives distance d and slant cos of the wall; radiance there is about albedo I cos / (pi d^2),
+//! times a factor for light that comes by way of other walls, the fibre bundle's profile and the vignette. The gain is
+//! the one that brings the mean *encoded* brightness of that proxy to the target (bisection on a monotone function),
+//! followed with a lag and within limits, like the automatic exposure of a scope: the log gain is a damped oscillator
+//! of natural frequency 1 / lag whose damping gives the stated overshoot after a jump (without overshoot: first order).
+//! A seeded slow drift of gain and white balance comes on top. The noise that the gain brings is the sensor's
+//! (`sensor.rs`).
 
 use glam::{DAffine3, DVec2, DVec3};
 
@@ -224,7 +225,8 @@ mod tests {
                 follow(&wanted, &time_s, &settings, 1).iter().map(|e| e.gain.ln() / 2f64.ln()).collect();
             let peak = (0..4000).max_by(|&a, &b| step[a].total_cmp(&step[b])).unwrap();
             assert!((step[peak] - 1.0 - overshoot).abs() < 1e-3, "{overshoot}: peak {}", step[peak]);
-            // Second-order step response (any textbook on control): peak at pi / damped frequency, damping from overshoot.
+            // Second-order step response (any textbook on control): peak at pi / damped frequency, damping from
+            // overshoot.
             let log = overshoot.ln();
             let damping = (log * log / (std::f64::consts::PI.powi(2) + log * log)).sqrt();
             let peak_s = std::f64::consts::PI * lag_s / (1.0 - damping * damping).sqrt();

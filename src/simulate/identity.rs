@@ -20,8 +20,8 @@ pub fn sequence_hash(case: &Case, settings: &SimulationSettings) -> Result<Strin
     hash::of_value(&(SIMULATOR_VERSION, case.hash()?, settings))
 }
 
-/// Content hash of the frames of `case`: of everything but what methods are told of the motion, this program's code included
-/// (a changed renderer must not reuse older frames). 64 hex digits.
+/// Content hash of the frames of `case`: of everything but what methods are told of the motion, this program's code
+/// included (a changed renderer must not reuse older frames). 64 hex digits.
 pub(super) fn film_hash(case: &Case, settings: &SimulationSettings) -> Result<String> {
     let film = Case { registration_error_mm: 0.0, ..case.clone() };
     hash::of_value(&("film", revision(), film.hash()?, settings))

@@ -1,6 +1,6 @@
-//! What an imperfect registration of the two CTs makes of the expiration mesh: a sum of plane waves with random directions,
-//! phases and amplitudes, smooth over several cm as the residuals of lung registration are, scaled to a stated root mean
-//! square over the vertices.
+//! What an imperfect registration of the two CTs makes of the expiration mesh: a sum of plane waves with random
+//! directions, phases and amplitudes, smooth over several cm as the residuals of lung registration are, scaled to a
+//! stated root mean square over the vertices.
 
 use std::f64::consts::TAU;
 

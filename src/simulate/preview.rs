@@ -1,5 +1,5 @@
-//! A film at a glance: a contact sheet of some frames and a small animated PNG. Made from the finished images, so they cost
-//! nothing while filming and are the same bytes whenever they are made.
+//! A film at a glance: a contact sheet of some frames and a small animated PNG. Made from the finished images, so they
+//! cost nothing while filming and are the same bytes whenever they are made.
 
 use std::path::Path;
 

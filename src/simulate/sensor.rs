@@ -1,10 +1,10 @@
 //! From radiance to the 8-bit image: vignette, gain, shot and read noise, white balance, mask, sRGB, in this order.
 //!
 //! A sensor element of gain 1 and value v (linear, white = 1) holds v / s^2 electrons, s = `shot_noise`, Poisson
-//! distributed; the amplifier adds a Gaussian of deviation `read_noise`. A frame whose gain is k times the film's middle
-//! one has 1/k of the electrons and k times the read noise: variance k s^2 v + (k r)^2. White balance multiplies after
-//! the noise. Poisson numbers: inversion below 10, PTRS above (Hörmann, Insurance: Mathematics and Economics 12, 1993).
-//! Left out: dark current, fixed pattern, colour filter array, quantisation before the 8 bits, compression.
+//! distributed; the amplifier adds a Gaussian of deviation `read_noise`. A frame whose gain is k times the film's
+//! middle one has 1/k of the electrons and k times the read noise: variance k s^2 v + (k r)^2. White balance multiplies
+//! after the noise. Poisson numbers: inversion below 10, PTRS above (Hörmann, Insurance: Mathematics and Economics 12,
+//! 1993). Left out: dark current, fixed pattern, colour filter array, quantisation before the 8 bits, compression.
 
 use glam::DVec2;
 use rayon::prelude::*;

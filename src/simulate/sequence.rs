@@ -185,8 +185,9 @@ impl Sequence {
         Ok(depth)
     }
 
-    /// Which pixels of the images count, `None` where all do: those of the scope's mask, less one pixel at its rim, which the
-    /// mask may hide in part. Errors name a file that is missing, damaged, of another size, or hides everything.
+    /// Which pixels of the images count, `None` where all do: those of the scope's mask, less one pixel at its rim,
+    /// which the mask may hide in part. Errors name a file that is missing, damaged, of another size, or hides
+    /// everything.
     pub fn mask(&self) -> Result<Option<Mask>> {
         let Some(path) = self.mask_path.as_ref().map(|name| self.root.join(name)) else { return Ok(None) };
         let image = png::read_rgb(&path)?;

@@ -1,5 +1,5 @@
-//! Frames that two sequences share: films of one case with different errors of the registration have the same pixels and
-//! truth, and only the mesh that methods are given differs. Such frames are copied from the folder that has them.
+//! Frames that two sequences share: films of one case with different errors of the registration have the same pixels
+//! and truth, and only the mesh that methods are given differs. Such frames are copied from the folder that has them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -20,8 +20,8 @@ struct FilmManifest {
     files: BTreeMap<String, String>,
 }
 
-/// Copies into `out` the frames that it lacks and that a finished film beside it has, where they are byte by byte what that
-/// film's manifest says. All others are left to be rendered.
+/// Copies into `out` the frames that it lacks and that a finished film beside it has, where they are byte by byte what
+/// that film's manifest says. All others are left to be rendered.
 ///
 /// Errors: writing into `out`. Damage to the other folder is no error: its frames are not taken.
 pub(super) fn copy_frames(

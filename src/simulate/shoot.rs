@@ -139,8 +139,8 @@ impl<'a> Studio<'a> {
         mesh::interpolate(&self.anatomy.inspiration.vertices, &self.anatomy.expiration.vertices, phase)
     }
 
-    /// The radiance that the sensor gathers while the shutter is open, and the depth at the frame's own time. Leaves the
-    /// scene at that time.
+    /// The radiance that the sensor gathers while the shutter is open, and the depth at the frame's own time. Leaves
+    /// the scene at that time.
     fn exposed_frame(&mut self, index: usize) -> Result<RenderedFrame> {
         let record = self.film.frames[index];
         let shutter_s = self.case.scope.shutter_s;

@@ -3,8 +3,8 @@
 //! The centreline is a tree, so the shortest way is the chain of parents. A way ends where the lumen, at inspiration or
 //! at expiration, gets narrower than the scope. The chain is resampled by arc length at inspiration; positions are
 //! smoothed a little and the optical axis a lot (Gaussians over arc length), with the same weights in both breath
-//! holds, so a pose at phase alpha is a pose on the centreline of the mesh at alpha. The image's up is carried along without
-//! twist, starting from the patient's front. Left out: the scope's own weight and bending.
+//! holds, so a pose at phase alpha is a pose on the centreline of the mesh at alpha. The image's up is carried along
+//! without twist, starting from the patient's front. Left out: the scope's own weight and bending.
 
 use glam::{DAffine3, DVec3};
 
@@ -86,11 +86,6 @@ impl Route {
     pub fn end_motion_mm(&self) -> f64 {
         let last = self.inspiration.len() - 1;
         self.inspiration[last].distance(self.expiration[last])
-    }
-
-    /// The way's end at inspiration, mm.
-    pub fn end_mm(&self) -> DVec3 {
-        self.inspiration[self.inspiration.len() - 1]
     }
 
     fn along(anatomy: &Anatomy, chain: &[usize]) -> Route {

@@ -79,8 +79,8 @@ pub struct VisibleWall<'a> {
 }
 
 impl<'a> VisibleWall<'a> {
-    /// Casts the central ray of every pixel into `scene`, which is deformed to the frame's phase; `rest` is the airway at
-    /// inspiration and `other` its vertices at expiration.
+    /// Casts the central ray of every pixel into `scene`, which is deformed to the frame's phase; `rest` is the airway
+    /// at inspiration and `other` its vertices at expiration.
     pub fn new(
         scene: &Scene,
         camera: &Camera,
@@ -115,8 +115,8 @@ impl<'a> VisibleWall<'a> {
         })
     }
 
-    /// Median over the pixels of the way in pixels that the visible tissue moves over the image from one state of camera and
-    /// airway to another; 0 where nothing is visible in both.
+    /// Median over the pixels of the way in pixels that the visible tissue moves over the image from one state of
+    /// camera and airway to another; 0 where nothing is visible in both.
     pub fn image_motion_px(&self, camera: &Camera, from: (&DAffine3, f64), to: (&DAffine3, f64)) -> f64 {
         let image_point = |point: &SurfacePoint, (pose, phase): (&DAffine3, f64)| {
             let [a, b] = [&self.rest.vertices[..], self.other].map(|v| point.on(v, &self.rest.faces));

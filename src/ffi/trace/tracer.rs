@@ -1,11 +1,11 @@
-//! The path tracer's hot part: C++ (`cpp/trace/tracer.cpp`) on Embree 4 through cxx. Every call takes whole arrays (a tile of
-//! pixels, a chunk of faces or vertices); `docs/decisions/path-tracer-in-cpp.md` says why.
+//! The path tracer's hot part: C++ (`cpp/trace/tracer.cpp`) on Embree 4 through cxx. Every call takes whole arrays (a
+//! tile of pixels, a chunk of faces or vertices); `docs/decisions/path-tracer-in-cpp.md` says why.
 //!
 //! Embree wants flush-to-zero while it runs and Rust assumes the default floating-point mode: the C++ side sets and
 //! restores it inside each call.
 //!
-//! Colours are linear RGB, lengths mm. A place in a face is given by the barycentric weights `u` and `v` of its second and
-//! third corner.
+//! Colours are linear RGB, lengths mm. A place in a face is given by the barycentric weights `u` and `v` of its second
+//! and third corner.
 
 use cxx::UniquePtr;
 
@@ -64,8 +64,8 @@ mod bridge {
         subsurface: SubsurfaceKind,
         /// Light scatters in the wall at every vertex of a path instead of the first alone.
         walk_at_every_vertex: bool,
-        /// Part of the scatter walks that starts refracted through a rough surface of index `ior` instead of by the cosine
-        /// law.
+        /// Part of the scatter walks that starts refracted through a rough surface of index `ior` instead of by the
+        /// cosine law.
         refracted_entry: f32,
         /// Extinction in the wall, per mm.
         extinction: [f32; 3],
@@ -100,8 +100,8 @@ mod bridge {
         max_scatterings: u32,
         /// Interpolated instead of geometric normals.
         smooth: bool,
-        /// What is known at vertices lights what a camera sample's first ray or scatter walk meets, and not what the camera
-        /// sees.
+        /// What is known at vertices lights what a camera sample's first ray or scatter walk meets, and not what the
+        /// camera sees.
         gathers: bool,
         /// Radians that a pixel spans.
         pixel_angle: f32,
@@ -358,8 +358,8 @@ fn failed(e: cxx::Exception) -> Error {
 }
 
 impl MeshTracer {
-    /// Builds the hierarchy. `vertices` xyz interleaved in mm, three indices per face, one generation and axial distance
-    /// per vertex. Fails on lengths that do not fit, and where Embree refuses.
+    /// Builds the hierarchy. `vertices` xyz interleaved in mm, three indices per face, one generation and axial
+    /// distance per vertex. Fails on lengths that do not fit, and where Embree refuses.
     pub fn new(
         vertices: &[f32],
         faces: &[u32],
@@ -380,8 +380,8 @@ impl MeshTracer {
         self.0.pin_mut().refit().map_err(failed)
     }
 
-    /// Adds a tile's samples to its film, row-major. `corners`: directions in camera axes (xyz) through the
-    /// (width + 1) x (height + 1) pixel corners of the image. `known`: light per vertex, or empty: then all light is traced.
+    /// Adds a tile's samples to its film, row-major. `corners`: directions in camera axes (xyz) through the (width + 1)
+    /// x (height + 1) pixel corners of the image. `known`: light per vertex, or empty: then all light is traced.
     pub fn trace_tile(
         &self,
         frame: &FrameSettings,
@@ -393,8 +393,8 @@ impl MeshTracer {
         self.0.trace_tile(frame, tile, corners, known, film).map_err(failed)
     }
 
-    /// Lengths of camera rays along unit directions (camera axes, xyz) and the faces there; infinity and [`NO_FACE`] where
-    /// nothing is hit.
+    /// Lengths of camera rays along unit directions (camera axes, xyz) and the faces there; infinity and [`NO_FACE`]
+    /// where nothing is hit.
     pub fn distances(
         &self,
         frame: &FrameSettings,
@@ -424,8 +424,8 @@ impl MeshTracer {
         Ok((light, rays))
     }
 
-    /// What the rays of the faces at the places `to` of `light` bring, each from the face that it meets (place in `from`,
-    /// [`NO_FACE`] for none; the same number for each of `to`). Left alone where there is no coat.
+    /// What the rays of the faces at the places `to` of `light` bring, each from the face that it meets (place in
+    /// `from`, [`NO_FACE`] for none; the same number for each of `to`). Left alone where there is no coat.
     pub fn glints(
         &self,
         frame: &FrameSettings,
@@ -437,8 +437,8 @@ impl MeshTracer {
         self.0.glints(frame, light, to, from, glints).map_err(failed)
     }
 
-    /// Per face the faces that `hits.len() / faces.len()` rays from it meet ([`NO_FACE`] where one leaves the mesh); gives
-    /// back the number of rays.
+    /// Per face the faces that `hits.len() / faces.len()` rays from it meet ([`NO_FACE`] where one leaves the mesh);
+    /// gives back the number of rays.
     pub fn gather(&self, frame: &FrameSettings, faces: &[u32], hits: &mut [u32]) -> Result<u64> {
         self.0.gather(frame, faces, hits).map_err(failed)
     }
@@ -495,8 +495,8 @@ pub fn sobol_pair(key: u32, index: u32, dimension: u32) -> [f32; 2] {
     pair
 }
 
-/// Gradient noise (after Perlin, SIGGRAPH 2002) at a point; features have a period of 1. Panics where this processor lacks
-/// `isa`.
+/// Gradient noise (after Perlin, SIGGRAPH 2002) at a point; features have a period of 1. Panics where this processor
+/// lacks `isa`.
 pub fn gradient_noise(isa: Isa, point: [f32; 3], seed: u32) -> GradientNoise {
     bridge::gradient_noise(isa.code(), &point, seed).expect("a processor that has the instruction set")
 }
