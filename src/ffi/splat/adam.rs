@@ -1,6 +1,6 @@
-//! Adam's update (Kingma and Ba 2015, Algorithm 1) of many values, compiled for AVX2 as well and used where the processor has
-//! it: Rust compiles for SSE2 otherwise, where the compiler does not vectorise it (seven times slower). No operation is fused
-//! or reordered, so that the bytes are the same. There is no C++ behind this file.
+//! Adam's update (Kingma and Ba 2015, Algorithm 1) of many values, compiled for AVX2 as well and used where the
+//! processor has it: Rust compiles for SSE2 otherwise, where the compiler does not vectorise it (seven times slower).
+//! No operation is fused or reordered, so that the bytes are the same. There is no C++ behind this file.
 
 /// The constants of step number `t`: with the gradient `g`,
 ///
