@@ -1,6 +1,6 @@
-// From splats to the lists of tiles, a band of tile rows at a time: splats are distributed to the bands that their boxes
-// meet; each band is sorted by depth (stable radix sort) and counted out to its tiles. Plain code for any x86-64: what it
-// waits for is memory and branches, not arithmetic. The plain twin is in src/splat/bin.rs.
+// From splats to the lists of tiles, a band of tile rows at a time: splats are distributed to the bands that their
+// boxes meet; each band is sorted by depth (stable radix sort) and counted out to its tiles. Plain code for any
+// x86-64: what it waits for is memory and branches, not arithmetic. The plain twin is in src/splat/bin.rs.
 #include "cpp/splat/bin.h"
 
 #include <algorithm>
@@ -78,14 +78,14 @@ bool insertion_sort(std::uint64_t* a, std::size_t n, std::size_t max_moves) {
 const std::uint64_t* sort(std::uint64_t* a, std::uint64_t* b, std::size_t n, std::uint32_t least, std::uint32_t most) {
   const int bits = most > least ? 32 - __builtin_clz(most - least) : 0;
   if (!bits) return a;
-  // Two digits from the top of the range bring nearly all items into their places, and insertion does the rest...
+  // Two digits from the top of the range bring nearly all items into their places, and insertion sort does the rest.
   int width = 8;
   while (width < 11 && (n >> width) > 1) ++width;
   if (bits > 2 * width) {
     a = sort_by_digits(a, b, n, least, bits - 2 * width, width, 2);
     if (insertion_sort(a, n, 4 * n)) return a;
   }
-  // ...unless depths lie in clusters: then all digits, as few and as even as they can be.
+  // Where depths lie in clusters: all digits, as few and as even as possible.
   const int passes = (bits + 10) / 11;
   return sort_by_digits(a, b, n, least, 0, (bits + passes - 1) / passes, passes);
 }
@@ -101,8 +101,8 @@ void bin_count(const BinSplats& chunk, std::uint32_t shift, rust::Slice<std::uin
   const std::array<std::uint32_t, 2>* boxes = chunk.boxes.data();
   std::uint32_t* start = starts.data();
   if (!n || !std::memchr(visible, 1, n)) return;
-  // Differences: what begins and ends with each band and with each row of tiles. The number of bands and rows that a box
-  // meets would be a loop whose end the processor cannot predict.
+  // Differences: what begins and ends with each band and with each row of tiles. The number of bands and rows that a
+  // box meets would be a loop whose end the processor cannot predict.
   std::uint32_t all = 0, sum = 0, band_changes[BANDS + 1] = {}, row_changes[(BANDS << MAX_SHIFT) + 1];
   const std::uint32_t height = 1u << shift;
   std::fill_n(row_changes, BANDS * height + 1, 0u);
@@ -230,8 +230,8 @@ void bin_fill(const BinItems& all, Band band) {
     const Record r = records[static_cast<std::uint32_t>(sorted[i])];
     const std::uint32_t height = r.size >> 16, width = r.size & 0xffff;
     if (height <= 2 && width <= 2) {
-      // Most splats: the same steps for one, two or four tiles, without a branch. A tile that the splat lacks is written to
-      // the corner's next place, which the corner's own entry overwrites at the end.
+      // Most splats: the same steps for one, two or four tiles, without a branch. A tile that the splat lacks is
+      // written to the corner's next place, which the corner's own entry overwrites at the end.
       const std::uint32_t right = width - 1, down = height - 1, both = right & down;
       std::uint32_t *const c0 = cursor + r.corner, *const c1 = c0 + right, *const c2 = c0 + down * stride;
       std::uint32_t* const c3 = c0 + both * (stride + 1);

@@ -1,12 +1,13 @@
 #pragma once
-// The cameras of the splat kernels: image points of points in camera axes, the Jacobian J of that map applied to the columns
-// of a covariance's square root, and both backward; for values (V) and for values with a derivative (Dual). The plain twin is
-// src/splat/lens.rs. A camera N has
+// The cameras of the splat kernels: image points of points in camera axes, the Jacobian J of that map applied to the
+// columns of a covariance's square root, and both backward; for values (V) and for values with a derivative (Dual).
+// The plain twin is src/splat/lens.rs. A camera N has
 //   linearize(w, t, point)             J and the image point at the point t in camera axes, for the calls below
 //   apply_jacobian(w, c, u)            u = J c
 //   apply_transposed(w, by_u, by_c)    by_c = J^T by_u
 //   pullback(w, by_point, by_u, c, by_t)   gradient by t, through the image point and through J (V only)
-//   focal_independent(k, by_u, c)      the part of (row k of J) . (its gradient) that does not grow with the focal length (V only)
+//   focal_independent(k, by_u, c)      the part of (row k of J) . (its gradient) that does not grow with the focal
+//                                      length (V only)
 //   exact_point(view, t, point)        the image point in double
 #include "cpp/splat/kernel.h"
 #include "cpp/splat/lanes.h"
@@ -78,8 +79,8 @@ struct Pinhole {
   }
 };
 
-// a(v) = atan(r) / r with v = r^2, F = (a - 1 / (1 + v)) / v = -2 a', and F'. Near the axis the closed forms of F and F' are
-// differences of nearly equal numbers; there series take their place.
+// a(v) = atan(r) / r with v = r^2, F = (a - 1 / (1 + v)) / v = -2 a', and F'. Near the axis the closed forms of F and
+// F' are differences of nearly equal numbers; there series take their place.
 struct Arc {
   V a, f, slope;  // a, F, F'
   explicit Arc(V v) {

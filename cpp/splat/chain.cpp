@@ -1,5 +1,6 @@
-// From the moments of splats to the gradients of Gaussians and camera, LANES at a time: the reverse of project.cpp, with its
-// symbols. Compiled once per instruction set; the plain twin, which derives the equations, is src/splat/chain.rs.
+// From the moments of splats to the gradients of Gaussians and camera, LANES at a time: the reverse of project.cpp,
+// with its symbols. Compiled once per instruction set; the plain twin, which derives the equations, is
+// src/splat/chain.rs.
 #include "cpp/splat/project.h"
 
 namespace respire {
@@ -30,8 +31,8 @@ inline void basis_pullback(const V* v, const V* w, V* g) {
   }
 }
 
-// Adds to by_u the gradient through the factor sqrt(det / det dilated) of the opacity; by_log is that by its logarithm. det is
-// the sum of the squared cross products of the u.
+// Adds to by_u the gradient through the factor sqrt(det / det dilated) of the opacity; by_log is that by its
+// logarithm. det is the sum of the squared cross products of the u.
 template <class G, int COLUMNS>
 inline void compensation_pullback(const G& g, V by_log, V by_u[COLUMNS][2]) {
   const V over = 1.0f / g.plain_determinant;
@@ -114,8 +115,8 @@ struct ChainKernel {
         return;
       }
       const std::uint32_t* const index = group.index;
-      // Tables of a hundred thousand Gaussians fit into no near cache, and there are a dozen of them: too many streams for the
-      // processor's own prefetcher.
+      // Tables of a hundred thousand Gaussians fit into no near cache, and there are a dozen of them: too many
+      // streams for the processor's own prefetcher.
       prefetch_next_group<SH, COLUMNS>(s, group);
       if (wants(POSITIONS)) prefetch_after<3, 1>(o.positions, k0);
       if (wants(OPACITIES)) prefetch_after<1, 1>(o.opacities, k0);
@@ -184,7 +185,8 @@ struct ChainKernel {
             sum += by_columns[k][0] + by_columns[k][1] + by_columns[k][2];
           }
         }
-        // By t, through the image point and the Jacobian; by the pose (a turn omega: v' = omega x v) and the intrinsics.
+        // By t, through the image point and the Jacobian; by the pose (a turn omega: v' = omega x v) and the
+        // intrinsics.
         if (through_position) {
           const V by_point[2] = {a * m[SX] + b * m[SY], b * m[SX] + c * m[SY]};
           V by_t[3];

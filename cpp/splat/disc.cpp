@@ -1,11 +1,11 @@
-// Compositing of one tile of exact discs, forward and backward, after 2D Gaussian splatting (Huang et al. 2024, Eqs. 8 to
-// 11); compiled once per instruction set. The plain twin is src/splat/disc_tile.rs; src/splat/disc_mode.rs explains the
-// symbols:
+// Compositing of one tile of exact discs, forward and backward, after 2D Gaussian splatting (Huang et al. 2024, Eqs.
+// 8 to 11); compiled once per instruction set. The plain twin is src/splat/disc_tile.rs; src/splat/disc_mode.rs
+// explains the symbols:
 //
 //   s = P.d / N.d,  u = Q.d / N.d,  depth = N.t d_z / N.d,  alpha = min(0.99, o exp(-(s^2 + u^2) / 2))
 //
-// or, where it is larger, the alpha of a screen filter around the centre. Blocks, lists and the running transmittance are
-// those of kernel.cpp. Left out: velocities.
+// or, where it is larger, the alpha of a screen filter around the centre. Blocks, lists and the running transmittance
+// are those of kernel.cpp. Left out: velocities.
 #include "cpp/splat/kernel.h"
 #include "cpp/splat/lanes.h"
 
@@ -13,8 +13,8 @@ namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-// The pixels of a tile block by block: centres and rays. Pixels outside the image get a ray straight ahead; what is computed
-// for them is never read.
+// The pixels of a tile block by block: centres and rays. Pixels outside the image get a ray straight ahead; what is
+// computed for them is never read.
 struct Rays {
   alignas(64) float x[PIXELS], y[PIXELS], ray[3][PIXELS];
 
@@ -37,8 +37,8 @@ constexpr float HALF_LOG2_E = 0.72134752044448170f;
 // Squared distance in standard deviations of a ray that misses the plane where there is no filter: its alpha is 0.
 constexpr float MISSED = 1e9f;
 
-// U vectors of pixels, each with a disc of its own: where the rays meet the disc's plane, and alpha before the clamp (`raw`,
-// 0 below ALPHA_MIN). `s`, `u` and `over` = 1 / N.d are 0 where the screen filter counts and not the plane.
+// U vectors of pixels, each with a disc of its own: where the rays meet the disc's plane, and alpha before the clamp
+// (`raw`, 0 below ALPHA_MIN). `s`, `u` and `over` = 1 / N.d are 0 where the screen filter counts and not the plane.
 template <int U>
 struct DiscSamples {
   V dx[U], dy[U], tx[U], ty[U], rx[U], ry[U], rz[U], over[U], s[U], u[U], square[U], depth[U], raw[U];
@@ -83,8 +83,8 @@ struct DiscSamples {
   }
 };
 
-// The blocks of the tile that have pixel centres in the disc's box: those whose middle is no further from it than 1.5 px, the
-// distance of the outermost pixel centres.
+// The blocks of the tile that have pixel centres in the disc's box: those whose middle is no further from it than 1.5
+// px, the distance of the outermost pixel centres.
 inline std::uint32_t blocks_of(const DiscTile& t, const float* d) {
   std::uint32_t columns = 0, lines = 0;
   for (int b = 0; b < 4; ++b) {
@@ -155,7 +155,8 @@ inline float total(V v) {
 
 // As in kernel.cpp up to v = dL/d log(alpha); from there (src/splat/disc_tile.rs), where the plane is hit,
 //
-//   dL/dp = -v s / w for p = P.d,  dL/dq = -v u / w for q = Q.d,  dL/dw = v (s^2 + u^2) / w - dL/d depth depth / w for w = N.d,
+//   p = P.d:  dL/dp = -v s / w,   q = Q.d:  dL/dq = -v u / w
+//   w = N.d:  dL/dw = v (s^2 + u^2) / w - (dL/d depth) depth / w
 //
 // summed over the pixels with their rays, and where the filter counts v dx, v dy.
 template <bool WITH_GEOMETRY, bool WITH_COLOR, bool WITH_Z>

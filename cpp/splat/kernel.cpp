@@ -1,13 +1,14 @@
-// Compositing of one tile, forward and backward, in GCC vector extensions; compiled once per instruction set
-// with -DRESPIRE_ISA=<namespace>. After 3DGS (Kerbl et al. 2023, Eq. 3: C = sum c_i a_i prod_j<i (1 - a_j)); the backward
-// pass goes front to back after FastGS and Brush. The plain twin is src/splat/kernel.rs, which also explains the symbols.
+// Compositing of one tile, forward and backward, in GCC vector extensions; compiled once per instruction set with
+// -DRESPIRE_ISA=<namespace>. After 3DGS (Kerbl et al. 2023, Eq. 3: C = sum c_i a_i prod_j<i (1 - a_j)); the backward
+// pass goes front to back after FastGS and Brush. The plain twin is src/splat/kernel.rs, which also explains the
+// symbols.
 //
 //   alpha = min(0.99, 2^(l - A dx^2 - B dx dy - C dy^2)), 0 below 1/255;  weight = alpha T;  T' = T (1 - alpha)
 //
-// A tile is 16 blocks of 4x4 pixels. For each entry (splat in tile) a mask says which blocks the ellipse alpha >= 1/255 can
-// touch. Forward: entries are distributed to the lists of their blocks, and a block is composited with its state in
-// registers. Backward: entry by entry, replaying the forward decisions, so that the sums of an entry are reduced once per
-// tile. A pixel that has stopped is one whose running transmittance is 0.
+// A tile is 16 blocks of 4x4 pixels. For each entry (splat in tile) a mask says which blocks the ellipse alpha >=
+// 1/255 can touch. Forward: entries are distributed to the lists of their blocks, and a block is composited with its
+// state in registers. Backward: entry by entry, replaying the forward decisions, so that the sums of an entry are
+// reduced once per tile. A pixel that has stopped is one whose running transmittance is 0.
 //
 // Left out: exact discs (disc.cpp), and the velocity of opacities.
 #include "cpp/splat/kernel.h"
@@ -18,8 +19,8 @@ namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-// Vectors of pixels whose alphas are evaluated side by side. Each is one long chain of dependent operations; four of them
-// in turn hide the latency, which the processor's reorder window (little more than one chain) does not.
+// Vectors of pixels whose alphas are evaluated side by side. Each is one long chain of dependent operations; four of
+// them in turn hide the latency, which the processor's reorder window (little more than one chain) does not.
 constexpr int INTERLEAVED = 4;
 
 // Offsets (dx, dy) of the pixels (px[u], py[u]) from the splats q[u], and `raw` = 2^exponent there, not yet clamped:
@@ -45,8 +46,8 @@ struct AlphaSamples {
 alignas(64) const float COLUMN[16] = {.5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5, .5, 1.5, 2.5, 3.5};
 alignas(64) const float LINE[16] = {.5, .5, .5, .5, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5, 2.5, 2.5, 3.5, 3.5, 3.5, 3.5};
 
-// The state of LANES pixels of a block: the sums; the transmittance, and the same running, which is no more than `stop`
-// where a pixel has stopped; the velocities of sums and transmittance along K directions.
+// The state of LANES pixels of a block: the sums; the transmittance that the image gets; the running transmittance,
+// which is no more than `stop` once a pixel has stopped; the velocities of sums and transmittance along K directions.
 template <bool WITH_Z, int K>
 struct PixelLanes {
   V px, py, stop, sums[4], transmittance, running, moving[K + 1][MOVING];
@@ -111,14 +112,15 @@ struct Block {
   }
 };
 
-// Composites one block over one list of splats; false once all its pixels have stopped. `state`: PLANES planes, then the
-// running transmittance (0 where a pixel has stopped); `moving`: MOVING planes for each of the K directions of `t`.
+// Composites one block over one list of splats; false once all its pixels have stopped. `state`: PLANES planes, then
+// the running transmittance (0 where a pixel has stopped); `moving`: MOVING planes for each of the K directions of
+// `t`.
 template <bool WITH_Z, int K>
 bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float x, float y, float* state, float* moving) {
   static_assert(DEPTH == RED + 3, "the depth is summed like a fourth colour");
   constexpr int SUMS = WITH_Z ? 4 : 3, U = INTERLEAVED / PARTS;
   static_assert(8 % U == 0, "every eight entries it is tested whether all pixels have stopped");
-  // The state comes into registers...
+  // Load the state into registers.
   Block<WITH_Z, K> block;
   for (int k = 0; k < PARTS; ++k) {
     PixelLanes<WITH_Z, K>& p = block.parts[k];
@@ -129,7 +131,7 @@ bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float
     for (int d = 0; d < K; ++d)
       for (int c = 0; c < MOVING; ++c) p.moving[d][c] = load(m + (d * MOVING + c) * PIXELS);
   }
-  // ...meets the splats, front to back...
+  // Blend the splats, front to back.
   bool goes_on = true;
   int j = 0;
   for (; goes_on && j + U <= count; j += U) {
@@ -138,7 +140,7 @@ bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float
   }
   for (; goes_on && j < count; ++j) block.template blend_entries<1>(t, list + j);
   const bool alive = block.drop_stopped();
-  // ...and goes back.
+  // Store the state.
   for (int k = 0; k < PARTS; ++k) {
     const PixelLanes<WITH_Z, K>& p = block.parts[k];
     float *s = state + LANES * k, *m = moving + LANES * k;
@@ -151,8 +153,8 @@ bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float
   return alive;
 }
 
-// Composites a tile, CHUNK entries at a time: their lists stay in the first cache, and little is distributed in vain once all
-// pixels have stopped.
+// Composites a tile, CHUNK entries at a time: their lists stay in the first cache, and little is distributed in vain
+// once all pixels have stopped.
 template <bool WITH_Z, int K, bool KNOWN>
 void forward_tile(const ForwardTile& t) {
   constexpr std::size_t CHUNK = 192, ROOM = CHUNK + 16;  // `distribute` writes sixteen at a time
@@ -183,8 +185,8 @@ void forward_tile(const ForwardTile& t) {
 
 #if defined(__AVX512F__)
 
-// Horizontal sums: slot[k] = the sum over the lanes of v[k] for twelve vectors, then four zeros; transposed and added by
-// halves.
+// Horizontal sums: slot[k] = the sum over the lanes of v[k] for twelve vectors, then four zeros; transposed and added
+// by halves.
 inline void store_sums(const V* v, float* slot) {
   __m512 pairs[6], quads[3];
   for (int k = 0; k < 6; ++k) {
@@ -218,8 +220,8 @@ inline void store_sums(const V* v, float* slot) {
 
 #endif
 
-// Entries of the backward pass whose alphas are evaluated before their sums: 16, so that a batch (16 KB) stays in the first
-// cache.
+// Entries of the backward pass whose alphas are evaluated before their sums: 16, so that a batch (16 KB) stays in the
+// first cache.
 constexpr int BATCH = 16;
 
 // The pairs of an entry of a batch and a block that it may touch, entry after entry, with 2^exponent of their pixels (0
@@ -271,12 +273,13 @@ struct EntryBlocks {
   }
 };
 
-// With v = (dL/d red, green, blue, depth sum) of a pixel and `behind` what the splats behind the current one still bring:
+// With v = (dL/d red, green, blue, depth sum) of a pixel and `behind` what the splats behind the current one still
+// bring:
 //
 //   value = v . (red, green, blue, depth);  behind' = behind - weight value
 //   dL/d log(alpha) = alpha (T value - behind' / (1 - alpha))
 //
-// and its moments over the pixels are sum, sum dx, sum dy, sum dx^2, sum dx dy, sum dy^2.
+// The moments of an entry are the sums of the latter over its pixels, times 1, dx, dy, dx^2, dx dy and dy^2.
 template <bool WITH_GEOMETRY, bool WITH_COLOR, bool WITH_Z>
 void backward_tile(const BackwardTile& t) {
   alignas(64) float running[PIXELS], behind[PIXELS], columns[4][16], lines[4][16];
@@ -305,8 +308,8 @@ void backward_tile(const BackwardTile& t) {
       float* slot = slots + 16 * static_cast<std::size_t>(targets[first + e]);
       const float* q = rows + 16 * static_cast<std::size_t>(entries[first + e]);
       if (pairs.starts[e] == pairs.starts[e + 1]) {
-        // No block: one entry in eleven of the scene of the timings (src/splat/tube.rs). Most lie behind blocks that have
-        // stopped, some in corners of boxes that the ellipse does not reach.
+        // No block: one entry in eleven of the scene of the timings (src/splat/tube.rs). Most lie behind blocks that
+        // have stopped, some in corners of boxes that the ellipse does not reach.
         for (int k = 0; k < PARTS; ++k) store(slot + LANES * k, V{});
         continue;
       }

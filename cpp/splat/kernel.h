@@ -1,7 +1,8 @@
 #pragma once
-// The interface between the dispatcher (rasterize.cpp) and the kernels (project.cpp, chain.cpp, kernel.cpp, disc.cpp), whose
-// sources are compiled once per instruction set. Plain pointers and no library headers: code compiled for a wider
-// instruction set must not leave inline functions behind that the linker could pick for everybody.
+// The interface between the dispatcher (rasterize.cpp) and the kernels (project.cpp, chain.cpp, kernel.cpp,
+// disc.cpp), whose sources are compiled once per instruction set. Plain pointers and no library headers: code
+// compiled for a wider instruction set must not leave inline functions behind that the linker could pick for
+// everybody.
 #include <cstddef>
 #include <cstdint>
 
@@ -21,8 +22,8 @@ constexpr int MOVING = 4;    // planes of a tile's velocity: red, green and blue
 constexpr int MAX_DIRECTIONS = 4;  // that one pass carries; each takes MOVING registers
 constexpr std::uint32_t ALL_BLOCKS = 0xffff;  // of a tile, a bit each
 constexpr float TILES_PER_PX = 1.0f / 16.0f;
-// The three thresholds of 3DGS (Kerbl et al. 2023, its public rasteriser): nothing is blended below ALPHA_MIN, no alpha is
-// larger than ALPHA_MAX, and a pixel stops at the splat that would leave no more than STOP of the light.
+// The three thresholds of 3DGS (Kerbl et al. 2023, its public rasteriser): nothing is blended below ALPHA_MIN, no
+// alpha is larger than ALPHA_MAX, and a pixel stops at the splat that would leave no more than STOP of the light.
 constexpr float ALPHA_MIN = 1.0f / 255.0f, ALPHA_MAX = 0.99f, STOP = 1e-4f;
 
 // The camera; rasterize.cpp fills it from `SplatCamera` (src/ffi/splat/rasterize.rs), which gives the units.

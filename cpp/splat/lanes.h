@@ -1,7 +1,8 @@
 #pragma once
-// A vector of LANES floats as wide as the instruction set that a file is compiled for, in GCC vector extensions, with the
-// operations that those lack; transposition between tables of records and vectors of fields; dual numbers of vectors.
-// Everything has internal linkage: code compiled for a wider instruction set must not be picked by the linker for everybody.
+// A vector of LANES floats as wide as the instruction set that a file is compiled for, in GCC vector extensions, with
+// the operations that those lack; transposition between tables of records and vectors of fields; dual numbers of
+// vectors. Everything has internal linkage: code compiled for a wider instruction set must not be picked by the
+// linker for everybody.
 #include <immintrin.h>
 
 #include <cstddef>
@@ -28,8 +29,8 @@ typedef double VD __attribute__((vector_size(4 * LANES)));
 
 inline V broadcast(float v) { return v - V{}; }
 
-// Below, lanes of a comparison (VI) are -1 where it holds and 0 elsewhere. The comments of the AVX-512 functions hold for the
-// others of the same name.
+// Below, lanes of a comparison (VI) are -1 where it holds and 0 elsewhere. The comments of the AVX-512 functions hold
+// for the others of the same name.
 #if defined(__AVX512F__)
 // a b + c and c - a b, rounded once where the instruction set has it.
 inline V fma(V a, V b, V c) { return (V)_mm512_fmadd_ps((__m512)a, (__m512)b, (__m512)c); }

@@ -1,11 +1,11 @@
 #pragma once
-// Which entries of a tile touch which of its blocks of 4x4 pixels: a mask per entry, and a list of entries per block. The
-// plain twin is `block_mask` of src/splat/kernel.rs.
+// Which entries of a tile touch which of its blocks of 4x4 pixels: a mask per entry, and a list of entries per block.
+// The plain twin is `block_mask` of src/splat/kernel.rs.
 //
-// A block is touched when one of its pixel centres can lie in the ellipse alpha >= 1/255. With the offset y from the centre
-// of the splat, the ellipse reaches in x from (-B y - root) / 2A to (-B y + root) / 2A, root^2 = (B^2 - 4 A C) y^2 + reach.
-// Its x-extent over a band of four lines of pixels is that at the y of the band where it is widest, and is compared with the
-// four columns of blocks. The four bands of an entry lie side by side in one vector.
+// A block is touched when one of its pixel centres can lie in the ellipse alpha >= 1/255. With the offset y from the
+// centre of the splat, the ellipse reaches in x from (-B y - root) / 2A to (-B y + root) / 2A, root^2 = (B^2 - 4 A C)
+// y^2 + reach. Its x-extent over a band of four lines of pixels is that at the y of the band where it is widest, and
+// is compared with the four columns of blocks. The four bands of an entry lie side by side in one vector.
 #include "cpp/splat/kernel.h"
 #include "cpp/splat/lanes.h"
 
@@ -18,7 +18,8 @@ constexpr float SLACK_PX = 1e-3f, SLACK_SHARE = 1e-5f;
 
 #if defined(__AVX512F__)
 
-// The masks of the sixteen entries `e` (those beyond `count` repeat another; their masks are 0), four entries side by side.
+// The masks of the sixteen entries `e` (those beyond `count` repeat another; their masks are 0), four entries side by
+// side.
 inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count, float tile_x, float tile_y) {
   const __m512i band = _mm512_set4_epi32(3, 2, 1, 0);
   const __m512 line = _mm512_add_ps(_mm512_set1_ps(tile_y), _mm512_set4_ps(12.5f, 8.5f, 4.5f, 0.5f));

@@ -1,12 +1,12 @@
 // L1 + SSIM with gradient: (1 - w) |x - y| + w (1 - S), S after Wang et al. 2004 (Eq. 13), as in src/reconstruct/loss/
 // photometric.rs, which is the plain twin and gives the equations. Compiled once per instruction set.
 //
-// One sweep over the lines of an image, all three channels as they lie (red, green, blue by turns, so that a neighbour is
-// three values away). A group of lines is blurred down (along columns) from the images themselves, then across (along lines),
-// and turned into the derivatives of S by the three blurs. These are kept in a ring of lines until the next group is there, are
-// blurred down and across the same way, and make the gradient. Two things decide about time: lines are blurred down in
-// groups, which share most of what they load from the second cache; and what is blurred down is blurred across a strip later,
-// while it is still in the first.
+// One sweep over the lines of an image, all three channels as they lie (red, green, blue by turns, so that a
+// neighbour is three values away). A group of lines is blurred down (along columns) from the images themselves, then
+// across (along lines), and turned into the derivatives of S by the three blurs. These are kept in a ring of lines
+// until the next group is there, are blurred down and across the same way, and make the gradient. Two things decide
+// about time: lines are blurred down in groups, which share most of what they load from the second cache; and what is
+// blurred down is blurred across a strip later, while it is still in the first.
 #include "cpp/splat/loss_kernel.h"
 #include "cpp/splat/lanes.h"
 
@@ -124,8 +124,8 @@ struct Sweep {
     }
   };
 
-  // Blurs LANES values of a group of lines down; `in(i)` gives those of line i. (Inlined and unrolled, so that the taps stay
-  // in registers.)
+  // Blurs LANES values of a group of lines down; `in(i)` gives those of line i. (Inlined and unrolled, so that the
+  // taps stay in registers.)
   template <class In>
   [[gnu::always_inline]] inline void blur_down(const Window& window, int map, std::size_t x, In in) const {
     V taps[GROUP + TAPS - 1];
@@ -175,8 +175,9 @@ struct Sweep {
 #endif
   }
 
-  // Strip by strip, calls down(from, to) for all values of a line and later across(r, from, to) for those of each of the first
-  // `count` lines of the group. Blurring across stays a margin behind, since it reads neighbours on both sides.
+  // Strip by strip, calls down(from, to) for all values of a line and later across(r, from, to) for those of each of
+  // the first `count` lines of the group. Blurring across stays a margin behind, since it reads neighbours on both
+  // sides.
   template <class Down, class Across>
   void strips(int count, Down down, Across across) const {
     std::size_t done = 0;
@@ -212,8 +213,8 @@ struct Sweep {
     return total;
   }
 
-  // Puts the derivatives of S for a group of lines from y on, up to `needed`, into the ring; returns the weighted sum of 1 - S
-  // over those that lie in the band.
+  // Puts the derivatives of S for a group of lines from y on, up to `needed`, into the ring; returns the weighted sum
+  // of 1 - S over those that lie in the band.
   double ssim_of_group(std::ptrdiff_t y, std::ptrdiff_t needed) {
     const Columns source(*this, y, [&](std::ptrdiff_t at) { return b.rendered + values * at; });
     const Columns target(*this, y, [&](std::ptrdiff_t at) { return b.target + values * at; });
@@ -243,8 +244,8 @@ struct Sweep {
     return total;
   }
 
-  // Weighted 1 - S of LANES values; its derivatives by mx, xx and xy go to `out`. With a = 2 mx my + C1, p = 2 sxy + C2,
-  // q = mx^2 + my^2 + C1, d = sx + sy + C2: S = a p / (q d).
+  // Weighted 1 - S of LANES values; its derivatives by mx, xx and xy go to `out`. With a = 2 mx my + C1, p = 2 sxy +
+  // C2, q = mx^2 + my^2 + C1, d = sx + sy + C2: S = a p / (q d).
   [[gnu::always_inline]] static inline V ssim_derivatives(V mx, V xx, V xy, V my, V yy, V weight, float* const* out, std::size_t x) {
     const V w = -weight, w2 = w + w;  // of S
     const V product = mx * my, squares = fma(mx, mx, my * my);

@@ -21,14 +21,14 @@ struct LossBand {
 
 // Zeros on either side of a line, in values: no less than the 5 pixels of the window and than a vector of 16.
 constexpr int LOSS_MARGIN = 16;
-// From one line of the scratch to the next: three channels and the margins in whole vectors, but no multiple of 4096 bytes,
-// which would map all lines to the same set of the cache.
+// From one line of the scratch to the next: three channels and the margins in whole vectors, but no multiple of 4096
+// bytes, which would map all lines to the same set of the cache.
 constexpr std::size_t loss_stride(std::size_t width) {
   const std::size_t stride = (3 * width + 15) / 16 * 16 + 2 * LOSS_MARGIN;
   return stride % 256 ? stride : stride + 16;
 }
-// Lines that are blurred together, since neighbours share most of what they load; and lines of derivatives that are kept: two
-// groups and the ten lines of the window beyond them.
+// Lines that are blurred together, since neighbours share most of what they load; and lines of derivatives that are
+// kept: two groups and the ten lines of the window beyond them.
 constexpr int LOSS_GROUP = 8, LOSS_RING = 26;
 // A line of zeros, the ring and a group of 3 maps, two weights for a group; and 16 to begin at a cache line.
 constexpr std::size_t loss_scratch_floats(std::size_t width) {

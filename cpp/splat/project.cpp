@@ -1,14 +1,15 @@
-// From Gaussians to splats, LANES at a time: projection, colours, velocities; compiled once per instruction set. After 3DGS
-// (Kerbl et al. 2023, Eq. 5), with extents that end where alpha is 1/255; the plain twin, which explains the symbols,
-// is src/splat/project.rs. Left out: exact discs, which are projected in plain code (src/splat/disc_mode.rs).
+// From Gaussians to splats, LANES at a time: projection, colours, velocities; compiled once per instruction set.
+// After 3DGS (Kerbl et al. 2023, Eq. 5), with extents that end where alpha is 1/255; the plain twin, which explains
+// the symbols, is src/splat/project.rs. Left out: exact discs, which are projected in plain code
+// (src/splat/disc_mode.rs).
 #include "cpp/splat/project.h"
 
 namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-// Centres in camera axes and on screen, computed in double and rounded once, so that neither the order of splats nor their
-// places depend on rounding. `rest`: what rounding takes from the places on screen.
+// Centres in camera axes and on screen, computed in double and rounded once, so that neither the order of splats nor
+// their places depend on rounding. `rest`: what rounding takes from the places on screen.
 template <template <class> class Camera>
 inline void project_exactly(const Scene& s, const V* position, V* t, V* point, V* rest) {
   const double *r = s.exact.rotation, *eye = s.exact.eye;
@@ -76,35 +77,35 @@ struct VelocityKernel {
   template <int COLUMNS, template <class> class Camera>
   void set_velocities(const LaneGroup& group, Geometry<Dual, COLUMNS, Camera>& g, Dual* offset) const {
     const View& w = s.view;
-    V velocity[3] = {V{}, V{}, V{}}, turned[3];
+    V velocity[3] = {V{}, V{}, V{}}, rotated[3];
     if (o.pose) {
       const float *omega = o.pose, *tau = o.pose + 3;
-      auto turning = [&](const Dual* v, int k) {
+      auto cross_omega = [&](const Dual* v, int k) {
         const int a = (k + 1) % 3, b = (k + 2) % 3;
         return omega[a] * v[b].v - omega[b] * v[a].v;
       };
       // A motion of the camera (omega, tau): t' = omega x t + tau, c' = omega x c; the eye moves by -R^T tau only.
       for (int k = 0; k < 3; ++k) velocity[k] = broadcast(tau[k]);
-      rotate_back(w, velocity, turned);
-      for (int k = 0; k < 3; ++k) offset[k].d = turned[k], g.t[k].d = turning(g.t, k) + tau[k];
+      rotate_back(w, velocity, rotated);
+      for (int k = 0; k < 3; ++k) offset[k].d = rotated[k], g.t[k].d = cross_omega(g.t, k) + tau[k];
       for (int c = 0; c < COLUMNS; ++c)
-        for (int k = 0; k < 3; ++k) g.c[c][k].d = turning(g.c[c], k);
+        for (int k = 0; k < 3; ++k) g.c[c][k].d = cross_omega(g.c[c], k);
       return;
     }
     if (o.positions) load_vectors(o.positions, group, velocity);
-    rotate(w, velocity, turned);
-    for (int k = 0; k < 3; ++k) offset[k].d = velocity[k], g.t[k].d = turned[k];
+    rotate(w, velocity, rotated);
+    for (int k = 0; k < 3; ++k) offset[k].d = velocity[k], g.t[k].d = rotated[k];
     if (!o.shape) return;
     V columns[3 * COLUMNS];
     gather<3 * COLUMNS>(o.shape, group.index, columns);
     for (int c = 0; c < COLUMNS; ++c) {
-      rotate(w, columns + 3 * c, turned);
-      for (int k = 0; k < 3; ++k) g.c[c][k].d = turned[k];
+      rotate(w, columns + 3 * c, rotated);
+      for (int k = 0; k < 3; ++k) g.c[c][k].d = rotated[k];
     }
   }
 
-  // Writes the rows of a group: with the exponent of alpha -A dx^2 - B dx dy - C dy^2 in powers of 2, its change by the
-  // motion of the centre (VX, VY) and of the conic (VXX, VXY, VYY), times ln 2.
+  // Writes the rows of a group. With alpha = 2^(l - A dx^2 - B dx dy - C dy^2), VX and VY come from the motion of the
+  // centre, VXX, VXY and VYY from that of the conic; all times ln 2.
   template <int COLUMNS, template <class> class Camera>
   void write_rows(const LaneGroup& group, const Geometry<Dual, COLUMNS, Camera>& g, Dual* color) const {
     if (o.colors) {
@@ -129,6 +130,7 @@ struct VelocityKernel {
   }
 };
 
+// Splats of a chunk: rows, boxes of tiles, sort keys, visibility, and velocities where they are wanted.
 struct ProjectionKernel {
   const Scene& s;
   const ProjectChunk& o;
@@ -141,15 +143,16 @@ struct ProjectionKernel {
   // Conservative bounds with which groups out of sight are skipped before anything else is known of them.
   struct SkipBounds {
     float root;       // standard deviations that a splat whose opacity is no more than 1 reaches, and a thousandth
-    float uncertain;  // error of heights above the near plane (mm), apart from what large coordinates add
-    // A pinhole sees what lies between two planes through the eye for each axis of the image; outwards from these a splat with
-    // the largest standard deviation s reaches no further than by_size s + by_error times the error of its centre.
+    float base_error;  // error of heights above the near plane (mm), apart from what large coordinates add
+    // A pinhole sees what lies between two planes through the eye for each axis of the image; outwards from these a
+    // splat with the largest standard deviation s reaches no further than by_size s + by_error times the error of its
+    // centre.
     float sides[2][2][3], by_size[2], by_error[2];
 
     explicit SkipBounds(const View& w) {
       root = __builtin_sqrtf(2.0f / LOG2_E * REACH) * 1.001f;
-      uncertain = 1e-3f * w.near;
-      for (float v : w.eye) uncertain += 1e-6f * __builtin_fabsf(v);
+      base_error = 1e-3f * w.near;
+      for (float v : w.eye) base_error += 1e-6f * __builtin_fabsf(v);
       const float margin = root * __builtin_sqrtf(w.dilation) + 1e-2f;
       for (int k = 0; k < 2; ++k) {
         const float low = w.center[k] + margin, high = w.center[k] - w.size[k] - margin;
@@ -164,12 +167,14 @@ struct ProjectionKernel {
   };
 
   // Dot product.
-  static V along(const float* axis, const V* v) { return fma(broadcast(axis[2]), v[2], fma(broadcast(axis[1]), v[1], broadcast(axis[0]) * v[0])); }
+  static V along(const float* axis, const V* v) {
+    return fma(broadcast(axis[2]), v[2], fma(broadcast(axis[1]), v[1], broadcast(axis[0]) * v[0]));
+  }
 
-  // Splats that surely lie beside the image, before their covariance is known. With s the largest standard deviation, half a
-  // box of a pinhole is at most root (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in the centre,
-  // which is known to `error`. For a fisheye the distance from the cone that it sees is tested (`Exact::cone` in
-  // src/splat/lens.rs).
+  // Splats that surely lie beside the image, before their covariance is known. With s the largest standard deviation,
+  // half a box of a pinhole is at most root (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in
+  // the centre, which is known to `error`. For a fisheye the distance from the cone that it sees is tested
+  // (`Exact::cone` in src/splat/lens.rs).
   template <int COLUMNS>
   VI surely_beside(const LaneGroup& group, const V* offset, V height, V error, const SkipBounds& bounds) const {
     const View& w = s.view;
@@ -197,8 +202,9 @@ struct ProjectionKernel {
     return out;
   }
 
-  // The first group from k0 on that is not surely behind or beside the image. A short loop of its own for groups out of sight
-  // costs two thirds of leaving the long one of `run` early, which begins by saving registers and making room for 8 KB.
+  // The first group from k0 on that is not surely behind or beside the image. A short loop of its own for groups out
+  // of sight costs two thirds of leaving the long one of `run` early, which begins by saving registers and making
+  // room for 8 KB.
   template <int COLUMNS>
   std::size_t next_group(std::size_t k0, const SkipBounds& bounds) const {
     const View& w = s.view;
@@ -208,7 +214,7 @@ struct ProjectionKernel {
       V position[3], offset[3];
       load_centers(s, group, position, offset);
       const V far = absolute(position[0]) + absolute(position[1]) + absolute(position[2]), height = along(w.rotation + 6, offset);
-      const V error = fma(broadcast(1e-6f), far, broadcast(bounds.uncertain));
+      const V error = fma(broadcast(1e-6f), far, broadcast(bounds.base_error));
       const VI visible = height + error >= w.near;
       if (!any_of(visible)) continue;
       if (!w.skip_beside || any_of(load_scalars(s.opacities, group) > 1.0f)) break;

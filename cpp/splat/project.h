@@ -1,8 +1,9 @@
 #pragma once
-// Projection of LANES Gaussians at once, after EWA splatting (Zwicker et al. 2001) as 3DGS does it, for values (V) and for
-// values with a derivative (Dual). The plain twin, which also explains the symbols, is src/splat/project.rs:
+// Projection of LANES Gaussians at once, after EWA splatting (Zwicker et al. 2001) as 3DGS does it, for values (V)
+// and for values with a derivative (Dual). The plain twin, which also explains the symbols, is src/splat/project.rs:
 //
-//   t = R (p - eye),  c_k = R m_k,  u_k = J c_k,  covariance on screen = sum_k u_k u_k^T + dilation I,  conic = its inverse
+//   t = R (p - eye),  c_k = R m_k,  u_k = J c_k
+//   covariance on screen = sum_k u_k u_k^T + dilation I,  conic = its inverse
 #include "cpp/splat/camera.h"
 
 namespace respire {
@@ -158,8 +159,8 @@ inline void evaluate_color(const N* direction, const V* sh, N* color) {
   }
 }
 
-// LANES Gaussians of a chunk, from its number k0 on; at the end of a chunk there are only `count`, and `index` repeats the
-// last one beyond that.
+// LANES Gaussians of a chunk, from its number k0 on; at the end of a chunk there are only `count`, and `index`
+// repeats the last one beyond that.
 struct LaneGroup {
   std::size_t k0;
   int count;
@@ -196,9 +197,9 @@ inline void load_vectors(const float* base, const LaneGroup& group, V* out) {
   }
 }
 
-// Prefetches N numbers of each of the LANES Gaussians that begin LANES after number `from`, even beyond the end of the table,
-// where a prefetch does nothing. Always inlined, because GCC 12 takes a function that only prefetches for one without effects,
-// and drops its calls.
+// Prefetches N numbers of each of the LANES Gaussians that begin LANES after number `from`, even beyond the end of
+// the table, where a prefetch does nothing. Always inlined, because GCC 12 takes a function that only prefetches for
+// one without effects, and drops its calls.
 template <int N, int FOR_WRITING = 0>
 [[gnu::always_inline]] inline void prefetch_after(const float* base, std::size_t from) {
   for (int i = 0; i < N * LANES; i += 16) __builtin_prefetch(base + N * (from + LANES) + i, FOR_WRITING);
@@ -244,8 +245,8 @@ inline void for_shapes(const Scene& s, F& f) {
   }
 }
 
-// Calls f.run<DEGREE, COLUMNS, Camera>() for the degree, the shape (2 columns: discs, 3: ellipsoids) and the camera of the
-// scene.
+// Calls f.run<DEGREE, COLUMNS, Camera>() for the degree, the shape (2 columns: discs, 3: ellipsoids) and the camera
+// of the scene.
 template <class F>
 inline void for_scene(const Scene& s, F& f) {
   if (s.view.fisheye) return for_shapes<Fisheye>(s, f);

@@ -27,8 +27,8 @@ struct SplatDiscs;
 
 // All functions check every index and length, and throw std::invalid_argument. `isa` as of widest_isa.
 
-// Splats of a chunk of Gaussians, on an image of tiles[0] x tiles[1] tiles; where the chunk has room for velocities, those
-// along the motion too.
+// Splats of a chunk of Gaussians, on an image of tiles[0] x tiles[1] tiles; where the chunk has room for velocities,
+// those along the motion too.
 void splat_project(std::uint8_t isa, const SplatScene& scene, std::array<std::uint32_t, 2> tiles, SplatChunk chunk,
                    const SplatMotion& motion);
 // Their colours again, where visible; false when one is not finite.

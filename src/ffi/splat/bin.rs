@@ -72,8 +72,8 @@ mod bridge {
         targets: &'a mut [u32],
     }
 
-    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/bin.h`) and throw where they
-    // do not fit, which becomes an `Err`; none keeps a pointer.
+    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/bin.h`) and throw
+    // where they do not fit, which becomes an `Err`; none keeps a pointer.
     unsafe extern "C++" {
         include!("cpp/splat/bin.h");
 
@@ -91,8 +91,8 @@ pub const BANDS: usize = 16;
 /// What the caller never breaks: it is a defect of this crate, never of the input.
 const AGREE: &str = "the rasteriser hands over tables that belong together";
 
-/// Splats of a chunk as the bins see them: boxes of tiles (`x0 | y0 << 16`, `x1 | y1 << 16`, inclusive), whether they are
-/// visible, and the sort keys of their depths.
+/// Splats of a chunk as the bins see them: boxes of tiles (`x0 | y0 << 16`, `x1 | y1 << 16`, inclusive), whether they
+/// are visible, and the sort keys of their depths.
 #[derive(Clone, Copy)]
 pub struct Boxes<'a> {
     /// Two words each.
@@ -110,8 +110,8 @@ impl<'a> Boxes<'a> {
     }
 }
 
-/// Counts the splats and the tiles of a chunk in bands of `2^shift` tile rows, and, where it has visible ones, the tiles of
-/// the splats up to and with each.
+/// Counts the splats and the tiles of a chunk in bands of `2^shift` tile rows, and, where it has visible ones, the
+/// tiles of the splats up to and with each.
 pub fn count(chunk: &Boxes<'_>, shift: u32, starts: &mut [u32], counts: &mut Counts) {
     bridge::bin_count(&chunk.bridged(), shift, starts, counts).expect(AGREE);
 }

@@ -35,8 +35,8 @@ mod bridge {
         alpha: &'a [f32],
     }
 
-    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/image.h`) and throw where they
-    // do not fit, which becomes an `Err`; none keeps a pointer.
+    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/image.h`) and throw
+    // where they do not fit, which becomes an `Err`; none keeps a pointer.
     unsafe extern "C++" {
         include!("cpp/splat/image.h");
 

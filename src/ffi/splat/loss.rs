@@ -1,5 +1,5 @@
-//! The vectorised photometric loss: C++ through cxx (`cpp/splat/loss.cpp`), which calls the kernel of one instruction set
-//! (`cpp/splat/loss_kernel.cpp`), chosen at run time.
+//! The vectorised photometric loss: C++ through cxx (`cpp/splat/loss.cpp`), which calls the kernel of one instruction
+//! set (`cpp/splat/loss_kernel.cpp`), chosen at run time.
 
 use std::cell::RefCell;
 
@@ -26,8 +26,8 @@ mod bridge {
         ssim_weight: f32,
     }
 
-    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/loss.h`) and throw where they
-    // do not fit, which becomes an `Err`; none keeps a pointer.
+    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/loss.h`) and throw
+    // where they do not fit, which becomes an `Err`; none keeps a pointer.
     unsafe extern "C++" {
         include!("cpp/splat/loss.h");
 

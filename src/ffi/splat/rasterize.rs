@@ -200,9 +200,9 @@ mod bridge {
         filter: f32,
     }
 
-    // SAFETY: every function declared safe checks all indices and lengths before it reads or writes (`cpp/splat/rasterize.h`)
-    // and throws where they do not fit, which becomes an `Err`; none keeps a pointer. `splat_backward` cannot check that no
-    // other thread writes the same slots, hence it is unsafe to call.
+    // SAFETY: every function declared safe checks all indices and lengths before it reads or writes
+    // (`cpp/splat/rasterize.h`) and throws where they do not fit, which becomes an `Err`; none keeps a pointer.
+    // `splat_backward` cannot check that no other thread writes the same slots, hence it is unsafe to call.
     unsafe extern "C++" {
         include!("cpp/splat/rasterize.h");
 
@@ -273,8 +273,8 @@ impl<T> AsRef<[T; 16]> for Aligned<T> {
 /// A row of the tables that C++ shares: the columns of a splat or a disc, or the moments of an entry.
 pub type AlignedRow = Aligned<f32>;
 
-// SAFETY: `respire::AlignedRow` (`cpp/splat/rasterize.h`) is the same struct: sixteen floats aligned to 64 bytes, without
-// padding (a static_assert there holds the size). It is plain data, hence trivially movable.
+// SAFETY: `respire::AlignedRow` (`cpp/splat/rasterize.h`) is the same struct: sixteen floats aligned to 64 bytes,
+// without padding (a static_assert there holds the size). It is plain data, hence trivially movable.
 unsafe impl ExternType for AlignedRow {
     type Id = type_id!("respire::AlignedRow");
     type Kind = kind::Trivial;
@@ -368,7 +368,7 @@ impl<'a> Slots<'a> {
 
 /// Backward of [`forward`]: writes the moments of each entry into its slot.
 pub fn backward(isa: Isa, tile: &SplatBackward<'_>, slots: &Slots<'_>) {
-    // SAFETY: `start` and `count` are those of a slice that is borrowed exclusively as long as `slots` lives; C++ checks
-    // that every target lies below `count`; tiles that run at the same time have different targets.
+    // SAFETY: `start` and `count` are those of a slice that is borrowed exclusively as long as `slots` lives; C++
+    // checks that every target lies below `count`; tiles that run at the same time have different targets.
     unsafe { bridge::splat_backward(isa.code(), tile, slots.start, slots.count) }.expect(AGREE);
 }

@@ -8,12 +8,12 @@
 //! [`RowAdam`] is the same for one row of values per Gaussian, and touches only rows that some render of the frame has
 //! shown: a row without a gradient so far has zero moments and a step of exactly zero, so that leaving it alone is no
 //! approximation. One pass over moments, parameters and gradients (which the rasteriser writes anew, so that nobody has to
-//! clear them), in vectors (`ffi/adam.rs`); values do not depend on each other, so that any number of threads gives the
+//! clear them), in vectors (`ffi/splat/adam.rs`); values do not depend on each other, so that any number of threads gives the
 //! same bytes.
 
 use rayon::prelude::*;
 
-use crate::ffi::splat::adam::Rule;
+use crate::ffi::splat::adam::AdamStep;
 
 /// Constants of Adam.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,13 +42,13 @@ pub enum StepCounter {
 }
 
 /// The numbers of step number `steps`, counted from 1.
-fn rule(constants: AdamConstants, steps: u64) -> Rule {
+fn rule(constants: AdamConstants, steps: u64) -> AdamStep {
     let steps = steps.min(i32::MAX as u64) as i32;
     let betas = [constants.beta1, constants.beta2];
-    Rule {
-        keep: betas.map(|b| b as f32),
-        add: betas.map(|b| (1.0 - b) as f32),
-        unbias: betas.map(|b| (1.0 / (1.0 - b.powi(steps))) as f32),
+    AdamStep {
+        decay: betas.map(|b| b as f32),
+        share: betas.map(|b| (1.0 - b) as f32),
+        bias_correction: betas.map(|b| (1.0 / (1.0 - b.powi(steps))) as f32),
         epsilon: constants.epsilon as f32,
     }
 }
