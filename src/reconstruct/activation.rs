@@ -1,8 +1,9 @@
 //! The breathing phase as a function of an optimised parameter theta in [0, pi].
 //!
-//! The paper's choice (Eq. 3) is the cosine plus a linear leak, `alpha = (1 - eps) (1 - cos theta) / 2 + eps theta / pi`
-//! with eps = 0.05: monotonic, exact at both ends, and its slope never falls below `eps / pi`. The two others are what
-//! the paper argues against, for ablations; both keep theta's range, so that one rate serves all three.
+//! The paper's choice (Eq. 3) is the cosine plus a linear leak,
+//! `alpha = (1 - eps) (1 - cos theta) / 2 + eps theta / pi` with eps = 0.05: monotonic, exact at both ends, and
+//! its slope never falls below `eps / pi`. The two others are what the paper argues against, for ablations;
+//! both keep theta's range, so that one rate serves all three.
 
 use std::f64::consts::PI;
 
@@ -70,8 +71,8 @@ impl PhaseActivation {
         }
     }
 
-    /// The theta whose phase is `phase` (clamped to what the range of theta reaches): bisection to the last bits, since
-    /// the function is monotonic.
+    /// The theta whose phase is `phase` (clamped to what the range of theta reaches): bisection to the last
+    /// bits, since the function is monotonic.
     pub fn theta(self, phase: f64) -> f64 {
         let [mut low, mut high] = self.range();
         for _ in 0..60 {
@@ -128,7 +129,8 @@ mod tests {
                 assert!((difference - activation.slope(theta)).abs() < 1e-8, "{activation:?} {phase}");
             }
         }
-        // Saturation near the clinically important ends: a quarter of the cosine's slope at phase .01, and both ends out of reach.
+        // Saturation near the clinically important ends: a quarter of the cosine's slope at phase .01, and both
+        // ends out of reach.
         let at = |a: PhaseActivation, phase: f64| a.slope(a.theta(phase));
         assert!(at(sigmoid, 0.01) < 0.25 * at(ACTIVATION, 0.01));
         assert!(sigmoid.phase(-10.0) > 0.0 && sigmoid.phase(10.0) < 1.0);

@@ -4,7 +4,8 @@
 //!
 //! | floor | holds |
 //! |---|---|
-//! | `contract`, `settings`, `activation`, `online`, `observe`, `rough_poses`, `prediction` | what a method may see and must answer, its numbers, the protocol |
+//! | `contract`, `settings`, `activation` | what a method may see and must answer, and its numbers |
+//! | `online`, `observe`, `rough_poses`, `prediction` | the protocol, from the sequence to the prediction |
 //! | `geometry` | the mesh at a phase: visible faces, depth, image pyramid, rigid motions, neighbours |
 //! | `fitting` | building blocks: optimiser, losses, discs and free Gaussians, light, memory of colours |
 //! | `estimate` | estimators, which do not know each other: phase fit, keyframe window, Gauss-Newton, breath |

@@ -1,5 +1,5 @@
-//! The protocol that all methods share: frames in order, each timed alone; every eighth one is rendered before its image
-//! is looked at.
+//! The protocol that all methods share: frames in order, each timed alone; every eighth one is rendered before
+//! its image is looked at.
 
 use std::time::Instant;
 

@@ -1,6 +1,6 @@
-//! The PREDICTION folder: `color/NNNNNN.png`, `depth/NNNNNN.exr`, `ahead/NNNNNN.png`, `phase.csv` (with `phase_sd` where
-//! the method knows it), `mesh/final.ply`,
-//! `timing.json`. Frames are written as they come; what is known only at the end follows.
+//! The PREDICTION folder: `color/NNNNNN.png`, `depth/NNNNNN.exr`, `ahead/NNNNNN.png`, `phase.csv` (with
+//! `phase_sd` where the method knows it), `mesh/final.ply`, `timing.json`. Frames are written as they come;
+//! what is known only at the end follows.
 
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,6 @@
-//! Poses as a tracker in the tip of the scope would give them, for methods that do not take poses for granted: each is off
-//! by a motion of the camera in its own axes whose size stays [`SHIFT_MM`] and [`TURN_DEG`] and whose direction turns
-//! slowly, once in [`TURNAROUND_S`]. A constant offset and a drift at once.
+//! Poses as a tracker in the tip of the scope would give them, for methods that do not take poses for granted:
+//! each is off by a motion of the camera in its own axes whose size stays [`SHIFT_MM`] and [`TURN_DEG`] and
+//! whose direction turns slowly, once in [`TURNAROUND_S`]. A constant offset and a drift at once.
 
 use std::f64::consts::TAU;
 

@@ -1,13 +1,14 @@
-//! What the phase of the next frame will be, from the phases so far: the last change goes on (constant velocity), or the
-//! breath repeats itself one period later. The period is estimated on the way by YIN's difference function (de Cheveigne
-//! and Kawahara 2002): the lag after which the phases repeat, relative to the mean of all shorter lags. Each of the two
-//! counts by the inverse of its own recent squared errors, so that a breath-hold or an irregular breath silences the period.
+//! What the phase of the next frame will be, from the phases so far: the last change goes on (constant
+//! velocity), or the breath repeats itself one period later. The period is estimated on the way by YIN's
+//! difference function (de Cheveigne and Kawahara 2002): the lag after which the phases repeat, relative to the
+//! mean of all shorter lags. Each of the two counts by the inverse of its own recent squared errors, so that a
+//! breath-hold or an irregular breath silences the period.
 
 /// Share of the newest error in each guess's running mean square.
 const NEWEST: f64 = 0.2;
 /// Difference at the period relative to the mean of the shorter lags: YIN's absolute threshold.
 const THRESHOLD: f64 = 0.15;
-/// Frames that must have been seen beyond one lag, as a share of the lag.
+/// Frames that must be known beyond one lag, as a share of the lag.
 const OVERLAP: f64 = 0.3;
 /// Frames looked back at most.
 const LONGEST: usize = 1000;
@@ -38,7 +39,7 @@ pub struct BreathPredictor {
 }
 
 impl BreathPredictor {
-    /// Nothing seen yet; `velocity` is the share of the last change that is expected again.
+    /// No phase yet; `velocity` is the share of the last change that is expected again.
     pub fn new(velocity: f64, repetition: Repetition) -> Self {
         BreathPredictor { velocity, repetition, phases: Vec::new(), period: None, errors: [None; 2] }
     }
@@ -100,12 +101,15 @@ impl BreathPredictor {
     }
 }
 
-/// Lag in frames after which `phases` repeat; `None` when they do not, or not yet.
+/// Lag in frames after which `phases` repeat; `None` when they do not, or not yet. YIN: the difference
+/// `d(lag) = mean (alpha_t - alpha_{t+lag})^2` relative to its mean over all shorter lags,
+/// `d'(lag) = d(lag) lag / sum_{k <= lag} d(k)`.
 fn period(phases: &[f64]) -> Option<f64> {
     let difference = |lag: usize| {
         let pairs = phases.iter().zip(&phases[lag..]);
         pairs.map(|(a, b)| (a - b).powi(2)).sum::<f64>() / (phases.len() - lag) as f64
     };
+    // d' at all lags that leave enough overlap.
     let longest = (phases.len() as f64 / (1.0 + OVERLAP)) as usize;
     let mut sum = 0.0;
     let mut relative = vec![1.0];
@@ -114,6 +118,7 @@ fn period(phases: &[f64]) -> Option<f64> {
         sum += d;
         relative.push(if sum / lag as f64 > STILL { d * lag as f64 / sum } else { 1.0 });
     }
+    // The first valley below the threshold.
     let lowest_from = |start: usize| {
         let mut lag = start;
         while lag + 1 < relative.len() && relative[lag + 1] <= relative[lag] {
@@ -123,7 +128,7 @@ fn period(phases: &[f64]) -> Option<f64> {
     };
     let start = (2..relative.len()).find(|&lag| relative[lag] < THRESHOLD)?;
     let lag = lowest_from(start);
-    // At the end of what is known the difference may still be falling.
+    // Between frames: the least value of a parabola. At the end of what is known the difference may still be falling.
     let (&left, &middle, &right) = (relative.get(lag - 1)?, relative.get(lag)?, relative.get(lag + 1)?);
     let curvature = left - 2.0 * middle + right;
     let shift = if curvature > 0.0 { 0.5 * (left - right) / curvature } else { 0.0 };

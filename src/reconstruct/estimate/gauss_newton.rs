@@ -2,10 +2,11 @@
 //! `T = dR / dphase`: the change `d` of the phase that minimises `sum_i w_i (I_i - g_c (R_i + T_i d))^2`.
 //!
 //! Per channel the exposure gain `g` is eliminated in closed form (variable projection): with weights `w`,
-//! `g = sum w I R / sum w R^2`, residual `r = I - g R`, derivative `J = g (T - R sum w T R / sum w R^2)`. Weights are Huber's
-//! (1964), the scale of the residuals their median absolute deviation. Neighbouring pixels err together, so the information
-//! is that of the sandwich estimator with square blocks as clusters (Liang and Zeger 1986):
-//! `information = H S^-1 H`, `H = sum w J^2`, `S` the sum over blocks of the squares of their scores `sum w J r`.
+//! `g = sum w I R / sum w R^2`, residual `r = I - g R`, derivative `J = g (T - R sum w T R / sum w R^2)`.
+//! Weights are Huber's (1964), the scale of the residuals their median absolute deviation. Neighbouring pixels
+//! err together, so the information is that of the sandwich estimator with square blocks as clusters (Liang and
+//! Zeger 1986): `information = H S^-1 H`, `H = sum w J^2`, `S` the sum over blocks of the squares of their
+//! scores `sum w J r`.
 
 /// Residuals whose median is below this (encoded, 0..1) are taken as this: half a code of an 8-bit image.
 const SMALLEST_SCALE: f32 = 0.5 / 255.0;

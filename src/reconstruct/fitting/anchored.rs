@@ -1,5 +1,6 @@
-//! Discs on a mesh: all their parameters, and the compact copy ("patch") of those that one frame can see, on which
-//! the optimiser works. Frozen or unseen parameters cost nothing.
+//! Discs on a mesh, each in its face at barycentric coordinates that are a softmax of three logits (paper, Eq.
+//! 1): all their parameters, and the compact copy ("patch") of those that one frame can see, on which the
+//! optimiser works. Frozen or unseen parameters cost nothing.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -55,7 +56,8 @@ pub fn to_f32(vertices: &[DVec3]) -> Vec<[f32; 3]> {
     vertices.iter().map(|v| v.as_vec3().to_array()).collect()
 }
 
-/// Barycentric coordinates of disc `k` of `n` in its face: the R2 sequence folded into the triangle, kept off its rim.
+/// Barycentric coordinates of disc `k` of `n` in its face: the R2 sequence folded into the triangle, kept off
+/// its rim.
 fn even_barycentrics(k: usize, n: usize) -> [f64; 3] {
     if n == 1 {
         return [1.0 / 3.0; 3];
@@ -288,8 +290,8 @@ impl Patch {
         self.anchors.vertex_pullback(gradients, self.carrier(vertices), None, out)
     }
 
-    /// One Adam step of logits, scales and SH: of the groups that `adam` learns, and of the discs that `visible` names or
-    /// an earlier step of the frame has touched.
+    /// One Adam step of logits, scales and SH: of the groups that `adam` learns, and of the discs that
+    /// `visible` names or an earlier step of the frame has touched.
     pub fn step(
         &mut self,
         adam: &mut DiscAdam,

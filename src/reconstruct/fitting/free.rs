@@ -154,8 +154,8 @@ impl FreePatch {
         }
     }
 
-    /// One Adam step of the own parameters: of the groups that are learned, and of the Gaussians that `visible` names or an
-    /// earlier step of the frame has touched.
+    /// One Adam step of the own parameters: of the groups that are learned, and of the Gaussians that `visible`
+    /// names or an earlier step of the frame has touched.
     pub fn step(&mut self, adam: &mut FreeAdam, gradients: &Gradients<f32>, visible: &[bool]) {
         let rates = adam.rates;
         if rates.position > 0.0 {

@@ -1,5 +1,5 @@
-//! The least value of a function of the phase: a grid over 0..1, then golden sections. The first frame's phase is found
-//! so, by the depth that the method is given there (paper, Section 3.4).
+//! The least value of a function of the phase: a grid over 0..1, then golden sections. The first frame's phase
+//! is found so, by the depth that the method is given there (paper, Section 3.4).
 
 use crate::base::Result;
 

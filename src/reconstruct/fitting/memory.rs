@@ -62,7 +62,8 @@ impl Memory {
         ShownColors { sh: sh.to_vec(), contained_shade: self.contained_shade.clone() }
     }
 
-    /// Puts the remembered colours into `sh`, at shade 1; what nobody remembers stays as it is. Hands out what `sh` was.
+    /// Puts the remembered colours into `sh`, at shade 1; what nobody remembers stays as it is. Hands out what
+    /// `sh` was.
     pub fn recall(&mut self, sh: &mut [f32]) -> ShownColors {
         let shown = self.set_aside(sh);
         for (k, sh) in sh.chunks_exact_mut(SH_VALUES).enumerate() {
@@ -80,8 +81,8 @@ impl Memory {
         self.contained_shade = shown.contained_shade;
     }
 
-    /// Gives Gaussian `k`, whose colours are `sh`, back what it showed in `shown`, at its present shade; nothing if no
-    /// frame had shown it then.
+    /// Gives Gaussian `k`, whose colours are `sh`, back what it showed in `shown`, at its present shade;
+    /// nothing if no frame had shown it then.
     pub fn put_back(&self, k: usize, sh: &mut [f32], shown: &ShownColors) {
         if shown.contained_shade[k] > 0.0 {
             let ratio = self.contained_shade[k] / shown.contained_shade[k];

@@ -1,15 +1,15 @@
 //! Adam (Kingma and Ba 2015) for one group of parameters.
 //!
-//! A method fits one frame at a time on a compact copy of what that frame can see, so a group holds moments for those
-//! rows only, and they start at zero with every frame, as the released BridgeSplat does ("moments zeroed, step counter
-//! kept"). Whether the step counter is kept too is [`StepCounter`]: with a kept counter the bias correction is gone
-//! and the first steps after zeroing are up to 3.2 times as long.
+//! A method fits one frame at a time on a compact copy of what that frame can see, so a group holds moments for
+//! those rows only, and they start at zero with every frame, as the released BridgeSplat does ("moments zeroed,
+//! step counter kept"). Whether the step counter is kept too is [`StepCounter`]: with a kept counter the bias
+//! correction is gone and the first steps after zeroing are up to 3.2 times as long.
 //!
-//! [`RowAdam`] is the same for one row of values per Gaussian, and touches only rows that some render of the frame has
-//! shown: a row without a gradient so far has zero moments and a step of exactly zero, so that leaving it alone is no
-//! approximation. One pass over moments, parameters and gradients (which the rasteriser writes anew, so that nobody has to
-//! clear them), in vectors (`ffi/splat/adam.rs`); values do not depend on each other, so that any number of threads gives the
-//! same bytes.
+//! [`RowAdam`] is the same for one row of values per Gaussian, and touches only rows that some render of the
+//! frame has shown: a row without a gradient so far has zero moments and a step of exactly zero, so that
+//! leaving it alone is no approximation. One pass over moments, parameters and gradients (which the rasteriser
+//! writes anew, so that nobody has to clear them), in vectors (`ffi/splat/adam.rs`); values do not depend on each
+//! other, so that any number of threads gives the same bytes.
 
 use rayon::prelude::*;
 
@@ -113,7 +113,7 @@ impl<const K: usize> RowAdam<K> {
         RowAdam { constants, steps: 0, first: Vec::new(), second: Vec::new(), touched: Vec::new() }
     }
 
-    /// Zero moments for `rows` rows: they are written when a row is first seen.
+    /// Zero moments for `rows` rows: they are written when a row is first visible.
     pub fn begin(&mut self, rows: usize, counter: StepCounter) {
         if self.first.len() < rows * K {
             // Pages of zeros that the system maps when they are first written.
@@ -127,13 +127,15 @@ impl<const K: usize> RowAdam<K> {
         }
     }
 
-    /// How many rows the steps since [`RowAdam::begin`] have touched, and how many numbers of moments there is room for.
+    /// How many rows the steps since [`RowAdam::begin`] have touched, and how many numbers of moments there is
+    /// room for.
     pub fn touched_rows_and_room(&self) -> (usize, usize) {
         (self.touched.iter().filter(|t| **t).count(), self.first.len() + self.second.len())
     }
 
-    /// One step of every row that `visible` names or an earlier step has touched, value `k` of a row at rate `rates[k]`.
-    /// `parameters` and `gradient` hold `K` values a row. Values whose gradient is not finite stay as they are.
+    /// One step of every row that `visible` names or an earlier step has touched, value `k` of a row at rate
+    /// `rates[k]`. `parameters` and `gradient` hold `K` values a row. Values whose gradient is not finite stay
+    /// as they are.
     pub fn step(&mut self, rates: [f64; K], parameters: &mut [f32], gradient: &[f32], visible: &[bool]) {
         let rows = self.touched.len();
         let sizes = [parameters.len(), gradient.len(), visible.len() * K];

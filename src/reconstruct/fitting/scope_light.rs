@@ -1,8 +1,9 @@
-//! What a patch of wall shows of its colour under the light at the tip of the scope (paper, Section 3: a co-located
-//! light), in the encoded (sRGB) values in which methods compare images: `(d0 / d)^p ((c + k) / (1 + k))^(p / 2)` with
-//! `d` the distance to the scope, `c` the cosine of incidence, `p` the exponent of the fall-off (2 / 2.2 for the inverse
-//! square through the sRGB curve, less where the lumen lights itself) and `k` the share of light from the other walls.
-//! Left out: shadows (there are none from a light at the camera) and gloss.
+//! What a patch of wall shows of its colour under the light at the tip of the scope (paper, Section 3: a
+//! co-located light), in the encoded (sRGB) values in which methods compare images:
+//! `(d0 / d)^p ((c + k) / (1 + k))^(p / 2)` with `d` the distance to the scope, `c` the cosine of incidence,
+//! `p` the exponent of the fall-off (2 / 2.2 for the inverse square through the sRGB curve, less where the
+//! lumen lights itself) and `k` the share of light from the other walls. Left out: shadows (there are none from
+//! a light at the camera) and gloss.
 
 use glam::Vec3;
 
@@ -40,8 +41,8 @@ impl ScopeLight {
         }
     }
 
-    /// One shade per Gaussian. `velocities` are mm per unit of phase (empty: slopes are 0); the turning of the normals
-    /// themselves is left out of the slope. Ellipsoids have no side: their incidence counts as upright.
+    /// One shade per Gaussian. `velocities` are mm per unit of phase (empty: slopes are 0); the turning of the
+    /// normals themselves is left out of the slope. Ellipsoids have no side: their incidence counts as upright.
     pub fn shades(&self, gaussians: &Gaussians<f32>, velocities: &[[f32; 3]], out: &mut Vec<Shade>) {
         out.clear();
         let velocity = |i: usize| velocities.get(i).map_or(Vec3::ZERO, |v| Vec3::from(*v));

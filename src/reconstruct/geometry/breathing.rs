@@ -1,5 +1,5 @@
-//! The airway surface as a function of the phase: `V(alpha) = V_insp + alpha D`, `D` the displacement from inspiration to
-//! expiration (paper, Eq. 2).
+//! The airway surface as a function of the phase: `V(alpha) = V_insp + alpha D`, `D` the displacement from
+//! inspiration to expiration (paper, Eq. 2).
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;

@@ -1,8 +1,8 @@
-//! Depth of the mesh itself, by the faces in view and a z-buffer, exact for pinhole and fisheye. Discs on a mesh only blur
-//! where it is; and what lies behind a wall need not be drawn.
+//! Depth of the mesh itself, by the faces in view and a z-buffer, exact for pinhole and fisheye. Discs on a
+//! mesh only blur where it is; and what lies behind a wall need not be drawn.
 //!
-//! With corners `a`, `b`, `c` in camera axes and the ray `r` of a pixel, `r . (b x c)`, `r . (c x a)` and `r . (a x b)` have
-//! one sign where the ray meets the face, and it meets it at `a . (b x c) / sum * r`.
+//! With corners `a`, `b`, `c` in camera axes and the ray `r` of a pixel, `r . (b x c)`, `r . (c x a)` and
+//! `r . (a x b)` have one sign where the ray meets the face, and it meets it at `a . (b x c) / sum * r`.
 
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
@@ -14,7 +14,8 @@ use crate::splat::View;
 const NEAR_MM: f32 = 0.05;
 /// Rows that one thread fills at a time.
 const BAND: usize = 16;
-/// A face counts as hidden when it lies so much of its depth, and so many mm, behind the nearest wall around its pixel.
+/// A face counts as hidden when it lies so much of its depth, and so many mm, behind the nearest wall around
+/// its pixel.
 const SLACK: [f32; 2] = [0.05, 1.0];
 /// Largest error of a depth that counts, as a share of it.
 const LARGEST_SHARE: f32 = 0.25;
@@ -89,7 +90,8 @@ fn fill(band: &mut [(f32, u32)], rays: &PixelRays, first: usize, face: u32, tria
     }
 }
 
-/// z-depth in mm of the nearest of the faces `which` at each pixel of `view`, whose rays are `rays`; 0 where there is none.
+/// z-depth in mm of the nearest of the faces `which` at each pixel of `view`, whose rays are `rays`; 0 where
+/// there is none.
 pub fn nearest_depth_mm(
     view: &View,
     rays: &PixelRays,
@@ -102,7 +104,8 @@ pub fn nearest_depth_mm(
     Image { width: rays.width, height: view.camera.height as usize, channels: 1, data }
 }
 
-/// z-depth in mm of the nearest of the faces `which` at each pixel of `view`, and its index; depth 0 where there is none.
+/// z-depth in mm of the nearest of the faces `which` at each pixel of `view`, and its index; depth 0 where
+/// there is none.
 pub fn nearest_faces(
     view: &View,
     rays: &PixelRays,

@@ -18,9 +18,9 @@ pub fn moved(view: &View, xi: [f64; POSE]) -> View {
     View { camera_from_world: motion(xi) * view.camera_from_world, ..*view }
 }
 
-/// The derivative of `exp(xi) x` by angle `k` of `xi` is `turns[k] x (exp(xi) x - tau)`. `turns` are the columns of the left
-/// Jacobian of rotations, `J e = e + a (omega x e) + b (omega x (omega x e))`, `a = (1 - cos) / angle^2`,
-/// `b = (angle - sin) / angle^3`.
+/// The derivative of `exp(xi) x` by angle `k` of `xi` is `turns[k] x (exp(xi) x - tau)`. `turns` are the
+/// columns of the left Jacobian of rotations, `J e = e + a (omega x e) + b (omega x (omega x e))`,
+/// `a = (1 - cos) / angle^2`, `b = (angle - sin) / angle^3`.
 pub fn turns(xi: [f64; POSE]) -> [DVec3; 3] {
     let omega = DVec3::new(xi[0], xi[1], xi[2]);
     let angle2 = omega.length_squared();

@@ -1,9 +1,9 @@
-//! `bridgesplat`: mesh-anchored discs on a mesh that control points deform frame by frame (Fehrentz et al., MICCAI
-//! 2025). Lengths of the deformation are in released units (1 unit = 100 mm). Per frame, warm-started from the last,
-//! `5 L1 + 0.001 E_arap + L_vis (+ 4 L_rigid + 10 L_iso)`; what stands in brackets is computed by variant `full` only,
-//! since the released code leaves it at zero. No SSIM, no depth, no replay of past frames. The spotlight factor of the
-//! released code is left out: these sequences have a light of their own. The mesh variant has no rotation parameters,
-//! hence no rotation term.
+//! `bridgesplat`: mesh-anchored discs on a mesh that control points deform frame by frame (Fehrentz et al.,
+//! MICCAI 2025). Lengths of the deformation are in released units (1 unit = 100 mm). Per frame, warm-started
+//! from the last, `5 L1 + 0.001 E_arap + L_vis (+ 4 L_rigid + 10 L_iso)`; what stands in brackets is computed
+//! by variant `full` only, since the released code leaves it at zero. No SSIM, no depth, no replay of past
+//! frames. The spotlight factor of the released code is left out: these sequences have a light of their own.
+//! The mesh variant has no rotation parameters, hence no rotation term.
 
 use std::time::Instant;
 
@@ -146,11 +146,13 @@ impl<'a> BridgesplatFit<'a> {
         self.render(&patch, &view, DepthOutput::Skip)?;
         let ahead = held_out(frame).then(|| color_image(&self.rasterizer));
         let visible = self.visible_vertices(&faces);
-        if self.deformation.is_none() {
-            self.deformation = Some(self.control_points(&visible)?);
-        }
+        let mut deformation = match self.deformation.take() {
+            Some(deformation) => deformation,
+            None => self.control_points(&visible)?,
+        };
         let invisible: Vec<u32> = (0..self.rest.len() as u32).filter(|&v| !visible[v as usize]).collect();
-        self.optimise(frame, &view, &mut patch, &invisible)?;
+        self.optimise(frame, &view, &mut patch, &invisible, &mut deformation)?;
+        self.deformation = Some(deformation);
         let local = patch.pick(&self.vertices_mm());
         patch.place(&local)?;
         self.render(&patch, &view, DepthOutput::Surface)?;
@@ -167,7 +169,7 @@ impl<'a> BridgesplatFit<'a> {
             face_visible[f as usize] = flags.iter().all(|v| *v);
         }
         let mut visible = vec![true; self.rest.len()];
-        for (corners, _) in self.surface.faces.iter().zip(&face_visible).filter(|(_, seen)| !**seen) {
+        for (corners, _) in self.surface.faces.iter().zip(&face_visible).filter(|(_, visible)| !**visible) {
             corners.iter().for_each(|&v| visible[v as usize] = false);
         }
         visible
@@ -177,8 +179,8 @@ impl<'a> BridgesplatFit<'a> {
     fn control_points(&self, visible: &[bool]) -> Result<Deformation> {
         let s = &self.settings.common;
         let step = s.control_subsample.value.max(1) as usize;
-        let seen = self.rest.iter().zip(visible).filter(|(_, v)| **v).map(|(p, _)| *p);
-        let mut rest: Vec<DVec3> = seen.step_by(step).collect();
+        let visible = self.rest.iter().zip(visible).filter(|(_, v)| **v).map(|(p, _)| *p);
+        let mut rest: Vec<DVec3> = visible.step_by(step).collect();
         if rest.is_empty() {
             rest.push(self.rest[0]);
         }
@@ -193,7 +195,14 @@ impl<'a> BridgesplatFit<'a> {
         })
     }
 
-    fn optimise(&mut self, frame: usize, view: &View, patch: &mut Patch, invisible: &[u32]) -> Result<()> {
+    fn optimise(
+        &mut self,
+        frame: usize,
+        view: &View,
+        patch: &mut Patch,
+        invisible: &[u32],
+        deformation: &mut Deformation,
+    ) -> Result<()> {
         let s = &self.settings.common;
         let image = self.observation.images[frame].to_unit();
         let weights = self.observation.pixel_weights();
@@ -203,12 +212,12 @@ impl<'a> BridgesplatFit<'a> {
         let sh_rest = self.adam.rates.sh_rest;
         let factor = rate_factor(self.scale);
         self.adam.begin(patch.discs.len());
-        let mut deformation = self.deformation.take().expect("control points are chosen before the first step");
         deformation.adam.begin(deformation.rest.len() * 3, StepCounter::Kept);
         let mut delta = Vec::new();
         let mut by_control = Vec::new();
         // The released loop does not step on its last iteration.
         for i in 0..iterations.max(2) - 1 {
+            // The mesh under the control points, and its rendering.
             deformation.field.apply(&deformation.displacement, &mut delta);
             self.move_vertices(&delta);
             let local = self.local_mm(patch);
@@ -219,12 +228,14 @@ impl<'a> BridgesplatFit<'a> {
             self.image_gradient.iter_mut().for_each(|g| *g *= *s.color_weight as f32);
             let gradient = ImageGradient { color: &self.image_gradient, ..ImageGradient::default() };
             self.rasterizer.backward(&patch.gaussians, &gradient, Wanted::POSITIONS | Wanted::SHAPES | Wanted::SH)?;
+            // Gradients: by the vertices, and through the field by the control points.
             self.vertex_gradient(patch, &local, invisible)?;
             let by_points: Vec<[f32; 3]> = self.by_vertex.iter().map(|g| g.as_vec3().to_array()).collect();
             deformation.field.pull_back(&by_points, &mut by_control);
             if self.settings.variant == BridgeObjective::Full {
                 deformation.regularise(s, &mut by_control);
             }
+            // Steps of discs and control points.
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };
             let visible = &self.rasterizer.rendered().visible;
             patch.step(&mut self.adam, self.rasterizer.gradients(), visible, &local)?;
@@ -235,7 +246,6 @@ impl<'a> BridgesplatFit<'a> {
         deformation.field.apply(&deformation.displacement, &mut delta);
         self.move_vertices(&delta);
         deformation.previous = deformation.positions();
-        self.deformation = Some(deformation);
         Ok(())
     }
 

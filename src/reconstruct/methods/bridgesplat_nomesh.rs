@@ -205,8 +205,8 @@ impl<'a> BridgesplatNomeshFit<'a> {
     /// ControlAnchors whose own Gaussian is outside the image.
     fn invisible_anchors(&self, patch: &FreePatch) -> Vec<u32> {
         let flags = &self.rasterizer.rendered().visible;
-        let seen = |id: u32| patch.ids.binary_search(&id).is_ok_and(|k| flags[k]);
-        (0..self.anchors.ids.len() as u32).filter(|&a| !seen(self.anchors.ids[a as usize])).collect()
+        let visible = |id: u32| patch.ids.binary_search(&id).is_ok_and(|k| flags[k]);
+        (0..self.anchors.ids.len() as u32).filter(|&a| !visible(self.anchors.ids[a as usize])).collect()
     }
 
     fn optimise(

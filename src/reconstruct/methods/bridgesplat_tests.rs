@@ -1,7 +1,8 @@
-//! Does BridgeSplat do what it was made for? A textured patch, seen by a still camera, deforms smoothly by 5 mm. A still
-//! camera tells directions only: a patch that grows and recedes looks the same, and what decides between the two is that
-//! lengths are kept (isometry). So the test asks whether image and isometry together put the surface where it was planted; the
-//! more the planted motion strains, the more the two disagree, and the error grows with the strain.
+//! Does BridgeSplat do what it was made for? A textured patch, seen by a still camera, deforms smoothly by 5
+//! mm. A still camera tells directions only: a patch that grows and recedes looks the same, and what decides
+//! between the two is that lengths are kept (isometry). So the test asks whether image and isometry together
+//! put the surface where it was planted; the more the planted motion strains, the more the two disagree, and
+//! the error grows with the strain.
 
 use glam::DAffine3;
 
@@ -43,7 +44,8 @@ fn patch() -> TriangleMesh {
 /// How the patch deforms: by 5 mm where it does most.
 #[derive(Clone, Copy, PartialEq)]
 enum Bump {
-    /// Rolls up like paper around an axis at 30 degrees to its rows: the rim comes 5 mm nearer, and no length changes.
+    /// Rolls up like paper around an axis at 30 degrees to its rows: the rim comes 5 mm nearer, and no length
+    /// changes.
     Bend,
     /// Fades to 3.5 mm at the rim: strains up to a twentieth.
     Gentle,
@@ -170,7 +172,8 @@ fn a_planted_smooth_deformation_of_5_mm_is_recovered() {
     let of_still = (displacements.iter().sum::<f64>() / displacements.len() as f64).sqrt();
     println!("bent by {most:.2} mm without strain: {of_bent:.3} mm, if it stays {of_still:.3}");
     println!(
-        "5 mm: {error:.3} mm, with half the strain {of_gentle:.3}; frozen {without:.3}, colours at random {at_random:.3}, narrow bump {of_narrow:.3}"
+        "5 mm: {error:.3} mm, with half the strain {of_gentle:.3}; frozen {without:.3}, \
+         colours at random {at_random:.3}, narrow bump {of_narrow:.3}"
     );
     assert!(error <= 0.7, "{error}");
     assert!(of_gentle <= 0.5, "{of_gentle}");

@@ -1,6 +1,6 @@
-//! `ours`: discs anchored to the CT mesh, carried by one phase per frame (the paper's Sections 3.1 to 3.4). The same
-//! program runs the sanity rows `static-ct` (inspiration mesh, phase 0 throughout) and `oracle-phase` (true phase). Discs on
-//! faces that a wall hides are no part of a frame.
+//! `ours`: discs anchored to the CT mesh, carried by one phase per frame (the paper's Sections 3.1 to 3.4). The
+//! same program runs the sanity rows `static-ct` (inspiration mesh, phase 0 throughout) and `oracle-phase`
+//! (true phase). Discs on faces that a wall hides are no part of a frame.
 
 use crate::base::{Progress, Result, mesh};
 use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
@@ -17,8 +17,8 @@ use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, pixel
 use crate::reconstruct::settings::{GivenPhaseSettings, KeyframeSettings, MethodHeader, OursSettings, PhaseEstimation};
 use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
 
-/// Phases farther apart may show what is hidden at both of them. A hair above the reach of a frame with a guess, which
-/// rounding may widen.
+/// Phases farther apart may show what is hidden at both of them. A hair above the reach of a frame with a
+/// guess, which rounding may widen.
 const WIDEST_REACH: f64 = 2.0 * phase_fit::REACH + 1e-6;
 
 /// The phase that a sanity row is given.

@@ -186,8 +186,8 @@ fn ours_recovers_its_world_and_the_planted_phase() {
     let observation = world(Made::Discs, 24, 64, breath);
     let mut settings: OursSettings = shipped("ours");
     unlight(&mut settings.fit, &mut settings.discs.appearance.gaussians);
-    // What shows of coarse, overlapping discs moves otherwise than the wall does: here the splats alone are tested, and
-    // the window in its own room.
+    // What shows of coarse, overlapping discs moves otherwise than the wall does: here the splats alone are
+    // tested, and the window in its own room.
     settings.window.keyframes.value = 0;
     let (psnr, answers) = recover(&Ours::new(settings, 0.5), &observation);
     let truth = observation.true_phase.as_ref().unwrap();
@@ -208,8 +208,8 @@ fn unlit_gn() -> OursGnSettings {
     settings.discs.gaussian_budget.value = 7000;
     // The world's discs have gaps between them.
     settings.discs.initial_scale.value = 0.6;
-    // What shows of coarse, overlapping discs moves otherwise than the wall does: here the map alone is tested, and the
-    // window in its own room.
+    // What shows of coarse, overlapping discs moves otherwise than the wall does: here the map alone is tested,
+    // and the window in its own room.
     settings.window.keyframes.value = 0;
     settings.steps.value = [3, 2, 1];
     settings
@@ -388,8 +388,8 @@ fn frozen_groups_have_no_gradients_and_no_moments() {
     let view = View::new(Camera::pinhole(64, 64, 1.6), pose);
     let mut rasterizer = Rasterizer::new();
     let flags = rasterizer.render(&patch.gaussians, &view, &Settings::default(), None).unwrap().visible.clone();
-    let seen = flags.iter().filter(|v| **v).count();
-    assert!(seen > 100 && seen < flags.len() - 100, "{seen} of {}", flags.len());
+    let visible = flags.iter().filter(|v| **v).count();
+    assert!(visible > 100 && visible < flags.len() - 100, "{visible} of {}", flags.len());
 
     let rates = Rates::new(&settings, 1.0);
     assert_eq!(rates.groups(), Wanted::SH);
@@ -403,16 +403,17 @@ fn frozen_groups_have_no_gradients_and_no_moments() {
     assert_eq!(geometry, [0; 3], "room for gradients that nobody wanted");
     patch.step(&mut adam, gradients, &flags, &local).unwrap();
     patch.place(&local).unwrap();
-    assert_eq!(adam.touched_rows_and_room(), [(0, 0), (0, 0), (seen, 2 * patch.discs.len() * SH_VALUES)]);
+    assert_eq!(adam.touched_rows_and_room(), [(0, 0), (0, 0), (visible, 2 * patch.discs.len() * SH_VALUES)]);
     assert_eq!((&patch.gaussians.positions, &patch.gaussians.shape), (&before.positions, &before.shape));
-    for (k, seen) in flags.iter().enumerate() {
+    for (k, visible) in flags.iter().enumerate() {
         let [now, was] = [&patch.gaussians.sh, &before.sh].map(|sh| &sh[k * SH_VALUES..][..SH_VALUES]);
-        assert!(*seen || now == was, "disc {k} is out of sight and has changed");
+        assert!(*visible || now == was, "disc {k} is out of sight and has changed");
     }
     assert_ne!(patch.gaussians.sh, before.sh);
 }
 
-/// The same method with fixed places and sizes (a setting of its file): splats and lists are kept while colours are learned.
+/// The same method with fixed places and sizes (a setting of its file): splats and lists are kept while colours
+/// are learned.
 #[test]
 fn ours_tracks_with_frozen_geometry() {
     let observation = world(Made::Discs, 8, 64, |t| 0.3 + 0.03 * t as f64);

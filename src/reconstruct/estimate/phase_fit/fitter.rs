@@ -13,11 +13,11 @@ use crate::reconstruct::geometry::visible::{depths_mm, pixels};
 use crate::reconstruct::settings::{FrameFitSettings, PhaseEstimation};
 use crate::splat::{DepthOutput, ImageGradient, Rasterizer, Rendered, Settings, View, Wanted};
 
-/// Darkest colour that a Gaussian keeps after a frame: one below zero is shown as zero and has no gradient, and would stay
-/// black for ever.
+/// Darkest colour that a Gaussian keeps after a frame: one below zero is shown as zero and has no gradient, and
+/// would stay black for ever.
 const DARKEST: f32 = 0.01;
-/// Largest change of colour with the direction that it keeps, as a share of its colour, per axis. What is learned at a grazing
-/// look is small there and wild from elsewhere.
+/// Largest change of colour with the direction that it keeps, as a share of its colour, per axis. What is
+/// learned at grazing incidence is small there and wild from elsewhere.
 const LARGEST_CHANGE: f32 = 0.3;
 /// Linear spherical harmonics of the unit directions.
 const SH_C1: f32 = 0.488_602_5;
@@ -119,7 +119,7 @@ impl<'a> Fitter<'a> {
         ScopeLight::new(view, *self.settings.falloff_exponent, *self.settings.indirect_share)
     }
 
-    /// Moves the Gaussians to `phase`; what was seen before is shown as the light at the scope shows it there.
+    /// Moves the Gaussians to `phase`; what a frame has shown before is shown under the light of the scope there.
     pub fn place(&mut self, view: &View, patch: &mut dyn VisiblePatch, phase: f64) -> Result<()> {
         patch.place(phase)?;
         if *self.settings.falloff_exponent != 0.0 {
@@ -138,10 +138,14 @@ impl<'a> Fitter<'a> {
         Ok(())
     }
 
-    /// dL/dphase of the photometric loss: Gaussians move, and the light on them changes.
+    /// dL/dphase of the photometric loss: Gaussians move, and the light on them changes,
+    /// `dL/dalpha = sum_k (dL/dmu_k . D_k + dL/dspread_k . dspread_k/dalpha + dL/dc_k . c_k dln(shade_k)/dalpha)`,
+    /// `mu` the centres, `D` their displacements, `c` the colours.
     pub fn phase_derivative(&mut self, view: &View, patch: &mut dyn VisiblePatch) -> Result<f64> {
+        // Centres and spread.
         let mut sum = patch.phase_derivative(self.rasterizer.gradients())?;
         if *self.settings.falloff_exponent != 0.0 {
+            // Colours: shade changes as the centres move.
             patch.velocities(&mut self.velocities)?;
             self.light(view).shades(patch.gaussians(), &self.velocities, &mut self.shades);
             let by_sh = &self.rasterizer.gradients().sh;
@@ -157,7 +161,8 @@ impl<'a> Fitter<'a> {
         Ok(sum)
     }
 
-    /// Gain per channel that brings the prediction nearest to the image in the least-squares sense, within the limit.
+    /// Gain per channel that brings the rendering `R` nearest to the image `I` in the least-squares sense,
+    /// `g = sum R I / sum R^2`, within the limit.
     pub fn fit_gain(&mut self, view: &View, patch: &mut dyn VisiblePatch, image: &Image<f32>) -> Result<()> {
         let limit = *self.settings.exposure_limit;
         if limit <= 0.0 {

@@ -7,6 +7,7 @@ use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::splat::{Reuse, View, Wanted};
 
 impl Fitter<'_> {
+    /// Value and derivative by the phase of `w_t (alpha_t - alpha_{t-1})^2` (Eq. 4, second part).
     fn temporal(&self, phase: f64) -> (f64, f64) {
         let Some(last) = self.phases.last() else { return (0.0, 0.0) };
         let (weight, change) = (*self.estimation().temporal_weight, phase - last);
@@ -20,6 +21,7 @@ impl Fitter<'_> {
         target: &mut FrameTarget,
         guess: f64,
     ) -> Result<f64> {
+        // What is measured against: the remembered colours, at the exposure and light of this frame.
         let shown = (*self.estimation().memory_frames > 0.0).then(|| {
             let (sh, memory) = patch.colors();
             memory.recall(sh)
@@ -27,6 +29,7 @@ impl Fitter<'_> {
         self.place(&target.view, patch, guess)?;
         self.fit_gain(&target.view, patch, &target.image)?;
         self.color_the_unseen(&target.view, patch, &target.image);
+        // The phase: the best candidate, then Adam on theta.
         let start = self.best_candidate(patch, target, guess)?;
         let phase = self.optimise_phase(patch, target, start)?;
         if let Some(shown) = shown {
@@ -51,7 +54,7 @@ impl Fitter<'_> {
         Ok(best.1)
     }
 
-    /// Stage (i).
+    /// Stage (i): Adam on theta; the phase of least loss on the way.
     fn optimise_phase(&mut self, patch: &mut dyn VisiblePatch, target: &mut FrameTarget, start: f64) -> Result<f64> {
         let iterations = self.iterations(0, target.frame);
         let mut adam = Adam::new(AdamConstants::default());
@@ -60,6 +63,7 @@ impl Fitter<'_> {
         let mut settling = Settling::new(*self.settings.settled);
         let mut best = (f64::INFINITY, start);
         for i in 0..iterations {
+            // Loss (Eq. 4) at alpha(theta) (Eq. 3).
             let phase = self.activation().phase(theta[0] as f64);
             self.place(&target.view, patch, phase)?;
             let value = *self.estimation().color_weight * self.evaluate(patch, target)? + self.temporal(phase).0;
@@ -69,6 +73,7 @@ impl Fitter<'_> {
             if settling.settled(value) {
                 break;
             }
+            // Its derivative, and a step.
             self.backward(patch, self.phase_groups())?;
             self.step_theta(
                 &target.view,
@@ -81,6 +86,7 @@ impl Fitter<'_> {
         Ok(best.1)
     }
 
+    /// One step of Adam against `dL/dtheta = (w_c dL_photo/dalpha + dL_temp/dalpha) dalpha/dtheta`.
     fn step_theta(
         &mut self,
         view: &View,
@@ -119,6 +125,7 @@ impl Fitter<'_> {
         let mut settling = Settling::new(*self.settings.settled);
         let mut i = 0;
         while i < alone + joint {
+            // Loss; a stage that has settled ends, (ii) by going on with (iii).
             let value = self.evaluate(patch, target)?;
             if settling.settled(value) {
                 if i >= alone || joint == 0 {
@@ -126,12 +133,14 @@ impl Fitter<'_> {
                 }
                 (i, settling) = (alone, Settling::new(*self.settings.settled));
             }
+            // Gradients: of appearance, and in (iii) of theta.
             let moves = move_theta && i >= alone;
             self.backward(patch, if moves { groups | self.phase_groups() } else { groups })?;
             if moves {
                 let rate = geometric(*self.estimation().theta_rate_joint, i - alone, joint);
                 self.step_theta(&target.view, patch, &mut adam, &mut theta, rate)?;
             }
+            // Step of appearance, and the Gaussians where they are now.
             patch.step_appearance(self.rasterizer.gradients(), &self.rasterizer.rendered().visible)?;
             if moves {
                 self.place(&target.view, patch, self.activation().phase(theta[0] as f64))?;
@@ -152,18 +161,18 @@ const SETTLING: usize = 5;
 struct Settling {
     share: f64,
     last: [f64; SETTLING],
-    seen: usize,
+    count: usize,
 }
 
 impl Settling {
     /// A loss has settled when it fell by less than `share` of itself over [`SETTLING`] iterations; never with 0.
     fn new(share: f64) -> Self {
-        Settling { share, last: [f64::INFINITY; SETTLING], seen: 0 }
+        Settling { share, last: [f64::INFINITY; SETTLING], count: 0 }
     }
 
     fn settled(&mut self, value: f64) -> bool {
-        let before = std::mem::replace(&mut self.last[self.seen % SETTLING], value);
-        self.seen += 1;
+        let before = std::mem::replace(&mut self.last[self.count % SETTLING], value);
+        self.count += 1;
         self.share > 0.0 && before - value < self.share * value
     }
 }

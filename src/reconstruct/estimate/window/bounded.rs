@@ -5,7 +5,8 @@ use nalgebra::{DMatrix, DVector};
 /// Most pivots of a step; two dozen phases take fewer.
 const MOST_PIVOTS: usize = 1000;
 
-/// A step to where a quadratic model is least within bounds, and how hard the model pushes against those that hold it.
+/// A step to where a quadratic model is least within bounds, and how hard the model pushes against those that
+/// hold it.
 pub struct BoundedStep {
     /// Change of each unknown.
     pub step: DVector<f64>,
@@ -13,10 +14,11 @@ pub struct BoundedStep {
     pub push: DVector<f64>,
 }
 
-/// The step that minimises `1/2 s^T C s - g^T s` with phases, from number `first` on, within 0..1: those that would leave it
-/// stop at its end, and all others go where the images then agree best. So a push against an end of the breath tells the
-/// others where they are. By principal pivots, the last wrong one each time, which ends (Murty, "Note on a Bard-type
-/// scheme for solving the complementarity problem", 1974). `None` where `C` is not positive definite.
+/// The step that minimises `1/2 s^T C s - g^T s` with phases, from number `first` on, within 0..1: those that
+/// would leave it stop at its end, and all others go where the images then agree best. So a push against an end
+/// of the breath tells the others where they are. By principal pivots, the last wrong one each time, which ends
+/// (Murty, "Note on a Bard-type scheme for solving the complementarity problem", 1974). `None` where `C` is not
+/// positive definite.
 pub fn bounded(
     curvature: &DMatrix<f64>,
     gradient: &DVector<f64>,

@@ -1,5 +1,5 @@
-//! What is compared of an image: its local contrast `(I - B) / (B + floor)`, `B` its mean over a neighbourhood, which the
-//! light on large areas does not change.
+//! What is compared of an image: its local contrast `(I - B) / (B + floor)`, `B` its mean over a neighbourhood,
+//! which the light on large areas does not change.
 
 use rayon::prelude::*;
 

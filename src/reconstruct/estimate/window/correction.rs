@@ -1,6 +1,7 @@
-//! A low-rank correction of the displacement field between the two CTs: their registration errs, smoothly, by a mm or so.
-//! `D(x) = D_given(x) + sum_k exp(-|x - x_k|^2 / (2 reach^2)) c_k`, one vector `c_k` (mm) per centre `x_k`; the centres stand
-//! along the path of the scope. The few in front of a frame are unknowns of the window of keyframes, together with its phase.
+//! A low-rank correction of the displacement field between the two CTs: their registration errs, smoothly, by a
+//! mm or so. `D(x) = D_given(x) + sum_k exp(-|x - x_k|^2 / (2 reach^2)) c_k`, one vector `c_k` (mm) per centre
+//! `x_k`; the centres stand along the path of the scope. The few in front of a frame are unknowns of the window
+//! of keyframes, together with its phase.
 
 use std::borrow::Cow;
 
@@ -26,8 +27,8 @@ pub struct Correction {
 }
 
 impl Correction {
-    /// Centres along the path of `poses` for the mesh `rest`; `rank` of them are estimated per frame (0: no correction),
-    /// each with a prior of `deviation_mm` per axis.
+    /// Centres along the path of `poses` for the mesh `rest`; `rank` of them are estimated per frame (0: no
+    /// correction), each with a prior of `deviation_mm` per axis.
     pub fn new(rest: &[[f32; 3]], poses: &[DAffine3], rank: usize, reach_mm: f64, deviation_mm: f64) -> Self {
         let mut centres: Vec<DVec3> = Vec::new();
         if rank > 0 {

@@ -1,6 +1,6 @@
-//! How given poses are wrong: by a correction `xi = (omega, tau)` in camera axes (rad, mm), `camera_from_world = exp(xi) given`,
-//! that drifts. Its change per second is as steady as that of a tracker: it forgets itself within some seconds
-//! (Ornstein-Uhlenbeck).
+//! How given poses are wrong: by a correction `xi = (omega, tau)` in camera axes (rad, mm),
+//! `camera_from_world = exp(xi) given`, that drifts. Its change per second is as steady as that of a tracker:
+//! it forgets itself within some seconds (Ornstein-Uhlenbeck).
 
 use nalgebra::DMatrix;
 
@@ -23,14 +23,14 @@ pub struct PoseDrift {
     rates: [f64; POSE],
     /// Seconds within which a rate changes.
     steady_s: f64,
-    /// The square root of what the information of an image is divided by: what a model of it gets wrong looks like a motion,
-    /// and stays the same for many frames.
+    /// The square root of what the information of an image is divided by: what a model of it gets wrong looks
+    /// like a motion, and stays the same for many frames.
     pub caution: f64,
 }
 
 impl PoseDrift {
-    /// From how large the changes per second are (`[rad, mm]`), how long they last, and how much more an image errs than it
-    /// says.
+    /// From how large the changes per second are (`[rad, mm]`), how long they last, and how much more an image
+    /// errs than it says.
     pub fn new(rate: [f64; 2], steady_s: f64, caution: f64) -> PoseDrift {
         PoseDrift { rates: per_unknown(rate), steady_s, caution }
     }

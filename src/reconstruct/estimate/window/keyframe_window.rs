@@ -1,5 +1,5 @@
-//! The window itself: places each frame against its keyframes by Gauss-Newton on all unknowns, and keeps what is known of
-//! them as a Gaussian, of which [`KeyframeWindow`] holds mean, information and gradient.
+//! The window itself: places each frame against its keyframes by Gauss-Newton on all unknowns, and keeps what
+//! is known of them as a Gaussian, of which [`KeyframeWindow`] holds mean, information and gradient.
 
 use glam::DAffine3;
 use nalgebra::{DMatrix, DVector};
@@ -21,15 +21,16 @@ use crate::splat::View;
 /// Most Gauss-Newton steps per frame, and a step (phase, mm) that ends them.
 const STEPS: usize = 4;
 const SHORTEST_STEP: f64 = 2e-4;
-/// The valley of the misfit is narrow, so that it is searched before the first step: phases tried on each side of the
-/// expected one, their spacing in phase, and the share of the misfit at the expected phase below which the best is taken.
+/// The valley of the misfit is narrow, so that it is searched before the first step: phases tried on each side
+/// of the expected one, their spacing in phase, and the share of the misfit at the expected phase below which
+/// the best is taken.
 const SEARCH_STEPS: i32 = 6;
 const SEARCH_SPACING: f64 = 0.01;
 const CLEARLY_BETTER: f64 = 0.75;
 /// The window works on the finest halving of an image that is not wider than this many pixels.
 const WIDEST: usize = 160;
-/// A frame becomes a keyframe after so many frames, or when the points of the last one have moved by this share of the
-/// width, or fewer than this share of them are left.
+/// A frame becomes a keyframe after so many frames, or when the points of the last one have moved by this share
+/// of the width, or fewer than this share of them are left.
 const LONGEST_WAIT: usize = 4;
 const LONGEST_FLOW: f64 = 0.06;
 const FEWEST_KEPT: f64 = 0.7;
@@ -70,7 +71,8 @@ pub struct KeyframeWindow {
     time_s: f64,
     /// The unknowns, in the order of [`UnknownLayout`].
     pub(super) unknowns: DVector<f64>,
-    /// What images say about them around there: second and first derivatives. Where there is no correction, the first are 0.
+    /// What images say about them around there: second and first derivatives. Where there is no correction, the
+    /// first are 0.
     information: DMatrix<f64>,
     gradient: DVector<f64>,
     /// Frames since the last keyframe.
@@ -159,8 +161,8 @@ impl KeyframeWindow {
         self.correction.estimates().then(|| self.correction.apply(given).into_owned())
     }
 
-    /// Places a frame, whose phase is expected at `expected`: `mesh` is the airway as it is given, `visible` the faces in view.
-    /// All frames have one camera.
+    /// Places a frame, whose phase is expected at `expected`: `mesh` is the airway as it is given, `visible`
+    /// the faces in view. All frames have one camera.
     pub fn place(
         &mut self,
         frame: &PyramidLevel,
@@ -219,8 +221,9 @@ impl KeyframeWindow {
         }
     }
 
-    /// Gauss-Newton on all unknowns and the phase of the incoming frame, the last of `mean`: from there, and from where the
-    /// frame agrees much better with the last keyframe. Of two solutions it is the one that all keyframes agree with best.
+    /// Gauss-Newton on all unknowns and the phase of the incoming frame, the last of `mean`: from there, and
+    /// from where the frame agrees much better with the last keyframe. Of two solutions it is the one that all
+    /// keyframes agree with best.
     fn solve(
         &self,
         incoming: &IncomingFrame<'_>,
@@ -257,8 +260,9 @@ impl KeyframeWindow {
 
     /// [`KeyframeWindow::solve`] with the frame's phase first taken for `start`.
     ///
-    /// Each step solves `(Lambda + P + sum_k H_k) s = g + Lambda (mean - x) - P x + sum_k g_k`: `Lambda` and `g` what the window
-    /// knows, `P` the prior of the correction, `H_k` and `g_k` the pair of keyframe `k` and the frame.
+    /// Each step solves `(Lambda + P + sum_k H_k) s = g + Lambda (mean - x) - P x + sum_k g_k`: `Lambda` and
+    /// `g` what the window knows, `P` the prior of the correction, `H_k` and `g_k` the pair of keyframe `k` and
+    /// the frame.
     fn solve_from(
         &self,
         start: f64,
@@ -355,7 +359,8 @@ impl KeyframeWindow {
         if self.keyframes.len() > self.most {
             let mut information = std::mem::take(&mut self.information);
             if oldest_is_held {
-                // The end pushes back as hard as images push; whether it does is as sure as any phase is before an image.
+                // The end pushes back as hard as images push; whether it does is as sure as any phase is before
+                // an image.
                 information[(layout.first, layout.first)] += self.prior_deviation.powi(-2);
             }
             self.information = marginalised(information, layout.first);
@@ -364,8 +369,8 @@ impl KeyframeWindow {
             self.keyframes.remove(0);
         }
 
-        // A share of the rest is forgotten: of the phases and of the coefficients in view. Coefficients out of view get no
-        // new errors, and a drift forgets itself.
+        // A share of the rest is forgotten: of the phases and of the coefficients in view. Coefficients out of
+        // view get no new errors, and a drift forgets itself.
         let forgets = |k: usize| k >= layout.first || (k >= layout.poses && layout.others.contains(&k));
         let kept = DVector::from_fn(self.unknowns.len(), |k, _| if forgets(k) { self.kept } else { 1.0 });
         for (k, column) in kept.iter().enumerate() {

@@ -21,8 +21,8 @@ const TOGETHER: f64 = 20.0;
 const FEWEST_POINTS: usize = 30;
 /// The misfit takes one of so many points.
 const MISFIT_STRIDE: usize = 4;
-/// A point is hidden where it lies so much of the wall's depth, and so many mm, behind the nearest wall, and has left its
-/// face where it lies three times that much before it.
+/// A point is hidden where it lies so much of the wall's depth, and so many mm, behind the nearest wall, and
+/// has left its face where it lies three times that much before it.
 const SLACK: f64 = 0.05;
 const SLACK_MM: f64 = 0.5;
 /// Step over which a projection is differentiated, phase.
@@ -135,8 +135,8 @@ impl CarriedPoint {
 
 /// Where what a ray meets on `face` at phase `first` is at phase `second`; `None` where the ray grazes the face.
 ///
-/// The ray from `eye` along `ray` meets the corners `v_i(first)` at `eye + t ray = a + u (b - a) + v (c - a)`; the answer is
-/// `sum b_i v_i(second)` with the barycentric coordinates `b = (1 - u - v, u, v)`.
+/// The ray from `eye` along `ray` meets the corners `v_i(first)` at `eye + t ray = a + u (b - a) + v (c - a)`;
+/// the answer is `sum b_i v_i(second)` with the barycentric coordinates `b = (1 - u - v, u, v)`.
 pub fn carried(
     [eye, ray]: [DVec3; 2],
     face: [u32; 3],
@@ -219,8 +219,8 @@ pub struct Assumed<'a> {
 
 /// `point` as both frames show it; `None` where the later one does not.
 ///
-/// With `x = project(camera_from_world X)` the pixel of the carried point `X`: `r = C_key(point) - C_target(x)`, and by an
-/// unknown `q`, `dx/dq = (d project / dX) camera_from_world dX/dq`.
+/// With `x = project(camera_from_world X)` the pixel of the carried point `X`:
+/// `r = C_key(point) - C_target(x)`, and by an unknown `q`, `dx/dq = (d project / dX) camera_from_world dX/dq`.
 pub fn point_residual(
     point: &KeyframePoint,
     target: &TargetFrame<'_>,
@@ -298,8 +298,8 @@ pub fn point_residual(
     Some(found)
 }
 
-/// How badly the later frame agrees with `key`, by every fourth point: mean difference of contrast, larger where fewer points
-/// are visible; infinite where too few are.
+/// How badly the later frame agrees with `key`, by every fourth point: mean difference of contrast, larger
+/// where fewer points are visible; infinite where too few are.
 pub fn misfit(key: &Keyframe, target: &TargetFrame<'_>, assumed: &Assumed<'_>) -> f64 {
     let points = key.points.iter().step_by(MISFIT_STRIDE);
     let tried = points.len();
@@ -314,8 +314,8 @@ pub fn misfit(key: &Keyframe, target: &TargetFrame<'_>, assumed: &Assumed<'_>) -
     sizes.iter().sum::<f64>() / sizes.len() as f64 / kept.sqrt()
 }
 
-/// What the points of `key` say about both phases and about what else is unknown: with `J = slope . dx/dq` and Huber weights
-/// `w`, the Hessian `sum w J^T J` and the gradient `sum w J^T r`.
+/// What the points of `key` say about both phases and about what else is unknown: with `J = slope . dx/dq` and
+/// Huber weights `w`, the Hessian `sum w J^T J` and the gradient `sum w J^T r`.
 pub fn pair(key: &Keyframe, target: &TargetFrame<'_>, assumed: &Assumed<'_>, others: &OtherUnknowns<'_>) -> Pair {
     let size = 2 + others.count();
     let (hessian, gradient) = (DMatrix::zeros(size, size), DVector::zeros(size));

@@ -88,7 +88,8 @@ fn window_of(drift: Option<PoseDrift>) -> KeyframeWindow {
     window_with(WindowOptions { drift, ..WindowOptions::default() })
 }
 
-/// Errors of the window over a film, whose first frame is believed to be `off` from its phase and later ones `off` from theirs.
+/// Errors of the window over a film, whose first frame is believed to be `off` from its phase and later ones
+/// `off` from theirs.
 fn errors(off: f64) -> Vec<f64> {
     let tube = Tube::new();
     let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
@@ -113,8 +114,8 @@ fn phases_that_are_expected_in_the_wrong_place_are_mended_by_parallax() {
     }
 }
 
-/// A last keyframe that is taken for another phase than its own sends the search astray: the answer is the one that all keyframes
-/// agree with, and not the one next to where the search ended.
+/// A last keyframe that is taken for another phase than its own sends the search astray: the answer is the one
+/// that all keyframes agree with, and not the one next to where the search ended.
 #[test]
 fn of_two_answers_all_keyframes_choose() {
     let tube = Tube::new();
@@ -142,8 +143,8 @@ fn of_two_answers_all_keyframes_choose() {
     assert!((placed.phase - expected).abs() < 0.012, "{} instead of {expected}", placed.phase);
 }
 
-/// Before the first step the phase at which a frame agrees with the last keyframe is searched for: the nearest that was tried is
-/// found from either side, and what is expected rightly stays to the last bit.
+/// Before the first step the phase at which a frame agrees with the last keyframe is searched for: the nearest
+/// that was tried is found from either side, and what is expected rightly stays to the last bit.
 #[test]
 fn a_phase_that_is_expected_in_the_wrong_place_is_searched_for() {
     let tube = Tube::new();
@@ -202,9 +203,9 @@ fn the_derivatives_of_a_carried_point_are_those_of_its_place() {
     }
 }
 
-/// A registration that is wrong by a bell of 1 mm to one side, seen by a scope that advances while the tube breathes: root
-/// mean square of what is wrong around the scope at the end, mm, and mean error of the last phases; without a correction
-/// and with one.
+/// A registration that is wrong by a bell of 1 mm to one side, seen by a scope that advances while the tube
+/// breathes: root mean square of what is wrong around the scope at the end, mm, and mean error of the last
+/// phases; without a correction and with one.
 #[test]
 fn an_error_of_the_registration_is_seen_by_parallax() {
     let tube = Tube::new();
@@ -295,7 +296,8 @@ fn the_derivatives_of_a_path_are_those_of_its_pixel() {
     assert!(compared > 200, "{compared}");
 }
 
-/// Against all ways to hold some of three phases at either end: of those that stay within the breath, the one with the least cost.
+/// Against all ways to hold some of three phases at either end: of those that stay within the breath, the one
+/// with the least cost.
 #[test]
 fn a_step_within_the_breath_is_the_best_of_all_such() {
     use crate::base::random::{CounterRng, Stage};
@@ -331,7 +333,8 @@ fn a_step_within_the_breath_is_the_best_of_all_such() {
     assert!(held > 100, "{held} phases were held in all");
 }
 
-/// Poses as a tracker gives them that drifts across the tube and turns: 1.6 mm and 2.3 degrees over the film. The start is known.
+/// Poses as a tracker gives them that drifts across the tube and turns: 1.6 mm and 2.3 degrees over the film.
+/// The start is known.
 #[test]
 fn a_drift_of_the_given_poses_is_followed() {
     let tube = Tube::new();

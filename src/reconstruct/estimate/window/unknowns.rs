@@ -1,5 +1,5 @@
-//! The order of the window's unknowns: correction of the poses and its change per second, where they drift; coefficients of
-//! the correction of the displacement field; phases.
+//! The order of the window's unknowns: correction of the poses and its change per second, where they drift;
+//! coefficients of the correction of the displacement field; phases.
 
 use std::borrow::Cow;
 

@@ -1,9 +1,8 @@
-//! As-rigid-as-possible energy of a mesh (Sorkine and Alexa 2007) as BridgeSplat uses it: uniform weights, summed over
-//! all vertices and both directions of every edge,
-//! `E = sum_i sum_{j in N(i)} |(p'_i - p'_j) - R_i (p_i - p_j)|^2`,
-//! with `R_i` the rotation that fits the neighbourhood of `i` best, and the gradient with rotations held fixed
-//! (exact, since the energy is stationary in them):
-//! `dE/dp'_i = sum_j 4 ((p'_i - p'_j) - (R_i + R_j)/2 (p_i - p_j))`.
+//! As-rigid-as-possible energy of a mesh (Sorkine and Alexa 2007) as BridgeSplat uses it: uniform weights,
+//! summed over all vertices and both directions of every edge,
+//! `E = sum_i sum_{j in N(i)} |(p'_i - p'_j) - R_i (p_i - p_j)|^2`, with `R_i` the rotation that fits the
+//! neighbourhood of `i` best, and the gradient with rotations held fixed (exact, since the energy is stationary
+//! in them): `dE/dp'_i = sum_j 4 ((p'_i - p'_j) - (R_i + R_j)/2 (p_i - p_j))`.
 //!
 //! The best rotation is found by Horn's quaternion method (1987): the eigenvector of the largest eigenvalue of a 4x4
 //! matrix, the eigenvalue by Newton's method on the characteristic polynomial (Theobald 2005), the vector from the
@@ -44,6 +43,7 @@ impl Arap {
     pub fn evaluate(&mut self, deformed: &[DVec3], weight: f64, gradient: &mut [DVec3]) -> f64 {
         let (rest, offsets, neighbours) = (&self.rest, &self.offsets, &self.neighbours);
         let around = |i: usize| neighbours[offsets[i] as usize..offsets[i + 1] as usize].iter().map(|&j| j as usize);
+        // Local step: each vertex' best rotation R_i, and its energy.
         let rotations = self.rotations.par_chunks_mut(PIECE);
         rotations.zip(self.energies.par_chunks_mut(PIECE)).enumerate().for_each(|(piece, (rotations, energies))| {
             for (k, (rotation, energy)) in rotations.iter_mut().zip(energies).enumerate() {
@@ -61,6 +61,7 @@ impl Arap {
                     .sum();
             }
         });
+        // Gradient, rotations held fixed.
         let rotations = &self.rotations;
         gradient.par_chunks_mut(PIECE).enumerate().for_each(|(piece, gradient)| {
             for (k, out) in gradient.iter_mut().enumerate() {
@@ -91,6 +92,7 @@ pub fn best_rotation(covariance: &DMat3, bound: f64) -> DMat3 {
         [zx - xz, xy + yx, yy - xx - zz, yz + zy],
         [xy - yx, zx + xz, yz + zy, zz - xx - yy],
     ];
+    // Characteristic polynomial l^4 + c2 l^2 + c1 l + c0, and its largest root from above by Newton.
     let c2 = -2.0 * (xx * xx + xy * xy + xz * xz + yx * yx + yy * yy + yz * yz + zx * zx + zy * zy + zz * zz);
     let c1 = -8.0 * covariance.determinant();
     let c0 = minor_determinants(&n).1;
@@ -108,6 +110,7 @@ pub fn best_rotation(covariance: &DMat3, bound: f64) -> DMat3 {
             break;
         }
     }
+    // Eigenvector: the largest row of the adjugate of N - l.
     let mut shifted = n;
     for (i, row) in shifted.iter_mut().enumerate() {
         row[i] -= lambda;

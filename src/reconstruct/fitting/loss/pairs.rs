@@ -33,21 +33,22 @@ impl Pairs {
         self.list.iter().map(term).sum::<f64>() / self.list.len().max(1) as f64
     }
 
-    /// Rigidity against the `previous` positions.
+    /// Rigidity against the `previous` positions: the gradient by `o_ij` is `w_ij` times the direction of its change.
     pub fn rigidity(&self, previous: &[DVec3], current: &[DVec3], weight: f64, gradient: &mut [DVec3]) -> f64 {
         let share = weight / self.list.len().max(1) as f64;
         self.mean_over(|&(i, j, w, _)| {
             let (i, j) = (i as usize, j as usize);
             let change = (current[j] - current[i]) - (previous[j] - previous[i]);
             let length = change.length();
-            let pull = change * (share * w / length.max(1e-12));
-            gradient[j] += pull;
-            gradient[i] -= pull;
+            let by_offset = change * (share * w / length.max(1e-12));
+            gradient[j] += by_offset;
+            gradient[i] -= by_offset;
             w * length
         })
     }
 
-    /// Isometry against the lengths at rest.
+    /// Isometry against the lengths at rest: the gradient by `o_ij` is `w_ij sign(|o_ij| - d_ij)` times its
+    /// direction.
     pub fn isometry(&self, current: &[DVec3], weight: f64, gradient: &mut [DVec3]) -> f64 {
         let share = weight / self.list.len().max(1) as f64;
         self.mean_over(|&(i, j, w, rest)| {
@@ -56,9 +57,9 @@ impl Pairs {
             let length = o.length();
             let stretch = length - rest;
             let sign = if stretch == 0.0 { 0.0 } else { stretch.signum() };
-            let pull = o * (share * w * sign / length.max(1e-12));
-            gradient[j] += pull;
-            gradient[i] -= pull;
+            let by_offset = o * (share * w * sign / length.max(1e-12));
+            gradient[j] += by_offset;
+            gradient[i] -= by_offset;
             w * stretch.abs()
         })
     }
@@ -75,9 +76,9 @@ impl Pairs {
             let difference = change[i] - change[j];
             let square: f64 = difference.to_cols_array().iter().map(|v| v * v).sum();
             let root = (w * square + 1e-20).sqrt();
-            let pull = difference * (share * w / root);
-            by_change[i] += pull;
-            by_change[j] -= pull;
+            let by_difference = difference * (share * w / root);
+            by_change[i] += by_difference;
+            by_change[j] -= by_difference;
             root
         });
         for ((out, q), (g, b)) in gradient.iter_mut().zip(current).zip(by_change.iter().zip(&before)) {

@@ -47,8 +47,8 @@ impl Scalar for f32 {
     }
 }
 
-/// Lines per task of the vectorised code: an even number of tasks of the same size, for two threads, but none so small that
-/// the ten lines beyond either end cost much.
+/// Lines per task of the vectorised code: an even number of tasks of the same size, for two threads, but none
+/// so small that the ten lines beyond either end cost much.
 fn band_of(height: usize) -> usize {
     if height <= 128 { height.max(1) } else { height.div_ceil(2 * height.div_ceil(256)) }
 }
@@ -248,9 +248,11 @@ impl<T: Scalar> Channel<T> {
             square[i] = s * s;
             cross[i] = s * self.target[i];
         }
+        // Blurs mx, xx, xy.
         for map in [&mut *mean, &mut *square, &mut *cross] {
             blur(map, &mut self.scratch, width, height);
         }
+        // SSIM of each pixel, S = a b / (c d), and its derivatives by the three blurs, in their place.
         let (two, c1, c2) = (T::from(2.0), T::from(C1), T::from(C2));
         let zero = T::default();
         let mut loss = 0.0f64;
@@ -272,6 +274,7 @@ impl<T: Scalar> Channel<T> {
             }
             loss += sum.into();
         }
+        // Back through the blurs: dS/dx = blur(dS/dmx) + 2 x blur(dS/dxx) + y blur(dS/dxy).
         for map in [&mut *mean, &mut *square, &mut *cross] {
             blur(map, &mut self.scratch, width, height);
         }
@@ -365,7 +368,8 @@ mod tests {
         }
     }
 
-    /// Every instruction set; several bands, a width that is no multiple of any vector, with and without SSIM and mask.
+    /// Every instruction set; several bands, a width that is no multiple of any vector, with and without SSIM
+    /// and mask.
     #[test]
     fn vectorised_and_plain_agree() {
         for (w, h, ssim_weight) in [(37, 300, 0.4), (64, 20, 0.0), (5, 3, 0.7), (256, 129, 0.2)] {

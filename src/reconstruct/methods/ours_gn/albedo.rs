@@ -1,6 +1,7 @@
-//! The albedo of `ours-gn`: sweeps of SIRT (Gilbert 1972) over the discs in view, each moved by the weighted mean residual
-//! of its pixels, held by what past frames have seen of it. What is shown of a frame is touched up by a few more sweeps
-//! that nothing holds, with Nesterov's (1983) momentum; they are forgotten with the frame.
+//! The albedo of `ours-gn`: sweeps of SIRT (Gilbert 1972) over the discs in view, each moved by the weighted
+//! mean residual of its pixels, held by what past frames have shown of it. What is shown of a frame is touched
+//! up by a few more sweeps that nothing holds, with Nesterov's (1983) momentum; they are forgotten with the
+//! frame.
 
 use rayon::prelude::*;
 
@@ -24,7 +25,7 @@ const PIXELS: usize = 4096;
 /// What holds a disc at the albedo it had.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Hold {
-    /// What past frames have seen of it.
+    /// What past frames have shown of it.
     Memory,
     /// Nothing; sweeps have momentum.
     Nothing,
@@ -54,7 +55,8 @@ impl DiscRenderer<'_> {
         Ok(())
     }
 
-    /// What each disc contributes, in pixels: `n_k = sum_i w_i dI_i / d(colour k)`, by one backward pass over weights.
+    /// What each disc contributes, in pixels: `n_k = sum_i w_i dI_i / d(colour k)`, by one backward pass over
+    /// weights.
     fn count_pixels(&mut self, active: &mut ActiveFrame, level: &PyramidLevel) -> Result<()> {
         self.draw(active, &level.view)?;
         let counting: Vec<f32> = (0..level.image.data.len()).map(|i| level.weight(i / 3)).collect();
@@ -67,8 +69,8 @@ impl DiscRenderer<'_> {
         Ok(())
     }
 
-    /// SIRT: with `n_k` the pixels of disc `k`, `s_k` its shade and `m_k` the pixels that hold it at the albedo `b_k` before,
-    /// each sweep moves its albedo `a_k` by `(g_k - m_k (a_k - b_k)) / (n_k + m_k)`, where
+    /// SIRT: with `n_k` the pixels of disc `k`, `s_k` its shade and `m_k` the pixels that hold it at the albedo
+    /// `b_k` before, each sweep moves its albedo `a_k` by `(g_k - m_k (a_k - b_k)) / (n_k + m_k)`, where
     /// `g_k = sum_i w_i dI_i/d(colour k) (I_i - R_i) / (gain^2 s_k)` is the residual of its pixels, in albedo.
     fn sweep(&mut self, active: &mut ActiveFrame, level: &PyramidLevel, sweeps: usize, hold: Hold) -> Result<()> {
         let gain = self.gain;

@@ -1,9 +1,11 @@
-//! What the scope does to the picture, as `ours-gn` knows it. What a disc shows of its albedo is in `fitting/scope_light.rs`.
+//! What the scope does to the picture, as `ours-gn` knows it. What a disc shows of its albedo is in
+//! `fitting/scope_light.rs`.
 //!
-//! The scope's lamp is brightest ahead and its lens darkest at the rim, so that a wall gets darker while it moves out of
-//! the middle. Both are properties of the scope that a white sheet shows, not of the tissue: pictures are divided by them
-//! ("flat-fielding") before anything else. And they are kept as `linear^(1/2.2)` instead of sRGB's curve with its linear
-//! foot: in a pure power law a gain stays a gain, and the fall-off with distance a power of it, however dark the place.
+//! The scope's lamp is brightest ahead and its lens darkest at the rim, so that a wall gets darker while it
+//! moves out of the middle. Both are properties of the scope that a white sheet shows, not of the tissue:
+//! pictures are divided by them ("flat-fielding") before anything else. And they are kept as `linear^(1/2.2)`
+//! instead of sRGB's curve with its linear foot: in a pure power law a gain stays a gain, and the fall-off with
+//! distance a power of it, however dark the place.
 
 use glam::DVec2;
 use rayon::prelude::*;

@@ -1,5 +1,5 @@
-//! The map of `ours-gn`: what is known of the albedo of all discs; and the discs that one frame can see, placed at a phase,
-//! coloured as the scope's light shows them, with the derivatives of both by the phase.
+//! The map of `ours-gn`: what is known of the albedo of all discs; and the discs that one frame can see, placed
+//! at a phase, coloured as the scope's light shows them, with the derivatives of both by the phase.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -38,8 +38,8 @@ impl DiscMap {
         &self.surface.faces
     }
 
-    /// Makes the compact copy of the discs on `faces`, which [`DiscMap::leave`] takes back. Their colours look the same from
-    /// all sides.
+    /// Makes the compact copy of the discs on `faces`, which [`DiscMap::leave`] takes back. Their colours look
+    /// the same from all sides.
     pub fn enter(&self, faces: Vec<u32>, mesh: BreathingMesh<'_>) -> Result<ActiveFrame> {
         let mut patch = self.surface.patch(&faces)?;
         let discs = patch.discs.par_iter().with_min_len(DISCS);

@@ -264,8 +264,8 @@ impl<'a> Tracker<'a> {
         levels
     }
 
-    /// Enters a frame: the compact copy of what can be seen from the `given` pose, corrected, at phases within `reach` of
-    /// `phase`.
+    /// Enters a frame: the compact copy of what can be seen from the `given` pose, corrected, at phases within
+    /// `reach` of `phase`.
     fn enter(&self, given: &View, phase: f64, reach: f64) -> Result<ActiveFrame> {
         self.map.enter(self.faces_in_view(given, phase, reach)?, self.breathing())
     }

@@ -1,8 +1,8 @@
 //! Where the scope is, when its given pose is wrong by a few mm and degrees. The correction is
-//! `camera_from_world = exp(xi) given`, `xi = (omega, tau)` in camera axes (rad, mm). The first frame is registered to the
-//! mesh by the depth that is given there, together with the phase: Gauss-Newton with central differences on the robust
-//! relative error of depth, from several phases, with a norm that gets stricter. In later frames the window of keyframes
-//! estimates `xi`.
+//! `camera_from_world = exp(xi) given`, `xi = (omega, tau)` in camera axes (rad, mm). The first frame is
+//! registered to the mesh by the depth that is given there, together with the phase: Gauss-Newton with central
+//! differences on the robust relative error of depth, from several phases, with a norm that gets stricter. In
+//! later frames the window of keyframes estimates `xi`.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -59,7 +59,9 @@ fn cost(errors: &[f64], huber: f64, x: &DVector<f64>, mean: &DVector<f64>, preci
     errors.iter().map(one).sum::<f64>() / (huber * huber) / TOGETHER + prior
 }
 
-/// Phase and pose whose rendered depth is most like `given`. `render` answers phase and `xi` with a depth image in mm.
+/// Phase and pose `x = (phase, xi)` whose rendered depth `d(x)` is most like the `given` one `t`: least
+/// `sum_i rho(d_i(x) / t_i - 1) + 1/2 (x - mean)^T P (x - mean)`, by damped Gauss-Newton. `render` answers
+/// phase and `xi` with a depth image in mm.
 pub fn register(
     given: &Image<f32>,
     before: &Before,
@@ -75,6 +77,7 @@ pub fn register(
         let mut lowest = cost(&here, huber, &x, &mean, &precision);
         let mut damping = 1e-3;
         for _ in 0..steps {
+            // Jacobian of the errors, by central differences.
             let columns: Vec<Vec<f64>> = (0..=POSE)
                 .map(|k| {
                     let mut side = |sign: f64| {
@@ -87,6 +90,7 @@ pub fn register(
                     plus.iter().zip(&minus).map(slope).collect()
                 })
                 .collect();
+            // Normal equations, with the prior.
             let mut hessian = DMatrix::from_diagonal(&precision);
             let mut gradient = precision.component_mul(&(&mean - &x));
             for (i, e) in here.iter().enumerate() {
@@ -101,6 +105,7 @@ pub fn register(
                     (0..=POSE).for_each(|b| hessian[(a, b)] += w * row[a] * row[b]);
                 }
             }
+            // Damped step, the phase within 0..1.
             let damped = &hessian + DMatrix::from_diagonal(&hessian.diagonal()) * damping;
             let Some(mut step) = damped.clone().cholesky().map(|c| c.solve(&gradient)) else { break };
             if !(0.0..=1.0).contains(&(x[0] + step[0])) {
@@ -112,6 +117,7 @@ pub fn register(
                 step[0] = edge;
                 step.rows_mut(1, POSE).copy_from(&others);
             }
+            // A step that lowers the cost is taken; else the damping grows.
             let mut next = &x + step;
             next[0] = next[0].clamp(0.0, 1.0);
             let there = errors_at(&next);
@@ -131,6 +137,7 @@ pub fn register(
         }
         (lowest, x)
     };
+    // From several phases, the best ones again under ever stricter norms.
     let from = |&phase: &f64| {
         let mut start = mean.clone();
         start[0] = phase;

@@ -19,8 +19,8 @@ pub struct Tracked {
 }
 
 impl DiscRenderer<'_> {
-    /// Gauss-Newton from `start`, coarse to fine, under the prior that the phase is about `expected`; `pose` corrects the
-    /// given one. `None` when the image says nothing.
+    /// Gauss-Newton from `start`, coarse to fine, under the prior that the phase is about `expected`; `pose`
+    /// corrects the given one. `None` when the image says nothing.
     pub fn track(
         &mut self,
         active: &mut ActiveFrame,
