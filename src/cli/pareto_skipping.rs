@@ -126,24 +126,15 @@ impl Bench<'_> {
         })
     }
 
-    /// Lists of before, for new colours on the same geometry or for centres moved by `shift_mm`.
-    fn lists(&self, skipped: &'static str, reuse: Reuse, shift_mm: f32) -> Result<Row> {
+    /// Lists of before, for new colours on the same geometry.
+    fn lists(&self, skipped: &'static str) -> Result<Row> {
         let mut pair = [Rasterizer::<f32>::new(), Rasterizer::<f32>::new()];
-        pair[0].reuse(reuse);
+        pair[0].reuse(Reuse::Unchanged);
         let mut scenes = [self.scene.clone(), self.scene.clone()];
-        let wanted = if shift_mm == 0.0 { Wanted::SH } else { Wanted::ALL };
-        let mut turn = 0;
         let cpu_s = turn_by_turn(self.repeat, &mut |k| {
-            if k == 0 {
-                turn += 1;
-            }
             let scene = &mut scenes[k];
             scene.sh.iter_mut().for_each(|v| *v *= 0.999);
-            if shift_mm != 0.0 {
-                let shift = if turn % 2 == 0 { shift_mm } else { 0.0 };
-                scene.positions.iter_mut().zip(&self.scene.positions).for_each(|(p, q)| *p = q.map(|v| v + shift));
-            }
-            self.both(&mut pair[k], scene, wanted)
+            self.both(&mut pair[k], scene, Wanted::SH)
         })?;
         Ok(Row { skipped, measured: "forward + backward", cpu_s, change: change(&pair) })
     }
@@ -191,8 +182,7 @@ pub(super) fn rows(scene: &Gaussians<f32>, side: usize, repeat: usize) -> Result
         bench.frozen("all groups but SH (frozen)", Wanted::SH)?,
         bench.frozen("all groups but positions and shapes (frozen)", Wanted::POSITIONS | Wanted::SHAPES)?,
         bench.one_direction()?,
-        bench.lists("splats and lists of unchanged geometry (Unchanged)", Reuse::Unchanged, 0.0)?,
-        bench.lists("lists within 1e-6 mm (Within)", Reuse::LISTS, 9e-7)?,
+        bench.lists("splats and lists of unchanged geometry (Unchanged)")?,
         bench.depth()?,
         bench.optimiser()?,
     ])

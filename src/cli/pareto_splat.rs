@@ -1,5 +1,5 @@
 //! `respire-bench pareto splat`: time against error of everything that the rasteriser lets one choose, on tubes of several
-//! sizes: kernels, threads, precision, tiles and blocks, dilated or compensated, EWA or exact discs; and what it saves
+//! sizes: kernels, threads, precision, blocks, dilated or compensated, EWA or exact discs; and what it saves
 //! to leave out what nobody sees or asks for (`pareto_skipping`).
 //!
 //! Two charts: the errors of the gradients (worst group) and of the image, relative L2 to the plain twin in f64 of the same
@@ -16,8 +16,7 @@ use crate::base::{Error, Result, files};
 use crate::ffi::system::cpu_time_s;
 use crate::report::pareto::{Chart, Point, Standing, write};
 use crate::splat::{
-    Filter, Footprint, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings, Skips, TileSide, Wanted,
-    tube,
+    Filter, Footprint, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings, Skips, Wanted, tube,
 };
 
 /// Arguments of `pareto splat`.
@@ -48,7 +47,6 @@ struct Choice {
     footprint: Footprint,
     filter: Filter,
     skips: Skips,
-    tile_side: TileSide,
 }
 
 impl Choice {
@@ -61,7 +59,6 @@ impl Choice {
             footprint: Footprint::Ewa,
             filter: Filter::Dilate,
             skips: Skips::ALL,
-            tile_side: TileSide::default(),
         }
     }
 
@@ -71,11 +68,7 @@ impl Choice {
 
     fn label(&self) -> String {
         let kernel = self.isa.to_string();
-        match (self.threads, self.tile_side) {
-            (1, TileSide::Px16) => kernel,
-            (1, side) => format!("{kernel}, tiles of {} px", side.px()),
-            (threads, _) => format!("{kernel}, {threads} threads"),
-        }
+        if self.threads == 1 { kernel } else { format!("{kernel}, {} threads", self.threads) }
     }
 }
 
@@ -121,7 +114,6 @@ fn measure<T: Real>(scene: &Gaussians<f32>, side: usize, choice: Choice, repeat:
     with_threads(choice.threads, || {
         let mut rasterizer = Rasterizer::<T>::with_isa(choice.isa)?;
         rasterizer.skips(choice.skips);
-        rasterizer.tile_side(choice.tile_side);
         let [forward_s, _] = seconds(repeat, || rasterizer.render(&scene, &view, &settings, None).map(drop))?;
         let [both_s, wall_s] = seconds(repeat, || {
             rasterizer.render(&scene, &view, &settings, None)?;
@@ -181,8 +173,6 @@ fn points(subject: &str, scene: &Gaussians<f32>, side: usize, repeat: usize) -> 
     }
     for (choice, truth, repeat) in [
         (Choice { threads: 2, ..default }, &truth, few),
-        (Choice { tile_side: TileSide::Px8, ..default }, &truth, few),
-        (Choice { tile_side: TileSide::Px4, ..default }, &truth, few),
         (Choice { mode: "EWA, f32, whole tiles", skips: Skips::ALL.without(Skips::BLOCKS), ..default }, &truth, few),
         (Choice { mode: "EWA compensated, f32", ..compensated }, &truth_compensated, few),
         (Choice { mode: "exact discs, f32", ..discs }, &truth_discs, slow),

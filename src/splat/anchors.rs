@@ -168,12 +168,6 @@ impl<T: Real> Anchors<T> {
         &self.face
     }
 
-    /// Caps `log_scales` at `log(factor)` above what they are now.
-    pub fn cap_scales(&mut self, factor: f64) {
-        let room = T::of(factor.ln());
-        self.log_scale_limits = self.log_scales.iter().map(|s| s.map(|v| v + room)).collect();
-    }
-
     /// How many there are.
     pub fn len(&self) -> usize {
         self.face.len()
@@ -182,20 +176,6 @@ impl<T: Real> Anchors<T> {
     /// True when there is none.
     pub fn is_empty(&self) -> bool {
         self.face.is_empty()
-    }
-
-    /// The same anchors in another number type.
-    pub fn cast<U: Real>(&self) -> Anchors<U> {
-        let one = |v: T| U::of(v.to_f64());
-        Anchors {
-            face: self.face.clone(),
-            topology: self.topology,
-            logits: self.logits.iter().map(|v| v.map(one)).collect(),
-            log_scales: self.log_scales.iter().map(|v| v.map(one)).collect(),
-            frame: self.frame,
-            tangents: self.tangents.iter().map(|t| t.map(|v| v.map(one))).collect(),
-            log_scale_limits: self.log_scale_limits.iter().map(|v| v.map(one)).collect(),
-        }
     }
 
     /// Lengths only: this runs at every call, and the inactive cost nothing.

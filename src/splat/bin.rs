@@ -15,7 +15,7 @@ use super::pool::{PIECE, piece_of};
 use super::project::{Row, at};
 use super::rasterizer::CHUNK;
 use super::real::Real;
-use super::tile::Tiling;
+use super::tile::{TILE_SIDE, Tiling};
 
 /// Tiles in whose lists a splat is, inclusive; packed: `x0 | y0 << 16`, `x1 | y1 << 16`.
 #[derive(Clone, Copy, Debug, Default)]
@@ -36,7 +36,7 @@ impl TileBox {
 
     /// Tiles that the splat's bounding box meets when it is made smaller by `less` pixels on every side.
     pub fn around<T: Real>(row: &Row<T>, tiling: &Tiling, less: T) -> Self {
-        let per_px = 1.0 / tiling.side.px() as f64;
+        let per_px = 1.0 / TILE_SIDE as f64;
         let ends = |axis: usize, n: usize| {
             let (center, half) = (row[at::X + axis], row[at::HALF_WIDTH + axis]);
             let (from, to) = (center - half + less, center + half - less);
@@ -271,7 +271,7 @@ mod tests {
         for (seed, n, tiles) in
             [(1, 0, [1, 1]), (2, 1, [3, 2]), (3, 5000, [16, 16]), (4, 9000, [25, 37]), (5, 700, [1, 40])]
         {
-            let tiling = Tiling { columns: tiles[0], rows: tiles[1], ..Tiling::default() };
+            let tiling = Tiling { columns: tiles[0], rows: tiles[1] };
             let mut rng = CounterRng::new(seed, Stage::Test, &[n as u64]);
             let mut below = |bound: usize| (rng.uniform() * bound as f64) as usize;
             let (mut boxes, mut visible, mut keys) = (Vec::new(), Vec::new(), Vec::new());

@@ -15,7 +15,7 @@ use super::pool::{PIECE, TILES};
 use super::rasterizer::Rasterizer;
 use super::real::Real;
 use super::skips::Skips;
-use super::tile::Tiling;
+use super::tile::{TILE_SIDE, Tiling};
 use super::types::{DepthOutput, Footprint, ImageGradient, Settings, View};
 
 impl<T: Real> Rasterizer<T> {
@@ -26,7 +26,7 @@ impl<T: Real> Rasterizer<T> {
         let tiling = bins.tiling;
         if !self.skips.any(Skips::BLOCKS) {
             // All blocks of the tile, as if the kernel had found them.
-            bins.masks.fill(tiling.side.blocks());
+            bins.masks.fill(kernel::ALL_BLOCKS);
             bins.masks_known = true;
         }
         let tiles = tiling.count();
@@ -54,7 +54,6 @@ impl<T: Real> Rasterizer<T> {
                     entries: &entries[offsets[t] as usize..offsets[t + 1] as usize],
                     masks,
                     corner: tiling.corner(t),
-                    side: tiling.side,
                     state,
                     parts,
                 };
@@ -81,7 +80,7 @@ impl<T: Real> Rasterizer<T> {
         out.depth.resize(width * height, T::zero());
         out.alpha.resize(width * height, T::zero());
         let (state, tiling) = (&self.state, self.bins.tiling);
-        let (tiles_x, side) = (tiling.columns, tiling.side.px());
+        let (tiles_x, side) = (tiling.columns, TILE_SIDE);
         let gain = settings.gain.map(T::of);
         let background = settings.background.map(T::of);
         let with_depth = has_depth(settings);

@@ -319,7 +319,7 @@ impl<T: Real> Rasterizer<T> {
     /// Projects all active discs: rows, boxes, visibility.
     pub(super) fn project_discs(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>, view: &View) {
         self.rays.of(&view.camera);
-        let tiling = Tiling::of(view.size(), self.tile_side);
+        let tiling = Tiling::of(view.size());
         let n = self.rendered.visible.len();
         self.discs.resize(n, Aligned::default());
         let active = self.active.as_deref();

@@ -9,7 +9,7 @@ use std::f64::consts::LOG2_E;
 
 use super::disc_mode::{Disc, Optics};
 use super::fault::{Fault, Faults};
-use super::kernel::{PIXELS, PLANES, Parts, pixel_of};
+use super::kernel::{self, PIXELS, PLANES, Parts, pixel_of};
 use super::project::{Row, at, dot};
 use super::real::Real;
 use super::tile::Tiling;
@@ -119,7 +119,7 @@ impl DiscTile<'_, f32> {
             y: y as u32,
             width: width as u32,
             height: height as u32,
-            blocks: tiling.side.blocks(),
+            blocks: kernel::ALL_BLOCKS,
             rays: self.optics.rays.as_flattened(),
             pinhole: self.optics.per_pixel.is_some(),
             per_px: self.optics.per_pixel.unwrap_or_default(),
@@ -172,7 +172,7 @@ impl<T: Real> DiscTile<'_, T> {
     /// Fills the state of the tile: sums of red, green, blue, depth, and the light that is left.
     pub fn forward(&self, state: &mut [T], with_depth: bool) {
         let mut near = Vec::with_capacity(self.entries.len());
-        for p in (0..PIXELS).filter(|&p| self.tile.0.side.has(p)) {
+        for p in 0..PIXELS {
             if p % 16 == 0 {
                 self.near(p / 16, &mut near);
             }
@@ -195,7 +195,7 @@ impl<T: Real> DiscTile<'_, T> {
     pub(super) fn backward(&self, adjoint: &[T], parts: Parts, faults: impl Faults) -> Vec<Sums<T>> {
         let mut out = vec![[T::zero(); sum::COUNT]; self.entries.len()];
         let mut near = Vec::with_capacity(self.entries.len());
-        for p in (0..PIXELS).filter(|&p| self.tile.0.side.has(p)) {
+        for p in 0..PIXELS {
             if p % 16 == 0 {
                 self.near(p / 16, &mut near);
             }

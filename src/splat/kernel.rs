@@ -9,7 +9,7 @@
 //! `v = alpha d loss / d alpha` the moments `sum v, v dx, v dy, v dx^2, v dx dy, v dy^2` are all that the chain to the
 //! parameters needs (`chain.rs`).
 //!
-//! A tile is 16 blocks of 4x4 pixels, numbered down the columns, or some of them (`tile.rs`); per-pixel tables go block
+//! A tile is 16 blocks of 4x4 pixels, numbered down the columns (`tile.rs`); per-pixel tables go block
 //! by block.
 
 use crate::ffi::isa::Isa;
@@ -18,10 +18,12 @@ use crate::ffi::splat::rasterize::{self as native, Aligned, Slots};
 use super::fault::{Fault, Faults};
 use super::project::{Row, at};
 use super::real::Real;
-use super::tile::TileSide;
+use super::tile::TILE_SIDE;
 
-/// Pixels of the largest tile.
-pub const PIXELS: usize = TileSide::Px16.px() * TileSide::Px16.px();
+/// Pixels of a tile.
+pub const PIXELS: usize = TILE_SIDE * TILE_SIDE;
+/// The mask of an entry that may touch every block.
+pub const ALL_BLOCKS: u16 = 0xffff;
 /// Planes of a tile's state (red, green, blue, depth, transmittance) and of its adjoint (the same, then `behind`).
 pub const PLANES: usize = 5;
 /// Planes of the velocity of a tile along a direction: red, green, blue, transmittance.
@@ -80,7 +82,6 @@ pub struct ForwardTile<'a, T> {
     pub masks: &'a mut [u16],
     /// Upper left corner in pixels.
     pub corner: [usize; 2],
-    pub side: TileSide,
     /// Out: `PLANES` planes of `PIXELS`.
     pub state: &'a mut [T],
     pub parts: Parts,
@@ -125,7 +126,7 @@ pub fn vector_forward(isa: Isa, t: &mut ForwardTile<'_, f32>, velocities: &[[f32
             t.entries,
             t.masks,
             corner,
-            t.side.blocks(),
+            ALL_BLOCKS,
             t.state,
             t.parts.bits(),
             velocities,
@@ -205,11 +206,11 @@ pub fn alpha_at<T: Real>(row: &Row<T>, corner: [usize; 2], p: usize) -> Option<T
 pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
     let corner = t.corner.map(|v| T::of(v as f64));
     for (mask, &entry) in t.masks.iter_mut().zip(t.entries).filter(|_| !t.parts.known) {
-        *mask = block_mask(&t.rows[entry as usize].0, corner) & t.side.blocks();
+        *mask = block_mask(&t.rows[entry as usize].0, corner);
     }
     t.state.fill(T::zero());
     let stop = t.parts.stop::<T>();
-    for p in (0..PIXELS).filter(|&p| t.side.has(p)) {
+    for p in 0..PIXELS {
         let bit = 1u16 << (p / 16);
         let mut left = T::one();
         let mut sums = [T::zero(); 4];

@@ -22,7 +22,6 @@ mod dual;
 mod extra_channels;
 mod fault;
 pub mod gradient_check;
-mod jvp;
 mod kernel;
 mod lens;
 mod native;
@@ -46,14 +45,12 @@ pub use crate::ffi::isa::Isa;
 pub use anchors::{Anchors, Carrier, Frame};
 pub use dual::Dual;
 pub use fault::Fault;
-pub use jvp::PhaseTangent;
 pub use rasterizer::Rasterizer;
 pub use real::Real;
 pub use reuse::Reuse;
 pub use skips::Skips;
 pub use stages::{Stage, StageTimes};
 pub use tangent::{Direction, Motion};
-pub use tile::TileSide;
 pub use types::{
     DepthOutput, Filter, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted,
 };

@@ -7,7 +7,7 @@ use crate::ffi::splat::rasterize::{self as native, Aligned, ChainOutput, SplatMo
 use super::project::Projector;
 use super::real::Real;
 use super::tangent::Direction;
-use super::tile::Tiling;
+use super::tile::{TILE_SIDE, Tiling};
 use super::types::{Footprint, Gaussians, Shape, Wanted};
 
 /// What kernels do for numbers of type `T` in one scene seen by one camera.
@@ -114,7 +114,7 @@ impl Native<f32> for Work<'_> {
         visible: &mut [bool],
         moving: Option<(&Direction<'_, f32>, &mut [[f32; 8]])>,
     ) {
-        let (tiles, side) = ([tiling.columns, tiling.rows], tiling.side.px());
+        let (tiles, side) = ([tiling.columns, tiling.rows], TILE_SIDE);
         let mut pose = [0.0; 6];
         let (motion, velocities): (_, &mut [_]) = match moving {
             Some((direction, velocities)) => (motion_of(direction, &mut pose), velocities),

@@ -23,11 +23,11 @@ use super::native::Numbers;
 use super::pool::{in_pool, piece_of};
 use super::project::Projector;
 use super::real::Real;
-use super::reuse::{Kept, Reuse, Same};
+use super::reuse::{Kept, Reuse};
 use super::skips::Skips;
 use super::stages::{Clock, Stage, StageTimes};
 use super::tangent::Direction;
-use super::tile::{TileSide, Tiling};
+use super::tile::Tiling;
 use super::types::{DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted};
 
 /// Gaussians per task; the pose is summed in these chunks.
@@ -68,7 +68,6 @@ pub struct Rasterizer<T> {
     pub(super) clock: Clock,
     pub(super) reuse: Reuse,
     pub(super) skips: Skips,
-    pub(super) tile_side: TileSide,
     pub(super) kept: Option<Kept<T>>,
     pub(super) last: Option<(View, Settings, usize)>,
 }
@@ -115,17 +114,9 @@ impl<T: Real> Rasterizer<T> {
             clock: Clock::default(),
             reuse: Reuse::Never,
             skips: Skips::ALL,
-            tile_side: TileSide::default(),
             kept: None,
             last: None,
         }
-    }
-
-    /// Side of the tiles of later passes; [`TileSide::Px16`] unless told.
-    pub fn tile_side(&mut self, side: TileSide) {
-        self.tile_side = side;
-        self.kept = None;
-        self.last = None;
     }
 
     /// Which kernels composite.
@@ -203,24 +194,17 @@ impl<T: Real> Rasterizer<T> {
         self.extra.count = 0;
         gaussians.validate()?;
         let projector = Projector::new(view, settings)?.with_skips(self.skips);
-        let mut same = self.same(gaussians, view, settings, active);
-        if same == Same::Everything && !self.recolor(gaussians, &projector) {
-            same = Same::Nothing;
-        }
-        let moved = match same {
-            Same::Everything => {
-                self.clock.end(Stage::Project);
-                self.clock.end(Stage::Bin);
-                false
-            }
-            Same::Lists => self.splats(gaussians, &projector, view, same, moving),
-            Same::Nothing => {
-                self.kept = None;
-                self.activate(active, gaussians.len())?;
-                let moved = self.splats(gaussians, &projector, view, same, moving);
-                self.keep(gaussians, view, settings);
-                moved
-            }
+        let same = self.same(gaussians, view, settings, active) && self.recolor(gaussians, &projector);
+        let moved = if same {
+            self.clock.end(Stage::Project);
+            self.clock.end(Stage::Bin);
+            false
+        } else {
+            self.kept = None;
+            self.activate(active, gaussians.len())?;
+            let moved = self.splats(gaussians, &projector, view, moving);
+            self.keep(gaussians, view, settings);
+            moved
         };
         self.last = Some((*view, *settings, gaussians.len()));
         Ok(moved)
@@ -242,33 +226,30 @@ impl<T: Real> Rasterizer<T> {
         Ok(())
     }
 
-    /// Projects all active Gaussians and deals their splats to the tiles (or keeps the lists, if they are still the same
-    /// and so are the splats that are seen). With `moving` also the velocities along it; `false` when these are not there.
+    /// Projects all active Gaussians and distributes their splats to the tiles. With `moving` also the velocities along it; `false` when these are not there.
     fn splats(
         &mut self,
         gaussians: &Gaussians<T>,
         projector: &Projector<T>,
         view: &View,
-        same: Same,
         moving: Option<&Direction<'_, T>>,
     ) -> bool {
-        let seen = if same == Same::Lists { self.rendered.visible.clone() } else { Vec::new() };
         let n = self.active.as_ref().map_or(gaussians.len(), Vec::len);
-        let tiling = Tiling::of(view.size(), self.tile_side);
+        let tiling = Tiling::of(view.size());
         grow(&mut self.rows, n.max(1));
         grow(&mut self.boxes, n);
         grow(&mut self.keys, n);
         self.rendered.visible.resize(n, false);
         if projector.footprint() == Footprint::Disc {
             self.project_discs(gaussians, projector, view);
-            self.deal(tiling, None, Counted::Not);
+            self.deal(tiling, Counted::Not);
             return false;
         }
         let active = self.active.as_deref();
         let mut numbers = Numbers::default();
         let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
-        // What is projected is counted while it is there; unless the lists of before may stay, with their counts.
-        let counted = if native.is_some() && same == Same::Nothing { Counted::All } else { Counted::Not };
+        // What is projected is counted while it is in the cache.
+        let counted = if native.is_some() { Counted::All } else { Counted::Not };
         let moving = moving.filter(|_| native.is_some());
         if moving.is_some() && self.velocities.len() < n {
             grow(&mut self.velocities, n);
@@ -303,22 +284,18 @@ impl<T: Real> Rasterizer<T> {
             },
         );
         drop(native);
-        let kept = (same == Same::Lists).then_some(seen);
-        self.deal(tiling, kept, counted);
+        self.deal(tiling, counted);
         moving.is_some()
     }
 
-    /// Visible splats to the lists of the tiles; those of before stay where they were made for the same splats (`kept`).
-    fn deal(&mut self, tiling: Tiling, kept: Option<Vec<bool>>, counted: Counted) {
+    /// Visible splats to the lists of the tiles.
+    fn deal(&mut self, tiling: Tiling, counted: Counted) {
         self.rendered.visible_count = match counted {
             Counted::All => self.bins.seen(),
             Counted::Not => self.rendered.visible.iter().filter(|v| **v).count(),
         };
         self.clock.end(Stage::Project);
         self.bins.masks_known = false;
-        if kept.is_some_and(|seen| seen == self.rendered.visible) {
-            return self.clock.end(Stage::Bin);
-        }
         let all = Boxes { boxes: &self.boxes, keys: &self.keys, visible: &self.rendered.visible };
         if self.isa == Isa::Scalar {
             self.bins.fill_plainly(tiling, &all);

@@ -12,7 +12,7 @@ use super::disc_tile::{DiscTile, Sums};
 use super::kernel::{BackwardTile, ForwardTile, Parts};
 use super::native::{Native, Numbers, Work};
 use super::project::Projector;
-use super::tile::Tiling;
+use super::tile::{TILE_SIDE, Tiling};
 use super::types::{Gaussians, ImageGradient, Settings};
 
 /// A real number.
@@ -249,7 +249,7 @@ impl Real for f32 {
         image: &ImageGradient<'_, f32>,
         adjoint: &mut [f32],
     ) -> Option<[f64; 3]> {
-        let (corner, side) = (tiling.corner(t), tiling.side.px());
+        let (corner, side) = (tiling.corner(t), TILE_SIDE);
         Some(image::adjoint(state, corner, side, size, light, [image.color, image.depth, image.alpha], adjoint))
     }
 

@@ -20,19 +20,6 @@ pub enum Reuse {
     /// Splats and lists while no number but SH, gain and background has changed: exact. Costs a comparison of the geometry
     /// (about a hundredth of a render), and a copy where it has changed.
     Unchanged,
-    /// The same, and moreover the lists (which tiles, in which order) while no coordinate of centres and shapes is further
-    /// than this (mm; quaternions: their numbers) from where the lists were made. Splats are then projected anew, but one
-    /// that enters a tile is missed there, and two that change places in depth are not exchanged.
-    Within {
-        /// The bound in mm.
-        mm: f64,
-    },
-}
-
-impl Reuse {
-    /// The bound that leaves images and gradients of the tube scene unchanged to 1e-6 (relative L2; measured in
-    /// `tests/all/splat/reuse.rs`, which prints what larger ones do: order is what they change first).
-    pub const LISTS: Reuse = Reuse::Within { mm: 1e-6 };
 }
 
 /// The geometry that the lists were made for.
@@ -47,33 +34,20 @@ pub(super) struct Kept<T> {
     sh_degree: u8,
 }
 
-/// How much of the last render still holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Same {
-    Nothing,
-    Lists,
-    Everything,
-}
-
-/// True when no number is further than `bound` from its partner; false for NaN.
-fn within<T: Real>(a: &[T], b: &[T], bound: T) -> bool {
+/// True when all numbers are equal; false for NaN.
+fn equal<T: Real>(a: &[T], b: &[T]) -> bool {
     // Without a branch inside a piece, so that the compiler can use vectors.
-    let near = |a: &[T], b: &[T]| {
-        a.iter().zip(b).fold(true, |near, (&x, &y)| {
-            let d = x - y;
-            near & (d <= bound) & (-d <= bound)
-        })
-    };
-    a.len() == b.len() && a.chunks(256).zip(b.chunks(256)).all(|(a, b)| near(a, b))
+    let same = |a: &[T], b: &[T]| a.iter().zip(b).fold(true, |same, (x, y)| same & (x == y));
+    a.len() == b.len() && a.chunks(256).zip(b.chunks(256)).all(|(a, b)| same(a, b))
 }
 
-fn shapes_within<T: Real>(a: &Shape<T>, b: &Shape<T>, bound: T) -> bool {
+fn equal_shapes<T: Real>(a: &Shape<T>, b: &Shape<T>) -> bool {
     match (a, b) {
         (Shape::Ellipsoids { rotations: p, scales: s }, Shape::Ellipsoids { rotations: q, scales: t }) => {
-            within(p.as_flattened(), q.as_flattened(), bound) && within(s.as_flattened(), t.as_flattened(), bound)
+            equal(p.as_flattened(), q.as_flattened()) && equal(s.as_flattened(), t.as_flattened())
         }
         (Shape::Discs { axes: p }, Shape::Discs { axes: q }) => {
-            within(p.as_flattened().as_flattened(), q.as_flattened().as_flattened(), bound)
+            equal(p.as_flattened().as_flattened(), q.as_flattened().as_flattened())
         }
         _ => false,
     }
@@ -92,34 +66,17 @@ impl<T: Real> Kept<T> {
         }
     }
 
-    fn same(
-        &self,
-        gaussians: &Gaussians<T>,
-        view: &View,
-        settings: &Settings,
-        active: Option<&[u32]>,
-        reuse: Reuse,
-    ) -> Same {
+    fn same(&self, gaussians: &Gaussians<T>, view: &View, settings: &Settings, active: Option<&[u32]>) -> bool {
         let developed = Settings { gain: self.settings.gain, background: self.settings.background, ..*settings };
-        let frame = self.view == *view
+        // Exact discs have tables of their own: they are projected anew.
+        settings.footprint != Footprint::Disc
+            && self.view == *view
             && self.settings == developed
             && self.active.as_deref() == active
             && self.sh_degree == gaussians.sh_degree
-            && within(&self.opacities, &gaussians.opacities, T::zero());
-        // Exact discs have tables of their own: they are projected anew.
-        if !frame || settings.footprint == Footprint::Disc {
-            return Same::Nothing;
-        }
-        let near = |bound: T| {
-            within(self.positions.as_flattened(), gaussians.positions.as_flattened(), bound)
-                && shapes_within(&self.shape, &gaussians.shape, bound)
-        };
-        match reuse {
-            Reuse::Never => Same::Nothing,
-            _ if near(T::zero()) => Same::Everything,
-            Reuse::Within { mm } if near(T::of(mm)) => Same::Lists,
-            _ => Same::Nothing,
-        }
+            && equal(&self.opacities, &gaussians.opacities)
+            && equal(self.positions.as_flattened(), gaussians.positions.as_flattened())
+            && equal_shapes(&self.shape, &gaussians.shape)
     }
 }
 
@@ -130,15 +87,15 @@ impl<T: Real> Rasterizer<T> {
         self.kept = None;
     }
 
-    /// How much of the last render holds for this one.
+    /// Whether the splats and lists of the last render hold for this one.
     pub(super) fn same(
         &self,
         gaussians: &Gaussians<T>,
         view: &View,
         settings: &Settings,
         active: Option<&[u32]>,
-    ) -> Same {
-        self.kept.as_ref().map_or(Same::Nothing, |kept| kept.same(gaussians, view, settings, active, self.reuse))
+    ) -> bool {
+        self.kept.as_ref().is_some_and(|kept| kept.same(gaussians, view, settings, active))
     }
 
     /// Remembers what the lists were made for, if anybody will ask.

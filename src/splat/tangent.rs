@@ -20,6 +20,7 @@ use super::project::{Projector, Row, columns};
 use super::rasterizer::{CHUNK, Rasterizer};
 use super::real::Real;
 use super::skips::Skips;
+use super::tile::TILE_SIDE;
 use super::types::{DepthOutput, Filter, Footprint, Gaussians, Settings, Shape, View};
 
 /// How every Gaussian moves per unit of the unknown. One entry per Gaussian (not per active one); an empty slice is
@@ -247,7 +248,7 @@ impl<T: Real> Rasterizer<T> {
         let width = view.camera.width as usize;
         let (gain, background) = (settings.gain.map(T::of), settings.background.map(T::of));
         let (tiles_x, size) = (self.bins.tiling.columns, MOVING * PIXELS);
-        let side = self.bins.tiling.side.px();
+        let side = TILE_SIDE;
         image.par_chunks_mut(3 * width * side).enumerate().with_max_len(PIECE).for_each(|(tile_y, band)| {
             let tiles = &self.moving[tile_y * tiles_x * directions * size..][..tiles_x * directions * size];
             if T::develop_moving(tiles, [k, directions], [width, side], settings, band) {
@@ -316,7 +317,6 @@ impl<T: Real> Rasterizer<T> {
                     entries: &bins.entries[span],
                     masks: &mut masks,
                     corner: bins.tiling.corner(t),
-                    side: bins.tiling.side,
                     state: &mut state,
                     parts: Parts {
                         geometry: false,
