@@ -13,11 +13,11 @@ use rayon::prelude::*;
 
 use crate::base::{Error, Result};
 
-use super::bin::cut;
-use super::dual::Dual;
-use super::project::dot;
-use super::real::Real;
-use super::types::{Gaussians, Gradients, Shape};
+use crate::splat::number::dual::Dual;
+use crate::splat::number::real::Real;
+use crate::splat::pass::bins::cut;
+use crate::splat::plain::project::dot;
+use crate::splat::types::scene::{Gaussians, Gradients, Shape};
 
 /// Anchors per task; sums over anchors go in these chunks.
 const CHUNK: usize = 512;
@@ -264,7 +264,7 @@ impl<T: Real> Anchors<T> {
 
     /// Velocities of the positions and axes of the active discs (those of the others stay what they are) when the
     /// vertices move by `displacement` per unit of phase: the derivative of [`Anchors::place`], for
-    /// [`super::Motion`]. `positions` and `axes` get one entry per anchor.
+    /// [`crate::splat::Motion`]. `positions` and `axes` get one entry per anchor.
     ///
     /// Errors: as [`Anchors::place`]; another number of displacements than of vertices.
     pub fn place_tangent(

@@ -11,46 +11,24 @@
 //! for beyond colour, depth and alpha: `extra_channels` (features, normals), `sight` (median depth, contributors).
 
 mod anchors;
-mod bin;
-mod chain;
-mod composite;
-mod disc_chain;
-mod disc_mode;
-mod disc_tangent;
-mod disc_tile;
-mod dual;
-mod extra_channels;
-mod fault;
-pub mod gradient_check;
-mod kernel;
-mod lens;
-mod native;
-mod parameters;
-mod pool;
-mod project;
-mod rasterizer;
-mod real;
-mod reuse;
-mod sh;
-mod sight;
-mod skips;
-mod stages;
-mod surface_depth;
-mod tangent;
-mod tile;
-pub mod tube;
+mod check;
+mod kernels;
+mod number;
+mod pass;
+mod plain;
 mod types;
 
 pub use crate::ffi::isa::Isa;
 pub use anchors::{Anchors, Carrier, Frame};
-pub use dual::Dual;
-pub use fault::Fault;
-pub use rasterizer::Rasterizer;
-pub use real::Real;
-pub use reuse::Reuse;
-pub use skips::Skips;
-pub use stages::{Stage, StageTimes};
-pub use tangent::{Direction, Motion};
-pub use types::{
+pub use check::{gradient_check, tube};
+pub use number::dual::Dual;
+pub use number::real::Real;
+pub use pass::rasterizer::Rasterizer;
+pub use pass::reuse::Reuse;
+pub use pass::stages::{Stage, StageTimes};
+pub use pass::tangent::{Direction, Motion};
+pub use plain::fault::Fault;
+pub use types::scene::{
     DepthOutput, Filter, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted,
 };
+pub use types::skips::Skips;

@@ -1,0 +1,2 @@
+pub mod gradient_check;
+pub mod tube;

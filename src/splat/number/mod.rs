@@ -1,0 +1,3 @@
+pub mod dual;
+pub mod real;
+pub mod sh;

@@ -1,0 +1,11 @@
+pub mod bins;
+pub mod channels;
+pub mod composite;
+pub mod disc_tangent;
+pub mod gradients;
+pub mod pixel_walk;
+pub mod pool;
+pub mod rasterizer;
+pub mod reuse;
+pub mod stages;
+pub mod tangent;

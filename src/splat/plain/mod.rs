@@ -1,0 +1,9 @@
+pub mod chain;
+pub mod disc;
+pub mod disc_chain;
+pub mod disc_tile;
+pub mod fault;
+pub mod lens;
+pub mod project;
+pub mod surface_depth;
+pub mod tile;

@@ -1,0 +1,3 @@
+pub mod scene;
+pub mod skips;
+pub mod tiling;
