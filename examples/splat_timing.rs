@@ -10,7 +10,7 @@ use std::time::Instant;
 use respire_bench::ffi::splat::loss::{self, LossImage};
 use respire_bench::ffi::system::{cpu_time_s, peak_memory_mib};
 use respire_bench::splat::{
-    Direction, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Reuse, Settings, Stage, View, Wanted, tube,
+    Direction, Gaussians, ImageGradient, Isa, Motion, PassStage, Rasterizer, Reuse, Settings, View, Wanted, tube,
 };
 
 /// Wall and CPU milliseconds of repeated work.
@@ -97,7 +97,7 @@ impl Bench {
         }
         let image = rasterizer.rendered();
         println!("{} visible, {} intersections", image.visible_count, image.intersections);
-        for (stage, samples) in Stage::ALL.iter().zip(&stages) {
+        for (stage, samples) in PassStage::ALL.iter().zip(&stages) {
             samples.line(stage.name());
         }
         forward.line("forward");

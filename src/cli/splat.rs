@@ -14,7 +14,7 @@ use crate::formats::gaussians_ply::{self, GaussianCloud};
 use crate::formats::transforms::Transforms;
 use crate::formats::{exr, npy, png};
 use crate::splat::{
-    DepthOutput, Filter, Footprint, Gaussians, ImageGradient, Isa, Rasterizer, Rendered, Settings, Shape, Stage,
+    DepthOutput, Filter, Footprint, Gaussians, ImageGradient, Isa, PassStage, Rasterizer, Rendered, Settings, Shape,
     StageTimes, View, Wanted,
 };
 
@@ -176,12 +176,12 @@ fn frame_timing(times: &[StageTimes], with_backward: bool, image: &Rendered<f32>
     let sum = |of: fn(&StageTimes) -> &[f64; 6], range: std::ops::Range<usize>| {
         median(times.iter().map(|t| of(t)[range.clone()].iter().sum()).collect())
     };
-    let count = if with_backward { Stage::ALL.len() } else { FORWARD };
+    let count = if with_backward { PassStage::ALL.len() } else { FORWARD };
     let stages = (0..count).map(|k| {
         let timing = StageTiming { wall_ms: sum(|t| &t.wall_s, k..k + 1), cpu_ms: sum(|t| &t.cpu_s, k..k + 1) };
-        (Stage::ALL[k].name(), timing)
+        (PassStage::ALL[k].name(), timing)
     });
-    let backward = FORWARD..Stage::ALL.len();
+    let backward = FORWARD..PassStage::ALL.len();
     FrameTiming {
         forward_ms: sum(|t| &t.wall_s, 0..FORWARD),
         backward_ms: with_backward.then(|| sum(|t| &t.wall_s, backward.clone())),

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Result, TriangleMesh};
-use crate::splat::{Anchors, Carrier, Frame, Gaussians, Gradients, Wanted};
+use crate::splat::{Anchors, Carrier, DiscFrame, Gaussians, Gradients, Wanted};
 
 use super::neighbours;
 use super::optimiser::{AdamConstants, RowAdam, StepCounter};
@@ -36,7 +36,7 @@ pub struct Surface {
     /// Faces of the mesh.
     pub faces: Vec<[u32; 3]>,
     rest: Vec<[f32; 3]>,
-    frame: Frame,
+    frame: DiscFrame,
     /// Discs that each face starts with: face `f` has those from `f * per_face` on.
     pub per_face: usize,
     /// Discs added later, per face.
@@ -77,7 +77,7 @@ const PIECE: usize = 4096;
 
 impl Surface {
     /// Discs on `mesh` at rest.
-    pub fn new(mesh: &TriangleMesh, layout: impl Into<Layout>, frame: Frame, start: Start, seed: u64) -> Self {
+    pub fn new(mesh: &TriangleMesh, layout: impl Into<Layout>, frame: DiscFrame, start: Start, seed: u64) -> Self {
         let layout = layout.into();
         let per_face = layout.per_face.resolve(mesh.faces.len(), layout.budget);
         let n = mesh.faces.len() * per_face;

@@ -10,7 +10,7 @@ use std::time::Instant;
 use glam::DVec3;
 
 use crate::base::{Progress, Result, TriangleMesh};
-use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Settings, View, Wanted};
+use crate::splat::{DepthOutput, DiscFrame, ImageGradient, Rasterizer, Settings, View, Wanted};
 
 use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{DiscAdam, Patch, Rates, Start, Surface};
@@ -111,7 +111,7 @@ impl<'a> State<'a> {
             arap: Arap::new(&in_units),
             rest: in_units.vertices.clone(),
             vertices: in_units.vertices,
-            surface: Surface::new(mesh, &settings.appearance, Frame::NormalOnly, Start::Random, observation.seed),
+            surface: Surface::new(mesh, &settings.appearance, DiscFrame::NormalOnly, Start::Random, observation.seed),
             deformation: None,
             rasterizer: Rasterizer::new(),
             adam: DiscAdam::new(

@@ -3,7 +3,7 @@
 //! faces that a wall hides are no part of a frame.
 
 use crate::base::{Progress, Result, mesh};
-use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
+use crate::splat::{DiscFrame, Gaussians, Gradients, View, Wanted};
 
 use super::active::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
 use super::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
@@ -118,8 +118,13 @@ impl OnMesh {
         let expiration = observation.expiration.as_ref().unwrap_or(rest);
         let rates = Rates::new(&settings.appearance, super::rate_factor(iteration_scale));
         let constants = adam_constants(&settings.appearance, observation.images[0].data.len());
-        let surface =
-            Surface::new(rest, &settings.appearance, Frame::from(*settings.inherits), Start::Even, observation.seed);
+        let surface = Surface::new(
+            rest,
+            &settings.appearance,
+            DiscFrame::from(*settings.inherits),
+            Start::Even,
+            observation.seed,
+        );
         Ok(OnMesh {
             memory: Memory::new(surface.len()),
             window: Window::new(&settings.window, None),

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::Listing;
 use super::loss::norm::Norm;
 use super::phase::Activation;
-use crate::splat::Frame;
+use crate::splat::DiscFrame;
 
 /// Where a number comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -249,11 +249,11 @@ pub enum Inherits {
     Normal,
 }
 
-impl From<Inherits> for Frame {
+impl From<Inherits> for DiscFrame {
     fn from(inherits: Inherits) -> Self {
         match inherits {
-            Inherits::Stretch => Frame::InheritStretch,
-            Inherits::Normal => Frame::NormalOnly,
+            Inherits::Stretch => DiscFrame::InheritStretch,
+            Inherits::Normal => DiscFrame::NormalOnly,
         }
     }
 }

@@ -12,7 +12,7 @@ use crate::base::camera::world_from_camera_looking;
 use crate::base::image::codes_from_unit;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{NoProgress, files, mesh};
-use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Settings, View, Wanted};
+use crate::splat::{DepthOutput, DiscFrame, ImageGradient, Rasterizer, Settings, View, Wanted};
 
 /// A tube along +z, normals inwards, closed at the far end by its narrowing.
 fn tube(rings: usize, around: usize, length_mm: f64) -> TriangleMesh {
@@ -72,7 +72,7 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
     }
     let mut settings = shipped("ours").appearance;
     settings.gaussian_budget.value = 7000;
-    let mut surface = Surface::new(&inspiration, &settings, Frame::InheritStretch, Start::Even, 5);
+    let mut surface = Surface::new(&inspiration, &settings, DiscFrame::InheritStretch, Start::Even, 5);
     let mut free = Free::new(&inspiration, &bridge("bridgesplat-nomesh").appearance, 1.0, 5);
     let grain = if made == Made::Discs { 1.0 } else { 0.0 };
     paint(&inspiration, [0.75, 0.4, 0.35], grain, &mut surface.sh);
@@ -307,7 +307,7 @@ fn a_face_that_comes_near_gets_more_discs_and_looks_as_before() {
     let mesh = tube(24, 18, 40.0);
     let mut settings = shipped("ours").appearance;
     settings.gaussian_budget.value = 1;
-    let mut surface = Surface::new(&mesh, &settings, Frame::InheritStretch, Start::Even, 5);
+    let mut surface = Surface::new(&mesh, &settings, DiscFrame::InheritStretch, Start::Even, 5);
     paint(&mesh, [0.75, 0.4, 0.35], 0.0, &mut surface.sh);
     let view = View::new(
         Camera::pinhole(96, 96, 1.6),
@@ -345,7 +345,7 @@ fn frozen_groups_have_no_gradients_and_no_moments() {
     settings.gaussian_budget.value = 3000;
     settings.position_rate.value = 0.0;
     settings.scale_rate.value = 0.0;
-    let surface = Surface::new(&inspiration, &settings, Frame::InheritStretch, Start::Even, 5);
+    let surface = Surface::new(&inspiration, &settings, DiscFrame::InheritStretch, Start::Even, 5);
     let faces: Vec<u32> = (0..inspiration.faces.len() as u32).collect();
     let vertices = to_f32(&inspiration.vertices);
     let mut patch = surface.patch(&faces).unwrap();

@@ -32,7 +32,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::base::{Image, Progress, Result, TriangleMesh, mesh};
-use crate::splat::{DepthOutput, Frame, Rasterizer, Rendered, Reuse, Settings, View};
+use crate::splat::{DepthOutput, DiscFrame, Rasterizer, Rendered, Reuse, Settings, View};
 
 use super::active::{Reach, Sides, nothing_in_view, visible_faces};
 use super::anchored::{Start, Surface, to_f32};
@@ -144,7 +144,8 @@ impl<'a> Tracker<'a> {
     fn new(settings: &'a GaussNewtonMethod, iteration_scale: f64, observation: &'a Observation) -> Self {
         let inspiration = &observation.inspiration;
         let expiration = observation.expiration.as_ref().unwrap_or(inspiration);
-        let surface = Surface::new(inspiration, &settings.discs, Frame::InheritStretch, Start::Even, observation.seed);
+        let surface =
+            Surface::new(inspiration, &settings.discs, DiscFrame::InheritStretch, Start::Even, observation.seed);
         let discs = surface.faces.len() * surface.per_face;
         let repetition = if *settings.period_prior { Repetition::Expected } else { Repetition::Ignored };
         let rest = to_f32(&inspiration.vertices);

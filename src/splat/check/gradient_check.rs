@@ -11,21 +11,19 @@ use crate::base::camera::world_from_camera_looking;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Camera, Result};
 
-use crate::splat::pass::rasterizer::Rasterizer;
+use crate::splat::pass::Rasterizer;
 use crate::splat::plain::fault::Fault;
-use crate::splat::types::scene::{
-    Filter, Footprint, Gaussians, Gradients, ImageGradient, Settings, Shape, View, Wanted,
-};
+use crate::splat::types::{Filter, Footprint, Gaussians, Gradients, ImageGradient, Settings, Shape, View, Wanted};
 
 /// Step and order of the first difference, and of those after it where values disagree.
-const STEPS: [(f64, Order); 7] = [
-    (1e-6, Order::Two),
-    (1e-5, Order::Four),
-    (3e-6, Order::Four),
-    (3e-7, Order::Two),
-    (3e-5, Order::Four),
-    (5e-8, Order::Two),
-    (1e-8, Order::Two),
+const STEPS: [(f64, DifferenceOrder); 7] = [
+    (1e-6, DifferenceOrder::Two),
+    (1e-5, DifferenceOrder::Four),
+    (3e-6, DifferenceOrder::Four),
+    (3e-7, DifferenceOrder::Two),
+    (3e-5, DifferenceOrder::Four),
+    (5e-8, DifferenceOrder::Two),
+    (1e-8, DifferenceOrder::Two),
 ];
 /// A value smaller than this part of the root mean square of its group is compared with that part instead.
 const FLOOR: f64 = 0.1;
@@ -42,7 +40,7 @@ const LARGE: usize = 3;
 
 /// A scene with everything that its loss needs.
 #[derive(Clone, Debug)]
-pub struct Case {
+pub struct GradientCase {
     /// What it is made of.
     pub name: String,
     /// The Gaussians.
@@ -62,7 +60,7 @@ pub struct Case {
 
 /// One group of gradients against the differences.
 #[derive(Clone, Copy, Debug)]
-pub struct Finding {
+pub struct GradientFinding {
     /// Name of the group.
     pub group: &'static str,
     /// Number of values.
@@ -75,7 +73,7 @@ pub struct Finding {
 
 /// Order of the error of a difference.
 #[derive(Clone, Copy)]
-enum Order {
+enum DifferenceOrder {
     Two,
     Four,
 }
@@ -124,11 +122,11 @@ fn gaussians(n: usize, ellipsoids: bool, sh_degree: u8, r: &mut CounterRng) -> G
     scene
 }
 
-impl Case {
+impl GradientCase {
     /// Scene number `seed`: ellipsoids or discs, pinhole or fisheye, SH of degree 0 to 3, either filter, EWA or
     /// exact discs, with normals and two more channels or without, 4 to 12
     /// Gaussians in 35x22 pixels, some of them outside the image or the clamp of the Jacobian.
-    pub fn new(seed: u64) -> Case {
+    pub fn new(seed: u64) -> GradientCase {
         let r = &mut CounterRng::new(seed, Stage::Test, &[4]);
         let (ellipsoids, fisheye) = (seed.is_multiple_of(2), seed / 2 % 2 == 1);
         let filter = if seed / 4 % 2 == 1 { Filter::Compensate } else { Filter::Dilate };
@@ -141,7 +139,7 @@ impl Case {
         let (n, pixels) = (scene.len(), (camera.width * camera.height) as usize);
         let mut plane = |n: usize| (0..n).map(|_| r.normal()).collect();
         let with_channels = usize::from(seed % 3 == 1 || seed % 6 == 5);
-        Case {
+        GradientCase {
             name: format!(
                 "{} {} of SH degree {sh_degree}, {}, {footprint:?} {filter:?}",
                 scene.len(),
@@ -209,7 +207,7 @@ impl Case {
     }
 
     /// The case with value `k` of a group changed by `step`.
-    fn moved(&self, group: &str, k: usize, step: f64) -> Case {
+    fn moved(&self, group: &str, k: usize, step: f64) -> GradientCase {
         let mut case = self.clone();
         let camera = &mut case.view.camera;
         match (group, &mut case.scene.shape) {
@@ -236,14 +234,14 @@ impl Case {
         &self,
         group: &str,
         k: usize,
-        (step, order): (f64, Order),
+        (step, order): (f64, DifferenceOrder),
         rasterizer: &mut Rasterizer<f64>,
     ) -> Result<f64> {
         let mut loss_at = |step: f64| self.moved(group, k, step).loss(rasterizer);
         let mut slope = |step: f64| Ok((loss_at(step)? - loss_at(-step)?) / (2.0 * step));
         match order {
-            Order::Two => slope(step),
-            Order::Four => Ok((4.0 * slope(step)? - slope(2.0 * step)?) / 3.0),
+            DifferenceOrder::Two => slope(step),
+            DifferenceOrder::Four => Ok((4.0 * slope(step)? - slope(2.0 * step)?) / 3.0),
         }
     }
 }
@@ -270,14 +268,14 @@ fn floor(values: &[f64]) -> f64 {
 
 /// The central differences of a case, to hold any backward pass against.
 #[derive(Clone, Debug)]
-pub struct Truth {
-    case: Case,
+pub struct CentralDifferences {
+    case: GradientCase,
     differences: Groups,
 }
 
-impl Truth {
+impl CentralDifferences {
     /// Differences of every value of every group.
-    pub fn new(case: Case) -> Result<Truth> {
+    pub fn new(case: GradientCase) -> Result<CentralDifferences> {
         let mut rasterizer = Rasterizer::<f64>::new();
         let mut differences = Groups::new();
         for (group, analytic) in case.gradients(None)? {
@@ -298,16 +296,16 @@ impl Truth {
             }
             differences.push((group, values));
         }
-        Ok(Truth { case, differences })
+        Ok(CentralDifferences { case, differences })
     }
 
     /// The scene.
-    pub fn case(&self) -> &Case {
+    pub fn case(&self) -> &GradientCase {
         &self.case
     }
 
     /// Every group of the backward pass, sound or with a fault.
-    pub fn compare(&self, fault: Option<Fault>) -> Result<Vec<Finding>> {
+    pub fn compare(&self, fault: Option<Fault>) -> Result<Vec<GradientFinding>> {
         let pairs = self.case.gradients(fault)?.into_iter().zip(&self.differences);
         Ok(pairs.map(|((group, found), (_, truth))| finding(group, &found, truth)).collect())
     }
@@ -318,13 +316,13 @@ impl Truth {
     }
 }
 
-fn finding(group: &'static str, found: &[f64], truth: &[f64]) -> Finding {
+fn finding(group: &'static str, found: &[f64], truth: &[f64]) -> GradientFinding {
     let least = floor(truth);
     let lane = |(a, b): (&f64, &f64)| if a == b { 0.0 } else { (a - b).abs() / b.abs().max(least) };
     let worst = |worst: f64, error: f64| if error.is_nan() { f64::INFINITY } else { worst.max(error) };
     let difference = found.iter().zip(truth).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
     let norm = truth.iter().map(|b| b * b).sum::<f64>().sqrt();
-    Finding {
+    GradientFinding {
         group,
         lanes: found.len(),
         worst_lane: found.iter().zip(truth).map(lane).fold(0.0, worst),
@@ -332,7 +330,7 @@ fn finding(group: &'static str, found: &[f64], truth: &[f64]) -> Finding {
     }
 }
 
-impl Finding {
+impl GradientFinding {
     /// Every value is as near as it must be.
     pub fn passes(&self) -> bool {
         self.worst_lane <= LANE_LIMIT
@@ -350,7 +348,7 @@ mod tests {
         let mut failures = Vec::new();
         let mut worst = 0f64;
         for seed in 0..75 {
-            let truth = Truth::new(Case::new(seed)).unwrap();
+            let truth = CentralDifferences::new(GradientCase::new(seed)).unwrap();
             for finding in truth.compare(None).unwrap() {
                 if !finding.passes() {
                     failures.push(format!("scene {seed}, {}: {finding:?}", truth.case().name));
@@ -367,7 +365,8 @@ mod tests {
     /// A check that cannot fail is none: each fault of the backward pass is found by the very same one.
     #[test]
     fn every_seeded_fault_is_caught() {
-        let truths: Vec<Truth> = (0..6).map(|seed| Truth::new(Case::new(seed)).unwrap()).collect();
+        let truths: Vec<CentralDifferences> =
+            (0..6).map(|seed| CentralDifferences::new(GradientCase::new(seed)).unwrap()).collect();
         for fault in Fault::ALL {
             let by = truths.iter().filter(|truth| truth.catches(fault).unwrap()).count();
             println!("{fault:?}: caught on {by} of {} scenes", truths.len());

@@ -4,7 +4,7 @@
 use crate::base::Camera;
 use crate::base::camera::world_from_camera_looking;
 use crate::base::random::{CounterRng, Stage};
-use crate::splat::types::scene::{DepthOutput, Gaussians, Settings, Shape, View};
+use crate::splat::types::{DepthOutput, Gaussians, Settings, Shape, View};
 use glam::DVec3;
 
 /// Thin ellipsoids as in the reference scene, in the order of a hexagonal lattice on the wall.

@@ -4,7 +4,7 @@
 use std::cmp::Ordering;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
-use crate::splat::number::real::Real;
+use super::real::Real;
 
 /// A number and its derivative with respect to one parameter.
 #[derive(Clone, Copy, Debug, Default)]

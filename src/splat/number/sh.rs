@@ -1,8 +1,9 @@
 //! Real spherical harmonics of degree 0 to 3 with the constants and signs of Inria's 3DGS.
 
-use crate::splat::number::real::Real;
+use super::real::Real;
 
-const C0: f64 = 0.28209479177387814;
+/// The constant basis function.
+pub const C0: f64 = 0.28209479177387814;
 const C1: f64 = 0.4886025119029199;
 const C2: [f64; 5] =
     [1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396];
@@ -18,7 +19,7 @@ const C3: [f64; 7] = [
 
 /// The `(degree + 1)^2` basis functions at the unit vector `[x, y, z]`; the rest of the array stays 0.
 #[inline(always)]
-pub(in crate::splat) fn basis<T: Real>([x, y, z]: [T; 3], degree: u8) -> [T; 16] {
+pub fn basis<T: Real>([x, y, z]: [T; 3], degree: u8) -> [T; 16] {
     let mut out = [T::zero(); 16];
     out[0] = T::of(C0);
     if degree >= 1 {
@@ -50,7 +51,7 @@ pub(in crate::splat) fn basis<T: Real>([x, y, z]: [T; 3], degree: u8) -> [T; 16]
 
 /// Gradient of `sum_k weights[k] * basis[k]` with respect to the vector `[x, y, z]` (as if it were free).
 #[inline(always)]
-pub(in crate::splat) fn basis_pullback<T: Real>([x, y, z]: [T; 3], degree: u8, w: &[T; 16]) -> [T; 3] {
+pub fn basis_pullback<T: Real>([x, y, z]: [T; 3], degree: u8, w: &[T; 16]) -> [T; 3] {
     let mut g = [T::zero(); 3];
     if degree >= 1 {
         g = [-T::of(C1) * w[3], -T::of(C1) * w[1], T::of(C1) * w[2]];
@@ -84,4 +85,16 @@ pub(in crate::splat) fn basis_pullback<T: Real>([x, y, z]: [T; 3], degree: u8, w
             + c[5] * (xx - yy) * w[14];
     }
     g
+}
+
+/// `0.5 + sum_k basis[k] * coefficients[k]` per channel.
+#[inline(always)]
+pub fn color<T: Real>(basis: &[T; 16], coefficients: &[T]) -> [T; 3] {
+    let mut color = [T::of(0.5); 3];
+    for (weight, rgb) in basis.iter().zip(coefficients.as_chunks::<3>().0) {
+        for k in 0..3 {
+            color[k] += *weight * rgb[k];
+        }
+    }
+    color
 }

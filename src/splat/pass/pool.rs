@@ -11,7 +11,7 @@ use rayon::Yield;
 
 /// Runs a whole pass inside the thread pool: a caller from outside would otherwise sleep and be woken once for every
 /// stage, and the threads with it.
-pub(in crate::splat) fn in_pool<R: Send>(pass: impl FnOnce() -> R + Send) -> R {
+pub fn in_pool<R: Send>(pass: impl FnOnce() -> R + Send) -> R {
     let run = || {
         let _awake = Awake::new();
         pass()
@@ -19,20 +19,34 @@ pub(in crate::splat) fn in_pool<R: Send>(pass: impl FnOnce() -> R + Send) -> R {
     if rayon::current_thread_index().is_some() { run() } else { rayon::scope(|_| run()) }
 }
 
-/// Rows of tiles that one thread takes at a time.
-pub(in crate::splat) const PIECE: usize = 1;
+/// Gaussians per task; the gradients of the camera are summed in these chunks.
+pub const CHUNK: usize = 1024;
 
-/// Chunks of Gaussians, of so many, that one thread takes at a time: few, since what is seen lies together and two halves
-/// of a scene are seldom the same amount of work; but not a few hundred pieces of nothing.
-pub(in crate::splat) fn piece_of(chunks: usize) -> usize {
+/// Rows of tiles that one thread takes at a time.
+pub const PIECE: usize = 1;
+
+/// Chunks of Gaussians, of so many, that one thread takes at a time: few, since visible Gaussians lie together and two
+/// halves of a scene are seldom the same amount of work; but enough that a scene is not cut into hundreds of empty tasks.
+pub fn piece_of(chunks: usize) -> usize {
     (chunks / 64).max(1)
 }
 
 /// Tiles that one thread takes at a time.
-pub(in crate::splat) const TILES: usize = 2;
+pub const TILES: usize = 2;
 
-/// Looks for work in vain (some 100 ns each) before a thread gives up; more than any stage leaves it idle.
-const LOOKS: usize = 500;
+/// Cuts `slice` into pieces of the given lengths.
+pub fn cut<V>(mut slice: &mut [V], lengths: impl Iterator<Item = usize>) -> Vec<&mut [V]> {
+    lengths
+        .map(|length| {
+            let (head, tail) = std::mem::take(&mut slice).split_at_mut(length);
+            slice = tail;
+            head
+        })
+        .collect()
+}
+
+/// Rounds without work (some 100 ns each) after which a thread goes to sleep; more than any stage leaves it idle.
+const IDLE_ROUNDS: usize = 500;
 
 /// Whether a pass keeps threads awake: one at a time, since passes side by side fill the threads without that.
 static TAKEN: AtomicBool = AtomicBool::new(false);
@@ -74,7 +88,7 @@ impl Drop for Awake {
 /// Does what there is to do until `done`, or until there has been nothing for long.
 fn stay(done: &AtomicBool) {
     let mut idle = 0;
-    while idle < LOOKS && !done.load(Ordering::Acquire) {
+    while idle < IDLE_ROUNDS && !done.load(Ordering::Acquire) {
         if rayon::yield_now() == Some(Yield::Executed) {
             idle = 0;
         } else {

@@ -2,85 +2,74 @@
 //!
 //! The order of every sum is fixed by the data, never by the threads: a tile is one task, moments of a Gaussian are
 //! added tile by tile in the order of its box, the sums over Gaussians (pose) and pixels (gain) go in fixed chunks.
-//! All tables live in the [`Rasterizer`] and are used again by the next call.
-
-use rayon::prelude::*;
+//! All tables live in the [`Rasterizer`] and are used again by the next call; each is changed in the file of its type.
 
 use crate::base::{Error, Result};
 use crate::ffi::isa::Isa;
-use crate::ffi::splat::rasterize::Aligned;
-use crate::ffi::system::grow;
-
-use crate::ffi::splat::bin::{self as native_bin, Boxes};
-
-use crate::splat::kernels::Numbers;
-use crate::splat::number::real::Real;
-use crate::splat::pass::bins::{Bins, Counting, TileBox, cut};
-use crate::splat::pass::channels::Extra;
-use crate::splat::pass::pool::{in_pool, piece_of};
-use crate::splat::pass::reuse::{Kept, Reuse};
-use crate::splat::pass::stages::{Clock, Stage, StageTimes};
-use crate::splat::pass::tangent::Direction;
-use crate::splat::plain::disc::{Rays, refuse_fisheye_lens};
-use crate::splat::plain::disc_tile::Sums;
+use crate::splat::kernels::{KernelScene, Kernels};
+use crate::splat::plain::disc::DiscOptics;
 use crate::splat::plain::fault::{Fault, Faults, Sound};
-use crate::splat::plain::project::Projector;
+use crate::splat::plain::projector::Projector;
 use crate::splat::plain::tile::Parts;
-use crate::splat::types::scene::{
-    DepthOutput, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, View, Wanted,
+use crate::splat::types::{
+    DepthOutput, Direction, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, Skips, Tiling, View,
+    Wanted,
 };
-use crate::splat::types::skips::Skips;
-use crate::splat::types::tiling::Tiling;
 
-/// Gaussians per task; the pose is summed in these chunks.
-pub(in crate::splat) const CHUNK: usize = 1024;
-
-/// Which splats have been counted into the bins.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Counted {
-    All,
-    Not,
-}
+use super::backward::{Moments, TileGradient};
+use super::bins::Bins;
+use super::channels::{Channels, ChannelsWanted};
+use super::forward::{MovingSplats, TilePass};
+use super::gradients::GradientTables;
+use super::images::Images;
+use super::options::PassOptions;
+use super::pixel_walk::{PixelWalk, SurfaceSource, splat_surfaces};
+use super::pool::in_pool;
+use super::rays::PixelRays;
+use super::reuse::{Reuse, ReuseState};
+use super::splats::{MovingOutput, Splats};
+use super::stages::{PassClock, PassStage, StageTimes};
 
 /// The differentiable rasteriser. Owns all intermediate tables, so keep one per thread of control and use it again.
 #[derive(Debug)]
 pub struct Rasterizer<T> {
-    pub(in crate::splat) isa: Isa,
-    pub(in crate::splat) active: Option<Vec<u32>>,
-    pub(in crate::splat) rows: Vec<Aligned<T>>,
-    pub(in crate::splat) boxes: Vec<[u32; 2]>,
-    pub(in crate::splat) keys: Vec<u32>,
-    pub(in crate::splat) bins: Bins,
-    pub(in crate::splat) state: Vec<T>,
-    pub(in crate::splat) moving: Vec<T>,
-    pub(in crate::splat) velocities: Vec<[T; 8]>,
-    pub(in crate::splat) slots: Vec<Aligned<T>>,
-    pub(in crate::splat) discs: Vec<Aligned<T>>,
-    pub(in crate::splat) disc_slots: Vec<Sums<T>>,
-    pub(in crate::splat) rays: Rays<T>,
-    pub(in crate::splat) extra: Extra<T>,
-    pub(in crate::splat) rendered: Rendered<T>,
-    /// Whether all of `rendered.depth` is known to be 0.
-    pub(in crate::splat) depth_is_zero: bool,
-    pub(in crate::splat) tangents: Vec<Vec<T>>,
-    pub(in crate::splat) gradients: Gradients<T>,
-    /// Chunks whose gradients are not all zero, and what the gradients are laid out for.
-    pub(in crate::splat) written: Vec<bool>,
-    pub(in crate::splat) written_layout: Option<(usize, usize, bool, Wanted)>,
-    pub(in crate::splat) clock: Clock,
-    pub(in crate::splat) reuse: Reuse,
-    pub(in crate::splat) skips: Skips,
-    pub(in crate::splat) kept: Option<Kept<T>>,
-    pub(in crate::splat) last: Option<(View, Settings, usize)>,
+    pub(super) options: PassOptions,
+    /// Indices of the Gaussians that take part; `None` for all.
+    pub(super) active: Option<Vec<u32>>,
+    pub(super) splats: Splats<T>,
+    pub(super) bins: Bins,
+    rays: PixelRays<T>,
+    /// Sums of all tiles: `PLANES` planes of `PIXELS` each.
+    pub(super) state: Vec<T>,
+    pub(super) images: Images<T>,
+    moments: Moments<T>,
+    gradients: GradientTables<T>,
+    channels: Channels<T>,
+    pub(super) tangents: Tangents<T>,
+    reuse: ReuseState<T>,
+    clock: PassClock,
+    /// View, settings and number of Gaussians of the last render.
+    last: Option<(View, Settings, usize)>,
 }
 
-impl<T: Real> Default for Rasterizer<T> {
+/// Tables of `render_tangent`.
+#[derive(Debug, Default)]
+pub(super) struct Tangents<T> {
+    /// Velocities of the splats, direction by direction.
+    pub velocities: Vec<[T; 8]>,
+    /// Velocities of the pixels of all tiles.
+    pub moved: Vec<T>,
+    /// One image per direction.
+    pub images: Vec<Vec<T>>,
+}
+
+impl<T: Kernels> Default for Rasterizer<T> {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl<T: Real> Rasterizer<T> {
+impl<T: Kernels> Rasterizer<T> {
     /// A rasteriser with the widest kernels of this processor (for `f32`; other types have the plain twin only).
     pub fn new() -> Self {
         Self::of_isa(Isa::widest())
@@ -93,37 +82,38 @@ impl<T: Real> Rasterizer<T> {
 
     fn of_isa(isa: Isa) -> Self {
         Rasterizer {
-            isa,
+            options: PassOptions { isa, skips: Skips::ALL },
             active: None,
-            rows: Vec::new(),
-            boxes: Vec::new(),
-            keys: Vec::new(),
+            splats: Splats::default(),
             bins: Bins::default(),
+            rays: PixelRays::default(),
             state: Vec::new(),
-            moving: Vec::new(),
-            velocities: Vec::new(),
-            slots: Vec::new(),
-            discs: Vec::new(),
-            disc_slots: Vec::new(),
-            rays: Rays::default(),
-            extra: Extra::default(),
-            rendered: Rendered::default(),
-            depth_is_zero: false,
-            tangents: Vec::new(),
-            gradients: Gradients::default(),
-            written: Vec::new(),
-            written_layout: None,
-            clock: Clock::default(),
-            reuse: Reuse::Never,
-            skips: Skips::ALL,
-            kept: None,
+            images: Images::default(),
+            moments: Moments::default(),
+            gradients: GradientTables::default(),
+            channels: Channels::default(),
+            tangents: Tangents::default(),
+            reuse: ReuseState::default(),
+            clock: PassClock::default(),
             last: None,
         }
     }
 
+    /// What later passes leave out; [`Skips::ALL`] unless told.
+    pub fn skips(&mut self, skips: Skips) {
+        self.options.skips = skips;
+        self.reuse.forget();
+        self.last = None;
+    }
+
+    /// What later renders may take over from the one before; [`Reuse::Never`] unless told.
+    pub fn reuse(&mut self, reuse: Reuse) {
+        self.reuse = ReuseState::new(reuse);
+    }
+
     /// Which kernels composite.
     pub fn isa(&self) -> Isa {
-        self.isa
+        self.options.isa
     }
 
     /// Time of each stage of the last passes.
@@ -138,18 +128,24 @@ impl<T: Real> Rasterizer<T> {
 
     /// The images of the last [`Rasterizer::render`].
     pub fn rendered(&self) -> &Rendered<T> {
-        &self.rendered
+        &self.images.rendered
     }
 
     /// The gradients of the last [`Rasterizer::backward`].
     pub fn gradients(&self) -> &Gradients<T> {
-        &self.gradients
+        &self.gradients.gradients
+    }
+
+    /// Pairs of a tile and a visible splat of the last render whose bounding box meets it, which is what other renderers
+    /// count; the lists have fewer ([`Rendered::intersections`]). Not for exact discs, whose boxes are not kept.
+    pub fn box_intersections(&self) -> usize {
+        self.splats.box_intersections(&self.images.rendered.visible, &self.bins.tiling)
     }
 
     /// Renders the Gaussians named in `active` (indices in strictly ascending order; `None` is all of them).
     ///
-    /// Order is by z-depth of the centre (computed in f64, rounded to f32), ties by index. Gaussians with a number that is not finite,
-    /// with no opacity, or before the near plane are left out; the images are finite whatever goes in.
+    /// Order is by z-depth of the centre (computed in f64, rounded to f32), ties by index. Gaussians with a number that is
+    /// not finite, with no opacity, or before the near plane are left out; the images are finite whatever goes in.
     /// Errors: arrays that do not belong together, a camera or settings that make no sense, a bad `active`.
     pub fn render(
         &mut self,
@@ -159,7 +155,7 @@ impl<T: Real> Rasterizer<T> {
         active: Option<&[u32]>,
     ) -> Result<&Rendered<T>> {
         in_pool(|| self.render_in_pool(gaussians, view, settings, active))?;
-        Ok(&self.rendered)
+        Ok(&self.images.rendered)
     }
 
     fn render_in_pool(
@@ -170,20 +166,17 @@ impl<T: Real> Rasterizer<T> {
         active: Option<&[u32]>,
     ) -> Result<()> {
         self.prepare(gaussians, view, settings, active, None)?;
-        match settings.footprint {
-            Footprint::Ewa => drop(self.composite(settings.depth, &[], 0)),
-            Footprint::Disc => self.composite_discs(view, settings),
-        }
-        self.clock.end(Stage::Composite);
+        self.composite(view, settings);
+        self.clock.end(PassStage::Composite);
         self.develop(view, settings);
-        self.clock.end(Stage::Develop);
+        self.clock.end(PassStage::Develop);
         self.fill_depth(gaussians, view, settings);
         Ok(())
     }
 
-    /// Everything of a render before compositing; where splats are projected anew by the vectorised kernels, their velocities
-    /// along `moving`, too. `true` when these are there.
-    pub(in crate::splat) fn prepare(
+    /// Everything of a render before compositing; where velocities of splats can be computed while they are projected anew,
+    /// those along `moving` too. `true` when these are there.
+    pub(super) fn prepare(
         &mut self,
         gaussians: &Gaussians<T>,
         view: &View,
@@ -193,21 +186,23 @@ impl<T: Real> Rasterizer<T> {
     ) -> Result<bool> {
         self.clock.start();
         self.last = None;
-        self.extra.count = 0;
+        self.channels.count = 0;
         gaussians.validate()?;
-        let projector = Projector::new(view, settings)?.with_skips(self.skips);
-        let same = self.same(gaussians, view, settings, active) && self.recolor(gaussians, &projector);
-        let moved = if same {
-            self.clock.end(Stage::Project);
-            self.clock.end(Stage::Bin);
-            false
-        } else {
-            self.kept = None;
-            self.activate(active, gaussians.len())?;
-            let moved = self.splats(gaussians, &projector, view, moving);
-            self.keep(gaussians, view, settings);
-            moved
+        let projector = Projector::new(view, settings)?.with_skips(self.options.skips);
+        let same = self.reuse.holds_for(gaussians, view, settings, active) && {
+            let scene = KernelScene::new(self.options.isa, gaussians, &projector, self.active.as_deref());
+            self.splats.recolor(&scene, &self.images.rendered.visible)
         };
+        let mut moved = false;
+        if same {
+            self.clock.end(PassStage::Project);
+            self.clock.end(PassStage::Bin);
+        } else {
+            self.reuse.forget();
+            self.activate(active, gaussians.len())?;
+            moved = self.make_splats(gaussians, &projector, view, moving);
+            self.reuse.keep(gaussians, view, settings, active);
+        }
         self.last = Some((*view, *settings, gaussians.len()));
         Ok(moved)
     }
@@ -228,94 +223,96 @@ impl<T: Real> Rasterizer<T> {
         Ok(())
     }
 
-    /// Projects all active Gaussians and distributes their splats to the tiles. With `moving` also the velocities along it; `false` when these are not there.
-    fn splats(
+    /// Projects all active Gaussians and distributes their splats to the tiles. With `moving` also the velocities along it;
+    /// `false` when these are not there.
+    fn make_splats(
         &mut self,
         gaussians: &Gaussians<T>,
         projector: &Projector<T>,
         view: &View,
         moving: Option<&Direction<'_, T>>,
     ) -> bool {
-        let n = self.active.as_ref().map_or(gaussians.len(), Vec::len);
-        let tiling = Tiling::of(view.size());
-        grow(&mut self.rows, n.max(1));
-        grow(&mut self.boxes, n);
-        grow(&mut self.keys, n);
-        self.rendered.visible.resize(n, false);
-        if projector.footprint() == Footprint::Disc {
-            self.project_discs(gaussians, projector, view);
-            self.deal(tiling, Counted::Not);
-            return false;
+        let (isa, tiling) = (self.options.isa, Tiling::of(view.size()));
+        if projector.footprint == Footprint::Disc {
+            self.rays.update(&view.camera);
         }
-        let active = self.active.as_deref();
-        let mut numbers = Numbers::default();
-        let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
-        // What is projected is counted while it is in the cache.
-        let counted = if native.is_some() { Counted::All } else { Counted::Not };
-        let moving = moving.filter(|_| native.is_some());
-        if moving.is_some() && self.velocities.len() < n {
-            grow(&mut self.velocities, n);
-        }
-        let chunks = (0..n).step_by(CHUNK).map(|first| if moving.is_some() { CHUNK.min(n - first) } else { 0 });
-        let velocities = cut(&mut self.velocities, chunks);
-        let Counting { shift, starts, counts } = self.bins.counting(&tiling, n);
-        let tables = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
-        let tables = tables.zip(self.keys.par_chunks_mut(CHUNK)).zip(self.rendered.visible.par_chunks_mut(CHUNK));
-        let bins = starts.par_chunks_mut(CHUNK).zip(counts);
-        tables.zip(bins).zip(velocities).enumerate().with_max_len(piece_of(n.div_ceil(CHUNK))).for_each(
-            |(chunk, (((((rows, boxes), keys), visible), (starts, counts)), velocities))| {
-                let first = chunk * CHUNK;
-                if let Some(native) = &native {
-                    let moving = moving.map(|direction| (direction, velocities));
-                    native.project(first, &tiling, rows, boxes, keys, visible, moving);
-                    if counted == Counted::All {
-                        native_bin::count(&Boxes { boxes, visible, keys }, shift, starts, counts);
-                    }
-                    return;
-                }
-                for k in 0..rows.len() {
-                    let i = active.map_or(first + k, |list| list[first + k] as usize);
-                    let found = projector.project(gaussians, i);
-                    visible[k] = found.is_some();
-                    if let Some(found) = found {
-                        boxes[k] = TileBox::of(&found, &tiling).pack();
-                        keys[k] = projector.key(gaussians.positions[i]);
-                        rows[k].0 = found;
-                    }
-                }
-            },
-        );
-        drop(native);
-        self.deal(tiling, counted);
+        let scene = KernelScene::new(isa, gaussians, projector, self.active.as_deref());
+        let moving = moving.filter(|_| T::velocity_kernels(&scene).is_some());
+        let velocities = &mut self.tangents.velocities;
+        let output = moving.map(|direction| MovingOutput { direction, velocities });
+        let rendered = &mut self.images.rendered;
+        self.splats.project(&scene, isa, &tiling, &mut rendered.visible, &mut self.bins, output);
+        rendered.visible_count = match isa {
+            Isa::Scalar => rendered.visible.iter().filter(|v| **v).count(),
+            _ => self.bins.visible_count(),
+        };
+        self.clock.end(PassStage::Project);
+        self.bins.fill(isa, tiling, &self.splats.boxes(&rendered.visible));
+        rendered.intersections = self.bins.entries.len();
+        self.clock.end(PassStage::Bin);
         moving.is_some()
     }
 
-    /// Visible splats to the lists of the tiles.
-    fn deal(&mut self, tiling: Tiling, counted: Counted) {
-        self.rendered.visible_count = match counted {
-            Counted::All => self.bins.seen(),
-            Counted::Not => self.rendered.visible.iter().filter(|v| **v).count(),
-        };
-        self.clock.end(Stage::Project);
-        self.bins.masks_known = false;
-        let all = Boxes { boxes: &self.boxes, keys: &self.keys, visible: &self.rendered.visible };
-        if self.isa == Isa::Scalar {
-            self.bins.fill_plainly(tiling, &all);
-        } else {
-            if counted == Counted::Not {
-                self.bins.count(&tiling, &all);
-            }
-            self.bins.fill(tiling, &all);
-        }
-        self.rendered.intersections = self.bins.entries.len();
-        self.clock.end(Stage::Bin);
+    /// Sums of all tiles from their lists.
+    pub(super) fn composite(&mut self, view: &View, settings: &Settings) {
+        let pass = tile_pass(self.options, &self.rays, view, settings);
+        pass.forward(&self.splats, &mut self.bins, settings.composites_depth(), &mut self.state);
     }
 
-    /// Pairs of a tile and a visible splat of the last render whose bounding box meets it, which is what other renderers count; the
-    /// lists have fewer ([`Rendered::intersections`]). Not for exact discs, whose boxes are not kept.
-    pub fn box_intersections(&self) -> usize {
-        let rows = self.rows.iter().zip(&self.rendered.visible).filter(|(_, seen)| **seen);
-        rows.map(|(row, _)| TileBox::around(&row.0, &self.bins.tiling, T::zero()).count()).sum()
+    /// The same without depth, and with the velocities of the pixels.
+    pub(super) fn composite_moving(&mut self, view: &View, settings: &Settings, moving: &MovingSplats<'_, T>) {
+        let pass = tile_pass(self.options, &self.rays, view, settings);
+        pass.forward_moving(&self.splats, &mut self.bins, moving, &mut self.state, &mut self.tangents.moved);
+    }
+
+    /// Images from the sums of the tiles.
+    pub(super) fn develop(&mut self, view: &View, settings: &Settings) {
+        let pass = tile_pass(self.options, &self.rays, view, settings);
+        self.images.develop(&pass, &self.bins, &self.state);
+    }
+
+    /// Fills the depth image, where it is not composited with the colours.
+    fn fill_depth(&mut self, gaussians: &Gaussians<T>, view: &View, settings: &Settings) {
+        let median = settings.depth == DepthOutput::Median;
+        if !median && (settings.footprint == Footprint::Disc || settings.depth != DepthOutput::Surface) {
+            return;
+        }
+        let (bins, n) = (&self.bins, self.images.rendered.visible.len());
+        let surfaces = match settings.footprint {
+            Footprint::Disc => SurfaceSource::Discs(DiscOptics::new(view, settings, &self.rays.directions)),
+            Footprint::Ewa => SurfaceSource::Splats(splat_surfaces(gaussians, view, self.active.as_deref(), bins, n)),
+        };
+        let walk = PixelWalk { splats: &self.splats, bins, view: *view, surfaces };
+        let depth =
+            walk.image(|t, p, pixel| T::of(if median { walk.median(t, p, pixel) } else { walk.surface(t, p, pixel) }));
+        self.images.set_depth(depth);
+    }
+
+    /// How many Gaussians each pixel of the last [`Rasterizer::render`] blends, row by row (`height * width`).
+    ///
+    /// Errors: no render before.
+    pub fn contributors(&self) -> Result<Vec<u32>> {
+        let (view, settings, _) = self.last.ok_or_else(|| Error::input("contributors need a render before them"))?;
+        let surfaces = match settings.footprint {
+            Footprint::Disc => SurfaceSource::Discs(DiscOptics::new(&view, &settings, &self.rays.directions)),
+            Footprint::Ewa => SurfaceSource::None,
+        };
+        let walk = PixelWalk { splats: &self.splats, bins: &self.bins, view, surfaces };
+        Ok(walk.image(|t, p, pixel| walk.count(t, p, pixel)))
+    }
+
+    /// Composites `count` further channels in the view of the last [`Rasterizer::render`]: `features` has `count` values
+    /// per Gaussian (of all, not of the active alone), the image `count` per pixel, row by row: sums of the features
+    /// weighted like the colours, 0 where nothing is, not divided by alpha. [`Rasterizer::backward`] then takes their
+    /// gradient in `ImageGradient::channels`.
+    ///
+    /// Errors: no render before; another number of features; a feature that is not finite.
+    pub fn render_channels(&mut self, features: &[T], count: usize) -> Result<&[T]> {
+        let (view, settings, n) = self.last.ok_or_else(|| Error::input("channels need a render before them"))?;
+        self.channels.set_features(features, count, n, self.active.as_deref())?;
+        let pass = tile_pass(self.options, &self.rays, &view, &settings);
+        self.channels.render(&pass, &mut self.splats, &mut self.bins);
+        Ok(&self.channels.image)
     }
 
     /// Gradients of a loss, given its derivatives with respect to the images of the last [`Rasterizer::render`], whose
@@ -331,7 +328,7 @@ impl<T: Real> Rasterizer<T> {
         wanted: Wanted,
     ) -> Result<&Gradients<T>> {
         self.backward_as(gaussians, image, wanted, Sound)?;
-        Ok(&self.gradients)
+        Ok(&self.gradients.gradients)
     }
 
     /// [`Rasterizer::backward`] of the plain twin with a mistake in it: for those who check the gradients to see that
@@ -344,7 +341,7 @@ impl<T: Real> Rasterizer<T> {
         fault: Fault,
     ) -> Result<&Gradients<T>> {
         self.backward_as(gaussians, image, wanted, fault)?;
-        Ok(&self.gradients)
+        Ok(&self.gradients.gradients)
     }
 
     fn backward_as(
@@ -372,9 +369,11 @@ impl<T: Real> Rasterizer<T> {
         self.clock.start();
         self.check_image(image, &settings)?;
         let projector = Projector::new(&view, &settings)?;
-        if wanted.any(Wanted::LENS) && settings.footprint == Footprint::Disc && !projector.is_pinhole() {
-            return Err(refuse_fisheye_lens());
+        if wanted.any(Wanted::LENS) && settings.footprint == Footprint::Disc && view.camera.fisheye.is_some() {
+            return Err(Error::input("the intrinsics of a fisheye have no gradient with exact discs"));
         }
+
+        // Image gradients through the tiles to the moments of every splat.
         let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE | Wanted::LENS);
         let geometry = through_position || wanted.any(Wanted::SHAPES | Wanted::OPACITIES);
         let parts = Parts {
@@ -382,26 +381,39 @@ impl<T: Real> Rasterizer<T> {
             color: wanted.any(Wanted::SH) || (through_position && gaussians.sh_degree > 0),
             depth: geometry && !image.depth.is_empty(),
             known: false,
-            endless: !self.skips.any(Skips::STOP),
+            endless: !self.options.skips.any(Skips::STOP),
         };
-        let parts = (parts.geometry || parts.color).then_some(parts);
-        if !self.composite_backward(image, &view, &settings, parts, wanted.any(Wanted::GAIN), faults) {
+        let gradient = TileGradient { image, parts: (parts.geometry || parts.color).then_some(parts) };
+        let pass = tile_pass(self.options, &self.rays, &view, &settings);
+        let gain = pass.backward(&self.splats, &self.bins, &self.state, &gradient, &mut self.moments, faults);
+        // The sums of what a pixel shows times its gradient are finite only if all gradients are.
+        if gain.iter().any(|v| !v.is_finite()) {
             self.check_finite("colour", image.color, 3)?;
         }
-        self.channels_backward(image.channels, &view, &settings, geometry, wanted, faults);
-        self.clock.end(Stage::CompositeBackward);
-        self.chain(gaussians, &projector, wanted, faults);
-        self.clock.end(Stage::Chain);
+        let out = &mut self.gradients.gradients;
+        out.gain = if wanted.any(Wanted::GAIN) { gain } else { [0.0; 3] };
+
+        // The same for the further channels, whose geometry is added.
+        let (splats, on_screen) = (&mut self.splats, (&self.bins, &self.images.rendered.visible[..]));
+        let asked = ChannelsWanted { features: wanted.any(Wanted::CHANNELS), geometry };
+        out.channels =
+            self.channels.backward(image.channels, &pass, splats, on_screen, &mut self.moments, (asked, faults));
+        self.clock.end(PassStage::CompositeBackward);
+
+        // Moments to the gradients of Gaussians and camera.
+        let scene = KernelScene::new(self.options.isa, gaussians, &projector, self.active.as_deref());
+        self.gradients.chain(&scene, &self.bins.starts, &self.moments, wanted, faults);
+        self.clock.end(PassStage::Chain);
         Ok(())
     }
 
     fn check_image(&self, image: &ImageGradient<'_, T>, settings: &Settings) -> Result<()> {
-        let pixels = self.rendered.width * self.rendered.height;
+        let pixels = self.images.rendered.width * self.images.rendered.height;
         for (name, plane, per_pixel) in [
             ("colour", image.color, 3),
             ("depth", image.depth, 1),
             ("alpha", image.alpha, 1),
-            ("channel", image.channels, self.extra.count),
+            ("channel", image.channels, self.channels.count),
         ] {
             if !plane.is_empty() && plane.len() != pixels * per_pixel {
                 return Err(Error::input(format!("the {name} gradient has {} values", plane.len())));
@@ -424,8 +436,20 @@ impl<T: Real> Rasterizer<T> {
             return Ok(());
         }
         let Some(bad) = plane.iter().position(|v| !v.is_finite()) else { return Ok(()) };
-        let (pixel, width) = (bad / per_pixel, self.rendered.width);
+        let (pixel, width) = (bad / per_pixel, self.images.rendered.width);
         let at = format!("pixel ({}, {})", pixel % width, pixel / width);
         Err(Error::input(format!("the {name} gradient is not finite")).element(at))
     }
+}
+
+/// What the tiles of a pass over the last splats have in common.
+fn tile_pass<'a, T: Kernels>(
+    options: PassOptions,
+    rays: &'a PixelRays<T>,
+    view: &View,
+    settings: &Settings,
+) -> TilePass<'a, T> {
+    let exact = settings.footprint == Footprint::Disc;
+    let optics = exact.then(|| DiscOptics::new(view, settings, &rays.directions));
+    TilePass { options, settings: *settings, size: view.size(), optics }
 }

@@ -2,17 +2,11 @@
 //! and active list too), the splats, their order and the lists of the tiles are those of before, and only colours have to
 //! be computed again. The images are the same bits as those of a render from scratch.
 
-use rayon::prelude::*;
-
-use crate::splat::kernels::Numbers;
-use crate::splat::number::real::Real;
-use crate::splat::pass::pool::PIECE;
-use crate::splat::pass::rasterizer::{CHUNK, Rasterizer};
-use crate::splat::plain::project::{Projector, at, color, dot};
-use crate::splat::types::scene::{Footprint, Gaussians, Settings, Shape, View};
+use crate::splat::number::Real;
+use crate::splat::types::{Footprint, Gaussians, Settings, Shape, View};
 
 /// What is kept from one render to the next.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reuse {
     /// Nothing; nothing is compared or copied either.
     #[default]
@@ -24,7 +18,7 @@ pub enum Reuse {
 
 /// The geometry that the lists were made for.
 #[derive(Debug)]
-pub(in crate::splat) struct Kept<T> {
+struct KeptGeometry<T> {
     view: View,
     settings: Settings,
     active: Option<Vec<u32>>,
@@ -53,9 +47,10 @@ fn equal_shapes<T: Real>(a: &Shape<T>, b: &Shape<T>) -> bool {
     }
 }
 
-impl<T: Real> Kept<T> {
+impl<T: Real> KeptGeometry<T> {
+    /// A copy, with what else the lists depend on.
     fn of(gaussians: &Gaussians<T>, view: &View, settings: &Settings, active: Option<&[u32]>) -> Self {
-        Kept {
+        KeptGeometry {
             view: *view,
             settings: *settings,
             active: active.map(<[u32]>::to_vec),
@@ -66,7 +61,8 @@ impl<T: Real> Kept<T> {
         }
     }
 
-    fn same(&self, gaussians: &Gaussians<T>, view: &View, settings: &Settings, active: Option<&[u32]>) -> bool {
+    /// Whether splats and lists hold for this render.
+    fn holds_for(&self, gaussians: &Gaussians<T>, view: &View, settings: &Settings, active: Option<&[u32]>) -> bool {
         let developed = Settings { gain: self.settings.gain, background: self.settings.background, ..*settings };
         // Exact discs have tables of their own: they are projected anew.
         settings.footprint != Footprint::Disc
@@ -80,63 +76,47 @@ impl<T: Real> Kept<T> {
     }
 }
 
-impl<T: Real> Rasterizer<T> {
-    /// What later renders may take over from the one before; [`Reuse::Never`] unless told.
-    pub fn reuse(&mut self, reuse: Reuse) {
-        self.reuse = reuse;
-        self.kept = None;
+/// The geometry of the last render, where it is to be reused.
+#[derive(Debug)]
+pub struct ReuseState<T> {
+    mode: Reuse,
+    kept: Option<KeptGeometry<T>>,
+}
+
+impl<T> Default for ReuseState<T> {
+    fn default() -> Self {
+        Self::new(Reuse::Never)
+    }
+}
+
+impl<T> ReuseState<T> {
+    /// Nothing is kept yet.
+    pub fn new(mode: Reuse) -> Self {
+        ReuseState { mode, kept: None }
     }
 
+    /// The next render starts from scratch.
+    pub fn forget(&mut self) {
+        self.kept = None;
+    }
+}
+
+impl<T: Real> ReuseState<T> {
     /// Whether the splats and lists of the last render hold for this one.
-    pub(in crate::splat) fn same(
+    pub fn holds_for(
         &self,
         gaussians: &Gaussians<T>,
         view: &View,
         settings: &Settings,
         active: Option<&[u32]>,
     ) -> bool {
-        self.kept.as_ref().is_some_and(|kept| kept.same(gaussians, view, settings, active))
+        self.kept.as_ref().is_some_and(|kept| kept.holds_for(gaussians, view, settings, active))
     }
 
-    /// Remembers what the lists were made for, if anybody will ask.
-    pub(in crate::splat) fn keep(&mut self, gaussians: &Gaussians<T>, view: &View, settings: &Settings) {
-        if self.reuse != Reuse::Never {
-            self.kept = Some(Kept::of(gaussians, view, settings, self.active.as_deref()));
+    /// Remembers what the lists were made for, if reuse is on.
+    pub fn keep(&mut self, gaussians: &Gaussians<T>, view: &View, settings: &Settings, active: Option<&[u32]>) {
+        if self.mode == Reuse::Unchanged {
+            self.kept = Some(KeptGeometry::of(gaussians, view, settings, active));
         }
-    }
-
-    /// Colours of the visible splats from the SH, all else as it is; `false` when one is not finite, so that this is no
-    /// longer the same scene.
-    pub(in crate::splat) fn recolor(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>) -> bool {
-        let active = self.active.as_deref();
-        let mut numbers = Numbers::default();
-        let native = T::native(self.isa, gaussians, projector, &mut numbers, active);
-        let visible = &self.rendered.visible;
-        let chunks = self.rows[..visible.len()]
-            .par_chunks_mut(CHUNK)
-            .zip(visible.par_chunks(CHUNK))
-            .enumerate()
-            .with_max_len(PIECE);
-        let finite: Vec<bool> = chunks
-            .map(|(chunk, (rows, visible))| {
-                let first = chunk * CHUNK;
-                if let Some(native) = &native {
-                    return native.recolor(first, visible, rows);
-                }
-                let mut finite = true;
-                for (k, row) in rows.iter_mut().enumerate().filter(|(k, _)| visible[*k]) {
-                    let i = active.map_or(first + k, |list| list[first + k] as usize);
-                    let offset = [0, 1, 2].map(|c| gaussians.positions[i][c] - projector.eye[c]);
-                    let distance = dot(offset, offset).sqrt();
-                    let shown = color(gaussians, i, offset.map(|v| v / distance));
-                    finite &= (shown[0] + shown[1] + shown[2]).is_finite();
-                    for c in 0..3 {
-                        row.0[at::RED + c] = shown[c].maximum(T::zero());
-                    }
-                }
-                finite
-            })
-            .collect();
-        finite.into_iter().all(|f| f)
     }
 }

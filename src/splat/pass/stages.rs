@@ -6,7 +6,7 @@ use crate::ffi::system::cpu_time_s;
 
 /// What a pass does, in its order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
+pub enum PassStage {
     /// Gaussians to splats.
     Project,
     /// Splats to the sorted lists of the tiles.
@@ -21,25 +21,31 @@ pub enum Stage {
     Chain,
 }
 
-impl Stage {
+impl PassStage {
     /// All of them: four of the forward, two of the backward pass.
-    pub const ALL: [Stage; 6] =
-        [Stage::Project, Stage::Bin, Stage::Composite, Stage::Develop, Stage::CompositeBackward, Stage::Chain];
+    pub const ALL: [PassStage; 6] = [
+        PassStage::Project,
+        PassStage::Bin,
+        PassStage::Composite,
+        PassStage::Develop,
+        PassStage::CompositeBackward,
+        PassStage::Chain,
+    ];
 
     /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
-            Stage::Project => "project",
-            Stage::Bin => "bin",
-            Stage::Composite => "composite",
-            Stage::Develop => "develop",
-            Stage::CompositeBackward => "composite_backward",
-            Stage::Chain => "chain",
+            PassStage::Project => "project",
+            PassStage::Bin => "bin",
+            PassStage::Composite => "composite",
+            PassStage::Develop => "develop",
+            PassStage::CompositeBackward => "composite_backward",
+            PassStage::Chain => "chain",
         }
     }
 }
 
-/// Seconds of each stage, in the order of [`Stage::ALL`].
+/// Seconds of each stage, in the order of [`PassStage::ALL`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StageTimes {
     /// Wall clock.
@@ -50,20 +56,20 @@ pub struct StageTimes {
 
 /// Measures one stage after the other.
 #[derive(Debug)]
-pub(in crate::splat) struct Clock {
+pub struct PassClock {
     times: StageTimes,
     with_cpu: bool,
     since: Instant,
     cpu_since: f64,
 }
 
-impl Default for Clock {
+impl Default for PassClock {
     fn default() -> Self {
-        Clock { times: StageTimes::default(), with_cpu: false, since: Instant::now(), cpu_since: 0.0 }
+        PassClock { times: StageTimes::default(), with_cpu: false, since: Instant::now(), cpu_since: 0.0 }
     }
 }
 
-impl Clock {
+impl PassClock {
     pub fn times(&self) -> StageTimes {
         self.times
     }
@@ -79,7 +85,7 @@ impl Clock {
     }
 
     /// The stage ends here, the next begins.
-    pub fn end(&mut self, stage: Stage) {
+    pub fn end(&mut self, stage: PassStage) {
         let (since, cpu_since) = (self.since, self.cpu_since);
         self.start();
         self.times.wall_s[stage as usize] = (self.since - since).as_secs_f64();

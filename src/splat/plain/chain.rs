@@ -1,18 +1,17 @@
 //! From the moments of one splat to the gradients of its Gaussian and of the camera: the reverse of `project.rs`, with
 //! its symbols. The projection is computed again rather than stored.
 
-use crate::splat::number::real::Real;
-use crate::splat::number::sh;
-use crate::splat::plain::disc::cross;
-use crate::splat::plain::fault::{Fault, Faults};
-use crate::splat::plain::project::{
-    Geometry, Projector, Row, columns, dot, normalized, rotation_columns, sum_of_basis,
-};
-use crate::splat::plain::tile::moment;
-use crate::splat::types::scene::{Filter, Gaussians, Shape, Wanted};
+use crate::splat::number::{Real, cross, dot, normalized, rotation_columns, sh};
+use crate::splat::types::table::{SplatRow, moment};
+use crate::splat::types::{Filter, Gaussians, Shape, Wanted};
+
+use super::fault::{Fault, Faults};
+use super::lens::LensPoint;
+use super::project::Geometry;
+use super::projector::Projector;
 
 /// Gradients of one Gaussian.
-pub(in crate::splat) struct One<T> {
+pub struct GaussianGradient<T> {
     pub position: [T; 3],
     pub opacity: T,
     /// With respect to the columns of the square root of the covariance, world axes.
@@ -22,10 +21,16 @@ pub(in crate::splat) struct One<T> {
     pub lens: [T; 4],
 }
 
-impl<T: Real> One<T> {
+impl<T: Real> GaussianGradient<T> {
     pub fn zero() -> Self {
         let zero = [T::zero(); 3];
-        One { position: zero, opacity: T::zero(), columns: [zero; 3], pose: [T::zero(); 6], lens: [T::zero(); 4] }
+        GaussianGradient {
+            position: zero,
+            opacity: T::zero(),
+            columns: [zero; 3],
+            pose: [T::zero(); 6],
+            lens: [T::zero(); 4],
+        }
     }
 
     /// True when every number is finite: a sum is finite only if every term is.
@@ -40,7 +45,7 @@ impl<T: Real> One<T> {
 
 /// Gradient of the covariance on screen `(va, vb; vb, vc)` from that of the conic: `-Q G Q`.
 #[inline(always)]
-fn covariance_gradient<T: Real>(g: &Geometry<T>, m: &Row<T>, faults: impl Faults) -> [T; 3] {
+fn covariance_gradient<T: Real>(g: &Geometry<T>, m: &SplatRow<T>, faults: impl Faults) -> [T; 3] {
     let half = T::of(if faults.has(Fault::CovarianceSignFlipped) { -0.5 } else { 0.5 });
     let [a, b, c] = g.conic;
     let mixed = if faults.has(Fault::MixedMomentHalved) { half * m[moment::XY] } else { m[moment::XY] };
@@ -73,7 +78,7 @@ fn compensation_pullback<T: Real>(g: &Geometry<T>, by_log: T, by_u: &mut [[T; 2]
 /// Writes the gradient of the SH coefficients (where there is room for it) and returns that of the view direction (as if
 /// it were free).
 #[inline(always)]
-pub(in crate::splat) fn color_gradient<T: Real>(
+pub fn color_gradient<T: Real>(
     gaussians: &Gaussians<T>,
     i: usize,
     direction: [T; 3],
@@ -81,10 +86,9 @@ pub(in crate::splat) fn color_gradient<T: Real>(
     by_sh: &mut [T],
     faults: impl Faults,
 ) -> [T; 3] {
-    let stride = gaussians.sh_stride();
-    let coefficients = &gaussians.sh[i * stride..(i + 1) * stride];
+    let coefficients = gaussians.coefficients(i);
     let basis = sh::basis(direction, gaussians.sh_degree);
-    let shown = sum_of_basis(&basis, coefficients);
+    let shown = sh::color(&basis, coefficients);
     let shows = |k: usize| shown[k] > T::zero() || faults.has(Fault::ColorCutIgnored);
     let v = [0, 1, 2].map(|k| if shows(k) { by_color[k] } else { T::zero() });
     for (place, b) in by_sh.as_chunks_mut::<3>().0.iter_mut().zip(&basis) {
@@ -102,7 +106,7 @@ pub(in crate::splat) fn color_gradient<T: Real>(
 
 /// Through the normalisation of the view direction.
 #[inline(always)]
-pub(in crate::splat) fn by_view_direction<T: Real>(free: [T; 3], direction: [T; 3], distance: T) -> [T; 3] {
+pub fn by_view_direction<T: Real>(free: [T; 3], direction: [T; 3], distance: T) -> [T; 3] {
     let along = dot(free, direction);
     [0, 1, 2].map(|k| (free[k] - along * direction[k]) / distance)
 }
@@ -110,17 +114,17 @@ pub(in crate::splat) fn by_view_direction<T: Real>(free: [T; 3], direction: [T; 
 /// Gradients of Gaussian `i` from the moments `m` of its splat, those of the SH into `by_sh` (empty if not wanted);
 /// `None` where a number is not finite.
 #[inline(always)]
-pub(in crate::splat) fn gradients_of_one<T: Real>(
+pub fn gradients_of_splat<T: Real>(
     projector: &Projector<T>,
     gaussians: &Gaussians<T>,
     i: usize,
-    m: &Row<T>,
+    m: &SplatRow<T>,
     wanted: Wanted,
     by_sh: &mut [T],
     faults: impl Faults,
-) -> Option<One<T>> {
-    let g = projector.geometry(gaussians.positions[i], columns(&gaussians.shape, i))?;
-    let mut one = One::zero();
+) -> Option<GaussianGradient<T>> {
+    let g = projector.geometry(gaussians.positions[i], gaussians.shape.columns(i))?;
+    let mut one = GaussianGradient::zero();
     let opacity = gaussians.opacities[i];
     one.opacity = if faults.has(Fault::OpacityFactorMissing) { m[moment::S] } else { m[moment::S] / opacity };
     let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE | Wanted::LENS);
@@ -134,7 +138,7 @@ pub(in crate::splat) fn gradients_of_one<T: Real>(
         let [va, vb, vc] = covariance_gradient(&g, m, faults);
         let two = T::of(if faults.has(Fault::ColumnFactorMissing) { 1.0 } else { 2.0 });
         let mut by_u = g.u.map(|[x, y]| [two * (va * x + vb * y), two * (vb * x + vc * y)]);
-        if projector.filter() == Filter::Compensate && !faults.has(Fault::CompensationHeldFixed) {
+        if projector.filter == Filter::Compensate && !faults.has(Fault::CompensationHeldFixed) {
             compensation_pullback(&g, m[moment::S], &mut by_u);
         }
         let j = &g.jacobian;
@@ -157,7 +161,7 @@ pub(in crate::splat) fn gradients_of_one<T: Real>(
             }
             let (sx, sy) = (m[moment::X], m[moment::Y]);
             let by_point = [g.conic[0] * sx + g.conic[1] * sy, g.conic[1] * sx + g.conic[2] * sy];
-            let mut by_t = projector.lens_pullback(g.t, by_point, by_jacobian, faults);
+            let mut by_t = projector.lens.pullback(g.t, by_point, by_jacobian, faults);
             by_t[2] += m[moment::DEPTH];
             let back = projector.turn_back(by_t);
             one.position = [0, 1, 2].map(|k| back[k] + by_direction[k]);
@@ -165,7 +169,8 @@ pub(in crate::splat) fn gradients_of_one<T: Real>(
                 one.pose = pose_gradient(projector, g.t, &g.c, by_t, &by_c, by_direction, faults);
             }
             if wanted.any(Wanted::LENS) {
-                one.lens = projector.intrinsics_pullback(&g, by_point, by_jacobian);
+                let image = LensPoint { point: g.point, jacobian: g.jacobian };
+                one.lens = projector.lens.intrinsics_pullback(g.t, &image, by_point, by_jacobian);
             }
         }
     }
@@ -175,7 +180,7 @@ pub(in crate::splat) fn gradients_of_one<T: Real>(
 
 /// A motion of the camera turns and shifts the centre and turns the columns in camera axes; turning leaves the eye.
 #[inline(always)]
-pub(in crate::splat) fn pose_gradient<T: Real>(
+pub fn pose_gradient<T: Real>(
     projector: &Projector<T>,
     t: [T; 3],
     columns: &[[T; 3]; 3],
@@ -197,7 +202,7 @@ pub(in crate::splat) fn pose_gradient<T: Real>(
 
 /// Gradients of quaternion and scales of ellipsoid `i` from that of its columns.
 #[inline(always)]
-pub(in crate::splat) fn ellipsoid_gradient<T: Real>(
+pub fn ellipsoid_gradient<T: Real>(
     shape: &Shape<T>,
     i: usize,
     by_columns: &[[T; 3]; 3],

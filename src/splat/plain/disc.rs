@@ -16,28 +16,24 @@
 //! width of the line that the disc is on screen, which may be a hundredth of a pixel.
 //!
 //! Tiles are composited by vectorised kernels (`cpp/splat/disc.cpp`); projection, chain and the kernels' twin
-//! (`disc_tile.rs`) are plain code over [`Real`]. What all of it costs beside EWA is in `docs/performance.md`. Left out: the directions of
-//! `Rasterizer::render_tangent` (use [`crate::splat::PhaseTangent`]), intrinsics of a fisheye, `Filter::Compensate`.
+//! (`disc_tile.rs`) are plain code over [`Real`], and directions of `Rasterizer::render_tangent` take a pass in dual
+//! numbers each. What all of it costs beside EWA is in `docs/performance.md`. Left out: intrinsics of a fisheye,
+//! `Filter::Compensate`.
 
-use rayon::prelude::*;
-
-use crate::base::{Camera, Error};
 use crate::ffi::splat::rasterize::Aligned;
+use crate::splat::number::{Real, cross, dot};
+use crate::splat::types::table::{LOG2_255, SplatRow, at};
+use crate::splat::types::{Gaussians, Settings, Tiling, View};
 
-use crate::splat::number::real::Real;
-use crate::splat::pass::bins::TileBox;
-use crate::splat::pass::pool::PIECE;
-use crate::splat::pass::rasterizer::{CHUNK, Rasterizer};
-use crate::splat::plain::project::{LOG2_255, Projector, Row, at, color, columns, dot};
-use crate::splat::types::scene::{Gaussians, Settings, Shape, View};
-use crate::splat::types::tiling::Tiling;
+use super::bins::TileBox;
+use super::projector::Projector;
 
 /// A box that reaches beyond every image.
 const EVERYWHERE: f64 = 1e6;
 
 /// What the rays need to know of one disc, beside its row.
 #[derive(Clone, Copy, Debug, Default)]
-pub(in crate::splat) struct Disc<T> {
+pub struct Disc<T> {
     /// `b x t`, `t x a`, `a x b`.
     pub p: [T; 3],
     pub q: [T; 3],
@@ -47,7 +43,7 @@ pub(in crate::splat) struct Disc<T> {
     /// `t / t_z`.
     pub slope: [T; 2],
     /// Where it can be seen.
-    pub bounds: Bounds<T>,
+    pub bounds: DiscBounds<T>,
 }
 
 impl<T: Real> Disc<T> {
@@ -83,19 +79,19 @@ impl<T: Real> Disc<T> {
             n: [v[6], v[7], v[8]],
             height: v[9],
             slope: [v[10], v[11]],
-            bounds: Bounds { low: [v[12], v[13]], high: [v[14], v[15]] },
+            bounds: DiscBounds { low: [v[12], v[13]], high: [v[14], v[15]] },
         }
     }
 }
 
 /// A box on screen, in pixels.
 #[derive(Clone, Copy, Debug, Default)]
-pub(in crate::splat) struct Bounds<T> {
+pub struct DiscBounds<T> {
     pub low: [T; 2],
     pub high: [T; 2],
 }
 
-impl<T: Real> Bounds<T> {
+impl<T: Real> DiscBounds<T> {
     /// True for a point inside, or nearer to it than `margin`.
     #[inline(always)]
     pub fn holds(&self, point: [T; 2], margin: T) -> bool {
@@ -103,26 +99,8 @@ impl<T: Real> Bounds<T> {
     }
 }
 
-#[inline(always)]
-pub(in crate::splat) fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-/// Which two of the columns span the disc: all but the shortest.
-pub(in crate::splat) fn plane_of<T: Real>(shape: &Shape<T>, i: usize) -> [usize; 2] {
-    let Shape::Ellipsoids { scales, .. } = shape else { return [0, 1] };
-    let s = scales[i];
-    if s[2] <= s[0] && s[2] <= s[1] {
-        [0, 1]
-    } else if s[0] <= s[1] {
-        [1, 2]
-    } else {
-        [2, 0]
-    }
-}
-
 /// Centre and axes of Gaussian `i` in camera axes.
-pub(in crate::splat) struct Placed<T> {
+pub struct DiscInCamera<T> {
     pub t: [T; 3],
     pub a: [T; 3],
     pub b: [T; 3],
@@ -130,12 +108,12 @@ pub(in crate::splat) struct Placed<T> {
     pub offset: [T; 3],
 }
 
-impl<T: Real> Placed<T> {
-    pub fn of(projector: &Projector<T>, gaussians: &Gaussians<T>, i: usize) -> Placed<T> {
+impl<T: Real> DiscInCamera<T> {
+    pub fn of(projector: &Projector<T>, gaussians: &Gaussians<T>, i: usize) -> DiscInCamera<T> {
         let offset = [0, 1, 2].map(|k| gaussians.positions[i][k] - projector.eye[k]);
-        let columns = columns(&gaussians.shape, i);
-        let [a, b] = plane_of(&gaussians.shape, i).map(|k| projector.turn(columns[k]));
-        Placed { t: projector.turn(offset), a, b, offset }
+        let columns = gaussians.shape.columns(i);
+        let [a, b] = gaussians.shape.disc_columns(i).map(|k| projector.turn(columns[k]));
+        DiscInCamera { t: projector.turn(offset), a, b, offset }
     }
 
     pub fn disc(&self) -> Disc<T> {
@@ -146,20 +124,20 @@ impl<T: Real> Placed<T> {
             n,
             height: dot(n, t),
             slope: [t[0] / t[2], t[1] / t[2]],
-            bounds: Bounds::default(),
+            bounds: DiscBounds::default(),
         }
     }
 
     /// Corners in pixels of a box that holds every point met at less than `reach` standard deviations and at `near` or
     /// beyond.
-    fn bounds(&self, projector: &Projector<T>, reach: T) -> Bounds<T> {
-        let (t, point) = (self.t, projector.image_point(self.t));
+    fn bounds(&self, projector: &Projector<T>, reach: T) -> DiscBounds<T> {
+        let (t, point) = (self.t, projector.lens.image_of(self.t).point);
         let everywhere = T::of(EVERYWHERE);
-        let around = |half: [T; 2]| Bounds {
+        let around = |half: [T; 2]| DiscBounds {
             low: [0, 1].map(|k| point[k] - half[k].minimum(everywhere)),
             high: [0, 1].map(|k| point[k] + half[k].minimum(everywhere)),
         };
-        if let Some(stretch) = projector.fisheye_stretch() {
+        if let Some(stretch) = projector.lens.fisheye_stretch() {
             let radius = reach * (dot(self.a, self.a) + dot(self.b, self.b)).sqrt();
             let sine = radius / dot(t, t).sqrt();
             // asin(x) <= pi/2 x
@@ -168,10 +146,10 @@ impl<T: Real> Placed<T> {
         }
         let mut bounds = around([T::zero(); 2]);
         for k in 0..2 {
-            let Some([low, high]) = self.slopes(k, reach, projector.near_depth()) else {
+            let Some([low, high]) = self.slopes(k, reach, projector.near) else {
                 return around([everywhere; 2]);
             };
-            let focal = projector.focal_length()[k];
+            let focal = projector.lens.focal[k];
             bounds.low[k] = point[k] + (focal * low).maximum(-everywhere);
             bounds.high[k] = point[k] + (focal * high).minimum(everywhere);
         }
@@ -222,21 +200,21 @@ impl<T: Real> Placed<T> {
 
 impl<T: Real> Projector<T> {
     /// The row of the tables and the disc of Gaussian `i`; `None` when it cannot be seen or is not finite.
-    pub(in crate::splat) fn project_disc(&self, gaussians: &Gaussians<T>, i: usize) -> Option<(Row<T>, Disc<T>)> {
+    pub fn project_disc(&self, gaussians: &Gaussians<T>, i: usize) -> Option<(SplatRow<T>, Disc<T>)> {
         let log2_opacity = gaussians.opacities[i].log2();
         let reach = log2_opacity + T::of(LOG2_255);
         if !reach.is_finite() || reach <= T::zero() {
             return None;
         }
-        let placed = Placed::of(self, gaussians, i);
-        let in_front = placed.t[2] >= self.near_depth();
+        let placed = DiscInCamera::of(self, gaussians, i);
+        let in_front = placed.t[2] >= self.near;
         if !in_front {
             return None;
         }
         let mut disc = placed.disc();
-        let point = self.image_point(placed.t);
+        let point = self.lens.image_of(placed.t).point;
         let distance = dot(placed.offset, placed.offset).sqrt();
-        let rgb = color(gaussians, i, placed.offset.map(|v| v / distance));
+        let rgb = gaussians.color(i, placed.offset.map(|v| v / distance));
         // A sum is finite only if every term is.
         let sums = [disc.p, disc.q, disc.n, rgb].map(|v| v[0] + v[1] + v[2]);
         let sum = sums[0] + sums[1] + sums[2] + sums[3] + disc.height + point[0] + point[1];
@@ -245,7 +223,7 @@ impl<T: Real> Projector<T> {
         }
         // alpha = 1/255 at `deviations` standard deviations.
         let deviations = (T::of(2.0 * std::f64::consts::LN_2) * reach).sqrt();
-        let filter = deviations * self.filter_px2().sqrt();
+        let filter = deviations * self.dilation.sqrt();
         let met = placed.bounds(self, deviations);
         // A touch more than the bound, against rounding.
         let slack = T::of(1e-2);
@@ -261,13 +239,13 @@ impl<T: Real> Projector<T> {
             row[at::RED + k] = rgb[k].maximum(T::zero());
         }
         row[at::DEPTH] = placed.t[2];
-        let on_screen = (0..2).all(|k| disc.bounds.high[k] > T::zero() && disc.bounds.low[k] < self.image_size()[k]);
+        let on_screen = (0..2).all(|k| disc.bounds.high[k] > T::zero() && disc.bounds.low[k] < self.size[k]);
         on_screen.then_some((row, disc))
     }
 }
 
 /// Tiles that a box meets.
-fn tiles_of<T: Real>(bounds: &Bounds<T>, tiling: &Tiling) -> TileBox {
+pub fn tiles_of<T: Real>(bounds: &DiscBounds<T>, tiling: &Tiling) -> TileBox {
     let half = T::of(0.5);
     let mut row = [T::zero(); 16];
     for k in 0..2 {
@@ -280,7 +258,7 @@ fn tiles_of<T: Real>(bounds: &Bounds<T>, tiling: &Tiling) -> TileBox {
 
 /// What every pixel of a view has in common.
 #[derive(Clone, Copy, Debug)]
-pub struct Optics<'a, T> {
+pub struct DiscOptics<'a, T> {
     /// Ray of each pixel in camera axes, row by row.
     pub rays: &'a [[T; 3]],
     pub size: [usize; 2],
@@ -291,72 +269,17 @@ pub struct Optics<'a, T> {
     pub filter: Option<T>,
 }
 
-/// The rays of a camera, kept from pass to pass.
-#[derive(Clone, Debug, Default)]
-pub(in crate::splat) struct Rays<T> {
-    camera: Option<Camera>,
-    directions: Vec<[T; 3]>,
-}
-
-impl<T: Real> Rays<T> {
-    fn of(&mut self, camera: &Camera) {
-        if self.camera.as_ref() == Some(camera) {
-            return;
-        }
-        let width = camera.width as usize;
-        self.directions.resize(width * camera.height as usize, [T::zero(); 3]);
-        self.directions.par_chunks_mut(width).enumerate().for_each(|(y, line)| {
-            for (x, ray) in line.iter_mut().enumerate() {
-                let pixel = glam::DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-                *ray = camera.direction(pixel).to_array().map(T::of);
-            }
-        });
-        self.camera = Some(*camera);
-    }
-}
-
-impl<T: Real> Rasterizer<T> {
-    /// Projects all active discs: rows, boxes, visibility.
-    pub(in crate::splat) fn project_discs(&mut self, gaussians: &Gaussians<T>, projector: &Projector<T>, view: &View) {
-        self.rays.of(&view.camera);
-        let tiling = Tiling::of(view.size());
-        let n = self.rendered.visible.len();
-        self.discs.resize(n, Aligned::default());
-        let active = self.active.as_deref();
-        let tables = self.rows[..n].par_chunks_mut(CHUNK).zip(self.boxes.par_chunks_mut(CHUNK));
-        let tables = tables.zip(self.rendered.visible.par_chunks_mut(CHUNK)).zip(self.discs.par_chunks_mut(CHUNK));
-        tables.zip(self.keys.par_chunks_mut(CHUNK)).enumerate().with_max_len(PIECE).for_each(
-            |(chunk, ((((rows, boxes), visible), discs), keys))| {
-                for k in 0..rows.len() {
-                    let j = chunk * CHUNK + k;
-                    let i = active.map_or(j, |list| list[j] as usize);
-                    let found = projector.project_disc(gaussians, i);
-                    visible[k] = found.is_some();
-                    if let Some((row, disc)) = found {
-                        boxes[k] = tiles_of(&disc.bounds, &tiling).pack();
-                        keys[k] = projector.key(gaussians.positions[i]);
-                        (rows[k].0, discs[k]) = (row, disc.pack());
-                    }
-                }
-            },
-        );
-    }
-
-    /// The optics of the last view.
-    pub(in crate::splat) fn optics(&self, view: &View, settings: &Settings) -> Optics<'_, T> {
+impl<'a, T: Real> DiscOptics<'a, T> {
+    /// The optics of a view, whose rays are `rays`.
+    pub fn new(view: &View, settings: &Settings, rays: &'a [[T; 3]]) -> Self {
         let camera = &view.camera;
         let per_pixel = [camera.fl_x, camera.fl_y].map(|f| T::of(1.0 / f));
-        Optics {
-            rays: &self.rays.directions,
-            size: [camera.width as usize, camera.height as usize],
+        DiscOptics {
+            rays,
+            size: view.size(),
             per_pixel: camera.fisheye.is_none().then_some(per_pixel),
             near: T::of(settings.near_mm),
             filter: (settings.dilation_px2 > 0.0).then(|| T::of(1.0 / settings.dilation_px2)),
         }
     }
-}
-
-/// Errors for what this mode does not differentiate.
-pub(in crate::splat) fn refuse_fisheye_lens() -> Error {
-    Error::input("the intrinsics of a fisheye have no gradient with exact discs")
 }

@@ -1,32 +1,29 @@
-//! From the sums of one exact disc to the gradients of its Gaussian and of the camera; symbols as in `disc_mode.rs`.
+//! From the sums of one exact disc to the gradients of its Gaussian and of the camera; symbols as in `disc.rs`.
 
-use crate::splat::number::real::Real;
-use crate::splat::plain::chain::{One, by_view_direction, color_gradient, pose_gradient};
-use crate::splat::plain::disc::{Placed, cross, plane_of};
-use crate::splat::plain::disc_tile::{Sums, sum};
-use crate::splat::plain::fault::{Fault, Faults};
-use crate::splat::plain::project::{Projector, dot};
-use crate::splat::types::scene::{Gaussians, Wanted};
+use crate::splat::number::{Real, add, cross, dot};
+use crate::splat::types::table::{DiscSums, disc_sum as sum};
+use crate::splat::types::{Gaussians, Wanted};
 
-fn add<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
-    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
-}
+use super::chain::{GaussianGradient, by_view_direction, color_gradient, pose_gradient};
+use super::disc::DiscInCamera;
+use super::fault::{Fault, Faults};
+use super::projector::Projector;
 
 /// Gradients of Gaussian `i` from its sums `m`, those of the SH into `by_sh` (empty if not wanted); `None` where a number
 /// is not finite.
-pub(in crate::splat) fn gradients_of_disc<T: Real>(
+pub fn gradients_of_disc<T: Real>(
     projector: &Projector<T>,
     gaussians: &Gaussians<T>,
     i: usize,
-    m: &Sums<T>,
+    m: &DiscSums<T>,
     wanted: Wanted,
     by_sh: &mut [T],
     faults: impl Faults,
-) -> Option<One<T>> {
-    let placed = Placed::of(projector, gaussians, i);
+) -> Option<GaussianGradient<T>> {
+    let placed = DiscInCamera::of(projector, gaussians, i);
     let (t, a, b) = (placed.t, placed.a, placed.b);
     let disc = placed.disc();
-    let mut one = One::zero();
+    let mut one = GaussianGradient::zero();
     let opacity = gaussians.opacities[i];
     one.opacity = if faults.has(Fault::OpacityFactorMissing) { m[sum::S] } else { m[sum::S] / opacity };
     let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE | Wanted::LENS);
@@ -45,7 +42,7 @@ pub(in crate::splat) fn gradients_of_disc<T: Real>(
     // P = b x t, Q = t x a, N = a x b.
     let by_a = add(cross(by_q, t), cross(b, by_n));
     let by_b = add(cross(t, by_p), cross(by_n, a));
-    let [first, second] = plane_of(&gaussians.shape, i);
+    let [first, second] = gaussians.shape.disc_columns(i);
     let mut by_columns = [[T::zero(); 3]; 3];
     (by_columns[first], by_columns[second]) = (by_a, by_b);
     if wanted.any(Wanted::SHAPES) {
@@ -60,10 +57,10 @@ pub(in crate::splat) fn gradients_of_disc<T: Real>(
             by_t[k] += disc.n[k] * m[sum::HEIGHT];
         }
         by_t[2] += m[sum::DEPTH];
-        let filtered = projector.filter_px2() > T::zero() && !faults.has(Fault::FilterCenterHeldFixed);
-        let over_variance = if filtered { T::one() / projector.filter_px2() } else { T::zero() };
+        let filtered = projector.dilation > T::zero() && !faults.has(Fault::FilterCenterHeldFixed);
+        let over_variance = if filtered { T::one() / projector.dilation } else { T::zero() };
         let by_point = [m[sum::FILTER] * over_variance, m[sum::FILTER + 1] * over_variance];
-        let through_filter = projector.lens_pullback(t, by_point, [[T::zero(); 3]; 2], faults);
+        let through_filter = projector.lens.pullback(t, by_point, [[T::zero(); 3]; 2], faults);
         by_t = add(by_t, through_filter);
         one.position = add(projector.turn_back(by_t), by_direction);
         if wanted.any(Wanted::POSE) {
@@ -80,18 +77,18 @@ pub(in crate::splat) fn gradients_of_disc<T: Real>(
 }
 
 /// Gradients of the intrinsics of a pinhole: the rays of the pixels turn, and the centre on screen moves.
-fn lens<T: Real>(projector: &Projector<T>, placed: &Placed<T>, m: &Sums<T>, by_point: [T; 2]) -> [T; 4] {
+fn lens<T: Real>(projector: &Projector<T>, placed: &DiscInCamera<T>, m: &DiscSums<T>, by_point: [T; 2]) -> [T; 4] {
     let (t, disc) = (placed.t, placed.disc());
-    let point = projector.image_point(t);
+    let point = projector.lens.image_of(t).point;
     let mut out = [T::zero(); 4];
     for k in 0..2 {
-        let focal = projector.focal_length()[k];
+        let focal = projector.lens.focal[k];
         // Sums over the pixels of the gradients of P.d, Q.d, N.d with d_x (or d_y), and with d_z = 1.
         let p = m[sum::P + k] + disc.slope[k] * m[sum::P_ALONG];
         let q = m[sum::Q + k] + disc.slope[k] * m[sum::Q_ALONG];
         let spread = disc.p[k] * p + disc.q[k] * q + disc.n[k] * m[sum::N + k];
         let along = disc.p[k] * m[sum::P_ALONG] + disc.q[k] * m[sum::Q_ALONG] + disc.n[k] * m[sum::N + 2];
-        let center = projector.center()[k];
+        let center = projector.lens.center[k];
         out[k] = ((point[k] - center) * by_point[k] - spread) / focal;
         out[2 + k] = by_point[k] - along / focal;
     }

@@ -1,6 +1,6 @@
 //! Faults seeded into the plain backward pass, so that the check of the gradients can be checked: each is a mistake that
 //! was made in a public rasteriser or is easily made, and each must be caught by the same finite differences that guard
-//! the sound code (`gradient_check.rs`). The sound pass carries [`Sound`], which has no size and no fault: the compiler
+//! the sound code (`check/gradient_check.rs`). The sound pass carries [`Sound`], which has no size and no fault: the compiler
 //! removes every question.
 
 /// A mistake in the backward pass.
@@ -72,7 +72,7 @@ impl Fault {
 }
 
 /// Which faults a backward pass has.
-pub(in crate::splat) trait Faults: Copy + Send + Sync {
+pub trait Faults: Copy + Send + Sync {
     /// Whether it has this one.
     fn has(self, fault: Fault) -> bool;
     /// Whether it has none, and the vectorised kernels may do its work.
@@ -81,7 +81,7 @@ pub(in crate::splat) trait Faults: Copy + Send + Sync {
 
 /// None.
 #[derive(Clone, Copy)]
-pub(in crate::splat) struct Sound;
+pub struct Sound;
 
 impl Faults for Sound {
     #[inline(always)]

@@ -1,89 +1,57 @@
 //! Lenses: where a point in camera axes comes to lie, the Jacobian there, and the way back. Pinhole, with the Jacobian taken
 //! at a clamped point as in 3DGS, and OpenCV's fisheye model. The symbols are those of `project.rs`.
 
-use crate::splat::number::dual::Dual;
-use crate::splat::number::real::Real;
-use crate::splat::plain::fault::{Fault, Faults};
-use crate::splat::plain::project::{Geometry, Projector, dot};
+use crate::base::Camera;
+use crate::splat::number::{Dual, Real, dot};
 
-/// Image point, Jacobian rows, and whether x and y were clamped in the Jacobian.
-pub(in crate::splat) struct Lens<T> {
+use super::fault::{Fault, Faults};
+
+/// The image of a point in camera axes (pixels), and the rows of the Jacobian there.
+pub struct LensPoint<T> {
     pub point: [T; 2],
     pub jacobian: [[T; 3]; 2],
 }
 
-/// The camera in double: where splats stand is computed with it and then rounded. Rounded cameras and centres were the
-/// largest part of the error of single precision: all splats shift together, and alphas cross 1/255.
+/// The intrinsics of a camera.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::splat) struct Exact {
-    pub rotation: [[f64; 3]; 3],
-    pub eye: [f64; 3],
-    pub focal: [f64; 2],
-    pub center: [f64; 2],
-    pub fisheye: Option<[f64; 4]>,
+pub struct Lens<T> {
+    /// Focal lengths in pixels.
+    pub focal: [T; 2],
+    /// Principal point in pixels.
+    pub center: [T; 2],
+    /// Bound on `|x / z|` and `|y / z|` in the Jacobian of a pinhole: 1.3 times the half field of view.
+    pub limit: [T; 2],
+    /// Coefficients `k1..k4` of a fisheye; `None` for a pinhole.
+    pub fisheye: Option<[T; 4]>,
+    /// Of a fisheye, [`largest_stretch`].
+    stretch: Option<T>,
 }
 
-impl Exact {
-    /// A position in camera axes.
-    #[inline(always)]
-    pub fn seen(&self, position: [f64; 3]) -> [f64; 3] {
-        let d = [0, 1, 2].map(|k| position[k] - self.eye[k]);
-        self.rotation.map(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2])
-    }
-
-    /// Its image.
-    #[inline(always)]
-    pub fn point(&self, t: [f64; 3]) -> [f64; 2] {
-        match self.fisheye {
-            None => [0, 1].map(|k| self.focal[k] * (t[k] / t[2]) + self.center[k]),
-            Some(k) => fisheye(t, self.focal, self.center, k).point,
+impl<T: Real> Lens<T> {
+    /// The lens of a camera.
+    pub fn new(camera: &Camera) -> Self {
+        let (width, height) = (camera.width as f64, camera.height as f64);
+        Lens {
+            focal: [T::of(camera.fl_x), T::of(camera.fl_y)],
+            center: [T::of(camera.cx), T::of(camera.cy)],
+            limit: [T::of(1.3 * 0.5 * width / camera.fl_x), T::of(1.3 * 0.5 * height / camera.fl_y)],
+            fisheye: camera.fisheye.map(|k| k.map(T::of)),
+            stretch: camera.fisheye.map(|k| T::of(largest_stretch(k))),
         }
     }
 
-    /// The cone outside of which a splat lies beside the image for sure: cosine and sine of its half angle, and `reach`,
-    /// such that with `r` the distance from the axis and `s` the largest standard deviation of the Gaussian (mm),
-    /// `cosine r - sine z >= 3.34 reach s` is beside. All 0, which is never true, where no such cone exists before the
-    /// camera.
-    ///
-    /// A splat reaches 3.34 standard deviations on the image along each axis, which are no more than `stretch s / distance`
-    /// and the dilation (in units of the focal length); it misses the image where its centre is farther from every pixel
-    /// than sqrt(2) times that, and beyond the cone the image point moves out with the angle by at least `slope`.
-    pub fn cone(&self, lens: [f64; 4], size: [f64; 2], dilation: f64) -> [f64; 3] {
-        const STEPS: usize = 1000;
-        let corner = [0, 1].map(|k| self.center[k].abs().max((size[k] - self.center[k]).abs()) / self.focal[k]);
-        let filter = 3.34 * dilation.sqrt() + 0.01;
-        let edge = corner[0].hypot(corner[1]) + std::f64::consts::SQRT_2 * filter / self.focal[0].min(self.focal[1]);
-        let angle = |step: usize| step as f64 / STEPS as f64 * std::f64::consts::FRAC_PI_2;
-        // The last angle whose image is not yet beyond the edge.
-        let Some(last) = (0..=STEPS).rev().find(|&step| distorted_angle(angle(step), lens).0 <= edge) else {
-            return [0.0; 3];
-        };
-        let slope = (last..=STEPS).map(|step| distorted_angle(angle(step), lens).1).fold(f64::INFINITY, f64::min);
-        if last + 1 >= STEPS || slope < 0.05 {
-            return [0.0; 3];
-        }
-        let (sine, cosine) = angle(last + 1).sin_cos();
-        [cosine, sine, std::f64::consts::SQRT_2 * largest_stretch(lens) / (0.99 * slope)]
-    }
-
-    /// As the kernels take it (`Scene::camera` of `cpp/splat/kernel.h`).
-    pub fn numbers(&self) -> [f64; 20] {
-        let mut out = [0.0; 20];
-        let lens = self.fisheye.unwrap_or_default();
-        let all = self.rotation.as_flattened().iter().chain(&self.eye).chain(&self.focal).chain(&self.center);
-        let all = all.chain(&lens);
-        out.iter_mut().zip(all).for_each(|(place, v)| *place = *v);
-        out
-    }
-}
-
-impl<T: Real> Projector<T> {
+    /// The image of `t`, a point in camera axes.
     #[inline(always)]
-    pub(in crate::splat) fn lens(&self, t: [T; 3]) -> Lens<T> {
+    pub fn image_of(&self, t: [T; 3]) -> LensPoint<T> {
         match self.fisheye {
             None => self.pinhole(t),
             Some(k) => fisheye(t, self.focal, self.center, k),
         }
+    }
+
+    /// Pixels per radian that a fisheye has at most before the camera, along both axes; `None` for a pinhole.
+    pub fn fisheye_stretch(&self) -> Option<[T; 2]> {
+        self.stretch.map(|s| self.focal.map(|f| f * s))
     }
 
     #[inline(always)]
@@ -92,11 +60,11 @@ impl<T: Real> Projector<T> {
     }
 
     #[inline(always)]
-    fn pinhole(&self, t: [T; 3]) -> Lens<T> {
+    fn pinhole(&self, t: [T; 3]) -> LensPoint<T> {
         let [fx, fy] = self.focal;
         let rz = T::one() / t[2];
         let [ux, uy] = self.clamped(t, rz);
-        Lens {
+        LensPoint {
             point: [fx * t[0] * rz + self.center[0], fy * t[1] * rz + self.center[1]],
             jacobian: [[fx * rz, T::zero(), -fx * ux * rz], [T::zero(), fy * rz, -fy * uy * rz]],
         }
@@ -104,13 +72,7 @@ impl<T: Real> Projector<T> {
 
     /// Gradient with respect to `t` of a loss with gradients `point` and `jacobian`.
     #[inline(always)]
-    pub(in crate::splat) fn lens_pullback(
-        &self,
-        t: [T; 3],
-        point: [T; 2],
-        jacobian: [[T; 3]; 2],
-        faults: impl Faults,
-    ) -> [T; 3] {
+    pub fn pullback(&self, t: [T; 3], point: [T; 2], jacobian: [[T; 3]; 2], faults: impl Faults) -> [T; 3] {
         match self.fisheye {
             None => self.pinhole_pullback(t, point, jacobian, faults),
             Some(k) => {
@@ -153,16 +115,22 @@ impl<T: Real> Projector<T> {
         out
     }
 
-    /// Gradients of `fl_x`, `fl_y`, `cx`, `cy` of a loss with gradients `by_point` and `by_jacobian` at `t`. Both are
-    /// proportional to the focal lengths; where the pinhole's Jacobian is clamped, its third column is not.
+    /// Gradients of `fl_x`, `fl_y`, `cx`, `cy` of a loss with gradients `by_point` and `by_jacobian` of `image`, the image of
+    /// `t`. Both are proportional to the focal lengths; where the pinhole's Jacobian is clamped, its third column is not.
     #[inline(always)]
-    pub fn intrinsics_pullback(&self, g: &Geometry<T>, by_point: [T; 2], by_jacobian: [[T; 3]; 2]) -> [T; 4] {
+    pub fn intrinsics_pullback(
+        &self,
+        t: [T; 3],
+        image: &LensPoint<T>,
+        by_point: [T; 2],
+        by_jacobian: [[T; 3]; 2],
+    ) -> [T; 4] {
         let mut out = [T::zero(), T::zero(), by_point[0], by_point[1]];
         for k in 0..2 {
-            let j = g.jacobian[k];
-            let mut slope = (g.point[k] - self.center[k]) * by_point[k] + dot(j, by_jacobian[k]);
-            let ratio = g.t[k] / g.t[2];
-            if self.is_pinhole() && (ratio > self.limit[k] || ratio < -self.limit[k]) {
+            let j = image.jacobian[k];
+            let mut slope = (image.point[k] - self.center[k]) * by_point[k] + dot(j, by_jacobian[k]);
+            let ratio = t[k] / t[2];
+            if self.fisheye.is_none() && (ratio > self.limit[k] || ratio < -self.limit[k]) {
                 slope -= j[2] * by_jacobian[k][2];
             }
             out[k] = slope / self.focal[k];
@@ -173,7 +141,7 @@ impl<T: Real> Projector<T> {
 
 /// Largest factor between an angle before the camera (up to 90 degrees off its axis) and its image at focal length 1,
 /// along the meridian or across it, with 5 % of room.
-pub(in crate::splat) fn largest_stretch(lens: [f64; 4]) -> f64 {
+pub fn largest_stretch(lens: [f64; 4]) -> f64 {
     let factors = (1..=90).map(|degrees| {
         let theta = f64::from(degrees).to_radians();
         let (distorted, slope) = distorted_angle(theta, lens);
@@ -183,7 +151,7 @@ pub(in crate::splat) fn largest_stretch(lens: [f64; 4]) -> f64 {
 }
 
 /// `theta_d` of an angle, and its derivative.
-fn distorted_angle(theta: f64, [k1, k2, k3, k4]: [f64; 4]) -> (f64, f64) {
+pub fn distorted_angle(theta: f64, [k1, k2, k3, k4]: [f64; 4]) -> (f64, f64) {
     let t2 = theta * theta;
     let slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)));
     (theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))), slope)
@@ -191,7 +159,7 @@ fn distorted_angle(theta: f64, [k1, k2, k3, k4]: [f64; 4]) -> (f64, f64) {
 
 /// OpenCV's fisheye model: `theta_d = theta (1 + k1 theta^2 + ..)`, image point `f (x, y) theta_d / r + c`, and its
 /// Jacobian. No clamp: the model itself bounds the angle.
-fn fisheye<T: Real>([x, y, z]: [T; 3], focal: [T; 2], center: [T; 2], [k1, k2, k3, k4]: [T; 4]) -> Lens<T> {
+pub fn fisheye<T: Real>([x, y, z]: [T; 3], focal: [T; 2], center: [T; 2], [k1, k2, k3, k4]: [T; 4]) -> LensPoint<T> {
     let (rr, one) = (x * x + y * y, T::one());
     let zz = z * z;
     let w_plain = one / (rr + zz);
@@ -218,7 +186,7 @@ fn fisheye<T: Real>([x, y, z]: [T; 3], focal: [T; 2], center: [T; 2], [k1, k2, k
         (s, q, w)
     };
     let [fx, fy] = focal;
-    Lens {
+    LensPoint {
         point: [fx * x * s + center[0], fy * y * s + center[1]],
         jacobian: [
             [fx * (s + x * x * q), fx * x * y * q, -fx * x * w],

@@ -4,35 +4,31 @@
 //! peak `t = d . S c / d . S d` of an ellipsoid (S inverse covariance, d ray, c centre, both in camera axes). These
 //! depths are averaged with the weights of the image. A centre can be millimetres off at a pixel that its disc covers:
 //! on a wall seen at a grazing angle that is a bias of tens of percent.
-//! Forward only (`sight.rs`): it runs once per finished frame, not in an optimisation.
+//! Forward only (`pass/pixel_walk.rs`): it runs once per finished frame, not in an optimisation.
 
-use crate::splat::number::real::Real;
-use crate::splat::types::scene::{Gaussians, Shape, View};
+use crate::splat::number::{Real, dot};
+use crate::splat::types::{Gaussians, Shape, View};
 
 /// A splat is not followed beyond this many times its centre's depth, nor nearer than the inverse: only edge-on planes
 /// would be.
 const FARTHEST: f64 = 4.0;
 
 /// One splat in camera axes.
-pub(in crate::splat) struct Body {
-    kind: Kind,
+pub struct SplatSurface {
+    kind: SurfaceKind,
     /// z-depth of the centre in mm.
     center: f64,
 }
 
-enum Kind {
+enum SurfaceKind {
     /// Normal and its product with the centre.
     Plane([f64; 3], f64),
     /// The axes over their standard deviations (rows of `diag(1 / s) R^T`), and the centre in them.
     Ellipsoid([[f64; 3]; 3], [f64; 3]),
 }
 
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-impl Body {
-    pub fn of<T: Real>(gaussians: &Gaussians<T>, i: usize, view: &View) -> Body {
+impl SplatSurface {
+    pub fn of<T: Real>(gaussians: &Gaussians<T>, i: usize, view: &View) -> SplatSurface {
         let turn = |v: glam::DVec3| view.camera_from_world.transform_vector3(v).to_array();
         let wide = |v: [T; 3]| glam::DVec3::from_array(v.map(|c| c.to_f64()));
         let center = view.camera_from_world.transform_point3(wide(gaussians.positions[i])).to_array();
@@ -41,7 +37,7 @@ impl Body {
                 let [a, b] = axes[i].map(|axis| turn(wide(axis)));
                 let normal =
                     glam::DVec3::from_array(a).cross(glam::DVec3::from_array(b)).normalize_or_zero().to_array();
-                Body { kind: Kind::Plane(normal, dot(normal, center)), center: center[2] }
+                SplatSurface { kind: SurfaceKind::Plane(normal, dot(normal, center)), center: center[2] }
             }
             Shape::Ellipsoids { rotations, scales } => {
                 let [w, x, y, z] = rotations[i].map(|c| c.to_f64());
@@ -51,7 +47,7 @@ impl Body {
                 // R / s, from R s.
                 let form: [[f64; 3]; 3] = std::array::from_fn(|k| axes[k].map(|v| v / (size[k] * size[k])));
                 let local = std::array::from_fn(|k| dot(form[k], center));
-                Body { kind: Kind::Ellipsoid(form, local), center: center[2] }
+                SplatSurface { kind: SurfaceKind::Ellipsoid(form, local), center: center[2] }
             }
         }
     }
@@ -59,8 +55,8 @@ impl Body {
     /// z-depth at the ray `d`.
     pub fn depth(&self, d: [f64; 3]) -> f64 {
         let along = match &self.kind {
-            Kind::Plane(normal, height) => height / dot(*normal, d),
-            Kind::Ellipsoid(form, local) => {
+            SurfaceKind::Plane(normal, height) => height / dot(*normal, d),
+            SurfaceKind::Ellipsoid(form, local) => {
                 let u: [f64; 3] = std::array::from_fn(|k| dot(form[k], d));
                 dot(u, *local) / dot(u, u)
             }
@@ -75,8 +71,7 @@ impl Body {
 mod tests {
     use super::*;
     use crate::base::Camera;
-    use crate::splat::Rasterizer;
-    use crate::splat::types::scene::{DepthOutput, Settings};
+    use crate::splat::{DepthOutput, Rasterizer, Settings};
     use glam::{DAffine3, DVec2};
 
     /// A floor of discs 2 mm below the camera: the depth image must be the floor's, not a mean of centres.

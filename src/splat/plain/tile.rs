@@ -12,36 +12,12 @@
 //! A tile is 16 blocks of 4x4 pixels, numbered down the columns (`tile.rs`); per-pixel tables go block
 //! by block.
 
-use crate::ffi::isa::Isa;
-use crate::ffi::splat::rasterize::{self as native, Aligned, Slots};
+use crate::ffi::splat::rasterize::Aligned;
+use crate::splat::number::Real;
+use crate::splat::types::table::{PLANES, SplatRow, at, moment};
+use crate::splat::types::{PIXELS, pixel_of};
 
-use crate::splat::number::real::Real;
-use crate::splat::plain::fault::{Fault, Faults};
-use crate::splat::plain::project::{Row, at};
-use crate::splat::types::tiling::TILE_SIDE;
-
-/// Pixels of a tile.
-pub const PIXELS: usize = TILE_SIDE * TILE_SIDE;
-/// The mask of an entry that may touch every block.
-pub const ALL_BLOCKS: u16 = 0xffff;
-/// Planes of a tile's state (red, green, blue, depth, transmittance) and of its adjoint (the same, then `behind`).
-pub const PLANES: usize = 5;
-/// Planes of the velocity of a tile along a direction: red, green, blue, transmittance.
-pub const MOVING: usize = 4;
-/// Directions that one pass of the vectorised kernels carries.
-pub const TOGETHER: usize = 4;
-
-/// Columns of the moments of one entry.
-pub mod moment {
-    pub const S: usize = 0;
-    pub const X: usize = 1;
-    pub const Y: usize = 2;
-    pub const XX: usize = 3;
-    pub const XY: usize = 4;
-    pub const YY: usize = 5;
-    pub const DEPTH: usize = 6;
-    pub const RED: usize = 8;
-}
+use super::fault::{Fault, Faults};
 
 /// What a kernel computes beyond colour; the bits that C++ knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,7 +54,7 @@ pub struct Adjoint<T>(pub [T; PLANES * PIXELS]);
 pub struct ForwardTile<'a, T> {
     pub rows: &'a [Aligned<T>],
     pub entries: &'a [u32],
-    /// Out: blocks that an entry may touch, 0 for entries nobody looked at.
+    /// Out: blocks that an entry may touch, 0 for entries that no pixel came to.
     pub masks: &'a mut [u16],
     /// Upper left corner in pixels.
     pub corner: [usize; 2],
@@ -100,51 +76,8 @@ pub struct BackwardTile<'a, T> {
     pub parts: Parts,
 }
 
-/// Pixel (column, row) within the tile of index `p` of the per-pixel tables.
-pub fn pixel_of(p: usize) -> (usize, usize) {
-    let (block, lane) = (p / 16, p % 16);
-    (4 * (block / 4) + lane % 4, 4 * (block % 4) + lane / 4)
-}
-
-/// Index in the per-pixel tables of the pixel (column, row) of a tile: the inverse of [`pixel_of`].
-pub fn index_of(column: usize, line: usize) -> usize {
-    16 * (4 * (column / 4) + line / 4) + 4 * (line % 4) + column % 4
-}
-
-fn corner_f32(corner: [usize; 2]) -> [f32; 2] {
-    corner.map(|v| v as f32)
-}
-
-/// Runs the C++ kernel of `isa`, with the velocities of the pixels along as many directions as `moving` has room for;
-/// `false` when the plain twin is asked for.
-pub fn vector_forward(isa: Isa, t: &mut ForwardTile<'_, f32>, velocities: &[[f32; 8]], moving: &mut [f32]) -> bool {
-    if isa != Isa::Scalar {
-        let corner = corner_f32(t.corner);
-        native::forward(
-            isa,
-            t.rows,
-            t.entries,
-            t.masks,
-            corner,
-            ALL_BLOCKS,
-            t.state,
-            t.parts.bits(),
-            velocities,
-            moving,
-        );
-    }
-    isa != Isa::Scalar
-}
-
-/// Backward of [`vector_forward`].
-pub fn vector_backward(isa: Isa, t: &BackwardTile<'_, f32>, slots: &Slots<'_>) {
-    let (corner, parts) = (corner_f32(t.corner), t.parts.bits());
-    let &BackwardTile { rows, entries, masks, targets, adjoint, .. } = t;
-    native::backward(isa, &native::Backward { rows, entries, masks, targets, corner, adjoint }, slots, parts);
-}
-
 /// Blocks whose pixel centres the ellipse `alpha >= 1/255` can reach: its x-extent over each band of 4 pixel rows.
-fn block_mask<T: Real>(q: &Row<T>, corner: [T; 2]) -> u16 {
+fn block_mask<T: Real>(q: &SplatRow<T>, corner: [T; 2]) -> u16 {
     let (half, three) = (T::of(0.5), T::of(3.0));
     let slack = T::of(1e-3) + T::of(1e-5) * (q[at::HALF_WIDTH] + q[at::HALF_HEIGHT]);
     let limit = q[at::HALF_HEIGHT] + slack;
@@ -177,13 +110,13 @@ fn block_mask<T: Real>(q: &Row<T>, corner: [T; 2]) -> u16 {
 }
 
 /// Offset of pixel `p` from the splat, `2^exponent`, and the alpha that is blended (0 below 1/255).
-struct Sample<T> {
+struct AlphaSample<T> {
     offset: [T; 2],
     raw: T,
     alpha: T,
 }
 
-fn sample<T: Real>(q: &Row<T>, corner: [usize; 2], p: usize) -> Option<Sample<T>> {
+fn evaluate_alpha<T: Real>(q: &SplatRow<T>, corner: [usize; 2], p: usize) -> Option<AlphaSample<T>> {
     let (column, line) = pixel_of(p);
     let dx = T::of((corner[0] + column) as f64 + 0.5) - q[at::X] - q[at::X_REST];
     let dy = T::of((corner[1] + line) as f64 + 0.5) - q[at::Y] - q[at::Y_REST];
@@ -194,16 +127,16 @@ fn sample<T: Real>(q: &Row<T>, corner: [usize; 2], p: usize) -> Option<Sample<T>
     }
     let raw = exponent.exp2();
     let alpha = raw.minimum(T::of(0.99));
-    (alpha >= T::of(1.0 / 255.0)).then_some(Sample { offset: [dx, dy], raw, alpha })
+    (alpha >= T::of(1.0 / 255.0)).then_some(AlphaSample { offset: [dx, dy], raw, alpha })
 }
 
 /// What the splat of `row` blends at pixel `p` of the tile at `corner`, `None` below 1/255.
-pub fn alpha_at<T: Real>(row: &Row<T>, corner: [usize; 2], p: usize) -> Option<T> {
-    sample(row, corner, p).map(|s| s.alpha)
+pub fn alpha_at<T: Real>(row: &SplatRow<T>, corner: [usize; 2], p: usize) -> Option<T> {
+    evaluate_alpha(row, corner, p).map(|s| s.alpha)
 }
 
 /// Composites one tile, pixel by pixel.
-pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
+pub fn forward<T: Real>(t: &mut ForwardTile<'_, T>) {
     let corner = t.corner.map(|v| T::of(v as f64));
     for (mask, &entry) in t.masks.iter_mut().zip(t.entries).filter(|_| !t.parts.known) {
         *mask = block_mask(&t.rows[entry as usize].0, corner);
@@ -219,7 +152,7 @@ pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
                 continue;
             }
             let q = &t.rows[entry as usize].0;
-            let Some(Sample { alpha, .. }) = sample(q, t.corner, p) else { continue };
+            let Some(AlphaSample { alpha, .. }) = evaluate_alpha(q, t.corner, p) else { continue };
             let next = left - alpha * left;
             if next <= stop {
                 break;
@@ -241,7 +174,7 @@ pub fn scalar_forward<T: Real>(t: &mut ForwardTile<'_, T>) {
 }
 
 /// Carries the gradient of one tile to the moments of its entries, one row for each.
-pub fn scalar_backward<T: Real>(t: &BackwardTile<'_, T>, faults: impl Faults) -> Vec<Aligned<T>> {
+pub fn backward<T: Real>(t: &BackwardTile<'_, T>, faults: impl Faults) -> Vec<Aligned<T>> {
     let mut slots = vec![Aligned([T::zero(); 16]); t.entries.len()];
     let mut left = [T::one(); PIXELS];
     let mut behind = [T::zero(); PIXELS];
@@ -251,7 +184,7 @@ pub fn scalar_backward<T: Real>(t: &BackwardTile<'_, T>, faults: impl Faults) ->
         let q = &t.rows[entry as usize].0;
         let mut sums = [T::zero(); 16];
         for p in (0..PIXELS).filter(|p| t.masks[i] >> (p / 16) & 1 == 1) {
-            let Some(Sample { offset: [dx, dy], raw, alpha }) = sample(q, t.corner, p) else { continue };
+            let Some(AlphaSample { offset: [dx, dy], raw, alpha }) = evaluate_alpha(q, t.corner, p) else { continue };
             let now = left[p];
             let next = now - alpha * now;
             if next <= stop {

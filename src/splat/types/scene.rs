@@ -1,12 +1,10 @@
-//! What goes in and what comes out: Gaussians, view, settings, images, gradients.
-
-use std::ops::BitOr;
+//! What is rendered, and from where.
 
 use glam::DAffine3;
 
 use crate::base::{Camera, Error, Result};
 
-use crate::splat::number::real::Real;
+use crate::splat::number::{Real, normalized, rotation_columns, sh};
 
 /// How the spread of each Gaussian is given.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,6 +40,36 @@ pub struct Gaussians<T> {
     pub sh_degree: u8,
 }
 
+impl<T: Real> Shape<T> {
+    /// Square root of the covariance of Gaussian `i`, column by column, in mm (the third of a disc is 0).
+    #[inline(always)]
+    pub(in crate::splat) fn columns(&self, i: usize) -> [[T; 3]; 3] {
+        match self {
+            Shape::Ellipsoids { rotations, scales } => {
+                let mut columns = rotation_columns(normalized(rotations[i]).0);
+                for (column, scale) in columns.iter_mut().zip(scales[i]) {
+                    *column = column.map(|v| v * scale);
+                }
+                columns
+            }
+            Shape::Discs { axes } => [axes[i][0], axes[i][1], [T::zero(); 3]],
+        }
+    }
+
+    /// Which two of the columns span Gaussian `i` as a disc: all but the shortest.
+    pub(in crate::splat) fn disc_columns(&self, i: usize) -> [usize; 2] {
+        let Shape::Ellipsoids { scales, .. } = self else { return [0, 1] };
+        let s = scales[i];
+        if s[2] <= s[0] && s[2] <= s[1] {
+            [0, 1]
+        } else if s[0] <= s[1] {
+            [1, 2]
+        } else {
+            [2, 0]
+        }
+    }
+}
+
 impl<T: Real> Gaussians<T> {
     /// `n` discs at the origin, black to grey: to be filled by [`crate::splat::Anchors::place`].
     pub fn discs(n: usize, sh_degree: u8, opacity: T) -> Self {
@@ -68,6 +96,19 @@ impl<T: Real> Gaussians<T> {
     /// Values of `sh` that belong to one Gaussian.
     pub fn sh_stride(&self) -> usize {
         (self.sh_degree as usize + 1).pow(2) * 3
+    }
+
+    /// The SH coefficients of Gaussian `i`.
+    #[inline(always)]
+    pub(in crate::splat) fn coefficients(&self, i: usize) -> &[T] {
+        let stride = self.sh_stride();
+        &self.sh[i * stride..(i + 1) * stride]
+    }
+
+    /// Colour of Gaussian `i` seen along the unit vector `direction`, before the clamp at 0.
+    #[inline(always)]
+    pub(in crate::splat) fn color(&self, i: usize, direction: [T; 3]) -> [T; 3] {
+        sh::color(&sh::basis(direction, self.sh_degree), self.coefficients(i))
     }
 
     /// The same Gaussians in another number type.
@@ -125,179 +166,4 @@ impl View {
     pub(in crate::splat) fn size(&self) -> [usize; 2] {
         [self.camera.width, self.camera.height].map(|v| v as usize)
     }
-}
-
-/// Whether the expected depth is composited too (it costs about a twentieth of the forward pass).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DepthOutput {
-    /// `Rendered::depth` stays 0.
-    Skip,
-    /// Mean z-depth of the centres weighted by contribution, divided by alpha.
-    Expected,
-    /// Mean z-depth of the splats' surfaces along each ray (`surface_depth.rs`); forward only with `Footprint::Ewa`.
-    Surface,
-    /// z-depth where the ray meets the splat behind which no more than half of the light is left; 0 where there is
-    /// none. Forward only.
-    Median,
-}
-
-/// What the screen-space filter (`Settings::dilation_px2`) does to a splat's peak.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Filter {
-    /// 3DGS: the splat grows and keeps its opacity, so that what is smaller than a pixel gains weight.
-    #[default]
-    Dilate,
-    /// Mip-Splatting (Yu et al., 2024; gsplat's `antialiased`): the opacity is multiplied by
-    /// `sqrt(det before / det after)` of the covariance on screen, so that the splat keeps its weight.
-    Compensate,
-}
-
-/// How a Gaussian comes onto the screen.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Footprint {
-    /// The affine projection of 3DGS (EWA), vectorised.
-    #[default]
-    Ewa,
-    /// Flat discs that each ray meets exactly (2DGS; `disc_mode.rs`), in plain code. Ellipsoids lose their shortest
-    /// axis. Expected depth is that of the points met.
-    Disc,
-}
-
-/// How to render.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings {
-    /// How a Gaussian comes onto the screen.
-    pub footprint: Footprint,
-    /// Gaussians with a centre nearer than this z-depth are left out.
-    pub near_mm: f64,
-    /// Added to the diagonal of the projected covariance (px^2): the screen-space filter of 3DGS. With `Footprint::Disc`
-    /// the variance that a disc has on screen at least; 0 is no filter.
-    pub dilation_px2: f64,
-    /// What that filter does to the opacity.
-    pub filter: Filter,
-    /// Multiplies the finished image per channel (exposure).
-    pub gain: [f64; 3],
-    /// Colour behind everything (before the gain).
-    pub background: [f64; 3],
-    /// Whether depth is wanted.
-    pub depth: DepthOutput,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Settings {
-            footprint: Footprint::Ewa,
-            near_mm: 0.2,
-            dilation_px2: 0.3,
-            filter: Filter::Dilate,
-            gain: [1.0; 3],
-            background: [0.0; 3],
-            depth: DepthOutput::Expected,
-        }
-    }
-}
-
-/// The images of one forward pass.
-#[derive(Clone, Debug, Default)]
-pub struct Rendered<T> {
-    /// Width in pixels.
-    pub width: usize,
-    /// Height in pixels.
-    pub height: usize,
-    /// `height * width * 3`, with background and gain.
-    pub color: Vec<T>,
-    /// `height * width`: z-depth in mm as asked for ([`DepthOutput`]); the means are divided by alpha, 0 where it is 0.
-    pub depth: Vec<T>,
-    /// `height * width`: 1 minus what is left of the light from behind.
-    pub alpha: Vec<T>,
-    /// One flag per active Gaussian (in the order of `active`): its ellipse of alpha >= 1/255 touches the image.
-    pub visible: Vec<bool>,
-    /// How many flags are set.
-    pub visible_count: usize,
-    /// Entries of the lists of all tiles: pairs of a tile and a splat that may have a pixel centre of it in its ellipse.
-    pub intersections: usize,
-}
-
-/// Derivatives of a loss with respect to the images of the last forward pass. An empty slice is all zeros.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct ImageGradient<'a, T> {
-    /// Like `Rendered::color`.
-    pub color: &'a [T],
-    /// Like `Rendered::depth`.
-    pub depth: &'a [T],
-    /// Like `Rendered::alpha`.
-    pub alpha: &'a [T],
-    /// Like the image of `Rasterizer::render_channels`.
-    pub channels: &'a [T],
-}
-
-/// Groups of parameters whose gradients are wanted; the others cost nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub struct Wanted(u16);
-
-impl Wanted {
-    /// Nothing.
-    pub const NONE: Wanted = Wanted(0);
-    /// Centres.
-    pub const POSITIONS: Wanted = Wanted(1);
-    /// Spread: rotations and scales of ellipsoids, axes of discs.
-    pub const SHAPES: Wanted = Wanted(2);
-    /// Opacities.
-    pub const OPACITIES: Wanted = Wanted(4);
-    /// Spherical harmonics.
-    pub const SH: Wanted = Wanted(8);
-    /// The camera.
-    pub const POSE: Wanted = Wanted(16);
-    /// Exposure.
-    pub const GAIN: Wanted = Wanted(32);
-    /// All of the above: every parameter of the Gaussians, the pose and the exposure.
-    pub const ALL: Wanted = Wanted(63);
-    /// Focal lengths and principal point.
-    pub const LENS: Wanted = Wanted(64);
-    /// Features of the further channels (`Rasterizer::render_channels`).
-    pub const CHANNELS: Wanted = Wanted(128);
-
-    /// The groups as bits, as the kernels know them.
-    pub(in crate::splat) fn bits(self) -> u32 {
-        self.0 as u32
-    }
-
-    /// True when `self` has any group of `other`.
-    pub fn any(self, other: Wanted) -> bool {
-        self.0 & other.0 != 0
-    }
-}
-
-impl BitOr for Wanted {
-    type Output = Wanted;
-    fn bitor(self, other: Wanted) -> Wanted {
-        Wanted(self.0 | other.0)
-    }
-}
-
-/// Gradients of a loss. **Entry `k` belongs to the `k`-th *active* Gaussian** of the last forward pass (to Gaussian
-/// `k` when all were active), so that nothing is done for the inactive. Groups that were not wanted are empty.
-#[derive(Clone, Debug, Default)]
-pub struct Gradients<T> {
-    /// Of the centres, through projection, its Jacobian and the view direction of the SH.
-    pub positions: Vec<[T; 3]>,
-    /// Of the quaternions as given (through the normalisation); ellipsoids only.
-    pub rotations: Vec<[T; 4]>,
-    /// Of the linear scales; ellipsoids only.
-    pub scales: Vec<[T; 3]>,
-    /// Of the disc axes; discs only.
-    pub axes: Vec<[[T; 3]; 2]>,
-    /// Of the opacities.
-    pub opacities: Vec<T>,
-    /// Of the features of the further channels, Gaussian by Gaussian.
-    pub channels: Vec<T>,
-    /// Of the SH coefficients, laid out as in [`Gaussians`].
-    pub sh: Vec<T>,
-    /// Of a small motion of the camera, `camera_from_world <- exp(xi) camera_from_world` with
-    /// `xi = (omega, tau)`: rotation vector (rad) and translation (mm) in camera axes.
-    pub pose: [f64; 6],
-    /// Of the gain per channel.
-    pub gain: [f64; 3],
-    /// Of `fl_x`, `fl_y`, `cx`, `cy` of the camera (per pixel).
-    pub lens: [f64; 4],
 }

@@ -3,10 +3,21 @@
 //! Kernels know one layout of the pixels of a tile: 16 blocks of 4x4, numbered down the columns, sixteen pixels each, so
 //! that a block is one vector and the blocks of a tile are the bits of one 16-bit mask.
 
-use crate::splat::plain::tile::{index_of, pixel_of};
-
 /// Side of a tile in pixels: sixteen blocks of sixteen pixels.
 pub const TILE_SIDE: usize = 16;
+/// Pixels of a tile.
+pub const PIXELS: usize = TILE_SIDE * TILE_SIDE;
+
+/// Pixel (column, row) within the tile of index `p` of the per-pixel tables.
+pub fn pixel_of(p: usize) -> (usize, usize) {
+    let (block, lane) = (p / 16, p % 16);
+    (4 * (block / 4) + lane % 4, 4 * (block % 4) + lane / 4)
+}
+
+/// Index in the per-pixel tables of the pixel (column, row) of a tile: the inverse of [`pixel_of`].
+pub fn index_of(column: usize, line: usize) -> usize {
+    16 * (4 * (column / 4) + line / 4) + 4 * (line % 4) + column % 4
+}
 
 /// How an image is cut into tiles, row by row.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -56,7 +67,7 @@ mod tests {
         let tiling = Tiling::of(size);
         let mut inside = 0;
         for t in 0..tiling.count() {
-            for p in 0..TILE_SIDE * TILE_SIDE {
+            for p in 0..PIXELS {
                 let Some([x, y]) = tiling.pixel(t, p, size) else { continue };
                 assert_eq!(tiling.place(x, y), (t, p));
                 inside += 1;
