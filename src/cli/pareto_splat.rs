@@ -16,7 +16,8 @@ use crate::base::{Error, Result, files};
 use crate::ffi::system::cpu_time_s;
 use crate::report::pareto::{Chart, Point, Standing, write};
 use crate::splat::{
-    Filter, Footprint, Gaussians, Gradients, ImageGradient, Isa, Kernels, Rasterizer, Settings, Skips, Wanted, tube,
+    Filter, Footprint, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Settings, Skips, SplatKernels, Wanted,
+    tube,
 };
 
 /// Arguments of `pareto splat`.
@@ -81,7 +82,7 @@ struct Measured {
     wall_s: f64,
 }
 
-fn groups<T: Kernels>(g: &Gradients<T>) -> Vec<Vec<f64>> {
+fn groups<T: SplatKernels>(g: &Gradients<T>) -> Vec<Vec<f64>> {
     let wide = |v: &[T]| v.iter().map(|v| v.to_f64()).collect::<Vec<f64>>();
     let (rotations, scales) = (wide(g.rotations.as_flattened()), wide(g.scales.as_flattened()));
     vec![wide(g.positions.as_flattened()), rotations, scales, wide(&g.opacities), wide(&g.sh), g.pose.to_vec()]
@@ -107,7 +108,7 @@ pub(super) fn with_threads<R: Send>(threads: usize, work: impl FnOnce() -> Resul
     pool.map_err(|e| Error::input(format!("{threads} threads cannot be had: {e}")))?.install(work)
 }
 
-fn measure<T: Kernels>(scene: &Gaussians<f32>, side: usize, choice: Choice, repeat: usize) -> Result<Measured> {
+fn measure<T: SplatKernels>(scene: &Gaussians<f32>, side: usize, choice: Choice, repeat: usize) -> Result<Measured> {
     let (scene, view, settings) = (scene.cast::<T>(), tube::view(side), choice.settings());
     let weights: Vec<T> = tube::image_gradient(3 * side * side).iter().map(|&w| T::of(f64::from(w))).collect();
     let gradient = ImageGradient { color: &weights, ..ImageGradient::default() };

@@ -14,7 +14,7 @@ use super::stress_scenes::{self as scenes, Demand, Item};
 use super::{stress_derivatives as derivatives, stress_inputs as inputs, stress_metrics as metrics};
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Error, ErrorKind, Result, files};
-use crate::splat::{Footprint, Gradients, ImageGradient, Kernels, Rasterizer, Wanted};
+use crate::splat::{Footprint, Gradients, ImageGradient, Rasterizer, SplatKernels, Wanted};
 
 /// Largest relative error (L2) of an image that passes.
 const IMAGE_LIMIT: f64 = 1e-3;
@@ -73,7 +73,7 @@ impl Row {
 }
 
 /// All values of all groups, by name.
-fn groups<T: Kernels>(g: &Gradients<T>) -> [Group; 9] {
+fn groups<T: SplatKernels>(g: &Gradients<T>) -> [Group; 9] {
     let wide = |v: &[T]| v.iter().map(|v| v.to_f64()).collect::<Vec<f64>>();
     [
         ("positions", wide(g.positions.as_flattened())),
@@ -99,7 +99,7 @@ fn relative(a: &[f64], b: &[f64]) -> f64 {
 type Group = (&'static str, Vec<f64>);
 
 /// Image and gradients of one precision.
-fn pass<T: Kernels>(item: &Item, rasterizer: &mut Rasterizer<T>) -> Result<(Vec<f64>, Vec<Group>)> {
+fn pass<T: SplatKernels>(item: &Item, rasterizer: &mut Rasterizer<T>) -> Result<(Vec<f64>, Vec<Group>)> {
     let scene = item.scene.cast::<T>();
     let image = rasterizer.render(&scene, &item.view, &item.settings, None)?;
     let all: Vec<f64> = image.color.iter().chain(&image.alpha).map(|v| v.to_f64()).collect();

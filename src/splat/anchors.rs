@@ -1,11 +1,11 @@
 //! Discs that live on the triangles of a deforming mesh, and the way back of their gradients.
 //!
 //! Centre: `sum_j lambda_j v_j`, `lambda = softmax(logits)` (RESPIRE, Eq. 2). Axes, either
-//! - [`DiscFrame::InheritStretch`]: two tangents, perpendicular unit vectors on the triangle *at rest*, are carried by the
-//!   triangle's affine map, so that discs stretch, turn and shear with the tissue (as in GaMeS, Waczynska et al. 2024);
-//!   `axis_k = exp(s_k) (a_k e1 + b_k e2)` with the edges `e1, e2` of the triangle as it is now; or
-//! - [`DiscFrame::NormalOnly`]: BridgeSplat's released code, the shortest-arc rotation from +z to the normal, no stretch,
-//!   `exp(s)` capped at twice its initial value.
+//! - [`DiscFrame::InheritStretch`]: two tangents, perpendicular unit vectors on the triangle *at rest*, are carried
+//!   by the triangle's affine map, so that discs stretch, turn and shear with the tissue (as in GaMeS, Waczynska et
+//!   al. 2024); `axis_k = exp(s_k) (a_k e1 + b_k e2)` with the edges `e1, e2` of the triangle as it is now; or
+//! - [`DiscFrame::NormalOnly`]: BridgeSplat's released code, the shortest-arc rotation from +z to the normal, no
+//!   stretch, `exp(s)` capped at twice its initial value.
 //!
 //! Triangles without area give discs without area, and no gradient through their normal.
 
@@ -295,8 +295,8 @@ impl<T: Real> Anchors<T> {
                 [0, 1].map(|k| directions[k].map(|v| v * anchor.scales[k])),
             )
         };
-        let found: Vec<_> = (0..n).into_par_iter().with_min_len(CHUNK).map(velocity).collect();
-        for (i, position, axis) in found {
+        let velocities: Vec<_> = (0..n).into_par_iter().with_min_len(CHUNK).map(velocity).collect();
+        for (i, position, axis) in velocities {
             (positions[i], axes[i]) = (position, axis);
         }
         Ok(())

@@ -1,6 +1,7 @@
-//! Which code does the work of a stage: [`Kernels`] has the stages of a pass on a chunk of Gaussians, on a tile, on a row of
-//! tiles. Its default bodies are the plain ones (`plain/`), which `f64` and [`Dual`] keep; `f32` calls the vectorised C++
-//! (`cpp/splat/`) where the instruction set and the footprint allow. Nothing else in the core knows which of them runs.
+//! Which code does the work of a stage: [`SplatKernels`] has the stages of a pass on a chunk of Gaussians, on a tile, on a
+//! row of tiles. Its default bodies are the plain ones (`plain/`), which `f64` and [`Dual`] keep; `f32` calls the
+//! vectorised C++ (`cpp/splat/`) where the instruction set and the footprint allow. Nothing else in the core knows
+//! which of them runs.
 
 use crate::ffi::isa::Isa;
 use crate::ffi::splat::image::{self as native_image, ImageBand, Light};
@@ -28,7 +29,7 @@ pub struct KernelScene<'a, T> {
     camera: Option<CameraNumbers>,
 }
 
-impl<'a, T: Kernels> KernelScene<'a, T> {
+impl<'a, T: SplatKernels> KernelScene<'a, T> {
     /// `gaussians`, or those of them in `active`, to be worked on by the kernels of `isa`.
     pub fn new(isa: Isa, gaussians: &'a Gaussians<T>, projector: &'a Projector<T>, active: Option<&'a [u32]>) -> Self {
         let vectorised = T::VECTORISED && isa != Isa::Scalar && projector.footprint == Footprint::Ewa;
@@ -50,8 +51,8 @@ type SplatVelocities<T> = fn(&KernelScene<'_, T>, usize, &[bool], &Direction<'_,
 /// The vectorised kernels that carry velocities along with the image.
 pub struct VelocityKernels<T> {
     pub velocities: SplatVelocities<T>,
-    /// Composites one tile together with the velocities of its pixels along up to four directions; velocities have one row
-    /// per splat, direction by direction, pixels red, green, blue and transmittance of each direction.
+    /// Composites one tile together with the velocities of its pixels along up to four directions; velocities have
+    /// one row per splat, direction by direction, pixels red, green, blue and transmittance of each direction.
     pub forward: fn(Isa, &mut ForwardTile<'_, T>, &Velocities<T>, &mut [T]),
     /// Velocities of a row of tiles, to lines of the velocity of the colour along one direction.
     pub develop: fn(&[T], DevelopedDirection, &Light, &mut [T]),
@@ -66,7 +67,7 @@ pub struct DevelopedDirection {
 }
 
 /// A number type with the stages of a pass.
-pub trait Kernels: Real {
+pub trait SplatKernels: Real {
     /// Whether there is C++ for this type.
     const VECTORISED: bool = false;
 
@@ -162,11 +163,11 @@ pub trait Kernels: Real {
     }
 }
 
-impl Kernels for f64 {}
+impl SplatKernels for f64 {}
 
-impl<T: Real> Kernels for Dual<T> {}
+impl<T: Real> SplatKernels for Dual<T> {}
 
-impl Kernels for f32 {
+impl SplatKernels for f32 {
     const VECTORISED: bool = true;
 
     fn all_finite(values: &[f32]) -> bool {

@@ -18,13 +18,13 @@
 //! | `types` | Gaussians, view, settings, images, gradients, directions; tiles and the columns of the tables |
 //! | `plain` | every stage as plain functions over slices, for every number type: the twin of the C++ |
 //! | `kernels` | one trait: who does the work of a stage, C++ (`f32`) or `plain` (`f64`, dual numbers) |
-//! | `pass` | threads and tables: bins, tiles, images, moments, gradients; further channels; derivatives along directions |
+//! | `pass` | threads and tables: bins, tiles, images, moments, gradients; channels; derivatives along directions |
 //! | `anchors` | discs on the triangles of a mesh, and the way back of their gradients |
 //! | `check` | gradients against central differences, seeded faults, the scene of the timings |
 //!
-//! `Footprint::Disc` parts from the affine way at the projection (`disc`, `disc_tile`, `disc_chain` in `plain`). What is
-//! asked for beyond colour, depth and alpha: `pass/channels.rs` (features, normals), `pass/pixel_walk.rs` (depth of the
-//! surface, median depth, contributors).
+//! `Footprint::Disc` parts from the affine way at the projection (`disc`, `disc_tile`, `disc_chain` in `plain`). What
+//! is asked for beyond colour, depth and alpha: `pass/channels.rs` (features, normals), `pass/pixel_walk.rs` (depth
+//! of the surface, median depth, contributors).
 
 mod anchors;
 mod check;
@@ -37,7 +37,7 @@ mod types;
 pub use crate::ffi::isa::Isa;
 pub use anchors::{Anchors, Carrier, DiscFrame};
 pub use check::{gradient_check, tube};
-pub use kernels::Kernels;
+pub use kernels::SplatKernels;
 pub use number::{Dual, Real};
 pub use pass::{PassStage, Rasterizer, Reuse, StageTimes};
 pub use plain::fault::Fault;

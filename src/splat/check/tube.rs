@@ -1,5 +1,5 @@
-//! The scene of the timings (benchmarks, `pareto splat`, examples): a bumpy tube of thin discs seen from inside, like the one of
-//! `../shared/reference/splat`.
+//! The scene of the timings (benchmarks, `pareto splat`, examples): a bumpy tube of thin ellipsoids, rendered from
+//! inside, made like the one of `../shared/reference/splat`.
 
 use crate::base::Camera;
 use crate::base::camera::world_from_camera_looking;

@@ -1,5 +1,5 @@
 //! Dual numbers `value + derivative * e`, `e^2 = 0`: forward-mode differentiation of the very code that renders.
-//! Comparisons look at the value alone, so that a dual render takes the same decisions as a plain one.
+//! Comparisons use the value alone, so that a dual render takes the same decisions as a plain one.
 
 use std::cmp::Ordering;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};

@@ -1,11 +1,11 @@
-//! The tiles of a backward pass: image gradients through the tiles to the moments of every entry. A tile is one task, and
-//! sums are added in the order of the tiles.
+//! The tiles of a backward pass: image gradients through the tiles to the moments of every entry. A tile is one task,
+//! and sums are added in the order of the tiles.
 
 use rayon::prelude::*;
 
 use crate::ffi::splat::rasterize::Aligned;
 use crate::ffi::system::grow;
-use crate::splat::kernels::Kernels;
+use crate::splat::kernels::SplatKernels;
 use crate::splat::plain::disc_tile::DiscTile;
 use crate::splat::plain::fault::Faults;
 use crate::splat::plain::tile::{Adjoint, BackwardTile, Parts};
@@ -36,9 +36,9 @@ pub struct TileGradient<'a, T> {
 /// Gradient of the gain, and where no slots are shared the moments or the sums of the entries of a tile.
 type TileResult<T> = ([f64; 3], Vec<Aligned<T>>, Vec<DiscSums<T>>);
 
-impl<T: Kernels> TilePass<'_, T> {
-    /// Fills the moments of every entry and returns the gradient of the gain, which is not finite where that of a colour is
-    /// not.
+impl<T: SplatKernels> TilePass<'_, T> {
+    /// Fills the moments of every entry and returns the gradient of the gain, which is not finite where that of a
+    /// colour is not.
     pub fn backward(
         &self,
         splats: &Splats<T>,

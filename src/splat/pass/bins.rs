@@ -1,7 +1,7 @@
 //! From splats to the list of each tile: splats are distributed to bands of tile rows, each band is sorted by depth
-//! (stable radix sort) and then distributed to its tiles by counting. Depth ties keep the order of the Gaussians. Bands are independent
-//! tasks; how many there are depends on the image alone, so what is filled does not depend on the threads.
-//! The work on a chunk or a band is C++ (`cpp/splat/bin.cpp`); the plain twin is [`TileLists`].
+//! (stable radix sort) and then distributed to its tiles by counting. Depth ties keep the order of the Gaussians.
+//! Bands are independent tasks; how many there are depends on the image alone, so what is filled does not depend on
+//! the threads. The work on a chunk or a band is C++ (`cpp/splat/bin.cpp`); the plain twin is [`TileLists`].
 //!
 //! Every entry has a slot for its moments. Slots lie splat by splat, so that the chain reads them one after the other;
 //! tiles write them out of order, which costs less: a write is not waited for.
@@ -53,8 +53,8 @@ fn shift_of(tiling: &Tiling) -> u32 {
     (1..).find(|s| tiling.rows.div_ceil(1 << s) <= BANDS).expect("an image has a finite number of tile rows")
 }
 
-/// Bands in an order that ends with small ones in either half: threads take halves, and what comes last decides how long
-/// they wait for each other.
+/// Bands in an order that ends with small ones in either half: threads take halves, and what comes last decides how
+/// long they wait for each other.
 fn longest_first(mut bands: Vec<Band<'_>>) -> Vec<Band<'_>> {
     bands.sort_by_key(|band| std::cmp::Reverse(band.entries.len()));
     let (mut halves, last) = ([Vec::new(), Vec::new()], bands.len());
@@ -91,7 +91,8 @@ impl Bins {
         self.counts.iter().map(|c| c.seen as usize).sum()
     }
 
-    /// Fills the lists of the tiles from the boxes and keys of the splats, which have been counted unless `isa` is scalar.
+    /// Fills the lists of the tiles from the boxes and keys of the splats, which have been counted unless `isa` is
+    /// scalar.
     pub fn fill(&mut self, isa: Isa, tiling: Tiling, all: &Boxes<'_>) {
         self.tiling = tiling;
         self.masks_known = false;
@@ -185,7 +186,8 @@ mod tests {
     use crate::base::random::{CounterRng, Stage};
     use crate::splat::plain::bins::TileBox;
 
-    /// Random boxes, depths with many ties, chunks without visible splats: the same tables as the plain twin, every slot once.
+    /// Random boxes, depths with many ties, chunks without visible splats: the same tables as the plain twin, every
+    /// slot once.
     #[test]
     fn vectorised_and_plain_agree() {
         for (seed, n, tiles) in

@@ -2,12 +2,12 @@
 //!
 //! Three channels at a time take the place of the colours in the tables of the last pass and go through the same
 //! kernels, forward and backward: a group of three costs about a forward composite, and in the backward pass a backward
-//! one. Where nobody asks, nothing is done. No background, no gain, not divided by alpha.
+//! one. Without channels nothing is done. No background, no gain, not divided by alpha.
 
 use rayon::prelude::*;
 
 use crate::base::{Error, Result};
-use crate::splat::kernels::Kernels;
+use crate::splat::kernels::SplatKernels;
 use crate::splat::plain::fault::Faults;
 use crate::splat::plain::tile::Parts;
 use crate::splat::types::table::{PLANES, disc_sum, moment};
@@ -51,7 +51,7 @@ where
     TilePass { settings, ..*pass }
 }
 
-impl<T: Kernels> Channels<T> {
+impl<T: SplatKernels> Channels<T> {
     /// Takes `count` features of each of `n` Gaussians and keeps those of the active ones.
     pub fn set_features(&mut self, features: &[T], count: usize, n: usize, active: Option<&[u32]>) -> Result<()> {
         if count == 0 || features.len() != n * count {
@@ -159,7 +159,7 @@ impl<T: Kernels> Channels<T> {
     }
 }
 
-impl<T: Kernels> Moments<T> {
+impl<T: SplatKernels> Moments<T> {
     /// Adds all columns of `more` but the colours.
     fn add_geometry(&mut self, more: &Moments<T>) {
         let of_colors = disc_sum::RED..disc_sum::RED + 3;

@@ -1,11 +1,11 @@
-//! The tiles of a forward pass: composites the lists of all tiles into sums per pixel. A tile is one task. What happens at a
-//! pixel is in `plain/tile.rs` and `plain/disc_tile.rs`.
+//! The tiles of a forward pass: composites the lists of all tiles into sums per pixel. A tile is one task. What
+//! happens at a pixel is in `plain/tile.rs` and `plain/disc_tile.rs`.
 
 use rayon::prelude::*;
 
 use crate::ffi::splat::image::Light;
 use crate::ffi::system::grow;
-use crate::splat::kernels::{Kernels, VelocityKernels};
+use crate::splat::kernels::{SplatKernels, VelocityKernels};
 use crate::splat::plain::disc::DiscOptics;
 use crate::splat::plain::disc_tile::DiscTile;
 use crate::splat::plain::tile::{ForwardTile, Parts};
@@ -36,12 +36,12 @@ pub struct MovingSplats<'a, T> {
     pub directions: usize,
 }
 
-/// What pixels are seen through.
+/// Gain and background of the pixels.
 pub fn light(settings: &Settings, with_depth: bool) -> Light {
     Light { gain: settings.gain, background: settings.background, with_depth }
 }
 
-impl<T: Kernels> TilePass<'_, T> {
+impl<T: SplatKernels> TilePass<'_, T> {
     /// Composites all tiles into `state`, `PLANES` planes of `PIXELS` each.
     pub fn forward(&self, splats: &Splats<T>, bins: &mut Bins, with_depth: bool, state: &mut Vec<T>) {
         let (isa, tiles) = (self.options.isa, bins.tiling.count());
@@ -58,8 +58,8 @@ impl<T: Kernels> TilePass<'_, T> {
         });
     }
 
-    /// Composites all tiles without depth, and the velocities of their pixels into `moved`: `VELOCITY_PLANES` planes per
-    /// tile and direction.
+    /// Composites all tiles without depth, and the velocities of their pixels into `moved`: `VELOCITY_PLANES` planes
+    /// per tile and direction.
     pub fn forward_moving(
         &self,
         splats: &Splats<T>,

@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 
-use crate::splat::kernels::{KernelScene, Kernels};
+use crate::splat::kernels::{KernelScene, SplatKernels};
 use crate::splat::plain::fault::Faults;
 use crate::splat::plain::gradient_chunk::{CameraGradient, ChunkMoments, GradientChunk};
 use crate::splat::types::{Gradients, Shape, Wanted};
@@ -24,7 +24,7 @@ pub struct GradientTables<T> {
 /// Number of Gaussians, numbers of SH each, whether they are discs, and the groups.
 type GradientLayout = (usize, usize, bool, Wanted);
 
-impl<T: Kernels> GradientTables<T> {
+impl<T: SplatKernels> GradientTables<T> {
     /// Gradients of the wanted groups from the moments in the slots; those of splat `k` begin at `starts[k]`.
     pub fn chain(
         &mut self,

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::ffi::splat::image::ImageBand;
-use crate::splat::kernels::Kernels;
+use crate::splat::kernels::SplatKernels;
 use crate::splat::types::table::PLANES;
 use crate::splat::types::{DepthOutput, PIXELS, Rendered, TILE_SIDE};
 
@@ -19,14 +19,14 @@ pub struct Images<T> {
     depth_is_zero: bool,
 }
 
-impl<T: Kernels> Images<T> {
+impl<T: SplatKernels> Images<T> {
     /// Background, gain, and depth by alpha.
     pub fn develop(&mut self, pass: &TilePass<'_, T>, bins: &Bins, state: &[T]) {
         let ([width, height], settings) = (pass.size, &pass.settings);
         let out = &mut self.rendered;
         (out.width, out.height) = (width, height);
         out.color.resize(width * height * 3, T::zero());
-        // A depth that nobody asks for is not written again while it is 0.
+        // A depth that is not asked for is not written again while it is 0.
         let depth_stays =
             settings.depth == DepthOutput::Skip && self.depth_is_zero && out.depth.len() == width * height;
         out.depth.resize(width * height, T::zero());

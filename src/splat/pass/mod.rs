@@ -1,8 +1,8 @@
-//! A pass over a scene on all threads: which stage runs on which chunk, and the tables between the stages. Each table is
-//! changed in the file of its type; the recipe is in `rasterizer`, `tangent` adds derivatives along directions.
+//! A pass over a scene on all threads: which stage runs on which chunk, and the tables between the stages. Each table
+//! is changed in the file of its type; the recipe is in `rasterizer`, `tangent` adds derivatives along directions.
 //!
-//! From below: `pool`, `options`, `stages`, `reuse`, `rays`; `bins`, `splats`, `forward`, `images` (the forward pass in its
-//! order); `backward`, `gradients` (the backward pass); `channels`, `pixel_walk`; `rasterizer`; `tangent`.
+//! From below: `pool`, `options`, `stages`, `reuse`, `rays`; `bins`, `splats`, `forward`, `images` (the forward pass
+//! in its order); `backward`, `gradients` (the backward pass); `channels`, `pixel_walk`; `rasterizer`; `tangent`.
 
 mod backward;
 mod bins;

@@ -1,5 +1,5 @@
-//! What each pixel of the last pass blends, splat after splat: the images that are asked for once, not in an optimisation
-//! (depth of the surface, median depth, number of contributors). Plain code, forward only.
+//! What each pixel of the last pass blends, splat after splat: the images that are asked for once, not in an
+//! optimisation (depth of the surface, median depth, number of contributors). Plain code, forward only.
 
 use glam::DVec2;
 use rayon::prelude::*;

@@ -1,8 +1,8 @@
 //! How a pass shares its work among threads.
 //!
 //! A pass is ten stages of some ten to some hundred microseconds. A thread that sleeps between two of them is woken too
-//! late for the second, and one that looks for work here and there has it at once: so while a pass runs, the other threads
-//! stay awake ([`stay`]).
+//! late for the second; one that polls for work has it at once. So while a pass runs, the other threads stay awake
+//! ([`stay`]).
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -25,8 +25,9 @@ pub const CHUNK: usize = 1024;
 /// Rows of tiles that one thread takes at a time.
 pub const PIECE: usize = 1;
 
-/// Chunks of Gaussians, of so many, that one thread takes at a time: few, since visible Gaussians lie together and two
-/// halves of a scene are seldom the same amount of work; but enough that a scene is not cut into hundreds of empty tasks.
+/// Chunks of Gaussians, of so many, that one thread takes at a time: few, since visible Gaussians lie together and
+/// two halves of a scene are seldom the same amount of work; but enough that a scene is not cut into hundreds of
+/// empty tasks.
 pub fn piece_of(chunks: usize) -> usize {
     (chunks / 64).max(1)
 }

@@ -6,7 +6,7 @@
 
 use crate::base::{Error, Result};
 use crate::ffi::isa::Isa;
-use crate::splat::kernels::{KernelScene, Kernels};
+use crate::splat::kernels::{KernelScene, SplatKernels};
 use crate::splat::plain::disc::DiscOptics;
 use crate::splat::plain::fault::{Fault, Faults, Sound};
 use crate::splat::plain::projector::Projector;
@@ -22,7 +22,7 @@ use super::channels::{Channels, ChannelsWanted};
 use super::forward::{MovingSplats, TilePass};
 use super::gradients::GradientTables;
 use super::images::Images;
-use super::options::PassOptions;
+use super::options::{PassOptions, RenderRequest};
 use super::pixel_walk::{PixelWalk, SurfaceSource, splat_surfaces};
 use super::pool::in_pool;
 use super::rays::PixelRays;
@@ -63,13 +63,13 @@ pub(super) struct Tangents<T> {
     pub images: Vec<Vec<T>>,
 }
 
-impl<T: Kernels> Default for Rasterizer<T> {
+impl<T: SplatKernels> Default for Rasterizer<T> {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl<T: Kernels> Rasterizer<T> {
+impl<T: SplatKernels> Rasterizer<T> {
     /// A rasteriser with the widest kernels of this processor (for `f32`; other types have the plain twin only).
     pub fn new() -> Self {
         Self::of_isa(Isa::widest())
@@ -136,17 +136,18 @@ impl<T: Kernels> Rasterizer<T> {
         &self.gradients.gradients
     }
 
-    /// Pairs of a tile and a visible splat of the last render whose bounding box meets it, which is what other renderers
-    /// count; the lists have fewer ([`Rendered::intersections`]). Not for exact discs, whose boxes are not kept.
+    /// Pairs of a tile and a visible splat of the last render whose bounding box meets it, which is what other
+    /// renderers count; the lists have fewer ([`Rendered::intersections`]). Not for exact discs, whose boxes are not
+    /// kept.
     pub fn box_intersections(&self) -> usize {
         self.splats.box_intersections(&self.images.rendered.visible, &self.bins.tiling)
     }
 
     /// Renders the Gaussians named in `active` (indices in strictly ascending order; `None` is all of them).
     ///
-    /// Order is by z-depth of the centre (computed in f64, rounded to f32), ties by index. Gaussians with a number that is
-    /// not finite, with no opacity, or before the near plane are left out; the images are finite whatever goes in.
-    /// Errors: arrays that do not belong together, a camera or settings that make no sense, a bad `active`.
+    /// Order is by z-depth of the centre (computed in f64, rounded to f32), ties by index. Gaussians with a number
+    /// that is not finite, with no opacity, or before the near plane are left out; the images are finite whatever
+    /// goes in. Errors: arrays that do not belong together, a camera or settings that make no sense, a bad `active`.
     pub fn render(
         &mut self,
         gaussians: &Gaussians<T>,
@@ -154,18 +155,13 @@ impl<T: Kernels> Rasterizer<T> {
         settings: &Settings,
         active: Option<&[u32]>,
     ) -> Result<&Rendered<T>> {
-        in_pool(|| self.render_in_pool(gaussians, view, settings, active))?;
+        in_pool(|| self.render_in_pool(RenderRequest { gaussians, view, settings, active }))?;
         Ok(&self.images.rendered)
     }
 
-    fn render_in_pool(
-        &mut self,
-        gaussians: &Gaussians<T>,
-        view: &View,
-        settings: &Settings,
-        active: Option<&[u32]>,
-    ) -> Result<()> {
-        self.prepare(gaussians, view, settings, active, None)?;
+    fn render_in_pool(&mut self, request: RenderRequest<'_, T>) -> Result<()> {
+        let RenderRequest { gaussians, view, settings, .. } = request;
+        self.prepare(request, None)?;
         self.composite(view, settings);
         self.clock.end(PassStage::Composite);
         self.develop(view, settings);
@@ -174,22 +170,16 @@ impl<T: Kernels> Rasterizer<T> {
         Ok(())
     }
 
-    /// Everything of a render before compositing; where velocities of splats can be computed while they are projected anew,
-    /// those along `moving` too. `true` when these are there.
-    pub(super) fn prepare(
-        &mut self,
-        gaussians: &Gaussians<T>,
-        view: &View,
-        settings: &Settings,
-        active: Option<&[u32]>,
-        moving: Option<&Direction<'_, T>>,
-    ) -> Result<bool> {
+    /// Everything of a render before compositing; where velocities of splats can be computed while they are projected
+    /// anew, those along `moving` too. `true` when these are there.
+    pub(super) fn prepare(&mut self, request: RenderRequest<'_, T>, moving: Option<&Direction<'_, T>>) -> Result<bool> {
+        let RenderRequest { gaussians, view, settings, active } = request;
         self.clock.start();
         self.last = None;
         self.channels.count = 0;
         gaussians.validate()?;
         let projector = Projector::new(view, settings)?.with_skips(self.options.skips);
-        let same = self.reuse.holds_for(gaussians, view, settings, active) && {
+        let same = self.reuse.holds_for(request) && {
             let scene = KernelScene::new(self.options.isa, gaussians, &projector, self.active.as_deref());
             self.splats.recolor(&scene, &self.images.rendered.visible)
         };
@@ -201,7 +191,7 @@ impl<T: Kernels> Rasterizer<T> {
             self.reuse.forget();
             self.activate(active, gaussians.len())?;
             moved = self.make_splats(gaussians, &projector, view, moving);
-            self.reuse.keep(gaussians, view, settings, active);
+            self.reuse.keep(request);
         }
         self.last = Some((*view, *settings, gaussians.len()));
         Ok(moved)
@@ -223,8 +213,8 @@ impl<T: Kernels> Rasterizer<T> {
         Ok(())
     }
 
-    /// Projects all active Gaussians and distributes their splats to the tiles. With `moving` also the velocities along it;
-    /// `false` when these are not there.
+    /// Projects all active Gaussians and distributes their splats to the tiles. With `moving` also the velocities
+    /// along it; `false` when these are not there.
     fn make_splats(
         &mut self,
         gaussians: &Gaussians<T>,
@@ -301,10 +291,10 @@ impl<T: Kernels> Rasterizer<T> {
         Ok(walk.image(|t, p, pixel| walk.count(t, p, pixel)))
     }
 
-    /// Composites `count` further channels in the view of the last [`Rasterizer::render`]: `features` has `count` values
-    /// per Gaussian (of all, not of the active alone), the image `count` per pixel, row by row: sums of the features
-    /// weighted like the colours, 0 where nothing is, not divided by alpha. [`Rasterizer::backward`] then takes their
-    /// gradient in `ImageGradient::channels`.
+    /// Composites `count` further channels in the view of the last [`Rasterizer::render`]: `features` has `count`
+    /// values per Gaussian (of all, not of the active alone), the image `count` per pixel, row by row: sums of the
+    /// features weighted like the colours, 0 where nothing is, not divided by alpha. [`Rasterizer::backward`] then
+    /// takes their gradient in `ImageGradient::channels`.
     ///
     /// Errors: no render before; another number of features; a feature that is not finite.
     pub fn render_channels(&mut self, features: &[T], count: usize) -> Result<&[T]> {
@@ -327,7 +317,7 @@ impl<T: Kernels> Rasterizer<T> {
         image: &ImageGradient<'_, T>,
         wanted: Wanted,
     ) -> Result<&Gradients<T>> {
-        self.backward_as(gaussians, image, wanted, Sound)?;
+        in_pool(|| self.backward_in_pool(gaussians, image, wanted, Sound))?;
         Ok(&self.gradients.gradients)
     }
 
@@ -340,18 +330,8 @@ impl<T: Kernels> Rasterizer<T> {
         wanted: Wanted,
         fault: Fault,
     ) -> Result<&Gradients<T>> {
-        self.backward_as(gaussians, image, wanted, fault)?;
+        in_pool(|| self.backward_in_pool(gaussians, image, wanted, fault))?;
         Ok(&self.gradients.gradients)
-    }
-
-    fn backward_as(
-        &mut self,
-        gaussians: &Gaussians<T>,
-        image: &ImageGradient<'_, T>,
-        wanted: Wanted,
-        faults: impl Faults,
-    ) -> Result<()> {
-        in_pool(|| self.backward_in_pool(gaussians, image, wanted, faults))
     }
 
     fn backward_in_pool(
@@ -418,7 +398,7 @@ impl<T: Kernels> Rasterizer<T> {
             if !plane.is_empty() && plane.len() != pixels * per_pixel {
                 return Err(Error::input(format!("the {name} gradient has {} values", plane.len())));
             }
-            // The tiles look at the colours in passing.
+            // The tiles check the colours in passing.
             if name != "colour" {
                 self.check_finite(name, plane, per_pixel)?;
             }
@@ -443,7 +423,7 @@ impl<T: Kernels> Rasterizer<T> {
 }
 
 /// What the tiles of a pass over the last splats have in common.
-fn tile_pass<'a, T: Kernels>(
+fn tile_pass<'a, T: SplatKernels>(
     options: PassOptions,
     rays: &'a PixelRays<T>,
     view: &View,

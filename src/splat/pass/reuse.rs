@@ -1,9 +1,11 @@
-//! What a render may take over from the one before: while positions, shapes and opacities stay as they were (and camera
-//! and active list too), the splats, their order and the lists of the tiles are those of before, and only colours have to
-//! be computed again. The images are the same bits as those of a render from scratch.
+//! What a render may take over from the one before: while positions, shapes and opacities stay as they were (and
+//! camera and active list too), the splats, their order and the lists of the tiles are those of before, and only
+//! colours have to be computed again. The images are the same bits as those of a render from scratch.
 
 use crate::splat::number::Real;
-use crate::splat::types::{Footprint, Gaussians, Settings, Shape, View};
+use crate::splat::types::{Footprint, Settings, Shape, View};
+
+use super::options::RenderRequest;
 
 /// What is kept from one render to the next.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -11,8 +13,8 @@ pub enum Reuse {
     /// Nothing; nothing is compared or copied either.
     #[default]
     Never,
-    /// Splats and lists while no number but SH, gain and background has changed: exact. Costs a comparison of the geometry
-    /// (about a hundredth of a render), and a copy where it has changed.
+    /// Splats and lists while no number but SH, gain and background has changed: exact. Costs a comparison of the
+    /// geometry (about a hundredth of a render), and a copy where it has changed.
     Unchanged,
 }
 
@@ -48,8 +50,9 @@ fn equal_shapes<T: Real>(a: &Shape<T>, b: &Shape<T>) -> bool {
 }
 
 impl<T: Real> KeptGeometry<T> {
-    /// A copy, with what else the lists depend on.
-    fn of(gaussians: &Gaussians<T>, view: &View, settings: &Settings, active: Option<&[u32]>) -> Self {
+    /// A copy of the geometry, with the rest that the lists depend on.
+    fn of(request: RenderRequest<'_, T>) -> Self {
+        let RenderRequest { gaussians, view, settings, active } = request;
         KeptGeometry {
             view: *view,
             settings: *settings,
@@ -62,7 +65,8 @@ impl<T: Real> KeptGeometry<T> {
     }
 
     /// Whether splats and lists hold for this render.
-    fn holds_for(&self, gaussians: &Gaussians<T>, view: &View, settings: &Settings, active: Option<&[u32]>) -> bool {
+    fn holds_for(&self, request: RenderRequest<'_, T>) -> bool {
+        let RenderRequest { gaussians, view, settings, active } = request;
         let developed = Settings { gain: self.settings.gain, background: self.settings.background, ..*settings };
         // Exact discs have tables of their own: they are projected anew.
         settings.footprint != Footprint::Disc
@@ -103,20 +107,14 @@ impl<T> ReuseState<T> {
 
 impl<T: Real> ReuseState<T> {
     /// Whether the splats and lists of the last render hold for this one.
-    pub fn holds_for(
-        &self,
-        gaussians: &Gaussians<T>,
-        view: &View,
-        settings: &Settings,
-        active: Option<&[u32]>,
-    ) -> bool {
-        self.kept.as_ref().is_some_and(|kept| kept.holds_for(gaussians, view, settings, active))
+    pub fn holds_for(&self, request: RenderRequest<'_, T>) -> bool {
+        self.kept.as_ref().is_some_and(|kept| kept.holds_for(request))
     }
 
     /// Remembers what the lists were made for, if reuse is on.
-    pub fn keep(&mut self, gaussians: &Gaussians<T>, view: &View, settings: &Settings, active: Option<&[u32]>) {
+    pub fn keep(&mut self, request: RenderRequest<'_, T>) {
         if self.mode == Reuse::Unchanged {
-            self.kept = Some(KeptGeometry::of(gaussians, view, settings, active));
+            self.kept = Some(KeptGeometry::of(request));
         }
     }
 }

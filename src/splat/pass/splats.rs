@@ -6,8 +6,7 @@ use crate::ffi::isa::Isa;
 use crate::ffi::splat::bin::{self as native_bin, Boxes};
 use crate::ffi::splat::rasterize::Aligned;
 use crate::ffi::system::grow;
-use crate::splat::kernels::{KernelScene, Kernels};
-use crate::splat::number::Real;
+use crate::splat::kernels::{KernelScene, SplatKernels};
 use crate::splat::plain::bins::TileBox;
 use crate::splat::plain::disc::tiles_of;
 use crate::splat::plain::project::SplatChunk;
@@ -34,7 +33,7 @@ pub struct MovingOutput<'a, 'd, T> {
     pub velocities: &'a mut Vec<[T; 8]>,
 }
 
-impl<T: Kernels> Splats<T> {
+impl<T: SplatKernels> Splats<T> {
     /// Projects all active Gaussians of `scene` and, unless the plain twin of the bins is asked for (`isa`), counts the
     /// visible ones into `bins` while they are in the cache.
     pub fn project(
@@ -77,7 +76,12 @@ impl<T: Kernels> Splats<T> {
             |(chunk, ((((((rows, boxes), keys), visible), (starts, counts)), velocities), discs))| {
                 let mut chunk = SplatChunk { first: chunk * CHUNK, rows, boxes, keys, visible };
                 if exact {
-                    project_discs(scene, tiling, &mut chunk, discs);
+                    let (projector, gaussians) = (scene.projector, scene.gaussians);
+                    chunk.fill_with(projector, gaussians, scene.active, |k, i| {
+                        let (row, disc) = projector.project_disc(gaussians, i)?;
+                        discs[k] = disc.pack();
+                        Some((row, tiles_of(&disc.bounds, tiling)))
+                    });
                 } else {
                     let moving = direction.map(|direction| (direction, velocities));
                     T::project(scene, tiling, &mut chunk, moving);
@@ -121,25 +125,5 @@ impl<T: Kernels> Splats<T> {
     pub fn box_intersections(&self, visible: &[bool], tiling: &Tiling) -> usize {
         let rows = self.rows.iter().zip(visible).filter(|(_, visible)| **visible);
         rows.map(|(row, _)| TileBox::around(&row.0, tiling, T::zero()).count()).sum()
-    }
-}
-
-/// Projects a chunk as exact discs.
-fn project_discs<T: Real>(
-    scene: &KernelScene<'_, T>,
-    tiling: &Tiling,
-    chunk: &mut SplatChunk<'_, T>,
-    discs: &mut [Aligned<T>],
-) {
-    for k in 0..chunk.rows.len() {
-        let j = chunk.first + k;
-        let i = scene.active.map_or(j, |list| list[j] as usize);
-        let found = scene.projector.project_disc(scene.gaussians, i);
-        chunk.visible[k] = found.is_some();
-        if let Some((row, disc)) = found {
-            chunk.boxes[k] = tiles_of(&disc.bounds, tiling).pack();
-            chunk.keys[k] = scene.projector.key(scene.gaussians.positions[i]);
-            (chunk.rows[k].0, discs[k]) = (row, disc.pack());
-        }
     }
 }

@@ -3,15 +3,15 @@
 //! direction, no gradient of anything.
 //!
 //! The decisions (which splats, in which order, what is left out, where a pixel stops) are those of the plain render,
-//! and so is the clamp of the pinhole's Jacobian: the derivative is that of the very function that is rendered.
-//! The vectorised kernels composite values and up to four velocities in one pass; the plain twin, for every number type,
-//! runs projection and compositing in dual numbers. Both by `plain/moving.rs`, exact discs too.
+//! and so is the clamp of the pinhole's Jacobian: the derivative is that of the very function that is rendered. The
+//! vectorised kernels composite values and up to four velocities in one pass; the plain twin, for every number type,
+//! runs projection (`plain/moving.rs`) and compositing in dual numbers, and so do exact discs, whole passes of them.
 
 use rayon::prelude::*;
 
 use crate::base::Result;
 use crate::ffi::splat::rasterize::Aligned;
-use crate::splat::kernels::{DevelopedDirection, KernelScene, Kernels, VelocityKernels};
+use crate::splat::kernels::{DevelopedDirection, KernelScene, SplatKernels, VelocityKernels};
 use crate::splat::number::{Dual, Real};
 use crate::splat::plain::moving::{moving_discs, moving_row};
 use crate::splat::plain::projector::Projector;
@@ -20,10 +20,11 @@ use crate::splat::types::table::{DIRECTIONS_PER_PASS, PLANES, VELOCITY_PLANES};
 use crate::splat::types::{DepthOutput, Direction, Footprint, Gaussians, PIXELS, Settings, Skips, TILE_SIDE, View};
 
 use super::forward::{MovingSplats, light};
+use super::options::RenderRequest;
 use super::pool::{CHUNK, PIECE, in_pool};
 use super::rasterizer::Rasterizer;
 
-impl<T: Kernels> Rasterizer<T> {
+impl<T: SplatKernels> Rasterizer<T> {
     /// Renders, and differentiates the colour image along each of `directions`: one image of `height * width * 3`
     /// values per direction, d(colour)/d(unknown), with gain and background as in the render. The plain images are in
     /// [`Rasterizer::rendered`] afterwards, and [`Rasterizer::backward`] may follow.
@@ -40,7 +41,8 @@ impl<T: Kernels> Rasterizer<T> {
         directions.iter().try_for_each(|direction| direction.check(gaussians))?;
         let mut images = std::mem::take(&mut self.tangents.images);
         images.resize_with(directions.len(), Vec::new);
-        let done = in_pool(|| self.render_moving(gaussians, view, settings, active, directions, &mut images))?;
+        let request = RenderRequest { gaussians, view, settings, active };
+        let done = in_pool(|| self.render_moving(request, directions, &mut images))?;
         if !done {
             self.render(gaussians, view, settings, active)?;
         }
@@ -49,10 +51,8 @@ impl<T: Kernels> Rasterizer<T> {
             match direction {
                 Direction::Gain(gain) => self.gain_tangent(settings, gain.map(T::of), image),
                 _ if done => {}
-                _ if settings.footprint == Footprint::Disc => {
-                    self.disc_tangent(gaussians, view, settings, direction, image)?;
-                }
-                _ => self.splat_tangent(gaussians, view, settings, direction, image)?,
+                _ if settings.footprint == Footprint::Disc => self.disc_tangent(request, direction, image)?,
+                _ => self.splat_tangent(request, direction, image)?,
             }
         }
         self.tangents.images = images;
@@ -63,13 +63,11 @@ impl<T: Kernels> Rasterizer<T> {
     /// `false` when there are none, or nothing for them to do.
     fn render_moving(
         &mut self,
-        gaussians: &Gaussians<T>,
-        view: &View,
-        settings: &Settings,
-        active: Option<&[u32]>,
+        request: RenderRequest<'_, T>,
         directions: &[Direction<'_, T>],
         images: &mut [Vec<T>],
     ) -> Result<bool> {
+        let RenderRequest { gaussians, view, settings, .. } = request;
         let is_motion = |d: &Direction<'_, T>| !matches!(d, Direction::Gain(_));
         let moving: Vec<usize> = (0..directions.len()).filter(|&d| is_motion(&directions[d])).collect();
         let projector = Projector::new(view, settings)?;
@@ -80,7 +78,7 @@ impl<T: Kernels> Rasterizer<T> {
         if moving.is_empty() || matches!(settings.depth, DepthOutput::Surface | DepthOutput::Median) {
             return Ok(false);
         }
-        let mut known = usize::from(self.prepare(gaussians, view, settings, active, Some(&directions[moving[0]]))?);
+        let mut known = usize::from(self.prepare(request, Some(&directions[moving[0]]))?);
         for group in moving.chunks(DIRECTIONS_PER_PASS) {
             let mut velocities = std::mem::take(&mut self.tangents.velocities);
             let scene = KernelScene::new(self.options.isa, gaussians, &projector, self.active.as_deref());
@@ -155,14 +153,8 @@ impl<T: Kernels> Rasterizer<T> {
     }
 
     /// Derivative of the colours of exact discs along `direction`, of the Gaussians that the last render took.
-    fn disc_tangent(
-        &self,
-        gaussians: &Gaussians<T>,
-        view: &View,
-        settings: &Settings,
-        direction: &Direction<'_, T>,
-        image: &mut [T],
-    ) -> Result<()> {
+    fn disc_tangent(&self, request: RenderRequest<'_, T>, direction: &Direction<'_, T>, image: &mut [T]) -> Result<()> {
+        let RenderRequest { gaussians, view, settings, .. } = request;
         let moving = moving_discs(gaussians, &Projector::new(view, settings)?, direction);
         let settings = Settings { depth: DepthOutput::Skip, ..*settings };
         let mut rasterizer = Rasterizer::<Dual<T>>::new();
@@ -176,12 +168,11 @@ impl<T: Kernels> Rasterizer<T> {
     /// Derivative of the colours of an affine projection along `direction`, in dual numbers.
     fn splat_tangent(
         &self,
-        gaussians: &Gaussians<T>,
-        view: &View,
-        settings: &Settings,
+        request: RenderRequest<'_, T>,
         direction: &Direction<'_, T>,
         image: &mut [T],
     ) -> Result<()> {
+        let RenderRequest { gaussians, view, settings, .. } = request;
         let (plain, dual) = (Projector::new(view, settings)?, Projector::<Dual<T>>::new(view, settings)?);
         let (visible, active) = (&self.images.rendered.visible, self.active.as_deref());
         let row_of = |j: usize| {

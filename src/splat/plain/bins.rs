@@ -15,8 +15,8 @@ pub struct TileBox {
 }
 
 impl TileBox {
-    /// Tiles of the pixel centres within the splat's half width and height, and a slack against rounding (that of the masks
-    /// of blocks, `tile.rs`). Where there are none, the tile of its left or upper end.
+    /// Tiles of the pixel centres within the splat's half width and height, and a slack against rounding (that of the
+    /// masks of blocks, `tile.rs`). Where there are none, the tile of its left or upper end.
     pub fn of<T: Real>(row: &SplatRow<T>, tiling: &Tiling) -> Self {
         let slack = T::of(1e-3) + T::of(1e-5) * (row[at::HALF_WIDTH] + row[at::HALF_HEIGHT]);
         Self::around(row, tiling, T::of(0.5) - slack)

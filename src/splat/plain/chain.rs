@@ -75,8 +75,8 @@ fn compensation_pullback<T: Real>(g: &Geometry<T>, by_log: T, by_u: &mut [[T; 2]
     }
 }
 
-/// Writes the gradient of the SH coefficients (where there is room for it) and returns that of the view direction (as if
-/// it were free).
+/// Writes the gradient of the SH coefficients (where there is room for it) and returns that of the view direction (as
+/// if it were free).
 #[inline(always)]
 pub fn color_gradient<T: Real>(
     gaussians: &Gaussians<T>,
@@ -125,9 +125,11 @@ pub fn gradients_of_splat<T: Real>(
 ) -> Option<GaussianGradient<T>> {
     let g = projector.geometry(gaussians.positions[i], gaussians.shape.columns(i))?;
     let mut one = GaussianGradient::zero();
+    // Opacity: alpha is proportional to it, and S sums alpha d loss / d alpha.
     let opacity = gaussians.opacities[i];
     one.opacity = if faults.has(Fault::OpacityFactorMissing) { m[moment::S] } else { m[moment::S] / opacity };
     let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE | Wanted::LENS);
+    // Colour: the SH coefficients, and the view direction through their basis.
     let mut by_direction = [T::zero(); 3];
     if wanted.any(Wanted::SH) || (through_position && gaussians.sh_degree > 0) {
         let by_color = [m[moment::RED], m[moment::RED + 1], m[moment::RED + 2]];
@@ -135,12 +137,14 @@ pub fn gradients_of_splat<T: Real>(
         by_direction = by_view_direction(free, g.direction, g.distance);
     }
     if through_position || wanted.any(Wanted::SHAPES) {
+        // Columns on screen, covariance = sum u_k u_k^T + dilation I: d loss / d u_k = 2 V u_k.
         let [va, vb, vc] = covariance_gradient(&g, m, faults);
         let two = T::of(if faults.has(Fault::ColumnFactorMissing) { 1.0 } else { 2.0 });
         let mut by_u = g.u.map(|[x, y]| [two * (va * x + vb * y), two * (vb * x + vc * y)]);
         if projector.filter == Filter::Compensate && !faults.has(Fault::CompensationHeldFixed) {
             compensation_pullback(&g, m[moment::S], &mut by_u);
         }
+        // Columns in camera axes, u_k = J c_k.
         let j = &g.jacobian;
         let by_c = by_u.map(|v| [0, 1, 2].map(|k| j[0][k] * v[0] + j[1][k] * v[1]));
         if wanted.any(Wanted::SHAPES) {
@@ -148,6 +152,7 @@ pub fn gradients_of_splat<T: Real>(
             one.columns = by_c.map(|v| if transposed { projector.turn(v) } else { projector.turn_back(v) });
         }
         if through_position {
+            // The Jacobian, through all u_k; then the centre, through its image point, the Jacobian and the depth.
             let mut by_jacobian = [[T::zero(); 3]; 2];
             for (v, c) in by_u.iter().zip(&g.c) {
                 for (row, weight) in by_jacobian.iter_mut().zip(v) {

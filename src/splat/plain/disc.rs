@@ -42,7 +42,7 @@ pub struct Disc<T> {
     pub height: T,
     /// `t / t_z`.
     pub slope: [T; 2],
-    /// Where it can be seen.
+    /// Where it is visible.
     pub bounds: DiscBounds<T>,
 }
 
@@ -157,7 +157,8 @@ impl<T: Real> DiscInCamera<T> {
     }
 
     /// Least and greatest slope, less that of the centre, over what the disc shows at `near` or beyond: at the points
-    /// where lines through the eye touch its outline, and where the near plane cuts it. `None` where that is not finite.
+    /// where lines through the eye touch its outline, and where the near plane cuts it. `None` where that is not
+    /// finite.
     fn slopes(&self, k: usize, reach: T, near: T) -> Option<[T; 2]> {
         let t = self.t;
         let along = [reach * self.a[2], reach * self.b[2]];
@@ -199,7 +200,7 @@ impl<T: Real> DiscInCamera<T> {
 }
 
 impl<T: Real> Projector<T> {
-    /// The row of the tables and the disc of Gaussian `i`; `None` when it cannot be seen or is not finite.
+    /// The row of the tables and the disc of Gaussian `i`; `None` when it is invisible or not finite.
     pub fn project_disc(&self, gaussians: &Gaussians<T>, i: usize) -> Option<(SplatRow<T>, Disc<T>)> {
         let log2_opacity = gaussians.opacities[i].log2();
         let reach = log2_opacity + T::of(LOG2_255);

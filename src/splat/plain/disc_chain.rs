@@ -9,8 +9,8 @@ use super::disc::DiscInCamera;
 use super::fault::{Fault, Faults};
 use super::projector::Projector;
 
-/// Gradients of Gaussian `i` from its sums `m`, those of the SH into `by_sh` (empty if not wanted); `None` where a number
-/// is not finite.
+/// Gradients of Gaussian `i` from its sums `m`, those of the SH into `by_sh` (empty if not wanted); `None` where a
+/// number is not finite.
 pub fn gradients_of_disc<T: Real>(
     projector: &Projector<T>,
     gaussians: &Gaussians<T>,
@@ -37,9 +37,9 @@ pub fn gradients_of_disc<T: Real>(
     }
     let three = |at: usize| [m[at], m[at + 1], m[at + 2]];
     let (by_p, by_q) = (three(sum::P), three(sum::Q));
-    // N.t is the height.
+    // The three normals of the intersection; N.t is the height.
     let by_n = add(three(sum::N), t.map(|v| v * m[sum::HEIGHT]));
-    // P = b x t, Q = t x a, N = a x b.
+    // The axes: P = b x t, Q = t x a, N = a x b.
     let by_a = add(cross(by_q, t), cross(b, by_n));
     let by_b = add(cross(t, by_p), cross(by_n, a));
     let [first, second] = gaussians.shape.disc_columns(i);
@@ -49,6 +49,7 @@ pub fn gradients_of_disc<T: Real>(
         one.columns = by_columns.map(|v| projector.turn_back(v));
     }
     if through_position {
+        // The centre: through P and Q, the height, the depth, and the centre of the screen filter.
         let over = T::one() / t[2];
         let mut by_t = add(cross(by_p, b), cross(a, by_q));
         for k in 0..3 {

@@ -1,5 +1,5 @@
-//! Compositing of one tile of exact discs, forward and backward: the plain twin of `cpp/splat/disc.cpp`; symbols as in `disc.rs`, transmittance and the
-//! bookkeeping of what lies behind as in `tile.rs`.
+//! Compositing of one tile of exact discs, forward and backward: the plain twin of `cpp/splat/disc.cpp`; symbols as
+//! in `disc.rs`, transmittance and the bookkeeping of what lies behind as in `tile.rs`.
 //!
 //! Of `v = alpha d loss / d alpha` a disc that is met gets `-v s / w` for `p = P.d`, `-v u / w` for `q = Q.d` and
 //! `v (s^2 + u^2) / w` for `w = N.d`; summed with the ray (for `p`, `q`: with its offset from the centre's ray, and the

@@ -45,14 +45,15 @@ impl ExactCamera {
         }
     }
 
-    /// The cone outside of which a splat lies beside the image for sure: cosine and sine of its half angle, and `reach`,
-    /// such that with `r` the distance from the axis and `s` the largest standard deviation of the Gaussian (mm),
-    /// `cosine r - sine z >= 3.34 reach s` is beside. All 0, which is never true, where no such cone exists before the
-    /// camera.
+    /// The cone outside of which a splat lies beside the image for sure: cosine and sine of its half angle, and
+    /// `reach`, such that with `r` the distance from the axis and `s` the largest standard deviation of the Gaussian
+    /// (mm), `cosine r - sine z >= 3.34 reach s` is beside. All 0, which is never true, where no such cone exists
+    /// before the camera.
     ///
-    /// A splat reaches 3.34 standard deviations on the image along each axis, which are no more than `stretch s / distance`
-    /// and the dilation (in units of the focal length); it misses the image where its centre is farther from every pixel
-    /// than sqrt(2) times that, and beyond the cone the image point moves out with the angle by at least `slope`.
+    /// A splat reaches 3.34 standard deviations on the image along each axis, which are no more than `stretch s /
+    /// distance` and the dilation (in units of the focal length); it misses the image where its centre is farther
+    /// from every pixel than sqrt(2) times that, and beyond the cone the image point moves out with the angle by at
+    /// least `slope`.
     pub fn cone(&self, lens: [f64; 4], size: [f64; 2], dilation: f64) -> [f64; 3] {
         const STEPS: usize = 1000;
         let corner = [0, 1].map(|k| self.center[k].abs().max((size[k] - self.center[k]).abs()) / self.focal[k]);

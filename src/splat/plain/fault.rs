@@ -1,7 +1,7 @@
-//! Faults seeded into the plain backward pass, so that the check of the gradients can be checked: each is a mistake that
-//! was made in a public rasteriser or is easily made, and each must be caught by the same finite differences that guard
-//! the sound code (`check/gradient_check.rs`). The sound pass carries [`Sound`], which has no size and no fault: the compiler
-//! removes every question.
+//! Faults seeded into the plain backward pass, so that the check of the gradients can be checked: each is a mistake
+//! that was made in a public rasteriser or is easily made, and each must be caught by the same finite differences
+//! that guard the sound code (`check/gradient_check.rs`). The sound pass carries [`Sound`], which has no size and no
+//! fault: the compiler removes every question.
 
 /// A mistake in the backward pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,4 +1,5 @@
-//! Gradients of a chunk of Gaussians from the moments of their splats: the plain twin of the loop in `cpp/splat/chain.cpp`.
+//! Gradients of a chunk of Gaussians from the moments of their splats: the plain twin of the loop in
+//! `cpp/splat/chain.cpp`.
 
 use crate::ffi::splat::rasterize::Aligned;
 use crate::splat::number::Real;

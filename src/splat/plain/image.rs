@@ -1,7 +1,7 @@
 //! Between the sums of tiles and images in rows: the plain twin of `cpp/splat/image.cpp`.
 //!
-//! `colour = gain (sum + T background)`, `depth = sum / alpha`, `alpha = 1 - T`, with `T` the light that is left; and the
-//! way back.
+//! `colour = gain (sum + T background)`, `depth = sum / alpha`, `alpha = 1 - T`, with `T` the light that is left; and
+//! the way back.
 
 use crate::ffi::splat::image::{ImageBand, Light};
 use crate::splat::number::Real;

@@ -1,5 +1,5 @@
-//! Lenses: where a point in camera axes comes to lie, the Jacobian there, and the way back. Pinhole, with the Jacobian taken
-//! at a clamped point as in 3DGS, and OpenCV's fisheye model. The symbols are those of `project.rs`.
+//! Lenses: where a point in camera axes comes to lie, the Jacobian there, and the way back. Pinhole, with the
+//! Jacobian taken at a clamped point as in 3DGS, and OpenCV's fisheye model. The symbols are those of `project.rs`.
 
 use crate::base::Camera;
 use crate::splat::number::{Dual, Real, dot};
@@ -115,8 +115,9 @@ impl<T: Real> Lens<T> {
         out
     }
 
-    /// Gradients of `fl_x`, `fl_y`, `cx`, `cy` of a loss with gradients `by_point` and `by_jacobian` of `image`, the image of
-    /// `t`. Both are proportional to the focal lengths; where the pinhole's Jacobian is clamped, its third column is not.
+    /// Gradients of `fl_x`, `fl_y`, `cx`, `cy` of a loss with gradients `by_point` and `by_jacobian` of `image`, the
+    /// image of `t`. Both are proportional to the focal lengths; where the pinhole's Jacobian is clamped, its third
+    /// column is not.
     #[inline(always)]
     pub fn intrinsics_pullback(
         &self,

@@ -1,6 +1,6 @@
-//! Every stage of a pass as plain functions over slices, for every number type: the twin that the vectorised kernels are
-//! checked against (f64), and the code that dual numbers run through. Each mistake of [`fault`] can be seeded into the
-//! backward pass.
+//! Every stage of a pass as plain functions over slices, for every number type: the twin that the vectorised kernels
+//! are checked against (f64), and the code that dual numbers run through. Each mistake of [`fault`] can be seeded
+//! into the backward pass.
 //!
 //! From below: `fault`, `lens`, `exact_camera`, `projector`; `bins`, `project`, `tile`, `image`, `chain` for
 //! `Footprint::Ewa`; `disc`, `disc_tile`, `disc_chain` for `Footprint::Disc`; `gradient_chunk` for both; `moving`,

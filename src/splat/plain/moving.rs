@@ -1,7 +1,7 @@
 //! Splats and discs with their velocity along a direction: projection in dual numbers.
 //!
-//! A motion of the camera, `t <- t + h (omega x t + tau)` in its axes, is that of all Gaussians, but for the direction that
-//! they are seen from: turning leaves the eye where it is.
+//! A motion of the camera, `t <- t + h (omega x t + tau)` in its axes, is that of all Gaussians, but for the
+//! direction that they are seen from: turning leaves the eye where it is.
 
 use crate::splat::number::{Dual, Real, add, cross, dot, sh};
 use crate::splat::types::table::SplatRow;

@@ -1,6 +1,5 @@
 //! Normals of Gaussians as features of further channels, and the way back of their gradients.
 
-use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::base::{Error, Result};
@@ -8,9 +7,11 @@ use crate::splat::number::{Real, cross, dot};
 use crate::splat::types::{Gaussians, Gradients, Shape, View};
 
 use super::chain::ellipsoid_gradient;
+use super::exact_camera::ExactCamera;
 use super::fault::Sound;
 
-/// Unit normal of Gaussian `i` in world axes, turned towards the eye; its sign and the length of what it was divided by.
+/// Unit normal of Gaussian `i` in world axes, turned towards the eye; its sign and the length of what it was divided
+/// by.
 fn normal<T: Real>(gaussians: &Gaussians<T>, i: usize, eye: [T; 3]) -> ([T; 3], T, T) {
     let columns = gaussians.shape.columns(i);
     let [a, b] = gaussians.shape.disc_columns(i).map(|k| columns[k]);
@@ -22,14 +23,10 @@ fn normal<T: Real>(gaussians: &Gaussians<T>, i: usize, eye: [T; 3]) -> ([T; 3], 
     if unit.iter().all(|v| v.is_finite()) { (unit, sign, length) } else { ([T::zero(); 3], T::zero(), T::one()) }
 }
 
-fn matrix<T: Real>(view: &View) -> [[T; 3]; 3] {
-    let m = view.camera_from_world.matrix3;
-    [0, 1, 2].map(|row| [m.x_axis[row], m.y_axis[row], m.z_axis[row]].map(T::of))
-}
-
-fn eye<T: Real>(view: &View) -> [T; 3] {
-    let eye: DVec3 = view.camera_from_world.inverse().translation;
-    eye.to_array().map(T::of)
+/// Rotation into camera axes and position of the camera.
+fn pose<T: Real>(view: &View) -> ([[T; 3]; 3], [T; 3]) {
+    let exact = ExactCamera::new(&view.camera, &view.camera_from_world);
+    (exact.rotation.map(|row| row.map(T::of)), exact.eye.map(T::of))
 }
 
 impl<T: Real> Gaussians<T> {
@@ -37,7 +34,7 @@ impl<T: Real> Gaussians<T> {
     /// [`Rasterizer::render_channels`]. Of a disc the normal of its axes, of an ellipsoid the direction of its shortest
     /// axis; 0 where there is none.
     pub fn normals(&self, view: &View) -> Vec<T> {
-        let (m, eye) = (matrix::<T>(view), eye::<T>(view));
+        let (m, eye) = pose::<T>(view);
         let of = |i: usize| {
             let unit = normal(self, i, eye).0;
             m.map(|row| dot(row, unit))
@@ -61,7 +58,7 @@ impl<T: Real> Gaussians<T> {
         if by_normals.len() != 3 * n || !fits(gradients.axes.len()) || !fits(gradients.rotations.len()) {
             return Err(Error::input("the gradient of the normals has another length than the other gradients"));
         }
-        let (m, eye) = (matrix::<T>(view), eye::<T>(view));
+        let (m, eye) = pose::<T>(view);
         for (j, by_normal) in by_normals.as_chunks::<3>().0.iter().enumerate() {
             let i = active.map_or(j, |list| list[j] as usize);
             let (unit, sign, length) = normal(self, i, eye);

@@ -66,6 +66,7 @@ impl<T: Real> Projector<T> {
     #[inline(always)]
     pub fn geometry_of(&self, t: [T; 3], c: [[T; 3]; 3], offset: [T; 3]) -> Option<Geometry<T>> {
         let LensPoint { point, jacobian } = self.lens.image_of(t);
+        // Covariance on screen: sum u_k u_k^T + dilation I, u_k = J c_k.
         let u = c.map(|column| jacobian.map(|row| dot(row, column)));
         let sum = |a: usize, b: usize| u[0][a] * u[0][b] + u[1][a] * u[1][b] + u[2][a] * u[2][b];
         let plain = [sum(0, 0), sum(0, 1), sum(1, 1)];
@@ -76,12 +77,14 @@ impl<T: Real> Projector<T> {
         let plain_determinant = k01 * k01 + k02 * k02 + k12 * k12;
         let determinant = plain_determinant + d * (plain[0] + plain[2]) + d * d;
         let covariance = [plain[0] + d, plain[1], plain[2] + d];
+        // Its inverse, the conic.
         let inverse_determinant = T::one() / determinant;
         let conic = [
             covariance[2] * inverse_determinant,
             -covariance[1] * inverse_determinant,
             covariance[0] * inverse_determinant,
         ];
+        // View direction.
         let distance = dot(offset, offset).sqrt();
         let direction = offset.map(|v| v / distance);
         // A sum is finite only if every term is (0 times infinity and infinities of both signs give NaN).
@@ -106,7 +109,7 @@ impl<T: Real> Projector<T> {
         })
     }
 
-    /// The splat of Gaussian `i`, `None` when it cannot be seen or is not finite.
+    /// The splat of Gaussian `i`, `None` when it is invisible or not finite.
     pub fn project(&self, gaussians: &Gaussians<T>, i: usize) -> Option<SplatRow<T>> {
         let opacity = gaussians.opacities[i];
         let log2_opacity = opacity.log2();
@@ -183,12 +186,27 @@ impl<T: Real> SplatChunk<'_, T> {
         active: Option<&[u32]>,
         tiling: &Tiling,
     ) {
+        self.fill_with(projector, gaussians, active, |_, i| {
+            let row = projector.project(gaussians, i)?;
+            Some((row, TileBox::of(&row, tiling)))
+        });
+    }
+
+    /// Writes what `splat` makes of each Gaussian (number within the chunk, number of the Gaussian): its row and its tiles,
+    /// or `None` where it is invisible.
+    pub fn fill_with(
+        &mut self,
+        projector: &Projector<T>,
+        gaussians: &Gaussians<T>,
+        active: Option<&[u32]>,
+        mut splat: impl FnMut(usize, usize) -> Option<(SplatRow<T>, TileBox)>,
+    ) {
         for k in 0..self.rows.len() {
             let i = active.map_or(self.first + k, |list| list[self.first + k] as usize);
-            let row = projector.project(gaussians, i);
-            self.visible[k] = row.is_some();
-            if let Some(row) = row {
-                self.boxes[k] = TileBox::of(&row, tiling).pack();
+            let visible = splat(k, i);
+            self.visible[k] = visible.is_some();
+            if let Some((row, tiles)) = visible {
+                self.boxes[k] = tiles.pack();
                 self.keys[k] = projector.key(gaussians.positions[i]);
                 self.rows[k].0 = row;
             }
@@ -196,8 +214,8 @@ impl<T: Real> SplatChunk<'_, T> {
     }
 }
 
-/// Writes the colours of the visible Gaussians number `first..` into their rows, all else as it is; `false` when one is not
-/// finite.
+/// Writes the colours of the visible Gaussians number `first..` into their rows, all else as it is; `false` when one
+/// is not finite.
 pub fn recolor<T: Real>(
     projector: &Projector<T>,
     gaussians: &Gaussians<T>,

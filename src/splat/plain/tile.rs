@@ -9,8 +9,8 @@
 //! `v = alpha d loss / d alpha` the moments `sum v, v dx, v dy, v dx^2, v dx dy, v dy^2` are all that the chain to the
 //! parameters needs (`chain.rs`).
 //!
-//! A tile is 16 blocks of 4x4 pixels, numbered down the columns (`tile.rs`); per-pixel tables go block
-//! by block.
+//! A tile is 16 blocks of 4x4 pixels, numbered down the columns (`types/tiling.rs`); per-pixel tables go block by
+//! block.
 
 use crate::ffi::splat::rasterize::Aligned;
 use crate::splat::number::Real;

@@ -17,7 +17,8 @@ pub struct Rendered<T> {
     pub visible: Vec<bool>,
     /// How many flags are set.
     pub visible_count: usize,
-    /// Entries of the lists of all tiles: pairs of a tile and a splat that may have a pixel centre of it in its ellipse.
+    /// Entries of the lists of all tiles: pairs of a tile and a splat that may have a pixel centre of it in its
+    /// ellipse.
     pub intersections: usize,
 }
 

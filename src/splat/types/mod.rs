@@ -1,5 +1,5 @@
-//! What goes in and what comes out (Gaussians, view, settings, motions; images, gradients), and the layout of the tables
-//! between: tiles, rows of splats, sums of a backward pass.
+//! What goes in and what comes out (Gaussians, view, settings, motions; images, gradients), and the layout of the
+//! tables between: tiles, rows of splats, sums of a backward pass.
 
 mod gradients;
 mod images;

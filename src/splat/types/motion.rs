@@ -25,7 +25,8 @@ pub struct Motion<'a, T> {
 pub enum Direction<'a, T> {
     /// All Gaussians move.
     Motion(Motion<'a, T>),
-    /// The camera moves, `camera_from_world <- exp(h xi) camera_from_world`, `xi` as in [`crate::splat::Gradients::pose`].
+    /// The camera moves, `camera_from_world <- exp(h xi) camera_from_world`, `xi` as in
+    /// [`crate::splat::Gradients::pose`].
     Pose([f64; 6]),
     /// The gain changes, per channel.
     Gain([f64; 3]),

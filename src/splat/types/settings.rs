@@ -7,7 +7,8 @@ pub enum DepthOutput {
     Skip,
     /// Mean z-depth of the centres weighted by contribution, divided by alpha.
     Expected,
-    /// Mean z-depth of the splats' surfaces along each ray (`plain/surface_depth.rs`); forward only with `Footprint::Ewa`.
+    /// Mean z-depth of the splats' surfaces along each ray (`plain/surface_depth.rs`); forward only with
+    /// `Footprint::Ewa`.
     Surface,
     /// z-depth where the ray meets the splat behind which no more than half of the light is left; 0 where there is
     /// none. Forward only.
@@ -31,8 +32,8 @@ pub enum Footprint {
     /// The affine projection of 3DGS (EWA), vectorised.
     #[default]
     Ewa,
-    /// Flat discs that each ray meets exactly (2DGS; `plain/disc.rs`): plain projection, vectorised compositing. Ellipsoids
-    /// lose their shortest axis. Expected depth is that of the points met.
+    /// Flat discs that each ray meets exactly (2DGS; `plain/disc.rs`): plain projection, vectorised compositing.
+    /// Ellipsoids lose their shortest axis. Expected depth is that of the points met.
     Disc,
 }
 
@@ -43,8 +44,8 @@ pub struct Settings {
     pub footprint: Footprint,
     /// Gaussians with a centre nearer than this z-depth are left out.
     pub near_mm: f64,
-    /// Added to the diagonal of the projected covariance (px^2): the screen-space filter of 3DGS. With `Footprint::Disc`
-    /// the variance that a disc has on screen at least; 0 is no filter.
+    /// Added to the diagonal of the projected covariance (px^2): the screen-space filter of 3DGS. With
+    /// `Footprint::Disc` the variance that a disc has on screen at least; 0 is no filter.
     pub dilation_px2: f64,
     /// What that filter does to the opacity.
     pub filter: Filter,
@@ -80,11 +81,12 @@ impl Settings {
     }
 }
 
-/// A set of things left out because they cannot be seen. `respire-bench pareto splat` switches them off one at a time; the
+/// A set of things left out because they do not show. `respire-bench pareto splat` switches them off one at a time; the
 /// kernels have no branch for them in their loops over pixels. Exact discs have none of these switches.
 ///
-/// What else costs nothing when nobody asks has settings of its own: groups of gradients ([`crate::splat::Wanted`]), inactive
-/// Gaussians (`active`), lists that are kept ([`crate::splat::Reuse`]), depth ([`crate::splat::DepthOutput`]).
+/// What else costs nothing unless it is asked for has settings of its own: groups of gradients
+/// ([`crate::splat::Wanted`]), inactive Gaussians (`active`), lists that are kept ([`crate::splat::Reuse`]), depth
+/// ([`crate::splat::DepthOutput`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Skips(u8);
 
@@ -92,14 +94,14 @@ impl Skips {
     /// Extents end where a splat's alpha falls below 1/255; without, where that of an opaque one would (3.33 standard
     /// deviations). The image is the same.
     pub const EXTENTS: Skips = Skips(1);
-    /// Of each splat in a tile, only the 4x4 blocks that its ellipse can touch are looked at; without, all of the tile. The
-    /// image is the same.
+    /// Of each splat in a tile, only the 4x4 blocks that its ellipse can touch are composited; without, all of the
+    /// tile. The image is the same.
     pub const BLOCKS: Skips = Skips(2);
-    /// Groups of Gaussians beside the image are left before their covariance is known (vectorised projection). The image is
-    /// the same.
+    /// Groups of Gaussians beside the image are left before their covariance is known (vectorised projection). The
+    /// image is the same.
     pub const BESIDE: Skips = Skips(4);
-    /// A pixel stops when no more than 1e-4 of the light is left; without, it meets all its splats. The image changes by
-    /// as much.
+    /// A pixel stops when no more than 1e-4 of the light is left; without, it meets all its splats. The image changes
+    /// by as much.
     pub const STOP: Skips = Skips(8);
     /// All of them: the default.
     pub const ALL: Skips = Skips(15);

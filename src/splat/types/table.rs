@@ -38,14 +38,14 @@ pub mod at {
     pub const DISCRIMINANT: usize = 12;
     /// `y` of the rightmost point of the outline of alpha = 1/255.
     pub const WIDEST: usize = 13;
-    /// What rounding took from X and Y: at some hundred pixels single precision is a hundred thousandth of a pixel, which
-    /// changes the alpha of a splat that is no larger than a pixel by 1e-4.
+    /// What rounding took from X and Y: at some hundred pixels single precision is a hundred thousandth of a pixel,
+    /// which changes the alpha of a splat that is no larger than a pixel by 1e-4.
     pub const X_REST: usize = 14;
     pub const Y_REST: usize = 15;
 }
 
-/// Columns of the moments of one splat in one tile: sums over its pixels, with `v = alpha d loss / d alpha` and the offset
-/// `(dx, dy)` of the pixel from the splat.
+/// Columns of the moments of one splat in one tile: sums over its pixels, with `v = alpha d loss / d alpha` and the
+/// offset `(dx, dy)` of the pixel from the splat.
 pub mod moment {
     /// Of `v`, `v dx`, `v dy`, `v dx^2`, `v dx dy`, `v dy^2`.
     pub const S: usize = 0;

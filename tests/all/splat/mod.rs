@@ -3,6 +3,7 @@
 mod anchoring;
 mod command;
 mod disc;
+mod floors;
 pub mod forward;
 mod gradients;
 mod numpy_normal;

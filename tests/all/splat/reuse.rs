@@ -1,25 +1,27 @@
 //! What is taken over from the render before, and what lies out of sight: neither may change a bit.
 
-use respire_bench::splat::{DepthOutput, Gaussians, Isa, Kernels, Rasterizer, Reuse, Settings, Shape, View, Wanted};
+use respire_bench::splat::{
+    DepthOutput, Gaussians, Isa, Rasterizer, Reuse, Settings, Shape, SplatKernels, View, Wanted,
+};
 
 use super::scenes::{Kind, Lens, Weights, random, rng, view};
 
 const PIXELS: usize = 43 * 29;
 
 /// Images and gradients as bits; `Debug` writes enough digits to tell any two numbers apart.
-fn pass<T: Kernels>(r: &mut Rasterizer<T>, scene: &Gaussians<T>, view: &View, settings: &Settings) -> String {
+fn pass<T: SplatKernels>(r: &mut Rasterizer<T>, scene: &Gaussians<T>, view: &View, settings: &Settings) -> String {
     let weights = Weights::<T>::new(PIXELS, 5);
     let image = format!("{:?}", r.render(scene, view, settings, None).unwrap());
     let gradients = r.backward(scene, &weights.gradient(), Wanted::ALL).unwrap();
     image + &format!("{gradients:?}")
 }
 
-fn repaint<T: Kernels>(scene: &mut Gaussians<T>, key: u64) {
+fn repaint<T: SplatKernels>(scene: &mut Gaussians<T>, key: u64) {
     let mut r = rng(&[9, key]);
     scene.sh.iter_mut().for_each(|v| *v = T::of(0.3 * r.normal()));
 }
 
-fn repainted_equals_fresh<T: Kernels>(isa: Isa, lens: Lens, kind: Kind, degree: u8) {
+fn repainted_equals_fresh<T: SplatKernels>(isa: Isa, lens: Lens, kind: Kind, degree: u8) {
     let mut scene = random(150, kind, degree, 61).cast::<T>();
     let view = view(lens);
     let mut kept = Rasterizer::<T>::with_isa(isa).unwrap();
@@ -50,7 +52,7 @@ fn a_repainted_scene_equals_a_fresh_one_bit_for_bit() {
 }
 
 /// A depth image that nobody asks for is not written again while it is 0: whatever was rendered before, it is 0.
-fn depth_equals_fresh<T: Kernels>(isa: Isa) {
+fn depth_equals_fresh<T: SplatKernels>(isa: Isa) {
     use DepthOutput::{Expected, Median, Skip, Surface};
     let scene = random(60, Kind::Discs, 0, 64).cast::<T>();
     let mut kept = Rasterizer::<T>::with_isa(isa).unwrap();
