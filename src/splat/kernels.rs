@@ -12,7 +12,7 @@ use super::plain::disc_tile::DiscTile;
 use super::plain::fault::Faults;
 use super::plain::gradient_chunk::{CameraGradient, ChunkMoments, GradientChunk};
 use super::plain::image;
-use super::plain::project::{SplatChunk, recolor};
+use super::plain::project::{ProjectionChunk, recolor};
 use super::plain::projector::Projector;
 use super::plain::tile::{self, BackwardTile, ForwardTile, Parts};
 use super::types::table::{ALL_BLOCKS, DiscSums};
@@ -81,7 +81,7 @@ pub trait SplatKernels: Real {
     fn project(
         scene: &KernelScene<'_, Self>,
         tiling: &Tiling,
-        chunk: &mut SplatChunk<'_, Self>,
+        chunk: &mut ProjectionChunk<'_, Self>,
         _moving: Option<(&Direction<'_, Self>, &mut Velocities<Self>)>,
     ) {
         chunk.fill(scene.projector, scene.gaussians, scene.active, tiling);
@@ -177,7 +177,7 @@ impl SplatKernels for f32 {
     fn project(
         scene: &KernelScene<'_, f32>,
         tiling: &Tiling,
-        chunk: &mut SplatChunk<'_, f32>,
+        chunk: &mut ProjectionChunk<'_, f32>,
         moving: Option<(&Direction<'_, f32>, &mut Velocities<f32>)>,
     ) {
         let Some(native_scene) = scene.native() else {
@@ -188,7 +188,7 @@ impl SplatKernels for f32 {
             Some((direction, velocities)) => (motion_of(direction, &mut pose), velocities),
             None => (motion_of(&Direction::Gain([0.0; 3]), &mut pose), &mut []),
         };
-        let SplatChunk { first, rows, boxes, keys, visible } = chunk;
+        let ProjectionChunk { first, rows, boxes, keys, visible } = chunk;
         let tiles = ([tiling.columns, tiling.rows], TILE_SIDE);
         native::project(scene.isa, &native_scene, *first, tiles, rows, boxes, keys, visible, &motion, velocities);
     }

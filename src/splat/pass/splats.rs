@@ -9,7 +9,7 @@ use crate::ffi::system::grow;
 use crate::splat::kernels::{KernelScene, SplatKernels};
 use crate::splat::plain::bins::TileBox;
 use crate::splat::plain::disc::tiles_of;
-use crate::splat::plain::project::SplatChunk;
+use crate::splat::plain::project::ProjectionChunk;
 use crate::splat::types::table::at;
 use crate::splat::types::{Direction, Footprint, Tiling};
 
@@ -74,7 +74,7 @@ impl<T: SplatKernels> Splats<T> {
         let piece = if exact { PIECE } else { piece_of(n.div_ceil(CHUNK)) };
         tables.zip(bins).zip(velocities).zip(discs).enumerate().with_max_len(piece).for_each(
             |(chunk, ((((((rows, boxes), keys), visible), (starts, counts)), velocities), discs))| {
-                let mut chunk = SplatChunk { first: chunk * CHUNK, rows, boxes, keys, visible };
+                let mut chunk = ProjectionChunk { first: chunk * CHUNK, rows, boxes, keys, visible };
                 if exact {
                     let (projector, gaussians) = (scene.projector, scene.gaussians);
                     chunk.fill_with(projector, gaussians, scene.active, |k, i| {
@@ -87,7 +87,7 @@ impl<T: SplatKernels> Splats<T> {
                     T::project(scene, tiling, &mut chunk, moving);
                 }
                 if isa != Isa::Scalar {
-                    let SplatChunk { boxes, keys, visible, .. } = chunk;
+                    let ProjectionChunk { boxes, keys, visible, .. } = chunk;
                     native_bin::count(&Boxes { boxes, visible, keys }, shift, starts, counts);
                 }
             },

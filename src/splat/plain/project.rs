@@ -167,7 +167,7 @@ impl<T: Real> Projector<T> {
 }
 
 /// A chunk of the tables that projection fills: the splats of the active Gaussians number `first..`.
-pub struct SplatChunk<'a, T> {
+pub struct ProjectionChunk<'a, T> {
     pub first: usize,
     pub rows: &'a mut [Aligned<T>],
     /// Tiles that each visible splat meets, packed (`TileBox`).
@@ -177,7 +177,7 @@ pub struct SplatChunk<'a, T> {
     pub visible: &'a mut [bool],
 }
 
-impl<T: Real> SplatChunk<'_, T> {
+impl<T: Real> ProjectionChunk<'_, T> {
     /// Projects the Gaussians of the chunk.
     pub fn fill(
         &mut self,

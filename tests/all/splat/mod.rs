@@ -3,7 +3,6 @@
 mod anchoring;
 mod command;
 mod disc;
-mod floors;
 pub mod forward;
 mod gradients;
 mod numpy_normal;
