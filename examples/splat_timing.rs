@@ -20,7 +20,7 @@ use respire_bench::experiments::timing::{
 };
 use respire_bench::ffi::system::peak_memory_mib;
 use respire_bench::reconstruct::loss::photometric::Photometric;
-use respire_bench::splat::{Isa, Rasterizer, Reuse, Stage, Wanted};
+use respire_bench::splat::{Isa, PassStage, Rasterizer, Reuse, Wanted};
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -130,7 +130,7 @@ impl Program {
         }
         let image = rasterizer.rendered();
         println!("{} visible, {} intersections", image.visible_count, image.intersections);
-        for (k, stage) in Stage::ALL.iter().enumerate() {
+        for (k, stage) in PassStage::ALL.iter().enumerate() {
             print(stage.name(), &Samples::of_stages(&passes, k..k + 1));
         }
         print("forward", &Samples::of_stages(&passes, FORWARD_STAGES));

@@ -10,7 +10,7 @@ use crate::base::{Error, Image, Result};
 use crate::experiments::timing::{BACKWARD_STAGES, FORWARD_STAGES, Samples};
 use crate::formats::gaussians_ply::GaussianCloud;
 use crate::formats::{exr, npy, png};
-use crate::splat::{Gaussians, Rasterizer, Rendered, Stage, StageTimes, View};
+use crate::splat::{Gaussians, PassStage, Rasterizer, Rendered, StageTimes, View};
 
 /// Medians of one stage in milliseconds.
 #[derive(Serialize)]
@@ -59,7 +59,7 @@ impl FrameTiming {
             backward_cpu_ms: backward.map(|t| t.cpu_ms),
             visible: image.visible_count,
             intersections: image.intersections,
-            stages: (0..count).map(|k| (Stage::ALL[k].name(), median(k..k + 1))).collect(),
+            stages: (0..count).map(|k| (PassStage::ALL[k].name(), median(k..k + 1))).collect(),
         }
     }
 }

@@ -13,13 +13,14 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::base::{Error, Result};
 use crate::ffi::system::cpu_time_s;
 use crate::splat::{
-    Direction, Gaussians, ImageGradient, Motion, Rasterizer, Real, Settings, Stage, StageTimes, View, Wanted, tube,
+    Direction, Gaussians, ImageGradient, Motion, PassStage, Rasterizer, Settings, SplatKernels, StageTimes, View,
+    Wanted, tube,
 };
 
-/// Stages of the forward pass among [`Stage::ALL`].
+/// Stages of the forward pass among [`PassStage::ALL`].
 pub const FORWARD_STAGES: Range<usize> = 0..4;
 /// Stages of the backward pass.
-pub const BACKWARD_STAGES: Range<usize> = FORWARD_STAGES.end..Stage::ALL.len();
+pub const BACKWARD_STAGES: Range<usize> = FORWARD_STAGES.end..PassStage::ALL.len();
 
 /// Wall and CPU seconds of one piece of work.
 #[derive(Clone, Copy, Debug, Default)]
@@ -93,7 +94,7 @@ impl Samples {
 }
 
 impl Samples {
-    /// The summed cost of the stages `range` (of [`Stage::ALL`]), pass by pass.
+    /// The summed cost of the stages `range` (of [`PassStage::ALL`]), pass by pass.
     pub fn of_stages(passes: &[StageTimes], range: Range<usize>) -> Samples {
         let mut samples = Samples::default();
         for times in passes {
@@ -166,7 +167,7 @@ impl TimedScene {
     }
 
     /// The same in another precision.
-    pub fn cast<U: Real>(&self) -> TimedScene<U> {
+    pub fn cast<U: SplatKernels>(&self) -> TimedScene<U> {
         TimedScene {
             gaussians: self.gaussians.cast(),
             view: self.view,
@@ -191,7 +192,7 @@ impl TimedScene {
     }
 }
 
-impl<T: Real> TimedScene<T> {
+impl<T: SplatKernels> TimedScene<T> {
     /// One forward pass.
     pub fn forward(&self, rasterizer: &mut Rasterizer<T>) -> Result<()> {
         rasterizer.render(&self.gaussians, &self.view, &self.settings, None).map(drop)

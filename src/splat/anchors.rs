@@ -1,11 +1,11 @@
 //! Discs that live on the triangles of a deforming mesh, and the way back of their gradients.
 //!
 //! Centre: `sum_j lambda_j v_j`, `lambda = softmax(logits)` (RESPIRE, Eq. 2). Axes, either
-//! - [`Frame::InheritStretch`]: two tangents, perpendicular unit vectors on the triangle *at rest*, are carried by the
-//!   triangle's affine map, so that discs stretch, turn and shear with the tissue (as in GaMeS, Waczynska et al. 2024);
-//!   `axis_k = exp(s_k) (a_k e1 + b_k e2)` with the edges `e1, e2` of the triangle as it is now; or
-//! - [`Frame::NormalOnly`]: BridgeSplat's released code, the shortest-arc rotation from +z to the normal, no stretch,
-//!   `exp(s)` capped at twice its initial value.
+//! - [`DiscFrame::InheritStretch`]: two tangents, perpendicular unit vectors on the triangle *at rest*, are carried
+//!   by the triangle's affine map, so that discs stretch, turn and shear with the tissue (as in GaMeS, Waczynska et
+//!   al. 2024); `axis_k = exp(s_k) (a_k e1 + b_k e2)` with the edges `e1, e2` of the triangle as it is now; or
+//! - [`DiscFrame::NormalOnly`]: BridgeSplat's released code, the shortest-arc rotation from +z to the normal, no
+//!   stretch, `exp(s)` capped at twice its initial value.
 //!
 //! Triangles without area give discs without area, and no gradient through their normal.
 
@@ -13,10 +13,8 @@ use rayon::prelude::*;
 
 use crate::base::{Error, Result};
 
-use super::bin::cut;
-use super::dual::Dual;
-use super::project::dot;
-use super::real::Real;
+use super::number::{Dual, Real, cross, dot};
+use super::pass::cut;
 use super::types::{Gaussians, Gradients, Shape};
 
 /// Anchors per task; sums over anchors go in these chunks.
@@ -24,7 +22,7 @@ const CHUNK: usize = 512;
 
 /// What a disc inherits from its triangle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Frame {
+pub enum DiscFrame {
     /// Translation, rotation and stretch.
     InheritStretch,
     /// Translation and the direction of the normal.
@@ -43,7 +41,7 @@ pub struct Anchors<T> {
     /// Logarithms of the two half axes (mm, standard deviations).
     pub log_scales: Vec<[T; 2]>,
     /// What is inherited.
-    pub frame: Frame,
+    pub frame: DiscFrame,
     /// `(a_k, b_k)` of the two rest tangents in the edges of the rest triangle; for `InheritStretch`.
     pub tangents: Vec<[[T; 2]; 2]>,
     /// Upper limits of `log_scales`; empty for none.
@@ -61,10 +59,6 @@ pub struct Carrier<'a, T> {
 
 fn subtract<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// `a x + b y`.
@@ -117,7 +111,7 @@ fn shortest_arc_pullback<T: Real>(n: [T; 3], g: [[T; 3]; 2]) -> [T; 3] {
 }
 
 /// One anchor on its triangle.
-struct Stand<T> {
+struct PlacedAnchor<T> {
     corners: [[T; 3]; 3],
     edges: [[T; 3]; 2],
     weights: [T; 3],
@@ -130,7 +124,7 @@ impl<T: Real> Anchors<T> {
     ///
     /// Errors: arrays that differ in length, a face or vertex that does not exist.
     pub fn new(
-        frame: Frame,
+        frame: DiscFrame,
         face: Vec<u32>,
         logits: Vec<[T; 3]>,
         log_scales: Vec<[T; 2]>,
@@ -168,12 +162,6 @@ impl<T: Real> Anchors<T> {
         &self.face
     }
 
-    /// Caps `log_scales` at `log(factor)` above what they are now.
-    pub fn cap_scales(&mut self, factor: f64) {
-        let room = T::of(factor.ln());
-        self.log_scale_limits = self.log_scales.iter().map(|s| s.map(|v| v + room)).collect();
-    }
-
     /// How many there are.
     pub fn len(&self) -> usize {
         self.face.len()
@@ -182,20 +170,6 @@ impl<T: Real> Anchors<T> {
     /// True when there is none.
     pub fn is_empty(&self) -> bool {
         self.face.is_empty()
-    }
-
-    /// The same anchors in another number type.
-    pub fn cast<U: Real>(&self) -> Anchors<U> {
-        let one = |v: T| U::of(v.to_f64());
-        Anchors {
-            face: self.face.clone(),
-            topology: self.topology,
-            logits: self.logits.iter().map(|v| v.map(one)).collect(),
-            log_scales: self.log_scales.iter().map(|v| v.map(one)).collect(),
-            frame: self.frame,
-            tangents: self.tangents.iter().map(|t| t.map(|v| v.map(one))).collect(),
-            log_scale_limits: self.log_scale_limits.iter().map(|v| v.map(one)).collect(),
-        }
     }
 
     /// Lengths only: this runs at every call, and the inactive cost nothing.
@@ -222,7 +196,7 @@ impl<T: Real> Anchors<T> {
         Ok(())
     }
 
-    fn stand(&self, i: usize, carrier: Carrier<'_, T>) -> Stand<T> {
+    fn on_triangle(&self, i: usize, carrier: Carrier<'_, T>) -> PlacedAnchor<T> {
         let corners = carrier.faces[self.face[i] as usize].map(|v| carrier.vertices[v as usize]);
         let mut capped = [false; 2];
         let mut scales = self.log_scales[i];
@@ -232,7 +206,7 @@ impl<T: Real> Anchors<T> {
                 scales[k] = scales[k].minimum(limits[k]);
             }
         }
-        Stand {
+        PlacedAnchor {
             corners,
             edges: [subtract(corners[1], corners[0]), subtract(corners[2], corners[0])],
             weights: softmax(self.logits[i]),
@@ -244,8 +218,8 @@ impl<T: Real> Anchors<T> {
     /// Directions of the two axes, before the scales.
     fn directions(&self, i: usize, edges: [[T; 3]; 2]) -> [[T; 3]; 2] {
         match self.frame {
-            Frame::InheritStretch => self.tangents[i].map(|[a, b]| mix(a, edges[0], b, edges[1])),
-            Frame::NormalOnly => shortest_arc(unit_normal(edges[0], edges[1]).0),
+            DiscFrame::InheritStretch => self.tangents[i].map(|[a, b]| mix(a, edges[0], b, edges[1])),
+            DiscFrame::NormalOnly => shortest_arc(unit_normal(edges[0], edges[1]).0),
         }
     }
 
@@ -271,12 +245,12 @@ impl<T: Real> Anchors<T> {
         positions.into_par_iter().zip(axes).enumerate().for_each(|(c, (positions, axes))| {
             for j in c * CHUNK..n.min((c + 1) * CHUNK) {
                 let i = index(j);
-                let stand = self.stand(i, carrier);
-                let [a, b, d] = stand.corners;
-                let w = stand.weights;
+                let anchor = self.on_triangle(i, carrier);
+                let [a, b, d] = anchor.corners;
+                let w = anchor.weights;
                 positions[i - start(c)] = [0, 1, 2].map(|k| w[0] * a[k] + w[1] * b[k] + w[2] * d[k]);
-                let directions = self.directions(i, stand.edges);
-                axes[i - start(c)] = [0, 1].map(|k| directions[k].map(|v| v * stand.scales[k]));
+                let directions = self.directions(i, anchor.edges);
+                axes[i - start(c)] = [0, 1].map(|k| directions[k].map(|v| v * anchor.scales[k]));
             }
         });
         Ok(())
@@ -304,25 +278,25 @@ impl<T: Real> Anchors<T> {
         axes.resize(self.len(), [[T::zero(); 3]; 2]);
         let velocity = |j: usize| {
             let i = active.map_or(j, |list| list[j] as usize);
-            let stand = self.stand(i, carrier);
+            let anchor = self.on_triangle(i, carrier);
             let [a, b, c] = carrier.faces[self.face[i] as usize].map(|v| displacement[v as usize]);
-            let w = stand.weights;
+            let w = anchor.weights;
             let edges = [subtract(b, a), subtract(c, a)];
             let directions = match self.frame {
-                Frame::InheritStretch => self.directions(i, edges),
-                Frame::NormalOnly => {
-                    let moving = |e: usize| [0, 1, 2].map(|k| Dual::new(stand.edges[e][k], edges[e][k]));
+                DiscFrame::InheritStretch => self.directions(i, edges),
+                DiscFrame::NormalOnly => {
+                    let moving = |e: usize| [0, 1, 2].map(|k| Dual::new(anchor.edges[e][k], edges[e][k]));
                     shortest_arc(unit_normal(moving(0), moving(1)).0).map(|v| v.map(|d| d.derivative))
                 }
             };
             (
                 i,
                 [0, 1, 2].map(|k| w[0] * a[k] + w[1] * b[k] + w[2] * c[k]),
-                [0, 1].map(|k| directions[k].map(|v| v * stand.scales[k])),
+                [0, 1].map(|k| directions[k].map(|v| v * anchor.scales[k])),
             )
         };
-        let found: Vec<_> = (0..n).into_par_iter().with_min_len(CHUNK).map(velocity).collect();
-        for (i, position, axis) in found {
+        let velocities: Vec<_> = (0..n).into_par_iter().with_min_len(CHUNK).map(velocity).collect();
+        for (i, position, axis) in velocities {
             (positions[i], axes[i]) = (position, axis);
         }
         Ok(())
@@ -346,14 +320,14 @@ impl<T: Real> Anchors<T> {
                 for (k, (by_logits, by_scales)) in logits.iter_mut().zip(log_scales).enumerate() {
                     let j = c * CHUNK + k;
                     let i = active.map_or(j, |list| list[j] as usize);
-                    let stand = self.stand(i, carrier);
-                    let by_weights = stand.corners.map(|corner| dot(gradients.positions[j], corner));
-                    let mean = dot(stand.weights, by_weights);
-                    *by_logits = [0, 1, 2].map(|k| stand.weights[k] * (by_weights[k] - mean));
-                    let directions = self.directions(i, stand.edges);
+                    let anchor = self.on_triangle(i, carrier);
+                    let by_weights = anchor.corners.map(|corner| dot(gradients.positions[j], corner));
+                    let mean = dot(anchor.weights, by_weights);
+                    *by_logits = [0, 1, 2].map(|k| anchor.weights[k] * (by_weights[k] - mean));
+                    let directions = self.directions(i, anchor.edges);
                     *by_scales = [0, 1].map(|k| {
-                        let slope = stand.scales[k] * dot(gradients.axes[j][k], directions[k]);
-                        if stand.capped[k] { T::zero() } else { slope }
+                        let slope = anchor.scales[k] * dot(gradients.axes[j][k], directions[k]);
+                        if anchor.capped[k] { T::zero() } else { slope }
                     });
                 }
             },
@@ -363,16 +337,16 @@ impl<T: Real> Anchors<T> {
 
     /// Gradients of the three corners of the triangle of anchor `i`.
     fn corner_gradients(&self, i: usize, carrier: Carrier<'_, T>, position: [T; 3], axes: [[T; 3]; 2]) -> [[T; 3]; 3] {
-        let stand = self.stand(i, carrier);
-        let [s0, s1] = stand.scales;
+        let anchor = self.on_triangle(i, carrier);
+        let [s0, s1] = anchor.scales;
         let scaled = [axes[0].map(|v| v * s0), axes[1].map(|v| v * s1)];
-        let [e1, e2] = stand.edges;
+        let [e1, e2] = anchor.edges;
         let by_edges = match self.frame {
-            Frame::InheritStretch => {
+            DiscFrame::InheritStretch => {
                 let [[a0, b0], [a1, b1]] = self.tangents[i];
                 [mix(a0, scaled[0], a1, scaled[1]), mix(b0, scaled[0], b1, scaled[1])]
             }
-            Frame::NormalOnly => {
+            DiscFrame::NormalOnly => {
                 let (n, inverse) = unit_normal(e1, e2);
                 let by_n = shortest_arc_pullback(n, scaled);
                 let along = dot(by_n, n);
@@ -380,7 +354,7 @@ impl<T: Real> Anchors<T> {
                 [cross(e2, by_cross), cross(by_cross, e1)]
             }
         };
-        let w = stand.weights;
+        let w = anchor.weights;
         [
             [0, 1, 2].map(|k| w[0] * position[k] - by_edges[0][k] - by_edges[1][k]),
             [0, 1, 2].map(|k| w[1] * position[k] + by_edges[0][k]),

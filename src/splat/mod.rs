@@ -2,58 +2,46 @@
 //! threads. Knows nothing of methods, losses or optimisers.
 //!
 //! ```text
-//! Anchors --place--> Gaussians --project--> rows --bin--> tiles --kernel--> images
-//!    ^                   ^                                           |
-//!    +----pullback-------+-------------chain<------moments<----------+  image gradients
+//! Anchors --place--> Gaussians --project--> rows --bin--> tiles --composite--> sums --develop--> images
+//!    ^                   ^                                                                          |
+//!    +----pullback-------+------chain------ moments <------composite backward------ adjoint <-------+  image gradients
 //! ```
 //!
-//! The way of `Footprint::Disc` parts from it at the projection (`disc_mode`, `disc_tile`, `disc_chain`). What is asked
-//! for beyond colour, depth and alpha: `extra_channels` (features, normals), `sight` (median depth, contributors).
+//! A pixel's colour is decided in `plain/tile.rs`, function `forward`, and for exact discs in `plain/disc_tile.rs`; for
+//! `f32` in their vectorised twins `cpp/splat/kernel.cpp` and `cpp/splat/disc.cpp`.
+//!
+//! The folders are floors; each imports only from those before it, and files of a floor import each other in no circle:
+//!
+//! | floor | has |
+//! |---|---|
+//! | `number` | real and dual numbers, vectors, spherical harmonics |
+//! | `types` | Gaussians, view, settings, images, gradients, directions; tiles and the columns of the tables |
+//! | `plain` | every stage as plain functions over slices, for every number type: the twin of the C++ |
+//! | `kernels` | one trait: who does the work of a stage, C++ (`f32`) or `plain` (`f64`, dual numbers) |
+//! | `pass` | threads and tables: bins, tiles, images, moments, gradients; channels; derivatives along directions |
+//! | `anchors` | discs on the triangles of a mesh, and the way back of their gradients |
+//! | `check` | gradients against central differences, seeded faults, the scene of the timings |
+//!
+//! `Footprint::Disc` parts from the affine way at the projection (`disc`, `disc_tile`, `disc_chain` in `plain`). What
+//! is asked for beyond colour, depth and alpha: `pass/channels.rs` (features, normals), `pass/pixel_walk.rs` (depth
+//! of the surface, median depth, contributors).
 
 mod anchors;
-mod bin;
-mod chain;
-mod composite;
-mod disc_chain;
-mod disc_mode;
-mod disc_tangent;
-mod disc_tile;
-mod dual;
-mod extra_channels;
-mod fault;
-pub mod gradient_check;
-mod jvp;
-mod kernel;
-mod lens;
-mod native;
-mod parameters;
-mod pool;
-mod project;
-mod rasterizer;
-mod real;
-mod reuse;
-mod sh;
-mod sight;
-mod skips;
-mod stages;
-mod surface_depth;
-mod tangent;
-mod tile;
-pub mod tube;
+mod check;
+mod kernels;
+mod number;
+mod pass;
+mod plain;
 mod types;
 
 pub use crate::ffi::isa::Isa;
-pub use anchors::{Anchors, Carrier, Frame};
-pub use dual::Dual;
-pub use fault::Fault;
-pub use jvp::PhaseTangent;
-pub use rasterizer::Rasterizer;
-pub use real::Real;
-pub use reuse::Reuse;
-pub use skips::Skips;
-pub use stages::{Stage, StageTimes};
-pub use tangent::{Direction, Motion};
-pub use tile::TileSide;
+pub use anchors::{Anchors, Carrier, DiscFrame};
+pub use check::{gradient_check, tube};
+pub use kernels::SplatKernels;
+pub use number::{Dual, Real};
+pub use pass::{PassStage, Rasterizer, Reuse, StageTimes};
+pub use plain::fault::Fault;
 pub use types::{
-    DepthOutput, Filter, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, Shape, View, Wanted,
+    DepthOutput, Direction, Filter, Footprint, Gaussians, Gradients, ImageGradient, Motion, Rendered, Settings, Shape,
+    Skips, View, Wanted,
 };

@@ -14,7 +14,7 @@ use crate::base::{Error, Result};
 use crate::experiments::difference::{gradient_groups, relative_l2, widened};
 use crate::experiments::timing::{self, TimedScene};
 use crate::report::pareto_chart::{ParetoChart, ParetoPoint, SettingRole};
-use crate::splat::{Filter, Footprint, Isa, Rasterizer, Real, Settings, Skips, Wanted};
+use crate::splat::{Filter, Footprint, Isa, Rasterizer, Settings, Skips, SplatKernels, Wanted};
 
 /// From so many discs on, a pass takes tenths of a second: a tenth of the repetitions, and no comparison of skips.
 const MANY_DISCS: usize = 500_000;
@@ -117,7 +117,11 @@ struct PassMeasurement {
     wall_s: f64,
 }
 
-fn measure_passes<T: Real>(scene: &TimedScene, setting: SplatSetting, repetitions: usize) -> Result<PassMeasurement> {
+fn measure_passes<T: SplatKernels>(
+    scene: &TimedScene,
+    setting: SplatSetting,
+    repetitions: usize,
+) -> Result<PassMeasurement> {
     let mut scene = scene.cast::<T>();
     scene.settings = Settings { footprint: setting.footprint, filter: setting.filter, ..scene.settings };
     timing::pool(setting.threads)?.install(|| {

@@ -3,7 +3,7 @@
 use super::row::StressRow;
 use crate::base::Result;
 use crate::splat::Fault;
-use crate::splat::gradient_check::{Case, LANE_LIMIT, Truth};
+use crate::splat::gradient_check::{CentralDifferences, GradientCase, LANE_LIMIT};
 
 /// How the rows of the faults begin.
 pub(super) const FAULT: &str = "seeded fault";
@@ -15,7 +15,8 @@ const FAULT_SCENES: usize = 12;
 /// A row per group of gradients (worst value of all scenes), and one per fault: its error is that of the worst value on
 /// the scene that shows it best, and it passes when it is caught.
 pub(super) fn rows() -> Result<Vec<StressRow>> {
-    let truths = (0..SCENES).map(|seed| Truth::new(Case::new(seed))).collect::<Result<Vec<_>>>()?;
+    let truths =
+        (0..SCENES).map(|seed| CentralDifferences::new(GradientCase::new(seed))).collect::<Result<Vec<_>>>()?;
     let mut groups: Vec<StressRow> = Vec::new();
     for truth in &truths {
         for finding in truth.compare(None)? {

@@ -5,7 +5,7 @@ use super::scenes::{Demand, StressItem};
 use crate::base::Result;
 use crate::base::random::{CounterRng, Stage};
 use crate::experiments::difference::{gradient_groups, relative_l2, widened};
-use crate::splat::{Footprint, ImageGradient, Rasterizer, Real, Wanted};
+use crate::splat::{Footprint, ImageGradient, Rasterizer, SplatKernels, Wanted};
 
 /// Largest relative error (L2) of an image that passes.
 const IMAGE_LIMIT: f64 = 1e-3;
@@ -20,7 +20,7 @@ const DEPTH: &str = "depth";
 type NamedValues = (&'static str, Vec<f64>);
 
 /// Image and gradients of one precision.
-fn pass<T: Real>(item: &StressItem, rasterizer: &mut Rasterizer<T>) -> Result<(Vec<f64>, Vec<NamedValues>)> {
+fn pass<T: SplatKernels>(item: &StressItem, rasterizer: &mut Rasterizer<T>) -> Result<(Vec<f64>, Vec<NamedValues>)> {
     let scene = item.scene.cast::<T>();
     let image = rasterizer.render(&scene, &item.view, &item.settings, None)?;
     let shown = [widened(&image.color), widened(&image.alpha)].concat();

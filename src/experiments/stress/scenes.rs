@@ -4,7 +4,7 @@ use glam::DAffine3;
 
 use crate::base::Camera;
 use crate::base::random::{CounterRng, Stage};
-use crate::splat::{Anchors, Carrier, Filter, Footprint, Frame, Gaussians, Settings, Shape, View};
+use crate::splat::{Anchors, Carrier, DiscFrame, Filter, Footprint, Gaussians, Settings, Shape, View};
 
 /// What an item must show.
 #[derive(Clone, Copy, PartialEq)]
@@ -232,7 +232,7 @@ fn on_triangles(squeeze: f32, phase: f32) -> Gaussians<f32> {
     let rest = Carrier { vertices: &vertices, faces: &faces };
     let now = Carrier { vertices: &moved, faces: &faces };
     // A mesh that cannot be anchored to is an item that fails: its scene stays the wall.
-    let anchors = Anchors::new(Frame::InheritStretch, faces_of, logits, log_scales, rest);
+    let anchors = Anchors::new(DiscFrame::InheritStretch, faces_of, logits, log_scales, rest);
     if anchors.and_then(|anchors| anchors.place(now, None, &mut scene)).is_err() {
         scene.positions.fill([f32::NAN; 3]);
     }

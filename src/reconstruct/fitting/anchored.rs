@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Result, TriangleMesh};
-use crate::splat::{Anchors, Carrier, Frame, Gaussians, Gradients, Wanted};
+use crate::splat::{Anchors, Carrier, DiscFrame, Gaussians, Gradients, Wanted};
 
 use super::optimiser::{AdamConstants, RowAdam, StepCounter};
 use crate::reconstruct::geometry::neighbours;
@@ -37,7 +37,7 @@ pub struct Surface {
     /// Faces of the mesh.
     pub faces: Vec<[u32; 3]>,
     rest: Vec<[f32; 3]>,
-    frame: Frame,
+    frame: DiscFrame,
     /// Discs that each face starts with: face `f` has those from `f * per_face` on.
     pub per_face: usize,
     /// Discs added later, per face.
@@ -79,7 +79,7 @@ const PIECE: usize = 4096;
 
 impl Surface {
     /// Discs on `mesh` at rest.
-    pub fn new(mesh: &TriangleMesh, layout: impl Into<DiscLayout>, frame: Frame, start: Start, seed: u64) -> Self {
+    pub fn new(mesh: &TriangleMesh, layout: impl Into<DiscLayout>, frame: DiscFrame, start: Start, seed: u64) -> Self {
         let layout = layout.into();
         let per_face = layout.per_face.resolve(mesh.faces.len(), layout.budget);
         let n = mesh.faces.len() * per_face;

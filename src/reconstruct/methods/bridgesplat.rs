@@ -11,7 +11,7 @@ use glam::DVec3;
 
 use crate::base::{Progress, Result, TriangleMesh};
 use crate::reconstruct::fitting::schedule::{rate_factor, scaled_iterations};
-use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Settings, View, Wanted};
+use crate::splat::{DepthOutput, DiscFrame, ImageGradient, Rasterizer, Settings, View, Wanted};
 
 use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
 use crate::reconstruct::fitting::anchored::{DiscAdam, Patch, Rates, Start, Surface};
@@ -108,7 +108,7 @@ impl<'a> BridgesplatFit<'a> {
             arap: Arap::new(&in_units),
             rest: in_units.vertices.clone(),
             vertices: in_units.vertices,
-            surface: Surface::new(mesh, &settings.appearance, Frame::NormalOnly, Start::Random, observation.seed),
+            surface: Surface::new(mesh, &settings.appearance, DiscFrame::NormalOnly, Start::Random, observation.seed),
             deformation: None,
             rasterizer: Rasterizer::new(),
             adam: DiscAdam::new(

@@ -91,7 +91,7 @@ fn color(surface: &mut Surface, positions: &[[f32; 3]]) {
 fn film(bump: Bump, most: f64) -> (Observation, Vec<DVec3>) {
     let rest = patch();
     let settings = bridgesplat().appearance;
-    let mut surface = Surface::new(&rest, &settings, Frame::NormalOnly, Start::Random, SEED);
+    let mut surface = Surface::new(&rest, &settings, DiscFrame::NormalOnly, Start::Random, SEED);
     let camera = Camera::pinhole(72, 72, 0.9);
     let view = View::new(camera, DAffine3::IDENTITY);
     let faces: Vec<u32> = (0..rest.faces.len() as u32).collect();

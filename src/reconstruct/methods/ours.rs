@@ -15,7 +15,7 @@ use crate::reconstruct::geometry::mesh_depth::{PixelRays, unhidden};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
 use crate::reconstruct::settings::{GivenPhaseSettings, KeyframeSettings, MethodHeader, OursSettings, PhaseEstimation};
-use crate::splat::{Frame, Gaussians, Gradients, View, Wanted};
+use crate::splat::{DiscFrame, Gaussians, Gradients, View, Wanted};
 
 /// Phases farther apart may show what is hidden at both of them. A hair above the reach of a frame with a
 /// guess, which rounding may widen.
@@ -128,8 +128,13 @@ impl BreathingDiscs {
         let expiration = observation.expiration.as_ref().unwrap_or(rest);
         let rates = Rates::new(&discs.appearance, rate_factor(iteration_scale));
         let constants = adam_constants(*discs.quiet_values, observation.images[0].data.len());
-        let surface =
-            Surface::new(rest, &discs.appearance, Frame::from(*discs.on_face.inherits), Start::Even, observation.seed);
+        let surface = Surface::new(
+            rest,
+            &discs.appearance,
+            DiscFrame::from(*discs.on_face.inherits),
+            Start::Even,
+            observation.seed,
+        );
         Ok(BreathingDiscs {
             memory: Memory::new(surface.len()),
             window,

@@ -17,7 +17,7 @@ use crate::reconstruct::settings::{
     GivenPhaseSettings, MethodSettings, OursGnSettings, OursNomeshSettings, OursSettings, PerFace,
 };
 use crate::reconstruct::*;
-use crate::splat::{DepthOutput, Frame, ImageGradient, Rasterizer, Rendered, Settings, View, Wanted};
+use crate::splat::{DepthOutput, DiscFrame, ImageGradient, Rasterizer, Rendered, Settings, View, Wanted};
 
 /// A tube along +z, normals inwards, closed at the far end by its narrowing.
 fn tube(rings: usize, around: usize, length_mm: f64) -> TriangleMesh {
@@ -77,7 +77,7 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
     }
     let mut settings = shipped_discs();
     settings.gaussians.gaussian_budget.value = 7000;
-    let mut surface = Surface::new(&inspiration, &settings, Frame::InheritStretch, Start::Even, 5);
+    let mut surface = Surface::new(&inspiration, &settings, DiscFrame::InheritStretch, Start::Even, 5);
     let free = shipped::<BridgesplatNomeshSettings>("bridgesplat-nomesh").appearance;
     let mut free = Free::new(&inspiration, &free.gaussians, 1.0, 5);
     let grain = if made == Made::Discs { 1.0 } else { 0.0 };
@@ -340,7 +340,7 @@ fn a_face_that_comes_near_gets_more_discs_and_looks_as_before() {
     let mesh = tube(24, 18, 40.0);
     let mut settings = shipped_discs();
     settings.gaussians.gaussian_budget.value = 1;
-    let mut surface = Surface::new(&mesh, &settings, Frame::InheritStretch, Start::Even, 5);
+    let mut surface = Surface::new(&mesh, &settings, DiscFrame::InheritStretch, Start::Even, 5);
     paint(&mesh, [0.75, 0.4, 0.35], 0.0, &mut surface.sh);
     let view = View::new(
         Camera::pinhole(96, 96, 1.6),
@@ -378,7 +378,7 @@ fn frozen_groups_have_no_gradients_and_no_moments() {
     settings.gaussians.gaussian_budget.value = 3000;
     settings.rates.position_rate.value = 0.0;
     settings.scale_rate.value = 0.0;
-    let surface = Surface::new(&inspiration, &settings, Frame::InheritStretch, Start::Even, 5);
+    let surface = Surface::new(&inspiration, &settings, DiscFrame::InheritStretch, Start::Even, 5);
     let faces: Vec<u32> = (0..inspiration.faces.len() as u32).collect();
     let vertices = to_f32(&inspiration.vertices);
     let mut patch = surface.patch(&faces).unwrap();

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::keys::Keys;
 use super::sourced::Sourced;
 use crate::base::Result;
-use crate::splat::Frame;
+use crate::splat::DiscFrame;
 
 /// How many Gaussians a mesh gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -147,11 +147,11 @@ pub enum Inherits {
     Normal,
 }
 
-impl From<Inherits> for Frame {
+impl From<Inherits> for DiscFrame {
     fn from(inherits: Inherits) -> Self {
         match inherits {
-            Inherits::Stretch => Frame::InheritStretch,
-            Inherits::Normal => Frame::NormalOnly,
+            Inherits::Stretch => DiscFrame::InheritStretch,
+            Inherits::Normal => DiscFrame::NormalOnly,
         }
     }
 }

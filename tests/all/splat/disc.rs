@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec2, DVec3};
 use respire_bench::base::Camera;
-use respire_bench::splat::{DepthOutput, Footprint, Gaussians, Isa, Rasterizer, Real, Settings, Shape, View};
+use respire_bench::splat::{DepthOutput, Footprint, Gaussians, Isa, Rasterizer, Settings, Shape, SplatKernels, View};
 
 use super::forward::available;
 use super::scenes::{Kind, Lens, random, tube, view};
@@ -79,7 +79,7 @@ fn brute_force(g: &Gaussians<f64>, view: &View, settings: &Settings) -> Vec<Pixe
     pixels.collect()
 }
 
-fn worst<T: Real>(isa: Isa, scene: &Gaussians<f64>, view: &View, truth: &[Pixel]) -> f64 {
+fn worst<T: SplatKernels>(isa: Isa, scene: &Gaussians<f64>, view: &View, truth: &[Pixel]) -> f64 {
     let mut rasterizer = Rasterizer::<T>::with_isa(isa).unwrap();
     let image = rasterizer.render(&scene.cast(), view, &DISC, None).unwrap();
     let (mut worst, mut compared) = (0f64, 0);

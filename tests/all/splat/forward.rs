@@ -100,7 +100,7 @@ fn color_degree_1(g: &Gaussians<f64>, i: usize, d: DVec3) -> [f64; 3] {
 }
 
 /// Worst differences of colour, alpha (absolute) and depth (relative) where no decision hangs by a thread.
-fn worst<T: respire_bench::splat::Real>(image: &Rendered<T>, truth: &[Pixel]) -> f64 {
+fn worst<T: respire_bench::splat::SplatKernels>(image: &Rendered<T>, truth: &[Pixel]) -> f64 {
     let mut worst = 0f64;
     let mut compared = 0;
     for (p, pixel) in truth.iter().enumerate().filter(|(_, pixel)| pixel.margin > 1e-3) {

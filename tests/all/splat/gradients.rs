@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DQuat, DVec3};
 use respire_bench::splat::{
-    Filter, Footprint, Gaussians, Gradients, ImageGradient, Rasterizer, Real, Settings, Shape, View, Wanted,
+    Filter, Footprint, Gaussians, Gradients, ImageGradient, Rasterizer, Settings, Shape, SplatKernels, View, Wanted,
 };
 
 use super::forward::available;
@@ -22,7 +22,7 @@ fn differences(n: usize, mut at: impl FnMut(usize, f64) -> f64) -> Vec<f64> {
 }
 
 /// Every group of gradients by name, in double.
-fn groups<T: Real>(g: &Gradients<T>) -> Vec<(&'static str, Vec<f64>)> {
+fn groups<T: SplatKernels>(g: &Gradients<T>) -> Vec<(&'static str, Vec<f64>)> {
     let axes: Vec<f64> = g.axes.iter().flatten().flatten().map(|v| v.to_f64()).collect();
     [
         ("positions", flat(&g.positions)),

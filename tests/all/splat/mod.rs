@@ -11,4 +11,3 @@ mod robustness;
 mod scenes;
 mod skips;
 mod tangent;
-mod tiles;

@@ -7,7 +7,7 @@ use glam::{DAffine3, DVec3};
 use respire_bench::base::Camera;
 use respire_bench::base::camera::world_from_camera_looking;
 use respire_bench::base::random::{CounterRng, Stage};
-use respire_bench::splat::{Gaussians, ImageGradient, Real, Rendered, Shape, View};
+use respire_bench::splat::{Gaussians, ImageGradient, Rendered, Shape, SplatKernels, View};
 
 pub fn rng(keys: &[u64]) -> CounterRng {
     CounterRng::new(4711, Stage::Test, keys)
@@ -81,7 +81,7 @@ pub struct Weights<T> {
     pub alpha: Vec<T>,
 }
 
-impl<T: Real> Weights<T> {
+impl<T: SplatKernels> Weights<T> {
     pub fn new(pixels: usize, seed: u64) -> Self {
         let r = &mut rng(&[2, seed]);
         let mut plane = |n: usize| (0..n).map(|_| T::of((r.normal() as f32) as f64)).collect();
@@ -107,11 +107,11 @@ pub fn relative(a: &[f64], b: &[f64]) -> f64 {
     (difference / norm).sqrt()
 }
 
-pub fn flat<T: Real, const N: usize>(values: &[[T; N]]) -> Vec<f64> {
+pub fn flat<T: SplatKernels, const N: usize>(values: &[[T; N]]) -> Vec<f64> {
     values.iter().flatten().map(|v| v.to_f64()).collect()
 }
 
-pub fn wide<T: Real>(values: &[T]) -> Vec<f64> {
+pub fn wide<T: SplatKernels>(values: &[T]) -> Vec<f64> {
     values.iter().map(|v| v.to_f64()).collect()
 }
 

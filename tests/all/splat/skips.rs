@@ -2,13 +2,13 @@
 
 use glam::DVec3;
 use respire_bench::splat::{
-    Filter, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Real, Settings, Shape, Skips, View, Wanted,
+    Filter, Gaussians, Gradients, ImageGradient, Isa, Rasterizer, Settings, Shape, Skips, SplatKernels, View, Wanted,
 };
 
 use super::forward::available;
 use super::scenes::{Kind, Lens, random, relative, view, wide, world_from_camera};
 
-fn pass<T: Real>(
+fn pass<T: SplatKernels>(
     isa: Isa,
     scene: &Gaussians<T>,
     view: &View,
@@ -24,13 +24,13 @@ fn pass<T: Real>(
 }
 
 /// Positions, axes, opacities, SH and pose, one after the other.
-fn all<T: Real>(g: &Gradients<T>) -> [Vec<f64>; 5] {
+fn all<T: SplatKernels>(g: &Gradients<T>) -> [Vec<f64>; 5] {
     let axes = g.axes.as_flattened().as_flattened();
     [wide(g.positions.as_flattened()), wide(axes), wide(&g.opacities), wide(&g.sh), g.pose.to_vec()]
 }
 
 /// Largest change of a value without the stop.
-fn nothing_is_lost<T: Real>(isa: Isa, lens: Lens, filter: Filter) -> f64 {
+fn nothing_is_lost<T: SplatKernels>(isa: Isa, lens: Lens, filter: Filter) -> f64 {
     // Dense enough that pixels stop, wide enough that many lie beside the image.
     let scene = random(400, Kind::Discs, 1, 31).cast::<f32>().cast::<T>();
     let (view, settings) = (view(lens), Settings { filter, ..Settings::default() });

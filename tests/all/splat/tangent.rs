@@ -2,7 +2,8 @@
 //! pass, and every f32 kernel against f64.
 
 use respire_bench::splat::{
-    Direction, Footprint, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Real, Settings, Shape, View, Wanted,
+    Direction, Footprint, Gaussians, ImageGradient, Isa, Motion, Rasterizer, Settings, Shape, SplatKernels, View,
+    Wanted,
 };
 
 use super::forward::available;
@@ -24,7 +25,7 @@ struct Velocities<T> {
     colors: Vec<[T; 3]>,
 }
 
-impl<T: Real> Velocities<T> {
+impl<T: SplatKernels> Velocities<T> {
     fn motion(&self) -> Motion<'_, T> {
         Motion { positions: &self.positions, axes: &self.axes, columns: &self.columns, colors: &self.colors }
     }

@@ -10,7 +10,7 @@ use crate::reconstruct::fitting::anchored::{Patch, SH_C0, Start, Surface};
 use crate::reconstruct::fitting::scope_light::ScopeLight;
 use crate::reconstruct::geometry::breathing::{BreathingMesh, at_phase};
 use crate::reconstruct::settings::GaussianSettings;
-use crate::splat::{Frame, Gaussians, Shape};
+use crate::splat::{DiscFrame, Gaussians, Shape};
 
 /// Discs per task, at least.
 pub const DISCS: usize = 1024;
@@ -28,7 +28,7 @@ impl DiscMap {
     /// Grey discs that no frame has shown.
     pub fn new(settings: &GaussianSettings, observation: &Observation) -> Self {
         let mesh = &observation.inspiration;
-        let surface = Surface::new(mesh, settings, Frame::InheritStretch, Start::Even, observation.seed);
+        let surface = Surface::new(mesh, settings, DiscFrame::InheritStretch, Start::Even, observation.seed);
         let (albedo, memory) = (vec![[0.5; 3]; surface.len()], vec![0.0; surface.len()]);
         DiscMap { surface, opacity: *settings.opacity as f32, albedo, memory }
     }

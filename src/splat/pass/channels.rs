@@ -1,0 +1,178 @@
+//! Any number of further channels (normals, labels, features), composited with the weights of the image.
+//!
+//! Three channels at a time take the place of the colours in the tables of the last pass and go through the same
+//! kernels, forward and backward: a group of three costs about a forward composite, and in the backward pass a backward
+//! one. Without channels nothing is done. No background, no gain, not divided by alpha.
+
+use rayon::prelude::*;
+
+use crate::base::{Error, Result};
+use crate::splat::kernels::SplatKernels;
+use crate::splat::plain::fault::Faults;
+use crate::splat::plain::tile::Parts;
+use crate::splat::types::table::{PLANES, disc_sum, moment};
+use crate::splat::types::{DepthOutput, ImageGradient, PIXELS, Settings, Skips};
+
+use super::backward::{Moments, TileGradient};
+use super::bins::Bins;
+use super::forward::TilePass;
+use super::splats::Splats;
+
+/// Channels per pass.
+const GROUP: usize = 3;
+
+/// The further channels of the last pass.
+#[derive(Debug, Default)]
+pub struct Channels<T> {
+    /// How many there are; 0 for none.
+    pub count: usize,
+    /// Per active Gaussian.
+    features: Vec<T>,
+    /// State of the tiles per group.
+    states: Vec<Vec<T>>,
+    pub image: Vec<T>,
+}
+
+/// Which gradients the channels have to give.
+#[derive(Clone, Copy)]
+pub struct ChannelsWanted {
+    /// Those of the features.
+    pub features: bool,
+    /// Those of the geometry, through the weights.
+    pub geometry: bool,
+}
+
+/// The pass with neither gain nor background nor depth.
+fn bare<'a, T>(pass: &TilePass<'a, T>) -> TilePass<'a, T>
+where
+    T: Copy,
+{
+    let settings = Settings { gain: [1.0; 3], background: [0.0; 3], depth: DepthOutput::Skip, ..pass.settings };
+    TilePass { settings, ..*pass }
+}
+
+impl<T: SplatKernels> Channels<T> {
+    /// Takes `count` features of each of `n` Gaussians and keeps those of the active ones.
+    pub fn set_features(&mut self, features: &[T], count: usize, n: usize, active: Option<&[u32]>) -> Result<()> {
+        if count == 0 || features.len() != n * count {
+            let found = features.len();
+            return Err(Error::input(format!("{count} channels of {n} Gaussians are not {found} features")));
+        }
+        if let Some(bad) = features.iter().position(|v| !v.is_finite()) {
+            let element = format!("Gaussian {}, channel {}", bad / count, bad % count);
+            return Err(Error::input("a feature is not finite").element(element));
+        }
+        self.count = count;
+        self.features.clear();
+        match active {
+            None => self.features.extend_from_slice(features),
+            Some(list) => {
+                let of = |&i: &u32| &features[i as usize * count..(i as usize + 1) * count];
+                self.features.extend(list.iter().flat_map(of));
+            }
+        }
+        Ok(())
+    }
+
+    /// Composites the features group by group.
+    pub fn render(&mut self, pass: &TilePass<'_, T>, splats: &mut Splats<T>, bins: &mut Bins) {
+        let ([width, height], count) = (pass.size, self.count);
+        self.image.resize(width * height * count, T::zero());
+        self.states.resize_with(count.div_ceil(GROUP), Vec::new);
+        let colors = splats.colors(self.features.len() / count);
+        for group in 0..count.div_ceil(GROUP) {
+            splats.set_colors(self.group(group));
+            bare(pass).forward(splats, bins, false, &mut self.states[group]);
+            let (state, tiling) = (&self.states[group], bins.tiling);
+            self.image.par_chunks_mut(width * count).enumerate().for_each(|(y, line)| {
+                for (x, pixel) in line.chunks_mut(count).enumerate() {
+                    let (t, p) = tiling.place(x, y);
+                    let tile = &state[t * PLANES * PIXELS..][..PLANES * PIXELS];
+                    for (k, value) in pixel.iter_mut().skip(GROUP * group).take(GROUP).enumerate() {
+                        *value = tile[k * PIXELS + p];
+                    }
+                }
+            });
+        }
+        splats.set_colors(colors.into_iter());
+    }
+
+    /// The features of a group, in the place of colours.
+    fn group(&self, group: usize) -> impl Iterator<Item = [T; 3]> {
+        let of = move |features: &[T]| [0, 1, 2].map(|k| features.get(GROUP * group + k).copied().unwrap_or_default());
+        self.features.chunks(self.count).map(of)
+    }
+
+    /// Adds what comes through the channels to the moments of the last backward pass, and returns the gradients of the
+    /// features, one after the other as the Gaussians; none where they are not wanted.
+    pub fn backward(
+        &mut self,
+        by_channels: &[T],
+        pass: &TilePass<'_, T>,
+        splats: &mut Splats<T>,
+        (bins, visible): (&Bins, &[bool]),
+        moments: &mut Moments<T>,
+        (wanted, faults): (ChannelsWanted, impl Faults),
+    ) -> Vec<T> {
+        let count = self.count;
+        let mut by_features = vec![T::zero(); if wanted.features { visible.len() * count } else { 0 }];
+        if by_channels.is_empty() || !(wanted.features || wanted.geometry) {
+            return by_features;
+        }
+        let parts = Some(Parts {
+            geometry: wanted.geometry,
+            color: wanted.features,
+            depth: false,
+            known: false,
+            endless: !pass.options.skips.any(Skips::STOP),
+        });
+        let colors = splats.colors(visible.len());
+        let mut by_color = vec![T::zero(); pass.size[0] * pass.size[1] * 3];
+        for group in 0..count.div_ceil(GROUP) {
+            for (pixel, channels) in by_color.as_chunks_mut::<3>().0.iter_mut().zip(by_channels.chunks(count)) {
+                *pixel = [0, 1, 2].map(|k| channels.get(GROUP * group + k).copied().unwrap_or_default());
+            }
+            splats.set_colors(self.group(group));
+            let image = ImageGradient { color: &by_color, ..ImageGradient::default() };
+            let mut of_group = Moments::default();
+            let gradient = TileGradient { image: &image, parts };
+            bare(pass).backward(splats, bins, &self.states[group], &gradient, &mut of_group, faults);
+            if wanted.geometry {
+                moments.add_geometry(&of_group);
+            }
+            if wanted.features {
+                let out = by_features.par_chunks_mut(count).zip(bins.starts.par_windows(2));
+                out.zip(visible).for_each(|((out, span), visible)| {
+                    let span = if *visible { span } else { &[0, 0] };
+                    for (k, out) in out.iter_mut().skip(GROUP * group).take(GROUP).enumerate() {
+                        let mut total = T::zero();
+                        for slot in span[0] as usize..span[1] as usize {
+                            total += of_group.color(slot, k, pass.optics.is_some());
+                        }
+                        *out = total.finite_or_zero();
+                    }
+                });
+            }
+        }
+        splats.set_colors(colors.into_iter());
+        by_features
+    }
+}
+
+impl<T: SplatKernels> Moments<T> {
+    /// Adds all columns of `more` but the colours.
+    fn add_geometry(&mut self, more: &Moments<T>) {
+        let of_colors = disc_sum::RED..disc_sum::RED + 3;
+        for (sums, more) in self.discs.iter_mut().zip(&more.discs) {
+            (0..disc_sum::COUNT).filter(|k| !of_colors.contains(k)).for_each(|k| sums[k] += more[k]);
+        }
+        for (slot, more) in self.splats.iter_mut().zip(&more.splats) {
+            (0..moment::RED).for_each(|k| slot.0[k] += more.0[k]);
+        }
+    }
+
+    /// Gradient of colour `k` in a slot.
+    fn color(&self, slot: usize, k: usize, discs: bool) -> T {
+        if discs { self.discs[slot][disc_sum::RED + k] } else { self.splats[slot].0[moment::RED + k] }
+    }
+}

@@ -1,0 +1,21 @@
+//! What a render is asked for, and what is chosen once for many passes.
+
+use crate::ffi::isa::Isa;
+use crate::splat::types::{Gaussians, Settings, Skips, View};
+
+/// Which kernels run, and what they leave out.
+#[derive(Clone, Copy, Debug)]
+pub struct PassOptions {
+    pub isa: Isa,
+    pub skips: Skips,
+}
+
+/// The arguments of a render.
+#[derive(Clone, Copy)]
+pub struct RenderRequest<'a, T> {
+    pub gaussians: &'a Gaussians<T>,
+    pub view: &'a View,
+    pub settings: &'a Settings,
+    /// Indices of the Gaussians that take part; `None` for all.
+    pub active: Option<&'a [u32]>,
+}

@@ -1,0 +1,186 @@
+//! What each pixel of the last pass blends, splat after splat: the images that are asked for once, not in an
+//! optimisation (depth of the surface, median depth, number of contributors). Plain code, forward only.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use crate::splat::number::Real;
+use crate::splat::plain::disc::{Disc, DiscOptics};
+use crate::splat::plain::surface_depth::SplatSurface;
+use crate::splat::plain::{disc_tile, tile};
+use crate::splat::types::{Gaussians, PIXELS, View};
+
+use super::bins::Bins;
+use super::splats::Splats;
+
+/// One splat that a pixel blends.
+struct BlendedSplat {
+    /// What it adds to the pixel: alpha times the light before it.
+    weight: f64,
+    /// z-depth in mm where the ray meets it.
+    depth: f64,
+    /// Light behind it.
+    left: f64,
+}
+
+/// Where on the ray a splat stands.
+pub enum SurfaceSource<'a, T> {
+    /// Not asked for.
+    None,
+    /// The surfaces of the splats of an affine projection.
+    Splats(Vec<Option<SplatSurface>>),
+    /// Exact discs.
+    Discs(DiscOptics<'a, T>),
+}
+
+/// The splats of the last pass, to be followed pixel by pixel.
+pub struct PixelWalk<'a, T> {
+    pub splats: &'a Splats<T>,
+    pub bins: &'a Bins,
+    pub view: View,
+    pub surfaces: SurfaceSource<'a, T>,
+}
+
+/// The surfaces of all splats that are in a list.
+pub fn splat_surfaces<T: Real>(
+    gaussians: &Gaussians<T>,
+    view: &View,
+    active: Option<&[u32]>,
+    bins: &Bins,
+    n: usize,
+) -> Vec<Option<SplatSurface>> {
+    let mut needed = vec![false; n];
+    bins.entries.iter().for_each(|&e| needed[e as usize] = true);
+    let surface = |(j, &needed): (usize, &bool)| {
+        needed.then(|| SplatSurface::of(gaussians, active.map_or(j, |list| list[j] as usize), view))
+    };
+    needed.par_iter().enumerate().map(surface).collect()
+}
+
+impl<T: Real> PixelWalk<'_, T> {
+    /// Calls `visit` for every splat that the pixel `(x, y)` blends, front to back, while it gives back `true`.
+    fn blend(&self, tile: usize, p: usize, [x, y]: [usize; 2], mut visit: impl FnMut(BlendedSplat) -> bool) {
+        let bins = self.bins;
+        let corner = bins.tiling.corner(tile);
+        let ray = self.view.camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).to_array();
+        let ray_of_type = ray.map(T::of);
+        let mut left = 1.0;
+        let block = 1u16 << (p / 16);
+        for at in bins.span(tile) {
+            // Masks of the forward pass: splats that cannot touch this block of pixels, or lie behind where it stopped.
+            if bins.masks_known && bins.masks[at] & block == 0 {
+                continue;
+            }
+            let j = bins.entries[at] as usize;
+            let row = &self.splats.rows[j].0;
+            let found = match &self.surfaces {
+                SurfaceSource::None => tile::alpha_at(row, corner, p).map(|alpha| (alpha.to_f64(), 0.0)),
+                SurfaceSource::Splats(surfaces) => tile::alpha_at(row, corner, p)
+                    .zip(surfaces[j].as_ref())
+                    .map(|(alpha, surface)| (alpha.to_f64(), surface.depth(ray))),
+                SurfaceSource::Discs(optics) => {
+                    disc_tile::evaluate_alpha(row, &Disc::unpack(&self.splats.discs[j]), optics, [x, y], ray_of_type)
+                        .map(|sample| (sample.alpha.to_f64(), sample.depth.to_f64()))
+                }
+            };
+            let Some((alpha, depth)) = found else { continue };
+            let next = left * (1.0 - alpha);
+            if next <= 1e-4 {
+                break;
+            }
+            let blended = BlendedSplat { weight: left * alpha, depth, left: next };
+            left = next;
+            if !visit(blended) {
+                break;
+            }
+        }
+    }
+
+    /// One value per pixel, row by row.
+    pub fn image<V: Send + Copy + Default>(&self, value: impl Fn(usize, usize, [usize; 2]) -> V + Sync) -> Vec<V> {
+        let size = self.view.size();
+        let tiling = self.bins.tiling;
+        let tiles: Vec<Vec<([usize; 2], V)>> = (0..tiling.count())
+            .into_par_iter()
+            .map(|t| {
+                let of_pixel = |p: usize| tiling.pixel(t, p, size).map(|pixel| (pixel, value(t, p, pixel)));
+                (0..PIXELS).filter_map(of_pixel).collect()
+            })
+            .collect();
+        let mut out = vec![V::default(); size[0] * size[1]];
+        for ([x, y], value) in tiles.into_iter().flatten() {
+            out[y * size[0] + x] = value;
+        }
+        out
+    }
+
+    /// Mean depth of the surfaces, weighted like the image; 0 where nothing is.
+    pub fn surface(&self, tile: usize, p: usize, pixel: [usize; 2]) -> f64 {
+        let (mut sum, mut weights) = (0.0, 0.0);
+        self.blend(tile, p, pixel, |splat| {
+            sum += splat.weight * splat.depth;
+            weights += splat.weight;
+            true
+        });
+        if weights > 0.0 { sum / weights } else { 0.0 }
+    }
+
+    /// Depth of the splat behind which no more than half of the light is left; 0 where there is none.
+    pub fn median(&self, tile: usize, p: usize, pixel: [usize; 2]) -> f64 {
+        let mut median = 0.0;
+        self.blend(tile, p, pixel, |splat| {
+            if splat.left <= 0.5 {
+                median = splat.depth;
+            }
+            splat.left > 0.5
+        });
+        median
+    }
+
+    /// How many splats the pixel blends.
+    pub fn count(&self, tile: usize, p: usize, pixel: [usize; 2]) -> u32 {
+        let mut count = 0;
+        self.blend(tile, p, pixel, |_| {
+            count += 1;
+            true
+        });
+        count
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::base::Camera;
+    use crate::splat::{DepthOutput, Footprint, Gaussians, Rasterizer, Settings, Shape, View};
+    use glam::DAffine3;
+
+    /// Three panes before the camera: a quarter, half, three quarters of what is left.
+    #[test]
+    fn median_and_count_of_three_panes() {
+        let mut scene = Gaussians::<f64>::discs(3, 0, 0.0);
+        scene.positions = vec![[0.0, 0.0, 2.0], [0.0, 0.0, 3.0], [0.0, 0.0, 5.0]];
+        scene.opacities = vec![0.25, 0.5, 0.75];
+        scene.shape = Shape::Discs { axes: vec![[[100.0, 0.0, 0.0], [0.0, 100.0, 0.0]]; 3] };
+        let view = View::new(Camera::pinhole(20, 17, 1.0), DAffine3::IDENTITY);
+        for footprint in [Footprint::Ewa, Footprint::Disc] {
+            let settings = Settings { depth: DepthOutput::Median, footprint, ..Settings::default() };
+            let mut rasterizer = Rasterizer::<f64>::new();
+            assert!(rasterizer.contributors().is_err());
+            let center = 8 * 20 + 10;
+            let depth_at = |rasterizer: &mut Rasterizer<f64>, scene: &Gaussians<f64>| {
+                rasterizer.render(scene, &view, &settings, None).unwrap().depth[center]
+            };
+            // 1, .75, .375: half of the light is gone behind the second pane.
+            assert!((depth_at(&mut rasterizer, &scene) - 3.0).abs() < 1e-9);
+            assert!(rasterizer.contributors().unwrap().iter().all(|&count| count == 3));
+            let mut thin = scene.clone();
+            thin.opacities = vec![0.25, 0.2, 0.1];
+            assert_eq!(depth_at(&mut rasterizer, &thin), 0.0);
+            thin.opacities[2] = 0.5;
+            assert!((depth_at(&mut rasterizer, &thin) - 5.0).abs() < 1e-9);
+            thin.opacities[1] = 1.0 / 300.0;
+            depth_at(&mut rasterizer, &thin);
+            assert_eq!(rasterizer.contributors().unwrap()[center], 2);
+        }
+    }
+}
