@@ -6,7 +6,7 @@
 //! ```
 //!
 //! A cell is a pure function of its key (case, simulation settings, method, seed, revision of the code that makes it),
-//! so a finished cell is never computed again, and an interrupted run is resumed by running it once more.
+//! so a finished cell is never computed again, and an interrupted run is resumed by starting it again.
 
 pub mod catalogue;
 pub mod environment;

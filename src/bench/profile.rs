@@ -1,4 +1,4 @@
-//! Profiles: how much of everything. One TOML each in `bench-cases/profiles/`.
+//! Profiles: the size of a run. One TOML each in `bench-cases/profiles/`.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ pub struct Profile {
     /// Name: that of its file.
     #[serde(skip)]
     pub name: String,
-    /// One line for `list`.
+    /// One line for readers of the file.
     pub description: String,
     /// Cases to run; absent means all.
     #[serde(default)]

@@ -23,7 +23,7 @@ pub struct AblateArguments {
     /// Cases by id; the file's when not given
     #[arg(long, value_delimiter = ',', value_name = "CASE,..")]
     cases: Vec<String>,
-    /// How much of everything: smoke, quick, paper, or the path of a profile file
+    /// Size of the run: smoke, quick, paper, or the path of a profile file
     #[arg(long, default_value = "quick", value_name = "P")]
     profile: String,
     /// Folder for ablations.csv and ablations.md

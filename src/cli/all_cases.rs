@@ -25,7 +25,7 @@ pub struct AllCasesArguments {
     /// Folder of sequences and finished cells
     #[arg(long, default_value = ".cache", value_name = "DIR")]
     cache: PathBuf,
-    /// Make everything once more, finished or not
+    /// Recompute everything, even what is finished
     #[arg(long)]
     fresh: bool,
     /// Print what would be done, and do nothing

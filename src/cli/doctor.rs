@@ -1,10 +1,10 @@
-//! `doctor`: what is installed, which instruction set, which library versions, what is missing and what mends it.
+//! `doctor`: what is installed, which instruction set, which library versions, what is missing and how to fix it.
 
 use super::Terminal;
 use crate::base::{Error, ErrorKind, Result};
 use crate::bench::Environment;
 
-/// The one command that mends a machine.
+/// Installs what is missing.
 const REMEDY: &str = "scripts/setup.sh";
 
 /// Arguments of `doctor`.
@@ -43,5 +43,5 @@ pub fn run(arguments: DoctorArguments, terminal: &Terminal) -> Result<()> {
         }
         return Ok(());
     }
-    Err(Error::new(ErrorKind::Environment, format!("{}; to mend it: {REMEDY}", found.missing.join("; "))))
+    Err(Error::new(ErrorKind::Environment, format!("{}; to fix it, run {REMEDY}", found.missing.join("; "))))
 }

@@ -67,7 +67,7 @@ struct PhaseChartArguments {
     /// Cases by id, or paths of case files
     #[arg(long, value_delimiter = ',', value_name = "CASE,..", default_value = "case1,case5,case9")]
     cases: Vec<String>,
-    /// How much of everything: smoke, quick, paper, or the path of a profile file
+    /// Size of the run: smoke, quick, paper, or the path of a profile file
     #[arg(long, default_value = "quick", value_name = "P")]
     profile: String,
     /// Folder of sequences

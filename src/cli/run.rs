@@ -21,13 +21,13 @@ pub struct RunArguments {
     /// Seed of the method's randomness
     #[arg(long, default_value_t = 1, value_name = "N")]
     seed: u64,
-    /// How much of everything: smoke, quick, paper, or the path of a profile file
+    /// Size of the run: smoke, quick, paper, or the path of a profile file
     #[arg(long, default_value = "quick", value_name = "P")]
     profile: String,
     /// Folder of sequences and finished cells
     #[arg(long, default_value = ".cache", value_name = "DIR")]
     cache: PathBuf,
-    /// Make it once more, finished or not
+    /// Recompute it even when it is finished
     #[arg(long)]
     fresh: bool,
     /// Write the score as JSON

@@ -14,7 +14,7 @@ const WITHOUT_POSES: &str = "ours-gn-pose";
 /// Profile, cases, methods, seeds.
 #[derive(Args)]
 pub struct Selection {
-    /// How much of everything: smoke, quick or paper
+    /// Size of the run: smoke, quick or paper
     #[arg(long, default_value = "quick", value_name = "P")]
     profile: String,
     /// Cases by id, or paths of case files; the profile's when not given

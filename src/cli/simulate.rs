@@ -25,7 +25,7 @@ pub struct SimulateArguments {
     /// Folder for the sequences
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// How much of everything: smoke, quick or paper
+    /// Size of the run: smoke, quick or paper
     #[arg(long, default_value = "quick", value_name = "P")]
     profile: String,
     /// Frames, instead of the profile's

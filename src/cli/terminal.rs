@@ -38,7 +38,7 @@ impl Terminal {
                 // Files are written atomically, so there is nothing to put away.
                 std::process::exit(i32::from(ErrorKind::Interrupted.exit_code()));
             }
-            eprintln!("stopping at the next frame; once more to stop at once");
+            eprintln!("stopping at the next frame; press Ctrl-C again to stop at once");
         })
         .map_err(|e| Error::new(ErrorKind::Environment, format!("cannot take over Ctrl-C: {e}")))?;
         Ok(Terminal { interrupted, watched: std::io::stderr().is_terminal(), state: Mutex::default() })

@@ -1,4 +1,4 @@
-//! How the rasteriser is timed: scene, warm-up, repetitions, least, median and largest. Used by `pareto splat`,
+//! How the rasteriser is timed: scene, warm-up, repetitions, least and median. Used by `pareto splat`,
 //! by `examples/splat_timing.rs` and by `benches/splat.rs`.
 //!
 //! CPU times are those of the whole process, all threads together; other work on the machine disturbs them least. Two
@@ -47,15 +47,13 @@ pub struct Samples {
     pub cpu_s: Vec<f64>,
 }
 
-/// Least, median and largest of some seconds; NaN without any.
+/// Least and median of some seconds; NaN without any.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
     /// The least.
     pub least_s: f64,
     /// The upper median.
     pub median_s: f64,
-    /// The largest.
-    pub most_s: f64,
 }
 
 impl Spread {
@@ -64,7 +62,7 @@ impl Spread {
         let mut sorted = seconds.to_vec();
         sorted.sort_by(f64::total_cmp);
         let at = |k: usize| sorted.get(k).copied().unwrap_or(f64::NAN);
-        Spread { least_s: at(0), median_s: at(sorted.len() / 2), most_s: at(sorted.len().saturating_sub(1)) }
+        Spread { least_s: at(0), median_s: at(sorted.len() / 2) }
     }
 }
 
@@ -224,9 +222,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn spread_is_least_upper_median_and_largest() {
+    fn spread_is_the_least_and_the_upper_median() {
         let spread = Spread::of(&[3.0, 1.0, 2.0, 7.0]);
-        assert_eq!(spread, Spread { least_s: 1.0, median_s: 3.0, most_s: 7.0 });
+        assert_eq!(spread, Spread { least_s: 1.0, median_s: 3.0 });
         assert!(Spread::of(&[]).median_s.is_nan());
     }
 

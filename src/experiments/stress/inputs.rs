@@ -11,7 +11,7 @@ use crate::splat::{Direction, ImageGradient, Rasterizer, Settings, View, Wanted}
 /// A change of the view and the settings, by name.
 type Damage = (&'static str, fn(&mut Camera, &mut View, &mut Settings));
 
-/// A row per input and poison.
+/// A row per bad input.
 pub(super) fn refusals() -> Result<Vec<StressRow>> {
     let mut rows = Vec::new();
     let scene = wall(50, 0.5, 90);

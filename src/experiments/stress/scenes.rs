@@ -1,4 +1,5 @@
-//! The scenes of `stress`: what goes wrong in single precision, and every poison in every array.
+//! The scenes of `stress`: geometry that is hard in single precision, and values that are not finite, denormal or huge
+//! in every array.
 
 use glam::DAffine3;
 
@@ -6,7 +7,7 @@ use crate::base::Camera;
 use crate::base::random::{CounterRng, Stage};
 use crate::splat::{Anchors, Carrier, DiscFrame, Filter, Footprint, Gaussians, Settings, Shape, View};
 
-/// What an item must show.
+/// The requirement on an item.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Demand {
     /// The numbers of double precision.
@@ -138,7 +139,7 @@ pub(super) fn sizes(small: bool) -> Vec<StressItem> {
 /// Puts a value into the rotations or scales of a Gaussian.
 type Spoil = fn(&mut [[f32; 4]], &mut [[f32; 3]], usize, f32);
 
-/// Every poison in every array.
+/// Every bad value in every array.
 pub(super) fn poisons() -> Vec<StressItem> {
     let values = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e-40, 3e38];
     let mut items = Vec::new();
