@@ -33,8 +33,8 @@ struct Record {
 std::uint32_t upper(std::uint64_t item) { return static_cast<std::uint32_t>(item >> 32); }
 
 // Stable sort of a by the upper word less `least`, bits from..from + passes * width of it; the result is in a or in b.
-std::uint64_t* sort_by_digits(std::uint64_t* a, std::uint64_t* b, std::size_t n, std::uint32_t least, int from, int width,
-                              int passes) {
+std::uint64_t* sort_by_digits(std::uint64_t* a, std::uint64_t* b, std::size_t n, std::uint32_t least, int from,
+                              int width, int passes) {
   constexpr int MOST_BITS = 11;
   std::array<std::array<std::uint32_t, 1 << MOST_BITS>, 3> counts;
   const std::uint32_t mask = (1u << width) - 1;
@@ -175,7 +175,8 @@ void bin_fill(const BinItems& all, Band band) {
   // The scratch: items and their other half of the radix sort, then the records.
   std::uint64_t* scratch = band.scratch.data();
   Record* const records = reinterpret_cast<Record*>(scratch + 2 * n);
-  std::uint32_t *const offset = band.offsets.data(), *const entry = band.entries.data(), *const target = band.targets.data();
+  std::uint32_t *const offset = band.offsets.data(), *const entry = band.entries.data(),
+                       *const target = band.targets.data();
   const std::size_t item_count = all.items.size(), stride = tiles_x + 1;
   // The changes of the number of entries at each tile: what begins and ends there, so that sums along rows and columns
   // count the entries of each.
@@ -191,7 +192,8 @@ void bin_fill(const BinItems& all, Band band) {
       least = std::min(least, key), most = std::max(most, key);
       require(splat < splats, "an item names no splat");
       const Box b(boxes[splat]);
-      require(b.x0 <= b.x1 && b.x1 < tiles_x && b.y0 <= b.y1 && b.y0 < high && b.y1 >= low, "a box of tiles is out of range");
+      require(b.x0 <= b.x1 && b.x1 < tiles_x && b.y0 <= b.y1 && b.y0 < high && b.y1 >= low,
+              "a box of tiles is out of range");
       // The part of it in this band, from its first row.
       const std::uint32_t above = b.y0 < low ? low - b.y0 : 0, width = b.width();
       const std::uint32_t y0 = b.y0 + above - low, y1 = std::min(b.y1 + 1, high) - low;
@@ -199,7 +201,8 @@ void bin_fill(const BinItems& all, Band band) {
       --cursor[y0 * stride + b.x1 + 1];
       --cursor[y1 * stride + b.x0];
       ++cursor[y1 * stride + b.x1 + 1];
-      records[filled] = {static_cast<std::uint32_t>(y0 * stride) + b.x0, (y1 - y0) << 16 | width, start[splat] + above * width, splat};
+      records[filled] = {static_cast<std::uint32_t>(y0 * stride) + b.x0, (y1 - y0) << 16 | width,
+                         start[splat] + above * width, splat};
       scratch[filled] = static_cast<std::uint64_t>(key) << 32 | filled;
       ++filled;
     }

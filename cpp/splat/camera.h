@@ -138,7 +138,8 @@ struct Fisheye {
     // S and S' through D and its derivative by the square of the angle.
     const float* k = view.lens;
     const N angle2 = v * (a * a);
-    const N d = polynomial(angle2, 1, k[0], k[1], k[2], k[3]), d1 = polynomial(angle2, k[0], 2 * k[1], 3 * k[2], 4 * k[3], 0);
+    const N d = polynomial(angle2, 1, k[0], k[1], k[2], k[3]),
+            d1 = polynomial(angle2, k[0], 2 * k[1], 3 * k[2], 4 * k[3], 0);
     const N curve = a * d;
     first = a * a * d1 * over - 0.5f * (f * d);
     s = curve * rz;
@@ -177,14 +178,16 @@ struct Fisheye {
     }
     const float* k = view.lens;
     const N angle2 = v * (a * a);
-    const N d = polynomial(angle2, 1, k[0], k[1], k[2], k[3]), d1 = polynomial(angle2, k[0], 2 * k[1], 3 * k[2], 4 * k[3], 0);
+    const N d = polynomial(angle2, 1, k[0], k[1], k[2], k[3]),
+            d1 = polynomial(angle2, k[0], 2 * k[1], 3 * k[2], 4 * k[3], 0);
     // Through them by r^2 = t_x^2 + t_y^2 and by t_z, which takes S''.
     const N d2 = polynomial(angle2, 2 * k[1], 6 * k[2], 12 * k[3], 0, 0);
     const N second = a * over * (a * over * (a * d2 - d1) - 1.5f * f * d1) - 0.5f * Arc(v).slope * d;
     const N rz2 = rz * rz, turning = (4.0f * (v * second) + 6.0f * first) * (rz2 * rz2);
     const N by_r2 = q * by_s + 4.0f * (second * rz) * (rz2 * rz2) * by_q + turning * by_w;
     by_t[0] += t[0] * by_r2, by_t[1] += t[1] * by_r2;
-    by_t[2] = -w * by_s - turning * by_q - (2.0f * s * rz2 + v * (10.0f * first + 4.0f * (v * second)) * (rz * rz2)) * by_w;
+    by_t[2] =
+        -w * by_s - turning * by_q - (2.0f * s * rz2 + v * (10.0f * first + 4.0f * (v * second)) * (rz * rz2)) * by_w;
   }
 
   template <int COLUMNS>
@@ -199,8 +202,9 @@ struct Fisheye {
     const VD once = 1.0 / (t[2] + square_root(r2 + t[2] * t[2])), half = r2 * once * once;
     const VD twice = 1.0 / (1.0 + square_root(1.0 + half)), quarter = half * twice * twice;
     const VD thrice = 1.0 / (1.0 + square_root(1.0 + quarter)), y = quarter * thrice * thrice;
-    constexpr double ARC[] = {0.0763866863087169712, -0.0908913717269654271, 0.111110784963278976, -0.142857139587397062,
-                              0.199999999983872751,  -0.333333333333302991,  0.999999999999999991};
+    constexpr double ARC[] = {0.0763866863087169712, -0.0908913717269654271, 0.111110784963278976,
+                              -0.142857139587397062, 0.199999999983872751,   -0.333333333333302991,
+                              0.999999999999999991};
     VD p = VD{} - 0.0580909140881853938;
     for (double c : ARC) p = p * y + c;
     const VD a = 8.0 * once * twice * thrice * p, angle2 = r2 * a * a;

@@ -25,9 +25,8 @@ inline void basis_pullback(const V* v, const V* w, V* g) {
     g[1] += C3[0] * 3.0f * (xx - yy) * w[9] + C3[1] * x * z * w[10] + C3[2] * (four_zz - xx - 3.0f * yy) * w[11] -
             C3[3] * 6.0f * y * z * w[12] - C3[4] * 2.0f * x * y * w[13] - C3[5] * 2.0f * y * z * w[14] -
             C3[6] * 6.0f * x * y * w[15];
-    g[2] += C3[1] * x * y * w[10] + C3[2] * 8.0f * y * z * w[11] +
-            C3[3] * (6.0f * zz - 3.0f * xx - 3.0f * yy) * w[12] + C3[4] * 8.0f * x * z * w[13] +
-            C3[5] * (xx - yy) * w[14];
+    g[2] += C3[1] * x * y * w[10] + C3[2] * 8.0f * y * z * w[11] + C3[3] * (6.0f * zz - 3.0f * xx - 3.0f * yy) * w[12] +
+            C3[4] * 8.0f * x * z * w[13] + C3[5] * (xx - yy) * w[14];
   }
 }
 
@@ -213,7 +212,8 @@ struct ChainKernel {
           if (wants(LENS)) {
             for (int k = 0; k < 2; ++k) {
               // Image point and Jacobian are proportional to the focal length.
-              V along = (g.point[k] - w.center[k]) * by_point[k] - g.camera.template focal_independent<COLUMNS>(k, by_u, g.c);
+              V along =
+                  (g.point[k] - w.center[k]) * by_point[k] - g.camera.template focal_independent<COLUMNS>(k, by_u, g.c);
               for (int c = 0; c < COLUMNS; ++c) along += by_u[c][k] * g.u[c][k];
               lens[k] = along / w.focal[k], lens[2 + k] = by_point[k];
             }
@@ -241,7 +241,8 @@ struct ChainKernel {
 
   // From the columns R_c s_c of an ellipsoid to its scales and its quaternion, through the normalisation of the latter.
   template <int COLUMNS>
-  void write_ellipsoids(std::size_t k0, int count, VI good, const Shape<COLUMNS>& shape, const V by_columns[3][3]) const {
+  void write_ellipsoids(std::size_t k0, int count, VI good, const Shape<COLUMNS>& shape,
+                        const V by_columns[3][3]) const {
     V by_scale[3], r[3][3], by_q[4];
     for (int c = 0; c < 3; ++c) {
       by_scale[c] = dot(by_columns[c], shape.axes[c]);

@@ -47,8 +47,10 @@ struct DiscSamples {
   DiscSamples(const DiscTile& t, const Rays& rays, const std::uint32_t* splats, const int* pixels) {
     const float *q[U], *d[U];
     for (int k = 0; k < U; ++k) {
-      q[k] = t.rows + 16 * static_cast<std::size_t>(splats[k]), d[k] = t.discs + 16 * static_cast<std::size_t>(splats[k]);
-      rx[k] = load(rays.ray[0] + pixels[k]), ry[k] = load(rays.ray[1] + pixels[k]), rz[k] = load(rays.ray[2] + pixels[k]);
+      q[k] = t.rows + 16 * static_cast<std::size_t>(splats[k]),
+      d[k] = t.discs + 16 * static_cast<std::size_t>(splats[k]);
+      rx[k] = load(rays.ray[0] + pixels[k]), ry[k] = load(rays.ray[1] + pixels[k]),
+      rz[k] = load(rays.ray[2] + pixels[k]);
       dx[k] = load(rays.x + pixels[k]) - broadcast(q[k][X]), dy[k] = load(rays.y + pixels[k]) - broadcast(q[k][Y]);
     }
     // The ray's offset from that of the centre, d - t d_z / t_z, and 1 / N.d.
@@ -56,9 +58,11 @@ struct DiscSamples {
       if (t.pinhole) {
         tx[k] = dx[k] * broadcast(t.per_px[0]), ty[k] = dy[k] * broadcast(t.per_px[1]);
       } else {
-        tx[k] = fnma(broadcast(d[k][DISC_SLOPE]), rz[k], rx[k]), ty[k] = fnma(broadcast(d[k][DISC_SLOPE + 1]), rz[k], ry[k]);
+        tx[k] = fnma(broadcast(d[k][DISC_SLOPE]), rz[k], rx[k]),
+        ty[k] = fnma(broadcast(d[k][DISC_SLOPE + 1]), rz[k], ry[k]);
       }
-      over[k] = 1.0f / fma(broadcast(d[k][DISC_N]), rx[k], fma(broadcast(d[k][DISC_N + 1]), ry[k], broadcast(d[k][DISC_N + 2]) * rz[k]));
+      over[k] = 1.0f / fma(broadcast(d[k][DISC_N]), rx[k],
+                           fma(broadcast(d[k][DISC_N + 1]), ry[k], broadcast(d[k][DISC_N + 2]) * rz[k]));
     }
     // Intersection with the plane; the filter counts where it is missed, behind the near plane or farther off.
     for (int k = 0; k < U; ++k) {
@@ -126,7 +130,8 @@ void blend_entries(const DiscTile& t, const Rays& rays, int block, const std::ui
 }
 
 // Composites one block over one list; false once all its pixels have stopped.
-bool composite(const DiscTile& t, const Rays& rays, int block, const std::uint32_t* list, int count, PixelLanes* pixels) {
+bool composite(const DiscTile& t, const Rays& rays, int block, const std::uint32_t* list, int count,
+               PixelLanes* pixels) {
   constexpr int E = INTERLEAVED / PARTS;
   static_assert(8 % E == 0, "every eight entries it is tested whether all pixels have stopped");
   PixelLanes own[PARTS];

@@ -75,7 +75,8 @@ void splat_develop(rust::Slice<const float> state, std::size_t width, const Imag
   const Formation by(formation);
   // A slice asks Rust for its pointer each time.
   const float* const sums = state.data();
-  float *const colors = color.data(), *const alphas = alpha.data(), *const depths = depth.empty() ? nullptr : depth.data();
+  float *const colors = color.data(), *const alphas = alpha.data(),
+               *const depths = depth.empty() ? nullptr : depth.data();
   const std::size_t lines = pixels / width;
   for (std::size_t line = 0; line < lines; ++line) {
     for (std::size_t x = 0; x < width; x += 4) {

@@ -102,7 +102,8 @@ struct Block {
       x[n] = parts[n % PARTS].px, y[n] = parts[n % PARTS].py;
     }
     const AlphaSamples<N> samples(q, x, y);
-    for (int n = 0; n < N; ++n) parts[n % PARTS].blend(t, splats[n / PARTS], samples.dx[n], samples.dy[n], samples.raw[n]);
+    for (int n = 0; n < N; ++n)
+      parts[n % PARTS].blend(t, splats[n / PARTS], samples.dx[n], samples.dy[n], samples.raw[n]);
   }
 
   bool drop_stopped() {
@@ -116,7 +117,8 @@ struct Block {
 // the running transmittance (0 where a pixel has stopped); `moving`: MOVING planes for each of the K directions of
 // `t`.
 template <bool WITH_Z, int K>
-bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float x, float y, float* state, float* moving) {
+bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float x, float y, float* state,
+               float* moving) {
   static_assert(DEPTH == RED + 3, "the depth is summed like a fourth colour");
   constexpr int SUMS = WITH_Z ? 4 : 3, U = INTERLEAVED / PARTS;
   static_assert(8 % U == 0, "every eight entries it is tested whether all pixels have stopped");
@@ -125,7 +127,8 @@ bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float
   for (int k = 0; k < PARTS; ++k) {
     PixelLanes<WITH_Z, K>& p = block.parts[k];
     const float *s = state + LANES * k, *m = moving + LANES * k;
-    p.px = load(COLUMN + LANES * k) + broadcast(x), p.py = load(LINE + LANES * k) + broadcast(y), p.stop = broadcast(t.stop);
+    p.px = load(COLUMN + LANES * k) + broadcast(x), p.py = load(LINE + LANES * k) + broadcast(y),
+    p.stop = broadcast(t.stop);
     for (int c = 0; c < SUMS; ++c) p.sums[c] = load(s + c * PIXELS);
     p.transmittance = load(s + 4 * PIXELS), p.running = load(s + 5 * PIXELS);
     for (int d = 0; d < K; ++d)
@@ -169,7 +172,8 @@ void forward_tile(const ForwardTile& t) {
     const std::size_t end = i + CHUNK < t.count ? i + CHUNK : t.count;
     for (int& size : sizes) size = 0;
     for (int d = 0; d < K; ++d)
-      for (std::size_t k = i; k < end; ++k) __builtin_prefetch(t.velocities[d] + 8 * static_cast<std::size_t>(t.entries[k]));
+      for (std::size_t k = i; k < end; ++k)
+        __builtin_prefetch(t.velocities[d] + 8 * static_cast<std::size_t>(t.entries[k]));
     distribute<KNOWN>(t, i, end, alive, lists, sizes);
     i = end;
     for (std::uint32_t todo = alive; todo; todo &= todo - 1) {
@@ -198,8 +202,10 @@ inline void store_sums(const V* v, float* slot) {
     quads[k] = _mm512_add_ps(_mm512_shuffle_ps(a, b, 0x44), _mm512_shuffle_ps(a, b, 0xee));
   }
   const __m512 zero = _mm512_setzero_ps();
-  const __m512 low = _mm512_add_ps(_mm512_shuffle_f32x4(quads[0], quads[1], 0x44), _mm512_shuffle_f32x4(quads[0], quads[1], 0xee));
-  const __m512 high = _mm512_add_ps(_mm512_shuffle_f32x4(quads[2], zero, 0x44), _mm512_shuffle_f32x4(quads[2], zero, 0xee));
+  const __m512 low =
+      _mm512_add_ps(_mm512_shuffle_f32x4(quads[0], quads[1], 0x44), _mm512_shuffle_f32x4(quads[0], quads[1], 0xee));
+  const __m512 high =
+      _mm512_add_ps(_mm512_shuffle_f32x4(quads[2], zero, 0x44), _mm512_shuffle_f32x4(quads[2], zero, 0xee));
   _mm512_storeu_ps(slot, _mm512_add_ps(_mm512_shuffle_f32x4(low, high, 0x88), _mm512_shuffle_f32x4(low, high, 0xdd)));
 }
 
@@ -256,7 +262,8 @@ struct EntryBlocks {
   }
 
   // `columns` and `lines`: pixel centres of the four columns and the four lines of blocks.
-  void evaluate_alphas(const BackwardTile& t, std::size_t first, int count, const float (*columns)[16], const float (*lines)[16]) {
+  void evaluate_alphas(const BackwardTile& t, std::size_t first, int count, const float (*columns)[16],
+                       const float (*lines)[16]) {
     constexpr int U = INTERLEAVED, AT_ONCE = U / PARTS;
     for (int p = 0; p < starts[count]; p += AT_ONCE) {
       const float* q[U];

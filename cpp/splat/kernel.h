@@ -9,8 +9,24 @@
 namespace respire {
 
 // Columns of a splat's row; src/splat/project.rs explains them.
-enum RowColumn { X, Y, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, DISCRIMINANT,
-                 WIDEST, X_REST, Y_REST };
+enum RowColumn {
+  X,
+  Y,
+  A,
+  B,
+  C,
+  LOG2_OPACITY,
+  RED,
+  GREEN,
+  BLUE,
+  DEPTH,
+  HALF_WIDTH,
+  HALF_HEIGHT,
+  DISCRIMINANT,
+  WIDEST,
+  X_REST,
+  Y_REST
+};
 // Moments of an entry (a splat in a tile); src/splat/kernel.rs explains them.
 enum MomentColumn { S, SX, SY, SXX, SXY, SYY, SDEPTH, SPAD, SRED, SGREEN, SBLUE };
 // Velocity of a splat along a direction, times ln 2: d log(alpha) = (VX + VXX dx + VXY dy) dx + (VY + VYY dy) dy.
@@ -19,7 +35,7 @@ enum VelocityColumn { VX, VY, VXX, VXY, VYY, VRED, VGREEN, VBLUE };
 constexpr int PIXELS = 256;  // of a tile of 16x16: sixteen blocks of 4x4, numbered down the columns, pixel by pixel
 constexpr int PLANES = 5;    // of a tile's state: red, green, blue and depth sums, transmittance
 constexpr int MOVING = 4;    // planes of a tile's velocity: red, green and blue sums, transmittance
-constexpr int MAX_DIRECTIONS = 4;  // that one pass carries; each takes MOVING registers
+constexpr int MAX_DIRECTIONS = 4;             // that one pass carries; each takes MOVING registers
 constexpr std::uint32_t ALL_BLOCKS = 0xffff;  // of a tile, a bit each
 constexpr float TILES_PER_PX = 1.0f / 16.0f;
 // The three thresholds of 3DGS (Kerbl et al. 2023, its public rasteriser): nothing is blended below ALPHA_MIN, no
@@ -29,11 +45,11 @@ constexpr float ALPHA_MIN = 1.0f / 255.0f, ALPHA_MAX = 0.99f, STOP = 1e-4f;
 // The camera; rasterize.cpp fills it from `SplatCamera` (src/ffi/splat/rasterize.rs), which gives the units.
 struct View {
   float rotation[9], eye[3], focal[2], center[2], limit[2], size[2], near, dilation;
-  float by_opacity;  // 1: extents depend on the opacity; 0: they do not
-  bool skip_beside;  // groups beside the image are skipped before their covariance is known
-  bool compensate;   // opacities are multiplied by sqrt(det / det dilated)
-  bool fisheye;      // or else a pinhole
-  float lens[4];     // distortion of a fisheye
+  float by_opacity;                          // 1: extents depend on the opacity; 0: they do not
+  bool skip_beside;                          // groups beside the image are skipped before their covariance is known
+  bool compensate;                           // opacities are multiplied by sqrt(det / det dilated)
+  bool fisheye;                              // or else a pinhole
+  float lens[4];                             // distortion of a fisheye
   float cone_cosine, cone_sine, cone_reach;  // of the cone that a fisheye sees, and how far beyond it splats reach
 };
 
@@ -54,7 +70,7 @@ struct Scene {
 
 // Velocities of the splats of a chunk along one direction.
 struct TangentChunk {
-  std::size_t first, count;                 // numbers in `active`
+  std::size_t first, count;  // numbers in `active`
   const bool* visible;
   const float *positions, *shape, *colors;  // velocities, one per Gaussian; null for none
   const float* pose;                        // six numbers instead, or null
@@ -64,10 +80,10 @@ struct TangentChunk {
 struct ProjectChunk {
   std::size_t first, count;  // numbers in `active`
   std::uint32_t tiles_x, tiles_y;
-  float* rows;           // out, 16 floats each, where visible
-  std::uint32_t* boxes;  // out, two words each: x0 | y0 << 16, x1 | y1 << 16, where visible
-  std::uint32_t* keys;   // out, bits of the z-depth rounded from double, where visible
-  bool* visible;         // out
+  float* rows;                 // out, 16 floats each, where visible
+  std::uint32_t* boxes;        // out, two words each: x0 | y0 << 16, x1 | y1 << 16, where visible
+  std::uint32_t* keys;         // out, bits of the z-depth rounded from double, where visible
+  bool* visible;               // out
   const TangentChunk* motion;  // the direction along which velocities are wanted too, or null
 };
 
@@ -92,12 +108,13 @@ struct ChainChunk {
 struct ForwardTile {
   const float* rows;             // 16 floats per splat
   const std::uint32_t* entries;  // splats of this tile, front to back
-  std::uint16_t* masks;  // out (in with KNOWN_MASKS): blocks that an entry may touch; 0 for entries behind the last that was read
+  std::uint16_t*
+      masks;  // out (in with KNOWN_MASKS): blocks that an entry may touch; 0 for entries behind the last that was read
   std::size_t count;
-  float x, y;                    // upper left corner in pixels
-  float stop;                    // a pixel stops at the splat that would leave no more than this of the light
-  float* state;                  // out: PLANES planes of PIXELS
-  std::uint32_t directions;      // 0 to MAX_DIRECTIONS
+  float x, y;                // upper left corner in pixels
+  float stop;                // a pixel stops at the splat that would leave no more than this of the light
+  float* state;              // out: PLANES planes of PIXELS
+  std::uint32_t directions;  // 0 to MAX_DIRECTIONS
   const float* velocities[MAX_DIRECTIONS];  // 8 floats per splat and direction
   float* moving;                            // out: MOVING planes of PIXELS per direction
 };
@@ -114,11 +131,29 @@ struct BackwardTile {
 };
 
 // Columns of an exact disc (`Disc::pack` of src/splat/disc_mode.rs, which explains the symbols).
-enum DiscColumn { DISC_P, DISC_Q = DISC_P + 3, DISC_N = DISC_Q + 3, DISC_HEIGHT = DISC_N + 3, DISC_SLOPE,
-                  DISC_LOW = DISC_SLOPE + 2, DISC_HIGH = DISC_LOW + 2 };
+enum DiscColumn {
+  DISC_P,
+  DISC_Q = DISC_P + 3,
+  DISC_N = DISC_Q + 3,
+  DISC_HEIGHT = DISC_N + 3,
+  DISC_SLOPE,
+  DISC_LOW = DISC_SLOPE + 2,
+  DISC_HIGH = DISC_LOW + 2
+};
 // Columns of the sums of an entry (`sum` of src/splat/disc_tile.rs).
-enum DiscSum { SUM_S, SUM_RED, SUM_FILTER = SUM_RED + 3, SUM_DEPTH = SUM_FILTER + 2, SUM_HEIGHT, SUM_P, SUM_Q = SUM_P + 3,
-               SUM_P_ALONG = SUM_Q + 3, SUM_Q_ALONG, SUM_N, DISC_SUMS = SUM_N + 3 };
+enum DiscSum {
+  SUM_S,
+  SUM_RED,
+  SUM_FILTER = SUM_RED + 3,
+  SUM_DEPTH = SUM_FILTER + 2,
+  SUM_HEIGHT,
+  SUM_P,
+  SUM_Q = SUM_P + 3,
+  SUM_P_ALONG = SUM_Q + 3,
+  SUM_Q_ALONG,
+  SUM_N,
+  DISC_SUMS = SUM_N + 3
+};
 
 struct DiscTile {
   const float *rows, *discs;     // 16 floats per splat each

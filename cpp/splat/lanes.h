@@ -74,7 +74,7 @@ inline V keep_ge(V a, V b, V v) { return (V)((VI)v & (VI)(a >= b)); }
 inline V keep_gt(V a, V b, V v) { return (V)((VI)v & (VI)(a > b)); }
 inline V scale_by_power_of_two(V p, V n) {
   // Below -126 the result is far under ALPHA_MIN whatever its exact value; the exponent must only not wrap.
-  V m = (V)__builtin_convertvector(n, VI);
+  V m = (V) __builtin_convertvector(n, VI);
   VI e = (VI)m + 127;
   e = e & (VI)(e > 0);
   return p * (V)(e << 23);
@@ -96,9 +96,7 @@ inline V select_gt(V a, V b, V x, V y) {
 }
 inline bool any(V a) { return !_mm256_testz_si256((__m256i)a, (__m256i)a); }
 inline V round_to_integer(V x) { return (V)_mm256_round_ps((__m256)x, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC); }
-inline V4 fold(V v) {
-  return (V4)_mm_add_ps(_mm256_castps256_ps128((__m256)v), _mm256_extractf128_ps((__m256)v, 1));
-}
+inline V4 fold(V v) { return (V4)_mm_add_ps(_mm256_castps256_ps128((__m256)v), _mm256_extractf128_ps((__m256)v, 1)); }
 #else
 inline V fma(V a, V b, V c) { return a * b + c; }
 inline V fnma(V a, V b, V c) { return c - a * b; }

@@ -25,8 +25,8 @@ inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count,
   const __m512 line = _mm512_add_ps(_mm512_set1_ps(tile_y), _mm512_set4_ps(12.5f, 8.5f, 4.5f, 0.5f));
   const __m512 zero = _mm512_setzero_ps();
   // Bit c of the index to bit 4 c of the value.
-  const __m512i spread_bits = _mm512_setr_epi32(0, 0x1, 0x10, 0x11, 0x100, 0x101, 0x110, 0x111, 0x1000, 0x1001, 0x1010, 0x1011,
-                                           0x1100, 0x1101, 0x1110, 0x1111);
+  const __m512i spread_bits = _mm512_setr_epi32(0, 0x1, 0x10, 0x11, 0x100, 0x101, 0x110, 0x111, 0x1000, 0x1001, 0x1010,
+                                                0x1011, 0x1100, 0x1101, 0x1110, 0x1111);
   __m512i masks = _mm512_setzero_si512();
   for (int g = 0; 4 * g < count; ++g) {
     const float* q[4];
@@ -42,8 +42,8 @@ inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count,
                   "the columns as they are picked below");
     const __m512 q0 = four(0), q2 = four(8), q3 = four(12);
     const __m512 b = _mm512_permute_ps(q0, 0xff), half_height = _mm512_permute_ps(q2, 0xff);
-    const __m512 slack = _mm512_fmadd_ps(_mm512_set1_ps(SLACK_SHARE), _mm512_add_ps(_mm512_permute_ps(q2, 0xaa), half_height),
-                                         _mm512_set1_ps(SLACK_PX));
+    const __m512 slack = _mm512_fmadd_ps(
+        _mm512_set1_ps(SLACK_SHARE), _mm512_add_ps(_mm512_permute_ps(q2, 0xaa), half_height), _mm512_set1_ps(SLACK_PX));
     const __m512 limit = _mm512_add_ps(half_height, slack), below = _mm512_sub_ps(zero, limit);
     const __m512 y0 = _mm512_sub_ps(line, _mm512_permute_ps(q0, 0x55)), y1 = _mm512_add_ps(y0, _mm512_set1_ps(3.0f));
     const __m512 lo = _mm512_max_ps(y0, below), hi = _mm512_min_ps(y1, limit);
@@ -57,7 +57,8 @@ inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count,
       return _mm512_sqrt_ps(_mm512_max_ps(_mm512_fmadd_ps(_mm512_mul_ps(d, y), y, reach), zero));
     };
     const __m512 offset = _mm512_sub_ps(_mm512_permute_ps(q0, 0x00), _mm512_set1_ps(tile_x + 0.5f));
-    const __m512 right = _mm512_fmadd_ps(scale, _mm512_fnmadd_ps(b, y_right, root(y_right)), _mm512_add_ps(offset, slack));
+    const __m512 right =
+        _mm512_fmadd_ps(scale, _mm512_fnmadd_ps(b, y_right, root(y_right)), _mm512_add_ps(offset, slack));
     const __m512 left = _mm512_fnmadd_ps(scale, _mm512_fmadd_ps(b, y_left, root(y_left)), _mm512_sub_ps(offset, slack));
     // Columns of blocks c with left <= 4 c + 3 and right >= 4 c: from first to before last.
     const __m512 quarter = _mm512_set1_ps(0.25f);
@@ -84,15 +85,18 @@ inline __m512i block_masks(const float* rows, const std::uint32_t* e, int count,
 // Masks of the entries i..end, and their splats appended to the lists of the blocks in `alive` that they touch. Sixteen
 // entries at a time; for each block those that touch it are compressed, so that no branch depends on a mask.
 template <bool KNOWN, std::size_t ROOM>
-void distribute(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM], int* sizes) {
+void distribute(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM],
+                int* sizes) {
   for (; i < end; i += 16) {
     const int count = end - i < 16 ? static_cast<int>(end - i) : 16;
     const __mmask16 there = static_cast<__mmask16>((1u << count) - 1);
     alignas(64) std::uint32_t e[16];
-    const __m512i splats = _mm512_mask_loadu_epi32(_mm512_set1_epi32(static_cast<int>(t.entries[i])), there, t.entries + i);
+    const __m512i splats =
+        _mm512_mask_loadu_epi32(_mm512_set1_epi32(static_cast<int>(t.entries[i])), there, t.entries + i);
     _mm512_store_si512(e, splats);
     const std::size_t ahead = i + 16 < t.count ? (t.count - i - 16 < 16 ? t.count - i - 16 : 16) : 0;
-    for (std::size_t k = 0; k < ahead; ++k) __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + 16 + k]));
+    for (std::size_t k = 0; k < ahead; ++k)
+      __builtin_prefetch(t.rows + 16 * static_cast<std::size_t>(t.entries[i + 16 + k]));
     __m512i masks;
     if (KNOWN) {
       masks = _mm512_cvtepu16_epi32(_mm256_maskz_loadu_epi16(there, t.masks + i));
@@ -120,16 +124,19 @@ inline void block_masks(const float* const* q, float tile_x, float tile_y, std::
     for (int e = 0; e < ENTRIES; ++e) parts[e] = _mm_loadu_ps(q[e] + at);
     return join(parts);
   };
-  static_assert(X == 0 && Y == 1 && A == 2 && B == 3 && HALF_WIDTH == 10 && HALF_HEIGHT == 11 && DISCRIMINANT == 12 && WIDEST == 13,
+  static_assert(X == 0 && Y == 1 && A == 2 && B == 3 && HALF_WIDTH == 10 && HALF_HEIGHT == 11 && DISCRIMINANT == 12 &&
+                    WIDEST == 13,
                 "the columns as they are picked below");
   const V q0 = four(0), q2 = four(8), q3 = four(12), zero{};
-  const V half_height = broadcast_field<3>(q2), slack = SLACK_SHARE * (broadcast_field<2>(q2) + half_height) + SLACK_PX, limit = half_height + slack;
+  const V half_height = broadcast_field<3>(q2), slack = SLACK_SHARE * (broadcast_field<2>(q2) + half_height) + SLACK_PX,
+          limit = half_height + slack;
   V line;
   for (int l = 0; l < LANES; ++l) line[l] = 4.0f * (l % 4) + 0.5f;
   const V y0 = line + (tile_y - broadcast_field<1>(q0)), lo = max(y0, -limit), hi = min(y0 + 3.0f, limit);
   // The ellipse is widest to the right at y = -B half_width / (2 C), to the left at the opposite point.
   const V widest = broadcast_field<1>(q3), y_right = min(max(widest, lo), hi), y_left = min(max(-widest, lo), hi);
-  const V d = broadcast_field<0>(q3), b = broadcast_field<3>(q0), scale = 0.5f / broadcast_field<2>(q0), reach = -(d * half_height * half_height);
+  const V d = broadcast_field<0>(q3), b = broadcast_field<3>(q0), scale = 0.5f / broadcast_field<2>(q0),
+          reach = -(d * half_height * half_height);
   auto root = [&](V y) { return square_root(max(d * y * y + reach, zero)); };
   const V offset = broadcast_field<0>(q0) - (tile_x + 0.5f);
   const V right = scale * (root(y_right) - b * y_right) + (offset + slack);
@@ -143,7 +150,8 @@ inline void block_masks(const float* const* q, float tile_x, float tile_y, std::
 
 // As with AVX-512, ENTRIES at a time.
 template <bool KNOWN, std::size_t ROOM>
-void distribute(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM], int* sizes) {
+void distribute(const ForwardTile& t, std::size_t i, std::size_t end, std::uint32_t alive, std::uint32_t (*lists)[ROOM],
+                int* sizes) {
   for (; i < end; i += ENTRIES) {
     const float* q[ENTRIES];
     std::uint32_t masks[ENTRIES];

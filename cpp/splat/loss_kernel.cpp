@@ -94,7 +94,8 @@ struct Sweep {
     const float ssim = b.ssim_weight, l1 = 1.0f - b.ssim_weight;
     for (std::size_t x = 0; x < b.width; ++x) {
       const float w = b.mask ? b.mask[b.width * y + x] * (1.0f / 3.0f) : b.uniform;
-      for (int c = 0; c < CHANNELS; ++c) weight[r][CHANNELS * x + c] = ssim * w, l1_weight[r][CHANNELS * x + c] = l1 * w;
+      for (int c = 0; c < CHANNELS; ++c)
+        weight[r][CHANNELS * x + c] = ssim * w, l1_weight[r][CHANNELS * x + c] = l1 * w;
     }
   }
 
@@ -136,7 +137,8 @@ struct Sweep {
   }
 
   // Blurs values `from` to `to` of a group down: x, x^2 and x y of the lines of two images.
-  [[gnu::noinline]] void blur_maps_down(const Columns& source, const Columns& target, std::size_t from, std::size_t to) const {
+  [[gnu::noinline]] void blur_maps_down(const Columns& source, const Columns& target, std::size_t from,
+                                        std::size_t to) const {
     const Window window(b);
     for (std::size_t x = from; x < to; x += LANES) {
       const std::size_t left = values - x;
@@ -158,7 +160,8 @@ struct Sweep {
   [[gnu::noinline]] void blur_derivatives_down(const Columns* maps, std::size_t from, std::size_t to) const {
     const Window window(b);
     for (std::size_t x = from; x < to; x += LANES)
-      for (int map = 0; map < MAPS; ++map) blur_down(window, map, x, [&](int i) { return load(maps[map].lines[i] + x); });
+      for (int map = 0; map < MAPS; ++map)
+        blur_down(window, map, x, [&](int i) { return load(maps[map].lines[i] + x); });
   }
 
   // LANES values blurred across.
@@ -166,7 +169,7 @@ struct Sweep {
 #if defined(__AVX512F__)
     // What lies before is put together from registers, what lies behind is loaded: half the work for either unit.
     const V before = load(line - LANES), here = load(line);
-    V taps[TAPS] = {beginning_at<1>(before, here), beginning_at<4>(before, here), beginning_at<7>(before, here),
+    V taps[TAPS] = {beginning_at<1>(before, here),  beginning_at<4>(before, here),  beginning_at<7>(before, here),
                     beginning_at<10>(before, here), beginning_at<13>(before, here), here};
     for (int i = RADIUS + 1; i < TAPS; ++i) taps[i] = load(line + CHANNELS * (i - RADIUS));
     return window.over([&](int i) { return taps[i]; });
@@ -207,7 +210,8 @@ struct Sweep {
     const std::ptrdiff_t needed = y1 + RADIUS < height ? y1 + RADIUS : height;
     std::ptrdiff_t derived = y0 < RADIUS ? 0 : y0 - RADIUS;
     for (std::ptrdiff_t y = y0; y < y1; y += GROUP) {
-      for (; derived < needed && derived < y + GROUP + RADIUS; derived += GROUP) total += ssim_of_group(derived, needed);
+      for (; derived < needed && derived < y + GROUP + RADIUS; derived += GROUP)
+        total += ssim_of_group(derived, needed);
       total += gradient_of_group<true>(y);
     }
     return total;
@@ -233,7 +237,8 @@ struct Sweep {
       for (std::size_t x = from; x < to; x += LANES) {
         __builtin_prefetch(mean + x + STRIP), __builtin_prefetch(square + x + STRIP);
         const V my = load_first(mean + x, values - x), yy = load_first(square + x, values - x);
-        const V mx = blur_across(window, in[0] + x), xx = blur_across(window, in[1] + x), xy = blur_across(window, in[2] + x);
+        const V mx = blur_across(window, in[0] + x), xx = blur_across(window, in[1] + x),
+                xy = blur_across(window, in[2] + x);
         sum += ssim_derivatives(mx, xx, xy, my, yy, load(weights + x), out, x);
       }
       sums[r] += sum;
@@ -246,10 +251,12 @@ struct Sweep {
 
   // Weighted 1 - S of LANES values; its derivatives by mx, xx and xy go to `out`. With a = 2 mx my + C1, p = 2 sxy +
   // C2, q = mx^2 + my^2 + C1, d = sx + sy + C2: S = a p / (q d).
-  [[gnu::always_inline]] static inline V ssim_derivatives(V mx, V xx, V xy, V my, V yy, V weight, float* const* out, std::size_t x) {
+  [[gnu::always_inline]] static inline V ssim_derivatives(V mx, V xx, V xy, V my, V yy, V weight, float* const* out,
+                                                          std::size_t x) {
     const V w = -weight, w2 = w + w;  // of S
     const V product = mx * my, squares = fma(mx, mx, my * my);
-    const V a = fma(broadcast(2.0f), product, broadcast(SSIM_C1)), p = fma(broadcast(2.0f), xy - product, broadcast(SSIM_C2));
+    const V a = fma(broadcast(2.0f), product, broadcast(SSIM_C1)),
+            p = fma(broadcast(2.0f), xy - product, broadcast(SSIM_C2));
     const V q = squares + SSIM_C1, d = (xx + yy - squares) + SSIM_C2;
     const V inverse = reciprocal(q * d), ap = a * p, s = ap * inverse, w_inverse = w2 * inverse;
     store(out[0] + x, w_inverse * fma(my, p - a, mx * s * (q - d)));

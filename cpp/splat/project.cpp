@@ -142,7 +142,7 @@ struct ProjectionKernel {
 
   // Conservative bounds with which groups out of sight are skipped before anything else is known of them.
   struct SkipBounds {
-    float root;       // standard deviations that a splat whose opacity is no more than 1 reaches, and a thousandth
+    float root;        // standard deviations that a splat whose opacity is no more than 1 reaches, and a thousandth
     float base_error;  // error of heights above the near plane (mm), apart from what large coordinates add
     // A pinhole sees what lies between two planes through the eye for each axis of the image; outwards from these a
     // splat with the largest standard deviation s reaches no further than by_size s + by_error times the error of its
@@ -192,7 +192,9 @@ struct ProjectionKernel {
     }
     if (w.fisheye) {
       const V x = rotated_component(w, offset, 0), y = rotated_component(w, offset, 1);
-      return w.cone_cosine * square_root(x * x + y * y) - w.cone_sine * height - bounds.root * w.cone_reach * size - 2.0f * error > 0.0f;
+      return w.cone_cosine * square_root(x * x + y * y) - w.cone_sine * height - bounds.root * w.cone_reach * size -
+                 2.0f * error >
+             0.0f;
     }
     VI out{};
     for (int k = 0; k < 2; ++k) {
@@ -213,7 +215,8 @@ struct ProjectionKernel {
       if (!group.contiguous) group.fill_index(s);
       V position[3], offset[3];
       load_centers(s, group, position, offset);
-      const V far = absolute(position[0]) + absolute(position[1]) + absolute(position[2]), height = along(w.rotation + 6, offset);
+      const V far = absolute(position[0]) + absolute(position[1]) + absolute(position[2]),
+              height = along(w.rotation + 6, offset);
       const V error = fma(broadcast(1e-6f), far, broadcast(bounds.base_error));
       const VI visible = height + error >= w.near;
       if (!any_of(visible)) continue;
@@ -237,7 +240,8 @@ struct ProjectionKernel {
     const View& w = s.view;
     __builtin_memset(o.visible, 0, o.count);
     const SkipBounds bounds(w);
-    for (std::size_t from = next_group<COLUMNS>(0, bounds); from < o.count; from = next_group<COLUMNS>(from + LANES, bounds)) {
+    for (std::size_t from = next_group<COLUMNS>(0, bounds); from < o.count;
+         from = next_group<COLUMNS>(from + LANES, bounds)) {
       LaneGroup group(s, o.first, from, o.count);
       group.fill_index(s);
       const std::size_t k0 = group.k0;
@@ -289,7 +293,8 @@ struct ProjectionKernel {
       // The row (`at` in src/splat/project.rs).
       V row[16];
       row[X] = point[0], row[Y] = point[1];
-      row[A] = 0.5f * LOG2_E * value(g.conic[0]), row[B] = LOG2_E * value(g.conic[1]), row[C] = 0.5f * LOG2_E * value(g.conic[2]);
+      row[A] = 0.5f * LOG2_E * value(g.conic[0]), row[B] = LOG2_E * value(g.conic[1]),
+      row[C] = 0.5f * LOG2_E * value(g.conic[2]);
       row[LOG2_OPACITY] = log2_opacity;
       for (int k = 0; k < 3; ++k) row[RED + k] = max(value(color[k]), V{});
       row[DEPTH] = t[2];

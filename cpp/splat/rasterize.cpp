@@ -110,8 +110,9 @@ TangentChunk tangent_of(const SplatScene& scene, std::size_t first, rust::Slice<
   const auto is_none_or = [](rust::Slice<const float> values, std::size_t size) {
     return values.empty() || values.size() == size;
   };
-  require(is_none_or(motion.positions, 3 * n) && is_none_or(motion.shape, columns * n) && is_none_or(motion.colors, 3 * n),
-          "a motion has another length than the Gaussians");
+  require(
+      is_none_or(motion.positions, 3 * n) && is_none_or(motion.shape, columns * n) && is_none_or(motion.colors, 3 * n),
+      "a motion has another length than the Gaussians");
   require(is_none_or(motion.pose, 6), "a motion of the camera has 6 numbers");
   TangentChunk chunk;
   chunk.first = first;
@@ -249,8 +250,9 @@ void splat_forward(std::uint8_t isa, SplatForward t) {
 void splat_backward(std::uint8_t isa, const SplatBackward& t, AlignedRow* slots, std::size_t slot_count) {
   const Kernels& kernels = kernels_of(isa);
   require(all_below(t.entries, t.rows.size()), "a tile entry names no splat");
-  require(t.masks.size() == t.entries.size() && t.targets.size() == t.entries.size() && t.adjoint.size() == PLANES * PIXELS,
-          "tables of a tile differ in length");
+  require(
+      t.masks.size() == t.entries.size() && t.targets.size() == t.entries.size() && t.adjoint.size() == PLANES * PIXELS,
+      "tables of a tile differ in length");
   require(all_below(t.targets, slot_count), "an entry has no slot");
   BackwardTile tile;
   tile.rows = floats(t.rows);

@@ -1,14 +1,13 @@
 //! `respire-bench render`: path-traces one scene file.
 
 use std::path::PathBuf;
-use std::time::Instant;
 
 use clap::Args;
 use serde::Serialize;
 
 use super::Terminal;
 use crate::base::{Result, files};
-use crate::ffi::system::cpu_time_s;
+use crate::experiments::timing::measure;
 use crate::formats::exr;
 use crate::render::scene_file::SceneFile;
 use crate::render::{ISA, render_watched};
@@ -50,19 +49,18 @@ struct RenderTiming {
 pub fn run(arguments: RenderArguments, terminal: &Terminal) -> Result<()> {
     let file = SceneFile::load(&arguments.scene)?;
     let (camera, pose) = (file.camera.intrinsics()?, file.camera.pose()?);
-    let built = Instant::now();
-    let mut scene = file.build()?;
-    let bvh_build_s = built.elapsed().as_secs_f64();
+    let (scene, build) = measure(|| file.build());
+    let mut scene = scene?;
     // The first one also touches memory for the first time.
     let refits: Vec<f64> = (0..REFITS).map(|_| scene.refit_seconds()).collect::<Result<_>>()?;
     let bvh_refit_s = refits.iter().copied().fold(f64::INFINITY, f64::min);
-    let (wall, cpu) = (Instant::now(), cpu_time_s());
     terminal.stage(arguments.scene.display());
-    let frame = render_watched(&scene, &camera, &pose, &file.light, &file.settings(), terminal)?;
+    let (frame, cost) = measure(|| render_watched(&scene, &camera, &pose, &file.light, &file.settings(), terminal));
+    let frame = frame?;
     let timing = RenderTiming {
-        render_wall_s: wall.elapsed().as_secs_f64(),
-        render_cpu_s: cpu_time_s() - cpu,
-        bvh_build_s,
+        render_wall_s: cost.wall_s,
+        render_cpu_s: cost.cpu_s,
+        bvh_build_s: build.wall_s,
         bvh_refit_s,
         triangles: scene.triangles(),
         paths: frame.statistics.paths,

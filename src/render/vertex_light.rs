@@ -352,13 +352,13 @@ fn means_at_vertices(
 
 /// Channels of the two lights at a vertex that are sharpened and spread alike: scattered light, then irradiance.
 const CHANNELS: usize = 6;
-type Channels = [f32; CHANNELS];
+type VertexChannels = [f32; CHANNELS];
 
-fn channels(known: &KnownLight) -> Channels {
+fn channels(known: &KnownLight) -> VertexChannels {
     std::array::from_fn(|c| if c < 3 { known.scattered[c] } else { known.irradiance[c - 3] })
 }
 
-fn set_channels(known: &mut KnownLight, values: Channels) {
+fn set_channels(known: &mut KnownLight, values: VertexChannels) {
     known.scattered.copy_from_slice(&values[..3]);
     known.irradiance.copy_from_slice(&values[3..]);
 }
@@ -371,12 +371,12 @@ fn sharpen(scene: &Scene, vertices: &[u32], known: &mut [KnownLight]) {
     const SCATTERED: f32 = 1.0 / 2.0;
     const IRRADIANCE: f32 = 2.0 / 3.0;
     // What is not taken sharply anyway (`KnownLight::lamp_nearby`).
-    let blunt = |v: u32| -> Channels {
+    let blunt = |v: u32| -> VertexChannels {
         let values = &known[v as usize];
         let all = channels(values);
         std::array::from_fn(|c| if c < 3 { all[c] - values.lamp_nearby[c] } else { all[c] })
     };
-    let sharp = |&v: &u32| -> Channels {
+    let sharp = |&v: &u32| -> VertexChannels {
         let own = channels(&known[v as usize]);
         let own_blunt = blunt(v);
         let (mut sum, mut count, mut all) = ([0.0; CHANNELS], 0.0, own.map(|v| v >= 0.0));
@@ -396,7 +396,7 @@ fn sharpen(scene: &Scene, vertices: &[u32], known: &mut [KnownLight]) {
             (own[c] + part * (own_blunt[c] - sum[c] / count)).clamp(0.5 * own[c], 1.5 * own[c])
         })
     };
-    let sharpened: Vec<Channels> = vertices.par_iter().map(sharp).collect();
+    let sharpened: Vec<VertexChannels> = vertices.par_iter().map(sharp).collect();
     for (&v, values) in vertices.iter().zip(sharpened) {
         set_channels(&mut known[v as usize], values);
     }
@@ -411,7 +411,7 @@ fn spread(scene: &Scene, vertices: &[u32], known: &mut [KnownLight]) {
         beyond.retain(|&v| known[v as usize].scattered[0] < 0.0);
         beyond.sort_unstable();
         beyond.dedup();
-        let means: Vec<Channels> = beyond.iter().map(|&v| mean_around(scene, v, known)).collect();
+        let means: Vec<VertexChannels> = beyond.iter().map(|&v| mean_around(scene, v, known)).collect();
         for (&v, mean) in beyond.iter().zip(&means) {
             let own = channels(&known[v as usize]);
             let filled = std::array::from_fn(|c| if own[c] < 0.0 { mean[c] } else { own[c] });
@@ -422,7 +422,7 @@ fn spread(scene: &Scene, vertices: &[u32], known: &mut [KnownLight]) {
 }
 
 /// Means over the neighbours whose light is known; -1 where none is.
-fn mean_around(scene: &Scene, vertex: u32, known: &[KnownLight]) -> Channels {
+fn mean_around(scene: &Scene, vertex: u32, known: &[KnownLight]) -> VertexChannels {
     let (mut sum, mut count) = ([0.0; CHANNELS], [0u32; CHANNELS]);
     for n in scene.topology.neighbours(vertex) {
         for (c, value) in channels(&known[n as usize]).into_iter().enumerate() {

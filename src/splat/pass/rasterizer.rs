@@ -25,7 +25,7 @@ use super::images::Images;
 use super::options::{PassOptions, RenderRequest};
 use super::pixel_walk::{PixelWalk, SurfaceSource, splat_surfaces};
 use super::pool::in_pool;
-use super::rays::PixelRays;
+use super::rays::ViewRays;
 use super::reuse::{Reuse, ReuseState};
 use super::splats::{MovingOutput, Splats};
 use super::stages::{PassClock, PassStage, StageTimes};
@@ -38,7 +38,7 @@ pub struct Rasterizer<T> {
     pub(super) active: Option<Vec<u32>>,
     pub(super) splats: Splats<T>,
     pub(super) bins: Bins,
-    rays: PixelRays<T>,
+    rays: ViewRays<T>,
     /// Sums of all tiles: `PLANES` planes of `PIXELS` each.
     pub(super) state: Vec<T>,
     pub(super) images: Images<T>,
@@ -86,7 +86,7 @@ impl<T: SplatKernels> Rasterizer<T> {
             active: None,
             splats: Splats::default(),
             bins: Bins::default(),
-            rays: PixelRays::default(),
+            rays: ViewRays::default(),
             state: Vec::new(),
             images: Images::default(),
             moments: Moments::default(),
@@ -425,7 +425,7 @@ impl<T: SplatKernels> Rasterizer<T> {
 /// What the tiles of a pass over the last splats have in common.
 fn tile_pass<'a, T: SplatKernels>(
     options: PassOptions,
-    rays: &'a PixelRays<T>,
+    rays: &'a ViewRays<T>,
     view: &View,
     settings: &Settings,
 ) -> TilePass<'a, T> {

@@ -7,12 +7,12 @@ use crate::splat::number::Real;
 
 /// The rays of a camera, kept from pass to pass.
 #[derive(Clone, Debug, Default)]
-pub struct PixelRays<T> {
+pub struct ViewRays<T> {
     camera: Option<Camera>,
     pub directions: Vec<[T; 3]>,
 }
 
-impl<T: Real> PixelRays<T> {
+impl<T: Real> ViewRays<T> {
     /// Computes the rays of `camera`, unless they are there.
     pub fn update(&mut self, camera: &Camera) {
         if self.camera.as_ref() == Some(camera) {

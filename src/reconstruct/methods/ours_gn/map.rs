@@ -90,7 +90,7 @@ pub struct ActiveFrame {
 }
 
 /// Derivatives of the discs by the phase.
-pub struct DiscVelocity {
+pub struct MapVelocity {
     /// Of the centres, mm.
     pub positions: Vec<[f32; 3]>,
     /// Of the axes, mm.
@@ -135,7 +135,7 @@ impl ActiveFrame {
     }
 
     /// How discs and their colours move with the phase.
-    pub fn velocity(&self, light: &ScopeLight) -> Result<DiscVelocity> {
+    pub fn velocity(&self, light: &ScopeLight) -> Result<MapVelocity> {
         let (mut positions, mut axes) = (Vec::new(), Vec::new());
         self.patch.place_tangent(&self.vertices, &self.displacement, &mut positions, &mut axes)?;
         let gaussians = &self.patch.gaussians;
@@ -148,7 +148,7 @@ impl ActiveFrame {
                 albedo.map(|a| a * shade.value * shade.relative_slope)
             })
             .collect();
-        Ok(DiscVelocity { positions, axes, colors })
+        Ok(MapVelocity { positions, axes, colors })
     }
 }
 

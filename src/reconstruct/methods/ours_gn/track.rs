@@ -1,7 +1,7 @@
 //! One frame of `ours-gn` against its image: robust Gauss-Newton on the phase, coarse to fine, on the forward-mode
 //! derivative of the image.
 
-use super::map::{ActiveFrame, DiscVelocity};
+use super::map::{ActiveFrame, MapVelocity};
 use super::renderer::DiscRenderer;
 use crate::base::Result;
 use crate::reconstruct::estimate::gauss_newton::{self, Evidence, ImageComparison, Prior, Robust};
@@ -70,7 +70,7 @@ impl DiscRenderer<'_> {
         let view = moved(&level.view, pose);
         let light = self.light(&view);
         active.place(phase, &light)?;
-        let DiscVelocity { positions, axes, colors } = &active.velocity(&light)?;
+        let MapVelocity { positions, axes, colors } = &active.velocity(&light)?;
         let direction = Direction::Motion(Motion { positions, axes, colors, ..Motion::default() });
 
         // The image and its derivative by the phase.
