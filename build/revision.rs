@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 const ROOMS: [&str; 8] = ["base", "formats", "airway", "render", "simulate", "splat", "reconstruct", "score"];
 
 /// The splat core's own C++ and its bridges: no film depends on them, and nothing else there includes them
-/// (`tests/all/layering.rs`).
+/// (`tests/all/layering/`).
 const KERNELS: [&str; 2] = ["cpp/splat", "src/ffi/splat"];
 
 /// The own C++ of the path tracer, what both share, and their bridges.

@@ -13,6 +13,9 @@ step lints
 cargo clippy --release --locked --all-targets --quiet -- -D warnings
 step documentation
 RUSTDOCFLAGS='-D warnings' cargo doc --release --locked --no-deps --document-private-items --quiet
+step python packages
+eval "$(scripts/python-packages.sh)"
+export RESPIRE_PYTHON PYTHONPATH
 step build
 cargo build --release --locked --quiet
 step tests

@@ -20,8 +20,8 @@
 //!     base, ffi, formats: below everything; the only `unsafe` is in ffi
 //! ```
 //!
-//! An arrow between rooms may only point *up* this list (a room uses the rooms above its own); a test in
-//! `tests/all/layering.rs` reads the `use crate::` lines and fails on any other arrow:
+//! A room may import only from rooms above it in this list. The tests in `tests/all/layering/` parse the sources and
+//! refuse any other import, a circle between the files or folders of a room, and a type name that stands twice:
 //!
 //! | room | knows | must not know |
 //! |---|---|---|
@@ -38,6 +38,18 @@
 //! | [`mod@bench`] | profiles, plan of cells, executor, journal | formats of the report |
 //! | [`experiments`] | ablations, cost against error, numerical stability, timing | arguments, printing |
 //! | [`cli`] | arguments, progress, printing, exit codes | algorithms |
+//!
+//! Where is it decided?
+//!
+//! | question | place |
+//! |---|---|
+//! | the phase of a frame | [`reconstruct`]: the method (`methods/ours.rs`, `methods/ours_gn/`), by an estimator of `estimate/` |
+//! | the colour of a pixel in the splat core | [`splat`]: `plain/tile.rs`, and for `f32` its twin `cpp/splat/kernel.cpp` |
+//! | a film's exposure | [`simulate`]: `exposure.rs`; noise and 8 bits in `sensor.rs` |
+//! | the radiance of a pixel of a film | [`render`]: `cpp/trace/path.h`, light at vertices in `vertex_light.rs` |
+//! | what a method may see | [`reconstruct`]: `contract.rs` says it, `observe.rs` alone fills it |
+//! | what a metric means | [`score`]: `registry.rs`, and the file of its family |
+//! | a cell's cache key | [`mod@bench`]: `plan.rs`, with the revision of the code from `revision.rs` |
 //!
 //! Conventions, one home each: millimetres, seconds, radians; right-handed world; camera axes as OpenCV (x right,
 //! y down, z forward); transforms named by what they map (`world_from_camera`); pixel centres at integer + 0.5;

@@ -1,6 +1,6 @@
 // From splats to the lists of tiles, a band of tile rows at a time: splats are distributed to the bands that their
 // boxes meet; each band is sorted by depth (stable radix sort) and counted out to its tiles. Plain code for any
-// x86-64: what it waits for is memory and branches, not arithmetic. The plain twin is in src/splat/bin.rs.
+// x86-64: what it waits for is memory and branches, not arithmetic. The plain twin is in src/splat/plain/bins.rs.
 #include "cpp/splat/bin.h"
 
 #include <algorithm>

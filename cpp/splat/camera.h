@@ -1,7 +1,7 @@
 #pragma once
 // The cameras of the splat kernels: image points of points in camera axes, the Jacobian J of that map applied to the
 // columns of a covariance's square root, and both backward; for values (V) and for values with a derivative (Dual).
-// The plain twin is src/splat/lens.rs. A camera N has
+// The plain twin is src/splat/plain/lens.rs. A camera N has
 //   linearize(w, t, point)             J and the image point at the point t in camera axes, for the calls below
 //   apply_jacobian(w, c, u)            u = J c
 //   apply_transposed(w, by_u, by_c)    by_c = J^T by_u

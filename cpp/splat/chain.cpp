@@ -1,6 +1,6 @@
 // From the moments of splats to the gradients of Gaussians and camera, LANES at a time: the reverse of project.cpp,
 // with its symbols. Compiled once per instruction set; the plain twin, which derives the equations, is
-// src/splat/chain.rs.
+// src/splat/plain/chain.rs.
 #include "cpp/splat/project.h"
 
 namespace respire {

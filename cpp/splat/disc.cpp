@@ -1,5 +1,5 @@
 // Compositing of one tile of exact discs, forward and backward, after 2D Gaussian splatting (Huang et al. 2024, Eqs.
-// 8 to 11); compiled once per instruction set. The plain twin is src/splat/disc_tile.rs; src/splat/disc_mode.rs
+// 8 to 11); compiled once per instruction set. The plain twin is src/splat/plain/disc_tile.rs; src/splat/plain/disc.rs
 // explains the symbols:
 //
 //   s = P.d / N.d,  u = Q.d / N.d,  depth = N.t d_z / N.d,  alpha = min(0.99, o exp(-(s^2 + u^2) / 2))
@@ -158,7 +158,7 @@ inline float total(V v) {
   return (four[0] + four[2]) + (four[1] + four[3]);
 }
 
-// As in kernel.cpp up to v = dL/d log(alpha); from there (src/splat/disc_tile.rs), where the plane is hit,
+// As in kernel.cpp up to v = dL/d log(alpha); from there (src/splat/plain/disc_tile.rs), where the plane is hit,
 //
 //   p = P.d:  dL/dp = -v s / w,   q = Q.d:  dL/dq = -v u / w
 //   w = N.d:  dL/dw = v (s^2 + u^2) / w - (dL/d depth) depth / w

@@ -4,7 +4,7 @@
 //   color = gain (C + T background),  alpha = 1 - T,  depth = D / alpha (0 where alpha is 0).
 //
 // Adjoint: the gradients by C and D, and `behind`, the loss that all splats of the pixel and the background bring,
-// from which the backward kernels take off splat by splat (src/splat/kernel.rs).
+// from which the backward kernels take off splat by splat (src/splat/plain/tile.rs).
 #include "cpp/splat/image.h"
 
 #include <emmintrin.h>

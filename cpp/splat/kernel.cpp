@@ -1,6 +1,6 @@
 // Compositing of one tile, forward and backward, in GCC vector extensions; compiled once per instruction set with
 // -DRESPIRE_ISA=<namespace>. After 3DGS (Kerbl et al. 2023, Eq. 3: C = sum c_i a_i prod_j<i (1 - a_j)); the backward
-// pass goes front to back after FastGS and Brush. The plain twin is src/splat/kernel.rs, which also explains the
+// pass goes front to back after FastGS and Brush. The plain twin is src/splat/plain/tile.rs, which also explains the
 // symbols.
 //
 //   alpha = min(0.99, 2^(l - A dx^2 - B dx dy - C dy^2)), 0 below 1/255;  weight = alpha T;  T' = T (1 - alpha)
@@ -315,7 +315,7 @@ void backward_tile(const BackwardTile& t) {
       float* slot = slots + 16 * static_cast<std::size_t>(targets[first + e]);
       const float* q = rows + 16 * static_cast<std::size_t>(entries[first + e]);
       if (pairs.starts[e] == pairs.starts[e + 1]) {
-        // No block: one entry in eleven of the scene of the timings (src/splat/tube.rs). Most lie behind blocks that
+        // No block: one entry in eleven of the scene of the timings (src/splat/check/tube.rs). Most lie behind blocks that
         // have stopped, some in corners of boxes that the ellipse does not reach.
         for (int k = 0; k < PARTS; ++k) store(slot + LANES * k, V{});
         continue;

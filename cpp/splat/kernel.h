@@ -8,7 +8,7 @@
 
 namespace respire {
 
-// Columns of a splat's row; src/splat/project.rs explains them.
+// Columns of a splat's row; src/splat/plain/project.rs explains them.
 enum RowColumn {
   X,
   Y,
@@ -27,7 +27,7 @@ enum RowColumn {
   X_REST,
   Y_REST
 };
-// Moments of an entry (a splat in a tile); src/splat/kernel.rs explains them.
+// Moments of an entry (a splat in a tile); src/splat/plain/tile.rs explains them.
 enum MomentColumn { S, SX, SY, SXX, SXY, SYY, SDEPTH, SPAD, SRED, SGREEN, SBLUE };
 // Velocity of a splat along a direction, times ln 2: d log(alpha) = (VX + VXX dx + VXY dy) dx + (VY + VYY dy) dy.
 enum VelocityColumn { VX, VY, VXX, VXY, VYY, VRED, VGREEN, VBLUE };
@@ -93,7 +93,7 @@ struct RecolorChunk {
   float* rows;  // in and out: the colours are written, where visible
 };
 
-// Groups of parameters whose gradients are wanted; the bits of `Wanted` (src/splat/types.rs).
+// Groups of parameters whose gradients are wanted; the bits of `Wanted` (src/splat/types/).
 enum ParameterGroup : std::uint32_t { POSITIONS = 1, SHAPES = 2, OPACITIES = 4, HARMONICS = 8, POSE = 16, LENS = 64 };
 
 struct ChainChunk {
@@ -130,7 +130,7 @@ struct BackwardTile {
   float* slots;                  // out: 16 moments in the slot of each entry
 };
 
-// Columns of an exact disc (`Disc::pack` of src/splat/disc_mode.rs, which explains the symbols).
+// Columns of an exact disc (`Disc::pack` of src/splat/plain/disc.rs, which explains the symbols).
 enum DiscColumn {
   DISC_P,
   DISC_Q = DISC_P + 3,
@@ -140,7 +140,7 @@ enum DiscColumn {
   DISC_LOW = DISC_SLOPE + 2,
   DISC_HIGH = DISC_LOW + 2
 };
-// Columns of the sums of an entry (`sum` of src/splat/disc_tile.rs).
+// Columns of the sums of an entry (`sum` of src/splat/plain/disc_tile.rs).
 enum DiscSum {
   SUM_S,
   SUM_RED,
@@ -165,7 +165,7 @@ struct DiscTile {
   float per_px[2], near, filter;  // 1 / focal length; nearest depth; 1 / variance of the screen filter, 0 for none
 };
 
-// What a compositing kernel computes beyond colour; the bits of `Parts` (src/splat/kernel.rs).
+// What a compositing kernel computes beyond colour; the bits of `Parts` (src/splat/plain/tile.rs).
 enum Part : std::uint32_t {
   GEOMETRY = 1,
   COLOR = 2,

@@ -1,6 +1,6 @@
 #pragma once
 // Which entries of a tile touch which of its blocks of 4x4 pixels: a mask per entry, and a list of entries per block.
-// The plain twin is `block_mask` of src/splat/kernel.rs.
+// The plain twin is `block_mask` of src/splat/plain/tile.rs.
 //
 // A block is touched when one of its pixel centres can lie in the ellipse alpha >= 1/255. With the offset y from the
 // centre of the splat, the ellipse reaches in x from (-B y - root) / 2A to (-B y + root) / 2A, root^2 = (B^2 - 4 A C)

@@ -7,7 +7,7 @@
 namespace respire {
 
 // Lines y0..y1 of the loss of one image and its gradient; the twin, which explains the symbols, is
-// src/reconstruct/loss/photometric.rs. Images: red, green, blue of each pixel, line by line.
+// src/reconstruct/fitting/loss/photometric.rs. Images: red, green, blue of each pixel, line by line.
 struct LossBand {
   const float* rendered;
   const float *target, *mean, *square;  // the image, its blur, the blur of its square

@@ -1,7 +1,7 @@
 // From Gaussians to splats, LANES at a time: projection, colours, velocities; compiled once per instruction set.
 // After 3DGS (Kerbl et al. 2023, Eq. 5), with extents that end where alpha is 1/255; the plain twin, which explains
-// the symbols, is src/splat/project.rs. Left out: exact discs, which are projected in plain code
-// (src/splat/disc_mode.rs).
+// the symbols, is src/splat/plain/project.rs. Left out: exact discs, which are projected in plain code
+// (src/splat/plain/disc.rs).
 #include "cpp/splat/project.h"
 
 namespace respire {
@@ -174,7 +174,7 @@ struct ProjectionKernel {
   // Splats that surely lie beside the image, before their covariance is known. With s the largest standard deviation,
   // half a box of a pinhole is at most root (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in
   // the centre, which is known to `error`. For a fisheye the distance from the cone that it sees is tested
-  // (`Exact::cone` in src/splat/lens.rs).
+  // (`Exact::cone` in src/splat/plain/lens.rs).
   template <int COLUMNS>
   VI surely_beside(const LaneGroup& group, const V* offset, V height, V error, const SkipBounds& bounds) const {
     const View& w = s.view;
@@ -290,7 +290,7 @@ struct ProjectionKernel {
       evaluate_color<N, DEGREE>(g.direction, sh, color);
       visible &= finite(value(color[0]) + value(color[1]) + value(color[2]));
       if constexpr (MOVING) VelocityKernel{s, *o.motion}.write_rows(group, g, color);
-      // The row (`at` in src/splat/project.rs).
+      // The row (`at` in src/splat/plain/project.rs).
       V row[16];
       row[X] = point[0], row[Y] = point[1];
       row[A] = 0.5f * LOG2_E * value(g.conic[0]), row[B] = LOG2_E * value(g.conic[1]),

@@ -1,6 +1,6 @@
 #pragma once
 // Projection of LANES Gaussians at once, after EWA splatting (Zwicker et al. 2001) as 3DGS does it, for values (V)
-// and for values with a derivative (Dual). The plain twin, which also explains the symbols, is src/splat/project.rs:
+// and for values with a derivative (Dual). The plain twin, which also explains the symbols, is src/splat/plain/project.rs:
 //
 //   t = R (p - eye),  c_k = R m_k,  u_k = J c_k
 //   covariance on screen = sum_k u_k u_k^T + dilation I,  conic = its inverse
@@ -122,7 +122,7 @@ struct Geometry {
   }
 };
 
-// Real spherical harmonics up to degree 3 with the signs and constants of 3DGS; src/splat/sh.rs is the twin.
+// Real spherical harmonics up to degree 3 with the signs and constants of 3DGS; src/splat/number/sh.rs is the twin.
 constexpr float C0 = 0.28209479177387814f, C1 = 0.4886025119029199f;
 constexpr float C2[5] = {1.0925484305920792f, -1.0925484305920792f, 0.31539156525252005f, -1.0925484305920792f,
                          0.5462742152960396f};

@@ -228,7 +228,7 @@ mod tests {
 
     #[test]
     fn a_written_out_example_of_nerfstudios_conventions() {
-        // docs/quickstart/data_conventions.md: columns of transform_matrix are the camera's +X (right), +Y (up) and +Z
+        // "Data conventions": columns of transform_matrix are the camera's +X (right), +Y (up) and +Z
         // (backwards) axes and its position; OPENCV_FISHEYE uses k1 to k4; intrinsics at the top.
         let text = r#"{
             "fl_x": 107.2, "fl_y": 106.8, "cx": 150.4, "cy": 100.0, "w": 300, "h": 200,

@@ -13,14 +13,14 @@ use respire_bench::simulate::simulate;
 use crate::binary::{outcome, program};
 use crate::simulate::{assert_same, case, small};
 
-/// A Python with numpy and pillow: `RESPIRE_PYTHON`, or `python3`. Says so loudly when there is none.
+/// A Python with the packages of the loader: `RESPIRE_PYTHON`, or `python3`. Says so loudly when there is none.
 fn python() -> Option<String> {
     let name = std::env::var("RESPIRE_PYTHON").unwrap_or_else(|_| "python3".into());
-    let found = Command::new(&name).args(["-c", "import numpy, PIL"]).stderr(Stdio::null()).status();
+    let found = Command::new(&name).args(["-c", "import numpy, PIL, OpenEXR"]).stderr(Stdio::null()).status();
     if found.is_ok_and(|status| status.success()) {
         return Some(name);
     }
-    eprintln!("SKIPPED: {name} with numpy and pillow is absent (set RESPIRE_PYTHON)");
+    eprintln!("SKIPPED: {name} with numpy, pillow and OpenEXR is absent (scripts/python-packages.sh, RESPIRE_PYTHON)");
     None
 }
 

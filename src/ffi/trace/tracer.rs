@@ -1,5 +1,5 @@
 //! The path tracer's hot part: C++ (`cpp/trace/tracer.cpp`) on Embree 4 through cxx. Every call takes whole arrays (a
-//! tile of pixels, a chunk of faces or vertices); `docs/decisions/path-tracer-in-cpp.md` says why.
+//! tile of pixels, a chunk of faces or vertices); `docs/decisions/0002-path-tracer-in-cpp.md` says why.
 //!
 //! Embree wants flush-to-zero while it runs and Rust assumes the default floating-point mode: the C++ side sets and
 //! restores it inside each call.

@@ -84,6 +84,12 @@ fn robust_scale(residuals: &[f32]) -> f32 {
     (1.4826 * *median).max(SMALLEST_SCALE)
 }
 
+/// `square^-1 right` by way of the square root, as a Cholesky factorisation has it: results depend on the rounding.
+fn solve(square: f64, right: f64) -> f64 {
+    let root = square.sqrt();
+    right / root / root
+}
+
 /// Evidence of one image; `None` when it says nothing about the phase (a black rendering, no derivative).
 pub fn evidence(comparison: &ImageComparison<'_>, robust: Robust) -> Option<Evidence> {
     let ImageComparison { width, image, rendered, weights: pixel_weights, tangent } = *comparison;
@@ -111,7 +117,7 @@ pub fn evidence(comparison: &ImageComparison<'_>, robust: Robust) -> Option<Evid
             cross += (weights[i] * rendered[i] * tangent[i]) as f64;
             square += (weights[i] * rendered[i] * rendered[i]) as f64;
         }
-        (cross / square) as f32
+        solve(square, cross) as f32
     });
 
     // Curvature H = sum w J^2 and, block by block, the scores sum w J r.
@@ -131,8 +137,9 @@ pub fn evidence(comparison: &ImageComparison<'_>, robust: Robust) -> Option<Evid
 
     // Step H^-1 sum w J r, and the sandwich H S^-1 H.
     let gradient: f64 = scores.iter().sum();
-    let scatter = scores.iter().map(|s| s * s).sum::<f64>() * (1.0 + SCATTER_RIDGE);
-    let (step, information) = (gradient / curvature, curvature * (curvature / scatter));
+    let scatter: f64 = scores.iter().map(|s| s * s).sum();
+    let scatter = scatter + SCATTER_RIDGE * scatter;
+    let (step, information) = (solve(curvature, gradient), curvature * solve(scatter, curvature));
     let sound = curvature > 0.0 && scatter > 0.0 && step.is_finite() && information.is_finite();
     sound.then_some(Evidence { step, information, cost: cost / counting.len() as f64, gain })
 }
@@ -140,7 +147,7 @@ pub fn evidence(comparison: &ImageComparison<'_>, robust: Robust) -> Option<Evid
 /// The change of the phase that image and prior agree on: their mean, weighted by their information.
 pub fn posterior_step(evidence: &Evidence, prior: Prior) -> f64 {
     let weighted = evidence.information * evidence.step + prior.precision * prior.step;
-    weighted / (evidence.information + prior.precision)
+    solve(evidence.information + prior.precision, weighted)
 }
 
 #[cfg(test)]

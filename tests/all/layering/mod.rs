@@ -244,6 +244,39 @@ fn unsafe_lives_in_one_room() {
     }
 }
 
+/// Files that sources and documents name, from the root of the project.
+#[test]
+fn files_that_are_named_exist() {
+    let mut files = Vec::new();
+    for folder in ["src", "cpp", "tests", "benches", "examples", "build"] {
+        files_below(&root().join(folder), &mut files);
+    }
+    for folder in ["", "docs", "docs/decisions", "scripts"] {
+        let entries = fs::read_dir(root().join(folder)).unwrap().map(|e| e.unwrap().path());
+        files.extend(entries.filter(|path| path.extension().is_some_and(|e| e == "md" || e == "sh")));
+    }
+    let ends = [".rs", ".cpp", ".h", ".sh", ".md"];
+    let starts = ["src/", "cpp/", "tests/", "benches/", "examples/", "scripts/", "docs/", "build/"];
+    let (mut missing, mut named) = (Vec::new(), 0);
+    for file in files {
+        let text = fs::read_to_string(&file).unwrap();
+        for word in text.split(|c: char| !(c.is_alphanumeric() || "_-./".contains(c))) {
+            let word = word.trim_end_matches('.');
+            let is_path = starts.iter().any(|s| word.starts_with(s)) && ends.iter().any(|e| word.ends_with(e));
+            // A header that cxx makes, and the pattern of a name.
+            if !is_path || word.ends_with(".rs.h") || word.contains("YYYY") {
+                continue;
+            }
+            named += 1;
+            if !root().join(word).exists() {
+                missing.push(format!("{}: {word}", file.display()));
+            }
+        }
+    }
+    assert!(missing.is_empty(), "{}", missing.join("\n"));
+    assert!(named > 100, "{named} names were looked at");
+}
+
 /// Films are kept when the splat core changes (`build/revision.rs`): nothing that films may include its C++, or use its
 /// bridges.
 #[test]
