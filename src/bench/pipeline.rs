@@ -227,7 +227,8 @@ impl Stages for Pipeline {
     }
 
     fn score(&self, cell: &Cell, sequence: &Path, prediction: &Path, score: &Path) -> Result<()> {
-        let settings = score::ScoreSettings { seed: cell.seed, ..score::ScoreSettings::default() };
+        let method = Some(cell.method.clone());
+        let settings = score::ScoreSettings { method, seed: cell.seed, ..score::ScoreSettings::default() };
         let scored = score::score(&Sequence::open(sequence)?, prediction, &settings)?;
         files::write_json(score, &scored)
     }

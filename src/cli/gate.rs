@@ -12,7 +12,7 @@ use crate::report::{gate_files, read};
 #[command(
     after_help = "Writes gate.md and gate.xml (JUnit) before it decides. Exit code 3 when anything fails: a value beyond \
     its limit, an empty or broken value, a missing case, method or metric.\n\
-    Example: respire-bench gate --results reports/latest --baseline reports/reference/smoke"
+    Example: respire-bench gate --results reports/latest --baseline reports/reference/paper"
 )]
 pub struct GateArguments {
     /// Report folder to judge

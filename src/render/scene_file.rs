@@ -180,6 +180,7 @@ impl SceneFile {
             if expiration.faces != inspiration.faces || expiration.vertices.len() != inspiration.vertices.len() {
                 return Err(Error::input("must have the vertices and faces of mesh.path, in the same order").at(path));
             }
+            scene.set_other_end(&expiration.vertices).map_err(|e| e.at(path))?;
             scene
                 .deform(&mesh::interpolate(&inspiration.vertices, &expiration.vertices, self.mesh.phase))
                 .map_err(|e| e.at(path))?;

@@ -94,3 +94,24 @@ fn one_cell_runs_alone_and_says_where_its_files_are() {
     let score: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert!(score.is_object(), "{json}");
 }
+
+/// Folders of the project that help texts name exist.
+#[test]
+fn examples_of_the_help_name_folders_that_exist() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let (mut named, mut commands) = (0, vec![vec!["--help".to_owned()]]);
+    let (_, help, _) = run(&["--help"]);
+    let listed = help.split("Commands:").nth(1).unwrap().lines().skip(1).take_while(|line| !line.trim().is_empty());
+    commands.extend(listed.map(|line| vec![line.split_whitespace().next().unwrap().to_owned(), "--help".into()]));
+    for words in commands {
+        let (code, text, err) = run(&words.iter().map(String::as_str).collect::<Vec<_>>());
+        assert_eq!(code, 0, "{words:?}: {err}");
+        for path in
+            text.split_whitespace().filter(|w| w.starts_with("reports/reference") || w.starts_with("bench-cases/"))
+        {
+            named += 1;
+            assert!(root.join(path).exists(), "{words:?} names {path}");
+        }
+    }
+    assert!(named >= 3, "{named} folders were looked at");
+}

@@ -1,6 +1,8 @@
 //! The command `render`: scene file in, EXR and timing out.
 
 use respire_bench::formats::{exr, mesh};
+use respire_bench::render::scene_file::{MeshSection, SceneFile};
+use respire_bench::render::{Scene, render};
 
 use crate::render::small_tube;
 
@@ -63,6 +65,36 @@ fn command_writes_image_depth_and_timing() {
     let (inspiration, half) = (depth_at(false), depth_at(true));
     assert_eq!(inspiration.channels, 1);
     assert_ne!(inspiration, half);
+}
+
+/// Light at vertices interpolates between what walls see of each other at both ends of the breath: a scene file with
+/// both meshes renders what a scene with its other end set does.
+#[test]
+fn light_at_vertices_knows_the_expiration_mesh() {
+    let folder = scene_folder("kind = \"lambert\"", true);
+    let tube = small_tube();
+    let mut bent = tube.clone();
+    bent.vertices.iter_mut().for_each(|v| v.y += 0.03 * v.z * v.z);
+    mesh::write_ply(&folder.path().join("out.ply"), &bent, &[]).unwrap();
+    let path = folder.path().join("scene.toml");
+    let text = std::fs::read_to_string(&path).unwrap().replace("phase = 0.5", "phase = 1.0");
+    std::fs::write(&path, text.replace("spp = 4", "spp = 4\ntransport = \"vertices\"")).unwrap();
+    let file = SceneFile::load(&path).unwrap();
+    let (camera, pose) = (file.camera.intrinsics().unwrap(), file.camera.pose().unwrap());
+    let image = |scene: &Scene| render(scene, &camera, &pose, &file.light, &file.settings()).unwrap().radiance;
+    let by_hand = |other_end: bool| {
+        let mut scene = SceneFile { mesh: MeshSection { expiration: None, ..file.mesh.clone() }, ..file.clone() };
+        scene.mesh.phase = 0.0;
+        let mut scene = scene.build().unwrap();
+        if other_end {
+            scene.set_other_end(&bent.vertices).unwrap();
+        }
+        scene.deform(&bent.vertices).unwrap();
+        image(&scene)
+    };
+    let found = image(&file.build().unwrap());
+    assert_eq!(found, by_hand(true));
+    assert_ne!(found, by_hand(false));
 }
 
 #[test]

@@ -53,7 +53,8 @@ impl<T: SplatKernels> Splats<T> {
         visible.resize(n, false);
         let disc_count = if exact { n } else { 0 };
         if exact {
-            self.discs.resize(n, Aligned::default());
+            // As many as rows, also where no Gaussian takes part.
+            self.discs.resize(n.max(1), Aligned::default());
         }
         let (direction, velocities): (_, &mut [[T; 8]]) = match moving {
             Some(MovingOutput { direction, velocities }) => {

@@ -100,6 +100,27 @@ fn empty_and_tiny_scenes_render() {
     }
 }
 
+/// No disc at all, none that takes part, none that is visible: a picture of the background on every kernel.
+#[test]
+fn exact_discs_without_a_visible_disc_render() {
+    let settings = Settings { footprint: Footprint::Disc, background: [0.5; 3], ..Settings::default() };
+    let view = view(Lens::Pinhole);
+    let weights = Weights::<f32>::new(43 * 29, 1);
+    let gradient = ImageGradient { depth: &[], ..weights.gradient() };
+    let none = random(0, Kind::Discs, 0, 5).cast::<f32>();
+    let mut broken = random(2, Kind::Ellipsoids, 0, 5).cast::<f32>();
+    let Shape::Ellipsoids { rotations, .. } = &mut broken.shape else { unreachable!() };
+    *rotations = vec![[0.0; 4], [f32::NAN; 4]];
+    for isa in available() {
+        for (scene, active) in [(&none, None), (&broken, Some(&[][..])), (&broken, None)] {
+            let mut rasterizer = Rasterizer::<f32>::with_isa(isa).unwrap();
+            let image = rasterizer.render(scene, &view, &settings, active).unwrap();
+            assert!(image.visible_count == 0 && image.color.iter().all(|v| *v == 0.5), "{isa}");
+            assert!(all_finite(rasterizer.backward(scene, &gradient, Wanted::ALL).unwrap()), "{isa}");
+        }
+    }
+}
+
 #[test]
 fn what_lies_behind_or_outside_is_invisible() {
     let mut scene = random(3, Kind::Discs, 1, 6);
