@@ -16,7 +16,7 @@
 
 namespace respire {
 
-// In place of a face: nothing was hit.
+// The face index where nothing was hit.
 constexpr std::uint32_t kNoFace = ~0u;
 
 // Origins of rays are moved off the surface by this much, in mm: more than ten times the rounding of a coordinate of
@@ -108,11 +108,11 @@ class TracedMesh {
  private:
   void update_normals();
 
-  // In the order of their making: they are released in the opposite one.
+  // Declared in the order of creation, so that they are released in reverse.
   Handle<RTCDevice, rtcReleaseDevice> device_;
   Handle<RTCScene, rtcReleaseScene> robust_, fast_;
   Handle<RTCGeometry, rtcReleaseGeometry> geometry_;
-  // In Embree's buffers.
+  // These point into Embree's buffers.
   const float* vertices_{};
   const std::uint32_t* faces_{};
   std::size_t vertex_count_, face_count_;
@@ -158,7 +158,8 @@ class RayCaster {
     const RTCRay ray = ray_of(from, direction, 0.0f, 1e30f);
     ++rays;
     if (first_hit(mesh_.fast(), ray, hit) && !(dot(hit.geometric, direction) > 0.0f)) return true;
-    // Out of the mesh, or a wall seen from behind: perhaps through an edge. The robust scene decides.
+    // The ray left the mesh or hit a wall from behind, perhaps after slipping through an edge: the robust scene
+    // decides.
     ++rays;
     return first_hit(mesh_.robust(), ray, hit);
   }
