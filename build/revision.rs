@@ -1,4 +1,4 @@
-//! Hashes the sources of every room, so that cached results know which code made them (`src/bench/revision.rs`).
+//! Hashes the sources of every room, so that cached results record which code made them (`src/bench/revision.rs`).
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ const ROOMS: [&str; 8] = ["base", "formats", "airway", "render", "simulate", "sp
 /// (`tests/all/layering/`).
 const KERNELS: [&str; 2] = ["cpp/splat", "src/ffi/splat"];
 
-/// The own C++ of the path tracer, what both share, and their bridges.
+/// The path tracer's C++, what both share, and their bridges.
 const TRACER: [&str; 8] = [
     "cpp/common",
     "cpp/trace",

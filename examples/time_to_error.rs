@@ -54,7 +54,7 @@ struct Stage<'a> {
     material: Material,
     /// 0: as many as there are.
     max_scatterings: u32,
-    /// The same picture twice where one is too noisy.
+    /// Two independent images where one is too noisy (M3c), otherwise one image twice.
     references: [Image<f32>; 2],
 }
 

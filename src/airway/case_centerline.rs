@@ -26,7 +26,7 @@ pub fn read(path: &Path) -> Result<Centerline> {
     parse(&files::read_text(path)?).map_err(|e| e.at(path))
 }
 
-/// [`read`] for text that is at hand.
+/// [`read`] for text in memory.
 pub fn parse(text: &str) -> Result<Centerline> {
     let mut lines = text.lines();
     if lines.next().map(str::trim) != Some(HEADER) {

@@ -8,7 +8,7 @@ use glam::{DVec3, IVec3};
 
 use super::tree::{Branch, Tree};
 
-/// A value beyond every band of interest.
+/// Value far from every branch, in mm: beyond every band of interest.
 const FAR: f32 = 1e3;
 
 /// Samples of the field at `origin + spacing * (i, j, k)`.
