@@ -3,18 +3,22 @@
 //! After Kitaoka, Takaki and Suki, J Appl Physiol 87:2207 (1999). Symbols: `d` diameter, `n` flow exponent, `r` the
 //! smaller share of the parent's flow, `theta` angle between a child and its parent. Rule by rule:
 //!
-//! | rule | source |
-//! |---|---|
-//! | branching is dichotomous; parent and children lie in one plane; the next plane is turned by 90 degrees | Kitaoka 1, 2, 8 |
-//! | the plane through the parent's axis across the branching plane parts the supplied region; flow is the part of its volume | Kitaoka 3, 4, 5 (`GrowthRegion`) |
-//! | `Q ~ d^n`, n = 2.8: a child's diameter goes with the n-th root of its share | Kitaoka 3, 6 |
-//! | `cos theta = (1 + r^(4/n) - (1-r)^(4/n)) / (2 r^(2/n))`, and with r and 1-r exchanged; at most 62 degrees | Kitaoka 6, from least volume (Kamiya and Togawa 1972) |
-//! | mean diameter ratio and length over diameter of generations 0 to 6 | Horsfield's tree at a lung volume of 3300 ml (replaces Kitaoka 7, `L = 3 d`, which is wrong for generations 2 to 4) |
-//! | children turn towards the middle of what they supply and stay inside of it | Kitaoka's complementary rules; the turn as in Tawhai et al., J Appl Physiol 97:2310 (2004) |
-//! | right main bronchus wider, steeper and shorter than the left | anatomy; diameters follow from the lungs' volumes |
+//! - Branching is dichotomous; parent and children lie in one plane; the next plane is turned by 90 degrees (Kitaoka 1,
+//!   2, 8).
+//! - The plane through the parent's axis across the branching plane parts the supplied region; flow is the part of its
+//!   volume (Kitaoka 3, 4, 5; `GrowthRegion`).
+//! - `Q ~ d^n`, n = 2.8: a child's diameter goes with the n-th root of its share (Kitaoka 3, 6).
+//! - `cos theta = (1 + r^(4/n) - (1-r)^(4/n)) / (2 r^(2/n))`, and with r and 1-r exchanged; at most 62 degrees (Kitaoka
+//!   6, from least volume; Kamiya and Togawa 1972).
+//! - Mean diameter ratio and length over diameter of generations 0 to 6: Horsfield's tree at a lung volume of 3300 ml
+//!   (replaces Kitaoka 7, `L = 3 d`, which is wrong for generations 2 to 4).
+//! - Children turn towards the middle of what they supply and stay inside it (Kitaoka's complementary rules; the turn as
+//!   in Tawhai et al., J Appl Physiol 97:2310, 2004).
+//! - The right main bronchus is wider, steeper and shorter than the left (anatomy; diameters follow from the lungs'
+//!   volumes).
 //!
 //! Own additions: seeded variation; a bifurcation that would bring a branch near another is tried again with another
-//! plane and shorter children, at last left out, so that the surface of the tree has no loop. Left out: acini, curved
+//! plane and shorter children, and finally left out, so that the surface of the tree has no loop. Left out: acini, curved
 //! lobar fissures, everything beyond the reach of a scope.
 
 use glam::DVec3;

@@ -23,7 +23,7 @@ pub struct Contents {
     pub surface: bool,
     /// A run time.
     pub time: bool,
-    /// Frames rendered before they were looked at.
+    /// Frames rendered before the method read their image.
     pub ahead: usize,
     /// Metrics that will have a status instead of a value.
     pub not_applicable: Vec<&'static str>,

@@ -28,7 +28,7 @@ impl Plane {
         Plane { origin: world_from_camera.translation, x: axis(DVec3::X), y: axis(DVec3::Y), normal: axis(DVec3::Z) }
     }
 
-    /// Coordinates of `point`'s foot in the plane, mm.
+    /// Coordinates of `point`, projected onto the plane, mm.
     pub fn coordinates(&self, point: DVec3) -> [f64; 2] {
         let offset = point - self.origin;
         [offset.dot(self.x), offset.dot(self.y)]

@@ -59,7 +59,7 @@ pub fn proxy_radiance(
             let normal = across.cross(down).normalize_or_zero();
             let cosine = normal.dot(here.normalize_or_zero()).abs();
             let d2 = here.length_squared();
-            // A ray that leaves the airway sees nothing.
+            // A ray that leaves the airway returns no light.
             let lit = if d2.is_finite() && d2 > 0.0 && cosine.is_finite() { cosine / d2 } else { 0.0 };
             let lit = lit * passed[row * GRID + column];
             radiance.push([0, 1, 2].map(|c| {
@@ -126,7 +126,7 @@ pub fn follow(wanted: &[f64], time_s: &[f64], settings: &ExposureSettings, seed:
         .collect()
 }
 
-/// The middle value (the upper one of two); 0 of nothing.
+/// The middle value (the upper one of two); 0 without values.
 pub fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut sorted: Vec<f64> = values.collect();
     sorted.sort_by(f64::total_cmp);
