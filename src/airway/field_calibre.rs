@@ -65,7 +65,9 @@ impl Calibre {
     /// Displacement of `x` by the change of calibre, given its foot on the centreline.
     pub fn displacement(&self, x: DVec3, axis: &AxisPoint) -> DVec3 {
         let outwards = x - axis.position_mm;
+        // (rho(g) - 1) (x - p)
         let mut s = outwards * (self.ratio(axis.generation) - 1.0);
+        // The back wall's bulge: full in the trachea, none from generation 2/3 on.
         let trachea = (1.0 - 1.5 * axis.generation).clamp(0.0, 1.0);
         if self.tracheal_invagination > 0.0 && trachea > 0.0 {
             let back = (DVec3::Y - axis.tangent * axis.tangent.y).normalize_or_zero();
@@ -174,6 +176,7 @@ impl Axis {
     pub fn foot(&self, x: DVec3) -> Option<AxisPoint> {
         let exponent = |s: &AxisSample| (x - s.position).length_squared() * s.inverse_radius2 * SHARPNESS;
         let runs = || self.runs.iter().zip(self.samples.chunks(RUN));
+        // The least exponent: weights are taken relative to its own, and far runs are skipped.
         let mut best = f64::INFINITY;
         for (run, samples) in runs() {
             if run.least_exponent(x) < best {
@@ -183,6 +186,7 @@ impl Axis {
         if !best.is_finite() {
             return None;
         }
+        // Weighted means over the samples near it.
         let mut total = 0.0;
         let mut foot = AxisPoint { position_mm: DVec3::ZERO, radius_mm: 0.0, generation: 0.0, tangent: DVec3::ZERO };
         let near = runs().filter(|(run, _)| run.least_exponent(x) < best + EXPONENT_REACH);

@@ -12,14 +12,14 @@
 //!   6, from least volume; Kamiya and Togawa 1972).
 //! - Mean diameter ratio and length over diameter of generations 0 to 6: Horsfield's tree at a lung volume of 3300 ml
 //!   (replaces Kitaoka 7, `L = 3 d`, which is wrong for generations 2 to 4).
-//! - Children turn towards the middle of what they supply and stay inside it (Kitaoka's complementary rules; the turn as
-//!   in Tawhai et al., J Appl Physiol 97:2310, 2004).
+//! - Children turn towards the middle of what they supply and stay inside it (Kitaoka's complementary rules; the turn
+//!   as in Tawhai et al., J Appl Physiol 97:2310, 2004).
 //! - The right main bronchus is wider, steeper and shorter than the left (anatomy; diameters follow from the lungs'
 //!   volumes).
 //!
 //! Own additions: seeded variation; a bifurcation that would bring a branch near another is tried again with another
-//! plane and shorter children, and finally left out, so that the surface of the tree has no loop. Left out: acini, curved
-//! lobar fissures, everything beyond the reach of a scope.
+//! plane and shorter children, and finally left out, so that the surface of the tree has no loop. Left out: acini,
+//! curved lobar fissures, everything beyond the reach of a scope.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -192,10 +192,12 @@ impl Grower<'_> {
     fn plan(&self, tip: &Tip, joint: DVec3, turn: f64, shorter: f64, rng: &mut CounterRng) -> Option<Vec<BranchPlan>> {
         let generation = self.tree.branches[tip.branch].generation + 1;
         let n = self.settings.flow_exponent;
+        // The branching plane, and the two regions that it splits (rules 2 to 5).
         let upright = (tip.across - tip.direction * tip.across.dot(tip.direction)).normalize_or(DVec3::Y);
         let across = upright * turn.cos() + tip.direction.cross(upright) * turn.sin();
         let regions = tip.region.split(joint, across)?;
         let whole = regions[0].share() + regions[1].share();
+        // Angles from the flow's shares (rule 6), turned towards the middle of each region.
         let directions = [0, 1].map(|side| {
             let share = regions[side].share() / whole;
             let sign = if side == 0 { 1.0 } else { -1.0 };
@@ -205,6 +207,7 @@ impl Grower<'_> {
             within_angle((by_rule + 0.45 * to_middle).normalize_or(by_rule), tip.direction, WIDEST_DEG.to_radians())
         });
         let directions = spread(directions[0], directions[1], NARROWEST_DEG.to_radians());
+        // Diameters and lengths; every child must carry enough flow and end inside the lungs.
         let next_across = tip.direction.cross(across);
         let mut plans = Vec::new();
         for (region, direction) in regions.into_iter().zip(directions) {

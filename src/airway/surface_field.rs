@@ -183,6 +183,7 @@ impl RoundCone {
             let (centre, radius) = if shrink >= 0.0 { (self.a, self.radius_a) } else { (self.b, self.radius_b) };
             return (p.distance(centre) - radius, radius);
         }
+        // Coordinates along (y from a, z from b) and off (x) the axis, in powers of its length; then cap or flank.
         let y = from_a.dot(self.axis);
         let z = y - self.length2;
         let x2 = (from_a * self.length2 - self.axis * y).length_squared();

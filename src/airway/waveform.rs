@@ -123,6 +123,7 @@ impl Waveform {
         left_s -= breath as f64 * self.period_s();
         loop {
             let now = self.breath(breath, seed);
+            // Inhalation, hold, exhalation.
             if left_s < now.inhale_s {
                 let pressure = 0.5 - 0.5 * (std::f64::consts::PI * left_s / now.inhale_s).cos();
                 return now.start + (now.turn - now.start) * volume(pressure, STIFFNESS_IN);

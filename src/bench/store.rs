@@ -1,8 +1,9 @@
 //! The cache folder: finished products by key, checked before they are used again, one writer at a time.
 //!
 //! ```text
-//! <cache>/.lock                                  held by the process that writes here <cache>/journal.jsonl
-//! what is finished <cache>/sequences/<case>-<12 digits>/          a sequence
+//! <cache>/.lock                                  held by the process that writes here
+//! <cache>/journal.jsonl                          what is finished
+//! <cache>/sequences/<case>-<12 digits>/          a sequence
 //! <cache>/cells/<case>-<method>-s<seed>-<12>/    prediction/, score.json, timing.json
 //! ```
 

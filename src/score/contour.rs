@@ -84,6 +84,7 @@ pub fn target_errors(
     let Some((true_contour, Enclosure::Inside)) = around_camera(slice(truth, &plane))? else { return Ok(None) };
     let predicted_contour = around_camera(slice(predicted, &plane))?;
     let target = CounterRng::new(seed, Stage::Score, &[0]).index(true_contour.cuts.len());
+    // Where each vertex of the true contour lies on the predicted surface.
     let same_topology = predicted.vertices.len() == truth.vertices.len() && predicted.faces == truth.faces;
 
     let from: Vec<DVec3> = true_contour.cuts.iter().map(|c| c.position(&truth.vertices)).collect();

@@ -3,11 +3,12 @@
 //! ```text
 //! color/NNNNNN.png               one per frame, 8-bit sRGB, the sequence's size           needed
 //! depth/NNNNNN.{exr,npy,png}     one per frame, z-depth in mm, 0 = none; PNG: 16-bit grey times depth_unit_mm
-//! ahead/NNNNNN.png               renderings made before the method read the frame's image; any frames phase.csv
-//! frame,phase; one row per frame, 0 = full inspiration, 1 = full expiration poses.csv
-//! frame,m00..m23; world_from_camera where the method has poses of its own mesh/final.ply                 surface at
-//! the last frame, mm, the sequence's world timing.json                    {"time_total_s": seconds of the method
-//! alone} prediction.json                {"method": id, "depth_unit_mm": 1.0}
+//! ahead/NNNNNN.png               renderings made before the method read the frame's image; any frames
+//! phase.csv                      frame,phase; one row per frame, 0 = full inspiration, 1 = full expiration
+//! poses.csv                      frame,m00..m23; world_from_camera where the method has poses of its own
+//! mesh/final.ply                 surface at the last frame, mm, the sequence's world
+//! timing.json                    {"time_total_s": seconds of the method alone}
+//! prediction.json                {"method": id, "depth_unit_mm": 1.0}
 //! ```
 
 use std::path::{Path, PathBuf};

@@ -151,6 +151,7 @@ impl Follower {
             let m = settings.overshoot.ln();
             let damping = -m / (std::f64::consts::PI.powi(2) + m * m).sqrt();
             let natural = 1.0 / settings.lag_s;
+            // Free oscillation around the goal: level = goal + exp(-decay t) (A cos(swing t) + B sin(swing t)).
             let (decay, swing) = (damping * natural, natural * (1.0 - damping * damping).sqrt());
             let (off, speed) = (self.level - goal, self.speed);
             let (sine, cosine) = (swing * time_s).sin_cos();
