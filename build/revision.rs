@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+/// The rooms with a revision of their own; report, bench, experiments and cli make no product.
 const ROOMS: [&str; 8] = ["base", "formats", "airway", "render", "simulate", "splat", "reconstruct", "score"];
 
 /// The splat core's own C++ and its bridges: no film depends on them, and nothing else there includes them

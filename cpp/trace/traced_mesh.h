@@ -23,7 +23,7 @@ constexpr std::uint32_t kNoFace = ~0u;
 // 200 mm.
 constexpr float kSurfaceOffset = 2e-4f;
 
-// Where a ray meets the mesh: distance, barycentric weights of the face's second and third corner, face, and its normal
+// Where a ray hits the mesh: distance, barycentric weights of the face's second and third corner, face, and its normal
 // as wound (not normalised).
 struct Hit {
   float t, u, v;
@@ -34,13 +34,14 @@ struct Hit {
 // Up to eight rays traced as one packet.
 class RayPacket {
  public:
+  // Rays per packet: AVX2 has eight lanes of float.
   static constexpr std::size_t kWidth = 8;
 
   // The first `count` lanes' rays; `origins` and `directions` are xyz interleaved, `origin_stride` floats lie between
   // two origins (0: one for all).
   void aim(const float* origins, std::size_t origin_stride, const float* directions, std::size_t count);
 
-  // Camera rays of one packet are coherent, rays to all sides are not: Embree traverses them differently.
+  // Camera rays of one packet are coherent, rays in all directions are not: Embree traverses them differently.
   enum class Bundle { kCoherent, kScattered };
   void trace(RTCScene scene, Bundle bundle);
 
@@ -87,7 +88,7 @@ class TracedMesh {
   // New positions, as many as at construction. Throws std::invalid_argument on a wrong length.
   void update(rust::Slice<const float> vertices);
 
-  // Refits both hierarchies to the vertices that are there: the part of `update` that is Embree's.
+  // Refits both hierarchies to the current vertices: Embree's part of `update`.
   void refit();
 
   std::size_t vertex_count() const { return vertex_count_; }

@@ -16,6 +16,7 @@ namespace respire {
 
 namespace {
 
+// Distance of a ray that hits nothing.
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 // The faces around a vertex and their areas (doubled).

@@ -8,6 +8,7 @@ use glam::DVec3;
 use super::centerline::{Centerline, CenterlinePoint};
 use crate::base::{Error, Result, files};
 
+/// First line of the file.
 const HEADER: &str = "id,x_mm,y_mm,z_mm,radius_mm,branch,generation,parent_id";
 
 /// The text form; numbers round-trip exactly.

@@ -12,7 +12,7 @@ use crate::base::{Error, Result};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Branch {
-    /// Index of the parent branch, smaller than the own; absent for the trachea.
+    /// Index of the parent branch, smaller than the branch's own; absent for the trachea.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parent: Option<u32>,
     /// Airway generation, 0 for the trachea.

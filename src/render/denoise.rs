@@ -1,8 +1,8 @@
 //! Edge-aware filter of the indirect light: the a-trous wavelet filter of Dammertz et al. (HPG 2010), guided by
 //! geometry alone (normal, position).
 //!
-//! What is filtered is smooth over the wall: the light that arrives there by way of other walls, freed of the wall's
-//! own colour and, roughly, of its falloff with the distance from the lamp. Direct light, albedo and vessels pass
+//! What is filtered is smooth over the wall: the light that arrives there from other walls, freed of the wall's own
+//! colour and, roughly, of its falloff with the distance from the lamp. Direct light, albedo and vessels pass
 //! untouched. Left out: an edge-stopping weight for differences of the filtered light itself; the result is linear in
 //! its input.
 //!

@@ -89,7 +89,7 @@ pub struct RenderSettings {
     /// With `Some(target)`: tiles double their samples, from `samples_per_pixel`, while their estimated mean of (error
     /// / radiance)^2 is above `target`, until that of the image is below it.
     pub target_relmse: Option<f64>,
-    /// Light by way of walls.
+    /// How indirect light is found.
     pub transport: Transport,
     /// Normals.
     pub shading: Shading,

@@ -86,7 +86,7 @@ impl Generation {
 
 type Rgb = [f32; 3];
 
-/// An uncoated face sends the same to all sides.
+/// An uncoated face sends the same in all directions.
 const EVEN: Glint = Glint { base: 1.0, coat: 0.0 };
 
 /// Light at the vertices of the faces in `visible` ([`NO_FACE`] allowed, and repetitions). `rays_per_face` above 0.
@@ -205,7 +205,7 @@ fn add_glints(scene: &Scene, frame: &FrameSettings, generations: &mut [Generatio
     Ok(())
 }
 
-/// What a face sends to others: by its base to all sides alike, by its coat as a [`Glint`] says.
+/// What a face sends to others: by its base alike in all directions, by its coat as a [`Glint`] says.
 #[derive(Clone, Copy)]
 struct Sent {
     base: Rgb,

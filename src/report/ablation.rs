@@ -25,6 +25,7 @@ pub struct VariantScores {
     pub failed: usize,
 }
 
+/// Columns of `ablations.csv`.
 const COLUMNS: [&str; 10] =
     ["group", "setting", "method", "metric", "cells", "failed", "mean", "shipped", "difference", "noise"];
 

@@ -1,4 +1,4 @@
-//! Reads everything that scoring would read, and lists what is there; the first problem is the error.
+//! Reads everything that scoring would read, and lists what it finds; the first problem is the error.
 
 use std::path::Path;
 

@@ -49,7 +49,7 @@ struct TimingFile {
 }
 
 impl Prediction {
-    /// Opens `root` as a prediction of `frames` frames of `camera`: lists what is there and reads the small files.
+    /// Opens `root` as a prediction of `frames` frames of `camera`: lists its contents and reads the small files.
     ///
     /// Errors, each naming the file: a frame missing from a folder that is there, a bad row, a bad value.
     pub fn open(root: &Path, camera: &Camera, frames: usize) -> Result<Self> {

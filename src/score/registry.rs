@@ -154,6 +154,7 @@ impl Metric {
     }
 }
 
+// The predictions to which a metric applies, in words.
 const ALL: &str = "every prediction";
 const WITH_DEPTH: &str = "predictions with depth images";
 const WITH_PHASE: &str = "predictions with phase.csv: methods that model the respiratory state";

@@ -74,7 +74,7 @@ pub fn slice(mesh: &TriangleMesh, plane: &Plane) -> Vec<Polyline> {
     let mut polylines = Vec::new();
     for start in starts {
         while let Some((nodes, closed)) = walker.walk(start) {
-            // A face that is there twice gives a loop of two nodes, which encloses nothing.
+            // A face that occurs twice gives a loop of two nodes, which encloses nothing.
             if nodes.len() > 2 || !closed {
                 polylines.push(polyline(mesh, plane, &height, &graph, &nodes, closed));
             }

@@ -1,8 +1,8 @@
 //! Automatic exposure that is known before a frame is rendered, so that frames stay independent.
 //!
 //! A coarse grid of rays gives distance d and slant cos of the wall; radiance there is about albedo I cos / (pi d^2),
-//! times a factor for light that comes by way of other walls, the fibre bundle's profile and the vignette. The gain is
-//! the one that brings the mean *encoded* brightness of that proxy to the target (bisection on a monotone function),
+//! times a factor for light that comes from other walls, the fibre bundle's profile and the vignette. The gain is the
+//! one that brings the mean *encoded* brightness of that proxy to the target (bisection on a monotone function),
 //! followed with a lag and within limits, like the automatic exposure of a scope: the log gain is a damped oscillator
 //! of natural frequency 1 / lag whose damping gives the stated overshoot after a jump (without overshoot: first order).
 //! A seeded slow drift of gain and white balance comes on top. The noise that the gain brings is the sensor's
@@ -19,7 +19,7 @@ use crate::render::{Light, Scene};
 
 /// Rays of the proxy per image side.
 const GRID: usize = 20;
-/// Light by way of other walls: gain over direct light per unit albedo, fitted by eye to rendered frames.
+/// Indirect light: gain over direct light per unit albedo, fitted by eye to rendered frames.
 const INTERREFLECTION: f64 = 1.6;
 /// The gain stays within this factor of the film's median.
 const RANGE: f64 = 8.0;

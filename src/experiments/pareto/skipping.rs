@@ -51,6 +51,7 @@ fn change([with, without]: &[Rasterizer<f32>; 2]) -> [f64; 2] {
     [image, worst.fold(0.0, f64::max)]
 }
 
+/// Name of a timed forward and backward pass.
 const BOTH: &str = "forward + backward";
 
 /// A switch of the rasteriser.

@@ -154,7 +154,7 @@ mod bridge {
         albedo: [f32; 3],
         /// Smooth normal, world axes.
         normal: [f32; 3],
-        /// Samples that have met the wall.
+        /// Samples that have hit the wall.
         hits: f32,
     }
 
@@ -178,7 +178,7 @@ mod bridge {
         irradiance: [f32; 3],
         /// The part of it that the base reflects (radiosity).
         sent: [f32; 3],
-        /// Part of other light that is sent on to all sides alike.
+        /// Fraction of other light that is reflected alike in all directions.
         reflectance: [f32; 3],
         /// Centre.
         centre: [f32; 3],
