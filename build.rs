@@ -1,4 +1,4 @@
-//! Binds Embree 4 (bindgen), compiles the own C++ of `cpp/` (cxx) and tells the linker where Embree lies.
+//! Binds Embree 4 (bindgen), compiles the C++ in `cpp/` (cxx) and tells the linker where Embree is.
 //!
 //! Embree is looked for in `$EMBREE_DIR`, then in `.deps/embree4` (made by `scripts/setup.sh` on Debian 12), then
 //! in the system (Debian 13 and later: package `libembree-dev`).
@@ -21,7 +21,7 @@ const BRIDGES: &[&str] = &[
     "src/ffi/trace/tracer.rs",
 ];
 
-/// Own C++ compiled once, for the baseline x86-64.
+/// C++ compiled once, for the baseline x86-64.
 const SOURCES: &[&str] = &[
     "cpp/common/isa.cpp",
     "cpp/splat/loss.cpp",
@@ -141,11 +141,11 @@ fn compile_kernels() {
         let mut build = cc::Build::new();
         build.cpp(true).files(KERNELS).include(".").std("c++17").opt_level(3);
         build.flag("-Wall").flag("-Wextra").define("RESPIRE_ISA", *namespace);
-        // Forward and backward must take the same decisions: no contraction but the written one.
+        // Forward and backward must take the same branches: no contraction except where it is written.
         build.flag("-ffp-contract=off").flag("-fno-math-errno").flag("-fno-trapping-math").flag("-fno-exceptions");
-        // GCC 12 takes the deliberately undefined operands of its own AVX-512 header for defects.
+        // GCC 12 warns of the deliberately undefined operands in its own AVX-512 header.
         build.flag("-Wno-uninitialized").flag("-Wno-maybe-uninitialized");
-        // No vector crosses a border between two files.
+        // No vector is passed from one file to another.
         build.flag("-Wno-psabi");
         for flag in *flags {
             build.flag(flag);

@@ -1,8 +1,8 @@
-//! Runs the native part of the build only when something native changed: this script runs for every changed source
-//! file (`revision.rs`), and C++ kernels are not to be compiled for a changed comment.
+//! Runs the native part of the build only when something native changed: this script runs for every changed source file
+//! (`revision.rs`), and a changed comment must not recompile the C++ kernels.
 //!
-//! What `cc` tells cargo goes to standard output, where a program cannot read its own words back; so the script calls
-//! itself for the native part, keeps what that said, and says it again when nothing native changed.
+//! `cc` writes its instructions for cargo to standard output, which a program cannot read back. So the script calls
+//! itself for the native part, keeps the output, and repeats it when nothing native changed.
 
 use std::env;
 use std::fs;
@@ -17,7 +17,7 @@ pub fn is_inner_call() -> bool {
     env::var_os(INNER).is_some()
 }
 
-/// Does the native part, or repeats what it said when last done for the same `state`.
+/// Does the native part, or repeats its output when it was last done for the same `state`.
 pub fn once(state: &str, out: &Path) {
     let (kept_state, kept_words) = (out.join("native.state"), out.join("native.words"));
     if fs::read_to_string(&kept_state).is_ok_and(|kept| kept == state)

@@ -1,15 +1,16 @@
-//! Hashes the sources of every room, so that cached results know which code made them (`src/bench/revision.rs`).
+//! Hashes the sources of every room, so that cached results record which code made them (`src/bench/revision.rs`).
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
+/// The rooms with a revision of their own; report, bench, experiments and cli make no product.
 const ROOMS: [&str; 8] = ["base", "formats", "airway", "render", "simulate", "splat", "reconstruct", "score"];
 
 /// The splat core's own C++ and its bridges: no film depends on them, and nothing else there includes them
 /// (`tests/all/layering/`).
 const KERNELS: [&str; 2] = ["cpp/splat", "src/ffi/splat"];
 
-/// The own C++ of the path tracer, what both share, and their bridges.
+/// The path tracer's C++, what both share, and their bridges.
 const TRACER: [&str; 8] = [
     "cpp/common",
     "cpp/trace",

@@ -18,7 +18,7 @@ use respire_bench::experiments::timing::{Spread, in_turns};
 use respire_bench::render::{Light, RenderSettings, Shading, Transport};
 use respire_bench::simulate::trajectory::Route;
 
-/// Turns of a comparison.
+/// Turns per comparison.
 const TURNS: usize = 9;
 
 fn main() -> Result<()> {
@@ -51,7 +51,7 @@ fn scene(case: &Case, anatomy: &Anatomy, more: u32) -> Result<CaseScene> {
     CaseScene::new(case, &Anatomy { inspiration, expiration, vertex_generation, ..anatomy.clone() })
 }
 
-/// What the camera sees `later_s` after the middle of the way, and the phase then.
+/// The camera `later_s` seconds after the middle of the route, and the phase then.
 fn frame(case: &Case, anatomy: &Anatomy, pixels: u32, later_s: f64) -> Result<(Viewpoint, f64)> {
     let route = Route::plan(anatomy, &case.trajectory)?;
     let (phase, way_mm) = (0.5 + 0.4 * later_s, 0.5 * route.length_mm() + case.trajectory.speed_mm_per_s * later_s);
@@ -73,7 +73,7 @@ fn cost(case: &Case, anatomy: &Anatomy, pixels: u32) -> Result<()> {
     let seen = frame(case, anatomy, pixels, 0.0)?;
     let mut scenes = [scene(case, anatomy, 0)?, scene(case, anatomy, 3)?];
     let mut turn = 0;
-    // The first turn, which is not counted, makes what a film keeps.
+    // The first turn, which is not counted, builds what a film keeps between frames.
     let [alone, among] = in_turns(TURNS, |k, samples| {
         let settings = settings(case.seed, turn / 2, Transport::VERTICES, 4);
         turn += 1;

@@ -1,9 +1,9 @@
-//! Makes the pictures of `docs/gallery.md` again: each case at three depths of its way, side by side.
+//! Makes the images of `docs/gallery.md`: each case at three depths of its route, side by side.
 //!
 //! ```text
 //! cargo run --release --example gallery [FOLDER]
 //! ```
-//! Films go to FOLDER (`target/gallery`), nine frames over the last 160 mm of each way; finished ones are reused.
+//! Films go to FOLDER (`target/gallery`), nine frames over the last 160 mm of each route; finished ones are reused.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use respire_bench::simulate::preview::sheet;
 use respire_bench::simulate::truth::TruthSet;
 use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
 
-/// Of nine frames, case by case: one in the trachea, one before a bifurcation, one at the end of the way.
+/// Frames shown of the nine, case by case: one in the trachea, one before a bifurcation, one at the end of the route.
 const SHOWN: [[usize; 3]; 9] =
     [[1, 4, 8], [1, 3, 8], [1, 3, 8], [1, 4, 8], [1, 4, 8], [1, 3, 8], [1, 3, 8], [1, 3, 8], [1, 4, 8]];
 

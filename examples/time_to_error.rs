@@ -22,6 +22,7 @@ use respire_bench::render::{
     Boundary, Denoise, Light, Material, RenderSettings, RenderedFrame, Scene, Transport, WalkedVertices, render,
 };
 
+/// Albedo of the reference scenes' walls, per channel.
 const RHO: [f64; 3] = [0.75, 0.40, 0.35];
 /// Samples per pixel of the second reference of M3c.
 const SECOND_REFERENCE_SPP: u32 = 96;
@@ -52,9 +53,9 @@ struct Stage<'a> {
     name: String,
     tube: &'a TriangleMesh,
     material: Material,
-    /// 0: as many as there are.
+    /// 0: unlimited.
     max_scatterings: u32,
-    /// The same picture twice where one is too noisy.
+    /// Two independent images where one is too noisy (M3c), otherwise one image twice.
     references: [Image<f32>; 2],
 }
 

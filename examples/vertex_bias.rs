@@ -1,13 +1,13 @@
-//! How far the light at vertices is off the mean of its own paths, case by case.
+//! Bias of the light at vertices against path tracing, case by case.
 //!
 //! ```text
 //! cargo run --release --example vertex_bias [CASE,.. [SAMPLES [PIXELS]]]
 //! ```
-//! Six frames per case: half way and nine tenths of the way, at phases 0, .5 and 1, lit as in the films. Per frame:
-//! the ratio of the mean picture to that of the paths, per channel, with the standard error of the paths' mean (from
-//! eight parts), relMSE free of the reference's noise (the product of the differences from two halves of the parts,
-//! over the square of their mean and 1e-4 of the picture's), and the CPU seconds of one frame. References are kept in
-//! `target/vertex_bias`; delete them after a change of the materials.
+//! Six frames per case: at one half and nine tenths of the route, at phases 0, .5 and 1, lit as in the films. Per
+//! frame: the ratio of the mean image to that of the paths, per channel, with the standard error of the paths' mean
+//! (from eight parts), relMSE free of the reference's noise (the product of the differences from two halves of the
+//! parts, over the square of their mean and 1e-4 of the image's), and the CPU seconds of one frame. References are kept
+//! in `target/vertex_bias`; delete them after a change of the materials.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ use respire_bench::formats::exr;
 use respire_bench::render::{Light, RenderSettings, Shading, Transport};
 use respire_bench::simulate::trajectory::Route;
 
-/// Parts of the way and phases.
+/// Fractions of the route, and phases.
 const PLACES: [(f64, f64); 6] = [(0.5, 0.0), (0.5, 0.5), (0.5, 1.0), (0.9, 0.0), (0.9, 0.5), (0.9, 1.0)];
 /// Independent parts of a reference.
 const PARTS: u64 = 8;
@@ -57,7 +57,7 @@ fn settings(samples_per_pixel: u32, seed: u64) -> RenderSettings {
     RenderSettings { samples_per_pixel, shading: Shading::Smooth, seed, ..RenderSettings::default() }
 }
 
-/// The parts.
+/// The independent parts of the reference.
 fn reference(
     folder: &Path,
     samples: u32,

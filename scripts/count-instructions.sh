@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Instructions of one forward and backward pass, by callgrind: the same number on a busy machine and on a quiet one.
 #   scripts/count-instructions.sh [DISCS] [SIDE]
-# Valgrind knows no AVX-512: what is counted are the AVX2 kernels.
+# Valgrind does not support AVX-512, so this counts the AVX2 kernels.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 command -v valgrind >/dev/null || { echo "valgrind is not installed" >&2; exit 2; }
@@ -9,7 +9,7 @@ cargo build --release --quiet --example splat_timing
 discs=${1:-20000} side=${2:-256} folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 count() {
-  # One thread: one that looks for work in vain would be counted too.
+  # One thread: a second one that searches for work in vain would be counted too.
   RAYON_NUM_THREADS=1 valgrind --tool=callgrind --callgrind-out-file="$folder/$1" target/release/examples/splat_timing pass "$discs" "$side" "$1" 2>/dev/null
   awk '/^summary:|^totals:/ { print $2; exit }' "$folder/$1"
 }

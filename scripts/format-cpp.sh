@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Formats the own C++ (cpp/) after .clang-format; with --check only says what is not formatted, and fails.
-# Every version of clang-format breaks lines differently: the pinned one is fetched once, into .deps/clang-format.
+# Formats the C++ in cpp/ by .clang-format; with --check it only lists what is not formatted, and fails. Every version
+# of clang-format breaks lines differently: the pinned one is fetched once, into .deps/clang-format.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=format-cpp

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The Python packages with which a test reads films as a stranger would (src/simulate/FORMAT.md), in .deps/python.
-# Prints what to put into the environment: eval "$(scripts/python-packages.sh)"
+# The Python packages with which a test reads films independently of this program (src/simulate/FORMAT.md), in
+# .deps/python. Prints what to put into the environment: eval "$(scripts/python-packages.sh)"
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=python-packages

@@ -58,7 +58,7 @@ fetch_library() {
 
 fetch_headers() {
   local mirror keyring=/usr/share/keyrings/debian-archive-keyring.gpg
-  # Without a reader that leaves early: pipefail would call apt's broken pipe a failure.
+  # awk reads to the end: with pipefail, apt's broken pipe would count as a failure.
   mirror=$(LC_ALL=C apt-get indextargets --format '$(SITE)' 'Created-By: Packages' | awk '/\/debian\/?$/ && !seen {print; seen = 1}')
   [ -n "$mirror" ] || stop "no Debian mirror stands in apt's sources, so the headers of Embree 4 cannot be had."
   mkdir -p "$work"/apt/lists/partial "$work"/apt/cache/archives/partial
@@ -76,8 +76,8 @@ assemble() {
   mkdir -p "$work/prefix/lib" "$work/prefix/include"
   cp -r "$work/headers/usr/include/embree4" "$work/prefix/include/"
   cp "$work"/wheel/embreex.libs/libembree4-*.so.4 "$library"
-  # Debian's own names: the program is the same as one built on Debian 13, and the process has one TBB (OpenCV's).
-  # One call an edit, since patchelf 0.14 mixes several up.
+  # Debian's own names: the program is the same as one built on Debian 13, and the process has one TBB (OpenCV's). One
+  # call per edit, since patchelf 0.14 mixes several up.
   tbb=$(basename "$work"/wheel/embreex.libs/libtbb-*.so.12)
   patchelf --set-soname libembree4.so.4 "$library"
   patchelf --replace-needed "$tbb" libtbb.so.12 "$library"

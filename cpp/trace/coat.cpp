@@ -5,7 +5,7 @@ namespace respire {
 // E(cos_o) as the mean of `mirror_weight` over stratified visible normals.
 Coat::Coat(float alpha_low, float alpha_high, float ior)
     : rows_(alpha_high > alpha_low ? kRoughnesses : 1), alpha_low_(alpha_low), ior_(ior) {
-  // Per axis; a single row may cost more than each of several.
+  // Strata per axis. A single row can afford more of them than each of several rows.
   const int strata = rows_ == 1 ? 64 : 32;
   rows_per_alpha_ = rows_ > 1 ? static_cast<float>(rows_ - 1) / (alpha_high - alpha_low) : 0.0f;
   for (int row = 0; row < rows_; ++row) {

@@ -2,9 +2,9 @@
 // GGX dielectric coat over a Lambert base:
 //   f = F(wi.h) D(h) / (4 cos_i cos_o (1 + Lambda(wi) + Lambda(wo))) + (1 - E(cos_o)) rho / pi
 // with height-correlated Smith shadowing (Heitz, JCGT 2014), exact dielectric Fresnel, and E the directional albedo of
-// the first term, tabulated over roughness and cosine. o is the viewing side of the path, i the side of the light.
-// Left out: the colour that light takes on inside the base under the interface, and its internal reflection.
-// All directions in the local frame of the shading normal (z up).
+// the first term, tabulated over roughness and cosine. o is the viewing side of the path, i the side of the light. Left
+// out: the colour that light takes on inside the base under the interface, and its internal reflection. All directions
+// are in the local frame of the shading normal (z up).
 
 #include <cmath>
 #include <vector>
@@ -33,7 +33,7 @@ inline float ggx(float cosine_h, float alpha) {
   return a2 / (kPi * d * d);
 }
 
-// Weight of the direction `i` that the sampled visible normal h mirrors `o` to: f cos_i / density = F G2 / G1, or
+// Weight of the direction `i` into which the sampled visible normal h mirrors `o`: f cos_i / density = F G2 / G1, or
 //   F(o.h) (1 + Lambda(o)) / (1 + Lambda(o) + Lambda(i)).
 inline float mirror_weight(Vec3 o, Vec3 h, Vec3 i, float alpha, float ior) {
   const float lo = smith_lambda(o.z, alpha), li = smith_lambda(i.z, alpha);
@@ -43,20 +43,20 @@ inline float mirror_weight(Vec3 o, Vec3 h, Vec3 i, float alpha, float ior) {
 // `o` mirrored about `h`.
 inline Vec3 mirror(Vec3 o, Vec3 h) { return h * (2.0f * dot(o, h)) - o; }
 
-// A visible microfacet normal seen from `o` (Heitz, JCGT 2018).
+// Samples a microfacet normal visible from `o` (Heitz, JCGT 2018).
 inline Vec3 visible_normal(Vec3 o, float alpha, float u, float v) {
-  // Stretched to the hemisphere (roughness 1), and two tangents there.
+  // Stretch `o` to the hemisphere (roughness 1), and build two tangents there.
   Vec3 s = normalize({alpha * o.x, alpha * o.y, o.z});
   float plane2 = s.x * s.x + s.y * s.y;
   Vec3 t1 = plane2 > 1e-12f ? Vec3{-s.y, s.x, 0.0f} * (1.0f / std::sqrt(plane2)) : Vec3{1.0f, 0.0f, 0.0f};
   Vec3 t2 = cross(s, t1);
-  // A point of the projected area: a disc, its one half squeezed as seen from `s`.
+  // Sample the projected area: a disc with one half squeezed, as seen from `s`.
   float r = std::sqrt(u), a, b;
   cos_sin_turns(v, a, b);
   a *= r, b *= r;
   float side = 0.5f * (1.0f + s.z);
   b = (1.0f - side) * std::sqrt(std::max(0.0f, 1.0f - a * a)) + side * b;
-  // Up to the hemisphere, and stretched back.
+  // Lift the sample onto the hemisphere and undo the stretch.
   Vec3 n = t1 * a + t2 * b + s * std::sqrt(std::max(0.0f, 1.0f - a * a - b * b));
   return normalize({alpha * n.x, alpha * n.y, std::max(1e-6f, n.z)});
 }
@@ -81,7 +81,7 @@ class Coat {
     return mix(mix(p[0], p[1], t), mix(p[kCosines], p[kCosines + 1], t), row - static_cast<float>(r));
   }
 
-  // First term of the formula.
+  // The first term of f.
   float value(Vec3 o, Vec3 i, float alpha) const {
     if (o.z <= 0.0f || i.z <= 0.0f) return 0.0f;
     Vec3 h = normalize(o + i);

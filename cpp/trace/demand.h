@@ -3,7 +3,7 @@
 
 namespace respire {
 
-// What the Rust side must have made sure of; it receives the sentence as an error.
+// Throws where a precondition that the Rust side must ensure does not hold; Rust receives `what` as the error.
 inline void demand(bool condition, const char* what) {
   if (!condition) throw std::invalid_argument(what);
 }

@@ -1,6 +1,5 @@
 #pragma once
-// Light on whole faces and at vertices: what `src/render/vertex_light.rs` asks for when it solves for light at
-// vertices.
+// Light on whole faces and at vertices: the queries of `src/render/vertex_light.rs`.
 
 #include "cpp/trace/lamp.h"
 #include "cpp/trace/sampler.h"
@@ -8,7 +7,8 @@
 
 namespace respire {
 
-// Of light that is not the lamp's the coat gets this part from about the lamp's side, the rest from all sides alike.
+// Assumed fraction of the indirect light that reaches the coat from about the lamp's direction; the rest is taken as
+// uniform over all directions.
 constexpr float kFromLampSide = 0.5f;
 
 // Barycentric weights of a place in a face whose corner `corner` has the weight `own`; the other two share the rest.
@@ -26,14 +26,14 @@ class FaceLighting {
 
   std::uint64_t rays() const { return caster_.rays; }
 
-  // What the lamp does to a face as a whole: means over equal parts of it, the more of them the nearer it is.
+  // The lamp's light on a whole face: means over equal parts, more of them the nearer the face is to the lamp.
   FaceLight lamp_on(std::uint32_t face) {
     const Surface s = wall_.face_surface(face, 1.0f / 3.0f, 1.0f / 3.0f);
     // Irradiance, radiosity of the base and unshadowed irradiance, summed over the parts' centres.
     const int parts = parts_of(face, s.point);
     Vec3 received{}, sent{}, even{};
     for (int k = 0; k < parts * parts; ++k) {
-      // Rows of upright and, between them, inverted triangles.
+      // Part k of the subdivided face: rows of upright triangles with inverted ones between them.
       const int row = static_cast<int>(std::sqrt(static_cast<float>(k) + 0.5f)), place = k - row * row;
       const float third = place % 2 == 0 ? 1.0f / 3.0f : 2.0f / 3.0f, size = 1.0f / static_cast<float>(parts);
       const float v = (static_cast<float>(place / 2) + third) * size;
@@ -53,7 +53,7 @@ class FaceLighting {
     store(out.unshadowed.data(), even * each);
     out.uneven = parts > 1;
     if (!material_.coated()) return out;
-    // As much as the coat sends back, through the wider lobe.
+    // The coat's total reflection, sent through the wider lobe.
     const float cosine = std::max(dot(s.shading, normalize(lamp_.position() - s.point)), 0.0f);
     const float wide = std::max(material_.wide_coat().albedo(kWideAlpha, cosine), 1e-6f);
     out.mirrored_lamp = material_.coat().albedo(s.alpha, cosine) / wide;
@@ -61,7 +61,7 @@ class FaceLighting {
     return out;
   }
 
-  // What a face of light `from` sends towards `to`.
+  // What the face lit as `from` sends towards the point `to`.
   Glint glint(Vec3 to, const FaceLight& from) const {
     Glint out{1.0f, 0.0f};
     const Vec3 point = load(from.centre.data()), way = to - point;
@@ -75,8 +75,8 @@ class FaceLighting {
     return out;
   }
 
-  // Faces that `count` rays meet which leave a face after the cosine law; kNoFace for what leaves the mesh. The rays
-  // lie on the tissue and not in space: what noise they leave moves with the wall and does not flicker.
+  // Faces hit by `count` cosine-distributed rays from `face`; kNoFace for a ray that leaves the mesh. The rays are
+  // fixed to the tissue, so their noise moves with the wall and does not flicker.
   void gather(std::uint32_t face, std::uint32_t count, std::uint32_t* hits) {
     const std::uint32_t key = hash32(face ^ pattern_key_);
     for (std::uint32_t k = 0; k < count; ++k) {
@@ -95,14 +95,13 @@ class FaceLighting {
     }
   }
 
-  // The lamp's unshadowed irradiance at a place in a face.
+  // The lamp's unshadowed irradiance at a point of a face.
   Vec3 unshadowed_at(std::uint32_t face, float u, float v) const {
     return lamp_.unshadowed(wall_.face_surface(face, u, v));
   }
 
-  // The same as a mean over a face with weights that fall from 1 at the vertex `corner` to 0 at the side across (exact
-  // to third order: two points each way, those of Gauss and Jacobi for the weight (1 - x) x, and of Gauss and
-  // Legendre).
+  // The same as a mean over a face, with weights that fall from 1 at the vertex `corner` to 0 at the opposite side.
+  // Two-point quadrature each way, exact to third order: Gauss-Jacobi for the weight (1 - x) x, and Gauss-Legendre.
   Vec3 unshadowed_near(std::uint32_t face, std::uint32_t corner) const {
     Vec3 sum{};
     for (const float own : {0.5f - 0.2236068f, 0.5f + 0.2236068f})
@@ -113,26 +112,26 @@ class FaceLighting {
     return sum * 0.25f;
   }
 
-  // A scatter walk, and per channel what the same random numbers leave below a flat surface (over the albedo), less
-  // what is known to be left there on the mean; 0 where that is not known.
+  // A scatter walk with its control variate: per channel, the light (over the albedo) that the same random numbers
+  // bring out of a flat wall, less its known mean; 0 where that mean is not known.
   struct Walked {
     ScatterExit exit;
     Vec3 flat_excess{};
   };
 
-  // Walk `index` of `count` from a vertex, which starts in one of the faces around it.
+  // Random numbers of walk `index` from a vertex; the walk starts in one of the faces around it.
   Sampler walk_sampler(std::uint32_t vertex, std::uint32_t index) const {
     return Sampler(hash32(vertex ^ hash32(pattern_key_ + 1)), index);
   }
 
-  // A walk that starts in `face`, the more likely the nearer to its vertex `corner` (linearly).
+  // A walk that starts in `face`, at a point whose density rises linearly towards the vertex `corner`.
   Walked scatter_from(std::uint32_t face, std::uint32_t corner, Sampler& sampler) {
-    // Where: the weight of the corner is the middle one of three uniform numbers, of density 6 x (1 - x).
+    // Start: the weight of the corner is the median of three uniform numbers, of density 6 x (1 - x).
     const float a = sampler.random(), b = sampler.random(), c = sampler.random();
     const float own = std::max(std::min(a, b), std::min(std::max(a, b), c));
     const CornerWeights place(corner, own, sampler.next1());
     const Surface s = wall_.face_surface(face, place.w[1], place.w[2]);
-    // Whither. The view is not known: a refracted entry is taken as seen from all sides alike.
+    // Direction. The view is not known, so a refracted entry assumes a cosine-distributed one.
     Walked walked{no_exit(), {}};
     float u, v;
     Vec3 local;
@@ -141,7 +140,7 @@ class FaceLighting {
     const Medium medium = material_.medium(s.albedo);
     const Vec3 inwards = TangentFrame(s.geometric).world(local);
     Hit hit;
-    // Below the tangent plane, by a copy of the random numbers.
+    // The same walk below the tangent plane, with a copy of the random numbers.
     if (material_.has_flat_albedo()) {
       Sampler same = sampler;
       ScatterWalk::Flight flat{s.point, inwards, {}};
@@ -150,7 +149,7 @@ class FaceLighting {
       const Vec3 mean = {flat_albedo(s.albedo.x), flat_albedo(s.albedo.y), flat_albedo(s.albedo.z)};
       walked.flat_excess = walked.flat_excess - quotient(mean, s.albedo);
     }
-    // Through the wall.
+    // The walk through the mesh.
     ScatterWalk::Flight flight{s.point, inwards, {}};
     if (!ScatterWalk(wall_.mesh.fast(), medium, caster_.rays).leave(flight, sampler, hit)) return walked;
     walked.exit.place = {hit.face, hit.u, hit.v};
@@ -158,12 +157,11 @@ class FaceLighting {
     return walked;
   }
 
-  // Of a walk that comes out nowhere.
+  // The exit of a walk that does not come out.
   static ScatterExit no_exit() { return {{kNoFace, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}}; }
 
  private:
-  // A face is taken in 1, 2 x 2, 4 x 4 or 8 x 8 parts by the squared ratio of its longest side to its distance from the
-  // lamp.
+  // Parts along a face's side, chosen by the squared ratio of its longest side to its distance from the lamp.
   int parts_of(std::uint32_t face, Vec3 centre) const {
     const std::uint32_t* corners = wall_.mesh.corners(face);
     float side2 = 0.0f;

@@ -1,9 +1,8 @@
 #pragma once
 // Camera samples that take smooth light from the vertices, where `src/render/vertex_light.rs` has solved for it.
 //
-// What is known at a vertex (`KnownLight`): light that the base sends by way of scattering in the wall, irradiance by
-// other walls, and of the scattered light the part that comes out nearby. Negative where nothing is known: there a path
-// is traced.
+// A vertex holds (`KnownLight`) the light that the base sends after scattering in the wall, the irradiance from other
+// walls, and the part of the scattered light that comes out nearby. Negative means not known: there a path is traced.
 
 #include "cpp/trace/face_light.h"
 #include "cpp/trace/path.h"
@@ -16,7 +15,7 @@ class KnownLightTracer {
   KnownLightTracer(PathTracer& paths, const KnownLight* known)
       : paths_(paths), wall_(paths.wall()), material_(paths.wall().material), lamp_(paths.lamp()), known_(known) {}
 
-  // Like `PathTracer::camera_sample`, with the light that other walls send, and that scatters in the wall, from the
+  // Like `PathTracer::camera_sample`, but light from other walls and light scattered in the wall come from the
   // vertices.
   void known_sample(Vec3 direction, const Hit* hit, Sampler& sampler, FilmPixel& film) {
     paths_.first_vertex(direction, hit, film, [&](const Vertex& at) -> Indirect {
@@ -33,9 +32,9 @@ class KnownLightTracer {
     });
   }
 
-  // The same with the light of the vertices one wall later: a sample's first ray, or its scatter walk, is traced, and
-  // what it meets is lit by the lamp exactly and by other walls from the vertices. What the coat there mirrors is
-  // traced.
+  // The same with the light of the vertices one bounce later: a sample's first ray or scatter walk is traced, and the
+  // point it reaches gets the lamp's light exactly and other walls' light from the vertices. What the coat mirrors
+  // there is traced.
   void gathered_sample(Vec3 direction, const Hit* hit, Sampler& sampler, FilmPixel& film) {
     paths_.first_vertex(direction, hit, film, [&](const Vertex& at) -> Indirect {
       if (material_.subsurface() == SubsurfaceKind::Diffuse) return gathered_walk(at, sampler);
@@ -89,7 +88,7 @@ class KnownLightTracer {
     return radiance;
   }
 
-  // One sample of what the coat mirrors, with light of more than one scattering from the vertices.
+  // One sample of what the coat mirrors; light that scattered more than once comes from the vertices.
   Vec3 mirrored(const Vertex& at, Sampler& sampler) {
     Vec3 direction;
     float weight;
@@ -97,17 +96,18 @@ class KnownLightTracer {
     const Vec3 from = at.origin();
     Hit hit;
     if (!paths_.caster().intersect(from, direction, hit)) return paths_.background() * weight;
-    // What no ray from a visible face has met in four generations hardly gets light by way of walls.
+    // A face that no ray from a visible face has reached in four generations gets hardly any indirect light.
     Vec3 light;
     if (!irradiance_at(hit, light)) light = {0, 0, 0};
     const Vertex met(wall_.surface(hit, from, direction), direction);
-    // Sharp glare in a mirror would be all noise: the coat met there has the wide lobe.
+    // A sharp highlight in a mirror would be all noise, so the coat hit there uses the wide lobe.
     const Vec3 to_lamp = met.frame.local(normalize(lamp_.position() - met.s.point));
     const float cosine = std::max(to_lamp.z, 0.0f);
     const float wide = std::max(material_.wide_coat().albedo(kWideAlpha, cosine), 1e-6f);
     const float glint = kPi / wide * material_.wide_coat().value(met.o, to_lamp, kWideAlpha);
     const float lamp = material_.coat().albedo(met.s.alpha, cosine) * glint;
-    // As much of what comes from all sides alike as it would send there of light from this side.
+    // Indirect light by the coat: of its uniform part, by reciprocity, the albedo seen from here; the rest through the
+    // wide lobe.
     const float e = material_.coat().albedo(met.s.alpha, met.o.z);
     const float other = (1.0f - kFromLampSide) * e + kFromLampSide * material_.mean_coat() * glint;
     const Vec3 base = met.s.albedo * (1.0f - e);
@@ -122,11 +122,11 @@ class KnownLightTracer {
     return interpolated(hit, [](const KnownLight& at) { return at.irradiance.data(); }, light);
   }
 
-  // Interpolates what is known at the face's vertices; vertices of which nothing is known leave their part to the
-  // others. False where hardly anything is.
+  // Interpolates what is known at the face's vertices; the others take over the weight of vertices that are not known.
+  // False where hardly anything is known.
   template <class Values>
   bool interpolated(const Hit& hit, Values&& values, Vec3& light) const {
-    // Least part of the weights at which the rest may speak for all.
+    // Least total weight of known vertices at which they may stand for the whole face.
     constexpr float kEnough = 0.05f;
     const std::uint32_t* corners = wall_.mesh.corners(hit.face);
     const float w[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};
@@ -143,7 +143,7 @@ class KnownLightTracer {
     return true;
   }
 
-  // Takes the lamp's light that has come out nearby as it is at the sample's own place instead of interpolated.
+  // Replaces the interpolated part of the lamp's light that comes out nearby by its value at the sample's own point.
   Vec3 sharpened(const Hit& hit, Vec3 light, const Surface& s) const {
     const std::uint32_t* corners = wall_.mesh.corners(hit.face);
     const float w[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};

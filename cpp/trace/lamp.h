@@ -1,8 +1,8 @@
 #pragma once
 // The lamp: a point of intensity I with inverse-square falloff and a profile around the camera's axis,
 //   E = I max(cos_axis, 0)^m cos / r^2,
-// and what a vertex of a path sends on of its light. Where the lamp sits at the camera and the camera sees a point,
-// this is a closed form without a shadow ray.
+// and the part of its light that a path's vertex reflects. With the lamp at the camera, a point that the camera sees
+// needs no shadow ray: its direct light is a closed form.
 
 #include "cpp/trace/surface.h"
 
@@ -19,14 +19,14 @@ class Lamp {
   Vec3 position() const { return position_; }
   Vec3 intensity() const { return intensity_; }
 
-  // Part of the intensity that goes to a point from which the lamp lies in the unit direction `towards_lamp`.
+  // Fraction of the intensity that goes to a point from which the lamp lies in the unit direction `towards_lamp`.
   float emission(Vec3 towards_lamp) const {
     if (exponent_ == 0.0f) return 1.0f;
     const float cosine = clamp(-dot(towards_lamp, axis_), 0.0f, 1.0f);
     return exponent_ == 1.0f ? cosine : std::pow(cosine, exponent_);
   }
 
-  // From a point: squared distance and direction.
+  // Squared distance from a point to the lamp, and the direction.
   float direction_from(Vec3 point, Vec3& direction) const {
     const Vec3 way = position_ - point;
     const float r2 = squared(way);
@@ -34,10 +34,10 @@ class Lamp {
     return r2;
   }
 
-  // A distance's square as the falloff uses it.
+  // Squared length of `way` as the falloff uses it.
   static float squared(Vec3 way) { return std::max(dot(way, way), kNearest2); }
 
-  // Irradiance, and where the lamp is. `shadows` casts the shadow ray; null: nothing can stand in between.
+  // Irradiance, and the direction to the lamp. `shadows` casts the shadow ray; null: nothing can be in between.
   Vec3 irradiance(const Surface& s, RayCaster* shadows, Vec3& direction) const {
     const float r2 = direction_from(s.point, direction);
     const float cosine = dot(s.shading, direction);
@@ -53,7 +53,7 @@ class Lamp {
     return irradiance(s, shadows, unused);
   }
 
-  // Irradiance as it would be if nothing stood in its way, fine relief left out.
+  // Irradiance without shadows and without fine relief.
   Vec3 unshadowed(const Surface& s) const {
     Vec3 direction;
     const float r2 = direction_from(s.point, direction);
@@ -75,7 +75,7 @@ class Lamp {
   }
 
  private:
-  // Closer than this to the light nothing is lit more brightly, in mm^2: a hundredth of a millimetre.
+  // Least squared distance of the falloff, in mm^2 (a hundredth of a millimetre): keeps it finite at the lamp.
   static constexpr float kNearest2 = 1e-4f;
 
   Vec3 position_, intensity_, axis_;

@@ -20,7 +20,7 @@ struct MucosaLook {
   std::uint32_t seed;
 };
 
-// What the wall is at one point. `height_gradient` is that of the relief in rest space, dimensionless.
+// The wall's appearance at one point. `height_gradient` is that of the relief in rest space, dimensionless.
 struct MucosaPoint {
   Vec3 albedo;
   float roughness;  // 0 smooth film .. 1 rough
@@ -41,9 +41,9 @@ inline float gradient_noise(const NoiseKernel& noise, Vec3 p, std::uint32_t seed
 }
 
 // Distance from `p` to the nearest face of the Voronoi diagram of one jittered point per unit cell, measured along a
-// surface of unit normal `normal` through `p` (a face that lies along the surface is then far away: it would show as a
-// patch, not as a line; `steepness` 0, 1 where it stands upright); `edge_hash` names the two cells that meet there,
-// whichever of them `p` is in.
+// surface of unit normal `normal` through `p`. `steepness` is 1 for a face upright on the surface and 0 for one along
+// it, which counts as far away: it would show as a patch, not as a line. `edge_hash` names the two cells that meet
+// there, whichever of them holds `p`.
 inline float voronoi_edge(const NoiseKernel& noise, Vec3 p, Vec3 normal, std::uint32_t seed, std::uint32_t& edge_hash,
                           float& steepness) {
   const Neighbours next = noise.neighbours(&p.x, seed);
@@ -55,13 +55,13 @@ inline float voronoi_edge(const NoiseKernel& noise, Vec3 p, Vec3 normal, std::ui
   return (next.distance2[1] - next.distance2[0]) / (2.0f * std::sqrt(l2 * in_surface * in_surface) + 1e-6f);
 }
 
-// The vessels of one generation: distance between two, width of the widest, part of them that is absent.
+// One generation of vessels: spacing, width of the widest, fraction of them that is absent.
 struct VesselNet {
   float spacing_mm, width_mm, absent;
   std::uint32_t seed;
 };
 
-// Coverage in [0, 1] by a net of vessels. `footprint_mm` of a pixel: what is thinner than a pixel fades instead of
+// Coverage in [0, 1] by a net of vessels. `footprint_mm` is the size of a pixel: thinner vessels fade instead of
 // flickering.
 inline float vessel_coverage(const NoiseKernel& noise, Vec3 rest_mm, Vec3 normal, const VesselNet& net,
                              float footprint_mm) {
@@ -108,7 +108,7 @@ struct RestPoint {
 };
 
 // The look at a point; `base` is the mean albedo, `footprint_mm` the size of a pixel there. Leaves the rings' relief to
-// the caller, who knows the axial gradient. Every seed + k is a noise of its own.
+// the caller, who knows the axial gradient. Every seed + k gives an independent noise.
 inline MucosaPoint mucosa_at(const NoiseKernel& noise, const MucosaLook& look, Vec3 base, const RestPoint& point,
                              float footprint_mm) {
   const Vec3 rest_mm = point.place_mm;
@@ -125,7 +125,7 @@ inline MucosaPoint mucosa_at(const NoiseKernel& noise, const MucosaLook& look, V
   float blood = look.blotches * (0.55f * coarse + 0.5f * medium) + 0.03f * std::min(point.generation, 8.0f);
   float vessel = 0.0f;
   if (look.vessels > 0.0f) {
-    // Finer in smaller airways, where the scope is close to the wall, too.
+    // Vessels are finer in smaller airways, where the scope is also closer to the wall.
     float calibre = mix(1.0f, 0.5f, clamp(0.25f * point.generation, 0.0f, 1.0f));
     float large =
         vessel_coverage(noise, warped, point.normal, {3.6f, 0.26f * calibre, 0.35f, look.seed + 3}, footprint_mm);

@@ -12,8 +12,8 @@ struct Noise {
   float value, gradient[3];
 };
 
-// The two jittered points next to a point, nearest first: place relative to the cell that the point lies in, squared
-// distance, and the hash that names its cell. Of points equally far the one in the lower cell comes first (z, y, x).
+// The two jittered points nearest to a point, in order: place relative to the cell that the point lies in, squared
+// distance, and the hash that names its cell. Equally far points come in the order of their cells (z, y, x).
 struct Neighbours {
   float place[2][3], distance2[2];
   std::uint32_t cell[2];
@@ -35,7 +35,7 @@ RESPIRE_NOISE(avx2)
 RESPIRE_NOISE(avx512)
 #undef RESPIRE_NOISE
 
-// Those of an instruction set (see `widest_isa`).
+// The kernels of an instruction set, numbered as by `widest_isa`.
 inline NoiseKernel noise_kernel(std::uint8_t isa) {
   switch (isa) {
     case 2: return {avx512::gradient_noise, avx512::neighbours};

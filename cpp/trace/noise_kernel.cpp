@@ -2,9 +2,9 @@
 
 #include <immintrin.h>
 
-// Everything but the kernels has internal linkage: code compiled for a wider instruction set must not be picked by the
-// linker for everybody. Sums run over the corners in their order, and nothing is contracted: the width of the vectors
-// changes no bit.
+// Everything but the kernels has internal linkage: the linker must not pick code compiled for a wider instruction set
+// for other callers. Sums run over the corners in their order and nothing is contracted, so the vector width changes no
+// bit.
 namespace respire {
 namespace RESPIRE_ISA {
 namespace {
@@ -14,9 +14,10 @@ typedef float F8 __attribute__((vector_size(32)));
 typedef std::int32_t I8 __attribute__((vector_size(32)));
 typedef std::uint32_t U8 __attribute__((vector_size(32)));
 
+// Hash factors of a cell's coordinates (Ericson, Real-Time Collision Detection, 7.1.3).
 constexpr std::uint32_t X = 0x8da6b343u, Y = 0xd8163841u, Z = 0xcb1ab31fu;
 
-// As `hash32` of sampler.h.
+// Vector form of `hash32` in sampler.h.
 inline U8 hash(U8 x) {
   x ^= x >> 16, x *= 0x7feb352du, x ^= x >> 15, x *= 0x846ca68bu;
   return x ^ (x >> 16);
@@ -34,7 +35,7 @@ inline Halves halves(F8 v) {
   return h;
 }
 
-// The cell that a point lies in, its coordinates hashed each for itself, and the place in the cell.
+// The cell that holds a point: its coordinates, each times its hash factor, and the point's position in the cell.
 struct Cell {
   std::uint32_t x, y, z;
   float local[3];
@@ -54,7 +55,7 @@ inline F4 add_in_order(F4 sum, F4 t0, F4 t1, F4 t2, F4 t3) {
   return (((sum + (F4)a) + (F4)b) + (F4)c) + (F4)d;
 }
 
-// The cells around one, x fastest, then y, then z, eight at a time; the last five do not exist.
+// A cell and the cells around it, x fastest, then y, then z, in vectors of eight; the last five entries are padding.
 constexpr int NEIGHBOURS = 27;
 struct Around {
   float x[32], y[32], z[32];
@@ -65,7 +66,7 @@ constexpr Around around() {
   for (int k = 0; k < 32; ++k) {
     const int x = k % 3 - 1, y = k / 3 % 3 - 1, z = k / 9 - 1;
     a.x[k] = static_cast<float>(x), a.y[k] = static_cast<float>(y);
-    // Too far away to be among the nearest two.
+    // Padding is too far away to be among the nearest two.
     a.z[k] = k < NEIGHBOURS ? static_cast<float>(z) : 1e9f;
     a.hash_x[k] = static_cast<std::uint32_t>(x) * X;
     a.hash_y[k] = static_cast<std::uint32_t>(y) * Y;
@@ -83,7 +84,7 @@ inline T load(const void* p) {
   return v;
 }
 
-// Index of the least of 32 numbers, the first of several.
+// Index of the least of 32 numbers; of equal ones the first.
 inline unsigned first_least(const F8* d) {
   __m128 least[8];
   __builtin_memcpy(least, d, sizeof least);
@@ -103,7 +104,7 @@ Noise gradient_noise(const float* point, std::uint32_t seed) {
   const F4 t = {cell.local[0], cell.local[1], cell.local[2], 0.0f};
   const F4 far = t * t * t * (t * (t * 6.0f - 15.0f) + 10.0f), near = 1.0f - far;
   const F4 slope = 30.0f * t * t * (t * (t - 2.0f) + 1.0f);
-  // Corners: x fastest, then y, then z.
+  // Random gradients at the corners (x fastest, then y, then z), times the offsets from there.
   const U8 h = hash((cell.x + U8{0, X, 0, X, 0, X, 0, X}) ^ (cell.y + U8{0, 0, Y, Y, 0, 0, Y, Y}) ^
                     (cell.z + U8{0, 0, 0, 0, Z, Z, Z, Z}) ^ seed);
   const F8 gx = ten_bits(h) * (2.0f / 1023.0f) - 1.0f, gy = ten_bits(h >> 10) * (2.0f / 1023.0f) - 1.0f,
@@ -145,7 +146,7 @@ Neighbours neighbours(const float* point, std::uint32_t seed) {
     out.place[k][0] = AROUND.x[i] + static_cast<float>(h & 1023u) * (1.0f / 1024.0f);
     out.place[k][1] = AROUND.y[i] + static_cast<float>((h >> 10) & 1023u) * (1.0f / 1024.0f);
     out.place[k][2] = AROUND.z[i] + static_cast<float>((h >> 20) & 1023u) * (1.0f / 1024.0f);
-    // Rather once more than wait until a table of squared distances lies in memory.
+    // Computed again, which is faster than waiting until the squared distances lie in memory.
     const float x = out.place[k][0] - cell.local[0], y = out.place[k][1] - cell.local[1],
                 z = out.place[k][2] - cell.local[2];
     out.distance2[k] = x * x + y * y + z * z;

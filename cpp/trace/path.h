@@ -5,8 +5,8 @@
 // estimated along one path: radiance += throughput * direct light; throughput *= f cos / density at every vertex.
 //
 // All noise of a scene lit from the camera is in the indirect light (the direct light of a camera-visible point is a
-// closed form and needs no shadow ray), so the film keeps the two apart, and the indirect part again in what the
-// Lambert base sends (demodulated by its albedo: the field that is smooth over the surface) and what the coat mirrors.
+// closed form and needs no shadow ray), so the film keeps the two apart. It splits the indirect part again, into what
+// the Lambert base sends (demodulated by its albedo, hence smooth over the surface) and what the coat mirrors.
 //
 // Russian roulette: from its second bounce on a path survives with the probability of its throughput (the largest
 // channel), never capped: a cap below the albedo would make the variance infinite in a closed lumen. (Roulette at the
@@ -31,19 +31,18 @@ inline Vec3 grey(float v) { return {v, v, v}; }
 // The probability of following the coat's term of directional albedo `e`, not the base's of albedo `base`.
 inline float coat_probability(float e, float base) { return e / (e + (1.0f - e) * base + 1e-6f); }
 
-// A vertex of a path: the surface, axes around its shading normal, and in these the direction that the path comes from.
+// A vertex of a path: the surface, axes around its shading normal, and in these axes the direction back along the path.
 struct Vertex {
   Surface s;
   TangentFrame frame;
   Vec3 o;
   explicit Vertex(const Surface& surface) : s(surface), frame(surface.shading), o{0, 0, 1} {}
-  // Seen along a ray's `direction`.
+  // The vertex that a ray along `direction` hits.
   Vertex(const Surface& surface, Vec3 direction) : Vertex(surface) { o = upper(frame.local(-direction)); }
   Vec3 origin() const { return s.point + s.geometric * kSurfaceOffset; }
 };
 
-// Light that a vertex sends to the viewer by way of other walls or its own: by the base over its albedo, and by the
-// coat.
+// Indirect light that a vertex sends to the viewer: by the base, over its albedo, and by the coat.
 struct Indirect {
   Vec3 base{}, coat{};
 };
@@ -73,7 +72,7 @@ class PathTracer {
     first_vertex(direction, hit, film, [&](const Vertex& at) { return traced_light(at, direction, sampler); });
   }
 
-  // The camera's vertex: the lamp's own light on it, and what `indirect(vertex)` finds.
+  // Records the vertex that the camera sees: the lamp's own light on it, and what `indirect(vertex)` returns.
   template <class Find>
   void first_vertex(Vec3 direction, const Hit* hit, FilmPixel& film, Find&& indirect) {
     ++paths;
@@ -92,7 +91,7 @@ class PathTracer {
     record(at.s, direct, indirect(at), film);
   }
 
-  // One sample of all light but the lamp's own on the first vertex, which the camera sees along `direction`.
+  // One sample of the indirect light of the first vertex, which the camera sees along `direction`.
   Indirect traced_light(const Vertex& at, Vec3 direction, Sampler& sampler) {
     Indirect light;
     switch (material_.subsurface()) {
@@ -137,8 +136,8 @@ class PathTracer {
     return true;
   }
 
-  // Which of the two terms a sample goes on with, and its weight: the coat over the probability, or the base under its
-  // coat.
+  // Whether a sample follows the coat's term and not the base's, and the sample's weight: 1 / probability for the coat,
+  // (1 - e) / probability for the base.
   bool coat_is_chosen(const Vertex& at, Sampler& sampler, float& weight) const {
     weight = 1.0f;
     if (!material_.coated()) return false;
@@ -149,7 +148,7 @@ class PathTracer {
     return chosen;
   }
 
-  // Where the coat mirrors to, and with which weight; false where nowhere.
+  // Samples the direction into which the coat mirrors, and its weight; false where that points into the wall.
   bool mirrored_direction(const Vertex& at, Sampler& sampler, Vec3& direction, float& weight) const {
     float u, v;
     sampler.next2(u, v);
@@ -161,7 +160,7 @@ class PathTracer {
     return true;
   }
 
-  // One sample of what the coat mirrors of other walls.
+  // One sample of the light from other walls that the coat mirrors.
   Vec3 mirrored_light(const Vertex& at, Sampler& sampler, std::uint32_t scattering = 2) {
     Vec3 direction;
     float weight;
@@ -169,8 +168,8 @@ class PathTracer {
     return incoming(at.origin(), direction, grey(weight), scattering, sampler) * weight;
   }
 
-  // A scatter walk from `at` until the light of one sample comes out again: where, and what is left of it. False where
-  // nothing is. `towards`: unit direction to where the path comes from.
+  // A scatter walk from `at` until it leaves the wall: the exit, and the remaining throughput. False where nothing
+  // remains. `towards`: unit direction back along the path.
   bool scatter_out(const Surface& at, Vec3 towards, Sampler& sampler, Vec3& throughput, Hit& hit, Surface& out) {
     const Medium medium = material_.medium(at.albedo);
     const ScatterWalk walk(wall_.mesh.fast(), medium, caster_.rays);
@@ -184,7 +183,8 @@ class PathTracer {
     return true;
   }
 
-  // What a place sends on of all light (radiance over its albedo) where a scatter walk comes out.
+  // Radiance, for albedo 1, that the exit of a scatter walk sends of the lamp's light and of one sample of indirect
+  // light.
   Vec3 lit_exit(const Surface& s, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
     const float survival = scattering > 1 ? std::min(max_component(carried), 1.0f) : 1.0f;
     Vec3 light = lamp_.irradiance(s, &caster_) * (1.0f / kPi);
@@ -201,14 +201,14 @@ class PathTracer {
   }
 
   // Radiance that arrives along a ray from a first vertex; `carried` is the throughput up to there (for roulette only).
-  // `scattering` counts that at the vertex which the ray meets.
+  // `scattering` is the number of the scattering at the vertex that the ray hits.
   Vec3 incoming(Vec3 from, Vec3 direction, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
     Hit hit;
     if (!caster_.intersect(from, direction, hit)) return background_;
     return reflected(hit, from, direction, carried, scattering, sampler);
   }
 
-  // The same where the ray's end is known.
+  // The same for a ray whose hit is known.
   Vec3 reflected(Hit hit, Vec3 from, Vec3 direction, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
     if (material_.scatters_at_every_vertex()) {
       const Surface s = wall_.surface(hit, from, direction);
@@ -220,7 +220,7 @@ class PathTracer {
       // Next event estimation.
       radiance += throughput * lamp_.direct_light(material_, at.s, at.frame, at.o, at.s.albedo, &caster_);
       if (scattering >= limit_) return radiance;
-      // Onwards.
+      // Next direction.
       Scattering next;
       if (!sample_direction(at, sampler, next)) return radiance;
       direction = at.frame.world(next.local);
@@ -237,14 +237,15 @@ class PathTracer {
     }
   }
 
-  // The vertex that a ray meets; without a coat nothing asks for the view.
+  // The vertex that a ray hits; without a coat nothing depends on the view.
   Vertex met(const Hit& hit, Vec3 from, Vec3 direction) const {
     const Surface s = wall_.surface(hit, from, direction);
     return material_.coated() ? Vertex(s, direction) : Vertex(s);
   }
 
  private:
-  // Roulette ends every path long before; the bound only keeps a perfectly white closed room from running for ever.
+  // Most scatterings of an unlimited path. Roulette ends every path long before; the bound only stops paths in a
+  // perfectly white closed room.
   static constexpr std::uint32_t kLongestPath = 4096;
   // The same for a matched boundary, where every scattering below the surface counts.
   static constexpr std::uint32_t kLongestMatchedPath = 1u << 24;
@@ -255,7 +256,7 @@ class PathTracer {
   static void add(std::array<float, 3>& sum, Vec3 v) { sum[0] += v.x, sum[1] += v.y, sum[2] += v.z; }
   static bool valid(Vec3 v) { return v.x >= 0 && v.y >= 0 && v.z >= 0 && v.x + v.y + v.z < 1e30f; }
 
-  // Adds what one sample has found; a sample that cannot be is counted and left out.
+  // Adds one sample; a negative or non-finite one is counted and left out.
   void record(const Surface& s, Vec3 direct, const Indirect& light, FilmPixel& film) {
     const Vec3 indirect = light.base * s.albedo + light.coat;
     if (!valid(direct) || !valid(indirect)) {
@@ -282,8 +283,8 @@ class PathTracer {
     return {light * next.base, light * next.coat};
   }
 
-  // One sample of what leaves the wall at `at` by way of a scatter walk that starts there: radiance (towards every
-  // side), its first scattering included. `carried`: throughput before (for roulette only).
+  // One sample of the radiance, the same in all directions, that leaves the wall at `at`, found by a scatter walk that
+  // starts there. `carried`: throughput before (for roulette only).
   Vec3 subsurface_light(const Surface& at, Vec3 towards, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
     Vec3 throughput;
     Hit hit;
@@ -336,10 +337,10 @@ class PathTracer {
     }
   }
 
-  // What a scattering inside the wall sends on of the lamp's light, which crosses the boundary unbent, perhaps often:
-  // I exp(-sigma d) / (4 pi r^2), d the length of the way that lies in the wall.
+  // What a scattering inside the wall sends of the lamp's light, which crosses the boundary unbent, perhaps several
+  // times: I exp(-sigma d) / (4 pi r^2), d the length of the path inside the wall.
   Vec3 lamp_through_boundary(const ScatterWalk& walk, const Medium& medium, Vec3 point) {
-    // Beyond this optical depth nothing is to be seen of what is left (2e-9).
+    // Optical depth beyond which the remaining light (2e-9) is invisible.
     constexpr float kOpaque = 20.0f;
     Vec3 direction;
     const float r2 = lamp_.direction_from(point, direction), r = std::sqrt(r2);

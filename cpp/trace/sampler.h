@@ -9,6 +9,7 @@
 
 namespace respire {
 
+// Integer hash "lowbias32" (Wellons).
 inline std::uint32_t hash32(std::uint32_t x) {
   x ^= x >> 16, x *= 0x7feb352du, x ^= x >> 15, x *= 0x846ca68bu;
   return x ^ (x >> 16);
@@ -75,6 +76,7 @@ class Sampler {
   float random() { return unit_float(next_hash()); }
 
  private:
+  // Dimensions that are stratified; later ones use plain hashing.
   static constexpr std::uint32_t kStratified = 24;
 
   std::uint32_t shuffled(std::uint32_t seed) const { return reverse_bits(scramble_reversed(reversed_index_, seed)); }

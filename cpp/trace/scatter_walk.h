@@ -37,8 +37,8 @@ inline float single_scattering_albedo(float rho) {
   return clamp(1.0f - positive * positive, 0.0f, 1.0f);
 }
 
-// What a half-space with the albedo that this inversion gives really sends back of diffuse light: Chandrasekhar's
-// 1 - 2 sqrt(1 - albedo) (first moment of H), to 4e-4 of it by this fit.
+// True diffuse albedo of a half-space with the albedo that this inversion gives: Chandrasekhar's 1 - 2 sqrt(1 - albedo)
+// (first moment of H), fitted to 4e-4 of it.
 inline float flat_albedo(float rho) { return rho * (1.0f + 0.031f * std::exp(-5.6f * rho)); }
 
 inline Vec3 attenuation(Vec3 extinction, float distance) {
@@ -65,10 +65,10 @@ class ScatterWalk {
   };
 
   // One free flight; moves the point and multiplies the throughput, which includes the albedo where the flight ends in
-  // a scattering. `hit` is set where it ends at the surface. `near`: where the ray starts. `stratified`: over the
-  // samples of a pixel or vertex, which pays for the first flights.
+  // a scattering. `hit` is set where it ends at the surface. `near`: where the ray starts. `stratified`: draws numbers
+  // stratified over the samples of a pixel or vertex, which pays for the first flights.
   Step fly(Flight& flight, float near, Sampler& sampler, Hit& hit, bool stratified = false) const {
-    // Channel, by what each would carry on.
+    // Choose the channel: p_c = T_c a_c / sum(T a).
     const Vec3 carried = flight.throughput * medium_.albedo;
     const float sum = carried.x + carried.y + carried.z;
     if (!(sum > 0.0f)) return Step::kAbsorbed;
@@ -81,11 +81,11 @@ class ScatterWalk {
     const float extinction = which < choice.x              ? medium_.extinction.x
                              : which < choice.x + choice.y ? medium_.extinction.y
                                                            : medium_.extinction.z;
-    // Distance, cut off at the surface.
+    // Draw the distance t = -ln(1 - u) / sigma_c, cut off at the surface.
     const float free = minus_log(1.0f - distance) / extinction;
     const bool surface = reaches(flight.point, flight.direction, near, free, hit);
     const float length = surface ? hit.t : free;
-    // Weight over the balance heuristic's density.
+    // Multiply T by the value over the balance heuristic's density.
     Vec3 value = attenuation(medium_.extinction, length);
     if (!surface) value = value * medium_.extinction;
     const float density = dot(choice, value);
@@ -97,8 +97,8 @@ class ScatterWalk {
     return Step::kScattered;
   }
 
-  // Walks from the surface point `flight.point` into the wall along `flight.direction` until the light comes out again:
-  // on true `flight` and `hit` say where, and what is left of it (the throughput starts at 1).
+  // Walks from the surface point `flight.point` into the wall along `flight.direction` until the light comes out again.
+  // On true, `flight` and `hit` hold the exit and the throughput, which starts at 1.
   bool leave(Flight& flight, Sampler& sampler, Hit& hit) const {
     flight.throughput = {1, 1, 1};
     float near = kStart;
@@ -118,7 +118,7 @@ class ScatterWalk {
     return false;
   }
 
-  // Roulette.
+  // Roulette: survives with the probability throughput / kRouletteBelow.
   static bool survives(Vec3& throughput, Sampler& sampler) {
     const float survival = max_component(throughput) * (1.0f / kRouletteBelow);
     if (survival >= 1.0f) return true;

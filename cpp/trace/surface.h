@@ -1,7 +1,7 @@
 #pragma once
-// The wall as a path's vertex sees it: point, normals, colour, roughness.
+// The wall at a path's vertex: point, normals, colour, roughness.
 //
-// Fine detail (vessels, film, fine relief) is evaluated where the camera sees it; later vertices see the wall's mean
+// Fine detail (vessels, film, fine relief) is evaluated where the camera sees it; later vertices use the wall's mean
 // colour and the cartilage rings' relief.
 
 #include <cmath>
@@ -19,7 +19,7 @@ struct Surface {
   float alpha;
 };
 
-// Shape and look that one frame's rays meet.
+// Shape and look of the wall in one frame.
 class Wall {
  public:
   Wall(const TracedMesh& mesh, const WallMaterial& material, const FrameSettings& frame)
@@ -88,7 +88,7 @@ class Wall {
     const Vec3 p0 = mesh.position(corners[0]);
     const Vec3 e1 = mesh.position(corners[1]) - p0, e2 = mesh.position(corners[2]) - p0;
     const Vec3 normal = cross(e1, e2), point = p0 + e1 * u + e2 * v;
-    // `surface` looks along a ray: one that comes from above.
+    // `surface` takes a ray's direction: here that of a ray from above.
     Surface s = surface(Hit{0.0f, u, v, face, normal}, point, -normal);
     s.point = point;
     return s;
@@ -106,9 +106,9 @@ class Wall {
   }
 
  private:
-  // `normal` of a face whose surface rises so, seen along `direction`: n - grad h, with the gradient from the rise
-  // along two edges, grad h = (rise_1 (e2 x n) + rise_2 (n x e1)) / |n|^2. (A relief's rise along two edges of the rest
-  // triangle is its rise along the deformed ones.)
+  // `normal` of a face whose relief h has the given rise, seen along `direction`: n - grad h, with the gradient from
+  // the rise along two edges, grad h = (rise_1 (e2 x n) + rise_2 (n x e1)) / |n|^2. (A relief's rise along two edges of
+  // the rest triangle is its rise along the deformed ones.)
   Vec3 bent(Vec3 normal, Vec3 direction, const std::uint32_t* corners, WallMaterial::Rise rise) const {
     const Vec3 p0 = mesh.position(corners[0]);
     const Vec3 e1 = mesh.position(corners[1]) - p0, e2 = mesh.position(corners[2]) - p0;
@@ -118,7 +118,7 @@ class Wall {
     const Vec3 steep = normal - (cross(e2, n) * rise.first + cross(n, e1) * rise.second) * (1.0f / n2);
     const float away = dot(steep, -direction);
     const float length = std::sqrt(dot(direction, direction));
-    // A normal that looks away from the viewer is bent back just into view.
+    // A normal that points away from the viewer is bent back just into view.
     return normalize(away > 0.02f * length ? steep : steep - direction * ((0.02f - away / length) / length));
   }
 

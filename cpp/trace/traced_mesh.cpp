@@ -81,7 +81,7 @@ void TracedMesh::refit() {
   rtcCommitScene(fast_);
 }
 
-// The sum of the normals of the faces around, each as long as twice its area, at unit length.
+// The area-weighted normals of the faces around each vertex, summed and normalised.
 void TracedMesh::update_normals() {
   normals_.assign(3 * vertex_count_, 0.0f);
   for (std::size_t f = 0; f < face_count_; ++f) {

@@ -16,14 +16,14 @@
 
 namespace respire {
 
-// In place of a face: nothing was hit.
+// The face index where nothing was hit.
 constexpr std::uint32_t kNoFace = ~0u;
 
 // Origins of rays are moved off the surface by this much, in mm: more than ten times the rounding of a coordinate of
 // 200 mm.
 constexpr float kSurfaceOffset = 2e-4f;
 
-// Where a ray meets the mesh: distance, barycentric weights of the face's second and third corner, face, and its normal
+// Where a ray hits the mesh: distance, barycentric weights of the face's second and third corner, face, and its normal
 // as wound (not normalised).
 struct Hit {
   float t, u, v;
@@ -34,13 +34,14 @@ struct Hit {
 // Up to eight rays traced as one packet.
 class RayPacket {
  public:
+  // Rays per packet: AVX2 has eight lanes of float.
   static constexpr std::size_t kWidth = 8;
 
   // The first `count` lanes' rays; `origins` and `directions` are xyz interleaved, `origin_stride` floats lie between
   // two origins (0: one for all).
   void aim(const float* origins, std::size_t origin_stride, const float* directions, std::size_t count);
 
-  // Camera rays of one packet are coherent, rays to all sides are not: Embree traverses them differently.
+  // Camera rays of one packet are coherent, rays in all directions are not: Embree traverses them differently.
   enum class Bundle { kCoherent, kScattered };
   void trace(RTCScene scene, Bundle bundle);
 
@@ -87,7 +88,7 @@ class TracedMesh {
   // New positions, as many as at construction. Throws std::invalid_argument on a wrong length.
   void update(rust::Slice<const float> vertices);
 
-  // Refits both hierarchies to the vertices that are there: the part of `update` that is Embree's.
+  // Refits both hierarchies to the current vertices: Embree's part of `update`.
   void refit();
 
   std::size_t vertex_count() const { return vertex_count_; }
@@ -108,11 +109,11 @@ class TracedMesh {
  private:
   void update_normals();
 
-  // In the order of their making: they are released in the opposite one.
+  // Declared in the order of creation, so that they are released in reverse.
   Handle<RTCDevice, rtcReleaseDevice> device_;
   Handle<RTCScene, rtcReleaseScene> robust_, fast_;
   Handle<RTCGeometry, rtcReleaseGeometry> geometry_;
-  // In Embree's buffers.
+  // These point into Embree's buffers.
   const float* vertices_{};
   const std::uint32_t* faces_{};
   std::size_t vertex_count_, face_count_;
@@ -158,7 +159,8 @@ class RayCaster {
     const RTCRay ray = ray_of(from, direction, 0.0f, 1e30f);
     ++rays;
     if (first_hit(mesh_.fast(), ray, hit) && !(dot(hit.geometric, direction) > 0.0f)) return true;
-    // Out of the mesh, or a wall seen from behind: perhaps through an edge. The robust scene decides.
+    // The ray left the mesh or hit a wall from behind, perhaps after slipping through an edge: the robust scene
+    // decides.
     ++rays;
     return first_hit(mesh_.robust(), ray, hit);
   }

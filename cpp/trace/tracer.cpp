@@ -16,6 +16,7 @@ namespace respire {
 
 namespace {
 
+// Distance of a ray that hits nothing.
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 // The faces around a vertex and their areas (doubled).
@@ -42,7 +43,7 @@ class AreasAround {
   std::uint32_t face(std::size_t k) const { return faces_[k]; }
   float area(std::size_t k) const { return k == 0 ? so_far_[0] : so_far_[k] - so_far_[k - 1]; }
   float total() const { return so_far_.empty() ? 0.0f : so_far_.back(); }
-  // The face below which the part `part` of the area lies.
+  // The face at which the cumulative area reaches the fraction `part`.
   std::uint32_t face_at(float part) const {
     std::size_t k = 0;
     while (k + 1 < so_far_.size() && so_far_[k] <= part * total()) ++k;

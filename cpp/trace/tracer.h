@@ -1,6 +1,6 @@
 #pragma once
-// The path tracer as Rust sees it (`src/ffi/trace/tracer.rs` has the records and what each call means). Every call
-// takes whole arrays: a border crossed per ray would cost more than the ray.
+// The path tracer's interface to Rust (`src/ffi/trace/tracer.rs` has the records and the meaning of each call). Every
+// call takes whole arrays: a border crossed per ray would cost more than the ray.
 
 #include <cstdint>
 #include <memory>
@@ -65,7 +65,7 @@ std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slic
                                    rust::Slice<const float> generations, rust::Slice<const float> axial_mm,
                                    const MaterialSettings& material);
 
-// What the tests look at.
+// For tests.
 float coat_albedo(float alpha, float ior, float cosine);
 float medium_albedo(float rho);
 void sobol_pair(std::uint32_t key, std::uint32_t index, std::uint32_t dimension, rust::Slice<float> pair);

@@ -1,6 +1,6 @@
 #pragma once
 // Three floats, and the few mathematical functions and sampled directions of the hot path. sqrt is exact by IEEE 754;
-// sine and cosine are our own polynomials, because a C library may pick other last bits on another processor.
+// sine and cosine are our own polynomials, because a C library may round differently on another processor.
 
 #include <algorithm>
 #include <cmath>

@@ -39,8 +39,8 @@ WallMaterial::WallMaterial(const MaterialSettings& settings, const TracedMesh& r
   bake_vertex_albedo(rest);
 }
 
-// One noise shifts the rings along the airway, by up to the part `kShift` of their spacing, another scales their height.
-// None of the numbers is a measurement.
+// One noise shifts the rings along the airway, by up to the fraction `kShift` of their spacing; another scales their
+// height. None of the numbers is a measurement.
 void WallMaterial::bend_and_fade_rings(const TracedMesh& rest) {
   constexpr float kShiftPeriodMm = 9.0f, kShift = 0.22f, kHeightPeriodMm = 6.0f;
   ring_weight_.assign(rest.vertex_count(), 0.0f);

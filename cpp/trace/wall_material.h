@@ -1,9 +1,9 @@
 #pragma once
-// What the wall is made of: the case's settings, the tables that follow from them, and what of the look is fixed at the
-// vertices of the rest shape (`cpp/trace/mucosa.h` has the look itself).
+// What the wall is made of: the case's settings, the tables that follow from them, and the part of the look that is
+// fixed at the rest shape's vertices (`cpp/trace/mucosa.h` has the look itself).
 //
-// Later bounces see the mean colour around each vertex: what they carry is blurred by the next scattering anyway. Rings
-// of real airways are neither evenly spaced nor of one height: slow noise bends and fades them.
+// Later bounces use the mean colour around each vertex: the next scattering blurs their light anyway. Rings of real
+// airways are neither evenly spaced nor of one height: slow noise bends and fades them.
 
 #include <vector>
 
@@ -36,23 +36,23 @@ class WallMaterial {
   bool has_flat_albedo() const { return !settings_.fixed_scattering && settings_.refracted_entry == 0.0f; }
 
   const Coat& coat() const { return coat_; }
-  // The coat as other walls see it (kWideAlpha).
+  // The coat for light between walls (kWideAlpha).
   const Coat& wide_coat() const { return wide_coat_; }
-  // Part of light from all sides that the coat sends back.
+  // Fraction of uniform light that the coat reflects.
   float mean_coat() const { return mean_coat_; }
-  // Roughness where nobody looks closely.
+  // Mean roughness, for light between walls.
   float mean_alpha() const { return 0.5f * (settings_.alpha_low + settings_.alpha_high); }
   // Roughness for `film` from 0 (smooth film) to 1 (rough).
   float alpha(float film) const { return mix(settings_.alpha_low, settings_.alpha_high, film); }
 
-  // Albedo and roughness at a point of a face as later vertices of a path see them.
+  // Mean albedo at a point of a face, for later vertices of a path.
   Vec3 mean_albedo(const std::uint32_t* corners, float u, float v) const {
     return mucosa() ? interpolate(vertex_albedo_.data(), corners, u, v) : albedo_;
   }
   float later_alpha() const { return mucosa() ? mean_alpha() : settings_.alpha_low; }
 
-  // The look at a point of a face as the camera sees it from a distance at which a pixel spans `footprint_mm`; `edge1`
-  // and `edge2`: the face's edges at rest, from its first corner.
+  // The look at a point of a face from a distance at which a pixel spans `footprint_mm`; `edge1` and `edge2`: the
+  // face's edges at rest, from its first corner.
   MucosaPoint look_at(const std::uint32_t* corners, float u, float v, float footprint_mm, Vec3& edge1,
                       Vec3& edge2) const {
     const float w[3] = {1.0f - u - v, u, v};

@@ -133,13 +133,13 @@ pub enum Region {
     LeftLower,
 }
 
-/// The scope's way.
+/// The scope's route.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrajectorySettings {
-    /// Speed along the centreline at inspiration, mm/s; lowered when the way is too short for the film.
+    /// Speed along the centreline at inspiration, mm/s; lowered when the route is too short for the film.
     pub speed_mm_per_s: f64,
-    /// Radius of the scope in mm: where the lumen gets narrower the way ends.
+    /// Radius of the scope in mm: the route ends where the lumen gets narrower.
     pub scope_radius_mm: f64,
     /// Which of the reachable ends is taken.
     pub seed: u64,
@@ -165,7 +165,7 @@ pub struct Case {
     pub seed: u64,
     /// Optics.
     pub camera: CameraSettings,
-    /// The scope's way.
+    /// The scope's route.
     #[serde(default)]
     pub trajectory: TrajectorySettings,
     /// Breathing over time.
@@ -189,7 +189,7 @@ pub struct Case {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub breathing: Option<Breathing>,
     /// Root mean square error in mm of the registration between the two CTs, as methods get it: a smooth random field
-    /// is added to the expiration mesh that they are given. The film and the truth do not know of it.
+    /// is added to the expiration mesh that they are given. The film and the truth do not change.
     #[serde(default, skip_serializing_if = "super::waveform::is_zero")]
     pub registration_error_mm: f64,
     /// Folder of the case file, for its relative paths.

@@ -1,4 +1,4 @@
-//! From a case to the airway in both breath holds: surface, centreline, motion, and the proof that nothing folds.
+//! From a case to the airway in both breath holds: surface, centreline, motion, checked to be free of folds.
 
 use std::path::Path;
 
@@ -17,11 +17,11 @@ use super::surface::{SurfaceSettings, surface_from_tree};
 use super::tree::Tree;
 use crate::base::{Error, Result, TriangleMesh, files};
 
-/// Rounds of averaging around slivers; and no averaging when more than one face in this many is concerned: then it is
-/// the field that folds.
+/// Most rounds of averaging around slivers; and no averaging when more than one face in this many is turned over: then
+/// the field itself folds.
 const SETTLING_ROUNDS: usize = 60;
 const SETTLED_PART: usize = 1000;
-/// A mesh pair's centreline is carried by the walls within this many radii.
+/// A point of a mesh pair's centreline moves with the wall within this many of its radii.
 const CARRY_RADII: f64 = 1.6;
 
 /// Both states of a case's airway, checked: closed surface, no face turned over at any phase, orientation kept.
@@ -118,7 +118,7 @@ pub fn from_field(
     Ok(finish(rest, expiration, generation, centerline, line_expiration))
 }
 
-/// A registered pair: the centreline is carried by the walls around it.
+/// A registered pair: the centreline moves with the wall around it.
 pub fn from_pair(rest: TriangleMesh, expiration: Vec<DVec3>, centerline: Centerline) -> Result<Anatomy> {
     check_faces(&rest, &expiration)?;
     let generation: Vec<f32> =
@@ -206,7 +206,7 @@ fn finish(
     centerline: Centerline,
     centerline_expiration: Vec<DVec3>,
 ) -> Anatomy {
-    // The wall's own samples are close enough together for an inscribed radius.
+    // The wall's vertices are dense enough to measure an inscribed radius.
     let radius_expiration_mm = centerline_expiration
         .par_iter()
         .map(|p| expiration.iter().map(|v| v.distance_squared(*p)).fold(f64::INFINITY, f64::min).sqrt())

@@ -8,6 +8,7 @@ use glam::DVec3;
 use super::centerline::{Centerline, CenterlinePoint};
 use crate::base::{Error, Result, files};
 
+/// First line of the file.
 const HEADER: &str = "id,x_mm,y_mm,z_mm,radius_mm,branch,generation,parent_id";
 
 /// The text form; numbers round-trip exactly.
@@ -26,7 +27,7 @@ pub fn read(path: &Path) -> Result<Centerline> {
     parse(&files::read_text(path)?).map_err(|e| e.at(path))
 }
 
-/// [`read`] for text that is at hand.
+/// [`read`] for text in memory.
 pub fn parse(text: &str) -> Result<Centerline> {
     let mut lines = text.lines();
     if lines.next().map(str::trim) != Some(HEADER) {

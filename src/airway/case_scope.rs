@@ -5,14 +5,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::{Error, Result};
 
-/// Who sets the gain.
+/// What sets the gain.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ExposureControl {
     /// The scope's automatic exposure.
     #[default]
     Automatic,
-    /// Nobody: one gain for the whole film, the middle one of those that would have been wanted.
+    /// One gain for the whole film: the median of those that the automatic exposure would have aimed for.
     Fixed,
 }
 
@@ -20,7 +20,7 @@ pub enum ExposureControl {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ExposureSettings {
-    /// Who sets the gain.
+    /// What sets the gain.
     pub control: ExposureControl,
     /// Mean encoded brightness that the automatic exposure aims for.
     pub target: f64,
@@ -52,7 +52,7 @@ impl Default for ExposureSettings {
 #[serde(deny_unknown_fields, default)]
 pub struct ScopeSettings {
     /// The fibre bundle is half as bright at this angle from its axis as on it: intensity falls with the power ln(1/2)
-    /// / ln(cos angle) of the cosine. 60 is a fibre face that radiates after Lambert; 0 is even in all directions.
+    /// / ln(cos angle) of the cosine. 60 is a fibre face that radiates by Lambert's law; 0 is even in all directions.
     pub emission_half_angle_deg: f64,
     /// Vignette: irradiance on the sensor falls by this part of what the cos^4 law says; 1 is the law itself.
     pub vignette: f64,

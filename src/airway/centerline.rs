@@ -13,7 +13,7 @@ pub struct CenterlinePoint {
     pub branch: u32,
     /// Generation of the branch (0 trachea).
     pub generation: u32,
-    /// Index of the next point towards the inlet; `None` only for the inlet. Always smaller than the own index.
+    /// Index of the next point towards the inlet; `None` only for the inlet. Always smaller than the point's own index.
     pub parent: Option<u32>,
 }
 

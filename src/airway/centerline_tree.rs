@@ -36,7 +36,7 @@ pub fn centre(traces: &mut Traces, voxels: &Voxels, surface: &SurfaceDistance) {
     }
 }
 
-/// Laplacian smoothing; the last point stays, the first one too unless it hangs on `join`.
+/// Laplacian smoothing; the last point stays, the first one too unless it is attached to `join`.
 fn smooth(points: &mut [DVec3], join: Option<TraceNode>, passes: usize, voxels: &Voxels) {
     for _ in 0..passes {
         let old = points.to_vec();

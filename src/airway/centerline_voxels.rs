@@ -1,9 +1,9 @@
 //! The inside of a closed mesh as a sparse set of voxels with their exact distance to the wall.
 //!
-//! Each row of voxels along x is one ray; the signed crossings with the surface are summed from its start, and a
-//! voxel is inside where the sum (the winding number) is not zero. So either orientation of the mesh and overlapping
-//! closed parts are welcome. The edge test is computed from the lower to the higher vertex index, hence two faces
-//! that share an edge never both take or both miss a ray.
+//! Each row of voxels along x is one ray; the signed crossings with the surface are summed from its start, and a voxel
+//! is inside where the sum (the winding number) is not zero. So the mesh may have either orientation and overlapping
+//! closed parts. The edge test is computed from the lower to the higher vertex index, hence two faces that share an
+//! edge never both take or both miss a ray.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -44,7 +44,7 @@ impl Voxels {
         let (low, high) = mesh.bounds();
         let extent = high - low;
         let spacing_mm = spacing_mm.max((extent.x * extent.y * extent.z / BOX_VOXELS).cbrt());
-        // rays off every round number, where meshes like to have their vertices
+        // rays avoid round numbers, where meshes tend to have vertices
         let origin = low - DVec3::new(0.5, 0.5 + 0.0137, 0.5 + 0.0291) * spacing_mm;
         let size = ((high - origin) / spacing_mm).to_array().map(|n| n.ceil() as i32 + 1);
         let mut voxels =

@@ -18,9 +18,9 @@ use serde::{Deserialize, Serialize};
 use super::centerline::Centerline;
 use crate::base::{Error, Result};
 
-/// Sharpness K of the belonging: at 4, the axis is averaged over +- 0.35 radii.
+/// Sharpness K of the weights: at 4, the axis is averaged over +- 0.35 radii.
 const SHARPNESS: f64 = 4.0;
-/// Points whose exponent lies this far below the best do not matter (weight below 1e-7).
+/// Points whose exponent lies this far below the best are ignored (weight below 1e-7).
 const EXPONENT_REACH: f64 = 16.0;
 /// The trachea's muscular back wall spans this cosine around the backward direction (LPS: +y).
 const BACK_COSINE: f64 = 0.35;
@@ -62,10 +62,12 @@ impl Calibre {
         self.diameter_ratio[below] * (1.0 - part) + self.diameter_ratio[(below + 1).min(last)] * part
     }
 
-    /// Displacement of `x` by the change of calibre, given where on the centreline it belongs.
+    /// Displacement of `x` by the change of calibre, given its foot on the centreline.
     pub fn displacement(&self, x: DVec3, axis: &AxisPoint) -> DVec3 {
         let outwards = x - axis.position_mm;
+        // (rho(g) - 1) (x - p)
         let mut s = outwards * (self.ratio(axis.generation) - 1.0);
+        // The back wall's bulge: full in the trachea, none from generation 2/3 on.
         let trachea = (1.0 - 1.5 * axis.generation).clamp(0.0, 1.0);
         if self.tracheal_invagination > 0.0 && trachea > 0.0 {
             let back = (DVec3::Y - axis.tangent * axis.tangent.y).normalize_or_zero();
@@ -102,7 +104,7 @@ pub struct AxisPoint {
 /// A centreline sampled densely enough to be averaged.
 pub struct Axis {
     samples: Vec<AxisSample>,
-    /// Spheres around runs of [`RUN`] samples: whole runs are passed over when even their nearest could not matter.
+    /// Spheres around runs of [`RUN`] samples: a whole run is skipped when even its nearest sample could not matter.
     runs: Vec<SampleRun>,
 }
 
@@ -170,10 +172,11 @@ impl Axis {
         Axis { samples, runs }
     }
 
-    /// Where `x` belongs; `None` only for a centreline without length.
+    /// The soft foot of `x`; `None` only for a centreline without length.
     pub fn foot(&self, x: DVec3) -> Option<AxisPoint> {
         let exponent = |s: &AxisSample| (x - s.position).length_squared() * s.inverse_radius2 * SHARPNESS;
         let runs = || self.runs.iter().zip(self.samples.chunks(RUN));
+        // The least exponent: weights are taken relative to its own, and far runs are skipped.
         let mut best = f64::INFINITY;
         for (run, samples) in runs() {
             if run.least_exponent(x) < best {
@@ -183,6 +186,7 @@ impl Axis {
         if !best.is_finite() {
             return None;
         }
+        // Weighted means over the samples near it.
         let mut total = 0.0;
         let mut foot = AxisPoint { position_mm: DVec3::ZERO, radius_mm: 0.0, generation: 0.0, tangent: DVec3::ZERO };
         let near = runs().filter(|(run, _)| run.least_exponent(x) < best + EXPONENT_REACH);

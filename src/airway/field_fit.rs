@@ -28,10 +28,10 @@ pub struct Anchor {
     pub mass: f64,
 }
 
-/// What a fit is given beside the landmarks.
+/// Inputs of a fit besides the landmarks.
 #[derive(Clone, Debug)]
 pub struct FitSettings {
-    /// Said in the case file: data set, citation, placement.
+    /// Written to the case file: data set, citation, placement.
     pub source: String,
     /// Centres of the kernel, mm; none may be a landmark itself.
     pub centers_mm: Vec<DVec3>,
@@ -78,7 +78,7 @@ pub fn choose_centers(near: &[DVec3], spacing_mm: f64, reach_mm: f64, count: usi
     let mut next = 0;
     while chosen.len() < count.min(candidates.len()) {
         let center = candidates[next];
-        // A tenth of a millimetre is what the case file keeps.
+        // The case file keeps tenths of a millimetre.
         chosen.push((center * 10.0).round() / 10.0);
         for (d, c) in distance2.iter_mut().zip(&candidates) {
             *d = d.min(c.distance_squared(center));
@@ -111,7 +111,7 @@ pub fn fit(pairs: &[LandmarkPair], settings: &FitSettings, min_lambda: f64) -> R
     }
     let (lambda, held_out_mm) =
         best.ok_or_else(|| Error::input(format!("no smoothing strength is left above {min_lambda}")))?;
-    // The measure of comparison is free of the anchors, which no affine motion could follow.
+    // The affine comparison leaves out the anchors, which no affine motion could follow.
     let unanchored = FitSettings { anchors: vec![], ..settings.clone() };
     let affine_held_out_mm = held_out_error(pairs, &basis, &unanchored, 1e9)?;
     let field = basis.solve(pairs, settings, lambda)?;
@@ -130,7 +130,7 @@ fn miss_mm(field: &BreathingField, pair: &LandmarkPair) -> f64 {
     (field.displacement(pair.inspiration_mm) - pair.motion_mm()).length()
 }
 
-/// Mean error on every fifth pair, fitted to the other four fifths, over the five ways to do so.
+/// Mean error of five-fold cross-validation: on every fifth pair, fitted to the other four fifths.
 fn held_out_error(pairs: &[LandmarkPair], basis: &Basis, settings: &FitSettings, lambda: f64) -> Result<f64> {
     let mut sum = 0.0;
     for fold in 0..5 {
@@ -172,7 +172,7 @@ impl Basis {
         Ok(Basis { origin, centers, soft2, null_space, penalty })
     }
 
-    /// Values of all unknowns' functions at a point: affine terms, then the null-space kernels.
+    /// Values of all basis functions at a point: affine terms, then the null-space kernels.
     fn row(&self, point_mm: DVec3) -> DVector<f64> {
         let x = (point_mm - self.origin) / UNIT_MM;
         let kernels = DVector::from_fn(self.centers.len(), |j, _| phi(x - self.centers[j], self.soft2));

@@ -3,19 +3,23 @@
 //! After Kitaoka, Takaki and Suki, J Appl Physiol 87:2207 (1999). Symbols: `d` diameter, `n` flow exponent, `r` the
 //! smaller share of the parent's flow, `theta` angle between a child and its parent. Rule by rule:
 //!
-//! | rule | source |
-//! |---|---|
-//! | branching is dichotomous; parent and children lie in one plane; the next plane is turned by 90 degrees | Kitaoka 1, 2, 8 |
-//! | the plane through the parent's axis across the branching plane parts the supplied region; flow is the part of its volume | Kitaoka 3, 4, 5 (`GrowthRegion`) |
-//! | `Q ~ d^n`, n = 2.8: a child's diameter goes with the n-th root of its share | Kitaoka 3, 6 |
-//! | `cos theta = (1 + r^(4/n) - (1-r)^(4/n)) / (2 r^(2/n))`, and with r and 1-r exchanged; at most 60 degrees | Kitaoka 6, from least volume (Kamiya and Togawa 1972) |
-//! | mean diameter ratio and length over diameter of generations 0 to 6 | Horsfield's tree at a lung volume of 3300 ml (replaces Kitaoka 7, `L = 3 d`, which is wrong for generations 2 to 4) |
-//! | children turn towards the middle of what they supply and stay inside of it | Kitaoka's complementary rules; the turn as in Tawhai et al., J Appl Physiol 97:2310 (2004) |
-//! | right main bronchus wider, steeper and shorter than the left | anatomy; diameters follow from the lungs' volumes |
+//! - Branching is dichotomous; parent and children lie in one plane; the next plane is turned by 90 degrees (Kitaoka 1,
+//!   2, 8).
+//! - The plane through the parent's axis across the branching plane parts the supplied region; flow is the part of its
+//!   volume (Kitaoka 3, 4, 5; `GrowthRegion`).
+//! - `Q ~ d^n`, n = 2.8: a child's diameter goes with the n-th root of its share (Kitaoka 3, 6).
+//! - `cos theta = (1 + r^(4/n) - (1-r)^(4/n)) / (2 r^(2/n))`, and with r and 1-r exchanged; at most 62 degrees (Kitaoka
+//!   6, from least volume; Kamiya and Togawa 1972).
+//! - Mean diameter ratio and length over diameter of generations 0 to 6: Horsfield's tree at a lung volume of 3300 ml
+//!   (replaces Kitaoka 7, `L = 3 d`, which is wrong for generations 2 to 4).
+//! - Children turn towards the middle of what they supply and stay inside it (Kitaoka's complementary rules; the turn
+//!   as in Tawhai et al., J Appl Physiol 97:2310, 2004).
+//! - The right main bronchus is wider, steeper and shorter than the left (anatomy; diameters follow from the lungs'
+//!   volumes).
 //!
 //! Own additions: seeded variation; a bifurcation that would bring a branch near another is tried again with another
-//! plane and shorter children, at last left out, so that the surface of the tree has no loop. Left out: acini, curved
-//! lobar fissures, everything beyond the reach of a scope.
+//! plane and shorter children, and finally left out, so that the surface of the tree has no loop. Left out: acini,
+//! curved lobar fissures, everything beyond the reach of a scope.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -39,7 +43,7 @@ const WIDEST_DEG: f64 = 62.0;
 const NARROWEST_DEG: f64 = 48.0;
 /// Smallest share of the flow that makes a branch of its own.
 const LEAST_SHARE: f64 = 0.12;
-/// How often a bifurcation is tried before the branch is left as it is.
+/// Attempts at a bifurcation before the branch is left undivided.
 const ATTEMPTS: u64 = 32;
 
 /// What to grow.
@@ -106,7 +110,7 @@ fn of_generation(table: &[f64; 7], beyond: f64, generation: u32) -> f64 {
     table.get(generation as usize).copied().unwrap_or(beyond)
 }
 
-/// `wanted` as near as the angle between it and the unit vector `axis` may be `most` (radians).
+/// The direction nearest to `wanted` that lies within `most` radians of the unit vector `axis`.
 fn within_angle(wanted: DVec3, axis: DVec3, most: f64) -> DVec3 {
     let sideways = (wanted - axis * wanted.dot(axis)).normalize_or_zero();
     if wanted.angle_between(axis) <= most || sideways == DVec3::ZERO {
@@ -115,7 +119,7 @@ fn within_angle(wanted: DVec3, axis: DVec3, most: f64) -> DVec3 {
     axis * most.cos() + sideways * most.sin()
 }
 
-/// Turns two unit vectors apart in their own plane until they enclose `least` radians.
+/// Turns two unit vectors apart in their plane until the angle between them is `least` radians.
 fn spread(a: DVec3, b: DVec3, least: f64) -> [DVec3; 2] {
     let across = (a - b).normalize_or_zero();
     let along = (a + b).normalize_or_zero();
@@ -137,7 +141,7 @@ struct Tip {
     region: GrowthRegion,
 }
 
-/// One child as planned, before it is known to keep clear of the others.
+/// A planned child, not yet known to keep clear of the other branches.
 struct BranchPlan {
     shoot: Shoot,
     across: DVec3,
@@ -188,10 +192,12 @@ impl Grower<'_> {
     fn plan(&self, tip: &Tip, joint: DVec3, turn: f64, shorter: f64, rng: &mut CounterRng) -> Option<Vec<BranchPlan>> {
         let generation = self.tree.branches[tip.branch].generation + 1;
         let n = self.settings.flow_exponent;
+        // The branching plane, and the two regions that it splits (rules 2 to 5).
         let upright = (tip.across - tip.direction * tip.across.dot(tip.direction)).normalize_or(DVec3::Y);
         let across = upright * turn.cos() + tip.direction.cross(upright) * turn.sin();
         let regions = tip.region.split(joint, across)?;
         let whole = regions[0].share() + regions[1].share();
+        // Angles from the flow's shares (rule 6), turned towards the middle of each region.
         let directions = [0, 1].map(|side| {
             let share = regions[side].share() / whole;
             let sign = if side == 0 { 1.0 } else { -1.0 };
@@ -201,6 +207,7 @@ impl Grower<'_> {
             within_angle((by_rule + 0.45 * to_middle).normalize_or(by_rule), tip.direction, WIDEST_DEG.to_radians())
         });
         let directions = spread(directions[0], directions[1], NARROWEST_DEG.to_radians());
+        // Diameters and lengths; every child must carry enough flow and end inside the lungs.
         let next_across = tip.direction.cross(across);
         let mut plans = Vec::new();
         for (region, direction) in regions.into_iter().zip(directions) {

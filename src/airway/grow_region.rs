@@ -1,5 +1,5 @@
-//! What a growing branch supplies: a part of the lungs, held as sample points, so that any part has a volume (how many)
-//! and a middle, and can be parted by a plane.
+//! What a growing branch supplies: a part of the lungs, held as sample points, so that every part has a volume (their
+//! number) and a middle, and a plane can split it.
 //!
 //! The lungs are two ellipsoids of adult size (LPS, mm, carina at the origin) less the mediastinum, the heart and the
 //! dome of the diaphragm: a plausible thorax, not a patient's.

@@ -34,8 +34,8 @@ impl Shoot {
     }
 }
 
-/// Centreline as `[x, y, z, radius]`, rounded to 0.01 mm: a quadratic Bezier arc that leaves the parent half in its
-/// direction and swings into the own one.
+/// Centreline as `[x, y, z, radius]`, rounded to 0.01 mm: a quadratic Bezier arc that leaves the parent half in the
+/// parent's direction and swings into its own.
 pub(super) fn shoot_points(shoot: &Shoot) -> Vec<[f64; 4]> {
     let leave = (shoot.direction + 0.5 * shoot.parent_direction).normalize_or(shoot.direction);
     let control = shoot.from + leave * (0.4 * shoot.length_mm);
@@ -64,8 +64,8 @@ fn with_ancestors(tree: &Tree, branch: usize) -> Vec<usize> {
 }
 
 /// Whether a child of `parent` with the given points stays apart from every branch of `tree`. Near a shared joint
-/// branches touch, as they must: pairs are compared only where the way along the tree between them is so long that
-/// they should have parted.
+/// branches touch, as they must: pairs are compared only where the distance along the tree between them is so long that
+/// they should have separated.
 pub(super) fn keeps_clear(tree: &Tree, parent: usize, points_mm: &[[f64; 4]]) -> bool {
     let child = Branch { parent: Some(parent as u32), generation: 0, points_mm: points_mm.to_vec() };
     let depths = depths(tree);

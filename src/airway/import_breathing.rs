@@ -21,16 +21,16 @@ use crate::formats::landmarks::LandmarkPair;
 
 /// Where the carina lies in the lungs' box at inspiration, as fractions from its low (right, front, bottom) corner.
 const CARINA_FRACTION: DVec3 = DVec3::new(0.5, 0.57, 0.64);
-/// What part of the box's width, depth, and height below the carina an airway with lumens above 2 mm fills.
+/// Fraction of the box's width, depth, and height below the carina that an airway with lumens above 2 mm fills.
 const FILLED: DVec3 = DVec3::new(0.60, 0.44, 0.66);
-/// Most that an axis is stretched or shrunk.
+/// Largest factor by which an axis is stretched or shrunk.
 const MOST_STRETCH: f64 = 1.3;
 /// Motion in mm of the top of the trachea at full excursion: slightly upwards.
 const TRACHEA_TOP_MOTION_MM: DVec3 = DVec3::new(0.0, 0.3, 1.0);
 /// Part of the trachea, from the top, that the anchors hold; and what one anchor weighs in landmarks.
 const HELD_PART: f64 = 0.35;
 const ANCHOR_MASS: f64 = 20.0;
-/// Centres of the kernel and its softening.
+/// Number of the kernel's centres, and its softening length.
 const CENTERS: usize = 56;
 const SOFTENING_MM: f64 = 15.0;
 
@@ -59,7 +59,7 @@ impl LungBox {
         Err(Error::input(format!("has no inspiration box of `{patient}`")).at(path))
     }
 
-    /// The box around landmarks, a tenth wider on each side: for patients whose lungs nobody measured.
+    /// The box around landmarks, a tenth wider on each side: for patients without a measured box.
     pub fn around(pairs: &[LandmarkPair]) -> LungBox {
         let (low, high) = pairs.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| {
             (low.min(p.inspiration_mm), high.max(p.inspiration_mm))
@@ -109,7 +109,7 @@ pub fn carina(centerline: &Centerline) -> Option<DVec3> {
     centerline.points.iter().rev().find(|p| p.generation == 0).map(|p| p.position_mm)
 }
 
-/// What [`measured_breathing`] found.
+/// Result of [`measured_breathing`].
 #[derive(Clone, Debug)]
 pub struct MeasuredBreathing {
     /// For the case file; scale 1.
@@ -180,7 +180,7 @@ fn trachea_anchors(centerline: &Centerline) -> Vec<Anchor> {
         .collect()
 }
 
-/// The `[breathing]` part of a case file, one centre a line.
+/// The `[breathing]` part of a case file, one centre per line.
 pub fn breathing_toml(breathing: &Breathing) -> String {
     let f = &breathing.field;
     let row = |values: &[f64]| {

@@ -43,6 +43,7 @@ pub struct GenerationRow {
     pub literature: Option<Literature>,
 }
 
+// By generation, in mm and degrees; [`Literature`] names the sources.
 const WEIBEL_DIAMETER: [f64; 17] =
     [18.0, 12.2, 8.3, 5.6, 4.5, 3.5, 2.8, 2.3, 1.86, 1.54, 1.30, 1.09, 0.95, 0.82, 0.74, 0.66, 0.60];
 const WEIBEL_LENGTH: [f64; 17] =
@@ -63,7 +64,7 @@ pub fn literature(generation: u32) -> Option<Literature> {
     })
 }
 
-/// Mean of the two middle values when their number is even; `None` of nothing.
+/// Mean of the two middle values when their number is even; `None` for an empty list.
 fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let upper = *values.get(values.len() / 2)?;
@@ -88,7 +89,7 @@ fn point_at(branch: &Branch, along: &[f64], way: f64) -> DVec3 {
     branch.position(k - 1).lerp(branch.position(k), t)
 }
 
-/// Index of the parent's point that a branch hangs on.
+/// Index of the parent's point to which a branch is attached.
 fn joint(parent: &Branch, branch: &Branch) -> usize {
     let gap = |k: usize| parent.position(k).distance_squared(branch.position(0));
     (0..parent.points_mm.len()).min_by(|&a, &b| gap(a).total_cmp(&gap(b))).unwrap_or(0)

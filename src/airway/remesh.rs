@@ -9,9 +9,10 @@ use glam::DVec3;
 
 use crate::base::TriangleMesh;
 
+/// A face that was removed.
 const DEAD: [u32; 3] = [u32::MAX; 3];
 
-/// The surface under work: positions, target lengths, faces, faces around each vertex.
+/// The surface being remeshed: positions, target lengths, faces, faces around each vertex.
 struct WorkingMesh {
     position: Vec<DVec3>,
     target_mm: Vec<f64>,

@@ -131,6 +131,7 @@ fn smooth(mesh: &mut TriangleMesh, rounds: usize) {
 
 /// Displaces the vertices along their normals by a sum of seeded plane waves of 5 to 16 mm.
 fn roughen(mesh: &mut TriangleMesh, looks: &[(f64, f64)], settings: &SurfaceSettings) {
+    // Waves in the sum.
     const WAVES: usize = 24;
     let mut rng = CounterRng::new(settings.seed, Stage::Surface, &[]);
     let waves: Vec<(DVec3, f64)> = (0..WAVES)

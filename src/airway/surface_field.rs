@@ -8,7 +8,7 @@ use glam::{DVec3, IVec3};
 
 use super::tree::{Branch, Tree};
 
-/// A value beyond every band of interest.
+/// Value far from every branch, in mm: beyond every band of interest.
 const FAR: f32 = 1e3;
 
 /// Samples of the field at `origin + spacing * (i, j, k)`.
@@ -183,6 +183,7 @@ impl RoundCone {
             let (centre, radius) = if shrink >= 0.0 { (self.a, self.radius_a) } else { (self.b, self.radius_b) };
             return (p.distance(centre) - radius, radius);
         }
+        // Coordinates along (y from a, z from b) and off (x) the axis, in powers of its length; then cap or flank.
         let y = from_a.dot(self.axis);
         let z = y - self.length2;
         let x2 = (from_a * self.length2 - self.axis * y).length_squared();

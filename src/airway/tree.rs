@@ -12,7 +12,7 @@ use crate::base::{Error, Result};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Branch {
-    /// Index of the parent branch, smaller than the own; absent for the trachea.
+    /// Index of the parent branch, smaller than the branch's own; absent for the trachea.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parent: Option<u32>,
     /// Airway generation, 0 for the trachea.
@@ -82,7 +82,7 @@ impl Tree {
     }
 
     /// Only the branches that a scope of `minimal_radius_mm` could enter, down to generation `deepest`; a branch that
-    /// narrows below half of that is cut off there. Branches without their parent go, too.
+    /// narrows below half of that is cut off there. Branches that lose their parent are dropped, too.
     pub fn reachable(&self, minimal_radius_mm: f64, deepest: u32) -> Tree {
         let mut kept = Vec::new();
         let mut new_index = vec![None; self.branches.len()];
@@ -109,8 +109,8 @@ impl Tree {
         Tree { source: self.source.clone(), branches: branches.collect() }
     }
 
-    /// The centreline whose points are those of the tables; the first point of a branch hangs on the nearest point of
-    /// its parent.
+    /// The centreline whose points are those of the tables; the first point of a branch is attached to the nearest
+    /// point of its parent.
     pub fn to_centerline(&self) -> Centerline {
         let mut points: Vec<CenterlinePoint> = Vec::new();
         let mut range_of_branch: Vec<std::ops::Range<usize>> = Vec::new();
@@ -135,7 +135,8 @@ impl Tree {
         Centerline { points }
     }
 
-    /// The table of a centreline, rounded to 0.01 mm; every branch starts with the point of its parent it hangs on.
+    /// The table of a centreline, rounded to 0.01 mm; every branch starts with the point of its parent to which it is
+    /// attached.
     pub fn from_centerline(centerline: &Centerline, source: &str) -> Tree {
         let row = |p: &CenterlinePoint| {
             let v = p.position_mm;

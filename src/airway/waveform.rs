@@ -2,9 +2,9 @@
 //!
 //! A driving pressure P(t) in [0, 1] (0 end of expiration, 1 end of inspiration) is a raised cosine of warped time
 //! within each half-breath; the lung follows it along the exponential pressure-volume curve of Salazar and Knowles (J
-//! Appl Physiol 19:97, 1964), V(P) = (1 - exp(-k P)) / (1 - exp(-k)), with another stiffness k on the way out than on
-//! the way in (hysteresis). The warp makes expiration fast first and slow later, like elastic recoil against a
-//! resistance. The phase is 1 - V. At both turning points dP/dt = 0, so dV/dt = 0 whatever k: C1 across half-breaths.
+//! Appl Physiol 19:97, 1964), V(P) = (1 - exp(-k P)) / (1 - exp(-k)), with different stiffnesses k for breathing out
+//! and in (hysteresis). The warp makes expiration fast first and slow later, like elastic recoil against a resistance.
+//! The phase is 1 - V. At both turning points dP/dt = 0, so dV/dt = 0 whatever k: C1 across half-breaths.
 //!
 //! A breath may be held at the end of each inhalation (`hold_s`), where the lung is at rest anyway.
 //!
@@ -35,7 +35,7 @@ pub struct Waveform {
     pub exhale_s: f64,
     /// Factor on both durations: above 1 is slower breathing.
     pub period_scale: f64,
-    /// Part of the way from inspiration CT to expiration CT that a breath covers, in (0, 1].
+    /// Part of the range from inspiration CT to expiration CT that a breath covers, in (0, 1].
     pub amplitude: f64,
     /// Phase at the end of a full inhalation; `offset + amplitude` is at most 1.
     pub offset: f64,
@@ -48,7 +48,7 @@ pub struct Waveform {
     pub irregularity: f64,
 }
 
-/// What is left out of the hash, so that cases without it keep theirs.
+/// A value of 0 is left out of the hash, so that cases without the key keep theirs.
 pub(super) fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
@@ -123,6 +123,7 @@ impl Waveform {
         left_s -= breath as f64 * self.period_s();
         loop {
             let now = self.breath(breath, seed);
+            // Inhalation, hold, exhalation.
             if left_s < now.inhale_s {
                 let pressure = 0.5 - 0.5 * (std::f64::consts::PI * left_s / now.inhale_s).cos();
                 return now.start + (now.turn - now.start) * volume(pressure, STIFFNESS_IN);

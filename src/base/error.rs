@@ -16,7 +16,7 @@ pub enum ErrorKind {
     Usage,
     /// A metric is worse than its threshold allows.
     Regression,
-    /// A file cannot be read, does not say what its format demands, or cannot be written.
+    /// A file cannot be read, violates its format, or cannot be written.
     InputOutput,
     /// The machine lacks something (a library, an instruction set).
     Environment,

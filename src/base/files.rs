@@ -38,7 +38,7 @@ fn set_umask_permissions(file: &File) -> std::io::Result<()> {
 }
 
 /// Removes what a kill in the middle of [`write_atomically`] left behind in `folder` and below it. Call it only as the
-/// one writer of the folder. A missing folder is an empty one.
+/// folder's one writer. A missing folder counts as empty.
 pub fn remove_unfinished(folder: &Path) -> Result<()> {
     let fail = |e| Error::io("reading", folder, e);
     let entries = match fs::read_dir(folder) {

@@ -44,7 +44,7 @@ impl TriangleMesh {
         (0..self.faces.len()).map(|f| self.corners(f)).map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
     }
 
-    /// Turns every face around.
+    /// Reverses the winding of every face.
     pub fn flip(&mut self) {
         for face in &mut self.faces {
             face.swap(1, 2);

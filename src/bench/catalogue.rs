@@ -1,4 +1,4 @@
-//! What there is to choose from: the folder `bench-cases/` with its cases, methods, profiles and thresholds.
+//! What can be run: the folder `bench-cases/` with its cases, methods, profiles and thresholds.
 //!
 //! ```text
 //! bench-cases/<case>.toml         a case each

@@ -8,7 +8,7 @@ use crate::ffi::{system, vision};
 use crate::render;
 use crate::splat::Isa;
 
-/// A `quick` run does not fit into less.
+/// Memory that a `quick` run needs.
 const MEMORY_NEEDED_MIB: f64 = 1500.0;
 
 /// The machine, the libraries and what is missing.
@@ -38,7 +38,7 @@ pub struct Environment {
     pub threads: usize,
     /// Physical memory in MiB.
     pub memory_mib: f64,
-    /// One sentence for everything that is missing.
+    /// One sentence for each thing that is missing.
     pub missing: Vec<String>,
 }
 

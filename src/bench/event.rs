@@ -28,7 +28,7 @@ pub enum Event<'a> {
         /// The case.
         case_id: &'a str,
     },
-    /// A sequence is there.
+    /// A sequence is ready.
     Filmed {
         /// The case.
         case_id: &'a str,

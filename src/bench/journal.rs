@@ -18,7 +18,7 @@ use crate::base::{Error, Result, files};
 pub struct JournalEntry {
     /// Folder or file below the cache folder.
     pub product: String,
-    /// What it is a function of.
+    /// Hash of everything that it depends on.
     pub key: String,
     /// Hash of its files.
     pub outputs: String,

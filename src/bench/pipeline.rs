@@ -102,7 +102,7 @@ impl Pipeline {
         Ok(Pipeline { profile, cases, methods, seeds })
     }
 
-    /// The plan of these stages, done by this program.
+    /// The plan of these stages, with the revisions of this program.
     pub fn plan(&self) -> Result<Plan> {
         let cases = self.cases.iter().map(|case| {
             let content = hash::of_value(&(case.hash()?, self.simulation_settings(case)))?;

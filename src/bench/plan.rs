@@ -1,4 +1,4 @@
-//! The plan: which cells there are, and what each one is a function of.
+//! The plan: which cells there are, and the key of each: a hash of everything that it depends on.
 
 use std::path::Path;
 
@@ -67,12 +67,12 @@ impl Plan {
         pairs.map(|(m, seed)| Cell { case_id: case_id.to_owned(), method: m.id.clone(), seed }).collect()
     }
 
-    /// What the sequence of `case` is a function of.
+    /// Key of the sequence of `case`.
     pub fn sequence_key(&self, case: &Planned) -> Result<String> {
         hash::of_value(&("sequence", &case.id, &case.content, &self.revisions.sequence))
     }
 
-    /// What the prediction of `cell` is a function of.
+    /// Key of the prediction of `cell`.
     pub fn prediction_key(&self, cell: &Cell) -> Result<String> {
         let case = find(&self.cases, &cell.case_id, "case")?;
         let method = find(&self.methods, &cell.method, "method")?;
@@ -80,7 +80,7 @@ impl Plan {
         hash::of_value(&("prediction", sequence, &method.id, &method.content, cell.seed, &self.revisions.prediction))
     }
 
-    /// What the score of `cell` is a function of.
+    /// Key of the score of `cell`.
     pub fn score_key(&self, cell: &Cell) -> Result<String> {
         hash::of_value(&("score", self.prediction_key(cell)?, &self.revisions.score))
     }

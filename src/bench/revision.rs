@@ -1,8 +1,8 @@
 //! Which revision of the code makes a sequence, a prediction, a score.
 //!
-//! [`crate::base::revision`] knows those of the rooms. A change in the report therefore keeps every cached cell, a
-//! change in a method or in the splat core redoes the cells but not the sequences, and a stale cell is never shown as
-//! a fresh one.
+//! [`crate::base::revision`] has those of the rooms. A change in the report therefore keeps every cached cell, a change
+//! in a method or in the splat core redoes the cells but not the sequences, and a stale cell is never shown as a fresh
+//! one.
 
 use crate::base::revision::of_rooms;
 use crate::simulate;
@@ -19,7 +19,8 @@ pub struct Revisions {
 }
 
 impl Revisions {
-    /// Those of this program. A room's list is the arrows of the house: what a room may use can change its results.
+    /// The revisions of this program. Each lists every room whose code the product's room may use, since that code can
+    /// change its results.
     pub fn of_this_program() -> Self {
         Revisions {
             sequence: simulate::revision(),

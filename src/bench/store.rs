@@ -1,7 +1,7 @@
 //! The cache folder: finished products by key, checked before they are used again, one writer at a time.
 //!
 //! ```text
-//! <cache>/.lock                                  who writes here now
+//! <cache>/.lock                                  held by the process that writes here
 //! <cache>/journal.jsonl                          what is finished
 //! <cache>/sequences/<case>-<12 digits>/          a sequence
 //! <cache>/cells/<case>-<method>-s<seed>-<12>/    prediction/, score.json, timing.json
@@ -85,7 +85,7 @@ impl Store {
         Ok(Store { root: root.to_path_buf(), entries, writer: Some((journal, lock)) })
     }
 
-    /// Looks without touching anything; the folder need not exist.
+    /// Opens for reading only; the folder need not exist.
     pub fn look(root: &Path) -> Result<Store> {
         let (entries, _) = journal::read(&root.join("journal.jsonl"))?;
         Ok(Store { root: root.to_path_buf(), entries, writer: None })

@@ -24,7 +24,7 @@ pub struct StageTiming {
     pub threads: usize,
 }
 
-/// Runs `work` as `stage` and tells what it cost, whether it succeeded or not.
+/// Runs `work` as `stage` and reports what it cost, whether it succeeded or not.
 pub fn measured<T>(stage: &str, work: impl FnOnce() -> Result<T>) -> (Result<T>, StageTiming) {
     let (wall, cpu_s) = (Instant::now(), system::cpu_time_s());
     let outcome = work();

@@ -17,7 +17,7 @@ use crate::reconstruct::MethodFile;
 pub struct Variant {
     /// What is varied; lines of one group stand together. Empty for a method as shipped.
     pub group: String,
-    /// To what.
+    /// What it is set to.
     pub setting: String,
     /// Id of the method.
     pub method: String,
@@ -48,7 +48,7 @@ impl Variant {
     }
 }
 
-/// The file: on which cases, and what.
+/// The ablations file: its cases and its variants.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ablations {

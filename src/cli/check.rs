@@ -1,4 +1,4 @@
-//! `check`: one sentence what is wrong with a folder.
+//! `check`: says in one sentence what is wrong with a folder.
 
 use std::path::PathBuf;
 

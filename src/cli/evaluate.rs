@@ -1,4 +1,4 @@
-//! `evaluate`: scores a folder of predictions, whoever made it.
+//! `evaluate`: scores a folder of predictions of any program.
 
 use std::path::PathBuf;
 use std::sync::Arc;

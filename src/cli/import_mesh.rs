@@ -157,7 +157,7 @@ fn name_of(path: &Path) -> String {
 pub fn run(arguments: &MeshArguments, terminal: &Terminal) -> Result<()> {
     let common = &arguments.common;
     let mesh = common.read(&arguments.mesh)?;
-    // Landmarks are read before the long work, so that a wrong file is said at once.
+    // Landmarks are read before the long work, so that a wrong file is reported at once.
     crate::formats::landmarks::read(&arguments.motion.landmarks)?;
     let path = common.write("airway.ply", &mesh)?;
     let (centerline, line) = common.write_centerline(&mesh, &arguments.mesh)?;

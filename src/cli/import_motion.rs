@@ -35,7 +35,7 @@ pub(super) struct MotionArguments {
     source: String,
 }
 
-/// No motion at all: stands in while the way is planned.
+/// No motion at all: stands in while the route is planned.
 pub(super) fn still_breathing() -> Breathing {
     let field = BreathingField {
         source: String::new(),
@@ -48,7 +48,7 @@ pub(super) fn still_breathing() -> Breathing {
     Breathing { calibre: Calibre::default(), field }
 }
 
-/// Fits, scales to the wanted motion of the way's end, and says how well it went.
+/// Fits, scales to the wanted motion of the route's end, and says how well it went.
 pub(super) fn fit_motion(
     rest: &airway::Anatomy,
     case: &Case,

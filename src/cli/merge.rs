@@ -43,7 +43,7 @@ pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
         if path.exists() {
             environments.insert(part.id.clone(), files::read_json(&path)?);
         }
-        // Of runs that were merged before.
+        // Environments of runs that were merged before.
         let path = folder.join("environments.json");
         if path.exists() {
             environments.extend(files::read_json::<BTreeMap<String, serde_json::Value>>(&path)?);

@@ -111,7 +111,7 @@ pub fn main() -> ExitCode {
     let line = match Line::try_parse() {
         Ok(line) => line,
         Err(refused) => {
-            // Help and version are not errors; a reader that has gone away is none either.
+            // Help and version are not errors; neither is a reader that has gone away.
             let _ = refused.print();
             return ExitCode::from(refused.exit_code() as u8);
         }

@@ -51,7 +51,7 @@ pub fn run(arguments: RenderArguments, terminal: &Terminal) -> Result<()> {
     let (camera, pose) = (file.camera.intrinsics()?, file.camera.pose()?);
     let (scene, build) = measure(|| file.build());
     let mut scene = scene?;
-    // The first one also touches memory for the first time.
+    // The first refit also touches its memory for the first time.
     let refits: Vec<f64> = (0..REFITS).map(|_| scene.refit_seconds()).collect::<Result<_>>()?;
     let bvh_refit_s = refits.iter().copied().fold(f64::INFINITY, f64::min);
     terminal.stage(arguments.scene.display());

@@ -10,7 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::base::{Error, ErrorKind, Progress, Result};
 
-/// Without a terminal, a running stage reports its progress no more often than this.
+/// Least time between two progress lines of a stage when there is no terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Where a command reports. Progress and notes go to standard error, results to standard output.
@@ -35,7 +35,7 @@ impl Terminal {
         let token = Arc::clone(&interrupted);
         ctrlc::set_handler(move || {
             if token.swap(true, Ordering::SeqCst) {
-                // Files are written atomically, so there is nothing to put away.
+                // Files are written atomically, so there is nothing to clean up.
                 std::process::exit(i32::from(ErrorKind::Interrupted.exit_code()));
             }
             eprintln!("stopping at the next frame; press Ctrl-C again to stop at once");

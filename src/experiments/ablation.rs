@@ -24,7 +24,7 @@ pub struct AblationPlan<'a> {
 }
 
 /// Runs the shipped methods and then the variants. `each` is handed all scores so far after every variant, so that a
-/// long run can be looked at, and stopped.
+/// long run can be inspected and stopped.
 pub fn run(
     plan: &AblationPlan<'_>,
     watcher: &dyn ExperimentWatcher,

@@ -1,4 +1,4 @@
-//! A case's airway as a scene of the path tracer, and cameras on the scope's way: what the experiments with the path
+//! A case's airway as a scene of the path tracer, and cameras on the scope's route: what the experiments with the path
 //! tracer render.
 
 use glam::{DAffine3, DVec3};
@@ -10,7 +10,7 @@ use crate::render::{Light, RenderSettings, Scene, render};
 use crate::simulate::material;
 use crate::simulate::trajectory::Route;
 
-/// The airway of a case, which breathes.
+/// The breathing airway of a case.
 pub struct CaseScene {
     /// The scene at the phase that was set last.
     pub scene: Scene,
@@ -33,7 +33,7 @@ impl CaseScene {
     }
 }
 
-/// A camera on the way with its light.
+/// A camera on the route with its light.
 pub struct Viewpoint {
     /// Square image.
     pub camera: Camera,

@@ -1,4 +1,4 @@
-//! How far images and gradients are from others: the errors that the experiments report.
+//! Differences between images and between gradients: the errors that the experiments report.
 
 use crate::splat::{Gradients, Real};
 

@@ -57,7 +57,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of these seconds, in any order.
+    /// The spread of these seconds, in any order.
     pub fn of(seconds: &[f64]) -> Spread {
         let mut sorted = seconds.to_vec();
         sorted.sort_by(f64::total_cmp);
@@ -80,12 +80,12 @@ impl Samples {
         answer
     }
 
-    /// Of the wall clock.
+    /// Spread of the wall-clock times.
     pub fn wall(&self) -> Spread {
         Spread::of(&self.wall_s)
     }
 
-    /// Of the CPU time.
+    /// Spread of the CPU times.
     pub fn cpu(&self) -> Spread {
         Spread::of(&self.cpu_s)
     }
@@ -129,7 +129,8 @@ pub fn repeat(repetitions: usize, mut work: impl FnMut() -> Result<()>) -> Resul
     Ok(samples)
 }
 
-/// So many threads. Time from inside ([`ThreadPool::install`]): how long a thread outside waits is no part of the work.
+/// A pool of `threads` threads. Time from inside ([`ThreadPool::install`]): how long a thread outside waits is no part
+/// of the work.
 pub fn pool(threads: usize) -> Result<ThreadPool> {
     let pool = ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|e| Error::input(format!("cannot start {threads} threads: {e}")))

@@ -1,4 +1,4 @@
-//! The instruction sets that the own C++ is compiled for, and which of them this processor has.
+//! The instruction sets that the C++ is compiled for, and which of them this processor has.
 
 use crate::base::{Error, ErrorKind, Result};
 

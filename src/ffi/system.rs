@@ -35,6 +35,7 @@ pub fn memory_mib() -> f64 {
 /// Resizes a table to `n` entries, on huge pages where it grows large: the first touch of 10 MB in small pages takes as
 /// long as a rendering.
 pub fn grow<T: Clone + Default>(table: &mut Vec<T>, n: usize) {
+    // Bytes of a huge page on x86-64.
     const HUGE: usize = 2 << 20;
     if table.capacity() < n {
         *table = Vec::new();

@@ -124,7 +124,7 @@ mod tests {
         let centre = 8 * 20 + 10;
         assert!((m.mean_a[centre] - 0.25).abs() < 1e-15 && (m.mean_b[centre] - 0.5).abs() < 1e-15);
         assert!(m.variance_a[centre].abs() < 1e-15 && m.covariance[centre].abs() < 1e-15);
-        // Outside is 0, so a corner sees about a quarter of the plane.
+        // Outside is 0, so the window at a corner holds about a quarter of the plane.
         assert!(m.mean_a[0] < 0.12);
         assert!(local_moments(&a, &b[1..], 20, 11, 1.5).is_err());
     }

@@ -13,7 +13,7 @@ use crate::base::{Error, Image, Result, files};
 
 /// Values (pixels times channels) that a file may declare.
 const MAX_VALUES: usize = 1 << 28;
-/// ZIP cannot pack tighter than this: a header that declares more values than its file can hold is damaged.
+/// Most values per byte of a file, since ZIP cannot pack tighter: a header that declares more is damaged.
 const MAX_VALUES_PER_BYTE: usize = 2048;
 
 /// Reads the first layer: channels R, G, B as three channels, or the only channel there is as one.

@@ -40,6 +40,7 @@ struct PropertyColumns {
     rest: Vec<usize>,
 }
 
+/// Properties that every file has, in the order of the columns.
 const FIELDS: [&str; 14] = [
     "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",
     "rot_3",

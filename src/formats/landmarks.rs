@@ -23,6 +23,7 @@ impl LandmarkPair {
     }
 }
 
+/// The columns that are read.
 const COLUMNS: [&str; 6] = ["insp_x", "insp_y", "insp_z", "exp_x", "exp_y", "exp_z"];
 
 /// Reads all pairs of `path`. Columns are found by name, so more columns and any order are fine.

@@ -1,6 +1,6 @@
 //! PLY (Turk 1994; ASCII, binary little- and big-endian): coordinates and faces, every other element and property is
 //! skipped by its declared size. Own reader rather than `ply-rs-bw`: that one allocates what a header announces and
-//! keeps a map per vertex; here a count is held against the bytes that are left before anything is allocated.
+//! keeps a map per vertex; here a count is checked against the remaining bytes before anything is allocated.
 
 use glam::DVec3;
 

@@ -65,7 +65,7 @@ impl TransformsFrame {
 /// The whole file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Transforms {
-    /// `OPENCV` (pinhole; what is meant where none is named) or `OPENCV_FISHEYE`.
+    /// `OPENCV` (pinhole; the default) or `OPENCV_FISHEYE`.
     #[serde(default = "pinhole")]
     pub camera_model: String,
     /// Image width in pixels.

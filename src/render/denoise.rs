@@ -1,8 +1,8 @@
 //! Edge-aware filter of the indirect light: the a-trous wavelet filter of Dammertz et al. (HPG 2010), guided by
 //! geometry alone (normal, position).
 //!
-//! What is filtered is smooth over the wall: the light that arrives there by way of other walls, freed of the wall's
-//! own colour and, roughly, of its falloff with the distance from the lamp. Direct light, albedo and vessels pass
+//! What is filtered is smooth over the wall: the light that arrives there from other walls, freed of the wall's own
+//! colour and, roughly, of its falloff with the distance from the lamp. Direct light, albedo and vessels pass
 //! untouched. Left out: an edge-stopping weight for differences of the filtered light itself; the result is linear in
 //! its input.
 //!
@@ -48,6 +48,8 @@ impl Guides {
     }
 
     /// Weight in [0, 1] of pixel `q` in the mean of pixel `p`.
+    /// `cos^8 / (1 + d^2 / along^2 + h^2 / off^2)^2`: cosine between the normals, distance d, height h above p's
+    /// tangent plane, and the reaches of p (`stops`).
     fn affinity(&self, p: usize, q: usize) -> f32 {
         let [along, off] = self.stops[p];
         if along == 0.0 || self.stops[q][0] == 0.0 {
@@ -62,6 +64,7 @@ impl Guides {
     }
 }
 
+/// Inverse squared reaches of a pixel, along the surface and off it.
 fn stops(position: &[[f32; 3]], width: usize, height: usize, p: usize) -> [f32; 2] {
     let here = position[p];
     let square = dot(here, here);
@@ -86,6 +89,7 @@ fn stops(position: &[[f32; 3]], width: usize, height: usize, p: usize) -> [f32; 
     [1.0 / along, 1.0 / off]
 }
 
+/// Squared distances plus their 5th percentile, which stands for the nearest walls.
 fn falloff(position: &[[f32; 3]]) -> Vec<f32> {
     let squares: Vec<f32> = position.iter().map(|p| dot(*p, *p)).collect();
     let mut sorted: Vec<f32> = squares.iter().copied().filter(|&s| s > 0.0).collect();
@@ -103,6 +107,7 @@ pub fn denoised_indirect(guides: &Guides, mut light: Vec<[f32; 3]>) -> Vec<[f32;
     let scale = |light: &mut [[f32; 3]], by: &dyn Fn(f32) -> f32| {
         light.iter_mut().zip(&guides.falloff).for_each(|(l, &f)| *l = l.map(|v| v * by(f)));
     };
+    // Take the lamp's falloff off, filter with growing steps, and put it on again.
     scale(&mut light, &|f| f);
     for pass in 0..PASSES {
         let step = 1isize << pass;

@@ -15,7 +15,7 @@ use crate::base::random::{CounterRng, Stage};
 use crate::base::{Camera, Error, Image, NoProgress, Progress, Result};
 use crate::ffi::trace::tracer::{FrameSettings, NO_FACE, TileCounters};
 
-/// Larger images would need more than 4 GiB for the film.
+/// Most pixels of an image: more would need over 4 GiB for the film.
 const MAX_PIXELS: u64 = 1 << 24;
 /// A rendered frame.
 #[derive(Clone, Debug)]
@@ -35,13 +35,13 @@ pub struct Statistics {
     pub paths: u64,
     /// Rays of all kinds.
     pub rays: u64,
-    /// Samples per pixel, the mean over the picture's tiles where these have different ones.
+    /// Samples per pixel; the mean over the image's tiles where they differ.
     pub samples_per_pixel: u32,
     /// Samples that were not finite or negative and were left out: a flaw if ever above 0.
     pub rejected_samples: u64,
 }
 
-/// [`render_watched`] with nobody watching.
+/// [`render_watched`] without reports of progress.
 pub fn render(
     scene: &Scene,
     camera: &Camera,

@@ -1,4 +1,4 @@
-//! What the wall is made of, as case and scene files say it.
+//! The wall's material, as case and scene files describe it.
 
 use serde::{Deserialize, Serialize};
 

@@ -11,7 +11,7 @@
 //! | `traced_mesh.h` | the mesh in Embree, rays through it |
 //! | `wall_material.h`, `mucosa.h`, `noise.h` | what the wall is made of, its look, the look's noise |
 //! | `coat.h`, `scatter_walk.h` | reflection by the coat, light inside the wall |
-//! | `surface.h`, `lamp.h` | the wall as a path's vertex sees it, the lamp's light on it |
+//! | `surface.h`, `lamp.h` | the wall at a path's vertex, the lamp's light on it |
 //! | `path.h` | paths |
 //! | `face_light.h`, `known_light.h` | light on faces and at vertices, camera samples that use it |
 //! | `tracer.h` | the border to Rust |
@@ -34,5 +34,5 @@ pub use material::{Boundary, Material, MaterialKind, Subsurface, WalkedVertices}
 pub use scene::Scene;
 pub use settings::{Denoise, Light, RenderSettings, Shading, Transport};
 
-/// Instruction set that Embree is pinned to: others trace the same rays with other last bits.
+/// Instruction set that Embree is pinned to: others round the same rays differently.
 pub const ISA: &str = "avx2";

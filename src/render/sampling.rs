@@ -1,9 +1,9 @@
-//! Samples of the pixels of a picture: a stated number of each, or as many as a stated error needs.
+//! Samples of the pixels of an image: a given number of each, or as many as a given error needs.
 //!
 //! Adaptive: tiles of 16 x 16 pixels. After every round a tile knows two halves of its samples, whose difference tells
-//! the error of their mean; tiles above the target double their samples until the picture's mean error is below it.
-//! (The least samples for a given mean error would go as the square root of a tile's error; doubling comes near.) A
-//! half's error is only an estimate: a tile whose rare bright paths neither half has met stops too early.
+//! the error of their mean; tiles above the target double their samples until the image's mean error is below it. (The
+//! least samples for a given mean error would go as the square root of a tile's error; doubling comes near.) A half's
+//! error is only an estimate: a tile whose rare bright paths neither half has met stops too early.
 
 use rayon::prelude::*;
 
@@ -64,7 +64,7 @@ pub(super) struct TracedView<'a> {
 }
 
 impl SampledImage {
-    /// A picture without samples yet.
+    /// An image without samples yet.
     pub(super) fn new(width: u32, height: u32) -> Self {
         let pixels = width as usize * height as usize;
         let tiles = width.div_ceil(TILE_PX) as usize * height.div_ceil(TILE_PX) as usize;
@@ -104,7 +104,7 @@ impl SampledImage {
         TileRequest { x0, x1, y0, y1, first_sample: self.samples[index], samples }
     }
 
-    /// `samples` more of every pixel of some tiles (pairs of tile and number).
+    /// Adds samples to every pixel of some tiles (pairs of tile and number of samples).
     fn add(&mut self, view: &TracedView, wanted: &[(usize, u32)], counters: &mut TileCounters) -> Result<()> {
         let height = view.frame.height;
         let traced: Vec<(TileRequest, Vec<FilmPixel>, TileCounters)> = wanted
@@ -135,8 +135,8 @@ impl SampledImage {
         (0..self.sums.len()).map(|p| std::array::from_fn(|c| self.radiance(p, c))).collect()
     }
 
-    /// Estimated mean of (error / radiance)^2 of every tile, from the picture `before` and the samples since, which are
-    /// as many: their difference, halved, is as large as the error of their mean.
+    /// Estimated mean of (error / radiance)^2 of every tile, from the image `before` and as many samples since: half
+    /// their difference is as large as the error of their mean.
     fn errors(&self, before: &[RgbSum]) -> Vec<f64> {
         let mut sums = vec![(0.0, 0.0); self.samples.len()];
         for (pixel, first) in before.iter().enumerate() {
@@ -156,7 +156,7 @@ impl SampledImage {
         (0..self.sums.len()).map(|p| errors[self.tile_of(p)]).sum::<f64>() / self.sums.len() as f64
     }
 
-    /// Takes samples in rounds until every tile has as many per pixel as `goals` says.
+    /// Takes samples in rounds until every tile has the number per pixel that `goals` states.
     fn sample(
         &mut self,
         view: &TracedView,

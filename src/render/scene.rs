@@ -73,7 +73,7 @@ impl Scene {
     }
 
     /// Sets the other end of the motion that starts at rest (positions in the world, mm). Light at vertices then
-    /// interpolates between the two ends in which walls see each other; without it, visibility is that at rest.
+    /// interpolates the visibility between walls from the two ends; without it, visibility is that at rest.
     ///
     /// Errors: another number of vertices.
     pub fn set_other_end(&mut self, vertices: &[DVec3]) -> Result<()> {

@@ -13,16 +13,16 @@ use crate::formats::mesh::read as read_mesh;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SceneFile {
-    /// What is seen.
+    /// The mesh.
     pub mesh: MeshSection,
-    /// From where.
+    /// The camera.
     pub camera: CameraSection,
-    /// By which light.
+    /// The lamp.
     pub light: Light,
-    /// What it is made of.
+    /// The wall's material.
     #[serde(default)]
     pub material: Material,
-    /// How well.
+    /// Settings of the light transport.
     #[serde(default)]
     pub integrator: IntegratorSection,
 }
@@ -39,7 +39,7 @@ pub struct MeshSection {
     /// Breathing phase, 0 inspiration to 1 expiration.
     #[serde(default)]
     pub phase: f64,
-    /// Turns all faces around (for meshes whose normals point out of the lumen; only looks from behind depend on it).
+    /// Turns all faces around (for meshes whose normals point out of the lumen; it matters only for views from behind).
     #[serde(default)]
     pub flip: bool,
 }
@@ -80,7 +80,7 @@ pub struct CameraSection {
     pub k4: f64,
 }
 
-/// [`Transport`] in words.
+/// The kinds of [`Transport`] by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TransportName {

@@ -14,7 +14,7 @@ pub struct Light {
     pub position_mm: Option<DVec3>,
     /// Emission profile: in directions that make the angle t with the camera's axis the intensity is `intensity *
     /// max(cos t, 0)^emission_exponent`. 0 is even in all directions (backwards too); 1 is a polished fibre face that
-    /// radiates after Lambert; a fibre bundle of smaller aperture has more ([`Light::exponent_of_half_angle`]).
+    /// radiates by Lambert's law; a fibre bundle of smaller aperture has more ([`Light::exponent_of_half_angle`]).
     #[serde(default)]
     pub emission_exponent: f64,
 }
@@ -86,10 +86,10 @@ pub struct RenderSettings {
     pub max_scatterings: u32,
     /// Camera samples per pixel.
     pub samples_per_pixel: u32,
-    /// With `Some(target)`: tiles double their samples, from `samples_per_pixel`, while their estimated mean of
-    /// (error / radiance)^2 is above `target`, until that of the picture is below it.
+    /// With `Some(target)`: tiles double their samples, from `samples_per_pixel`, while their estimated mean of (error
+    /// / radiance)^2 is above `target`, until that of the image is below it.
     pub target_relmse: Option<f64>,
-    /// Light by way of walls.
+    /// How indirect light is found.
     pub transport: Transport,
     /// Normals.
     pub shading: Shading,

@@ -1,9 +1,9 @@
-//! What light does on the shapes at the two ends of the motion, fixed to the tissue: which faces a face's rays meet,
-//! and where scatter walks through the wall come out. Both are kept, once made, and weighed by how far a shape is on
-//! its way.
+//! Light transport on the shapes at the two ends of the motion, fixed to the tissue: which faces a face's rays meet,
+//! and where scatter walks through the wall come out. Both are made once, kept, and weighted by how far a shape is
+//! between the two ends.
 //!
-//! Rows of walks, one per vertex and end, are a linear map from the light that falls on the faces to the light that
-//! comes out at the vertex. Most of the noise of a few walks is in how much light survives, which hardly differs
+//! The rows of walks, one per vertex and end, form a linear map from the light that falls on the faces to the light
+//! that comes out at the vertex. Most of the noise of a few walks is in how much light survives, which hardly differs
 //! between neighbours: every row is scaled to the mean sum of the rows around it.
 //!
 //! A row is made when a camera first sees its vertex or face, and serves every frame; it depends on the two shapes, the
@@ -52,7 +52,7 @@ pub(super) struct RestShape {
     pub generation: Vec<f32>,
     /// Distance along the airway per vertex.
     pub axial: Vec<f32>,
-    /// Of the wall.
+    /// The wall's material.
     pub material: MaterialSettings,
 }
 
@@ -112,7 +112,7 @@ impl Tissue {
         self.ends.push(MotionEnd::new(vertices, topology));
     }
 
-    /// How far `vertices` are on the way from rest to the other end: 0 to 1, 0 where there is no other end.
+    /// How far `vertices` are from rest to the other end: 0 to 1, 0 where there is no other end.
     pub(super) fn progress(&self, vertices: &[f32]) -> f64 {
         let [rest, other] = &self.ends[..] else { return 0.0 };
         let (mut along, mut whole) = (0.0, 0.0);
@@ -178,7 +178,7 @@ impl Tissue {
         Ok((all, rays))
     }
 
-    /// Makes the rows of `vertices` at `end` that are not there yet. Gives back the number of rays.
+    /// Makes the missing rows of `vertices` at `end`. Returns the number of rays.
     pub(super) fn prepare(
         &self,
         frame: &FrameSettings,

@@ -12,7 +12,7 @@ pub(super) struct Topology {
 }
 
 impl Topology {
-    /// Of a valid mesh.
+    /// The topology of a valid mesh.
     pub(super) fn new(mesh: &TriangleMesh) -> Self {
         let mut offsets = vec![0u32; mesh.vertices.len() + 1];
         mesh.faces.iter().flatten().for_each(|&v| offsets[v as usize + 1] += 1);

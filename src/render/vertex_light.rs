@@ -4,9 +4,9 @@
 //! over the surface, so they are computed once per vertex and interpolated; what is sharp (the lamp on an uncovered
 //! base, the coat's glare, colour, edges) stays with the camera's samples. Recipe per frame:
 //!
-//! 1. The faces around the visible vertices each send some rays after the cosine law; the faces that these meet send
-//!    fewer, and so on for [`DEPTH`] generations: the cost follows what is visible, not the size of the tree. Which faces
-//!    meet which is found once at either end of the breath (`tissue.rs`) and weighed by the phase.
+//! 1. The faces around the visible vertices each send some rays after the cosine law; the faces that these hit send
+//!    fewer, and so on for [`DEPTH`] generations: the cost follows what is visible, not the size of the tree. Which
+//!    faces hit which is found once at each end of the breath (`tissue.rs`) and weighted by the phase.
 //! 2. Every face that a ray meets gets the lamp's irradiance in closed form (one shadow ray).
 //! 3. Jacobi steps of `E = G (sent + R E)` along the recorded rays: all bounces, or as many as were asked for.
 //! 4. Vertices take the mean of the faces around them; with light in the wall also their rows of `tissue.rs`.
@@ -26,15 +26,15 @@ use crate::ffi::trace::tracer::{FaceLight, FacePlace, FrameSettings, Glint, Know
 
 /// Generations of faces that send rays.
 const DEPTH: usize = 4;
-/// Rays per face after the first generation, as a part of the first's.
+/// Divisor of the rays per face in the generations after the first.
 const LATER_PART: u32 = 2;
 /// Edges from a visible vertex over which its light is spread to vertices without any.
 const SPREAD_EDGES: usize = 12;
 /// Faces per task.
 const CHUNK: usize = 64;
-/// The solution is good when no step changes the mean by more than this part.
+/// The solution has converged when a step changes the mean by no more than this fraction.
 const CONVERGED: f64 = 1e-4;
-/// Most steps (white walls converge slowly).
+/// Most Jacobi steps (white walls converge slowly).
 const MOST_STEPS: u32 = 256;
 
 /// The solution.
@@ -86,7 +86,7 @@ impl Generation {
 
 type Rgb = [f32; 3];
 
-/// An uncoated face sends the same to all sides.
+/// An uncoated face sends the same in all directions.
 const EVEN: Glint = Glint { base: 1.0, coat: 0.0 };
 
 /// Light at the vertices of the faces in `visible` ([`NO_FACE`] allowed, and repetitions). `rays_per_face` above 0.
@@ -205,7 +205,7 @@ fn add_glints(scene: &Scene, frame: &FrameSettings, generations: &mut [Generatio
     Ok(())
 }
 
-/// What a face sends to others: by its base to all sides alike, by its coat as a [`Glint`] says.
+/// What a face sends to others: by its base alike in all directions, by its coat as a [`Glint`] says.
 #[derive(Clone, Copy)]
 struct Sent {
     base: Rgb,
@@ -270,8 +270,8 @@ fn step(frame: &FrameSettings, generations: &[Generation], sent: &[Sent]) -> Vec
 }
 
 /// Light that has scattered in the wall below the vertices ([`KnownLight`] without the irradiance). Faces near the lamp
-/// are not lit evenly: there the lamp's unshadowed irradiance is taken at the place where a walk comes out, and what
-/// else there is (shadow, other walls) as even.
+/// are not lit evenly: there the lamp's unshadowed irradiance is evaluated where a walk comes out; shadow and light
+/// from other walls are taken as even over the face.
 fn scattered_light(
     scene: &Scene,
     frame: &FrameSettings,
@@ -333,7 +333,7 @@ fn means_at_vertices(
     for (k, &v) in vertices.iter().enumerate() {
         known[v as usize] = KnownLight { irradiance: [-1.0; 3], ..scattered.get(k).copied().unwrap_or_default() };
     }
-    // Also where the camera does not look: the coat mirrors it, and rays are gathered from there.
+    // Also outside the camera's view: the coat mirrors it, and gathered rays end there.
     let mut counts = vec![0u32; scene.topology.vertex_count()];
     for (&face, light) in faces.list.iter().zip(irradiance) {
         for v in scene.topology.faces[face as usize].map(|v| v as usize) {
@@ -370,7 +370,7 @@ fn set_channels(known: &mut KnownLight, values: VertexChannels) {
 fn sharpen(scene: &Scene, vertices: &[u32], known: &mut [KnownLight]) {
     const SCATTERED: f32 = 1.0 / 2.0;
     const IRRADIANCE: f32 = 2.0 / 3.0;
-    // What is not taken sharply anyway (`KnownLight::lamp_nearby`).
+    // Without the part that camera samples evaluate at their own point anyway (`KnownLight::lamp_nearby`).
     let blunt = |v: u32| -> VertexChannels {
         let values = &known[v as usize];
         let all = channels(values);
@@ -402,8 +402,8 @@ fn sharpen(scene: &Scene, vertices: &[u32], known: &mut [KnownLight]) {
     }
 }
 
-/// Far down a lumen many faces share a pixel and its central ray sees one: what is not known takes the mean of its
-/// known neighbours, some edges far.
+/// Far down a lumen many faces share a pixel, but its central ray hits only one: a vertex without light takes the mean
+/// of its known neighbours, over up to [`SPREAD_EDGES`] edges.
 fn spread(scene: &Scene, vertices: &[u32], known: &mut [KnownLight]) {
     let mut edge = vertices.to_vec();
     for _ in 0..SPREAD_EDGES {

@@ -15,7 +15,7 @@ use crate::score::{CellScore, Metric, paper_metrics};
 pub struct VariantScores {
     /// What is varied; empty for the method as shipped.
     pub group: String,
-    /// To what.
+    /// What it is set to.
     pub setting: String,
     /// Id of the method.
     pub method: String,
@@ -25,6 +25,7 @@ pub struct VariantScores {
     pub failed: usize,
 }
 
+/// Columns of `ablations.csv`.
 const COLUMNS: [&str; 10] =
     ["group", "setting", "method", "metric", "cells", "failed", "mean", "shipped", "difference", "noise"];
 
@@ -50,7 +51,7 @@ fn shipped<'a>(all: &'a [VariantScores], of: &VariantScores) -> Option<&'a Varia
     all.iter().find(|s| s.group.is_empty() && s.method == of.method)
 }
 
-/// Writes both files; `title` names cases and profile. Gives back the path of the Markdown.
+/// Writes both files; `title` names cases and profile. Returns the path of the Markdown.
 pub fn write(all: &[VariantScores], title: &str, folder: &Path) -> Result<PathBuf> {
     let mut rows = Vec::new();
     for scores in all {

@@ -79,7 +79,7 @@ fn verdicts() {
     assert_eq!(verdict(&changed(&good, "ours", "psnr_db", |v| Some(v - 0.2))).len(), 2);
     assert_eq!(verdict(&changed(&good, "ours", "psnr_db", |_| Some(3.0))).len(), 4);
     assert_eq!(verdict(&changed(&good, "bridgesplat-nomesh", "depth_rmse_mm", |v| Some(v * 1.03))).len(), 2);
-    // NaN, infinity and an empty value fail each limit that sees them.
+    // NaN, infinity and an empty value fail each limit that applies to them.
     for bad in [Some(f64::NAN), Some(f64::NEG_INFINITY), None] {
         assert_eq!(verdict(&changed(&good, "ours", "psnr_db", |_| bad)).len(), 4, "{bad:?}");
     }

@@ -1,4 +1,4 @@
-//! `report.md`: the comparison table with the paper's numbers beside ours, every case, failures, pictures.
+//! `report.md`: the comparison table with the paper's numbers beside ours, every case, failures, images.
 
 use std::fmt::Write;
 

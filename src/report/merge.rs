@@ -1,7 +1,7 @@
 //! Merges runs that were made separately: cells from several machines, renewed rows, a third party's predictions beside
-//! the methods. Each is read back from its report folder; a cell that several have is taken from the last.
+//! the methods. Each is read back from its report folder; a cell that several runs have is taken from the last.
 //!
-//! Nothing is recomputed: values, intervals and times are those of the tables. Pictures that need films or predictions
+//! Nothing is recomputed: values, intervals and times are those of the tables. Images that need films or predictions
 //! (panels, contours) are left out.
 
 use std::collections::BTreeMap;
@@ -74,7 +74,7 @@ pub fn read_run(folder: &Path) -> Result<Run> {
     Ok(Run { id, profile, ..gathered(cells) })
 }
 
-/// Merges `parts`; a cell that several have is taken from the last.
+/// Merges `parts`; a cell that several runs have is taken from the last.
 ///
 /// Errors: with [`Films::Same`], two parts that scored different films of one case.
 pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {

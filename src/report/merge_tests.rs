@@ -7,7 +7,7 @@ use super::report_tests::sample_run;
 use super::*;
 use crate::base::NoProgress;
 
-/// A row of fewer cases says so and is nobody's best.
+/// A row of fewer cases says so and is never the best.
 #[test]
 fn a_row_of_fewer_cases_is_marked_and_not_ranked() {
     let folder = tempfile::tempdir().unwrap();

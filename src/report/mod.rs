@@ -46,9 +46,9 @@ pub struct Written {
     pub table: String,
 }
 
-/// Writes every file of the report into `folder`, tables first, so that a picture that cannot be drawn loses no number.
+/// Writes every file of the report into `folder`, tables first, so that an image that cannot be drawn loses no number.
 ///
-/// Errors: an unwritable folder, a sequence or prediction that cannot be read again for the pictures.
+/// Errors: an unwritable folder, a sequence or prediction that cannot be read again for the images.
 pub fn write(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<Written> {
     let summaries = summary::summarise(run);
     tables::write_results(run, &folder.join("results.csv"))?;

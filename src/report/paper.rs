@@ -7,6 +7,7 @@ struct PaperRow {
     values: &'static [(&'static str, f64)],
 }
 
+/// The table, row by row.
 const ROWS: [PaperRow; 4] = [
     PaperRow {
         method: "bridgesplat",

@@ -7,7 +7,7 @@ use super::plots;
 use super::tables::write_csv;
 use crate::base::{Error, Result};
 
-/// Writes `<stem>.csv`, `<stem>.svg` and `<stem>.png` into `folder`; gives back the path of the CSV.
+/// Writes `<stem>.csv`, `<stem>.svg` and `<stem>.png` into `folder`; returns the path of the CSV.
 ///
 /// Errors: no points, points with different extra columns, an unwritable folder.
 pub fn write(chart: &ParetoChart, folder: &Path, stem: &str) -> Result<PathBuf> {

@@ -82,7 +82,7 @@ fn columns(path: &Path) -> Vec<String> {
 #[test]
 fn the_whole_report_is_written_and_says_what_it_should() {
     let folder = tempfile::tempdir().unwrap();
-    // `RESPIRE_BENCH_REPORT=<folder>` keeps a larger report there, for a look at its pictures.
+    // `RESPIRE_BENCH_REPORT=<folder>` keeps a larger report there, for a look at its images.
     let kept = std::env::var_os("RESPIRE_BENCH_REPORT").map(PathBuf::from);
     let (side, frames) = if kept.is_some() { (64, 41) } else { (24, 9) };
     let run = sample_run(folder.path(), side, frames);

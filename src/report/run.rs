@@ -1,4 +1,4 @@
-//! What a report is made of: cells with their scores, and where pictures can be read from.
+//! What a report is made of: cells with their scores, and where images can be read from.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ pub struct Run {
     pub id: String,
     /// Profile name.
     pub profile: String,
-    /// What a reader should know of where the cells come from, a sentence each; none for a single run.
+    /// Notes on the origin of the cells, a sentence each; none for a single run.
     pub notes: Vec<String>,
     /// Cases in order.
     pub cases: Vec<CaseInfo>,
@@ -31,7 +31,7 @@ pub struct CaseInfo {
     pub id: String,
     /// One line; empty when unknown.
     pub title: String,
-    /// Its sequence, for pictures; `None` leaves them out.
+    /// Its sequence, for images; `None` leaves them out.
     pub truth: Option<Arc<dyn Truth>>,
 }
 
@@ -107,7 +107,7 @@ pub struct CellRecord {
     pub method: String,
     /// Seed of the method.
     pub seed: u64,
-    /// Folder of the prediction (pictures are read from it).
+    /// Folder of the prediction (images are read from it).
     pub prediction: PathBuf,
     /// Its score, or why there is none.
     pub outcome: Outcome,
@@ -148,7 +148,7 @@ impl Run {
         self.methods.iter().find(|m| m.id == id)
     }
 
-    /// Scored cells of a case in the order of the methods, the first seed of each: what curves and pictures show.
+    /// Scored cells of a case in the order of the methods, the first seed of each: what curves and images show.
     pub fn shown(&self, case_id: &str) -> Vec<(&MethodInfo, &CellRecord, &CellScore)> {
         let of = |method: &MethodInfo| {
             let mut cells = self.cells.iter().filter(|c| c.case_id == case_id && c.method == method.id);

@@ -33,9 +33,11 @@ pub const RESULTS_COLUMNS: [&str; 19] = [
     "detail",
 ];
 
+/// Columns of `frames.csv`.
 const FRAMES_COLUMNS: [&str; 12] =
     ["run_id", "case_id", "config", "seed", "frame", "file", "time_s", "phase", "split", "metric", "value", "status"];
 
+/// Columns of `timings.csv`.
 const TIMINGS_COLUMNS: [&str; 11] = [
     "run_id",
     "case_id",

@@ -1,4 +1,4 @@
-//! Reads everything that scoring would read, and lists what is there; the first problem is the error.
+//! Reads everything that scoring would read, and lists what it finds; the first problem is the error.
 
 use std::path::Path;
 
@@ -23,7 +23,7 @@ pub struct Contents {
     pub surface: bool,
     /// A run time.
     pub time: bool,
-    /// Frames rendered before they were looked at.
+    /// Frames rendered before the method read their image.
     pub ahead: usize,
     /// Metrics that will have a status instead of a value.
     pub not_applicable: Vec<&'static str>,

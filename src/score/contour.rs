@@ -1,9 +1,9 @@
 //! Target localisation at the final frame: contour RMSE and target error (the paper, "Target localization accuracy").
 //!
-//! True and predicted surface are cut by the final camera's plane; of each the contour around the camera is kept.
+//! True and predicted surface are cut by the final camera's plane; of each cut, the contour around the camera is kept.
 //! Contour RMSE is symmetric: both contours are resampled densely and every sample is measured against the other
 //! polyline. The target error is the displacement of one material point of the true contour (same mesh edge, same
-//! fraction along it), so it also sees motion *along* the wall and along the airway, which the contour cannot.
+//! fraction along it), so it also measures motion *along* the wall and along the airway, which the contour RMSE cannot.
 
 use glam::{DAffine3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -22,9 +22,9 @@ const MAX_SAMPLES: usize = 5000;
 /// Whether a surface's contour runs around the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Enclosure {
-    /// One does.
+    /// A contour does.
     Inside,
-    /// None does; the nearest one was taken.
+    /// None does; the nearest contour was taken.
     Outside,
 }
 
@@ -84,6 +84,7 @@ pub fn target_errors(
     let Some((true_contour, Enclosure::Inside)) = around_camera(slice(truth, &plane))? else { return Ok(None) };
     let predicted_contour = around_camera(slice(predicted, &plane))?;
     let target = CounterRng::new(seed, Stage::Score, &[0]).index(true_contour.cuts.len());
+    // Where each vertex of the true contour lies on the predicted surface.
     let same_topology = predicted.vertices.len() == truth.vertices.len() && predicted.faces == truth.faces;
 
     let from: Vec<DVec3> = true_contour.cuts.iter().map(|c| c.position(&truth.vertices)).collect();
@@ -117,8 +118,8 @@ pub fn target_errors(
     }))
 }
 
-/// Of all cuts the one around the camera (0, 0), by OpenCV's contour analysis: among the closed ones that enclose it
-/// the one of least area; if none does, the one that comes nearest to it.
+/// The cut around the camera (0, 0), by OpenCV's contour analysis: the closed cut of least area that encloses it, or,
+/// if none does, the cut that comes nearest to it.
 fn around_camera(cuts: Vec<Polyline>) -> Result<Option<(Polyline, Enclosure)>> {
     let mut best: Option<(usize, f64)> = None;
     for (index, cut) in cuts.iter().enumerate().filter(|(_, cut)| cut.closed) {

@@ -109,7 +109,7 @@ impl Truth for TubeTruth {
                 depth.pixel_mut(x, y)[0] = ((5.5 - phase) * self.camera.fl_x / offset.max(1.5)).min(60.0) as f32;
             }
         }
-        // A few pixels look out of the far end.
+        // A few pixels show the open far end.
         depth.pixel_mut(0, 0)[0] = 0.0;
         Ok(depth)
     }
@@ -146,7 +146,7 @@ pub struct Distortion {
     pub phase_offset: f64,
     /// The final surface is moved sideways by this.
     pub surface_shift_mm: f64,
-    /// The camera is moved sideways by so many mm, and turned by so many degrees.
+    /// The camera is moved sideways by this many mm and turned by this many degrees.
     pub pose_shift: f64,
     /// Seconds claimed.
     pub seconds: f64,

@@ -14,6 +14,7 @@
 use crate::base::{Image, Mask, Result};
 use crate::ffi::vision::{LocalMoments, local_moments};
 
+/// Side of the window, pixels from its centre to its rim, its sigma, and the constants of SSIM (see above).
 const WINDOW: usize = 11;
 const MARGIN: usize = WINDOW / 2;
 const SIGMA: f64 = 1.5;

@@ -3,7 +3,7 @@
 //! ```text
 //! color/NNNNNN.png               one per frame, 8-bit sRGB, the sequence's size           needed
 //! depth/NNNNNN.{exr,npy,png}     one per frame, z-depth in mm, 0 = none; PNG: 16-bit grey times depth_unit_mm
-//! ahead/NNNNNN.png               renderings made before the frame's image was looked at; any frames
+//! ahead/NNNNNN.png               renderings made before the method read the frame's image; any frames
 //! phase.csv                      frame,phase; one row per frame, 0 = full inspiration, 1 = full expiration
 //! poses.csv                      frame,m00..m23; world_from_camera where the method has poses of its own
 //! mesh/final.ply                 surface at the last frame, mm, the sequence's world
@@ -19,7 +19,7 @@ use serde::Deserialize;
 use crate::base::{Camera, Error, Image, Result, TriangleMesh, files};
 use crate::formats::{depth_png, exr, mesh, npy, png};
 
-/// How depth images are stored, in the order in which they are looked for.
+/// How depth images are stored, in the order of the search.
 const DEPTH_ENDINGS: [&str; 3] = ["exr", "npy", "png"];
 
 /// An opened prediction folder.
@@ -49,7 +49,7 @@ struct TimingFile {
 }
 
 impl Prediction {
-    /// Opens `root` as a prediction of `frames` frames of `camera`: lists what is there and reads the small files.
+    /// Opens `root` as a prediction of `frames` frames of `camera`: lists its contents and reads the small files.
     ///
     /// Errors, each naming the file: a frame missing from a folder that is there, a bad row, a bad value.
     pub fn open(root: &Path, camera: &Camera, frames: usize) -> Result<Self> {
@@ -92,7 +92,7 @@ impl Prediction {
         self.image("color", frame)
     }
 
-    /// Rendering of `frame` made before its image was looked at.
+    /// Rendering of `frame` made before the method read its image.
     pub fn ahead(&self, frame: usize) -> Result<Image<u8>> {
         self.image("ahead", frame)
     }
@@ -179,7 +179,7 @@ fn expect_frames(folder: &Path, ending: &str, frames: usize) -> Result<()> {
     }
 }
 
-/// Of the known endings the one that frame 0 has; `None` without a depth folder.
+/// The known ending that frame 0 has; `None` without a depth folder.
 fn depth_ending(folder: &Path) -> Result<Option<&'static str>> {
     if !folder.is_dir() {
         return Ok(None);

@@ -78,13 +78,13 @@ pub enum Standing {
     Extra,
 }
 
-/// Over what the number is taken.
+/// The frames over which the number is taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Split {
     /// Every frame, rendered after it was fitted (the paper's protocol).
     Online,
-    /// Every eighth frame, rendered before its image was looked at.
+    /// Every eighth frame, rendered before the method read its image.
     Ahead,
     /// The last frame alone.
     Final,
@@ -126,7 +126,7 @@ pub struct Metric {
     pub group: Group,
     /// One of the paper's columns or an extra.
     pub standing: Standing,
-    /// Over what it is taken.
+    /// The frames over which it is taken.
     pub split: Split,
     /// To which predictions it applies.
     pub applies_to: &'static str,
@@ -154,6 +154,7 @@ impl Metric {
     }
 }
 
+// The predictions to which a metric applies, in words.
 const ALL: &str = "every prediction";
 const WITH_DEPTH: &str = "predictions with depth images";
 const WITH_PHASE: &str = "predictions with phase.csv: methods that model the respiratory state";

@@ -28,7 +28,7 @@ impl Plane {
         Plane { origin: world_from_camera.translation, x: axis(DVec3::X), y: axis(DVec3::Y), normal: axis(DVec3::Z) }
     }
 
-    /// Coordinates of `point`'s foot in the plane, mm.
+    /// Coordinates of `point`, projected onto the plane, mm.
     pub fn coordinates(&self, point: DVec3) -> [f64; 2] {
         let offset = point - self.origin;
         [offset.dot(self.x), offset.dot(self.y)]
@@ -74,7 +74,7 @@ pub fn slice(mesh: &TriangleMesh, plane: &Plane) -> Vec<Polyline> {
     let mut polylines = Vec::new();
     for start in starts {
         while let Some((nodes, closed)) = walker.walk(start) {
-            // A face that is there twice gives a loop of two nodes, which encloses nothing.
+            // A face that occurs twice gives a loop of two nodes, which encloses nothing.
             if nodes.len() > 2 || !closed {
                 polylines.push(polyline(mesh, plane, &height, &graph, &nodes, closed));
             }

@@ -1,4 +1,4 @@
-//! What scoring asks of a sequence.
+//! What scoring needs from a sequence.
 
 use crate::base::mesh::interpolate;
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh};

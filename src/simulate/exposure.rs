@@ -1,8 +1,8 @@
 //! Automatic exposure that is known before a frame is rendered, so that frames stay independent.
 //!
 //! A coarse grid of rays gives distance d and slant cos of the wall; radiance there is about albedo I cos / (pi d^2),
-//! times a factor for light that comes by way of other walls, the fibre bundle's profile and the vignette. The gain is
-//! the one that brings the mean *encoded* brightness of that proxy to the target (bisection on a monotone function),
+//! times a factor for light that comes from other walls, the fibre bundle's profile and the vignette. The gain is the
+//! one that brings the mean *encoded* brightness of that proxy to the target (bisection on a monotone function),
 //! followed with a lag and within limits, like the automatic exposure of a scope: the log gain is a damped oscillator
 //! of natural frequency 1 / lag whose damping gives the stated overshoot after a jump (without overshoot: first order).
 //! A seeded slow drift of gain and white balance comes on top. The noise that the gain brings is the sensor's
@@ -19,7 +19,7 @@ use crate::render::{Light, Scene};
 
 /// Rays of the proxy per image side.
 const GRID: usize = 20;
-/// Light by way of other walls: gain over direct light per unit albedo, fitted by eye to rendered frames.
+/// Indirect light: gain over direct light per unit albedo, fitted by eye to rendered frames.
 const INTERREFLECTION: f64 = 1.6;
 /// The gain stays within this factor of the film's median.
 const RANGE: f64 = 8.0;
@@ -59,7 +59,7 @@ pub fn proxy_radiance(
             let normal = across.cross(down).normalize_or_zero();
             let cosine = normal.dot(here.normalize_or_zero()).abs();
             let d2 = here.length_squared();
-            // A ray that leaves the airway sees nothing.
+            // A ray that leaves the airway returns no light.
             let lit = if d2.is_finite() && d2 > 0.0 && cosine.is_finite() { cosine / d2 } else { 0.0 };
             let lit = lit * passed[row * GRID + column];
             radiance.push([0, 1, 2].map(|c| {
@@ -126,7 +126,7 @@ pub fn follow(wanted: &[f64], time_s: &[f64], settings: &ExposureSettings, seed:
         .collect()
 }
 
-/// The middle value (the upper one of two); 0 of nothing.
+/// The middle value (the upper one of two); 0 without values.
 pub fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut sorted: Vec<f64> = values.collect();
     sorted.sort_by(f64::total_cmp);
@@ -151,6 +151,7 @@ impl Follower {
             let m = settings.overshoot.ln();
             let damping = -m / (std::f64::consts::PI.powi(2) + m * m).sqrt();
             let natural = 1.0 / settings.lag_s;
+            // Free oscillation around the goal: level = goal + exp(-decay t) (A cos(swing t) + B sin(swing t)).
             let (decay, swing) = (damping * natural, natural * (1.0 - damping * damping).sqrt());
             let (off, speed) = (self.level - goal, self.speed);
             let (sine, cosine) = (swing * time_s).sin_cos();

@@ -25,7 +25,7 @@ pub struct Film {
     pub camera: Camera,
     /// Truth of every frame.
     pub frames: Vec<FrameRecord>,
-    /// Way travelled from the start of the route to each frame, mm at inspiration.
+    /// Distance travelled along the route to each frame, mm at inspiration.
     pub arc_mm: Vec<f64>,
     /// Distance from the camera to the nearest vertex of the wall at each frame, mm.
     pub clearance_mm: Vec<f64>,
@@ -35,7 +35,7 @@ pub struct Film {
     pub wanted_gain: Vec<f64>,
     /// Gain over the film's middle gain at each frame: drives the noise.
     pub amplification: Vec<f64>,
-    /// Median motion of the picture in pixels while the shutter is open, at each frame; 0 without motion blur.
+    /// Median motion of the image in pixels while the shutter is open, at each frame; 0 without motion blur.
     pub blur_px: Vec<f64>,
     /// Speed of the scope, mm/s.
     pub speed_mm_per_s: f64,
@@ -69,7 +69,7 @@ impl Way {
 impl Film {
     /// Plans the last part of the route, so that the film ends where the scope cannot go further.
     ///
-    /// Errors: no way for the scope; a camera that would leave the lumen (names the frame).
+    /// Errors: no route for the scope; a camera that would leave the lumen (names the frame).
     pub fn plan(case: &Case, anatomy: &Anatomy, settings: &SimulationSettings, material: &Material) -> Result<Film> {
         let route = Route::plan(anatomy, &case.trajectory)?;
         let camera = case.camera.camera(settings.width_px, settings.height_px);
@@ -191,7 +191,7 @@ impl Film {
     }
 }
 
-/// Median motion of the picture in pixels while the shutter is open around `time_s`, by rays of a coarse image.
+/// Median motion of the image in pixels while the shutter is open around `time_s`, by rays of a coarse image.
 fn blur(scene: &Scene, camera: &Camera, anatomy: &Anatomy, way: &Way, time_s: f64, shutter_s: f64) -> Result<f64> {
     if shutter_s <= 0.0 {
         return Ok(0.0);

@@ -1,6 +1,6 @@
-//! What an imperfect registration of the two CTs makes of the expiration mesh: a sum of plane waves with random
-//! directions, phases and amplitudes, smooth over several cm as the residuals of lung registration are, scaled to a
-//! stated root mean square over the vertices.
+//! The error that an imperfect registration of the two CTs leaves in the expiration mesh: a sum of plane waves with
+//! random directions, phases and amplitudes, smooth over several cm as the residuals of lung registration are, scaled
+//! to a stated root mean square over the vertices.
 
 use std::f64::consts::TAU;
 

@@ -36,7 +36,7 @@ pub use settings::{MeshOutput, RadianceOutput, SimulationSettings};
 /// A finished folder with the same content hash is only opened; a half-made one is resumed frame by frame; one of
 /// another content is made anew. The bytes depend on case and settings alone. Frames of the same film that a finished
 /// folder beside `out` holds (films of one case with different errors of the registration) are copied, not rendered.
-/// Errors: the case's (anatomy, way, material), a folder that is no sequence, writing; `Interrupted` between frames.
+/// Errors: the case's (anatomy, route, material), a folder that is no sequence, writing; `Interrupted` between frames.
 pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress: &dyn Progress) -> Result<Sequence> {
     settings.check()?;
     let hash = sequence_hash(case, settings)?;

@@ -11,13 +11,13 @@ use super::sequence;
 /// Frames on the sheet: columns, rows at most.
 const COLUMNS: usize = 6;
 const ROWS: usize = 4;
-/// Widest picture on the sheet and in the animation, in pixels.
+/// Widest image on the sheet and in the animation, in pixels.
 const SHEET_PX: usize = 128;
 const ANIMATION_PX: usize = 96;
-/// Most pictures of the animation, and its greatest rate.
+/// Most images of the animation, and its greatest rate per second.
 const PICTURES: usize = 80;
 const PICTURES_PER_SECOND: f64 = 10.0;
-/// Width of the lines between pictures.
+/// Width of the lines between images.
 const GAP_PX: usize = 2;
 
 /// Writes contact sheet and animation of the film of `frames` frames below `out`.

@@ -124,6 +124,7 @@ fn poisson(mean: f64, random: &mut CounterRng) -> f64 {
         }
         return count;
     }
+    // PTRS, transformed rejection, with the constants of the paper: draw from the hat ...
     let b = 0.931 + 2.53 * mean.sqrt();
     let a = -0.059 + 0.02483 * b;
     let inverse_alpha = 1.1239 + 1.1328 / (b - 3.4);
@@ -133,12 +134,14 @@ fn poisson(mean: f64, random: &mut CounterRng) -> f64 {
         let v = random.uniform();
         let us = 0.5 - u.abs();
         let count = ((2.0 * a / us + b) * u + mean + 0.43).floor();
+        // ... accept most draws at once ...
         if us >= 0.07 && v <= quick {
             return count;
         }
         if count < 0.0 || (us < 0.013 && v > us) {
             continue;
         }
+        // ... and test the others against the Poisson density.
         let logarithm = (v * inverse_alpha / (a / (us * us) + b)).ln();
         if logarithm <= count * mean.ln() - mean - log_factorial(count) {
             return count;

@@ -11,7 +11,7 @@ use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files};
 use crate::formats::transforms::{Transforms, TransformsFrame};
 use crate::formats::{exr, mesh, png};
 
-/// What is known of one frame, truth included.
+/// Record of one frame, truth included.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameRecord {
     /// Time since the first frame in seconds.
@@ -43,7 +43,7 @@ pub struct Sequence {
     mask_path: Option<String>,
 }
 
-/// What `manifest.json` says at least; the rest of it is for people and other programs.
+/// The part of `manifest.json` that this program reads; the rest is for people and other programs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct ManifestHead {
     pub case_id: String,
@@ -105,7 +105,7 @@ pub fn frame_mesh_name(frame: usize) -> String {
 pub const INSPIRATION: &str = "mesh/inspiration.ply";
 /// Surface at full expiration, same faces.
 pub const EXPIRATION: &str = "mesh/expiration.ply";
-/// Surface at full expiration as the registration has it, where the case says that it errs.
+/// Surface at full expiration with the registration's error, where the case has one.
 pub const REGISTERED_EXPIRATION: &str = "mesh/expiration_registered.ply";
 /// Centreline at inspiration.
 pub const CENTERLINE: &str = "centerline.csv";

@@ -51,7 +51,7 @@ pub struct SimulationSettings {
 }
 
 impl SimulationSettings {
-    /// Refuses what no film can have.
+    /// Refuses settings that no film can have.
     pub(super) fn check(&self) -> Result<()> {
         let size = |v: u32| (1..=8192).contains(&v);
         if !size(self.width_px) || !size(self.height_px) || self.samples_per_pixel == 0 {

@@ -13,7 +13,7 @@ use super::identity::film_hash;
 use super::sequence;
 use super::settings::SimulationSettings;
 
-/// What a manifest says of the film it stands beside.
+/// The part of a manifest that identifies its film.
 #[derive(Deserialize)]
 struct FilmManifest {
     film_hash: Option<String>,
@@ -73,7 +73,7 @@ fn find(case: &Case, wanted: &str, out: &Path) -> Option<(PathBuf, FilmManifest)
     })
 }
 
-/// A file of that film, if it is what it was when it was finished.
+/// A file of that film, if it is unchanged since the film was finished.
 fn intact(folder: &Path, name: &str, manifest: &FilmManifest) -> Option<Vec<u8>> {
     let content = files::read_bytes(&folder.join(name)).ok()?;
     (manifest.files.get(name)? == &hash::of_bytes(&content)).then_some(content)

@@ -50,8 +50,8 @@ impl Shot {
     }
 }
 
-/// Renders every frame that is not there yet. A frame's image is written last, so an image means a whole frame; it is
-/// written while the next one is rendered.
+/// Renders every frame that is missing. A frame's image is written last, so an image means a whole frame; it is written
+/// while the next one is rendered.
 pub(super) fn shoot(
     case: &Case,
     anatomy: &Anatomy,

@@ -1,10 +1,10 @@
-//! The scope's way: from the trachea along the centreline to a seeded end, carried by the airway as it breathes.
+//! The scope's route: from the trachea along the centreline to a seeded end, carried by the airway as it breathes.
 //!
-//! The centreline is a tree, so the shortest way is the chain of parents. A way ends where the lumen, at inspiration or
-//! at expiration, gets narrower than the scope. The chain is resampled by arc length at inspiration; positions are
-//! smoothed a little and the optical axis a lot (Gaussians over arc length), with the same weights in both breath
-//! holds, so a pose at phase alpha is a pose on the centreline of the mesh at alpha. The image's up is carried along
-//! without twist, starting from the patient's front. Left out: the scope's own weight and bending.
+//! The centreline is a tree, so the shortest route is the chain of parents. A route ends where the lumen, at
+//! inspiration or at expiration, gets narrower than the scope. The chain is resampled by arc length at inspiration;
+//! positions are smoothed a little and the optical axis a lot (Gaussians over arc length), with the same weights in
+//! both breath holds, so a pose at phase alpha is a pose on the centreline of the mesh at alpha. The image's up is
+//! carried along without twist, starting from the patient's front. Left out: the scope's own weight and bending.
 
 use glam::{DAffine3, DVec3};
 
@@ -14,20 +14,21 @@ use crate::base::camera::world_from_camera_looking;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Error, Result, mesh};
 
-/// Spacing of the resampled way, and widths of the two smoothings, mm.
+/// Spacing of the resampled route, and widths of the two smoothings, mm.
 const SPACING_MM: f64 = 0.5;
 const POSITION_SIGMA_MM: f64 = 2.0;
 const AXIS_SIGMA_MM: f64 = 5.0;
-/// The way stops this far before the closed end of the last branch.
+/// The route stops this far before the closed end of the last branch.
 const END_MARGIN_MM: f64 = 14.0;
-/// And starts this far below the trachea's cut top.
+/// The route starts this far below the trachea's cut top.
 const START_MARGIN_MM: f64 = 6.0;
-/// Among the ends in the wanted region, those whose way has this part of the longest way's length are drawn from.
+/// Among the ends in the wanted region, one is drawn from those whose route has at least this part of the longest
+/// route's length.
 const LONG_ENOUGH: f64 = 0.75;
-/// Phases at which the clearance of the whole way is checked.
+/// Phases at which the clearance of the whole route is checked.
 const CHECKED_PHASES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 
-/// A smooth way through the lumen, known in both breath holds.
+/// A smooth route through the lumen, known in both breath holds.
 #[derive(Clone, Debug)]
 pub struct Route {
     inspiration: Vec<DVec3>,
@@ -40,12 +41,12 @@ pub struct Route {
 }
 
 impl Route {
-    /// Plans the way of `settings` through `anatomy`.
+    /// Plans the route of `settings` through `anatomy`.
     ///
     /// Errors: no branch of the wanted region is wide enough for the scope.
     pub fn plan(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<Route> {
         let (chain, passable_mm) = choose_chain(anatomy, settings)?;
-        // Smoothed as far as the branch goes, so that the last axis of the way still looks ahead.
+        // Smoothed as far as the branch goes, so that the route's last axis still points ahead.
         let route = Route::along(anatomy, &chain);
         let good = route.wide_stretch(anatomy, settings.scope_radius_mm, passable_mm);
         if good.len() < (10.0 / SPACING_MM) as usize {
@@ -63,7 +64,7 @@ impl Route {
         (self.inspiration.len() - 1) as f64 * SPACING_MM
     }
 
-    /// Camera pose in the scanner's frame, `arc_mm` along the way, in the airway at `phase`.
+    /// Camera pose in the scanner's frame, `arc_mm` along the route, in the airway at `phase`.
     pub fn pose(&self, arc_mm: f64, phase: f64) -> DAffine3 {
         let at = |points: &[DVec3], arc_mm: f64| {
             let t = (arc_mm / SPACING_MM).clamp(0.0, (points.len() - 1) as f64);
@@ -82,7 +83,7 @@ impl Route {
         self.generation[((arc_mm / SPACING_MM).round().max(0.0) as usize).min(self.generation.len() - 1)]
     }
 
-    /// How far the end of the way moves between the breath holds, mm.
+    /// How far the end of the route moves between the breath holds, mm.
     pub fn end_motion_mm(&self) -> f64 {
         let last = self.inspiration.len() - 1;
         self.inspiration[last].distance(self.expiration[last])

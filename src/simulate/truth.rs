@@ -1,4 +1,4 @@
-//! Ground truth per frame that is written on request: what is known of the wall at each pixel's central ray.
+//! Ground truth per frame that is written on request: the wall at each pixel's central ray.
 
 use glam::{DAffine3, DVec3};
 use serde::{Serialize, Serializer};
@@ -70,7 +70,7 @@ impl Serialize for TruthSet {
     }
 }
 
-/// The wall as one frame sees it.
+/// The wall visible in one frame.
 pub struct VisibleWall<'a> {
     points: Vec<Option<SurfacePoint>>,
     width: usize,
@@ -115,8 +115,8 @@ impl<'a> VisibleWall<'a> {
         })
     }
 
-    /// Median over the pixels of the way in pixels that the visible tissue moves over the image from one state of
-    /// camera and airway to another; 0 where nothing is visible in both.
+    /// Median distance in pixels that the visible tissue moves over the image from one state of camera and airway to
+    /// another; 0 where nothing is visible in both.
     pub fn image_motion_px(&self, camera: &Camera, from: (&DAffine3, f64), to: (&DAffine3, f64)) -> f64 {
         let image_point = |point: &SurfacePoint, (pose, phase): (&DAffine3, f64)| {
             let [a, b] = [&self.rest.vertices[..], self.other].map(|v| point.on(v, &self.rest.faces));

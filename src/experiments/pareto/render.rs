@@ -1,7 +1,7 @@
 //! Time against error of the path tracer's modes.
 //!
 //! The error is relMSE, the mean of `(x - r)^2 / (r^2 + 1e-4 m^2)`, to a reference r with unlimited bounces, m its
-//! mean; the reference's own noise, estimated from its two halves, is taken off. The cost is CPU time, which other
+//! mean; the reference's own noise, estimated from its two halves, is subtracted. The cost is CPU time, which other
 //! work on the machine disturbs least.
 
 use crate::airway::{self, case::Case};
@@ -37,7 +37,7 @@ pub fn chart(points: Vec<ParetoPoint>) -> ParetoChart {
     ParetoChart { cost: "CPU seconds per frame", error: "relMSE to unlimited bounces", points }
 }
 
-/// Every mode with its powers of two of samples, on the frame in the middle of a case's way.
+/// Every mode with its powers of two of samples, on the frame in the middle of a case's route.
 pub fn points(case: &Case, sweep: &RenderSweep, watcher: &dyn ExperimentWatcher) -> Result<Vec<ParetoPoint>> {
     watcher.stage_starts(&format!("{}: reference", case.id));
     let subject = Subject::new(case, sweep)?;

@@ -1,5 +1,5 @@
-//! What skipping saves: each thing that the core or the optimiser leaves out switched off, one at a time, turn by turn
-//! with the default: CPU time without the skip over that with it, and how far image and gradients are from the
+//! What skipping saves. Each skip of the core and the optimiser is switched off, one at a time, and timed turn by turn
+//! with the default: CPU time without the skip over that with it, and the difference of image and gradients from the
 //! default's.
 
 use crate::base::Result;
@@ -37,12 +37,12 @@ impl SkipSaving {
     }
 }
 
-/// With the skip and without.
+/// Rasterisers with the skip and without.
 fn pair() -> [Rasterizer<f32>; 2] {
     [Rasterizer::new(), Rasterizer::new()]
 }
 
-/// Image and the worst group of gradients of the second rasteriser against the first.
+/// Relative differences between the two: image, and worst group of gradients.
 fn change([with, without]: &[Rasterizer<f32>; 2]) -> [f64; 2] {
     let image = relative_l2(&widened(&without.rendered().color), &widened(&with.rendered().color));
     let (found, truth) = (gradient_groups(without.gradients()), gradient_groups(with.gradients()));
@@ -51,6 +51,7 @@ fn change([with, without]: &[Rasterizer<f32>; 2]) -> [f64; 2] {
     [image, worst.fold(0.0, f64::max)]
 }
 
+/// Name of a timed forward and backward pass.
 const BOTH: &str = "forward + backward";
 
 /// A switch of the rasteriser.
@@ -62,7 +63,7 @@ fn switch(skipped: &'static str, skip: Skips, scene: &TimedScene, repetitions: u
     Ok(SkipSaving::new(skipped, BOTH, samples, change(&pair)))
 }
 
-/// Gradients of groups that a step does not learn, left out.
+/// Leaves out the gradients of groups that a step does not learn.
 fn frozen(skipped: &'static str, wanted: Wanted, scene: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
     let mut pair = pair();
     let samples = in_turns(repetitions, |k, samples| {
@@ -94,7 +95,7 @@ fn one_direction(scene: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
     Ok(SkipSaving::new("gradients where one direction is asked for (JVP)", "forward + derivative", samples, change))
 }
 
-/// Splats and lists of before, for new colours on the same geometry.
+/// Reuses the splats and lists of the previous pass for new colours on the same geometry.
 fn unchanged_geometry(scene: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
     let mut pair = pair();
     pair[0].reuse(Reuse::Unchanged);

@@ -5,7 +5,7 @@ use crate::base::Result;
 use crate::splat::Fault;
 use crate::splat::gradient_check::{CentralDifferences, GradientCase, LANE_LIMIT};
 
-/// How the rows of the faults begin.
+/// Prefix of the rows of the faults.
 pub(super) const FAULT: &str = "seeded fault";
 /// Scenes of the check.
 const SCENES: u64 = 75;

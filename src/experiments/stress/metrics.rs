@@ -11,6 +11,7 @@ use crate::score::depth::depth_errors;
 use crate::score::image_quality::{Psnr, psnr, psnr_ceiling, ssim};
 use crate::score::statistics::{bootstrap_series, pearson};
 
+/// Size of the test frames in pixels, and the largest error that passes.
 const WIDTH: usize = 32;
 const HEIGHT: usize = 24;
 const LIMIT: f64 = 1e-6;

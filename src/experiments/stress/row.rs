@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-/// One item and what came of it.
+/// One item and its outcome.
 #[derive(Clone, Debug, Serialize)]
 pub struct StressRow {
     /// What was tried.

@@ -197,7 +197,7 @@ pub(super) fn modes() -> Vec<StressItem> {
     items
 }
 
-/// Discs that hang on a mesh of bad triangles, at a phase: the discs are placed in single precision, and the phase is
+/// Discs anchored to a mesh of bad triangles, at a phase: the discs are placed in single precision, and the phase is
 /// exactly 0 or 1 where a method could start or stop.
 pub(super) fn anchored() -> Vec<StressItem> {
     let mut items = Vec::new();

@@ -100,8 +100,8 @@ mod bridge {
         max_scatterings: u32,
         /// Interpolated instead of geometric normals.
         smooth: bool,
-        /// What is known at vertices lights what a camera sample's first ray or scatter walk meets, and not what the
-        /// camera sees.
+        /// The light at vertices is used where a camera sample's first ray or scatter walk ends, not where the camera
+        /// looks.
         gathers: bool,
         /// Radians that a pixel spans.
         pixel_angle: f32,
@@ -146,22 +146,22 @@ mod bridge {
         direct: [f32; 3],
         /// All other light.
         indirect: [f32; 3],
-        /// Of that, what the base sends, over its albedo.
+        /// The part of `indirect` that the base sends, over its albedo.
         indirect_base: [f32; 3],
-        /// Of that, what the coat mirrors.
+        /// The part of `indirect` that the coat mirrors.
         indirect_coat: [f32; 3],
         /// Albedo of the base.
         albedo: [f32; 3],
         /// Smooth normal, world axes.
         normal: [f32; 3],
-        /// Samples that have met the wall.
+        /// Samples that have hit the wall.
         hits: f32,
     }
 
     /// Light at a vertex; negative where it is not known.
     #[derive(Clone, Copy, Debug, Default, PartialEq)]
     struct KnownLight {
-        /// What the base sends of light that has scattered in the wall, over its albedo and times pi.
+        /// Light that the base sends after scattering in the wall, over its albedo and times pi.
         scattered: [f32; 3],
         /// Irradiance by other walls.
         irradiance: [f32; 3],
@@ -171,14 +171,14 @@ mod bridge {
         lamp_nearby: [f32; 3],
     }
 
-    /// What the lamp does to a face, and what the face does with light.
+    /// The lamp's light on a face, and how the face reflects light.
     #[derive(Clone, Copy, Debug, Default, PartialEq)]
     struct FaceLight {
         /// The lamp's irradiance.
         irradiance: [f32; 3],
-        /// What the base sends on of it (radiosity).
+        /// The part of it that the base reflects (radiosity).
         sent: [f32; 3],
-        /// Part of other light that is sent on to all sides alike.
+        /// Fraction of other light that is reflected alike in all directions.
         reflectance: [f32; 3],
         /// Centre.
         centre: [f32; 3],
@@ -188,7 +188,7 @@ mod bridge {
         mirrored_lamp: f32,
         /// The same of other light.
         mirrored_other: f32,
-        /// The lamp's irradiance if nothing stood in its way.
+        /// The lamp's irradiance without shadows.
         unshadowed: [f32; 3],
         /// The face is so near the lamp that its light is not even over it.
         uneven: bool,
@@ -197,9 +197,9 @@ mod bridge {
     /// What a face sends along a ray.
     #[derive(Clone, Copy, Debug, Default, PartialEq)]
     struct Glint {
-        /// By its base, over the mean to all sides (under its coat less at a flat angle).
+        /// By its base, over the mean of all directions (under a coat, less at grazing angles).
         base: f32,
-        /// By its coat of light from the lamp's side: radiance times pi over the irradiance from there.
+        /// By its coat, of light from the lamp's side: radiance times pi, over the irradiance from there.
         coat: f32,
     }
 
@@ -330,7 +330,7 @@ mod bridge {
     }
 }
 
-/// In place of a face: nothing was hit.
+/// The face index where nothing was hit.
 pub const NO_FACE: u32 = u32::MAX;
 
 /// Scatter walks through the wall, the same number for every vertex.
@@ -338,7 +338,7 @@ pub const NO_FACE: u32 = u32::MAX;
 pub struct ScatterWalks {
     /// Vertex after vertex.
     pub exits: Vec<ScatterExit>,
-    /// Per vertex: by how much the mean weight of the same walks below a flat surface is above what is known of it.
+    /// Per vertex: the mean weight of the same walks below a flat surface, less its known value.
     pub flat_excess: Vec<[f32; 3]>,
     /// Rays that it took.
     pub rays: u64,
@@ -417,15 +417,15 @@ impl MeshTracer {
         self.0.cast(origins, directions, distances).map_err(failed)
     }
 
-    /// What the lamp does to faces, and the number of rays that it took.
+    /// The lamp's light on faces, and the number of rays that it took.
     pub fn lamp_on(&self, frame: &FrameSettings, faces: &[u32]) -> Result<(Vec<FaceLight>, u64)> {
         let mut light = vec![FaceLight::default(); faces.len()];
         let rays = self.0.lamp_on_faces(frame, faces, &mut light).map_err(failed)?;
         Ok((light, rays))
     }
 
-    /// What the rays of the faces at the places `to` of `light` bring, each from the face that it meets (place in
-    /// `from`, [`NO_FACE`] for none; the same number for each of `to`). Left alone where there is no coat.
+    /// What the rays of the faces `light[to]` bring, each from the face `light[from]` that it hits ([`NO_FACE`] for
+    /// none; the same number of rays for each of `to`). Does nothing where there is no coat.
     pub fn glints(
         &self,
         frame: &FrameSettings,
@@ -438,7 +438,7 @@ impl MeshTracer {
     }
 
     /// Per face the faces that `hits.len() / faces.len()` rays from it meet ([`NO_FACE`] where one leaves the mesh);
-    /// gives back the number of rays.
+    /// returns the number of rays.
     pub fn gather(&self, frame: &FrameSettings, faces: &[u32], hits: &mut [u32]) -> Result<u64> {
         self.0.gather(frame, faces, hits).map_err(failed)
     }
@@ -458,7 +458,7 @@ impl MeshTracer {
         Ok(ScatterWalks { exits, flat_excess, rays })
     }
 
-    /// The lamp's irradiance at places if nothing stood in its way.
+    /// The lamp's irradiance at places, without shadows.
     pub fn unshadowed(&self, frame: &FrameSettings, places: &[FacePlace]) -> Result<Vec<[f32; 3]>> {
         let mut irradiance = vec![[0.0; 3]; places.len()];
         self.0.unshadowed(frame, places, irradiance.as_flattened_mut()).map_err(failed)?;

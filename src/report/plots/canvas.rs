@@ -140,8 +140,8 @@ pub fn on_bitmap<'a>(
     page.present().map_err(failed)
 }
 
-/// A line of names with their colours along the top of `area`, broken where it does not fit; never over data.
-/// Gives back what is left of the area.
+/// A line of names with their colours along the top of `area`, broken where it does not fit; never over data. Returns
+/// the rest of the area.
 pub fn legend<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, entries: &[(String, RGBColor)]) -> Drawn<Area<DB>, DB> {
     let (width, _) = area.dim_in_pixel();
     let style = pen.text(13.0);

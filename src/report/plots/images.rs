@@ -20,6 +20,7 @@ const ABSENT: [u8; 3] = [255, 0, 170];
 /// Where there is no truth.
 const NO_TRUTH: [u8; 3] = [255, 255, 255];
 
+/// Layout in pixels: margin, heading row, foot row, label column, colour bar.
 const MARGIN: usize = 6;
 const HEAD: usize = 26;
 const FOOT: usize = 24;

@@ -1,5 +1,5 @@
-//! Cost against error, one panel per subject, both axes logarithmic; the front as a line, the default as a ring. What
-//! has no error at all (a reference) stands on the lower edge.
+//! Cost against error, one panel per subject, both axes logarithmic; the front as a line, the default as a ring. A
+//! point without any error (a reference) stands on the lower edge.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -90,7 +90,7 @@ impl Figure for ParetoPlot<'_> {
     }
 }
 
-/// Three digits and no more zeros than needed.
+/// Three significant digits, without trailing zeros.
 fn short(value: &f64) -> String {
     if *value >= 1e-3 && *value < 1e5 { format!("{value}") } else { format!("{value:.0e}") }
 }
