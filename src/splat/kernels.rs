@@ -80,7 +80,7 @@ pub trait SplatKernels: Real {
     }
 
     /// Projects a chunk; with `moving` its velocities along that direction too, which only a type with
-    /// [`VelocityKernels`] is asked for.
+    /// `VelocityKernels` is asked for.
     fn project(
         scene: &KernelScene<'_, Self>,
         tiling: &Tiling,

@@ -31,7 +31,7 @@ fn pose<T: Real>(view: &View) -> ([[T; 3]; 3], [T; 3]) {
 
 impl<T: Real> Gaussians<T> {
     /// Unit normals in camera axes, three values per Gaussian, turned towards the camera: features for
-    /// [`Rasterizer::render_channels`]. Of a disc the normal of its axes, of an ellipsoid the direction of its shortest
+    /// `Rasterizer::render_channels`. Of a disc the normal of its axes, of an ellipsoid the direction of its shortest
     /// axis; 0 where there is none.
     pub fn normals(&self, view: &View) -> Vec<T> {
         let (m, eye) = pose::<T>(view);

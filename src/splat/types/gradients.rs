@@ -62,7 +62,7 @@ pub struct Gradients<T> {
     pub opacities: Vec<T>,
     /// Of the features of the further channels, Gaussian by Gaussian.
     pub channels: Vec<T>,
-    /// Of the SH coefficients, laid out as in [`Gaussians`].
+    /// Of the SH coefficients, laid out as in `Gaussians`.
     pub sh: Vec<T>,
     /// Of a small motion of the camera, `camera_from_world <- exp(xi) camera_from_world` with
     /// `xi = (omega, tau)`: rotation vector (rad) and translation (mm) in camera axes.

@@ -9,7 +9,7 @@ pub struct Rendered<T> {
     pub height: usize,
     /// `height * width * 3`, with background and gain.
     pub color: Vec<T>,
-    /// `height * width`: z-depth in mm as asked for ([`DepthOutput`]); the means are divided by alpha, 0 where it is 0.
+    /// `height * width`: z-depth in mm as asked for (`DepthOutput`); the means are divided by alpha, 0 where it is 0.
     pub depth: Vec<T>,
     /// `height * width`: 1 minus what is left of the light from behind.
     pub alpha: Vec<T>,
