@@ -1,6 +1,6 @@
 // From splats to the lists of tiles, a band of tile rows at a time: splats are distributed to the bands that their
 // boxes meet; each band is sorted by depth (stable radix sort) and counted out to its tiles. Plain code for any
-// x86-64: what it waits for is memory and branches, not arithmetic. The plain twin is in src/splat/plain/bins.rs.
+// x86-64, since memory and branches limit it, not arithmetic. The plain twin is in src/splat/plain/bins.rs.
 #include "cpp/splat/bin.h"
 
 #include <algorithm>
@@ -24,7 +24,7 @@ struct Box {
   std::uint32_t width() const { return x1 - x0 + 1; }
 };
 
-// What a band knows of a splat while it is sorted by its number in the band.
+// The data of a splat in a band, indexed by its number in the band while these numbers are sorted.
 struct Record {
   std::uint32_t corner, size;  // first cell of its box; its height << 16 | its width
   std::uint32_t slot, splat;   // slot of the first cell
@@ -101,8 +101,8 @@ void bin_count(const BinSplats& chunk, std::uint32_t shift, rust::Slice<std::uin
   const std::array<std::uint32_t, 2>* boxes = chunk.boxes.data();
   std::uint32_t* start = starts.data();
   if (!n || !std::memchr(visible, 1, n)) return;
-  // Differences: what begins and ends with each band and with each row of tiles. The number of bands and rows that a
-  // box meets would be a loop whose end the processor cannot predict.
+  // Differences: counts that begin and end with each band and each row of tiles. A loop over the bands and rows of a
+  // box would have an end that the processor cannot predict.
   std::uint32_t all = 0, sum = 0, band_changes[BANDS + 1] = {}, row_changes[(BANDS << MAX_SHIFT) + 1];
   const std::uint32_t height = 1u << shift;
   std::fill_n(row_changes, BANDS * height + 1, 0u);
@@ -178,8 +178,7 @@ void bin_fill(const BinItems& all, Band band) {
   std::uint32_t *const offset = band.offsets.data(), *const entry = band.entries.data(),
                        *const target = band.targets.data();
   const std::size_t item_count = all.items.size(), stride = tiles_x + 1;
-  // The changes of the number of entries at each tile: what begins and ends there, so that sums along rows and columns
-  // count the entries of each.
+  // The changes of the number of entries at each tile, so that sums along rows and columns count the entries of each.
   std::vector<std::uint32_t> cursors(stride * (high - low + 1), 0);
   std::uint32_t* const cursor = cursors.data();
   std::uint32_t least = ~0u, most = 0;

@@ -6,7 +6,7 @@
 
 namespace respire {
 
-// Bands of tile rows that an image has at most; the same as in src/ffi/splat/bin.rs.
+// Largest number of bands of tile rows in an image; the same as in src/ffi/splat/bin.rs.
 constexpr std::size_t BANDS = 16;
 
 // The records of src/ffi/splat/bin.rs, which explains them.

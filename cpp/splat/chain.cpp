@@ -166,7 +166,8 @@ struct ChainKernel {
       for (V& v : pose) v = V{};
       for (V& v : lens) v = V{};
       if (through_position || shapes) {
-        // By the covariance, from the gradient G by the conic Q: -Q G Q; then by the u of which it is the sum.
+        // Gradient by the covariance, -Q G Q from the gradient G by the conic Q; then by the u, whose outer products
+        // sum to the covariance.
         const V a = g.conic[0], b = g.conic[1], c = g.conic[2];
         const V ga = -0.5f * m[SXX], gb = -0.5f * m[SXY], gc = -0.5f * m[SYY];
         const V e0 = a * ga + b * gb, e1 = a * gb + b * gc, e2 = b * ga + c * gb, e3 = b * gb + c * gc;

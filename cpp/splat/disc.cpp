@@ -38,7 +38,7 @@ constexpr float HALF_LOG2_E = 0.72134752044448170f;
 constexpr float MISSED = 1e9f;
 
 // U vectors of pixels, each with a disc of its own: where the rays meet the disc's plane, and alpha before the clamp
-// (`raw`, 0 below ALPHA_MIN). `s`, `u` and `over` = 1 / N.d are 0 where the screen filter counts and not the plane.
+// (`raw`, 0 below ALPHA_MIN). `s`, `u` and `over` = 1 / N.d are 0 where the screen filter replaces the plane.
 template <int U>
 struct DiscSamples {
   V dx[U], dy[U], tx[U], ty[U], rx[U], ry[U], rz[U], over[U], s[U], u[U], square[U], depth[U], raw[U];

@@ -3,8 +3,8 @@
 //
 //   color = gain (C + T background),  alpha = 1 - T,  depth = D / alpha (0 where alpha is 0).
 //
-// Adjoint: the gradients by C and D, and `behind`, the loss that all splats of the pixel and the background bring,
-// from which the backward kernels take off splat by splat (src/splat/plain/tile.rs).
+// Adjoint: the gradients by C and D, and `behind`, the contribution of all splats of the pixel and the background,
+// from which the backward kernels subtract splat by splat (src/splat/plain/tile.rs).
 #include "cpp/splat/image.h"
 
 #include <emmintrin.h>
@@ -153,7 +153,7 @@ std::array<double, 3> splat_adjoint(rust::Slice<const float> state, const TilePl
           "tables of an image differ in length");
   const __m128 one = _mm_set1_ps(1.0f), zero = _mm_setzero_ps();
   const Formation by(formation);
-  // A slice asks Rust for its pointer each time; null where there is none.
+  // A slice asks Rust for its pointer each time; null if it is empty.
   const float* const states = state.data();
   const float* const colors = image.color.empty() ? nullptr : image.color.data();
   const float* const depths = image.depth.empty() ? nullptr : image.depth.data();
@@ -210,7 +210,7 @@ std::array<double, 3> splat_adjoint(rust::Slice<const float> state, const TilePl
     }
   }
   if (colors) {
-    // What the next tile will read: its lines are too short for the processor to predict them.
+    // Prefetch what the next tile will read: its lines are too short for the processor to predict them.
     const bool wraps = x0 + SIDE >= width;
     const std::size_t x = wraps ? 0 : x0 + SIDE, top = wraps ? y0 + SIDE : y0, bottom = std::min(height, top + SIDE);
     for (std::size_t y = top; y < bottom; ++y)

@@ -156,8 +156,8 @@ bool composite(const ForwardTile& t, const std::uint32_t* list, int count, float
   return alive;
 }
 
-// Composites a tile, CHUNK entries at a time: their lists stay in the first cache, and little is distributed in vain
-// once all pixels have stopped.
+// Composites a tile, CHUNK entries at a time: their lists stay in the first-level cache, and few entries are
+// distributed in vain once all pixels have stopped.
 template <bool WITH_Z, int K, bool KNOWN>
 void forward_tile(const ForwardTile& t) {
   constexpr std::size_t CHUNK = 192, ROOM = CHUNK + 16;  // `distribute` writes sixteen at a time
@@ -227,7 +227,7 @@ inline void store_sums(const V* v, float* slot) {
 #endif
 
 // Entries of the backward pass whose alphas are evaluated before their sums: 16, so that a batch (16 KB) stays in the
-// first cache.
+// first-level cache.
 constexpr int BATCH = 16;
 
 // The pairs of an entry of a batch and a block that it may touch, entry after entry, with 2^exponent of their pixels (0
@@ -280,8 +280,8 @@ struct EntryBlocks {
   }
 };
 
-// With v = (dL/d red, green, blue, depth sum) of a pixel and `behind` what the splats behind the current one still
-// bring:
+// With v = (dL/d red, green, blue, depth sum) of a pixel and `behind` the contribution of the splats behind the current
+// one:
 //
 //   value = v . (red, green, blue, depth);  behind' = behind - weight value
 //   dL/d log(alpha) = alpha (T value - behind' / (1 - alpha))
@@ -315,8 +315,8 @@ void backward_tile(const BackwardTile& t) {
       float* slot = slots + 16 * static_cast<std::size_t>(targets[first + e]);
       const float* q = rows + 16 * static_cast<std::size_t>(entries[first + e]);
       if (pairs.starts[e] == pairs.starts[e + 1]) {
-        // No block: one entry in eleven of the scene of the timings (src/splat/check/tube.rs). Most lie behind blocks that
-        // have stopped, some in corners of boxes that the ellipse does not reach.
+        // No block: one entry in eleven of the timing scene (src/splat/check/tube.rs). Most lie behind blocks that have
+        // stopped, some in corners of boxes that the ellipse does not reach.
         for (int k = 0; k < PARTS; ++k) store(slot + LANES * k, V{});
         continue;
       }
@@ -362,7 +362,7 @@ void backward_tile(const BackwardTile& t) {
       const V moments[12] = {s, sx, sy, sxx, sxy, syy, sz, V{}, sr, sg, sb, V{}};
       store_sums(moments, slot);
     }
-    // Blocks whose pixels have all stopped take no part any more.
+    // Drop blocks whose pixels have all stopped.
     for (std::uint32_t todo = alive; todo; todo &= todo - 1) {
       const int block = __builtin_ctz(todo);
       bool goes_on = false;

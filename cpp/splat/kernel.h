@@ -2,13 +2,13 @@
 // The interface between the dispatcher (rasterize.cpp) and the kernels (project.cpp, chain.cpp, kernel.cpp,
 // disc.cpp), whose sources are compiled once per instruction set. Plain pointers and no library headers: code
 // compiled for a wider instruction set must not leave inline functions behind that the linker could pick for
-// everybody.
+// other code.
 #include <cstddef>
 #include <cstdint>
 
 namespace respire {
 
-// Columns of a splat's row; src/splat/plain/project.rs explains them.
+// Columns of a splat's row; `at` in src/splat/types/table.rs explains them.
 enum RowColumn {
   X,
   Y,
@@ -27,7 +27,7 @@ enum RowColumn {
   X_REST,
   Y_REST
 };
-// Moments of an entry (a splat in a tile); src/splat/plain/tile.rs explains them.
+// Moments of an entry (a splat in a tile); `moment` in src/splat/types/table.rs explains them.
 enum MomentColumn { S, SX, SY, SXX, SXY, SYY, SDEPTH, SPAD, SRED, SGREEN, SBLUE };
 // Velocity of a splat along a direction, times ln 2: d log(alpha) = (VX + VXX dx + VXY dy) dx + (VY + VYY dy) dy.
 enum VelocityColumn { VX, VY, VXX, VXY, VYY, VRED, VGREEN, VBLUE };
@@ -50,7 +50,7 @@ struct View {
   bool compensate;                           // opacities are multiplied by sqrt(det / det dilated)
   bool fisheye;                              // or else a pinhole
   float lens[4];                             // distortion of a fisheye
-  float cone_cosine, cone_sine, cone_reach;  // of the cone that a fisheye sees, and how far beyond it splats reach
+  float cone_cosine, cone_sine, cone_reach;  // cone of a fisheye's field of view, and how far beyond it splats reach
 };
 
 // The same in double precision, for centres.
@@ -140,7 +140,7 @@ enum DiscColumn {
   DISC_LOW = DISC_SLOPE + 2,
   DISC_HIGH = DISC_LOW + 2
 };
-// Columns of the sums of an entry (`sum` of src/splat/plain/disc_tile.rs).
+// Columns of the sums of an entry (`disc_sum` in src/splat/types/table.rs).
 enum DiscSum {
   SUM_S,
   SUM_RED,

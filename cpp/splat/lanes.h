@@ -1,8 +1,8 @@
 #pragma once
 // A vector of LANES floats as wide as the instruction set that a file is compiled for, in GCC vector extensions, with
 // the operations that those lack; transposition between tables of records and vectors of fields; dual numbers of
-// vectors. Everything has internal linkage: code compiled for a wider instruction set must not be picked by the
-// linker for everybody.
+// vectors. Everything has internal linkage: the linker must not pick code compiled for a wider instruction set for
+// other files.
 #include <immintrin.h>
 
 #include <cstddef>
@@ -151,7 +151,7 @@ inline VD add_halves_in_double(V v) {
 }
 
 #if defined(__AVX512F__)
-// Join: LANES / 4 vectors of four to one; split: the other way.
+// join: LANES / 4 vectors of four to one; split: the inverse.
 inline V square_root(V v) { return (V)_mm512_sqrt_ps((__m512)v); }
 inline VD square_root(VD v) { return (VD)_mm512_sqrt_pd((__m512d)v); }
 inline V join(const __m128* p) {

@@ -1,4 +1,4 @@
-// The dispatcher of the photometric loss: checks what Rust hands over and calls the kernel of one instruction set.
+// The dispatcher of the photometric loss: checks the arguments from Rust and calls the kernel of one instruction set.
 #include "cpp/splat/loss.h"
 
 #include "cpp/common/isa.h"

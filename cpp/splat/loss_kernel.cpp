@@ -1,12 +1,12 @@
-// L1 + SSIM with gradient: (1 - w) |x - y| + w (1 - S), S after Wang et al. 2004 (Eq. 13), as in src/reconstruct/loss/
-// photometric.rs, which is the plain twin and gives the equations. Compiled once per instruction set.
+// L1 + SSIM with gradient: (1 - w) |x - y| + w (1 - S), S after Wang et al. 2004 (Eq. 13). The plain twin, which gives
+// the equations, is src/reconstruct/fitting/loss/photometric.rs. Compiled once per instruction set.
 //
-// One sweep over the lines of an image, all three channels as they lie (red, green, blue by turns, so that a
-// neighbour is three values away). A group of lines is blurred down (along columns) from the images themselves, then
-// across (along lines), and turned into the derivatives of S by the three blurs. These are kept in a ring of lines
-// until the next group is there, are blurred down and across the same way, and make the gradient. Two things decide
-// about time: lines are blurred down in groups, which share most of what they load from the second cache; and what is
-// blurred down is blurred across a strip later, while it is still in the first.
+// One sweep over the lines of an image, with the three channels interleaved (so that a neighbour is three values
+// away). A group of lines is blurred down (along columns) from the images themselves, then across (along lines), and
+// turned into the derivatives of S by the three blurs. These are kept in a ring of lines until the next group is
+// computed, are then blurred down and across in the same way, and give the gradient. Two choices determine the speed:
+// lines are blurred down in groups, which share most of their loads from the second-level cache; and a strip that was
+// blurred down is blurred across while it is still in the first-level cache.
 #include "cpp/splat/loss_kernel.h"
 #include "cpp/splat/lanes.h"
 

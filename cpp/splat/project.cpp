@@ -9,7 +9,7 @@ namespace RESPIRE_ISA {
 namespace {
 
 // Centres in camera axes and on screen, computed in double and rounded once, so that neither the order of splats nor
-// their places depend on rounding. `rest`: what rounding takes from the places on screen.
+// their positions depend on rounding. `rest`: the rounding error of the positions on screen.
 template <template <class> class Camera>
 inline void project_exactly(const Scene& s, const V* position, V* t, V* point, V* rest) {
   const double *r = s.exact.rotation, *eye = s.exact.eye;
@@ -140,13 +140,13 @@ struct ProjectionKernel {
     return __builtin_convertvector(min(max(v * TILES_PER_PX, V{}), broadcast(static_cast<float>(tiles) - 1.0f)), VI);
   }
 
-  // Conservative bounds with which groups out of sight are skipped before anything else is known of them.
+  // Conservative bounds by which groups out of view are skipped before anything else is computed.
   struct SkipBounds {
-    float root;        // standard deviations that a splat whose opacity is no more than 1 reaches, and a thousandth
+    float root;        // reach of a splat of opacity 1 in standard deviations, plus a thousandth
     float base_error;  // error of heights above the near plane (mm), apart from what large coordinates add
-    // A pinhole sees what lies between two planes through the eye for each axis of the image; outwards from these a
-    // splat with the largest standard deviation s reaches no further than by_size s + by_error times the error of its
-    // centre.
+    // The field of view of a pinhole lies between two planes through the eye for each axis of the image. Beyond these
+    // a splat with the largest standard deviation s reaches no further than by_size s + by_error times the error of
+    // its centre.
     float sides[2][2][3], by_size[2], by_error[2];
 
     explicit SkipBounds(const View& w) {
@@ -173,8 +173,8 @@ struct ProjectionKernel {
 
   // Splats that surely lie beside the image, before their covariance is known. With s the largest standard deviation,
   // half a box of a pinhole is at most root (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in
-  // the centre, which is known to `error`. For a fisheye the distance from the cone that it sees is tested
-  // (`Exact::cone` in src/splat/plain/lens.rs).
+  // the centre, which is known to `error`. For a fisheye the distance from the cone of its field of view is tested
+  // (`cone` in src/splat/plain/exact_camera.rs).
   template <int COLUMNS>
   VI surely_beside(const LaneGroup& group, const V* offset, V height, V error, const SkipBounds& bounds) const {
     const View& w = s.view;
@@ -290,7 +290,7 @@ struct ProjectionKernel {
       evaluate_color<N, DEGREE>(g.direction, sh, color);
       visible &= finite(value(color[0]) + value(color[1]) + value(color[2]));
       if constexpr (MOVING) VelocityKernel{s, *o.motion}.write_rows(group, g, color);
-      // The row (`at` in src/splat/plain/project.rs).
+      // The row (`at` in src/splat/types/table.rs).
       V row[16];
       row[X] = point[0], row[Y] = point[1];
       row[A] = 0.5f * LOG2_E * value(g.conic[0]), row[B] = LOG2_E * value(g.conic[1]),

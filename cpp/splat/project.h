@@ -1,6 +1,6 @@
 #pragma once
 // Projection of LANES Gaussians at once, after EWA splatting (Zwicker et al. 2001) as 3DGS does it, for values (V)
-// and for values with a derivative (Dual). The plain twin, which also explains the symbols, is src/splat/plain/project.rs:
+// and for values with a derivative (Dual). The plain twin, src/splat/plain/project.rs, also explains the symbols:
 //
 //   t = R (p - eye),  c_k = R m_k,  u_k = J c_k
 //   covariance on screen = sum_k u_k u_k^T + dilation I,  conic = its inverse
@@ -11,7 +11,7 @@ namespace RESPIRE_ISA {
 namespace {
 
 constexpr float LOG2_E = 1.4426950408889634f;
-constexpr float REACH = 7.994353436858858f;  // log2(255): so far, in powers of 2, is an alpha of 1/255 below 1
+constexpr float REACH = 7.994353436858858f;  // log2(255): how far an alpha of 1/255 lies below 1, in powers of 2
 
 // One component of a vector in camera axes.
 template <class N>

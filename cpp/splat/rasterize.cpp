@@ -1,5 +1,5 @@
-// The dispatcher of the vectorised rasteriser: checks what Rust hands over, once a call, fills the plain structs of
-// kernel.h and calls the kernels of one instruction set.
+// The dispatcher of the vectorised rasteriser: checks the arguments from Rust once per call, fills the plain structs
+// of kernel.h and calls the kernels of one instruction set.
 #include "cpp/splat/rasterize.h"
 
 #include <algorithm>
@@ -76,7 +76,7 @@ ExactView exact_view_of(const SplatExactCamera& camera) {
   return view;
 }
 
-// The scene as the kernels see it, of which numbers first..first + count exist.
+// The scene as the kernels take it; checks that numbers first..first + count exist.
 Scene scene_of(const SplatScene& s, std::size_t first, std::size_t count) {
   const std::size_t n = s.opacities.size(), columns = s.scales.empty() ? 6 : 4;
   const std::size_t basis = (s.sh_degree + 1) * (s.sh_degree + 1);
@@ -145,7 +145,7 @@ DiscTile disc_tile_of(const SplatDiscs& d) {
   return tile;
 }
 
-// What a transmittance is compared with; none is as small as -1.
+// The threshold for a pixel's transmittance; -1, which none reaches, if pixels do not stop.
 float stop_of(std::uint32_t parts) { return parts & ENDLESS ? -1.0f : STOP; }
 
 }  // namespace

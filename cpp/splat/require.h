@@ -4,7 +4,7 @@
 
 namespace respire {
 
-// Throws where tables that Rust hands over do not belong together: cxx turns that into an error there.
+// Throws if tables from Rust do not fit together; cxx turns that into an error on the Rust side.
 inline void require(bool good, const char* what) {
   if (!good) throw std::invalid_argument(what);
 }

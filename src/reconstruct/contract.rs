@@ -1,14 +1,14 @@
-//! What a method may see and what it answers: the contract between the protocol and the methods.
+//! The inputs and outputs of a method: the contract between the protocol and the methods.
 //!
-//! Protocol (the paper's, online): frames arrive in order; the method fits frame `t` and hands back its rendering
-//! of it. Every eighth frame is also rendered *before* its image is looked at (`ahead`).
+//! Protocol (the paper's, online): frames arrive in order; the method fits frame `t` and returns its rendering
+//! of it. Every eighth frame is also rendered *before* its image may be used (`ahead`).
 
 use glam::DAffine3;
 
 use super::settings::{Listing, MethodHeader};
 use crate::base::{Camera, Error, Image, Mask, Progress, Result, TriangleMesh};
 
-/// What a method asks to see beyond images, times, camera and poses.
+/// What a method asks for beyond images, times, camera and poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Access {
     /// The expiration mesh (a second CT).
@@ -21,16 +21,16 @@ pub struct Access {
     pub poses: PoseAccuracy,
 }
 
-/// How well the poses are known that a method is handed.
+/// Accuracy of the poses given to a method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseAccuracy {
-    /// As they are: the paper's assumption.
+    /// Exact: the paper's assumption.
     True,
     /// Wrong by 2 mm and 3 degrees ([`super::rough_poses()`]).
     Rough,
 }
 
-/// What a method is handed.
+/// The inputs of a method.
 #[derive(Clone, Debug)]
 pub struct Observation {
     /// Intrinsics.
@@ -41,7 +41,7 @@ pub struct Observation {
     pub time_s: Vec<f64>,
     /// 8-bit sRGB images, one per frame.
     pub images: Vec<Image<u8>>,
-    /// Which pixels of the images hold a picture; `None` where all do.
+    /// Mask of the valid pixels of the images; `None` if all are valid.
     pub mask: Option<Mask>,
     /// CT surface at inspiration; normals point into the lumen.
     pub inspiration: TriangleMesh,
@@ -56,12 +56,12 @@ pub struct Observation {
 }
 
 impl Observation {
-    /// A weight per pixel for losses; `None` where all count alike.
+    /// A weight per pixel for losses; `None` if all count alike.
     pub fn pixel_weights(&self) -> Option<Vec<f32>> {
         self.mask.as_ref().map(Mask::weights)
     }
 
-    /// Whether pixel `index` (row-major) holds a picture.
+    /// Whether pixel `index` (row-major) is valid.
     pub fn shows(&self, index: usize) -> bool {
         self.mask.as_ref().is_none_or(|mask| mask.shows(index))
     }
@@ -109,11 +109,11 @@ pub struct FramePrediction {
     pub phase_deviation: Option<f64>,
     /// Estimated pose, where the method has one of its own.
     pub world_from_camera: Option<DAffine3>,
-    /// Rendering made before the frame's image was looked at (every eighth frame).
+    /// Rendering made before the frame's image was used (every eighth frame).
     pub ahead: Option<Image<f32>>,
 }
 
-/// What remains when all frames are done.
+/// Results after the last frame.
 #[derive(Clone, Debug, Default)]
 pub struct Reconstruction {
     /// Airway surface at the last frame, where the method keeps one.
@@ -124,7 +124,7 @@ pub struct Reconstruction {
 
 /// A reconstruction method.
 pub trait Reconstruct: Send + Sync {
-    /// What its file says, whatever its kind.
+    /// The header of its file, which every kind has.
     fn header(&self) -> &MethodHeader;
 
     /// Its id in tables and folders.
@@ -137,10 +137,10 @@ pub trait Reconstruct: Send + Sync {
         self.header().listing
     }
 
-    /// What it asks to see.
+    /// What it asks for.
     fn access(&self) -> Access;
 
-    /// Fits all frames in order, handing each answer to `emit`.
+    /// Fits all frames in order, passing each answer to `emit`.
     fn run(
         &self,
         observation: &Observation,

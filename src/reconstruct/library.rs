@@ -157,7 +157,7 @@ mod tests {
         folder
     }
 
-    /// What is said of the method `id` after `from` has become `to` in its file.
+    /// The error for the method `id` after `from` has been replaced by `to` in its file.
     fn refusal(folder: &Path, id: &str, from: &str, to: &str) -> String {
         let path = folder.join(format!("{id}.toml"));
         let good = std::fs::read_to_string(&path).unwrap();

@@ -1,10 +1,10 @@
-//! The methods. Each is handed an [`Observation`]: what it may see, and nothing else.
+//! The methods. Each gets an [`Observation`], which holds what it may use and nothing else.
 //!
-//! The floors of this room; each imports from those above it only:
+//! The floors of this room; each imports only from those above it in the table:
 //!
 //! | floor | holds |
 //! |---|---|
-//! | `contract`, `settings`, `activation` | what a method may see and must answer, and its numbers |
+//! | `contract`, `settings`, `activation` | inputs and outputs of a method, and its numbers |
 //! | `online`, `observe`, `rough_poses`, `prediction` | the protocol, from the sequence to the prediction |
 //! | `geometry` | the mesh at a phase: visible faces, depth, image pyramid, rigid motions, neighbours |
 //! | `fitting` | building blocks: optimiser, losses, discs and free Gaussians, light, memory of colours |

@@ -1,5 +1,5 @@
-//! From a sequence to what a method may see of it (images, times, camera, poses, one CT; more only on request): the
-//! one place where the truth is held back.
+//! From a sequence to the inputs of a method (images, times, camera, poses, one CT; more only on request): the one
+//! place where the truth is held back.
 
 use glam::DAffine3;
 use rayon::prelude::*;

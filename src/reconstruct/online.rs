@@ -1,5 +1,5 @@
 //! The protocol that all methods share: frames in order, each timed alone; every eighth one is rendered before
-//! its image is looked at.
+//! its image may be used.
 
 use std::time::Instant;
 
@@ -11,7 +11,7 @@ use super::contract::FramePrediction;
 /// Every eighth frame is held out.
 const HELD_OUT_PERIOD: usize = 8;
 
-/// Whether `frame` is rendered before its image is looked at.
+/// Whether `frame` is rendered before its image may be used.
 pub fn held_out(frame: usize) -> bool {
     frame % HELD_OUT_PERIOD == HELD_OUT_PERIOD - 1
 }
@@ -35,14 +35,14 @@ pub fn fit_in_order(
     Ok(seconds)
 }
 
-/// The answer that the last rendering gives for `frame`, of a method that estimates neither phase nor pose.
+/// The answer for `frame` from the last rendering, for a method that estimates neither phase nor pose.
 pub fn rendered_prediction(frame: usize, rasterizer: &Rasterizer<f32>, ahead: Option<Image<f32>>) -> FramePrediction {
     let color = color_image(rasterizer);
     let depth_mm = depth_image(rasterizer.rendered(), color.width, color.height);
     FramePrediction { frame, color, depth_mm, phase: None, phase_deviation: None, world_from_camera: None, ahead }
 }
 
-/// The rendered colour, cut to what an image can show.
+/// The rendered colour, clamped to the range of an image.
 pub fn color_image(rasterizer: &Rasterizer<f32>) -> Image<f32> {
     let rendered = rasterizer.rendered();
     let data = rendered.color.iter().map(|v| v.clamp(0.0, 1.0)).collect();

@@ -1,6 +1,6 @@
 //! The PREDICTION folder: `color/NNNNNN.png`, `depth/NNNNNN.exr`, `ahead/NNNNNN.png`, `phase.csv` (with
-//! `phase_sd` where the method knows it), `mesh/final.ply`, `timing.json`. Frames are written as they come;
-//! what is known only at the end follows.
+//! `phase_sd` if the method estimates it), `mesh/final.ply`, `timing.json`. Frames are written as they come, the rest
+//! at the end.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use crate::formats::{exr, mesh, png};
 
 use super::contract::{FramePrediction, Observation, Reconstruct};
 
-/// Frames that wait to be written together: on all threads, and while no method is timed.
+/// Number of frames that are written together, on all threads, while the method's clock is stopped.
 const BATCH: usize = 16;
 
 #[derive(Serialize)]

@@ -1,6 +1,6 @@
-//! Poses as a tracker in the tip of the scope would give them, for methods that do not take poses for granted:
-//! each is off by a motion of the camera in its own axes whose size stays [`SHIFT_MM`] and [`TURN_DEG`] and
-//! whose direction turns slowly, once in [`TURNAROUND_S`]. A constant offset and a drift at once.
+//! Poses as a tracker in the tip of the scope would give them, for methods that do not assume exact poses. The error
+//! of each is a motion of the camera in its own axes with the constant size [`SHIFT_MM`] and [`TURN_DEG`] and a
+//! direction that turns slowly, once in [`TURNAROUND_S`]. It thus acts as an offset and a drift at once.
 
 use std::f64::consts::TAU;
 
@@ -8,11 +8,11 @@ use glam::{DAffine3, DQuat, DVec3};
 
 use crate::base::random::{CounterRng, Stage};
 
-/// Distance of each given place from the true one.
+/// Distance of each given position from the true one.
 pub const SHIFT_MM: f64 = 2.0;
 /// Angle of each given orientation from the true one.
 pub const TURN_DEG: f64 = 3.0;
-/// Seconds in which the direction of the error comes round.
+/// Seconds for one revolution of the error's direction.
 const TURNAROUND_S: f64 = 30.0;
 
 /// Two random unit vectors at right angles.

@@ -1,4 +1,4 @@
-//! Discs that live on the triangles of a deforming mesh, and the way back of their gradients.
+//! Discs on the triangles of a deforming mesh, and the backward pass of their gradients.
 //!
 //! Centre: `sum_j lambda_j v_j`, `lambda = softmax(logits)` (RESPIRE, Eq. 2). Axes, either
 //! - [`DiscFrame::InheritStretch`]: two tangents, perpendicular unit vectors on the triangle *at rest*, are carried
@@ -80,7 +80,7 @@ fn unit_normal<T: Real>(e1: [T; 3], e2: [T; 3]) -> ([T; 3], T) {
     if inverse.is_finite() { (n.map(|v| v * inverse), inverse) } else { ([T::zero(), T::zero(), T::one()], T::zero()) }
 }
 
-/// True where the shortest arc from +z to `n` is no longer defined and the x axis is turned about.
+/// True where the shortest arc from +z to `n` is undefined; a half turn about the x axis replaces it.
 fn points_back<T: Real>(n: [T; 3]) -> bool {
     n[2] < T::of(-0.999999)
 }
@@ -172,7 +172,7 @@ impl<T: Real> Anchors<T> {
         self.face.is_empty()
     }
 
-    /// Lengths only: this runs at every call, and the inactive cost nothing.
+    /// Checks lengths only, since this runs at every call and inactive anchors must cost nothing.
     fn check(&self, carrier: Carrier<'_, T>) -> Result<()> {
         let n = self.len();
         let limits = self.log_scale_limits.len();
@@ -256,7 +256,7 @@ impl<T: Real> Anchors<T> {
         Ok(())
     }
 
-    /// Velocities of the positions and axes of the active discs (those of the others stay what they are) when the
+    /// Velocities of the positions and axes of the active discs (those of the others stay unchanged) when the
     /// vertices move by `displacement` per unit of phase: the derivative of [`Anchors::place`], for
     /// [`super::Motion`]. `positions` and `axes` get one entry per anchor.
     ///
@@ -302,7 +302,7 @@ impl<T: Real> Anchors<T> {
         Ok(())
     }
 
-    /// Gradients of logits and log scales, one per active anchor, from those of positions and axes.
+    /// Gradients of logits and log scales, one per active anchor, from the gradients of positions and axes.
     pub fn pullback(
         &self,
         gradients: &Gradients<T>,
@@ -362,7 +362,7 @@ impl<T: Real> Anchors<T> {
         ]
     }
 
-    /// Gradient of every mesh vertex (all of them, zeros where no active disc hangs), summed in the order of the discs.
+    /// Gradient of every mesh vertex (zero for vertices without an active disc), summed in the order of the discs.
     pub fn vertex_pullback(
         &self,
         gradients: &Gradients<T>,

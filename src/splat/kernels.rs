@@ -1,7 +1,7 @@
-//! Which code does the work of a stage: [`SplatKernels`] has the stages of a pass on a chunk of Gaussians, on a tile, on a
-//! row of tiles. Its default bodies are the plain ones (`plain/`), which `f64` and [`Dual`] keep; `f32` calls the
-//! vectorised C++ (`cpp/splat/`) where the instruction set and the footprint allow. Nothing else in the core knows
-//! which of them runs.
+//! Which code runs a stage: [`SplatKernels`] has the stages of a pass on a chunk of Gaussians, on a tile, on a row of
+//! tiles. Its default bodies are the plain ones (`plain/`), which `f64` and [`Dual`] keep; `f32` calls the vectorised
+//! C++ (`cpp/splat/`) where the instruction set and the footprint allow. No other code in the core depends on which
+//! of them runs.
 
 use crate::ffi::isa::Isa;
 use crate::ffi::splat::image::{self as native_image, ImageBand, ImageFormation, PixelGradients, TilePlace};
@@ -21,19 +21,19 @@ use super::plain::tile::{self, BackwardTile, ForwardTile, Parts};
 use super::types::table::DiscSums;
 use super::types::{Direction, Filter, Footprint, Gaussians, ImageGradient, Shape, Skips, Tiling, Wanted};
 
-/// A scene seen by a camera, as the kernels take it.
+/// A scene and its camera, as the kernels take them.
 pub struct KernelScene<'a, T> {
     pub gaussians: &'a Gaussians<T>,
     pub projector: &'a Projector<T>,
     /// Which Gaussians take part; `None` for all.
     pub active: Option<&'a [u32]>,
     isa: Isa,
-    /// Where C++ does the work: the camera as it takes it, in single and in double precision.
+    /// The camera in the form that C++ takes, in single and in double precision; `None` if the plain code runs.
     camera: Option<(SplatCamera, SplatExactCamera)>,
 }
 
 impl<'a, T: SplatKernels> KernelScene<'a, T> {
-    /// `gaussians`, or those of them in `active`, to be worked on by the kernels of `isa`.
+    /// `gaussians`, or those in `active`, to be processed by the kernels of `isa`.
     pub fn new(isa: Isa, gaussians: &'a Gaussians<T>, projector: &'a Projector<T>, active: Option<&'a [u32]>) -> Self {
         let vectorised = T::VECTORISED && isa != Isa::Scalar && projector.footprint == Footprint::Ewa;
         KernelScene { gaussians, projector, active, isa, camera: vectorised.then(|| native_camera(projector)) }
@@ -54,8 +54,8 @@ type SplatVelocities<T> = fn(&KernelScene<'_, T>, usize, &[bool], &Direction<'_,
 /// The vectorised kernels that carry velocities along with the image.
 pub struct VelocityKernels<T> {
     pub velocities: SplatVelocities<T>,
-    /// Composites one tile together with the velocities of its pixels along up to four directions; velocities have
-    /// one row per splat, direction by direction, pixels red, green, blue and transmittance of each direction.
+    /// Composites one tile together with the velocities of its pixels along up to four directions. The input has one
+    /// row per splat, direction by direction; the output red, green, blue and transmittance per pixel and direction.
     pub forward: fn(Isa, &mut ForwardTile<'_, T>, &Velocities<T>, &mut [T]),
     /// Velocities of a row of tiles, to lines of the velocity of the colour along one direction.
     pub develop: fn(&[T], DevelopedDirection, &ImageFormation, &mut [T]),
@@ -79,8 +79,8 @@ pub trait SplatKernels: Real {
         values.iter().all(|v| v.is_finite())
     }
 
-    /// Projects a chunk; with `moving` its velocities along that direction too, which only a type with
-    /// `VelocityKernels` is asked for.
+    /// Projects a chunk; with `moving` also computes its velocities along that direction, which is requested only of
+    /// a type with `VelocityKernels`.
     fn project(
         scene: &KernelScene<'_, Self>,
         tiling: &Tiling,
@@ -106,12 +106,12 @@ pub trait SplatKernels: Real {
         chunk.fill(scene.projector, scene.gaussians, scene.active, from, wanted, faults)
     }
 
-    /// The kernels for velocities in this scene; `None` where dual numbers have to do it.
+    /// The kernels for velocities in this scene; `None` if dual numbers are needed.
     fn velocity_kernels(_scene: &KernelScene<'_, Self>) -> Option<VelocityKernels<Self>> {
         None
     }
 
-    /// Composites one tile: here the colour of its pixels is decided.
+    /// Composites one tile: computes the colour of its pixels.
     fn forward_tile(_isa: Isa, tile: &mut ForwardTile<'_, Self>) {
         tile::forward(tile);
     }
@@ -226,7 +226,7 @@ impl SplatKernels for f32 {
         native::chain(scene.isa, &native_scene, &moments, out)
     }
 
-    /// Not of `Filter::Compensate`, which lets opacities move: the velocity of a splat has no place for that.
+    /// Not for `Filter::Compensate`, under which opacities change: the velocity of a splat has no column for that.
     fn velocity_kernels(scene: &KernelScene<'_, f32>) -> Option<VelocityKernels<f32>> {
         (scene.camera.is_some() && scene.projector.filter == Filter::Dilate).then_some(VelocityKernels {
             velocities: vector_velocities,
@@ -340,7 +340,7 @@ fn native_camera<T: Real>(projector: &Projector<T>) -> (SplatCamera, SplatExactC
 }
 
 impl KernelScene<'_, f32> {
-    /// As C++ takes it; `None` where the plain twin does the work.
+    /// As C++ takes it; `None` if the plain twin runs.
     fn native(&self) -> Option<SplatScene<'_>> {
         let (camera, exact_camera) = self.camera.as_ref()?;
         let (shape, scales): (&[f32], &[f32]) = match &self.gaussians.shape {
@@ -382,7 +382,7 @@ fn native_discs<'a>(tile: &DiscTile<'a, f32>) -> SplatDiscs<'a> {
     }
 }
 
-/// A direction as C++ takes it; `pose` is room for that of the camera, which stands still where no splat moves.
+/// A direction as C++ takes it. `pose` is storage for the motion of the camera.
 fn motion_of<'m>(direction: &Direction<'m, f32>, pose: &'m mut [f32; 6]) -> SplatMotion<'m> {
     match direction {
         Direction::Motion(m) => {

@@ -10,20 +10,20 @@
 //! A pixel's colour is decided in `plain/tile.rs`, function `forward`, and for exact discs in `plain/disc_tile.rs`; for
 //! `f32` in their vectorised twins `cpp/splat/kernel.cpp` and `cpp/splat/disc.cpp`.
 //!
-//! The folders are floors; each imports only from those before it, and files of a floor import each other in no circle:
+//! The folders are floors: each imports only from those before it, and imports within a floor have no cycles.
 //!
 //! | floor | has |
 //! |---|---|
 //! | `number` | real and dual numbers, vectors, spherical harmonics |
 //! | `types` | Gaussians, view, settings, images, gradients, directions; tiles and the columns of the tables |
 //! | `plain` | every stage as plain functions over slices, for every number type: the twin of the C++ |
-//! | `kernels` | one trait: who does the work of a stage, C++ (`f32`) or `plain` (`f64`, dual numbers) |
+//! | `kernels` | one trait: which code runs a stage, C++ (`f32`) or `plain` (`f64`, dual numbers) |
 //! | `pass` | threads and tables: bins, tiles, images, moments, gradients; channels; derivatives along directions |
-//! | `anchors` | discs on the triangles of a mesh, and the way back of their gradients |
+//! | `anchors` | discs on the triangles of a mesh, and the backward pass of their gradients |
 //! | `check` | gradients against central differences, seeded faults, the scene of the timings |
 //!
-//! `Footprint::Disc` parts from the affine way at the projection (`disc`, `disc_tile`, `disc_chain` in `plain`). What
-//! is asked for beyond colour, depth and alpha: `pass/channels.rs` (features, normals), `pass/pixel_walk.rs` (depth
+//! `Footprint::Disc` takes its own path from the projection on (`disc`, `disc_tile`, `disc_chain` in `plain`).
+//! Outputs beyond colour, depth and alpha: `pass/channels.rs` (features, normals), `pass/pixel_walk.rs` (depth
 //! of the surface, median depth, contributors).
 
 mod anchors;

@@ -1,4 +1,4 @@
-//! The lists of the tiles: C++ (`cpp/splat/bin.cpp`) through cxx. Panics when tables do not belong together: that is a
+//! The lists of the tiles: C++ (`cpp/splat/bin.cpp`) through cxx. Panics if tables do not fit together: that is a
 //! defect of this crate, never of the input.
 
 #[cxx::bridge(namespace = "respire")]
@@ -11,7 +11,7 @@ mod bridge {
         keys: &'a [u32],
     }
 
-    /// What a chunk of splats has.
+    /// Counts of a chunk of splats.
     #[derive(Clone, Debug, Default)]
     struct Counts {
         /// Splats in each band.
@@ -28,7 +28,7 @@ mod bridge {
         first: u32,
         /// Slots of all chunks before.
         base: u32,
-        /// In: tiles of the chunk's splats up to and with each. Out: `base` more.
+        /// In: running total of tiles over the chunk's splats. Out: the same plus `base`.
         starts: &'a mut [u32],
         /// Out: `key << 32 | splat`, band after band.
         items: &'a mut [u64],
@@ -85,21 +85,21 @@ mod bridge {
 
 pub use bridge::{Band, BinItems, Counts, Distribution, ItemRange};
 
-/// Bands of tile rows that an image has at most.
+/// Largest number of bands of tile rows in an image.
 pub const BANDS: usize = 16;
 
-/// What the caller never breaks: it is a defect of this crate, never of the input.
+/// The caller's invariant: breaking it is a defect of this crate, never of the input.
 const AGREE: &str = "the rasteriser hands over tables that belong together";
 
-/// Splats of a chunk as the bins see them: boxes of tiles (`x0 | y0 << 16`, `x1 | y1 << 16`, inclusive), whether they
+/// Splats of a chunk as the bins take them: boxes of tiles (`x0 | y0 << 16`, `x1 | y1 << 16`, inclusive), whether they
 /// are visible, and the sort keys of their depths.
 #[derive(Clone, Copy)]
 pub struct Boxes<'a> {
     /// Two words each.
     pub boxes: &'a [[u32; 2]],
-    /// Whether the box means anything.
+    /// Whether the splat is visible, i.e. its box is defined.
     pub visible: &'a [bool],
-    /// Smaller is nearer.
+    /// Sort keys; smaller is nearer.
     pub keys: &'a [u32],
 }
 
@@ -110,8 +110,8 @@ impl<'a> Boxes<'a> {
     }
 }
 
-/// Counts the splats and the tiles of a chunk in bands of `2^shift` tile rows, and, where it has visible ones, the
-/// tiles of the splats up to and with each.
+/// Counts the splats and the tiles of a chunk in bands of `2^shift` tile rows and, if any splat is visible, the running
+/// total of tiles over the splats.
 pub fn count(chunk: &Boxes<'_>, shift: u32, starts: &mut [u32], counts: &mut Counts) {
     bridge::bin_count(&chunk.bridged(), shift, starts, counts).expect(AGREE);
 }

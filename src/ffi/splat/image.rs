@@ -68,7 +68,7 @@ mod bridge {
 
 pub use bridge::{ImageFormation, PixelGradients, TilePlace};
 
-/// What the caller never breaks: it is a defect of this crate, never of the input.
+/// The caller's invariant: breaking it is a defect of this crate, never of the input.
 const AGREE: &str = "the rasteriser hands over tables that belong together";
 
 /// The lines of the three images that a row of tiles covers.
@@ -76,7 +76,7 @@ const AGREE: &str = "the rasteriser hands over tables that belong together";
 pub struct ImageBand<'a, T> {
     /// 3 values a pixel.
     pub color: &'a mut [T],
-    /// 1 value a pixel, or empty where it stays as it is.
+    /// 1 value a pixel, or empty if it is to stay unchanged.
     pub depth: &'a mut [T],
     /// 1 value a pixel.
     pub alpha: &'a mut [T],

@@ -8,7 +8,7 @@
 //! | [`disc_forward`], [`disc_backward`] | `cpp/splat/disc.cpp` |
 //! | [`chain`] | `cpp/splat/chain.cpp` |
 //!
-//! All functions panic when tables do not belong together: that is a defect of this crate, never of the input.
+//! All functions panic if tables do not fit together: that is a defect of this crate, never of the input.
 
 use std::marker::PhantomData;
 
@@ -19,7 +19,7 @@ use crate::ffi::isa::Isa;
 #[cxx::bridge(namespace = "respire")]
 #[allow(missing_docs, unused_qualifications)]
 mod bridge {
-    /// A camera in single precision: what `View` of `cpp/splat/kernel.h` is filled from.
+    /// A camera in single precision, from which `View` of `cpp/splat/kernel.h` is filled.
     #[derive(Clone, Debug, Default)]
     struct SplatCamera {
         /// From world to camera axes, row by row.
@@ -48,7 +48,7 @@ mod bridge {
         fisheye: bool,
         /// Distortion `k1` to `k4` of a fisheye.
         distortion: [f32; 4],
-        /// Cosine of the half angle of the cone that a fisheye sees; 0 for none.
+        /// Cosine of the half angle of the cone around a fisheye's field of view; 0 for none.
         cone_cosine: f32,
         /// Sine of that half angle.
         cone_sine: f32,
@@ -67,7 +67,7 @@ mod bridge {
         distortion: [f64; 4],
     }
 
-    /// Gaussians as they lie in memory, and the camera that sees them.
+    /// The arrays of the Gaussians, and the camera.
     struct SplatScene<'a> {
         camera: SplatCamera,
         exact_camera: SplatExactCamera,
@@ -86,7 +86,7 @@ mod bridge {
         all: bool,
     }
 
-    /// Velocities of all Gaussians (empty for those that stay), or of the camera.
+    /// Velocities of all Gaussians (empty if the quantity does not move), or of the camera.
     struct SplatMotion<'a> {
         positions: &'a [f32],
         /// 6 numbers a disc, 9 an ellipsoid: the columns of the square root of its covariance.
@@ -118,7 +118,7 @@ mod bridge {
         /// The moments of number `first + k` are the sum over `slots[starts[k]..starts[k + 1]]`.
         starts: &'a [u32],
         slots: &'a [AlignedRow],
-        /// Bits of `Group` (`cpp/splat/kernel.h`).
+        /// Bits of `ParameterGroup` (`cpp/splat/kernel.h`).
         wanted: u32,
     }
 
@@ -173,7 +173,7 @@ mod bridge {
         corner: [f32; 2],
         /// Bits of `Part` (`cpp/splat/kernel.h`).
         parts: u32,
-        /// Gradients of the first four planes of the state, then the loss that is still to come behind.
+        /// Gradients of the first four planes of the state, then `behind` (`src/splat/plain/tile.rs`).
         adjoint: &'a [f32],
     }
 
@@ -280,7 +280,7 @@ unsafe impl ExternType for AlignedRow {
     type Kind = kind::Trivial;
 }
 
-/// What the caller never breaks: it is a defect of this crate, never of the input.
+/// The caller's invariant: breaking it is a defect of this crate, never of the input.
 const AGREE: &str = "the rasteriser hands over tables that belong together";
 
 /// Projects the Gaussians of a chunk onto an image of `tiles` (columns, rows) of 16x16 pixels. Where the chunk has room

@@ -1,20 +1,20 @@
-//! What the phase of the next frame will be, from the phases so far: the last change goes on (constant
-//! velocity), or the breath repeats itself one period later. The period is estimated on the way by YIN's
-//! difference function (de Cheveigne and Kawahara 2002): the lag after which the phases repeat, relative to the
-//! mean of all shorter lags. Each of the two counts by the inverse of its own recent squared errors, so that a
-//! breath-hold or an irregular breath silences the period.
+//! Prediction of the next frame's phase from the phases so far, by two guesses: the last change continues
+//! (constant velocity), or the breath repeats the change of one period ago. The period is estimated online by
+//! YIN's difference function (de Cheveigne and Kawahara 2002): the lag after which the phases repeat, judged
+//! relative to the mean over all shorter lags. Each guess is weighted by the inverse of its recent squared error, so
+//! that the period loses its weight in a breath-hold or an irregular breath.
 
 /// Share of the newest error in each guess's running mean square.
 const NEWEST: f64 = 0.2;
-/// Difference at the period relative to the mean of the shorter lags: YIN's absolute threshold.
+/// YIN's absolute threshold: largest difference at the period, relative to the mean over the shorter lags.
 const THRESHOLD: f64 = 0.15;
-/// Frames that must be known beyond one lag, as a share of the lag.
+/// Frames required beyond one lag, as a share of the lag.
 const OVERLAP: f64 = 0.3;
-/// Frames looked back at most.
+/// Largest number of past frames used to find the period.
 const LONGEST: usize = 1000;
-/// Mean square change of phase below which nothing breathes.
+/// Mean squared difference of phase below which the airway is taken to be still.
 const STILL: f64 = 1e-5;
-/// Squared error below which no guess gains: their noise.
+/// Added to the mean squared errors, in phase squared: smaller differences between guesses are noise.
 const FLOOR: f64 = 1e-6;
 
 /// Whether the period is used.
@@ -39,7 +39,7 @@ pub struct BreathPredictor {
 }
 
 impl BreathPredictor {
-    /// No phase yet; `velocity` is the share of the last change that is expected again.
+    /// No phase yet; `velocity` is the share of the last change that is expected to continue.
     pub fn new(velocity: f64, repetition: Repetition) -> Self {
         BreathPredictor { velocity, repetition, phases: Vec::new(), period: None, errors: [None; 2] }
     }
@@ -62,7 +62,7 @@ impl BreathPredictor {
         expected.clamp(0.0, 1.0)
     }
 
-    /// Takes what the next phase turned out to be.
+    /// Appends the next phase and updates the errors of the guesses and the period.
     pub fn add(&mut self, phase: f64) {
         for (guess, error) in self.guesses().into_iter().zip(&mut self.errors) {
             let Some(guess) = guess else { continue };
@@ -75,7 +75,7 @@ impl BreathPredictor {
         }
     }
 
-    /// Constant velocity, and the change of one period ago.
+    /// The guesses by constant velocity and by the change of one period ago.
     fn guesses(&self) -> [Option<f64>; 2] {
         let steady = match *self.phases.as_slice() {
             [] => None,
@@ -89,7 +89,7 @@ impl BreathPredictor {
         [steady, repeated]
     }
 
-    /// The phase between frames.
+    /// The phase at a fractional frame number, linearly interpolated.
     fn at(&self, frame: f64) -> Option<f64> {
         if frame < 0.0 {
             return None;
@@ -101,7 +101,7 @@ impl BreathPredictor {
     }
 }
 
-/// Lag in frames after which `phases` repeat; `None` when they do not, or not yet. YIN: the difference
+/// Lag in frames after which `phases` repeat; `None` if they do not, or not yet. YIN: the difference
 /// `d(lag) = mean (alpha_t - alpha_{t+lag})^2` relative to its mean over all shorter lags,
 /// `d'(lag) = d(lag) lag / sum_{k <= lag} d(k)`.
 fn period(phases: &[f64]) -> Option<f64> {
@@ -128,7 +128,8 @@ fn period(phases: &[f64]) -> Option<f64> {
     };
     let start = (2..relative.len()).find(|&lag| relative[lag] < THRESHOLD)?;
     let lag = lowest_from(start);
-    // Between frames: the least value of a parabola. At the end of what is known the difference may still be falling.
+    // Refine between frames by the minimum of a parabola. There is none where the difference still falls at the
+    // longest lag.
     let (&left, &middle, &right) = (relative.get(lag - 1)?, relative.get(lag)?, relative.get(lag + 1)?);
     let curvature = left - 2.0 * middle + right;
     let shift = if curvature > 0.0 { 0.5 * (left - right) / curvature } else { 0.0 };

@@ -3,17 +3,17 @@
 //!
 //! Per channel the exposure gain `g` is eliminated in closed form (variable projection): with weights `w`,
 //! `g = sum w I R / sum w R^2`, residual `r = I - g R`, derivative `J = g (T - R sum w T R / sum w R^2)`.
-//! Weights are Huber's (1964), the scale of the residuals their median absolute deviation. Neighbouring pixels
-//! err together, so the information is that of the sandwich estimator with square blocks as clusters (Liang and
-//! Zeger 1986): `information = H S^-1 H`, `H = sum w J^2`, `S` the sum over blocks of the squares of their
-//! scores `sum w J r`.
+//! Weights are Huber's (1964), with the median absolute deviation as the scale of the residuals. Errors of
+//! neighbouring pixels are correlated, so the information is that of the sandwich estimator with square blocks as
+//! clusters (Liang and Zeger 1986): `information = H S^-1 H`, `H = sum w J^2`, `S` the sum over blocks of the
+//! squares of their scores `sum w J r`.
 
-/// Residuals whose median is below this (encoded, 0..1) are taken as this: half a code of an 8-bit image.
+/// Smallest scale of the residuals (encoded, 0..1): half a code of an 8-bit image.
 const SMALLEST_SCALE: f32 = 0.5 / 255.0;
-/// Share of `S` that is added to it.
+/// Ridge on `S`, as a share of it.
 const SCATTER_RIDGE: f64 = 1e-6;
 
-/// An image, and what was rendered of it with gain 1.
+/// An image and its rendering with gain 1.
 pub struct ImageComparison<'a> {
     /// Width in pixels.
     pub width: usize,
@@ -27,20 +27,20 @@ pub struct ImageComparison<'a> {
     pub tangent: &'a [f32],
 }
 
-/// How residuals count.
+/// Parameters of the robust step.
 #[derive(Clone, Copy, Debug)]
 pub struct Robust {
-    /// Residuals beyond so many robust standard deviations count linearly.
+    /// Residuals beyond this many robust standard deviations count linearly.
     pub huber: f64,
-    /// Edge of the blocks in pixels whose residuals err together.
+    /// Edge in pixels of the blocks within which errors are correlated.
     pub block_px: usize,
     /// Gains stay within `1 - limit` and `1 / (1 - limit)` of those of the last frame.
     pub gain_limit: f64,
-    /// Those of the last frame.
+    /// Gains of the last frame.
     pub last_gain: [f64; 3],
 }
 
-/// What an image says about the phase.
+/// The likelihood of the phase from one image.
 #[derive(Clone, Debug)]
 pub struct Evidence {
     /// Most likely change of the phase by the image alone.
@@ -53,10 +53,10 @@ pub struct Evidence {
     pub gain: [f64; 3],
 }
 
-/// What is known of the change of the phase before the image.
+/// Prior of the change of the phase.
 #[derive(Clone, Copy, Debug)]
 pub struct Prior {
-    /// The change that would bring the phase to what is expected.
+    /// The change that leads to the expected phase.
     pub step: f64,
     /// Its inverse variance.
     pub precision: f64,
@@ -84,13 +84,14 @@ fn robust_scale(residuals: &[f32]) -> f32 {
     (1.4826 * *median).max(SMALLEST_SCALE)
 }
 
-/// `square^-1 right` by way of the square root, as a Cholesky factorisation has it: results depend on the rounding.
+/// `right / square`, computed through the square root like a 1x1 Cholesky solve: recorded results depend on this
+/// rounding.
 fn solve(square: f64, right: f64) -> f64 {
     let root = square.sqrt();
     right / root / root
 }
 
-/// Evidence of one image; `None` when it says nothing about the phase (a black rendering, no derivative).
+/// Evidence of one image; `None` if it says nothing about the phase (black rendering, zero derivative).
 pub fn evidence(comparison: &ImageComparison<'_>, robust: Robust) -> Option<Evidence> {
     let ImageComparison { width, image, rendered, weights: pixel_weights, tangent } = *comparison;
     let n = image.len();
@@ -109,7 +110,7 @@ pub fn evidence(comparison: &ImageComparison<'_>, robust: Robust) -> Option<Evid
         rough.iter().enumerate().map(|(i, r)| pixel_weight(i) * (limit / r.abs().max(limit)).min(1.0)).collect();
 
     // Gains g under these weights, and per channel the part sum w T R / sum w R^2 of the derivative that a change of
-    // gain explains as well.
+    // gain also explains.
     let gain = gains(image, rendered, &robust, |i| weights[i]);
     let explained: [f32; 3] = std::array::from_fn(|c| {
         let (mut cross, mut square) = (0.0f64, 1e-9f64);
@@ -144,7 +145,7 @@ pub fn evidence(comparison: &ImageComparison<'_>, robust: Robust) -> Option<Evid
     sound.then_some(Evidence { step, information, cost: cost / counting.len() as f64, gain })
 }
 
-/// The change of the phase that image and prior agree on: their mean, weighted by their information.
+/// The most likely change of the phase by image and prior: their mean, weighted by their information.
 pub fn posterior_step(evidence: &Evidence, prior: Prior) -> f64 {
     let weighted = evidence.information * evidence.step + prior.precision * prior.step;
     solve(evidence.information + prior.precision, weighted)
@@ -215,7 +216,7 @@ mod tests {
         assert!((last.gain[0] - 1.2).abs() < 5e-3 && (last.gain[1] - 0.9).abs() < 5e-3, "{:?}", last.gain);
     }
 
-    /// Noise that is constant on blocks: a bound that took pixels as independent would be far too sure.
+    /// Noise that is constant on blocks: a bound that assumed independent pixels would be far too small.
     #[test]
     fn the_information_covers_the_error_when_neighbours_err_together() {
         let (clean, tangent) = wave(0.0);

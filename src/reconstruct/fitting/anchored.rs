@@ -1,5 +1,5 @@
 //! Discs on a mesh, each in its face at barycentric coordinates that are a softmax of three logits (paper, Eq.
-//! 1): all their parameters, and the compact copy ("patch") of those that one frame can see, on which the
+//! 1): all their parameters, and the compact copy ("patch") of those visible in one frame, on which the
 //! optimiser works. Frozen or unseen parameters cost nothing.
 
 use glam::DVec3;
@@ -20,7 +20,7 @@ pub const SH_VALUES: usize = 12;
 /// First SH basis function.
 pub const SH_C0: f32 = 0.282_094_8;
 
-/// Factor by which the number of discs on a face grows.
+/// Factor by which the number of discs on a face grows at a time.
 const SPLIT: usize = 4;
 
 /// How the discs of a fresh surface lie in their faces, and their colour.
@@ -74,7 +74,7 @@ fn softmax(logits: [f32; 3]) -> [f32; 3] {
     e.map(|v| v / (e[0] + e[1] + e[2]))
 }
 
-/// Discs per task, at least, where little is done for each.
+/// Discs per task, at least, in loops with little work per disc.
 const PIECE: usize = 4096;
 
 impl Surface {
@@ -218,7 +218,7 @@ impl Surface {
         })
     }
 
-    /// Takes back what a frame has learned.
+    /// Writes back what a frame has learned.
     pub fn absorb(&mut self, patch: &Patch) {
         for (k, &i) in patch.discs.iter().enumerate() {
             let i = i as usize;
@@ -229,7 +229,7 @@ impl Surface {
     }
 }
 
-/// What one frame can see of a [`Surface`].
+/// The discs of a [`Surface`] that are visible in one frame.
 pub struct Patch {
     /// Index of each disc in the surface, face by face.
     pub discs: Vec<u32>,
@@ -378,8 +378,8 @@ impl From<&AnchoredAppearance> for Rates {
     }
 }
 
-/// Adam's constants for images of `values` values: with `quiet_values`, a Gaussian that the image hardly shows hardly
-/// moves, where the published epsilon of 1e-15 lets it wander at full speed.
+/// Adam's constants for images of `values` values. With `quiet_values`, a Gaussian that contributes little to the
+/// image moves little; with the published epsilon of 1e-15 it would move at full speed.
 pub fn adam_constants(quiet_values: f64, values: usize) -> AdamConstants {
     let published = AdamConstants::default();
     AdamConstants { epsilon: published.epsilon.max(quiet_values * SH_C0 as f64 / values as f64), ..published }

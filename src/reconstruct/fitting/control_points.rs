@@ -6,8 +6,9 @@ use rayon::prelude::*;
 
 use crate::reconstruct::geometry::neighbours;
 
-/// Below this sum of weights a point follows only in part (released code).
+/// Smallest sum of weights to divide by (released code): points below it follow only in part.
 const WEIGHT_FLOOR: f64 = 1e-2;
+/// Points per task.
 const PIECE: usize = 512;
 
 /// Weights from control points to points, both ways.
@@ -59,7 +60,7 @@ impl ControlField {
         ControlField { per_point, weights, offsets, reverse }
     }
 
-    /// What each point inherits from the `values` of the control points.
+    /// Interpolates the `values` of the control points at each point.
     pub fn apply<const N: usize>(&self, values: &[[f32; N]], out: &mut Vec<[f32; N]>) {
         let k = self.per_point.max(1);
         out.resize(self.weights.len() / k, [0.0; N]);
@@ -76,7 +77,7 @@ impl ControlField {
         });
     }
 
-    /// Gradient by the control points, given that by the points: the transpose of [`ControlField::apply`].
+    /// Gradient by the control points from the gradient by the points: the transpose of [`ControlField::apply`].
     pub fn pull_back<const N: usize>(&self, by_points: &[[f32; N]], out: &mut Vec<[f32; N]>) {
         out.resize(self.offsets.len() - 1, [0.0; N]);
         out.par_iter_mut().with_min_len(16).enumerate().for_each(|(c, out)| {

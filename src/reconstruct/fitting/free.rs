@@ -1,5 +1,5 @@
-//! Free Gaussians: born on the inspiration surface, tied to nothing afterwards. As with the discs, a frame works on a
-//! compact copy of what it can see; the face of birth serves only to leave out what faces away.
+//! Free Gaussians: placed on the inspiration surface at first, tied to nothing afterwards. As with the discs, a frame
+//! works on a compact copy of the visible ones; the face of birth serves only to leave out those that face away.
 
 use glam::DVec3;
 
@@ -16,7 +16,7 @@ use crate::reconstruct::settings::{FreeAppearance, GaussianSettings, PerFace};
 pub struct Free {
     /// First Gaussian born on each face, and the total.
     first: Vec<u32>,
-    /// Centres in mm, without what carries them.
+    /// Centres in mm, without the motion added to them.
     pub centres: Vec<[f32; 3]>,
     rotations: Vec<[f32; 4]>,
     log_scales: Vec<[f32; 3]>,
@@ -26,7 +26,7 @@ pub struct Free {
 }
 
 impl Free {
-    /// One at each face centroid when `gaussians_per_face` is 1, else so many at random points of the surface.
+    /// One at each face centroid if `gaussians_per_face` is 1, else that many per face at random points of the surface.
     pub fn new(mesh: &TriangleMesh, settings: &GaussianSettings, color: f32, seed: u64) -> Self {
         let (first, centres) = match *settings.gaussians_per_face {
             PerFace::Count(1) => {
@@ -76,7 +76,7 @@ impl Free {
         }
     }
 
-    /// Takes back what a frame has learned.
+    /// Writes back what a frame has learned.
     pub fn absorb(&mut self, patch: &FreePatch) {
         for (k, &i) in patch.ids.iter().enumerate() {
             let i = i as usize;
@@ -114,7 +114,7 @@ fn random_points(mesh: &TriangleMesh, n: usize, seed: u64) -> (Vec<u32>, Vec<DVe
     (first, points)
 }
 
-/// What one frame can see of [`Free`].
+/// The Gaussians of [`Free`] that are visible in one frame.
 pub struct FreePatch {
     /// Index of each in the whole, ascending.
     pub ids: Vec<u32>,
@@ -123,7 +123,7 @@ pub struct FreePatch {
     /// Own quaternions.
     pub rotations: Vec<[f32; 4]>,
     log_scales: Vec<[f32; 3]>,
-    /// As placed and rendered.
+    /// The Gaussians as placed and rendered.
     pub gaussians: Gaussians<f32>,
 }
 

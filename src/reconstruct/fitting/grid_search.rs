@@ -1,14 +1,14 @@
-//! The least value of a function of the phase: a grid over 0..1, then golden sections. The first frame's phase
-//! is found so, by the depth that the method is given there (paper, Section 3.4).
+//! Minimum of a function of the phase: a grid over 0..1, then golden-section search. It finds the first frame's
+//! phase by the depth given there (paper, Section 3.4).
 
 use crate::base::Result;
 
 /// Ratio of the golden section.
 const GOLDEN: f64 = 0.618_033_988_749_895;
-/// Golden sections after the grid: each shortens the interval to .618 of itself.
+/// Golden sections after the grid: each shortens the interval to .618 of its length.
 const GOLDEN_STEPS: usize = 10;
 
-/// The phase in 0..1 of least `error`: the best of `steps` evenly spaced ones, then golden sections around it.
+/// The phase in 0..1 with the least `error`: the best of `steps` evenly spaced ones, then golden sections around it.
 pub fn grid_search(steps: u32, mut error: impl FnMut(f64) -> Result<f64>) -> Result<f64> {
     let steps = steps.max(2);
     let step = 1.0 / (steps - 1) as f64;

@@ -1,11 +1,11 @@
-//! What many frames have shown of the wall. The colours that a method shows follow every frame to the last pixel; a
-//! phase measured on them is measured against the frame before alone, and its small errors add up. The phase is
-//! therefore measured on remembered colours: per Gaussian the running mean of what past frames painted, without the
-//! light of the scope ([`super::scope_light`]), so that early frames hold later ones in place. Ours, not the paper's.
+//! Memory of the wall's colours over many frames. The shown colours follow every frame closely, so a phase measured
+//! against them is measured against the last frame alone, and its small errors accumulate. The phase is therefore
+//! measured against remembered colours: per Gaussian the running mean of the fitted colours, without the light of the
+//! scope ([`super::scope_light`]), so that early frames hold later ones in place. Ours, not the paper's.
 
 use super::anchored::{SH_C0, SH_VALUES};
 
-/// What makes a spherical harmonic coefficient proportional to the colour it stands for (colour = SH + 0.5).
+/// Offset that makes a spherical harmonic coefficient proportional to colour (colour = SH + 0.5).
 pub fn shift(coefficient: usize) -> f32 {
     if coefficient % SH_VALUES < 3 { 0.5 / SH_C0 } else { 0.0 }
 }
@@ -13,11 +13,11 @@ pub fn shift(coefficient: usize) -> f32 {
 /// One entry per Gaussian.
 #[derive(Clone, Debug, Default)]
 pub struct Memory {
-    /// Shade that the shown colour contains; 0: no frame has shown this Gaussian yet.
+    /// Shade contained in the shown colour; 0 if no frame has shown this Gaussian yet.
     pub contained_shade: Vec<f32>,
     /// Remembered spherical harmonics, [`SH_VALUES`] each, at shade 1.
     albedo: Vec<f32>,
-    /// Frames that have added to them.
+    /// Number of frames in each mean.
     frames: Vec<f32>,
 }
 
@@ -36,7 +36,7 @@ impl Memory {
         }
     }
 
-    /// Takes the entries of `ids` back.
+    /// Writes the entries of `ids` back.
     pub fn put(&mut self, ids: &[u32], from: &Self) {
         for (k, &i) in ids.iter().enumerate() {
             let i = i as usize;
@@ -46,7 +46,8 @@ impl Memory {
         }
     }
 
-    /// Entries for Gaussians that start as copies of `parents`; both have to be learned anew, from nearer.
+    /// Adds entries for Gaussians that start as copies of `parents`. Both count as one frame at most, so that they are
+    /// learned anew at the closer distance.
     pub fn split(&mut self, parents: &[u32]) {
         for &parent in parents {
             let parent = parent as usize;
@@ -57,13 +58,13 @@ impl Memory {
         }
     }
 
-    /// A copy of what is shown.
+    /// A copy of the shown colours.
     pub fn set_aside(&self, sh: &[f32]) -> ShownColors {
         ShownColors { sh: sh.to_vec(), contained_shade: self.contained_shade.clone() }
     }
 
-    /// Puts the remembered colours into `sh`, at shade 1; what nobody remembers stays as it is. Hands out what
-    /// `sh` was.
+    /// Puts the remembered colours into `sh`, at shade 1; Gaussians without memory stay unchanged. Returns the former
+    /// colours.
     pub fn recall(&mut self, sh: &mut [f32]) -> ShownColors {
         let shown = self.set_aside(sh);
         for (k, sh) in sh.chunks_exact_mut(SH_VALUES).enumerate() {
@@ -81,8 +82,8 @@ impl Memory {
         self.contained_shade = shown.contained_shade;
     }
 
-    /// Gives Gaussian `k`, whose colours are `sh`, back what it showed in `shown`, at its present shade;
-    /// nothing if no frame had shown it then.
+    /// Restores the colours `sh` of Gaussian `k` from `shown`, at its current shade; does nothing if no frame had
+    /// shown it then.
     pub fn put_back(&self, k: usize, sh: &mut [f32], shown: &ShownColors) {
         if shown.contained_shade[k] > 0.0 {
             let ratio = self.contained_shade[k] / shown.contained_shade[k];
@@ -92,8 +93,8 @@ impl Memory {
         }
     }
 
-    /// Adds what Gaussian `k` shows now (`sh`, at its contained shade): the mean of the first `most_frames`, after
-    /// that the newest counts `1 / most_frames`.
+    /// Adds the colours `sh` of Gaussian `k`, at its contained shade, to its mean. The first `most_frames` count alike;
+    /// after that the newest counts `1 / most_frames`.
     pub fn add(&mut self, k: usize, sh: &[f32], most_frames: f32) {
         self.frames[k] = (self.frames[k] + 1.0).min(most_frames);
         let (share, shade) = (1.0 / self.frames[k], self.contained_shade[k]);

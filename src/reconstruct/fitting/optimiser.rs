@@ -1,15 +1,15 @@
 //! Adam (Kingma and Ba 2015) for one group of parameters.
 //!
-//! A method fits one frame at a time on a compact copy of what that frame can see, so a group holds moments for
-//! those rows only, and they start at zero with every frame, as the released BridgeSplat does ("moments zeroed,
-//! step counter kept"). Whether the step counter is kept too is [`StepCounter`]: with a kept counter the bias
-//! correction is gone and the first steps after zeroing are up to 3.2 times as long.
+//! A method fits one frame at a time on a compact copy of what is visible in it, so a group holds moments for those
+//! rows only. They start at zero in every frame, as in the released BridgeSplat ("moments zeroed, step counter
+//! kept"). [`StepCounter`] says whether the step counter is kept: if so, there is no bias correction, and the first
+//! steps after zeroing are up to 3.2 times as long.
 //!
-//! [`RowAdam`] is the same for one row of values per Gaussian, and touches only rows that some render of the
-//! frame has shown: a row without a gradient so far has zero moments and a step of exactly zero, so that
-//! leaving it alone is no approximation. One pass over moments, parameters and gradients (which the rasteriser
-//! writes anew, so that nobody has to clear them), in vectors (`ffi/splat/adam.rs`); values do not depend on each
-//! other, so that any number of threads gives the same bytes.
+//! [`RowAdam`] does the same for one row of values per Gaussian, and touches only rows that some render of the
+//! frame has shown. A row without a gradient so far has zero moments and a step of exactly zero, so skipping it
+//! is exact. Moments, parameters and gradients (which the rasteriser overwrites, so they need no clearing) are
+//! processed in one vectorised pass (`ffi/splat/adam.rs`). Values are independent of each other, so any number of
+//! threads gives the same bytes.
 
 use rayon::prelude::*;
 
@@ -32,16 +32,16 @@ impl Default for AdamConstants {
     }
 }
 
-/// What becomes of the step counter when a new frame zeroes the moments.
+/// What happens to the step counter when a new frame zeroes the moments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepCounter {
-    /// It goes on counting (released BridgeSplat).
+    /// It continues (released BridgeSplat).
     Kept,
-    /// It starts again, so that the bias correction is right for the zeroed moments.
+    /// It restarts, so that the bias correction is right for the zeroed moments.
     Restarted,
 }
 
-/// The numbers of step number `steps`, counted from 1.
+/// The coefficients of step number `steps`, counted from 1.
 fn rule(constants: AdamConstants, steps: u64) -> AdamStep {
     let steps = steps.min(i32::MAX as u64) as i32;
     let betas = [constants.beta1, constants.beta2];
@@ -93,7 +93,7 @@ impl Adam {
 
 /// Rows per task.
 const ROWS: usize = 512;
-/// Rows that one table of rates serves.
+/// Rows covered by one repeated table of rates.
 const RUN: usize = 64;
 
 /// Adam's state for rows of `K` values, one row per Gaussian.
@@ -103,7 +103,7 @@ pub struct RowAdam<const K: usize> {
     steps: u64,
     first: Vec<f32>,
     second: Vec<f32>,
-    /// Rows that a step has touched since [`RowAdam::begin`]; the moments of the others mean nothing.
+    /// Rows that a step has touched since [`RowAdam::begin`]; the moments of the others are undefined.
     touched: Vec<bool>,
 }
 
@@ -116,7 +116,7 @@ impl<const K: usize> RowAdam<K> {
     /// Zero moments for `rows` rows: they are written when a row is first visible.
     pub fn begin(&mut self, rows: usize, counter: StepCounter) {
         if self.first.len() < rows * K {
-            // Pages of zeros that the system maps when they are first written.
+            // Zeroed pages, which the system maps only when they are first written.
             self.first = vec![0.0; rows * K];
             self.second = vec![0.0; rows * K];
         }
@@ -127,8 +127,7 @@ impl<const K: usize> RowAdam<K> {
         }
     }
 
-    /// How many rows the steps since [`RowAdam::begin`] have touched, and how many numbers of moments there is
-    /// room for.
+    /// Number of rows touched since [`RowAdam::begin`], and the allocated length of both moments, in values.
     pub fn touched_rows_and_room(&self) -> (usize, usize) {
         (self.touched.iter().filter(|t| **t).count(), self.first.len() + self.second.len())
     }

@@ -1,17 +1,17 @@
-//! What a patch of wall shows of its colour under the light at the tip of the scope (paper, Section 3: a
-//! co-located light), in the encoded (sRGB) values in which methods compare images:
+//! The shade of a patch of wall, i.e. its brightness relative to its colour, under the light at the tip of the scope
+//! (paper, Section 3: a co-located light), in the encoded (sRGB) values in which methods compare images:
 //! `(d0 / d)^p ((c + k) / (1 + k))^(p / 2)` with `d` the distance to the scope, `c` the cosine of incidence,
-//! `p` the exponent of the fall-off (2 / 2.2 for the inverse square through the sRGB curve, less where the
-//! lumen lights itself) and `k` the share of light from the other walls. Left out: shadows (there are none from
-//! a light at the camera) and gloss.
+//! `p` the exponent of the fall-off (2 / 2.2 for the inverse square through the sRGB curve, less where light
+//! between walls adds to it) and `k` the share of light from the other walls. Left out: shadows (a light at the
+//! camera casts none that it could see) and gloss.
 
 use glam::Vec3;
 
 use crate::splat::{Gaussians, Shape, View};
 
-/// Distance in mm at which a surface that faces the scope shows its colour as it is.
+/// Distance in mm at which a surface facing the scope has shade 1.
 const REFERENCE_MM: f32 = 10.0;
-/// Nearest distance in mm that is told from the scope itself.
+/// Smallest distance in mm; nearer surfaces are shaded as if they were there.
 const NEAREST_MM: f32 = 0.5;
 
 /// Light at the scope.
@@ -22,17 +22,17 @@ pub struct ScopeLight {
     indirect: f32,
 }
 
-/// What a Gaussian shows of its colour.
+/// The shade of a Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shade {
-    /// Factor on its encoded colour.
+    /// Factor from its encoded colour to what is shown.
     pub value: f32,
     /// Relative change of that factor per unit of phase.
     pub relative_slope: f32,
 }
 
 impl ScopeLight {
-    /// The light of `view`; `exponent` 0 shows every colour as it is.
+    /// The light of the scope at `view`; with `exponent` 0 every shade is 1.
     pub fn new(view: &View, exponent: f64, indirect_share: f64) -> Self {
         ScopeLight {
             eye: view.camera_from_world.inverse().translation.as_vec3(),
@@ -41,8 +41,8 @@ impl ScopeLight {
         }
     }
 
-    /// One shade per Gaussian. `velocities` are mm per unit of phase (empty: slopes are 0); the turning of the
-    /// normals themselves is left out of the slope. Ellipsoids have no side: their incidence counts as upright.
+    /// One shade per Gaussian. `velocities` are mm per unit of phase (empty: slopes are 0); the slope leaves out the
+    /// rotation of the normals. Ellipsoids have no normal: their incidence counts as perpendicular.
     pub fn shades(&self, gaussians: &Gaussians<f32>, velocities: &[[f32; 3]], out: &mut Vec<Shade>) {
         out.clear();
         let velocity = |i: usize| velocities.get(i).map_or(Vec3::ZERO, |v| Vec3::from(*v));
@@ -59,7 +59,7 @@ impl ScopeLight {
         }
     }
 
-    /// The shade of one Gaussian at `centre`, upright where it has no `normal`, while it moves with `velocity`.
+    /// The shade of one Gaussian at `centre` moving with `velocity`; without a `normal` it faces the scope.
     pub fn shade(&self, centre: Vec3, normal: Option<Vec3>, velocity: Vec3) -> Shade {
         let offset = centre - self.eye;
         let distance = offset.length().max(NEAREST_MM);
@@ -73,7 +73,7 @@ impl ScopeLight {
             shown *= (lit / (1.0 + self.indirect)).sqrt();
             slope += 0.5 * along.signum() * normal.dot(velocity - towards * away) / distance / lit;
         }
-        // An exponent of 1 is common, and this is done for every disc of every step.
+        // An exponent of 1 is common, and this runs for every disc in every step.
         let value = if self.exponent == 1.0 { shown } else { shown.powf(self.exponent) };
         Shade { value, relative_slope: self.exponent * slope }
     }

@@ -1,8 +1,8 @@
-//! Depth of the mesh itself, by the faces in view and a z-buffer, exact for pinhole and fisheye. Discs on a
-//! mesh only blur where it is; and what lies behind a wall need not be drawn.
+//! Depth of the mesh itself, by a z-buffer over the faces in view, exact for pinhole and fisheye. Rendered discs
+//! would only blur it. It also finds faces hidden behind a wall, which need not be drawn.
 //!
 //! With corners `a`, `b`, `c` in camera axes and the ray `r` of a pixel, `r . (b x c)`, `r . (c x a)` and
-//! `r . (a x b)` have one sign where the ray meets the face, and it meets it at `a . (b x c) / sum * r`.
+//! `r . (a x b)` have the same sign if the ray meets the face; the intersection is `a . (b x c) / sum * r`.
 
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
@@ -10,24 +10,24 @@ use rayon::prelude::*;
 use crate::base::{Camera, Image};
 use crate::splat::View;
 
-/// Faces that reach nearer than this to the plane of the camera are left out.
+/// Faces with a corner nearer than this to the plane of the camera, mm of z-depth, are left out.
 const NEAR_MM: f32 = 0.05;
 /// Rows that one thread fills at a time.
 const BAND: usize = 16;
-/// A face counts as hidden when it lies so much of its depth, and so many mm, behind the nearest wall around
-/// its pixel.
+/// A face is hidden if all its corners lie behind the farthest wall next to their pixels by more than this share
+/// of that depth plus this many mm.
 const SLACK: [f32; 2] = [0.05, 1.0];
-/// Largest error of a depth that counts, as a share of it.
+/// Largest difference of depth that counts, as a share of the given depth.
 const LARGEST_SHARE: f32 = 0.25;
 
-/// The ray of each pixel of a camera, z = 1.
+/// The ray of each pixel of a camera, scaled to z = 1.
 pub struct PixelRays {
     width: usize,
     rays: Vec<Vec3>,
 }
 
 impl PixelRays {
-    /// The rays through the pixel centres of `camera`; those that look sideways or back see nothing.
+    /// The rays through the pixel centres of `camera`; rays that point sideways or backwards are zero and hit nothing.
     pub fn new(camera: &Camera) -> PixelRays {
         let width = camera.width as usize;
         let ray = |i: usize| {
@@ -38,7 +38,7 @@ impl PixelRays {
     }
 }
 
-/// A face as the pixels see it: see the head of this file; and the rectangle that it covers.
+/// A face in camera axes (cross products and volume as at the head of this file), and the rectangle it covers.
 struct Triangle {
     sides: [Vec3; 3],
     volume: f32,
@@ -71,7 +71,7 @@ fn on_screen(camera: &Camera, [a, b, c]: [Vec3; 3]) -> Option<Triangle> {
     })
 }
 
-/// Fills what `triangle` covers of `band`, rows from `first` on, where it is nearer than what is there.
+/// Draws `triangle` into `band`, the rows from `first` on, where it is nearer than the stored depth.
 fn fill(band: &mut [(f32, u32)], rays: &PixelRays, first: usize, face: u32, triangle: &Triangle) {
     let last = first + band.len() / rays.width - 1;
     for y in triangle.rows[0].max(first)..=triangle.rows[1].min(last) {
@@ -127,8 +127,9 @@ pub fn nearest_faces(
     nearest
 }
 
-/// Mean absolute difference in mm between rendered and given depth where both are; infinite where nothing is.
-/// Differences beyond [`LARGEST_SHARE`] of the given depth count as that share: edges and holes do not decide.
+/// Mean absolute difference in mm between rendered and given depth where both exist; infinite if they nowhere do.
+/// Differences beyond [`LARGEST_SHARE`] of the given depth count as that share, so that edges and holes do not
+/// dominate.
 pub fn depth_gap_mm(rendered: &Image<f32>, given: &Image<f32>) -> f64 {
     let both = rendered.data.iter().zip(&given.data).filter(|(d, t)| **d > 0.0 && **t > 0.0);
     let (sum, count) = both
@@ -136,7 +137,7 @@ pub fn depth_gap_mm(rendered: &Image<f32>, given: &Image<f32>) -> f64 {
     if count == 0 { f64::INFINITY } else { sum / count as f64 }
 }
 
-/// Of the faces `which` those that no nearer wall hides, judged with some slack.
+/// The faces of `which` that no nearer wall hides, judged with some slack.
 pub fn unhidden(view: &View, rays: &PixelRays, vertices: &[[f32; 3]], faces: &[[u32; 3]], which: &[u32]) -> Vec<u32> {
     let depth = nearest_depth_mm(view, rays, vertices, faces, which);
     let (width, height) = (depth.width as i64, depth.height as i64);

@@ -1,4 +1,4 @@
-//! The geometry of the mesh at a phase, seen from a pose.
+//! Geometry of the mesh at a phase and from a pose.
 
 pub mod breathing;
 pub mod mesh_depth;

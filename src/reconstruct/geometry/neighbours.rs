@@ -28,7 +28,7 @@ pub fn nearest(points: &[DVec3], queries: &[DVec3], count: usize) -> Vec<Vec<(u3
 }
 
 /// Root mean square distance of each point to its three nearest others, at least 1e-4 mm: the initial spread of
-/// Gaussians in 3DGS and all that came after.
+/// Gaussians in 3DGS and its successors.
 pub fn spacing(points: &[DVec3]) -> Vec<f64> {
     nearest(points, points, 4)
         .iter()

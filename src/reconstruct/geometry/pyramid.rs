@@ -3,9 +3,9 @@
 use crate::base::Image;
 use crate::splat::View;
 
-/// An image at one resolution, how it was taken, and which of its pixels count.
+/// An image at one resolution, with its camera, pose and pixel weights.
 pub struct PyramidLevel {
-    /// Where it was taken from, and with which camera.
+    /// Its pose and camera.
     pub view: View,
     /// The image.
     pub image: Image<f32>,
@@ -19,7 +19,7 @@ impl PyramidLevel {
         self.weights.get(index).copied().unwrap_or(1.0)
     }
 
-    /// Half as wide and high. A pixel counts whose four parts all do.
+    /// The level of half the width and height. A pixel counts if all four of its parts do.
     pub fn halved(&self) -> PyramidLevel {
         let image = self.image.halved();
         let mut camera = self.view.camera.scaled(0.5);

@@ -1,4 +1,4 @@
-//! Which faces a frame can see at all: in the frustum with a margin, near enough and, where asked for, turned towards
+//! Faces that may be visible in a frame: inside the frustum with a margin, near enough and, if requested, facing
 //! the camera. Occlusion is not tested (nor is it in the released BridgeSplat).
 
 use glam::Vec3;
@@ -9,7 +9,7 @@ use crate::splat::View;
 
 use crate::reconstruct::settings::Visibility;
 
-/// Bounds of what is worth computing.
+/// Bounds of the region whose faces are kept.
 #[derive(Clone, Copy, Debug)]
 pub struct Reach {
     /// Share of the image width by which a face centre may lie outside.
@@ -19,13 +19,13 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// The bounds that a method's settings name.
+    /// The bounds in a method's settings.
     pub fn new(visibility: &Visibility) -> Self {
         Reach { margin: *visibility.margin, range_mm: *visibility.range_mm }
     }
 }
 
-/// What a method answers when nothing of the airway is in view.
+/// The error of a method when no part of the airway is in view.
 pub fn nothing_in_view() -> Error {
     Error::input("the camera sees no face of the airway mesh: poses and mesh do not belong together")
 }
@@ -33,13 +33,13 @@ pub fn nothing_in_view() -> Error {
 /// Which sides of a face count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sides {
-    /// The one that looks into the lumen: enough for a camera that stays inside.
+    /// The side facing the lumen: enough for a camera that stays inside.
     Lumen,
     /// Both: a mesh that deforms freely may leave the camera outside.
     Both,
 }
 
-/// Pixels that each of `faces` covers in `view`, by its area, distance and incidence at `vertices`.
+/// Pixels that each face in `of` covers in `view`, by its area, distance and incidence at `vertices`.
 pub fn pixel_areas(faces: &[[u32; 3]], of: &[u32], vertices: &[[f32; 3]], view: &View) -> Vec<f32> {
     let eye = view.camera_from_world.inverse().translation.as_vec3();
     let focal_px2 = (view.camera.fl_x * view.camera.fl_y) as f32;
@@ -53,7 +53,7 @@ pub fn pixel_areas(faces: &[[u32; 3]], of: &[u32], vertices: &[[f32; 3]], view: 
         .collect()
 }
 
-/// Faces that `view` can see in any of the `states` of the vertices, ascending.
+/// Faces that may be visible from `view` in any of the `states` of the vertices, ascending.
 pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, reach: Reach, sides: Sides) -> Vec<u32> {
     let camera_from_world = view.camera_from_world.as_affine3();
     let eye = view.camera_from_world.inverse().translation.as_vec3();
@@ -64,7 +64,7 @@ pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, re
         let centre = (a + b + c) / 3.0;
         let size = (b - a).length().max((c - a).length());
         let normal = (b - a).cross(c - a);
-        // A face that the camera grazes may turn towards it under the breath: a tenth of its length of slack.
+        // A face seen edge-on may turn towards the camera while breathing: slack of 0.1 on the cosine.
         let towards =
             sides == Sides::Both || normal.dot(eye - centre) > -0.1 * normal.length() * (eye - centre).length();
         let p = camera_from_world.transform_point3(centre);
@@ -72,7 +72,8 @@ pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, re
             return false;
         }
         let Some(pixel) = view.camera.project(p.as_dvec3()) else { return false };
-        // Beside the camera the linearised projection of a Gaussian covers the whole image: such faces stay out.
+        // The extent of a face beyond the margin, limited: beside the camera the linearised projection of a Gaussian
+        // would cover the whole image.
         let slack = margin + (size / p.z * view.camera.fl_x as f32).min(0.15 * width);
         let (x, y) = (pixel.x as f32, pixel.y as f32);
         x > -slack && y > -slack && x < width + slack && y < height + slack
@@ -85,7 +86,7 @@ pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, re
     (0..faces.len() as u32).filter(|&f| flags[f as usize]).collect()
 }
 
-/// The pixel on which each of the `centres` falls; `None` beside the image and where the scope touches them.
+/// The pixel onto which each of the `centres` projects; `None` outside the image and within 0.2 mm of the camera.
 pub fn pixels(view: &View, centres: &[[f32; 3]]) -> Vec<Option<[usize; 2]>> {
     let (width, height) = (view.camera.width as f64, view.camera.height as f64);
     in_camera(view, centres)

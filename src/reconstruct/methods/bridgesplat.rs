@@ -1,8 +1,8 @@
 //! `bridgesplat`: mesh-anchored discs on a mesh that control points deform frame by frame (Fehrentz et al.,
-//! MICCAI 2025). Lengths of the deformation are in released units (1 unit = 100 mm). Per frame, warm-started
-//! from the last, `5 L1 + 0.001 E_arap + L_vis (+ 4 L_rigid + 10 L_iso)`; what stands in brackets is computed
-//! by variant `full` only, since the released code leaves it at zero. No SSIM, no depth, no replay of past
-//! frames. The spotlight factor of the released code is left out: these sequences have a light of their own.
+//! MICCAI 2025). Lengths of the deformation are in released units (1 unit = 100 mm). Each frame starts from the
+//! last and minimises `5 L1 + 0.001 E_arap + L_vis (+ 4 L_rigid + 10 L_iso)`; only the variant `full` computes the
+//! terms in brackets, which the released code leaves at zero. No SSIM, no depth, no replay of past frames. The
+//! spotlight factor of the released code is left out: these sequences have a light of their own.
 //! The mesh variant has no rotation parameters, hence no rotation term.
 
 use std::time::Instant;
@@ -136,7 +136,7 @@ impl<'a> BridgesplatFit<'a> {
     fn fit(&mut self, frame: usize) -> Result<FramePrediction> {
         let view = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
         let now = self.vertices_mm();
-        // As released, back sides count too: a mesh that has drifted shows them.
+        // As in the released code, back sides count too: a mesh that has drifted shows them.
         let faces = visible_faces(&self.surface.faces, &[&now], &view, self.reach, Sides::Both);
         if faces.is_empty() && self.deformation.is_none() {
             return Err(nothing_in_view());

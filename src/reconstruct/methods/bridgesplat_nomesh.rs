@@ -1,7 +1,7 @@
-//! `bridgesplat-nomesh`: a stated reconstruction, since nobody published this variant. It is the parent class of the
+//! `bridgesplat-nomesh`: our reconstruction of a variant that was never published. It is the parent class of the
 //! released BridgeSplat with the losses of the code that was built on (OET): one free Gaussian at each face centroid,
 //! white, isotropic, opacity 0.6, scales frozen; anchors (one per 64 Gaussians, at random) carry a displacement and a
-//! quaternion offset, four of them move each Gaussian; own centres and rotations are learned too. Per frame
+//! quaternion offset, and four of them move each Gaussian; own centres and rotations are learned too. Per frame
 //! `5 L1 + 4 rigid + 1 rot + 10 iso + 1 vis` between anchors, `prev` cached once per frame. Left out: OET's depth
 //! term, optical-flow start and new points, which need stereo depth. Lengths in released units (100 mm).
 
@@ -75,7 +75,7 @@ struct BridgesplatNomeshFit<'a> {
     image_gradient: Vec<f32>,
 }
 
-/// ControlAnchors: rest position, displacement and quaternion offset (added to the identity).
+/// Rest position, displacement and quaternion offset (added to the identity) of the anchors.
 struct ControlAnchors {
     ids: Vec<u32>,
     field: ControlField,
@@ -183,7 +183,7 @@ impl<'a> BridgesplatNomeshFit<'a> {
 
     fn fit(&mut self, frame: usize) -> Result<FramePrediction> {
         let view = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
-        // Gaussians drift little against their face of birth; the margin covers it.
+        // Gaussians drift little from their face of birth; the margin covers it.
         let faces =
             visible_faces(&self.observation.inspiration.faces, &[&self.surface], &view, self.reach, Sides::Lumen);
         if faces.is_empty() && frame == 0 {
@@ -202,7 +202,7 @@ impl<'a> BridgesplatNomeshFit<'a> {
         Ok(rendered_prediction(frame, &self.rasterizer, ahead))
     }
 
-    /// ControlAnchors whose own Gaussian is outside the image.
+    /// Anchors whose own Gaussian is outside the image.
     fn invisible_anchors(&self, patch: &FreePatch) -> Vec<u32> {
         let flags = &self.rasterizer.rendered().visible;
         let visible = |id: u32| patch.ids.binary_search(&id).is_ok_and(|k| flags[k]);

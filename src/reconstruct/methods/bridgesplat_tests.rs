@@ -1,8 +1,7 @@
-//! Does BridgeSplat do what it was made for? A textured patch, seen by a still camera, deforms smoothly by 5
-//! mm. A still camera tells directions only: a patch that grows and recedes looks the same, and what decides
-//! between the two is that lengths are kept (isometry). So the test asks whether image and isometry together
-//! put the surface where it was planted; the more the planted motion strains, the more the two disagree, and
-//! the error grows with the strain.
+//! Does BridgeSplat do what it was made for? A textured patch in front of a still camera deforms smoothly by 5 mm.
+//! A still camera measures directions only: a patch that grows while it recedes gives the same image, and only the
+//! preservation of lengths (isometry) excludes it. So the test checks whether image and isometry together recover
+//! the true surface. The more the true motion strains the patch, the more the two disagree, and the error grows.
 
 use glam::DAffine3;
 
@@ -13,9 +12,9 @@ use crate::reconstruct::fitting::anchored::{SH_C0, SH_VALUES, to_f32};
 use crate::reconstruct::methods::tests::bridgesplat;
 
 const FRAMES: usize = 14;
-/// Frames in which nothing moves yet.
+/// Frames before the motion starts.
 const STILL: usize = 2;
-/// Frames in which it deforms.
+/// Frames in which the patch deforms.
 const MOVING: usize = 5;
 const SIDE: usize = 26;
 const SEED: u64 = 1;
@@ -41,7 +40,7 @@ fn patch() -> TriangleMesh {
     mesh
 }
 
-/// How the patch deforms: by 5 mm where it does most.
+/// How the patch deforms: by 5 mm at most.
 #[derive(Clone, Copy, PartialEq)]
 enum Bump {
     /// Rolls up like paper around an axis at 30 degrees to its rows: the rim comes 5 mm nearer, and no length
@@ -87,7 +86,7 @@ fn color(surface: &mut Surface, positions: &[[f32; 3]]) {
     }
 }
 
-/// What a still camera sees of it while the deformation grows, and the surface at the end.
+/// The observation of a still camera while the deformation grows, and the surface at the end.
 fn film(bump: Bump, most: f64) -> (Observation, Vec<DVec3>) {
     let rest = patch();
     let settings = bridgesplat().appearance;
@@ -129,7 +128,7 @@ fn film(bump: Bump, most: f64) -> (Observation, Vec<DVec3>) {
 enum Colors {
     /// As published: at random.
     Random,
-    /// As after a long look at a still patch.
+    /// As learned from a still patch over many frames.
     Known,
 }
 

@@ -1,6 +1,6 @@
 //! `ours`: discs anchored to the CT mesh, carried by one phase per frame (the paper's Sections 3.1 to 3.4). The
 //! same program runs the sanity rows `static-ct` (inspiration mesh, phase 0 throughout) and `oracle-phase`
-//! (true phase). Discs on faces that a wall hides are no part of a frame.
+//! (true phase). Discs on faces that a wall hides are left out of a frame.
 
 use crate::base::{Progress, Result, mesh};
 use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
@@ -17,11 +17,11 @@ use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, pixel
 use crate::reconstruct::settings::{GivenPhaseSettings, KeyframeSettings, MethodHeader, OursSettings, PhaseEstimation};
 use crate::splat::{DiscFrame, Gaussians, Gradients, View, Wanted};
 
-/// Phases farther apart may show what is hidden at both of them. A hair above the reach of a frame with a
-/// guess, which rounding may widen.
+/// Largest range of phases for which hidden faces are left out: over a wider one, a face hidden at both ends may be
+/// visible in between. Slightly above the range of a frame with a guess, which rounding may widen.
 const WIDEST_REACH: f64 = 2.0 * phase_fit::REACH + 1e-6;
 
-/// The phase that a sanity row is given.
+/// The given phase of a sanity row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GivenPhase {
     /// 0 throughout: the inspiration mesh, which does not move.
@@ -153,7 +153,7 @@ impl BreathingDiscs {
         BreathingMesh { rest: &self.inspiration, displacement: &self.displacement, faces: &self.surface.faces }
     }
 
-    /// Of `faces` those that no wall hides in one of the `states`.
+    /// The faces of `faces` that no wall hides in at least one of the `states`.
     fn unhidden(&self, view: &View, states: &[&[[f32; 3]]], faces: &[u32]) -> Vec<u32> {
         let mut unhidden: Vec<u32> = (states.iter())
             .flat_map(|vertices| unhidden(view, &self.rays, vertices, &self.surface.faces, faces))
@@ -163,7 +163,7 @@ impl BreathingDiscs {
         unhidden
     }
 
-    /// Faces that have come near get more discs.
+    /// Gives more discs to faces that have come close.
     fn refine(&mut self, faces: &[u32], vertices: &[[f32; 3]], view: &View) {
         if self.pixels_per_disc > 0.0 {
             let mut wanted = pixel_areas(&self.surface.faces, faces, vertices, view);
@@ -200,7 +200,7 @@ impl BreathingGaussians for BreathingDiscs {
     }
 }
 
-/// The discs that one frame can see.
+/// The discs visible in one frame.
 struct VisibleDiscs<'a> {
     all: &'a mut BreathingDiscs,
     faces: Vec<u32>,

@@ -135,7 +135,7 @@ impl BreathingGaussians for FieldGaussians {
     }
 }
 
-/// The Gaussians that one frame can see.
+/// The Gaussians visible in one frame.
 struct VisibleFree<'a> {
     all: &'a mut FieldGaussians,
     patch: FreePatch,

@@ -55,15 +55,15 @@ fn paint(mesh: &TriangleMesh, base: [f64; 3], grain: f64, sh: &mut [f32]) {
     }
 }
 
-/// What a world is made of: the primitives of the method that is to recover it.
+/// The primitives of a world: those of the method that is to recover it.
 #[derive(Clone, Copy, PartialEq)]
 enum Made {
     /// Discs that inherit the stretch of their face, with a colour that differs from vertex to vertex.
     Discs,
     /// The same with a smooth colour: the published constant rates of BridgeSplat jitter on a fine one.
     SmoothDiscs,
-    /// One free Gaussian per face centroid, smooth and pale: the published start is white, and behind an opacity of
-    /// 0.6 what was never quite seen stays white for long.
+    /// One free Gaussian per face centroid, smooth and pale: the published start is white, and what is half hidden
+    /// behind an opacity of 0.6 stays white for long.
     Free,
 }
 
@@ -186,8 +186,8 @@ fn ours_recovers_its_world_and_the_planted_phase() {
     let observation = world(Made::Discs, 24, 64, breath);
     let mut settings: OursSettings = shipped("ours");
     unlight(&mut settings.fit, &mut settings.discs.appearance.gaussians);
-    // What shows of coarse, overlapping discs moves otherwise than the wall does: here the splats alone are
-    // tested, and the window in its own room.
+    // The image of coarse, overlapping discs does not move like the wall. So only the splats are tested here; the
+    // window has tests of its own.
     settings.window.keyframes.value = 0;
     let (psnr, answers) = recover(&Ours::new(settings, 0.5), &observation);
     let truth = observation.true_phase.as_ref().unwrap();
@@ -208,8 +208,8 @@ fn unlit_gn() -> OursGnSettings {
     settings.discs.gaussian_budget.value = 7000;
     // The world's discs have gaps between them.
     settings.discs.initial_scale.value = 0.6;
-    // What shows of coarse, overlapping discs moves otherwise than the wall does: here the map alone is tested,
-    // and the window in its own room.
+    // The image of coarse, overlapping discs does not move like the wall. So only the map is tested here; the
+    // window has tests of its own.
     settings.window.keyframes.value = 0;
     settings.steps.value = [3, 2, 1];
     settings
@@ -231,8 +231,8 @@ fn ours_gn_recovers_its_world_and_the_planted_phase() {
     assert!(mae < 0.01, "{mae}");
 }
 
-/// Poses that are off by 2 mm and 3 degrees: the depth of the first frame tells by how much. The drift after that
-/// (0.04 mm a frame) is followed in part, by the window.
+/// Poses that are off by 2 mm and 3 degrees: the first frame's depth corrects them. The window follows the later
+/// drift (0.04 mm a frame) in part.
 #[test]
 fn ours_gn_finds_where_the_scope_starts() {
     let mut observation = world(Made::Discs, 12, 64, breath);
@@ -253,7 +253,7 @@ fn ours_gn_finds_where_the_scope_starts() {
     assert!(mean_phase_error(&answers, &observation) < 0.06);
 }
 
-/// A registration that is wrong by a bell of 1 mm across the airway: what the last frame sees of it is mended.
+/// A registration with a bell-shaped error of 1 mm across the airway is corrected where the last frame shows it.
 #[test]
 fn ours_gn_finds_a_planted_error_of_the_registration() {
     let mut observation = world(Made::Discs, 24, 64, |t| 0.04 * t as f64);
@@ -284,7 +284,7 @@ fn ours_gn_finds_a_planted_error_of_the_registration() {
     assert!(with < 0.7 * without, "{with} of {without}");
 }
 
-/// What only the window estimates is refused without one.
+/// Options that only the window can estimate are refused without one.
 #[test]
 fn ours_gn_names_the_window_where_an_unknown_needs_it() {
     let observation = world(Made::Discs, 2, 16, breath);
@@ -348,13 +348,13 @@ fn a_face_that_comes_near_gets_more_discs_and_looks_as_before() {
     );
     let vertices = to_f32(&mesh.vertices);
     let faces: Vec<u32> = (0..mesh.faces.len() as u32).collect();
-    let picture = |surface: &Surface| {
+    let render = |surface: &Surface| {
         let mut patch = surface.patch(&faces).unwrap();
         patch.place(&patch.pick(&vertices)).unwrap();
         let mut rasterizer = Rasterizer::<f32>::new();
         rasterizer.render(&patch.gaussians, &view, &Settings::default(), None).unwrap().clone()
     };
-    let (before, discs) = (picture(&surface), surface.len());
+    let (before, discs) = (render(&surface), surface.len());
     let wanted: Vec<f32> = faces.iter().map(|&f| if f % 2 == 0 { 1.0 } else { 3.0 }).collect();
     let parents = surface.refine(&faces, &wanted);
     // Half of the faces had one disc and asked for three: they have four now.
@@ -362,15 +362,16 @@ fn a_face_that_comes_near_gets_more_discs_and_looks_as_before() {
     assert_eq!(surface.len(), discs + parents.len());
     assert!(surface.discs_of(0).eq([0]));
     assert_eq!(surface.discs_of(1).count(), 4);
-    assert!(surface.refine(&faces, &wanted).is_empty(), "nobody needs more");
-    let after = picture(&surface);
+    assert!(surface.refine(&faces, &wanted).is_empty(), "no face needs more");
+    let after = render(&surface);
     let apart: f32 = before.color.iter().zip(&after.color).map(|(a, b)| (a - b).abs()).sum::<f32>();
     let covered = |r: &Rendered<f32>| r.alpha.iter().sum::<f32>() / r.alpha.len() as f32;
     assert!(apart / (before.color.len() as f32) < 0.02, "{}", apart / before.color.len() as f32);
     assert!(covered(&after) > covered(&before) - 0.01, "{} {}", covered(&after), covered(&before));
 }
 
-/// Groups that are not learned: no gradients, no moments, not one number changed; of the others, only discs in sight.
+/// Groups that are not learned have no gradients and no moments, and no number of them changes; of the others, only
+/// visible discs change.
 #[test]
 fn frozen_groups_have_no_gradients_and_no_moments() {
     let inspiration = tube(24, 24, 60.0);
@@ -400,7 +401,7 @@ fn frozen_groups_have_no_gradients_and_no_moments() {
     let image = ImageGradient { color: &weights, ..ImageGradient::default() };
     let gradients = rasterizer.backward(&patch.gaussians, &image, rates.groups()).unwrap();
     let geometry = [gradients.positions.capacity(), gradients.axes.capacity(), gradients.opacities.capacity()];
-    assert_eq!(geometry, [0; 3], "room for gradients that nobody wanted");
+    assert_eq!(geometry, [0; 3], "room for gradients that were not requested");
     patch.step(&mut adam, gradients, &flags, &local).unwrap();
     patch.place(&local).unwrap();
     assert_eq!(adam.touched_rows_and_room(), [(0, 0), (0, 0), (visible, 2 * patch.discs.len() * SH_VALUES)]);

@@ -18,7 +18,7 @@ pub enum BridgeObjective {
     Release,
 }
 
-/// What both kinds of BridgeSplat read.
+/// Keys of both kinds of BridgeSplat.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BridgeCommon {
     /// Iterations of the first frame and of the others.
@@ -29,7 +29,7 @@ pub struct BridgeCommon {
     pub unit_mm: Sourced<f64>,
     /// Weight of the masked L1.
     pub color_weight: Sourced<f64>,
-    /// Weight of the displacement of what is not visible.
+    /// Weight of the displacement of invisible control points.
     pub visibility_weight: Sourced<f64>,
     /// Weight of rigidity.
     pub rigid_weight: Sourced<f64>,
@@ -37,7 +37,7 @@ pub struct BridgeCommon {
     pub isometry_weight: Sourced<f64>,
     /// One control point per this many visible vertices (mesh) or Gaussians (no mesh).
     pub control_subsample: Sourced<u32>,
-    /// Control points that move a vertex.
+    /// Number of control points that move a vertex.
     pub control_neighbours: Sourced<u32>,
     /// Decay of their weight per unit: `exp(-decay distance)`.
     pub control_decay: Sourced<f64>,

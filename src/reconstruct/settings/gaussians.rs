@@ -11,9 +11,9 @@ use crate::splat::DiscFrame;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged, expecting = "expected a whole number or \"auto\"")]
 pub enum PerFace {
-    /// So many on every face.
+    /// This many on every face.
     Count(u32),
-    /// As many as `gaussian_budget` allows, at least one.
+    /// As many per face as `gaussian_budget` allows, at least one.
     Auto(Auto),
 }
 
@@ -48,7 +48,7 @@ pub struct GaussianSettings {
     pub initial_scale: Sourced<f64>,
 }
 
-/// Adam rates per iteration of what every kind learns that optimises its Gaussians.
+/// Adam rates per iteration of the parameters that every kind with an optimiser learns.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ColorRates {
     /// Rate of the centres: barycentric logits for discs on a mesh, mm for free Gaussians.

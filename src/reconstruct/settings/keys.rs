@@ -135,7 +135,7 @@ pub fn contains(table: &Table, path: &[String]) -> bool {
     }
 }
 
-/// Puts the keys of `own` over those of `base`, group by group; a value is replaced with its source.
+/// Overrides the keys of `base` by those of `own`, group by group; a value is replaced together with its source.
 pub fn overlay(base: &mut Table, own: Table) {
     for (name, value) in own {
         match (base.get_mut(&name), value) {

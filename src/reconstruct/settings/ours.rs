@@ -60,7 +60,7 @@ pub struct PhaseEstimation {
     pub memory_frames: Sourced<f64>,
 }
 
-/// Keyframes against whose images the phase of each frame is measured, whatever the map says of it.
+/// Keyframes against whose images the phase of each frame is measured, independently of the map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeyframeSettings {
     /// Number of keyframes; 0 = the map alone.
@@ -78,7 +78,7 @@ pub struct AnchoredDiscs {
     pub on_face: OnFace,
     /// The discs and what is learned of them.
     pub appearance: AnchoredAppearance,
-    /// Adam's epsilon, as the gradient of so many image values (pixel x channel) of L1; 0 is the published 1e-15.
+    /// Adam's epsilon, as the gradient of this many image values (pixel x channel) of L1; 0 is the published 1e-15.
     pub quiet_values: Sourced<f64>,
 }
 
@@ -161,7 +161,7 @@ pub struct OursNomeshSettings {
     pub appearance: FreeAppearance,
     /// Adam rate of log scales.
     pub scale_rate: Sourced<f64>,
-    /// Adam's epsilon, as the gradient of so many image values (pixel x channel) of L1; 0 is the published 1e-15.
+    /// Adam's epsilon, as the gradient of this many image values (pixel x channel) of L1; 0 is the published 1e-15.
     pub quiet_values: Sourced<f64>,
 }
 

@@ -9,7 +9,7 @@ use super::ours::KeyframeSettings;
 use super::sourced::Sourced;
 use crate::base::Result;
 
-/// The scope's lamp and lens, as a picture of a white sheet shows them.
+/// The scope's lamp and lens, as an image of a white sheet shows them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScopeCalibration {
     /// Angle from the axis in degrees at which the lamp is half as bright as on it; 0 = even.

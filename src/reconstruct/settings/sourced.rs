@@ -13,7 +13,7 @@ pub enum NumberSource {
     /// The released code of BridgeSplat, or of the code it was built on.
     #[serde(rename = "released code")]
     ReleasedCode,
-    /// Our choice, because nobody published one.
+    /// Our choice, because none is published.
     #[serde(rename = "ours")]
     Ours,
 }

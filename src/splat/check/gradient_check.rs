@@ -1,9 +1,10 @@
 //! The gradients of the backward pass against central differences of the forward pass, value by value, on random scenes
 //! in double precision; and the same check of a backward pass with a [`Fault`], which must not pass.
 //!
-//! The loss is a fixed random weighting of the images. A central difference is wrong where a decision (alpha over
-//! 1/255, a pixel full, a colour cut at 0) falls between its two ends: a value that disagrees is differenced again with
-//! smaller steps, and the nearest counts. No step makes up for a wrong gradient, which the faults show.
+//! The loss is a fixed random weighting of the images. A central difference is wrong if a decision (alpha over
+//! 1/255, a pixel full, a colour clamped at 0) changes between its two ends. A value that disagrees is therefore
+//! differenced again with smaller steps, and the closest result counts. No step hides a wrong gradient, as the
+//! faults show.
 
 use glam::{DAffine3, DQuat, DVec3};
 
@@ -15,7 +16,7 @@ use crate::splat::pass::Rasterizer;
 use crate::splat::plain::fault::Fault;
 use crate::splat::types::{Filter, Footprint, Gaussians, Gradients, ImageGradient, Settings, Shape, View, Wanted};
 
-/// Step and order of the first difference, and of those after it where values disagree.
+/// Step and order of the first difference, then of the repetitions for values that disagree.
 const STEPS: [(f64, DifferenceOrder); 7] = [
     (1e-6, DifferenceOrder::Two),
     (1e-5, DifferenceOrder::Four),
@@ -25,36 +26,36 @@ const STEPS: [(f64, DifferenceOrder); 7] = [
     (5e-8, DifferenceOrder::Two),
     (1e-8, DifferenceOrder::Two),
 ];
-/// A value smaller than this part of the root mean square of its group is compared with that part instead.
+/// Errors are relative to the value or to this share of the root mean square of its group, whichever is larger.
 const FLOOR: f64 = 0.1;
 /// Largest relative error of a value that passes.
 pub const LANE_LIMIT: f64 = 1e-6;
 
-/// Channels beside the normal.
+/// Further channels besides the three of the normal.
 const FREE: usize = 2;
-/// Channels with it.
+/// All further channels.
 const CHANNELS: usize = 3 + FREE;
 
-/// This Gaussian is opaque, near and large.
+/// Index of a Gaussian that is opaque, near and large.
 const LARGE: usize = 3;
 
-/// A scene with everything that its loss needs.
+/// A scene and the weights of its loss.
 #[derive(Clone, Debug)]
 pub struct GradientCase {
-    /// What it is made of.
+    /// A description of the scene.
     pub name: String,
     /// The Gaussians.
     pub scene: Gaussians<f64>,
-    /// Where from.
+    /// The camera.
     pub view: View,
-    /// How.
+    /// How it is rendered.
     pub settings: Settings,
     color: Vec<f64>,
     depth: Vec<f64>,
     alpha: Vec<f64>,
     /// Weights of the channels: three of the normal and `FREE` more.
     channels: Vec<f64>,
-    /// Those of each Gaussian.
+    /// Channels of each Gaussian.
     features: Vec<f64>,
 }
 
@@ -113,7 +114,7 @@ fn gaussians(n: usize, ellipsoids: bool, sh_degree: u8, r: &mut CounterRng) -> G
     scene.sh.iter_mut().for_each(|v| *v = 0.3 * r.normal());
     let stride = scene.sh_stride();
     for i in 0..n {
-        // One beyond the cut of alpha at 0.99, some with a colour near or below the cut at 0.
+        // One beyond the clamp of alpha at 0.99, some with a colour near or below the clamp at 0.
         scene.opacities[i] = if i == LARGE { r.range(0.998, 1.0) } else { r.range(0.05, 1.0) };
         if i % 3 == 1 {
             scene.sh[i * stride + i % 3] -= r.range(1.0, 3.0);
@@ -310,7 +311,7 @@ impl CentralDifferences {
         Ok(pairs.map(|((group, found), (_, truth))| finding(group, &found, truth)).collect())
     }
 
-    /// True when the check finds that fault.
+    /// True if the check finds that fault.
     pub fn catches(&self, fault: Fault) -> Result<bool> {
         Ok(self.compare(Some(fault))?.iter().any(|finding| !finding.passes()))
     }
@@ -331,7 +332,7 @@ fn finding(group: &'static str, found: &[f64], truth: &[f64]) -> GradientFinding
 }
 
 impl GradientFinding {
-    /// Every value is as near as it must be.
+    /// Every value is within its limit.
     pub fn passes(&self) -> bool {
         self.worst_lane <= LANE_LIMIT
     }
@@ -362,7 +363,7 @@ mod tests {
         assert!(lanes > 5000, "{lanes}");
     }
 
-    /// A check that cannot fail is none: each fault of the backward pass is found by the very same one.
+    /// The check must be able to fail: it finds each fault seeded into the backward pass.
     #[test]
     fn every_seeded_fault_is_caught() {
         let truths: Vec<CentralDifferences> =

@@ -22,7 +22,7 @@ pub fn tube(n: usize) -> Gaussians<f32> {
         let z = (row + 0.5) * length / rows + 0.15 * spacing * r.normal();
         let radius = 8.0 + 0.3 * (std::f64::consts::TAU * z / 12.0).sin() * (0.6 + 0.4 * (3.0 * angle).cos());
         *position = [radius * angle.cos(), radius * angle.sin(), z].map(|v| v as f32);
-        // The third axis looks inwards.
+        // The third axis points inwards.
         let inwards = DVec3::new(-angle.cos(), -angle.sin(), 0.05 * r.normal()).normalize();
         let turn = glam::DQuat::from_rotation_arc(DVec3::Z, inwards);
         rotations.push([turn.w, turn.x, turn.y, turn.z].map(|v| v as f32));
@@ -41,7 +41,7 @@ pub fn view(side: usize) -> View {
     View::new(Camera::pinhole(side as u32, side as u32, 90f64.to_radians()), world)
 }
 
-/// Colour alone, as the peers are timed.
+/// Colour alone, as the other renderers are timed.
 pub fn settings() -> Settings {
     Settings { depth: DepthOutput::Skip, ..Settings::default() }
 }

@@ -1,4 +1,4 @@
-//! Dual numbers `value + derivative * e`, `e^2 = 0`: forward-mode differentiation of the very code that renders.
+//! Dual numbers `value + derivative * e`, `e^2 = 0`: forward-mode differentiation of the rendering code itself.
 //! Comparisons use the value alone, so that a dual render takes the same decisions as a plain one.
 
 use std::cmp::Ordering;

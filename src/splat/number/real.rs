@@ -23,7 +23,7 @@ pub trait Real:
     + MulAssign
     + 'static
 {
-    /// A number without a derivative: what is computed in double and rounded loses nothing.
+    /// Whether the number has no derivative, so that values may be computed in double and rounded.
     const PLAIN: bool = false;
     /// The nearest number to `value`.
     fn of(value: f64) -> Self;

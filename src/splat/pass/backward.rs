@@ -17,7 +17,7 @@ use super::forward::{TilePass, image_formation};
 use super::pool::TILES;
 use super::splats::Splats;
 
-/// What the tiles leave to the chain: a slot for every entry of the bins.
+/// The output of the tiles for the chain: a slot for every entry of the bins.
 #[derive(Debug, Default)]
 pub struct Moments<T> {
     /// With `Footprint::Ewa`.
@@ -26,19 +26,19 @@ pub struct Moments<T> {
     pub discs: Vec<DiscSums<T>>,
 }
 
-/// What is carried back.
+/// The gradient to propagate.
 pub struct TileGradient<'a, T> {
     pub image: &'a ImageGradient<'a, T>,
-    /// What the moments are wanted for; without, only the gradient of the gain is computed.
+    /// Which moments are wanted; `None` computes the gradient of the gain only.
     pub parts: Option<Parts>,
 }
 
-/// Gradient of the gain, and where no slots are shared the moments or the sums of the entries of a tile.
+/// Gradient of the gain and, if no slots are shared, the moments or the sums of the entries of a tile.
 type TileResult<T> = ([f64; 3], Vec<Aligned<T>>, Vec<DiscSums<T>>);
 
 impl<T: SplatKernels> TilePass<'_, T> {
-    /// Fills the moments of every entry and returns the gradient of the gain, which is not finite where that of a
-    /// colour is not.
+    /// Fills the moments of every entry and returns the gradient of the gain, which is not finite if that of a colour
+    /// is not.
     pub fn backward(
         &self,
         splats: &Splats<T>,
@@ -64,7 +64,7 @@ impl<T: SplatKernels> TilePass<'_, T> {
             let Adjoint(adjoint) = &mut Adjoint([T::zero(); PLANES * PIXELS]);
             let by_gain = T::adjoint(state, place, self.size, &formation, gradient.image, adjoint, faults);
             let Some(parts) = gradient.parts else { return (by_gain, Vec::new(), Vec::new()) };
-            // From there to the moments of its entries.
+            // From the adjoint to the moments of its entries.
             let (span, rows) = (bins.span(t), &splats.rows);
             let entries = &bins.entries[span.clone()];
             if let Some(optics) = self.optics {

@@ -1,10 +1,10 @@
 //! From splats to the list of each tile: splats are distributed to bands of tile rows, each band is sorted by depth
 //! (stable radix sort) and then distributed to its tiles by counting. Depth ties keep the order of the Gaussians.
-//! Bands are independent tasks; how many there are depends on the image alone, so what is filled does not depend on
-//! the threads. The work on a chunk or a band is C++ (`cpp/splat/bin.cpp`); the plain twin is [`TileLists`].
+//! Bands are independent tasks, and their number depends on the image alone, so the result does not depend on the
+//! threads. C++ does the work on a chunk or a band (`cpp/splat/bin.cpp`); the plain twin is [`TileLists`].
 //!
-//! Every entry has a slot for its moments. Slots lie splat by splat, so that the chain reads them one after the other;
-//! tiles write them out of order, which costs less: a write is not waited for.
+//! Every entry has a slot for its moments. Slots are ordered splat by splat, so that the chain reads them in sequence.
+//! Tiles write them out of order, which costs less, since nothing waits for a write.
 
 use rayon::prelude::*;
 
@@ -24,37 +24,38 @@ pub struct Bins {
     pub offsets: Vec<u32>,
     /// Splat of each entry, front to back within a tile.
     pub entries: Vec<u32>,
-    /// Slot of each entry: a number of its own.
+    /// Slot of each entry; all are different.
     pub targets: Vec<u32>,
-    /// 4x4 blocks of its tile that each entry may touch, as the forward pass found.
+    /// 4x4 blocks of its tile that each entry may touch, written by the forward pass.
     pub masks: Vec<u16>,
-    /// Whether a forward pass of the present splats has written them.
+    /// Whether a forward pass of the current splats has written the masks.
     pub masks_known: bool,
-    /// Slots of splat `j`, row by row of its box: `starts[j]..starts[j + 1]`; none when it is not visible. In a chunk
-    /// without visible splats only the last number means anything.
+    /// Slots of splat `j`, row by row of its box: `starts[j]..starts[j + 1]`; none if it is not visible. In a chunk
+    /// without visible splats only the last number is defined.
     pub starts: Vec<u32>,
     items: Vec<u64>,
     scratch: Vec<u64>,
     counts: Vec<Counts>,
 }
 
-/// Where chunks of splats are counted (`native::count`).
+/// Output of counting the chunks of splats (`native::count`).
 pub struct Counting<'a> {
     /// Tile rows of a band, as a power of 2.
     pub shift: u32,
-    /// Tiles of the splats of the chunk up to and with each.
+    /// Running total of tiles over the splats of the chunk.
     pub starts: &'a mut [u32],
     /// One per chunk.
     pub counts: &'a mut [Counts],
 }
 
-/// As few bands as the threads of a large machine can use: 2 to this power tile rows each.
+/// Logarithm to base 2 of the tile rows per band: the smallest that gives at most [`BANDS`] bands, as many as the
+/// threads of a large machine can use.
 fn shift_of(tiling: &Tiling) -> u32 {
     (1..).find(|s| tiling.rows.div_ceil(1 << s) <= BANDS).expect("an image has a finite number of tile rows")
 }
 
-/// Bands in an order that ends with small ones in either half: threads take halves, and what comes last decides how
-/// long they wait for each other.
+/// Orders the bands so that each half ends with small ones: threads take halves, and the last bands decide how long
+/// they wait for each other.
 fn longest_first(mut bands: Vec<Band<'_>>) -> Vec<Band<'_>> {
     bands.sort_by_key(|band| std::cmp::Reverse(band.entries.len()));
     let (mut halves, last) = ([Vec::new(), Vec::new()], bands.len());
@@ -91,7 +92,7 @@ impl Bins {
         self.counts.iter().map(|c| c.visible as usize).sum()
     }
 
-    /// Fills the lists of the tiles from the boxes and keys of the splats, which have been counted unless `isa` is
+    /// Fills the lists of the tiles from the boxes and keys of the splats, which must have been counted unless `isa` is
     /// scalar.
     pub fn fill(&mut self, isa: Isa, tiling: Tiling, all: &Boxes<'_>) {
         self.tiling = tiling;
@@ -214,7 +215,7 @@ mod tests {
             assert_eq!(fast.offsets, plain.offsets);
             assert_eq!(fast.entries, plain.entries);
             assert_eq!(fast.targets, plain.targets);
-            // In a chunk without visible splats only the last number means anything.
+            // In a chunk without visible splats only the last number is defined.
             let chunks = fast.starts[1..].chunks(CHUNK).zip(plain.starts[1..].chunks(CHUNK)).zip(visible.chunks(CHUNK));
             for ((fast, plain), visible) in chunks {
                 assert!(fast == plain || (!visible.contains(&true) && fast.last() == plain.last()));

@@ -1,8 +1,8 @@
 //! Any number of further channels (normals, labels, features), composited with the weights of the image.
 //!
 //! Three channels at a time take the place of the colours in the tables of the last pass and go through the same
-//! kernels, forward and backward: a group of three costs about a forward composite, and in the backward pass a backward
-//! one. Without channels nothing is done. No background, no gain, not divided by alpha.
+//! kernels: a group of three costs about as much as compositing the colours, forward and backward. Without channels
+//! nothing is done. No background, no gain, not divided by alpha.
 
 use rayon::prelude::*;
 
@@ -33,7 +33,7 @@ pub struct Channels<T> {
     pub image: Vec<T>,
 }
 
-/// Which gradients the channels have to give.
+/// Which gradients of the channels are wanted.
 #[derive(Clone, Copy)]
 pub struct ChannelsWanted {
     /// Those of the features.
@@ -97,14 +97,14 @@ impl<T: SplatKernels> Channels<T> {
         splats.set_colors(colors.into_iter());
     }
 
-    /// The features of a group, in the place of colours.
+    /// The features of a group, laid out as colours.
     fn group(&self, group: usize) -> impl Iterator<Item = [T; 3]> {
         let of = move |features: &[T]| [0, 1, 2].map(|k| features.get(GROUP * group + k).copied().unwrap_or_default());
         self.features.chunks(self.count).map(of)
     }
 
-    /// Adds what comes through the channels to the moments of the last backward pass, and returns the gradients of the
-    /// features, one after the other as the Gaussians; none where they are not wanted.
+    /// Adds the gradients through the channels to the moments of the last backward pass, and returns the gradients of
+    /// the features, Gaussian by Gaussian; none if they are not wanted.
     pub fn backward(
         &mut self,
         by_channels: &[T],

@@ -17,7 +17,7 @@ use super::options::PassOptions;
 use super::pool::{TILES, cut};
 use super::splats::Splats;
 
-/// What the tiles of a pass have in common.
+/// Inputs that all tiles of a pass share.
 #[derive(Clone, Copy)]
 pub struct TilePass<'a, T> {
     pub options: PassOptions,

@@ -18,7 +18,7 @@ pub struct GradientTables<T> {
     pub gradients: Gradients<T>,
     /// Chunks whose gradients are not all zero.
     written: Vec<bool>,
-    /// What the gradients are laid out for.
+    /// The layout of the gradients.
     layout: Option<GradientLayout>,
 }
 

@@ -20,13 +20,13 @@ pub struct Images<T> {
 }
 
 impl<T: SplatKernels> Images<T> {
-    /// Background, gain, and depth by alpha.
+    /// Fills the images: adds the background, applies the gain, divides depth by alpha.
     pub fn develop(&mut self, pass: &TilePass<'_, T>, bins: &Bins, state: &[T]) {
         let ([width, height], settings) = (pass.size, &pass.settings);
         let out = &mut self.rendered;
         (out.width, out.height) = (width, height);
         out.color.resize(width * height * 3, T::zero());
-        // A depth that is not asked for is not written again while it is 0.
+        // A depth image that is not requested is not written again while it is 0.
         let depth_stays =
             settings.depth == DepthOutput::Skip && self.depth_is_zero && out.depth.len() == width * height;
         out.depth.resize(width * height, T::zero());

@@ -1,9 +1,9 @@
-//! What a render is asked for, and what is chosen once for many passes.
+//! The arguments of a render, and the options that hold for many passes.
 
 use crate::ffi::isa::Isa;
 use crate::splat::types::{Gaussians, Settings, Skips, View};
 
-/// Which kernels run, and what they leave out.
+/// Which kernels run, and which work they skip.
 #[derive(Clone, Copy, Debug)]
 pub struct PassOptions {
     pub isa: Isa,

@@ -1,4 +1,4 @@
-//! What each pixel of the last pass blends, splat after splat: the images that are asked for once, not in an
+//! The splats that each pixel of the last pass blends, in order: for images that are needed once and not in an
 //! optimisation (depth of the surface, median depth, number of contributors). Plain code, forward only.
 
 use glam::DVec2;
@@ -15,17 +15,17 @@ use super::splats::Splats;
 
 /// One splat that a pixel blends.
 struct BlendedSplat {
-    /// What it adds to the pixel: alpha times the light before it.
+    /// Its weight in the pixel: alpha times the transmittance in front of it.
     weight: f64,
     /// z-depth in mm where the ray meets it.
     depth: f64,
-    /// Light behind it.
+    /// Transmittance behind it.
     left: f64,
 }
 
-/// Where on the ray a splat stands.
+/// Source of a splat's position along the ray.
 pub enum SurfaceSource<'a, T> {
-    /// Not asked for.
+    /// Not needed.
     None,
     /// The surfaces of the splats of an affine projection.
     Splats(Vec<Option<SplatSurface>>),
@@ -33,7 +33,7 @@ pub enum SurfaceSource<'a, T> {
     Discs(DiscOptics<'a, T>),
 }
 
-/// The splats of the last pass, to be followed pixel by pixel.
+/// The splats of the last pass, to be visited pixel by pixel.
 pub struct PixelWalk<'a, T> {
     pub splats: &'a Splats<T>,
     pub bins: &'a Bins,
@@ -58,7 +58,7 @@ pub fn splat_surfaces<T: Real>(
 }
 
 impl<T: Real> PixelWalk<'_, T> {
-    /// Calls `visit` for every splat that the pixel `(x, y)` blends, front to back, while it gives back `true`.
+    /// Calls `visit` for every splat that the pixel `(x, y)` blends, front to back, while it returns `true`.
     fn blend(&self, tile: usize, p: usize, [x, y]: [usize; 2], mut visit: impl FnMut(BlendedSplat) -> bool) {
         let bins = self.bins;
         let corner = bins.tiling.corner(tile);
@@ -67,7 +67,8 @@ impl<T: Real> PixelWalk<'_, T> {
         let mut left = 1.0;
         let block = 1u16 << (p / 16);
         for at in bins.span(tile) {
-            // Masks of the forward pass: splats that cannot touch this block of pixels, or lie behind where it stopped.
+            // The masks of the forward pass exclude splats that cannot touch this block of pixels or lie behind the
+            // point where it stopped.
             if bins.masks_known && bins.masks[at] & block == 0 {
                 continue;
             }
@@ -114,7 +115,7 @@ impl<T: Real> PixelWalk<'_, T> {
         out
     }
 
-    /// Mean depth of the surfaces, weighted like the image; 0 where nothing is.
+    /// Mean depth of the surfaces, weighted like the image; 0 if the pixel blends no splat.
     pub fn surface(&self, tile: usize, p: usize, pixel: [usize; 2]) -> f64 {
         let (mut sum, mut weights) = (0.0, 0.0);
         self.blend(tile, p, pixel, |splat| {
@@ -125,7 +126,7 @@ impl<T: Real> PixelWalk<'_, T> {
         if weights > 0.0 { sum / weights } else { 0.0 }
     }
 
-    /// Depth of the splat behind which no more than half of the light is left; 0 where there is none.
+    /// Depth of the first splat behind which the transmittance is at most one half; 0 if there is none.
     pub fn median(&self, tile: usize, p: usize, pixel: [usize; 2]) -> f64 {
         let mut median = 0.0;
         self.blend(tile, p, pixel, |splat| {
@@ -154,7 +155,7 @@ mod tests {
     use crate::splat::{DepthOutput, Footprint, Gaussians, Rasterizer, Settings, Shape, View};
     use glam::DAffine3;
 
-    /// Three panes before the camera: a quarter, half, three quarters of what is left.
+    /// Three panes in front of the camera that absorb a quarter, half and three quarters of the remaining light.
     #[test]
     fn median_and_count_of_three_panes() {
         let mut scene = Gaussians::<f64>::discs(3, 0, 0.0);
@@ -170,7 +171,7 @@ mod tests {
             let depth_at = |rasterizer: &mut Rasterizer<f64>, scene: &Gaussians<f64>| {
                 rasterizer.render(scene, &view, &settings, None).unwrap().depth[center]
             };
-            // 1, .75, .375: half of the light is gone behind the second pane.
+            // Transmittance 1, .75, .375: below one half behind the second pane.
             assert!((depth_at(&mut rasterizer, &scene) - 3.0).abs() < 1e-9);
             assert!(rasterizer.contributors().unwrap().iter().all(|&count| count == 3));
             let mut thin = scene.clone();

@@ -1,16 +1,16 @@
 //! How a pass shares its work among threads.
 //!
-//! A pass is ten stages of some ten to some hundred microseconds. A thread that sleeps between two of them is woken too
-//! late for the second; one that polls for work has it at once. So while a pass runs, the other threads stay awake
-//! ([`stay`]).
+//! A pass has ten stages of some ten to some hundred microseconds each. A thread that sleeps between two of them is
+//! woken too late for the second; one that polls for work gets it at once. So while a pass runs, the other threads
+//! stay awake ([`stay`]).
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use rayon::Yield;
 
-/// Runs a whole pass inside the thread pool: a caller from outside would otherwise sleep and be woken once for every
-/// stage, and the threads with it.
+/// Runs a whole pass inside the thread pool: otherwise a caller from outside, and the pool's threads, would sleep and
+/// be woken once per stage.
 pub fn in_pool<R: Send>(pass: impl FnOnce() -> R + Send) -> R {
     let run = || {
         let _awake = Awake::new();
@@ -25,9 +25,9 @@ pub const CHUNK: usize = 1024;
 /// Rows of tiles that one thread takes at a time.
 pub const PIECE: usize = 1;
 
-/// Chunks of Gaussians, of so many, that one thread takes at a time: few, since visible Gaussians lie together and
-/// two halves of a scene are seldom the same amount of work; but enough that a scene is not cut into hundreds of
-/// empty tasks.
+/// Number of chunks of Gaussians, out of `chunks`, that one thread takes at a time: few, since visible Gaussians lie
+/// together and two halves of a scene are seldom the same amount of work, but enough that a scene is not cut into
+/// hundreds of empty tasks.
 pub fn piece_of(chunks: usize) -> usize {
     (chunks / 64).max(1)
 }
@@ -46,13 +46,15 @@ pub fn cut<V>(mut slice: &mut [V], lengths: impl Iterator<Item = usize>) -> Vec<
         .collect()
 }
 
-/// Rounds without work (some 100 ns each) after which a thread goes to sleep; more than any stage leaves it idle.
+/// Rounds without work (some 100 ns each) after which a thread goes to sleep: longer than a thread is idle in any
+/// stage.
 const IDLE_ROUNDS: usize = 500;
 
-/// Whether a pass keeps threads awake: one at a time, since passes side by side fill the threads without that.
+/// Whether a pass keeps the threads awake. Only one does at a time, since concurrent passes keep the threads busy
+/// anyway.
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
-/// While it lives, the other threads of the pool stay awake.
+/// Keeps the other threads of the pool awake until it is dropped.
 struct Awake(Option<Arc<AtomicBool>>);
 
 impl Awake {
@@ -86,7 +88,7 @@ impl Drop for Awake {
     }
 }
 
-/// Does what there is to do until `done`, or until there has been nothing for long.
+/// Executes pending work until `done`, or until there has been none for [`IDLE_ROUNDS`].
 fn stay(done: &AtomicBool) {
     let mut idle = 0;
     while idle < IDLE_ROUNDS && !done.load(Ordering::Acquire) {

@@ -30,7 +30,7 @@ use super::reuse::{Reuse, ReuseState};
 use super::splats::{MovingOutput, Splats};
 use super::stages::{PassClock, PassStage, StageTimes};
 
-/// The differentiable rasteriser. Owns all intermediate tables, so keep one per thread of control and use it again.
+/// The differentiable rasteriser. Owns all intermediate tables, so keep one per thread of control and reuse it.
 #[derive(Debug)]
 pub struct Rasterizer<T> {
     pub(super) options: PassOptions,
@@ -99,14 +99,14 @@ impl<T: SplatKernels> Rasterizer<T> {
         }
     }
 
-    /// What later passes leave out; [`Skips::ALL`] unless told.
+    /// Sets which work later passes skip; [`Skips::ALL`] by default.
     pub fn skips(&mut self, skips: Skips) {
         self.options.skips = skips;
         self.reuse.forget();
         self.last = None;
     }
 
-    /// What later renders may take over from the one before; [`Reuse::Never`] unless told.
+    /// Sets what later renders may reuse from the one before; [`Reuse::Never`] by default.
     pub fn reuse(&mut self, reuse: Reuse) {
         self.reuse = ReuseState::new(reuse);
     }
@@ -146,8 +146,8 @@ impl<T: SplatKernels> Rasterizer<T> {
     /// Renders the Gaussians named in `active` (indices in strictly ascending order; `None` is all of them).
     ///
     /// Order is by z-depth of the centre (computed in f64, rounded to f32), ties by index. Gaussians with a number
-    /// that is not finite, with no opacity, or before the near plane are left out; the images are finite whatever
-    /// goes in. Errors: arrays that do not belong together, a camera or settings that make no sense, a bad `active`.
+    /// that is not finite, with no opacity, or in front of the near plane are left out; the images are finite for any
+    /// input. Errors: arrays of different lengths, an invalid camera or settings, a bad `active`.
     pub fn render(
         &mut self,
         gaussians: &Gaussians<T>,
@@ -170,8 +170,8 @@ impl<T: SplatKernels> Rasterizer<T> {
         Ok(())
     }
 
-    /// Everything of a render before compositing; where velocities of splats can be computed while they are projected
-    /// anew, those along `moving` too. `true` when these are there.
+    /// All of a render before compositing. If splats are projected anew and the kernels can compute velocities, those
+    /// along `moving` too; returns whether they have been computed.
     pub(super) fn prepare(&mut self, request: RenderRequest<'_, T>, moving: Option<&Direction<'_, T>>) -> Result<bool> {
         let RenderRequest { gaussians, view, settings, active } = request;
         self.clock.start();
@@ -214,7 +214,7 @@ impl<T: SplatKernels> Rasterizer<T> {
     }
 
     /// Projects all active Gaussians and distributes their splats to the tiles. With `moving` also the velocities
-    /// along it; `false` when these are not there.
+    /// along it; `false` if these have not been computed.
     fn make_splats(
         &mut self,
         gaussians: &Gaussians<T>,
@@ -321,8 +321,7 @@ impl<T: SplatKernels> Rasterizer<T> {
         Ok(&self.gradients.gradients)
     }
 
-    /// [`Rasterizer::backward`] of the plain twin with a mistake in it: for those who check the gradients to see that
-    /// their check can fail.
+    /// [`Rasterizer::backward`] of the plain twin with a seeded mistake, to verify that a gradient check can fail.
     pub fn backward_with_fault(
         &mut self,
         gaussians: &Gaussians<T>,
@@ -398,7 +397,7 @@ impl<T: SplatKernels> Rasterizer<T> {
             if !plane.is_empty() && plane.len() != pixels * per_pixel {
                 return Err(Error::input(format!("the {name} gradient has {} values", plane.len())));
             }
-            // The tiles check the colours in passing.
+            // The tiles check the colours themselves.
             if name != "colour" {
                 self.check_finite(name, plane, per_pixel)?;
             }
@@ -422,7 +421,7 @@ impl<T: SplatKernels> Rasterizer<T> {
     }
 }
 
-/// What the tiles of a pass over the last splats have in common.
+/// The inputs that all tiles of a pass over the last splats share.
 fn tile_pass<'a, T: SplatKernels>(
     options: PassOptions,
     rays: &'a ViewRays<T>,

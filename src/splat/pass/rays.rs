@@ -1,4 +1,4 @@
-//! The rays of the pixels, which exact discs are met by.
+//! The rays of the pixels, for their intersections with exact discs.
 
 use rayon::prelude::*;
 
@@ -13,7 +13,7 @@ pub struct ViewRays<T> {
 }
 
 impl<T: Real> ViewRays<T> {
-    /// Computes the rays of `camera`, unless they are there.
+    /// Computes the rays of `camera`, unless they are already stored.
     pub fn update(&mut self, camera: &Camera) {
         if self.camera.as_ref() == Some(camera) {
             return;

@@ -1,20 +1,20 @@
-//! What a render may take over from the one before: while positions, shapes and opacities stay as they were (and
-//! camera and active list too), the splats, their order and the lists of the tiles are those of before, and only
-//! colours have to be computed again. The images are the same bits as those of a render from scratch.
+//! What a render may reuse from the one before: while positions, shapes, opacities, camera and active list stay
+//! unchanged, so do the splats, their order and the lists of the tiles, and only colours have to be computed again.
+//! The images are bit by bit those of a render from scratch.
 
 use crate::splat::number::Real;
 use crate::splat::types::{Footprint, Settings, Shape, View};
 
 use super::options::RenderRequest;
 
-/// What is kept from one render to the next.
+/// What is reused from one render to the next.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reuse {
-    /// Nothing; nothing is compared or copied either.
+    /// Nothing; no comparison or copy is made either.
     #[default]
     Never,
-    /// Splats and lists while no number but SH, gain and background has changed: exact. Costs a comparison of the
-    /// geometry (about a hundredth of a render), and a copy where it has changed.
+    /// Splats and lists while only SH, gain and background have changed: exact. Costs a comparison of the geometry
+    /// (about a hundredth of a render), and a copy if it has changed.
     Unchanged,
 }
 
@@ -64,11 +64,11 @@ impl<T: Real> KeptGeometry<T> {
         }
     }
 
-    /// Whether splats and lists hold for this render.
+    /// Whether splats and lists are valid for this render.
     fn holds_for(&self, request: RenderRequest<'_, T>) -> bool {
         let RenderRequest { gaussians, view, settings, active } = request;
         let developed = Settings { gain: self.settings.gain, background: self.settings.background, ..*settings };
-        // Exact discs have tables of their own: they are projected anew.
+        // Exact discs have tables of their own and are always projected anew.
         settings.footprint != Footprint::Disc
             && self.view == *view
             && self.settings == developed
@@ -80,7 +80,7 @@ impl<T: Real> KeptGeometry<T> {
     }
 }
 
-/// The geometry of the last render, where it is to be reused.
+/// The geometry of the last render, if reuse is on.
 #[derive(Debug)]
 pub struct ReuseState<T> {
     mode: Reuse,
@@ -106,12 +106,12 @@ impl<T> ReuseState<T> {
 }
 
 impl<T: Real> ReuseState<T> {
-    /// Whether the splats and lists of the last render hold for this one.
+    /// Whether the splats and lists of the last render are valid for this one.
     pub fn holds_for(&self, request: RenderRequest<'_, T>) -> bool {
         self.kept.as_ref().is_some_and(|kept| kept.holds_for(request))
     }
 
-    /// Remembers what the lists were made for, if reuse is on.
+    /// Stores the geometry that the lists were made for, if reuse is on.
     pub fn keep(&mut self, request: RenderRequest<'_, T>) {
         if self.mode == Reuse::Unchanged {
             self.kept = Some(KeptGeometry::of(request));

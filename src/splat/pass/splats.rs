@@ -16,12 +16,12 @@ use crate::splat::types::{Direction, Footprint, Tiling};
 use super::bins::{Bins, Counting};
 use super::pool::{CHUNK, PIECE, cut, piece_of};
 
-/// The splats of the active Gaussians; which of them mean anything is in the flags of visibility.
+/// The splats of the active Gaussians; only those flagged as visible are defined.
 #[derive(Debug, Default)]
 pub struct Splats<T> {
     /// Rows of the splats.
     pub rows: Vec<Aligned<T>>,
-    /// With `Footprint::Disc`, what the rays need to know beside them.
+    /// With `Footprint::Disc`, the further numbers of each disc that rays need.
     pub discs: Vec<Aligned<T>>,
     boxes: Vec<[u32; 2]>,
     keys: Vec<u32>,
@@ -34,7 +34,7 @@ pub struct MovingOutput<'a, 'd, T> {
 }
 
 impl<T: SplatKernels> Splats<T> {
-    /// Projects all active Gaussians of `scene` and, unless the plain twin of the bins is asked for (`isa`), counts the
+    /// Projects all active Gaussians of `scene` and, unless `isa` selects the plain twin of the bins, counts the
     /// visible ones into `bins` while they are in the cache.
     pub fn project(
         &mut self,
@@ -95,13 +95,13 @@ impl<T: SplatKernels> Splats<T> {
         );
     }
 
-    /// What the bins need to know.
+    /// The inputs of the bins.
     pub fn boxes<'a>(&'a self, visible: &'a [bool]) -> Boxes<'a> {
         Boxes { boxes: &self.boxes, keys: &self.keys, visible }
     }
 
-    /// Colours of the visible splats from the SH, all else as it is; `false` when one is not finite, so that this is no
-    /// longer the same scene.
+    /// Recomputes the colours of the visible splats from the SH and leaves the rest unchanged; `false` if one is not
+    /// finite, so that this is no longer the same scene.
     pub fn recolor(&mut self, scene: &KernelScene<'_, T>, visible: &[bool]) -> bool {
         let rows = self.rows[..visible.len()].par_chunks_mut(CHUNK);
         let chunks = rows.zip(visible.par_chunks(CHUNK)).enumerate().with_max_len(PIECE);

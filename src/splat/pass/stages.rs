@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use crate::ffi::system::cpu_time_s;
 
-/// What a pass does, in its order.
+/// The stages of a pass, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PassStage {
     /// Gaussians to splats.
@@ -50,7 +50,7 @@ impl PassStage {
 pub struct StageTimes {
     /// Wall clock.
     pub wall_s: [f64; 6],
-    /// CPU time of the process (all threads, whatever they did); 0 unless asked for.
+    /// CPU time of the process (all threads, including unrelated work); 0 unless requested.
     pub cpu_s: [f64; 6],
 }
 
@@ -78,13 +78,13 @@ impl PassClock {
         self.with_cpu = true;
     }
 
-    /// What follows is the first stage of a pass.
+    /// Starts the first stage of a pass.
     pub fn start(&mut self) {
         self.since = Instant::now();
         self.cpu_since = if self.with_cpu { cpu_time_s() } else { 0.0 };
     }
 
-    /// The stage ends here, the next begins.
+    /// Ends `stage` and starts the next one.
     pub fn end(&mut self, stage: PassStage) {
         let (since, cpu_since) = (self.since, self.cpu_since);
         self.start();

@@ -1,9 +1,9 @@
 //! Forward-mode derivative of the colour image along directions in the space of parameters (JVP): a motion of every
 //! Gaussian (breathing phase), the six motions of the camera, exposure. For Gauss-Newton on few unknowns: one pass per
-//! direction, no gradient of anything.
+//! direction and no backward pass.
 //!
 //! The decisions (which splats, in which order, what is left out, where a pixel stops) are those of the plain render,
-//! and so is the clamp of the pinhole's Jacobian: the derivative is that of the very function that is rendered. The
+//! and so is the clamp of the pinhole's Jacobian: the derivative is exactly that of the rendered function. The
 //! vectorised kernels composite values and up to four velocities in one pass; the plain twin, for every number type,
 //! runs projection (`plain/moving.rs`) and compositing in dual numbers, and so do exact discs, whole passes of them.
 
@@ -60,7 +60,7 @@ impl<T: SplatKernels> Rasterizer<T> {
     }
 
     /// Renders and differentiates along all directions but the gain with the vectorised kernels, up to four at once;
-    /// `false` when there are none, or nothing for them to do.
+    /// `false` if there are no such kernels or directions.
     fn render_moving(
         &mut self,
         request: RenderRequest<'_, T>,
@@ -101,7 +101,7 @@ impl<T: SplatKernels> Rasterizer<T> {
         Ok(true)
     }
 
-    /// Velocities of all visible splats, direction by direction; those along the first `known` are there.
+    /// Velocities of all visible splats, direction by direction; those along the first `known` are already computed.
     fn velocities_of<'d>(
         &self,
         kernels: &VelocityKernels<T>,
@@ -179,7 +179,7 @@ impl<T: SplatKernels> Rasterizer<T> {
             let i = active.map_or(j, |list| list[j] as usize);
             visible[j].then(|| moving_row(&plain, &dual, gaussians, i, direction)).flatten()
         };
-        // A velocity that overflows stands still: what is left is the plain splat.
+        // A velocity that overflows is set to 0, which leaves the plain splat.
         let still = |j: usize| self.splats.rows[j].0.map(Dual::constant);
         let rows: Vec<Aligned<Dual<T>>> = (0..visible.len())
             .into_par_iter()

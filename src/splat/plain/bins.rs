@@ -1,11 +1,11 @@
-//! Which tiles a splat meets, and the plain twin of the lists of the tiles (`cpp/splat/bin.cpp`).
+//! The tiles that a splat meets, and the plain twin of the lists of the tiles (`cpp/splat/bin.cpp`).
 
 use crate::ffi::splat::bin::Boxes;
 use crate::splat::number::Real;
 use crate::splat::types::table::{SplatRow, at};
 use crate::splat::types::{TILE_SIDE, Tiling};
 
-/// Tiles in whose lists a splat is, inclusive; packed: `x0 | y0 << 16`, `x1 | y1 << 16`.
+/// Range of tiles whose lists contain a splat, inclusive; packed: `x0 | y0 << 16`, `x1 | y1 << 16`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct TileBox {
     pub x0: usize,
@@ -15,14 +15,14 @@ pub struct TileBox {
 }
 
 impl TileBox {
-    /// Tiles of the pixel centres within the splat's half width and height, and a slack against rounding (that of the
-    /// masks of blocks, `tile.rs`). Where there are none, the tile of its left or upper end.
+    /// Tiles of the pixel centres within the splat's half width and height plus a slack against rounding (that of the
+    /// block masks, `tile.rs`). If there are none, the tile of its left or upper end.
     pub fn of<T: Real>(row: &SplatRow<T>, tiling: &Tiling) -> Self {
         let slack = T::of(1e-3) + T::of(1e-5) * (row[at::HALF_WIDTH] + row[at::HALF_HEIGHT]);
         Self::around(row, tiling, T::of(0.5) - slack)
     }
 
-    /// Tiles that the splat's bounding box meets when it is made smaller by `less` pixels on every side.
+    /// Tiles that the splat's bounding box meets after shrinking it by `less` pixels on every side.
     pub fn around<T: Real>(row: &SplatRow<T>, tiling: &Tiling, less: T) -> Self {
         let per_px = 1.0 / TILE_SIDE as f64;
         let ends = |axis: usize, n: usize| {
@@ -44,7 +44,7 @@ impl TileBox {
         [self.x0 as u32 | (self.y0 as u32) << 16, self.x1 as u32 | (self.y1 as u32) << 16]
     }
 
-    /// How many.
+    /// Number of tiles.
     pub fn count(&self) -> usize {
         (self.x1 - self.x0 + 1) * (self.y1 - self.y0 + 1)
     }

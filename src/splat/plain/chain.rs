@@ -55,8 +55,8 @@ fn covariance_gradient<T: Real>(g: &Geometry<T>, m: &SplatRow<T>, faults: impl F
     [-(e0 * a + e1 * b), -(e0 * b + e1 * c), -(e2 * b + e3 * c)]
 }
 
-/// Adds to `by_u` what comes through the factor `sqrt(det / det dilated)` of the opacity, whose logarithm has the
-/// gradient `by_log`. `det` is the sum of the squares of the cross products of the `u`.
+/// Adds to `by_u` the gradient through the factor `sqrt(det / det dilated)` of the opacity; `by_log` is the gradient
+/// by the logarithm of that factor. `det` is the sum of the squares of the cross products of the `u`.
 #[inline(always)]
 fn compensation_pullback<T: Real>(g: &Geometry<T>, by_log: T, by_u: &mut [[T; 2]; 3]) {
     let [a, b, c] = g.conic;
@@ -75,8 +75,8 @@ fn compensation_pullback<T: Real>(g: &Geometry<T>, by_log: T, by_u: &mut [[T; 2]
     }
 }
 
-/// Writes the gradient of the SH coefficients (where there is room for it) and returns that of the view direction (as
-/// if it were free).
+/// Writes the gradient of the SH coefficients (unless `by_sh` is empty) and returns that of the view direction (as
+/// if its length were free).
 #[inline(always)]
 pub fn color_gradient<T: Real>(
     gaussians: &Gaussians<T>,
@@ -104,7 +104,7 @@ pub fn color_gradient<T: Real>(
     sh::basis_pullback(direction, gaussians.sh_degree, &weights)
 }
 
-/// Through the normalisation of the view direction.
+/// Gradient through the normalisation of the view direction.
 #[inline(always)]
 pub fn by_view_direction<T: Real>(free: [T; 3], direction: [T; 3], distance: T) -> [T; 3] {
     let along = dot(free, direction);
@@ -183,7 +183,8 @@ pub fn gradients_of_splat<T: Real>(
     (one.is_finite() && colors.is_finite()).then_some(one)
 }
 
-/// A motion of the camera turns and shifts the centre and turns the columns in camera axes; turning leaves the eye.
+/// Gradient by a motion of the camera, which turns and shifts the centre and turns the columns in camera axes. A
+/// rotation does not move the eye.
 #[inline(always)]
 pub fn pose_gradient<T: Real>(
     projector: &Projector<T>,

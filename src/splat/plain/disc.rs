@@ -1,5 +1,5 @@
-//! Flat discs met exactly by the rays of the pixels, after 2D Gaussian splatting (Huang et al., 2024): what an affine
-//! projection (EWA) cannot do for a disc that is near, wide or seen at a grazing angle.
+//! Flat discs intersected exactly by the rays of the pixels, after 2D Gaussian splatting (Huang et al., 2024): accurate
+//! where an affine projection (EWA) is not, for discs that are near, wide or seen at a grazing angle.
 //!
 //! Symbols, camera axes: `t` centre, `a`, `b` the two axes (standard deviations, not necessarily perpendicular), `d`
 //! the ray of a pixel, `N = a x b`. The ray meets the plane where `s a + u b + t = z d`: by Cramer's rule
@@ -7,17 +7,17 @@
 //! `o exp(-(s^2 + u^2) / 2)`. `P.t = Q.t = 0`, so `P.d = P.(d - t d_z / t_z)`: the difference is taken first, which
 //! keeps the digits of small discs.
 //!
-//! So that a disc seen edge-on or from afar does not vanish between pixels, it is at least a Gaussian of
-//! `dilation_px2` around its centre on screen: the larger of the two counts (2DGS has 0.5 px^2 here; 0 is the disc
-//! alone). A point counts as met at `near_mm` or beyond; depth is that of the point, of the centre where the filter
-//! counts. Ellipsoids lose their shortest axis. Order, alpha bounds and stop are those of EWA.
+//! So that a disc seen edge-on or from afar does not vanish between pixels, its alpha is at least that of a Gaussian
+//! of variance `dilation_px2` around its centre on screen (the screen filter; 2DGS has 0.5 px^2 here, 0 is the disc
+//! alone). Intersections nearer than `near_mm` do not count. Depth is that of the intersection, or of the centre where
+//! the filter is larger. Ellipsoids lose their shortest axis. Order, alpha bounds and stop are those of EWA.
 //!
-//! The gradient is that of this function, exactly. Of a disc seen edge-on it holds for steps that are small beside the
-//! width of the line that the disc is on screen, which may be a hundredth of a pixel.
+//! The gradient is exactly that of this function. For a disc seen edge-on it is valid for steps much smaller than the
+//! width of the line that the disc covers on screen, which may be a hundredth of a pixel.
 //!
 //! Tiles are composited by vectorised kernels (`cpp/splat/disc.cpp`); projection, chain and the kernels' twin
 //! (`disc_tile.rs`) are plain code over [`Real`], and directions of `Rasterizer::render_tangent` take a pass in dual
-//! numbers each. What all of it costs beside EWA is in `docs/performance.md`. Left out: intrinsics of a fisheye,
+//! numbers each. `docs/performance.md` compares its cost with that of EWA. Left out: intrinsics of a fisheye,
 //! `Filter::Compensate`.
 
 use crate::ffi::splat::rasterize::Aligned;
@@ -28,10 +28,10 @@ use crate::splat::types::{Gaussians, Settings, Tiling, View};
 use super::bins::TileBox;
 use super::projector::Projector;
 
-/// A box that reaches beyond every image.
+/// Half size in pixels of a box that is larger than every image.
 const EVERYWHERE: f64 = 1e6;
 
-/// What the rays need to know of one disc, beside its row.
+/// The numbers of one disc that rays need besides its row.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Disc<T> {
     /// `b x t`, `t x a`, `a x b`.
@@ -42,12 +42,12 @@ pub struct Disc<T> {
     pub height: T,
     /// `t / t_z`.
     pub slope: [T; 2],
-    /// Where it is visible.
+    /// Box on screen in which it is visible.
     pub bounds: DiscBounds<T>,
 }
 
 impl<T: Real> Disc<T> {
-    /// As it lies in the tables (`DiscColumn` of `cpp/splat/kernel.h`).
+    /// Its row in the tables (`DiscColumn` of `cpp/splat/kernel.h`).
     pub fn pack(&self) -> Aligned<T> {
         let (p, q, n, low, high) = (self.p, self.q, self.n, self.bounds.low, self.bounds.high);
         Aligned([
@@ -92,7 +92,7 @@ pub struct DiscBounds<T> {
 }
 
 impl<T: Real> DiscBounds<T> {
-    /// True for a point inside, or nearer to it than `margin`.
+    /// True for a point inside or closer to it than `margin`.
     #[inline(always)]
     pub fn holds(&self, point: [T; 2], margin: T) -> bool {
         (0..2).all(|k| point[k] >= self.low[k] - margin && point[k] <= self.high[k] + margin)
@@ -128,8 +128,8 @@ impl<T: Real> DiscInCamera<T> {
         }
     }
 
-    /// Corners in pixels of a box that holds every point met at less than `reach` standard deviations and at `near` or
-    /// beyond.
+    /// Corners in pixels of a box that holds every intersection at less than `reach` standard deviations and at `near`
+    /// or beyond.
     fn bounds(&self, projector: &Projector<T>, reach: T) -> DiscBounds<T> {
         let (t, point) = (self.t, projector.lens.image_of(self.t).point);
         let everywhere = T::of(EVERYWHERE);
@@ -156,9 +156,8 @@ impl<T: Real> DiscInCamera<T> {
         bounds
     }
 
-    /// Least and greatest slope, less that of the centre, over what the disc shows at `near` or beyond: at the points
-    /// where lines through the eye touch its outline, and where the near plane cuts it. `None` where that is not
-    /// finite.
+    /// Least and greatest slope, relative to that of the centre, over the part of the disc at `near` or beyond. They
+    /// occur where lines through the eye touch its outline, or where the near plane cuts it. `None` if not finite.
     fn slopes(&self, k: usize, reach: T, near: T) -> Option<[T; 2]> {
         let t = self.t;
         let along = [reach * self.a[2], reach * self.b[2]];
@@ -183,7 +182,7 @@ impl<T: Real> DiscInCamera<T> {
             let towards = touching * t[2] / product(aside, aside);
             let z = t[2] + towards * product(along, aside);
             if whole || z >= near {
-                // A disc that is a line or a point to the eye is touched nowhere, or everywhere at once.
+                // A disc that projects to a line or a point has no points of contact, or infinitely many.
                 finite &= if square == T::zero() { true } else { take(touching) };
             }
         }
@@ -200,7 +199,7 @@ impl<T: Real> DiscInCamera<T> {
 }
 
 impl<T: Real> Projector<T> {
-    /// The row of the tables and the disc of Gaussian `i`; `None` when it is invisible or not finite.
+    /// The row of the tables and the disc of Gaussian `i`; `None` if it is invisible or not finite.
     pub fn project_disc(&self, gaussians: &Gaussians<T>, i: usize) -> Option<(SplatRow<T>, Disc<T>)> {
         let log2_opacity = gaussians.opacities[i].log2();
         let reach = log2_opacity + T::of(LOG2_255);
@@ -226,7 +225,7 @@ impl<T: Real> Projector<T> {
         let deviations = (T::of(2.0 * std::f64::consts::LN_2) * reach).sqrt();
         let filter = deviations * self.dilation.sqrt();
         let met = placed.bounds(self, deviations);
-        // A touch more than the bound, against rounding.
+        // Slack against rounding, in pixels.
         let slack = T::of(1e-2);
         for k in 0..2 {
             let room = slack + T::of(1e-4) * (met.high[k] - met.low[k]);
@@ -251,13 +250,13 @@ pub fn tiles_of<T: Real>(bounds: &DiscBounds<T>, tiling: &Tiling) -> TileBox {
     let mut row = [T::zero(); 16];
     for k in 0..2 {
         row[at::X + k] = half * (bounds.low[k] + bounds.high[k]);
-        // Halves of large numbers round.
+        // Enlarged against the rounding of large numbers.
         row[at::HALF_WIDTH + k] = half * (bounds.high[k] - bounds.low[k]) * T::of(1.0 + 1e-6) + T::of(1e-2);
     }
     TileBox::of(&row, tiling)
 }
 
-/// What every pixel of a view has in common.
+/// The inputs that all pixels of a view share.
 #[derive(Clone, Copy, Debug)]
 pub struct DiscOptics<'a, T> {
     /// Ray of each pixel in camera axes, row by row.

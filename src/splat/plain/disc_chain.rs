@@ -53,7 +53,7 @@ pub fn gradients_of_disc<T: Real>(
         let over = T::one() / t[2];
         let mut by_t = add(cross(by_p, b), cross(a, by_q));
         for k in 0..3 {
-            // The centre's ray, from which the offsets of the others are taken, moves with it.
+            // The centre's ray, relative to which the other rays are given, moves with it.
             by_t[k] -= (disc.p[k] * m[sum::P_ALONG] + disc.q[k] * m[sum::Q_ALONG]) * over;
             by_t[k] += disc.n[k] * m[sum::HEIGHT];
         }

@@ -1,9 +1,9 @@
 //! Compositing of one tile of exact discs, forward and backward: the plain twin of `cpp/splat/disc.cpp`; symbols as
-//! in `disc.rs`, transmittance and the bookkeeping of what lies behind as in `tile.rs`.
+//! in `disc.rs`, transmittance and `behind` as in `tile.rs`.
 //!
-//! Of `v = alpha d loss / d alpha` a disc that is met gets `-v s / w` for `p = P.d`, `-v u / w` for `q = Q.d` and
-//! `v (s^2 + u^2) / w` for `w = N.d`; summed with the ray (for `p`, `q`: with its offset from the centre's ray, and the
-//! rest apart), they are all that the chain needs.
+//! With `v = alpha d loss / d alpha`, an intersected disc has the gradients `-v s / w` by `p = P.d`, `-v u / w` by
+//! `q = Q.d` and `v (s^2 + u^2) / w` by `w = N.d`. Their sums over the pixels, multiplied by the ray (for `p` and `q`:
+//! by its offset from the centre's ray, and separately by the rest), are all that the chain needs.
 
 use std::f64::consts::LOG2_E;
 
@@ -21,32 +21,32 @@ pub struct DiscTile<'a, T> {
     pub rows: &'a [Aligned<T>],
     pub discs: &'a [Aligned<T>],
     pub entries: &'a [u32],
-    /// Which tile of which.
+    /// The tiling, and the number of the tile.
     pub tile: (Tiling, usize),
     pub optics: DiscOptics<'a, T>,
 }
 
-/// A point of a disc's plane that a ray meets, in standard deviations, with `1 / N.d`.
+/// The intersection of a ray and a disc's plane, in standard deviations, with `1 / N.d`.
 struct PlanePoint<T> {
     s: T,
     u: T,
     over: T,
 }
 
-/// What a disc shows at a pixel.
+/// The sample of a disc at a pixel.
 pub struct DiscSample<T> {
     /// Offset of the pixel from the centre on screen.
     offset: [T; 2],
-    /// Of the ray from that of the centre.
+    /// Offset of the ray from that of the centre.
     tilt: [T; 3],
-    /// `None` where the screen filter counts.
+    /// `None` where the screen filter is larger.
     hit: Option<PlanePoint<T>>,
     raw: T,
     pub alpha: T,
     pub depth: T,
 }
 
-/// What the disc of `row` shows at the pixel `(x, y)` with ray `d`; `None` below 1/255.
+/// Samples the disc of `row` at the pixel `(x, y)` with ray `d`; `None` if alpha is below 1/255.
 #[inline(always)]
 pub fn evaluate_alpha<T: Real>(
     row: &SplatRow<T>,
@@ -103,8 +103,8 @@ impl<T: Real> DiscTile<'_, T> {
         near.extend((0..self.entries.len()).filter(meets));
     }
 
-    /// Calls `visit` with each disc of `near` that pixel `p` blends, front to back: number of the entry, what it shows,
-    /// the light before and after. Stops where the pixel is full.
+    /// Calls `visit` with each disc of `near` that pixel `p` blends, front to back: number of the entry, row, sample,
+    /// transmittance before and after. Stops when the pixel is full.
     fn blend(&self, p: usize, near: &[usize], mut visit: impl FnMut(usize, &SplatRow<T>, &DiscSample<T>, T, T)) {
         let Some((pixel, ray)) = self.pixel(p) else { return };
         let mut left = T::one();
@@ -125,7 +125,7 @@ impl<T: Real> DiscTile<'_, T> {
         }
     }
 
-    /// Fills the state of the tile: sums of red, green, blue, depth, and the light that is left.
+    /// Fills the state of the tile: sums of red, green, blue, depth, and the transmittance.
     pub fn forward(&self, state: &mut [T], with_depth: bool) {
         let mut near = Vec::with_capacity(self.entries.len());
         for p in 0..PIXELS {

@@ -5,8 +5,8 @@ use glam::DAffine3;
 
 use super::lens::{distorted_angle, fisheye, largest_stretch};
 
-/// The camera in double: where splats stand is computed with it and then rounded. Rounded cameras and centres were the
-/// largest part of the error of single precision: all splats shift together, and alphas cross 1/255.
+/// The camera in double precision: positions of splats are computed with it and then rounded. Rounded cameras and
+/// centres were the largest part of the error of single precision: all splats shift together, and alphas cross 1/255.
 #[derive(Clone, Copy, Debug)]
 pub struct ExactCamera {
     pub rotation: [[f64; 3]; 3],
@@ -45,22 +45,22 @@ impl ExactCamera {
         }
     }
 
-    /// The cone outside of which a splat lies beside the image for sure: cosine and sine of its half angle, and
-    /// `reach`, such that with `r` the distance from the axis and `s` the largest standard deviation of the Gaussian
-    /// (mm), `cosine r - sine z >= 3.34 reach s` is beside. All 0, which is never true, where no such cone exists
-    /// before the camera.
+    /// The cone outside of which a splat is certain to lie beside the image: cosine and sine of its half angle, and
+    /// `reach`. With `r` the distance from the axis and `s` the largest standard deviation of the Gaussian (mm), the
+    /// splat lies beside the image if `cosine r - sine z >= 3.34 reach s`. All are 0, so that this never holds, if no
+    /// such cone exists in front of the camera.
     ///
     /// A splat reaches 3.34 standard deviations on the image along each axis, which are no more than `stretch s /
-    /// distance` and the dilation (in units of the focal length); it misses the image where its centre is farther
-    /// from every pixel than sqrt(2) times that, and beyond the cone the image point moves out with the angle by at
-    /// least `slope`.
+    /// distance` and the dilation (in units of the focal length). It misses the image if its centre is farther from
+    /// every pixel than sqrt(2) times that. Beyond the cone the image point moves outwards with the angle by at least
+    /// `slope`.
     pub fn cone(&self, lens: [f64; 4], size: [f64; 2], dilation: f64) -> [f64; 3] {
         const STEPS: usize = 1000;
         let corner = [0, 1].map(|k| self.center[k].abs().max((size[k] - self.center[k]).abs()) / self.focal[k]);
         let filter = 3.34 * dilation.sqrt() + 0.01;
         let edge = corner[0].hypot(corner[1]) + std::f64::consts::SQRT_2 * filter / self.focal[0].min(self.focal[1]);
         let angle = |step: usize| step as f64 / STEPS as f64 * std::f64::consts::FRAC_PI_2;
-        // The last angle whose image is not yet beyond the edge.
+        // The largest angle whose image is not beyond the edge.
         let Some(last) = (0..=STEPS).rev().find(|&step| distorted_angle(angle(step), lens).0 <= edge) else {
             return [0.0; 3];
         };

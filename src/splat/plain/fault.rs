@@ -1,16 +1,16 @@
-//! Faults seeded into the plain backward pass, so that the check of the gradients can be checked: each is a mistake
-//! that was made in a public rasteriser or is easily made, and each must be caught by the same finite differences
-//! that guard the sound code (`check/gradient_check.rs`). The sound pass carries [`Sound`], which has no size and no
-//! fault: the compiler removes every question.
+//! Faults seeded into the plain backward pass, to test the gradient check itself. Each is a mistake that was made in a
+//! public rasteriser or is easily made, and must be caught by the same finite differences that guard the sound code
+//! (`check/gradient_check.rs`). The sound pass carries [`Sound`], which has no size and no fault, so that the compiler
+//! removes every test for faults.
 
 /// A mistake in the backward pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// What lies behind a splat does not dim when its alpha grows.
+    /// The contribution from behind a splat does not shrink when its alpha grows.
     OcclusionForgotten,
     /// The part behind is not divided by `1 - alpha`.
     SurvivalFactorMissing,
-    /// The gradient flows through an alpha that was cut at 0.99.
+    /// The gradient flows through an alpha that was clamped at 0.99.
     AlphaCutIgnored,
     /// The mixed moment counts half (OpenSplat 1.1 and 1.2).
     MixedMomentHalved,
@@ -24,11 +24,11 @@ pub enum Fault {
     CameraTransposed,
     /// The Jacobian of the projection is taken as constant.
     JacobianHeldFixed,
-    /// The clamp of the pinhole's Jacobian is not regarded.
+    /// The clamp of the pinhole's Jacobian is ignored.
     JacobianClampIgnored,
     /// The view direction of the SH is taken as constant (gsplat before 1.0, OpenSplat).
     ViewDirectionHeldFixed,
-    /// The gradient flows through a colour that was cut at 0.
+    /// The gradient flows through a colour that was clamped at 0.
     ColorCutIgnored,
     /// The quaternion is differentiated as if it were not normalised.
     QuaternionNotNormalized,

@@ -11,7 +11,7 @@ use super::disc_chain::gradients_of_disc;
 use super::fault::Faults;
 use super::projector::Projector;
 
-/// What the backward pass of the tiles leaves to a chunk of splats.
+/// The output of the tiles' backward pass for a chunk of splats.
 #[derive(Clone, Copy)]
 pub struct ChunkMoments<'a, T> {
     /// Slots of splat `k` of the chunk: `starts[k]..starts[k + 1]`.
@@ -22,7 +22,7 @@ pub struct ChunkMoments<'a, T> {
     pub disc_sums: &'a [DiscSums<T>],
 }
 
-/// A chunk of Gaussians and the places their gradients go to (empty where not wanted).
+/// A chunk of Gaussians and the output slices of their gradients (empty where not wanted).
 pub struct GradientChunk<'a, T> {
     /// Number of its first one among the active, and how many they are.
     pub first: usize,
@@ -77,7 +77,7 @@ impl<T: Real> GradientChunk<'_, T> {
                 sums.zip(parts).for_each(|(sum, part)| *sum += part.to_f64());
             }
             self.write(k, i, found.as_ref(), gaussians, faults);
-            // The coefficients of a visible splat were written in passing.
+            // The coefficients of a visible splat have been written already.
             if wanted.any(Wanted::SH) && found.is_none() {
                 self.sh[k * stride..(k + 1) * stride].fill(T::zero());
             }

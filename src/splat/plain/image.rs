@@ -1,7 +1,7 @@
 //! Between the sums of tiles and images in rows: the plain twin of `cpp/splat/image.cpp`.
 //!
-//! `colour = gain (sum + T background)`, `depth = sum / alpha`, `alpha = 1 - T`, with `T` the light that is left; and
-//! the way back.
+//! `colour = gain (sum + T background)`, `depth = sum / alpha`, `alpha = 1 - T`, with `T` the transmittance; and
+//! the backward pass.
 
 use crate::ffi::splat::image::{ImageBand, ImageFormation};
 use crate::splat::number::Real;
@@ -10,7 +10,7 @@ use crate::splat::types::{ImageGradient, PIXELS, TILE_SIDE, Tiling, index_of};
 
 use super::fault::{Fault, Faults};
 
-/// Sums of a row of tiles to the lines of images of `width` pixels; a depth without room stays as it is.
+/// Sums of a row of tiles to the lines of images of `width` pixels; no depth is written if its slice is empty.
 pub fn develop<T: Real>(tiles: &[T], width: usize, formation: &ImageFormation, band: ImageBand<'_, T>) {
     let (gain, background) = (formation.gain.map(T::of), formation.background.map(T::of));
     let pixels = band.color.as_chunks_mut::<3>().0.iter_mut().zip(band.alpha);
@@ -46,7 +46,7 @@ pub fn adjoint<T: Real>(
         let o = y * size[0] + x;
         let left = state[4 * PIXELS + p];
         let mut behind = T::zero();
-        // The background is what the light that is left falls on.
+        // The remaining transmittance falls on the background.
         let mut by_left = -image.alpha.get(o).copied().unwrap_or_default();
         for k in 0..3 {
             let v = image.color.get(3 * o + k).copied().unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Lenses: where a point in camera axes comes to lie, the Jacobian there, and the way back. Pinhole, with the
+//! Lenses: the image of a point in camera axes, the Jacobian there, and the backward pass. Pinhole, with the
 //! Jacobian taken at a clamped point as in 3DGS, and OpenCV's fisheye model. The symbols are those of `project.rs`.
 
 use crate::base::Camera;
@@ -23,7 +23,7 @@ pub struct Lens<T> {
     pub limit: [T; 2],
     /// Coefficients `k1..k4` of a fisheye; `None` for a pinhole.
     pub fisheye: Option<[T; 4]>,
-    /// Of a fisheye, [`largest_stretch`].
+    /// [`largest_stretch`] of a fisheye.
     stretch: Option<T>,
 }
 
@@ -49,7 +49,7 @@ impl<T: Real> Lens<T> {
         }
     }
 
-    /// Pixels per radian that a fisheye has at most before the camera, along both axes; `None` for a pinhole.
+    /// Largest number of pixels per radian of a fisheye in front of the camera, along both axes; `None` for a pinhole.
     pub fn fisheye_stretch(&self) -> Option<[T; 2]> {
         self.stretch.map(|s| self.focal.map(|f| f * s))
     }
@@ -140,8 +140,8 @@ impl<T: Real> Lens<T> {
     }
 }
 
-/// Largest factor between an angle before the camera (up to 90 degrees off its axis) and its image at focal length 1,
-/// along the meridian or across it, with 5 % of room.
+/// Largest factor between an angle in front of the camera (up to 90 degrees off its axis) and its image at focal
+/// length 1, along the meridian or across it, with 5 % of slack.
 pub fn largest_stretch(lens: [f64; 4]) -> f64 {
     let factors = (1..=90).map(|degrees| {
         let theta = f64::from(degrees).to_radians();

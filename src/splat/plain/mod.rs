@@ -4,7 +4,7 @@
 //!
 //! From below: `fault`, `lens`, `exact_camera`, `projector`; `bins`, `project`, `tile`, `image`, `chain` for
 //! `Footprint::Ewa`; `disc`, `disc_tile`, `disc_chain` for `Footprint::Disc`; `gradient_chunk` for both; `moving`,
-//! `normals`, `surface_depth` for what is asked for beyond.
+//! `normals`, `surface_depth` for further outputs.
 
 pub mod bins;
 pub mod chain;

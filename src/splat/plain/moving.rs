@@ -1,7 +1,7 @@
 //! Splats and discs with their velocity along a direction: projection in dual numbers.
 //!
-//! A motion of the camera, `t <- t + h (omega x t + tau)` in its axes, is that of all Gaussians, but for the
-//! direction that they are seen from: turning leaves the eye where it is.
+//! A motion of the camera, `t <- t + h (omega x t + tau)` in its axes, equals a motion of all Gaussians, except for
+//! the view direction: turning leaves the eye where it is.
 
 use crate::splat::number::{Dual, Real, add, cross, dot, sh};
 use crate::splat::types::table::SplatRow;
@@ -99,7 +99,7 @@ impl<T: Real> DiscVelocity<T> {
         let turning = |v: [T; 3]| projector.turn_back(cross(omega, projector.turn(v)));
         let offset = [0, 1, 2].map(|k| gaussians.positions[i][k] - projector.eye[k]);
         let (turned, shifted) = (turning(offset), projector.turn_back(tau));
-        // What the colour would make of the turning, with the other sign.
+        // Cancels the change of colour by the turning, which does not move the eye.
         let moved = [0, 1, 2].map(|k| Dual::new(offset[k], -turned[k]));
         let distance = dot(moved, moved).sqrt();
         let color = moving_color(gaussians, i, moved.map(|v| v / distance));
@@ -111,7 +111,7 @@ impl<T: Real> DiscVelocity<T> {
     }
 }
 
-/// `gaussians` as discs that move along `direction`; a velocity that is not finite is none.
+/// `gaussians` as discs that move along `direction`; a velocity that is not finite counts as 0.
 pub fn moving_discs<T: Real>(
     gaussians: &Gaussians<T>,
     projector: &Projector<T>,

@@ -1,4 +1,4 @@
-//! Normals of Gaussians as features of further channels, and the way back of their gradients.
+//! Normals of Gaussians as features of further channels, and the backward pass of their gradients.
 
 use rayon::prelude::*;
 
@@ -10,8 +10,8 @@ use super::chain::ellipsoid_gradient;
 use super::exact_camera::ExactCamera;
 use super::fault::Sound;
 
-/// Unit normal of Gaussian `i` in world axes, turned towards the eye; its sign and the length of what it was divided
-/// by.
+/// Unit normal of Gaussian `i` in world axes, facing the eye; the sign that was applied, and the length before
+/// normalisation.
 fn normal<T: Real>(gaussians: &Gaussians<T>, i: usize, eye: [T; 3]) -> ([T; 3], T, T) {
     let columns = gaussians.shape.columns(i);
     let [a, b] = gaussians.shape.disc_columns(i).map(|k| columns[k]);
@@ -42,8 +42,8 @@ impl<T: Real> Gaussians<T> {
         (0..self.len()).into_par_iter().flat_map_iter(of).collect()
     }
 
-    /// Adds to `gradients` (groups that it holds: axes or rotations, and the pose) what comes through
-    /// [`Gaussians::normals`], whose gradient is `by_normals`, three values per active Gaussian.
+    /// Adds to `gradients` (of its groups: axes or rotations, and the pose) the gradient through
+    /// [`Gaussians::normals`], given the gradient `by_normals`, three values per active Gaussian.
     ///
     /// Errors: another number of values than of gradients.
     pub fn normals_pullback(

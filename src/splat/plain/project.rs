@@ -5,9 +5,9 @@
 //! a disc), `R`, `eye` camera, `t = R (p - eye)`, `c_k = R m_k`, `J` Jacobian of the projection at `t`, `u_k = J c_k`,
 //! covariance on screen `sum u_k u_k^T + dilation I`, conic `(A, B, C)` its inverse.
 //! The Jacobian of a pinhole is taken at `t` clamped to 1.3 times the half field of view, as in 3DGS.
-//! A splat reaches as far as its alpha is 1/255 or more, whatever its opacity. With `Filter::Compensate` the opacity is
-//! first multiplied by `sqrt(det / det dilated)`; what is visible then has a determinant that is not tiny, so that the
-//! gradient needs no floor.
+//! A splat extends to where its alpha falls to 1/255. With `Filter::Compensate` the opacity is first multiplied by
+//! `sqrt(det / det dilated)`; visible splats then have a determinant that is not tiny, so that the gradient needs no
+//! floor.
 
 use std::f64::consts::LOG2_E;
 
@@ -20,7 +20,7 @@ use super::bins::TileBox;
 use super::lens::LensPoint;
 use super::projector::Projector;
 
-/// What the projection of one Gaussian passes through; its backward starts here.
+/// Intermediate values of the projection of one Gaussian, from which its backward pass starts.
 pub struct Geometry<T> {
     /// Centre in camera axes.
     pub t: [T; 3],
@@ -28,14 +28,14 @@ pub struct Geometry<T> {
     pub c: [[T; 3]; 3],
     pub u: [[T; 2]; 3],
     pub jacobian: [[T; 3]; 2],
-    /// Centre on screen, and what rounding took from it.
+    /// Centre on screen, and its rounding error.
     pub point: [T; 2],
     pub rest: [T; 2],
     /// Covariance on screen and the inverse's `(A, B, C)`.
     pub covariance: [T; 3],
     pub conic: [T; 3],
     pub inverse_determinant: T,
-    /// Of the covariance before dilation.
+    /// Determinant of the covariance before dilation.
     pub plain_determinant: T,
     /// Unit vector from the eye, and the distance.
     pub direction: [T; 3],
@@ -43,7 +43,7 @@ pub struct Geometry<T> {
 }
 
 impl<T: Real> Projector<T> {
-    /// Everything up to the conic; `None` before the near plane or where a number stops being finite.
+    /// Everything up to the conic; `None` in front of the near plane or if a number is not finite.
     #[inline(always)]
     pub fn geometry(&self, position: [T; 3], columns: [[T; 3]; 3]) -> Option<Geometry<T>> {
         let offset = [0, 1, 2].map(|k| position[k] - self.eye[k]);
@@ -109,7 +109,7 @@ impl<T: Real> Projector<T> {
         })
     }
 
-    /// The splat of Gaussian `i`, `None` when it is invisible or not finite.
+    /// The splat of Gaussian `i`; `None` if it is invisible or not finite.
     pub fn project(&self, gaussians: &Gaussians<T>, i: usize) -> Option<SplatRow<T>> {
         let opacity = gaussians.opacities[i];
         let log2_opacity = opacity.log2();
@@ -172,7 +172,7 @@ pub struct ProjectionChunk<'a, T> {
     pub rows: &'a mut [Aligned<T>],
     /// Tiles that each visible splat meets, packed (`TileBox`).
     pub boxes: &'a mut [[u32; 2]],
-    /// What visible splats are sorted by.
+    /// Sort keys of the visible splats.
     pub keys: &'a mut [u32],
     pub visible: &'a mut [bool],
 }
@@ -192,8 +192,8 @@ impl<T: Real> ProjectionChunk<'_, T> {
         });
     }
 
-    /// Writes what `splat` makes of each Gaussian (number within the chunk, number of the Gaussian): its row and its tiles,
-    /// or `None` where it is invisible.
+    /// Calls `splat` for each Gaussian (number within the chunk, number of the Gaussian) and writes the row and the
+    /// tiles that it returns; `None` marks an invisible one.
     pub fn fill_with(
         &mut self,
         projector: &Projector<T>,
@@ -214,8 +214,8 @@ impl<T: Real> ProjectionChunk<'_, T> {
     }
 }
 
-/// Writes the colours of the visible Gaussians number `first..` into their rows, all else as it is; `false` when one
-/// is not finite.
+/// Writes the colours of the visible Gaussians number `first..` into their rows and leaves the rest unchanged; `false`
+/// if one is not finite.
 pub fn recolor<T: Real>(
     projector: &Projector<T>,
     gaussians: &Gaussians<T>,

@@ -8,7 +8,7 @@ use crate::splat::types::{Filter, Footprint, Settings, Skips, View};
 use super::exact_camera::ExactCamera;
 use super::lens::Lens;
 
-/// A camera in its place with the settings that projection depends on.
+/// A camera with its pose and the settings that projection depends on.
 pub struct Projector<T> {
     /// Rows of the rotation into camera axes.
     pub rotation: [[T; 3]; 3],
@@ -28,7 +28,7 @@ pub struct Projector<T> {
 }
 
 impl<T: Real> Projector<T> {
-    /// Errors: a camera or settings that make no sense, an image larger than 16384 pixels.
+    /// Errors: an invalid camera or invalid settings, an image larger than 16384 pixels.
     pub fn new(view: &View, settings: &Settings) -> Result<Self> {
         let camera = &view.camera;
         camera.validate()?;
@@ -63,7 +63,7 @@ impl<T: Real> Projector<T> {
         })
     }
 
-    /// The same, leaving out what `skips` says.
+    /// The same with the shortcuts in `skips`.
     pub fn with_skips(self, skips: Skips) -> Self {
         Projector { skips, ..self }
     }
@@ -75,8 +75,8 @@ impl<T: Real> Projector<T> {
         by_opacity + T::of(LOG2_255)
     }
 
-    /// What splats are sorted by: z-depth of the centre, computed in double for every number type and rounded once, so
-    /// that the order belongs to the scene and not to rounding. Positive floats sort like their bits.
+    /// Sort key of a splat: z-depth of the centre, computed in double for every number type and rounded once, so that
+    /// the order depends on the scene and not on rounding. Positive floats sort like their bits.
     #[inline(always)]
     pub fn key(&self, position: [T; 3]) -> u32 {
         (self.exact.in_camera_axes(position.map(T::to_f64))[2] as f32).to_bits()

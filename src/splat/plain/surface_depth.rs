@@ -1,7 +1,7 @@
-//! Depth of the surface that the splats stand for, instead of a mean of their centres.
+//! Depth of the surface that the splats represent, instead of a mean of their centres.
 //!
-//! Along the ray of a pixel each splat stands at the point where its own density is largest: the plane of a disc, the
-//! peak `t = d . S c / d . S d` of an ellipsoid (S inverse covariance, d ray, c centre, both in camera axes). These
+//! Along the ray of a pixel each splat has the depth of its largest density: at the plane of a disc, at the peak
+//! `t = d . S c / d . S d` of an ellipsoid (S inverse covariance, d ray, c centre, both in camera axes). These
 //! depths are averaged with the weights of the image. A centre can be millimetres off at a pixel that its disc covers:
 //! on a wall seen at a grazing angle that is a bias of tens of percent.
 //! Forward only (`pass/pixel_walk.rs`): it runs once per finished frame, not in an optimisation.
@@ -9,8 +9,8 @@
 use crate::splat::number::{Real, dot};
 use crate::splat::types::{Gaussians, Shape, View};
 
-/// A splat is not followed beyond this many times its centre's depth, nor nearer than the inverse: only edge-on planes
-/// would be.
+/// Depths are clamped to between the inverse of this and this many times the centre's depth; only planes seen edge-on
+/// exceed it.
 const FARTHEST: f64 = 4.0;
 
 /// One splat in camera axes.
@@ -62,7 +62,7 @@ impl SplatSurface {
             }
         };
         let depth = along * d[2];
-        // Edge-on planes meet the ray anywhere, or nowhere.
+        // Planes seen edge-on meet the ray at any depth, or nowhere.
         if depth.is_finite() { depth.clamp(self.center / FARTHEST, self.center * FARTHEST) } else { self.center }
     }
 }
@@ -100,7 +100,7 @@ mod tests {
             worst
         };
         let worst = worst_of(&gaussians, DepthOutput::Surface);
-        // What is left comes from discs beside the camera, whose projection overshoots.
+        // The remaining error comes from discs beside the camera, whose projection overshoots.
         assert!(worst < 0.01, "{worst}");
         assert!(worst_of(&gaussians, DepthOutput::Expected) > 0.05, "the mean of centres would do: the test is blind");
         // The same discs as very flat ellipsoids.

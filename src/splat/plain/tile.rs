@@ -4,10 +4,10 @@
 //! C dy^2))`, left out below 1/255; the pixel stops at the splat that would leave `T (1 - alpha) <= 1e-4`, which is not
 //! blended. Colour, depth: sums of `weight = alpha T`.
 //!
-//! Backward, front to back too (after FastGS and Brush): with `behind` the part of `v . image` that splats further back
-//! (and the background) still have to bring, `d loss / d alpha = T value - behind / (1 - alpha)`. Of
-//! `v = alpha d loss / d alpha` the moments `sum v, v dx, v dy, v dx^2, v dx dy, v dy^2` are all that the chain to the
-//! parameters needs (`chain.rs`).
+//! Backward, front to back too (after FastGS and Brush): let `value` be a splat's colour and depth times the gradient
+//! of the pixel's sums, and `behind` the total that splats further back (and the background) contribute to it. Then
+//! `d loss / d alpha = T value - behind / (1 - alpha)`. With `v = alpha d loss / d alpha`, the moments
+//! `sum v, v dx, v dy, v dx^2, v dx dy, v dy^2` are all that the chain to the parameters needs (`chain.rs`).
 //!
 //! A tile is 16 blocks of 4x4 pixels, numbered down the columns (`types/tiling.rs`); per-pixel tables go block by
 //! block.
@@ -19,20 +19,20 @@ use crate::splat::types::{PIXELS, pixel_of};
 
 use super::fault::{Fault, Faults};
 
-/// What a kernel computes beyond colour; the bits that C++ knows.
+/// What a kernel computes beyond colour, as the bits that C++ uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parts {
     pub geometry: bool,
     pub color: bool,
     pub depth: bool,
-    /// The masks are those of a forward pass before, of the same splats.
+    /// The masks are those of an earlier forward pass with the same splats.
     pub known: bool,
     /// Pixels do not stop (`Skips::STOP` switched off).
     pub endless: bool,
 }
 
 impl Parts {
-    /// A pixel stops at the splat that would leave no more than this of the light.
+    /// A pixel stops at the splat that would bring its transmittance to this or below.
     fn stop<T: Real>(self) -> T {
         T::of(if self.endless { -1.0 } else { 1e-4 })
     }
@@ -46,7 +46,7 @@ impl Parts {
     }
 }
 
-/// The adjoint of a tile where vectors read it fastest.
+/// The adjoint of a tile, aligned for vector loads.
 #[repr(C, align(64))]
 pub struct Adjoint<T>(pub [T; PLANES * PIXELS]);
 
@@ -54,7 +54,7 @@ pub struct Adjoint<T>(pub [T; PLANES * PIXELS]);
 pub struct ForwardTile<'a, T> {
     pub rows: &'a [Aligned<T>],
     pub entries: &'a [u32],
-    /// Out: blocks that an entry may touch, 0 for entries that no pixel came to.
+    /// Out: blocks that an entry may touch, 0 for entries that no pixel reached.
     pub masks: &'a mut [u16],
     /// Upper left corner in pixels.
     pub corner: [usize; 2],
@@ -130,7 +130,7 @@ fn evaluate_alpha<T: Real>(q: &SplatRow<T>, corner: [usize; 2], p: usize) -> Opt
     (alpha >= T::of(1.0 / 255.0)).then_some(AlphaSample { offset: [dx, dy], raw, alpha })
 }
 
-/// What the splat of `row` blends at pixel `p` of the tile at `corner`, `None` below 1/255.
+/// Alpha of the splat of `row` at pixel `p` of the tile at `corner`; `None` below 1/255.
 pub fn alpha_at<T: Real>(row: &SplatRow<T>, corner: [usize; 2], p: usize) -> Option<T> {
     evaluate_alpha(row, corner, p).map(|s| s.alpha)
 }

@@ -28,7 +28,7 @@ impl Wanted {
     /// Features of the further channels (`Rasterizer::render_channels`).
     pub const CHANNELS: Wanted = Wanted(128);
 
-    /// The groups as bits, as the kernels know them.
+    /// The groups as the bits that the kernels use.
     pub(in crate::splat) fn bits(self) -> u32 {
         self.0 as u32
     }
@@ -64,7 +64,7 @@ pub struct Gradients<T> {
     pub channels: Vec<T>,
     /// Of the SH coefficients, laid out as in `Gaussians`.
     pub sh: Vec<T>,
-    /// Of a small motion of the camera, `camera_from_world <- exp(xi) camera_from_world` with
+    /// By a small motion of the camera, `camera_from_world <- exp(xi) camera_from_world` with
     /// `xi = (omega, tau)`: rotation vector (rad) and translation (mm) in camera axes.
     pub pose: [f64; 6],
     /// Of the gain per channel.

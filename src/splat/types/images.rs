@@ -11,14 +11,14 @@ pub struct Rendered<T> {
     pub color: Vec<T>,
     /// `height * width`: z-depth in mm as asked for (`DepthOutput`); the means are divided by alpha, 0 where it is 0.
     pub depth: Vec<T>,
-    /// `height * width`: 1 minus what is left of the light from behind.
+    /// `height * width`: 1 minus the transmittance.
     pub alpha: Vec<T>,
     /// One flag per active Gaussian (in the order of `active`): its ellipse of alpha >= 1/255 touches the image.
     pub visible: Vec<bool>,
     /// How many flags are set.
     pub visible_count: usize,
-    /// Entries of the lists of all tiles: pairs of a tile and a splat that may have a pixel centre of it in its
-    /// ellipse.
+    /// Entries in the lists of all tiles: pairs of a tile and a splat whose ellipse may contain a pixel centre of the
+    /// tile.
     pub intersections: usize,
 }
 

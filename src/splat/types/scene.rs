@@ -130,7 +130,7 @@ impl<T: Real> Gaussians<T> {
         }
     }
 
-    /// Errors when the arrays do not belong together.
+    /// Errors if the arrays' lengths do not match.
     pub fn validate(&self) -> Result<()> {
         let n = self.len();
         let shapes = match &self.shape {
@@ -147,7 +147,7 @@ impl<T: Real> Gaussians<T> {
     }
 }
 
-/// Where from, and through which lens.
+/// A camera and its pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Intrinsics.

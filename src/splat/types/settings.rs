@@ -1,4 +1,4 @@
-//! How to render, and what a pass leaves out.
+//! How to render, and which work a pass skips.
 
 /// Whether the expected depth is composited too (it costs about a twentieth of the forward pass).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -10,7 +10,7 @@ pub enum DepthOutput {
     /// Mean z-depth of the splats' surfaces along each ray (`plain/surface_depth.rs`); forward only with
     /// `Footprint::Ewa`.
     Surface,
-    /// z-depth where the ray meets the splat behind which no more than half of the light is left; 0 where there is
+    /// z-depth where the ray meets the first splat behind which the transmittance is at most one half; 0 if there is
     /// none. Forward only.
     Median,
 }
@@ -18,7 +18,7 @@ pub enum DepthOutput {
 /// What the screen-space filter (`Settings::dilation_px2`) does to a splat's peak.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Filter {
-    /// 3DGS: the splat grows and keeps its opacity, so that what is smaller than a pixel gains weight.
+    /// 3DGS: the splat grows and keeps its opacity, so that splats smaller than a pixel gain weight.
     #[default]
     Dilate,
     /// Mip-Splatting (Yu et al., 2024; gsplat's `antialiased`): the opacity is multiplied by
@@ -26,7 +26,7 @@ pub enum Filter {
     Compensate,
 }
 
-/// How a Gaussian comes onto the screen.
+/// How a Gaussian is projected onto the screen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Footprint {
     /// The affine projection of 3DGS (EWA), vectorised.
@@ -40,14 +40,14 @@ pub enum Footprint {
 /// How to render.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// How a Gaussian comes onto the screen.
+    /// How a Gaussian is projected onto the screen.
     pub footprint: Footprint,
     /// Gaussians with a centre nearer than this z-depth are left out.
     pub near_mm: f64,
     /// Added to the diagonal of the projected covariance (px^2): the screen-space filter of 3DGS. With
-    /// `Footprint::Disc` the variance that a disc has on screen at least; 0 is no filter.
+    /// `Footprint::Disc` the smallest variance of a disc on screen. 0 means no filter.
     pub dilation_px2: f64,
-    /// What that filter does to the opacity.
+    /// How that filter changes the opacity.
     pub filter: Filter,
     /// Multiplies the finished image per channel (exposure).
     pub gain: [f64; 3],
@@ -81,12 +81,11 @@ impl Settings {
     }
 }
 
-/// A set of things left out because they do not show. `respire-bench pareto splat` switches them off one at a time; the
+/// A set of shortcuts that skip invisible work. `respire-bench pareto splat` switches them off one at a time; the
 /// kernels have no branch for them in their loops over pixels. Exact discs have none of these switches.
 ///
-/// What else costs nothing unless it is asked for has settings of its own: groups of gradients
-/// ([`crate::splat::Wanted`]), inactive Gaussians (`active`), lists that are kept ([`crate::splat::Reuse`]), depth
-/// ([`crate::splat::DepthOutput`]).
+/// Other optional work has settings of its own: groups of gradients ([`crate::splat::Wanted`]), inactive Gaussians
+/// (`active`), reused lists ([`crate::splat::Reuse`]), depth ([`crate::splat::DepthOutput`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Skips(u8);
 
@@ -94,14 +93,14 @@ impl Skips {
     /// Extents end where a splat's alpha falls below 1/255; without, where that of an opaque one would (3.33 standard
     /// deviations). The image is the same.
     pub const EXTENTS: Skips = Skips(1);
-    /// Of each splat in a tile, only the 4x4 blocks that its ellipse can touch are composited; without, all of the
-    /// tile. The image is the same.
-    pub const BLOCKS: Skips = Skips(2);
-    /// Groups of Gaussians beside the image are left before their covariance is known (vectorised projection). The
+    /// Only the 4x4 blocks of a tile that a splat's ellipse can touch are composited; without, the whole tile. The
     /// image is the same.
+    pub const BLOCKS: Skips = Skips(2);
+    /// Groups of Gaussians beside the image are skipped before their covariance is computed (vectorised projection).
+    /// The image is the same.
     pub const BESIDE: Skips = Skips(4);
-    /// A pixel stops when no more than 1e-4 of the light is left; without, it meets all its splats. The image changes
-    /// by as much.
+    /// A pixel stops when its transmittance would fall to 1e-4 or below; without, it blends all its splats. The image
+    /// changes by at most that share.
     pub const STOP: Skips = Skips(8);
     /// All of them: the default.
     pub const ALL: Skips = Skips(15);
@@ -111,7 +110,7 @@ impl Skips {
         Skips(self.0 & !others.0)
     }
 
-    /// True when any of `others` is among these.
+    /// True if any of `others` is among these.
     pub fn any(self, others: Skips) -> bool {
         self.0 & others.0 != 0
     }

@@ -1,4 +1,4 @@
-//! Columns of the tables between the stages, as C++ knows them too (`cpp/splat/kernel.h`).
+//! Columns of the tables between the stages, shared with C++ (`cpp/splat/kernel.h`).
 
 /// One splat: sixteen numbers, whose columns are in [`at`].
 pub type SplatRow<T> = [T; 16];
@@ -6,7 +6,7 @@ pub type SplatRow<T> = [T; 16];
 /// The sums of a backward pass over the pixels of one exact disc; columns in [`disc_sum`].
 pub type DiscSums<T> = [T; disc_sum::COUNT];
 
-/// `log2(255)`: how far below 1 an alpha of 1/255 lies.
+/// `log2(255)`: how far below 1 an alpha of 1/255 lies, in powers of 2.
 pub const LOG2_255: f64 = 7.994353436858858;
 
 /// Planes of a tile's state (red, green, blue, depth, transmittance) and of its adjoint (the same, then `behind`).
@@ -18,7 +18,7 @@ pub const DIRECTIONS_PER_PASS: usize = 4;
 /// The mask of an entry that may touch every 4x4 block of its tile.
 pub const ALL_BLOCKS: u16 = 0xffff;
 
-/// Where a splat's numbers stand in its row of 16.
+/// Columns of a splat's row of 16 numbers.
 pub mod at {
     /// Image point of the centre (pixels).
     pub const X: usize = 0;
@@ -38,8 +38,8 @@ pub mod at {
     pub const DISCRIMINANT: usize = 12;
     /// `y` of the rightmost point of the outline of alpha = 1/255.
     pub const WIDEST: usize = 13;
-    /// What rounding took from X and Y: at some hundred pixels single precision is a hundred thousandth of a pixel,
-    /// which changes the alpha of a splat that is no larger than a pixel by 1e-4.
+    /// Rounding error of X and Y: at some hundred pixels single precision resolves 1e-5 of a pixel, which changes the
+    /// alpha of a splat that is no larger than a pixel by 1e-4.
     pub const X_REST: usize = 14;
     pub const Y_REST: usize = 15;
 }

@@ -1,7 +1,7 @@
 //! The tiles of an image: 16x16 pixels each.
 //!
-//! SplatKernels know one layout of the pixels of a tile: 16 blocks of 4x4, numbered down the columns, sixteen pixels each,
-//! so that a block is one vector and the blocks of a tile are the bits of one 16-bit mask.
+//! All kernels use one layout of the pixels of a tile: 16 blocks of 4x4, numbered down the columns, sixteen pixels
+//! each, so that a block is one vector and the blocks of a tile are the bits of one 16-bit mask.
 
 /// Side of a tile in pixels: sixteen blocks of sixteen pixels.
 pub const TILE_SIDE: usize = 16;

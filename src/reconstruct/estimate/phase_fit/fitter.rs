@@ -1,4 +1,4 @@
-//! The running estimate, and what all stages of a frame do: place, render, evaluate, derive.
+//! The running estimate, and the steps that all stages of a frame share: place, render, evaluate, differentiate.
 
 use super::patch::VisiblePatch;
 use crate::base::{Image, Result};
@@ -13,20 +13,20 @@ use crate::reconstruct::geometry::visible::{depths_mm, pixels};
 use crate::reconstruct::settings::{FrameFitSettings, PhaseEstimation};
 use crate::splat::{DepthOutput, ImageGradient, Rasterizer, Rendered, Settings, View, Wanted};
 
-/// Darkest colour that a Gaussian keeps after a frame: one below zero is shown as zero and has no gradient, and
-/// would stay black for ever.
+/// Darkest colour (encoded, 0..1) that a Gaussian keeps after a frame: a colour below zero is rendered as zero, has no
+/// gradient, and would stay black.
 const DARKEST: f32 = 0.01;
-/// Largest change of colour with the direction that it keeps, as a share of its colour, per axis. What is
-/// learned at grazing incidence is small there and wild from elsewhere.
+/// Largest change of colour with direction that a Gaussian keeps, as a share of its colour, per axis. Linear terms
+/// learned at grazing incidence have little effect there and a wild one from other directions.
 const LARGEST_CHANGE: f32 = 0.3;
-/// Linear spherical harmonics of the unit directions.
+/// Factor of the linear spherical harmonics of a unit direction.
 const SH_C1: f32 = 0.488_602_5;
 
 /// The running estimate.
 pub struct Fitter<'a> {
     /// The method's numbers.
     pub settings: &'a FrameFitSettings,
-    /// How the phase is estimated; `None` where it is given.
+    /// How the phase is estimated; `None` if it is given.
     pub estimation: Option<&'a PhaseEstimation>,
     /// What the method may see.
     pub observation: &'a Observation,
@@ -35,18 +35,18 @@ pub struct Fitter<'a> {
     pub rasterizer: Rasterizer<f32>,
     gradient: Vec<f32>,
     gain: [f64; 3],
-    /// Of the frames so far.
+    /// Phases of the frames so far.
     pub phases: Vec<f64>,
     mean_color: [f32; 3],
     velocities: Vec<[f32; 3]>,
     shades: Vec<Shade>,
 }
 
-/// The frame that is fitted, once its image may be looked at.
+/// The frame being fitted, once its image may be used.
 pub struct FrameTarget {
     /// Its number.
     pub frame: usize,
-    /// Where it was taken from.
+    /// Its pose and camera.
     pub view: View,
     /// Its image, encoded, 0..1.
     pub image: Image<f32>,
@@ -55,7 +55,7 @@ pub struct FrameTarget {
 }
 
 impl FrameTarget {
-    /// Frame number `frame`, with SSIM prepared if its largest weight is not 0.
+    /// Frame number `frame`, with SSIM prepared if `largest_ssim_weight` is not 0.
     pub fn new(frame: usize, view: View, observation: &Observation, largest_ssim_weight: f64) -> Self {
         let image = observation.images[frame].to_unit();
         let weights = observation.pixel_weights();
@@ -87,9 +87,9 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    /// How the phase is estimated. Only what runs where it is estimated may ask.
+    /// How the phase is estimated. Panics if the phase is given.
     pub fn estimation(&self) -> &'a PhaseEstimation {
-        self.estimation.expect("nothing asks how the phase is estimated where it is given")
+        self.estimation.expect("the phase is estimated, not given")
     }
 
     /// From theta to the phase (Eq. 3).
@@ -98,7 +98,7 @@ impl<'a> Fitter<'a> {
         PhaseActivation { kind: *estimation.activation, leak: *estimation.phase_leak }
     }
 
-    /// The larger of the weights that SSIM has in the stages of a frame.
+    /// The larger of the SSIM weights in the stages of a frame.
     pub fn largest_ssim_weight(&self) -> f64 {
         self.estimation.map_or(0.0, |estimation| *estimation.phase_ssim_weight).max(*self.settings.ssim_weight)
     }
@@ -119,7 +119,7 @@ impl<'a> Fitter<'a> {
         ScopeLight::new(view, *self.settings.falloff_exponent, *self.settings.indirect_share)
     }
 
-    /// Moves the Gaussians to `phase`; what a frame has shown before is shown under the light of the scope there.
+    /// Moves the Gaussians to `phase` and relights those that an earlier frame has shown for the scope's position.
     pub fn place(&mut self, view: &View, patch: &mut dyn VisiblePatch, phase: f64) -> Result<()> {
         patch.place(phase)?;
         if *self.settings.falloff_exponent != 0.0 {
@@ -138,9 +138,9 @@ impl<'a> Fitter<'a> {
         Ok(())
     }
 
-    /// dL/dphase of the photometric loss: Gaussians move, and the light on them changes,
+    /// dL/dphase of the photometric loss. Gaussians move, and the light on them changes:
     /// `dL/dalpha = sum_k (dL/dmu_k . D_k + dL/dspread_k . dspread_k/dalpha + dL/dc_k . c_k dln(shade_k)/dalpha)`,
-    /// `mu` the centres, `D` their displacements, `c` the colours.
+    /// with `mu` the centres, `D` their displacements, `c` the colours.
     pub fn phase_derivative(&mut self, view: &View, patch: &mut dyn VisiblePatch) -> Result<f64> {
         // Centres and spread.
         let mut sum = patch.phase_derivative(self.rasterizer.gradients())?;
@@ -199,9 +199,9 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    /// Remembers the shade that the colour of each visible disc contains. Visible: not behind the rendered surface.
-    /// The others take back their colours of `before`: what the image shows of them through the
-    /// wall is too little to learn from, and enough to run wild on.
+    /// Records the shade contained in the colour of each visible disc (one not behind the rendered surface). The
+    /// others get back their colours of `before`: what the image shows of them through the wall is too little to learn
+    /// from, and enough to diverge on.
     pub fn mark_fitted(&mut self, patch: &mut dyn VisiblePatch, target: &FrameTarget, before: &ShownColors) {
         let FrameTarget { view, image, .. } = target;
         let pixels = self.pixels(view, patch);
@@ -231,14 +231,14 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    /// The pixel on which each centre falls, if it holds a picture.
+    /// The pixel onto which each centre projects, if it is inside the image mask.
     fn pixels(&self, view: &View, patch: &dyn VisiblePatch) -> Vec<Option<[usize; 2]>> {
         let width = view.camera.width as usize;
         let shown = |pixel: &[usize; 2]| self.observation.shows(pixel[1] * width + pixel[0]);
         pixels(view, &patch.gaussians().positions).into_iter().map(|pixel| pixel.filter(shown)).collect()
     }
 
-    /// Photometric loss and its image gradient at the present placement.
+    /// Photometric loss and its image gradient at the current placement.
     pub fn evaluate(&mut self, patch: &dyn VisiblePatch, target: &mut FrameTarget) -> Result<f64> {
         self.render(&target.view, patch, DepthOutput::Skip)?;
         let color = &self.rasterizer.rendered().color;
@@ -258,7 +258,7 @@ impl<'a> Fitter<'a> {
     }
 }
 
-/// Keeps the colours of one Gaussian within what a wall can show.
+/// Limits the colours of one Gaussian to what a wall can show.
 fn bound(sh: &mut [f32]) {
     let (constant, linear) = sh.split_at_mut(3);
     for (c, value) in constant.iter_mut().enumerate() {

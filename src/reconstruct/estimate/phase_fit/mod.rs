@@ -2,10 +2,13 @@
 //! (ii) appearance alone, (iii) both, under `w_c [(1 - w_s) L1 + w_s (1 - SSIM)] + w_t (alpha_t - alpha_{t-1})^2`
 //! (Eq. 3 and 4). What carries the Gaussians (a mesh, or nothing) is behind [`BreathingGaussians`].
 //!
-//! Ours where the paper is silent, each with its number in the TOML: the guess of a frame's phase continues
-//! part of the last change; a few candidates around it are rendered before stage (i); after it the frame may be
-//! placed among keyframes, since what is painted alone lets the phase drift; an exposure gain per channel and
-//! frame in closed form; brightness carried from frame to frame by the law of the light at the scope.
+//! Our additions where the paper is silent, each with its number in the TOML:
+//!
+//! - the initial guess of a frame's phase continues part of the last change;
+//! - a few candidates around the guess are rendered before stage (i);
+//! - after stage (i) the frame may be placed among keyframes, since a phase measured on the map alone drifts;
+//! - an exposure gain per channel and frame is fitted in closed form;
+//! - brightness is carried from frame to frame by the fall-off law of the scope's light.
 
 mod fitter;
 mod online_loop;

@@ -1,4 +1,4 @@
-//! One frame after the other.
+//! The loop over the frames.
 
 use super::fitter::{Fitter, FrameTarget};
 use super::patch::{BreathingGaussians, VisiblePatch};
@@ -11,7 +11,7 @@ use crate::reconstruct::online::{color_image, depth_image, fit_in_order, held_ou
 use crate::reconstruct::settings::{FrameFitSettings, PhaseEstimation};
 use crate::splat::{DepthOutput, View};
 
-/// How far a frame's phase may be from its guess.
+/// Largest difference between a frame's phase and its guess for which visible faces are chosen.
 pub const REACH: f64 = 0.15;
 
 /// Where the phase comes from.
@@ -45,7 +45,7 @@ pub fn run(
 }
 
 impl Fitter<'_> {
-    /// What the phase of `frame` will be if the breath goes on as it went.
+    /// The phase of `frame` if part of the last change continues.
     fn guess(&self, frame: usize) -> f64 {
         match *self.phases.as_slice() {
             [] => 0.0,
@@ -86,7 +86,7 @@ impl Fitter<'_> {
             None
         };
 
-        // From here on the frame's image may be looked at.
+        // From here on the frame's image may be used.
         let mut target = FrameTarget::new(frame, view, self.observation, self.largest_ssim_weight());
         if estimated {
             // Stage (i): theta alone.
@@ -126,7 +126,7 @@ impl Fitter<'_> {
         })
     }
 
-    /// First frame: the phase whose rendered depth is nearest to the given one.
+    /// First frame: the phase whose rendered depth is closest to the given depth.
     fn search_by_depth(&mut self, view: &View, patch: &mut dyn VisiblePatch) -> Result<f64> {
         let Some(given) = &self.observation.first_depth_mm else { return Ok(0.0) };
         grid_search(*self.estimation().grid_steps, |phase| {

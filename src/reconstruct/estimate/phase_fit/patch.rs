@@ -1,4 +1,4 @@
-//! What a method with one phase per frame brings: Gaussians that the phase moves.
+//! What a method with one phase per frame must provide: Gaussians that the phase moves.
 
 use crate::base::Result;
 use crate::reconstruct::fitting::memory::Memory;
@@ -7,32 +7,32 @@ use crate::splat::{Gaussians, Gradients, View, Wanted};
 
 /// Gaussians that a phase moves.
 pub trait BreathingGaussians {
-    /// Enters a frame: makes the compact copy of what `view` can see while the phase stays within `phases`.
+    /// Starts a frame: makes the compact copy of what is visible from `view` while the phase stays within `phases`.
     fn enter<'a>(&'a mut self, view: &View, phases: [f64; 2]) -> Result<Box<dyn VisiblePatch + 'a>>;
 }
 
-/// The compact copy of what one frame can see, on which all work of the frame is done.
+/// The compact copy of the Gaussians visible in one frame, on which all work of the frame is done.
 pub trait VisiblePatch {
     /// Moves the Gaussians to `phase` (Eq. 2).
     fn place(&mut self, phase: f64) -> Result<()>;
     /// The Gaussians, as placed.
     fn gaussians(&self) -> &Gaussians<f32>;
-    /// Their spherical harmonics, and what is remembered of them.
+    /// Their spherical harmonics, and the memory of their colours.
     fn colors(&mut self) -> (&mut [f32], &mut Memory);
     /// Velocity of each centre, mm per unit of phase.
     fn velocities(&self, out: &mut Vec<[f32; 3]>) -> Result<()>;
     /// dL/dphase from the gradients of centres and spread.
     fn phase_derivative(&self, gradients: &Gradients<f32>) -> Result<f64>;
-    /// Zero moments.
+    /// Zeroes the optimiser's moments.
     fn begin_appearance(&mut self);
-    /// Groups that [`VisiblePatch::step_appearance`] needs.
+    /// Groups of gradients that [`VisiblePatch::step_appearance`] needs.
     fn appearance_groups(&self) -> Wanted;
-    /// One optimiser step of appearance of what is `visible` (one flag per Gaussian).
+    /// One optimiser step on the appearance of the `visible` Gaussians (one flag each).
     fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()>;
-    /// The phase by the images of past frames, near what is `expected`; that itself where no surface carries images.
+    /// The phase near `expected` by alignment with past frames; `expected` itself if there is no surface to align on.
     fn place_among_keyframes(&mut self, _frame: PyramidLevel, expected: f64) -> f64 {
         expected
     }
-    /// Leaves the frame: writes back what was learned.
+    /// Ends the frame: writes back what was learned.
     fn leave(self: Box<Self>);
 }

@@ -14,14 +14,14 @@ impl Fitter<'_> {
         (weight * change * change, 2.0 * weight * change)
     }
 
-    /// Stage (i): candidates, then theta alone; on the remembered colours where there is a memory.
+    /// Stage (i): candidates, then theta alone; on the remembered colours if there is a memory.
     pub(super) fn measure_phase(
         &mut self,
         patch: &mut dyn VisiblePatch,
         target: &mut FrameTarget,
         guess: f64,
     ) -> Result<f64> {
-        // What is measured against: the remembered colours, at the exposure and light of this frame.
+        // Reference for the measurement: the remembered colours, at the exposure and light of this frame.
         let shown = (*self.estimation().memory_frames > 0.0).then(|| {
             let (sh, memory) = patch.colors();
             memory.recall(sh)
@@ -54,7 +54,7 @@ impl Fitter<'_> {
         Ok(best.1)
     }
 
-    /// Stage (i): Adam on theta; the phase of least loss on the way.
+    /// Stage (i): Adam on theta; returns the phase with the least loss among all iterations.
     fn optimise_phase(&mut self, patch: &mut dyn VisiblePatch, target: &mut FrameTarget, start: f64) -> Result<f64> {
         let iterations = self.iterations(0, target.frame);
         let mut adam = Adam::new(AdamConstants::default());
@@ -86,7 +86,7 @@ impl Fitter<'_> {
         Ok(best.1)
     }
 
-    /// One step of Adam against `dL/dtheta = (w_c dL_photo/dalpha + dL_temp/dalpha) dalpha/dtheta`.
+    /// One Adam step on `dL/dtheta = (w_c dL_photo/dalpha + dL_temp/dalpha) dalpha/dtheta`.
     fn step_theta(
         &mut self,
         view: &View,
@@ -119,13 +119,13 @@ impl Fitter<'_> {
         adam.begin(1, StepCounter::Restarted);
         patch.begin_appearance();
         let mut theta = [if move_theta { self.activation().theta(start) as f32 } else { 0.0 }];
-        // While only colours are learned, splats and lists are those of the first iteration.
+        // While only colours are learned, splats and tile lists stay those of the first iteration.
         let still = !groups.any(Wanted::POSITIONS | Wanted::SHAPES);
         self.rasterizer.reuse(if still { Reuse::Unchanged } else { Reuse::Never });
         let mut settling = Settling::new(*self.settings.settled);
         let mut i = 0;
         while i < alone + joint {
-            // Loss; a stage that has settled ends, (ii) by going on with (iii).
+            // Loss; a stage that has settled ends, and (iii) follows (ii).
             let value = self.evaluate(patch, target)?;
             if settling.settled(value) {
                 if i >= alone || joint == 0 {
@@ -140,7 +140,7 @@ impl Fitter<'_> {
                 let rate = geometric(*self.estimation().theta_rate_joint, i - alone, joint);
                 self.step_theta(&target.view, patch, &mut adam, &mut theta, rate)?;
             }
-            // Step of appearance, and the Gaussians where they are now.
+            // Step of appearance, and the new placement of the Gaussians.
             patch.step_appearance(self.rasterizer.gradients(), &self.rasterizer.rendered().visible)?;
             if moves {
                 self.place(&target.view, patch, self.activation().phase(theta[0] as f64))?;
@@ -177,7 +177,7 @@ impl Settling {
     }
 }
 
-/// Value `i` of `n` between the first and the last rate, in equal ratios; a first rate of 0 stays 0.
+/// Value `i` of `n` of a geometric sequence from the first to the last rate; 0 throughout if the first is 0.
 fn geometric([first, last]: [f64; 2], i: usize, n: usize) -> f64 {
     if first == 0.0 {
         return 0.0;

@@ -2,23 +2,21 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// Most pivots of a step; two dozen phases take fewer.
+/// Largest number of pivots in one step, against cycling; two dozen phases need fewer.
 const MOST_PIVOTS: usize = 1000;
 
-/// A step to where a quadratic model is least within bounds, and how hard the model pushes against those that
-/// hold it.
+/// The minimum of a quadratic model within bounds, and the gradient against the active bounds.
 pub struct BoundedStep {
     /// Change of each unknown.
     pub step: DVector<f64>,
-    /// Gradient that is left at the unknowns that a bound holds; 0 at the others.
+    /// Remaining gradient of the unknowns held at a bound; 0 for the others.
     pub push: DVector<f64>,
 }
 
-/// The step that minimises `1/2 s^T C s - g^T s` with phases, from number `first` on, within 0..1: those that
-/// would leave it stop at its end, and all others go where the images then agree best. So a push against an end
-/// of the breath tells the others where they are. By principal pivots, the last wrong one each time, which ends
-/// (Murty, "Note on a Bard-type scheme for solving the complementarity problem", 1974). `None` where `C` is not
-/// positive definite.
+/// The step that minimises `1/2 s^T C s - g^T s` while the phases (unknowns from number `first` on) stay within
+/// 0..1. Phases that would leave this range are held at its end, and the others are solved for given that.
+/// Principal pivoting on the last violation each time, which terminates (Murty, "Note on a Bard-type scheme for
+/// solving the complementarity problem", 1974). `None` if `C` is not positive definite.
 pub fn bounded(
     curvature: &DMatrix<f64>,
     gradient: &DVector<f64>,
@@ -26,7 +24,7 @@ pub fn bounded(
     first: usize,
 ) -> Option<BoundedStep> {
     let count = at.len();
-    // Where phases are held.
+    // The end of the range at which each phase is held, if any.
     let mut ends: Vec<Option<f64>> = vec![None; count];
     for pivots in 0.. {
         // Solve for the free unknowns, with the held ones at their ends.
@@ -35,7 +33,7 @@ pub fn bounded(
         let rest = gradient - curvature * &step;
         let solution = curvature.select_rows(&free).select_columns(&free).cholesky()?.solve(&rest.select_rows(&free));
         free.iter().zip(solution.iter()).for_each(|(&k, &value)| step[k] = value);
-        // The gradient that is left pushes the held ones against their ends.
+        // The remaining gradient pushes the held ones against their ends.
         let left = gradient - curvature * &step;
         let push = DVector::from_fn(count, |k, _| if ends[k].is_some() { left[k] } else { 0.0 });
         // A free phase outside 0..1 or a held one that is pushed back inside is wrong: pivot on it.
@@ -43,7 +41,7 @@ pub fn bounded(
             None => !(0.0..=1.0).contains(&(at[*k] + step[*k])),
             Some(end) => push[*k] * (end - 0.5) < 0.0,
         };
-        // Rounding may turn a phase that is just at an end to and fro.
+        // The limit on pivots: rounding may make a phase exactly at an end flip back and forth.
         let wrong = (first..count).rev().find(is_wrong).filter(|_| pivots < MOST_PIVOTS);
         let Some(wrong) = wrong else { return Some(BoundedStep { step, push }) };
         ends[wrong] = if ends[wrong].is_none() { Some((at[wrong] + step[wrong]).clamp(0.0, 1.0)) } else { None };

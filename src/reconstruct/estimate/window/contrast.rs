@@ -1,5 +1,5 @@
-//! What is compared of an image: its local contrast `(I - B) / (B + floor)`, `B` its mean over a neighbourhood,
-//! which the light on large areas does not change.
+//! The local contrast of an image, `(I - B) / (B + floor)` with `B` the mean over a neighbourhood. Large-scale
+//! changes of light do not affect it.
 
 use rayon::prelude::*;
 
@@ -7,10 +7,10 @@ use crate::base::Image;
 
 /// Half width of the square over which an image is averaged (twice), as a share of its width.
 const RADIUS_SHARE: f64 = 3.0 / 128.0;
-/// Added to the averaged image: darker than this has no contrast.
+/// Added to the local mean (image values, 0..1), so that darker areas have little contrast.
 const CONTRAST_FLOOR: f32 = 0.05;
 
-/// What is compared of an image.
+/// The local contrast of an image.
 pub struct ContrastImage {
     /// Three channels.
     pub contrast: Image<f32>,
@@ -23,7 +23,7 @@ pub fn contrast_image(image: &Image<f32>, weights: &[f32]) -> ContrastImage {
     let (width, pixels) = (image.width, image.width * image.height);
     let counts: Vec<bool> = (0..pixels).map(|i| weights.get(i).is_none_or(|&w| w > 0.0)).collect();
     let radius = ((width as f64 * RADIUS_SHARE).round() as usize).max(1);
-    // The fourth plane counts the pixels in the neighbourhood that count.
+    // The fourth plane counts the valid pixels in the neighbourhood.
     let value = |i: usize, c: usize| if c < 3 { image.data[3 * i + c] } else { 1.0 };
     let averaged = |c: usize| {
         let mut plane: Vec<f32> = (0..pixels).map(|i| if counts[i] { value(i, c) } else { 0.0 }).collect();
@@ -62,7 +62,7 @@ fn average_rows(plane: &mut [f32], width: usize, radius: usize) {
     }
 }
 
-/// Rows of `width` as columns.
+/// The transpose of a plane with rows of `width`.
 fn transposed(plane: &[f32], width: usize) -> Vec<f32> {
     let height = plane.len() / width;
     (0..plane.len()).map(|i| plane[(i % height) * width + i / height]).collect()

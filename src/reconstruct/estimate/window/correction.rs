@@ -1,7 +1,7 @@
-//! A low-rank correction of the displacement field between the two CTs: their registration errs, smoothly, by a
-//! mm or so. `D(x) = D_given(x) + sum_k exp(-|x - x_k|^2 / (2 reach^2)) c_k`, one vector `c_k` (mm) per centre
-//! `x_k`; the centres stand along the path of the scope. The few in front of a frame are unknowns of the window
-//! of keyframes, together with its phase.
+//! A low-rank correction of the displacement field between the two CTs, whose registration has a smooth error of
+//! about 1 mm: `D(x) = D_given(x) + sum_k exp(-|x - x_k|^2 / (2 reach^2)) c_k`, one vector `c_k` (mm) per centre
+//! `x_k`. The centres lie along the path of the scope. The few in front of a frame are unknowns of the keyframe
+//! window, together with the frame's phase.
 
 use std::borrow::Cow;
 
@@ -9,14 +9,14 @@ use glam::{DAffine3, DVec3};
 
 /// Distance between centres, in reaches.
 const SPACING: f64 = 1.2;
-/// How far in front of the scope the wall is that it looks at, mm.
+/// Assumed distance of the viewed wall in front of the scope, mm.
 const AHEAD_MM: f64 = 12.0;
 
-/// The correction of a whole mesh; the default has no centres and corrects nothing.
+/// The correction for a whole mesh; the default has no centres and corrects nothing.
 #[derive(Default)]
 pub struct Correction {
     centres: Vec<DVec3>,
-    /// Weight of each vertex of the mesh, centre by centre.
+    /// For each centre, the weight of every vertex of the mesh.
     weights: Vec<Vec<f32>>,
     /// Coefficients, mm, three per centre.
     coefficients: Vec<[f64; 3]>,
@@ -64,7 +64,7 @@ impl Correction {
         &self.weights[centre]
     }
 
-    /// The centres that the scope at `pose` looks at, nearest first.
+    /// The centres in front of the scope at `pose`, nearest first.
     pub fn in_view(&self, pose: &DAffine3) -> Vec<usize> {
         let place = looked_at(pose);
         let mut order: Vec<usize> = (0..self.centres.len()).collect();
@@ -83,12 +83,12 @@ impl Correction {
         self.coefficients.copy_from_slice(coefficients);
     }
 
-    /// `given` with the correction as it is known.
+    /// `given` with the current correction.
     pub fn apply<'a>(&self, given: &'a [[f32; 3]]) -> Cow<'a, [[f32; 3]]> {
         self.apply_with(given, &self.coefficients)
     }
 
-    /// `given` with these coefficients' correction.
+    /// `given` with the correction that `coefficients` describe.
     pub fn apply_with<'a>(&self, given: &'a [[f32; 3]], coefficients: &[[f64; 3]]) -> Cow<'a, [[f32; 3]]> {
         let mut out = Cow::Borrowed(given);
         for (weights, c) in self.weights.iter().zip(coefficients).filter(|(_, c)| **c != [0.0; 3]) {

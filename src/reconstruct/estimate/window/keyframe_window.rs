@@ -1,5 +1,5 @@
-//! The window itself: places each frame against its keyframes by Gauss-Newton on all unknowns, and keeps what
-//! is known of them as a Gaussian, of which [`KeyframeWindow`] holds mean, information and gradient.
+//! The window itself: places each frame against its keyframes by Gauss-Newton on all unknowns. The state of
+//! knowledge is a Gaussian: [`KeyframeWindow`] holds its mean, information matrix and gradient.
 
 use glam::DAffine3;
 use nalgebra::{DMatrix, DVector};
@@ -18,23 +18,23 @@ use crate::reconstruct::geometry::rigid::{POSE, moved};
 use crate::reconstruct::settings::KeyframeSettings;
 use crate::splat::View;
 
-/// Most Gauss-Newton steps per frame, and a step (phase, mm) that ends them.
+/// Largest number of Gauss-Newton steps per frame, and the step length (phase, mm) below which they end.
 const STEPS: usize = 4;
 const SHORTEST_STEP: f64 = 2e-4;
-/// The valley of the misfit is narrow, so that it is searched before the first step: phases tried on each side
-/// of the expected one, their spacing in phase, and the share of the misfit at the expected phase below which
-/// the best is taken.
+/// Search before the first step, since the valley of the misfit is narrow: phases tried on each side of the
+/// expected one, their spacing in phase, and the share of the misfit at the expected phase below which the best
+/// of them is taken.
 const SEARCH_STEPS: i32 = 6;
 const SEARCH_SPACING: f64 = 0.01;
 const CLEARLY_BETTER: f64 = 0.75;
-/// The window works on the finest halving of an image that is not wider than this many pixels.
+/// Widest image that the window works on, pixels; wider ones are halved until they fit.
 const WIDEST: usize = 160;
-/// A frame becomes a keyframe after so many frames, or when the points of the last one have moved by this share
-/// of the width, or fewer than this share of them are left.
+/// A frame becomes a keyframe if the last one is this many frames old, or if its points have moved by more than
+/// this share of the width, or if less than this share of them is still visible.
 const LONGEST_WAIT: usize = 4;
 const LONGEST_FLOW: f64 = 0.06;
 const FEWEST_KEPT: f64 = 0.7;
-/// Standard deviation of the phase that the given depth of the first frame tells.
+/// Standard deviation of the first frame's phase, which is found by the depth given there.
 const FIRST_DEVIATION: f64 = 0.003;
 
 /// Where the window puts a frame.
@@ -42,7 +42,7 @@ const FIRST_DEVIATION: f64 = 0.003;
 pub struct FramePlacement {
     /// Phase, 0..1.
     pub phase: f64,
-    /// Its standard deviation by the window.
+    /// Standard deviation of the phase.
     pub deviation: f64,
     /// Correction of its pose.
     pub pose: [f64; POSE],
@@ -51,7 +51,7 @@ pub struct FramePlacement {
 /// What a window estimates besides the phases; by default nothing.
 #[derive(Default)]
 pub struct WindowOptions {
-    /// How given poses drift; `None`: they are true.
+    /// Drift of the given poses; `None` if they are exact.
     pub drift: Option<PoseDrift>,
     /// A correction of the displacement field between the two CTs.
     pub correction: Correction,
@@ -59,7 +59,7 @@ pub struct WindowOptions {
 
 /// The keyframes, and what is known about their phases.
 pub struct KeyframeWindow {
-    /// Of the images' camera, from the first one on.
+    /// Rays of the camera; set with the first frame.
     rays: Option<PixelRays>,
     most: usize,
     kept: f64,
@@ -67,12 +67,12 @@ pub struct KeyframeWindow {
     keyframes: Vec<Keyframe>,
     drift: Option<PoseDrift>,
     correction: Correction,
-    /// Time of the next frame, when the correction of the poses is what `unknowns` says.
+    /// Time of the frame to be placed next, to which the correction of the poses in `unknowns` refers.
     time_s: f64,
     /// The unknowns, in the order of [`UnknownLayout`].
     pub(super) unknowns: DVector<f64>,
-    /// What images say about them around there: second and first derivatives. Where there is no correction, the
-    /// first are 0.
+    /// Information and gradient at `unknowns` from the images so far. The gradient is 0 unless there is a correction
+    /// of the displacement field or a phase is held at an end of the breath.
     information: DMatrix<f64>,
     gradient: DVector<f64>,
     /// Frames since the last keyframe.
@@ -80,7 +80,7 @@ pub struct KeyframeWindow {
 }
 
 impl KeyframeWindow {
-    /// An empty window; `None` where `settings` ask for no keyframes.
+    /// An empty window; `None` if `settings` ask for no keyframes.
     pub fn new(settings: &KeyframeSettings, options: WindowOptions) -> Option<KeyframeWindow> {
         let mut window = KeyframeWindow {
             rays: None,
@@ -100,7 +100,7 @@ impl KeyframeWindow {
         (window.most > 0).then_some(window)
     }
 
-    /// Begins with the correction `xi` of the first frame's pose.
+    /// Starts with the correction `xi` of the first frame's pose.
     pub fn begin(&mut self, xi: [f64; POSE], time_s: f64) {
         self.time_s = time_s;
         if let Some(drift) = self.drift {
@@ -112,7 +112,7 @@ impl KeyframeWindow {
         }
     }
 
-    /// The next frame is one of `time_s`: lets the poses drift until then. Answers the correction that is expected.
+    /// Predicts the pose correction at `time_s`, the time of the next frame, and returns it.
     ///
     /// The new state `x' = F x + noise` of precision `N` joins the information as
     /// `[N, -N F; -F^T N, F^T N F]`, and the old one is marginalised.
@@ -127,7 +127,7 @@ impl KeyframeWindow {
             let noise = DMatrix::from_diagonal(&DVector::from_column_slice(&drift.noise(seconds)).map(|v| 1.0 / v));
             let now = &step * self.unknowns.rows(0, S);
             self.unknowns.rows_mut(0, S).copy_from(&now);
-            // The new state stands before the old one.
+            // The new state comes before the old one.
             let n = self.information.nrows();
             let mut all = DMatrix::zeros(S + n, S + n);
             all.view_mut((S, S), (n, n)).copy_from(&self.information);
@@ -145,7 +145,7 @@ impl KeyframeWindow {
         self.correction_of_poses(&self.unknowns, 0.0)
     }
 
-    /// The correction of the poses by `unknowns`, so many seconds ago.
+    /// The correction of the poses according to `unknowns`, `ago_s` seconds ago.
     fn correction_of_poses(&self, unknowns: &DVector<f64>, ago_s: f64) -> [f64; POSE] {
         let part = |k: usize| unknowns[k] - ago_s * unknowns[POSE + k];
         std::array::from_fn(|k| if self.drift.is_some() { part(k) } else { 0.0 })
@@ -156,13 +156,13 @@ impl KeyframeWindow {
         level.image.width <= WIDEST
     }
 
-    /// `given` with the correction of the displacement field as it is known; `None` where none is estimated.
+    /// `given` with the current correction of the displacement field; `None` if none is estimated.
     pub fn corrected(&self, given: &[[f32; 3]]) -> Option<Vec<[f32; 3]>> {
         self.correction.estimates().then(|| self.correction.apply(given).into_owned())
     }
 
-    /// Places a frame, whose phase is expected at `expected`: `mesh` is the airway as it is given, `visible`
-    /// the faces in view. All frames have one camera.
+    /// Places a frame whose predicted phase is `expected`. `mesh` is the given airway, `visible` the faces in view. All
+    /// frames share one camera.
     pub fn place(
         &mut self,
         frame: &PyramidLevel,
@@ -176,7 +176,7 @@ impl KeyframeWindow {
         self.make_room(layout.first);
         self.waited += 1;
 
-        // The wall that the frame shows, where everything is as expected.
+        // The wall that the frame shows at the expected values of all unknowns.
         let contrast = contrast_image(&frame.image, &frame.weights);
         let expected_at = self.unknowns.clone().push(expected);
         let view_and_walls = |at: &DVector<f64>| {
@@ -187,7 +187,7 @@ impl KeyframeWindow {
         };
         let nearest = view_and_walls(&expected_at).1;
 
-        // All unknowns, the frame's phase the last.
+        // Solve for all unknowns; the frame's phase is the last.
         let incoming = IncomingFrame { given: &frame.view, contrast: &contrast, nearest: &nearest };
         let solution = self.solve(&incoming, expected_at, &layout, mesh);
         let now = solution.at.len() - 1;
@@ -205,14 +205,14 @@ impl KeyframeWindow {
             let key = keyframe(&target, &frame.view, self.time_s, mesh.faces);
             self.remember(key, solution, &layout);
         }
-        // A frame that leaves no information behind leaves no correction.
+        // The correction follows `unknowns`, which only a keyframe changes.
         let coefficients = layout.poses..layout.first;
         correction.set(self.unknowns.as_slice()[coefficients].as_chunks().0);
         (self.rays, self.correction) = (Some(rays), correction);
         placement
     }
 
-    /// Room for so many unknowns before the first phase.
+    /// Grows the state to `first` unknowns before the first phase.
     fn make_room(&mut self, first: usize) {
         if self.keyframes.is_empty() {
             self.unknowns.resize_vertically_mut(first, 0.0);
@@ -221,9 +221,9 @@ impl KeyframeWindow {
         }
     }
 
-    /// Gauss-Newton on all unknowns and the phase of the incoming frame, the last of `mean`: from there, and
-    /// from where the frame agrees much better with the last keyframe. Of two solutions it is the one that all
-    /// keyframes agree with best.
+    /// Gauss-Newton on all unknowns and the phase of the incoming frame, the last of `mean`. It starts there and, if
+    /// another phase agrees much better with the last keyframe, from that phase, too. Of two solutions, the one with
+    /// the smaller misfit over all keyframes is returned.
     fn solve(
         &self,
         incoming: &IncomingFrame<'_>,
@@ -258,11 +258,11 @@ impl KeyframeWindow {
         self.keyframes.par_iter().enumerate().map(of).collect()
     }
 
-    /// [`KeyframeWindow::solve`] with the frame's phase first taken for `start`.
+    /// [`KeyframeWindow::solve`] with `start` as the initial phase of the frame.
     ///
-    /// Each step solves `(Lambda + P + sum_k H_k) s = g + Lambda (mean - x) - P x + sum_k g_k`: `Lambda` and
-    /// `g` what the window knows, `P` the prior of the correction, `H_k` and `g_k` the pair of keyframe `k` and
-    /// the frame.
+    /// Each step solves `(Lambda + P + sum_k H_k) s = g + Lambda (mean - x) - P x + sum_k g_k`, with `Lambda` and
+    /// `g` the window's information and gradient, `P` the prior of the correction, and `H_k` and `g_k` the normal
+    /// equations of the pair of keyframe `k` and the frame.
     fn solve_from(
         &self,
         start: f64,
@@ -271,7 +271,7 @@ impl KeyframeWindow {
         layout: &UnknownLayout<'_>,
         mesh: BreathingMesh<'_>,
     ) -> Solution {
-        // What is known before the image: of the frame's own phase, its prior.
+        // Knowledge before the image: the window's, and the prior of the frame's own phase.
         let now = mean.len() - 1;
         let deviation = if self.keyframes.is_empty() { FIRST_DEVIATION } else { self.prior_deviation };
         let mut known = self.information.clone().resize(now + 1, now + 1, 0.0);
@@ -294,7 +294,7 @@ impl KeyframeWindow {
                 }
             }
             solution.last = pairs.last().map(|pair| (pair.flow, pair.kept));
-            // The prior of the correction is no part of what images say.
+            // The prior of the correction is added here only: `total` holds the images' information.
             gradient -= layout.prior_gradient(&solution.at);
             let curvature = layout.with_prior(&solution.total);
             // The step, with all phases within 0..1.
@@ -310,7 +310,7 @@ impl KeyframeWindow {
         solution
     }
 
-    /// What each keyframe and the incoming frame say.
+    /// The normal equations of each keyframe with the incoming frame.
     fn pairs(
         &self,
         incoming: &IncomingFrame<'_>,
@@ -340,13 +340,13 @@ impl KeyframeWindow {
         self.keyframes.par_iter().enumerate().map(pair_with).collect()
     }
 
-    /// Where a keyframe was taken from by the unknowns `at` the time of the incoming frame.
+    /// Pose of a keyframe according to the unknowns `at`, which refer to the time of the incoming frame.
     fn key_from_world(&self, key: &Keyframe, incoming: &IncomingFrame<'_>, at: &DVector<f64>) -> DAffine3 {
         let given = View { camera_from_world: key.camera_from_world, ..*incoming.given };
         self.moved(&given, at, self.time_s - key.time_s).camera_from_world
     }
 
-    /// Makes a keyframe of the last frame, and takes over the `solution` with it; the oldest leaves a full window.
+    /// Adds `keyframe` and takes over its `solution`; the oldest keyframe leaves a full window.
     fn remember(&mut self, keyframe: Keyframe, solution: Solution, layout: &UnknownLayout<'_>) {
         self.waited = 0;
         self.keyframes.push(keyframe);
@@ -359,8 +359,7 @@ impl KeyframeWindow {
         if self.keyframes.len() > self.most {
             let mut information = std::mem::take(&mut self.information);
             if oldest_is_held {
-                // The end pushes back as hard as images push; whether it does is as sure as any phase is before
-                // an image.
+                // The bound balances the push of the images; its information is taken to be that of a phase's prior.
                 information[(layout.first, layout.first)] += self.prior_deviation.powi(-2);
             }
             self.information = marginalised(information, layout.first);
@@ -369,8 +368,8 @@ impl KeyframeWindow {
             self.keyframes.remove(0);
         }
 
-        // A share of the rest is forgotten: of the phases and of the coefficients in view. Coefficients out of
-        // view get no new errors, and a drift forgets itself.
+        // Forget a share of the information on the phases and the coefficients in view. Coefficients out of view
+        // collect no new errors, and the drift model adds its own noise.
         let forgets = |k: usize| k >= layout.first || (k >= layout.poses && layout.others.contains(&k));
         let kept = DVector::from_fn(self.unknowns.len(), |k, _| if forgets(k) { self.kept } else { 1.0 });
         for (k, column) in kept.iter().enumerate() {
@@ -379,12 +378,13 @@ impl KeyframeWindow {
         self.gradient.component_mul_assign(&kept);
     }
 
-    /// The `given` view of so many seconds ago with the correction of its pose by `unknowns`.
+    /// The `given` view of `ago_s` seconds ago with its pose corrected according to `unknowns`.
     fn moved(&self, given: &View, unknowns: &DVector<f64>, ago_s: f64) -> View {
         if self.drift.is_none() { *given } else { moved(given, self.correction_of_poses(unknowns, ago_s)) }
     }
 
-    /// The phase around the last of `mean` at which the frame agrees best with the last keyframe, if clearly better.
+    /// The phase near the last of `mean` with the least misfit to the last keyframe, if it is clearly better than the
+    /// last of `mean`, which is returned otherwise.
     pub(super) fn nearest_fit(
         &self,
         incoming: &IncomingFrame<'_>,
@@ -407,12 +407,12 @@ impl KeyframeWindow {
     }
 }
 
-/// The frame that is to be placed.
+/// The frame to be placed.
 pub(super) struct IncomingFrame<'a> {
-    /// Its pose as it is given, with its camera.
+    /// Its given pose, with its camera.
     pub given: &'a View,
     pub contrast: &'a ContrastImage,
-    /// Depth in mm and index of the face at each pixel, where everything is as expected.
+    /// Depth in mm and index of the face at each pixel, at the expected values of all unknowns.
     pub nearest: &'a [(f32, u32)],
 }
 
@@ -423,15 +423,15 @@ impl<'a> IncomingFrame<'a> {
     }
 }
 
-/// What a frame was found to say.
+/// The result of placing a frame.
 struct Solution {
-    /// All unknowns, its phase the last.
+    /// All unknowns; the frame's phase is the last.
     at: DVector<f64>,
-    /// What images say about them.
+    /// Information about them, without the prior of the correction.
     total: DMatrix<f64>,
-    /// How hard they push phases against the ends of the breath; 0 for those that lie between.
+    /// Gradient that pushes phases against the ends of the breath; 0 for phases in between.
     push: DVector<f64>,
-    /// Flow of the points of the last keyframe, and the share of them that is left.
+    /// Flow of the last keyframe's points, and the share of them that is still visible.
     last: Option<(f64, f64)>,
 }
 

@@ -3,26 +3,28 @@
 //! adjustment (Engel, Koltun and Cremers, "Direct sparse odometry", 2018) in which poses and shapes are given,
 //! and one phase per frame is all that is unknown.
 //!
-//! A map alone drifts. Where the assumed wall is too wide its image grows too slowly while the scope advances,
-//! and a phase that makes it wider still mends that: an error of the phase grows by a factor of e on a way as
-//! long as the wall is distant. Two frames from different places see that the wall is elsewhere (parallax).
-//! With the point that a pixel of frame `k` shows at `X_k(a_k) = o + t r`, in barycentric coordinates `b(a_k)`
-//! of its face, frame `n` sees it at `X_n = sum b_i v_i(a_n)`; the derivatives of its place in that image by
-//! `a_k` and by `a_n` differ ([`pair`]).
+//! A map alone drifts. If the assumed wall is too wide, its image grows too slowly while the scope advances. A
+//! phase that makes the wall even wider compensates, so the phase error grows by a factor of e each time the scope
+//! advances by its distance from the wall. Two frames from different places reveal the error by parallax. A pixel
+//! of frame `k` at phase `a_k` shows the point `X_k(a_k) = o + t r`, with barycentric coordinates `b(a_k)` on its
+//! face. In frame `n` that point is at `X_n = sum b_i v_i(a_n)`. The derivatives of its pixel there by `a_k` and
+//! by `a_n` differ ([`pair`]), so both phases can be estimated.
 //!
-//! Images are compared by their local contrast ([`contrast`]): what the light does to large areas says nothing.
-//! Each frame is placed against all keyframes of the window; a frame that shows enough new wall becomes one,
-//! and the oldest leaves, its knowledge marginalised ([`bounded`]). Of what is known a share is forgotten with
-//! each keyframe, since systematic errors (glare, light inside the wall) do not average out. What two frames
-//! from different places say about where the wall is, beyond any phase, may go into a correction of the
-//! displacement field ([`correction`]): its coefficients are unknowns of the window, too, which no keyframe
-//! takes along when it leaves. Where walls are near, the valley of the misfit is .01 of a phase wide: before
-//! the first step the phases around the expected one are searched for the one at which the frame agrees best
-//! with the last keyframe. Where that is elsewhere, steps are taken from both, and all keyframes choose: walls
-//! that are very near can mislead one of them. Poses that are off may be unknowns, too: one correction and its
-//! change per second for the whole window, under a [`drift`]. (Six unknowns per frame run away: along a tube,
-//! way and phase are one.) Phases stay within 0..1 in every step: where images push one against an end of the
-//! breath, it is the poses that must be wrong. Left out: levels of resolution.
+//! - Images are compared by local contrast ([`contrast`]), which large-scale changes of light do not affect.
+//! - Each frame is placed against all keyframes. A frame that shows enough new wall becomes a keyframe; the oldest
+//!   keyframe leaves and its information is marginalised ([`bounded`]). With each new keyframe a share of the
+//!   information is forgotten, since systematic errors (glare, light inside the wall) do not average out.
+//! - Near walls make the valley of the misfit only .01 of a phase wide. Before the first step, the phases around
+//!   the expected one are therefore searched for the best agreement with the last keyframe. If that phase is not
+//!   the expected one, the solver starts from both, and the misfit over all keyframes decides, since very near
+//!   walls can mislead a single keyframe.
+//! - Optionally, a correction of the displacement field ([`correction`]) absorbs what parallax says about the wall
+//!   beyond any phase. Its coefficients are unknowns of the window and stay when a keyframe leaves.
+//! - Optionally, one correction of the poses and its change per second are estimated for the whole window under a
+//!   [`drift`] model. (Six unknowns per frame diverge: along a tube, advancing and breathing are indistinguishable.)
+//! - Phases stay within 0..1 in every step: if images push one against an end of the breath, the poses must be wrong.
+//!
+//! Left out: levels of resolution.
 
 pub mod bounded;
 pub mod contrast;

@@ -1,4 +1,5 @@
-//! A keyframe and a later frame: where the points of the one show in the other, and what that says about both phases.
+//! A keyframe and a later frame: where the keyframe's points appear in the later frame, and the normal equations
+//! of both phases and the other unknowns that follow.
 
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use nalgebra::{DMatrix, DVector};
@@ -8,31 +9,33 @@ use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::rigid::{POSE, turns};
 use crate::splat::View;
 
-/// Side in pixels of the squares from each of which one point is taken, that of the steepest contrast.
+/// Side in pixels of the square cells. Each gives one point, the pixel of steepest contrast.
 const CELL_PX: usize = 4;
-/// Relative jump of depth that is the edge of a wall: edges move differently from walls.
+/// Relative jump of depth between neighbouring pixels that counts as an edge of a wall. Points on edges are not
+/// used: edges move differently from walls.
 const EDGE: f32 = 0.15;
-/// Residuals beyond so many robust standard deviations count linearly, and the least such deviation.
+/// Residuals beyond this many robust standard deviations count linearly.
 const HUBER: f32 = 2.0;
+/// Smallest robust standard deviation, in units of contrast.
 const SMALLEST_SCALE: f32 = 0.01;
-/// Neighbouring points err together: so many values count as one.
+/// Number of values that count as one independent observation: errors of neighbouring points are correlated.
 const TOGETHER: f64 = 20.0;
-/// Pairs with fewer points say nothing.
+/// Pairs with fewer visible points are ignored.
 const FEWEST_POINTS: usize = 30;
-/// The misfit takes one of so many points.
+/// The misfit uses every this many-th point.
 const MISFIT_STRIDE: usize = 4;
-/// A point is hidden where it lies so much of the wall's depth, and so many mm, behind the nearest wall, and
-/// has left its face where it lies three times that much before it.
+/// A point is hidden if it lies more than `SLACK` (share of the wall's depth) plus `SLACK_MM` behind the nearest
+/// wall. It is discarded, too, if it lies more than three times the share plus `SLACK_MM` in front of it.
 const SLACK: f64 = 0.05;
 const SLACK_MM: f64 = 0.5;
-/// Step over which a projection is differentiated, phase.
+/// Step of the forward difference of a projection, in units of the unknown (phase or mm).
 const WIDTH: f64 = 1e-3;
 
 /// A frame whose points are looked up in later ones.
 pub struct Keyframe {
-    /// Where it was taken from, as it is given.
+    /// The given pose.
     pub camera_from_world: DAffine3,
-    /// When.
+    /// When it was taken.
     pub time_s: f64,
     /// Its points.
     pub points: Vec<KeyframePoint>,
@@ -42,38 +45,39 @@ pub struct Keyframe {
 pub struct KeyframePoint {
     /// Where it is in its image.
     pub pixel: DVec2,
-    /// Its direction in camera axes, of unit z-depth.
+    /// Its viewing direction in camera axes, scaled to a z-depth of 1.
     pub ray: DVec3,
     /// Corners of the face that it shows.
     pub face: [u32; 3],
-    /// What it looks like.
+    /// Its local contrast per channel.
     pub contrast: [f32; 3],
 }
 
 /// The later frame of a pair, in which the points of the keyframe are looked up.
 pub struct TargetFrame<'a> {
-    /// Where it was taken from.
+    /// Its camera and assumed pose.
     pub view: &'a View,
-    /// What it shows.
+    /// Its local contrast.
     pub contrast_image: &'a ContrastImage,
     /// Depth in mm and index of the face at each pixel.
     pub nearest: &'a [(f32, u32)],
 }
 
-/// What a pair of frames says about the phases of both and about [`OtherUnknowns`].
+/// The normal equations of a pair of frames, in the phases of both and [`OtherUnknowns`].
 #[derive(Clone, Debug)]
 pub struct Pair {
-    /// Phase of the first, of the second; correction of the poses, its change per second; offsets, three per centre.
+    /// Order: phase of the first frame, of the second; correction of the poses, its change per second; coefficients
+    /// of the displacement field's correction, three per centre.
     pub hessian: DMatrix<f64>,
-    /// Likewise.
+    /// In the same order.
     pub gradient: DVector<f64>,
-    /// Share of the points that the second frame shows.
+    /// Share of the points that are visible in the second frame.
     pub kept: f64,
-    /// Mean path of the points across the image, as a share of its width.
+    /// Mean distance by which the points moved in the image, as a share of its width.
     pub flow: f64,
 }
 
-/// The points of a frame: of each cell the pixel on a wall whose contrast is steepest.
+/// The keyframe of a frame: in each cell, the pixel of steepest contrast that lies on a wall and not on its edge.
 pub fn keyframe(target: &TargetFrame<'_>, given: &View, time_s: f64, faces: &[[u32; 3]]) -> Keyframe {
     let TargetFrame { view, contrast_image: ContrastImage { contrast, counts }, nearest } = *target;
     let (width, height) = (contrast.width, contrast.height);
@@ -106,34 +110,35 @@ pub fn keyframe(target: &TargetFrame<'_>, given: &View, time_s: f64, faces: &[[u
     Keyframe { camera_from_world: given.camera_from_world, time_s, points }
 }
 
-/// What a ray of a keyframe meets on its face, carried to another phase.
+/// The point where a keyframe's ray meets its face, carried to another phase.
 pub struct CarriedPoint {
     /// Where it is, mm, world.
     pub place: DVec3,
-    /// How far it is along the ray, mm of z-depth.
+    /// Z-depth of the intersection in the keyframe, mm.
     pub depth: f64,
     /// Velocity of the face there, mm per unit of phase.
     pub velocity: DVec3,
-    /// How the place moves when the ray moves where it meets the face.
+    /// Derivative of the place by a translation of the ray: the intersection slides on the face.
     pub slide: DMat3,
-    /// Share of each corner in it: its barycentric coordinates.
+    /// Its barycentric coordinates.
     pub shares: [f64; 3],
 }
 
 impl CarriedPoint {
-    /// The derivatives of the place by the first and by the second phase. While the first phase moves the face by
-    /// `velocity`, the ray meets it as if the ray had moved the other way.
+    /// The derivatives of the place by the first and by the second phase. Moving the face by `velocity` is, for the
+    /// intersection, the same as moving the ray by `-velocity`.
     pub fn by_phase(&self) -> [DVec3; 2] {
         [self.slide * -self.velocity, self.velocity]
     }
 
-    /// By an offset of the face's displacement to expiration, per axis.
+    /// The derivative of the place by an offset of the face's displacement to expiration.
     pub fn by_offset(&self, first: f64, second: f64) -> DMat3 {
         DMat3::from_diagonal(DVec3::splat(second)) - first * self.slide
     }
 }
 
-/// Where what a ray meets on `face` at phase `first` is at phase `second`; `None` where the ray grazes the face.
+/// Intersects a ray with `face` at phase `first` and carries the point to phase `second`; `None` if the ray is
+/// nearly parallel to the face.
 ///
 /// The ray from `eye` along `ray` meets the corners `v_i(first)` at `eye + t ray = a + u (b - a) + v (c - a)`;
 /// the answer is `sum b_i v_i(second)` with the barycentric coordinates `b = (1 - u - v, u, v)`.
@@ -165,16 +170,16 @@ pub fn carried(
     })
 }
 
-/// The corrections of the poses of a pair, which are one correction and its change per second.
+/// The corrections of the poses of a pair; both follow from one correction and its change per second.
 #[derive(Clone, Copy, Debug)]
 pub struct PairPoses {
-    /// Of the first and of the later frame.
+    /// Correction of the first and of the later frame.
     pub corrections: [[f64; POSE]; 2],
     /// Seconds between the two.
     pub elapsed_s: f64,
 }
 
-/// What besides the phases is unknown.
+/// The unknowns besides the phases.
 #[derive(Clone, Copy, Default)]
 pub struct OtherUnknowns<'a> {
     /// The correction of the poses, if any.
@@ -190,34 +195,34 @@ impl OtherUnknowns<'_> {
     }
 }
 
-/// A point of the keyframe as both frames show it.
+/// A point of the keyframe compared in both frames.
 pub struct PointResidual {
     /// Difference of contrasts `r`, per channel.
     residual: [f32; 3],
-    /// Slope of the later contrast, per channel and pixel.
+    /// Gradient of the later frame's contrast, per channel, in 1 / pixel.
     slope: [DVec2; 3],
-    /// The point's path from one image to the other, pixels.
+    /// The point's displacement from one image to the other, pixels.
     pub path: DVec2,
-    /// Derivatives of that path by both phases.
+    /// Derivatives of that displacement by both phases.
     pub by_phase: [DVec2; 2],
-    /// By all else.
+    /// Derivatives by the other unknowns.
     pub by_others: Vec<DVec2>,
 }
 
-/// A pair of frames, as it is assumed to be.
+/// Assumed state of a pair of frames.
 #[derive(Clone, Copy)]
 pub struct Assumed<'a> {
-    /// Phase of the first.
+    /// Phase of the keyframe.
     pub first: f64,
-    /// Its pose.
+    /// Pose of the keyframe.
     pub key_from_world: DAffine3,
-    /// Phase of the later one.
+    /// Phase of the later frame.
     pub second: f64,
     /// The airway.
     pub mesh: BreathingMesh<'a>,
 }
 
-/// `point` as both frames show it; `None` where the later one does not.
+/// Residual and derivatives of `point`; `None` if the later frame does not show it.
 ///
 /// With `x = project(camera_from_world X)` the pixel of the carried point `X`:
 /// `r = C_key(point) - C_target(x)`, and by an unknown `q`, `dx/dq = (d project / dX) camera_from_world dX/dq`.
@@ -264,8 +269,8 @@ pub fn point_residual(
         let [right, down, ahead] = [pixel_change(DVec3::X)?, pixel_change(DVec3::Y)?, pixel_change(DVec3::Z)?];
         let projected = |by: DVec3| by.x * right + by.y * down + by.z * ahead;
         if let Some(PairPoses { corrections: [of_key, own], elapsed_s }) = others.poses {
-            // One correction moves both cameras: the key's ray against its camera, the point in the later camera. The
-            // key's correction is `xi - elapsed xi'`.
+            // One correction moves both cameras: it moves the keyframe's ray the opposite way, and the point in the
+            // later camera. The keyframe's correction is `xi - elapsed xi'`.
             let shift = |xi: [f64; POSE]| DVec3::from_slice(&xi[3..]);
             let (hit, place) = (carried.depth * point.ray - shift(of_key), place - shift(own));
             let by_key = |by: DVec3| projected(in_camera(carried.slide * -world_from_key.transform_vector3(by)));
@@ -298,8 +303,8 @@ pub fn point_residual(
     Some(found)
 }
 
-/// How badly the later frame agrees with `key`, by every fourth point: mean difference of contrast, larger
-/// where fewer points are visible; infinite where too few are.
+/// How badly the later frame agrees with `key`, over every [`MISFIT_STRIDE`]-th point: the mean absolute difference
+/// of contrast, divided by the square root of the visible share; infinite if too few points are visible.
 pub fn misfit(key: &Keyframe, target: &TargetFrame<'_>, assumed: &Assumed<'_>) -> f64 {
     let points = key.points.iter().step_by(MISFIT_STRIDE);
     let tried = points.len();
@@ -314,8 +319,8 @@ pub fn misfit(key: &Keyframe, target: &TargetFrame<'_>, assumed: &Assumed<'_>) -
     sizes.iter().sum::<f64>() / sizes.len() as f64 / kept.sqrt()
 }
 
-/// What the points of `key` say about both phases and about what else is unknown: with `J = slope . dx/dq` and
-/// Huber weights `w`, the Hessian `sum w J^T J` and the gradient `sum w J^T r`.
+/// The normal equations of all points of `key`: with `J = slope . dx/dq` and Huber weights `w`, the Hessian
+/// `sum w J^T J` and the gradient `sum w J^T r`.
 pub fn pair(key: &Keyframe, target: &TargetFrame<'_>, assumed: &Assumed<'_>, others: &OtherUnknowns<'_>) -> Pair {
     let size = 2 + others.count();
     let (hessian, gradient) = (DMatrix::zeros(size, size), DVector::zeros(size));
@@ -333,12 +338,13 @@ pub fn pair(key: &Keyframe, target: &TargetFrame<'_>, assumed: &Assumed<'_>, oth
     let limit = HUBER * scale;
     let per_value = 1.0 / (scale as f64 * scale as f64 * TOGETHER);
 
-    // How much of the keyframe is left, and how far it has moved.
+    // Share of points still visible, and how far they have moved.
     let path_px: f64 = residuals.iter().map(|found| found.path.length()).sum();
     pair.kept = residuals.len() as f64 / key.points.len() as f64;
     pair.flow = path_px / residuals.len() as f64 / target.contrast_image.contrast.width as f64;
 
-    // Normal equations: the phases apart, since most windows have no other unknowns (first phase, both, second).
+    // Normal equations. The phases are accumulated separately, since most windows have no other unknowns; the
+    // entries of `second_order` are first-first, first-second, second-second.
     let (mut second_order, mut first_order) = ([0.0f64; 3], [0.0f64; 2]);
     let mut column = vec![0.0; size];
     for PointResidual { residual, slope, by_phase, by_others, .. } in &residuals {

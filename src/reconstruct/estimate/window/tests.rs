@@ -36,14 +36,14 @@ impl Tube {
             DVec3::new(RADIUS_MM * turn.cos(), RADIUS_MM * turn.sin(), z)
         };
         let all = (0..AROUND * RINGS).map(place);
-        let way = |p: DVec3| DVec3::new(3.0 - 0.2 * p.x, 2.0 - 0.2 * p.y, -3.0 - 0.05 * p.z);
+        let displaced = |p: DVec3| DVec3::new(3.0 - 0.2 * p.x, 2.0 - 0.2 * p.y, -3.0 - 0.05 * p.z);
         let faces = (0..AROUND * (RINGS - 1)).flat_map(|i| {
             let next = i / AROUND * AROUND + (i + 1) % AROUND;
             [[i, next, i + AROUND], [next, next + AROUND, i + AROUND]]
         });
         Tube {
             rest: all.clone().map(|p| p.as_vec3().to_array()).collect(),
-            displacement: all.map(|p| way(p).as_vec3().to_array()).collect(),
+            displacement: all.map(|p| displaced(p).as_vec3().to_array()).collect(),
             faces: faces.collect(),
         }
     }
@@ -52,7 +52,7 @@ impl Tube {
         BreathingMesh { rest: &self.rest, displacement: &self.displacement, faces: &self.faces }
     }
 
-    /// What a camera at `z` mm sees at `phase`: a pattern that is fixed to the rest shape, under a light that is not.
+    /// The image of a camera at `z` mm at `phase`: a pattern fixed to the rest shape, under a light that is not.
     fn film(&self, z: f64, phase: f64) -> (View, Image<f32>) {
         let camera = Camera::pinhole(SIZE as u32, SIZE as u32, 1.7);
         let view = View::new(camera, DAffine3::from_translation(DVec3::new(0.8, -0.5, z)));
@@ -88,8 +88,7 @@ fn window_of(drift: Option<PoseDrift>) -> KeyframeWindow {
     window_with(WindowOptions { drift, ..WindowOptions::default() })
 }
 
-/// Errors of the window over a film, whose first frame is believed to be `off` from its phase and later ones
-/// `off` from theirs.
+/// Errors of the window over a film in which every expected phase is `off` from the true one.
 fn errors(off: f64) -> Vec<f64> {
     let tube = Tube::new();
     let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
@@ -114,8 +113,8 @@ fn phases_that_are_expected_in_the_wrong_place_are_mended_by_parallax() {
     }
 }
 
-/// A last keyframe that is taken for another phase than its own sends the search astray: the answer is the one
-/// that all keyframes agree with, and not the one next to where the search ended.
+/// A last keyframe with a wrong phase misleads the search: the answer must be the one that all keyframes agree with,
+/// not the one next to the result of the search.
 #[test]
 fn of_two_answers_all_keyframes_choose() {
     let tube = Tube::new();
@@ -143,8 +142,8 @@ fn of_two_answers_all_keyframes_choose() {
     assert!((placed.phase - expected).abs() < 0.012, "{} instead of {expected}", placed.phase);
 }
 
-/// Before the first step the phase at which a frame agrees with the last keyframe is searched for: the nearest
-/// that was tried is found from either side, and what is expected rightly stays to the last bit.
+/// The search before the first step finds the nearest of the tried phases from either side, and returns a correct
+/// expected phase unchanged to the last bit.
 #[test]
 fn a_phase_that_is_expected_in_the_wrong_place_is_searched_for() {
     let tube = Tube::new();
@@ -165,7 +164,7 @@ fn a_phase_that_is_expected_in_the_wrong_place_is_searched_for() {
         assert!((found - TRUTH).abs() < 0.011, "{off}: {found}");
     }
     assert_eq!(search_from(TRUTH), TRUTH);
-    // Beyond what is tried, the best of that is taken.
+    // Beyond the range of the search, the best phase within it is taken.
     assert!((search_from(TRUTH + 0.12) - TRUTH - 0.06).abs() < 0.011);
 }
 
@@ -203,9 +202,9 @@ fn the_derivatives_of_a_carried_point_are_those_of_its_place() {
     }
 }
 
-/// A registration that is wrong by a bell of 1 mm to one side, seen by a scope that advances while the tube
-/// breathes: root mean square of what is wrong around the scope at the end, mm, and mean error of the last
-/// phases; without a correction and with one.
+/// A registration with a bell-shaped error of 1 mm to one side, while the scope advances and the tube breathes:
+/// root mean square of the remaining error around the scope at the end, mm, and mean error of the last phases;
+/// without a correction and with one.
 #[test]
 fn an_error_of_the_registration_is_seen_by_parallax() {
     let tube = Tube::new();
@@ -296,8 +295,8 @@ fn the_derivatives_of_a_path_are_those_of_its_pixel() {
     assert!(compared > 200, "{compared}");
 }
 
-/// Against all ways to hold some of three phases at either end: of those that stay within the breath, the one
-/// with the least cost.
+/// Against brute force: hold every subset of three phases at either end, and of the solutions within 0..1 take the
+/// one with the least cost.
 #[test]
 fn a_step_within_the_breath_is_the_best_of_all_such() {
     use crate::base::random::{CounterRng, Stage};
@@ -333,8 +332,8 @@ fn a_step_within_the_breath_is_the_best_of_all_such() {
     assert!(held > 100, "{held} phases were held in all");
 }
 
-/// Poses as a tracker gives them that drifts across the tube and turns: 1.6 mm and 2.3 degrees over the film.
-/// The start is known.
+/// Poses of a tracker that drifts across the tube and turns, by 1.6 mm and 2.3 degrees over the film. The start is
+/// known.
 #[test]
 fn a_drift_of_the_given_poses_is_followed() {
     let tube = Tube::new();

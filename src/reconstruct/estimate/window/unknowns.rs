@@ -1,5 +1,5 @@
-//! The order of the window's unknowns: correction of the poses and its change per second, where they drift;
-//! coefficients of the correction of the displacement field; phases.
+//! The order of the window's unknowns: the correction of the poses and its change per second (if poses drift), the
+//! coefficients of the correction of the displacement field, then the phases.
 
 use std::borrow::Cow;
 
@@ -10,23 +10,24 @@ use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::rigid::POSE;
 use crate::splat::View;
 
-/// Longest step of a phase.
+/// Longest step of a phase (phases are 0..1).
 const LONGEST_STEP: f64 = 0.05;
-/// Longest step of a coefficient of the correction and of a place, mm; angles are never so long.
+/// Longest step of a coefficient of the correction and of a translation, mm. Angles (rad) share the limit and never
+/// reach it.
 const LONGEST_SHIFT_MM: f64 = 0.3;
 
-/// Where each unknown stands, and what is known of the correction of the displacement field before any image.
+/// The index of each unknown, and the prior of the correction of the displacement field.
 pub struct UnknownLayout<'a> {
-    /// How many belong to the poses; they are the first.
+    /// How many unknowns belong to the poses; they come first.
     pub poses: usize,
-    /// The first phase.
+    /// Index of the first phase.
     pub first: usize,
-    /// Those that a frame tells besides phases.
+    /// Unknowns besides phases on which a frame's residuals depend.
     pub others: Vec<usize>,
-    /// Weights of all vertices at the centres of the correction that a frame tells.
+    /// Weights of all vertices at the centres of the correction in front of the frame.
     pub weights: Vec<&'a [f32]>,
     correction: &'a Correction,
-    /// Of the prior of all coefficients.
+    /// Precision of the prior of each coefficient, 1 / mm^2.
     precision: Vec<f64>,
 }
 
@@ -47,12 +48,12 @@ impl<'a> UnknownLayout<'a> {
         }
     }
 
-    /// The unknowns that a pair of keyframe `k` and the frame `now` tells, in its order.
+    /// The unknowns of the pair of keyframe `k` and the frame with phase index `now`, in the pair's order.
     pub fn places(&self, k: usize, now: usize) -> Vec<usize> {
         [self.first + k, now].into_iter().chain(self.others.iter().copied()).collect()
     }
 
-    /// The displacement field of `mesh` by the unknowns `at`.
+    /// The displacement field of `mesh`, corrected by the unknowns `at`.
     pub fn corrected<'s>(&self, mesh: BreathingMesh<'s>, at: &DVector<f64>) -> Cow<'s, [[f32; 3]]> {
         self.correction.apply_with(mesh.displacement, at.as_slice()[self.poses..self.first].as_chunks().0)
     }
@@ -71,7 +72,7 @@ impl<'a> UnknownLayout<'a> {
         gradient
     }
 
-    /// Takes a step, none of its parts longer than is sensible.
+    /// Takes a step, each component limited in length and phases kept within 0..1.
     pub fn advance(&self, at: &mut DVector<f64>, step: &DVector<f64>) {
         for (k, (value, step)) in at.iter_mut().zip(step.iter()).enumerate() {
             if k < self.first {

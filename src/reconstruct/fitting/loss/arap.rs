@@ -230,7 +230,7 @@ mod tests {
                 v.column_mut(last).neg_mut();
             }
             let want = DMat3::from_cols_slice((v * u.transpose()).as_slice());
-            // Equally good is as good: two rotations may tie when the two smallest singular values vanish.
+            // Compare the fit, not the rotation: two rotations may tie when the two smallest singular values vanish.
             let gain = |r: DMat3| (r * s).to_cols_array()[0] + (r * s).y_axis.y + (r * s).z_axis.z;
             assert!((gain(got) - gain(want)).abs() < 1e-9 * size, "case {case}: {got} {want}");
             assert!((got.determinant() - 1.0).abs() < 1e-9);

@@ -11,7 +11,7 @@ use glam::{DMat3, DVec3};
 
 use crate::reconstruct::geometry::neighbours;
 
-/// Who is near whom at rest.
+/// The neighbours of each point at rest.
 pub struct Pairs {
     /// (i, j, w_ij, d_ij), sorted by i.
     list: Vec<(u32, u32, f64, f64)>,
@@ -195,7 +195,7 @@ mod tests {
             let q: Vec<[f64; 4]> = x.chunks_exact(4).map(|c| c.try_into().unwrap()).collect();
             pairs.rotation(&previous, &q, 1.0, &mut vec![[0.0; 4]; 9])
         });
-        // One common turn is free; a lone one is not.
+        // A rotation common to all points costs nothing; that of a single point does.
         assert!(pairs.rotation(&previous, &previous, 1.0, &mut gradient) < 1e-7);
     }
 

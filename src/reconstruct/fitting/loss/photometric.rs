@@ -33,7 +33,7 @@ pub trait Scalar:
     + std::ops::Div<Output = Self>
     + std::ops::AddAssign
 {
-    /// Loss and gradient with vectorised code; `None` when there is none for this type.
+    /// Loss and gradient with vectorised code; `None` if this type has none.
     fn evaluate(_prepared: &Photometric<Self>, _rendered: &[Self], _gradient: &mut [Self]) -> Option<f64> {
         None
     }
@@ -58,12 +58,12 @@ pub struct Photometric<T> {
     width: usize,
     height: usize,
     ssim_weight: T,
-    /// Whether the image's blurs are there.
+    /// Whether the image's blurs have been computed.
     has_blurs: bool,
     /// Weights per pixel divided by their sum; `None` is uniform.
     mask: Option<Vec<T>>,
     channels: [Channel<T>; 3],
-    /// Image, its blur and the blur of its square, as the image lies.
+    /// Image, its blur and the blur of its square, in the layout of the image.
     images: [Vec<T>; 3],
 }
 
@@ -177,7 +177,7 @@ impl<T: Scalar> Photometric<T> {
         Photometric { width, height, ssim_weight, has_blurs, mask, channels, images }
     }
 
-    /// Changes the share of SSIM; what was prepared without SSIM stays without.
+    /// Changes the share of SSIM; it stays 0 if the image was prepared without SSIM.
     pub fn set_ssim_weight(&mut self, ssim_weight: f64) {
         assert!(self.has_blurs || ssim_weight == 0.0, "prepared without SSIM");
         self.ssim_weight = T::from(ssim_weight as f32);
@@ -252,7 +252,7 @@ impl<T: Scalar> Channel<T> {
         for map in [&mut *mean, &mut *square, &mut *cross] {
             blur(map, &mut self.scratch, width, height);
         }
-        // SSIM of each pixel, S = a b / (c d), and its derivatives by the three blurs, in their place.
+        // SSIM of each pixel, S = a b / (c d), and its derivatives by the three blurs, which overwrite these.
         let (two, c1, c2) = (T::from(2.0), T::from(C1), T::from(C2));
         let zero = T::default();
         let mut loss = 0.0f64;

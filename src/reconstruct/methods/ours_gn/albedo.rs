@@ -1,7 +1,7 @@
-//! The albedo of `ours-gn`: sweeps of SIRT (Gilbert 1972) over the discs in view, each moved by the weighted
-//! mean residual of its pixels, held by what past frames have shown of it. What is shown of a frame is touched
-//! up by a few more sweeps that nothing holds, with Nesterov's (1983) momentum; they are forgotten with the
-//! frame.
+//! The albedo of `ours-gn`: sweeps of SIRT (Gilbert 1972) over the discs in view. Each sweep moves a disc by the
+//! weighted mean residual of its pixels, against the weight of what past frames have shown of it. The rendering of
+//! the frame is then touched up by a few more sweeps without that weight, with Nesterov's (1983) momentum; their
+//! result is discarded after the frame.
 
 use rayon::prelude::*;
 
@@ -14,7 +14,7 @@ use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::visible::pixels;
 use crate::splat::{DepthOutput, ImageGradient, Reuse, Settings, Wanted};
 
-/// Darkest albedo: a colour of zero has no gradient.
+/// Darkest shown colour (0..1): a colour of zero has no gradient.
 const DARKEST: f32 = 0.005;
 /// Discs that contribute fewer pixels are not in view.
 const FEWEST_PIXELS: f32 = 1e-4;
@@ -22,19 +22,19 @@ const FEWEST_PIXELS: f32 = 1e-4;
 /// Pixels per task.
 const PIXELS: usize = 4096;
 
-/// What holds a disc at the albedo it had.
+/// What holds a disc at its former albedo.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Hold {
-    /// What past frames have shown of it.
+    /// The weight of past frames.
     Memory,
-    /// Nothing; sweeps have momentum.
+    /// No past frames; sweeps have momentum.
     Nothing,
 }
 
 impl DiscRenderer<'_> {
-    /// Sweeps over the albedo of what is in view, at the present placement.
+    /// Updates the albedo of the discs in view, at the current placement.
     pub fn learn(&mut self, active: &mut ActiveFrame, frame: usize, level: &PyramidLevel) -> Result<()> {
-        // From here to the end of the frame nothing moves: only colours are splatted anew.
+        // From here to the end of the frame nothing moves: only colours change between renderings.
         self.rasterizer.reuse(Reuse::Unchanged);
         self.color_the_unseen(active, level);
         let sweeps = self.settings.appearance_steps[usize::from(frame > 0)] as f64;
@@ -55,7 +55,7 @@ impl DiscRenderer<'_> {
         Ok(())
     }
 
-    /// What each disc contributes, in pixels: `n_k = sum_i w_i dI_i / d(colour k)`, by one backward pass over
+    /// The contribution of each disc in pixels, `n_k = sum_i w_i dI_i / d(colour k)`, by one backward pass over the
     /// weights.
     fn count_pixels(&mut self, active: &mut ActiveFrame, level: &PyramidLevel) -> Result<()> {
         self.draw(active, &level.view)?;
@@ -69,8 +69,8 @@ impl DiscRenderer<'_> {
         Ok(())
     }
 
-    /// SIRT: with `n_k` the pixels of disc `k`, `s_k` its shade and `m_k` the pixels that hold it at the albedo
-    /// `b_k` before, each sweep moves its albedo `a_k` by `(g_k - m_k (a_k - b_k)) / (n_k + m_k)`, where
+    /// SIRT: let `n_k` be the pixels of disc `k`, `s_k` its shade and `m_k` the weight, in pixels, of its former
+    /// albedo `b_k`. Each sweep moves its albedo `a_k` by `(g_k - m_k (a_k - b_k)) / (n_k + m_k)`, where
     /// `g_k = sum_i w_i dI_i/d(colour k) (I_i - R_i) / (gain^2 s_k)` is the residual of its pixels, in albedo.
     fn sweep(&mut self, active: &mut ActiveFrame, level: &PyramidLevel, sweeps: usize, hold: Hold) -> Result<()> {
         let gain = self.gain;
@@ -80,7 +80,7 @@ impl DiscRenderer<'_> {
         let mut last = active.albedo.clone();
         let mut residual = vec![0.0; level.image.data.len()];
         for sweep in 0..sweeps {
-            // Residuals, weighted.
+            // Weighted residuals.
             let rendered = self.rasterizer.render(active.gaussians(), &level.view, &settings, None)?;
             let images = level.image.data.par_chunks(3 * PIXELS).zip(rendered.color.par_chunks(3 * PIXELS));
             residual.par_chunks_mut(3 * PIXELS).zip(images).enumerate().for_each(
@@ -92,10 +92,10 @@ impl DiscRenderer<'_> {
                     }
                 },
             );
-            // Their sum over the pixels of each disc: a backward pass.
+            // Their sum over the pixels of each disc, by a backward pass.
             let image = ImageGradient { color: &residual, ..ImageGradient::default() };
             let gradients = self.rasterizer.backward(active.gaussians(), &image, Wanted::SH)?;
-            // The step of each disc, and Nesterov's extrapolation where nothing holds.
+            // The step of each disc, with Nesterov's extrapolation in the touch-up.
             let momentum = match hold {
                 Hold::Nothing if sweep + 1 < sweeps => sweep as f32 / (sweep as f32 + 3.0),
                 _ => 0.0,

@@ -1,11 +1,11 @@
-//! What the scope does to the picture, as `ours-gn` knows it. What a disc shows of its albedo is in
+//! The image formation of the scope as `ours-gn` models it. How brightly a disc shows its albedo is in
 //! `fitting/scope_light.rs`.
 //!
-//! The scope's lamp is brightest ahead and its lens darkest at the rim, so that a wall gets darker while it
-//! moves out of the middle. Both are properties of the scope that a white sheet shows, not of the tissue:
-//! pictures are divided by them ("flat-fielding") before anything else. And they are kept as `linear^(1/2.2)`
-//! instead of sRGB's curve with its linear foot: in a pure power law a gain stays a gain, and the fall-off with
-//! distance a power of it, however dark the place.
+//! The scope's lamp is brightest ahead and its lens darkest at the rim, so a wall gets darker while it moves away
+//! from the image centre. Both are properties of the scope, which a white sheet reveals: images are divided by them
+//! ("flat-fielding") before anything else. They are then kept as `linear^(1/2.2)` instead of sRGB's curve with its
+//! linear foot: under a pure power law a gain stays a gain, and the fall-off with distance stays a power of it, at
+//! any brightness.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -17,14 +17,14 @@ use crate::reconstruct::settings::ScopeCalibration;
 
 /// Exponent of the power law.
 const GAMMA: f32 = 2.2;
-/// Entries of the table from the power law to sRGB; linear between them, well below half a code.
+/// Entries of the table from the power law to sRGB. The error of interpolating linearly is well below half a code.
 const ENTRIES: usize = 1024;
 /// Pixels per task, at least.
 const PIXELS: usize = 4096;
-/// Least share of the light that a pixel is taken to get.
+/// Smallest share of the light that a pixel is assumed to receive: limits the division.
 const DARKEST_SHARE: f64 = 0.02;
 
-/// What the scope does to the picture.
+/// Lamp, lens and encoding of the scope.
 pub struct Scope {
     /// Per pixel, `share of the light ^ (1 / GAMMA)`.
     shadow: Vec<f32>,
@@ -51,7 +51,7 @@ impl Scope {
         Scope { shadow, decode, encode }
     }
 
-    /// An image of the film, flat and in the power law.
+    /// An image of the film, flat-fielded and in the power law.
     pub fn flat(&self, image: &Image<u8>) -> Image<f32> {
         let pixels = image.data.par_chunks_exact(3).zip(&self.shadow).with_min_len(PIXELS);
         let flat: Vec<[f32; 3]> =
@@ -59,7 +59,7 @@ impl Scope {
         Image { width: image.width, height: image.height, channels: 3, data: flat.into_flattened() }
     }
 
-    /// The inverse of [`Scope::flat`]: as the film would show what was rendered, sRGB in 0..1.
+    /// The inverse of [`Scope::flat`]: a rendering as the film would show it, sRGB in 0..1.
     pub fn shown(&self, width: usize, height: usize, rendered: &[f32]) -> Image<f32> {
         let last = (ENTRIES - 1) as f32;
         let encoded = |value: f32| {

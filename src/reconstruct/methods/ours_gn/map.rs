@@ -1,5 +1,5 @@
-//! The map of `ours-gn`: what is known of the albedo of all discs; and the discs that one frame can see, placed
-//! at a phase, coloured as the scope's light shows them, with the derivatives of both by the phase.
+//! The map of `ours-gn`: the albedo of all discs; and the discs visible in one frame, placed at a phase and coloured
+//! under the scope's light, with the derivatives of both by the phase.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -38,8 +38,8 @@ impl DiscMap {
         &self.surface.faces
     }
 
-    /// Makes the compact copy of the discs on `faces`, which [`DiscMap::leave`] takes back. Their colours look
-    /// the same from all sides.
+    /// Makes the compact copy of the discs on `faces`, which [`DiscMap::leave`] takes back. Their colours do not
+    /// depend on the viewing direction.
     pub fn enter(&self, faces: Vec<u32>, mesh: BreathingMesh<'_>) -> Result<ActiveFrame> {
         let mut patch = self.surface.patch(&faces)?;
         let discs = patch.discs.par_iter().with_min_len(DISCS);
@@ -58,7 +58,7 @@ impl DiscMap {
         })
     }
 
-    /// Takes over what the frame has learned.
+    /// Writes back what the frame has learned.
     pub fn leave(&mut self, frame: ActiveFrame) {
         for (k, &i) in frame.patch.discs.iter().enumerate() {
             self.albedo[i as usize] = frame.albedo[k];
@@ -67,7 +67,7 @@ impl DiscMap {
     }
 }
 
-/// The compact copy of what one frame can see.
+/// The compact copy of the discs visible in one frame.
 #[must_use = "what a frame has learned is lost unless the map takes it back"]
 pub struct ActiveFrame {
     /// The faces in view, ascending.
@@ -77,30 +77,30 @@ pub struct ActiveFrame {
     rest: Vec<[f32; 3]>,
     /// Their displacement to expiration.
     displacement: Vec<[f32; 3]>,
-    /// Where they are now.
+    /// Local vertices at the current phase.
     vertices: Vec<[f32; 3]>,
-    /// Per disc.
+    /// Albedo per disc.
     pub albedo: Vec<[f32; 3]>,
     /// Weight of past frames, in pixels; 0 = no frame has shown the disc yet.
     pub memory: Vec<f32>,
-    /// What each disc contributes to the image, in pixels; filled while the albedo is learned.
+    /// Contribution of each disc to the image, in pixels; filled while the albedo is learned.
     pub pixels: Vec<f32>,
-    /// What each disc shows of its albedo now.
+    /// Factor from each disc's albedo to its shown colour.
     pub shade: Vec<f32>,
 }
 
 /// Derivatives of the discs by the phase.
 pub struct MapVelocity {
-    /// Of the centres, mm.
+    /// Of the centres, mm per unit of phase.
     pub positions: Vec<[f32; 3]>,
-    /// Of the axes, mm.
+    /// Of the axes, mm per unit of phase.
     pub axes: Vec<[[f32; 3]; 2]>,
-    /// Of the colours.
+    /// Of the colours, per unit of phase.
     pub colors: Vec<[f32; 3]>,
 }
 
 impl ActiveFrame {
-    /// The discs as they are placed.
+    /// The discs, as placed.
     pub fn gaussians(&self) -> &Gaussians<f32> {
         &self.patch.gaussians
     }
@@ -110,7 +110,7 @@ impl ActiveFrame {
         self.displacement = self.patch.pick(displacement);
     }
 
-    /// Moves the discs to `phase` and colours them as the scope's light shows them.
+    /// Moves the discs to `phase` and colours them under the scope's light.
     pub fn place(&mut self, phase: f64, light: &ScopeLight) -> Result<()> {
         at_phase(&self.rest, &self.displacement, phase as f32, &mut self.vertices);
         self.patch.place(&self.vertices)?;
@@ -134,7 +134,7 @@ impl ActiveFrame {
         });
     }
 
-    /// How discs and their colours move with the phase.
+    /// The derivatives of the discs and their colours by the phase.
     pub fn velocity(&self, light: &ScopeLight) -> Result<MapVelocity> {
         let (mut positions, mut axes) = (Vec::new(), Vec::new());
         self.patch.place_tangent(&self.vertices, &self.displacement, &mut positions, &mut axes)?;

@@ -1,4 +1,4 @@
-//! The method: what it sees, and one frame from the expected phase to the answer.
+//! The method: its access to data, and one frame from the expected phase to the answer.
 
 use std::time::Instant;
 
@@ -26,11 +26,11 @@ use crate::reconstruct::online::{fit_in_order, held_out};
 use crate::reconstruct::settings::{MethodHeader, OursGnSettings};
 use crate::splat::{Reuse, View};
 
-/// Phases around the expected one for which the visible faces are chosen.
+/// Visible faces are chosen for phases up to this far from the expected one.
 const REACH: f64 = 0.15;
-/// Share of the image width around it in which a wall counts while the first pose is searched for.
+/// Margin around the image, as a share of its width, in which walls are kept while the first pose is searched for.
 const BLIND_MARGIN: f64 = 1.5;
-/// Share of the newest frame in the running mean of the cost.
+/// Weight of the newest frame in the running mean of the cost.
 const COST_SHARE: f64 = 0.2;
 
 /// The method with its settings.
@@ -68,7 +68,7 @@ impl Reconstruct for OursGn {
         let preparation = start.elapsed().as_secs_f64();
         let fitting = fit_in_order(
             observation.images.len(),
-            // From inside the pool: handing it work from outside costs more than much of this work does.
+            // Runs inside the thread pool: entering it from outside costs more than many of the parallel loops.
             |frame| rayon::scope(|_| tracker.fit(frame)),
             emit,
             progress,
@@ -83,7 +83,7 @@ struct Tracker<'a> {
     map: DiscMap,
     rest: Vec<[f32; 3]>,
     given_displacement: Vec<[f32; 3]>,
-    /// With what is known of its error.
+    /// The given displacement with its current correction.
     displacement: Vec<[f32; 3]>,
     /// Correction of the given poses.
     pose: [f64; POSE],
@@ -155,7 +155,7 @@ impl<'a> Tracker<'a> {
             None
         };
 
-        // From here on the frame's image may be looked at. The phase on the map:
+        // From here on the frame's image may be used. First, the phase by the map:
         let mut levels = self.levels(frame, &given);
         if frame > 0 {
             let tracked;
@@ -166,7 +166,7 @@ impl<'a> Tracker<'a> {
             }
         }
 
-        // From there, phase, pose and correction of the registration among keyframes.
+        // Starting there: phase, pose and correction of the registration by the keyframe window.
         let mut phase_deviation = None;
         if let Some(window) = &mut self.window {
             let level = levels.iter().rev().find(|level| KeyframeWindow::suits(level)).unwrap_or(&levels[0]);
@@ -181,7 +181,7 @@ impl<'a> Tracker<'a> {
             }
         }
 
-        // Appearance at the answer.
+        // Appearance at the final phase and pose.
         let mut finest = levels.pop().expect("there is always the full resolution");
         finest.view = moved(&finest.view, self.pose);
         active.place(phase, &self.renderer.light(&finest.view))?;
@@ -197,7 +197,7 @@ impl<'a> Tracker<'a> {
         Ok(FramePrediction { frame, color, depth_mm, phase: Some(phase), phase_deviation, world_from_camera, ahead })
     }
 
-    /// Tracks from the expected `phase`; where that is lost, from the best of all phases.
+    /// Tracks from the expected `phase`; if tracking is lost, from the best of all phases.
     fn track(
         &mut self,
         mut active: ActiveFrame,
@@ -216,13 +216,13 @@ impl<'a> Tracker<'a> {
         Ok((active, again.or(found)))
     }
 
-    /// Whether an answer is none.
+    /// Whether tracking is lost: no answer, or a cost far above the running mean.
     fn is_lost(&self, found: Option<&Tracked>) -> bool {
         let largest = *self.settings.lost_factor * self.mean_cost;
         found.is_none_or(|f| self.mean_cost.is_finite() && f.evidence.cost > largest)
     }
 
-    /// Takes over exposure and cost of a tracked frame.
+    /// Takes over the exposure of a tracked frame and adds its cost to the running mean.
     fn take(&mut self, found: &Tracked) {
         self.renderer.gain = found.evidence.gain;
         let cost = found.evidence.cost;
@@ -230,7 +230,7 @@ impl<'a> Tracker<'a> {
         self.mean_cost = if mean.is_finite() { mean + COST_SHARE * (cost - mean) } else { cost };
     }
 
-    /// The airway as the last frame has it.
+    /// The airway at the last frame.
     fn mesh(&self) -> TriangleMesh {
         let phase = self.breath.phases().last().copied().unwrap_or(0.0);
         let rest = &self.observation.inspiration;
@@ -249,7 +249,7 @@ impl<'a> Tracker<'a> {
         self.scope.shown(rendered.width, rendered.height, &rendered.color)
     }
 
-    /// Coarse to fine; levels that would be too small are left out.
+    /// The image pyramid, coarse to fine; levels that would be too small are left out.
     fn levels(&self, frame: usize, view: &View) -> Vec<PyramidLevel> {
         let full = self.scope.flat(&self.observation.images[frame]);
         let weights = self.observation.pixel_weights().unwrap_or_default();
@@ -264,8 +264,8 @@ impl<'a> Tracker<'a> {
         levels
     }
 
-    /// Enters a frame: the compact copy of what can be seen from the `given` pose, corrected, at phases within
-    /// `reach` of `phase`.
+    /// Starts a frame: the compact copy of what is visible from the corrected `given` pose at phases within `reach` of
+    /// `phase`.
     fn enter(&self, given: &View, phase: f64, reach: f64) -> Result<ActiveFrame> {
         self.map.enter(self.faces_in_view(given, phase, reach)?, self.breathing())
     }
@@ -282,12 +282,12 @@ impl<'a> Tracker<'a> {
         if faces.is_empty() { Err(nothing_in_view()) } else { Ok(faces) }
     }
 
-    /// Depth of the mesh at `phase`, where `faces` show.
+    /// Depth of the mesh at `phase`, considering only `faces`.
     fn depth_mm(&self, view: &View, phase: f64, faces: &[u32]) -> Image<f32> {
         nearest_depth_mm(view, &self.rays, &self.breathing().at(phase), self.map.faces(), faces)
     }
 
-    /// Phase of the first frame, and where asked for its pose, by the depth that is given there.
+    /// Phase of the first frame and, if poses are unknown, its pose correction, by the depth given there.
     fn search_by_depth(&mut self, view: &View) -> Result<f64> {
         let observation = self.observation;
         let Some(depth) = &observation.first_depth_mm else { return Ok(0.0) };
@@ -296,7 +296,7 @@ impl<'a> Tracker<'a> {
             let gap = |phase| Ok(depth_gap_mm(&self.depth_mm(view, phase, &faces), depth));
             return grid_search(*self.settings.grid_steps, gap);
         }
-        // A wrong pose must not hide what the true one sees.
+        // A wrong pose must not hide faces that are visible from the true one.
         let states = [0.0, 0.5, 1.0].map(|phase| self.breathing().at(phase));
         let bounds = Reach { margin: BLIND_MARGIN, range_mm: *self.settings.visibility.range_mm };
         let faces = visible_faces(self.map.faces(), &states.each_ref().map(|s| &s[..]), view, bounds, Sides::Both);

@@ -1,35 +1,34 @@
-//! Where the scope is, when its given pose is wrong by a few mm and degrees. The correction is
-//! `camera_from_world = exp(xi) given`, `xi = (omega, tau)` in camera axes (rad, mm). The first frame is
-//! registered to the mesh by the depth that is given there, together with the phase: Gauss-Newton with central
-//! differences on the robust relative error of depth, from several phases, with a norm that gets stricter. In
-//! later frames the window of keyframes estimates `xi`.
+//! Registration of the first frame when its given pose is wrong by a few mm and degrees. The correction is
+//! `camera_from_world = exp(xi) given`, `xi = (omega, tau)` in camera axes (rad, mm). Pose and phase are found by
+//! the depth given for that frame: Gauss-Newton with central differences on the robust relative error of depth,
+//! from several initial phases, with an ever stricter norm. In later frames the keyframe window estimates `xi`.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::base::Image;
 use crate::reconstruct::geometry::rigid::POSE;
 
-/// Phases from which the first frame is registered.
+/// Initial phases.
 const STARTS: [f64; 4] = [0.05, 0.35, 0.65, 0.95];
-/// Steps with each.
+/// Largest number of steps in each of the four stages (see [`HUBER`]).
 const STEPS: [usize; 4] = [8, 12, 20, 40];
-/// How many of them go on.
+/// Number of candidates that continue after each stage.
 const BEST: usize = 3;
 /// Half widths of the central differences: phase, rad, mm.
 const WIDTHS: [f64; 1 + POSE] = [0.01, 2e-3, 2e-3, 2e-3, 0.03, 0.03, 0.03];
-/// Relative error of depth beyond which a pixel counts linearly: from each start, from the best ones, and in the end.
+/// Relative error of depth beyond which a pixel counts linearly, in each of the four stages.
 const HUBER: [f64; 4] = [0.1, 0.03, 0.01, 0.003];
-/// Beyond this a pixel does not count.
+/// Relative error of depth beyond which a pixel counts no more.
 const LARGEST: f64 = 0.3;
-/// A stage ends when a step gains less than this share of the cost, or when damped beyond this.
+/// A stage ends if a step lowers the cost by less than this share, or if the damping exceeds this factor.
 const SETTLED: f64 = 1e-4;
 const LARGEST_DAMPING: f64 = 1e6;
-/// Neighbouring pixels err together: so many count as one.
+/// Number of pixels that count as one independent observation: errors of neighbouring pixels are correlated.
 const TOGETHER: f64 = 100.0;
 
-/// What is known before: standard deviations of phase, angles and places.
+/// The prior: standard deviations of phase, angles and translations.
 pub struct Before {
-    /// Phases around one half.
+    /// Of the phase, around one half.
     pub phase: f64,
     /// Per axis, rad.
     pub turn: f64,
@@ -37,7 +36,7 @@ pub struct Before {
     pub shift_mm: f64,
 }
 
-/// Relative errors of the depth rendered for an answer, pixel by pixel; NaN where there is none.
+/// Relative error of rendered depth per pixel; NaN where either depth is missing.
 fn errors(rendered: &Image<f32>, given: &Image<f32>) -> Vec<f64> {
     let error = |(&d, &t): (&f32, &f32)| if d > 0.0 && t > 0.0 { f64::from(d / t - 1.0) } else { f64::NAN };
     rendered.data.iter().zip(&given.data).map(error).collect()
@@ -51,7 +50,7 @@ fn cost(errors: &[f64], huber: f64, x: &DVector<f64>, mean: &DVector<f64>, preci
     let most = huber * (LARGEST - 0.5 * huber);
     let one = |e: &f64| {
         let size = e.abs();
-        // A pixel without a counterpart is as wrong as the worst.
+        // A pixel where either depth is missing costs as much as the worst.
         let loss = if size <= huber { 0.5 * size * size } else { huber * (size - 0.5 * huber) };
         if loss.is_nan() { most } else { loss.min(most) }
     };
@@ -59,9 +58,9 @@ fn cost(errors: &[f64], huber: f64, x: &DVector<f64>, mean: &DVector<f64>, preci
     errors.iter().map(one).sum::<f64>() / (huber * huber) / TOGETHER + prior
 }
 
-/// Phase and pose `x = (phase, xi)` whose rendered depth `d(x)` is most like the `given` one `t`: least
-/// `sum_i rho(d_i(x) / t_i - 1) + 1/2 (x - mean)^T P (x - mean)`, by damped Gauss-Newton. `render` answers
-/// phase and `xi` with a depth image in mm.
+/// Phase and pose `x = (phase, xi)` whose rendered depth `d(x)` best matches the `given` depth `t`: minimises
+/// `sum_i rho(d_i(x) / t_i - 1) + 1/2 (x - mean)^T P (x - mean)` by damped Gauss-Newton. `render` returns the
+/// depth image in mm for a phase and `xi`.
 pub fn register(
     given: &Image<f32>,
     before: &Before,
@@ -95,7 +94,7 @@ pub fn register(
             let mut gradient = precision.component_mul(&(&mean - &x));
             for (i, e) in here.iter().enumerate() {
                 let row: [f64; 1 + POSE] = std::array::from_fn(|k| columns[k][i]);
-                // Edges of the wall jump: their slopes say nothing.
+                // Depth jumps at edges of the wall: its slope there is meaningless.
                 if e.is_nan() || row.iter().zip(WIDTHS).any(|(v, w)| !(v * w).is_finite() || (v * w).abs() > 0.05) {
                     continue;
                 }
@@ -109,7 +108,7 @@ pub fn register(
             let damped = &hessian + DMatrix::from_diagonal(&hessian.diagonal()) * damping;
             let Some(mut step) = damped.clone().cholesky().map(|c| c.solve(&gradient)) else { break };
             if !(0.0..=1.0).contains(&(x[0] + step[0])) {
-                // At the end of the breath the others must not count on more of it.
+                // The step leaves 0..1: hold the phase at the end and solve for the others given that.
                 let rest = damped.remove_row(0).remove_column(0);
                 let edge = (x[0] + step[0]).clamp(0.0, 1.0) - x[0];
                 let against = DVector::from_fn(POSE, |k, _| gradient[k + 1] - hessian[(k + 1, 0)] * edge);
@@ -117,7 +116,7 @@ pub fn register(
                 step[0] = edge;
                 step.rows_mut(1, POSE).copy_from(&others);
             }
-            // A step that lowers the cost is taken; else the damping grows.
+            // Take a step that lowers the cost; otherwise increase the damping.
             let mut next = &x + step;
             next[0] = next[0].clamp(0.0, 1.0);
             let there = errors_at(&next);
@@ -137,7 +136,7 @@ pub fn register(
         }
         (lowest, x)
     };
-    // From several phases, the best ones again under ever stricter norms.
+    // Start from several phases; continue the best ones under ever stricter norms.
     let from = |&phase: &f64| {
         let mut start = mean.clone();
         start[0] = phase;

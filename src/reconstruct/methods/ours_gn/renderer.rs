@@ -6,17 +6,17 @@ use crate::reconstruct::fitting::scope_light::ScopeLight;
 use crate::reconstruct::settings::OursGnSettings;
 use crate::splat::{DepthOutput, Rasterizer, Rendered, Settings, View};
 
-/// The rasteriser, and what all discs of a frame share.
+/// The rasteriser, and the state that all discs of a frame share.
 pub struct DiscRenderer<'a> {
     /// The method's numbers.
     pub settings: &'a OursGnSettings,
-    /// Factor of the profile on the sweeps over the albedo.
+    /// The profile's factor on the number of albedo sweeps.
     pub iteration_scale: f64,
     /// Holds the last rendering.
     pub rasterizer: Rasterizer<f32>,
     /// Exposure per channel.
     pub gain: [f64; 3],
-    /// Mean albedo of what was last in view.
+    /// Mean albedo of the discs last in view.
     pub mean_color: [f32; 3],
 }
 
@@ -32,7 +32,7 @@ impl<'a> DiscRenderer<'a> {
         ScopeLight::new(view, *self.settings.falloff_exponent, *self.settings.indirect_share)
     }
 
-    /// Renders the discs as they are placed.
+    /// Renders the discs as placed.
     pub fn draw(&mut self, active: &ActiveFrame, view: &View) -> Result<&Rendered<f32>> {
         let settings = Settings { gain: self.gain, depth: DepthOutput::Skip, ..Settings::default() };
         self.rasterizer.render(active.gaussians(), view, &settings, None)

@@ -10,17 +10,17 @@ use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::rigid::{POSE, moved};
 use crate::splat::{DepthOutput, Direction, Motion, Settings};
 
-/// A frame's phase, and what the last step saw.
+/// A frame's phase, and the evidence of the last step.
 pub struct Tracked {
     /// Breathing phase.
     pub phase: f64,
-    /// What the last step saw.
+    /// Evidence at the last step.
     pub evidence: Evidence,
 }
 
 impl DiscRenderer<'_> {
-    /// Gauss-Newton from `start`, coarse to fine, under the prior that the phase is about `expected`; `pose`
-    /// corrects the given one. `None` when the image says nothing.
+    /// Gauss-Newton from `start`, coarse to fine, under the prior that the phase is near `expected`; `pose`
+    /// corrects the given one. `None` if the image says nothing about the phase.
     pub fn track(
         &mut self,
         active: &mut ActiveFrame,
@@ -45,7 +45,7 @@ impl DiscRenderer<'_> {
         Ok(tracked)
     }
 
-    /// The phase at which the image fits best, whatever was expected.
+    /// The phase at which the image fits best, ignoring the prediction.
     pub fn search_by_image(
         &mut self,
         active: &mut ActiveFrame,
@@ -58,7 +58,7 @@ impl DiscRenderer<'_> {
         })
     }
 
-    /// What `level` says about the phase, at `phase`.
+    /// The evidence of `level` about the phase, linearised at `phase`.
     fn evidence(
         &mut self,
         active: &mut ActiveFrame,
@@ -66,7 +66,7 @@ impl DiscRenderer<'_> {
         pose: [f64; POSE],
         phase: f64,
     ) -> Result<Option<Evidence>> {
-        // The discs at the phase, and how they and their colours move with it.
+        // The discs at the phase, and the derivatives of discs and colours by it.
         let view = moved(&level.view, pose);
         let light = self.light(&view);
         active.place(phase, &light)?;
