@@ -66,7 +66,8 @@ fn main() {
     let mut native_sources = vec![root.join("cpp"), root.join("build.rs")];
     native_sources.extend(BRIDGES.iter().map(|bridge| root.join(bridge)));
     let compiler = ["CXX", "CXXFLAGS"].map(env::var_os);
-    native::once(&format!("{} {prefix:?} {compiler:?}", revision::of(&native_sources)), &out);
+    // With the folder: what the native part said names it, and a copied target folder must not link another's C++.
+    native::once(&format!("{} {prefix:?} {compiler:?} {}", revision::of(&native_sources), out.display()), &out);
     name_compiler();
     revision::tell(&root);
     println!("cargo:rerun-if-changed=cpp");
