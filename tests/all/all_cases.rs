@@ -150,6 +150,19 @@ fn assert_same(a: &BTreeMap<PathBuf, Vec<u8>>, b: &BTreeMap<PathBuf, Vec<u8>>) {
 }
 
 #[test]
+fn one_cell_as_json_names_its_method() {
+    let place = Place::new();
+    let mut command = program();
+    command
+        .args(["run", "--case", "case1", "--method", "static-ct", "--json", "--profile"])
+        .arg(place.path("tiny.toml"));
+    let (code, out, err) = outcome(command.arg("--cache").arg(place.path("cache")).output().unwrap());
+    assert_eq!(code, 0, "{err}");
+    let score: serde_json::Value = serde_json::from_str(&out).unwrap();
+    assert_eq!(score["method"], "static-ct", "{out}");
+}
+
+#[test]
 fn a_dry_run_touches_nothing() {
     let place = Place::new();
     let (code, out, err) = outcome(place.command(&["--dry-run"]).output().unwrap());
