@@ -1,4 +1,5 @@
-//! Binds Embree 4 (bindgen), compiles the C++ in `cpp/` (cxx) and tells the linker where Embree is.
+//! Compiles the C++ in `cpp/` (cxx), and with the feature `trace` binds Embree 4 (bindgen) and tells the linker where
+//! it is. Without `trace` only the C++ of the splat core is compiled.
 //!
 //! Embree is looked for in `$EMBREE_DIR`, then in `.deps/embree4` (made by `scripts/setup.sh` on Debian 12), then
 //! in the system (Debian 13 and later: package `libembree-dev`).
@@ -8,40 +9,65 @@ use std::path::{Path, PathBuf};
 
 #[path = "build/native.rs"]
 mod native;
+#[cfg(feature = "vision")]
+#[path = "build/opencv.rs"]
+mod opencv;
 #[path = "build/revision.rs"]
 mod revision;
 
-/// Files with a `#[cxx::bridge]`.
-const BRIDGES: &[&str] = &[
-    "src/ffi/isa.rs",
-    "src/ffi/splat/loss.rs",
-    "src/ffi/splat/rasterize.rs",
-    "src/ffi/splat/bin.rs",
-    "src/ffi/splat/image.rs",
-    "src/ffi/trace/tracer.rs",
-];
+/// What is compiled for one part of the crate.
+struct Part {
+    /// Files with a `#[cxx::bridge]`.
+    bridges: &'static [&'static str],
+    /// C++ compiled once, for the baseline x86-64.
+    sources: &'static [&'static str],
+    /// The kernels, compiled once per instruction set.
+    kernels: &'static [&'static str],
+}
 
-/// C++ compiled once, for the baseline x86-64.
-const SOURCES: &[&str] = &[
-    "cpp/common/isa.cpp",
-    "cpp/splat/loss.cpp",
-    "cpp/splat/rasterize.cpp",
-    "cpp/splat/bin.cpp",
-    "cpp/splat/image.cpp",
-    "cpp/trace/coat.cpp",
-    "cpp/trace/traced_mesh.cpp",
-    "cpp/trace/tracer.cpp",
-    "cpp/trace/wall_material.cpp",
-];
+/// The splat core, and what both parts share.
+const SPLAT: Part = Part {
+    bridges: &[
+        "src/ffi/isa.rs",
+        "src/ffi/splat/loss.rs",
+        "src/ffi/splat/rasterize.rs",
+        "src/ffi/splat/bin.rs",
+        "src/ffi/splat/image.rs",
+    ],
+    sources: &[
+        "cpp/common/isa.cpp",
+        "cpp/splat/loss.cpp",
+        "cpp/splat/rasterize.cpp",
+        "cpp/splat/bin.cpp",
+        "cpp/splat/image.cpp",
+    ],
+    kernels: &[
+        "cpp/splat/loss_kernel.cpp",
+        "cpp/splat/chain.cpp",
+        "cpp/splat/disc.cpp",
+        "cpp/splat/kernel.cpp",
+        "cpp/splat/project.cpp",
+    ],
+};
 
-/// The kernels, compiled once per instruction set.
-const KERNELS: &[&str] = &[
-    "cpp/splat/loss_kernel.cpp",
-    "cpp/trace/noise_kernel.cpp",
-    "cpp/splat/chain.cpp",
-    "cpp/splat/disc.cpp",
-    "cpp/splat/kernel.cpp",
-    "cpp/splat/project.cpp",
+/// The path tracer.
+#[cfg(feature = "trace")]
+const TRACE: Part = Part {
+    bridges: &["src/ffi/trace/tracer.rs"],
+    sources: &[
+        "cpp/trace/coat.cpp",
+        "cpp/trace/traced_mesh.cpp",
+        "cpp/trace/tracer.cpp",
+        "cpp/trace/wall_material.cpp",
+    ],
+    kernels: &["cpp/trace/noise_kernel.cpp"],
+};
+
+/// The parts of the crate that the features ask for.
+const PARTS: &[Part] = &[
+    SPLAT,
+    #[cfg(feature = "trace")]
+    TRACE,
 ];
 
 /// The instruction sets: (namespace in C++, what the compiler may use). Which one runs is
@@ -57,14 +83,18 @@ fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     let prefix = embree_prefix(&root);
     if native::is_inner_call() {
+        #[cfg(feature = "trace")]
         bind_embree(prefix.as_deref(), &out);
         compile_cpp(prefix.as_deref());
         compile_kernels();
+        #[cfg(feature = "trace")]
         link_embree(prefix.as_deref());
         return;
     }
+    #[cfg(feature = "vision")]
+    opencv::warn_if_lost();
     let mut native_sources = vec![root.join("cpp"), root.join("build.rs")];
-    native_sources.extend(BRIDGES.iter().map(|bridge| root.join(bridge)));
+    native_sources.extend(of_parts(|part| part.bridges).map(|bridge| root.join(bridge)));
     let compiler = ["CXX", "CXXFLAGS"].map(env::var_os);
     // With the folder: what the native part said names it, and a copied target folder must not link another's C++.
     native::once(&format!("{} {prefix:?} {compiler:?} {}", revision::of(&native_sources), out.display()), &out);
@@ -81,7 +111,15 @@ fn name_compiler() {
     println!("cargo:rustc-env=RESPIRE_BENCH_RUSTC={}", String::from_utf8_lossy(&answer.stdout).trim());
 }
 
+fn of_parts(files: impl Fn(&Part) -> &'static [&'static str]) -> impl Iterator<Item = &'static str> {
+    PARTS.iter().flat_map(move |part| files(part).iter().copied())
+}
+
+/// The folder that holds Embree's `include/` and `lib/`; `None` for the system's, and where nothing traces rays.
 fn embree_prefix(root: &Path) -> Option<PathBuf> {
+    if !cfg!(feature = "trace") {
+        return None;
+    }
     if let Some(dir) = env::var_os("EMBREE_DIR").filter(|d| !d.is_empty()) {
         return Some(PathBuf::from(dir));
     }
@@ -94,6 +132,7 @@ fn embree_prefix(root: &Path) -> Option<PathBuf> {
     None
 }
 
+#[cfg(feature = "trace")]
 fn bind_embree(prefix: Option<&Path>, out: &Path) {
     let header = prefix.map_or_else(|| PathBuf::from("/usr/include"), |p| p.join("include")).join("embree4/rtcore.h");
     assert!(
@@ -124,15 +163,15 @@ fn bind_embree(prefix: Option<&Path>, out: &Path) {
 }
 
 fn compile_cpp(prefix: Option<&Path>) {
-    let mut build = cxx_build::bridges(BRIDGES);
-    build.files(SOURCES).include(".").std("c++17").opt_level(3).flag("-Wall").flag("-Wextra");
+    let mut build = cxx_build::bridges(of_parts(|part| part.bridges));
+    build.files(of_parts(|part| part.sources)).include(".").std("c++17").opt_level(3).flag("-Wall").flag("-Wextra");
     // Results must not depend on how the compiler contracts or reorders arithmetic.
     build.flag("-ffp-contract=off");
     if let Some(prefix) = prefix {
         build.include(prefix.join("include"));
     }
     build.compile("respire_bench_cpp");
-    for file in BRIDGES {
+    for file in of_parts(|part| part.bridges) {
         println!("cargo:rerun-if-changed={file}");
     }
 }
@@ -140,7 +179,7 @@ fn compile_cpp(prefix: Option<&Path>) {
 fn compile_kernels() {
     for (namespace, flags) in INSTRUCTION_SETS {
         let mut build = cc::Build::new();
-        build.cpp(true).files(KERNELS).include(".").std("c++17").opt_level(3);
+        build.cpp(true).files(of_parts(|part| part.kernels)).include(".").std("c++17").opt_level(3);
         build.flag("-Wall").flag("-Wextra").define("RESPIRE_ISA", *namespace);
         // Forward and backward must take the same branches: no contraction except where it is written.
         build.flag("-ffp-contract=off").flag("-fno-math-errno").flag("-fno-trapping-math").flag("-fno-exceptions");
@@ -155,6 +194,7 @@ fn compile_kernels() {
     }
 }
 
+#[cfg(feature = "trace")]
 fn link_embree(prefix: Option<&Path>) {
     if let Some(prefix) = prefix {
         let lib = prefix.join("lib");

@@ -20,6 +20,8 @@ step build
 cargo build --release --locked --quiet
 step tests
 cargo test --release --locked --quiet
+step library
+scripts/check-library.sh
 step smoke run
 cargo run --release --locked --quiet -- all-cases --profile smoke --out target/smoke --cache target/smoke/cache
 step gate

@@ -51,6 +51,15 @@
 //! | what a metric means | [`score`]: `registry.rs`, and the file of its family |
 //! | a cell's cache key | [`mod@bench`]: `plan.rs`, with the revision of the code from `revision.rs` |
 //!
+//! Cargo features, all on by default. Without any, the crate needs a C++ compiler and nothing else:
+//!
+//! | feature | rooms | needs |
+//! |---|---|---|
+//! | none | [`base`], [`formats`], [`airway`], [`splat`], [`reconstruct`], and of [`simulate`] the reader `sequence` | g++ |
+//! | `trace` | [`render`], [`simulate`] | Embree 4, libclang |
+//! | `vision` | [`score`] | OpenCV 4, clang |
+//! | `program` | [`report`], [`mod@bench`], [`experiments`], [`cli`] | both |
+//!
 //! Conventions, one home each: millimetres, seconds, radians; right-handed world; camera axes as OpenCV (x right,
 //! y down, z forward); transforms named by what they map (`world_from_camera`); pixel centres at integer + 0.5;
 //! depth is z-depth in mm; colour is linear RGB inside and 8-bit sRGB only at the edge; breathing phase 0 is full
@@ -61,19 +70,32 @@ pub mod ffi;
 pub mod formats;
 
 pub mod airway;
+#[cfg(feature = "trace")]
 pub mod render;
+#[cfg(feature = "trace")]
 pub mod simulate;
+/// Sequences can be read without the path tracer, but not made.
+#[cfg(not(feature = "trace"))]
+#[allow(dead_code, reason = "names and entries that only the writer needs")]
+pub mod simulate {
+    pub mod sequence;
+}
 
 pub mod splat;
 
 pub mod reconstruct;
 
+#[cfg(feature = "vision")]
 pub mod score;
 
+#[cfg(feature = "program")]
 pub mod report;
 
+#[cfg(feature = "program")]
 pub mod bench;
 
+#[cfg(feature = "program")]
 pub mod experiments;
 
+#[cfg(feature = "program")]
 pub mod cli;

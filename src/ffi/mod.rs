@@ -8,6 +8,9 @@
 pub mod isa;
 pub mod splat;
 pub mod system;
+#[cfg(feature = "trace")]
 pub mod trace;
+#[cfg(feature = "trace")]
 pub mod versions;
+#[cfg(feature = "vision")]
 pub mod vision;
