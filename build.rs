@@ -1,5 +1,5 @@
-//! Compiles the C++ in `cpp/` (cxx), and with the feature `trace` binds Embree 4 (bindgen) and tells the linker where
-//! it is. Without `trace` only the C++ of the splat core is compiled.
+//! Compiles the C++ in `cpp/` (cxx), lists the files that the program carries, and with the feature `trace` binds
+//! Embree 4 (bindgen) and tells the linker where it is. Without `trace` only the C++ of the splat core is compiled.
 //!
 //! Embree is looked for in `$EMBREE_DIR`, then in `.deps/embree4` (made by `scripts/setup.sh` on Debian 12), then
 //! in the system (Debian 13 and later: package `libembree-dev`).
@@ -14,6 +14,8 @@ mod native;
 mod opencv;
 #[path = "build/revision.rs"]
 mod revision;
+#[path = "build/shipped.rs"]
+mod shipped;
 
 /// What is compiled for one part of the crate.
 struct Part {
@@ -100,6 +102,7 @@ fn main() {
     native::once(&format!("{} {prefix:?} {compiler:?} {}", revision::of(&native_sources), out.display()), &out);
     name_compiler();
     revision::tell(&root);
+    shipped::list(&root, &out);
     println!("cargo:rerun-if-changed=cpp");
     println!("cargo:rerun-if-env-changed=EMBREE_DIR");
 }
@@ -196,6 +199,8 @@ fn compile_kernels() {
 
 #[cfg(feature = "trace")]
 fn link_embree(prefix: Option<&Path>) {
+    // Beside the program first, so that a folder with both can be moved (scripts/package.sh).
+    println!("cargo:rustc-link-arg=-Wl,-rpath,$ORIGIN:$ORIGIN/lib");
     if let Some(prefix) = prefix {
         let lib = prefix.join("lib");
         println!("cargo:rustc-link-search=native={}", lib.display());

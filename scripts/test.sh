@@ -22,6 +22,9 @@ step tests
 cargo test --release --locked --quiet
 step library
 scripts/check-library.sh
+step package
+rm -rf target/package
+scripts/package.sh target/package
 step smoke run
 cargo run --release --locked --quiet -- all-cases --profile smoke --out target/smoke --cache target/smoke/cache
 step gate

@@ -49,6 +49,7 @@
 //! | the radiance of a pixel of a film | [`render`]: `cpp/trace/path.h`, light at vertices in `vertex_light.rs` |
 //! | what a method may see | [`reconstruct`]: `contract.rs` says it, `observe.rs` alone fills it |
 //! | what a metric means | [`score`]: `registry.rs`, and the file of its family |
+//! | which cases and methods there are | [`mod@bench`]: `catalogue.rs`; those that the program carries: [`base::shipped`] |
 //! | a cell's cache key | [`mod@bench`]: `plan.rs`, with the revision of the code from `revision.rs` |
 //!
 //! Cargo features, all on by default. Without any, the crate needs a C++ compiler and nothing else:

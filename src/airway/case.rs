@@ -233,7 +233,7 @@ impl Case {
         case.folder = path.parent().map(Path::to_path_buf).unwrap_or_default();
         case.validate().map_err(|e| e.at(path))?;
         for file in case.anatomy.files() {
-            if !case.resolve(file).is_file() {
+            if !files::is_file(&case.resolve(file)) {
                 let sentence = format!("names {}, which is not there", case.resolve(file).display());
                 return Err(Error::input(sentence).element("anatomy").at(path));
             }

@@ -1,4 +1,5 @@
 //! Files that are either whole or absent: temporary file in the same folder, write, sync, rename, sync the folder.
+//! Reading takes paths on disk and those of carried files ([`super::shipped`]).
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
@@ -8,6 +9,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::error::{Error, Result};
+use super::shipped;
 
 /// How the name of an unfinished file begins and ends.
 const UNFINISHED: (&str, &str) = (".", ".tmp");
@@ -20,6 +22,9 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::
         _ => Path::new("."),
     };
     let fail = |e| Error::io("writing", path, e);
+    if shipped::below_root(path).is_some() {
+        return Err(Error::input("what the program carries cannot be written").at(path));
+    }
     fs::create_dir_all(folder).map_err(fail)?;
     let file = tempfile::Builder::new().prefix(UNFINISHED.0).suffix(UNFINISHED.1).tempfile_in(folder).map_err(fail)?;
     let mut buffered = BufWriter::new(file);
@@ -76,12 +81,51 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
 
 /// Reads a whole file.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    fs::read(path).map_err(|e| Error::io("reading", path, e))
+    match shipped::below_root(path) {
+        Some(_) => read_text(path).map(String::into_bytes),
+        None => fs::read(path).map_err(|e| Error::io("reading", path, e)),
+    }
 }
 
 /// Reads a whole UTF-8 file.
 pub fn read_text(path: &Path) -> Result<String> {
-    fs::read_to_string(path).map_err(|e| Error::io("reading", path, e))
+    let fail = |e| Error::io("reading", path, e);
+    match shipped::below_root(path) {
+        Some(inside) => shipped::text(inside).map(str::to_owned).ok_or_else(|| fail(not_carried("file"))),
+        None => fs::read_to_string(path).map_err(fail),
+    }
+}
+
+/// Whether there is a file at `path`.
+pub fn is_file(path: &Path) -> bool {
+    match shipped::below_root(path) {
+        Some(inside) => shipped::text(inside).is_some(),
+        None => path.is_file(),
+    }
+}
+
+/// Names of the TOML files in `folder` without `.toml`, sorted by bytes. Errors: a name that is not UTF-8.
+pub fn toml_stems(folder: &Path) -> Result<Vec<String>> {
+    let fail = |e| Error::io("reading", folder, e);
+    let mut stems = Vec::new();
+    if let Some(inside) = shipped::below_root(folder) {
+        let names = shipped::names(inside).ok_or_else(|| fail(not_carried("folder")))?;
+        stems.extend(names.iter().filter_map(|name| name.strip_suffix(".toml")).map(str::to_owned));
+    } else {
+        for entry in fs::read_dir(folder).map_err(fail)? {
+            let path = entry.map_err(fail)?.path();
+            if path.extension().is_some_and(|extension| extension == "toml") {
+                let stem = path.file_stem().and_then(|stem| stem.to_str());
+                stems.push(stem.ok_or_else(|| Error::input("the file name is not UTF-8").at(&path))?.to_owned());
+            }
+        }
+    }
+    stems.sort();
+    Ok(stems)
+}
+
+fn not_carried(what: &str) -> std::io::Error {
+    std::io::Error::new(std::io::ErrorKind::NotFound, format!("the program carries no such {what}"))
 }
 
 /// Reads JSON; the error names line and column.

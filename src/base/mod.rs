@@ -11,6 +11,7 @@ pub mod mesh;
 pub mod progress;
 pub mod random;
 pub mod revision;
+pub mod shipped;
 
 pub use camera::Camera;
 pub use error::{Error, ErrorKind, Result};

@@ -1,4 +1,5 @@
-//! What can be run: the folder `bench-cases/` with its cases, methods, profiles and thresholds.
+//! What can be run: cases, methods, profiles and thresholds, as the program carries them or in a folder that the user
+//! names. Never a mixture of both: the same program gives the same results from whichever folder it is started.
 //!
 //! ```text
 //! bench-cases/<case>.toml         a case each
@@ -11,36 +12,29 @@
 use std::path::{Path, PathBuf};
 
 use super::plan::toml_ids;
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, shipped};
 
 /// Files beside the cases: the thresholds and the ablations.
 const GATE: &str = "gate";
 const ABLATIONS: &str = "ablations";
 
-/// An opened `bench-cases` folder.
+/// The carried files (`src/base/shipped.rs`), or those of a folder like `bench-cases/`.
 #[derive(Clone, Debug)]
 pub struct Catalogue {
     root: PathBuf,
 }
 
 impl Catalogue {
-    /// `folder`, or when it is not given the nearest `bench-cases` above the working folder, or above the program.
-    pub fn find(folder: Option<&Path>) -> Result<Self> {
-        if let Some(root) = folder {
-            return match root.is_dir() {
-                true => Ok(Catalogue { root: root.to_path_buf() }),
-                false => Err(Error::input("there is no such folder").at(root)),
-            };
-        }
-        let starts = [std::env::current_dir().ok(), std::env::current_exe().ok()];
-        let mut candidates = starts.iter().flatten().flat_map(|start| start.ancestors()).map(|a| a.join("bench-cases"));
-        match candidates.find(|folder| folder.join("profiles").is_dir()) {
-            Some(root) => Ok(Catalogue { root }),
-            None => Err(Error::usage("there is no folder bench-cases here or above; name it with --bench-cases DIR")),
+    /// That of `folder`; what the program carries when it is not given.
+    pub fn open(folder: Option<&Path>) -> Result<Self> {
+        match folder {
+            None => Ok(Catalogue { root: PathBuf::from(shipped::ROOT) }),
+            Some(root) if root.is_dir() => Ok(Catalogue { root: root.to_path_buf() }),
+            Some(root) => Err(Error::input("there is no such folder").at(root)),
         }
     }
 
-    /// The folder.
+    /// The folder, or [`shipped::ROOT`].
     pub fn root(&self) -> &Path {
         &self.root
     }
@@ -50,7 +44,7 @@ impl Catalogue {
         Ok(toml_ids(&self.root)?.into_iter().filter(|id| id != GATE && id != ABLATIONS).collect())
     }
 
-    /// The file of a case: `<id>.toml` here, or `wish` itself when it is the path of a TOML file.
+    /// The file of a case: `<id>.toml` of the catalogue, or `wish` itself when it is the path of a TOML file.
     pub fn case_file(&self, wish: &str) -> Result<PathBuf> {
         if wish.ends_with(".toml") {
             return Ok(PathBuf::from(wish));
@@ -75,6 +69,11 @@ impl Catalogue {
         self.root.join("profiles")
     }
 
+    /// The thresholds of the gate.
+    pub fn gate_file(&self) -> PathBuf {
+        self.root.join(GATE).with_extension("toml")
+    }
+
     /// The ablations.
     pub fn ablations_file(&self) -> PathBuf {
         self.root.join(ABLATIONS).with_extension("toml")
@@ -91,18 +90,42 @@ mod tests {
         for name in ["case1.toml", "case2.toml", "gate.toml", "ablations.toml"] {
             std::fs::write(folder.path().join(name), "").unwrap();
         }
-        let catalogue = Catalogue::find(Some(folder.path())).unwrap();
+        let catalogue = Catalogue::open(Some(folder.path())).unwrap();
         assert_eq!(catalogue.case_ids().unwrap(), ["case1", "case2"]);
         assert_eq!(catalogue.case_file("case2").unwrap(), folder.path().join("case2.toml"));
         assert_eq!(catalogue.case_file("mine/own.toml").unwrap(), Path::new("mine/own.toml"));
         let unknown = catalogue.case_file("gate").unwrap_err();
         assert_eq!(unknown.kind().exit_code(), 2);
         assert!(unknown.to_string().contains("case1, case2"), "{unknown}");
-        assert_eq!(Catalogue::find(Some(&folder.path().join("no"))).unwrap_err().kind().exit_code(), 4);
+        assert_eq!(Catalogue::open(Some(&folder.path().join("no"))).unwrap_err().kind().exit_code(), 4);
     }
 
     #[test]
-    fn the_shipped_folder_is_found_from_the_test_program() {
-        assert!(Catalogue::find(None).unwrap().profiles().join("quick.toml").exists());
+    fn what_is_carried_is_what_the_folder_holds() {
+        use crate::airway::case::Case;
+        use crate::bench::{Ablations, Pipeline, Wishes};
+
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases");
+        let (carried, on_disk) = (Catalogue::open(None).unwrap(), Catalogue::open(Some(&folder)).unwrap());
+        assert_eq!(carried.case_ids().unwrap(), on_disk.case_ids().unwrap());
+        // The keys of all cells, and with them cached films and results, are the same.
+        for profile in ["smoke", "quick", "paper"] {
+            let keys = |catalogue: &Catalogue| {
+                let plan = Pipeline::new(catalogue, profile, Wishes::default()).unwrap().plan().unwrap();
+                let cells = plan.cells();
+                let keys: Vec<String> = cells.iter().map(|cell| plan.score_key(cell).unwrap()).collect();
+                (plan.run_id().unwrap(), keys)
+            };
+            assert_eq!(keys(&carried), keys(&on_disk), "{profile}");
+            assert!(!keys(&carried).1.is_empty());
+        }
+        let lines =
+            |catalogue: &Catalogue| format!("{:?}", Ablations::load(&catalogue.ablations_file(), None).unwrap());
+        assert_eq!(lines(&carried), lines(&on_disk));
+        // A tree's path is relative to its case file, wherever that is.
+        let anatomy = |catalogue: &Catalogue| {
+            crate::airway::build(&Case::load(&catalogue.case_file("case1").unwrap()).unwrap()).unwrap()
+        };
+        assert_eq!(anatomy(&carried).inspiration.vertices, anatomy(&on_disk).inspiration.vertices);
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::revision::Revisions;
-use crate::base::{Error, Result, hash};
+use crate::base::{Error, Result, files, hash};
 
 /// A case or a method of a plan: its id and the hash of everything the user can change about it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -106,15 +106,7 @@ pub fn choose(known: &[String], wanted: Option<&[String]>, what: &str) -> Result
 
 /// File names without `.toml` in `folder`, sorted as people count: `case2` before `case10`.
 pub fn toml_ids(folder: &Path) -> Result<Vec<String>> {
-    let fail = |e| Error::io("reading", folder, e);
-    let mut ids = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
-        if path.extension().is_some_and(|e| e == "toml") {
-            let stem = path.file_stem().and_then(|s| s.to_str());
-            ids.push(stem.ok_or_else(|| Error::input("the file name is not UTF-8").at(&path))?.to_owned());
-        }
-    }
+    let mut ids = files::toml_stems(folder)?;
     ids.sort_by_key(|id| (id.trim_end_matches(|c: char| c.is_ascii_digit()).to_owned(), id.len(), id.clone()));
     Ok(ids)
 }

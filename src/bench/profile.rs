@@ -47,7 +47,7 @@ impl Profile {
     /// error that lists the known ones.
     pub fn load(folder: &Path, wish: &str) -> Result<Profile> {
         let path = if wish.ends_with(".toml") { PathBuf::from(wish) } else { folder.join(format!("{wish}.toml")) };
-        if !wish.ends_with(".toml") && !path.exists() {
+        if !wish.ends_with(".toml") && !files::is_file(&path) {
             let known = toml_ids(folder)?.join(", ");
             let sentence = format!("there is no profile `{wish}`; there are {known}, or the path of a profile file");
             return Err(Error::usage(sentence));

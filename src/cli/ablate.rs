@@ -12,7 +12,7 @@ use crate::report::ablation::write;
 /// Arguments of `ablate`.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Runs the lines of bench-cases/ablations.toml, and each of their methods as shipped with several seeds: \
+    after_help = "Runs the lines of ablations.toml beside the cases, and each of their methods as shipped with several seeds: \
     the spread between seeds is the noise below which a difference says nothing. Finished cells are kept.\n\
     Example: respire-bench ablate --only activation --out reports/ablations"
 )]

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::Terminal;
+use super::selection::CatalogueFolder;
 use crate::base::{Error, ErrorKind, Result, files};
 use crate::report::gate::{Check, Verdict, judge, read_thresholds};
 use crate::report::{gate_files, read};
@@ -18,9 +19,9 @@ pub struct GateArguments {
     /// Report folder to judge
     #[arg(long, value_name = "DIR")]
     results: PathBuf,
-    /// Limits
-    #[arg(long, default_value = "bench-cases/gate.toml", value_name = "FILE")]
-    thresholds: PathBuf,
+    /// Limits [default: gate.toml beside the cases]
+    #[arg(long, value_name = "FILE")]
+    thresholds: Option<PathBuf>,
     /// Report folder to compare with
     #[arg(long, value_name = "DIR")]
     baseline: Option<PathBuf>,
@@ -30,11 +31,17 @@ pub struct GateArguments {
     /// Print passed checks too
     #[arg(long)]
     all: bool,
+    #[command(flatten)]
+    catalogue: CatalogueFolder,
 }
 
 /// Judges, writes the reports, then decides; `ErrorKind::Regression` when a check fails.
 pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
-    let thresholds = read_thresholds(&arguments.thresholds)?;
+    let limits = match arguments.thresholds {
+        Some(file) => file,
+        None => arguments.catalogue.open()?.gate_file(),
+    };
+    let thresholds = read_thresholds(&limits)?;
     let results = read::read(&arguments.results)?;
     let baseline = arguments.baseline.as_deref().map(read::read).transpose()?;
     let checks = judge(&results, &thresholds, baseline.as_ref());

@@ -58,15 +58,15 @@ impl PoseChoice {
 /// Where cases, methods and profiles are described.
 #[derive(Args)]
 pub struct CatalogueFolder {
-    /// Folder of cases, methods and profiles; the nearest `bench-cases` when not given
+    /// Folder of cases, methods, profiles and thresholds, instead of those that the program carries
     #[arg(long, value_name = "DIR")]
     bench_cases: Option<PathBuf>,
 }
 
 impl CatalogueFolder {
-    /// Opens the folder.
+    /// Opens the folder, or what the program carries.
     pub fn open(&self) -> Result<Catalogue> {
-        Catalogue::find(self.bench_cases.as_deref())
+        Catalogue::open(self.bench_cases.as_deref())
     }
 }
 

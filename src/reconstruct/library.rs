@@ -1,4 +1,4 @@
-//! From the method files in `bench-cases/methods/` to the methods.
+//! From the method files (`bench-cases/methods/`, on disk or carried by the program) to the methods.
 //!
 //! A file may name another one as its `base` and then states only what differs from it; a base may have a base of its
 //! own. Values are inherited together with their source. The header is not inherited: every file has its own. Nor are
@@ -53,7 +53,7 @@ impl MethodFile {
                 return refused(format!("the bases form a circle: {} -> {base}", heirs.join(" -> ")));
             }
             let base_path = path.with_file_name(format!("{base}.toml"));
-            if !base_path.exists() {
+            if !files::is_file(&base_path) {
                 return refused(format!("there is no method `{base}` in this folder"));
             }
             keys = Self::inherit(&base_path, heirs)?.keys;
@@ -131,11 +131,8 @@ impl MethodFile {
 
 /// All method files of a folder, sorted by id.
 pub fn method_files(folder: &Path) -> Result<Vec<MethodFile>> {
-    let entries = std::fs::read_dir(folder).map_err(|e| Error::io("reading", folder, e))?;
-    let mut paths: Vec<_> = entries.filter_map(|e| e.ok()).map(|e| e.path()).collect();
-    paths.retain(|p| p.extension().is_some_and(|e| e == "toml"));
-    paths.sort_by_key(|p| p.file_stem().map(|stem| stem.to_owned()));
-    paths.iter().map(|p| MethodFile::load(p)).collect()
+    let ids = files::toml_stems(folder)?;
+    ids.iter().map(|id| MethodFile::load(&folder.join(format!("{id}.toml")))).collect()
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@ mod gate;
 mod import;
 mod layering;
 mod mesh_damage;
+mod moved;
 mod own_tracer;
 mod reference;
 mod render;
