@@ -11,6 +11,7 @@ pub mod mesh;
 pub mod progress;
 pub mod random;
 pub mod revision;
+pub mod staging;
 
 pub use camera::Camera;
 pub use error::{Error, ErrorKind, Result};
@@ -18,3 +19,4 @@ pub use image::Image;
 pub use mask::Mask;
 pub use mesh::TriangleMesh;
 pub use progress::{NoProgress, Progress};
+pub use staging::Staging;
