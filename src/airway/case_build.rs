@@ -72,11 +72,15 @@ pub fn read_tree(path: &Path) -> Result<Tree> {
 ///
 /// Errors name the file and the vertex, edge or face: not finite, not closed, not manifold, no enclosed space.
 pub fn read_mesh(path: &Path) -> Result<TriangleMesh> {
-    let mut mesh = crate::formats::mesh::read(path)?;
-    mesh.validate_closed().map_err(|e| e.at(path))?;
+    closed_into_lumen(crate::formats::mesh::read(path)?).map_err(|e| e.at(path))
+}
+
+/// The surface with its normals into the lumen. Errors as [`read_mesh`].
+pub fn closed_into_lumen(mut mesh: TriangleMesh) -> Result<TriangleMesh> {
+    mesh.validate_closed()?;
     let volume = mesh.signed_volume();
     if !volume.is_finite() || volume == 0.0 {
-        return Err(Error::input("the surface encloses no space").at(path));
+        return Err(Error::input("the surface encloses no space"));
     }
     if volume > 0.0 {
         mesh.flip();

@@ -10,6 +10,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
+use super::Anatomy;
 use super::case::Breathing;
 use super::case_build;
 use super::centerline::Centerline;
@@ -33,6 +34,13 @@ const ANCHOR_MASS: f64 = 20.0;
 /// Number of the kernel's centres, and its softening length.
 const CENTERS: usize = 56;
 const SOFTENING_MM: f64 = 15.0;
+/// Rounds in which the motion is scaled to the wanted one: folds, and with them the field, depend a little on the
+/// scale.
+const SCALING_ROUNDS: usize = 4;
+/// Scales are rounded to a part of this.
+const SCALE_DIGITS: f64 = 1e4;
+/// An end of the way that moves less than this many mm is taken to stand still.
+const LEAST_MOTION_MM: f64 = 0.01;
 
 /// Axis-aligned box in mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -166,6 +174,60 @@ pub fn measured_breathing(
         }
     }
     Err(folds.unwrap_or_else(|| Error::input("no smoothing strength was tried")))
+}
+
+/// Measured motion that an airway is to be given.
+pub struct WantedMotion<'a> {
+    /// Landmarks of the lungs' motion.
+    pub pairs: &'a [LandmarkPair],
+    /// Box around the lungs.
+    pub lungs: LungBox,
+    /// Where the landmarks come from, for the case file.
+    pub source: String,
+    /// How far the end of the scope's way is to move, mm; the measured motion is kept without it.
+    pub end_motion_mm: Option<f64>,
+}
+
+/// [`measured_breathing`], scaled so that the end of the scope's way moves as far as is wanted; `end_motion_mm`
+/// measures that on a breathing airway. The field's source says how well the motion is met.
+///
+/// Errors: those of the fit, and an end that does not move, which nothing can scale.
+pub fn fitted_breathing(
+    rest: &TriangleMesh,
+    centerline: &Centerline,
+    wanted: &WantedMotion<'_>,
+    end_motion_mm: impl Fn(&Anatomy) -> Result<f64>,
+) -> Result<MeasuredBreathing> {
+    let fit = |scale: f64| {
+        let mut found = measured_breathing(rest, centerline, wanted.pairs, &wanted.lungs, &wanted.source, scale)?;
+        found.breathing.field.scale = scale;
+        Ok(found)
+    };
+    let mut scale = 1.0;
+    let mut found = fit(scale)?;
+    if let Some(wanted_mm) = wanted.end_motion_mm {
+        for _ in 0..SCALING_ROUNDS {
+            let moved = moving(rest, centerline, &found.breathing)?;
+            let moves_mm = end_motion_mm(&moved)?;
+            if moves_mm < LEAST_MOTION_MM {
+                let sentence = format!("the end of the scope's way moves by {moves_mm:.3} mm, which nothing can scale");
+                return Err(Error::input(sentence));
+            }
+            scale = (scale * wanted_mm / moves_mm * SCALE_DIGITS).round() / SCALE_DIGITS;
+            found = fit(scale)?;
+        }
+    }
+    let q = found.quality;
+    found.breathing.field.source = format!(
+        "{}; landmarks move {:.1} mm, held-out error {:.2} mm (affine alone {:.2} mm)",
+        wanted.source, q.motion_mm, q.held_out_mm, q.affine_held_out_mm
+    );
+    Ok(found)
+}
+
+/// The airway in both breath holds, for what does not ask for generations.
+pub fn moving(rest: &TriangleMesh, centerline: &Centerline, breathing: &Breathing) -> Result<Anatomy> {
+    case_build::from_field(rest.clone(), centerline.clone(), Some(vec![]), breathing)
 }
 
 /// Anchors every few millimetres along the upper part of the trachea.

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::centerline::{Centerline, CenterlinePoint, CenterlineSettings};
-use super::centerline_extract::extract;
+use super::centerline::{Centerline, CenterlinePoint};
+use super::import_mesh::FileMeaning;
 use super::tree::Tree;
-use crate::base::{Error, Result, TriangleMesh, files};
+use crate::base::{Error, Result, files};
 
 /// Columns of a centreline table.
 const COLUMNS: [&str; 8] = ["id", "x_mm", "y_mm", "z_mm", "radius_mm", "branch", "generation", "parent_id"];
@@ -15,39 +15,21 @@ const COLUMNS: [&str; 8] = ["id", "x_mm", "y_mm", "z_mm", "radius_mm", "branch",
 /// Distance between the points of a measured table in mm.
 const STEP_MM: f64 = 1.5;
 
-/// Which way the axes of a file point; tables are in LPS.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PatientAxes {
-    /// x left, y posterior, z superior.
-    Lps,
-    /// x right, y anterior, z superior.
-    Ras,
-}
-
-impl PatientAxes {
-    /// The point in LPS.
-    pub fn to_lps(self, point: DVec3) -> DVec3 {
-        match self {
-            PatientAxes::Lps => point,
-            PatientAxes::Ras => DVec3::new(-point.x, -point.y, point.z),
-        }
-    }
-}
-
 /// Reads a table with the columns `id,x_mm,y_mm,z_mm,radius_mm,branch,generation,parent_id` (rows in any order, the
 /// inlet's parent is -1) and makes a tree of it. Errors name file and line.
-pub fn from_table(path: &Path, axes: PatientAxes, source: &str) -> Result<Tree> {
-    let centerline = parse_table(&files::read_text(path)?, axes).map_err(|e| e.at(path))?;
-    from_centerline(&centerline, source).map_err(|e| e.at(path))
+pub fn from_table(path: &Path, meaning: &FileMeaning, source: &str) -> Result<Tree> {
+    let read = || {
+        let centerline = parse_table(&files::read_text(path)?, meaning)?;
+        meaning.check_centerline(&centerline)?;
+        from_centerline(&centerline, source)
+    };
+    read().map_err(|e| e.at(path))
 }
 
-/// Extracts the centreline of a closed airway surface and makes a tree of it.
-pub fn from_mesh(mesh: &TriangleMesh, axes: PatientAxes, source: &str) -> Result<Tree> {
-    let mut centerline = extract(mesh, &CenterlineSettings::default())?;
-    for point in &mut centerline.points {
-        point.position_mm = axes.to_lps(point.position_mm);
-    }
-    from_centerline(&centerline, source)
+/// Extracts the centreline of the closed airway surface in `path` and makes a tree of it.
+pub fn from_mesh(path: &Path, meaning: &FileMeaning, source: &str) -> Result<Tree> {
+    let mesh = meaning.read_surface(path)?;
+    meaning.centerline(&mesh).and_then(|line| from_centerline(&line, source)).map_err(|e| e.at(path))
 }
 
 /// The table of `centerline`, resampled to 1.5 mm.
@@ -57,7 +39,7 @@ pub fn from_centerline(centerline: &Centerline, source: &str) -> Result<Tree> {
     Ok(tree)
 }
 
-fn parse_table(text: &str, axes: PatientAxes) -> Result<Centerline> {
+fn parse_table(text: &str, meaning: &FileMeaning) -> Result<Centerline> {
     let mut lines = text.lines();
     let header: Vec<&str> = lines.next().unwrap_or("").split(',').map(str::trim).collect();
     if header != COLUMNS {
@@ -85,10 +67,10 @@ fn parse_table(text: &str, axes: PatientAxes) -> Result<Centerline> {
         if branch < 0.0 || generation < 0.0 {
             return wrong("branch and generation cannot be negative");
         }
-        let position_mm = axes.to_lps(DVec3::new(x, y, z));
+        let position_mm = meaning.to_lps_mm(DVec3::new(x, y, z));
         points.push(CenterlinePoint {
             position_mm,
-            radius_mm,
+            radius_mm: radius_mm * meaning.scale,
             branch: branch as u32,
             generation: generation as u32,
             parent,
@@ -99,14 +81,20 @@ fn parse_table(text: &str, axes: PatientAxes) -> Result<Centerline> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::import_axes::PatientAxes;
+    use super::super::import_mesh::{ExpectedAnatomy, PartChoice};
     use super::*;
+
+    fn read_as(axes: PatientAxes) -> FileMeaning {
+        FileMeaning { axes, scale: 1.0, parts: PartChoice::Single, anatomy: ExpectedAnatomy::Human }
+    }
 
     const TABLE: &str = "id,x_mm,y_mm,z_mm,radius_mm,branch,generation,parent_id\n\
                          0,0,0,0,5,0,0,-1\n2,0,1,-20,4,1,1,1\n1,0,0,-10,5,0,0,0\n3,0,2,-30,4,1,1,2\n";
 
     #[test]
     fn rows_in_any_order_make_a_tree_in_lps() {
-        let centerline = parse_table(TABLE, PatientAxes::Ras).unwrap();
+        let centerline = parse_table(TABLE, &read_as(PatientAxes::RAS)).unwrap();
         assert_eq!(centerline.points[2].parent, Some(1));
         assert_eq!(centerline.points[3].position_mm, DVec3::new(0.0, -2.0, -30.0));
         let tree = from_centerline(&centerline, "test").unwrap();
@@ -117,9 +105,9 @@ mod tests {
     #[test]
     fn damage_is_named() {
         let orphan = TABLE.replace("2,0,1,-20,4,1,1,1", "2,0,1,-20,4,1,1,7");
-        assert!(parse_table(&orphan, PatientAxes::Lps).unwrap_err().to_string().contains("id 2"));
+        assert!(parse_table(&orphan, &read_as(PatientAxes::LPS)).unwrap_err().to_string().contains("id 2"));
         let short = TABLE.replace("2,0,1,-20,4,1,1,1", "2,0,1,x");
-        assert!(parse_table(&short, PatientAxes::Lps).unwrap_err().to_string().contains("line 3"));
-        assert!(parse_table("", PatientAxes::Lps).is_err());
+        assert!(parse_table(&short, &read_as(PatientAxes::LPS)).unwrap_err().to_string().contains("line 3"));
+        assert!(parse_table("", &read_as(PatientAxes::LPS)).is_err());
     }
 }

@@ -12,6 +12,7 @@ pub mod progress;
 pub mod random;
 pub mod revision;
 pub mod shipped;
+pub mod staging;
 
 pub use camera::Camera;
 pub use error::{Error, ErrorKind, Result};
@@ -19,3 +20,4 @@ pub use image::Image;
 pub use mask::Mask;
 pub use mesh::TriangleMesh;
 pub use progress::{NoProgress, Progress};
+pub use staging::Staging;

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::Terminal;
+use super::evaluate::check_name;
 use crate::base::Result;
 use crate::score::{check_prediction, check_truth};
 use crate::simulate::sequence::Sequence;
@@ -28,14 +29,18 @@ pub struct CheckArguments {
 /// Reads every file; says what is there, or fails with the first thing that is wrong.
 pub fn run(arguments: CheckArguments, terminal: &Terminal) -> Result<()> {
     let Some(sequence) = &arguments.sequence else {
-        let frames = check_truth(&Sequence::open(&arguments.folder)?).map_err(|e| e.at(&arguments.folder))?;
+        let sequence = Sequence::open(&arguments.folder)?;
+        sequence.verify()?;
+        let frames = check_truth(&sequence).map_err(|e| e.at(&arguments.folder))?;
         if arguments.json {
             return terminal.json(&serde_json::json!({ "frames": frames }));
         }
         terminal.line(format_args!("a sound sequence of {frames} frames"));
         return Ok(());
     };
-    let found = check_prediction(&Sequence::open(sequence)?, &arguments.folder)?;
+    let sequence = Sequence::open(sequence)?;
+    check_name(&arguments.folder, &sequence)?;
+    let found = check_prediction(&sequence, &arguments.folder)?;
     if arguments.json {
         return terminal.json(&found);
     }

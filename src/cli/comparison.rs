@@ -1,7 +1,7 @@
 //! The comparison table as aligned columns, the paper's row below ours: what `all-cases` prints at the end.
 
 use crate::report::Role;
-use crate::report::table::{ComparisonTable, arrow, heading};
+use crate::report::table::{ComparisonTable, STAR, STAR_MEANS, arrow, heading};
 use crate::score::paper_metrics;
 
 /// Lines of equal columns; `*` marks the best ranked method, `(..)` a bound that is not ranked.
@@ -13,7 +13,7 @@ pub fn lines(table: &ComparisonTable) -> Vec<String> {
             Role::Sanity => format!("({})", row.method.title),
         };
         let mark = |best: bool| if best { "*" } else { " " };
-        let values = row.cells.iter().map(|cell| format!("{}{}", cell.value, mark(cell.best)));
+        let values = row.cells.iter().map(|cell| format!("{}{}", cell.starred(), mark(cell.best)));
         rows.push(std::iter::once(name).chain(values).collect());
         if row.cells.iter().any(|cell| cell.paper.is_some()) {
             let paper = row.cells.iter().map(|cell| format!("{} ", cell.paper.as_deref().unwrap_or("–")));
@@ -21,7 +21,8 @@ pub fn lines(table: &ComparisonTable) -> Vec<String> {
         }
     }
     let cases = if table.cases == 1 { "one case".to_owned() } else { format!("mean of {} cases", table.cases) };
-    std::iter::once(format!("{cases}; * best ranked method, (..) bounds")).chain(aligned(&rows)).collect()
+    let star = if table.has_star() { format!(", {STAR} {STAR_MEANS}") } else { String::new() };
+    std::iter::once(format!("{cases}; * best ranked method, (..) bounds{star}")).chain(aligned(&rows)).collect()
 }
 
 fn head() -> Vec<String> {

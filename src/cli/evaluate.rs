@@ -1,12 +1,13 @@
 //! `evaluate`: scores a folder of predictions of any program.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::Terminal;
-use crate::base::Result;
+use crate::base::{Error, Result};
+use crate::report::run::evaluated_id;
 use crate::report::{self, CaseInfo, CellRecord, MethodInfo, Outcome, Run};
-use crate::score::{CellScore, ScoreSettings, registry, score};
+use crate::score::{CellScore, Prediction, ScoreSettings, registry, score};
 use crate::simulate::sequence::Sequence;
 
 /// Arguments of `evaluate`.
@@ -14,7 +15,8 @@ use crate::simulate::sequence::Sequence;
 #[command(
     after_help = "The folder holds color/NNNNNN.png, and as far as the method has them depth/NNNNNN.{exr,npy,png}, \
     ahead/NNNNNN.png, phase.csv (frame,phase), mesh/final.ply, timing.json ({\"time_total_s\": ..}), prediction.json \
-    ({\"method\": .., \"depth_unit_mm\": ..}); see docs/metrics.md.\n\
+    ({\"method\": .., \"case\": .., \"depth_unit_mm\": ..}); see docs/metrics.md. Names of this program's own rows are \
+    reserved.\n\
     Example: respire-bench evaluate --sequence .cache/sequences/case1-0123456789ab --predictions my-method/case1 --out report"
 )]
 pub struct EvaluateArguments {
@@ -38,6 +40,11 @@ pub struct EvaluateArguments {
 /// Scores, prints, and writes a report where asked for.
 pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
     let sequence = Sequence::open(&arguments.sequence)?;
+    // Before the work.
+    match &arguments.method {
+        Some(name) => MethodInfo::check_foreign(name).map_err(|e| Error::usage(format!("--method: {e}")))?,
+        None => check_name(&arguments.predictions, &sequence)?,
+    }
     let settings = ScoreSettings { method: arguments.method.clone(), ..ScoreSettings::default() };
     let found = score(&sequence, &arguments.predictions, &settings)?;
     if arguments.json {
@@ -57,6 +64,13 @@ pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
     Ok(())
 }
 
+/// Refuses a prediction that names itself as an own row.
+pub(super) fn check_name(prediction: &Path, sequence: &Sequence) -> Result<()> {
+    let opened = Prediction::open(prediction, sequence)?;
+    let named = |e: Error| e.element("method").at(prediction.join("prediction.json"));
+    opened.method().map_or(Ok(()), MethodInfo::check_foreign).map_err(named)
+}
+
 fn print(found: &CellScore, terminal: &Terminal) {
     terminal.line(format_args!("{} on {}: {} frames", found.method, found.case_id, found.frames));
     for m in registry() {
@@ -73,7 +87,7 @@ fn print(found: &CellScore, terminal: &Terminal) {
 /// One case, one method: the report of a single prediction.
 fn as_run(sequence: Sequence, found: CellScore, prediction: PathBuf) -> Run {
     let case_id = found.case_id.clone();
-    let id = format!("evaluate-{case_id}-{}", found.method);
+    let id = evaluated_id(&case_id, &found.method);
     Run {
         profile: "evaluate".into(),
         notes: Vec::new(),

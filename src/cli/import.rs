@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 
 use super::Terminal;
 use super::import_mesh::{self, MeshArguments, PairArguments};
-use super::import_motion::{MotionArguments, fit_motion, still_breathing};
+use super::import_motion::{MotionArguments, still_breathing};
 use super::import_tree::{self, TreeArguments};
 use crate::airway;
 use crate::airway::case::Case;
@@ -53,6 +53,7 @@ pub fn run(arguments: ImportArguments, terminal: &Terminal) -> Result<()> {
 }
 
 fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Result<()> {
+    let pairs = arguments.motion.read()?;
     let text = files::read_text(&arguments.case)?;
     let head = text.split("\n[breathing").next().unwrap_or(&text).trim_end().to_string();
     let mut case: Case = toml::from_str(&format!("{head}\n\n{}", breathing_toml(&still_breathing())))
@@ -60,7 +61,7 @@ fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Resu
     case.folder = arguments.case.parent().map(Path::to_path_buf).unwrap_or_default();
     case.validate().map_err(|e| e.at(&arguments.case))?;
     let rest = airway::build(&case)?;
-    let found = fit_motion(&rest, &case, &arguments.motion, terminal)?;
+    let found = arguments.motion.fit(&rest, &case, &pairs, terminal)?;
     let out = format!("{head}\n\n{}", breathing_toml(&found.breathing));
     files::write_bytes(&arguments.case, out.as_bytes())
 }

@@ -6,19 +6,23 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::Terminal;
-use super::import_axes::AxesChoice;
-use super::import_motion::{MotionArguments, fit_motion, still_breathing};
+use super::import_file::FileArguments;
+use super::import_motion::{MotionArguments, still_breathing};
 use crate::airway::case::{
     AnatomySource, Breathing, CameraSettings, Case, ExposureSettings, Region, ScopeSettings, TrajectorySettings,
 };
-use crate::airway::case_build::{self, read_mesh};
-use crate::airway::centerline::{Centerline, CenterlineSettings};
-use crate::airway::centerline_extract::extract;
+use crate::airway::centerline::Centerline;
 use crate::airway::import_breathing::breathing_toml;
-use crate::airway::{self, case_centerline};
-use crate::base::{Error, Progress, Result, TriangleMesh, files};
+use crate::airway::{self, case_build, case_centerline};
+use crate::base::{Error, Progress, Result, Staging, TriangleMesh, files};
 use crate::formats::mesh::write_ply;
 use crate::simulate::trajectory::Route;
+
+/// What the files of a case are called, after its id.
+const AIRWAY: &str = "airway.ply";
+const INSPIRATION: &str = "inspiration.ply";
+const EXPIRATION: &str = "expiration.ply";
+const CENTERLINE: &str = "centerline.csv";
 
 /// Arguments of `import mesh`.
 #[derive(Args)]
@@ -55,9 +59,8 @@ pub struct PairArguments {
 
 #[derive(Args)]
 struct CommonArguments {
-    /// Which way the files' axes point (landmarks are always LPS)
-    #[arg(long, value_enum, default_value = "lps")]
-    axes: AxesChoice,
+    #[command(flatten)]
+    file: FileArguments,
     /// Name of the case: letters, digits, `-`, `_`
     #[arg(long)]
     id: String,
@@ -98,16 +101,9 @@ impl CommonArguments {
         }
     }
 
-    /// A surface in LPS with normals into the lumen.
-    fn read(&self, path: &Path) -> Result<TriangleMesh> {
-        let axes = self.axes.axes();
-        let mut mesh = read_mesh(path)?;
-        mesh.vertices.iter_mut().for_each(|v| *v = axes.to_lps(*v));
-        Ok(mesh)
-    }
-
-    fn case(&self, title: String, anatomy: AnatomySource, breathing: Option<Breathing>) -> Case {
-        Case {
+    /// The case, checked before anything is written under its name.
+    fn case(&self, title: String, anatomy: AnatomySource, breathing: Option<Breathing>) -> Result<Case> {
+        let case = Case {
             id: self.id.clone(),
             title,
             seed: self.seed,
@@ -127,25 +123,58 @@ impl CommonArguments {
             breathing,
             registration_error_mm: 0.0,
             folder: self.out.clone(),
-        }
+        };
+        case.validate()?;
+        Ok(case)
     }
 
     fn file(&self, name: &str) -> PathBuf {
         PathBuf::from(format!("{}-{name}", self.id))
     }
+}
 
-    /// Writes mesh and centreline beside the case file.
-    fn write(&self, name: &str, mesh: &TriangleMesh) -> Result<PathBuf> {
-        let file = self.file(name);
-        write_ply(&self.out.join(&file), mesh, &["units mm", "space LPS", "normals point into the lumen"])?;
-        Ok(file)
+/// A case on its way into its folder: files are put together beside it, and appear there once the case can be filmed.
+struct NewCase<'a> {
+    common: &'a CommonArguments,
+    staging: Staging,
+    files: Vec<PathBuf>,
+}
+
+impl<'a> NewCase<'a> {
+    fn new(common: &'a CommonArguments) -> Result<Self> {
+        Ok(NewCase { common, staging: Staging::new(&common.out)?, files: Vec::new() })
     }
 
-    fn write_centerline(&self, mesh: &TriangleMesh, source: &Path) -> Result<(PathBuf, Centerline)> {
-        let line = extract(mesh, &CenterlineSettings::default()).map_err(|e| e.at(source))?;
-        let file = self.file("centerline.csv");
-        files::write_bytes(&self.out.join(&file), case_centerline::to_csv(&line).as_bytes())?;
-        Ok((file, line))
+    fn mesh(&mut self, name: &str, mesh: &TriangleMesh) -> Result<()> {
+        let file = self.common.file(name);
+        write_ply(&self.staging.path(&file), mesh, &["units mm", "space LPS", "normals point into the lumen"])?;
+        self.files.push(file);
+        Ok(())
+    }
+
+    fn centerline(&mut self, line: &Centerline) -> Result<()> {
+        let file = self.common.file(CENTERLINE);
+        files::write_bytes(&self.staging.path(&file), case_centerline::to_csv(line).as_bytes())?;
+        self.files.push(file);
+        Ok(())
+    }
+
+    /// Writes the case file, proves that the case can be filmed, and moves all to where it belongs, the case file last.
+    fn finish(mut self, text: &str, terminal: &Terminal) -> Result<()> {
+        let file = PathBuf::from(format!("{}.toml", self.common.id));
+        let path = self.staging.path(&file);
+        files::write_bytes(&path, text.as_bytes())?;
+        let case = Case::load(&path)?;
+        let route = Route::plan(&airway::build(&case)?, &case.trajectory)?;
+        self.files.push(file.clone());
+        self.staging.publish(&self.files)?;
+        terminal.note(&format!(
+            "the way is {:.0} mm, its end moves {:.1} mm",
+            route.length_mm(),
+            route.end_motion_mm()
+        ));
+        terminal.line(self.common.out.join(file).display());
+        Ok(())
     }
 }
 
@@ -156,51 +185,45 @@ fn name_of(path: &Path) -> String {
 /// Runs `import mesh`.
 pub fn run(arguments: &MeshArguments, terminal: &Terminal) -> Result<()> {
     let common = &arguments.common;
-    let mesh = common.read(&arguments.mesh)?;
-    // Landmarks are read before the long work, so that a wrong file is reported at once.
-    crate::formats::landmarks::read(&arguments.motion.landmarks)?;
-    let path = common.write("airway.ply", &mesh)?;
-    let (centerline, line) = common.write_centerline(&mesh, &arguments.mesh)?;
+    let meaning = common.file.meaning()?;
     let title = format!("{} with the motion of {}", name_of(&arguments.mesh), name_of(&arguments.motion.landmarks));
-    let anatomy = AnatomySource::Mesh { path, centerline: Some(centerline) };
-    let mut case = common.case(title, anatomy, Some(still_breathing()));
-    case.validate()?;
+    let anatomy = AnatomySource::Mesh { path: common.file(AIRWAY), centerline: Some(common.file(CENTERLINE)) };
+    let mut case = common.case(title, anatomy, Some(still_breathing()))?;
+    let mesh = meaning.read_surface(&arguments.mesh)?;
+    // Landmarks are read before the long work, so that a wrong file is reported at once.
+    let pairs = arguments.motion.read()?;
+    let line = meaning.centerline(&mesh).map_err(|e| e.at(&arguments.mesh))?;
+    let mut new = NewCase::new(common)?;
+    new.mesh(AIRWAY, &mesh)?;
+    new.centerline(&line)?;
     let rest = case_build::from_field(mesh, line, None, &still_breathing()).map_err(|e| e.at(&arguments.mesh))?;
-    let found = fit_motion(&rest, &case, &arguments.motion, terminal)?;
+    let found = arguments.motion.fit(&rest, &case, &pairs, terminal)?;
     case.breathing = None;
-    let text = format!("{}\n{}", case_head(&case)?, breathing_toml(&found.breathing));
-    finish(&common.out.join(format!("{}.toml", common.id)), &text, terminal)
+    new.finish(&format!("{}\n{}", case_head(&case)?, breathing_toml(&found.breathing)), terminal)
 }
 
 /// Runs `import mesh-pair`.
 pub fn run_pair(arguments: &PairArguments, terminal: &Terminal) -> Result<()> {
     let common = &arguments.common;
-    let (rest, other) = (common.read(&arguments.inspiration)?, common.read(&arguments.expiration)?);
-    if rest.faces != other.faces || rest.vertices.len() != other.vertices.len() {
-        return Err(Error::input("has other faces than the inspiration mesh: the two are not registered")
-            .at(&arguments.expiration));
-    }
-    let inspiration = common.write("inspiration.ply", &rest)?;
-    let expiration = common.write("expiration.ply", &other)?;
-    let (centerline, _) = common.write_centerline(&rest, &arguments.inspiration)?;
+    let meaning = common.file.meaning()?;
     let title = format!("{} and {}", name_of(&arguments.inspiration), name_of(&arguments.expiration));
-    let anatomy = AnatomySource::MeshPair { inspiration, expiration, centerline: Some(centerline) };
-    let case = common.case(title, anatomy, None);
-    case.validate()?;
-    finish(&common.out.join(format!("{}.toml", common.id)), &case_head(&case)?, terminal)
+    let anatomy = AnatomySource::MeshPair {
+        inspiration: common.file(INSPIRATION),
+        expiration: common.file(EXPIRATION),
+        centerline: Some(common.file(CENTERLINE)),
+    };
+    let case = common.case(title, anatomy, None)?;
+    let rest = meaning.read_surface(&arguments.inspiration)?;
+    let other = meaning.read_surface(&arguments.expiration)?;
+    meaning.check_pair(&rest, &other).map_err(|e| e.at(&arguments.expiration))?;
+    let line = meaning.centerline(&rest).map_err(|e| e.at(&arguments.inspiration))?;
+    let mut new = NewCase::new(common)?;
+    new.mesh(INSPIRATION, &rest)?;
+    new.mesh(EXPIRATION, &other)?;
+    new.centerline(&line)?;
+    new.finish(&case_head(&case)?, terminal)
 }
 
 fn case_head(case: &impl Serialize) -> Result<String> {
     toml::to_string(case).map_err(|e| Error::input(format!("cannot write the case file: {e}")))
-}
-
-/// Writes the case file and proves that it can be filmed.
-fn finish(path: &Path, text: &str, terminal: &Terminal) -> Result<()> {
-    files::write_bytes(path, text.as_bytes())?;
-    let case = Case::load(path)?;
-    let anatomy = airway::build(&case)?;
-    let route = Route::plan(&anatomy, &case.trajectory)?;
-    terminal.note(&format!("the way is {:.0} mm, its end moves {:.1} mm", route.length_mm(), route.end_motion_mm()));
-    terminal.line(path.display());
-    Ok(())
 }

@@ -1,19 +1,23 @@
-//! The measured motion of an imported case: its arguments, and the fit to the airway.
+//! The measured motion of an imported case: its arguments, and how well the airway was given it.
 
 use std::path::PathBuf;
 
 use clap::Args;
 
 use super::Terminal;
+use crate::airway::Anatomy;
 use crate::airway::case::{Breathing, Case};
 use crate::airway::field::BreathingField;
 use crate::airway::field_calibre::Calibre;
 use crate::airway::field_fit::check_count;
-use crate::airway::import_breathing::{LungBox, MeasuredBreathing, measured_breathing};
-use crate::airway::{self, case_build};
-use crate::base::Result;
-use crate::formats::landmarks;
+use crate::airway::import_breathing::{LungBox, MeasuredBreathing, WantedMotion, fitted_breathing, moving};
+use crate::airway::import_check::check_landmarks;
+use crate::base::{Error, Result};
+use crate::formats::landmarks::{self, LandmarkPair};
 use crate::simulate::trajectory::Route;
+
+/// Furthest that the end of a scope's way is made to move, mm.
+const MOST_END_MOTION_MM: f64 = 100.0;
 
 /// Where the motion comes from and how large it is.
 #[derive(Args)]
@@ -35,6 +39,45 @@ pub(super) struct MotionArguments {
     source: String,
 }
 
+impl MotionArguments {
+    /// Reads the landmarks; whatever is wrong with them, or with the wanted motion, is said before any work.
+    pub(super) fn read(&self) -> Result<Vec<LandmarkPair>> {
+        if let Some(wanted) = self.end_motion_mm.filter(|mm| !(*mm > 0.0 && *mm <= MOST_END_MOTION_MM)) {
+            let sentence = format!("--end-motion-mm: {wanted} is not above 0 and at most {MOST_END_MOTION_MM}");
+            return Err(Error::usage(sentence));
+        }
+        let pairs = landmarks::read(&self.landmarks)?;
+        check_count(&pairs).and_then(|()| check_landmarks(&pairs)).map_err(|e| e.at(&self.landmarks))?;
+        Ok(pairs)
+    }
+
+    /// Gives `rest` the motion of `pairs`, and says how well it went.
+    pub(super) fn fit(
+        &self,
+        rest: &Anatomy,
+        case: &Case,
+        pairs: &[LandmarkPair],
+        terminal: &Terminal,
+    ) -> Result<MeasuredBreathing> {
+        let patient = self.landmarks.file_stem().map(|s| s.to_string_lossy().to_string()).unwrap_or_default();
+        let lungs = match &self.lung_boxes {
+            Some(path) => LungBox::read(path, &patient)?,
+            None => LungBox::around(pairs),
+        };
+        let source = format!(
+            "{patient} of {}: real motion, but not of this airway's patient; carina and extent fitted to the lungs' box",
+            self.source
+        );
+        let wanted = WantedMotion { pairs, lungs, source, end_motion_mm: self.end_motion_mm };
+        let (mesh, line) = (&rest.inspiration, &rest.centerline);
+        let plan = |anatomy: &Anatomy| Route::plan(anatomy, &case.trajectory);
+        let found = fitted_breathing(mesh, line, &wanted, |anatomy| Ok(plan(anatomy)?.end_motion_mm()))?;
+        let route = plan(&moving(mesh, line, &found.breathing)?)?;
+        terminal.line(words(&case.id, &route, &found));
+        Ok(found)
+    }
+}
+
 /// No motion at all: stands in while the route is planned.
 pub(super) fn still_breathing() -> Breathing {
     let field = BreathingField {
@@ -48,51 +91,14 @@ pub(super) fn still_breathing() -> Breathing {
     Breathing { calibre: Calibre::default(), field }
 }
 
-/// Fits, scales to the wanted motion of the route's end, and says how well it went.
-pub(super) fn fit_motion(
-    rest: &airway::Anatomy,
-    case: &Case,
-    motion: &MotionArguments,
-    terminal: &Terminal,
-) -> Result<MeasuredBreathing> {
-    let pairs = landmarks::read(&motion.landmarks)?;
-    check_count(&pairs).map_err(|e| e.at(&motion.landmarks))?;
-    let patient = motion.landmarks.file_stem().map(|s| s.to_string_lossy().to_string()).unwrap_or_default();
-    let lungs = match &motion.lung_boxes {
-        Some(path) => LungBox::read(path, &patient)?,
-        None => LungBox::around(&pairs),
-    };
-    let mut source = format!(
-        "{patient} of {}: real motion, but not of this airway's patient; carina and extent fitted to the lungs' box",
-        motion.source
-    );
-    let (mesh, line) = (&rest.inspiration, &rest.centerline);
-    let mut scale = 1.0;
-    let mut found = measured_breathing(mesh, line, &pairs, &lungs, &source, scale)?;
-    for _ in 0..4 {
-        let Some(wanted) = motion.end_motion_mm else { break };
-        found.breathing.field.scale = scale;
-        let moved = case_build::from_field(mesh.clone(), line.clone(), Some(vec![]), &found.breathing)?;
-        scale *= wanted / Route::plan(&moved, &case.trajectory)?.end_motion_mm();
-        scale = (scale * 1e4).round() / 1e4;
-        found = measured_breathing(mesh, line, &pairs, &lungs, &source, scale)?;
-    }
-    found.breathing.field.scale = scale;
-    let q = found.quality;
-    source = format!(
-        "{source}; landmarks move {:.1} mm, held-out error {:.2} mm (affine alone {:.2} mm)",
-        q.motion_mm, q.held_out_mm, q.affine_held_out_mm
-    );
-    found.breathing.field.source = source;
-    let moved = case_build::from_field(mesh.clone(), line.clone(), Some(vec![]), &found.breathing)?;
-    let route = Route::plan(&moved, &case.trajectory)?;
-    let s = found.placement.stretch;
-    terminal.line(format!(
-        "{}: way {:.0} mm, its end moves {:.1} mm, scale {scale:.3}, held-out {:.2} mm of {:.1} mm (affine {:.2}), \
+fn words(case_id: &str, route: &Route, found: &MeasuredBreathing) -> String {
+    let (q, s) = (found.quality, found.placement.stretch);
+    format!(
+        "{case_id}: way {:.0} mm, its end moves {:.1} mm, scale {:.3}, held-out {:.2} mm of {:.1} mm (affine {:.2}), \
          lambda {}, {} steps of extra smoothing, stretch {:.2} {:.2} {:.2}",
-        case.id,
         route.length_mm(),
         route.end_motion_mm(),
+        found.breathing.field.scale,
         q.held_out_mm,
         q.motion_mm,
         q.affine_held_out_mm,
@@ -101,6 +107,5 @@ pub(super) fn fit_motion(
         s.x,
         s.y,
         s.z
-    ));
-    Ok(found)
+    )
 }

@@ -5,10 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Terminal;
-use super::import_axes::AxesChoice;
+use super::import_file::FileArguments;
 use crate::airway::import_tree::{from_mesh, from_table};
 use crate::base::{Error, Progress, Result, files};
-use crate::formats;
 
 /// Arguments of `import tree`.
 #[derive(Args)]
@@ -20,9 +19,8 @@ pub struct TreeArguments {
     /// id,x_mm,y_mm,z_mm,radius_mm,branch,generation,parent_id)
     #[arg(value_name = "MESH_OR_CSV")]
     input: PathBuf,
-    /// Which way the file's axes point
-    #[arg(long, value_enum, default_value = "lps")]
-    axes: AxesChoice,
+    #[command(flatten)]
+    file: FileArguments,
     /// Data set, citation and licence, kept in the table
     #[arg(long)]
     source: String,
@@ -39,13 +37,12 @@ pub struct TreeArguments {
 
 /// Runs the command.
 pub fn run(arguments: &TreeArguments, terminal: &Terminal) -> Result<()> {
-    let axes = arguments.axes.axes();
+    let meaning = arguments.file.meaning()?;
     let input = &arguments.input;
     let tree = if input.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
-        from_table(input, axes, &arguments.source)?
+        from_table(input, &meaning, &arguments.source)?
     } else {
-        let mesh = formats::mesh::read(input)?;
-        from_mesh(&mesh, axes, &arguments.source).map_err(|e| e.at(input))?
+        from_mesh(input, &meaning, &arguments.source)?
     };
     let tree = tree.reachable(arguments.least_radius_mm, arguments.deepest);
     let text = toml::to_string(&tree).map_err(|e| Error::input(e.to_string()))?;

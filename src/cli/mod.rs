@@ -13,7 +13,7 @@ mod evaluate;
 mod explain;
 mod gate;
 mod import;
-mod import_axes;
+mod import_file;
 mod import_mesh;
 mod import_motion;
 mod import_tree;

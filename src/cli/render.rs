@@ -71,7 +71,7 @@ pub fn run(arguments: RenderArguments, terminal: &Terminal) -> Result<()> {
         isa: ISA,
     };
     exr::write_rgb(&arguments.out.join("image.exr"), &frame.radiance)?;
-    exr::write_channel(&arguments.out.join("depth.exr"), "Z", &frame.depth_mm)?;
+    exr::write_depth(&arguments.out.join("depth.exr"), &frame.depth_mm)?;
     files::write_json(&arguments.out.join("timing.json"), &timing)?;
     terminal.line(format!(
         "{}: {} samples per pixel in {:.2} s",

@@ -114,7 +114,7 @@ impl SplatOutput {
         let color = image(3, rendered.color.clone());
         exr::write_rgb(&path(".exr"), &color)?;
         png::write_rgb(&path(".png"), &codes_from_unit(&color))?;
-        exr::write_channel(&path("_depth.exr"), "Z", &image(1, rendered.depth.clone()))?;
+        exr::write_depth(&path("_depth.exr"), &image(1, rendered.depth.clone()))?;
         exr::write_channel(&path("_alpha.exr"), "A", &image(1, rendered.alpha.clone()))?;
         if self.contributors {
             let counts = rasterizer.contributors()?.into_iter().map(|count| count as f32).collect();

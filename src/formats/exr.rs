@@ -1,4 +1,4 @@
-//! OpenEXR, 32-bit float: linear radiance (R, G, B) and one-channel truth such as z-depth (Z). Lossless, ZIP.
+//! OpenEXR, 32-bit float: linear radiance (R, G, B) and one-channel truth such as z-depth (Y). Lossless, ZIP.
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -13,10 +13,13 @@ use crate::base::{Error, Image, Result, files};
 
 /// Values (pixels times channels) that a file may declare.
 const MAX_VALUES: usize = 1 << 28;
+/// The channel of a depth image. OpenCV, and so nerfstudio, reads a single channel only under this name: one that is
+/// called `Z` comes out as zeros without a word (OpenCV 4.10).
+const DEPTH_CHANNEL: &str = "Y";
 /// Most values per byte of a file, since ZIP cannot pack tighter: a header that declares more is damaged.
 const MAX_VALUES_PER_BYTE: usize = 2048;
 
-/// Reads the first layer: channels R, G, B as three channels, or the only channel there is as one.
+/// Reads the first layer: channels R, G, B as three channels, or the only channel there is as one, whatever its name.
 ///
 /// Half floats and integers become f32. Errors name the file: unreadable, damaged, or with other channels.
 pub fn read(path: &Path) -> Result<Image<f32>> {
@@ -28,7 +31,12 @@ pub fn write_rgb(path: &Path, image: &Image<f32>) -> Result<()> {
     write(path, image, &["R", "G", "B"])
 }
 
-/// Writes one channel under the name `channel` ("Z" for depth) in one atomic step.
+/// Writes a depth image in one atomic step.
+pub fn write_depth(path: &Path, depth: &Image<f32>) -> Result<()> {
+    write_channel(path, DEPTH_CHANNEL, depth)
+}
+
+/// Writes one channel under the name `channel` in one atomic step.
 pub fn write_channel(path: &Path, channel: &str, image: &Image<f32>) -> Result<()> {
     write(path, image, &[channel])
 }
@@ -135,6 +143,9 @@ mod tests {
         let path = folder.path().join("a.exr");
         write_rgb(&path, &sample(3)).unwrap();
         assert_eq!(read(&path).unwrap(), sample(3));
+        write_depth(&path, &sample(1)).unwrap();
+        assert_eq!(read(&path).unwrap(), sample(1));
+        // Films of older versions and of other programs.
         write_channel(&path, "Z", &sample(1)).unwrap();
         assert_eq!(read(&path).unwrap(), sample(1));
         assert!(write_rgb(&path, &sample(1)).is_err());

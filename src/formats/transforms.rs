@@ -98,9 +98,13 @@ pub struct Transforms {
     /// See `p1`.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub p2: f64,
-    /// One unit of a depth image in metres.
+    /// One unit of a depth image in metres. nerfstudio does not look for it here, but has the same default.
     #[serde(default = "thousandth")]
     pub depth_unit_scale_factor: f64,
+    /// Units of `transform_matrix` in a metre. nerfstudio turns depths into metres and multiplies them with this, so
+    /// that they fit poses that are not in metres; without it the two would differ by a factor of a thousand.
+    #[serde(default = "one")]
+    pub applied_scale: f64,
     /// Frames in order of time.
     pub frames: Vec<TransformsFrame>,
 }
@@ -143,6 +147,7 @@ impl Transforms {
             p1: 0.0,
             p2: 0.0,
             depth_unit_scale_factor: thousandth(),
+            applied_scale: 1.0 / thousandth(),
             frames,
         }
     }

@@ -98,7 +98,7 @@ fn write_frames(folder: &Path, predictions: &[FramePrediction]) -> Result<()> {
 fn write_frame(folder: &Path, prediction: &FramePrediction) -> Result<()> {
     let frame = prediction.frame;
     png::write_rgb(&frame_file(folder, "color", frame, "png"), &codes_from_unit(&prediction.color))?;
-    exr::write_channel(&frame_file(folder, "depth", frame, "exr"), "Z", &prediction.depth_mm)?;
+    exr::write_depth(&frame_file(folder, "depth", frame, "exr"), &prediction.depth_mm)?;
     if let Some(ahead) = &prediction.ahead {
         png::write_rgb(&frame_file(folder, "ahead", frame, "png"), &codes_from_unit(ahead))?;
     }

@@ -115,6 +115,7 @@ mod tests {
         CellScore {
             case_id: "case1".into(),
             case_hash: String::new(),
+            film_content: String::new(),
             method: "ours".into(),
             seed,
             frames: 1,

@@ -5,7 +5,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::plots::{ReportImage, ReportImages};
 use super::run::{Outcome, Role, Run};
-use super::table::{ComparisonTable, TableCell, arrow, groups, heading, show};
+use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, arrow, groups, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 const STYLE: &str = "
@@ -96,7 +96,9 @@ fn comparison(table: &ComparisonTable) -> Markup {
         } }
         p.muted {
             "Mean over " (table.cases) " cases; below it the 95 % bootstrap interval over cases, then the value of the paper's \
-             Table 1 (its cases, its machine). Bold: best ranked method. Rows in italics are bounds and not ranked."
+             Table 1 (its cases, its machine). Bold: best ranked method; a method is ranked where it is scored on every \
+             case. Rows in italics are bounds and not ranked."
+            @if table.has_star() { " " (STAR) ": " (STAR_MEANS) "." }
         }
     }
 }
@@ -111,7 +113,7 @@ fn starts_section(table: &ComparisonTable, index: usize) -> bool {
 
 fn value(cell: &TableCell) -> Markup {
     html! {
-        @if cell.best { strong { (cell.value) } } @else { (cell.value) }
+        @if cell.best { strong { (cell.starred()) } } @else { (cell.starred()) }
         @if !cell.interval.is_empty() { span.interval { (cell.interval) } }
         @if let Some(paper) = &cell.paper { span.paper { "paper " (paper) } }
     }

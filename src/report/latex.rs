@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::run::Role;
-use super::table::{ComparisonTable, TableCell, groups, heading};
+use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, groups, heading};
 use crate::score::{Goal, paper_metrics};
 
 /// The whole `table*` environment; ours in black, the paper's value in grey below each.
@@ -20,9 +20,10 @@ pub fn table(table: &ComparisonTable, run_id: &str) -> String {
         "\\caption{{Quantitative comparison (mean over {} cases, run \\texttt{{{}}}; the paper's value in grey). Best in \
          \\textbf{{bold}}, $\\uparrow$\\,=\\,higher is better, $\\downarrow$\\,=\\,lower is better. Breathing and target metrics \
          apply only to methods that model respiratory state or maintain an explicit mesh, respectively. Rows below the last \
-         rule are bounds and not ranked.}}",
+         rule are bounds and not ranked.{}}}",
         table.cases,
-        escape(run_id)
+        escape(run_id),
+        if table.has_star() { format!(" $\\star$\\,=\\,{STAR_MEANS}.") } else { String::new() }
     ));
     line("\\label{tab:respire_bench}\n\\resizebox{\\textwidth}{!}{%".into());
     line(format!("\\begin{{tabular}}{{@{{}}lcc{}@{{}}}}\n\\toprule", "|cc".repeat(groups().len())));
@@ -74,7 +75,7 @@ fn column_heading(metric: &crate::score::Metric) -> String {
 }
 
 fn dressed(cell: &TableCell) -> String {
-    let value = escape(&cell.value).replace(" min", "\\,min").replace(" s", "\\,s");
+    let value = escape(&cell.starred()).replace(" min", "\\,min").replace(" s", "\\,s");
     let value = if cell.best { format!("\\textbf{{{value}}}") } else { value };
     match &cell.paper {
         Some(paper) => {
@@ -97,6 +98,7 @@ fn escape(text: &str) -> String {
             '–' => out.push_str("--"),
             '<' => out.push_str("{$<$}"),
             'δ' => out.push_str("$\\delta$"),
+            STAR => out.push_str("$\\star$"),
             c => out.push(c),
         }
     }

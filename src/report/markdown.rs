@@ -5,7 +5,7 @@ use std::fmt::Write;
 use super::plots::ReportImages;
 use super::run::{Outcome, Role, Run};
 use super::summary::MethodSummary;
-use super::table::{ComparisonTable, TableCell, arrow, heading, show};
+use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, arrow, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 /// The whole file.
@@ -41,8 +41,10 @@ fn comparison(out: &mut String, table: &ComparisonTable) {
     let _ = writeln!(
         out,
         "## Comparison\n\nMean over {} cases; in brackets the paper's Table 1 (its nine COPDGene cases, its machine). **Bold**: best \
-         ranked method. Rows in *italics* are bounds, not ranked.\n\n{}",
+         ranked method; a method is ranked where it is scored on every case. Rows in *italics* are bounds, not \
+         ranked.{}\n\n{}",
         table.cases,
+        if table.has_star() { format!(" {STAR}: {STAR_MEANS}.") } else { String::new() },
         comparison_table(table)
     );
 }
@@ -65,7 +67,7 @@ pub fn comparison_table(table: &ComparisonTable) -> String {
 }
 
 fn dressed(cell: &TableCell) -> String {
-    let value = if cell.best { format!("**{}**", cell.value) } else { cell.value.clone() };
+    let value = if cell.best { format!("**{}**", cell.starred()) } else { cell.starred() };
     cell.paper.as_ref().map_or(value.clone(), |paper| format!("{value} ({paper})"))
 }
 

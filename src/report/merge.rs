@@ -4,13 +4,12 @@
 //! Nothing is recomputed: values, intervals and times are those of the tables. Images that need films or predictions
 //! (panels, contours) are left out.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::read::{CsvRow, CsvTable};
 use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use crate::base::{Error, Result, hash};
-use crate::score::{CellScore, FrameScore, FrameValue, MetricScore, Status, registry};
+use crate::score::{CellScore, FrameScore, FrameValue, MetricScore, Status, check_means, registry};
 
 /// Whether a table may hold scores of different films of one case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,7 +23,8 @@ pub enum Films {
 /// Reads the tables of a finished run back (`results.csv`, `comparison.csv`; `frames.csv` and `timings.csv` where they
 /// are).
 ///
-/// Errors name file, line and column; a metric or status that this version does not know is an error.
+/// Errors name file, line and column: a metric or status that this version does not know; a number that does not follow
+/// from the frames; a prediction of a third party without its frames, or under the name of an own row.
 pub fn read_run(folder: &Path) -> Result<Run> {
     let mut cells: Vec<CellRecord> = Vec::new();
     let results = folder.join("results.csv");
@@ -40,9 +40,14 @@ pub fn read_run(folder: &Path) -> Result<Run> {
             return Err(row.refuse("status", "the cell has failed in a row before and has a value here".into()));
         };
         score.case_hash = row.text("case_hash")?;
+        score.film_content = row.text_or_empty("film_content");
+        let metric = metric_of(&row)?;
+        if score.metric(&metric).is_some() {
+            return Err(row.refuse("metric", format!("\"{metric}\" of this cell is there twice")));
+        }
         let (low, high) = (row.number("ci_low")?, row.number("ci_high")?);
         score.metrics.push(MetricScore {
-            metric: metric_of(&row)?,
+            metric,
             value: row.number("value")?,
             status,
             deviation: row.number("sd")?,
@@ -52,31 +57,36 @@ pub fn read_run(folder: &Path) -> Result<Run> {
         });
     }
     let Some(first) = cells.first() else { return Err(Error::input("has no rows").at(results)) };
-    let id = first.run_id.clone();
+    let (id, is_foreign) = (first.run_id.clone(), first.is_foreign());
     for row in CsvTable::read(&folder.join("comparison.csv"))?.rows() {
         let cell = cell_of(&mut cells, &row, "method")?;
         if let Outcome::Scored(score) = &mut cell.outcome {
             add_times(score, &row)?;
         }
     }
+    for cell in cells.iter().filter(|cell| cell.is_foreign()) {
+        let named = |e: Error| e.element(format!("row {} of {}", cell.method, cell.case_id)).at(&results);
+        MethodInfo::check_foreign(&cell.method).map_err(named)?;
+    }
     let frames = folder.join("frames.csv");
-    if frames.exists() {
+    if frames.exists() || cells.iter().any(CellRecord::is_foreign) {
         CsvTable::read(&frames)?.rows().try_for_each(|row| add_frame(&mut cells, &row))?;
+        cells.iter().filter_map(CellRecord::score).try_for_each(check_means).map_err(|e| e.at(&results))?;
     }
     let timings = folder.join("timings.csv");
     if timings.exists() {
         CsvTable::read(&timings)?.rows().try_for_each(|row| add_timing(&mut cells, &row))?;
     }
     // `<profile>-<hash of the plan>`, or `evaluate-<case>-<method>`.
-    let is_hash = |word: &str| word.len() == 8 && word.bytes().all(|b| b.is_ascii_hexdigit());
-    let cut = id.rsplit_once('-').filter(|(_, hash)| is_hash(hash)).or(id.split_once('-'));
+    let cut = if is_foreign { id.split_once('-') } else { id.rsplit_once('-') };
     let profile = cut.map_or(id.as_str(), |(profile, _)| profile).to_owned();
     Ok(Run { id, profile, ..gathered(cells) })
 }
 
 /// Merges `parts`; a cell that several runs have is taken from the last.
 ///
-/// Errors: with [`Films::Same`], two parts that scored different films of one case.
+/// Errors: a method with rows of this program's runs and of predictions that `evaluate` scored; two different
+/// predictions of one name; with [`Films::Same`], two parts that scored different films of one case.
 pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
     // A part may itself be a merged run.
     let mut ids: Vec<String> = Vec::new();
@@ -92,6 +102,7 @@ pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
             profiles.push(run.profile);
         }
         for cell in run.cells {
+            refuse_other_origin(&cells, &cell)?;
             match cells.iter_mut().find(|c| is_same(c, &cell)) {
                 Some(before) => *before = cell,
                 None => cells.push(cell),
@@ -106,8 +117,7 @@ pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
         if of_film.len() < 2 {
             continue;
         }
-        let named: Vec<String> =
-            of_film.iter().map(|(film, methods)| format!("{film} ({})", methods.join(", "))).collect();
+        let named: Vec<String> = of_film.iter().map(FilmRows::words).collect();
         let sentence = format!("{} was filmed more than once: {}", case.id, named.join("; "));
         if films == Films::Same {
             return Err(Error::input(format!("{sentence}; --other-films merges them and says so")));
@@ -137,16 +147,72 @@ fn gathered(mut cells: Vec<CellRecord>) -> Run {
     Run { id: String::new(), profile: String::new(), notes: Vec::new(), cases, methods, cells }
 }
 
-/// Short hashes of the films of a case, each with the methods that were scored on it.
-fn films_of(cells: &[CellRecord], case_id: &str) -> BTreeMap<String, Vec<String>> {
-    let mut films: BTreeMap<String, Vec<String>> = BTreeMap::new();
-    for (cell, score) in cells.iter().filter(|c| c.case_id == case_id).filter_map(|c| Some((c, c.score()?))) {
-        let film: String = score.case_hash.chars().take(12).collect();
-        let methods = films.entry(film).or_default();
-        if !methods.contains(&cell.method) {
-            methods.push(cell.method.clone());
+/// Rows of different origin are never one row: neither a run's and a third party's, nor two predictions of one name.
+fn refuse_other_origin(cells: &[CellRecord], new: &CellRecord) -> Result<()> {
+    let rename = "score the prediction again with `evaluate --method NAME`";
+    if let Some(other) = cells.iter().find(|c| c.method == new.method && c.is_foreign() != new.is_foreign()) {
+        return Err(Error::input(format!(
+            "`{}` is a method of {} and a prediction in {}: one row cannot be both; {rename}",
+            new.method,
+            if new.is_foreign() { &other.run_id } else { &new.run_id },
+            if new.is_foreign() { &new.run_id } else { &other.run_id },
+        )));
+    }
+    let is_other = |c: &&CellRecord| c.is_foreign() && is_same(c, new) && !has_same_numbers(c, new);
+    match cells.iter().find(is_other) {
+        Some(_) => Err(Error::input(format!(
+            "`{}` has two different predictions of {}: leave one out, or {rename}",
+            new.method, new.case_id
+        ))),
+        None => Ok(()),
+    }
+}
+
+fn has_same_numbers(a: &CellRecord, b: &CellRecord) -> bool {
+    let numbers = |cell: &CellRecord| cell.score().map(|s| (s.case_hash.clone(), s.metrics.clone()));
+    numbers(a) == numbers(b)
+}
+
+/// A film of a case and the methods that were scored on it.
+struct FilmRows {
+    /// What the film was made from.
+    case_hash: String,
+    /// What it held; empty where no row tells.
+    content: String,
+    methods: Vec<String>,
+}
+
+impl FilmRows {
+    fn is_of(&self, score: &CellScore) -> bool {
+        let (known, told) = (&self.content, &score.film_content);
+        self.case_hash == score.case_hash && (known == told || known.is_empty() || told.is_empty())
+    }
+
+    fn words(&self) -> String {
+        let short = |hash: &str| hash.chars().take(12).collect::<String>();
+        let content = if self.content.is_empty() { String::new() } else { format!("{} of ", short(&self.content)) };
+        format!("{content}{} ({})", short(&self.case_hash), self.methods.join(", "))
+    }
+}
+
+/// The films of a case, sorted.
+fn films_of(cells: &[CellRecord], case_id: &str) -> Vec<FilmRows> {
+    let of_case = || cells.iter().filter(|c| c.case_id == case_id).filter_map(|c| Some((c, c.score()?)));
+    let mut films: Vec<FilmRows> = Vec::new();
+    // Rows that tell what the film held come first: the others join them.
+    for tells in [true, false] {
+        for (cell, score) in of_case().filter(|(_, score)| score.film_content.is_empty() != tells) {
+            let at = films.iter().position(|film| film.is_of(score)).unwrap_or_else(|| {
+                let (case_hash, content) = (score.case_hash.clone(), score.film_content.clone());
+                films.push(FilmRows { case_hash, content, methods: Vec::new() });
+                films.len() - 1
+            });
+            if !films[at].methods.contains(&cell.method) {
+                films[at].methods.push(cell.method.clone());
+            }
         }
     }
+    films.sort_by(|a, b| (&a.case_hash, &a.content).cmp(&(&b.case_hash, &b.content)));
     films
 }
 
@@ -165,6 +231,7 @@ fn cell_of<'a>(cells: &'a mut Vec<CellRecord>, row: &CsvRow<'_>, method_column: 
             outcome: Outcome::Scored(Box::new(CellScore {
                 case_id: case_id.clone(),
                 case_hash: String::new(),
+                film_content: String::new(),
                 method: method.clone(),
                 seed: key.seed,
                 frames: 0,

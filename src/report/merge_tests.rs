@@ -126,3 +126,44 @@ fn a_table_that_does_not_fit_is_refused_by_line_and_column() {
     fs::write(&path, good.lines().next().unwrap()).unwrap();
     assert!(read_run(&place).err().unwrap().to_string().contains("has no rows"));
 }
+
+/// One ranking over cases and seeds: a row that lacks a value of a case has no place, whatever its mean; and what
+/// equals the truth is starred.
+#[test]
+fn places_are_of_the_whole_table_and_the_truth_is_starred() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 24, 5);
+    // A third party on both cases, under another seed, a little better than `ours` in the phase and without a mesh in
+    // one.
+    for case in ["case1", "case2"] {
+        let mut mine = run.cells.iter().find(|c| c.case_id == case && c.method == "ours").unwrap().clone();
+        (mine.method, mine.seed, mine.run_id) = ("mine".into(), 0, run::evaluated_id(case, "mine"));
+        let Outcome::Scored(score) = &mut mine.outcome else { panic!("not scored") };
+        for metric in &mut score.metrics {
+            match metric.metric.as_str() {
+                "phase_mae" => metric.value = Some(0.0),
+                "target_error_mm" if case == "case2" => metric.value = None,
+                "target_error_mm" => metric.value = Some(0.01),
+                _ => {}
+            }
+        }
+        run.cells.push(mine);
+    }
+    run.methods.push(MethodInfo::of("mine"));
+    let summaries = summary::summarise(&run);
+    let rank = |method: &str, metric: &str| {
+        summaries.iter().find(|s| s.method.id == method).unwrap().metric(metric).unwrap().rank
+    };
+    assert_eq!((rank("mine", "phase_mae"), rank("ours", "phase_mae")), (Some(1), Some(2)));
+    assert_eq!((rank("mine", "psnr_db"), rank("ours", "psnr_db")), (rank("ours", "psnr_db"), rank("mine", "psnr_db")));
+    assert_eq!((rank("mine", "target_error_mm"), rank("ours", "target_error_mm")), (None, Some(1)));
+    assert_eq!((rank("oracle-phase", "psnr_db"), rank("bridgesplat", "psnr_db")), (None, None));
+    let table = table::ComparisonTable::new(&summaries);
+    let starred: Vec<&str> =
+        table.rows.iter().filter(|r| r.cells.iter().any(|c| c.perfect)).map(|r| r.method.id.as_str()).collect();
+    assert_eq!(starred, ["mine"]);
+    let written = write(&run, &folder.path().join("report"), &NoProgress).unwrap();
+    assert!(written.table.contains("**0.000 ★**"), "{}", written.table);
+    assert!(fs::read_to_string(&written.markdown).unwrap().contains("★: equal to the truth"));
+    assert!(fs::read_to_string(folder.path().join("report/table.tex")).unwrap().contains("0.000 $\\star$"));
+}

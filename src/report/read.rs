@@ -144,6 +144,12 @@ impl CsvRow<'_> {
         Ok(self.table.records[self.index].get(*place).unwrap_or("").to_owned())
     }
 
+    /// The text of a column that older tables lack; empty there.
+    pub(super) fn text_or_empty(&self, column: &str) -> String {
+        let place = self.table.columns.get(column);
+        place.and_then(|place| self.table.records[self.index].get(*place)).unwrap_or("").to_owned()
+    }
+
     pub(super) fn number(&self, column: &str) -> Result<Option<f64>> {
         let text = self.text(column)?;
         if text.is_empty() {

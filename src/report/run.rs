@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+use crate::base::{Error, Result};
 use crate::score::{CellScore, Truth};
 
 /// Everything of one run, in the order in which tables show it.
@@ -67,24 +68,64 @@ pub struct MethodInfo {
     pub mesh: Option<bool>,
 }
 
+/// Id, title, role, CT scans and mesh of this program's own rows: the paper's four, ours beyond the paper, the bounds.
+/// A test holds that these are the files of `bench-cases/methods/`. The names are reserved.
+const OWN_ROWS: [(&str, &str, Role, u8, bool); 10] = [
+    ("bridgesplat", "BridgeSplat", Role::Ranked, 1, true),
+    ("bridgesplat-release", "BridgeSplat, as released", Role::Ranked, 1, true),
+    ("bridgesplat-nomesh", "BridgeSplat (no mesh)", Role::Ranked, 1, false),
+    ("ours-nomesh", "Ours (no mesh)", Role::Ranked, 2, false),
+    ("ours", "Ours", Role::Ranked, 2, true),
+    ("ours-gn", "Ours (Gauss-Newton)", Role::Ranked, 2, true),
+    ("ours-plain", "Ours, the paper's equations alone", Role::Ranked, 2, true),
+    ("ours-gn-pose", "Ours (Gauss-Newton), rough poses", Role::Ranked, 2, true),
+    ("static-ct", "Static CT", Role::Sanity, 1, true),
+    ("oracle-phase", "Oracle phase", Role::Sanity, 2, true),
+];
+/// Most characters of a third party's name: more would break tables.
+const LONGEST_NAME: usize = 60;
+
 impl MethodInfo {
-    /// The paper's four, ours beyond the paper, the two bounds, and for any other id a ranked method of that name.
+    /// One of this program's own rows, and for any other id a ranked method of that name.
     pub fn of(id: &str) -> Self {
-        let (title, role, ct_scans, mesh) = match id {
-            "bridgesplat" => ("BridgeSplat", Role::Ranked, Some(1), Some(true)),
-            "bridgesplat-release" => ("BridgeSplat, as released", Role::Ranked, Some(1), Some(true)),
-            "bridgesplat-nomesh" => ("BridgeSplat (no mesh)", Role::Ranked, Some(1), Some(false)),
-            "ours-nomesh" => ("Ours (no mesh)", Role::Ranked, Some(2), Some(false)),
-            "ours" => ("Ours", Role::Ranked, Some(2), Some(true)),
-            "ours-gn" => ("Ours (Gauss-Newton)", Role::Ranked, Some(2), Some(true)),
-            "ours-plain" => ("Ours, the paper's equations alone", Role::Ranked, Some(2), Some(true)),
-            "ours-gn-pose" => ("Ours (Gauss-Newton), rough poses", Role::Ranked, Some(2), Some(true)),
-            "static-ct" => ("Static CT", Role::Sanity, Some(1), Some(true)),
-            "oracle-phase" => ("Oracle phase", Role::Sanity, Some(2), Some(true)),
-            other => (other, Role::Ranked, None, None),
-        };
-        MethodInfo { id: id.into(), title: title.into(), role, ct_scans, mesh }
+        match OWN_ROWS.iter().find(|row| row.0 == id) {
+            Some(&(id, title, role, ct_scans, mesh)) => {
+                MethodInfo { id: id.into(), title: title.into(), role, ct_scans: Some(ct_scans), mesh: Some(mesh) }
+            }
+            None => MethodInfo { id: id.into(), title: id.into(), role: Role::Ranked, ct_scans: None, mesh: None },
+        }
     }
+
+    /// Refuses a name that a third party's row cannot have: an own row's id or title, whatever its case, blanks and
+    /// punctuation (two rows of a table must not look like one), or nothing that a table can show.
+    pub fn check_foreign(name: &str) -> Result<()> {
+        let shown = name.chars().filter(|c| !c.is_whitespace()).count();
+        if shown == 0 || name.chars().count() > LONGEST_NAME || name.chars().any(char::is_control) {
+            let sentence = format!("the name of a method has 1 to {LONGEST_NAME} printable characters");
+            return Err(Error::input(sentence));
+        }
+        let letters = |text: &str| -> String {
+            text.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+        };
+        let is_own =
+            |row: &&(&str, &str, Role, u8, bool)| [row.0, row.1].iter().any(|own| letters(own) == letters(name));
+        match OWN_ROWS.iter().find(is_own) {
+            Some(row) => Err(Error::input(format!(
+                "`{name}` is reserved for this program's own row `{}`; give yours another name, with --method NAME or \
+                 as `method` in prediction.json",
+                row.0
+            ))),
+            None => Ok(()),
+        }
+    }
+}
+
+/// How the id of a run begins whose one cell was scored by `evaluate`.
+const EVALUATED: &str = "evaluate-";
+
+/// The id of the run of a prediction that `evaluate` scored.
+pub fn evaluated_id(case_id: &str, method: &str) -> String {
+    format!("{EVALUATED}{case_id}-{method}")
 }
 
 /// The outcome of one cell.
@@ -133,6 +174,11 @@ pub struct StageCost {
 }
 
 impl CellRecord {
+    /// Whether it is a third party's prediction, scored by `evaluate`, and not a cell of a run of this program.
+    pub fn is_foreign(&self) -> bool {
+        self.run_id.starts_with(EVALUATED)
+    }
+
     /// The score, unless the cell failed.
     pub fn score(&self) -> Option<&CellScore> {
         match &self.outcome {
@@ -143,11 +189,6 @@ impl CellRecord {
 }
 
 impl Run {
-    /// The method called `id`.
-    pub fn method(&self, id: &str) -> Option<&MethodInfo> {
-        self.methods.iter().find(|m| m.id == id)
-    }
-
     /// Scored cells of a case in the order of the methods, the first seed of each: what curves and images show.
     pub fn shown(&self, case_id: &str) -> Vec<(&MethodInfo, &CellRecord, &CellScore)> {
         let of = |method: &MethodInfo| {
@@ -155,6 +196,19 @@ impl Run {
             cells.find_map(|c| c.score().map(|s| (c, s)))
         };
         self.methods.iter().filter_map(|m| of(m).map(|(c, s)| (m, c, s))).collect()
+    }
+
+    /// Whether the method has a value of `metric`, with every seed, in each case in which any row has one: the
+    /// condition of a place in the ranking.
+    pub fn covers(&self, method: &str, metric: &str) -> bool {
+        let has = |cell: &CellRecord| cell.score().is_some_and(|s| s.value(metric).is_some());
+        let in_question =
+            self.cases.iter().filter(|case| self.cells.iter().any(|cell| cell.case_id == case.id && has(cell)));
+        let mut own = in_question.map(|case| {
+            let mut cells = self.cells.iter().filter(|c| c.case_id == case.id && c.method == method).peekable();
+            cells.peek().is_some() && cells.all(has)
+        });
+        own.all(|covered| covered)
     }
 
     /// One value per case (mean over seeds) of a metric of a method, in the order of the cases; cases without a value
@@ -166,5 +220,37 @@ impl Run {
             crate::score::statistics::mean(&values)
         };
         self.cases.iter().filter_map(|case| value(case).map(|v| (case.id.as_str(), v))).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_own_rows_are_the_shipped_methods() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
+        let mut shipped: Vec<String> = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
+            .collect();
+        let mut own: Vec<&str> = OWN_ROWS.iter().map(|row| row.0).collect();
+        shipped.sort();
+        own.sort_unstable();
+        assert_eq!(own, shipped);
+    }
+
+    #[test]
+    fn names_that_look_like_an_own_row_are_reserved() {
+        for reserved in ["ours", "Ours", " OURS ", "ours_nomesh", "Ours (no mesh)", "oracle phase", "Static CT"] {
+            let said = MethodInfo::check_foreign(reserved).unwrap_err().to_string();
+            assert!(said.contains("reserved") && said.contains("--method NAME"), "{said}");
+        }
+        for unfit in ["", "  ", "two\nlines", &"x".repeat(61)] {
+            assert!(MethodInfo::check_foreign(unfit).unwrap_err().to_string().contains("1 to 60"), "{unfit}");
+        }
+        for free in ["mine", "ours-but-better", "EndoGSLAM", "Größe 2"] {
+            MethodInfo::check_foreign(free).unwrap();
+        }
     }
 }

@@ -1,11 +1,28 @@
-//! Means over cases, and the best method of each metric.
+//! Means over cases, and the place of each method: one ranking per metric, over all cases and seeds of the table.
+//!
+//! A method is ranked by a metric when it has a value in every case, with every seed ([`Run::covers`]): a mean over
+//! other cases is another number. Bounds are not ranked. Equal numbers, to the decimals that tables show, share a
+//! place.
 
 use super::run::{MethodInfo, Role, Run};
 use crate::score::statistics::{MeanInterval, bootstrap};
-use crate::score::{Metric, registry};
+use crate::score::{Goal, Metric, Status, registry};
 
 /// Seed of the bootstrap over cases: fixed, so that the same scores give the same bounds.
 const BOOTSTRAP_SEED: u64 = 1;
+
+/// One metric of one method, over the cases.
+#[derive(Clone, Copy, Debug)]
+pub struct MetricSummary {
+    /// The metric.
+    pub metric: &'static Metric,
+    /// Mean over cases; `None` where no case has a value.
+    pub mean: Option<MeanInterval>,
+    /// Place among the ranked methods, 1 the best; `None` for bounds and where a value is missing.
+    pub rank: Option<usize>,
+    /// The prediction of a ranked method equals the truth: no error at all, or every frame of a case to the bit.
+    pub is_perfect: bool,
+}
 
 /// Mean over cases of every metric for one method.
 #[derive(Clone, Debug)]
@@ -16,14 +33,19 @@ pub struct MethodSummary {
     pub cases: usize,
     /// Cells that failed.
     pub failed: usize,
-    /// In the registry's order; `None` where no case has a value.
-    pub means: Vec<(&'static Metric, Option<MeanInterval>)>,
+    /// In the registry's order.
+    pub metrics: Vec<MetricSummary>,
 }
 
 impl MethodSummary {
+    /// What is known of the metric `id`.
+    pub fn metric(&self, id: &str) -> Option<&MetricSummary> {
+        self.metrics.iter().find(|m| m.metric.id == id)
+    }
+
     /// Mean of the metric `id` over cases.
     pub fn mean(&self, id: &str) -> Option<MeanInterval> {
-        self.means.iter().find(|(m, _)| m.id == id).and_then(|(_, mean)| *mean)
+        self.metric(id).and_then(|m| m.mean)
     }
 }
 
@@ -32,28 +54,41 @@ pub fn summarise(run: &Run) -> Vec<MethodSummary> {
     let of = |method: &MethodInfo| {
         let scored =
             |case: &str| run.cells.iter().any(|c| c.case_id == case && c.method == method.id && c.score().is_some());
-        let mean = |m: &'static Metric| {
-            let values: Vec<f64> = run.case_values(&method.id, m.id).into_iter().map(|(_, v)| v).collect();
-            (m, bootstrap(&values, BOOTSTRAP_SEED))
-        };
         MethodSummary {
             method: method.clone(),
             cases: run.cases.iter().filter(|c| scored(&c.id)).count(),
             failed: run.cells.iter().filter(|c| c.method == method.id && c.score().is_none()).count(),
-            means: registry().iter().map(mean).collect(),
+            metrics: registry().iter().map(|m| metric_summary(run, method, m)).collect(),
         }
     };
-    run.methods.iter().map(of).collect()
+    let mut summaries: Vec<MethodSummary> = run.methods.iter().map(of).collect();
+    for (index, metric) in registry().iter().enumerate() {
+        for (method, rank) in ranks(run, &summaries, metric).into_iter().enumerate() {
+            summaries[method].metrics[index].rank = rank;
+        }
+    }
+    summaries
 }
 
-/// Ids of the ranked methods whose mean is the best of `metric`, to the decimals that tables show. A method that was
-/// scored on fewer cases than others is left out: its mean is over different cases.
-pub fn best(summaries: &[MethodSummary], metric: &Metric) -> Vec<String> {
+fn metric_summary(run: &Run, method: &MethodInfo, metric: &'static Metric) -> MetricSummary {
+    let values: Vec<f64> = run.case_values(&method.id, metric.id).into_iter().map(|(_, v)| v).collect();
+    let mean = bootstrap(&values, BOOTSTRAP_SEED);
+    let no_error = metric.direction == Goal::Lower && mean.is_some_and(|m| metric.perfect == Some(m.mean));
+    let is_identical = run
+        .cells
+        .iter()
+        .filter(|c| c.method == method.id)
+        .filter_map(|c| c.score()?.metric(metric.id))
+        .any(|score| score.status == Status::Identical);
+    let is_perfect = method.role == Role::Ranked && (no_error || is_identical);
+    MetricSummary { metric, mean, rank: None, is_perfect }
+}
+
+/// The place of each method by `metric`: 1 + the number of better ones.
+fn ranks(run: &Run, summaries: &[MethodSummary], metric: &Metric) -> Vec<Option<usize>> {
     let shown = |s: &MethodSummary| s.mean(metric.id).and_then(|m| metric.format(m.mean).parse::<f64>().ok());
-    let most = summaries.iter().map(|s| s.cases).max().unwrap_or(0);
-    let whole = summaries.iter().filter(|s| s.cases == most);
-    let ranked: Vec<(&MethodSummary, f64)> =
-        whole.filter(|s| s.method.role == Role::Ranked).filter_map(|s| shown(s).map(|v| (s, v))).collect();
-    let top = |v: f64| !ranked.iter().any(|(_, other)| metric.direction.better(*other, v));
-    ranked.iter().filter(|(_, v)| top(*v)).map(|(s, _)| s.method.id.clone()).collect()
+    let is_ranked = |s: &MethodSummary| s.method.role == Role::Ranked && run.covers(&s.method.id, metric.id);
+    let values: Vec<Option<f64>> = summaries.iter().map(|s| if is_ranked(s) { shown(s) } else { None }).collect();
+    let better = |own: f64| values.iter().flatten().filter(|other| metric.direction.better(**other, own)).count();
+    values.iter().map(|own| own.map(|own| 1 + better(own))).collect()
 }

@@ -2,7 +2,7 @@
 
 use super::paper::paper_value;
 use super::run::{MethodInfo, Role};
-use super::summary::{MethodSummary, best};
+use super::summary::MethodSummary;
 use crate::score::{Goal, Group, Metric, paper_metrics};
 
 /// One value of the table.
@@ -16,6 +16,8 @@ pub struct TableCell {
     pub paper: Option<String>,
     /// Best of the ranked methods.
     pub best: bool,
+    /// The truth itself: the value, or the dash where equal images have none, is starred.
+    pub perfect: bool,
 }
 
 /// One row: a method.
@@ -81,10 +83,26 @@ pub fn show(metric: &Metric, value: f64) -> String {
     }
 }
 
+impl TableCell {
+    /// The value, with a star where it is perfect.
+    pub fn starred(&self) -> String {
+        if self.perfect { format!("{} {STAR}", self.value) } else { self.value.clone() }
+    }
+}
+
+/// Marks a perfect score, which no estimate reaches.
+pub const STAR: char = '★';
+/// What the star means.
+pub const STAR_MEANS: &str = "equal to the truth, which no estimate is";
+
 impl ComparisonTable {
+    /// Whether any score is starred.
+    pub fn has_star(&self) -> bool {
+        self.rows.iter().flat_map(|row| &row.cells).any(|cell| cell.perfect)
+    }
+
     /// Formats the summaries.
     pub fn new(summaries: &[MethodSummary]) -> Self {
-        let best: Vec<Vec<String>> = paper_metrics().map(|m| best(summaries, m)).collect();
         let cases = summaries.iter().map(|s| s.cases).max().unwrap_or(0);
         let named = |s: &MethodSummary| {
             let mut method = s.method.clone();
@@ -97,21 +115,23 @@ impl ComparisonTable {
             method: named(s),
             ct_scans: s.method.ct_scans.map_or_else(|| "–".into(), |n| n.to_string()),
             failed: s.failed,
-            cells: paper_metrics().zip(&best).map(|(m, best)| cell(s, m, best)).collect(),
+            cells: paper_metrics().map(|m| cell(s, m)).collect(),
         };
         let of = |role: Role| summaries.iter().filter(move |s| s.method.role == role);
         ComparisonTable { rows: of(Role::Ranked).chain(of(Role::Sanity)).map(row).collect(), cases }
     }
 }
 
-fn cell(summary: &MethodSummary, metric: &Metric, best: &[String]) -> TableCell {
-    let mean = summary.mean(metric.id);
+fn cell(summary: &MethodSummary, metric: &Metric) -> TableCell {
+    let found = summary.metric(metric.id);
+    let mean = found.and_then(|m| m.mean);
     TableCell {
         value: mean.map_or_else(|| "–".into(), |m| show(metric, m.mean)),
         interval: mean
             .and_then(|m| m.interval)
             .map_or_else(String::new, |[low, high]| format!("{} to {}", show(metric, low), show(metric, high))),
         paper: paper_value(&summary.method.id, metric.id).map(|v| show(metric, v)),
-        best: best.contains(&summary.method.id),
+        best: found.is_some_and(|m| m.rank == Some(1)),
+        perfect: found.is_some_and(|m| m.is_perfect),
     }
 }

@@ -11,7 +11,7 @@ use crate::base::{Error, Result, files};
 use crate::score::{Metric, Split, Standing, Status, metric, paper_metrics, registry};
 
 /// Columns of `results.csv`.
-pub const RESULTS_COLUMNS: [&str; 19] = [
+pub const RESULTS_COLUMNS: [&str; 20] = [
     "run_id",
     "case_id",
     "case_hash",
@@ -31,6 +31,7 @@ pub const RESULTS_COLUMNS: [&str; 19] = [
     "ci_high",
     "status",
     "detail",
+    "film_content",
 ];
 
 /// Columns of `frames.csv`.
@@ -130,6 +131,7 @@ fn results_row(cell: &CellRecord, m: &Metric) -> Vec<String> {
         number(interval.map(|i| i[1])),
         status.word().into(),
         text(detail),
+        cell.score().map_or_else(String::new, |s| s.film_content.clone()),
     ]
 }
 
@@ -190,15 +192,13 @@ pub fn write_timings(run: &Run, path: &Path) -> Result<()> {
     write_csv(path, &header(&TIMINGS_COLUMNS), &rows)
 }
 
-/// `comparison.csv`: one row per cell, one column per metric; then the extras, the rank among the case's ranked
-/// methods, and the sentence of a failure.
+/// `comparison.csv`: one row per cell, one column per metric; then the extras, and the sentence of a failure.
 pub fn write_comparison(run: &Run, path: &Path) -> Result<()> {
     let extras = || registry().iter().filter(|m| m.standing == Standing::Extra);
     let mut columns = header(&["case_id", "method", "seed"]);
     columns.extend(paper_metrics().map(|m| m.id.to_owned()));
     columns.extend(header(&["frames", "status"]));
     columns.extend(extras().map(|m| m.id.to_owned()));
-    columns.extend(paper_metrics().map(|m| format!("rank_{}", m.id)));
     columns.push("detail".into());
     let rows: Vec<Vec<String>> = run
         .cells
@@ -210,7 +210,6 @@ pub fn write_comparison(run: &Run, path: &Path) -> Result<()> {
             row.push(cell.score().map_or_else(String::new, |s| s.frames.to_string()));
             row.push(if cell.score().is_some() { Status::Ok.word().into() } else { Status::Failed.word().into() });
             row.extend(extras().map(value));
-            row.extend(paper_metrics().map(|m| rank(run, cell, m).map_or_else(String::new, |r| r.to_string())));
             row.push(if let Outcome::Failed(why) = &cell.outcome { text(why) } else { String::new() });
             row
         })
@@ -218,16 +217,8 @@ pub fn write_comparison(run: &Run, path: &Path) -> Result<()> {
     write_csv(path, &columns, &rows)
 }
 
-/// 1 + the number of better cells among the ranked methods of the same case and seed.
-fn rank(run: &Run, cell: &CellRecord, m: &Metric) -> Option<usize> {
-    let ranked = |method: &str| run.method(method).is_some_and(|m| m.role == Role::Ranked);
-    let own = cell.score()?.value(m.id).filter(|_| ranked(&cell.method))?;
-    let rivals = run.cells.iter().filter(|c| c.case_id == cell.case_id && c.seed == cell.seed && ranked(&c.method));
-    let better = rivals.filter_map(|c| c.score()?.value(m.id)).filter(|v| m.direction.better(*v, own));
-    Some(1 + better.count())
-}
-
-/// `summary.csv`: one row per method, means over cases with their 95 % bounds and the number of cases behind them.
+/// `summary.csv`: one row per method, means over cases with their 95 % bounds, the number of cases behind them, and the
+/// place among the ranked methods.
 pub fn write_summary(summaries: &[MethodSummary], path: &Path) -> Result<()> {
     let mut columns = header(&["method", "role", "cases", "failed"]);
     let metrics: Vec<&Metric> =
@@ -238,6 +229,7 @@ pub fn write_summary(summaries: &[MethodSummary], path: &Path) -> Result<()> {
             format!("{}_ci_low", m.id),
             format!("{}_ci_high", m.id),
             format!("{}_n", m.id),
+            format!("{}_rank", m.id),
         ]);
     }
     let rows: Vec<Vec<String>> = summaries
@@ -252,6 +244,7 @@ pub fn write_summary(summaries: &[MethodSummary], path: &Path) -> Result<()> {
                 row.push(number(interval.map(|i| i[0])));
                 row.push(number(interval.map(|i| i[1])));
                 row.push(mean.map_or(0, |m| m.count).to_string());
+                row.push(s.metric(m.id).and_then(|m| m.rank).map_or_else(String::new, |rank| rank.to_string()));
             }
             row
         })

@@ -116,8 +116,11 @@ pub struct FrameScore {
 pub struct CellScore {
     /// Case.
     pub case_id: String,
-    /// Content hash of the sequence.
+    /// Content hash of the sequence: of its case and settings.
     pub case_hash: String,
+    /// Hash of what the film held when it was scored; empty where it is not known (an older report).
+    #[serde(default)]
+    pub film_content: String,
     /// Method.
     pub method: String,
     /// Seed of the method.
@@ -176,7 +179,7 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
     if frames == 0 {
         return Err(Error::input(format!("the sequence of case {} has no frames", truth.case_id())));
     }
-    let prediction = Prediction::open(prediction, truth.camera(), frames)?;
+    let prediction = Prediction::open(prediction, truth)?;
     let mask = truth.mask()?;
     let measured: Vec<FrameMeasurement> = (0..frames)
         .into_par_iter()
@@ -217,6 +220,7 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
     Ok(CellScore {
         case_id: truth.case_id().to_owned(),
         case_hash: truth.hash().to_owned(),
+        film_content: truth.content().to_owned(),
         method: method.unwrap_or_else(|| "prediction".to_owned()),
         seed: settings.seed,
         frames,

@@ -32,7 +32,7 @@ pub struct Contents {
 /// Checks a prediction folder file by file. The error is one sentence that names the file and the element.
 pub fn check_prediction(truth: &dyn Truth, folder: &Path) -> Result<Contents> {
     let frames = truth.frames().len();
-    let prediction = Prediction::open(folder, truth.camera(), frames)?;
+    let prediction = Prediction::open(folder, truth)?;
     (0..frames).into_par_iter().try_for_each(|frame| {
         prediction.color(frame)?;
         prediction.depth_mm(frame).map(|_| ())

@@ -1,7 +1,7 @@
 //! For tests: a small true sequence in memory, and predictions of it on disk with errors of a chosen size.
 
 use std::f64::consts::TAU;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DVec3};
 
@@ -73,6 +73,14 @@ impl Truth for TubeTruth {
 
     fn hash(&self) -> &str {
         "0123456789abcdef"
+    }
+
+    fn content(&self) -> &str {
+        "fedcba9876543210"
+    }
+
+    fn file_paths(&self) -> Vec<PathBuf> {
+        Vec::new()
     }
 
     fn camera(&self) -> &Camera {
@@ -166,7 +174,7 @@ pub fn write_prediction(truth: &dyn Truth, folder: &Path, d: &Distortion) {
             let dropped = random.uniform() < d.dropout;
             *value = if dropped { 0.0 } else { *value * (1.0 + d.depth_scale) as f32 };
         }
-        exr::write_channel(&folder.join(format!("depth/{frame:06}.exr")), "Z", &depth).unwrap();
+        exr::write_depth(&folder.join(format!("depth/{frame:06}.exr")), &depth).unwrap();
     }
     let mut rows = "frame,phase\n".to_owned();
     for frame in 0..truth.frames().len() {

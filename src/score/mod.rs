@@ -15,6 +15,7 @@ pub mod image_quality;
 mod prediction;
 #[cfg(test)]
 mod protocol_tests;
+mod recompute;
 mod registry;
 pub mod slice;
 pub mod statistics;
@@ -23,5 +24,6 @@ mod truth;
 pub use cell::{CellScore, FrameScore, FrameValue, MetricScore, ScoreSettings, Status, score};
 pub use check::{Contents, check_prediction, check_truth};
 pub use prediction::Prediction;
+pub use recompute::check_means;
 pub use registry::{Goal, Group, Metric, Split, Standing, metric, paper_metrics, registry};
 pub use truth::{Truth, final_mesh};

@@ -8,15 +8,18 @@
 //! poses.csv                      frame,m00..m23; world_from_camera where the method has poses of its own
 //! mesh/final.ply                 surface at the last frame, mm, the sequence's world
 //! timing.json                    {"time_total_s": seconds of the method alone}
-//! prediction.json                {"method": id, "depth_unit_mm": 1.0}
+//! prediction.json                {"method": id, "case": id, "depth_unit_mm": 1.0}
 //! ```
 
+use std::collections::BTreeMap;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DMat3, DVec3};
 use serde::Deserialize;
 
-use crate::base::{Camera, Error, Image, Result, TriangleMesh, files};
+use super::truth::Truth;
+use crate::base::{Error, Image, Result, TriangleMesh, files};
 use crate::formats::{depth_png, exr, mesh, npy, png};
 
 /// How depth images are stored, in the order of the search.
@@ -40,6 +43,7 @@ pub struct Prediction {
 #[derive(Default, Deserialize)]
 struct About {
     method: Option<String>,
+    case: Option<String>,
     depth_unit_mm: Option<f64>,
 }
 
@@ -49,14 +53,20 @@ struct TimingFile {
 }
 
 impl Prediction {
-    /// Opens `root` as a prediction of `frames` frames of `camera`: lists its contents and reads the small files.
+    /// Opens `root` as a prediction of the film of `truth`: lists its contents and reads the small files.
     ///
-    /// Errors, each naming the file: a frame missing from a folder that is there, a bad row, a bad value.
-    pub fn open(root: &Path, camera: &Camera, frames: usize) -> Result<Self> {
+    /// Errors, each naming the file: a frame missing from a folder that is there, a bad row, a bad value, a prediction
+    /// that says that it is of another case, a file that is one of the truth's own.
+    pub fn open(root: &Path, truth: &dyn Truth) -> Result<Self> {
         if !root.is_dir() {
             return Err(Error::input("is not a folder").at(root));
         }
+        let (camera, frames) = (truth.camera(), truth.frames().len());
         let about: About = read_optional(&root.join("prediction.json"))?.unwrap_or_default();
+        if let Some(case) = about.case.filter(|case| case != truth.case_id()) {
+            let sentence = format!("is `{case}`, but the film is of `{}`", truth.case_id());
+            return Err(Error::input(sentence).element("case").at(root.join("prediction.json")));
+        }
         let depth_unit_mm = about.depth_unit_mm.unwrap_or(1.0);
         if !(depth_unit_mm.is_finite() && depth_unit_mm > 0.0) {
             return Err(Error::input(format!("{depth_unit_mm} is not a positive number"))
@@ -68,7 +78,7 @@ impl Prediction {
         if let Some(ending) = depth_ending {
             expect_frames(&root.join("depth"), ending, frames)?;
         }
-        Ok(Prediction {
+        let prediction = Prediction {
             width: camera.width as usize,
             height: camera.height as usize,
             depth_ending,
@@ -79,7 +89,37 @@ impl Prediction {
             poses: read_poses(&root.join("poses.csv"), frames)?,
             time_total_s: read_time(&root.join("timing.json"))?,
             root: root.to_path_buf(),
-        })
+        };
+        prediction.refuse_files_of(truth, frames)?;
+        Ok(prediction)
+    }
+
+    /// Refuses a prediction that hands the truth back by a link: a file of it that is, on disk, one of the truth's own.
+    fn refuse_files_of(&self, truth: &dyn Truth, frames: usize) -> Result<()> {
+        let identity = |path: &Path| path.metadata().ok().map(|found| (found.dev(), found.ino()));
+        let own: BTreeMap<(u64, u64), PathBuf> =
+            truth.file_paths().into_iter().filter_map(|path| Some((identity(&path)?, path))).collect();
+        let link = self.file_paths(frames).find_map(|path| Some((own.get(&identity(&path)?)?, path)));
+        match link {
+            Some((truth, path)) => {
+                Err(Error::input(format!("is a link to the truth ({}), not a prediction", truth.display())).at(path))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Every file that scoring may read, there or not.
+    fn file_paths(&self, frames: usize) -> impl Iterator<Item = PathBuf> {
+        let folders = [("color", Some("png")), ("depth", self.depth_ending), ("ahead", Some("png"))];
+        let of_folder = move |(folder, ending): (&str, Option<&'static str>)| {
+            let folder = self.root.join(folder);
+            ending.into_iter().flat_map(move |ending| {
+                let folder = folder.clone();
+                (0..frames).map(move |frame| frame_path(&folder, frame, ending))
+            })
+        };
+        let single = ["phase.csv", "poses.csv", "mesh/final.ply", "timing.json", "prediction.json"];
+        folders.into_iter().flat_map(of_folder).chain(single.map(|name| self.root.join(name)))
     }
 
     /// The method's own name, if the folder tells it.
@@ -203,8 +243,12 @@ fn read_optional<T: serde::de::DeserializeOwned>(path: &Path) -> Result<Option<T
 
 fn read_time(path: &Path) -> Result<Option<f64>> {
     match read_optional::<TimingFile>(path)? {
-        Some(TimingFile { time_total_s }) if time_total_s.is_finite() && time_total_s >= 0.0 => Ok(Some(time_total_s)),
-        Some(_) => Err(Error::input("is not a number of seconds").element("time_total_s").at(path)),
+        Some(TimingFile { time_total_s }) if time_total_s.is_finite() && time_total_s > 0.0 => Ok(Some(time_total_s)),
+        Some(TimingFile { time_total_s }) => {
+            let sentence =
+                format!("{time_total_s} is not a positive number of seconds; leave it out if it is not known");
+            Err(Error::input(sentence).element("time_total_s").at(path))
+        }
         None => Ok(None),
     }
 }

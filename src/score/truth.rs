@@ -1,5 +1,7 @@
 //! What scoring needs from a sequence.
 
+use std::path::PathBuf;
+
 use crate::base::mesh::interpolate;
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh};
 use crate::simulate::sequence::{FrameRecord, Sequence};
@@ -11,6 +13,12 @@ pub trait Truth: Send + Sync {
 
     /// Content hash of everything that determines the sequence.
     fn hash(&self) -> &str;
+
+    /// Hash of what the film itself holds: two films of one case may differ.
+    fn content(&self) -> &str;
+
+    /// The files that hold the truth; none for a truth that lies in memory.
+    fn file_paths(&self) -> Vec<PathBuf>;
 
     /// Intrinsics of all frames.
     fn camera(&self) -> &Camera;
@@ -41,6 +49,14 @@ impl Truth for Sequence {
 
     fn hash(&self) -> &str {
         &self.hash
+    }
+
+    fn content(&self) -> &str {
+        &self.content
+    }
+
+    fn file_paths(&self) -> Vec<PathBuf> {
+        Sequence::file_paths(self).collect()
     }
 
     fn camera(&self) -> &Camera {

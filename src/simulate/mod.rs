@@ -33,16 +33,15 @@ pub use settings::{MeshOutput, RadianceOutput, SimulationSettings};
 
 /// Films `case` into the folder `out` and opens the result.
 ///
-/// A finished folder with the same content hash is only opened; a half-made one is resumed frame by frame; one of
+/// A finished folder with the same content hash is only opened, once all its files have been compared with the
+/// manifest; frames that were changed since are filmed again. A half-made folder is resumed frame by frame; one of
 /// another content is made anew. The bytes depend on case and settings alone. Frames of the same film that a finished
 /// folder beside `out` holds (films of one case with different errors of the registration) are copied, not rendered.
 /// Errors: the case's (anatomy, route, material), a folder that is no sequence, writing; `Interrupted` between frames.
 pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress: &dyn Progress) -> Result<Sequence> {
     settings.check()?;
     let hash = sequence_hash(case, settings)?;
-    if let Ok(done) = Sequence::open(out)
-        && done.hash == hash
-    {
+    if let Some(done) = finished(case, settings, &hash, out, progress)? {
         return Ok(done);
     }
     let material = material(case)?;
@@ -54,6 +53,42 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
     shoot::shoot(case, &anatomy, &film, &material, settings, out, progress)?;
     write_truth(case, &anatomy, &film, settings, &hash, out)?;
     Sequence::open(out)
+}
+
+/// The film in `out`, if it is the wanted one and nothing of it is missing or changed. Of a film that was changed
+/// since, the images of the changed frames are removed, so that those frames are filmed again.
+fn finished(
+    case: &Case,
+    settings: &SimulationSettings,
+    hash: &str,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<Option<Sequence>> {
+    let manifest = out.join(sequence::MANIFEST);
+    let Ok(head) = files::read_json::<ManifestHead>(&manifest) else { return Ok(None) };
+    if head.hash != hash {
+        return Ok(None);
+    }
+    let changed = head.changed(out);
+    let is_sound = |name: &String| head.files.contains_key(name) && changed.binary_search(name).is_err();
+    if settings.content_names(case).iter().all(is_sound)
+        && let Ok(done) = Sequence::open(out)
+    {
+        return Ok(Some(done));
+    }
+    let mut again = 0;
+    for frame in (0..settings.frames).filter(|&frame| !settings.frame_names(frame).iter().all(is_sound)) {
+        let image = out.join(sequence::image_name(frame));
+        if image.exists() {
+            std::fs::remove_file(&image).map_err(|e| Error::io("removing", &image, e))?;
+        }
+        again += 1;
+    }
+    if again > 0 {
+        progress
+            .note(&format!("{}: {again} frames were changed since they were filmed; they are filmed again", case.id));
+    }
+    Ok(None)
 }
 
 /// The look that the case file asks for.
@@ -120,12 +155,12 @@ fn write_truth(
     files::write_bytes(&out.join(sequence::FRAMES), film.frames_csv().as_bytes())?;
     files::write_bytes(&out.join(sequence::FORMAT), include_bytes!("FORMAT.md"))?;
     preview::write(out, film.frames.len(), settings.frames_per_second)?;
-    let hashes: Vec<(String, String)> = settings
+    let files = settings
         .content_names(case)
         .into_par_iter()
         .map(|name| hash::of_file(&out.join(&name)).map(|h| (name, h)))
         .collect::<Result<_>>()?;
-    let head = ManifestHead { case_id: case.id.clone(), hash: hash.to_string(), frames: film.frames.len() };
+    let head = ManifestHead { case_id: case.id.clone(), hash: hash.to_string(), frames: film.frames.len(), files };
     let mut manifest = serde_json::to_value(head).map_err(|e| Error::input(e.to_string()))?;
     manifest["simulator_version"] = SIMULATOR_VERSION.into();
     manifest["case_hash"] = case.hash()?.into();
@@ -134,7 +169,5 @@ fn write_truth(
     manifest["case"] = serde_json::to_value(case).map_err(|e| Error::input(e.to_string()))?;
     manifest["material"] = serde_json::to_value(material(case)?).map_err(|e| Error::input(e.to_string()))?;
     manifest["film"] = film.summary();
-    manifest["files"] =
-        hashes.into_iter().map(|(name, hash)| (name, hash.into())).collect::<serde_json::Map<_, _>>().into();
     files::write_json(&out.join(sequence::MANIFEST), &manifest)
 }

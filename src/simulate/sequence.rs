@@ -1,13 +1,18 @@
 //! A sequence on disk: the one place that knows its file names.
+//!
+//! The manifest holds the hash of every file. Whatever is read here is compared with it first, so that a film whose
+//! images were exchanged is refused and never scored.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use glam::DAffine3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::airway::case_centerline;
 use crate::airway::centerline::Centerline;
-use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files};
+use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files, hash};
 use crate::formats::transforms::{Transforms, TransformsFrame};
 use crate::formats::{exr, mesh, png};
 
@@ -39,8 +44,13 @@ pub struct Sequence {
     pub camera: Camera,
     /// One record per frame, in order.
     pub frames: Vec<FrameRecord>,
+    /// Hash of what the film holds, 64 hex digits: of its case, and of the content of every file that methods and
+    /// metrics read.
+    pub content: String,
     /// Mask of all frames, relative to the folder.
     mask_path: Option<String>,
+    /// Hash of each file, by its name relative to the folder.
+    files: BTreeMap<String, String>,
 }
 
 /// The part of `manifest.json` that this program reads; the rest is for people and other programs.
@@ -49,6 +59,33 @@ pub(super) struct ManifestHead {
     pub case_id: String,
     pub hash: String,
     pub frames: usize,
+    /// Hash of each file but this one and the plan, by its name relative to the folder.
+    pub files: BTreeMap<String, String>,
+}
+
+impl ManifestHead {
+    /// Where the file `name` of the film in `root` lies, once its content has been compared with the hash here.
+    fn checked(&self, root: &Path, name: &str) -> Result<PathBuf> {
+        checked(&self.files, root, name)
+    }
+
+    /// Names of the files of the film in `root` that are missing or not what they were when it was finished, in order.
+    pub fn changed(&self, root: &Path) -> Vec<String> {
+        let names: Vec<&String> = self.files.keys().collect();
+        names.into_par_iter().filter(|name| self.checked(root, name).is_err()).cloned().collect()
+    }
+}
+
+fn checked(files: &BTreeMap<String, String>, root: &Path, name: &str) -> Result<PathBuf> {
+    let path = root.join(name);
+    let refused = |why: &str| Err(Error::input(why).at(&path));
+    match files.get(name) {
+        None => refused("is not listed in the film's manifest.json; film the case again with `simulate`"),
+        Some(wanted) if hash::of_file(&path)? != *wanted => {
+            refused("is not the file that was filmed: its content does not have the hash that manifest.json gives")
+        }
+        Some(_) => Ok(path),
+    }
 }
 
 /// Written last: a folder with it is complete.
@@ -121,6 +158,8 @@ pub const MASK: &str = "mask.png";
 pub const CONTACT_SHEET: &str = "contact_sheet.png";
 /// The film, small, as an animated PNG.
 pub const PREVIEW: &str = "preview.png";
+/// Files for people, which neither methods nor metrics read.
+const FOR_PEOPLE: [&str; 3] = [FORMAT, CONTACT_SHEET, PREVIEW];
 /// Folders that hold one file per frame or mesh.
 pub(super) const FOLDERS: [&str; 9] = [
     "images",
@@ -137,7 +176,8 @@ pub(super) const FOLDERS: [&str; 9] = [
 impl Sequence {
     /// Opens a finished sequence folder.
     ///
-    /// Errors name the file: no manifest (not a sequence, or not finished), truth that is missing or damaged.
+    /// Errors name the file: no manifest (not a sequence, or not finished), truth that is missing, damaged, or not what
+    /// the manifest says. Images, depths and meshes are compared with it when they are read.
     pub fn open(root: &Path) -> Result<Sequence> {
         let manifest = root.join(MANIFEST);
         if !manifest.is_file() {
@@ -151,7 +191,7 @@ impl Sequence {
             return Err(Error::input(why).at(root));
         }
         let head: ManifestHead = files::read_json(&manifest)?;
-        let path = root.join(TRANSFORMS);
+        let path = head.checked(root, TRANSFORMS)?;
         let transforms = Transforms::read(&path)?;
         if transforms.frames.len() != head.frames || head.frames == 0 {
             let sentence = format!("has {} frames, the manifest says {}", transforms.frames.len(), head.frames);
@@ -163,12 +203,30 @@ impl Sequence {
         }
         let camera = transforms.camera()?;
         let mask_path = transforms.frames[0].mask_path.clone();
-        Ok(Sequence { root: root.to_path_buf(), case_id: head.case_id, hash: head.hash, camera, frames, mask_path })
+        let read = head.files.iter().filter(|(name, _)| !FOR_PEOPLE.contains(&name.as_str()));
+        let content = hash::of_value(&(&head.case_id, &head.hash, read.collect::<BTreeMap<_, _>>()))?;
+        let ManifestHead { case_id, hash, files, .. } = head;
+        Ok(Sequence { root: root.to_path_buf(), case_id, hash, camera, frames, content, mask_path, files })
+    }
+
+    /// Compares every file of the film with the manifest. The error names the first one that is missing or another.
+    pub fn verify(&self) -> Result<()> {
+        let names: Vec<&String> = self.files.keys().collect();
+        names.into_par_iter().map(|name| self.checked(name).err()).find_map_first(|e| e).map_or(Ok(()), Err)
+    }
+
+    /// All files of the film but manifest and plan.
+    pub fn file_paths(&self) -> impl Iterator<Item = PathBuf> {
+        self.files.keys().map(|name| self.root.join(name))
+    }
+
+    fn checked(&self, name: &str) -> Result<PathBuf> {
+        checked(&self.files, &self.root, name)
     }
 
     /// The 8-bit sRGB image of a frame. Errors name a file that is missing, damaged or of another size.
     pub fn image(&self, frame: usize) -> Result<Image<u8>> {
-        let path = self.root.join(image_name(frame));
+        let path = self.checked(&image_name(frame))?;
         let image = png::read_rgb(&path)?;
         self.check_size(image.width, image.height, &path)?;
         Ok(image)
@@ -176,7 +234,7 @@ impl Sequence {
 
     /// True z-depth of a frame in mm, 0 where nothing was hit. Errors as [`Sequence::image`].
     pub fn depth_mm(&self, frame: usize) -> Result<Image<f32>> {
-        let path = self.root.join(depth_name(frame));
+        let path = self.checked(&depth_name(frame))?;
         let depth = exr::read(&path)?;
         self.check_size(depth.width, depth.height, &path)?;
         if depth.channels != 1 {
@@ -189,7 +247,8 @@ impl Sequence {
     /// which the mask may hide in part. Errors name a file that is missing, damaged, of another size, or hides
     /// everything.
     pub fn mask(&self) -> Result<Option<Mask>> {
-        let Some(path) = self.mask_path.as_ref().map(|name| self.root.join(name)) else { return Ok(None) };
+        let Some(name) = &self.mask_path else { return Ok(None) };
+        let path = self.checked(name)?;
         let image = png::read_rgb(&path)?;
         self.check_size(image.width, image.height, &path)?;
         Mask::from_image(&image).and_then(|mask| mask.eroded(1)).map(Some).map_err(|e| e.at(path))
@@ -197,23 +256,26 @@ impl Sequence {
 
     /// Surface at full inspiration; normals point into the lumen.
     pub fn inspiration(&self) -> Result<TriangleMesh> {
-        mesh::read(&self.root.join(INSPIRATION))
+        mesh::read(&self.checked(INSPIRATION)?)
     }
 
     /// Surface at full expiration, same faces as [`Sequence::inspiration`].
     pub fn expiration(&self) -> Result<TriangleMesh> {
-        mesh::read(&self.root.join(EXPIRATION))
+        mesh::read(&self.checked(EXPIRATION)?)
     }
 
     /// The surface at full expiration that methods are given: with the registration's error, where the case has one.
     pub fn registered_expiration(&self) -> Result<TriangleMesh> {
-        let path = self.root.join(REGISTERED_EXPIRATION);
-        if path.is_file() { mesh::read(&path) } else { self.expiration() }
+        // A file that the manifest does not know is refused, not passed over.
+        if self.files.contains_key(REGISTERED_EXPIRATION) || self.root.join(REGISTERED_EXPIRATION).exists() {
+            return mesh::read(&self.checked(REGISTERED_EXPIRATION)?);
+        }
+        self.expiration()
     }
 
     /// Centreline at inspiration.
     pub fn centerline(&self) -> Result<Centerline> {
-        case_centerline::read(&self.root.join(CENTERLINE))
+        case_centerline::read(&self.checked(CENTERLINE)?)
     }
 
     fn check_size(&self, width: usize, height: usize, path: &Path) -> Result<()> {

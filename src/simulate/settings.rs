@@ -81,6 +81,9 @@ impl SimulationSettings {
         if case.scope.mask_radius > 0.0 {
             names.push(sequence::MASK.to_string());
         }
+        if case.registration_error_mm > 0.0 {
+            names.push(sequence::REGISTERED_EXPIRATION.to_string());
+        }
         names.extend((0..self.frames).flat_map(|frame| self.frame_names(frame)));
         names
     }

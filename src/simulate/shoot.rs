@@ -42,7 +42,7 @@ struct Shot {
 
 impl Shot {
     fn write(&self, out: &Path) -> Result<()> {
-        exr::write_channel(&out.join(sequence::depth_name(self.index)), "Z", &self.depth_mm)?;
+        exr::write_depth(&out.join(sequence::depth_name(self.index)), &self.depth_mm)?;
         if let Some(radiance) = &self.radiance {
             exr::write_rgb(&out.join(sequence::radiance_name(self.index)), radiance)?;
         }

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use assert_cmd::Command;
+use glam::DVec3;
 use respire_bench::airway::case::Case;
 use respire_bench::airway::field_check::flipped_faces;
 use respire_bench::airway::{self, import_breathing::LungBox};
@@ -130,7 +131,104 @@ fn what_is_wrong_is_said_in_one_sentence_with_exit_code_4() {
         let mut command = command();
         command.args(["import", "mesh", "--id", "x"]).arg(at(surface)).arg("--landmarks").arg(at(landmarks));
         fails(command.arg("--out").arg(at("out")), &said);
+        assert!(!at("out").exists(), "{surface} with {landmarks} left something behind");
     }
+}
+
+#[test]
+fn units_axes_and_loose_parts_are_noticed_and_their_cure_works() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let good = airway::build(&Case::load(&case_path(1)).unwrap()).unwrap().inspiration;
+    let landmarks = invented_landmarks(folder.path());
+    let mapped = |name: &str, map: &dyn Fn(DVec3) -> DVec3| {
+        let mut mesh = good.clone();
+        mesh.vertices.iter_mut().for_each(|v| *v = map(*v));
+        mesh::write_ply(&at(name), &mesh, &[]).unwrap();
+    };
+    mapped("centimetres.ply", &|v| v / 10.0);
+    mapped("metres.ply", &|v| v / 1000.0);
+    mapped("ras.ply", &|v| DVec3::new(-v.x, -v.y, v.z));
+    mapped("upside.ply", &|v| DVec3::new(v.x, -v.y, -v.z));
+    mapped("y_up.ply", &|v| DVec3::new(v.x, v.z, -v.y));
+    let mut debris = good.clone();
+    let first = debris.vertices.len() as u32;
+    debris.vertices.extend([DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].map(|v| v * 3.0 + DVec3::splat(60.0)));
+    debris.faces.extend([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]].map(|face: [u32; 3]| face.map(|v| v + first)));
+    mesh::write_ply(&at("debris.ply"), &debris, &[]).unwrap();
+    let import = |surface: &str, more: &[&str]| {
+        let mut command = command();
+        command.args(["import", "mesh", "--id", "x", "--end-motion-mm", "8"]).arg(at(surface)).arg("--landmarks");
+        command.arg(&landmarks).args(more).arg("--out").arg(at("out"));
+        command
+    };
+    for (surface, said, cure) in [
+        ("centimetres.ply", "longest side is", vec!["--scale", "10"]),
+        ("metres.ply", "longest side is", vec!["--scale", "1000"]),
+        ("ras.ply", "as if the file's axes were `ras`", vec!["--axes", "ras"]),
+        ("upside.ply", "as if the file's axes were `lai`", vec!["--axes", "lai"]),
+        ("y_up.ply", "as if the file's axes were `lsa`", vec!["--axes", "lsa"]),
+        ("debris.ply", "holds 2 loose parts", vec!["--keep-largest"]),
+    ] {
+        fails(&mut import(surface, &[]), &[surface, said, &cure.join(" ")]);
+        assert!(!at("out").exists(), "{surface} left something behind");
+        import(surface, &cure).assert().success();
+        let back = airway::build(&Case::load(&at("out/x.toml")).unwrap()).unwrap().inspiration;
+        assert_eq!(back.faces.len(), good.faces.len(), "{surface}");
+        let worst = back.vertices.iter().zip(&good.vertices).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+        assert!(worst < 1e-6, "{surface}: {worst} mm off");
+        assert_eq!(fs::read_dir(at("out")).unwrap().count(), 3);
+        fs::remove_dir_all(at("out")).unwrap();
+    }
+    // `import tree` asks the same.
+    let tree = |surface: &str| {
+        let mut command = command();
+        command.args(["import", "tree", "--source", "invented"]).arg(at(surface)).arg("--out").arg(at("tree.toml"));
+        command
+    };
+    fails(&mut tree("centimetres.ply"), &["centimetres.ply", "--scale 10"]);
+    fails(&mut tree("ras.ply"), &["ras.ply", "--axes ras"]);
+    assert!(!at("tree.toml").exists());
+    tree("ras.ply").args(["--axes", "ras"]).assert().success();
+    // Landmarks in other units, and a pair of which one file is.
+    let metres: String = fs::read_to_string(&landmarks)
+        .unwrap()
+        .lines()
+        .enumerate()
+        .map(|(row, line)| match row {
+            0 => format!("{line}\n"),
+            _ => {
+                line.split(',').map(|v| format!("{}", v.parse::<f64>().unwrap() / 1000.0)).collect::<Vec<_>>().join(",")
+                    + "\n"
+            }
+        })
+        .collect();
+    fs::write(at("metres.csv"), metres).unwrap();
+    mapped("good.ply", &|v| v);
+    let mut command = command();
+    command.args(["import", "mesh", "--id", "x"]).arg(at("good.ply")).arg("--landmarks").arg(at("metres.csv"));
+    fails(command.arg("--out").arg(at("out")), &["metres.csv", "landmarks are in mm (LPS)"]);
+    mapped("far.ply", &|v| v + DVec3::splat(100.0));
+    let mut command = self::command();
+    command.args(["import", "mesh-pair", "--id", "x"]).arg(at("good.ply")).arg(at("far.ply"));
+    fails(command.arg("--out").arg(at("out")), &["far.ply", "173 mm between the breath holds"]);
+    assert!(!at("out").exists());
+}
+
+#[test]
+fn a_case_that_cannot_be_filmed_leaves_nothing_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let anatomy = airway::build(&Case::load(&case_path(3)).unwrap()).unwrap();
+    mesh::write_ply(&at("good.ply"), &anatomy.inspiration, &[]).unwrap();
+    let landmarks = invented_landmarks(folder.path());
+    let mut command = command();
+    command.args(["import", "mesh", "--id", "x", "--scope-radius-mm", "40"]).arg(at("good.ply"));
+    command.arg("--landmarks").arg(&landmarks).arg("--out").arg(at("new/out"));
+    fails(&mut command, &["scope"]);
+    let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["good.ply", "invented.csv"]);
 }
 
 #[test]
@@ -170,7 +268,7 @@ fn the_shipped_fields_describe_the_measured_motion() {
         assert!(mean < most_mm, "case{number}: the field misses its landmarks by {mean} mm on average");
         // No coefficient is a landmark.
         for center in &field.centers {
-            let at = glam::DVec3::new(center[0], center[1], center[2]) + glam::DVec3::from_array(field.origin_mm);
+            let at = DVec3::new(center[0], center[1], center[2]) + DVec3::from_array(field.origin_mm);
             let copied = pairs.iter().map(|p| placement.to_airway(p)).any(|p| p.inspiration_mm.distance(at) < 1e-3);
             assert!(!copied, "case{number}: a centre is a landmark");
         }

@@ -22,4 +22,5 @@ mod scope;
 mod sequence_folder;
 mod simulate;
 mod splat;
+mod third_parties;
 mod truth_maps;

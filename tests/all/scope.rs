@@ -301,7 +301,7 @@ fn what_the_mask_hides_counts_in_no_metric() {
                 depth.pixel_mut(p % 48, p / 48)[0] = f32::from(outside);
             }
             png::write_rgb(&root.join(format!("color/{frame:06}.png")), &image).unwrap();
-            exr::write_channel(&root.join(format!("depth/{frame:06}.exr")), "Z", &depth).unwrap();
+            exr::write_depth(&root.join(format!("depth/{frame:06}.exr")), &depth).unwrap();
         }
         score(&masked, &root, &ScoreSettings::default()).unwrap()
     };

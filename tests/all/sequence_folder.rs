@@ -24,6 +24,12 @@ fn python() -> Option<String> {
     None
 }
 
+/// The loader that the film's FORMAT.md holds.
+fn loader(film: &Path) -> String {
+    let format = fs::read_to_string(film.join(sequence::FORMAT)).unwrap();
+    format.split("```python\n").nth(1).unwrap().split("```").next().unwrap().to_owned()
+}
+
 fn run_python(python: &str, code: &str, folder: &Path) -> String {
     let (status, out, err) = outcome(Command::new(python).arg("-c").arg(code).arg(folder).output().unwrap());
     assert_eq!(status, 0, "{err}");
@@ -40,15 +46,14 @@ fn the_shipped_loader_reads_what_was_written() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("film");
     let sequence = simulate(&case(), &small(), &out, &NoProgress).unwrap();
-    let format = fs::read_to_string(out.join(sequence::FORMAT)).unwrap();
-    let loader = format.split("```python\n").nth(1).unwrap().split("```").next().unwrap();
     let code = format!(
-        "{loader}
+        "{}
 import sys
 image, depth, world_from_camera, K, phase = load(sys.argv[1], 4)
 normal = exr(sys.argv[1] + '/radiance/000004.exr')
 print(image[3, 7, 1], depth[3, 7], depth.astype(float).sum(), phase, *world_from_camera[:3, 3], *world_from_camera[:3, 2])
-print(*points(sys.argv[1], 4)[0], normal['G'][5, 6], normal['B'].shape[0])"
+print(*points(sys.argv[1], 4)[0], normal['G'][5, 6], normal['B'].shape[0])",
+        loader(&out)
     );
     let read = numbers(&run_python(&python, &code, &out));
     let (image, depth) = (sequence.image(4).unwrap(), sequence.depth_mm(4).unwrap());
@@ -69,8 +74,8 @@ print(*points(sys.argv[1], 4)[0], normal['G'][5, 6], normal['B'].shape[0])"
     }
 }
 
-/// nerfstudio: the camera looks along its -z with y up; an image point is (cx + fl_x x / -z, cy - fl_y y / -z). The mesh's
-/// vertices, projected so, must lie on or behind the depth image, and many of them on it.
+/// nerfstudio: the camera looks along its -z with y up; an image point is (cx + fl_x x / -z, cy - fl_y y / -z). The
+/// mesh's vertices, projected so, must lie on or behind the depth image, and many of them on it.
 const REPROJECTION: &str = r#"
 import json, sys, numpy as np, struct
 folder = sys.argv[1]
@@ -114,6 +119,53 @@ fn vertices_reproject_onto_the_depth_by_nerfstudios_convention() {
     let wrong = REPROJECTION.replace("t[\"cy\"] - t[\"fl_y\"]", "t[\"cy\"] + t[\"fl_y\"]");
     let counted = numbers(&run_python(&python, &wrong, &out));
     assert!(counted[1] > 0.02 * counted[0], "{counted:?}");
+}
+
+/// What nerfstudio 1.1.5 does with a folder, retold (its parser of this layout, its depth data set, its OpenCV 4.10):
+/// poses are centred and scaled until none is further than 1 along any axis; a depth is multiplied by a thousandth (its
+/// option, not the file's key), by that scale and by `applied_scale`; OpenCV takes a depth from channel Y, a grey from
+/// R, G and B, and nothing from a channel of another name. Prints how far, in mm, points of the wall that follow from
+/// these depths are from those that follow from ours; then the same without `applied_scale`, and the depth of a channel
+/// Z. (Turning the poses upright, which nerfstudio does too, changes no distance.)
+const NERFSTUDIO: &str = r#"
+def opencv(channels):
+    if "Y" in channels:
+        return channels["Y"]
+    if all(name in channels for name in "RGB"):
+        return 0.299 * channels["R"] + 0.587 * channels["G"] + 0.114 * channels["B"]
+    return np.zeros_like(next(iter(channels.values())))
+
+def seen(folder, i, applied_scale):
+    t = json.load(open(f"{folder}/transforms.json"))
+    poses = np.array([f["transform_matrix"] for f in t["frames"]])
+    centre = poses[:, :3, 3].mean(0)
+    poses[:, :3, 3] -= centre
+    size = 1 / np.abs(poses[:, :3, 3]).max()
+    poses[:, :3, 3] *= size
+    depth = opencv(exr(f"{folder}/{t['frames'][i]['depth_file_path']}")) * (1e-3 * size * applied_scale)
+    v, u = np.mgrid[:t["h"], :t["w"]] + 0.5
+    rays = np.stack([(u - t["cx"]) / t["fl_x"], -(v - t["cy"]) / t["fl_y"], -np.ones_like(u)], -1)
+    wall = (rays * depth[..., None])[depth > 0] @ poses[i, :3, :3].T + poses[i, :3, 3]
+    return wall / size + centre
+
+import sys
+folder = sys.argv[1]
+ours, scale = points(folder, 4), json.load(open(f"{folder}/transforms.json"))["applied_scale"]
+print(np.abs(seen(folder, 4, scale) - ours).max(), np.abs(seen(folder, 4, 1) - ours).max())
+print(opencv({"Z": np.ones((2, 2))}).max(), len(ours))
+"#;
+
+#[test]
+fn nerfstudio_reads_depths_that_fit_its_poses() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("film");
+    simulate(&case(), &small(), &out, &NoProgress).unwrap();
+    let code = loader(&out) + NERFSTUDIO;
+    let read = numbers(&run_python(&python, &code, &out));
+    let [off_mm, unscaled_mm, z, pixels] = read[..] else { panic!("{read:?}") };
+    assert!(off_mm < 1e-3 && pixels > 900.0, "nerfstudio sees the wall {off_mm} mm off, in {pixels} pixels");
+    assert!(unscaled_mm > 5.0 && z == 0.0, "the test can tell: {unscaled_mm} mm without the scale, {z} from channel Z");
 }
 
 #[test]

@@ -32,6 +32,16 @@ pub fn case() -> Case {
     Case::load(&case_path(1)).unwrap()
 }
 
+/// Writes the hashes of the files as they are now into the manifest, as somebody would who forges a film.
+pub fn seal(film: &Path) {
+    let path = film.join("manifest.json");
+    let mut manifest: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    for (name, hash) in manifest["files"].as_object_mut().unwrap() {
+        *hash = respire_bench::base::hash::of_file(&film.join(name)).unwrap().into();
+    }
+    fs::write(&path, serde_json::to_vec(&manifest).unwrap()).unwrap();
+}
+
 pub fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut open = vec![folder.to_path_buf()];
@@ -103,10 +113,14 @@ fn the_bytes_do_not_depend_on_threads_or_interruptions() {
     simulate(&case(), &wanted, &resumed, &NoProgress).unwrap();
     assert_same(&whole, &resumed);
 
-    // Nothing is done twice: the same call leaves even a foreign file alone.
-    fs::write(resumed.join("images/000000.png"), "mine").unwrap();
+    // Nothing is done twice: the same call writes no file again.
+    let written = || {
+        let names = contents(&resumed).into_keys();
+        names.map(|name| resumed.join(name).metadata().unwrap().modified().unwrap()).collect::<Vec<_>>()
+    };
+    let before = written();
     simulate(&case(), &wanted, &resumed, &NoProgress).unwrap();
-    assert_eq!(fs::read(resumed.join("images/000000.png")).unwrap(), b"mine");
+    assert_eq!(written(), before);
     // Another content replaces the folder whole.
     let shorter = SimulationSettings { frames: 3, meshes: MeshOutput::EndStates, ..small() };
     assert_eq!(simulate(&case(), &shorter, &resumed, &NoProgress).unwrap().frames.len(), 3);
@@ -222,6 +236,10 @@ fn damaged_or_foreign_folders_are_named() {
     assert!(sequence.image(0).unwrap_err().to_string().contains("000000.png"));
     let text = fs::read_to_string(out.join("transforms.json")).unwrap();
     fs::write(out.join("transforms.json"), text.replacen("breathing_phase", "phase", 1)).unwrap();
+    let error = Sequence::open(&out).unwrap_err().to_string();
+    assert!(error.contains("transforms.json") && error.contains("manifest.json"), "{error}");
+    fs::write(out.join("depth/000001.exr"), "no depth").unwrap();
+    seal(&out);
     let error = Sequence::open(&out).unwrap_err().to_string();
     assert!(error.contains("transforms.json") && error.contains("frame 0"), "{error}");
     assert!(Sequence::open(&folder.path().join("no")).unwrap_err().to_string().contains("no such folder"));

@@ -103,8 +103,7 @@ type ShownCell<'a> =
     (&'a crate::report::run::MethodInfo, &'a crate::report::run::CellRecord, &'a crate::score::CellScore);
 
 fn opened(shown: &[ShownCell], truth: &dyn Truth) -> Result<Vec<Prediction>> {
-    let frames = truth.frames().len();
-    shown.iter().map(|(_, cell, _)| Prediction::open(&cell.prediction, truth.camera(), frames)).collect()
+    shown.iter().map(|(_, cell, _)| Prediction::open(&cell.prediction, truth)).collect()
 }
 
 /// Frames spread over the sequence, the last one included.

@@ -1,0 +1,336 @@
+//! Whether an imported airway can be one: its size, its trachea, which way up and which way round it lies.
+//!
+//! A file in centimetres, or with other axes than assumed, makes a case that can be filmed and means nothing. What is
+//! held against it is the shape of human airways: the trachea is the widest branch that ends; it lies above its tree;
+//! the tree is wider from side to side than from front to back; the left main bronchus is longer, narrower and flatter
+//! than the right one; the trachea runs backwards on its way down. In the five airways of four patients at hand:
+//! trachea 13 to 15 mm across, 16 to 34 mm backwards over 57 to 89 mm; sides 2.5 to 3.2 times the depth; left main
+//! bronchus 1.8 to 2.9 times as long, .73 to .85 times as wide, its part downwards .10 to .17 less.
+
+use glam::DVec3;
+
+use super::centerline::Centerline;
+use super::import_axes::PatientAxes;
+use crate::base::{Error, Result};
+use crate::formats::landmarks::LandmarkPair;
+
+/// Longest side of the box around an airway in mm: a child's to the largest adult's.
+const EXTENT_MM: [f64; 2] = [50.0, 400.0];
+/// Diameter of a trachea in mm.
+const TRACHEA_MM: [f64; 2] = [8.0, 30.0];
+/// Least length in mm of an end branch that may be the trachea.
+const LEAST_TRACHEA_MM: f64 = 15.0;
+/// Longest side of the box around lung landmarks in mm.
+const LUNGS_MM: [f64; 2] = [80.0, 500.0];
+/// Units that files come in, with their size in mm.
+const UNITS: [(&str, f64); 4] = [("centimetres", 10.0), ("metres", 1000.0), ("inches", 25.4), ("micrometres", 1e-3)];
+/// Part of the way from the tree to the trachea's top that lies along the axis to the head.
+const UPRIGHT: f64 = 0.7;
+/// How many times as wide from side to side as from front to back a tree is, at least.
+const SIDEWAYS: f64 = 1.4;
+/// How many times as long as the other, as wide, and how much steeper a main bronchus is, at least, to count.
+const LONGER: f64 = 1.25;
+const WIDER: f64 = 1.05;
+const STEEPER: f64 = 0.05;
+/// What part of its way down the trachea goes backwards, at least.
+const BACKWARDS: f64 = 0.1;
+
+/// The trachea and its two main bronchi, found without knowing which way is up.
+#[derive(Clone, Debug)]
+struct Stem {
+    /// From the free end to the carina.
+    trachea: Vec<usize>,
+    /// From the carina to the next junction, the widest first.
+    bronchi: Vec<MainBronchus>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct MainBronchus {
+    length_mm: f64,
+    radius_mm: f64,
+    end_mm: DVec3,
+}
+
+/// Which way the body lies, as far as an airway's shape tells.
+struct BodySigns {
+    /// Axis to the head, and whether along it.
+    head: (usize, bool),
+    /// Axis of the sides.
+    side: usize,
+    /// How many signs say that the left is along the axis of the sides, less those that say the contrary: -3 to 3.
+    left: i32,
+    /// Whether the back is along the remaining axis.
+    back: Option<bool>,
+}
+
+/// Refuses an airway of an impossible size, and names the unit that would make it a possible one. `points` in mm.
+pub fn check_extent(points: impl Iterator<Item = DVec3>) -> Result<()> {
+    let extent = longest_side(points);
+    if within(extent, EXTENT_MM) {
+        return Ok(());
+    }
+    let sentence = format!(
+        "the airway's longest side is {extent:.4} mm, and an airway's is {} to {} mm",
+        EXTENT_MM[0], EXTENT_MM[1]
+    );
+    Err(Error::input(format!("{sentence}: {}", scale_cure(extent, EXTENT_MM))))
+}
+
+/// Refuses lung landmarks of an impossible size.
+pub fn check_landmarks(pairs: &[LandmarkPair]) -> Result<()> {
+    let extent = longest_side(pairs.iter().map(|pair| pair.inspiration_mm));
+    if within(extent, LUNGS_MM) {
+        return Ok(());
+    }
+    Err(Error::input(format!(
+        "the landmarks' longest side is {extent:.4}, and lungs measure {} to {} mm: landmarks are in mm (LPS)",
+        LUNGS_MM[0], LUNGS_MM[1]
+    )))
+}
+
+/// Refuses an airway whose trachea is too narrow or too wide, or that does not lie in the body as `axes`, with which it
+/// was read, say.
+pub fn check_stem(centerline: &Centerline, axes: PatientAxes) -> Result<()> {
+    let position = |p: usize| centerline.points[p].position_mm;
+    let Some(stem) = stem(centerline) else {
+        return Err(Error::input(
+            "the airway has no bifurcation: a trachea with its bronchi is wanted; --unusual takes it",
+        ));
+    };
+    let mut radii: Vec<f64> = stem.trachea.iter().map(|&p| centerline.points[p].radius_mm).collect();
+    radii.sort_by(f64::total_cmp);
+    let diameter = 2.0 * radii[radii.len() / 2];
+    if !within(diameter, TRACHEA_MM) {
+        return Err(Error::input(format!(
+            "the widest branch that ends is {diameter:.1} mm across, and a trachea is {} to {} mm: {}",
+            TRACHEA_MM[0],
+            TRACHEA_MM[1],
+            scale_cure(diameter, TRACHEA_MM)
+        )));
+    }
+    let (top, carina) = (position(stem.trachea[0]), position(stem.trachea[stem.trachea.len() - 1]));
+    let tree: Vec<DVec3> = (0..centerline.points.len()).filter(|p| !stem.trachea.contains(p)).map(position).collect();
+    let Some(found) = body_signs(top, carina, &tree, &stem.bronchi).as_ref().and_then(directions) else {
+        return Ok(());
+    };
+    if found == PatientAxes::LPS {
+        return Ok(());
+    }
+    Err(Error::input(format!(
+        "its trachea and main bronchi lie as if the file's axes were `{0}` and not `{axes}`: --axes {0}, or --unusual if it \
+         is right",
+        axes.corrected(found)
+    )))
+}
+
+fn within(value: f64, [least, most]: [f64; 2]) -> bool {
+    (least..=most).contains(&value)
+}
+
+fn scale_cure(value: f64, range: [f64; 2]) -> String {
+    let known = UNITS.iter().find(|(_, size)| within(value * size, range));
+    let cure = match known {
+        Some((unit, size)) => format!("if the file is in {unit}, --scale {size}"),
+        None => "--scale FACTOR gives the file's unit in mm".to_owned(),
+    };
+    format!("{cure}; --unusual takes it as it is")
+}
+
+fn longest_side(points: impl Iterator<Item = DVec3>) -> f64 {
+    let (low, high) = points.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+    (high - low).max_element().max(0.0)
+}
+
+/// The widest branch that ends, as the trachea, with the bronchi at its other end; `None` without a bifurcation.
+fn stem(centerline: &Centerline) -> Option<Stem> {
+    let points = &centerline.points;
+    let mut neighbours: Vec<Vec<usize>> = vec![Vec::new(); points.len()];
+    for (p, point) in points.iter().enumerate() {
+        if let Some(parent) = point.parent {
+            neighbours[p].push(parent as usize);
+            neighbours[parent as usize].push(p);
+        }
+    }
+    // From `start` through `next` to the first point that is no mere link.
+    let branch = |start: usize, next: usize| {
+        let mut way = vec![start, next];
+        while let [.., before, here] = way[..] {
+            match neighbours[here].as_slice() {
+                [a, b] => way.push(if *a == before { *b } else { *a }),
+                _ => break,
+            }
+        }
+        way
+    };
+    let length = |way: &[usize]| {
+        way.windows(2).map(|w| points[w[0]].position_mm.distance(points[w[1]].position_mm)).sum::<f64>()
+    };
+    let width = |way: &[usize]| {
+        let mut radii: Vec<f64> = way.iter().map(|&p| points[p].radius_mm).collect();
+        radii.sort_by(f64::total_cmp);
+        radii[radii.len() / 2]
+    };
+    let ends = (0..points.len()).filter(|&p| neighbours[p].len() == 1);
+    let trachea = ends
+        .map(|end| branch(end, neighbours[end][0]))
+        .filter(|way| neighbours[way[way.len() - 1]].len() > 2 && length(way) >= LEAST_TRACHEA_MM)
+        .max_by(|a, b| width(a).total_cmp(&width(b)))?;
+    let (carina, before) = (trachea[trachea.len() - 1], trachea[trachea.len() - 2]);
+    let daughters = neighbours[carina].iter().filter(|&&n| n != before);
+    let mut bronchi: Vec<MainBronchus> = daughters
+        .map(|&next| {
+            let way = branch(carina, next);
+            let end_mm = points[way[way.len() - 1]].position_mm;
+            MainBronchus { length_mm: length(&way), radius_mm: width(&way), end_mm }
+        })
+        .collect();
+    bronchi.sort_by(|a, b| b.radius_mm.total_cmp(&a.radius_mm));
+    Some(Stem { trachea, bronchi })
+}
+
+/// What the shape tells; `None` where it does not even tell which way is up.
+fn body_signs(top: DVec3, carina: DVec3, tree: &[DVec3], bronchi: &[MainBronchus]) -> Option<BodySigns> {
+    let middle = tree.iter().sum::<DVec3>() / tree.len().max(1) as f64;
+    let up = (top - middle).normalize_or_zero();
+    let head = (0..3).max_by(|&a, &b| up[a].abs().total_cmp(&up[b].abs()))?;
+    if up[head].abs() < UPRIGHT {
+        return None;
+    }
+    let spread = |axis: usize| tree.iter().map(|p| (p[axis] - middle[axis]).powi(2)).sum::<f64>().sqrt();
+    let (first, second) = ((head + 1) % 3, (head + 2) % 3);
+    let (first, second) = (first.min(second), first.max(second));
+    // Where the shape does not tell, the order of the axes is as in the file.
+    let side = if spread(second) > SIDEWAYS * spread(first) { second } else { first };
+    let depth = first + second - side;
+    let left = match bronchi {
+        [a, b, ..] => {
+            let down = |m: &MainBronchus| (carina - m.end_mm)[head] * up[head].signum() / m.length_mm.max(1e-9);
+            let sign = |is_a: bool, is_b: bool| i32::from(is_a) - i32::from(is_b);
+            let a_is_left = sign(a.length_mm > LONGER * b.length_mm, b.length_mm > LONGER * a.length_mm)
+                + sign(b.radius_mm > WIDER * a.radius_mm, a.radius_mm > WIDER * b.radius_mm)
+                + sign(down(b) > down(a) + STEEPER, down(a) > down(b) + STEEPER);
+            if a.end_mm[side] > b.end_mm[side] { a_is_left } else { -a_is_left }
+        }
+        _ => 0,
+    };
+    let way = carina - top;
+    let back = Some(way[depth]).filter(|b| b.abs() > BACKWARDS * way.length()).map(|b| b > 0.0);
+    Some(BodySigns { head: (head, up[head] > 0.0), side, left, back })
+}
+
+/// The axes in which the airway lies. What the shape does not tell is as assumed, or follows from a right hand.
+fn directions(signs: &BodySigns) -> Option<PatientAxes> {
+    let BodySigns { head, side, left, back } = *signs;
+    let depth = 3 - head.0 - side;
+    let lying = |left: bool, back: bool| PatientAxes::from_directions([(side, left), (depth, back), head]);
+    if head == (2, true) && side == 0 {
+        // A bent neck turns the trachea's slope round, so that it tells nothing alone; and what says that the sides are
+        // exchanged, but not front and back, must be unanimous: few files are mirrored.
+        return match (left, back) {
+            (-3, Some(true)) => lying(false, true),
+            (-3 | -2, None | Some(false)) => lying(false, false),
+            _ => lying(true, true),
+        };
+    }
+    let candidates = [(true, true), (true, false), (false, true), (false, false)];
+    let fits = |&(to_left, to_back): &(bool, bool)| {
+        let agrees = |known: Option<bool>, said: bool| known.is_none_or(|known| known == said);
+        let right_handed = lying(to_left, to_back).is_some_and(|axes| !axes.is_mirrored());
+        let told = if left.abs() >= 2 { agrees(Some(left > 0), to_left) } else { agrees(back, to_back) };
+        right_handed && told
+    };
+    let (to_left, to_back) = candidates.into_iter().find(fits)?;
+    lying(to_left, to_back)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::case::Case;
+    use super::super::case_build::build;
+    use super::super::centerline::CenterlinePoint;
+    use super::*;
+
+    /// An airway of four branches a side, after the measured ones; parents first.
+    fn airway() -> Centerline {
+        let mut points: Vec<CenterlinePoint> = Vec::new();
+        let mut grow = |from: Option<u32>, start: DVec3, end: DVec3, radius_mm: f64| -> u32 {
+            let mut parent = from;
+            for step in usize::from(from.is_some())..=20 {
+                let position_mm = start.lerp(end, step as f64 / 20.0);
+                points.push(CenterlinePoint { position_mm, radius_mm, branch: 0, generation: 0, parent });
+                parent = Some(points.len() as u32 - 1);
+            }
+            points.len() as u32 - 1
+        };
+        let at = DVec3::new;
+        let carina = at(0.0, 25.0, 0.0);
+        let trachea = grow(None, at(0.0, 0.0, 85.0), carina, 7.0);
+        for (end, radius_mm) in [(at(40.0, 30.0, -36.0), 4.7), (at(-12.0, 28.0, -20.0), 5.7)] {
+            let main = grow(Some(trachea), carina, end, radius_mm);
+            let out = end.x.signum();
+            grow(Some(main), end, end + at(out * 25.0, -15.0, 20.0), 2.5);
+            grow(Some(main), end, end + at(out * 30.0, 12.0, -60.0), 3.0);
+        }
+        Centerline { points }
+    }
+
+    fn mapped(line: &Centerline, map: impl Fn(DVec3) -> DVec3) -> Centerline {
+        let mut line = line.clone();
+        line.points.iter_mut().for_each(|p| p.position_mm = map(p.position_mm));
+        line
+    }
+
+    #[test]
+    fn every_wrong_reading_of_right_handed_axes_is_refused_with_the_right_one() {
+        let line = airway();
+        check_stem(&line, PatientAxes::LPS).unwrap();
+        for letters in ["ras", "lsa", "rsp", "lai", "rpi", "psl", "als", "sal", "slp", "asr"] {
+            let truth: PatientAxes = letters.parse().unwrap();
+            // What the file of these axes holds, read as LPS.
+            let inverse = |p: DVec3| {
+                let along = |axis: DVec3| truth.to_lps(axis).dot(p);
+                DVec3::new(along(DVec3::X), along(DVec3::Y), along(DVec3::Z))
+            };
+            let file = mapped(&line, inverse);
+            let said = check_stem(&file, PatientAxes::LPS).unwrap_err().to_string();
+            if truth.is_mirrored() {
+                continue;
+            }
+            assert!(said.contains(&format!("--axes {letters},")), "{letters}: {said}");
+            check_stem(&mapped(&file, |p| truth.to_lps(p)), truth).unwrap();
+        }
+        let mirrored = mapped(&line, |p| DVec3::new(-p.x, p.y, p.z));
+        assert!(check_stem(&mirrored, PatientAxes::LPS).unwrap_err().to_string().contains("--axes rps"));
+        // A bent neck is no error.
+        let trachea = |p: DVec3| if p.z > 0.0 { DVec3::new(p.x, 50.0 - p.y, p.z) } else { p };
+        check_stem(&mapped(&line, trachea), PatientAxes::LPS).unwrap();
+    }
+
+    #[test]
+    fn wrong_units_are_named_with_their_factor() {
+        let positions = |line: &Centerline| line.points.iter().map(|p| p.position_mm).collect::<Vec<_>>();
+        let whole = positions(&airway());
+        check_extent(whole.iter().copied()).unwrap();
+        for (unit, factor) in [("centimetres, --scale 10", 0.1), ("metres, --scale 1000", 1e-3)] {
+            let said = check_extent(whole.iter().map(|p| *p * factor)).unwrap_err().to_string();
+            assert!(said.contains(unit), "{said}");
+        }
+        assert!(check_extent(whole.iter().map(|p| *p * 30.0)).unwrap_err().to_string().contains("--scale FACTOR"));
+        let mut narrow = airway();
+        narrow.points.iter_mut().for_each(|p| p.radius_mm *= 0.4);
+        assert!(check_stem(&narrow, PatientAxes::LPS).unwrap_err().to_string().contains("5.6 mm across"));
+        let pair = |at: f64| LandmarkPair { inspiration_mm: DVec3::splat(at), expiration_mm: DVec3::splat(at) };
+        check_landmarks(&[pair(0.0), pair(210.0)]).unwrap();
+        assert!(check_landmarks(&[pair(0.0), pair(21.0)]).unwrap_err().to_string().contains("mm (LPS)"));
+    }
+
+    #[test]
+    fn the_shipped_airways_lie_as_they_should() {
+        for number in 1..=9 {
+            let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("bench-cases/case{number}.toml"));
+            let line = build(&Case::load(&path).unwrap()).unwrap().centerline;
+            check_extent(line.points.iter().map(|p| p.position_mm)).unwrap();
+            check_stem(&line, PatientAxes::LPS).unwrap_or_else(|e| panic!("case{number}: {e}"));
+        }
+    }
+}
