@@ -7,6 +7,7 @@ use glam::DVec3;
 use super::centerline::{Centerline, CenterlinePoint, CenterlineSettings};
 use super::centerline_extract::extract;
 use super::tree::Tree;
+use crate::base::range::{COORDINATE_MM, GENERATION, RADIUS_MM};
 use crate::base::{Error, Result, TriangleMesh, files};
 
 /// Columns of a centreline table.
@@ -52,7 +53,10 @@ pub fn from_mesh(mesh: &TriangleMesh, axes: PatientAxes, source: &str) -> Result
 
 /// The table of `centerline`, resampled to 1.5 mm.
 pub fn from_centerline(centerline: &Centerline, source: &str) -> Result<Tree> {
-    let tree = Tree::from_centerline(centerline, source).resampled(STEP_MM);
+    let whole = Tree::from_centerline(centerline, source);
+    // Before the tables are made, whose length is that of the branches.
+    whole.validate()?;
+    let tree = whole.resampled(STEP_MM);
     tree.validate()?;
     Ok(tree)
 }
@@ -82,9 +86,13 @@ fn parse_table(text: &str, axes: PatientAxes) -> Result<Centerline> {
             Err(_) if index == 0 => None,
             Err(_) => return wrong("its parent is not an earlier point"),
         };
-        if branch < 0.0 || generation < 0.0 {
-            return wrong("branch and generation cannot be negative");
+        let named = |key: &'static str| move |e: Error| e.element(format!("id {id}, {key}"));
+        if branch < 0.0 || branch.fract() != 0.0 || branch > f64::from(u32::MAX) {
+            return wrong("branch must be a whole number of at most 32 bits");
         }
+        GENERATION.check(generation).map_err(named("generation"))?;
+        RADIUS_MM.check(radius_mm).map_err(named("radius_mm"))?;
+        [x, y, z].into_iter().try_for_each(|v| COORDINATE_MM.check(v)).map_err(named("coordinates"))?;
         let position_mm = axes.to_lps(DVec3::new(x, y, z));
         points.push(CenterlinePoint {
             position_mm,
@@ -121,5 +129,33 @@ mod tests {
         let short = TABLE.replace("2,0,1,-20,4,1,1,1", "2,0,1,x");
         assert!(parse_table(&short, PatientAxes::Lps).unwrap_err().to_string().contains("line 3"));
         assert!(parse_table("", PatientAxes::Lps).is_err());
+    }
+
+    /// Sizes that a table's numbers would lead to, not its length.
+    #[test]
+    fn numbers_are_names_or_are_bounded() {
+        let import = |from: &str, to: &str| {
+            let text = TABLE.replace(from, to);
+            parse_table(&text, PatientAxes::Lps)
+                .and_then(|line| from_centerline(&line, "test"))
+                .map_err(|e| e.to_string())
+        };
+        let named = import(",4,1,1,", ",4,4294967294,1,").unwrap();
+        assert_eq!(named.branches.len(), 2, "a branch's number is its name");
+        for (from, to, says) in [
+            ("0,1,-20,4", "0,1000000000,-20,4", "id 2, coordinates: 1e9 must lie in -10000 to 10000"),
+            ("0,1,-20,4", "0,1,-20,1e-300", "id 2, radius_mm: 1e-300"),
+            (",1,1,1\n", ",1,4294967295,1\n", "id 2, generation: 4.294967295e9 must lie in 0 to 64"),
+            (",4,1,1,", ",4,1.5,1,", "id 2: branch must be a whole number"),
+            (",4,1,1,", ",4,1e300,1,", "id 2: branch must be a whole number"),
+        ] {
+            assert!(import(from, to).unwrap_err().contains(says), "{:?}", import(from, to));
+        }
+        // Every number in range, and a thread of 4000 km to and fro.
+        let far: String = (0..200_000)
+            .map(|k| format!("{k},{},0,0,5,0,0,{}\n", if k % 2 == 0 { 1e4 } else { -1e4 }, k - 1))
+            .collect();
+        let line = parse_table(&format!("{}\n{far}", COLUMNS.join(",")), PatientAxes::Lps).unwrap();
+        assert!(from_centerline(&line, "test").unwrap_err().to_string().contains("1000000 is the most"));
     }
 }

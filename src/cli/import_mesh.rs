@@ -16,6 +16,7 @@ use crate::airway::centerline::{Centerline, CenterlineSettings};
 use crate::airway::centerline_extract::extract;
 use crate::airway::import_breathing::breathing_toml;
 use crate::airway::{self, case_centerline};
+use crate::base::range::{FIELD_OF_VIEW_DEG, SCOPE_RADIUS_MM, SEED};
 use crate::base::{Error, Progress, Result, TriangleMesh, files};
 use crate::formats::mesh::write_ply;
 use crate::simulate::trajectory::Route;
@@ -65,16 +66,16 @@ struct CommonArguments {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Horizontal field of view in degrees
-    #[arg(long, default_value_t = 100.0)]
+    #[arg(long, default_value_t = 100.0, value_name = "DEG", value_parser = FIELD_OF_VIEW_DEG.parser::<f64>())]
     fov_x_deg: f64,
     /// Radius of the scope in mm
-    #[arg(long, default_value_t = 1.6)]
+    #[arg(long, default_value_t = 1.6, value_name = "MM", value_parser = SCOPE_RADIUS_MM.parser::<f64>())]
     scope_radius_mm: f64,
     /// Part of the lungs in which the way ends
     #[arg(long, value_enum, default_value = "any")]
     region: RegionChoice,
     /// Seed of everything random
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = SEED.parser::<u64>())]
     seed: u64,
 }
 

@@ -8,12 +8,16 @@ use super::Terminal;
 use crate::airway::case::{Breathing, Case};
 use crate::airway::field::BreathingField;
 use crate::airway::field_calibre::Calibre;
-use crate::airway::field_fit::check_count;
+use crate::airway::field_fit::check_pairs;
 use crate::airway::import_breathing::{LungBox, MeasuredBreathing, measured_breathing};
 use crate::airway::{self, case_build};
 use crate::base::Result;
+use crate::base::range::NumberRange;
 use crate::formats::landmarks;
 use crate::simulate::trajectory::Route;
+
+/// Motion in mm of the end of a route; lungs are no longer than 300 mm.
+const END_MOTION_MM: NumberRange = NumberRange::new(0.01, 200.0);
 
 /// Where the motion comes from and how large it is.
 #[derive(Args)]
@@ -25,7 +29,7 @@ pub(super) struct MotionArguments {
     #[arg(long, value_name = "CSV")]
     lung_boxes: Option<PathBuf>,
     /// Motion in mm of the end of the scope's way; without it the measured motion is kept
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", value_parser = END_MOTION_MM.parser::<f64>())]
     end_motion_mm: Option<f64>,
     /// Where the landmarks come from, for the case file
     #[arg(
@@ -56,7 +60,7 @@ pub(super) fn fit_motion(
     terminal: &Terminal,
 ) -> Result<MeasuredBreathing> {
     let pairs = landmarks::read(&motion.landmarks)?;
-    check_count(&pairs).map_err(|e| e.at(&motion.landmarks))?;
+    check_pairs(&pairs).map_err(|e| e.at(&motion.landmarks))?;
     let patient = motion.landmarks.file_stem().map(|s| s.to_string_lossy().to_string()).unwrap_or_default();
     let lungs = match &motion.lung_boxes {
         Some(path) => LungBox::read(path, &patient)?,

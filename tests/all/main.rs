@@ -10,6 +10,7 @@ mod import;
 mod layering;
 mod mesh_damage;
 mod own_tracer;
+mod ranges;
 mod reference;
 mod render;
 mod render_command;
