@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::case_scope;
 pub use super::case_scope::{Effect, ExposureControl, ExposureSettings, ScopeSettings};
@@ -11,24 +12,35 @@ use super::field_calibre::Calibre;
 use super::grow::GrowthSettings;
 use super::surface::SurfaceSettings;
 use super::waveform::Waveform;
+use crate::base::range::{
+    FIELD_OF_VIEW_DEG, GENERATION, KeyRanges, LEAST_RADIUS_MM, NumberRange, SCOPE_RADIUS_MM, SEED,
+};
 use crate::base::{Camera, Error, Result, files, hash};
 
+/// Ranges of `[camera]`.
+const CAMERA_RANGES: KeyRanges =
+    KeyRanges(&[("fov_x_deg", FIELD_OF_VIEW_DEG), ("fisheye", NumberRange::new(-10.0, 10.0))]);
+/// Ranges of `[trajectory]`.
+const TRAJECTORY_RANGES: KeyRanges =
+    KeyRanges(&[("speed_mm_per_s", NumberRange::new(1e-3, 1e4)), ("scope_radius_mm", SCOPE_RADIUS_MM), ("seed", SEED)]);
+/// Range of `light_intensity`, W/sr.
+const LIGHT_INTENSITY: NumberRange = NumberRange::new(1e-6, 1e9);
+/// Range of `registration_error_mm`.
+const REGISTRATION_ERROR_MM: NumberRange = NumberRange::new(0.0, 20.0);
+
 /// Where the anatomy comes from. Paths are relative to the case file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum AnatomySource {
     /// A bronchial tree as a table (centreline points and radii per branch), surfaced by our generator.
     Tree {
         /// The table.
         path: PathBuf,
         /// Branches whose median radius in mm is below this are left out.
-        #[serde(default = "default_least_radius_mm")]
         least_radius_mm: f64,
         /// Generations beyond this one are left out.
-        #[serde(default = "default_deepest")]
         deepest: u32,
         /// How the surface is made.
-        #[serde(default)]
         surface: SurfaceSettings,
     },
     /// A tree grown by seeded published rules, surfaced by our generator.
@@ -36,10 +48,8 @@ pub enum AnatomySource {
         /// Seed of the growth.
         seed: u64,
         /// What is grown.
-        #[serde(default)]
         growth: GrowthSettings,
         /// How the surface is made.
-        #[serde(default)]
         surface: SurfaceSettings,
     },
     /// One closed surface at inspiration; the breathing field makes the other.
@@ -47,7 +57,7 @@ pub enum AnatomySource {
         /// PLY, STL or OBJ.
         path: PathBuf,
         /// Centreline made at import (CSV); extracted from the mesh when absent.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
+        #[serde(skip_serializing_if = "Option::is_none")]
         centerline: Option<PathBuf>,
     },
     /// Two registered surfaces of one topology.
@@ -57,12 +67,76 @@ pub enum AnatomySource {
         /// The same faces at full expiration.
         expiration: PathBuf,
         /// Centreline at inspiration made at import (CSV); extracted from the mesh when absent.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
+        #[serde(skip_serializing_if = "Option::is_none")]
         centerline: Option<PathBuf>,
     },
 }
 
+/// [`AnatomySource`] with the kind as the name of a table: serde then knows the key of a value that it refuses, which
+/// it does not where the kind is a key among the others.
+#[derive(Deserialize)]
+#[serde(remote = "AnatomySource", rename_all = "kebab-case", deny_unknown_fields)]
+enum AnatomyByKind {
+    Tree {
+        path: PathBuf,
+        #[serde(default = "default_least_radius_mm")]
+        least_radius_mm: f64,
+        #[serde(default = "default_deepest")]
+        deepest: u32,
+        #[serde(default)]
+        surface: SurfaceSettings,
+    },
+    Grown {
+        seed: u64,
+        #[serde(default)]
+        growth: GrowthSettings,
+        #[serde(default)]
+        surface: SurfaceSettings,
+    },
+    Mesh {
+        path: PathBuf,
+        #[serde(default)]
+        centerline: Option<PathBuf>,
+    },
+    MeshPair {
+        inspiration: PathBuf,
+        expiration: PathBuf,
+        #[serde(default)]
+        centerline: Option<PathBuf>,
+    },
+}
+
+impl<'de> Deserialize<'de> for AnatomySource {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let mut keys = toml::Table::deserialize(deserializer)?;
+        let Some(toml::Value::String(kind)) = keys.remove("kind") else {
+            return Err(D::Error::missing_field("kind"));
+        };
+        let by_kind = toml::Table::from_iter([(kind, toml::Value::Table(keys))]);
+        let refused = |e: toml::de::Error| D::Error::custom(e.to_string().trim_end().replace('\n', " "));
+        AnatomyByKind::deserialize(toml::Value::Table(by_kind)).map_err(refused)
+    }
+}
+
 impl AnatomySource {
+    /// Rejects numbers that no anatomy has; the element names the key.
+    fn validate(&self) -> Result<()> {
+        let check = |key: &str, range: NumberRange, value: f64| range.check(value).map_err(|e| e.element(key));
+        match self {
+            AnatomySource::Tree { least_radius_mm, deepest, surface, .. } => {
+                check("anatomy.least_radius_mm", LEAST_RADIUS_MM, *least_radius_mm)?;
+                check("anatomy.deepest", GENERATION, f64::from(*deepest))?;
+                surface.validate("anatomy.surface")
+            }
+            AnatomySource::Grown { seed, growth, surface } => {
+                check("anatomy.seed", SEED, *seed as f64)?;
+                growth.validate("anatomy.growth")?;
+                surface.validate("anatomy.surface")
+            }
+            AnatomySource::Mesh { .. } | AnatomySource::MeshPair { .. } => Ok(()),
+        }
+    }
+
     /// Files it names, as written in the case file.
     pub fn files(&self) -> Vec<&Path> {
         match self {
@@ -225,7 +299,8 @@ impl Case {
             let keys: Vec<&str> = key.split('.').collect();
             files::insert_toml(&mut table, &keys, value.clone()).map_err(|e| e.at(path))?;
         }
-        let case = table.try_into().map_err(|e: toml::de::Error| Error::input(e.message().trim_end()).at(path))?;
+        let refused = |e: toml::de::Error| Error::input(e.to_string().trim_end().replace('\n', " ")).at(path);
+        let case = table.try_into().map_err(refused)?;
         Case::checked(case, path)
     }
 
@@ -258,21 +333,9 @@ impl Case {
     /// Rejects values that no film can have; the error names the key.
     pub fn validate(&self) -> Result<()> {
         let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
-        let t = &self.trajectory;
-        let positive = |v: f64| v.is_finite() && v > 0.0;
-        let least_radius_mm = match self.anatomy {
-            AnatomySource::Tree { least_radius_mm, .. } => least_radius_mm,
-            _ => 1.0,
-        };
         let needs_field = !matches!(self.anatomy, AnatomySource::MeshPair { .. });
         let demands = [
             ("id", !self.id.is_empty() && self.id.chars().all(plain), "must be letters, digits, `-` and `_`"),
-            ("camera.fov_x_deg", (20.0..=170.0).contains(&self.camera.fov_x_deg), "must lie between 20 and 170"),
-            ("trajectory.speed_mm_per_s", positive(t.speed_mm_per_s), "must be positive"),
-            ("trajectory.scope_radius_mm", positive(t.scope_radius_mm), "must be positive"),
-            ("light_intensity", self.light_intensity.iter().all(|&v| positive(v)), "must be positive"),
-            ("registration_error_mm", (0.0..=20.0).contains(&self.registration_error_mm), "must lie between 0 and 20"),
-            ("anatomy.least_radius_mm", (0.1..=10.0).contains(&least_radius_mm), "must lie between 0.1 and 10"),
             ("breathing", self.breathing.is_some() == needs_field, {
                 if needs_field { "is missing" } else { "does not belong to a mesh pair, which has its motion" }
             }),
@@ -280,7 +343,15 @@ impl Case {
         if let Some((key, _, sentence)) = demands.iter().find(|demand| !demand.1) {
             return Err(Error::input(*sentence).element(key));
         }
-        self.camera.camera(64, 64).validate().map_err(|e| e.element("camera"))?;
+        SEED.check(self.seed as f64).map_err(|e| e.element("seed"))?;
+        REGISTRATION_ERROR_MM.check(self.registration_error_mm).map_err(|e| e.element("registration_error_mm"))?;
+        for (channel, &power) in self.light_intensity.iter().enumerate() {
+            LIGHT_INTENSITY.check(power).map_err(|e| e.element(format!("light_intensity[{channel}]")))?;
+        }
+        CAMERA_RANGES.check("camera", &self.camera)?;
+        TRAJECTORY_RANGES.check("trajectory", &self.trajectory)?;
+        self.anatomy.validate()?;
+        self.camera.camera(64, 64).validate().map_err(|e| e.element("camera.fisheye"))?;
         case_scope::validate(&self.exposure, &self.scope)?;
         self.waveform.validate()?;
         if let Some(breathing) = &self.breathing {
@@ -374,7 +445,20 @@ centers = []
             ("id = \"test\"", "id = \"a/b\"", "id: must be letters"),
             ("centers = []", "centers = [[1.0, 2.0, 3.0, nan, 0.0, 0.0]]", "centers[0]"),
             ("seed = 3", "seed = -3", "seed"),
-            ("[anatomy]", "[waveform]\ninhale_s = 0.0\n[anatomy]", "waveform.inhale_s"),
+            ("[anatomy]", "[waveform]\ninhale_s = 0.0\n[anatomy]", "waveform.inhale_s: 0 must lie in 0.1 to 60"),
+            ("path = \"case.toml\"", "path = \"case.toml\"\nsurface = { rounds = -1 }", "in `surface.rounds`"),
+            (
+                "path = \"case.toml\"",
+                "path = \"case.toml\"\nsurface = { spacing_mm = nan }",
+                "anatomy.surface.spacing_mm",
+            ),
+            (
+                "path = \"case.toml\"",
+                "path = \"case.toml\"\nsurface = { longest_edge_mm = 0.1 }",
+                "longest_edge_mm: 0.1 is",
+            ),
+            ("path = \"case.toml\"", "path = \"case.toml\"\ndepest = 3", "depest"),
+            ("kind = \"tree\"", "kind = \"bush\"", "bush"),
         ] {
             let error = load(&TREE.replace(from, to)).unwrap_err();
             assert!(error.to_string().contains(said), "{to}: {error}");

@@ -6,6 +6,8 @@ use std::path::Path;
 use glam::DVec3;
 
 use super::centerline::{Centerline, CenterlinePoint};
+use super::tree::MOST_LENGTH_MM;
+use crate::base::range::{COORDINATE_MM, GENERATION, NumberRange, RADIUS_MM};
 use crate::base::{Error, Result, files};
 
 /// First line of the file.
@@ -33,13 +35,19 @@ pub fn parse(text: &str) -> Result<Centerline> {
     if lines.next().map(str::trim) != Some(HEADER) {
         return Err(Error::input(format!("must be \"{HEADER}\"")).element("line 1"));
     }
-    let mut points = Vec::new();
+    let mut points: Vec<CenterlinePoint> = Vec::new();
     for (row, line) in lines.enumerate() {
         let parsed = point(line, points.len());
         points.push(parsed.map_err(|sentence| Error::input(sentence).element(format!("line {}", row + 2)))?);
     }
     if points.len() < 2 {
         return Err(Error::input("a centreline needs at least two points"));
+    }
+    let parent = |p: &CenterlinePoint| p.parent.map(|parent: u32| points[parent as usize].position_mm);
+    let length_mm: f64 = points.iter().filter_map(|p| Some(p.position_mm.distance(parent(p)?))).sum();
+    if length_mm > MOST_LENGTH_MM {
+        let sentence = format!("the centreline is {length_mm:.0} mm long in all, and {MOST_LENGTH_MM:.0} is the most");
+        return Err(Error::input(sentence));
     }
     Ok(Centerline { points })
 }
@@ -52,9 +60,11 @@ fn point(line: &str, id: usize) -> Result<CenterlinePoint, String> {
     let [_, x, y, z, radius_mm, branch, generation, parent] = values[..] else {
         return Err(format!("has {} values instead of 8", values.len()));
     };
-    if radius_mm <= 0.0 {
-        return Err(format!("radius {radius_mm} is not positive"));
-    }
+    let named = |what: &'static str| move |e: Error| format!("{what} {e}");
+    [x, y, z].into_iter().try_for_each(|v| COORDINATE_MM.check(v)).map_err(named("coordinate"))?;
+    RADIUS_MM.check(radius_mm).map_err(named("radius"))?;
+    GENERATION.check(generation).map_err(named("generation"))?;
+    NumberRange::new(0.0, f64::from(u32::MAX)).check(branch).map_err(named("branch"))?;
     let parent = match (id, parent) {
         (0, p) if p < 0.0 => None,
         (_, p) if p >= 0.0 && (p as usize) < id => Some(p as u32),

@@ -3,7 +3,26 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::{Error, Result};
+use crate::base::Result;
+use crate::base::range::{KeyRanges, NumberRange, SHARE};
+
+/// Ranges of `[exposure]`.
+const EXPOSURE_RANGES: KeyRanges = KeyRanges(&[
+    ("target", NumberRange::new(0.05, 0.9)),
+    ("lag_s", NumberRange::new(1e-3, 60.0).or_zero()),
+    ("overshoot", NumberRange::new(1e-6, 0.9).or_zero()),
+    ("drift", SHARE),
+    ("white_balance_drift", SHARE),
+]);
+/// Ranges of `[scope]`; the half angle's 0 is even light.
+const SCOPE_RANGES: KeyRanges = KeyRanges(&[
+    ("emission_half_angle_deg", NumberRange::new(5.0, 85.0).or_zero()),
+    ("vignette", SHARE),
+    ("shot_noise", NumberRange::new(1e-6, 0.5).or_zero()),
+    ("read_noise", NumberRange::new(0.0, 0.5)),
+    ("shutter_s", SHARE),
+    ("mask_radius", NumberRange::new(0.0, 2.0)),
+]);
 
 /// What sets the gain.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -158,32 +177,8 @@ impl std::str::FromStr for Effect {
 
 /// Rejects values that no scope can have; the error names the key.
 pub(super) fn validate(exposure: &ExposureSettings, scope: &ScopeSettings) -> Result<()> {
-    let half_angle = scope.emission_half_angle_deg;
-    let demands = [
-        ("exposure.target", (0.05..=0.9).contains(&exposure.target), "must lie between 0.05 and 0.9"),
-        ("exposure.lag_s", (0.0..=60.0).contains(&exposure.lag_s), "must lie between 0 and 60"),
-        ("exposure.overshoot", (0.0..=0.9).contains(&exposure.overshoot), "must lie between 0 and 0.9"),
-        ("exposure.drift", (0.0..=1.0).contains(&exposure.drift), "must lie between 0 and 1"),
-        (
-            "exposure.white_balance_drift",
-            (0.0..=1.0).contains(&exposure.white_balance_drift),
-            "must lie between 0 and 1",
-        ),
-        (
-            "scope.emission_half_angle_deg",
-            half_angle == 0.0 || (5.0..=85.0).contains(&half_angle),
-            "must be 0 (even) or lie between 5 and 85",
-        ),
-        ("scope.vignette", (0.0..=1.0).contains(&scope.vignette), "must lie between 0 and 1"),
-        ("scope.shot_noise", (0.0..=0.5).contains(&scope.shot_noise), "must lie between 0 and 0.5"),
-        ("scope.read_noise", (0.0..=0.5).contains(&scope.read_noise), "must lie between 0 and 0.5"),
-        ("scope.shutter_s", (0.0..=1.0).contains(&scope.shutter_s), "must lie between 0 and 1"),
-        ("scope.mask_radius", (0.0..=2.0).contains(&scope.mask_radius), "must lie between 0 and 2"),
-    ];
-    match demands.iter().find(|demand| !demand.1) {
-        Some((key, _, sentence)) => Err(Error::input(*sentence).element(key)),
-        None => Ok(()),
-    }
+    EXPOSURE_RANGES.check("exposure", exposure)?;
+    SCOPE_RANGES.check("scope", scope)
 }
 
 #[cfg(test)]

@@ -5,16 +5,26 @@
 //! closed parts. The edge test is computed from the lower to the higher vertex index, hence two faces that share an
 //! edge never both take or both miss a ray.
 
+use std::ops::RangeInclusive;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::centerline_distance::SurfaceDistance;
+use crate::base::estimate::demand_memory;
 use crate::base::{Error, Result, TriangleMesh};
 
 /// No voxel.
 pub const NONE: u32 = u32::MAX;
 /// Most voxels of the bounding box; the spacing grows to stay below.
 const BOX_VOXELS: f64 = 60e6;
+/// Most pairs of a ray and a face whose box it meets; a closed surface without folds has a few for each ray, 20 million
+/// in all. A pair takes some ten nanoseconds.
+const MOST_MEETINGS: f64 = 5e8;
+/// Most crossings, 24 bytes each.
+const MOST_CROSSINGS: usize = 50_000_000;
+/// Bytes of a voxel: its cell, its distance, and its neighbours.
+const VOXEL_BYTES: f64 = 200.0;
 /// Largest share of rays that may leave the surface more often than they enter it.
 const OPEN_ROWS: f64 = 0.02;
 
@@ -49,10 +59,11 @@ impl Voxels {
         let size = ((high - origin) / spacing_mm).to_array().map(|n| n.ceil() as i32 + 1);
         let mut voxels =
             Self { spacing_mm, distance_mm: Vec::new(), origin, size, row_offsets: vec![0], cells: Vec::new() };
-        voxels.fill(&mesh_crossings(mesh, &voxels))?;
+        voxels.fill(&mesh_crossings(mesh, &voxels)?)?;
         if voxels.cells.is_empty() {
             return Err(Error::input(format!("the mesh encloses no space at a spacing of {spacing_mm:.3} mm")));
         }
+        demand_memory(format_args!("{} voxels", voxels.len()), voxels.len() as f64 * VOXEL_BYTES)?;
         voxels.distance_mm = voxels.distances(surface);
         Ok(voxels)
     }
@@ -198,20 +209,38 @@ impl Voxels {
     }
 }
 
+/// The rays whose boxes a face meets, along `axis`.
+fn span(corners: &[DVec3; 3], grid: &Voxels, axis: usize) -> RangeInclusive<i32> {
+    let to_index = |x: f64| (x - grid.origin[axis]) / grid.spacing_mm;
+    let (low, high) = corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), c| {
+        (low.min(to_index(c[axis])), high.max(to_index(c[axis])))
+    });
+    low.ceil() as i32..=high.floor() as i32
+}
+
 /// All crossings of the rows of `grid` with the surface, ordered by row and x.
-fn mesh_crossings(mesh: &TriangleMesh, grid: &Voxels) -> Vec<Crossing> {
+///
+/// Errors: faces that lie over each other many times.
+fn mesh_crossings(mesh: &TriangleMesh, grid: &Voxels) -> Result<Vec<Crossing>> {
+    let folded = |what: f64| {
+        Error::input(format!(
+            "the mesh lies over itself too often: its faces cross the rays of a grid {what:.0e} times"
+        ))
+    };
+    let length = |range: RangeInclusive<i32>| (f64::from(*range.end()) - f64::from(*range.start()) + 1.0).max(0.0);
+    let meetings = |f: usize| length(span(&mesh.corners(f), grid, 1)) * length(span(&mesh.corners(f), grid, 2));
+    let all: f64 = (0..mesh.faces.len()).map(meetings).sum();
+    if all > MOST_MEETINGS {
+        return Err(folded(all));
+    }
     let mut crossings: Vec<Crossing> = Vec::with_capacity(mesh.faces.len() * 2);
     for (f, face) in mesh.faces.iter().enumerate() {
         let corners = mesh.corners(f);
-        let span = |axis: usize| {
-            let to_index = |x: f64| (x - grid.origin[axis]) / grid.spacing_mm;
-            let (low, high) = corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), c| {
-                (low.min(to_index(c[axis])), high.max(to_index(c[axis])))
-            });
-            low.ceil() as i32..=high.floor() as i32
-        };
-        for z in span(2) {
-            for y in span(1) {
+        if crossings.len() > MOST_CROSSINGS {
+            return Err(folded(crossings.len() as f64));
+        }
+        for z in span(&corners, grid, 2) {
+            for y in span(&corners, grid, 1) {
                 let (ray_y, ray_z) =
                     (grid.origin.y + f64::from(y) * grid.spacing_mm, grid.origin.z + f64::from(z) * grid.spacing_mm);
                 if let Some((x, sign)) = cross(face, &corners, ray_y, ray_z) {
@@ -221,7 +250,7 @@ fn mesh_crossings(mesh: &TriangleMesh, grid: &Voxels) -> Vec<Crossing> {
         }
     }
     crossings.sort_by(|a, b| a.row.cmp(&b.row).then(a.x.total_cmp(&b.x)).then(a.sign.cmp(&b.sign)));
-    crossings
+    Ok(crossings)
 }
 
 /// Where the ray along x through (`y`, `z`) crosses the face, and the sign of the face's normal there.

@@ -10,7 +10,17 @@
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-use crate::base::{Error, Result};
+use crate::base::Result;
+use crate::base::range::{COORDINATE_MM, KeyRanges, NumberRange};
+
+/// Ranges of `[breathing.field]`. Affine rows and weights are in mm per [`UNIT_MM`].
+const RANGES: KeyRanges = KeyRanges(&[
+    ("scale", NumberRange::new(0.0, 100.0)),
+    ("softening_mm", NumberRange::new(1e-3, 1e4)),
+    ("origin_mm", COORDINATE_MM),
+    ("affine", NumberRange::new(-1e6, 1e6)),
+    ("centers", NumberRange::new(-1e6, 1e6)),
+]);
 
 /// One unit of the kernel's coordinates in mm.
 pub const UNIT_MM: f64 = 100.0;
@@ -35,22 +45,9 @@ pub struct BreathingField {
 }
 
 impl BreathingField {
-    /// Rejects non-finite coefficients; the element names the key.
+    /// Rejects coefficients that no lung's motion has; the element names the key.
     pub fn validate(&self) -> Result<()> {
-        let bad = |key: String| Err(Error::input("is not finite").element(key));
-        if !self.scale.is_finite() || self.scale < 0.0 {
-            return Err(Error::input("must be finite and not negative").element("breathing.field.scale"));
-        }
-        if !(self.softening_mm.is_finite() && self.softening_mm > 0.0) {
-            return Err(Error::input("must be positive").element("breathing.field.softening_mm"));
-        }
-        if self.origin_mm.iter().chain(self.affine.iter().flatten()).any(|v| !v.is_finite()) {
-            return bad("breathing.field.affine".into());
-        }
-        match self.centers.iter().position(|c| c.iter().any(|v| !v.is_finite())) {
-            Some(row) => bad(format!("breathing.field.centers[{row}]")),
-            None => Ok(()),
-        }
+        RANGES.check("breathing.field", self)
     }
 
     /// Displacement in mm of the point `x_mm` from full inspiration to full expiration.

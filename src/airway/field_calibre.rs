@@ -16,7 +16,12 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::centerline::Centerline;
+use crate::base::range::{KeyRanges, NumberRange};
 use crate::base::{Error, Result};
+
+/// Ranges of `[breathing.calibre]`.
+const RANGES: KeyRanges =
+    KeyRanges(&[("diameter_ratio", NumberRange::new(0.3, 1.2)), ("tracheal_invagination", NumberRange::new(0.0, 0.6))]);
 
 /// Sharpness K of the weights: at 4, the axis is averaged over +- 0.35 radii.
 const SHARPNESS: f64 = 4.0;
@@ -44,14 +49,10 @@ impl Default for Calibre {
 impl Calibre {
     /// Rejects ratios that are no calibre; the element names the key.
     pub fn validate(&self) -> Result<()> {
-        if self.diameter_ratio.is_empty() || self.diameter_ratio.iter().any(|r| !(0.3..=1.2).contains(r)) {
-            return Err(Error::input("needs at least one ratio, each in [0.3, 1.2]")
-                .element("breathing.calibre.diameter_ratio"));
+        if self.diameter_ratio.is_empty() {
+            return Err(Error::input("needs at least one ratio").element("breathing.calibre.diameter_ratio"));
         }
-        if !(0.0..=0.6).contains(&self.tracheal_invagination) {
-            return Err(Error::input("must lie in [0, 0.6]").element("breathing.calibre.tracheal_invagination"));
-        }
-        Ok(())
+        RANGES.check("breathing.calibre", self)
     }
 
     /// Diameter ratio of a (fractional) generation.

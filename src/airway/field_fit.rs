@@ -11,6 +11,7 @@ use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
 
 use super::field::{BreathingField, UNIT_MM};
+use crate::base::range::COORDINATE_MM;
 use crate::base::{Error, Result};
 use crate::formats::landmarks::LandmarkPair;
 
@@ -88,8 +89,15 @@ pub fn choose_centers(near: &[DVec3], spacing_mm: f64, reach_mm: f64, count: usi
     chosen
 }
 
-/// Rejects landmark lists that are too short for any field.
-pub fn check_count(pairs: &[LandmarkPair]) -> Result<()> {
+/// Rejects landmark lists that are too short for any field, and landmarks that lie in no scanner.
+pub fn check_pairs(pairs: &[LandmarkPair]) -> Result<()> {
+    for (number, pair) in pairs.iter().enumerate() {
+        let coordinates = pair.inspiration_mm.to_array().into_iter().chain(pair.expiration_mm.to_array());
+        coordinates
+            .into_iter()
+            .try_for_each(|v| COORDINATE_MM.check(v))
+            .map_err(|e| e.element(format!("pair {number}")))?;
+    }
     if pairs.len() < 10 {
         return Err(Error::input(format!("{} landmark pairs are too few for a breathing field (10)", pairs.len())));
     }
@@ -98,7 +106,7 @@ pub fn check_count(pairs: &[LandmarkPair]) -> Result<()> {
 
 /// The best field for `pairs`. `min_lambda` forbids less smoothing (0 allows all).
 pub fn fit(pairs: &[LandmarkPair], settings: &FitSettings, min_lambda: f64) -> Result<(BreathingField, FitQuality)> {
-    check_count(pairs)?;
+    check_pairs(pairs)?;
     let origin = pairs.iter().map(|p| p.inspiration_mm).sum::<DVec3>() / pairs.len() as f64;
     let basis = Basis::new((origin * 10.0).round() / 10.0, settings)?;
     let ladder: Vec<f64> = LAMBDAS.iter().copied().filter(|l| *l >= min_lambda).collect();

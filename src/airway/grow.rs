@@ -27,8 +27,20 @@ use serde::{Deserialize, Serialize};
 use super::grow_region::GrowthRegion;
 use super::grow_shape::{Shoot, keeps_clear, shoot_points};
 use super::tree::{Branch, Tree};
+use crate::base::Result;
 use crate::base::random::{CounterRng, Stage};
-use crate::base::{Error, Result};
+use crate::base::range::{KeyRanges, NumberRange};
+
+/// Ranges of `[anatomy.growth]`.
+const RANGES: KeyRanges = KeyRanges(&[
+    ("trachea_diameter_mm", NumberRange::new(6.0, 30.0)),
+    ("trachea_length_mm", NumberRange::new(30.0, 200.0)),
+    ("lung_size", NumberRange::new(0.5, 1.6)),
+    ("flow_exponent", NumberRange::new(2.0, 4.0)),
+    ("deepest_generation", NumberRange::new(1.0, 12.0)),
+    ("minimal_radius_mm", NumberRange::new(0.5, 6.0)),
+    ("variation", NumberRange::new(0.0, 0.2)),
+]);
 
 /// Mean child-over-parent diameter by the generation of the child (Horsfield-based tree, 3300 ml; beyond the table the
 /// homothety 2^(-1/3)).
@@ -81,22 +93,9 @@ impl Default for GrowthSettings {
 }
 
 impl GrowthSettings {
-    fn validate(&self) -> Result<()> {
-        let bounds = [
-            ("trachea_diameter_mm", self.trachea_diameter_mm, 6.0, 30.0),
-            ("trachea_length_mm", self.trachea_length_mm, 30.0, 200.0),
-            ("lung_size", self.lung_size, 0.5, 1.6),
-            ("flow_exponent", self.flow_exponent, 2.0, 4.0),
-            ("deepest_generation", self.deepest_generation as f64, 1.0, 12.0),
-            ("minimal_radius_mm", self.minimal_radius_mm, 0.5, 6.0),
-            ("variation", self.variation, 0.0, 0.2),
-        ];
-        for (name, value, low, high) in bounds {
-            if !(low..=high).contains(&value) {
-                return Err(Error::input(format!("is {value}; it must be within {low} and {high}")).element(name));
-            }
-        }
-        Ok(())
+    /// Rejects what no lungs could be; the element names the key, `prefix` before it.
+    pub fn validate(&self, prefix: &str) -> Result<()> {
+        RANGES.check(prefix, self)
     }
 }
 
@@ -270,7 +269,7 @@ impl Grower<'_> {
 /// # Errors
 /// A setting outside of its sensible range; the error names it.
 pub fn grow(seed: u64, settings: &GrowthSettings) -> Result<Tree> {
-    settings.validate()?;
+    settings.validate("anatomy.growth")?;
     let radius_mm = 0.5 * settings.trachea_diameter_mm;
     // The trachea leans back on its way down.
     let direction = DVec3::new(0.0, 0.22, -1.0).normalize();

@@ -57,5 +57,5 @@ fn the_surface_of_a_tree_is_one_closed_sphere() {
 #[test]
 fn a_senseless_setting_is_named() {
     let settings = GrowthSettings { lung_size: f64::NAN, ..Default::default() };
-    assert!(grow(1, &settings).unwrap_err().to_string().starts_with("lung_size"));
+    assert!(grow(1, &settings).unwrap_err().to_string().starts_with("anatomy.growth.lung_size: NaN"));
 }

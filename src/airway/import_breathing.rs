@@ -17,6 +17,7 @@ use super::centerline::Centerline;
 use super::field::BreathingField;
 use super::field_calibre::Calibre;
 use super::field_fit::{Anchor, FitQuality, FitSettings, LAMBDAS, choose_centers, fit};
+use crate::base::range::COORDINATE_MM;
 use crate::base::{Error, Result, TriangleMesh, files};
 use crate::formats::landmarks::LandmarkPair;
 
@@ -61,6 +62,10 @@ impl LungBox {
                 let [a, b, c, d, e, f] = values[..] else {
                     return Err(Error::input("is not six numbers").element(format!("line {}", row + 1)).at(path));
                 };
+                values
+                    .iter()
+                    .try_for_each(|&v| COORDINATE_MM.check(v))
+                    .map_err(|e| e.element(format!("line {}", row + 1)).at(path))?;
                 return Ok(LungBox { low_mm: DVec3::new(a, b, c), high_mm: DVec3::new(d, e, f) });
             }
         }

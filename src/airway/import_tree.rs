@@ -7,6 +7,7 @@ use glam::DVec3;
 use super::centerline::{Centerline, CenterlinePoint};
 use super::import_mesh::FileMeaning;
 use super::tree::Tree;
+use crate::base::range::{COORDINATE_MM, GENERATION, RADIUS_MM};
 use crate::base::{Error, Result, files};
 
 /// Columns of a centreline table.
@@ -34,7 +35,10 @@ pub fn from_mesh(path: &Path, meaning: &FileMeaning, source: &str) -> Result<Tre
 
 /// The table of `centerline`, resampled to 1.5 mm.
 pub fn from_centerline(centerline: &Centerline, source: &str) -> Result<Tree> {
-    let tree = Tree::from_centerline(centerline, source).resampled(STEP_MM);
+    let whole = Tree::from_centerline(centerline, source);
+    // Before the tables are made, whose length is that of the branches.
+    whole.validate()?;
+    let tree = whole.resampled(STEP_MM);
     tree.validate()?;
     Ok(tree)
 }
@@ -64,13 +68,17 @@ fn parse_table(text: &str, meaning: &FileMeaning) -> Result<Centerline> {
             Err(_) if index == 0 => None,
             Err(_) => return wrong("its parent is not an earlier point"),
         };
-        if branch < 0.0 || generation < 0.0 {
-            return wrong("branch and generation cannot be negative");
+        let named = |key: &'static str| move |e: Error| e.element(format!("id {id}, {key}"));
+        if branch < 0.0 || branch.fract() != 0.0 || branch > f64::from(u32::MAX) {
+            return wrong("branch must be a whole number of at most 32 bits");
         }
-        let position_mm = meaning.to_lps_mm(DVec3::new(x, y, z));
+        GENERATION.check(generation).map_err(named("generation"))?;
+        let (radius_mm, position_mm) = (radius_mm * meaning.scale, meaning.to_lps_mm(DVec3::new(x, y, z)));
+        RADIUS_MM.check(radius_mm).map_err(named("radius_mm"))?;
+        position_mm.to_array().into_iter().try_for_each(|v| COORDINATE_MM.check(v)).map_err(named("coordinates"))?;
         points.push(CenterlinePoint {
             position_mm,
-            radius_mm: radius_mm * meaning.scale,
+            radius_mm,
             branch: branch as u32,
             generation: generation as u32,
             parent,
@@ -109,5 +117,33 @@ mod tests {
         let short = TABLE.replace("2,0,1,-20,4,1,1,1", "2,0,1,x");
         assert!(parse_table(&short, &read_as(PatientAxes::LPS)).unwrap_err().to_string().contains("line 3"));
         assert!(parse_table("", &read_as(PatientAxes::LPS)).is_err());
+    }
+
+    /// Sizes that a table's numbers would lead to, not its length.
+    #[test]
+    fn numbers_are_names_or_are_bounded() {
+        let import = |from: &str, to: &str| {
+            let text = TABLE.replace(from, to);
+            parse_table(&text, &read_as(PatientAxes::LPS))
+                .and_then(|line| from_centerline(&line, "test"))
+                .map_err(|e| e.to_string())
+        };
+        let named = import(",4,1,1,", ",4,4294967294,1,").unwrap();
+        assert_eq!(named.branches.len(), 2, "a branch's number is its name");
+        for (from, to, says) in [
+            ("0,1,-20,4", "0,1000000000,-20,4", "id 2, coordinates: 1e9 must lie in -10000 to 10000"),
+            ("0,1,-20,4", "0,1,-20,1e-300", "id 2, radius_mm: 1e-300"),
+            (",1,1,1\n", ",1,4294967295,1\n", "id 2, generation: 4.294967295e9 must lie in 0 to 64"),
+            (",4,1,1,", ",4,1.5,1,", "id 2: branch must be a whole number"),
+            (",4,1,1,", ",4,1e300,1,", "id 2: branch must be a whole number"),
+        ] {
+            assert!(import(from, to).unwrap_err().contains(says), "{:?}", import(from, to));
+        }
+        // Every number in range, and a thread of 4000 km to and fro.
+        let far: String = (0..200_000)
+            .map(|k| format!("{k},{},0,0,5,0,0,{}\n", if k % 2 == 0 { 1e4 } else { -1e4 }, k - 1))
+            .collect();
+        let line = parse_table(&format!("{}\n{far}", COLUMNS.join(",")), &read_as(PatientAxes::LPS)).unwrap();
+        assert!(from_centerline(&line, "test").unwrap_err().to_string().contains("1000000 is the most"));
     }
 }

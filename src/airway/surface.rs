@@ -13,7 +13,27 @@ use super::surface_field::LumenField;
 use super::surface_polygon::polygonise;
 use super::tree::Tree;
 use crate::base::random::{CounterRng, Stage};
+use crate::base::range::{KeyRanges, NumberRange, SEED};
 use crate::base::{Error, Result, TriangleMesh};
+
+/// Ranges of `[anatomy.surface]`.
+const RANGES: KeyRanges = KeyRanges(&[
+    ("spacing_mm", NumberRange::new(0.1, 5.0)),
+    ("edge_per_radius", NumberRange::new(0.01, 5.0)),
+    ("shortest_edge_mm", NumberRange::new(0.05, 20.0)),
+    ("longest_edge_mm", NumberRange::new(0.05, 20.0)),
+    ("blend", NumberRange::new(0.0, 2.0)),
+    ("unevenness", NumberRange::new(0.0, 0.2)),
+    ("rounds", NumberRange::new(0.0, 50.0)),
+    ("seed", SEED),
+]);
+/// Most faces of a surface, as its area and the wanted edges suggest, and most before remeshing, as its area and the
+/// grid suggest: some twenty times those of the shipped cases.
+const MOST_FACES: f64 = 2e6;
+/// Most faces times rounds of remeshing; one takes about 20 microseconds.
+const MOST_FACE_ROUNDS: f64 = 1.2e7;
+/// Faces of marching tetrahedra per square of the grid.
+const FACES_PER_SQUARE: f64 = 4.0;
 
 /// How fine and how even the surface is.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,6 +69,46 @@ impl Default for SurfaceSettings {
             rounds: 5,
             seed: 1,
         }
+    }
+}
+
+impl SurfaceSettings {
+    /// Rejects what no surface could have; the element names the key, `prefix` before it.
+    pub fn validate(&self, prefix: &str) -> Result<()> {
+        RANGES.check(prefix, self)?;
+        if self.longest_edge_mm < self.shortest_edge_mm {
+            let sentence = format!("{} is less than shortest_edge_mm", self.longest_edge_mm);
+            return Err(Error::input(sentence).element(format!("{prefix}.longest_edge_mm")));
+        }
+        Ok(())
+    }
+
+    /// Wanted length in mm of an edge where the airway has a radius of `radius_mm`.
+    fn edge_mm(&self, radius_mm: f64) -> f64 {
+        (self.edge_per_radius * radius_mm).clamp(self.shortest_edge_mm, self.longest_edge_mm)
+    }
+
+    /// Refuses a surface of `tree` that would take too long. Its area is the mantle of its cones, its faces are
+    /// equilateral triangles of the wanted edges.
+    fn check_faces(&self, tree: &Tree) -> Result<()> {
+        let (mut faces, mut rough) = (0.0, 0.0);
+        for (branch, k) in tree.branches.iter().flat_map(|b| (1..b.points_mm.len()).map(move |k| (b, k))) {
+            let radius_mm = 0.5 * (branch.radius(k - 1) + branch.radius(k));
+            let area_mm2 = std::f64::consts::TAU * radius_mm * branch.position(k - 1).distance(branch.position(k));
+            faces += area_mm2 / (0.25 * 3f64.sqrt() * self.edge_mm(radius_mm).powi(2));
+            rough += area_mm2 * FACES_PER_SQUARE / self.spacing_mm.powi(2);
+        }
+        for (key, what, count, most) in [
+            ("shortest_edge_mm", "faces", faces, MOST_FACES),
+            ("spacing_mm", "faces on the grid", rough, MOST_FACES),
+            ("rounds", "faces times rounds", faces * self.rounds as f64, MOST_FACE_ROUNDS),
+        ] {
+            if count > most {
+                let sentence = format!("the surface would have about {count:.0} {what}, and {most:.0} is the most");
+                return Err(Error::input(sentence).element(format!("anatomy.surface.{key}")));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -94,19 +154,17 @@ impl Neighbourhood {
 
 /// The surface of `tree` with normals into the lumen, and the (fractional) generation at each vertex.
 ///
-/// Errors: a tree that is no tree, settings that would need more than 300 million grid nodes, and a result that is not
-/// one closed manifold (branches that loop back into each other).
+/// Errors: a tree that is no tree, settings out of range, or a tree for which they would need more than 300 million
+/// grid nodes or two million faces, and a result that is not one closed manifold (branches that loop back into each
+/// other).
 pub fn surface_from_tree(tree: &Tree, settings: &SurfaceSettings) -> Result<(TriangleMesh, Vec<f32>)> {
     tree.validate()?;
-    if !(settings.spacing_mm > 0.05 && settings.edge_per_radius > 0.0 && settings.shortest_edge_mm > 0.0) {
-        return Err(Error::input("surface settings need positive lengths"));
-    }
+    settings.validate("anatomy.surface")?;
+    settings.check_faces(tree)?;
     let neighbourhood = Neighbourhood::of(tree);
-    let field = LumenField::of_tree(tree, settings.spacing_mm, settings.blend);
+    let field = LumenField::of_tree(tree, settings.spacing_mm, settings.blend)?;
     let rough = polygonise(&field);
-    let target = |p: DVec3| {
-        (settings.edge_per_radius * neighbourhood.look(p).0).clamp(settings.shortest_edge_mm, settings.longest_edge_mm)
-    };
+    let target = |p: DVec3| settings.edge_mm(neighbourhood.look(p).0);
     let mut mesh = remesh(&rough, settings.rounds, target, |p| field.project(p));
     smooth(&mut mesh, 6);
     let looks: Vec<(f64, f64)> = mesh.vertices.iter().map(|&v| neighbourhood.look(v)).collect();
@@ -205,6 +263,31 @@ mod tests {
         angles.sort_by(f64::total_cmp);
         println!("{} faces, least angle {:.1}, 1 % {:.1}", angles.len(), angles[0], angles[angles.len() / 100]);
         assert!(angles[0] > 5.0 && angles[angles.len() / 100] > 25.0);
+    }
+
+    #[test]
+    fn surfaces_that_would_not_end_are_refused() {
+        let refused = |settings: SurfaceSettings| surface_from_tree(&fork(), &settings).unwrap_err().to_string();
+        let fine = SurfaceSettings::default();
+        let tiny = SurfaceSettings { shortest_edge_mm: 0.05, edge_per_radius: 0.01, ..fine };
+        assert!(refused(tiny).contains("shortest_edge_mm: the surface would have about"));
+        assert!(
+            refused(SurfaceSettings { shortest_edge_mm: 1e-9, ..fine }).contains("shortest_edge_mm: 1e-9 must lie")
+        );
+        assert!(refused(SurfaceSettings { rounds: 1 << 62, ..fine }).contains("rounds: 4.6"));
+        let patient = SurfaceSettings { rounds: 50, shortest_edge_mm: 0.2, longest_edge_mm: 0.2, ..fine };
+        assert!(refused(patient).contains("faces times rounds"));
+        let mut wide = fork();
+        wide.branches[0].points_mm.iter_mut().for_each(|point| point[3] = 20.0);
+        let said = surface_from_tree(&wide, &SurfaceSettings { spacing_mm: 0.1, ..fine }).unwrap_err().to_string();
+        assert!(said.contains("faces on the grid"), "{said}");
+        assert!(refused(SurfaceSettings { spacing_mm: f64::NAN, ..fine }).contains("spacing_mm: NaN"));
+        assert!(refused(SurfaceSettings { blend: -1.0, ..fine }).contains("blend: -1"));
+        assert!(refused(SurfaceSettings { longest_edge_mm: 0.3, ..fine }).contains("longest_edge_mm: 0.3 is less"));
+        let mut long = fork();
+        long.branches[1].points_mm.push([9000.0, 9000.0, 9000.0, 6.0]);
+        let said = surface_from_tree(&long, &fine).unwrap_err().to_string();
+        assert!(said.contains("0.8 mm is too fine for this tree") || said.contains("is the most"), "{said}");
     }
 
     #[test]

@@ -7,9 +7,14 @@
 use glam::{DVec3, IVec3};
 
 use super::tree::{Branch, Tree};
+use crate::base::{Error, Result};
 
 /// Value far from every branch, in mm: beyond every band of interest.
 const FAR: f32 = 1e3;
+/// Most nodes of the grid: 1.2 GB.
+const MOST_NODES: f64 = 3e8;
+/// Most nodes that all branches and their cones together may touch: about a minute.
+const MOST_TOUCHED_NODES: f64 = 6e9;
 
 /// Samples of the field at `origin + spacing * (i, j, k)`.
 pub struct LumenField {
@@ -21,15 +26,24 @@ pub struct LumenField {
 
 impl LumenField {
     /// Samples the field of `tree`; `blend` is the width of the smooth union over the radius of the joining branch.
-    pub fn of_tree(tree: &Tree, spacing_mm: f64, blend: f64) -> Self {
-        let mut field = Self::empty(tree, spacing_mm);
+    ///
+    /// Errors: a tree so large, or a spacing so small, that the grid would have more than 300 million nodes, or that
+    /// its branches would touch 6 billion.
+    pub fn of_tree(tree: &Tree, spacing_mm: f64, blend: f64) -> Result<Self> {
+        let touched: f64 = tree.branches.iter().map(|branch| touched_nodes(branch, spacing_mm, blend)).sum();
+        if touched > MOST_TOUCHED_NODES {
+            let sentence =
+                format!("{spacing_mm} mm is too fine for this tree: its branches span {touched:.1e} grid nodes");
+            return Err(Error::input(sentence).element("anatomy.surface.spacing_mm"));
+        }
+        let mut field = Self::empty(tree, spacing_mm)?;
         for branch in &tree.branches {
             field.join(branch, blend);
         }
-        field
+        Ok(field)
     }
 
-    fn empty(tree: &Tree, spacing_mm: f64) -> Self {
+    fn empty(tree: &Tree, spacing_mm: f64) -> Result<Self> {
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for branch in &tree.branches {
             for k in 0..branch.points_mm.len() {
@@ -39,8 +53,15 @@ impl LumenField {
         }
         let margin = DVec3::splat(4.0 * spacing_mm);
         let extent = (high - low + 2.0 * margin) / spacing_mm;
+        let nodes = (extent + 2.0).element_product();
+        if nodes.is_nan() || nodes > MOST_NODES {
+            let sentence = format!(
+                "{spacing_mm} mm is too fine for this tree: {nodes:.1e} grid nodes, {MOST_NODES:.0e} is the most"
+            );
+            return Err(Error::input(sentence).element("anatomy.surface.spacing_mm"));
+        }
         let size = [extent.x, extent.y, extent.z].map(|e| e.ceil() as usize + 1);
-        LumenField { origin: low - margin, spacing_mm, size, values: vec![FAR; size.iter().product()] }
+        Ok(LumenField { origin: low - margin, spacing_mm, size, values: vec![FAR; size.iter().product()] })
     }
 
     /// Nodes along x, y and z.
@@ -70,8 +91,7 @@ impl LumenField {
     }
 
     fn join(&mut self, branch: &Branch, blend: f64) {
-        let band = 4.0 * self.spacing_mm;
-        let reach = |k: usize| branch.radius(k) * (1.0 + blend) + band;
+        let reach = |k: usize| reach_mm(branch, k, self.spacing_mm, blend);
         let points = branch.points_mm.len();
         let widest = (0..points).map(reach).fold(0.0, f64::max);
         let (low, high) = (0..points).fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), k| {
@@ -150,6 +170,25 @@ impl LumenField {
         }
         point
     }
+}
+
+/// How far from its centre in mm point `k` of a branch changes the field.
+fn reach_mm(branch: &Branch, k: usize, spacing_mm: f64, blend: f64) -> f64 {
+    branch.radius(k) * (1.0 + blend) + 4.0 * spacing_mm
+}
+
+/// Nodes in the boxes around a branch and around its cones.
+fn touched_nodes(branch: &Branch, spacing_mm: f64, blend: f64) -> f64 {
+    let reach = |k: usize| reach_mm(branch, k, spacing_mm, blend);
+    let points = branch.points_mm.len();
+    let nodes = |first: usize, last: usize, reach_mm: f64| {
+        let (low, high) = (first..=last).fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), k| {
+            (low.min(branch.position(k)), high.max(branch.position(k)))
+        });
+        ((high - low + 2.0 * reach_mm) / spacing_mm + 2.0).element_product()
+    };
+    let cones: f64 = (1..points).map(|k| nodes(k - 1, k, reach(k - 1).max(reach(k)))).sum();
+    cones + nodes(0, points - 1, (0..points).map(reach).fold(0.0, f64::max))
 }
 
 /// Polynomial smooth minimum (Quilez): exact where |a - b| > k, at most k / 4 below the minimum.

@@ -2,11 +2,17 @@
 //!
 //! Frame: LPS, millimetres (x to the patient's left, y posterior, z superior).
 
+use std::collections::BTreeMap;
+
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::centerline::{Centerline, CenterlinePoint};
+use crate::base::range::{COORDINATE_MM, GENERATION, RADIUS_MM};
 use crate::base::{Error, Result};
+
+/// Longest sum of all branches in mm: a kilometre, some fifty times what CT shows.
+pub(super) const MOST_LENGTH_MM: f64 = 1e6;
 
 /// One branch between two bifurcations. Its first point lies on the parent's centreline (or is the inlet).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -73,10 +79,19 @@ impl Tree {
             if branch.points_mm.len() < 2 {
                 return wrong(format!("has {} points; a branch needs two", branch.points_mm.len()));
             }
-            let bad = branch.points_mm.iter().position(|p| p.iter().any(|v| !v.is_finite()) || p[3] <= 0.0);
-            if let Some(point) = bad {
-                return wrong(format!("point {point} is not finite or has no positive radius"));
+            let named = |e: Error, what: &str| e.element(format!("branches[{index}]{what}"));
+            GENERATION.check(branch.generation.into()).map_err(|e| named(e, ".generation"))?;
+            for (point, &[x, y, z, radius_mm]) in branch.points_mm.iter().enumerate() {
+                let place = |e: Error| named(e, &format!(".points_mm[{point}]"));
+                [x, y, z].into_iter().try_for_each(|v| COORDINATE_MM.check(v)).map_err(place)?;
+                RADIUS_MM.check(radius_mm).map_err(place)?;
             }
+        }
+        let length_mm: f64 = self.branches.iter().map(Branch::length_mm).sum();
+        if length_mm > MOST_LENGTH_MM {
+            let sentence =
+                format!("the branches are {length_mm:.0} mm long in all, and {MOST_LENGTH_MM:.0} is the most");
+            return Err(Error::input(sentence));
         }
         Ok(())
     }
@@ -143,20 +158,19 @@ impl Tree {
             [v.x, v.y, v.z, p.radius_mm].map(|c| (c * 100.0).round() / 100.0)
         };
         let mut branches: Vec<Branch> = Vec::new();
-        let mut table_of_branch: Vec<Option<u32>> = Vec::new();
+        // By name and not by place: a table may number its branches as it likes.
+        let mut table_of_branch: BTreeMap<u32, u32> = BTreeMap::new();
         for point in &centerline.points {
-            let id = point.branch as usize;
-            if table_of_branch.len() <= id {
-                table_of_branch.resize(id + 1, None);
-            }
-            let table = match table_of_branch[id] {
-                Some(table) => table,
+            let table = match table_of_branch.get(&point.branch) {
+                Some(&table) => table,
                 None => {
                     let joint = point.parent.map(|p| centerline.points[p as usize]);
-                    let parent = joint.and_then(|p| table_of_branch[p.branch as usize]);
+                    let parent = joint.and_then(|p| table_of_branch.get(&p.branch).copied());
                     let points_mm = joint.iter().map(row).collect();
                     branches.push(Branch { parent, generation: point.generation, points_mm });
-                    *table_of_branch[id].insert(branches.len() as u32 - 1)
+                    let table = branches.len() as u32 - 1;
+                    table_of_branch.insert(point.branch, table);
+                    table
                 }
             };
             branches[table as usize].points_mm.push(row(point));
@@ -240,6 +254,6 @@ mod tests {
         assert_eq!(fork().reachable(2.0, 9).branches.len(), 2);
         let mut broken = fork();
         broken.branches[1].points_mm[3][3] = 0.0;
-        assert!(broken.validate().unwrap_err().to_string().contains("branches[1]: point 3"));
+        assert!(broken.validate().unwrap_err().to_string().contains("branches[1].points_mm[3]: 0 must lie"));
     }
 }

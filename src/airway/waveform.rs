@@ -14,8 +14,20 @@
 use serde::{Deserialize, Serialize};
 
 use crate::base::random::{CounterRng, Stage};
+use crate::base::range::{KeyRanges, NumberRange, SHARE};
 use crate::base::{Error, Result};
 
+/// Ranges of `[waveform]`. The shortest breath takes 20 ms, and a film starts within the first hour.
+const RANGES: KeyRanges = KeyRanges(&[
+    ("inhale_s", NumberRange::new(0.1, 60.0)),
+    ("exhale_s", NumberRange::new(0.1, 60.0)),
+    ("period_scale", NumberRange::new(0.1, 10.0)),
+    ("amplitude", NumberRange::new(1e-3, 1.0)),
+    ("offset", SHARE),
+    ("start_s", NumberRange::new(0.0, 3600.0)),
+    ("hold_s", NumberRange::new(0.0, 60.0)),
+    ("irregularity", SHARE),
+]);
 /// Stiffness k of the pressure-volume curve while breathing in and while breathing out.
 const STIFFNESS_IN: f64 = 1.2;
 const STIFFNESS_OUT: f64 = 0.8;
@@ -71,37 +83,13 @@ impl Default for Waveform {
 impl Waveform {
     /// Rejects values that describe no breath; the element names the key.
     pub fn validate(&self) -> Result<()> {
-        let positive = [
-            ("inhale_s", self.inhale_s),
-            ("exhale_s", self.exhale_s),
-            ("period_scale", self.period_scale),
-            ("amplitude", self.amplitude),
-        ];
-        for (key, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(Error::input(format!("{value} must be positive")).element(format!("waveform.{key}")));
-            }
-        }
-        let not_negative = [
-            ("offset", self.offset),
-            ("start_s", self.start_s),
-            ("hold_s", self.hold_s),
-            ("irregularity", self.irregularity),
-        ];
-        for (key, value) in not_negative {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(Error::input(format!("{value} must not be negative")).element(format!("waveform.{key}")));
-            }
-        }
+        RANGES.check("waveform", self)?;
         if self.offset + self.amplitude > 1.0 + 1e-12 {
             return Err(Error::input(format!(
                 "offset {} plus amplitude {} goes beyond the expiration CT (1)",
                 self.offset, self.amplitude
             ))
             .element("waveform.amplitude"));
-        }
-        if self.irregularity > 1.0 {
-            return Err(Error::input("must lie in [0, 1]").element("waveform.irregularity"));
         }
         Ok(())
     }
@@ -260,7 +248,15 @@ mod tests {
     fn impossible_breaths_are_refused_by_key() {
         let w = Waveform { amplitude: 0.9, offset: 0.2, ..Waveform::default() };
         assert!(w.validate().unwrap_err().to_string().contains("waveform.amplitude"));
-        let w = Waveform { inhale_s: f64::NAN, ..Waveform::default() };
-        assert!(w.validate().unwrap_err().to_string().contains("waveform.inhale_s"));
+        let said = |w: Waveform| w.validate().unwrap_err().to_string();
+        assert_eq!(
+            said(Waveform { inhale_s: f64::NAN, ..Waveform::default() }),
+            "waveform.inhale_s: NaN must lie in 0.1 to 60"
+        );
+        // What the loop over breaths would never end with.
+        assert!(
+            said(Waveform { period_scale: 1e-300, ..Waveform::default() }).contains("waveform.period_scale: 1e-300")
+        );
+        assert!(said(Waveform { start_s: 1e12, ..Waveform::default() }).contains("waveform.start_s: 1e12"));
     }
 }

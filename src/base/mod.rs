@@ -3,6 +3,7 @@
 pub mod camera;
 pub mod color;
 pub mod error;
+pub mod estimate;
 pub mod files;
 pub mod hash;
 pub mod image;
@@ -10,12 +11,14 @@ pub mod mask;
 pub mod mesh;
 pub mod progress;
 pub mod random;
+pub mod range;
 pub mod revision;
 pub mod shipped;
 pub mod staging;
 
 pub use camera::Camera;
 pub use error::{Error, ErrorKind, Result};
+pub use estimate::Estimate;
 pub use image::Image;
 pub use mask::Mask;
 pub use mesh::TriangleMesh;

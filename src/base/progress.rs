@@ -1,5 +1,8 @@
 //! How long-running work reports progress and is stopped; rooms below the command line never print.
 
+use super::error::Result;
+use super::estimate::Estimate;
+
 /// Receives the progress of long-running work and may stop it.
 pub trait Progress: Sync {
     /// `done` of `total` steps (frames, mostly) are finished.
@@ -7,6 +10,12 @@ pub trait Progress: Sync {
 
     /// True when the work should stop at the next safe point, with `ErrorKind::Interrupted`.
     fn cancelled(&self) -> bool;
+
+    /// Whether work of this size may begin; an error when the user would have to be asked first. Who calls the library
+    /// decides alone: by default all work may.
+    fn accepts(&self, _estimate: &Estimate) -> Result<()> {
+        Ok(())
+    }
 
     /// One sentence for the user that is neither progress nor failure.
     fn note(&self, _sentence: &str) {}

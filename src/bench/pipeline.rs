@@ -14,7 +14,7 @@ use super::timing::StageTiming;
 use super::variant::Variant;
 use crate::airway::case::Case;
 
-use crate::base::{Error, Progress, Result, files, hash};
+use crate::base::{Error, Estimate, Progress, Result, files, hash};
 use crate::reconstruct::{self, Listing, MethodFile, Reconstruct};
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use crate::score::{self, Truth};
@@ -24,6 +24,16 @@ use crate::simulate::{self, MeshOutput, RadianceOutput, SimulationSettings};
 
 /// The rows of the paper's Table 1 from top to bottom, then the bounds; further methods follow by name.
 const ORDER: [&str; 6] = ["bridgesplat", "bridgesplat-nomesh", "ours-nomesh", "ours", "static-ct", "oracle-phase"];
+
+/// Iterations of a frame of `ours`, and the core seconds that they take at the published scale in an image of 256x256
+/// pixels and in one of no pixels; scoring included. The model behind [`Pipeline::estimate`].
+const OUR_ITERATIONS: f64 = 130.0;
+const FRAME_S: f64 = 0.8;
+const FRAME_PIXELS: f64 = 256.0 * 256.0;
+const SMALL_FRAME_S: f64 = 0.1;
+/// Memory of a reconstruction: of the Gaussians with their gradients, and of a pixel of a film that is held whole.
+const CELL_BYTES: f64 = 3e8;
+const FILM_PIXEL_BYTES: f64 = 8.0;
 
 /// What the user asked for beyond the profile; `None` leaves it to the profile.
 #[derive(Clone, Debug, Default)]
@@ -47,13 +57,28 @@ pub struct Pipeline {
 struct Method {
     content: String,
     method: Box<dyn Reconstruct>,
+    /// Iterations of a frame over those of `ours`, the profile's scale included.
+    effort: f64,
+}
+
+/// Iterations of a frame that a method's keys name; those of `ours` where they name none. Three are stages of a frame,
+/// two those of the first frame and of the others.
+fn iterations(keys: &toml::Table) -> f64 {
+    let number = |value: &toml::Value| value.as_integer().unwrap_or_default() as f64;
+    match keys.get("iterations").and_then(|key| key.get("value")).and_then(|value| value.as_array()).map(Vec::as_slice)
+    {
+        Some([_, others]) => number(others),
+        Some(stages) => stages.iter().map(number).sum(),
+        None => OUR_ITERATIONS,
+    }
 }
 
 impl Method {
     fn new(file: &MethodFile, profile: &Profile) -> Result<Self> {
         let scale = profile.iteration_scale;
         // Hash of the parsed keys, inherited ones included, so that changing a comment or a blank recomputes no cell.
-        Ok(Method { content: hash::of_value(&(file.keys(), scale))?, method: file.method(scale)? })
+        let content = hash::of_value(&(file.keys(), scale))?;
+        Ok(Method { content, method: file.method(scale)?, effort: scale * iterations(file.keys()) / OUR_ITERATIONS })
     }
 }
 
@@ -92,8 +117,15 @@ impl Pipeline {
         if wanted_cases.is_empty() {
             return Err(Error::input("there are no case files").at(catalogue.root()));
         }
-        let load =
-            |wish: &String| Ok(Case::load_changed(&catalogue.case_file(wish)?, changes)?.without(&profile.without));
+        let load = |wish: &String| -> Result<Case> {
+            let file = catalogue.case_file(wish)?;
+            let case = Case::load_changed(&file, changes)?.without(&profile.without);
+            simulate::material(&case).map_err(|e| e.at(&file))?;
+            film_settings(&profile, &case).check().map_err(|e| {
+                Error::input(format!("profile `{}` gives {} no film: {e}", profile.name, case.id)).at(&file)
+            })?;
+            Ok(case)
+        };
         let cases: Vec<Case> = wanted_cases.iter().map(load).collect::<Result<_>>()?;
         refuse_doubles(cases.iter().map(|case| case.id.as_str()), "case")?;
         let seeds = wishes.seeds.unwrap_or_else(|| profile.seeds.clone());
@@ -117,6 +149,24 @@ impl Pipeline {
             seeds: self.seeds.clone(),
             revisions: Revisions::of_this_program(),
         })
+    }
+
+    /// What the whole plan would cost, were nothing in the cache.
+    pub fn estimate(&self) -> Estimate {
+        let nothing = Estimate { resumable: true, ..Estimate::default() };
+        let effort: f64 = self.methods.iter().map(|method| method.effort).sum::<f64>() * self.seeds.len() as f64;
+        let of_case = |case: &Case| {
+            let film = self.simulation_settings(case);
+            let (frames, pixels) = (film.frames as f64, f64::from(film.width_px) * f64::from(film.height_px));
+            let frame_s = effort * (SMALL_FRAME_S + FRAME_S * pixels / FRAME_PIXELS);
+            let cells = Estimate {
+                memory_bytes: CELL_BYTES + frames * pixels * FILM_PIXEL_BYTES,
+                seconds: frames * frame_s / rayon::current_num_threads() as f64,
+                resumable: true,
+            };
+            film.estimate(case).then(cells)
+        };
+        self.cases.iter().map(of_case).fold(nothing, Estimate::then)
     }
 
     /// The cases that were chosen.
@@ -149,16 +199,21 @@ impl Pipeline {
     }
 
     fn simulation_settings(&self, case: &Case) -> SimulationSettings {
-        SimulationSettings {
-            width_px: self.profile.image_width_px,
-            height_px: self.profile.image_width_px,
-            frames_per_second: self.profile.frames_per_second,
-            frames: self.profile.frames(case.waveform.period_s()),
-            samples_per_pixel: self.profile.samples_per_pixel,
-            meshes: MeshOutput::default(),
-            radiance: RadianceOutput::default(),
-            truth: TruthSet::default(),
-        }
+        film_settings(&self.profile, case)
+    }
+}
+
+/// How a profile films a case.
+fn film_settings(profile: &Profile, case: &Case) -> SimulationSettings {
+    SimulationSettings {
+        width_px: profile.image_width_px,
+        height_px: profile.image_width_px,
+        frames_per_second: profile.frames_per_second,
+        frames: profile.frames(case.waveform.period_s()),
+        samples_per_pixel: profile.samples_per_pixel,
+        meshes: MeshOutput::default(),
+        radiance: RadianceOutput::default(),
+        truth: TruthSet::default(),
     }
 }
 

@@ -6,7 +6,19 @@ use serde::{Deserialize, Serialize};
 
 use super::plan::toml_ids;
 use crate::airway::case::Effect;
+use crate::base::range::{FRAME_RATE, FRAMES, KeyRanges, NumberRange, SAMPLES_PER_PIXEL, SEED};
 use crate::base::{Error, Result, files};
+
+/// Ranges of a profile.
+const RANGES: KeyRanges = KeyRanges(&[
+    ("seeds", SEED),
+    ("image_width_px", NumberRange::new(8.0, 4096.0)),
+    ("frames_per_second", FRAME_RATE),
+    ("minimum_frames", FRAMES),
+    ("minimum_breaths", NumberRange::new(0.0, 1000.0)),
+    ("samples_per_pixel", SAMPLES_PER_PIXEL),
+    ("iteration_scale", NumberRange::new(1e-3, 100.0)),
+]);
 
 /// How large the images are, how many frames there are, and how much work goes into each.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,20 +72,10 @@ impl Profile {
 
     /// Rejects numbers that no run can use; the error names the key.
     pub fn validate(&self) -> Result<()> {
-        let positive = |value: f64| value.is_finite() && value > 0.0;
-        let demands = [
-            ("image_width_px", (8..=4096).contains(&self.image_width_px), "must lie between 8 and 4096"),
-            ("frames_per_second", positive(self.frames_per_second), "must be positive"),
-            ("minimum_frames", (2..=100_000).contains(&self.minimum_frames), "must lie between 2 and 100000"),
-            ("minimum_breaths", (0.0..=1000.0).contains(&self.minimum_breaths), "must lie between 0 and 1000"),
-            ("samples_per_pixel", (1..=65_536).contains(&self.samples_per_pixel), "must lie between 1 and 65536"),
-            ("iteration_scale", positive(self.iteration_scale), "must be positive"),
-            ("seeds", !self.seeds.is_empty(), "must name at least one seed"),
-        ];
-        match demands.iter().find(|demand| !demand.1) {
-            Some((key, _, sentence)) => Err(Error::input(*sentence).element(key)),
-            None => Ok(()),
+        if self.seeds.is_empty() {
+            return Err(Error::input("must name at least one seed").element("seeds"));
         }
+        RANGES.check("", self)
     }
 
     /// Frames of a sequence whose breathing period is `period_s`.
@@ -118,7 +120,7 @@ mod tests {
     fn wrong_values_are_named() {
         let mut profile = Profile::load(&shipped(), "smoke").unwrap();
         profile.frames_per_second = f64::NAN;
-        assert_eq!(profile.validate().unwrap_err().to_string(), "frames_per_second: must be positive");
+        assert_eq!(profile.validate().unwrap_err().to_string(), "frames_per_second: NaN must lie in 0.1 to 1000");
         let unknown = Profile::load(&shipped(), "huge").unwrap_err();
         assert!(unknown.to_string().contains("paper, quick, smoke"), "{unknown}");
         let by_path = Profile::load(&shipped(), shipped().join("quick.toml").to_str().unwrap()).unwrap();

@@ -8,7 +8,8 @@ use std::path::Path;
 use serde::Deserialize;
 
 use super::plan::choose;
-use crate::base::{Result, files};
+use crate::base::range::SEED;
+use crate::base::{Error, Result, files};
 use crate::reconstruct::MethodFile;
 
 /// One line of `bench-cases/ablations.toml`.
@@ -64,6 +65,12 @@ impl Ablations {
     /// Reads the file; `groups` keeps only those.
     pub fn load(path: &Path, groups: Option<&[String]>) -> Result<Self> {
         let mut read: Ablations = files::read_toml(path)?;
+        for (place, &seed) in read.noise_seeds.iter().enumerate() {
+            SEED.check(seed as f64).map_err(|e| e.element(format!("noise_seeds[{place}]")).at(path))?;
+        }
+        if read.noise_seeds.is_empty() {
+            return Err(Error::input("must name at least one seed").element("noise_seeds").at(path));
+        }
         let mut known: Vec<String> = read.ablation.iter().map(|v| v.group.clone()).collect();
         known.dedup();
         let chosen = choose(&known, groups, "ablation")?;

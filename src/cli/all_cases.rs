@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::selection::Selection;
 use super::{Terminal, comparison};
-use crate::base::{Error, ErrorKind, Result, files};
+use crate::base::{Error, ErrorKind, Progress, Result, files};
 use crate::bench::store::{Lock, ProductState, cell_folder, sequence_product};
 use crate::bench::{Environment, Freshness, Plan, Store, execute};
 use crate::report;
@@ -43,6 +43,7 @@ pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
     if arguments.dry_run {
         return print_plan(&plan, &Store::look(&arguments.cache)?, &folder, freshness, terminal);
     }
+    terminal.accepts(&pipeline.estimate())?;
     // Both folders are taken before any work: a run that cannot be written is refused now and not in ten minutes.
     let _lock = Lock::take(&folder)?;
     files::remove_unfinished(&folder)?;

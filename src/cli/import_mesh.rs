@@ -14,6 +14,7 @@ use crate::airway::case::{
 use crate::airway::centerline::Centerline;
 use crate::airway::import_breathing::breathing_toml;
 use crate::airway::{self, case_build, case_centerline};
+use crate::base::range::{FIELD_OF_VIEW_DEG, SCOPE_RADIUS_MM, SEED};
 use crate::base::{Error, Progress, Result, Staging, TriangleMesh, files};
 use crate::formats::mesh::write_ply;
 use crate::simulate::trajectory::Route;
@@ -68,16 +69,16 @@ struct CommonArguments {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Horizontal field of view in degrees
-    #[arg(long, default_value_t = 100.0)]
+    #[arg(long, default_value_t = 100.0, value_name = "DEG", value_parser = FIELD_OF_VIEW_DEG.parser::<f64>())]
     fov_x_deg: f64,
     /// Radius of the scope in mm
-    #[arg(long, default_value_t = 1.6)]
+    #[arg(long, default_value_t = 1.6, value_name = "MM", value_parser = SCOPE_RADIUS_MM.parser::<f64>())]
     scope_radius_mm: f64,
     /// Part of the lungs in which the way ends
     #[arg(long, value_enum, default_value = "any")]
     region: RegionChoice,
     /// Seed of everything random
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = SEED.parser::<u64>())]
     seed: u64,
 }
 

@@ -9,15 +9,16 @@ use crate::airway::Anatomy;
 use crate::airway::case::{Breathing, Case};
 use crate::airway::field::BreathingField;
 use crate::airway::field_calibre::Calibre;
-use crate::airway::field_fit::check_count;
+use crate::airway::field_fit::check_pairs;
 use crate::airway::import_breathing::{LungBox, MeasuredBreathing, WantedMotion, fitted_breathing, moving};
 use crate::airway::import_check::check_landmarks;
-use crate::base::{Error, Result};
+use crate::base::Result;
+use crate::base::range::NumberRange;
 use crate::formats::landmarks::{self, LandmarkPair};
 use crate::simulate::trajectory::Route;
 
-/// Furthest that the end of a scope's way is made to move, mm.
-const MOST_END_MOTION_MM: f64 = 100.0;
+/// Motion in mm of the end of a route; lungs are no longer than 300 mm.
+const END_MOTION_MM: NumberRange = NumberRange::new(0.01, 100.0);
 
 /// Where the motion comes from and how large it is.
 #[derive(Args)]
@@ -29,7 +30,7 @@ pub(super) struct MotionArguments {
     #[arg(long, value_name = "CSV")]
     lung_boxes: Option<PathBuf>,
     /// Motion in mm of the end of the scope's way; without it the measured motion is kept
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", value_parser = END_MOTION_MM.parser::<f64>())]
     end_motion_mm: Option<f64>,
     /// Where the landmarks come from, for the case file
     #[arg(
@@ -40,14 +41,10 @@ pub(super) struct MotionArguments {
 }
 
 impl MotionArguments {
-    /// Reads the landmarks; whatever is wrong with them, or with the wanted motion, is said before any work.
+    /// Reads the landmarks; whatever is wrong with them is said before any work.
     pub(super) fn read(&self) -> Result<Vec<LandmarkPair>> {
-        if let Some(wanted) = self.end_motion_mm.filter(|mm| !(*mm > 0.0 && *mm <= MOST_END_MOTION_MM)) {
-            let sentence = format!("--end-motion-mm: {wanted} is not above 0 and at most {MOST_END_MOTION_MM}");
-            return Err(Error::usage(sentence));
-        }
         let pairs = landmarks::read(&self.landmarks)?;
-        check_count(&pairs).and_then(|()| check_landmarks(&pairs)).map_err(|e| e.at(&self.landmarks))?;
+        check_pairs(&pairs).and_then(|()| check_landmarks(&pairs)).map_err(|e| e.at(&self.landmarks))?;
         Ok(pairs)
     }
 

@@ -7,6 +7,7 @@ use clap::Args;
 use super::Terminal;
 use super::import_file::FileArguments;
 use crate::airway::import_tree::{from_mesh, from_table};
+use crate::base::range::{GENERATION, LEAST_RADIUS_MM};
 use crate::base::{Error, Progress, Result, files};
 
 /// Arguments of `import tree`.
@@ -25,10 +26,10 @@ pub struct TreeArguments {
     #[arg(long)]
     source: String,
     /// Branches of a smaller median radius in mm are left out
-    #[arg(long, default_value_t = 1.2)]
+    #[arg(long, default_value_t = 1.2, value_name = "MM", value_parser = LEAST_RADIUS_MM.parser::<f64>())]
     least_radius_mm: f64,
     /// Generations beyond this one are left out
-    #[arg(long, default_value_t = 8)]
+    #[arg(long, default_value_t = 8, value_name = "GENERATION", value_parser = GENERATION.parser::<u32>())]
     deepest: u32,
     /// Table to write
     #[arg(long, value_name = "TOML")]

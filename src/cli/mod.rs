@@ -35,7 +35,9 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use crate::base::range::THREADS;
 use crate::base::{Error, Result};
+use terminal::Consent;
 pub use terminal::Terminal;
 
 /// Makes the subcommand enum and its dispatch from lines `Variant => file::Arguments`.
@@ -100,8 +102,13 @@ commands! {
     130 interrupted.\nExample: respire-bench all-cases --profile smoke")]
 struct Line {
     /// Threads to use; 0 takes every core. Results do not depend on it.
-    #[arg(long, global = true, default_value_t = 0, value_name = "N", help_heading = "Global options")]
+    #[arg(long, global = true, default_value_t = 0, value_name = "N", help_heading = "Global options",
+        value_parser = THREADS.parser::<usize>())]
     threads: usize,
+    /// Begin work that is estimated to take more than half an hour (a day, where it can be resumed), or more than half
+    /// of the memory that is left
+    #[arg(long, global = true, help_heading = "Global options")]
+    yes: bool,
     #[command(subcommand)]
     command: Command,
 }
@@ -130,7 +137,8 @@ fn start(line: Line) -> Result<()> {
         .num_threads(line.threads)
         .build_global()
         .map_err(|e| Error::usage(format!("cannot start {} threads: {e}", line.threads)))?;
-    let terminal = Terminal::new()?;
+    let consent = if line.yes { Consent::Given } else { Consent::Asked };
+    let terminal = Terminal::new(consent)?;
     let outcome = line.command.run(&terminal);
     terminal.finish();
     outcome
@@ -138,7 +146,12 @@ fn start(line: Line) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use std::any::TypeId;
+
     use clap::CommandFactory;
+
+    /// Value names of options that are numbers.
+    const NUMBER_NAMES: [&str; 8] = ["N", "N,..", "PX", "MM", "DEG", "PHASE", "R", "GENERATION"];
 
     /// Clap finds duplicate and contradictory options only when a command is built.
     #[test]
@@ -149,5 +162,24 @@ mod tests {
             let help = command.get_after_help().map(|h| h.to_string()).unwrap_or_default();
             assert!(help.contains("respire-bench"), "`{} --help` shows no example", command.get_name());
         }
+    }
+
+    /// Numbers have a value name that says so, by which `tests/all/ranges.rs` finds every one of them.
+    #[test]
+    fn options_that_are_numbers_say_so() {
+        let numbers = [TypeId::of::<u32>(), TypeId::of::<u64>(), TypeId::of::<usize>(), TypeId::of::<f64>()];
+        let mut found = 0;
+        let mut commands = vec![super::Line::command()];
+        while let Some(command) = commands.pop() {
+            for argument in command.get_arguments() {
+                let named = argument.get_value_names().unwrap_or_default();
+                let is_number = numbers.iter().any(|number| argument.get_value_parser().type_id() == *number);
+                let says_so = named.iter().any(|name| NUMBER_NAMES.contains(&name.as_str()));
+                assert_eq!(is_number, says_so, "{} {} {named:?}", command.get_name(), argument.get_id());
+                found += usize::from(is_number);
+            }
+            commands.extend(command.get_subcommands().cloned());
+        }
+        assert!(found >= 20, "{found} numbers were looked at");
     }
 }

@@ -7,7 +7,8 @@ use clap::{Args, Subcommand};
 use super::Terminal;
 use super::selection::CatalogueFolder;
 use crate::airway::case::Case;
-use crate::base::{Error, Progress, Result};
+use crate::base::range::{IMAGE_SIDE_PX, REPETITIONS, SAMPLES_PER_PIXEL, SHARE};
+use crate::base::{Error, Estimate, Progress, Result};
 use crate::experiments::pareto::phase::{self, PhaseSweep};
 use crate::experiments::pareto::render::{self, RenderSweep};
 use crate::experiments::pareto::skipping;
@@ -44,16 +45,16 @@ struct RenderChartArguments {
     #[arg(long, value_delimiter = ',', value_name = "CASE,..", default_value = "case1,case5,case9")]
     cases: Vec<String>,
     /// Image width and height in pixels
-    #[arg(long, default_value_t = 256, value_name = "PX")]
+    #[arg(long, default_value_t = 256, value_name = "PX", value_parser = IMAGE_SIDE_PX.parser::<u32>())]
     width: u32,
     /// Samples per pixel of the reference
-    #[arg(long, default_value_t = 1024, value_name = "N")]
+    #[arg(long, default_value_t = 1024, value_name = "N", value_parser = SAMPLES_PER_PIXEL.parser::<u32>())]
     reference_spp: u32,
     /// Most samples per pixel of a measured setting
-    #[arg(long, default_value_t = 64, value_name = "N")]
+    #[arg(long, default_value_t = 64, value_name = "N", value_parser = SAMPLES_PER_PIXEL.parser::<u32>())]
     most_spp: u32,
     /// Breathing phase of the frame, 0 inspiration (the shape at which the tissue's map is made) to 1 expiration
-    #[arg(long, default_value_t = 0.5, value_name = "PHASE")]
+    #[arg(long, default_value_t = 0.5, value_name = "PHASE", value_parser = SHARE.parser::<f64>())]
     phase: f64,
     #[command(flatten)]
     catalogue: CatalogueFolder,
@@ -91,7 +92,7 @@ struct SplatChartArguments {
     )]
     scenes: Vec<SceneSize>,
     /// Passes per setting; a tenth of it, at least one, where a pass takes tenths of a second
-    #[arg(long, default_value_t = 15, value_name = "N")]
+    #[arg(long, default_value_t = 15, value_name = "N", value_parser = REPETITIONS.parser::<usize>())]
     repeat: usize,
 }
 
@@ -108,15 +109,14 @@ pub fn run(arguments: ParetoArguments, terminal: &Terminal) -> Result<()> {
 
 fn run_render(arguments: RenderChartArguments, terminal: &Terminal) -> Result<PathBuf> {
     let catalogue = arguments.catalogue.open()?;
-    if !(0.0..=1.0).contains(&arguments.phase) {
-        return Err(Error::usage(format!("the phase is {}; it must lie in [0, 1]", arguments.phase)));
-    }
     let sweep = RenderSweep {
         width_px: arguments.width,
         reference_samples: arguments.reference_spp,
         most_samples: arguments.most_spp,
         phase: arguments.phase,
     };
+    let cases = arguments.cases.len() as f64;
+    terminal.accepts(&Estimate { seconds: cases * sweep.estimate().seconds, ..sweep.estimate() })?;
     let mut points = Vec::new();
     for name in &arguments.cases {
         points.extend(render::points(&Case::load(&catalogue.case_file(name)?)?, &sweep, terminal)?);
@@ -132,6 +132,8 @@ fn run_phase(arguments: PhaseChartArguments, terminal: &Terminal) -> Result<Path
 }
 
 fn run_splat(arguments: SplatChartArguments, terminal: &Terminal) -> Result<PathBuf> {
+    let sizes = arguments.scenes.iter().map(|size| size.estimate(arguments.repeat));
+    terminal.accepts(&sizes.fold(Estimate::default(), Estimate::then))?;
     let (mut gradients, mut images, mut skips) = (Vec::new(), Vec::new(), Vec::new());
     for &size in &arguments.scenes {
         if terminal.cancelled() {

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use super::Terminal;
 use super::selection::{CatalogueFolder, PoseChoice};
-use crate::base::{Result, files};
+use crate::base::range::SEED;
+use crate::base::{Progress, Result, files};
 use crate::bench::{Freshness, Pipeline, Store, Wishes, execute};
 use crate::score::{self, CellScore};
 
@@ -19,7 +20,7 @@ pub struct RunArguments {
     #[arg(long, value_name = "METHOD")]
     method: String,
     /// Seed of the method's randomness
-    #[arg(long, default_value_t = 1, value_name = "N")]
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = SEED.parser::<u64>())]
     seed: u64,
     /// Size of the run: smoke, quick, paper, or the path of a profile file
     #[arg(long, default_value = "quick", value_name = "P")]
@@ -47,6 +48,7 @@ pub fn run(arguments: RunArguments, terminal: &Terminal) -> Result<()> {
         seeds: Some(vec![arguments.seed]),
     };
     let pipeline = Pipeline::new(&arguments.catalogue.open()?, &arguments.profile, wishes)?;
+    terminal.accepts(&pipeline.estimate())?;
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
     let mut store = Store::open(&arguments.cache)?;
     let finished = execute(&pipeline.plan()?, &pipeline, &mut store, freshness, terminal)?;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::base::range::SEED;
 use crate::base::{Error, Result};
 use crate::bench::{Catalogue, Pipeline, Wishes};
 
@@ -26,7 +27,7 @@ pub struct Selection {
     #[command(flatten)]
     poses: PoseChoice,
     /// Seeds of the methods' randomness; the profile's when not given
-    #[arg(long, value_delimiter = ',', value_name = "N,..")]
+    #[arg(long, value_delimiter = ',', value_name = "N,..", value_parser = SEED.parser::<u64>())]
     seeds: Vec<u64>,
     #[command(flatten)]
     catalogue: CatalogueFolder,

@@ -7,10 +7,11 @@ use clap::Args;
 use super::Terminal;
 use super::selection::CatalogueFolder;
 use crate::airway::case::{Case, Effect};
-use crate::base::Result;
+use crate::base::range::{FRAMES, IMAGE_SIDE_PX, SAMPLES_PER_PIXEL};
+use crate::base::{Estimate, Progress, Result};
 use crate::bench::profile::Profile;
 use crate::simulate::truth::TruthMap;
-use crate::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
+use crate::simulate::{MeshOutput, RadianceOutput, SimulationSettings, material, simulate};
 
 /// Arguments of `simulate`.
 #[derive(Args)]
@@ -29,13 +30,13 @@ pub struct SimulateArguments {
     #[arg(long, default_value = "quick", value_name = "P")]
     profile: String,
     /// Frames, instead of the profile's
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = FRAMES.parser::<usize>())]
     frames: Option<usize>,
     /// Image width and height in pixels, instead of the profile's
-    #[arg(long, value_name = "PX")]
+    #[arg(long, value_name = "PX", value_parser = IMAGE_SIDE_PX.parser::<u32>())]
     width: Option<u32>,
     /// Paths per pixel, instead of the profile's
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = SAMPLES_PER_PIXEL.parser::<u32>())]
     spp: Option<u32>,
     /// Also writes the deformed mesh of every frame
     #[arg(long)]
@@ -59,11 +60,15 @@ pub fn run(arguments: SimulateArguments, terminal: &Terminal) -> Result<()> {
     let catalogue = arguments.catalogue.open()?;
     let profile = Profile::load(&catalogue.profiles(), &arguments.profile)?;
     let files: Vec<PathBuf> = arguments.cases.iter().map(|c| catalogue.case_file(c)).collect::<Result<_>>()?;
-    let load = |file: &PathBuf| Ok(Case::load(file)?.without(&profile.without).without(&arguments.without));
+    let load = |file: &PathBuf| {
+        let case = Case::load(file)?.without(&profile.without).without(&arguments.without);
+        material(&case).map_err(|e| e.at(file))?;
+        Ok(case)
+    };
     let cases: Vec<Case> = files.iter().map(load).collect::<Result<_>>()?;
-    for case in &cases {
+    let settings = |case: &Case| {
         let side = arguments.width.unwrap_or(profile.image_width_px);
-        let settings = SimulationSettings {
+        SimulationSettings {
             width_px: side,
             height_px: side,
             frames_per_second: profile.frames_per_second,
@@ -72,9 +77,18 @@ pub fn run(arguments: SimulateArguments, terminal: &Terminal) -> Result<()> {
             meshes: if arguments.meshes { MeshOutput::EveryFrame } else { MeshOutput::EndStates },
             radiance: if arguments.radiance { RadianceOutput::Exr } else { RadianceOutput::None },
             truth: arguments.truth.iter().copied().collect(),
-        };
+        }
+    };
+    // All of them are judged before the first is made.
+    let mut all = Estimate { resumable: true, ..Estimate::default() };
+    for case in &cases {
+        settings(case).check()?;
+        all = all.then(settings(case).estimate(case));
+    }
+    terminal.accepts(&all)?;
+    for case in &cases {
         terminal.stage(format!("{}: filming", case.id));
-        let sequence = simulate(case, &settings, &arguments.out.join(&case.id), terminal)?;
+        let sequence = simulate(case, &settings(case), &arguments.out.join(&case.id), terminal)?;
         terminal.line(format!("{}: {} frames", sequence.root.display(), sequence.frames.len()));
     }
     Ok(())

@@ -7,7 +7,8 @@ use clap::{Args, ValueEnum};
 use super::Terminal;
 use super::splat_gradients::{GradientSums, Weights};
 use super::splat_output::{Features, FrameTiming, SplatOutput, SplatTiming};
-use crate::base::{Error, Result, files};
+use crate::base::range::{LIGHT, REPETITIONS};
+use crate::base::{Error, Progress, Result, files};
 use crate::formats::gaussians_ply::{self, GaussianCloud};
 use crate::formats::transforms::Transforms;
 use crate::splat::{
@@ -37,7 +38,7 @@ pub struct SplatArguments {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Passes per frame; the timing is their median
-    #[arg(long, default_value_t = 1, value_name = "N")]
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = REPETITIONS.parser::<usize>())]
     repeat: usize,
     /// Weights w of the image: (height, width, 3), or one such image per frame
     #[arg(long, value_name = "WEIGHTS.npy")]
@@ -67,7 +68,8 @@ pub struct SplatArguments {
     #[arg(long, value_enum)]
     isa: Option<KernelChoice>,
     /// Colour behind everything
-    #[arg(long, num_args = 3, value_names = ["R", "G", "B"], default_values_t = [0.0, 0.0, 0.0])]
+    #[arg(long, num_args = 3, value_names = ["R", "G", "B"], default_values_t = [0.0, 0.0, 0.0],
+        value_parser = LIGHT.parser::<f64>())]
     background: Vec<f64>,
 }
 
@@ -184,16 +186,29 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     };
     let mut rasterizer = Rasterizer::with_isa(arguments.isa.map_or_else(Isa::widest, KernelChoice::isa))?;
     rasterizer.measure_cpu();
+    let repeat = arguments.repeat;
+    let of_frame = |number: usize| move |e: Error| e.element(format!("frame {number}"));
+    let first = View::new(camera, transforms.frames[0].world_from_camera());
+    let pass = rasterizer.estimate(&scene, &first, &settings, weights.is_some());
+    let pass = pass.map_err(|e| of_frame(0)(e).at(&arguments.cameras))?;
+    terminal.accepts(&output.with_files(pass, size, count, repeat))?;
     let coefficients = (cloud.sh_degree as usize + 1).pow(2);
     let mut sums = GradientSums::new(cloud.count_in_file, coefficients, count, wanted);
-    let repeat = arguments.repeat.max(1);
     let mut frames = Vec::new();
+    terminal.stage("rasterising");
+    // A step is a pass, and the files of a frame are one more.
+    let mut steps = 0..count * (repeat + 1);
+    let advance = |steps: &mut std::ops::Range<usize>| {
+        terminal.advance(steps.start, steps.end);
+        steps.next();
+        if terminal.cancelled() { Err(Error::interrupted()) } else { Ok(()) }
+    };
     for (number, frame) in transforms.frames.iter().enumerate() {
-        terminal.stage(format!("frame {number}"));
         let view = View::new(camera, frame.world_from_camera());
         let mut times = Vec::new();
         for _ in 0..repeat {
-            let named = |e: Error| e.element(format!("frame {number}")).at(&arguments.cameras);
+            advance(&mut steps)?;
+            let named = |e: Error| of_frame(number)(e).at(&arguments.cameras);
             rasterizer.render(&scene, &view, &settings, None).map_err(named)?;
             if let Some(weights) = &weights {
                 let image = ImageGradient { color: weights.of_frame(number), ..ImageGradient::default() };
@@ -205,8 +220,10 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
             sums.add(&cloud, number, rasterizer.gradients());
         }
         frames.push(FrameTiming::new(&times, weights.is_some(), rasterizer.rendered()));
+        advance(&mut steps)?;
         output.write(number, &scene, &view, &mut rasterizer)?;
     }
+    terminal.finish();
     if weights.is_some() {
         sums.write(&output.folder.join("gradients.npz"))?;
     }

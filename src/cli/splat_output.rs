@@ -6,11 +6,15 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::base::image::codes_from_unit;
-use crate::base::{Error, Image, Result};
+use crate::base::{Error, Estimate, Image, Result};
 use crate::experiments::timing::{BACKWARD_STAGES, FORWARD_STAGES, Samples};
 use crate::formats::gaussians_ply::GaussianCloud;
 use crate::formats::{exr, npy, png};
 use crate::splat::{Gaussians, PassStage, Rasterizer, Rendered, StageTimes, View};
+
+/// Bytes of a value of an image while it is encoded, and the seconds that this takes.
+const VALUE_BYTES: f64 = 12.0;
+const VALUE_S: f64 = 5e-8;
 
 /// Medians of one stage in milliseconds.
 #[derive(Serialize)]
@@ -97,6 +101,18 @@ pub(super) struct SplatOutput {
 impl SplatOutput {
     fn path(&self, number: usize, ending: &str) -> PathBuf {
         self.folder.join(format!("{number:06}{ending}"))
+    }
+
+    /// What `frames` frames of `size` (height, width) would cost, their files included, when `pass` is the cost of one
+    /// rendering.
+    pub fn with_files(&self, pass: Estimate, [height, width]: [usize; 2], frames: usize, repeat: usize) -> Estimate {
+        let values = 5 + usize::from(self.contributors) + if self.normals { 3 } else { 0 };
+        let values = (values + self.features.as_ref().map_or(0, |f| f.count)) as f64 * (height * width) as f64;
+        Estimate {
+            memory_bytes: pass.memory_bytes + values * VALUE_BYTES,
+            seconds: frames as f64 * (repeat as f64 * pass.seconds + values * VALUE_S),
+            resumable: false,
+        }
     }
 
     /// Everything of the frame that `rasterizer` rendered last.

@@ -8,15 +8,25 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::base::{Error, ErrorKind, Progress, Result};
+use crate::base::{Error, ErrorKind, Estimate, Progress, Result};
 
 /// Least time between two progress lines of a stage when there is no terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
+
+/// Whether large work begins without a question.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Consent {
+    /// `--yes`.
+    Given,
+    /// The user is told what it would take, and has to say so.
+    Asked,
+}
 
 /// Where a command reports. Progress and notes go to standard error, results to standard output.
 pub struct Terminal {
     interrupted: Arc<AtomicBool>,
     watched: bool,
+    consent: Consent,
     state: Mutex<TerminalState>,
 }
 
@@ -30,7 +40,7 @@ struct TerminalState {
 
 impl Terminal {
     /// Takes over Ctrl-C: the first asks the work to stop at the next safe point, the second ends the process.
-    pub fn new() -> Result<Self> {
+    pub fn new(consent: Consent) -> Result<Self> {
         let interrupted = Arc::new(AtomicBool::new(false));
         let token = Arc::clone(&interrupted);
         ctrlc::set_handler(move || {
@@ -41,7 +51,7 @@ impl Terminal {
             eprintln!("stopping at the next frame; press Ctrl-C again to stop at once");
         })
         .map_err(|e| Error::new(ErrorKind::Environment, format!("cannot take over Ctrl-C: {e}")))?;
-        Ok(Terminal { interrupted, watched: std::io::stderr().is_terminal(), state: Mutex::default() })
+        Ok(Terminal { interrupted, watched: std::io::stderr().is_terminal(), consent, state: Mutex::default() })
     }
 
     /// Starts a stage: what `advance` counts from now on, for instance `case1: filming`.
@@ -107,6 +117,13 @@ impl Progress for Terminal {
         if now.duration_since(last) >= LINE_INTERVAL {
             state.last_line = Some(now);
             eprintln!("{}: {done}/{total}", state.label);
+        }
+    }
+
+    fn accepts(&self, estimate: &Estimate) -> Result<()> {
+        match estimate.question() {
+            Some(question) if self.consent == Consent::Asked => Err(Error::usage(question)),
+            _ => Ok(()),
         }
     }
 

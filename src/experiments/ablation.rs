@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use crate::base::{Result, files};
+use crate::base::{Error, Estimate, Result, files};
 use crate::bench::{Ablations, Catalogue, FinishedCell, Freshness, Pipeline, Store, Variant, execute};
 use crate::experiments::ExperimentWatcher;
 use crate::report::ablation::VariantScores;
@@ -37,9 +37,12 @@ pub fn run(
     let mut pipelines = Vec::new();
     for (variant, seeds) in shipped.chain(varied) {
         // All are read before the first is run: a mistake in the last line shows now.
-        let pipeline = Pipeline::of_variant(plan.catalogue, plan.profile, plan.cases, seeds, &variant)?;
+        let pipeline = Pipeline::of_variant(plan.catalogue, plan.profile, plan.cases, seeds, &variant)
+            .map_err(|e| if variant.group.is_empty() { e } else { of_line(plan.catalogue, &variant, &e) })?;
         pipelines.push((variant, pipeline));
     }
+    let nothing = Estimate { resumable: true, ..Estimate::default() };
+    watcher.accepts(&pipelines.iter().map(|(_, pipeline)| pipeline.estimate()).fold(nothing, Estimate::then))?;
     let mut store = Store::open(plan.cache)?;
     let mut all = Vec::new();
     let count = pipelines.len();
@@ -52,6 +55,12 @@ pub fn run(
         each(&all)?;
     }
     Ok(())
+}
+
+/// The error of a line of the ablations file, which may have changed a method or a case.
+fn of_line(catalogue: &Catalogue, variant: &Variant, error: &Error) -> Error {
+    let line = format!("group \"{}\", setting \"{}\"", variant.group, variant.setting);
+    Error::new(error.kind(), error.to_string()).element(line).at(catalogue.ablations_file())
 }
 
 fn scores(variant: Variant, finished: &[FinishedCell]) -> Result<VariantScores> {

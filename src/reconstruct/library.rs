@@ -17,7 +17,9 @@ use super::methods::bridgesplat_nomesh::BridgesplatNomesh;
 use super::methods::ours::{GivenPhase, Ours};
 use super::methods::ours_gn::OursGn;
 use super::methods::ours_nomesh::OursNomesh;
-use super::settings::{KeyPath, Keys, MethodHeader, MethodKind, MethodSettings, contains, overlay, remove, replace};
+use super::settings::{
+    KeyPath, Keys, METHOD_RANGES, MethodHeader, MethodKind, MethodSettings, contains, overlay, remove, replace,
+};
 
 /// A method file with everything that it inherits.
 #[derive(Clone, Debug)]
@@ -32,7 +34,7 @@ impl MethodFile {
     ///
     /// Errors: a file that is not TOML, an id that is not the file's name, an unknown kind, a base that is missing or
     /// leads back to the file, a key that is missing, that the file's kind does not read, or whose value has another
-    /// type.
+    /// type or is out of range.
     pub fn load(path: &Path) -> Result<Self> {
         Self::inherit(path, &mut Vec::new())
     }
@@ -68,18 +70,24 @@ impl MethodFile {
             }
             remove(&mut file.keys, &key);
         }
+        file.check_numbers()?;
         Ok(file)
+    }
+
+    fn check_numbers(&self) -> Result<()> {
+        METHOD_RANGES.check_value("", &Value::Table(self.keys.clone())).map_err(|e| e.at(&self.path))
     }
 
     /// The same method with the values of some keys changed. A key is a path with dots (`window.keyframes`).
     ///
-    /// Errors: a key that the method does not have, or a value of another type.
+    /// Errors: a key that the method does not have, or a value of another type or out of range.
     pub fn with<'a>(mut self, changes: impl IntoIterator<Item = (&'a str, &'a Value)>) -> Result<Self> {
         for (key, value) in changes {
             let path: Vec<&str> = key.split('.').collect();
             replace(&mut self.keys, &path, value.clone()).map_err(|e| e.at(&self.path))?;
         }
         self.build(1.0)?;
+        self.check_numbers()?;
         Ok(self)
     }
 
@@ -227,6 +235,8 @@ mod tests {
             ("source = \"paper\"", "source = \"hearsay\"", "hearsay"),
             ("velocity = { value = 0.7", "velocity = { value = \"fast\"", "velocity"),
             ("velocity = { value", "velocity = { note = 1, value", "note"),
+            ("velocity = { value = 0.7", "velocity = { value = nan", "velocity: NaN must lie in 0 to 2"),
+            ("[60, 40, 30]", "[60, 4000000, 30]", "iterations[1]: 4000000 must lie in 0 to 100000"),
         ] {
             let text = refusal(folder.path(), "ours", from, to);
             assert!(text.contains(says) && text.contains("ours.toml"), "{text}");
@@ -312,6 +322,8 @@ mod tests {
             ("static-ct", "velocity", Value::from(0.5)),
             ("ours", "velocities", Value::from(0.5)),
             ("ours", "velocity", Value::from("fast")),
+            ("ours", "velocity", Value::from(-1.0)),
+            ("ours-gn", "window.keyframes", Value::from(i64::MAX)),
         ] {
             let error = change(id, key, value).unwrap_err().to_string();
             assert!(error.contains(key) && error.contains(&format!("{id}.toml")), "{error}");

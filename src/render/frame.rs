@@ -9,14 +9,23 @@ use rayon::prelude::*;
 use super::denoise::{Guides, denoised_indirect};
 use super::sampling::{MAX_SAMPLES, SampledImage, TracedView, sampled};
 use super::scene::Scene;
-use super::settings::{Denoise, Light, RenderSettings, Shading, Transport};
+use super::settings::{
+    Denoise, EMISSION_EXPONENT, Light, RAYS_PER_FACE, RenderSettings, Shading, Transport, check_size,
+};
 use super::vertex_light::vertex_light;
 use crate::base::random::{CounterRng, Stage};
-use crate::base::{Camera, Error, Image, NoProgress, Progress, Result};
+use crate::base::range::SAMPLES_PER_PIXEL;
+use crate::base::{Camera, Error, Estimate, Image, NoProgress, Progress, Result};
 use crate::ffi::trace::tracer::{FrameSettings, NO_FACE, TileCounters};
 
-/// Most pixels of an image: more would need over 4 GiB for the film.
-const MAX_PIXELS: u64 = 1 << 24;
+/// The model behind [`estimate`]: bytes of the film and its images per pixel, core seconds per camera sample (with all
+/// its bounces, or with light at vertices), bytes and core seconds per ray of a face.
+const PIXEL_BYTES: f64 = 260.0;
+const PATH_SAMPLE_S: f64 = 3e-6;
+const KNOWN_SAMPLE_S: f64 = 1e-6;
+const FACE_RAY_BYTES: f64 = 32.0;
+const FACE_RAY_S: f64 = 1e-6;
+
 /// A rendered frame.
 #[derive(Clone, Debug)]
 pub struct RenderedFrame {
@@ -52,9 +61,29 @@ pub fn render(
     render_watched(scene, camera, world_from_camera, light, settings, &NoProgress)
 }
 
+/// What [`render_watched`] would cost. With a target, the samples are those that noise of the radiance's own size would
+/// need.
+pub fn estimate(scene: &Scene, camera: &Camera, settings: &RenderSettings) -> Estimate {
+    let pixels = f64::from(camera.width) * f64::from(camera.height);
+    let least = f64::from(settings.samples_per_pixel);
+    let samples = settings.target_relmse.map_or(least, |target| (1.0 / target).clamp(least, f64::from(MAX_SAMPLES)));
+    let (sample_s, rays_per_face) = match settings.transport {
+        Transport::Paths => (PATH_SAMPLE_S, 0),
+        Transport::Vertices { rays_per_face } => (KNOWN_SAMPLE_S, rays_per_face),
+        Transport::Gather { rays_per_face } => (2.0 * KNOWN_SAMPLE_S, rays_per_face),
+    };
+    let rays = scene.triangles() as f64 * f64::from(rays_per_face);
+    Estimate {
+        memory_bytes: pixels * PIXEL_BYTES + rays * FACE_RAY_BYTES,
+        seconds: (pixels * samples * sample_s + rays * FACE_RAY_S) / rayon::current_num_threads() as f64,
+        resumable: false,
+    }
+}
+
 /// Path-traces `scene` through `camera` at `world_from_camera`.
 ///
-/// Errors: an impossible camera or pose, no samples, a light that is negative or not finite; stopped by the user.
+/// Errors: an impossible camera or pose, no samples, a light that is negative or not finite; work that `progress` does
+/// not accept; stopped by the user.
 pub fn render_watched(
     scene: &Scene,
     camera: &Camera,
@@ -64,6 +93,8 @@ pub fn render_watched(
     progress: &dyn Progress,
 ) -> Result<RenderedFrame> {
     check(camera, world_from_camera, light, settings)?;
+    progress.accepts(&estimate(scene, camera, settings))?;
+    progress.advance(0, 1);
     let frame = frame_settings(scene, camera, world_from_camera, light, settings);
     let corners = corner_directions(camera);
     let mut statistics = Statistics::default();
@@ -93,9 +124,7 @@ pub fn render_watched(
 
 fn check(camera: &Camera, pose: &DAffine3, light: &Light, settings: &RenderSettings) -> Result<()> {
     camera.validate()?;
-    if camera.width as u64 * camera.height as u64 > MAX_PIXELS {
-        return Err(Error::input(format!("an image of {}x{} pixels is too large", camera.width, camera.height)));
-    }
+    check_size(camera.width, camera.height)?;
     let rotation = pose.matrix3;
     let off = (rotation * rotation.transpose() - DMat3::IDENTITY).to_cols_array();
     if !pose.is_finite() || off.iter().any(|v| v.abs() > 1e-4) || rotation.determinant() < 0.0 {
@@ -104,19 +133,14 @@ fn check(camera: &Camera, pose: &DAffine3, light: &Light, settings: &RenderSetti
     if light.intensity.iter().any(|v| !v.is_finite() || *v < 0.0) || light.position_mm.is_some_and(|p| !p.is_finite()) {
         return Err(Error::input("the light needs finite, non-negative intensities and a finite position"));
     }
-    if !(0.0..=1e3).contains(&light.emission_exponent) {
-        return Err(Error::input("the light's emission exponent must lie in [0, 1000]"));
-    }
+    EMISSION_EXPONENT.check(light.emission_exponent).map_err(|e| e.element("the light's emission exponent"))?;
     if settings.background.iter().any(|v| !v.is_finite() || *v < 0.0) {
         return Err(Error::input("the background must be finite and not negative"));
     }
-    if matches!(settings.transport, Transport::Vertices { rays_per_face } | Transport::Gather { rays_per_face } if !(1..=4096).contains(&rays_per_face))
-    {
-        return Err(Error::input("rays per face must lie in 1 to 4096"));
+    if let Transport::Vertices { rays_per_face } | Transport::Gather { rays_per_face } = settings.transport {
+        RAYS_PER_FACE.check(rays_per_face.into()).map_err(|e| e.element("rays per face"))?;
     }
-    if settings.samples_per_pixel == 0 || settings.samples_per_pixel > MAX_SAMPLES {
-        return Err(Error::input(format!("samples per pixel must lie in 1 to {MAX_SAMPLES}")));
-    }
+    SAMPLES_PER_PIXEL.check(settings.samples_per_pixel.into()).map_err(|e| e.element("samples per pixel"))?;
     Ok(())
 }
 

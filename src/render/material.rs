@@ -2,9 +2,27 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::base::Result;
 use crate::base::random::{CounterRng, Stage};
-use crate::base::{Error, Result};
+use crate::base::range::{KeyRanges, NumberRange, SHARE};
 use crate::ffi::trace::tracer::{MaterialSettings, SubsurfaceKind};
+
+/// Strengths of the look's parts.
+const STRENGTH: NumberRange = NumberRange::new(0.0, 3.0);
+/// Ranges of `[material]`.
+const RANGES: KeyRanges = KeyRanges(&[
+    ("albedo", SHARE),
+    ("coat_alpha", NumberRange::new(1e-3, 1.0)),
+    ("coat_ior", NumberRange::new(1.0 + 1e-6, 4.0)),
+    ("mean_free_path_mm", NumberRange::new(1e-6, 1e6)),
+    ("single_scattering_albedo", SHARE),
+    ("vessels", STRENGTH),
+    ("blotches", STRENGTH),
+    ("relief", NumberRange::new(0.0, 10.0)),
+    ("film", STRENGTH),
+    ("rings", STRENGTH),
+    ("ring_spacing_mm", NumberRange::new(0.1, 1e3)),
+]);
 
 /// Family of a material.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -134,31 +152,7 @@ impl Material {
 
     /// Rejects values that no wall can have; the error names the key.
     pub fn validate(&self) -> Result<()> {
-        let within = |key: &str, value: f64, low: f64, high: f64| {
-            if value >= low && value <= high {
-                Ok(())
-            } else {
-                Err(Error::input(format!("is {value}; it must lie in [{low}, {high}]"))
-                    .element(format!("material.{key}")))
-            }
-        };
-        for albedo in self.albedo {
-            within("albedo", albedo, 0.0, 1.0)?;
-        }
-        for albedo in self.single_scattering_albedo.into_iter().flatten() {
-            within("single_scattering_albedo", albedo, 0.0, 1.0)?;
-        }
-        for path in self.mean_free_path_mm {
-            within("mean_free_path_mm", path, 1e-6, 1e6)?;
-        }
-        within("coat_alpha", self.coat_alpha, 1e-3, 1.0)?;
-        within("coat_ior", self.coat_ior, 1.0 + 1e-6, 4.0)?;
-        within("vessels", self.vessels, 0.0, 3.0)?;
-        within("blotches", self.blotches, 0.0, 3.0)?;
-        within("relief", self.relief, 0.0, 10.0)?;
-        within("film", self.film, 0.0, 3.0)?;
-        within("rings", self.rings, 0.0, 3.0)?;
-        within("ring_spacing_mm", self.ring_spacing_mm, 0.1, 1e3)
+        RANGES.check("material", self)
     }
 
     /// Settings of the C++ side.
@@ -210,7 +204,7 @@ mod tests {
         let wrong = Material { coat_alpha: f64::NAN, ..Material::default() };
         assert!(wrong.validate().unwrap_err().to_string().starts_with("material.coat_alpha: "));
         let wrong = Material { single_scattering_albedo: Some([0.5, 1.5, 0.5]), ..Material::default() };
-        assert!(wrong.validate().unwrap_err().to_string().starts_with("material.single_scattering_albedo: "));
+        assert!(wrong.validate().unwrap_err().to_string().starts_with("material.single_scattering_albedo[1]: "));
     }
 
     #[test]

@@ -29,7 +29,7 @@ mod tissue;
 mod topology;
 mod vertex_light;
 
-pub use frame::{RenderedFrame, Statistics, render, render_watched};
+pub use frame::{RenderedFrame, Statistics, estimate, render, render_watched};
 pub use material::{Boundary, Material, MaterialKind, Subsurface, WalkedVertices};
 pub use scene::Scene;
 pub use settings::{Denoise, Light, RenderSettings, Shading, Transport};

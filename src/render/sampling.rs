@@ -15,6 +15,8 @@ use crate::ffi::trace::tracer::{FilmPixel, FrameSettings, KnownLight, TileCounte
 const TILE_PX: u32 = 16;
 /// Most samples per pixel of one round: the tracer's f32 sums stay exact enough, and the user can stop between rounds.
 const SAMPLES_PER_ROUND: u32 = 32;
+/// Most tiles between two reports of progress: a quarter of a million pixels.
+const TILES_PER_REPORT: usize = 1024;
 /// Most samples per pixel: adaptive sampling stops there.
 pub(super) const MAX_SAMPLES: u32 = 65_536;
 
@@ -171,10 +173,12 @@ impl SampledImage {
             if wanted.is_empty() {
                 return Ok(());
             }
-            self.add(view, &wanted, counters)?;
-            progress.advance(self.samples.iter().map(|&n| n as usize).sum(), total as usize);
-            if progress.cancelled() {
-                return Err(Error::interrupted());
+            for tiles in wanted.chunks(TILES_PER_REPORT) {
+                self.add(view, tiles, counters)?;
+                progress.advance(self.samples.iter().map(|&n| n as usize).sum(), total as usize);
+                if progress.cancelled() {
+                    return Err(Error::interrupted());
+                }
             }
         }
     }

@@ -54,14 +54,14 @@ impl Scene {
         })
     }
 
-    /// Refuses a material that light at vertices cannot represent.
+    /// Refuses a material that light at vertices cannot represent, and a mesh for which it would need too much memory.
     pub(super) fn check_vertex_light(&self) -> Result<()> {
         if self.matched {
             return Err(Error::input(
                 "light at vertices needs a wall that light leaves as from a Lambert surface; a matched boundary needs paths",
             ));
         }
-        Ok(())
+        self.topology.check_rings()
     }
 
     /// Moves the vertices (world, mm) and refits the hierarchy. The look stays on the tissue.

@@ -5,9 +5,46 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DMat4};
 use serde::{Deserialize, Serialize};
 
+use super::settings::{EMISSION_EXPONENT, RAYS_PER_FACE, STILL_SIDE_PX, check_size};
 use super::{Denoise, Light, Material, RenderSettings, Scene, Shading, Transport};
+use crate::base::range::{KeyRanges, LIGHT, NumberRange, SAMPLES_PER_PIXEL, SEED, SHARE};
 use crate::base::{Camera, Error, Result, TriangleMesh, files, mesh};
 use crate::formats::mesh::read as read_mesh;
+
+/// Image points in pixels.
+const IMAGE_POINT_PX: NumberRange = NumberRange::new(-1e6, 1e6);
+/// Focal lengths in pixels.
+const FOCAL_PX: NumberRange = NumberRange::new(1e-3, 1e7);
+/// Fisheye coefficients.
+const FISHEYE: NumberRange = NumberRange::new(-10.0, 10.0);
+/// Positions of camera and lamp in mm.
+const PLACE_MM: NumberRange = NumberRange::new(-1e6, 1e6);
+/// Ranges of `[mesh]`, `[camera]`, `[light]` and `[integrator]`; `[material]` knows its own.
+const MESH_RANGES: KeyRanges = KeyRanges(&[("phase", SHARE)]);
+const CAMERA_RANGES: KeyRanges = KeyRanges(&[
+    ("world_from_camera", PLACE_MM),
+    ("width", STILL_SIDE_PX),
+    ("height", STILL_SIDE_PX),
+    ("fov_x_deg", NumberRange::new(0.1, 179.0)),
+    ("fl_x", FOCAL_PX),
+    ("fl_y", FOCAL_PX),
+    ("cx", IMAGE_POINT_PX),
+    ("cy", IMAGE_POINT_PX),
+    ("k1", FISHEYE),
+    ("k2", FISHEYE),
+    ("k3", FISHEYE),
+    ("k4", FISHEYE),
+]);
+const LIGHT_RANGES: KeyRanges =
+    KeyRanges(&[("intensity", LIGHT), ("position", PLACE_MM), ("emission_exponent", EMISSION_EXPONENT)]);
+const INTEGRATOR_RANGES: KeyRanges = KeyRanges(&[
+    ("max_scatterings", NumberRange::new(0.0, 1e6)),
+    ("spp", SAMPLES_PER_PIXEL),
+    ("target_relmse", NumberRange::new(1e-8, 1e3)),
+    ("rays_per_face", RAYS_PER_FACE),
+    ("seed", SEED),
+    ("background", LIGHT),
+]);
 
 /// A scene file. Lengths in mm; paths are relative to the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -147,17 +184,11 @@ impl SceneFile {
     }
 
     fn validate(&self) -> Result<()> {
-        if !(0.0..=1.0).contains(&self.mesh.phase) {
-            return Err(Error::input(format!("is {}; it must lie in [0, 1]", self.mesh.phase)).element("mesh.phase"));
-        }
-        if self.integrator.spp == 0 {
-            return Err(Error::input("must be above 0").element("integrator.spp"));
-        }
-        if let Some(target) = self.integrator.target_relmse
-            && (target.is_nan() || target <= 0.0)
-        {
-            return Err(Error::input("must be above 0").element("integrator.target_relmse"));
-        }
+        MESH_RANGES.check("mesh", &self.mesh)?;
+        CAMERA_RANGES.check("camera", &self.camera)?;
+        LIGHT_RANGES.check("light", &self.light)?;
+        INTEGRATOR_RANGES.check("integrator", &self.integrator)?;
+        check_size(self.camera.width, self.camera.height).map_err(|e| e.element("camera"))?;
         self.camera.intrinsics()?;
         self.camera.pose()?;
         self.material.settings(self.integrator.seed).map(|_| ())

@@ -3,6 +3,28 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use crate::base::range::NumberRange;
+use crate::base::{Error, Result};
+
+/// Most pixels of an image: more would need over 4 GiB for the film.
+const MOST_PIXELS: u64 = 1 << 24;
+/// Width and height of an image in pixels; [`check_size`] bounds their product.
+pub(super) const STILL_SIDE_PX: NumberRange = NumberRange::new(1.0, MOST_PIXELS as f64);
+/// Rays per face of light at vertices.
+pub(super) const RAYS_PER_FACE: NumberRange = NumberRange::new(1.0, 4096.0);
+/// Emission exponents of a light.
+pub(super) const EMISSION_EXPONENT: NumberRange = NumberRange::new(0.0, 1e3);
+
+/// Refuses images of more than 2^24 pixels.
+pub(super) fn check_size(width_px: u32, height_px: u32) -> Result<()> {
+    if u64::from(width_px) * u64::from(height_px) > MOST_PIXELS {
+        let sentence =
+            format!("an image of {width_px}x{height_px} pixels is too large: {MOST_PIXELS} in all is the most");
+        return Err(Error::input(sentence));
+    }
+    Ok(())
+}
+
 /// A point light with inverse-square falloff.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -18,14 +18,22 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::read::{Key, ResultEntry, Results};
+use crate::base::range::{KeyRanges, NumberRange};
 use crate::base::{Error, Result, files};
 use crate::score::{Metric, Status, metric, statistics};
 
+/// Ranges of a thresholds file.
+const RANGES: KeyRanges = KeyRanges(&[
+    ("absolute.limit", NumberRange::new(-1e9, 1e9)),
+    ("relative.worse_by", NumberRange::new(0.0, 1e9)),
+    ("relative.worse_by_percent", NumberRange::new(0.0, 1e6)),
+]);
+
 /// The thresholds file.
-#[derive(Clone, Debug, Default, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Thresholds {
     /// Cases that must be there.
@@ -43,7 +51,7 @@ pub struct Thresholds {
 }
 
 /// Over what an absolute limit holds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Over {
     /// Each case and seed.
@@ -54,7 +62,7 @@ pub enum Over {
 }
 
 /// A limit on a value.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Absolute {
     /// Metric id.
@@ -72,7 +80,7 @@ pub struct Absolute {
 }
 
 /// A limit on the loss against the baseline.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Relative {
     /// Metric id.
@@ -127,24 +135,15 @@ pub struct Check {
     pub sentence: String,
 }
 
-/// Reads and checks a thresholds file: unknown metrics and limits that are no numbers are errors.
+/// Reads and checks a thresholds file: unknown metrics and limits out of range are errors.
 pub fn read_thresholds(path: &Path) -> Result<Thresholds> {
     let thresholds: Thresholds = files::read_toml(path)?;
     let known =
         |id: &str| metric(id).map(|_| ()).ok_or_else(|| Error::input(format!("there is no metric `{id}`")).at(path));
-    for a in &thresholds.absolute {
-        known(&a.metric)?;
-        if !a.limit.is_finite() {
-            return Err(Error::input("is not a finite number").element(format!("limit of {}", a.metric)).at(path));
-        }
+    for id in thresholds.absolute.iter().map(|a| &a.metric).chain(thresholds.relative.iter().map(|r| &r.metric)) {
+        known(id)?;
     }
-    for r in &thresholds.relative {
-        known(&r.metric)?;
-        let fine = |v: f64| v.is_finite() && v >= 0.0;
-        if !fine(r.worse_by) || !fine(r.worse_by_percent) {
-            return Err(Error::input("allowances are finite and not negative").element(&r.metric).at(path));
-        }
-    }
+    RANGES.check("", &thresholds).map_err(|e| e.at(path))?;
     Ok(thresholds)
 }
 

@@ -158,8 +158,8 @@ fn damaged_tables_and_thresholds_are_named() {
     let limits = folder.path().join("gate.toml");
     for (text, expected) in [
         ("[[absolute]]\nmetric = \"psnr\"\nmethod = \"ours\"\nlimit = 1.0", "psnr"),
-        ("[[absolute]]\nmetric = \"psnr_db\"\nmethod = \"ours\"\nlimit = nan", "finite"),
-        ("[[relative]]\nmetric = \"psnr_db\"\nworse_by = -1.0", "negative"),
+        ("[[absolute]]\nmetric = \"psnr_db\"\nmethod = \"ours\"\nlimit = nan", "absolute[0].limit: NaN"),
+        ("[[relative]]\nmetric = \"psnr_db\"\nworse_by = -1.0", "relative[0].worse_by: -1"),
         ("[[relatively]]\nmetric = \"psnr_db\"", "relatively"),
     ] {
         fs::write(&limits, text).unwrap();

@@ -19,6 +19,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use serde::Deserialize;
 
 use super::truth::Truth;
+use crate::base::range::NumberRange;
 use crate::base::{Error, Image, Result, TriangleMesh, files};
 use crate::formats::{depth_png, exr, mesh, npy, png};
 
@@ -39,6 +40,11 @@ pub struct Prediction {
     poses: Option<Vec<DAffine3>>,
     time_total_s: Option<f64>,
 }
+
+/// Millimetres of a depth unit: from a nanometre to a kilometre.
+const DEPTH_UNIT_MM: NumberRange = NumberRange::new(1e-6, 1e6);
+/// Seconds that a method took.
+const TIME_S: NumberRange = NumberRange::new(0.0, 1e9);
 
 #[derive(Default, Deserialize)]
 struct About {
@@ -68,11 +74,7 @@ impl Prediction {
             return Err(Error::input(sentence).element("case").at(root.join("prediction.json")));
         }
         let depth_unit_mm = about.depth_unit_mm.unwrap_or(1.0);
-        if !(depth_unit_mm.is_finite() && depth_unit_mm > 0.0) {
-            return Err(Error::input(format!("{depth_unit_mm} is not a positive number"))
-                .element("depth_unit_mm")
-                .at(root.join("prediction.json")));
-        }
+        DEPTH_UNIT_MM.check(depth_unit_mm).map_err(|e| e.element("depth_unit_mm").at(root.join("prediction.json")))?;
         expect_frames(&root.join("color"), "png", frames)?;
         let depth_ending = depth_ending(&root.join("depth"))?;
         if let Some(ending) = depth_ending {
@@ -243,11 +245,13 @@ fn read_optional<T: serde::de::DeserializeOwned>(path: &Path) -> Result<Option<T
 
 fn read_time(path: &Path) -> Result<Option<f64>> {
     match read_optional::<TimingFile>(path)? {
-        Some(TimingFile { time_total_s }) if time_total_s.is_finite() && time_total_s > 0.0 => Ok(Some(time_total_s)),
-        Some(TimingFile { time_total_s }) => {
-            let sentence =
-                format!("{time_total_s} is not a positive number of seconds; leave it out if it is not known");
+        Some(TimingFile { time_total_s: 0.0 }) => {
+            let sentence = "is 0: no method takes no time; leave it out if it is not known";
             Err(Error::input(sentence).element("time_total_s").at(path))
+        }
+        Some(TimingFile { time_total_s }) => {
+            TIME_S.check(time_total_s).map_err(|e| e.element("time_total_s").at(path))?;
+            Ok(Some(time_total_s))
         }
         None => Ok(None),
     }

@@ -5,7 +5,7 @@ use glam::DAffine3;
 use crate::airway::Anatomy;
 use crate::airway::case::{Case, ScopeSettings};
 use crate::airway::waveform::Waveform;
-use crate::base::{Camera, Error, Result, mesh};
+use crate::base::{Camera, Error, NoProgress, Progress, Result, mesh};
 use crate::render::{Light, Material, Scene};
 
 use super::exposure;
@@ -67,10 +67,21 @@ impl Way {
 }
 
 impl Film {
+    /// [`Film::plan_watched`] without reports of progress.
+    pub fn plan(case: &Case, anatomy: &Anatomy, settings: &SimulationSettings, material: &Material) -> Result<Film> {
+        Film::plan_watched(case, anatomy, settings, material, &NoProgress)
+    }
+
     /// Plans the last part of the route, so that the film ends where the scope cannot go further.
     ///
-    /// Errors: no route for the scope; a camera that would leave the lumen (names the frame).
-    pub fn plan(case: &Case, anatomy: &Anatomy, settings: &SimulationSettings, material: &Material) -> Result<Film> {
+    /// Errors: no route for the scope; a camera that would leave the lumen (names the frame); stopped by the user.
+    pub fn plan_watched(
+        case: &Case,
+        anatomy: &Anatomy,
+        settings: &SimulationSettings,
+        material: &Material,
+        progress: &dyn Progress,
+    ) -> Result<Film> {
         let route = Route::plan(anatomy, &case.trajectory)?;
         let camera = case.camera.camera(settings.width_px, settings.height_px);
         let duration_s = (settings.frames - 1) as f64 / settings.frames_per_second;
@@ -96,6 +107,10 @@ impl Film {
         let (mut frames, mut wanted, mut clearance_mm) = (Vec::new(), Vec::new(), Vec::new());
         let mut blur_px = Vec::new();
         for (index, &now_s) in time_s.iter().enumerate() {
+            if progress.cancelled() {
+                return Err(Error::interrupted());
+            }
+            progress.advance(index, time_s.len());
             let (world_from_camera, phase) = way.state_at(now_s);
             let wall = mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase);
             let clearance = nearest_mm(&wall, world_from_camera.translation);

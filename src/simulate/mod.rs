@@ -45,9 +45,11 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
         return Ok(done);
     }
     let material = material(case)?;
+    progress.accepts(&settings.estimate(case))?;
     prepare_folder(out, &hash)?;
+    progress.advance(0, settings.frames);
     let anatomy = airway::build(case)?;
-    let film = Film::plan(case, &anatomy, settings, &material)?;
+    let film = Film::plan_watched(case, &anatomy, settings, &material, progress)?;
     film.notes.iter().for_each(|note| progress.note(&format!("{}: {note}", case.id)));
     shared_frames::copy_frames(case, settings, out, progress)?;
     shoot::shoot(case, &anatomy, &film, &material, settings, out, progress)?;

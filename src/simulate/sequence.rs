@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::airway::case_centerline;
 use crate::airway::centerline::Centerline;
+use crate::base::range::{NumberRange, SHARE};
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files, hash};
 use crate::formats::transforms::{Transforms, TransformsFrame};
 use crate::formats::{exr, mesh, png};
@@ -92,6 +93,11 @@ fn checked(files: &BTreeMap<String, String>, root: &Path, name: &str) -> Result<
 pub const MANIFEST: &str = "manifest.json";
 /// Written first: what the folder is going to be.
 pub const PLAN: &str = "plan.json";
+
+/// Times of frames in seconds.
+const TIME_S: NumberRange = NumberRange::new(0.0, 1e7);
+/// Gains and factors of the white balance.
+const FACTOR: NumberRange = NumberRange::new(1e-12, 1e12);
 
 /// `images/NNNNNN.png`.
 pub fn image_name(frame: usize) -> String {
@@ -288,6 +294,13 @@ impl Sequence {
 }
 
 fn record(frame: &TransformsFrame) -> Result<FrameRecord> {
+    let check = |key: &'static str, range: NumberRange, value: f64| {
+        range.check(value).map_err(|e| Error::input(format!("{key}: {e}")))
+    };
+    check("time", TIME_S, frame.time)?;
+    check("breathing_phase", SHARE, frame.breathing_phase.unwrap_or_default())?;
+    check("exposure", FACTOR, frame.exposure)?;
+    frame.white_balance.iter().try_for_each(|&factor| check("white_balance", FACTOR, factor))?;
     Ok(FrameRecord {
         time_s: frame.time,
         phase: frame.breathing_phase.ok_or_else(|| Error::input("has no breathing_phase"))?,

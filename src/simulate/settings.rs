@@ -5,7 +5,21 @@ use serde::Serialize;
 use super::sequence;
 use super::truth::{TruthMap, TruthSet};
 use crate::airway::case::Case;
-use crate::base::{Error, Result};
+use crate::base::range::{FRAME_RATE, FRAMES, IMAGE_SIDE_PX, NumberRange, SAMPLES_PER_PIXEL};
+use crate::base::{Error, Estimate, Result};
+
+/// Renderings whose mean is a blurred frame; odd, so that the middle one is the frame's own moment.
+pub(super) const MOMENTS: u64 = 7;
+/// The model behind [`SimulationSettings::estimate`], core seconds: of a rendering whatever its size (moving the wall,
+/// light at its vertices), of a camera sample, of a pixel of the files, of a breath that a phase walks through.
+const FRAME_S: f64 = 0.3;
+const SAMPLE_S: f64 = 1e-6;
+const PIXEL_S: f64 = 2e-6;
+const BREATH_S: f64 = 1e-7;
+/// The same, bytes: of the airway with its light, of a pixel, of a frame's row in the tables.
+const FILM_BYTES: f64 = 2.5e8;
+const PIXEL_BYTES: f64 = 400.0;
+const FRAME_BYTES: f64 = 1000.0;
 
 /// Which meshes a sequence folder holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -51,18 +65,38 @@ pub struct SimulationSettings {
 }
 
 impl SimulationSettings {
-    /// Refuses settings that no film can have.
-    pub(super) fn check(&self) -> Result<()> {
-        let size = |v: u32| (1..=8192).contains(&v);
-        if !size(self.width_px) || !size(self.height_px) || self.samples_per_pixel == 0 {
-            return Err(Error::usage(
-                "a film needs images of 1 to 8192 pixels a side and at least one sample per pixel",
-            ));
+    /// Refuses settings that no film can have; the error names the setting.
+    pub fn check(&self) -> Result<()> {
+        let check = |what: &str, range: NumberRange, value: f64| {
+            range.check(value).map_err(|e| Error::usage(e.to_string()).element(what))
+        };
+        check("image width", IMAGE_SIDE_PX, self.width_px.into())?;
+        check("image height", IMAGE_SIDE_PX, self.height_px.into())?;
+        check("samples per pixel", SAMPLES_PER_PIXEL, self.samples_per_pixel.into())?;
+        check("frames per second", FRAME_RATE, self.frames_per_second)?;
+        check("frames", FRAMES, self.frames as f64)
+    }
+
+    /// What [`super::simulate`] would cost.
+    pub fn estimate(&self, case: &Case) -> Estimate {
+        let frames = self.frames as f64;
+        let pixels = f64::from(self.width_px) * f64::from(self.height_px);
+        let waveform = &case.waveform;
+        // Irregular breaths are walked through one by one up to the time that is asked for.
+        let breaths = if waveform.irregularity > 0.0 {
+            (waveform.start_s + frames / self.frames_per_second) / waveform.period_s()
+        } else {
+            0.0
+        };
+        let moments = if case.scope.shutter_s > 0.0 { MOMENTS as f64 } else { 1.0 };
+        let looks = moments + if self.truth.has(TruthMap::PhaseSensitivity) { 2.0 } else { 0.0 };
+        let sample_s = pixels * f64::from(self.samples_per_pixel) * SAMPLE_S;
+        let frame_s = looks * (FRAME_S + breaths * BREATH_S) + sample_s * looks.min(3.0) + pixels * PIXEL_S;
+        Estimate {
+            memory_bytes: FILM_BYTES + pixels * PIXEL_BYTES + frames * FRAME_BYTES,
+            seconds: frames * frame_s / rayon::current_num_threads() as f64,
+            resumable: true,
         }
-        if self.frames < 2 || !(self.frames_per_second.is_finite() && self.frames_per_second > 0.0) {
-            return Err(Error::usage("a film needs at least two frames and a positive frame rate"));
-        }
-        Ok(())
     }
 
     /// All files of the folder but plan and manifest, in order.

@@ -13,11 +13,9 @@ use crate::render::{Light, Material, RenderSettings, RenderedFrame, Scene, Shadi
 use super::film::{Film, scope_light};
 use super::sensor::{Exposed, Sensor};
 use super::sequence;
-use super::settings::{MeshOutput, RadianceOutput, SimulationSettings};
+use super::settings::{MOMENTS, MeshOutput, RadianceOutput, SimulationSettings};
 use super::truth::{TruthMap, VisibleWall};
 
-/// Renderings whose mean is a blurred frame; odd, so that the middle one is the frame's own moment.
-const MOMENTS: u64 = 7;
 /// Half the step in phase of the central difference: moves the wall by at most a tenth of a millimetre.
 const PHASE_STEP: f64 = 0.005;
 

@@ -11,6 +11,7 @@ mod layering;
 mod mesh_damage;
 mod moved;
 mod own_tracer;
+mod ranges;
 mod reference;
 mod render;
 mod render_command;

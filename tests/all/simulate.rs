@@ -82,7 +82,7 @@ fn off_surface(surface: &TriangleMesh, point: DVec3) -> f64 {
     (0..surface.faces.len()).map(to_face).fold(f64::INFINITY, f64::min)
 }
 
-/// Stops the work after a number of frames.
+/// Stops the work after a number of frames, planned or filmed.
 struct StopAfter(AtomicUsize);
 
 impl Progress for StopAfter {
@@ -103,7 +103,9 @@ fn the_bytes_do_not_depend_on_threads_or_interruptions() {
     pool.install(|| simulate(&case(), &wanted, &single, &NoProgress)).unwrap();
     assert_same(&whole, &single);
 
-    let stopped = simulate(&case(), &wanted, &resumed, &StopAfter(AtomicUsize::new(2))).unwrap_err();
+    // All are planned, and two filmed.
+    let stop = StopAfter(AtomicUsize::new(wanted.frames + 2));
+    let stopped = simulate(&case(), &wanted, &resumed, &stop).unwrap_err();
     assert_eq!(stopped.kind(), ErrorKind::Interrupted);
     assert!(Sequence::open(&resumed).unwrap_err().to_string().contains("not finished"));
     // A frame whose image is missing counts as not made, whatever else of it is there.

@@ -261,7 +261,7 @@ fn links_to_the_truth_foreign_cases_and_no_time_are_refused() {
     edit(&about, |text| text.replace("case2", "case1"));
     for seconds in ["0", "-1", "0.0"] {
         fs::write(place.path("mine/timing.json"), format!("{{\"time_total_s\": {seconds}}}")).unwrap();
-        refused(check(&place), 4, &["timing.json: time_total_s", "not a positive number of seconds"]);
+        refused(check(&place), 4, &["timing.json: time_total_s: "]);
     }
 }
 

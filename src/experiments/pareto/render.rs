@@ -5,7 +5,7 @@
 //! work on the machine disturbs least.
 
 use crate::airway::{self, case::Case};
-use crate::base::{Error, Image, Result};
+use crate::base::{Error, Estimate, Image, Result};
 use crate::experiments::ExperimentWatcher;
 use crate::experiments::case_scene::{CaseScene, Viewpoint};
 use crate::experiments::difference::relative_mse;
@@ -30,6 +30,26 @@ pub struct RenderSweep {
     pub most_samples: u32,
     /// Breathing phase of the frame, 0 inspiration to 1 expiration.
     pub phase: f64,
+}
+
+/// The model behind [`RenderSweep::estimate`]: core seconds of a path and of a case whatever its samples, and bytes of
+/// a pixel in the images that are held at a time.
+const SAMPLE_S: f64 = 3e-6;
+const CASE_S: f64 = 30.0;
+const PIXEL_BYTES: f64 = 500.0;
+
+impl RenderSweep {
+    /// What the points of one case would cost.
+    pub fn estimate(&self) -> Estimate {
+        let pixels = f64::from(self.width_px).powi(2);
+        // The reference; two families of paths with 1, 2, 4 .. samples, and three of light at vertices with up to 16.
+        let samples = f64::from(self.reference_samples) + 4.0 * f64::from(self.most_samples) + 96.0;
+        Estimate {
+            memory_bytes: pixels * PIXEL_BYTES,
+            seconds: (CASE_S + pixels * samples * SAMPLE_S) / rayon::current_num_threads() as f64,
+            resumable: false,
+        }
+    }
 }
 
 /// The chart of these points.

@@ -11,6 +11,7 @@ mod header;
 mod keys;
 mod ours;
 mod ours_gn;
+mod ranges;
 mod sourced;
 
 pub use bridgesplat::{BridgeCommon, BridgeObjective, BridgesplatNomeshSettings, BridgesplatSettings};
@@ -25,4 +26,5 @@ pub use ours::{
     PhaseEstimation,
 };
 pub use ours_gn::{OursGnSettings, ScopeCalibration};
+pub(super) use ranges::METHOD_RANGES;
 pub use sourced::{NumberSource, Sourced};

@@ -3,6 +3,8 @@
 
 use rayon::prelude::*;
 
+use crate::base::Result;
+use crate::base::estimate::demand_memory;
 use crate::ffi::splat::rasterize::Aligned;
 use crate::ffi::system::grow;
 use crate::splat::kernels::SplatKernels;
@@ -24,6 +26,18 @@ pub struct Moments<T> {
     pub splats: Vec<Aligned<T>>,
     /// With `Footprint::Disc`.
     pub discs: Vec<DiscSums<T>>,
+}
+
+impl<T: SplatKernels> Moments<T> {
+    /// Refuses a backward pass over lists of `entries` for whose moments this machine has no memory left.
+    pub fn demand(&self, entries: usize, exact_discs: bool) -> Result<()> {
+        let (there, bytes) = match exact_discs {
+            true => (self.discs.capacity(), size_of::<DiscSums<T>>()),
+            false => (self.splats.capacity(), size_of::<Aligned<T>>()),
+        };
+        let new_bytes = entries.saturating_sub(there) as f64 * bytes as f64;
+        demand_memory(format_args!("the gradients of {entries} tile entries"), new_bytes)
+    }
 }
 
 /// The gradient to propagate.

@@ -8,13 +8,28 @@
 
 use rayon::prelude::*;
 
+use crate::base::estimate::demand_memory;
+use crate::base::{Error, Result};
 use crate::ffi::isa::Isa;
 use crate::ffi::splat::bin::{self as native, BANDS, Band, BinItems, Boxes, Counts, Distribution, ItemRange};
 use crate::ffi::system::grow;
-use crate::splat::plain::bins::TileLists;
+use crate::splat::plain::bins::{TileBox, TileLists};
 use crate::splat::types::Tiling;
 
 use super::pool::{CHUNK, PIECE, cut, piece_of};
+
+/// Most entries of the lists together: a hundred times those of a large scene. Their places are 32-bit numbers, and a
+/// backward pass has 64 bytes for each.
+const MOST_ENTRIES: usize = 1 << 30;
+/// Bytes of an entry (its splat, slot and mask), and of a splat in a band (its item and the scratch of the sort).
+const ENTRY_BYTES: f64 = 10.0;
+const ITEM_BYTES: f64 = 40.0;
+
+/// Splats in each band and tile entries in each band, summed over the chunks.
+struct BandTotals {
+    splats: [usize; BANDS],
+    entries: [usize; BANDS],
+}
 
 /// The lists of all tiles.
 #[derive(Debug, Default)]
@@ -92,9 +107,41 @@ impl Bins {
         self.counts.iter().map(|c| c.visible as usize).sum()
     }
 
+    /// Tiles of the visible splats together: how long the lists would be. The splats must have been counted unless
+    /// `isa` is scalar.
+    pub fn entries_of(&self, isa: Isa, all: &Boxes<'_>) -> usize {
+        if isa == Isa::Scalar {
+            let visible = all.boxes.iter().zip(all.visible).filter(|(_, visible)| **visible);
+            visible.map(|(&packed, _)| TileBox::unpack(packed).count()).sum()
+        } else {
+            self.band_totals().entries.iter().sum()
+        }
+    }
+
+    fn band_totals(&self) -> BandTotals {
+        let mut totals = BandTotals { splats: [0; BANDS], entries: [0; BANDS] };
+        for counts in self.counts.iter().filter(|c| c.visible > 0) {
+            totals.splats.iter_mut().zip(counts.splats).for_each(|(total, count)| *total += count as usize);
+            totals.entries.iter_mut().zip(counts.tiles).for_each(|(total, count)| *total += count as usize);
+        }
+        totals
+    }
+
     /// Fills the lists of the tiles from the boxes and keys of the splats, which must have been counted unless `isa` is
     /// scalar.
-    pub fn fill(&mut self, isa: Isa, tiling: Tiling, all: &Boxes<'_>) {
+    ///
+    /// Errors: more than 2^30 entries, or more than this machine has memory left for.
+    pub fn fill(&mut self, isa: Isa, tiling: Tiling, all: &Boxes<'_>) -> Result<()> {
+        let entries = self.entries_of(isa, all);
+        let items = if isa == Isa::Scalar { all.boxes.len() } else { self.band_totals().splats.iter().sum() };
+        if entries.max(items) > MOST_ENTRIES {
+            let sentence = format!("the Gaussians meet {entries} tiles together, and {MOST_ENTRIES} is the most");
+            return Err(Error::input(sentence));
+        }
+        let more = |wanted: usize, there: usize, bytes: f64| wanted.saturating_sub(there) as f64 * bytes;
+        let new_bytes =
+            more(entries, self.entries.capacity(), ENTRY_BYTES) + more(items, self.items.capacity(), ITEM_BYTES);
+        demand_memory(format_args!("the lists of the tiles with {entries} entries"), new_bytes)?;
         self.tiling = tiling;
         self.masks_known = false;
         if isa == Isa::Scalar {
@@ -104,17 +151,14 @@ impl Bins {
         } else {
             self.fill_bands(all);
         }
+        Ok(())
     }
 
     fn fill_bands(&mut self, all: &Boxes<'_>) {
         let tiling = self.tiling;
         let (shift, columns) = (shift_of(&tiling), tiling.columns);
         let (height, bands) = (1 << shift, tiling.rows.div_ceil(1 << shift));
-        let (mut splats, mut entries) = ([0usize; BANDS], [0usize; BANDS]);
-        for counts in self.counts.iter().filter(|c| c.visible > 0) {
-            splats.iter_mut().zip(counts.splats).for_each(|(total, count)| *total += count as usize);
-            entries.iter_mut().zip(counts.tiles).for_each(|(total, count)| *total += count as usize);
-        }
+        let BandTotals { splats, entries } = self.band_totals();
         let (splats, entries) = (&splats[..bands], &entries[..bands]);
         let (all_splats, all_entries) = (splats.iter().sum(), entries.iter().sum());
         self.make_room(all_entries);
@@ -209,9 +253,11 @@ mod tests {
                 for (c, (starts, counts)) in starts.chunks_mut(CHUNK).zip(counts).enumerate() {
                     native::count(&chunk_of(&all, c), shift, starts, counts);
                 }
-                fast.fill(Isa::Baseline, tiling, &all);
+                fast.fill(Isa::Baseline, tiling, &all).unwrap();
             }
-            plain.fill(Isa::Scalar, tiling, &all);
+            plain.fill(Isa::Scalar, tiling, &all).unwrap();
+            assert_eq!(fast.entries_of(Isa::Baseline, &all), fast.entries.len());
+            assert_eq!(plain.entries_of(Isa::Scalar, &all), fast.entries.len());
             assert_eq!(fast.offsets, plain.offsets);
             assert_eq!(fast.entries, plain.entries);
             assert_eq!(fast.targets, plain.targets);

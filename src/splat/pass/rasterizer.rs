@@ -4,16 +4,18 @@
 //! added tile by tile in the order of its box, the sums over Gaussians (pose) and pixels (gain) go in fixed chunks.
 //! All tables live in the [`Rasterizer`] and are used again by the next call; each is changed in the file of its type.
 
-use crate::base::{Error, Result};
+use crate::base::estimate::demand_memory;
+use crate::base::{Error, Estimate, Result};
 use crate::ffi::isa::Isa;
 use crate::splat::kernels::{KernelScene, SplatKernels};
 use crate::splat::plain::disc::DiscOptics;
 use crate::splat::plain::fault::{Fault, Faults, Sound};
 use crate::splat::plain::projector::Projector;
 use crate::splat::plain::tile::Parts;
+use crate::splat::types::table::PLANES;
 use crate::splat::types::{
-    DepthOutput, Direction, Footprint, Gaussians, Gradients, ImageGradient, Rendered, Settings, Skips, Tiling, View,
-    Wanted,
+    DepthOutput, Direction, Footprint, Gaussians, Gradients, ImageGradient, PIXELS, Rendered, Settings, Skips, Tiling,
+    View, Wanted,
 };
 
 use super::backward::{Moments, TileGradient};
@@ -29,6 +31,13 @@ use super::rays::ViewRays;
 use super::reuse::{Reuse, ReuseState};
 use super::splats::{MovingOutput, Splats};
 use super::stages::{PassClock, PassStage, StageTimes};
+
+/// The model behind [`Rasterizer::estimate`]: bytes of a tile entry in the lists, core seconds of a pixel and of a tile
+/// entry in a forward pass. A backward pass takes three times as long.
+const LIST_ENTRY_BYTES: f64 = 10.0;
+const PIXEL_S: f64 = 2e-8;
+const ENTRY_S: f64 = 2e-7;
+const BACKWARD_FACTOR: f64 = 3.0;
 
 /// The differentiable rasteriser. Owns all intermediate tables, so keep one per thread of control and reuse it.
 #[derive(Debug)]
@@ -147,7 +156,8 @@ impl<T: SplatKernels> Rasterizer<T> {
     ///
     /// Order is by z-depth of the centre (computed in f64, rounded to f32), ties by index. Gaussians with a number
     /// that is not finite, with no opacity, or in front of the near plane are left out; the images are finite for any
-    /// input. Errors: arrays of different lengths, an invalid camera or settings, a bad `active`.
+    /// input. Errors: arrays of different lengths, an invalid camera or settings, a bad `active`, an image or lists of
+    /// tiles that this machine has no memory left for.
     pub fn render(
         &mut self,
         gaussians: &Gaussians<T>,
@@ -157,6 +167,36 @@ impl<T: SplatKernels> Rasterizer<T> {
     ) -> Result<&Rendered<T>> {
         in_pool(|| self.render_in_pool(RenderRequest { gaussians, view, settings, active }))?;
         Ok(&self.images.rendered)
+    }
+
+    /// What a [`Rasterizer::render`] of all Gaussians would cost, with a [`Rasterizer::backward`] where
+    /// `with_backward`: projects them and counts the tiles that they meet, without making the lists.
+    ///
+    /// Errors: those of a render before its lists.
+    pub fn estimate(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        view: &View,
+        settings: &Settings,
+        with_backward: bool,
+    ) -> Result<Estimate> {
+        self.last = None;
+        self.reuse.forget();
+        gaussians.validate()?;
+        let projector = Projector::new(view, settings)?.with_skips(self.options.skips);
+        self.active = None;
+        let tiling = Tiling::of(view.size());
+        in_pool(|| self.project(gaussians, &projector, &tiling, None));
+        let boxes = self.splats.boxes(&self.images.rendered.visible);
+        let entries = self.bins.entries_of(self.options.isa, &boxes) as f64;
+        let (pixel_bytes, pixels) = (table_bytes::<T>(view, settings), (tiling.count() * PIXELS) as f64);
+        let moments_bytes = if with_backward { size_of::<[T; 16]>() as f64 } else { 0.0 };
+        let factor = if with_backward { 1.0 + BACKWARD_FACTOR } else { 1.0 };
+        Ok(Estimate {
+            memory_bytes: pixel_bytes + entries * (LIST_ENTRY_BYTES + moments_bytes),
+            seconds: factor * (pixels * PIXEL_S + entries * ENTRY_S) / rayon::current_num_threads() as f64,
+            resumable: false,
+        })
     }
 
     fn render_in_pool(&mut self, request: RenderRequest<'_, T>) -> Result<()> {
@@ -179,6 +219,13 @@ impl<T: SplatKernels> Rasterizer<T> {
         self.channels.count = 0;
         gaussians.validate()?;
         let projector = Projector::new(view, settings)?.with_skips(self.options.skips);
+        let there = (self.state.capacity() * size_of::<T>()) as f64;
+        let wanted = table_bytes::<T>(view, settings);
+        // The sums of the tiles are a good third of it: larger tables than the last pass had.
+        if wanted > 3.0 * there {
+            let [width, height] = view.size();
+            demand_memory(format_args!("an image of {width}x{height} pixels"), wanted - there)?;
+        }
         let same = self.reuse.holds_for(request) && {
             let scene = KernelScene::new(self.options.isa, gaussians, &projector, self.active.as_deref());
             self.splats.recolor(&scene, &self.images.rendered.visible)
@@ -190,7 +237,7 @@ impl<T: SplatKernels> Rasterizer<T> {
         } else {
             self.reuse.forget();
             self.activate(active, gaussians.len())?;
-            moved = self.make_splats(gaussians, &projector, view, moving);
+            moved = self.make_splats(gaussians, &projector, view, moving)?;
             self.reuse.keep(request);
         }
         self.last = Some((*view, *settings, gaussians.len()));
@@ -221,25 +268,39 @@ impl<T: SplatKernels> Rasterizer<T> {
         projector: &Projector<T>,
         view: &View,
         moving: Option<&Direction<'_, T>>,
-    ) -> bool {
+    ) -> Result<bool> {
         let (isa, tiling) = (self.options.isa, Tiling::of(view.size()));
         if projector.footprint == Footprint::Disc {
             self.rays.update(&view.camera);
         }
+        let moved = self.project(gaussians, projector, &tiling, moving);
+        self.clock.end(PassStage::Project);
+        let rendered = &mut self.images.rendered;
+        self.bins.fill(isa, tiling, &self.splats.boxes(&rendered.visible))?;
+        rendered.intersections = self.bins.entries.len();
+        self.clock.end(PassStage::Bin);
+        Ok(moved)
+    }
+
+    /// The first half of [`Rasterizer::make_splats`]: rows, boxes and counts of all active Gaussians.
+    fn project(
+        &mut self,
+        gaussians: &Gaussians<T>,
+        projector: &Projector<T>,
+        tiling: &Tiling,
+        moving: Option<&Direction<'_, T>>,
+    ) -> bool {
+        let isa = self.options.isa;
         let scene = KernelScene::new(isa, gaussians, projector, self.active.as_deref());
         let moving = moving.filter(|_| T::velocity_kernels(&scene).is_some());
         let velocities = &mut self.tangents.velocities;
         let output = moving.map(|direction| MovingOutput { direction, velocities });
         let rendered = &mut self.images.rendered;
-        self.splats.project(&scene, isa, &tiling, &mut rendered.visible, &mut self.bins, output);
+        self.splats.project(&scene, isa, tiling, &mut rendered.visible, &mut self.bins, output);
         rendered.visible_count = match isa {
             Isa::Scalar => rendered.visible.iter().filter(|v| **v).count(),
             _ => self.bins.visible_count(),
         };
-        self.clock.end(PassStage::Project);
-        self.bins.fill(isa, tiling, &self.splats.boxes(&rendered.visible));
-        rendered.intersections = self.bins.entries.len();
-        self.clock.end(PassStage::Bin);
         moving.is_some()
     }
 
@@ -352,6 +413,8 @@ impl<T: SplatKernels> Rasterizer<T> {
             return Err(Error::input("the intrinsics of a fisheye have no gradient with exact discs"));
         }
 
+        self.moments.demand(self.bins.entries.len(), settings.footprint == Footprint::Disc)?;
+
         // Image gradients through the tiles to the moments of every splat.
         let through_position = wanted.any(Wanted::POSITIONS | Wanted::POSE | Wanted::LENS);
         let geometry = through_position || wanted.any(Wanted::SHAPES | Wanted::OPACITIES);
@@ -419,6 +482,15 @@ impl<T: SplatKernels> Rasterizer<T> {
         let at = format!("pixel ({}, {})", pixel % width, pixel / width);
         Err(Error::input(format!("the {name} gradient is not finite")).element(at))
     }
+}
+
+/// Bytes of the tables and images whose size is that of the image: sums of the tiles, colour, depth and alpha, and the
+/// rays of exact discs.
+fn table_bytes<T>(view: &View, settings: &Settings) -> f64 {
+    let [width, height] = view.size().map(|v| v as f64);
+    let of_rays = if settings.footprint == Footprint::Disc { 3.0 } else { 0.0 };
+    let in_tiles = Tiling::of(view.size()).count() as f64 * (PLANES * PIXELS) as f64;
+    (in_tiles + width * height * (5.0 + of_rays)) * size_of::<T>() as f64
 }
 
 /// The inputs that all tiles of a pass over the last splats share.

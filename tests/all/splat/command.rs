@@ -262,3 +262,37 @@ fn stress_passes_and_pareto_marks_the_default() {
         assert!(table.contains(skipped), "{skipped} is missing: {table}");
     }
 }
+
+/// Three billion entries of lists: asked about, and with `--yes` refused in one sentence.
+#[test]
+fn command_asks_before_work_that_does_not_fit() {
+    let folder = tempfile::tempdir().unwrap();
+    let cloud = GaussianCloud {
+        positions: vec![[0.0, 0.0, -5.0]; 3000],
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]; 3000],
+        scales: vec![[50.0; 3]; 3000],
+        opacities: vec![0.9; 3000],
+        sh: vec![0.0; 3 * 3000],
+        sh_degree: 0,
+        ..GaussianCloud::default()
+    };
+    gaussians_ply::write(&folder.path().join("scene.ply"), &cloud).unwrap();
+    let identity = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+    let frame = TransformsFrame {
+        file_path: "images/000000.png".into(),
+        depth_file_path: None,
+        mask_path: None,
+        transform_matrix: identity,
+        time: 0.0,
+        breathing_phase: None,
+        exposure: 1.0,
+        white_balance: [1.0; 3],
+    };
+    let camera = respire_bench::base::Camera::pinhole(16384, 16384, 1.5);
+    Transforms::new(&camera, vec![frame]).write(&folder.path().join("transforms.json")).unwrap();
+    for (more, code, says) in [(&[][..], 2, "say --yes, or make it smaller"), (&["--yes"], 4, "frame 0: ")] {
+        let said = command(folder.path(), more).code(code).get_output().stderr.clone();
+        let said = String::from_utf8(said).unwrap();
+        assert!(said.contains(says), "{said}");
+    }
+}

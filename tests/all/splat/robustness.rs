@@ -132,6 +132,47 @@ fn what_lies_behind_or_outside_is_invisible() {
     assert!(image.visible == [false; 3] && image.color.iter().all(|&v| v == 0.0));
 }
 
+/// 3,000 Gaussians that each cover an image of 16384x16384 pixels: three billion entries of lists, which used to end in
+/// an abort. Counted first, and refused on every kernel; the rasteriser goes on with what fits.
+#[test]
+fn lists_that_cannot_be_are_refused_before_they_are_made() {
+    let vast = View::new(Camera::pinhole(16384, 16384, 1.5), glam::DAffine3::IDENTITY);
+    let mut scene = Gaussians::<f32>::discs(3000, 0, 0.9);
+    scene.positions = vec![[0.0, 0.0, 5.0]; 3000];
+    scene.shape = Shape::Discs { axes: vec![[[50.0, 0.0, 0.0], [0.0, 50.0, 0.0]]; 3000] };
+    let small = random(12, Kind::Discs, 0, 5).cast::<f32>();
+    for isa in available() {
+        let mut rasterizer = Rasterizer::<f32>::with_isa(isa).unwrap();
+        let start = std::time::Instant::now();
+        let refused = rasterizer.render(&scene, &vast, &Settings::default(), None).map(drop).unwrap_err();
+        assert_eq!(refused.kind().exit_code(), 4);
+        let said = refused.to_string();
+        assert!(said.contains("the most") || said.contains("this machine has"), "{isa}: {said}");
+        assert!(start.elapsed().as_secs() < 20, "{isa}: {:?}", start.elapsed());
+        assert!(rasterizer.backward(&scene, &ImageGradient::default(), Wanted::ALL).is_err());
+        let estimate = rasterizer.estimate(&scene, &vast, &Settings::default(), true).unwrap();
+        assert!(estimate.memory_bytes > 1e11 && estimate.question().is_some(), "{isa}: {estimate}");
+        let image = rasterizer.render(&small, &view(Lens::Pinhole), &Settings::default(), None).unwrap();
+        assert!(image.visible_count > 0, "{isa}");
+    }
+}
+
+/// An estimate counts what a render then has in its lists.
+#[test]
+fn an_estimate_counts_the_tiles_without_making_their_lists() {
+    let scene = random(300, Kind::Discs, 1, 8).cast::<f32>();
+    for isa in available() {
+        let mut rasterizer = Rasterizer::<f32>::with_isa(isa).unwrap();
+        let estimate = |r: &mut Rasterizer<f32>, scene: &Gaussians<f32>| {
+            r.estimate(scene, &view(Lens::Pinhole), &Settings::default(), false).unwrap().memory_bytes
+        };
+        let none = random(0, Kind::Discs, 1, 8).cast::<f32>();
+        let lists = estimate(&mut rasterizer, &scene) - estimate(&mut rasterizer, &none);
+        let image = rasterizer.render(&scene, &view(Lens::Pinhole), &Settings::default(), None).unwrap();
+        assert_eq!(lists, 10.0 * image.intersections as f64, "{isa}");
+    }
+}
+
 #[test]
 fn misuse_is_answered_in_a_sentence() {
     let scene = random(5, Kind::Discs, 1, 8).cast::<f32>();
