@@ -35,7 +35,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::base::{Error, Result};
+use crate::base::{Error, Progress, Result};
 pub use terminal::Terminal;
 
 /// Makes the subcommand enum and its dispatch from lines `Variant => file::Arguments`.
@@ -108,6 +108,11 @@ struct Line {
 
 /// Entry point of the binary: reads the command line, runs the command, maps the outcome to the exit code.
 pub fn main() -> ExitCode {
+    // First of all: a signal in the first instants ends in order, too.
+    let terminal = match Terminal::new() {
+        Ok(terminal) => terminal,
+        Err(error) => return refuse(&error),
+    };
     let line = match Line::try_parse() {
         Ok(line) => line,
         Err(refused) => {
@@ -116,22 +121,26 @@ pub fn main() -> ExitCode {
             return ExitCode::from(refused.exit_code() as u8);
         }
     };
-    match start(line) {
+    match start(line, &terminal) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::from(error.kind().exit_code())
-        }
+        Err(error) => refuse(&error),
     }
 }
 
-fn start(line: Line) -> Result<()> {
+fn refuse(error: &Error) -> ExitCode {
+    terminal::complain(format_args!("error: {error}"));
+    ExitCode::from(error.kind().exit_code())
+}
+
+fn start(line: Line, terminal: &Terminal) -> Result<()> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(line.threads)
         .build_global()
         .map_err(|e| Error::usage(format!("cannot start {} threads: {e}", line.threads)))?;
-    let terminal = Terminal::new()?;
-    let outcome = line.command.run(&terminal);
+    if terminal.cancelled() {
+        return Err(Error::interrupted());
+    }
+    let outcome = line.command.run(terminal);
     terminal.finish();
     outcome
 }
