@@ -19,7 +19,7 @@ export RESPIRE_PYTHON PYTHONPATH
 step build
 cargo build --release --locked --quiet
 step tests
-cargo test --release --locked --quiet
+RESPIRE_FUZZ_SECONDS=5 cargo test --release --locked --quiet
 step smoke run
 cargo run --release --locked --quiet -- all-cases --profile smoke --out target/smoke --cache target/smoke/cache
 step gate
