@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Formats the C++ in cpp/ by .clang-format; with --check it only lists what is not formatted, and fails. Every version
+# Formats the C++ in cpp/ and the C in tests/ by .clang-format; with --check it only lists what is not formatted, and fails. Every version
 # of clang-format breaks lines differently: the pinned one is fetched once, into .deps/clang-format.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -24,4 +24,4 @@ if [ ! -x "$format" ]; then
   install -m 755 "$work/wheel/clang_format/data/bin/clang-format" "$format.part"
   mv "$format.part" "$format"
 fi
-find cpp -name '*.h' -o -name '*.cpp' | LC_ALL=C sort | xargs "$format" $mode
+find cpp tests -name '*.h' -o -name '*.c' -o -name '*.cpp' | LC_ALL=C sort | xargs "$format" $mode

@@ -19,7 +19,7 @@ export RESPIRE_PYTHON PYTHONPATH
 step build
 cargo build --release --locked --quiet
 step tests
-cargo test --release --locked --quiet
+RESPIRE_FUZZ_SECONDS=5 cargo test --release --locked --quiet
 step library
 scripts/check-library.sh
 step package

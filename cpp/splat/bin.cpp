@@ -17,6 +17,10 @@ namespace {
 // A band has at most 2^MAX_SHIFT rows of tiles: the 1024 of the largest image (16384 pixels) in BANDS bands.
 constexpr std::uint32_t MAX_SHIFT = 6;
 
+// Entries are numbered in 32 bits. A number that wrapped would name the place of another entry.
+constexpr std::uint64_t MAX_ENTRIES = 0xffffffff;
+constexpr const char* TOO_MANY = "more entries of tiles than 32 bits can number";
+
 struct Box {
   std::uint32_t x0, y0, x1, y1;
   explicit Box(const std::array<std::uint32_t, 2>& packed)
@@ -103,7 +107,8 @@ void bin_count(const BinSplats& chunk, std::uint32_t shift, rust::Slice<std::uin
   if (!n || !std::memchr(visible, 1, n)) return;
   // Differences: counts that begin and end with each band and each row of tiles. A loop over the bands and rows of a
   // box would have an end that the processor cannot predict.
-  std::uint32_t all = 0, sum = 0, band_changes[BANDS + 1] = {}, row_changes[(BANDS << MAX_SHIFT) + 1];
+  std::uint32_t all = 0, band_changes[BANDS + 1] = {}, row_changes[(BANDS << MAX_SHIFT) + 1];
+  std::uint64_t sum = 0;
   const std::uint32_t height = 1u << shift;
   std::fill_n(row_changes, BANDS * height + 1, 0u);
   for (std::size_t k = 0; k < n; ++k) {
@@ -116,10 +121,11 @@ void bin_count(const BinSplats& chunk, std::uint32_t shift, rust::Slice<std::uin
       --band_changes[(b.y1 >> shift) + 1];
       row_changes[b.y0] += w;
       row_changes[b.y1 + 1] -= w;
-      sum += (b.y1 - b.y0 + 1) * w;
+      sum += static_cast<std::uint64_t>(b.y1 - b.y0 + 1) * w;
     }
-    start[k] = sum;
+    start[k] = static_cast<std::uint32_t>(sum);
   }
+  require(sum <= MAX_ENTRIES, TOO_MANY);
   // Sums of the differences are the splats of each band and the tiles of each row.
   std::uint32_t splats = 0, tiles = 0;
   for (std::size_t band = 0; band < BANDS; ++band) {
@@ -148,6 +154,7 @@ void bin_distribute(const BinSplats& chunk, std::uint32_t shift, const Counts& c
     if (n) start[n - 1] = to.base;
     return;
   }
+  require(n > 0 && start[n - 1] <= MAX_ENTRIES - to.base, TOO_MANY);
   for (std::size_t k = 0; k < n; ++k) {
     start[k] += to.base;
     if (!visible[k]) continue;
@@ -169,6 +176,9 @@ void bin_fill(const BinItems& all, Band band) {
   require(low <= high && cells == static_cast<std::size_t>(high - low) * tiles_x && all.starts.size() == splats + 1 &&
               band.scratch.size() == 4 * n && band.targets.size() == band.entries.size(),
           "tables of the bins differ in length");
+  // Boxes have 16 bits for a side, and records 32 for a place.
+  require(high <= 0xffff && tiles_x <= 0xffff && n <= MAX_ENTRIES && band.entries.size() <= MAX_ENTRIES - band.first,
+          TOO_MANY);
   const std::uint64_t* in = all.items.data();
   const std::array<std::uint32_t, 2>* boxes = all.boxes.data();
   const std::uint32_t* start = all.starts.data();
@@ -207,7 +217,7 @@ void bin_fill(const BinItems& all, Band band) {
     }
   }
   require(filled == n, "fewer splats than were counted");
-  std::uint32_t sum = 0;
+  std::uint64_t sum = 0;
   std::vector<std::uint32_t> above(tiles_x, 0);
   for (std::size_t y = 0; y < high - low; ++y) {
     std::uint32_t row = 0;
@@ -216,8 +226,8 @@ void bin_fill(const BinItems& all, Band band) {
       // Entries of this tile: those of the tile above, and the changes of this row up to here.
       row += here;
       const std::uint32_t count = above[x] += row;
-      offset[y * tiles_x + x] = band.first + sum;
-      here = sum;
+      offset[y * tiles_x + x] = band.first + static_cast<std::uint32_t>(sum);
+      here = static_cast<std::uint32_t>(sum);
       sum += count;
     }
   }

@@ -18,7 +18,8 @@
 namespace respire {
 namespace {
 
-constexpr std::size_t SIDE = 16;  // of a tile, in pixels
+constexpr std::size_t SIDE = 16;        // of a tile, in pixels
+constexpr std::size_t MOST = 1u << 24;  // pixels of a side: products of two sides do not wrap
 
 // Index in a plane of a tile of its pixels 4 * piece to 4 * piece + 3 of a line, which lie one after the other.
 std::size_t index_of(std::size_t piece, std::size_t line) { return 16 * (4 * piece + line / 4) + 4 * (line % 4); }
@@ -148,6 +149,7 @@ std::array<double, 3> splat_adjoint(rust::Slice<const float> state, const TilePl
   const auto is_none_or = [](rust::Slice<const float> values, std::size_t size) {
     return values.empty() || values.size() == size;
   };
+  require(width <= MOST && height <= MOST && x0 < width && y0 < height, "a tile lies outside the image");
   require(state.size() == PLANES * PIXELS && adjoint.size() == PLANES * PIXELS && is_none_or(image.color, 3 * pixels) &&
               is_none_or(image.depth, pixels) && is_none_or(image.alpha, pixels),
           "tables of an image differ in length");

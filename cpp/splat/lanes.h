@@ -201,18 +201,21 @@ inline V log2(V x) {
   return fma(p, s, __builtin_convertvector(exponent, V));
 }
 
-// N < 4 floats, nothing read beyond.
+// N < 4 floats, nothing read beyond. Two floats are moved as one double, by a copy, since they are aligned as floats.
 template <int N>
 inline __m128 load_few(const float* p) {
   if (N == 1) return _mm_load_ss(p);
-  const __m128 two = _mm_castpd_ps(_mm_load_sd(reinterpret_cast<const double*>(p)));
+  double both;
+  __builtin_memcpy(&both, p, sizeof both);
+  const __m128 two = _mm_castpd_ps(_mm_set_sd(both));
   return N == 2 ? two : _mm_movelh_ps(two, _mm_load_ss(p + 2));
 }
 
 template <int N>
 inline void store_few(float* p, __m128 v) {
   if (N == 1) return _mm_store_ss(p, v);
-  _mm_store_sd(reinterpret_cast<double*>(p), _mm_castps_pd(v));
+  const double both = _mm_cvtsd_f64(_mm_castps_pd(v));
+  __builtin_memcpy(p, &both, sizeof both);
   if (N == 3) _mm_store_ss(p + 2, _mm_movehl_ps(v, v));
 }
 

@@ -14,7 +14,8 @@ double loss_band(std::uint8_t isa, const LossImage& image, rust::Slice<const flo
                  rust::Slice<float> gradient, rust::Slice<float> scratch) {
   require(isa <= widest_isa(), "this processor lacks the instruction set asked for");
   const std::size_t w = image.width, h = image.height, n = w * h, line = 3 * w;
-  require(w > 0 && rendered.size() == 3 * n && image.target.size() == 3 * n && image.mean.size() == 3 * n &&
+  require(w > 0 && w <= 1u << 24 && h <= 1u << 24, "no image has such a side");
+  require(rendered.size() == 3 * n && image.target.size() == 3 * n && image.mean.size() == 3 * n &&
               image.square.size() == 3 * n && (image.mask.empty() || image.mask.size() == n),
           "images of a loss differ in size");
   require(gradient.size() % line == 0 && first <= h && gradient.size() / line <= h - first &&

@@ -156,6 +156,8 @@ void splat_project(std::uint8_t isa, const SplatScene& scene, std::array<std::ui
   const std::size_t count = out.visible.size();
   require(out.rows.size() == count && out.boxes.size() == count && out.keys.size() == count,
           "tables of a projection differ in length");
+  const auto fits_box = [](std::uint32_t tiles) { return tiles > 0 && tiles <= 0xffff; };
+  require(fits_box(tiles[0]) && fits_box(tiles[1]), "boxes of tiles have 16 bits for a side");
   require(out.velocities.empty() || out.velocities.size() == count, "tables of a motion differ in length");
   TangentChunk tangent;
   const bool moving = !out.velocities.empty();

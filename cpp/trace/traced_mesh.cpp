@@ -60,7 +60,14 @@ TracedMesh::TracedMesh(rust::Slice<const float> vertices, rust::Slice<const std:
     rtcAttachGeometry(scene, geometry_);
     rtcCommitScene(scene);
   }
+  demand_no_error();
   update_normals();
+}
+
+// Embree's functions say nothing when they fail: the device remembers the first error.
+void TracedMesh::demand_no_error() const {
+  const RTCError error = rtcGetDeviceError(device_);
+  if (error != RTC_ERROR_NONE) throw std::runtime_error("Embree reports error " + std::to_string(error));
 }
 
 void TracedMesh::update(rust::Slice<const float> vertices) {
@@ -79,6 +86,7 @@ void TracedMesh::refit() {
   rtcCommitGeometry(geometry_);
   rtcCommitScene(robust_);
   rtcCommitScene(fast_);
+  demand_no_error();
 }
 
 // The area-weighted normals of the faces around each vertex, summed and normalised.

@@ -108,6 +108,7 @@ class TracedMesh {
 
  private:
   void update_normals();
+  void demand_no_error() const;
 
   // Declared in the order of creation, so that they are released in reverse.
   Handle<RTCDevice, rtcReleaseDevice> device_;

@@ -79,7 +79,7 @@ void for_each_camera_ray(const Wall& wall, const FrameSettings& frame, rust::Sli
 void check_tile(const FrameSettings& frame, const TileRequest& tile, std::size_t corners, std::size_t film) {
   demand(tile.x1 <= frame.width && tile.y1 <= frame.height && tile.x0 < tile.x1 && tile.y0 < tile.y1,
          "tile outside the image");
-  demand(corners == 3ull * (frame.width + 1) * (frame.height + 1), "one direction per pixel corner");
+  demand(corners == 3 * (frame.width + 1ull) * (frame.height + 1ull), "one direction per pixel corner");
   demand(film == static_cast<std::size_t>(tile.x1 - tile.x0) * (tile.y1 - tile.y0), "film size");
 }
 
@@ -231,7 +231,7 @@ void Tracer::glints(const FrameSettings& frame, rust::Slice<const FaceLight> lig
 
 std::uint64_t Tracer::gather(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces,
                              rust::Slice<std::uint32_t> hits) const {
-  demand(!faces.empty() && hits.size() % faces.size() == 0, "the same number of rays for every face");
+  demand(!faces.empty() && !hits.empty() && hits.size() % faces.size() == 0, "the same number of rays for every face");
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
   const Lamp lamp(frame);

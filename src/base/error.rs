@@ -99,15 +99,32 @@ impl Error {
     }
 }
 
+/// Most characters of the words that an error shows: an input may be one line of a megabyte.
+const MAX_SHOWN: usize = 2000;
+
+/// Writes `text` as one line: what moves the cursor or colours a terminal is written as its escape.
+fn write_line(f: &mut fmt::Formatter<'_>, text: &str) -> fmt::Result {
+    for (count, c) in text.chars().enumerate() {
+        match c {
+            _ if count == MAX_SHOWN => return f.write_str(" ..."),
+            c if c.is_control() => write!(f, "{}", c.escape_default())?,
+            c => fmt::Write::write_char(f, c)?,
+        }
+    }
+    Ok(())
+}
+
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(path) = &self.0.path {
-            write!(f, "{}: ", path.display())?;
+            write_line(f, &path.to_string_lossy())?;
+            f.write_str(": ")?;
         }
         if let Some(element) = &self.0.element {
-            write!(f, "{element}: ")?;
+            write_line(f, element)?;
+            f.write_str(": ")?;
         }
-        f.write_str(&self.0.message)
+        write_line(f, &self.0.message)
     }
 }
 
@@ -116,6 +133,14 @@ impl std::error::Error for Error {}
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Found by fuzzing: a message that quotes its input can hold line ends, terminal colours or a megabyte.
+    #[test]
+    fn the_sentence_is_one_line_of_readable_length() {
+        let e = Error::input("\"a\u{1b}[31m\nb\" is no number").element("key\r").at("a\tb.csv");
+        assert_eq!(e.to_string(), "a\\tb.csv: key\\r: \"a\\u{1b}[31m\\nb\" is no number");
+        assert!(Error::input("x".repeat(1_000_000)).to_string().len() < 2100);
+    }
 
     #[test]
     fn the_sentence_names_file_and_element() {

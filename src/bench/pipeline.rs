@@ -183,15 +183,22 @@ impl Pipeline {
     pub fn record(&self, plan: &Plan, finished: &[FinishedCell]) -> Result<Run> {
         let cases = self.cases.iter().map(|case| {
             let of_case = |cell: &&FinishedCell| cell.cell.case_id == case.id;
-            let sequence = finished.iter().find(of_case).and_then(|cell| Sequence::open(&cell.sequence).ok());
+            // Where every cell has failed, the film itself may have. A film that was scored can be read, or the report
+            // would lack its truth without a word.
+            let scored = finished.iter().filter(of_case).find(|cell| cell.failure.is_none());
+            let sequence = match scored.or(finished.iter().find(of_case)) {
+                Some(cell) if cell.failure.is_none() => Some(Sequence::open(&cell.sequence)?),
+                Some(cell) => Sequence::open(&cell.sequence).ok(),
+                None => None,
+            };
             let truth = sequence.map(|sequence| Arc::new(sequence) as Arc<dyn Truth>);
-            CaseInfo { id: case.id.clone(), title: case.title.clone(), truth }
+            Ok(CaseInfo { id: case.id.clone(), title: case.title.clone(), truth })
         });
         let (id, machine_id) = (plan.run_id()?, Environment::examine().machine_id());
         Ok(Run {
             profile: plan.profile.clone(),
             notes: Vec::new(),
-            cases: cases.collect(),
+            cases: cases.collect::<Result<_>>()?,
             methods: self.method_infos(),
             cells: finished.iter().map(|cell| cell_record(cell, &id, &machine_id)).collect::<Result<_>>()?,
             id,

@@ -36,8 +36,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::base::range::THREADS;
-use crate::base::{Error, Result};
-use terminal::Consent;
+use crate::base::{Error, Progress, Result};
 pub use terminal::Terminal;
 
 /// Makes the subcommand enum and its dispatch from lines `Variant => file::Arguments`.
@@ -115,6 +114,11 @@ struct Line {
 
 /// Entry point of the binary: reads the command line, runs the command, maps the outcome to the exit code.
 pub fn main() -> ExitCode {
+    // First of all: a signal in the first instants ends in order, too.
+    let mut terminal = match Terminal::new() {
+        Ok(terminal) => terminal,
+        Err(error) => return refuse(&error),
+    };
     let line = match Line::try_parse() {
         Ok(line) => line,
         Err(refused) => {
@@ -123,23 +127,29 @@ pub fn main() -> ExitCode {
             return ExitCode::from(refused.exit_code() as u8);
         }
     };
-    match start(line) {
+    if line.yes {
+        terminal.give_consent();
+    }
+    match start(line, &terminal) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::from(error.kind().exit_code())
-        }
+        Err(error) => refuse(&error),
     }
 }
 
-fn start(line: Line) -> Result<()> {
+fn refuse(error: &Error) -> ExitCode {
+    terminal::complain(format_args!("error: {error}"));
+    ExitCode::from(error.kind().exit_code())
+}
+
+fn start(line: Line, terminal: &Terminal) -> Result<()> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(line.threads)
         .build_global()
         .map_err(|e| Error::usage(format!("cannot start {} threads: {e}", line.threads)))?;
-    let consent = if line.yes { Consent::Given } else { Consent::Asked };
-    let terminal = Terminal::new(consent)?;
-    let outcome = line.command.run(&terminal);
+    if terminal.cancelled() {
+        return Err(Error::interrupted());
+    }
+    let outcome = line.command.run(terminal);
     terminal.finish();
     outcome
 }

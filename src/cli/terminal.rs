@@ -15,7 +15,7 @@ const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Whether large work begins without a question.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Consent {
+enum Consent {
     /// `--yes`.
     Given,
     /// The user is told what it would take, and has to say so.
@@ -38,9 +38,15 @@ struct TerminalState {
     output_closed: bool,
 }
 
+/// One line on standard error. Where that cannot be written (a log on a full disk) it is dropped: the exit code
+/// stays what it is, where `eprintln!` would panic.
+pub(super) fn complain(text: impl Display) {
+    let _ = writeln!(std::io::stderr().lock(), "{text}");
+}
+
 impl Terminal {
     /// Takes over Ctrl-C: the first asks the work to stop at the next safe point, the second ends the process.
-    pub fn new(consent: Consent) -> Result<Self> {
+    pub fn new() -> Result<Self> {
         let interrupted = Arc::new(AtomicBool::new(false));
         let token = Arc::clone(&interrupted);
         ctrlc::set_handler(move || {
@@ -48,10 +54,15 @@ impl Terminal {
                 // Files are written atomically, so there is nothing to clean up.
                 std::process::exit(i32::from(ErrorKind::Interrupted.exit_code()));
             }
-            eprintln!("stopping at the next frame; press Ctrl-C again to stop at once");
+            complain("stopping at the next frame; press Ctrl-C again to stop at once");
         })
         .map_err(|e| Error::new(ErrorKind::Environment, format!("cannot take over Ctrl-C: {e}")))?;
-        Ok(Terminal { interrupted, watched: std::io::stderr().is_terminal(), consent, state: Mutex::default() })
+        Ok(Terminal { interrupted, watched: std::io::stderr().is_terminal(), consent: Consent::Asked, state: Mutex::default() })
+    }
+
+    /// `--yes`: large work begins without a question.
+    pub fn give_consent(&mut self) {
+        self.consent = Consent::Given;
     }
 
     /// Starts a stage: what `advance` counts from now on, for instance `case1: filming`.
@@ -116,7 +127,7 @@ impl Progress for Terminal {
         let last = *state.last_line.get_or_insert(now);
         if now.duration_since(last) >= LINE_INTERVAL {
             state.last_line = Some(now);
-            eprintln!("{}: {done}/{total}", state.label);
+            complain(format_args!("{}: {done}/{total}", state.label));
         }
     }
 
@@ -133,8 +144,8 @@ impl Progress for Terminal {
 
     fn note(&self, sentence: &str) {
         match &self.state().bar {
-            Some(bar) => bar.suspend(|| eprintln!("{sentence}")),
-            None => eprintln!("{sentence}"),
+            Some(bar) => bar.suspend(|| complain(sentence)),
+            None => complain(sentence),
         }
     }
 }

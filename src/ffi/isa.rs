@@ -4,6 +4,7 @@ use crate::base::{Error, ErrorKind, Result};
 
 #[cxx::bridge(namespace = "respire")]
 mod bridge {
+    // SAFETY: it takes nothing, returns a number, and throws nothing.
     unsafe extern "C++" {
         include!("cpp/common/isa.h");
 

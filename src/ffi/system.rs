@@ -27,7 +27,7 @@ pub fn peak_memory_mib() -> f64 {
 
 /// Physical memory of the machine in MiB; 0 when the system does not say.
 pub fn memory_mib() -> f64 {
-    // SAFETY: sysconf takes a number and returns a number.
+    // SAFETY: sysconf takes a number and returns a number; -1, where it does not know, is handled below.
     let (pages, page_bytes) = unsafe { (libc::sysconf(libc::_SC_PHYS_PAGES), libc::sysconf(libc::_SC_PAGESIZE)) };
     if pages < 0 || page_bytes < 0 { 0.0 } else { pages as f64 * page_bytes as f64 / (1024.0 * 1024.0) }
 }

@@ -19,7 +19,8 @@ pub fn read(path: &Path, unit_mm: f64) -> Result<Image<f32>> {
     decode(&files::read_bytes(path)?, unit_mm).map_err(|e| e.at(path))
 }
 
-fn decode(bytes: &[u8], unit_mm: f64) -> Result<Image<f32>> {
+/// [`read`] for bytes in memory.
+pub fn decode(bytes: &[u8], unit_mm: f64) -> Result<Image<f32>> {
     let damaged = |e: image::ImageError| Error::input(format!("is not a readable PNG image: {e}"));
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_SIDE_PX);

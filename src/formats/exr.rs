@@ -1,7 +1,6 @@
 //! OpenEXR, 32-bit float: linear radiance (R, G, B) and one-channel truth such as z-depth (Y). Lossless, ZIP.
 
 use std::io::Cursor;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer};
@@ -9,6 +8,7 @@ use exr::meta::MetaData;
 use exr::meta::header::LayerAttributes;
 use exr::prelude::{ReadChannels, ReadLayers, SmallVec, WritableImage};
 
+use super::damage::guarded;
 use crate::base::{Error, Image, Result, files};
 
 /// Values (pixels times channels) that a file may declare.
@@ -74,10 +74,9 @@ fn encode(image: &Image<f32>, names: &[&str]) -> Result<Vec<u8>> {
     Ok(bytes.into_inner())
 }
 
-fn decode(bytes: &[u8]) -> Result<Image<f32>> {
-    // A panic of the decoder on a damaged file becomes an error of that file.
-    catch_unwind(AssertUnwindSafe(|| decode_unguarded(bytes)))
-        .unwrap_or_else(|_| Err(Error::input("is a damaged OpenEXR file: the decoder gave up")))
+/// [`read`] for bytes in memory.
+pub fn decode(bytes: &[u8]) -> Result<Image<f32>> {
+    guarded("OpenEXR", || decode_unguarded(bytes))
 }
 
 fn decode_unguarded(bytes: &[u8]) -> Result<Image<f32>> {

@@ -84,6 +84,11 @@ impl GaussianCloud {
     }
 }
 
+/// Numbers `f_rest` of an SH degree.
+fn coefficients(degree: usize) -> usize {
+    3 * ((degree + 1).pow(2) - 1)
+}
+
 /// Reads a file. Gaussians with numbers that are not finite are left out and counted, SH beyond degree 3 are ignored.
 ///
 /// Errors name the file: no PLY, a property that is missing, a number of SH coefficients that no degree has, a count
@@ -92,7 +97,8 @@ pub fn read(path: &Path) -> Result<GaussianCloud> {
     parse(&files::read_bytes(path)?).map_err(|e| e.at(path))
 }
 
-fn parse(bytes: &[u8]) -> Result<GaussianCloud> {
+/// [`read`] for bytes in memory.
+pub fn parse(bytes: &[u8]) -> Result<GaussianCloud> {
     let (elements, mut body) = parse_header(bytes)?;
     let Some(vertex) = elements.first().filter(|e| e.name == "vertex") else {
         return Err(Error::input("the first element is not vertex: these are not Gaussians"));
@@ -106,8 +112,9 @@ fn parse(bytes: &[u8]) -> Result<GaussianCloud> {
     for (found, name) in fields.iter_mut().zip(FIELDS) {
         *found = place(name).ok_or_else(|| missing(name))?;
     }
-    let rest: Vec<usize> = (0..).map_while(|k| place(&format!("f_rest_{k}"))).collect();
-    let degree = (0..=10usize).find(|d| 3 * ((d + 1).pow(2) - 1) == rest.len()).ok_or_else(|| {
+    // One more than the highest degree has, so that more are seen; each is a search.
+    let rest: Vec<usize> = (0..=coefficients(10)).map_while(|k| place(&format!("f_rest_{k}"))).collect();
+    let degree = (0..=10usize).find(|&d| coefficients(d) == rest.len()).ok_or_else(|| {
         Error::input(format!("{} coefficients f_rest belong to no SH degree", rest.len())).element("element vertex")
     })?;
     body.expect_room(vertex)?;

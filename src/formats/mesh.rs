@@ -1,14 +1,13 @@
-//! Surfaces from the formats people have: PLY (ASCII, binary; own reader), STL (through `stl_io`), OBJ
-//! (through `tobj`); written as binary PLY with double coordinates, since truth is never quantised.
+//! Surfaces from the formats people have: PLY (ASCII, binary) and OBJ by own readers, STL through `stl_io`; written as
+//! binary PLY with double coordinates, since truth is never quantised.
 
 use std::collections::HashMap;
-use std::fs::File;
-use std::io::BufReader;
+use std::io::Cursor;
 use std::path::Path;
 
 use glam::DVec3;
 
-use super::mesh_ply;
+use super::{mesh_obj, mesh_ply};
 use crate::base::files::{read_bytes, write_atomically};
 use crate::base::{Error, Result, TriangleMesh};
 
@@ -17,14 +16,18 @@ use crate::base::{Error, Result, TriangleMesh};
 /// [`TriangleMesh::validate`]; faces keep the winding of the file.
 pub fn read(path: &Path) -> Result<TriangleMesh> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
-    let mesh = match extension.as_str() {
-        "ply" => read_ply(path),
-        "stl" => read_stl(path),
-        "obj" => read_obj(path),
+    parse(&read_bytes(path)?, &extension).map_err(|e| e.at(path))
+}
+
+/// [`read`] for bytes in memory; `extension` is `ply`, `stl` or `obj`.
+pub fn parse(bytes: &[u8], extension: &str) -> Result<TriangleMesh> {
+    let mesh = match extension {
+        "ply" => mesh_ply::parse(bytes),
+        "stl" => parse_stl(bytes),
+        "obj" => mesh_obj::parse(bytes),
         _ => Err(Error::input("the name must end in .ply, .stl or .obj")),
-    }
-    .map_err(|e| e.at(path))?;
-    mesh.validate().map_err(|e| e.at(path))?;
+    }?;
+    mesh.validate()?;
     Ok(mesh)
 }
 
@@ -53,18 +56,10 @@ pub fn write_ply(path: &Path, mesh: &TriangleMesh, comments: &[&str]) -> Result<
     })
 }
 
-fn open(path: &Path) -> Result<BufReader<File>> {
-    File::open(path).map(BufReader::new).map_err(|e| Error::io("reading", path, e))
-}
-
-fn read_ply(path: &Path) -> Result<TriangleMesh> {
-    mesh_ply::parse(&read_bytes(path)?)
-}
-
-fn read_stl(path: &Path) -> Result<TriangleMesh> {
+fn parse_stl(bytes: &[u8]) -> Result<TriangleMesh> {
     let damaged = |e: std::io::Error| Error::input(format!("is not a whole STL file: {e}"));
-    let mut file = open(path)?;
-    let triangles = stl_io::create_stl_reader(&mut file).map_err(damaged)?;
+    let mut bytes = Cursor::new(bytes);
+    let triangles = stl_io::create_stl_reader(&mut bytes).map_err(damaged)?;
     let mut mesh = TriangleMesh::default();
     let mut known: HashMap<[u32; 3], u32> = HashMap::new();
     for triangle in triangles {
@@ -85,25 +80,10 @@ fn read_stl(path: &Path) -> Result<TriangleMesh> {
     Ok(mesh)
 }
 
-fn read_obj(path: &Path) -> Result<TriangleMesh> {
-    let options = tobj::LoadOptions { triangulate: true, single_index: false, ..Default::default() };
-    let mut file = open(path)?;
-    let (models, _) =
-        tobj::load_obj_buf(&mut file, &options, |_| Ok(Default::default())).map_err(|e| Error::input(e.to_string()))?;
-    let mut mesh = TriangleMesh::default();
-    for model in models {
-        let first = mesh.vertices.len() as u32;
-        let positions = model.mesh.positions.chunks_exact(3);
-        mesh.vertices.extend(positions.map(|p| DVec3::new(p[0], p[1], p[2])));
-        mesh.faces.extend(model.mesh.indices.chunks_exact(3).map(|f| [f[0] + first, f[1] + first, f[2] + first]));
-    }
-    Ok(mesh)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::fs;
+    use std::fs::{self, File};
 
     fn tetrahedron() -> TriangleMesh {
         TriangleMesh {

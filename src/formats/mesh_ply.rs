@@ -98,10 +98,15 @@ impl PlyBody<'_> {
         })
     }
 
-    /// An error when the header announces more records of `element` than the bytes that are left can hold.
+    /// An error when the header announces more records of `element` than the bytes that are left can hold. So the
+    /// length of the file bounds the work.
     pub fn expect_room(&self, element: &Element) -> Result<()> {
+        if element.count > 0 && element.properties.is_empty() {
+            return Err(Error::input("has no property").element(format!("element {}", element.name)));
+        }
         let announced = element.count.saturating_mul(self.least_bytes(element));
-        if announced > self.bytes.len() as u64 {
+        // The last number of a text needs nothing behind it.
+        if announced > self.bytes.len() as u64 + u64::from(self.encoding == Encoding::Ascii) {
             let (count, left) = (element.count, self.bytes.len());
             let message = format!("the header announces {count} of them, which {left} bytes cannot hold");
             return Err(Error::input(message).element(format!("element {}", element.name)));
@@ -238,4 +243,25 @@ pub(super) fn parse(bytes: &[u8]) -> Result<TriangleMesh> {
         return Err(Error::input(format!("{left} bytes follow the last element: a count in the header is too small")));
     }
     Ok(mesh)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Found by fuzzing: an element that takes no bytes may announce any number of records.
+    #[test]
+    fn an_element_without_properties_is_refused_at_once() {
+        let text = "ply\nformat binary_little_endian 1.0\nelement nothing 18446744073709551615\nend_header\n";
+        assert_eq!(parse(text.as_bytes()).unwrap_err().to_string(), "element nothing: has no property");
+        let empty = text.replace("18446744073709551615", "0");
+        assert!(parse(empty.as_bytes()).is_ok(), "none of them is no harm");
+    }
+
+    #[test]
+    fn the_last_number_of_a_text_needs_no_line_end() {
+        let head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
+        assert_eq!(parse(format!("{head}end_header\n1 2 3").as_bytes()).unwrap().vertices, [DVec3::new(1., 2., 3.)]);
+        assert!(parse(format!("{head}end_header\n1 2").as_bytes()).is_err());
+    }
 }

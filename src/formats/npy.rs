@@ -1,13 +1,18 @@
 //! NumPy arrays (.npy, .npz) of 32- and 64-bit floats, C or Fortran order; written as little-endian f32 in C order.
 
 use std::io::Cursor;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use npyz::npz::NpzWriter;
 use npyz::{NpyFile, Order, WriterBuilder};
 
+use super::damage::guarded;
 use crate::base::{Error, Image, Result, files};
+
+/// Longest header that NumPy reads (`numpy.lib.format`).
+const MAX_HEADER_BYTES: u32 = 10_000;
+/// Most axes that an array of NumPy has.
+const MAX_AXES: usize = 64;
 
 /// An array, row-major whatever the file's order was.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,11 +30,15 @@ pub fn read(path: &Path) -> Result<Array> {
 
 /// Reads a plane: shape (height, width), or the same with axes of length 1 around it.
 pub fn read_plane(path: &Path) -> Result<Image<f32>> {
-    let array = read(path)?;
+    read(path).and_then(plane).map_err(|e| e.at(path))
+}
+
+/// `array` as a plane, as [`read_plane`] does it.
+pub fn plane(array: Array) -> Result<Image<f32>> {
     let axes: Vec<usize> = array.shape.iter().copied().filter(|&n| n != 1).collect();
     let (height, width) = match (array.shape.as_slice(), axes.as_slice()) {
         (&[height, width], _) | (_, &[height, width]) => (height, width),
-        _ => return Err(Error::input(format!("has shape {:?}; (height, width) is wanted", array.shape)).at(path)),
+        _ => return Err(Error::input(format!("has shape {:?}; (height, width) is wanted", array.shape))),
     };
     Ok(Image { width, height, channels: 1, data: array.data })
 }
@@ -78,17 +87,39 @@ fn encode(shape: &[usize], data: &[f32]) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn decode(bytes: &[u8]) -> Result<Array> {
-    // A panic of the decoder on a damaged file becomes an error of that file.
-    catch_unwind(AssertUnwindSafe(|| decode_unguarded(bytes)))
-        .unwrap_or_else(|_| Err(Error::input("is a damaged .npy file: the decoder gave up")))
+/// [`read`] for bytes in memory.
+pub fn decode(bytes: &[u8]) -> Result<Array> {
+    check_header(bytes)?;
+    guarded(".npy", || decode_unguarded(bytes))
+}
+
+/// Refuses, before the decoder sees them, headers that would cost it memory or time out of proportion: longer than
+/// NumPy's, with more brackets than an array of plain numbers has, or with more axes.
+fn check_header(bytes: &[u8]) -> Result<()> {
+    let refused = |why: &str| Err(Error::input(why));
+    let Some(rest) = bytes.strip_prefix(b"\x93NUMPY") else { return refused("is not a .npy file") };
+    let (length, start) = match *rest {
+        [1, _, a, b, ..] => (u32::from(u16::from_le_bytes([a, b])), 4),
+        [2 | 3, _, a, b, c, d, ..] => (u32::from_le_bytes([a, b, c, d]), 6),
+        _ => return refused("is a .npy file of an unknown version, or ends in its header"),
+    };
+    if length > MAX_HEADER_BYTES {
+        return Err(Error::input(format!("has a header of {length} bytes; {MAX_HEADER_BYTES} is the most")));
+    }
+    let Some(header) = rest.get(start..start + length as usize) else { return refused("ends in its header") };
+    let count = |bracket: u8| header.iter().filter(|&&b| b == bracket).count();
+    if count(b'{') > 1 || count(b'(') > 1 || count(b'[') > 0 {
+        return refused("is no array of plain numbers: its header is nested");
+    }
+    // Between the axes, and a few between the keys.
+    if count(b',') > MAX_AXES + 8 {
+        return Err(Error::input(format!("has more than {MAX_AXES} axes")));
+    }
+    Ok(())
 }
 
 fn decode_unguarded(bytes: &[u8]) -> Result<Array> {
     let damaged = |e: std::io::Error| Error::input(format!("is not a readable .npy file: {e}"));
-    if !bytes.starts_with(b"\x93NUMPY") {
-        return Err(Error::input("is not a .npy file"));
-    }
     let file = NpyFile::new(bytes).map_err(damaged)?;
     let declared = file.shape().iter().try_fold(1u64, |product, &n| product.checked_mul(n));
     let Some(count) = declared.filter(|&n| n <= bytes.len() as u64) else {
@@ -172,6 +203,30 @@ mod tests {
         assert_eq!(means.shape(), [1, 3]);
         assert_eq!(means.into_vec::<f32>().unwrap(), [1.0, 2.0, 3.0]);
         assert!(write_npz(&path, &[("means", &[2], &[1.0])]).unwrap_err().to_string().contains("means"));
+    }
+
+    /// Found by fuzzing: a header of 4 GiB that is announced, one whose brackets are nested a thousand deep, one of
+    /// thousands of axes.
+    #[test]
+    fn headers_out_of_proportion_are_refused_at_once() {
+        let file = |header: &str| {
+            let mut bytes = b"\x93NUMPY\x02\x00".to_vec();
+            bytes.extend((header.len() as u32).to_le_bytes());
+            bytes.extend(header.as_bytes());
+            bytes
+        };
+        let refused = |bytes: &[u8]| decode(bytes).unwrap_err().to_string();
+        assert!(refused(b"\x93NUMPY\x02\x00\xf0\xff\xff\xff{'descr'").contains("4294967280 bytes"));
+        let nested = format!("{}{}", "(".repeat(1000), ")".repeat(1000));
+        assert!(
+            refused(&file(&format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {nested}}}")))
+                .contains("nested")
+        );
+        let long = format!("{{'descr': '<f4', 'fortran_order': True, 'shape': ({})}}", "1,".repeat(3000));
+        assert!(refused(&file(&long)).contains("more than 64 axes"));
+        assert!(refused(&file(&" ".repeat(20_000))).contains("20000 bytes"));
+        let fine = file("{'descr': '<f4', 'fortran_order': False, 'shape': (1,)}");
+        assert_eq!(decode(&[fine, vec![0; 4]].concat()).unwrap().data, [0.0]);
     }
 
     #[test]

@@ -56,7 +56,8 @@ fn animation(images: &[Image<u8>], seconds: f64) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn decode(bytes: &[u8]) -> Result<Image<u8>> {
+/// [`read_rgb`] for bytes in memory.
+pub fn decode(bytes: &[u8]) -> Result<Image<u8>> {
     let damaged = |e: image::ImageError| Error::input(format!("is not a readable PNG image: {e}"));
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_SIDE_PX);

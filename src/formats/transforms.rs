@@ -154,15 +154,20 @@ impl Transforms {
 
     /// Reads a file; the error names it and the key or frame.
     pub fn read(path: &Path) -> Result<Self> {
-        let transforms: Transforms = files::read_json(path)?;
-        transforms.camera().map_err(|e| e.at(path))?;
+        Self::parse(&files::read_bytes(path)?).map_err(|e| e.at(path))
+    }
+
+    /// [`Transforms::read`] for bytes in memory.
+    pub fn parse(bytes: &[u8]) -> Result<Self> {
+        let transforms: Transforms = serde_json::from_slice(bytes).map_err(|e| Error::input(e.to_string()))?;
+        transforms.camera()?;
         let broken = |f: &TransformsFrame| f.transform_matrix.iter().flatten().any(|v| !v.is_finite());
         if let Some(f) = transforms.frames.iter().position(broken) {
-            return Err(Error::input("transform_matrix is not finite").element(format!("frame {f}")).at(path));
+            return Err(Error::input("transform_matrix is not finite").element(format!("frame {f}")));
         }
         if let Some(f) = transforms.frames.iter().position(|f| !is_rigid(&f.world_from_camera())) {
             let message = "transform_matrix is no rotation and translation (it scales, shears, mirrors or is singular)";
-            return Err(Error::input(message).element(format!("frame {f}")).at(path));
+            return Err(Error::input(message).element(format!("frame {f}")));
         }
         Ok(transforms)
     }

@@ -61,6 +61,13 @@ fn a_reader_that_goes_away_is_no_error() {
 }
 
 #[test]
+fn a_log_on_a_full_disk_changes_no_exit_code() {
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let status = program().args(["gate", "--results", "/nowhere"]).stderr(full).status().unwrap();
+    assert_eq!(status.code(), Some(4));
+}
+
+#[test]
 fn list_has_the_keys_that_scripts_rely_on() {
     let (code, out, err) = run(&["list", "--json"]);
     assert_eq!(code, 0, "{err}");

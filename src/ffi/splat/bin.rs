@@ -72,8 +72,9 @@ mod bridge {
         targets: &'a mut [u32],
     }
 
-    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/bin.h`) and throw
-    // where they do not fit, which becomes an `Err`; none keeps a pointer.
+    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/bin.cpp`) and throw
+    // where they do not fit, which becomes an `Err`; none keeps a pointer, calls back into Rust, or writes what it was
+    // not given as `&mut`. They count in 64 bits and refuse what 32 cannot number, so that no place wraps round.
     unsafe extern "C++" {
         include!("cpp/splat/bin.h");
 

@@ -35,8 +35,9 @@ mod bridge {
         alpha: &'a [f32],
     }
 
-    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/image.h`) and throw
-    // where they do not fit, which becomes an `Err`; none keeps a pointer.
+    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/image.cpp`) and throw
+    // where they do not fit, which becomes an `Err`; none keeps a pointer, calls back into Rust, or writes what it was
+    // not given as `&mut`. Sides are bounded, so that their products do not wrap.
     unsafe extern "C++" {
         include!("cpp/splat/image.h");
 

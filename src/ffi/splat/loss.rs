@@ -26,8 +26,9 @@ mod bridge {
         ssim_weight: f32,
     }
 
-    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/loss.h`) and throw
-    // where they do not fit, which becomes an `Err`; none keeps a pointer.
+    // SAFETY: the functions check all indices and lengths before they read or write (`cpp/splat/loss.cpp`) and throw
+    // where they do not fit, which becomes an `Err`; none keeps a pointer, calls back into Rust, or writes what it was
+    // not given as `&mut`. The scratch belongs to the calling thread alone.
     unsafe extern "C++" {
         include!("cpp/splat/loss.h");
 

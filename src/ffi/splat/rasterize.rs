@@ -201,8 +201,10 @@ mod bridge {
     }
 
     // SAFETY: every function declared safe checks all indices and lengths before it reads or writes
-    // (`cpp/splat/rasterize.h`) and throws where they do not fit, which becomes an `Err`; none keeps a pointer.
-    // `splat_backward` cannot check that no other thread writes the same slots, hence it is unsafe to call.
+    // (`cpp/splat/rasterize.cpp`) and throws where they do not fit, which becomes an `Err`; none keeps a pointer, calls
+    // back into Rust, or writes what it was not given as `&mut`. The numbers themselves may be anything, NaN included:
+    // they choose no address. Flags that come back are written as 0 or 1. `splat_backward` cannot check that no other
+    // thread writes the same slots, hence it is unsafe to call.
     unsafe extern "C++" {
         include!("cpp/splat/rasterize.h");
 
@@ -347,28 +349,31 @@ pub fn disc_backward(isa: Isa, discs: &SplatDiscs<'_>, adjoint: &[f32], parts: u
     bridge::splat_disc_backward(isa.code(), discs, adjoint, parts, sums).expect(AGREE);
 }
 
-/// Slots that several tiles write at the same time, each its own: the entries' targets are all different
-/// (`super::bin`, tested there against the plain twin).
+/// Slots that several tiles write at the same time, each its own: the entries' targets are all different, since
+/// [`super::bin`] numbers them splat by splat and refuses more of them than 32 bits can number (its lists are compared
+/// with the plain twin's in `src/splat/pass/`). Only this crate can make one, so that nobody else has to keep this.
 pub struct Slots<'a> {
     start: *mut AlignedRow,
     count: usize,
     owner: PhantomData<&'a mut [AlignedRow]>,
 }
 
-// SAFETY: the slots are plain numbers that nothing else can reach while the exclusive borrow lasts, and threads that
-// share a `Slots` write different ones.
+// SAFETY: the slots are plain numbers that nothing else can reach while the exclusive borrow lasts, a `Slots` itself
+// gives no access to them, and threads that share one write different slots through [`backward`].
 unsafe impl Sync for Slots<'_> {}
 
 impl<'a> Slots<'a> {
     /// All of `slots`, to be shared among tiles.
-    pub fn new(slots: &'a mut [AlignedRow]) -> Self {
+    pub(crate) fn new(slots: &'a mut [AlignedRow]) -> Self {
         Slots { start: slots.as_mut_ptr(), count: slots.len(), owner: PhantomData }
     }
 }
 
-/// Backward of [`forward`]: writes the moments of each entry into its slot.
-pub fn backward(isa: Isa, tile: &SplatBackward<'_>, slots: &Slots<'_>) {
-    // SAFETY: `start` and `count` are those of a slice that is borrowed exclusively as long as `slots` lives; C++
-    // checks that every target lies below `count`; tiles that run at the same time have different targets.
+/// Backward of [`forward`]: writes the moments of each entry into its slot. Tiles that run at the same time must have
+/// different targets, as the lists of [`super::bin`] have.
+pub(crate) fn backward(isa: Isa, tile: &SplatBackward<'_>, slots: &Slots<'_>) {
+    // SAFETY: `start` and `count` are those of a slice that is borrowed exclusively as long as `slots` lives, aligned as
+    // its type; C++ checks that every target lies below `count`; tiles that run at the same time have different targets
+    // (above), so that no two threads write one slot, and nobody reads a slot before all tiles are done.
     unsafe { bridge::splat_backward(isa.code(), tile, slots.start, slots.count) }.expect(AGREE);
 }

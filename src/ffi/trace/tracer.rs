@@ -261,6 +261,10 @@ mod bridge {
         cell: u32,
     }
 
+    // SAFETY: the functions check lengths, faces and vertices before they read or write (`demand` in
+    // `cpp/trace/tracer.cpp`) and throw where they do not fit, which becomes an `Err`; none keeps a pointer (the mesh is
+    // copied) or calls back into Rust. `Tracer` owns its Embree objects; its const functions only read them, each with
+    // rays and samplers of its own. `coat_albedo` and `medium_albedo` compute and throw nothing.
     unsafe extern "C++" {
         include!("cpp/trace/tracer.h");
 
@@ -347,10 +351,11 @@ pub struct ScatterWalks {
 /// One triangle mesh, its material and its bounding volume hierarchy.
 pub struct MeshTracer(UniquePtr<bridge::Tracer>);
 
-// SAFETY: the C++ object has no thread affinity, and its const methods only read it (Embree allows concurrent traversal
-// of a committed scene); the one mutating method needs `&mut`.
+// SAFETY: the C++ object has no thread affinity: Embree's handles may be used and released on any thread, and the
+// floating-point mode, which belongs to a thread, is set and restored inside each call.
 unsafe impl Send for MeshTracer {}
-// SAFETY: as above.
+// SAFETY: what `&self` reaches are const functions without `mutable` members behind them, which only read the object;
+// Embree allows concurrent traversal of a committed scene. `update` and `refit`, which commit it, need `&mut`.
 unsafe impl Sync for MeshTracer {}
 
 fn failed(e: cxx::Exception) -> Error {

@@ -1,0 +1,459 @@
+//! What is fuzzed: every reader of a file that people or programs outside may have written, as a function on bytes.
+//!
+//! A target must come back quickly with a value that keeps its promises or with an error that is one sentence and
+//! exit code 4 or 2; it must not panic, ask for memory out of proportion, or hang. `src/main.rs` gives these functions
+//! to libFuzzer; `tests/all/readers.rs` of the main crate replays the corpus through them and mutates for some seconds.
+
+use std::fmt::Debug;
+use std::path::{Path, PathBuf};
+
+use respire_bench::airway::case::Case;
+use respire_bench::airway::import_breathing::LungBox;
+use respire_bench::airway::{case_build, case_centerline};
+use respire_bench::base::random::CounterRng;
+use respire_bench::base::{Camera, Image, Result, TriangleMesh};
+use respire_bench::bench::{Ablations, Profile, journal, timing};
+use respire_bench::formats::transforms::Transforms;
+use respire_bench::formats::{depth_png, exr, gaussians_ply, landmarks, mesh, npy, png};
+use respire_bench::reconstruct::MethodFile;
+use respire_bench::render::scene_file::SceneFile;
+use respire_bench::report::{compare, gate, merge, read, summary, table};
+use respire_bench::score::{CellScore, Prediction};
+use respire_bench::simulate::sequence::{self, Sequence};
+
+/// Between the files of an input that is a folder (the group separator of ASCII).
+pub const SEPARATOR: u8 = 0x1d;
+
+/// A reader.
+pub struct Target {
+    /// Name, also of its folder in the corpus.
+    pub name: &'static str,
+    /// Reads the bytes and checks the answer.
+    pub run: fn(&[u8], &Scratch),
+}
+
+/// Every reader.
+pub const TARGETS: &[Target] = &[
+    Target { name: "ablations", run: ablations },
+    Target { name: "case", run: case },
+    Target { name: "centerline", run: centerline },
+    Target { name: "depth_png", run: read_depth_png },
+    Target { name: "exr", run: read_exr },
+    Target { name: "gate", run: thresholds },
+    Target { name: "gaussians", run: gaussians },
+    Target { name: "journal", run: read_journal },
+    Target { name: "landmarks", run: read_landmarks },
+    Target { name: "lung_box", run: lung_box },
+    Target { name: "merge", run: merged },
+    Target { name: "method", run: method },
+    Target { name: "npy", run: read_npy },
+    Target { name: "obj", run: |bytes, scratch| surface(bytes, "obj", scratch) },
+    Target { name: "ply", run: |bytes, scratch| surface(bytes, "ply", scratch) },
+    Target { name: "png", run: read_png },
+    Target { name: "prediction", run: prediction },
+    Target { name: "profile", run: profile },
+    Target { name: "results", run: results },
+    Target { name: "scene", run: scene },
+    Target { name: "score", run: score },
+    Target { name: "sequence", run: read_sequence },
+    Target { name: "stl", run: |bytes, scratch| surface(bytes, "stl", scratch) },
+    Target { name: "timings", run: timings },
+    Target { name: "transforms", run: transforms },
+    Target { name: "tree", run: tree },
+];
+
+/// Folders in memory for readers that take a path.
+pub struct Scratch {
+    folder: PathBuf,
+    bench_cases: PathBuf,
+}
+
+impl Scratch {
+    /// Makes a folder of this `name`; `root` is the root of the repository.
+    pub fn new(root: &Path, name: &str) -> std::io::Result<Scratch> {
+        let memory = Path::new("/dev/shm");
+        let parent = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
+        let folder = parent.join(format!("respire-bench-{name}-{}", std::process::id()));
+        let bench_cases = root.join("bench-cases");
+        for part in ["methods", "prediction/color", "sequence"] {
+            std::fs::create_dir_all(folder.join(part))?;
+        }
+        for entry in std::fs::read_dir(bench_cases.join("methods"))? {
+            let entry = entry?;
+            std::fs::copy(entry.path(), folder.join("methods").join(entry.file_name()))?;
+        }
+        for frame in 0..PREDICTED_FRAMES {
+            std::fs::write(folder.join(format!("prediction/color/{frame:06}.png")), "")?;
+        }
+        std::fs::write(folder.join("present"), "")?;
+        Ok(Scratch { folder, bench_cases })
+    }
+
+    fn write(&self, name: &str, bytes: &[u8]) -> PathBuf {
+        let path = self.folder.join(name);
+        std::fs::write(&path, bytes).expect("the scratch folder takes files");
+        path
+    }
+
+    /// Writes the parts of an input as files of these names; an empty part is no file.
+    fn write_parts(&self, folder: &str, names: &[&str], bytes: &[u8]) -> PathBuf {
+        let mut parts = bytes.splitn(names.len(), |&b| b == SEPARATOR);
+        for name in names {
+            let name = format!("{folder}/{name}");
+            match parts.next().unwrap_or(&[]) {
+                [] => drop(std::fs::remove_file(self.folder.join(name))),
+                part => drop(self.write(&name, part)),
+            }
+        }
+        self.folder.join(folder)
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// Frames of the sequence that predictions are opened for.
+const PREDICTED_FRAMES: usize = 3;
+
+/// The value, or nothing after an error that is one readable sentence and says that the input is at fault.
+fn answer<T>(outcome: Result<T>) -> Option<T> {
+    let error = match outcome {
+        Ok(value) => return Some(value),
+        Err(error) => error,
+    };
+    let sentence = error.to_string();
+    assert!(!sentence.is_empty() && sentence.len() < 10_000, "an error of {} characters", sentence.len());
+    assert!(!sentence.chars().any(char::is_control), "more than a line: {sentence:?}");
+    assert!(matches!(error.kind().exit_code(), 2 | 4), "exit {}: {sentence}", error.kind().exit_code());
+    None
+}
+
+/// The value that was read and written must be the value that is read again.
+fn same<T: PartialEq + Debug>(again: Option<T>, first: &T) {
+    assert!(again.as_ref() == Some(first), "read {first:?}, wrote it, and read {again:?}");
+}
+
+fn assert_shape<T>(image: &Image<T>) {
+    assert_eq!(image.data.len(), image.width * image.height * image.channels);
+}
+
+fn bits(image: &Image<f32>) -> Vec<u32> {
+    image.data.iter().map(|v| v.to_bits()).collect()
+}
+
+fn case(bytes: &[u8], scratch: &Scratch) {
+    let path = scratch.write("case.toml", bytes);
+    let Some(case) = answer(Case::load(&path)) else { return };
+    let write = |case: &Case| toml::to_string(case).expect("a case can be written");
+    let text = write(&case);
+    same(answer(Case::load(&scratch.write("case.toml", text.as_bytes()))).map(|again| write(&again)), &text);
+    answer(respire_bench::simulate::material(&case));
+}
+
+fn method(bytes: &[u8], scratch: &Scratch) {
+    let path = scratch.write("methods/fuzzed.toml", bytes);
+    if let Some(file) = answer(MethodFile::load(&path)) {
+        answer(file.method(0.25));
+    }
+}
+
+fn profile(bytes: &[u8], scratch: &Scratch) {
+    let path = scratch.write("profile.toml", bytes);
+    if let Some(profile) = answer(Profile::load(&scratch.folder, &path.to_string_lossy())) {
+        assert!(profile.frames(4.0) >= profile.minimum_frames);
+    }
+}
+
+const RESULTS: &str = "run_id,case_id,case_hash,config,seed,split,metric,definition,unit,direction,alignment,mask,value,sd,n,ci_low,ci_high,status,detail\n\
+    smoke-89108fe7,case1,f81d6e,ours,1,online,psnr_db,psnr_db/1,dB,higher,,none,24.8,5.2,400,23.9,25.7,ok,\n\
+    smoke-89108fe7,case2,f81d6e,ours,1,online,psnr_db,psnr_db/1,dB,higher,,none,23.8,5.2,400,23.9,25.7,ok,\n";
+
+fn known_results(scratch: &Scratch) -> read::Results {
+    let folder = scratch.folder.join("known");
+    if !folder.exists() {
+        std::fs::create_dir_all(&folder).expect("the scratch folder takes folders");
+        std::fs::write(folder.join("results.csv"), RESULTS).expect("the scratch folder takes files");
+    }
+    read::read(&folder).expect("these results are fine")
+}
+
+fn thresholds(bytes: &[u8], scratch: &Scratch) {
+    let path = scratch.write("gate.toml", bytes);
+    if let Some(thresholds) = answer(gate::read_thresholds(&path)) {
+        let known = known_results(scratch);
+        gate::judge(&known, &thresholds, Some(&known));
+    }
+}
+
+fn results(bytes: &[u8], scratch: &Scratch) {
+    std::fs::create_dir_all(scratch.folder.join("results")).expect("the scratch folder takes folders");
+    let folder = scratch.write_parts("results", &["results.csv", "comparison.csv"], bytes);
+    let Some(results) = answer(read::read(&folder)) else { return };
+    let thresholds = gate::read_thresholds(&scratch.bench_cases.join("gate.toml")).expect("the shipped file is fine");
+    let known = known_results(scratch);
+    gate::judge(&results, &thresholds, Some(&known));
+    compare::compare(&known, &results);
+}
+
+fn merged(bytes: &[u8], scratch: &Scratch) {
+    std::fs::create_dir_all(scratch.folder.join("merge")).expect("the scratch folder takes folders");
+    let names = ["results.csv", "comparison.csv", "frames.csv", "timings.csv"];
+    let folder = scratch.write_parts("merge", &names, bytes);
+    let Some(run) = answer(merge::read_run(&folder)) else { return };
+    for films in [merge::Films::Same, merge::Films::Other] {
+        if let Some(run) = answer(merge::merge(vec![run.clone(), run.clone()], films)) {
+            table::ComparisonTable::new(&summary::summarise(&run));
+        }
+    }
+}
+
+fn ablations(bytes: &[u8], scratch: &Scratch) {
+    let path = scratch.write("ablations.toml", bytes);
+    let Some(ablations) = answer(Ablations::load(&path, None)) else { return };
+    for variant in ablations.ablation.iter().take(3) {
+        answer(variant.method_file(&scratch.folder.join("methods")));
+        answer(Case::load_changed(&scratch.bench_cases.join("case1.toml"), &variant.case));
+    }
+}
+
+fn scene(bytes: &[u8], scratch: &Scratch) {
+    let path = scratch.write("scene.toml", bytes);
+    if let Some(scene) = answer(SceneFile::load(&path)) {
+        scene.settings();
+    }
+}
+
+fn surface(bytes: &[u8], extension: &str, scratch: &Scratch) {
+    let Some(surface) = answer(mesh::parse(bytes, extension)) else { return };
+    surface.validate().expect("a mesh that was read is valid");
+    answer(surface.validate_closed());
+    if bytes.len() < 1000 {
+        let path = scratch.folder.join("again.ply");
+        mesh::write_ply(&path, &surface, &[]).expect("the scratch folder takes files");
+        same::<TriangleMesh>(answer(mesh::read(&path)), &surface);
+    }
+}
+
+fn gaussians(bytes: &[u8], _: &Scratch) {
+    let Some(cloud) = answer(gaussians_ply::parse(bytes)) else { return };
+    let n = cloud.len();
+    assert!(n <= cloud.count_in_file && cloud.sh_degree <= 3);
+    assert_eq!([cloud.rotations.len(), cloud.scales.len(), cloud.opacities.len(), cloud.index.len()], [n; 4]);
+    assert_eq!(cloud.sh.len(), n * 3 * (cloud.sh_degree as usize + 1).pow(2));
+    let numbers = cloud.positions.as_flattened().iter().chain(cloud.scales.as_flattened());
+    assert!(numbers.chain(cloud.rotations.as_flattened()).chain(&cloud.sh).all(|v| v.is_finite()));
+    assert!(cloud.opacities.iter().all(|o| (0.0..=1.0).contains(o)));
+}
+
+fn transforms(bytes: &[u8], _: &Scratch) {
+    let Some(transforms) = answer(Transforms::parse(bytes)) else { return };
+    let text = serde_json::to_vec(&transforms).expect("transforms can be written");
+    same(answer(Transforms::parse(&text)), &transforms);
+}
+
+fn read_exr(bytes: &[u8], scratch: &Scratch) {
+    let Some(image) = answer(exr::decode(bytes)) else { return };
+    assert_shape(&image);
+    if image.data.len() < 1000 && !image.data.is_empty() {
+        let path = scratch.folder.join("again.exr");
+        let names: &[&str] = if image.channels == 3 { &["R", "G", "B"] } else { &["Z"] };
+        exr::write(&path, &image, names).expect("the scratch folder takes files");
+        same(answer(exr::read(&path)).map(|again| bits(&again)), &bits(&image));
+    }
+}
+
+fn read_png(bytes: &[u8], scratch: &Scratch) {
+    let Some(image) = answer(png::decode(bytes)) else { return };
+    assert_shape(&image);
+    if image.data.len() < 1000 {
+        let path = scratch.folder.join("again.png");
+        png::write_rgb(&path, &image).expect("the scratch folder takes files");
+        same(answer(png::read_rgb(&path)), &image);
+    }
+}
+
+fn read_depth_png(bytes: &[u8], _: &Scratch) {
+    if let Some(image) = answer(depth_png::decode(bytes, 0.01)) {
+        assert_shape(&image);
+    }
+}
+
+fn read_npy(bytes: &[u8], scratch: &Scratch) {
+    let Some(array) = answer(npy::decode(bytes)) else { return };
+    assert_eq!(array.shape.iter().product::<usize>(), array.data.len());
+    if array.data.len() < 1000 {
+        let path = scratch.folder.join("again.npy");
+        npy::write(&path, &array.shape, &array.data).expect("the scratch folder takes files");
+        let again = answer(npy::read(&path)).expect("what was written is read");
+        let bits = |data: &[f32]| data.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        assert_eq!((&again.shape, bits(&again.data)), (&array.shape, bits(&array.data)));
+    }
+    if let Some(plane) = answer(npy::plane(array)) {
+        assert_shape(&plane);
+    }
+}
+
+fn read_landmarks(bytes: &[u8], _: &Scratch) {
+    if let Some(pairs) = answer(landmarks::parse(bytes)) {
+        LungBox::around(&pairs);
+    }
+}
+
+fn lung_box(bytes: &[u8], scratch: &Scratch) {
+    answer(LungBox::read(&scratch.write("boxes.csv", bytes), "copd01"));
+}
+
+fn centerline(bytes: &[u8], scratch: &Scratch) {
+    let Some(line) = answer(case_centerline::read(&scratch.write("centerline.csv", bytes))) else { return };
+    let text = case_centerline::to_csv(&line);
+    same(answer(case_centerline::parse(&text)), &line);
+}
+
+fn tree(bytes: &[u8], scratch: &Scratch) {
+    let Some(tree) = answer(case_build::read_tree(&scratch.write("tree.toml", bytes))) else { return };
+    let reachable = tree.reachable(1.1, 9);
+    if !reachable.branches.is_empty() && answer(reachable.validate()).is_some() {
+        reachable.to_centerline();
+    }
+}
+
+fn read_journal(bytes: &[u8], scratch: &Scratch) {
+    let path = scratch.write("journal.jsonl", bytes);
+    let Some((entries, whole)) = answer(journal::read(&path)) else { return };
+    assert!(whole as usize <= bytes.len());
+    let entry = journal::JournalEntry { product: "p".into(), key: "k".into(), outputs: "o".into() };
+    let mut journal = journal::Journal::open(&path, whole).expect("the scratch folder takes files");
+    journal.append(&entry).expect("the scratch folder takes files");
+    let (after, _) = journal::read(&path).expect("a journal that was read can be continued");
+    assert!(after.len() >= entries.len() && after["p"] == entry);
+}
+
+fn read_sequence(bytes: &[u8], scratch: &Scratch) {
+    let names = [sequence::MANIFEST, sequence::TRANSFORMS, sequence::CENTERLINE];
+    let folder = scratch.write_parts("sequence", &names, bytes);
+    if let Some(sequence) = answer(Sequence::open(&folder)) {
+        assert!(!sequence.frames.is_empty());
+        answer(sequence.centerline());
+        answer(sequence.image(0));
+    }
+}
+
+fn prediction(bytes: &[u8], scratch: &Scratch) {
+    let names = ["phase.csv", "poses.csv", "timing.json", "prediction.json"];
+    let folder = scratch.write_parts("prediction", &names, bytes);
+    let camera = Camera::pinhole(8, 8, 1.0);
+    let Some(prediction) = answer(Prediction::open(&folder, &camera, PREDICTED_FRAMES)) else { return };
+    assert!(prediction.phase().is_none_or(|phases| phases.len() == PREDICTED_FRAMES));
+    assert!(prediction.poses().is_none_or(|poses| poses.len() == PREDICTED_FRAMES));
+    assert!(prediction.time_total_s().is_none_or(|time| time >= 0.0));
+}
+
+fn timings(bytes: &[u8], scratch: &Scratch) {
+    answer(timing::read(&scratch.write("timings.json", bytes)));
+}
+
+fn score(bytes: &[u8], scratch: &Scratch) {
+    answer(respire_bench::base::files::read_json::<CellScore>(&scratch.write("score.json", bytes)));
+}
+
+/// Words that readers trip over: ends of ranges, numbers that are none, what other formats begin with.
+const WORDS: &[&str] = &[
+    "0",
+    "-0",
+    "1",
+    "-1",
+    "2",
+    "7",
+    "255",
+    "256",
+    "65535",
+    "65536",
+    "2147483647",
+    "2147483648",
+    "-2147483648",
+    "4294967294",
+    "4294967295",
+    "4294967296",
+    "9007199254740993",
+    "9223372036854775807",
+    "-9223372036854775808",
+    "18446744073709551615",
+    "1e-300",
+    "1e-9",
+    "1e9",
+    "1e18",
+    "1e39",
+    "1e300",
+    "1e309",
+    "-1e300",
+    "nan",
+    "inf",
+    "-inf",
+    "0x10",
+    "1_000",
+    "true",
+    "false",
+    "\"\"",
+    "\"../x\"",
+    "[]",
+    "{}",
+    "null",
+    ",",
+    "\n",
+    "\r\n",
+    "\u{feff}",
+    "\u{e9}",
+];
+
+/// A changed copy of `input`: up to four edits that know of bytes, words of digits, lines, and of `other` inputs.
+pub fn mutate(input: &[u8], other: &[u8], most_bytes: usize, rng: &mut CounterRng) -> Vec<u8> {
+    let mut bytes = input.to_vec();
+    for _ in 0..=rng.index(4) {
+        edit(&mut bytes, other, rng);
+    }
+    bytes.truncate(most_bytes);
+    bytes
+}
+
+fn edit(bytes: &mut Vec<u8>, other: &[u8], rng: &mut CounterRng) {
+    let at = rng.index(bytes.len() + 1);
+    match rng.index(10) {
+        0 if at < bytes.len() => bytes[at] ^= 1 << rng.index(8),
+        1 if at < bytes.len() => bytes[at] = [0, 1, 0x7f, 0x80, 0xff, b'0', b'-', b'\n', b','][rng.index(9)],
+        2 => bytes.truncate(at),
+        3 => {
+            let end = (at + rng.index(16)).min(bytes.len());
+            bytes.drain(at..end);
+        }
+        4 => {
+            // A piece once more.
+            let end = (at + rng.index(64)).min(bytes.len());
+            let piece = bytes[at..end].to_vec();
+            let to = rng.index(bytes.len() + 1);
+            bytes.splice(to..to, piece);
+        }
+        5 if !other.is_empty() => {
+            let from = rng.index(other.len());
+            let end = (from + rng.index(256)).min(other.len());
+            bytes.splice(at..at, other[from..end].iter().copied());
+        }
+        6 => {
+            // A line less.
+            let start = bytes[..at].iter().rposition(|&b| b == b'\n').map_or(0, |k| k + 1);
+            let end = bytes[at..].iter().position(|&b| b == b'\n').map_or(bytes.len(), |k| at + k + 1);
+            bytes.drain(start..end);
+        }
+        // A number becomes another.
+        _ => {
+            let is_part = |b: &u8| b.is_ascii_digit() || b"+-.eE".contains(b);
+            let Some(start) = bytes[at..].iter().position(|b| b.is_ascii_digit()).map(|k| at + k) else { return };
+            let start = start - bytes[..start].iter().rev().take_while(|b| is_part(b)).count();
+            let end = start + bytes[start..].iter().take_while(|b| is_part(b)).count();
+            let word = WORDS[rng.index(WORDS.len())];
+            bytes.splice(start..end, word.bytes());
+        }
+    }
+}
