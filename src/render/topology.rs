@@ -49,14 +49,6 @@ impl Topology {
     pub(super) fn neighbours(&self, vertex: u32) -> impl Iterator<Item = u32> {
         self.faces_around(vertex).iter().flat_map(|&f| self.faces[f as usize])
     }
-
-    /// Vertices at most two edges away, itself included, ascending.
-    pub(super) fn second_ring(&self, vertex: u32) -> Vec<u32> {
-        let mut ring: Vec<u32> = self.neighbours(vertex).flat_map(|n| self.neighbours(n)).collect();
-        ring.sort_unstable();
-        ring.dedup();
-        ring
-    }
 }
 
 #[cfg(test)]
@@ -71,7 +63,7 @@ mod tests {
             TriangleMesh { vertices: vec![DVec3::ZERO; 6], faces: vec![[0, 1, 2], [2, 1, 3], [2, 3, 4], [4, 3, 5]] };
         let topology = Topology::new(&mesh);
         assert_eq!(topology.faces_around(2), [0, 1, 2]);
-        assert_eq!(topology.second_ring(0), [0, 1, 2, 3, 4]);
+        assert_eq!(topology.neighbours(1).collect::<Vec<_>>(), [0, 1, 2, 2, 1, 3]);
         assert_eq!((topology.vertex_count(), topology.around().offsets.len()), (6, 7));
     }
 }
