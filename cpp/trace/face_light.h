@@ -113,10 +113,10 @@ class FaceLighting {
   }
 
   // A scatter walk and its control variate: the light (over the albedo) that the same random numbers bring out of a
-  // flat wall, less its known mean, and where it comes out; no light where that mean is not known.
+  // flat wall, less its known mean; where it begins, and how far away it comes out. No light where the mean is not known.
   struct Walked {
     ScatterExit exit;
-    Vec3 flat{}, flat_excess{}, flat_point{};
+    Vec3 flat{}, flat_excess{}, start{}, flat_way{};
   };
 
   // Random numbers of walk `index` from a vertex; the walk starts in one of the faces around it.
@@ -133,6 +133,7 @@ class FaceLighting {
     const Surface s = wall_.face_surface(face, place.w[1], place.w[2]);
     // Direction. The view is not known, so a refracted entry assumes a cosine-distributed one.
     Walked walked{no_exit()};
+    walked.start = s.point;
     Vec3 local;
     sampler.next2(u, v);
     if (!material_.entry_direction(cosine_direction(u, v), sampler, local)) return walked;
@@ -144,7 +145,7 @@ class FaceLighting {
       Sampler same = sampler;
       ScatterWalk::Flight flat{s.point, inwards, {}};
       if (ScatterWalk(s.point, s.geometric, medium).leave(flat, same, hit))
-        walked.flat = quotient(flat.throughput, s.albedo), walked.flat_point = flat.point;
+        walked.flat = quotient(flat.throughput, s.albedo), walked.flat_way = flat.point - s.point;
       const Vec3 mean = {flat_albedo(s.albedo.x), flat_albedo(s.albedo.y), flat_albedo(s.albedo.z)};
       walked.flat_excess = walked.flat - quotient(mean, s.albedo);
     }

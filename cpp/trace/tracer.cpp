@@ -268,6 +268,8 @@ std::uint64_t Tracer::scatter_walks(const FrameSettings& frame, rust::Slice<cons
     const std::uint32_t vertex = vertices[i];
     const AreasAround areas(mesh_, vertex, around);
     const Vec3 centre = areas.weighted_centre(mesh_, vertex);
+    // Squared diameter of a disc of the faces' area: how far the slope that these give is to be trusted.
+    const float reach2 = std::max(areas.total() * (2.0f / kPi), 1e-12f);
     Vec3 excess{0, 0, 0}, moments[3] = {};
     for (std::size_t k = 0; k < count; ++k) {
       ScatterExit& exit = exits[i * count + k];
@@ -279,7 +281,9 @@ std::uint64_t Tracer::scatter_walks(const FrameSettings& frame, rust::Slice<cons
       const FaceLighting::Walked walked = lighting.scatter_from(face, mesh_.corner_of(face, vertex), sampler);
       exit = walked.exit;
       excess += walked.flat_excess;
-      const Vec3 way = walked.flat_point - centre;
+      // Far away the light is not linear any more: long ways count less (all directions alike, so the mean stays 0).
+      const float shorter = 1.0f / (1.0f + dot(walked.flat_way, walked.flat_way) / reach2);
+      const Vec3 way = walked.start - centre + walked.flat_way * shorter;
       moments[0] += way * walked.flat.x, moments[1] += way * walked.flat.y, moments[2] += way * walked.flat.z;
     }
     const float each = 1.0f / static_cast<float>(count);

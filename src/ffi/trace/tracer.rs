@@ -230,7 +230,7 @@ mod bridge {
         /// Light over the albedo, less its known mean, per channel.
         excess: [f32; 3],
         /// Per channel the first moment of the places where it comes out, light over the albedo times mm (xyz
-        /// interleaved), about the mean place of the starts: 0 in the mean.
+        /// interleaved), about the mean place of the starts, long ways shortened: 0 in the mean.
         moments: [f32; 9],
     }
 
