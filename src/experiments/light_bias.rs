@@ -177,7 +177,7 @@ pub fn rows(case: &Case, sweep: &BiasSweep, watcher: &dyn ExperimentWatcher) -> 
                 );
                 scene.set_phase(phase)?;
                 let viewpoint = Viewpoint::in_film(&case, &route, place * route.length_mm(), phase, sweep.width_px);
-                let subject = Subject { scene: &scene, viewpoint: &viewpoint, seed: case.seed };
+                let subject = ComparedFrame { scene: &scene, viewpoint: &viewpoint, seed: case.seed };
                 let name = format!("{}-{}-{place}-{phase}-{}px", case.id, look.name(), sweep.width_px);
                 let reference = subject.reference(&sweep.cache.join(name), sweep.reference_samples, watcher)?;
                 let (frames, cpu_s) = subject.frames()?;
@@ -202,13 +202,13 @@ pub fn rows(case: &Case, sweep: &BiasSweep, watcher: &dyn ExperimentWatcher) -> 
 }
 
 /// One frame, to be rendered in both ways.
-struct Subject<'a> {
+struct ComparedFrame<'a> {
     scene: &'a CaseScene,
     viewpoint: &'a Viewpoint,
     seed: u64,
 }
 
-impl Subject<'_> {
+impl ComparedFrame<'_> {
     fn picture(&self, settings: RenderSettings) -> Result<Image<f32>> {
         let settings = RenderSettings { shading: Shading::Smooth, ..settings };
         self.viewpoint.radiance(&self.scene.scene, &settings)
