@@ -112,11 +112,11 @@ class FaceLighting {
     return sum * 0.25f;
   }
 
-  // A scatter walk with its control variate: per channel, the light (over the albedo) that the same random numbers
-  // bring out of a flat wall, less its known mean; 0 where that mean is not known.
+  // A scatter walk and its control variate: the light (over the albedo) that the same random numbers bring out of a
+  // flat wall, less its known mean; where it begins, and how far away it comes out. No light where the mean is not known.
   struct Walked {
     ScatterExit exit;
-    Vec3 flat_excess{};
+    Vec3 flat{}, flat_excess{}, start{}, flat_way{};
   };
 
   // Random numbers of walk `index` from a vertex; the walk starts in one of the faces around it.
@@ -126,14 +126,14 @@ class FaceLighting {
 
   // A walk that starts in `face`, at a point whose density rises linearly towards the vertex `corner`.
   Walked scatter_from(std::uint32_t face, std::uint32_t corner, Sampler& sampler) {
-    // Start: the weight of the corner is the median of three uniform numbers, of density 6 x (1 - x).
-    const float a = sampler.random(), b = sampler.random(), c = sampler.random();
-    const float own = std::max(std::min(a, b), std::min(std::max(a, b), c));
-    const CornerWeights place(corner, own, sampler.next1());
+    // Start: the weight of the corner has the density 6 x (1 - x), whose distribution 3 x^2 - 2 x^3 is inverted.
+    float u, v;
+    sampler.next2(u, v);
+    const CornerWeights place(corner, inverse_smoothstep(u), v);
     const Surface s = wall_.face_surface(face, place.w[1], place.w[2]);
     // Direction. The view is not known, so a refracted entry assumes a cosine-distributed one.
-    Walked walked{no_exit(), {}};
-    float u, v;
+    Walked walked{no_exit()};
+    walked.start = s.point;
     Vec3 local;
     sampler.next2(u, v);
     if (!material_.entry_direction(cosine_direction(u, v), sampler, local)) return walked;
@@ -145,9 +145,9 @@ class FaceLighting {
       Sampler same = sampler;
       ScatterWalk::Flight flat{s.point, inwards, {}};
       if (ScatterWalk(s.point, s.geometric, medium).leave(flat, same, hit))
-        walked.flat_excess = quotient(flat.throughput, s.albedo);
+        walked.flat = quotient(flat.throughput, s.albedo), walked.flat_way = flat.point - s.point;
       const Vec3 mean = {flat_albedo(s.albedo.x), flat_albedo(s.albedo.y), flat_albedo(s.albedo.z)};
-      walked.flat_excess = walked.flat_excess - quotient(mean, s.albedo);
+      walked.flat_excess = walked.flat - quotient(mean, s.albedo);
     }
     // The walk through the mesh.
     ScatterWalk::Flight flight{s.point, inwards, {}};

@@ -43,6 +43,16 @@ class AreasAround {
   std::uint32_t face(std::size_t k) const { return faces_[k]; }
   float area(std::size_t k) const { return k == 0 ? so_far_[0] : so_far_[k] - so_far_[k - 1]; }
   float total() const { return so_far_.empty() ? 0.0f : so_far_.back(); }
+  // Mean place of the faces under weights that fall from 1 at the vertex to 0 at the opposite sides.
+  Vec3 weighted_centre(const TracedMesh& mesh, std::uint32_t vertex) const {
+    Vec3 sum{0, 0, 0};
+    for (std::size_t k = 0; k < count(); ++k) {
+      const std::uint32_t* corners = mesh.corners(faces_[k]);
+      const Vec3 all = mesh.position(corners[0]) + mesh.position(corners[1]) + mesh.position(corners[2]);
+      sum += (all + mesh.position(vertex)) * (0.25f * area(k));
+    }
+    return total() > 0.0f ? sum * (1.0f / total()) : mesh.position(vertex);
+  }
   // The face at which the cumulative area reaches the fraction `part`.
   std::uint32_t face_at(float part) const {
     std::size_t k = 0;
@@ -246,9 +256,9 @@ std::uint64_t Tracer::gather(const FrameSettings& frame, rust::Slice<const std::
 
 std::uint64_t Tracer::scatter_walks(const FrameSettings& frame, rust::Slice<const std::uint32_t> vertices,
                                     const FacesAround& around, rust::Slice<ScatterExit> exits,
-                                    rust::Slice<float> flat_excess) const {
+                                    rust::Slice<FlatWalks> flat) const {
   demand(!vertices.empty() && exits.size() % vertices.size() == 0, "the same number of walks for every vertex");
-  demand(flat_excess.size() == 3 * vertices.size(), "three values per vertex");
+  demand(flat.size() == vertices.size(), "one record per vertex");
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
   const Lamp lamp(frame);
@@ -257,7 +267,10 @@ std::uint64_t Tracer::scatter_walks(const FrameSettings& frame, rust::Slice<cons
   for (std::size_t i = 0; i < vertices.size(); ++i) {
     const std::uint32_t vertex = vertices[i];
     const AreasAround areas(mesh_, vertex, around);
-    Vec3 excess{0, 0, 0};
+    const Vec3 centre = areas.weighted_centre(mesh_, vertex);
+    // Squared diameter of a disc of the faces' area: how far the slope that these give is to be trusted.
+    const float reach2 = std::max(areas.total() * (2.0f / kPi), 1e-12f);
+    Vec3 excess{0, 0, 0}, moments[3] = {};
     for (std::size_t k = 0; k < count; ++k) {
       ScatterExit& exit = exits[i * count + k];
       exit = FaceLighting::no_exit();
@@ -268,8 +281,14 @@ std::uint64_t Tracer::scatter_walks(const FrameSettings& frame, rust::Slice<cons
       const FaceLighting::Walked walked = lighting.scatter_from(face, mesh_.corner_of(face, vertex), sampler);
       exit = walked.exit;
       excess += walked.flat_excess;
+      // Far away the light is not linear any more: long ways count less (all directions alike, so the mean stays 0).
+      const float shorter = 1.0f / (1.0f + dot(walked.flat_way, walked.flat_way) / reach2);
+      const Vec3 way = walked.start - centre + walked.flat_way * shorter;
+      moments[0] += way * walked.flat.x, moments[1] += way * walked.flat.y, moments[2] += way * walked.flat.z;
     }
-    store(&flat_excess[3 * i], excess * (1.0f / static_cast<float>(count)));
+    const float each = 1.0f / static_cast<float>(count);
+    store(flat[i].excess.data(), excess * each);
+    for (std::size_t c = 0; c < 3; ++c) store(flat[i].moments.data() + 3 * c, moments[c] * each);
   }
   return lighting.rays();
 }

@@ -14,6 +14,7 @@ struct FaceLight;
 struct FacePlace;
 struct FacesAround;
 struct FilmPixel;
+struct FlatWalks;
 struct FrameSettings;
 struct Glint;
 struct GradientNoise;
@@ -51,7 +52,7 @@ class Tracer {
                        rust::Slice<std::uint32_t> hits) const;
   std::uint64_t scatter_walks(const FrameSettings& frame, rust::Slice<const std::uint32_t> vertices,
                               const FacesAround& around, rust::Slice<ScatterExit> exits,
-                              rust::Slice<float> flat_excess) const;
+                              rust::Slice<FlatWalks> flat) const;
   void unshadowed(const FrameSettings& frame, rust::Slice<const FacePlace> places, rust::Slice<float> irradiance) const;
   void unshadowed_around(const FrameSettings& frame, rust::Slice<const std::uint32_t> vertices,
                          const FacesAround& around, rust::Slice<float> irradiance) const;

@@ -45,6 +45,19 @@ inline float smoothstep(float low, float high, float v) {
   return t * t * (3.0f - 2.0f * t);
 }
 
+// The x in [0, 1] at which x^2 (3 - 2 x) is `v`, to 1e-6: Newton's steps from a start that is right at both ends.
+inline float inverse_smoothstep(float v) {
+  const float low = std::min(v, 1.0f - v);
+  // Near 0 the polynomial is 3 x^2.
+  float x = std::sqrt(low * (1.0f / 3.0f)) * (1.0f + 0.45f * low);
+  for (int step = 0; step < 3; ++step) {
+    const float slope = 6.0f * x * (1.0f - x);
+    if (slope > 1e-6f) x -= (x * x * (3.0f - 2.0f * x) - low) / slope;
+  }
+  x = clamp(x, 0.0f, 0.5f);
+  return v <= 0.5f ? x : 1.0f - x;
+}
+
 // Cosine and sine of 2 pi `turns`, `turns` in [0, 1]; error below 3e-7.
 inline void cos_sin_turns(float turns, float& cosine, float& sine) {
   float quarter = turns * 4.0f;

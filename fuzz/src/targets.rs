@@ -8,7 +8,10 @@ use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 
 use respire_bench::airway::case::Case;
+use respire_bench::airway::import_axes::PatientAxes;
 use respire_bench::airway::import_breathing::LungBox;
+use respire_bench::airway::import_mesh::{ExpectedAnatomy, FileMeaning, PartChoice};
+use respire_bench::airway::import_tree;
 use respire_bench::airway::{case_build, case_centerline};
 use respire_bench::base::random::CounterRng;
 use respire_bench::base::{Camera, Image, Result, TriangleMesh};
@@ -60,6 +63,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "timings", run: timings },
     Target { name: "transforms", run: transforms },
     Target { name: "tree", run: tree },
+    Target { name: "tree_table", run: tree_table },
 ];
 
 /// Folders in memory for readers that take a path.
@@ -151,6 +155,9 @@ fn case(bytes: &[u8], scratch: &Scratch) {
     let text = write(&case);
     same(answer(Case::load(&scratch.write("case.toml", text.as_bytes()))).map(|again| write(&again)), &text);
     answer(respire_bench::simulate::material(&case));
+    for time_s in [0.0, 0.3, 60.0] {
+        assert!((0.0..=1.0).contains(&case.waveform.phase(time_s, 1)));
+    }
 }
 
 fn method(bytes: &[u8], scratch: &Scratch) {
@@ -455,5 +462,15 @@ fn edit(bytes: &mut Vec<u8>, other: &[u8], rng: &mut CounterRng) {
             let word = WORDS[rng.index(WORDS.len())];
             bytes.splice(start..end, word.bytes());
         }
+    }
+}
+
+fn tree_table(bytes: &[u8], scratch: &Scratch) {
+    let path = scratch.write("tree.csv", bytes);
+    let (axes, parts, anatomy) = (PatientAxes::RAS, PartChoice::Single, ExpectedAnatomy::Any);
+    if let Some(tree) =
+        answer(import_tree::from_table(&path, &FileMeaning { axes, scale: 1.0, parts, anatomy }, "fuzz"))
+    {
+        tree.validate().expect("a tree that was read is valid");
     }
 }

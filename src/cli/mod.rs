@@ -17,6 +17,7 @@ mod import_file;
 mod import_mesh;
 mod import_motion;
 mod import_tree;
+mod light_bias;
 mod list;
 mod merge;
 mod pareto;
@@ -86,6 +87,8 @@ commands! {
     Explain => explain::ExplainArguments,
     /// Measures cost against error of many settings, and draws the front
     Pareto => pareto::ParetoArguments,
+    /// Compares the light of films with path tracing, frame by frame
+    LightBias => light_bias::LightBiasArguments,
     /// Path-trace one scene file: linear EXR, depth EXR, timing JSON
     Render => render::RenderArguments,
     /// Rasterise a 3DGS .ply: images, depth, alpha, timing; gradients of a weighted sum

@@ -57,7 +57,12 @@ impl Terminal {
             complain("stopping at the next frame; press Ctrl-C again to stop at once");
         })
         .map_err(|e| Error::new(ErrorKind::Environment, format!("cannot take over Ctrl-C: {e}")))?;
-        Ok(Terminal { interrupted, watched: std::io::stderr().is_terminal(), consent: Consent::Asked, state: Mutex::default() })
+        Ok(Terminal {
+            interrupted,
+            watched: std::io::stderr().is_terminal(),
+            consent: Consent::Asked,
+            state: Mutex::default(),
+        })
     }
 
     /// `--yes`: large work begins without a question.

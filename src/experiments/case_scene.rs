@@ -7,8 +7,8 @@ use crate::airway::Anatomy;
 use crate::airway::case::Case;
 use crate::base::{Camera, Image, Result, mesh};
 use crate::render::{Light, RenderSettings, Scene, render};
-use crate::simulate::material;
 use crate::simulate::trajectory::Route;
+use crate::simulate::{material, scope_light};
 
 /// The breathing airway of a case.
 pub struct CaseScene {
@@ -51,6 +51,11 @@ impl Viewpoint {
             pose: route.pose(way_mm, phase),
             light: Light::at_camera(case.light_intensity),
         }
+    }
+
+    /// The same, lit as in the case's films.
+    pub fn in_film(case: &Case, route: &Route, way_mm: f64, phase: f64, width_px: u32) -> Viewpoint {
+        Viewpoint { light: scope_light(case), ..Viewpoint::on_route(case, route, way_mm, phase, width_px) }
     }
 
     /// The linear radiance of `scene` from here.

@@ -3,8 +3,10 @@
 //! between the two ends.
 //!
 //! The rows of walks, one per vertex and end, form a linear map from the light that falls on the faces to the light
-//! that comes out at the vertex. Most of the noise of a few walks is in how much light survives, which hardly differs
-//! between neighbours: every row is scaled to the mean sum of the rows around it.
+//! that comes out at the vertex. Most of the noise of a few walks is in how much light survives and in how far to one
+//! side it goes. Below a flat wall the means of both are known: the same random numbers walk there as well, and what
+//! they are off is taken off the row ([`FlatWalks`]). Rows are not smoothed over their neighbours: how much light
+//! survives follows the wall's curvature, by several per cent from a ridge to the hollow beside it.
 //!
 //! A row is made when a camera first sees its vertex or face, and serves every frame; it depends on the two shapes, the
 //! material and the seed alone, and not on which frames came before. So noise does not flicker, and light changes
@@ -17,32 +19,39 @@ use rayon::prelude::*;
 
 use super::topology::Topology;
 use crate::base::{Error, Result};
-use crate::ffi::trace::tracer::{FrameSettings, MaterialSettings, MeshTracer, NO_FACE, ScatterExit, SubsurfaceKind};
+use crate::ffi::trace::tracer::{
+    FlatWalks, FrameSettings, MaterialSettings, MeshTracer, NO_FACE, ScatterExit, SubsurfaceKind,
+};
 
 /// Scatter walks per vertex and end.
-const WALKS: usize = 128;
+const WALKS: usize = 256;
 /// Vertices per task.
 const CHUNK: usize = 16;
 
 /// Where one vertex gets its scattered light from.
-struct ScatterRow {
-    /// Exits of the walks that come out, weights over the number of walks: parts of the irradiance there that come out
-    /// at the vertex, over the vertex' albedo.
-    exits: Box<[ScatterExit]>,
-    /// Sum of the weights, free of the noise that the same walks have below a flat surface.
-    sum: [f32; 3],
+pub(super) struct ScatterRow {
+    /// Exits of the walks that come out. Weights are the parts of the irradiance there that come out at the vertex, over
+    /// the vertex' albedo; their sum is free of the noise that the same walks have below a flat surface.
+    pub exits: Box<[ScatterExit]>,
+    /// Per channel the first moment (mm, xyz) by which the exits lie to one side by chance, as the same walks do below a
+    /// flat surface.
+    pub moments: [[f32; 3]; 3],
 }
 
 impl ScatterRow {
-    fn new(walks: &[ScatterExit], flat_excess: [f32; 3]) -> Self {
-        let mut exits = Vec::new();
-        let mut sum = flat_excess.map(|v| -v);
-        for walk in walks.iter().filter(|walk| walk.place.face != NO_FACE) {
-            let weight = walk.weight.map(|v| v / walks.len() as f32);
-            (0..3).for_each(|c| sum[c] += weight[c]);
-            exits.push(ScatterExit { weight, ..*walk });
-        }
-        ScatterRow { exits: exits.into_boxed_slice(), sum }
+    fn new(walks: &[ScatterExit], flat: &FlatWalks) -> Self {
+        let part = 1.0 / walks.len() as f32;
+        let out = || walks.iter().filter(|walk| walk.place.face != NO_FACE);
+        let scale: [f32; 3] = std::array::from_fn(|c| {
+            let sum = out().map(|walk| walk.weight[c]).sum::<f32>() * part;
+            if sum > 0.0 { (sum - flat.excess[c]).max(0.0) / sum } else { 0.0 }
+        });
+        let scaled = |walk: &ScatterExit| ScatterExit {
+            weight: std::array::from_fn(|c| walk.weight[c] * part * scale[c]),
+            ..*walk
+        };
+        let moments = std::array::from_fn(|c| std::array::from_fn(|k| flat.moments[3 * c + k] * scale[c]));
+        ScatterRow { exits: out().map(scaled).collect(), moments }
     }
 }
 
@@ -69,30 +78,12 @@ struct MotionEnd {
     tracer: OnceLock<Result<MeshTracer>>,
     hits: Vec<OnceLock<Box<[u32]>>>,
     rows: Vec<OnceLock<ScatterRow>>,
-    scales: Vec<OnceLock<[f32; 3]>>,
 }
 
 impl MotionEnd {
     fn new(vertices: Vec<f32>, topology: &Topology) -> Self {
         let (faces, count) = (topology.faces.len(), topology.vertex_count());
-        MotionEnd { vertices, tracer: OnceLock::new(), hits: empty(faces), rows: empty(count), scales: empty(count) }
-    }
-
-    /// The factor that brings the sum of a row to the mean of those around it.
-    fn scale(&self, vertex: u32, around: &[u32]) -> [f32; 3] {
-        let mut mean = [0.0; 3];
-        for row in around.iter().filter_map(|&v| self.rows[v as usize].get()) {
-            (0..3).for_each(|c| mean[c] += row.sum[c] / around.len() as f32);
-        }
-        let mut own = [0.0; 3];
-        for exit in self.exits(vertex) {
-            (0..3).for_each(|c| own[c] += exit.weight[c]);
-        }
-        std::array::from_fn(|c| if own[c] > 0.0 { mean[c].max(0.0) / own[c] } else { 0.0 })
-    }
-
-    fn exits(&self, vertex: u32) -> &[ScatterExit] {
-        self.rows[vertex as usize].get().map_or(&[], |r| &r.exits)
+        MotionEnd { vertices, tracer: OnceLock::new(), hits: empty(faces), rows: empty(count) }
     }
 }
 
@@ -190,32 +181,18 @@ impl Tissue {
             return Ok(0);
         }
         let kept = &self.ends[end];
-        let unscaled: Vec<u32> =
-            vertices.iter().copied().filter(|&v| kept.scales[v as usize].get().is_none()).collect();
-        if unscaled.is_empty() {
+        let missing: Vec<u32> = vertices.iter().copied().filter(|&v| kept.rows[v as usize].get().is_none()).collect();
+        if missing.is_empty() {
             return Ok(0);
         }
-        let neighbourhoods: Vec<Vec<u32>> = unscaled.par_iter().map(|&v| topology.second_ring(v)).collect();
-        let mut missing: Vec<u32> =
-            neighbourhoods.iter().flatten().copied().filter(|&v| kept.rows[v as usize].get().is_none()).collect();
-        missing.sort_unstable();
-        missing.dedup();
-        let rays = self.make_rows(frame, end, &missing, topology)?;
-        unscaled.par_iter().zip(&neighbourhoods).for_each(|(&v, around)| {
-            kept.scales[v as usize].get_or_init(|| kept.scale(v, around));
-        });
-        Ok(rays)
-    }
-
-    fn make_rows(&self, frame: &FrameSettings, end: usize, missing: &[u32], topology: &Topology) -> Result<u64> {
         let tracer = self.tracer(end, topology)?;
         let rays: Vec<u64> = missing
             .par_chunks(CHUNK)
             .map(|chunk| {
                 let walks = tracer.scatter_walks(frame, chunk, &topology.around(), WALKS)?;
                 let exits = walks.exits.chunks_exact(WALKS);
-                for ((&v, exits), &flat) in chunk.iter().zip(exits).zip(&walks.flat_excess) {
-                    self.ends[end].rows[v as usize].get_or_init(|| ScatterRow::new(exits, flat));
+                for ((&v, exits), flat) in chunk.iter().zip(exits).zip(&walks.flat) {
+                    kept.rows[v as usize].get_or_init(|| ScatterRow::new(exits, flat));
                 }
                 Ok(walks.rays)
             })
@@ -223,14 +200,9 @@ impl Tissue {
         Ok(rays.iter().sum())
     }
 
-    /// Where a vertex gets its light from at `end`, unscaled; empty before [`Tissue::prepare`].
-    pub(super) fn exits(&self, end: usize, vertex: u32) -> &[ScatterExit] {
-        self.ends[end].exits(vertex)
-    }
-
-    /// The factor that brings a vertex' row at `end` to the mean sum of those around it; 0 before [`Tissue::prepare`].
-    pub(super) fn scale_of(&self, end: usize, vertex: u32) -> [f32; 3] {
-        self.ends[end].scales[vertex as usize].get().copied().unwrap_or([0.0; 3])
+    /// Where a vertex gets its light from at `end`; `None` before [`Tissue::prepare`].
+    pub(super) fn row(&self, end: usize, vertex: u32) -> Option<&ScatterRow> {
+        self.ends[end].rows[vertex as usize].get()
     }
 }
 
@@ -240,15 +212,16 @@ mod tests {
     use crate::ffi::trace::tracer::FacePlace;
 
     #[test]
-    fn a_row_holds_what_comes_out_and_its_sum_is_freed_of_the_flat_walks_noise() {
+    fn a_row_holds_what_comes_out_freed_of_the_flat_walks_noise() {
         let nowhere = ScatterExit { place: FacePlace { face: NO_FACE, u: 0.25, v: 0.25 }, weight: [0.0; 3] };
-        let mut walks = vec![nowhere; WALKS];
-        assert!(ScatterRow::new(&walks, [0.0; 3]).exits.is_empty());
+        let mut walks = vec![nowhere; 4];
+        let flat = FlatWalks { excess: [0.25, -0.5, 1.0], moments: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0] };
+        assert!(ScatterRow::new(&walks, &flat).exits.is_empty());
         let place = FacePlace { face: 7, u: 0.25, v: 0.25 };
-        walks[3] = ScatterExit { place, weight: [1.0, 2.0, 3.0] };
-        let row = ScatterRow::new(&walks, [0.5, -0.5, 0.0]);
-        let part = 1.0 / WALKS as f32;
-        assert_eq!(*row.exits, [ScatterExit { place, weight: [part, 2.0 * part, 3.0 * part] }]);
-        assert_eq!(row.sum, [part - 0.5, 2.0 * part + 0.5, 3.0 * part]);
+        walks[3] = ScatterExit { place, weight: [4.0, 2.0, 2.0] };
+        let row = ScatterRow::new(&walks, &flat);
+        // Of the sums 1, 0.5 and 0.5 the excess is taken off; no light is less than none.
+        assert_eq!(*row.exits, [ScatterExit { place, weight: [0.75, 1.0, 0.0] }]);
+        assert_eq!(row.moments, [[0.75, 1.5, 2.25], [8.0, 10.0, 12.0], [0.0; 3]]);
     }
 }

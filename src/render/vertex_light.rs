@@ -18,6 +18,7 @@
 //! face, and after the last generation only the lamp's light is sent on. `docs/decisions/0005-light-at-vertices.md` has
 //! the bias.
 
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::scene::Scene;
@@ -171,7 +172,8 @@ fn gather(
         hits.iter().filter(|h| **h != NO_FACE).for_each(|&h| faces.add(h));
         if depth == 0 && !frame.gathers {
             for &(end, _) in ends {
-                vertices.iter().flat_map(|&v| scene.tissue.exits(end, v)).for_each(|exit| faces.add(exit.place.face));
+                let rows = vertices.iter().filter_map(|&v| scene.tissue.row(end, v));
+                rows.flat_map(|row| &row.exits).for_each(|exit| faces.add(exit.place.face));
             }
         }
         let weights =
@@ -282,27 +284,35 @@ fn scattered_light(
     irradiance: &[Rgb],
 ) -> Result<Vec<KnownLight>> {
     let lamp_on = |face: u32| &lamp[faces.place(face)];
+    let at_face = |face: u32| -> ([f32; 3], Rgb) {
+        let (lamp, indirect) = (lamp_on(face), irradiance[faces.place(face)]);
+        (lamp.centre, std::array::from_fn(|c| lamp.irradiance[c] + indirect[c]))
+    };
     let is_near = |exit: &&ScatterExit| lamp_on(exit.place.face).uneven;
     let chunk = |vertices: &[u32]| -> Result<Vec<KnownLight>> {
         // The lamp without shadows around the vertices, and where walks come out on faces near it.
         let around = scene.tracer.unshadowed_around(frame, vertices, &scene.topology.around())?;
-        let exits = vertices.iter().flat_map(|&v| ends.iter().flat_map(move |&(end, _)| scene.tissue.exits(end, v)));
-        let near: Vec<FacePlace> = exits.filter(is_near).map(|exit| exit.place).collect();
+        let rows = vertices.iter().flat_map(|&v| ends.iter().filter_map(move |&(end, _)| scene.tissue.row(end, v)));
+        let near: Vec<FacePlace> = rows.flat_map(|row| &row.exits).filter(is_near).map(|exit| exit.place).collect();
         let at_exits = scene.tracer.unshadowed(frame, &near)?;
         let mut at_exits = at_exits.iter();
         // Rows of walks times light.
         let scattered = |(&v, around): (&u32, &Rgb)| {
             let mut light = KnownLight::default();
+            let slope = slope_around(scene, v, &at_face);
             for &(end, part) in ends {
-                let scale = scene.tissue.scale_of(end, v).map(|s| s * part);
-                for exit in scene.tissue.exits(end, v) {
+                let Some(row) = scene.tissue.row(end, v) else { continue };
+                for (c, moment) in row.moments.iter().enumerate() {
+                    light.scattered[c] -= part * dot(moment, &slope[c]);
+                }
+                for exit in &row.exits {
                     let face = exit.place.face;
                     let (lamp, indirect) = (lamp_on(face), irradiance[faces.place(face)]);
                     let own = scene.topology.faces[face as usize].contains(&v);
                     let sharp = if lamp.uneven { at_exits.next() } else { None };
                     for c in 0..3 {
                         let uneven = sharp.map_or(0.0, |sharp| sharp[c] - lamp.unshadowed[c]);
-                        let weight = exit.weight[c] * scale[c];
+                        let weight = exit.weight[c] * part;
                         light.scattered[c] += weight * (lamp.irradiance[c] + indirect[c] + uneven);
                         light.nearby[c] += if own { weight } else { 0.0 };
                     }
@@ -318,6 +328,37 @@ fn scattered_light(
     };
     let parts: Vec<Vec<KnownLight>> = vertices.par_chunks(CHUNK).map(chunk).collect::<Result<_>>()?;
     Ok(parts.into_iter().flatten().collect())
+}
+
+/// How the irradiance changes along the surface at a vertex, per mm (xyz) and channel: the linear fit to the faces
+/// around. `at`: a face's centre and irradiance.
+fn slope_around(scene: &Scene, vertex: u32, at: &dyn Fn(u32) -> ([f32; 3], Rgb)) -> [[f32; 3]; 3] {
+    /// Share of its trace that is added to the fit's matrix, which across the surface is nearly 0.
+    const REGULAR: f32 = 0.02;
+    let faces = scene.topology.faces_around(vertex);
+    let each = 1.0 / faces.len() as f32;
+    let (mut centre, mut mean) = (Vec3::ZERO, Vec3::ZERO);
+    for &face in faces {
+        let (place, light) = at(face);
+        (centre, mean) = (centre + Vec3::from(place) * each, mean + Vec3::from(light) * each);
+    }
+    let (mut spread, mut rise) = (Mat3::ZERO, Mat3::ZERO);
+    for &face in faces {
+        let (place, light) = at(face);
+        let way = Vec3::from(place) - centre;
+        let above = Vec3::from(light) - mean;
+        spread += Mat3::from_cols(way * way.x, way * way.y, way * way.z);
+        rise += Mat3::from_cols(way * above.x, way * above.y, way * above.z);
+    }
+    let trace = spread.x_axis.x + spread.y_axis.y + spread.z_axis.z;
+    if !(trace > 0.0) {
+        return [[0.0; 3]; 3];
+    }
+    ((spread + Mat3::from_diagonal(Vec3::splat(REGULAR * trace))).inverse() * rise).to_cols_array_2d()
+}
+
+fn dot(a: &[f32; 3], b: &[f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// Light at every vertex of the mesh. `scattered`: of `vertices`, or empty. `irradiance`: of the faces that have it.

@@ -224,7 +224,7 @@ fn flat(material: &Material) -> Material {
 }
 
 /// The light at the tip of the scope.
-pub(super) fn scope_light(case: &Case) -> Light {
+pub fn scope_light(case: &Case) -> Light {
     let half_angle_deg = case.scope.emission_half_angle_deg;
     let emission_exponent = if half_angle_deg > 0.0 { Light::exponent_of_half_angle(half_angle_deg) } else { 0.0 };
     Light { emission_exponent, ..Light::at_camera(case.light_intensity) }

@@ -24,6 +24,7 @@ use crate::formats::transforms::Transforms;
 use crate::formats::{mesh as mesh_file, png};
 use crate::render::Material;
 use film::Film;
+pub use film::scope_light;
 use identity::{SIMULATOR_VERSION, film_hash};
 pub use identity::{revision, sequence_folder, sequence_hash};
 use misregister::misregister;

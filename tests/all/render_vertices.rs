@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use glam::{DAffine3, DVec3};
 use rayon::ThreadPoolBuilder;
-use respire_bench::base::{Camera, Image};
+use respire_bench::base::{Camera, Image, TriangleMesh};
 use respire_bench::render::{
     Boundary, Light, Material, RenderSettings, Scene, Shading, Transport, WalkedVertices, render,
 };
@@ -158,6 +158,61 @@ fn light_in_the_wall_agrees_with_paths_on_a_breathing_shape() {
             );
             assert!((ours[c] / theirs[c] - 1.0).abs() < 0.02, "{:?}: {ours:?} for {theirs:?}", material.kind);
         }
+    }
+}
+
+/// A wall of parallel ridges, `PERIOD` apart, at 10 mm from the origin.
+fn ridges() -> TriangleMesh {
+    const SIDE: u32 = 49;
+    let mut mesh = TriangleMesh::default();
+    for (i, j) in (0..SIDE).flat_map(|i| (0..SIDE).map(move |j| (i, j))) {
+        let (x, y) = (0.5 * f64::from(i) - 12.0, 0.5 * f64::from(j) - 12.0);
+        mesh.vertices.push(DVec3::new(x, y, 10.0 - 0.4 * (2.0 * PI * x / PERIOD).sin()));
+    }
+    for (i, j) in (0..SIDE - 1).flat_map(|i| (0..SIDE - 1).map(move |j| (i, j))) {
+        let corner = i * SIDE + j;
+        let (right, up) = (corner + SIDE, corner + 1);
+        mesh.faces.extend([[corner, up, right], [up, right + 1, right]]);
+    }
+    mesh
+}
+
+const PERIOD: f64 = 4.0;
+
+#[test]
+fn light_in_the_wall_follows_its_curvature() {
+    // A ridge lets more light out than the hollow beside it. Rows of walks that are smoothed over their neighbours lose
+    // part of that difference: here 5 % in red and 13 % in green and blue, in airways up to 1.6 % of a picture's mean.
+    let material = Material::subsurface(RHO, [1.0; 3], Boundary::Diffuse, WalkedVertices::First);
+    let scene = Scene::new(&ridges(), &[], material, 7).unwrap();
+    let camera = Camera::pinhole(48, 48, 1.2);
+    // Mean radiance of the ridges over that of the hollows.
+    let contrast = |settings: RenderSettings| -> [f64; 3] {
+        let settings = RenderSettings { shading: Shading::Smooth, max_scatterings: 1, ..settings };
+        let light = Light::at_camera([100.0; 3]);
+        let image = render(&scene, &camera, &DAffine3::IDENTITY, &light, &settings).unwrap().radiance;
+        let mut sums = [[0.0; 3]; 2];
+        for (pixel, values) in image.data.chunks_exact(3).enumerate() {
+            let x = ((pixel % 48) as f64 + 0.5 - 24.0) / camera.fl_x * 10.0;
+            let height = (2.0 * PI * x / PERIOD).sin();
+            let side = usize::from(height < 0.0);
+            if height.abs() > 0.5 {
+                (0..3).for_each(|c| sums[side][c] += f64::from(values[c]));
+            }
+        }
+        std::array::from_fn(|c| sums[0][c] / sums[1][c])
+    };
+    let paths: Vec<[f64; 3]> = (0..4)
+        .map(|frame| contrast(RenderSettings { samples_per_pixel: 64, frame, ..RenderSettings::default() }))
+        .collect();
+    let found = contrast(vertices(8, 32));
+    for c in 0..3 {
+        let mean = paths.iter().map(|p| p[c]).sum::<f64>() / 4.0;
+        let error = (paths.iter().map(|p| (p[c] - mean).powi(2)).sum::<f64>() / 12.0).sqrt();
+        let bias = found[c] / mean - 1.0;
+        println!("channel {c}: contrast {mean:.4} +- {error:.4}, at vertices {bias:+.4}");
+        assert!(error / mean < 0.005, "{paths:?}");
+        assert!(bias.abs() < 0.025, "{found:?} for {mean} in channel {c}");
     }
 }
 

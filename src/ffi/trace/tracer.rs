@@ -13,8 +13,8 @@ use crate::base::{Error, ErrorKind, Result};
 use crate::ffi::isa::Isa;
 
 pub use bridge::{
-    FaceLight, FacePlace, FacesAround, FilmPixel, FrameSettings, Glint, GradientNoise, KnownLight, MaterialSettings,
-    NoiseNeighbour, ProbedPoint, ScatterExit, SubsurfaceKind, TileCounters, TileRequest,
+    FaceLight, FacePlace, FacesAround, FilmPixel, FlatWalks, FrameSettings, Glint, GradientNoise, KnownLight,
+    MaterialSettings, NoiseNeighbour, ProbedPoint, ScatterExit, SubsurfaceKind, TileCounters, TileRequest,
 };
 
 #[allow(unused_qualifications)] // cxx spells its generated derives in full
@@ -223,6 +223,17 @@ mod bridge {
         weight: [f32; 3],
     }
 
+    /// What a vertex' scatter walks bring out of a flat wall, where their means are known: noise that they share with
+    /// those through the mesh.
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct FlatWalks {
+        /// Light over the albedo, less its known mean, per channel.
+        excess: [f32; 3],
+        /// Per channel the first moment of the places where it comes out, light over the albedo times mm (xyz
+        /// interleaved), about the mean place of the starts, long ways shortened: 0 in the mean.
+        moments: [f32; 9],
+    }
+
     /// The faces around every vertex: those of vertex v are `faces[offsets[v]..offsets[v + 1]]`.
     #[derive(Clone, Copy, Debug)]
     struct FacesAround<'a> {
@@ -314,7 +325,7 @@ mod bridge {
             vertices: &[u32],
             around: &FacesAround,
             exits: &mut [ScatterExit],
-            flat_excess: &mut [f32],
+            flat: &mut [FlatWalks],
         ) -> Result<u64>;
         fn unshadowed(self: &Tracer, frame: &FrameSettings, places: &[FacePlace], irradiance: &mut [f32])
         -> Result<()>;
@@ -343,7 +354,7 @@ pub struct ScatterWalks {
     /// Vertex after vertex.
     pub exits: Vec<ScatterExit>,
     /// Per vertex: the mean weight of the same walks below a flat surface, less its known value.
-    pub flat_excess: Vec<[f32; 3]>,
+    pub flat: Vec<FlatWalks>,
     /// Rays that it took.
     pub rays: u64,
 }
@@ -457,10 +468,9 @@ impl MeshTracer {
         count: usize,
     ) -> Result<ScatterWalks> {
         let mut exits = vec![ScatterExit::default(); vertices.len() * count];
-        let mut flat_excess = vec![[0.0; 3]; vertices.len()];
-        let flat = flat_excess.as_flattened_mut();
-        let rays = self.0.scatter_walks(frame, vertices, around, &mut exits, flat).map_err(failed)?;
-        Ok(ScatterWalks { exits, flat_excess, rays })
+        let mut flat = vec![FlatWalks::default(); vertices.len()];
+        let rays = self.0.scatter_walks(frame, vertices, around, &mut exits, &mut flat).map_err(failed)?;
+        Ok(ScatterWalks { exits, flat, rays })
     }
 
     /// The lamp's irradiance at places, without shadows.
