@@ -351,7 +351,7 @@ fn slope_around(scene: &Scene, vertex: u32, at: &dyn Fn(u32) -> ([f32; 3], Rgb))
         rise += Mat3::from_cols(way * above.x, way * above.y, way * above.z);
     }
     let trace = spread.x_axis.x + spread.y_axis.y + spread.z_axis.z;
-    if !(trace > 0.0) {
+    if trace.is_nan() || trace <= 0.0 {
         return [[0.0; 3]; 3];
     }
     ((spread + Mat3::from_diagonal(Vec3::splat(REGULAR * trace))).inverse() * rise).to_cols_array_2d()
