@@ -7,6 +7,7 @@
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 
+use glam::DAffine3;
 use respire_bench::airway::case::Case;
 use respire_bench::airway::import_axes::PatientAxes;
 use respire_bench::airway::import_breathing::LungBox;
@@ -14,15 +15,15 @@ use respire_bench::airway::import_mesh::{ExpectedAnatomy, FileMeaning, PartChoic
 use respire_bench::airway::import_tree;
 use respire_bench::airway::{case_build, case_centerline};
 use respire_bench::base::random::CounterRng;
-use respire_bench::base::{Camera, Image, Result, TriangleMesh};
+use respire_bench::base::{Camera, Image, Mask, Result, TriangleMesh};
 use respire_bench::bench::{Ablations, Profile, journal, timing};
 use respire_bench::formats::transforms::Transforms;
 use respire_bench::formats::{depth_png, exr, gaussians_ply, landmarks, mesh, npy, png};
 use respire_bench::reconstruct::MethodFile;
 use respire_bench::render::scene_file::SceneFile;
 use respire_bench::report::{compare, gate, merge, read, summary, table};
-use respire_bench::score::{CellScore, Prediction};
-use respire_bench::simulate::sequence::{self, Sequence};
+use respire_bench::score::{CellScore, Prediction, Truth};
+use respire_bench::simulate::sequence::{self, FrameRecord, Sequence};
 
 /// Between the files of an input that is a folder (the group separator of ASCII).
 pub const SEPARATOR: u8 = 0x1d;
@@ -348,11 +349,75 @@ fn read_sequence(bytes: &[u8], scratch: &Scratch) {
     }
 }
 
+/// A film of which a prediction's folder needs to know the number of frames alone.
+struct TinyTruth {
+    camera: Camera,
+    frames: Vec<FrameRecord>,
+}
+
+impl TinyTruth {
+    fn new() -> Self {
+        let frame = |frame: usize| FrameRecord {
+            time_s: frame as f64,
+            phase: 0.5,
+            gain: 1.0,
+            white_balance: [1.0; 3],
+            world_from_camera: DAffine3::IDENTITY,
+        };
+        TinyTruth { camera: Camera::pinhole(8, 8, 1.0), frames: (0..PREDICTED_FRAMES).map(frame).collect() }
+    }
+}
+
+impl Truth for TinyTruth {
+    fn case_id(&self) -> &str {
+        "case1"
+    }
+
+    fn hash(&self) -> &str {
+        "0"
+    }
+
+    fn content(&self) -> &str {
+        "0"
+    }
+
+    fn file_paths(&self) -> Vec<PathBuf> {
+        Vec::new()
+    }
+
+    fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    fn frames(&self) -> &[FrameRecord] {
+        &self.frames
+    }
+
+    fn image(&self, _frame: usize) -> Result<Image<u8>> {
+        Ok(Image::filled(8, 8, 3, 0))
+    }
+
+    fn depth_mm(&self, _frame: usize) -> Result<Image<f32>> {
+        Ok(Image::filled(8, 8, 1, 1.0))
+    }
+
+    fn mask(&self) -> Result<Option<Mask>> {
+        Ok(None)
+    }
+
+    fn inspiration(&self) -> Result<TriangleMesh> {
+        Ok(TriangleMesh::default())
+    }
+
+    fn expiration(&self) -> Result<TriangleMesh> {
+        Ok(TriangleMesh::default())
+    }
+}
+
 fn prediction(bytes: &[u8], scratch: &Scratch) {
     let names = ["phase.csv", "poses.csv", "timing.json", "prediction.json"];
     let folder = scratch.write_parts("prediction", &names, bytes);
-    let camera = Camera::pinhole(8, 8, 1.0);
-    let Some(prediction) = answer(Prediction::open(&folder, &camera, PREDICTED_FRAMES)) else { return };
+    let Some(prediction) = answer(Prediction::open(&folder, &TinyTruth::new())) else { return };
     assert!(prediction.phase().is_none_or(|phases| phases.len() == PREDICTED_FRAMES));
     assert!(prediction.poses().is_none_or(|poses| poses.len() == PREDICTED_FRAMES));
     assert!(prediction.time_total_s().is_none_or(|time| time >= 0.0));
