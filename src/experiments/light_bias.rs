@@ -1,8 +1,8 @@
 //! Bias of the light at vertices, which films use, against path tracing: frame by frame over cases, looks of the wall,
 //! places on the route and breathing phases, lit as in the films.
 //!
-//! Both sides are means over independent parts, so both have a standard error: [`REFERENCE_PARTS`] path-traced images,
-//! and [`FILM_FRAMES`] frames as a film would render them (what is known at the vertices is the same in all of them).
+//! Both sides are means over independent parts, so both have a standard error: `REFERENCE_PARTS` path-traced images,
+//! and `FILM_FRAMES` frames as a film would render them (what is known at the vertices is the same in all of them).
 //! relMSE is that of one such frame, free of the reference's noise.
 //!
 //! References are kept, part by part. An image of one path per pixel is kept with them and rendered anew each time: if a

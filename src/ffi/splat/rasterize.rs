@@ -4,7 +4,7 @@
 //! | here | kernel |
 //! |---|---|
 //! | [`project`], [`recolor`], [`velocities`] | `cpp/splat/project.cpp` |
-//! | [`forward`], [`backward`] | `cpp/splat/kernel.cpp` |
+//! | `forward`, `backward` | `cpp/splat/kernel.cpp` |
 //! | [`disc_forward`], [`disc_backward`] | `cpp/splat/disc.cpp` |
 //! | [`chain`] | `cpp/splat/chain.cpp` |
 //!
