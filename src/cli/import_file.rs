@@ -4,10 +4,10 @@ use clap::Args;
 
 use crate::airway::import_axes::PatientAxes;
 use crate::airway::import_mesh::{ExpectedAnatomy, FileMeaning, PartChoice};
-use crate::base::{Error, Result};
+use crate::base::range::NumberRange;
 
 /// Units of 1e-6 mm to 1e6 mm.
-const SCALES: [f64; 2] = [1e-6, 1e6];
+const UNIT_MM: NumberRange = NumberRange::new(1e-6, 1e6);
 
 #[derive(Args)]
 pub(super) struct FileArguments {
@@ -16,7 +16,7 @@ pub(super) struct FileArguments {
     #[arg(long, default_value_t = PatientAxes::LPS, value_name = "LPS|RAS|..")]
     axes: PatientAxes,
     /// The file's unit in mm: 10 for centimetres, 1000 for metres
-    #[arg(long, default_value_t = 1.0, value_name = "FACTOR")]
+    #[arg(long, default_value_t = 1.0, value_name = "R", value_parser = UNIT_MM.parser::<f64>())]
     scale: f64,
     /// Of several loose parts, take the one with the most faces
     #[arg(long)]
@@ -27,16 +27,12 @@ pub(super) struct FileArguments {
 }
 
 impl FileArguments {
-    pub(super) fn meaning(&self) -> Result<FileMeaning> {
-        let [least, most] = SCALES;
-        if !(least..=most).contains(&self.scale) {
-            return Err(Error::usage(format!("--scale: {} is not between {least} and {most}", self.scale)));
-        }
-        Ok(FileMeaning {
+    pub(super) fn meaning(&self) -> FileMeaning {
+        FileMeaning {
             axes: self.axes,
             scale: self.scale,
             parts: if self.keep_largest { PartChoice::Largest } else { PartChoice::Single },
             anatomy: if self.unusual { ExpectedAnatomy::Any } else { ExpectedAnatomy::Human },
-        })
+        }
     }
 }

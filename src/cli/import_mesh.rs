@@ -186,7 +186,7 @@ fn name_of(path: &Path) -> String {
 /// Runs `import mesh`.
 pub fn run(arguments: &MeshArguments, terminal: &Terminal) -> Result<()> {
     let common = &arguments.common;
-    let meaning = common.file.meaning()?;
+    let meaning = common.file.meaning();
     let title = format!("{} with the motion of {}", name_of(&arguments.mesh), name_of(&arguments.motion.landmarks));
     let anatomy = AnatomySource::Mesh { path: common.file(AIRWAY), centerline: Some(common.file(CENTERLINE)) };
     let mut case = common.case(title, anatomy, Some(still_breathing()))?;
@@ -206,7 +206,7 @@ pub fn run(arguments: &MeshArguments, terminal: &Terminal) -> Result<()> {
 /// Runs `import mesh-pair`.
 pub fn run_pair(arguments: &PairArguments, terminal: &Terminal) -> Result<()> {
     let common = &arguments.common;
-    let meaning = common.file.meaning()?;
+    let meaning = common.file.meaning();
     let title = format!("{} and {}", name_of(&arguments.inspiration), name_of(&arguments.expiration));
     let anatomy = AnatomySource::MeshPair {
         inspiration: common.file(INSPIRATION),

@@ -38,7 +38,7 @@ pub struct TreeArguments {
 
 /// Runs the command.
 pub fn run(arguments: &TreeArguments, terminal: &Terminal) -> Result<()> {
-    let meaning = arguments.file.meaning()?;
+    let meaning = arguments.file.meaning();
     let input = &arguments.input;
     let tree = if input.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
         from_table(input, &meaning, &arguments.source)?

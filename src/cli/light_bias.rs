@@ -8,9 +8,15 @@ use clap::{Args, builder::TypedValueParser};
 use super::Terminal;
 use super::selection::CatalogueFolder;
 use crate::airway::case::Case;
-use crate::base::{Error, Result, files};
+use crate::base::range::{NumberRange, SHARE};
+use crate::base::{Result, files};
 use crate::experiments::light_bias::{self, BiasSweep, Look};
 use crate::report::tables::write_csv;
+
+/// Width in pixels of the compared images.
+const WIDTH_PX: NumberRange = NumberRange::new(8.0, 1024.0);
+/// Paths per pixel of a reference, which is made in parts.
+const REFERENCE_SAMPLES: NumberRange = NumberRange::new(8.0, 65_536.0);
 
 /// Arguments of `light-bias`.
 #[derive(Args)]
@@ -31,16 +37,16 @@ pub struct LightBiasArguments {
     #[arg(long, value_delimiter = ',', value_name = "LOOK,..", default_value = "full,bare", value_parser = look_parser())]
     looks: Vec<Look>,
     /// Places of the camera, fractions of the route
-    #[arg(long, value_delimiter = ',', value_name = "F,..", default_value = "0.5,0.9")]
+    #[arg(long, value_delimiter = ',', value_name = "R,..", default_value = "0.5,0.9", value_parser = SHARE.parser::<f64>())]
     places: Vec<f64>,
     /// Breathing phases, 0 inspiration to 1 expiration
-    #[arg(long, value_delimiter = ',', value_name = "PHASE,..", default_value = "0,0.25,0.5,0.75,1")]
+    #[arg(long, value_delimiter = ',', value_name = "R,..", default_value = "0,0.25,0.5,0.75,1", value_parser = SHARE.parser::<f64>())]
     phases: Vec<f64>,
     /// Image width and height in pixels
-    #[arg(long, default_value_t = 128, value_name = "PX", value_parser = clap::value_parser!(u32).range(8..=1024))]
+    #[arg(long, default_value_t = 128, value_name = "PX", value_parser = WIDTH_PX.parser::<u32>())]
     width: u32,
     /// Paths per pixel of a reference
-    #[arg(long, default_value_t = 64, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=65536))]
+    #[arg(long, default_value_t = 64, value_name = "N", value_parser = REFERENCE_SAMPLES.parser::<u32>())]
     reference_spp: u32,
     /// Folder of the references
     #[arg(long, default_value = ".cache/light-bias", value_name = "DIR")]
@@ -57,12 +63,6 @@ fn look_parser() -> impl TypedValueParser<Value = Look> {
 /// Compares, writes the tables and prints the summary.
 pub fn run(arguments: LightBiasArguments, terminal: &Terminal) -> Result<()> {
     let catalogue = arguments.catalogue.open()?;
-    let unit = |option: &str, values: &[f64]| match values.iter().find(|v| !(0.0..=1.0).contains(*v)) {
-        Some(value) => Err(Error::usage(format!("--{option} {value} must lie in [0, 1]"))),
-        None => Ok(()),
-    };
-    unit("places", &arguments.places)?;
-    unit("phases", &arguments.phases)?;
     let cases = if arguments.cases.is_empty() { catalogue.case_ids()? } else { arguments.cases };
     let sweep = BiasSweep {
         looks: arguments.looks,

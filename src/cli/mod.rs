@@ -164,7 +164,7 @@ mod tests {
     use clap::CommandFactory;
 
     /// Value names of options that are numbers.
-    const NUMBER_NAMES: [&str; 8] = ["N", "N,..", "PX", "MM", "DEG", "PHASE", "R", "GENERATION"];
+    const NUMBER_NAMES: [&str; 9] = ["N", "N,..", "PX", "MM", "DEG", "PHASE", "R", "R,..", "GENERATION"];
 
     /// Clap finds duplicate and contradictory options only when a command is built.
     #[test]

@@ -228,7 +228,7 @@ fn limited(folder: &Path, words: &[&str]) -> (i32, String) {
 
 /// Words of a command whose inputs are missing, and its options that are numbers. What passes the options ends with the
 /// sentence about the input.
-const NUMBERS: [(&str, &[&str]); 11] = [
+const NUMBERS: [(&str, &[&str]); 12] = [
     ("doctor", &["--threads"]),
     ("run --case no.toml --method ours --bench-cases {cases}", &["--seed"]),
     ("all-cases --dry-run --cases no.toml --bench-cases {cases}", &["--seeds"]),
@@ -237,14 +237,18 @@ const NUMBERS: [(&str, &[&str]); 11] = [
     ("splat no.ply --cameras no.json --out out", &["--repeat", "--background"]),
     (
         "import mesh no.ply --landmarks no.csv --id x --out out",
-        &["--fov-x-deg", "--scope-radius-mm", "--seed", "--end-motion-mm"],
+        &["--fov-x-deg", "--scope-radius-mm", "--seed", "--end-motion-mm", "--scale"],
     ),
-    ("import mesh-pair no.ply no.ply --id x --out out", &["--fov-x-deg", "--scope-radius-mm", "--seed"]),
+    ("import mesh-pair no.ply no.ply --id x --out out", &["--fov-x-deg", "--scope-radius-mm", "--seed", "--scale"]),
     ("import breathing no.toml --landmarks no.csv", &["--end-motion-mm"]),
-    ("import tree no.csv --source s --out out.toml", &["--least-radius-mm", "--deepest"]),
+    ("import tree no.csv --source s --out out.toml", &["--least-radius-mm", "--deepest", "--scale"]),
     (
         "pareto render --out out --cases no.toml --bench-cases {cases}",
         &["--width", "--reference-spp", "--most-spp", "--phase"],
+    ),
+    (
+        "light-bias --out out --cases no.toml --bench-cases {cases}",
+        &["--places", "--phases", "--width", "--reference-spp"],
     ),
 ];
 
@@ -386,7 +390,11 @@ fn what_would_never_end_is_refused_in_one_sentence() {
         ("2,0,1000000000,-20,4,1,1,1\n3,0,0,-30,4,1,1,2\n", 4, "id 2, coordinates: 1e9"),
     ] {
         std::fs::write(place("tree.csv"), format!("{table}{row}")).unwrap();
-        refused(&["import", "tree", &place("tree.csv"), "--source", "s", "--out", "tree.toml"], code, says);
+        refused(
+            &["import", "tree", &place("tree.csv"), "--unusual", "--source", "s", "--out", "tree.toml"],
+            code,
+            says,
+        );
     }
 }
 
