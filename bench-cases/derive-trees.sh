@@ -6,7 +6,7 @@ data=${1:?usage: bench-cases/derive-trees.sh DATA_FOLDER}
 cd "$(dirname "$0")/.."
 bench=${RESPIRE_BENCH:-target/release/respire-bench}
 atm="Measured from the airway surface of ATM'22 case %s: majority vote of five teams' masks, repository EndoluminalSurgicalVision-IMR/ATM-22-Related-Work (MIT). Cite Zhang et al., Medical Image Analysis 90:102957 (2023). LPS, mm."
-for id in 224 384; do
+for id in 224 305 384; do
   "$bench" import tree "$data/atm22/meshes/ATM_$id.ply" --axes ras --source "$(printf "$atm" "$id")" --out "bench-cases/trees/atm_$id.toml"
 done
 "$bench" import tree "$data/chaste/airway_centreline_points.csv" --axes lps --least-radius-mm 1.0 \

@@ -7,12 +7,13 @@
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 use respire_bench::airway::case::Case;
 use respire_bench::airway::import_axes::PatientAxes;
 use respire_bench::airway::import_breathing::LungBox;
 use respire_bench::airway::import_mesh::{ExpectedAnatomy, FileMeaning, PartChoice};
 use respire_bench::airway::import_tree;
+use respire_bench::airway::targets::Target as AirwayTarget;
 use respire_bench::airway::{case_build, case_centerline};
 use respire_bench::base::random::CounterRng;
 use respire_bench::base::{Camera, Image, Mask, Result, TriangleMesh};
@@ -23,7 +24,7 @@ use respire_bench::reconstruct::MethodFile;
 use respire_bench::render::scene_file::SceneFile;
 use respire_bench::report::{compare, gate, merge, read, summary, table};
 use respire_bench::score::{CellScore, Prediction, Truth};
-use respire_bench::simulate::sequence::{self, FrameRecord, Sequence};
+use respire_bench::simulate::sequence::{self, FrameRecord, NovelView, Sequence};
 
 /// Between the files of an input that is a folder (the group separator of ASCII).
 pub const SEPARATOR: u8 = 0x1d;
@@ -213,7 +214,7 @@ fn merged(bytes: &[u8], scratch: &Scratch) {
     let Some(run) = answer(merge::read_run(&folder)) else { return };
     for films in [merge::Films::Same, merge::Films::Other] {
         if let Some(run) = answer(merge::merge(vec![run.clone(), run.clone()], films)) {
-            table::ComparisonTable::new(&summary::summarise(&run));
+            table::ComparisonTable::both(&summary::summarise(&run));
         }
     }
 }
@@ -340,7 +341,14 @@ fn read_journal(bytes: &[u8], scratch: &Scratch) {
 }
 
 fn read_sequence(bytes: &[u8], scratch: &Scratch) {
-    let names = [sequence::MANIFEST, sequence::TRANSFORMS, sequence::CENTERLINE];
+    let names = [
+        sequence::MANIFEST,
+        sequence::TRANSFORMS,
+        sequence::CENTERLINE,
+        sequence::NOVEL_TRANSFORMS,
+        sequence::TARGETS,
+        sequence::TARGETS_EXPIRATION,
+    ];
     let folder = scratch.write_parts("sequence", &names, bytes);
     if let Some(sequence) = answer(Sequence::open(&folder)) {
         assert!(!sequence.frames.is_empty());
@@ -353,6 +361,8 @@ fn read_sequence(bytes: &[u8], scratch: &Scratch) {
 struct TinyTruth {
     camera: Camera,
     frames: Vec<FrameRecord>,
+    novel_views: Vec<NovelView>,
+    targets: Vec<AirwayTarget>,
 }
 
 impl TinyTruth {
@@ -364,7 +374,12 @@ impl TinyTruth {
             white_balance: [1.0; 3],
             world_from_camera: DAffine3::IDENTITY,
         };
-        TinyTruth { camera: Camera::pinhole(8, 8, 1.0), frames: (0..PREDICTED_FRAMES).map(frame).collect() }
+        TinyTruth {
+            camera: Camera::pinhole(8, 8, 1.0),
+            frames: (0..PREDICTED_FRAMES).map(frame).collect(),
+            novel_views: vec![NovelView { frame: 1, world_from_camera: DAffine3::IDENTITY }],
+            targets: vec![AirwayTarget { inspiration_mm: DVec3::ZERO, expiration_mm: DVec3::X }; 2],
+        }
     }
 }
 
@@ -401,6 +416,22 @@ impl Truth for TinyTruth {
         Ok(Image::filled(8, 8, 1, 1.0))
     }
 
+    fn novel_views(&self) -> &[NovelView] {
+        &self.novel_views
+    }
+
+    fn novel_image(&self, frame: usize) -> Result<Image<u8>> {
+        self.image(frame)
+    }
+
+    fn novel_depth_mm(&self, frame: usize) -> Result<Image<f32>> {
+        self.depth_mm(frame)
+    }
+
+    fn targets(&self) -> &[AirwayTarget] {
+        &self.targets
+    }
+
     fn mask(&self) -> Result<Option<Mask>> {
         Ok(None)
     }
@@ -415,7 +446,7 @@ impl Truth for TinyTruth {
 }
 
 fn prediction(bytes: &[u8], scratch: &Scratch) {
-    let names = ["phase.csv", "poses.csv", "timing.json", "prediction.json"];
+    let names = ["phase.csv", "poses.csv", "timing.json", "prediction.json", "targets.csv"];
     let folder = scratch.write_parts("prediction", &names, bytes);
     let Some(prediction) = answer(Prediction::open(&folder, &TinyTruth::new())) else { return };
     assert!(prediction.phase().is_none_or(|phases| phases.len() == PREDICTED_FRAMES));

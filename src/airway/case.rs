@@ -7,6 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::case_scope;
 pub use super::case_scope::{Effect, ExposureControl, ExposureSettings, ScopeSettings};
+pub use super::case_steering::SteeringSettings;
 use super::field::BreathingField;
 use super::field_calibre::Calibre;
 use super::grow::GrowthSettings;
@@ -21,8 +22,16 @@ use crate::base::{Camera, Error, Result, files, hash};
 const CAMERA_RANGES: KeyRanges =
     KeyRanges(&[("fov_x_deg", FIELD_OF_VIEW_DEG), ("fisheye", NumberRange::new(-10.0, 10.0))]);
 /// Ranges of `[trajectory]`.
-const TRAJECTORY_RANGES: KeyRanges =
-    KeyRanges(&[("speed_mm_per_s", NumberRange::new(1e-3, 1e4)), ("scope_radius_mm", SCOPE_RADIUS_MM), ("seed", SEED)]);
+const TRAJECTORY_RANGES: KeyRanges = KeyRanges(&[
+    ("speed_mm_per_s", NumberRange::new(1e-3, 1e4)),
+    ("scope_radius_mm", SCOPE_RADIUS_MM),
+    ("seed", SEED),
+    // More room than this would bring the lens into the wall; more tilt would have it look backwards.
+    ("steering.sideways", NumberRange::new(0.0, 0.8)),
+    ("steering.tilt_deg", NumberRange::new(0.0, 45.0)),
+    ("steering.roll_deg", NumberRange::new(0.0, 180.0)),
+    ("steering.speed_variation", NumberRange::new(0.0, 2.0)),
+]);
 /// Range of `light_intensity`, W/sr.
 const LIGHT_INTENSITY: NumberRange = NumberRange::new(1e-6, 1e9);
 /// Range of `registration_error_mm`.
@@ -219,11 +228,19 @@ pub struct TrajectorySettings {
     pub seed: u64,
     /// Where the end must lie.
     pub region: Region,
+    /// How the scope leaves the middle of the airway.
+    pub steering: SteeringSettings,
 }
 
 impl Default for TrajectorySettings {
     fn default() -> Self {
-        TrajectorySettings { speed_mm_per_s: 10.0, scope_radius_mm: 1.9, seed: 1, region: Region::Any }
+        TrajectorySettings {
+            speed_mm_per_s: 10.0,
+            scope_radius_mm: 1.9,
+            seed: 1,
+            region: Region::Any,
+            steering: SteeringSettings::default(),
+        }
     }
 }
 
@@ -377,6 +394,7 @@ impl Case {
                 Effect::Distortion => self.camera.fisheye = None,
                 Effect::MotionBlur => self.scope.shutter_s = 0.0,
                 Effect::Mask => self.scope.mask_radius = 0.0,
+                Effect::Steering => self.trajectory.steering = SteeringSettings::NONE,
             }
         }
         self

@@ -126,11 +126,13 @@ pub enum Effect {
     MotionBlur,
     /// The circular image mask.
     Mask,
+    /// The steering hand: the scope goes along the middle of the airway at one speed.
+    Steering,
 }
 
 impl Effect {
     /// All of them.
-    pub const ALL: [Effect; 12] = [
+    pub const ALL: [Effect; 13] = [
         Effect::Emission,
         Effect::AutoExposure,
         Effect::Lag,
@@ -143,6 +145,7 @@ impl Effect {
         Effect::Distortion,
         Effect::MotionBlur,
         Effect::Mask,
+        Effect::Steering,
     ];
 
     /// Its name in profiles and commands.
@@ -160,6 +163,7 @@ impl Effect {
             Effect::Distortion => "distortion",
             Effect::MotionBlur => "motion-blur",
             Effect::Mask => "mask",
+            Effect::Steering => "steering",
         }
     }
 }

@@ -5,6 +5,7 @@ pub mod case;
 pub mod case_build;
 pub mod case_centerline;
 mod case_scope;
+mod case_steering;
 pub mod centerline;
 mod centerline_distance;
 pub mod centerline_extract;
@@ -28,6 +29,7 @@ pub mod remesh;
 pub mod surface;
 pub mod surface_field;
 pub mod surface_polygon;
+pub mod targets;
 pub mod tree;
 pub mod waveform;
 

@@ -6,7 +6,9 @@
 //! and in (hysteresis). The warp makes expiration fast first and slow later, like elastic recoil against a resistance.
 //! The phase is 1 - V. At both turning points dP/dt = 0, so dV/dt = 0 whatever k: C1 across half-breaths.
 //!
-//! A breath may be held at the end of each inhalation (`hold_s`), where the lung is at rest anyway.
+//! A film starts in the breath hold of the first CT: phase 0 for `start_hold_s`, then an exhalation. It ends at a phase
+//! that is drawn for the case ([`Waveform::ending`]), so that no limit of the range decides what is left at the end. A
+//! breath may be held at the end of each later inhalation, too (`hold_s`), where the lung is at rest anyway.
 //!
 //! Left out: sighs, coughs. The end points of the volume are those of the two CTs; real tidal breathing uses a
 //! part of that range, which `amplitude` and `offset` express.
@@ -24,7 +26,8 @@ const RANGES: KeyRanges = KeyRanges(&[
     ("period_scale", NumberRange::new(0.1, 10.0)),
     ("amplitude", NumberRange::new(1e-3, 1.0)),
     ("offset", SHARE),
-    ("start_s", NumberRange::new(0.0, 3600.0)),
+    ("start_hold_s", NumberRange::new(0.0, 60.0)),
+    ("end_phase", SHARE),
     ("hold_s", NumberRange::new(0.0, 60.0)),
     ("irregularity", SHARE),
 ]);
@@ -36,6 +39,13 @@ const RECOIL: f64 = 0.35;
 /// Irregular breathing: one standard deviation of log duration and of relative depth at `irregularity = 1`.
 const DURATION_SPREAD: f64 = 0.25;
 const DEPTH_SPREAD: f64 = 0.35;
+
+/// Part of the range of a breath from which the phase at the end of a film is drawn.
+const END_RANGE: [f64; 2] = [0.15, 0.85];
+/// Largest factor on the period, either way, that brings the end of a film to its phase, and the step of the search in
+/// its logarithm.
+const MOST_CHANGE: f64 = 1.5;
+const CHANGE_STEP: f64 = 0.005;
 
 /// How a case breathes. All durations in seconds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,8 +61,11 @@ pub struct Waveform {
     pub amplitude: f64,
     /// Phase at the end of a full inhalation; `offset + amplitude` is at most 1.
     pub offset: f64,
-    /// Where in the breath a sequence starts: 0 is the beginning of the inhalation.
-    pub start_s: f64,
+    /// For how long a film stays in the breath hold at full inspiration (phase 0) in which it starts; not scaled.
+    pub start_hold_s: f64,
+    /// Phase at which a film ends, reached by breathing a little faster or slower than stated; drawn where absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub end_phase: Option<f64>,
     /// For how long each full inhalation is held; not scaled.
     #[serde(skip_serializing_if = "is_zero")]
     pub hold_s: f64,
@@ -73,7 +86,8 @@ impl Default for Waveform {
             period_scale: 1.0,
             amplitude: 1.0,
             offset: 0.0,
-            start_s: 0.0,
+            start_hold_s: 0.5,
+            end_phase: None,
             hold_s: 0.0,
             irregularity: 0.0,
         }
@@ -91,6 +105,9 @@ impl Waveform {
             ))
             .element("waveform.amplitude"));
         }
+        if self.end_phase.is_some_and(|phase| !(self.offset..=self.offset + self.amplitude).contains(&phase)) {
+            return Err(Error::input("must lie within the range that breaths cover").element("waveform.end_phase"));
+        }
         Ok(())
     }
 
@@ -99,16 +116,29 @@ impl Waveform {
         (self.inhale_s + self.exhale_s) * self.period_scale + self.hold_s
     }
 
-    /// Breathing phase in [0, 1] (0 full inspiration, 1 full expiration) `time_s` after the start of the sequence
-    /// (not negative). `seed` decides the irregularities, nothing else.
+    /// Breathing phase in [0, 1] (0 full inspiration, 1 full expiration) `time_s` after the start of the film (not
+    /// negative). `seed` decides the irregularities, nothing else.
     pub fn phase(&self, time_s: f64, seed: u64) -> f64 {
         self.unclamped_phase(time_s, seed).clamp(0.0, 1.0)
     }
 
     fn unclamped_phase(&self, time_s: f64, seed: u64) -> f64 {
-        let mut left_s = (time_s + self.start_s).max(0.0);
-        let mut breath = if self.irregularity == 0.0 { (left_s / self.period_s()).floor() } else { 0.0 } as u64;
-        left_s -= breath as f64 * self.period_s();
+        let mut left_s = time_s - self.start_hold_s;
+        if left_s < 0.0 {
+            return 0.0;
+        }
+        // Out of the first CT's breath hold, whatever the depth of the breaths that follow.
+        let first = Breath { turn: 0.0, ..self.breath(0, seed) };
+        if left_s < first.exhale_s {
+            return self.exhaling(&first, left_s, self.breath(1, seed).start);
+        }
+        left_s -= first.exhale_s;
+        let mut breath = 1;
+        if self.irregularity == 0.0 {
+            let whole = (left_s / self.period_s()).floor();
+            left_s -= whole * self.period_s();
+            breath += whole as u64;
+        }
         loop {
             let now = self.breath(breath, seed);
             // Inhalation, hold, exhalation.
@@ -122,15 +152,48 @@ impl Waveform {
             }
             left_s -= self.hold_s;
             if left_s < now.exhale_s {
-                let uniform = left_s / now.exhale_s;
-                let warped = uniform + RECOIL * (std::f64::consts::PI * uniform).sin() / std::f64::consts::PI;
-                let pressure = 0.5 + 0.5 * (std::f64::consts::PI * warped).cos();
-                let end = self.breath(breath + 1, seed).start;
-                return end + (now.turn - end) * volume(pressure, STIFFNESS_OUT);
+                return self.exhaling(&now, left_s, self.breath(breath + 1, seed).start);
             }
             left_s -= now.exhale_s;
             breath += 1;
         }
+    }
+
+    /// Phase `time_s` into the exhalation of `breath`, which ends at the phase `end`.
+    fn exhaling(&self, breath: &Breath, time_s: f64, end: f64) -> f64 {
+        let uniform = time_s / breath.exhale_s;
+        let warped = uniform + RECOIL * (std::f64::consts::PI * uniform).sin() / std::f64::consts::PI;
+        let pressure = 0.5 + 0.5 * (std::f64::consts::PI * warped).cos();
+        end + (breath.turn - end) * volume(pressure, STIFFNESS_OUT)
+    }
+
+    /// The same breathing, a little faster or slower, so that the phase at `time_s` is `end_phase` or, without one, a
+    /// phase that `seed` draws from `END_RANGE` of the range that breaths cover. The smallest change of the period
+    /// that does it is taken; where none up to `MOST_CHANGE` does, the one that comes nearest.
+    pub fn ending(&self, time_s: f64, seed: u64) -> Waveform {
+        let drawn = CounterRng::new(seed, Stage::Waveform, &[u64::MAX]).range(END_RANGE[0], END_RANGE[1]);
+        let wanted = self.end_phase.unwrap_or(self.offset + self.amplitude * drawn);
+        let changed = |log: f64| Waveform { period_scale: self.period_scale * log.exp(), ..self.clone() };
+        let off = |log: f64| changed(log).phase(time_s, seed) - wanted;
+        let steps = (MOST_CHANGE.ln() / CHANGE_STEP).ceil() as i32;
+        let mut nearest = (off(0.0).abs(), 0.0);
+        for step in 0..steps {
+            for side in [1.0, -1.0] {
+                let (mut low, mut high) = (side * CHANGE_STEP * step as f64, side * CHANGE_STEP * (step + 1) as f64);
+                let (from, to) = (off(low), off(high));
+                if to.abs() < nearest.0 {
+                    nearest = (to.abs(), high);
+                }
+                if from * to <= 0.0 {
+                    for _ in 0..50 {
+                        let middle = 0.5 * (low + high);
+                        if off(middle) * from > 0.0 { low = middle } else { high = middle }
+                    }
+                    return changed(0.5 * (low + high));
+                }
+            }
+        }
+        changed(nearest.1)
     }
 
     /// The `index`-th breath of the sequence.
@@ -174,7 +237,7 @@ mod tests {
     fn all() -> Vec<Waveform> {
         vec![
             Waveform::default(),
-            Waveform { period_scale: 1.3, amplitude: 0.8, offset: 0.1, start_s: 2.2, ..Waveform::default() },
+            Waveform { period_scale: 1.3, amplitude: 0.8, offset: 0.1, start_hold_s: 2.2, ..Waveform::default() },
             Waveform { irregularity: 1.0, ..Waveform::default() },
             Waveform { hold_s: 1.1, period_scale: 0.9, ..Waveform::default() },
         ]
@@ -187,8 +250,7 @@ mod tests {
             let (step, mut worst_jump) = (1e-4, 0.0f64);
             let values: Vec<f64> = (0..300_000).map(|i| waveform.phase(i as f64 * step, 3)).collect();
             for v in &values {
-                let (full, empty) = (waveform.offset - 1e-12, waveform.offset + waveform.amplitude + 1e-12);
-                assert!((0.0..=1.0).contains(v) && (full..=empty).contains(v), "{v}");
+                assert!((0.0..=waveform.offset + waveform.amplitude + 1e-12).contains(v), "{v}");
             }
             for w in values.windows(3) {
                 // A kink of slope s would show as s; a smooth curve shows step * curvature, below 1e-4 * 40.
@@ -199,21 +261,28 @@ mod tests {
     }
 
     #[test]
-    fn default_breath_takes_one_and_a_half_seconds_in_and_two_and_a_half_out() {
+    fn a_film_starts_in_the_breath_hold_and_breathes_out_in_two_and_a_half_seconds_and_in_in_one_and_a_half() {
         let w = Waveform::default();
         assert_eq!(w.period_s(), 4.0);
-        assert!((w.phase(0.0, 0) - 1.0).abs() < 1e-12);
-        assert!(w.phase(1.5, 0).abs() < 1e-12);
-        assert!((w.phase(4.0, 0) - 1.0).abs() < 1e-12);
-        assert!((w.phase(2.0, 0) - w.phase(4002.0, 0)).abs() < 1e-9);
-        for i in 0..149 {
-            let t = i as f64 * 0.01;
-            assert!(w.phase(t + 0.01, 0) < w.phase(t, 0), "inhaling at {t}");
+        for i in 0..=50 {
+            assert_eq!(w.phase(i as f64 * 0.01, 0), 0.0);
         }
-        for i in 150..399 {
+        assert!((w.phase(3.0, 0) - 1.0).abs() < 1e-12);
+        assert!(w.phase(4.5, 0).abs() < 1e-12);
+        assert!((w.phase(7.0, 0) - 1.0).abs() < 1e-12);
+        assert!((w.phase(2.0, 0) - w.phase(4002.0, 0)).abs() < 1e-9);
+        for i in 50..299 {
             let t = i as f64 * 0.01;
             assert!(w.phase(t + 0.01, 0) > w.phase(t, 0), "exhaling at {t}");
         }
+        for i in 300..449 {
+            let t = i as f64 * 0.01;
+            assert!(w.phase(t + 0.01, 0) < w.phase(t, 0), "inhaling at {t}");
+        }
+        // Shallow breaths come after the deep one of the CT.
+        let shallow = Waveform { amplitude: 0.5, offset: 0.3, ..w };
+        assert_eq!(shallow.phase(0.5, 0), 0.0);
+        assert!((shallow.phase(3.0, 0) - 0.8).abs() < 1e-12 && (shallow.phase(4.5, 0) - 0.3).abs() < 1e-12);
     }
 
     #[test]
@@ -222,9 +291,9 @@ mod tests {
         assert_eq!(held.period_s(), 6.0);
         for i in 0..15 {
             let t = 0.1 * i as f64;
-            assert!(held.phase(1.5 + t, 0).abs() < 1e-12);
-            assert!((held.phase(3.5 + t, 0) - free.phase(1.5 + t, 0)).abs() < 1e-12);
-            assert!((held.phase(6.0 + t, 0) - free.phase(4.0 + t, 0)).abs() < 1e-12);
+            assert!(held.phase(4.5 + t, 0).abs() < 1e-12);
+            assert!((held.phase(6.5 + t, 0) - free.phase(4.5 + t, 0)).abs() < 1e-12);
+            assert!((held.phase(9.0 + t, 0) - free.phase(7.0 + t, 0)).abs() < 1e-12);
         }
     }
 
@@ -232,9 +301,32 @@ mod tests {
     fn the_breath_is_not_symmetric_in_time() {
         let w = Waveform::default();
         // Half of the expired volume is out well before half of the expiratory time.
-        assert!(w.phase(1.5 + 1.25, 0) > 0.58);
-        let half_in = w.phase(0.75, 0);
-        assert!((half_in - (1.0 - w.phase(1.5 + 1.25, 0))).abs() > 0.02 || half_in < 0.5);
+        assert!(w.phase(0.5 + 1.25, 0) > 0.58);
+        let half_in = w.phase(3.75, 0);
+        assert!((half_in - (1.0 - w.phase(0.5 + 1.25, 0))).abs() > 0.02 || half_in < 0.5);
+    }
+
+    #[test]
+    fn a_film_ends_at_the_drawn_phase_with_a_small_change_of_the_period() {
+        for waveform in all() {
+            for (duration_s, most) in [(4.0, 0.35), (16.0, 0.12), (60.0, 0.04)] {
+                let mut ends = Vec::new();
+                for seed in 0..40 {
+                    let ending = waveform.ending(duration_s, seed);
+                    let end = ending.phase(duration_s, seed);
+                    let part = (end - waveform.offset) / waveform.amplitude;
+                    assert!((0.149..=0.851).contains(&part), "{waveform:?}, seed {seed}: {end}");
+                    if waveform.irregularity == 0.0 && waveform.start_hold_s == 0.5 {
+                        let change = (ending.period_scale / waveform.period_scale).ln().abs();
+                        assert!(change < most, "{duration_s} s, seed {seed}: {change}");
+                    }
+                    ends.push(part);
+                }
+                assert!(ends.iter().any(|&e| e < 0.3) && ends.iter().any(|&e| e > 0.7), "{ends:?}");
+            }
+            let wanted = Waveform { end_phase: Some(0.44), ..waveform };
+            assert!((wanted.ending(16.0, 1).phase(16.0, 1) - 0.44).abs() < 1e-6);
+        }
     }
 
     #[test]
@@ -257,6 +349,6 @@ mod tests {
         assert!(
             said(Waveform { period_scale: 1e-300, ..Waveform::default() }).contains("waveform.period_scale: 1e-300")
         );
-        assert!(said(Waveform { start_s: 1e12, ..Waveform::default() }).contains("waveform.start_s: 1e12"));
+        assert!(said(Waveform { start_hold_s: 1e12, ..Waveform::default() }).contains("waveform.start_hold_s: 1e12"));
     }
 }

@@ -29,6 +29,10 @@ pub enum Stage {
     Sensor = 10,
     /// Error of a registration.
     Registration = 11,
+    /// The hand that steers the scope.
+    Steering = 12,
+    /// Second cameras, whose views no method fits.
+    NovelView = 13,
     /// Tests.
     Test = 99,
 }

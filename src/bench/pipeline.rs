@@ -22,8 +22,23 @@ use crate::simulate::sequence::Sequence;
 use crate::simulate::truth::TruthSet;
 use crate::simulate::{self, MeshOutput, RadianceOutput, SimulationSettings};
 
-/// The rows of the paper's Table 1 from top to bottom, then the bounds; further methods follow by name.
-const ORDER: [&str; 6] = ["bridgesplat", "bridgesplat-nomesh", "ours-nomesh", "ours", "static-ct", "oracle-phase"];
+/// The rows of the paper's Table 1 from top to bottom, ours beyond it, what needs no map, then the bounds; further
+/// methods follow by name.
+const ORDER: [&str; 13] = [
+    "bridgesplat",
+    "bridgesplat-release",
+    "bridgesplat-nomesh",
+    "ours-nomesh",
+    "ours",
+    "ours-window",
+    "ours-gn",
+    "virtual-bronchoscopy",
+    "pose-only",
+    "mean-breath",
+    "static-ct",
+    "static-expiration",
+    "oracle-phase",
+];
 
 /// Iterations of a frame of `ours`, and the core seconds that they take at the published scale in an image of 256x256
 /// pixels and in one of no pixels; scoring included. The model behind [`Pipeline::estimate`].

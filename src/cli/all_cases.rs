@@ -56,8 +56,9 @@ pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
     files::write_json(&folder.join("environment.json"), &Environment::examine())?;
     point_latest(&arguments.out, &run_id)?;
     terminal.finish();
-    let table = ComparisonTable::new(&summarise(&record));
-    comparison::lines(&table).iter().for_each(|line| terminal.line(line));
+    for table in ComparisonTable::both(&summarise(&record)) {
+        comparison::lines(&table).iter().for_each(|line| terminal.line(line));
+    }
     terminal.line(format_args!("report: {}", written.html.display()));
 
     let failed: Vec<String> = finished.iter().filter(|c| c.failure.is_some()).map(|c| c.cell.id()).collect();

@@ -1,12 +1,11 @@
-//! The comparison table as aligned columns, the paper's row below ours: what `all-cases` prints at the end.
+//! The comparison tables as aligned columns, the paper's row below ours: what `all-cases` prints at the end.
 
 use crate::report::Role;
-use crate::report::table::{ComparisonTable, STAR, STAR_MEANS, arrow, heading};
-use crate::score::paper_metrics;
+use crate::report::table::{ComparisonTable, STAR, STAR_MEANS, TableKind, arrow, heading};
 
 /// Lines of equal columns; `*` marks the best ranked method, `(..)` a bound that is not ranked.
 pub fn lines(table: &ComparisonTable) -> Vec<String> {
-    let mut rows = vec![head()];
+    let mut rows = vec![head(table)];
     for row in &table.rows {
         let name = match row.method.role {
             Role::Ranked => row.method.title.clone(),
@@ -22,11 +21,13 @@ pub fn lines(table: &ComparisonTable) -> Vec<String> {
     }
     let cases = if table.cases == 1 { "one case".to_owned() } else { format!("mean of {} cases", table.cases) };
     let star = if table.has_star() { format!(", {STAR} {STAR_MEANS}") } else { String::new() };
-    std::iter::once(format!("{cases}; * best ranked method, (..) bounds{star}")).chain(aligned(&rows)).collect()
+    let best = if table.kind == TableKind::Ranking { "* best ranked method, " } else { "" };
+    let title = format!("{} ({cases}): {best}(..) bounds{star}", table.kind.title());
+    std::iter::once(title).chain(aligned(&rows)).collect()
 }
 
-fn head() -> Vec<String> {
-    let columns = paper_metrics().map(|metric| format!("{} {} ", heading(metric), arrow(metric)));
+fn head(table: &ComparisonTable) -> Vec<String> {
+    let columns = table.columns.iter().map(|metric| format!("{} {} ", heading(metric), arrow(metric)));
     std::iter::once("Method".to_owned()).chain(columns).collect()
 }
 

@@ -55,8 +55,9 @@ pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
     let written = report::write(&merged, &arguments.out, terminal)?;
     files::write_json(&arguments.out.join("environments.json"), &environments)?;
     terminal.finish();
-    let table = ComparisonTable::new(&summarise(&merged));
-    comparison::lines(&table).iter().for_each(|line| terminal.line(line));
+    for table in ComparisonTable::both(&summarise(&merged)) {
+        comparison::lines(&table).iter().for_each(|line| terminal.line(line));
+    }
     terminal.line(format_args!("report: {}", written.html.display()));
     Ok(())
 }

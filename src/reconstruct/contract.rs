@@ -1,9 +1,10 @@
 //! The inputs and outputs of a method: the contract between the protocol and the methods.
 //!
 //! Protocol (the paper's, online): frames arrive in order; the method fits frame `t` and returns its rendering
-//! of it. Every eighth frame is also rendered *before* its image may be used (`ahead`).
+//! of it. Every eighth frame is also rendered *before* its image may be used (`ahead`), and after it was fitted from a
+//! second camera whose picture the method never sees (`novel`).
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 
 use super::settings::{Listing, MethodHeader};
 use crate::base::{Camera, Error, Image, Mask, Progress, Result, TriangleMesh};
@@ -37,6 +38,8 @@ pub struct Observation {
     pub camera: Camera,
     /// Known pose of each frame.
     pub world_from_camera: Vec<DAffine3>,
+    /// Per frame the pose of a second camera, where it has one: a view to render, without an image.
+    pub novel_pose: Vec<Option<DAffine3>>,
     /// Seconds since the first frame.
     pub time_s: Vec<f64>,
     /// 8-bit sRGB images, one per frame.
@@ -47,6 +50,12 @@ pub struct Observation {
     pub inspiration: TriangleMesh,
     /// CT surface at expiration, same faces; only if asked for.
     pub expiration: Option<TriangleMesh>,
+    /// Points of the lumen's centreline at inspiration, mm.
+    pub centerline_mm: Vec<DVec3>,
+    /// Mean duration of a breath in seconds, as a ventilator or a spirometer tells it.
+    pub breathing_period_s: f64,
+    /// Targets as planned on the CT at inspiration, mm.
+    pub targets_mm: Vec<DVec3>,
     /// z-depth in mm of frame 0, 0 where nothing was hit; only if asked for.
     pub first_depth_mm: Option<Image<f32>>,
     /// True phases; only if asked for.
@@ -69,8 +78,8 @@ impl Observation {
     /// Errors when arrays differ in length or something is missing that `access` asks for.
     pub fn validate(&self, access: Access) -> Result<()> {
         let frames = self.images.len();
-        let lengths = [self.world_from_camera.len(), self.time_s.len()];
-        if frames == 0 || lengths != [frames; 2] {
+        let lengths = [self.world_from_camera.len(), self.novel_pose.len(), self.time_s.len()];
+        if frames == 0 || lengths != [frames; 3] {
             return Err(Error::input("an observation needs as many poses and times as images, and at least one"));
         }
         let size = (self.camera.width as usize, self.camera.height as usize, 3);
@@ -111,6 +120,19 @@ pub struct FramePrediction {
     pub world_from_camera: Option<DAffine3>,
     /// Rendering made before the frame's image was used (every eighth frame).
     pub ahead: Option<Image<f32>>,
+    /// Where the targets are, mm, where the method knows how the airway moves.
+    pub targets_mm: Option<Vec<DVec3>>,
+    /// Rendering from the frame's second camera, made after the frame was fitted.
+    pub novel: Option<NovelPrediction>,
+}
+
+/// A view without an image, rendered.
+#[derive(Clone, Debug)]
+pub struct NovelPrediction {
+    /// Rendered image, encoded sRGB in [0, 1].
+    pub color: Image<f32>,
+    /// Rendered z-depth in mm, 0 where nothing is.
+    pub depth_mm: Image<f32>,
 }
 
 /// Results after the last frame.

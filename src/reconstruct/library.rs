@@ -17,6 +17,7 @@ use super::methods::bridgesplat_nomesh::BridgesplatNomesh;
 use super::methods::ours::{GivenPhase, Ours};
 use super::methods::ours_gn::OursGn;
 use super::methods::ours_nomesh::OursNomesh;
+use super::methods::virtual_rows::VirtualMethod;
 use super::settings::{
     KeyPath, Keys, METHOD_RANGES, MethodHeader, MethodKind, MethodSettings, contains, overlay, remove, replace,
 };
@@ -129,6 +130,14 @@ impl MethodFile {
             MethodKind::OraclePhase => {
                 Box::new(Ours::with_given_phase(MethodSettings::read(keys)?, GivenPhase::True, scale))
             }
+            MethodKind::StaticExpiration => {
+                Box::new(Ours::with_given_phase(MethodSettings::read(keys)?, GivenPhase::Expiration, scale))
+            }
+            MethodKind::PoseOnly => Box::new(VirtualMethod::pose_only(MethodSettings::read(keys)?)),
+            MethodKind::MeanBreath => Box::new(VirtualMethod::mean_breath(MethodSettings::read(keys)?)),
+            MethodKind::VirtualBronchoscopy => {
+                Box::new(VirtualMethod::virtual_bronchoscopy(MethodSettings::read(keys)?))
+            }
             MethodKind::OursNomesh => Box::new(OursNomesh::new(MethodSettings::read(keys)?, scale)),
             MethodKind::OursGn => Box::new(OursGn::new(MethodSettings::read(keys)?, scale)),
             MethodKind::Bridgesplat => Box::new(Bridgesplat::new(MethodSettings::read(keys)?, scale)),
@@ -184,13 +193,17 @@ mod tests {
             ("bridgesplat", None),
             ("bridgesplat-nomesh", None),
             ("bridgesplat-release", Some("bridgesplat")),
-            ("oracle-phase", Some("ours")),
+            ("mean-breath", Some("virtual-bronchoscopy")),
+            ("oracle-phase", Some("ours-window")),
             ("ours", None),
             ("ours-gn", None),
             ("ours-gn-pose", Some("ours-gn")),
             ("ours-nomesh", Some("ours")),
-            ("ours-plain", Some("ours")),
-            ("static-ct", Some("ours")),
+            ("ours-window", Some("ours")),
+            ("pose-only", None),
+            ("static-ct", Some("ours-window")),
+            ("static-expiration", Some("static-ct")),
+            ("virtual-bronchoscopy", Some("pose-only")),
         ];
         assert_eq!(read, expected);
         let number = |id: &str, key: &str| {
@@ -198,10 +211,11 @@ mod tests {
             key.split('.').try_fold(&Value::Table(file.keys().clone()), |at, key| at.get(key)).cloned()
         };
         // Inherited, replaced, and not read.
-        assert_eq!(number("ours-plain", "color_weight"), number("ours", "color_weight"));
-        assert_eq!(number("ours-plain", "window.memory"), number("ours", "window.memory"));
-        assert_eq!(number("ours-plain", "velocity.value"), Some(Value::from(0.0)));
-        assert_eq!(number("ours-plain", "velocity.source"), Some(Value::from("paper")));
+        assert_eq!(number("ours-window", "color_weight"), number("ours", "color_weight"));
+        assert_eq!(number("ours-window", "window.memory"), number("ours", "window.memory"));
+        assert_eq!(number("ours", "velocity.value"), Some(Value::from(0.0)));
+        assert_eq!(number("ours", "velocity.source"), Some(Value::from("paper")));
+        assert_eq!(number("ours-window", "velocity.value"), Some(Value::from(0.7)));
         assert_eq!(number("static-ct", "appearance.opacity"), number("ours", "appearance.opacity"));
         assert_eq!(number("static-ct", "velocity"), None);
         assert_eq!(number("ours-nomesh", "inherits"), None);
@@ -233,9 +247,9 @@ mod tests {
             ("color_weight", "colour_weight = 1\ncolor_weight", "colour_weight: "),
             ("quiet_values", "quite_values", "appearance: missing field `quiet_values`"),
             ("source = \"paper\"", "source = \"hearsay\"", "hearsay"),
-            ("velocity = { value = 0.7", "velocity = { value = \"fast\"", "velocity"),
+            ("velocity = { value = 0.0", "velocity = { value = \"fast\"", "velocity"),
             ("velocity = { value", "velocity = { note = 1, value", "note"),
-            ("velocity = { value = 0.7", "velocity = { value = nan", "velocity: NaN must lie in 0 to 2"),
+            ("velocity = { value = 0.0", "velocity = { value = nan", "velocity: NaN must lie in 0 to 2"),
             ("[60, 40, 30]", "[60, 4000000, 30]", "iterations[1]: 4000000 must lie in 0 to 100000"),
         ] {
             let text = refusal(folder.path(), "ours", from, to);
@@ -264,12 +278,15 @@ mod tests {
             "memory_frames",
             "window.keyframes",
         ];
-        let unread: [(&str, &[&str]); 7] = [
+        let unread: [(&str, &[&str]); 10] = [
             ("ours", &[rotation_rate, "steps", "arap_weight"]),
             ("static-ct", &[&estimation[..], &[rotation_rate]].concat()),
             ("oracle-phase", &[&estimation[..], &[rotation_rate]].concat()),
             ("ours-nomesh", &["pixels_per_disc", "most_per_face", "inherits", "window.keyframes", scale_cap]),
             ("ours-gn", &["activation", "appearance.opacity", "pixels_per_disc"]),
+            ("static-expiration", &[&estimation[..], &[rotation_rate]].concat()),
+            ("pose-only", &["largest_width", "offsets", "appearance.opacity"]),
+            ("virtual-bronchoscopy", &["offsets", "calibration_s", "velocity"]),
             ("bridgesplat", &["rotation_weight", rotation_rate, quiet_values, "window.keyframes"]),
             ("bridgesplat-nomesh", &["arap_weight", "variant", scale_cap, scale_rate, quiet_values]),
         ];
@@ -293,17 +310,17 @@ mod tests {
     #[test]
     fn bases_may_form_a_chain_and_no_circle() {
         let folder = copy();
-        let heir = "id = 'heir'\nkind = 'ours'\nbase = 'ours-plain'\ndescription = ''\n";
+        let heir = "id = 'heir'\nkind = 'ours'\nbase = 'ours-window'\ndescription = ''\n";
         let path = folder.path().join("heir.toml");
         std::fs::write(&path, heir).unwrap();
         let settings: super::super::settings::OursSettings = MethodFile::load(&path).unwrap().settings().unwrap();
-        assert_eq!((*settings.estimation.velocity, *settings.estimation.phase_leak), (0.0, 0.05));
+        assert_eq!((*settings.estimation.velocity, *settings.estimation.phase_leak), (0.7, 0.05));
         assert_eq!(settings.header.listing, Listing::Always, "a header is not inherited");
 
-        let missing = refusal(folder.path(), "heir", "'ours-plain'", "'yours'");
+        let missing = refusal(folder.path(), "heir", "'ours-window'", "'yours'");
         assert!(missing.contains("base: there is no method `yours`"), "{missing}");
         let circle = refusal(folder.path(), "ours", "kind", "base = 'heir'\nkind");
-        let says = "ours-plain.toml: base: the bases form a circle: ours -> heir -> ours-plain -> ours";
+        let says = "ours-window.toml: base: the bases form a circle: ours -> heir -> ours-window -> ours";
         assert!(circle.contains(says), "{circle}");
         let own = refusal(folder.path(), "ours", "kind", "base = 'ours'\nkind");
         assert!(own.contains("ours.toml: base: the bases form a circle: ours -> ours"), "{own}");
@@ -315,9 +332,9 @@ mod tests {
     fn a_changed_key_is_one_that_the_kind_reads() {
         let load = |id: &str| MethodFile::load(&shipped().join(format!("{id}.toml"))).unwrap();
         let change = |id: &str, key: &str, value: Value| load(id).with([(key, &value)]).map(|f| f.keys().clone());
-        let changed = change("ours-plain", "window.keyframes", Value::from(4)).unwrap();
+        let changed = change("ours-window", "window.keyframes", Value::from(4)).unwrap();
         assert_eq!(changed["window"]["keyframes"]["value"].as_integer(), Some(4));
-        assert_eq!(changed["window"]["keyframes"]["source"].as_str(), Some("paper"));
+        assert_eq!(changed["window"]["keyframes"]["source"].as_str(), Some("ours"));
         for (id, key, value) in [
             ("static-ct", "velocity", Value::from(0.5)),
             ("ours", "velocities", Value::from(0.5)),

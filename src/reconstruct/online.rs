@@ -6,7 +6,7 @@ use std::time::Instant;
 use crate::base::{Error, Image, Progress, Result};
 use crate::splat::{Rasterizer, Rendered};
 
-use super::contract::FramePrediction;
+use super::contract::{FramePrediction, NovelPrediction};
 
 /// Every eighth frame is held out.
 const HELD_OUT_PERIOD: usize = 8;
@@ -37,9 +37,17 @@ pub fn fit_in_order(
 
 /// The answer for `frame` from the last rendering, for a method that estimates neither phase nor pose.
 pub fn rendered_prediction(frame: usize, rasterizer: &Rasterizer<f32>, ahead: Option<Image<f32>>) -> FramePrediction {
+    let NovelPrediction { color, depth_mm } = shown(rasterizer);
+    let (phase, phase_deviation, world_from_camera) = (None, None, None);
+    let (targets_mm, novel) = (None, None);
+    FramePrediction { frame, color, depth_mm, phase, phase_deviation, world_from_camera, ahead, targets_mm, novel }
+}
+
+/// Colour and depth of the last rendering.
+pub fn shown(rasterizer: &Rasterizer<f32>) -> NovelPrediction {
     let color = color_image(rasterizer);
     let depth_mm = depth_image(rasterizer.rendered(), color.width, color.height);
-    FramePrediction { frame, color, depth_mm, phase: None, phase_deviation: None, world_from_camera: None, ahead }
+    NovelPrediction { color, depth_mm }
 }
 
 /// The rendered colour, clamped to the range of an image.

@@ -1,4 +1,5 @@
-//! The PREDICTION folder: `color/NNNNNN.png`, `depth/NNNNNN.exr`, `ahead/NNNNNN.png`, `phase.csv` (with
+//! The PREDICTION folder: `color/NNNNNN.png`, `depth/NNNNNN.exr`, `ahead/NNNNNN.png`,
+//! `novel/NNNNNN.png`, `novel_depth/NNNNNN.exr`, `targets.csv`, `phase.csv` (with
 //! `phase_sd` if the method estimates it), `mesh/final.ply`, `timing.json`. Frames are written as they come, the rest
 //! at the end.
 
@@ -33,10 +34,14 @@ pub fn write_prediction(
 ) -> Result<()> {
     let mut phases: Vec<(usize, f64, Option<f64>)> = Vec::new();
     let mut poses: Vec<(usize, DAffine3)> = Vec::new();
+    let mut targets = String::from("frame,target,x_mm,y_mm,z_mm\n");
     let mut waiting: Vec<FramePrediction> = Vec::with_capacity(BATCH);
     let mut emit = |prediction: FramePrediction| -> Result<()> {
         poses.extend(prediction.world_from_camera.map(|pose| (prediction.frame, pose)));
         phases.extend(prediction.phase.map(|phase| (prediction.frame, phase, prediction.phase_deviation)));
+        for (target, place) in prediction.targets_mm.iter().flatten().enumerate() {
+            targets += &format!("{},{target},{:.9},{:.9},{:.9}\n", prediction.frame, place.x, place.y, place.z);
+        }
         waiting.push(prediction);
         if waiting.len() == BATCH {
             write_frames(folder, &waiting)?;
@@ -62,6 +67,9 @@ pub fn write_prediction(
     }
     if !poses.is_empty() {
         files::write_bytes(&folder.join("poses.csv"), pose_table(&poses).as_bytes())?;
+    }
+    if targets.lines().count() > 1 {
+        files::write_bytes(&folder.join("targets.csv"), targets.as_bytes())?;
     }
     if let Some(final_mesh) = &done.final_mesh {
         mesh::write_ply(&folder.join("mesh/final.ply"), final_mesh, &["airway surface at the last frame, mm"])?;
@@ -101,6 +109,10 @@ fn write_frame(folder: &Path, prediction: &FramePrediction) -> Result<()> {
     exr::write_depth(&frame_file(folder, "depth", frame, "exr"), &prediction.depth_mm)?;
     if let Some(ahead) = &prediction.ahead {
         png::write_rgb(&frame_file(folder, "ahead", frame, "png"), &codes_from_unit(ahead))?;
+    }
+    if let Some(novel) = &prediction.novel {
+        png::write_rgb(&frame_file(folder, "novel", frame, "png"), &codes_from_unit(&novel.color))?;
+        exr::write_depth(&frame_file(folder, "novel_depth", frame, "exr"), &novel.depth_mm)?;
     }
     Ok(())
 }

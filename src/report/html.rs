@@ -5,7 +5,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::plots::{ReportImage, ReportImages};
 use super::run::{Outcome, Role, Run};
-use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, arrow, groups, heading, show};
+use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, TableKind, arrow, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 const STYLE: &str = "
@@ -22,7 +22,7 @@ details{margin:.6rem 0}summary{cursor:pointer;font-weight:600}.wide{overflow-x:a
 ";
 
 /// The whole page.
-pub fn report(run: &Run, table: &ComparisonTable, pictures: &ReportImages) -> String {
+pub fn report(run: &Run, tables: &[ComparisonTable], pictures: &ReportImages) -> String {
     let failed: Vec<_> = run.cells.iter().filter(|c| c.score().is_none()).collect();
     html! {
         (DOCTYPE)
@@ -41,8 +41,10 @@ pub fn report(run: &Run, table: &ComparisonTable, pictures: &ReportImages) -> St
                     (failed.len()) " failed. Profile " code { (run.profile) } "."
                 }
                 @for note in &run.notes { p.muted { (note) } }
-                h2 { "Comparison" }
-                (comparison(table))
+                @for table in tables {
+                    h2 { (table.kind.title()) }
+                    (comparison(table))
+                }
                 @if !failed.is_empty() {
                     h2 { "Failed cells" }
                     ul { @for cell in &failed { @if let Outcome::Failed(why) = &cell.outcome {
@@ -78,11 +80,11 @@ fn comparison(table: &ComparisonTable) -> Markup {
             thead {
                 tr {
                     th {} th.group colspan="2" { "Setting" }
-                    @for (group, count) in groups() { th.group colspan=(count) { (group.title()) } }
+                    @for (group, count) in table.groups() { th.group colspan=(count) { (group.title()) } }
                 }
                 tr {
                     th { "Method" } th { "CTs" } th { "Mesh" }
-                    @for m in paper_metrics() { th title=(m.definition) { (heading(m)) (arrow(m)) } }
+                    @for m in &table.columns { th title=(m.definition) { (heading(m)) (arrow(m)) } }
                 }
             }
             tbody { @for (index, row) in table.rows.iter().enumerate() {
@@ -95,9 +97,11 @@ fn comparison(table: &ComparisonTable) -> Markup {
             } }
         } }
         p.muted {
-            "Mean over " (table.cases) " cases; below it the 95 % bootstrap interval over cases, then the value of the paper's \
-             Table 1 (its cases, its machine). Bold: best ranked method; a method is ranked where it is scored on every \
-             case. Rows in italics are bounds and not ranked."
+            (table.kind.explanation()) " Mean over " (table.cases) " cases; below it the 95 % bootstrap interval over cases. "
+            @if table.kind == TableKind::Ranking {
+                "Bold: best ranked method; a method is ranked where it is scored on every case. "
+            }
+            "Rows in italics are bounds and not ranked."
             @if table.has_star() { " " (STAR) ": " (STAR_MEANS) "." }
         }
     }

@@ -3,8 +3,8 @@
 use std::fmt::Write;
 
 use super::run::Role;
-use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, groups, heading};
-use crate::score::{Goal, paper_metrics};
+use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, TableKind, heading};
+use crate::score::Goal;
 
 /// The whole `table*` environment; ours in black, the paper's value in grey below each.
 pub fn table(table: &ComparisonTable, run_id: &str) -> String {
@@ -17,32 +17,38 @@ pub fn table(table: &ComparisonTable, run_id: &str) -> String {
     line("\\providecommand{\\cmark}{\\ding{51}}\\providecommand{\\xmark}{\\ding{55}}".into());
     line("\\begin{table*}\n\\centering".into());
     line(format!(
-        "\\caption{{Quantitative comparison (mean over {} cases, run \\texttt{{{}}}; the paper's value in grey). Best in \
+        "\\caption{{{}: mean over {} cases, run \\texttt{{{}}}. {} Best ranked in \
          \\textbf{{bold}}, $\\uparrow$\\,=\\,higher is better, $\\downarrow$\\,=\\,lower is better. Breathing and target metrics \
          apply only to methods that model respiratory state or maintain an explicit mesh, respectively. Rows below the last \
          rule are bounds and not ranked.{}}}",
+        table.kind.title(),
         table.cases,
         escape(run_id),
+        table.kind.explanation(),
         if table.has_star() { format!(" $\\star$\\,=\\,{STAR_MEANS}.") } else { String::new() }
     ));
-    line("\\label{tab:respire_bench}\n\\resizebox{\\textwidth}{!}{%".into());
-    line(format!("\\begin{{tabular}}{{@{{}}lcc{}@{{}}}}\n\\toprule", "|cc".repeat(groups().len())));
-    let last = groups().len() - 1;
-    let titles = groups().into_iter().enumerate().map(|(index, (group, count))| {
+    let label = match table.kind {
+        TableKind::Ranking => "ranking",
+        TableKind::Paper => "paper",
+    };
+    line(format!("\\label{{tab:respire_bench_{label}}}\n\\resizebox{{\\textwidth}}{{!}}{{%"));
+    line(format!("\\begin{{tabular}}{{@{{}}lcc{}@{{}}}}\n\\toprule", "|cc".repeat(table.groups().len())));
+    let last = table.groups().len() - 1;
+    let titles = table.groups().into_iter().enumerate().map(|(index, (group, count))| {
         let column = if index == last { "c" } else { "c|" };
         format!("& \\multicolumn{{{count}}}{{{column}}}{{\\textbf{{{}}}}} ", group.title())
     });
     line(format!("& \\multicolumn{{2}}{{c|}}{{\\textbf{{Setting}}}} {}\\\\", titles.collect::<String>()));
     let mut column = 4;
     let mut rules = "\\cmidrule(lr){2-3}".to_owned();
-    for (_, count) in groups() {
+    for (_, count) in table.groups() {
         let _ = write!(rules, " \\cmidrule(lr){{{column}-{}}}", column + count - 1);
         column += count;
     }
     line(rules);
     line(format!(
         "\\textbf{{Method}} & CTs & Mesh {}\\\\\n\\midrule",
-        paper_metrics().map(column_heading).collect::<String>()
+        table.columns.iter().map(|m| column_heading(m)).collect::<String>()
     ));
     let mut before: Option<(Role, Option<u8>)> = None;
     for row in &table.rows {

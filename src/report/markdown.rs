@@ -5,11 +5,11 @@ use std::fmt::Write;
 use super::plots::ReportImages;
 use super::run::{Outcome, Role, Run};
 use super::summary::MethodSummary;
-use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, arrow, heading, show};
+use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, TableKind, arrow, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 /// The whole file.
-pub fn report(run: &Run, summaries: &[MethodSummary], table: &ComparisonTable, pictures: &ReportImages) -> String {
+pub fn report(run: &Run, summaries: &[MethodSummary], tables: &[ComparisonTable], pictures: &ReportImages) -> String {
     let mut out = format!("# respire-bench: {}\n\n", run.id);
     let failed = run.cells.iter().filter(|c| c.score().is_none()).count();
     let _ = writeln!(
@@ -23,7 +23,7 @@ pub fn report(run: &Run, summaries: &[MethodSummary], table: &ComparisonTable, p
     for note in &run.notes {
         let _ = writeln!(out, "{}\n", escape(note));
     }
-    comparison(&mut out, table);
+    tables.iter().for_each(|table| comparison(&mut out, table));
     intervals(&mut out, summaries);
     failures(&mut out, run);
     images(&mut out, pictures);
@@ -38,11 +38,15 @@ pub fn escape(text: &str) -> String {
 }
 
 fn comparison(out: &mut String, table: &ComparisonTable) {
+    let ranked = match table.kind {
+        TableKind::Ranking => " **Bold**: best ranked method; a method is ranked where it is scored on every case.",
+        TableKind::Paper => "",
+    };
     let _ = writeln!(
         out,
-        "## Comparison\n\nMean over {} cases; in brackets the paper's Table 1 (its nine COPDGene cases, its machine). **Bold**: best \
-         ranked method; a method is ranked where it is scored on every case. Rows in *italics* are bounds, not \
-         ranked.{}\n\n{}",
+        "## {}\n\n{} Mean over {} cases.{ranked} Rows in *italics* are bounds, not ranked.{}\n\n{}",
+        table.kind.title(),
+        table.kind.explanation(),
         table.cases,
         if table.has_star() { format!(" {STAR}: {STAR_MEANS}.") } else { String::new() },
         comparison_table(table)
@@ -51,9 +55,8 @@ fn comparison(out: &mut String, table: &ComparisonTable) {
 
 /// The comparison table alone.
 pub fn comparison_table(table: &ComparisonTable) -> String {
-    let headings: String = paper_metrics().map(|m| format!(" {} {} |", escape(heading(m)), arrow(m))).collect();
-    let mut out =
-        format!("| Method | CTs | Mesh |{headings}\n|---|:-:|:-:|{}\n", "--:|".repeat(paper_metrics().count()));
+    let headings: String = table.columns.iter().map(|m| format!(" {} {} |", escape(heading(m)), arrow(m))).collect();
+    let mut out = format!("| Method | CTs | Mesh |{headings}\n|---|:-:|:-:|{}\n", "--:|".repeat(table.columns.len()));
     for row in &table.rows {
         let title = match row.method.role {
             Role::Ranked => escape(&row.method.title),

@@ -17,7 +17,7 @@ fn a_row_of_fewer_cases_is_marked_and_not_ranked() {
     mine.method = "mine".into();
     run.methods.push(MethodInfo::of("mine"));
     run.cells.push(mine);
-    let table = table::ComparisonTable::new(&summary::summarise(&run));
+    let table = table::ComparisonTable::new(table::TableKind::Ranking, &summary::summarise(&run));
     let titles: Vec<&str> = table.rows.iter().map(|r| r.method.title.as_str()).collect();
     assert!(titles.contains(&"mine (1 of 2 cases)") && titles.contains(&"BridgeSplat (1 of 2 cases)"), "{titles:?}");
     let best = |id: &str| table.rows.iter().find(|r| r.method.id == id).unwrap().cells.iter().any(|c| c.best);
@@ -158,7 +158,7 @@ fn places_are_of_the_whole_table_and_the_truth_is_starred() {
     assert_eq!((rank("mine", "psnr_db"), rank("ours", "psnr_db")), (rank("ours", "psnr_db"), rank("mine", "psnr_db")));
     assert_eq!((rank("mine", "target_error_mm"), rank("ours", "target_error_mm")), (None, Some(1)));
     assert_eq!((rank("oracle-phase", "psnr_db"), rank("bridgesplat", "psnr_db")), (None, None));
-    let table = table::ComparisonTable::new(&summaries);
+    let table = table::ComparisonTable::new(table::TableKind::Paper, &summaries);
     let starred: Vec<&str> =
         table.rows.iter().filter(|r| r.cells.iter().any(|c| c.perfect)).map(|r| r.method.id.as_str()).collect();
     assert_eq!(starred, ["mine"]);

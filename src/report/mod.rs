@@ -42,7 +42,7 @@ pub struct Written {
     pub markdown: PathBuf,
     /// The HTML report.
     pub html: PathBuf,
-    /// The comparison table, as Markdown, for a terminal or a CI summary.
+    /// The table that ranks, as Markdown, for a terminal or a CI summary.
     pub table: String,
 }
 
@@ -56,11 +56,13 @@ pub fn write(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<Writte
     tables::write_summary(&summaries, &folder.join("summary.csv"))?;
     tables::write_frames(run, &folder.join("frames.csv"))?;
     tables::write_timings(run, &folder.join("timings.csv"))?;
-    let table = table::ComparisonTable::new(&summaries);
-    files::write_bytes(&folder.join("table.tex"), latex::table(&table, &run.id).as_bytes())?;
+    let tables = table::ComparisonTable::both(&summaries);
+    let latex: Vec<String> = tables.iter().map(|table| latex::table(table, &run.id)).collect();
+    files::write_bytes(&folder.join("table.tex"), latex.join("\n").as_bytes())?;
     let pictures = plots::draw(run, &summaries, folder, progress)?;
     let (markdown, html) = (folder.join("report.md"), folder.join("report.html"));
-    files::write_bytes(&markdown, markdown::report(run, &summaries, &table, &pictures).as_bytes())?;
-    files::write_bytes(&html, html::report(run, &table, &pictures).as_bytes())?;
-    Ok(Written { markdown, html, table: markdown::comparison_table(&table) })
+    files::write_bytes(&markdown, markdown::report(run, &summaries, &tables, &pictures).as_bytes())?;
+    files::write_bytes(&html, html::report(run, &tables, &pictures).as_bytes())?;
+    let [ranking, _] = &tables;
+    Ok(Written { markdown, html, table: markdown::comparison_table(ranking) })
 }

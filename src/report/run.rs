@@ -68,18 +68,23 @@ pub struct MethodInfo {
     pub mesh: Option<bool>,
 }
 
-/// Id, title, role, CT scans and mesh of this program's own rows: the paper's four, ours beyond the paper, the bounds.
+/// Id, title, role, CT scans and mesh of this program's own rows: the paper's four, ours beyond the
+/// paper, what needs no map, the bounds.
 /// A test holds that these are the files of `bench-cases/methods/`. The names are reserved.
-const OWN_ROWS: [(&str, &str, Role, u8, bool); 10] = [
+const OWN_ROWS: [(&str, &str, Role, u8, bool); 14] = [
     ("bridgesplat", "BridgeSplat", Role::Ranked, 1, true),
-    ("bridgesplat-release", "BridgeSplat, as released", Role::Ranked, 1, true),
+    ("bridgesplat-release", "BridgeSplat (released objective)", Role::Ranked, 1, true),
     ("bridgesplat-nomesh", "BridgeSplat (no mesh)", Role::Ranked, 1, false),
     ("ours-nomesh", "Ours (no mesh)", Role::Ranked, 2, false),
     ("ours", "Ours", Role::Ranked, 2, true),
+    ("ours-window", "Ours + keyframes", Role::Ranked, 2, true),
     ("ours-gn", "Ours (Gauss-Newton)", Role::Ranked, 2, true),
-    ("ours-plain", "Ours, the paper's equations alone", Role::Ranked, 2, true),
     ("ours-gn-pose", "Ours (Gauss-Newton), rough poses", Role::Ranked, 2, true),
+    ("virtual-bronchoscopy", "Virtual bronchoscopy", Role::Ranked, 2, true),
+    ("pose-only", "No picture: pose", Role::Ranked, 2, true),
+    ("mean-breath", "No picture: clock", Role::Ranked, 2, true),
     ("static-ct", "Static CT", Role::Sanity, 1, true),
+    ("static-expiration", "Static CT, expiration", Role::Sanity, 1, true),
     ("oracle-phase", "Oracle phase", Role::Sanity, 2, true),
 ];
 /// Most characters of a third party's name: more would break tables.

@@ -1,9 +1,9 @@
-//! The comparison table in the layout of the paper's Table 1, to be formatted as Markdown, LaTeX and HTML.
+//! The comparison tables, to be formatted as Markdown, LaTeX and HTML: the columns that rank, and the paper's Table 1.
 
 use super::paper::paper_value;
 use super::run::{MethodInfo, Role};
 use super::summary::MethodSummary;
-use crate::score::{Goal, Group, Metric, paper_metrics};
+use crate::score::{Goal, Group, Metric, paper_metrics, ranking_metrics};
 
 /// One value of the table.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,15 +27,61 @@ pub struct TableRow {
     pub method: MethodInfo,
     /// CT scans it is given.
     pub ct_scans: String,
-    /// In the order of [`paper_metrics`].
+    /// In the order of the table's columns.
     pub cells: Vec<TableCell>,
     /// Cells of this method that failed.
     pub failed: usize,
 }
 
-/// The table.
+/// Which columns a table has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TableKind {
+    /// Those that rank: views that nobody fitted, phase, targets in all frames, time.
+    Ranking,
+    /// The paper's, of fitted frames and the last one, with its values beside ours; nothing is ranked by them.
+    Paper,
+}
+
+impl TableKind {
+    /// Both, in the order of a report.
+    pub const ALL: [TableKind; 2] = [TableKind::Ranking, TableKind::Paper];
+
+    /// Heading above the table.
+    pub fn title(self) -> &'static str {
+        match self {
+            TableKind::Ranking => "Comparison",
+            TableKind::Paper => "The paper's columns",
+        }
+    }
+
+    /// What its numbers are of.
+    pub fn explanation(self) -> &'static str {
+        match self {
+            TableKind::Ranking => {
+                "Pictures and depth are of second cameras, whose pictures no method was given; targets are of all frames."
+            }
+            TableKind::Paper => {
+                "Of frames that the methods had fitted, and of the last frame; beside it the value of the paper's Table 1 (its \
+                 nine COPDGene cases, its machine)."
+            }
+        }
+    }
+
+    fn columns(self) -> Vec<&'static Metric> {
+        match self {
+            TableKind::Ranking => ranking_metrics().collect(),
+            TableKind::Paper => paper_metrics().collect(),
+        }
+    }
+}
+
+/// A table.
 #[derive(Clone, Debug)]
 pub struct ComparisonTable {
+    /// Which one.
+    pub kind: TableKind,
+    /// Its columns.
+    pub columns: Vec<&'static Metric>,
     /// Ranked methods, then the sanity rows.
     pub rows: Vec<TableRow>,
     /// Most cases behind any row.
@@ -45,7 +91,12 @@ pub struct ComparisonTable {
 /// Short column heading as in the paper.
 pub fn heading(metric: &Metric) -> &'static str {
     match metric.id {
-        "depth_rmse_mm" => "RMSE",
+        "novel_psnr_db" => "PSNR",
+        "novel_ssim" => "SSIM",
+        "novel_depth_delta_1_25" => "δ<1.25",
+        "target_mean_mm" => "Mean",
+        "target_p95_mm" => "95 %",
+        "depth_rmse_mm" | "novel_depth_rmse_mm" => "RMSE",
         "phase_mae" => "MAE",
         "contour_rmse_mm" => "Contour",
         "target_error_mm" => "Target",
@@ -60,18 +111,6 @@ pub fn arrow(metric: &Metric) -> &'static str {
         Goal::Higher => "↑",
         Goal::Lower => "↓",
     }
-}
-
-/// The paper's column groups with the number of columns in each.
-pub fn groups() -> Vec<(Group, usize)> {
-    let mut found: Vec<(Group, usize)> = Vec::new();
-    for m in paper_metrics() {
-        match found.last_mut().filter(|(g, _)| *g == m.group) {
-            Some((_, count)) => *count += 1,
-            None => found.push((m.group, 1)),
-        }
-    }
-    found
 }
 
 /// A value as tables show it; long times in minutes, as in the paper.
@@ -101,8 +140,26 @@ impl ComparisonTable {
         self.rows.iter().flat_map(|row| &row.cells).any(|cell| cell.perfect)
     }
 
+    /// The column groups with the number of columns in each.
+    pub fn groups(&self) -> Vec<(Group, usize)> {
+        let mut found: Vec<(Group, usize)> = Vec::new();
+        for m in &self.columns {
+            match found.last_mut().filter(|(g, _)| *g == m.group) {
+                Some((_, count)) => *count += 1,
+                None => found.push((m.group, 1)),
+            }
+        }
+        found
+    }
+
+    /// Both tables of the summaries.
+    pub fn both(summaries: &[MethodSummary]) -> [Self; 2] {
+        TableKind::ALL.map(|kind| ComparisonTable::new(kind, summaries))
+    }
+
     /// Formats the summaries.
-    pub fn new(summaries: &[MethodSummary]) -> Self {
+    pub fn new(kind: TableKind, summaries: &[MethodSummary]) -> Self {
+        let columns = kind.columns();
         let cases = summaries.iter().map(|s| s.cases).max().unwrap_or(0);
         let named = |s: &MethodSummary| {
             let mut method = s.method.clone();
@@ -115,14 +172,16 @@ impl ComparisonTable {
             method: named(s),
             ct_scans: s.method.ct_scans.map_or_else(|| "–".into(), |n| n.to_string()),
             failed: s.failed,
-            cells: paper_metrics().map(|m| cell(s, m)).collect(),
+            cells: columns.iter().map(|m| cell(kind, s, m)).collect(),
         };
         let of = |role: Role| summaries.iter().filter(move |s| s.method.role == role);
-        ComparisonTable { rows: of(Role::Ranked).chain(of(Role::Sanity)).map(row).collect(), cases }
+        let rows = of(Role::Ranked).chain(of(Role::Sanity)).map(row).collect();
+        ComparisonTable { rows, cases, kind, columns }
     }
 }
 
-fn cell(summary: &MethodSummary, metric: &Metric) -> TableCell {
+fn cell(kind: TableKind, summary: &MethodSummary, metric: &Metric) -> TableCell {
+    let is_paper = kind == TableKind::Paper;
     let found = summary.metric(metric.id);
     let mean = found.and_then(|m| m.mean);
     TableCell {
@@ -130,8 +189,8 @@ fn cell(summary: &MethodSummary, metric: &Metric) -> TableCell {
         interval: mean
             .and_then(|m| m.interval)
             .map_or_else(String::new, |[low, high]| format!("{} to {}", show(metric, low), show(metric, high))),
-        paper: paper_value(&summary.method.id, metric.id).map(|v| show(metric, v)),
-        best: found.is_some_and(|m| m.rank == Some(1)),
+        paper: paper_value(&summary.method.id, metric.id).filter(|_| is_paper).map(|v| show(metric, v)),
+        best: !is_paper && found.is_some_and(|m| m.rank == Some(1)),
         perfect: found.is_some_and(|m| m.is_perfect),
     }
 }

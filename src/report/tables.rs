@@ -142,7 +142,11 @@ pub fn write_frames(run: &Run, path: &Path) -> Result<()> {
         let Some(score) = cell.score() else { continue };
         for frame in &score.frame_scores {
             let mut push = |split: Split, metric: &str, value: Option<f64>, status: Status| {
-                let folder = if split == Split::Ahead { "ahead" } else { "color" };
+                let folder = match split {
+                    Split::Ahead => "ahead",
+                    Split::Novel => "novel",
+                    Split::Online | Split::Final => "color",
+                };
                 rows.push(vec![
                     text(&cell.run_id),
                     text(&cell.case_id),

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use glam::{DAffine3, DQuat};
+use glam::{DAffine3, DQuat, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -11,9 +11,10 @@ use super::depth::{DepthErrors, depth_errors};
 use super::image_quality::{Psnr, Ssim, psnr_ceiling, psnr_within, ssim_within};
 use super::prediction::Prediction;
 use super::registry::registry;
-use super::statistics::{MeanInterval, bootstrap_series, pearson};
+use super::statistics::{MeanInterval, bootstrap_series, mean, pearson, quantile};
 use super::truth::{Truth, final_mesh};
-use crate::base::{Error, Mask, Result};
+use crate::base::{Error, Image, Mask, Result};
+use crate::simulate::sequence::FrameRecord;
 
 /// What kind of value it is, or why there is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -31,19 +32,22 @@ pub enum Status {
     NoContour,
     /// There is a value, but the camera lies outside the predicted contour.
     CameraOutside,
+    /// The pictures are the input: more than one in a hundred equals its frame, noise and all.
+    Copied,
     /// The cell failed: there is no prediction.
     Failed,
 }
 
 impl Status {
     /// All of them.
-    pub const ALL: [Status; 7] = [
+    pub const ALL: [Status; 8] = [
         Status::Ok,
         Status::Identical,
         Status::NotApplicable,
         Status::Degenerate,
         Status::NoContour,
         Status::CameraOutside,
+        Status::Copied,
         Status::Failed,
     ];
 
@@ -61,6 +65,7 @@ impl Status {
             Status::Degenerate => "degenerate",
             Status::NoContour => "no_contour",
             Status::CameraOutside => "camera_outside",
+            Status::Copied => "copied",
             Status::Failed => "failed",
         }
     }
@@ -185,6 +190,10 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
         .into_par_iter()
         .map(|frame| measure(truth, &prediction, mask.as_ref(), frame))
         .collect::<Result<_>>()?;
+    let novel: Vec<NovelMeasurement> = (truth.novel_views().par_iter())
+        .map(|view| measure_novel(truth, &prediction, mask.as_ref(), view.frame))
+        .collect::<Result<_>>()?;
+    let distances = target_distances(truth, &prediction);
     let target = target(truth, &prediction, settings)?;
     let pixels = mask.map_or(truth.camera().width as usize * truth.camera().height as usize, |mask| mask.count());
     let ceiling = psnr_ceiling(pixels * 3);
@@ -192,13 +201,22 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
     let metrics = registry()
         .iter()
         .map(|m| match m.id {
+            "psnr_db" | "ssim" | "ssim_padded" if is_copy(&measured) => {
+                entry(m.id, None, Status::Copied, frames, "the pictures are the input, which no estimate equals")
+            }
             "psnr_db" => psnr_mean(m.id, measured.iter().map(|f| f.psnr).collect(), ceiling, seed),
             "psnr_ahead_db" => psnr_mean(m.id, measured.iter().filter_map(|f| f.psnr_ahead).collect(), ceiling, seed),
-            "ssim" => ssim_mean(&measured, seed),
+            "novel_psnr_db" => psnr_mean(m.id, novel.iter().filter_map(|f| f.psnr).collect(), ceiling, seed),
+            "novel_ssim" => ssim_mean(m.id, novel.iter().filter_map(|f| f.ssim), seed),
+            "novel_depth_rmse_mm" => depth_mean(m.id, novel.iter().map(|f| &f.depth), |d| d.rmse_mm, seed),
+            "novel_depth_delta_1_25" => depth_mean(m.id, novel.iter().map(|f| &f.depth), |d| d.delta_1_25, seed),
+            "target_mean_mm" => series_mean(m.id, distances.iter().filter_map(|d| mean(d)).collect(), seed),
+            "target_p95_mm" => plain(m.id, quantile(&distances.concat(), 0.95), frames),
+            "ssim" => ssim_mean(m.id, measured.iter().map(|f| f.ssim), seed),
             "ssim_padded" => series_mean(m.id, measured.iter().map(|f| f.ssim.padded).collect(), seed),
-            "depth_rmse_mm" => depth_mean(m.id, &measured, |d| d.rmse_mm, seed),
-            "depth_delta_1_25" => depth_mean(m.id, &measured, |d| d.delta_1_25, seed),
-            "depth_coverage" => depth_mean(m.id, &measured, |d| d.coverage, seed),
+            "depth_rmse_mm" => depth_mean(m.id, measured.iter().map(|f| &f.depth), |d| d.rmse_mm, seed),
+            "depth_delta_1_25" => depth_mean(m.id, measured.iter().map(|f| &f.depth), |d| d.delta_1_25, seed),
+            "depth_coverage" => depth_mean(m.id, measured.iter().map(|f| &f.depth), |d| d.coverage, seed),
             "phase_mae" => series_mean(m.id, measured.iter().filter_map(|f| f.phase_error).collect(), seed),
             "phase_pearson_r" => correlation(m.id, truth, &prediction),
             "pose_error_mm" => {
@@ -225,7 +243,7 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
         seed: settings.seed,
         frames,
         metrics,
-        frame_scores: frame_scores(truth, &prediction, &measured),
+        frame_scores: frame_scores(truth, &prediction, &measured, &novel, &distances),
         overlay: match target {
             TargetOutcome::Measured(t) if !t.overlay.predicted.is_empty() => Some(t.overlay),
             _ => None,
@@ -259,20 +277,53 @@ fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, fram
         Err(_) => None,
     };
     let depth = match prediction.depth_mm(frame)? {
-        Some(depth) => {
-            let mut true_depth = truth.depth_mm(frame)?;
-            // Pixels without true depth do not count.
-            if let Some(mask) = mask {
-                mask.hide(&mut true_depth, 0.0);
-            }
-            Some(depth_errors(&depth, &true_depth))
-        }
+        Some(depth) => Some(depth_within(&depth, truth.depth_mm(frame)?, mask)),
         None => None,
     };
     let phase_error = prediction.phase().map(|p| (p[frame] - truth.frames()[frame].phase).abs());
     let pose_error = prediction.poses().map(|p| pose_error(&p[frame], &truth.frames()[frame].world_from_camera));
     let (psnr, ssim) = (psnr_within(&color, &image, mask), ssim_within(&color, &image, mask)?);
     Ok(FrameMeasurement { psnr, psnr_ahead, ssim, depth, phase_error, pose_error })
+}
+
+/// What is measured on the view of a second camera.
+struct NovelMeasurement {
+    psnr: Option<Psnr>,
+    ssim: Option<Ssim>,
+    /// As in [`FrameMeasurement`].
+    depth: Option<Option<DepthErrors>>,
+}
+
+fn measure_novel(
+    truth: &dyn Truth,
+    prediction: &Prediction,
+    mask: Option<&Mask>,
+    frame: usize,
+) -> Result<NovelMeasurement> {
+    let (mut psnr, mut ssim) = (None, None);
+    if prediction.has_novel_views() {
+        let (image, color) = (truth.novel_image(frame)?, prediction.novel(frame)?);
+        (psnr, ssim) = (Some(psnr_within(&color, &image, mask)), Some(ssim_within(&color, &image, mask)?));
+    }
+    let depth = prediction.novel_depth_mm(frame)?;
+    let depth = depth.map(|depth| Ok(depth_within(&depth, truth.novel_depth_mm(frame)?, mask))).transpose()?;
+    Ok(NovelMeasurement { psnr, ssim, depth })
+}
+
+/// Depth errors where the mask shows something: pixels without true depth do not count.
+fn depth_within(depth: &Image<f32>, mut true_depth: Image<f32>, mask: Option<&Mask>) -> Option<DepthErrors> {
+    if let Some(mask) = mask {
+        mask.hide(&mut true_depth, 0.0);
+    }
+    depth_errors(depth, &true_depth)
+}
+
+/// Distance in mm of each predicted target to the true one, per frame; empty without a prediction.
+fn target_distances(truth: &dyn Truth, prediction: &Prediction) -> Vec<Vec<f64>> {
+    let of_frame = |(places, record): (&Vec<DVec3>, &FrameRecord)| {
+        places.iter().zip(truth.targets()).map(|(place, target)| place.distance(target.at(record.phase))).collect()
+    };
+    prediction.targets().map_or_else(Vec::new, |all| all.iter().zip(truth.frames()).map(of_frame).collect())
 }
 
 /// Distance in mm between two poses, and the angle in degrees between them.
@@ -326,6 +377,20 @@ fn series_mean(id: &str, values: Vec<f64>, seed: u64) -> MetricScore {
     bootstrap_series(&values, seed).map_or_else(|| plain(id, None, 0), |mean| with_interval(id, mean))
 }
 
+/// A rendering never equals the sensor's noise: with that noise alone between them, two pictures of these films are 57 dB
+/// apart. Of a picture that is nearer, the input was copied.
+const COPIED_DB: f64 = 65.0;
+/// Share of copied frames from which the pictures count as copied.
+const COPIED_SHARE: f64 = 0.01;
+
+fn is_copy(measured: &[FrameMeasurement]) -> bool {
+    let copied = |frame: &&FrameMeasurement| match frame.psnr {
+        Psnr::Identical => true,
+        Psnr::Decibel(decibel) => decibel > COPIED_DB,
+    };
+    measured.iter().filter(copied).count() as f64 > COPIED_SHARE * measured.len() as f64
+}
+
 fn psnr_mean(id: &str, frames: Vec<Psnr>, ceiling: f64, seed: u64) -> MetricScore {
     let identical = frames.iter().filter(|p| **p == Psnr::Identical).count();
     if identical == frames.len() && identical > 0 {
@@ -339,16 +404,21 @@ fn psnr_mean(id: &str, frames: Vec<Psnr>, ceiling: f64, seed: u64) -> MetricScor
     score
 }
 
-fn ssim_mean(measured: &[FrameMeasurement], seed: u64) -> MetricScore {
-    let values: Vec<f64> = measured.iter().filter_map(|f| f.ssim.valid).collect();
-    if values.is_empty() {
-        return entry("ssim", None, Status::Degenerate, 0, "no 11x11 window lies within image and mask");
+fn ssim_mean(id: &str, measured: impl Iterator<Item = Ssim> + Clone, seed: u64) -> MetricScore {
+    let values: Vec<f64> = measured.clone().filter_map(|ssim| ssim.valid).collect();
+    if values.is_empty() && measured.count() > 0 {
+        return entry(id, None, Status::Degenerate, 0, "no 11x11 window lies within image and mask");
     }
-    series_mean("ssim", values, seed)
+    series_mean(id, values, seed)
 }
 
-fn depth_mean(id: &str, measured: &[FrameMeasurement], part: impl Fn(&DepthErrors) -> f64, seed: u64) -> MetricScore {
-    let claimed: Vec<&Option<DepthErrors>> = measured.iter().filter_map(|f| f.depth.as_ref()).collect();
+fn depth_mean<'a>(
+    id: &str,
+    measured: impl Iterator<Item = &'a Option<Option<DepthErrors>>>,
+    part: impl Fn(&DepthErrors) -> f64,
+    seed: u64,
+) -> MetricScore {
+    let claimed: Vec<&Option<DepthErrors>> = measured.filter_map(Option::as_ref).collect();
     let values: Vec<f64> = claimed.iter().filter_map(|d| d.as_ref().map(&part)).collect();
     match (claimed.is_empty(), values.is_empty()) {
         (false, true) => entry(id, None, Status::Degenerate, 0, "no frame has true depth"),
@@ -398,21 +468,33 @@ fn target_score(id: &str, target: &TargetOutcome, part: impl Fn(&TargetErrors) -
     }
 }
 
-fn frame_scores(truth: &dyn Truth, prediction: &Prediction, measured: &[FrameMeasurement]) -> Vec<FrameScore> {
+fn frame_scores(
+    truth: &dyn Truth,
+    prediction: &Prediction,
+    measured: &[FrameMeasurement],
+    novel: &[NovelMeasurement],
+    distances: &[Vec<f64>],
+) -> Vec<FrameScore> {
     let frame_score = |(frame, m): (usize, &FrameMeasurement)| {
         let record = &truth.frames()[frame];
+        let view = truth.novel_views().iter().position(|view| view.frame == frame);
+        let mut values = frame_values(m, view.map(|view| &novel[view]));
+        if let Some(distance) = distances.get(frame).and_then(|of_frame| mean(of_frame)) {
+            let metric = "target_mean_mm".to_owned();
+            values.push(FrameValue { metric, value: Some(distance), status: Status::Ok });
+        }
         FrameScore {
             frame,
             time_s: record.time_s,
             phase: record.phase,
             phase_predicted: prediction.phase().map(|p| p[frame]),
-            values: frame_values(m),
+            values,
         }
     };
     measured.iter().enumerate().map(frame_score).collect()
 }
 
-fn frame_values(m: &FrameMeasurement) -> Vec<FrameValue> {
+fn frame_values(m: &FrameMeasurement, novel: Option<&NovelMeasurement>) -> Vec<FrameValue> {
     let value = |metric: &str, value: Option<f64>, without: Status| FrameValue {
         metric: metric.into(),
         value: value.filter(|v| v.is_finite()),
@@ -432,6 +514,17 @@ fn frame_values(m: &FrameMeasurement) -> Vec<FrameValue> {
     if let Some([mm, degrees]) = m.pose_error {
         values.push(value("pose_error_mm", Some(mm), Status::Degenerate));
         values.push(value("pose_error_deg", Some(degrees), Status::Degenerate));
+    }
+    if let Some(p) = novel.and_then(|view| view.psnr) {
+        values.push(value("novel_psnr_db", decibel(p), Status::Identical));
+    }
+    if let Some(ssim) = novel.and_then(|view| view.ssim) {
+        values.push(value("novel_ssim", ssim.valid, Status::Degenerate));
+    }
+    if let Some(depth) = novel.and_then(|view| view.depth.as_ref()) {
+        let part = |part: fn(&DepthErrors) -> f64| depth.as_ref().map(part);
+        values.push(value("novel_depth_rmse_mm", part(|d| d.rmse_mm), Status::Degenerate));
+        values.push(value("novel_depth_delta_1_25", part(|d| d.delta_1_25), Status::Degenerate));
     }
     if let Some(p) = m.psnr_ahead {
         values.push(value("psnr_ahead_db", decibel(p), Status::Identical));

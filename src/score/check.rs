@@ -25,6 +25,12 @@ pub struct Contents {
     pub time: bool,
     /// Frames rendered before the method read their image.
     pub ahead: usize,
+    /// Views of second cameras.
+    pub novel: usize,
+    /// Depth images of second cameras.
+    pub novel_depth: bool,
+    /// Places of the targets.
+    pub targets: bool,
     /// Metrics that will have a status instead of a value.
     pub not_applicable: Vec<&'static str>,
 }
@@ -40,6 +46,14 @@ pub fn check_prediction(truth: &dyn Truth, folder: &Path) -> Result<Contents> {
     for &frame in prediction.ahead_frames() {
         prediction.ahead(frame)?;
     }
+    let novel = if prediction.has_novel_views() { truth.novel_views() } else { &[] };
+    for view in novel {
+        prediction.novel(view.frame)?;
+    }
+    let first_novel = truth.novel_views().first().map_or(Ok(None), |view| prediction.novel_depth_mm(view.frame))?;
+    for view in truth.novel_views().iter().filter(|_| first_novel.is_some()) {
+        prediction.novel_depth_mm(view.frame)?;
+    }
     let mut contents = Contents {
         frames,
         depth: frames > 0 && prediction.depth_mm(0)?.is_some(),
@@ -47,9 +61,15 @@ pub fn check_prediction(truth: &dyn Truth, folder: &Path) -> Result<Contents> {
         surface: prediction.final_mesh()?.is_some(),
         time: prediction.time_total_s().is_some(),
         ahead: prediction.ahead_frames().len(),
+        novel: novel.len(),
+        novel_depth: first_novel.is_some(),
+        targets: prediction.targets().is_some(),
         not_applicable: Vec::new(),
     };
     let lacks = |id: &str| match id {
+        id if id.starts_with("novel_depth") => !contents.novel_depth,
+        id if id.starts_with("novel") => contents.novel == 0,
+        "target_mean_mm" | "target_p95_mm" => !contents.targets,
         id if id.starts_with("depth") => !contents.depth,
         id if id.starts_with("phase") => !contents.phase,
         id if id.starts_with("contour") || id.starts_with("target") => !contents.surface,
@@ -67,6 +87,10 @@ pub fn check_truth(truth: &dyn Truth) -> Result<usize> {
     (0..frames).into_par_iter().try_for_each(|frame| {
         truth.image(frame)?;
         truth.depth_mm(frame).map(|_| ())
+    })?;
+    truth.novel_views().into_par_iter().try_for_each(|view| {
+        truth.novel_image(view.frame)?;
+        truth.novel_depth_mm(view.frame).map(|_| ())
     })?;
     final_mesh(truth)?.validate()?;
     if truth.inspiration()?.faces != truth.expiration()?.faces {

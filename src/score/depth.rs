@@ -8,7 +8,7 @@ const RATIO: f64 = 1.25;
 /// Depth errors over the pixels whose true depth is above 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthErrors {
-    /// Root mean square error in mm; an absent prediction counts as 0 mm.
+    /// Root mean square error in mm; an absent prediction counts with the farthest true depth of the frame as its error.
     pub rmse_mm: f64,
     /// Share with `max(p / t, t / p) < 1.25`; an absent prediction counts as wrong.
     pub delta_1_25: f64,
@@ -23,12 +23,14 @@ pub fn present(depth_mm: f32) -> Option<f64> {
 
 /// Errors of `predicted` against `truth` (z-depth in mm, one channel, one shape); `None` when truth is nowhere above 0.
 pub fn depth_errors(predicted: &Image<f32>, truth: &Image<f32>) -> Option<DepthErrors> {
+    let farthest = truth.data.iter().copied().filter_map(present).fold(0.0, f64::max);
     let (mut squares, mut right, mut covered, mut valid) = (0.0, 0usize, 0usize, 0usize);
     for (&p, &t) in predicted.data.iter().zip(&truth.data) {
         let Some(t) = present(t) else { continue };
         valid += 1;
         let p = present(p);
-        let error = p.unwrap_or(0.0) - t;
+        // Leaving out a pixel never pays.
+        let error = p.map_or(farthest, |p| p - t);
         squares += error * error;
         if let Some(p) = p {
             covered += 1;

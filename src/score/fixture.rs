@@ -6,16 +6,19 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DVec3};
 
 use super::truth::{Truth, final_mesh};
+use crate::airway::targets::Target;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Camera, Image, Mask, Result, TriangleMesh, files};
 use crate::formats::{exr, mesh, png};
-use crate::simulate::sequence::FrameRecord;
+use crate::simulate::sequence::{FrameRecord, NovelView};
 
 /// A camera that goes down a breathing, textured tube.
 pub struct TubeTruth {
     case_id: String,
     camera: Camera,
     frames: Vec<FrameRecord>,
+    novel_views: Vec<NovelView>,
+    targets: Vec<Target>,
     inspiration: TriangleMesh,
     expiration: TriangleMesh,
 }
@@ -56,7 +59,14 @@ impl TubeTruth {
                 world_from_camera: DAffine3::from_translation(centre),
             }
         };
+        let novel = |frame: usize| NovelView { frame, world_from_camera: record(frame).world_from_camera };
+        let target = |k: usize| {
+            let inspiration_mm = DVec3::new(3.0 * k as f64, 4.0, 20.0);
+            Target { inspiration_mm, expiration_mm: inspiration_mm + DVec3::new(1.0, -2.0, 6.0) }
+        };
         TubeTruth {
+            novel_views: (7..frames).step_by(8).map(novel).collect(),
+            targets: (0..3).map(target).collect(),
             case_id: case_id.into(),
             camera: Camera::pinhole(side, side, 1.6),
             frames: (0..frames).map(record).collect(),
@@ -122,6 +132,22 @@ impl Truth for TubeTruth {
         Ok(depth)
     }
 
+    fn novel_views(&self) -> &[NovelView] {
+        &self.novel_views
+    }
+
+    fn novel_image(&self, frame: usize) -> Result<Image<u8>> {
+        self.image(frame)
+    }
+
+    fn novel_depth_mm(&self, frame: usize) -> Result<Image<f32>> {
+        self.depth_mm(frame)
+    }
+
+    fn targets(&self) -> &[Target] {
+        &self.targets
+    }
+
     fn mask(&self) -> Result<Option<Mask>> {
         Ok(None)
     }
@@ -167,6 +193,7 @@ pub fn write_prediction(truth: &dyn Truth, folder: &Path, d: &Distortion) {
         png::write_rgb(&folder.join(format!("color/{frame:06}.png")), &color).unwrap();
         if frame % 8 == 7 {
             png::write_rgb(&folder.join(format!("ahead/{frame:06}.png")), &color).unwrap();
+            png::write_rgb(&folder.join(format!("novel/{frame:06}.png")), &color).unwrap();
         }
         let mut depth = truth.depth_mm(frame).unwrap();
         let mut random = CounterRng::new(1, Stage::Test, &[2, frame as u64]);
@@ -175,7 +202,18 @@ pub fn write_prediction(truth: &dyn Truth, folder: &Path, d: &Distortion) {
             *value = if dropped { 0.0 } else { *value * (1.0 + d.depth_scale) as f32 };
         }
         exr::write_depth(&folder.join(format!("depth/{frame:06}.exr")), &depth).unwrap();
+        if frame % 8 == 7 {
+            exr::write_depth(&folder.join(format!("novel_depth/{frame:06}.exr")), &depth).unwrap();
+        }
     }
+    let mut rows = "frame,target,x_mm,y_mm,z_mm\n".to_owned();
+    for (frame, record) in truth.frames().iter().enumerate() {
+        for (k, target) in truth.targets().iter().enumerate() {
+            let place = target.at(record.phase) + DVec3::X * d.surface_shift_mm;
+            rows.push_str(&format!("{frame},{k},{},{},{}\n", place.x, place.y, place.z));
+        }
+    }
+    files::write_bytes(&folder.join("targets.csv"), rows.as_bytes()).unwrap();
     let mut rows = "frame,phase\n".to_owned();
     for frame in 0..truth.frames().len() {
         let phase = truth.frames()[frame.saturating_sub(d.lag)].phase + d.phase_offset;

@@ -3,7 +3,10 @@
 //! ```text
 //! color/NNNNNN.png               one per frame, 8-bit sRGB, the sequence's size           needed
 //! depth/NNNNNN.{exr,npy,png}     one per frame, z-depth in mm, 0 = none; PNG: 16-bit grey times depth_unit_mm
-//! ahead/NNNNNN.png               renderings made before the method read the frame's image; any frames
+//! ahead/NNNNNN.png               renderings made before the method read the frame's image; frames 7, 15, .., all of them
+//! novel/NNNNNN.png               views of the sequence's second cameras (transforms_novel.json): all of them or none
+//! novel_depth/NNNNNN.{exr,npy,png}  their z-depth, as above
+//! targets.csv                    frame,target,x_mm,y_mm,z_mm; where the targets of the sequence are, every frame
 //! phase.csv                      frame,phase; one row per frame, 0 = full inspiration, 1 = full expiration
 //! poses.csv                      frame,m00..m23; world_from_camera where the method has poses of its own
 //! mesh/final.ply                 surface at the last frame, mm, the sequence's world
@@ -23,6 +26,8 @@ use crate::base::range::NumberRange;
 use crate::base::{Error, Image, Result, TriangleMesh, files};
 use crate::formats::{depth_png, exr, mesh, npy, png};
 
+/// Frames 7, 15, .. are rendered before their image is looked at.
+const AHEAD_PERIOD: usize = 8;
 /// How depth images are stored, in the order of the search.
 const DEPTH_ENDINGS: [&str; 3] = ["exr", "npy", "png"];
 
@@ -35,6 +40,11 @@ pub struct Prediction {
     depth_ending: Option<&'static str>,
     depth_unit_mm: f64,
     ahead: Vec<usize>,
+    /// Frames whose second camera's view is predicted: all of the sequence's or none.
+    novel: bool,
+    novel_depth_ending: Option<&'static str>,
+    /// Per frame, per target; mm.
+    targets: Option<Vec<Vec<DVec3>>>,
     method: Option<String>,
     phase: Option<Vec<f64>>,
     poses: Option<Vec<DAffine3>>,
@@ -75,17 +85,30 @@ impl Prediction {
         }
         let depth_unit_mm = about.depth_unit_mm.unwrap_or(1.0);
         DEPTH_UNIT_MM.check(depth_unit_mm).map_err(|e| e.element("depth_unit_mm").at(root.join("prediction.json")))?;
-        expect_frames(&root.join("color"), "png", frames)?;
-        let depth_ending = depth_ending(&root.join("depth"))?;
-        if let Some(ending) = depth_ending {
-            expect_frames(&root.join("depth"), ending, frames)?;
+        expect_frames(&root.join("color"), "png", 0..frames)?;
+        let own_depth = depth_ending(&root.join("depth"), 0)?;
+        if let Some(ending) = own_depth {
+            expect_frames(&root.join("depth"), ending, 0..frames)?;
+        }
+        let views: Vec<usize> = truth.novel_views().iter().map(|view| view.frame).collect();
+        let first = views.first().copied().unwrap_or(0);
+        let novel = !views.is_empty() && root.join("novel").is_dir();
+        if novel {
+            expect_frames(&root.join("novel"), "png", views.iter().copied())?;
+        }
+        let novel_depth_ending = if views.is_empty() { None } else { depth_ending(&root.join("novel_depth"), first)? };
+        if let Some(ending) = novel_depth_ending {
+            expect_frames(&root.join("novel_depth"), ending, views.iter().copied())?;
         }
         let prediction = Prediction {
             width: camera.width as usize,
             height: camera.height as usize,
-            depth_ending,
+            depth_ending: own_depth,
             depth_unit_mm,
-            ahead: frames_present(&root.join("ahead"), frames)?,
+            ahead: ahead_frames(&root.join("ahead"), frames)?,
+            novel,
+            novel_depth_ending,
+            targets: read_targets(&root.join("targets.csv"), frames, truth.targets().len())?,
             method: about.method,
             phase: read_phase(&root.join("phase.csv"), frames)?,
             poses: read_poses(&root.join("poses.csv"), frames)?,
@@ -112,7 +135,13 @@ impl Prediction {
 
     /// Every file that scoring may read, there or not.
     fn file_paths(&self, frames: usize) -> impl Iterator<Item = PathBuf> {
-        let folders = [("color", Some("png")), ("depth", self.depth_ending), ("ahead", Some("png"))];
+        let folders = [
+            ("color", Some("png")),
+            ("depth", self.depth_ending),
+            ("ahead", Some("png")),
+            ("novel", Some("png")),
+            ("novel_depth", self.novel_depth_ending),
+        ];
         let of_folder = move |(folder, ending): (&str, Option<&'static str>)| {
             let folder = self.root.join(folder);
             ending.into_iter().flat_map(move |ending| {
@@ -120,7 +149,7 @@ impl Prediction {
                 (0..frames).map(move |frame| frame_path(&folder, frame, ending))
             })
         };
-        let single = ["phase.csv", "poses.csv", "mesh/final.ply", "timing.json", "prediction.json"];
+        let single = ["phase.csv", "poses.csv", "targets.csv", "mesh/final.ply", "timing.json", "prediction.json"];
         folders.into_iter().flat_map(of_folder).chain(single.map(|name| self.root.join(name)))
     }
 
@@ -144,10 +173,34 @@ impl Prediction {
         &self.ahead
     }
 
+    /// Whether the views of the second cameras are predicted.
+    pub fn has_novel_views(&self) -> bool {
+        self.novel
+    }
+
+    /// Rendering from the second camera of `frame`.
+    pub fn novel(&self, frame: usize) -> Result<Image<u8>> {
+        self.image("novel", frame)
+    }
+
+    /// Predicted places of the targets in mm, per frame and target, if there are any.
+    pub fn targets(&self) -> Option<&[Vec<DVec3>]> {
+        self.targets.as_deref()
+    }
+
     /// Predicted z-depth of `frame` in mm, if the prediction has depth.
     pub fn depth_mm(&self, frame: usize) -> Result<Option<Image<f32>>> {
-        let Some(ending) = self.depth_ending else { return Ok(None) };
-        let path = frame_path(&self.root.join("depth"), frame, ending);
+        self.depth("depth", self.depth_ending, frame)
+    }
+
+    /// Predicted z-depth of the second camera of `frame` in mm, if the prediction has it.
+    pub fn novel_depth_mm(&self, frame: usize) -> Result<Option<Image<f32>>> {
+        self.depth("novel_depth", self.novel_depth_ending, frame)
+    }
+
+    fn depth(&self, folder: &str, ending: Option<&str>, frame: usize) -> Result<Option<Image<f32>>> {
+        let Some(ending) = ending else { return Ok(None) };
+        let path = frame_path(&self.root.join(folder), frame, ending);
         let image = match ending {
             "exr" => exr::read(&path)?,
             "npy" => npy::read_plane(&path)?,
@@ -209,34 +262,39 @@ fn frame_path(folder: &Path, frame: usize, ending: &str) -> PathBuf {
     folder.join(format!("{frame:06}.{ending}"))
 }
 
-fn expect_frames(folder: &Path, ending: &str, frames: usize) -> Result<()> {
+fn expect_frames(folder: &Path, ending: &str, mut frames: impl Iterator<Item = usize> + Clone) -> Result<()> {
     if !folder.is_dir() {
         return Err(Error::input("the folder is missing").at(folder));
     }
-    match (0..frames).map(|frame| frame_path(folder, frame, ending)).find(|path| !path.is_file()) {
+    let last = frames.clone().last().unwrap_or(0);
+    match frames.clone().map(|frame| frame_path(folder, frame, ending)).find(|path| !path.is_file()) {
         Some(path) => {
-            Err(Error::input(format!("is missing; the sequence has frames 000000 to {:06}", frames - 1)).at(path))
+            let first = frames.next().unwrap_or(0);
+            Err(Error::input(format!("is missing; there must be one for each of {first:06} to {last:06}")).at(path))
         }
         None => Ok(()),
     }
 }
 
-/// The known ending that frame 0 has; `None` without a depth folder.
-fn depth_ending(folder: &Path) -> Result<Option<&'static str>> {
+/// The known ending that frame `first` has; `None` without the folder.
+fn depth_ending(folder: &Path, first: usize) -> Result<Option<&'static str>> {
     if !folder.is_dir() {
         return Ok(None);
     }
-    match DEPTH_ENDINGS.into_iter().find(|ending| frame_path(folder, 0, ending).is_file()) {
+    match DEPTH_ENDINGS.into_iter().find(|ending| frame_path(folder, first, ending).is_file()) {
         Some(ending) => Ok(Some(ending)),
-        None => Err(Error::input("has none of 000000.exr, 000000.npy, 000000.png").at(folder)),
+        None => Err(Error::input(format!("has none of {first:06}.exr, {first:06}.npy, {first:06}.png")).at(folder)),
     }
 }
 
-fn frames_present(folder: &Path, frames: usize) -> Result<Vec<usize>> {
+/// Every eighth frame, where the folder is there: all or none, so that nobody shows the best ones alone.
+fn ahead_frames(folder: &Path, frames: usize) -> Result<Vec<usize>> {
+    let eighths = (AHEAD_PERIOD - 1..frames).step_by(AHEAD_PERIOD);
     if !folder.is_dir() {
         return Ok(Vec::new());
     }
-    Ok((0..frames).filter(|&frame| frame_path(folder, frame, "png").is_file()).collect())
+    expect_frames(folder, "png", eighths.clone())?;
+    Ok(eighths.collect())
 }
 
 fn read_optional<T: serde::de::DeserializeOwned>(path: &Path) -> Result<Option<T>> {
@@ -262,6 +320,38 @@ fn read_phase(path: &Path, frames: usize) -> Result<Option<Vec<f64>>> {
         return Ok(None);
     }
     parse_phase(&files::read_bytes(path)?, frames).map(Some).map_err(|e| e.at(path))
+}
+
+fn read_targets(path: &Path, frames: usize, count: usize) -> Result<Option<Vec<Vec<DVec3>>>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    parse_targets(&files::read_bytes(path)?, frames, count).map(Some).map_err(|e| e.at(path))
+}
+
+/// Frame, target and place; frames in order, within each frame the targets in order.
+fn parse_targets(bytes: &[u8], frames: usize, count: usize) -> Result<Vec<Vec<DVec3>>> {
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+    let mut places = vec![Vec::with_capacity(count); frames];
+    for (row, record) in reader.records().enumerate() {
+        let line = format!("line {}", row + 2);
+        let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
+        let numbers: Vec<f64> = record.iter().filter_map(|v| v.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
+        let (frame, target) = (row / count.max(1), row % count.max(1));
+        match numbers[..] {
+            [f, t, x, y, z] if f == frame as f64 && t == target as f64 && frame < frames && count > 0 => {
+                places[frame].push(DVec3::new(x, y, z));
+            }
+            _ => {
+                let sentence = format!("wanted frame {frame} of {frames}, target {target} of {count} and its place");
+                return Err(Error::input(sentence).element(line));
+            }
+        }
+    }
+    match places.iter().position(|of_frame| of_frame.len() < count) {
+        Some(frame) => Err(Error::input(format!("frame {frame} lacks targets: {count} are wanted"))),
+        None => Ok(places),
+    }
 }
 
 fn read_poses(path: &Path, frames: usize) -> Result<Option<Vec<DAffine3>>> {
@@ -334,6 +424,17 @@ mod tests {
     fn phases_are_read_by_name_in_any_order() {
         let phases = parse_phase(b"phase,frame,extra\n0.5,1,x\n0.25,0,y\n", 2).unwrap();
         assert_eq!(phases, [0.25, 0.5]);
+    }
+
+    #[test]
+    fn targets_are_read_frame_by_frame_and_their_damage_is_named() {
+        let text = b"frame,target,x_mm,y_mm,z_mm\n0,0,1,2,3\n0,1,4,5,6\n1,0,1,2,4\n1,1,4,5,7\n";
+        let places = parse_targets(text, 2, 2).unwrap();
+        assert_eq!(places[1], [DVec3::new(1.0, 2.0, 4.0), DVec3::new(4.0, 5.0, 7.0)]);
+        let say = |text: &[u8], frames| parse_targets(text, frames, 2).unwrap_err().to_string();
+        assert!(say(text, 3).contains("frame 2 lacks targets") && say(text, 1).contains("line 4"));
+        assert!(say(b"frame,target,x_mm,y_mm,z_mm\n0,0,1,2,nan\n", 1).contains("line 2"));
+        assert!(say(b"frame,target,x_mm,y_mm,z_mm\n0,1,1,2,3\n", 1).contains("line 2"));
     }
 
     #[test]

@@ -21,6 +21,9 @@ fn truth_as_prediction_is_perfect() {
     for m in registry() {
         let score = found.metric(m.id).unwrap();
         match m.perfect {
+            _ if ["psnr_db", "ssim", "ssim_padded"].contains(&m.id) => {
+                assert_eq!((score.value, score.status), (None, Status::Copied), "{}: the input handed back", m.id);
+            }
             Some(perfect) => {
                 let value = score.value.unwrap_or_else(|| panic!("{} has no value: {score:?}", m.id));
                 assert!((value - perfect).abs() < 1e-9, "{}: {value}", m.id);
@@ -38,19 +41,21 @@ fn graded_distortions_are_told_apart() {
     let truth = TubeTruth::new("tube", 40, 24);
     let none = Distortion::default();
     type Kind = (&'static str, &'static [&'static str], fn(f64) -> Distortion);
-    let kinds: [Kind; 9] = [
-        ("noise", &["psnr_db", "ssim", "ssim_padded", "psnr_ahead_db"], |g| Distortion {
-            noise: 6.0 * g,
-            ..Default::default()
+    let kinds: [Kind; 10] = [
+        ("noise", &["psnr_db", "ssim", "ssim_padded", "psnr_ahead_db", "novel_psnr_db", "novel_ssim"], |g| {
+            Distortion { noise: 6.0 * g, ..Default::default() }
         }),
         ("blur", &["psnr_db", "ssim", "psnr_ahead_db"], |g| Distortion { blur_px: g as usize, ..Default::default() }),
         ("shift", &["psnr_db", "ssim"], |g| Distortion { shift_px: g as usize, ..Default::default() }),
-        ("scale", &["depth_rmse_mm", "depth_delta_1_25"], |g| Distortion {
+        ("scale", &["depth_rmse_mm", "depth_delta_1_25", "novel_depth_rmse_mm"], |g| Distortion {
             depth_scale: 0.24 + 0.1 * (g - 0.5),
             ..Default::default()
         }),
-        ("dropout", &["depth_rmse_mm", "depth_delta_1_25", "depth_coverage"], |g| Distortion {
-            dropout: 0.1 * g,
+        ("dropout", &["depth_rmse_mm", "depth_coverage", "novel_depth_rmse_mm", "novel_depth_delta_1_25"], |g| {
+            Distortion { dropout: 0.1 * g, ..Default::default() }
+        }),
+        ("targets", &["target_mean_mm", "target_p95_mm"], |g| Distortion {
+            surface_shift_mm: 0.5 * g,
             ..Default::default()
         }),
         ("lag", &["phase_mae", "phase_pearson_r"], |g| Distortion { lag: 2 * g as usize, ..Default::default() }),
@@ -80,6 +85,7 @@ fn graded_distortions_are_told_apart() {
     // A surface moved by 0.5 mm has a target error of just that.
     let moved = scored(&truth, &Distortion { surface_shift_mm: 0.5, ..none });
     assert!((moved.value("target_error_mm").unwrap() - 0.5).abs() < 1e-9);
+    assert!((moved.value("target_mean_mm").unwrap() - 0.5).abs() < 1e-9);
     assert!((moved.value("depth_rmse_mm").unwrap()).abs() < 1e-9);
 }
 
@@ -87,15 +93,18 @@ fn graded_distortions_are_told_apart() {
 fn what_is_not_claimed_is_not_applicable_and_constant_phase_has_no_correlation() {
     let truth = TubeTruth::new("tube", 24, 9);
     let folder = tempfile::tempdir().unwrap();
-    write_prediction(&truth, folder.path(), &Distortion::default());
-    for gone in ["depth", "mesh", "ahead"] {
+    write_prediction(&truth, folder.path(), &Distortion { noise: 6.0, ..Default::default() });
+    for gone in ["depth", "mesh", "ahead", "novel", "novel_depth"] {
         fs::remove_dir_all(folder.path().join(gone)).unwrap();
     }
     fs::remove_file(folder.path().join("timing.json")).unwrap();
+    fs::remove_file(folder.path().join("targets.csv")).unwrap();
     let rows: String = (0..9).map(|f| format!("{f},0\n")).collect();
     fs::write(folder.path().join("phase.csv"), format!("frame,phase\n{rows}")).unwrap();
     let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
-    for id in ["depth_rmse_mm", "contour_rmse_mm", "target_error_p95_mm", "time_total_s", "psnr_ahead_db"] {
+    let metrics = ["depth_rmse_mm", "contour_rmse_mm", "target_error_p95_mm", "time_total_s", "psnr_ahead_db"];
+    let of_views = ["novel_psnr_db", "novel_ssim", "novel_depth_rmse_mm", "target_mean_mm", "target_p95_mm"];
+    for id in metrics.into_iter().chain(of_views) {
         let score = found.metric(id).unwrap();
         assert_eq!((score.value, score.status), (None, Status::NotApplicable), "{id}");
     }
@@ -131,7 +140,7 @@ fn scores_do_not_depend_on_threads_and_survive_json() {
 fn damage_is_named() {
     let truth = TubeTruth::new("tube", 24, 9);
     type Damage = (&'static str, fn(&Path));
-    let damages: [Damage; 10] = [
+    let damages: [Damage; 13] = [
         ("color/000003.png", |f| fs::remove_file(f.join("color/000003.png")).unwrap()),
         ("color/000002.png", |f| fs::write(f.join("color/000002.png"), b"not a picture").unwrap()),
         ("color/000001.png", |f| {
@@ -144,6 +153,9 @@ fn damage_is_named() {
             fs::write(f.join("depth/000004.exr"), &bytes[..bytes.len() / 2]).unwrap();
         }),
         ("ahead/000007.png", |f| fs::write(f.join("ahead/000007.png"), b"").unwrap()),
+        ("novel/000007.png", |f| fs::remove_file(f.join("novel/000007.png")).unwrap()),
+        ("novel_depth", |f| fs::remove_file(f.join("novel_depth/000007.exr")).unwrap()),
+        ("targets.csv", |f| fs::write(f.join("targets.csv"), b"frame,target,x_mm,y_mm,z_mm\n0,0,1,2,3\n").unwrap()),
         ("phase.csv", |f| fs::write(f.join("phase.csv"), b"frame,phase\n0,0\n1,inf\n").unwrap()),
         ("timing.json", |f| fs::write(f.join("timing.json"), b"{\"time_total_s\": -1}").unwrap()),
         ("mesh/final.ply", |f| fs::write(f.join("mesh/final.ply"), b"ply\nformat ascii 1.0\n").unwrap()),

@@ -8,8 +8,13 @@ use super::statistics::{deviation, mean, pearson};
 use crate::base::{Error, Result};
 
 /// Metrics whose value is a mean over the frames that have one.
-const FRAME_WISE: [&str; 8] = [
+const FRAME_WISE: [&str; 13] = [
     "psnr_db",
+    "novel_psnr_db",
+    "novel_ssim",
+    "novel_depth_rmse_mm",
+    "novel_depth_delta_1_25",
+    "target_mean_mm",
     "psnr_ahead_db",
     "ssim",
     "depth_rmse_mm",
@@ -55,7 +60,7 @@ fn wrong_mean(cell: &CellScore, metric: &MetricScore) -> Option<String> {
         Some(format!("has {what} {table} in results.csv, but the frames of frames.csv give {frames}: one was changed"))
     };
     let Some(value) = metric.value else {
-        return match values.is_empty() {
+        return match values.is_empty() || metric.status == Status::Copied {
             true => None,
             false => told("the value", "nothing".into(), format!("a mean over {counted}")),
         };
@@ -116,18 +121,23 @@ mod tests {
     use super::super::fixture::{Distortion, TubeTruth, write_prediction};
     use super::*;
 
-    /// The score of a noisy prediction; two of its frames equal the truth.
+    /// The score of a noisy prediction; one of its two views of second cameras equals the truth.
     fn scored() -> CellScore {
         let folder = tempfile::tempdir().unwrap();
-        let truth = TubeTruth::new("case1", 24, 9);
-        let distortion = Distortion { noise: 6.0, depth_scale: 0.1, lag: 1, pose_shift: 0.2, ..Default::default() };
+        let truth = TubeTruth::new("case1", 24, 17);
+        let distortion = Distortion {
+            noise: 6.0,
+            depth_scale: 0.1,
+            lag: 1,
+            pose_shift: 0.2,
+            surface_shift_mm: 0.3,
+            ..Default::default()
+        };
         write_prediction(&truth, folder.path(), &distortion);
         let perfect = tempfile::tempdir().unwrap();
         write_prediction(&truth, perfect.path(), &Distortion::default());
-        for frame in [2, 5] {
-            let name = format!("color/{frame:06}.png");
-            std::fs::copy(perfect.path().join(&name), folder.path().join(&name)).unwrap();
-        }
+        let name = "novel/000007.png";
+        std::fs::copy(perfect.path().join(name), folder.path().join(name)).unwrap();
         score(&truth, folder.path(), &ScoreSettings::default()).unwrap()
     }
 
@@ -140,13 +150,13 @@ mod tests {
             let value = honest.metrics[place].value.unwrap_or_else(|| panic!("{id} has no value"));
             let mut edited = honest.clone();
             // A PSNR with frames equal to the truth leaves room for what those count as.
-            edited.metrics[place].value = Some(if *id == "psnr_db" { value * 3.0 } else { value * 1.001 });
+            edited.metrics[place].value = Some(if *id == "novel_psnr_db" { value * 6.0 } else { value * 1.001 });
             let said = check_means(&edited).unwrap_err().to_string();
             assert!(said.contains(&format!("case1 prediction {id}")) && said.contains("csv"), "{said}");
         }
         let mut fewer = honest.clone();
         fewer.frame_scores.pop();
-        assert!(check_means(&fewer).unwrap_err().to_string().contains("frames: are 9"));
+        assert!(check_means(&fewer).unwrap_err().to_string().contains("frames: are 17"));
         let mut counted = honest.clone();
         counted.metrics.iter_mut().find(|m| m.metric == "ssim").unwrap().count = 8;
         assert!(check_means(&counted).unwrap_err().to_string().contains("the count 8"));

@@ -86,6 +86,8 @@ pub enum Split {
     Online,
     /// Every eighth frame, rendered before the method read its image.
     Ahead,
+    /// Every eighth frame, seen by a second camera whose picture no method is given.
+    Novel,
     /// The last frame alone.
     Final,
 }
@@ -96,6 +98,7 @@ impl Split {
         match self {
             Split::Online => "online",
             Split::Ahead => "ahead",
+            Split::Novel => "novel",
             Split::Final => "final",
         }
     }
@@ -160,6 +163,9 @@ const WITH_DEPTH: &str = "predictions with depth images";
 const WITH_PHASE: &str = "predictions with phase.csv: methods that model the respiratory state";
 const WITH_MESH: &str = "predictions with mesh/final.ply: methods that keep an explicit surface";
 const WITH_POSES: &str = "methods that estimate poses";
+const WITH_NOVEL: &str = "predictions with novel/NNNNNN.png for every second camera";
+const WITH_NOVEL_DEPTH: &str = "predictions with novel_depth/ for every second camera";
+const WITH_TARGETS: &str = "predictions with targets.csv";
 const WITH_TIME: &str = "predictions with timing.json";
 
 const fn base(id: &'static str, label: &'static str, unit: &'static str, direction: Goal, group: Group) -> Metric {
@@ -202,8 +208,9 @@ static REGISTRY: &[Metric] = &[
     },
     Metric {
         definition: "Root mean square of predicted minus true z-depth per frame over the pixels whose true depth is above 0, \
-            no scale or shift alignment, then the mean over frames. A predicted depth that is absent (0, negative or not \
-            finite) counts as 0 mm, so a hole costs the whole true depth.",
+            no scale or shift alignment, then the mean over frames. Where a predicted depth is absent (0, negative or not \
+            finite) the error is the farthest true depth of the frame.",
+        version: 2,
         digits: 2,
         standing: Standing::Paper,
         applies_to: WITH_DEPTH,
@@ -286,6 +293,50 @@ static REGISTRY: &[Metric] = &[
         ..base("time_per_frame_s", "Time per frame", "s", Goal::Lower, Group::Runtime)
     },
     Metric {
+        definition: "psnr_db over the views of the second cameras, whose pictures no method is given: rendered after the frame \
+            of the same instant was fitted, from novel/NNNNNN.png.",
+        perfect: None,
+        split: Split::Novel,
+        applies_to: WITH_NOVEL,
+        ..base("novel_psnr_db", "Novel PSNR", "dB", Goal::Higher, Group::Rendering)
+    },
+    Metric {
+        definition: "ssim over the views of the second cameras.",
+        range: [Some(-1.0), Some(1.0)],
+        perfect: Some(1.0),
+        digits: 3,
+        split: Split::Novel,
+        applies_to: WITH_NOVEL,
+        ..base("novel_ssim", "Novel SSIM", "", Goal::Higher, Group::Rendering)
+    },
+    Metric {
+        definition: "depth_rmse_mm over the views of the second cameras, from novel_depth/.",
+        split: Split::Novel,
+        applies_to: WITH_NOVEL_DEPTH,
+        ..base("novel_depth_rmse_mm", "Novel depth RMSE", "mm", Goal::Lower, Group::Depth)
+    },
+    Metric {
+        definition: "depth_delta_1_25 over the views of the second cameras, from novel_depth/.",
+        range: [Some(0.0), Some(1.0)],
+        perfect: Some(1.0),
+        digits: 3,
+        split: Split::Novel,
+        applies_to: WITH_NOVEL_DEPTH,
+        ..base("novel_depth_delta_1_25", "Novel δ<1.25", "", Goal::Higher, Group::Depth)
+    },
+    Metric {
+        definition: "Distance between predicted and true place of the navigation targets (peripheral branch tips, and points of \
+            the tissue a centimetre beside them, planned on the inspiration CT and carried by the true motion), mean over all \
+            frames and targets.",
+        applies_to: WITH_TARGETS,
+        ..base("target_mean_mm", "Target, all frames", "mm", Goal::Lower, Group::Target)
+    },
+    Metric {
+        definition: "95th percentile (linear between ranks) over all frames and targets of the distance of target_mean_mm.",
+        applies_to: WITH_TARGETS,
+        ..base("target_p95_mm", "Target p95, all frames", "mm", Goal::Lower, Group::Target)
+    },
+    Metric {
         definition: "psnr_db over the frames rendered before their image was looked at (every eighth), from ahead/NNNNNN.png.",
         perfect: None,
         split: Split::Ahead,
@@ -328,6 +379,23 @@ pub fn registry() -> &'static [Metric] {
     REGISTRY
 }
 
+/// What ranks: views that nobody fitted, the phase, the targets in all frames, and time.
+const RANKING: [&str; 8] = [
+    "novel_psnr_db",
+    "novel_ssim",
+    "novel_depth_rmse_mm",
+    "novel_depth_delta_1_25",
+    "phase_mae",
+    "target_mean_mm",
+    "target_p95_mm",
+    "time_per_frame_s",
+];
+
+/// The columns that rank, in the order of their table.
+pub fn ranking_metrics() -> impl Iterator<Item = &'static Metric> {
+    RANKING.iter().filter_map(|id| metric(id))
+}
+
 /// The paper's ten, in the order of its Table 1 and of `comparison.csv`.
 pub fn paper_metrics() -> impl Iterator<Item = &'static Metric> {
     REGISTRY.iter().filter(|m| m.standing == Standing::Paper)
@@ -360,6 +428,7 @@ mod tests {
                 "time_per_frame_s"
             ]
         );
+        assert_eq!(ranking_metrics().count(), RANKING.len());
         for (index, m) in registry().iter().enumerate() {
             assert!(registry()[..index].iter().all(|other| other.id != m.id));
             assert!(m.definition.len() > 20 && m.definition.ends_with('.'), "{}", m.id);

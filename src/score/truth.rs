@@ -2,9 +2,10 @@
 
 use std::path::PathBuf;
 
+use crate::airway::targets::Target;
 use crate::base::mesh::interpolate;
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh};
-use crate::simulate::sequence::{FrameRecord, Sequence};
+use crate::simulate::sequence::{FrameRecord, NovelView, Sequence};
 
 /// A sequence with its ground truth.
 pub trait Truth: Send + Sync {
@@ -31,6 +32,18 @@ pub trait Truth: Send + Sync {
 
     /// True z-depth of a frame in mm, 0 where nothing was hit.
     fn depth_mm(&self, frame: usize) -> Result<Image<f32>>;
+
+    /// Views that no method fits, in order of their frames.
+    fn novel_views(&self) -> &[NovelView];
+
+    /// 8-bit sRGB image of the second camera of a frame.
+    fn novel_image(&self, frame: usize) -> Result<Image<u8>>;
+
+    /// True z-depth in mm of the second camera of a frame.
+    fn novel_depth_mm(&self, frame: usize) -> Result<Image<f32>>;
+
+    /// What navigation is after.
+    fn targets(&self) -> &[Target];
 
     /// Which pixels of all frames count; `None`: all.
     fn mask(&self) -> Result<Option<Mask>>;
@@ -73,6 +86,22 @@ impl Truth for Sequence {
 
     fn depth_mm(&self, frame: usize) -> Result<Image<f32>> {
         Sequence::depth_mm(self, frame)
+    }
+
+    fn novel_views(&self) -> &[NovelView] {
+        &self.novel_views
+    }
+
+    fn novel_image(&self, frame: usize) -> Result<Image<u8>> {
+        Sequence::novel_image(self, frame)
+    }
+
+    fn novel_depth_mm(&self, frame: usize) -> Result<Image<f32>> {
+        Sequence::novel_depth_mm(self, frame)
+    }
+
+    fn targets(&self) -> &[Target] {
+        &self.targets
     }
 
     fn mask(&self) -> Result<Option<Mask>> {

@@ -4,12 +4,14 @@ pub mod exposure;
 pub mod film;
 mod identity;
 mod misregister;
+mod novel_view;
 pub mod preview;
 pub mod sensor;
 pub mod sequence;
 mod settings;
 mod shared_frames;
 mod shoot;
+mod steering;
 pub mod trajectory;
 pub mod truth;
 
@@ -18,6 +20,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use crate::airway::case::Case;
+use crate::airway::targets::targets;
 use crate::airway::{self, Anatomy, case_centerline};
 use crate::base::{Error, Progress, Result, files, hash};
 use crate::formats::transforms::Transforms;
@@ -29,7 +32,7 @@ use identity::{SIMULATOR_VERSION, film_hash};
 pub use identity::{revision, sequence_folder, sequence_hash};
 use misregister::misregister;
 use sensor::Sensor;
-use sequence::{ManifestHead, Sequence};
+use sequence::{ManifestHead, NovelView, Sequence};
 pub use settings::{MeshOutput, RadianceOutput, SimulationSettings};
 
 /// Films `case` into the folder `out` and opens the result.
@@ -148,6 +151,11 @@ fn write_truth(
         mesh_file::write_ply(&out.join(sequence::REGISTERED_EXPIRATION), &registered, &comments)?;
     }
     files::write_bytes(&out.join(sequence::CENTERLINE), case_centerline::to_csv(&anatomy.centerline).as_bytes())?;
+    let planned = targets(anatomy, case.breathing.as_ref());
+    let table = sequence::points_csv(planned.iter().map(|target| target.inspiration_mm));
+    files::write_bytes(&out.join(sequence::TARGETS), table.as_bytes())?;
+    let table = sequence::points_csv(planned.iter().map(|target| target.expiration_mm));
+    files::write_bytes(&out.join(sequence::TARGETS_EXPIRATION), table.as_bytes())?;
     let mask = Sensor::new(&film.camera, &case.scope, case.seed).mask(&film.camera);
     if let Some(mask) = &mask {
         png::write_grey(&out.join(sequence::MASK), mask)?;
@@ -155,6 +163,9 @@ fn write_truth(
     let entry = |(i, frame)| sequence::transforms_frame(i, frame, mask.is_some());
     let entries = film.frames.iter().enumerate().map(entry).collect();
     Transforms::new(&film.camera, entries).write(&out.join(sequence::TRANSFORMS))?;
+    let entry = |view: &NovelView| sequence::novel_entry(view, &film.frames[view.frame], mask.is_some());
+    let entries = film.novel_views.iter().map(entry).collect();
+    Transforms::new(&film.camera, entries).write(&out.join(sequence::NOVEL_TRANSFORMS))?;
     files::write_bytes(&out.join(sequence::FRAMES), film.frames_csv().as_bytes())?;
     files::write_bytes(&out.join(sequence::FORMAT), include_bytes!("FORMAT.md"))?;
     preview::write(out, film.frames.len(), settings.frames_per_second)?;
@@ -163,7 +174,13 @@ fn write_truth(
         .into_par_iter()
         .map(|name| hash::of_file(&out.join(&name)).map(|h| (name, h)))
         .collect::<Result<_>>()?;
-    let head = ManifestHead { case_id: case.id.clone(), hash: hash.to_string(), frames: film.frames.len(), files };
+    let head = ManifestHead {
+        case_id: case.id.clone(),
+        hash: hash.to_string(),
+        frames: film.frames.len(),
+        breathing_period_s: film.breathing_period_s(),
+        files,
+    };
     let mut manifest = serde_json::to_value(head).map_err(|e| Error::input(e.to_string()))?;
     manifest["simulator_version"] = SIMULATOR_VERSION.into();
     manifest["case_hash"] = case.hash()?.into();

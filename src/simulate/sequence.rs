@@ -6,12 +6,13 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::airway::case_centerline;
 use crate::airway::centerline::Centerline;
+use crate::airway::targets::Target;
 use crate::base::range::{NumberRange, SHARE};
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files, hash};
 use crate::formats::transforms::{Transforms, TransformsFrame};
@@ -32,6 +33,15 @@ pub struct FrameRecord {
     pub world_from_camera: DAffine3,
 }
 
+/// A second camera at the instant of a frame, whose picture no method sees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NovelView {
+    /// The frame.
+    pub frame: usize,
+    /// True pose in the scanner frame.
+    pub world_from_camera: DAffine3,
+}
+
 /// An opened sequence folder.
 #[derive(Clone, Debug)]
 pub struct Sequence {
@@ -45,6 +55,12 @@ pub struct Sequence {
     pub camera: Camera,
     /// One record per frame, in order.
     pub frames: Vec<FrameRecord>,
+    /// Views that no method fits, in order of their frames.
+    pub novel_views: Vec<NovelView>,
+    /// Mean duration of a breath in seconds.
+    pub breathing_period_s: f64,
+    /// What navigation is after.
+    pub targets: Vec<Target>,
     /// Hash of what the film holds, 64 hex digits: of its case, and of the content of every file that methods and
     /// metrics read.
     pub content: String,
@@ -60,6 +76,7 @@ pub(super) struct ManifestHead {
     pub case_id: String,
     pub hash: String,
     pub frames: usize,
+    pub breathing_period_s: f64,
     /// Hash of each file but this one and the plan, by its name relative to the folder.
     pub files: BTreeMap<String, String>,
 }
@@ -109,6 +126,16 @@ pub fn depth_name(frame: usize) -> String {
     format!("depth/{frame:06}.exr")
 }
 
+/// `novel/NNNNNN.png`, the view of the second camera at a frame.
+pub fn novel_image_name(frame: usize) -> String {
+    format!("novel/{frame:06}.png")
+}
+
+/// `novel_depth/NNNNNN.exr`.
+pub fn novel_depth_name(frame: usize) -> String {
+    format!("novel_depth/{frame:06}.exr")
+}
+
 /// `radiance/NNNNNN.exr`, on request.
 pub fn radiance_name(frame: usize) -> String {
     format!("radiance/{frame:06}.exr")
@@ -154,10 +181,18 @@ pub const REGISTERED_EXPIRATION: &str = "mesh/expiration_registered.ply";
 pub const CENTERLINE: &str = "centerline.csv";
 /// Cameras and truth in nerfstudio's layout.
 pub const TRANSFORMS: &str = "transforms.json";
+/// Targets as planned on the CT at inspiration.
+pub const TARGETS: &str = "targets.csv";
+/// Where the targets are at full expiration: truth.
+pub const TARGETS_EXPIRATION: &str = "targets_expiration.csv";
+/// The second cameras in nerfstudio's layout.
+pub const NOVEL_TRANSFORMS: &str = "transforms_novel.json";
 /// Truth as a table.
 pub const FRAMES: &str = "frames.csv";
 /// The layout in words.
 pub const FORMAT: &str = "FORMAT.md";
+/// First line of the tables of targets.
+const POINTS_HEADER: &str = "target,x_mm,y_mm,z_mm";
 /// Where the images hold something, when the scope has a mask.
 pub const MASK: &str = "mask.png";
 /// A few frames at a glance.
@@ -167,9 +202,11 @@ pub const PREVIEW: &str = "preview.png";
 /// Files for people, which neither methods nor metrics read.
 const FOR_PEOPLE: [&str; 3] = [FORMAT, CONTACT_SHEET, PREVIEW];
 /// Folders that hold one file per frame or mesh.
-pub(super) const FOLDERS: [&str; 9] = [
+pub(super) const FOLDERS: [&str; 11] = [
     "images",
     "depth",
+    "novel",
+    "novel_depth",
     "radiance",
     "normal",
     "albedo",
@@ -209,10 +246,24 @@ impl Sequence {
         }
         let camera = transforms.camera()?;
         let mask_path = transforms.frames[0].mask_path.clone();
+        let novel_views = novel_views(&head.checked(root, NOVEL_TRANSFORMS)?, head.frames)?;
+        let targets = targets(&head.checked(root, TARGETS)?, &head.checked(root, TARGETS_EXPIRATION)?)?;
         let read = head.files.iter().filter(|(name, _)| !FOR_PEOPLE.contains(&name.as_str()));
         let content = hash::of_value(&(&head.case_id, &head.hash, read.collect::<BTreeMap<_, _>>()))?;
-        let ManifestHead { case_id, hash, files, .. } = head;
-        Ok(Sequence { root: root.to_path_buf(), case_id, hash, camera, frames, content, mask_path, files })
+        let ManifestHead { case_id, hash, files, breathing_period_s, .. } = head;
+        Ok(Sequence {
+            root: root.to_path_buf(),
+            case_id,
+            hash,
+            camera,
+            frames,
+            novel_views,
+            breathing_period_s,
+            targets,
+            content,
+            mask_path,
+            files,
+        })
     }
 
     /// Compares every file of the film with the manifest. The error names the first one that is missing or another.
@@ -232,15 +283,33 @@ impl Sequence {
 
     /// The 8-bit sRGB image of a frame. Errors name a file that is missing, damaged or of another size.
     pub fn image(&self, frame: usize) -> Result<Image<u8>> {
-        let path = self.checked(&image_name(frame))?;
+        self.picture(&image_name(frame))
+    }
+
+    /// True z-depth of a frame in mm, 0 where nothing was hit. Errors as [`Sequence::image`].
+    pub fn depth_mm(&self, frame: usize) -> Result<Image<f32>> {
+        self.depth(&depth_name(frame))
+    }
+
+    /// What the second camera of `frame` saw. Errors as [`Sequence::image`].
+    pub fn novel_image(&self, frame: usize) -> Result<Image<u8>> {
+        self.picture(&novel_image_name(frame))
+    }
+
+    /// True z-depth in mm of the second camera of `frame`. Errors as [`Sequence::image`].
+    pub fn novel_depth_mm(&self, frame: usize) -> Result<Image<f32>> {
+        self.depth(&novel_depth_name(frame))
+    }
+
+    fn picture(&self, name: &str) -> Result<Image<u8>> {
+        let path = self.checked(name)?;
         let image = png::read_rgb(&path)?;
         self.check_size(image.width, image.height, &path)?;
         Ok(image)
     }
 
-    /// True z-depth of a frame in mm, 0 where nothing was hit. Errors as [`Sequence::image`].
-    pub fn depth_mm(&self, frame: usize) -> Result<Image<f32>> {
-        let path = self.checked(&depth_name(frame))?;
+    fn depth(&self, name: &str) -> Result<Image<f32>> {
+        let path = self.checked(name)?;
         let depth = exr::read(&path)?;
         self.check_size(depth.width, depth.height, &path)?;
         if depth.channels != 1 {
@@ -293,6 +362,51 @@ impl Sequence {
     }
 }
 
+/// The second cameras of a film of `frames` frames.
+fn novel_views(path: &Path, frames: usize) -> Result<Vec<NovelView>> {
+    let transforms = Transforms::read(path)?;
+    let views = transforms.frames.iter().enumerate().map(|(index, entry)| {
+        let frame = (0..frames).find(|&frame| novel_image_name(frame) == entry.file_path);
+        let unknown = || Error::input(format!("{} is no view of this film", entry.file_path));
+        let frame = frame.ok_or_else(|| unknown().element(format!("frame {index}")).at(path))?;
+        Ok(NovelView { frame, world_from_camera: entry.world_from_camera() })
+    });
+    views.collect()
+}
+
+/// The text of [`TARGETS`] or [`TARGETS_EXPIRATION`].
+pub(super) fn points_csv(points: impl Iterator<Item = DVec3>) -> String {
+    let row = |(target, p): (usize, DVec3)| format!("{target},{},{},{}\n", p.x, p.y, p.z);
+    points.enumerate().map(row).fold(format!("{POINTS_HEADER}\n"), |text, row| text + &row)
+}
+
+fn read_points(path: &Path) -> Result<Vec<DVec3>> {
+    let text = files::read_text(path)?;
+    let mut lines = text.lines();
+    if lines.next() != Some(POINTS_HEADER) {
+        return Err(Error::input(format!("must be \"{POINTS_HEADER}\"")).element("line 1").at(path));
+    }
+    let point = |(row, line): (usize, &str)| {
+        let values: Vec<f64> = line.split(',').filter_map(|v| v.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
+        let wanted = || Error::input(format!("wanted {row} and three numbers")).element(format!("line {}", row + 2));
+        match values[..] {
+            [target, x, y, z] if target == row as f64 => Ok(DVec3::new(x, y, z)),
+            _ => Err(wanted().at(path)),
+        }
+    };
+    lines.enumerate().map(point).collect()
+}
+
+fn targets(planned: &Path, truth: &Path) -> Result<Vec<Target>> {
+    let (inspiration, expiration) = (read_points(planned)?, read_points(truth)?);
+    if inspiration.len() != expiration.len() {
+        let sentence = format!("has {} targets, {TARGETS} has {}", expiration.len(), inspiration.len());
+        return Err(Error::input(sentence).at(truth));
+    }
+    let pair = |(inspiration_mm, expiration_mm)| Target { inspiration_mm, expiration_mm };
+    Ok(inspiration.into_iter().zip(expiration).map(pair).collect())
+}
+
 fn record(frame: &TransformsFrame) -> Result<FrameRecord> {
     let check = |key: &'static str, range: NumberRange, value: f64| {
         range.check(value).map_err(|e| Error::input(format!("{key}: {e}")))
@@ -308,6 +422,15 @@ fn record(frame: &TransformsFrame) -> Result<FrameRecord> {
         white_balance: frame.white_balance,
         world_from_camera: frame.world_from_camera(),
     })
+}
+
+/// The nerfstudio entry of a second camera at the instant of `frame`.
+pub(super) fn novel_entry(view: &NovelView, frame: &FrameRecord, masked: bool) -> TransformsFrame {
+    TransformsFrame {
+        file_path: novel_image_name(view.frame),
+        depth_file_path: Some(novel_depth_name(view.frame)),
+        ..transforms_frame(view.frame, &FrameRecord { world_from_camera: view.world_from_camera, ..*frame }, masked)
+    }
 }
 
 /// The nerfstudio entry of a frame.

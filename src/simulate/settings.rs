@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use super::novel_view::has_novel_view;
 use super::sequence;
 use super::truth::{TruthMap, TruthSet};
 use crate::airway::case::Case;
@@ -84,7 +85,7 @@ impl SimulationSettings {
         let waveform = &case.waveform;
         // Irregular breaths are walked through one by one up to the time that is asked for.
         let breaths = if waveform.irregularity > 0.0 {
-            (waveform.start_s + frames / self.frames_per_second) / waveform.period_s()
+            (waveform.start_hold_s + frames / self.frames_per_second) / waveform.period_s()
         } else {
             0.0
         };
@@ -105,7 +106,10 @@ impl SimulationSettings {
             sequence::INSPIRATION,
             sequence::EXPIRATION,
             sequence::CENTERLINE,
+            sequence::TARGETS,
+            sequence::TARGETS_EXPIRATION,
             sequence::TRANSFORMS,
+            sequence::NOVEL_TRANSFORMS,
             sequence::FRAMES,
             sequence::FORMAT,
             sequence::CONTACT_SHEET,
@@ -138,6 +142,10 @@ impl SimulationSettings {
         }
         if self.radiance == RadianceOutput::Exr {
             names.push(sequence::radiance_name(frame));
+        }
+        if has_novel_view(frame) {
+            names.push(sequence::novel_depth_name(frame));
+            names.push(sequence::novel_image_name(frame));
         }
         names.push(sequence::image_name(frame));
         names

@@ -12,10 +12,12 @@ use crate::render::{Light, Material, RenderSettings, RenderedFrame, Scene, Shadi
 
 use super::film::{Film, scope_light};
 use super::sensor::{Exposed, Sensor};
-use super::sequence;
+use super::sequence::{self, NovelView};
 use super::settings::{MOMENTS, MeshOutput, RadianceOutput, SimulationSettings};
 use super::truth::{TruthMap, VisibleWall};
 
+/// Marks the random numbers of a second camera.
+const NOVEL_KEY: u64 = 1 << 48;
 /// Half the step in phase of the central difference: moves the wall by at most a tenth of a millimetre.
 const PHASE_STEP: f64 = 0.005;
 
@@ -36,6 +38,8 @@ struct Shot {
     depth_mm: Image<f32>,
     radiance: Option<Image<f32>>,
     image: Image<u8>,
+    /// Picture and depth of the second camera.
+    novel: Option<(Image<u8>, Image<f32>)>,
 }
 
 impl Shot {
@@ -43,6 +47,10 @@ impl Shot {
         exr::write_depth(&out.join(sequence::depth_name(self.index)), &self.depth_mm)?;
         if let Some(radiance) = &self.radiance {
             exr::write_rgb(&out.join(sequence::radiance_name(self.index)), radiance)?;
+        }
+        if let Some((image, depth_mm)) = &self.novel {
+            exr::write_depth(&out.join(sequence::novel_depth_name(self.index)), depth_mm)?;
+            png::write_rgb(&out.join(sequence::novel_image_name(self.index)), image)?;
         }
         png::write_rgb(&out.join(sequence::image_name(self.index)), &self.image)
     }
@@ -108,7 +116,9 @@ impl<'a> Studio<'a> {
     /// Renders a frame; writes what was asked for besides it.
     fn shoot(&mut self, index: usize, out: &Path) -> Result<Shot> {
         let record = self.film.frames[index];
-        let frame = self.exposed_frame(index)?;
+        let novel = self.film.novel_views.iter().find(|view| view.frame == index);
+        let novel = novel.map(|view| self.novel(view)).transpose()?;
+        let frame = self.exposed_frame(index, &DAffine3::IDENTITY, index as u64)?;
         if self.settings.meshes == MeshOutput::EveryFrame {
             let deformed =
                 TriangleMesh { vertices: self.vertices(record.phase), faces: self.anatomy.inspiration.faces.clone() };
@@ -121,7 +131,7 @@ impl<'a> Studio<'a> {
             exr::write_rgb(&out.join(sequence::sensitivity_name(index)), &sensitivity)?;
         }
         let radiance = (self.settings.radiance == RadianceOutput::Exr).then_some(frame.radiance);
-        Ok(Shot { index, depth_mm: frame.depth_mm, radiance, image })
+        Ok(Shot { index, depth_mm: frame.depth_mm, radiance, image, novel })
     }
 
     fn exposed(&self, index: usize) -> Exposed {
@@ -137,13 +147,22 @@ impl<'a> Studio<'a> {
         mesh::interpolate(&self.anatomy.inspiration.vertices, &self.anatomy.expiration.vertices, phase)
     }
 
-    /// The radiance that the sensor gathers while the shutter is open, and the depth at the frame's own time. Leaves
-    /// the scene at that time.
-    fn exposed_frame(&mut self, index: usize) -> Result<RenderedFrame> {
+    /// What the second camera sees, which moves with the first: picture, with its frame's exposure, and depth.
+    fn novel(&mut self, view: &NovelView) -> Result<(Image<u8>, Image<f32>)> {
+        let first = self.film.frames[view.frame].world_from_camera;
+        let key = view.frame as u64 | NOVEL_KEY;
+        let frame = self.exposed_frame(view.frame, &(first.inverse() * view.world_from_camera), key)?;
+        Ok((self.sensor.image(&frame.radiance, &self.exposed(view.frame), key), frame.depth_mm))
+    }
+
+    /// The radiance that the sensor gathers while the shutter is open, and the depth at the frame's own time, of the
+    /// camera at `first_from_camera` beside the frame's. Leaves the scene at that time. `key` picks the random numbers.
+    fn exposed_frame(&mut self, index: usize, first_from_camera: &DAffine3, key: u64) -> Result<RenderedFrame> {
         let record = self.film.frames[index];
+        let world_from_camera = record.world_from_camera * *first_from_camera;
         let shutter_s = self.case.scope.shutter_s;
         if shutter_s <= 0.0 {
-            return self.moment(&record.world_from_camera, record.phase, index as u64, self.settings.samples_per_pixel);
+            return self.moment(&world_from_camera, record.phase, key, self.settings.samples_per_pixel);
         }
         let samples = self.settings.samples_per_pixel.div_ceil(MOMENTS as u32);
         let middle = MOMENTS / 2;
@@ -151,11 +170,11 @@ impl<'a> Studio<'a> {
         for moment in (0..MOMENTS).filter(|&m| m != middle) {
             let offset_s = ((moment as f64 + 0.5) / MOMENTS as f64 - 0.5) * shutter_s;
             let (pose, phase) = self.film.state_at(record.time_s + offset_s);
-            let key = index as u64 | (moment + 1) << 32;
-            let frame = self.moment(&pose, phase, key, samples)?;
+            let key = key | (moment + 1) << 32;
+            let frame = self.moment(&(pose * *first_from_camera), phase, key, samples)?;
             add(&mut sum, &frame.radiance);
         }
-        let mut frame = self.moment(&record.world_from_camera, record.phase, index as u64, samples)?;
+        let mut frame = self.moment(&world_from_camera, record.phase, key, samples)?;
         add(&mut sum, &frame.radiance);
         if let Some(sum) = sum {
             frame.radiance = sum.map(|v| v / MOMENTS as f32);

@@ -4,9 +4,11 @@
 //! inspiration or at expiration, gets narrower than the scope. The chain is resampled by arc length at inspiration;
 //! positions are smoothed a little and the optical axis a lot (Gaussians over arc length), with the same weights in
 //! both breath holds, so a pose at phase alpha is a pose on the centreline of the mesh at alpha. The image's up is
-//! carried along without twist, starting from the patient's front. Left out: the scope's own weight and bending.
+//! carried along without twist, starting from the patient's front. How the scope leaves the route: `steering.rs`. Left
+//! out: the scope's own weight and bending.
 
 use glam::{DAffine3, DVec3};
+use rayon::prelude::*;
 
 use crate::airway::Anatomy;
 use crate::airway::case::{Region, TrajectorySettings};
@@ -25,7 +27,7 @@ const START_MARGIN_MM: f64 = 6.0;
 /// Among the ends in the wanted region, one is drawn from those whose route has at least this part of the longest
 /// route's length.
 const LONG_ENOUGH: f64 = 0.75;
-/// Phases at which the clearance of the whole route is checked.
+/// Phases, evenly spaced, at which the clearance of the whole route is measured.
 const CHECKED_PHASES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 
 /// A smooth route through the lumen, known in both breath holds.
@@ -36,6 +38,8 @@ pub struct Route {
     axis_inspiration: Vec<DVec3>,
     axis_expiration: Vec<DVec3>,
     up: Vec<DVec3>,
+    /// Distance in mm to the nearest vertex of the wall at each of [`CHECKED_PHASES`].
+    clearance_mm: [Vec<f64>; CHECKED_PHASES.len()],
     /// Generation of the airway at each sample.
     generation: Vec<u32>,
 }
@@ -47,8 +51,9 @@ impl Route {
     pub fn plan(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<Route> {
         let (chain, passable_mm) = choose_chain(anatomy, settings)?;
         // Smoothed as far as the branch goes, so that the route's last axis still points ahead.
-        let route = Route::along(anatomy, &chain);
-        let good = route.wide_stretch(anatomy, settings.scope_radius_mm, passable_mm);
+        let mut route = Route::along(anatomy, &chain);
+        route.measure_clearance(anatomy);
+        let good = route.wide_stretch(settings.scope_radius_mm, passable_mm);
         if good.len() < (10.0 / SPACING_MM) as usize {
             return Err(Error::input(format!(
                 "a scope of radius {} mm has less than 10 mm of way in this airway",
@@ -76,6 +81,17 @@ impl Route {
         let last = self.length_mm() - 1.0;
         let forward = axis(arc_mm.min(last) + 1.0) - axis(arc_mm.min(last).max(1.0) - 1.0);
         world_from_camera_looking(origin, forward, at(&self.up, arc_mm))
+    }
+
+    /// Distance in mm from the route to the nearest vertex of the wall, `arc_mm` along it, in the airway at `phase`.
+    pub fn clearance_mm(&self, arc_mm: f64, phase: f64) -> f64 {
+        let last = self.inspiration.len() - 1;
+        let place = (arc_mm / SPACING_MM).clamp(0.0, last as f64);
+        let sample = (place.floor() as usize).min(last - 1);
+        let along = |at_phase: &[f64]| lerp(at_phase[sample], at_phase[sample + 1], place - sample as f64);
+        let step = phase.clamp(0.0, 1.0) * (CHECKED_PHASES.len() - 1) as f64;
+        let low = (step.floor() as usize).min(CHECKED_PHASES.len() - 2);
+        lerp(along(&self.clearance_mm[low]), along(&self.clearance_mm[low + 1]), step - low as f64)
     }
 
     /// Generation of the airway at `arc_mm`.
@@ -117,19 +133,26 @@ impl Route {
             axis_inspiration,
             inspiration: smoothed(&inspiration, POSITION_SIGMA_MM),
             expiration: smoothed(&expiration, POSITION_SIGMA_MM),
+            clearance_mm: Default::default(),
             generation,
         }
     }
 
+    fn measure_clearance(&mut self, anatomy: &Anatomy) {
+        self.clearance_mm = CHECKED_PHASES.map(|phase| {
+            let wall = mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase);
+            let here = |sample: usize| self.inspiration[sample].lerp(self.expiration[sample], phase);
+            (0..self.inspiration.len()).into_par_iter().map(|sample| nearest_mm(&wall, here(sample))).collect()
+        });
+    }
+
     /// The stretch, from the trachea on, in which the scope keeps clear of the wall at every checked phase.
-    fn wide_stretch(&self, anatomy: &Anatomy, scope_radius_mm: f64, passable_mm: f64) -> std::ops::Range<usize> {
+    fn wide_stretch(&self, scope_radius_mm: f64, passable_mm: f64) -> std::ops::Range<usize> {
         let passable = (passable_mm / SPACING_MM).floor() as usize + 1;
         let mut wide = vec![true; passable.min(self.inspiration.len())];
-        for phase in CHECKED_PHASES {
-            let wall = mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase);
-            for (sample, wide) in wide.iter_mut().enumerate() {
-                let here = self.inspiration[sample].lerp(self.expiration[sample], phase);
-                *wide &= nearest_mm(&wall, here) >= scope_radius_mm;
+        for clearance_mm in &self.clearance_mm {
+            for (wide, clearance_mm) in wide.iter_mut().zip(clearance_mm) {
+                *wide &= *clearance_mm >= scope_radius_mm;
             }
         }
         let start = (START_MARGIN_MM / SPACING_MM) as usize;
@@ -146,6 +169,7 @@ impl Route {
             axis_inspiration: cut(&self.axis_inspiration),
             axis_expiration: cut(&self.axis_expiration),
             up: cut(&self.up),
+            clearance_mm: self.clearance_mm.each_ref().map(|at_phase| at_phase[range.clone()].to_vec()),
             generation: self.generation[range].to_vec(),
         }
     }
@@ -232,6 +256,10 @@ fn passable(anatomy: &Anatomy, chain: &[usize], scope_radius_mm: f64) -> Vec<usi
         way.pop();
     }
     way
+}
+
+fn lerp(from: f64, to: f64, part: f64) -> f64 {
+    from + (to - from) * part
 }
 
 /// Gaussian average over arc length; at the ends the kernel is cut symmetrically, so that they stay in place.

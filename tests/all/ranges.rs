@@ -365,7 +365,7 @@ fn what_would_never_end_is_refused_in_one_sentence() {
     }
     for (from, to, says) in [
         ("period_scale = 1.0", "period_scale = 1e-300", "waveform.period_scale: 1e-300"),
-        ("period_scale = 1.0", "start_s = 1e12", "waveform.start_s: 1e12"),
+        ("period_scale = 1.0", "start_hold_s = 1e12", "waveform.start_hold_s: 1e12"),
         ("[breathing.calibre]", "[anatomy.surface]\nshortest_edge_mm = 1e-9\n[breathing.calibre]", "shortest_edge_mm"),
         ("[breathing.calibre]", "[anatomy.surface]\nrounds = 9223372036854775807\n[breathing.calibre]", "rounds"),
         ("[breathing.calibre]", "[anatomy.surface]\nspacing_mm = nan\n[breathing.calibre]", "spacing_mm: NaN"),

@@ -134,6 +134,7 @@ fn every_effect_has_its_switch_and_its_truth() {
             Effect::Vignette => zero("vignette"),
             Effect::Distortion => zero("k1") && zero("k2") && without.camera.fisheye.is_none(),
             Effect::MotionBlur => zero("shutter_s") && zero("blur_px"),
+            Effect::Steering => zero("off_route_mm"),
             Effect::Mask => zero("mask_radius_px") && !without.root.join("mask.png").exists(),
         };
         assert!(told, "frames.csv does not tell that {} is off", effect.name());
@@ -199,7 +200,8 @@ fn the_film_is_that_of_a_renderer_that_shares_nothing_with_ours() {
 #[test]
 fn automatic_exposure_follows_the_brightness_of_the_linear_picture() {
     let folder = tempfile::tempdir().unwrap();
-    let mut case = dark_case();
+    // The proxy's rays are too few for a wall beside the lens.
+    let mut case = dark_case().without(&[Effect::Steering]);
     case.exposure.lag_s = 0.0;
     // A whole way: near walls and deep lumens.
     let sequence = simulate(&case, &dark_film(8, 0.5), &folder.path().join("film"), &NoProgress).unwrap();

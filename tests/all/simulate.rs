@@ -222,7 +222,7 @@ fn truth_agrees_with_itself_and_the_picture_is_exposed() {
     }
     assert!(sequence.centerline().unwrap().points.len() > 100);
     let manifest: serde_json::Value = serde_json::from_slice(&fs::read(out.join("manifest.json")).unwrap()).unwrap();
-    assert_eq!(manifest["files"].as_object().unwrap().len(), 8 + 4 * 6);
+    assert_eq!(manifest["files"].as_object().unwrap().len(), 11 + 4 * 6);
     assert_eq!(manifest["hash"], sequence.hash);
 }
 

@@ -45,6 +45,7 @@ fn motion_is_that_of_the_breathing_field() {
     let folder = tempfile::tempdir().unwrap();
     // Without the change of calibre the motion is a formula: x + phase * u(x).
     let mut case: Case = case();
+    case.waveform.start_hold_s = 0.0;
     let breathing = case.breathing.as_mut().unwrap();
     breathing.calibre.diameter_ratio = vec![1.0];
     breathing.calibre.tracheal_invagination = 0.0;
@@ -97,6 +98,7 @@ fn normals_and_motion_are_those_of_the_written_meshes() {
     let wanted =
         SimulationSettings { meshes: MeshOutput::EveryFrame, ..settings(&[TruthMap::Normals, TruthMap::Motion]) };
     let mut case: Case = case();
+    case.waveform.start_hold_s = 0.0;
     case.camera.fisheye = Some([-0.03, 0.002, 0.0, 0.0]);
     let sequence = simulate(&case, &wanted, &folder.path().join("film"), &NoProgress).unwrap();
     let (rest, other) = (sequence.inspiration().unwrap(), sequence.expiration().unwrap());
@@ -133,6 +135,7 @@ fn colours_are_the_table_of_the_case() {
     let folder = tempfile::tempdir().unwrap();
     let film = |text: &str, name: &str| {
         let mut case: Case = case();
+        case.waveform.start_hold_s = 0.0;
         case.material = toml::from_str(text).unwrap();
         let sequence = simulate(&case, &settings(&[TruthMap::Albedo]), &folder.path().join(name), &NoProgress).unwrap();
         image(&sequence, sequence::albedo_name(1))

@@ -106,17 +106,17 @@ fn settings() -> Vec<SolverSetting> {
         let changes = vec![(DISCS, discs.into())];
         all.push(setting("Gauss-Newton: discs a face", "ours-gn", &discs.to_string(), changes));
     }
-    all.push(shipped("Adam", "ours"));
+    all.push(shipped("Adam", "ours-window"));
     for share in [0.25, 0.5, 2.0] {
         let name = format!("{share} times");
-        all.push(SolverSetting { iteration_share: share, ..setting("Adam: iterations", "ours", &name, vec![]) });
+        all.push(SolverSetting { iteration_share: share, ..setting("Adam: iterations", "ours-window", &name, vec![]) });
     }
     for keyframes in [0, 4] {
         let changes = vec![(KEYFRAMES, keyframes.into())];
-        all.push(setting("Adam: keyframes", "ours", &keyframes.to_string(), changes));
+        all.push(setting("Adam: keyframes", "ours-window", &keyframes.to_string(), changes));
     }
-    all.push(setting("Adam: discs a face", "ours", "4", vec![(ADAM_DISCS, 4.into())]));
-    all.push(setting("Adam", "ours-plain", "the paper's equations alone", vec![]));
+    all.push(setting("Adam: discs a face", "ours-window", "4", vec![(ADAM_DISCS, 4.into())]));
+    all.push(setting("Adam", "ours", "the paper's equations alone", vec![]));
     all
 }
 

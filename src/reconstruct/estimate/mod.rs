@@ -1,6 +1,7 @@
 //! The estimators. They do not know each other: a method combines them.
 
 pub mod breath;
+pub mod contrast_match;
 pub mod gauss_newton;
 pub mod phase_fit;
 pub mod window;

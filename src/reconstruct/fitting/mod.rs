@@ -1,6 +1,7 @@
 //! Building blocks of fitting: what is optimised, against which loss, by which steps.
 
 pub mod anchored;
+pub mod contrast;
 pub mod control_points;
 pub mod free;
 pub mod grid_search;

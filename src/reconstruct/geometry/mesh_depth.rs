@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use crate::base::{Camera, Image};
 use crate::splat::View;
 
-/// Faces with a corner nearer than this to the plane of the camera, mm of z-depth, are left out.
+/// What is nearer than this to the plane of the camera, mm of z-depth, is cut off.
 const NEAR_MM: f32 = 0.05;
 /// Rows that one thread fills at a time.
 const BAND: usize = 16;
@@ -38,6 +38,13 @@ impl PixelRays {
     }
 }
 
+impl PixelRays {
+    /// One ray per pixel, row-major.
+    pub fn rays(&self) -> &[Vec3] {
+        &self.rays
+    }
+}
+
 /// A face in camera axes (cross products and volume as at the head of this file), and the rectangle it covers.
 struct Triangle {
     sides: [Vec3; 3],
@@ -47,13 +54,18 @@ struct Triangle {
 }
 
 fn on_screen(camera: &Camera, [a, b, c]: [Vec3; 3]) -> Option<Triangle> {
-    if a.z.min(b.z).min(c.z) < NEAR_MM {
-        return None;
-    }
     let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-    for p in [a, b, c] {
-        let pixel = camera.project(p.as_dvec3())?;
-        (low, high) = (low.min(pixel), high.max(pixel));
+    for (p, next) in [(a, b), (b, c), (c, a)] {
+        // The part before the camera: corners, and where an edge passes the near plane.
+        let before = p.z >= NEAR_MM;
+        let cut = (before != (next.z >= NEAR_MM)).then(|| p.lerp(next, (NEAR_MM - p.z) / (next.z - p.z)));
+        for point in before.then_some(p).into_iter().chain(cut) {
+            let pixel = camera.project(point.as_dvec3())?;
+            (low, high) = (low.min(pixel), high.max(pixel));
+        }
+    }
+    if low.x > high.x {
+        return None;
     }
     // A lens bends edges outwards.
     let bulge = if camera.fisheye.is_some() { 0.1 * (high - low).max_element() } else { 0.0 };
@@ -82,7 +94,7 @@ fn fill(band: &mut [(f32, u32)], rays: &PixelRays, first: usize, face: u32, tria
             let [u, v, w] = triangle.sides.map(|side| side.dot(*ray));
             if (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0) {
                 let depth = triangle.volume / (u + v + w);
-                if depth > 0.0 && depth < near.0 {
+                if depth >= NEAR_MM && depth < near.0 {
                     *near = (depth, face);
                 }
             }

@@ -5,4 +5,6 @@ pub mod mesh_depth;
 pub mod neighbours;
 pub mod pyramid;
 pub mod rigid;
+pub mod targets;
+pub mod virtual_view;
 pub mod visible;

@@ -13,15 +13,18 @@ use crate::base::{Progress, Result, TriangleMesh};
 use crate::reconstruct::fitting::schedule::{rate_factor, scaled_iterations};
 use crate::splat::{DepthOutput, DiscFrame, ImageGradient, Rasterizer, Settings, View, Wanted};
 
-use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{
+    Access, FramePrediction, NovelPrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction,
+};
 use crate::reconstruct::fitting::anchored::{DiscAdam, Patch, Rates, Start, Surface};
 use crate::reconstruct::fitting::control_points::ControlField;
 use crate::reconstruct::fitting::loss::arap::Arap;
 use crate::reconstruct::fitting::loss::pairs::{self, Pairs};
 use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
+use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
-use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction};
+use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction, shown};
 use crate::reconstruct::settings::{BridgeCommon, BridgeObjective, BridgesplatSettings, MethodHeader};
 
 #[cfg(test)]
@@ -90,6 +93,7 @@ struct BridgesplatFit<'a> {
     rasterizer: Rasterizer<f32>,
     adam: DiscAdam,
     reach: Reach,
+    targets: CarriedTargets,
     image_gradient: Vec<f32>,
     by_patch: Vec<[f32; 3]>,
     by_vertex: Vec<DVec3>,
@@ -117,6 +121,7 @@ impl<'a> BridgesplatFit<'a> {
                 AdamConstants::default(),
             ),
             reach: Reach::new(&settings.common.visibility),
+            targets: CarriedTargets::new(&observation.targets_mm, &mesh.vertices),
             image_gradient: Vec::new(),
             by_patch: Vec::new(),
             by_vertex: Vec::new(),
@@ -145,34 +150,54 @@ impl<'a> BridgesplatFit<'a> {
         patch.place(&patch.pick(&now))?;
         self.render(&patch, &view, DepthOutput::Skip)?;
         let ahead = held_out(frame).then(|| color_image(&self.rasterizer));
-        let visible = self.visible_vertices(&faces);
+        let (shown, hidden) = self.shown_vertices(&faces);
         let mut deformation = match self.deformation.take() {
             Some(deformation) => deformation,
-            None => self.control_points(&visible)?,
+            None => self.control_points(&shown)?,
         };
-        let invisible: Vec<u32> = (0..self.rest.len() as u32).filter(|&v| !visible[v as usize]).collect();
+        let invisible: Vec<u32> = (0..self.rest.len() as u32).filter(|&v| hidden[v as usize]).collect();
         self.optimise(frame, &view, &mut patch, &invisible, &mut deformation)?;
         self.deformation = Some(deformation);
         let local = patch.pick(&self.vertices_mm());
         patch.place(&local)?;
         self.render(&patch, &view, DepthOutput::Surface)?;
         self.surface.absorb(&patch);
-        Ok(rendered_prediction(frame, &self.rasterizer, ahead))
+        let prediction = rendered_prediction(frame, &self.rasterizer, ahead);
+        let motion = |v: u32| (self.vertices[v as usize] - self.rest[v as usize]) * *self.settings.common.unit_mm;
+        let targets_mm = Some(self.targets.moved(motion));
+        Ok(FramePrediction { targets_mm, novel: self.novel(frame)?, ..prediction })
     }
 
-    /// False for vertices of any face that has a disc outside the image (occlusion is not tested).
-    fn visible_vertices(&self, faces: &[u32]) -> Vec<bool> {
+    /// The view of the frame's second camera, with the mesh as it is now.
+    fn novel(&mut self, frame: usize) -> Result<Option<NovelPrediction>> {
+        let Some(pose) = self.observation.novel_pose[frame] else { return Ok(None) };
+        let view = View::new(self.observation.camera, pose);
+        let now = self.vertices_mm();
+        let faces = visible_faces(&self.surface.faces, &[&now], &view, self.reach, Sides::Both);
+        let mut patch = self.surface.patch(&faces)?;
+        patch.place(&patch.pick(&now))?;
+        self.render(&patch, &view, DepthOutput::Surface)?;
+        Ok(Some(shown(&self.rasterizer)))
+    }
+
+    /// Per vertex, as released: whether a face around it has a disc in the image, and whether one has a disc outside of
+    /// it (occlusion is not tested).
+    fn shown_vertices(&self, faces: &[u32]) -> (Vec<bool>, Vec<bool>) {
         let flags = &self.rasterizer.rendered().visible;
         let per_face = self.surface.per_face;
-        let mut face_visible = vec![false; self.surface.faces.len()];
+        let (mut any, mut all) = (vec![false; self.surface.faces.len()], vec![false; self.surface.faces.len()]);
         for (&f, flags) in faces.iter().zip(flags.chunks_exact(per_face)) {
-            face_visible[f as usize] = flags.iter().all(|v| *v);
+            any[f as usize] = flags.iter().any(|v| *v);
+            all[f as usize] = flags.iter().all(|v| *v);
         }
-        let mut visible = vec![true; self.rest.len()];
-        for (corners, _) in self.surface.faces.iter().zip(&face_visible).filter(|(_, visible)| !**visible) {
-            corners.iter().for_each(|&v| visible[v as usize] = false);
+        let (mut shown, mut hidden) = (vec![false; self.rest.len()], vec![false; self.rest.len()]);
+        for (corners, (any, all)) in self.surface.faces.iter().zip(any.iter().zip(&all)) {
+            for &v in corners {
+                shown[v as usize] |= *any;
+                hidden[v as usize] |= !all;
+            }
         }
-        visible
+        (shown, hidden)
     }
 
     /// Every n-th visible vertex of the first frame.

@@ -14,7 +14,9 @@ use crate::base::{Progress, Result};
 use crate::reconstruct::fitting::schedule::{rate_factor, scaled_iterations};
 use crate::splat::{DepthOutput, ImageGradient, Rasterizer, Settings, View, Wanted};
 
-use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{
+    Access, FramePrediction, NovelPrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction,
+};
 use crate::reconstruct::fitting::anchored::{Rates, to_f32};
 use crate::reconstruct::fitting::control_points::ControlField;
 use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch};
@@ -22,7 +24,7 @@ use crate::reconstruct::fitting::loss::pairs::{self, Pairs};
 use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
-use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction};
+use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction, shown};
 use crate::reconstruct::settings::{BridgesplatNomeshSettings, MethodHeader};
 
 /// BridgeSplat without its mesh.
@@ -199,7 +201,21 @@ impl<'a> BridgesplatNomeshFit<'a> {
         self.place(&mut patch, &field);
         self.render(&patch, &view, DepthOutput::Surface)?;
         self.free.absorb(&patch);
-        Ok(rendered_prediction(frame, &self.rasterizer, ahead))
+        let prediction = rendered_prediction(frame, &self.rasterizer, ahead);
+        Ok(FramePrediction { novel: self.novel(frame)?, ..prediction })
+    }
+
+    /// The view of the frame's second camera, with the Gaussians as they are now.
+    fn novel(&mut self, frame: usize) -> Result<Option<NovelPrediction>> {
+        let Some(pose) = self.observation.novel_pose[frame] else { return Ok(None) };
+        let view = View::new(self.observation.camera, pose);
+        let faces =
+            visible_faces(&self.observation.inspiration.faces, &[&self.surface], &view, self.reach, Sides::Lumen);
+        let mut patch = self.free.patch(&faces);
+        let field = self.anchors.field.subset(&patch.ids);
+        self.place(&mut patch, &field);
+        self.render(&patch, &view, DepthOutput::Surface)?;
+        Ok(Some(shown(&self.rasterizer)))
     }
 
     /// Anchors whose own Gaussian is outside the image.

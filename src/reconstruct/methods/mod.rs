@@ -7,3 +7,4 @@ pub mod ours_gn;
 pub mod ours_nomesh;
 #[cfg(test)]
 mod tests;
+pub mod virtual_rows;

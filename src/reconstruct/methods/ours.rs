@@ -26,6 +26,8 @@ const WIDEST_REACH: f64 = 2.0 * phase_fit::REACH + 1e-6;
 pub enum GivenPhase {
     /// 0 throughout: the inspiration mesh, which does not move.
     Inspiration,
+    /// 1 throughout: the expiration mesh, which does not move.
+    Expiration,
     /// The true one.
     True,
 }
@@ -90,6 +92,7 @@ impl Reconstruct for Ours {
         let source = match &self.variant {
             OursVariant::Ours(estimation, _) => PhaseSource::Estimated(estimation),
             OursVariant::Given(GivenPhase::Inspiration) => PhaseSource::Given(vec![0.0; observation.images.len()]),
+            OursVariant::Given(GivenPhase::Expiration) => PhaseSource::Given(vec![1.0; observation.images.len()]),
             OursVariant::Given(GivenPhase::True) => {
                 PhaseSource::Given(observation.true_phase.clone().unwrap_or_default())
             }
@@ -114,6 +117,7 @@ struct BreathingDiscs {
     window: Option<KeyframeWindow>,
     pixels_per_disc: f32,
     most_per_face: f32,
+    hidden_left_out: bool,
 }
 
 impl BreathingDiscs {
@@ -140,6 +144,7 @@ impl BreathingDiscs {
             window,
             pixels_per_disc: *discs.on_face.pixels_per_disc as f32,
             most_per_face: *discs.on_face.most_per_face as f32,
+            hidden_left_out: *discs.on_face.hidden_left_out,
             surface,
             inspiration: to_f32(&rest.vertices),
             displacement: mesh::displacement(rest, expiration),
@@ -174,19 +179,20 @@ impl BreathingDiscs {
     }
 }
 
-impl BreathingGaussians for BreathingDiscs {
-    fn enter<'a>(&'a mut self, view: &View, [low, high]: [f64; 2]) -> Result<Box<dyn VisiblePatch + 'a>> {
+impl BreathingDiscs {
+    /// The faces that `view` may show while the phase stays within the range.
+    fn faces_in_view(&self, view: &View, [low, high]: [f64; 2]) -> Result<Vec<u32>> {
         let phases: &[f64] = if low == high { &[low] } else { &[low, 0.5 * (low + high), high] };
         let states: Vec<Vec<[f32; 3]>> = phases.iter().map(|&phase| self.mesh().at(phase)).collect();
         let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
         let mut faces = visible_faces(&self.surface.faces, &states, view, self.reach, Sides::Lumen);
-        if high - low <= WIDEST_REACH {
+        if self.hidden_left_out && high - low <= WIDEST_REACH {
             faces = self.unhidden(view, &states, &faces);
         }
-        if faces.is_empty() {
-            return Err(nothing_in_view());
-        }
-        self.refine(&faces, states[states.len() / 2], view);
+        if faces.is_empty() { Err(nothing_in_view()) } else { Ok(faces) }
+    }
+
+    fn patch_of(&mut self, faces: Vec<u32>) -> Result<Box<dyn VisiblePatch + '_>> {
         let patch = self.surface.patch(&faces)?;
         Ok(Box::new(VisibleDiscs {
             rest: patch.pick(&self.inspiration),
@@ -197,6 +203,20 @@ impl BreathingGaussians for BreathingDiscs {
             faces,
             all: self,
         }))
+    }
+}
+
+impl BreathingGaussians for BreathingDiscs {
+    fn enter<'a>(&'a mut self, view: &View, [low, high]: [f64; 2]) -> Result<Box<dyn VisiblePatch + 'a>> {
+        let faces = self.faces_in_view(view, [low, high])?;
+        let middle = self.mesh().at(if low == high { low } else { 0.5 * (low + high) });
+        self.refine(&faces, &middle, view);
+        self.patch_of(faces)
+    }
+
+    fn look<'a>(&'a mut self, view: &View, phase: f64) -> Result<Box<dyn VisiblePatch + 'a>> {
+        let faces = self.faces_in_view(view, [phase, phase])?;
+        self.patch_of(faces)
     }
 }
 

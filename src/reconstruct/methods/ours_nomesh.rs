@@ -133,6 +133,10 @@ impl BreathingGaussians for FieldGaussians {
             all: self,
         }))
     }
+
+    fn look<'a>(&'a mut self, view: &View, phase: f64) -> Result<Box<dyn VisiblePatch + 'a>> {
+        self.enter(view, [phase, phase])
+    }
 }
 
 /// The Gaussians visible in one frame.

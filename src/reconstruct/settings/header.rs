@@ -10,6 +10,8 @@ pub enum MethodKind {
     Ours,
     /// The same on the inspiration mesh, which does not move.
     StaticCt,
+    /// The same on the expiration mesh, which does not move.
+    StaticExpiration,
     /// The same with the true phase given.
     OraclePhase,
     /// Free Gaussians, one breathing phase per frame.
@@ -20,6 +22,12 @@ pub enum MethodKind {
     Bridgesplat,
     /// BridgeSplat without its mesh.
     BridgesplatNomesh,
+    /// The CT's surface at the phase whose lumen is best centred on the given pose; no picture.
+    PoseOnly,
+    /// The CT's surface at the phase of a mean breath.
+    MeanBreath,
+    /// The CT's surface at the phase whose view correlates best with the frame.
+    VirtualBronchoscopy,
 }
 
 /// When a method is run.

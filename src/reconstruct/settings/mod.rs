@@ -13,6 +13,7 @@ mod ours;
 mod ours_gn;
 mod ranges;
 mod sourced;
+mod virtual_view;
 
 pub use bridgesplat::{BridgeCommon, BridgeObjective, BridgesplatNomeshSettings, BridgesplatSettings};
 pub use gaussians::{
@@ -28,3 +29,4 @@ pub use ours::{
 pub use ours_gn::{OursGnSettings, ScopeCalibration};
 pub(super) use ranges::METHOD_RANGES;
 pub use sourced::{NumberSource, Sourced};
+pub use virtual_view::{ContrastMatching, MeanBreathSettings, PoseOnlySettings, VirtualBronchoscopySettings};

@@ -28,6 +28,9 @@ pub struct FrameFitSettings {
     pub falloff_exponent: Sourced<f64>,
     /// Light that does not depend on the incidence, as a share of that which does.
     pub indirect_share: Sourced<f64>,
+    /// Whether colours are kept within what a wall can show, and those of Gaussians behind the rendered surface as they
+    /// were: not in the paper.
+    pub guarded_colors: Sourced<bool>,
     /// What is left out.
     pub visibility: Visibility,
 }
@@ -89,6 +92,8 @@ pub struct OnFace {
     pub pixels_per_disc: Sourced<f64>,
     /// Largest number of discs that a face in view asks for.
     pub most_per_face: Sourced<u32>,
+    /// Whether discs on faces that a wall hides are left out of a frame: not in the paper.
+    pub hidden_left_out: Sourced<bool>,
     /// What a disc takes over from its deformed face: `stretch` (direction and stretch) or `normal` (direction alone).
     pub inherits: Sourced<Inherits>,
 }

@@ -47,6 +47,10 @@ pub const METHOD_RANGES: KeyRanges = KeyRanges(&[
     ("exposure_limit", LIGHT_PART),
     ("falloff_exponent", LIGHT_PART),
     ("indirect_share", LIGHT_PART),
+    ("largest_width", NumberRange::new(8.0, 8192.0)),
+    ("contrast_radius", NumberRange::new(1e-3, 1.0)),
+    ("calibration_s", NumberRange::new(0.0, 1e6)),
+    ("offsets", NumberRange::new(1.0, 1000.0)),
     ("visibility.margin", NumberRange::new(0.0, 10.0)),
     ("visibility.range_mm", NumberRange::new(1.0, 1e4)),
     // the phase

@@ -38,7 +38,13 @@ pub fn color_of(method: &str) -> RGBColor {
         "bridgesplat-nomesh" => RGBColor(230, 159, 0),
         "oracle-phase" => RGBColor(0, 158, 115),
         "static-ct" => RGBColor(140, 140, 140),
+        "ours-window" => RGBColor(0, 60, 110),
         "ours-gn" => RGBColor(204, 121, 167),
+        "bridgesplat-release" => RGBColor(150, 60, 0),
+        "virtual-bronchoscopy" => RGBColor(120, 94, 240),
+        "pose-only" => RGBColor(200, 170, 0),
+        "mean-breath" => RGBColor(160, 140, 60),
+        "static-expiration" => RGBColor(185, 185, 185),
         other => {
             // Third parties: one of four further hues, by name.
             let hues = [RGBColor(204, 121, 167), RGBColor(120, 94, 240), RGBColor(148, 103, 69), RGBColor(70, 130, 60)];

@@ -9,6 +9,7 @@ use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::memory::{ShownColors, shift};
 use crate::reconstruct::fitting::schedule::scaled_iterations;
 use crate::reconstruct::fitting::scope_light::{ScopeLight, Shade};
+use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{depths_mm, pixels};
 use crate::reconstruct::settings::{FrameFitSettings, PhaseEstimation};
 use crate::splat::{DepthOutput, ImageGradient, Rasterizer, Rendered, Settings, View, Wanted};
@@ -30,6 +31,8 @@ pub struct Fitter<'a> {
     pub estimation: Option<&'a PhaseEstimation>,
     /// What the method may see.
     pub observation: &'a Observation,
+    /// The planned targets, tied to the wall.
+    pub targets: CarriedTargets,
     scale: f64,
     /// Holds the last rendering.
     pub rasterizer: Rasterizer<f32>,
@@ -76,6 +79,7 @@ impl<'a> Fitter<'a> {
             settings,
             estimation,
             observation,
+            targets: CarriedTargets::new(&observation.targets_mm, &observation.inspiration.vertices),
             scale: iteration_scale,
             rasterizer: Rasterizer::new(),
             gradient: Vec::new(),
@@ -199,6 +203,24 @@ impl<'a> Fitter<'a> {
         }
     }
 
+    /// Where there is no image to take a colour from, Gaussians that no frame has shown get the mean colour of those
+    /// that one has, under the light at their own place.
+    pub fn color_the_unseen_evenly(&mut self, view: &View, patch: &mut dyn VisiblePatch) {
+        self.light(view).shades(patch.gaussians(), &[], &mut self.shades);
+        let (sh, memory) = patch.colors();
+        let (mut sum, mut count) = ([0.0f32; 3], 0.0f32);
+        for (sh, at) in sh.chunks_exact(SH_VALUES).zip(&memory.contained_shade).filter(|(_, at)| **at > 0.0) {
+            (0..3).for_each(|c| sum[c] += (sh[c] * SH_C0 + 0.5) / at);
+            count += 1.0;
+        }
+        let mean = sum.map(|sum| if count > 0.0 { sum / count } else { 0.5 });
+        for ((sh, at), shade) in sh.chunks_exact_mut(SH_VALUES).zip(&memory.contained_shade).zip(&self.shades) {
+            if *at == 0.0 {
+                (0..3).for_each(|c| sh[c] = (mean[c] * shade.value - 0.5) / SH_C0);
+            }
+        }
+    }
+
     /// Records the shade contained in the colour of each visible disc (one not behind the rendered surface). The
     /// others get back their colours of `before`: what the image shows of them through the wall is too little to learn
     /// from, and enough to diverge on.
@@ -210,7 +232,10 @@ impl<'a> Fitter<'a> {
         let rendered = self.rasterizer.rendered();
         let width = rendered.width;
         let (sh, memory) = patch.colors();
-        sh.chunks_exact_mut(SH_VALUES).for_each(bound);
+        let guarded = *self.settings.guarded_colors;
+        if guarded {
+            sh.chunks_exact_mut(SH_VALUES).for_each(bound);
+        }
         let frames = self.estimation.map_or(0.0, |estimation| *estimation.memory_frames as f32);
         for (k, ((pixel, shade), depth)) in pixels.into_iter().zip(&self.shades).zip(depths).enumerate() {
             if let Some([x, y]) = pixel
@@ -220,7 +245,7 @@ impl<'a> Fitter<'a> {
                 if frames > 0.0 {
                     memory.add(k, &sh[k * SH_VALUES..][..SH_VALUES], frames);
                 }
-            } else {
+            } else if guarded {
                 memory.put_back(k, &mut sh[k * SH_VALUES..][..SH_VALUES], before);
             }
         }

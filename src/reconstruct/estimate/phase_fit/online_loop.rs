@@ -3,11 +3,11 @@
 use super::fitter::{Fitter, FrameTarget};
 use super::patch::{BreathingGaussians, VisiblePatch};
 use crate::base::{Progress, Result};
-use crate::reconstruct::contract::{FramePrediction, Observation, Reconstruction};
+use crate::reconstruct::contract::{FramePrediction, NovelPrediction, Observation, Reconstruction};
 use crate::reconstruct::fitting::grid_search::grid_search;
 use crate::reconstruct::geometry::mesh_depth::depth_gap_mm;
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
-use crate::reconstruct::online::{color_image, depth_image, fit_in_order, held_out};
+use crate::reconstruct::online::{color_image, depth_image, fit_in_order, held_out, shown};
 use crate::reconstruct::settings::{FrameFitSettings, PhaseEstimation};
 use crate::splat::{DepthOutput, View};
 
@@ -110,11 +110,11 @@ impl Fitter<'_> {
         phase = self.optimise_appearance(patch, &mut target, phase, estimated)?;
         self.place(&view, patch, phase)?;
         self.render(&view, patch, DepthOutput::Surface)?;
-        let color = color_image(&self.rasterizer);
-        let depth_mm = depth_image(self.rasterizer.rendered(), color.width, color.height);
+        let NovelPrediction { color, depth_mm } = shown(&self.rasterizer);
         self.mark_fitted(patch, &target, &before);
         entered.leave();
         self.phases.push(phase);
+        let novel = self.novel(frame, phase, gaussians)?;
         Ok(FramePrediction {
             frame,
             color,
@@ -123,7 +123,25 @@ impl Fitter<'_> {
             phase_deviation: None,
             world_from_camera: None,
             ahead,
+            targets_mm: Some(self.targets.at_phase(self.observation, phase)),
+            novel,
         })
+    }
+
+    /// The view of the frame's second camera at `phase`, with what has been learned so far.
+    fn novel(
+        &mut self,
+        frame: usize,
+        phase: f64,
+        gaussians: &mut dyn BreathingGaussians,
+    ) -> Result<Option<NovelPrediction>> {
+        let Some(pose) = self.observation.novel_pose[frame] else { return Ok(None) };
+        let view = View::new(self.observation.camera, pose);
+        let mut patch = gaussians.look(&view, phase)?;
+        self.place(&view, &mut *patch, phase)?;
+        self.color_the_unseen_evenly(&view, &mut *patch);
+        self.render(&view, &*patch, DepthOutput::Surface)?;
+        Ok(Some(shown(&self.rasterizer)))
     }
 
     /// First frame: the phase whose rendered depth is closest to the given depth.

@@ -9,6 +9,8 @@ use crate::splat::{Gaussians, Gradients, View, Wanted};
 pub trait BreathingGaussians {
     /// Starts a frame: makes the compact copy of what is visible from `view` while the phase stays within `phases`.
     fn enter<'a>(&'a mut self, view: &View, phases: [f64; 2]) -> Result<Box<dyn VisiblePatch + 'a>>;
+    /// The same for a view that is only rendered: nothing is refined, and nothing must be written back.
+    fn look<'a>(&'a mut self, view: &View, phase: f64) -> Result<Box<dyn VisiblePatch + 'a>>;
 }
 
 /// The compact copy of the Gaussians visible in one frame, on which all work of the frame is done.

@@ -6,11 +6,11 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::bounded::{BoundedStep, bounded, marginalised};
-use super::contrast::{ContrastImage, contrast_image};
 use super::correction::Correction;
 use super::drift::PoseDrift;
 use super::pair::{Assumed, Keyframe, OtherUnknowns, Pair, PairPoses, TargetFrame, keyframe, misfit, pair};
 use super::unknowns::UnknownLayout;
+use crate::reconstruct::fitting::contrast::{ContrastImage, contrast_image};
 use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::mesh_depth::{PixelRays, nearest_faces};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
@@ -18,6 +18,8 @@ use crate::reconstruct::geometry::rigid::{POSE, moved};
 use crate::reconstruct::settings::KeyframeSettings;
 use crate::splat::View;
 
+/// Half width of the neighbourhood of local contrast, as a share of the image's width.
+pub const CONTRAST_RADIUS: f64 = 3.0 / 128.0;
 /// Largest number of Gauss-Newton steps per frame, and the step length (phase, mm) below which they end.
 const STEPS: usize = 4;
 const SHORTEST_STEP: f64 = 2e-4;
@@ -177,7 +179,7 @@ impl KeyframeWindow {
         self.waited += 1;
 
         // The wall that the frame shows at the expected values of all unknowns.
-        let contrast = contrast_image(&frame.image, &frame.weights);
+        let contrast = contrast_image(&frame.image, &frame.weights, CONTRAST_RADIUS);
         let expected_at = self.unknowns.clone().push(expected);
         let view_and_walls = |at: &DVector<f64>| {
             let view = self.moved(&frame.view, at, 0.0);

@@ -10,7 +10,7 @@
 //! face. In frame `n` that point is at `X_n = sum b_i v_i(a_n)`. The derivatives of its pixel there by `a_k` and
 //! by `a_n` differ ([`pair`]), so both phases can be estimated.
 //!
-//! - Images are compared by local contrast ([`contrast`]), which large-scale changes of light do not affect.
+//! - Images are compared by local contrast ([`contrast_image`](crate::reconstruct::fitting::contrast::contrast_image)), which large-scale changes of light do not affect.
 //! - Each frame is placed against all keyframes. A frame that shows enough new wall becomes a keyframe; the oldest
 //!   keyframe leaves and its information is marginalised ([`bounded`]). With each new keyframe a share of the
 //!   information is forgotten, since systematic errors (glare, light inside the wall) do not average out.
@@ -27,7 +27,6 @@
 //! Left out: levels of resolution.
 
 pub mod bounded;
-pub mod contrast;
 pub mod correction;
 pub mod drift;
 mod keyframe_window;

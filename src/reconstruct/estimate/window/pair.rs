@@ -4,7 +4,7 @@
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use nalgebra::{DMatrix, DVector};
 
-use super::contrast::ContrastImage;
+use crate::reconstruct::fitting::contrast::ContrastImage;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::rigid::{POSE, turns};
 use crate::splat::View;

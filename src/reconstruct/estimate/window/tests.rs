@@ -3,13 +3,14 @@ use glam::{DAffine3, DVec2, DVec3, Vec3};
 use nalgebra::{DMatrix, DVector};
 
 use super::bounded::{BoundedStep, bounded};
-use super::contrast::contrast_image;
 use super::correction::Correction;
 use super::drift::PoseDrift;
+use super::keyframe_window::CONTRAST_RADIUS;
 use super::keyframe_window::IncomingFrame;
 use super::pair::{Assumed, OtherUnknowns, PairPoses, TargetFrame, carried, keyframe, point_residual};
 use super::*;
 use crate::base::{Camera, Image};
+use crate::reconstruct::fitting::contrast::contrast_image;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::mesh_depth::{PixelRays, nearest_faces};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
@@ -130,7 +131,7 @@ fn of_two_answers_all_keyframes_choose() {
     let last = window.unknowns.len() - 1;
     window.unknowns[last] += 0.06;
     let (view, image) = film(12);
-    let contrast = contrast_image(&image, &[]);
+    let contrast = contrast_image(&image, &[], CONTRAST_RADIUS);
     let expected = truth(12);
     let rays = PixelRays::new(&view.camera);
     let nearest = nearest_faces(&view, &rays, &tube.mesh().at(expected), &tube.faces, &all);
@@ -153,7 +154,7 @@ fn a_phase_that_is_expected_in_the_wrong_place_is_searched_for() {
     window.place(&PyramidLevel { view, image, weights: Vec::new() }, tube.mesh(), &all, 0.5);
     const TRUTH: f64 = 0.62;
     let (view, image) = tube.film(2.6, TRUTH);
-    let contrast = contrast_image(&image, &[]);
+    let contrast = contrast_image(&image, &[], CONTRAST_RADIUS);
     let search_from = |expected: f64| {
         let nearest = nearest_faces(&view, &PixelRays::new(&view.camera), &tube.mesh().at(expected), &tube.faces, &all);
         let incoming = IncomingFrame { given: &view, contrast: &contrast, nearest: &nearest };
@@ -250,8 +251,10 @@ fn the_derivatives_of_a_path_are_those_of_its_pixel() {
     let (view, image) = tube.film(5.0, 0.7);
     let rays = PixelRays::new(&view.camera);
     let nearest = |view: &View, phase: f64| nearest_faces(view, &rays, &tube.mesh().at(phase), &tube.faces, &all);
-    let (contrasts, depths) =
-        ([&key_image, &image].map(|i| contrast_image(i, &[])), [nearest(&key_view, 0.4), nearest(&view, 0.7)]);
+    let (contrasts, depths) = (
+        [&key_image, &image].map(|i| contrast_image(i, &[], CONTRAST_RADIUS)),
+        [nearest(&key_view, 0.4), nearest(&view, 0.7)],
+    );
     let key = keyframe(
         &TargetFrame { view: &key_view, contrast_image: &contrasts[0], nearest: &depths[0] },
         &key_view,
@@ -370,8 +373,8 @@ fn contrast_knows_no_gain_and_no_hidden_pixels() {
     let weights: Vec<f32> = (0..1200).map(|i| f32::from(u8::from(i % 40 < 30))).collect();
     let mut other = image.clone();
     (0..1200).filter(|i| i % 40 >= 30).for_each(|i| other.data[3 * i] = 9.0);
-    let (a, b) = (contrast_image(&image, &weights), contrast_image(&other, &weights));
+    let (a, b) = (contrast_image(&image, &weights, CONTRAST_RADIUS), contrast_image(&other, &weights, CONTRAST_RADIUS));
     assert_eq!(a.contrast.data, b.contrast.data);
-    let flat = contrast_image(&Image::filled(40, 30, 3, 0.6), &[]);
+    let flat = contrast_image(&Image::filled(40, 30, 3, 0.6), &[], CONTRAST_RADIUS);
     assert!(flat.contrast.data.iter().all(|v| v.abs() < 1e-5));
 }

@@ -134,6 +134,14 @@ impl ActiveFrame {
         });
     }
 
+    /// Discs that no frame has shown get the albedo `mean`, where there is no image to take one from.
+    pub fn color_the_unseen(&mut self, mean: [f32; 3]) {
+        for (albedo, _) in self.albedo.iter_mut().zip(&self.memory).filter(|(_, memory)| **memory == 0.0) {
+            *albedo = mean;
+        }
+        self.color();
+    }
+
     /// The derivatives of the discs and their colours by the phase.
     pub fn velocity(&self, light: &ScopeLight) -> Result<MapVelocity> {
         let (mut positions, mut axes) = (Vec::new(), Vec::new());

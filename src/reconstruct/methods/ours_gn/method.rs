@@ -10,7 +10,9 @@ use super::registration::{self, Before};
 use super::renderer::DiscRenderer;
 use super::track::Tracked;
 use crate::base::{Error, Image, Progress, Result, TriangleMesh, mesh};
-use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
+use crate::reconstruct::contract::{
+    Access, FramePrediction, NovelPrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction,
+};
 use crate::reconstruct::estimate::breath::{BreathPredictor, Repetition};
 use crate::reconstruct::estimate::window::correction::Correction;
 use crate::reconstruct::estimate::window::drift::PoseDrift;
@@ -21,6 +23,7 @@ use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::mesh_depth::{PixelRays, depth_gap_mm, nearest_depth_mm, unhidden};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::rigid::{POSE, moved};
+use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::online::{fit_in_order, held_out};
 use crate::reconstruct::settings::{MethodHeader, OursGnSettings};
@@ -94,6 +97,7 @@ struct Tracker<'a> {
     /// Running mean of the cost of the frames so far.
     mean_cost: f64,
     window: Option<KeyframeWindow>,
+    targets: CarriedTargets,
 }
 
 /// The unknowns of the window besides the phases.
@@ -133,6 +137,7 @@ impl<'a> Tracker<'a> {
             breath: BreathPredictor::new(*settings.velocity, repetition),
             mean_cost: f64::INFINITY,
             window,
+            targets: CarriedTargets::new(&observation.targets_mm, &inspiration.vertices),
         })
     }
 
@@ -194,7 +199,33 @@ impl<'a> Tracker<'a> {
         self.map.leave(active);
         self.breath.add(phase);
         let world_from_camera = self.settings.unknown_pose.then(|| finest.view.camera_from_world.inverse());
-        Ok(FramePrediction { frame, color, depth_mm, phase: Some(phase), phase_deviation, world_from_camera, ahead })
+        let motion = |v: u32| phase * Vec3::from(self.displacement[v as usize]).as_dvec3();
+        let targets_mm = Some(self.targets.moved(motion));
+        let (novel, phase) = (self.novel(frame, phase)?, Some(phase));
+        Ok(FramePrediction {
+            frame,
+            color,
+            depth_mm,
+            phase,
+            phase_deviation,
+            world_from_camera,
+            ahead,
+            targets_mm,
+            novel,
+        })
+    }
+
+    /// The view of the frame's second camera at `phase`, with the map as it is now.
+    fn novel(&mut self, frame: usize, phase: f64) -> Result<Option<NovelPrediction>> {
+        let Some(pose) = self.observation.novel_pose[frame] else { return Ok(None) };
+        let given = View::new(self.observation.camera, pose);
+        let mut active = self.enter(&given, phase, 0.0)?;
+        let view = moved(&given, self.pose);
+        active.place(phase, &self.renderer.light(&view))?;
+        active.color_the_unseen(self.renderer.mean_color);
+        self.renderer.draw(&active, &view)?;
+        let color = self.shown();
+        Ok(Some(NovelPrediction { color, depth_mm: self.depth_mm(&view, phase, &active.faces) }))
     }
 
     /// Tracks from the expected `phase`; if tracking is lost, from the best of all phases.

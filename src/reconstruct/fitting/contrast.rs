@@ -5,8 +5,6 @@ use rayon::prelude::*;
 
 use crate::base::Image;
 
-/// Half width of the square over which an image is averaged (twice), as a share of its width.
-const RADIUS_SHARE: f64 = 3.0 / 128.0;
 /// Added to the local mean (image values, 0..1), so that darker areas have little contrast.
 const CONTRAST_FLOOR: f32 = 0.05;
 
@@ -18,11 +16,12 @@ pub struct ContrastImage {
     pub counts: Vec<bool>,
 }
 
-/// Local contrast `(I - B) / (B + floor)` of `image`, `B` its mean over a neighbourhood, per channel.
-pub fn contrast_image(image: &Image<f32>, weights: &[f32]) -> ContrastImage {
+/// Local contrast `(I - B) / (B + floor)` of `image`, `B` its mean over a square of half width `radius_share` of the
+/// image's width (averaged twice), per channel.
+pub fn contrast_image(image: &Image<f32>, weights: &[f32], radius_share: f64) -> ContrastImage {
     let (width, pixels) = (image.width, image.width * image.height);
     let counts: Vec<bool> = (0..pixels).map(|i| weights.get(i).is_none_or(|&w| w > 0.0)).collect();
-    let radius = ((width as f64 * RADIUS_SHARE).round() as usize).max(1);
+    let radius = ((width as f64 * radius_share).round() as usize).max(1);
     // The fourth plane counts the valid pixels in the neighbourhood.
     let value = |i: usize, c: usize| if c < 3 { image.data[3 * i + c] } else { 1.0 };
     let averaged = |c: usize| {
