@@ -7,14 +7,7 @@ use crate::base::{Error, Image, Progress, Result};
 use crate::splat::{Rasterizer, Rendered};
 
 use super::contract::{FramePrediction, NovelPrediction};
-
-/// Every eighth frame is held out.
-const HELD_OUT_PERIOD: usize = 8;
-
-/// Whether `frame` is rendered before its image may be used.
-pub fn held_out(frame: usize) -> bool {
-    frame % HELD_OUT_PERIOD == HELD_OUT_PERIOD - 1
-}
+pub use crate::simulate::sequence::held_out;
 
 /// Fits `frames` frames in order and hands out each answer. Returns the seconds spent in `fit`.
 pub fn fit_in_order(

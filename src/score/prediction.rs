@@ -25,9 +25,8 @@ use super::truth::Truth;
 use crate::base::range::NumberRange;
 use crate::base::{Error, Image, Result, TriangleMesh, files};
 use crate::formats::{depth_png, exr, mesh, npy, png};
+use crate::simulate::sequence::held_out;
 
-/// Frames 7, 15, .. are rendered before their image is looked at.
-const AHEAD_PERIOD: usize = 8;
 /// How depth images are stored, in the order of the search.
 const DEPTH_ENDINGS: [&str; 3] = ["exr", "npy", "png"];
 
@@ -289,7 +288,7 @@ fn depth_ending(folder: &Path, first: usize) -> Result<Option<&'static str>> {
 
 /// Every eighth frame, where the folder is there: all or none, so that nobody shows the best ones alone.
 fn ahead_frames(folder: &Path, frames: usize) -> Result<Vec<usize>> {
-    let eighths = (AHEAD_PERIOD - 1..frames).step_by(AHEAD_PERIOD);
+    let eighths = (0..frames).filter(|&frame| held_out(frame));
     if !folder.is_dir() {
         return Ok(Vec::new());
     }

@@ -9,9 +9,9 @@ use crate::base::{Camera, Error, NoProgress, Progress, Result, mesh};
 use crate::render::{Light, Material, Scene};
 
 use super::exposure;
-use super::novel_view::{beside, has_novel_view};
+use super::novel_view::beside;
 use super::sensor::mask_radius_px;
-use super::sequence::{FrameRecord, NovelView};
+use super::sequence::{self, FrameRecord, NovelView};
 use super::settings::SimulationSettings;
 use super::steering::Steering;
 use super::trajectory::{Route, nearest_mm};
@@ -151,7 +151,7 @@ impl Film {
             )?;
             wanted.push(exposure::wanted_gain(&proxy, case.exposure.target));
             blur_px.push(blur(&scene, &camera, anatomy, &way, now_s, case.scope.shutter_s)?);
-            if has_novel_view(index) {
+            if sequence::held_out(index) {
                 let world_from_camera = beside(&scene, &wall, &world_from_camera, case.seed, index)?;
                 novel_views.push(NovelView { frame: index, world_from_camera });
             }

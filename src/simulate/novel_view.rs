@@ -7,8 +7,6 @@ use crate::base::Result;
 use crate::base::random::{CounterRng, Stage};
 use crate::render::Scene;
 
-/// A frame in this many has a second camera.
-const PERIOD: usize = 8;
 /// Distance in mm from the frame's camera, and angle in degrees between the two optical axes.
 const DISTANCE_MM: [f64; 2] = [1.0, 2.0];
 const TURN_DEG: [f64; 2] = [8.0, 12.0];
@@ -18,11 +16,6 @@ const TURN_SPREAD_DEG: f64 = 60.0;
 const CLEARANCE: f64 = 0.9;
 /// Draws before the distance is halved.
 const DRAWS: u64 = 32;
-
-/// Whether `frame` has a second camera.
-pub(super) fn has_novel_view(frame: usize) -> bool {
-    frame % PERIOD == PERIOD - 1
-}
 
 /// Pose of the second camera beside the one at `pose` in frame `frame`: inside the lumen, [`DISTANCE_MM`] to the side,
 /// turned by [`TURN_DEG`]. Where the lumen leaves no room, nearer. `scene` is deformed to the frame's phase and `wall`

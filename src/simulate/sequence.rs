@@ -116,6 +116,15 @@ const TIME_S: NumberRange = NumberRange::new(0.0, 1e7);
 /// Gains and factors of the white balance.
 const FACTOR: NumberRange = NumberRange::new(1e-12, 1e12);
 
+/// One frame in this many is held out.
+const HELD_OUT_PERIOD: usize = 8;
+
+/// Whether `frame` is one of 7, 15, ..: methods render it before they may use its image, and a second camera that they
+/// never see films it.
+pub fn held_out(frame: usize) -> bool {
+    frame % HELD_OUT_PERIOD == HELD_OUT_PERIOD - 1
+}
+
 /// `images/NNNNNN.png`.
 pub fn image_name(frame: usize) -> String {
     format!("images/{frame:06}.png")

@@ -2,7 +2,6 @@
 
 use serde::Serialize;
 
-use super::novel_view::has_novel_view;
 use super::sequence;
 use super::truth::{TruthMap, TruthSet};
 use crate::airway::case::Case;
@@ -143,7 +142,7 @@ impl SimulationSettings {
         if self.radiance == RadianceOutput::Exr {
             names.push(sequence::radiance_name(frame));
         }
-        if has_novel_view(frame) {
+        if sequence::held_out(frame) {
             names.push(sequence::novel_depth_name(frame));
             names.push(sequence::novel_image_name(frame));
         }
