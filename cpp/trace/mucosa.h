@@ -1,6 +1,6 @@
 #pragma once
 // The look of the airway wall, a pure function of the point on the *rest* shape, so that it moves with the tissue:
-// blotchy colour, two generations of vessels, mucus film of varying roughness, fine relief.
+// blotchy colour, three generations of vessels, patches of soot, pale ridges, mucus film of varying roughness, fine relief.
 // Vessels are the edges of a warped three-dimensional Voronoi diagram cut by the surface (their junctions have three
 // arms, as vessels have), each edge with its own calibre, many of them absent. Colours: pale pink to red as the blood
 // volume rises; nothing here is a measurement.
@@ -16,7 +16,7 @@ namespace respire {
 
 // Strengths; 1 is the usual airway, 0 switches a feature off.
 struct MucosaLook {
-  float vessels, blotches, relief, film, rings, ring_spacing_mm;
+  float vessels, blotches, relief, film, rings, ring_spacing_mm, folds, spurs, anthracosis;
   std::uint32_t seed;
 };
 
@@ -100,11 +100,26 @@ inline float ring_profile(float axial_mm, float spacing_mm, float& slope) {
   return 0.5f - 0.5f * c;
 }
 
+// Height of the lengthwise folds at full strength, from hollow to crest.
+constexpr float kFoldHeightMm = 1.2f;
+
+// Folds: on the membranous back wall of trachea and main bronchi, and, lower, all around in small airways.
+inline float fold_weight(float generation, Vec3 rest_normal) {
+  const float back = smoothstep(0.2f, 0.7f, -rest_normal.y) * (1.0f - smoothstep(1.0f, 2.2f, generation));
+  return std::max(back, 0.55f * smoothstep(1.5f, 3.5f, generation));
+}
+
+// The folds' profile over the noise n: -sqrt(n^2 + s^2), narrow crests between wide hollows. Its slope, and how near a
+// point is to a crest, from 0 to 1.
+inline float fold_slope(float value) { return -value / std::sqrt(value * value + 0.01f); }
+inline float fold_crest(float value) { return clamp(1.25f - 2.5f * std::sqrt(value * value + 0.01f), 0.0f, 1.0f); }
+
 // A point of the rest shape: where it is, the normal there, the distance along the airway, how much cartilage there is
-// (1 in the trachea, 0 in small airways), and the generation of the airway.
+// (1 in the trachea, 0 in small airways), the generation of the airway, the curvature of a ridge, and how near a point is
+// to the crest of a fold (0 to 1).
 struct RestPoint {
   Vec3 place_mm, normal;
-  float axial_mm, ring_weight, generation;
+  float axial_mm, ring_weight, generation, ridge_per_mm, crest;
 };
 
 // The look at a point; `base` is the mean albedo, `footprint_mm` the size of a pixel there. Leaves the rings' relief to
@@ -128,21 +143,32 @@ inline MucosaPoint mucosa_at(const NoiseKernel& noise, const MucosaLook& look, V
     // Vessels are finer in smaller airways, where the scope is also closer to the wall.
     float calibre = mix(1.0f, 0.5f, clamp(0.25f * point.generation, 0.0f, 1.0f));
     float large =
-        vessel_coverage(noise, warped, point.normal, {3.6f, 0.26f * calibre, 0.35f, look.seed + 3}, footprint_mm);
+        vessel_coverage(noise, warped, point.normal, {3.6f, 0.22f * calibre, 0.4f, look.seed + 3}, footprint_mm);
     float small =
         vessel_coverage(noise, warped, point.normal, {1.3f, 0.12f * calibre, 0.3f, look.seed + 4}, footprint_mm);
-    vessel = look.vessels * std::max(large, 0.7f * small);
+    float capillaries =
+        vessel_coverage(noise, warped, point.normal, {0.62f, 0.06f, 0.15f, look.seed + 11}, footprint_mm);
+    vessel = look.vessels * std::max(std::max(large, 0.7f * small), 0.5f * capillaries);
   }
   // Albedo: pale over cartilage, red and dark with blood.
   float slope, ring = ring_profile(point.axial_mm, look.ring_spacing_mm, slope);
-  float pale = look.rings * point.ring_weight * ring * 0.9f;
+  // Mucosa that is drawn over an edge has little blood.
+  float edge = look.spurs * smoothstep(0.08f, 0.3f, point.ridge_per_mm);
+  float pale = look.rings * point.ring_weight * ring * 0.9f + 0.8f * edge + 0.9f * point.crest;
   float depth = clamp(1.0f + 0.75f * blood - 0.8f * pale, 0.25f, 2.5f);
   // Beer-Lambert-like: albedo falls with blood, in green and blue three times as fast as in red.
   auto fade = [](float rate) { return 1.0f / (1.0f + rate); };
   float red = fade(0.16f * depth) * 1.16f, green = fade(0.5f * depth) * 1.5f, blue = fade(0.46f * depth) * 1.46f;
   out.albedo = base * Vec3{red, green, blue};
-  out.albedo = out.albedo * Vec3{1.0f - 0.16f * std::min(vessel, 1.3f), 1.0f - 0.45f * std::min(vessel, 1.3f),
-                                 1.0f - 0.40f * std::min(vessel, 1.3f)};
+  out.albedo = out.albedo * Vec3{1.0f - 0.14f * std::min(vessel, 1.3f), 1.0f - 0.38f * std::min(vessel, 1.3f),
+                                 1.0f - 0.34f * std::min(vessel, 1.3f)};
+  if (look.anthracosis > 0.0f) {
+    // Soot below the mucosa: patches of some millimetres with ragged borders, black to slate.
+    float patch = gradient_noise(noise, rest_mm * (1.0f / 6.0f), look.seed + 12) +
+                  0.4f * gradient_noise(noise, rest_mm * (1.0f / 1.1f), look.seed + 13);
+    float soot = std::min(look.anthracosis * smoothstep(0.1f, 0.8f, patch), 1.0f);
+    out.albedo = out.albedo * Vec3{1.0f - 0.68f * soot, 1.0f - 0.62f * soot, 1.0f - 0.56f * soot};
+  }
   out.albedo = {clamp(out.albedo.x, 0.02f, 0.95f), clamp(out.albedo.y, 0.02f, 0.95f),
                 clamp(out.albedo.z, 0.02f, 0.95f)};
 

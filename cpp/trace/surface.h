@@ -2,7 +2,7 @@
 // The wall at a path's vertex: point, normals, colour, roughness.
 //
 // Fine detail (vessels, film, fine relief) is evaluated where the camera sees it; later vertices use the wall's mean
-// colour and the cartilage rings' relief.
+// colour and the relief of rings and folds.
 
 #include <cmath>
 
@@ -49,8 +49,8 @@ class Wall {
       const float l2 = dot(n, n);
       if (l2 > 1e-6f) s.smooth = n * (1.0f / std::sqrt(l2));
     }
-    if (material.has_rings()) {
-      const WallMaterial::Rise rise = material.ring_rise(corners, hit.u, hit.v);
+    if (material.has_coarse_relief()) {
+      const WallMaterial::Rise rise = material.coarse_rise(corners, hit.u, hit.v);
       s.smooth = bent(s.smooth, direction, corners, {rise.first * side, rise.second * side});
     }
     s.shading = s.smooth;

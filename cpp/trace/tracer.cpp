@@ -107,16 +107,14 @@ Vec3 direction_through(rust::Slice<const float> corners, const FrameSettings& fr
 }  // namespace
 
 Tracer::Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces,
-               rust::Slice<const float> generations, rust::Slice<const float> axial_mm,
-               const MaterialSettings& material)
-    : mesh_(vertices, faces), material_(std::make_unique<WallMaterial>(material, mesh_, generations, axial_mm)) {}
+               rust::Slice<const RestVertex> rest, const MaterialSettings& material)
+    : mesh_(vertices, faces), material_(std::make_unique<WallMaterial>(material, mesh_, rest)) {}
 
 Tracer::~Tracer() = default;
 
 std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces,
-                                   rust::Slice<const float> generations, rust::Slice<const float> axial_mm,
-                                   const MaterialSettings& material) {
-  return std::make_unique<Tracer>(vertices, faces, generations, axial_mm, material);
+                                   rust::Slice<const RestVertex> rest, const MaterialSettings& material) {
+  return std::make_unique<Tracer>(vertices, faces, rest, material);
 }
 
 TileCounters Tracer::trace_tile(const FrameSettings& frame, const TileRequest& tile, rust::Slice<const float> corners,

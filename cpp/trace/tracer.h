@@ -22,6 +22,7 @@ struct KnownLight;
 struct MaterialSettings;
 struct NoiseNeighbour;
 struct ProbedPoint;
+struct RestVertex;
 struct ScatterExit;
 struct TileCounters;
 struct TileRequest;
@@ -30,8 +31,8 @@ class WallMaterial;
 // A mesh and its material. Tracing is const and may run on many threads at once; `update` and `refit` may not.
 class Tracer {
  public:
-  Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces,
-         rust::Slice<const float> generations, rust::Slice<const float> axial_mm, const MaterialSettings& material);
+  Tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces, rust::Slice<const RestVertex> rest,
+         const MaterialSettings& material);
   ~Tracer();
 
   void update(rust::Slice<const float> vertices) { mesh_.update(vertices); }
@@ -63,8 +64,7 @@ class Tracer {
 };
 
 std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces,
-                                   rust::Slice<const float> generations, rust::Slice<const float> axial_mm,
-                                   const MaterialSettings& material);
+                                   rust::Slice<const RestVertex> rest, const MaterialSettings& material);
 
 // For tests.
 float coat_albedo(float alpha, float ior, float cosine);

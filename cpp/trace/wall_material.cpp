@@ -7,18 +7,21 @@
 namespace respire {
 
 WallMaterial::WallMaterial(const MaterialSettings& settings, const TracedMesh& rest,
-                           rust::Slice<const float> generations, rust::Slice<const float> axial_mm)
+                           rust::Slice<const RestVertex> vertices)
     : settings_(settings),
       albedo_(load(settings.albedo.data())),
       extinction_(load(settings.extinction.data())),
       scattering_(load(settings.scattering.data())),
-      look_{settings.vessels, settings.blotches,        settings.relief, settings.film,
-            settings.rings,   settings.ring_spacing_mm, settings.seed},
-      noise_(noise_kernel(widest_isa())),
-      generations_(generations.begin(), generations.end()),
-      axial_mm_(axial_mm.begin(), axial_mm.end()) {
-  demand(generations.size() == rest.vertex_count() && axial_mm.size() == rest.vertex_count(),
-         "one generation and axial distance per vertex");
+      look_{settings.vessels,         settings.blotches, settings.relief, settings.film,        settings.rings,
+            settings.ring_spacing_mm, settings.folds,    settings.spurs,  settings.anthracosis, settings.seed},
+      noise_(noise_kernel(widest_isa())) {
+  demand(vertices.size() == rest.vertex_count(), "one record of the rest shape per vertex");
+  for (const RestVertex& vertex : vertices) {
+    generations_.push_back(vertex.generation);
+    axial_mm_.push_back(vertex.axial_mm);
+    section_mm_.insert(section_mm_.end(), vertex.section_mm.begin(), vertex.section_mm.end());
+    ridge_.push_back(vertex.ridge_per_mm);
+  }
   if (coated()) {
     coat_ = Coat(settings.alpha_low, settings.alpha_high, settings.ior);
     wide_coat_ = Coat(kWideAlpha, kWideAlpha, settings.ior);
@@ -36,6 +39,7 @@ WallMaterial::WallMaterial(const MaterialSettings& settings, const TracedMesh& r
     rest_.insert(rest_.end(), {p.x, p.y, p.z});
   }
   bend_and_fade_rings(rest);
+  lay_folds(rest);
   bake_vertex_albedo(rest);
 }
 
@@ -57,6 +61,20 @@ void WallMaterial::bend_and_fade_rings(const TracedMesh& rest) {
   }
 }
 
+// Folds run along the airway: their coordinates are the place in the cross-section, and a little of the distance along
+// it, so that a fold ends after some periods. None of the numbers is a measurement.
+void WallMaterial::lay_folds(const TracedMesh& rest) {
+  if (look_.folds <= 0.0f) return;
+  constexpr float kPeriodMm = 2.8f, kStretch = 9.0f;
+  for (std::size_t v = 0; v < generations_.size(); ++v) {
+    const Vec3 section = load(&section_mm_[3 * v]);
+    const Vec3 along = {0.0f, 0.0f, axial_mm_[v] * (1.0f / kStretch)};
+    fold_height_.push_back(look_.folds * kFoldHeightMm * fold_weight(generations_[v], load(rest.normals() + 3 * v)));
+    const Vec3 place = (section + along) * (1.0f / kPeriodMm);
+    fold_place_.insert(fold_place_.end(), {place.x, place.y, place.z});
+  }
+}
+
 // Area-weighted means over the faces around every vertex, each face's colour taken near the vertex.
 void WallMaterial::bake_vertex_albedo(const TracedMesh& rest) {
   vertex_albedo_.assign(3 * rest.vertex_count(), 0.0f);
@@ -70,7 +88,8 @@ void WallMaterial::bake_vertex_albedo(const TracedMesh& rest) {
     for (int k = 0; k < 3; ++k) {
       std::uint32_t v = face[k];
       Vec3 p = corner[k] * (2.0f / 3.0f) + (corner[(k + 1) % 3] + corner[(k + 2) % 3]) * (1.0f / 6.0f);
-      const RestPoint point = {p, unit_or_zero(normal), axial_mm_[v], ring_weight_[v], generations_[v]};
+      const RestPoint point = {p,   unit_or_zero(normal), axial_mm_[v], ring_weight_[v], generations_[v], ridge_[v],
+                               0.0f};
       const MucosaPoint m = mucosa_at(noise_, look_, albedo_, point, 0.0f);
       store(&vertex_albedo_[3ull * v], load(&vertex_albedo_[3ull * v]) + m.albedo * area);
       weights[v] += area;

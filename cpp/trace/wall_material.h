@@ -24,9 +24,8 @@ constexpr float kWideAlpha = 0.2f;
 
 class WallMaterial {
  public:
-  // `rest`: the mesh as it is at rest; one airway generation and distance along the airway (mm) per vertex.
-  WallMaterial(const MaterialSettings& settings, const TracedMesh& rest, rust::Slice<const float> generations,
-               rust::Slice<const float> axial_mm);
+  // `rest`: the mesh as it is at rest; one record per vertex.
+  WallMaterial(const MaterialSettings& settings, const TracedMesh& rest, rust::Slice<const RestVertex> vertices);
 
   bool mucosa() const { return settings_.mucosa; }
   bool coated() const { return settings_.coated; }
@@ -62,27 +61,28 @@ class WallMaterial {
     };
     const Vec3 rest0 = load(&rest_[3ull * corners[0]]);
     edge1 = load(&rest_[3ull * corners[1]]) - rest0, edge2 = load(&rest_[3ull * corners[2]]) - rest0;
-    const RestPoint point = {rest0 + edge1 * u + edge2 * v, unit_or_zero(cross(edge1, edge2)), scalar(axial_mm_),
-                             scalar(ring_weight_), scalar(generations_)};
+    const RestPoint point = {rest0 + edge1 * u + edge2 * v,
+                             unit_or_zero(cross(edge1, edge2)),
+                             scalar(axial_mm_),
+                             scalar(ring_weight_),
+                             scalar(generations_),
+                             scalar(ridge_),
+                             crest_at(corners, u, v)};
     return mucosa_at(noise_, look_, albedo_, point, footprint_mm);
   }
 
-  bool has_rings() const { return !ring_height_.empty(); }
+  // Rings or folds: relief that is as wide as several faces, and bends the normal of every vertex of a path.
+  bool has_coarse_relief() const { return !ring_height_.empty() || !fold_height_.empty(); }
 
   // How much something rises along two edges of a face, from its first corner.
   struct Rise {
     float first, second;
   };
 
-  // The cartilage rings' relief. Rings are as wide as several faces: they bend the normal of every vertex of a path.
-  Rise ring_rise(const std::uint32_t* corners, float w1, float w2) const {
-    const float w0 = 1.0f - w1 - w2;
-    const float height = w0 * ring_height_[corners[0]] + w1 * ring_height_[corners[1]] + w2 * ring_height_[corners[2]];
-    if (height <= 0.0f) return {0.0f, 0.0f};
-    const float a0 = axial_mm_[corners[0]], a1 = axial_mm_[corners[1]], a2 = axial_mm_[corners[2]];
-    float slope;
-    ring_profile(w0 * a0 + w1 * a1 + w2 * a2, look_.ring_spacing_mm, slope);
-    return {height * slope * (a1 - a0), height * slope * (a2 - a0)};
+  // The relief of cartilage rings and lengthwise folds.
+  Rise coarse_rise(const std::uint32_t* corners, float w1, float w2) const {
+    const Rise rings = ring_rise(corners, w1, w2), folds = fold_rise(corners, w1, w2);
+    return {rings.first + folds.first, rings.second + folds.second};
   }
 
   // The wall below a point of diffuse albedo `albedo`.
@@ -110,7 +110,45 @@ class WallMaterial {
   }
 
  private:
+  Rise ring_rise(const std::uint32_t* corners, float w1, float w2) const {
+    if (ring_height_.empty()) return {0.0f, 0.0f};
+    const float w0 = 1.0f - w1 - w2;
+    const float height = w0 * ring_height_[corners[0]] + w1 * ring_height_[corners[1]] + w2 * ring_height_[corners[2]];
+    if (height <= 0.0f) return {0.0f, 0.0f};
+    const float a0 = axial_mm_[corners[0]], a1 = axial_mm_[corners[1]], a2 = axial_mm_[corners[2]];
+    float slope;
+    ring_profile(w0 * a0 + w1 * a1 + w2 * a2, look_.ring_spacing_mm, slope);
+    return {height * slope * (a1 - a0), height * slope * (a2 - a0)};
+  }
+
+  // How near a point is to the crest of a fold, weighted by how much folding there is.
+  float crest_at(const std::uint32_t* corners, float w1, float w2) const {
+    if (fold_height_.empty()) return 0.0f;
+    const float w0 = 1.0f - w1 - w2;
+    const float weight =
+        (w0 * fold_height_[corners[0]] + w1 * fold_height_[corners[1]] + w2 * fold_height_[corners[2]]) / kFoldHeightMm;
+    if (weight <= 0.0f) return 0.0f;
+    const Vec3 q = load(&fold_place_[3ull * corners[0]]) * w0 + load(&fold_place_[3ull * corners[1]]) * w1 +
+                   load(&fold_place_[3ull * corners[2]]) * w2;
+    return weight * fold_crest(gradient_noise(noise_, q, look_.seed + 10));
+  }
+
+  // Slopes of h = height fold_profile(noise(q)), q the folds' coordinates, linear on a face.
+  Rise fold_rise(const std::uint32_t* corners, float w1, float w2) const {
+    if (fold_height_.empty()) return {0.0f, 0.0f};
+    const float w0 = 1.0f - w1 - w2;
+    const float height = w0 * fold_height_[corners[0]] + w1 * fold_height_[corners[1]] + w2 * fold_height_[corners[2]];
+    if (height <= 0.0f) return {0.0f, 0.0f};
+    const Vec3 q0 = load(&fold_place_[3ull * corners[0]]);
+    const Vec3 first = load(&fold_place_[3ull * corners[1]]) - q0, second = load(&fold_place_[3ull * corners[2]]) - q0;
+    Vec3 gradient;
+    const float value = gradient_noise(noise_, q0 + first * w1 + second * w2, look_.seed + 10, gradient);
+    const float slope = height * fold_slope(value);
+    return {slope * dot(gradient, first), slope * dot(gradient, second)};
+  }
+
   void bend_and_fade_rings(const TracedMesh& rest);
+  void lay_folds(const TracedMesh& rest);
   void bake_vertex_albedo(const TracedMesh& rest);
 
   MaterialSettings settings_;
@@ -120,9 +158,11 @@ class WallMaterial {
   Coat coat_, wide_coat_;
   float mean_coat_ = 0.0f;
   // Of the rest shape, per vertex.
-  std::vector<float> rest_, generations_, axial_mm_, vertex_albedo_;
+  std::vector<float> rest_, generations_, axial_mm_, section_mm_, ridge_, vertex_albedo_;
   // How much cartilage there is at a vertex, and the rings' height in mm (empty without rings).
   std::vector<float> ring_weight_, ring_height_;
+  // The folds' height in mm and their coordinates (xyz) per vertex (empty without folds).
+  std::vector<float> fold_height_, fold_place_;
 };
 
 }  // namespace respire

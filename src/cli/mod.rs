@@ -21,6 +21,7 @@ mod light_bias;
 mod list;
 mod merge;
 mod pareto;
+mod picture_statistics;
 mod render;
 mod run;
 mod selection;
@@ -89,6 +90,8 @@ commands! {
     Pareto => pareto::ParetoArguments,
     /// Compares the light of films with path tracing, frame by frame
     LightBias => light_bias::LightBiasArguments,
+    /// How far pictures look from real bronchoscopy, by their statistics
+    PictureStatistics => picture_statistics::PictureStatisticsArguments,
     /// Path-trace one scene file: linear EXR, depth EXR, timing JSON
     Render => render::RenderArguments,
     /// Rasterise a 3DGS .ply: images, depth, alpha, timing; gradients of a weighted sum

@@ -48,7 +48,7 @@ pub struct SimulateArguments {
     #[arg(long, value_name = "MAP,..", value_delimiter = ',')]
     truth: Vec<TruthMap>,
     /// Switches effects of the scope off: emission, auto-exposure, lag, overshoot, gain-drift, white-balance,
-    /// shot-noise, read-noise, vignette, distortion, motion-blur, mask
+    /// shot-noise, read-noise, vignette, distortion, motion-blur, mask, steering
     #[arg(long, value_name = "EFFECT,..", value_delimiter = ',')]
     without: Vec<Effect>,
     #[command(flatten)]

@@ -5,6 +5,7 @@
 //! ablation: variants of methods and cases, scored beside the shipped ones
 //! light_bias: light at vertices, which films use, against path tracing, frame by frame
 //! pareto:   cost against error: path tracer, trackers, rasteriser (and what skipping saves)
+//! picture_statistics: what tells a simulated picture from a real one
 //! stress:   scenes, inputs and metrics at the edge of their definition; gradients against central differences
 //! timing:   the scene, repetitions and medians behind every figure of the rasteriser's speed
 //! ```
@@ -14,6 +15,7 @@ pub mod case_scene;
 pub mod difference;
 pub mod light_bias;
 pub mod pareto;
+pub mod picture_statistics;
 pub mod stress;
 pub mod timing;
 mod watcher;

@@ -22,6 +22,9 @@ const RANGES: KeyRanges = KeyRanges(&[
     ("film", STRENGTH),
     ("rings", STRENGTH),
     ("ring_spacing_mm", NumberRange::new(0.1, 1e3)),
+    ("folds", STRENGTH),
+    ("spurs", STRENGTH),
+    ("anthracosis", STRENGTH),
 ]);
 
 /// Family of a material.
@@ -110,6 +113,12 @@ pub struct Material {
     pub rings: f64,
     /// Distance between two rings in mm (`mucosa`).
     pub ring_spacing_mm: f64,
+    /// Strength of lengthwise folds: on the membranous back wall of the trachea, and in small airways (`mucosa`).
+    pub folds: f64,
+    /// How pale the edges of carinas are (`mucosa`).
+    pub spurs: f64,
+    /// Strength of dark patches of soot (`mucosa`).
+    pub anthracosis: f64,
 }
 
 impl Default for Material {
@@ -130,6 +139,9 @@ impl Default for Material {
             film: 1.0,
             rings: 1.0,
             ring_spacing_mm: 4.0,
+            folds: 1.0,
+            spurs: 1.0,
+            anthracosis: 0.0,
         }
     }
 }
@@ -175,6 +187,9 @@ impl Material {
             film: self.film as f32,
             rings: self.rings as f32,
             ring_spacing_mm: self.ring_spacing_mm as f32,
+            folds: self.folds as f32,
+            spurs: self.spurs as f32,
+            anthracosis: self.anthracosis as f32,
             seed: CounterRng::new(seed, Stage::Texture, &[]).next_u32(),
             subsurface: match (self.kind, self.boundary) {
                 (MaterialKind::Subsurface, Boundary::Diffuse | Boundary::Mixed) => SubsurfaceKind::Diffuse,

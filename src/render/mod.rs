@@ -21,6 +21,7 @@ mod denoise;
 mod frame;
 mod material;
 pub mod probe;
+mod rest_shape;
 mod sampling;
 mod scene;
 pub mod scene_file;

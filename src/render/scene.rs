@@ -2,8 +2,8 @@
 
 use glam::DVec3;
 
-use super::axial::axial_distance_mm;
 use super::material::Material;
+use super::rest_shape::rest_vertices;
 use super::tissue::{RestShape, Tissue};
 use super::topology::Topology;
 use crate::base::{Error, Result, TriangleMesh};
@@ -37,13 +37,13 @@ impl Scene {
             n if n == rest.vertices.len() => vertex_generation.to_vec(),
             n => return Err(Error::input(format!("{n} generations for {} vertices", rest.vertices.len()))),
         };
-        let axial = if settings.mucosa { axial_distance_mm(rest, &generation) } else { vec![0.0; generation.len()] };
+        let look = rest_vertices(rest, &generation, settings.mucosa);
         let (low, high) = rest.bounds();
         let shift = (low + high) * 0.5;
         let vertices = floats(&rest.vertices, shift);
-        let tracer = MeshTracer::new(&vertices, rest.faces.as_flattened(), &generation, &axial, &settings)?;
+        let tracer = MeshTracer::new(&vertices, rest.faces.as_flattened(), &look, &settings)?;
         let topology = Topology::new(rest);
-        let tissue = Tissue::new(RestShape { generation, axial, material: settings }, vertices, &topology);
+        let tissue = Tissue::new(RestShape { look, material: settings }, vertices, &topology);
         Ok(Scene {
             tracer,
             shift,

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use super::topology::Topology;
 use crate::base::{Error, Result};
 use crate::ffi::trace::tracer::{
-    FlatWalks, FrameSettings, MaterialSettings, MeshTracer, NO_FACE, ScatterExit, SubsurfaceKind,
+    FlatWalks, FrameSettings, MaterialSettings, MeshTracer, NO_FACE, RestVertex, ScatterExit, SubsurfaceKind,
 };
 
 /// Scatter walks per vertex and end.
@@ -57,10 +57,8 @@ impl ScatterRow {
 
 /// What the tracers of the two ends are built from.
 pub(super) struct RestShape {
-    /// Airway generation per vertex.
-    pub generation: Vec<f32>,
-    /// Distance along the airway per vertex.
-    pub axial: Vec<f32>,
+    /// What the look needs to know, per vertex.
+    pub look: Vec<RestVertex>,
     /// The wall's material.
     pub material: MaterialSettings,
 }
@@ -128,10 +126,10 @@ impl Tissue {
     fn tracer(&self, end: usize, topology: &Topology) -> Result<&MeshTracer> {
         let end = &self.ends[end];
         let make = || {
-            let RestShape { generation, axial, material } = &self.rest;
+            let RestShape { look, material } = &self.rest;
             // The look belongs to the shape at rest.
             let rest = &self.ends[0].vertices;
-            let mut tracer = MeshTracer::new(rest, topology.faces.as_flattened(), generation, axial, material)?;
+            let mut tracer = MeshTracer::new(rest, topology.faces.as_flattened(), look, material)?;
             tracer.update(&end.vertices)?;
             Ok(tracer)
         };

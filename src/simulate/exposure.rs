@@ -18,7 +18,7 @@ use crate::base::{Camera, Result};
 use crate::render::{Light, Scene};
 
 /// Rays of the proxy per image side.
-const GRID: usize = 20;
+const GRID: usize = 48;
 /// Indirect light: gain over direct light per unit albedo, fitted by eye to rendered frames.
 const INTERREFLECTION: f64 = 1.6;
 /// The gain stays within this factor of the film's median.

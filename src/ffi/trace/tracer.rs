@@ -14,7 +14,7 @@ use crate::ffi::isa::Isa;
 
 pub use bridge::{
     FaceLight, FacePlace, FacesAround, FilmPixel, FlatWalks, FrameSettings, Glint, GradientNoise, KnownLight,
-    MaterialSettings, NoiseNeighbour, ProbedPoint, ScatterExit, SubsurfaceKind, TileCounters, TileRequest,
+    MaterialSettings, NoiseNeighbour, ProbedPoint, RestVertex, ScatterExit, SubsurfaceKind, TileCounters, TileRequest,
 };
 
 #[allow(unused_qualifications)] // cxx spells its generated derives in full
@@ -58,6 +58,12 @@ mod bridge {
         rings: f32,
         /// Distance between two rings in mm.
         ring_spacing_mm: f32,
+        /// Strength of lengthwise folds.
+        folds: f32,
+        /// Strength of the pale edges of ridges.
+        spurs: f32,
+        /// Strength of dark patches of soot.
+        anthracosis: f32,
         /// Seed of the pattern.
         seed: u32,
         /// Light in the wall.
@@ -73,6 +79,19 @@ mod bridge {
         fixed_scattering: bool,
         /// Single-scattering albedo.
         scattering: [f32; 3],
+    }
+
+    /// What the look needs to know of the shape at rest at one vertex.
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct RestVertex {
+        /// Generation of the airway, 0 for the trachea; may be fractional.
+        generation: f32,
+        /// Distance along the airway in mm.
+        axial_mm: f32,
+        /// From the middle of the airway to the vertex, across the airway, in mm.
+        section_mm: [f32; 3],
+        /// Mean curvature (1 / mm) of a wall that stands out into the lumen, else 0.
+        ridge_per_mm: f32,
     }
 
     /// Camera, light and limits of one frame, in the tracer's (shifted) world.
@@ -284,8 +303,7 @@ mod bridge {
         fn new_tracer(
             vertices: &[f32],
             faces: &[u32],
-            generations: &[f32],
-            axial_mm: &[f32],
+            rest: &[RestVertex],
             material: &MaterialSettings,
         ) -> Result<UniquePtr<Tracer>>;
         fn update(self: Pin<&mut Tracer>, vertices: &[f32]) -> Result<()>;
@@ -374,16 +392,10 @@ fn failed(e: cxx::Exception) -> Error {
 }
 
 impl MeshTracer {
-    /// Builds the hierarchy. `vertices` xyz interleaved in mm, three indices per face, one generation and axial
-    /// distance per vertex. Fails on lengths that do not fit, and where Embree refuses.
-    pub fn new(
-        vertices: &[f32],
-        faces: &[u32],
-        generations: &[f32],
-        axial_mm: &[f32],
-        material: &MaterialSettings,
-    ) -> Result<Self> {
-        bridge::new_tracer(vertices, faces, generations, axial_mm, material).map(MeshTracer).map_err(failed)
+    /// Builds the hierarchy. `vertices` xyz interleaved in mm, three indices per face, one record per vertex.
+    /// Fails on lengths that do not fit, and where Embree refuses.
+    pub fn new(vertices: &[f32], faces: &[u32], rest: &[RestVertex], material: &MaterialSettings) -> Result<Self> {
+        bridge::new_tracer(vertices, faces, rest, material).map(MeshTracer).map_err(failed)
     }
 
     /// Moves the vertices and refits the hierarchy.
