@@ -150,7 +150,7 @@ pub fn dark_case() -> Case {
 }
 
 /// The power of the cosine by which the light falls off, from where it is half as bright.
-fn exponent(case: &Case) -> f64 {
+pub fn exponent(case: &Case) -> f64 {
     0.5f64.ln() / case.scope.emission_half_angle_deg.to_radians().cos().ln()
 }
 

@@ -10,7 +10,7 @@ use respire_bench::simulate::truth::TruthMap;
 use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
 
 use crate::own_tracer::{DARK, Met, Wall, differs, direction};
-use crate::scope::dark_case;
+use crate::scope::{dark_case, exponent};
 use crate::simulate::{case, small};
 
 fn settings(maps: &[TruthMap]) -> SimulationSettings {
@@ -177,7 +177,7 @@ fn phase_sensitivity_is_the_derivative_of_the_closed_form() {
             let v = (v * scale).clamp(0.0, 1.0);
             if v <= 0.0031308 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
         };
-        wall.picture(&sequence.camera, &state.world_from_camera, 1.0, 4).into_iter().map(encode).collect()
+        wall.picture(&sequence.camera, &state.world_from_camera, exponent(&case), 4).into_iter().map(encode).collect()
     };
     let (low, high) = (encoded(state.phase - step), encoded(state.phase + step));
     let expected: Vec<f64> = low.iter().zip(&high).map(|(l, h)| (h - l).abs() / (2.0 * step)).collect();
