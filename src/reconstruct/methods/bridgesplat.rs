@@ -8,6 +8,7 @@
 use std::time::Instant;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use crate::base::{Progress, Result, TriangleMesh};
 use crate::reconstruct::fitting::schedule::{rate_factor, scaled_iterations};
@@ -30,6 +31,9 @@ use crate::reconstruct::settings::{BridgeCommon, BridgeObjective, BridgesplatSet
 #[cfg(test)]
 #[path = "bridgesplat_tests.rs"]
 mod tests;
+
+/// Vertices per task, at least, in loops with little work per vertex.
+const PIECE: usize = 1024;
 
 /// BridgeSplat with its mesh.
 pub struct Bridgesplat {
@@ -97,6 +101,8 @@ struct BridgesplatFit<'a> {
     image_gradient: Vec<f32>,
     by_patch: Vec<[f32; 3]>,
     by_vertex: Vec<DVec3>,
+    /// The same in single precision, which the control points sum.
+    by_point: Vec<[f32; 3]>,
 }
 
 impl<'a> BridgesplatFit<'a> {
@@ -125,6 +131,7 @@ impl<'a> BridgesplatFit<'a> {
             image_gradient: Vec::new(),
             by_patch: Vec::new(),
             by_vertex: Vec::new(),
+            by_point: Vec::new(),
         })
     }
 
@@ -155,8 +162,7 @@ impl<'a> BridgesplatFit<'a> {
             Some(deformation) => deformation,
             None => self.control_points(&shown)?,
         };
-        let invisible: Vec<u32> = (0..self.rest.len() as u32).filter(|&v| hidden[v as usize]).collect();
-        self.optimise(frame, &view, &mut patch, &invisible, &mut deformation)?;
+        self.optimise(frame, &view, &mut patch, &hidden, &mut deformation)?;
         self.deformation = Some(deformation);
         let local = patch.pick(&self.vertices_mm());
         patch.place(&local)?;
@@ -225,7 +231,7 @@ impl<'a> BridgesplatFit<'a> {
         frame: usize,
         view: &View,
         patch: &mut Patch,
-        invisible: &[u32],
+        hidden: &[bool],
         deformation: &mut Deformation,
     ) -> Result<()> {
         let s = &self.settings.common;
@@ -254,9 +260,8 @@ impl<'a> BridgesplatFit<'a> {
             let gradient = ImageGradient { color: &self.image_gradient, ..ImageGradient::default() };
             self.rasterizer.backward(&patch.gaussians, &gradient, Wanted::POSITIONS | Wanted::SHAPES | Wanted::SH)?;
             // Gradients: by the vertices, and through the field by the control points.
-            self.vertex_gradient(patch, &local, invisible)?;
-            let by_points: Vec<[f32; 3]> = self.by_vertex.iter().map(|g| g.as_vec3().to_array()).collect();
-            deformation.field.pull_back(&by_points, &mut by_control);
+            self.vertex_gradient(patch, &local, hidden)?;
+            deformation.field.pull_back(&self.by_point, &mut by_control);
             if self.settings.variant == BridgeObjective::Full {
                 deformation.regularise(s, &mut by_control);
             }
@@ -286,7 +291,7 @@ impl<'a> BridgesplatFit<'a> {
     }
 
     /// Gradient of colour, ARAP and visibility by all vertices, in units.
-    fn vertex_gradient(&mut self, patch: &Patch, local: &[[f32; 3]], invisible: &[u32]) -> Result<()> {
+    fn vertex_gradient(&mut self, patch: &Patch, local: &[[f32; 3]], hidden: &[bool]) -> Result<()> {
         let s = &self.settings.common;
         patch.vertex_gradient(self.rasterizer.gradients(), local, &mut self.by_patch)?;
         self.by_vertex.clear();
@@ -294,10 +299,16 @@ impl<'a> BridgesplatFit<'a> {
         for (&v, g) in patch.vertices.iter().zip(&self.by_patch) {
             self.by_vertex[v as usize] = DVec3::from(g.map(f64::from)) * *s.unit_mm;
         }
-        self.arap.evaluate(&self.vertices, *self.settings.arap_weight, &mut self.by_vertex);
-        let delta: Vec<DVec3> = self.vertices.iter().zip(&self.rest).map(|(v, r)| *v - *r).collect();
-        let count = invisible.len() as f64;
-        pairs::visibility(invisible, &delta, count, *s.visibility_weight, &mut self.by_vertex);
+        self.arap.add_gradient(&self.vertices, *self.settings.arap_weight, &mut self.by_vertex);
+        let count = hidden.iter().filter(|hidden| **hidden).count();
+        let share = *s.visibility_weight / (count as f64).max(1.0);
+        self.by_point.resize(self.rest.len(), [0.0; 3]);
+        let moved = self.vertices.par_iter().zip(&self.rest).map(|(v, r)| *v - *r);
+        let points = self.by_point.par_iter_mut().zip(&self.by_vertex).zip(moved.zip(hidden)).with_min_len(PIECE);
+        points.for_each(|((out, by_vertex), (moved, hidden))| {
+            let by_visibility = if *hidden { pairs::visibility_gradient(moved, share) } else { DVec3::ZERO };
+            *out = (*by_vertex + by_visibility).as_vec3().to_array();
+        });
         Ok(())
     }
 }
