@@ -5,8 +5,6 @@
 //! spotlight factor of the released code is left out: these sequences have a light of their own.
 //! The mesh variant has no rotation parameters, hence no rotation term.
 
-use std::time::Instant;
-
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -25,7 +23,7 @@ use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
-use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction, shown};
+use crate::reconstruct::online::{OnlineRun, color_image, held_out, rendered_prediction, shown};
 use crate::reconstruct::settings::{BridgeCommon, BridgeObjective, BridgesplatSettings, MethodHeader};
 
 #[cfg(test)]
@@ -63,14 +61,12 @@ impl Reconstruct for Bridgesplat {
         emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
-        observation.validate(self.access())?;
-        let start = Instant::now();
+        let run = OnlineRun::begin(self.access(), observation)?;
         let mut fit = BridgesplatFit::new(&self.settings, self.iteration_scale, observation)?;
-        let preparation = start.elapsed().as_secs_f64();
-        let fitting = fit_in_order(observation.images.len(), |frame| fit.fit(frame), emit, progress)?;
+        let seconds = run.fit_in_order(|frame| fit.fit(frame), emit, progress)?;
         let faces = observation.inspiration.faces.clone();
         let vertices = fit.vertices.iter().map(|v| *v * *self.settings.common.unit_mm).collect();
-        Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), seconds: preparation + fitting })
+        Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), seconds })
     }
 }
 
