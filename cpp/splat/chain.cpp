@@ -105,14 +105,14 @@ struct ChainKernel {
     for_groups(s, o.first, o.count, [&](const LaneGroup& group) {
       const std::size_t k0 = group.k0;
       const int count = group.count;
-      if (o.starts[k0] == o.starts[k0 + count]) {
+      auto clear_all = [&] {
         if (wants(POSITIONS)) clear<3>(o.positions, k0, count);
         if (wants(OPACITIES)) clear<1>(o.opacities, k0, count);
         if (wants(HARMONICS)) clear<SH>(o.sh, k0, count);
         if (shapes && COLUMNS == 2) clear<6>(o.shape, k0, count);
         if (shapes && COLUMNS == 3) clear<4>(o.shape, k0, count), clear<3>(o.scales, k0, count);
-        return;
-      }
+      };
+      if (o.starts[k0] == o.starts[k0 + count]) return clear_all();
       const std::uint32_t* const index = group.index;
       // Tables of a hundred thousand Gaussians fit into no near cache, and there are a dozen of them: too many
       // streams for the processor's own prefetcher.
@@ -124,6 +124,10 @@ struct ChainKernel {
       if (shapes && COLUMNS == 3) prefetch_after<3, 1>(o.scales, k0);
       V m[16];
       sum_slots(k0, count, m);
+      // Behind what is opaque all moments are zero, and so are all gradients.
+      VI heard = {};
+      for (const V& v : m) heard |= v != 0.0f;
+      if (!any_of(heard)) return clear_all();
       VI visible;
       for (int l = 0; l < LANES; ++l) visible[l] = l < count && o.starts[k0 + l] != o.starts[k0 + l + 1] ? -1 : 0;
       // The projection again.

@@ -6,26 +6,43 @@ use std::time::Instant;
 use crate::base::{Error, Image, Progress, Result};
 use crate::splat::{Rasterizer, Rendered};
 
-use super::contract::{FramePrediction, NovelPrediction};
+use super::contract::{Access, FramePrediction, NovelPrediction, Observation};
 pub use crate::simulate::sequence::held_out;
 
-/// Fits `frames` frames in order and hands out each answer. Returns the seconds spent in `fit`.
-pub fn fit_in_order(
+/// The run of a method over an observation that has been checked; its clock is running.
+pub struct OnlineRun {
+    start: Instant,
     frames: usize,
-    mut fit: impl FnMut(usize) -> Result<FramePrediction>,
-    emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
-    progress: &dyn Progress,
-) -> Result<f64> {
-    let mut seconds = 0.0;
-    for frame in 0..frames {
-        stop_if_cancelled(progress)?;
-        let start = Instant::now();
-        let prediction = fit(frame)?;
-        seconds += start.elapsed().as_secs_f64();
-        emit(prediction)?;
-        progress.advance(frame + 1, frames);
+}
+
+impl OnlineRun {
+    /// Checks `observation` against what the method asks for, and starts the clock: what follows is preparation.
+    ///
+    /// Errors: those of [`Observation::validate`].
+    pub fn begin(access: Access, observation: &Observation) -> Result<Self> {
+        observation.validate(access)?;
+        Ok(OnlineRun { start: Instant::now(), frames: observation.images.len() })
     }
-    Ok(seconds)
+
+    /// Fits all frames in order and hands out each answer. Returns the seconds of the preparation and of all `fit`s.
+    pub fn fit_in_order(
+        self,
+        mut fit: impl FnMut(usize) -> Result<FramePrediction> + Send,
+        emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
+        progress: &dyn Progress,
+    ) -> Result<f64> {
+        let mut seconds = self.start.elapsed().as_secs_f64();
+        for frame in 0..self.frames {
+            stop_if_cancelled(progress)?;
+            let start = Instant::now();
+            // Inside the thread pool: entering it from outside costs more than many of the parallel loops.
+            let prediction = rayon::scope(|_| fit(frame))?;
+            seconds += start.elapsed().as_secs_f64();
+            emit(prediction)?;
+            progress.advance(frame + 1, self.frames);
+        }
+        Ok(seconds)
+    }
 }
 
 /// The answer for `frame` from the last rendering, for a method that estimates neither phase nor pose.

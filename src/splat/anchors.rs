@@ -30,7 +30,7 @@ pub enum DiscFrame {
 }
 
 /// Discs tied to triangles.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Anchors<T> {
     /// Triangle of each disc; checked once, at construction.
     face: Vec<u32>,
@@ -46,6 +46,24 @@ pub struct Anchors<T> {
     pub tangents: Vec<[[T; 2]; 2]>,
     /// Upper limits of `log_scales`; empty for none.
     pub log_scale_limits: Vec<[T; 2]>,
+    /// Form of each anchor when it was last placed: exponentials are most of the work, and few anchors change.
+    forms: Vec<AnchorForm<T>>,
+}
+
+/// What follows from the parameters of an anchor alone, with the parameters that it was made of.
+#[derive(Clone, Copy, Debug)]
+struct AnchorForm<T> {
+    logits: [T; 3],
+    /// Within their limits.
+    log_scales: [T; 2],
+    weights: [T; 3],
+    scales: [T; 2],
+}
+
+impl<T: Real> AnchorForm<T> {
+    fn of(logits: [T; 3], log_scales: [T; 2]) -> Self {
+        AnchorForm { logits, log_scales, weights: softmax(logits), scales: [log_scales[0].exp(), log_scales[1].exp()] }
+    }
 }
 
 /// The mesh that carries the anchors, in one of its states; the faces are those that the anchors were made with.
@@ -57,23 +75,33 @@ pub struct Carrier<'a, T> {
     pub faces: &'a [[u32; 3]],
 }
 
+#[inline(always)]
 fn subtract<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// `a x + b y`.
-fn mix<T: Real>(a: T, x: [T; 3], b: T, y: [T; 3]) -> [T; 3] {
-    [0, 1, 2].map(|k| a * x[k] + b * y[k])
+/// The three values of `f`; unlike `array::map`, always inlined.
+#[inline(always)]
+fn each<V>(f: impl Fn(usize) -> V) -> [V; 3] {
+    [f(0), f(1), f(2)]
 }
 
+/// `a x + b y`.
+#[inline(always)]
+fn mix<T: Real>(a: T, x: [T; 3], b: T, y: [T; 3]) -> [T; 3] {
+    each(|k| a * x[k] + b * y[k])
+}
+
+#[inline(always)]
 fn softmax<T: Real>(logits: [T; 3]) -> [T; 3] {
     let top = logits[0].maximum(logits[1]).maximum(logits[2]);
-    let e = logits.map(|v| (v - top).exp());
+    let e = each(|k| (logits[k] - top).exp());
     let sum = e[0] + e[1] + e[2];
-    e.map(|v| v / sum)
+    each(|k| e[k] / sum)
 }
 
 /// Unit normal and 1 / length of the cross product; length 0 where there is no area.
+#[inline(always)]
 fn unit_normal<T: Real>(e1: [T; 3], e2: [T; 3]) -> ([T; 3], T) {
     let n = cross(e1, e2);
     let inverse = T::one() / dot(n, n).sqrt();
@@ -81,11 +109,13 @@ fn unit_normal<T: Real>(e1: [T; 3], e2: [T; 3]) -> ([T; 3], T) {
 }
 
 /// True where the shortest arc from +z to `n` is undefined; a half turn about the x axis replaces it.
+#[inline(always)]
 fn points_back<T: Real>(n: [T; 3]) -> bool {
     n[2] < T::of(-0.999999)
 }
 
 /// First two columns of the shortest-arc rotation from +z to `n`.
+#[inline(always)]
 fn shortest_arc<T: Real>(n: [T; 3]) -> [[T; 3]; 2] {
     let (zero, one) = (T::zero(), T::one());
     if points_back(n) {
@@ -97,6 +127,7 @@ fn shortest_arc<T: Real>(n: [T; 3]) -> [[T; 3]; 2] {
 }
 
 /// Gradient with respect to `n` of a loss with gradients `g` of the columns of [`shortest_arc`].
+#[inline(always)]
 fn shortest_arc_pullback<T: Real>(n: [T; 3], g: [[T; 3]; 2]) -> [T; 3] {
     if points_back(n) {
         return [T::zero(); 3];
@@ -110,13 +141,58 @@ fn shortest_arc_pullback<T: Real>(n: [T; 3], g: [[T; 3]; 2]) -> [T; 3] {
     ]
 }
 
-/// One anchor on its triangle.
-struct PlacedAnchor<T> {
+/// A triangle that carries anchors, with what they all inherit from it.
+#[derive(Clone, Copy)]
+struct PlacedFace<T> {
+    face: u32,
     corners: [[T; 3]; 3],
     edges: [[T; 3]; 2],
-    weights: [T; 3],
-    scales: [T; 2],
-    capped: [bool; 2],
+    /// Unit normal and 1 / length of the cross product of the edges, and the shortest arc to it; for `NormalOnly`.
+    normal: ([T; 3], T),
+    arc: [[T; 3]; 2],
+}
+
+impl<T: Real> PlacedFace<T> {
+    fn new(frame: DiscFrame, face: u32, carrier: Carrier<'_, T>) -> Self {
+        let corners = carrier.faces[face as usize].map(|v| carrier.vertices[v as usize]);
+        let edges = [subtract(corners[1], corners[0]), subtract(corners[2], corners[0])];
+        let (normal, arc) = match frame {
+            DiscFrame::InheritStretch => (([T::zero(); 3], T::zero()), [[T::zero(); 3]; 2]),
+            DiscFrame::NormalOnly => {
+                let normal = unit_normal(edges[0], edges[1]);
+                (normal, shortest_arc(normal.0))
+            }
+        };
+        PlacedFace { face, corners, edges, normal, arc }
+    }
+}
+
+/// The face of one anchor after another: anchors of a face stand together, so that it is seldom made anew.
+struct FaceWalk<'a, T> {
+    frame: DiscFrame,
+    carrier: Carrier<'a, T>,
+    at: Option<PlacedFace<T>>,
+}
+
+impl<'a, T: Real> FaceWalk<'a, T> {
+    fn new(frame: DiscFrame, carrier: Carrier<'a, T>) -> Self {
+        FaceWalk { frame, carrier, at: None }
+    }
+
+    #[inline(always)]
+    fn to(&mut self, face: u32) -> &PlacedFace<T> {
+        if self.at.as_ref().is_none_or(|at| at.face != face) {
+            self.at = None;
+        }
+        self.at.get_or_insert_with(|| PlacedFace::new(self.frame, face, self.carrier))
+    }
+}
+
+/// True where a loss does not depend on an anchor: then no parameter and no vertex gets anything from it.
+#[inline(always)]
+fn silent<T: Real>(position: &[T; 3], axes: &[[T; 3]; 2]) -> bool {
+    let zero = |v: &[T; 3]| (v[0] == T::zero()) & (v[1] == T::zero()) & (v[2] == T::zero());
+    zero(position) & zero(&axes[0]) & zero(&axes[1])
 }
 
 impl<T: Real> Anchors<T> {
@@ -152,7 +228,8 @@ impl<T: Real> Anchors<T> {
                 if usable { tangents } else { [[T::zero(); 2]; 2] }
             })
             .collect();
-        let anchors = Anchors { face, topology, logits, log_scales, frame, tangents, log_scale_limits: Vec::new() };
+        let (log_scale_limits, forms) = (Vec::new(), Vec::new());
+        let anchors = Anchors { face, topology, logits, log_scales, frame, tangents, log_scale_limits, forms };
         anchors.check(rest)?;
         Ok(anchors)
     }
@@ -196,37 +273,50 @@ impl<T: Real> Anchors<T> {
         Ok(())
     }
 
-    fn on_triangle(&self, i: usize, carrier: Carrier<'_, T>) -> PlacedAnchor<T> {
-        let corners = carrier.faces[self.face[i] as usize].map(|v| carrier.vertices[v as usize]);
-        let mut capped = [false; 2];
-        let mut scales = self.log_scales[i];
-        if let Some(limits) = self.log_scale_limits.get(i) {
-            for k in 0..2 {
-                capped[k] = scales[k] > limits[k];
-                scales[k] = scales[k].minimum(limits[k]);
-            }
-        }
-        PlacedAnchor {
-            corners,
-            edges: [subtract(corners[1], corners[0]), subtract(corners[2], corners[0])],
-            weights: softmax(self.logits[i]),
-            scales: scales.map(T::exp),
-            capped,
+    /// The log scales of anchor `i` within their limits, and which of them are at them.
+    #[inline(always)]
+    fn limited(&self, i: usize) -> ([T; 2], [bool; 2]) {
+        let scales = self.log_scales[i];
+        let Some(limits) = self.log_scale_limits.get(i) else { return (scales, [false; 2]) };
+        let limited = [scales[0].minimum(limits[0]), scales[1].minimum(limits[1])];
+        (limited, [scales[0] > limits[0], scales[1] > limits[1]])
+    }
+
+    /// The form of anchor `i`, from `known` if that was made of the same parameters.
+    #[inline(always)]
+    fn form(&self, i: usize, known: Option<&AnchorForm<T>>) -> AnchorForm<T> {
+        let (logits, log_scales) = (self.logits[i], self.limited(i).0);
+        match known {
+            Some(form) if form.logits == logits && form.log_scales == log_scales => *form,
+            _ => AnchorForm::of(logits, log_scales),
         }
     }
 
     /// Directions of the two axes, before the scales.
-    fn directions(&self, i: usize, edges: [[T; 3]; 2]) -> [[T; 3]; 2] {
+    #[inline(always)]
+    fn directions(&self, i: usize, face: &PlacedFace<T>) -> [[T; 3]; 2] {
         match self.frame {
-            DiscFrame::InheritStretch => self.tangents[i].map(|[a, b]| mix(a, edges[0], b, edges[1])),
-            DiscFrame::NormalOnly => shortest_arc(unit_normal(edges[0], edges[1]).0),
+            DiscFrame::InheritStretch => self.stretched(i, face.edges),
+            DiscFrame::NormalOnly => face.arc,
         }
+    }
+
+    /// The tangents of anchor `i` at rest, carried along by `edges`.
+    #[inline(always)]
+    fn stretched(&self, i: usize, edges: [[T; 3]; 2]) -> [[T; 3]; 2] {
+        let [[a0, b0], [a1, b1]] = self.tangents[i];
+        [mix(a0, edges[0], b0, edges[1]), mix(a1, edges[0], b1, edges[1])]
     }
 
     /// Puts the active discs onto the mesh: writes their positions and axes (nothing else) in `gaussians`.
     ///
     /// Errors: other lengths than the Gaussians', a shape other than discs, indices that do not exist.
-    pub fn place(&self, carrier: Carrier<'_, T>, active: Option<&[u32]>, gaussians: &mut Gaussians<T>) -> Result<()> {
+    pub fn place(
+        &mut self,
+        carrier: Carrier<'_, T>,
+        active: Option<&[u32]>,
+        gaussians: &mut Gaussians<T>,
+    ) -> Result<()> {
         self.check(carrier)?;
         let n = check_active(active, self.len())?;
         let Shape::Discs { axes } = &mut gaussians.shape else {
@@ -236,23 +326,38 @@ impl<T: Real> Anchors<T> {
             return Err(Error::input("as many Gaussians as anchors are needed"));
         }
         let index = |j: usize| active.map_or(j, |list| list[j] as usize);
+        let mut forms = std::mem::take(&mut self.forms);
+        if forms.len() != self.len() {
+            // Of parameters that equal none.
+            let nothing = AnchorForm {
+                logits: [T::of(f64::NAN); 3],
+                log_scales: [T::zero(); 2],
+                weights: [T::zero(); 3],
+                scales: [T::zero(); 2],
+            };
+            forms.clear();
+            forms.resize(self.len(), nothing);
+        }
         // Ascending indices: the Gaussians of one chunk lie in one stretch of the arrays.
         let chunks = n.div_ceil(CHUNK);
         let end = |c: usize| if c == chunks { self.len() } else { index(c * CHUNK) };
         let start = |c: usize| if c == 0 { 0 } else { end(c) };
-        let positions = cut(&mut gaussians.positions, (0..chunks).map(|c| end(c + 1) - start(c)));
-        let axes = cut(axes, (0..chunks).map(|c| end(c + 1) - start(c)));
-        positions.into_par_iter().zip(axes).enumerate().for_each(|(c, (positions, axes))| {
+        let lengths = || (0..chunks).map(|c| end(c + 1) - start(c));
+        let tables = cut(&mut gaussians.positions, lengths()).into_par_iter().zip(cut(axes, lengths()));
+        tables.zip(cut(&mut forms, lengths())).enumerate().for_each(|(c, ((positions, axes), forms))| {
+            let mut walk = FaceWalk::new(self.frame, carrier);
             for j in c * CHUNK..n.min((c + 1) * CHUNK) {
-                let i = index(j);
-                let anchor = self.on_triangle(i, carrier);
-                let [a, b, d] = anchor.corners;
-                let w = anchor.weights;
-                positions[i - start(c)] = [0, 1, 2].map(|k| w[0] * a[k] + w[1] * b[k] + w[2] * d[k]);
-                let directions = self.directions(i, anchor.edges);
-                axes[i - start(c)] = [0, 1].map(|k| directions[k].map(|v| v * anchor.scales[k]));
+                let (i, place) = (index(j), index(j) - start(c));
+                let face = walk.to(self.face[i]);
+                let form = self.form(i, Some(&forms[place]));
+                forms[place] = form;
+                let (w, [a, b, d]) = (form.weights, face.corners);
+                positions[place] = each(|k| w[0] * a[k] + w[1] * b[k] + w[2] * d[k]);
+                let [first, second] = self.directions(i, face);
+                axes[place] = [each(|k| first[k] * form.scales[0]), each(|k| second[k] * form.scales[1])];
             }
         });
+        self.forms = forms;
         Ok(())
     }
 
@@ -278,21 +383,24 @@ impl<T: Real> Anchors<T> {
         axes.resize(self.len(), [[T::zero(); 3]; 2]);
         let velocity = |j: usize| {
             let i = active.map_or(j, |list| list[j] as usize);
-            let anchor = self.on_triangle(i, carrier);
-            let [a, b, c] = carrier.faces[self.face[i] as usize].map(|v| displacement[v as usize]);
-            let w = anchor.weights;
+            let form = self.form(i, self.forms.get(i));
+            let corners = carrier.faces[self.face[i] as usize];
+            let [a, b, c] = corners.map(|v| displacement[v as usize]);
+            let w = form.weights;
             let edges = [subtract(b, a), subtract(c, a)];
-            let directions = match self.frame {
-                DiscFrame::InheritStretch => self.directions(i, edges),
+            let [first, second] = match self.frame {
+                DiscFrame::InheritStretch => self.stretched(i, edges),
                 DiscFrame::NormalOnly => {
-                    let moving = |e: usize| [0, 1, 2].map(|k| Dual::new(anchor.edges[e][k], edges[e][k]));
+                    let [a, b, c] = corners.map(|v| carrier.vertices[v as usize]);
+                    let still = [subtract(b, a), subtract(c, a)];
+                    let moving = |e: usize| each(|k| Dual::new(still[e][k], edges[e][k]));
                     shortest_arc(unit_normal(moving(0), moving(1)).0).map(|v| v.map(|d| d.derivative))
                 }
             };
             (
                 i,
-                [0, 1, 2].map(|k| w[0] * a[k] + w[1] * b[k] + w[2] * c[k]),
-                [0, 1].map(|k| directions[k].map(|v| v * anchor.scales[k])),
+                each(|k| w[0] * a[k] + w[1] * b[k] + w[2] * c[k]),
+                [each(|k| first[k] * form.scales[0]), each(|k| second[k] * form.scales[1])],
             )
         };
         let velocities: Vec<_> = (0..n).into_par_iter().with_min_len(CHUNK).map(velocity).collect();
@@ -317,17 +425,24 @@ impl<T: Real> Anchors<T> {
         log_scales.resize(n, [T::zero(); 2]);
         logits.par_chunks_mut(CHUNK).zip(log_scales.par_chunks_mut(CHUNK)).enumerate().for_each(
             |(c, (logits, log_scales))| {
+                let mut walk = FaceWalk::new(self.frame, carrier);
                 for (k, (by_logits, by_scales)) in logits.iter_mut().zip(log_scales).enumerate() {
                     let j = c * CHUNK + k;
+                    let (position, axes) = (gradients.positions[j], gradients.axes[j]);
+                    if silent(&position, &axes) {
+                        (*by_logits, *by_scales) = ([T::zero(); 3], [T::zero(); 2]);
+                        continue;
+                    }
                     let i = active.map_or(j, |list| list[j] as usize);
-                    let anchor = self.on_triangle(i, carrier);
-                    let by_weights = anchor.corners.map(|corner| dot(gradients.positions[j], corner));
-                    let mean = dot(anchor.weights, by_weights);
-                    *by_logits = [0, 1, 2].map(|k| anchor.weights[k] * (by_weights[k] - mean));
-                    let directions = self.directions(i, anchor.edges);
+                    let face = walk.to(self.face[i]);
+                    let form = self.form(i, self.forms.get(i));
+                    let by_weights = each(|k| dot(position, face.corners[k]));
+                    let mean = dot(form.weights, by_weights);
+                    *by_logits = each(|k| form.weights[k] * (by_weights[k] - mean));
+                    let (directions, (_, capped)) = (self.directions(i, face), self.limited(i));
                     *by_scales = [0, 1].map(|k| {
-                        let slope = anchor.scales[k] * dot(gradients.axes[j][k], directions[k]);
-                        if anchor.capped[k] { T::zero() } else { slope }
+                        let slope = form.scales[k] * dot(axes[k], directions[k]);
+                        if capped[k] { T::zero() } else { slope }
                     });
                 }
             },
@@ -336,29 +451,30 @@ impl<T: Real> Anchors<T> {
     }
 
     /// Gradients of the three corners of the triangle of anchor `i`.
-    fn corner_gradients(&self, i: usize, carrier: Carrier<'_, T>, position: [T; 3], axes: [[T; 3]; 2]) -> [[T; 3]; 3] {
-        let anchor = self.on_triangle(i, carrier);
-        let [s0, s1] = anchor.scales;
-        let scaled = [axes[0].map(|v| v * s0), axes[1].map(|v| v * s1)];
-        let [e1, e2] = anchor.edges;
+    #[inline(always)]
+    fn corner_gradients(&self, i: usize, face: &PlacedFace<T>, position: [T; 3], axes: [[T; 3]; 2]) -> [[T; 3]; 3] {
+        let form = self.form(i, self.forms.get(i));
+        let [s0, s1] = form.scales;
+        let scaled = [each(|k| axes[0][k] * s0), each(|k| axes[1][k] * s1)];
+        let [e1, e2] = face.edges;
         let by_edges = match self.frame {
             DiscFrame::InheritStretch => {
                 let [[a0, b0], [a1, b1]] = self.tangents[i];
                 [mix(a0, scaled[0], a1, scaled[1]), mix(b0, scaled[0], b1, scaled[1])]
             }
             DiscFrame::NormalOnly => {
-                let (n, inverse) = unit_normal(e1, e2);
+                let (n, inverse) = face.normal;
                 let by_n = shortest_arc_pullback(n, scaled);
                 let along = dot(by_n, n);
-                let by_cross = [0, 1, 2].map(|k| (by_n[k] - along * n[k]) * inverse);
+                let by_cross = each(|k| (by_n[k] - along * n[k]) * inverse);
                 [cross(e2, by_cross), cross(by_cross, e1)]
             }
         };
-        let w = anchor.weights;
+        let w = form.weights;
         [
-            [0, 1, 2].map(|k| w[0] * position[k] - by_edges[0][k] - by_edges[1][k]),
-            [0, 1, 2].map(|k| w[1] * position[k] + by_edges[0][k]),
-            [0, 1, 2].map(|k| w[2] * position[k] + by_edges[1][k]),
+            each(|k| w[0] * position[k] - by_edges[0][k] - by_edges[1][k]),
+            each(|k| w[1] * position[k] + by_edges[0][k]),
+            each(|k| w[2] * position[k] + by_edges[1][k]),
         ]
     }
 
@@ -371,15 +487,27 @@ impl<T: Real> Anchors<T> {
         vertices: &mut Vec<[T; 3]>,
     ) -> Result<()> {
         self.check_gradients(gradients, carrier, active)?;
+        let by_corners = |c: usize, positions: &[[T; 3]], axes: &[[[T; 3]; 2]]| -> Vec<(u32, [[T; 3]; 3])> {
+            let mut walk = FaceWalk::new(self.frame, carrier);
+            let mut found = Vec::with_capacity(positions.len());
+            for (k, (&position, &axes)) in positions.iter().zip(axes).enumerate() {
+                if !silent(&position, &axes) {
+                    let j = c * CHUNK + k;
+                    let i = active.map_or(j, |list| list[j] as usize);
+                    let face = self.face[i];
+                    found.push((face, self.corner_gradients(i, walk.to(face), position, axes)));
+                }
+            }
+            found
+        };
+        let chunks = gradients.positions.par_chunks(CHUNK).zip(gradients.axes.par_chunks(CHUNK)).enumerate();
+        let found: Vec<_> = chunks.map(|(c, (positions, axes))| by_corners(c, positions, axes)).collect();
         vertices.clear();
         vertices.resize(carrier.vertices.len(), [T::zero(); 3]);
-        for (j, (&position, &axes)) in gradients.positions.iter().zip(&gradients.axes).enumerate() {
-            let i = active.map_or(j, |list| list[j] as usize);
-            let by_corners = self.corner_gradients(i, carrier, position, axes);
-            for (&vertex, by_corner) in carrier.faces[self.face[i] as usize].iter().zip(by_corners) {
-                for k in 0..3 {
-                    vertices[vertex as usize][k] += by_corner[k];
-                }
+        for (face, by_corners) in found.into_iter().flatten() {
+            for (&vertex, by_corner) in carrier.faces[face as usize].iter().zip(by_corners) {
+                let sum = &mut vertices[vertex as usize];
+                *sum = each(|k| sum[k] + by_corner[k]);
             }
         }
         Ok(())
@@ -405,10 +533,14 @@ impl<T: Real> Anchors<T> {
             .enumerate()
             .map(|(c, (positions, axes))| {
                 let mut sum = 0.0;
+                let mut walk = FaceWalk::new(self.frame, carrier);
                 for (k, (&position, &axes)) in positions.iter().zip(axes).enumerate() {
+                    if silent(&position, &axes) {
+                        continue;
+                    }
                     let j = c * CHUNK + k;
                     let i = active.map_or(j, |list| list[j] as usize);
-                    let by_corners = self.corner_gradients(i, carrier, position, axes);
+                    let by_corners = self.corner_gradients(i, walk.to(self.face[i]), position, axes);
                     for (&vertex, by_corner) in carrier.faces[self.face[i] as usize].iter().zip(by_corners) {
                         sum += dot(by_corner, displacement[vertex as usize]).to_f64();
                     }

@@ -234,7 +234,7 @@ fn on_triangles(squeeze: f32, phase: f32) -> Gaussians<f32> {
     let now = Carrier { vertices: &moved, faces: &faces };
     // A mesh that cannot be anchored to is an item that fails: its scene stays the wall.
     let anchors = Anchors::new(DiscFrame::InheritStretch, faces_of, logits, log_scales, rest);
-    if anchors.and_then(|anchors| anchors.place(now, None, &mut scene)).is_err() {
+    if anchors.and_then(|mut anchors| anchors.place(now, None, &mut scene)).is_err() {
         scene.positions.fill([f32::NAN; 3]);
     }
     scene

@@ -5,9 +5,8 @@
 //! spotlight factor of the released code is left out: these sequences have a light of their own.
 //! The mesh variant has no rotation parameters, hence no rotation term.
 
-use std::time::Instant;
-
 use glam::DVec3;
+use rayon::prelude::*;
 
 use crate::base::{Progress, Result, TriangleMesh};
 use crate::reconstruct::fitting::schedule::{rate_factor, scaled_iterations};
@@ -24,12 +23,15 @@ use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
-use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction, shown};
+use crate::reconstruct::online::{OnlineRun, color_image, held_out, rendered_prediction, shown};
 use crate::reconstruct::settings::{BridgeCommon, BridgeObjective, BridgesplatSettings, MethodHeader};
 
 #[cfg(test)]
 #[path = "bridgesplat_tests.rs"]
 mod tests;
+
+/// Vertices per task, at least, in loops with little work per vertex.
+const PIECE: usize = 1024;
 
 /// BridgeSplat with its mesh.
 pub struct Bridgesplat {
@@ -59,14 +61,12 @@ impl Reconstruct for Bridgesplat {
         emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
-        observation.validate(self.access())?;
-        let start = Instant::now();
+        let run = OnlineRun::begin(self.access(), observation)?;
         let mut fit = BridgesplatFit::new(&self.settings, self.iteration_scale, observation)?;
-        let preparation = start.elapsed().as_secs_f64();
-        let fitting = fit_in_order(observation.images.len(), |frame| fit.fit(frame), emit, progress)?;
+        let seconds = run.fit_in_order(|frame| fit.fit(frame), emit, progress)?;
         let faces = observation.inspiration.faces.clone();
         let vertices = fit.vertices.iter().map(|v| *v * *self.settings.common.unit_mm).collect();
-        Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), seconds: preparation + fitting })
+        Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), seconds })
     }
 }
 
@@ -97,6 +97,8 @@ struct BridgesplatFit<'a> {
     image_gradient: Vec<f32>,
     by_patch: Vec<[f32; 3]>,
     by_vertex: Vec<DVec3>,
+    /// The same in single precision, which the control points sum.
+    by_point: Vec<[f32; 3]>,
 }
 
 impl<'a> BridgesplatFit<'a> {
@@ -125,6 +127,7 @@ impl<'a> BridgesplatFit<'a> {
             image_gradient: Vec::new(),
             by_patch: Vec::new(),
             by_vertex: Vec::new(),
+            by_point: Vec::new(),
         })
     }
 
@@ -155,8 +158,7 @@ impl<'a> BridgesplatFit<'a> {
             Some(deformation) => deformation,
             None => self.control_points(&shown)?,
         };
-        let invisible: Vec<u32> = (0..self.rest.len() as u32).filter(|&v| hidden[v as usize]).collect();
-        self.optimise(frame, &view, &mut patch, &invisible, &mut deformation)?;
+        self.optimise(frame, &view, &mut patch, &hidden, &mut deformation)?;
         self.deformation = Some(deformation);
         let local = patch.pick(&self.vertices_mm());
         patch.place(&local)?;
@@ -225,7 +227,7 @@ impl<'a> BridgesplatFit<'a> {
         frame: usize,
         view: &View,
         patch: &mut Patch,
-        invisible: &[u32],
+        hidden: &[bool],
         deformation: &mut Deformation,
     ) -> Result<()> {
         let s = &self.settings.common;
@@ -254,9 +256,8 @@ impl<'a> BridgesplatFit<'a> {
             let gradient = ImageGradient { color: &self.image_gradient, ..ImageGradient::default() };
             self.rasterizer.backward(&patch.gaussians, &gradient, Wanted::POSITIONS | Wanted::SHAPES | Wanted::SH)?;
             // Gradients: by the vertices, and through the field by the control points.
-            self.vertex_gradient(patch, &local, invisible)?;
-            let by_points: Vec<[f32; 3]> = self.by_vertex.iter().map(|g| g.as_vec3().to_array()).collect();
-            deformation.field.pull_back(&by_points, &mut by_control);
+            self.vertex_gradient(patch, &local, hidden)?;
+            deformation.field.pull_back(&self.by_point, &mut by_control);
             if self.settings.variant == BridgeObjective::Full {
                 deformation.regularise(s, &mut by_control);
             }
@@ -286,7 +287,7 @@ impl<'a> BridgesplatFit<'a> {
     }
 
     /// Gradient of colour, ARAP and visibility by all vertices, in units.
-    fn vertex_gradient(&mut self, patch: &Patch, local: &[[f32; 3]], invisible: &[u32]) -> Result<()> {
+    fn vertex_gradient(&mut self, patch: &Patch, local: &[[f32; 3]], hidden: &[bool]) -> Result<()> {
         let s = &self.settings.common;
         patch.vertex_gradient(self.rasterizer.gradients(), local, &mut self.by_patch)?;
         self.by_vertex.clear();
@@ -294,10 +295,16 @@ impl<'a> BridgesplatFit<'a> {
         for (&v, g) in patch.vertices.iter().zip(&self.by_patch) {
             self.by_vertex[v as usize] = DVec3::from(g.map(f64::from)) * *s.unit_mm;
         }
-        self.arap.evaluate(&self.vertices, *self.settings.arap_weight, &mut self.by_vertex);
-        let delta: Vec<DVec3> = self.vertices.iter().zip(&self.rest).map(|(v, r)| *v - *r).collect();
-        let count = invisible.len() as f64;
-        pairs::visibility(invisible, &delta, count, *s.visibility_weight, &mut self.by_vertex);
+        self.arap.add_gradient(&self.vertices, *self.settings.arap_weight, &mut self.by_vertex);
+        let count = hidden.iter().filter(|hidden| **hidden).count();
+        let share = *s.visibility_weight / (count as f64).max(1.0);
+        self.by_point.resize(self.rest.len(), [0.0; 3]);
+        let moved = self.vertices.par_iter().zip(&self.rest).map(|(v, r)| *v - *r);
+        let points = self.by_point.par_iter_mut().zip(&self.by_vertex).zip(moved.zip(hidden)).with_min_len(PIECE);
+        points.for_each(|((out, by_vertex), (moved, hidden))| {
+            let by_visibility = if *hidden { pairs::visibility_gradient(moved, share) } else { DVec3::ZERO };
+            *out = (*by_vertex + by_visibility).as_vec3().to_array();
+        });
         Ok(())
     }
 }

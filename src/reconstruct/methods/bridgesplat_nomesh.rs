@@ -5,8 +5,6 @@
 //! `5 L1 + 4 rigid + 1 rot + 10 iso + 1 vis` between anchors, `prev` cached once per frame. Left out: OET's depth
 //! term, optical-flow start and new points, which need stereo depth. Lengths in released units (100 mm).
 
-use std::time::Instant;
-
 use glam::DVec3;
 
 use crate::base::random::{CounterRng, Stage};
@@ -24,7 +22,7 @@ use crate::reconstruct::fitting::loss::pairs::{self, Pairs};
 use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
-use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction, shown};
+use crate::reconstruct::online::{OnlineRun, color_image, held_out, rendered_prediction, shown};
 use crate::reconstruct::settings::{BridgesplatNomeshSettings, MethodHeader};
 
 /// BridgeSplat without its mesh.
@@ -55,12 +53,10 @@ impl Reconstruct for BridgesplatNomesh {
         emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
-        observation.validate(self.access())?;
-        let start = Instant::now();
+        let run = OnlineRun::begin(self.access(), observation)?;
         let mut fit = BridgesplatNomeshFit::new(&self.settings, self.iteration_scale, observation);
-        let preparation = start.elapsed().as_secs_f64();
-        let fitting = fit_in_order(observation.images.len(), |frame| fit.fit(frame), emit, progress)?;
-        Ok(Reconstruction { final_mesh: None, seconds: preparation + fitting })
+        let seconds = run.fit_in_order(|frame| fit.fit(frame), emit, progress)?;
+        Ok(Reconstruction { final_mesh: None, seconds })
     }
 }
 

@@ -4,7 +4,7 @@
 
 use crate::base::{Progress, Result, mesh};
 use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
-use crate::reconstruct::estimate::phase_fit::{self, BreathingGaussians, PhaseSource, VisiblePatch};
+use crate::reconstruct::estimate::phase_fit::{self, BreathingGaussians, Fitter, PhaseSource, VisiblePatch};
 use crate::reconstruct::estimate::window::{KeyframeWindow, WindowOptions};
 use crate::reconstruct::fitting::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
 use crate::reconstruct::fitting::memory::Memory;
@@ -14,6 +14,7 @@ use crate::reconstruct::geometry::breathing::{BreathingMesh, at_phase, mesh_at};
 use crate::reconstruct::geometry::mesh_depth::{PixelRays, unhidden};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
+use crate::reconstruct::online::OnlineRun;
 use crate::reconstruct::settings::{GivenPhaseSettings, KeyframeSettings, MethodHeader, OursSettings, PhaseEstimation};
 use crate::splat::{DiscFrame, Gaussians, Gradients, View, Wanted};
 
@@ -81,14 +82,12 @@ impl Reconstruct for Ours {
         emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
-        observation.validate(self.access())?;
-        let start = std::time::Instant::now();
+        let run = OnlineRun::begin(self.access(), observation)?;
         let window = match &self.variant {
             OursVariant::Ours(_, keyframes) => KeyframeWindow::new(keyframes, WindowOptions::default()),
             OursVariant::Given(_) => None,
         };
         let mut discs = BreathingDiscs::new(&self.settings, window, self.iteration_scale, observation)?;
-        let preparation = start.elapsed().as_secs_f64();
         let source = match &self.variant {
             OursVariant::Ours(estimation, _) => PhaseSource::Estimated(estimation),
             OursVariant::Given(GivenPhase::Inspiration) => PhaseSource::Given(vec![0.0; observation.images.len()]),
@@ -97,10 +96,9 @@ impl Reconstruct for Ours {
                 PhaseSource::Given(observation.true_phase.clone().unwrap_or_default())
             }
         };
-        let (phase, mut done) =
-            phase_fit::run(&self.settings.fit, self.iteration_scale, &source, observation, &mut discs, emit, progress)?;
+        let fitter = Fitter::new(&self.settings.fit, source.estimation(), self.iteration_scale, observation);
+        let (phase, mut done) = fitter.run(run, &source, &mut discs, emit, progress)?;
         done.final_mesh = Some(mesh_at(observation, phase));
-        done.seconds += preparation;
         Ok(done)
     }
 }

@@ -5,7 +5,7 @@
 
 use crate::base::{Progress, Result};
 use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
-use crate::reconstruct::estimate::phase_fit::{self, BreathingGaussians, PhaseSource, VisiblePatch};
+use crate::reconstruct::estimate::phase_fit::{BreathingGaussians, Fitter, PhaseSource, VisiblePatch};
 use crate::reconstruct::fitting::anchored::{Rates, adam_constants, to_f32};
 use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch};
 use crate::reconstruct::fitting::memory::Memory;
@@ -13,6 +13,7 @@ use crate::reconstruct::fitting::optimiser::StepCounter;
 use crate::reconstruct::fitting::schedule::rate_factor;
 use crate::reconstruct::geometry::neighbours;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
+use crate::reconstruct::online::OnlineRun;
 use crate::reconstruct::settings::{MethodHeader, OursNomeshSettings};
 use crate::splat::{Gaussians, Gradients, View, Wanted};
 
@@ -47,21 +48,11 @@ impl Reconstruct for OursNomesh {
         emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
-        observation.validate(self.access())?;
-        let start = std::time::Instant::now();
+        let run = OnlineRun::begin(self.access(), observation)?;
         let mut gaussians = FieldGaussians::new(&self.settings, self.iteration_scale, observation);
-        let preparation = start.elapsed().as_secs_f64();
         let source = PhaseSource::Estimated(&self.settings.estimation);
-        let (_, mut done) = phase_fit::run(
-            &self.settings.fit,
-            self.iteration_scale,
-            &source,
-            observation,
-            &mut gaussians,
-            emit,
-            progress,
-        )?;
-        done.seconds += preparation;
+        let fitter = Fitter::new(&self.settings.fit, source.estimation(), self.iteration_scale, observation);
+        let (_, done) = fitter.run(run, &source, &mut gaussians, emit, progress)?;
         Ok(done)
     }
 }

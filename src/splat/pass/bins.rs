@@ -21,6 +21,7 @@ use super::pool::{CHUNK, PIECE, cut, piece_of};
 /// Most entries of the lists together: a hundred times those of a large scene. Their places are 32-bit numbers, and a
 /// backward pass has 64 bytes for each.
 const MOST_ENTRIES: usize = 1 << 30;
+const _: () = assert!(MOST_ENTRIES <= u32::MAX as usize, "entries are numbered in 32 bits");
 /// Bytes of an entry (its splat, slot and mask), and of a splat in a band (its item and the scratch of the sort).
 const ENTRY_BYTES: f64 = 10.0;
 const ITEM_BYTES: f64 = 40.0;
@@ -196,22 +197,25 @@ impl Bins {
     /// Puts every visible splat into the list of its chunk for each of its bands, in the order of the splats; returns
     /// where the pieces of each band lie.
     fn distribute(&mut self, all: &Boxes<'_>, shift: u32, bands: usize) -> Vec<Vec<ItemRange>> {
-        let sum = |counts: &[u32; BANDS]| counts.iter().sum::<u32>();
+        let sum = |counts: &[u32; BANDS]| counts.iter().map(|count| *count as usize).sum::<usize>();
+        // `fill` has refused more entries or items than `MOST_ENTRIES`.
+        let number = |at: usize| u32::try_from(at).expect("as many entries or items as `fill` allows");
         let mut pieces = vec![Vec::with_capacity(self.counts.len()); bands];
         let (mut place, mut base, mut bases) = (0, 0, Vec::with_capacity(self.counts.len()));
         for counts in &self.counts {
-            bases.push(base);
+            bases.push(number(base));
             if counts.visible == 0 {
                 continue;
             }
             base += sum(&counts.tiles);
             for (pieces, &count) in pieces.iter_mut().zip(&counts.splats) {
-                pieces.push(ItemRange { begin: place, end: place + count });
-                place += count;
+                let begin = place;
+                place += count as usize;
+                pieces.push(ItemRange { begin: number(begin), end: number(place) });
             }
         }
         let (counts, starts) = (&self.counts, &mut self.starts[1..]);
-        let items = cut(&mut self.items, counts.iter().map(|c| sum(&c.splats) as usize));
+        let items = cut(&mut self.items, counts.iter().map(|c| sum(&c.splats)));
         let piece = piece_of(counts.len());
         let chunks = items.into_par_iter().zip(starts.par_chunks_mut(CHUNK)).enumerate().with_max_len(piece);
         chunks.for_each(|(c, (items, starts))| {

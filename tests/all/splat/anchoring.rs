@@ -60,14 +60,14 @@ impl Patch {
 
     fn loss(&self, weights: &Weights<f64>, active: &[u32]) -> f64 {
         let mut discs = self.look.clone();
-        self.anchors.place(self.carrier(), Some(active), &mut discs).unwrap();
+        self.anchors.clone().place(self.carrier(), Some(active), &mut discs).unwrap();
         let mut rasterizer = Rasterizer::new();
         weights.loss(rasterizer.render(&discs, &view(Lens::Pinhole), &Settings::default(), Some(active)).unwrap())
     }
 
     fn gradients(&self, weights: &Weights<f64>, active: &[u32]) -> Gradients<f64> {
         let mut discs = self.look.clone();
-        self.anchors.place(self.carrier(), Some(active), &mut discs).unwrap();
+        self.anchors.clone().place(self.carrier(), Some(active), &mut discs).unwrap();
         let mut rasterizer = Rasterizer::new();
         rasterizer.render(&discs, &view(Lens::Pinhole), &Settings::default(), Some(active)).unwrap();
         rasterizer.backward(&discs, &weights.gradient(), Wanted::POSITIONS | Wanted::SHAPES).unwrap().clone()
@@ -78,12 +78,12 @@ impl Patch {
 fn discs_follow_an_affine_motion_of_the_mesh() {
     let patch = patch(DiscFrame::InheritStretch, 1);
     let mut before = patch.look.clone();
-    patch.anchors.place(patch.carrier(), None, &mut before).unwrap();
+    patch.anchors.clone().place(patch.carrier(), None, &mut before).unwrap();
     let map = DMat3::from_cols_array(&[1.3, 0.2, -0.1, 0.4, 0.7, 0.3, -0.2, 0.1, 1.1]);
     let shift = DVec3::new(3.0, -1.0, 2.0);
     let vertices: Vec<[f64; 3]> = patch.rest.iter().map(|&v| (map * DVec3::from(v) + shift).to_array()).collect();
     let mut after = patch.look.clone();
-    patch.anchors.place(Carrier { vertices: &vertices, faces: &patch.faces }, None, &mut after).unwrap();
+    patch.anchors.clone().place(Carrier { vertices: &vertices, faces: &patch.faces }, None, &mut after).unwrap();
     let (Shape::Discs { axes: old }, Shape::Discs { axes: new }) = (&before.shape, &after.shape) else {
         unreachable!()
     };
@@ -105,7 +105,7 @@ fn discs_follow_an_affine_motion_of_the_mesh() {
 fn normal_only_discs_face_along_the_normal_and_keep_their_size() {
     let patch = patch(DiscFrame::NormalOnly, 2);
     let mut discs = patch.look.clone();
-    patch.anchors.place(patch.carrier(), None, &mut discs).unwrap();
+    patch.anchors.clone().place(patch.carrier(), None, &mut discs).unwrap();
     let Shape::Discs { axes } = &discs.shape else { unreachable!() };
     for (i, &face) in patch.anchors.faces().iter().enumerate() {
         let [a, b, c] = patch.faces[face as usize].map(|v| DVec3::from(patch.rest[v as usize]));
@@ -174,7 +174,7 @@ fn forward_mode_equals_backward_mode() {
     weights.alpha.fill(0.0);
     let active: Vec<u32> = (0..patch.anchors.len() as u32).collect();
     let mut discs = patch.look.clone();
-    patch.anchors.place(patch.carrier(), Some(&active), &mut discs).unwrap();
+    patch.anchors.clone().place(patch.carrier(), Some(&active), &mut discs).unwrap();
     let (mut positions, mut axes) = (Vec::new(), Vec::new());
     patch.anchors.place_tangent(patch.carrier(), &patch.displacement, None, &mut positions, &mut axes).unwrap();
     let motion = Direction::Motion(Motion { positions: &positions, axes: &axes, ..Motion::default() });
@@ -201,7 +201,11 @@ fn velocities_of_discs_equal_differences() {
                 .map(|(v, d)| [0, 1, 2].map(|k| v[k] + phase * d[k]))
                 .collect();
             let mut discs = patch.look.clone();
-            patch.anchors.place(Carrier { vertices: &vertices, faces: &patch.faces }, None, &mut discs).unwrap();
+            patch
+                .anchors
+                .clone()
+                .place(Carrier { vertices: &vertices, faces: &patch.faces }, None, &mut discs)
+                .unwrap();
             let Shape::Discs { axes } = discs.shape else { unreachable!("discs stay discs") };
             [discs.positions.into_flattened(), axes.into_flattened().into_flattened()]
         };

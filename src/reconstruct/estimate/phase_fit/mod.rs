@@ -15,5 +15,6 @@ mod online_loop;
 mod patch;
 mod stages;
 
-pub use online_loop::{PhaseSource, REACH, run};
+pub use fitter::Fitter;
+pub use online_loop::{PhaseSource, REACH};
 pub use patch::{BreathingGaussians, VisiblePatch};

@@ -3,12 +3,12 @@
 use super::fitter::{Fitter, FrameTarget};
 use super::patch::{BreathingGaussians, VisiblePatch};
 use crate::base::{Progress, Result};
-use crate::reconstruct::contract::{FramePrediction, NovelPrediction, Observation, Reconstruction};
+use crate::reconstruct::contract::{FramePrediction, NovelPrediction, Reconstruction};
 use crate::reconstruct::fitting::grid_search::grid_search;
 use crate::reconstruct::geometry::mesh_depth::depth_gap_mm;
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
-use crate::reconstruct::online::{color_image, depth_image, fit_in_order, held_out, shown};
-use crate::reconstruct::settings::{FrameFitSettings, PhaseEstimation};
+use crate::reconstruct::online::{OnlineRun, color_image, depth_image, held_out, shown};
+use crate::reconstruct::settings::PhaseEstimation;
 use crate::splat::{DepthOutput, View};
 
 /// Largest difference between a frame's phase and its guess for which visible faces are chosen.
@@ -23,28 +23,31 @@ pub enum PhaseSource<'a> {
     Given(Vec<f64>),
 }
 
-/// Runs the loop over all frames; the last phase, and what remains.
-pub fn run(
-    settings: &FrameFitSettings,
-    iteration_scale: f64,
-    source: &PhaseSource<'_>,
-    observation: &Observation,
-    gaussians: &mut dyn BreathingGaussians,
-    emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
-    progress: &dyn Progress,
-) -> Result<(f64, Reconstruction)> {
-    let estimation = match source {
-        PhaseSource::Estimated(estimation) => Some(*estimation),
-        PhaseSource::Given(_) => None,
-    };
-    let mut fitter = Fitter::new(settings, estimation, iteration_scale, observation);
-    let frames = observation.images.len();
-    let seconds = fit_in_order(frames, |frame| fitter.fit(frame, source, gaussians), emit, progress)?;
-    let last = fitter.phases.last().copied().unwrap_or(0.0);
-    Ok((last, Reconstruction { final_mesh: None, seconds }))
+impl<'a> PhaseSource<'a> {
+    /// How the phase is estimated; `None` if it is given.
+    pub fn estimation(&self) -> Option<&'a PhaseEstimation> {
+        match self {
+            PhaseSource::Estimated(estimation) => Some(estimation),
+            PhaseSource::Given(_) => None,
+        }
+    }
 }
 
 impl Fitter<'_> {
+    /// Runs the loop over all frames; the last phase, and what remains.
+    pub fn run(
+        mut self,
+        run: OnlineRun,
+        source: &PhaseSource<'_>,
+        gaussians: &mut dyn BreathingGaussians,
+        emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
+        progress: &dyn Progress,
+    ) -> Result<(f64, Reconstruction)> {
+        let seconds = run.fit_in_order(|frame| self.fit(frame, source, gaussians), emit, progress)?;
+        let last = self.phases.last().copied().unwrap_or(0.0);
+        Ok((last, Reconstruction { final_mesh: None, seconds }))
+    }
+
     /// The phase of `frame` if part of the last change continues.
     fn guess(&self, frame: usize) -> f64 {
         match *self.phases.as_slice() {

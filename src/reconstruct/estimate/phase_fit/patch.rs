@@ -6,7 +6,7 @@ use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::splat::{Gaussians, Gradients, View, Wanted};
 
 /// Gaussians that a phase moves.
-pub trait BreathingGaussians {
+pub trait BreathingGaussians: Send {
     /// Starts a frame: makes the compact copy of what is visible from `view` while the phase stays within `phases`.
     fn enter<'a>(&'a mut self, view: &View, phases: [f64; 2]) -> Result<Box<dyn VisiblePatch + 'a>>;
     /// The same for a view that is only rendered: nothing is refined, and nothing must be written back.

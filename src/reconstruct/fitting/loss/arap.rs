@@ -22,7 +22,6 @@ pub struct Arap {
     offsets: Vec<u32>,
     neighbours: Vec<u32>,
     rotations: Vec<DMat3>,
-    energies: Vec<f64>,
 }
 
 impl Arap {
@@ -30,51 +29,71 @@ impl Arap {
     pub fn new(rest: &TriangleMesh) -> Self {
         let (offsets, neighbours) = rest.neighbours();
         let n = rest.vertices.len();
-        Arap {
-            rest: rest.vertices.clone(),
-            offsets,
-            neighbours,
-            rotations: vec![DMat3::IDENTITY; n],
-            energies: vec![0.0; n],
-        }
+        Arap { rest: rest.vertices.clone(), offsets, neighbours, rotations: vec![DMat3::IDENTITY; n] }
     }
 
-    /// Energy of the deformed vertices; `weight` times its gradient is added to `gradient`.
-    pub fn evaluate(&mut self, deformed: &[DVec3], weight: f64, gradient: &mut [DVec3]) -> f64 {
-        let (rest, offsets, neighbours) = (&self.rest, &self.offsets, &self.neighbours);
-        let around = |i: usize| neighbours[offsets[i] as usize..offsets[i + 1] as usize].iter().map(|&j| j as usize);
-        // Local step: each vertex' best rotation R_i, and its energy.
-        let rotations = self.rotations.par_chunks_mut(PIECE);
-        rotations.zip(self.energies.par_chunks_mut(PIECE)).enumerate().for_each(|(piece, (rotations, energies))| {
-            for (k, (rotation, energy)) in rotations.iter_mut().zip(energies).enumerate() {
-                let i = piece * PIECE + k;
-                let mut covariance = DMat3::ZERO;
-                let mut size = 0.0;
-                for j in around(i) {
-                    let (e, d) = (rest[i] - rest[j], deformed[i] - deformed[j]);
-                    covariance += DMat3::from_cols(e * d.x, e * d.y, e * d.z);
-                    size += e.length_squared() + d.length_squared();
-                }
-                *rotation = best_rotation(&covariance, 0.5 * size);
-                *energy = around(i)
-                    .map(|j| (deformed[i] - deformed[j] - *rotation * (rest[i] - rest[j])).length_squared())
-                    .sum();
-            }
-        });
-        // Gradient, rotations held fixed.
+    /// Adds `weight` times the gradient of the energy of the deformed vertices to `gradient`.
+    pub fn add_gradient(&mut self, deformed: &[DVec3], weight: f64, gradient: &mut [DVec3]) {
+        self.rotate(deformed);
         let rotations = &self.rotations;
+        let around = Neighbourhoods { rest: &self.rest, deformed, offsets: &self.offsets, list: &self.neighbours };
+        // Rotations held fixed.
         gradient.par_chunks_mut(PIECE).enumerate().for_each(|(piece, gradient)| {
             for (k, out) in gradient.iter_mut().enumerate() {
                 let i = piece * PIECE + k;
                 let mut sum = DVec3::ZERO;
-                for j in around(i) {
-                    let e = rest[i] - rest[j];
-                    sum += deformed[i] - deformed[j] - (rotations[i] * e + rotations[j] * e) * 0.5;
-                }
+                around.each(i, |j, e, d| sum += d - (rotations[i] * e + rotations[j] * e) * 0.5);
                 *out += sum * (4.0 * weight);
             }
         });
-        self.energies.iter().sum()
+    }
+
+    /// The local step: the rotation of each vertex that fits its neighbourhood best.
+    fn rotate(&mut self, deformed: &[DVec3]) {
+        let around = Neighbourhoods { rest: &self.rest, deformed, offsets: &self.offsets, list: &self.neighbours };
+        self.rotations.par_chunks_mut(PIECE).enumerate().for_each(|(piece, rotations)| {
+            for (k, rotation) in rotations.iter_mut().enumerate() {
+                let mut covariance = DMat3::ZERO;
+                let mut size = 0.0;
+                around.each(piece * PIECE + k, |_, e, d| {
+                    covariance += DMat3::from_cols(e * d.x, e * d.y, e * d.z);
+                    size += e.length_squared() + d.length_squared();
+                });
+                *rotation = best_rotation(&covariance, 0.5 * size);
+            }
+        });
+    }
+
+    /// The energy of the deformed vertices: no method asks for it.
+    #[cfg(test)]
+    fn energy(&mut self, deformed: &[DVec3]) -> f64 {
+        self.rotate(deformed);
+        let around = Neighbourhoods { rest: &self.rest, deformed, offsets: &self.offsets, list: &self.neighbours };
+        let mut sum = 0.0;
+        for (i, rotation) in self.rotations.iter().enumerate() {
+            around.each(i, |_, e, d| sum += (d - *rotation * e).length_squared());
+        }
+        sum
+    }
+}
+
+/// The edges around each vertex, at rest and deformed.
+struct Neighbourhoods<'a> {
+    rest: &'a [DVec3],
+    deformed: &'a [DVec3],
+    offsets: &'a [u32],
+    list: &'a [u32],
+}
+
+impl Neighbourhoods<'_> {
+    /// Calls `visit` with each neighbour of `i`, and with the edge from it to `i` at rest and deformed.
+    #[inline(always)]
+    fn each(&self, i: usize, mut visit: impl FnMut(usize, DVec3, DVec3)) {
+        let (rest, deformed) = (self.rest[i], self.deformed[i]);
+        for &j in &self.list[self.offsets[i] as usize..self.offsets[i + 1] as usize] {
+            let j = j as usize;
+            visit(j, rest - self.rest[j], deformed - self.deformed[j]);
+        }
     }
 }
 
@@ -130,7 +149,8 @@ pub fn best_rotation(covariance: &DMat3, bound: f64) -> DMat3 {
     DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
 }
 
-/// Adjugate and determinant of a symmetric 4x4 matrix, by 2x2 minors.
+/// Adjugate and determinant of a symmetric 4x4 matrix, by 2x2 minors. Inlined, so that a caller pays for what it uses.
+#[inline(always)]
 fn minor_determinants(m: &[[f64; 4]; 4]) -> ([[f64; 4]; 4], f64) {
     let minor = |r0: usize, r1: usize, a: usize, b: usize| m[r0][a] * m[r1][b] - m[r0][b] * m[r1][a];
     let s = [
@@ -244,15 +264,14 @@ mod tests {
         let mut rng = CounterRng::new(2, Stage::Test, &[]);
         let mut p: Vec<DVec3> = mesh.vertices.iter().map(|v| *v + random_vector(&mut rng) * 0.2).collect();
         let mut gradient = vec![DVec3::ZERO; p.len()];
-        arap.evaluate(&p, 1.0, &mut gradient);
-        let mut unused = vec![DVec3::ZERO; p.len()];
+        arap.add_gradient(&p, 1.0, &mut gradient);
         for i in 0..p.len() {
             for axis in 0..3 {
                 let (old, step) = (p[i][axis], 1e-5);
                 p[i][axis] = old + step;
-                let high = arap.evaluate(&p, 0.0, &mut unused);
+                let high = arap.energy(&p);
                 p[i][axis] = old - step;
-                let low = arap.evaluate(&p, 0.0, &mut unused);
+                let low = arap.energy(&p);
                 p[i][axis] = old;
                 let want = (high - low) / (2.0 * step);
                 assert!((gradient[i][axis] - want).abs() < 1e-6 * want.abs().max(1.0), "{} {want}", gradient[i][axis]);
@@ -267,18 +286,19 @@ mod tests {
         let turn = DQuat::from_scaled_axis(DVec3::new(0.4, -1.1, 0.7));
         let moved: Vec<DVec3> = mesh.vertices.iter().map(|v| turn * *v + DVec3::new(3.0, -2.0, 9.0)).collect();
         let mut gradient = vec![DVec3::ZERO; moved.len()];
-        assert!(arap.evaluate(&moved, 1.0, &mut gradient) < 1e-20);
+        assert!(arap.energy(&moved) < 1e-20);
+        arap.add_gradient(&moved, 1.0, &mut gradient);
         assert!(gradient.iter().all(|g| g.length() < 1e-10));
         let mut p: Vec<DVec3> = mesh.vertices.iter().map(|v| *v + DVec3::X * (0.5 * v.y)).collect();
-        let start = arap.evaluate(&p, 0.0, &mut gradient);
+        let start = arap.energy(&p);
         for _ in 0..2000 {
             gradient.fill(DVec3::ZERO);
-            arap.evaluate(&p, 1.0, &mut gradient);
+            arap.add_gradient(&p, 1.0, &mut gradient);
             for (p, g) in p.iter_mut().zip(&gradient) {
                 *p -= *g * 0.02;
             }
         }
-        let end = arap.evaluate(&p, 0.0, &mut gradient);
+        let end = arap.energy(&p);
         assert!(end < 1e-3 * start, "{start} -> {end}");
     }
 
@@ -289,8 +309,8 @@ mod tests {
         let run = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             let mut gradient = vec![DVec3::ZERO; bent.len()];
-            let energy = pool.install(|| Arap::new(&mesh).evaluate(&bent, 1.0, &mut gradient));
-            (energy, gradient)
+            pool.install(|| Arap::new(&mesh).add_gradient(&bent, 1.0, &mut gradient));
+            gradient
         };
         assert_eq!(run(1), run(4));
     }

@@ -103,11 +103,16 @@ pub fn visibility(
     let share = weight / denominator.max(1.0);
     let mut sum = 0.0;
     for &i in invisible {
-        let length = displacement[i as usize].length();
-        gradient[i as usize] += displacement[i as usize] * (share / length.max(1e-12));
-        sum += length;
+        gradient[i as usize] += visibility_gradient(displacement[i as usize], share);
+        sum += displacement[i as usize].length();
     }
     sum / denominator.max(1.0)
+}
+
+/// Gradient of `share` times the length of the displacement of one invisible point.
+#[inline]
+pub fn visibility_gradient(displacement: DVec3, share: f64) -> DVec3 {
+    displacement * (share / displacement.length().max(1e-12))
 }
 
 /// Rotation of a quaternion `w x y z` of any length.

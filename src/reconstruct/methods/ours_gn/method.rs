@@ -1,7 +1,5 @@
 //! The method: its access to data, and one frame from the expected phase to the answer.
 
-use std::time::Instant;
-
 use glam::Vec3;
 
 use super::light::Scope;
@@ -25,7 +23,7 @@ use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::rigid::{POSE, moved};
 use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
-use crate::reconstruct::online::{fit_in_order, held_out};
+use crate::reconstruct::online::{OnlineRun, held_out};
 use crate::reconstruct::settings::{MethodHeader, OursGnSettings};
 use crate::splat::{Reuse, View};
 
@@ -65,18 +63,10 @@ impl Reconstruct for OursGn {
         emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
-        observation.validate(self.access())?;
-        let start = Instant::now();
+        let run = OnlineRun::begin(self.access(), observation)?;
         let mut tracker = Tracker::new(&self.settings, self.iteration_scale, observation)?;
-        let preparation = start.elapsed().as_secs_f64();
-        let fitting = fit_in_order(
-            observation.images.len(),
-            // Runs inside the thread pool: entering it from outside costs more than many of the parallel loops.
-            |frame| rayon::scope(|_| tracker.fit(frame)),
-            emit,
-            progress,
-        )?;
-        Ok(Reconstruction { final_mesh: Some(tracker.mesh()), seconds: preparation + fitting })
+        let seconds = run.fit_in_order(|frame| tracker.fit(frame), emit, progress)?;
+        Ok(Reconstruction { final_mesh: Some(tracker.mesh()), seconds })
     }
 }
 
