@@ -1,31 +1,30 @@
 //! The protocol that all methods share: frames in order, each timed alone; every eighth one is rendered before
 //! its image may be used.
 
-use std::time::Instant;
-
 use crate::base::{Error, Image, Progress, Result};
 use crate::splat::{Rasterizer, Rendered};
 
 use super::contract::{FramePrediction, NovelPrediction};
+use super::stopwatch::{Spent, Stopwatch};
 pub use crate::simulate::sequence::held_out;
 
-/// Fits `frames` frames in order and hands out each answer. Returns the seconds spent in `fit`.
+/// Fits `frames` frames in order and hands out each answer. Returns what was spent in `fit`.
 pub fn fit_in_order(
     frames: usize,
     mut fit: impl FnMut(usize) -> Result<FramePrediction>,
     emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
     progress: &dyn Progress,
-) -> Result<f64> {
-    let mut seconds = 0.0;
+) -> Result<Spent> {
+    let mut spent = Spent::default();
     for frame in 0..frames {
         stop_if_cancelled(progress)?;
-        let start = Instant::now();
+        let clock = Stopwatch::start();
         let prediction = fit(frame)?;
-        seconds += start.elapsed().as_secs_f64();
+        spent = spent + clock.spent();
         emit(prediction)?;
         progress.advance(frame + 1, frames);
     }
-    Ok(seconds)
+    Ok(spent)
 }
 
 /// The answer for `frame` from the last rendering, for a method that estimates neither phase nor pose.

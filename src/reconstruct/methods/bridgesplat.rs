@@ -5,8 +5,6 @@
 //! spotlight factor of the released code is left out: these sequences have a light of their own.
 //! The mesh variant has no rotation parameters, hence no rotation term.
 
-use std::time::Instant;
-
 use glam::DVec3;
 
 use crate::base::{Progress, Result, TriangleMesh};
@@ -26,6 +24,7 @@ use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction, shown};
 use crate::reconstruct::settings::{BridgeCommon, BridgeObjective, BridgesplatSettings, MethodHeader};
+use crate::reconstruct::stopwatch::Stopwatch;
 
 #[cfg(test)]
 #[path = "bridgesplat_tests.rs"]
@@ -60,13 +59,13 @@ impl Reconstruct for Bridgesplat {
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
-        let start = Instant::now();
+        let clock = Stopwatch::start();
         let mut fit = BridgesplatFit::new(&self.settings, self.iteration_scale, observation)?;
-        let preparation = start.elapsed().as_secs_f64();
+        let preparation = clock.spent();
         let fitting = fit_in_order(observation.images.len(), |frame| fit.fit(frame), emit, progress)?;
         let faces = observation.inspiration.faces.clone();
         let vertices = fit.vertices.iter().map(|v| *v * *self.settings.common.unit_mm).collect();
-        Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), seconds: preparation + fitting })
+        Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), spent: preparation + fitting })
     }
 }
 

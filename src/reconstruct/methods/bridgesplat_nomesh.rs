@@ -5,8 +5,6 @@
 //! `5 L1 + 4 rigid + 1 rot + 10 iso + 1 vis` between anchors, `prev` cached once per frame. Left out: OET's depth
 //! term, optical-flow start and new points, which need stereo depth. Lengths in released units (100 mm).
 
-use std::time::Instant;
-
 use glam::DVec3;
 
 use crate::base::random::{CounterRng, Stage};
@@ -26,6 +24,7 @@ use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::online::{color_image, fit_in_order, held_out, rendered_prediction, shown};
 use crate::reconstruct::settings::{BridgesplatNomeshSettings, MethodHeader};
+use crate::reconstruct::stopwatch::Stopwatch;
 
 /// BridgeSplat without its mesh.
 pub struct BridgesplatNomesh {
@@ -56,11 +55,11 @@ impl Reconstruct for BridgesplatNomesh {
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
-        let start = Instant::now();
+        let clock = Stopwatch::start();
         let mut fit = BridgesplatNomeshFit::new(&self.settings, self.iteration_scale, observation);
-        let preparation = start.elapsed().as_secs_f64();
+        let preparation = clock.spent();
         let fitting = fit_in_order(observation.images.len(), |frame| fit.fit(frame), emit, progress)?;
-        Ok(Reconstruction { final_mesh: None, seconds: preparation + fitting })
+        Ok(Reconstruction { final_mesh: None, spent: preparation + fitting })
     }
 }
 

@@ -15,6 +15,7 @@ use crate::reconstruct::geometry::mesh_depth::{PixelRays, unhidden};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
 use crate::reconstruct::settings::{GivenPhaseSettings, KeyframeSettings, MethodHeader, OursSettings, PhaseEstimation};
+use crate::reconstruct::stopwatch::Stopwatch;
 use crate::splat::{DiscFrame, Gaussians, Gradients, View, Wanted};
 
 /// Largest range of phases for which hidden faces are left out: over a wider one, a face hidden at both ends may be
@@ -82,13 +83,13 @@ impl Reconstruct for Ours {
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
-        let start = std::time::Instant::now();
+        let clock = Stopwatch::start();
         let window = match &self.variant {
             OursVariant::Ours(_, keyframes) => KeyframeWindow::new(keyframes, WindowOptions::default()),
             OursVariant::Given(_) => None,
         };
         let mut discs = BreathingDiscs::new(&self.settings, window, self.iteration_scale, observation)?;
-        let preparation = start.elapsed().as_secs_f64();
+        let preparation = clock.spent();
         let source = match &self.variant {
             OursVariant::Ours(estimation, _) => PhaseSource::Estimated(estimation),
             OursVariant::Given(GivenPhase::Inspiration) => PhaseSource::Given(vec![0.0; observation.images.len()]),
@@ -100,7 +101,7 @@ impl Reconstruct for Ours {
         let (phase, mut done) =
             phase_fit::run(&self.settings.fit, self.iteration_scale, &source, observation, &mut discs, emit, progress)?;
         done.final_mesh = Some(mesh_at(observation, phase));
-        done.seconds += preparation;
+        done.spent = preparation + done.spent;
         Ok(done)
     }
 }

@@ -14,6 +14,7 @@ use crate::reconstruct::fitting::schedule::rate_factor;
 use crate::reconstruct::geometry::neighbours;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::settings::{MethodHeader, OursNomeshSettings};
+use crate::reconstruct::stopwatch::Stopwatch;
 use crate::splat::{Gaussians, Gradients, View, Wanted};
 
 /// Mesh vertices whose displacements a Gaussian averages.
@@ -48,9 +49,9 @@ impl Reconstruct for OursNomesh {
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
-        let start = std::time::Instant::now();
+        let clock = Stopwatch::start();
         let mut gaussians = FieldGaussians::new(&self.settings, self.iteration_scale, observation);
-        let preparation = start.elapsed().as_secs_f64();
+        let preparation = clock.spent();
         let source = PhaseSource::Estimated(&self.settings.estimation);
         let (_, mut done) = phase_fit::run(
             &self.settings.fit,
@@ -61,7 +62,7 @@ impl Reconstruct for OursNomesh {
             emit,
             progress,
         )?;
-        done.seconds += preparation;
+        done.spent = preparation + done.spent;
         Ok(done)
     }
 }

@@ -7,8 +7,6 @@
 //! | `mean-breath` | the mean breath at the given rate, shifted so that it fits the first seconds best |
 //! | `virtual-bronchoscopy` | the one whose virtual view correlates best with the frame |
 
-use std::time::Instant;
-
 use glam::DVec3;
 
 use crate::airway::waveform::Waveform;
@@ -26,6 +24,7 @@ use crate::reconstruct::online::{fit_in_order, held_out};
 use crate::reconstruct::settings::{
     MeanBreathSettings, MethodHeader, PoseOnlySettings, VirtualBronchoscopySettings, Visibility,
 };
+use crate::reconstruct::stopwatch::Stopwatch;
 use crate::splat::View;
 
 /// Which row.
@@ -83,7 +82,7 @@ impl Reconstruct for VirtualMethod {
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
-        let start = Instant::now();
+        let clock = Stopwatch::start();
         let expiration = observation.expiration.as_ref().unwrap_or(&observation.inspiration);
         let rest = to_f32(&observation.inspiration.vertices);
         let displacement = mesh::displacement(&observation.inspiration, expiration);
@@ -96,15 +95,15 @@ impl Reconstruct for VirtualMethod {
             camera: VirtualCamera::new(observation.camera, reach),
             targets: CarriedTargets::new(&observation.targets_mm, &observation.inspiration.vertices),
         };
-        let preparation = start.elapsed().as_secs_f64();
+        let preparation = clock.spent();
         let mut last = 0.0;
         let fit = |frame: usize| {
             let expected = last;
             last = finder.phase(frame, airway);
             Ok(screen.prediction(frame, last, expected))
         };
-        let seconds = preparation + fit_in_order(observation.images.len(), fit, emit, progress)?;
-        Ok(Reconstruction { final_mesh: Some(mesh_at(observation, last)), seconds })
+        let spent = preparation + fit_in_order(observation.images.len(), fit, emit, progress)?;
+        Ok(Reconstruction { final_mesh: Some(mesh_at(observation, last)), spent })
     }
 }
 

@@ -39,9 +39,9 @@ pub fn run(
     };
     let mut fitter = Fitter::new(settings, estimation, iteration_scale, observation);
     let frames = observation.images.len();
-    let seconds = fit_in_order(frames, |frame| fitter.fit(frame, source, gaussians), emit, progress)?;
+    let spent = fit_in_order(frames, |frame| fitter.fit(frame, source, gaussians), emit, progress)?;
     let last = fitter.phases.last().copied().unwrap_or(0.0);
-    Ok((last, Reconstruction { final_mesh: None, seconds }))
+    Ok((last, Reconstruction { final_mesh: None, spent }))
 }
 
 impl Fitter<'_> {

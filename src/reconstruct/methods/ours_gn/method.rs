@@ -1,7 +1,5 @@
 //! The method: its access to data, and one frame from the expected phase to the answer.
 
-use std::time::Instant;
-
 use glam::Vec3;
 
 use super::light::Scope;
@@ -27,6 +25,7 @@ use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::online::{fit_in_order, held_out};
 use crate::reconstruct::settings::{MethodHeader, OursGnSettings};
+use crate::reconstruct::stopwatch::Stopwatch;
 use crate::splat::{Reuse, View};
 
 /// Visible faces are chosen for phases up to this far from the expected one.
@@ -66,9 +65,9 @@ impl Reconstruct for OursGn {
         progress: &dyn Progress,
     ) -> Result<Reconstruction> {
         observation.validate(self.access())?;
-        let start = Instant::now();
+        let clock = Stopwatch::start();
         let mut tracker = Tracker::new(&self.settings, self.iteration_scale, observation)?;
-        let preparation = start.elapsed().as_secs_f64();
+        let preparation = clock.spent();
         let fitting = fit_in_order(
             observation.images.len(),
             // Runs inside the thread pool: entering it from outside costs more than many of the parallel loops.
@@ -76,7 +75,7 @@ impl Reconstruct for OursGn {
             emit,
             progress,
         )?;
-        Ok(Reconstruction { final_mesh: Some(tracker.mesh()), seconds: preparation + fitting })
+        Ok(Reconstruction { final_mesh: Some(tracker.mesh()), spent: preparation + fitting })
     }
 }
 
