@@ -3,6 +3,7 @@
 
 mod all_cases;
 mod binary;
+mod blind;
 mod cases;
 mod command_line;
 mod faults;
