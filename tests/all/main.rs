@@ -5,6 +5,7 @@ mod all_cases;
 mod binary;
 mod blind;
 mod cases;
+mod cheats;
 mod command_line;
 mod faults;
 mod gate;

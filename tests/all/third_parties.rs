@@ -160,6 +160,7 @@ fn a_third_party_stands_in_the_ranking_under_a_name_of_its_own() {
     for table in ["results.csv", "comparison.csv", "frames.csv", "timings.csv"] {
         edit(&place.path("theirs").join(table), |text| text.replace(",ours,", ",mine,"));
     }
+    seal(&place.path("theirs"));
     refused(
         place.merge(&["theirs", "scores"], &[]),
         4,
@@ -293,6 +294,33 @@ fn numbers_that_do_not_follow_from_the_frames_are_not_merged() {
         &["scores/results.csv", "\"ssim\" of this cell is there twice"],
     );
     fs::write(&results, &honest).unwrap();
+    // What leaves no trace in the frames is noticed by the hash of the table; and a report without hashes is none.
+    for metric in ["contour_rmse_mm", "target_error_mm", "target_p95_mm"] {
+        let row = honest.lines().find(|row| row.contains(&format!(",{metric},{metric}/"))).unwrap();
+        let value = row.split(',').nth(12).unwrap().to_owned();
+        fs::write(&results, honest.replace(row, &row.replacen(&format!(",{value},"), ",0.001,", 1))).unwrap();
+        refused(
+            place.merge(&["reports/latest", "scores"], &[]),
+            4,
+            &["scores/results.csv", "was changed", "manifest.json"],
+        );
+    }
+    fs::write(&results, &honest).unwrap();
+    edit(&place.path("scores/comparison.csv"), |text| {
+        let (head, row) = text.trim_end().split_once('\n').unwrap();
+        let cpu = head.split(',').position(|name| name == "time_cpu_s").unwrap();
+        let mut cells: Vec<&str> = row.split(',').collect();
+        cells[cpu] = "0.001";
+        format!("{head}\n{}\n", cells.join(","))
+    });
+    refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["scores/comparison.csv", "was changed"]);
+    accepted(place.evaluate(&place.film(), "mine", "scores", &[]));
+    let manifest = place.path("scores/manifest.json");
+    let kept = fs::read(&manifest).unwrap();
+    fs::remove_file(&manifest).unwrap();
+    refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["scores/manifest.json", "is missing"]);
+    fs::write(&manifest, kept).unwrap();
+    accepted(place.merge(&["reports/latest", "scores"], &[]));
     // Without its frames nothing can be told of a prediction.
     fs::remove_file(place.path("scores/frames.csv")).unwrap();
     refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["scores/frames.csv"]);
