@@ -228,7 +228,7 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
             "depth_delta_1_25" => depth_mean(m.id, measured.iter().map(|f| &f.depth), |d| d.delta_1_25, seed),
             "depth_coverage" => depth_mean(m.id, measured.iter().map(|f| &f.depth), |d| d.coverage, seed),
             "phase_mae" => series_mean(m.id, measured.iter().filter_map(|f| f.phase_error).collect(), seed),
-            "phase_coverage_1sd_pct" => series_mean(m.id, error_bars(&measured, |e, sd| within(e, sd)), seed),
+            "phase_coverage_1sd_pct" => series_mean(m.id, error_bars(&measured, within), seed),
             "phase_coverage_2sd_pct" => series_mean(m.id, error_bars(&measured, |e, sd| within(e, 2.0 * sd)), seed),
             "phase_sd_mean" => series_mean(m.id, error_bars(&measured, |_, sd| sd), seed),
             "phase_pearson_r" => correlation(m.id, truth, &prediction),
