@@ -56,7 +56,7 @@
 //!
 //! | feature | rooms | needs |
 //! |---|---|---|
-//! | none | [`base`], [`formats`], [`airway`], [`splat`], [`reconstruct`], and of [`simulate`] the reader `sequence` | g++ |
+//! | none | [`base`], [`formats`], [`airway`], [`splat`], [`reconstruct`], and of [`simulate`] the readers `sequence` and `participant` | g++ |
 //! | `trace` | [`render`], [`simulate`] | Embree 4, libclang |
 //! | `vision` | [`score`] | OpenCV 4, clang |
 //! | `program` | [`report`], [`mod@bench`], [`experiments`], [`cli`] | both |
@@ -79,6 +79,7 @@ pub mod simulate;
 #[cfg(not(feature = "trace"))]
 #[allow(dead_code, reason = "names and entries that only the writer needs")]
 pub mod simulate {
+    pub mod participant;
     pub mod sequence;
 }
 

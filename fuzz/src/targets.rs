@@ -23,7 +23,8 @@ use respire_bench::formats::{depth_png, exr, gaussians_ply, landmarks, mesh, npy
 use respire_bench::reconstruct::MethodFile;
 use respire_bench::render::scene_file::SceneFile;
 use respire_bench::report::{compare, gate, merge, read, summary, table};
-use respire_bench::score::{CellScore, Prediction, Truth};
+use respire_bench::score::{CellScore, Prediction, Question, Truth};
+use respire_bench::simulate::participant::{Given, Participant};
 use respire_bench::simulate::sequence::{self, FrameRecord, NovelView, Sequence};
 
 /// Between the files of an input that is a folder (the group separator of ASCII).
@@ -53,6 +54,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "method", run: method },
     Target { name: "npy", run: read_npy },
     Target { name: "obj", run: |bytes, scratch| surface(bytes, "obj", scratch) },
+    Target { name: "participant", run: participant },
     Target { name: "ply", run: |bytes, scratch| surface(bytes, "ply", scratch) },
     Target { name: "png", run: read_png },
     Target { name: "prediction", run: prediction },
@@ -81,7 +83,7 @@ impl Scratch {
         let parent = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
         let folder = parent.join(format!("respire-bench-{name}-{}", std::process::id()));
         let bench_cases = root.join("bench-cases");
-        for part in ["methods", "prediction/color", "sequence"] {
+        for part in ["methods", "participant", "prediction/color", "prediction/mesh", "sequence"] {
             std::fs::create_dir_all(folder.join(part))?;
         }
         for entry in std::fs::read_dir(bench_cases.join("methods"))? {
@@ -357,6 +359,22 @@ fn read_sequence(bytes: &[u8], scratch: &Scratch) {
     }
 }
 
+fn participant(bytes: &[u8], scratch: &Scratch) {
+    let names = [
+        sequence::PARTICIPANT,
+        sequence::TRANSFORMS,
+        sequence::NOVEL_TRANSFORMS,
+        sequence::TARGETS,
+        sequence::CENTERLINE,
+    ];
+    let folder = scratch.write_parts("participant", &names, bytes);
+    if let Some(participant) = answer(Participant::open(&folder)) {
+        assert!(!participant.given_frames().is_empty() && participant.true_phase().is_none());
+        answer(participant.given_centerline_mm());
+        answer(participant.check());
+    }
+}
+
 /// A film of which a prediction's folder needs to know the number of frames alone.
 struct TinyTruth {
     camera: Camera,
@@ -446,12 +464,24 @@ impl Truth for TinyTruth {
 }
 
 fn prediction(bytes: &[u8], scratch: &Scratch) {
-    let names = ["phase.csv", "poses.csv", "timing.json", "prediction.json", "targets.csv"];
+    let names = [
+        "phase.csv",
+        "poses.csv",
+        "timing.json",
+        "prediction.json",
+        "targets.csv",
+        "mesh/final.ply",
+        "correspondence.csv",
+    ];
     let folder = scratch.write_parts("prediction", &names, bytes);
-    let Some(prediction) = answer(Prediction::open(&folder, &TinyTruth::new())) else { return };
+    let Some(prediction) = answer(Prediction::open(&folder, &Question::of(&TinyTruth::new()))) else { return };
     assert!(prediction.phase().is_none_or(|phases| phases.len() == PREDICTED_FRAMES));
     assert!(prediction.poses().is_none_or(|poses| poses.len() == PREDICTED_FRAMES));
-    assert!(prediction.time_total_s().is_none_or(|time| time >= 0.0));
+    assert!(prediction.phase_sd().is_none_or(|sds| sds.len() == PREDICTED_FRAMES && sds.iter().all(|&sd| sd > 0.0)));
+    assert!(prediction.time_total_s().is_none_or(|time| time > 0.0));
+    if let Some(places) = answer(prediction.correspondence()).flatten() {
+        assert!(places.iter().all(|place| place.is_finite()));
+    }
 }
 
 fn timings(bytes: &[u8], scratch: &Scratch) {

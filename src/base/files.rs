@@ -3,7 +3,8 @@
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -60,6 +61,36 @@ pub fn remove_unfinished(folder: &Path) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// All files in `folder` and below it, sorted; links are files.
+pub fn all_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let fail = |e| Error::io("reading", folder, e);
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).map_err(fail)? {
+        let entry = entry.map_err(fail)?;
+        match entry.file_type().map_err(fail)?.is_dir() {
+            true => found.extend(all_in(&entry.path())?),
+            false => found.push(entry.path()),
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// Sets the time of change of `folder` and of everything in it.
+pub fn set_modified_below(folder: &Path, time: SystemTime) -> Result<()> {
+    let fail = |e| Error::io("writing", folder, e);
+    for entry in fs::read_dir(folder).map_err(fail)? {
+        let entry = entry.map_err(fail)?;
+        let path = entry.path();
+        if entry.file_type().map_err(fail)?.is_dir() {
+            set_modified_below(&path, time)?;
+        } else {
+            File::open(&path).and_then(|file| file.set_modified(time)).map_err(|e| Error::io("writing", &path, e))?;
+        }
+    }
+    File::open(folder).and_then(|opened| opened.set_modified(time)).map_err(fail)
 }
 
 /// Whether a name is one that [`write_atomically`] gives to unfinished files.

@@ -26,7 +26,7 @@ pub use catalogue::Catalogue;
 pub use environment::Environment;
 pub use event::{CacheUse, Event, Watcher};
 pub use executor::{FinishedCell, Freshness, execute};
-pub use pipeline::{Pipeline, Wishes};
+pub use pipeline::{Pipeline, Wishes, reconstruct_folder};
 pub use plan::{Cell, Plan};
 pub use profile::Profile;
 pub use stages::Stages;

@@ -18,6 +18,7 @@ use crate::base::{Error, Estimate, Progress, Result, files, hash};
 use crate::reconstruct::{self, Listing, MethodFile, Reconstruct};
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use crate::score::{self, Truth};
+use crate::simulate::participant::{Given, Participant};
 use crate::simulate::sequence::Sequence;
 use crate::simulate::truth::TruthSet;
 use crate::simulate::{self, MeshOutput, RadianceOutput, SimulationSettings};
@@ -288,6 +289,32 @@ fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>) 
         found.retain(|m| m.method.listing() == Listing::Always);
     }
     Ok(found)
+}
+
+/// Runs the method `id`, with the profile's iterations, on a film or a participant's folder, and writes its prediction
+/// to the empty folder `out`.
+///
+/// Errors: an unknown profile or method, a folder that is not empty, those of reading, of the method and of writing.
+pub fn reconstruct_folder(
+    catalogue: &Catalogue,
+    profile: &str,
+    (id, seed): (&str, u64),
+    film: &Path,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let profile = Profile::load(&catalogue.profiles(), profile)?;
+    let found = methods(catalogue, &profile, Some(&[id.to_owned()]))?;
+    let Some(Method { method, .. }) = found.first() else {
+        return Err(Error::usage(format!("there is no method `{id}`")));
+    };
+    if out.exists() && out.read_dir().map_err(|e| Error::io("reading", out, e))?.next().is_some() {
+        return Err(Error::input("is not empty: nothing is overwritten").at(out));
+    }
+    let film: Box<dyn Given> =
+        if Participant::is_at(film) { Box::new(Participant::open(film)?) } else { Box::new(Sequence::open(film)?) };
+    let observation = reconstruct::observe(film.as_ref(), method.access(), seed)?;
+    reconstruct::write_prediction(method.as_ref(), &observation, out, progress)
 }
 
 impl Stages for Pipeline {

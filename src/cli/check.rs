@@ -5,21 +5,22 @@ use std::path::PathBuf;
 use super::Terminal;
 use super::evaluate::check_name;
 use crate::base::Result;
-use crate::score::{check_prediction, check_truth};
+use crate::score::{Question, check_prediction, check_truth};
+use crate::simulate::participant::Participant;
 use crate::simulate::sequence::Sequence;
 
 /// Arguments of `check`.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Without --sequence the folder is checked as a sequence. Exit code 4 when something is wrong.\n\
+    after_help = "Without --sequence the folder is checked as a sequence, or as a participant's folder. Exit code 4 when something is wrong.\n\
     Example: respire-bench check my-method/case1 --sequence .cache/sequences/case1-0123456789ab"
 )]
 pub struct CheckArguments {
-    /// Folder of predictions, or a sequence
+    /// Folder of predictions, a sequence, or a participant's folder
     #[arg(value_name = "DIR")]
     folder: PathBuf,
-    /// The sequence that the predictions are of
-    #[arg(long, value_name = "DIR")]
+    /// The sequence that the predictions are of; a participant's folder will do
+    #[arg(long, visible_alias = "truth", value_name = "DIR")]
     sequence: Option<PathBuf>,
     /// Write JSON
     #[arg(long)]
@@ -29,18 +30,26 @@ pub struct CheckArguments {
 /// Reads every file; says what is there, or fails with the first thing that is wrong.
 pub fn run(arguments: CheckArguments, terminal: &Terminal) -> Result<()> {
     let Some(sequence) = &arguments.sequence else {
-        let sequence = Sequence::open(&arguments.folder)?;
-        sequence.verify()?;
-        let frames = check_truth(&sequence).map_err(|e| e.at(&arguments.folder))?;
+        let (what, frames) = if Participant::is_at(&arguments.folder) {
+            ("participant's folder", Participant::open(&arguments.folder)?.check()?)
+        } else {
+            let sequence = Sequence::open(&arguments.folder)?;
+            sequence.verify()?;
+            ("sequence", check_truth(&sequence).map_err(|e| e.at(&arguments.folder))?)
+        };
         if arguments.json {
             return terminal.json(&serde_json::json!({ "frames": frames }));
         }
-        terminal.line(format_args!("a sound sequence of {frames} frames"));
+        terminal.line(format_args!("a sound {what} of {frames} frames"));
         return Ok(());
     };
-    let sequence = Sequence::open(sequence)?;
-    check_name(&arguments.folder, &sequence)?;
-    let found = check_prediction(&sequence, &arguments.folder)?;
+    let question = if Participant::is_at(sequence) {
+        Question::of_participant(&Participant::open(sequence)?)
+    } else {
+        Question::of(&Sequence::open(sequence)?)
+    };
+    check_name(&arguments.folder, &question)?;
+    let found = check_prediction(&question, &arguments.folder)?;
     if arguments.json {
         return terminal.json(&found);
     }

@@ -7,21 +7,21 @@ use super::Terminal;
 use crate::base::{Error, Result};
 use crate::report::run::evaluated_id;
 use crate::report::{self, CaseInfo, CellRecord, MethodInfo, Outcome, Run};
-use crate::score::{CellScore, Prediction, ScoreSettings, registry, score};
+use crate::score::{CellScore, Prediction, Question, ScoreSettings, registry, score};
 use crate::simulate::sequence::Sequence;
 
 /// Arguments of `evaluate`.
 #[derive(clap::Args)]
 #[command(
     after_help = "The folder holds color/NNNNNN.png, and as far as the method has them depth/NNNNNN.{exr,npy,png}, \
-    ahead/NNNNNN.png, phase.csv (frame,phase), mesh/final.ply, timing.json ({\"time_total_s\": ..}), prediction.json \
-    ({\"method\": .., \"case\": .., \"depth_unit_mm\": ..}); see docs/metrics.md. Names of this program's own rows are \
+    ahead/NNNNNN.png, phase.csv (frame,phase), mesh/final.ply, correspondence.csv, timing.json ({\"time_total_s\": ..}), prediction.json \
+    ({\"method\": .., \"case\": .., \"depth_unit_mm\": ..}); see docs/predictions.md. Names of this program's own rows are \
     reserved.\n\
     Example: respire-bench evaluate --sequence .cache/sequences/case1-0123456789ab --predictions my-method/case1 --out report"
 )]
 pub struct EvaluateArguments {
-    /// Sequence folder with the truth
-    #[arg(long, value_name = "DIR")]
+    /// Sequence folder with the truth; of a blind comparison, its `truth`
+    #[arg(long, visible_alias = "truth", value_name = "DIR")]
     sequence: PathBuf,
     /// Folder of the predictions
     #[arg(long, value_name = "DIR")]
@@ -43,7 +43,7 @@ pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
     // Before the work.
     match &arguments.method {
         Some(name) => MethodInfo::check_foreign(name).map_err(|e| Error::usage(format!("--method: {e}")))?,
-        None => check_name(&arguments.predictions, &sequence)?,
+        None => check_name(&arguments.predictions, &Question::of(&sequence))?,
     }
     let settings = ScoreSettings { method: arguments.method.clone(), ..ScoreSettings::default() };
     let found = score(&sequence, &arguments.predictions, &settings)?;
@@ -65,8 +65,8 @@ pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
 }
 
 /// Refuses a prediction that names itself as an own row.
-pub(super) fn check_name(prediction: &Path, sequence: &Sequence) -> Result<()> {
-    let opened = Prediction::open(prediction, sequence)?;
+pub(super) fn check_name(prediction: &Path, question: &Question) -> Result<()> {
+    let opened = Prediction::open(prediction, question)?;
     let named = |e: Error| e.element("method").at(prediction.join("prediction.json"));
     opened.method().map_or(Ok(()), MethodInfo::check_foreign).map_err(named)
 }

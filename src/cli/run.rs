@@ -6,16 +6,26 @@ use super::Terminal;
 use super::selection::{CatalogueFolder, PoseChoice};
 use crate::base::range::SEED;
 use crate::base::{Progress, Result, files};
-use crate::bench::{Freshness, Pipeline, Store, Wishes, execute};
+use crate::bench::{Freshness, Pipeline, Store, Wishes, execute, reconstruct_folder};
 use crate::score::{self, CellScore};
 
 /// Arguments of `run`.
 #[derive(clap::Args)]
-#[command(after_help = "Example: respire-bench run --case case1 --method ours --profile smoke")]
+#[command(
+    after_help = "With --sequence, the method answers a film that is there already, a participant's folder among them \
+    (simulate --blind), and its prediction is written to --out; `evaluate` scores it.\n\
+    Example: respire-bench run --case case1 --method ours --profile smoke"
+)]
 pub struct RunArguments {
     /// Case by id, or the path of a case file
-    #[arg(long, value_name = "CASE")]
-    case: String,
+    #[arg(long, value_name = "CASE", required_unless_present = "sequence")]
+    case: Option<String>,
+    /// A film or a participant's folder, in place of a case
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["case", "cache", "fresh", "json"], requires = "out")]
+    sequence: Option<PathBuf>,
+    /// New folder of the prediction of --sequence
+    #[arg(long, value_name = "DIR", requires = "sequence")]
+    out: Option<PathBuf>,
     /// Method by id
     #[arg(long, value_name = "METHOD")]
     method: String,
@@ -42,11 +52,18 @@ pub struct RunArguments {
 
 /// Runs the cell and prints its score.
 pub fn run(arguments: RunArguments, terminal: &Terminal) -> Result<()> {
-    let wishes = Wishes {
-        cases: Some(vec![arguments.case]),
-        methods: arguments.poses.rows(Some(vec![arguments.method]))?,
-        seeds: Some(vec![arguments.seed]),
-    };
+    let methods = arguments.poses.rows(Some(vec![arguments.method]))?;
+    if let (Some(film), Some(out)) = (&arguments.sequence, &arguments.out) {
+        let catalogue = arguments.catalogue.open()?;
+        for method in methods.iter().flatten() {
+            terminal.stage(format!("{method}: {}", film.display()));
+            reconstruct_folder(&catalogue, &arguments.profile, (method, arguments.seed), film, out, terminal)?;
+        }
+        terminal.finish();
+        terminal.line(format_args!("prediction: {}", out.display()));
+        return Ok(());
+    }
+    let wishes = Wishes { cases: arguments.case.map(|case| vec![case]), methods, seeds: Some(vec![arguments.seed]) };
     let pipeline = Pipeline::new(&arguments.catalogue.open()?, &arguments.profile, wishes)?;
     terminal.accepts(&pipeline.estimate())?;
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };

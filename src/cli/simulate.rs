@@ -8,15 +8,18 @@ use super::Terminal;
 use super::selection::CatalogueFolder;
 use crate::airway::case::{Case, Effect};
 use crate::base::range::{FRAMES, IMAGE_SIDE_PX, SAMPLES_PER_PIXEL};
-use crate::base::{Estimate, Progress, Result};
+use crate::base::{Error, Estimate, Progress, Result};
 use crate::bench::profile::Profile;
 use crate::simulate::truth::TruthMap;
-use crate::simulate::{MeshOutput, RadianceOutput, SimulationSettings, material, simulate};
+use crate::simulate::{MeshOutput, RadianceOutput, SimulationSettings, material, participant, simulate};
 
 /// Arguments of `simulate`.
 #[derive(Args)]
 #[command(
     after_help = "Writes one folder per case: DIR/<case> with images, depth, poses, phases and meshes (FORMAT.md there).\n\
+    With --blind, what methods may see stands apart from the truth: `run --sequence DIR/participant --out P` answers, \
+    `evaluate --truth DIR/truth --predictions P` scores. Whoever has the case file can film it again: a blind \
+    comparison needs a case that is not published.\n\
     Example: respire-bench simulate case1 mine/own.toml --out /tmp/films --profile quick"
 )]
 pub struct SimulateArguments {
@@ -24,8 +27,11 @@ pub struct SimulateArguments {
     #[arg(value_name = "CASE", required = true)]
     cases: Vec<String>,
     /// Folder for the sequences
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "blind")]
+    out: Option<PathBuf>,
+    /// Films one case into DIR/truth, and writes what methods may see of it, and nothing else, to DIR/participant
+    #[arg(long, value_name = "DIR", conflicts_with = "out")]
+    blind: Option<PathBuf>,
     /// Size of the run: smoke, quick or paper
     #[arg(long, default_value = "quick", value_name = "P")]
     profile: String,
@@ -57,6 +63,11 @@ pub struct SimulateArguments {
 
 /// Runs the command.
 pub fn run(arguments: SimulateArguments, terminal: &Terminal) -> Result<()> {
+    if arguments.blind.is_some() && arguments.cases.len() != 1 {
+        return Err(Error::usage("--blind takes one case: the names of several would tell which they are"));
+    }
+    // Before the work.
+    arguments.blind.iter().try_for_each(|blind| participant::check_replaceable(&blind.join("participant")))?;
     let catalogue = arguments.catalogue.open()?;
     let profile = Profile::load(&catalogue.profiles(), &arguments.profile)?;
     let files: Vec<PathBuf> = arguments.cases.iter().map(|c| catalogue.case_file(c)).collect::<Result<_>>()?;
@@ -88,8 +99,17 @@ pub fn run(arguments: SimulateArguments, terminal: &Terminal) -> Result<()> {
     terminal.accepts(&all)?;
     for case in &cases {
         terminal.stage(format!("{}: filming", case.id));
-        let sequence = simulate(case, &settings(case), &arguments.out.join(&case.id), terminal)?;
+        let folder = match (&arguments.blind, &arguments.out) {
+            (Some(blind), _) => blind.join("truth"),
+            (None, out) => out.clone().unwrap_or_default().join(&case.id),
+        };
+        let sequence = simulate(case, &settings(case), &folder, terminal)?;
         terminal.line(format!("{}: {} frames", sequence.root.display(), sequence.frames.len()));
+        if let Some(blind) = &arguments.blind {
+            let folder = blind.join("participant");
+            participant::write(&sequence, &folder)?;
+            terminal.line(format!("{}: what participants get", folder.display()));
+        }
     }
     Ok(())
 }

@@ -7,6 +7,7 @@
 use glam::{DAffine3, DVec3};
 
 use super::settings::{Listing, MethodHeader};
+use super::stopwatch::Spent;
 use crate::base::{Camera, Error, Image, Mask, Progress, Result, TriangleMesh};
 
 /// What a method asks for beyond images, times, camera and poses.
@@ -140,8 +141,8 @@ pub struct NovelPrediction {
 pub struct Reconstruction {
     /// Airway surface at the last frame, where the method keeps one.
     pub final_mesh: Option<TriangleMesh>,
-    /// Seconds of the method alone: no reading, writing or scoring.
-    pub seconds: f64,
+    /// What the method alone spent: no reading, writing or scoring.
+    pub spent: Spent,
 }
 
 /// A reconstruction method.

@@ -4,7 +4,7 @@
 //!
 //! | floor | holds |
 //! |---|---|
-//! | `contract`, `settings`, `activation` | inputs and outputs of a method, and its numbers |
+//! | `contract`, `settings`, `activation`, `stopwatch` | inputs and outputs of a method, and its numbers |
 //! | `online`, `observe`, `rough_poses`, `prediction` | the protocol, from the sequence to the prediction |
 //! | `geometry` | the mesh at a phase: visible faces, depth, image pyramid, rigid motions, neighbours |
 //! | `fitting` | building blocks: optimiser, losses, discs and free Gaussians, light, memory of colours |
@@ -24,6 +24,7 @@ mod online;
 mod prediction;
 mod rough_poses;
 pub mod settings;
+mod stopwatch;
 
 pub use contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
 pub use fitting::{loss, optimiser};
@@ -37,3 +38,4 @@ pub use observe::observe;
 pub use prediction::write_prediction;
 pub use rough_poses::rough_poses;
 pub use settings::Listing;
+pub use stopwatch::Spent;

@@ -1,17 +1,16 @@
 //! The protocol that all methods share: frames in order, each timed alone; every eighth one is rendered before
 //! its image may be used.
 
-use std::time::Instant;
-
 use crate::base::{Error, Image, Progress, Result};
 use crate::splat::{Rasterizer, Rendered};
 
 use super::contract::{Access, FramePrediction, NovelPrediction, Observation};
+use super::stopwatch::{Spent, Stopwatch};
 pub use crate::simulate::sequence::held_out;
 
 /// The run of a method over an observation that has been checked; its clock is running.
 pub struct OnlineRun {
-    start: Instant,
+    clock: Stopwatch,
     frames: usize,
 }
 
@@ -21,27 +20,27 @@ impl OnlineRun {
     /// Errors: those of [`Observation::validate`].
     pub fn begin(access: Access, observation: &Observation) -> Result<Self> {
         observation.validate(access)?;
-        Ok(OnlineRun { start: Instant::now(), frames: observation.images.len() })
+        Ok(OnlineRun { clock: Stopwatch::start(), frames: observation.images.len() })
     }
 
-    /// Fits all frames in order and hands out each answer. Returns the seconds of the preparation and of all `fit`s.
+    /// Fits all frames in order and hands out each answer. Returns what the preparation and all `fit`s took.
     pub fn fit_in_order(
         self,
         mut fit: impl FnMut(usize) -> Result<FramePrediction> + Send,
         emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
         progress: &dyn Progress,
-    ) -> Result<f64> {
-        let mut seconds = self.start.elapsed().as_secs_f64();
+    ) -> Result<Spent> {
+        let mut spent = self.clock.spent();
         for frame in 0..self.frames {
             stop_if_cancelled(progress)?;
-            let start = Instant::now();
+            let clock = Stopwatch::start();
             // Inside the thread pool: entering it from outside costs more than many of the parallel loops.
             let prediction = rayon::scope(|_| fit(frame))?;
-            seconds += start.elapsed().as_secs_f64();
+            spent = spent + clock.spent();
             emit(prediction)?;
             progress.advance(frame + 1, self.frames);
         }
-        Ok(seconds)
+        Ok(spent)
     }
 }
 

@@ -5,7 +5,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::plots::{ReportImage, ReportImages};
 use super::run::{Outcome, Role, Run};
-use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, TableKind, arrow, heading, show};
+use super::table::{ComparisonTable, TableCell, TableKind, arrow, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 const STYLE: &str = "
@@ -102,7 +102,7 @@ fn comparison(table: &ComparisonTable) -> Markup {
                 "Bold: best ranked method; a method is ranked where it is scored on every case. "
             }
             "Rows in italics are bounds and not ranked."
-            @if table.has_star() { " " (STAR) ": " (STAR_MEANS) "." }
+            @for (sign, means) in table.signs() { " " (sign) ": " (means) "." }
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::run::Role;
-use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, TableKind, heading};
+use super::table::{ComparisonTable, MARK, STAR, TableCell, TableKind, heading};
 use crate::score::Goal;
 
 /// The whole `table*` environment; ours in black, the paper's value in grey below each.
@@ -25,7 +25,10 @@ pub fn table(table: &ComparisonTable, run_id: &str) -> String {
         table.cases,
         escape(run_id),
         table.kind.explanation(),
-        if table.has_star() { format!(" $\\star$\\,=\\,{STAR_MEANS}.") } else { String::new() }
+        table
+            .signs()
+            .map(|(sign, means)| format!(" {}\\,=\\,{}.", escape(&sign.to_string()), escape(means)))
+            .collect::<String>()
     ));
     let label = match table.kind {
         TableKind::Ranking => "ranking",
@@ -105,6 +108,7 @@ fn escape(text: &str) -> String {
             '<' => out.push_str("{$<$}"),
             'δ' => out.push_str("$\\delta$"),
             STAR => out.push_str("$\\star$"),
+            MARK => out.push_str("$\\dagger$"),
             c => out.push(c),
         }
     }

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use super::plots::ReportImages;
 use super::run::{Outcome, Role, Run};
 use super::summary::MethodSummary;
-use super::table::{ComparisonTable, STAR, STAR_MEANS, TableCell, TableKind, arrow, heading, show};
+use super::table::{ComparisonTable, TableCell, TableKind, arrow, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 /// The whole file.
@@ -48,7 +48,7 @@ fn comparison(out: &mut String, table: &ComparisonTable) {
         table.kind.title(),
         table.kind.explanation(),
         table.cases,
-        if table.has_star() { format!(" {STAR}: {STAR_MEANS}.") } else { String::new() },
+        table.signs().map(|(sign, means)| format!(" {sign}: {means}.")).collect::<String>(),
         comparison_table(table)
     );
 }

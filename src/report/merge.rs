@@ -8,6 +8,7 @@ use std::path::Path;
 
 use super::read::{CsvRow, CsvTable};
 use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
+use super::seal;
 use crate::base::{Error, Result, hash};
 use crate::score::{CellScore, FrameScore, FrameValue, MetricScore, Status, check_means, registry};
 
@@ -24,7 +25,8 @@ pub enum Films {
 /// are).
 ///
 /// Errors name file, line and column: a metric or status that this version does not know; a number that does not follow
-/// from the frames; a prediction of a third party without its frames, or under the name of an own row.
+/// from the frames; a table that was changed since it was written; a prediction of a third party without its frames or
+/// its manifest, or under the name of an own row.
 pub fn read_run(folder: &Path) -> Result<Run> {
     let mut cells: Vec<CellRecord> = Vec::new();
     let results = folder.join("results.csv");
@@ -77,6 +79,7 @@ pub fn read_run(folder: &Path) -> Result<Run> {
     if timings.exists() {
         CsvTable::read(&timings)?.rows().try_for_each(|row| add_timing(&mut cells, &row))?;
     }
+    seal::check(folder, cells.iter().any(CellRecord::is_foreign))?;
     // `<profile>-<hash of the plan>`, or `evaluate-<case>-<method>`.
     let cut = if is_foreign { id.split_once('-') } else { id.rsplit_once('-') };
     let profile = cut.map_or(id.as_str(), |(profile, _)| profile).to_owned();
@@ -254,7 +257,7 @@ fn cell_of<'a>(cells: &'a mut Vec<CellRecord>, row: &CsvRow<'_>, method_column: 
 fn add_times(score: &mut CellScore, row: &CsvRow<'_>) -> Result<()> {
     score.frames = row.number("frames")?.unwrap_or(0.0) as usize;
     for m in registry().iter().filter(|m| m.is_runtime()) {
-        let value = row.number(m.id)?;
+        let value = row.seconds(m.id)?;
         let status = if value.is_some() { Status::Ok } else { Status::NotApplicable };
         let (metric, detail) = (m.id.to_owned(), String::new());
         score.metrics.push(MetricScore { metric, value, status, deviation: None, count: 0, interval: None, detail });

@@ -6,6 +6,7 @@ use super::merge::{Films, merge, read_run};
 use super::report_tests::sample_run;
 use super::*;
 use crate::base::NoProgress;
+use crate::score::Status;
 
 /// A row of fewer cases says so and is never the best.
 #[test]
@@ -166,4 +167,50 @@ fn places_are_of_the_whole_table_and_the_truth_is_starred() {
     assert!(written.table.contains("**0.000 ★**"), "{}", written.table);
     assert!(fs::read_to_string(&written.markdown).unwrap().contains("★: equal to the truth"));
     assert!(fs::read_to_string(folder.path().join("report/table.tex")).unwrap().contains("0.000 $\\star$"));
+}
+
+/// A surface that cannot be measured neither drops out nor wins: it counts with the case's worst row, behind it.
+#[test]
+fn a_surface_that_cannot_be_measured_counts_with_the_worst_row() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 24, 5);
+    for (method, status) in [("lost", Status::NoContour), ("stacked", Status::NoCorrespondence)] {
+        for case in ["case1", "case2"] {
+            let mut mine = run.cells.iter().find(|c| c.case_id == case && c.method == "ours").unwrap().clone();
+            (mine.method, mine.seed, mine.run_id) = (method.into(), 0, run::evaluated_id(case, method));
+            let Outcome::Scored(score) = &mut mine.outcome else { panic!("not scored") };
+            let target = score.metrics.iter_mut().find(|m| m.metric == "target_error_mm").unwrap();
+            // `lost` is good in one case and cannot be measured in the other.
+            (target.value, target.status) =
+                if method == "lost" && case == "case1" { (Some(0.01), Status::Ok) } else { (None, status) };
+            run.cells.push(mine);
+        }
+        run.methods.push(MethodInfo::of(method));
+    }
+    let worst = |case: &str| {
+        let of_case = run.cells.iter().filter(|c| c.case_id == case).filter_map(CellRecord::score);
+        of_case.filter_map(|s| s.value("target_error_mm")).fold(0.0, f64::max)
+    };
+    let summaries = summary::summarise(&run);
+    let found =
+        |method: &str| summaries.iter().find(|s| s.method.id == method).unwrap().metric("target_error_mm").unwrap();
+    assert!((found("stacked").mean.unwrap().mean - 0.5 * (worst("case1") + worst("case2"))).abs() < 1e-12);
+    assert!((found("lost").mean.unwrap().mean - 0.5 * (0.01 + worst("case2"))).abs() < 1e-12);
+    assert_eq!((found("ours").rank, found("lost").rank, found("stacked").rank), (Some(1), Some(2), Some(3)));
+    assert!(found("lost").is_marked && found("stacked").is_marked && !found("ours").is_marked);
+    let written = write(&run, &folder.path().join("report"), &NoProgress).unwrap();
+    let report = fs::read_to_string(&written.markdown).unwrap();
+    assert!(report.contains("†: a surface that misses the plane") && report.contains("no_correspondence"), "{report}");
+    assert!(fs::read_to_string(folder.path().join("report/table.tex")).unwrap().contains("$\\dagger$"));
+    let read = read_run(&folder.path().join("report")).unwrap();
+    assert_eq!(
+        summary::summarise(&read).iter().map(|s| s.mean("target_error_mm").map(|m| m.mean)).collect::<Vec<_>>(),
+        summaries.iter().map(|s| s.mean("target_error_mm").map(|m| m.mean)).collect::<Vec<_>>()
+    );
+    // Alone with the worst row it is equal to, it stands behind it.
+    run.methods.retain(|m| ["ours", "stacked"].contains(&m.id.as_str()));
+    run.cells.retain(|c| ["ours", "stacked"].contains(&c.method.as_str()));
+    let summaries = summary::summarise(&run);
+    let ranks: Vec<Option<usize>> = summaries.iter().map(|s| s.metric("target_error_mm").unwrap().rank).collect();
+    assert_eq!(ranks, [Some(1), Some(2)]);
 }

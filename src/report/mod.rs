@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Run (cells with their scores) -> write() -> results.csv frames.csv timings.csv comparison.csv summary.csv
-//!                                             report.md report.html table.tex plots/ panels/
+//!                                             report.md report.html table.tex plots/ panels/ manifest.json
 //! ```
 
 pub mod ablation;
@@ -25,6 +25,7 @@ pub mod read;
 #[cfg(test)]
 mod report_tests;
 pub mod run;
+mod seal;
 pub mod summary;
 pub mod table;
 pub mod tables;
@@ -63,6 +64,7 @@ pub fn write(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<Writte
     let (markdown, html) = (folder.join("report.md"), folder.join("report.html"));
     files::write_bytes(&markdown, markdown::report(run, &summaries, &tables, &pictures).as_bytes())?;
     files::write_bytes(&html, html::report(run, &tables, &pictures).as_bytes())?;
+    seal::write(folder)?;
     let [ranking, _] = &tables;
     Ok(Written { markdown, html, table: markdown::comparison_table(ranking) })
 }

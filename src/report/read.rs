@@ -60,7 +60,7 @@ pub fn read(folder: &Path) -> Result<Results> {
     if path.exists() {
         for row in CsvTable::read(&path)?.rows() {
             for m in registry().iter().filter(|m| m.is_runtime()) {
-                let value = row.number(m.id)?;
+                let value = row.seconds(m.id)?;
                 let status = if value.is_some() { Status::Ok } else { Status::NotApplicable };
                 let entry = ResultEntry { value, status: status.word().into(), definition: String::new() };
                 results.entries.insert(row.key("method", m.id.into())?, entry);
@@ -156,6 +156,14 @@ impl CsvRow<'_> {
             return Ok(None);
         }
         text.parse().map(Some).map_err(|_| self.refuse(column, format!("\"{text}\" is not a number")))
+    }
+
+    /// Seconds in a column that older tables may lack; none for 0, which no work takes.
+    pub(super) fn seconds(&self, column: &str) -> Result<Option<f64>> {
+        if !self.table.columns.contains_key(column) {
+            return Ok(None);
+        }
+        Ok(self.number(column)?.filter(|&seconds| seconds != 0.0))
     }
 
     /// An error that names this row and the column.

@@ -203,15 +203,36 @@ impl Run {
         self.methods.iter().filter_map(|m| of(m).map(|(c, s)| (m, c, s))).collect()
     }
 
-    /// Whether the method has a value of `metric`, with every seed, in each case in which any row has one: the
+    /// The number with which a cell counts in means and ranks, and whether it is not its own: a surface that was handed
+    /// in and cannot be measured counts with the worst value that any row has in its case.
+    pub fn counted(&self, cell: &CellRecord, metric: &str) -> Option<(f64, bool)> {
+        let own = cell.score()?.metric(metric)?;
+        if let Some(value) = own.value {
+            return Some((value, false));
+        }
+        let goal = crate::score::metric(metric)?.direction;
+        let in_case = self.cells.iter().filter(|c| c.case_id == cell.case_id);
+        let values = in_case.filter_map(|c| c.score()?.value(metric));
+        let worst = values.reduce(|a, b| if goal.better(a, b) { b } else { a });
+        if own.status.counts_as_worst() { worst.map(|value| (value, true)) } else { None }
+    }
+
+    /// Whether another row's number counts in place of one of the method's.
+    pub fn is_marked(&self, method: &str, metric: &str) -> bool {
+        let is_another = |cell: &CellRecord| self.counted(cell, metric).is_some_and(|(_, is_another)| is_another);
+        self.cells.iter().any(|c| c.method == method && is_another(c))
+    }
+
+    /// Whether the method has a number of `metric`, with every seed, in each case in which any row has a value: the
     /// condition of a place in the ranking.
     pub fn covers(&self, method: &str, metric: &str) -> bool {
         let has = |cell: &CellRecord| cell.score().is_some_and(|s| s.value(metric).is_some());
+        let counts = |cell: &CellRecord| self.counted(cell, metric).is_some();
         let in_question =
             self.cases.iter().filter(|case| self.cells.iter().any(|cell| cell.case_id == case.id && has(cell)));
         let mut own = in_question.map(|case| {
             let mut cells = self.cells.iter().filter(|c| c.case_id == case.id && c.method == method).peekable();
-            cells.peek().is_some() && cells.all(has)
+            cells.peek().is_some() && cells.all(counts)
         });
         own.all(|covered| covered)
     }
@@ -221,7 +242,7 @@ impl Run {
     pub fn case_values(&self, method: &str, metric: &str) -> Vec<(&str, f64)> {
         let value = |case: &CaseInfo| {
             let cells = self.cells.iter().filter(|c| c.case_id == case.id && c.method == method);
-            let values: Vec<f64> = cells.filter_map(|c| c.score().and_then(|s| s.value(metric))).collect();
+            let values: Vec<f64> = cells.filter_map(|c| self.counted(c, metric)).map(|(value, _)| value).collect();
             crate::score::statistics::mean(&values)
         };
         self.cases.iter().filter_map(|case| value(case).map(|v| (case.id.as_str(), v))).collect()

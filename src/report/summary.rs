@@ -1,7 +1,7 @@
 //! Means over cases, and the place of each method: one ranking per metric, over all cases and seeds of the table.
 //!
 //! A method is ranked by a metric when it has a value in every case, with every seed ([`Run::covers`]): a mean over
-//! other cases is another number. Bounds are not ranked. Equal numbers, to the decimals that tables show, share a
+//! other cases is another number. A surface that cannot be measured counts with the case's worst row, behind it. Bounds are not ranked. Equal numbers, to the decimals that tables show, share a
 //! place.
 
 use super::run::{MethodInfo, Role, Run};
@@ -22,6 +22,8 @@ pub struct MetricSummary {
     pub rank: Option<usize>,
     /// The prediction of a ranked method equals the truth: no error at all, or every frame of a case to the bit.
     pub is_perfect: bool,
+    /// A surface of a case cannot be measured: the case's worst row counts in its place, and an equal row stands before.
+    pub is_marked: bool,
 }
 
 /// Mean over cases of every metric for one method.
@@ -81,14 +83,20 @@ fn metric_summary(run: &Run, method: &MethodInfo, metric: &'static Metric) -> Me
         .filter_map(|c| c.score()?.metric(metric.id))
         .any(|score| score.status == Status::Identical);
     let is_perfect = method.role == Role::Ranked && (no_error || is_identical);
-    MetricSummary { metric, mean, rank: None, is_perfect }
+    let is_marked = run.is_marked(&method.id, metric.id);
+    MetricSummary { metric, mean, rank: None, is_perfect, is_marked }
 }
 
 /// The place of each method by `metric`: 1 + the number of better ones.
 fn ranks(run: &Run, summaries: &[MethodSummary], metric: &Metric) -> Vec<Option<usize>> {
     let shown = |s: &MethodSummary| s.mean(metric.id).and_then(|m| metric.format(m.mean).parse::<f64>().ok());
     let is_ranked = |s: &MethodSummary| s.method.role == Role::Ranked && run.covers(&s.method.id, metric.id);
-    let values: Vec<Option<f64>> = summaries.iter().map(|s| if is_ranked(s) { shown(s) } else { None }).collect();
-    let better = |own: f64| values.iter().flatten().filter(|other| metric.direction.better(**other, own)).count();
+    let marked = |s: &MethodSummary| s.metric(metric.id).is_some_and(|m| m.is_marked);
+    let place = |s: &MethodSummary| if is_ranked(s) { shown(s).map(|value| (value, marked(s))) } else { None };
+    let values: Vec<Option<(f64, bool)>> = summaries.iter().map(place).collect();
+    let stands_before = |&(a, a_marked): &(f64, bool), (b, b_marked): (f64, bool)| {
+        metric.direction.better(a, b) || (a == b && b_marked && !a_marked)
+    };
+    let better = |own: (f64, bool)| values.iter().flatten().filter(|&other| stands_before(other, own)).count();
     values.iter().map(|own| own.map(|own| 1 + better(own))).collect()
 }

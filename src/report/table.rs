@@ -18,6 +18,8 @@ pub struct TableCell {
     pub best: bool,
     /// The truth itself: the value, or the dash where equal images have none, is starred.
     pub perfect: bool,
+    /// A surface of some case could not be measured: the case's worst row counts in its place.
+    pub marked: bool,
 }
 
 /// One row: a method.
@@ -101,6 +103,7 @@ pub fn heading(metric: &Metric) -> &'static str {
         "contour_rmse_mm" => "Contour",
         "target_error_mm" => "Target",
         "time_per_frame_s" => "s/frame",
+        "time_cpu_s" => "CPU s",
         _ => metric.label,
     }
 }
@@ -123,9 +126,11 @@ pub fn show(metric: &Metric, value: f64) -> String {
 }
 
 impl TableCell {
-    /// The value, with a star where it is perfect.
+    /// The value, with its signs.
     pub fn starred(&self) -> String {
-        if self.perfect { format!("{} {STAR}", self.value) } else { self.value.clone() }
+        let star = if self.perfect { format!(" {STAR}") } else { String::new() };
+        let mark = if self.marked { format!(" {MARK}") } else { String::new() };
+        format!("{}{star}{mark}", self.value)
     }
 }
 
@@ -133,11 +138,19 @@ impl TableCell {
 pub const STAR: char = '★';
 /// What the star means.
 pub const STAR_MEANS: &str = "equal to the truth, which no estimate is";
+/// Marks a number that is in part another row's.
+pub const MARK: char = '†';
+/// What the mark means.
+pub const MARK_MEANS: &str =
+    "a surface that misses the plane, or has other faces and no correspondence.csv, counts with its case's worst row";
 
 impl ComparisonTable {
-    /// Whether any score is starred.
-    pub fn has_star(&self) -> bool {
-        self.rows.iter().flat_map(|row| &row.cells).any(|cell| cell.perfect)
+    /// The signs that the table has, each with its meaning.
+    pub fn signs(&self) -> impl Iterator<Item = (char, &'static str)> {
+        let has = |sign: fn(&TableCell) -> bool| self.rows.iter().flat_map(|row| &row.cells).any(sign);
+        let star = has(|cell| cell.perfect).then_some((STAR, STAR_MEANS));
+        let mark = has(|cell| cell.marked).then_some((MARK, MARK_MEANS));
+        star.into_iter().chain(mark)
     }
 
     /// The column groups with the number of columns in each.
@@ -192,5 +205,6 @@ fn cell(kind: TableKind, summary: &MethodSummary, metric: &Metric) -> TableCell 
         paper: paper_value(&summary.method.id, metric.id).filter(|_| is_paper).map(|v| show(metric, v)),
         best: !is_paper && found.is_some_and(|m| m.rank == Some(1)),
         perfect: found.is_some_and(|m| m.is_perfect),
+        marked: found.is_some_and(|m| m.is_marked),
     }
 }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::contour::{ContourOverlay, Correspondence, Enclosure, TargetErrors, target_errors};
 use super::depth::{DepthErrors, depth_errors};
 use super::image_quality::{Psnr, Ssim, psnr_ceiling, psnr_within, ssim_within};
-use super::prediction::Prediction;
+use super::prediction::{Prediction, Question};
 use super::registry::registry;
 use super::statistics::{MeanInterval, bootstrap_series, mean, pearson, quantile};
 use super::truth::{Truth, final_mesh};
@@ -30,6 +30,8 @@ pub enum Status {
     Degenerate,
     /// The final camera's plane cuts no contour around the camera (truth) or none at all (prediction).
     NoContour,
+    /// The predicted surface has other faces than the sequence's, and no table says which point is which.
+    NoCorrespondence,
     /// There is a value, but the camera lies outside the predicted contour.
     CameraOutside,
     /// The pictures are the input: more than one in a hundred equals its frame, noise and all.
@@ -40,16 +42,23 @@ pub enum Status {
 
 impl Status {
     /// All of them.
-    pub const ALL: [Status; 8] = [
+    pub const ALL: [Status; 9] = [
         Status::Ok,
         Status::Identical,
         Status::NotApplicable,
         Status::Degenerate,
         Status::NoContour,
+        Status::NoCorrespondence,
         Status::CameraOutside,
         Status::Copied,
         Status::Failed,
     ];
+
+    /// Whether a row without a value counts with the worst value that any row has in its case: a surface was handed in,
+    /// and it cannot be measured.
+    pub fn counts_as_worst(self) -> bool {
+        matches!(self, Status::NoContour | Status::NoCorrespondence)
+    }
 
     /// The status that `results.csv` calls `word`.
     pub fn of_word(word: &str) -> Option<Status> {
@@ -64,6 +73,7 @@ impl Status {
             Status::NotApplicable => "not_applicable",
             Status::Degenerate => "degenerate",
             Status::NoContour => "no_contour",
+            Status::NoCorrespondence => "no_correspondence",
             Status::CameraOutside => "camera_outside",
             Status::Copied => "copied",
             Status::Failed => "failed",
@@ -184,7 +194,7 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
     if frames == 0 {
         return Err(Error::input(format!("the sequence of case {} has no frames", truth.case_id())));
     }
-    let prediction = Prediction::open(prediction, truth)?;
+    let prediction = Prediction::open(prediction, &Question::of(truth))?;
     let mask = truth.mask()?;
     let measured: Vec<FrameMeasurement> = (0..frames)
         .into_par_iter()
@@ -218,6 +228,9 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
             "depth_delta_1_25" => depth_mean(m.id, measured.iter().map(|f| &f.depth), |d| d.delta_1_25, seed),
             "depth_coverage" => depth_mean(m.id, measured.iter().map(|f| &f.depth), |d| d.coverage, seed),
             "phase_mae" => series_mean(m.id, measured.iter().filter_map(|f| f.phase_error).collect(), seed),
+            "phase_coverage_1sd_pct" => series_mean(m.id, error_bars(&measured, within), seed),
+            "phase_coverage_2sd_pct" => series_mean(m.id, error_bars(&measured, |e, sd| within(e, 2.0 * sd)), seed),
+            "phase_sd_mean" => series_mean(m.id, error_bars(&measured, |_, sd| sd), seed),
             "phase_pearson_r" => correlation(m.id, truth, &prediction),
             "pose_error_mm" => {
                 series_mean(m.id, measured.iter().filter_map(|f| f.pose_error).map(|e| e[0]).collect(), seed)
@@ -229,6 +242,7 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
             "target_error_mm" => target_score(m.id, &target, |t| t.target_mm),
             "target_error_mean_mm" => target_score(m.id, &target, |t| t.mean_mm),
             "target_error_p95_mm" => target_score(m.id, &target, |t| t.p95_mm),
+            "time_cpu_s" => plain(m.id, prediction.time_cpu_s(), 1),
             "time_total_s" => plain(m.id, prediction.time_total_s(), 1),
             "time_per_frame_s" => plain(m.id, prediction.time_total_s().map(|t| t / frames as f64), frames),
             other => unreachable!("metric {other} of the registry is not computed"),
@@ -259,8 +273,20 @@ struct FrameMeasurement {
     /// `None`: no depth predicted. `Some(None)`: the frame has no true depth.
     depth: Option<Option<DepthErrors>>,
     phase_error: Option<f64>,
+    /// Standard deviation that the prediction states of its phase.
+    phase_sd: Option<f64>,
     /// mm, degrees.
     pose_error: Option<[f64; 2]>,
+}
+
+/// 100 where an error is within a width, else 0: a mean of them is a percentage.
+fn within(error: f64, width: f64) -> f64 {
+    if error <= width { 100.0 } else { 0.0 }
+}
+
+/// `part` of error and stated standard deviation, of each frame that states one.
+fn error_bars(measured: &[FrameMeasurement], part: impl Fn(f64, f64) -> f64) -> Vec<f64> {
+    measured.iter().filter_map(|f| Some(part(f.phase_error?, f.phase_sd?))).collect()
 }
 
 fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, frame: usize) -> Result<FrameMeasurement> {
@@ -281,9 +307,10 @@ fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, fram
         None => None,
     };
     let phase_error = prediction.phase().map(|p| (p[frame] - truth.frames()[frame].phase).abs());
+    let phase_sd = prediction.phase_sd().map(|sd| sd[frame]);
     let pose_error = prediction.poses().map(|p| pose_error(&p[frame], &truth.frames()[frame].world_from_camera));
     let (psnr, ssim) = (psnr_within(&color, &image, mask), ssim_within(&color, &image, mask)?);
-    Ok(FrameMeasurement { psnr, psnr_ahead, ssim, depth, phase_error, pose_error })
+    Ok(FrameMeasurement { psnr, psnr_ahead, ssim, depth, phase_error, phase_sd, pose_error })
 }
 
 /// What is measured on the view of a second camera.
@@ -345,7 +372,9 @@ enum TargetOutcome {
 fn target(truth: &dyn Truth, prediction: &Prediction, settings: &ScoreSettings) -> Result<TargetOutcome> {
     let Some(surface) = prediction.final_mesh()? else { return Ok(TargetOutcome::NoSurface) };
     let last = &truth.frames()[truth.frames().len() - 1];
-    let errors = target_errors(&final_mesh(truth)?, &surface, &last.world_from_camera, settings.target_seed)?;
+    let stated = prediction.correspondence()?;
+    let (truth, seed) = (final_mesh(truth)?, settings.target_seed);
+    let errors = target_errors(&truth, &surface, stated.as_deref(), &last.world_from_camera, seed)?;
     Ok(errors.map_or(TargetOutcome::NoTrueContour, |e| TargetOutcome::Measured(Box::new(e))))
 }
 
@@ -438,7 +467,15 @@ fn correlation(id: &str, truth: &dyn Truth, prediction: &Prediction) -> MetricSc
 fn contour_score(id: &str, target: &TargetOutcome) -> MetricScore {
     match target {
         TargetOutcome::Measured(t) => match (t.contour_rmse_mm, t.enclosure) {
-            (Some(_), Enclosure::Inside) => entry(id, t.contour_rmse_mm, Status::Ok, t.overlay.truth.len(), ""),
+            (Some(_), Enclosure::Inside) => {
+                let detail = match t.cuts {
+                    [own, other] if own == other => String::new(),
+                    [own, other] => {
+                        format!("branches otherwise in the plane: {own} cuts of the truth, {other} predicted")
+                    }
+                };
+                entry(id, t.contour_rmse_mm, Status::Ok, t.overlay.truth.len(), &detail)
+            }
             (Some(_), Enclosure::Outside) => {
                 let detail = "no predicted contour encloses the camera; the nearest one was taken";
                 entry(id, t.contour_rmse_mm, Status::CameraOutside, t.overlay.truth.len(), detail)
@@ -456,11 +493,14 @@ fn target_score(id: &str, target: &TargetOutcome, part: impl Fn(&TargetErrors) -
             entry(id, None, Status::NoContour, 0, "no contour of the true surface encloses the final camera")
         }
         TargetOutcome::Measured(t) => match part(t) {
-            None => entry(id, None, Status::NoContour, 0, "the plane does not meet the predicted surface"),
+            None => {
+                let detail = "the surface has other faces than the sequence's, and there is no correspondence.csv";
+                entry(id, None, Status::NoCorrespondence, 0, detail)
+            }
             value => {
                 let detail = match t.correspondence {
-                    Correspondence::Material => "",
-                    Correspondence::Nearest => "another topology: nearest point of the predicted contour",
+                    Correspondence::Stated => "other faces: by correspondence.csv",
+                    Correspondence::Material | Correspondence::Missing => "",
                 };
                 entry(id, value, Status::Ok, t.overlay.truth.len(), detail)
             }
@@ -510,6 +550,11 @@ fn frame_values(m: &FrameMeasurement, novel: Option<&NovelMeasurement>) -> Vec<F
     }
     if let Some(error) = m.phase_error {
         values.push(value("phase_mae", Some(error), Status::Degenerate));
+    }
+    if let Some((error, sd)) = m.phase_error.zip(m.phase_sd) {
+        values.push(value("phase_coverage_1sd_pct", Some(within(error, sd)), Status::Degenerate));
+        values.push(value("phase_coverage_2sd_pct", Some(within(error, 2.0 * sd)), Status::Degenerate));
+        values.push(value("phase_sd_mean", Some(sd), Status::Degenerate));
     }
     if let Some([mm, degrees]) = m.pose_error {
         values.push(value("pose_error_mm", Some(mm), Status::Degenerate));

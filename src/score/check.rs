@@ -5,7 +5,7 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::prediction::Prediction;
+use super::prediction::{Prediction, Question};
 use super::registry::registry;
 use super::truth::{Truth, final_mesh};
 use crate::base::{Error, Result};
@@ -36,9 +36,9 @@ pub struct Contents {
 }
 
 /// Checks a prediction folder file by file. The error is one sentence that names the file and the element.
-pub fn check_prediction(truth: &dyn Truth, folder: &Path) -> Result<Contents> {
-    let frames = truth.frames().len();
-    let prediction = Prediction::open(folder, truth)?;
+pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> {
+    let frames = question.frames;
+    let prediction = Prediction::open(folder, question)?;
     (0..frames).into_par_iter().try_for_each(|frame| {
         prediction.color(frame)?;
         prediction.depth_mm(frame).map(|_| ())
@@ -46,14 +46,15 @@ pub fn check_prediction(truth: &dyn Truth, folder: &Path) -> Result<Contents> {
     for &frame in prediction.ahead_frames() {
         prediction.ahead(frame)?;
     }
-    let novel = if prediction.has_novel_views() { truth.novel_views() } else { &[] };
-    for view in novel {
-        prediction.novel(view.frame)?;
+    let novel: &[usize] = if prediction.has_novel_views() { &question.novel_frames } else { &[] };
+    for &frame in novel {
+        prediction.novel(frame)?;
     }
-    let first_novel = truth.novel_views().first().map_or(Ok(None), |view| prediction.novel_depth_mm(view.frame))?;
-    for view in truth.novel_views().iter().filter(|_| first_novel.is_some()) {
-        prediction.novel_depth_mm(view.frame)?;
+    let first_novel = question.novel_frames.first().map_or(Ok(None), |&frame| prediction.novel_depth_mm(frame))?;
+    for &frame in question.novel_frames.iter().filter(|_| first_novel.is_some()) {
+        prediction.novel_depth_mm(frame)?;
     }
+    prediction.correspondence()?;
     let mut contents = Contents {
         frames,
         depth: frames > 0 && prediction.depth_mm(0)?.is_some(),
@@ -67,6 +68,8 @@ pub fn check_prediction(truth: &dyn Truth, folder: &Path) -> Result<Contents> {
         not_applicable: Vec::new(),
     };
     let lacks = |id: &str| match id {
+        "time_cpu_s" => prediction.time_cpu_s().is_none(),
+        id if id.starts_with("phase_coverage") || id.starts_with("phase_sd") => prediction.phase_sd().is_none(),
         id if id.starts_with("novel_depth") => !contents.novel_depth,
         id if id.starts_with("novel") => contents.novel == 0,
         "target_mean_mm" | "target_p95_mm" => !contents.targets,

@@ -2,16 +2,19 @@
 //!
 //! True and predicted surface are cut by the final camera's plane; of each cut, the contour around the camera is kept.
 //! Contour RMSE is symmetric: both contours are resampled densely and every sample is measured against the other
-//! polyline. The target error is the displacement of one material point of the true contour (same mesh edge, same
+//! polyline. Where the plane meets a bifurcation, a shift of a hair's breadth joins the contours of two branches to one
+//! or parts them; so of a prediction with the truth's faces, cuts of the other surface that come nearer than its contour
+//! around the camera join that contour, on both sides. The target error is the displacement of one material point of the true contour (same mesh edge, same
 //! fraction along it), so it also measures motion *along* the wall and along the airway, which the contour RMSE cannot.
 
 use glam::{DAffine3, DVec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::slice::{Plane, Polyline, slice};
 use super::statistics;
 use crate::base::random::{CounterRng, Stage};
-use crate::base::{Result, TriangleMesh};
+use crate::base::{Error, Result, TriangleMesh};
 use crate::ffi::vision::PlaneContour;
 
 /// Distance between samples of a contour, mm.
@@ -28,13 +31,15 @@ pub enum Enclosure {
     Outside,
 }
 
-/// How the target was matched on the predicted surface.
+/// How points of the truth were found on the predicted surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Correspondence {
     /// Same faces: the same material point.
     Material,
-    /// Another topology: the nearest point of the predicted contour.
-    Nearest,
+    /// Other faces, and a table that says where the true vertices are on them.
+    Stated,
+    /// Other faces and no table. Whatever is nearest would reward surfaces that fill the room.
+    Missing,
 }
 
 /// What a plot of the final frame needs; plane coordinates in mm, the camera at (0, 0), x right, y down.
@@ -59,7 +64,9 @@ pub struct TargetErrors {
     pub contour_rmse_mm: Option<f64>,
     /// Whether the predicted contour runs around the camera.
     pub enclosure: Enclosure,
-    /// Displacement of the chosen vertex; `None` when there is nothing to measure against.
+    /// Cuts that were compared, of the truth and of the prediction; unequal where they branch differently in the plane.
+    pub cuts: [usize; 2],
+    /// Displacement of the chosen vertex; `None` without a correspondence.
     pub target_mm: Option<f64>,
     /// Mean displacement over all contour vertices.
     pub mean_mm: Option<f64>,
@@ -71,39 +78,56 @@ pub struct TargetErrors {
     pub overlay: ContourOverlay,
 }
 
-/// Compares `predicted` with `truth` at the final frame. `seed` chooses the target vertex.
+/// Compares `predicted` with `truth` at the final frame. `stated` are the places of the truth's vertices on a predicted
+/// surface with other faces, where they are known; `seed` chooses the target vertex.
 ///
-/// `Ok(None)` when no contour of the truth encloses the camera: there is nothing to measure.
+/// `Ok(None)` when no contour of the truth encloses the camera: there is nothing to measure. Errors: `stated` is of
+/// another number of vertices.
 pub fn target_errors(
     truth: &TriangleMesh,
     predicted: &TriangleMesh,
+    stated: Option<&[DVec3]>,
     world_from_camera: &DAffine3,
     seed: u64,
 ) -> Result<Option<TargetErrors>> {
+    if let Some(places) = stated.filter(|places| places.len() != truth.vertices.len()) {
+        let sentence = format!("has {} vertices, the sequence's meshes have {}", places.len(), truth.vertices.len());
+        return Err(Error::input(sentence).element("correspondence.csv"));
+    }
     let plane = Plane::of_camera(world_from_camera);
-    let Some((true_contour, Enclosure::Inside)) = around_camera(slice(truth, &plane))? else { return Ok(None) };
-    let predicted_contour = around_camera(slice(predicted, &plane))?;
-    let target = CounterRng::new(seed, Stage::Score, &[0]).index(true_contour.cuts.len());
-    // Where each vertex of the true contour lies on the predicted surface.
+    let (true_cuts, predicted_cuts) = (slice(truth, &plane), slice(predicted, &plane));
+    let Some((own, Enclosure::Inside)) = around_camera(&true_cuts)? else { return Ok(None) };
+    let other = around_camera(&predicted_cuts)?;
+    // Where each vertex of the truth lies on the predicted surface.
     let same_topology = predicted.vertices.len() == truth.vertices.len() && predicted.faces == truth.faces;
-
-    let from: Vec<DVec3> = true_contour.cuts.iter().map(|c| c.position(&truth.vertices)).collect();
-    let (correspondence, to) = match (&predicted_contour, same_topology) {
-        (_, true) => {
-            let to = true_contour.cuts.iter().map(|c| c.position(&predicted.vertices)).collect();
-            (Correspondence::Material, to)
-        }
-        (Some((contour, _)), false) => {
-            let lift = |p: [f64; 2]| plane.origin + plane.x * p[0] + plane.y * p[1];
-            let to = true_contour.points.iter().map(|&p| lift(nearest_on(contour, p).0)).collect();
-            (Correspondence::Nearest, to)
-        }
-        (None, false) => (Correspondence::Nearest, Vec::new()),
+    let (correspondence, places) = match stated {
+        _ if same_topology => (Correspondence::Material, Some(predicted.vertices.as_slice())),
+        Some(places) => (Correspondence::Stated, Some(places)),
+        None => (Correspondence::Missing, None),
     };
-    let displacements: Vec<f64> = from.iter().zip(&to).map(|(a, b)| a.distance(*b)).collect();
+    let true_contour = &true_cuts[own];
+    let target = CounterRng::new(seed, Stage::Score, &[0]).index(true_contour.cuts.len());
+    let to: Vec<DVec3> =
+        places.map_or_else(Vec::new, |places| true_contour.cuts.iter().map(|c| c.position(places)).collect());
+    let from = true_contour.cuts.iter().map(|c| c.position(&truth.vertices));
+    let displacements: Vec<f64> = from.zip(&to).map(|(a, b)| a.distance(*b)).collect();
+    let (mut contour_rmse_mm, mut cuts) = (None, [1, 0]);
+    if let Some((contour, _)) = other {
+        let (mut own, mut other) = (vec![own], vec![contour]);
+        // A surface of its own faces could be folded into every gap: of it the one contour counts.
+        if same_topology {
+            join_nearer(&true_cuts, &own, &predicted_cuts, &mut other);
+            join_nearer(&predicted_cuts, &other, &true_cuts, &mut own);
+        }
+        let of = |cuts: &[Polyline], chosen: &[usize]| chosen.iter().map(|&k| cuts[k].clone()).collect::<Vec<_>>();
+        contour_rmse_mm = Some(symmetric_rmse(&of(&true_cuts, &own), &of(&predicted_cuts, &other)));
+        cuts = [own.len(), other.len()];
+    }
+    let predicted_contour = other.map(|(contour, _)| &predicted_cuts[contour]);
     Ok(Some(TargetErrors {
-        contour_rmse_mm: predicted_contour.as_ref().map(|(c, _)| symmetric_rmse(&true_contour, c)),
-        enclosure: predicted_contour.as_ref().map_or(Enclosure::Outside, |(_, e)| *e),
+        contour_rmse_mm,
+        enclosure: other.map_or(Enclosure::Outside, |(_, enclosure)| enclosure),
+        cuts,
         target_mm: displacements.get(target).copied(),
         mean_mm: statistics::mean(&displacements),
         p95_mm: statistics::quantile(&displacements, 0.95),
@@ -111,16 +135,32 @@ pub fn target_errors(
         overlay: ContourOverlay {
             target_truth: true_contour.points[target],
             target_predicted: to.get(target).map_or(true_contour.points[target], |&p| plane.coordinates(p)),
-            truth: true_contour.points,
-            predicted_closed: predicted_contour.as_ref().is_some_and(|(c, _)| c.closed),
-            predicted: predicted_contour.map_or_else(Vec::new, |(c, _)| c.points),
+            truth: true_contour.points.clone(),
+            predicted_closed: predicted_contour.is_some_and(|c| c.closed),
+            predicted: predicted_contour.map_or_else(Vec::new, |c| c.points.clone()),
         },
     }))
 }
 
-/// The cut around the camera (0, 0), by OpenCV's contour analysis: the closed cut of least area that encloses it, or,
+/// Adds to `joined`, places in `others`, every cut that is nearer to some sample of the `chosen` ones of `cuts` than the
+/// cuts that are in it.
+fn join_nearer(cuts: &[Polyline], chosen: &[usize], others: &[Polyline], joined: &mut Vec<usize>) {
+    let samples: Vec<[f64; 2]> = chosen.iter().flat_map(|&k| resample(&cuts[k])).collect();
+    let nearest = |&point: &[f64; 2]| {
+        let distance = |k: usize| nearest_on(&others[k], point).1;
+        let best = (0..others.len()).map(|k| (distance(k), k)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let is_nearer = joined.iter().all(|&k| best.0 < distance(k));
+        is_nearer.then_some(best.1)
+    };
+    let mut found: Vec<usize> = samples.par_iter().filter_map(nearest).collect();
+    found.sort_unstable();
+    found.dedup();
+    joined.extend(found);
+}
+
+/// The place of the cut around the camera (0, 0), by OpenCV's contour analysis: the closed cut of least area that encloses it, or,
 /// if none does, the cut that comes nearest to it.
-fn around_camera(cuts: Vec<Polyline>) -> Result<Option<(Polyline, Enclosure)>> {
+fn around_camera(cuts: &[Polyline]) -> Result<Option<(usize, Enclosure)>> {
     let mut best: Option<(usize, f64)> = None;
     for (index, cut) in cuts.iter().enumerate().filter(|(_, cut)| cut.closed) {
         let contour = PlaneContour::new(&cut.points);
@@ -131,18 +171,19 @@ fn around_camera(cuts: Vec<Polyline>) -> Result<Option<(Polyline, Enclosure)>> {
             }
         }
     }
-    let enclosure = if best.is_some() { Enclosure::Inside } else { Enclosure::Outside };
-    if best.is_none() {
-        let distances = cuts.iter().map(|cut| nearest_on(cut, [0.0, 0.0]).1).enumerate();
-        best = distances.min_by(|a, b| a.1.total_cmp(&b.1));
+    if let Some((index, _)) = best {
+        return Ok(Some((index, Enclosure::Inside)));
     }
-    Ok(best.and_then(|(index, _)| cuts.into_iter().nth(index)).map(|cut| (cut, enclosure)))
+    let distances = cuts.iter().map(|cut| nearest_on(cut, [0.0, 0.0]).1).enumerate();
+    Ok(distances.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(index, _)| (index, Enclosure::Outside)))
 }
 
 /// `sqrt((mean d^2 from a to b + mean d^2 from b to a) / 2)`.
-fn symmetric_rmse(a: &Polyline, b: &Polyline) -> f64 {
-    let one_way = |from: &Polyline, to: &Polyline| {
-        let squares: Vec<f64> = resample(from).iter().map(|&p| nearest_on(to, p).1.powi(2)).collect();
+fn symmetric_rmse(a: &[Polyline], b: &[Polyline]) -> f64 {
+    let one_way = |from: &[Polyline], to: &[Polyline]| {
+        let samples: Vec<[f64; 2]> = from.iter().flat_map(resample).collect();
+        let square = |&p: &[f64; 2]| to.iter().map(|line| nearest_on(line, p).1).fold(f64::INFINITY, f64::min).powi(2);
+        let squares: Vec<f64> = samples.par_iter().map(square).collect();
         statistics::mean(&squares).unwrap_or(0.0)
     };
     (0.5 * (one_way(a, b) + one_way(b, a))).sqrt()
@@ -210,7 +251,7 @@ mod tests {
     #[test]
     fn truth_is_perfect() {
         let mesh = tube(5.0, 20.0, 64, 20);
-        let found = target_errors(&mesh, &mesh, &camera_at(1.0, 7.3), 3).unwrap().unwrap();
+        let found = target_errors(&mesh, &mesh, None, &camera_at(1.0, 7.3), 3).unwrap().unwrap();
         assert_eq!(found.contour_rmse_mm.map(|v| v < 1e-12), Some(true));
         assert_eq!((found.target_mm, found.p95_mm), (Some(0.0), Some(0.0)));
         assert_eq!((found.enclosure, found.correspondence), (Enclosure::Inside, Correspondence::Material));
@@ -220,7 +261,7 @@ mod tests {
     fn a_wider_tube_is_off_by_the_difference_of_radii() {
         let mesh = tube(5.0, 20.0, 512, 20);
         let wide = tube(5.8, 20.0, 512, 20);
-        let found = target_errors(&mesh, &wide, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        let found = target_errors(&mesh, &wide, None, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
         assert!((found.contour_rmse_mm.unwrap() - 0.8).abs() < 1e-3, "{:?}", found.contour_rmse_mm);
         assert!((found.target_mm.unwrap() - 0.8).abs() < 1e-3);
     }
@@ -230,7 +271,7 @@ mod tests {
     fn the_target_sees_motion_along_the_airway() {
         let mesh = tube(5.0, 20.0, 64, 20);
         let slid = moved(&mesh, |v| v + DVec3::new(0.0, 0.0, 2.5));
-        let found = target_errors(&mesh, &slid, &camera_at(0.0, 10.2), 3).unwrap().unwrap();
+        let found = target_errors(&mesh, &slid, None, &camera_at(0.0, 10.2), 3).unwrap().unwrap();
         assert!(found.contour_rmse_mm.unwrap() < 1e-9);
         assert!((found.target_mm.unwrap() - 2.5).abs() < 1e-12 && (found.mean_mm.unwrap() - 2.5).abs() < 1e-12);
         assert!((found.p95_mm.unwrap() - 2.5).abs() < 1e-12);
@@ -242,7 +283,7 @@ mod tests {
         let mesh = tube(5.0, 20.0, 720, 8);
         let shift = 1.3;
         let shifted = moved(&mesh, |v| v + DVec3::new(shift, 0.0, 0.0));
-        let found = target_errors(&mesh, &shifted, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        let found = target_errors(&mesh, &shifted, None, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
         let squares: f64 = (0..10_000)
             .map(|i| f64::from(i) * std::f64::consts::TAU / 10_000.0)
             .map(|t| ((5.0 * t.cos() - shift).hypot(5.0 * t.sin()) - 5.0).powi(2))
@@ -253,19 +294,59 @@ mod tests {
     }
 
     #[test]
-    fn another_topology_is_measured_at_the_nearest_point() {
+    fn another_topology_has_a_target_only_where_it_says_which_point_is_which() {
         let mesh = tube(5.0, 20.0, 512, 20);
         let other = tube(6.0, 20.0, 300, 11);
-        let found = target_errors(&mesh, &other, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
-        assert_eq!(found.correspondence, Correspondence::Nearest);
+        let found = target_errors(&mesh, &other, None, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        assert_eq!((found.correspondence, found.target_mm), (Correspondence::Missing, None));
+        assert!((found.contour_rmse_mm.unwrap() - 1.0).abs() < 2e-3);
+        let places: Vec<DVec3> = mesh.vertices.iter().map(|&v| v * DVec3::new(1.2, 1.2, 1.0)).collect();
+        let found = target_errors(&mesh, &other, Some(&places), &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        assert_eq!(found.correspondence, Correspondence::Stated);
         assert!((found.target_mm.unwrap() - 1.0).abs() < 2e-3);
+        let refused = target_errors(&mesh, &other, Some(&places[1..]), &camera_at(0.0, 7.3), 3).unwrap_err();
+        assert!(refused.to_string().contains("correspondence.csv"), "{refused}");
+    }
+
+    /// The order of the faces is part of them: permuted, they are other faces.
+    #[test]
+    fn permuted_faces_are_other_faces() {
+        let mesh = tube(5.0, 20.0, 64, 20);
+        let mut permuted = mesh.clone();
+        permuted.faces.reverse();
+        let found = target_errors(&mesh, &permuted, None, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        assert_eq!((found.correspondence, found.target_mm), (Correspondence::Missing, None));
+    }
+
+    /// Half a torus: a plane just above the inner wall of the bend cuts two legs, one just below it cuts both in one.
+    #[test]
+    fn contours_that_a_hairs_breadth_joins_do_not_jump() {
+        let bend = moved(&tube(3.0, 1.0, 192, 192), |v| {
+            let (along, ring) = (std::f64::consts::PI * (1.0 + v.z), 5.0 + v.x);
+            DVec3::new(ring * along.cos(), v.y, ring * along.sin())
+        });
+        let camera = camera_at(5.0, -2.0);
+        let by = |dz: f64| moved(&bend, |v| v + DVec3::new(0.0, 0.0, dz));
+        let error = |truth: f64, predicted: f64| {
+            let found = target_errors(&by(truth), &by(predicted), None, &camera, 3).unwrap().unwrap();
+            assert_eq!(found.enclosure, Enclosure::Inside);
+            (found.contour_rmse_mm.unwrap(), found.cuts)
+        };
+        // Parted and parted, joined and joined, and across: all are moved by a fifth of a millimetre.
+        let (parted, joined) = (error(-0.1, -0.3), error(0.3, 0.1));
+        assert_eq!((parted.1, joined.1), ([1, 1], [1, 1]));
+        for (across, cuts) in [(error(0.1, -0.1), [1, 2]), (error(-0.1, 0.1), [2, 1])] {
+            assert_eq!(across.1, cuts);
+            assert!(across.0 < 3.0 * parted.0.max(joined.0), "{} of {} and {}", across.0, parted.0, joined.0);
+            assert!(across.0 < 0.5, "{}", across.0);
+        }
     }
 
     #[test]
     fn a_camera_outside_the_prediction_gets_the_nearest_contour() {
         let mesh = tube(5.0, 20.0, 64, 20);
         let far = moved(&mesh, |v| v + DVec3::new(14.0, 0.0, 0.0));
-        let found = target_errors(&mesh, &far, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        let found = target_errors(&mesh, &far, None, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
         assert_eq!(found.enclosure, Enclosure::Outside);
         assert!(found.contour_rmse_mm.unwrap() > 5.0);
         assert!((found.target_mm.unwrap() - 14.0).abs() < 1e-9);
@@ -274,10 +355,10 @@ mod tests {
     #[test]
     fn without_a_contour_there_is_a_status_and_no_number() {
         let mesh = tube(5.0, 20.0, 64, 20);
-        assert!(target_errors(&mesh, &mesh, &camera_at(9.0, 7.3), 3).unwrap().is_none());
-        assert!(target_errors(&mesh, &mesh, &camera_at(0.0, 30.0), 3).unwrap().is_none());
+        assert!(target_errors(&mesh, &mesh, None, &camera_at(9.0, 7.3), 3).unwrap().is_none());
+        assert!(target_errors(&mesh, &mesh, None, &camera_at(0.0, 30.0), 3).unwrap().is_none());
         let gone = moved(&tube(5.0, 20.0, 32, 20), |v| v + DVec3::new(0.0, 0.0, 100.0));
-        let found = target_errors(&mesh, &gone, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        let found = target_errors(&mesh, &gone, None, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
         assert_eq!((found.contour_rmse_mm, found.target_mm, found.mean_mm), (None, None, None));
     }
 
@@ -288,7 +369,7 @@ mod tests {
         let offset = mesh.vertices.len() as u32;
         mesh.vertices.extend(&inner.vertices);
         mesh.faces.extend(inner.faces.iter().map(|f| f.map(|v| v + offset)));
-        let found = target_errors(&mesh, &inner, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        let found = target_errors(&mesh, &inner, None, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
         assert!(found.contour_rmse_mm.unwrap() < 1e-9);
     }
 }

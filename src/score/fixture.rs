@@ -186,6 +186,9 @@ pub struct Distortion {
     pub seconds: f64,
 }
 
+/// Standard deviation that predictions state of their phase.
+pub const PHASE_SD: f64 = 0.05;
+
 /// Writes a complete prediction of `truth` into `folder`.
 pub fn write_prediction(truth: &dyn Truth, folder: &Path, d: &Distortion) {
     for frame in 0..truth.frames().len() {
@@ -214,10 +217,10 @@ pub fn write_prediction(truth: &dyn Truth, folder: &Path, d: &Distortion) {
         }
     }
     files::write_bytes(&folder.join("targets.csv"), rows.as_bytes()).unwrap();
-    let mut rows = "frame,phase\n".to_owned();
+    let mut rows = "frame,phase,phase_sd\n".to_owned();
     for frame in 0..truth.frames().len() {
         let phase = truth.frames()[frame.saturating_sub(d.lag)].phase + d.phase_offset;
-        rows.push_str(&format!("{frame},{phase}\n"));
+        rows.push_str(&format!("{frame},{phase},{PHASE_SD}\n"));
     }
     files::write_bytes(&folder.join("phase.csv"), rows.as_bytes()).unwrap();
     let mut rows = "frame,m00,m01,m02,m03,m10,m11,m12,m13,m20,m21,m22,m23\n".to_owned();
@@ -234,7 +237,8 @@ pub fn write_prediction(truth: &dyn Truth, folder: &Path, d: &Distortion) {
     }
     mesh::write_ply(&folder.join("mesh/final.ply"), &surface, &[]).unwrap();
     let seconds = if d.seconds > 0.0 { d.seconds } else { 2.0 };
-    files::write_bytes(&folder.join("timing.json"), format!("{{\"time_total_s\": {seconds}}}").as_bytes()).unwrap();
+    let timing = format!("{{\"time_total_s\": {seconds}, \"time_cpu_s\": {}}}", 2.0 * seconds);
+    files::write_bytes(&folder.join("timing.json"), timing.as_bytes()).unwrap();
 }
 
 fn distorted(image: &Image<u8>, d: &Distortion, frame: usize) -> Image<u8> {

@@ -8,6 +8,7 @@
 mod cell;
 mod check;
 pub mod contour;
+mod correspondence;
 pub mod depth;
 #[cfg(test)]
 pub(crate) mod fixture;
@@ -23,7 +24,7 @@ mod truth;
 
 pub use cell::{CellScore, FrameScore, FrameValue, MetricScore, ScoreSettings, Status, score};
 pub use check::{Contents, check_prediction, check_truth};
-pub use prediction::Prediction;
+pub use prediction::{Prediction, Question};
 pub use recompute::check_means;
 pub use registry::{Goal, Group, Metric, Split, Standing, metric, paper_metrics, ranking_metrics, registry};
 pub use truth::{Truth, final_mesh};

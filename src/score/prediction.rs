@@ -7,10 +7,12 @@
 //! novel/NNNNNN.png               views of the sequence's second cameras (transforms_novel.json): all of them or none
 //! novel_depth/NNNNNN.{exr,npy,png}  their z-depth, as above
 //! targets.csv                    frame,target,x_mm,y_mm,z_mm; where the targets of the sequence are, every frame
-//! phase.csv                      frame,phase; one row per frame, 0 = full inspiration, 1 = full expiration
+//! phase.csv                      frame,phase[,phase_sd]; one row per frame, 0 = full inspiration, 1 = full expiration
 //! poses.csv                      frame,m00..m23; world_from_camera where the method has poses of its own
 //! mesh/final.ply                 surface at the last frame, mm, the sequence's world
-//! timing.json                    {"time_total_s": seconds of the method alone}
+//! correspondence.csv             vertex,face,b0,b1,b2 or vertex,predicted_vertex: where each vertex of the sequence's
+//!                                meshes is on final.ply, which is needed if it has other faces
+//! timing.json                    {"time_total_s": wall seconds of the method alone, "time_cpu_s": its CPU seconds}
 //! prediction.json                {"method": id, "case": id, "depth_unit_mm": 1.0}
 //! ```
 
@@ -21,14 +23,61 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DMat3, DVec3};
 use serde::Deserialize;
 
+use super::correspondence;
 use super::truth::Truth;
 use crate::base::range::NumberRange;
-use crate::base::{Error, Image, Result, TriangleMesh, files};
+use crate::base::{Camera, Error, Image, Result, TriangleMesh, files};
 use crate::formats::{depth_png, exr, mesh, npy, png};
+use crate::simulate::participant::{Given, Participant};
 use crate::simulate::sequence::held_out;
 
+/// Where the vertices of the sequence's meshes are on the predicted surface.
+const CORRESPONDENCE: &str = "correspondence.csv";
 /// How depth images are stored, in the order of the search.
 const DEPTH_ENDINGS: [&str; 3] = ["exr", "npy", "png"];
+
+/// What a prediction has to answer: known to whoever has the film, and to participants, who have no truth.
+#[derive(Clone, Debug)]
+pub struct Question {
+    /// Intrinsics of all frames.
+    pub camera: Camera,
+    /// Frames.
+    pub frames: usize,
+    /// Frames with a second camera, ascending.
+    pub novel_frames: Vec<usize>,
+    /// Targets.
+    pub targets: usize,
+    /// The case, where it may be known.
+    case_id: Option<String>,
+    /// Files of the truth, which a prediction must not hand back by a link.
+    true_files: Vec<PathBuf>,
+}
+
+impl Question {
+    /// What the film of `truth` asks.
+    pub fn of(truth: &dyn Truth) -> Self {
+        Question {
+            camera: *truth.camera(),
+            frames: truth.frames().len(),
+            novel_frames: truth.novel_views().iter().map(|view| view.frame).collect(),
+            targets: truth.targets().len(),
+            case_id: Some(truth.case_id().to_owned()),
+            true_files: truth.file_paths(),
+        }
+    }
+
+    /// The same for somebody without the truth.
+    pub fn of_participant(participant: &Participant) -> Self {
+        Question {
+            camera: participant.given_camera(),
+            frames: participant.given_frames().len(),
+            novel_frames: participant.given_views().iter().map(|view| view.frame).collect(),
+            targets: participant.planned_targets_mm().len(),
+            case_id: None,
+            true_files: Vec::new(),
+        }
+    }
+}
 
 /// An opened prediction folder.
 #[derive(Clone, Debug)]
@@ -46,8 +95,11 @@ pub struct Prediction {
     targets: Option<Vec<Vec<DVec3>>>,
     method: Option<String>,
     phase: Option<Vec<f64>>,
+    /// Standard deviation of each phase.
+    phase_sd: Option<Vec<f64>>,
     poses: Option<Vec<DAffine3>>,
     time_total_s: Option<f64>,
+    time_cpu_s: Option<f64>,
 }
 
 /// Millimetres of a depth unit: from a nanometre to a kilometre.
@@ -65,21 +117,24 @@ struct About {
 #[derive(Deserialize)]
 struct TimingFile {
     time_total_s: f64,
+    time_cpu_s: Option<f64>,
 }
 
 impl Prediction {
-    /// Opens `root` as a prediction of the film of `truth`: lists its contents and reads the small files.
+    /// Opens `root` as an answer to `question`: lists its contents and reads the small files.
     ///
     /// Errors, each naming the file: a frame missing from a folder that is there, a bad row, a bad value, a prediction
     /// that says that it is of another case, a file that is one of the truth's own.
-    pub fn open(root: &Path, truth: &dyn Truth) -> Result<Self> {
+    pub fn open(root: &Path, question: &Question) -> Result<Self> {
         if !root.is_dir() {
             return Err(Error::input("is not a folder").at(root));
         }
-        let (camera, frames) = (truth.camera(), truth.frames().len());
+        let (camera, frames) = (&question.camera, question.frames);
         let about: About = read_optional(&root.join("prediction.json"))?.unwrap_or_default();
-        if let Some(case) = about.case.filter(|case| case != truth.case_id()) {
-            let sentence = format!("is `{case}`, but the film is of `{}`", truth.case_id());
+        if let (Some(case), Some(asked)) = (&about.case, &question.case_id)
+            && case != asked
+        {
+            let sentence = format!("is `{case}`, but the film is of `{asked}`");
             return Err(Error::input(sentence).element("case").at(root.join("prediction.json")));
         }
         let depth_unit_mm = about.depth_unit_mm.unwrap_or(1.0);
@@ -89,7 +144,7 @@ impl Prediction {
         if let Some(ending) = own_depth {
             expect_frames(&root.join("depth"), ending, 0..frames)?;
         }
-        let views: Vec<usize> = truth.novel_views().iter().map(|view| view.frame).collect();
+        let views = &question.novel_frames;
         let first = views.first().copied().unwrap_or(0);
         let novel = !views.is_empty() && root.join("novel").is_dir();
         if novel {
@@ -99,6 +154,8 @@ impl Prediction {
         if let Some(ending) = novel_depth_ending {
             expect_frames(&root.join("novel_depth"), ending, views.iter().copied())?;
         }
+        let (phase, phase_sd) = read_phase(&root.join("phase.csv"), frames)?.unzip();
+        let (time_total_s, time_cpu_s) = read_time(&root.join("timing.json"))?.unzip();
         let prediction = Prediction {
             width: camera.width as usize,
             height: camera.height as usize,
@@ -107,23 +164,25 @@ impl Prediction {
             ahead: ahead_frames(&root.join("ahead"), frames)?,
             novel,
             novel_depth_ending,
-            targets: read_targets(&root.join("targets.csv"), frames, truth.targets().len())?,
+            targets: read_targets(&root.join("targets.csv"), frames, question.targets)?,
             method: about.method,
-            phase: read_phase(&root.join("phase.csv"), frames)?,
+            phase,
+            phase_sd: phase_sd.flatten(),
             poses: read_poses(&root.join("poses.csv"), frames)?,
-            time_total_s: read_time(&root.join("timing.json"))?,
+            time_total_s,
+            time_cpu_s: time_cpu_s.flatten(),
             root: root.to_path_buf(),
         };
-        prediction.refuse_files_of(truth, frames)?;
+        prediction.refuse_true_files(question)?;
         Ok(prediction)
     }
 
     /// Refuses a prediction that hands the truth back by a link: a file of it that is, on disk, one of the truth's own.
-    fn refuse_files_of(&self, truth: &dyn Truth, frames: usize) -> Result<()> {
+    fn refuse_true_files(&self, question: &Question) -> Result<()> {
         let identity = |path: &Path| path.metadata().ok().map(|found| (found.dev(), found.ino()));
         let own: BTreeMap<(u64, u64), PathBuf> =
-            truth.file_paths().into_iter().filter_map(|path| Some((identity(&path)?, path))).collect();
-        let link = self.file_paths(frames).find_map(|path| Some((own.get(&identity(&path)?)?, path)));
+            question.true_files.iter().filter_map(|path| Some((identity(path)?, path.clone()))).collect();
+        let link = self.file_paths(question.frames).find_map(|path| Some((own.get(&identity(&path)?)?, path)));
         match link {
             Some((truth, path)) => {
                 Err(Error::input(format!("is a link to the truth ({}), not a prediction", truth.display())).at(path))
@@ -148,7 +207,15 @@ impl Prediction {
                 (0..frames).map(move |frame| frame_path(&folder, frame, ending))
             })
         };
-        let single = ["phase.csv", "poses.csv", "targets.csv", "mesh/final.ply", "timing.json", "prediction.json"];
+        let single = [
+            "phase.csv",
+            "poses.csv",
+            "targets.csv",
+            "mesh/final.ply",
+            CORRESPONDENCE,
+            "timing.json",
+            "prediction.json",
+        ];
         folders.into_iter().flat_map(of_folder).chain(single.map(|name| self.root.join(name)))
     }
 
@@ -217,14 +284,24 @@ impl Prediction {
         self.phase.as_deref()
     }
 
+    /// Standard deviation of the predicted phase of every frame, if it is stated.
+    pub fn phase_sd(&self) -> Option<&[f64]> {
+        self.phase_sd.as_deref()
+    }
+
     /// Predicted pose (world from camera, mm) of every frame, if there is one.
     pub fn poses(&self) -> Option<&[DAffine3]> {
         self.poses.as_deref()
     }
 
-    /// Seconds of the method alone, if known.
+    /// Wall seconds of the method alone, if known.
     pub fn time_total_s(&self) -> Option<f64> {
         self.time_total_s
+    }
+
+    /// CPU seconds of the method alone, if known.
+    pub fn time_cpu_s(&self) -> Option<f64> {
+        self.time_cpu_s
     }
 
     /// Predicted surface at the last frame, if there is one; valid (finite, indices in range).
@@ -236,6 +313,20 @@ impl Prediction {
         let surface = mesh::read(&path)?;
         surface.validate().map_err(|e| e.at(&path))?;
         Ok(Some(surface))
+    }
+
+    /// Where the vertices of the sequence's meshes are on the predicted surface, if the prediction says so, mm.
+    ///
+    /// Errors: a bad row; a table without a surface.
+    pub fn correspondence(&self) -> Result<Option<Vec<DVec3>>> {
+        let path = self.root.join(CORRESPONDENCE);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let Some(surface) = self.final_mesh()? else {
+            return Err(Error::input("is there without mesh/final.ply").at(path));
+        };
+        correspondence::parse(&files::read_bytes(&path)?, &surface).map(Some).map_err(|e| e.at(path))
     }
 
     fn image(&self, folder: &str, frame: usize) -> Result<Image<u8>> {
@@ -300,21 +391,24 @@ fn read_optional<T: serde::de::DeserializeOwned>(path: &Path) -> Result<Option<T
     if path.exists() { files::read_json(path).map(Some) } else { Ok(None) }
 }
 
-fn read_time(path: &Path) -> Result<Option<f64>> {
-    match read_optional::<TimingFile>(path)? {
-        Some(TimingFile { time_total_s: 0.0 }) => {
+/// Wall and CPU seconds.
+fn read_time(path: &Path) -> Result<Option<(f64, Option<f64>)>> {
+    let Some(told) = read_optional::<TimingFile>(path)? else { return Ok(None) };
+    for (key, seconds) in [("time_total_s", Some(told.time_total_s)), ("time_cpu_s", told.time_cpu_s)] {
+        let Some(seconds) = seconds else { continue };
+        if seconds == 0.0 {
             let sentence = "is 0: no method takes no time; leave it out if it is not known";
-            Err(Error::input(sentence).element("time_total_s").at(path))
+            return Err(Error::input(sentence).element(key).at(path));
         }
-        Some(TimingFile { time_total_s }) => {
-            TIME_S.check(time_total_s).map_err(|e| e.element("time_total_s").at(path))?;
-            Ok(Some(time_total_s))
-        }
-        None => Ok(None),
+        TIME_S.check(seconds).map_err(|e| e.element(key).at(path))?;
     }
+    Ok(Some((told.time_total_s, told.time_cpu_s)))
 }
 
-fn read_phase(path: &Path, frames: usize) -> Result<Option<Vec<f64>>> {
+/// Phases, and their standard deviations where they are stated.
+type Phases = (Vec<f64>, Option<Vec<f64>>);
+
+fn read_phase(path: &Path, frames: usize) -> Result<Option<Phases>> {
     if !path.exists() {
         return Ok(None);
     }
@@ -384,16 +478,17 @@ fn parse_poses(bytes: &[u8], frames: usize) -> Result<Vec<DAffine3>> {
     Ok(poses)
 }
 
-/// Columns `frame` and `phase` by name, rows in any order, every frame exactly once.
-fn parse_phase(bytes: &[u8], frames: usize) -> Result<Vec<f64>> {
+/// Columns `frame`, `phase` and perhaps `phase_sd` by name, rows in any order, every frame exactly once.
+fn parse_phase(bytes: &[u8], frames: usize) -> Result<Phases> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
     let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();
+    let place = |name: &str| header.iter().position(|h| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(name));
     let column = |name: &str| {
-        let found = header.iter().position(|h| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(name));
-        found.ok_or_else(|| Error::input("is missing; the columns are frame,phase").element(format!("column {name}")))
+        let missing = || Error::input("is missing; the columns are frame,phase").element(format!("column {name}"));
+        place(name).ok_or_else(missing)
     };
-    let (frame_column, phase_column) = (column("frame")?, column("phase")?);
-    let mut phases: Vec<Option<f64>> = vec![None; frames];
+    let (frame_column, phase_column, sd_column) = (column("frame")?, column("phase")?, place("phase_sd"));
+    let mut phases: Vec<Option<(f64, f64)>> = vec![None; frames];
     for (row, record) in reader.records().enumerate() {
         let line = format!("line {}", row + 2);
         let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
@@ -404,15 +499,26 @@ fn parse_phase(bytes: &[u8], frames: usize) -> Result<Vec<f64>> {
             let said = format!("frame \"{}\" with phase \"{}\"", field(frame_column), field(phase_column));
             return Err(Error::input(format!("{said}: wanted a frame below {frames} and a finite phase")).element(line));
         };
-        if phases[frame].replace(phase).is_some() {
+        let sd = match sd_column.map(field) {
+            None => 0.0,
+            Some(text) => match text.parse::<f64>() {
+                Ok(sd) if sd.is_finite() && sd > 0.0 => sd,
+                _ => {
+                    let sentence =
+                        format!("phase_sd \"{text}\": wanted a finite number above 0 in every row or no column");
+                    return Err(Error::input(sentence).element(line));
+                }
+            },
+        };
+        if phases[frame].replace((phase, sd)).is_some() {
             return Err(Error::input(format!("frame {frame} is there twice")).element(line));
         }
     }
-    let missing = phases.iter().position(Option::is_none);
-    match missing {
-        Some(frame) => Err(Error::input(format!("frame {frame} is missing"))),
-        None => Ok(phases.into_iter().flatten().collect()),
+    if let Some(frame) = phases.iter().position(Option::is_none) {
+        return Err(Error::input(format!("frame {frame} is missing")));
     }
+    let (phase, sd): (Vec<f64>, Vec<f64>) = phases.into_iter().flatten().unzip();
+    Ok((phase, sd_column.map(|_| sd)))
 }
 
 #[cfg(test)]
@@ -421,8 +527,10 @@ mod tests {
 
     #[test]
     fn phases_are_read_by_name_in_any_order() {
-        let phases = parse_phase(b"phase,frame,extra\n0.5,1,x\n0.25,0,y\n", 2).unwrap();
-        assert_eq!(phases, [0.25, 0.5]);
+        let (phases, none) = parse_phase(b"phase,frame,extra\n0.5,1,x\n0.25,0,y\n", 2).unwrap();
+        assert_eq!((phases.as_slice(), none), (&[0.25, 0.5][..], None));
+        let (_, sd) = parse_phase(b"frame,phase,phase_sd\n0,0.5,0.1\n1,0.5,0.2\n", 2).unwrap();
+        assert_eq!(sd.unwrap(), [0.1, 0.2]);
     }
 
     #[test]
@@ -455,5 +563,8 @@ mod tests {
         assert!(say("frame\n0\n").contains("column phase"));
         assert!(say("frame,phase\n0\n").contains("line 2"));
         assert!(say("").contains("column frame"));
+        for sd in ["", "0", "-1", "inf"] {
+            assert!(say(&format!("frame,phase,phase_sd\n0,0.1,0.1\n1,0.2,{sd}\n")).contains("line 3"), "{sd}");
+        }
     }
 }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use super::fixture::{Distortion, TubeTruth, write_prediction};
+use super::fixture::{Distortion, PHASE_SD, TubeTruth, write_prediction};
 use super::{CellScore, Goal, ScoreSettings, Status, metric, registry, score};
 use crate::base::{TriangleMesh, files};
 use crate::formats::mesh;
@@ -30,10 +30,34 @@ fn truth_as_prediction_is_perfect() {
                 assert_eq!(score.status, Status::Ok);
             }
             None if m.is_runtime() => assert!(score.value.is_some()),
+            None if m.id.starts_with("phase_coverage") => assert_eq!(score.value, Some(100.0)),
+            None if m.id == "phase_sd_mean" => assert!((score.value.unwrap() - PHASE_SD).abs() < 1e-12),
             None => assert_eq!((score.value, score.status), (None, Status::Identical), "{}", m.id),
         }
     }
     assert_eq!(found.value("time_per_frame_s"), Some(2.0 / 17.0));
+    assert_eq!(found.value("time_cpu_s"), Some(4.0));
+}
+
+/// Error bars cover what lies within them, and are empty where none are stated.
+#[test]
+fn error_bars_are_held_to_the_errors() {
+    let truth = TubeTruth::new("tube", 24, 17);
+    let offset = |sds: f64| Distortion { noise: 6.0, phase_offset: sds * PHASE_SD, ..Default::default() };
+    for (sds, one, two) in [(0.9, 100.0, 100.0), (1.1, 0.0, 100.0), (2.1, 0.0, 0.0)] {
+        let found = scored(&truth, &offset(sds));
+        let values = ["phase_coverage_1sd_pct", "phase_coverage_2sd_pct"].map(|id| found.value(id).unwrap());
+        assert_eq!(values, [one, two], "{sds} standard deviations off");
+        assert!((found.value("phase_sd_mean").unwrap() - PHASE_SD).abs() < 1e-12);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    write_prediction(&truth, folder.path(), &offset(0.0));
+    let table = fs::read_to_string(folder.path().join("phase.csv")).unwrap();
+    let bare = table.replace(",phase_sd", "").replace(&format!(",{PHASE_SD}\n"), "\n");
+    fs::write(folder.path().join("phase.csv"), bare).unwrap();
+    let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
+    assert_eq!(found.metric("phase_coverage_2sd_pct").unwrap().status, Status::NotApplicable);
+    assert!(found.value("phase_mae").is_some());
 }
 
 #[test]
@@ -183,9 +207,10 @@ fn a_vertex_that_is_no_number_is_named() {
     assert!(said.contains("final.ply") && said.contains("vertex 1"), "{said}");
 }
 
-/// A surface with other faces (here: every face split in three) is still measured, at the nearest point.
+/// A surface with other faces (here: every face split in three): its contour is measured, its targets where a table says
+/// which point is which.
 #[test]
-fn another_topology_is_scored() {
+fn another_topology_is_scored_by_its_table() {
     let truth = TubeTruth::new("tube", 24, 3);
     let folder = tempfile::tempdir().unwrap();
     write_prediction(&truth, folder.path(), &Distortion::default());
@@ -199,8 +224,27 @@ fn another_topology_is_scored() {
         split.faces.extend([[a, b, centre], [b, c, centre], [c, a, centre]]);
     }
     mesh::write_ply(&path, &split, &[]).unwrap();
+    let targets = ["target_error_mm", "target_error_mean_mm", "target_error_p95_mm"];
     let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
     assert!(found.value("contour_rmse_mm").unwrap() < 1e-6);
-    let target = found.metric("target_error_mm").unwrap();
-    assert!(target.value.unwrap() < 1e-6 && target.detail.contains("nearest"), "{target:?}");
+    for id in targets {
+        let target = found.metric(id).unwrap();
+        assert_eq!((target.value, target.status), (None, Status::NoCorrespondence), "{id}");
+        assert!(target.detail.contains("correspondence.csv") && target.status.counts_as_worst());
+    }
+    let table = folder.path().join("correspondence.csv");
+    let rows: String = (0..whole.vertices.len()).map(|v| format!("{v},{v}\n")).collect();
+    fs::write(&table, format!("vertex,predicted_vertex\n{rows}")).unwrap();
+    let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
+    for id in targets {
+        assert!(found.value(id).unwrap() < 1e-6, "{id}");
+    }
+    // Fewer vertices than the sequence's meshes have, and a place that is not on the surface.
+    for (text, word) in
+        [("vertex,predicted_vertex\n0,0\n", "has 1 vertices"), ("vertex,face,b0,b1,b2\n0,0,2,-1,0\n", "line 2")]
+    {
+        fs::write(&table, text).unwrap();
+        let said = score(&truth, folder.path(), &ScoreSettings::default()).unwrap_err().to_string();
+        assert!(said.contains("correspondence.csv") && said.contains(word), "{said}");
+    }
 }

@@ -8,7 +8,7 @@ use super::statistics::{deviation, mean, pearson};
 use crate::base::{Error, Result};
 
 /// Metrics whose value is a mean over the frames that have one.
-const FRAME_WISE: [&str; 13] = [
+const FRAME_WISE: [&str; 16] = [
     "psnr_db",
     "novel_psnr_db",
     "novel_ssim",
@@ -20,6 +20,9 @@ const FRAME_WISE: [&str; 13] = [
     "depth_rmse_mm",
     "depth_delta_1_25",
     "phase_mae",
+    "phase_coverage_1sd_pct",
+    "phase_coverage_2sd_pct",
+    "phase_sd_mean",
     "pose_error_mm",
     "pose_error_deg",
 ];

@@ -121,7 +121,8 @@ pub struct Metric {
     pub version: u32,
     /// Lowest and highest value it can take (`null` in JSON: unbounded).
     pub range: [Option<f64>; 2],
-    /// Its value when truth itself is the prediction; `None` for PSNR (status `identical`) and for times.
+    /// Its value when truth itself is the prediction; `None` for PSNR (status `identical`), and where the truth has none
+    /// (times, error bars).
     pub perfect: Option<f64>,
     /// Decimals in tables.
     pub digits: usize,
@@ -161,11 +162,13 @@ impl Metric {
 const ALL: &str = "every prediction";
 const WITH_DEPTH: &str = "predictions with depth images";
 const WITH_PHASE: &str = "predictions with phase.csv: methods that model the respiratory state";
+const WITH_PHASE_SD: &str = "predictions whose phase.csv states phase_sd in every row";
 const WITH_MESH: &str = "predictions with mesh/final.ply: methods that keep an explicit surface";
 const WITH_POSES: &str = "methods that estimate poses";
 const WITH_NOVEL: &str = "predictions with novel/NNNNNN.png for every second camera";
 const WITH_NOVEL_DEPTH: &str = "predictions with novel_depth/ for every second camera";
 const WITH_TARGETS: &str = "predictions with targets.csv";
+const WITH_CPU_TIME: &str = "predictions with time_cpu_s in timing.json";
 const WITH_TIME: &str = "predictions with timing.json";
 
 const fn base(id: &'static str, label: &'static str, unit: &'static str, direction: Goal, group: Group) -> Metric {
@@ -260,8 +263,11 @@ static REGISTRY: &[Metric] = &[
         definition: "True and predicted surface at the last frame are cut by the plane through the last camera's centre, normal \
             to its optical axis. Of each, the contour around the camera is kept (smallest enclosed area). Both are resampled \
             every 0.05 mm; the value is sqrt((mean d^2 from truth to prediction + mean d^2 from prediction to truth) / 2), d the \
-            distance of a point to the other contour. If no predicted contour encloses the camera, the one nearest to it is \
-            taken, status `camera_outside`.",
+            distance of a point to the other contour. Of a prediction with the truth's faces, cuts that come nearer to a \
+            contour than the other one does join that one, on both sides: a plane through a bifurcation joins or parts \
+            branches. If no predicted contour encloses the camera, the one nearest to it is taken, status \
+            `camera_outside`. If the plane misses the surface, the row counts with the case's worst, status `no_contour`.",
+        version: 2,
         standing: Standing::Paper,
         split: Split::Final,
         applies_to: WITH_MESH,
@@ -270,7 +276,9 @@ static REGISTRY: &[Metric] = &[
     Metric {
         definition: "Distance in 3D between one vertex of the true contour (see contour_rmse_mm; chosen by seed, the same for \
             every method) and the same material point of the predicted surface (same mesh edge, same fraction along it). If the \
-            predicted surface has another topology: the nearest point of the predicted contour.",
+            predicted surface has other faces, correspondence.csv says where the edge's ends are on it; without that the row \
+            counts with the case's worst, status `no_correspondence`.",
+        version: 2,
         standing: Standing::Paper,
         split: Split::Final,
         applies_to: WITH_MESH,
@@ -360,7 +368,41 @@ static REGISTRY: &[Metric] = &[
         ..base("depth_coverage", "Depth coverage", "", Goal::Higher, Group::Depth)
     },
     Metric {
+        definition: "Share of the frames whose error of the phase is at most one standard deviation as stated in phase.csv, \
+            in percent; 68 where the error bars are right and errors are normal. It rises with the width beside it \
+            (phase_sd_mean), so alone it ranks nobody.",
+        range: [Some(0.0), Some(100.0)],
+        perfect: None,
+        digits: 1,
+        applies_to: WITH_PHASE_SD,
+        ..base("phase_coverage_1sd_pct", "Within 1 sd", "%", Goal::Higher, Group::Breathing)
+    },
+    Metric {
+        definition: "As phase_coverage_1sd_pct, for two standard deviations; 95 where the error bars are right.",
+        range: [Some(0.0), Some(100.0)],
+        perfect: None,
+        digits: 1,
+        applies_to: WITH_PHASE_SD,
+        ..base("phase_coverage_2sd_pct", "Within 2 sd", "%", Goal::Higher, Group::Breathing)
+    },
+    Metric {
+        definition: "Mean over all frames of the standard deviation of the phase as stated in phase.csv.",
+        perfect: None,
+        digits: 3,
+        applies_to: WITH_PHASE_SD,
+        ..base("phase_sd_mean", "Phase sd", "", Goal::Lower, Group::Breathing)
+    },
+    Metric {
+        definition: "CPU seconds of the method alone for all frames, of all its threads, user and system; measured for this \
+            program's methods, stated by others.",
+        perfect: None,
+        digits: 1,
+        applies_to: WITH_CPU_TIME,
+        ..base("time_cpu_s", "CPU time", "s", Goal::Lower, Group::Runtime)
+    },
+    Metric {
         definition: "Mean over all vertices of the true contour of the error that target_error_mm takes at one of them.",
+        version: 2,
         split: Split::Final,
         applies_to: WITH_MESH,
         ..base("target_error_mean_mm", "Target error mean", "mm", Goal::Lower, Group::Target)
@@ -368,6 +410,7 @@ static REGISTRY: &[Metric] = &[
     Metric {
         definition: "95th percentile (linear between ranks) over all vertices of the true contour of the error that \
             target_error_mm takes at one of them.",
+        version: 2,
         split: Split::Final,
         applies_to: WITH_MESH,
         ..base("target_error_p95_mm", "Target error p95", "mm", Goal::Lower, Group::Target)
@@ -379,8 +422,9 @@ pub fn registry() -> &'static [Metric] {
     REGISTRY
 }
 
-/// What ranks: views that nobody fitted, the phase, the targets in all frames, and time.
-const RANKING: [&str; 8] = [
+/// What ranks: views that nobody fitted, the phase, the targets in all frames, and time, by the wall's clock and the
+/// processor's.
+const RANKING: [&str; 9] = [
     "novel_psnr_db",
     "novel_ssim",
     "novel_depth_rmse_mm",
@@ -389,6 +433,7 @@ const RANKING: [&str; 8] = [
     "target_mean_mm",
     "target_p95_mm",
     "time_per_frame_s",
+    "time_cpu_s",
 ];
 
 /// The columns that rank, in the order of their table.

@@ -67,7 +67,8 @@ pub struct Polyline {
 pub fn slice(mesh: &TriangleMesh, plane: &Plane) -> Vec<Polyline> {
     let height: Vec<f64> = mesh.vertices.iter().map(|&v| (v - plane.origin).dot(plane.normal)).collect();
     let graph = CutGraph::new(mesh, &height);
-    let mut walker = Walker { graph: &graph, used: vec![false; graph.segments.len()] };
+    let used = vec![false; graph.segments.len()];
+    let mut walker = Walker { graph: &graph, used, tried: vec![0; graph.nodes.len()] };
     // Open ends first, so that a chain is not begun in its middle.
     let ends = (0..graph.nodes.len()).filter(|&n| graph.segments_at(n).len() % 2 == 1);
     let starts: Vec<usize> = ends.chain(0..graph.nodes.len()).collect();
@@ -142,6 +143,8 @@ impl CutGraph {
 struct Walker<'a> {
     graph: &'a CutGraph,
     used: Vec<bool>,
+    /// Per node how many of its first segments are known to be used: a million faces may share one edge.
+    tried: Vec<usize>,
 }
 
 impl Walker<'_> {
@@ -149,7 +152,7 @@ impl Walker<'_> {
     fn walk(&mut self, start: usize) -> Option<(Vec<usize>, bool)> {
         let mut nodes = vec![start];
         let mut here = start;
-        while let Some(&segment) = self.graph.segments_at(here).iter().find(|&&s| !self.used[s]) {
+        while let Some(segment) = self.unused_at(here) {
             self.used[segment] = true;
             let [a, b] = self.graph.segments[segment];
             here = if a == here { b } else { a };
@@ -159,6 +162,14 @@ impl Walker<'_> {
             nodes.push(here);
         }
         (nodes.len() > 1).then_some((nodes, false))
+    }
+
+    fn unused_at(&mut self, node: usize) -> Option<usize> {
+        let segments = self.graph.segments_at(node);
+        while segments.get(self.tried[node]).is_some_and(|&segment| self.used[segment]) {
+            self.tried[node] += 1;
+        }
+        segments.get(self.tried[node]).copied()
     }
 }
 
@@ -214,6 +225,18 @@ pub(super) mod tests {
         let cuts = slice(&mesh, &plane);
         assert_eq!(cuts.len(), 2);
         assert!(cuts.iter().all(|c| !c.closed));
+    }
+
+    #[test]
+    fn a_million_faces_on_one_edge_are_cut_in_a_moment() {
+        let mut mesh = TriangleMesh { vertices: vec![DVec3::NEG_Z, DVec3::Z], faces: Vec::new() };
+        for sliver in 0..1_000_000u32 {
+            mesh.vertices.push(DVec3::new(1.0, f64::from(sliver) * 1e-6, 1.0));
+            mesh.faces.push([0, 1, sliver + 2]);
+        }
+        let started = std::time::Instant::now();
+        assert!(slice(&mesh, &looking_along_z(0.0)).len() > 400_000);
+        assert!(started.elapsed().as_secs() < 60, "{:?}", started.elapsed());
     }
 
     #[test]

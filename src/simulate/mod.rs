@@ -5,6 +5,7 @@ pub mod film;
 mod identity;
 mod misregister;
 mod novel_view;
+pub mod participant;
 pub mod preview;
 pub mod sensor;
 pub mod sequence;
@@ -152,9 +153,9 @@ fn write_truth(
     }
     files::write_bytes(&out.join(sequence::CENTERLINE), case_centerline::to_csv(&anatomy.centerline).as_bytes())?;
     let planned = targets(anatomy, case.breathing.as_ref());
-    let table = sequence::points_csv(planned.iter().map(|target| target.inspiration_mm));
+    let table = sequence::points_csv(sequence::POINTS_HEADER, planned.iter().map(|target| target.inspiration_mm));
     files::write_bytes(&out.join(sequence::TARGETS), table.as_bytes())?;
-    let table = sequence::points_csv(planned.iter().map(|target| target.expiration_mm));
+    let table = sequence::points_csv(sequence::POINTS_HEADER, planned.iter().map(|target| target.expiration_mm));
     files::write_bytes(&out.join(sequence::TARGETS_EXPIRATION), table.as_bytes())?;
     let mask = Sensor::new(&film.camera, &case.scope, case.seed).mask(&film.camera);
     if let Some(mask) = &mask {

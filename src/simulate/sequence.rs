@@ -84,7 +84,7 @@ pub(super) struct ManifestHead {
 impl ManifestHead {
     /// Where the file `name` of the film in `root` lies, once its content has been compared with the hash here.
     fn checked(&self, root: &Path, name: &str) -> Result<PathBuf> {
-        checked(&self.files, root, name)
+        checked(MANIFEST, &self.files, root, name)
     }
 
     /// Names of the files of the film in `root` that are missing or not what they were when it was finished, in order.
@@ -94,13 +94,16 @@ impl ManifestHead {
     }
 }
 
-fn checked(files: &BTreeMap<String, String>, root: &Path, name: &str) -> Result<PathBuf> {
+/// Where the file `name` in `root` lies, once its content has been compared with its hash in `files`, which are those of
+/// the file `manifest`.
+pub(super) fn checked(manifest: &str, files: &BTreeMap<String, String>, root: &Path, name: &str) -> Result<PathBuf> {
     let path = root.join(name);
-    let refused = |why: &str| Err(Error::input(why).at(&path));
+    let refused = |why: String| Err(Error::input(why).at(&path));
     match files.get(name) {
-        None => refused("is not listed in the film's manifest.json; film the case again with `simulate`"),
+        None => refused(format!("is not listed in the film's {manifest}; film the case again with `simulate`")),
         Some(wanted) if hash::of_file(&path)? != *wanted => {
-            refused("is not the file that was filmed: its content does not have the hash that manifest.json gives")
+            let what = "is not the file that was filmed: its content does not have the hash that";
+            refused(format!("{what} {manifest} gives"))
         }
         Some(_) => Ok(path),
     }
@@ -111,8 +114,11 @@ pub const MANIFEST: &str = "manifest.json";
 /// Written first: what the folder is going to be.
 pub const PLAN: &str = "plan.json";
 
+/// Manifest of a participant's folder.
+pub const PARTICIPANT: &str = "participant.json";
+
 /// Times of frames in seconds.
-const TIME_S: NumberRange = NumberRange::new(0.0, 1e7);
+pub(super) const TIME_S: NumberRange = NumberRange::new(0.0, 1e7);
 /// Gains and factors of the white balance.
 const FACTOR: NumberRange = NumberRange::new(1e-12, 1e12);
 
@@ -201,7 +207,7 @@ pub const FRAMES: &str = "frames.csv";
 /// The layout in words.
 pub const FORMAT: &str = "FORMAT.md";
 /// First line of the tables of targets.
-const POINTS_HEADER: &str = "target,x_mm,y_mm,z_mm";
+pub(super) const POINTS_HEADER: &str = "target,x_mm,y_mm,z_mm";
 /// Where the images hold something, when the scope has a mask.
 pub const MASK: &str = "mask.png";
 /// A few frames at a glance.
@@ -237,6 +243,8 @@ impl Sequence {
                 "there is no such folder"
             } else if root.join(PLAN).is_file() {
                 "the sequence is not finished; the command that made it resumes it"
+            } else if root.join(PARTICIPANT).is_file() {
+                "is a participant's folder, which holds no truth; the whole film is in the folder `truth` made with it"
             } else {
                 "is not a sequence folder: it has no manifest.json"
             };
@@ -286,8 +294,9 @@ impl Sequence {
         self.files.keys().map(|name| self.root.join(name))
     }
 
-    fn checked(&self, name: &str) -> Result<PathBuf> {
-        checked(&self.files, &self.root, name)
+    /// Where the file `name` lies, once its content has been compared with the manifest.
+    pub(super) fn checked(&self, name: &str) -> Result<PathBuf> {
+        checked(MANIFEST, &self.files, &self.root, name)
     }
 
     /// The 8-bit sRGB image of a frame. Errors name a file that is missing, damaged or of another size.
@@ -332,10 +341,12 @@ impl Sequence {
     /// everything.
     pub fn mask(&self) -> Result<Option<Mask>> {
         let Some(name) = &self.mask_path else { return Ok(None) };
-        let path = self.checked(name)?;
-        let image = png::read_rgb(&path)?;
-        self.check_size(image.width, image.height, &path)?;
-        Mask::from_image(&image).and_then(|mask| mask.eroded(1)).map(Some).map_err(|e| e.at(path))
+        read_mask(&self.camera, &self.checked(name)?).map(Some)
+    }
+
+    /// Name of the mask of all frames, if there is one.
+    pub(super) fn mask_name(&self) -> Option<&str> {
+        self.mask_path.as_deref()
     }
 
     /// Surface at full inspiration; normals point into the lumen.
@@ -350,11 +361,14 @@ impl Sequence {
 
     /// The surface at full expiration that methods are given: with the registration's error, where the case has one.
     pub fn registered_expiration(&self) -> Result<TriangleMesh> {
+        mesh::read(&self.checked(self.registered_expiration_name())?)
+    }
+
+    /// Name of that surface's file.
+    pub(super) fn registered_expiration_name(&self) -> &'static str {
         // A file that the manifest does not know is refused, not passed over.
-        if self.files.contains_key(REGISTERED_EXPIRATION) || self.root.join(REGISTERED_EXPIRATION).exists() {
-            return mesh::read(&self.checked(REGISTERED_EXPIRATION)?);
-        }
-        self.expiration()
+        let is_there = self.files.contains_key(REGISTERED_EXPIRATION) || self.root.join(REGISTERED_EXPIRATION).exists();
+        if is_there { REGISTERED_EXPIRATION } else { EXPIRATION }
     }
 
     /// Centreline at inspiration.
@@ -363,16 +377,28 @@ impl Sequence {
     }
 
     fn check_size(&self, width: usize, height: usize, path: &Path) -> Result<()> {
-        let (w, h) = (self.camera.width as usize, self.camera.height as usize);
-        if (width, height) != (w, h) {
-            return Err(Error::input(format!("is {width}x{height}, the camera is {w}x{h}")).at(path));
-        }
-        Ok(())
+        check_size(&self.camera, width, height, path)
     }
 }
 
+/// Refuses an image in `path` that is not of the camera's size.
+pub(super) fn check_size(camera: &Camera, width: usize, height: usize, path: &Path) -> Result<()> {
+    let (w, h) = (camera.width as usize, camera.height as usize);
+    if (width, height) != (w, h) {
+        return Err(Error::input(format!("is {width}x{height}, the camera is {w}x{h}")).at(path));
+    }
+    Ok(())
+}
+
+/// The pixels that count by the mask in `path`: its own, less one pixel at the rim.
+pub(super) fn read_mask(camera: &Camera, path: &Path) -> Result<Mask> {
+    let image = png::read_rgb(path)?;
+    check_size(camera, image.width, image.height, path)?;
+    Mask::from_image(&image).and_then(|mask| mask.eroded(1)).map_err(|e| e.at(path))
+}
+
 /// The second cameras of a film of `frames` frames.
-fn novel_views(path: &Path, frames: usize) -> Result<Vec<NovelView>> {
+pub(super) fn novel_views(path: &Path, frames: usize) -> Result<Vec<NovelView>> {
     let transforms = Transforms::read(path)?;
     let views = transforms.frames.iter().enumerate().map(|(index, entry)| {
         let frame = (0..frames).find(|&frame| novel_image_name(frame) == entry.file_path);
@@ -383,17 +409,18 @@ fn novel_views(path: &Path, frames: usize) -> Result<Vec<NovelView>> {
     views.collect()
 }
 
-/// The text of [`TARGETS`] or [`TARGETS_EXPIRATION`].
-pub(super) fn points_csv(points: impl Iterator<Item = DVec3>) -> String {
+/// Points as a table below `header`, such as [`TARGETS`].
+pub(super) fn points_csv(header: &str, points: impl Iterator<Item = DVec3>) -> String {
     let row = |(target, p): (usize, DVec3)| format!("{target},{},{},{}\n", p.x, p.y, p.z);
-    points.enumerate().map(row).fold(format!("{POINTS_HEADER}\n"), |text, row| text + &row)
+    points.enumerate().map(row).fold(format!("{header}\n"), |text, row| text + &row)
 }
 
-fn read_points(path: &Path) -> Result<Vec<DVec3>> {
+/// Reads what [`points_csv`] wrote.
+pub(super) fn read_points(path: &Path, header: &str) -> Result<Vec<DVec3>> {
     let text = files::read_text(path)?;
     let mut lines = text.lines();
-    if lines.next() != Some(POINTS_HEADER) {
-        return Err(Error::input(format!("must be \"{POINTS_HEADER}\"")).element("line 1").at(path));
+    if lines.next() != Some(header) {
+        return Err(Error::input(format!("must be \"{header}\"")).element("line 1").at(path));
     }
     let point = |(row, line): (usize, &str)| {
         let values: Vec<f64> = line.split(',').filter_map(|v| v.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
@@ -407,7 +434,7 @@ fn read_points(path: &Path) -> Result<Vec<DVec3>> {
 }
 
 fn targets(planned: &Path, truth: &Path) -> Result<Vec<Target>> {
-    let (inspiration, expiration) = (read_points(planned)?, read_points(truth)?);
+    let (inspiration, expiration) = (read_points(planned, POINTS_HEADER)?, read_points(truth, POINTS_HEADER)?);
     if inspiration.len() != expiration.len() {
         let sentence = format!("has {} targets, {TARGETS} has {}", expiration.len(), inspiration.len());
         return Err(Error::input(sentence).at(truth));

@@ -174,9 +174,9 @@ fn runs_are_merged() {
             ["case_id", "config", "seed", "metric", "value", "sd", "n", "ci_low", "ci_high", "status"].map(column);
         let mut rows: Vec<Vec<String>> =
             reader.records().map(|row| wanted.map(|c| row.as_ref().unwrap()[c].to_owned()).to_vec()).collect();
-        // The committed report is older than the metrics of second cameras and of targets in all frames.
-        let is_later =
-            |metric: &str| metric.starts_with("novel_") || ["target_mean_mm", "target_p95_mm"].contains(&metric);
+        // The committed report is older than the metrics of second cameras, of targets in all frames and of error bars.
+        let later = ["novel_", "target_mean_mm", "target_p95_mm", "phase_coverage_", "phase_sd_mean"];
+        let is_later = |metric: &str| later.iter().any(|start| metric.starts_with(start));
         rows.retain(|row| !is_later(&row[3]));
         rows.sort();
         rows

@@ -3,7 +3,9 @@
 
 mod all_cases;
 mod binary;
+mod blind;
 mod cases;
+mod cheats;
 mod command_line;
 mod faults;
 mod gate;

@@ -13,14 +13,20 @@ use crate::binary::run;
 use crate::simulate::{case, contents, seal, small};
 
 /// A tiny run of two own rows, and a third party's prediction of the same film, which is an own one's copy.
-struct Place(tempfile::TempDir);
+pub struct Place(tempfile::TempDir);
 
 impl Place {
-    fn new() -> Self {
+    pub fn new() -> Self {
+        Place::of_frames(3)
+    }
+
+    /// With a film of so many frames.
+    pub fn of_frames(frames: usize) -> Self {
         let place = Place(tempfile::tempdir().unwrap());
         let profile = TINY
             .replace("methods = [\"static-ct\", \"oracle-phase\", \"ours\"]", "methods = [\"static-ct\", \"ours\"]");
         assert_ne!(profile, TINY);
+        let profile = profile.replace("minimum_frames = 3", &format!("minimum_frames = {frames}"));
         fs::write(place.path("tiny.toml"), profile).unwrap();
         let at = |name: &str| place.text(name);
         let arguments = ["all-cases", "--profile", &at("tiny.toml"), "--out", &at("reports"), "--cache", &at("cache")];
@@ -31,11 +37,11 @@ impl Place {
         place
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub fn path(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 
-    fn text(&self, name: &str) -> String {
+    pub fn text(&self, name: &str) -> String {
         self.path(name).to_str().unwrap().to_owned()
     }
 
@@ -48,18 +54,18 @@ impl Place {
         self.first("cache/cells", start)
     }
 
-    fn film(&self) -> PathBuf {
+    pub fn film(&self) -> PathBuf {
         self.first("cache/sequences", "case1-")
     }
 
     /// Scores the prediction folder `name` on `film` into the report folder `out`.
-    fn evaluate(&self, film: &Path, name: &str, out: &str, more: &[&str]) -> (i32, String, String) {
+    pub fn evaluate(&self, film: &Path, name: &str, out: &str, more: &[&str]) -> (i32, String, String) {
         let (prediction, out) = (self.text(name), self.text(out));
         let fixed = ["evaluate", "--sequence", film.to_str().unwrap(), "--predictions", &prediction, "--out", &out];
         run(&[&fixed[..], more].concat())
     }
 
-    fn merge(&self, parts: &[&str], more: &[&str]) -> (i32, String, String) {
+    pub fn merge(&self, parts: &[&str], more: &[&str]) -> (i32, String, String) {
         let folders: Vec<String> = parts.iter().map(|part| self.text(part)).collect();
         let out = self.text("table");
         let mut words = vec!["merge"];
@@ -70,7 +76,7 @@ impl Place {
     }
 }
 
-fn copy(from: &Path, to: &Path) {
+pub fn copy(from: &Path, to: &Path) {
     for (name, bytes) in contents(from) {
         let path = to.join(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -78,7 +84,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-fn edit(path: &Path, change: impl Fn(&str) -> String) {
+pub fn edit(path: &Path, change: impl Fn(&str) -> String) {
     let before = fs::read_to_string(path).unwrap();
     let after = change(&before);
     assert_ne!(before, after, "nothing to change in {}", path.display());
@@ -87,7 +93,7 @@ fn edit(path: &Path, change: impl Fn(&str) -> String) {
 
 /// The command was refused with `code` in one sentence that says all of `words`.
 #[track_caller]
-fn refused((code, out, err): (i32, String, String), wanted: i32, words: &[&str]) {
+pub fn refused((code, out, err): (i32, String, String), wanted: i32, words: &[&str]) {
     assert_eq!((code, out.as_str()), (wanted, ""), "{err}");
     assert_eq!(err.lines().count(), 1, "{err}");
     for word in words {
@@ -96,13 +102,13 @@ fn refused((code, out, err): (i32, String, String), wanted: i32, words: &[&str])
 }
 
 #[track_caller]
-fn accepted((code, out, err): (i32, String, String)) -> String {
+pub fn accepted((code, out, err): (i32, String, String)) -> String {
     assert_eq!(code, 0, "{err}");
     out
 }
 
 /// A column of a table, one value per row, beside the first column.
-fn column(path: &Path, name: &str) -> Vec<(String, String)> {
+pub fn column(path: &Path, name: &str) -> Vec<(String, String)> {
     let mut reader = csv::Reader::from_path(path).unwrap();
     let place = reader.headers().unwrap().iter().position(|h| h == name).unwrap_or_else(|| panic!("no {name}"));
     reader.records().map(|row| row.unwrap()).map(|row| (row[0].to_owned(), row[place].to_owned())).collect()
@@ -154,6 +160,7 @@ fn a_third_party_stands_in_the_ranking_under_a_name_of_its_own() {
     for table in ["results.csv", "comparison.csv", "frames.csv", "timings.csv"] {
         edit(&place.path("theirs").join(table), |text| text.replace(",ours,", ",mine,"));
     }
+    seal(&place.path("theirs"));
     refused(
         place.merge(&["theirs", "scores"], &[]),
         4,
@@ -287,6 +294,33 @@ fn numbers_that_do_not_follow_from_the_frames_are_not_merged() {
         &["scores/results.csv", "\"ssim\" of this cell is there twice"],
     );
     fs::write(&results, &honest).unwrap();
+    // What leaves no trace in the frames is noticed by the hash of the table; and a report without hashes is none.
+    for metric in ["contour_rmse_mm", "target_error_mm", "target_p95_mm"] {
+        let row = honest.lines().find(|row| row.contains(&format!(",{metric},{metric}/"))).unwrap();
+        let value = row.split(',').nth(12).unwrap().to_owned();
+        fs::write(&results, honest.replace(row, &row.replacen(&format!(",{value},"), ",0.001,", 1))).unwrap();
+        refused(
+            place.merge(&["reports/latest", "scores"], &[]),
+            4,
+            &["scores/results.csv", "was changed", "manifest.json"],
+        );
+    }
+    fs::write(&results, &honest).unwrap();
+    edit(&place.path("scores/comparison.csv"), |text| {
+        let (head, row) = text.trim_end().split_once('\n').unwrap();
+        let cpu = head.split(',').position(|name| name == "time_cpu_s").unwrap();
+        let mut cells: Vec<&str> = row.split(',').collect();
+        cells[cpu] = "0.001";
+        format!("{head}\n{}\n", cells.join(","))
+    });
+    refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["scores/comparison.csv", "was changed"]);
+    accepted(place.evaluate(&place.film(), "mine", "scores", &[]));
+    let manifest = place.path("scores/manifest.json");
+    let kept = fs::read(&manifest).unwrap();
+    fs::remove_file(&manifest).unwrap();
+    refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["scores/manifest.json", "is missing"]);
+    fs::write(&manifest, kept).unwrap();
+    accepted(place.merge(&["reports/latest", "scores"], &[]));
     // Without its frames nothing can be told of a prediction.
     fs::remove_file(place.path("scores/frames.csv")).unwrap();
     refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["scores/frames.csv"]);

@@ -132,7 +132,7 @@ fn point(sequence: &Sequence, setting: &SolverSetting, methods: &Path, iteration
     let (done, cost) = timing::measure(|| method.run(&observation, &mut answer, &NoProgress));
     let predicted = done?.final_mesh.unwrap_or_else(|| observation.inspiration.clone());
     let pose = sequence.frames.last().map(|f| f.world_from_camera).unwrap_or_default();
-    let target = target_errors(&final_mesh(sequence)?, &predicted, &pose, 1)?.and_then(|t| t.mean_mm);
+    let target = target_errors(&final_mesh(sequence)?, &predicted, None, &pose, 1)?.and_then(|t| t.mean_mm);
     Ok(ParetoPoint {
         subject: sequence.case_id.clone(),
         mode: setting.mode.into(),

@@ -153,7 +153,7 @@ fn contours() -> Result<Vec<StressRow>> {
     let eye = DAffine3::IDENTITY;
     let truth = tube(5.0, DVec3::ZERO);
     let mut rows = Vec::new();
-    let errors = |predicted: &TriangleMesh| target_errors(&truth, predicted, &eye, 1);
+    let errors = |predicted: &TriangleMesh| target_errors(&truth, predicted, None, &eye, 1);
     for (name, shift) in [("itself", 0.0), ("the same, 1 mm aside", 1.0)] {
         let found = errors(&tube(5.0, DVec3::X * shift))?.and_then(|e| e.mean_mm).unwrap_or(f64::NAN);
         rows.push(StressRow::of_value(format!("target error of a tube against {name}"), found, shift, LIMIT));
@@ -163,7 +163,7 @@ fn contours() -> Result<Vec<StressRow>> {
         "a surface that misses the camera's plane has no contour",
         away.is_some_and(|e| e.contour_rmse_mm.is_none()),
     ));
-    let missing = target_errors(&tube(5.0, DVec3::X * 50.0), &truth, &eye, 1)?;
+    let missing = target_errors(&tube(5.0, DVec3::X * 50.0), &truth, None, &eye, 1)?;
     rows.push(StressRow::of_claim("a camera outside the true surface has no target", missing.is_none()));
     let mut flat = truth.clone();
     flat.vertices.iter_mut().for_each(|v| v.x = 0.0);

@@ -63,10 +63,10 @@ impl Reconstruct for Bridgesplat {
     ) -> Result<Reconstruction> {
         let run = OnlineRun::begin(self.access(), observation)?;
         let mut fit = BridgesplatFit::new(&self.settings, self.iteration_scale, observation)?;
-        let seconds = run.fit_in_order(|frame| fit.fit(frame), emit, progress)?;
+        let spent = run.fit_in_order(|frame| fit.fit(frame), emit, progress)?;
         let faces = observation.inspiration.faces.clone();
         let vertices = fit.vertices.iter().map(|v| *v * *self.settings.common.unit_mm).collect();
-        Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), seconds })
+        Ok(Reconstruction { final_mesh: Some(TriangleMesh { vertices, faces }), spent })
     }
 }
 

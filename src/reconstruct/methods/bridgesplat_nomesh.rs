@@ -55,8 +55,8 @@ impl Reconstruct for BridgesplatNomesh {
     ) -> Result<Reconstruction> {
         let run = OnlineRun::begin(self.access(), observation)?;
         let mut fit = BridgesplatNomeshFit::new(&self.settings, self.iteration_scale, observation);
-        let seconds = run.fit_in_order(|frame| fit.fit(frame), emit, progress)?;
-        Ok(Reconstruction { final_mesh: None, seconds })
+        let spent = run.fit_in_order(|frame| fit.fit(frame), emit, progress)?;
+        Ok(Reconstruction { final_mesh: None, spent })
     }
 }
 

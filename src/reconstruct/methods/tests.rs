@@ -156,7 +156,7 @@ fn recover(method: &dyn Reconstruct, observation: &Observation) -> (f64, Vec<Fra
         )
         .unwrap();
     let each: Vec<f64> = answers.iter().zip(&observation.images).map(|(p, i)| psnr(&p.color, i)).collect();
-    println!("{}: {:.2} s, psnr {:.1?}", method.id(), done.seconds, each);
+    println!("{}: {:.2} s, psnr {:.1?}", method.id(), done.spent.wall_s, each);
     let half = &each[each.len() / 2..];
     (half.iter().sum::<f64>() / half.len() as f64, answers)
 }

@@ -99,8 +99,8 @@ impl Reconstruct for VirtualMethod {
             last = finder.phase(frame, airway);
             Ok(screen.prediction(frame, last, expected))
         };
-        let seconds = run.fit_in_order(fit, emit, progress)?;
-        Ok(Reconstruction { final_mesh: Some(mesh_at(observation, last)), seconds })
+        let spent = run.fit_in_order(fit, emit, progress)?;
+        Ok(Reconstruction { final_mesh: Some(mesh_at(observation, last)), spent })
     }
 }
 

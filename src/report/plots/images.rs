@@ -7,7 +7,7 @@ use super::canvas::{INK, Pen, on_bitmap};
 use crate::base::{Image, Result};
 use crate::report::run::Run;
 use crate::score::depth::present;
-use crate::score::{Prediction, Truth};
+use crate::score::{Prediction, Question, Truth};
 
 /// Frames shown of a case.
 const ROWS: usize = 4;
@@ -103,7 +103,8 @@ type ShownCell<'a> =
     (&'a crate::report::run::MethodInfo, &'a crate::report::run::CellRecord, &'a crate::score::CellScore);
 
 fn opened(shown: &[ShownCell], truth: &dyn Truth) -> Result<Vec<Prediction>> {
-    shown.iter().map(|(_, cell, _)| Prediction::open(&cell.prediction, truth)).collect()
+    let question = Question::of(truth);
+    shown.iter().map(|(_, cell, _)| Prediction::open(&cell.prediction, &question)).collect()
 }
 
 /// Frames spread over the sequence, the last one included.

@@ -49,6 +49,7 @@ const FLOORS: [(&str, &[&str]); 2] = [
         &[
             "activation",
             "settings",
+            "stopwatch",
             "contract",
             "rough_poses",
             "observe",

@@ -43,9 +43,9 @@ impl Fitter<'_> {
         emit: &mut dyn FnMut(FramePrediction) -> Result<()>,
         progress: &dyn Progress,
     ) -> Result<(f64, Reconstruction)> {
-        let seconds = run.fit_in_order(|frame| self.fit(frame, source, gaussians), emit, progress)?;
+        let spent = run.fit_in_order(|frame| self.fit(frame, source, gaussians), emit, progress)?;
         let last = self.phases.last().copied().unwrap_or(0.0);
-        Ok((last, Reconstruction { final_mesh: None, seconds }))
+        Ok((last, Reconstruction { final_mesh: None, spent }))
     }
 
     /// The phase of `frame` if part of the last change continues.

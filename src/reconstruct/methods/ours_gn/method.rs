@@ -65,8 +65,8 @@ impl Reconstruct for OursGn {
     ) -> Result<Reconstruction> {
         let run = OnlineRun::begin(self.access(), observation)?;
         let mut tracker = Tracker::new(&self.settings, self.iteration_scale, observation)?;
-        let seconds = run.fit_in_order(|frame| tracker.fit(frame), emit, progress)?;
-        Ok(Reconstruction { final_mesh: Some(tracker.mesh()), seconds })
+        let spent = run.fit_in_order(|frame| tracker.fit(frame), emit, progress)?;
+        Ok(Reconstruction { final_mesh: Some(tracker.mesh()), spent })
     }
 }
 

@@ -1,0 +1,49 @@
+//! `manifest.json` of a report: the hash of each table that `merge` reads, so that a table that was changed afterwards is
+//! noticed. It is no signature: whoever changes table and manifest alike is found only where frames contradict.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::{Error, Result, files, hash};
+
+/// Its name.
+const MANIFEST: &str = "manifest.json";
+/// What it covers.
+const TABLES: [&str; 4] = ["results.csv", "comparison.csv", "frames.csv", "timings.csv"];
+
+#[derive(Serialize, Deserialize)]
+struct ReportManifest {
+    /// BLAKE3 of each table, by its name.
+    files: BTreeMap<String, String>,
+}
+
+/// Writes the manifest of the tables in `folder`.
+pub(super) fn write(folder: &Path) -> Result<()> {
+    let hashed = |name: &str| Ok((name.to_owned(), hash::of_file(&folder.join(name))?));
+    let files = TABLES.into_iter().map(hashed).collect::<Result<_>>()?;
+    files::write_json(&folder.join(MANIFEST), &ReportManifest { files })
+}
+
+/// Refuses tables that are not those of the manifest. A report of an older version has none, which is accepted unless
+/// one is `needed`.
+pub(super) fn check(folder: &Path, needed: bool) -> Result<()> {
+    let path = folder.join(MANIFEST);
+    if !path.exists() {
+        let sentence =
+            "is missing: without it nobody can tell whether the tables were changed; score the prediction again";
+        return if needed { Err(Error::input(sentence).at(path)) } else { Ok(()) };
+    }
+    let manifest: ReportManifest = files::read_json(&path)?;
+    for name in TABLES {
+        let table = folder.join(name);
+        let wanted = manifest.files.get(name);
+        if wanted.is_none() || wanted != Some(&hash::of_file(&table)?) {
+            let sentence =
+                "was changed since it was written: its content does not have the hash that manifest.json gives";
+            return Err(Error::input(sentence).at(table));
+        }
+    }
+    Ok(())
+}
