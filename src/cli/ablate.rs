@@ -19,7 +19,7 @@ use crate::report::ablation::write;
     bridgesplat; the best value of each number is marked.\n\
     Lines run on the tuning cases (tune1 to tune4), which are never scored. Finished cells are kept: the same command goes \
     on. --profile smoke is a first look.\n\
-    Examples: respire-bench ablate --only \"light of the scope\"\n          \
+    Examples: respire-bench ablate --only schedule\n          \
     respire-bench ablate --file ours --only iterations"
 )]
 pub struct AblateArguments {
