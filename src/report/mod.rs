@@ -11,6 +11,7 @@ pub mod compare;
 pub mod differences;
 pub mod gate;
 pub mod gate_files;
+pub mod gate_limits;
 #[cfg(test)]
 mod gate_tests;
 mod html;
