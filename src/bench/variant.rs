@@ -85,7 +85,7 @@ impl Variant {
 /// shipped.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Axis {
+struct KeyAxis {
     /// Id of the method.
     method: String,
     /// Keys of the method file, which have the same value.
@@ -94,7 +94,7 @@ struct Axis {
     values: Vec<toml::Value>,
 }
 
-impl Axis {
+impl KeyAxis {
     fn name(&self) -> String {
         self.keys.join(" = ")
     }
@@ -110,12 +110,12 @@ impl Axis {
 }
 
 /// One value of each of some axes, as a line.
-fn line_of(group: String, chosen: &[(&Axis, &toml::Value)]) -> Variant {
-    let words = |(axis, value): &(&Axis, &toml::Value)| match chosen.len() {
+fn line_of(group: String, chosen: &[(&KeyAxis, &toml::Value)]) -> Variant {
+    let words = |(axis, value): &(&KeyAxis, &toml::Value)| match chosen.len() {
         1 => value.to_string(),
         _ => format!("{} {value}", axis.name()),
     };
-    let keys = |(axis, value): &(&Axis, &toml::Value)| -> Vec<(String, toml::Value)> {
+    let keys = |(axis, value): &(&KeyAxis, &toml::Value)| -> Vec<(String, toml::Value)> {
         axis.keys.iter().map(|key| (key.clone(), (*value).clone())).collect()
     };
     Variant {
@@ -142,7 +142,7 @@ pub struct Ablations {
     #[serde(default)]
     pub ablation: Vec<Variant>,
     #[serde(default)]
-    axis: Vec<Axis>,
+    axis: Vec<KeyAxis>,
     /// Whether the axes are combined, instead of one at a time.
     #[serde(default)]
     grid: bool,
@@ -183,7 +183,7 @@ impl Ablations {
         if !(1..=MOST_METRICS).contains(&self.metrics.len()) {
             return Err(Error::input(format!("must name 1 to {MOST_METRICS} metrics")).element("metrics"));
         }
-        self.axis.iter().try_for_each(Axis::check)
+        self.axis.iter().try_for_each(KeyAxis::check)
     }
 
     fn lines_of_axes(&self) -> Result<Vec<Variant>> {
@@ -194,14 +194,14 @@ impl Ablations {
             return Err(Error::input(sentence).element("axis"));
         }
         if !self.grid {
-            let one = |axis| move |value| line_of(Axis::name(axis), &[(axis, value)]);
+            let one = |axis| move |value| line_of(KeyAxis::name(axis), &[(axis, value)]);
             return Ok(self.axis.iter().flat_map(|axis| axis.values.iter().map(one(axis))).collect());
         }
         let Some(first) = self.axis.first() else { return Ok(Vec::new()) };
         if self.axis.iter().any(|axis| axis.method != first.method) {
             return Err(Error::input("a grid has one method").element("axis"));
         }
-        let mut chosen: Vec<Vec<(&Axis, &toml::Value)>> = vec![Vec::new()];
+        let mut chosen: Vec<Vec<(&KeyAxis, &toml::Value)>> = vec![Vec::new()];
         for axis in &self.axis {
             let with = |value| move |before: &Vec<_>| [before.as_slice(), &[(axis, value)]].concat();
             chosen = axis.values.iter().flat_map(|value| chosen.iter().map(with(value))).collect();
