@@ -146,6 +146,16 @@ impl AnatomySource {
         }
     }
 
+    /// Whose airway it is: cases of one tree are alike, whatever their motion and route.
+    pub fn tree(&self) -> String {
+        let name = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        match self {
+            AnatomySource::Tree { path, .. } | AnatomySource::Mesh { path, .. } => name(path),
+            AnatomySource::Grown { seed, .. } => format!("grown-{seed}"),
+            AnatomySource::MeshPair { inspiration, .. } => name(inspiration),
+        }
+    }
+
     /// Files it names, as written in the case file.
     pub fn files(&self) -> Vec<&Path> {
         match self {

@@ -2,11 +2,13 @@
 //! names. Never a mixture of both: the same program gives the same results from whichever folder it is started.
 //!
 //! ```text
-//! bench-cases/<case>.toml         a case each
-//! bench-cases/gate.toml           thresholds
-//! bench-cases/ablations.toml      variants of the methods and cases
-//! bench-cases/methods/<id>.toml   a method each
-//! bench-cases/profiles/<id>.toml  a profile each
+//! bench-cases/<case>.toml                a case each, scored
+//! bench-cases/tuning/<case>.toml         a case each, on which numbers of methods are chosen; never scored
+//! bench-cases/tuning/sweeps/<name>.toml  values of a method's keys, to be tried on the tuning cases
+//! bench-cases/gate.toml                  thresholds
+//! bench-cases/ablations.toml             variants of the methods and cases
+//! bench-cases/methods/<id>.toml          a method each
+//! bench-cases/profiles/<id>.toml         a profile each
 //! ```
 
 use std::path::{Path, PathBuf};
@@ -17,6 +19,9 @@ use crate::base::{Error, Result, shipped};
 /// Files beside the cases: the thresholds and the ablations.
 const GATE: &str = "gate";
 const ABLATIONS: &str = "ablations";
+/// Folder of the tuning cases, and in it that of the sweeps.
+const TUNING: &str = "tuning";
+const SWEEPS: &str = "sweeps";
 
 /// The carried files (`src/base/shipped.rs`), or those of a folder like `bench-cases/`.
 #[derive(Clone, Debug)]
@@ -39,24 +44,39 @@ impl Catalogue {
         &self.root
     }
 
-    /// Ids of the cases in natural order (`case2` before `case10`).
+    /// Ids of the scored cases in natural order (`case2` before `case10`).
     pub fn case_ids(&self) -> Result<Vec<String>> {
         Ok(toml_ids(&self.root)?.into_iter().filter(|id| id != GATE && id != ABLATIONS).collect())
     }
 
-    /// The file of a case: `<id>.toml` of the catalogue, or `wish` itself when it is the path of a TOML file.
+    /// Ids of the tuning cases, which no run takes unless it is told so; none where there is no such folder.
+    pub fn tuning_ids(&self) -> Result<Vec<String>> {
+        self.optional_ids(&self.root.join(TUNING))
+    }
+
+    /// Ids of the files of a folder that a user's catalogue may lack.
+    fn optional_ids(&self, folder: &Path) -> Result<Vec<String>> {
+        let is_there = self.root == Path::new(shipped::ROOT) || folder.is_dir();
+        if is_there { toml_ids(folder) } else { Ok(Vec::new()) }
+    }
+
+    /// The file of a scored or a tuning case by id, or `wish` itself when it is the path of a TOML file.
     pub fn case_file(&self, wish: &str) -> Result<PathBuf> {
         if wish.ends_with(".toml") {
             return Ok(PathBuf::from(wish));
         }
-        let known = self.case_ids()?;
-        if !known.iter().any(|id| id == wish) {
-            let known = known.join(", ");
-            return Err(Error::usage(format!(
-                "there is no case `{wish}`; there are {known}, or the path of a case file"
-            )));
-        }
-        Ok(self.root.join(format!("{wish}.toml")))
+        let (scored, tuning) = (self.case_ids()?, self.tuning_ids()?);
+        let folder = match wish {
+            id if scored.iter().any(|known| known == id) => self.root.clone(),
+            id if tuning.iter().any(|known| known == id) => self.root.join(TUNING),
+            _ => {
+                let known = [scored, tuning].concat().join(", ");
+                return Err(Error::usage(format!(
+                    "there is no case `{wish}`; there are {known}, or the path of a case file"
+                )));
+            }
+        };
+        Ok(folder.join(format!("{wish}.toml")))
     }
 
     /// The folder of the methods.
@@ -78,6 +98,20 @@ impl Catalogue {
     pub fn ablations_file(&self) -> PathBuf {
         self.root.join(ABLATIONS).with_extension("toml")
     }
+
+    /// A sweep by name, or `wish` itself when it is the path of a TOML file.
+    pub fn sweep_file(&self, wish: &str) -> Result<PathBuf> {
+        if wish.ends_with(".toml") {
+            return Ok(PathBuf::from(wish));
+        }
+        let folder = self.root.join(TUNING).join(SWEEPS);
+        let known = self.optional_ids(&folder)?;
+        if !known.iter().any(|name| name == wish) {
+            let known = known.join(", ");
+            return Err(Error::usage(format!("there is no sweep `{wish}`; there are {known}, or the path of a file")));
+        }
+        Ok(folder.join(format!("{wish}.toml")))
+    }
 }
 
 #[cfg(test)]
@@ -98,6 +132,21 @@ mod tests {
         assert_eq!(unknown.kind().exit_code(), 2);
         assert!(unknown.to_string().contains("case1, case2"), "{unknown}");
         assert_eq!(Catalogue::open(Some(&folder.path().join("no"))).unwrap_err().kind().exit_code(), 4);
+        assert_eq!(catalogue.tuning_ids().unwrap(), [""; 0]);
+    }
+
+    #[test]
+    fn tuning_cases_and_sweeps_are_found_by_name_and_are_not_among_the_scored() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases");
+        for catalogue in [Catalogue::open(None).unwrap(), Catalogue::open(Some(&folder)).unwrap()] {
+            let tuning = catalogue.tuning_ids().unwrap();
+            assert_eq!(tuning, ["tune1", "tune2", "tune3", "tune4"]);
+            assert!(catalogue.case_ids().unwrap().iter().all(|id| !tuning.contains(id)));
+            assert_eq!(catalogue.case_file("tune2").unwrap(), catalogue.root().join("tuning/tune2.toml"));
+            assert_eq!(catalogue.sweep_file("ours").unwrap(), catalogue.root().join("tuning/sweeps/ours.toml"));
+            assert_eq!(catalogue.sweep_file("my/own.toml").unwrap(), Path::new("my/own.toml"));
+            assert!(catalogue.sweep_file("theirs").unwrap_err().to_string().contains("bridgesplat, ours"));
+        }
     }
 
     #[test]

@@ -73,6 +73,6 @@ pub enum Event<'a> {
 
 /// Watches a run: progress within a stage, and the events between them.
 pub trait Watcher: Progress {
-    /// Called for every event, in order, from the thread that runs the plan.
+    /// Called for every event, in order, from the thread that runs the plan; where cells run at once, from theirs.
     fn event(&self, event: &Event<'_>);
 }

@@ -215,3 +215,36 @@ fn a_full_disk_or_the_user_stops_the_run_and_nothing_is_lost() {
         }
     }
 }
+
+#[test]
+fn two_at_once_leave_what_one_after_the_other_leaves() {
+    let at_once = |root: &Path, plan: &Plan, fake: &Fake| {
+        let mut store = Store::open(root).unwrap();
+        execute_at_once(plan, fake, &mut store, 2, &Events::default())
+    };
+    let whole = tempfile::tempdir().unwrap();
+    let plan = small_plan();
+    let cells = run(whole.path(), &plan, &Fake::default(), Freshness::Resume).0.unwrap();
+    // What a cell cost beside another one is not kept.
+    let products = |root: &Path, cells: &[FinishedCell]| {
+        let (scores, mut names) = picture(root, cells);
+        names.retain(|name| !name.starts_with("cells/") || !name.ends_with("timing.json"));
+        (scores, names)
+    };
+    let expected = products(whole.path(), &cells);
+    let folder = tempfile::tempdir().unwrap();
+    let fake = Fake::default();
+    let cells = at_once(folder.path(), &plan, &fake).unwrap();
+    assert_eq!(products(folder.path(), &cells), expected);
+    assert_eq!(fake.log()[..2], ["film case1", "film case2"]);
+    assert!(at_once(folder.path(), &plan, &fake).unwrap().len() == 8 && fake.log().is_empty());
+    for (call, fault) in [(4, Fault::Disk), (9, Fault::Interrupt), (0, Fault::Interrupt)] {
+        let folder = tempfile::tempdir().unwrap();
+        at_once(folder.path(), &plan, &Fake::with_fault(call, fault)).unwrap_err();
+        let cells = at_once(folder.path(), &plan, &Fake::default()).unwrap();
+        assert_eq!(products(folder.path(), &cells), expected, "resumed after call {call}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let cells = at_once(folder.path(), &plan, &Fake::with_fault(5, Fault::Panic)).unwrap();
+    assert_eq!(cells.iter().filter(|c| c.failure.is_some()).count(), 1);
+}

@@ -25,7 +25,7 @@ pub mod variant;
 pub use catalogue::Catalogue;
 pub use environment::Environment;
 pub use event::{CacheUse, Event, Watcher};
-pub use executor::{FinishedCell, Freshness, execute};
+pub use executor::{FinishedCell, Freshness, execute, execute_at_once};
 pub use pipeline::{Pipeline, Wishes, reconstruct_folder};
 pub use plan::{Cell, Plan};
 pub use profile::Profile;

@@ -20,6 +20,7 @@ use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use crate::score::{self, Truth};
 use crate::simulate::participant::{Given, Participant};
 use crate::simulate::sequence::Sequence;
+use crate::simulate::track::Track;
 use crate::simulate::truth::TruthSet;
 use crate::simulate::{self, MeshOutput, RadianceOutput, SimulationSettings};
 
@@ -208,11 +209,12 @@ impl Pipeline {
                 None => None,
             };
             let truth = sequence.map(|sequence| Arc::new(sequence) as Arc<dyn Truth>);
-            Ok(CaseInfo { id: case.id.clone(), title: case.title.clone(), truth })
+            Ok(CaseInfo { id: case.id.clone(), title: case.title.clone(), tree: case.anatomy.tree(), truth })
         });
         let (id, machine_id) = (plan.run_id()?, Environment::examine().machine_id());
         Ok(Run {
             profile: plan.profile.clone(),
+            track: Track::Ideal,
             notes: Vec::new(),
             cases: cases.collect::<Result<_>>()?,
             methods: self.method_infos(),

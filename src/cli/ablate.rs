@@ -1,34 +1,50 @@
-//! `ablate`: what each part of a method, and each property of a film, is worth.
+//! `ablate`: what each part of a method, and each property of a film, is worth, and which value of a number is best.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::Terminal;
 use super::selection::CatalogueFolder;
+use crate::base::range::THREADS;
 use crate::base::{Result, files};
 use crate::bench::Ablations;
-use crate::experiments::ablation::{AblationPlan, run as run_variants};
+use crate::experiments::ablation::{AblationPlan, ScoredCases, run as run_variants};
 use crate::report::ablation::write;
 
 /// Arguments of `ablate`.
 #[derive(clap::Args)]
 #[command(
     after_help = "Runs the lines of ablations.toml beside the cases, and each of their methods as shipped with several seeds: \
-    the spread between seeds is the noise below which a difference says nothing. Finished cells are kept.\n\
-    Example: respire-bench ablate --only activation --out reports/ablations"
+    the spread between seeds is the noise below which a difference says nothing. With --file, the lines of another file, for \
+    instance a sweep over the values of numbers: the shipped ones are ours, ours-nomesh, ours-window, ours-gn and \
+    bridgesplat; the best value of each number is marked.\n\
+    Lines run on the tuning cases (tune1 to tune4), which are never scored. Finished cells are kept: the same command goes \
+    on. --profile smoke is a first look.\n\
+    Examples: respire-bench ablate --only schedule\n          \
+    respire-bench ablate --file ours --only iterations"
 )]
 pub struct AblateArguments {
-    /// Groups of the file; all when not given
+    /// Name of a sweep, or path of a file of lines [default: ablations.toml beside the cases]
+    #[arg(long, value_name = "FILE")]
+    file: Option<String>,
+    /// Groups of the file (of a sweep: its keys); all when not given
     #[arg(long, value_delimiter = ',', value_name = "GROUP,..")]
     only: Vec<String>,
     /// Cases by id; the file's when not given
     #[arg(long, value_delimiter = ',', value_name = "CASE,..")]
     cases: Vec<String>,
+    /// Run on scored cases too, for an answer by which nothing is chosen
+    #[arg(long)]
+    scored_cases: bool,
+    /// Cells that run at once and share the threads; 0 is one for each thread, the quickest. 1 for seconds that other
+    /// commands print too
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = THREADS.parser::<usize>())]
+    at_once: usize,
     /// Size of the run: smoke, quick, paper, or the path of a profile file
     #[arg(long, default_value = "quick", value_name = "P")]
     profile: String,
-    /// Folder for ablations.csv and ablations.md
-    #[arg(long, default_value = "reports/ablations", value_name = "DIR")]
-    out: PathBuf,
+    /// Folder for ablations.csv and ablations.md [default: reports/ablations, with --file reports/sweeps/NAME]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// Folder of sequences and finished cells
     #[arg(long, default_value = ".cache", value_name = "DIR")]
     cache: PathBuf,
@@ -40,13 +56,37 @@ pub struct AblateArguments {
 pub fn run(arguments: AblateArguments, terminal: &Terminal) -> Result<()> {
     let catalogue = arguments.catalogue.open()?;
     let only = (!arguments.only.is_empty()).then_some(&arguments.only[..]);
-    let ablations = Ablations::load(&catalogue.ablations_file(), only)?;
-    let cases = if arguments.cases.is_empty() { &ablations.cases } else { &arguments.cases };
-    let (profile, cache) = (&arguments.profile, &arguments.cache);
-    let plan = AblationPlan { catalogue: &catalogue, ablations: &ablations, cases, profile, cache };
-    let title = format!("Profile `{profile}`, cases {}", cases.join(", "));
-    run_variants(&plan, terminal, |scores| write(scores, &title, &arguments.out).map(drop))?;
+    let file = match &arguments.file {
+        None => catalogue.ablations_file(),
+        Some(wish) => catalogue.sweep_file(wish)?,
+    };
+    let ablations = Ablations::load(&file, only)?;
+    let threads = rayon::current_num_threads();
+    let at_once = if arguments.at_once == 0 { threads } else { arguments.at_once };
+    let plan = AblationPlan {
+        catalogue: &catalogue,
+        file: &file,
+        ablations: &ablations,
+        scored_cases: if arguments.scored_cases { ScoredCases::Taken } else { ScoredCases::Refused },
+        at_once,
+        cases: if arguments.cases.is_empty() { &ablations.cases } else { &arguments.cases },
+        profile: &arguments.profile,
+        cache: &arguments.cache,
+    };
+    let out = arguments.out.unwrap_or_else(|| match &arguments.file {
+        None => PathBuf::from("reports/ablations"),
+        Some(_) => Path::new("reports/sweeps").join(file.file_stem().unwrap_or_default()),
+    });
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    let title = format!(
+        "Lines of `{name}`, profile `{}`, cases {}, seed {}. {at_once} cells at once on {threads} threads",
+        arguments.profile,
+        plan.cases.join(", "),
+        ablations.noise_seeds[0],
+    );
+    let metrics = &ablations.metrics;
+    run_variants(&plan, terminal, |scores| write(scores, metrics, &title, &out).map(drop))?;
     terminal.finish();
-    terminal.line(files::read_text(&arguments.out.join("ablations.md"))?.trim_end());
+    terminal.line(files::read_text(&out.join("ablations.md"))?.trim_end());
     Ok(())
 }

@@ -10,6 +10,7 @@ use crate::bench::{Environment, Freshness, Plan, Store, execute};
 use crate::report;
 use crate::report::summary::summarise;
 use crate::report::table::ComparisonTable;
+use crate::simulate::track::Track;
 
 /// Arguments of `all-cases`.
 #[derive(clap::Args)]
@@ -19,6 +20,9 @@ use crate::report::table::ComparisonTable;
 pub struct AllCasesArguments {
     #[command(flatten)]
     selection: Selection,
+    /// What the methods are told: ideal (the paper's assumptions), clinical, or both, each with a report of its own
+    #[arg(long, default_value = "ideal", value_name = "T")]
+    track: String,
     /// Folder of the reports; `latest` in it points to the newest
     #[arg(long, default_value = "reports", value_name = "DIR")]
     out: PathBuf,
@@ -35,6 +39,7 @@ pub struct AllCasesArguments {
 
 /// Runs the plan and writes the report; `ErrorKind::CellFailed` names the cells that failed.
 pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
+    Track::wanted(&arguments.track)?;
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
     let pipeline = arguments.selection.pipeline()?;
     let plan = pipeline.plan()?;

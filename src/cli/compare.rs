@@ -31,7 +31,9 @@ pub struct CompareArguments {
 
 /// Prints one line per method and metric.
 pub fn run(arguments: CompareArguments, terminal: &Terminal) -> Result<()> {
-    let mut found = compare(&read::read(&arguments.a)?, &read::read(&arguments.b)?);
+    let (a, b) = (read::read(&arguments.a)?, read::read(&arguments.b)?);
+    a.check_track(&b).map_err(|e| e.at(&arguments.b))?;
+    let mut found = compare(&a, &b);
     if let Some(wanted) = &arguments.method {
         found.retain(|c| c.method == *wanted);
     }

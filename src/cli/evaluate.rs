@@ -9,6 +9,7 @@ use crate::report::run::evaluated_id;
 use crate::report::{self, CaseInfo, CellRecord, MethodInfo, Outcome, Run};
 use crate::score::{CellScore, Prediction, Question, ScoreSettings, registry, score};
 use crate::simulate::sequence::Sequence;
+use crate::simulate::track::Track;
 
 /// Arguments of `evaluate`.
 #[derive(clap::Args)]
@@ -90,6 +91,7 @@ fn as_run(sequence: Sequence, found: CellScore, prediction: PathBuf) -> Run {
     let id = evaluated_id(&case_id, &found.method);
     Run {
         profile: "evaluate".into(),
+        track: Track::Ideal,
         notes: Vec::new(),
         methods: vec![MethodInfo::of(&found.method)],
         cells: vec![CellRecord {
@@ -102,6 +104,11 @@ fn as_run(sequence: Sequence, found: CellScore, prediction: PathBuf) -> Run {
             timings: Vec::new(),
         }],
         id,
-        cases: vec![CaseInfo { title: case_id.clone(), id: case_id, truth: Some(Arc::new(sequence)) }],
+        cases: vec![CaseInfo {
+            title: case_id.clone(),
+            id: case_id,
+            tree: String::new(),
+            truth: Some(Arc::new(sequence)),
+        }],
     }
 }

@@ -1,31 +1,37 @@
 //! `gate`: passes or fails a finished run.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::Terminal;
 use super::selection::CatalogueFolder;
 use crate::base::{Error, ErrorKind, Result, files};
-use crate::report::gate::{Check, Verdict, judge, read_thresholds};
-use crate::report::{gate_files, read};
+use crate::report::gate::{Check, LIMITS_FILE, Verdict, judge, read_thresholds, with_limits_of};
+use crate::report::{gate_files, gate_limits, read};
 
 /// Arguments of `gate`.
 #[derive(clap::Args)]
 #[command(
     after_help = "Writes gate.md and gate.xml (JUnit) before it decides. Exit code 3 when anything fails: a value beyond \
-    its limit, an empty or broken value, a missing case, method or metric.\n\
-    Example: respire-bench gate --results reports/latest --baseline reports/reference/paper"
+    its limit, an empty or broken value, a missing case, method or metric, a film that is not the baseline's.\n\
+    A baseline folder with a limits.toml brings its own relative limits. --limits-from writes it, judging nothing: four \
+    standard deviations of the seeds or, where those are 0, of single cases between two samplings of their films \
+    (scripts/baseline.sh).\n\
+    Example: respire-bench gate --results target/smoke/latest --baseline reports/baselines/ideal"
 )]
 pub struct GateArguments {
     /// Report folder to judge
-    #[arg(long, value_name = "DIR")]
-    results: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "limits_from")]
+    results: Option<PathBuf>,
     /// Limits [default: gate.toml beside the cases]
     #[arg(long, value_name = "FILE")]
     thresholds: Option<PathBuf>,
     /// Report folder to compare with
     #[arg(long, value_name = "DIR")]
     baseline: Option<PathBuf>,
-    /// Folder for gate.md and gate.xml [default: the results]
+    /// Report folders from which limits are computed and written to limits.toml in --out, instead of judging
+    #[arg(long, value_delimiter = ',', value_name = "DIR,..", requires = "out", conflicts_with_all = ["results", "baseline"])]
+    limits_from: Vec<PathBuf>,
+    /// Folder for gate.md and gate.xml [default: the results], or for limits.toml
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print passed checks too
@@ -37,16 +43,24 @@ pub struct GateArguments {
 
 /// Judges, writes the reports, then decides; `ErrorKind::Regression` when a check fails.
 pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
+    let Some(folder) = &arguments.results else {
+        let out = arguments.out.unwrap_or_default();
+        return write_limits(&arguments.limits_from, &out, terminal);
+    };
     let limits = match arguments.thresholds {
         Some(file) => file,
         None => arguments.catalogue.open()?.gate_file(),
     };
-    let thresholds = read_thresholds(&limits)?;
-    let results = read::read(&arguments.results)?;
+    let mut thresholds = read_thresholds(&limits)?;
+    let results = read::read(folder)?;
     let baseline = arguments.baseline.as_deref().map(read::read).transpose()?;
+    if let (Some(baseline), Some(path)) = (&baseline, &arguments.baseline) {
+        results.check_track(baseline).map_err(|e| e.at(path))?;
+        thresholds = with_limits_of(thresholds, path)?;
+    }
     let checks = judge(&results, &thresholds, baseline.as_ref());
 
-    let out = arguments.out.as_ref().unwrap_or(&arguments.results);
+    let out = arguments.out.as_ref().unwrap_or(folder);
     gate_files::write_junit(&checks, &out.join("gate.xml"))?;
     files::write_bytes(&out.join("gate.md"), gate_files::markdown(&checks).as_bytes())?;
 
@@ -66,6 +80,15 @@ pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
         first.sentence
     );
     Err(Error::new(ErrorKind::Regression, sentence))
+}
+
+fn write_limits(runs: &[PathBuf], out: &Path, terminal: &Terminal) -> Result<()> {
+    let runs = runs.iter().map(|folder| read::read(folder)).collect::<Result<Vec<_>>>()?;
+    let limits = gate_limits::limits_from(&runs)?;
+    let path = out.join(LIMITS_FILE);
+    gate_limits::write_limits(&limits, &path)?;
+    terminal.line(format_args!("{}: {} limits", path.display(), limits.len()));
+    Ok(())
 }
 
 fn print(checks: &[Check], all: bool, terminal: &Terminal) {

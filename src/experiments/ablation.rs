@@ -1,20 +1,37 @@
-//! What each part of a method, and each property of a film, is worth: the lines of `bench-cases/ablations.toml`, and
-//! each of their methods as shipped with several seeds, scored beside each other.
+//! What each part of a method, and each property of a film, is worth, and which value of a number is best: the lines of
+//! an ablations file, and each of their methods as shipped with several seeds, scored beside each other.
+//!
+//! They are run on tuning cases: whoever chooses a number by what it scores on a case has fitted the case.
 
 use std::path::Path;
 
 use crate::base::{Error, Estimate, Result, files};
-use crate::bench::{Ablations, Catalogue, FinishedCell, Freshness, Pipeline, Store, Variant, execute};
+use crate::bench::{Ablations, Catalogue, FinishedCell, Pipeline, Store, Variant, execute_at_once};
 use crate::experiments::ExperimentWatcher;
 use crate::report::ablation::VariantScores;
 use crate::score::CellScore;
+
+/// Whether variants may be run on cases that are scored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScoredCases {
+    /// No.
+    Refused,
+    /// Yes: nothing will be chosen by the answer.
+    Taken,
+}
 
 /// Which variants are run, and on what.
 pub struct AblationPlan<'a> {
     /// Where cases, methods and profiles are described.
     pub catalogue: &'a Catalogue,
+    /// The file of the lines.
+    pub file: &'a Path,
     /// The lines of the file.
     pub ablations: &'a Ablations,
+    /// Whether the cases may be scored ones.
+    pub scored_cases: ScoredCases,
+    /// Cells that run at once.
+    pub at_once: usize,
     /// Ids of the cases.
     pub cases: &'a [String],
     /// Name of the profile, or the path of its file.
@@ -33,12 +50,17 @@ pub fn run(
     let seeds = &plan.ablations.noise_seeds;
     let shipped = plan.ablations.methods();
     let shipped = shipped.iter().map(|method| (Variant::shipped(method), &seeds[..]));
-    let varied = plan.ablations.ablation.iter().map(|v| (v.clone(), &seeds[..1]));
+    // A line that changes nothing shows a shipped method beside others.
+    let of_line = |v: &Variant| if v.is_shipped() { &seeds[..] } else { &seeds[..1] };
+    let varied = plan.ablations.ablation.iter().map(|v| (v.clone(), of_line(v)));
     let mut pipelines = Vec::new();
     for (variant, seeds) in shipped.chain(varied) {
         // All are read before the first is run: a mistake in the last line shows now.
         let pipeline = Pipeline::of_variant(plan.catalogue, plan.profile, plan.cases, seeds, &variant)
-            .map_err(|e| if variant.group.is_empty() { e } else { of_line(plan.catalogue, &variant, &e) })?;
+            .map_err(|e| if variant.group.is_empty() { e } else { at_line(plan.file, &variant, &e) })?;
+        if plan.scored_cases == ScoredCases::Refused {
+            refuse_scored(plan.catalogue, &pipeline)?;
+        }
         pipelines.push((variant, pipeline));
     }
     let nothing = Estimate { resumable: true, ..Estimate::default() };
@@ -50,7 +72,7 @@ pub fn run(
         let group = if variant.group.is_empty() { "as shipped" } else { &variant.group };
         let label = format!("{} of {count}: {} {group} {}", i + 1, variant.method, variant.setting);
         watcher.stage_starts(label.trim_end());
-        let finished = execute(&pipeline.plan()?, &pipeline, &mut store, Freshness::Resume, watcher)?;
+        let finished = execute_at_once(&pipeline.plan()?, &pipeline, &mut store, plan.at_once, watcher)?;
         all.push(scores(variant, &finished)?);
         each(&all)?;
     }
@@ -58,9 +80,23 @@ pub fn run(
 }
 
 /// The error of a line of the ablations file, which may have changed a method or a case.
-fn of_line(catalogue: &Catalogue, variant: &Variant, error: &Error) -> Error {
+fn at_line(file: &Path, variant: &Variant, error: &Error) -> Error {
     let line = format!("group \"{}\", setting \"{}\"", variant.group, variant.setting);
-    Error::new(error.kind(), error.to_string()).element(line).at(catalogue.ablations_file())
+    Error::new(error.kind(), error.to_string()).element(line).at(file)
+}
+
+/// Refuses the cases that methods are compared on, by whatever path they are named.
+fn refuse_scored(catalogue: &Catalogue, pipeline: &Pipeline) -> Result<()> {
+    let scored = catalogue.case_ids()?;
+    match pipeline.cases().iter().find(|case| scored.contains(&case.id)) {
+        None => Ok(()),
+        Some(case) => Err(Error::usage(format!(
+            "{} is a scored case, and what is chosen by the answer would be fitted to it: take the tuning cases ({}), or \
+             say --scored-cases",
+            case.id,
+            catalogue.tuning_ids()?.join(", ")
+        ))),
+    }
 }
 
 fn scores(variant: Variant, finished: &[FinishedCell]) -> Result<VariantScores> {
@@ -72,6 +108,8 @@ fn scores(variant: Variant, finished: &[FinishedCell]) -> Result<VariantScores> 
     let scored = finished.iter().filter(|cell| cell.failure.is_none());
     let cells = scored.map(read).collect::<Result<Vec<_>>>()?;
     Ok(VariantScores {
+        is_shipped: variant.is_shipped(),
+        of_axis: variant.of_axis,
         group: variant.group,
         setting: variant.setting,
         method: variant.method,

@@ -1,10 +1,10 @@
 //! Two runs side by side: for every method and metric the mean difference over the cases they share, with a paired
-//! 95 % interval.
+//! 95 % interval over trees and cases.
 
 use serde::Serialize;
 
 use super::read::Results;
-use crate::score::statistics::bootstrap;
+use crate::score::statistics::bootstrap_groups;
 use crate::score::{Goal, Metric, registry};
 
 /// Seed of the bootstrap: fixed, so that the same tables give the same bounds.
@@ -61,12 +61,15 @@ pub fn compare(a: &Results, b: &Results) -> Vec<Comparison> {
 
 fn compare_one(a: &Results, b: &Results, method: &str, m: &'static Metric) -> Option<Comparison> {
     let (values_a, values_b) = (a.case_values(method, m.id), b.case_values(method, m.id));
-    let pairs: Vec<(f64, f64)> = values_a
-        .iter()
-        .filter_map(|(case, va)| values_b.iter().find(|(other, _)| other == case).map(|(_, vb)| (*va, *vb)))
-        .collect();
+    let (mut pairs, mut trees) = (Vec::new(), Vec::new());
+    for (case, value_a) in &values_a {
+        if let Some((_, value_b)) = values_b.iter().find(|(other, _)| other == case) {
+            pairs.push((*value_a, *value_b));
+            trees.push(a.tree_of(case));
+        }
+    }
     let differences: Vec<f64> = pairs.iter().map(|(va, vb)| vb - va).collect();
-    let mean = bootstrap(&differences, BOOTSTRAP_SEED)?;
+    let mean = bootstrap_groups(&differences, &trees, BOOTSTRAP_SEED)?;
     let side = |get: fn(&(f64, f64)) -> f64| pairs.iter().map(get).sum::<f64>() / pairs.len() as f64;
     let definitions = |r: &Results| -> Vec<String> {
         let mut all: Vec<String> = r

@@ -25,6 +25,8 @@ use crate::base::range::{KeyRanges, NumberRange};
 use crate::base::{Error, Result, files};
 use crate::score::{Metric, Status, metric, statistics};
 
+/// Relative limits beside a baseline.
+pub const LIMITS_FILE: &str = "limits.toml";
 /// Ranges of a thresholds file.
 const RANGES: KeyRanges = KeyRanges(&[
     ("absolute.limit", NumberRange::new(-1e9, 1e9)),
@@ -147,6 +149,17 @@ pub fn read_thresholds(path: &Path) -> Result<Thresholds> {
     Ok(thresholds)
 }
 
+/// The limits that come with a baseline, in place of those of every baseline; advice stays. A baseline without limits
+/// of its own is judged by the file's.
+pub fn with_limits_of(mut thresholds: Thresholds, baseline: &Path) -> Result<Thresholds> {
+    let file = baseline.join(LIMITS_FILE);
+    if file.exists() {
+        thresholds.relative.retain(|limit| limit.advisory);
+        thresholds.relative.extend(read_thresholds(&file)?.relative);
+    }
+    Ok(thresholds)
+}
+
 /// All checks, in a fixed order.
 pub fn judge(results: &Results, thresholds: &Thresholds, baseline: Option<&Results>) -> Vec<Check> {
     let mut checks = presence(results, thresholds);
@@ -265,6 +278,14 @@ fn against(results: &Results, thresholds: &Thresholds, baseline: &Results) -> Ve
     }
     for case in before.iter().filter(|c| !now.contains(c)) {
         checks.push(check((case, "", ""), Verdict::Fail, "the baseline has this case, the results do not".into()));
+    }
+    for case in now.iter().filter(|c| before.contains(c)) {
+        let film = |results: &Results| results.facts.get(*case).map(|facts| facts.film_content.clone());
+        let (own, known) = (film(results).unwrap_or_default(), film(baseline).unwrap_or_default());
+        if !own.is_empty() && !known.is_empty() && own != known {
+            let sentence = "the film is another than the baseline's: where that is meant, make the baseline anew";
+            checks.push(check((case, "", ""), Verdict::Fail, sentence.to_owned()));
+        }
     }
     for limit in &thresholds.relative {
         let Some(m) = metric(&limit.metric) else { continue };

@@ -4,9 +4,16 @@ use std::fs;
 use std::path::Path;
 
 use super::compare::{Change, compare};
-use super::gate::{Check, Thresholds, Verdict, judge, read_thresholds};
+use super::gate::{Check, Thresholds, Verdict, judge, read_thresholds, with_limits_of};
+use super::gate_limits::{LimitSource, limits_from, write_limits};
 use super::read::{Results, read};
+use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Run};
 use super::{gate_files, report_tests, tables};
+use crate::base::image::Image;
+use crate::formats::{mesh, png};
+use crate::score::fixture::{Distortion, TubeTruth, write_prediction};
+use crate::score::{ScoreSettings, Truth, score};
+use crate::simulate::track::Track;
 
 /// Tables of a run in which nothing failed.
 fn tables_in(folder: &Path) -> Results {
@@ -179,4 +186,171 @@ fn two_runs_are_compared_in_pairs() {
     assert!((depth.difference - 0.5).abs() < 1e-12 && depth.change == Change::Worse && depth.cases == 2);
     let psnr = found.iter().find(|c| c.method == "ours" && c.metric == "psnr_db").unwrap();
     assert_eq!(psnr.change, Change::Same);
+}
+
+/// What is wrong with the predictions of a build.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Planted {
+    Nothing,
+    /// The mesh of the first CT in every frame, and the targets where they lie on it.
+    NeverDeforms,
+    /// The phase of two frames before.
+    Lags,
+    /// All pictures have 3 % less light.
+    TooDark,
+}
+
+/// Of a small run: how many cases, which seeds, and which sampling of the films.
+struct Build<'a> {
+    cases: usize,
+    seeds: &'a [u64],
+    sampling: u64,
+    planted: Planted,
+}
+
+/// Errors of a method that draws (`ours`), and of one that does not (`ours-gn`): what changes with seed, case and
+/// sampling is what a sound build may change.
+fn errors(method: &str, case: usize, seed: u64, sampling: u64) -> Distortion {
+    let draw = |key: u64, size: f64| {
+        let seed = if method == "ours" { seed } else { 0 };
+        let key = [key, case as u64, seed, sampling];
+        size * crate::base::random::CounterRng::new(5, crate::base::random::Stage::Test, &key).normal()
+    };
+    Distortion {
+        noise: 5.0 + draw(1, 0.02),
+        depth_scale: 0.02 + draw(2, 0.001),
+        phase_offset: 0.02 + draw(3, 0.002),
+        surface_shift_mm: 0.3 + draw(4, 0.02),
+        ..Distortion::default()
+    }
+}
+
+fn plant(truth: &TubeTruth, prediction: &Path, planted: Planted) {
+    match planted {
+        Planted::Nothing => {}
+        Planted::NeverDeforms => {
+            mesh::write_ply(&prediction.join("mesh/final.ply"), &truth.inspiration().unwrap(), &[]).unwrap();
+            let mut rows = "frame,target,x_mm,y_mm,z_mm\n".to_owned();
+            for frame in 0..truth.frames().len() {
+                for (k, target) in truth.targets().iter().enumerate() {
+                    let place = target.inspiration_mm;
+                    rows.push_str(&format!("{frame},{k},{},{},{}\n", place.x, place.y, place.z));
+                }
+            }
+            fs::write(prediction.join("targets.csv"), rows).unwrap();
+        }
+        Planted::Lags => {
+            let path = prediction.join("phase.csv");
+            let text = fs::read_to_string(&path).unwrap();
+            let phases: Vec<&str> = text.lines().skip(1).map(|row| row.split_once(',').unwrap().1).collect();
+            let late = (0..phases.len()).map(|frame| format!("{frame},{}\n", phases[frame.saturating_sub(2)]));
+            fs::write(path, format!("frame,phase\n{}", late.collect::<String>())).unwrap();
+        }
+        Planted::TooDark => {
+            for folder in ["color", "ahead", "novel"] {
+                for entry in fs::read_dir(prediction.join(folder)).unwrap() {
+                    let path = entry.unwrap().path();
+                    let mut image: Image<u8> = png::read_rgb(&path).unwrap();
+                    // 3 % of the light: what the codes lose through the sRGB curve.
+                    let code = 0.97f64.powf(1.0 / 2.2);
+                    image.data.iter_mut().for_each(|v| *v = (f64::from(*v) * code).round() as u8);
+                    png::write_rgb(&path, &image).unwrap();
+                }
+            }
+        }
+    }
+}
+
+/// The tables of a build, read back.
+fn results_of(build: &Build<'_>) -> (tempfile::TempDir, Results) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut cells = Vec::new();
+    for case in 1..=build.cases {
+        let truth = TubeTruth::new(&format!("case{case}"), 24, 17);
+        for method in ["ours", "ours-gn"] {
+            for &seed in build.seeds {
+                let prediction = folder.path().join(format!("{case}-{method}-{seed}"));
+                write_prediction(&truth, &prediction, &errors(method, case, seed, build.sampling));
+                plant(&truth, &prediction, build.planted);
+                let settings = ScoreSettings { method: Some(method.into()), seed, ..Default::default() };
+                let mut scored = score(&truth, &prediction, &settings).unwrap();
+                scored.film_content = format!("film {}", build.sampling);
+                cells.push(CellRecord {
+                    run_id: "smoke-00000001".into(),
+                    case_id: truth.case_id().into(),
+                    method: method.into(),
+                    seed,
+                    prediction,
+                    outcome: Outcome::Scored(Box::new(scored)),
+                    timings: Vec::new(),
+                });
+            }
+        }
+    }
+    let case = |k: usize| CaseInfo { id: format!("case{k}"), title: String::new(), tree: String::new(), truth: None };
+    let run = Run {
+        id: "smoke-00000001".into(),
+        profile: "smoke".into(),
+        track: Track::Ideal,
+        notes: Vec::new(),
+        cases: (1..=build.cases).map(case).collect(),
+        methods: ["ours", "ours-gn"].map(MethodInfo::of).to_vec(),
+        cells,
+    };
+    tables::write_results(&run, &folder.path().join("results.csv")).unwrap();
+    let results = read(folder.path()).unwrap();
+    (folder, results)
+}
+
+/// The rule of the limits, on nine cases and their seeds, and what it must catch in a run of two.
+#[test]
+fn planted_regressions_are_refused_and_sound_builds_are_not() {
+    let sound = Build { cases: 2, seeds: &[1], sampling: 1, planted: Planted::Nothing };
+    let (folder, baseline) = results_of(&sound);
+    let (_kept, seeds) = results_of(&Build { seeds: &[1, 2, 3], ..sound });
+    let (_kept, nine) = results_of(&Build { cases: 9, ..sound });
+    let (_kept, resampled) = results_of(&Build { cases: 9, sampling: 2, ..sound });
+    let limits = limits_from(&[seeds.clone(), nine.clone(), resampled.clone()]).unwrap();
+    for (method, source) in [("ours", LimitSource::Seeds), ("ours-gn", LimitSource::SingleCases)] {
+        let of_method = || limits.iter().filter(|l| l.limit.method.as_deref() == Some(method));
+        assert!(of_method().count() > 10 && of_method().any(|l| l.source == source), "{method}");
+        let psnr = of_method().find(|l| l.limit.metric == "psnr_db").unwrap();
+        assert!(psnr.source == source && (psnr.limit.worse_by / (4.0 * psnr.deviation) - 1.0).abs() < 0.05, "{psnr:?}");
+    }
+    let too_few = limits_from(&[seeds, baseline.clone()]).unwrap_err().to_string();
+    assert!(too_few.contains("ours-gn has no spread") && too_few.contains("9 are needed"), "{too_few}");
+
+    let file =
+        "[[relative]]\nmetric = 'psnr_db'\nworse_by = 0.0\n[[relative]]\nmetric = 'time_total_s'\nadvisory = true";
+    write_limits(&limits, &folder.path().join("limits.toml")).unwrap();
+    let limits = with_limits_of(toml::from_str(file).unwrap(), folder.path()).unwrap();
+    assert!(limits.relative[0].advisory && limits.relative.iter().filter(|l| l.metric == "psnr_db").count() == 2);
+
+    // The same bytes on every machine: ten more runs of the same build are ten times the same table.
+    for _ in 0..10 {
+        let (_kept, again) = results_of(&sound);
+        assert_eq!(failures(&judge(&again, &limits, Some(&baseline))), [""; 0]);
+    }
+    for (planted, metrics) in [
+        (Planted::NeverDeforms, ["target_mean_mm", "contour_rmse_mm"]),
+        (Planted::Lags, ["phase_mae", "phase_pearson_r"]),
+        (Planted::TooDark, ["psnr_db", "novel_psnr_db"]),
+    ] {
+        let (_kept, broken) = results_of(&Build { planted, ..sound });
+        let failed = failures(&judge(&broken, &limits, Some(&baseline)));
+        for method in ["ours", "ours-gn"] {
+            let is_refused = |metric: &str| failed.iter().any(|f| f.contains(&format!("/{method}/{metric}:")));
+            assert!(metrics.iter().all(|metric| is_refused(metric)), "{planted:?} {method}: {failed:?}");
+        }
+        // And for nothing else: a dark picture has no other surface.
+        let touched = |f: &&String| match planted {
+            Planted::TooDark => f.contains("target") || f.contains("phase") || f.contains("depth"),
+            _ => f.contains("psnr") || f.contains("ssim") || f.contains("depth"),
+        };
+        assert_eq!(failed.iter().find(touched), None, "{planted:?}");
+    }
+    // A film that was made anew is not compared as if it were the old one.
+    let (_kept, other) = results_of(&Build { sampling: 2, ..sound });
+    let failed = failures(&judge(&other, &limits, Some(&baseline)));
+    assert!(failed.iter().filter(|f| f.contains("the film is another")).count() == 2, "{failed:?}");
 }

@@ -3,6 +3,8 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
+use super::differences::NeighbourDifference;
+use super::markdown::{NEIGHBOURS_MEAN, ahead};
 use super::plots::{ReportImage, ReportImages};
 use super::run::{Outcome, Role, Run};
 use super::table::{ComparisonTable, TableCell, TableKind, arrow, heading, show};
@@ -22,7 +24,12 @@ details{margin:.6rem 0}summary{cursor:pointer;font-weight:600}.wide{overflow-x:a
 ";
 
 /// The whole page.
-pub fn report(run: &Run, tables: &[ComparisonTable], pictures: &ReportImages) -> String {
+pub fn report(
+    run: &Run,
+    tables: &[ComparisonTable],
+    differences: &[NeighbourDifference],
+    pictures: &ReportImages,
+) -> String {
     let failed: Vec<_> = run.cells.iter().filter(|c| c.score().is_none()).collect();
     html! {
         (DOCTYPE)
@@ -38,12 +45,16 @@ pub fn report(run: &Run, tables: &[ComparisonTable], pictures: &ReportImages) ->
                 h1 { "respire-bench: " (run.id) }
                 p.muted {
                     (run.cases.len()) " cases, " (run.methods.len()) " methods, " (run.cells.len()) " cells, "
-                    (failed.len()) " failed. Profile " code { (run.profile) } "."
+                    (failed.len()) " failed. Profile " code { (run.profile) } ", track " code { (run.track.word()) } "."
                 }
                 @for note in &run.notes { p.muted { (note) } }
                 @for table in tables {
                     h2 { (table.kind.title()) }
                     (comparison(table))
+                }
+                @if !differences.is_empty() {
+                    h2 { "Neighbours in the ranking" }
+                    details { summary { "By how much a row is ahead of the next one" } (neighbours(differences)) }
                 }
                 @if !failed.is_empty() {
                     h2 { "Failed cells" }
@@ -97,13 +108,28 @@ fn comparison(table: &ComparisonTable) -> Markup {
             } }
         } }
         p.muted {
-            (table.kind.explanation()) " Mean over " (table.cases) " cases; below it the 95 % bootstrap interval over cases. "
+            (table.kind.explanation()) " Mean over " (table.cases) " cases; below it the 95 % bootstrap interval over trees and cases. "
             @if table.kind == TableKind::Ranking {
                 "Bold: best ranked method; a method is ranked where it is scored on every case. "
             }
             "Rows in italics are bounds and not ranked."
             @for (sign, means) in table.signs() { " " (sign) ": " (means) "." }
         }
+    }
+}
+
+fn neighbours(differences: &[NeighbourDifference]) -> Markup {
+    html! {
+        div.wide { table {
+            thead { tr {
+                th { "Metric" } th { "Place" } th { "Method" } th { "Next" } th { "Ahead by (95 %)" } th { "Clear" }
+            } }
+            tbody { @for d in differences { tr {
+                td { (d.metric.heading()) } td { (d.rank) } td { (d.method.title) } td { (d.next.title) }
+                td { (ahead(d)) } td { (d.word()) }
+            } } }
+        } }
+        p.muted { (NEIGHBOURS_MEAN) }
     }
 }
 

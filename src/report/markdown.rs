@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use super::differences::NeighbourDifference;
 use super::plots::ReportImages;
 use super::run::{Outcome, Role, Run};
 use super::summary::MethodSummary;
@@ -9,21 +10,29 @@ use super::table::{ComparisonTable, TableCell, TableKind, arrow, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 /// The whole file.
-pub fn report(run: &Run, summaries: &[MethodSummary], tables: &[ComparisonTable], pictures: &ReportImages) -> String {
+pub fn report(
+    run: &Run,
+    summaries: &[MethodSummary],
+    tables: &[ComparisonTable],
+    differences: &[NeighbourDifference],
+    pictures: &ReportImages,
+) -> String {
     let mut out = format!("# respire-bench: {}\n\n", run.id);
     let failed = run.cells.iter().filter(|c| c.score().is_none()).count();
     let _ = writeln!(
         out,
-        "{} cases, {} methods, {} cells, {failed} failed. Profile `{}`.\n",
+        "{} cases, {} methods, {} cells, {failed} failed. Profile `{}`, track `{}`.\n",
         run.cases.len(),
         run.methods.len(),
         run.cells.len(),
-        run.profile
+        run.profile,
+        run.track.word()
     );
     for note in &run.notes {
         let _ = writeln!(out, "{}\n", escape(note));
     }
     tables.iter().for_each(|table| comparison(&mut out, table));
+    neighbours(&mut out, differences);
     intervals(&mut out, summaries);
     failures(&mut out, run);
     images(&mut out, pictures);
@@ -74,8 +83,45 @@ fn dressed(cell: &TableCell) -> String {
     cell.paper.as_ref().map_or(value.clone(), |paper| format!("{value} ({paper})"))
 }
 
+fn neighbours(out: &mut String, differences: &[NeighbourDifference]) {
+    if differences.is_empty() {
+        return;
+    }
+    out.push_str("## Neighbours in the ranking\n\n");
+    let _ = writeln!(
+        out,
+        "{NEIGHBOURS_MEAN}\n\n| Metric | Place | Method | Next | Ahead by (95 %) | Clear |\n|---|--:|---|---|--:|:-:|"
+    );
+    for d in differences {
+        let _ = writeln!(
+            out,
+            "| {} | {} | {} | {} | {} | {} |",
+            escape(&d.metric.heading()),
+            d.rank,
+            escape(&d.method.title),
+            escape(&d.next.title),
+            ahead(d),
+            d.word()
+        );
+    }
+    out.push('\n');
+}
+
+/// What the numbers of [`neighbours`] are.
+pub const NEIGHBOURS_MEAN: &str = "By how much a row is ahead of the next one: mean over cases of the difference in each \
+    case, with its interval over trees and cases. Where that holds 0 the order is not clear.";
+
+/// A difference with its interval.
+pub fn ahead(d: &NeighbourDifference) -> String {
+    let interval = d
+        .ahead
+        .interval
+        .map_or_else(String::new, |[low, high]| format!(" ({} to {})", d.metric.format(low), d.metric.format(high)));
+    format!("{}{interval}", d.metric.format(d.ahead.mean))
+}
+
 fn intervals(out: &mut String, summaries: &[MethodSummary]) {
-    out.push_str("## Means with 95 % intervals over cases\n\n| Metric |");
+    out.push_str("## Means with 95 % intervals over trees and cases\n\n| Metric |");
     for s in summaries {
         let _ = write!(out, " {} |", escape(&s.method.title));
     }

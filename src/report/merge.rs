@@ -4,6 +4,7 @@
 //! Nothing is recomputed: values, intervals and times are those of the tables. Images that need films or predictions
 //! (panels, contours) are left out.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::read::{CsvRow, CsvTable};
@@ -11,6 +12,7 @@ use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use super::seal;
 use crate::base::{Error, Result, hash};
 use crate::score::{CellScore, FrameScore, FrameValue, MetricScore, Status, check_means, registry};
+use crate::simulate::track::Track;
 
 /// Whether a table may hold scores of different films of one case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,7 +32,13 @@ pub enum Films {
 pub fn read_run(folder: &Path) -> Result<Run> {
     let mut cells: Vec<CellRecord> = Vec::new();
     let results = folder.join("results.csv");
+    let (mut trees, mut tracks) = (BTreeMap::new(), Vec::new());
     for row in CsvTable::read(&results)?.rows() {
+        trees.insert(plain(row.text("case_id")?), plain(row.text_or_empty("tree")));
+        let track = Track::of_word(&row.text_or_empty("track")).map_err(|e| row.refuse("track", e.to_string()))?;
+        if !tracks.contains(&track) {
+            tracks.push(track);
+        }
         let cell = cell_of(&mut cells, &row, "config")?;
         cell.run_id = plain(row.text("run_id")?);
         let status = status_of(&row)?;
@@ -58,6 +66,10 @@ pub fn read_run(folder: &Path) -> Result<Run> {
             detail: plain(row.text("detail")?),
         });
     }
+    let &[track] = &tracks[..] else {
+        let what = if tracks.is_empty() { "has no rows" } else { "has rows of two tracks" };
+        return Err(Error::input(what).at(results));
+    };
     let Some(first) = cells.first() else { return Err(Error::input("has no rows").at(results)) };
     let (id, is_foreign) = (first.run_id.clone(), first.is_foreign());
     for row in CsvTable::read(&folder.join("comparison.csv"))?.rows() {
@@ -83,7 +95,7 @@ pub fn read_run(folder: &Path) -> Result<Run> {
     // `<profile>-<hash of the plan>`, or `evaluate-<case>-<method>`.
     let cut = if is_foreign { id.split_once('-') } else { id.rsplit_once('-') };
     let profile = cut.map_or(id.as_str(), |(profile, _)| profile).to_owned();
-    Ok(Run { id, profile, ..gathered(cells) })
+    Ok(Run { id, profile, track, ..gathered(cells, &trees) })
 }
 
 /// Merges `parts`; a cell that several runs have is taken from the last.
@@ -96,6 +108,19 @@ pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
     for id in parts.iter().flat_map(|run| &run.cells).map(|cell| &cell.run_id) {
         if !ids.contains(id) {
             ids.push(id.clone());
+        }
+    }
+    let track = parts.first().map(|run| run.track).unwrap_or_default();
+    if let Some(other) = parts.iter().find(|run| run.track != track) {
+        let (a, b) = (track.word(), other.track.word());
+        return Err(Error::input(format!("a table holds one track, and these are of {a} and of {b}")));
+    }
+    let mut trees: BTreeMap<String, String> = BTreeMap::new();
+    for case in parts.iter().flat_map(|run| &run.cases).filter(|case| !case.tree.is_empty()) {
+        // A third party's scores do not know the tree, and are written with the case as its own.
+        let known = trees.entry(case.id.clone()).or_default();
+        if known.is_empty() || *known == case.id {
+            *known = case.tree.clone();
         }
     }
     let mut profiles: Vec<String> = Vec::new();
@@ -113,7 +138,7 @@ pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
         }
     }
     let id = format!("merged-{}", &hash::of_value(&ids)?[..8]);
-    let mut run = Run { id, profile: profiles.join(" + "), ..gathered(cells) };
+    let mut run = Run { id, profile: profiles.join(" + "), track, ..gathered(cells, &trees) };
     run.notes.push(format!("Put together from {}.", ids.join(", ")));
     for case in &run.cases {
         let of_film = films_of(&run.cells, &case.id);
@@ -131,12 +156,13 @@ pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
 }
 
 /// A run of `cells` whose cases and methods are in the order in which they come.
-fn gathered(mut cells: Vec<CellRecord>) -> Run {
+fn gathered(mut cells: Vec<CellRecord>, trees: &BTreeMap<String, String>) -> Run {
     let mut cases: Vec<CaseInfo> = Vec::new();
     let mut methods: Vec<MethodInfo> = Vec::new();
     for cell in &cells {
         if cases.iter().all(|c| c.id != cell.case_id) {
-            cases.push(CaseInfo { id: cell.case_id.clone(), title: String::new(), truth: None });
+            let tree = trees.get(&cell.case_id).cloned().unwrap_or_default();
+            cases.push(CaseInfo { id: cell.case_id.clone(), title: String::new(), tree, truth: None });
         }
         if methods.iter().all(|m| m.id != cell.method) {
             methods.push(MethodInfo::of(&cell.method));
@@ -147,7 +173,7 @@ fn gathered(mut cells: Vec<CellRecord>) -> Run {
         (case, methods.iter().position(|m| m.id == c.method), c.seed)
     };
     cells.sort_by_key(place);
-    Run { id: String::new(), profile: String::new(), notes: Vec::new(), cases, methods, cells }
+    Run { id: String::new(), profile: String::new(), track: Track::default(), notes: Vec::new(), cases, methods, cells }
 }
 
 /// Rows of different origin are never one row: neither a run's and a third party's, nor two predictions of one name.

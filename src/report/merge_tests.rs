@@ -25,9 +25,73 @@ fn a_row_of_fewer_cases_is_marked_and_not_ranked() {
     assert!(!best("mine") && best("ours"));
 }
 
+/// By hand: two trees, the first with two cases.
+#[test]
+fn neighbours_are_compared_in_pairs() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 48, 9);
+    run.cells.retain(|c| ["ours", "ours-nomesh", "static-ct"].contains(&c.method.as_str()));
+    run.methods.retain(|m| ["ours", "ours-nomesh", "static-ct"].contains(&m.id.as_str()));
+    let set = |run: &mut Run, case: &str, method: &str, value: f64| {
+        let cell = run.cells.iter_mut().find(|c| c.case_id == case && c.method == method).unwrap();
+        let Outcome::Scored(score) = &mut cell.outcome else { panic!("{case} {method} failed") };
+        score.metrics.iter_mut().find(|m| m.metric == "phase_mae").unwrap().value = Some(value);
+    };
+    for (case, ours, nomesh) in [("case1", 0.10, 0.13), ("case2", 0.20, 0.21)] {
+        set(&mut run, case, "ours", ours);
+        set(&mut run, case, "ours-nomesh", nomesh);
+        set(&mut run, case, "static-ct", 0.01);
+    }
+    let found = differences::neighbours(&run, &summary::summarise(&run));
+    let phase: Vec<_> = found.iter().filter(|d| d.metric.id == "phase_mae").collect();
+    // The bound is not ranked, so that there is one pair.
+    let [pair] = phase[..] else { panic!("{phase:?}") };
+    assert_eq!((pair.rank, pair.method.id.as_str(), pair.next.id.as_str()), (1, "ours", "ours-nomesh"));
+    assert!((pair.ahead.mean - 0.02).abs() < 1e-12 && (pair.cases, pair.trees) == (2, 2));
+    // Two cases: the ends are the two differences. Both are above 0, whatever the spread between cases.
+    let [low, high] = pair.ahead.interval.unwrap();
+    assert!((low - 0.01).abs() < 1e-12 && (high - 0.03).abs() < 1e-12 && pair.is_clear());
+    set(&mut run, "case2", "ours-nomesh", 0.19);
+    let found = differences::neighbours(&run, &summary::summarise(&run));
+    assert!(found.iter().any(|d| d.metric.id == "phase_mae" && !d.is_clear()));
+    write(&run, &folder.path().join("report"), &NoProgress).unwrap();
+    let read = |name: &str| fs::read_to_string(folder.path().join("report").join(name)).unwrap();
+    assert!(read("differences.csv").contains("phase_mae,1,ours,ours-nomesh,2,2,"), "{}", read("differences.csv"));
+    assert!(read("report.md").contains("## Neighbours in the ranking") && read("report.html").contains("Ahead by"));
+    assert!(read("run.json").contains("\"track\": \"ideal\"") && read("run.json").contains("tree of case1"));
+}
+
+/// A cell that failed costs the place, even by a metric that no other row has there.
+#[test]
+fn a_row_with_a_failed_cell_has_no_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = sample_run(folder.path(), 48, 6);
+    let summaries = summary::summarise(&run);
+    let ranks = |id: &str| {
+        let summary = summaries.iter().find(|s| s.method.id == id).unwrap();
+        summary.metrics.iter().filter(|m| m.rank.is_some()).count()
+    };
+    assert!(ranks("bridgesplat") == 0 && ranks("ours") > 5);
+}
+
+#[test]
+fn a_table_holds_one_track() {
+    let folder = tempfile::tempdir().unwrap();
+    write(&sample_run(folder.path(), 24, 4), &folder.path().join("a"), &NoProgress).unwrap();
+    let results = folder.path().join("a/results.csv");
+    let text = fs::read_to_string(&results).unwrap();
+    assert!(text.lines().skip(1).all(|line| line.contains(",ideal,tree of case")), "{text}");
+    fs::write(&results, text.replacen(",ideal,", ",lunar,", 1)).unwrap();
+    for refused in [read_run(&folder.path().join("a")).err(), read::read(&folder.path().join("a")).err()] {
+        let said = refused.unwrap().to_string();
+        assert!(said.contains("column track") && said.contains("`lunar`"), "{said}");
+    }
+}
+
 /// All tables of a run, as bytes.
 fn tables_of(folder: &Path) -> Vec<(&'static str, Vec<u8>)> {
-    let names = ["results.csv", "frames.csv", "timings.csv", "comparison.csv", "summary.csv", "table.tex"];
+    let names =
+        ["results.csv", "frames.csv", "timings.csv", "comparison.csv", "summary.csv", "differences.csv", "table.tex"];
     names.map(|name| (name, fs::read(folder.join(name)).unwrap())).to_vec()
 }
 

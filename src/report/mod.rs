@@ -2,13 +2,16 @@
 //!
 //! ```text
 //! Run (cells with their scores) -> write() -> results.csv frames.csv timings.csv comparison.csv summary.csv
-//!                                             report.md report.html table.tex plots/ panels/ manifest.json
+//!                                             differences.csv run.json report.md report.html table.tex plots/ panels/
+//!                                             manifest.json
 //! ```
 
 pub mod ablation;
 pub mod compare;
+pub mod differences;
 pub mod gate;
 pub mod gate_files;
+pub mod gate_limits;
 #[cfg(test)]
 mod gate_tests;
 mod html;
@@ -55,15 +58,18 @@ pub fn write(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<Writte
     tables::write_results(run, &folder.join("results.csv"))?;
     tables::write_comparison(run, &folder.join("comparison.csv"))?;
     tables::write_summary(&summaries, &folder.join("summary.csv"))?;
+    let differences = differences::neighbours(run, &summaries);
+    tables::write_differences(&differences, &folder.join("differences.csv"))?;
     tables::write_frames(run, &folder.join("frames.csv"))?;
     tables::write_timings(run, &folder.join("timings.csv"))?;
+    files::write_json(&folder.join("run.json"), &run.facts())?;
     let tables = table::ComparisonTable::both(&summaries);
     let latex: Vec<String> = tables.iter().map(|table| latex::table(table, &run.id)).collect();
     files::write_bytes(&folder.join("table.tex"), latex.join("\n").as_bytes())?;
     let pictures = plots::draw(run, &summaries, folder, progress)?;
     let (markdown, html) = (folder.join("report.md"), folder.join("report.html"));
-    files::write_bytes(&markdown, markdown::report(run, &summaries, &tables, &pictures).as_bytes())?;
-    files::write_bytes(&html, html::report(run, &tables, &pictures).as_bytes())?;
+    files::write_bytes(&markdown, markdown::report(run, &summaries, &tables, &differences, &pictures).as_bytes())?;
+    files::write_bytes(&html, html::report(run, &tables, &differences, &pictures).as_bytes())?;
     seal::write(folder)?;
     let [ranking, _] = &tables;
     Ok(Written { markdown, html, table: markdown::comparison_table(ranking) })

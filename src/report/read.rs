@@ -5,6 +5,7 @@ use std::path::Path;
 
 use crate::base::{Error, Result, files};
 use crate::score::{Status, registry};
+use crate::simulate::track::Track;
 
 /// Names a number of the tables.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -30,11 +31,24 @@ pub struct ResultEntry {
     pub definition: String,
 }
 
+/// What the tables say of a case.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CaseFacts {
+    /// Whose airway it is; the case's own id when unknown.
+    pub tree: String,
+    /// Hash of the film's files; empty when unknown.
+    pub film_content: String,
+}
+
 /// All numbers of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Results {
     /// Sorted by case, method, seed, metric.
     pub entries: BTreeMap<Key, ResultEntry>,
+    /// By case.
+    pub facts: BTreeMap<String, CaseFacts>,
+    /// What the methods were told.
+    pub track: Track,
 }
 
 /// Reads `results.csv` of `folder`, and the times from its `comparison.csv` where there is one.
@@ -43,8 +57,19 @@ pub struct Results {
 pub fn read(folder: &Path) -> Result<Results> {
     let mut results = Results::default();
     let path = folder.join("results.csv");
-    for row in CsvTable::read(&path)?.rows() {
+    for (at, row) in CsvTable::read(&path)?.rows().enumerate() {
         let key = row.key("config", row.text("metric")?)?;
+        let track = Track::of_word(&row.text_or_empty("track")).map_err(|e| row.refuse("track", e.to_string()))?;
+        if at > 0 && track != results.track {
+            return Err(row.refuse("track", "is not that of the rows before".into()));
+        }
+        results.track = track;
+        let facts = results.facts.entry(key.case.clone()).or_default();
+        let (tree, content) = (row.text_or_empty("tree"), row.text_or_empty("film_content"));
+        facts.tree = if tree.is_empty() { key.case.clone() } else { tree };
+        if !content.is_empty() {
+            facts.film_content = content;
+        }
         let entry = ResultEntry {
             value: row.number("value")?,
             status: row.text("status")?,
@@ -79,6 +104,22 @@ impl Results {
     /// Method ids, sorted.
     pub fn methods(&self) -> Vec<&str> {
         distinct(self.entries.keys().map(|k| k.method.as_str()))
+    }
+
+    /// Refuses results of another track: their numbers are of another task.
+    pub fn check_track(&self, other: &Results) -> Result<()> {
+        if self.track == other.track {
+            return Ok(());
+        }
+        let (own, other) = (self.track.word(), other.track.word());
+        Err(Error::input(format!(
+            "one run is of the track `{own}` and the other of `{other}`: they are not comparable"
+        )))
+    }
+
+    /// The tree of a case.
+    pub fn tree_of<'a>(&'a self, case: &'a str) -> &'a str {
+        self.facts.get(case).map_or(case, |facts| facts.tree.as_str())
     }
 
     /// Value of each case (mean over seeds) of a metric of a method; cases in which a seed has no value are left out.

@@ -8,6 +8,7 @@ use super::*;
 use crate::base::NoProgress;
 use crate::score::fixture::{Distortion, TubeTruth, write_prediction};
 use crate::score::{ScoreSettings, Truth, score};
+use crate::simulate::track::Track;
 
 fn quality(method: &str) -> Distortion {
     let d = Distortion::default();
@@ -63,11 +64,13 @@ pub(super) fn sample_run(folder: &Path, side: u32, frames: usize) -> Run {
     let case = |t: &Arc<TubeTruth>| CaseInfo {
         id: t.case_id().to_owned(),
         title: format!("A breathing tube, {} frames", t.frames().len()),
+        tree: format!("tree of {}", t.case_id()),
         truth: Some(t.clone() as Arc<dyn Truth>),
     };
     Run {
         id: "smoke-01234567".into(),
         profile: "smoke".into(),
+        track: Track::Ideal,
         notes: Vec::new(),
         cases: truths.iter().map(case).collect(),
         methods: methods.map(MethodInfo::of).to_vec(),

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::base::{Error, Result};
 use crate::score::{CellScore, Truth};
+use crate::simulate::track::Track;
 
 /// Everything of one run, in the order in which tables show it.
 #[derive(Clone)]
@@ -15,6 +16,8 @@ pub struct Run {
     pub id: String,
     /// Profile name.
     pub profile: String,
+    /// What the methods were told.
+    pub track: Track,
     /// Notes on the origin of the cells, a sentence each; none for a single run.
     pub notes: Vec<String>,
     /// Cases in order.
@@ -25,6 +28,25 @@ pub struct Run {
     pub cells: Vec<CellRecord>,
 }
 
+/// What the tables of a run are of.
+#[derive(Debug, Serialize)]
+pub struct RunFacts<'a> {
+    id: &'a str,
+    profile: &'a str,
+    track: &'a str,
+    cases: Vec<CaseTree<'a>>,
+    methods: Vec<&'a str>,
+    seeds: Vec<u64>,
+    notes: &'a [String],
+}
+
+/// A case and whose airway it is.
+#[derive(Debug, Serialize)]
+struct CaseTree<'a> {
+    id: &'a str,
+    tree: &'a str,
+}
+
 /// One case.
 #[derive(Clone)]
 pub struct CaseInfo {
@@ -32,6 +54,8 @@ pub struct CaseInfo {
     pub id: String,
     /// One line; empty when unknown.
     pub title: String,
+    /// Whose airway it is; empty when unknown.
+    pub tree: String,
     /// Its sequence, for images; `None` leaves them out.
     pub truth: Option<Arc<dyn Truth>>,
 }
@@ -40,6 +64,11 @@ impl CaseInfo {
     /// Id and, where it is known, title.
     pub fn heading(&self) -> String {
         if self.title.is_empty() { self.id.clone() } else { format!("{}: {}", self.id, self.title) }
+    }
+
+    /// Whose airway it is; an unknown one is nobody else's.
+    pub fn tree(&self) -> &str {
+        if self.tree.is_empty() { &self.id } else { &self.tree }
     }
 }
 
@@ -223,9 +252,37 @@ impl Run {
         self.cells.iter().any(|c| c.method == method && is_another(c))
     }
 
-    /// Whether the method has a number of `metric`, with every seed, in each case in which any row has a value: the
-    /// condition of a place in the ranking.
+    /// What the tables are of, as `run.json` says it.
+    pub fn facts(&self) -> RunFacts<'_> {
+        let mut seeds: Vec<u64> = self.cells.iter().map(|cell| cell.seed).collect();
+        seeds.sort_unstable();
+        seeds.dedup();
+        RunFacts {
+            id: &self.id,
+            profile: &self.profile,
+            track: self.track.word(),
+            cases: self.cases.iter().map(|case| CaseTree { id: &case.id, tree: case.tree() }).collect(),
+            methods: self.methods.iter().map(|method| method.id.as_str()).collect(),
+            seeds,
+            notes: &self.notes,
+        }
+    }
+
+    /// The tree of a case.
+    pub fn tree_of<'a>(&'a self, case_id: &'a str) -> &'a str {
+        self.cases.iter().find(|case| case.id == case_id).map_or(case_id, CaseInfo::tree)
+    }
+
+    /// Whether the method is scored in every case, with every seed, and has a number of `metric` in each case in which
+    /// any row has a value: the condition of a place in the ranking.
     pub fn covers(&self, method: &str, metric: &str) -> bool {
+        let is_scored = |case: &CaseInfo| {
+            let mut own = self.cells.iter().filter(|c| c.case_id == case.id && c.method == method).peekable();
+            own.peek().is_some() && own.all(|cell| cell.score().is_some())
+        };
+        if !self.cases.iter().all(is_scored) {
+            return false;
+        }
         let has = |cell: &CellRecord| cell.score().is_some_and(|s| s.value(metric).is_some());
         let counts = |cell: &CellRecord| self.counted(cell, metric).is_some();
         let in_question =

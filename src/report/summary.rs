@@ -1,14 +1,14 @@
 //! Means over cases, and the place of each method: one ranking per metric, over all cases and seeds of the table.
 //!
-//! A method is ranked by a metric when it has a value in every case, with every seed ([`Run::covers`]): a mean over
-//! other cases is another number. A surface that cannot be measured counts with the case's worst row, behind it. Bounds are not ranked. Equal numbers, to the decimals that tables show, share a
-//! place.
+//! A method is ranked by a metric when it is scored in every case, with every seed ([`Run::covers`]): a mean over
+//! other cases is another number. A surface that cannot be measured counts with the case's worst row, behind it.
+//! Bounds are not ranked. Equal numbers, to the decimals that tables show, share a place.
 
 use super::run::{MethodInfo, Role, Run};
-use crate::score::statistics::{MeanInterval, bootstrap};
+use crate::score::statistics::{MeanInterval, bootstrap_groups};
 use crate::score::{Goal, Metric, Status, registry};
 
-/// Seed of the bootstrap over cases: fixed, so that the same scores give the same bounds.
+/// Seed of the bootstrap over trees and cases: fixed, so that the same scores give the same bounds.
 const BOOTSTRAP_SEED: u64 = 1;
 
 /// One metric of one method, over the cases.
@@ -72,9 +72,15 @@ pub fn summarise(run: &Run) -> Vec<MethodSummary> {
     summaries
 }
 
+/// Mean of one value per case, with the interval over trees and cases.
+pub fn over_cases(run: &Run, of_cases: &[(&str, f64)]) -> Option<MeanInterval> {
+    let values: Vec<f64> = of_cases.iter().map(|(_, value)| *value).collect();
+    let trees: Vec<&str> = of_cases.iter().map(|(case, _)| run.tree_of(case)).collect();
+    bootstrap_groups(&values, &trees, BOOTSTRAP_SEED)
+}
+
 fn metric_summary(run: &Run, method: &MethodInfo, metric: &'static Metric) -> MetricSummary {
-    let values: Vec<f64> = run.case_values(&method.id, metric.id).into_iter().map(|(_, v)| v).collect();
-    let mean = bootstrap(&values, BOOTSTRAP_SEED);
+    let mean = over_cases(run, &run.case_values(&method.id, metric.id));
     let no_error = metric.direction == Goal::Lower && mean.is_some_and(|m| metric.perfect == Some(m.mean));
     let is_identical = run
         .cells

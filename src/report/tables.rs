@@ -5,13 +5,14 @@
 
 use std::path::Path;
 
+use super::differences::NeighbourDifference;
 use super::run::{CellRecord, Outcome, Role, Run};
 use super::summary::MethodSummary;
 use crate::base::{Error, Result, files};
 use crate::score::{Metric, Split, Standing, Status, metric, paper_metrics, registry};
 
 /// Columns of `results.csv`.
-pub const RESULTS_COLUMNS: [&str; 20] = [
+pub const RESULTS_COLUMNS: [&str; 22] = [
     "run_id",
     "case_id",
     "case_hash",
@@ -32,6 +33,8 @@ pub const RESULTS_COLUMNS: [&str; 20] = [
     "status",
     "detail",
     "film_content",
+    "track",
+    "tree",
 ];
 
 /// Columns of `frames.csv`.
@@ -97,13 +100,13 @@ pub fn write_results(run: &Run, path: &Path) -> Result<()> {
     let mut rows = Vec::new();
     for cell in &run.cells {
         for m in registry().iter().filter(|m| !m.is_runtime()) {
-            rows.push(results_row(cell, m));
+            rows.push(results_row(run, cell, m));
         }
     }
     write_csv(path, &header(&RESULTS_COLUMNS), &rows)
 }
 
-fn results_row(cell: &CellRecord, m: &Metric) -> Vec<String> {
+fn results_row(run: &Run, cell: &CellRecord, m: &Metric) -> Vec<String> {
     let score = cell.score().and_then(|s| s.metric(m.id));
     let (status, detail) = match (&cell.outcome, score) {
         (Outcome::Failed(why), _) => (Status::Failed, why.as_str()),
@@ -132,6 +135,8 @@ fn results_row(cell: &CellRecord, m: &Metric) -> Vec<String> {
         status.word().into(),
         text(detail),
         cell.score().map_or_else(String::new, |s| s.film_content.clone()),
+        run.track.word().into(),
+        text(run.tree_of(&cell.case_id)),
     ]
 }
 
@@ -219,6 +224,27 @@ pub fn write_comparison(run: &Run, path: &Path) -> Result<()> {
         })
         .collect();
     write_csv(path, &columns, &rows)
+}
+
+/// `differences.csv`: one row per metric that ranks and pair of neighbours: by how much the better is ahead.
+pub fn write_differences(differences: &[NeighbourDifference], path: &Path) -> Result<()> {
+    let columns = ["metric", "rank", "method", "next", "cases", "trees", "ahead_by", "ci_low", "ci_high", "clear"];
+    let row = |d: &NeighbourDifference| {
+        let interval = d.ahead.interval;
+        vec![
+            d.metric.id.into(),
+            d.rank.to_string(),
+            text(&d.method.id),
+            text(&d.next.id),
+            d.cases.to_string(),
+            d.trees.to_string(),
+            number(Some(d.ahead.mean)),
+            number(interval.map(|i| i[0])),
+            number(interval.map(|i| i[1])),
+            interval.map_or("", |_| if d.is_clear() { "yes" } else { "no" }).into(),
+        ]
+    };
+    write_csv(path, &header(&columns), &differences.iter().map(row).collect::<Vec<_>>())
 }
 
 /// `summary.csv`: one row per method, means over cases with their 95 % bounds, the number of cases behind them, and the

@@ -13,6 +13,7 @@ mod settings;
 mod shared_frames;
 mod shoot;
 mod steering;
+pub mod track;
 pub mod trajectory;
 pub mod truth;
 

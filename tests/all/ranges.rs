@@ -228,11 +228,12 @@ fn limited(folder: &Path, words: &[&str]) -> (i32, String) {
 
 /// Words of a command whose inputs are missing, and its options that are numbers. What passes the options ends with the
 /// sentence about the input.
-const NUMBERS: [(&str, &[&str]); 12] = [
+const NUMBERS: [(&str, &[&str]); 13] = [
     ("doctor", &["--threads"]),
     ("run --case no.toml --method ours --bench-cases {cases}", &["--seed"]),
     ("all-cases --dry-run --cases no.toml --bench-cases {cases}", &["--seeds"]),
     ("list --cases no.toml --bench-cases {cases}", &["--seeds"]),
+    ("ablate --cases no.toml --bench-cases {cases}", &["--at-once"]),
     ("simulate no.toml --out out --bench-cases {cases}", &["--frames", "--width", "--spp"]),
     ("splat no.ply --cameras no.json --out out", &["--repeat", "--background"]),
     (

@@ -1,0 +1,78 @@
+//! How far neighbours in the ranking are apart: paired by case, with an interval over trees and cases. Two rows may have
+//! wide intervals and yet differ in every case alike; and a first place may be nothing but the draw of the cases.
+
+use super::run::{MethodInfo, Run};
+use super::summary::{MethodSummary, over_cases};
+use crate::score::statistics::MeanInterval;
+use crate::score::{Metric, ranking_metrics};
+
+/// A ranked row and the next one, by one metric.
+#[derive(Clone, Debug)]
+pub struct NeighbourDifference {
+    /// The metric.
+    pub metric: &'static Metric,
+    /// Place of the better row.
+    pub rank: usize,
+    /// The better row.
+    pub method: MethodInfo,
+    /// The row behind it.
+    pub next: MethodInfo,
+    /// Cases that both have: all that count for the metric.
+    pub cases: usize,
+    /// Trees of those cases.
+    pub trees: usize,
+    /// By how much the better row is ahead, in the metric's unit: mean over cases of the paired difference.
+    pub ahead: MeanInterval,
+}
+
+impl NeighbourDifference {
+    /// Whether the interval lies above 0: the order would be the same on other cases like these.
+    pub fn is_clear(&self) -> bool {
+        self.ahead.interval.is_some_and(|[low, _]| low > 0.0)
+    }
+
+    /// `is_clear` as a word; a dash where there is no interval.
+    pub fn word(&self) -> &'static str {
+        match self.ahead.interval {
+            None => "–",
+            Some(_) if self.is_clear() => "yes",
+            Some(_) => "no",
+        }
+    }
+}
+
+/// All pairs of neighbours: metric by metric in the order of the table, from the first place down. Rows that share a
+/// place stand in the run's order.
+pub fn neighbours(run: &Run, summaries: &[MethodSummary]) -> Vec<NeighbourDifference> {
+    ranking_metrics().flat_map(|metric| of_metric(run, summaries, metric)).collect()
+}
+
+fn of_metric(run: &Run, summaries: &[MethodSummary], metric: &'static Metric) -> Vec<NeighbourDifference> {
+    let place = |s: &MethodSummary| s.metric(metric.id).and_then(|m| m.rank);
+    let mut ranked: Vec<(usize, &MethodInfo)> =
+        summaries.iter().filter_map(|s| place(s).map(|rank| (rank, &s.method))).collect();
+    ranked.sort_by_key(|(rank, _)| *rank);
+    let pair = |pair: &[(usize, &MethodInfo)]| {
+        let [(rank, method), (_, next)] = pair else { return None };
+        let values = run.case_values(&next.id, metric.id);
+        let behind = |case: &str| values.iter().find(|(other, _)| *other == case).map(|(_, value)| *value);
+        let ahead: Vec<(&str, f64)> = run
+            .case_values(&method.id, metric.id)
+            .into_iter()
+            .filter_map(|(case, value)| behind(case).map(|behind| (case, metric.direction.loss(behind, value))))
+            .collect();
+        let mut trees: Vec<&str> = ahead.iter().map(|(case, _)| run.tree_of(case)).collect();
+        trees.sort_unstable();
+        trees.dedup();
+        Some(NeighbourDifference {
+            metric,
+            rank: *rank,
+            method: (*method).clone(),
+            next: (*next).clone(),
+            cases: ahead.len(),
+            trees: trees.len(),
+            ahead: over_cases(run, &ahead)?,
+        })
+    };
+    ranked.windows(2).filter_map(pair).collect()
+}
