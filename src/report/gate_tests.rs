@@ -244,7 +244,8 @@ fn plant(truth: &TubeTruth, prediction: &Path, planted: Planted) {
             let text = fs::read_to_string(&path).unwrap();
             let phases: Vec<&str> = text.lines().skip(1).map(|row| row.split_once(',').unwrap().1).collect();
             let late = (0..phases.len()).map(|frame| format!("{frame},{}\n", phases[frame.saturating_sub(2)]));
-            fs::write(path, format!("frame,phase\n{}", late.collect::<String>())).unwrap();
+            let head = text.lines().next().unwrap();
+            fs::write(path, format!("{head}\n{}", late.collect::<String>())).unwrap();
         }
         Planted::TooDark => {
             for folder in ["color", "ahead", "novel"] {

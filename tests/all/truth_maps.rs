@@ -142,9 +142,9 @@ fn colours_are_the_table_of_the_case() {
     };
     let flat = film("kind = \"coated\"\nalbedo = [0.61, 0.27, 0.2]", "flat");
     assert!(flat.data.chunks_exact(3).all(|p| p == [0.61f32, 0.27, 0.2]));
-    // Without vessels, blotches and rings blood follows the generation alone: 3 % more redness per generation, and 1 + .75 of
+    // Without vessels, blotches, rings, folds and spurs blood follows the generation alone: 3 % more redness per generation, and 1 + .75 of
     // that times the depth of blood; green and blue lose three times as much as red.
-    let text = "kind = \"mucosa\"\nalbedo = [0.6, 0.3, 0.2]\nvessels = 0.0\nblotches = 0.0\nrings = 0.0";
+    let text = "kind = \"mucosa\"\nalbedo = [0.6, 0.3, 0.2]\nvessels = 0.0\nblotches = 0.0\nrings = 0.0\nfolds = 0.0\nspurs = 0.0";
     let plain = film(text, "plain");
     for p in plain.data.chunks_exact(3) {
         let depth = (0.6 * 1.16 / f64::from(p[0]) - 1.0) / 0.16;
