@@ -1,7 +1,7 @@
 //! Statistics of pictures that tell a simulated bronchoscopy from a real one, for any folder of pictures.
 //!
 //! Every picture is cut to its central square (to the square inside a circular or octagonal mask on request) and
-//! resized to 256 x 256, but for [`PictureStatistics::noise_full`], which is of the pixels as they are. Luma (Rec. 601)
+//! resized to 256 x 256, but for `noise_full`, which is of the pixels as they are. Luma (Rec. 601)
 //! is of the encoded values; ratios of colours are of linear ones between the dark and the saturated. What real pictures
 //! have stands in `real_pictures.csv`.
 
