@@ -117,7 +117,7 @@ fn examples_of_the_help_name_folders_that_exist() {
         let (code, text, err) = run(&words.iter().map(String::as_str).collect::<Vec<_>>());
         assert_eq!(code, 0, "{words:?}: {err}");
         let names = text.split(|c: char| !(c.is_alphanumeric() || "_-./".contains(c)));
-        let starts = ["reports/reference", "bench-cases/"];
+        let starts = ["reports/reference", "reports/baselines", "bench-cases/"];
         for path in names.filter(|word| starts.iter().any(|start| word.starts_with(start))) {
             named += 1;
             assert!(root.join(path).exists(), "{words:?} names {path}");

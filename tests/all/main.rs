@@ -14,6 +14,7 @@ mod layering;
 mod mesh_damage;
 mod moved;
 mod own_tracer;
+mod picture_statistics;
 mod ranges;
 mod readers;
 mod reference;

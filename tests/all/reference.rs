@@ -15,6 +15,11 @@ impl Reference {
         present(&path).then_some(Reference(path))
     }
 
+    /// Where a file of it lies.
+    pub fn path(&self, file: &str) -> PathBuf {
+        self.0.join(file)
+    }
+
     /// A text file of it.
     pub fn text(&self, file: &str) -> Option<String> {
         let path = self.0.join(file);

@@ -14,7 +14,7 @@ use crate::binary::{outcome, program};
 use crate::simulate::{assert_same, case, small};
 
 /// A Python with the packages of the loader: `RESPIRE_PYTHON`, or `python3`. Says so loudly when there is none.
-fn python() -> Option<String> {
+pub fn python() -> Option<String> {
     let name = std::env::var("RESPIRE_PYTHON").unwrap_or_else(|_| "python3".into());
     let found = Command::new(&name).args(["-c", "import numpy, PIL, OpenEXR"]).stderr(Stdio::null()).status();
     if found.is_ok_and(|status| status.success()) {
