@@ -166,8 +166,8 @@ fn settled(rest: &TriangleMesh, mut expiration: Vec<DVec3>) -> Vec<DVec3> {
     if flipped.is_empty() || flipped.len() * SETTLED_PART > rest.faces.len() {
         return expiration;
     }
-    let (offsets, list) = rest.neighbours();
-    let around = |v: usize| list[offsets[v] as usize..offsets[v + 1] as usize].iter().map(|&n| n as usize);
+    let neighbours = rest.neighbours();
+    let around = |v: usize| neighbours.of(v).iter().map(|&n| n as usize);
     let mut touched: Vec<usize> = Vec::new();
     for _ in 0..SETTLING_ROUNDS {
         let corners = flipped.iter().flat_map(|&f| rest.faces[f as usize]).map(|v| v as usize);
@@ -177,7 +177,7 @@ fn settled(rest: &TriangleMesh, mut expiration: Vec<DVec3>) -> Vec<DVec3> {
         let averaged: Vec<DVec3> = touched
             .iter()
             .map(|&v| {
-                let count = (offsets[v + 1] - offsets[v]).max(1) as f64;
+                let count = neighbours.of(v).len().max(1) as f64;
                 around(v).map(|n| expiration[n] - rest.vertices[n]).sum::<DVec3>() / count
             })
             .collect();

@@ -176,11 +176,11 @@ pub fn surface_from_tree(tree: &Tree, settings: &SurfaceSettings) -> Result<(Tri
 
 /// Taubin's smoothing (SIGGRAPH 1995, lambda .5, mu -.53): takes the grid's facets, leaves the volume.
 fn smooth(mesh: &mut TriangleMesh, rounds: usize) {
-    let (offsets, list) = mesh.neighbours();
+    let neighbours = mesh.neighbours();
     for factor in (0..rounds).flat_map(|_| [0.5, -0.53]) {
         let old = mesh.vertices.clone();
         for v in 0..old.len() {
-            let around = &list[offsets[v] as usize..offsets[v + 1] as usize];
+            let around = neighbours.of(v);
             let mean = around.iter().map(|&u| old[u as usize]).sum::<DVec3>() / around.len() as f64;
             mesh.vertices[v] = old[v] + (mean - old[v]) * factor;
         }

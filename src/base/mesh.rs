@@ -1,6 +1,8 @@
 //! Triangle meshes: vertices in mm, faces wound so that the normal points *into the lumen* (towards the camera).
 
 use std::collections::HashMap;
+use std::iter::Sum;
+use std::ops::{Add, Div, Mul};
 
 use glam::DVec3;
 
@@ -13,6 +15,37 @@ pub struct TriangleMesh {
     pub vertices: Vec<DVec3>,
     /// Three vertex indices per face; right-handed winding.
     pub faces: Vec<[u32; 3]>,
+}
+
+/// Vertices that share an edge, by vertex.
+#[derive(Clone, Debug)]
+pub struct Neighbours {
+    /// Where each vertex' part of `list` begins, and where the last one ends.
+    offsets: Vec<u32>,
+    list: Vec<u32>,
+}
+
+impl Neighbours {
+    /// The neighbours of `vertex`, sorted.
+    pub fn of(&self, vertex: usize) -> &[u32] {
+        &self.list[self.offsets[vertex] as usize..self.offsets[vertex + 1] as usize]
+    }
+
+    /// Half of each vertex' value and half of its neighbours' mean, `rounds` times.
+    pub fn smoothed<T>(&self, mut values: Vec<T>, rounds: usize) -> Vec<T>
+    where
+        T: Copy + Sum + Add<Output = T> + Mul<f64, Output = T> + Div<f64, Output = T>,
+    {
+        for _ in 0..rounds {
+            let value = |v: usize| {
+                let around = self.of(v);
+                let sum: T = around.iter().map(|&n| values[n as usize]).sum();
+                if around.is_empty() { values[v] } else { (values[v] + sum / around.len() as f64) * 0.5 }
+            };
+            values = (0..values.len()).map(value).collect();
+        }
+        values
+    }
 }
 
 impl TriangleMesh {
@@ -69,9 +102,8 @@ impl TriangleMesh {
         edges
     }
 
-    /// Vertex neighbours, sorted, as (offsets, flat list): the neighbours of `v` are `list[offsets[v]..offsets[v +
-    /// 1]]`.
-    pub fn neighbours(&self) -> (Vec<u32>, Vec<u32>) {
+    /// Which vertices share an edge.
+    pub fn neighbours(&self) -> Neighbours {
         let edges = self.edges();
         let mut offsets = vec![0u32; self.vertices.len() + 1];
         for &[a, b] in &edges {
@@ -92,7 +124,7 @@ impl TriangleMesh {
         for v in 0..self.vertices.len() {
             list[offsets[v] as usize..offsets[v + 1] as usize].sort_unstable();
         }
-        (offsets, list)
+        Neighbours { offsets, list }
     }
 
     /// Finite vertices, indices in range, no face that names a vertex twice. The error names the element.
@@ -180,9 +212,10 @@ mod tests {
 
     #[test]
     fn neighbours_of_a_tetrahedron() {
-        let (offsets, list) = tetrahedron().neighbours();
-        assert_eq!(offsets, [0, 3, 6, 9, 12]);
-        assert_eq!(&list[3..6], [0, 2, 3]);
+        let neighbours = tetrahedron().neighbours();
+        assert_eq!(neighbours.of(1), [0, 2, 3]);
+        // Vertex 0 keeps half of its own value and takes half of the mean of the other three.
+        assert_eq!(neighbours.smoothed(vec![6.0, 0.0, 3.0, 0.0], 1)[0], 3.5);
     }
 
     #[test]

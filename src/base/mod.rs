@@ -21,6 +21,6 @@ pub use error::{Error, ErrorKind, Result};
 pub use estimate::Estimate;
 pub use image::Image;
 pub use mask::Mask;
-pub use mesh::TriangleMesh;
+pub use mesh::{Neighbours, TriangleMesh};
 pub use progress::{NoProgress, Progress};
 pub use staging::Staging;

@@ -9,7 +9,7 @@ use std::collections::BinaryHeap;
 
 use glam::DVec3;
 
-use crate::base::TriangleMesh;
+use crate::base::{Neighbours, TriangleMesh};
 
 /// Rounds of neighbour averaging that take the edge-path zigzag out of the level lines.
 const SMOOTHING_ROUNDS: usize = 24;
@@ -18,24 +18,20 @@ const END_PIECE_MM: f64 = 6.0;
 
 /// Distance along the surface in mm, one per vertex, growing away from the trachea's end: that which lies farthest from
 /// generation 1 and deeper (or at the low end of the longest axis where no generations are known).
-pub fn axial_distance_mm(mesh: &TriangleMesh, generation: &[f32]) -> Vec<f32> {
-    let (offsets, list) = mesh.neighbours();
+pub fn axial_distance_mm(mesh: &TriangleMesh, neighbours: &Neighbours, generation: &[f32]) -> Vec<f32> {
     let deep: Vec<usize> = (0..mesh.vertices.len()).filter(|&v| generation[v] >= 1.0).collect();
     let height: Vec<f64> = if deep.is_empty() {
         let axis = longest_axis(mesh);
         mesh.vertices.iter().map(|v| -v.dot(axis)).collect()
     } else {
-        shortest_paths(mesh, &offsets, &list, &deep)
+        shortest_paths(mesh, neighbours, &deep)
     };
     let top = height.iter().copied().filter(|h| h.is_finite()).fold(f64::NEG_INFINITY, f64::max);
     let start: Vec<usize> = (0..height.len()).filter(|&v| height[v] >= top - END_PIECE_MM).collect();
-    let mut distance = shortest_paths(mesh, &offsets, &list, &start);
+    let mut distance = shortest_paths(mesh, neighbours, &start);
     // Pieces that are not connected with the trachea have no rings of their own.
     distance.iter_mut().filter(|d| !d.is_finite()).for_each(|d| *d = 0.0);
-    for _ in 0..SMOOTHING_ROUNDS {
-        distance = smoothed(&distance, &offsets, &list);
-    }
-    distance.iter().map(|&d| d as f32).collect()
+    neighbours.smoothed(distance, SMOOTHING_ROUNDS).iter().map(|&d| d as f32).collect()
 }
 
 fn longest_axis(mesh: &TriangleMesh) -> DVec3 {
@@ -50,7 +46,7 @@ fn longest_axis(mesh: &TriangleMesh) -> DVec3 {
     }
 }
 
-fn shortest_paths(mesh: &TriangleMesh, offsets: &[u32], list: &[u32], start: &[usize]) -> Vec<f64> {
+fn shortest_paths(mesh: &TriangleMesh, neighbours: &Neighbours, start: &[usize]) -> Vec<f64> {
     let mut distance = vec![f64::INFINITY; mesh.vertices.len()];
     // Non-negative floats compare like their bits.
     let mut queue: BinaryHeap<Reverse<(u64, usize)>> = start.iter().map(|&v| Reverse((0, v))).collect();
@@ -60,7 +56,7 @@ fn shortest_paths(mesh: &TriangleMesh, offsets: &[u32], list: &[u32], start: &[u
         if so_far > distance[v] {
             continue;
         }
-        for &n in &list[offsets[v] as usize..offsets[v + 1] as usize] {
+        for &n in neighbours.of(v) {
             let n = n as usize;
             let through = so_far + mesh.vertices[v].distance(mesh.vertices[n]);
             if through < distance[n] {
@@ -70,19 +66,6 @@ fn shortest_paths(mesh: &TriangleMesh, offsets: &[u32], list: &[u32], start: &[u
         }
     }
     distance
-}
-
-fn smoothed(values: &[f64], offsets: &[u32], list: &[u32]) -> Vec<f64> {
-    (0..values.len())
-        .map(|v| {
-            let around = &list[offsets[v] as usize..offsets[v + 1] as usize];
-            if around.is_empty() {
-                return values[v];
-            }
-            let mean = around.iter().map(|&n| values[n as usize]).sum::<f64>() / around.len() as f64;
-            0.5 * (values[v] + mean)
-        })
-        .collect()
 }
 
 #[cfg(test)]
@@ -114,7 +97,7 @@ mod tests {
     fn level_lines_run_around_a_tube() {
         let mesh = cylinder();
         let generation: Vec<f32> = mesh.vertices.iter().map(|v| if v.z > 45.0 { 1.0 } else { 0.0 }).collect();
-        let axial = axial_distance_mm(&mesh, &generation);
+        let axial = axial_distance_mm(&mesh, &mesh.neighbours(), &generation);
         let mut last = f64::NEG_INFINITY;
         for k in [40usize, 50, 60, 70, 80] {
             let ring: Vec<f64> = (0..48).map(|a| axial[k * 48 + a] as f64).collect();

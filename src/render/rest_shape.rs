@@ -5,7 +5,7 @@
 use glam::DVec3;
 
 use super::axial::axial_distance_mm;
-use crate::base::TriangleMesh;
+use crate::base::{Neighbours, TriangleMesh};
 use crate::ffi::trace::tracer::RestVertex;
 
 /// Length along the airway in mm of the pieces whose middles stand for the centreline.
@@ -23,8 +23,8 @@ pub(super) fn rest_vertices(mesh: &TriangleMesh, generation: &[f32], shaped: boo
     if !shaped {
         return generation.iter().map(plain).collect();
     }
-    let neighbours = Neighbours::new(mesh);
-    let axial = axial_distance_mm(mesh, generation);
+    let neighbours = mesh.neighbours();
+    let axial = axial_distance_mm(mesh, &neighbours, generation);
     let section = section_mm(mesh, &axial, &neighbours);
     let ridge = ridge_per_mm(mesh, &neighbours);
     (0..mesh.vertices.len())
@@ -35,37 +35,6 @@ pub(super) fn rest_vertices(mesh: &TriangleMesh, generation: &[f32], shaped: boo
             ridge_per_mm: ridge[v].x as f32,
         })
         .collect()
-}
-
-/// Adjacency of the vertices.
-struct Neighbours {
-    offsets: Vec<u32>,
-    list: Vec<u32>,
-}
-
-impl Neighbours {
-    fn new(mesh: &TriangleMesh) -> Self {
-        let (offsets, list) = mesh.neighbours();
-        Neighbours { offsets, list }
-    }
-
-    fn of(&self, vertex: usize) -> &[u32] {
-        &self.list[self.offsets[vertex] as usize..self.offsets[vertex + 1] as usize]
-    }
-
-    /// Half of each value and half of its neighbours' mean, `rounds` times.
-    fn smoothed(&self, mut values: Vec<DVec3>, rounds: usize) -> Vec<DVec3> {
-        for _ in 0..rounds {
-            values = (0..values.len())
-                .map(|v| {
-                    let around = self.of(v);
-                    let sum: DVec3 = around.iter().map(|&n| values[n as usize]).sum();
-                    if around.is_empty() { values[v] } else { 0.5 * (values[v] + sum / around.len() as f64) }
-                })
-                .collect();
-        }
-        values
-    }
 }
 
 /// From the middle of the airway to each vertex, across the airway.

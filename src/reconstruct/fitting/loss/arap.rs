@@ -11,7 +11,7 @@
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
-use crate::base::TriangleMesh;
+use crate::base::{Neighbours, TriangleMesh};
 
 /// Vertices per parallel piece.
 const PIECE: usize = 512;
@@ -19,24 +19,22 @@ const PIECE: usize = 512;
 /// Rest shape and buffers.
 pub struct Arap {
     rest: Vec<DVec3>,
-    offsets: Vec<u32>,
-    neighbours: Vec<u32>,
+    neighbours: Neighbours,
     rotations: Vec<DMat3>,
 }
 
 impl Arap {
     /// The energy relative to `rest`.
     pub fn new(rest: &TriangleMesh) -> Self {
-        let (offsets, neighbours) = rest.neighbours();
-        let n = rest.vertices.len();
-        Arap { rest: rest.vertices.clone(), offsets, neighbours, rotations: vec![DMat3::IDENTITY; n] }
+        let rotations = vec![DMat3::IDENTITY; rest.vertices.len()];
+        Arap { rest: rest.vertices.clone(), neighbours: rest.neighbours(), rotations }
     }
 
     /// Adds `weight` times the gradient of the energy of the deformed vertices to `gradient`.
     pub fn add_gradient(&mut self, deformed: &[DVec3], weight: f64, gradient: &mut [DVec3]) {
         self.rotate(deformed);
         let rotations = &self.rotations;
-        let around = Neighbourhoods { rest: &self.rest, deformed, offsets: &self.offsets, list: &self.neighbours };
+        let around = Neighbourhoods { rest: &self.rest, deformed, neighbours: &self.neighbours };
         // Rotations held fixed.
         gradient.par_chunks_mut(PIECE).enumerate().for_each(|(piece, gradient)| {
             for (k, out) in gradient.iter_mut().enumerate() {
@@ -50,7 +48,7 @@ impl Arap {
 
     /// The local step: the rotation of each vertex that fits its neighbourhood best.
     fn rotate(&mut self, deformed: &[DVec3]) {
-        let around = Neighbourhoods { rest: &self.rest, deformed, offsets: &self.offsets, list: &self.neighbours };
+        let around = Neighbourhoods { rest: &self.rest, deformed, neighbours: &self.neighbours };
         self.rotations.par_chunks_mut(PIECE).enumerate().for_each(|(piece, rotations)| {
             for (k, rotation) in rotations.iter_mut().enumerate() {
                 let mut covariance = DMat3::ZERO;
@@ -68,7 +66,7 @@ impl Arap {
     #[cfg(test)]
     fn energy(&mut self, deformed: &[DVec3]) -> f64 {
         self.rotate(deformed);
-        let around = Neighbourhoods { rest: &self.rest, deformed, offsets: &self.offsets, list: &self.neighbours };
+        let around = Neighbourhoods { rest: &self.rest, deformed, neighbours: &self.neighbours };
         let mut sum = 0.0;
         for (i, rotation) in self.rotations.iter().enumerate() {
             around.each(i, |_, e, d| sum += (d - *rotation * e).length_squared());
@@ -81,8 +79,7 @@ impl Arap {
 struct Neighbourhoods<'a> {
     rest: &'a [DVec3],
     deformed: &'a [DVec3],
-    offsets: &'a [u32],
-    list: &'a [u32],
+    neighbours: &'a Neighbours,
 }
 
 impl Neighbourhoods<'_> {
@@ -90,7 +87,7 @@ impl Neighbourhoods<'_> {
     #[inline(always)]
     fn each(&self, i: usize, mut visit: impl FnMut(usize, DVec3, DVec3)) {
         let (rest, deformed) = (self.rest[i], self.deformed[i]);
-        for &j in &self.list[self.offsets[i] as usize..self.offsets[i + 1] as usize] {
+        for &j in self.neighbours.of(i) {
             let j = j as usize;
             visit(j, rest - self.rest[j], deformed - self.deformed[j]);
         }
