@@ -37,7 +37,7 @@ pub struct LightBiasArguments {
     #[arg(long, value_delimiter = ',', value_name = "LOOK,..", default_value = "full,bare", value_parser = look_parser())]
     looks: Vec<Look>,
     /// Places of the camera, fractions of the route
-    #[arg(long, value_delimiter = ',', value_name = "R,..", default_value = "0.5,0.9", value_parser = SHARE.parser::<f64>())]
+    #[arg(long, value_delimiter = ',', value_name = "R,..", default_value = "0.1,0.3,0.5,0.7,0.9", value_parser = SHARE.parser::<f64>())]
     places: Vec<f64>,
     /// Breathing phases, 0 inspiration to 1 expiration
     #[arg(long, value_delimiter = ',', value_name = "R,..", default_value = "0,0.25,0.5,0.75,1", value_parser = SHARE.parser::<f64>())]
