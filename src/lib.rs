@@ -35,7 +35,7 @@
 //! | [`reconstruct`] | the methods: losses, optimiser, schedules | the truth |
 //! | [`score`] | metric registry, protocol, aggregation | how predictions were made |
 //! | [`report`] | CSV, Markdown, LaTeX, HTML, plots, JUnit, gate verdicts | how scores were made |
-//! | [`mod@bench`] | profiles, plan of cells, executor, journal | formats of the report |
+//! | [`mod@bench`] | profiles, plan of cells, executor, cache | formats of the report |
 //! | [`experiments`] | ablations, cost against error, numerical stability, timing | arguments, printing |
 //! | [`cli`] | arguments, progress, printing, exit codes | algorithms |
 //!

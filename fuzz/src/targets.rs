@@ -17,7 +17,9 @@ use respire_bench::airway::targets::Target as AirwayTarget;
 use respire_bench::airway::{case_build, case_centerline};
 use respire_bench::base::random::CounterRng;
 use respire_bench::base::{Camera, Image, Mask, Result, TriangleMesh};
-use respire_bench::bench::{Ablations, Profile, journal, timing};
+use respire_bench::bench::claim::Claims;
+use respire_bench::bench::store::{MARKER, ProductState, Store};
+use respire_bench::bench::{Ablations, Profile, timing};
 use respire_bench::formats::transforms::Transforms;
 use respire_bench::formats::{depth_png, exr, gaussians_ply, landmarks, mesh, npy, png};
 use respire_bench::reconstruct::MethodFile;
@@ -47,9 +49,9 @@ pub const TARGETS: &[Target] = &[
     Target { name: "exr", run: read_exr },
     Target { name: "gate", run: thresholds },
     Target { name: "gaussians", run: gaussians },
-    Target { name: "journal", run: read_journal },
     Target { name: "landmarks", run: read_landmarks },
     Target { name: "lung_box", run: lung_box },
+    Target { name: "marker", run: marker },
     Target { name: "merge", run: merged },
     Target { name: "method", run: method },
     Target { name: "npy", run: read_npy },
@@ -331,15 +333,15 @@ fn tree(bytes: &[u8], scratch: &Scratch) {
     }
 }
 
-fn read_journal(bytes: &[u8], scratch: &Scratch) {
-    let path = scratch.write("journal.jsonl", bytes);
-    let Some((entries, whole)) = answer(journal::read(&path)) else { return };
-    assert!(whole as usize <= bytes.len());
-    let entry = journal::JournalEntry { product: "p".into(), key: "k".into(), outputs: "o".into() };
-    let mut journal = journal::Journal::open(&path, whole).expect("the scratch folder takes files");
-    journal.append(&entry).expect("the scratch folder takes files");
-    let (after, _) = journal::read(&path).expect("a journal that was read can be continued");
-    assert!(after.len() >= entries.len() && after["p"] == entry);
+/// A finish marker of a product, and a claim of a folder: what stands there is whole, damaged or held, and no more.
+fn marker(bytes: &[u8], scratch: &Scratch) {
+    let folder = scratch.folder.join("claimed");
+    std::fs::create_dir_all(folder.join(".claim")).expect("the scratch folder takes folders");
+    scratch.write(&format!("claimed/{MARKER}"), bytes);
+    let state = Store::look(&scratch.folder).state("claimed", "key");
+    assert!(state != ProductState::Whole && state != ProductState::Absent);
+    scratch.write("claimed/.claim/holder.json", bytes);
+    answer(Claims::default().ask(&folder, &[]));
 }
 
 fn read_sequence(bytes: &[u8], scratch: &Scratch) {

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::claim::Holder;
 use super::plan::{Cell, Plan};
 use crate::base::{Error, Progress};
 
@@ -61,6 +62,13 @@ pub enum Event<'a> {
         cell: &'a Cell,
         /// Why.
         error: &'a Error,
+    },
+    /// Nothing is left to do but what another process is doing. Sent once for each claim that is waited for.
+    Waiting {
+        /// The first cell that waits, for itself or for its film.
+        cell: &'a Cell,
+        /// Who works on it.
+        holder: &'a Holder,
     },
     /// A cached product cannot be used and is made again.
     Discarded {

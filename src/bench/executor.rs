@@ -1,19 +1,23 @@
 //! Runs a plan: film what is not filmed, reconstruct what is not reconstructed, score what is not scored.
 //!
 //! Cells run one after the other, each on all threads, so that their timings do not disturb one another; or, where many
-//! are to be compared and time is short, several at once ([`execute_at_once`]). A cell that fails does not stop the others. What stops a run: the user, a full or unwritable disk, a machine that lacks
-//! something; whatever is finished by then is kept, and the same command goes on from there.
+//! are to be compared and time is short, several at once ([`execute_at_once`]). Several processes may run the same plan
+//! on one cache: what another one has claimed is left to it, and taken from the cache when it is done. A cell that fails
+//! does not stop the others. What stops a run: the user, a full or unwritable disk, a machine that lacks something;
+//! whatever is finished by then is kept, and the same command goes on from there.
 
-use std::fs::{self, File};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
+use super::claim::{self, Holder, lock};
 use super::event::{CacheUse, Event, Watcher};
 use super::plan::{Cell, Plan, Planned};
 use super::stages::Stages;
-use super::store::{ProductState, Store, cell_folder, sequence_product};
+use super::store::{ProductState, Store, Work, cell_folder, film_folder};
 use super::timing::{self, StageTiming, measured};
 use crate::base::{Error, ErrorKind, Progress, Result};
 
@@ -43,35 +47,57 @@ pub struct FinishedCell {
     pub failure: Option<Error>,
 }
 
+/// How long to wait before another process' work is looked at again.
+const LOOK_AGAIN: Duration = Duration::from_millis(200);
+
+/// What came of trying a piece of work: done, or another process has it.
+enum Tried<T> {
+    Done(T),
+    Held(Holder),
+}
+
 struct Execution<'a> {
     plan: &'a Plan,
     stages: &'a dyn Stages,
-    root: PathBuf,
-    store: Mutex<&'a mut Store>,
+    store: &'a Store,
     freshness: Freshness,
     watcher: &'a dyn Watcher,
     done: AtomicUsize,
     /// Whether what a cell cost is kept: not where it shared the machine, and CPU seconds are those of all.
     alone: bool,
+    /// Films that were tried, and what came of it.
+    films: Mutex<HashMap<String, Result<()>>>,
+    /// Work that another process had: what it has made since is fresh.
+    shared: Mutex<HashSet<String>>,
+    /// The claim that is waited for.
+    waits_for: Mutex<Option<String>>,
 }
 
 /// Runs every cell of `plan`; the answer has one entry per cell, in the plan's order, failed ones included.
 pub fn execute(
     plan: &Plan,
     stages: &dyn Stages,
-    store: &mut Store,
+    store: &Store,
     freshness: Freshness,
     watcher: &dyn Watcher,
 ) -> Result<Vec<FinishedCell>> {
     let run = Execution::new(plan, stages, store, freshness, watcher);
-    let mut finished = Vec::new();
-    for case in &plan.cases {
-        let filmed = run.filmed(case)?;
-        for cell in plan.cells_of(&case.id) {
-            finished.push(run.finished(case, &cell, &filmed, watcher)?);
+    let work = run.work();
+    let mut finished: Vec<Option<FinishedCell>> = vec![None; work.len()];
+    while finished.iter().any(Option::is_none) {
+        let (mut advanced, mut waits_for) = (false, None);
+        for (at, (case, cell)) in work.iter().enumerate().filter(|(at, _)| finished[*at].is_none()).collect::<Vec<_>>()
+        {
+            match run.tried(case, cell, watcher)? {
+                Tried::Done(done) => (finished[at], advanced) = (Some(done), true),
+                Tried::Held(holder) => waits_for = waits_for.or(Some((at, holder))),
+            }
+        }
+        if let (false, Some((at, holder))) = (advanced, waits_for) {
+            run.wait(&work[at].1, &holder)?;
         }
     }
-    Ok(finished)
+    Ok(finished.into_iter().flatten().collect())
 }
 
 /// As [`execute`], taking what is finished, with `lanes` cells at once that share the threads: films first, one after
@@ -79,7 +105,7 @@ pub fn execute(
 pub fn execute_at_once(
     plan: &Plan,
     stages: &dyn Stages,
-    store: &mut Store,
+    store: &Store,
     lanes: usize,
     watcher: &dyn Watcher,
 ) -> Result<Vec<FinishedCell>> {
@@ -87,15 +113,14 @@ pub fn execute_at_once(
         return execute(plan, stages, store, Freshness::Resume, watcher);
     }
     let mut run = Execution::new(plan, stages, store, Freshness::Resume, watcher);
-    let films = plan.cases.iter().map(|case| run.filmed(case)).collect::<Result<Vec<_>>>()?;
     run.alone = false;
-    let work: Vec<_> = plan
-        .cases
-        .iter()
-        .zip(&films)
-        .flat_map(|(case, filmed)| plan.cells_of(&case.id).into_iter().map(move |cell| (case, cell, filmed)))
-        .collect();
-    let (next, stopped) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let work = run.work();
+    for (case, cell) in &work {
+        while let Tried::Held(holder) = run.filmed(case)? {
+            run.wait(cell, &holder)?;
+        }
+    }
+    let (queue, stopped) = (Mutex::new((0..work.len()).collect::<VecDeque<_>>()), AtomicBool::new(false));
     let outcomes: Vec<Mutex<Option<Result<FinishedCell>>>> = work.iter().map(|_| Mutex::default()).collect();
     let threads = (rayon::current_num_threads() / lanes).max(1);
     let pools = (0..lanes.min(work.len())).map(|_| rayon::ThreadPoolBuilder::new().num_threads(threads).build());
@@ -103,9 +128,19 @@ pub fn execute_at_once(
     let pools = pools.map_err(|e| Error::new(ErrorKind::Environment, format!("cannot start {lanes} lanes: {e}")))?;
     let lane = |pool: &rayon::ThreadPool| {
         while !stopped.load(Ordering::SeqCst) {
-            let at = next.fetch_add(1, Ordering::SeqCst);
-            let Some((case, cell, filmed)) = work.get(at) else { break };
-            let outcome = pool.install(|| run.finished(case, cell, filmed, &Uncounted(watcher)));
+            let Some(at) = lock(&queue).pop_front() else { break };
+            let (case, cell) = &work[at];
+            let outcome = match pool.install(|| run.tried(case, cell, &Uncounted(watcher))) {
+                Ok(Tried::Held(holder)) => {
+                    lock(&queue).push_back(at);
+                    match run.wait(cell, &holder) {
+                        Ok(()) => continue,
+                        Err(error) => Err(error),
+                    }
+                }
+                Ok(Tried::Done(finished)) => Ok(finished),
+                Err(error) => Err(error),
+            };
             stopped.fetch_or(outcome.is_err(), Ordering::SeqCst);
             *lock(&outcomes[at]) = Some(outcome);
         }
@@ -115,9 +150,23 @@ pub fn execute_at_once(
     outcomes.iter().filter_map(|outcome| lock(outcome).take()).collect()
 }
 
-/// Nothing is left half done by a panic: those of stages are caught.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+/// Whether a cell's score is in the cache, made by this program from this plan, and whole.
+pub fn is_finished(plan: &Plan, store: &Store, cell: &Cell) -> Result<bool> {
+    let score = format!("{}/score", cell_folder(plan, cell)?);
+    Ok(store.state(&score, &plan.score_key(cell)?) == ProductState::Whole)
+}
+
+/// Every cell of `plan`, in its order, as it lies in the cache; what is not finished there has failed.
+pub fn finished(plan: &Plan, store: &Store) -> Result<Vec<FinishedCell>> {
+    let mut cells = Vec::new();
+    for case in &plan.cases {
+        for cell in plan.cells_of(&case.id) {
+            let failure = (!is_finished(plan, store, &cell)?)
+                .then(|| Error::new(ErrorKind::CellFailed, format!("{} is not finished", cell.id())));
+            cells.push(described(plan, store, case, &cell, failure)?);
+        }
+    }
+    Ok(cells)
 }
 
 /// The progress of one cell among several, whose frames would count over each other.
@@ -139,35 +188,42 @@ impl<'a> Execution<'a> {
     fn new(
         plan: &'a Plan,
         stages: &'a dyn Stages,
-        store: &'a mut Store,
+        store: &'a Store,
         freshness: Freshness,
         watcher: &'a dyn Watcher,
     ) -> Self {
         watcher.event(&Event::Started { plan });
-        let (root, done) = (store.root().to_path_buf(), AtomicUsize::new(0));
-        Execution { plan, stages, root, store: Mutex::new(store), freshness, watcher, done, alone: true }
-    }
-
-    /// Films a case. The outer error stops the run, the inner one costs the case's cells.
-    fn filmed(&self, case: &Planned) -> Result<Result<()>> {
-        match self.film(case) {
-            Err(error) if self.stops_the_run(&error) => Err(error),
-            filmed => Ok(filmed),
+        Execution {
+            plan,
+            stages,
+            store,
+            freshness,
+            watcher,
+            done: AtomicUsize::new(0),
+            alone: true,
+            films: Mutex::default(),
+            shared: Mutex::default(),
+            waits_for: Mutex::default(),
         }
     }
 
-    /// Runs a cell whose film was tried. An error stops the run.
-    fn finished(
-        &self,
-        case: &Planned,
-        cell: &Cell,
-        filmed: &Result<()>,
-        progress: &dyn Progress,
-    ) -> Result<FinishedCell> {
-        let failure = match filmed {
-            Err(error) => Some(error.clone()),
-            Ok(()) => self.cell(cell, progress).err(),
+    /// Every cell with its case, in the plan's order.
+    fn work(&self) -> Vec<(&'a Planned, Cell)> {
+        let of_case = |case: &'a Planned| self.plan.cells_of(&case.id).into_iter().map(move |cell| (case, cell));
+        self.plan.cases.iter().flat_map(of_case).collect()
+    }
+
+    /// Runs a cell, its film first. An error stops the run.
+    fn tried(&self, case: &Planned, cell: &Cell, progress: &dyn Progress) -> Result<Tried<FinishedCell>> {
+        let outcome = match self.filmed(case)? {
+            Tried::Held(holder) => return Ok(Tried::Held(holder)),
+            Tried::Done(Err(error)) => Err(error),
+            Tried::Done(Ok(())) => match self.cell(case, cell, progress) {
+                Ok(Tried::Held(holder)) => return Ok(Tried::Held(holder)),
+                outcome => outcome.map(|_| ()),
+            },
         };
+        let failure = outcome.err();
         if let Some(error) = &failure {
             if self.stops_the_run(error) {
                 return Err(error.clone());
@@ -175,149 +231,203 @@ impl<'a> Execution<'a> {
             self.done.fetch_add(1, Ordering::SeqCst);
             self.watcher.event(&Event::CellFailed { cell, error });
         }
-        self.describe(case, cell, failure)
+        Ok(Tried::Done(described(self.plan, self.store, case, cell, failure)?))
     }
 
-    fn path(&self, product: &str) -> PathBuf {
-        self.root.join(product)
+    /// Films a case, once. The outer error stops the run, the inner one costs the case's cells.
+    fn filmed(&self, case: &Planned) -> Result<Tried<Result<()>>> {
+        if let Some(outcome) = lock(&self.films).get(&case.id) {
+            return Ok(Tried::Done(outcome.clone()));
+        }
+        let outcome = match self.film(case) {
+            Err(error) if self.stops_the_run(&error) => return Err(error),
+            Ok(Tried::Held(holder)) => return Ok(Tried::Held(holder)),
+            outcome => outcome.map(|_| ()),
+        };
+        lock(&self.films).insert(case.id.clone(), outcome.clone());
+        Ok(Tried::Done(outcome))
+    }
+
+    /// Waits a moment for another process.
+    fn wait(&self, cell: &Cell, holder: &Holder) -> Result<()> {
+        if self.watcher.cancelled() {
+            return Err(Error::interrupted());
+        }
+        if lock(&self.waits_for).replace(holder.token.clone()).as_ref() != Some(&holder.token) {
+            self.watcher.event(&Event::Waiting { cell, holder });
+        }
+        std::thread::sleep(LOOK_AGAIN);
+        Ok(())
+    }
+
+    /// Claims a piece of work that is not done.
+    fn claim(&self, work: &str, kept: &[&str]) -> Result<std::result::Result<Work, Holder>> {
+        let claimed = self.store.claim(work, kept)?;
+        if claimed.is_err() {
+            lock(&self.shared).insert(work.to_owned());
+        }
+        Ok(claimed)
     }
 
     /// True for errors that would hit every further cell too; any other failure is reported in its cell's row.
     fn stops_the_run(&self, error: &Error) -> bool {
         match error.kind() {
             ErrorKind::Interrupted | ErrorKind::Environment => true,
-            ErrorKind::InputOutput => error.path().is_some_and(|path| path.starts_with(&self.root)),
+            ErrorKind::InputOutput => error.path().is_some_and(|path| path.starts_with(self.store.root())),
             _ => false,
         }
     }
 
-    fn film(&self, case: &Planned) -> Result<()> {
-        let (product, key) = sequence_product(self.plan, case)?;
-        let folder = self.path(&product);
-        let timing_file = folder.with_extension("timing.json");
-        if self.usable(&product, &key)? {
-            self.watcher.event(&Event::Filmed { case_id: &case.id, cache_use: CacheUse::Cached, wall_s: 0.0 });
-            return Ok(());
+    fn film(&self, case: &Planned) -> Result<Tried<()>> {
+        let (folder, key) = (film_folder(self.plan, case)?, self.plan.sequence_key(case)?);
+        let film = [(format!("{folder}/film"), key.clone())];
+        let cached =
+            || self.watcher.event(&Event::Filmed { case_id: &case.id, cache_use: CacheUse::Cached, wall_s: 0.0 });
+        if self.is_done(&folder, &film)? {
+            cached();
+            return Ok(Tried::Done(()));
         }
-        if !folder.exists() {
-            remove_if_there(&timing_file)?;
+        let work = match self.claim(&folder, &["film"])? {
+            Ok(work) => work,
+            Err(holder) => return Ok(Tried::Held(holder)),
+        };
+        if self.usable(&folder, &film[0], &work)? {
+            cached();
+        } else {
+            self.watcher.event(&Event::Filming { case_id: &case.id });
+            let wall_s = self.make_film(case, &folder, &work)?;
+            work.publish("film", &key)?;
+            self.watcher.event(&Event::Filmed { case_id: &case.id, cache_use: CacheUse::Made, wall_s });
         }
-        self.watcher.event(&Event::Filming { case_id: &case.id });
-        let work = || caught(|| self.stages.film(&case.id, &folder, self.watcher));
-        let (outcome, timing) = measured("simulate", work);
-        let wall_s = timing.wall_s;
-        if folder.exists() {
-            timing::add(&timing_file, timing)?;
-        }
-        outcome?;
-        lock(&self.store).commit(&product, &key)?;
-        self.watcher.event(&Event::Filmed { case_id: &case.id, cache_use: CacheUse::Made, wall_s });
-        Ok(())
+        work.release().map(Tried::Done)
     }
 
-    fn cell(&self, cell: &Cell, progress: &dyn Progress) -> Result<()> {
+    fn make_film(&self, case: &Planned, folder: &str, work: &Work) -> Result<f64> {
+        let (making, timing_file) = (work.resume("film")?, self.store.path(folder).join("timing.json"));
+        if !making.exists() {
+            claim::remove_folder(&timing_file)?;
+        }
+        let film = || caught(|| self.stages.film(&case.id, &making, self.watcher));
+        let (outcome, timing) = measured("simulate", film);
+        let wall_s = timing.wall_s;
+        if making.exists() {
+            timing::add(&timing_file, timing)?;
+        }
+        outcome.map(|()| wall_s)
+    }
+
+    fn cell(&self, case: &Planned, cell: &Cell, progress: &dyn Progress) -> Result<Tried<()>> {
         if self.watcher.cancelled() {
             return Err(Error::interrupted());
         }
         let folder = cell_folder(self.plan, cell)?;
-        let case = self.plan.cases.iter().find(|c| c.id == cell.case_id).expect("cells are made from the plan's cases");
-        let sequence = self.path(&sequence_product(self.plan, case)?.0);
-        let (prediction, score) = (format!("{folder}/prediction"), format!("{folder}/score.json"));
-        let (prediction_key, score_key) = (self.plan.prediction_key(cell)?, self.plan.score_key(cell)?);
-        let timing_file = self.path(&folder).join("timing.json");
-
-        let mut wall_s = 0.0;
-        let mut started = false;
-        if !self.usable(&prediction, &prediction_key)? {
-            self.watcher.event(&Event::CellStarted { cell });
-            started = true;
-            lock(&self.store).discard(&score)?;
-            let timing = self.reconstruct(cell, &sequence, &prediction, progress)?;
-            wall_s += timing.wall_s;
-            self.keep(&timing_file, timing)?;
-            lock(&self.store).commit(&prediction, &prediction_key)?;
-        }
-        let rescored = !self.usable(&score, &score_key)?;
-        if rescored {
-            if !started {
-                self.watcher.event(&Event::CellStarted { cell });
+        let products = [
+            (format!("{folder}/prediction"), self.plan.prediction_key(cell)?),
+            (format!("{folder}/score"), self.plan.score_key(cell)?),
+        ];
+        let (mut wall_s, mut cache_use) = (0.0, CacheUse::Cached);
+        if !self.is_done(&folder, &products)? {
+            let work = match self.claim(&folder, &[])? {
+                Ok(work) => work,
+                Err(holder) => return Ok(Tried::Held(holder)),
+            };
+            let [prediction, score] = &products;
+            let predicted = self.usable(&folder, prediction, &work)?;
+            if !predicted {
+                work.discard("score")?;
             }
-            let (prediction_path, score_path) = (self.path(&prediction), self.path(&score));
-            let work = || caught(|| self.stages.score(cell, &sequence, &prediction_path, &score_path));
-            let (outcome, timing) = measured("score", work);
-            outcome?;
-            wall_s += timing.wall_s;
-            self.keep(&timing_file, timing)?;
-            lock(&self.store).commit(&score, &score_key)?;
+            // A claim may have come back with the work done.
+            if !predicted || !self.usable(&folder, score, &work)? {
+                cache_use = CacheUse::Made;
+                self.watcher.event(&Event::CellStarted { cell });
+                let sequence = self.store.path(&film_folder(self.plan, case)?).join("film");
+                let timing_file = self.store.path(&folder).join("timing.json");
+                if !predicted {
+                    let reconstruct = |out: &Path| self.stages.reconstruct(cell, &sequence, out, progress);
+                    wall_s +=
+                        self.make(&work, &prediction.1, ("prediction", "reconstruct"), &timing_file, reconstruct)?;
+                }
+                let predicted = self.store.path(&prediction.0);
+                let scored = |out: &Path| self.stages.score(cell, &sequence, &predicted, &out.join("score.json"));
+                wall_s += self.make(&work, &score.1, ("score", "score"), &timing_file, scored)?;
+            }
+            work.release()?;
         }
-        let cache_use = if started || rescored { CacheUse::Made } else { CacheUse::Cached };
-        let (done, total) = (self.done.fetch_add(1, Ordering::SeqCst) + 1, self.plan.cells().len());
+        let plan = self.plan;
+        let total = plan.cases.len() * plan.methods.len() * plan.seeds.len();
+        let done = self.done.fetch_add(1, Ordering::SeqCst) + 1;
         self.watcher.event(&Event::CellFinished { cell, cache_use, wall_s, done, total });
-        Ok(())
+        Ok(Tried::Done(()))
     }
 
-    fn keep(&self, file: &Path, timing: StageTiming) -> Result<()> {
-        if self.alone { timing::keep(file, timing) } else { Ok(()) }
-    }
-
-    /// Makes the prediction under another name and then renames it, so that readers see a whole one or none.
-    fn reconstruct(
+    /// Makes a product by a stage, from nothing, and publishes it. The answer is in wall seconds.
+    fn make(
         &self,
-        cell: &Cell,
-        sequence: &Path,
-        prediction: &str,
-        progress: &dyn Progress,
-    ) -> Result<StageTiming> {
-        let whole = self.path(prediction);
-        let partial = whole.with_file_name(".partial");
-        lock(&self.store).discard(prediction)?;
-        remove_folder_if_there(&partial)?;
-        fs::create_dir_all(&partial).map_err(|e| Error::io("making the folder", &partial, e))?;
-        let work = || caught(|| self.stages.reconstruct(cell, sequence, &partial, progress));
-        let (outcome, timing) = measured("reconstruct", work);
+        work: &Work,
+        key: &str,
+        (product, stage): (&str, &str),
+        timing_file: &Path,
+        made: impl Fn(&Path) -> Result<()>,
+    ) -> Result<f64> {
+        let making = work.begin(product)?;
+        let (outcome, timing) = measured(stage, || caught(|| made(&making)));
         if let Err(error) = outcome {
-            remove_folder_if_there(&partial)?;
+            work.abandon(product)?;
             return Err(error);
         }
-        let parent = whole.parent().expect("a prediction lies in the cell's folder");
-        let moved = fs::rename(&partial, &whole).and_then(|()| File::open(parent)?.sync_all());
-        moved.map_err(|e| Error::io("writing", &whole, e))?;
-        Ok(timing)
+        let wall_s = timing.wall_s;
+        if self.alone {
+            timing::keep(timing_file, timing)?;
+        }
+        work.publish(product, key).map(|()| wall_s)
     }
 
-    /// True when the product is finished, from the same key, and whole. Otherwise the files of a *finished*
-    /// product are removed; those that an interrupted stage left behind stay, so that the stage can resume.
-    fn usable(&self, product: &str, key: &str) -> Result<bool> {
-        let state = lock(&self.store).state(product, key);
-        let path = self.path(product);
-        let reason = match (state, self.freshness) {
-            (ProductState::Whole, Freshness::Resume) => return Ok(true),
-            (ProductState::Absent, Freshness::Resume) => return Ok(false),
-            (ProductState::Absent | ProductState::Whole, Freshness::Fresh) => None,
-            (ProductState::Outdated, _) => Some("it was made by another version of the program or from other input"),
-            (ProductState::Damaged, _) => Some("its files are not what they were when it was finished"),
+    /// Whether all products of a piece of work are there, from the same keys, and whole, and may be used.
+    fn is_done(&self, work: &str, products: &[(String, String)]) -> Result<bool> {
+        let whole = |(product, key): &(String, String)| self.store.state(product, key) == ProductState::Whole;
+        if !self.may_use(work) || !products.iter().all(whole) {
+            return Ok(false);
+        }
+        self.store.tidy(work)?;
+        Ok(true)
+    }
+
+    fn may_use(&self, work: &str) -> bool {
+        self.freshness == Freshness::Resume || lock(&self.shared).contains(work)
+    }
+
+    /// True when the product of claimed work is finished, from the same key, and whole. Otherwise it is removed.
+    fn usable(&self, folder: &str, (product, key): &(String, String), work: &Work) -> Result<bool> {
+        let reason = match self.store.state(product, key) {
+            ProductState::Absent => return Ok(false),
+            ProductState::Whole if self.may_use(folder) => return Ok(true),
+            ProductState::Whole => None,
+            ProductState::Outdated => Some("it was made by another version of the program or from other input"),
+            ProductState::Damaged => Some("its files are not what they were when it was finished"),
         };
+        let path = self.store.path(product);
         if let Some(reason) = reason {
             self.watcher.event(&Event::Discarded { path: &path, reason });
         }
-        lock(&self.store).discard(product)?;
+        work.discard(product.rsplit('/').next().unwrap_or(product))?;
         Ok(false)
     }
+}
 
-    fn describe(&self, case: &Planned, cell: &Cell, failure: Option<Error>) -> Result<FinishedCell> {
-        let sequence = self.path(&sequence_product(self.plan, case)?.0);
-        let folder = self.path(&cell_folder(self.plan, cell)?);
-        let mut timings = timing::read(&sequence.with_extension("timing.json"))?;
-        timings.extend(timing::read(&folder.join("timing.json"))?);
-        Ok(FinishedCell {
-            cell: cell.clone(),
-            sequence,
-            prediction: folder.join("prediction"),
-            score: folder.join("score.json"),
-            timings,
-            failure,
-        })
-    }
+/// Where the files of a cell are, and what it cost.
+fn described(plan: &Plan, store: &Store, case: &Planned, cell: &Cell, failure: Option<Error>) -> Result<FinishedCell> {
+    let film = store.path(&film_folder(plan, case)?);
+    let folder = store.path(&cell_folder(plan, cell)?);
+    let mut timings = timing::read(&film.join("timing.json"))?;
+    timings.extend(timing::read(&folder.join("timing.json"))?);
+    Ok(FinishedCell {
+        cell: cell.clone(),
+        sequence: film.join("film"),
+        prediction: folder.join("prediction"),
+        score: folder.join("score/score.json"),
+        timings,
+        failure,
+    })
 }
 
 /// A panic is a bug of one stage; it costs its cell, not the run.
@@ -327,20 +437,6 @@ fn caught<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
         let text = text.or_else(|| payload.downcast_ref::<&str>().copied()).unwrap_or("no message");
         Err(Error::new(ErrorKind::CellFailed, format!("a bug in the program: {text}")))
     })
-}
-
-fn remove_if_there(path: &Path) -> Result<()> {
-    match fs::remove_file(path) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("removing", path, e)),
-        _ => Ok(()),
-    }
-}
-
-fn remove_folder_if_there(path: &Path) -> Result<()> {
-    match fs::remove_dir_all(path) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("removing", path, e)),
-        _ => Ok(()),
-    }
 }
 
 #[cfg(test)]

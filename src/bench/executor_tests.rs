@@ -13,6 +13,8 @@ struct Fake {
     calls: AtomicUsize,
     log: Mutex<Vec<String>>,
     fault: Option<(usize, Fault)>,
+    /// How long a stage takes.
+    pause: Duration,
 }
 
 #[derive(Clone, Copy)]
@@ -31,6 +33,7 @@ impl Fake {
     fn call(&self, what: String, target: &Path) -> Result<()> {
         let number = self.calls.fetch_add(1, Ordering::SeqCst);
         self.log.lock().unwrap().push(what);
+        std::thread::sleep(self.pause);
         match self.fault {
             Some((n, fault)) if n == number => match fault {
                 Fault::Cell => Err(Error::new(ErrorKind::CellFailed, "planted")),
@@ -84,6 +87,7 @@ impl Watcher for Events {
         self.0.lock().unwrap().push(match event {
             Event::Discarded { reason, .. } => format!("discarded: {reason}"),
             Event::CellFailed { cell, error } => format!("{} failed: {error}", cell.id()),
+            Event::Waiting { cell, .. } => format!("waits for {}", cell.id()),
             Event::CellFinished { cell, cache_use, done, total, .. } => {
                 format!("{} {cache_use:?} {done}/{total}", cell.id())
             }
@@ -94,8 +98,8 @@ impl Watcher for Events {
 
 fn run(root: &Path, plan: &Plan, fake: &Fake, freshness: Freshness) -> (Result<Vec<FinishedCell>>, Vec<String>) {
     let events = Events::default();
-    let mut store = Store::open(root).unwrap();
-    let outcome = execute(plan, fake, &mut store, freshness, &events);
+    let store = Store::open(root).unwrap();
+    let outcome = execute(plan, fake, &store, freshness, &events);
     (outcome, events.0.into_inner().unwrap())
 }
 
@@ -105,7 +109,7 @@ fn picture(root: &Path, cells: &[FinishedCell]) -> (Vec<String>, Vec<String>) {
     let mut stack = vec![root.to_path_buf()];
     let mut names = Vec::new();
     while let Some(folder) = stack.pop() {
-        for entry in fs::read_dir(folder).unwrap() {
+        for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
             if path.is_dir() {
                 stack.push(path)
@@ -163,8 +167,8 @@ fn damage_is_noticed_and_mended() {
     let cells = run(folder.path(), &plan, &fake, Freshness::Resume).0.unwrap();
     let before = picture(folder.path(), &cells);
     fake.log();
-    fs::write(cells[2].prediction.join("phase.csv"), "rubbish").unwrap();
-    fs::remove_file(cells[5].sequence.join("first")).unwrap();
+    std::fs::write(cells[2].prediction.join("phase.csv"), "rubbish").unwrap();
+    std::fs::remove_file(cells[5].sequence.join("first")).unwrap();
     let (cells, events) = run(folder.path(), &plan, &fake, Freshness::Resume);
     assert_eq!(fake.log(), ["reconstruct case1-static-ct-s1", "score case1-static-ct-s1", "film case2"]);
     assert_eq!(events.iter().filter(|e| e.contains("not what they were")).count(), 2);
@@ -219,8 +223,8 @@ fn a_full_disk_or_the_user_stops_the_run_and_nothing_is_lost() {
 #[test]
 fn two_at_once_leave_what_one_after_the_other_leaves() {
     let at_once = |root: &Path, plan: &Plan, fake: &Fake| {
-        let mut store = Store::open(root).unwrap();
-        execute_at_once(plan, fake, &mut store, 2, &Events::default())
+        let store = Store::open(root).unwrap();
+        execute_at_once(plan, fake, &store, 2, &Events::default())
     };
     let whole = tempfile::tempdir().unwrap();
     let plan = small_plan();
@@ -247,4 +251,82 @@ fn two_at_once_leave_what_one_after_the_other_leaves() {
     let folder = tempfile::tempdir().unwrap();
     let cells = at_once(folder.path(), &plan, &Fake::with_fault(5, Fault::Panic)).unwrap();
     assert_eq!(cells.iter().filter(|c| c.failure.is_some()).count(), 1);
+}
+
+/// Two processes that share a cache: what one has claimed the other one leaves to it, and takes when it is done.
+#[test]
+fn two_runs_share_the_work_and_both_have_all_of_it() {
+    let alone = tempfile::tempdir().unwrap();
+    let plan = small_plan();
+    let cells = run(alone.path(), &plan, &Fake::default(), Freshness::Resume).0.unwrap();
+    let expected = picture(alone.path(), &cells);
+
+    for freshness in [Freshness::Resume, Freshness::Fresh] {
+        let folder = tempfile::tempdir().unwrap();
+        let fakes: Vec<Fake> = (0..3).map(|_| Fake { pause: Duration::from_millis(5), ..Fake::default() }).collect();
+        let runs: Vec<_> = std::thread::scope(|scope| {
+            let started: Vec<_> = fakes
+                .iter()
+                .map(|fake| scope.spawn(|| run(folder.path(), &plan, fake, freshness).0.unwrap()))
+                .collect();
+            started.into_iter().map(|run| run.join().unwrap()).collect()
+        });
+        let logs: Vec<Vec<String>> = fakes.iter().map(Fake::log).collect();
+        for cells in runs {
+            assert_eq!(picture(folder.path(), &cells), expected);
+        }
+        if freshness == Freshness::Resume {
+            assert_eq!(logs.iter().map(Vec::len).sum::<usize>(), 18, "{logs:?}");
+            assert!(logs.iter().filter(|log| !log.is_empty()).count() > 1, "one did it all: {logs:?}");
+        }
+    }
+}
+
+/// A run that was killed holds its claims no longer; one that lives on another machine does, and is waited for.
+#[test]
+fn a_claim_of_the_living_is_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = small_plan();
+    let store = Store::open(folder.path()).unwrap();
+    let cell = plan.cells().remove(1);
+    let work = store.claim(&cell_folder(&plan, &cell).unwrap(), &[]).unwrap().unwrap();
+    let (fake, events) = (Fake::default(), Events::default());
+    std::thread::scope(|scope| {
+        let waiting = scope.spawn(|| execute(&plan, &fake, &store, Freshness::Resume, &events));
+        while !events.0.lock().unwrap().iter().any(|event| event.starts_with("waits")) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        assert_eq!(fake.log().len(), 16, "all but the claimed cell is done by now");
+        work.release().unwrap();
+        assert!(waiting.join().unwrap().unwrap().iter().all(|cell| cell.failure.is_none()));
+    });
+    assert_eq!(fake.log(), ["reconstruct case1-ours-s2", "score case1-ours-s2"]);
+    assert_eq!(events.0.into_inner().unwrap().iter().filter(|event| event.starts_with("waits")).count(), 1);
+}
+
+/// What a plan of the size of a cluster's costs by itself (`docs/cluster.md`): run it by name with `--ignored
+/// --nocapture`; it asserts no times.
+#[test]
+#[ignore = "takes a minute, and prints times"]
+fn twelve_thousand_cells() {
+    let folder = tempfile::tempdir().unwrap();
+    let planned = |id: String| crate::bench::plan::Planned { content: format!("content of {id}"), id };
+    let plan = Plan {
+        cases: (0..1000).map(|k| planned(format!("case{k}"))).collect(),
+        methods: (0..12).map(|k| planned(format!("method{k}"))).collect(),
+        seeds: vec![1],
+        ..small_plan()
+    };
+    let fake = Fake::default();
+    for what in ["made", "resumed"] {
+        let started = std::time::Instant::now();
+        let cells = run(folder.path(), &plan, &fake, Freshness::Resume).0.unwrap();
+        println!("{} cells {what} in {:.1} s", cells.len(), started.elapsed().as_secs_f64());
+    }
+    assert_eq!(fake.log().len(), 1000 + 2 * 12_000);
+    let store = Store::look(folder.path());
+    let started = std::time::Instant::now();
+    let missing = plan.cells().iter().filter(|cell| !is_finished(&plan, &store, cell).unwrap()).count();
+    println!("looked through in {:.1} s", started.elapsed().as_secs_f64());
+    assert_eq!(missing, 0);
 }

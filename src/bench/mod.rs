@@ -1,4 +1,4 @@
-//! Which cells, in which order, resumed from where: profiles, plan, executor, journal, events. Does not know what
+//! Which cells, in which order, resumed from where: profiles, plan, executor, cache, events. Does not know what
 //! reports look like.
 //!
 //! ```text
@@ -8,11 +8,12 @@
 //! A cell is a pure function of its key (case, simulation settings, method, seed, revision of the code that makes it),
 //! so a finished cell is never computed again, and an interrupted run is resumed by starting it again.
 
+pub mod array_job;
 pub mod catalogue;
+pub mod claim;
 pub mod environment;
 pub mod event;
 pub mod executor;
-pub mod journal;
 pub mod pipeline;
 pub mod plan;
 pub mod profile;
@@ -25,7 +26,7 @@ pub mod variant;
 pub use catalogue::Catalogue;
 pub use environment::Environment;
 pub use event::{CacheUse, Event, Watcher};
-pub use executor::{FinishedCell, Freshness, execute, execute_at_once};
+pub use executor::{FinishedCell, Freshness, execute, execute_at_once, finished, is_finished};
 pub use pipeline::{Pipeline, Wishes, reconstruct_folder};
 pub use plan::{Cell, Plan};
 pub use profile::Profile;

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use super::array_job::WorkCost;
 use super::catalogue::Catalogue;
 use super::environment::Environment;
 use super::executor::FinishedCell;
@@ -172,18 +173,32 @@ impl Pipeline {
     pub fn estimate(&self) -> Estimate {
         let nothing = Estimate { resumable: true, ..Estimate::default() };
         let effort: f64 = self.methods.iter().map(|method| method.effort).sum::<f64>() * self.seeds.len() as f64;
-        let of_case = |case: &Case| {
-            let film = self.simulation_settings(case);
-            let (frames, pixels) = (film.frames as f64, f64::from(film.width_px) * f64::from(film.height_px));
-            let frame_s = effort * (SMALL_FRAME_S + FRAME_S * pixels / FRAME_PIXELS);
-            let cells = Estimate {
-                memory_bytes: CELL_BYTES + frames * pixels * FILM_PIXEL_BYTES,
-                seconds: frames * frame_s / rayon::current_num_threads() as f64,
-                resumable: true,
-            };
-            film.estimate(case).then(cells)
+        self.cases.iter().map(|case| self.case_estimate(case, effort)).fold(nothing, Estimate::then)
+    }
+
+    /// A case's film, and cells that together take `effort` times the iterations of `ours`.
+    fn case_estimate(&self, case: &Case, effort: f64) -> Estimate {
+        let film = self.simulation_settings(case);
+        let (frames, pixels) = (film.frames as f64, f64::from(film.width_px) * f64::from(film.height_px));
+        let frame_s = effort * (SMALL_FRAME_S + FRAME_S * pixels / FRAME_PIXELS);
+        let cells = Estimate {
+            memory_bytes: CELL_BYTES + frames * pixels * FILM_PIXEL_BYTES,
+            seconds: frames * frame_s / rayon::current_num_threads() as f64,
+            resumable: true,
         };
-        self.cases.iter().map(of_case).fold(nothing, Estimate::then)
+        film.estimate(case).then(cells)
+    }
+
+    /// What a cell would cost, its film included, were nothing in the cache.
+    pub fn cell_cost(&self, cell: &Cell) -> WorkCost {
+        let of_case = self.cases.iter().find(|case| case.id == cell.case_id);
+        let of_method = self.methods.iter().find(|method| method.method.id() == cell.method);
+        let effort = of_method.map_or(1.0, |method| method.effort);
+        let cost = of_case.map_or_else(Estimate::default, |case| self.case_estimate(case, effort));
+        WorkCost {
+            cpu_s: cost.seconds * rayon::current_num_threads() as f64,
+            memory_mib: cost.memory_bytes / (1024.0 * 1024.0),
+        }
     }
 
     /// The cases that were chosen.

@@ -1,59 +1,47 @@
-//! The cache folder: finished products by key, checked before they are used again, one writer at a time.
+//! The cache folder: finished products by key, checked before they are used again. Any number of processes share it,
+//! on one machine or on several, without locks of the file system.
 //!
 //! ```text
-//! <cache>/.lock                                  held by the process that writes here
-//! <cache>/journal.jsonl                          what is finished
-//! <cache>/sequences/<case>-<12 digits>/          a sequence
-//! <cache>/cells/<case>-<method>-s<seed>-<12>/    prediction/, score.json, timing.json
+//! <cache>/sequences/<case>-<12 digits>/          film/, timing.json
+//! <cache>/cells/<case>-<method>-s<seed>-<12>/    prediction/, score/score.json, timing.json
 //! ```
+//!
+//! Each of these folders is one piece of work: a process claims it (`claim.rs`) before it makes or discards a product in
+//! it. A product is made under a hidden name, gets its finish marker `.finished.json` (key and hash), and is renamed into
+//! place: readers see a whole product or none.
 
-use std::collections::BTreeMap;
-use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::Write;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use super::journal::{self, Journal, JournalEntry};
+use super::claim::{self, Asked, Claim, Claims};
 use super::plan::{Cell, Plan, Planned};
 use crate::base::{Error, Result, files, hash};
 
-/// Holds a folder for this process until it is dropped, or the process ends however it ends.
-#[derive(Debug)]
-pub struct Lock(#[expect(dead_code, reason = "the open file is the lock")] File);
+/// Name of a product's finish marker.
+pub const MARKER: &str = ".finished.json";
+/// How the name of a product that is being made begins; its name and the claim's token follow.
+const MAKING: &str = ".making-";
 
-impl Lock {
-    /// Takes `<folder>/.lock`; the folder is made when missing. Refuses in one sentence when another process has it.
-    pub fn take(folder: &Path) -> Result<Lock> {
-        fs::create_dir_all(folder).map_err(|e| Error::io("making the folder", folder, e))?;
-        let path = folder.join(".lock");
-        let fail = |e| Error::io("writing", &path, e);
-        let mut file = OpenOptions::new().create(true).truncate(false).write(true).open(&path).map_err(fail)?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                let holder = fs::read_to_string(&path).unwrap_or_default();
-                let holder = holder.trim();
-                return Err(Error::input(format!(
-                    "another run works in this folder ({}); wait for it, or choose another folder",
-                    if holder.is_empty() { "unknown process" } else { holder }
-                ))
-                .at(folder));
-            }
-            Err(TryLockError::Error(e)) => return Err(fail(e)),
-        }
-        file.set_len(0).and_then(|()| write!(file, "process {}", std::process::id())).map_err(fail)?;
-        Ok(Lock(file))
-    }
+/// The finish marker of a product.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FinishMarker {
+    /// Hash of everything that the product depends on.
+    pub key: String,
+    /// Hash of its files.
+    pub outputs: String,
+    /// Hash of its files' names, sizes and times of change. As long as it holds, the files are not read again.
+    pub listing: String,
 }
-
-/// Where products lie; other files in the folder are left alone.
-const FOLDERS: [&str; 2] = ["sequences", "cells"];
 
 /// The state of a product in the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProductState {
-    /// There, made from the same key, and its files hash as they did when it was finished.
+    /// There, made from the same key, and its files are as they were when it was finished.
     Whole,
     /// Never finished.
     Absent,
@@ -63,32 +51,92 @@ pub enum ProductState {
     Damaged,
 }
 
+/// A piece of work that this process has claimed.
+#[derive(Debug)]
+pub struct Work {
+    folder: PathBuf,
+    claim: Claim,
+}
+
+impl Work {
+    /// A folder for the product of that name; what an ended process had begun is in it.
+    pub fn resume(&self, product: &str) -> Result<PathBuf> {
+        let own = self.making(product);
+        let begun = claim::hidden(&self.folder)?;
+        if let Some(begun) = begun.iter().find(|name| name.starts_with(&format!("{MAKING}{product}-"))) {
+            let from = self.folder.join(begun);
+            fs::rename(&from, &own).map_err(|e| Error::io("writing", &from, e))?;
+            // What was being written when the process ended.
+            files::remove_unfinished(&own)?;
+        }
+        Ok(own)
+    }
+
+    /// An empty folder for the product of that name.
+    pub fn begin(&self, product: &str) -> Result<PathBuf> {
+        let own = self.making(product);
+        claim::remove_folder(&own)?;
+        fs::create_dir_all(&own).map_err(|e| Error::io("making the folder", &own, e))?;
+        Ok(own)
+    }
+
+    fn making(&self, product: &str) -> PathBuf {
+        self.folder.join(format!("{MAKING}{product}-{}", self.claim.token()))
+    }
+
+    /// Marks a product as finished and moves it into place, once its files are on disk.
+    pub fn publish(&self, product: &str, key: &str) -> Result<()> {
+        let (own, place) = (self.making(product), self.folder.join(product));
+        let marker = FinishMarker { key: key.into(), outputs: hash_of_files(&own)?, listing: hash_of_listing(&own)? };
+        files::write_json(&own.join(MARKER), &marker)?;
+        let moved = match fs::rename(&own, &place) {
+            // Another process took this one for dead and has finished.
+            Err(e) if claim::is_occupied(&e) && state_of(&place, key) == ProductState::Whole => {
+                return claim::remove_folder(&own);
+            }
+            Err(e) if claim::is_occupied(&e) => {
+                self.discard(product)?;
+                fs::rename(&own, &place)
+            }
+            moved => moved,
+        };
+        moved.and_then(|()| File::open(&self.folder)?.sync_all()).map_err(|e| Error::io("writing", &place, e))
+    }
+
+    /// Gives up a product that is being made.
+    pub fn abandon(&self, product: &str) -> Result<()> {
+        claim::remove_folder(&self.making(product))
+    }
+
+    /// Removes a finished product.
+    pub fn discard(&self, product: &str) -> Result<()> {
+        let aside = self.folder.join(format!(".discarded-{product}-{}", self.claim.token()));
+        claim::remove_renamed(&self.folder.join(product), &aside)
+    }
+
+    /// Gives the work back.
+    pub fn release(self) -> Result<()> {
+        self.claim.release()
+    }
+}
+
 /// A cache folder.
 #[derive(Debug)]
 pub struct Store {
     root: PathBuf,
-    entries: BTreeMap<String, JournalEntry>,
-    writer: Option<(Journal, Lock)>,
+    claims: Claims,
 }
 
 impl Store {
-    /// Opens for work: takes the lock, clears away what a killed run was writing, reads the journal, cuts off a torn
-    /// last line.
+    /// The cache at `root`, for work: the folder is made when missing.
     pub fn open(root: &Path) -> Result<Store> {
-        let lock = Lock::take(root)?;
-        for folder in FOLDERS {
-            files::remove_unfinished(&root.join(folder))?;
-        }
-        let path = root.join("journal.jsonl");
-        let (entries, whole) = journal::read(&path)?;
-        let journal = Journal::open(&path, whole)?;
-        Ok(Store { root: root.to_path_buf(), entries, writer: Some((journal, lock)) })
+        fs::create_dir_all(root).map_err(|e| Error::io("making the folder", root, e))?;
+        Ok(Store::look(root))
     }
 
-    /// Opens for reading only; the folder need not exist.
-    pub fn look(root: &Path) -> Result<Store> {
-        let (entries, _) = journal::read(&root.join("journal.jsonl"))?;
-        Ok(Store { root: root.to_path_buf(), entries, writer: None })
+    /// The cache at `root`, which need not exist, for reading.
+    pub fn look(root: &Path) -> Store {
+        Store { root: root.to_path_buf(), claims: Claims::default() }
     }
 
     /// The cache folder.
@@ -96,43 +144,53 @@ impl Store {
         &self.root
     }
 
-    /// Where a product lies.
+    /// Where a product or piece of work lies.
     pub fn path(&self, product: &str) -> PathBuf {
         self.root.join(product)
     }
 
-    /// Checks a product against its key and, when the key fits, its files against their hash.
+    /// Checks a product against its key and, when the key fits, its files.
     pub fn state(&self, product: &str, key: &str) -> ProductState {
-        match self.entries.get(product) {
-            None => ProductState::Absent,
-            Some(entry) if entry.key != key => ProductState::Outdated,
-            Some(entry) => match hash_of_files(&self.path(product)) {
-                Ok(outputs) if outputs == entry.outputs => ProductState::Whole,
-                _ => ProductState::Damaged,
-            },
-        }
+        state_of(&self.path(product), key)
     }
 
-    /// Says that a product is finished, once its files are on disk.
-    pub fn commit(&mut self, product: &str, key: &str) -> Result<()> {
-        let outputs = hash_of_files(&self.path(product))?;
-        let entry = JournalEntry { product: product.into(), key: key.into(), outputs };
-        let (journal, _) = self.writer.as_mut().expect("only an opened store is committed to");
-        journal.append(&entry)?;
-        self.entries.insert(product.into(), entry);
+    /// Claims the piece of work of that name; who else has it where that fails. What an ended process left is removed,
+    /// but for begun products of the names `kept`.
+    ///
+    /// Errors: a folder that cannot be read or written.
+    pub fn claim(&self, work: &str, kept: &[&str]) -> Result<std::result::Result<Work, claim::Holder>> {
+        let folder = self.path(work);
+        let kept: Vec<String> = kept.iter().map(|product| format!("{MAKING}{product}-")).collect();
+        let kept: Vec<&str> = kept.iter().map(String::as_str).collect();
+        Ok(match self.claims.ask(&folder, &kept)? {
+            Asked::Granted(claim) => Ok(Work { folder, claim }),
+            Asked::Held(holder) => Err(holder),
+        })
+    }
+
+    /// Clears away what a process left that ended between its last product and giving the work back.
+    pub fn tidy(&self, work: &str) -> Result<()> {
+        let folder = self.path(work);
+        if claim::is_claimed(&folder) || !claim::hidden(&folder)?.is_empty() {
+            if let Ok(work) = self.claim(work, &[])? {
+                work.release()?;
+            }
+        }
         Ok(())
     }
+}
 
-    /// Removes the files of a product, finished or not.
-    pub fn discard(&mut self, product: &str) -> Result<()> {
-        let path = self.path(product);
-        self.entries.remove(product);
-        let outcome = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
-        match outcome {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("removing", &path, e)),
-            _ => Ok(()),
-        }
+fn state_of(place: &Path, key: &str) -> ProductState {
+    let Ok(marker) = files::read_json::<FinishMarker>(&place.join(MARKER)) else {
+        return if place.exists() { ProductState::Damaged } else { ProductState::Absent };
+    };
+    if marker.key != key {
+        return ProductState::Outdated;
     }
+    // Copied files have other times, and are read.
+    let is_whole = hash_of_listing(place).is_ok_and(|listing| listing == marker.listing)
+        || hash_of_files(place).is_ok_and(|outputs| outputs == marker.outputs);
+    if is_whole { ProductState::Whole } else { ProductState::Damaged }
 }
 
 /// One hash over the names and contents of all files of a folder, or of a single file; hidden files do not count.
@@ -140,35 +198,55 @@ pub fn hash_of_files(path: &Path) -> Result<String> {
     if path.is_file() {
         return hash::of_file(path);
     }
-    let mut found = Vec::new();
-    list_files(path, &mut found)?;
-    found.sort();
+    let found = list_files(path)?;
     let hashes: Vec<String> = found.par_iter().map(|file| hash::of_file(file)).collect::<Result<_>>()?;
-    let names = found.iter().map(|file| file.strip_prefix(path).unwrap_or(file).to_string_lossy().into_owned());
-    hash::of_value(&names.zip(hashes).collect::<Vec<_>>())
+    hash::of_value(&names(path, &found).zip(hashes).collect::<Vec<_>>())
 }
 
-fn list_files(folder: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
-    let fail = |e| Error::io("reading", folder, e);
-    for entry in fs::read_dir(folder).map_err(fail)? {
-        let entry = entry.map_err(fail)?;
-        let hidden = entry.file_name().to_string_lossy().starts_with('.');
-        match entry.file_type().map_err(fail)? {
-            _ if hidden => {}
-            kind if kind.is_dir() => list_files(&entry.path(), found)?,
-            _ => found.push(entry.path()),
+/// One hash over the names, sizes and times of change of all files of a folder; hidden files do not count.
+fn hash_of_listing(path: &Path) -> Result<String> {
+    let found = list_files(path)?;
+    let seen = |file: &PathBuf| -> std::io::Result<(u64, String)> {
+        let data = file.metadata()?;
+        let changed = data.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+        Ok((data.len(), changed.as_nanos().to_string()))
+    };
+    let looks: Vec<(u64, String)> =
+        found.iter().map(|file| seen(file).map_err(|e| Error::io("reading", file, e))).collect::<Result<_>>()?;
+    hash::of_value(&names(path, &found).zip(looks).collect::<Vec<_>>())
+}
+
+fn names<'a>(folder: &'a Path, found: &'a [PathBuf]) -> impl Iterator<Item = String> + 'a {
+    found.iter().map(move |file| file.strip_prefix(folder).unwrap_or(file).to_string_lossy().into_owned())
+}
+
+/// All files in a folder and below it, sorted; hidden ones are left out.
+fn list_files(folder: &Path) -> Result<Vec<PathBuf>> {
+    fn collect(folder: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
+        let fail = |e| Error::io("reading", folder, e);
+        for entry in fs::read_dir(folder).map_err(fail)? {
+            let entry = entry.map_err(fail)?;
+            let hidden = entry.file_name().to_string_lossy().starts_with('.');
+            match entry.file_type().map_err(fail)? {
+                _ if hidden => {}
+                kind if kind.is_dir() => collect(&entry.path(), found)?,
+                _ => found.push(entry.path()),
+            }
         }
+        Ok(())
     }
-    Ok(())
+    let mut found = Vec::new();
+    collect(folder, &mut found)?;
+    found.sort();
+    Ok(found)
 }
 
-/// The sequence of a planned case: its product name and key.
-pub fn sequence_product(plan: &Plan, case: &Planned) -> Result<(String, String)> {
-    let key = plan.sequence_key(case)?;
-    Ok((format!("sequences/{}-{}", case.id, &key[..12]), key))
+/// The folder of a planned case's work; `film` in it is a product.
+pub fn film_folder(plan: &Plan, case: &Planned) -> Result<String> {
+    Ok(format!("sequences/{}-{}", case.id, &plan.sequence_key(case)?[..12]))
 }
 
-/// The folder of a cell; `prediction` and `score.json` in it are products.
+/// The folder of a cell's work; `prediction` and `score` in it are products.
 pub fn cell_folder(plan: &Plan, cell: &Cell) -> Result<String> {
     Ok(format!("cells/{}-{}", cell.id(), &plan.prediction_key(cell)?[..12]))
 }
@@ -177,64 +255,86 @@ pub fn cell_folder(plan: &Plan, cell: &Cell) -> Result<String> {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_second_writer_is_refused_and_the_lock_dies_with_its_holder() {
-        let folder = tempfile::tempdir().unwrap();
-        let first = Store::open(folder.path()).unwrap();
-        let refused = Store::open(folder.path()).unwrap_err().to_string();
-        assert!(refused.contains("another run") && refused.contains(&std::process::id().to_string()), "{refused}");
-        drop(first);
-        Store::open(folder.path()).unwrap();
+    fn claimed(store: &Store, work: &str) -> Work {
+        store.claim(work, &["film"]).unwrap().unwrap()
+    }
+
+    fn make(work: &Work, product: &str, key: &str) {
+        let making = work.begin(product).unwrap();
+        files::write_bytes(&making.join("x.png"), b"1").unwrap();
+        files::write_bytes(&making.join("deep/y.png"), b"2").unwrap();
+        work.publish(product, key).unwrap();
     }
 
     #[test]
     fn products_are_whole_outdated_damaged_or_absent() {
         let folder = tempfile::tempdir().unwrap();
-        let mut store = Store::open(folder.path()).unwrap();
-        fs::create_dir_all(store.path("cells/a/deep")).unwrap();
-        fs::write(store.path("cells/a/x.png"), "1").unwrap();
-        fs::write(store.path("cells/a/deep/y.png"), "2").unwrap();
-        assert_eq!(store.state("cells/a", "key"), ProductState::Absent);
-        store.commit("cells/a", "key").unwrap();
-        assert_eq!(store.state("cells/a", "key"), ProductState::Whole);
-        assert_eq!(store.state("cells/a", "other"), ProductState::Outdated);
-        drop(store);
+        let store = Store::look(folder.path());
+        let work = claimed(&store, "cells/a");
+        let state = |key: &str| Store::look(folder.path()).state("cells/a/score", key);
+        let _ = work.begin("score").unwrap();
+        assert_eq!(state("key"), ProductState::Absent, "what is being made is not there");
+        make(&work, "score", "key");
+        assert_eq!(state("key"), ProductState::Whole);
+        assert_eq!(state("other"), ProductState::Outdated);
+        work.release().unwrap();
 
-        let store = Store::look(folder.path()).unwrap();
-        assert_eq!(store.state("cells/a", "key"), ProductState::Whole);
-        fs::write(store.path("cells/a/deep/y.png"), "3").unwrap();
-        assert_eq!(store.state("cells/a", "key"), ProductState::Damaged);
-        fs::write(store.path("cells/a/deep/y.png"), "2").unwrap();
-        fs::write(store.path("cells/a/z.png"), "").unwrap();
-        assert_eq!(store.state("cells/a", "key"), ProductState::Damaged);
-        fs::remove_file(store.path("cells/a/z.png")).unwrap();
-        assert_eq!(store.state("cells/a", "key"), ProductState::Whole);
-        fs::remove_dir_all(store.path("cells/a")).unwrap();
-        assert_eq!(store.state("cells/a", "key"), ProductState::Damaged);
+        let file = |name: &str| store.path("cells/a/score").join(name);
+        fs::write(file("deep/y.png"), "3").unwrap();
+        assert_eq!(state("key"), ProductState::Damaged);
+        // The times of change differ now, and the files are read.
+        fs::write(file("deep/y.png"), "2").unwrap();
+        assert_eq!(state("key"), ProductState::Whole);
+        fs::write(file("z.png"), "").unwrap();
+        assert_eq!(state("key"), ProductState::Damaged);
+        fs::remove_file(file("z.png")).unwrap();
+        assert_eq!(state("key"), ProductState::Whole);
+        fs::write(file(MARKER), "{").unwrap();
+        assert_eq!(state("key"), ProductState::Damaged, "nothing without a marker is taken for whole");
+        fs::remove_dir_all(store.path("cells/a/score")).unwrap();
+        assert_eq!(state("key"), ProductState::Absent);
     }
 
-    /// A kill while the costs of a cell are written leaves half a file beside its products.
     #[test]
-    fn what_a_killed_run_was_writing_is_cleared_away_by_the_next() {
+    fn what_an_ended_process_was_making_is_resumed_or_cleared_away() {
         let folder = tempfile::tempdir().unwrap();
-        let half = |place: &str| {
-            fs::create_dir_all(folder.path().join(place)).unwrap();
-            let path = folder.path().join(place).join(".Ab12cd.tmp");
-            fs::write(&path, "half").unwrap();
-            path
-        };
-        let (cell, film, foreign) = (half("cells/a"), half("sequences"), half("somebody"));
-        Store::look(folder.path()).unwrap();
-        assert!(cell.exists() && film.exists());
-        Store::open(folder.path()).unwrap();
-        assert!(!cell.exists() && !film.exists() && foreign.exists());
+        let store = Store::look(folder.path());
+        let half = |name: &str| files::write_bytes(&store.path("sequences/a").join(name), b"half").unwrap();
+        half(".making-film-0123/000000.png");
+        half(".making-film-0123/.Ab12cd.tmp");
+        half(".making-other-0123/x");
+        half(".Ab12cd.tmp");
+        half(".discarded-film-0123/x");
+        let work = claimed(&store, "sequences/a");
+        let making = work.resume("film").unwrap();
+        assert_eq!(fs::read_dir(&making).unwrap().count(), 1, "what was whole is taken on");
+        work.publish("film", "key").unwrap();
+        work.release().unwrap();
+        let left = claim::hidden(&store.path("sequences/a")).unwrap();
+        assert!(left.is_empty(), "{left:?}");
+        assert_eq!(store.state("sequences/a/film", "key"), ProductState::Whole);
+    }
+
+    /// As when the disk of a process stood still for long, and another one has done its work.
+    #[test]
+    fn who_comes_second_keeps_the_firsts_product_if_it_is_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::look(folder.path());
+        let work = claimed(&store, "cells/a");
+        make(&work, "score", "key");
+        let first = fs::metadata(store.path("cells/a/score")).unwrap().modified().unwrap();
+        make(&work, "score", "key");
+        assert_eq!(fs::metadata(store.path("cells/a/score")).unwrap().modified().unwrap(), first);
+        fs::remove_file(store.path("cells/a/score/x.png")).unwrap();
+        make(&work, "score", "key");
+        assert_eq!(store.state("cells/a/score", "key"), ProductState::Whole);
     }
 
     #[test]
     fn looking_touches_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let absent = folder.path().join("nowhere");
-        assert_eq!(Store::look(&absent).unwrap().state("cells/a", "key"), ProductState::Absent);
+        assert_eq!(Store::look(&absent).state("cells/a/score", "key"), ProductState::Absent);
         assert!(!absent.exists());
     }
 }

@@ -1,20 +1,26 @@
 //! `all-cases`: the main job. Films, reconstructs, scores, reports; resumes by default.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use super::selection::Selection;
 use super::{Terminal, comparison};
 use crate::base::{Error, ErrorKind, Progress, Result, files};
-use crate::bench::store::{Lock, ProductState, cell_folder, sequence_product};
-use crate::bench::{Environment, Freshness, Plan, Store, execute};
+use crate::bench::claim::{Asked, Claim, Claims};
+use crate::bench::store::{ProductState, cell_folder, film_folder};
+use crate::bench::{Environment, FinishedCell, Freshness, Pipeline, Plan, Store, execute, finished};
 use crate::report;
 use crate::report::summary::summarise;
 use crate::report::table::ComparisonTable;
 use crate::simulate::track::Track;
 
+/// How long to wait before a report that another run is writing is looked at again.
+const WAIT: Duration = Duration::from_millis(200);
+
 /// Arguments of `all-cases`.
 #[derive(clap::Args)]
 #[command(after_help = "Stop it with Ctrl-C at any time: the same command goes on from there.\n\
+    Started again beside itself, on this machine or another one with the same cache, it shares the work.\n\
     Exit code 1 when a cell failed; the others are done and reported.\n\
     Example: respire-bench all-cases --profile smoke")]
 pub struct AllCasesArguments {
@@ -35,6 +41,12 @@ pub struct AllCasesArguments {
     /// Print what would be done, and do nothing
     #[arg(long)]
     dry_run: bool,
+    /// Make what is missing, and write no report
+    #[arg(long, conflicts_with_all = ["report_only", "dry_run"])]
+    cells_only: bool,
+    /// Report what is finished, and make nothing; what is missing is named, and counts as failed
+    #[arg(long, conflicts_with_all = ["fresh", "dry_run"])]
+    report_only: bool,
 }
 
 /// Runs the plan and writes the report; `ErrorKind::CellFailed` names the cells that failed.
@@ -46,26 +58,49 @@ pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
     let run_id = plan.run_id()?;
     let folder = arguments.out.join(&run_id);
     if arguments.dry_run {
-        return print_plan(&plan, &Store::look(&arguments.cache)?, &folder, freshness, terminal);
+        return print_plan(&plan, &Store::look(&arguments.cache), &folder, freshness, terminal);
+    }
+    if arguments.report_only {
+        let finished = finished(&plan, &Store::look(&arguments.cache))?;
+        return report(&arguments.out, &pipeline, &plan, &finished, terminal);
     }
     terminal.accepts(&pipeline.estimate())?;
-    // Both folders are taken before any work: a run that cannot be written is refused now and not in ten minutes.
-    let _lock = Lock::take(&folder)?;
-    files::remove_unfinished(&folder)?;
-    let mut store = Store::open(&arguments.cache)?;
-    let finished = execute(&plan, &pipeline, &mut store, freshness, terminal)?;
+    if arguments.cells_only {
+        let finished = execute(&plan, &pipeline, &Store::open(&arguments.cache)?, freshness, terminal)?;
+        terminal.finish();
+        return failures(&finished);
+    }
+    // Both folders are tried before any work: a run that cannot be written is refused now and not in ten minutes.
+    claimed(&folder, terminal)?.release()?;
+    let store = Store::open(&arguments.cache)?;
+    let finished = execute(&plan, &pipeline, &store, freshness, terminal)?;
 
-    let record = pipeline.record(&plan, &finished)?;
+    report(&arguments.out, &pipeline, &plan, &finished, terminal)
+}
+
+/// Writes the report and says which cells failed. Two runs of one plan write the same report, one after the other.
+fn report(out: &Path, pipeline: &Pipeline, plan: &Plan, finished: &[FinishedCell], terminal: &Terminal) -> Result<()> {
+    let run_id = plan.run_id()?;
+    let folder = out.join(&run_id);
+    let claim = claimed(&folder, terminal)?;
+    files::remove_unfinished(&folder)?;
+    let record = pipeline.record(plan, finished)?;
     terminal.stage("writing the report");
     let written = report::write(&record, &folder, terminal)?;
     files::write_json(&folder.join("environment.json"), &Environment::examine())?;
-    point_latest(&arguments.out, &run_id)?;
+    point_latest(out, &run_id)?;
+    claim.release()?;
     terminal.finish();
     for table in ComparisonTable::both(&summarise(&record)) {
         comparison::lines(&table).iter().for_each(|line| terminal.line(line));
     }
     terminal.line(format_args!("report: {}", written.html.display()));
 
+    failures(finished)
+}
+
+/// The cells that failed, as one error.
+fn failures(finished: &[FinishedCell]) -> Result<()> {
     let failed: Vec<String> = finished.iter().filter(|c| c.failure.is_some()).map(|c| c.cell.id()).collect();
     if failed.is_empty() {
         return Ok(());
@@ -74,16 +109,28 @@ pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
     Err(Error::new(ErrorKind::CellFailed, sentence))
 }
 
+/// The claim of a report's folder, once nobody else writes there.
+fn claimed(folder: &Path, terminal: &Terminal) -> Result<Claim> {
+    let claims = Claims::default();
+    loop {
+        match claims.ask(folder, &[])? {
+            Asked::Granted(claim) => return Ok(claim),
+            Asked::Held(_) if terminal.cancelled() => return Err(Error::interrupted()),
+            Asked::Held(_) => std::thread::sleep(WAIT),
+        }
+    }
+}
+
 fn print_plan(plan: &Plan, store: &Store, folder: &Path, freshness: Freshness, terminal: &Terminal) -> Result<()> {
     let word = |state: ProductState| match state {
         ProductState::Whole if freshness == Freshness::Resume => "cached",
         _ => "to do",
     };
     for case in &plan.cases {
-        let (product, key) = sequence_product(plan, case)?;
-        terminal.line(format_args!("{:<8}film {}", word(store.state(&product, &key)), case.id));
+        let film = store.state(&format!("{}/film", film_folder(plan, case)?), &plan.sequence_key(case)?);
+        terminal.line(format_args!("{:<8}film {}", word(film), case.id));
         for cell in plan.cells_of(&case.id) {
-            let score = format!("{}/score.json", cell_folder(plan, &cell)?);
+            let score = format!("{}/score", cell_folder(plan, &cell)?);
             terminal.line(format_args!("{:<8}cell {}", word(store.state(&score, &plan.score_key(&cell)?)), cell.id()));
         }
     }

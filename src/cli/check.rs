@@ -13,7 +13,7 @@ use crate::simulate::sequence::Sequence;
 #[derive(clap::Args)]
 #[command(
     after_help = "Without --sequence the folder is checked as a sequence, or as a participant's folder. Exit code 4 when something is wrong.\n\
-    Example: respire-bench check my-method/case1 --sequence .cache/sequences/case1-0123456789ab"
+    Example: respire-bench check my-method/case1 --sequence .cache/sequences/case1-0123456789ab/film"
 )]
 pub struct CheckArguments {
     /// Folder of predictions, a sequence, or a participant's folder

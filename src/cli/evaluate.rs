@@ -18,7 +18,7 @@ use crate::simulate::track::Track;
     ahead/NNNNNN.png, phase.csv (frame,phase), mesh/final.ply, correspondence.csv, timing.json ({\"time_total_s\": ..}), prediction.json \
     ({\"method\": .., \"case\": .., \"depth_unit_mm\": ..}); see docs/predictions.md. Names of this program's own rows are \
     reserved.\n\
-    Example: respire-bench evaluate --sequence .cache/sequences/case1-0123456789ab --predictions my-method/case1 --out report"
+    Example: respire-bench evaluate --sequence .cache/sequences/case1-0123456789ab/film --predictions my-method/case1 --out report"
 )]
 pub struct EvaluateArguments {
     /// Sequence folder with the truth; of a blind comparison, its `truth`

@@ -26,6 +26,7 @@ mod render;
 mod run;
 mod selection;
 mod simulate;
+mod slurm;
 mod splat;
 mod splat_gradients;
 mod splat_output;
@@ -68,6 +69,8 @@ commands! {
     List => list::ListArguments,
     /// What is installed, which instruction set, which library versions
     Doctor => doctor::DoctorArguments,
+    /// The main job as a Slurm job array: scripts, and what is left to do
+    Slurm => slurm::SlurmArguments,
     /// Turns a user's anatomy or a measured motion into a case
     Import => import::ImportArguments,
     /// Films cases into sequence folders

@@ -67,8 +67,8 @@ pub fn run(arguments: RunArguments, terminal: &Terminal) -> Result<()> {
     let pipeline = Pipeline::new(&arguments.catalogue.open()?, &arguments.profile, wishes)?;
     terminal.accepts(&pipeline.estimate())?;
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
-    let mut store = Store::open(&arguments.cache)?;
-    let finished = execute(&pipeline.plan()?, &pipeline, &mut store, freshness, terminal)?;
+    let store = Store::open(&arguments.cache)?;
+    let finished = execute(&pipeline.plan()?, &pipeline, &store, freshness, terminal)?;
     for cell in finished {
         if let Some(error) = cell.failure {
             return Err(error);

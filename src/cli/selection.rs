@@ -1,12 +1,12 @@
 //! Which cells: the arguments that `all-cases`, `run` and `list` share.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use crate::base::range::SEED;
 use crate::base::{Error, Result};
-use crate::bench::{Catalogue, Pipeline, Wishes};
+use crate::bench::{Catalogue, Pipeline, Profile, Wishes};
 
 /// The method that can refine poses, with poses that are true and with rough ones.
 const WITH_POSES: &str = "ours-gn";
@@ -71,11 +71,56 @@ impl CatalogueFolder {
     }
 }
 
+/// What is the path of a TOML file, as an absolute one; names as they are.
+fn absolute_file(wish: &str) -> Result<String> {
+    if wish.ends_with(".toml") { absolute_path(Path::new(wish)) } else { Ok(wish.to_owned()) }
+}
+
+fn absolute_path(path: &Path) -> Result<String> {
+    let absolute = std::path::absolute(path).map_err(|e| Error::io("reading", path, e))?;
+    Ok(absolute.to_string_lossy().into_owned())
+}
+
 fn wish<T>(given: Vec<T>) -> Option<Vec<T>> {
     (!given.is_empty()).then_some(given)
 }
 
 impl Selection {
+    /// The words of a command line that makes the same choice, folders absolute.
+    pub fn common_words(&self) -> Result<Vec<String>> {
+        let mut words = Vec::new();
+        let mut word = |option: &str, value: String| words.extend([option.to_owned(), value]);
+        word("--profile", absolute_file(&self.profile)?);
+        if !self.cases.is_empty() {
+            word("--cases", self.case_wishes()?.join(","));
+        }
+        if !self.methods.is_empty() {
+            word("--methods", self.methods.join(","));
+        }
+        if !self.seeds.is_empty() {
+            word("--seeds", self.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(","));
+        }
+        if let Some(folder) = &self.catalogue.bench_cases {
+            word("--bench-cases", absolute_path(folder)?);
+        }
+        if self.poses.unknown_pose {
+            words.push("--unknown-pose".to_owned());
+        }
+        Ok(words)
+    }
+
+    /// The cases as they were asked for, files by their absolute paths; in the order of [`Pipeline::cases`].
+    pub fn case_wishes(&self) -> Result<Vec<String>> {
+        if !self.cases.is_empty() {
+            return self.cases.iter().map(|wish| absolute_file(wish)).collect();
+        }
+        let catalogue = self.catalogue.open()?;
+        match Profile::load(&catalogue.profiles(), &self.profile)?.cases {
+            Some(cases) => Ok(cases),
+            None => catalogue.case_ids(),
+        }
+    }
+
     /// Reads everything that was chosen; every mistake in it is reported here, before any work.
     pub fn pipeline(self) -> Result<Pipeline> {
         let methods = self.poses.rows(wish(self.methods))?;

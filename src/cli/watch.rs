@@ -38,6 +38,7 @@ impl Watcher for Terminal {
                 self.finish();
                 self.note(&format!("{} FAILED: {error}", cell.id()));
             }
+            Event::Waiting { cell, holder } => self.note(&format!("waiting for {holder}, which has {}", cell.id())),
             Event::Discarded { path, reason } => self.note(&format!("making {} again: {reason}", path.display())),
         }
     }

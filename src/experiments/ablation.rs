@@ -65,14 +65,14 @@ pub fn run(
     }
     let nothing = Estimate { resumable: true, ..Estimate::default() };
     watcher.accepts(&pipelines.iter().map(|(_, pipeline)| pipeline.estimate()).fold(nothing, Estimate::then))?;
-    let mut store = Store::open(plan.cache)?;
+    let store = Store::open(plan.cache)?;
     let mut all = Vec::new();
     let count = pipelines.len();
     for (i, (variant, pipeline)) in pipelines.into_iter().enumerate() {
         let group = if variant.group.is_empty() { "as shipped" } else { &variant.group };
         let label = format!("{} of {count}: {} {group} {}", i + 1, variant.method, variant.setting);
         watcher.stage_starts(label.trim_end());
-        let finished = execute_at_once(&pipeline.plan()?, &pipeline, &mut store, plan.at_once, watcher)?;
+        let finished = execute_at_once(&pipeline.plan()?, &pipeline, &store, plan.at_once, watcher)?;
         all.push(scores(variant, &finished)?);
         each(&all)?;
     }

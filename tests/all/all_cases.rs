@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use respire_bench::bench::store::MARKER;
+
 use crate::binary::{outcome, program};
 
 /// Smaller than `smoke`: the tests run it several times.
@@ -75,7 +77,7 @@ impl Place {
         let untimed = |path: &Path| {
             let name = path.file_name().unwrap().to_string_lossy();
             let told = name.ends_with("timing.json") || name == "score.json";
-            !told && !name.starts_with("journal") && !name.starts_with(".lock")
+            !told && name != MARKER
         };
         found.retain(|path, _| untimed(path));
         found
@@ -186,14 +188,21 @@ fn folders_that_cannot_be_used_are_refused_before_any_work() {
 }
 
 #[test]
-fn a_second_run_on_one_folder_is_refused() {
-    let place = Place::new();
-    fs::create_dir_all(place.path("cache")).unwrap();
-    let held = fs::File::create(place.path("cache/.lock")).unwrap();
-    held.lock().unwrap();
-    let (code, _, err) = outcome(place.command(&[]).output().unwrap());
-    assert_eq!(code, 4, "{err}");
-    assert!(err.contains("another run works in this folder"), "{err}");
+fn runs_beside_each_other_share_the_work_and_end_with_the_same_bytes() {
+    let alone = Place::new();
+    alone.run(&[]);
+    let shared = Place::new();
+    let start = || shared.command(&["--threads", "1"]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let runs: Vec<Child> = (0..3).map(|_| start()).collect();
+    let mut made = 0;
+    for run in runs {
+        let (code, _, err) = outcome(run.wait_with_output().unwrap());
+        assert_eq!(code, 0, "{err}");
+        made += err.lines().filter(|line| line.contains("filmed in")).count();
+    }
+    assert_eq!(made, 1, "one of them films, the others wait");
+    assert!(shared.latest("results.csv") == alone.latest("results.csv"));
+    assert_same(&shared.products(), &alone.products());
 }
 
 #[test]
@@ -217,10 +226,11 @@ fn broken_input_is_one_sentence_that_names_file_and_key() {
     assert_eq!(fs::read_dir(place.path("")).unwrap().count(), 1, "nothing is written for broken input");
 }
 
-/// Waits for the first finished product, so that the interruption comes in the midst of work.
-fn wait_for_journal(place: &Place) {
+/// Waits for the finished film, so that the interruption comes in the midst of work.
+fn wait_for_film(place: &Place) {
     let deadline = Instant::now() + Duration::from_secs(120);
-    while !fs::read(place.path("cache/journal.jsonl")).is_ok_and(|bytes| !bytes.is_empty()) {
+    let finished = |film: fs::DirEntry| film.path().join("film").join(MARKER).exists();
+    while !fs::read_dir(place.path("cache/sequences")).is_ok_and(|mut films| films.any(|f| f.is_ok_and(finished))) {
         assert!(Instant::now() < deadline, "nothing was finished in two minutes");
         std::thread::sleep(Duration::from_millis(5));
     }
@@ -230,7 +240,7 @@ fn wait_for_journal(place: &Place) {
 fn an_interrupt_stops_in_order_and_the_same_command_resumes() {
     let place = Place::new();
     let child = place.command(&[]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    wait_for_journal(&place);
+    wait_for_film(&place);
     let told = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(told.success());
     let (code, out, err) = outcome(child.wait_with_output().unwrap());

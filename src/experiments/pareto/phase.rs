@@ -47,8 +47,8 @@ fn sequences(sweep: &PhaseSweep<'_>, watcher: &dyn ExperimentWatcher) -> Result<
     let wishes =
         Wishes { cases: Some(sweep.cases.clone()), methods: Some(vec!["ours-gn".into()]), seeds: Some(vec![1]) };
     let pipeline = Pipeline::new(sweep.catalogue, sweep.profile, wishes)?;
-    let mut store = Store::open(sweep.cache)?;
-    let finished = execute(&pipeline.plan()?, &pipeline, &mut store, Freshness::Resume, watcher)?;
+    let store = Store::open(sweep.cache)?;
+    let finished = execute(&pipeline.plan()?, &pipeline, &store, Freshness::Resume, watcher)?;
     let open = |cell: crate::bench::FinishedCell| match cell.failure {
         Some(error) => Err(error),
         None => Sequence::open(&cell.sequence),

@@ -1,0 +1,135 @@
+//! `respire-bench slurm`: the main job as a Slurm job array.
+
+use std::path::{Path, PathBuf};
+
+use super::Terminal;
+use super::selection::Selection;
+use crate::base::range::NumberRange;
+use crate::base::{Error, ErrorKind, Result, files};
+use crate::bench::array_job::{ArrayJob, WorkCost};
+use crate::bench::store::cell_folder;
+use crate::bench::{Cell, Pipeline, Plan, Store, is_finished, timing};
+
+/// Processors of a task.
+const PROCESSORS: NumberRange = NumberRange::new(1.0, 1024.0);
+/// Tasks at a time.
+const AT_ONCE: NumberRange = NumberRange::new(1.0, 10_000.0);
+
+/// What one task makes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Task {
+    /// One case x one method x one seed.
+    Cell,
+    /// A case with all its methods and seeds.
+    Case,
+}
+
+/// Arguments of `slurm`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Writes work.txt, task.sh, report.sh and submit.sh into DIR; nothing is submitted. `bash DIR/submit.sh`\n\
+    submits an array, and a job that writes the report when the array has ended. Cells that are finished are left out,\n\
+    so that the same command makes the scripts for what failed. The cache must be one that all nodes see.\n\
+    Example: respire-bench slurm --profile smoke --scripts /tmp/slurm"
+)]
+pub struct SlurmArguments {
+    #[command(flatten)]
+    selection: Selection,
+    /// Folder of the scripts and of what the tasks print
+    #[arg(long, value_name = "DIR")]
+    scripts: PathBuf,
+    /// What one task makes
+    #[arg(long, value_enum, default_value = "cell", value_name = "T")]
+    task: Task,
+    /// Most tasks at a time
+    #[arg(long, default_value_t = 100, value_name = "N", value_parser = AT_ONCE.parser::<usize>())]
+    at_once: usize,
+    /// Processors of a task
+    #[arg(long, default_value_t = 2, value_name = "N", value_parser = PROCESSORS.parser::<usize>())]
+    processors: usize,
+    /// Folder of the reports
+    #[arg(long, default_value = "reports", value_name = "DIR")]
+    out: PathBuf,
+    /// Folder of sequences and finished cells
+    #[arg(long, default_value = ".cache", value_name = "DIR")]
+    cache: PathBuf,
+}
+
+/// Writes the scripts, and says how much there is to do.
+pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
+    let absolute = |path: &Path| -> Result<String> {
+        let path = std::path::absolute(path).map_err(|e| Error::io("reading", path, e))?;
+        Ok(path.to_string_lossy().into_owned())
+    };
+    let mut common = vec!["all-cases".to_owned()];
+    common.extend(arguments.selection.common_words()?);
+    common.extend(["--out".to_owned(), absolute(&arguments.out)?, "--cache".to_owned(), absolute(&arguments.cache)?]);
+    let wishes = arguments.selection.case_wishes()?;
+    let pipeline = arguments.selection.pipeline()?;
+    let plan = pipeline.plan()?;
+    let store = Store::look(&arguments.cache);
+
+    let (mut work, mut cost, mut missing) = (Vec::new(), WorkCost::default(), 0);
+    for (case, wish) in plan.cases.iter().zip(&wishes) {
+        let mut cells = Vec::new();
+        for cell in plan.cells_of(&case.id) {
+            if !is_finished(&plan, &store, &cell)? {
+                cells.push(cell);
+            }
+        }
+        missing += cells.len();
+        let of_cells = cells.iter().map(|cell| expected(&pipeline, &plan, &store, cell)).collect::<Result<Vec<_>>>()?;
+        match arguments.task {
+            Task::Cell => {
+                work.extend(cells.iter().map(|cell| {
+                    let words = ["--cases", wish, "--methods", &cell.method, "--seeds", &cell.seed.to_string()];
+                    words.map(str::to_owned).to_vec()
+                }));
+                cost = of_cells.into_iter().fold(cost, WorkCost::or);
+            }
+            Task::Case if !cells.is_empty() => {
+                work.push(vec!["--cases".to_owned(), wish.clone()]);
+                cost = cost.or(of_cells.into_iter().fold(WorkCost::default(), WorkCost::then));
+            }
+            Task::Case => {}
+        }
+    }
+    if work.is_empty() {
+        terminal.line("every cell is finished; `all-cases` writes the report");
+        return Ok(());
+    }
+    let program = std::env::current_exe()
+        .map_err(|e| Error::new(ErrorKind::Environment, format!("this program's own path is not known: {e}")))?;
+    let job = ArrayJob {
+        program: program.to_string_lossy().into_owned(),
+        common,
+        work,
+        folder: absolute(&arguments.scripts)?,
+        processors: arguments.processors,
+        at_once: arguments.at_once,
+        cost,
+    };
+    let write = |name: &str, text: String| files::write_bytes(&arguments.scripts.join(name), text.as_bytes());
+    write("work.txt", job.work_file())?;
+    write("task.sh", job.task_script())?;
+    write("report.sh", job.report_script())?;
+    write("submit.sh", job.submit_script())?;
+    terminal.line(format_args!(
+        "{missing} of {} cells to do in {} tasks; submit them by: bash {}/submit.sh",
+        plan.cells().len(),
+        job.tasks(),
+        arguments.scripts.display()
+    ));
+    Ok(())
+}
+
+/// What a cell is expected to cost, its film included: as measured where it was run before with another revision or
+/// seed, by the model otherwise.
+fn expected(pipeline: &Pipeline, plan: &Plan, store: &Store, cell: &Cell) -> Result<WorkCost> {
+    let model = pipeline.cell_cost(cell);
+    let kept = timing::read(&store.path(&cell_folder(plan, cell)?).join("timing.json"))?;
+    let measured = kept.iter().fold(WorkCost::default(), |sum, stage| {
+        sum.then(WorkCost { cpu_s: stage.cpu_s, memory_mib: stage.peak_memory_mib })
+    });
+    Ok(model.or(measured))
+}
