@@ -235,7 +235,7 @@ const NUMBERS: [(&str, &[&str]); 13] = [
     ("list --cases no.toml --bench-cases {cases}", &["--seeds"]),
     ("ablate --cases no.toml --bench-cases {cases}", &["--at-once"]),
     ("simulate no.toml --out out --bench-cases {cases}", &["--frames", "--width", "--spp"]),
-    ("splat no.ply --cameras no.json --out out", &["--repeat", "--background"]),
+    ("splat no.ply --cameras no.json --out out", &["--repeat", "--background", "--near"]),
     (
         "import mesh no.ply --landmarks no.csv --id x --out out",
         &["--fov-x-deg", "--scope-radius-mm", "--seed", "--end-motion-mm", "--scale"],
