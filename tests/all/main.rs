@@ -11,6 +11,7 @@ mod faults;
 mod gate;
 mod import;
 mod layering;
+mod many_films;
 mod mesh_damage;
 mod moved;
 mod own_tracer;
