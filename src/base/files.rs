@@ -78,6 +78,36 @@ pub fn all_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
+/// What stands in `folder` itself, sorted.
+fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
+    let fail = |e| Error::io("reading", folder, e);
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).map_err(fail)? {
+        found.push(entry.map_err(fail)?.path());
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// All files that stand in `folder` itself, sorted.
+pub fn all_directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = entries(folder)?;
+    found.retain(|path| path.is_file());
+    Ok(found)
+}
+
+/// All folders that stand in `folder` itself, sorted.
+pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = entries(folder)?;
+    found.retain(|path| path.is_dir());
+    Ok(found)
+}
+
+/// Names of all files and folders that stand in `folder` itself, sorted.
+pub fn names_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    Ok(entries(folder)?.iter().filter_map(|path| path.file_name()).map(PathBuf::from).collect())
+}
+
 /// Sets the time of change of `folder` and of everything in it.
 pub fn set_modified_below(folder: &Path, time: SystemTime) -> Result<()> {
     let fail = |e| Error::io("writing", folder, e);

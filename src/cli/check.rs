@@ -11,10 +11,11 @@ use crate::simulate::sequence::Sequence;
 
 /// Arguments of `check`.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Without --sequence the folder is checked as a sequence, or as a participant's folder. Exit code 4 when something is wrong.\n\
-    Example: respire-bench check my-method/case1 --sequence .cache/sequences/case1-0123456789ab/film"
-)]
+#[command(after_help = "\
+    Without --sequence the folder is checked as a sequence, or as a participant's folder. Exit code 4 when something is \
+    wrong; what is sound but most likely meant otherwise (a phase in percent, a depth in metres, a mesh under another \
+    name) is a warning.\n\
+    Example: respire-bench check my-method/case1 --sequence .cache/sequences/case1-0123456789ab/film")]
 pub struct CheckArguments {
     /// Folder of predictions, a sequence, or a participant's folder
     #[arg(value_name = "DIR")]
@@ -58,5 +59,6 @@ pub fn run(arguments: CheckArguments, terminal: &Terminal) -> Result<()> {
         ids => format!("not applicable: {}", ids.join(", ")),
     };
     terminal.line(format_args!("a sound prediction of {} frames; {without}", found.frames));
+    found.warnings.iter().for_each(|warning| terminal.line(format_args!("warning: {warning}")));
     Ok(())
 }

@@ -7,10 +7,10 @@ use clap::{Args, ValueEnum};
 use super::Terminal;
 use super::splat_gradients::{GradientSums, Weights};
 use super::splat_output::{Features, FrameTiming, SplatOutput, SplatTiming};
-use crate::base::range::{LIGHT, REPETITIONS};
+use crate::base::range::{LIGHT, NumberRange, REPETITIONS};
 use crate::base::{Error, Progress, Result, files};
 use crate::formats::gaussians_ply::{self, GaussianCloud};
-use crate::formats::transforms::Transforms;
+use crate::formats::transforms::{Transforms, TransformsFrame};
 use crate::splat::{
     DepthOutput, Filter, Footprint, Gaussians, ImageGradient, Isa, Rasterizer, Settings, Shape, View, Wanted,
 };
@@ -31,12 +31,16 @@ pub struct SplatArguments {
     /// Gaussians as Inria's 3DGS writes them
     #[arg(value_name = "GAUSSIANS.ply")]
     gaussians: PathBuf,
-    /// Cameras and frames in nerfstudio's layout
+    /// Cameras and frames in nerfstudio's layout; frames may have intrinsics of their own
     #[arg(long, value_name = "transforms.json")]
     cameras: PathBuf,
     /// Folder for images and timing
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Least z-depth of a Gaussian's centre that is shown, in the scene's unit. A scene in metres or scaled to the unit
+    /// cube needs a smaller one
+    #[arg(long, default_value_t = Settings::default().near_mm, value_name = "N", value_parser = NEAR.parser::<f64>())]
+    near: f64,
     /// Passes per frame; the timing is their median
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = REPETITIONS.parser::<usize>())]
     repeat: usize,
@@ -72,6 +76,9 @@ pub struct SplatArguments {
         value_parser = LIGHT.parser::<f64>())]
     background: Vec<f64>,
 }
+
+/// Near planes of scenes in any unit.
+const NEAR: NumberRange = NumberRange::new(1e-9, 1e9);
 
 #[derive(Clone, Copy, ValueEnum)]
 enum DepthChoice {
@@ -149,6 +156,7 @@ impl SplatArguments {
                 FilterChoice::Dilate => Filter::Dilate,
                 FilterChoice::Compensate => Filter::Compensate,
             },
+            near_mm: self.near,
             ..Settings::default()
         }
     }
@@ -163,13 +171,20 @@ impl SplatArguments {
 pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     let cloud = gaussians_ply::read(&arguments.gaussians)?;
     let transforms = Transforms::read(&arguments.cameras)?;
-    let camera = transforms.camera().map_err(|e| e.at(&arguments.cameras))?;
-    let count = transforms.frames.len();
-    if count == 0 {
+    let views = views(&transforms).map_err(|e| e.at(&arguments.cameras))?;
+    let count = views.len();
+    let pixels = |view: &View| u64::from(view.camera.width) * u64::from(view.camera.height);
+    // The first of the largest.
+    let Some((largest, largest_view)) = views.iter().enumerate().rev().max_by_key(|(_, view)| pixels(view)) else {
         return Err(Error::input("there is none").element("frames").at(&arguments.cameras));
-    }
-    let size = [camera.height as usize, camera.width as usize];
+    };
+    let size = [largest_view.camera.height as usize, largest_view.camera.width as usize];
     let weights = arguments.gradients.as_deref().map(|p| Weights::read(p, size, count)).transpose()?;
+    let is_other = |view: &View| [view.camera.height as usize, view.camera.width as usize] != size;
+    if let Some(frame) = views.iter().position(|view| weights.is_some() && is_other(view)) {
+        let sentence = "has another size than other frames: --gradients wants images of one size";
+        return Err(Error::input(sentence).element(format!("frame {frame}")).at(&arguments.cameras));
+    }
     let dropped = cloud.count_in_file - cloud.len();
     if dropped > 0 {
         terminal.line(format!("{dropped} of {} Gaussians are not finite and left out", cloud.count_in_file));
@@ -188,9 +203,8 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     rasterizer.measure_cpu();
     let repeat = arguments.repeat;
     let of_frame = |number: usize| move |e: Error| e.element(format!("frame {number}"));
-    let first = View::new(camera, transforms.frames[0].world_from_camera());
-    let pass = rasterizer.estimate(&scene, &first, &settings, weights.is_some());
-    let pass = pass.map_err(|e| of_frame(0)(e).at(&arguments.cameras))?;
+    let pass = rasterizer.estimate(&scene, largest_view, &settings, weights.is_some());
+    let pass = pass.map_err(|e| of_frame(largest)(e).at(&arguments.cameras))?;
     terminal.accepts(&output.with_files(pass, size, count, repeat))?;
     let coefficients = (cloud.sh_degree as usize + 1).pow(2);
     let mut sums = GradientSums::new(cloud.count_in_file, coefficients, count, wanted);
@@ -203,13 +217,12 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
         steps.next();
         if terminal.cancelled() { Err(Error::interrupted()) } else { Ok(()) }
     };
-    for (number, frame) in transforms.frames.iter().enumerate() {
-        let view = View::new(camera, frame.world_from_camera());
+    for (number, view) in views.iter().enumerate() {
         let mut times = Vec::new();
         for _ in 0..repeat {
             advance(&mut steps)?;
             let named = |e: Error| of_frame(number)(e).at(&arguments.cameras);
-            rasterizer.render(&scene, &view, &settings, None).map_err(named)?;
+            rasterizer.render(&scene, view, &settings, None).map_err(named)?;
             if let Some(weights) = &weights {
                 let image = ImageGradient { color: weights.of_frame(number), ..ImageGradient::default() };
                 rasterizer.backward(&scene, &image, wanted)?;
@@ -221,12 +234,13 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
         }
         frames.push(FrameTiming::new(&times, weights.is_some(), rasterizer.rendered()));
         advance(&mut steps)?;
-        output.write(number, &scene, &view, &mut rasterizer)?;
+        output.write(number, &scene, view, &mut rasterizer)?;
     }
     terminal.finish();
     if weights.is_some() {
         sums.write(&output.folder.join("gradients.npz"))?;
     }
+    let empty: Vec<usize> = (0..count).filter(|&number| frames[number].visible == 0).collect();
     let timing = SplatTiming {
         frames,
         threads: rayon::current_num_threads(),
@@ -238,5 +252,32 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     };
     files::write_json(&output.folder.join("timing.json"), &timing)?;
     terminal.line(format!("{}: {count} frames of {} Gaussians", output.folder.display(), cloud.len()));
+    if let Some(&number) = empty.first() {
+        terminal.note(&emptiness(&scene, &views[number], &settings, [number, empty.len(), count]));
+    }
     Ok(())
+}
+
+/// The views of all frames, each with its own intrinsics.
+fn views(transforms: &Transforms) -> Result<Vec<View>> {
+    let view = |(number, frame): (usize, &TransformsFrame)| {
+        Ok(View::new(transforms.frame_camera(number)?, frame.world_from_camera()))
+    };
+    transforms.frames.iter().enumerate().map(view).collect()
+}
+
+/// Why nothing is to be seen in frame `number`, the first of `empty` frames of `count`.
+fn emptiness(scene: &Gaussians<f32>, view: &View, settings: &Settings, [number, empty, count]: [usize; 3]) -> String {
+    let [before, beyond] = scene.before_camera(view, settings.near_mm);
+    let advice = match (before, beyond) {
+        (0, _) => "all lie behind the camera: are its axes OpenGL's (x right, y up, z backwards)?",
+        (_, 0) => "give a smaller --near, which is in the scene's unit",
+        _ => "these lie beside the image, or are transparent",
+    };
+    format!(
+        "no Gaussian is visible in {empty} of {count} frames: in frame {number}, {before} of {} centres lie before the \
+         camera and {beyond} of them beyond --near {}; {advice}",
+        scene.len(),
+        settings.near_mm
+    )
 }

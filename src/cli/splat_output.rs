@@ -30,7 +30,7 @@ pub(super) struct FrameTiming {
     backward_ms: Option<f64>,
     forward_cpu_ms: f64,
     backward_cpu_ms: Option<f64>,
-    visible: usize,
+    pub visible: usize,
     intersections: usize,
     stages: BTreeMap<&'static str, SplatStageTiming>,
 }

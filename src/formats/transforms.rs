@@ -1,4 +1,6 @@
-//! `transforms.json` in the layout of nerfstudio, with the extra per-frame keys of this project.
+//! `transforms.json` in the layout of nerfstudio, with the extra per-frame keys of this project. What other programs
+//! write is read too: intrinsics of each frame in place of those of all, sizes as `160.0`, and a field of view
+//! (`camera_angle_x`, Blender's and D-NeRF's) in place of a focal length.
 //!
 //! Camera axes in the file are OpenGL's (x right, y up, z backwards) and `transform_matrix` is world-from-camera, row
 //! major; this module converts from and to OpenCV axes. World z points up (LPS: towards the head). Lengths are mm.
@@ -6,9 +8,142 @@
 use std::path::Path;
 
 use glam::{DAffine3, DMat3, DVec3};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::base::{Camera, Error, Result, files};
+
+/// Intrinsics as they stand in the file, at its top or in a frame; what a frame leaves out is as at the top.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TransformsLens {
+    /// `OPENCV` (pinhole; the default) or `OPENCV_FISHEYE`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera_model: Option<String>,
+    /// Image width in pixels.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "pixels")]
+    pub w: Option<u32>,
+    /// Image height in pixels.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "pixels")]
+    pub h: Option<u32>,
+    /// Horizontal field of view in radians, where there is no `fl_x`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera_angle_x: Option<f64>,
+    /// Focal lengths and principal point in pixels. Without `fl_y` pixels are square, without `cx` and `cy` the
+    /// principal point is the middle of the image.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fl_x: Option<f64>,
+    /// See `fl_x`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fl_y: Option<f64>,
+    /// See `fl_x`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cx: Option<f64>,
+    /// See `fl_x`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cy: Option<f64>,
+    /// Distortion; all zero for a pinhole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub k1: Option<f64>,
+    /// See `k1`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub k2: Option<f64>,
+    /// See `k1`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub k3: Option<f64>,
+    /// See `k1`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub k4: Option<f64>,
+    /// Tangential distortion, which is not supported.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub p1: Option<f64>,
+    /// See `p1`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub p2: Option<f64>,
+}
+
+/// Reads a whole number that may be written as a float, as Python's `json` writes the sizes of instant-ngp and others.
+fn pixels<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u32>, D::Error> {
+    let Some(value) = Option::<f64>::deserialize(deserializer)? else { return Ok(None) };
+    if value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&value) {
+        return Ok(Some(value as u32));
+    }
+    Err(serde::de::Error::custom(format!("{value} is no number of pixels")))
+}
+
+impl TransformsLens {
+    /// Those of `camera`.
+    fn of(camera: &Camera) -> Self {
+        let [k1, k2, k3, k4] = camera.fisheye.unwrap_or([0.0; 4]).map(Some);
+        TransformsLens {
+            camera_model: Some(if camera.fisheye.is_some() { "OPENCV_FISHEYE" } else { "OPENCV" }.into()),
+            w: Some(camera.width),
+            h: Some(camera.height),
+            camera_angle_x: None,
+            fl_x: Some(camera.fl_x),
+            fl_y: Some(camera.fl_y),
+            cx: Some(camera.cx),
+            cy: Some(camera.cy),
+            k1,
+            k2,
+            k3,
+            k4,
+            p1: None,
+            p2: None,
+        }
+    }
+
+    /// These, and `other` where one is left out.
+    fn or(&self, other: &Self) -> Self {
+        // A frame's field of view goes before the focal length of all frames.
+        let fl_x = self.fl_x.or(if self.camera_angle_x.is_some() { None } else { other.fl_x });
+        TransformsLens {
+            camera_model: self.camera_model.clone().or_else(|| other.camera_model.clone()),
+            w: self.w.or(other.w),
+            h: self.h.or(other.h),
+            camera_angle_x: self.camera_angle_x.or(other.camera_angle_x),
+            fl_x,
+            fl_y: self.fl_y.or(if self.camera_angle_x.is_some() { None } else { other.fl_y }),
+            cx: self.cx.or(other.cx),
+            cy: self.cy.or(other.cy),
+            k1: self.k1.or(other.k1),
+            k2: self.k2.or(other.k2),
+            k3: self.k3.or(other.k3),
+            k4: self.k4.or(other.k4),
+            p1: self.p1.or(other.p1),
+            p2: self.p2.or(other.p2),
+        }
+    }
+
+    /// The camera of these. Errors: one that is missing, a model that is neither pinhole nor fisheye, impossible
+    /// values.
+    fn camera(&self) -> Result<Camera> {
+        let wanted =
+            |key: &str| Error::input(format!("`{key}` stands neither in the frame nor at the top of the file"));
+        let distortion = [self.k1, self.k2, self.k3, self.k4].map(Option::unwrap_or_default);
+        if [self.p1, self.p2].into_iter().flatten().any(|p| p != 0.0) {
+            return Err(Error::input("tangential distortion is not supported").element("p1, p2"));
+        }
+        let fisheye = match self.camera_model.as_deref().unwrap_or("OPENCV") {
+            "OPENCV_FISHEYE" => Some(distortion),
+            "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE" if distortion == [0.0; 4] => None,
+            "OPENCV" => return Err(Error::input("radial distortion of a pinhole is not supported").element("k1")),
+            other => return Err(Error::input(format!("`{other}` is not supported")).element("camera_model")),
+        };
+        let (width, height) = (self.w.ok_or_else(|| wanted("w"))?, self.h.ok_or_else(|| wanted("h"))?);
+        let of_angle = |angle: f64| f64::from(width) / 2.0 / (angle / 2.0).tan();
+        let fl_x = self.fl_x.or(self.camera_angle_x.map(of_angle)).ok_or_else(|| wanted("fl_x"))?;
+        let camera = Camera {
+            width,
+            height,
+            fl_x,
+            fl_y: self.fl_y.unwrap_or(fl_x),
+            cx: self.cx.unwrap_or(f64::from(width) / 2.0),
+            cy: self.cy.unwrap_or(f64::from(height) / 2.0),
+            fisheye,
+        };
+        camera.validate()?;
+        Ok(camera)
+    }
+}
 
 /// One frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,6 +170,9 @@ pub struct TransformsFrame {
     /// Factors on red, green and blue.
     #[serde(default = "ones")]
     pub white_balance: [f64; 3],
+    /// Intrinsics of this frame alone, which films do not have.
+    #[serde(flatten)]
+    pub lens: TransformsLens,
 }
 
 fn one() -> f64 {
@@ -65,39 +203,9 @@ impl TransformsFrame {
 /// The whole file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Transforms {
-    /// `OPENCV` (pinhole; the default) or `OPENCV_FISHEYE`.
-    #[serde(default = "pinhole")]
-    pub camera_model: String,
-    /// Image width in pixels.
-    pub w: u32,
-    /// Image height in pixels.
-    pub h: u32,
-    /// Focal lengths and principal point in pixels.
-    pub fl_x: f64,
-    /// See `fl_x`.
-    pub fl_y: f64,
-    /// See `fl_x`.
-    pub cx: f64,
-    /// See `fl_x`.
-    pub cy: f64,
-    /// Distortion; all zero for a pinhole.
-    #[serde(default)]
-    pub k1: f64,
-    /// See `k1`.
-    #[serde(default)]
-    pub k2: f64,
-    /// See `k1`.
-    #[serde(default)]
-    pub k3: f64,
-    /// See `k1`.
-    #[serde(default)]
-    pub k4: f64,
-    /// Tangential distortion, which is not supported.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub p1: f64,
-    /// See `p1`.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub p2: f64,
+    /// Intrinsics of all frames that have none of their own.
+    #[serde(flatten)]
+    pub lens: TransformsLens,
     /// One unit of a depth image in metres. nerfstudio does not look for it here, but has the same default.
     #[serde(default = "thousandth")]
     pub depth_unit_scale_factor: f64,
@@ -107,14 +215,6 @@ pub struct Transforms {
     pub applied_scale: f64,
     /// Frames in order of time.
     pub frames: Vec<TransformsFrame>,
-}
-
-fn pinhole() -> String {
-    "OPENCV".into()
-}
-
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }
 
 /// Columns of unit length at right angles, right-handed: to a thousandth, since files round.
@@ -131,21 +231,8 @@ fn thousandth() -> f64 {
 impl Transforms {
     /// A file for `camera`.
     pub fn new(camera: &Camera, frames: Vec<TransformsFrame>) -> Self {
-        let [k1, k2, k3, k4] = camera.fisheye.unwrap_or([0.0; 4]);
         Transforms {
-            camera_model: if camera.fisheye.is_some() { "OPENCV_FISHEYE" } else { "OPENCV" }.into(),
-            w: camera.width,
-            h: camera.height,
-            fl_x: camera.fl_x,
-            fl_y: camera.fl_y,
-            cx: camera.cx,
-            cy: camera.cy,
-            k1,
-            k2,
-            k3,
-            k4,
-            p1: 0.0,
-            p2: 0.0,
+            lens: TransformsLens::of(camera),
             depth_unit_scale_factor: thousandth(),
             applied_scale: 1.0 / thousandth(),
             frames,
@@ -160,7 +247,11 @@ impl Transforms {
     /// [`Transforms::read`] for bytes in memory.
     pub fn parse(bytes: &[u8]) -> Result<Self> {
         let transforms: Transforms = serde_json::from_slice(bytes).map_err(|e| Error::input(e.to_string()))?;
-        transforms.camera()?;
+        // Of all frames, and of a file without any.
+        (0..transforms.frames.len()).try_for_each(|frame| transforms.frame_camera(frame).map(drop))?;
+        if transforms.frames.is_empty() {
+            transforms.lens.camera()?;
+        }
         let broken = |f: &TransformsFrame| f.transform_matrix.iter().flatten().any(|v| !v.is_finite());
         if let Some(f) = transforms.frames.iter().position(broken) {
             return Err(Error::input("transform_matrix is not finite").element(format!("frame {f}")));
@@ -177,29 +268,26 @@ impl Transforms {
         files::write_json(path, self)
     }
 
-    /// Intrinsics. Errors: a camera model that is neither pinhole nor fisheye, impossible values.
+    /// Intrinsics of all frames. Errors: frames that differ, and those of [`Transforms::frame_camera`].
     pub fn camera(&self) -> Result<Camera> {
-        let distortion = [self.k1, self.k2, self.k3, self.k4];
-        if self.p1 != 0.0 || self.p2 != 0.0 {
-            return Err(Error::input("tangential distortion is not supported").element("p1, p2"));
+        if self.frames.is_empty() {
+            return self.lens.camera();
         }
-        let fisheye = match self.camera_model.as_str() {
-            "OPENCV_FISHEYE" => Some(distortion),
-            "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" if distortion == [0.0; 4] => None,
-            "OPENCV" => return Err(Error::input("radial distortion of a pinhole is not supported").element("k1")),
-            other => return Err(Error::input(format!("`{other}` is not supported")).element("camera_model")),
-        };
-        let camera = Camera {
-            width: self.w,
-            height: self.h,
-            fl_x: self.fl_x,
-            fl_y: self.fl_y,
-            cx: self.cx,
-            cy: self.cy,
-            fisheye,
-        };
-        camera.validate()?;
-        Ok(camera)
+        let camera = self.frame_camera(0)?;
+        match (1..self.frames.len()).find(|&frame| self.frame_camera(frame).ok() != Some(camera)) {
+            Some(frame) => Err(Error::input("has other intrinsics than frame 0").element(format!("frame {frame}"))),
+            None => Ok(camera),
+        }
+    }
+
+    /// Intrinsics of a frame. Errors: one that is missing, a camera model that is neither pinhole nor fisheye,
+    /// impossible values.
+    pub fn frame_camera(&self, frame: usize) -> Result<Camera> {
+        let own = &self.frames[frame].lens;
+        if *own == TransformsLens::default() {
+            return self.lens.camera();
+        }
+        own.or(&self.lens).camera().map_err(|e| Error::input(e.to_string()).element(format!("frame {frame}")))
     }
 }
 
@@ -222,6 +310,7 @@ mod tests {
             breathing_phase: Some(0.123456789123),
             exposure: 0.7,
             white_balance: [1.01, 1.0, 0.98],
+            lens: TransformsLens::default(),
         };
         for fisheye in [None, Some([0.01, 0.0, -0.002, 0.0])] {
             let camera = Camera { fisheye, ..Camera::pinhole(64, 48, 1.7) };
@@ -291,6 +380,39 @@ mod tests {
         ] {
             let sentence = refused("", matrix);
             assert!(sentence.contains("transforms.json") && sentence.contains("frame 0"), "{sentence}");
+        }
+    }
+
+    /// As instant-ngp, Blender's exporters and phones write it.
+    #[test]
+    fn intrinsics_of_frames_sizes_as_floats_and_fields_of_view_are_read() {
+        let matrix = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
+        let parse = |top: &str, frames: &[&str]| {
+            let frame = |own: &&str| format!("{{\"file_path\":\"a\",\"transform_matrix\":{matrix}{own}}}");
+            let frames: Vec<String> = frames.iter().map(frame).collect();
+            Transforms::parse(format!("{{{top}\"frames\":[{}]}}", frames.join(",")).as_bytes())
+        };
+        let own = ",\"w\":160.0,\"h\":120.0,\"fl_x\":100,\"fl_y\":101,\"cx\":80.5,\"cy\":60.5";
+        let other = ",\"w\":80,\"h\":60,\"fl_x\":50,\"camera_model\":\"OPENCV_FISHEYE\",\"k1\":0.1";
+        let read = parse("", &[own, other]).unwrap();
+        let first = read.frame_camera(0).unwrap();
+        assert_eq!((first.width, first.height, first.fl_y, first.cx), (160, 120, 101.0, 80.5));
+        let second = read.frame_camera(1).unwrap();
+        assert_eq!((second.fl_y, second.cx, second.fisheye), (50.0, 40.0, Some([0.1, 0.0, 0.0, 0.0])));
+        assert_eq!(read.camera().unwrap_err().to_string(), "frame 1: has other intrinsics than frame 0");
+        // A frame's own goes before the file's, and a field of view makes a focal length.
+        let angled =
+            parse("\"camera_angle_x\":1.5707963267948966,\"w\":160.0,\"h\":120,", &["", ",\"fl_x\":70"]).unwrap();
+        assert!((angled.frame_camera(0).unwrap().fl_y - 80.0).abs() < 1e-9);
+        assert_eq!(angled.frame_camera(1).unwrap().fl_x, 70.0);
+        for (top, frames, says) in [
+            ("", vec![own, ""], "`w` stands neither"),
+            ("\"w\":160.5,\"h\":1,\"fl_x\":1,", vec![""], "160.5 is no number of pixels"),
+            ("\"w\":-1,\"h\":1,\"fl_x\":1,", vec![""], "-1 is no number of pixels"),
+            ("", vec![own, ",\"w\":8,\"h\":8,\"fl_x\":1,\"k2\":1"], "frame 1: k1: radial"),
+        ] {
+            let said = parse(top, &frames).unwrap_err().to_string();
+            assert!(said.contains(says), "{said}");
         }
     }
 }

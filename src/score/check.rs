@@ -1,6 +1,7 @@
-//! Reads everything that scoring would read, and lists what it finds; the first problem is the error.
+//! Reads everything that scoring would read, and lists what it finds; the first problem is the error. What can be read
+//! but is most likely meant otherwise (another unit, another name) is a warning.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -8,7 +9,16 @@ use serde::Serialize;
 use super::prediction::{Prediction, Question};
 use super::registry::registry;
 use super::truth::{Truth, final_mesh};
-use crate::base::{Error, Result};
+use crate::base::{Error, Image, Result, TriangleMesh, files};
+
+/// A phase beyond this is no estimate of one in 0 to 1, however bad.
+const MOST_PHASE: f64 = 1.5;
+/// Median z-depths in mm of a frame seen from within an airway lie between these by far: real ones by 3 and 100.
+const DEPTH_MM: [f32; 2] = [0.3, 500.0];
+/// No airway's bounding box has a shorter diagonal, in mm.
+const LEAST_MESH_MM: f64 = 3.0;
+/// Endings of files that hold predictions of other programs, in folders that scoring looks into.
+const ENDINGS_OF_RESULTS: [&str; 5] = ["ply", "obj", "stl", "csv", "npy"];
 
 /// Contents of a valid folder.
 #[derive(Clone, Debug, Serialize)]
@@ -33,16 +43,19 @@ pub struct Contents {
     pub targets: bool,
     /// Metrics that will have a status instead of a value.
     pub not_applicable: Vec<&'static str>,
+    /// What is sound but most likely meant otherwise, a sentence each.
+    pub warnings: Vec<String>,
 }
 
 /// Checks a prediction folder file by file. The error is one sentence that names the file and the element.
 pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> {
     let frames = question.frames;
     let prediction = Prediction::open(folder, question)?;
-    (0..frames).into_par_iter().try_for_each(|frame| {
+    let depth_of = |frame: usize| -> Result<Option<f32>> {
         prediction.color(frame)?;
-        prediction.depth_mm(frame).map(|_| ())
-    })?;
+        Ok(prediction.depth_mm(frame)?.as_ref().and_then(median_depth_mm))
+    };
+    let depths_mm: Vec<Option<f32>> = (0..frames).into_par_iter().map(depth_of).collect::<Result<_>>()?;
     for &frame in prediction.ahead_frames() {
         prediction.ahead(frame)?;
     }
@@ -55,17 +68,19 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
         prediction.novel_depth_mm(frame)?;
     }
     prediction.correspondence()?;
+    let surface = prediction.final_mesh()?;
     let mut contents = Contents {
         frames,
         depth: frames > 0 && prediction.depth_mm(0)?.is_some(),
         phase: prediction.phase().is_some(),
-        surface: prediction.final_mesh()?.is_some(),
+        surface: surface.is_some(),
         time: prediction.time_total_s().is_some(),
         ahead: prediction.ahead_frames().len(),
         novel: novel.len(),
         novel_depth: first_novel.is_some(),
         targets: prediction.targets().is_some(),
         not_applicable: Vec::new(),
+        warnings: Vec::new(),
     };
     let lacks = |id: &str| match id {
         "time_cpu_s" => prediction.time_cpu_s().is_none(),
@@ -81,7 +96,78 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
         _ => false,
     };
     contents.not_applicable = registry().iter().map(|m| m.id).filter(|id| lacks(id)).collect();
+    contents.warnings.extend(prediction.phase().and_then(phase_warning));
+    contents.warnings.extend(depth_warning(depths_mm.into_iter().flatten().collect()));
+    contents.warnings.extend(surface.as_ref().and_then(surface_warning));
+    contents.warnings.extend(unread_warnings(&prediction, folder, frames)?);
     Ok(contents)
+}
+
+/// Phases outside of 0 to 1, by the largest of them.
+fn phase_warning(phases: &[f64]) -> Option<String> {
+    let furthest = phases.iter().copied().fold(0.5, |a: f64, b| if (b - 0.5).abs() > (a - 0.5).abs() { b } else { a });
+    if (furthest - 0.5).abs() <= MOST_PHASE - 0.5 {
+        return None;
+    }
+    let unit = match furthest.abs() {
+        f if f <= 7.0 => "radians",
+        f if f <= 101.0 => "percent",
+        _ => "degrees",
+    };
+    Some(format!("phase.csv: a phase is {furthest}, as if in {unit}; 0 is full inspiration, 1 full expiration"))
+}
+
+fn median(mut values: Vec<f32>) -> Option<f32> {
+    values.sort_unstable_by(f32::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+/// Median of what is above 0 in a depth image.
+fn median_depth_mm(depth: &Image<f32>) -> Option<f32> {
+    median(depth.data.iter().copied().filter(|&d| d > 0.0 && d.is_finite()).collect())
+}
+
+/// A depth that is none of an airway, by the median over the frames.
+fn depth_warning(medians_mm: Vec<f32>) -> Option<String> {
+    let depth_mm = median(medians_mm)?;
+    let advice = match depth_mm {
+        d if d < DEPTH_MM[0] => "as if in metres; depths are in mm",
+        d if d > DEPTH_MM[1] => {
+            "too far for an airway; depths are in mm, and `depth_unit_mm` says what a code of PNG is"
+        }
+        _ => return None,
+    };
+    Some(format!("depth: the median is {depth_mm} mm, {advice}"))
+}
+
+fn surface_warning(surface: &TriangleMesh) -> Option<String> {
+    let (low, high) = surface.bounds();
+    let diagonal_mm = low.distance(high);
+    let sentence = format!("mesh/final.ply: spans {diagonal_mm:.3} mm, as if in metres; coordinates are in mm");
+    if diagonal_mm < LEAST_MESH_MM { Some(sentence) } else { None }
+}
+
+/// Results that nobody reads, because they have another name.
+fn unread_warnings(prediction: &Prediction, folder: &Path, frames: usize) -> Result<Vec<String>> {
+    let read: Vec<PathBuf> = prediction.file_paths(frames).collect();
+    let is_result = |path: &PathBuf| path.extension().is_some_and(|e| ENDINGS_OF_RESULTS.iter().any(|r| e == *r));
+    let mut unread = Vec::new();
+    for place in [folder.to_path_buf(), folder.join("mesh"), folder.join("meshes")] {
+        if place.is_dir() {
+            unread.extend(files::all_directly_in(&place)?.into_iter().filter(is_result).filter(|p| !read.contains(p)));
+        }
+    }
+    let sentence = |path: &PathBuf| {
+        let name = path.strip_prefix(folder).unwrap_or(path).display();
+        let is_surface = ["ply", "obj", "stl"].iter().any(|ending| path.extension().is_some_and(|e| e == *ending));
+        let wanted = if is_surface {
+            "the surface at the last frame is mesh/final.ply"
+        } else {
+            "tables are phase.csv, poses.csv, targets.csv and correspondence.csv"
+        };
+        format!("{name}: is not read; {wanted}")
+    };
+    Ok(unread.iter().map(sentence).collect())
 }
 
 /// Checks a sequence folder file by file: images, depths, both surfaces, one topology. Gives the number of frames.
@@ -100,4 +186,23 @@ pub fn check_truth(truth: &dyn Truth) -> Result<usize> {
         return Err(Error::input("the two surfaces have different faces"));
     }
     Ok(frames)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn other_units_are_told_and_bad_estimates_are_not() {
+        assert_eq!(phase_warning(&[0.0, -0.3, 1.4]), None);
+        for (phases, unit) in [([0.0, 87.5], "percent"), ([6.2, 0.1], "radians"), ([-180.0, 20.0], "degrees")] {
+            assert!(phase_warning(&phases).unwrap().contains(unit), "{phases:?}");
+        }
+        assert_eq!(depth_warning(vec![]), None);
+        assert_eq!(depth_warning(vec![3.0, 40.0, 0.01]), None, "one frame is no unit");
+        assert!(depth_warning(vec![0.02, 0.03]).unwrap().contains("metres"));
+        assert!(depth_warning(vec![2000.0]).unwrap().contains("depth_unit_mm"));
+        let depth = Image { width: 4, height: 1, channels: 1, data: vec![0.0, 5.0, f32::NAN, 4.0] };
+        assert_eq!(median_depth_mm(&depth), Some(5.0));
+    }
 }

@@ -192,7 +192,7 @@ impl Prediction {
     }
 
     /// Every file that scoring may read, there or not.
-    fn file_paths(&self, frames: usize) -> impl Iterator<Item = PathBuf> {
+    pub(super) fn file_paths(&self, frames: usize) -> impl Iterator<Item = PathBuf> {
         let folders = [
             ("color", Some("png")),
             ("depth", self.depth_ending),

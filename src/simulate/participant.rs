@@ -30,7 +30,7 @@ use serde::{Deserialize, Serialize};
 use super::sequence::{self, NovelView, PARTICIPANT, Sequence};
 use crate::base::range::NumberRange;
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files, hash};
-use crate::formats::transforms::{Transforms, TransformsFrame};
+use crate::formats::transforms::{Transforms, TransformsFrame, TransformsLens};
 use crate::formats::{exr, mesh, png};
 
 /// Time of change of every file and folder: the first second of 2000, in seconds of Unix.
@@ -351,6 +351,7 @@ fn write_tables(film: &Sequence, folder: &Path) -> Result<()> {
         breathing_phase: None,
         exposure: 1.0,
         white_balance: [1.0; 3],
+        lens: TransformsLens::default(),
     };
     let frames = film.frames.iter().enumerate();
     let mut entries: Vec<TransformsFrame> =

@@ -15,7 +15,7 @@ use crate::airway::centerline::Centerline;
 use crate::airway::targets::Target;
 use crate::base::range::{NumberRange, SHARE};
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files, hash};
-use crate::formats::transforms::{Transforms, TransformsFrame};
+use crate::formats::transforms::{Transforms, TransformsFrame, TransformsLens};
 use crate::formats::{exr, mesh, png};
 
 /// Record of one frame, truth included.
@@ -480,5 +480,6 @@ pub(super) fn transforms_frame(index: usize, frame: &FrameRecord, masked: bool) 
         breathing_phase: Some(frame.phase),
         exposure: frame.gain,
         white_balance: frame.white_balance,
+        lens: TransformsLens::default(),
     }
 }

@@ -228,18 +228,19 @@ fn limited(folder: &Path, words: &[&str]) -> (i32, String) {
 
 /// Words of a command whose inputs are missing, and its options that are numbers. What passes the options ends with the
 /// sentence about the input.
-const NUMBERS: [(&str, &[&str]); 13] = [
+const NUMBERS: [(&str, &[&str]); 14] = [
     ("doctor", &["--threads"]),
     ("run --case no.toml --method ours --bench-cases {cases}", &["--seed"]),
     ("all-cases --dry-run --cases no.toml --bench-cases {cases}", &["--seeds"]),
     ("list --cases no.toml --bench-cases {cases}", &["--seeds"]),
     ("ablate --cases no.toml --bench-cases {cases}", &["--at-once"]),
     ("simulate no.toml --out out --bench-cases {cases}", &["--frames", "--width", "--spp"]),
-    ("splat no.ply --cameras no.json --out out", &["--repeat", "--background"]),
+    ("splat no.ply --cameras no.json --out out", &["--repeat", "--background", "--near"]),
     (
         "import mesh no.ply --landmarks no.csv --id x --out out",
         &["--fov-x-deg", "--scope-radius-mm", "--seed", "--end-motion-mm", "--scale"],
     ),
+    ("export no --format tum --out out", &["--scale"]),
     ("import mesh-pair no.ply no.ply --id x --out out", &["--fov-x-deg", "--scope-radius-mm", "--seed", "--scale"]),
     ("import breathing no.toml --landmarks no.csv", &["--end-motion-mm"]),
     ("import tree no.csv --source s --out out.toml", &["--least-radius-mm", "--deepest", "--scale"]),

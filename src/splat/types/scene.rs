@@ -1,6 +1,6 @@
 //! What is rendered, and from where.
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 
 use crate::base::{Camera, Error, Result};
 
@@ -109,6 +109,18 @@ impl<T: Real> Gaussians<T> {
     #[inline(always)]
     pub(in crate::splat) fn color(&self, i: usize, direction: [T; 3]) -> [T; 3] {
         sh::color(&sh::basis(direction, self.sh_degree), self.coefficients(i))
+    }
+
+    /// How many centres lie before the camera of `view`, and how many of these at a z-depth of at least `near_mm`: why
+    /// an image may be empty.
+    pub fn before_camera(&self, view: &View, near_mm: f64) -> [usize; 2] {
+        let mut counts = [0; 2];
+        for position in &self.positions {
+            let depth_mm = view.camera_from_world.transform_point3(DVec3::from_array(position.map(T::to_f64))).z;
+            counts[0] += usize::from(depth_mm > 0.0);
+            counts[1] += usize::from(depth_mm > 0.0 && depth_mm >= near_mm);
+        }
+        counts
     }
 
     /// The same Gaussians in another number type.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use respire_bench::formats::gaussians_ply::{self, GaussianCloud};
-use respire_bench::formats::transforms::{Transforms, TransformsFrame};
+use respire_bench::formats::transforms::{Transforms, TransformsFrame, TransformsLens};
 use respire_bench::formats::{exr, npy};
 use respire_bench::splat::{Gaussians, ImageGradient, Rasterizer, Settings, Shape, View, Wanted};
 
@@ -41,6 +41,7 @@ fn folder() -> (tempfile::TempDir, GaussianCloud) {
             breathing_phase: None,
             exposure: 1.0,
             white_balance: [1.0; 3],
+            lens: TransformsLens::default(),
         }
     };
     Transforms::new(&view(Lens::Pinhole).camera, vec![frame(0.0), frame(0.5)])
@@ -287,6 +288,7 @@ fn command_asks_before_work_that_does_not_fit() {
         breathing_phase: None,
         exposure: 1.0,
         white_balance: [1.0; 3],
+        lens: TransformsLens::default(),
     };
     let camera = respire_bench::base::Camera::pinhole(16384, 16384, 1.5);
     Transforms::new(&camera, vec![frame]).write(&folder.path().join("transforms.json")).unwrap();
@@ -295,4 +297,72 @@ fn command_asks_before_work_that_does_not_fit() {
         let said = String::from_utf8(said).unwrap();
         assert!(said.contains(says), "{said}");
     }
+}
+
+/// As others write them: sizes as floats, intrinsics in the frames, scenes in metres.
+#[test]
+fn cameras_of_other_programs_and_scenes_of_another_scale_are_shown() {
+    let (folder, mut cloud) = folder();
+    let path = folder.path();
+    command(path, &[]).success();
+    let image = |name: &str| exr::read(&path.join("out").join(name)).unwrap();
+    let before = [image("000000.exr"), image("000001.exr")];
+    let cameras = path.join("transforms.json");
+    let ours: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&cameras).unwrap()).unwrap();
+
+    // Every intrinsic in the frames, and the sizes as floats; the second frame is half as wide.
+    let mut theirs = ours.clone();
+    for key in ["w", "h", "fl_x", "fl_y", "cx", "cy"] {
+        let value = theirs.as_object_mut().unwrap().remove(key).unwrap();
+        for frame in theirs["frames"].as_array_mut().unwrap() {
+            frame[key] = value.as_f64().unwrap().into();
+        }
+    }
+    std::fs::write(&cameras, theirs.to_string()).unwrap();
+    command(path, &[]).success();
+    assert_eq!([image("000000.exr"), image("000001.exr")], before);
+    theirs["frames"][1]["w"] = 20.0.into();
+    std::fs::write(&cameras, theirs.to_string()).unwrap();
+    command(path, &[]).success();
+    assert_eq!((image("000000.exr"), image("000001.exr").width), (before[0].clone(), 20));
+    let scene = Gaussians {
+        positions: cloud.positions.clone(),
+        shape: Shape::Ellipsoids { rotations: cloud.rotations.clone(), scales: cloud.scales.clone() },
+        opacities: cloud.opacities.clone(),
+        sh: cloud.sh.clone(),
+        sh_degree: 1,
+    };
+    let mut world = world_from_camera();
+    world.translation.x += 0.5;
+    let narrow = View::new(respire_bench::base::Camera { width: 20, ..view(Lens::Pinhole).camera }, world);
+    let mut rasterizer = Rasterizer::<f64>::new();
+    let truth = rasterizer.render(&scene.cast::<f64>(), &narrow, &Settings::default(), None).unwrap();
+    let found: Vec<f64> = image("000001.exr").data.iter().map(|&v| v as f64).collect();
+    assert!(relative(&found, &truth.color) < 1e-5);
+    npy::write(&path.join("w.npy"), &[29, 43, 3], &[0.0; 29 * 43 * 3]).unwrap();
+    let said =
+        String::from_utf8_lossy(&command(path, &["--gradients", "w.npy"]).code(4).get_output().stderr).into_owned();
+    assert!(said.contains("transforms.json: frame 1: has another size"), "{said}");
+
+    // A scene in kilometres: nothing beyond the near plane, which is said; with a near plane of its scale, the same
+    // image.
+    let small = 1e-6;
+    let mut theirs = ours;
+    for frame in theirs["frames"].as_array_mut().unwrap() {
+        (0..3).for_each(|row| {
+            let moved = frame["transform_matrix"][row][3].as_f64().unwrap() * small;
+            frame["transform_matrix"][row][3] = moved.into();
+        });
+    }
+    std::fs::write(&cameras, theirs.to_string()).unwrap();
+    cloud.positions.as_flattened_mut().iter_mut().for_each(|v| *v *= small as f32);
+    cloud.scales.as_flattened_mut().iter_mut().for_each(|v| *v *= small as f32);
+    gaussians_ply::write(&path.join("scene.ply"), &cloud).unwrap();
+    let said = |more: &[&str]| String::from_utf8_lossy(&command(path, more).success().get_output().stderr).into_owned();
+    let words = said(&[]);
+    assert!(words.contains("no Gaussian is visible in 2 of 2 frames") && words.contains("--near"), "{words}");
+    assert!(image("000000_alpha.exr").data.iter().all(|&alpha| alpha == 0.0));
+    assert_eq!(said(&["--near", "2e-7"]), "");
+    let pairs = image("000000.exr").data.into_iter().zip(&before[0].data).map(|(a, b)| (a - b).abs());
+    assert!(pairs.fold(0.0, f32::max) < 2e-3);
 }
