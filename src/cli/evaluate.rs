@@ -6,6 +6,7 @@ use std::sync::Arc;
 use super::Terminal;
 use crate::base::{Error, Result};
 use crate::report::run::evaluated_id;
+use crate::report::scene::Scenes;
 use crate::report::{self, CaseInfo, CellRecord, MethodInfo, Outcome, Run};
 use crate::score::{CellScore, Prediction, Question, ScoreSettings, registry, score};
 use crate::simulate::sequence::Sequence;
@@ -105,10 +106,11 @@ fn as_run(sequence: Sequence, found: CellScore, prediction: PathBuf) -> Run {
         }],
         id,
         cases: vec![CaseInfo {
-            title: case_id.clone(),
+            title: String::new(),
             id: case_id,
             tree: String::new(),
             truth: Some(Arc::new(sequence)),
         }],
+        scenes: Scenes::default(),
     }
 }

@@ -5,6 +5,8 @@ mod damage;
 pub mod depth_png;
 pub mod exr;
 pub mod gaussians_ply;
+#[cfg(feature = "program")]
+pub mod jpeg;
 pub mod landmarks;
 pub mod mesh;
 mod mesh_obj;
