@@ -174,7 +174,7 @@ class ErrorPlot {
         if (v == null) { if (row.series[player.metric].filter(x => x != null).length > data.samples.length / 2) pen = "M"; return; }
         path += `${pen}${this.x(data.times_s[k]).toFixed(1)} ${y(v).toFixed(1)}`; pen = "L";
       });
-      parts.push(el("path", { d: path, fill: "none", stroke: row.color, "stroke-width": row === chosen ? 3.2 : 1.6, "stroke-dasharray": row.dash && row.dash.join(" "), "stroke-linejoin": "round", opacity: chosen && row !== chosen ? 0.55 : 1 }));
+      parts.push(el("path", { d: path, fill: "none", stroke: row.color, "stroke-width": row === chosen ? 3.2 : 1.6, "stroke-dasharray": row.dash && row.dash.join(" "), "stroke-linejoin": "round", opacity: chosen && row !== chosen ? 0.7 : 1 }));
     }
     this.cursor = el("line", { y1: box.top - 4, y2: box.bottom + 6, class: "cursor" });
     svg.replaceChildren(...parts, this.cursor);
@@ -285,7 +285,7 @@ class CasePlayer {
     this.legend.replaceChildren(el("i", { style: `background:linear-gradient(90deg,${ERROR_STOPS.join(",")})` }), ...["0.1", "1", "10 mm"].map(text => el("span", {}, text)));
     const surface = !on ? "" : known === 1 ? `The wall: distance of ${row.title} to the true one at the last frame.` :
       known === 2 ? `The wall: distance of ${row.title} to the true one, which follows from the phase it states.` : `${row.title} keeps no surface, so that the wall has no colour.`;
-    this.note.textContent = `${surface} The path: its mean target error, or depth error, as the scope passed. Balls: targets, true in black or white, predicted in the row's colour.`;
+    this.note.textContent = `${surface}${known && on ? " Below 0.1 mm it keeps the colour of tissue." : ""} The path: its mean target error, or depth error, as the scope passed. Balls: targets, true in black or white, predicted in the row's colour.`;
   }
 
   choose(row) {

@@ -69,7 +69,8 @@ out vec4 color;
 vec3 tint(vec3 base) {
   if (errorMm < 0.0) return base;
   float share = clamp(log(max(errorMm, 1e-9) / 0.1) / log(100.0), 0.0, 1.0);
-  return pow(texture(errorColors, vec2(share * 0.98 + 0.01, 0.5)).rgb, vec3(2.2));
+  // What is right keeps the colour of tissue; colour means error.
+  return mix(base, pow(texture(errorColors, vec2(share * 0.98 + 0.01, 0.5)).rgb, vec3(2.2)), smoothstep(0.0, 0.1, share));
 }
 void main() {
   vec3 toEye = eye - place; float distance = length(toEye); toEye /= distance;
@@ -93,7 +94,7 @@ void main() {
   vec3 lit = base * (0.42 + 0.62 * key + 0.16 * outward.z);
   lit = mix(lit, mix(lit * 0.45, lit * 1.5 + 0.04, dark), rim);
   float shine = pow(max(dot(normalize(light + toEye), outward), 0.0), 48.0) * 0.45;
-  float known = errorMm < 0.0 ? 0.0 : 1.0;
+  float known = smoothstep(0.1, 0.3, errorMm);
   float alpha = mix(mix(0.18, 0.30, known), 0.94, rim) * back;
   alpha = min(1.0, alpha + shine * back);
   color = vec4(pow(lit + shine, vec3(1.0 / 2.2)) * alpha, alpha);
