@@ -1,6 +1,6 @@
 //! One colour and one dash per row, in every plot and on the page.
 //!
-//! No two of the colours are alike: they are at least .07 apart in OKLab (Ottosson 2020), also as somebody with
+//! No two of the colours are alike: they are at least .08 apart in OKLab (Ottosson 2020), and .05 as somebody with
 //! deuteranopia sees them (Viénot, Brettel and Mollon 1999), and stand out from white paper as from a dark page.
 //! Found by taking again and again the colour farthest from those taken, after Okabe and Ito's. Rows that are seldom
 //! told apart by colour alone differ by their dash too.
@@ -44,7 +44,7 @@ const OWN: [(&str, [u8; 3], Option<[u8; 2]>); 14] = [
     ("virtual-bronchoscopy", [12, 192, 72], None),
     ("pose-only", [132, 84, 0], SHORT),
     ("mean-breath", [132, 192, 144], SHORT),
-    ("oracle-phase", [0, 158, 115], LONG),
+    ("oracle-phase", [30, 160, 90], LONG),
     ("static-ct", [130, 130, 130], LONG),
     ("static-expiration", [96, 84, 132], DOTS),
 ];
