@@ -17,4 +17,4 @@ if ! command -v chromium >/dev/null; then
     (install_packages chromium) || true
 fi
 command -v chromium >/dev/null || skipped "there is no chromium, and it cannot be had here in 45 s (apt-get install chromium)"
-exec python3 tests/page/test_page.py "$(command -v chromium)" "$report" ${2:+"$2"}
+exec python3 -B tests/page/test_page.py "$(command -v chromium)" "$report" ${2:+"$2"}

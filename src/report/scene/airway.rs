@@ -112,7 +112,7 @@ impl AirwayScene {
         let vertices = self.vertices();
         let is_whole = self.inspiration.0.len() == 3 * vertices && self.expiration.0.len() == 3 * vertices;
         let is_known = self.faces.0.iter().all(|&v| usize::from(v) < vertices);
-        if !is_whole || !is_known || !self.faces.0.len().is_multiple_of(3) || !(self.step_mm > 0.0) {
+        if !is_whole || !is_known || !self.faces.0.len().is_multiple_of(3) || self.step_mm <= 0.0 {
             return Err(Error::input(
                 "the airway needs three numbers a vertex in both breath holds, and known vertices",
             ));

@@ -13,7 +13,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 pub use airway::{AirwayScene, ReducedAirway, SurfaceScene};
-pub use packed::{Number, Packed};
+pub use packed::{Packed, PackedNumber};
 
 use crate::base::{Error, Result, files};
 use crate::score::CellScore;
@@ -274,7 +274,7 @@ impl FilmScene {
         if frames == 0 || self.phases.0.len() != frames || self.poses.0.len() != 12 * frames || !is_inside {
             return Err(Error::input("every frame needs a time, a phase and a pose"));
         }
-        if !self.targets_mm.0.len().is_multiple_of(6) || !(self.tan_half_height > 0.0) {
+        if !self.targets_mm.0.len().is_multiple_of(6) || self.tan_half_height <= 0.0 {
             return Err(Error::input("targets need two places each, and a camera an angle of view"));
         }
         self.airway.as_ref().map_or(Ok(()), AirwayScene::check)

@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 pub struct Packed<T>(pub Vec<T>);
 
 /// A number of fixed width.
-pub trait Number: Copy {
+pub trait PackedNumber: Copy {
     /// Bytes of one.
     const WIDTH: usize;
 
@@ -19,7 +19,7 @@ pub trait Number: Copy {
     fn of(bytes: &[u8]) -> Self;
 }
 
-impl Number for u8 {
+impl PackedNumber for u8 {
     const WIDTH: usize = 1;
 
     fn put(self, out: &mut Vec<u8>) {
@@ -31,7 +31,7 @@ impl Number for u8 {
     }
 }
 
-impl Number for u16 {
+impl PackedNumber for u16 {
     const WIDTH: usize = 2;
 
     fn put(self, out: &mut Vec<u8>) {
@@ -43,7 +43,7 @@ impl Number for u16 {
     }
 }
 
-impl Number for f32 {
+impl PackedNumber for f32 {
     const WIDTH: usize = 4;
 
     fn put(self, out: &mut Vec<u8>) {
@@ -55,7 +55,7 @@ impl Number for f32 {
     }
 }
 
-impl<T: Number> Packed<T> {
+impl<T: PackedNumber> Packed<T> {
     /// Characters that it takes in JSON, quotes included.
     pub fn characters(&self) -> usize {
         (self.0.len() * T::WIDTH).div_ceil(3) * 4 + 2
@@ -69,7 +69,7 @@ impl Packed<f32> {
     }
 }
 
-impl<T: Number> Serialize for Packed<T> {
+impl<T: PackedNumber> Serialize for Packed<T> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut bytes = Vec::with_capacity(self.0.len() * T::WIDTH);
         self.0.iter().for_each(|v| v.put(&mut bytes));
@@ -77,7 +77,7 @@ impl<T: Number> Serialize for Packed<T> {
     }
 }
 
-impl<'de, T: Number> Deserialize<'de> for Packed<T> {
+impl<'de, T: PackedNumber> Deserialize<'de> for Packed<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let text = String::deserialize(deserializer)?;
         let bytes = from_base64(&text).ok_or_else(|| serde::de::Error::custom("is no base64"))?;

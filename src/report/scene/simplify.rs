@@ -43,7 +43,7 @@ fn value(q: &Quadric, v: DVec3) -> f64 {
         + q[9]
 }
 
-struct Surface<'a> {
+struct CollapsingMesh<'a> {
     positions: [&'a [DVec3]; 2],
     faces: Vec<[u32; 3]>,
     is_alive: Vec<bool>,
@@ -53,7 +53,7 @@ struct Surface<'a> {
     age: Vec<u32>,
 }
 
-impl<'a> Surface<'a> {
+impl<'a> CollapsingMesh<'a> {
     fn new(mesh: &'a TriangleMesh, other: &'a [DVec3]) -> Self {
         let count = mesh.vertices.len();
         let mut around = vec![Vec::new(); count];
@@ -77,7 +77,7 @@ impl<'a> Surface<'a> {
             add(&mut quadrics[a as usize], &plane);
             add(&mut quadrics[b as usize], &plane);
         }
-        Surface {
+        CollapsingMesh {
             positions: [&mesh.vertices, other],
             is_alive: vec![true; mesh.faces.len()],
             faces: mesh.faces.clone(),
@@ -152,9 +152,9 @@ fn add(to: &mut Quadric, other: &Quadric) {
 /// At most `most` vertices of `mesh`; `other` are its vertices in the other breath. Vertices without a face go. Stops
 /// above `most` only where nothing more can be taken without turning a face.
 pub fn simplify(mesh: &TriangleMesh, other: &[DVec3], most: usize) -> Simplified {
-    let mut surface = Surface::new(mesh, other);
+    let mut surface = CollapsingMesh::new(mesh, other);
     // Costs are finite and not negative: their bits are in the order of their values.
-    let key = |surface: &Surface<'_>, a: u32, b: u32| {
+    let key = |surface: &CollapsingMesh<'_>, a: u32, b: u32| {
         Reverse((surface.cost(a, b).to_bits(), a, b, surface.age[a as usize], surface.age[b as usize]))
     };
     let mut alive = surface.around.iter().filter(|faces| !faces.is_empty()).count();
