@@ -27,6 +27,8 @@ rm -rf target/package
 scripts/package.sh target/package
 step smoke run
 cargo run --release --locked --quiet -- all-cases --profile smoke --out target/smoke --cache target/smoke/cache
+step page
+scripts/test-page.sh
 step gate: absolute limits, and losses against the baseline
 cargo run --release --locked --quiet -- gate --results target/smoke/latest \
     --baseline reports/baselines/ideal

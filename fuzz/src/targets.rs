@@ -24,6 +24,7 @@ use respire_bench::formats::transforms::Transforms;
 use respire_bench::formats::{depth_png, exr, gaussians_ply, landmarks, mesh, npy, png};
 use respire_bench::reconstruct::MethodFile;
 use respire_bench::render::scene_file::SceneFile;
+use respire_bench::report::scene::{FilmScene, Scenes};
 use respire_bench::report::{compare, gate, merge, read, summary, table};
 use respire_bench::score::{CellScore, Prediction, Question, Truth};
 use respire_bench::simulate::participant::{Given, Participant};
@@ -63,6 +64,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "profile", run: profile },
     Target { name: "results", run: results },
     Target { name: "scene", run: scene },
+    Target { name: "scenes", run: scenes },
     Target { name: "score", run: score },
     Target { name: "sequence", run: read_sequence },
     Target { name: "stl", run: |bytes, scratch| surface(bytes, "stl", scratch) },
@@ -220,6 +222,17 @@ fn merged(bytes: &[u8], scratch: &Scratch) {
         if let Some(run) = answer(merge::merge(vec![run.clone(), run.clone()], films)) {
             table::ComparisonTable::both(&summary::summarise(&run));
         }
+    }
+}
+
+fn scenes(bytes: &[u8], scratch: &Scratch) {
+    std::fs::create_dir_all(scratch.folder.join("scenes")).expect("the scratch folder takes folders");
+    scratch.write("scenes/scenes.json", bytes);
+    let Some(scenes) = answer(Scenes::read(&scratch.folder.join("scenes"))) else { return };
+    let small = scenes.with_small_airways(4).thinned(1000);
+    for (film, before) in small.films.iter().zip(&scenes.films) {
+        let vertices = |film: &FilmScene| film.airway.as_ref().map_or(0, |airway| airway.vertices());
+        assert!(vertices(film) <= vertices(before));
     }
 }
 

@@ -17,6 +17,7 @@ use crate::airway::case::Case;
 
 use crate::base::{Error, Estimate, Progress, Result, files, hash};
 use crate::reconstruct::{self, Listing, MethodFile, Reconstruct};
+use crate::report::scene::Scenes;
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use crate::score::{self, Truth};
 use crate::simulate::participant::{Given, Participant};
@@ -234,6 +235,7 @@ impl Pipeline {
             cases: cases.collect::<Result<_>>()?,
             methods: self.method_infos(),
             cells: finished.iter().map(|cell| cell_record(cell, &id, &machine_id)).collect::<Result<_>>()?,
+            scenes: Scenes::default(),
             id,
         })
     }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use super::{Terminal, comparison};
 use crate::base::{Error, ErrorKind, Progress, Result, files};
 use crate::report::run::evaluated_id;
+use crate::report::scene::Scenes;
 use crate::report::summary::summarise;
 use crate::report::table::ComparisonTable;
 use crate::report::{self, CaseInfo, CellRecord, MethodInfo, Outcome, Run};
@@ -261,5 +262,14 @@ fn as_run(evaluated: Vec<Evaluated>, method: Option<&str>) -> Run {
         [one] => one.run_id.clone(),
         all => evaluated_id(&format!("{}-films", all.len()), &common),
     };
-    Run { profile: "evaluate".into(), track: Track::Ideal, notes: Vec::new(), methods, cells, id, cases }
+    Run {
+        profile: "evaluate".into(),
+        track: Track::Ideal,
+        notes: Vec::new(),
+        methods,
+        cells,
+        id,
+        cases,
+        scenes: Scenes::default(),
+    }
 }

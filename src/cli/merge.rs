@@ -15,8 +15,8 @@ use crate::report::{self, Run};
 #[command(
     after_help = "For cells that were run on several machines, rows that were renewed, and predictions of another program \
     beside the methods. A cell that several runs have is taken from the last; a prediction never takes the place of \
-    another one, or of a method. Contours and panels need films and \
-    predictions and are left out.\n\
+    another one, or of a method. Films, airways and contours are those \
+    that the runs kept; panels need whole films and are left out.\n\
     Example: respire-bench merge reports/latest mine/case1 mine/case2 --out table"
 )]
 pub struct MergeArguments {

@@ -7,6 +7,8 @@ pub mod depth_png;
 pub mod exr;
 pub mod gaussians_ply;
 pub mod glb;
+#[cfg(feature = "program")]
+pub mod jpeg;
 pub mod landmarks;
 pub mod mesh;
 mod mesh_obj;

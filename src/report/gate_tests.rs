@@ -297,6 +297,7 @@ fn results_of(build: &Build<'_>) -> (tempfile::TempDir, Results) {
         cases: (1..=build.cases).map(case).collect(),
         methods: ["ours", "ours-gn"].map(MethodInfo::of).to_vec(),
         cells,
+        scenes: Default::default(),
     };
     tables::write_results(&run, &folder.path().join("results.csv")).unwrap();
     let results = read(folder.path()).unwrap();

@@ -1,36 +1,73 @@
-//! `report.html`: one self-contained file without scripts. Plots are inline SVG, images are
-//! embedded PNG.
+//! `report.html`: one file, which asks the network for nothing. Tables and plots (inline SVG) stand in the markup and
+//! need no script; the airway, the films and the curves under one cursor are drawn by the scripts in `page/` from the
+//! data of each case (`page_data`), read when the case is opened.
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::differences::NeighbourDifference;
 use super::markdown::{NEIGHBOURS_MEAN, ahead};
+use super::page_data::case_data;
+use super::palette::{Palette, RowStyle};
 use super::plots::{ReportImage, ReportImages};
-use super::run::{Outcome, Role, Run};
+use super::run::{CaseInfo, CellRecord, Outcome, Role, Run};
+use super::scene::Scenes;
 use super::table::{ComparisonTable, TableCell, TableKind, arrow, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
-const STYLE: &str = "
-body{font:15px/1.45 system-ui,'DejaVu Sans',sans-serif;color:#1a1a1a;margin:2rem auto;max-width:1240px;padding:0 1.2rem}
-h1{font-size:1.6rem;margin-bottom:.2rem}h2{margin-top:2.4rem;border-bottom:1px solid #ddd;padding-bottom:.2rem}
-table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.9rem}th,td{padding:.32rem .6rem;text-align:right}
-th:first-child,td:first-child{text-align:left}thead tr:last-child th{border-bottom:1.5px solid #333}thead tr:first-child th{border-top:2px solid #333}
-th.group{text-align:center;border-bottom:1px solid #999}tbody tr:last-child td{border-bottom:2px solid #333}
-tr.section td{border-top:1px solid #999}tr.own td{background:#efefef}tr.sanity td{color:#666;font-style:italic}
-.paper{color:#8a8a8a;font-size:.82em;display:block}.interval{color:#8a8a8a;font-size:.78em;display:block;white-space:nowrap}
-figure{margin:1.2rem 0}figure svg,figure img{max-width:100%;height:auto}figcaption{color:#555;font-size:.88rem}
-details{margin:.6rem 0}summary{cursor:pointer;font-weight:600}.wide{overflow-x:auto}code{background:#f3f3f3;padding:0 .2em}
-.muted{color:#666}.failed{color:#a40000}
-";
+/// Most bytes of the page, whatever it is of: it is mailed and opened on telephones.
+pub const PAGE_BYTES: usize = 15_000_000;
+/// Where airways take more of the page than this, they are made smaller.
+const AIRWAY_BYTES: usize = 5_000_000;
+/// Bytes of a vertex and its faces: 12 each, in base64.
+const VERTEX_BYTES: usize = 32;
 
-/// The whole page.
-pub fn report(
-    run: &Run,
-    tables: &[ComparisonTable],
-    differences: &[NeighbourDifference],
-    pictures: &ReportImages,
-) -> String {
-    let failed: Vec<_> = run.cells.iter().filter(|c| c.score().is_none()).collect();
+const STYLE: &str = include_str!("page/page.css");
+/// In this order: the later ones use the earlier ones.
+const SCRIPTS: [&str; 3] =
+    [include_str!("page/scene.js"), include_str!("page/player.js"), include_str!("page/table.js")];
+
+/// What a page shows of one track.
+#[derive(Clone, Copy)]
+pub struct TrackReport<'a> {
+    /// The run.
+    pub run: &'a Run,
+    /// Its tables.
+    pub tables: &'a [ComparisonTable],
+    /// Neighbours in its ranking.
+    pub differences: &'a [NeighbourDifference],
+    /// Its plots.
+    pub pictures: &'a ReportImages,
+    /// Its airways and films.
+    pub scenes: &'a Scenes,
+}
+
+/// The whole page, of at most [`PAGE_BYTES`] as long as tables and plots leave room: films get what they leave.
+pub fn report(tracks: &[TrackReport<'_>]) -> String {
+    let airways = tracks.iter().flat_map(|track| &track.scenes.films).filter(|film| film.airway.is_some()).count();
+    let vertices = AIRWAY_BYTES / VERTEX_BYTES / airways.max(1);
+    let small: Vec<Scenes> = tracks.iter().map(|track| track.scenes.with_small_airways(vertices)).collect();
+    let without: Vec<Scenes> = small.iter().map(|scenes| scenes.thinned(0)).collect();
+    let rest = assembled(tracks, &without).len();
+    let room = PAGE_BYTES.saturating_sub(rest) / tracks.len().max(1);
+    let scenes: Vec<Scenes> = small.iter().map(|scenes| scenes.thinned(room)).collect();
+    assembled(tracks, &scenes)
+}
+
+/// One case with every frame at full size, beside the report: too large for it.
+pub fn whole_film(run: &Run, case: &CaseInfo, scenes: &Scenes) -> String {
+    let palette = Palette::of(&run.methods);
+    let title = format!("{}: the whole film", case.heading());
+    document(
+        &title,
+        html! {
+            h1 { (case.heading()) " " small { "whole film, " (run.id) } }
+            div #tools {}
+            (case_section(run, case, scenes, &palette, html! {}))
+        },
+    )
+}
+
+fn document(title: &str, body: Markup) -> String {
     html! {
         (DOCTYPE)
         html lang="en" {
@@ -38,56 +75,117 @@ pub fn report(
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 link rel="icon" href="data:,";
-                title { "respire-bench: " (run.id) }
+                title { (title) }
                 style { (PreEscaped(STYLE)) }
             }
             body {
-                h1 { "respire-bench: " (run.id) }
-                p.muted {
-                    (run.cases.len()) " cases, " (run.methods.len()) " methods, " (run.cells.len()) " cells, "
-                    (failed.len()) " failed. Profile " code { (run.profile) } ", track " code { (run.track.word()) } "."
-                }
-                @for note in &run.notes { p.muted { (note) } }
-                @for table in tables {
-                    h2 { (table.kind.title()) }
-                    (comparison(table))
-                }
-                @if !differences.is_empty() {
-                    h2 { "Neighbours in the ranking" }
-                    details { summary { "By how much a row is ahead of the next one" } (neighbours(differences)) }
-                }
-                @if !failed.is_empty() {
-                    h2 { "Failed cells" }
-                    ul { @for cell in &failed { @if let Outcome::Failed(why) = &cell.outcome {
-                        li.failed { (cell.case_id) " / " (cell.method) " / seed " (cell.seed) ": " (why) }
-                    } } }
-                }
-                h2 { "Overview" }
-                @for picture in &pictures.overview { (figure(picture)) }
-                h2 { "Every case" }
-                @for case in &run.cases {
-                    details {
-                        summary { (case.heading()) }
-                        (case_table(run, &case.id))
-                        @for (_, of_case) in pictures.by_case.iter().filter(|(id, _)| *id == case.id) {
-                            @for picture in of_case { (figure(picture)) }
-                        }
-                    }
-                }
-                h2 { "Definitions" }
-                dl { @for m in registry() {
-                    dt { code { (m.id) } " (" (m.direction.word()) " is better)" }
-                    dd { (m.definition) }
-                } }
+                (body)
+                @for script in SCRIPTS { script { (PreEscaped(script)) } }
             }
         }
     }
     .into_string()
 }
 
-fn comparison(table: &ComparisonTable) -> Markup {
+fn assembled(tracks: &[TrackReport<'_>], scenes: &[Scenes]) -> String {
+    let title = tracks.first().map_or_else(String::new, |track| format!("respire-bench: {}", track.run.id));
+    document(
+        &title,
+        html! {
+            h1 { "respire-bench " small { @for track in tracks { (track.run.id) " " } } }
+            div #tools {}
+            @for (track, scenes) in tracks.iter().zip(scenes) { (track_section(track, scenes)) }
+            h2 { "Definitions" }
+            details { summary { "What every metric is" } dl { @for m in registry() {
+                dt { code { (m.id) } " (" (m.direction.word()) " is better)" }
+                dd { (m.definition) }
+            } } }
+        },
+    )
+}
+
+fn track_section(track: &TrackReport<'_>, scenes: &Scenes) -> Markup {
+    let TrackReport { run, tables, differences, pictures, .. } = *track;
+    let palette = Palette::of(&run.methods);
+    let failed: Vec<_> = run.cells.iter().filter(|c| c.score().is_none()).collect();
     html! {
-        div.wide { table {
+        section.track data-track=(run.track.word()) {
+            p.muted {
+                (run.cases.len()) " cases, " (run.methods.len()) " methods, " (run.cells.len()) " cells, "
+                (failed.len()) " failed. Profile " code { (run.profile) } ", track " code { (run.track.word()) } "."
+            }
+            @for note in &run.notes { p.muted { (note) } }
+            @for table in tables {
+                h2 { (table.kind.title()) }
+                (comparison(table, run, &palette))
+            }
+            @if !differences.is_empty() {
+                h2 { "Neighbours in the ranking" }
+                details { summary { "By how much a row is ahead of the next one" } (neighbours(differences)) }
+            }
+            @if !failed.is_empty() {
+                h2 { "Failed cells" }
+                ul { @for cell in &failed { @if let Outcome::Failed(why) = &cell.outcome {
+                    li.failed { (cell.case_id) " / " (cell.method) " / seed " (cell.seed) ": " (why) }
+                } } }
+            }
+            h2 { "Every case" }
+            @for case in &run.cases { (case_section(run, case, scenes, &palette, static_part(run, case, pictures))) }
+            h2 { "Overview" }
+            @for picture in &pictures.overview { (figure(picture)) }
+        }
+    }
+}
+
+/// A case: the scripts' part, for which a script holds the data, and what stands there without them.
+fn case_section(run: &Run, case: &CaseInfo, scenes: &Scenes, palette: &Palette, fixed: Markup) -> Markup {
+    let kept = scenes.film(&case.id).filter(|_| case.title.is_empty()).map(|film| film.title.as_str());
+    let data = case_data(run, case, scenes, palette);
+    html! {
+        details.case {
+            summary { (case.heading()) @if let Some(title) = kept.filter(|title| !title.is_empty()) { ": " (title) } }
+            div.inside {
+                div.player id={ (run.track.word()) "-" (case.id) } {}
+                @if let Some(data) = data { script type="application/json" { (PreEscaped(data)) } }
+                (fixed)
+            }
+        }
+    }
+}
+
+fn static_part(run: &Run, case: &CaseInfo, pictures: &ReportImages) -> Markup {
+    let of_case = || pictures.by_case.iter().filter(|(id, _)| *id == case.id).flat_map(|(_, of_case)| of_case);
+    html! {
+        h3 { "Numbers" }
+        (case_table(run, &case.id))
+        @for picture in of_case().filter(|picture| picture.svg.is_some()) { (figure(picture)) }
+        @if case.truth.is_some() {
+            p.muted.whole {
+                "In files beside this page: "
+                a href={ "films/" (case.id) ".html" } { "the whole film" }
+                @for picture in of_case().filter(|picture| picture.svg.is_none()) {
+                    ", " a href=(picture.png) { (picture.title) }
+                }
+                "."
+            }
+        }
+    }
+}
+
+/// A piece of the row's line, as plots draw it.
+fn swatch(style: RowStyle) -> Markup {
+    let dash = style.dash.map(|[on, off]| format!("{on} {off}"));
+    html! {
+        svg.swatch viewBox="0 0 24 10" aria-hidden="true" {
+            line x1="1" x2="23" y1="5" y2="5" stroke=(style.hex()) stroke-width="3.4" stroke-dasharray=[dash] {}
+        }
+    }
+}
+
+fn comparison(table: &ComparisonTable, run: &Run, palette: &Palette) -> Markup {
+    let is_foreign = |id: &str| run.cells.iter().any(|cell| cell.method == id && cell.is_foreign());
+    html! {
+        div.wide { table.sortable.comparison {
             thead {
                 tr {
                     th {} th.group colspan="2" { "Setting" }
@@ -95,15 +193,20 @@ fn comparison(table: &ComparisonTable) -> Markup {
                 }
                 tr {
                     th { "Method" } th { "CTs" } th { "Mesh" }
-                    @for m in &table.columns { th title=(m.definition) { (heading(m)) (arrow(m)) } }
+                    @for m in &table.columns {
+                        th title=(m.definition) data-better=(m.direction.word()) { (heading(m)) (arrow(m)) }
+                    }
                 }
             }
             tbody { @for (index, row) in table.rows.iter().enumerate() {
-                tr.section[starts_section(table, index)].own[row.method.id == "ours"].sanity[row.method.role == Role::Sanity] {
-                    td { (row.method.title) }
+                tr.section[starts_section(table, index)].own[row.method.id == "ours"].foreign[is_foreign(&row.method.id)]
+                    .sanity[row.method.role == Role::Sanity] data-method=(row.method.id) {
+                    td { (swatch(palette.style(&row.method.id))) (row.method.title) }
                     td { (row.ct_scans) }
                     td { (row.method.mesh.map_or("–", |mesh| if mesh { "✓" } else { "✗" })) }
-                    @for cell in &row.cells { td { (value(cell)) } }
+                    @for cell in &row.cells {
+                        td data-value=(cell.number.map_or_else(String::new, |v| v.to_string())) { (value(cell)) }
+                    }
                 }
             } }
         } }
@@ -150,15 +253,25 @@ fn value(cell: &TableCell) -> Markup {
 }
 
 fn case_table(run: &Run, case: &str) -> Markup {
-    let shown = |m: &Metric, cell: &super::run::CellRecord| match cell.score().and_then(|s| s.metric(m.id)) {
-        None => "failed".to_owned(),
-        Some(score) => score.value.map_or_else(|| score.status.word().replace('_', " "), |v| show(m, v)),
+    let shown = |m: &Metric, cell: &CellRecord| match cell.score().and_then(|s| s.metric(m.id)) {
+        None => (String::new(), "failed".to_owned()),
+        Some(score) => match score.value {
+            Some(value) => (value.to_string(), show(m, value)),
+            None => (String::new(), score.status.word().replace('_', " ")),
+        },
     };
+    let title = |cell: &CellRecord| run.methods.iter().find(|m| m.id == cell.method).map(|m| m.title.clone());
     html! {
-        div.wide { table {
-            thead { tr { th { "Method" } th { "Seed" } @for m in paper_metrics() { th { (m.heading()) " " (arrow(m)) } } } }
+        div.wide { table.sortable.of-case {
+            thead { tr {
+                th { "Method" } th { "Seed" }
+                @for m in paper_metrics() { th data-better=(m.direction.word()) { (m.heading()) " " (arrow(m)) } }
+            } }
             tbody { @for cell in run.cells.iter().filter(|c| c.case_id == case) {
-                tr { td { (cell.method) } td { (cell.seed) } @for m in paper_metrics() { td { (shown(m, cell)) } } }
+                tr data-method=(cell.method) {
+                    td { (title(cell).unwrap_or_else(|| cell.method.clone())) } td data-value=(cell.seed) { (cell.seed) }
+                    @for m in paper_metrics() { @let (number, text) = shown(m, cell); td data-value=(number) { (text) } }
+                }
             } }
         } }
     }
@@ -166,12 +279,9 @@ fn case_table(run: &Run, case: &str) -> Markup {
 
 fn figure(picture: &ReportImage) -> Markup {
     html! {
-        figure {
-            @match &picture.svg {
-                Some(svg) => (PreEscaped(without_prolog(svg))),
-                None => img alt=(picture.title) src={ "data:image/png;base64," (base64(&picture.png_bytes)) };
-            }
+        @if let Some(svg) = &picture.svg {
             figcaption { (picture.caption) }
+            figure.plot tabindex="0" role="img" aria-label=(picture.title) { (PreEscaped(without_prolog(svg))) }
         }
     }
 }
@@ -179,39 +289,4 @@ fn figure(picture: &ReportImage) -> Markup {
 /// An SVG document without its XML declaration, to stand inside HTML.
 fn without_prolog(svg: &str) -> &str {
     svg.find("<svg").map_or(svg, |start| &svg[start..])
-}
-
-/// RFC 4648, with padding.
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let word = chunk.iter().fold(0u32, |word, &b| (word << 8) | u32::from(b)) << (8 * (3 - chunk.len()));
-        for digit in 0..4 {
-            let index = (word >> (18 - 6 * digit)) & 63;
-            out.push(if digit <= chunk.len() { DIGITS[index as usize] as char } else { '=' });
-        }
-    }
-    out
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Test vectors of RFC 4648, section 10.
-    #[test]
-    fn base64_equals_the_rfc() {
-        for (plain, coded) in [
-            ("", ""),
-            ("f", "Zg=="),
-            ("fo", "Zm8="),
-            ("foo", "Zm9v"),
-            ("foob", "Zm9vYg=="),
-            ("fooba", "Zm9vYmE="),
-            ("foobar", "Zm9vYmFy"),
-        ] {
-            assert_eq!(base64(plain.as_bytes()), coded);
-        }
-    }
 }

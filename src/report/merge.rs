@@ -1,14 +1,15 @@
 //! Merges runs that were made separately: cells from several machines, renewed rows, a third party's predictions beside
 //! the methods. Each is read back from its report folder; a cell that several runs have is taken from the last.
 //!
-//! Nothing is recomputed: values, intervals and times are those of the tables. Images that need films or predictions
-//! (panels, contours) are left out.
+//! Nothing is recomputed: values, intervals and times are those of the tables. Contours, airways and reduced films are
+//! those that the runs kept (`scenes.json`); panels, which need whole films and predictions, are left out.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::read::{CsvRow, CsvTable};
 use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
+use super::scene::{FilmKey, Scenes};
 use super::seal;
 use crate::base::{Error, Result, hash};
 use crate::score::{CellScore, FrameScore, FrameValue, MetricScore, Status, check_means, registry};
@@ -92,10 +93,16 @@ pub fn read_run(folder: &Path) -> Result<Run> {
         CsvTable::read(&timings)?.rows().try_for_each(|row| add_timing(&mut cells, &row))?;
     }
     seal::check(folder, cells.iter().any(CellRecord::is_foreign))?;
+    let scenes = Scenes::read(folder)?;
+    for cell in &mut cells {
+        if let Outcome::Scored(score) = &mut cell.outcome {
+            score.overlay = scenes.row(score).and_then(|row| row.contours.clone());
+        }
+    }
     // `<profile>-<hash of the plan>`, or `evaluate-<case>-<method>`.
     let cut = if is_foreign { id.split_once('-') } else { id.rsplit_once('-') };
     let profile = cut.map_or(id.as_str(), |(profile, _)| profile).to_owned();
-    Ok(Run { id, profile, track, ..gathered(cells, &trees) })
+    Ok(Run { id, profile, track, scenes, ..gathered(cells, &trees) })
 }
 
 /// Merges `parts`; a cell that several runs have is taken from the last.
@@ -125,7 +132,14 @@ pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
     }
     let mut profiles: Vec<String> = Vec::new();
     let mut cells: Vec<CellRecord> = Vec::new();
+    let mut scenes = Scenes::default();
     for run in parts {
+        // A cell that is renewed takes its pictures along, even where the new run kept none.
+        scenes.rows.retain(|row| {
+            let is_of = |c: &CellRecord| (&c.case_id, &c.method, c.seed) == (&row.film.case_id, &row.method, row.seed);
+            !run.cells.iter().any(is_of)
+        });
+        scenes.add(run.scenes);
         if !profiles.contains(&run.profile) {
             profiles.push(run.profile);
         }
@@ -138,7 +152,12 @@ pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
         }
     }
     let id = format!("merged-{}", &hash::of_value(&ids)?[..8]);
-    let mut run = Run { id, profile: profiles.join(" + "), track, ..gathered(cells, &trees) };
+    // A film that a part kept is shown with the rows that were scored on it, and with no others.
+    scenes.rows.retain(|row| {
+        let is_of = |score: &CellScore| FilmKey::of(score) == row.film && score.seed == row.seed;
+        cells.iter().any(|cell| cell.method == row.method && cell.score().is_some_and(is_of))
+    });
+    let mut run = Run { id, profile: profiles.join(" + "), track, scenes, ..gathered(cells, &trees) };
     run.notes.push(format!("Put together from {}.", ids.join(", ")));
     for case in &run.cases {
         let of_film = films_of(&run.cells, &case.id);
@@ -173,7 +192,16 @@ fn gathered(mut cells: Vec<CellRecord>, trees: &BTreeMap<String, String>) -> Run
         (case, methods.iter().position(|m| m.id == c.method), c.seed)
     };
     cells.sort_by_key(place);
-    Run { id: String::new(), profile: String::new(), track: Track::default(), notes: Vec::new(), cases, methods, cells }
+    Run {
+        id: String::new(),
+        profile: String::new(),
+        track: Track::default(),
+        notes: Vec::new(),
+        cases,
+        methods,
+        cells,
+        scenes: Scenes::default(),
+    }
 }
 
 /// Rows of different origin are never one row: neither a run's and a third party's, nor two predictions of one name.

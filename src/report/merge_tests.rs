@@ -278,3 +278,38 @@ fn a_surface_that_cannot_be_measured_counts_with_the_worst_row() {
     let ranks: Vec<Option<usize>> = summaries.iter().map(|s| s.metric("target_error_mm").unwrap().rank).collect();
     assert_eq!(ranks, [Some(1), Some(2)]);
 }
+
+/// A run that is read back shows what it kept; a third party's prediction stands beside it, contour and film included.
+#[test]
+fn a_merged_report_keeps_films_airways_and_contours() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = sample_run(folder.path(), 48, 6);
+    let mut mine = run.clone();
+    mine.cells.retain(|c| c.method == "ours" && c.case_id == "case1");
+    mine.cases.retain(|c| c.id == "case1");
+    let cell = &mut mine.cells[0];
+    (cell.method, cell.run_id) = ("mine".into(), run::evaluated_id("case1", "mine"));
+    if let Outcome::Scored(score) = &mut cell.outcome {
+        score.method = "mine".into();
+    }
+    (mine.id, mine.methods) = (cell.run_id.clone(), vec![MethodInfo::of("mine")]);
+    let [first, second, merged] = ["first", "second", "merged"].map(|name| folder.path().join(name));
+    write(&run, &first, &NoProgress).unwrap();
+    write(&mine, &second, &NoProgress).unwrap();
+    // What comes last is a film of the same case with fewer rows: nothing of the first is lost.
+    let both = merge(vec![read_run(&first).unwrap(), read_run(&second).unwrap()], Films::Same).unwrap();
+    let written = write(&both, &merged, &NoProgress).unwrap();
+    let kept = scene::Scenes::read(&merged).unwrap();
+    let rows: Vec<&str> = kept.rows.iter().filter(|r| r.film.case_id == "case1").map(|r| r.method.as_str()).collect();
+    assert!(rows.contains(&"mine") && rows.contains(&"ours") && kept.films.len() == 2, "{rows:?}");
+    assert!(kept.rows.iter().all(|row| row.pictures.frames.len() >= 5));
+    let page = fs::read_to_string(written.html).unwrap();
+    assert!(page.contains("\"method\":\"mine\"") && page.contains("A breathing tube"), "the film's title");
+    let contours = |place: &Path| fs::read_to_string(place.join("plots/contours.svg")).unwrap();
+    assert!(contours(&merged).contains("\nmine\n") && !contours(&first).contains("\nmine\n"));
+    // Scenes that were changed are refused like tables.
+    let path = first.join(scene::SCENES);
+    fs::write(&path, fs::read_to_string(&path).unwrap().replacen("\"seed\":1", "\"seed\":2", 1)).unwrap();
+    let said = read_run(&first).err().unwrap().to_string();
+    assert!(said.contains("scenes.json") && said.contains("was changed"), "{said}");
+}

@@ -3,7 +3,7 @@
 //! ```text
 //! Run (cells with their scores) -> write() -> results.csv frames.csv timings.csv comparison.csv summary.csv
 //!                                             differences.csv run.json report.md report.html table.tex plots/ panels/
-//!                                             manifest.json
+//!                                             films/ scenes.json manifest.json
 //! ```
 
 pub mod ablation;
@@ -14,12 +14,15 @@ pub mod gate_files;
 pub mod gate_limits;
 #[cfg(test)]
 mod gate_tests;
+mod gather;
 mod html;
 mod latex;
 mod markdown;
 pub mod merge;
 #[cfg(test)]
 mod merge_tests;
+mod page_data;
+mod palette;
 mod paper;
 pub mod pareto;
 pub mod pareto_chart;
@@ -28,6 +31,7 @@ pub mod read;
 #[cfg(test)]
 mod report_tests;
 pub mod run;
+pub mod scene;
 mod seal;
 pub mod summary;
 pub mod table;
@@ -69,8 +73,19 @@ pub fn write(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<Writte
     let pictures = plots::draw(run, &summaries, folder, progress)?;
     let (markdown, html) = (folder.join("report.md"), folder.join("report.html"));
     files::write_bytes(&markdown, markdown::report(run, &summaries, &tables, &differences, &pictures).as_bytes())?;
-    files::write_bytes(&html, html::report(run, &tables, &differences, &pictures).as_bytes())?;
+    let scenes = gather::gather(run, progress)?;
+    scenes.write(folder)?;
     seal::write(folder)?;
+    let track =
+        html::TrackReport { run, tables: &tables, differences: &differences, pictures: &pictures, scenes: &scenes };
+    files::write_bytes(&html, html::report(&[track]).as_bytes())?;
+    for case in &run.cases {
+        // One at a time: a whole film is large.
+        if let Some(whole) = gather::whole_film(run, case)? {
+            let page = html::whole_film(run, case, &whole);
+            files::write_bytes(&folder.join(format!("films/{}.html", case.id)), page.as_bytes())?;
+        }
+    }
     let [ranking, _] = &tables;
     Ok(Written { markdown, html, table: markdown::comparison_table(ranking) })
 }

@@ -75,6 +75,7 @@ pub(super) fn sample_run(folder: &Path, side: u32, frames: usize) -> Run {
         cases: truths.iter().map(case).collect(),
         methods: methods.map(MethodInfo::of).to_vec(),
         cells,
+        scenes: Default::default(),
     }
 }
 
@@ -116,10 +117,14 @@ fn the_whole_report_is_written_and_says_what_it_should() {
             && markdown.contains("the mesh folded, at frame 3 \\| see &lt;log>")
     );
     let html = fs::read_to_string(&written.html).unwrap();
-    assert!(html.contains("<svg") && html.contains("data:image/png;base64,"));
-    for external in ["src=\"http", "href=\"http", "<script"] {
+    assert!(html.contains("<svg") && html.contains("data-method=\"ours\"") && html.contains("\"airway\":{\"low_mm\""));
+    for external in ["src=\"http", "href=\"http", "<script src", "url(", "@import", "fetch(", "XMLHttpRequest"] {
         assert!(!html.contains(external), "{external}");
     }
+    let kept = scene::Scenes::read(&out).unwrap();
+    assert_eq!((kept.films.len(), kept.rows.len()), (2, 11), "a failed cell has nothing to show");
+    let whole = fs::read_to_string(out.join("films/case1.html")).unwrap();
+    assert_eq!(whole.matches("class=\"case\"").count(), 1);
     let latex = fs::read_to_string(out.join("table.tex")).unwrap();
     assert_eq!(latex.matches("\\begin{").count(), latex.matches("\\end{").count());
     for row in latex.lines().filter(|l| l.contains("mark ")) {
@@ -155,4 +160,85 @@ fn a_run_in_which_everything_failed_is_reported() {
     }
     let written = write(&run, &folder.path().join("report"), &NoProgress).unwrap();
     assert!(fs::read_to_string(&written.markdown).unwrap().contains("disk full"));
+}
+
+/// Scenes whose pictures are `bytes` long, for nine cases and fourteen rows, with a run to go with them.
+fn large_run(folder: &Path, bytes: usize) -> (Run, scene::Scenes) {
+    let small = sample_run(folder, 16, 3);
+    let (film, row) = {
+        let kept = gather::gather(&small, &NoProgress).unwrap();
+        (kept.films[0].clone(), kept.rows[0].clone())
+    };
+    let mut run = Run { cases: Vec::new(), methods: Vec::new(), cells: Vec::new(), ..small.clone() };
+    let mut scenes = scene::Scenes::default();
+    let pictures = |seed: usize| {
+        let jpeg = |k: usize| (0..bytes).map(|i| (i * (k + seed) % 251) as u8).collect();
+        let jpeg = (0..48).map(|k| scene::Packed(jpeg(k))).collect();
+        scene::Pictures { frames: (0..48).collect(), width: 128, height: 128, jpeg }
+    };
+    let vertices = 12_000usize;
+    let airway = scene::AirwayScene {
+        low_mm: [0.0; 3],
+        step_mm: 0.01,
+        inspiration: scene::Packed((0..3 * vertices).map(|v| v as u16).collect()),
+        expiration: scene::Packed((0..3 * vertices).map(|v| (v * 7) as u16).collect()),
+        faces: scene::Packed((0..6 * vertices).map(|v| (v / 6) as u16).collect()),
+    };
+    run.methods = (0..14).map(|k| MethodInfo::of(&format!("method {k}"))).collect();
+    for case in 0..9 {
+        let case_id = format!("case{case}");
+        let key = scene::FilmKey { case_id: case_id.clone(), ..film.film.clone() };
+        let frames = |values: &scene::Packed<f32>, each: usize| scene::Packed(values.0[..each].repeat(48));
+        scenes.films.push(scene::FilmScene {
+            film: key.clone(),
+            times_s: frames(&film.times_s, 1),
+            phases: frames(&film.phases, 1),
+            poses: frames(&film.poses, 12),
+            airway: Some(airway.clone()),
+            pictures: pictures(case),
+            ..film.clone()
+        });
+        run.cases.push(CaseInfo { id: case_id.clone(), title: String::new(), tree: String::new(), truth: None });
+        for method in &run.methods {
+            let mut cell = small.cells[0].clone();
+            (cell.case_id, cell.method) = (case_id.clone(), method.id.clone());
+            if let Outcome::Scored(score) = &mut cell.outcome {
+                (score.case_id, score.method) = (case_id.clone(), method.id.clone());
+            }
+            scenes.rows.push(scene::RowScene {
+                film: key.clone(),
+                method: method.id.clone(),
+                pictures: pictures(case + 20),
+                targets_mm: scene::Packed(vec![1.0; 48 * 30]),
+                ..row.clone()
+            });
+            run.cells.push(cell);
+        }
+    }
+    (run, scenes)
+}
+
+/// However large the pictures are, the page stays below its bound, and each row keeps some.
+#[test]
+fn nine_films_with_fourteen_rows_stay_below_fifteen_megabytes() {
+    let folder = tempfile::tempdir().unwrap();
+    for (bytes, least) in [(2_500, 15), (9_000, 4)] {
+        let (run, scenes) = large_run(folder.path(), bytes);
+        let summaries = summary::summarise(&run);
+        let tables = table::ComparisonTable::both(&summaries);
+        let (pictures, differences) = (plots::ReportImages::default(), Vec::new());
+        let track = html::TrackReport {
+            run: &run,
+            tables: &tables,
+            differences: &differences,
+            pictures: &pictures,
+            scenes: &scenes,
+        };
+        let page = html::report(&[track]);
+        assert!(page.len() <= html::PAGE_BYTES && page.len() > html::PAGE_BYTES * 3 / 4, "{} bytes", page.len());
+        let each = page.matches("\"frames\":[").count();
+        assert_eq!(each, 9 * 15);
+        let first = page.split("\"frames\":[").nth(1).unwrap().split(']').next().unwrap();
+        assert!(first.split(',').count() >= least, "{first}");
+    }
 }

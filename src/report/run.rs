@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+use super::scene::Scenes;
 use crate::base::{Error, Result};
 use crate::score::{CellScore, Truth};
 use crate::simulate::track::Track;
@@ -26,6 +27,8 @@ pub struct Run {
     pub methods: Vec<MethodInfo>,
     /// One per case x method x seed, failed ones included.
     pub cells: Vec<CellRecord>,
+    /// What is shown of cases whose film is not at hand: kept by the runs that were merged.
+    pub scenes: Scenes,
 }
 
 /// What the tables of a run are of.
@@ -128,6 +131,11 @@ impl MethodInfo {
             }
             None => MethodInfo { id: id.into(), title: id.into(), role: Role::Ranked, ct_scans: None, mesh: None },
         }
+    }
+
+    /// This program's own rows.
+    pub fn own_rows() -> impl Iterator<Item = MethodInfo> {
+        OWN_ROWS.iter().map(|row| MethodInfo::of(row.0))
     }
 
     /// Refuses a name that a third party's row cannot have: an own row's id or title, whatever its case, blanks and

@@ -1,4 +1,4 @@
-//! `manifest.json` of a report: the hash of each table that `merge` reads, so that a table that was changed afterwards is
+//! `manifest.json` of a report: the hash of each file that `merge` reads, so that one that was changed afterwards is
 //! noticed. It is no signature: whoever changes table and manifest alike is found only where frames contradict.
 
 use std::collections::BTreeMap;
@@ -6,23 +6,29 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::scene::SCENES;
 use crate::base::{Error, Result, files, hash};
 
 /// Its name.
 const MANIFEST: &str = "manifest.json";
-/// What it covers.
+/// Tables that it covers; what the page shows is covered too, where it is there.
 const TABLES: [&str; 4] = ["results.csv", "comparison.csv", "frames.csv", "timings.csv"];
 
 #[derive(Serialize, Deserialize)]
 struct ReportManifest {
-    /// BLAKE3 of each table, by its name.
+    /// BLAKE3 of each file, by its name.
     files: BTreeMap<String, String>,
 }
 
-/// Writes the manifest of the tables in `folder`.
+/// The files of a report that are there and covered; older reports kept no scenes.
+fn covered(folder: &Path) -> impl Iterator<Item = &'static str> {
+    TABLES.into_iter().chain(folder.join(SCENES).exists().then_some(SCENES))
+}
+
+/// Writes the manifest of the report in `folder`.
 pub(super) fn write(folder: &Path) -> Result<()> {
     let hashed = |name: &str| Ok((name.to_owned(), hash::of_file(&folder.join(name))?));
-    let files = TABLES.into_iter().map(hashed).collect::<Result<_>>()?;
+    let files = covered(folder).map(hashed).collect::<Result<_>>()?;
     files::write_json(&folder.join(MANIFEST), &ReportManifest { files })
 }
 
@@ -36,7 +42,7 @@ pub(super) fn check(folder: &Path, needed: bool) -> Result<()> {
         return if needed { Err(Error::input(sentence).at(path)) } else { Ok(()) };
     }
     let manifest: ReportManifest = files::read_json(&path)?;
-    for name in TABLES {
+    for name in covered(folder) {
         let table = folder.join(name);
         let wanted = manifest.files.get(name);
         if wanted.is_none() || wanted != Some(&hash::of_file(&table)?) {

@@ -10,6 +10,8 @@ use crate::score::{Goal, Group, Metric, paper_metrics, ranking_metrics};
 pub struct TableCell {
     /// Mean over cases; a dash where there is none.
     pub value: String,
+    /// The same as a number, to sort by.
+    pub number: Option<f64>,
     /// 95 % interval, empty where there is none.
     pub interval: String,
     /// The paper's value, where its table has one.
@@ -198,6 +200,7 @@ fn cell(kind: TableKind, summary: &MethodSummary, metric: &Metric) -> TableCell 
     let found = summary.metric(metric.id);
     let mean = found.and_then(|m| m.mean);
     TableCell {
+        number: mean.map(|m| m.mean),
         value: mean.map_or_else(|| "–".into(), |m| show(metric, m.mean)),
         interval: mean
             .and_then(|m| m.interval)

@@ -7,10 +7,12 @@ use plotters::chart::{ChartBuilder, ChartContext};
 use plotters::coord::Shift;
 use plotters::coord::cartesian::Cartesian2d;
 use plotters::coord::types::RangedCoordf64;
+use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::{FontStyle, register_font};
 
 use crate::base::{Error, Image, Result};
+use crate::report::palette::RowStyle;
 
 /// Pixels of the PNG for one unit of the SVG.
 const PNG_SCALE: f64 = 2.0;
@@ -29,27 +31,24 @@ pub const GRID: RGBColor = RGBColor(226, 226, 226);
 /// Truth in every plot.
 pub const TRUTH: RGBColor = RGBColor(0, 0, 0);
 
-/// A method has one colour in every plot (Okabe and Ito's palette, safe for colour-blind readers).
-pub fn color_of(method: &str) -> RGBColor {
-    match method {
-        "ours" => RGBColor(0, 114, 178),
-        "ours-nomesh" => RGBColor(86, 180, 233),
-        "bridgesplat" => RGBColor(213, 94, 0),
-        "bridgesplat-nomesh" => RGBColor(230, 159, 0),
-        "oracle-phase" => RGBColor(0, 158, 115),
-        "static-ct" => RGBColor(140, 140, 140),
-        "ours-window" => RGBColor(0, 60, 110),
-        "ours-gn" => RGBColor(204, 121, 167),
-        "bridgesplat-release" => RGBColor(150, 60, 0),
-        "virtual-bronchoscopy" => RGBColor(120, 94, 240),
-        "pose-only" => RGBColor(200, 170, 0),
-        "mean-breath" => RGBColor(160, 140, 60),
-        "static-expiration" => RGBColor(185, 185, 185),
-        other => {
-            // Third parties: one of four further hues, by name.
-            let hues = [RGBColor(204, 121, 167), RGBColor(120, 94, 240), RGBColor(148, 103, 69), RGBColor(70, 130, 60)];
-            hues[other.bytes().map(usize::from).sum::<usize>() % hues.len()]
-        }
+/// A line's look in a plot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stroke {
+    /// Colour.
+    pub color: RGBColor,
+    /// Lengths of dash and gap in units; `None`: unbroken.
+    pub dash: Option<[u8; 2]>,
+}
+
+impl Stroke {
+    /// Truth in every plot.
+    pub const TRUTH: Stroke = Stroke { color: TRUTH, dash: None };
+}
+
+impl From<RowStyle> for Stroke {
+    fn from(style: RowStyle) -> Self {
+        let [red, green, blue] = style.color;
+        Stroke { color: RGBColor(red, green, blue), dash: style.dash }
     }
 }
 
@@ -146,26 +145,52 @@ pub fn on_bitmap<'a>(
     page.present().map_err(failed)
 }
 
+/// Draws a line of `width` units through `points`, broken as its dash says.
+pub fn draw_line<DB: DrawingBackend>(
+    chart: &mut LinearChart<'_, DB>,
+    pen: Pen,
+    stroke: Stroke,
+    width: f64,
+    points: &[(f64, f64)],
+) -> Drawn<(), DB> {
+    let (points, style) = (points.to_vec(), pen.line(stroke.color, width));
+    match stroke.dash {
+        None => chart.draw_series(std::iter::once(PathElement::new(points, style)))?,
+        Some([dash, gap]) => {
+            let [dash, gap] = [dash, gap].map(|units| pen.px(units.into()));
+            chart.draw_series(DashedLineSeries::new(points, dash, gap, style))?
+        }
+    };
+    Ok(())
+}
+
 /// A line of names with their colours along the top of `area`, broken where it does not fit; never over data. Returns
 /// the rest of the area.
-pub fn legend<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, entries: &[(String, RGBColor)]) -> Drawn<Area<DB>, DB> {
+pub fn legend<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, entries: &[(String, Stroke)]) -> Drawn<Area<DB>, DB> {
     let (width, _) = area.dim_in_pixel();
     let style = pen.text(13.0);
     let (margin, swatch, gap, row) = (pen.at(14.0), pen.at(22.0), pen.at(18.0), pen.at(20.0));
     let (mut x, mut y) = (margin, pen.at(12.0));
     let mut places = Vec::new();
-    for (name, color) in entries {
+    for (name, stroke) in entries {
         let text = area.estimate_text_size(name, &style)?.0 as i32;
         let wanted = swatch + pen.at(6.0) + text;
         if x + wanted > width as i32 - margin && x > margin {
             x = margin;
             y += row;
         }
-        places.push((x, y, name, *color));
+        places.push((x, y, name, *stroke));
         x += wanted + gap;
     }
-    for (x, y, name, color) in places {
-        area.draw(&PathElement::new(vec![(x, y), (x + swatch, y)], pen.line(color, 3.5)))?;
+    for (x, y, name, stroke) in places {
+        let (line, style_of_line) = (vec![(x, y), (x + swatch, y)], pen.line(stroke.color, 3.5));
+        match stroke.dash {
+            None => area.draw(&PathElement::new(line, style_of_line))?,
+            Some([dash, gap]) => {
+                let [dash, gap] = [dash, gap].map(|units| pen.px(units.into()));
+                area.draw(&DashedPathElement::new(line, dash, gap, style_of_line))?;
+            }
+        }
         let anchored = style.pos(plotters::style::text_anchor::Pos::new(
             plotters::style::text_anchor::HPos::Left,
             plotters::style::text_anchor::VPos::Center,

@@ -2,7 +2,8 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{Area, Drawn, Figure, LinearChart, PanelAxes, Pen, TRUTH, chart, clip, color_of, legend};
+use super::canvas::{Area, Drawn, Figure, LinearChart, PanelAxes, Pen, Stroke, TRUTH, chart, clip, draw_line, legend};
+use crate::report::palette::Palette;
 use crate::report::run::Run;
 use crate::score::contour::ContourOverlay;
 
@@ -12,29 +13,30 @@ const MAX_EXTENT: f64 = 2.2;
 
 struct ContourPanel {
     title: String,
-    overlays: Vec<(RGBColor, ContourOverlay)>,
+    overlays: Vec<(Stroke, ContourOverlay)>,
 }
 
 /// The grid of panels.
 pub struct ContourGrid {
     panels: Vec<ContourPanel>,
-    names: Vec<(String, RGBColor)>,
+    names: Vec<(String, Stroke)>,
 }
 
 impl ContourGrid {
     /// `None` when there is no contour to show.
-    pub fn new(run: &Run) -> Option<Self> {
-        let mut names = vec![("Truth".to_owned(), TRUTH)];
+    pub fn new(run: &Run, palette: &Palette) -> Option<Self> {
+        let mut names = vec![("Truth".to_owned(), Stroke::TRUTH)];
         let mut panels = Vec::new();
         for case in &run.cases {
             let mut overlays = Vec::new();
             for (method, _, score) in run.shown(&case.id) {
                 if let Some(overlay) = &score.overlay {
-                    let name = (method.title.clone(), color_of(&method.id));
+                    let stroke = Stroke::from(palette.style(&method.id));
+                    let name = (method.title.clone(), stroke);
                     if !names.contains(&name) {
                         names.push(name);
                     }
-                    overlays.push((color_of(&method.id), overlay.clone()));
+                    overlays.push((stroke, overlay.clone()));
                 }
             }
             if !overlays.is_empty() {
@@ -110,15 +112,16 @@ fn draw_panel<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, panel: &ContourPane
         y_range: [low[1], high[1]],
     };
     let mut panel_chart = chart(area, pen, &axes)?;
-    outline(&mut panel_chart, &panel.overlays[0].1.truth, true, pen.line(TRUTH, 4.0), low, high)?;
-    for (color, overlay) in &panel.overlays {
-        outline(&mut panel_chart, &overlay.predicted, overlay.predicted_closed, pen.line(*color, 1.8), low, high)?;
+    outline(&mut panel_chart, &panel.overlays[0].1.truth, true, (pen, Stroke::TRUTH, 4.0), low, high)?;
+    for (stroke, overlay) in &panel.overlays {
+        let pen = (pen, *stroke, 1.8);
+        outline(&mut panel_chart, &overlay.predicted, overlay.predicted_closed, pen, low, high)?;
     }
     let inside = |p: [f64; 2]| (0..2).all(|axis| (low[axis]..=high[axis]).contains(&p[axis]));
-    for (color, overlay) in &panel.overlays {
+    for (stroke, overlay) in &panel.overlays {
         let target = upright(overlay.target_predicted);
         if inside(target) {
-            let dot = Circle::new((target[0], target[1]), pen.px(4.0), color.filled());
+            let dot = Circle::new((target[0], target[1]), pen.px(4.0), stroke.color.filled());
             panel_chart.draw_series(std::iter::once(dot))?;
         }
     }
@@ -134,7 +137,7 @@ fn outline<DB: DrawingBackend>(
     chart: &mut LinearChart<'_, DB>,
     points: &[[f64; 2]],
     closed: bool,
-    style: ShapeStyle,
+    (pen, stroke, width): (Pen, Stroke, f64),
     low: [f64; 2],
     high: [f64; 2],
 ) -> Drawn<(), DB> {
@@ -149,6 +152,5 @@ fn outline<DB: DrawingBackend>(
             None => strokes.push(vec![(a[0], a[1]), (b[0], b[1])]),
         }
     }
-    chart.draw_series(strokes.into_iter().map(|s| PathElement::new(s, style)))?;
-    Ok(())
+    strokes.iter().try_for_each(|points| draw_line(chart, pen, stroke, width, points))
 }

@@ -2,12 +2,13 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{Area, Drawn, Figure, LinearChart, PanelAxes, Pen, TRUTH, chart, color_of, legend, range_of};
+use super::canvas::{Area, Drawn, Figure, LinearChart, PanelAxes, Pen, Stroke, chart, draw_line, legend, range_of};
+use crate::report::palette::Palette;
 use crate::report::run::Run;
 use crate::score::{CellScore, metric};
 
-/// A coloured curve without NaN.
-type Curve = (RGBColor, Vec<(f64, f64)>);
+/// A curve without NaN.
+type Curve = (Stroke, Vec<(f64, f64)>);
 
 fn draw_curves<DB: DrawingBackend>(
     chart: &mut LinearChart<'_, DB>,
@@ -15,37 +16,34 @@ fn draw_curves<DB: DrawingBackend>(
     curves: &[Curve],
     width: f64,
 ) -> Drawn<(), DB> {
-    for (color, points) in curves {
-        chart.draw_series(LineSeries::new(points.iter().copied(), pen.line(*color, width)))?;
-    }
-    Ok(())
+    curves.iter().try_for_each(|(stroke, points)| draw_line(chart, pen, *stroke, width, points))
 }
 
 fn true_phase(score: &CellScore) -> Curve {
-    (TRUTH, score.frame_scores.iter().map(|f| (f.time_s, f.phase)).collect())
+    (Stroke::TRUTH, score.frame_scores.iter().map(|f| (f.time_s, f.phase)).collect())
 }
 
-fn predicted_phase(method: &str, score: &CellScore) -> Curve {
+fn predicted_phase(stroke: Stroke, score: &CellScore) -> Curve {
     let points = score.frame_scores.iter().filter_map(|f| f.phase_predicted.map(|p| (f.time_s, p)));
-    (color_of(method), points.collect())
+    (stroke, points.collect())
 }
 
 /// Phase against time for every case, truth in black.
 pub struct PhaseGrid {
     panels: Vec<(String, Vec<Curve>)>,
-    names: Vec<(String, RGBColor)>,
+    names: Vec<(String, Stroke)>,
 }
 
 impl PhaseGrid {
     /// `None` when no method has a phase.
-    pub fn new(run: &Run) -> Option<Self> {
-        let mut names = vec![("Truth".to_owned(), TRUTH)];
+    pub fn new(run: &Run, palette: &Palette) -> Option<Self> {
+        let mut names = vec![("Truth".to_owned(), Stroke::TRUTH)];
         let mut panels = Vec::new();
         for case in &run.cases {
             let shown = run.shown(&case.id);
             let mut curves: Vec<Curve> = shown.iter().take(1).map(|(_, _, score)| true_phase(score)).collect();
             for (method, _, score) in shown {
-                let curve = predicted_phase(&method.id, score);
+                let curve = predicted_phase(palette.style(&method.id).into(), score);
                 if !curve.1.is_empty() {
                     let name = (method.title.clone(), curve.0);
                     if !names.contains(&name) {
@@ -101,7 +99,7 @@ impl Figure for PhaseGrid {
 
 /// Phase, PSNR, depth error and phase error of every frame of one case, one above the other.
 pub struct FrameErrors {
-    names: Vec<(String, RGBColor)>,
+    names: Vec<(String, Stroke)>,
     panels: Vec<(String, Vec<Curve>)>,
 }
 
@@ -110,17 +108,18 @@ const FRAME_METRICS: [&str; 4] = ["psnr_db", "ssim", "depth_rmse_mm", "phase_mae
 
 impl FrameErrors {
     /// `None` when no cell of the case was scored.
-    pub fn new(run: &Run, case_id: &str) -> Option<Self> {
+    pub fn new(run: &Run, case_id: &str, palette: &Palette) -> Option<Self> {
+        let stroke = |method: &str| Stroke::from(palette.style(method));
         let shown = run.shown(case_id);
         let (_, _, first) = shown.first()?;
-        let mut names = vec![("Truth".to_owned(), TRUTH)];
-        names.extend(shown.iter().map(|(m, _, _)| (m.title.clone(), color_of(&m.id))));
+        let mut names = vec![("Truth".to_owned(), Stroke::TRUTH)];
+        names.extend(shown.iter().map(|(m, _, _)| (m.title.clone(), stroke(&m.id))));
         let mut phases = vec![true_phase(first)];
-        phases.extend(shown.iter().map(|(m, _, s)| predicted_phase(&m.id, s)).filter(|c| !c.1.is_empty()));
+        phases.extend(shown.iter().map(|(m, _, s)| predicted_phase(stroke(&m.id), s)).filter(|c| !c.1.is_empty()));
         let mut panels = vec![("breathing phase".to_owned(), phases)];
         for id in FRAME_METRICS {
             let curves: Vec<Curve> =
-                shown.iter().map(|(m, _, s)| (color_of(&m.id), s.series(id))).filter(|c| !c.1.is_empty()).collect();
+                shown.iter().map(|(m, _, s)| (stroke(&m.id), s.series(id))).filter(|c| !c.1.is_empty()).collect();
             if let (Some(m), false) = (metric(id), curves.is_empty()) {
                 let heading = if id == "phase_mae" { "|phase error|".into() } else { m.heading() };
                 panels.push((heading, curves));

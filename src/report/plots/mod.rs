@@ -4,6 +4,7 @@ mod canvas;
 mod contours;
 mod curves;
 mod images;
+mod labels;
 mod methods;
 mod pareto;
 
@@ -11,6 +12,7 @@ use std::path::Path;
 
 use canvas::Figure;
 
+use super::palette::Palette;
 use super::pareto_chart::ParetoChart;
 use super::run::Run;
 use super::summary::MethodSummary;
@@ -43,33 +45,34 @@ pub struct ReportImages {
 
 /// Draws everything that the run has data for into `folder`/plots and `folder`/panels.
 pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dyn Progress) -> Result<ReportImages> {
+    let palette = Palette::of(&run.methods);
     let mut pictures = ReportImages::default();
     let mut overview = |picture: Option<ReportImage>| pictures.overview.extend(picture);
     overview(plot(
         folder,
         "methods",
-        methods::MethodBars::new(summaries),
+        methods::MethodBars::new(summaries, &palette),
         "Methods by metric",
         "Means over cases, 95 % bootstrap intervals; the arrow shows the better direction.",
     )?);
     overview(plot(
         folder,
         "error-against-time",
-        methods::ErrorAgainstTime::new(summaries),
+        methods::ErrorAgainstTime::new(summaries, &palette),
         "Error against run time",
         "Method time per frame against error, means over cases with 95 % intervals, both axes logarithmic; lower left is better.",
     )?);
     overview(plot(
         folder,
         "phase",
-        curves::PhaseGrid::new(run),
+        curves::PhaseGrid::new(run, &palette),
         "Breathing phase",
         "Recovered breathing phase against truth (black); 0 is full inspiration, 1 full expiration.",
     )?);
     overview(plot(
         folder,
         "contours",
-        contours::ContourGrid::new(run),
+        contours::ContourGrid::new(run, &palette),
         "Final contours",
         "Lumen contour in the plane of the last camera (triangle): truth in black, predictions in colour. Cross: the true target; dots: where a method puts it.",
     )?);
@@ -82,7 +85,7 @@ pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dy
         of_case.extend(plot(
             folder,
             &format!("frames-{}", case.id),
-            curves::FrameErrors::new(run, &case.id),
+            curves::FrameErrors::new(run, &case.id, &palette),
             &format!("Errors per frame, {}", case.id),
             "Phase and errors of every frame.",
         )?);

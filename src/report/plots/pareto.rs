@@ -4,7 +4,8 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::canvas::{Area, Drawn, Figure, GRID, INK, Pen, legend};
+use super::canvas::{Area, Drawn, Figure, GRID, INK, Pen, Stroke, legend};
+use super::labels::{Taken, free_spot};
 use super::methods::{log_range, log_ticks};
 use crate::report::pareto_chart::{ParetoChart, SettingRole};
 
@@ -35,24 +36,25 @@ struct Dot {
 /// The figure.
 pub struct ParetoPlot<'a> {
     chart: &'a ParetoChart,
-    names: Vec<(String, RGBColor)>,
+    names: Vec<(String, Stroke)>,
     panels: Vec<(&'a str, Vec<Dot>)>,
 }
 
 impl<'a> ParetoPlot<'a> {
     /// `None` where no point can stand on logarithmic axes. `front`: one per point.
     pub fn new(chart: &'a ParetoChart, front: &[bool]) -> Option<Self> {
-        let mut names: Vec<(String, RGBColor)> = Vec::new();
+        let plain = |color: RGBColor| Stroke { color, dash: None };
+        let mut names: Vec<(String, Stroke)> = Vec::new();
         let mut panels: Vec<(&str, Vec<Dot>)> = Vec::new();
         for (point, &on_front) in chart.points.iter().zip(front) {
             if !(point.cost > 0.0 && point.error >= 0.0) {
                 continue;
             }
             let color = match names.iter().find(|(name, _)| *name == point.mode) {
-                Some((_, color)) => *color,
+                Some((_, stroke)) => stroke.color,
                 None => {
                     let color = COLORS[names.len() % COLORS.len()];
-                    names.push((point.mode.clone(), color));
+                    names.push((point.mode.clone(), plain(color)));
                     color
                 }
             };
@@ -63,11 +65,11 @@ impl<'a> ParetoPlot<'a> {
                 None => panels.push((&point.subject, vec![dot])),
             }
         }
-        names.push(("front".into(), FRONT));
-        names.push(("ring: default".into(), INK));
+        names.push(("front".into(), plain(FRONT)));
+        names.push(("ring: default".into(), plain(INK)));
         panels.retain(|(_, dots)| dots.iter().any(|dot| dot.at.1 > 0.0));
         if panels.iter().flat_map(|(_, dots)| dots).any(|dot| dot.at.1 == 0.0) {
-            names.push(("lower edge: the reference itself".into(), WHITE));
+            names.push(("lower edge: the reference itself".into(), plain(WHITE)));
         }
         (!panels.is_empty()).then_some(ParetoPlot { chart, names, panels })
     }
@@ -130,8 +132,10 @@ fn draw_panel<DB: DrawingBackend>(
     let mut front: Vec<(f64, f64)> = dots.iter().filter(|d| d.on_front).map(place).collect();
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
     chart.draw_series(std::iter::once(PathElement::new(front, pen.line(FRONT, 2.5))))?;
-    let mut taken: Vec<Rectangle> = Vec::new();
+    let mut taken: Vec<Taken> = Vec::new();
     let floor = chart.backend_coord(&(x[0], y[0])).1;
+    let (across, down) = area.get_pixel_range();
+    let room = Taken { low: (across.start, down.start), high: (across.end, floor) };
     for dot in dots {
         let at = place(dot);
         chart.draw_series(std::iter::once(Circle::new(at, pen.px(4.5), dot.color.filled())))?;
@@ -139,64 +143,16 @@ fn draw_panel<DB: DrawingBackend>(
             chart.draw_series(std::iter::once(Circle::new(at, pen.px(9.0), pen.line(INK, 2.0))))?;
         }
         let (x, y) = chart.backend_coord(&at);
-        taken.push(Rectangle::around((x, y), pen.at(if dot.role == SettingRole::Default { 9.0 } else { 4.5 })));
+        taken.push(Taken::around((x, y), pen.at(if dot.role == SettingRole::Default { 9.0 } else { 4.5 })));
     }
     for dot in dots {
         let (at, style) = (place(dot), pen.text(9.5));
         let (width, height) = area.estimate_text_size(&dot.label, &style)?;
         let (x, y) = chart.backend_coord(&at);
-        let (shift, spot) = free_spot((x, y), [width as i32, height as i32], pen, (floor, &taken));
+        let (shift, spot) = free_spot((x, y), [width as i32, height as i32], pen, (room, &taken));
         taken.push(spot);
         let label = Text::new(dot.label.clone(), shift, style.pos(Pos::new(HPos::Left, VPos::Top)));
         chart.draw_series(std::iter::once(EmptyElement::at(at) + label))?;
     }
     Ok(())
-}
-
-/// Pixels that something covers.
-#[derive(Clone, Copy)]
-struct Rectangle {
-    low: (i32, i32),
-    high: (i32, i32),
-}
-
-impl Rectangle {
-    fn around((x, y): (i32, i32), radius: i32) -> Self {
-        Rectangle { low: (x - radius, y - radius), high: (x + radius, y + radius) }
-    }
-
-    fn meets(&self, other: &Rectangle) -> bool {
-        self.low.0 < other.high.0 && other.low.0 < self.high.0 && self.low.1 < other.high.1 && other.low.1 < self.high.1
-    }
-}
-
-/// Where the label of a dot goes without covering anything: how far its upper left corner is from the dot. To the
-/// right, above or below, then farther away, never below `floor`; beside the dot where nothing is free.
-fn free_spot(
-    (x, y): (i32, i32),
-    [width, height]: [i32; 2],
-    pen: Pen,
-    (floor, taken): (i32, &[Rectangle]),
-) -> ((i32, i32), Rectangle) {
-    let gap = pen.at(6.0);
-    let shifts = (0..6).flat_map(|away| {
-        let lines = away * height;
-        let (above, below) = (-height - gap / 2 - lines, gap / 2 + lines);
-        [
-            (gap, above),
-            (gap, below),
-            (-width - gap, above),
-            (-width - gap, below),
-            (-width / 2, above - gap),
-            (-width / 2, below + gap),
-        ]
-    });
-    let spot = |(right, down): (i32, i32)| Rectangle {
-        low: (x + right, y + down),
-        high: (x + right + width, y + down + height),
-    };
-    let mut shifts = shifts.map(|shift| (shift, spot(shift)));
-    let inside = |spot: &Rectangle| spot.low.0 > 0 && spot.high.1 <= floor;
-    let free = shifts.find(|(_, spot)| inside(spot) && !taken.iter().any(|other| other.meets(spot)));
-    free.unwrap_or(((gap, -height), spot((gap, -height))))
 }

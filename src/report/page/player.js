@@ -1,0 +1,362 @@
+"use strict";
+// A case: the film beside the renderings, errors over time and the airway, all under one cursor. Data are read when a
+// case is opened, and forgotten when another one is.
+
+const el = (tag, attributes = {}, ...children) => {
+  const svg = ["svg", "path", "line", "text", "g", "rect", "circle"].includes(tag);
+  const node = svg ? document.createElementNS("http://www.w3.org/2000/svg", tag) : document.createElement(tag);
+  for (const [key, value] of Object.entries(attributes))
+    if (key.startsWith("on")) node.addEventListener(key.slice(2), value);
+    else if (value === true) node.setAttribute(key, "");
+    else if (value !== false && value != null) node.setAttribute(key, value);
+  node.append(...children.filter(child => child != null));
+  return node;
+};
+
+// --- typed arrays from base64, little-endian as every browser's machine --------------------------------------------
+const bytesOf = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
+const floatsOf = text => new Float32Array(bytesOf(text).buffer);
+const wordsOf = text => new Uint16Array(bytesOf(text).buffer);
+
+// What the scene asks of a film.
+function decodeFilm(data) {
+  const film = data.film;
+  if (!film || !film.airway) return null;
+  const { low_mm, step_mm } = film.airway;
+  const places = text => Float32Array.from(wordsOf(text), (v, k) => low_mm[k % 3] + step_mm * v);
+  const phases = floatsOf(film.phases), targets = floatsOf(film.targets_mm), count = targets.length / 6;
+  const lerp = (values, at) => {
+    const a = Math.min(values.length - 1, Math.floor(at)), b = Math.min(values.length - 1, a + 1);
+    return values[a] + (values[b] - values[a]) * (at - a);
+  };
+  const nearestSample = frame => nearest(data.samples, frame);
+  return {
+    airway: { inspiration: places(film.airway.inspiration), expiration: places(film.airway.expiration), faces: wordsOf(film.airway.faces) },
+    poses: floatsOf(film.poses), tanHalfHeight: film.tan_half_height,
+    truePhase: frame => lerp(phases, frame),
+    statedPhase: (row, frame) => row.phase[nearestSample(frame)],
+    // In mm, for the colour of the path: targets where the row states them, depth otherwise.
+    errorAt: (row, frame) => {
+      for (const id of ["target_mean_mm", "depth_rmse_mm"]) {
+        const k = data.metrics.findIndex(m => m.id === id);
+        if (k >= 0 && row.series[k].some(v => v != null)) return row.series[k][nearestSample(frame)];
+      }
+      return null;
+    },
+    targetsAt: phase => Array.from({ length: count }, (_, k) => [0, 1, 2].map(axis => {
+      const a = targets[3 * k + axis];
+      return a + (targets[3 * (count + k) + axis] - a) * phase;
+    })),
+    predictedTargets: (row, frame) => {
+      if (!row.targets_mm || !row.pictures) return null;
+      row.targets = row.targets || floatsOf(row.targets_mm);
+      const at = nearest(row.pictures.frames, frame) * 3 * count;
+      return Array.from({ length: count }, (_, k) => [...row.targets.subarray(at + 3 * k, at + 3 * k + 3)]);
+    },
+  };
+}
+
+// Index of the number of an ascending list that is nearest to `value`.
+function nearest(list, value) {
+  let low = 0, high = list.length - 1;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (list[middle] <= value) low = middle; else high = middle;
+  }
+  return Math.abs(list[low] - value) <= Math.abs(list[high] - value) ? low : high;
+}
+
+// --- the film ------------------------------------------------------------------------------------------------------
+class Film {
+  constructor(pictures) { this.pictures = pictures; this.images = []; }
+  // The picture nearest to a frame; decoded once, when it is first wanted. `ready` is called when it is.
+  at(frame, ready) {
+    const k = nearest(this.pictures.frames, frame);
+    let image = this.images[k];
+    if (!image) {
+      image = this.images[k] = new Image();
+      image.src = "data:image/jpeg;base64," + this.pictures.jpeg[k];
+      image.decode().then(() => { image.isReady = true; this.waiting?.(); }, () => {});
+    }
+    this.waiting = ready;
+    return image.isReady ? image : null;
+  }
+}
+
+class Tile {
+  constructor(player, film, row) {
+    this.row = row;
+    this.film = new Film(film);
+    this.canvas = el("canvas", { width: film.width, height: film.height });
+    this.value = el("span", { class: "value" });
+    const name = row ? [swatch(row), el("b", {}, row.title)] : [el("b", {}, "Truth")];
+    this.element = el("figure", { class: "tile", "data-method": row ? row.method : null },
+      row ? el("button", { class: "picture", "aria-pressed": "false", title: `Show the errors of ${row.title} on the airway`, onclick: () => player.choose(row) }, this.canvas)
+        : el("div", { class: "picture" }, this.canvas),
+      el("figcaption", {}, el("span", { class: "name" }, ...name), this.value));
+  }
+  draw(player) {
+    const again = () => player.drawTiles();
+    const own = this.film.at(player.frame, again), context = this.canvas.getContext("2d");
+    if (!own) return;
+    const { width, height } = this.canvas;
+    context.globalCompositeOperation = "source-over";
+    context.drawImage(own, 0, 0, width, height);
+    if (!this.row || !player.isDifference) return;
+    const truth = player.tiles[0].film.at(player.frame, again);
+    if (!truth) return;
+    context.globalCompositeOperation = "difference";
+    context.drawImage(truth, 0, 0, width, height);
+    // Twice added to itself: four times as bright.
+    context.globalCompositeOperation = "lighter";
+    context.drawImage(this.canvas, 0, 0);
+    context.drawImage(this.canvas, 0, 0);
+  }
+}
+
+const swatch = row => el("svg", { class: "swatch", viewBox: "0 0 24 10", "aria-hidden": "true" },
+  el("line", { x1: 1, x2: 23, y1: 5, y2: 5, stroke: row.color, "stroke-width": 3.4, "stroke-dasharray": row.dash && row.dash.join(" ") }));
+
+// --- errors over time ------------------------------------------------------------------------------------------------
+class ErrorPlot {
+  constructor(player) {
+    this.player = player;
+    this.svg = el("svg", { class: "curves", role: "img" });
+    const move = e => {
+      if (e.type === "pointermove" && !e.buttons) return;
+      const box = this.svg.getBoundingClientRect();
+      player.seek(this.frameAt(e.clientX - box.left));
+    };
+    this.svg.addEventListener("pointerdown", e => { this.svg.setPointerCapture(e.pointerId); move(e); });
+    this.svg.addEventListener("pointermove", move);
+    new ResizeObserver(() => this.draw()).observe(this.svg);
+  }
+
+  // Everything but the cursor, in CSS pixels, so that text has its size on every screen.
+  draw() {
+    const { svg, player } = this, { data } = player, m = data.metrics[player.metric];
+    const width = svg.clientWidth, height = svg.clientHeight;
+    if (!width || !height || !m) return;
+    svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+    svg.setAttribute("aria-label", `${m.heading} over time`);
+    const box = { left: 52, right: width - 12, top: 26, bottom: height - 40 };
+    const rows = data.rows.filter(row => !player.hidden.has(row.method) && row.series[player.metric].some(v => v != null));
+    const values = rows.flatMap(row => row.series[player.metric]).filter(v => v != null && Number.isFinite(v));
+    // Errors in mm span decades; the rest does not.
+    const isLog = /\[mm\]/.test(m.heading) && values.some(v => v > 0);
+    const floor = 0.01;
+    let [low, high] = [Math.min(...values), Math.max(...values)];
+    if (!values.length) [low, high] = [0, 1];
+    if (isLog) { low = Math.max(floor, low) / 1.25; high = Math.max(high, low * 4) * 1.25; }
+    else { const margin = (high - low) * 0.06 || 0.05; low = m.higher || low < 0 ? low - margin : Math.max(0, low - margin); high += margin; }
+    const y = v => {
+      const share = isLog ? Math.log(Math.max(v, low) / low) / Math.log(high / low) : (v - low) / (high - low);
+      return box.bottom - share * (box.bottom - box.top);
+    };
+    const end = data.times_s[data.times_s.length - 1] || 1;
+    this.x = time => box.left + time / end * (box.right - box.left);
+    this.frameAt = px => {
+      const time = (px - box.left) / (box.right - box.left) * end, k = nearest(data.times_s, time);
+      const next = data.times_s[k] < time ? k + 1 : k - 1, share = data.times_s[next] === undefined ? 0 : (time - data.times_s[k]) / (data.times_s[next] - data.times_s[k]);
+      return data.samples[k] + (share ? share * (data.samples[next] - data.samples[k]) : 0);
+    };
+    const parts = [el("text", { x: 8, y: 15, class: "title" }, `${m.heading} ${m.higher ? "↑" : "↓"}`)];
+    const bands = data.phases.map((p, k) => el("rect", { x: this.x(data.times_s[k]), width: Math.max(0.6, (box.right - box.left) / data.phases.length + 0.5), y: box.bottom + 1, height: 5, class: "breath", "fill-opacity": (0.08 + 0.82 * p).toFixed(2) }));
+    const ticks = isLog ? logTicks(low, high, (box.bottom - box.top) / 22) : linearTicks(low, high, Math.max(2, (box.bottom - box.top) / 42));
+    for (const v of ticks) parts.push(el("line", { x1: box.left, x2: box.right, y1: y(v), y2: y(v), class: "grid" }), el("text", { x: box.left - 6, y: y(v) + 4, "text-anchor": "end" }, label(v)));
+    for (const v of linearTicks(0, end, Math.max(2, (box.right - box.left) / 80))) parts.push(el("text", { x: this.x(v), y: box.bottom + 20, "text-anchor": "middle" }, label(v)));
+    parts.push(el("text", { x: (box.left + box.right) / 2, y: height - 5, "text-anchor": "middle", class: "muted" }, "seconds; the band is darker towards expiration"), ...bands);
+    // The chosen row last, on top of the others.
+    const chosen = player.row;
+    for (const row of [...rows].sort((a, b) => (a === chosen) - (b === chosen))) {
+      let path = "", pen = "M";
+      row.series[player.metric].forEach((v, k) => {
+        if (v == null) { if (row.series[player.metric].filter(x => x != null).length > data.samples.length / 2) pen = "M"; return; }
+        path += `${pen}${this.x(data.times_s[k]).toFixed(1)} ${y(v).toFixed(1)}`; pen = "L";
+      });
+      parts.push(el("path", { d: path, fill: "none", stroke: row.color, "stroke-width": row === chosen ? 3.2 : 1.6, "stroke-dasharray": row.dash && row.dash.join(" "), "stroke-linejoin": "round", opacity: chosen && row !== chosen ? 0.7 : 1 }));
+    }
+    this.cursor = el("line", { y1: box.top - 4, y2: box.bottom + 6, class: "cursor" });
+    svg.replaceChildren(...parts, this.cursor);
+    this.move();
+  }
+
+  move() {
+    if (!this.cursor) return;
+    const x = this.x(this.player.time());
+    this.cursor.setAttribute("x1", x); this.cursor.setAttribute("x2", x);
+  }
+}
+
+const label = v => v === 0 ? "0" : String(Number(v.toPrecision(3)));
+function linearTicks(low, high, wanted) {
+  const rough = (high - low) / wanted, power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map(k => k * power).find(s => s >= rough) || 10 * power;
+  const out = [];
+  for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + 1e-9 * step; v += step) out.push(Math.abs(v) < step / 1e6 ? 0 : v);
+  return out;
+}
+function logTicks(low, high, wanted) {
+  const decades = [];
+  for (let d = Math.floor(Math.log10(low)); d <= Math.ceil(Math.log10(high)); d++) decades.push(d);
+  for (const steps of [[1, 2, 5], [1, 3], [1]]) {
+    const out = decades.flatMap(d => steps.map(s => s * 10 ** d)).filter(v => v >= low && v <= high);
+    if (out.length <= wanted || steps.length === 1) return out;
+  }
+}
+
+// --- the case --------------------------------------------------------------------------------------------------------
+class CasePlayer {
+  constructor(host, data, page) {
+    Object.assign(this, { host, data, page, frame: 0, metric: 0, row: null, isDifference: false, hidden: page.hidden });
+    const film = data.film;
+    this.frames = film ? floatsOf(film.times_s) : Float32Array.from(data.times_s);
+    this.last = film ? this.frames.length - 1 : data.samples[data.samples.length - 1];
+    this.tiles = film && film.pictures.frames.length ? [new Tile(this, film.pictures, null), ...data.rows.filter(row => row.pictures).map(row => new Tile(this, row.pictures, row))] : [];
+    for (const row of data.rows) if (row.surface && row.surface.at_end) row.surface = bytesOf(row.surface.at_end);
+    this.plot = new ErrorPlot(this);
+    this.build(film && film.airway && page.scene().isUsable ? decodeFilm(data) : null);
+    // The row that is best by the first metric: bounds are no methods.
+    const mean = row => { const known = row.series[0]?.filter(v => v != null) || []; return known.length ? known.reduce((a, b) => a + b) / known.length : Infinity; };
+    this.choose(data.rows.filter(row => !row.is_bound).sort((a, b) => mean(a) - mean(b))[0] || data.rows[0]);
+    this.seek(0);
+  }
+
+  build(film) {
+    const { data } = this, id = name => `${name}-${this.host.id}`;
+    this.play = el("button", { class: "play", "aria-label": "Play", onclick: () => this.toggle() }, "▶");
+    this.slider = el("input", { type: "range", min: 0, max: this.last, step: "any", value: 0, id: id("time"), oninput: () => this.seek(+this.slider.value) });
+    this.readout = el("output", { for: id("time") });
+    const options = (list, name) => list.map((entry, k) => el("option", { value: k }, name(entry)));
+    this.metricSelect = el("select", { id: id("metric"), onchange: () => { this.metric = +this.metricSelect.value; this.plot.draw(); this.drawTiles(); } }, ...options(data.metrics, m => m.heading));
+    this.rowSelect = el("select", { id: id("row"), onchange: () => this.choose(data.rows[+this.rowSelect.value]) }, ...options(data.rows, row => row.title));
+    const bar = el("div", { class: "bar" }, this.play,
+      el("label", { class: "grow", for: id("time") }, el("span", { class: "hidden" }, "Time"), this.slider), this.readout);
+    const picks = el("div", { class: "picks" },
+      el("label", {}, "Curves ", this.metricSelect), el("label", {}, "Errors of ", this.rowSelect),
+      data.film && data.rows.some(row => row.pictures) ? check("Difference to the truth, 4 times as bright", false, on => { this.isDifference = on; this.drawTiles(); }) : null);
+    const stage = film ? this.buildStage(film, id) : null;
+    const why = stage || data.film && !data.film.airway ? null : data.film ? "This browser has no WebGL 2: the airway is not drawn." : "This run kept no film and no airway of the case.";
+    if (why) this.host.append(el("p", { class: "muted" }, why));
+    this.host.append(
+      el("div", { class: stage ? "views" : "views one" }, stage, el("div", { class: "side" }, picks, this.plot.svg)),
+      bar,
+      this.tiles.length ? el("div", { class: "film" }, ...this.tiles.map(tile => tile.element)) : "");
+    if (film) this.page.scene().open(film, this.stage);
+  }
+
+  buildStage(film, id) {
+    this.film = film;
+    const scene = this.page.scene();
+    this.stage = el("div", { class: "stage" });
+    const views = [["outside", "From outside"], ["ride", "Ride along"]].map(([kind, name]) =>
+      el("button", { "aria-pressed": String(kind === "outside"), onclick: e => {
+        scene.view.kind = kind; scene.view.zoom = 1;
+        for (const button of views) button.setAttribute("aria-pressed", String(button === e.currentTarget));
+        scene.redraw();
+      } }, name));
+    this.phaseSlider = el("input", { type: "range", min: 0, max: 1, step: 0.005, value: 0, id: id("phase"), oninput: () => {
+      this.follows.checked = false;
+      this.setPhase(+this.phaseSlider.value);
+    } });
+    this.phaseReadout = el("output", { for: id("phase") });
+    const follow = check("as in the film", true, on => { if (on) this.setPhase(film.truePhase(this.frame)); });
+    this.follows = follow.querySelector("input");
+    this.legend = el("div", { class: "scale" });
+    this.note = el("p", { class: "muted note" });
+    return el("div", { class: "scene" },
+      el("div", { class: "tools" }, el("span", { class: "group", role: "group", "aria-label": "View" }, ...views),
+        check("path", true, on => scene.set({ path: on })), check("targets", true, on => scene.set({ targets: on })), check("error as colour", true, on => { scene.set({ surface: on, row: this.row }); this.explain(); })),
+      this.stage,
+      el("div", { class: "phase" }, el("label", { for: id("phase") }, "Phase"), el("span", { class: "ends" }, "in"), this.phaseSlider, el("span", { class: "ends" }, "out"), this.phaseReadout, follow),
+      this.legend, this.note);
+  }
+
+  setPhase(phase) {
+    this.phaseSlider.value = phase;
+    this.phaseReadout.value = phase.toFixed(2);
+    this.page.scene().set({ phase });
+  }
+
+  explain() {
+    if (!this.legend) return;
+    const row = this.row, scene = this.page.scene();
+    const known = scene.errorKind(), on = scene.state.surface;
+    this.legend.replaceChildren(el("i", { style: `background:linear-gradient(90deg,${ERROR_STOPS.join(",")})` }), ...["0.1", "1", "10 mm"].map(text => el("span", {}, text)));
+    const surface = !on ? "" : known === 1 ? `The wall: distance of ${row.title} to the true one at the last frame.` :
+      known === 2 ? `The wall: distance of ${row.title} to the true one, which follows from the phase it states.` : `${row.title} keeps no surface, so that the wall has no colour.`;
+    this.note.textContent = `${surface}${known && on ? " Below 0.1 mm it keeps the colour of tissue." : ""} The path: its mean target error, or depth error, as the scope passed. Balls: targets, true in black or white, predicted in the row's colour.`;
+  }
+
+  choose(row) {
+    this.row = row;
+    this.rowSelect.value = this.data.rows.indexOf(row);
+    for (const tile of this.tiles) tile.element.querySelector("button")?.setAttribute("aria-pressed", String(tile.row === row));
+    if (this.film) { this.page.scene().set({ row }); this.explain(); }
+    this.plot.draw();
+  }
+
+  time() {
+    const a = Math.floor(this.frame), b = Math.min(this.last, a + 1);
+    if (this.data.film) return this.frames[a] + (this.frames[b] - this.frames[a]) * (this.frame - a);
+    return this.data.times_s[nearest(this.data.samples, this.frame)];
+  }
+
+  seek(frame) {
+    this.frame = Math.min(this.last, Math.max(0, frame));
+    this.slider.value = this.frame;
+    const phase = this.film ? this.film.truePhase(this.frame) : this.data.phases[nearest(this.data.samples, this.frame)];
+    this.readout.value = `${this.time().toFixed(2)} s · frame ${Math.round(this.frame)} · phase ${phase.toFixed(2)}`;
+    this.slider.setAttribute("aria-valuetext", this.readout.value);
+    if (this.film) {
+      this.page.scene().set({ frame: this.frame });
+      if (this.follows.checked) this.setPhase(phase);
+    }
+    this.plot.move();
+    this.drawTiles();
+  }
+
+  drawTiles() {
+    const m = this.data.metrics[this.metric], k = nearest(this.data.samples, this.frame);
+    for (const tile of this.tiles) {
+      tile.draw(this);
+      if (!tile.row) { tile.value.textContent = ""; continue; }
+      const value = tile.row.series[this.metric][k];
+      tile.value.textContent = value == null ? "–" : value.toFixed(m.digits);
+    }
+  }
+
+  toggle() {
+    this.isPlaying = !this.isPlaying;
+    this.play.textContent = this.isPlaying ? "❚❚" : "▶";
+    this.play.setAttribute("aria-label", this.isPlaying ? "Pause" : "Play");
+    if (!this.isPlaying) return;
+    if (this.frame >= this.last) this.seek(0);
+    const rate = this.last / (this.frames[this.frames.length - 1] || 1);
+    let before = performance.now();
+    const step = now => {
+      if (!this.isPlaying) return;
+      this.seek(this.frame + (now - before) / 1000 * rate);
+      before = now;
+      if (this.frame >= this.last) { this.toggle(); return; }
+      requestAnimationFrame(step);
+    };
+    requestAnimationFrame(step);
+  }
+
+  // Rows that the filter hides.
+  hide() {
+    for (const tile of this.tiles) if (tile.row) tile.element.hidden = this.hidden.has(tile.row.method);
+    this.plot.draw();
+  }
+
+  close() {
+    if (this.isPlaying) this.toggle();
+    this.host.replaceChildren();
+  }
+}
+
+const check = (text, on, change) => {
+  const input = el("input", { type: "checkbox", checked: on, onchange: () => change(input.checked) });
+  return el("label", { class: "check" }, input, ` ${text}`);
+};

@@ -1,0 +1,466 @@
+"use strict";
+// The airway in 3D: own WebGL 2, no library. One canvas and one context serve the whole page, since browsers allow only
+// a few; the open case borrows it. Nothing is drawn while nothing changes.
+//
+// Axes of the scanner: x to the patient's left, y backwards, z towards the head. Matrices are column-major.
+
+// Errors in mm on a logarithmic scale: blue is right, yellow about a millimetre, dark red is wrong. Lightness and hue
+// change together, so that it reads without red and green, too.
+const ERROR_STOPS = ["#6aaed6", "#9fc9cf", "#f5d06a", "#ee8a3c", "#d1402f", "#7c1648"];
+const ERROR_SCALE_MM = [0.1, 10];
+const errorShare = mm => {
+  const [low, high] = ERROR_SCALE_MM.map(Math.log);
+  return Math.min(1, Math.max(0, (Math.log(Math.max(mm, 1e-9)) - low) / (high - low)));
+};
+const rgbOf = hex => [1, 3, 5].map(k => parseInt(hex.slice(k, k + 2), 16) / 255);
+const errorColor = mm => {
+  const at = errorShare(mm) * (ERROR_STOPS.length - 1), k = Math.min(ERROR_STOPS.length - 2, Math.floor(at));
+  const [a, b] = [rgbOf(ERROR_STOPS[k]), rgbOf(ERROR_STOPS[k + 1])];
+  return a.map((v, c) => v + (b[c] - v) * (at - k));
+};
+
+// --- small vectors ---------------------------------------------------------------------------------------------
+const sub = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+const madd = (a, b, s) => [a[0] + b[0] * s, a[1] + b[1] * s, a[2] + b[2] * s];
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const unit = a => { const l = Math.hypot(...a) || 1; return [a[0] / l, a[1] / l, a[2] / l]; };
+const mix3 = (a, b, t) => [0, 1, 2].map(k => a[k] + (b[k] - a[k]) * t);
+
+function multiply(a, b) {
+  const out = new Float32Array(16);
+  for (let c = 0; c < 4; c++) for (let r = 0; r < 4; r++)
+    for (let k = 0; k < 4; k++) out[4 * c + r] += a[4 * k + r] * b[4 * c + k];
+  return out;
+}
+function perspective(tanHalf, aspect, near, far) {
+  const f = 1 / tanHalf, d = near - far;
+  return new Float32Array([f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / d, -1, 0, 0, 2 * far * near / d, 0]);
+}
+// A view from `eye` with axes right, up and back (unit vectors).
+const viewOf = (eye, x, y, z) => new Float32Array([
+  x[0], y[0], z[0], 0, x[1], y[1], z[1], 0, x[2], y[2], z[2], 0, -dot(x, eye), -dot(y, eye), -dot(z, eye), 1]);
+
+// --- shaders ---------------------------------------------------------------------------------------------------
+// Both breath holds are on the GPU; the slider moves one uniform. `invariant`: the depth pass and the colour pass must
+// agree to the last bit, or the shell gets holes.
+const AIRWAY_VERTEX = `#version 300 es
+precision highp float;
+layout(location=0) in vec3 inspiration; layout(location=1) in vec3 expiration;
+layout(location=2) in vec3 normal0; layout(location=3) in vec3 normal1;
+layout(location=4) in float code;
+uniform mat4 viewProjection; uniform float phase; uniform float phaseError; uniform int errorKind;
+out vec3 place; out vec3 normal; out float errorMm;
+invariant gl_Position;
+void main() {
+  place = mix(inspiration, expiration, phase);
+  normal = mix(normal0, normal1, phase);
+  errorMm = -1.0;
+  if (errorKind == 1 && code < 254.5) errorMm = 0.01 * pow(10000.0, code / 254.0);
+  if (errorKind == 2) errorMm = phaseError * length(expiration - inspiration);
+  gl_Position = viewProjection * vec4(place, 1.0);
+}`;
+const AIRWAY_FRAGMENT = `#version 300 es
+precision highp float;
+in vec3 place; in vec3 normal; in float errorMm;
+uniform vec3 eye; uniform vec3 light; uniform int inside; uniform float dark; uniform float back;
+uniform sampler2D errorColors;
+out vec4 color;
+vec3 tint(vec3 base) {
+  if (errorMm < 0.0) return base;
+  float share = clamp(log(max(errorMm, 1e-9) / 0.1) / log(100.0), 0.0, 1.0);
+  // What is right keeps the colour of tissue; colour means error.
+  return mix(base, pow(texture(errorColors, vec2(share * 0.98 + 0.01, 0.5)).rgb, vec3(2.2)), smoothstep(0.0, 0.1, share));
+}
+void main() {
+  vec3 toEye = eye - place; float distance = length(toEye); toEye /= distance;
+  vec3 n = normalize(normal);
+  if (inside == 1) {
+    // As the scope sees it: light at the lens, inverse square with the exposure of a near wall, wet mucosa.
+    float facing = max(dot(n, toEye), 0.0);
+    float fall = 1.0 / (1.0 + distance * distance / 260.0);
+    vec3 base = tint(vec3(0.72, 0.25, 0.20));
+    vec3 lit = base * (0.035 + 1.5 * facing * fall) + vec3(0.55) * pow(facing, 40.0) * fall;
+    color = vec4(pow(1.0 - exp(-1.6 * lit), vec3(1.0 / 2.2)), 1.0);
+    return;
+  }
+  // From outside: glass. What is seen edge-on is dense, what is seen face-on lets the path through (Schlick's power,
+  // softened: real glass would show no wall at all).
+  float facing = abs(dot(n, toEye));
+  float rim = pow(1.0 - facing, 2.2);
+  vec3 outward = dot(n, toEye) < 0.0 ? -n : n;
+  float key = max(dot(outward, light), 0.0);
+  vec3 base = tint(mix(vec3(0.60, 0.26, 0.22), vec3(0.75, 0.42, 0.36), dark));
+  vec3 lit = base * (0.42 + 0.62 * key + 0.16 * outward.z);
+  lit = mix(lit, mix(lit * 0.45, lit * 1.5 + 0.04, dark), rim);
+  float shine = pow(max(dot(normalize(light + toEye), outward), 0.0), 48.0) * 0.45;
+  float known = smoothstep(0.1, 0.3, errorMm);
+  float alpha = mix(mix(0.18, 0.30, known), 0.94, rim) * back;
+  alpha = min(1.0, alpha + shine * back);
+  color = vec4(pow(lit + shine, vec3(1.0 / 2.2)) * alpha, alpha);
+}`;
+const SOLID_VERTEX = `#version 300 es
+precision highp float;
+layout(location=0) in vec3 place; layout(location=1) in vec3 normal; layout(location=2) in vec4 paint;
+uniform mat4 viewProjection; out vec3 n; out vec4 ink;
+void main() { n = normal; ink = paint; gl_Position = viewProjection * vec4(place, 1.0); }`;
+const SOLID_FRAGMENT = `#version 300 es
+precision highp float;
+in vec3 n; in vec4 ink; uniform vec3 light; out vec4 color;
+void main() {
+  float key = 0.62 + 0.38 * dot(normalize(n), light);
+  color = vec4(ink.rgb * key * ink.a, ink.a);
+}`;
+
+// --- geometry that changes with the cursor -----------------------------------------------------------------------
+class Solids {
+  constructor() { this.data = []; }
+  vertex(p, n, color, alpha) { this.data.push(p[0], p[1], p[2], n[0], n[1], n[2], color[0], color[1], color[2], alpha); }
+  // A tube with one radius and one colour per point; sides flow into each other.
+  tube(points, radii, colors, alpha = 1, sides = 8) {
+    let side = unit(cross(sub(points[1], points[0]), Math.abs(points[1][2] - points[0][2]) > 1e-3 ? [1, 0.2, 0] : [0, 0, 1]));
+    const rings = points.map((p, i) => {
+      const along = unit(sub(points[Math.min(i + 1, points.length - 1)], points[Math.max(i - 1, 0)]));
+      side = unit(madd(side, along, -dot(side, along)));
+      const other = cross(along, side);
+      return Array.from({ length: sides + 1 }, (_, k) => {
+        const a = 2 * Math.PI * k / sides;
+        const n = madd(side.map(v => v * Math.cos(a)), other, Math.sin(a));
+        return [madd(p, n, radii[i]), n];
+      });
+    });
+    for (let i = 0; i + 1 < rings.length; i++) for (let k = 0; k < sides; k++) {
+      for (const [r, s] of [[i, k], [i + 1, k], [i, k + 1], [i, k + 1], [i + 1, k], [i + 1, k + 1]])
+        this.vertex(...rings[r][s], colors[r], alpha);
+    }
+  }
+  sphere(centre, radius, color, alpha = 1, steps = 10) {
+    const at = (i, k) => {
+      const t = Math.PI * i / steps, u = 2 * Math.PI * k / (2 * steps);
+      const n = [Math.sin(t) * Math.cos(u), Math.sin(t) * Math.sin(u), Math.cos(t)];
+      return [madd(centre, n, radius), n];
+    };
+    for (let i = 0; i < steps; i++) for (let k = 0; k < 2 * steps; k++)
+      for (const [r, s] of [[i, k], [i + 1, k], [i, k + 1], [i, k + 1], [i + 1, k], [i + 1, k + 1]])
+        this.vertex(...at(r, s), color, alpha);
+  }
+}
+
+// The scene of one page. `host` of `open` is the element that gets the canvas.
+class AirwayScene {
+  constructor() {
+    this.canvas = document.createElement("canvas");
+    this.canvas.tabIndex = 0;
+    this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", "The airway with the scope's path and the targets. Arrow keys turn it, plus and minus zoom.");
+    // Kept after drawing, so that it prints and can be read back.
+    const gl = this.gl = this.canvas.getContext("webgl2", { antialias: true, alpha: false, preserveDrawingBuffer: true });
+    this.isUsable = !!gl;
+    this.view = { kind: "outside", azimuth: -0.45, elevation: 0.16, zoom: 1, shift: [0, 0] };
+    this.state = { frame: 0, phase: 0, row: null, surface: true, path: true, targets: true };
+    if (!gl) return;
+    this.airwayProgram = this.program(AIRWAY_VERTEX, AIRWAY_FRAGMENT);
+    this.solidProgram = this.program(SOLID_VERTEX, SOLID_FRAGMENT);
+    this.solidBuffer = gl.createBuffer();
+    this.solidArray = gl.createVertexArray();
+    gl.bindVertexArray(this.solidArray);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.solidBuffer);
+    [[3, 0], [3, 12], [4, 24]].forEach(([size, offset], k) => {
+      gl.enableVertexAttribArray(k);
+      gl.vertexAttribPointer(k, size, gl.FLOAT, false, 40, offset);
+    });
+    const texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    const row = new Uint8Array(64 * 4);
+    for (let k = 0; k < 64; k++) {
+      const [low, high] = ERROR_SCALE_MM;
+      errorColor(low * (high / low) ** (k / 63)).forEach((v, c) => { row[4 * k + c] = 255 * v; });
+      row[4 * k + 3] = 255;
+    }
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 64, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, row);
+    for (const [key, value] of [["MIN_FILTER", gl.LINEAR], ["MAG_FILTER", gl.LINEAR], ["WRAP_S", gl.CLAMP_TO_EDGE], ["WRAP_T", gl.CLAMP_TO_EDGE]])
+      gl.texParameteri(gl.TEXTURE_2D, gl["TEXTURE_" + key], value);
+    this.listen();
+    new ResizeObserver(() => this.redraw()).observe(this.canvas);
+  }
+
+  program(vertex, fragment) {
+    const gl = this.gl, program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+      gl.attachShader(program, shader);
+    }
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
+    const places = {};
+    for (let k = 0; k < gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS); k++) {
+      const name = gl.getActiveUniform(program, k).name;
+      places[name] = gl.getUniformLocation(program, name);
+    }
+    return { program, places };
+  }
+
+  // `film`: what is decoded of a case (player.js); `host`: where the canvas goes.
+  open(film, host) {
+    const gl = this.gl, { airway } = film;
+    this.film = film;
+    host.prepend(this.canvas);
+    if (this.array) { gl.deleteVertexArray(this.array); this.buffers.forEach(b => gl.deleteBuffer(b)); }
+    this.array = gl.createVertexArray();
+    this.buffers = [];
+    gl.bindVertexArray(this.array);
+    const attribute = (index, size, data) => {
+      const buffer = gl.createBuffer();
+      this.buffers.push(buffer);
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+      gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+      gl.enableVertexAttribArray(index);
+      gl.vertexAttribPointer(index, size, gl.FLOAT, false, 0, 0);
+      return buffer;
+    };
+    attribute(0, 3, airway.inspiration);
+    attribute(1, 3, airway.expiration);
+    attribute(2, 3, normalsOf(airway.inspiration, airway.faces));
+    attribute(3, 3, normalsOf(airway.expiration, airway.faces));
+    this.codes = attribute(4, 1, new Float32Array(airway.inspiration.length / 3).fill(255));
+    const faces = gl.createBuffer();
+    this.buffers.push(faces);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, faces);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, airway.faces, gl.STATIC_DRAW);
+    gl.bindVertexArray(null);
+    this.coded = null;
+    const low = [1e9, 1e9, 1e9], high = [-1e9, -1e9, -1e9];
+    for (const vertices of [airway.inspiration, airway.expiration])
+      for (let k = 0; k < vertices.length; k++) { low[k % 3] = Math.min(low[k % 3], vertices[k]); high[k % 3] = Math.max(high[k % 3], vertices[k]); }
+    this.centre = mix3(low, high, 0.5);
+    this.half = sub(high, low).map(v => v / 2);
+    this.radius = Math.hypot(...this.half);
+    this.view = { kind: "outside", azimuth: -0.45, elevation: 0.16, zoom: 1, shift: [0, 0] };
+    this.redraw();
+  }
+
+  set(changes) { Object.assign(this.state, changes); this.redraw(); }
+
+  redraw() {
+    if (this.pending || !this.film) return;
+    this.pending = requestAnimationFrame(() => { this.pending = 0; this.draw(); });
+  }
+
+  // --- turning and zooming: fingers scroll the page up and down and turn the airway sideways ------------------------
+  listen() {
+    const fingers = new Map(), canvas = this.canvas;
+    canvas.addEventListener("pointerdown", e => { fingers.set(e.pointerId, [e.clientX, e.clientY]); canvas.setPointerCapture(e.pointerId); });
+    const lift = e => fingers.delete(e.pointerId);
+    canvas.addEventListener("pointerup", lift);
+    canvas.addEventListener("pointercancel", lift);
+    canvas.addEventListener("pointermove", e => {
+      const before = fingers.get(e.pointerId);
+      if (!before) return;
+      const [dx, dy] = [e.clientX - before[0], e.clientY - before[1]], view = this.view;
+      if (fingers.size === 2) {
+        const other = [...fingers].find(([id]) => id !== e.pointerId)[1];
+        const spread = p => Math.hypot(p[0] - other[0], p[1] - other[1]);
+        view.zoom *= spread([e.clientX, e.clientY]) / Math.max(1, spread(before));
+      } else if (e.shiftKey || e.buttons & 6) {
+        view.shift[0] -= dx / canvas.clientHeight; view.shift[1] += dy / canvas.clientHeight;
+      } else {
+        view.azimuth -= dx * 0.008;
+        view.elevation = Math.max(-1.5, Math.min(1.5, view.elevation + dy * 0.008));
+      }
+      fingers.set(e.pointerId, [e.clientX, e.clientY]);
+      this.redraw();
+    });
+    canvas.addEventListener("contextmenu", e => e.preventDefault());
+    // Only with the focus: a page that is scrolled past must not zoom.
+    canvas.addEventListener("wheel", e => {
+      if (document.activeElement !== canvas && !e.ctrlKey) return;
+      e.preventDefault();
+      this.view.zoom *= Math.exp(-e.deltaY * 0.0012);
+      this.redraw();
+    }, { passive: false });
+    canvas.addEventListener("keydown", e => {
+      const step = { ArrowLeft: ["azimuth", 0.1], ArrowRight: ["azimuth", -0.1], ArrowUp: ["elevation", 0.1], ArrowDown: ["elevation", -0.1] }[e.key];
+      if (step) this.view[step[0]] += step[1];
+      else if (e.key === "+" || e.key === "=") this.view.zoom *= 1.15;
+      else if (e.key === "-") this.view.zoom /= 1.15;
+      else return;
+      e.preventDefault();
+      this.redraw();
+    });
+  }
+
+  // Pose between two frames: axes x, y, z and the centre.
+  poseAt(frame) {
+    const poses = this.film.poses, last = poses.length / 12 - 1;
+    const a = Math.min(last, Math.floor(frame)), b = Math.min(last, a + 1), t = frame - a;
+    const part = k => mix3([...poses.subarray(12 * a + 3 * k, 12 * a + 3 * k + 3)], [...poses.subarray(12 * b + 3 * k, 12 * b + 3 * k + 3)], t);
+    return { x: unit(part(0)), y: unit(part(1)), z: unit(part(2)), centre: part(3) };
+  }
+
+  camera(aspect) {
+    const { view, radius } = this;
+    if (view.kind === "ride") {
+      const pose = this.poseAt(this.state.frame), back = pose.z.map(v => -v), up = pose.y.map(v => -v);
+      const matrix = multiply(perspective(this.film.tanHalfHeight / view.zoom, aspect, 0.2, 4 * radius), viewOf(pose.centre, pose.x, up, back));
+      return { eye: pose.centre, matrix, light: back };
+    }
+    const [ca, sa, ce, se] = [Math.cos(view.azimuth), Math.sin(view.azimuth), Math.cos(view.elevation), Math.sin(view.elevation)];
+    // Azimuth 0 looks from the front, as at a person who stands before us.
+    const back = [sa * ce, -ca * ce, se], x = [ca, sa, 0], up = cross(back, x);
+    const tan = 0.27;
+    // As near as the box around both breaths allows, in this direction.
+    const reach = axis => Math.abs(axis[0]) * this.half[0] + Math.abs(axis[1]) * this.half[1] + Math.abs(axis[2]) * this.half[2];
+    const distance = (Math.max(reach(up) / tan, reach(x) / (tan * aspect)) * 0.96 + 0.6 * reach(back)) / view.zoom;
+    const span = 2 * distance * tan;
+    const centre = madd(madd(this.centre, x, view.shift[0] * span), up, view.shift[1] * span);
+    const eye = madd(centre, back, distance);
+    const near = Math.max(distance - 2 * radius, distance * 0.02);
+    const matrix = multiply(perspective(tan, aspect, near, distance + 2 * radius), viewOf(eye, x, up, back));
+    return { eye, matrix, light: unit(madd(madd(back, x, -0.55), up, 0.75)) };
+  }
+
+  // Path, scope and targets at the cursor.
+  solids(dark) {
+    const { film, state, radius, view } = this, solids = new Solids(), glow = new Solids();
+    const frames = film.poses.length / 12, ink = dark ? [0.93, 0.94, 0.96] : [0.12, 0.13, 0.16];
+    const thin = Math.max(0.35, radius * 0.0065);
+    if (state.path && view.kind !== "ride" && frames > 1) {
+      const points = [], radii = [], colors = [], step = Math.max(1, Math.floor(frames / 300));
+      for (let f = 0; f < frames; f += step) {
+        points.push([...film.poses.subarray(12 * f + 9, 12 * f + 12)]);
+        const error = state.row && film.errorAt(state.row, f);
+        const past = f <= state.frame;
+        const color = error == null ? ink : errorColor(error);
+        colors.push(past ? color : mix3(color, dark ? [0.3, 0.32, 0.36] : [0.8, 0.81, 0.83], 0.55));
+        radii.push(past ? thin * 1.5 : thin * 0.8);
+      }
+      solids.tube(points, radii, colors);
+    }
+    const pose = this.poseAt(state.frame);
+    if (view.kind !== "ride") {
+      const length = radius * 0.1, at = s => madd(pose.centre, pose.z, s);
+      solids.tube([at(-length), at(-length * 0.25), at(0)], [thin * 3.2, thin * 3.2, thin * 2.4], [[0.2, 0.22, 0.26], [0.2, 0.22, 0.26], [0.75, 0.78, 0.82]], 1, 14);
+      solids.tube([at(0), at(0.01)], [thin * 2.4, 0], [[1, 0.95, 0.7], [1, 0.95, 0.7]], 1, 14);
+      const cone = length * 1.6;
+      glow.tube([at(0), at(cone)], [thin, cone * film.tanHalfHeight * 0.8], [[1, 0.84, 0.35], [1, 0.84, 0.35]], dark ? 0.20 : 0.34, 20);
+    }
+    if (state.targets) {
+      const ball = view.kind === "ride" ? 0.7 : radius * 0.013;
+      const truth = film.targetsAt(state.phase), predicted = state.row && film.predictedTargets(state.row, state.frame);
+      truth.forEach((place, k) => {
+        solids.sphere(place, ball, ink);
+        if (!predicted || !predicted[k] || !predicted[k].every(Number.isFinite)) return;
+        const color = rgbOf(state.row.color);
+        solids.sphere(predicted[k], ball * 1.12, color);
+        if (Math.hypot(...sub(place, predicted[k])) > 1e-3)
+          solids.tube([place, predicted[k]], [thin * 0.8, thin * 0.8], [color, color]);
+      });
+    }
+    return [solids, glow];
+  }
+
+  drawSolids(solids, camera) {
+    const gl = this.gl, { program, places } = this.solidProgram;
+    if (!solids.data.length) return;
+    gl.useProgram(program);
+    gl.uniformMatrix4fv(places.viewProjection, false, camera.matrix);
+    gl.uniform3fv(places.light, camera.light);
+    gl.bindVertexArray(this.solidArray);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.solidBuffer);
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(solids.data), gl.DYNAMIC_DRAW);
+    gl.drawArrays(gl.TRIANGLES, 0, solids.data.length / 10);
+  }
+
+  // Which error the surface shows: none, one per vertex of the last frame, or the one that follows from the phase.
+  errorKind() {
+    const { row, surface } = this.state;
+    if (!row || !surface || !row.surface || row.surface === "unknown") return 0;
+    if (row.surface === "by_phase") return 2;
+    if (this.coded !== row) {
+      this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.codes);
+      this.gl.bufferData(this.gl.ARRAY_BUFFER, Float32Array.from(row.surface), this.gl.STATIC_DRAW);
+      this.coded = row;
+    }
+    return 1;
+  }
+
+  draw() {
+    const gl = this.gl, canvas = this.canvas, scale = Math.min(2, window.devicePixelRatio || 1);
+    const width = Math.round(canvas.clientWidth * scale), height = Math.round(canvas.clientHeight * scale);
+    if (!width || !height) return;
+    if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+    gl.viewport(0, 0, width, height);
+    const style = getComputedStyle(canvas), dark = style.getPropertyValue("--dark").trim() === "1";
+    const isRide = this.view.kind === "ride", paper = isRide ? [0, 0, 0] : rgbOf(style.getPropertyValue("--stage").trim());
+    gl.clearColor(...paper, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.enable(gl.DEPTH_TEST);
+    gl.depthFunc(gl.LEQUAL);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    const camera = this.camera(width / height), { program, places } = this.airwayProgram;
+    const kind = this.errorKind(), { row, phase, frame } = this.state;
+    const stated = kind === 2 ? this.film.statedPhase(row, frame) : null;
+    gl.useProgram(program);
+    gl.uniformMatrix4fv(places.viewProjection, false, camera.matrix);
+    gl.uniform3fv(places.eye, camera.eye);
+    gl.uniform3fv(places.light, camera.light);
+    gl.uniform1f(places.phase, phase);
+    gl.uniform1i(places.errorKind, stated == null && kind === 2 ? 0 : kind);
+    gl.uniform1f(places.phaseError, stated == null ? 0 : Math.abs(stated - this.film.truePhase(frame)));
+    gl.uniform1i(places.inside, isRide ? 1 : 0);
+    gl.uniform1f(places.dark, dark ? 1 : 0);
+    const faces = this.film.airway.faces.length;
+    // One layer of glass at a time: first the depth of the nearest wall alone, then its colour. No sorting is needed,
+    // and walls behind walls do not pile up to fog.
+    const layer = (cull, strength) => {
+      gl.useProgram(program);
+      gl.bindVertexArray(this.array);
+      gl.enable(gl.CULL_FACE);
+      gl.cullFace(cull);
+      gl.uniform1f(places.back, strength);
+      gl.colorMask(false, false, false, false);
+      gl.drawElements(gl.TRIANGLES, faces, gl.UNSIGNED_SHORT, 0);
+      gl.colorMask(true, true, true, true);
+      gl.enable(gl.BLEND);
+      gl.drawElements(gl.TRIANGLES, faces, gl.UNSIGNED_SHORT, 0);
+      gl.disable(gl.BLEND);
+      gl.disable(gl.CULL_FACE);
+    };
+    const [solids, glow] = this.solids(dark);
+    if (isRide) {
+      gl.bindVertexArray(this.array);
+      gl.drawElements(gl.TRIANGLES, faces, gl.UNSIGNED_SHORT, 0);
+      this.drawSolids(solids, camera);
+      return;
+    }
+    // Normals point into the lumen: the far walls are the ones that face us.
+    layer(gl.BACK, 0.75);
+    gl.clear(gl.DEPTH_BUFFER_BIT);
+    this.drawSolids(solids, camera);
+    gl.enable(gl.BLEND);
+    gl.depthMask(false);
+    this.drawSolids(glow, camera);
+    gl.depthMask(true);
+    gl.disable(gl.BLEND);
+    layer(gl.FRONT, 1);
+  }
+}
+
+// Area-weighted unit normals.
+function normalsOf(places, faces) {
+  const out = new Float32Array(places.length);
+  for (let f = 0; f < faces.length; f += 3) {
+    const [a, b, c] = [faces[f], faces[f + 1], faces[f + 2]].map(v => 3 * v);
+    const at = k => [places[k], places[k + 1], places[k + 2]];
+    const n = cross(sub(at(b), at(a)), sub(at(c), at(a)));
+    for (const v of [a, b, c]) for (let k = 0; k < 3; k++) out[v + k] += n[k];
+  }
+  for (let v = 0; v < out.length; v += 3) {
+    const l = Math.hypot(out[v], out[v + 1], out[v + 2]) || 1;
+    out[v] /= l; out[v + 1] /= l; out[v + 2] /= l;
+  }
+  return out;
+}

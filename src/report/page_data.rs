@@ -1,0 +1,140 @@
+//! What the page's scripts are given: one JSON per case, read when the case is opened.
+
+use serde::Serialize;
+
+use super::palette::Palette;
+use super::run::{CaseInfo, CellRecord, MethodInfo, Role, Run};
+use super::scene::{AirwayScene, FilmScene, Packed, Pictures, Scenes, SurfaceScene};
+use crate::score::{CellScore, Goal, metric};
+
+/// What the error plot can show, the first at the beginning.
+const SERIES: [&str; 5] = ["target_mean_mm", "phase_mae", "depth_rmse_mm", "psnr_db", "ssim"];
+/// Most frames of a curve: the plot is no wider in pixels.
+const SAMPLES: usize = 240;
+
+/// A case.
+#[derive(Serialize)]
+struct PageCase<'a> {
+    id: &'a str,
+    /// What the error plot can show.
+    metrics: Vec<PageMetric>,
+    /// Frames of the curves, their times and true phases.
+    samples: Vec<usize>,
+    times_s: Vec<f64>,
+    phases: Vec<f64>,
+    film: Option<PageFilm<'a>>,
+    rows: Vec<PageRow<'a>>,
+}
+
+#[derive(Serialize)]
+struct PageMetric {
+    id: &'static str,
+    heading: String,
+    higher: bool,
+    digits: usize,
+}
+
+#[derive(Serialize)]
+struct PageFilm<'a> {
+    times_s: &'a Packed<f32>,
+    phases: &'a Packed<f32>,
+    poses: &'a Packed<f32>,
+    tan_half_height: f64,
+    targets_mm: &'a Packed<f32>,
+    airway: Option<&'a AirwayScene>,
+    pictures: &'a Pictures,
+}
+
+impl<'a> PageFilm<'a> {
+    fn of(film: &'a FilmScene) -> Self {
+        PageFilm {
+            times_s: &film.times_s,
+            phases: &film.phases,
+            poses: &film.poses,
+            tan_half_height: film.tan_half_height,
+            targets_mm: &film.targets_mm,
+            airway: film.airway.as_ref(),
+            pictures: &film.pictures,
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct PageRow<'a> {
+    method: &'a str,
+    title: &'a str,
+    color: String,
+    dash: Option<[u8; 2]>,
+    is_bound: bool,
+    pictures: Option<&'a Pictures>,
+    targets_mm: Option<&'a Packed<f32>>,
+    surface: Option<&'a SurfaceScene>,
+    phase: Vec<Option<f64>>,
+    /// In the order of the metrics.
+    series: Vec<Vec<Option<f64>>>,
+}
+
+/// Four digits that count: more than a plot shows.
+fn short(value: f64) -> f64 {
+    format!("{value:.3e}").parse().unwrap_or(value)
+}
+
+fn sampled(scores: &[&CellScore]) -> Vec<usize> {
+    let mut frames: Vec<usize> = scores.iter().flat_map(|s| s.frame_scores.iter().map(|f| f.frame)).collect();
+    frames.sort_unstable();
+    frames.dedup();
+    super::scene::spread(frames.len(), SAMPLES).into_iter().map(|k| frames[k]).collect()
+}
+
+/// The data of a case, to stand in a script element: no `<` in it. `None` where nothing was scored.
+pub fn case_data<'a>(run: &'a Run, case: &'a CaseInfo, scenes: &'a Scenes, palette: &Palette) -> Option<String> {
+    let shown = run.shown(&case.id);
+    let scores: Vec<&CellScore> = shown.iter().map(|(_, _, score)| *score).collect();
+    let samples = sampled(&scores);
+    // A row may lack frames that another has.
+    let any = |at: &usize| scores.iter().find_map(|score| score.frame_scores.iter().find(|f| f.frame == *at));
+    if samples.is_empty() {
+        return None;
+    }
+    let has = |id: &str| {
+        scores.iter().any(|score| score.frame_scores.iter().any(|f| f.values.iter().any(|v| v.metric == id)))
+    };
+    let metrics: Vec<_> = SERIES.into_iter().filter(|id| has(id)).filter_map(metric).collect();
+    let row = |&(method, _, score): &(&'a MethodInfo, &'a CellRecord, &'a CellScore)| {
+        let frame = |at: &usize| score.frame_scores.iter().find(|f| f.frame == *at);
+        let value = |id: &str, at: &usize| frame(at)?.values.iter().find(|v| v.metric == id)?.value.map(short);
+        let (style, kept) = (palette.style(&method.id), scenes.row(score));
+        PageRow {
+            method: &method.id,
+            title: &method.title,
+            color: style.hex(),
+            dash: style.dash,
+            is_bound: method.role == Role::Sanity,
+            pictures: kept.map(|row| &row.pictures).filter(|pictures| !pictures.frames.is_empty()),
+            targets_mm: kept.map(|row| &row.targets_mm).filter(|targets| !targets.0.is_empty()),
+            surface: kept.map(|row| &row.surface),
+            phase: samples.iter().map(|at| frame(at)?.phase_predicted.map(short)).collect(),
+            series: metrics.iter().map(|m| samples.iter().map(|at| value(m.id, at)).collect()).collect(),
+        }
+    };
+    let rows = shown.iter().map(row).collect();
+    let data = PageCase {
+        id: &case.id,
+        metrics: metrics
+            .iter()
+            .map(|m| PageMetric {
+                id: m.id,
+                heading: if m.id == "phase_mae" { "Phase error".into() } else { m.heading() },
+                higher: m.direction == Goal::Higher,
+                digits: m.digits,
+            })
+            .collect(),
+        times_s: samples.iter().map(|at| any(at).map_or(0.0, |f| short(f.time_s))).collect(),
+        phases: samples.iter().map(|at| any(at).map_or(0.0, |f| short(f.phase))).collect(),
+        film: scenes.film(&case.id).map(PageFilm::of),
+        rows,
+        samples,
+    };
+    // Inside a script element nothing but `</script` and `<!--` has a meaning: without `<` there is neither.
+    serde_json::to_string(&data).ok().map(|text| text.replace('<', "\\u003c"))
+}

@@ -1,0 +1,73 @@
+//! Places for labels beside dots, so that none covers another or a dot.
+
+use super::canvas::Pen;
+
+/// Pixels that something covers.
+#[derive(Clone, Copy)]
+pub struct Taken {
+    /// Upper left corner.
+    pub low: (i32, i32),
+    /// Lower right corner.
+    pub high: (i32, i32),
+}
+
+impl Taken {
+    /// A square around a point.
+    pub fn around((x, y): (i32, i32), radius: i32) -> Self {
+        Taken { low: (x - radius, y - radius), high: (x + radius, y + radius) }
+    }
+
+    /// Whether they overlap.
+    pub fn meets(&self, other: &Taken) -> bool {
+        self.low.0 < other.high.0 && other.low.0 < self.high.0 && self.low.1 < other.high.1 && other.low.1 < self.high.1
+    }
+}
+
+/// Where the label of a dot goes without covering anything: how far its upper left corner is from the dot. To the
+/// right, above or below, then farther away, never outside `room`; beside the dot where nothing is free.
+pub fn free_spot(
+    (x, y): (i32, i32),
+    [width, height]: [i32; 2],
+    pen: Pen,
+    (room, taken): (Taken, &[Taken]),
+) -> ((i32, i32), Taken) {
+    let gap = pen.at(6.0);
+    let shifts = (0..16).flat_map(|away| {
+        let lines = away * height;
+        let (above, below) = (-height - gap / 2 - lines, gap / 2 + lines);
+        [
+            (gap, above),
+            (gap, below),
+            (-width - gap, above),
+            (-width - gap, below),
+            (-width / 2, above - gap),
+            (-width / 2, below + gap),
+        ]
+    });
+    let spot =
+        |(right, down): (i32, i32)| Taken { low: (x + right, y + down), high: (x + right + width, y + down + height) };
+    let mut shifts = shifts.map(|shift| (shift, spot(shift)));
+    let inside = |spot: &Taken| {
+        (spot.low.0 >= room.low.0 && spot.low.1 >= room.low.1)
+            && (spot.high.0 <= room.high.0 && spot.high.1 <= room.high.1)
+    };
+    let free = shifts.find(|(_, spot)| inside(spot) && !taken.iter().any(|other| other.meets(spot)));
+    free.unwrap_or(((gap, -height), spot((gap, -height))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn labels_of_dots_in_one_place_cover_nothing_and_stay_inside() {
+        let room = Taken { low: (0, 0), high: (400, 300) };
+        let mut taken = vec![Taken::around((390, 150), 5)];
+        for _ in 0..20 {
+            let (_, spot) = free_spot((390, 150), [40, 12], Pen::PLAIN, (room, &taken));
+            assert!(spot.high.0 <= 400 && spot.low.1 >= 0 && spot.high.1 <= 300);
+            assert!(taken.iter().all(|other| !other.meets(&spot)));
+            taken.push(spot);
+        }
+    }
+}

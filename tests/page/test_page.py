@@ -1,0 +1,184 @@
+"""Opens report.html of a run in headless Chromium and checks what a reader relies on: test_page.py CHROMIUM REPORT [PICTURES]
+
+No console error and no request; the scene is drawn and the phase slider changes it; tables sort, rows filter, tracks
+switch; 400 px wide nothing scrolls sideways; no label of a plot covers another. PICTURES: a folder for screenshots.
+"""
+
+import pathlib
+import sys
+import tempfile
+
+from browser import Browser
+
+# Share of the scene's pixels that differ from the most frequent colour, and a hash of all of them.
+PIXELS = """(() => {
+  const canvas = document.querySelector('.stage canvas'), copy = document.createElement('canvas');
+  page.scene().draw();
+  [copy.width, copy.height] = [canvas.width, canvas.height];
+  const context = copy.getContext('2d', { willReadFrequently: true });
+  context.drawImage(canvas, 0, 0);
+  const data = context.getImageData(0, 0, copy.width, copy.height).data, counts = new Map();
+  let hash = 7;
+  for (let k = 0; k < data.length; k += 4) {
+    const color = data[k] << 16 | data[k + 1] << 8 | data[k + 2];
+    counts.set(color, (counts.get(color) || 0) + 1);
+    hash = (hash * 31 + color) | 0;
+  }
+  return { drawn: 1 - Math.max(...counts.values()) / (data.length / 4), colors: counts.size, hash };
+})()"""
+
+# Pairs of labels in one plot whose boxes overlap by more than a pixel.
+OVERLAPS = """[...document.querySelectorAll('figure.plot > svg, svg.curves')].flatMap(svg => {
+  const boxes = [...svg.querySelectorAll('text')].filter(t => t.textContent.trim()).map(t => [t.textContent.trim(), t.getBoundingClientRect()]).filter(([, b]) => b.width);
+  return boxes.flatMap(([a, p], i) => boxes.slice(0, i).filter(([, q]) =>
+    Math.min(p.right, q.right) - Math.max(p.left, q.left) > 1 && Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top) > 2).map(([b]) => `${a} | ${b}`));
+})"""
+
+# Drivers of software WebGL say that reading pixels is slow: that is this test's own doing.
+OWN_DOING = "GPU stall due to ReadPixels"
+
+
+def check(holds, what):
+    if not holds:
+        raise AssertionError(what)
+    print(f"  ok: {what}")
+
+
+def first_column(browser):
+    return browser.run("[...document.querySelector('table.comparison').tBodies[0].rows].filter(r => !r.hidden).map(r => r.dataset.method)")
+
+
+def open_first(browser):
+    browser.run("document.querySelector('section.track:not([hidden]) details.case').open = true; 1")
+    browser.settle()
+
+
+def test_desktop(browser, url, pictures, dark):
+    browser.show(url, 1280, 2200, dark)
+    order = first_column(browser)
+    check(len(order) > 1, f"{len(order)} rows in the comparison")
+    browser.run("document.querySelector('table.comparison').tHead.rows[1].cells[3].querySelector('button').click(); 1")
+    values = browser.run("[...document.querySelector('table.comparison').tBodies[0].rows].map(r => r.cells[3].dataset.value).filter(Boolean).map(Number)")
+    better = browser.run("document.querySelector('table.comparison').tHead.rows[1].cells[3].dataset.better")
+    check(values == sorted(values, reverse=better == "higher"), f"the table sorts, {better} first: {values[:3]} ..")
+    word = browser.run("document.querySelector('table.comparison').tHead.rows[1].cells[3].getAttribute('aria-sort')")
+    check(word == ("descending" if better == "higher" else "ascending"), "the header says how")
+    for _ in range(2):
+        browser.run("document.querySelector('table.comparison').tHead.rows[1].cells[3].querySelector('button').click(); 1")
+    check(first_column(browser) == order, "the third press gives the report's order back")
+
+    browser.run("(() => { const f = document.getElementById('filter'); f.value = %r; f.dispatchEvent(new Event('input')); })()" % order[0])
+    shown = first_column(browser)
+    check(order[0] in shown and len(shown) < len(order) and all(order[0] in row for row in shown), f"the filter leaves {shown}")
+    open_first(browser)
+    tiles = browser.run("[...document.querySelectorAll('.tile[data-method]')].filter(t => !t.hidden).map(t => t.dataset.method)")
+    browser.run("(() => { const f = document.getElementById('filter'); f.value = ''; f.dispatchEvent(new Event('input')); })()")
+    all_tiles = browser.run("[...document.querySelectorAll('.tile[data-method]')].filter(t => !t.hidden).map(t => t.dataset.method)")
+    check(len(all_tiles) > 1 and set(tiles) <= set(all_tiles), f"{len(all_tiles)} rows beside the film")
+
+    browser.settle()
+    first = browser.run(PIXELS)
+    check(first["drawn"] > 0.03 and first["colors"] > 200, f"the airway is drawn: {first['drawn']:.0%} of the stage, {first['colors']} colours")
+    browser.run("(() => { const s = document.querySelector('input[id^=phase-]'); s.value = 0.9; s.dispatchEvent(new Event('input')); })()")
+    second = browser.run(PIXELS)
+    check(second["hash"] != first["hash"], "the phase slider changes pixels")
+    label = browser.run("!!document.querySelector('label[for^=phase-]') && !!document.querySelector('label[for^=time-]')")
+    check(label, "sliders have labels")
+    # With the film's phase again: at another one the scope may be outside of the lumen.
+    browser.run("document.querySelector('.phase input[type=checkbox]').click(); 1")
+    browser.run("[...document.querySelectorAll('.scene button')].find(b => b.textContent === 'Ride along').click(); 1")
+    ride = browser.run(PIXELS)
+    check(ride["drawn"] > 0.5 and ride["colors"] > 200, f"the ride shows the lumen: {ride['colors']} colours")
+    if pictures:
+        browser.screenshot(pictures / f"ride-{'dark' if dark else 'light'}.png")
+    browser.run("[...document.querySelectorAll('.scene button')].find(b => b.textContent === 'From outside').click(); 1")
+
+    tile = "document.querySelectorAll('.tile canvas')[1].toDataURL()"
+    browser.run("new Promise(done => setTimeout(done, 200))")
+    before = browser.run(tile)
+    browser.run("(() => { const s = document.querySelector('input[id^=time-]'); s.value = s.max; s.dispatchEvent(new Event('input')); })()")
+    browser.run("new Promise(done => setTimeout(done, 200))")
+    check(browser.run(tile) != before, "the time slider changes the film")
+    cursor = browser.run("+document.querySelector('.curves .cursor').getAttribute('x1')")
+    check(cursor > 300, "the cursor of the curves is at the end")
+    if pictures:
+        browser.run("page.open.player.seek(page.open.player.last * 0.4); 1")
+        browser.run("new Promise(done => setTimeout(done, 300))")
+        browser.screenshot(pictures / f"desktop-{'dark' if dark else 'light'}.png")
+    overlaps = browser.run(OVERLAPS)
+    check(not overlaps, f"no label covers another {overlaps[:5]}")
+
+
+def test_phone(browser, url, pictures):
+    browser.show(url, 400, 800, touch=True)
+    open_first(browser)
+    browser.run("new Promise(done => setTimeout(done, 300))")
+    width = browser.run("document.scrollingElement.scrollWidth")
+    check(width <= 400, f"400 px wide nothing scrolls sideways: {width}")
+    browser.run("document.querySelector('.wide').scrollLeft = 150; 1")
+    left = browser.run("document.querySelector('table.comparison tbody td').getBoundingClientRect().left")
+    check(left >= 0, "the first column stays")
+    # A line is about 1.16 times as high as its letters' size; what is written upwards has the same size.
+    size = browser.run("""Math.min(...[...document.querySelectorAll('figure.plot text:not([transform]), .curves text')]
+        .map(t => t.getBoundingClientRect().height / 1.16).filter(h => h))""")
+    check(size >= 10, f"the smallest text of a plot is {size:.1f} px high")
+    if pictures:
+        browser.screenshot(pictures / "phone.png")
+
+
+def test_tracks(browser, report, pictures):
+    """A second track beside the first: the same tables under another name."""
+    html = report.read_text()
+    start, end = html.index('<section class="track"'), html.index("</section>") + len("</section>")
+    section = html[start:end]
+    other = section.replace('data-track="ideal"', 'data-track="clinical"').replace('id="ideal-', 'id="clinical-')
+    with tempfile.TemporaryDirectory() as folder:
+        both = pathlib.Path(folder) / "both.html"
+        both.write_text(html[:end] + other + html[end:])
+        browser.show(both.as_uri(), 1280, 900)
+        shown = "[...document.querySelectorAll('section.track')].filter(s => s.offsetParent).map(s => s.dataset.track)"
+        check(browser.run(shown) == ["ideal"], "of two tracks the first is shown")
+        browser.run("document.querySelectorAll('#tracks button')[1].click(); 1")
+        check(browser.run(shown) == ["clinical"], "the switch shows the other")
+        open_first(browser)
+        check(browser.run("page.open.player.host.id").startswith("clinical-"), "its cases open")
+
+
+def test_without_script(browser, url):
+    browser.call("Emulation.setScriptExecutionDisabled", value=True)
+    browser.show_plain(url)
+    tables, plots = browser.count("table.comparison tbody tr"), browser.count("figure.plot > svg")
+    browser.call("Emulation.setScriptExecutionDisabled", value=False)
+    check(tables > 1 and plots > 1, f"without JavaScript there are {tables} rows and {plots} plots")
+
+
+def main(program, report, pictures=None):
+    report, pictures = pathlib.Path(report).resolve(), pictures and pathlib.Path(pictures)
+    if pictures:
+        pictures.mkdir(parents=True, exist_ok=True)
+    url = report.as_uri()
+    size = report.stat().st_size
+    check(size < 15_000_000, f"the page has {size / 1e6:.1f} MB")
+    with Browser(program) as browser:
+        for dark in (False, True):
+            test_desktop(browser, url, pictures, dark)
+        test_phone(browser, url, pictures)
+        if pictures:
+            browser.pdf(pictures / "print.pdf")
+        films = sorted(report.parent.glob("films/*.html"))
+        if films:
+            browser.show(films[0].as_uri())
+            open_first_film = "document.querySelector('details.case').open = true; 1"
+            browser.run(open_first_film)
+            browser.settle()
+            check(browser.run("document.querySelectorAll('.tile').length") > 1, "the whole film opens")
+        test_without_script(browser, url)
+        requests = [r for r in browser.requests if r != url and r not in [f.as_uri() for f in films]]
+        test_tracks(browser, report, pictures)
+        check(not requests, f"nothing is asked for {requests[:3]}")
+        problems = [p for p in browser.problems if OWN_DOING not in p]
+        check(not problems, f"nothing on the console {problems[:3]}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
