@@ -15,6 +15,7 @@ pub mod range;
 pub mod revision;
 pub mod shipped;
 pub mod staging;
+pub mod volume;
 
 pub use camera::Camera;
 pub use error::{Error, ErrorKind, Result};
@@ -24,3 +25,4 @@ pub use mask::Mask;
 pub use mesh::TriangleMesh;
 pub use progress::{NoProgress, Progress};
 pub use staging::Staging;
+pub use volume::{Volume, VoxelGrid};

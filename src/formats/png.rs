@@ -69,7 +69,8 @@ pub fn decode(bytes: &[u8]) -> Result<Image<u8>> {
     Ok(Image { width: rgb.width() as usize, height: rgb.height() as usize, channels: 3, data: rgb.into_raw() })
 }
 
-fn encode(image: &Image<u8>) -> Result<Vec<u8>> {
+/// The bytes of an RGB image as a PNG file. Errors: not three channels.
+pub fn encode(image: &Image<u8>) -> Result<Vec<u8>> {
     encode_as(image, 3, ExtendedColorType::Rgb8)
 }
 
@@ -85,6 +86,20 @@ fn encode_as(image: &Image<u8>, channels: usize, color: ExtendedColorType) -> Re
         .write_image(&image.data, image.width as u32, image.height as u32, color)
         .map_err(|e| Error::input(format!("encoding as PNG failed: {e}")))?;
     Ok(bytes)
+}
+
+/// Bytes as text, for images inside of HTML: RFC 4648, with padding.
+pub fn base64(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for chunk in bytes.chunks(3) {
+        let word = chunk.iter().fold(0u32, |word, &b| (word << 8) | u32::from(b)) << (8 * (3 - chunk.len()));
+        for digit in 0..4 {
+            let index = (word >> (18 - 6 * digit)) & 63;
+            out.push(if digit <= chunk.len() { DIGITS[index as usize] as char } else { '=' });
+        }
+    }
+    out
 }
 
 #[cfg(test)]
@@ -147,5 +162,21 @@ mod tests {
     #[test]
     fn a_depth_image_is_refused() {
         assert!(encode(&Image::filled(4, 4, 1, 0u8)).is_err());
+    }
+
+    /// Test vectors of RFC 4648, section 10.
+    #[test]
+    fn base64_equals_the_rfc() {
+        for (plain, coded) in [
+            ("", ""),
+            ("f", "Zg=="),
+            ("fo", "Zm8="),
+            ("foo", "Zm9v"),
+            ("foob", "Zm9vYg=="),
+            ("fooba", "Zm9vYmE="),
+            ("foobar", "Zm9vYmFy"),
+        ] {
+            assert_eq!(base64(plain.as_bytes()), coded);
+        }
     }
 }

@@ -8,6 +8,7 @@ use super::markdown::{NEIGHBOURS_MEAN, ahead};
 use super::plots::{ReportImage, ReportImages};
 use super::run::{Outcome, Role, Run};
 use super::table::{ComparisonTable, TableCell, TableKind, arrow, heading, show};
+use crate::formats::png;
 use crate::score::{Metric, paper_metrics, registry};
 
 const STYLE: &str = "
@@ -169,7 +170,7 @@ fn figure(picture: &ReportImage) -> Markup {
         figure {
             @match &picture.svg {
                 Some(svg) => (PreEscaped(without_prolog(svg))),
-                None => img alt=(picture.title) src={ "data:image/png;base64," (base64(&picture.png_bytes)) };
+                None => img alt=(picture.title) src={ "data:image/png;base64," (png::base64(&picture.png_bytes)) };
             }
             figcaption { (picture.caption) }
         }
@@ -179,39 +180,4 @@ fn figure(picture: &ReportImage) -> Markup {
 /// An SVG document without its XML declaration, to stand inside HTML.
 fn without_prolog(svg: &str) -> &str {
     svg.find("<svg").map_or(svg, |start| &svg[start..])
-}
-
-/// RFC 4648, with padding.
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let word = chunk.iter().fold(0u32, |word, &b| (word << 8) | u32::from(b)) << (8 * (3 - chunk.len()));
-        for digit in 0..4 {
-            let index = (word >> (18 - 6 * digit)) & 63;
-            out.push(if digit <= chunk.len() { DIGITS[index as usize] as char } else { '=' });
-        }
-    }
-    out
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Test vectors of RFC 4648, section 10.
-    #[test]
-    fn base64_equals_the_rfc() {
-        for (plain, coded) in [
-            ("", ""),
-            ("f", "Zg=="),
-            ("fo", "Zm8="),
-            ("foo", "Zm9v"),
-            ("foob", "Zm9vYg=="),
-            ("fooba", "Zm9vYmE="),
-            ("foobar", "Zm9vYmFy"),
-        ] {
-            assert_eq!(base64(plain.as_bytes()), coded);
-        }
-    }
 }

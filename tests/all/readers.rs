@@ -101,7 +101,7 @@ macro_rules! readers {
 }
 
 readers! {
-    ablations case centerline depth_png exr gate gaussians journal landmarks lung_box merge method npy obj
+    ablations case centerline depth_png exr gate gaussians journal landmarks lung_box merge metaimage method nifti npy obj
     participant ply png
     prediction profile results scene score sequence stl timings transforms tree tree_table
 }
