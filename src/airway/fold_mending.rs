@@ -41,7 +41,8 @@ impl Mending {
         Mending {
             faces,
             vertices: moved.len(),
-            mean_mm: moved.iter().sum::<f64>() / count,
+            // The sum of nothing is -0.
+            mean_mm: moved.iter().sum::<f64>().abs() / count,
             most_mm: moved.iter().copied().fold(0.0, f64::max),
         }
     }

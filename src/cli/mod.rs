@@ -13,6 +13,8 @@ mod evaluate;
 mod explain;
 mod gate;
 mod import;
+mod import_case;
+mod import_ct;
 mod import_file;
 mod import_mesh;
 mod import_motion;

@@ -10,6 +10,7 @@ mod command_line;
 mod faults;
 mod gate;
 mod import;
+mod import_ct;
 mod layering;
 mod mesh_damage;
 mod moved;
