@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Makes a Debian machine (12 or later, x86-64) able to build respire-bench: Embree 4, OpenCV's two libraries, clang.
 # Needs Rust and git; root or sudo when a package is missing. Touches apt and ./.deps, nothing else; running it again
-# takes a moment and changes nothing. What was tried and measured: docs/BUILD.md.
+# takes a moment and changes nothing. With --ct also elastix, with which `import ct` registers two scans. What was
+# tried and measured: docs/BUILD.md.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 prefix=$PWD/.deps/embree4
@@ -10,6 +11,12 @@ program=setup
 . scripts/packages.sh
 
 candidate() { LC_ALL=C apt-cache policy "$1" 2>/dev/null | awk '/Candidate:/ && $2 != "(none)" {print $2}'; }
+
+case "${1:-}" in
+  '') with_ct= ;;
+  --ct) with_ct=yes ;;
+  *) stop "knows --ct and no \`$1\`." ;;
+esac
 
 # --- the machine -----------------------------------------------------------------------------------------------
 [ "$(uname -s)-$(uname -m)" = Linux-x86_64 ] || stop "this is $(uname -s) on $(uname -m); respire-bench is built on x86-64 Linux."
@@ -44,6 +51,7 @@ else
   fi
 fi
 
+[ -z "$with_ct" ] || packages+=(elastix)
 install_packages "${packages[@]}"
 
 # --- Embree 4 where Debian has only Embree 3 --------------------------------------------------------------------

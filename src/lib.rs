@@ -15,6 +15,7 @@
 //!                     ^                               ^
 //!                   render                          splat
 //!
+//!     ct: two scans of a patient --> case.toml
 //!     bench: which cells, in which order, resumed from where          cli: words in, words out
 //!     experiments: ablations, cost against error, numerical stability, timing
 //!     base, ffi, formats: below everything; the only `unsafe` is in ffi
@@ -29,6 +30,7 @@
 //! | [`ffi`] | Embree, OpenCV, own C++; the only `unsafe` | the domain |
 //! | [`formats`] | one external file format per file, pure functions both ways | stages |
 //! | [`airway`] | case files, bronchial tree, surface, breathing field and waveform, centreline, import | rendering |
+//! | [`ct`] | CT scans: lungs, airway mask and its surface, registration by elastix, the page of an import | films, rendering |
 //! | [`render`] | the path tracer | breathing, methods |
 //! | [`simulate`] | trajectory, exposure, sequence writer and reader, export to other layouts | methods |
 //! | [`splat`] | the differentiable rasteriser | methods, losses, optimiser |
@@ -59,7 +61,7 @@
 //! | none | [`base`], [`formats`], [`airway`], [`splat`], [`reconstruct`], and of [`simulate`] the readers `sequence` and `participant`, and `export` | g++ |
 //! | `trace` | [`render`], [`simulate`] | Embree 4, libclang |
 //! | `vision` | [`score`] | OpenCV 4, clang |
-//! | `program` | [`report`], [`mod@bench`], [`experiments`], [`cli`] | both |
+//! | `program` | [`ct`], [`report`], [`mod@bench`], [`experiments`], [`cli`] | both |
 //!
 //! Conventions, one home each: millimetres, seconds, radians; right-handed world; camera axes as OpenCV (x right,
 //! y down, z forward); transforms named by what they map (`world_from_camera`); pixel centres at integer + 0.5;
@@ -71,6 +73,8 @@ pub mod ffi;
 pub mod formats;
 
 pub mod airway;
+#[cfg(feature = "program")]
+pub mod ct;
 #[cfg(feature = "trace")]
 pub mod render;
 #[cfg(feature = "trace")]

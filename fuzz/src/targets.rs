@@ -21,7 +21,7 @@ use respire_bench::bench::claim::Claims;
 use respire_bench::bench::store::{MARKER, ProductState, Store};
 use respire_bench::bench::{Ablations, Profile, timing};
 use respire_bench::formats::transforms::Transforms;
-use respire_bench::formats::{depth_png, exr, gaussians_ply, landmarks, mesh, npy, png};
+use respire_bench::formats::{depth_png, exr, gaussians_ply, landmarks, mesh, nifti, npy, png, volume};
 use respire_bench::reconstruct::MethodFile;
 use respire_bench::render::scene_file::SceneFile;
 use respire_bench::report::scene::{FilmScene, Scenes};
@@ -54,7 +54,9 @@ pub const TARGETS: &[Target] = &[
     Target { name: "lung_box", run: lung_box },
     Target { name: "marker", run: marker },
     Target { name: "merge", run: merged },
+    Target { name: "metaimage", run: |bytes, scratch| read_volume(bytes, "volume.mha", scratch) },
     Target { name: "method", run: method },
+    Target { name: "nifti", run: |bytes, scratch| read_volume(bytes, "volume.nii", scratch) },
     Target { name: "npy", run: read_npy },
     Target { name: "obj", run: |bytes, scratch| surface(bytes, "obj", scratch) },
     Target { name: "participant", run: participant },
@@ -298,6 +300,25 @@ fn read_png(bytes: &[u8], scratch: &Scratch) {
         let path = scratch.folder.join("again.png");
         png::write_rgb(&path, &image).expect("the scratch folder takes files");
         same(answer(png::read_rgb(&path)), &image);
+    }
+}
+
+/// A volume in each of its meanings: scan, label map, displacement field.
+fn read_volume(bytes: &[u8], name: &str, scratch: &Scratch) {
+    let path = scratch.write(name, bytes);
+    if let Some(scan) = answer(volume::read_scan(&path)) {
+        assert_eq!(scan.data.len(), scan.grid.count());
+        let again = scratch.folder.join("again.nii.gz");
+        if scan.data.len() < 1000 {
+            nifti::write(&again, &scan).expect("the scratch folder takes files");
+            same(answer(volume::read_scan(&again)).map(|read| read.data), &scan.data);
+        }
+    }
+    if let Some(labels) = answer(volume::read_labels(&path)) {
+        assert_eq!(labels.data.len(), labels.grid.count());
+    }
+    if let Some(field) = answer(volume::read_field(&path)) {
+        assert!(field.data.iter().flatten().all(|v| v.is_finite()));
     }
 }
 

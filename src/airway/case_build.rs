@@ -12,15 +12,12 @@ use super::centerline::{Centerline, CenterlineSettings};
 use super::centerline_extract::extract;
 use super::field_calibre::{Axis, AxisPoint};
 use super::field_check;
+use super::fold_mending::{Mending, mended, settled, yielding};
 use super::grow::grow;
 use super::surface::{SurfaceSettings, surface_from_tree};
 use super::tree::Tree;
 use crate::base::{Error, Result, TriangleMesh, files};
 
-/// Most rounds of averaging around slivers; and no averaging when more than one face in this many is turned over: then
-/// the field itself folds.
-const SETTLING_ROUNDS: usize = 60;
-const SETTLED_PART: usize = 1000;
 /// A point of a mesh pair's centreline moves with the wall within this many of its radii.
 const CARRY_RADII: f64 = 1.6;
 
@@ -49,6 +46,17 @@ pub fn build(case: &Case) -> Result<Anatomy> {
             from_tree(&tree, surface, field_of(case)?)
         }
         AnatomySource::Grown { seed, growth, surface } => from_tree(&grow(*seed, growth)?, surface, field_of(case)?),
+    }
+}
+
+/// The centreline at rest of a case's airway, without its surface where the case has a tree.
+pub fn rest_centerline(case: &Case) -> Result<Centerline> {
+    match &case.anatomy {
+        AnatomySource::Tree { path, least_radius_mm, deepest, .. } => {
+            Ok(read_tree(&case.resolve(path))?.reachable(*least_radius_mm, *deepest).to_centerline())
+        }
+        AnatomySource::Grown { seed, growth, .. } => Ok(grow(*seed, growth)?.to_centerline()),
+        AnatomySource::Mesh { .. } | AnatomySource::MeshPair { .. } => Ok(build(case)?.centerline),
     }
 }
 
@@ -95,12 +103,33 @@ fn read_or_extract(case: &Case, file: Option<&Path>, mesh: &TriangleMesh) -> Res
     }
 }
 
-/// The two states of `rest` under `breathing`. `vertex_generation` is taken from the centreline when not known.
+/// What is done with faces that would turn over between the breath holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FoldPolicy {
+    /// The few that are slivers are mended; more are an error.
+    Strict,
+    /// The narrowing of the lumen yields around them ([`super::fold_mending`]).
+    Yield,
+}
+
+/// The two states of `rest` under `breathing`. `vertex_generation` is taken from the centreline when not known. Faces
+/// that would turn over are mended.
 pub fn from_field(
     rest: TriangleMesh,
     centerline: Centerline,
     vertex_generation: Option<Vec<f32>>,
     breathing: &Breathing,
+) -> Result<Anatomy> {
+    from_field_with(rest, centerline, vertex_generation, breathing, FoldPolicy::Yield)
+}
+
+/// [`from_field`] with a choice of what is done with faces that would turn over.
+pub fn from_field_with(
+    rest: TriangleMesh,
+    centerline: Centerline,
+    vertex_generation: Option<Vec<f32>>,
+    breathing: &Breathing,
+    policy: FoldPolicy,
 ) -> Result<Anatomy> {
     let axis = Axis::new(&centerline);
     let feet = axis.feet(&rest.vertices);
@@ -109,17 +138,52 @@ pub fn from_field(
     if feet.len() != rest.vertices.len() {
         return Err(Error::input("the centreline has no length"));
     }
-    let expiration = settled(&rest, moved(&rest.vertices, &feet, breathing));
+    let whole = vec![1.0; feet.len()];
+    let mut expiration = settled(&rest, moved(&rest.vertices, &feet, breathing, &whole));
     let (least, vertex) = field_check::least_determinant(&breathing.field, &rest.vertices);
     if least <= 0.0 {
         return Err(
             Error::input(format!("folds space (determinant {least:.3} at vertex {vertex})")).element("breathing.field")
         );
     }
+    if policy == FoldPolicy::Yield && check_faces(&rest, &expiration).is_err() {
+        let walls = wall_shares(&rest.vertices, &feet);
+        expiration = yielding(&rest, walls, |share| moved(&rest.vertices, &feet, breathing, share));
+    }
     check_faces(&rest, &expiration)?;
-    let line_expiration = moved(&line_points, &line_feet, breathing);
+    let line_expiration = moved(&line_points, &line_feet, breathing, &vec![1.0; line_feet.len()]);
     let generation = vertex_generation.unwrap_or_else(|| feet.iter().map(|foot| foot.generation as f32).collect());
     Ok(finish(rest, expiration, generation, centerline, line_expiration))
+}
+
+/// How far each vertex is the wall of its foot's airway: 1 up to twice its radius, 0 from three times on. A branch too
+/// narrow for the centreline has its feet on another one, towards which it must not be drawn.
+fn wall_shares(vertices: &[DVec3], feet: &[AxisPoint]) -> Vec<f64> {
+    let share = |(x, foot): (&DVec3, &AxisPoint)| (3.0 - x.distance(foot.position_mm) / foot.radius_mm).clamp(0.0, 1.0);
+    vertices.iter().zip(feet).map(share).collect()
+}
+
+/// By how much the narrowing yielded to faces that would turn over in `anatomy`, which `breathing` moves.
+pub fn mending_of(anatomy: &Anatomy, breathing: &Breathing) -> Mending {
+    let rest = &anatomy.inspiration;
+    let feet = Axis::new(&anatomy.centerline).feet(&rest.vertices);
+    let whole = moved(&rest.vertices, &feet, breathing, &vec![1.0; feet.len()]);
+    let faces = field_check::flipped_faces(rest, &whole).len();
+    if faces == 0 {
+        return Mending::default();
+    }
+    let walls = wall_shares(&rest.vertices, &feet);
+    let wanted = moved(&rest.vertices, &feet, breathing, &walls);
+    Mending { faces, ..Mending::between(rest, &wanted, &anatomy.expiration.vertices) }
+}
+
+/// The other state of a registered pair, with the motion averaged around faces that it would turn over. Errors: faces
+/// that turn over all the same, with how many did at first.
+pub fn mended_pair(rest: &TriangleMesh, expiration: Vec<DVec3>) -> Result<(Vec<DVec3>, Mending)> {
+    let found = mended(rest, expiration.clone());
+    let mending = Mending::between(rest, &expiration, &found);
+    check_faces(rest, &found)?;
+    Ok((found, mending))
 }
 
 /// A registered pair: the centreline moves with the wall around it.
@@ -150,46 +214,13 @@ pub fn from_pair(rest: TriangleMesh, expiration: Vec<DVec3>, centerline: Centerl
     Ok(finish(rest, expiration, generation, centerline, carried))
 }
 
-fn moved(points: &[DVec3], feet: &[AxisPoint], breathing: &Breathing) -> Vec<DVec3> {
-    let move_one = |(&x, foot): (&DVec3, &AxisPoint)| {
-        let narrowed = x + breathing.calibre.displacement(x, foot);
+/// Where points are at expiration, with `share` of the narrowing each.
+fn moved(points: &[DVec3], feet: &[AxisPoint], breathing: &Breathing, share: &[f64]) -> Vec<DVec3> {
+    let move_one = |((&x, foot), &share): ((&DVec3, &AxisPoint), &f64)| {
+        let narrowed = x + breathing.calibre.displacement(x, foot) * share;
         narrowed + breathing.field.displacement(narrowed)
     };
-    points.par_iter().zip(feet).map(move_one).collect()
-}
-
-/// Real surfaces hold slivers much thinner than the scale of the motion, and those may turn over in the finest
-/// gradients of the calibre's change. Around such a face the motion is averaged over neighbours until it no longer
-/// does; when that does not help, the faces are left for [`check_faces`] to name.
-fn settled(rest: &TriangleMesh, mut expiration: Vec<DVec3>) -> Vec<DVec3> {
-    let mut flipped = field_check::flipped_faces(rest, &expiration);
-    if flipped.is_empty() || flipped.len() * SETTLED_PART > rest.faces.len() {
-        return expiration;
-    }
-    let neighbours = rest.neighbours();
-    let around = |v: usize| neighbours.of(v).iter().map(|&n| n as usize);
-    let mut touched: Vec<usize> = Vec::new();
-    for _ in 0..SETTLING_ROUNDS {
-        let corners = flipped.iter().flat_map(|&f| rest.faces[f as usize]).map(|v| v as usize);
-        touched.extend(corners.flat_map(|v| around(v).chain([v])));
-        touched.sort_unstable();
-        touched.dedup();
-        let averaged: Vec<DVec3> = touched
-            .iter()
-            .map(|&v| {
-                let count = neighbours.of(v).len().max(1) as f64;
-                around(v).map(|n| expiration[n] - rest.vertices[n]).sum::<DVec3>() / count
-            })
-            .collect();
-        for (&v, motion) in touched.iter().zip(averaged) {
-            expiration[v] = rest.vertices[v] + motion;
-        }
-        flipped = field_check::flipped_faces(rest, &expiration);
-        if flipped.is_empty() {
-            break;
-        }
-    }
-    expiration
+    points.par_iter().zip(feet).zip(share).map(move_one).collect()
 }
 
 fn check_faces(rest: &TriangleMesh, expiration: &[DVec3]) -> Result<()> {

@@ -12,7 +12,7 @@ use glam::DVec3;
 
 use super::Anatomy;
 use super::case::Breathing;
-use super::case_build;
+use super::case_build::{self, FoldPolicy};
 use super::centerline::Centerline;
 use super::field::BreathingField;
 use super::field_calibre::Calibre;
@@ -138,7 +138,9 @@ pub struct MeasuredBreathing {
 /// Fits the motion of `pairs` for the airway `rest` with `centerline`, checked free of folds at up to `largest_scale`
 /// times the measured motion.
 ///
-/// Errors: too few landmarks; folds even at the strongest smoothing.
+/// Where faces turn over even at the strongest smoothing, the narrowing yields around them at the best-predicting one.
+///
+/// Errors: too few landmarks; a field that folds even at the strongest smoothing.
 pub fn measured_breathing(
     rest: &TriangleMesh,
     centerline: &Centerline,
@@ -171,9 +173,24 @@ pub fn measured_breathing(
         let breathing = Breathing { calibre: Calibre::default(), field: candidate.0.clone() };
         let at_most =
             Breathing { field: BreathingField { scale: largest_scale, ..candidate.0.clone() }, ..breathing.clone() };
-        match case_build::from_field(rest.clone(), centerline.clone(), Some(vec![]), &at_most) {
+        let strict = FoldPolicy::Strict;
+        match case_build::from_field_with(rest.clone(), centerline.clone(), Some(vec![]), &at_most, strict) {
             Ok(_) => {
                 return Ok(MeasuredBreathing { breathing, quality: candidate.1, placement, extra_smoothing: extra });
+            }
+            Err(error) => folds = Some(error),
+        }
+    }
+    // The narrowing does it, and not the field: it yields where faces would turn over.
+    for extra in 0..=stronger.len() {
+        let lambda = if extra > 0 { stronger[extra - 1] } else { 0.0 };
+        let (field, quality) = fit(&placed, &settings, lambda)?;
+        let at_most =
+            Breathing { calibre: Calibre::default(), field: BreathingField { scale: largest_scale, ..field.clone() } };
+        match case_build::from_field(rest.clone(), centerline.clone(), Some(vec![]), &at_most) {
+            Ok(_) => {
+                let breathing = Breathing { calibre: Calibre::default(), field };
+                return Ok(MeasuredBreathing { breathing, quality, placement, extra_smoothing: extra });
             }
             Err(error) => folds = Some(error),
         }

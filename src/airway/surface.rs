@@ -175,7 +175,7 @@ pub fn surface_from_tree(tree: &Tree, settings: &SurfaceSettings) -> Result<(Tri
 }
 
 /// Taubin's smoothing (SIGGRAPH 1995, lambda .5, mu -.53): takes the grid's facets, leaves the volume.
-fn smooth(mesh: &mut TriangleMesh, rounds: usize) {
+pub fn smooth(mesh: &mut TriangleMesh, rounds: usize) {
     let neighbours = mesh.neighbours();
     for factor in (0..rounds).flat_map(|_| [0.5, -0.53]) {
         let old = mesh.vertices.clone();

@@ -64,6 +64,12 @@ impl LumenField {
         Ok(LumenField { origin: low - margin, spacing_mm, size, values: vec![FAR; size.iter().product()] })
     }
 
+    /// A field of known values, in mm, x fastest: `values.len()` is the product of `size`.
+    pub fn from_values(origin: DVec3, spacing_mm: f64, size: [usize; 3], values: Vec<f32>) -> Self {
+        debug_assert_eq!(values.len(), size.iter().product::<usize>());
+        LumenField { origin, spacing_mm, size, values }
+    }
+
     /// Nodes along x, y and z.
     pub fn size(&self) -> [usize; 3] {
         self.size

@@ -1,5 +1,6 @@
 //! What every room may use: errors, geometry, images, randomness, hashing, files. Knows nothing above itself.
 
+pub mod base64;
 pub mod camera;
 pub mod color;
 pub mod error;
@@ -15,6 +16,7 @@ pub mod range;
 pub mod revision;
 pub mod shipped;
 pub mod staging;
+pub mod volume;
 
 pub use camera::Camera;
 pub use error::{Error, ErrorKind, Result};
@@ -24,3 +26,4 @@ pub use mask::Mask;
 pub use mesh::{Neighbours, TriangleMesh};
 pub use progress::{NoProgress, Progress};
 pub use staging::Staging;
+pub use volume::{Volume, VoxelGrid};

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::base::hash;
+use crate::ct::registration::elastix_version;
 use crate::ffi::versions::{EMBREE_HEADER, embree_complaint, embree_runtime};
 use crate::ffi::{system, vision};
 use crate::render;
@@ -24,6 +25,8 @@ pub struct Environment {
     pub embree_header: String,
     /// The OpenCV that is loaded.
     pub opencv: String,
+    /// The elastix that `import ct` calls; nothing else needs it.
+    pub elastix: Option<String>,
     /// Instruction sets of the processor.
     pub isa_available: Vec<&'static str>,
     /// Instruction set for tracing rays: pinned, so that images are the same on every machine that has it.
@@ -84,6 +87,7 @@ impl Environment {
             embree_runtime: embree.map_or_else(|| "none".into(), |v| v.to_string()),
             embree_header: EMBREE_HEADER.to_string(),
             opencv: vision::version(),
+            elastix: elastix_version(),
             isa_available,
             isa_of_rays: render::ISA,
             isa_of_splats: Isa::widest().to_string(),

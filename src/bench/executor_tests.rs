@@ -310,7 +310,7 @@ fn a_claim_of_the_living_is_waited_for() {
 #[ignore = "takes a minute, and prints times"]
 fn twelve_thousand_cells() {
     let folder = tempfile::tempdir().unwrap();
-    let planned = |id: String| crate::bench::plan::Planned { content: format!("content of {id}"), id };
+    let planned = |id: String| Planned { content: format!("content of {id}"), id };
     let plan = Plan {
         cases: (0..1000).map(|k| planned(format!("case{k}"))).collect(),
         methods: (0..12).map(|k| planned(format!("method{k}"))).collect(),

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use super::Terminal;
+use super::import_ct::{self, CtArguments};
 use super::import_mesh::{self, MeshArguments, PairArguments};
 use super::import_motion::{MotionArguments, still_breathing};
 use super::import_tree::{self, TreeArguments};
@@ -25,6 +26,8 @@ pub struct ImportArguments {
 enum ImportKind {
     /// Fits measured landmark motion and writes it as the `[breathing]` part of a case file
     Breathing(BreathingArguments),
+    /// Makes a case of two CT scans, or of one scan or airway mask and a measured motion
+    Ct(Box<CtArguments>),
     /// Makes a case of one airway surface and measured landmark motion
     Mesh(MeshArguments),
     /// Makes a case of two registered airway surfaces
@@ -46,6 +49,7 @@ struct BreathingArguments {
 pub fn run(arguments: ImportArguments, terminal: &Terminal) -> Result<()> {
     match arguments.kind {
         ImportKind::Breathing(arguments) => import_breathing(&arguments, terminal),
+        ImportKind::Ct(arguments) => import_ct::run(&arguments, terminal),
         ImportKind::Mesh(arguments) => import_mesh::run(&arguments, terminal),
         ImportKind::MeshPair(arguments) => import_mesh::run_pair(&arguments, terminal),
         ImportKind::Tree(arguments) => import_tree::run(&arguments, terminal),
@@ -53,7 +57,7 @@ pub fn run(arguments: ImportArguments, terminal: &Terminal) -> Result<()> {
 }
 
 fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Result<()> {
-    let pairs = arguments.motion.read()?;
+    let motion = arguments.motion.read()?;
     let text = files::read_text(&arguments.case)?;
     let head = text.split("\n[breathing").next().unwrap_or(&text).trim_end().to_string();
     let mut case: Case = toml::from_str(&format!("{head}\n\n{}", breathing_toml(&still_breathing())))
@@ -61,7 +65,7 @@ fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Resu
     case.folder = arguments.case.parent().map(Path::to_path_buf).unwrap_or_default();
     case.validate().map_err(|e| e.at(&arguments.case))?;
     let rest = airway::build(&case)?;
-    let found = arguments.motion.fit(&rest, &case, &pairs, terminal)?;
-    let out = format!("{head}\n\n{}", breathing_toml(&found.breathing));
+    let breathing = arguments.motion.fit(&rest, &case, &motion, terminal)?;
+    let out = format!("{head}\n\n{}", breathing_toml(&breathing));
     files::write_bytes(&arguments.case, out.as_bytes())
 }

@@ -5,27 +5,39 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Terminal;
-use crate::airway::Anatomy;
+use super::import_case::name_of;
 use crate::airway::case::{Breathing, Case};
+use crate::airway::case_build::mending_of;
+use crate::airway::centerline::Centerline;
 use crate::airway::field::BreathingField;
 use crate::airway::field_calibre::Calibre;
 use crate::airway::field_fit::check_pairs;
+use crate::airway::fold_mending::Mending;
 use crate::airway::import_breathing::{LungBox, MeasuredBreathing, WantedMotion, fitted_breathing, moving};
+use crate::airway::import_carried::carried_breathing;
 use crate::airway::import_check::check_landmarks;
-use crate::base::Result;
+use crate::airway::{Anatomy, case_build};
 use crate::base::range::NumberRange;
+use crate::base::{Error, Progress, Result};
+use crate::bench::Catalogue;
 use crate::formats::landmarks::{self, LandmarkPair};
 use crate::simulate::trajectory::Route;
 
 /// Motion in mm of the end of a route; lungs are no longer than 300 mm.
 const END_MOTION_MM: NumberRange = NumberRange::new(0.01, 100.0);
+/// Rounds in which a carried motion is scaled, and the motion in mm of an end that stands still.
+const CARRIED_ROUNDS: usize = 4;
+const LEAST_MOTION_MM: f64 = 0.01;
 
 /// Where the motion comes from and how large it is.
 #[derive(Args)]
 pub(super) struct MotionArguments {
     /// Landmark pairs: insp_x,insp_y,insp_z,exp_x,exp_y,exp_z in mm (LPS)
-    #[arg(long, value_name = "CSV")]
-    pub(super) landmarks: PathBuf,
+    #[arg(long, value_name = "CSV", conflicts_with = "motion")]
+    landmarks: Option<PathBuf>,
+    /// Measured motion of a carried case, by its patient: copd01 to copd09
+    #[arg(long, value_name = "PATIENT")]
+    motion: Option<String>,
     /// Table of lung boxes: case,phase,min_x,..,max_z; without it the box around the landmarks is used
     #[arg(long, value_name = "CSV")]
     lung_boxes: Option<PathBuf>,
@@ -40,39 +52,120 @@ pub(super) struct MotionArguments {
     source: String,
 }
 
+/// A motion that has been read.
+pub(super) enum ReadMotion {
+    /// Landmark pairs of a patient.
+    Landmarks { pairs: Vec<LandmarkPair>, lungs: LungBox, patient: String },
+    /// The motion of a carried case, and the centreline of its airway.
+    Carried { breathing: Breathing, line: Centerline, patient: String },
+}
+
 impl MotionArguments {
-    /// Reads the landmarks; whatever is wrong with them is said before any work.
-    pub(super) fn read(&self) -> Result<Vec<LandmarkPair>> {
-        let pairs = landmarks::read(&self.landmarks)?;
-        check_pairs(&pairs).and_then(|()| check_landmarks(&pairs)).map_err(|e| e.at(&self.landmarks))?;
-        Ok(pairs)
+    /// Whether a motion is wanted at all.
+    pub(super) fn is_given(&self) -> bool {
+        self.landmarks.is_some() || self.motion.is_some()
     }
 
-    /// Gives `rest` the motion of `pairs`, and says how well it went.
+    /// What it is called. Errors: no motion is named.
+    pub(super) fn name(&self) -> Result<String> {
+        match (&self.landmarks, &self.motion) {
+            (Some(path), _) => Ok(name_of(path)),
+            (None, Some(patient)) => Ok(patient.clone()),
+            (None, None) => Err(Error::usage(
+                "no motion is named: --landmarks CSV gives a measured one, --motion copd05 one of those of the carried cases",
+            )),
+        }
+    }
+
+    /// Reads the motion; whatever is wrong with it is said before any work.
+    pub(super) fn read(&self) -> Result<ReadMotion> {
+        let Some(path) = &self.landmarks else {
+            return carried_motion(&self.name()?);
+        };
+        let pairs = landmarks::read(path)?;
+        check_pairs(&pairs).and_then(|()| check_landmarks(&pairs)).map_err(|e| e.at(path))?;
+        let patient = path.file_stem().map(|s| s.to_string_lossy().to_string()).unwrap_or_default();
+        let lungs = match &self.lung_boxes {
+            Some(path) => LungBox::read(path, &patient)?,
+            None => LungBox::around(&pairs),
+        };
+        Ok(ReadMotion::Landmarks { pairs, lungs, patient })
+    }
+
+    /// Gives `rest` the motion, and says how well it went.
     pub(super) fn fit(
         &self,
         rest: &Anatomy,
         case: &Case,
-        pairs: &[LandmarkPair],
+        motion: &ReadMotion,
         terminal: &Terminal,
-    ) -> Result<MeasuredBreathing> {
-        let patient = self.landmarks.file_stem().map(|s| s.to_string_lossy().to_string()).unwrap_or_default();
-        let lungs = match &self.lung_boxes {
-            Some(path) => LungBox::read(path, &patient)?,
-            None => LungBox::around(pairs),
-        };
-        let source = format!(
-            "{patient} of {}: real motion, but not of this airway's patient; carina and extent fitted to the lungs' box",
-            self.source
-        );
-        let wanted = WantedMotion { pairs, lungs, source, end_motion_mm: self.end_motion_mm };
+    ) -> Result<Breathing> {
         let (mesh, line) = (&rest.inspiration, &rest.centerline);
         let plan = |anatomy: &Anatomy| Route::plan(anatomy, &case.trajectory);
-        let found = fitted_breathing(mesh, line, &wanted, |anatomy| Ok(plan(anatomy)?.end_motion_mm()))?;
-        let route = plan(&moving(mesh, line, &found.breathing)?)?;
-        terminal.line(words(&case.id, &route, &found));
-        Ok(found)
+        let breathing = match motion {
+            ReadMotion::Landmarks { pairs, lungs, patient } => {
+                let source = format!(
+                    "{patient} of {}: real motion, but not of this airway's patient; carina and extent fitted to the \
+                     lungs' box",
+                    self.source
+                );
+                let wanted = WantedMotion { pairs, lungs: *lungs, source, end_motion_mm: self.end_motion_mm };
+                let found = fitted_breathing(mesh, line, &wanted, |anatomy| Ok(plan(anatomy)?.end_motion_mm()))?;
+                let route = plan(&moving(mesh, line, &found.breathing)?)?;
+                terminal.line(words(&case.id, &route, &found));
+                found.breathing
+            }
+            ReadMotion::Carried { breathing, line: from, patient } => {
+                let mut found = carried_breathing(breathing, from, mesh, line)?;
+                if let Some(wanted_mm) = self.end_motion_mm {
+                    for _ in 0..CARRIED_ROUNDS {
+                        let moves_mm = plan(&moving(mesh, line, &found)?)?.end_motion_mm();
+                        found.field.scale *= wanted_mm / moves_mm.max(LEAST_MOTION_MM);
+                    }
+                }
+                let route = plan(&moving(mesh, line, &found)?)?;
+                terminal.line(format_args!(
+                    "{}: way {:.0} mm, its end moves {:.1} mm, {:.0} % of the measured motion of {patient}",
+                    case.id,
+                    route.length_mm(),
+                    route.end_motion_mm(),
+                    100.0 * found.field.scale
+                ));
+                found
+            }
+        };
+        let mending = mending_of(&moving(mesh, line, &breathing)?, &breathing);
+        if mending.vertices > 0 {
+            terminal.note(&mended_words(&mending, mesh.vertices.len()));
+        }
+        Ok(breathing)
     }
+}
+
+/// What mending did, in a sentence.
+pub(super) fn mended_words(mending: &Mending, vertices: usize) -> String {
+    format!(
+        "{} faces would turn over between the breath holds: mended by moving {} of {vertices} vertices by {:.3} mm in the mean, \
+         {:.2} mm at most",
+        mending.faces, mending.vertices, mending.mean_mm, mending.most_mm
+    )
+}
+
+/// The motion of the carried case whose patient is `patient`.
+fn carried_motion(patient: &str) -> Result<ReadMotion> {
+    let catalogue = Catalogue::open(None)?;
+    let mut known = Vec::new();
+    for id in catalogue.case_ids()? {
+        let case = Case::load(&catalogue.case_file(&id)?)?;
+        let Some(breathing) = &case.breathing else { continue };
+        let name = breathing.field.source.split(' ').next().unwrap_or_default().to_owned();
+        if name == patient {
+            let line = case_build::rest_centerline(&case)?;
+            return Ok(ReadMotion::Carried { breathing: breathing.clone(), line, patient: name });
+        }
+        known.push(name);
+    }
+    Err(Error::usage(format!("there is no motion `{patient}`; there are {}", known.join(", "))))
 }
 
 /// No motion at all: stands in while the route is planned.

@@ -14,6 +14,8 @@ mod explain;
 mod export;
 mod gate;
 mod import;
+mod import_case;
+mod import_ct;
 mod import_file;
 mod import_mesh;
 mod import_motion;

@@ -4,6 +4,8 @@
 pub mod colmap;
 mod damage;
 pub mod depth_png;
+#[cfg(feature = "program")]
+pub mod dicom;
 pub mod exr;
 pub mod gaussians_ply;
 pub mod glb;
@@ -13,9 +15,17 @@ pub mod landmarks;
 pub mod mesh;
 mod mesh_obj;
 mod mesh_ply;
+#[cfg(feature = "program")]
+pub mod metaimage;
+#[cfg(feature = "program")]
+pub mod nifti;
 pub mod npy;
 pub mod png;
 pub mod points_ply;
 pub mod tiff_grey;
 pub mod transforms;
 pub mod tum;
+#[cfg(feature = "program")]
+pub mod volume;
+#[cfg(feature = "program")]
+mod volume_samples;

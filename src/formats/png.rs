@@ -69,7 +69,8 @@ pub fn decode(bytes: &[u8]) -> Result<Image<u8>> {
     Ok(Image { width: rgb.width() as usize, height: rgb.height() as usize, channels: 3, data: rgb.into_raw() })
 }
 
-fn encode(image: &Image<u8>) -> Result<Vec<u8>> {
+/// The bytes of an RGB image as a PNG file. Errors: not three channels.
+pub fn encode(image: &Image<u8>) -> Result<Vec<u8>> {
     encode_as(image, 3, ExtendedColorType::Rgb8)
 }
 

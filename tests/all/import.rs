@@ -14,7 +14,7 @@ use respire_bench::simulate::trajectory::Route;
 
 use crate::cases::case_path;
 
-fn shared(part: &str) -> Option<PathBuf> {
+pub fn shared(part: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(part);
     if !path.exists() {
         eprintln!("SKIPPED: {} is absent", path.display());
@@ -23,7 +23,7 @@ fn shared(part: &str) -> Option<PathBuf> {
     Some(path)
 }
 
-fn command() -> Command {
+pub fn command() -> Command {
     Command::new(env!("CARGO_BIN_EXE_respire-bench"))
 }
 

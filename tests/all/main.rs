@@ -11,6 +11,7 @@ mod export;
 mod faults;
 mod gate;
 mod import;
+mod import_ct;
 mod layering;
 mod many_films;
 mod mesh_damage;

@@ -101,9 +101,9 @@ macro_rules! readers {
 }
 
 readers! {
-    ablations case centerline depth_png exr gate gaussians landmarks lung_box marker merge method npy obj
+    ablations case centerline depth_png exr gate gaussians landmarks lung_box marker merge metaimage method nifti npy obj
     participant ply png
-    prediction profile results scene score sequence stl timings transforms tree tree_table
+    prediction profile results scene scenes score sequence stl timings transforms tree tree_table
 }
 
 #[test]

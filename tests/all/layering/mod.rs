@@ -12,11 +12,12 @@ use graph::{circles, entry};
 use source::{Import, Sources};
 
 /// From the bottom up: a room may use the rooms before it in this list, and itself.
-const ROOMS: [&str; 13] = [
+const ROOMS: [&str; 14] = [
     "base",
     "ffi",
     "formats",
     "airway",
+    "ct",
     "render",
     "simulate",
     "splat",

@@ -1,0 +1,301 @@
+//! `respire-bench import ct`: two CT scans, or what somebody else made of them, become a case.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::Terminal;
+use super::import_case::{AIRWAY, CENTERLINE, CaseArguments, EXPIRATION, INSPIRATION, NewCase, case_head, name_of};
+use super::import_file::FileArguments;
+use super::import_motion::{MotionArguments, mended_words, still_breathing};
+use crate::airway::case::AnatomySource;
+use crate::airway::case_build::{from_field, from_pair, mended_pair};
+use crate::airway::import_breathing::{breathing_toml, moving};
+use crate::airway::import_mesh::FileMeaning;
+use crate::airway::{Anatomy, centerline::Centerline};
+use crate::base::range::NumberRange;
+use crate::base::{Error, Progress, Result, TriangleMesh};
+use crate::ct::quality::{BreathHold, QualityPage};
+use crate::ct::scan_pair::{Facts, ScanRequest, airway_of, import_pair, surface_of};
+use crate::ct::surface_pair::register_surfaces;
+
+/// Labels of a segmentation.
+const LABEL: NumberRange = NumberRange::new(1.0, 65_535.0);
+/// The quality page.
+const PAGE: &str = "import.html";
+/// Distance in mm that is red on the page where two surfaces were registered.
+const RED_MM: f64 = 2.0;
+
+/// Arguments of `import ct`.
+#[derive(Args)]
+#[command(
+    after_help = "Scans and masks: .nii, .nii.gz, .mha, .mhd, or a folder of DICOM slices (scans only). Writes DIR/<id>.toml \
+    and DIR/<id>-import.html: look at that first.\nExamples:\n  respire-bench import ct insp.nii.gz exp.nii.gz \
+    --airway-mask airway.nii.gz --id mine --out mine\n  respire-bench import ct --airway-mask airway.nii.gz --motion \
+    copd05 --id mine --out mine\n  respire-bench import ct --meshes insp.ply exp.ply --axes ras --id mine --out mine"
+)]
+pub struct CtArguments {
+    /// Scan at full inspiration
+    #[arg(value_name = "INSPIRATION")]
+    inspiration: Option<PathBuf>,
+    /// Scan at full expiration
+    #[arg(value_name = "EXPIRATION")]
+    expiration: Option<PathBuf>,
+    /// Label map of the airway at inspiration, and of that at expiration to compare with; grown from the scan without
+    #[arg(long, value_name = "MASK", num_args = 1..=2)]
+    airway_mask: Vec<PathBuf>,
+    /// Label of the airway in a map with several
+    #[arg(long, value_name = "N", value_parser = LABEL.parser::<u32>())]
+    label: Option<u32>,
+    /// Masks of the lungs in both scans; found by a threshold without
+    #[arg(long, value_names = ["INSPIRATION", "EXPIRATION"], num_args = 2, requires = "expiration")]
+    lung_masks: Vec<PathBuf>,
+    /// Displacement field from inspiration to expiration instead of a registration (vectors in LPS and mm: ITK, elastix)
+    #[arg(long, value_name = "FIELD", requires = "inspiration")]
+    field: Option<PathBuf>,
+    /// Two surfaces instead of scans: of the same faces, or any two, which are then registered
+    #[arg(long, value_names = ["INSPIRATION", "EXPIRATION"], num_args = 2, conflicts_with_all = ["inspiration", "airway_mask"])]
+    meshes: Vec<PathBuf>,
+    #[command(flatten)]
+    file: FileArguments,
+    #[command(flatten)]
+    case: CaseArguments,
+    #[command(flatten)]
+    motion: MotionArguments,
+}
+
+/// An airway on its way to a case, and what the page shows.
+struct Import {
+    facts: Facts,
+    residual_mm: Vec<f64>,
+    red_mm: f64,
+    residual_words: &'static str,
+}
+
+/// Runs the command.
+pub fn run(arguments: &CtArguments, terminal: &Terminal) -> Result<()> {
+    let has_motion = arguments.motion.is_given();
+    match (&arguments.inspiration, &arguments.meshes[..]) {
+        (None, [first, second]) if !has_motion => of_meshes(arguments, first, second, terminal),
+        (Some(scan), []) if !has_motion => of_scans(arguments, scan, terminal),
+        (_, []) if has_motion && arguments.expiration.is_none() && arguments.field.is_none() => {
+            of_motion(arguments, terminal)
+        }
+        (_, _) if has_motion => Err(Error::usage(
+            "two scans, a field and two meshes have their own motion: --motion and --landmarks do not go with them",
+        )),
+        _ => Err(Error::usage("give two scans, an --airway-mask with --motion, or --meshes")),
+    }
+}
+
+fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &Terminal) -> Result<()> {
+    let (wanted, meaning) = (&arguments.case, arguments.file.meaning());
+    let mut new = NewCase::new(wanted)?;
+    let request = ScanRequest {
+        inspiration,
+        expiration: arguments.expiration.as_deref(),
+        airway: arguments.airway_mask.first().map(PathBuf::as_path),
+        airway_expiration: arguments.airway_mask.get(1).map(PathBuf::as_path),
+        label: arguments.label.map(|label| label as u16),
+        lungs: match &arguments.lung_masks[..] {
+            [first, second] => Some([first.as_path(), second.as_path()]),
+            _ => None,
+        },
+        field: arguments.field.as_deref(),
+    };
+    terminal.stage("airway and registration");
+    let pair = import_pair(&request, &new.workshop(), terminal)?;
+    terminal.finish();
+    let mut import = Import {
+        facts: pair.facts,
+        red_mm: pair.surface.voxel_mm.max_element(),
+        residual_mm: pair.surface.residual_mm,
+        residual_words: "Distance of the surface from the mask",
+    };
+    let rest = pair.surface.mesh;
+    let line = meaning.centerline(&rest).map_err(|e| e.at(inspiration))?;
+    let anatomy = paired(rest, pair.expiration, line, &mut import)?;
+    let names = ["inspiration", "expiration"];
+    let vertices = [&anatomy.inspiration.vertices, &anatomy.expiration.vertices];
+    let holds: Vec<BreathHold<'_>> = pair
+        .scans
+        .iter()
+        .enumerate()
+        .map(|(k, scan)| BreathHold { name: names[k], scan, vertices: vertices[k] })
+        .collect();
+    new.text(PAGE, &import.page(&wanted.id, &anatomy, &holds, Some(&pair.change))?)?;
+    for (name, text) in pair.kept {
+        new.text(name, text)?;
+    }
+    let to = arguments.expiration.as_deref().or(arguments.field.as_deref()).map(name_of).unwrap_or_default();
+    finish_pair(arguments, new, &anatomy, &import, format!("{} and {to}", name_of(inspiration)), terminal)
+}
+
+fn of_meshes(
+    arguments: &CtArguments,
+    first: &std::path::Path,
+    second: &std::path::Path,
+    terminal: &Terminal,
+) -> Result<()> {
+    let (wanted, meaning) = (&arguments.case, arguments.file.meaning());
+    let mut new = NewCase::new(wanted)?;
+    let (rest, other) = (meaning.read_surface(first)?, meaning.read_surface(second)?);
+    let line = meaning.centerline(&rest).map_err(|e| e.at(first))?;
+    let mut import = Import {
+        facts: Facts::new(),
+        residual_mm: vec![0.0; rest.vertices.len()],
+        red_mm: RED_MM,
+        residual_words: "Distance of the moved surface from the second one",
+    };
+    let moved = if rest.faces == other.faces && rest.vertices.len() == other.vertices.len() {
+        meaning.check_pair(&rest, &other).map_err(|e| e.at(second))?;
+        import.facts.push(("meshes", "of the same faces: taken as they are".to_owned()));
+        other.vertices
+    } else {
+        register(&meaning, &rest, &other, &mut import, terminal).map_err(|e| e.at(second))?
+    };
+    let anatomy = paired(rest, moved, line, &mut import)?;
+    new.text(PAGE, &import.page(&wanted.id, &anatomy, &[], None)?)?;
+    finish_pair(arguments, new, &anatomy, &import, format!("{} and {}", name_of(first), name_of(second)), terminal)
+}
+
+/// The first of two surfaces of other faces, moved onto the second.
+fn register(
+    meaning: &FileMeaning,
+    rest: &TriangleMesh,
+    other: &TriangleMesh,
+    import: &mut Import,
+    terminal: &Terminal,
+) -> Result<Vec<glam::DVec3>> {
+    // What lies wrong is said of the second as of the first.
+    meaning.centerline(other)?;
+    terminal.stage("registering the surfaces");
+    let found = register_surfaces(rest, other, terminal)?;
+    terminal.finish();
+    let facts = &mut import.facts;
+    facts.push((
+        "place on the table",
+        format!("{:.1} degrees and {:.1} mm apart, taken out: it is no breathing", found.turn_deg, found.shift_mm),
+    ));
+    facts.push(("before registration", format!("{} from the second surface (median / 95 % / most)", found.before)));
+    facts.push(("after registration", format!("{} (residual)", found.after)));
+    facts.push(("motion", format!("{:.2} mm in the mean", found.motion_mm)));
+    import.residual_mm = found.residual_mm;
+    Ok(found.moved)
+}
+
+fn of_motion(arguments: &CtArguments, terminal: &Terminal) -> Result<()> {
+    let (wanted, meaning) = (&arguments.case, arguments.file.meaning());
+    let mut facts = Facts::new();
+    let motion = arguments.motion.read()?;
+    let mask = arguments.airway_mask.first().map(PathBuf::as_path);
+    let scan = arguments.inspiration.as_deref().map(crate::ct::scan::read_checked).transpose()?;
+    terminal.stage("the airway");
+    let label = arguments.label.map(|label| label as u16);
+    let airway = airway_of(mask, label, scan.as_ref(), &mut facts, terminal)?;
+    let surface = surface_of(&airway, &mut facts)?;
+    terminal.finish();
+    let from = mask.or(arguments.inspiration.as_deref()).unwrap_or(std::path::Path::new(""));
+    let line = meaning.centerline(&surface.mesh).map_err(|e| e.at(from))?;
+    let title = format!("{} with the motion of {}", name_of(from), arguments.motion.name()?);
+    let source = AnatomySource::Mesh { path: wanted.file(AIRWAY), centerline: Some(wanted.file(CENTERLINE)) };
+    let mut case = wanted.case(title, source, Some(still_breathing()))?;
+    let mut new = NewCase::new(wanted)?;
+    new.mesh(AIRWAY, &surface.mesh)?;
+    new.centerline(&line)?;
+    let rest = from_field(surface.mesh, line, None, &still_breathing()).map_err(|e| e.at(from))?;
+    let breathing = arguments.motion.fit(&rest, &case, &motion, terminal)?;
+    facts.push(("motion", breathing.field.source.clone()));
+    let mut import = Import {
+        facts,
+        red_mm: surface.voxel_mm.max_element(),
+        residual_mm: surface.residual_mm,
+        residual_words: "Distance of the surface from the mask",
+    };
+    let anatomy = moving(&rest.inspiration, &rest.centerline, &breathing)?;
+    import.facts.push(("tree", tree_words(&anatomy.centerline)));
+    let holds: Vec<BreathHold<'_>> = scan
+        .iter()
+        .map(|scan| BreathHold { name: "inspiration", scan, vertices: &anatomy.inspiration.vertices })
+        .collect();
+    new.text(PAGE, &import.page(&wanted.id, &anatomy, &holds, None)?)?;
+    import.say(terminal);
+    case.breathing = None;
+    new.finish(&format!("{}\n{}", case_head(&case)?, breathing_toml(&breathing)), terminal)
+}
+
+/// Both states of a registered pair, faces that would turn over mended.
+fn paired(rest: TriangleMesh, moved: Vec<glam::DVec3>, line: Centerline, import: &mut Import) -> Result<Anatomy> {
+    let vertices = rest.vertices.len();
+    let (expiration, mending) = mended_pair(&rest, moved)?;
+    if mending.vertices > 0 {
+        import.facts.push(("mended", mended_words(&mending, vertices)));
+    }
+    import.facts.push(("tree", tree_words(&line)));
+    from_pair(rest, expiration, line)
+}
+
+fn finish_pair(
+    arguments: &CtArguments,
+    mut new: NewCase<'_>,
+    anatomy: &Anatomy,
+    import: &Import,
+    title: String,
+    terminal: &Terminal,
+) -> Result<()> {
+    let wanted = &arguments.case;
+    let source = AnatomySource::MeshPair {
+        inspiration: wanted.file(INSPIRATION),
+        expiration: wanted.file(EXPIRATION),
+        centerline: Some(wanted.file(CENTERLINE)),
+    };
+    let case = wanted.case(title, source, None)?;
+    new.mesh(INSPIRATION, &anatomy.inspiration)?;
+    new.mesh(EXPIRATION, &anatomy.expiration)?;
+    new.centerline(&anatomy.centerline)?;
+    import.say(terminal);
+    new.finish(&case_head(&case)?, terminal)
+}
+
+/// How deep a tree goes.
+fn tree_words(line: &Centerline) -> String {
+    let branches = line.points.iter().map(|p| p.branch).max().map_or(0, |b| b + 1);
+    let deepest = line.points.iter().map(|p| p.generation).max().unwrap_or(0);
+    let counts: Vec<String> = (0..=deepest)
+        .map(|generation| {
+            let mut of: Vec<u32> =
+                line.points.iter().filter(|p| p.generation == generation).map(|p| p.branch).collect();
+            of.dedup();
+            of.len().to_string()
+        })
+        .collect();
+    format!("{branches} branches to generation {deepest} ({} of generations 0, 1, ..)", counts.join(", "))
+}
+
+impl Import {
+    fn say(&self, terminal: &Terminal) {
+        for (what, words) in &self.facts {
+            terminal.note(&format!("{what}: {words}"));
+        }
+    }
+
+    fn page(
+        &self,
+        case_id: &str,
+        anatomy: &Anatomy,
+        scans: &[BreathHold<'_>],
+        change: Option<&crate::ct::motion_field::VolumeChange>,
+    ) -> Result<String> {
+        let page = QualityPage {
+            case_id,
+            facts: &self.facts,
+            scans,
+            anatomy,
+            residual_mm: &self.residual_mm,
+            red_mm: self.red_mm,
+            residual_words: self.residual_words,
+            change,
+        };
+        page.html()
+    }
+}

@@ -1,0 +1,117 @@
+//! The lungs of a scan: air that is not outside of the body and not in the airway, closed over its vessels.
+//!
+//! A threshold, the air that reaches the sides of the picture taken away, the large parts kept, closed by a ball. What
+//! is dense (a tumour, water, a lung without air) is not found; the registration does without it.
+
+use super::parts::{VoxelContact, closed, fill_holes, grown, mask_of, parts, reached};
+use crate::base::{Error, Result, Volume};
+
+/// HU below which lies air or lung; a lung at full expiration still does.
+const LUNG_HU: i16 = -400;
+/// Least volume in ml of a lung, and its least share of the larger one.
+const LEAST_LUNG_ML: f64 = 150.0;
+const LEAST_SHARE: f64 = 0.05;
+/// The ball in mm that closes the lungs over their vessels, and the airway's wall in mm.
+const CLOSING_MM: f64 = 6.0;
+const WALL_MM: f64 = 2.0;
+
+/// Finds the lungs in `scan`; `airway`, on any grid, is no part of them.
+///
+/// Errors: no part that could be a lung.
+pub fn find_lungs(scan: &Volume<i16>, airway: Option<&Volume<u8>>) -> Result<Volume<u8>> {
+    let [nx, ny, _] = scan.grid.size;
+    let sides: Vec<usize> = (0..scan.data.len())
+        .filter(|&at| {
+            let [i, j, _] = scan.grid.cell(at);
+            i == 0 || j == 0 || i + 1 == nx || j + 1 == ny
+        })
+        .collect();
+    let outside = reached(scan, &sides, VoxelContact::Faces, |hu| hu < LUNG_HU);
+    let mut air = Volume::filled(scan.grid, 0u8);
+    for at in 0..air.data.len() {
+        air.data[at] = u8::from(scan.data[at] < LUNG_HU && outside.data[at] == 0);
+    }
+    if let Some(airway) = airway {
+        let tube = grown(&on_grid(airway, scan), WALL_MM);
+        air.data.iter_mut().zip(&tube.data).filter(|(_, tube)| **tube > 0).for_each(|(value, _)| *value = 0);
+    }
+    let found = parts(&air, VoxelContact::Faces);
+    let to_ml = scan.grid.voxel_mm3() * 1e-3;
+    let largest = found.first().map_or(0, Vec::len);
+    let is_lung = |part: &&Vec<usize>| {
+        part.len() as f64 * to_ml >= LEAST_LUNG_ML && part.len() as f64 >= LEAST_SHARE * largest as f64
+    };
+    let kept: Vec<usize> = found.iter().filter(is_lung).flatten().copied().collect();
+    if kept.is_empty() {
+        return Err(Error::input(
+            "no lung was found: no connected air of 150 ml inside of the body; give masks of the lungs with --lung-masks",
+        ));
+    }
+    let mut lungs = closed(&mask_of(scan.grid, &kept), CLOSING_MM);
+    fill_holes(&mut lungs);
+    Ok(lungs)
+}
+
+/// The mask, sampled at the voxels of `like`.
+pub fn on_grid<T>(mask: &Volume<u8>, like: &Volume<T>) -> Volume<u8> {
+    let to_index = mask.grid.index_from_place();
+    let data = (0..like.grid.count()).map(|at| mask.nearest(to_index(like.grid.centre(at))).unwrap_or(0)).collect();
+    Volume { grid: like.grid, data }
+}
+
+/// Volume of a mask in litres.
+pub fn litres(mask: &Volume<u8>) -> f64 {
+    mask.data.iter().filter(|v| **v > 0).count() as f64 * mask.grid.voxel_mm3() * 1e-6
+}
+
+/// Refuses a pair whose first lungs are not the fuller ones, or that cannot be of one patient.
+pub fn check_pair(inspiration: &Volume<u8>, expiration: &Volume<u8>) -> Result<f64> {
+    let (full, empty) = (litres(inspiration), litres(expiration));
+    let ratio = empty / full;
+    let sentence = |what: &str| {
+        Err(Error::input(format!(
+            "the lungs hold {full:.2} l in the first scan and {empty:.2} l in the second: {what}"
+        )))
+    };
+    if ratio > 1.02 {
+        return sentence("the inspiration comes first: exchange the two");
+    }
+    if ratio < 0.25 {
+        return sentence("they are not of one patient, or one of them shows a part of the chest");
+    }
+    Ok(ratio)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::base::VoxelGrid;
+
+    #[test]
+    fn lungs_are_found_closed_over_vessels_and_the_pair_is_in_order() {
+        let grid = VoxelGrid::upright([90, 70, 60], DVec3::new(-180.0, -140.0, -120.0), DVec3::splat(4.0));
+        let chest = |radius: f64| {
+            let value = |p: DVec3| {
+                let lung = (p - DVec3::new(p.x.signum() * 70.0, 0.0, 0.0)) / DVec3::new(1.0, 1.3, 1.5);
+                let vessel = (p.y.abs() < 3.0 && p.z.abs() < 3.0) as i16;
+                match () {
+                    _ if (p.truncate() / glam::DVec2::new(165.0, 125.0)).length() > 1.0 => -1000,
+                    _ if lung.length() < radius => -830 + vessel * 870,
+                    _ => 40,
+                }
+            };
+            Volume { grid, data: (0..grid.count()).map(|at| value(grid.centre(at))).collect::<Vec<i16>>() }
+        };
+        let (full, empty) = (find_lungs(&chest(55.0), None).unwrap(), find_lungs(&chest(48.0), None).unwrap());
+        let truth = |r: f64| 2.0 * 4.18879 * r.powi(3) * 1.3 * 1.5 * 1e-6;
+        assert!((litres(&full) / truth(55.0) - 1.0).abs() < 0.08, "{} {}", litres(&full), truth(55.0));
+        let ratio = check_pair(&full, &empty).unwrap();
+        assert!((ratio - (48f64 / 55.0).powi(3)).abs() < 0.05, "{ratio}");
+        assert!(check_pair(&empty, &full).unwrap_err().to_string().contains("exchange the two"));
+        let mut tissue = chest(55.0);
+        tissue.data.iter_mut().for_each(|v| *v = (*v).max(0));
+        assert!(find_lungs(&tissue, None).unwrap_err().to_string().contains("--lung-masks"));
+    }
+}

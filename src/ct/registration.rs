@@ -1,0 +1,222 @@
+//! Registers two breath holds with elastix, a program of its own: what moves where between inspiration and expiration.
+//!
+//! Both scans go in coarser, cropped to the lungs, and with a mask: lungs and airway, so that the ribs, which do not
+//! move with the lung, pull at nothing. Affine, then B-spline (Klein et al., IEEE Trans Med Imaging 29:196, 2010; lungs
+//! after Staring et al. at EMPIRE10). Parameters are files beside this one, and are kept with the case.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use glam::DVec3;
+
+use super::lungs::on_grid;
+use super::parts::grown;
+use crate::base::{Error, ErrorKind, Progress, Result, Volume, files};
+use crate::formats::{nifti, volume};
+
+/// The parameter files, in order, by the names under which a case keeps them.
+pub const PARAMETERS: [(&str, &str); 2] = [
+    ("elastix-affine.txt", include_str!("elastix/affine.txt")),
+    ("elastix-bspline.txt", include_str!("elastix/bspline.txt")),
+];
+/// What installs the program.
+pub const REMEDY: &str = "scripts/setup.sh --ct";
+/// Voxels in mm that a registration works on.
+pub const REGISTRATION_MM: f64 = 1.5;
+/// Room in mm around the lungs, and around the airway in the mask.
+const MARGIN_MM: f64 = 15.0;
+const AROUND_AIRWAY_MM: f64 = 6.0;
+/// How often the program is looked after.
+const POLL: Duration = Duration::from_millis(100);
+
+/// One scan as the registration takes it.
+pub struct RegistrationInput {
+    /// HU, cropped and coarse.
+    pub scan: Volume<i16>,
+    /// Lungs and airway: where it matters.
+    pub mask: Volume<u8>,
+    /// The lungs alone.
+    pub lungs: Volume<u8>,
+}
+
+impl RegistrationInput {
+    /// Crops a coarse scan with its lungs to where they are, and adds the surroundings of the airway to the mask.
+    pub fn new(scan: &Volume<i16>, lungs: &Volume<u8>, airway: Option<&Volume<u8>>) -> RegistrationInput {
+        let mut mask = lungs.clone();
+        if let Some(airway) = airway {
+            let near = grown(&on_grid(airway, scan), AROUND_AIRWAY_MM);
+            mask.data.iter_mut().zip(&near.data).filter(|(_, near)| **near > 0).for_each(|(value, _)| *value = 1);
+        }
+        let spacing = scan.grid.spacing_mm();
+        let margin = [0, 1, 2].map(|a| (MARGIN_MM / spacing[a]).ceil() as usize);
+        let (mut low, mut high) = (scan.grid.size, [0usize; 3]);
+        for (at, _) in mask.data.iter().enumerate().filter(|(_, v)| **v > 0) {
+            let cell = mask.grid.cell(at);
+            for a in 0..3 {
+                low[a] = low[a].min(cell[a].saturating_sub(margin[a]));
+                high[a] = high[a].max((cell[a] + margin[a] + 1).min(scan.grid.size[a]));
+            }
+        }
+        RegistrationInput {
+            scan: scan.cropped(low, high),
+            mask: mask.cropped(low, high),
+            lungs: lungs.cropped(low, high),
+        }
+    }
+}
+
+/// The version of elastix, such as `5.0.1`; `None` where it is not installed.
+pub fn elastix_version() -> Option<String> {
+    let output = Command::new("elastix").arg("--version").stdin(Stdio::null()).output().ok()?;
+    let text = String::from_utf8_lossy(&output.stdout).to_string();
+    let word = text.split_whitespace().find(|w| w.starts_with(|c: char| c.is_ascii_digit()))?;
+    Some(word.to_owned())
+}
+
+/// Refuses work that needs elastix where it is not installed, with the command that installs it.
+pub fn demand_elastix() -> Result<String> {
+    elastix_version().ok_or_else(|| {
+        let sentence = format!(
+            "registering two scans needs elastix, which is not installed: run {REMEDY}, or give a field with --field"
+        );
+        Error::new(ErrorKind::Environment, sentence)
+    })
+}
+
+/// The displacement of `fixed`'s voxels to where the same tissue is in `moving`, on the grid of `fixed`. Works in
+/// `folder`, which it leaves for the caller to remove.
+///
+/// Errors: elastix is missing or fails (its last words are told); the user stopped the work.
+pub fn register(
+    fixed: &RegistrationInput,
+    moving: &RegistrationInput,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<Volume<[f32; 3]>> {
+    let place = |name: &str| folder.join(name);
+    std::fs::create_dir_all(folder).map_err(|e| Error::io("writing", folder, e))?;
+    nifti::write(&place("fixed.nii"), &fixed.scan)?;
+    nifti::write(&place("moving.nii"), &moving.scan)?;
+    nifti::write(&place("mask.nii"), &fixed.mask)?;
+    let mut command = Command::new("elastix");
+    command.arg("-f").arg(place("fixed.nii")).arg("-m").arg(place("moving.nii"));
+    command.arg("-fMask").arg(place("mask.nii"));
+    for (name, text) in PARAMETERS {
+        files::write_bytes(&place(name), text.as_bytes())?;
+        command.arg("-p").arg(place(name));
+    }
+    command.arg("-out").arg(folder);
+    run(command, &place("elastix.out"), progress)?;
+    let mut command = Command::new("transformix");
+    command.args(["-def", "all", "-tp"]).arg(place(&format!("TransformParameters.{}.txt", PARAMETERS.len() - 1)));
+    command.arg("-out").arg(folder);
+    run(command, &place("transformix.out"), progress)?;
+    let made: PathBuf = place("deformationField.mha");
+    let field = volume::read_field(&made)?;
+    if !field.grid.same_as(&fixed.scan.grid) {
+        return Err(Error::input("has another grid than the scan it was made for").at(&made));
+    }
+    Ok(field)
+}
+
+/// Runs a program of elastix to its end, on as many threads as this program, or until the user stops it.
+fn run(mut command: Command, log: &Path, progress: &dyn Progress) -> Result<()> {
+    let name = command.get_program().to_string_lossy().to_string();
+    let output = std::fs::File::create(log).map_err(|e| Error::io("writing", log, e))?;
+    let errors = output.try_clone().map_err(|e| Error::io("writing", log, e))?;
+    command.arg("-threads").arg(rayon::current_num_threads().to_string());
+    command.stdin(Stdio::null()).stdout(output).stderr(errors);
+    let mut child = command
+        .spawn()
+        .map_err(|e| Error::new(ErrorKind::Environment, format!("{name} cannot be started ({e}): run {REMEDY}")))?;
+    let status = loop {
+        if progress.cancelled() {
+            // Its files go with the folder.
+            let _ = child.kill();
+            let _ = child.wait();
+            return Err(Error::interrupted());
+        }
+        match child.try_wait().map_err(|e| Error::input(format!("{name} cannot be waited for: {e}")))? {
+            Some(status) => break status,
+            None => std::thread::sleep(POLL),
+        }
+    };
+    if status.success() {
+        return Ok(());
+    }
+    let text = std::fs::read_to_string(log).unwrap_or_default();
+    let words = text.lines().map(str::trim).filter(|l| l.contains("rror") || l.contains("xception")).next_back();
+    let words = words.or_else(|| text.lines().map(str::trim).rfind(|l| !l.is_empty())).unwrap_or("it said nothing");
+    Err(Error::input(format!("{name} failed ({status}): {words}")))
+}
+
+/// The mean of the displacement over a mask of the field's grid, mm: what a patient's shift on the table adds.
+pub fn mean_displacement(field: &Volume<[f32; 3]>, mask: &Volume<u8>) -> DVec3 {
+    let inside = field.data.iter().zip(&mask.data).filter(|(_, inside)| **inside > 0);
+    let (sum, count) = inside.fold((DVec3::ZERO, 0usize), |(sum, count), (v, _)| {
+        (sum + DVec3::new(v[0].into(), v[1].into(), v[2].into()), count + 1)
+    });
+    sum / count.max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::random::{CounterRng, Stage};
+    use crate::base::{NoProgress, VoxelGrid};
+
+    /// Texture of smooth bumps, moved by a known motion: registered, it gives the motion back.
+    #[test]
+    fn elastix_finds_a_known_motion() {
+        let Some(version) = elastix_version() else {
+            println!("SKIPPED: elastix is not installed ({REMEDY})");
+            return;
+        };
+        println!("elastix {version}");
+        let grid = VoxelGrid::upright([48, 48, 48], DVec3::new(-70.0, -70.0, -1070.0), DVec3::splat(3.0));
+        let mut rng = CounterRng::new(8, Stage::Test, &[]);
+        let bumps: Vec<(DVec3, f64)> = (0..300)
+            .map(|_| {
+                (
+                    DVec3::new(rng.range(-70.0, 70.0), rng.range(-70.0, 70.0), rng.range(-1070.0, -930.0)),
+                    rng.range(4.0, 9.0),
+                )
+            })
+            .collect();
+        let texture = |p: DVec3| {
+            let sum: f64 = bumps.iter().map(|(c, r)| (-p.distance_squared(*c) / (r * r)).exp()).sum();
+            (-900.0 + 500.0 * sum).min(200.0) as i16
+        };
+        // Expiration: what is at x is found at x + u; u is the same along each z.
+        let motion = |p: DVec3| DVec3::new(2.0, 0.0, 8.0 * ((p.x / 70.0).cos()));
+        let fixed = Volume { grid, data: (0..grid.count()).map(|at| texture(grid.centre(at))).collect() };
+        let back = |p: DVec3| (0..20).fold(p, |x, _| p - motion(x));
+        let moving = Volume { grid, data: (0..grid.count()).map(|at| texture(back(grid.centre(at)))).collect() };
+        let whole = Volume::filled(grid, 1u8);
+        let input =
+            |scan: &Volume<i16>| RegistrationInput { scan: scan.clone(), mask: whole.clone(), lungs: whole.clone() };
+        let folder = tempfile::tempdir().unwrap();
+        let field = register(&input(&fixed), &input(&moving), folder.path(), &NoProgress).unwrap();
+        let inner: Vec<f64> = (0..grid.count())
+            .filter(|&at| grid.cell(at).iter().all(|c| (8..40).contains(c)))
+            .map(|at| {
+                let [x, y, z] = field.data[at].map(f64::from);
+                (DVec3::new(x, y, z) - motion(grid.centre(at))).length()
+            })
+            .collect();
+        let mean = inner.iter().sum::<f64>() / inner.len() as f64;
+        assert!(mean < 0.5, "{mean}");
+    }
+
+    #[test]
+    fn the_input_is_cropped_to_the_lungs() {
+        let grid = VoxelGrid::upright([60, 60, 60], DVec3::ZERO, DVec3::splat(3.0));
+        let mut lungs = Volume::filled(grid, 0u8);
+        lungs.data[grid.at([30, 31, 32])] = 1;
+        let input = RegistrationInput::new(&Volume::filled(grid, 0i16), &lungs, None);
+        assert_eq!(input.scan.grid.size, [11; 3]);
+        assert_eq!(input.mask.value([5, 5, 5]), 1);
+        assert_eq!(input.scan.grid.centre(input.scan.grid.at([5, 5, 5])), grid.centre(grid.at([30, 31, 32])));
+    }
+}

@@ -1,0 +1,194 @@
+//! The recipe: two scans (or one and somebody's field) become an airway in two states, and all that is to be said of it.
+
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+
+use super::airway_mask::{AirwayMask, read_mask};
+use super::lumen::{DistanceSpread, LumenSurface, distances_from_mask, surface_of_mask};
+use super::lungs::{check_pair, find_lungs, litres, on_grid};
+use super::motion_field::{VolumeChange, carried, check_field, inverse_consistency, volume_change};
+use super::region::grow_airway;
+use super::registration::{
+    PARAMETERS, REGISTRATION_MM, RegistrationInput, demand_elastix, mean_displacement, register,
+};
+use super::scan::{coarser, read_checked};
+use crate::base::{Error, Progress, Result, Volume};
+use crate::formats::volume::read_field;
+
+/// What is measured and done, for the user and the page: what, and in words.
+pub type Facts = Vec<(&'static str, String)>;
+
+/// The files of an import.
+pub struct ScanRequest<'a> {
+    /// Scan at full inspiration.
+    pub inspiration: &'a Path,
+    /// Scan at full expiration; without it a field is needed.
+    pub expiration: Option<&'a Path>,
+    /// Mask of the airway at inspiration; grown from the scan without it.
+    pub airway: Option<&'a Path>,
+    /// Mask of the airway at expiration: only compared with.
+    pub airway_expiration: Option<&'a Path>,
+    /// Label of the airway in its masks.
+    pub label: Option<u16>,
+    /// Masks of the lungs at both; found in the scans without them.
+    pub lungs: Option<[&'a Path; 2]>,
+    /// Somebody else's displacement field.
+    pub field: Option<&'a Path>,
+}
+
+/// What two scans became.
+pub struct ScanPair {
+    /// The airway at inspiration.
+    pub surface: LumenSurface,
+    /// Its vertices at expiration, as the field has them: faces may turn over.
+    pub expiration: Vec<DVec3>,
+    /// The scans as the page shows them, inspiration first.
+    pub scans: Vec<Volume<i16>>,
+    /// How volumes change in the lungs.
+    pub change: VolumeChange,
+    /// What was measured.
+    pub facts: Facts,
+    /// Files to keep with the case: name and text.
+    pub kept: Vec<(&'static str, &'static str)>,
+}
+
+/// The airway of a mask's file, or grown from `scan`; what is to be said of it goes to `facts`.
+pub fn airway_of(
+    mask: Option<&Path>,
+    label: Option<u16>,
+    scan: Option<&Volume<i16>>,
+    facts: &mut Facts,
+    progress: &dyn Progress,
+) -> Result<AirwayMask> {
+    let airway = match (mask, scan) {
+        (Some(path), _) => {
+            let airway = read_mask(path, label)?;
+            facts.push(("airway mask", format!("{}, {:.1} ml", path.display(), airway.volume_ml)));
+            airway
+        }
+        (None, Some(scan)) => {
+            let grown = grow_airway(scan, progress)?;
+            let leak = match grown.leaked_at_hu {
+                Some(leak) => format!("it leaks into the lung below {leak} HU"),
+                None => "it never leaked".to_owned(),
+            };
+            let words = format!(
+                "grown from the trachea, voxels below {} HU; {leak}; {:.1} ml",
+                grown.threshold_hu, grown.airway.volume_ml
+            );
+            facts.push(("airway mask", words));
+            grown.airway
+        }
+        (None, None) => return Err(Error::usage("without a scan an airway mask is wanted: --airway-mask MASK")),
+    };
+    if airway.loose_parts > 0 {
+        let share = 100.0 * airway.loose_share;
+        facts.push(("loose parts", format!("{} left out, {share:.2} % of the mask", airway.loose_parts)));
+    }
+    Ok(airway)
+}
+
+/// The surface of an airway mask; what is to be said of it goes to `facts`.
+pub fn surface_of(airway: &AirwayMask, facts: &mut Facts) -> Result<LumenSurface> {
+    let surface = surface_of_mask(&airway.mask)?;
+    let (voxel, ball) = (surface.voxel_mm, surface.ball);
+    facts.push((
+        "surface",
+        format!(
+            "{} faces, closed, genus 0; voxels {:.2} x {:.2} x {:.2} mm",
+            surface.mesh.faces.len(),
+            voxel.x,
+            voxel.y,
+            voxel.z
+        ),
+    ));
+    facts.push(("surface from mask", format!("{} (median / 95 % / most)", surface.from_surface)));
+    facts.push(("mask from surface", format!("{} (median / 95 % / most)", surface.from_mask)));
+    let lost = 100.0 * (1.0 - ball.taken as f64 / ball.nodes.max(1) as f64);
+    facts.push(("handles and bits", format!("{} nodes cut, {lost:.2} % of the lumen left out", ball.cut)));
+    Ok(surface)
+}
+
+/// Does it all. `workshop` is a folder for elastix, which the caller removes.
+///
+/// Errors: what is wrong with a file, with its cure; scans in the wrong order; elastix missing or failing. Folds are
+/// counted and told, and no error: the airway may lie elsewhere.
+pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Progress) -> Result<ScanPair> {
+    // What would fail at the end is said at the beginning.
+    let version = if request.field.is_none() { Some(demand_elastix()?) } else { None };
+    let mut facts = Facts::new();
+    let scan = read_checked(request.inspiration)?;
+    let coarse = coarser(&scan, REGISTRATION_MM);
+    let named = |e: Error| e.at(request.inspiration);
+    let airway = airway_of(request.airway, request.label, Some(&scan), &mut facts, progress).map_err(named)?;
+    let surface = surface_of(&airway, &mut facts).map_err(named)?;
+    drop(scan);
+    let lungs = lungs_of(&coarse, request.lungs.map(|l| l[0]), Some(&airway.mask)).map_err(named)?;
+    let full = RegistrationInput::new(&coarse, &lungs, Some(&airway.mask));
+    drop((coarse, lungs));
+    let mut scans = Vec::new();
+    let mut empty = None;
+    if let Some(path) = request.expiration {
+        let coarse = coarser(&read_checked(path)?, REGISTRATION_MM);
+        let lungs = lungs_of(&coarse, request.lungs.map(|l| l[1]), None).map_err(|e| e.at(path))?;
+        let input = RegistrationInput::new(&coarse, &lungs, None);
+        let ratio = check_pair(&full.lungs, &input.lungs).map_err(|e| e.at(path))?;
+        let (before, after) = (litres(&full.lungs), litres(&input.lungs));
+        facts.push(("lungs", format!("{before:.2} l at inspiration, {after:.2} l at expiration, ratio {ratio:.2}")));
+        empty = Some(input);
+    }
+    let (field, region) = match (request.field, &empty) {
+        (Some(path), _) => {
+            let field = read_field(path)?;
+            check_field(&field, &surface.mesh.vertices).map_err(|e| e.at(path))?;
+            facts.push(("field", path.display().to_string()));
+            let region = on_grid(&full.lungs, &Volume::filled(field.grid, 0u8));
+            (field, region)
+        }
+        (None, Some(empty)) => {
+            let field = register(&full, empty, &workshop.join("there"), progress)?;
+            let back = register(empty, &full, &workshop.join("back"), progress)?;
+            let miss = inverse_consistency(&field, &back, &full.lungs);
+            facts.push(("registration", format!("elastix {}, affine and B-spline", version.unwrap_or_default())));
+            facts.push(("there and back", format!("{miss} (median / 95 % / most, in the lungs)")));
+            (field, full.lungs.clone())
+        }
+        (None, None) => {
+            return Err(Error::usage("one scan has no motion: give the expiration, or --field, --landmarks, --motion"));
+        }
+    };
+    let change = volume_change(&field, &region);
+    facts.push((
+        "folds",
+        format!(
+            "{} of {} voxels in the lungs; volume change {:.2} to {:.2}",
+            change.folded, change.voxels, change.least, change.greatest
+        ),
+    ));
+    let mean = mean_displacement(&field, &region);
+    facts.push((
+        "motion of the lungs",
+        format!("{:.1} {:.1} {:.1} mm in the mean (left, back, head)", mean.x, mean.y, mean.z),
+    ));
+    let expiration = carried(&field, &surface.mesh.vertices);
+    if let Some(path) = request.airway_expiration {
+        let other = read_mask(path, request.label)?;
+        let off = DistanceSpread::of(distances_from_mask(&other.mask, &expiration)?);
+        facts.push(("carried from other mask", format!("{off} (median / 95 % / most; {})", path.display())));
+    }
+    scans.push(full.scan);
+    scans.extend(empty.map(|input| input.scan));
+    let kept = if request.field.is_none() { PARAMETERS.to_vec() } else { Vec::new() };
+    Ok(ScanPair { surface, expiration, scans, change, facts, kept })
+}
+
+fn lungs_of(scan: &Volume<i16>, mask: Option<&Path>, airway: Option<&Volume<u8>>) -> Result<Volume<u8>> {
+    let Some(path) = mask else { return find_lungs(scan, airway) };
+    let labels = super::scan::turned(crate::formats::volume::read_labels(path)?);
+    let lungs = on_grid(&labels.map(|v| u8::from(v > 0)), scan);
+    match lungs.data.iter().any(|v| *v > 0) {
+        true => Ok(lungs),
+        false => Err(Error::input("marks no voxel of the scan: it was made for another one").at(PathBuf::from(path))),
+    }
+}

@@ -1,0 +1,91 @@
+//! A volume's file, of whichever format: a folder of DICOM slices, MetaImage, or NIfTI.
+
+use std::path::Path;
+
+use glam::DVec3;
+
+use super::volume_samples::VolumeSource;
+use super::{dicom, metaimage, nifti};
+use crate::base::{Error, Result, Volume};
+
+/// Largest label of a segmentation.
+const MOST_LABEL: f64 = 65_535.0;
+
+fn ending(path: &Path) -> String {
+    path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default()
+}
+
+fn open(path: &Path) -> Result<VolumeSource> {
+    let name = ending(path);
+    if name.ends_with(".nii") || name.ends_with(".nii.gz") {
+        nifti::open(path)
+    } else if name.ends_with(".mha") || name.ends_with(".mhd") {
+        metaimage::open(path)
+    } else {
+        let sentence =
+            "is no volume that can be read: .nii, .nii.gz, .mha, .mhd, or a folder of DICOM slices is wanted";
+        Err(Error::input(sentence).at(path))
+    }
+}
+
+/// Reads a CT scan: Hounsfield units, rounded. Errors name the file.
+pub fn read_scan(path: &Path) -> Result<Volume<i16>> {
+    if path.is_dir() {
+        return dicom::read_folder(path);
+    }
+    open(path)?.read_scalars(|v| v.round() as i16).map_err(|e| e.at(path))
+}
+
+/// Reads a label map. Errors name the file, or the first value that is no label.
+pub fn read_labels(path: &Path) -> Result<Volume<u16>> {
+    let wrong = std::cell::Cell::new(None);
+    let labels = open(path)?.read_scalars(|v| {
+        if !(0.0..=MOST_LABEL).contains(&v) || (v - v.round()).abs() > 1e-3 {
+            wrong.set(wrong.get().or(Some(v)));
+        }
+        v.round() as u16
+    });
+    let labels = labels.map_err(|e| e.at(path))?;
+    match wrong.get() {
+        Some(value) => Err(Error::input(format!("holds {value}, and labels are whole numbers from 0")).at(path)),
+        None => Ok(labels),
+    }
+}
+
+/// Reads a displacement field: vectors in LPS and mm. Errors name the file.
+pub fn read_field(path: &Path) -> Result<Volume<[f32; 3]>> {
+    let mut field = open(path)?.read_vectors().map_err(|e| e.at(path))?;
+    if ending(path).contains(".nii") && nifti::vectors_are_ras(path)? {
+        let turn = DVec3::new(-1.0, -1.0, 1.0).as_vec3().to_array();
+        field.data.iter_mut().for_each(|v| *v = [v[0] * turn[0], v[1] * turn[1], v[2]]);
+    }
+    Ok(field)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::VoxelGrid;
+
+    #[test]
+    fn files_are_read_by_their_ending_and_labels_must_be_labels() {
+        let folder = tempfile::tempdir().unwrap();
+        let grid = VoxelGrid::upright([2, 1, 1], DVec3::ZERO, DVec3::ONE);
+        let path = folder.path().join("Mask.NII.gz");
+        let written = folder.path().join("a.nii.gz");
+        nifti::write(&written, &Volume { grid, data: vec![0i16, 7] }).unwrap();
+        std::fs::rename(&written, &path).unwrap();
+        assert_eq!(read_labels(&path).unwrap().data, [0, 7]);
+        assert_eq!(read_scan(&path).unwrap().data, [0, 7]);
+        nifti::write(&written, &Volume { grid, data: vec![0i16, -7] }).unwrap();
+        assert!(read_labels(&written).unwrap_err().to_string().contains("holds -7"));
+        assert!(read_scan(Path::new("a.png")).unwrap_err().to_string().contains("a folder of DICOM"));
+        let field = folder.path().join("field.nii");
+        nifti::write(&field, &Volume { grid, data: vec![[1f32, 2.0, 3.0]; 2] }).unwrap();
+        assert_eq!(read_field(&field).unwrap().data[1], [1.0, 2.0, 3.0]);
+        let mut bytes = std::fs::read(&field).unwrap();
+        bytes[68..70].copy_from_slice(&1006i16.to_le_bytes());
+        std::fs::write(&field, bytes).unwrap();
+        assert_eq!(read_field(&field).unwrap().data[1], [-1.0, -2.0, 3.0]);
+    }
+}

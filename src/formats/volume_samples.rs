@@ -1,0 +1,142 @@
+//! The voxels of a volume's file: numbers of one kind in a row, decoded as they are read, so that a compressed scan is
+//! never in memory twice.
+
+use std::io::Read;
+
+use crate::base::{Error, Result, Volume, VoxelGrid};
+
+/// Bytes decoded at a time; a multiple of every sample's size.
+const CHUNK_BYTES: usize = 1 << 20;
+
+/// How a number is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SampleKind {
+    U8,
+    I8,
+    U16,
+    I16,
+    U32,
+    I32,
+    F32,
+    F64,
+}
+
+impl SampleKind {
+    fn bytes(self) -> usize {
+        match self {
+            SampleKind::U8 | SampleKind::I8 => 1,
+            SampleKind::U16 | SampleKind::I16 => 2,
+            SampleKind::U32 | SampleKind::I32 | SampleKind::F32 => 4,
+            SampleKind::F64 => 8,
+        }
+    }
+
+    /// The number that starts with the first of `bytes`, which are little endian.
+    fn decode(self, bytes: &[u8]) -> f64 {
+        fn first<const N: usize>(bytes: &[u8]) -> [u8; N] {
+            std::array::from_fn(|k| bytes[k])
+        }
+        match self {
+            SampleKind::U8 => f64::from(bytes[0]),
+            SampleKind::I8 => f64::from(bytes[0] as i8),
+            SampleKind::U16 => f64::from(u16::from_le_bytes(first(bytes))),
+            SampleKind::I16 => f64::from(i16::from_le_bytes(first(bytes))),
+            SampleKind::U32 => f64::from(u32::from_le_bytes(first(bytes))),
+            SampleKind::I32 => f64::from(i32::from_le_bytes(first(bytes))),
+            SampleKind::F32 => f64::from(f32::from_le_bytes(first(bytes))),
+            SampleKind::F64 => f64::from_le_bytes(first(bytes)),
+        }
+    }
+}
+
+/// In which order the numbers of a vector volume stand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ChannelOrder {
+    /// x, y and z of a voxel, then the next voxel.
+    ByVoxel,
+    /// x of all voxels, then y of all, then z.
+    ByChannel,
+}
+
+/// A volume's file, its header read and its voxels not yet.
+pub struct VolumeSource {
+    /// Where the voxels lie.
+    pub grid: VoxelGrid,
+    /// Numbers a voxel.
+    pub channels: usize,
+    /// Their order.
+    pub order: ChannelOrder,
+    /// How they are stored.
+    pub kind: SampleKind,
+    /// Whether the most significant byte comes first.
+    pub is_big_endian: bool,
+    /// value = number * slope + intercept.
+    pub slope: f64,
+    /// See `slope`.
+    pub intercept: f64,
+    /// The numbers.
+    pub reader: Box<dyn Read>,
+}
+
+impl VolumeSource {
+    /// The value of every voxel through `convert`.
+    ///
+    /// Errors: several numbers a voxel; a file that ends early; a grid too large for this machine.
+    pub fn read_scalars<T: Copy + Default>(self, convert: impl Fn(f64) -> T) -> Result<Volume<T>> {
+        if self.channels != 1 {
+            return Err(Error::input(format!("holds {} numbers a voxel, and one is wanted", self.channels)));
+        }
+        let grid = self.grid;
+        grid.validate(size_of::<T>() as f64)?;
+        let mut data = Vec::with_capacity(grid.count());
+        self.decode(grid.count(), |value| data.push(convert(value)))?;
+        Ok(Volume { grid, data })
+    }
+
+    /// The vector of every voxel. Errors as [`VolumeSource::read_scalars`], and other than three numbers a voxel.
+    pub fn read_vectors(self) -> Result<Volume<[f32; 3]>> {
+        if self.channels != 3 {
+            let sentence = format!("holds {} number(s) a voxel, and a displacement has three", self.channels);
+            return Err(Error::input(sentence));
+        }
+        let (grid, order) = (self.grid, self.order);
+        grid.validate(12.0)?;
+        let count = grid.count();
+        let mut data = vec![[0f32; 3]; count];
+        let mut next = 0;
+        self.decode(3 * count, |value| {
+            match order {
+                ChannelOrder::ByVoxel => data[next / 3][next % 3] = value as f32,
+                ChannelOrder::ByChannel => data[next % count][next / count] = value as f32,
+            }
+            next += 1;
+        })?;
+        if let Some(at) = data.iter().position(|v| v.iter().any(|c| !c.is_finite())) {
+            return Err(Error::input("is not finite").element(format!("the displacement of voxel {:?}", grid.cell(at))));
+        }
+        Ok(Volume { grid, data })
+    }
+
+    fn decode(mut self, count: usize, mut take: impl FnMut(f64)) -> Result<()> {
+        let size = self.kind.bytes();
+        let mut left = count * size;
+        let mut chunk = vec![0u8; CHUNK_BYTES.min(left)];
+        while left > 0 {
+            let part = &mut chunk[..CHUNK_BYTES.min(left)];
+            self.reader.read_exact(part).map_err(|e| match e.kind() {
+                std::io::ErrorKind::UnexpectedEof => {
+                    Error::input(format!("ends early: fewer than {count} numbers are there"))
+                }
+                _ => Error::input(format!("its voxels cannot be read: {e}")),
+            })?;
+            if self.is_big_endian {
+                part.chunks_exact_mut(size).for_each(<[u8]>::reverse);
+            }
+            for sample in part.chunks_exact(size) {
+                take(self.kind.decode(sample) * self.slope + self.intercept);
+            }
+            left -= part.len();
+        }
+        Ok(())
+    }
+}
