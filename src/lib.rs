@@ -30,7 +30,7 @@
 //! | [`formats`] | one external file format per file, pure functions both ways | stages |
 //! | [`airway`] | case files, bronchial tree, surface, breathing field and waveform, centreline, import | rendering |
 //! | [`render`] | the path tracer | breathing, methods |
-//! | [`simulate`] | trajectory, exposure, sequence writer and reader | methods |
+//! | [`simulate`] | trajectory, exposure, sequence writer and reader, export to other layouts | methods |
 //! | [`splat`] | the differentiable rasteriser | methods, losses, optimiser |
 //! | [`reconstruct`] | the methods: losses, optimiser, schedules | the truth |
 //! | [`score`] | metric registry, protocol, aggregation | how predictions were made |
@@ -56,7 +56,7 @@
 //!
 //! | feature | rooms | needs |
 //! |---|---|---|
-//! | none | [`base`], [`formats`], [`airway`], [`splat`], [`reconstruct`], and of [`simulate`] the readers `sequence` and `participant` | g++ |
+//! | none | [`base`], [`formats`], [`airway`], [`splat`], [`reconstruct`], and of [`simulate`] the readers `sequence` and `participant`, and `export` | g++ |
 //! | `trace` | [`render`], [`simulate`] | Embree 4, libclang |
 //! | `vision` | [`score`] | OpenCV 4, clang |
 //! | `program` | [`report`], [`mod@bench`], [`experiments`], [`cli`] | both |
@@ -79,6 +79,7 @@ pub mod simulate;
 #[cfg(not(feature = "trace"))]
 #[allow(dead_code, reason = "names and entries that only the writer needs")]
 pub mod simulate {
+    pub mod export;
     pub mod participant;
     pub mod sequence;
 }

@@ -11,6 +11,7 @@ mod comparison;
 mod doctor;
 mod evaluate;
 mod explain;
+mod export;
 mod gate;
 mod import;
 mod import_file;
@@ -72,7 +73,9 @@ commands! {
     Import => import::ImportArguments,
     /// Films cases into sequence folders
     Simulate => simulate::SimulateArguments,
-    /// Scores the predictions of any program against a sequence
+    /// Writes a film in the layout of another program: COLMAP, nerfstudio, EndoNeRF, C3VD, TUM, glTF
+    Export => export::ExportArguments,
+    /// Scores the predictions of any program against one film or many
     Evaluate => evaluate::EvaluateArguments,
     /// Says in one sentence what is wrong with a folder of predictions, or with a sequence
     Check => check::CheckArguments,

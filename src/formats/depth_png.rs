@@ -4,7 +4,7 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use image::{DynamicImage, ImageFormat, ImageReader, Limits};
+use image::{DynamicImage, ImageBuffer, ImageFormat, ImageReader, Limits, Luma};
 
 use crate::base::{Error, Image, Result, files};
 
@@ -17,6 +17,22 @@ const MAX_DECODED_BYTES: u64 = 256 << 20;
 /// because they cannot hold a depth.
 pub fn read(path: &Path, unit_mm: f64) -> Result<Image<f32>> {
     decode(&files::read_bytes(path)?, unit_mm).map_err(|e| e.at(path))
+}
+
+/// Writes codes as a 16-bit grey PNG in one atomic step. Errors: other than one channel; writing.
+pub fn write(path: &Path, codes: &Image<u16>) -> Result<()> {
+    files::write_bytes(path, &encode(codes).map_err(|e| e.at(path))?)
+}
+
+fn encode(codes: &Image<u16>) -> Result<Vec<u8>> {
+    let refused = || Error::input("an image of depth has one channel and at least one pixel");
+    let grey = Some(codes).filter(|codes| codes.channels == 1 && !codes.data.is_empty()).ok_or_else(refused)?;
+    let (width, height) = (grey.width as u32, grey.height as u32);
+    let grey = ImageBuffer::<Luma<u16>, _>::from_raw(width, height, grey.data.as_slice()).ok_or_else(refused)?;
+    let mut bytes = Cursor::new(Vec::new());
+    let failed = |e: image::ImageError| Error::input(format!("encoding as PNG failed: {e}"));
+    grey.write_to(&mut bytes, ImageFormat::Png).map_err(failed)?;
+    Ok(bytes.into_inner())
 }
 
 /// [`read`] for bytes in memory.
@@ -45,12 +61,11 @@ mod tests {
 
     #[test]
     fn codes_times_the_unit() {
-        let mut bytes = Cursor::new(Vec::new());
-        let grey = image::ImageBuffer::<image::Luma<u16>, _>::from_raw(3, 1, vec![0u16, 250, 40_000]).unwrap();
-        grey.write_to(&mut bytes, ImageFormat::Png).unwrap();
-        let bytes = bytes.into_inner();
+        let codes = Image { width: 3, height: 1, channels: 1, data: vec![0u16, 250, 40_000] };
+        let bytes = encode(&codes).unwrap();
         assert_eq!(decode(&bytes, 0.01).unwrap().data, [0.0, 2.5, 400.0]);
         assert!(decode(&bytes[..bytes.len() / 2], 0.01).is_err());
+        assert!(encode(&Image { channels: 3, width: 1, ..codes }).is_err());
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! From anatomy to a filmed sequence on disk, and back: trajectory, exposure, writer, reader. Knows nothing of methods.
 
+pub mod export;
 pub mod exposure;
 pub mod film;
 mod identity;

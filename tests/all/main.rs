@@ -7,6 +7,7 @@ mod blind;
 mod cases;
 mod cheats;
 mod command_line;
+mod export;
 mod faults;
 mod gate;
 mod import;

@@ -68,7 +68,7 @@ pub fn assert_same(a: &Path, b: &Path) {
 
 /// Distance from `point` to the nearest triangle, by trying them all (Ericson, Real-Time Collision Detection, 5.1.5, by
 /// way of the plane and the three edges).
-fn off_surface(surface: &TriangleMesh, point: DVec3) -> f64 {
+pub fn off_surface(surface: &TriangleMesh, point: DVec3) -> f64 {
     let to_edge = |a: DVec3, b: DVec3| {
         let t = ((point - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
         point.distance(a.lerp(b, t))
