@@ -29,7 +29,7 @@ pub struct ExportArguments {
     /// Export the truth too: the depth of every frame, the true surface at expiration
     #[arg(long)]
     truth: bool,
-    /// Units of lengths in a millimetre: 0.001 writes metres [default: 1; endonerf 10]
+    /// Units of lengths in a millimetre: 0.001 writes metres [default: 1.0; for endonerf 10.0]
     #[arg(long, value_name = "N", value_parser = SCALE.parser::<f64>())]
     scale: Option<f64>,
     /// Of endonerf: camera axes of the poses

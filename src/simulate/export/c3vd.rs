@@ -28,7 +28,7 @@ struct Omnidirectional {
     centre: DVec2,
     /// a0, a2, a3, a4.
     polynomial: [f64; 4],
-    /// Stretch of the columns: c of the matrix [c d; e 1].
+    /// Stretch of the columns: `c` of the matrix whose rows are `c d` and `e 1`.
     stretch: f64,
     /// Largest distance in pixels between where the two cameras see a ray.
     misfit_px: f64,
