@@ -22,6 +22,8 @@ step tests
 RESPIRE_FUZZ_SECONDS=5 cargo test --release --locked --quiet
 step library
 scripts/check-library.sh
+step python
+scripts/test-python.sh
 step package
 rm -rf target/package
 scripts/package.sh target/package

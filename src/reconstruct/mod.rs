@@ -35,7 +35,7 @@ pub use methods::ours::{GivenPhase, Ours};
 pub use methods::ours_gn::OursGn;
 pub use methods::ours_nomesh::OursNomesh;
 pub use observe::observe;
-pub use prediction::write_prediction;
+pub use prediction::{PredictionFolder, PredictionTiming, write_prediction};
 pub use rough_poses::rough_poses;
 pub use settings::Listing;
 pub use stopwatch::Spent;

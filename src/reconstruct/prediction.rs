@@ -1,16 +1,16 @@
 //! The PREDICTION folder: `color/NNNNNN.png`, `depth/NNNNNN.exr`, `ahead/NNNNNN.png`,
 //! `novel/NNNNNN.png`, `novel_depth/NNNNNN.exr`, `targets.csv`, `phase.csv` (with
-//! `phase_sd` if the method estimates it), `mesh/final.ply`, `timing.json`. Frames are written as they come, the rest
-//! at the end.
+//! `phase_sd` if the method estimates it), `mesh/final.ply`, `timing.json`, `prediction.json`. Frames are written as
+//! they come, the rest at the end.
 
 use std::path::{Path, PathBuf};
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::base::image::codes_from_unit;
-use crate::base::{Error, Progress, Result, files};
+use crate::base::{Error, Image, Progress, Result, TriangleMesh, files};
 use crate::formats::{exr, mesh, png};
 
 use super::contract::{FramePrediction, Observation, Reconstruct};
@@ -21,12 +21,130 @@ const BATCH: usize = 16;
 /// Resolution of the system's count of CPU time, seconds.
 const LEAST_CPU_S: f64 = 1e-6;
 
+/// What a method spent, in `timing.json`.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct PredictionTiming {
+    /// Wall seconds of the method alone, above 0.
+    pub time_total_s: f64,
+    /// Its CPU seconds, above 0, where they are known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_cpu_s: Option<f64>,
+    /// Wall seconds per frame.
+    pub time_per_frame_s: f64,
+    /// Number of frames.
+    pub frames: usize,
+}
+
+/// A folder of predictions that is being written: pictures at once, tables by [`PredictionFolder::finish`]. Nothing is
+/// compared with a film here; `respire-bench check` does that.
+#[derive(Debug)]
+pub struct PredictionFolder {
+    folder: PathBuf,
+    phases: Vec<(usize, f64, Option<f64>)>,
+    poses: Vec<(usize, DAffine3)>,
+    targets: String,
+}
+
+impl PredictionFolder {
+    /// Nothing is written yet.
+    pub fn new(folder: &Path) -> Self {
+        PredictionFolder {
+            folder: folder.to_path_buf(),
+            phases: Vec::new(),
+            poses: Vec::new(),
+            targets: String::from("frame,target,x_mm,y_mm,z_mm\n"),
+        }
+    }
+
+    fn frame_file(&self, kind: &str, frame: usize, extension: &str) -> PathBuf {
+        self.folder.join(kind).join(format!("{frame:06}.{extension}"))
+    }
+
+    /// Writes the rendering of a frame, 8-bit sRGB.
+    pub fn color(&self, frame: usize, image: &Image<u8>) -> Result<()> {
+        png::write_rgb(&self.frame_file("color", frame, "png"), image)
+    }
+
+    /// Writes the z-depth of a frame in mm, 0 where nothing is.
+    pub fn depth_mm(&self, frame: usize, depth: &Image<f32>) -> Result<()> {
+        exr::write_depth(&self.frame_file("depth", frame, "exr"), depth)
+    }
+
+    /// Writes the rendering of a frame that was made before its image was used.
+    pub fn ahead(&self, frame: usize, image: &Image<u8>) -> Result<()> {
+        png::write_rgb(&self.frame_file("ahead", frame, "png"), image)
+    }
+
+    /// Writes the view of the second camera of a frame.
+    pub fn novel(&self, frame: usize, image: &Image<u8>) -> Result<()> {
+        png::write_rgb(&self.frame_file("novel", frame, "png"), image)
+    }
+
+    /// Writes the z-depth of the second camera of a frame in mm, 0 where nothing is.
+    pub fn novel_depth_mm(&self, frame: usize, depth: &Image<f32>) -> Result<()> {
+        exr::write_depth(&self.frame_file("novel_depth", frame, "exr"), depth)
+    }
+
+    /// Adds the breathing phase of a frame and, where it is known, its standard deviation.
+    pub fn add_phase(&mut self, frame: usize, phase: f64, deviation: Option<f64>) {
+        self.phases.push((frame, phase, deviation));
+    }
+
+    /// Adds the pose of a frame, world from camera in mm.
+    pub fn add_pose(&mut self, frame: usize, world_from_camera: DAffine3) {
+        self.poses.push((frame, world_from_camera));
+    }
+
+    /// Adds the places of all targets at a frame, mm.
+    pub fn add_targets(&mut self, frame: usize, places_mm: &[DVec3]) {
+        for (target, place) in places_mm.iter().enumerate() {
+            self.targets += &format!("{frame},{target},{:.9},{:.9},{:.9}\n", place.x, place.y, place.z);
+        }
+    }
+
+    /// Writes the tables, the surface at the last frame and the times, as far as they are there.
+    pub fn finish(self, final_mesh: Option<&TriangleMesh>, timing: Option<&PredictionTiming>) -> Result<()> {
+        let at = |name: &str| self.folder.join(name);
+        if !self.phases.is_empty() {
+            files::write_bytes(&at("phase.csv"), &phase_table(&self.phases).map_err(|e| e.at(at("phase.csv")))?)?;
+        }
+        if !self.poses.is_empty() {
+            files::write_bytes(&at("poses.csv"), pose_table(&self.poses).as_bytes())?;
+        }
+        if self.targets.lines().count() > 1 {
+            files::write_bytes(&at("targets.csv"), self.targets.as_bytes())?;
+        }
+        if let Some(surface) = final_mesh {
+            mesh::write_ply(&at("mesh/final.ply"), surface, &["airway surface at the last frame, mm"])?;
+        }
+        timing.map_or(Ok(()), |timing| files::write_json(&at("timing.json"), timing))
+    }
+
+    /// Names the method in `prediction.json`.
+    pub fn write_about(&self, method: &str) -> Result<()> {
+        files::write_json(&self.folder.join("prediction.json"), &PredictionAbout { method })
+    }
+}
+
+/// What `prediction.json` says.
 #[derive(Serialize)]
-struct PredictionTiming {
-    time_total_s: f64,
-    time_cpu_s: f64,
-    time_per_frame_s: f64,
-    frames: usize,
+struct PredictionAbout<'a> {
+    method: &'a str,
+}
+
+/// Columns `frame`, `phase` and, where all are known, `phase_sd`.
+fn phase_table(phases: &[(usize, f64, Option<f64>)]) -> Result<Vec<u8>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let failed = |e: csv::Error| Error::input(format!("cannot be written: {e}"));
+    let with_deviation = phases.iter().all(|(_, _, deviation)| deviation.is_some());
+    let columns = if with_deviation { 3 } else { 2 };
+    writer.write_record(&["frame", "phase", "phase_sd"][..columns]).map_err(failed)?;
+    for (frame, phase, deviation) in phases {
+        let deviation = deviation.map_or(String::new(), |sd| format!("{sd:.9}"));
+        let row = [frame.to_string(), format!("{phase:.9}"), deviation];
+        writer.write_record(&row[..columns]).map_err(failed)?;
+    }
+    writer.into_inner().map_err(|e| Error::input(e.to_string()))
 }
 
 /// Runs `method` on `observation` and writes its prediction to `folder`.
@@ -36,58 +154,32 @@ pub fn write_prediction(
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<()> {
-    let mut phases: Vec<(usize, f64, Option<f64>)> = Vec::new();
-    let mut poses: Vec<(usize, DAffine3)> = Vec::new();
-    let mut targets = String::from("frame,target,x_mm,y_mm,z_mm\n");
+    let mut out = PredictionFolder::new(folder);
     let mut waiting: Vec<FramePrediction> = Vec::with_capacity(BATCH);
     let mut emit = |prediction: FramePrediction| -> Result<()> {
-        poses.extend(prediction.world_from_camera.map(|pose| (prediction.frame, pose)));
-        phases.extend(prediction.phase.map(|phase| (prediction.frame, phase, prediction.phase_deviation)));
-        for (target, place) in prediction.targets_mm.iter().flatten().enumerate() {
-            targets += &format!("{},{target},{:.9},{:.9},{:.9}\n", prediction.frame, place.x, place.y, place.z);
-        }
+        let frame = prediction.frame;
+        prediction.world_from_camera.into_iter().for_each(|pose| out.add_pose(frame, pose));
+        prediction.phase.into_iter().for_each(|phase| out.add_phase(frame, phase, prediction.phase_deviation));
+        out.add_targets(frame, prediction.targets_mm.as_deref().unwrap_or_default());
         waiting.push(prediction);
         if waiting.len() == BATCH {
-            write_frames(folder, &waiting)?;
+            write_frames(&out, &waiting)?;
             waiting.clear();
         }
         Ok(())
     };
     let done = method.run(observation, &mut emit, progress)?;
-    write_frames(folder, &waiting)?;
-    if !phases.is_empty() {
-        let mut writer = csv::Writer::from_writer(Vec::new());
-        let failed = |e: csv::Error| Error::input(format!("cannot be written: {e}")).at(folder.join("phase.csv"));
-        let with_deviation = phases.iter().all(|(_, _, deviation)| deviation.is_some());
-        let columns = if with_deviation { 3 } else { 2 };
-        writer.write_record(&["frame", "phase", "phase_sd"][..columns]).map_err(failed)?;
-        for (frame, phase, deviation) in &phases {
-            let deviation = deviation.map_or(String::new(), |sd| format!("{sd:.9}"));
-            let row = [frame.to_string(), format!("{phase:.9}"), deviation];
-            writer.write_record(&row[..columns]).map_err(failed)?;
-        }
-        let bytes = writer.into_inner().map_err(|e| Error::input(e.to_string()))?;
-        files::write_bytes(&folder.join("phase.csv"), &bytes)?;
-    }
-    if !poses.is_empty() {
-        files::write_bytes(&folder.join("poses.csv"), pose_table(&poses).as_bytes())?;
-    }
-    if targets.lines().count() > 1 {
-        files::write_bytes(&folder.join("targets.csv"), targets.as_bytes())?;
-    }
-    if let Some(final_mesh) = &done.final_mesh {
-        mesh::write_ply(&folder.join("mesh/final.ply"), final_mesh, &["airway surface at the last frame, mm"])?;
-    }
+    write_frames(&out, &waiting)?;
     let frames = observation.images.len();
     let spent = done.spent;
     let timing = PredictionTiming {
         time_total_s: spent.wall_s,
         // The system counts in ticks: what took less than one took some all the same.
-        time_cpu_s: spent.cpu_s.max(LEAST_CPU_S),
+        time_cpu_s: Some(spent.cpu_s.max(LEAST_CPU_S)),
         time_per_frame_s: spent.wall_s / frames as f64,
         frames,
     };
-    files::write_json(&folder.join("timing.json"), &timing)
+    out.finish(done.final_mesh.as_ref(), Some(&timing))
 }
 
 /// Columns `frame` and `m00` to `m23`: the upper rows of world_from_camera, mm.
@@ -105,24 +197,20 @@ fn pose_table(poses: &[(usize, DAffine3)]) -> String {
     table
 }
 
-fn frame_file(folder: &Path, kind: &str, frame: usize, extension: &str) -> PathBuf {
-    folder.join(kind).join(format!("{frame:06}.{extension}"))
+fn write_frames(out: &PredictionFolder, predictions: &[FramePrediction]) -> Result<()> {
+    predictions.par_iter().try_for_each(|prediction| write_frame(out, prediction))
 }
 
-fn write_frames(folder: &Path, predictions: &[FramePrediction]) -> Result<()> {
-    predictions.par_iter().try_for_each(|prediction| write_frame(folder, prediction))
-}
-
-fn write_frame(folder: &Path, prediction: &FramePrediction) -> Result<()> {
+fn write_frame(out: &PredictionFolder, prediction: &FramePrediction) -> Result<()> {
     let frame = prediction.frame;
-    png::write_rgb(&frame_file(folder, "color", frame, "png"), &codes_from_unit(&prediction.color))?;
-    exr::write_depth(&frame_file(folder, "depth", frame, "exr"), &prediction.depth_mm)?;
+    out.color(frame, &codes_from_unit(&prediction.color))?;
+    out.depth_mm(frame, &prediction.depth_mm)?;
     if let Some(ahead) = &prediction.ahead {
-        png::write_rgb(&frame_file(folder, "ahead", frame, "png"), &codes_from_unit(ahead))?;
+        out.ahead(frame, &codes_from_unit(ahead))?;
     }
     if let Some(novel) = &prediction.novel {
-        png::write_rgb(&frame_file(folder, "novel", frame, "png"), &codes_from_unit(&novel.color))?;
-        exr::write_depth(&frame_file(folder, "novel_depth", frame, "exr"), &novel.depth_mm)?;
+        out.novel(frame, &codes_from_unit(&novel.color))?;
+        out.novel_depth_mm(frame, &novel.depth_mm)?;
     }
     Ok(())
 }

@@ -19,11 +19,11 @@ use super::plain::project::{ProjectionChunk, recolor};
 use super::plain::projector::Projector;
 use super::plain::tile::{self, BackwardTile, ForwardTile, Parts};
 use super::types::table::DiscSums;
-use super::types::{Direction, Filter, Footprint, Gaussians, ImageGradient, Shape, Skips, Tiling, Wanted};
+use super::types::{Direction, Filter, Footprint, GaussianSlices, ImageGradient, ShapeSlices, Skips, Tiling, Wanted};
 
 /// A scene and its camera, as the kernels take them.
 pub struct KernelScene<'a, T> {
-    pub gaussians: &'a Gaussians<T>,
+    pub gaussians: GaussianSlices<'a, T>,
     pub projector: &'a Projector<T>,
     /// Which Gaussians take part; `None` for all.
     pub active: Option<&'a [u32]>,
@@ -34,7 +34,12 @@ pub struct KernelScene<'a, T> {
 
 impl<'a, T: SplatKernels> KernelScene<'a, T> {
     /// `gaussians`, or those in `active`, to be processed by the kernels of `isa`.
-    pub fn new(isa: Isa, gaussians: &'a Gaussians<T>, projector: &'a Projector<T>, active: Option<&'a [u32]>) -> Self {
+    pub fn new(
+        isa: Isa,
+        gaussians: GaussianSlices<'a, T>,
+        projector: &'a Projector<T>,
+        active: Option<&'a [u32]>,
+    ) -> Self {
         let vectorised = T::VECTORISED && isa != Isa::Scalar && projector.footprint == Footprint::Ewa;
         KernelScene { gaussians, projector, active, isa, camera: vectorised.then(|| native_camera(projector)) }
     }
@@ -87,12 +92,12 @@ pub trait SplatKernels: Real {
         chunk: &mut ProjectionChunk<'_, Self>,
         _moving: Option<(&Direction<'_, Self>, &mut Velocities<Self>)>,
     ) {
-        chunk.fill(scene.projector, scene.gaussians, scene.active, tiling);
+        chunk.fill(scene.projector, &scene.gaussians, scene.active, tiling);
     }
 
     /// Writes the colours of the visible splats number `first..` into their rows; `false` when one is not finite.
     fn recolor(scene: &KernelScene<'_, Self>, first: usize, visible: &[bool], rows: &mut [Aligned<Self>]) -> bool {
-        recolor(scene.projector, scene.gaussians, scene.active, first, visible, rows)
+        recolor(scene.projector, &scene.gaussians, scene.active, first, visible, rows)
     }
 
     /// Gradients of a chunk from its moments; returns those of the camera.
@@ -103,7 +108,7 @@ pub trait SplatKernels: Real {
         chunk: &mut GradientChunk<'_, Self>,
         faults: impl Faults,
     ) -> SplatCameraGradient {
-        chunk.fill(scene.projector, scene.gaussians, scene.active, from, wanted, faults)
+        chunk.fill(scene.projector, &scene.gaussians, scene.active, from, wanted, faults)
     }
 
     /// The kernels for velocities in this scene; `None` if dual numbers are needed.
@@ -184,7 +189,7 @@ impl SplatKernels for f32 {
         moving: Option<(&Direction<'_, f32>, &mut Velocities<f32>)>,
     ) {
         let Some(native_scene) = scene.native() else {
-            return chunk.fill(scene.projector, scene.gaussians, scene.active, tiling);
+            return chunk.fill(scene.projector, &scene.gaussians, scene.active, tiling);
         };
         let mut pose = [0.0; 6];
         let (motion, velocities): (_, &mut Velocities<f32>) = match moving {
@@ -199,7 +204,7 @@ impl SplatKernels for f32 {
     fn recolor(scene: &KernelScene<'_, f32>, first: usize, visible: &[bool], rows: &mut [Aligned<f32>]) -> bool {
         match scene.native() {
             Some(native_scene) => native::recolor(scene.isa, &native_scene, first, visible, rows),
-            None => recolor(scene.projector, scene.gaussians, scene.active, first, visible, rows),
+            None => recolor(scene.projector, &scene.gaussians, scene.active, first, visible, rows),
         }
     }
 
@@ -211,7 +216,7 @@ impl SplatKernels for f32 {
         faults: impl Faults,
     ) -> SplatCameraGradient {
         let Some(native_scene) = scene.native().filter(|_| faults.is_sound()) else {
-            return chunk.fill(scene.projector, scene.gaussians, scene.active, from, wanted, faults);
+            return chunk.fill(scene.projector, &scene.gaussians, scene.active, from, wanted, faults);
         };
         let discs = chunk.axes.as_flattened_mut().as_flattened_mut();
         let out = ChainOutput {
@@ -343,9 +348,9 @@ impl KernelScene<'_, f32> {
     /// As C++ takes it; `None` if the plain twin runs.
     fn native(&self) -> Option<SplatScene<'_>> {
         let (camera, exact_camera) = self.camera.as_ref()?;
-        let (shape, scales): (&[f32], &[f32]) = match &self.gaussians.shape {
-            Shape::Ellipsoids { rotations, scales } => (rotations.as_flattened(), scales.as_flattened()),
-            Shape::Discs { axes } => (axes.as_flattened().as_flattened(), &[]),
+        let (shape, scales): (&[f32], &[f32]) = match self.gaussians.shape {
+            ShapeSlices::Ellipsoids { rotations, scales } => (rotations.as_flattened(), scales.as_flattened()),
+            ShapeSlices::Discs { axes } => (axes.as_flattened().as_flattened(), &[]),
         };
         Some(SplatScene {
             camera: camera.clone(),
@@ -353,8 +358,8 @@ impl KernelScene<'_, f32> {
             positions: self.gaussians.positions.as_flattened(),
             shape,
             scales,
-            opacities: &self.gaussians.opacities,
-            sh: &self.gaussians.sh,
+            opacities: self.gaussians.opacities,
+            sh: self.gaussians.sh,
             sh_degree: self.gaussians.sh_degree as u32,
             active: self.active.unwrap_or_default(),
             all: self.active.is_none(),

@@ -42,6 +42,6 @@ pub use number::{Dual, Real};
 pub use pass::{PassStage, Rasterizer, Reuse, StageTimes};
 pub use plain::fault::Fault;
 pub use types::{
-    DepthOutput, Direction, Filter, Footprint, Gaussians, Gradients, ImageGradient, Motion, Rendered, Settings, Shape,
-    Skips, View, Wanted,
+    DepthOutput, Direction, Filter, Footprint, GaussianSlices, Gaussians, Gradients, ImageGradient, Motion, Rendered,
+    Settings, Shape, ShapeSlices, Skips, View, Wanted,
 };

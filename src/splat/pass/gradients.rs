@@ -7,7 +7,7 @@ use crate::ffi::splat::rasterize::SplatCameraGradient;
 use crate::splat::kernels::{KernelScene, SplatKernels};
 use crate::splat::plain::fault::Faults;
 use crate::splat::plain::gradient_chunk::{ChunkMoments, GradientChunk};
-use crate::splat::types::{Gradients, Shape, Wanted};
+use crate::splat::types::{Gradients, ShapeSlices, Wanted};
 
 use super::backward::Moments;
 use super::pool::{CHUNK, cut, piece_of};
@@ -36,7 +36,7 @@ impl<T: SplatKernels> GradientTables<T> {
         faults: impl Faults,
     ) {
         let (n, stride) = (scene.count(), scene.gaussians.sh_stride());
-        let has_axes = matches!(scene.gaussians.shape, Shape::Discs { .. });
+        let has_axes = matches!(scene.gaussians.shape, ShapeSlices::Discs { .. });
         self.lay_out((n, stride, has_axes, wanted));
         let of_gaussians = Wanted::POSITIONS | Wanted::SHAPES | Wanted::OPACITIES | Wanted::SH;
         if !wanted.any(of_gaussians | Wanted::POSE | Wanted::LENS) {

@@ -1,7 +1,7 @@
 //! The arguments of a render, and the options that hold for many passes.
 
 use crate::ffi::isa::Isa;
-use crate::splat::types::{Gaussians, Settings, Skips, View};
+use crate::splat::types::{GaussianSlices, Settings, Skips, View};
 
 /// Which kernels run, and which work they skip.
 #[derive(Clone, Copy, Debug)]
@@ -13,7 +13,7 @@ pub struct PassOptions {
 /// The arguments of a render.
 #[derive(Clone, Copy)]
 pub struct RenderRequest<'a, T> {
-    pub gaussians: &'a Gaussians<T>,
+    pub gaussians: GaussianSlices<'a, T>,
     pub view: &'a View,
     pub settings: &'a Settings,
     /// Indices of the Gaussians that take part; `None` for all.

@@ -8,7 +8,7 @@ use crate::splat::number::Real;
 use crate::splat::plain::disc::{Disc, DiscOptics};
 use crate::splat::plain::surface_depth::SplatSurface;
 use crate::splat::plain::{disc_tile, tile};
-use crate::splat::types::{Gaussians, PIXELS, View};
+use crate::splat::types::{GaussianSlices, PIXELS, View};
 
 use super::bins::Bins;
 use super::splats::Splats;
@@ -43,7 +43,7 @@ pub struct PixelWalk<'a, T> {
 
 /// The surfaces of all splats that are in a list.
 pub fn splat_surfaces<T: Real>(
-    gaussians: &Gaussians<T>,
+    gaussians: &GaussianSlices<'_, T>,
     view: &View,
     active: Option<&[u32]>,
     bins: &Bins,

@@ -14,8 +14,8 @@ use crate::splat::plain::projector::Projector;
 use crate::splat::plain::tile::Parts;
 use crate::splat::types::table::PLANES;
 use crate::splat::types::{
-    DepthOutput, Direction, Footprint, Gaussians, Gradients, ImageGradient, PIXELS, Rendered, Settings, Skips, Tiling,
-    View, Wanted,
+    DepthOutput, Direction, Footprint, GaussianSlices, Gradients, ImageGradient, PIXELS, Rendered, Settings, Skips,
+    Tiling, View, Wanted,
 };
 
 use super::backward::{Moments, TileGradient};
@@ -158,13 +158,17 @@ impl<T: SplatKernels> Rasterizer<T> {
     /// that is not finite, with no opacity, or in front of the near plane are left out; the images are finite for any
     /// input. Errors: arrays of different lengths, an invalid camera or settings, a bad `active`, an image or lists of
     /// tiles that this machine has no memory left for.
-    pub fn render(
+    pub fn render<'g>(
         &mut self,
-        gaussians: &Gaussians<T>,
+        gaussians: impl Into<GaussianSlices<'g, T>>,
         view: &View,
         settings: &Settings,
         active: Option<&[u32]>,
-    ) -> Result<&Rendered<T>> {
+    ) -> Result<&Rendered<T>>
+    where
+        T: 'g,
+    {
+        let gaussians = gaussians.into();
         in_pool(|| self.render_in_pool(RenderRequest { gaussians, view, settings, active }))?;
         Ok(&self.images.rendered)
     }
@@ -173,13 +177,17 @@ impl<T: SplatKernels> Rasterizer<T> {
     /// `with_backward`: projects them and counts the tiles that they meet, without making the lists.
     ///
     /// Errors: those of a render before its lists.
-    pub fn estimate(
+    pub fn estimate<'g>(
         &mut self,
-        gaussians: &Gaussians<T>,
+        gaussians: impl Into<GaussianSlices<'g, T>>,
         view: &View,
         settings: &Settings,
         with_backward: bool,
-    ) -> Result<Estimate> {
+    ) -> Result<Estimate>
+    where
+        T: 'g,
+    {
+        let gaussians = gaussians.into();
         self.last = None;
         self.reuse.forget();
         gaussians.validate()?;
@@ -264,7 +272,7 @@ impl<T: SplatKernels> Rasterizer<T> {
     /// along it; `false` if these have not been computed.
     fn make_splats(
         &mut self,
-        gaussians: &Gaussians<T>,
+        gaussians: GaussianSlices<'_, T>,
         projector: &Projector<T>,
         view: &View,
         moving: Option<&Direction<'_, T>>,
@@ -285,7 +293,7 @@ impl<T: SplatKernels> Rasterizer<T> {
     /// The first half of [`Rasterizer::make_splats`]: rows, boxes and counts of all active Gaussians.
     fn project(
         &mut self,
-        gaussians: &Gaussians<T>,
+        gaussians: GaussianSlices<'_, T>,
         projector: &Projector<T>,
         tiling: &Tiling,
         moving: Option<&Direction<'_, T>>,
@@ -323,7 +331,7 @@ impl<T: SplatKernels> Rasterizer<T> {
     }
 
     /// Fills the depth image, where it is not composited with the colours.
-    fn fill_depth(&mut self, gaussians: &Gaussians<T>, view: &View, settings: &Settings) {
+    fn fill_depth(&mut self, gaussians: GaussianSlices<'_, T>, view: &View, settings: &Settings) {
         let median = settings.depth == DepthOutput::Median;
         if !median && (settings.footprint == Footprint::Disc || settings.depth != DepthOutput::Surface) {
             return;
@@ -331,7 +339,7 @@ impl<T: SplatKernels> Rasterizer<T> {
         let (bins, n) = (&self.bins, self.images.rendered.visible.len());
         let surfaces = match settings.footprint {
             Footprint::Disc => SurfaceSource::Discs(DiscOptics::new(view, settings, &self.rays.directions)),
-            Footprint::Ewa => SurfaceSource::Splats(splat_surfaces(gaussians, view, self.active.as_deref(), bins, n)),
+            Footprint::Ewa => SurfaceSource::Splats(splat_surfaces(&gaussians, view, self.active.as_deref(), bins, n)),
         };
         let walk = PixelWalk { splats: &self.splats, bins, view: *view, surfaces };
         let depth =
@@ -372,31 +380,39 @@ impl<T: SplatKernels> Rasterizer<T> {
     ///
     /// Errors: no render before, other Gaussians, an image gradient of the wrong size or with a number that is not
     /// finite, a depth gradient after a render without depth.
-    pub fn backward(
+    pub fn backward<'g>(
         &mut self,
-        gaussians: &Gaussians<T>,
+        gaussians: impl Into<GaussianSlices<'g, T>>,
         image: &ImageGradient<'_, T>,
         wanted: Wanted,
-    ) -> Result<&Gradients<T>> {
+    ) -> Result<&Gradients<T>>
+    where
+        T: 'g,
+    {
+        let gaussians = gaussians.into();
         in_pool(|| self.backward_in_pool(gaussians, image, wanted, Sound))?;
         Ok(&self.gradients.gradients)
     }
 
     /// [`Rasterizer::backward`] of the plain twin with a seeded mistake, to verify that a gradient check can fail.
-    pub fn backward_with_fault(
+    pub fn backward_with_fault<'g>(
         &mut self,
-        gaussians: &Gaussians<T>,
+        gaussians: impl Into<GaussianSlices<'g, T>>,
         image: &ImageGradient<'_, T>,
         wanted: Wanted,
         fault: Fault,
-    ) -> Result<&Gradients<T>> {
+    ) -> Result<&Gradients<T>>
+    where
+        T: 'g,
+    {
+        let gaussians = gaussians.into();
         in_pool(|| self.backward_in_pool(gaussians, image, wanted, fault))?;
         Ok(&self.gradients.gradients)
     }
 
     fn backward_in_pool(
         &mut self,
-        gaussians: &Gaussians<T>,
+        gaussians: GaussianSlices<'_, T>,
         image: &ImageGradient<'_, T>,
         wanted: Wanted,
         faults: impl Faults,

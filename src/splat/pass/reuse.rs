@@ -3,7 +3,7 @@
 //! The images are bit by bit those of a render from scratch.
 
 use crate::splat::number::Real;
-use crate::splat::types::{Footprint, Settings, Shape, View};
+use crate::splat::types::{Footprint, Settings, Shape, ShapeSlices, View};
 
 use super::options::RenderRequest;
 
@@ -37,12 +37,12 @@ fn equal<T: Real>(a: &[T], b: &[T]) -> bool {
     a.len() == b.len() && a.chunks(256).zip(b.chunks(256)).all(|(a, b)| same(a, b))
 }
 
-fn equal_shapes<T: Real>(a: &Shape<T>, b: &Shape<T>) -> bool {
+fn equal_shapes<T: Real>(a: &Shape<T>, b: ShapeSlices<'_, T>) -> bool {
     match (a, b) {
-        (Shape::Ellipsoids { rotations: p, scales: s }, Shape::Ellipsoids { rotations: q, scales: t }) => {
+        (Shape::Ellipsoids { rotations: p, scales: s }, ShapeSlices::Ellipsoids { rotations: q, scales: t }) => {
             equal(p.as_flattened(), q.as_flattened()) && equal(s.as_flattened(), t.as_flattened())
         }
-        (Shape::Discs { axes: p }, Shape::Discs { axes: q }) => {
+        (Shape::Discs { axes: p }, ShapeSlices::Discs { axes: q }) => {
             equal(p.as_flattened().as_flattened(), q.as_flattened().as_flattened())
         }
         _ => false,
@@ -57,9 +57,9 @@ impl<T: Real> KeptGeometry<T> {
             view: *view,
             settings: *settings,
             active: active.map(<[u32]>::to_vec),
-            positions: gaussians.positions.clone(),
-            shape: gaussians.shape.clone(),
-            opacities: gaussians.opacities.clone(),
+            positions: gaussians.positions.to_vec(),
+            shape: gaussians.shape.to_shape(),
+            opacities: gaussians.opacities.to_vec(),
             sh_degree: gaussians.sh_degree,
         }
     }
@@ -74,9 +74,9 @@ impl<T: Real> KeptGeometry<T> {
             && self.settings == developed
             && self.active.as_deref() == active
             && self.sh_degree == gaussians.sh_degree
-            && equal(&self.opacities, &gaussians.opacities)
+            && equal(&self.opacities, gaussians.opacities)
             && equal(self.positions.as_flattened(), gaussians.positions.as_flattened())
-            && equal_shapes(&self.shape, &gaussians.shape)
+            && equal_shapes(&self.shape, gaussians.shape)
     }
 }
 

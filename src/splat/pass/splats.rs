@@ -77,7 +77,7 @@ impl<T: SplatKernels> Splats<T> {
             |(chunk, ((((((rows, boxes), keys), visible), (starts, counts)), velocities), discs))| {
                 let mut chunk = ProjectionChunk { first: chunk * CHUNK, rows, boxes, keys, visible };
                 if exact {
-                    let (projector, gaussians) = (scene.projector, scene.gaussians);
+                    let (projector, gaussians) = (scene.projector, &scene.gaussians);
                     chunk.fill_with(projector, gaussians, scene.active, |k, i| {
                         let (row, disc) = projector.project_disc(gaussians, i)?;
                         discs[k] = disc.pack();

@@ -17,7 +17,9 @@ use crate::splat::plain::moving::{moving_discs, moving_row};
 use crate::splat::plain::projector::Projector;
 use crate::splat::plain::tile::{self, ForwardTile, Parts};
 use crate::splat::types::table::{DIRECTIONS_PER_PASS, PLANES, VELOCITY_PLANES};
-use crate::splat::types::{DepthOutput, Direction, Footprint, Gaussians, PIXELS, Settings, Skips, TILE_SIDE, View};
+use crate::splat::types::{
+    DepthOutput, Direction, Footprint, GaussianSlices, PIXELS, Settings, Skips, TILE_SIDE, View,
+};
 
 use super::forward::{MovingSplats, image_formation};
 use super::options::RenderRequest;
@@ -30,15 +32,19 @@ impl<T: SplatKernels> Rasterizer<T> {
     /// [`Rasterizer::rendered`] afterwards, and [`Rasterizer::backward`] may follow.
     ///
     /// Errors: as [`Rasterizer::render`]; a motion with other lengths than the Gaussians.
-    pub fn render_tangent(
+    pub fn render_tangent<'g>(
         &mut self,
-        gaussians: &Gaussians<T>,
+        gaussians: impl Into<GaussianSlices<'g, T>>,
         view: &View,
         settings: &Settings,
         active: Option<&[u32]>,
         directions: &[Direction<'_, T>],
-    ) -> Result<&[Vec<T>]> {
-        directions.iter().try_for_each(|direction| direction.check(gaussians))?;
+    ) -> Result<&[Vec<T>]>
+    where
+        T: 'g,
+    {
+        let gaussians = gaussians.into();
+        directions.iter().try_for_each(|direction| direction.check(&gaussians))?;
         let mut images = std::mem::take(&mut self.tangents.images);
         images.resize_with(directions.len(), Vec::new);
         let request = RenderRequest { gaussians, view, settings, active };
@@ -155,7 +161,7 @@ impl<T: SplatKernels> Rasterizer<T> {
     /// Derivative of the colours of exact discs along `direction`, of the Gaussians that the last render took.
     fn disc_tangent(&self, request: RenderRequest<'_, T>, direction: &Direction<'_, T>, image: &mut [T]) -> Result<()> {
         let RenderRequest { gaussians, view, settings, .. } = request;
-        let moving = moving_discs(gaussians, &Projector::new(view, settings)?, direction);
+        let moving = moving_discs(&gaussians, &Projector::new(view, settings)?, direction);
         let settings = Settings { depth: DepthOutput::Skip, ..*settings };
         let mut rasterizer = Rasterizer::<Dual<T>>::new();
         let rendered = rasterizer.render(&moving, view, &settings, self.active.as_deref())?;
@@ -177,7 +183,7 @@ impl<T: SplatKernels> Rasterizer<T> {
         let (visible, active) = (&self.images.rendered.visible, self.active.as_deref());
         let row_of = |j: usize| {
             let i = active.map_or(j, |list| list[j] as usize);
-            visible[j].then(|| moving_row(&plain, &dual, gaussians, i, direction)).flatten()
+            visible[j].then(|| moving_row(&plain, &dual, &gaussians, i, direction)).flatten()
         };
         // A velocity that overflows is set to 0, which leaves the plain splat.
         let still = |j: usize| self.splats.rows[j].0.map(Dual::constant);

@@ -3,7 +3,7 @@
 
 use crate::splat::number::{Real, cross, dot, normalized, rotation_columns, sh};
 use crate::splat::types::table::{SplatRow, moment};
-use crate::splat::types::{Filter, Gaussians, Shape, Wanted};
+use crate::splat::types::{Filter, GaussianSlices, ShapeSlices, Wanted};
 
 use super::fault::{Fault, Faults};
 use super::lens::LensPoint;
@@ -79,7 +79,7 @@ fn compensation_pullback<T: Real>(g: &Geometry<T>, by_log: T, by_u: &mut [[T; 2]
 /// if its length were free).
 #[inline(always)]
 pub fn color_gradient<T: Real>(
-    gaussians: &Gaussians<T>,
+    gaussians: &GaussianSlices<'_, T>,
     i: usize,
     direction: [T; 3],
     by_color: [T; 3],
@@ -116,7 +116,7 @@ pub fn by_view_direction<T: Real>(free: [T; 3], direction: [T; 3], distance: T) 
 #[inline(always)]
 pub fn gradients_of_splat<T: Real>(
     projector: &Projector<T>,
-    gaussians: &Gaussians<T>,
+    gaussians: &GaussianSlices<'_, T>,
     i: usize,
     m: &SplatRow<T>,
     wanted: Wanted,
@@ -209,12 +209,12 @@ pub fn pose_gradient<T: Real>(
 /// Gradients of quaternion and scales of ellipsoid `i` from that of its columns.
 #[inline(always)]
 pub fn ellipsoid_gradient<T: Real>(
-    shape: &Shape<T>,
+    shape: ShapeSlices<'_, T>,
     i: usize,
     by_columns: &[[T; 3]; 3],
     faults: impl Faults,
 ) -> ([T; 4], [T; 3]) {
-    let Shape::Ellipsoids { rotations, scales } = shape else { return ([T::zero(); 4], [T::zero(); 3]) };
+    let ShapeSlices::Ellipsoids { rotations, scales } = shape else { return ([T::zero(); 4], [T::zero(); 3]) };
     let (q, inverse_length) = normalized(rotations[i]);
     let axes = rotation_columns(q);
     let by_scale = [0, 1, 2].map(|k| dot(by_columns[k], axes[k]));

@@ -23,7 +23,7 @@
 use crate::ffi::splat::rasterize::Aligned;
 use crate::splat::number::{Real, cross, dot};
 use crate::splat::types::table::{LOG2_255, SplatRow, at};
-use crate::splat::types::{Gaussians, Settings, Tiling, View};
+use crate::splat::types::{GaussianSlices, Settings, Tiling, View};
 
 use super::bins::TileBox;
 use super::projector::Projector;
@@ -109,7 +109,7 @@ pub struct DiscInCamera<T> {
 }
 
 impl<T: Real> DiscInCamera<T> {
-    pub fn of(projector: &Projector<T>, gaussians: &Gaussians<T>, i: usize) -> DiscInCamera<T> {
+    pub fn of(projector: &Projector<T>, gaussians: &GaussianSlices<'_, T>, i: usize) -> DiscInCamera<T> {
         let offset = [0, 1, 2].map(|k| gaussians.positions[i][k] - projector.eye[k]);
         let columns = gaussians.shape.columns(i);
         let [a, b] = gaussians.shape.disc_columns(i).map(|k| projector.turn(columns[k]));
@@ -200,7 +200,7 @@ impl<T: Real> DiscInCamera<T> {
 
 impl<T: Real> Projector<T> {
     /// The row of the tables and the disc of Gaussian `i`; `None` if it is invisible or not finite.
-    pub fn project_disc(&self, gaussians: &Gaussians<T>, i: usize) -> Option<(SplatRow<T>, Disc<T>)> {
+    pub fn project_disc(&self, gaussians: &GaussianSlices<'_, T>, i: usize) -> Option<(SplatRow<T>, Disc<T>)> {
         let log2_opacity = gaussians.opacities[i].log2();
         let reach = log2_opacity + T::of(LOG2_255);
         if !reach.is_finite() || reach <= T::zero() {

@@ -2,7 +2,7 @@
 
 use crate::splat::number::{Real, add, cross, dot};
 use crate::splat::types::table::{DiscSums, disc_sum as sum};
-use crate::splat::types::{Gaussians, Wanted};
+use crate::splat::types::{GaussianSlices, Wanted};
 
 use super::chain::{GaussianGradient, by_view_direction, color_gradient, pose_gradient};
 use super::disc::DiscInCamera;
@@ -13,7 +13,7 @@ use super::projector::Projector;
 /// number is not finite.
 pub fn gradients_of_disc<T: Real>(
     projector: &Projector<T>,
-    gaussians: &Gaussians<T>,
+    gaussians: &GaussianSlices<'_, T>,
     i: usize,
     m: &DiscSums<T>,
     wanted: Wanted,

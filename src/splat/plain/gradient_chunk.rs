@@ -4,7 +4,7 @@
 use crate::ffi::splat::rasterize::{Aligned, SplatCameraGradient};
 use crate::splat::number::Real;
 use crate::splat::types::table::DiscSums;
-use crate::splat::types::{Footprint, Gaussians, Wanted};
+use crate::splat::types::{Footprint, GaussianSlices, Wanted};
 
 use super::chain::{GaussianGradient, ellipsoid_gradient, gradients_of_splat};
 use super::disc_chain::gradients_of_disc;
@@ -53,7 +53,7 @@ impl<T: Real> GradientChunk<'_, T> {
     pub fn fill(
         &mut self,
         projector: &Projector<T>,
-        gaussians: &Gaussians<T>,
+        gaussians: &GaussianSlices<'_, T>,
         active: Option<&[u32]>,
         from: &ChunkMoments<'_, T>,
         wanted: Wanted,
@@ -91,7 +91,7 @@ impl<T: Real> GradientChunk<'_, T> {
         k: usize,
         i: usize,
         found: Option<&GaussianGradient<T>>,
-        gaussians: &Gaussians<T>,
+        gaussians: &GaussianSlices<'_, T>,
         faults: impl Faults,
     ) {
         let zero = [T::zero(); 3];
@@ -102,7 +102,7 @@ impl<T: Real> GradientChunk<'_, T> {
             *place = found.map_or([zero; 2], |found| [found.columns[0], found.columns[1]]);
         }
         if let (Some(rotation), Some(scale)) = (self.rotations.get_mut(k), self.scales.get_mut(k)) {
-            let both = found.map(|found| ellipsoid_gradient(&gaussians.shape, i, &found.columns, faults));
+            let both = found.map(|found| ellipsoid_gradient(gaussians.shape, i, &found.columns, faults));
             let finite = |both: &([T; 4], [T; 3])| both.0.iter().chain(&both.1).all(|v| v.is_finite());
             (*rotation, *scale) = both.filter(finite).unwrap_or(([T::zero(); 4], zero));
         }

@@ -5,7 +5,7 @@
 
 use crate::splat::number::{Dual, Real, add, cross, dot, sh};
 use crate::splat::types::table::SplatRow;
-use crate::splat::types::{Direction, Gaussians, Motion, Shape};
+use crate::splat::types::{Direction, GaussianSlices, Gaussians, Motion, Shape};
 
 use super::projector::Projector;
 
@@ -15,7 +15,7 @@ fn moving<T: Real>(value: [T; 3], velocity: [T; 3]) -> [Dual<T>; 3] {
 }
 
 /// Colour of Gaussian `i` seen along a direction that moves, before the clamp at 0.
-fn moving_color<T: Real>(gaussians: &Gaussians<T>, i: usize, direction: [Dual<T>; 3]) -> [Dual<T>; 3] {
+fn moving_color<T: Real>(gaussians: &GaussianSlices<'_, T>, i: usize, direction: [Dual<T>; 3]) -> [Dual<T>; 3] {
     let basis = sh::basis(direction, gaussians.sh_degree);
     let mut color = [Dual::of(0.5); 3];
     for (weight, rgb) in basis.iter().zip(gaussians.coefficients(i).as_chunks::<3>().0) {
@@ -30,7 +30,7 @@ fn moving_color<T: Real>(gaussians: &Gaussians<T>, i: usize, direction: [Dual<T>
 pub fn moving_row<T: Real>(
     plain: &Projector<T>,
     dual: &Projector<Dual<T>>,
-    gaussians: &Gaussians<T>,
+    gaussians: &GaussianSlices<'_, T>,
     i: usize,
     direction: &Direction<'_, T>,
 ) -> Option<SplatRow<Dual<T>>> {
@@ -94,7 +94,13 @@ impl<T: Real> DiscVelocity<T> {
         }
     }
 
-    fn of_pose(projector: &Projector<T>, gaussians: &Gaussians<T>, i: usize, axes: [[T; 3]; 2], xi: [T; 6]) -> Self {
+    fn of_pose(
+        projector: &Projector<T>,
+        gaussians: &GaussianSlices<'_, T>,
+        i: usize,
+        axes: [[T; 3]; 2],
+        xi: [T; 6],
+    ) -> Self {
         let (omega, tau) = ([xi[0], xi[1], xi[2]], [xi[3], xi[4], xi[5]]);
         let turning = |v: [T; 3]| projector.turn_back(cross(omega, projector.turn(v)));
         let offset = [0, 1, 2].map(|k| gaussians.positions[i][k] - projector.eye[k]);
@@ -113,7 +119,7 @@ impl<T: Real> DiscVelocity<T> {
 
 /// `gaussians` as discs that move along `direction`; a velocity that is not finite counts as 0.
 pub fn moving_discs<T: Real>(
-    gaussians: &Gaussians<T>,
+    gaussians: &GaussianSlices<'_, T>,
     projector: &Projector<T>,
     direction: &Direction<'_, T>,
 ) -> Gaussians<Dual<T>> {

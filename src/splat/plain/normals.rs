@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::base::{Error, Result};
 use crate::splat::number::{Real, cross, dot};
-use crate::splat::types::{Gaussians, Gradients, Shape, View};
+use crate::splat::types::{GaussianSlices, Gaussians, Gradients, Shape, View};
 
 use super::chain::ellipsoid_gradient;
 use super::exact_camera::ExactCamera;
@@ -12,7 +12,7 @@ use super::fault::Sound;
 
 /// Unit normal of Gaussian `i` in world axes, facing the eye; the sign that was applied, and the length before
 /// normalisation.
-fn normal<T: Real>(gaussians: &Gaussians<T>, i: usize, eye: [T; 3]) -> ([T; 3], T, T) {
+fn normal<T: Real>(gaussians: &GaussianSlices<'_, T>, i: usize, eye: [T; 3]) -> ([T; 3], T, T) {
     let columns = gaussians.shape.columns(i);
     let [a, b] = gaussians.shape.disc_columns(i).map(|k| columns[k]);
     let product = cross(a, b);
@@ -34,9 +34,9 @@ impl<T: Real> Gaussians<T> {
     /// `Rasterizer::render_channels`. Of a disc the normal of its axes, of an ellipsoid the direction of its shortest
     /// axis; 0 where there is none.
     pub fn normals(&self, view: &View) -> Vec<T> {
-        let (m, eye) = pose::<T>(view);
+        let (slices, (m, eye)) = (GaussianSlices::from(self), pose::<T>(view));
         let of = |i: usize| {
-            let unit = normal(self, i, eye).0;
+            let unit = normal(&slices, i, eye).0;
             m.map(|row| dot(row, unit))
         };
         (0..self.len()).into_par_iter().flat_map_iter(of).collect()
@@ -58,17 +58,17 @@ impl<T: Real> Gaussians<T> {
         if by_normals.len() != 3 * n || !fits(gradients.axes.len()) || !fits(gradients.rotations.len()) {
             return Err(Error::input("the gradient of the normals has another length than the other gradients"));
         }
-        let (m, eye) = pose::<T>(view);
+        let (slices, (m, eye)) = (GaussianSlices::from(self), pose::<T>(view));
         for (j, by_normal) in by_normals.as_chunks::<3>().0.iter().enumerate() {
             let i = active.map_or(j, |list| list[j] as usize);
-            let (unit, sign, length) = normal(self, i, eye);
+            let (unit, sign, length) = normal(&slices, i, eye);
             let turned = cross(m.map(|row| dot(row, unit)), *by_normal);
             (0..3).for_each(|k| gradients.pose[k] += turned[k].to_f64());
             let by_unit = [0, 1, 2].map(|k| m[0][k] * by_normal[0] + m[1][k] * by_normal[1] + m[2][k] * by_normal[2]);
             let along = dot(by_unit, unit);
             let by_product = [0, 1, 2].map(|k| sign * (by_unit[k] - along * unit[k]) / length);
-            let [first, second] = self.shape.disc_columns(i);
-            let all = self.shape.columns(i);
+            let [first, second] = slices.shape.disc_columns(i);
+            let all = slices.shape.columns(i);
             let mut by_columns = [[T::zero(); 3]; 3];
             by_columns[first] = cross(all[second], by_product);
             by_columns[second] = cross(by_product, all[first]);
@@ -77,7 +77,7 @@ impl<T: Real> Gaussians<T> {
                 (0..3).for_each(|k| axes[1][k] += by_columns[1][k]);
             }
             if let (Some(rotation), Shape::Ellipsoids { .. }) = (gradients.rotations.get_mut(j), &self.shape) {
-                let (by_rotation, _) = ellipsoid_gradient(&self.shape, i, &by_columns, Sound);
+                let (by_rotation, _) = ellipsoid_gradient(slices.shape, i, &by_columns, Sound);
                 (0..4).for_each(|k| rotation[k] += by_rotation[k]);
             }
         }

@@ -14,7 +14,7 @@ use std::f64::consts::LOG2_E;
 use crate::ffi::splat::rasterize::Aligned;
 use crate::splat::number::{Real, dot};
 use crate::splat::types::table::{LOG2_255, SplatRow, at};
-use crate::splat::types::{Filter, Gaussians, Tiling};
+use crate::splat::types::{Filter, GaussianSlices, Tiling};
 
 use super::bins::TileBox;
 use super::lens::LensPoint;
@@ -110,7 +110,7 @@ impl<T: Real> Projector<T> {
     }
 
     /// The splat of Gaussian `i`; `None` if it is invisible or not finite.
-    pub fn project(&self, gaussians: &Gaussians<T>, i: usize) -> Option<SplatRow<T>> {
+    pub fn project(&self, gaussians: &GaussianSlices<'_, T>, i: usize) -> Option<SplatRow<T>> {
         let opacity = gaussians.opacities[i];
         let log2_opacity = opacity.log2();
         let reach = log2_opacity + T::of(LOG2_255);
@@ -182,7 +182,7 @@ impl<T: Real> ProjectionChunk<'_, T> {
     pub fn fill(
         &mut self,
         projector: &Projector<T>,
-        gaussians: &Gaussians<T>,
+        gaussians: &GaussianSlices<'_, T>,
         active: Option<&[u32]>,
         tiling: &Tiling,
     ) {
@@ -197,7 +197,7 @@ impl<T: Real> ProjectionChunk<'_, T> {
     pub fn fill_with(
         &mut self,
         projector: &Projector<T>,
-        gaussians: &Gaussians<T>,
+        gaussians: &GaussianSlices<'_, T>,
         active: Option<&[u32]>,
         mut splat: impl FnMut(usize, usize) -> Option<(SplatRow<T>, TileBox)>,
     ) {
@@ -218,7 +218,7 @@ impl<T: Real> ProjectionChunk<'_, T> {
 /// if one is not finite.
 pub fn recolor<T: Real>(
     projector: &Projector<T>,
-    gaussians: &Gaussians<T>,
+    gaussians: &GaussianSlices<'_, T>,
     active: Option<&[u32]>,
     first: usize,
     visible: &[bool],

@@ -7,7 +7,7 @@
 //! Forward only (`pass/pixel_walk.rs`): it runs once per finished frame, not in an optimisation.
 
 use crate::splat::number::{Real, dot};
-use crate::splat::types::{Gaussians, Shape, View};
+use crate::splat::types::{GaussianSlices, ShapeSlices, View};
 
 /// Depths are clamped to between the inverse of this and this many times the centre's depth; only planes seen edge-on
 /// exceed it.
@@ -28,18 +28,18 @@ enum SurfaceKind {
 }
 
 impl SplatSurface {
-    pub fn of<T: Real>(gaussians: &Gaussians<T>, i: usize, view: &View) -> SplatSurface {
+    pub fn of<T: Real>(gaussians: &GaussianSlices<'_, T>, i: usize, view: &View) -> SplatSurface {
         let turn = |v: glam::DVec3| view.camera_from_world.transform_vector3(v).to_array();
         let wide = |v: [T; 3]| glam::DVec3::from_array(v.map(|c| c.to_f64()));
         let center = view.camera_from_world.transform_point3(wide(gaussians.positions[i])).to_array();
-        match &gaussians.shape {
-            Shape::Discs { axes } => {
+        match gaussians.shape {
+            ShapeSlices::Discs { axes } => {
                 let [a, b] = axes[i].map(|axis| turn(wide(axis)));
                 let normal =
                     glam::DVec3::from_array(a).cross(glam::DVec3::from_array(b)).normalize_or_zero().to_array();
                 SplatSurface { kind: SurfaceKind::Plane(normal, dot(normal, center)), center: center[2] }
             }
-            Shape::Ellipsoids { rotations, scales } => {
+            ShapeSlices::Ellipsoids { rotations, scales } => {
                 let [w, x, y, z] = rotations[i].map(|c| c.to_f64());
                 let turned = glam::DMat3::from_quat(glam::DQuat::from_xyzw(x, y, z, w).normalize());
                 let size = scales[i].map(|s| s.to_f64().max(1e-9));
@@ -71,7 +71,7 @@ impl SplatSurface {
 mod tests {
     use super::*;
     use crate::base::Camera;
-    use crate::splat::{DepthOutput, Rasterizer, Settings};
+    use crate::splat::{DepthOutput, Gaussians, Rasterizer, Settings, Shape};
     use glam::{DAffine3, DVec2};
 
     /// A floor of discs 2 mm below the camera: the depth image must be the floor's, not a mean of centres.

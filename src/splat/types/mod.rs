@@ -12,6 +12,6 @@ mod tiling;
 pub use gradients::{Gradients, Wanted};
 pub use images::{ImageGradient, Rendered};
 pub use motion::{Direction, Motion};
-pub use scene::{Gaussians, Shape, View};
+pub use scene::{GaussianSlices, Gaussians, Shape, ShapeSlices, View};
 pub use settings::{DepthOutput, Filter, Footprint, Settings, Skips};
 pub use tiling::{PIXELS, TILE_SIDE, Tiling, index_of, pixel_of};

@@ -3,7 +3,7 @@
 use crate::base::{Error, Result};
 use crate::splat::number::Real;
 
-use super::scene::{Gaussians, Shape};
+use super::scene::{GaussianSlices, ShapeSlices};
 
 /// How every Gaussian moves per unit of the unknown. One entry per Gaussian (not per active one); an empty slice is
 /// "not at all".
@@ -48,9 +48,11 @@ impl<T> Motion<'_, T> {
 
 impl<T: Real> Direction<'_, T> {
     /// Errors when it does not fit the Gaussians or is not finite.
-    pub(in crate::splat) fn check(&self, gaussians: &Gaussians<T>) -> Result<()> {
+    pub(in crate::splat) fn check(&self, gaussians: &GaussianSlices<'_, T>) -> Result<()> {
         match self {
-            Direction::Motion(motion) => motion.check(gaussians.len(), matches!(gaussians.shape, Shape::Discs { .. })),
+            Direction::Motion(motion) => {
+                motion.check(gaussians.len(), matches!(gaussians.shape, ShapeSlices::Discs { .. }))
+            }
             Direction::Pose(xi) if xi.iter().any(|v| !v.is_finite()) => {
                 Err(Error::input("a motion of the camera is not finite"))
             }

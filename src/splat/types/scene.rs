@@ -40,25 +40,82 @@ pub struct Gaussians<T> {
     pub sh_degree: u8,
 }
 
-impl<T: Real> Shape<T> {
+/// [`Shape`], borrowed.
+#[derive(Clone, Copy, Debug)]
+pub enum ShapeSlices<'a, T> {
+    /// As [`Shape::Ellipsoids`].
+    Ellipsoids {
+        /// Quaternions `w x y z`.
+        rotations: &'a [[T; 4]],
+        /// Standard deviations in mm.
+        scales: &'a [[T; 3]],
+    },
+    /// As [`Shape::Discs`].
+    Discs {
+        /// The two axes of each disc, in mm.
+        axes: &'a [[[T; 3]; 2]],
+    },
+}
+
+/// [`Gaussians`], borrowed: from a `&Gaussians`, or from arrays of another owner without a copy.
+#[derive(Clone, Copy, Debug)]
+pub struct GaussianSlices<'a, T> {
+    /// Centres in mm.
+    pub positions: &'a [[T; 3]],
+    /// Their spread.
+    pub shape: ShapeSlices<'a, T>,
+    /// Opacities in 0..1.
+    pub opacities: &'a [T],
+    /// Spherical harmonics, as in [`Gaussians`].
+    pub sh: &'a [T],
+    /// 0 to 3.
+    pub sh_degree: u8,
+}
+
+impl<'a, T> From<&'a Gaussians<T>> for GaussianSlices<'a, T> {
+    fn from(owned: &'a Gaussians<T>) -> Self {
+        GaussianSlices {
+            positions: &owned.positions,
+            shape: match &owned.shape {
+                Shape::Ellipsoids { rotations, scales } => ShapeSlices::Ellipsoids { rotations, scales },
+                Shape::Discs { axes } => ShapeSlices::Discs { axes },
+            },
+            opacities: &owned.opacities,
+            sh: &owned.sh,
+            sh_degree: owned.sh_degree,
+        }
+    }
+}
+
+impl<T: Real> ShapeSlices<'_, T> {
+    /// An owned copy.
+    pub(in crate::splat) fn to_shape(self) -> Shape<T> {
+        match self {
+            ShapeSlices::Ellipsoids { rotations, scales } => {
+                Shape::Ellipsoids { rotations: rotations.to_vec(), scales: scales.to_vec() }
+            }
+            ShapeSlices::Discs { axes } => Shape::Discs { axes: axes.to_vec() },
+        }
+    }
+
     /// Square root of the covariance of Gaussian `i`, column by column, in mm (the third of a disc is 0).
     #[inline(always)]
     pub(in crate::splat) fn columns(&self, i: usize) -> [[T; 3]; 3] {
         match self {
-            Shape::Ellipsoids { rotations, scales } => {
+            ShapeSlices::Ellipsoids { rotations, scales } => {
                 let mut columns = rotation_columns(normalized(rotations[i]).0);
                 for (column, scale) in columns.iter_mut().zip(scales[i]) {
                     *column = column.map(|v| v * scale);
                 }
                 columns
             }
-            Shape::Discs { axes } => [axes[i][0], axes[i][1], [T::zero(); 3]],
+            ShapeSlices::Discs { axes } => [axes[i][0], axes[i][1], [T::zero(); 3]],
         }
     }
 
     /// Which two of the columns span Gaussian `i` as a disc: all but the shortest.
     pub(in crate::splat) fn disc_columns(&self, i: usize) -> [usize; 2] {
-        let Shape::Ellipsoids { scales, .. } = self else { return [0, 1] };
+        let ShapeSlices::Ellipsoids { scales, .. } = self else { return [0, 1] };
         let s = scales[i];
         if s[2] <= s[0] && s[2] <= s[1] {
             [0, 1]
@@ -98,9 +155,31 @@ impl<T: Real> Gaussians<T> {
         (self.sh_degree as usize + 1).pow(2) * 3
     }
 
+    /// The same Gaussians in another number type.
+    pub fn cast<U: Real>(&self) -> Gaussians<U> {
+        GaussianSlices::from(self).cast()
+    }
+}
+
+impl<'a, T: Real> GaussianSlices<'a, T> {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// True when there is none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Values of `sh` that belong to one Gaussian.
+    pub fn sh_stride(&self) -> usize {
+        (self.sh_degree as usize + 1).pow(2) * 3
+    }
+
     /// The SH coefficients of Gaussian `i`.
     #[inline(always)]
-    pub(in crate::splat) fn coefficients(&self, i: usize) -> &[T] {
+    pub(in crate::splat) fn coefficients(&self, i: usize) -> &'a [T] {
         let stride = self.sh_stride();
         &self.sh[i * stride..(i + 1) * stride]
     }
@@ -129,12 +208,14 @@ impl<T: Real> Gaussians<T> {
         let three = |v: &[T; 3]| v.map(one);
         Gaussians {
             positions: self.positions.iter().map(three).collect(),
-            shape: match &self.shape {
-                Shape::Ellipsoids { rotations, scales } => Shape::Ellipsoids {
+            shape: match self.shape {
+                ShapeSlices::Ellipsoids { rotations, scales } => Shape::Ellipsoids {
                     rotations: rotations.iter().map(|q| q.map(one)).collect(),
                     scales: scales.iter().map(three).collect(),
                 },
-                Shape::Discs { axes } => Shape::Discs { axes: axes.iter().map(|a| a.map(|v| v.map(one))).collect() },
+                ShapeSlices::Discs { axes } => {
+                    Shape::Discs { axes: axes.iter().map(|a| a.map(|v| v.map(one))).collect() }
+                }
             },
             opacities: self.opacities.iter().map(|&v| one(v)).collect(),
             sh: self.sh.iter().map(|&v| one(v)).collect(),
@@ -145,9 +226,9 @@ impl<T: Real> Gaussians<T> {
     /// Errors if the arrays' lengths do not match.
     pub fn validate(&self) -> Result<()> {
         let n = self.len();
-        let shapes = match &self.shape {
-            Shape::Ellipsoids { rotations, scales } => rotations.len() == n && scales.len() == n,
-            Shape::Discs { axes } => axes.len() == n,
+        let shapes = match self.shape {
+            ShapeSlices::Ellipsoids { rotations, scales } => rotations.len() == n && scales.len() == n,
+            ShapeSlices::Discs { axes } => axes.len() == n,
         };
         if self.sh_degree > 3 {
             return Err(Error::input(format!("SH degree {} is more than 3", self.sh_degree)));

@@ -1,0 +1,216 @@
+"""A film: what a method may see of it, read when it is used."""
+
+import os
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from ._native import Film as _NativeFilm
+
+
+class Mesh(NamedTuple):
+    """A surface: vertices (n, 3) in mm, faces (m, 3) whose normals point into the lumen."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+class Frame(NamedTuple):
+    """A frame as a method sees it."""
+
+    index: int
+    image: np.ndarray
+    """(height, width, 3), 8-bit sRGB."""
+    time_s: float
+    pose: np.ndarray
+    """(4, 4), world from camera, mm."""
+
+
+class Lazy:
+    """Arrays of one shape, read from disk one by one: `a[3]`, `a[2:9]`, `for x in a`, `numpy.asarray(a)`."""
+
+    def __init__(self, read, indices, shape, dtype):
+        self._read, self._indices = read, range(indices) if isinstance(indices, int) else indices
+        self.shape, self.dtype = (len(self._indices), *shape), np.dtype(dtype)
+
+    def __len__(self):
+        return len(self._indices)
+
+    def __getitem__(self, key):
+        if isinstance(key, slice):
+            return np.asarray(Lazy(self._read, self._indices[key], self.shape[1:], self.dtype))
+        return self._read(self._indices[key])
+
+    def __iter__(self):
+        return (self._read(index) for index in self._indices)
+
+    def __array__(self, dtype=None, copy=None):
+        out = np.empty(self.shape, dtype or self.dtype)
+        for place, value in zip(out, self):
+            place[...] = value
+        return out
+
+    def __repr__(self):
+        return f"<{len(self)} arrays of shape {self.shape[1:]}, {self.dtype}, read when used>"
+
+
+class Film:
+    """A film. Its length is its number of frames, `film[i]` a `Frame`.
+
+    Without truth it holds what a method may see and nothing else, whether the folder is a whole film or what
+    participants of a blind comparison get. Every file is compared with the hash in the film's manifest first.
+    """
+
+    def __init__(self, folder, truth=False):
+        self.folder = os.fspath(folder)
+        self.truth = truth
+        self._film = _NativeFilm.open(self.folder, truth)
+        self.width, self.height = self._film.size
+
+    def __len__(self):
+        return self._film.frames
+
+    def __getitem__(self, index):
+        index = range(len(self))[index]
+        return Frame(index, self._film.image(index), float(self.times_s[index]), self.poses[index])
+
+    def __repr__(self):
+        seen = "with its truth" if self.truth else "as a method sees it"
+        return f"<Film {self.folder}: {len(self)} frames of {self.width}x{self.height}, {seen}>"
+
+    def _lazy(self, read, count, channels=None, dtype=np.uint8):
+        return Lazy(read, count, (self.height, self.width) + ((channels,) if channels else ()), dtype)
+
+    @property
+    def images(self):
+        """Images of all frames: (height, width, 3), 8-bit sRGB."""
+        return self._lazy(self._film.image, len(self), 3)
+
+    @property
+    def depths_mm(self):
+        """z-depths in mm, 0 where nothing was hit: that of frame 0; with the truth those of all frames."""
+        return self._lazy(self._film.depth_mm, len(self) if self.truth else 1, dtype=np.float32)
+
+    @cached_property
+    def poses(self):
+        """(frames, 4, 4), world from camera, mm."""
+        return self._film.poses
+
+    @cached_property
+    def times_s(self):
+        """(frames,), seconds since the first."""
+        return self._film.times_s
+
+    @cached_property
+    def K(self):
+        """(3, 3), intrinsics in pixels; pixel centres at integer + 0.5."""
+        fl_x, fl_y, cx, cy = self._film.intrinsics
+        return np.array([[fl_x, 0, cx], [0, fl_y, cy], [0, 0, 1]])
+
+    @property
+    def fisheye(self):
+        """`k1..k4` of OpenCV's fisheye model; `None` for a pinhole."""
+        return self._film.fisheye and np.array(self._film.fisheye)
+
+    @cached_property
+    def mask(self):
+        """(height, width), true where pixels count in metrics; `None` where all do."""
+        return self._film.mask()
+
+    @cached_property
+    def inspiration(self):
+        """CT surface at full inspiration."""
+        return Mesh(*self._film.inspiration())
+
+    @cached_property
+    def expiration(self):
+        """CT surface at full expiration, same faces, with the registration's error where the film has one."""
+        return Mesh(*self._film.expiration())
+
+    @cached_property
+    def centerline_mm(self):
+        """(n, 3), points of the lumen's centreline at inspiration."""
+        return self._film.centerline_mm()
+
+    @cached_property
+    def targets_mm(self):
+        """(n, 3), targets as planned at inspiration."""
+        return self._film.targets_mm
+
+    @property
+    def breathing_period_s(self):
+        """Mean duration of a breath."""
+        return self._film.breathing_period_s
+
+    @property
+    def held_out_frames(self):
+        """Frames 7, 15, ..: to be rendered before their image is used (`ahead`)."""
+        return self._film.held_out_frames
+
+    @property
+    def novel_frames(self):
+        """Frames with a second camera, whose picture no method sees."""
+        return self._film.novel_frames
+
+    @cached_property
+    def novel_poses(self):
+        """(n, 4, 4), poses of the second cameras, in the order of `novel_frames`."""
+        return self._film.novel_poses
+
+    @property
+    def case(self):
+        """Truth: the case that was filmed."""
+        return self._film.case_id
+
+    @property
+    def phases(self):
+        """Truth: (frames,), breathing phase, 0 full inspiration, 1 full expiration."""
+        return self._film.phases
+
+    @property
+    def gains(self):
+        """Truth: (frames,), exposure gain applied to the linear radiance."""
+        return self._film.gains
+
+    @property
+    def targets_expiration_mm(self):
+        """Truth: (n, 3), where the targets are at full expiration."""
+        return self._film.targets_expiration_mm
+
+    @property
+    def meshes(self):
+        """Truth: the surface at each frame, as `Mesh`."""
+        return _Meshes(self._film)
+
+    @property
+    def novel_images(self):
+        """Truth: what the second cameras saw, in the order of `novel_frames`."""
+        return Lazy(self._film.novel_image, self.novel_frames, (self.height, self.width, 3), np.uint8)
+
+    @property
+    def novel_depths_mm(self):
+        """Truth: their z-depths in mm."""
+        return Lazy(self._film.novel_depth_mm, self.novel_frames, (self.height, self.width), np.float32)
+
+
+class _Meshes:
+    """The surface at each frame, computed when it is used."""
+
+    def __init__(self, film):
+        self._film = film
+
+    def __len__(self):
+        return self._film.frames
+
+    def __getitem__(self, index):
+        return Mesh(*self._film.true_mesh(range(len(self))[index]))
+
+
+def load(sequence, truth=False):
+    """Opens a film: a sequence folder, or the folder that participants of a blind comparison get.
+
+    Only what a method may see, unless `truth=True`; the truth of a participant's folder is elsewhere. Raises `Error`,
+    one sentence that names the file.
+    """
+    return Film(sequence, truth)

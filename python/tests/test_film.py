@@ -1,0 +1,180 @@
+"""`load` and `write_prediction`, on a film that the program makes."""
+
+import json
+import os
+import tempfile
+import unittest
+
+import numpy as np
+
+from respire_bench import Error, load, write_prediction
+from support import PROGRAM, films, needs, program
+
+
+@needs(PROGRAM, "the program respire-bench is not there, so that no film can be made to read")
+class Reading(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.participant = load(os.path.join(films(), "participant"))
+        cls.film = load(os.path.join(films(), "truth"))
+        cls.truth = load(os.path.join(films(), "truth"), truth=True)
+
+    def test_both_folders_give_a_method_the_same(self):
+        a, b = self.participant, self.film
+        self.assertEqual((len(a), a.width, a.height), (9, 48, 48))
+        for name in ("poses", "times_s", "K", "fisheye", "mask", "centerline_mm", "targets_mm", "novel_poses"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name), name)
+        np.testing.assert_array_equal(a.images, b.images)
+        np.testing.assert_array_equal(a.depths_mm[0], b.depths_mm[0])
+        for name in ("inspiration", "expiration"):
+            for ours, theirs in zip(getattr(a, name), getattr(b, name)):
+                np.testing.assert_array_equal(ours, theirs)
+        self.assertEqual((a.novel_frames, a.held_out_frames), ([7], [7]))
+        self.assertEqual(a.breathing_period_s, b.breathing_period_s)
+
+    def test_arrays_have_their_types_and_shapes(self):
+        film = self.participant
+        self.assertEqual((film.images.shape, film.images.dtype), ((9, 48, 48, 3), np.uint8))
+        self.assertEqual((film.images[2:5].shape, film.images[-1].shape), ((3, 48, 48, 3), (48, 48, 3)))
+        self.assertEqual((film.depths_mm.shape, film.depths_mm[0].dtype), ((1, 48, 48), np.float32))
+        self.assertEqual((film.poses.shape, film.times_s.shape), ((9, 4, 4), (9,)))
+        frame = film[-1]
+        self.assertEqual((frame.index, frame.time_s), (8, film.times_s[8]))
+        np.testing.assert_array_equal(frame.image, film.images[8])
+        self.assertEqual(len(list(film)), 9)
+        vertices, faces = film.inspiration
+        self.assertEqual((vertices.dtype, faces.dtype, faces.shape[1]), (np.float64, np.uint32, 3))
+        self.assertLess(faces.max(), len(vertices))
+        self.assertGreater(np.asarray(film.images).std(), 5)
+
+    def test_poses_are_opencvs(self):
+        # The depth of frame 0 lies on the surface at its phase, a few hundredths of a millimetre coarse.
+        film = self.truth
+        depth, pose, k = film.depths_mm[0], film.poses[0], film.fisheye
+        self.assertIsNotNone(k, "case4 is filmed by a wide-angle scope")
+        v, u = np.argwhere((depth > 0) & (depth < 20))[::37].T
+        x, y = (u + 0.5 - film.K[0, 2]) / film.K[0, 0], (v + 0.5 - film.K[1, 2]) / film.K[1, 1]
+        distorted = np.hypot(x, y)
+        theta = distorted.copy()
+        for _ in range(50):
+            t2 = theta**2
+            theta = distorted / (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
+        scale = np.tan(theta) / np.maximum(distorted, 1e-12)
+        rays = np.stack([x * scale, y * scale, np.ones_like(x)], -1)
+        points = (rays * depth[v, u, None]) @ pose[:3, :3].T + pose[:3, 3]
+        vertices, faces = film.meshes[0]
+        nearest = np.sqrt(((points[:, None] - vertices[faces].mean(1)[None]) ** 2).sum(-1).min(1))
+        self.assertLess(np.median(nearest), 0.5)
+
+    def test_the_truth_stays_shut(self):
+        for film in (self.participant, self.film):
+            for name in ("phases", "gains", "case", "targets_expiration_mm"):
+                with self.assertRaisesRegex(Error, "is truth"):
+                    getattr(film, name)
+            for read in (lambda: film.meshes[0], lambda: film.novel_images[0], lambda: film.novel_depths_mm[0]):
+                with self.assertRaisesRegex(Error, "is truth"):
+                    read()
+            with self.assertRaises(IndexError):
+                film.depths_mm[1]
+            with self.assertRaisesRegex(Error, "is truth"):
+                film._film.depth_mm(1)
+        with self.assertRaisesRegex(Error, "holds no truth"):
+            load(self.participant.folder, truth=True)
+
+    def test_the_truth(self):
+        film = self.truth
+        self.assertEqual((film.case, film.phases.shape, film.depths_mm.shape), ("case4", (9,), (9, 48, 48)))
+        self.assertEqual(film.targets_expiration_mm.shape, film.targets_mm.shape)
+        self.assertGreater(np.ptp(film.phases), 0.01)
+        self.assertEqual((film.novel_images.shape, film.novel_depths_mm[0].shape), ((1, 48, 48, 3), (48, 48)))
+        a = film.phases[3]
+        wanted = (1 - a) * film.inspiration.vertices + a * film.expiration.vertices
+        np.testing.assert_allclose(film.meshes[3].vertices, wanted, atol=1e-9)
+
+    def test_what_is_no_film_is_named(self):
+        with tempfile.TemporaryDirectory() as folder:
+            with self.assertRaisesRegex(Error, "no manifest.json"):
+                load(folder)
+        with self.assertRaisesRegex(Error, "there is no such folder"):
+            load("/nonexistent/film")
+        with self.assertRaisesRegex(IndexError, "out of range"):
+            self.film[9]
+
+
+@needs(PROGRAM, "the program respire-bench is not there, so that no prediction can be checked")
+class Writing(unittest.TestCase):
+    def setUp(self):
+        self.film = load(os.path.join(films(), "participant"))
+        place = tempfile.TemporaryDirectory()
+        self.addCleanup(place.cleanup)
+        self.place = place.name
+        self.folder = os.path.join(place.name, "answer")
+
+    def test_everything_is_read_back_by_the_program(self):
+        film, r = self.film, np.random.default_rng(0)
+        images = r.uniform(0, 1, (9, 48, 48, 3))
+        depths = r.uniform(1, 30, (9, 48, 48))
+        write_prediction(
+            self.folder,
+            film,
+            (image for image in images),
+            depth_mm=depths,
+            ahead={7: images[7]},
+            novel=[(images[0] * 255).astype(np.uint8)],
+            novel_depth_mm=depths[:1],
+            phase=np.linspace(0, 1, 9),
+            phase_sd=np.full(9, 0.1),
+            poses=film.poses,
+            targets_mm=np.stack([film.targets_mm] * 9),
+            mesh=film.inspiration,
+            method="random",
+            time_total_s=2.5,
+            time_cpu_s=3.5,
+        )
+        checked = program("check", self.folder, "--sequence", film.folder)
+        self.assertIn("9 frames", checked)
+        said = {}
+        for name in ("prediction.json", "timing.json"):
+            with open(os.path.join(self.folder, name)) as file:
+                said[name] = json.load(file)
+        self.assertEqual(said["prediction.json"]["method"], "random")
+        self.assertEqual((said["timing.json"]["time_total_s"], said["timing.json"]["time_cpu_s"]), (2.5, 3.5))
+        rows = np.loadtxt(os.path.join(self.folder, "phase.csv"), delimiter=",", skiprows=1)
+        np.testing.assert_allclose(rows[:, 1], np.linspace(0, 1, 9), atol=1e-9)
+
+    def test_pictures_alone_are_enough(self):
+        write_prediction(self.folder, self.film, np.zeros((9, 48, 48, 3), np.uint8))
+        self.assertEqual(os.listdir(self.folder), ["color"])
+        program("check", self.folder, "--sequence", self.film.folder)
+
+    def refused(self, word, *color, **wrong):
+        with self.assertRaisesRegex(Error, f"^{word}"):
+            write_prediction(self.folder, self.film, *(color or [np.zeros((9, 48, 48, 3), np.uint8)]), **wrong)
+        self.assertFalse(os.path.exists(self.folder))
+        self.assertEqual(os.listdir(self.place), [])
+
+    def test_what_is_wrong_is_named_and_leaves_nothing(self):
+        self.refused("color: has 8 values, 9 are wanted", np.zeros((8, 48, 48, 3), np.uint8))
+        self.refused("color: has more than the 9", np.zeros((10, 48, 48, 3), np.uint8))
+        self.refused("color, frame 0: has shape", np.zeros((9, 48, 40, 3), np.uint8))
+        self.refused("color, frame 0: wanted 8-bit", np.zeros((9, 48, 48, 3), np.int64))
+        self.refused("depth_mm, frame 0", depth_mm=np.zeros((9, 4, 4)))
+        self.refused("ahead: wanted the frames", ahead={6: np.zeros((48, 48, 3))})
+        self.refused("phase, frame 2", phase=[0, 0, np.nan, 0, 0, 0, 0, 0, 0])
+        self.refused("phase_sd", phase_sd=np.ones(9))
+        self.refused("phase, frame 0", phase=np.ones(9), phase_sd=np.zeros(9))
+        self.refused("frame 0: the pose", poses=np.zeros((9, 4, 4)))
+        self.refused("targets_mm, frame 0", targets_mm=np.zeros((9, 1, 3)))
+        self.refused("mesh: a face names", mesh=(np.zeros((3, 3)), np.array([[0, 1, 3]])))
+        self.refused("time_total_s", time_total_s=0)
+        self.refused("time_cpu_s", time_cpu_s=1)
+
+    def test_nothing_is_overwritten(self):
+        os.mkdir(self.folder)
+        open(os.path.join(self.folder, "notes.txt"), "w").close()
+        with self.assertRaisesRegex(Error, "is not empty"):
+            write_prediction(self.folder, self.film, np.zeros((9, 48, 48, 3), np.uint8))
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,65 @@
+"""`evaluate` and `export`, through the real program."""
+
+import os
+import subprocess
+import tempfile
+import unittest
+from unittest import mock
+
+import numpy as np
+
+from respire_bench import ProgramFailed, ProgramMissing, evaluate, export, load, write_prediction
+from support import PROGRAM, films, needs
+
+
+def has_export():
+    return PROGRAM and subprocess.run([PROGRAM, "export", "--help"], capture_output=True).returncode == 0
+
+
+class Missing(unittest.TestCase):
+    def test_the_cure_is_said(self):
+        with mock.patch.dict(os.environ, {"PATH": "/nonexistent"}):
+            os.environ.pop("RESPIRE_BENCH", None)
+            with self.assertRaisesRegex(ProgramMissing, "cargo build --release"):
+                evaluate("film", "prediction")
+        with mock.patch.dict(os.environ, {"RESPIRE_BENCH": "/nonexistent/program"}):
+            with self.assertRaisesRegex(ProgramMissing, "RESPIRE_BENCH is /nonexistent/program"):
+                export("film", "tum", "out")
+
+
+@needs(PROGRAM, "the program respire-bench is not there, so that nothing is scored")
+class Scoring(unittest.TestCase):
+    def test_a_prediction_becomes_a_dict_and_a_row(self):
+        film = load(os.path.join(films(), "truth"), truth=True)
+        with tempfile.TemporaryDirectory() as place:
+            answer = os.path.join(place, "answer")
+            noisy = np.asarray(film.images).astype(int) + np.random.default_rng(0).integers(-20, 21, (9, 48, 48, 3))
+            write_prediction(
+                answer, film, np.clip(noisy, 0, 255).astype(np.uint8), depth_mm=film.depths_mm, method="noise"
+            )
+            scores, row = evaluate(film, answer)
+            self.assertEqual((row["case"], row["method"], row["frames"]), ("case4", "noise", 9))
+            # Noise of variance 140 in codes; clipping makes it a little less.
+            self.assertAlmostEqual(row["psnr_db"], 10 * np.log10(255**2 / 140), delta=1.5)
+            self.assertEqual(scores["psnr_db"]["status"], "ok")
+            self.assertIsNone(row["phase_mae"])
+            self.assertEqual(scores["phase_mae"]["status"], "not_applicable")
+            self.assertEqual(evaluate(film.folder, answer, method="other")[1]["method"], "other")
+            with self.assertRaises(ProgramFailed) as caught:
+                evaluate(film, os.path.join(place, "nothing"))
+            self.assertEqual(caught.exception.exit_code, 4)
+            self.assertIn("nothing", str(caught.exception))
+
+
+@needs(has_export() or None, "this respire-bench has no command `export`, so that nothing is exported")
+class Exporting(unittest.TestCase):
+    def test_a_film_in_another_layout(self):
+        with tempfile.TemporaryDirectory() as place:
+            out = export(load(os.path.join(films(), "truth")), "tum", os.path.join(place, "tum"))
+            self.assertTrue(any(len(files) for _, _, files in os.walk(out)))
+            with self.assertRaises(ProgramFailed):
+                export(films(), "no-such-layout", os.path.join(place, "no"))
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,276 @@
+"""`rasterize` on arrays of numpy."""
+
+import unittest
+
+import numpy as np
+
+import respire_bench
+from respire_bench import Error, rasterize
+from support import scene
+
+NAMES = ("means", "quats", "scales", "opacities", "colors")
+
+
+def random_like(array, seed=9):
+    return np.random.default_rng(seed).uniform(-1, 1, array.shape).astype(array.dtype)
+
+
+def loss_and_gradients(arguments):
+    """A random weighting of the images, and its gradients by all arrays."""
+    image, alpha, meta = rasterize(**arguments)
+    by_image, by_alpha = random_like(image), random_like(alpha, 10)
+    return (image * by_image).sum() + (alpha * by_alpha).sum(), meta["backward"](by_image, by_alpha)
+
+
+def loss_of(arguments):
+    image, alpha, _ = rasterize(**arguments)
+    return (image * random_like(image)).sum() + (alpha * random_like(alpha, 10)).sum()
+
+
+class Gradients(unittest.TestCase):
+    """Against central differences of the forward pass of the double-precision core."""
+
+    def differences_agree(self, arguments, names=NAMES, values=12):
+        _, gradients = loss_and_gradients(arguments)
+        r = np.random.default_rng(4)
+        for name in names:
+            found, array = gradients[name], arguments[name]
+            self.assertEqual(found.shape, array.shape)
+            self.assertGreater(np.abs(found).max(), 0, name)
+            size = np.sqrt(np.mean(found**2))
+            for k in r.choice(array.size, min(values, array.size), replace=False):
+                if name == "Ks" and k not in (0, 2, 4, 5):
+                    continue
+                best = np.inf
+                # A decision may change between the two ends of a step (a pixel crosses alpha 1/255): no step hides a
+                # wrong gradient.
+                for step in (1e-6, 1e-7, 3e-8):
+                    ends = []
+                    for sign in (1, -1):
+                        moved = array.copy()
+                        moved.reshape(-1)[k] += sign * step
+                        ends.append(loss_of(arguments | {name: moved}))
+                    wanted = (ends[0] - ends[1]) / (2 * step)
+                    best = min(best, abs(found.reshape(-1)[k] - wanted) / max(abs(wanted), 0.1 * size))
+                self.assertLess(best, 2e-5, f"{name}, value {k}")
+
+    def test_plain_colors(self):
+        self.differences_agree(scene())
+
+    def test_spherical_harmonics_of_fewer_bands_than_are_held(self):
+        self.differences_agree(scene(coefficients=16) | {"sh_degree": 2})
+
+    def test_any_number_of_colors_with_background(self):
+        for channels in (1, 2, 4, 7):
+            background = np.linspace(-0.5, 1, channels)[None]
+            self.differences_agree(scene(channels=channels) | {"backgrounds": background}, (*NAMES, "backgrounds"), 6)
+
+    def test_features_and_depths(self):
+        features = np.random.default_rng(3).standard_normal((30, 2))
+        for mode in ("RGB+D", "RGB+ED"):
+            arguments = scene(coefficients=4) | {"sh_degree": 1, "features": features, "render_mode": mode}
+            self.differences_agree(arguments, (*NAMES, "features"), 6)
+
+    def test_depth_alone(self):
+        for mode in ("D", "ED"):
+            self.differences_agree(scene() | {"render_mode": mode}, NAMES[:4], 6)
+
+    def test_antialiased(self):
+        self.differences_agree(scene() | {"rasterize_mode": "antialiased", "eps2d": 0.5})
+
+    def test_fisheye(self):
+        lens = np.array([[0.02, -0.004, 0.001, 0.0]])
+        self.differences_agree(scene() | {"camera_model": "fisheye", "radial_coeffs": lens}, (*NAMES, "Ks"))
+
+    def test_intrinsics(self):
+        self.differences_agree(scene(), ("Ks",))
+
+    def test_pose(self):
+        arguments = scene(coefficients=9) | {"sh_degree": 2}
+        _, gradients = loss_and_gradients(arguments)
+        viewmat = arguments["viewmats"][0]
+
+        def moved(xi):
+            # exp(xi) to second order is enough for a central difference.
+            w = np.array([[0, -xi[2], xi[1]], [xi[2], 0, -xi[0]], [-xi[1], xi[0], 0]])
+            motion = np.eye(4)
+            motion[:3, :3] += w + w @ w / 2
+            motion[:3, 3] = xi[3:]
+            return motion @ viewmat
+
+        for axis in range(6):
+            step = np.zeros(6)
+            step[axis] = 1e-6
+            ends = [loss_of(arguments | {"viewmats": moved(sign * step)[None]}) for sign in (1, -1)]
+            tangent = (moved(step) - moved(-step)) / 2e-6
+            wanted, found = (ends[0] - ends[1]) / 2e-6, (gradients["viewmats"][0] * tangent).sum()
+            self.assertLess(abs(found - wanted), 1e-4 * max(1, abs(wanted)), f"axis {axis}")
+
+    def test_a_wrong_gradient_fails(self):
+        backward = respire_bench.splat._NumpyPass.backward
+
+        def wrong(done, *by):
+            found = backward(done, *by)
+            found["quats"] *= 1.001
+            return found
+
+        respire_bench.splat._NumpyPass.backward = wrong
+        try:
+            with self.assertRaises(AssertionError):
+                self.differences_agree(scene(), ("quats",))
+        finally:
+            respire_bench.splat._NumpyPass.backward = backward
+
+
+class Images(unittest.TestCase):
+    def test_single_precision_agrees_with_the_oracle(self):
+        for extra in ({}, {"sh_degree": 3}, {"render_mode": "RGB+ED"}, {"rasterize_mode": "antialiased"}):
+            coefficients = 16 if "sh_degree" in extra else None
+            exact = scene(400, coefficients=coefficients, width=96, height=80) | extra
+            rounded = {k: v.astype(np.float32) if isinstance(v, np.ndarray) else v for k, v in exact.items()}
+            widened = {k: v.astype(np.float64) if isinstance(v, np.ndarray) else v for k, v in rounded.items()}
+            (image, alpha, meta), (oracle, oracle_alpha, oracle_meta) = rasterize(**rounded), rasterize(**widened)
+            self.assertEqual((image.dtype, oracle.dtype), (np.float32, np.float64))
+            self.assertEqual(image.shape, (1, 80, 96, 3 + ("render_mode" in extra)))
+            self.assertLess(np.abs(image - oracle).max(), 2e-4 * max(1, np.abs(oracle).max()))
+            self.assertLess(np.abs(alpha - oracle_alpha).max(), 2e-4)
+            by = random_like(oracle)
+            found = meta["backward"](by.astype(np.float32))
+            wanted = oracle_meta["backward"](by)
+            for name in (*NAMES, "viewmats", "Ks"):
+                error = np.sqrt(np.mean((found[name] - wanted[name]) ** 2) / np.mean(wanted[name] ** 2))
+                self.assertLess(error, 1e-3, f"{name} {extra}")
+
+    def test_one_gaussian_by_hand(self):
+        # At the centre of the image, one pixel: sigma 2 mm at 10 mm, focal length 100 px, so 20 px, plus the filter.
+        arguments = {
+            "means": np.array([[0.0, 0, 10]]),
+            "quats": np.array([[1.0, 0, 0, 0]]),
+            "scales": np.full((1, 3), 2.0),
+            "opacities": np.array([0.5]),
+            "colors": np.array([[0.2, -0.4, 0.9]]),
+            "viewmats": np.eye(4)[None],
+            "Ks": np.array([[[100.0, 0, 16], [0, 100, 16], [0, 0, 1]]]),
+            "width": 32,
+            "height": 32,
+        }
+        image, alpha, meta = rasterize(**arguments, backgrounds=np.array([[0.1, 0.1, 0.1]]), render_mode="RGB+D")
+        variance = (100 * 2 / 10) ** 2 + 0.3
+        expected = 0.5 * np.exp(-0.5 * (10.5**2 + 3.5**2) / variance)
+        self.assertAlmostEqual(alpha[0, 19, 26, 0], expected, 12)
+        color = expected * np.array([0.2, -0.4, 0.9]) + (1 - expected) * 0.1
+        np.testing.assert_allclose(image[0, 19, 26], [*color, 10 * expected], atol=1e-12)
+        self.assertTrue(meta["visible"][0, 0])
+
+    def test_cameras_are_rendered_one_by_one(self):
+        arguments = scene()
+        second = arguments["viewmats"].copy()
+        second[0, 0, 3] += 0.4
+        K = arguments["Ks"] * [[[1.2], [1.2], [1]]]
+        colors = np.stack([arguments["colors"], arguments["colors"][::-1]])
+        both = arguments | {
+            "viewmats": np.concatenate([arguments["viewmats"], second]),
+            "Ks": np.concatenate([arguments["Ks"], K]),
+            "colors": colors,
+        }
+        image, alpha, meta = rasterize(**both)
+        by = random_like(image)
+        gradients = meta["backward"](by)
+        for c in range(2):
+            one = {name: both[name][c : c + 1] for name in ("viewmats", "Ks")} | {"colors": colors[c]}
+            single, single_alpha, single_meta = rasterize(**arguments | one)
+            np.testing.assert_array_equal(single[0], image[c])
+            np.testing.assert_array_equal(single_alpha[0], alpha[c])
+            found = single_meta["backward"](by[c : c + 1])
+            np.testing.assert_allclose(gradients["viewmats"][c], found["viewmats"][0])
+            np.testing.assert_allclose(gradients["colors"][c], found["colors"])
+            gradients["means"] -= found["means"]
+        self.assertLess(np.abs(gradients["means"]).max(), 1e-9)
+
+    def test_the_far_plane_leaves_out_what_is_behind(self):
+        arguments = scene()
+        z = (arguments["viewmats"][0, :3, :3] @ arguments["means"].T).T[:, 2] + 0.2
+        near = {name: arguments[name][z <= 4.5] for name in NAMES}
+        image, _, meta = rasterize(**arguments, far_plane=4.5)
+        wanted, _, near_meta = rasterize(**arguments | near)
+        np.testing.assert_array_equal(image, wanted)
+        by = random_like(image)
+        np.testing.assert_array_equal(meta["backward"](by)["quats"][z <= 4.5], near_meta["backward"](by)["quats"])
+        self.assertEqual(np.abs(meta["backward"](by)["colors"][z > 4.5]).max(), 0)
+        self.assertFalse(meta["visible"][0, z > 4.5].any())
+
+    def test_passes_do_not_disturb_each_other(self):
+        first, second = scene(seed=1), scene(seed=2, width=70, height=50)
+        image, _, meta = rasterize(**first)
+        alone = meta["backward"](random_like(image))
+        _, _, other = rasterize(**second)
+        again = meta["backward"](random_like(image))
+        np.testing.assert_array_equal(alone["means"], again["means"])
+        del other
+
+
+class Refusals(unittest.TestCase):
+    def refused(self, word, **wrong):
+        with self.assertRaises(Error) as caught:
+            rasterize(**scene() | wrong)
+        self.assertTrue(str(caught.exception).startswith(word), str(caught.exception))
+
+    def test_what_the_core_has_not_is_named(self):
+        for name, value in (
+            ("radius_clip", 2.0),
+            ("tile_size", 8),
+            ("sparse_grad", True),
+            ("absgrad", True),
+            ("distributed", True),
+            ("covars", np.zeros((30, 3, 3))),
+            ("with_ut", True),
+            ("with_eval3d", True),
+            ("tangential_coeffs", np.zeros((1, 2))),
+            ("thin_prism_coeffs", np.zeros((1, 4))),
+            ("ftheta_coeffs", object()),
+            ("rolling_shutter", "ROLLING_TOP_TO_BOTTOM"),
+            ("viewmats_rs", np.eye(4)[None]),
+            ("camera_model", "ortho"),
+            ("rasterize_mode", "sharp"),
+            ("render_mode", "N"),
+            ("radial_coeffs", np.zeros((1, 4))),
+            ("sh_degree", 4),
+        ):
+            self.refused(name, **{name: value})
+
+    def test_what_makes_no_difference_is_taken(self):
+        plain, _, _ = rasterize(**scene())
+        image, _, _ = rasterize(**scene(), packed=False, channel_chunk=3, segmented=True)
+        np.testing.assert_array_equal(image, plain)
+
+    def test_wrong_arrays_are_named(self):
+        self.refused("means", means=np.zeros((2, 30, 3)))
+        self.refused("quats", quats=np.zeros((30, 3)))
+        self.refused("colors", colors=np.zeros((29, 3)))
+        self.refused("colors", colors=np.zeros((30, 3, 3)), sh_degree=1)
+        self.refused("scales", scales=np.zeros((30, 3), np.float32))
+        self.refused("viewmats", viewmats=2 * np.eye(4)[None])
+        self.refused("viewmats", viewmats=np.full((1, 4, 4), np.nan))
+        self.refused("Ks", Ks=np.zeros((1, 3, 3)))
+        self.refused("Ks", Ks=np.array([[[30.0, 1, 16], [0, 30, 16], [0, 0, 1]]]))
+        self.refused("backgrounds", backgrounds=np.zeros((1, 4)))
+        self.refused("width", width=0)
+        self.refused("near_plane", near_plane=0.0)
+        self.refused("far_plane", far_plane=0.001)
+        self.refused("eps2d", eps2d=-0.1)
+
+    def test_a_gradient_that_is_not_finite_is_named(self):
+        image, _, meta = rasterize(**scene())
+        by = np.ones_like(image)
+        by[0, 3, 7, 1] = np.nan
+        with self.assertRaisesRegex(Error, r"pixel \(7, 3\)"):
+            meta["backward"](by)
+
+    def test_keys_of_gsplat_are_not_made_up(self):
+        _, _, meta = rasterize(**scene())
+        with self.assertRaisesRegex(KeyError, "means2d: this core does not compute it"):
+            meta["means2d"]
+
+
+if __name__ == "__main__":
+    unittest.main()
