@@ -12,7 +12,8 @@ use crate::base::{Error, Progress, Result, files};
 use crate::formats::gaussians_ply::{self, GaussianCloud};
 use crate::formats::transforms::{Transforms, TransformsFrame};
 use crate::splat::{
-    DepthOutput, Filter, Footprint, Gaussians, ImageGradient, Isa, Rasterizer, Settings, Shape, View, Wanted,
+    DepthOutput, Filter, Footprint, GaussianSlices, Gaussians, ImageGradient, Isa, Rasterizer, Settings, Shape, View,
+    Wanted,
 };
 
 /// Arguments of `splat`.
@@ -268,7 +269,7 @@ fn views(transforms: &Transforms) -> Result<Vec<View>> {
 
 /// Why nothing is to be seen in frame `number`, the first of `empty` frames of `count`.
 fn emptiness(scene: &Gaussians<f32>, view: &View, settings: &Settings, [number, empty, count]: [usize; 3]) -> String {
-    let [before, beyond] = scene.before_camera(view, settings.near_mm);
+    let [before, beyond] = GaussianSlices::from(scene).before_camera(view, settings.near_mm);
     let advice = match (before, beyond) {
         (0, _) => "all lie behind the camera: are its axes OpenGL's (x right, y up, z backwards)?",
         (_, 0) => "give a smaller --near, which is in the scene's unit",

@@ -194,7 +194,7 @@ impl<'a, T: Real> GaussianSlices<'a, T> {
     /// an image may be empty.
     pub fn before_camera(&self, view: &View, near_mm: f64) -> [usize; 2] {
         let mut counts = [0; 2];
-        for position in &self.positions {
+        for position in self.positions {
             let depth_mm = view.camera_from_world.transform_point3(DVec3::from_array(position.map(T::to_f64))).z;
             counts[0] += usize::from(depth_mm > 0.0);
             counts[1] += usize::from(depth_mm > 0.0 && depth_mm >= near_mm);
