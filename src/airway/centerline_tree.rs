@@ -10,6 +10,10 @@ use super::centerline_voxels::{NONE, Voxels};
 /// A piece between two junctions shorter than this many radii belongs to the junction: its daughters count as the
 /// daughters of its parent.
 const JUNCTION_RADII: f64 = 0.7;
+/// A first side branch shorter than this many radii, and that leaves within so many of the inlet, leads into the rim of
+/// the trachea's flat end, where the scan was cut, and is none.
+const RIM_RADII: f64 = 1.6;
+const NEAR_INLET_RADII: f64 = 3.0;
 /// Rounds of smoothing and centring.
 const ROUNDS: usize = 3;
 
@@ -96,7 +100,8 @@ pub fn assemble(
     let mut kept = vec![true; traces.nodes.len()];
     let pieces = loop {
         let pieces = split(&traces.nodes, &kept);
-        if !drop_narrow(&pieces, &traces.nodes, settings.minimal_radius_mm, &mut kept) {
+        let narrow = drop_narrow(&pieces, &traces.nodes, settings.minimal_radius_mm, &mut kept);
+        if !narrow && !drop_rim(&pieces, &traces.nodes, &mut kept) {
             break pieces;
         }
     };
@@ -161,6 +166,20 @@ fn drop_narrow(pieces: &[Piece], nodes: &[TraceNode], minimal_radius_mm: f64, ke
         }
     }
     dropped
+}
+
+/// Marks the nodes of an end piece that leads into the rim of the trachea's end as dropped; whether there was one.
+fn drop_rim(pieces: &[Piece], nodes: &[TraceNode], kept: &mut [bool]) -> bool {
+    let junction_radius_mm = nodes[pieces[0].nodes[pieces[0].nodes.len() - 1] as usize].radius_mm;
+    if length(&pieces[0], nodes) > NEAR_INLET_RADII * junction_radius_mm {
+        return false;
+    }
+    let is_rim =
+        |p: &&Piece| p.parent == Some(0) && p.children == 0 && length(p, nodes) < RIM_RADII * junction_radius_mm;
+    // The other daughters are the trachea: one piece alone is never dropped.
+    let Some(rim) = pieces.iter().find(is_rim).filter(|_| pieces[0].children > 1) else { return false };
+    rim.nodes.iter().for_each(|&n| kept[n as usize] = false);
+    true
 }
 
 fn length(piece: &Piece, nodes: &[TraceNode]) -> f64 {
