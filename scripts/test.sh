@@ -33,5 +33,5 @@ step page
 scripts/test-page.sh
 step gate: absolute limits, and losses against the baseline
 cargo run --release --locked --quiet -- gate --results target/smoke/latest \
-    --baseline reports/baselines/ideal
+    --baseline reports/baselines/ideal,reports/baselines/ideal-avx2
 step done

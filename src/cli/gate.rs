@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use super::Terminal;
 use super::selection::CatalogueFolder;
-use crate::base::{Error, ErrorKind, Result, files};
+use crate::base::{Error, ErrorKind, Progress, Result, files};
 use crate::report::gate::{Check, LIMITS_FILE, Verdict, judge, read_thresholds, with_limits_of};
+use crate::report::read::Results;
 use crate::report::{gate_files, gate_limits, read};
 
 /// Arguments of `gate`.
@@ -13,6 +14,7 @@ use crate::report::{gate_files, gate_limits, read};
 #[command(
     after_help = "Writes gate.md and gate.xml (JUnit) before it decides. Exit code 3 when anything fails: a value beyond \
     its limit, an empty or broken value, a missing case, method or metric, a film that is not the baseline's.\n\
+    Films and fits differ in their last bits between kinds of processors, so there may be a baseline for each kind.\n\
     A baseline folder with a limits.toml brings its own relative limits. --limits-from writes it, judging nothing: four \
     standard deviations of the seeds or, where those are 0, of single cases between two samplings of their films \
     (scripts/baseline.sh).\n\
@@ -25,9 +27,9 @@ pub struct GateArguments {
     /// Limits [default: gate.toml beside the cases]
     #[arg(long, value_name = "FILE")]
     thresholds: Option<PathBuf>,
-    /// Report folder to compare with
-    #[arg(long, value_name = "DIR")]
-    baseline: Option<PathBuf>,
+    /// Report folder to compare with; of several, the first one that was made from the same films
+    #[arg(long, value_delimiter = ',', value_name = "DIR,..")]
+    baseline: Vec<PathBuf>,
     /// Report folders from which limits are computed and written to limits.toml in --out, instead of judging
     #[arg(long, value_delimiter = ',', value_name = "DIR,..", requires = "out", conflicts_with_all = ["results", "baseline"])]
     limits_from: Vec<PathBuf>,
@@ -53,12 +55,13 @@ pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
     };
     let mut thresholds = read_thresholds(&limits)?;
     let results = read::read(folder)?;
-    let baseline = arguments.baseline.as_deref().map(read::read).transpose()?;
-    if let (Some(baseline), Some(path)) = (&baseline, &arguments.baseline) {
+    let baseline = chosen(&results, &arguments.baseline)?;
+    if let Some((baseline, path)) = &baseline {
         results.check_track(baseline).map_err(|e| e.at(path))?;
         thresholds = with_limits_of(thresholds, path)?;
+        terminal.note(&format!("compared with {}", path.display()));
     }
-    let checks = judge(&results, &thresholds, baseline.as_ref());
+    let checks = judge(&results, &thresholds, baseline.as_ref().map(|(baseline, _)| baseline));
 
     let out = arguments.out.as_ref().unwrap_or(folder);
     gate_files::write_junit(&checks, &out.join("gate.xml"))?;
@@ -80,6 +83,19 @@ pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
         first.sentence
     );
     Err(Error::new(ErrorKind::Regression, sentence))
+}
+
+/// The first baseline of the same films as the results; where there is none the first one, which the gate then refuses.
+fn chosen<'a>(results: &Results, folders: &'a [PathBuf]) -> Result<Option<(Results, &'a Path)>> {
+    let mut first = None;
+    for folder in folders {
+        let baseline = read::read(folder)?;
+        if results.has_films_of(&baseline) {
+            return Ok(Some((baseline, folder)));
+        }
+        first = first.or(Some((baseline, folder.as_path())));
+    }
+    Ok(first)
 }
 
 fn write_limits(runs: &[PathBuf], out: &Path, terminal: &Terminal) -> Result<()> {

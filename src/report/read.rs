@@ -117,6 +117,13 @@ impl Results {
         )))
     }
 
+    /// Whether no case that both know was filmed otherwise there, as far as that is known.
+    pub fn has_films_of(&self, other: &Results) -> bool {
+        let unlike = |own: &str, known: &str| !own.is_empty() && !known.is_empty() && own != known;
+        let known = |case: &String| other.facts.get(case).map_or("", |facts| facts.film_content.as_str());
+        !self.facts.iter().any(|(case, facts)| unlike(&facts.film_content, known(case)))
+    }
+
     /// The tree of a case.
     pub fn tree_of<'a>(&'a self, case: &'a str) -> &'a str {
         self.facts.get(case).map_or(case, |facts| facts.tree.as_str())
