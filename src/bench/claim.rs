@@ -19,7 +19,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::{Error, Result, files, hash};
+use crate::base::{Error, Result, hash};
 
 /// Name of the claim within the claimed folder.
 const CLAIM: &str = ".claim";
@@ -170,9 +170,9 @@ impl Claims {
     ///
     /// Errors: a folder that cannot be read or written.
     pub fn ask(&self, folder: &Path, kept: &[&str]) -> Result<Asked> {
-        fs::create_dir_all(folder).map_err(|e| Error::io("making the folder", folder, e))?;
         let claim = folder.join(CLAIM);
         loop {
+            fs::create_dir_all(folder).map_err(|e| Error::io("making the folder", folder, e))?;
             if let Some(holder) = holder_of(&claim)? {
                 if !self.is_dead(&claim, &holder)? {
                     return Ok(Asked::Held(holder));
@@ -226,19 +226,15 @@ fn holder_of(claim: &Path) -> Result<Option<Holder>> {
 fn grant(folder: &Path) -> Result<Option<Claim>> {
     let holder = Holder::new();
     let (claim, own) = (folder.join(CLAIM), folder.join(format!("{CLAIM}-{}", holder.token)));
-    match files::write_json(&own.join(HOLDER), &holder) {
-        // Swept away by a process that took `folder` in between.
-        Err(_) if !own.exists() && is_claimed(folder) => return Ok(None),
-        written => written?,
-    }
-    match fs::rename(&own, &claim) {
+    match write_holder(&own, &holder).and_then(|()| fs::rename(&own, &claim)) {
         Ok(()) => {}
+        // Swept away by a process that took `folder` in between, and may have given it back.
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(e) if is_occupied(&e) => {
             remove_folder(&own)?;
             return Ok(None);
         }
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound && is_claimed(folder) => return Ok(None),
-        Err(e) => return Err(Error::io("writing", &claim, e)),
+        Err(e) => return Err(Error::io("writing", &own.join(HOLDER), e)),
     }
     let path = claim.join(HOLDER);
     let file = File::open(&path).map_err(|e| Error::io("reading", &path, e))?;
@@ -252,6 +248,11 @@ fn grant(folder: &Path) -> Result<Option<Claim>> {
     let thread = std::thread::Builder::new().name("claim".into()).spawn(beat);
     let thread = thread.map_err(|e| Error::io("starting the thread of", &claim, e))?;
     Ok(Some(Claim { folder: folder.to_path_buf(), holder, heart: Some((sender, thread)) }))
+}
+
+fn write_holder(own: &Path, holder: &Holder) -> std::io::Result<()> {
+    fs::create_dir(own)?;
+    fs::write(own.join(HOLDER), serde_json::to_vec(holder)?)
 }
 
 /// Takes a dead holder's claim away, unless another process was faster.
@@ -318,6 +319,7 @@ fn remove_hidden(folder: &Path, kept: &[&str]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::files;
 
     fn granted(claims: &Claims, folder: &Path) -> Option<Claim> {
         match claims.ask(folder, &[]).unwrap() {
