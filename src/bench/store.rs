@@ -171,12 +171,12 @@ impl Store {
     /// Clears away what a process left that ended between its last product and giving the work back.
     pub fn tidy(&self, work: &str) -> Result<()> {
         let folder = self.path(work);
-        if claim::is_claimed(&folder) || !claim::hidden(&folder)?.is_empty() {
-            if let Ok(work) = self.claim(work, &[])? {
-                work.release()?;
-            }
+        let is_tidy = !claim::is_claimed(&folder) && claim::hidden(&folder)?.is_empty();
+        match is_tidy {
+            true => Ok(()),
+            // A live process' claim is its own affair.
+            false => self.claim(work, &[])?.map_or(Ok(()), Work::release),
         }
-        Ok(())
     }
 }
 

@@ -146,7 +146,7 @@ fn run(mut command: Command, log: &Path, progress: &dyn Progress) -> Result<()> 
         return Ok(());
     }
     let text = std::fs::read_to_string(log).unwrap_or_default();
-    let words = text.lines().map(str::trim).filter(|l| l.contains("rror") || l.contains("xception")).next_back();
+    let words = text.lines().map(str::trim).rfind(|l| l.contains("rror") || l.contains("xception"));
     let words = words.or_else(|| text.lines().map(str::trim).rfind(|l| !l.is_empty())).unwrap_or("it said nothing");
     Err(Error::input(format!("{name} failed ({status}): {words}")))
 }

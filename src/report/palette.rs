@@ -31,8 +31,11 @@ const LONG: Option<[u8; 2]> = Some([9, 4]);
 const SHORT: Option<[u8; 2]> = Some([4, 3]);
 const DOTS: Option<[u8; 2]> = Some([2, 2]);
 
+/// A row's id, colour and dashes.
+type OwnStyle = (&'static str, [u8; 3], Option<[u8; 2]>);
+
 /// Own rows. A test holds that each row of this program has one.
-const OWN: [(&str, [u8; 3], Option<[u8; 2]>); 14] = [
+const OWN: [OwnStyle; 14] = [
     ("ours", [0, 114, 178], None),
     ("ours-nomesh", [86, 180, 233], None),
     ("ours-window", [96, 24, 252], None),

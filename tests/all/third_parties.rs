@@ -55,7 +55,7 @@ impl Place {
     }
 
     pub fn film(&self) -> PathBuf {
-        self.first("cache/sequences", "case1-")
+        self.first("cache/sequences", "case1-").join("film")
     }
 
     /// Scores the prediction folder `name` on `film` into the report folder `out`.
