@@ -53,15 +53,14 @@ SlurmdLogFile=$work/slurmd.log
 NodeName=$(hostname -s) NodeAddr=127.0.0.1 CPUs=$(nproc) RealMemory=4000 State=UNKNOWN
 PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 CONF
-echo "CgroupPlugin=disabled" >"$work/cgroup.conf"
 if ! munge -n >/dev/null 2>&1; then
-  runuser -u munge -- munged --foreground & pids+=($!)
+  runuser -u munge -- munged --foreground 2>/dev/null & pids+=($!)
 fi
 for _ in $(seq 50); do munge -n >/dev/null 2>&1 && break; sleep 0.1; done
-slurmctld -D & pids+=($!)
-slurmd -D -N "$(hostname -s)" & pids+=($!)
+slurmctld -D >"$work/ctld.out" 2>&1 & pids+=($!)
+slurmd -D -N "$(hostname -s)" >"$work/d.out" 2>&1 & pids+=($!)
 for _ in $(seq 100); do [ "$(sinfo -h -o %t 2>/dev/null)" = idle ] && break; sleep 0.2; done
-[ "$(sinfo -h -o %t)" = idle ] || { tail -5 "$work"/slurm*.log >&2; stop "Slurm's node does not become idle"; }
+[ "$(sinfo -h -o %t)" = idle ] || { tail -n 8 "$work/slurmd.log" >&2; stop "Slurm's node does not become idle"; }
 
 # --- the work: a tube, two methods, two seeds ------------------------------------------------------------------------------
 scripts/tube-case.sh "$work/cases"
@@ -83,7 +82,7 @@ for _ in $(seq 300); do
   [ -n "$child" ] && break
   sleep 0.05
 done
-[ -n "${child:-}" ] || stop "no task was seen at work"
+[ -n "${child:-}" ] || { squeue >&2; tail -n 5 "$work"/scripts/*.log "$work/slurmctld.log" >&2; stop "no task was seen at work"; }
 kill -KILL "$child"
 await "$report"
 missing=$(grep -o 'of [0-9]* cells failed: .*' "$work/scripts/report.log" || true)

@@ -5,6 +5,8 @@ use glam::{DMat3, DVec3};
 use super::error::{Error, Result};
 use super::estimate::demand_memory;
 
+/// Farthest first voxel from the scanner's origin, in mm.
+const MOST_ORIGIN_MM: f64 = 1e5;
 /// Most voxels along one axis. Scanners write 512 to 2048.
 pub const MOST_VOXELS_A_SIDE: usize = 4096;
 
@@ -98,8 +100,13 @@ impl VoxelGrid {
             )));
         }
         let spacing = self.spacing_mm();
-        let is_possible = self.origin_mm.is_finite() && spacing.is_finite();
-        if !is_possible || spacing.min_element() < 0.01 || spacing.max_element() > 20.0 {
+        if !self.origin_mm.is_finite() || self.origin_mm.abs().max_element() > MOST_ORIGIN_MM {
+            return Err(Error::input(format!(
+                "its first voxel lies at {} mm, farther away than {MOST_ORIGIN_MM} mm",
+                self.origin_mm
+            )));
+        }
+        if !spacing.is_finite() || spacing.min_element() < 0.01 || spacing.max_element() > 20.0 {
             return Err(Error::input(format!(
                 "voxels of {:.4} x {:.4} x {:.4} mm are none of a scan: .01 to 20 mm are; a file in other units has to be \
                  rewritten in mm",

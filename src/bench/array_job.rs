@@ -19,8 +19,10 @@ pub struct ArrayJob {
     pub program: String,
     /// Words that every task and the report have in common, from `all-cases` on.
     pub common: Vec<String>,
-    /// Words of each piece of work; the report has none of them.
+    /// Words of each piece of work.
     pub work: Vec<Vec<String>>,
+    /// Words of all of it, for the report.
+    pub everything: Vec<String>,
     /// Folder of the scripts and of what the tasks print, an absolute path.
     pub folder: String,
     /// Processors of a task.
@@ -108,7 +110,8 @@ impl ArrayJob {
         let _ = writeln!(text, "#SBATCH --cpus-per-task={}", self.processors);
         let _ = writeln!(text, "#SBATCH --mem={}M", (self.cost.memory_mib * MEMORY_FACTOR + MEMORY_MIB).ceil());
         let _ = writeln!(text, "#SBATCH --output={}/report.log", self.folder);
-        let _ = writeln!(text, "exec {} --threads {} --report-only", self.command(), self.processors);
+        let all = quoted(&self.everything);
+        let _ = writeln!(text, "exec {} --threads {} --report-only {all}", self.command(), self.processors);
         text
     }
 
@@ -153,6 +156,7 @@ mod tests {
             program: "echo".into(),
             common: words(&["all-cases", "--cache", "a b/it's"]),
             work: (0..pieces).map(|k| words(&["--cases", &format!("case {k}")])).collect(),
+            everything: words(&["--cases", "a,b"]),
             folder: folder.into(),
             processors: 4,
             at_once: 20,
@@ -196,6 +200,6 @@ mod tests {
             assert!(script.contains(&format!("#SBATCH {line}\n")), "{line} is not in {script}");
         }
         assert!(job(3, "/logs").submit_script().contains("--dependency=afterany:"));
-        assert!(job(3, "/logs").report_script().contains("--report-only"));
+        assert!(job(3, "/logs").report_script().ends_with("--report-only --cases a,b\n"));
     }
 }

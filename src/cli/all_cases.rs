@@ -88,8 +88,8 @@ fn report(out: &Path, pipeline: &Pipeline, plan: &Plan, finished: &[FinishedCell
     terminal.stage("writing the report");
     let written = report::write(&record, &folder, terminal)?;
     files::write_json(&folder.join("environment.json"), &Environment::examine())?;
-    point_latest(out, &run_id)?;
     claim.release()?;
+    point_latest(out, &run_id)?;
     terminal.finish();
     for table in ComparisonTable::both(&summarise(&record)) {
         comparison::lines(&table).iter().for_each(|line| terminal.line(line));

@@ -86,27 +86,29 @@ fn wish<T>(given: Vec<T>) -> Option<Vec<T>> {
 }
 
 impl Selection {
-    /// The words of a command line that makes the same choice, folders absolute.
-    pub fn common_words(&self) -> Result<Vec<String>> {
-        let mut words = Vec::new();
-        let mut word = |option: &str, value: String| words.extend([option.to_owned(), value]);
-        word("--profile", absolute_file(&self.profile)?);
-        if !self.cases.is_empty() {
-            word("--cases", self.case_wishes()?.join(","));
-        }
-        if !self.methods.is_empty() {
-            word("--methods", self.methods.join(","));
-        }
-        if !self.seeds.is_empty() {
-            word("--seeds", self.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(","));
-        }
+    /// The words of a command line that has the same profile and folders, which are absolute.
+    pub fn place_words(&self) -> Result<Vec<String>> {
+        let mut words = vec!["--profile".to_owned(), absolute_file(&self.profile)?];
         if let Some(folder) = &self.catalogue.bench_cases {
-            word("--bench-cases", absolute_path(folder)?);
+            words.extend(["--bench-cases".to_owned(), absolute_path(folder)?]);
         }
         if self.poses.unknown_pose {
             words.push("--unknown-pose".to_owned());
         }
         Ok(words)
+    }
+
+    /// The words of a command line that chooses the same methods and seeds.
+    pub fn row_words(&self) -> Vec<String> {
+        let mut words = Vec::new();
+        if !self.methods.is_empty() {
+            words.extend(["--methods".to_owned(), self.methods.join(",")]);
+        }
+        if !self.seeds.is_empty() {
+            let seeds: Vec<String> = self.seeds.iter().map(u64::to_string).collect();
+            words.extend(["--seeds".to_owned(), seeds.join(",")]);
+        }
+        words
     }
 
     /// The cases as they were asked for, files by their absolute paths; in the order of [`Pipeline::cases`].

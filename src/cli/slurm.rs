@@ -62,9 +62,10 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         Ok(path.to_string_lossy().into_owned())
     };
     let mut common = vec!["all-cases".to_owned()];
-    common.extend(arguments.selection.common_words()?);
+    common.extend(arguments.selection.place_words()?);
     common.extend(["--out".to_owned(), absolute(&arguments.out)?, "--cache".to_owned(), absolute(&arguments.cache)?]);
-    let wishes = arguments.selection.case_wishes()?;
+    let (wishes, rows) = (arguments.selection.case_wishes()?, arguments.selection.row_words());
+    let everything = [vec!["--cases".to_owned(), wishes.join(",")], rows.clone()].concat();
     let pipeline = arguments.selection.pipeline()?;
     let plan = pipeline.plan()?;
     let store = Store::look(&arguments.cache);
@@ -88,7 +89,7 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
                 cost = of_cells.into_iter().fold(cost, WorkCost::or);
             }
             Task::Case if !cells.is_empty() => {
-                work.push(vec!["--cases".to_owned(), wish.clone()]);
+                work.push([vec!["--cases".to_owned(), wish.clone()], rows.clone()].concat());
                 cost = cost.or(of_cells.into_iter().fold(WorkCost::default(), WorkCost::then));
             }
             Task::Case => {}
@@ -104,6 +105,7 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         program: program.to_string_lossy().into_owned(),
         common,
         work,
+        everything,
         folder: absolute(&arguments.scripts)?,
         processors: arguments.processors,
         at_once: arguments.at_once,

@@ -317,19 +317,19 @@ pub fn records(rows: &[BiasRow], sweep: &BiasSweep) -> Vec<Vec<String>> {
 }
 
 /// A case with one look in one phase: its bias over the places of the camera.
-struct Group<'a> {
+struct BiasGroup<'a> {
     frames: Vec<&'a BiasRow>,
 }
 
-impl<'a> Group<'a> {
+impl<'a> BiasGroup<'a> {
     /// Frames of one case, look and phase, in the order of `rows`.
-    fn all(rows: &'a [BiasRow]) -> Vec<Group<'a>> {
-        let mut groups: Vec<Group> = Vec::new();
+    fn all(rows: &'a [BiasRow]) -> Vec<BiasGroup<'a>> {
+        let mut groups: Vec<BiasGroup> = Vec::new();
         for row in rows {
             let key = |row: &'a BiasRow| (&row.case_id, row.look, row.phase);
             match groups.iter_mut().find(|group| key(group.frames[0]) == key(row)) {
                 Some(group) => group.frames.push(row),
-                None => groups.push(Group { frames: vec![row] }),
+                None => groups.push(BiasGroup { frames: vec![row] }),
             }
         }
         groups
@@ -362,7 +362,7 @@ pub fn markdown(rows: &[BiasRow], sweep: &BiasSweep) -> String {
         "| case | look | phase | mean bias over the places, worst channel, % | worst frame, % | relMSE |\n",
     );
     text += "|---|---|--:|--:|--:|--:|\n";
-    for group in Group::all(rows) {
+    for group in BiasGroup::all(rows) {
         let (channel, mean) = group.worst_mean();
         let error = group.mean(|row| row.standard_error[channel].powi(2)).sqrt() / (group.frames.len() as f64).sqrt();
         let (worst, of) = group.worst_frame();
@@ -385,7 +385,7 @@ pub fn markdown(rows: &[BiasRow], sweep: &BiasSweep) -> String {
 
 /// How many cases and frames are how good, in one sentence.
 pub fn summary(rows: &[BiasRow], sweep: &BiasSweep) -> String {
-    let groups = Group::all(rows);
+    let groups = BiasGroup::all(rows);
     let of_groups: Vec<f64> = groups.iter().map(|group| group.worst_mean().1.abs()).collect();
     let of_frames: Vec<f64> = rows.iter().map(|row| row.bias[row.worst()].abs()).collect();
     let within = |values: &[f64], limit: f64| values.iter().filter(|&&value| value <= limit).count();
