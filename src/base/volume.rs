@@ -258,6 +258,6 @@ mod tests {
         assert!(said(VoxelGrid { axes_mm: oblique().axes_mm * 1e-3, ..oblique() }).contains("mm"));
         let flat = DMat3::from_cols(DVec3::X, DVec3::Y, DVec3::X + DVec3::Y);
         assert!(said(VoxelGrid { axes_mm: flat, ..oblique() }).contains("in one plane"));
-        assert!(said(VoxelGrid { origin_mm: DVec3::NAN, ..oblique() }).contains("none of a scan"));
+        assert!(said(VoxelGrid { origin_mm: DVec3::NAN, ..oblique() }).contains("farther away"));
     }
 }

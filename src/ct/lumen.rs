@@ -6,7 +6,7 @@
 //!    which shrinks no tube.
 //! 2. The field is sampled on a finer grid along the body's axes; between slices it is the shape's own interpolation
 //!    (Raya and Udupa, IEEE TMI 9:32, 1990).
-//! 3. Handles and loose parts go ([`super::topology`]).
+//! 3. Handles and loose parts go (`topology.rs`).
 //! 4. Marching tetrahedra, and remeshing with edges in proportion to the airway's radius.
 
 use glam::DVec3;

@@ -1,7 +1,7 @@
 //! NIfTI-1 (`.nii`, `.nii.gz`): volumes of scanners' exports, of TotalSegmentator, nnU-Net and 3D Slicer.
 //!
 //! The header is read by the `nifti` crate. The place of the voxels follows the standard: the sform where its code is
-//! above 0, else the qform, else the spacing alone; RAS in the file, LPS here. Vectors (dim[5] = 3) are in LPS, as ITK
+//! above 0, else the qform, else the spacing alone; RAS in the file, LPS here. Vectors (`dim[5]` is 3) are in LPS, as ITK
 //! and elastix write them, but for the intent "displacement vector" (1006), which ITK writes in RAS.
 
 use std::fs::File;
