@@ -231,7 +231,7 @@ fn a_registration_meets_its_target_on_landmarks() {
     let (mean, median) = (off.iter().sum::<f64>() / off.len() as f64, off[off.len() / 2]);
     let change = volume_change(&field, &fixed.lungs);
     println!("{} landmarks: mean {mean:.2}, median {median:.2} mm; {change:?}", off.len());
-    assert!(mean <= 1.45 && median <= 1.1, "{mean} {median}");
+    assert!(mean <= 1.4 && median <= 1.0, "{mean} {median}");
     assert_eq!(change.folded, 0);
 }
 
