@@ -1,15 +1,13 @@
 #!/usr/bin/env bash
 # Makes the gate's baseline of a track anew, for when films, methods or metrics were meant to change:
-# reports/baselines/TRACK (TRACK-avx2 on a processor without AVX-512) with the results of the smoke run and limits.toml, which are four standard deviations of the
+# reports/baselines/TRACK with the results of the smoke run and limits.toml, which are four standard deviations of the
 # seeds or, where those are 0, of the nine cases between two samplings of their films (docs/statistics.md).
 # usage: scripts/baseline.sh [WORK]; about half an hour on two cores. WORK keeps the runs: the same command goes on.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 work=${1:-target/baseline}
 track=ideal
-# Films and fits differ in their last bits between processors with and without AVX-512: a baseline for either.
 to=reports/baselines/$track
-grep -qw avx512f /proc/cpuinfo || to+=-avx2
 
 cargo build --release --locked --quiet
 bench() { target/release/respire-bench --yes "$@"; }

@@ -32,6 +32,5 @@ cargo run --release --locked --quiet -- all-cases --profile smoke --out target/s
 step page
 scripts/test-page.sh
 step gate: absolute limits, and losses against the baseline
-cargo run --release --locked --quiet -- gate --results target/smoke/latest \
-    --baseline reports/baselines/ideal,reports/baselines/ideal-avx2
+cargo run --release --locked --quiet -- gate --results target/smoke/latest --baseline reports/baselines/ideal
 step done

@@ -49,12 +49,7 @@ inline void compensation_pullback(const G& g, V by_log, V by_u[COLUMNS][2]) {
 
 inline V dot(const V* a, const V* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-// Sum over the lanes.
-inline double total(VD v) {
-  double sum = 0;
-  for (int l = 0; l < LANES / 2; ++l) sum += v[l];
-  return sum;
-}
+inline double total(const D4& v) { return (v[0] + v[2]) + (v[1] + v[3]); }
 
 // How many slots ahead of the sum slots are prefetched.
 constexpr int AHEAD = 48;
@@ -101,7 +96,7 @@ struct ChainKernel {
     constexpr int BASIS = (DEGREE + 1) * (DEGREE + 1), SH = 3 * BASIS;
     const View& w = s.view;
     const bool through_position = wants(POSITIONS | POSE | LENS), shapes = wants(SHAPES);
-    VD pose_sums[6] = {}, lens_sums[4] = {};
+    D4 pose_sums[6] = {}, lens_sums[4] = {};
     for_groups(s, o.first, o.count, [&](const LaneGroup& group) {
       const std::size_t k0 = group.k0;
       const int count = group.count;
@@ -234,10 +229,10 @@ struct ChainKernel {
       if (shapes && COLUMNS == 2) write<6>(o.shape, k0, count, good, &by_columns[0][0]);
       if (shapes && COLUMNS == 3) write_ellipsoids(k0, count, good, shape, by_columns);
       if (wants(POSE)) {
-        for (int k = 0; k < 6; ++k) pose_sums[k] += add_halves_in_double(keep(good, pose[k]));
+        for (int k = 0; k < 6; ++k) add_in_double(pose_sums[k], keep(good, pose[k]));
       }
       if (wants(LENS)) {
-        for (int k = 0; k < 4; ++k) lens_sums[k] += add_halves_in_double(keep(good, lens[k]));
+        for (int k = 0; k < 4; ++k) add_in_double(lens_sums[k], keep(good, lens[k]));
       }
     });
     for (int k = 0; k < 6; ++k) o.pose[k] = total(pose_sums[k]);

@@ -152,12 +152,6 @@ bool composite(const DiscTile& t, const Rays& rays, int block, const std::uint32
   return alive();
 }
 
-// Sum over the lanes.
-inline float total(V v) {
-  const V4 four = fold(v);
-  return (four[0] + four[2]) + (four[1] + four[3]);
-}
-
 // As in kernel.cpp up to v = dL/d log(alpha); from there (src/splat/plain/disc_tile.rs), where the plane is hit,
 //
 //   p = P.d:  dL/dp = -v s / w,   q = Q.d:  dL/dq = -v u / w
@@ -166,6 +160,7 @@ inline float total(V v) {
 // summed over the pixels with their rays, and where the filter counts v dx, v dy.
 template <bool WITH_GEOMETRY, bool WITH_COLOR, bool WITH_Z>
 void backward_tile(const DiscTile& t, const float* adjoint, float* out) {
+  constexpr int ROOM = (DISC_SUMS + 3) / 4 * 4;
   const Rays rays(t);
   alignas(64) float running[PIXELS], behind[PIXELS];
   for (float& v : running) v = 1;
@@ -177,7 +172,8 @@ void backward_tile(const DiscTile& t, const float* adjoint, float* out) {
     const std::uint32_t splat = t.entries[e];
     const float* q = t.rows + 16 * static_cast<std::size_t>(splat);
     const float* d = t.discs + 16 * static_cast<std::size_t>(splat);
-    V sums[DISC_SUMS] = {};
+    // Part by part, so that they are taken in the same order for every LANES.
+    V all[PARTS][ROOM] = {};
     for (std::uint32_t todo = blocks_of(t, d) & alive; todo; todo &= todo - 1) {
       const int block = __builtin_ctz(todo);
       std::uint32_t splats[PARTS];
@@ -186,6 +182,7 @@ void backward_tile(const DiscTile& t, const float* adjoint, float* out) {
       const DiscSamples<PARTS> o(t, rays, splats, places);
       bool goes_on = false;
       for (int k = 0; k < PARTS; ++k) {
+        V* const sums = all[k];
         // The forward pass again.
         const int p = places[k];
         const V a = min(o.raw[k], broadcast(ALPHA_MAX)), now = load(running + p), next = fnma(a, now, now);
@@ -236,7 +233,14 @@ void backward_tile(const DiscTile& t, const float* adjoint, float* out) {
       }
       if (!goes_on) alive &= ~(1u << block);
     }
-    for (int k = 0; k < DISC_SUMS; ++k) out[DISC_SUMS * e + k] = total(sums[k]);
+    float total[ROOM];
+    for (int k = 0; k < ROOM; k += 4) {
+      V groups[PARTS];
+      for (int p = 0; p < PARTS; ++p)
+        groups[p] = sums_of_groups(all[p][k], all[p][k + 1], all[p][k + 2], all[p][k + 3]);
+      _mm_storeu_ps(total + k, sum_of_sixteen(groups));
+    }
+    __builtin_memcpy(out + DISC_SUMS * e, total, DISC_SUMS * sizeof(float));
   }
 }
 

@@ -187,45 +187,6 @@ void forward_tile(const ForwardTile& t) {
   __builtin_memcpy(t.state, state, PLANES * PIXELS * sizeof(float));
 }
 
-#if defined(__AVX512F__)
-
-// Horizontal sums: slot[k] = the sum over the lanes of v[k] for twelve vectors, then four zeros; transposed and added
-// by halves.
-inline void store_sums(const V* v, float* slot) {
-  __m512 pairs[6], quads[3];
-  for (int k = 0; k < 6; ++k) {
-    const __m512 a = (__m512)v[2 * k], b = (__m512)v[2 * k + 1];
-    pairs[k] = _mm512_add_ps(_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
-  }
-  for (int k = 0; k < 3; ++k) {
-    const __m512 a = pairs[2 * k], b = pairs[2 * k + 1];
-    quads[k] = _mm512_add_ps(_mm512_shuffle_ps(a, b, 0x44), _mm512_shuffle_ps(a, b, 0xee));
-  }
-  const __m512 zero = _mm512_setzero_ps();
-  const __m512 low =
-      _mm512_add_ps(_mm512_shuffle_f32x4(quads[0], quads[1], 0x44), _mm512_shuffle_f32x4(quads[0], quads[1], 0xee));
-  const __m512 high =
-      _mm512_add_ps(_mm512_shuffle_f32x4(quads[2], zero, 0x44), _mm512_shuffle_f32x4(quads[2], zero, 0xee));
-  _mm512_storeu_ps(slot, _mm512_add_ps(_mm512_shuffle_f32x4(low, high, 0x88), _mm512_shuffle_f32x4(low, high, 0xdd)));
-}
-
-#else
-
-// Four sums at once: lane k of the result is the sum over the lanes of argument k.
-inline __m128 sums(V a, V b, V c, V d) {
-  const __m128 fa = (__m128)fold(a), fb = (__m128)fold(b), fc = (__m128)fold(c), fd = (__m128)fold(d);
-  const __m128 ab = _mm_add_ps(_mm_unpacklo_ps(fa, fb), _mm_unpackhi_ps(fa, fb));
-  const __m128 cd = _mm_add_ps(_mm_unpacklo_ps(fc, fd), _mm_unpackhi_ps(fc, fd));
-  return _mm_add_ps(_mm_movelh_ps(ab, cd), _mm_movehl_ps(cd, ab));
-}
-
-inline void store_sums(const V* v, float* slot) {
-  for (int k = 0; k < 12; k += 4) _mm_storeu_ps(slot + k, sums(v[k], v[k + 1], v[k + 2], v[k + 3]));
-  _mm_storeu_ps(slot + 12, _mm_setzero_ps());
-}
-
-#endif
-
 // Entries of the backward pass whose alphas are evaluated before their sums: 16, so that a batch (16 KB) stays in the
 // first-level cache.
 constexpr int BATCH = 16;
@@ -320,10 +281,13 @@ void backward_tile(const BackwardTile& t) {
         for (int k = 0; k < PARTS; ++k) store(slot + LANES * k, V{});
         continue;
       }
-      V s{}, sx{}, sy{}, sxx{}, sxy{}, syy{}, sr{}, sg{}, sb{}, sz{};
-      for (int pair = pairs.starts[e]; pair < pairs.starts[e + 1]; ++pair) {
-        const int block = pairs.blocks[pair];
-        for (int k = 0; k < PARTS; ++k) {
+      // Sums over each four lanes, three times four of them: the moments. Part after part, so that the sums of one fit
+      // into the registers and are taken in the same order for every LANES.
+      V moments[3][PARTS];
+      for (int k = 0; k < PARTS; ++k) {
+        V s{}, sx{}, sy{}, sxx{}, sxy{}, syy{}, sr{}, sg{}, sb{}, sz{};
+        for (int pair = pairs.starts[e]; pair < pairs.starts[e + 1]; ++pair) {
+          const int block = pairs.blocks[pair];
           const int p = 16 * block + LANES * k;
           // The forward pass again.
           const V raw = load(pairs.raw[pair] + LANES * k);
@@ -358,9 +322,12 @@ void backward_tile(const BackwardTile& t) {
           }
           if (WITH_Z) sz = fma(weight, load(vz + p), sz);
         }
+        moments[0][k] = sums_of_groups(s, sx, sy, sxx);
+        moments[1][k] = sums_of_groups(sxy, syy, sz, V{});
+        moments[2][k] = sums_of_groups(sr, sg, sb, V{});
       }
-      const V moments[12] = {s, sx, sy, sxx, sxy, syy, sz, V{}, sr, sg, sb, V{}};
-      store_sums(moments, slot);
+      for (int m = 0; m < 3; ++m) _mm_storeu_ps(slot + 4 * m, sum_of_sixteen(moments[m]));
+      _mm_storeu_ps(slot + 12, _mm_setzero_ps());
     }
     // Drop blocks whose pixels have all stopped.
     for (std::uint32_t todo = alive; todo; todo &= todo - 1) {

@@ -15,7 +15,8 @@ namespace RESPIRE_ISA {
 namespace {
 
 constexpr int CHANNELS = 3, MAPS = 3, GROUP = LOSS_GROUP, TAPS = 11, RADIUS = 5, RING = LOSS_RING;
-constexpr std::size_t STRIP = 32 * LANES;  // values that are blurred down before they are blurred across
+constexpr std::size_t STRIP = 512;  // values that are blurred down before they are blurred across
+static_assert(STRIP % 16 == 0 && LOSS_MARGIN % 16 == 0, "strips must begin with the first of sixteen sums");
 static_assert(STRIP > LOSS_MARGIN, "what is blurred across lies a margin behind what is blurred down");
 // (K1 L)^2 and (K2 L)^2 of Wang et al. with L = 1.
 constexpr float SSIM_C1 = 0.01f * 0.01f, SSIM_C2 = 0.03f * 0.03f;
@@ -34,6 +35,23 @@ inline void store_first(float* p, V v, std::size_t count) {
   if (count >= static_cast<std::size_t>(LANES)) return store(p, v);
   __builtin_memcpy(p, &v, count * sizeof(float));
 }
+
+// Sixteen sums, of the values x, x + 16, x + 32 and so on of a line: the same for every LANES.
+struct Sixteen {
+  V parts[PARTS] = {};
+
+  // The sum that the values from `x` on belong to.
+  V& at(std::size_t x) { return parts[x / LANES % PARTS]; }
+  void operator+=(const Sixteen& other) {
+    for (int p = 0; p < PARTS; ++p) parts[p] += other.parts[p];
+  }
+  double total() const {
+    double sum = 0;
+    for (const V& v : parts)
+      for (int l = 0; l < LANES; ++l) sum += static_cast<double>(v[l]);
+    return sum;
+  }
+};
 
 #if defined(__AVX512F__)
 // LANES values from number N on of two vectors one after the other.
@@ -193,12 +211,6 @@ struct Sweep {
     }
   }
 
-  static double sum_of(V v) {
-    double sum = 0;
-    for (int l = 0; l < LANES; ++l) sum += static_cast<double>(v[l]);
-    return sum;
-  }
-
   // Loss of the lines of the band; fills their gradient.
   double run() {
     double total = 0;
@@ -224,8 +236,7 @@ struct Sweep {
     const Columns target(*this, y, [&](std::ptrdiff_t at) { return b.target + values * at; });
     const Window window(b);
     const int count = y + GROUP <= needed ? GROUP : static_cast<int>(needed - y);
-    V sums[GROUP];
-    for (int r = 0; r < GROUP; ++r) sums[r] = V{};
+    Sixteen sums[GROUP];
     for (int r = 0; r < count && b.mask; ++r) fill_weights(y + r, r);
     const auto blur = [&](std::size_t from, std::size_t to) { blur_maps_down(source, target, from, to); };
     strips(count, blur, [&](int r, std::size_t from, std::size_t to) {
@@ -233,19 +244,19 @@ struct Sweep {
       const float *const mean = b.mean + line, *const square = b.square + line, *const weights = weight[r];
       const float* const in[MAPS] = {padded[0][r], padded[1][r], padded[2][r]};
       float* const out[MAPS] = {ring[0][place], ring[1][place], ring[2][place]};
-      V sum{};
+      Sixteen sum;
       for (std::size_t x = from; x < to; x += LANES) {
         __builtin_prefetch(mean + x + STRIP), __builtin_prefetch(square + x + STRIP);
         const V my = load_first(mean + x, values - x), yy = load_first(square + x, values - x);
         const V mx = blur_across(window, in[0] + x), xx = blur_across(window, in[1] + x),
                 xy = blur_across(window, in[2] + x);
-        sum += ssim_derivatives(mx, xx, xy, my, yy, load(weights + x), out, x);
+        sum.at(x) += ssim_derivatives(mx, xx, xy, my, yy, load(weights + x), out, x);
       }
       sums[r] += sum;
     });
     double total = 0;
     for (int r = 0; r < count; ++r)
-      if (y + r >= y0 && y + r < y1) total += sum_of(sums[r]);
+      if (y + r >= y0 && y + r < y1) total += sums[r].total();
     return total;
   }
 
@@ -270,20 +281,19 @@ struct Sweep {
   double gradient_of_group(std::ptrdiff_t y) {
     const Window window(b);
     const int count = y + GROUP <= y1 ? GROUP : static_cast<int>(y1 - y);
-    V sums[GROUP];
-    for (int r = 0; r < GROUP; ++r) sums[r] = V{};
+    Sixteen sums[GROUP];
     for (int r = 0; r < count && b.mask; ++r) fill_weights(y + r, r);
     const auto write = [&](int r, std::size_t from, std::size_t to) {
       const std::size_t line = values * static_cast<std::size_t>(y + r);
       const float *const source = b.rendered + line, *const target = b.target + line, *const weights = l1_weight[r];
       const float* const in[MAPS] = {padded[0][r], padded[1][r], padded[2][r]};
       float* const out = b.gradient + values * static_cast<std::size_t>(y + r - y0);
-      V sum{};
+      Sixteen sum;
       for (std::size_t x = from; x < to; x += LANES) {
         const V s = load_first(source + x, values - x), t = load_first(target + x, values - x);
         // w |s - t| and its slope w sign(s - t).
         const V d = s - t, w = load(weights + x), sign = select(d > 0.0f, w, select(d < 0.0f, -w, V{}));
-        sum += sign * d;
+        sum.at(x) += sign * d;
         V g = sign;
         if (WITH_SSIM) {
           const V by_square = blur_across(window, in[1] + x), by_cross = blur_across(window, in[2] + x);
@@ -303,7 +313,7 @@ struct Sweep {
       for (int r = 0; r < count; ++r) write(r, 0, values);
     }
     double total = 0;
-    for (const V& sum : sums) total += sum_of(sum);
+    for (const Sixteen& sum : sums) total += sum.total();
     return total;
   }
 };

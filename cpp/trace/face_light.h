@@ -151,7 +151,7 @@ class FaceLighting {
     }
     // The walk through the mesh.
     ScatterWalk::Flight flight{s.point, inwards, {}};
-    if (!ScatterWalk(wall_.mesh.fast(), medium, caster_.rays).leave(flight, sampler, hit)) return walked;
+    if (!ScatterWalk(wall_.mesh, medium, caster_.rays).leave(flight, sampler, hit)) return walked;
     walked.exit.place = {hit.face, hit.u, hit.v};
     store(walked.exit.weight.data(), quotient(flight.throughput, s.albedo));
     return walked;

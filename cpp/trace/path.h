@@ -172,7 +172,7 @@ class PathTracer {
   // remains. `towards`: unit direction back along the path.
   bool scatter_out(const Surface& at, Vec3 towards, Sampler& sampler, Vec3& throughput, Hit& hit, Surface& out) {
     const Medium medium = material_.medium(at.albedo);
-    const ScatterWalk walk(wall_.mesh.fast(), medium, caster_.rays);
+    const ScatterWalk walk(wall_.mesh, medium, caster_.rays);
     const TangentFrame entry(at.geometric);
     Vec3 inwards;
     if (!material_.entry_direction(upper(entry.local(towards)), sampler, inwards)) return false;
@@ -308,7 +308,7 @@ class PathTracer {
   // is lit by the lamp through the boundary, and light that leaves the wall goes on to the next one.
   Vec3 matched_light(const Surface& entry, Vec3 direction, Sampler& sampler) {
     const Medium medium = material_.medium(entry.albedo);
-    const ScatterWalk walk(wall_.mesh.fast(), medium, caster_.rays);
+    const ScatterWalk walk(wall_.mesh, medium, caster_.rays);
     Vec3 radiance{0, 0, 0};
     ScatterWalk::Flight flight{entry.point, direction, {1, 1, 1}};
     float near = ScatterWalk::kStart;

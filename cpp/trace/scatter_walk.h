@@ -53,8 +53,8 @@ class ScatterWalk {
   static constexpr float kStart = kSurfaceOffset;
 
   // Inside a mesh; `rays` counts the rays.
-  ScatterWalk(RTCScene scene, const Medium& medium, std::uint64_t& rays)
-      : scene_(scene), medium_(medium), rays_(&rays) {}
+  ScatterWalk(const TracedMesh& mesh, const Medium& medium, std::uint64_t& rays)
+      : mesh_(&mesh), medium_(medium), rays_(&rays) {}
 
   // Below a flat surface through `point` with unit `normal` instead of a mesh.
   ScatterWalk(Vec3 point, Vec3 normal, const Medium& medium) : point_(point), normal_(normal), medium_(medium) {}
@@ -129,13 +129,13 @@ class ScatterWalk {
 
   // Whether the surface lies between `near` and `far` along the ray; where the first such point is.
   bool reaches(Vec3 from, Vec3 direction, float near, float far, Hit& hit) const {
-    if (!scene_) {
+    if (!mesh_) {
       const float rise = dot(direction, normal_);
       hit.t = rise > 0.0f ? dot(point_ - from, normal_) / rise : far;
       return rise > 0.0f && hit.t >= near && hit.t < far;
     }
     ++*rays_;
-    return first_hit(scene_, ray_of(from, direction, near, far), hit);
+    return first_hit(*mesh_, mesh_->fast(), ray_of(from, direction, near, far), hit);
   }
 
  private:
@@ -146,7 +146,7 @@ class ScatterWalk {
   // Flights of the longest walk: ends walks in perfectly white, closed walls.
   static constexpr int kLongest = 1 << 16;
 
-  RTCScene scene_ = nullptr;
+  const TracedMesh* mesh_ = nullptr;
   Vec3 point_{}, normal_{};
   const Medium& medium_;
   std::uint64_t* rays_ = nullptr;

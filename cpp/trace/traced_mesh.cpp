@@ -31,6 +31,14 @@ void RayPacket::trace(RTCScene scene, Bundle bundle) {
   rtcIntersect8(valid_, scene, &rays_, &arguments);
 }
 
+bool RayPacket::hit(const TracedMesh& mesh, std::size_t lane, Hit& hit) const {
+  if (rays_.hit.geomID[lane] == RTC_INVALID_GEOMETRY_ID) return false;
+  const auto& ray = rays_.ray;
+  hit = mesh.placed(rays_.hit.primID[lane], {ray.org_x[lane], ray.org_y[lane], ray.org_z[lane]},
+                    {ray.dir_x[lane], ray.dir_y[lane], ray.dir_z[lane]}, ray.tfar[lane]);
+  return true;
+}
+
 TracedMesh::TracedMesh(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces)
     : vertex_count_(vertices.size() / 3), face_count_(faces.size() / 3) {
   demand(vertices.size() % 3 == 0 && faces.size() % 3 == 0, "vertex and index lengths must be multiples of 3");

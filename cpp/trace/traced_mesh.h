@@ -4,6 +4,9 @@
 // The mesh lies in two scenes over the same buffers: `robust` lets no ray through an edge, `fast` does so a few times
 // in 1e7 at three quarters of the cost. Both are refitted, not rebuilt, when the vertices move. Embree wants
 // flush-to-zero while it runs: whoever casts rays holds a `FloatMode`.
+//
+// Embree says which face a ray hits. Where on it is computed here (`TracedMesh::placed`): Embree divides by the
+// processor's approximate reciprocal, whose last bits differ between makers, and films must not.
 
 #include <embree4/rtcore.h>
 
@@ -31,6 +34,8 @@ struct Hit {
   Vec3 geometric;
 };
 
+class TracedMesh;
+
 // Up to eight rays traced as one packet.
 class RayPacket {
  public:
@@ -45,16 +50,8 @@ class RayPacket {
   enum class Bundle { kCoherent, kScattered };
   void trace(RTCScene scene, Bundle bundle);
 
-  // Whether a lane's ray has met the mesh, and where.
-  bool hit(std::size_t lane, Hit& hit) const {
-    if (rays_.hit.geomID[lane] == RTC_INVALID_GEOMETRY_ID) return false;
-    hit = {rays_.ray.tfar[lane],
-           rays_.hit.u[lane],
-           rays_.hit.v[lane],
-           rays_.hit.primID[lane],
-           {rays_.hit.Ng_x[lane], rays_.hit.Ng_y[lane], rays_.hit.Ng_z[lane]}};
-    return true;
-  }
+  // Whether a lane's ray has met the mesh that was traced, and where.
+  bool hit(const TracedMesh& mesh, std::size_t lane, Hit& hit) const;
 
  private:
   RTCRayHit8 rays_;
@@ -106,6 +103,21 @@ class TracedMesh {
   RTCScene robust() const { return robust_; }
   RTCScene fast() const { return fast_; }
 
+  // Where the ray that hits `face` crosses its plane, by exact divisions; `t` is Embree's distance, which stays where
+  // the ray lies in the plane.
+  Hit placed(std::uint32_t face, Vec3 from, Vec3 direction, float t) const {
+    const std::uint32_t* c = corners(face);
+    const Vec3 a = position(c[0]), edge1 = position(c[1]) - a, edge2 = position(c[2]) - a;
+    // Moeller and Trumbore 1997: with C from the origin to the first corner, n = e1 x e2 and R = C x d,
+    //   t = C.n / d.n,  u = R.e2 / d.n,  v = -R.e1 / d.n.
+    const Vec3 normal = cross(edge1, edge2), to_corner = a - from, r = cross(to_corner, direction);
+    const float along = dot(direction, normal);
+    if (along == 0.0f) return {t, 0.0f, 0.0f, face, normal};
+    // Rounding must not put the point outside of the face or behind the origin.
+    const float u = clamp(dot(r, edge2) / along, 0.0f, 1.0f), v = clamp(-dot(r, edge1) / along, 0.0f, 1.0f - u);
+    return {std::max(dot(to_corner, normal) / along, 0.0f), u, v, face, normal};
+  }
+
  private:
   void update_normals();
   void demand_no_error() const;
@@ -136,15 +148,15 @@ inline RTCRay ray_of(Vec3 from, Vec3 direction, float near, float far) {
   return ray;
 }
 
-// The first hit of a ray in a scene, between `near` and `far`.
-inline bool first_hit(RTCScene scene, const RTCRay& ray, Hit& hit) {
+// The first hit of a ray in one of a mesh's two scenes, between the ray's near and far end.
+inline bool first_hit(const TracedMesh& mesh, RTCScene scene, const RTCRay& ray, Hit& hit) {
   RTCRayHit r;
   r.ray = ray;
   r.hit.geomID = RTC_INVALID_GEOMETRY_ID;
   r.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
   rtcIntersect1(scene, &r);
   if (r.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
-  hit = {r.ray.tfar, r.hit.u, r.hit.v, r.hit.primID, {r.hit.Ng_x, r.hit.Ng_y, r.hit.Ng_z}};
+  hit = mesh.placed(r.hit.primID, {ray.org_x, ray.org_y, ray.org_z}, {ray.dir_x, ray.dir_y, ray.dir_z}, r.ray.tfar);
   return true;
 }
 
@@ -159,11 +171,11 @@ class RayCaster {
   bool intersect(Vec3 from, Vec3 direction, Hit& hit) {
     const RTCRay ray = ray_of(from, direction, 0.0f, 1e30f);
     ++rays;
-    if (first_hit(mesh_.fast(), ray, hit) && !(dot(hit.geometric, direction) > 0.0f)) return true;
+    if (first_hit(mesh_, mesh_.fast(), ray, hit) && !(dot(hit.geometric, direction) > 0.0f)) return true;
     // The ray left the mesh or hit a wall from behind, perhaps after slipping through an edge: the robust scene
     // decides.
     ++rays;
-    return first_hit(mesh_.robust(), ray, hit);
+    return first_hit(mesh_, mesh_.robust(), ray, hit);
   }
 
   bool occluded(Vec3 from, Vec3 direction, float distance) {

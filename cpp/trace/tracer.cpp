@@ -81,7 +81,7 @@ void for_each_camera_ray(const Wall& wall, const FrameSettings& frame, rust::Sli
     packet.trace(wall.mesh.robust(), RayPacket::Bundle::kCoherent);
     for (std::size_t lane = 0; lane < count; ++lane) {
       Hit hit;
-      found(first + lane, load(world + 3 * lane), packet.hit(lane, hit) ? &hit : nullptr);
+      found(first + lane, load(world + 3 * lane), packet.hit(wall.mesh, lane, hit) ? &hit : nullptr);
     }
   }
 }
@@ -150,7 +150,7 @@ TileCounters Tracer::trace_tile(const FrameSettings& frame, const TileRequest& t
     paths.caster().rays += count;
     for (std::size_t lane = 0; lane < count; ++lane) {
       Hit hit;
-      const Hit* found = packet.hit(lane, hit) ? &hit : nullptr;
+      const Hit* found = packet.hit(mesh_, lane, hit) ? &hit : nullptr;
       const Vec3 direction = load(directions + 3 * lane);
       FilmPixel& pixel = film[(first + lane) / tile.samples];
       if (known.empty())
@@ -200,7 +200,7 @@ void Tracer::cast(rust::Slice<const float> origins, rust::Slice<const float> dir
     packet.trace(mesh_.robust(), RayPacket::Bundle::kScattered);
     for (std::size_t lane = 0; lane < count; ++lane) {
       Hit hit;
-      distances[first + lane] = packet.hit(lane, hit) ? hit.t : kInfinity;
+      distances[first + lane] = packet.hit(mesh_, lane, hit) ? hit.t : kInfinity;
     }
   }
 }

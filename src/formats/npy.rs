@@ -51,12 +51,14 @@ pub fn write(path: &Path, shape: &[usize], data: &[f32]) -> Result<()> {
 /// Writes named arrays as an uncompressed `.npz` in one atomic step.
 pub fn write_npz(path: &Path, arrays: &[(&str, &[usize], &[f32])]) -> Result<()> {
     let failed = |e: std::io::Error| Error::input(format!("encoding as .npz failed: {e}")).at(path);
+    // The same bytes whenever it is written.
+    let options = npyz::zip::write::FileOptions::default().last_modified_time(npyz::zip::DateTime::default());
     let mut bytes = Cursor::new(Vec::new());
     let mut archive = NpzWriter::new(&mut bytes);
     for (name, shape, data) in arrays {
         expect_length(shape, data).map_err(|e| e.element(name).at(path))?;
         let shape = shape_u64(shape);
-        let array = archive.array(name, Default::default()).map_err(failed)?;
+        let array = archive.array(name, options).map_err(failed)?;
         let mut writer = array.default_dtype().shape(&shape).begin_nd().map_err(failed)?;
         writer.extend(data.iter().copied()).map_err(failed)?;
         writer.finish().map_err(failed)?;

@@ -6,6 +6,7 @@ mod disc;
 pub mod forward;
 mod gradients;
 mod numpy_normal;
+mod portable;
 mod reuse;
 mod robustness;
 mod scenes;

@@ -381,11 +381,17 @@ mod tests {
                 let (mut fast, mut plain) = (vec![0.0; x.len()], vec![0.0; x.len()]);
                 let b = loss.evaluate_plainly(&x, &mut plain);
                 let largest = plain.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+                // Loss and gradient of the instruction sets that must agree to the last bit.
+                let mut fused: Option<(f64, Vec<f32>)> = None;
                 for isa in [Isa::Baseline, Isa::Avx2, Isa::Avx512].into_iter().filter_map(|isa| isa.available().ok()) {
                     let a = loss.evaluate_with(isa, &x, &mut fast);
                     assert!((a - b).abs() < 1e-5 * b.abs(), "{isa}: {a} {b}");
                     let worst = fast.iter().zip(&plain).map(|(f, p)| (f - p).abs()).fold(0.0, f32::max);
                     assert!(worst < 1e-4 * largest, "{isa}, {w}x{h}: {worst} of {largest}");
+                    if isa > Isa::Baseline {
+                        let (loss, gradient) = fused.get_or_insert_with(|| (a, fast.clone()));
+                        assert!(*loss == a && *gradient == fast, "{isa}, {w}x{h}: other bits than AVX2");
+                    }
                 }
             }
         }
