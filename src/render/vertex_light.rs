@@ -22,6 +22,7 @@ use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::scene::Scene;
+use super::tissue::WalkedVertex;
 use crate::base::Result;
 use crate::ffi::trace::tracer::{FaceLight, FacePlace, FrameSettings, Glint, KnownLight, NO_FACE, ScatterExit};
 
@@ -99,24 +100,24 @@ pub(super) fn vertex_light(
 ) -> Result<VertexLight> {
     let mut vertices = visible_vertices(scene, visible);
     let ends = scene.tissue.weighted_ends(scene.progress);
-    // Where a camera sample's own scatter walk comes out, or its ray ends, only the light of other walls is asked for.
-    let scatters = scene.tissue.scatters() && !frame.gathers;
     let mut rays = 0;
-    for &(end, _) in ends.iter().filter(|_| scatters) {
-        rays += scene.tissue.prepare(frame, end, &vertices, &scene.topology)?;
-    }
     let mut faces = Faces::new(scene.topology.faces.len());
     vertices.iter().flat_map(|&v| scene.topology.faces_around(v)).for_each(|&f| faces.add(f));
-    let mut generations = gather(scene, frame, &ends, &vertices, rays_per_face, &mut faces, &mut rays)?;
-    let lamp = lamp(scene, frame, &faces.list, &mut rays)?;
+    let mut lamp = lamp_on(scene, frame, &faces.list, &mut rays)?;
+    // Where a camera sample's own scatter walk comes out, or its ray ends, only the light of other walls is asked for.
+    let scatters = scene.tissue.scatters() && !frame.gathers;
+    let walked = if scatters { walked_vertices(scene, &vertices, visible, &faces, &lamp) } else { Vec::new() };
+    for &(end, _) in &ends {
+        rays += scene.tissue.prepare(frame, end, &walked, &scene.topology)?;
+    }
+    let mut generations = gather(scene, frame, &ends, &walked, rays_per_face, &mut faces, &mut rays)?;
+    let met = lamp_on(scene, frame, &faces.list[lamp.len()..], &mut rays)?;
+    lamp.extend(met);
     add_glints(scene, frame, &mut generations, &lamp)?;
     let irradiance = solve(frame, steps(scene, frame), &generations, &lamp);
     let solved = generations.iter().map(Generation::len).sum();
-    let scattered = if scatters {
-        scattered_light(scene, frame, &ends, &vertices, &faces, &lamp, &irradiance)?
-    } else {
-        Vec::new()
-    };
+    let scattered =
+        if scatters { scattered_light(scene, frame, &ends, &walked, &faces, &lamp, &irradiance)? } else { Vec::new() };
     let mut known = means_at_vertices(scene, &vertices, &scattered, &faces, &irradiance[..solved]);
     if frame.gathers {
         vertices =
@@ -141,11 +142,33 @@ fn visible_vertices(scene: &Scene, visible: &[u32]) -> Vec<u32> {
     list
 }
 
+/// `vertices` with their shares of the frame's light: a pixel's is the lamp's irradiance on the face that it sees, a
+/// third of it for each corner. `visible`: the face in every pixel; `lamp`: of the faces in it, at least.
+fn walked_vertices(
+    scene: &Scene,
+    vertices: &[u32],
+    visible: &[u32],
+    faces: &Faces,
+    lamp: &[FaceLight],
+) -> Vec<WalkedVertex> {
+    let mut light = vec![0.0; scene.topology.vertex_count()];
+    let mut whole = 0.0;
+    for &face in visible.iter().filter(|f| **f != NO_FACE) {
+        let pixel = lamp[faces.place(face)].irradiance.iter().sum::<f32>();
+        whole += f64::from(pixel);
+        for v in scene.topology.faces[face as usize] {
+            light[v as usize] += f64::from(pixel) / 3.0;
+        }
+    }
+    let share = |v: u32| if whole > 0.0 { (light[v as usize] / whole) as f32 } else { 0.0 };
+    vertices.iter().map(|&vertex| WalkedVertex { vertex, share: share(vertex) }).collect()
+}
+
 fn gather(
     scene: &Scene,
     frame: &FrameSettings,
     ends: &[(usize, f32)],
-    vertices: &[u32],
+    walked: &[WalkedVertex],
     rays_per_face: u32,
     faces: &mut Faces,
     rays: &mut u64,
@@ -170,11 +193,9 @@ fn gather(
         *rays += parts.iter().map(|p| p.1).sum::<u64>();
         let hits: Vec<u32> = parts.into_iter().flat_map(|p| p.0).collect();
         hits.iter().filter(|h| **h != NO_FACE).for_each(|&h| faces.add(h));
-        if depth == 0 && !frame.gathers {
-            for &(end, _) in ends {
-                let rows = vertices.iter().filter_map(|&v| scene.tissue.row(end, v));
-                rows.flat_map(|row| &row.exits).for_each(|exit| faces.add(exit.place.face));
-            }
+        if depth == 0 {
+            let rows = walked.iter().flat_map(|&vertex| scene.tissue.rows(ends, vertex));
+            rows.flat_map(|(row, _)| &row.exits).for_each(|exit| faces.add(exit.place.face));
         }
         let weights =
             ends.iter().flat_map(|&(_, part)| std::iter::repeat_n(part / per_face as f32, per_face)).collect();
@@ -188,7 +209,7 @@ fn gather(
 }
 
 /// What the lamp does to every face.
-fn lamp(scene: &Scene, frame: &FrameSettings, faces: &[u32], rays: &mut u64) -> Result<Vec<FaceLight>> {
+fn lamp_on(scene: &Scene, frame: &FrameSettings, faces: &[u32], rays: &mut u64) -> Result<Vec<FaceLight>> {
     let parts: Vec<(Vec<FaceLight>, u64)> =
         faces.par_chunks(CHUNK).map(|chunk| scene.tracer.lamp_on(frame, chunk)).collect::<Result<_>>()?;
     *rays += parts.iter().map(|p| p.1).sum::<u64>();
@@ -278,7 +299,7 @@ fn scattered_light(
     scene: &Scene,
     frame: &FrameSettings,
     ends: &[(usize, f32)],
-    vertices: &[u32],
+    walked: &[WalkedVertex],
     faces: &Faces,
     lamp: &[FaceLight],
     irradiance: &[Rgb],
@@ -289,26 +310,27 @@ fn scattered_light(
         (lamp.centre, std::array::from_fn(|c| lamp.irradiance[c] + indirect[c]))
     };
     let is_near = |exit: &&ScatterExit| lamp_on(exit.place.face).uneven;
-    let chunk = |vertices: &[u32]| -> Result<Vec<KnownLight>> {
+    let chunk = |walked: &[WalkedVertex]| -> Result<Vec<KnownLight>> {
         // The lamp without shadows around the vertices, and where walks come out on faces near it.
-        let around = scene.tracer.unshadowed_around(frame, vertices, &scene.topology.around())?;
-        let rows = vertices.iter().flat_map(|&v| ends.iter().filter_map(move |&(end, _)| scene.tissue.row(end, v)));
-        let near: Vec<FacePlace> = rows.flat_map(|row| &row.exits).filter(is_near).map(|exit| exit.place).collect();
+        let vertices: Vec<u32> = walked.iter().map(|v| v.vertex).collect();
+        let around = scene.tracer.unshadowed_around(frame, &vertices, &scene.topology.around())?;
+        let rows = walked.iter().flat_map(|&vertex| scene.tissue.rows(ends, vertex));
+        let near: Vec<FacePlace> =
+            rows.flat_map(|(row, _)| &row.exits).filter(is_near).map(|exit| exit.place).collect();
         let at_exits = scene.tracer.unshadowed(frame, &near)?;
         let mut at_exits = at_exits.iter();
         // Rows of walks times light.
-        let scattered = |(&v, around): (&u32, &Rgb)| {
+        let scattered = |(&vertex, around): (&WalkedVertex, &Rgb)| {
             let mut light = KnownLight::default();
-            let slope = slope_around(scene, v, &at_face);
-            for &(end, part) in ends {
-                let Some(row) = scene.tissue.row(end, v) else { continue };
+            let slope = slope_around(scene, vertex.vertex, &at_face);
+            for (row, part) in scene.tissue.rows(ends, vertex) {
                 for (c, moment) in row.moments.iter().enumerate() {
                     light.scattered[c] -= part * dot(moment, &slope[c]);
                 }
                 for exit in &row.exits {
                     let face = exit.place.face;
                     let (lamp, indirect) = (lamp_on(face), irradiance[faces.place(face)]);
-                    let own = scene.topology.faces[face as usize].contains(&v);
+                    let own = scene.topology.faces[face as usize].contains(&vertex.vertex);
                     let sharp = if lamp.uneven { at_exits.next() } else { None };
                     for c in 0..3 {
                         let uneven = sharp.map_or(0.0, |sharp| sharp[c] - lamp.unshadowed[c]);
@@ -324,9 +346,9 @@ fn scattered_light(
             }
             light
         };
-        Ok(vertices.iter().zip(&around).map(scattered).collect())
+        Ok(walked.iter().zip(&around).map(scattered).collect())
     };
-    let parts: Vec<Vec<KnownLight>> = vertices.par_chunks(CHUNK).map(chunk).collect::<Result<_>>()?;
+    let parts: Vec<Vec<KnownLight>> = walked.par_chunks(CHUNK).map(chunk).collect::<Result<_>>()?;
     Ok(parts.into_iter().flatten().collect())
 }
 
