@@ -281,7 +281,8 @@ pub struct Case {
     /// Light guide, lens and sensor.
     #[serde(default)]
     pub scope: ScopeSettings,
-    /// Look of the mucosa: the renderer's `[material]`, checked when a film is made.
+    /// Look of the mucosa: the renderer's `[material]`. Here its numbers must be finite; their keys and ranges are
+    /// checked when a film is made.
     #[serde(default)]
     pub material: toml::Table,
     /// Shape.
@@ -381,6 +382,9 @@ impl Case {
         self.camera.camera(64, 64).validate().map_err(|e| e.element("camera.fisheye"))?;
         case_scope::validate(&self.exposure, &self.scope)?;
         self.waveform.validate()?;
+        if let Some(key) = self.material.iter().find(|(_, value)| !is_finite(value)).map(|(key, _)| key) {
+            return Err(Error::input("must be finite").element(format!("material.{key}")));
+        }
         if let Some(breathing) = &self.breathing {
             breathing.calibre.validate()?;
             breathing.field.validate()?;
@@ -408,6 +412,16 @@ impl Case {
             }
         }
         self
+    }
+}
+
+/// Whether every number in `value` is finite.
+fn is_finite(value: &toml::Value) -> bool {
+    match value {
+        toml::Value::Float(number) => number.is_finite(),
+        toml::Value::Array(items) => items.iter().all(is_finite),
+        toml::Value::Table(table) => table.values().all(is_finite),
+        _ => true,
     }
 }
 
@@ -446,6 +460,13 @@ centers = []
         assert_eq!(case.waveform.period_s(), 4.0);
         let again: Case = toml::from_str(&toml::to_string(&case).unwrap()).unwrap();
         assert_eq!(Case { folder: case.folder.clone(), ..again }, case);
+    }
+
+    #[test]
+    fn a_material_with_a_number_that_is_none_is_refused() {
+        let refused = load(&format!("{TREE}\n[material]\nkind = \"mucosa\"\nalbedo = [0.5, nan, 0.5]\n"));
+        let sentence = refused.unwrap_err().to_string();
+        assert!(sentence.contains("material.albedo") && sentence.contains("finite"), "{sentence}");
     }
 
     #[test]

@@ -156,6 +156,7 @@ fn refuse(error: &Error) -> ExitCode {
 }
 
 fn start(line: Line, terminal: &Terminal) -> Result<()> {
+    check_threads_of_environment()?;
     rayon::ThreadPoolBuilder::new()
         .num_threads(line.threads)
         .build_global()
@@ -166,6 +167,14 @@ fn start(line: Line, terminal: &Terminal) -> Result<()> {
     let outcome = line.command.run(terminal);
     terminal.finish();
     outcome
+}
+
+/// Without `--threads`, rayon reads the number of threads from the environment; it starts as many as it is told.
+fn check_threads_of_environment() -> Result<()> {
+    const NAME: &str = "RAYON_NUM_THREADS";
+    let Ok(word) = std::env::var(NAME) else { return Ok(()) };
+    let refused = |sentence| Error::usage(sentence).element(NAME);
+    THREADS.parser::<usize>()(&word).map(|_| ()).map_err(refused)
 }
 
 #[cfg(test)]

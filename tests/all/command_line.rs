@@ -34,6 +34,14 @@ fn help_and_version_are_no_errors_and_mistakes_are_usage() {
 }
 
 #[test]
+fn threads_of_the_environment_have_the_same_limits() {
+    let output = program().env("RAYON_NUM_THREADS", "70000").arg("doctor").output().unwrap();
+    let err = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{err}");
+    assert!(err.contains("RAYON_NUM_THREADS: 70000 must lie in 0 to 512"), "{err}");
+}
+
+#[test]
 fn doctor_tells_versions_to_people_and_to_machines() {
     let (code, out, err) = run(&["doctor"]);
     assert_eq!(code, 0, "{err}");
