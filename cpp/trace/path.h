@@ -350,7 +350,8 @@ class PathTracer {
     Hit hit;
     for (float near = 0.0f;; near = so_far + ScatterWalk::kStart, inside = !inside) {
       const bool surface = near < r && walk.reaches(point, direction, near, r, hit);
-      const float end = surface ? hit.t : r;
+      // A hit at grazing incidence is placed by rounding; it must not lie before where the ray began, or this never ends.
+      const float end = surface ? std::max(hit.t, near) : r;
       if (inside) in_wall += end - so_far;
       if (in_wall * thinnest > kOpaque) return {0, 0, 0};
       if (!surface) break;
