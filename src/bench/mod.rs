@@ -14,6 +14,7 @@ pub mod claim;
 pub mod environment;
 pub mod event;
 pub mod executor;
+pub mod live;
 pub mod pipeline;
 pub mod plan;
 pub mod profile;

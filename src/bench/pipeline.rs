@@ -322,18 +322,30 @@ pub fn reconstruct_folder(
     out: &Path,
     progress: &dyn Progress,
 ) -> Result<()> {
-    let profile = Profile::load(&catalogue.profiles(), profile)?;
-    let found = methods(catalogue, &profile, Some(&[id.to_owned()]))?;
-    let Some(Method { method, .. }) = found.first() else {
-        return Err(Error::usage(format!("there is no method `{id}`")));
-    };
+    let method = method_of(catalogue, profile, id)?;
     if out.exists() && out.read_dir().map_err(|e| Error::io("reading", out, e))?.next().is_some() {
         return Err(Error::input("is not empty: nothing is overwritten").at(out));
     }
-    let film: Box<dyn Given> =
-        if Participant::is_at(film) { Box::new(Participant::open(film)?) } else { Box::new(Sequence::open(film)?) };
+    let film = open_given(film)?;
     let observation = reconstruct::observe(film.as_ref(), method.access(), seed)?;
     reconstruct::write_prediction(method.as_ref(), &observation, out, progress)
+}
+
+/// The method `id` at the size of `profile`. Errors: one of the two is unknown.
+pub(super) fn method_of(catalogue: &Catalogue, profile: &str, id: &str) -> Result<Box<dyn Reconstruct>> {
+    let profile = Profile::load(&catalogue.profiles(), profile)?;
+    let found = methods(catalogue, &profile, Some(&[id.to_owned()]))?;
+    let first = found.into_iter().next().map(|found| found.method);
+    first.ok_or_else(|| Error::usage(format!("there is no method `{id}`")))
+}
+
+/// A film, or a participant's folder. Errors: it is neither.
+pub(super) fn open_given(folder: &Path) -> Result<Box<dyn Given>> {
+    Ok(if Participant::is_at(folder) {
+        Box::new(Participant::open(folder)?)
+    } else {
+        Box::new(Sequence::open(folder)?)
+    })
 }
 
 impl Stages for Pipeline {

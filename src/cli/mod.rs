@@ -35,6 +35,7 @@ mod splat_gradients;
 mod splat_output;
 mod stress;
 mod terminal;
+mod track;
 mod watch;
 
 use std::process::ExitCode;
@@ -76,6 +77,8 @@ commands! {
     Slurm => slurm::SlurmArguments,
     /// Turns a user's anatomy or a measured motion into a case
     Import => import::ImportArguments,
+    /// Follows a film, a folder or a pipe of pictures as they come: one line of JSON a frame
+    Track => track::TrackArguments,
     /// Films cases into sequence folders
     Simulate => simulate::SimulateArguments,
     /// Writes a film in the layout of another program: COLMAP, nerfstudio, EndoNeRF, C3VD, TUM, glTF

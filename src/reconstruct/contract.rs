@@ -4,7 +4,7 @@
 //! of it. Every eighth frame is also rendered *before* its image may be used (`ahead`), and after it was fitted from a
 //! second camera whose picture the method never sees (`novel`).
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 
 use super::settings::{Listing, MethodHeader};
 use super::stopwatch::Spent;
@@ -145,6 +145,61 @@ pub struct Reconstruction {
     pub spent: Spent,
 }
 
+/// A frame as it reaches a method that follows a scope.
+#[derive(Clone, Debug)]
+pub struct ArrivedFrame {
+    /// 8-bit sRGB image, of the camera's size.
+    pub image: Image<u8>,
+    /// Seconds since the first frame.
+    pub time_s: f64,
+    /// Known pose.
+    pub world_from_camera: DAffine3,
+    /// Frames since the one before that the method does not get to see.
+    pub left_out: usize,
+}
+
+/// How far a live answer is to be relied on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TrackState {
+    /// The picture agrees with the answer.
+    Tracking,
+    /// It agrees, and says little about the phase.
+    Unsure,
+    /// It does not agree, not even after a search over all phases.
+    Lost,
+}
+
+/// The answer for one frame as soon as there is one.
+#[derive(Clone, Debug)]
+pub struct LiveAnswer {
+    /// How far it is to be relied on.
+    pub state: TrackState,
+    /// Breathing phase.
+    pub phase: f64,
+    /// Its standard deviation, where the method knows one.
+    pub phase_deviation: Option<f64>,
+    /// Pose of the camera.
+    pub world_from_camera: DAffine3,
+    /// Where the targets are, mm.
+    pub targets_mm: Vec<DVec3>,
+    /// Covariance of each target's place by the phase alone, mm squared: of rank one, along the target's motion.
+    pub target_covariance_mm2: Vec<DMat3>,
+}
+
+/// A method that answers while the film goes on.
+pub trait FollowFrames {
+    /// Takes frames from `next` until there are none, the first one of `known` first, and hands each answer to
+    /// `answer`. Of `known`, images, times and poses are not read: they come with the frames.
+    ///
+    /// Errors: those of [`Observation::validate`], of `next` and of `answer`.
+    fn follow(
+        &self,
+        known: &Observation,
+        next: &mut dyn FnMut() -> Result<Option<ArrivedFrame>>,
+        answer: &mut dyn FnMut(LiveAnswer) -> Result<()>,
+    ) -> Result<()>;
+}
+
 /// A reconstruction method.
 pub trait Reconstruct: Send + Sync {
     /// The header of its file, which every kind has.
@@ -162,6 +217,11 @@ pub trait Reconstruct: Send + Sync {
 
     /// What it asks for.
     fn access(&self) -> Access;
+
+    /// The method as one that answers while the film goes on, where it can.
+    fn live(&self) -> Option<&dyn FollowFrames> {
+        None
+    }
 
     /// Fits all frames in order, passing each answer to `emit`.
     fn run(

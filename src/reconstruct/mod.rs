@@ -26,7 +26,10 @@ mod rough_poses;
 pub mod settings;
 mod stopwatch;
 
-pub use contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
+pub use contract::{
+    Access, ArrivedFrame, FollowFrames, FramePrediction, LiveAnswer, Observation, PoseAccuracy, Reconstruct,
+    Reconstruction, TrackState,
+};
 pub use fitting::{loss, optimiser};
 pub use library::{MethodFile, method_files};
 pub use methods::bridgesplat::Bridgesplat;
@@ -34,7 +37,7 @@ pub use methods::bridgesplat_nomesh::BridgesplatNomesh;
 pub use methods::ours::{GivenPhase, Ours};
 pub use methods::ours_gn::OursGn;
 pub use methods::ours_nomesh::OursNomesh;
-pub use observe::observe;
+pub use observe::{given_poses, observe, observe_first};
 pub use prediction::{PredictionFolder, PredictionTiming, write_prediction};
 pub use rough_poses::rough_poses;
 pub use settings::Listing;

@@ -52,7 +52,7 @@ pub struct GivenFrame {
 }
 
 /// A film as methods may see it: the whole film behind this trait, or a participant's folder.
-pub trait Given: Sync {
+pub trait Given: Send + Sync {
     /// Intrinsics of all frames.
     fn given_camera(&self) -> Camera;
 

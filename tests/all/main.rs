@@ -32,4 +32,5 @@ mod sequence_folder;
 mod simulate;
 mod splat;
 mod third_parties;
+mod track;
 mod truth_maps;

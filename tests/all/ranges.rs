@@ -228,8 +228,9 @@ fn limited(folder: &Path, words: &[&str]) -> (i32, String) {
 
 /// Words of a command whose inputs are missing, and its options that are numbers. What passes the options ends with the
 /// sentence about the input.
-const NUMBERS: [(&str, &[&str]); 16] = [
+const NUMBERS: [(&str, &[&str]); 17] = [
     ("doctor", &["--threads"]),
+    ("track --sequence no --bench-cases {cases}", &["--seed", "--patience-s"]),
     ("run --case no.toml --method ours --bench-cases {cases}", &["--seed"]),
     ("all-cases --dry-run --cases no.toml --bench-cases {cases}", &["--seeds"]),
     ("list --cases no.toml --bench-cases {cases}", &["--seeds"]),

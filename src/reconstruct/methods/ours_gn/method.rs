@@ -1,6 +1,6 @@
 //! The method: its access to data, and one frame from the expected phase to the answer.
 
-use glam::Vec3;
+use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::light::Scope;
 use super::map::{ActiveFrame, DiscMap};
@@ -9,7 +9,8 @@ use super::renderer::DiscRenderer;
 use super::track::Tracked;
 use crate::base::{Error, Image, Progress, Result, TriangleMesh, mesh};
 use crate::reconstruct::contract::{
-    Access, FramePrediction, NovelPrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction,
+    Access, ArrivedFrame, FollowFrames, FramePrediction, LiveAnswer, NovelPrediction, Observation, PoseAccuracy,
+    Reconstruct, Reconstruction, TrackState,
 };
 use crate::reconstruct::estimate::breath::{BreathPredictor, Repetition};
 use crate::reconstruct::estimate::window::correction::Correction;
@@ -33,6 +34,9 @@ const REACH: f64 = 0.15;
 const BLIND_MARGIN: f64 = 1.5;
 /// Weight of the newest frame in the running mean of the cost.
 const COST_SHARE: f64 = 0.2;
+/// Standard deviation of the phase from which on a live answer counts as unsure: a target that breathes by 15 mm is then
+/// known to 1.5 mm.
+const UNSURE_DEVIATION: f64 = 0.1;
 
 /// The method with its settings.
 pub struct OursGn {
@@ -65,9 +69,72 @@ impl Reconstruct for OursGn {
     ) -> Result<Reconstruction> {
         let run = OnlineRun::begin(self.access(), observation)?;
         let mut tracker = Tracker::new(&self.settings, self.iteration_scale, observation)?;
-        let spent = run.fit_in_order(|frame| tracker.fit(frame), emit, progress)?;
+        let fit = |frame| {
+            let arrived = FrameInput {
+                frame,
+                image: &observation.images[frame],
+                time_s: observation.time_s[frame],
+                world_from_camera: observation.world_from_camera[frame],
+                novel_pose: observation.novel_pose[frame],
+            };
+            tracker.fit(&arrived)
+        };
+        let spent = run.fit_in_order(fit, emit, progress)?;
         Ok(Reconstruction { final_mesh: Some(tracker.mesh()), spent })
     }
+
+    fn live(&self) -> Option<&dyn FollowFrames> {
+        Some(self)
+    }
+}
+
+impl FollowFrames for OursGn {
+    fn follow(
+        &self,
+        known: &Observation,
+        next: &mut dyn FnMut() -> Result<Option<ArrivedFrame>>,
+        answer: &mut dyn FnMut(LiveAnswer) -> Result<()>,
+    ) -> Result<()> {
+        known.validate(self.access())?;
+        let mut tracker = Tracker::new(&self.settings, self.iteration_scale, known)?;
+        let mut frame = 0;
+        while let Some(arrived) = next()? {
+            let input = FrameInput {
+                frame,
+                image: &arrived.image,
+                time_s: arrived.time_s,
+                world_from_camera: arrived.world_from_camera,
+                novel_pose: None,
+            };
+            (0..arrived.left_out).for_each(|_| tracker.pass_over());
+            // Inside the thread pool, as `OnlineRun` has it.
+            answer(rayon::scope(|_| tracker.follow(&input))?)?;
+            frame += 1;
+        }
+        Ok(())
+    }
+}
+
+/// What the tracker gets of one frame.
+struct FrameInput<'f> {
+    /// How many came before.
+    frame: usize,
+    image: &'f Image<u8>,
+    time_s: f64,
+    world_from_camera: DAffine3,
+    novel_pose: Option<DAffine3>,
+}
+
+/// A frame that is placed, with the colours that it taught.
+struct PlacedFrame {
+    active: ActiveFrame,
+    /// The full resolution, from the corrected pose.
+    finest: PyramidLevel,
+    phase: f64,
+    phase_deviation: Option<f64>,
+    /// The picture agrees with no phase.
+    lost: bool,
+    ahead: Option<Image<f32>>,
 }
 
 struct Tracker<'a> {
@@ -131,17 +198,80 @@ impl<'a> Tracker<'a> {
         })
     }
 
-    fn fit(&mut self, frame: usize) -> Result<FramePrediction> {
-        let given = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
-        let time_s = self.observation.time_s[frame];
+    /// Places a frame and draws it.
+    fn fit(&mut self, input: &FrameInput<'_>) -> Result<FramePrediction> {
+        let PlacedFrame { mut active, finest, phase, phase_deviation, ahead, .. } =
+            self.place(input, held_out(input.frame))?;
+        self.renderer.touch_up(&mut active, &finest)?;
+        self.renderer.draw(&active, &finest.view)?;
+        let color = self.shown();
+        self.renderer.rasterizer.reuse(Reuse::Never);
+        let depth_mm = self.depth_mm(&finest.view, phase, &active.faces);
+        self.map.leave(active);
+        self.breath.add(phase);
+        let world_from_camera = self.settings.unknown_pose.then(|| finest.view.camera_from_world.inverse());
+        let targets_mm = Some(self.targets_at(phase));
+        let (novel, phase) = (self.novel(input.novel_pose, phase)?, Some(phase));
+        Ok(FramePrediction {
+            frame: input.frame,
+            color,
+            depth_mm,
+            phase,
+            phase_deviation,
+            world_from_camera,
+            ahead,
+            targets_mm,
+            novel,
+        })
+    }
+
+    /// Places a frame, and draws nothing.
+    fn follow(&mut self, input: &FrameInput<'_>) -> Result<LiveAnswer> {
+        let PlacedFrame { active, finest, phase, phase_deviation, lost, .. } = self.place(input, false)?;
+        self.renderer.rasterizer.reuse(Reuse::Never);
+        self.map.leave(active);
+        self.breath.add(phase);
+        let motions = self.targets_at(1.0).into_iter().zip(self.targets_at(0.0)).map(|(out, rest)| out - rest);
+        let variance = phase_deviation.unwrap_or(1.0).powi(2);
+        let covariance = |way: DVec3| DMat3::from_cols(way * way.x, way * way.y, way * way.z) * variance;
+        let state = match phase_deviation {
+            _ if lost => TrackState::Lost,
+            Some(deviation) if deviation < UNSURE_DEVIATION => TrackState::Tracking,
+            _ => TrackState::Unsure,
+        };
+        Ok(LiveAnswer {
+            state,
+            phase,
+            phase_deviation,
+            world_from_camera: finest.view.camera_from_world.inverse(),
+            targets_mm: self.targets_at(phase),
+            target_covariance_mm2: motions.map(covariance).collect(),
+        })
+    }
+
+    /// A frame that is not seen: the breath goes on as expected.
+    fn pass_over(&mut self) {
+        self.breath.add(self.breath.expected());
+    }
+
+    /// Where the targets are at `phase`, by the corrected displacement.
+    fn targets_at(&self, phase: f64) -> Vec<DVec3> {
+        self.targets.moved(|v| phase * Vec3::from(self.displacement[v as usize]).as_dvec3())
+    }
+
+    /// Places a frame and learns its colours. `ahead`: draws it before its image is used.
+    fn place(&mut self, input: &FrameInput<'_>, ahead: bool) -> Result<PlacedFrame> {
+        let frame = input.frame;
+        let given = View::new(self.observation.camera, input.world_from_camera);
+        let time_s = input.time_s;
         if frame > 0
             && let Some(window) = &mut self.window
         {
             self.pose = window.advance_to(time_s);
         }
-        let mut phase = if frame == 0 { self.search_by_depth(&given)? } else { self.breath.expected() };
+        let mut phase = if frame == 0 { self.search_by_depth(&given, time_s)? } else { self.breath.expected() };
         let mut active = self.enter(&given, phase, REACH)?;
-        let ahead = if held_out(frame) {
+        let ahead = if ahead {
             let view = moved(&given, self.pose);
             active.place(phase, &self.renderer.light(&view))?;
             self.renderer.draw(&active, &view)?;
@@ -151,10 +281,11 @@ impl<'a> Tracker<'a> {
         };
 
         // From here on the frame's image may be used. First, the phase by the map:
-        let mut levels = self.levels(frame, &given);
+        let mut levels = self.levels(input.image, &given);
+        let mut lost = false;
         if frame > 0 {
             let tracked;
-            (active, tracked) = self.track(active, &given, &levels, phase)?;
+            (active, tracked, lost) = self.track(active, &given, &levels, phase)?;
             if let Some(tracked) = tracked {
                 phase = tracked.phase;
                 self.take(&tracked);
@@ -181,33 +312,12 @@ impl<'a> Tracker<'a> {
         finest.view = moved(&finest.view, self.pose);
         active.place(phase, &self.renderer.light(&finest.view))?;
         self.renderer.learn(&mut active, frame, &finest)?;
-        self.renderer.touch_up(&mut active, &finest)?;
-        self.renderer.draw(&active, &finest.view)?;
-        let color = self.shown();
-        self.renderer.rasterizer.reuse(Reuse::Never);
-        let depth_mm = self.depth_mm(&finest.view, phase, &active.faces);
-        self.map.leave(active);
-        self.breath.add(phase);
-        let world_from_camera = self.settings.unknown_pose.then(|| finest.view.camera_from_world.inverse());
-        let motion = |v: u32| phase * Vec3::from(self.displacement[v as usize]).as_dvec3();
-        let targets_mm = Some(self.targets.moved(motion));
-        let (novel, phase) = (self.novel(frame, phase)?, Some(phase));
-        Ok(FramePrediction {
-            frame,
-            color,
-            depth_mm,
-            phase,
-            phase_deviation,
-            world_from_camera,
-            ahead,
-            targets_mm,
-            novel,
-        })
+        Ok(PlacedFrame { active, finest, phase, phase_deviation, lost, ahead })
     }
 
     /// The view of the frame's second camera at `phase`, with the map as it is now.
-    fn novel(&mut self, frame: usize, phase: f64) -> Result<Option<NovelPrediction>> {
-        let Some(pose) = self.observation.novel_pose[frame] else { return Ok(None) };
+    fn novel(&mut self, pose: Option<DAffine3>, phase: f64) -> Result<Option<NovelPrediction>> {
+        let Some(pose) = pose else { return Ok(None) };
         let given = View::new(self.observation.camera, pose);
         let mut active = self.enter(&given, phase, 0.0)?;
         let view = moved(&given, self.pose);
@@ -218,23 +328,25 @@ impl<'a> Tracker<'a> {
         Ok(Some(NovelPrediction { color, depth_mm: self.depth_mm(&view, phase, &active.faces) }))
     }
 
-    /// Tracks from the expected `phase`; if tracking is lost, from the best of all phases.
+    /// Tracks from the expected `phase`; if tracking is lost, from the best of all phases. The last: whether it is lost
+    /// even then.
     fn track(
         &mut self,
         mut active: ActiveFrame,
         given: &View,
         levels: &[PyramidLevel],
         phase: f64,
-    ) -> Result<(ActiveFrame, Option<Tracked>)> {
+    ) -> Result<(ActiveFrame, Option<Tracked>, bool)> {
         let found = self.renderer.track(&mut active, levels, self.pose, phase, phase)?;
         if !self.is_lost(found.as_ref()) {
-            return Ok((active, found));
+            return Ok((active, found, false));
         }
         self.map.leave(active);
         let mut active = self.enter(given, 0.5, 1.0)?;
         let best = self.renderer.search_by_image(&mut active, &levels[0], self.pose)?;
         let again = self.renderer.track(&mut active, levels, self.pose, best, phase)?;
-        Ok((active, again.or(found)))
+        let lost = self.is_lost(again.as_ref());
+        Ok((active, again.or(found), lost))
     }
 
     /// Whether tracking is lost: no answer, or a cost far above the running mean.
@@ -271,8 +383,8 @@ impl<'a> Tracker<'a> {
     }
 
     /// The image pyramid, coarse to fine; levels that would be too small are left out.
-    fn levels(&self, frame: usize, view: &View) -> Vec<PyramidLevel> {
-        let full = self.scope.flat(&self.observation.images[frame]);
+    fn levels(&self, image: &Image<u8>, view: &View) -> Vec<PyramidLevel> {
+        let full = self.scope.flat(image);
         let weights = self.observation.pixel_weights().unwrap_or_default();
         let mut levels = vec![PyramidLevel { view: *view, image: full, weights }];
         while levels.len() < self.settings.steps.len() {
@@ -309,7 +421,7 @@ impl<'a> Tracker<'a> {
     }
 
     /// Phase of the first frame and, if poses are unknown, its pose correction, by the depth given there.
-    fn search_by_depth(&mut self, view: &View) -> Result<f64> {
+    fn search_by_depth(&mut self, view: &View, time_s: f64) -> Result<f64> {
         let observation = self.observation;
         let Some(depth) = &observation.first_depth_mm else { return Ok(0.0) };
         let faces = self.faces_in_view(view, 0.5, 1.0)?;
@@ -327,7 +439,7 @@ impl<'a> Tracker<'a> {
         let (phase, pose) = registration::register(depth, &before, render);
         self.pose = pose;
         if let Some(window) = &mut self.window {
-            window.begin(pose, observation.time_s[0]);
+            window.begin(pose, time_s);
         }
         Ok(phase)
     }

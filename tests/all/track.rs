@@ -1,0 +1,138 @@
+//! `track`: live answers are those of the whole run, wherever the pictures come from.
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::Stdio;
+use std::time::Duration;
+
+use crate::all_cases::TINY;
+use crate::binary::{program, run};
+use crate::third_parties::{accepted, refused};
+
+const FRAMES: usize = 9;
+
+struct Place(tempfile::TempDir);
+
+impl Place {
+    fn new() -> Self {
+        let place = Place(tempfile::tempdir().unwrap());
+        let profile = TINY.replace("minimum_frames = 3", &format!("minimum_frames = {FRAMES}"));
+        fs::write(place.path("tiny.toml"), profile).unwrap();
+        accepted(run(&["simulate", "case1", "--profile", &place.text("tiny.toml"), "--out", &place.text("films")]));
+        place
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn text(&self, name: &str) -> String {
+        self.path(name).to_str().unwrap().to_owned()
+    }
+
+    fn words(&self, more: &[&str]) -> Vec<String> {
+        let (film, profile) = (self.text("films/case1"), self.text("tiny.toml"));
+        let words = ["track", "--sequence", &film, "--profile", &profile];
+        words.iter().chain(more).map(|word| (*word).to_owned()).collect()
+    }
+
+    fn track(&self, more: &[&str]) -> (i32, String, String) {
+        let words = self.words(more);
+        run(&words.iter().map(String::as_str).collect::<Vec<_>>())
+    }
+
+    fn image(&self, frame: usize) -> PathBuf {
+        self.path(&format!("films/case1/images/{frame:06}.png"))
+    }
+
+    /// The film's pictures as ffmpeg's raw frames.
+    fn raw(&self) -> Vec<u8> {
+        (0..FRAMES).flat_map(|frame| image::open(self.image(frame)).unwrap().into_rgb8().into_raw()).collect()
+    }
+
+    /// `track` with `input` on standard input.
+    fn piped(&self, input: &[u8], more: &[&str]) -> (i32, String, String) {
+        let mut command = assert_cmd::Command::from_std(program());
+        let output = command.args(self.words(more)).write_stdin(input).output().unwrap();
+        let text = |bytes| String::from_utf8(bytes).unwrap();
+        (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
+    }
+}
+
+/// The answers without their latencies.
+fn answers(lines: &str) -> Vec<serde_json::Value> {
+    let answer = |line: &str| {
+        let mut value: serde_json::Value = serde_json::from_str(line).unwrap();
+        assert!(value.as_object_mut().unwrap().remove("latency_ms").unwrap().as_f64().unwrap() > 0.0);
+        value
+    };
+    lines.lines().map(answer).collect()
+}
+
+#[test]
+fn live_answers_are_those_of_the_whole_run_wherever_pictures_come_from() {
+    let place = Place::new();
+    let (code, out, err) = place.track(&[]);
+    assert_eq!(code, 0, "{err}");
+    assert!(err.contains("9 frames answered, 0 left out; latency "), "{err}");
+    let live = answers(&out);
+    assert_eq!(live.len(), FRAMES);
+
+    // The whole run's phases, written with fewer digits.
+    let (film, profile, whole) = (place.text("films/case1"), place.text("tiny.toml"), place.text("whole"));
+    let words = ["run", "--sequence", &film, "--method", "ours-gn", "--profile", &profile, "--out", &whole];
+    accepted(run(&words));
+    let table = fs::read_to_string(place.path("whole/phase.csv")).unwrap();
+    let mut rows = csv::Reader::from_reader(table.as_bytes());
+    let column = rows.headers().unwrap().iter().position(|name| name == "phase").unwrap();
+    for (record, answer) in rows.records().zip(&live) {
+        let phase: f64 = record.unwrap()[column].parse().unwrap();
+        assert!((phase - answer["phase"].as_f64().unwrap()).abs() < 1e-6, "{answer}: {phase}");
+    }
+
+    // Targets move by the phase, and their covariance has the length of that motion.
+    let [first, last] = [&live[0], &live[FRAMES - 1]];
+    assert_eq!(first["state"], "tracking", "{first}");
+    let trace = |answer: &serde_json::Value| {
+        (0..3).map(|k| answer["target_covariance_mm2"][0][k][k].as_f64().unwrap()).sum::<f64>()
+    };
+    let deviation = |answer: &serde_json::Value| answer["phase_deviation"].as_f64().unwrap();
+    let motion_mm = |answer| trace(answer).sqrt() / deviation(answer);
+    assert!(motion_mm(first) > 0.1 && (motion_mm(first) - motion_mm(last)).abs() < 1e-6);
+
+    // The same pictures through a pipe and in a folder.
+    let (code, out, err) = place.piped(&place.raw(), &["--raw", "--every-frame"]);
+    assert_eq!(code, 0, "{err}");
+    assert!(answers(&out) == live, "a pipe gives other answers than the film");
+    fs::create_dir(place.path("camera")).unwrap();
+    let mut command = program();
+    let folder = place.text("camera");
+    command.args(place.words(&["--images", &folder, "--every-frame", "--patience-s", "5"]));
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    for frame in 0..FRAMES {
+        std::thread::sleep(Duration::from_millis(20));
+        // As a slow writer does it.
+        let bytes = fs::read(place.image(frame)).unwrap();
+        let target = place.path(&format!("camera/{frame:06}.png"));
+        fs::write(&target, &bytes[..bytes.len() / 2]).unwrap();
+        fs::write(&target, &bytes).unwrap();
+    }
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(answers(std::str::from_utf8(&output.stdout).unwrap()) == live, "a folder gives other answers");
+
+    // Frames that come faster than they are answered are left out, and the numbers say which.
+    let (code, out, err) = place.piped(&place.raw(), &["--raw"]);
+    assert_eq!(code, 0, "{err}");
+    let some = answers(&out);
+    let seen: u64 = some.iter().map(|answer| 1 + answer["left_out"].as_u64().unwrap()).sum();
+    assert_eq!((some[0]["frame"].as_u64(), seen), (Some(0), FRAMES as u64), "{out}");
+    assert_eq!(some.last().unwrap()["frame"], FRAMES - 1);
+
+    // What cannot be is refused.
+    let cut = &place.raw()[..10];
+    refused(place.piped(cut, &["--raw"]), 4, &["frame 0", "10 of"]);
+    refused(place.track(&["--method", "ours"]), 2, &["`ours` takes whole films"]);
+    fs::write(place.path("poses"), "{}\n").unwrap();
+    refused(place.track(&["--poses", &place.text("poses")]), 4, &["poses", "line 1", "is no pose"]);
+}
