@@ -104,6 +104,8 @@ fn main() {
     revision::tell(&root);
     shipped::list(&root, &out);
     println!("cargo:rerun-if-changed=cpp");
+    // Without the path tracer nothing asks for it, and whoever builds the library must not do so again for it.
+    #[cfg(feature = "trace")]
     println!("cargo:rerun-if-env-changed=EMBREE_DIR");
 }
 

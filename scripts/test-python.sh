@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds the wheel of the Python package (docs/python.md) and runs its tests: on the numpy of the Python package index,
-# and once more on the first Python that has torch, with Debian's python3-torch for example. Compiled dependencies are
-# shared with the program. Fetches maturin and numpy into .deps.
+# and once more on the first Python that has torch, with Debian's python3-torch for example. The compiled library is
+# shared with scripts/check-library.sh. Fetches maturin and numpy into .deps.
 #
 #   scripts/test-python.sh [--torch]     --torch: without any torch, installs Debian's (142 MB)
 set -euo pipefail

@@ -17,9 +17,12 @@ step python packages
 eval "$(scripts/python-packages.sh)"
 export RESPIRE_PYTHON PYTHONPATH
 step build
-cargo build --release --locked --quiet
+# Program and tests in one call, so that the library and its unit tests compile side by side. Examples are checked by the
+# lints, and no comment holds a program to be tested.
+tests=(--release --locked --quiet --lib --test all)
+cargo test "${tests[@]}" --no-run
 step tests
-RESPIRE_FUZZ_SECONDS=5 cargo test --release --locked --quiet
+RESPIRE_FUZZ_SECONDS=5 cargo test "${tests[@]}"
 step library
 scripts/check-library.sh
 step python
