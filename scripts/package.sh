@@ -4,6 +4,7 @@
 #   DIR/lib/              libraries that Debian does not have (on Debian 12: Embree 4)
 #   DIR/packages.txt      Debian's packages with the other libraries, for apt-get install
 #   DIR/bench-cases/      what the program carries, to read, or to change and give back with --bench-cases
+#   DIR/share/            completions for bash, fish and zsh, and manual pages: copy it into /usr/local or ~/.local
 #   DIR/licences/         of the program and of everything in it
 # Another machine needs the same release of Debian, since OpenCV's libraries carry its version in their names.
 set -euo pipefail
@@ -62,6 +63,16 @@ printf '%s\n' "${packages[@]}" | sort -u >"$part/packages.txt"
 # No way back into this folder.
 patchelf --set-rpath '$ORIGIN:$ORIGIN/lib' "$part/respire-bench"
 
+# --- completions and manual pages, where shells and man look below a prefix -----------------------------------------
+place_completions() {
+  mkdir -p "$part/share/$2"
+  "$built" completions "$1" >"$part/share/$2/$3"
+}
+place_completions bash bash-completion/completions respire-bench
+place_completions fish fish/vendor_completions.d respire-bench.fish
+place_completions zsh zsh/site-functions _respire-bench
+"$built" man --out "$part/share/man/man1" >/dev/null
+
 # --- licences --------------------------------------------------------------------------------------------------
 licences=$part/licences
 mkdir "$licences"
@@ -99,4 +110,7 @@ strays=$(env -u LD_LIBRARY_PATH ldd "$out/respire-bench" | awk -v out="$out/" '$
 works doctor
 works list
 works all-cases --dry-run
+bash -c 'source "$1" && complete -p respire-bench' - "$out/share/bash-completion/completions/respire-bench" >/dev/null ||
+  stop "bash does not take the completions."
+[ -s "$out/share/man/man1/respire-bench-simulate.1" ] || stop "a manual page is missing."
 say "$out ($(du -sh "$out" | cut -f1); libraries beside the program: ${own[*]:-none})"

@@ -8,6 +8,7 @@ mod all_cases;
 mod check;
 mod compare;
 mod comparison;
+mod completions;
 mod doctor;
 mod evaluate;
 mod explain;
@@ -22,6 +23,7 @@ mod import_motion;
 mod import_tree;
 mod light_bias;
 mod list;
+mod man;
 mod merge;
 mod pareto;
 mod picture_statistics;
@@ -40,24 +42,31 @@ mod watch;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::base::range::THREADS;
 use crate::base::{Error, Progress, Result};
 pub use terminal::Terminal;
 
-/// Makes the subcommand enum and its dispatch from lines `Variant => file::Arguments`.
+/// Makes the subcommand enum and its dispatch from lines `Variant => file::Arguments`. What stands after the
+/// semicolon is handed the whole command line, too.
 macro_rules! commands {
-    ($($(#[$help:meta])* $variant:ident => $file:ident::$arguments:ident,)+) => {
+    (
+        $($(#[$help:meta])* $variant:ident => $file:ident::$arguments:ident,)+
+        ;
+        $($(#[$line_help:meta])* $line_variant:ident => $line_file:ident::$line_arguments:ident,)+
+    ) => {
         #[derive(Subcommand)]
         enum Command {
             $($(#[$help])* $variant($file::$arguments),)+
+            $($(#[$line_help])* $line_variant($line_file::$line_arguments),)+
         }
 
         impl Command {
             fn run(self, terminal: &Terminal) -> Result<()> {
                 match self {
                     $(Command::$variant(arguments) => $file::run(arguments, terminal),)+
+                    $(Command::$line_variant(arguments) => $line_file::run(arguments, Line::command(), terminal),)+
                 }
             }
         }
@@ -109,6 +118,11 @@ commands! {
     Splat => splat::SplatArguments,
     /// The numerical-stability table
     Stress => stress::StressArguments,
+    ;
+    /// Completions of commands and options for bash, zsh, fish and others
+    Completions => completions::CompletionsArguments,
+    /// Manual pages
+    Man => man::ManArguments,
 }
 
 /// How accurate is a method that reconstructs a breathing airway from bronchoscopy video, and what does it cost?

@@ -133,3 +133,48 @@ fn examples_of_the_help_name_folders_that_exist() {
     }
     assert!(named >= 3, "{named} folders were looked at");
 }
+
+/// Bash itself says what it would complete: a command, an option of a command, a value.
+#[test]
+fn bash_completes_commands_options_and_values() {
+    let (code, script, err) = run(&["completions", "bash"]);
+    assert_eq!(code, 0, "{err}");
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("respire-bench");
+    std::fs::write(&file, script).unwrap();
+    let asked = "source \"$1\"; shift; function=$(complete -p respire-bench | sed 's/.*-F \\([^ ]*\\).*/\\1/')\n\
+        COMP_WORDS=(\"$@\") COMP_CWORD=$(($# - 1)); \"$function\" respire-bench \"${@: -1}\" \"${@: -2:1}\"\n\
+        echo \"${COMPREPLY[@]}\"";
+    for (words, wanted) in [
+        (&["respire-bench", "sim"][..], "simulate"),
+        (&["respire-bench", "gate", "--ba"], "--baseline"),
+        (&["respire-bench", "import", "mesh-"], "mesh-pair"),
+        (&["respire-bench", "splat", "--isa", "avx"], "avx2 avx512"),
+    ] {
+        let mut bash = std::process::Command::new("bash");
+        let output = bash.args(["-c", asked, "-"]).arg(&file).args(words).output().unwrap();
+        let said = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(said.trim(), wanted, "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
+    }
+    for (shell, word) in [("zsh", "#compdef respire-bench"), ("fish", "complete -c respire-bench")] {
+        let (code, script, err) = run(&["completions", shell]);
+        assert!(code == 0 && script.contains(word), "{err}");
+    }
+}
+
+#[test]
+fn every_command_has_a_manual_page() {
+    let folder = tempfile::tempdir().unwrap();
+    let (code, _, err) = run(&["man", "--out", folder.path().to_str().unwrap()]);
+    assert_eq!(code, 0, "{err}");
+    let page = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    let (_, help, _) = run(&["simulate", "--help"]);
+    // Hyphens are escaped in pages.
+    let simulate = page("respire-bench-simulate.1").replace("\\-", "-");
+    for option in help.split_whitespace().filter(|word| word.starts_with("--") && word.len() > 2) {
+        let option = option.trim_end_matches([',', '.']);
+        assert!(simulate.contains(option), "{option} is missing in\n{simulate}");
+    }
+    assert!(page("respire-bench.1").contains("130 interrupted"));
+    assert!(page("respire-bench-import-mesh-pair.1").starts_with(".ie"), "a page of a command of a command");
+}
