@@ -7,7 +7,7 @@ use super::selection::CatalogueFolder;
 use crate::base::{Error, ErrorKind, Progress, Result, files};
 use crate::report::gate::{Check, LIMITS_FILE, Verdict, judge, read_thresholds, with_limits_of};
 use crate::report::read::Results;
-use crate::report::{gate_files, gate_limits, read};
+use crate::report::{benchmark_json, gate_files, gate_limits, read};
 
 /// Arguments of `gate`.
 #[derive(clap::Args)]
@@ -36,6 +36,10 @@ pub struct GateArguments {
     /// Folder for gate.md and gate.xml [default: the results], or for limits.toml
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Write the means for github-action-benchmark (benchmark-smaller-is-better.json, benchmark-bigger-is-better.json)
+    /// and Bencher (benchmark-bencher.json) too, whatever the verdict
+    #[arg(long, conflicts_with = "limits_from")]
+    benchmark_json: bool,
     /// Print passed checks too
     #[arg(long)]
     all: bool,
@@ -66,6 +70,9 @@ pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
     let out = arguments.out.as_ref().unwrap_or(folder);
     gate_files::write_junit(&checks, &out.join("gate.xml"))?;
     files::write_bytes(&out.join("gate.md"), gate_files::markdown(&checks).as_bytes())?;
+    if arguments.benchmark_json {
+        benchmark_json::write(&results, out)?;
+    }
 
     print(&checks, arguments.all, terminal);
     let failed: Vec<&Check> = checks.iter().filter(|c| c.verdict == Verdict::Fail).collect();

@@ -7,6 +7,7 @@
 //! ```
 
 pub mod ablation;
+pub mod benchmark_json;
 pub mod compare;
 pub mod differences;
 pub mod gate;

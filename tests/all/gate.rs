@@ -191,3 +191,37 @@ fn runs_are_merged() {
     let (code, _, complaint) = run(&["merge", "nothing-here", "--out", &out]);
     assert!(code == 4 && complaint.contains("nothing-here/results.csv"), "{complaint}");
 }
+
+/// What github-action-benchmark and Bencher read, by the rules of their documentation.
+#[test]
+fn means_are_written_for_programs_that_draw_them_over_commits() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("gate.toml"), LIMITS).unwrap();
+    write_run(&at("bad"), ["27.5", "12.5"], ["2.0", ""]);
+    let path = |name: &str| at(name).to_str().unwrap().to_owned();
+    let words = ["gate", "--results", &path("bad"), "--thresholds", &path("gate.toml"), "--benchmark-json"];
+    let (code, said, _) = run(&words);
+    assert_eq!(code, 3, "the verdict stands: {said}");
+
+    let read =
+        |name: &str| -> serde_json::Value { serde_json::from_slice(&fs::read(at("bad").join(name)).unwrap()).unwrap() };
+    let bigger = read("benchmark-bigger-is-better.json");
+    let entry = &bigger.as_array().unwrap()[0];
+    assert_eq!((entry["name"].as_str(), entry["unit"].as_str()), (Some("ours: psnr_db"), Some("dB")));
+    assert_eq!(entry["value"].as_f64(), Some(20.0));
+    let range = entry["range"].as_str().unwrap();
+    assert!(range.starts_with("12.5") && range.contains(" to 27.5"), "{range}");
+    assert_eq!(entry["extra"], "track ideal, 2 cases, psnr_db/1");
+    // One case has no depth: its mean is of the other, and one value has no interval.
+    let smaller = read("benchmark-smaller-is-better.json");
+    let entry = &smaller.as_array().unwrap()[0];
+    assert_eq!((entry["name"].as_str(), entry["value"].as_f64()), (Some("ours: depth_rmse_mm"), Some(2.0)));
+    assert!(entry.get("range").is_none() && entry["extra"].as_str().unwrap().contains(", 1 case,"), "{entry}");
+
+    let bencher = read("benchmark-bencher.json");
+    let psnr = &bencher["ours"]["psnr_db"];
+    let number = |key: &str| psnr[key].as_f64().unwrap();
+    assert_eq!((number("lower_value"), number("value"), number("upper_value")), (12.5, 20.0, 27.5));
+    assert_eq!(bencher["ours"]["depth_rmse_mm"].as_object().unwrap().keys().collect::<Vec<_>>(), ["value"]);
+}
