@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Opens a report in headless Chromium (software WebGL) and checks it: scripts/test-page.sh [REPORT.html [PICTURES]]
-# Default: the smoke run's. PICTURES: a folder for screenshots and a print. Takes about 20 s; installs Debian's chromium
-# where it is missing and can be had, and otherwise says loudly that nothing was checked.
+# Default: the smoke run's, and that run merged with a prediction of one's own. PICTURES: a folder for screenshots and a
+# print. Takes about 25 s; installs Debian's chromium where it is missing and can be had, and otherwise says loudly that
+# nothing was checked.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=test-page
@@ -17,4 +18,18 @@ if ! command -v chromium >/dev/null; then
     (install_packages chromium) || true
 fi
 command -v chromium >/dev/null || skipped "there is no chromium, and it cannot be had here in 45 s (apt-get install chromium)"
-exec python3 -B tests/page/test_page.py "$(command -v chromium)" "$report" ${2:+"$2"}
+chromium=$(command -v chromium)
+python3 -B tests/page/test_page.py "$chromium" "$report" ${2:+"$2"}
+
+# --- one's own method beside the others: a prediction of the smoke run under another name, merged with the run -----------
+[ $# = 0 ] || exit 0
+bench=${CARGO_TARGET_DIR:-target}/release/respire-bench
+smoke=$(dirname "$(dirname "$report")")
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+# A cell that the run has made; where it is missing it is made.
+said=$("$bench" run --case case1 --method pose-only --profile smoke --cache "$smoke/cache" 2>/dev/null)
+film=$(sed -n 's/^sequence: *//p' <<<"$said") prediction=$(sed -n 's/^prediction: *//p' <<<"$said")
+"$bench" evaluate --sequence "$film" --predictions "$prediction" --method mine --out "$work/mine" >/dev/null
+"$bench" merge "$smoke/latest" "$work/mine" --out "$work/table" >/dev/null
+python3 -B tests/page/test_merged.py "$chromium" "$work/table/report.html" mine

@@ -16,7 +16,8 @@ use crate::report::{self, Run};
     after_help = "For cells that were run on several machines, rows that were renewed, and predictions of another program \
     beside the methods. A cell that several runs have is taken from the last; a prediction never takes the place of \
     another one, or of a method. Films, airways and contours are those \
-    that the runs kept; panels need whole films and are left out.\n\
+    that the runs kept; panels need whole films and are left out. Runs of different tracks share a page and no table: \
+    each track has a folder of its own in --out.\n\
     Example: respire-bench merge reports/latest mine/case1 mine/case2 --out table"
 )]
 pub struct MergeArguments {
@@ -50,16 +51,34 @@ pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
             environments.extend(files::read_json::<BTreeMap<String, serde_json::Value>>(&path)?);
         }
     }
-    let merged = merge(parts, if arguments.other_films { Films::Other } else { Films::Same })?;
+    let films = if arguments.other_films { Films::Other } else { Films::Same };
+    let merged = by_track(parts).into_iter().map(|parts| merge(parts, films)).collect::<Result<Vec<Run>>>()?;
     terminal.stage("writing the report");
-    let written = report::write(&merged, &arguments.out, terminal)?;
+    let written = report::write_tracks(&merged, &arguments.out, terminal)?;
     files::write_json(&arguments.out.join("environments.json"), &environments)?;
     terminal.finish();
-    for table in ComparisonTable::both(&summarise(&merged)) {
-        comparison::lines(&table).iter().for_each(|line| terminal.line(line));
+    for run in &merged {
+        if merged.len() > 1 {
+            terminal.line(format_args!("track {}", run.track.word()));
+        }
+        for table in ComparisonTable::both(&summarise(run)) {
+            comparison::lines(&table).iter().for_each(|line| terminal.line(line));
+        }
     }
     terminal.line(format_args!("report: {}", written.html.display()));
     Ok(())
+}
+
+/// The runs of each track, tracks in the order in which they come.
+fn by_track(runs: Vec<Run>) -> Vec<Vec<Run>> {
+    let mut tracks: Vec<Vec<Run>> = Vec::new();
+    for run in runs {
+        match tracks.iter_mut().find(|of_track| of_track[0].track == run.track) {
+            Some(of_track) => of_track.push(run),
+            None => tracks.push(vec![run]),
+        }
+    }
+    tracks
 }
 
 fn same_folder(a: &std::path::Path, b: &std::path::Path) -> bool {

@@ -31,6 +31,8 @@ const SCRIPTS: [&str; 3] =
 pub struct TrackReport<'a> {
     /// The run.
     pub run: &'a Run,
+    /// Where its files lie, seen from the page: empty, or a folder with a slash at its end.
+    pub place: &'a str,
     /// Its tables.
     pub tables: &'a [ComparisonTable],
     /// Neighbours in its ranking.
@@ -130,7 +132,7 @@ fn track_section(track: &TrackReport<'_>, scenes: &Scenes) -> Markup {
                 } } }
             }
             h2 { "Every case" }
-            @for case in &run.cases { (case_section(run, case, scenes, &palette, static_part(run, case, pictures))) }
+            @for case in &run.cases { (case_section(run, case, scenes, &palette, static_part(track, case))) }
             h2 { "Overview" }
             @for picture in &pictures.overview { (figure(picture)) }
         }
@@ -153,7 +155,8 @@ fn case_section(run: &Run, case: &CaseInfo, scenes: &Scenes, palette: &Palette, 
     }
 }
 
-fn static_part(run: &Run, case: &CaseInfo, pictures: &ReportImages) -> Markup {
+fn static_part(track: &TrackReport<'_>, case: &CaseInfo) -> Markup {
+    let TrackReport { run, place, pictures, .. } = *track;
     let of_case = || pictures.by_case.iter().filter(|(id, _)| *id == case.id).flat_map(|(_, of_case)| of_case);
     html! {
         h3 { "Numbers" }
@@ -162,9 +165,9 @@ fn static_part(run: &Run, case: &CaseInfo, pictures: &ReportImages) -> Markup {
         @if case.truth.is_some() {
             p.muted.whole {
                 "In files beside this page: "
-                a href={ "films/" (case.id) ".html" } { "the whole film" }
+                a href={ (place) "films/" (case.id) ".html" } { "the whole film" }
                 @for picture in of_case().filter(|picture| picture.svg.is_none()) {
-                    ", " a href=(picture.png) { (picture.title) }
+                    ", " a href={ (place) (picture.png) } { (picture.title) }
                 }
                 "."
             }

@@ -42,7 +42,12 @@ use std::path::{Path, PathBuf};
 
 pub use run::{CaseInfo, CellRecord, MethodInfo, Outcome, Role, Run, StageCost};
 
-use crate::base::{Progress, Result, files};
+use crate::base::{Error, Progress, Result, files};
+
+/// The page.
+const PAGE: &str = "report.html";
+/// The report for reading.
+const MARKDOWN: &str = "report.md";
 
 /// What [`write()`] left behind.
 #[derive(Clone, Debug)]
@@ -55,10 +60,66 @@ pub struct Written {
     pub table: String,
 }
 
+/// What a page shows of a run, besides the run.
+struct RunParts {
+    tables: [table::ComparisonTable; 2],
+    differences: Vec<differences::NeighbourDifference>,
+    pictures: plots::ReportImages,
+    scenes: scene::Scenes,
+}
+
+impl RunParts {
+    /// `place` is where the run's files lie, seen from the page: empty or a folder with a slash at its end.
+    fn track<'a>(&'a self, run: &'a Run, place: &'a str) -> html::TrackReport<'a> {
+        let RunParts { tables, differences, pictures, scenes } = self;
+        html::TrackReport { run, place, tables, differences, pictures, scenes }
+    }
+}
+
 /// Writes every file of the report into `folder`, tables first, so that an image that cannot be drawn loses no number.
 ///
 /// Errors: an unwritable folder, a sequence or prediction that cannot be read again for the images.
 pub fn write(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<Written> {
+    let parts = write_parts(run, folder, progress)?;
+    Ok(written(folder, &parts))
+}
+
+/// The reports of runs of different tracks. Numbers of two tracks are never put into one table: each run has a folder of
+/// its own, named as its track, with all that [`write()`] makes, and `folder/report.html` is a page that switches between
+/// them, the first one first. One run alone lies in `folder`. What comes back names the page, and the first run's table.
+///
+/// Errors: no run, two runs of one track, and those of [`write()`].
+pub fn write_tracks(runs: &[Run], folder: &Path, progress: &dyn Progress) -> Result<Written> {
+    match runs {
+        [run] => write(run, folder, progress),
+        _ => {
+            let named: Vec<(&Run, &str)> = runs.iter().map(|run| (run, run.track.word())).collect();
+            write_named(&named, folder, progress)
+        }
+    }
+}
+
+fn write_named(runs: &[(&Run, &str)], folder: &Path, progress: &dyn Progress) -> Result<Written> {
+    let mut names: Vec<&str> = runs.iter().map(|(_, name)| *name).collect();
+    names.sort_unstable();
+    if runs.is_empty() || names.windows(2).any(|pair| pair[0] == pair[1]) {
+        let sentence = "a report of several tracks has one run of each, and these are of: ".to_owned();
+        return Err(Error::input(sentence + &names.join(", ")).at(folder));
+    }
+    let places: Vec<String> = runs.iter().map(|(_, name)| format!("{name}/")).collect();
+    let mut parts = Vec::new();
+    for (run, name) in runs {
+        parts.push(write_parts(run, &folder.join(name), progress)?);
+    }
+    let tracks: Vec<html::TrackReport<'_>> =
+        parts.iter().zip(runs).zip(&places).map(|((parts, (run, _)), place)| parts.track(run, place)).collect();
+    let html = folder.join(PAGE);
+    files::write_bytes(&html, html::report(&tracks).as_bytes())?;
+    Ok(Written { html, ..written(&folder.join(runs[0].1), &parts[0]) })
+}
+
+/// Everything that belongs to one run, its own page included.
+fn write_parts(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<RunParts> {
     let summaries = summary::summarise(run);
     tables::write_results(run, &folder.join("results.csv"))?;
     tables::write_comparison(run, &folder.join("comparison.csv"))?;
@@ -72,14 +133,13 @@ pub fn write(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<Writte
     let latex: Vec<String> = tables.iter().map(|table| latex::table(table, &run.id)).collect();
     files::write_bytes(&folder.join("table.tex"), latex.join("\n").as_bytes())?;
     let pictures = plots::draw(run, &summaries, folder, progress)?;
-    let (markdown, html) = (folder.join("report.md"), folder.join("report.html"));
-    files::write_bytes(&markdown, markdown::report(run, &summaries, &tables, &differences, &pictures).as_bytes())?;
+    let markdown = markdown::report(run, &summaries, &tables, &differences, &pictures);
+    files::write_bytes(&folder.join(MARKDOWN), markdown.as_bytes())?;
     let scenes = gather::gather(run, progress)?;
     scenes.write(folder)?;
     seal::write(folder)?;
-    let track =
-        html::TrackReport { run, tables: &tables, differences: &differences, pictures: &pictures, scenes: &scenes };
-    files::write_bytes(&html, html::report(&[track]).as_bytes())?;
+    let parts = RunParts { tables, differences, pictures, scenes };
+    files::write_bytes(&folder.join(PAGE), html::report(&[parts.track(run, "")]).as_bytes())?;
     for case in &run.cases {
         // One at a time: a whole film is large.
         if let Some(whole) = gather::whole_film(run, case)? {
@@ -87,6 +147,11 @@ pub fn write(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<Writte
             files::write_bytes(&folder.join(format!("films/{}.html", case.id)), page.as_bytes())?;
         }
     }
-    let [ranking, _] = &tables;
-    Ok(Written { markdown, html, table: markdown::comparison_table(ranking) })
+    Ok(parts)
+}
+
+fn written(folder: &Path, parts: &RunParts) -> Written {
+    let [ranking, _] = &parts.tables;
+    let table = markdown::comparison_table(ranking);
+    Written { markdown: folder.join(MARKDOWN), html: folder.join(PAGE), table }
 }

@@ -229,6 +229,7 @@ fn nine_films_with_fourteen_rows_stay_below_fifteen_megabytes() {
         let (pictures, differences) = (plots::ReportImages::default(), Vec::new());
         let track = html::TrackReport {
             run: &run,
+            place: "",
             tables: &tables,
             differences: &differences,
             pictures: &pictures,
@@ -241,4 +242,35 @@ fn nine_films_with_fourteen_rows_stay_below_fifteen_megabytes() {
         let first = page.split("\"frames\":[").nth(1).unwrap().split(']').next().unwrap();
         assert!(first.split(',').count() >= least, "{first}");
     }
+}
+
+/// Two reports under one page: each is whole in its folder, and the page's links lead there.
+#[test]
+fn a_page_of_two_tracks_switches_between_whole_reports() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = sample_run(folder.path(), 24, 4);
+    let out = folder.path().join("out");
+    let written = write_named(&[(&run, "first"), (&run, "second")], &out, &NoProgress).unwrap();
+    assert_eq!((written.html, written.markdown), (out.join("report.html"), out.join("first/report.md")));
+    let page = fs::read_to_string(out.join("report.html")).unwrap();
+    assert_eq!(page.matches("<section class=\"track\"").count(), 2);
+    for name in ["first", "second"] {
+        let own = fs::read_to_string(out.join(name).join("report.html")).unwrap();
+        assert_eq!(own.matches("<section class=\"track\"").count(), 1);
+        read::read(&out.join(name)).unwrap();
+        for link in ["films/case1.html", "films/case2.html"] {
+            assert!(out.join(name).join(link).exists());
+            assert!(page.contains(&format!("href=\"{name}/{link}\"")) && own.contains(&format!("href=\"{link}\"")));
+        }
+    }
+    for link in page.split("href=\"").skip(1).map(|rest| rest.split('"').next().unwrap()) {
+        assert!(link.starts_with("data:") || out.join(link).exists(), "{link}");
+    }
+    // One track has one run.
+    let refused = write_tracks(&[run.clone(), run.clone()], &folder.path().join("no"), &NoProgress).unwrap_err();
+    assert!(refused.to_string().contains("these are of: ideal, ideal"), "{refused}");
+    assert!(write_tracks(&[], &folder.path().join("no"), &NoProgress).is_err() && !folder.path().join("no").exists());
+    // One run lies where it always did.
+    let alone = write_tracks(&[run], &folder.path().join("one"), &NoProgress).unwrap();
+    assert_eq!(alone.html, folder.path().join("one/report.html"));
 }
