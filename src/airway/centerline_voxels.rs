@@ -69,7 +69,7 @@ impl Voxels {
     }
 
     /// Number of voxels inside.
-    pub fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.cells.len()
     }
 

@@ -11,7 +11,7 @@ pub mod centerline_distance;
 pub mod centerline_extract;
 mod centerline_trace;
 mod centerline_tree;
-mod centerline_voxels;
+pub mod centerline_voxels;
 pub mod field;
 pub mod field_calibre;
 pub mod field_check;

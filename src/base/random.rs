@@ -33,6 +33,8 @@ pub enum Stage {
     Steering = 12,
     /// Second cameras, whose views no method fits.
     NovelView = 13,
+    /// Simulated CT: texture, vessels, noise of the scanner.
+    Scan = 20,
     /// Tests.
     Test = 99,
 }

@@ -102,6 +102,7 @@ fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &T
             _ => None,
         },
         field: arguments.field.as_deref(),
+        way_back: true,
     };
     terminal.stage("airway and registration");
     let pair = import_pair(&request, &new.workshop(), terminal)?;

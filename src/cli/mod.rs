@@ -9,6 +9,7 @@ mod check;
 mod compare;
 mod comparison;
 mod completions;
+mod ct_loop;
 mod doctor;
 mod evaluate;
 mod explain;
@@ -31,6 +32,7 @@ mod render;
 mod run;
 mod selection;
 mod simulate;
+mod simulate_ct;
 mod slurm;
 mod splat;
 mod splat_gradients;
@@ -90,6 +92,8 @@ commands! {
     Track => track::TrackArguments,
     /// Films cases into sequence folders
     Simulate => simulate::SimulateArguments,
+    /// Scans cases: two CT volumes each, with the truth beside them
+    SimulateCt => simulate_ct::SimulateCtArguments,
     /// Writes a film in the layout of another program: COLMAP, nerfstudio, EndoNeRF, C3VD, TUM, glTF
     Export => export::ExportArguments,
     /// Scores the predictions of any program against one film or many
@@ -110,6 +114,8 @@ commands! {
     Pareto => pareto::ParetoArguments,
     /// Compares the light of films with path tracing, frame by frame
     LightBias => light_bias::LightBiasArguments,
+    /// Scans cases, imports the scans, and measures what is lost on the way
+    CtLoop => ct_loop::CtLoopArguments,
     /// How far pictures look from real bronchoscopy, by their statistics
     PictureStatistics => picture_statistics::PictureStatisticsArguments,
     /// Path-trace one scene file: linear EXR, depth EXR, timing JSON

@@ -6,6 +6,8 @@
 //!   +----> airway mask (given, or grown) --> surface at inspiration ---------+--> surface at expiration --> case
 //! ```
 //!
+//! `simulated` goes the other way: from a case to two scans whose truth is known.
+//!
 //! Knows the airway's shape and motion; nothing of films, methods or scores. Volumes are in `base::volume`, their files
 //! in `formats`.
 
@@ -21,5 +23,6 @@ pub mod region;
 pub mod registration;
 pub mod scan;
 pub mod scan_pair;
+pub mod simulated;
 pub mod surface_pair;
 mod topology;

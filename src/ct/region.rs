@@ -41,8 +41,9 @@ pub struct GrownAirway {
 #[derive(Clone, Copy)]
 struct RoundPiece {
     centre: [usize; 2],
-    /// Index of the piece above it in the slice above, and how many slices the chain is long.
+    /// How many slices the chain of pieces down to this one is long, and the slice in which it begins.
     chain: usize,
+    top: usize,
     /// A voxel of it.
     inside: [usize; 2],
 }
@@ -51,9 +52,12 @@ struct RoundPiece {
 ///
 /// Errors: no trachea; a region that leaks at once.
 pub fn grow_airway(scan: &Volume<i16>, progress: &dyn Progress) -> Result<GrownAirway> {
-    let seed = trachea_seed(scan)?;
+    let (seed, top) = trachea_seed(scan)?;
     let to_ml = scan.grid.voxel_mm3() * 1e-3;
     let mut region = Volume::filled(scan.grid, 0u8);
+    // Above the trachea lie glottis and throat: counted as taken, so that nothing grows there, and given back below.
+    let throat = scan.grid.at([0, 0, top]) + scan.grid.size[0] * scan.grid.size[1];
+    region.data[throat..].fill(1);
     let (mut volume, mut rim) = (0usize, vec![scan.grid.at(seed)]);
     let [first, step, last] = THRESHOLDS_HU;
     let thresholds: Vec<i16> = (first..=last).step_by(step as usize).collect();
@@ -77,12 +81,13 @@ pub fn grow_airway(scan: &Volume<i16>, progress: &dyn Progress) -> Result<GrownA
             best = Some((region.clone(), threshold));
         }
     }
-    let (region, threshold_hu) = best.ok_or_else(|| {
+    let (mut region, threshold_hu) = best.ok_or_else(|| {
         Error::input(
             "the airway leaks into the lung at every threshold: give a mask of it with --airway-mask (TotalSegmentator, \
              3D Slicer, or any other program makes one)",
         )
     })?;
+    region.data[throat..].fill(0);
     let radius_mm = CLOSING_VOXELS * scan.grid.spacing_mm().max_element();
     let airway = cleaned(closed_near(&region, radius_mm))?;
     Ok(GrownAirway { airway, threshold_hu, leaked_at_hu })
@@ -102,13 +107,14 @@ fn closed_near(mask: &Volume<u8>, radius_mm: f64) -> Volume<u8> {
     closed(&mask.cropped(low, high), radius_mm)
 }
 
-/// A voxel in the middle of the trachea.
-fn trachea_seed(scan: &Volume<i16>) -> Result<[usize; 3]> {
+/// A voxel in the middle of the trachea, and the highest slice that shows it: the first of an unbroken chain of round
+/// pieces, below the glottis where the scan shows a neck.
+fn trachea_seed(scan: &Volume<i16>) -> Result<([usize; 3], usize)> {
     let [_, _, slices] = scan.grid.size;
     let thickness = scan.grid.spacing_mm().z;
     let mut above: Vec<RoundPiece> = Vec::new();
     // The longest chain so far: its length and its pieces from the bottom up are found again by walking up.
-    let mut best: Option<(usize, [usize; 3])> = None;
+    let mut best: Option<(usize, [usize; 3], usize)> = None;
     for k in (0..slices).rev() {
         let mut here = round_pieces(scan, k);
         for piece in &mut here {
@@ -117,16 +123,18 @@ fn trachea_seed(scan: &Volume<i16>) -> Result<[usize; 3]> {
                 let off = [0, 1].map(|a| other.centre[a] as f64 - piece.centre[a] as f64);
                 off[0].hypot(off[1]) <= reach
             });
-            piece.chain = 1 + near.map(|other| other.chain).max().unwrap_or(0);
-            if best.is_none_or(|(length, _)| piece.chain > length) {
-                best = Some((piece.chain, [piece.inside[0], piece.inside[1], k]));
+            if let Some(longest) = near.max_by_key(|other| other.chain) {
+                (piece.chain, piece.top) = (1 + longest.chain, longest.top);
+            }
+            if best.is_none_or(|(length, ..)| piece.chain > length) {
+                best = Some((piece.chain, [piece.inside[0], piece.inside[1], k], piece.top));
             }
         }
         above = here;
     }
     match best {
         // The chain's lower end still is the trachea: the bronchi below it are two.
-        Some((length, seed)) if length as f64 * thickness >= LEAST_LENGTH_MM => Ok(seed),
+        Some((length, seed, top)) if length as f64 * thickness >= LEAST_LENGTH_MM => Ok((seed, top)),
         _ => Err(Error::input(
             "no trachea was found: no round air, 8 to 30 mm wide, over 25 mm of slices; give a mask of the airway with \
              --airway-mask",
@@ -180,7 +188,7 @@ fn round_pieces(scan: &Volume<i16>, k: usize) -> Vec<RoundPiece> {
         let centre = [0, 1].map(|a| cells.iter().map(|c| c[a]).sum::<usize>() / cells.len());
         let off = |c: &&[usize; 2]| (0..2).map(|a| c[a].abs_diff(centre[a]).pow(2)).sum::<usize>();
         let inside = *cells.iter().min_by_key(off).unwrap_or(&cells[0]);
-        pieces.push(RoundPiece { centre, chain: 1, inside });
+        pieces.push(RoundPiece { centre, chain: 1, top: k, inside });
     }
     pieces
 }
@@ -221,6 +229,24 @@ mod tests {
         };
         let data = (0..grid.count()).map(|at| (value(grid.centre(at)) + 15.0 * rng.normal()) as i16).collect();
         Volume { grid, data }
+    }
+
+    /// Where a scan shows the neck, the throat above the narrow glottis is no part of the airway.
+    #[test]
+    fn the_throat_is_left_out() {
+        let mut scan = chest();
+        let grid = scan.grid;
+        for at in 0..grid.count() {
+            let p = grid.centre(at);
+            let radius = if p.z > 14.0 { 14.0 } else { 3.0 };
+            if p.z > 8.0 && p.truncate().length() < 16.0 {
+                scan.data[at] = if p.truncate().length() < radius { -990 } else { 40 };
+            }
+        }
+        let found = grow_airway(&scan, &NoProgress).unwrap().airway.mask;
+        let highest = (0..found.grid.count()).filter(|&at| found.data[at] > 0).map(|at| found.grid.centre(at).z);
+        let highest = highest.fold(f64::NEG_INFINITY, f64::max);
+        assert!((2.0..=10.0).contains(&highest), "{highest}");
     }
 
     #[test]

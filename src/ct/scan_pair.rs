@@ -35,6 +35,8 @@ pub struct ScanRequest<'a> {
     pub lungs: Option<[&'a Path; 2]>,
     /// Somebody else's displacement field.
     pub field: Option<&'a Path>,
+    /// Whether expiration is registered to inspiration, too, to see how far the way back misses the start.
+    pub way_back: bool,
 }
 
 /// What two scans became.
@@ -43,6 +45,8 @@ pub struct ScanPair {
     pub surface: LumenSurface,
     /// Its vertices at expiration, as the field has them: faces may turn over.
     pub expiration: Vec<DVec3>,
+    /// The displacement from inspiration to expiration, LPS, mm.
+    pub field: Volume<[f32; 3]>,
     /// The scans as the page shows them, inspiration first.
     pub scans: Vec<Volume<i16>>,
     /// How volumes change in the lungs.
@@ -148,10 +152,12 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
         }
         (None, Some(empty)) => {
             let field = register(&full, empty, &workshop.join("there"), progress)?;
-            let back = register(empty, &full, &workshop.join("back"), progress)?;
-            let miss = inverse_consistency(&field, &back, &full.lungs);
             facts.push(("registration", format!("elastix {}, affine and B-spline", version.unwrap_or_default())));
-            facts.push(("there and back", format!("{miss} (median / 95 % / most, in the lungs)")));
+            if request.way_back {
+                let back = register(empty, &full, &workshop.join("back"), progress)?;
+                let miss = inverse_consistency(&field, &back, &full.lungs);
+                facts.push(("there and back", format!("{miss} (median / 95 % / most, in the lungs)")));
+            }
             (field, full.lungs.clone())
         }
         (None, None) => {
@@ -180,7 +186,7 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     scans.push(full.scan);
     scans.extend(empty.map(|input| input.scan));
     let kept = if request.field.is_none() { PARAMETERS.to_vec() } else { Vec::new() };
-    Ok(ScanPair { surface, expiration, scans, change, facts, kept })
+    Ok(ScanPair { surface, expiration, field, scans, change, facts, kept })
 }
 
 fn lungs_of(scan: &Volume<i16>, mask: Option<&Path>, airway: Option<&Volume<u8>>) -> Result<Volume<u8>> {

@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! ablation: variants of methods and cases, scored beside the shipped ones
+//! ct_loop:  cases scanned and imported again, held against the truth
 //! light_bias: light at vertices, which films use, against path tracing, frame by frame
 //! pareto:   cost against error: path tracer, trackers, rasteriser (and what skipping saves)
 //! picture_statistics: what tells a simulated picture from a real one
@@ -12,6 +13,7 @@
 
 pub mod ablation;
 pub mod case_scene;
+pub mod ct_loop;
 pub mod difference;
 pub mod light_bias;
 pub mod pareto;

@@ -33,17 +33,32 @@ pub fn parse(bytes: &[u8], extension: &str) -> Result<TriangleMesh> {
 
 /// Writes binary little-endian PLY with double coordinates and one header line per comment.
 pub fn write_ply(path: &Path, mesh: &TriangleMesh, comments: &[&str]) -> Result<()> {
+    write_ply_as(path, mesh, comments, "double", |out, value| out.write_all(&value.to_le_bytes()))
+}
+
+/// [`write_ply`] with coordinates of single precision, for surfaces that are handed on: half the size.
+pub fn write_small_ply(path: &Path, mesh: &TriangleMesh, comments: &[&str]) -> Result<()> {
+    write_ply_as(path, mesh, comments, "float", |out, value| out.write_all(&(value as f32).to_le_bytes()))
+}
+
+fn write_ply_as(
+    path: &Path,
+    mesh: &TriangleMesh,
+    comments: &[&str],
+    kind: &str,
+    put: impl Fn(&mut dyn std::io::Write, f64) -> std::io::Result<()>,
+) -> Result<()> {
     write_atomically(path, |out| {
         writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment units=mm")?;
         for comment in comments {
             writeln!(out, "comment {comment}")?;
         }
         writeln!(out, "element vertex {}", mesh.vertices.len())?;
-        writeln!(out, "property double x\nproperty double y\nproperty double z")?;
+        writeln!(out, "property {kind} x\nproperty {kind} y\nproperty {kind} z")?;
         writeln!(out, "element face {}\nproperty list uchar int vertex_indices\nend_header", mesh.faces.len())?;
         for vertex in &mesh.vertices {
             for coordinate in vertex.to_array() {
-                out.write_all(&coordinate.to_le_bytes())?;
+                put(out, coordinate)?;
             }
         }
         for face in &mesh.faces {

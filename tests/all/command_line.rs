@@ -146,7 +146,7 @@ fn bash_completes_commands_options_and_values() {
         COMP_WORDS=(\"$@\") COMP_CWORD=$(($# - 1)); \"$function\" respire-bench \"${@: -1}\" \"${@: -2:1}\"\n\
         echo \"${COMPREPLY[@]}\"";
     for (words, wanted) in [
-        (&["respire-bench", "sim"][..], "simulate"),
+        (&["respire-bench", "sim"][..], "simulate simulate-ct"),
         (&["respire-bench", "gate", "--ba"], "--baseline"),
         (&["respire-bench", "import", "mesh-"], "mesh-pair"),
         (&["respire-bench", "splat", "--isa", "avx"], "avx2 avx512"),

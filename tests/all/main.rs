@@ -30,6 +30,7 @@ mod render_vertices;
 mod scope;
 mod sequence_folder;
 mod simulate;
+mod simulate_ct;
 mod splat;
 mod third_parties;
 mod track;
