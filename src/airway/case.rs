@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
+pub use super::case_clinical::{ClinicalSettings, Condition};
 use super::case_scope;
 pub use super::case_scope::{Effect, ExposureControl, ExposureSettings, ScopeSettings};
 pub use super::case_steering::SteeringSettings;
@@ -294,6 +295,12 @@ pub struct Case {
     /// is added to the expiration mesh that they are given. The film and the truth do not change.
     #[serde(default, skip_serializing_if = "super::waveform::is_zero")]
     pub registration_error_mm: f64,
+    /// What its film of the clinical track has beyond the ideal one; `None` is the ideal track ([`Case::on_clinical_track`]).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clinical: Option<ClinicalSettings>,
+    /// `[clinical]` of the case file, for [`Case::on_clinical_track`].
+    #[serde(skip)]
+    pub clinical_table: ClinicalSettings,
     /// Folder of the case file, for its relative paths.
     #[serde(skip)]
     pub folder: PathBuf,
@@ -334,11 +341,20 @@ impl Case {
 
     fn checked(mut case: Case, path: &Path) -> Result<Case> {
         case.folder = path.parent().map(Path::to_path_buf).unwrap_or_default();
+        case.clinical_table = case.clinical.take().unwrap_or_default();
+        case.clinical_table.validate().map_err(|e| e.at(path))?;
         case.validate().map_err(|e| e.at(path))?;
         for file in case.anatomy.files() {
             if !files::is_file(&case.resolve(file)) {
                 let sentence = format!("names {}, which is not there", case.resolve(file).display());
                 return Err(Error::input(sentence).element("anatomy").at(path));
+            }
+        }
+        if let Some(folder) = &case.clinical_table.surfaces.folder {
+            let named = case.resolve(folder);
+            if !["inspiration.ply", "expiration.ply"].iter().all(|name| files::is_file(&named.join(name))) {
+                let sentence = format!("{} holds no inspiration.ply and expiration.ply", named.display());
+                return Err(Error::input(sentence).element("clinical.surfaces.folder").at(path));
             }
         }
         Ok(case)
@@ -355,7 +371,29 @@ impl Case {
         for file in self.anatomy.files() {
             parts.push(hash::of_file(&self.resolve(file))?);
         }
+        for file in self.given_surfaces().into_iter().flatten() {
+            parts.push(hash::of_file(&file)?);
+        }
         hash::of_value(&parts)
+    }
+
+    /// The case as the clinical track films it, with `[clinical]` of its file: the ideal track knows nothing of it.
+    pub fn on_clinical_track(mut self) -> Case {
+        self.clinical = Some(self.clinical_table.clone());
+        self
+    }
+
+    /// Paths of the surfaces at inspiration and expiration that methods of the clinical track are given in place of the
+    /// true ones; `None` where they are given those.
+    pub fn given_surfaces(&self) -> Option<[PathBuf; 2]> {
+        let settings = self.clinical.as_ref().filter(|settings| settings.has(Condition::Surfaces))?;
+        let beside = Path::new("clinical").join(&self.id);
+        let folders = match &settings.surfaces.folder {
+            Some(folder) => vec![self.resolve(folder)],
+            None => vec![self.resolve(&beside), self.resolve(&Path::new("..").join(&beside))],
+        };
+        let pair = |folder: PathBuf| ["inspiration.ply", "expiration.ply"].map(|name| folder.join(name));
+        folders.into_iter().map(pair).find(|pair| pair.iter().all(|file| files::is_file(file)))
     }
 
     /// Rejects values that no film can have; the error names the key.

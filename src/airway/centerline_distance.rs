@@ -24,6 +24,8 @@ struct BoxNode {
 pub struct SurfaceDistance {
     nodes: Vec<BoxNode>,
     triangles: Vec<[DVec3; 3]>,
+    /// The mesh's face that each triangle is.
+    faces: Vec<u32>,
 }
 
 impl SurfaceDistance {
@@ -35,7 +37,7 @@ impl SurfaceDistance {
         let mut nodes = Vec::with_capacity(corners.len());
         build(&corners, &centroids, &mut order, 0, &mut nodes);
         let triangles = order.iter().map(|&f| corners[f as usize]).collect();
-        Self { nodes, triangles }
+        Self { nodes, triangles, faces: order }
     }
 
     /// Distance in mm from `point` to the surface.
@@ -46,7 +48,26 @@ impl SurfaceDistance {
     /// Distance in mm from `point` to the surface where it is less than `limit_mm`, else `limit_mm`. A tight limit
     /// saves most of the walk.
     pub fn distance_below(&self, point: DVec3, limit_mm: f64) -> f64 {
+        self.nearest(point, limit_mm).0
+    }
+
+    /// The face nearest to `point` and the weights of its corners at the nearest place on it. The mesh must be finite.
+    pub fn nearest_place(&self, point: DVec3) -> (u32, [f64; 3]) {
+        let triangle = self.nearest(point, f64::INFINITY).1.unwrap_or(0);
+        let [a, b, c] = self.triangles[triangle];
+        let place = closest_on_triangle(point, &[a, b, c]) - a;
+        let (ab, ac) = (b - a, c - a);
+        let (bb, bc, cc) = (ab.length_squared(), ab.dot(ac), ac.length_squared());
+        let determinant = (bb * cc - bc * bc).max(1e-300);
+        let v = ((cc * place.dot(ab) - bc * place.dot(ac)) / determinant).clamp(0.0, 1.0);
+        let w = ((bb * place.dot(ac) - bc * place.dot(ab)) / determinant).clamp(0.0, 1.0 - v);
+        (self.faces[triangle], [1.0 - v - w, v, w])
+    }
+
+    /// Distance to the surface below the limit, and the triangle that is nearest.
+    fn nearest(&self, point: DVec3, limit_mm: f64) -> (f64, Option<usize>) {
         let mut best = limit_mm * limit_mm;
+        let mut found = None;
         let mut stack = [(0u32, 0.0f64); 64];
         stack[0] = (0, self.box_distance2(0, point));
         let mut depth = 1;
@@ -58,8 +79,11 @@ impl SurfaceDistance {
             }
             let node = &self.nodes[index as usize];
             if node.count > 0 {
-                for triangle in &self.triangles[node.first as usize..(node.first + node.count) as usize] {
-                    best = best.min(closest_on_triangle(point, triangle).distance_squared(point));
+                for index in node.first as usize..(node.first + node.count) as usize {
+                    let d2 = closest_on_triangle(point, &self.triangles[index]).distance_squared(point);
+                    if d2 < best {
+                        (best, found) = (d2, Some(index));
+                    }
                 }
                 continue;
             }
@@ -69,7 +93,7 @@ impl SurfaceDistance {
             stack[depth + 1] = near;
             depth += 2;
         }
-        best.sqrt()
+        (best.sqrt(), found)
     }
 
     fn box_distance2(&self, node: u32, point: DVec3) -> f64 {

@@ -4,6 +4,7 @@
 pub mod case;
 pub mod case_build;
 pub mod case_centerline;
+pub mod case_clinical;
 mod case_scope;
 mod case_steering;
 pub mod centerline;

@@ -35,6 +35,8 @@ pub enum Stage {
     NovelView = 13,
     /// Simulated CT: texture, vessels, noise of the scanner.
     Scan = 20,
+    /// Conditions of the clinical track.
+    Clinical = 21,
     /// Tests.
     Test = 99,
 }

@@ -145,7 +145,7 @@ mod tests {
             assert_eq!(catalogue.case_file("tune2").unwrap(), catalogue.root().join("tuning/tune2.toml"));
             assert_eq!(catalogue.sweep_file("ours").unwrap(), catalogue.root().join("tuning/sweeps/ours.toml"));
             assert_eq!(catalogue.sweep_file("my/own.toml").unwrap(), Path::new("my/own.toml"));
-            assert!(catalogue.sweep_file("theirs").unwrap_err().to_string().contains("bridgesplat, ours"));
+            assert!(catalogue.sweep_file("theirs").unwrap_err().to_string().contains("bridgesplat, clinical, ours"));
         }
     }
 

@@ -63,11 +63,14 @@ pub struct Wishes {
     pub methods: Option<Vec<String>>,
     /// Seeds.
     pub seeds: Option<Vec<u64>>,
+    /// How the cases are filmed.
+    pub track: Track,
 }
 
 /// Everything that a run needs, read and checked.
 pub struct Pipeline {
     profile: Profile,
+    track: Track,
     cases: Vec<Case>,
     methods: Vec<Method>,
     seeds: Vec<u64>,
@@ -115,7 +118,8 @@ impl Pipeline {
         seeds: &[u64],
         variant: &Variant,
     ) -> Result<Self> {
-        let wishes = Wishes { cases: Some(cases.to_vec()), methods: None, seeds: Some(seeds.to_vec()) };
+        let (cases, seeds) = (Some(cases.to_vec()), Some(seeds.to_vec()));
+        let wishes = Wishes { cases, methods: None, seeds, track: variant.track };
         Self::assemble(catalogue, profile, wishes, &variant.case, |catalogue, profile, _| {
             Ok(vec![Method::new(&variant.method_file(&catalogue.methods())?, profile)?])
         })
@@ -138,7 +142,7 @@ impl Pipeline {
         }
         let load = |wish: &String| -> Result<Case> {
             let file = catalogue.case_file(wish)?;
-            let case = Case::load_changed(&file, changes)?.without(&profile.without);
+            let case = wishes.track.filming(Case::load_changed(&file, changes)?).without(&profile.without);
             simulate::material(&case).map_err(|e| e.at(&file))?;
             film_settings(&profile, &case).check().map_err(|e| {
                 Error::input(format!("profile `{}` gives {} no film: {e}", profile.name, case.id)).at(&file)
@@ -150,7 +154,7 @@ impl Pipeline {
         let seeds = wishes.seeds.unwrap_or_else(|| profile.seeds.clone());
         refuse_doubles(seeds.iter(), "seed")?;
         let methods = methods(catalogue, &profile, wishes.methods.or_else(|| profile.methods.clone()).as_deref())?;
-        Ok(Pipeline { profile, cases, methods, seeds })
+        Ok(Pipeline { profile, track: wishes.track, cases, methods, seeds })
     }
 
     /// The plan of these stages, with the revisions of this program.
@@ -162,7 +166,7 @@ impl Pipeline {
         let methods =
             self.methods.iter().map(|m| Planned { id: m.method.id().to_owned(), content: m.content.clone() }).collect();
         Ok(Plan {
-            profile: self.profile.name.clone(),
+            profile: self.track.run_name(&self.profile.name),
             cases: cases.collect::<Result<_>>()?,
             methods,
             seeds: self.seeds.clone(),
@@ -229,8 +233,8 @@ impl Pipeline {
         });
         let (id, machine_id) = (plan.run_id()?, Environment::examine().machine_id());
         Ok(Run {
-            profile: plan.profile.clone(),
-            track: Track::Ideal,
+            profile: self.profile.name.clone(),
+            track: self.track,
             notes: Vec::new(),
             cases: cases.collect::<Result<_>>()?,
             methods: self.method_infos(),

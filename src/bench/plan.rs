@@ -37,7 +37,7 @@ impl Cell {
 /// Everything a run will do, case by case.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// Name of the profile.
+    /// Name of the profile, and of the track where it is not the ideal one.
     pub profile: String,
     /// Cases in order.
     pub cases: Vec<Planned>,

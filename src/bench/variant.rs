@@ -18,7 +18,7 @@
 //! values = [0.1, 0.2, 0.4]
 //! ```
 //!
-//! With `grid = true` there is a line for every combination of the axes' values instead.
+//! With `track = "clinical"` all lines run on films of the clinical track. With `grid = true` there is a line for every combination of the axes' values instead.
 
 use std::path::Path;
 
@@ -29,6 +29,7 @@ use crate::base::range::SEED;
 use crate::base::{Error, Result, files};
 use crate::reconstruct::MethodFile;
 use crate::score::metric;
+use crate::simulate::track::Track;
 
 /// Most columns of a table beside its first.
 const MOST_METRICS: usize = 5;
@@ -51,6 +52,9 @@ pub struct Variant {
     /// Keys of the case files and their new values.
     #[serde(default)]
     pub case: toml::Table,
+    /// How its cases are filmed: the file's `track`.
+    #[serde(skip)]
+    pub track: Track,
     /// It is a value of an axis: values of one axis are tried to find the best.
     #[serde(skip)]
     pub of_axis: bool,
@@ -65,6 +69,7 @@ impl Variant {
             method: method.into(),
             set: toml::Table::new(),
             case: toml::Table::new(),
+            track: Track::default(),
             of_axis: false,
         }
     }
@@ -138,6 +143,9 @@ pub struct Ablations {
     /// Ids of the metrics that the tables show, at most five.
     #[serde(default = "default_metrics")]
     pub metrics: Vec<String>,
+    /// The track on which all lines run: `ideal` or `clinical`.
+    #[serde(default)]
+    track: String,
     /// One line each; those of the axes follow those of the file.
     #[serde(default)]
     pub ablation: Vec<Variant>,
@@ -159,6 +167,8 @@ impl Ablations {
         read.check().map_err(|e| e.at(path))?;
         let lines = read.lines_of_axes().map_err(|e| e.at(path))?;
         read.ablation.extend(lines);
+        let track = read.track();
+        read.ablation.iter_mut().for_each(|variant| variant.track = track);
         let mut known: Vec<String> = Vec::new();
         for variant in &read.ablation {
             if !known.contains(&variant.group) {
@@ -183,7 +193,13 @@ impl Ablations {
         if !(1..=MOST_METRICS).contains(&self.metrics.len()) {
             return Err(Error::input(format!("must name 1 to {MOST_METRICS} metrics")).element("metrics"));
         }
+        Track::of_word(&self.track).map_err(|e| e.element("track"))?;
         self.axis.iter().try_for_each(KeyAxis::check)
+    }
+
+    /// The track on which all lines run.
+    pub fn track(&self) -> Track {
+        Track::of_word(&self.track).unwrap_or_default()
     }
 
     fn lines_of_axes(&self) -> Result<Vec<Variant>> {

@@ -51,9 +51,22 @@ pub struct AllCasesArguments {
 
 /// Runs the plan and writes the report; `ErrorKind::CellFailed` names the cells that failed.
 pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
-    Track::wanted(&arguments.track)?;
+    let tracks = Track::wanted(&arguments.track)?;
+    // One after the other: what fails on one track must not keep the other from being run.
+    let mut outcome = Ok(());
+    for track in tracks {
+        match run_track(&arguments, track, terminal) {
+            Err(error) if error.kind() != ErrorKind::CellFailed => return Err(error),
+            Err(error) => outcome = Err(error),
+            Ok(()) => {}
+        }
+    }
+    outcome
+}
+
+fn run_track(arguments: &AllCasesArguments, track: Track, terminal: &Terminal) -> Result<()> {
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
-    let pipeline = arguments.selection.pipeline()?;
+    let pipeline = arguments.selection.pipeline(track)?;
     let plan = pipeline.plan()?;
     let run_id = plan.run_id()?;
     let folder = arguments.out.join(&run_id);

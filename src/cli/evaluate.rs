@@ -233,6 +233,7 @@ fn as_run(evaluated: Vec<Evaluated>, method: Option<&str>) -> Run {
     let named = evaluated.iter().find_map(|e| Some(e.scored.as_ref().ok()?.1.method.clone()));
     let common = method.map(str::to_owned).or(named).unwrap_or_default();
     let (mut cases, mut cells, mut methods) = (Vec::new(), Vec::new(), Vec::<MethodInfo>::new());
+    let mut is_clinical = false;
     for Evaluated { film, prediction, scored } in evaluated {
         let folder_name = film.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let (case_id, method, seed, truth, outcome) = match scored {
@@ -249,6 +250,7 @@ fn as_run(evaluated: Vec<Evaluated>, method: Option<&str>) -> Run {
         if !methods.iter().any(|known| known.id == method) {
             methods.push(MethodInfo::of(&method));
         }
+        is_clinical |= truth.as_ref().is_some_and(|film| film.clinical.is_some());
         cases.push(CaseInfo {
             title: case_id.clone(),
             id: case_id.clone(),
@@ -264,7 +266,7 @@ fn as_run(evaluated: Vec<Evaluated>, method: Option<&str>) -> Run {
     };
     Run {
         profile: "evaluate".into(),
-        track: Track::Ideal,
+        track: if is_clinical { Track::Clinical } else { Track::Ideal },
         notes: Vec::new(),
         methods,
         cells,

@@ -87,6 +87,8 @@ impl CaseArguments {
             anatomy,
             breathing,
             registration_error_mm: 0.0,
+            clinical: None,
+            clinical_table: Default::default(),
             folder: self.out.clone(),
         };
         case.validate()?;

@@ -6,6 +6,7 @@ use super::Terminal;
 use super::selection::Selection;
 use crate::base::Result;
 use crate::score;
+use crate::simulate::track::Track;
 
 /// Arguments of `list`.
 #[derive(clap::Args)]
@@ -20,7 +21,7 @@ pub struct ListArguments {
 
 /// Prints the lists.
 pub fn run(arguments: ListArguments, terminal: &Terminal) -> Result<()> {
-    let pipeline = arguments.selection.pipeline()?;
+    let pipeline = arguments.selection.pipeline(Track::Ideal)?;
     let plan = pipeline.plan()?;
     let cells = plan.cells();
     if arguments.json {

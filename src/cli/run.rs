@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use super::Terminal;
 use super::selection::{CatalogueFolder, PoseChoice};
 use crate::base::range::SEED;
-use crate::base::{Progress, Result, files};
+use crate::base::{Error, Progress, Result, files};
 use crate::bench::{Freshness, Pipeline, Store, Wishes, execute, reconstruct_folder};
 use crate::score::{self, CellScore};
+use crate::simulate::track::Track;
 
 /// Arguments of `run`.
 #[derive(clap::Args)]
@@ -29,6 +30,9 @@ pub struct RunArguments {
     /// Method by id
     #[arg(long, value_name = "METHOD")]
     method: String,
+    /// What the method is told: ideal (the paper's assumptions) or clinical
+    #[arg(long, default_value = "ideal", value_name = "T")]
+    track: String,
     /// Seed of the method's randomness
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = SEED.parser::<u64>())]
     seed: u64,
@@ -63,7 +67,11 @@ pub fn run(arguments: RunArguments, terminal: &Terminal) -> Result<()> {
         terminal.line(format_args!("prediction: {}", out.display()));
         return Ok(());
     }
-    let wishes = Wishes { cases: arguments.case.map(|case| vec![case]), methods, seeds: Some(vec![arguments.seed]) };
+    let [track] = Track::wanted(&arguments.track)?[..] else {
+        return Err(Error::usage("--track both: a cell is of one track"));
+    };
+    let (cases, seeds) = (arguments.case.map(|case| vec![case]), Some(vec![arguments.seed]));
+    let wishes = Wishes { cases, methods, seeds, track };
     let pipeline = Pipeline::new(&arguments.catalogue.open()?, &arguments.profile, wishes)?;
     terminal.accepts(&pipeline.estimate())?;
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };

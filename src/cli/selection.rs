@@ -7,6 +7,7 @@ use clap::Args;
 use crate::base::range::SEED;
 use crate::base::{Error, Result};
 use crate::bench::{Catalogue, Pipeline, Profile, Wishes};
+use crate::simulate::track::Track;
 
 /// The method that can refine poses, with poses that are true and with rough ones.
 const WITH_POSES: &str = "ours-gn";
@@ -124,9 +125,9 @@ impl Selection {
     }
 
     /// Reads everything that was chosen; every mistake in it is reported here, before any work.
-    pub fn pipeline(self) -> Result<Pipeline> {
-        let methods = self.poses.rows(wish(self.methods))?;
-        let wishes = Wishes { cases: wish(self.cases), methods, seeds: wish(self.seeds) };
+    pub fn pipeline(&self, track: Track) -> Result<Pipeline> {
+        let methods = self.poses.rows(wish(self.methods.clone()))?;
+        let wishes = Wishes { cases: wish(self.cases.clone()), methods, seeds: wish(self.seeds.clone()), track };
         Pipeline::new(&self.catalogue.open()?, &self.profile, wishes)
     }
 }

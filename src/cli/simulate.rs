@@ -6,10 +6,11 @@ use clap::Args;
 
 use super::Terminal;
 use super::selection::CatalogueFolder;
-use crate::airway::case::{Case, Effect};
+use crate::airway::case::{Case, Condition, Effect};
 use crate::base::range::{FRAMES, IMAGE_SIDE_PX, SAMPLES_PER_PIXEL};
 use crate::base::{Error, Estimate, Progress, Result};
 use crate::bench::profile::Profile;
+use crate::simulate::track::Track;
 use crate::simulate::truth::TruthMap;
 use crate::simulate::{MeshOutput, RadianceOutput, SimulationSettings, material, participant, simulate};
 
@@ -57,6 +58,15 @@ pub struct SimulateArguments {
     /// shot-noise, read-noise, vignette, distortion, motion-blur, mask, steering
     #[arg(long, value_name = "EFFECT,..", value_delimiter = ',')]
     without: Vec<Effect>,
+    /// ideal: the paper's assumptions; clinical: what a hospital has (docs/clinical.md)
+    #[arg(long, default_value = "ideal", value_name = "T")]
+    track: String,
+    /// Switches rows of the clinical track off, by their names in docs/clinical.md
+    #[arg(long, value_name = "ROW,..", value_delimiter = ',', conflicts_with = "only")]
+    off: Vec<Condition>,
+    /// Switches all other rows of the clinical track off
+    #[arg(long, value_name = "ROW,..", value_delimiter = ',')]
+    only: Vec<Condition>,
     #[command(flatten)]
     catalogue: CatalogueFolder,
 }
@@ -66,13 +76,25 @@ pub fn run(arguments: SimulateArguments, terminal: &Terminal) -> Result<()> {
     if arguments.blind.is_some() && arguments.cases.len() != 1 {
         return Err(Error::usage("--blind takes one case: the names of several would tell which they are"));
     }
+    let [track] = Track::wanted(&arguments.track)?[..] else {
+        return Err(Error::usage("--track both: a film is of one track"));
+    };
+    if track == Track::Ideal && !(arguments.off.is_empty() && arguments.only.is_empty()) {
+        return Err(Error::usage("--off and --only are for --track clinical"));
+    }
     // Before the work.
     arguments.blind.iter().try_for_each(|blind| participant::check_replaceable(&blind.join("participant")))?;
     let catalogue = arguments.catalogue.open()?;
     let profile = Profile::load(&catalogue.profiles(), &arguments.profile)?;
     let files: Vec<PathBuf> = arguments.cases.iter().map(|c| catalogue.case_file(c)).collect::<Result<_>>()?;
     let load = |file: &PathBuf| {
-        let case = Case::load(file)?.without(&profile.without).without(&arguments.without);
+        let mut case = track.filming(Case::load(file)?).without(&profile.without).without(&arguments.without);
+        if let Some(clinical) = &mut case.clinical {
+            clinical.off.extend(&arguments.off);
+            if !arguments.only.is_empty() {
+                clinical.only = Some(arguments.only.clone());
+            }
+        }
         material(&case).map_err(|e| e.at(file))?;
         Ok(case)
     };

@@ -9,6 +9,7 @@ use crate::base::{Error, ErrorKind, Result, files};
 use crate::bench::array_job::{ArrayJob, WorkCost};
 use crate::bench::store::cell_folder;
 use crate::bench::{Cell, Pipeline, Plan, Store, is_finished, timing};
+use crate::simulate::track::Track;
 
 /// Processors of a task.
 const PROCESSORS: NumberRange = NumberRange::new(1.0, 1024.0);
@@ -35,6 +36,9 @@ enum Task {
 pub struct SlurmArguments {
     #[command(flatten)]
     selection: Selection,
+    /// What the methods are told: ideal (the paper's assumptions) or clinical
+    #[arg(long, default_value = "ideal", value_name = "T")]
+    track: String,
     /// Folder of the scripts and of what the tasks print
     #[arg(long, value_name = "DIR")]
     scripts: PathBuf,
@@ -61,12 +65,18 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         let path = std::path::absolute(path).map_err(|e| Error::io("reading", path, e))?;
         Ok(path.to_string_lossy().into_owned())
     };
+    let [track] = Track::wanted(&arguments.track)?[..] else {
+        return Err(Error::usage("--track both: an array is of one track"));
+    };
     let mut common = vec!["all-cases".to_owned()];
+    if track != Track::default() {
+        common.extend(["--track".to_owned(), track.word().to_owned()]);
+    }
     common.extend(arguments.selection.place_words()?);
     common.extend(["--out".to_owned(), absolute(&arguments.out)?, "--cache".to_owned(), absolute(&arguments.cache)?]);
     let (wishes, rows) = (arguments.selection.case_wishes()?, arguments.selection.row_words());
     let everything = [vec!["--cases".to_owned(), wishes.join(",")], rows.clone()].concat();
-    let pipeline = arguments.selection.pipeline()?;
+    let pipeline = arguments.selection.pipeline(track)?;
     let plan = pipeline.plan()?;
     let store = Store::look(&arguments.cache);
 

@@ -49,7 +49,8 @@ pub fn run(
 ) -> Result<()> {
     let seeds = &plan.ablations.noise_seeds;
     let shipped = plan.ablations.methods();
-    let shipped = shipped.iter().map(|method| (Variant::shipped(method), &seeds[..]));
+    let track = plan.ablations.track();
+    let shipped = shipped.iter().map(|method| (Variant { track, ..Variant::shipped(method) }, &seeds[..]));
     // A line that changes nothing shows a shipped method beside others.
     let of_line = |v: &Variant| if v.is_shipped() { &seeds[..] } else { &seeds[..1] };
     let varied = plan.ablations.ablation.iter().map(|v| (v.clone(), of_line(v)));

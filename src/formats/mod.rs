@@ -9,8 +9,10 @@ pub mod dicom;
 pub mod exr;
 pub mod gaussians_ply;
 pub mod glb;
-#[cfg(feature = "program")]
+#[cfg(feature = "trace")]
 pub mod jpeg;
+#[cfg(feature = "trace")]
+mod jpeg_decode;
 pub mod landmarks;
 pub mod mesh;
 mod mesh_obj;

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::contour::{ContourOverlay, Correspondence, Enclosure, TargetErrors, target_errors};
+use super::correspondence;
 use super::depth::{DepthErrors, depth_errors};
 use super::image_quality::{Psnr, Ssim, psnr_ceiling, psnr_within, ssim_within};
 use super::prediction::{Prediction, Question};
@@ -14,7 +15,6 @@ use super::registry::registry;
 use super::statistics::{MeanInterval, bootstrap_series, mean, pearson, quantile};
 use super::truth::{Truth, final_mesh};
 use crate::base::{Error, Image, Mask, Result};
-use crate::simulate::sequence::FrameRecord;
 
 /// What kind of value it is, or why there is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -347,10 +347,14 @@ fn depth_within(depth: &Image<f32>, mut true_depth: Image<f32>, mask: Option<&Ma
 
 /// Distance in mm of each predicted target to the true one, per frame; empty without a prediction.
 fn target_distances(truth: &dyn Truth, prediction: &Prediction) -> Vec<Vec<f64>> {
-    let of_frame = |(places, record): (&Vec<DVec3>, &FrameRecord)| {
-        places.iter().zip(truth.targets()).map(|(place, target)| place.distance(target.at(record.phase))).collect()
+    let count = truth.targets().len();
+    let of_frame = |(frame, places): (usize, &Vec<DVec3>)| {
+        let off = |(index, place): (usize, &DVec3)| place.distance(truth.target_mm(index, frame));
+        places.iter().take(count).enumerate().map(off).collect()
     };
-    prediction.targets().map_or_else(Vec::new, |all| all.iter().zip(truth.frames()).map(of_frame).collect())
+    prediction
+        .targets()
+        .map_or_else(Vec::new, |all| all.iter().take(truth.frames().len()).enumerate().map(of_frame).collect())
 }
 
 /// Distance in mm between two poses, and the angle in degrees between them.
@@ -372,7 +376,14 @@ enum TargetOutcome {
 fn target(truth: &dyn Truth, prediction: &Prediction, settings: &ScoreSettings) -> Result<TargetOutcome> {
     let Some(surface) = prediction.final_mesh()? else { return Ok(TargetOutcome::NoSurface) };
     let last = &truth.frames()[truth.frames().len() - 1];
-    let stated = prediction.correspondence()?;
+    let mut stated = prediction.correspondence()?;
+    if stated.is_none()
+        && let Some((told, table)) = truth.told_correspondence()?
+        && told.faces == surface.faces
+        && told.vertices.len() == surface.vertices.len()
+    {
+        stated = Some(correspondence::parse(&table, &surface)?);
+    }
     let (truth, seed) = (final_mesh(truth)?, settings.target_seed);
     let errors = target_errors(&truth, &surface, stated.as_deref(), &last.world_from_camera, seed)?;
     Ok(errors.map_or(TargetOutcome::NoTrueContour, |e| TargetOutcome::Measured(Box::new(e))))

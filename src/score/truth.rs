@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use glam::DVec3;
+
 use crate::airway::targets::Target;
 use crate::base::mesh::interpolate;
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh};
@@ -44,6 +46,22 @@ pub trait Truth: Send + Sync {
 
     /// What navigation is after.
     fn targets(&self) -> &[Target];
+
+    /// Where target `index` is at `frame`, mm.
+    fn target_mm(&self, index: usize, frame: usize) -> DVec3 {
+        self.targets()[index].at(self.frames()[frame].phase)
+    }
+
+    /// The surface that methods are told, and the `correspondence.csv` of a row that keeps its faces; `None` where those
+    /// are the true ones.
+    fn told_correspondence(&self) -> Result<Option<(TriangleMesh, Vec<u8>)>> {
+        Ok(None)
+    }
+
+    /// The surface at the last frame, where no phase says it.
+    fn last_surface(&self) -> Result<Option<TriangleMesh>> {
+        Ok(None)
+    }
 
     /// Which pixels of all frames count; `None`: all.
     fn mask(&self) -> Result<Option<Mask>>;
@@ -104,6 +122,18 @@ impl Truth for Sequence {
         &self.targets
     }
 
+    fn target_mm(&self, index: usize, frame: usize) -> DVec3 {
+        Sequence::target_mm(self, index, frame)
+    }
+
+    fn told_correspondence(&self) -> Result<Option<(TriangleMesh, Vec<u8>)>> {
+        Sequence::told_correspondence(self)
+    }
+
+    fn last_surface(&self) -> Result<Option<TriangleMesh>> {
+        Sequence::last_surface(self)
+    }
+
     fn mask(&self) -> Result<Option<Mask>> {
         Sequence::mask(self)
     }
@@ -117,8 +147,11 @@ impl Truth for Sequence {
     }
 }
 
-/// The true surface at the last frame: the end states blended by the true phase.
+/// The true surface at the last frame: the end states blended by the true phase, where the film has no other motion.
 pub fn final_mesh(truth: &dyn Truth) -> Result<TriangleMesh> {
+    if let Some(surface) = truth.last_surface()? {
+        return Ok(surface);
+    }
     let last = truth.frames().last().ok_or_else(|| Error::input("the sequence has no frames"))?;
     let (inspiration, expiration) = (truth.inspiration()?, truth.expiration()?);
     if inspiration.vertices.len() != expiration.vertices.len() {

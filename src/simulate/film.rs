@@ -1,6 +1,6 @@
 //! The plan of a film: which frame is where, at which phase, with which exposure. Everything but the pixels.
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 
 use crate::airway::Anatomy;
 use crate::airway::case::{Case, ScopeSettings};
@@ -8,6 +8,8 @@ use crate::airway::waveform::Waveform;
 use crate::base::{Camera, Error, NoProgress, Progress, Result, mesh};
 use crate::render::{Light, Material, Scene};
 
+use super::clinical::table::FrameConditions;
+use super::clinical::{self, ClinicalFilm};
 use super::exposure;
 use super::novel_view::beside;
 use super::sensor::mask_radius_px;
@@ -19,6 +21,10 @@ use super::truth::VisibleWall;
 
 /// The room about the route is measured at five phases; between them the lumen may be narrower by this factor.
 const LEAST_CLEARANCE: f64 = 0.9;
+/// On the clinical track the lumen moves otherwise than when it was measured: this part of the room is used.
+const CLINICAL_ROOM: f64 = 0.85;
+/// Least distance in mm of its camera from the wall.
+const LEAST_CLINICAL_MM: f64 = 0.25;
 /// Rays per image side that measure motion blur.
 const BLUR_RAYS: f64 = 24.0;
 
@@ -53,8 +59,13 @@ pub struct Film {
     pub route_mm: f64,
     /// Sentences for the user.
     pub notes: Vec<String>,
+    /// Lens, lamp and sensor.
+    pub scope: ScopeSettings,
+    /// Truth of the clinical track's effects at each frame; empty on the ideal track.
+    pub conditions: Vec<FrameConditions>,
+    /// What methods of the clinical track are told of the second cameras; empty on the ideal track.
+    pub told_views: Vec<NovelView>,
     way: Way,
-    scope: ScopeSettings,
 }
 
 /// Where the scope is at any time.
@@ -65,14 +76,81 @@ struct Way {
     seed: u64,
     steering: Steering,
     start_mm: f64,
+    clinical: Option<ClinicalFilm>,
 }
 
 impl Way {
     fn state_at(&self, time_s: f64) -> (DAffine3, f64) {
+        if let Some(clinical) = &self.clinical {
+            return self.clinical_state_at(clinical, time_s);
+        }
         let phase = self.waveform.phase(time_s.max(0.0), self.seed);
         let arc_mm = self.start_mm + self.steering.way_mm(time_s);
         let (on_route, room_mm) = (self.route.pose(arc_mm, phase), self.route.clearance_mm(arc_mm, phase));
         (self.steering.steered(&on_route, room_mm, time_s), phase)
+    }
+
+    /// [`Way::state_at`] of the clinical track.
+    fn clinical_state_at(&self, clinical: &ClinicalFilm, time_s: f64) -> (DAffine3, f64) {
+        let (on_route, phase) = self.on_route(clinical, time_s);
+        let part = if clinical.motion.is_beyond_phase() { CLINICAL_ROOM } else { 1.0 };
+        let room_mm = part * self.route.clearance_mm(self.arc_mm(time_s), phase);
+        let steered = self.steering.steered(&on_route, room_mm, time_s);
+        (clinical.contact.as_ref().map_or(steered, |contact| contact.touched(&on_route, &steered, time_s)), phase)
+    }
+
+    fn arc_mm(&self, time_s: f64) -> f64 {
+        self.start_mm + self.steering.way_mm(time_s)
+    }
+
+    /// The pose on the middle of the airway, and the phase.
+    fn on_route(&self, clinical: &ClinicalFilm, time_s: f64) -> (DAffine3, f64) {
+        let motion = &clinical.motion;
+        let body = motion.state(time_s);
+        let carried = |rest, other| motion.place(&motion.point(rest, other), &body);
+        (self.route.pose_carried(self.arc_mm(time_s), carried), body.phase)
+    }
+
+    /// The wall at a moment and its phase.
+    fn wall(&self, anatomy: &Anatomy, time_s: f64, phase: f64) -> Vec<DVec3> {
+        match &self.clinical {
+            None => mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase),
+            Some(clinical) => clinical.wall_at(time_s),
+        }
+    }
+
+    /// Finds how far the tip can go across the lumen at the frames of the touch.
+    fn plan_contact(&mut self, scene: &mut Scene, times_s: &[f64]) -> Result<()> {
+        let Some(clinical) = &self.clinical else { return Ok(()) };
+        let Some(mut contact) = clinical.contact.clone() else { return Ok(()) };
+        for (index, &time_s) in times_s.iter().enumerate() {
+            // Between frames the way is interpolated, so that the frame before and after the touch count too.
+            let about = [index.saturating_sub(1), index, (index + 1).min(times_s.len() - 1)];
+            let mut wall_mm = 0.0;
+            if about.iter().any(|&i| contact.weight(times_s[i]) > 0.0) {
+                scene.deform(&clinical.wall_at(time_s))?;
+                let (on_route, _) = self.on_route(clinical, time_s);
+                let direction = contact.direction(&on_route);
+                wall_mm = f64::from(scene.distances(&[on_route.translation], &[direction])?[0]);
+            }
+            contact.record(wall_mm);
+        }
+        self.clinical.iter_mut().for_each(|clinical| clinical.contact = Some(contact.clone()));
+        Ok(())
+    }
+
+    /// Refuses a camera of the clinical track that is not within sight of the middle of the airway.
+    fn check_inside(&self, clinical: &ClinicalFilm, scene: &Scene, time_s: f64, camera_mm: DVec3) -> Result<()> {
+        let middle = self.on_route(clinical, time_s).0.translation;
+        let way = camera_mm - middle;
+        if way.length() < 1e-9 {
+            return Ok(());
+        }
+        let free_mm = f64::from(scene.distances(&[middle], &[way.normalize()])?[0]);
+        if free_mm > way.length() {
+            return Ok(());
+        }
+        Err(Error::input(format!("the camera is {:.2} mm off the middle, the wall {free_mm:.2} mm", way.length())))
     }
 }
 
@@ -93,7 +171,7 @@ impl Film {
         progress: &dyn Progress,
     ) -> Result<Film> {
         let route = Route::plan(anatomy, &case.trajectory)?;
-        let camera = case.camera.camera(settings.width_px, settings.height_px);
+        let nominal = case.camera.camera(settings.width_px, settings.height_px);
         let duration_s = (settings.frames - 1) as f64 / settings.frames_per_second;
         let mut notes = Vec::new();
         let mut speed = case.trajectory.speed_mm_per_s;
@@ -118,10 +196,26 @@ impl Film {
         let arc_mm: Vec<f64> = time_s.iter().map(|&t| start + steering.way_mm(t)).collect();
         let (route_mm, end_motion_mm) = (route.length_mm(), route.end_motion_mm());
         let generation = arc_mm.iter().map(|&arc| route.generation(arc)).collect();
-        let waveform = case.waveform.ending(duration_s, case.seed);
-        let way = Way { route, waveform, seed: case.seed, steering, start_mm: start };
-        let light = scope_light(case);
         let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, flat(material), case.seed)?;
+        let drawn = case.clinical.as_ref().map(|settings| settings.drawn(case.seed));
+        let breathing = drawn.as_ref().map_or_else(|| case.waveform.clone(), |drawn| clinical::waveform(case, drawn));
+        let waveform = breathing.ending(duration_s, case.seed);
+        let clinical = drawn.as_ref().map(|drawn| {
+            let points = route.points_between(start, start + way_mm);
+            ClinicalFilm::new(case, anatomy, drawn, &nominal, (&waveform, &time_s), points)
+        });
+        let camera = clinical.as_ref().map_or(nominal, |clinical| clinical.optics.camera);
+        let scope = clinical.as_ref().map_or(case.scope, |clinical| clinical.scope(case));
+        let mut way = Way { route, waveform, seed: case.seed, steering, start_mm: start, clinical };
+        way.plan_contact(&mut scene, &time_s)?;
+        notes.extend(way.clinical.iter().filter(|c| c.motion.share < 1.0).map(|c| {
+            format!(
+                "faces would turn over: lag, hysteresis, heartbeat and shake are {} of what was drawn",
+                c.motion.share
+            )
+        }));
+        let light = scope_light(case);
+        let (mut conditions, mut told_views) = (Vec::new(), Vec::new());
         let (mut frames, mut wanted, mut clearance_mm) = (Vec::new(), Vec::new(), Vec::new());
         let (mut blur_px, mut novel_views, mut off_route_mm) = (Vec::new(), Vec::new(), Vec::new());
         for (index, &now_s) in time_s.iter().enumerate() {
@@ -130,35 +224,54 @@ impl Film {
             }
             progress.advance(index, time_s.len());
             let (world_from_camera, phase) = way.state_at(now_s);
-            let wall = mesh::interpolate(&anatomy.inspiration.vertices, &anatomy.expiration.vertices, phase);
+            let wall = way.wall(anatomy, now_s, phase);
             let clearance = nearest_mm(&wall, world_from_camera.translation);
-            let least_mm =
-                LEAST_CLEARANCE * (1.0 - case.trajectory.steering.sideways) * case.trajectory.scope_radius_mm;
+            let least_mm = match way.clinical {
+                None => LEAST_CLEARANCE * (1.0 - case.trajectory.steering.sideways) * case.trajectory.scope_radius_mm,
+                Some(_) => LEAST_CLINICAL_MM,
+            };
             if clearance < least_mm {
                 let sentence = format!("the wall is {clearance:.2} mm from the camera: too close for this scope");
                 return Err(Error::input(sentence).element(format!("frame {index}")));
             }
             clearance_mm.push(clearance);
-            off_route_mm.push(way.route.pose(arc_mm[index], phase).translation.distance(world_from_camera.translation));
+            let middle = match &way.clinical {
+                None => way.route.pose(arc_mm[index], phase),
+                Some(clinical) => way.on_route(clinical, now_s).0,
+            };
+            off_route_mm.push(middle.translation.distance(world_from_camera.translation));
             scene.deform(&wall)?;
-            let proxy = exposure::proxy_radiance(
-                &scene,
-                &camera,
-                &world_from_camera,
-                &light,
-                case.scope.vignette,
-                material.albedo,
-            )?;
+            if let Some(clinical) = &way.clinical {
+                let named = |e: Error| e.element(format!("frame {index}"));
+                way.check_inside(clinical, &scene, now_s, world_from_camera.translation).map_err(named)?;
+                let fault = clinical.sensor.told(index, now_s, |time_s| way.state_at(time_s).0);
+                let lamp = clinical.optics.light(case, &scene, &world_from_camera)?.position_mm;
+                conditions.push(FrameConditions {
+                    body: clinical.motion.state(now_s),
+                    contact: clinical.contact.as_ref().map_or(0.0, |contact| contact.weight(now_s)),
+                    fault,
+                    lamp_mm: lamp.map_or(DVec3::ZERO, |lamp| world_from_camera.inverse().transform_point3(lamp)),
+                    lens_film: clinical.lens_film.scattered(now_s),
+                });
+            }
+            let proxy =
+                exposure::proxy_radiance(&scene, &camera, &world_from_camera, &light, scope.vignette, material.albedo)?;
             wanted.push(exposure::wanted_gain(&proxy, case.exposure.target));
-            blur_px.push(blur(&scene, &camera, anatomy, &way, now_s, case.scope.shutter_s)?);
+            blur_px.push(blur(&scene, &camera, anatomy, &way, now_s, scope.shutter_s)?);
             if sequence::held_out(index) {
-                let world_from_camera = beside(&scene, &wall, &world_from_camera, case.seed, index)?;
+                let first = world_from_camera;
+                let world_from_camera = beside(&scene, &wall, &first, case.seed, index)?;
                 novel_views.push(NovelView { frame: index, world_from_camera });
+                // A second camera is known relative to the first: what is told of it is off by as much.
+                told_views.extend(conditions.last().map(|told| NovelView {
+                    frame: index,
+                    world_from_camera: told.fault.told * first.inverse() * world_from_camera,
+                }));
             }
             frames.push(FrameRecord { time_s: now_s, phase, gain: 1.0, white_balance: [1.0; 3], world_from_camera });
         }
         for (frame, set) in frames.iter_mut().zip(exposure::follow(&wanted, &time_s, &case.exposure, case.seed)) {
-            frame.gain = set.gain;
+            frame.gain = set.gain * way.clinical.as_ref().map_or(1.0, ClinicalFilm::overexposure);
             frame.white_balance = set.white_balance;
         }
         let middle_gain = exposure::median(frames.iter().map(|f| f.gain));
@@ -177,14 +290,26 @@ impl Film {
             end_motion_mm,
             route_mm,
             notes,
+            scope,
+            conditions,
+            told_views,
             way,
-            scope: case.scope,
         })
     }
 
     /// True pose and phase at any time, between frames too.
     pub fn state_at(&self, time_s: f64) -> (DAffine3, f64) {
         self.way.state_at(time_s)
+    }
+
+    /// What the film has beyond the ideal one; `None` on the ideal track.
+    pub fn clinical(&self) -> Option<&ClinicalFilm> {
+        self.way.clinical.as_ref()
+    }
+
+    /// The wall of `anatomy` at any time, between frames too.
+    pub fn wall_at(&self, anatomy: &Anatomy, time_s: f64) -> Vec<DVec3> {
+        self.way.wall(anatomy, time_s, self.way.state_at(time_s).1)
     }
 
     /// Mean duration of a breath in seconds.
@@ -255,6 +380,11 @@ fn blur(scene: &Scene, camera: &Camera, anatomy: &Anatomy, way: &Way, time_s: f6
     let coarse = Camera { height: BLUR_RAYS as u32, ..camera.scaled(factor) };
     let [open, now, close] = [-0.5, 0.0, 0.5].map(|part| way.state_at(time_s + part * shutter_s));
     let visible = VisibleWall::new(scene, &coarse, &now.0, &anatomy.inspiration, &anatomy.expiration.vertices)?;
+    if way.clinical.is_some() {
+        let [before, after] = [-0.5, 0.5].map(|part| way.wall(anatomy, time_s + part * shutter_s, 0.0));
+        let ways = visible.image_ways_px(camera, (&open.0, &before), (&close.0, &after));
+        return Ok(exposure::median(ways.iter().map(|way| way.length())));
+    }
     Ok(visible.image_motion_px(camera, (&open.0, open.1), (&close.0, close.1)))
 }
 

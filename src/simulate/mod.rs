@@ -1,5 +1,6 @@
 //! From anatomy to a filmed sequence on disk, and back: trajectory, exposure, writer, reader. Knows nothing of methods.
 
+pub mod clinical;
 pub mod export;
 pub mod exposure;
 pub mod film;
@@ -14,6 +15,7 @@ mod settings;
 mod shared_frames;
 mod shoot;
 mod steering;
+mod told;
 pub mod track;
 pub mod trajectory;
 pub mod truth;
@@ -86,7 +88,7 @@ fn finished(
         return Ok(Some(done));
     }
     let mut again = 0;
-    for frame in (0..settings.frames).filter(|&frame| !settings.frame_names(frame).iter().all(is_sound)) {
+    for frame in (0..settings.frames).filter(|&frame| !settings.frame_names(case, frame).iter().all(is_sound)) {
         let image = out.join(sequence::image_name(frame));
         if image.exists() {
             std::fs::remove_file(&image).map_err(|e| Error::io("removing", &image, e))?;
@@ -149,7 +151,7 @@ fn write_truth(
     let comments = ["units mm", "space LPS", "normals point into the lumen"];
     mesh_file::write_ply(&out.join(sequence::INSPIRATION), &anatomy.inspiration, &comments)?;
     mesh_file::write_ply(&out.join(sequence::EXPIRATION), &anatomy.expiration, &comments)?;
-    if case.registration_error_mm > 0.0 {
+    if case.registration_error_mm > 0.0 && case.clinical.is_none() {
         let registered = misregister(&anatomy.expiration, case.registration_error_mm, case.seed);
         mesh_file::write_ply(&out.join(sequence::REGISTERED_EXPIRATION), &registered, &comments)?;
     }
@@ -159,7 +161,7 @@ fn write_truth(
     files::write_bytes(&out.join(sequence::TARGETS), table.as_bytes())?;
     let table = sequence::points_csv(sequence::POINTS_HEADER, planned.iter().map(|target| target.expiration_mm));
     files::write_bytes(&out.join(sequence::TARGETS_EXPIRATION), table.as_bytes())?;
-    let mask = Sensor::new(&film.camera, &case.scope, case.seed).mask(&film.camera);
+    let mask = Sensor::new(&film.camera, &film.scope, case.seed).mask(&film.camera);
     if let Some(mask) = &mask {
         png::write_grey(&out.join(sequence::MASK), mask)?;
     }
@@ -170,6 +172,9 @@ fn write_truth(
     let entries = film.novel_views.iter().map(entry).collect();
     Transforms::new(&film.camera, entries).write(&out.join(sequence::NOVEL_TRANSFORMS))?;
     files::write_bytes(&out.join(sequence::FRAMES), film.frames_csv().as_bytes())?;
+    if let Some(clinical) = film.clinical() {
+        told::write(case, (anatomy, &planned), film, clinical, out)?;
+    }
     files::write_bytes(&out.join(sequence::FORMAT), include_bytes!("FORMAT.md"))?;
     preview::write(out, film.frames.len(), settings.frames_per_second)?;
     let files = settings

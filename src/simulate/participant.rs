@@ -92,16 +92,19 @@ pub trait Given: Send + Sync {
 
 impl Given for Sequence {
     fn given_camera(&self) -> Camera {
-        self.camera
+        self.clinical.as_ref().map_or(self.camera, |clinical| clinical.told_camera)
     }
 
     fn given_frames(&self) -> Vec<GivenFrame> {
-        let given = |f: &sequence::FrameRecord| GivenFrame { time_s: f.time_s, world_from_camera: f.world_from_camera };
-        self.frames.iter().map(given).collect()
+        let given = |(index, f): (usize, &sequence::FrameRecord)| GivenFrame {
+            time_s: f.time_s,
+            world_from_camera: self.clinical.as_ref().map_or(f.world_from_camera, |c| c.told_poses[index]),
+        };
+        self.frames.iter().enumerate().map(given).collect()
     }
 
     fn given_views(&self) -> &[NovelView] {
-        &self.novel_views
+        self.clinical.as_ref().map_or(&self.novel_views, |clinical| &clinical.told_views)
     }
 
     fn given_period_s(&self) -> f64 {
@@ -121,7 +124,7 @@ impl Given for Sequence {
     }
 
     fn given_inspiration(&self) -> Result<TriangleMesh> {
-        self.inspiration()
+        self.told_inspiration()
     }
 
     fn given_expiration(&self) -> Result<TriangleMesh> {
@@ -294,7 +297,7 @@ fn copied_names(film: &Sequence) -> Vec<(String, String)> {
     let mut names: Vec<(String, String)> =
         (0..film.frames.len()).map(|frame| same(sequence::image_name(frame))).collect();
     names.push(same(sequence::depth_name(0)));
-    names.push(same(sequence::INSPIRATION.into()));
+    names.push((film.given_inspiration_name().into(), sequence::INSPIRATION.into()));
     names.push((film.registered_expiration_name().into(), sequence::EXPIRATION.into()));
     names.push(same(sequence::TARGETS.into()));
     names.extend(film.mask_name().map(|name| same(name.to_owned())));
@@ -353,17 +356,18 @@ fn write_tables(film: &Sequence, folder: &Path) -> Result<()> {
         white_balance: [1.0; 3],
         lens: TransformsLens::default(),
     };
-    let frames = film.frames.iter().enumerate();
+    let given = film.given_frames();
+    let frames = given.iter().enumerate();
     let mut entries: Vec<TransformsFrame> =
         frames.map(|(i, f)| entry(sequence::image_name(i), f.time_s, &f.world_from_camera)).collect();
     entries[0].depth_file_path = Some(sequence::depth_name(0));
-    write_transforms(&film.camera, entries, &folder.join(sequence::TRANSFORMS))?;
+    write_transforms(&film.given_camera(), entries, &folder.join(sequence::TRANSFORMS))?;
     let view = |view: &NovelView| {
         let time_s = film.frames[view.frame].time_s;
         entry(sequence::novel_image_name(view.frame), time_s, &view.world_from_camera)
     };
-    let entries = film.novel_views.iter().map(view).collect();
-    write_transforms(&film.camera, entries, &folder.join(sequence::NOVEL_TRANSFORMS))?;
+    let entries = film.given_views().iter().map(view).collect();
+    write_transforms(&film.given_camera(), entries, &folder.join(sequence::NOVEL_TRANSFORMS))?;
     let points = film.given_centerline_mm()?;
     let table = sequence::points_csv(CENTERLINE_HEADER, points.into_iter());
     files::write_bytes(&folder.join(sequence::CENTERLINE), table.as_bytes())?;

@@ -64,10 +64,25 @@ pub struct Sequence {
     /// Hash of what the film holds, 64 hex digits: of its case, and of the content of every file that methods and
     /// metrics read.
     pub content: String,
+    /// What a film of the clinical track has beside; `None` is the ideal track.
+    pub clinical: Option<ClinicalTruth>,
     /// Mask of all frames, relative to the folder.
     mask_path: Option<String>,
     /// Hash of each file, by its name relative to the folder.
     files: BTreeMap<String, String>,
+}
+
+/// What methods of the clinical track are told in place of the truth, and the part of the truth that no phase says.
+#[derive(Clone, Debug)]
+pub struct ClinicalTruth {
+    /// Intrinsics that methods are told.
+    pub told_camera: Camera,
+    /// Pose of each frame that they are told.
+    pub told_poses: Vec<DAffine3>,
+    /// Second cameras as they are told.
+    pub told_views: Vec<NovelView>,
+    /// Place of each target at each frame, mm.
+    pub target_places: Vec<Vec<DVec3>>,
 }
 
 /// The part of `manifest.json` that this program reads; the rest is for people and other programs.
@@ -181,6 +196,11 @@ pub fn sensitivity_name(frame: usize) -> String {
     format!("phase_sensitivity/{frame:06}.exr")
 }
 
+/// `covered/NNNNNN.png`, on the clinical track.
+pub fn covered_name(frame: usize) -> String {
+    format!("covered/{frame:06}.png")
+}
+
 /// `mesh/frame_NNNNNN.ply`, on request.
 pub fn frame_mesh_name(frame: usize) -> String {
     format!("mesh/frame_{frame:06}.ply")
@@ -192,6 +212,26 @@ pub const INSPIRATION: &str = "mesh/inspiration.ply";
 pub const EXPIRATION: &str = "mesh/expiration.ply";
 /// Surface at full expiration with the registration's error, where the case has one.
 pub const REGISTERED_EXPIRATION: &str = "mesh/expiration_registered.ply";
+/// Surface at the last frame, on the clinical track: no phase says where it is.
+pub const LAST_SURFACE: &str = "mesh/last_frame.ply";
+/// What methods of the clinical track are told: cameras, second cameras, the two surfaces.
+pub const TOLD_TRANSFORMS: &str = "told/transforms.json";
+/// See [`TOLD_TRANSFORMS`].
+pub const TOLD_NOVEL_TRANSFORMS: &str = "told/transforms_novel.json";
+/// See [`TOLD_TRANSFORMS`].
+pub const TOLD_INSPIRATION: &str = "told/inspiration.ply";
+/// See [`TOLD_TRANSFORMS`].
+pub const TOLD_EXPIRATION: &str = "told/expiration.ply";
+/// Where each true vertex is on the surfaces that methods are told, where those have other faces.
+pub const TOLD_CORRESPONDENCE: &str = "told/correspondence.csv";
+/// Truth of the clinical track's effects per frame.
+pub const CONDITIONS: &str = "clinical.csv";
+/// Sizes of the clinical track's effects in this film.
+pub const SIZES: &str = "clinical.json";
+/// Where the targets are at every frame, on the clinical track.
+pub const TARGETS_BY_FRAME: &str = "targets_by_frame.csv";
+/// First line of [`TARGETS_BY_FRAME`].
+pub(super) const TARGETS_BY_FRAME_HEADER: &str = "frame,target,x_mm,y_mm,z_mm";
 /// Centreline at inspiration.
 pub const CENTERLINE: &str = "centerline.csv";
 /// Cameras and truth in nerfstudio's layout.
@@ -217,7 +257,7 @@ pub const PREVIEW: &str = "preview.png";
 /// Files for people, which neither methods nor metrics read.
 const FOR_PEOPLE: [&str; 3] = [FORMAT, CONTACT_SHEET, PREVIEW];
 /// Folders that hold one file per frame or mesh.
-pub(super) const FOLDERS: [&str; 11] = [
+pub(super) const FOLDERS: [&str; 13] = [
     "images",
     "depth",
     "novel",
@@ -229,6 +269,8 @@ pub(super) const FOLDERS: [&str; 11] = [
     "motion_backward",
     "phase_sensitivity",
     "mesh",
+    "covered",
+    "told",
 ];
 
 impl Sequence {
@@ -265,6 +307,8 @@ impl Sequence {
         let mask_path = transforms.frames[0].mask_path.clone();
         let novel_views = novel_views(&head.checked(root, NOVEL_TRANSFORMS)?, head.frames)?;
         let targets = targets(&head.checked(root, TARGETS)?, &head.checked(root, TARGETS_EXPIRATION)?)?;
+        let is_clinical = head.files.contains_key(TOLD_TRANSFORMS) || root.join(TOLD_TRANSFORMS).exists();
+        let clinical = if is_clinical { Some(clinical_truth(&head, root, targets.len())?) } else { None };
         let read = head.files.iter().filter(|(name, _)| !FOR_PEOPLE.contains(&name.as_str()));
         let content = hash::of_value(&(&head.case_id, &head.hash, read.collect::<BTreeMap<_, _>>()))?;
         let ManifestHead { case_id, hash, files, breathing_period_s, .. } = head;
@@ -278,9 +322,38 @@ impl Sequence {
             breathing_period_s,
             targets,
             content,
+            clinical,
             mask_path,
             files,
         })
+    }
+
+    /// Where target `index` is at `frame`, mm.
+    pub fn target_mm(&self, index: usize, frame: usize) -> DVec3 {
+        match &self.clinical {
+            None => self.targets[index].at(self.frames[frame].phase),
+            Some(clinical) => clinical.target_places[frame][index],
+        }
+    }
+
+    /// The surface at the last frame where no phase says it; `None` on the ideal track. Errors as [`Sequence::image`].
+    pub fn last_surface(&self) -> Result<Option<TriangleMesh>> {
+        self.clinical.as_ref().map(|_| mesh::read(&self.checked(LAST_SURFACE)?)).transpose()
+    }
+
+    /// The surface at inspiration that methods are told, and the table that says where each true vertex is on it; `None`
+    /// where it has the true faces. Errors as [`Sequence::image`].
+    pub fn told_correspondence(&self) -> Result<Option<(TriangleMesh, Vec<u8>)>> {
+        if !self.files.contains_key(TOLD_CORRESPONDENCE) {
+            return Ok(None);
+        }
+        let table = files::read_bytes(&self.checked(TOLD_CORRESPONDENCE)?)?;
+        Ok(Some((self.told_inspiration()?, table)))
+    }
+
+    /// Name of the file of the surface at inspiration that methods are given.
+    pub(super) fn given_inspiration_name(&self) -> &'static str {
+        if self.clinical.is_some() { TOLD_INSPIRATION } else { INSPIRATION }
     }
 
     /// Compares every file of the film with the manifest. The error names the first one that is missing or another.
@@ -359,6 +432,11 @@ impl Sequence {
         mesh::read(&self.checked(EXPIRATION)?)
     }
 
+    /// The surface at inspiration that methods are given.
+    pub(super) fn told_inspiration(&self) -> Result<TriangleMesh> {
+        mesh::read(&self.checked(self.given_inspiration_name())?)
+    }
+
     /// The surface at full expiration that methods are given: with the registration's error, where the case has one.
     pub fn registered_expiration(&self) -> Result<TriangleMesh> {
         mesh::read(&self.checked(self.registered_expiration_name())?)
@@ -366,6 +444,9 @@ impl Sequence {
 
     /// Name of that surface's file.
     pub(super) fn registered_expiration_name(&self) -> &'static str {
+        if self.clinical.is_some() {
+            return TOLD_EXPIRATION;
+        }
         // A file that the manifest does not know is refused, not passed over.
         let is_there = self.files.contains_key(REGISTERED_EXPIRATION) || self.root.join(REGISTERED_EXPIRATION).exists();
         if is_there { REGISTERED_EXPIRATION } else { EXPIRATION }
@@ -407,6 +488,43 @@ pub(super) fn novel_views(path: &Path, frames: usize) -> Result<Vec<NovelView>> 
         Ok(NovelView { frame, world_from_camera: entry.world_from_camera() })
     });
     views.collect()
+}
+
+/// Reads what is told of a film of the clinical track, and where its targets are at every frame.
+fn clinical_truth(head: &ManifestHead, root: &Path, targets: usize) -> Result<ClinicalTruth> {
+    let path = head.checked(root, TOLD_TRANSFORMS)?;
+    let told = Transforms::read(&path)?;
+    if told.frames.len() != head.frames {
+        let sentence = format!("has {} frames, the manifest says {}", told.frames.len(), head.frames);
+        return Err(Error::input(sentence).at(path));
+    }
+    let path = head.checked(root, TARGETS_BY_FRAME)?;
+    let text = files::read_text(&path)?;
+    let mut lines = text.lines();
+    if lines.next() != Some(TARGETS_BY_FRAME_HEADER) {
+        return Err(Error::input(format!("must be \"{TARGETS_BY_FRAME_HEADER}\"")).element("line 1").at(path));
+    }
+    let mut target_places = vec![Vec::with_capacity(targets); head.frames];
+    for row in 0..head.frames * targets {
+        let (frame, target) = (row / targets, row % targets);
+        let line = lines.next().unwrap_or_default();
+        let values: Vec<f64> = line.split(',').filter_map(|v| v.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
+        match values[..] {
+            [f, t, x, y, z] if [f, t] == [frame as f64, target as f64] => {
+                target_places[frame].push(DVec3::new(x, y, z))
+            }
+            _ => {
+                let wanted = format!("wanted {frame}, {target} and three numbers");
+                return Err(Error::input(wanted).element(format!("line {}", row + 2)).at(path));
+            }
+        }
+    }
+    Ok(ClinicalTruth {
+        told_camera: told.camera()?,
+        told_poses: told.frames.iter().map(TransformsFrame::world_from_camera).collect(),
+        told_views: novel_views(&head.checked(root, TOLD_NOVEL_TRANSFORMS)?, head.frames)?,
+        target_places,
+    })
 }
 
 /// Points as a table below `header`, such as [`TARGETS`].

@@ -16,6 +16,8 @@ const FRAME_S: f64 = 0.3;
 const SAMPLE_S: f64 = 1e-6;
 const PIXEL_S: f64 = 2e-6;
 const BREATH_S: f64 = 1e-7;
+/// A frame of the clinical track over a rendering: motion, shadows, drops, blur.
+const CLINICAL_LOOKS: f64 = 1.8;
 /// The same, bytes: of the airway with its light, of a pixel, of a frame's row in the tables.
 const FILM_BYTES: f64 = 2.5e8;
 const PIXEL_BYTES: f64 = 400.0;
@@ -88,7 +90,13 @@ impl SimulationSettings {
         } else {
             0.0
         };
-        let moments = if case.scope.shutter_s > 0.0 { MOMENTS as f64 } else { 1.0 };
+        let moments = if case.clinical.is_some() {
+            CLINICAL_LOOKS
+        } else if case.scope.shutter_s > 0.0 {
+            MOMENTS as f64
+        } else {
+            1.0
+        };
         let looks = moments + if self.truth.has(TruthMap::PhaseSensitivity) { 2.0 } else { 0.0 };
         let sample_s = pixels * f64::from(self.samples_per_pixel) * SAMPLE_S;
         let frame_s = looks * (FRAME_S + breaths * BREATH_S) + sample_s * looks.min(3.0) + pixels * PIXEL_S;
@@ -118,15 +126,31 @@ impl SimulationSettings {
         if case.scope.mask_radius > 0.0 {
             names.push(sequence::MASK.to_string());
         }
-        if case.registration_error_mm > 0.0 {
+        if case.registration_error_mm > 0.0 && case.clinical.is_none() {
             names.push(sequence::REGISTERED_EXPIRATION.to_string());
         }
-        names.extend((0..self.frames).flat_map(|frame| self.frame_names(frame)));
+        if case.clinical.is_some() {
+            let told = [
+                sequence::TOLD_TRANSFORMS,
+                sequence::TOLD_NOVEL_TRANSFORMS,
+                sequence::TOLD_INSPIRATION,
+                sequence::TOLD_EXPIRATION,
+                sequence::LAST_SURFACE,
+                sequence::CONDITIONS,
+                sequence::SIZES,
+                sequence::TARGETS_BY_FRAME,
+            ];
+            names.extend(told.map(str::to_owned));
+            if case.given_surfaces().is_some() {
+                names.push(sequence::TOLD_CORRESPONDENCE.to_owned());
+            }
+        }
+        names.extend((0..self.frames).flat_map(|frame| self.frame_names(case, frame)));
         names
     }
 
     /// The files of one frame, the image last.
-    pub(super) fn frame_names(&self, frame: usize) -> Vec<String> {
+    pub(super) fn frame_names(&self, case: &Case, frame: usize) -> Vec<String> {
         let truth = [
             (TruthMap::Normals, true, sequence::normal_name(frame)),
             (TruthMap::Albedo, true, sequence::albedo_name(frame)),
@@ -145,6 +169,9 @@ impl SimulationSettings {
         if sequence::held_out(frame) {
             names.push(sequence::novel_depth_name(frame));
             names.push(sequence::novel_image_name(frame));
+        }
+        if case.clinical.is_some() {
+            names.push(sequence::covered_name(frame));
         }
         names.push(sequence::image_name(frame));
         names

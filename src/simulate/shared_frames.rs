@@ -42,7 +42,7 @@ pub(super) fn copy_frames(
             return Err(Error::interrupted());
         }
         // In the order of writing: the image is the last, so that an image means a whole frame.
-        let names = settings.frame_names(frame);
+        let names = settings.frame_names(case, frame);
         let Some(contents) = names.iter().map(|name| intact(&folder, name, &manifest)).collect::<Option<Vec<_>>>()
         else {
             continue;

@@ -2,14 +2,16 @@
 
 use std::path::Path;
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 
 use crate::airway::Anatomy;
 use crate::airway::case::Case;
 use crate::base::{Error, Image, Progress, Result, TriangleMesh, mesh};
-use crate::formats::{exr, mesh as mesh_file, png};
+use crate::formats::{exr, jpeg, mesh as mesh_file, png};
 use crate::render::{Light, Material, RenderSettings, RenderedFrame, Scene, Shading, Transport, render};
 
+use super::clinical::tissue_motion::TissueMotion;
+use super::clinical::{ClinicalFilm, focus};
 use super::film::{Film, scope_light};
 use super::sensor::{Exposed, Sensor};
 use super::sequence::{self, NovelView};
@@ -38,6 +40,8 @@ struct Shot {
     depth_mm: Image<f32>,
     radiance: Option<Image<f32>>,
     image: Image<u8>,
+    /// How much of the wall drops hide, 0 to 255; on the clinical track.
+    covered: Option<Image<u8>>,
     /// Picture and depth of the second camera.
     novel: Option<(Image<u8>, Image<f32>)>,
 }
@@ -51,6 +55,9 @@ impl Shot {
         if let Some((image, depth_mm)) = &self.novel {
             exr::write_depth(&out.join(sequence::novel_depth_name(self.index)), depth_mm)?;
             png::write_rgb(&out.join(sequence::novel_image_name(self.index)), image)?;
+        }
+        if let Some(covered) = &self.covered {
+            png::write_grey(&out.join(sequence::covered_name(self.index)), covered)?;
         }
         png::write_rgb(&out.join(sequence::image_name(self.index)), &self.image)
     }
@@ -109,7 +116,7 @@ impl<'a> Studio<'a> {
             settings,
             scene,
             light: scope_light(case),
-            sensor: Sensor::new(&film.camera, &case.scope, case.seed),
+            sensor: Sensor::new(&film.camera, &film.scope, case.seed),
         })
     }
 
@@ -118,20 +125,30 @@ impl<'a> Studio<'a> {
         let record = self.film.frames[index];
         let novel = self.film.novel_views.iter().find(|view| view.frame == index);
         let novel = novel.map(|view| self.novel(view)).transpose()?;
-        let frame = self.exposed_frame(index, &DAffine3::IDENTITY, index as u64)?;
+        let (frame, covered) = match self.film.clinical() {
+            None => (self.exposed_frame(index, &DAffine3::IDENTITY, index as u64)?, None),
+            Some(clinical) => {
+                let (frame, covered) = self.clinical_frame(clinical, index)?;
+                (frame, Some(covered))
+            }
+        };
         if self.settings.meshes == MeshOutput::EveryFrame {
             let deformed =
-                TriangleMesh { vertices: self.vertices(record.phase), faces: self.anatomy.inspiration.faces.clone() };
+                TriangleMesh { vertices: self.wall(record.time_s), faces: self.anatomy.inspiration.faces.clone() };
             mesh_file::write_ply(&out.join(sequence::frame_mesh_name(index)), &deformed, &["units mm", "space LPS"])?;
         }
         self.write_surface_truth(index, out)?;
         let image = self.sensor.image(&frame.radiance, &self.exposed(index), index as u64);
+        let image = match self.film.clinical() {
+            None => image,
+            Some(clinical) => recorded(image, clinical)?,
+        };
         if self.settings.truth.has(TruthMap::PhaseSensitivity) {
             let sensitivity = self.phase_sensitivity(index, PHASE_STEP)?;
             exr::write_rgb(&out.join(sequence::sensitivity_name(index)), &sensitivity)?;
         }
         let radiance = (self.settings.radiance == RadianceOutput::Exr).then_some(frame.radiance);
-        Ok(Shot { index, depth_mm: frame.depth_mm, radiance, image, novel })
+        Ok(Shot { index, depth_mm: frame.depth_mm, radiance, image, covered, novel })
     }
 
     fn exposed(&self, index: usize) -> Exposed {
@@ -143,15 +160,18 @@ impl<'a> Studio<'a> {
         }
     }
 
-    fn vertices(&self, phase: f64) -> Vec<glam::DVec3> {
-        mesh::interpolate(&self.anatomy.inspiration.vertices, &self.anatomy.expiration.vertices, phase)
+    fn wall(&self, time_s: f64) -> Vec<DVec3> {
+        self.film.wall_at(self.anatomy, time_s)
     }
 
     /// What the second camera sees, which moves with the first: picture, with its frame's exposure, and depth.
     fn novel(&mut self, view: &NovelView) -> Result<(Image<u8>, Image<f32>)> {
         let first = self.film.frames[view.frame].world_from_camera;
         let key = view.frame as u64 | NOVEL_KEY;
-        let frame = self.exposed_frame(view.frame, &(first.inverse() * view.world_from_camera), key)?;
+        let frame = match self.film.clinical() {
+            None => self.exposed_frame(view.frame, &(first.inverse() * view.world_from_camera), key)?,
+            Some(clinical) => self.scene_view(clinical, view.frame, &view.world_from_camera, key)?.0,
+        };
         Ok((self.sensor.image(&frame.radiance, &self.exposed(view.frame), key), frame.depth_mm))
     }
 
@@ -162,19 +182,22 @@ impl<'a> Studio<'a> {
         let world_from_camera = record.world_from_camera * *first_from_camera;
         let shutter_s = self.case.scope.shutter_s;
         if shutter_s <= 0.0 {
-            return self.moment(&world_from_camera, record.phase, key, self.settings.samples_per_pixel);
+            let (wall, light) = (self.wall(record.time_s), self.light);
+            return self.moment(&world_from_camera, &wall, &light, key);
         }
-        let samples = self.settings.samples_per_pixel.div_ceil(MOMENTS as u32);
+        let (light, samples) = (self.light, self.settings.samples_per_pixel.div_ceil(MOMENTS as u32));
         let middle = MOMENTS / 2;
         let mut sum: Option<Image<f32>> = None;
         for moment in (0..MOMENTS).filter(|&m| m != middle) {
             let offset_s = ((moment as f64 + 0.5) / MOMENTS as f64 - 0.5) * shutter_s;
-            let (pose, phase) = self.film.state_at(record.time_s + offset_s);
+            let (pose, _) = self.film.state_at(record.time_s + offset_s);
             let key = key | (moment + 1) << 32;
-            let frame = self.moment(&(pose * *first_from_camera), phase, key, samples)?;
+            let wall = self.wall(record.time_s + offset_s);
+            let frame = self.rendered(&(pose * *first_from_camera), &wall, &light, (key, samples))?;
             add(&mut sum, &frame.radiance);
         }
-        let mut frame = self.moment(&world_from_camera, record.phase, key, samples)?;
+        let wall = self.wall(record.time_s);
+        let mut frame = self.rendered(&world_from_camera, &wall, &light, (key, samples))?;
         add(&mut sum, &frame.radiance);
         if let Some(sum) = sum {
             frame.radiance = sum.map(|v| v / MOMENTS as f32);
@@ -182,8 +205,65 @@ impl<'a> Studio<'a> {
         Ok(frame)
     }
 
-    fn moment(&mut self, pose: &DAffine3, phase: f64, key: u64, samples_per_pixel: u32) -> Result<RenderedFrame> {
-        self.scene.deform(&self.vertices(phase))?;
+    /// A frame of the clinical track, up to the sensor, and how much of the wall drops hide. Leaves the scene at the
+    /// frame's own time.
+    fn clinical_frame(&mut self, clinical: &ClinicalFilm, index: usize) -> Result<(RenderedFrame, Image<u8>)> {
+        let record = self.film.frames[index];
+        let pose = record.world_from_camera;
+        let (mut frame, covered, visible) = self.scene_view(clinical, index, &pose, index as u64)?;
+        let (camera, picture) = (&self.film.camera, &clinical.settings.picture);
+        // Near walls first, since light is out of focus before it is spread by motion; then the glass before the lens.
+        if picture.aperture_mm > 0.0 {
+            let radius = |&z: &f32| focus::circle_px(camera, f64::from(z), picture.aperture_mm, picture.sharp_from_mm);
+            let radius_px: Vec<f64> = frame.depth_mm.data.iter().map(radius).collect();
+            frame.radiance = focus::defocused(frame.radiance, &radius_px);
+        }
+        let shutter_s = self.film.scope.shutter_s;
+        if shutter_s > 0.0 {
+            let [open, close] = [-0.5, 0.5].map(|part| {
+                let time_s = record.time_s + part * shutter_s;
+                (self.film.state_at(time_s).0, self.wall(time_s))
+            });
+            let ways = visible.image_ways_px(camera, (&open.0, &open.1), (&close.0, &close.1));
+            frame.radiance = focus::moved(&frame.radiance, &ways);
+        }
+        frame.radiance = clinical.lens_film.seen_through(frame.radiance, record.time_s);
+        Ok((frame, covered))
+    }
+
+    /// What a camera at `pose` sees in a frame of the clinical track, drops and all, before lens and sensor; how much of
+    /// the wall they hide; the wall that it sees.
+    fn scene_view(
+        &mut self,
+        clinical: &ClinicalFilm,
+        index: usize,
+        pose: &DAffine3,
+        key: u64,
+    ) -> Result<(RenderedFrame, Image<u8>, VisibleWall<'a>)> {
+        let wall = self.wall(self.film.frames[index].time_s);
+        self.scene.deform(&wall)?;
+        let light = clinical.optics.light(self.case, &self.scene, pose)?;
+        let mut frame = self.moment(pose, &wall, &light, key)?;
+        let (rest, other) = (&self.anatomy.inspiration, &self.anatomy.expiration.vertices);
+        let visible = VisibleWall::new(&self.scene, &self.film.camera, pose, rest, other)?;
+        let eye = pose.translation;
+        let covered = clinical.drops.cover(&mut frame.radiance, visible.points(), (rest, &wall), eye, &light);
+        Ok((frame, covered, visible))
+    }
+
+    /// A rendering with the film's samples.
+    fn moment(&mut self, pose: &DAffine3, wall: &[DVec3], light: &Light, key: u64) -> Result<RenderedFrame> {
+        self.rendered(pose, wall, light, (key, self.settings.samples_per_pixel))
+    }
+
+    fn rendered(
+        &mut self,
+        pose: &DAffine3,
+        wall: &[DVec3],
+        light: &Light,
+        (key, samples_per_pixel): (u64, u32),
+    ) -> Result<RenderedFrame> {
+        self.scene.deform(wall)?;
         let settings = RenderSettings {
             samples_per_pixel,
             transport: Transport::VERTICES,
@@ -192,7 +272,7 @@ impl<'a> Studio<'a> {
             frame: key,
             ..RenderSettings::default()
         };
-        render(&self.scene, &self.film.camera, pose, &self.light, &settings)
+        render(&self.scene, &self.film.camera, pose, light, &settings)
     }
 
     /// The truth that follows from where each pixel's ray meets the wall.
@@ -204,21 +284,32 @@ impl<'a> Studio<'a> {
         let record = self.film.frames[index];
         let (rest, other) = (&self.anatomy.inspiration, &self.anatomy.expiration.vertices);
         let visible = VisibleWall::new(&self.scene, &self.film.camera, &record.world_from_camera, rest, other)?;
+        let clinical = self.film.clinical();
+        let wall = clinical.map(|clinical| clinical.wall_at(record.time_s));
         if wanted.has(TruthMap::Normals) {
-            let normals = visible.normals(record.phase, &record.world_from_camera);
+            let normals = match &wall {
+                None => visible.normals(record.phase, &record.world_from_camera),
+                Some(wall) => visible.normals_of(wall, &record.world_from_camera),
+            };
             exr::write_rgb(&out.join(sequence::normal_name(index)), &normals)?;
         }
         if wanted.has(TruthMap::Albedo) {
             exr::write_rgb(&out.join(sequence::albedo_name(index)), &visible.albedo())?;
         }
         if wanted.has(TruthMap::Motion) {
-            let neighbour = |i: usize| self.film.frames[i].phase;
+            let to = |other: usize| {
+                let other = self.film.frames[other];
+                match (&wall, clinical) {
+                    (Some(wall), Some(clinical)) => visible.motion_between(wall, &clinical.wall_at(other.time_s)),
+                    _ => visible.motion(record.phase, other.phase),
+                }
+            };
             if index + 1 < self.film.frames.len() {
-                let motion = visible.motion(record.phase, neighbour(index + 1));
+                let motion = to(index + 1);
                 exr::write_rgb(&out.join(sequence::forward_motion_name(index)), &motion)?;
             }
             if index > 0 {
-                let motion = visible.motion(record.phase, neighbour(index - 1));
+                let motion = to(index - 1);
                 exr::write_rgb(&out.join(sequence::backward_motion_name(index)), &motion)?;
             }
         }
@@ -230,17 +321,34 @@ impl<'a> Studio<'a> {
     fn phase_sensitivity(&mut self, index: usize, step: f64) -> Result<Image<f32>> {
         let record = self.film.frames[index];
         let exposed = self.exposed(index);
-        let mut side = |phase: f64| -> Result<Image<f32>> {
-            let samples = self.settings.samples_per_pixel;
-            let frame = self.moment(&record.world_from_camera, phase, index as u64, samples)?;
+        let mut side = |change: f64| -> Result<Image<f32>> {
+            let (rest, other) = (&self.anatomy.inspiration.vertices, &self.anatomy.expiration.vertices);
+            let (wall, light) = match self.film.clinical() {
+                None => (mesh::interpolate(rest, other, record.phase + change), self.light),
+                Some(clinical) => {
+                    let body = TissueMotion::with_phase_moved(&clinical.motion.state(record.time_s), change);
+                    let wall = clinical.motion.places(&clinical.wall, &body);
+                    self.scene.deform(&wall)?;
+                    (wall, clinical.optics.light(self.case, &self.scene, &record.world_from_camera)?)
+                }
+            };
+            let frame = self.moment(&record.world_from_camera, &wall, &light, index as u64)?;
             Ok(self.sensor.clean_encoded(&frame.radiance, &exposed))
         };
-        let (low, high) = (side(record.phase - step)?, side(record.phase + step)?);
+        let (low, high) = (side(-step)?, side(step)?);
         let mut difference = high;
         for (h, l) in difference.data.iter_mut().zip(&low.data) {
             *h = (*h - l).abs() / (2.0 * step) as f32;
         }
         Ok(difference)
+    }
+}
+
+/// `image` as the film's recorder keeps it.
+fn recorded(image: Image<u8>, clinical: &ClinicalFilm) -> Result<Image<u8>> {
+    match clinical.settings.picture.jpeg_quality.round() as u8 {
+        0 => Ok(image),
+        quality => jpeg::decode_rgb(&jpeg::encode_recording(&image, quality)?),
     }
 }
 

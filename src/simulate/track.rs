@@ -1,5 +1,6 @@
 //! Tracks: what stands between the truth and what a method is told. Numbers of two tracks are never put into one table.
 
+use crate::airway::case::Case;
 use crate::base::{Error, Result};
 
 /// A track. Every film is of one, and so is every run.
@@ -8,6 +9,8 @@ pub enum Track {
     /// The paper's assumptions: true poses and intrinsics, true meshes at both ends, breathing linear in one phase.
     #[default]
     Ideal,
+    /// What a hospital has (`docs/clinical.md`): nothing of that is true.
+    Clinical,
 }
 
 impl Track {
@@ -15,6 +18,7 @@ impl Track {
     pub fn word(self) -> &'static str {
         match self {
             Track::Ideal => "ideal",
+            Track::Clinical => "clinical",
         }
     }
 
@@ -22,6 +26,7 @@ impl Track {
     pub fn of_word(word: &str) -> Result<Self> {
         match word {
             "" | "ideal" => Ok(Track::Ideal),
+            "clinical" => Ok(Track::Clinical),
             other => Err(Error::input(format!("this version knows no track `{other}`"))),
         }
     }
@@ -30,10 +35,30 @@ impl Track {
     pub fn wanted(word: &str) -> Result<Vec<Self>> {
         match word {
             "ideal" => Ok(vec![Track::Ideal]),
-            "clinical" | "both" => Err(Error::usage(format!(
-                "--track {word}: there are no films of the clinical track yet; --track ideal is what can be run"
-            ))),
+            "clinical" => Ok(vec![Track::Clinical]),
+            "both" => Ok(vec![Track::Ideal, Track::Clinical]),
             other => Err(Error::usage(format!("--track {other}: a track is `ideal` or `clinical`, or `both`"))),
+        }
+    }
+
+    /// The track of the films of `case`.
+    pub fn of_case(case: &Case) -> Self {
+        if case.clinical.is_some() { Track::Clinical } else { Track::Ideal }
+    }
+
+    /// `case` as this track films it.
+    pub fn filming(self, case: Case) -> Case {
+        match self {
+            Track::Ideal => Case { clinical: None, ..case },
+            Track::Clinical => case.on_clinical_track(),
+        }
+    }
+
+    /// The name of a run of `profile`: that of the profile on the ideal track.
+    pub fn run_name(self, profile: &str) -> String {
+        match self {
+            Track::Ideal => profile.to_owned(),
+            Track::Clinical => format!("{profile}-{}", self.word()),
         }
     }
 }
@@ -43,14 +68,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_is_filmed_is_taken() {
-        assert_eq!(Track::wanted("ideal").unwrap(), [Track::Ideal]);
-        for (word, says) in [("clinical", "no films of the clinical track"), ("both", "--track both"), ("x", "`ideal`")]
-        {
-            let refused = Track::wanted(word).unwrap_err();
-            assert!(refused.kind().exit_code() == 2 && refused.to_string().contains(says), "{refused}");
+    fn words_are_those_of_the_tracks() {
+        for track in [Track::Ideal, Track::Clinical] {
+            assert_eq!(Track::of_word(track.word()).unwrap(), track);
+            assert_eq!(Track::wanted(track.word()).unwrap(), [track]);
         }
-        assert_eq!((Track::of_word("").unwrap(), Track::of_word("ideal").unwrap()), (Track::Ideal, Track::Ideal));
-        assert!(Track::of_word("clinical").unwrap_err().to_string().contains("`clinical`"));
+        assert_eq!(Track::of_word("").unwrap(), Track::Ideal);
+        assert_eq!(Track::wanted("both").unwrap(), [Track::Ideal, Track::Clinical]);
+        let refused = Track::wanted("x").unwrap_err();
+        assert!(refused.kind().exit_code() == 2 && refused.to_string().contains("`clinical`"), "{refused}");
+        assert!(Track::of_word("lunar").unwrap_err().to_string().contains("`lunar`"));
+        assert_eq!(
+            (Track::Ideal.run_name("quick"), Track::Clinical.run_name("quick")),
+            ("quick".into(), "quick-clinical".into())
+        );
     }
 }

@@ -71,13 +71,18 @@ impl Route {
 
     /// Camera pose in the scanner's frame, `arc_mm` along the route, in the airway at `phase`.
     pub fn pose(&self, arc_mm: f64, phase: f64) -> DAffine3 {
+        self.pose_carried(arc_mm, |rest, other| rest.lerp(other, phase))
+    }
+
+    /// [`Route::pose`] where `carried` says where a point is that lies here at inspiration and there at expiration.
+    pub fn pose_carried(&self, arc_mm: f64, carried: impl Fn(DVec3, DVec3) -> DVec3) -> DAffine3 {
         let at = |points: &[DVec3], arc_mm: f64| {
             let t = (arc_mm / SPACING_MM).clamp(0.0, (points.len() - 1) as f64);
             let i = (t.floor() as usize).min(points.len() - 2);
             points[i].lerp(points[i + 1], t - i as f64)
         };
-        let axis = |arc_mm: f64| at(&self.axis_inspiration, arc_mm).lerp(at(&self.axis_expiration, arc_mm), phase);
-        let origin = at(&self.inspiration, arc_mm).lerp(at(&self.expiration, arc_mm), phase);
+        let axis = |arc_mm: f64| carried(at(&self.axis_inspiration, arc_mm), at(&self.axis_expiration, arc_mm));
+        let origin = carried(at(&self.inspiration, arc_mm), at(&self.expiration, arc_mm));
         let last = self.length_mm() - 1.0;
         let forward = axis(arc_mm.min(last) + 1.0) - axis(arc_mm.min(last).max(1.0) - 1.0);
         world_from_camera_looking(origin, forward, at(&self.up, arc_mm))
@@ -92,6 +97,12 @@ impl Route {
         let step = phase.clamp(0.0, 1.0) * (CHECKED_PHASES.len() - 1) as f64;
         let low = (step.floor() as usize).min(CHECKED_PHASES.len() - 2);
         lerp(along(&self.clearance_mm[low]), along(&self.clearance_mm[low + 1]), step - low as f64)
+    }
+
+    /// Points of the route at inspiration from `from_mm` to `to_mm` along it.
+    pub fn points_between(&self, from_mm: f64, to_mm: f64) -> &[DVec3] {
+        let sample = |arc_mm: f64| ((arc_mm / SPACING_MM).round().max(0.0) as usize).min(self.inspiration.len() - 1);
+        &self.inspiration[sample(from_mm)..=sample(to_mm).max(sample(from_mm))]
     }
 
     /// Generation of the airway at `arc_mm`.

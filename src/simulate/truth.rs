@@ -1,6 +1,7 @@
 //! Ground truth per frame that is written on request: the wall at each pixel's central ray.
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec2, DVec3};
+use rayon::prelude::*;
 use serde::{Serialize, Serializer};
 
 use crate::base::{Camera, Image, Result, TriangleMesh};
@@ -100,6 +101,41 @@ impl<'a> VisibleWall<'a> {
             let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
             out.copy_from_slice(&(camera_from_world * normal).to_array().map(|v| v as f32));
         })
+    }
+
+    /// Normals of the wall with its vertices at `vertices`, camera axes.
+    pub fn normals_of(&self, vertices: &[DVec3], world_from_camera: &DAffine3) -> Image<f32> {
+        let camera_from_world = world_from_camera.matrix3.transpose();
+        image_of(&self.points, self.width, 3, |point, out| {
+            let corners = self.rest.faces[point.face as usize].map(|v| vertices[v as usize]);
+            let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
+            out.copy_from_slice(&(camera_from_world * normal).to_array().map(|v| v as f32));
+        })
+    }
+
+    /// Displacement of the visible tissue from vertices at `from` to vertices at `to`, mm, scanner's frame.
+    pub fn motion_between(&self, from: &[DVec3], to: &[DVec3]) -> Image<f32> {
+        image_of(&self.points, self.width, 3, |point, out| {
+            let way = point.on(to, &self.rest.faces) - point.on(from, &self.rest.faces);
+            out.copy_from_slice(&way.to_array().map(|v| v as f32));
+        })
+    }
+
+    /// What the pixels show, row-major.
+    pub fn points(&self) -> &[Option<SurfacePoint>] {
+        &self.points
+    }
+
+    /// Way in pixels of the tissue at each pixel over the image of `camera`, from one pose and wall to another; 0 where
+    /// nothing is visible in both.
+    pub fn image_ways_px(&self, camera: &Camera, from: (&DAffine3, &[DVec3]), to: (&DAffine3, &[DVec3])) -> Vec<DVec2> {
+        let eyes = [from, to].map(|(pose, vertices)| (pose.inverse(), vertices));
+        let place = |point: &SurfacePoint, (eye, vertices): &(DAffine3, &[DVec3])| {
+            camera.project(eye.transform_point3(point.on(vertices, &self.rest.faces)))
+        };
+        let way = |point: &SurfacePoint| Some(place(point, &eyes[1])? - place(point, &eyes[0])?);
+        let all = self.points.par_iter().map(|point| point.as_ref().and_then(way).unwrap_or(DVec2::ZERO));
+        all.collect()
     }
 
     /// Albedo of the base.

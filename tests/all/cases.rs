@@ -27,7 +27,7 @@ fn cases() -> Vec<Case> {
 }
 
 /// Times that the ray from `point` along `direction` goes through the surface; odd means inside.
-fn crossings(surface: &TriangleMesh, point: DVec3, direction: DVec3) -> usize {
+pub fn crossings(surface: &TriangleMesh, point: DVec3, direction: DVec3) -> usize {
     let hit = |f: usize| {
         let [a, b, c] = surface.corners(f);
         let (e1, e2) = (b - a, c - a);

@@ -6,6 +6,7 @@ mod binary;
 mod blind;
 mod cases;
 mod cheats;
+mod clinical;
 mod command_line;
 mod export;
 mod faults;

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use respire_bench::airway::case::{AnatomySource, CameraSettings, Case};
+use respire_bench::airway::case::{AnatomySource, CameraSettings, Case, ClinicalSettings};
 use respire_bench::airway::case_build::read_tree;
 use respire_bench::base::estimate::ASK_RESUMABLE_SECONDS;
 use respire_bench::base::{Progress, Result};
@@ -105,6 +105,7 @@ fn full_case(number: usize) -> Value {
     case.camera = CameraSettings { fisheye: Some([-0.02, 0.001, 0.0, 0.0]), ..case.camera };
     case.waveform.hold_s = 0.5;
     case.registration_error_mm = 0.5;
+    case.clinical = Some(ClinicalSettings::default());
     if let AnatomySource::Tree { path, .. } = &mut case.anatomy {
         *path = shipped().join(&path);
     }

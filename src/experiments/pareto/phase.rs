@@ -44,8 +44,12 @@ pub fn chart(sweep: &PhaseSweep<'_>, watcher: &dyn ExperimentWatcher) -> Result<
 }
 
 fn sequences(sweep: &PhaseSweep<'_>, watcher: &dyn ExperimentWatcher) -> Result<Vec<Sequence>> {
-    let wishes =
-        Wishes { cases: Some(sweep.cases.clone()), methods: Some(vec!["ours-gn".into()]), seeds: Some(vec![1]) };
+    let wishes = Wishes {
+        cases: Some(sweep.cases.clone()),
+        methods: Some(vec!["ours-gn".into()]),
+        seeds: Some(vec![1]),
+        ..Wishes::default()
+    };
     let pipeline = Pipeline::new(sweep.catalogue, sweep.profile, wishes)?;
     let store = Store::open(sweep.cache)?;
     let finished = execute(&pipeline.plan()?, &pipeline, &store, Freshness::Resume, watcher)?;

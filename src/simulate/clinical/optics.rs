@@ -1,0 +1,102 @@
+//! Lens and lamp that are not those of the calibration.
+//!
+//! The film's lens has a cubic distortion that no calibration told; what methods are told has, beside that, another
+//! focal length and another image centre. The light guide sits beside the lens, so walls throw shadows; where the wall is
+//! nearer than the light guide would be, the scope's edge rests on it and the lamp is that much nearer to the lens.
+
+use glam::{DAffine3, DVec3};
+
+use crate::airway::case::{Case, ClinicalSettings};
+use crate::base::random::{CounterRng, Stage};
+use crate::base::{Camera, Result};
+use crate::render::{Light, Scene};
+
+/// tan(t) = t (1 + k1 t^2 + ...): a pinhole in the terms of the fisheye model, good to .3 % at 50 degrees.
+const PINHOLE: [f64; 4] = [1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
+/// The lamp keeps this distance from the wall, mm.
+const LAMP_CLEARANCE_MM: f64 = 0.3;
+/// Half angles of lamps in degrees.
+const HALF_ANGLE_DEG: [f64; 2] = [30.0, 84.0];
+
+/// What one film's lens and lamp are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrueOptics {
+    /// The lens that films.
+    pub camera: Camera,
+    /// The lens that methods are told.
+    pub told_camera: Camera,
+    /// Half angle of the lamp in degrees.
+    pub half_angle_deg: f64,
+    /// Strength of the vignette.
+    pub vignette: f64,
+    /// Place of the light guide in camera axes, mm.
+    pub lamp_mm: DVec3,
+}
+
+impl TrueOptics {
+    /// For images of `nominal`, the calibrated lens; `settings` are the film's own.
+    pub fn new(case: &Case, nominal: &Camera, settings: &ClinicalSettings) -> TrueOptics {
+        let optics = &settings.optics;
+        let mut random = CounterRng::new(case.seed, Stage::Clinical, &[5]);
+        let mut sign = |size: f64| if random.uniform() < 0.5 { -size } else { size };
+        let (focal, residual) = (1.0 + sign(optics.focal_error), sign(optics.residual_distortion));
+        let (angle_deg, vignette) = (sign(optics.lamp_angle_error_deg), sign(optics.vignette_error));
+        let centre = random.range(0.0, std::f64::consts::TAU);
+        let around = random.range(0.0, std::f64::consts::TAU);
+        let off = optics.centre_error * f64::from(nominal.width);
+        let told_camera = Camera {
+            fl_x: nominal.fl_x * focal,
+            fl_y: nominal.fl_y * focal,
+            cx: nominal.cx + off * centre.cos(),
+            cy: nominal.cy + off * centre.sin(),
+            ..*nominal
+        };
+        let mut camera = *nominal;
+        if residual != 0.0 {
+            let [k1, k2, k3, k4] = nominal.fisheye.unwrap_or(PINHOLE);
+            camera.fisheye = Some([k1 + residual, k2, k3, k4]);
+        }
+        let half_angle_deg = match case.scope.emission_half_angle_deg {
+            even if even <= 0.0 => even,
+            told => (told + angle_deg).clamp(HALF_ANGLE_DEG[0], HALF_ANGLE_DEG[1]),
+        };
+        TrueOptics {
+            camera,
+            told_camera,
+            half_angle_deg,
+            vignette: (case.scope.vignette + vignette).clamp(0.0, 1.0),
+            lamp_mm: DVec3::new(around.cos(), around.sin(), 0.0) * optics.lamp_offset_mm,
+        }
+    }
+
+    /// The lamp of `case` beside the lens at `pose`. `scene` is the wall as it is then.
+    pub fn light(&self, case: &Case, scene: &Scene, pose: &DAffine3) -> Result<Light> {
+        let emission_exponent =
+            if self.half_angle_deg > 0.0 { Light::exponent_of_half_angle(self.half_angle_deg) } else { 0.0 };
+        let plain = Light { emission_exponent, ..Light::at_camera(case.light_intensity) };
+        let offset_mm = self.lamp_mm.length();
+        if offset_mm <= 0.0 {
+            return Ok(plain);
+        }
+        let direction = pose.transform_vector3(self.lamp_mm / offset_mm);
+        let room_mm = f64::from(scene.distances(&[pose.translation], &[direction])?[0]);
+        let reach_mm = offset_mm.min(LAMP_CLEARANCE_MM.min(0.5 * room_mm).max(room_mm - LAMP_CLEARANCE_MM));
+        Ok(Light { position_mm: Some(pose.translation + direction * reach_mm), ..plain })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec2;
+
+    #[test]
+    fn a_pinhole_in_terms_of_the_fisheye_is_the_pinhole_within_a_third_of_a_pixel() {
+        let plain = Camera::pinhole(256, 256, 100f64.to_radians());
+        let series = Camera { fisheye: Some(PINHOLE), ..plain };
+        for pixel in [DVec2::new(128.0, 128.0), DVec2::new(255.5, 128.0), DVec2::new(30.0, 60.0)] {
+            let seen = series.project(plain.direction(pixel)).unwrap();
+            assert!(seen.distance(pixel) < 0.35, "{pixel}: {seen}");
+        }
+    }
+}
