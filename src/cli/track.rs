@@ -50,8 +50,7 @@ pub struct TrackArguments {
     /// Raw pictures of the camera's size on standard input, three bytes a pixel
     #[arg(long)]
     raw: bool,
-    /// Times and poses as lines of JSON, {"time_s":0.04,"world_from_camera":[[..4],[..4],[..4],[0,0,0,1]]}, in place
-    /// of the film's
+    /// Times and poses in place of the film's: a file or FIFO with a line of JSON a frame, as docs/track.md has it
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
     /// Leave no frame out, however long it takes

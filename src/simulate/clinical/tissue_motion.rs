@@ -8,7 +8,7 @@
 //! The second term is motion with the air flow (Low et al., Int J Radiat Oncol Biol Phys 63:921, 2005), across d: c is
 //! a unit vector, the same everywhere, square to the mean of d, so that the loop's width is the part h of the motion.
 //! T(r) is a mean over the centreline around r of delays that are drawn per lobe, so it is smooth in space
-//! ([`DelayField`]). w is a Gaussian about the left hilum, b the heartbeat of amplitude in mm, e its direction. s is the
+//! (`DelayField`). w is a Gaussian about the left hilum, b the heartbeat of amplitude in mm, e its direction. s is the
 //! shake of the whole chest in a cough, whose effort also drives p towards expiration: the spirometer sees it.
 //!
 //! All of it is smooth in r, and a common factor on what lies beyond p(t) d is lowered until no face turns over at any
