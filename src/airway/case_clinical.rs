@@ -322,14 +322,14 @@ impl Default for PictureConditions {
     fn default() -> Self {
         PictureConditions {
             shutter_s: 0.02,
-            shot_noise: 0.012,
-            read_noise: 0.0015,
+            shot_noise: 0.02,
+            read_noise: 0.002,
             jpeg_quality: 75.0,
             exposure: 1.5,
             aperture_mm: 0.1,
             sharp_from_mm: 3.0,
-            secretions_per_cm: 1.5,
-            bubbles_per_cm: 2.0,
+            secretions_per_cm: 6.0,
+            bubbles_per_cm: 8.0,
             lens_film: 0.35,
             wipe_every_s: 6.0,
             contact_s: 0.6,

@@ -175,7 +175,11 @@ fn write_truth(
     if let Some(clinical) = film.clinical() {
         told::write(case, (anatomy, &planned), film, clinical, out)?;
     }
-    files::write_bytes(&out.join(sequence::FORMAT), include_bytes!("FORMAT.md"))?;
+    let words = match film.clinical() {
+        None => include_str!("FORMAT.md").to_owned(),
+        Some(_) => include_str!("FORMAT.md").to_owned() + include_str!("FORMAT_CLINICAL.md"),
+    };
+    files::write_bytes(&out.join(sequence::FORMAT), words.as_bytes())?;
     preview::write(out, film.frames.len(), settings.frames_per_second)?;
     let files = settings
         .content_names(case)

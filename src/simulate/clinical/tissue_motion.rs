@@ -45,8 +45,9 @@ const COUGH_S: [f64; 2] = [0.12, 0.5];
 const SHAKE_HZ: f64 = 6.0;
 const SHAKE_DECAY_S: f64 = 0.15;
 const SHAKE_MM: f64 = 1.5;
-/// A cough falls into this part of the film.
-const COUGH_PART: [f64; 2] = [0.55, 0.75];
+/// A cough falls into this part of the film, of which so many moments are looked at.
+const COUGH_PART: [f64; 2] = [0.55, 0.8];
+const COUGH_MOMENTS: usize = 40;
 
 /// A point of tissue, with what of its motion does not depend on time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -114,7 +115,14 @@ impl TissueMotion {
         let heart_direction = unit(&mut random);
         let cough_direction = unit(&mut random);
         let has_cough = random.uniform() < breathing.coughs && breathing.cough_depth > 0.0;
-        let cough_s = duration_s * random.range(COUGH_PART[0], COUGH_PART[1]);
+        // Coughs follow a breath in: of the moments within the part, the one of the fullest lungs.
+        let moment = |k: usize| {
+            let part = COUGH_PART[0] + (COUGH_PART[1] - COUGH_PART[0]) * k as f64 / (COUGH_MOMENTS - 1) as f64;
+            duration_s * part
+        };
+        let phase = |k: usize| waveform.phase(moment(k), seed);
+        let fullest = (0..COUGH_MOMENTS).fold(0, |best, k| if phase(k) < phase(best) { k } else { best });
+        let cough_s = moment(fullest);
         TissueMotion {
             waveform: waveform.clone(),
             seed,
@@ -412,7 +420,7 @@ mod tests {
         assert!(swing(&beating, near + DVec3::X * 120.0) < 0.01);
         let coughing = motion(&[Condition::Cough]);
         let start = coughing.cough_s.unwrap();
-        assert!((0.5 * 16.0..0.8 * 16.0).contains(&start));
+        assert!((0.54 * 16.0..0.81 * 16.0).contains(&start) && coughing.phase(start) < 0.3);
         assert_eq!(coughing.phase(start), Waveform::default().phase(start, 4));
         let quiet = Waveform::default().phase(start + 0.12, 4);
         assert!((coughing.phase(start + 0.12) - (quiet + 0.6 * (1.0 - quiet))).abs() < 1e-12);
