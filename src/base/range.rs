@@ -31,8 +31,12 @@ pub const IMAGE_SIDE_PX: NumberRange = NumberRange::new(1.0, 4096.0);
 pub const SAMPLES_PER_PIXEL: NumberRange = NumberRange::new(1.0, 65_536.0);
 /// Seeds: what a TOML file can hold, rounded down.
 pub const SEED: NumberRange = NumberRange::new(0.0, 9e18);
-/// Threads; 0 means every core. More than this only wait for each other.
-pub const THREADS: NumberRange = NumberRange::new(0.0, 512.0);
+/// More threads than this only wait for each other.
+const MOST_THREADS: f64 = 512.0;
+/// Threads; 0 means every core.
+pub const THREADS: NumberRange = NumberRange::new(0.0, MOST_THREADS);
+/// Processors of a task on a cluster, each with a thread.
+pub const PROCESSORS: NumberRange = NumberRange::new(1.0, MOST_THREADS);
 /// Repetitions of a measurement.
 pub const REPETITIONS: NumberRange = NumberRange::new(1.0, 10_000.0);
 /// A part of a whole, and the breathing phase.

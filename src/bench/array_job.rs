@@ -81,7 +81,7 @@ impl ArrayJob {
         let _ = writeln!(text, "#SBATCH --cpus-per-task={}", self.processors);
         let _ = writeln!(text, "#SBATCH --mem={}M", memory_mib.ceil());
         let _ = writeln!(text, "#SBATCH --time={}", minutes.ceil());
-        let _ = writeln!(text, "#SBATCH --output={}/task-%a.log", self.folder);
+        let _ = writeln!(text, "#SBATCH --output={}", quote(&format!("{}/task-%a.log", self.log_folder())));
         let _ = writeln!(text, "# Each task does {pieces} of the lines of work.txt; what is finished is skipped.");
         let _ = writeln!(text, "failed=0");
         let _ = writeln!(text, "first=$(((SLURM_ARRAY_TASK_ID - 1) * {pieces} + 1))");
@@ -109,7 +109,7 @@ impl ArrayJob {
         let _ = writeln!(text, "#SBATCH --job-name=respire-bench-report");
         let _ = writeln!(text, "#SBATCH --cpus-per-task={}", self.processors);
         let _ = writeln!(text, "#SBATCH --mem={}M", (self.cost.memory_mib * MEMORY_FACTOR + MEMORY_MIB).ceil());
-        let _ = writeln!(text, "#SBATCH --output={}/report.log", self.folder);
+        let _ = writeln!(text, "#SBATCH --output={}", quote(&format!("{}/report.log", self.log_folder())));
         let all = quoted(&self.everything);
         let _ = writeln!(text, "exec {} --threads {} --report-only {all}", self.command(), self.processors);
         text
@@ -125,6 +125,11 @@ impl ArrayJob {
         )
     }
 
+    /// The folder as Slurm wants it in the name of a log, where `%` begins a pattern.
+    fn log_folder(&self) -> String {
+        self.folder.replace('%', "%%")
+    }
+
     fn command(&self) -> String {
         format!("{} {}", quote(&self.program), quoted(&self.common))
     }
@@ -136,7 +141,7 @@ fn quoted(words: &[String]) -> String {
 }
 
 fn quote(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=:+".contains(c);
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=:+%".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
         word.to_owned()
     } else {
@@ -199,6 +204,9 @@ mod tests {
         {
             assert!(script.contains(&format!("#SBATCH {line}\n")), "{line} is not in {script}");
         }
+        let odd = job(3, "/my logs/100 %");
+        assert!(odd.task_script().contains("#SBATCH --output='/my logs/100 %%/task-%a.log'\n"));
+        assert!(odd.report_script().contains("#SBATCH --output='/my logs/100 %%/report.log'\n"));
         assert!(job(3, "/logs").submit_script().contains("--dependency=afterany:"));
         assert!(job(3, "/logs").report_script().ends_with("--report-only --cases a,b\n"));
     }

@@ -5,8 +5,8 @@
 //! is dead, and is taken over, when its process has ended (on the same machine), or when that time has not changed for
 //! [`DEAD_AFTER`] by the clock of the process that waits: clocks of two machines are never compared.
 //!
-//! A holder that was merely stopped for longer wakes up to find its folders renamed: its work fails or is thrown away,
-//! and what the other process publishes has the same bytes.
+//! A holder that was merely stopped for longer wakes up to find its claim another's ([`Claim::is_held`]): its work is
+//! thrown away, and what the other process publishes has the same bytes.
 
 use std::collections::HashMap;
 use std::fs::{self, File};
@@ -131,6 +131,20 @@ impl Claim {
         self.remove()
     }
 
+    /// Whether the folder is still this process': false once another one has taken it for dead.
+    ///
+    /// Errors: a claim that cannot be read.
+    pub fn is_held(&self) -> Result<bool> {
+        Ok(holder_of(&self.folder.join(CLAIM))?.is_some_and(|holder| holder.token == self.holder.token))
+    }
+
+    /// The process that has the folder now; this one where nobody has.
+    ///
+    /// Errors: a claim that cannot be read.
+    pub fn holder_now(&self) -> Result<Holder> {
+        Ok(holder_of(&self.folder.join(CLAIM))?.unwrap_or_else(|| self.holder.clone()))
+    }
+
     fn stop(&mut self) {
         if let Some((sender, thread)) = self.heart.take() {
             drop(sender);
@@ -141,7 +155,7 @@ impl Claim {
     fn remove(&self) -> Result<()> {
         let claim = self.folder.join(CLAIM);
         // Taken over by another process: it is no longer ours to remove.
-        if holder_of(&claim)?.is_none_or(|holder| holder.token != self.holder.token) {
+        if !self.is_held()? {
             return Ok(());
         }
         remove_renamed(&claim, &self.folder.join(format!(".released-{}", self.holder.token)))
@@ -190,10 +204,16 @@ impl Claims {
         if holder.has_ended() {
             return Ok(true);
         }
-        // Opened anew: network file systems then ask the server.
+        // Opened anew: network file systems then ask the server. A claim without a holder shows life by its own time.
+        let sign_of = |path: &Path| File::open(path)?.metadata()?.modified();
         let path = claim.join(HOLDER);
-        let sign = match File::open(&path).and_then(|file| file.metadata()).and_then(|data| data.modified()) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(false),
+        let missing = |e: &std::io::Error| e.kind() == std::io::ErrorKind::NotFound;
+        let sign = match sign_of(&path) {
+            Err(e) if missing(&e) => sign_of(claim),
+            sign => sign,
+        };
+        let sign = match sign {
+            Err(e) if missing(&e) => return Ok(false),
             sign => sign.map_err(|e| Error::io("reading", &path, e))?,
         };
         let mut signs = lock(&self.signs);
@@ -205,19 +225,21 @@ impl Claims {
     }
 }
 
-/// Who holds a claim; `None` when nobody does. A claim that cannot be understood is held by nobody who lives.
+/// Who holds a claim; `None` when nobody does. A claim that cannot be understood, or that names nobody (a folder that was
+/// copied in part), has a holder of whom nothing is known.
 fn holder_of(claim: &Path) -> Result<Option<Holder>> {
+    let unknown = || Holder {
+        host: String::new(),
+        process: 0,
+        system: String::new(),
+        started: String::new(),
+        since_unix_s: 0,
+        token: String::new(),
+    };
     let path = claim.join(HOLDER);
     match fs::read(&path) {
-        Ok(bytes) => Ok(Some(serde_json::from_slice(&bytes).unwrap_or_else(|_| Holder {
-            host: String::new(),
-            process: 0,
-            system: String::new(),
-            started: String::new(),
-            since_unix_s: 0,
-            token: String::new(),
-        }))),
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Ok(bytes) => Ok(Some(serde_json::from_slice(&bytes).unwrap_or_else(|_| unknown()))),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(claim.is_dir().then(unknown)),
         Err(e) => Err(Error::io("reading", &path, e)),
     }
 }
@@ -313,7 +335,12 @@ pub(super) fn is_claimed(folder: &Path) -> bool {
 /// Clears away what was unfinished when its process ended.
 fn remove_hidden(folder: &Path, kept: &[&str]) -> Result<()> {
     let is_kept = |name: &String| kept.iter().any(|k| name.starts_with(k));
-    hidden(folder)?.iter().filter(|name| !is_kept(name)).try_for_each(|name| remove_folder(&folder.join(name)))
+    // A process that slept may wake up and publish what is being removed: it finds all of it or nothing.
+    let remove = |name: &String| {
+        let aside = folder.join(format!(".swept-{}", Holder::new().token));
+        remove_renamed(&folder.join(name), &aside)
+    };
+    hidden(folder)?.iter().filter(|name| !is_kept(name)).try_for_each(remove)
 }
 
 #[cfg(test)]
@@ -381,6 +408,12 @@ mod tests {
         assert!(granted(&claims, folder.path()).is_none());
         lock(&claims.signs).values_mut().for_each(|(_, since)| *since -= DEAD_AFTER);
         assert!(granted(&claims, folder.path()).is_some(), "rubbish shows no life either");
+        // A claim that was copied in part: with a file, but without a holder.
+        fs::create_dir(folder.path().join(CLAIM)).unwrap();
+        fs::write(folder.path().join(CLAIM).join("x"), "").unwrap();
+        assert!(granted(&claims, folder.path()).is_none(), "it is not asked for again and again");
+        lock(&claims.signs).values_mut().for_each(|(_, since)| *since -= DEAD_AFTER);
+        assert!(granted(&claims, folder.path()).is_some());
     }
 
     #[test]
@@ -400,7 +433,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let claims = Claims::default();
         let slept = granted(&claims, folder.path()).unwrap();
+        assert!(slept.is_held().unwrap());
         plant(folder.path(), |holder| holder.token = "another".into());
+        assert!(!slept.is_held().unwrap());
+        assert_eq!(slept.holder_now().unwrap().token, "another");
         slept.release().unwrap();
         assert!(is_claimed(folder.path()));
     }

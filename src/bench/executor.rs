@@ -6,17 +6,16 @@
 //! does not stop the others. What stops a run: the user, a full or unwritable disk, a machine that lacks something;
 //! whatever is finished by then is kept, and the same command goes on from there.
 
-use std::collections::{HashMap, HashSet, VecDeque};
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::collections::{HashMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use super::claim::{self, Holder, lock};
 use super::event::{CacheUse, Event, Watcher};
 use super::plan::{Cell, Plan, Planned};
-use super::stages::Stages;
+use super::stages::{Stages, caught};
 use super::store::{ProductState, Store, Work, cell_folder, film_folder};
 use super::timing::{self, StageTiming, measured};
 use crate::base::{Error, ErrorKind, Progress, Result};
@@ -60,15 +59,14 @@ struct Execution<'a> {
     plan: &'a Plan,
     stages: &'a dyn Stages,
     store: &'a Store,
-    freshness: Freshness,
+    /// What was finished before is made again: the run's beginning, where everything is to be fresh.
+    fresh_since: Option<SystemTime>,
     watcher: &'a dyn Watcher,
     done: AtomicUsize,
     /// Whether what a cell cost is kept: not where it shared the machine, and CPU seconds are those of all.
     alone: bool,
     /// Films that were tried, and what came of it.
     films: Mutex<HashMap<String, Result<()>>>,
-    /// Work that another process had: what it has made since is fresh.
-    shared: Mutex<HashSet<String>>,
     /// The claim that is waited for.
     waits_for: Mutex<Option<String>>,
 }
@@ -81,7 +79,7 @@ pub fn execute(
     freshness: Freshness,
     watcher: &dyn Watcher,
 ) -> Result<Vec<FinishedCell>> {
-    let run = Execution::new(plan, stages, store, freshness, watcher);
+    let run = Execution::new(plan, stages, store, freshness, watcher)?;
     let work = run.work();
     let mut finished: Vec<Option<FinishedCell>> = vec![None; work.len()];
     while finished.iter().any(Option::is_none) {
@@ -112,7 +110,7 @@ pub fn execute_at_once(
     if lanes < 2 {
         return execute(plan, stages, store, Freshness::Resume, watcher);
     }
-    let mut run = Execution::new(plan, stages, store, Freshness::Resume, watcher);
+    let mut run = Execution::new(plan, stages, store, Freshness::Resume, watcher)?;
     run.alone = false;
     let work = run.work();
     for (case, cell) in &work {
@@ -191,20 +189,20 @@ impl<'a> Execution<'a> {
         store: &'a Store,
         freshness: Freshness,
         watcher: &'a dyn Watcher,
-    ) -> Self {
+    ) -> Result<Self> {
         watcher.event(&Event::Started { plan });
-        Execution {
+        let fresh_since = (freshness == Freshness::Fresh).then(|| store.now()).transpose()?;
+        Ok(Execution {
             plan,
             stages,
             store,
-            freshness,
+            fresh_since,
             watcher,
             done: AtomicUsize::new(0),
             alone: true,
             films: Mutex::default(),
-            shared: Mutex::default(),
             waits_for: Mutex::default(),
-        }
+        })
     }
 
     /// Every cell with its case, in the plan's order.
@@ -260,15 +258,6 @@ impl<'a> Execution<'a> {
         Ok(())
     }
 
-    /// Claims a piece of work that is not done.
-    fn claim(&self, work: &str, kept: &[&str]) -> Result<std::result::Result<Work, Holder>> {
-        let claimed = self.store.claim(work, kept)?;
-        if claimed.is_err() {
-            lock(&self.shared).insert(work.to_owned());
-        }
-        Ok(claimed)
-    }
-
     /// True for errors that would hit every further cell too; any other failure is reported in its cell's row.
     fn stops_the_run(&self, error: &Error) -> bool {
         match error.kind() {
@@ -287,19 +276,30 @@ impl<'a> Execution<'a> {
             cached();
             return Ok(Tried::Done(()));
         }
-        let work = match self.claim(&folder, &["film"])? {
+        let work = match self.store.claim(&folder, &["film"])? {
             Ok(work) => work,
             Err(holder) => return Ok(Tried::Held(holder)),
         };
-        if self.usable(&folder, &film[0], &work)? {
+        if self.usable(&film[0], &work)? {
             cached();
         } else {
             self.watcher.event(&Event::Filming { case_id: &case.id });
-            let wall_s = self.make_film(case, &folder, &work)?;
-            work.publish("film", &key)?;
+            let made = self.make_film(case, &folder, &work).and_then(|wall_s| {
+                work.publish("film", &key)?;
+                Ok(wall_s)
+            });
+            let wall_s = match made {
+                Err(_) if !work.is_held()? => return self.lost(&work),
+                made => made?,
+            };
             self.watcher.event(&Event::Filmed { case_id: &case.id, cache_use: CacheUse::Made, wall_s });
         }
         work.release().map(Tried::Done)
+    }
+
+    /// Work that another process took over while this one stood still: whatever failed, the other one's product counts.
+    fn lost<T>(&self, work: &Work) -> Result<Tried<T>> {
+        work.holder_now().map(Tried::Held)
     }
 
     fn make_film(&self, case: &Planned, folder: &str, work: &Work) -> Result<f64> {
@@ -308,9 +308,9 @@ impl<'a> Execution<'a> {
             claim::remove_folder(&timing_file)?;
         }
         let film = || caught(|| self.stages.film(&case.id, &making, self.watcher));
-        let (outcome, timing) = measured("simulate", film);
+        let (outcome, timing) = measured("simulate", self.plan.sequence_cost_key(case)?, film);
         let wall_s = timing.wall_s;
-        if making.exists() {
+        if making.exists() && work.is_held()? {
             timing::add(&timing_file, timing)?;
         }
         outcome.map(|()| wall_s)
@@ -325,31 +325,51 @@ impl<'a> Execution<'a> {
             (format!("{folder}/prediction"), self.plan.prediction_key(cell)?),
             (format!("{folder}/score"), self.plan.score_key(cell)?),
         ];
-        let (mut wall_s, mut cache_use) = (0.0, CacheUse::Cached);
+        let (mut wall_s, mut cache_use): (f64, CacheUse) = (0.0, CacheUse::Cached);
         if !self.is_done(&folder, &products)? {
-            let work = match self.claim(&folder, &[])? {
+            let work = match self.store.claim(&folder, &[])? {
                 Ok(work) => work,
                 Err(holder) => return Ok(Tried::Held(holder)),
             };
             let [prediction, score] = &products;
-            let predicted = self.usable(&folder, prediction, &work)?;
+            let predicted = self.usable(prediction, &work)?;
             if !predicted {
                 work.discard("score")?;
             }
             // A claim may have come back with the work done.
-            if !predicted || !self.usable(&folder, score, &work)? {
+            if !predicted || !self.usable(score, &work)? {
                 cache_use = CacheUse::Made;
                 self.watcher.event(&Event::CellStarted { cell });
                 let sequence = self.store.path(&film_folder(self.plan, case)?).join("film");
                 let timing_file = self.store.path(&folder).join("timing.json");
-                if !predicted {
-                    let reconstruct = |out: &Path| self.stages.reconstruct(cell, &sequence, out, progress);
-                    wall_s +=
-                        self.make(&work, &prediction.1, ("prediction", "reconstruct"), &timing_file, reconstruct)?;
-                }
-                let predicted = self.store.path(&prediction.0);
-                let scored = |out: &Path| self.stages.score(cell, &sequence, &predicted, &out.join("score.json"));
-                wall_s += self.make(&work, &score.1, ("score", "score"), &timing_file, scored)?;
+                let place = self.store.path(&prediction.0);
+                let cost_key = self.plan.cell_cost_key(cell)?;
+                let make = |(product, stage): (&str, &str), key: &str, made: &dyn Fn(&Path) -> Result<()>| {
+                    let making = work.begin(product)?;
+                    let (outcome, timing) = measured(stage, cost_key.clone(), || caught(|| made(&making)));
+                    if let Err(error) = outcome {
+                        work.abandon(product)?;
+                        return Err(error);
+                    }
+                    let wall_s = timing.wall_s;
+                    if self.alone && work.is_held()? {
+                        timing::keep(&timing_file, timing)?;
+                    }
+                    work.publish(product, key).map(|()| wall_s)
+                };
+                let make_both = || {
+                    let mut wall_s = 0.0;
+                    if !predicted {
+                        let reconstruct = |out: &Path| self.stages.reconstruct(cell, &sequence, out, progress);
+                        wall_s += make(("prediction", "reconstruct"), &prediction.1, &reconstruct)?;
+                    }
+                    let scored = |out: &Path| self.stages.score(cell, &sequence, &place, &out.join("score.json"));
+                    Ok(wall_s + make(("score", "score"), &score.1, &scored)?)
+                };
+                wall_s = match make_both() {
+                    Err(_) if !work.is_held()? => return self.lost(&work),
+                    made => made?,
+                };
             }
             work.release()?;
         }
@@ -360,47 +380,26 @@ impl<'a> Execution<'a> {
         Ok(Tried::Done(()))
     }
 
-    /// Makes a product by a stage, from nothing, and publishes it. The answer is in wall seconds.
-    fn make(
-        &self,
-        work: &Work,
-        key: &str,
-        (product, stage): (&str, &str),
-        timing_file: &Path,
-        made: impl Fn(&Path) -> Result<()>,
-    ) -> Result<f64> {
-        let making = work.begin(product)?;
-        let (outcome, timing) = measured(stage, || caught(|| made(&making)));
-        if let Err(error) = outcome {
-            work.abandon(product)?;
-            return Err(error);
-        }
-        let wall_s = timing.wall_s;
-        if self.alone {
-            timing::keep(timing_file, timing)?;
-        }
-        work.publish(product, key).map(|()| wall_s)
-    }
-
     /// Whether all products of a piece of work are there, from the same keys, and whole, and may be used.
     fn is_done(&self, work: &str, products: &[(String, String)]) -> Result<bool> {
         let whole = |(product, key): &(String, String)| self.store.state(product, key) == ProductState::Whole;
-        if !self.may_use(work) || !products.iter().all(whole) {
+        if !products.iter().all(|product| self.may_use(&product.0) && whole(product)) {
             return Ok(false);
         }
         self.store.tidy(work)?;
         Ok(true)
     }
 
-    fn may_use(&self, work: &str) -> bool {
-        self.freshness == Freshness::Resume || lock(&self.shared).contains(work)
+    /// Whether a finished product counts: any, or what was made since the run began, by whichever process.
+    fn may_use(&self, product: &str) -> bool {
+        self.fresh_since.is_none_or(|since| self.store.is_newer(product, since))
     }
 
     /// True when the product of claimed work is finished, from the same key, and whole. Otherwise it is removed.
-    fn usable(&self, folder: &str, (product, key): &(String, String), work: &Work) -> Result<bool> {
+    fn usable(&self, (product, key): &(String, String), work: &Work) -> Result<bool> {
         let reason = match self.store.state(product, key) {
             ProductState::Absent => return Ok(false),
-            ProductState::Whole if self.may_use(folder) => return Ok(true),
+            ProductState::Whole if self.may_use(product) => return Ok(true),
             ProductState::Whole => None,
             ProductState::Outdated => Some("it was made by another version of the program or from other input"),
             ProductState::Damaged => Some("its files are not what they were when it was finished"),
@@ -427,15 +426,6 @@ fn described(plan: &Plan, store: &Store, case: &Planned, cell: &Cell, failure: O
         score: folder.join("score/score.json"),
         timings,
         failure,
-    })
-}
-
-/// A panic is a bug of one stage; it costs its cell, not the run.
-fn caught<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
-    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
-        let text = payload.downcast_ref::<String>().map(String::as_str);
-        let text = text.or_else(|| payload.downcast_ref::<&str>().copied()).unwrap_or("no message");
-        Err(Error::new(ErrorKind::CellFailed, format!("a bug in the program: {text}")))
     })
 }
 

@@ -304,6 +304,68 @@ fn a_claim_of_the_living_is_waited_for() {
     assert_eq!(events.0.into_inner().unwrap().iter().filter(|event| event.starts_with("waits")).count(), 1);
 }
 
+/// Stages whose claim another process takes in the middle of one call, as from a process that stood still for long, and
+/// whose work that process finishes before this one wakes up.
+struct Slept<'a> {
+    fake: Fake,
+    at: &'static str,
+    root: &'a Path,
+    plan: &'a Plan,
+    other: Fake,
+}
+
+impl Slept<'_> {
+    /// Where this is the call: writes a half, and sleeps while the other process takes the folder and ends its run.
+    fn sleep(&self, what: &str, half: &Path) -> Result<()> {
+        if what == self.at && self.other.calls.load(Ordering::SeqCst) == 0 {
+            files::write_bytes(half, b"half")?;
+            let claimed = half.ancestors().find(|folder| folder.join(".claim").exists()).unwrap();
+            std::fs::remove_dir_all(claimed.join(".claim")).unwrap();
+            run(self.root, self.plan, &self.other, Freshness::Resume).0.unwrap();
+        }
+        Ok(())
+    }
+}
+
+impl Stages for Slept<'_> {
+    fn film(&self, case_id: &str, folder: &Path, progress: &dyn Progress) -> Result<()> {
+        // Of a film the other process takes on what is there.
+        self.sleep("film", &folder.join("first"))?;
+        self.fake.film(case_id, folder, progress)
+    }
+
+    fn reconstruct(&self, cell: &Cell, sequence: &Path, prediction: &Path, progress: &dyn Progress) -> Result<()> {
+        self.sleep("reconstruct", &prediction.join("color/000001.png"))?;
+        self.fake.reconstruct(cell, sequence, prediction, progress)
+    }
+
+    fn score(&self, cell: &Cell, sequence: &Path, prediction: &Path, score: &Path) -> Result<()> {
+        self.sleep("score", &score.with_file_name("half"))?;
+        self.fake.score(cell, sequence, prediction, score)
+    }
+}
+
+#[test]
+fn a_run_that_was_taken_for_dead_takes_what_the_other_one_has_made() {
+    let plan = small_plan();
+    for at in ["film", "reconstruct", "score"] {
+        let folder = tempfile::tempdir().unwrap();
+        let (fake, other) = (Fake::default(), Fake::default());
+        let slept = Slept { fake, at, root: folder.path(), plan: &plan, other };
+        let store = Store::open(folder.path()).unwrap();
+        let cells = execute(&plan, &slept, &store, Freshness::Resume, &Events::default()).unwrap();
+        assert!(cells.iter().all(|cell| cell.failure.is_none()), "{at}");
+        assert!(!slept.other.log().is_empty());
+        // All of it is whole and as a run alone leaves it: nothing of the half that was written goes in.
+        let again = Fake::default();
+        let (cells, _) = run(folder.path(), &plan, &again, Freshness::Resume);
+        assert_eq!(again.log(), [""; 0], "{at}");
+        let alone = tempfile::tempdir().unwrap();
+        let expected = run(alone.path(), &plan, &Fake::default(), Freshness::Resume).0.unwrap();
+        assert_eq!(picture(folder.path(), &cells.unwrap()), picture(alone.path(), &expected), "{at}");
+    }
+}
+
 /// What a plan of the size of a cluster's costs by itself (`docs/cluster.md`): run it by name with `--ignored
 /// --nocapture`; it asserts no times.
 #[test]

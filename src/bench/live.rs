@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::catalogue::Catalogue;
 use super::pipeline::{method_of, open_given};
+use super::stages::caught;
 use crate::base::{Camera, Error, Image, Progress, Result, files};
 use crate::formats::png;
 use crate::reconstruct::{self, ArrivedFrame, LiveAnswer, TrackState};
@@ -223,7 +224,8 @@ pub fn follow(
         .name("frames".into())
         .spawn(move || {
             let queue = Arc::clone(&reader.queue);
-            queue.end(reader.run());
+            // A reader that panics has ended, too, and is not waited for.
+            queue.end(caught(|| reader.run()));
         })
         .map_err(|e| Error::input(format!("cannot start a thread: {e}")))?;
 

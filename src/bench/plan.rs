@@ -80,6 +80,18 @@ impl Plan {
         hash::of_value(&("prediction", sequence, &method.id, &method.content, cell.seed, &self.revisions.prediction))
     }
 
+    /// What the film of `case` costs depends on this: all that its key does but the code's revision.
+    pub fn sequence_cost_key(&self, case: &Planned) -> Result<String> {
+        hash::of_value(&("cost", &case.id, &case.content))
+    }
+
+    /// What `cell` costs depends on this: all that its key does but the code's revision and the seed.
+    pub fn cell_cost_key(&self, cell: &Cell) -> Result<String> {
+        let sequence = self.sequence_cost_key(find(&self.cases, &cell.case_id, "case")?)?;
+        let method = find(&self.methods, &cell.method, "method")?;
+        hash::of_value(&("cost", sequence, &method.id, &method.content))
+    }
+
     /// Key of the score of `cell`.
     pub fn score_key(&self, cell: &Cell) -> Result<String> {
         hash::of_value(&("score", self.prediction_key(cell)?, &self.revisions.score))

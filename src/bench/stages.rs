@@ -1,10 +1,11 @@
 //! What the executor asks of the rooms below: film, reconstruct, score. A trait, so that the executor is tested
 //! without them.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use super::plan::Cell;
-use crate::base::{Progress, Result};
+use crate::base::{Error, ErrorKind, Progress, Result};
 
 /// The three stages, joined by folders.
 pub trait Stages: Sync {
@@ -16,4 +17,14 @@ pub trait Stages: Sync {
 
     /// Scores `prediction` against `sequence` and writes the score to the file `score`.
     fn score(&self, cell: &Cell, sequence: &Path, prediction: &Path, score: &Path) -> Result<()>;
+}
+
+/// The answer of `work`, or an error where it panics: a panic is a bug of one stage or thread, and costs its cell or its
+/// film, not the run.
+pub(super) fn caught<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
+        let text = payload.downcast_ref::<String>().map(String::as_str);
+        let text = text.or_else(|| payload.downcast_ref::<&str>().copied()).unwrap_or("no message");
+        Err(Error::new(ErrorKind::CellFailed, format!("a bug in the program: {text}")))
+    })
 }

@@ -12,14 +12,14 @@
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use std::time::UNIX_EPOCH;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::claim::{self, Asked, Claim, Claims};
 use super::plan::{Cell, Plan, Planned};
-use crate::base::{Error, Result, files, hash};
+use crate::base::{Error, ErrorKind, Result, files, hash};
 
 /// Name of a product's finish marker.
 pub const MARKER: &str = ".finished.json";
@@ -80,15 +80,33 @@ impl Work {
         Ok(own)
     }
 
+    /// Whether the work is still this process': false once another one has taken it for dead. What it makes then is
+    /// worth nothing.
+    pub fn is_held(&self) -> Result<bool> {
+        self.claim.is_held()
+    }
+
+    /// The process that has the work now; this one where nobody has.
+    pub fn holder_now(&self) -> Result<claim::Holder> {
+        self.claim.holder_now()
+    }
+
     fn making(&self, product: &str) -> PathBuf {
         self.folder.join(format!("{MAKING}{product}-{}", self.claim.token()))
     }
 
     /// Marks a product as finished and moves it into place, once its files are on disk.
+    ///
+    /// Errors: a folder that cannot be written; work that is another process' by now ([`Work::is_held`]).
     pub fn publish(&self, product: &str, key: &str) -> Result<()> {
         let (own, place) = (self.making(product), self.folder.join(product));
         let marker = FinishMarker { key: key.into(), outputs: hash_of_files(&own)?, listing: hash_of_listing(&own)? };
         files::write_json(&own.join(MARKER), &marker)?;
+        // Its folder may have been cleared away and made anew by the next file that was written.
+        if !self.is_held()? {
+            claim::remove_folder(&own)?;
+            return Err(Error::new(ErrorKind::CellFailed, "another process has taken the work over").at(&place));
+        }
         let moved = match fs::rename(&own, &place) {
             // Another process took this one for dead and has finished.
             Err(e) if claim::is_occupied(&e) && state_of(&place, key) == ProductState::Whole => {
@@ -152,6 +170,21 @@ impl Store {
     /// Checks a product against its key and, when the key fits, its files.
     pub fn state(&self, product: &str, key: &str) -> ProductState {
         state_of(&self.path(product), key)
+    }
+
+    /// The time by the clock that dates the cache's files, which may be another machine's.
+    ///
+    /// Errors: a folder that cannot be written.
+    pub fn now(&self) -> Result<SystemTime> {
+        let fail = |e| Error::io("writing", &self.root, e);
+        let file = tempfile::Builder::new().prefix(".now-").tempfile_in(&self.root).map_err(fail)?;
+        file.as_file().metadata().and_then(|data| data.modified()).map_err(fail)
+    }
+
+    /// Whether a product was finished after `time`, a [`Store::now`].
+    pub fn is_newer(&self, product: &str, time: SystemTime) -> bool {
+        let marker = self.path(product).join(MARKER);
+        fs::metadata(marker).and_then(|data| data.modified()).is_ok_and(|finished| finished > time)
     }
 
     /// Claims the piece of work of that name; who else has it where that fails. What an ended process left is removed,
@@ -326,6 +359,32 @@ mod tests {
         make(&work, "score", "key");
         assert_eq!(fs::metadata(store.path("cells/a/score")).unwrap().modified().unwrap(), first);
         fs::remove_file(store.path("cells/a/score/x.png")).unwrap();
+        make(&work, "score", "key");
+        assert_eq!(store.state("cells/a/score", "key"), ProductState::Whole);
+    }
+
+    /// As when a process stood still for so long that another one took it for dead, then woke up and went on writing.
+    #[test]
+    fn what_was_taken_over_is_never_published() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::look(folder.path());
+        let absent = || assert_eq!(store.state("cells/a/score", "key"), ProductState::Absent);
+        // The other one has cleared away what was begun, and is still at work.
+        let slept = claimed(&store, "cells/a");
+        let making = slept.begin("score").unwrap();
+        files::write_bytes(&making.join("first"), b"1").unwrap();
+        fs::remove_dir_all(store.path("cells/a/.claim")).unwrap();
+        let awake = claimed(&store, "cells/a");
+        assert!(!making.exists() && !slept.is_held().unwrap() && awake.is_held().unwrap());
+        files::write_bytes(&making.join("second"), b"2").unwrap();
+        assert!(slept.publish("score", "key").is_err());
+        absent();
+        // It has finished and gone, and nobody holds the work.
+        awake.release().unwrap();
+        files::write_bytes(&making.join("second"), b"2").unwrap();
+        assert!(slept.publish("score", "key").is_err());
+        absent();
+        let work = claimed(&store, "cells/a");
         make(&work, "score", "key");
         assert_eq!(store.state("cells/a/score", "key"), ProductState::Whole);
     }

@@ -1,11 +1,13 @@
 //! What a stage cost: wall and CPU seconds, memory, threads. Kept beside the products, never inside them, so that
 //! results stay the same bytes whatever the machine was doing.
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
+use super::array_job::WorkCost;
 use crate::base::{Result, files};
 use crate::ffi::system;
 
@@ -22,10 +24,14 @@ pub struct StageTiming {
     pub peak_memory_mib: f64,
     /// Threads that the stage could use.
     pub threads: usize,
+    /// Which work it was: a key of the plan that leaves out the code's revision and the seed. Empty in files of earlier
+    /// versions.
+    #[serde(default)]
+    pub cost_key: String,
 }
 
 /// Runs `work` as `stage` and reports what it cost, whether it succeeded or not.
-pub fn measured<T>(stage: &str, work: impl FnOnce() -> Result<T>) -> (Result<T>, StageTiming) {
+pub fn measured<T>(stage: &str, cost_key: String, work: impl FnOnce() -> Result<T>) -> (Result<T>, StageTiming) {
     let (wall, cpu_s) = (Instant::now(), system::cpu_time_s());
     let outcome = work();
     let timing = StageTiming {
@@ -34,6 +40,7 @@ pub fn measured<T>(stage: &str, work: impl FnOnce() -> Result<T>) -> (Result<T>,
         cpu_s: system::cpu_time_s() - cpu_s,
         peak_memory_mib: system::peak_memory_mib(),
         threads: rayon::current_num_threads(),
+        cost_key,
     };
     (outcome, timing)
 }
@@ -59,4 +66,59 @@ pub fn add(path: &Path, mut timing: StageTiming) -> Result<()> {
         timing.peak_memory_mib = timing.peak_memory_mib.max(before.peak_memory_mib);
     }
     keep(path, timing)
+}
+
+/// What was measured in the cache at `root`, of any revision and seed: by [`StageTiming::cost_key`], CPU seconds and
+/// highest memory in MiB over the stages, the largest where work was done more than once. What cannot be read is left
+/// out: an expectation needs no more.
+pub fn measured_costs(root: &Path) -> HashMap<String, WorkCost> {
+    let mut costs = HashMap::new();
+    for kind in ["sequences", "cells"] {
+        for folder in files::folders_in(&root.join(kind)).unwrap_or_default() {
+            let mut of_folder: HashMap<String, WorkCost> = HashMap::new();
+            for stage in read(&folder.join("timing.json")).unwrap_or_default() {
+                let cost = WorkCost { cpu_s: stage.cpu_s, memory_mib: stage.peak_memory_mib };
+                let sum = of_folder.entry(stage.cost_key).or_default();
+                *sum = sum.then(cost);
+            }
+            for (key, cost) in of_folder {
+                let largest: &mut WorkCost = costs.entry(key).or_default();
+                *largest = largest.or(cost);
+            }
+        }
+    }
+    costs.remove("");
+    costs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn costs_are_found_whatever_the_revision_and_the_seed() {
+        let root = tempfile::tempdir().unwrap();
+        let keep_cost = |folder: &str, stage: &str, cost_key: &str, cpu_s: f64| {
+            let timing = StageTiming {
+                stage: stage.into(),
+                cpu_s,
+                peak_memory_mib: 10.0 * cpu_s,
+                cost_key: cost_key.into(),
+                ..StageTiming::default()
+            };
+            keep(&root.path().join(folder).join("timing.json"), timing).unwrap();
+        };
+        keep_cost("cells/case1-ours-s1-0123", "reconstruct", "a", 5.0);
+        keep_cost("cells/case1-ours-s1-0123", "score", "a", 2.0);
+        keep_cost("cells/case1-ours-s2-4567", "reconstruct", "a", 6.0);
+        keep_cost("sequences/case1-89ab", "simulate", "b", 3.0);
+        keep_cost("sequences/case1-cdef", "simulate", "", 99.0);
+        std::fs::create_dir_all(root.path().join("cells/case1-ours-s3-0000")).unwrap();
+        std::fs::write(root.path().join("cells/case1-ours-s3-0000/timing.json"), "{").unwrap();
+        let costs = measured_costs(root.path());
+        assert_eq!(costs.len(), 2);
+        assert_eq!(costs["a"], WorkCost { cpu_s: 7.0, memory_mib: 60.0 });
+        assert_eq!(costs["b"], WorkCost { cpu_s: 3.0, memory_mib: 30.0 });
+        assert!(measured_costs(&root.path().join("nowhere")).is_empty());
+    }
 }

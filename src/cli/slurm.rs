@@ -1,18 +1,16 @@
 //! `respire-bench slurm`: the main job as a Slurm job array.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::Terminal;
 use super::selection::Selection;
-use crate::base::range::NumberRange;
+use crate::base::range::{NumberRange, PROCESSORS};
 use crate::base::{Error, ErrorKind, Result, files};
 use crate::bench::array_job::{ArrayJob, WorkCost};
-use crate::bench::store::cell_folder;
-use crate::bench::{Cell, Pipeline, Plan, Store, is_finished, timing};
+use crate::bench::{Cell, Pipeline, Plan, Planned, Store, is_finished, timing};
 use crate::simulate::track::Track;
 
-/// Processors of a task.
-const PROCESSORS: NumberRange = NumberRange::new(1.0, 1024.0);
 /// Tasks at a time.
 const AT_ONCE: NumberRange = NumberRange::new(1.0, 10_000.0);
 
@@ -74,12 +72,20 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
     }
     common.extend(arguments.selection.place_words()?);
     common.extend(["--out".to_owned(), absolute(&arguments.out)?, "--cache".to_owned(), absolute(&arguments.cache)?]);
+    let scripts = absolute(&arguments.scripts)?;
+    // A line of a script that Slurm reads ends there, and it takes the other one for an escape.
+    if scripts.contains(['\n', '\\']) {
+        return Err(Error::usage(
+            "--scripts: Slurm cannot write into a folder with a line break or a backslash in its path",
+        ));
+    }
     let (wishes, rows) = (arguments.selection.case_wishes()?, arguments.selection.row_words());
     let everything = [vec!["--cases".to_owned(), wishes.join(",")], rows.clone()].concat();
     let pipeline = arguments.selection.pipeline(track)?;
     let plan = pipeline.plan()?;
     let store = Store::look(&arguments.cache);
 
+    let costs = Costs { pipeline: &pipeline, plan: &plan, measured: timing::measured_costs(store.root()) };
     let (mut work, mut cost, mut missing) = (Vec::new(), WorkCost::default(), 0);
     for (case, wish) in plan.cases.iter().zip(&wishes) {
         let mut cells = Vec::new();
@@ -89,18 +95,19 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
             }
         }
         missing += cells.len();
-        let of_cells = cells.iter().map(|cell| expected(&pipeline, &plan, &store, cell)).collect::<Result<Vec<_>>>()?;
         match arguments.task {
             Task::Cell => {
                 work.extend(cells.iter().map(|cell| {
                     let words = ["--cases", wish, "--methods", &cell.method, "--seeds", &cell.seed.to_string()];
                     words.map(str::to_owned).to_vec()
                 }));
-                cost = of_cells.into_iter().fold(cost, WorkCost::or);
+                for cell in &cells {
+                    cost = cost.or(costs.of_task(case, std::slice::from_ref(cell))?);
+                }
             }
             Task::Case if !cells.is_empty() => {
                 work.push([vec!["--cases".to_owned(), wish.clone()], rows.clone()].concat());
-                cost = cost.or(of_cells.into_iter().fold(WorkCost::default(), WorkCost::then));
+                cost = cost.or(costs.of_task(case, &cells)?);
             }
             Task::Case => {}
         }
@@ -116,7 +123,7 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         common,
         work,
         everything,
-        folder: absolute(&arguments.scripts)?,
+        folder: scripts,
         processors: arguments.processors,
         at_once: arguments.at_once,
         cost,
@@ -135,13 +142,24 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
     Ok(())
 }
 
-/// What a cell is expected to cost, its film included: as measured where it was run before with another revision or
-/// seed, by the model otherwise.
-fn expected(pipeline: &Pipeline, plan: &Plan, store: &Store, cell: &Cell) -> Result<WorkCost> {
-    let model = pipeline.cell_cost(cell);
-    let kept = timing::read(&store.path(&cell_folder(plan, cell)?).join("timing.json"))?;
-    let measured = kept.iter().fold(WorkCost::default(), |sum, stage| {
-        sum.then(WorkCost { cpu_s: stage.cpu_s, memory_mib: stage.peak_memory_mib })
-    });
-    Ok(model.or(measured))
+/// What work is expected to cost.
+struct Costs<'a> {
+    pipeline: &'a Pipeline,
+    plan: &'a Plan,
+    /// By the plan's cost keys.
+    measured: HashMap<String, WorkCost>,
+}
+
+impl Costs<'_> {
+    /// A task that makes `cells` of `case`, its film included: as measured where all of it was run before, with
+    /// whatever revision and seed, by the model otherwise.
+    fn of_task(&self, case: &Planned, cells: &[Cell]) -> Result<WorkCost> {
+        let mut keys = vec![self.plan.sequence_cost_key(case)?];
+        for cell in cells {
+            keys.push(self.plan.cell_cost_key(cell)?);
+        }
+        let measured: Option<Vec<WorkCost>> = keys.iter().map(|key| self.measured.get(key).copied()).collect();
+        let costs = measured.unwrap_or_else(|| cells.iter().map(|cell| self.pipeline.cell_cost(cell)).collect());
+        Ok(costs.into_iter().fold(WorkCost::default(), WorkCost::then))
+    }
 }
