@@ -12,7 +12,7 @@ use respire_bench::base::{NoProgress, Result};
 use respire_bench::formats::png;
 use respire_bench::simulate::preview::sheet;
 use respire_bench::simulate::truth::TruthSet;
-use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
+use respire_bench::simulate::{FilmLight, MeshOutput, RadianceOutput, SimulationSettings, simulate};
 
 /// Frames shown of the nine, case by case: one in the trachea, one before a bifurcation, one at the end of the route.
 const SHOWN: [[usize; 3]; 9] =
@@ -30,6 +30,7 @@ fn main() -> Result<()> {
         meshes: MeshOutput::EndStates,
         radiance: RadianceOutput::None,
         truth: TruthSet::default(),
+        light: FilmLight::Full,
     };
     for (number, shown) in (1..).zip(SHOWN) {
         let case = Case::load(&root.join(format!("bench-cases/case{number}.toml")))?;

@@ -54,5 +54,6 @@ frames_per_second = 2.0
 minimum_frames = 4
 minimum_breaths = 0.0
 samples_per_pixel = 1
+light = "draft"
 iteration_scale = 0.05
 PROFILE

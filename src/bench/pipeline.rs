@@ -260,6 +260,7 @@ fn film_settings(profile: &Profile, case: &Case) -> SimulationSettings {
         meshes: MeshOutput::default(),
         radiance: RadianceOutput::default(),
         truth: TruthSet::default(),
+        light: profile.light,
     }
 }
 

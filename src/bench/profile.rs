@@ -8,6 +8,7 @@ use super::plan::toml_ids;
 use crate::airway::case::Effect;
 use crate::base::range::{FRAME_RATE, FRAMES, KeyRanges, NumberRange, SAMPLES_PER_PIXEL, SEED};
 use crate::base::{Error, Result, files};
+use crate::simulate::FilmLight;
 
 /// Ranges of a profile.
 const RANGES: KeyRanges = KeyRanges(&[
@@ -52,6 +53,9 @@ pub struct Profile {
     /// Effects of the scope that are switched off in every case.
     #[serde(default)]
     pub without: Vec<Effect>,
+    /// `full`, or `draft` for films that only have to be there.
+    #[serde(default, skip_serializing_if = "FilmLight::is_full")]
+    pub light: FilmLight,
 }
 
 impl Profile {

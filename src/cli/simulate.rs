@@ -110,6 +110,7 @@ pub fn run(arguments: SimulateArguments, terminal: &Terminal) -> Result<()> {
             meshes: if arguments.meshes { MeshOutput::EveryFrame } else { MeshOutput::EndStates },
             radiance: if arguments.radiance { RadianceOutput::Exr } else { RadianceOutput::None },
             truth: arguments.truth.iter().copied().collect(),
+            light: profile.light,
         }
     };
     // All of them are judged before the first is made.

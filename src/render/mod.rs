@@ -33,7 +33,7 @@ mod vertex_light;
 pub use frame::{RenderedFrame, Statistics, estimate, render, render_watched};
 pub use material::{Boundary, Material, MaterialKind, Subsurface, WalkedVertices};
 pub use scene::Scene;
-pub use settings::{Denoise, Light, RenderSettings, Shading, Transport};
+pub use settings::{DRAFT_RAYS_PER_FACE, Denoise, Light, RenderSettings, Shading, Transport};
 
 /// Instruction set that Embree is pinned to: others round the same rays differently.
 pub const ISA: &str = "avx2";

@@ -25,8 +25,10 @@ use crate::ffi::trace::tracer::{
     FacePlace, FlatWalks, FrameSettings, MaterialSettings, MeshTracer, NO_FACE, RestVertex, ScatterExit, SubsurfaceKind,
 };
 
-/// Scatter walks of the rows of a vertex at one end, by level.
-const WALKS: [usize; 3] = [256, 1024, 4096];
+/// Scatter walks of the rows of a vertex at one end, by level: that of drafts, and three by the vertex' share of the light.
+const WALKS: [usize; 4] = [32, 256, 1024, 4096];
+/// The lowest level that is no draft.
+const LOWEST_LEVEL: usize = 1;
 /// Share of a frame's light up to which a vertex takes the lowest level; four times as much takes the next. A hundred
 /// vertices with a hundredth of the light each then have 2000 walks each, which leaves the frame's mean a noise of .2 %.
 const LOWEST_LEVEL_SHARE: f32 = 1.0 / 800.0;
@@ -38,16 +40,19 @@ const WALKS_AT_ONCE: usize = 4096;
 pub(super) struct WalkedVertex {
     /// Its number in the mesh.
     pub vertex: u32,
-    /// About which part of the frame's light the camera sees around it, 0 to 1.
-    pub share: f32,
+    /// About which part of the frame's light the camera sees around it, 0 to 1; `None` in a draft.
+    pub share: Option<f32>,
 }
 
 impl WalkedVertex {
     /// The levels of rows that the vertex takes, and their weights, which sum to 1.
     fn levels(&self) -> impl Iterator<Item = (usize, f32)> + use<> {
-        let highest = (WALKS.len() - 1) as f32;
-        let level = (0.5 * (self.share / LOWEST_LEVEL_SHARE).log2()).clamp(0.0, highest);
-        let (low, part) = (level as usize, level.fract());
+        let highest = (WALKS.len() - 1 - LOWEST_LEVEL) as f32;
+        let above_lowest = |share: f32| (0.5 * (share / LOWEST_LEVEL_SHARE).log2()).clamp(0.0, highest);
+        let (low, part) = self.share.map_or((0, 0.0), |share| {
+            let level = above_lowest(share);
+            (LOWEST_LEVEL + level as usize, level.fract())
+        });
         [(low, 1.0 - part), (low + 1, part)].into_iter().filter(|&(_, part)| part > 0.0)
     }
 }
@@ -124,14 +129,14 @@ struct MotionEnd {
     vertices: Vec<f32>,
     tracer: OnceLock<Result<MeshTracer>>,
     hits: Vec<OnceLock<Box<[u32]>>>,
-    /// By level and vertex.
-    rows: [Vec<OnceLock<ScatterRow>>; WALKS.len()],
+    /// By level and vertex; a level that no frame takes has no vertices.
+    rows: [OnceLock<Vec<OnceLock<ScatterRow>>>; WALKS.len()],
 }
 
 impl MotionEnd {
     fn new(vertices: Vec<f32>, topology: &Topology) -> Self {
-        let (faces, count) = (topology.faces.len(), topology.vertex_count());
-        MotionEnd { vertices, tracer: OnceLock::new(), hits: empty(faces), rows: WALKS.map(|_| empty(count)) }
+        let faces = topology.faces.len();
+        MotionEnd { vertices, tracer: OnceLock::new(), hits: empty(faces), rows: Default::default() }
     }
 }
 
@@ -232,6 +237,10 @@ impl Tissue {
         for (level, (&walks, kept)) in WALKS.iter().zip(&self.ends[end].rows).enumerate() {
             let takes = |v: &&WalkedVertex| v.levels().any(|(taken, _)| taken == level);
             let all = vertices.iter().filter(takes).map(|v| v.vertex);
+            if all.clone().next().is_none() {
+                continue;
+            }
+            let kept = kept.get_or_init(|| empty(topology.vertex_count()));
             let missing: Vec<u32> = all.filter(|&v| kept[v as usize].get().is_none()).collect();
             if missing.is_empty() {
                 continue;
@@ -255,7 +264,8 @@ impl Tissue {
     pub(super) fn rows(&self, ends: &[(usize, f32)], vertex: WalkedVertex) -> impl Iterator<Item = (&ScatterRow, f32)> {
         let of_end = move |&(end, of_end): &(usize, f32)| {
             let row = move |(level, part): (usize, f32)| {
-                self.ends[end].rows[level][vertex.vertex as usize].get().map(|row| (row, part * of_end))
+                let row = self.ends[end].rows[level].get()?[vertex.vertex as usize].get();
+                row.map(|row| (row, part * of_end))
             };
             vertex.levels().filter_map(row)
         };
@@ -293,11 +303,13 @@ mod tests {
 
     #[test]
     fn walks_grow_with_the_share_and_pass_smoothly_from_level_to_level() {
-        let levels = |share| WalkedVertex { vertex: 0, share }.levels().collect::<Vec<_>>();
-        assert_eq!(levels(0.0), [(0, 1.0)]);
-        assert_eq!(levels(LOWEST_LEVEL_SHARE), [(0, 1.0)]);
-        assert_eq!(levels(2.0 * LOWEST_LEVEL_SHARE), [(0, 0.5), (1, 0.5)]);
-        assert_eq!(levels(4.0 * LOWEST_LEVEL_SHARE), [(1, 1.0)]);
-        assert_eq!(levels(1.0), [(2, 1.0)]);
+        let of = |share| WalkedVertex { vertex: 0, share }.levels().map(|(level, part)| (WALKS[level], part));
+        let walks = |share| of(Some(share)).collect::<Vec<_>>();
+        assert_eq!(walks(0.0), [(256, 1.0)]);
+        assert_eq!(walks(LOWEST_LEVEL_SHARE), [(256, 1.0)]);
+        assert_eq!(walks(2.0 * LOWEST_LEVEL_SHARE), [(256, 0.5), (1024, 0.5)]);
+        assert_eq!(walks(4.0 * LOWEST_LEVEL_SHARE), [(1024, 1.0)]);
+        assert_eq!(walks(1.0), [(4096, 1.0)]);
+        assert_eq!(of(None).collect::<Vec<_>>(), [(32, 1.0)]);
     }
 }

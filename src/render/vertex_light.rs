@@ -22,6 +22,7 @@ use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::scene::Scene;
+use super::settings::DRAFT_RAYS_PER_FACE;
 use super::tissue::WalkedVertex;
 use crate::base::Result;
 use crate::ffi::trace::tracer::{FaceLight, FacePlace, FrameSettings, Glint, KnownLight, NO_FACE, ScatterExit};
@@ -106,7 +107,13 @@ pub(super) fn vertex_light(
     let mut lamp = lamp_on(scene, frame, &faces.list, &mut rays)?;
     // Where a camera sample's own scatter walk comes out, or its ray ends, only the light of other walls is asked for.
     let scatters = scene.tissue.scatters() && !frame.gathers;
-    let walked = if scatters { walked_vertices(scene, &vertices, visible, &faces, &lamp) } else { Vec::new() };
+    let walked = match scatters {
+        true if rays_per_face <= DRAFT_RAYS_PER_FACE => {
+            vertices.iter().map(|&vertex| WalkedVertex { vertex, share: None }).collect()
+        }
+        true => walked_vertices(scene, &vertices, visible, &faces, &lamp),
+        false => Vec::new(),
+    };
     for &(end, _) in &ends {
         rays += scene.tissue.prepare(frame, end, &walked, &scene.topology)?;
     }
@@ -161,7 +168,7 @@ fn walked_vertices(
         }
     }
     let share = |v: u32| if whole > 0.0 { (light[v as usize] / whole) as f32 } else { 0.0 };
-    vertices.iter().map(|&vertex| WalkedVertex { vertex, share: share(vertex) }).collect()
+    vertices.iter().map(|&vertex| WalkedVertex { vertex, share: Some(share(vertex)) }).collect()
 }
 
 fn gather(

@@ -38,7 +38,7 @@ pub use identity::{revision, sequence_folder, sequence_hash};
 use misregister::misregister;
 use sensor::Sensor;
 use sequence::{ManifestHead, NovelView, Sequence};
-pub use settings::{MeshOutput, RadianceOutput, SimulationSettings};
+pub use settings::{FilmLight, MeshOutput, RadianceOutput, SimulationSettings};
 
 /// Films `case` into the folder `out` and opens the result.
 ///

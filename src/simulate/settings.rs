@@ -1,6 +1,6 @@
 //! How a case is filmed, and which files a sequence of it has.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::sequence;
 use super::truth::{TruthMap, TruthSet};
@@ -45,6 +45,24 @@ pub enum RadianceOutput {
     Exr,
 }
 
+/// How exactly light that walls send each other, and that scatters in them, is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FilmLight {
+    /// To half a per cent of a frame's mean.
+    #[default]
+    Full,
+    /// In a third of the time, and off by tens of per cent here and there: for a look, and for tests.
+    Draft,
+}
+
+impl FilmLight {
+    /// Whether it is the default, which no key names.
+    pub fn is_full(&self) -> bool {
+        *self == FilmLight::Full
+    }
+}
+
 /// How a case is filmed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SimulationSettings {
@@ -64,6 +82,9 @@ pub struct SimulationSettings {
     pub radiance: RadianceOutput,
     /// Ground-truth images to write.
     pub truth: TruthSet,
+    /// Light between and in the walls.
+    #[serde(skip_serializing_if = "FilmLight::is_full")]
+    pub light: FilmLight,
 }
 
 impl SimulationSettings {

@@ -15,7 +15,7 @@ use super::clinical::{ClinicalFilm, focus};
 use super::film::{Film, scope_light};
 use super::sensor::{Exposed, Sensor};
 use super::sequence::{self, NovelView};
-use super::settings::{MOMENTS, MeshOutput, RadianceOutput, SimulationSettings};
+use super::settings::{FilmLight, MOMENTS, MeshOutput, RadianceOutput, SimulationSettings};
 use super::truth::{TruthMap, VisibleWall};
 
 /// Marks the random numbers of a second camera.
@@ -266,7 +266,10 @@ impl<'a> Studio<'a> {
         self.scene.deform(wall)?;
         let settings = RenderSettings {
             samples_per_pixel,
-            transport: Transport::VERTICES,
+            transport: match self.settings.light {
+                FilmLight::Full => Transport::VERTICES,
+                FilmLight::Draft => Transport::DRAFT,
+            },
             shading: Shading::Smooth,
             seed: self.case.seed,
             frame: key,

@@ -22,6 +22,7 @@ minimum_frames = 3
 minimum_breaths = 0.0
 samples_per_pixel = 1
 iteration_scale = 0.05
+light = "draft"
 "#;
 
 /// A folder of its own, with the tiny profile in it.

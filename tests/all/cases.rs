@@ -13,7 +13,7 @@ use respire_bench::airway::{self, Anatomy, morphometry};
 use respire_bench::base::{TriangleMesh, hash, mesh};
 use respire_bench::simulate::film::Film;
 use respire_bench::simulate::truth::TruthSet;
-use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, material};
+use respire_bench::simulate::{FilmLight, MeshOutput, RadianceOutput, SimulationSettings, material};
 
 /// Hash of the nine cases and of every file that they name.
 const SEAL: &str = "06f64d3a9f7ec3e09ffbbb657c485885ff116d86ad99670bb934d6dc34b07135";
@@ -228,6 +228,7 @@ fn checked_rows(case: &Case) -> [String; 2] {
         meshes: MeshOutput::EndStates,
         radiance: RadianceOutput::None,
         truth: TruthSet::default(),
+        light: FilmLight::Full,
     };
     let film = Film::plan(case, &anatomy, &settings, &material(case).unwrap()).unwrap();
     assert!((4.9..=20.1).contains(&film.end_motion_mm), "{id}: the end moves {} mm", film.end_motion_mm);

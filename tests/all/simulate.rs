@@ -11,7 +11,7 @@ use respire_bench::airway::case::Case;
 use respire_bench::base::{ErrorKind, NoProgress, Progress, TriangleMesh, mesh};
 use respire_bench::simulate::sequence::Sequence;
 use respire_bench::simulate::truth::{TruthMap, TruthSet};
-use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, simulate};
+use respire_bench::simulate::{FilmLight, MeshOutput, RadianceOutput, SimulationSettings, simulate};
 
 use crate::cases::case_path;
 
@@ -25,6 +25,7 @@ pub fn small() -> SimulationSettings {
         meshes: MeshOutput::EveryFrame,
         radiance: RadianceOutput::Exr,
         truth: TruthSet::default(),
+        light: FilmLight::Draft,
     }
 }
 

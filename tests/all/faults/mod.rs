@@ -48,6 +48,7 @@ frames_per_second = 2.0
 minimum_frames = 2
 minimum_breaths = 0.0
 samples_per_pixel = 1
+light = "draft"
 iteration_scale = 0.01
 "#;
 
