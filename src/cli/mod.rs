@@ -220,6 +220,35 @@ mod tests {
         }
     }
 
+    /// Words of an example as a shell would hand them over, up to what is the shell's own.
+    fn words(example: &str) -> Vec<String> {
+        let quoted = |(k, part): (usize, &str)| if k % 2 == 1 { part.replace(' ', "\u{a0}") } else { part.to_owned() };
+        let joined: String = example.split('"').enumerate().map(quoted).collect();
+        let words = joined.split(' ').filter(|word| !word.is_empty());
+        words.take_while(|word| !["#", ">", "|", "&&"].contains(word)).map(|word| word.replace('\u{a0}', " ")).collect()
+    }
+
+    /// `tests/all/examples.rs` runs those that take seconds; here all of them are understood.
+    #[test]
+    fn every_example_of_the_help_is_a_command_line() {
+        use clap::Parser;
+
+        let (mut found, mut commands) = (0, vec![super::Line::command()]);
+        while let Some(command) = commands.pop() {
+            let help = command.get_after_help().map(|help| help.to_string()).unwrap_or_default();
+            for line in help.lines() {
+                let line = line.trim_start().trim_start_matches("Example").trim_start_matches(['s', ':', ' ']);
+                if line.starts_with("respire-bench ") {
+                    found += 1;
+                    let parsed = super::Line::try_parse_from(words(line));
+                    assert!(parsed.is_ok(), "{}: {line}: {}", command.get_name(), parsed.err().unwrap());
+                }
+            }
+            commands.extend(command.get_subcommands().cloned());
+        }
+        assert!(found >= 30, "{found} examples were looked at");
+    }
+
     /// Numbers have a value name that says so, by which `tests/all/ranges.rs` finds every one of them.
     #[test]
     fn options_that_are_numbers_say_so() {

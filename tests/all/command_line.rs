@@ -110,30 +110,6 @@ fn one_cell_runs_alone_and_says_where_its_files_are() {
     assert!(score.is_object(), "{json}");
 }
 
-/// Folders of the project that help texts name exist.
-#[test]
-fn examples_of_the_help_name_folders_that_exist() {
-    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
-    let (mut named, mut commands) = (0, vec![vec!["--help".to_owned()]]);
-    let (_, help, _) = run(&["--help"]);
-    let listed = help.split("Commands:").nth(1).unwrap().lines().skip(1).take_while(|line| !line.trim().is_empty());
-    // A name stands two columns in; what stands further in is a description's next line.
-    let listed = listed.filter(|line| line.trim_start().len() + 2 == line.len());
-    let names = listed.map(|line| line.split_whitespace().next().unwrap().to_owned()).filter(|name| name != "help");
-    commands.extend(names.map(|name| vec![name, "--help".into()]));
-    for words in commands {
-        let (code, text, err) = run(&words.iter().map(String::as_str).collect::<Vec<_>>());
-        assert_eq!(code, 0, "{words:?}: {err}");
-        let names = text.split(|c: char| !(c.is_alphanumeric() || "_-./".contains(c)));
-        let starts = ["reports/reference", "reports/baselines", "bench-cases/"];
-        for path in names.filter(|word| starts.iter().any(|start| word.starts_with(start))) {
-            named += 1;
-            assert!(root.join(path).exists(), "{words:?} names {path}");
-        }
-    }
-    assert!(named >= 3, "{named} folders were looked at");
-}
-
 /// Bash itself says what it would complete: a command, an option of a command, a value.
 #[test]
 fn bash_completes_commands_options_and_values() {

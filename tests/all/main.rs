@@ -8,6 +8,7 @@ mod cases;
 mod cheats;
 mod clinical;
 mod command_line;
+mod examples;
 mod export;
 mod faults;
 mod gate;
