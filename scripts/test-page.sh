@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Opens a report in headless Chromium (software WebGL) and checks it: scripts/test-page.sh [REPORT.html [PICTURES]]
-# Default: the smoke run's, and that run merged with a prediction of one's own. PICTURES: a folder for screenshots and a
+# Default: the smoke run's, that run merged with a prediction of one's own, and one of both tracks. PICTURES: a folder for screenshots and a
 # print. Takes about 25 s; installs Debian's chromium where it is missing and can be had, and otherwise says loudly that
 # nothing was checked.
 set -euo pipefail
@@ -33,3 +33,9 @@ film=$(sed -n 's/^sequence: *//p' <<<"$said") prediction=$(sed -n 's/^prediction
 "$bench" evaluate --sequence "$film" --predictions "$prediction" --method mine --out "$work/mine" >/dev/null
 "$bench" merge "$smoke/latest" "$work/mine" --out "$work/table" >/dev/null
 python3 -B tests/page/test_merged.py "$chromium" "$work/table/report.html" mine
+
+# --- both tracks on one page ------------------------------------------------------------------------------------------------
+"$bench" all-cases --profile smoke --track both --cases case1 --methods pose-only,static-ct --out "$work/both" \
+  --cache "$smoke/cache" >/dev/null 2>&1
+"$bench" merge "$work"/both/smoke-* --out "$work/page" >/dev/null
+python3 -B tests/page/test_tracks.py "$chromium" "$work/page/report.html"

@@ -9,7 +9,7 @@ use super::Terminal;
 use super::selection::CatalogueFolder;
 use crate::airway::case::Case;
 use crate::base::range::{NumberRange, SHARE};
-use crate::base::{Result, files};
+use crate::base::{Estimate, Progress, Result, files};
 use crate::experiments::light_bias::{self, BiasSweep, Look};
 use crate::report::tables::write_csv;
 
@@ -72,6 +72,8 @@ pub fn run(arguments: LightBiasArguments, terminal: &Terminal) -> Result<()> {
         reference_samples: arguments.reference_spp,
         cache: arguments.cache,
     };
+    let one = sweep.estimate();
+    terminal.accepts(&Estimate { seconds: cases.len() as f64 * one.seconds, ..one })?;
     let mut rows = Vec::new();
     for name in &cases {
         rows.extend(light_bias::rows(&Case::load(&catalogue.case_file(name)?)?, &sweep, terminal)?);

@@ -11,7 +11,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::airway::{self, case::Case};
-use crate::base::{Error, Image, Result};
+use crate::base::{Error, Estimate, Image, Result};
 use crate::experiments::ExperimentWatcher;
 use crate::experiments::case_scene::{CaseScene, Viewpoint};
 use crate::experiments::difference::relative_mse;
@@ -28,6 +28,12 @@ const FILM_FRAMES: u64 = 4;
 const FILM_SAMPLES: u32 = 4;
 /// Seed of the references, apart from those of the cases.
 const REFERENCE_SEED: u64 = 7000;
+/// CPU seconds of a path of a reference, and of the frames that it is compared with (case2, 64 pixels wide).
+const REFERENCE_SAMPLE_S: f64 = 1e-5;
+const FILM_FRAMES_S: f64 = 1.0;
+/// Bytes of a pixel in each part of a reference, and of the scene.
+const PART_PIXEL_BYTES: f64 = 24.0;
+const SCENE_BYTES: f64 = 3e8;
 /// relMSE's floor, as a share of the reference's squared mean: keeps dark pixels from deciding.
 const FLOOR_SHARE: f64 = 1e-4;
 /// Names of the channels.
@@ -130,6 +136,20 @@ pub struct BiasSweep {
     pub reference_samples: u32,
     /// Folder of the references.
     pub cache: PathBuf,
+}
+
+impl BiasSweep {
+    /// What one case would cost, were no reference kept.
+    pub fn estimate(&self) -> Estimate {
+        let frames = (self.looks.len() * self.places.len() * self.phases.len()) as f64;
+        let pixels = f64::from(self.width_px).powi(2);
+        let frame_s = pixels * f64::from(self.reference_samples) * REFERENCE_SAMPLE_S + FILM_FRAMES_S;
+        Estimate {
+            memory_bytes: pixels * f64::from(REFERENCE_PARTS + 1) * PART_PIXEL_BYTES + SCENE_BYTES,
+            seconds: frames * frame_s / rayon::current_num_threads() as f64,
+            resumable: true,
+        }
+    }
 }
 
 /// One frame: light at vertices against paths.

@@ -100,7 +100,12 @@ fn furnish(folder: &Path) {
     fs::write(folder.join("mine/own.toml"), own.replacen("id = \"case5\"", "id = \"own\"", 1)).unwrap();
     link(folder, "reports/reference", &root.join("reports/reference"));
     link(folder, "reports/baselines", &root.join("reports/baselines"));
-    link(folder, "target/smoke/latest", &root.join("reports/baselines/ideal"));
+    // The gate writes its verdict beside the results.
+    fs::create_dir_all(folder.join("target/smoke/latest")).unwrap();
+    for name in ["results.csv", "run.json"] {
+        fs::copy(root.join("reports/baselines/ideal").join(name), folder.join("target/smoke/latest").join(name))
+            .unwrap();
+    }
     link(folder, "bench-cases", &root.join("bench-cases"));
     link(folder, "mine/trees", &root.join("bench-cases/trees"));
     fs::copy(root.join("fuzz/corpus/gaussians/ascii"), folder.join("scene.ply")).unwrap();

@@ -424,6 +424,16 @@ fn large_stills_are_asked_about_and_small_targets_refused() {
     }
 }
 
+/// Options that are each in range may ask for a year together.
+#[test]
+fn a_long_comparison_of_light_is_asked_about() {
+    let folder = tempfile::tempdir().unwrap();
+    let long = ["light-bias", "--width", "1024", "--reference-spp", "65536", "--out", "out"];
+    let (code, said) = limited(folder.path(), &long);
+    assert!(code == 2 && said.contains("years; say --yes, or make it smaller"), "{code}: {said}");
+    assert!(!folder.path().join("out").exists());
+}
+
 /// Whoever runs what is shipped, on a machine with one core, is asked nothing.
 #[test]
 fn shipped_profiles_are_not_asked_about() {

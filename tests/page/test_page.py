@@ -101,6 +101,13 @@ def test_desktop(browser, url, pictures, dark):
     check(browser.run(tile) != before, "the time slider changes the film")
     cursor = browser.run("+document.querySelector('.curves .cursor').getAttribute('x1')")
     check(cursor > 300, "the cursor of the curves is at the end")
+    # From the beginning to the end, by the button that a reader presses.
+    label = "document.querySelector('button.play').getAttribute('aria-label')"
+    browser.run("page.open.player.seek(0); 1")
+    browser.run("document.querySelector('button.play').click(); 1")
+    check(browser.run(label) == "Pause", "play offers to pause")
+    browser.run(f"new Promise((done, fail) => {{ const look = () => {label} === 'Play' ? done(1) : setTimeout(look, 50); setTimeout(fail, 40000); look(); }})")
+    check(browser.run("page.open.player.frame >= page.open.player.last"), "the film plays to its end")
     if pictures:
         browser.run("page.open.player.seek(page.open.player.last * 0.4); 1")
         browser.run("new Promise(done => setTimeout(done, 300))")
@@ -126,22 +133,24 @@ def test_phone(browser, url, pictures):
         browser.screenshot(pictures / "phone.png")
 
 
-def test_tracks(browser, report, pictures):
-    """A second track beside the first: the same tables under another name."""
-    html = report.read_text()
-    start, end = html.index('<section class="track"'), html.index("</section>") + len("</section>")
-    section = html[start:end]
-    other = section.replace('data-track="ideal"', 'data-track="clinical"').replace('id="ideal-', 'id="clinical-')
-    with tempfile.TemporaryDirectory() as folder:
-        both = pathlib.Path(folder) / "both.html"
-        both.write_text(html[:end] + other + html[end:])
-        browser.show(both.as_uri(), 1280, 900)
-        shown = "[...document.querySelectorAll('section.track')].filter(s => s.offsetParent).map(s => s.dataset.track)"
-        check(browser.run(shown) == ["ideal"], "of two tracks the first is shown")
-        browser.run("document.querySelectorAll('#tracks button')[1].click(); 1")
-        check(browser.run(shown) == ["clinical"], "the switch shows the other")
+def test_tracks(browser, url):
+    """A report of both tracks: one of them is shown, with tables and cases of its own."""
+    browser.show(url, 1280, 900)
+    shown = "[...document.querySelectorAll('section.track')].filter(s => s.offsetParent).map(s => s.dataset.track)"
+    tracks = browser.run("[...document.querySelectorAll('section.track')].map(s => s.dataset.track)")
+    check(sorted(tracks) == ["clinical", "ideal"], f"the report has both tracks: {tracks}")
+    values = "[...document.querySelectorAll('section.track:not([hidden]) table.comparison td')].map(c => c.textContent).join('|')"
+    numbers = []
+    for k, track in enumerate(tracks):
+        browser.run(f"document.querySelectorAll('#tracks button')[{k}].click(); 1")
+        check(browser.run(shown) == [track], f"the switch shows {track} alone")
+        numbers.append(browser.run(values))
         open_first(browser)
-        check(browser.run("page.open.player.host.id").startswith("clinical-"), "its cases open")
+        check(browser.run("page.open.player.host.id").startswith(f"{track}-"), "its cases open")
+        browser.settle()
+        picture = browser.run(PIXELS)
+        check(picture["drawn"] > 0.03 and picture["colors"] > 200, f"its airway is drawn: {picture['colors']} colours")
+    check(numbers[0] != numbers[1], "the tables differ")
 
 
 def test_without_script(browser, url):
@@ -163,8 +172,10 @@ def main(program, report, pictures=None):
         for dark in (False, True):
             test_desktop(browser, url, pictures, dark)
         test_phone(browser, url, pictures)
-        if pictures:
-            browser.pdf(pictures / "print.pdf")
+        with tempfile.TemporaryDirectory() as folder:
+            printed = (pictures or pathlib.Path(folder)) / "print.pdf"
+            browser.pdf(printed)
+            check(printed.stat().st_size > 50_000, f"it prints: {printed.stat().st_size / 1e6:.1f} MB")
         films = sorted(report.parent.glob("films/*.html"))
         if films:
             browser.show(films[0].as_uri())
@@ -174,7 +185,6 @@ def main(program, report, pictures=None):
             check(browser.run("document.querySelectorAll('.tile').length") > 1, "the whole film opens")
         test_without_script(browser, url)
         requests = [r for r in browser.requests if r != url and r not in [f.as_uri() for f in films]]
-        test_tracks(browser, report, pictures)
         check(not requests, f"nothing is asked for {requests[:3]}")
         problems = [p for p in browser.problems if OWN_DOING not in p]
         check(not problems, f"nothing on the console {problems[:3]}")
