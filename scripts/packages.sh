@@ -41,3 +41,7 @@ fetch_wheel() {
     stop "${requirement%% *} cannot be had from the Python package index: $(grep -m1 ERROR "$work/pip.log" || tail -n1 "$work/pip.log")"
   "$python" -m zipfile -e "$work"/*.whl "$work/wheel"
 }
+
+# Whether a check must be made, so that a missing tool is a failure and not a line that says SKIPPED. RESPIRE_REQUIRE has
+# the names of such checks (page, torch) with commas between, or "all".
+required() { case ",${RESPIRE_REQUIRE:-}," in *,all,* | *,"$1",*) return 0 ;; *) return 1 ;; esac; }

@@ -3,7 +3,7 @@
 # and once more on the first Python that has torch, with Debian's python3-torch for example. The compiled library is
 # shared with scripts/check-library.sh. Fetches maturin and numpy into .deps.
 #
-#   scripts/test-python.sh [--torch]     --torch: without any torch, installs Debian's (142 MB)
+#   scripts/test-python.sh [--torch]     --torch, or RESPIRE_REQUIRE=torch: without any torch, installs Debian's (142 MB)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=test-python
@@ -46,7 +46,7 @@ run_tests() {
 }
 run_tests "$python" "$numpy"
 if ! has_torch "$python" "$numpy"; then
-  [ "${1:-}" != --torch ] || has_torch /usr/bin/python3 "" || install_packages python3-torch
+  { [ "${1:-}" != --torch ] && ! required torch; } || has_torch /usr/bin/python3 "" || install_packages python3-torch
   for other in python3 /usr/bin/python3; do
     if has_torch "$other" ""; then
       run_tests "$other" ""
