@@ -22,6 +22,7 @@ pub mod metaimage;
 #[cfg(feature = "program")]
 pub mod nifti;
 pub mod npy;
+pub mod number_table;
 pub mod png;
 pub mod points_ply;
 pub mod tiff_grey;
