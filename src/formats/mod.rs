@@ -6,6 +6,8 @@ mod damage;
 pub mod depth_png;
 #[cfg(feature = "program")]
 pub mod dicom;
+#[cfg(feature = "program")]
+mod dicom_elements;
 pub mod exr;
 pub mod gaussians_ply;
 pub mod glb;
