@@ -152,7 +152,8 @@ impl PredictionFolder {
 /// What a matrix must be.
 pub const RIGID: &str = "the pose is no rigid motion (a 4x4 matrix with a rotation, and 0 0 0 1 below)";
 
-/// The rigid motion in the 16 numbers of a 4x4 matrix, row by row; `None` for anything else. Its unit is not known here.
+/// The rigid motion in the 16 numbers of a 4x4 matrix, row by row; `None` for anything else. Its unit is not known
+/// here.
 pub fn rigid(matrix: &[f64]) -> Option<DAffine3> {
     let rows: [[f64; 4]; 4] = matrix.as_chunks::<4>().0.try_into().ok().filter(|_| matrix.len() == 16)?;
     pose::from_rows(&rows, COORDINATE).ok()

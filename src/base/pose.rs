@@ -10,8 +10,8 @@ const ROTATION_SLACK: f64 = 2e-3;
 /// Largest difference of the last row of a 4x4 matrix from 0 0 0 1.
 const LAST_ROW_SLACK: f64 = 1e-9;
 
-/// How far the matrix of `pose` is from a rotation: the largest entry of `M^T M - 1`; infinite where it mirrors or is not
-/// finite.
+/// How far the matrix of `pose` is from a rotation: the largest entry of `M^T M - 1`; infinite where it mirrors or is
+/// not finite.
 pub fn rotation_error(pose: &DAffine3) -> f64 {
     let m = pose.matrix3;
     if !m.is_finite() || m.determinant() <= 0.0 {
@@ -20,7 +20,8 @@ pub fn rotation_error(pose: &DAffine3) -> f64 {
     (m.transpose() * m - DMat3::IDENTITY).to_cols_array().iter().fold(0.0, |most: f64, v| most.max(v.abs()))
 }
 
-/// Refuses a pose of a file that scales, shears, mirrors or is singular, or whose place is not in `places` along each axis.
+/// Refuses a pose of a file that scales, shears, mirrors or is singular, or whose place is not in `places` along each
+/// axis.
 pub fn check(pose: &DAffine3, places: NumberRange) -> Result<()> {
     if rotation_error(pose) > ROTATION_SLACK {
         return Err(Error::input("is no rotation and translation (it scales, shears, mirrors or is singular)"));

@@ -58,8 +58,8 @@ impl<R: Read> LivePoses<R> {
 
     /// Time in seconds and pose of the next frame; `None` after the last line. Waits for a line that has not come yet.
     ///
-    /// Errors name the line: longer than 64 KiB, no JSON of a time and a rigid motion, a number out of range, a time that
-    /// does not come after that of the line before.
+    /// Errors name the line: longer than 64 KiB, no JSON of a time and a rigid motion, a number out of range, a time
+    /// that does not come after that of the line before.
     pub fn next_pose(&mut self) -> Result<Option<(f64, DAffine3)>> {
         let mut line = Vec::new();
         let mut bounded = self.lines.by_ref().take(MOST_LINE_BYTES);

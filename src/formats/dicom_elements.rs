@@ -1,9 +1,9 @@
-//! The data elements of a DICOM file in memory: a table of tags, whose values are slices of the file. Every length in the
-//! file is compared with what is left of it before anything else is done with it, and nothing is allocated by it.
+//! The data elements of a DICOM file in memory: a table of tags, whose values are slices of the file. Every length in
+//! the file is compared with what is left of it before anything else is done with it, and nothing is allocated by it.
 //!
 //! After DICOM PS3.5 (2024), section 7, and PS3.10, section 7. Little endian, with explicit or implicit representation.
-//! Values of sequences are walked over, not kept. Left out: big endian, deflated and compressed files, of which only the
-//! meta information is read.
+//! Values of sequences are walked over, not kept. Left out: big endian, deflated and compressed files, of which only
+//! the meta information is read.
 
 use crate::base::{Error, Result};
 
@@ -39,8 +39,8 @@ const LONG: [&[u8; 2]; 13] =
 /// Deepest that sequences lie in each other.
 const MOST_DEPTH: usize = 64;
 
-/// Where the elements begin behind the magic; `None` where the first bytes are not those of a DICOM file. The preamble may
-/// be missing.
+/// Where the elements begin behind the magic; `None` where the first bytes are not those of a DICOM file. The preamble
+/// may be missing.
 pub fn begin(start: &[u8]) -> Option<usize> {
     let at = |from: usize| start.get(from..from + MAGIC.len()) == Some(MAGIC);
     [PREAMBLE_BYTES, 0].into_iter().find(|&from| at(from)).map(|from| from + MAGIC.len())
@@ -90,8 +90,8 @@ pub struct Elements<'a> {
 }
 
 impl<'a> Elements<'a> {
-    /// The elements of `bytes`, a whole file in which they [`begin`] at `start`. Of a file that is neither of the two plain
-    /// transfer syntaxes, those of the meta information.
+    /// The elements of `bytes`, a whole file in which they [`begin`] at `start`. Of a file that is neither of the two
+    /// plain transfer syntaxes, those of the meta information.
     ///
     /// Errors name the element: a length beyond the end of the file, sequences that do not end or lie too deep in each
     /// other.

@@ -9,11 +9,11 @@ pub const COUNT: NumberRange = NumberRange::new(0.0, 1e9);
 /// A column: its name, and the numbers that it may hold.
 pub type Column<'a> = (&'a str, NumberRange);
 
-/// The numbers of `columns`, row by row, in the order of `columns`. The table may have them in another order, and others
-/// beside them.
+/// The numbers of `columns`, row by row, in the order of `columns`. The table may have them in another order, and
+/// others beside them.
 ///
-/// Errors name the line and the column: a name that is missing or there twice, a row with more or fewer fields than names,
-/// a field that is no number or out of range.
+/// Errors name the line and the column: a name that is missing or there twice, a row with more or fewer fields than
+/// names, a field that is no number or out of range.
 pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Vec<[f64; N]>> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
     let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();

@@ -28,8 +28,8 @@ fn open(path: &Path) -> Result<VolumeSource> {
     }
 }
 
-/// Reads a CT scan: Hounsfield units, rounded. Errors name the file, and a voxel that is no number or beyond what a scan
-/// holds.
+/// Reads a CT scan: Hounsfield units, rounded. Errors name the file, and a voxel that is no number or beyond what a
+/// scan holds.
 pub fn read_scan(path: &Path) -> Result<Volume<i16>> {
     if path.is_dir() {
         return dicom::read_folder(path);

@@ -91,7 +91,8 @@ pub struct VolumeSource {
 impl VolumeSource {
     /// The value of every voxel through `convert`.
     ///
-    /// Errors: several numbers a voxel; a file that ends early; a grid too large for this machine; the first of `convert`.
+    /// Errors: several numbers a voxel; a file that ends early; a grid too large for this machine; the first of
+    /// `convert`.
     pub fn read_scalars<T: Copy + Default>(self, convert: impl Fn(f64) -> Result<T>) -> Result<Volume<T>> {
         if self.channels != 1 {
             return Err(Error::input(format!("holds {} numbers a voxel, and one is wanted", self.channels)));

@@ -1,5 +1,5 @@
-//! The numbers in a film's files, each checked against its range where it is read: times and poses, points, places at every
-//! frame.
+//! The numbers in a film's files, each checked against its range where it is read: times and poses, points, places at
+//! every frame.
 
 use std::path::Path;
 
@@ -22,8 +22,8 @@ pub fn film_pose(entry: &TransformsFrame) -> Result<DAffine3> {
     Ok(world_from_camera)
 }
 
-/// Times and poses of the frames in `transforms`. Errors name the frame: a number out of range, a time that does not come
-/// after that of the frame before.
+/// Times and poses of the frames in `transforms`. Errors name the frame: a number out of range, a time that does not
+/// come after that of the frame before.
 pub fn given_frames(transforms: &Transforms) -> Result<Vec<(f64, DAffine3)>> {
     let mut frames: Vec<(f64, DAffine3)> = Vec::with_capacity(transforms.frames.len());
     for (index, entry) in transforms.frames.iter().enumerate() {

@@ -485,8 +485,8 @@ fn novel_frame(name: &str) -> Option<usize> {
     (novel_image_name(frame) == name).then_some(frame)
 }
 
-/// The second cameras of a film of `frames` frames. Errors name file and entry: a pose that is none, a name that is none of
-/// a view, views that do not follow each other in the order of their frames.
+/// The second cameras of a film of `frames` frames. Errors name file and entry: a pose that is none, a name that is
+/// none of a view, views that do not follow each other in the order of their frames.
 pub(super) fn novel_views(path: &Path, frames: usize) -> Result<Vec<NovelView>> {
     let transforms = Transforms::read(path)?;
     let mut views: Vec<NovelView> = Vec::with_capacity(transforms.frames.len());
@@ -504,8 +504,8 @@ pub(super) fn novel_views(path: &Path, frames: usize) -> Result<Vec<NovelView>> 
     Ok(views)
 }
 
-/// Reads what is told of the film of the clinical track in `root`, and where its `targets` targets are at every frame. It
-/// must have the frames, the picture's size and the second cameras of the truth.
+/// Reads what is told of the film of the clinical track in `root`, and where its `targets` targets are at every frame.
+/// It must have the frames, the picture's size and the second cameras of the truth.
 fn clinical_truth(
     head: &ManifestHead,
     root: &Path,

@@ -58,8 +58,8 @@ pub struct ReducedAirway {
 }
 
 impl AirwayScene {
-    /// The two breath holds, and the wall at the last frame where that is no blend of them, with at most `most` vertices;
-    /// `None` where they have no surface or are of several topologies.
+    /// The two breath holds, and the wall at the last frame where that is no blend of them, with at most `most`
+    /// vertices; `None` where they have no surface or are of several topologies.
     pub fn of(
         inspiration: &TriangleMesh,
         expiration: &TriangleMesh,

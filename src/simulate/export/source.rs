@@ -11,8 +11,8 @@ use crate::simulate::sequence::{FrameRecord, Sequence, held_out};
 pub enum ExportedTruth {
     /// Only what a participant may see: images, given poses, intrinsics, mask, times, the two given surfaces.
     Hidden,
-    /// The depth of every frame and the true surfaces too, and camera and poses as they were, which are told otherwise on
-    /// the clinical track.
+    /// The depth of every frame and the true surfaces too, and camera and poses as they were, which are told otherwise
+    /// on the clinical track.
     Shown,
 }
 

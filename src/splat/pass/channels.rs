@@ -60,8 +60,8 @@ impl<T: SplatKernels> Channels<T> {
         (pixels * count as f64 + states) * size_of::<T>() as f64
     }
 
-    /// Takes `count` features of each of `n` Gaussians and keeps those of the active ones, for an image of `size` (width,
-    /// height).
+    /// Takes `count` features of each of `n` Gaussians and keeps those of the active ones, for an image of `size`
+    /// (width, height).
     ///
     /// Errors: another number of features, one that is not finite, more than this machine has memory left for.
     pub fn set_features(

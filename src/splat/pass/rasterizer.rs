@@ -370,8 +370,8 @@ impl<T: SplatKernels> Rasterizer<T> {
     /// features weighted like the colours, 0 where nothing is, not divided by alpha. [`Rasterizer::backward`] then
     /// takes their gradient in `ImageGradient::channels`.
     ///
-    /// Errors: no render before; another number of features; a feature that is not finite; more channels than this machine
-    /// has memory left for.
+    /// Errors: no render before; another number of features; a feature that is not finite; more channels than this
+    /// machine has memory left for.
     pub fn render_channels(&mut self, features: &[T], count: usize) -> Result<&[T]> {
         let (view, settings, n) = self.last.ok_or_else(|| Error::input("channels need a render before them"))?;
         self.channels.set_features(features, (count, n), self.active.as_deref(), view.size())?;
