@@ -84,6 +84,7 @@ pub mod simulate;
 #[allow(dead_code, reason = "names and entries that only the writer needs")]
 pub mod simulate {
     pub mod export;
+    mod film_tables;
     pub mod participant;
     pub mod sequence;
 }

@@ -15,9 +15,11 @@ use respire_bench::airway::import_mesh::{ExpectedAnatomy, FileMeaning, PartChoic
 use respire_bench::airway::import_tree;
 use respire_bench::airway::targets::Target as AirwayTarget;
 use respire_bench::airway::{case_build, case_centerline};
+use respire_bench::base::pose::rotation_error;
 use respire_bench::base::random::CounterRng;
-use respire_bench::base::{Camera, Image, Mask, Result, TriangleMesh};
+use respire_bench::base::{Camera, Image, Mask, Result, TriangleMesh, files, hash};
 use respire_bench::bench::claim::Claims;
+use respire_bench::bench::live_poses::LivePoses;
 use respire_bench::bench::store::{MARKER, ProductState, Store};
 use respire_bench::bench::{Ablations, Profile, timing};
 use respire_bench::formats::transforms::Transforms;
@@ -46,11 +48,15 @@ pub const TARGETS: &[Target] = &[
     Target { name: "ablations", run: ablations },
     Target { name: "case", run: case },
     Target { name: "centerline", run: centerline },
+    Target { name: "clinical", run: clinical },
     Target { name: "depth_png", run: read_depth_png },
+    Target { name: "dicom", run: dicom },
+    Target { name: "environments", run: environments },
     Target { name: "exr", run: read_exr },
     Target { name: "gate", run: thresholds },
     Target { name: "gaussians", run: gaussians },
     Target { name: "landmarks", run: read_landmarks },
+    Target { name: "live_poses", run: live_poses },
     Target { name: "lung_box", run: lung_box },
     Target { name: "marker", run: marker },
     Target { name: "merge", run: merged },
@@ -89,7 +95,9 @@ impl Scratch {
         let parent = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
         let folder = parent.join(format!("respire-bench-{name}-{}", std::process::id()));
         let bench_cases = root.join("bench-cases");
-        for part in ["methods", "participant", "prediction/color", "prediction/mesh", "sequence"] {
+        let parts =
+            ["clinical/told", "dicom", "methods", "participant", "prediction/color", "prediction/mesh", "sequence"];
+        for part in parts {
             std::fs::create_dir_all(folder.join(part))?;
         }
         for entry in std::fs::read_dir(bench_cases.join("methods"))? {
@@ -120,6 +128,23 @@ impl Scratch {
             }
         }
         self.folder.join(folder)
+    }
+
+    /// Lists the files `names` with their hashes in the JSON `manifest` of `folder`, where that has an empty table of
+    /// files: a changed file then meets its reader, and not the comparison of hashes alone.
+    fn seal(&self, folder: &str, manifest: &str, names: &[&str]) {
+        let path = self.folder.join(folder).join(manifest);
+        let Ok(mut head) = files::read_json::<serde_json::Value>(&path) else { return };
+        let Some(table) = head.get_mut("files").and_then(|files| files.as_object_mut()) else { return };
+        if !table.is_empty() {
+            return;
+        }
+        for name in names {
+            if let Ok(hash) = hash::of_file(&self.folder.join(folder).join(name)) {
+                table.insert((*name).to_owned(), hash.into());
+            }
+        }
+        std::fs::write(path, head.to_string()).expect("the scratch folder takes files");
     }
 }
 
@@ -217,8 +242,9 @@ fn results(bytes: &[u8], scratch: &Scratch) {
 
 fn merged(bytes: &[u8], scratch: &Scratch) {
     std::fs::create_dir_all(scratch.folder.join("merge")).expect("the scratch folder takes folders");
-    let names = ["results.csv", "comparison.csv", "frames.csv", "timings.csv"];
+    let names = ["results.csv", "comparison.csv", "frames.csv", "timings.csv", "manifest.json"];
     let folder = scratch.write_parts("merge", &names, bytes);
+    scratch.seal("merge", "manifest.json", &names[..4]);
     let Some(run) = answer(merge::read_run(&folder)) else { return };
     for films in [merge::Films::Same, merge::Films::Other] {
         if let Some(run) = answer(merge::merge(vec![run.clone(), run.clone()], films)) {
@@ -388,10 +414,62 @@ fn read_sequence(bytes: &[u8], scratch: &Scratch) {
         sequence::TARGETS_EXPIRATION,
     ];
     let folder = scratch.write_parts("sequence", &names, bytes);
+    scratch.seal("sequence", sequence::MANIFEST, &names[1..]);
     if let Some(sequence) = answer(Sequence::open(&folder)) {
         assert!(!sequence.frames.is_empty());
         answer(sequence.centerline());
         answer(sequence.image(0));
+    }
+}
+
+/// A film of the clinical track: what is told, and where the targets are at every frame.
+fn clinical(bytes: &[u8], scratch: &Scratch) {
+    let names = [
+        sequence::MANIFEST,
+        sequence::TRANSFORMS,
+        sequence::NOVEL_TRANSFORMS,
+        sequence::TARGETS,
+        sequence::TARGETS_EXPIRATION,
+        sequence::TOLD_TRANSFORMS,
+        sequence::TOLD_NOVEL_TRANSFORMS,
+        sequence::TARGETS_BY_FRAME,
+        sequence::TOLD_CORRESPONDENCE,
+    ];
+    let folder = scratch.write_parts("clinical", &names, bytes);
+    scratch.seal("clinical", sequence::MANIFEST, &names[1..]);
+    let Some(film) = answer(Sequence::open(&folder)) else { return };
+    let frames = film.frames.len();
+    assert!(film.given_frames().len() == frames && film.given_views().len() == film.novel_views.len());
+    assert!(film.given_frames().windows(2).all(|pair| pair[0].time_s < pair[1].time_s));
+    for (frame, index) in (0..frames).flat_map(|frame| (0..film.targets.len()).map(move |index| (frame, index))) {
+        assert!(film.target_mm(index, frame).abs().max_element() <= 1e4);
+    }
+    answer(film.told_correspondence());
+    answer(film.last_surface());
+}
+
+/// A folder of slices.
+fn dicom(bytes: &[u8], scratch: &Scratch) {
+    let folder = scratch.write_parts("dicom", &["a", "b", "c.dcm"], bytes);
+    if let Some(scan) = answer(volume::read_scan(&folder)) {
+        assert_eq!(scan.data.len(), scan.grid.count());
+        answer(scan.grid.validate(2.0)).expect("a grid that was read is one");
+    }
+}
+
+fn environments(bytes: &[u8], scratch: &Scratch) {
+    std::fs::create_dir_all(scratch.folder.join("environments")).expect("the scratch folder takes folders");
+    let folder = scratch.write_parts("environments", &["environment.json", "environments.json"], bytes);
+    answer(merge::read_environments(&folder, "run"));
+}
+
+/// The lines of `track --poses`.
+fn live_poses(bytes: &[u8], _: &Scratch) {
+    let (mut poses, mut last_s) = (LivePoses::new(bytes, Path::new("poses")), -1.0);
+    while let Some((time_s, pose)) = answer(poses.next_pose()).flatten() {
+        assert!(time_s > last_s && time_s <= 1e7 && rotation_error(&pose) < 0.01);
+        assert!(pose.translation.abs().max_element() <= 1e4);
+        last_s = time_s;
     }
 }
 
@@ -404,6 +482,7 @@ fn participant(bytes: &[u8], scratch: &Scratch) {
         sequence::CENTERLINE,
     ];
     let folder = scratch.write_parts("participant", &names, bytes);
+    scratch.seal("participant", sequence::PARTICIPANT, &names[1..]);
     if let Some(participant) = answer(Participant::open(&folder)) {
         assert!(!participant.given_frames().is_empty() && participant.true_phase().is_none());
         answer(participant.given_centerline_mm());
@@ -525,7 +604,7 @@ fn timings(bytes: &[u8], scratch: &Scratch) {
 }
 
 fn score(bytes: &[u8], scratch: &Scratch) {
-    answer(respire_bench::base::files::read_json::<CellScore>(&scratch.write("score.json", bytes)));
+    answer(files::read_json::<CellScore>(&scratch.write("score.json", bytes)));
 }
 
 /// Words that readers trip over: ends of ranges, numbers that are none, what other formats begin with.

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from ._native import Error, forward
-from .splat import matrix_of_intrinsics
+from .splat import _matrix_of_intrinsics
 
 _NAMES = ("means", "quats", "scales", "opacities", "colors", "features")
 
@@ -75,7 +75,7 @@ class _Rasterize(torch.autograd.Function):
                 return None
             return torch.from_numpy(np.asarray(values)).to(tensor.dtype).view(tensor.shape)
 
-        by_K = matrix_of_intrinsics(found["Ks"])
+        by_K = _matrix_of_intrinsics(found["Ks"])
         camera = [
             like(viewmat, found["viewmats"], needs[0]),
             like(K, by_K, needs[1]),

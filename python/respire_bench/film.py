@@ -55,6 +55,11 @@ class Lazy:
         return f"<{len(self)} arrays of shape {self.shape[1:]}, {self.dtype}, read when used>"
 
 
+def _matrix_of(intrinsics):
+    fl_x, fl_y, cx, cy = intrinsics
+    return np.array([[fl_x, 0, cx], [0, fl_y, cy], [0, 0, 1]])
+
+
 class Film:
     """A film. Its length is its number of frames, `film[i]` a `Frame`.
 
@@ -105,8 +110,7 @@ class Film:
     @cached_property
     def K(self):
         """(3, 3), intrinsics in pixels; pixel centres at integer + 0.5."""
-        fl_x, fl_y, cx, cy = self._film.intrinsics
-        return np.array([[fl_x, 0, cx], [0, fl_y, cy], [0, 0, 1]])
+        return _matrix_of(self._film.intrinsics)
 
     @property
     def fisheye(self):
@@ -168,6 +172,41 @@ class Film:
         """Truth: (frames,), breathing phase, 0 full inspiration, 1 full expiration."""
         return self._film.phases
 
+    @cached_property
+    def true_poses(self):
+        """Truth: (frames, 4, 4), the poses as they were. On the clinical track `poses` are what a sensor says of them."""
+        return self._film.true_poses
+
+    @cached_property
+    def true_novel_poses(self):
+        """Truth: (n, 4, 4), the poses of the second cameras as they were."""
+        return self._film.true_novel_poses
+
+    @cached_property
+    def true_K(self):
+        """Truth: (3, 3), the intrinsics as they were. On the clinical track `K` are those of the lens's data sheet."""
+        return _matrix_of(self._film.true_intrinsics)
+
+    @property
+    def true_fisheye(self):
+        """Truth: `k1..k4` as they were; `None` for a pinhole."""
+        return self._film.true_fisheye and np.array(self._film.true_fisheye)
+
+    @cached_property
+    def true_inspiration(self):
+        """Truth: the surface at full inspiration."""
+        return Mesh(*self._film.true_inspiration())
+
+    @cached_property
+    def true_expiration(self):
+        """Truth: the surface at full expiration, same faces as `true_inspiration`."""
+        return Mesh(*self._film.true_expiration())
+
+    @cached_property
+    def targets_by_frame_mm(self):
+        """Truth: (frames, n, 3), where the targets are at every frame."""
+        return self._film.targets_by_frame_mm
+
     @property
     def gains(self):
         """Truth: (frames,), exposure gain applied to the linear radiance."""
@@ -180,7 +219,7 @@ class Film:
 
     @property
     def meshes(self):
-        """Truth: the surface at each frame, as `Mesh`."""
+        """Truth: the surface at each frame, as `Mesh`; of a film of the clinical track the last alone, `meshes[-1]`."""
         return _Meshes(self._film)
 
     @property

@@ -87,37 +87,42 @@ def write_prediction(
         if seconds is not None and not 0 < seconds < float("inf"):
             raise Error(f"{name}: {seconds} is not above 0")
     out = PredictionFolder(os.fspath(folder))
-    for kind, values, frames in (("color", color, every), ("ahead", ahead, held_out), ("novel", novel, views)):
-        for frame, image in _numbered(kind, values, frames, film):
-            out.picture(kind, frame, _picture(f"{kind}, frame {frame}", image, film))
-    for kind, name, values, frames in (
-        ("depth", "depth_mm", depth_mm, every),
-        ("novel_depth", "novel_depth_mm", novel_depth_mm, views),
-    ):
-        for frame, depth in _numbered(name, values, frames, film):
-            depth = np.asarray(depth, dtype=np.float32)
-            out.depth(kind, frame, _checked(f"{name}, frame {frame}", depth, (film.height, film.width)))
-    deviations = dict(_numbered("phase_sd", phase_sd, every, film))
-    for frame, value in _numbered("phase", phase, every, film):
-        deviation = deviations.get(frame)
-        if not np.isfinite(value) or (deviation is not None and not 0 < deviation < float("inf")):
-            raise Error(f"phase, frame {frame}: {value} with the deviation {deviation} is no phase")
-        out.phase(frame, float(value), None if deviation is None else float(deviation))
-    for frame, pose in _numbered("poses", poses, every, film):
-        out.pose(frame, _checked(f"poses, frame {frame}", np.asarray(pose, dtype=np.float64), (4, 4)))
-    for frame, places in _numbered("targets_mm", targets_mm, every, film):
-        places = np.asarray(places, dtype=np.float64)
-        places = _checked(f"targets_mm, frame {frame}", places, film.targets_mm.shape)
-        if not np.isfinite(places).all():
-            raise Error(f"targets_mm, frame {frame}: is not finite")
-        out.targets(frame, places)
-    vertices, faces = (None, None) if mesh is None else mesh
-    if mesh is not None:
-        vertices = np.ascontiguousarray(vertices, dtype=np.float64)
-        faces = np.asarray(faces)
-        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-            raise Error(f"mesh: vertices {vertices.shape} and faces {faces.shape} are not (n, 3) and (m, 3)")
-        if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
-            raise Error(f"mesh: a face names a vertex that is none of the {len(vertices)}")
-        faces = np.ascontiguousarray(faces.reshape(-1), dtype=np.uint32)
-    out.finish(len(film), method, vertices, faces, time_total_s, time_cpu_s)
+    try:
+        for kind, values, frames in (("color", color, every), ("ahead", ahead, held_out), ("novel", novel, views)):
+            for frame, image in _numbered(kind, values, frames, film):
+                out.picture(kind, frame, _picture(f"{kind}, frame {frame}", image, film))
+        for kind, name, values, frames in (
+            ("depth", "depth_mm", depth_mm, every),
+            ("novel_depth", "novel_depth_mm", novel_depth_mm, views),
+        ):
+            for frame, depth in _numbered(name, values, frames, film):
+                depth = np.asarray(depth, dtype=np.float32)
+                out.depth(kind, frame, _checked(f"{name}, frame {frame}", depth, (film.height, film.width)))
+        deviations = dict(_numbered("phase_sd", phase_sd, every, film))
+        for frame, value in _numbered("phase", phase, every, film):
+            deviation = deviations.get(frame)
+            if not np.isfinite(value) or (deviation is not None and not 0 < deviation < float("inf")):
+                raise Error(f"phase, frame {frame}: {value} with the deviation {deviation} is no phase")
+            out.phase(frame, float(value), None if deviation is None else float(deviation))
+        for frame, pose in _numbered("poses", poses, every, film):
+            out.pose(frame, _checked(f"poses, frame {frame}", np.asarray(pose, dtype=np.float64), (4, 4)))
+        for frame, places in _numbered("targets_mm", targets_mm, every, film):
+            places = np.asarray(places, dtype=np.float64)
+            places = _checked(f"targets_mm, frame {frame}", places, film.targets_mm.shape)
+            if not np.isfinite(places).all():
+                raise Error(f"targets_mm, frame {frame}: is not finite")
+            out.targets(frame, places)
+        vertices, faces = (None, None) if mesh is None else mesh
+        if mesh is not None:
+            vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+            faces = np.asarray(faces)
+            if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+                raise Error(f"mesh: vertices {vertices.shape} and faces {faces.shape} are not (n, 3) and (m, 3)")
+            if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+                raise Error(f"mesh: a face names a vertex that is none of the {len(vertices)}")
+            faces = np.ascontiguousarray(faces.reshape(-1), dtype=np.uint32)
+        out.finish(len(film), method, vertices, faces, time_total_s, time_cpu_s)
+    except BaseException:
+        # A kept traceback keeps `out` alive, as every notebook does.
+        out.abandon()
+        raise

@@ -64,18 +64,20 @@ def evaluate(truth, predictions, *, method=None, out=None):
     return scores, row | {metric: score["value"] for metric, score in scores.items()}
 
 
-def export(sequence, format, out, *, truth=False, scale=None):
+def export(sequence, format, out, *, truth=False, scale=None, axes=None):
     """Writes a film in the layout of another program: `respire-bench export`.
 
     format  `colmap`, `nerfstudio`, `endonerf`, `c3vd`, `tum` or `glb`
     out     a new folder
     truth   also what no method may see
     scale   units of lengths in a millimetre, instead of the layout's own
+    axes    of `endonerf`: `opengl` (EndoNeRF, Deform3DGS; the default) or `opencv` (EndoGaussian)
 
     Returns `out`. Raises as `evaluate`.
     """
     arguments = ["export", _folder(sequence), "--format", format, "--out", os.fspath(out)]
     arguments += ["--truth"] if truth else []
     arguments += ["--scale", scale] if scale is not None else []
+    arguments += ["--axes", axes] if axes is not None else []
     _run(*arguments)
     return os.fspath(out)

@@ -1,5 +1,5 @@
 from os import PathLike
-from typing import Any
+from typing import Any, Literal
 
 from .film import Film
 
@@ -22,4 +22,5 @@ def export(
     *,
     truth: bool = False,
     scale: float | None = None,
+    axes: Literal["opengl", "opencv"] | None = None,
 ) -> str: ...

@@ -98,7 +98,7 @@ class _Call:
         )
 
 
-def matrix_of_intrinsics(by):
+def _matrix_of_intrinsics(by):
     """The gradient of K from that of `fl_x, fl_y, cx, cy`."""
     return [[by[0], 0, by[2]], [0, by[1], by[3]], [0, 0, 0]]
 
@@ -154,7 +154,7 @@ class _NumpyPass:
                     target = call.colors_of(found[name], c) if name == "colors" else found[name]
                     target += by[name].reshape(target.shape)
             found["viewmats"].append(by["viewmats"].reshape(4, 4))
-            found["Ks"].append(np.array(matrix_of_intrinsics(by["Ks"])))
+            found["Ks"].append(np.array(_matrix_of_intrinsics(by["Ks"])))
             found["backgrounds"].append(by["backgrounds"])
         return {name: np.stack(by) if isinstance(by, list) else by for name, by in found.items()}
 

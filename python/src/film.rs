@@ -133,6 +133,43 @@ impl Film {
         [camera.fl_x, camera.fl_y, camera.cx, camera.cy]
     }
 
+    /// `fl_x, fl_y, cx, cy` in pixels as they were (truth).
+    #[getter]
+    fn true_intrinsics(&self) -> PyResult<[f64; 4]> {
+        let camera = self.whole("the true camera")?.camera;
+        Ok([camera.fl_x, camera.fl_y, camera.cx, camera.cy])
+    }
+
+    /// `k1..k4` as they were (truth).
+    #[getter]
+    fn true_fisheye(&self) -> PyResult<Option<[f64; 4]>> {
+        Ok(self.whole("the true camera")?.camera.fisheye)
+    }
+
+    /// Poses as they were (truth).
+    #[getter]
+    fn true_poses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let film = self.whole("the true pose")?;
+        poses(py, film.frames.iter().map(|f| f.world_from_camera))
+    }
+
+    /// Poses of the second cameras as they were (truth).
+    #[getter]
+    fn true_novel_poses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let film = self.whole("the true pose of a second camera")?;
+        poses(py, film.novel_views.iter().map(|view| view.world_from_camera))
+    }
+
+    /// Where the targets are at every frame (truth).
+    #[getter]
+    fn targets_by_frame_mm<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let film = self.whole("the place of a target at a frame")?;
+        let (frames, targets) = (film.frames.len(), film.targets.len());
+        let places = (0..frames).flat_map(|frame| (0..targets).map(move |index| film.target_mm(index, frame)));
+        let numbers: Vec<f64> = places.flat_map(|place| place.to_array()).collect();
+        PyArray1::from_vec(py, numbers).reshape([frames, targets, 3])
+    }
+
     /// `k1..k4` of OpenCV's fisheye model; `None` for a pinhole.
     #[getter]
     fn fisheye(&self) -> Option<[f64; 4]> {
@@ -245,10 +282,32 @@ impl Film {
         points(py, film.targets.iter().map(|target| target.expiration_mm))
     }
 
-    /// The true surface at a frame.
+    /// The surface at full inspiration (truth).
+    fn true_inspiration<'py>(&self, py: Python<'py>) -> PyResult<MeshArrays<'py>> {
+        let film = self.whole("the true surface")?;
+        mesh_arrays(py, &read(py, || film.inspiration())?)
+    }
+
+    /// The surface at full expiration, same faces (truth).
+    fn true_expiration<'py>(&self, py: Python<'py>) -> PyResult<MeshArrays<'py>> {
+        let film = self.whole("the true surface")?;
+        mesh_arrays(py, &read(py, || film.expiration())?)
+    }
+
+    /// The true surface at a frame; of a film of the clinical track, at the last one.
     fn true_mesh<'py>(&self, py: Python<'py>, frame: usize) -> PyResult<MeshArrays<'py>> {
         let film = self.whole("the surface at a frame")?;
-        let phase = film.frames[self.index(frame)?].phase;
+        let frame = self.index(frame)?;
+        if film.clinical.is_some() {
+            let last = film.frames.len() - 1;
+            if frame != last {
+                let why = "the film is of the clinical track, where no phase says where the wall is";
+                return Err(refused(format!("meshes[{frame}]: {why}; it is known at the last frame, {last}")));
+            }
+            let Some(surface) = read(py, || film.last_surface())? else { return Err(refused("no surface")) };
+            return mesh_arrays(py, &surface);
+        }
+        let phase = film.frames[frame].phase;
         let (inspiration, expiration) = read(py, || Ok((film.inspiration()?, film.expiration()?)))?;
         let vertices = mesh::interpolate(&inspiration.vertices, &expiration.vertices, phase);
         mesh_arrays(py, &TriangleMesh { vertices, faces: inspiration.faces })

@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DVec3};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use respire_bench::base::{Error as LibraryError, Image, Result, Staging, TriangleMesh};
+use respire_bench::base::range::COORDINATE;
+use respire_bench::base::{Error as LibraryError, Image, Result, Staging, TriangleMesh, pose};
 use respire_bench::reconstruct::{PredictionFolder as Folder, PredictionTiming};
 
 use crate::failure::{OrRaise, refused};
@@ -100,6 +101,11 @@ impl PredictionFolder {
         Ok(())
     }
 
+    /// Removes all that was written. Nothing can be added afterwards.
+    fn abandon(&mut self) {
+        self.writing = None;
+    }
+
     /// Writes the rest and moves all of it to its place.
     #[pyo3(signature = (frames, method=None, vertices=None, faces=None, time_total_s=None, time_cpu_s=None))]
     fn finish(
@@ -145,15 +151,10 @@ impl PredictionFolder {
 
 /// What a matrix must be.
 pub const RIGID: &str = "the pose is no rigid motion (a 4x4 matrix with a rotation, and 0 0 0 1 below)";
-/// Largest deviation of a rotation from one, as float32 rounds it many times over.
-const ROTATION_SLACK: f64 = 1e-3;
 
-/// The rigid motion in the 16 numbers of a 4x4 matrix, row by row; `None` for anything else.
+/// The rigid motion in the 16 numbers of a 4x4 matrix, row by row; `None` for anything else. Its unit is not known
+/// here.
 pub fn rigid(matrix: &[f64]) -> Option<DAffine3> {
-    let &[a, b, c, x, d, e, f, y, g, h, i, z, p, q, r, s] = matrix else { return None };
-    let rotation = DMat3::from_cols_array(&[a, d, g, b, e, h, c, f, i]);
-    let excess = rotation * rotation.transpose() - DMat3::IDENTITY;
-    let turns = excess.to_cols_array().iter().all(|v| v.abs() < ROTATION_SLACK) && rotation.determinant() > 0.0;
-    let whole = [p, q, r, s] == [0.0, 0.0, 0.0, 1.0] && [x, y, z].iter().all(|v| v.is_finite());
-    (turns && whole).then(|| DAffine3::from_mat3_translation(rotation, DVec3::new(x, y, z)))
+    let rows: [[f64; 4]; 4] = matrix.as_chunks::<4>().0.try_into().ok().filter(|_| matrix.len() == 16)?;
+    pose::from_rows(&rows, COORDINATE).ok()
 }

@@ -13,6 +13,7 @@ use numpy::{Element, PyArray1, PyReadonlyArray, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use respire_bench::base::Camera;
+use respire_bench::base::estimate::demand_memory;
 use respire_bench::splat::{
     DepthOutput, Filter, GaussianSlices, Gradients, ImageGradient, Rasterizer, Real, Rendered, Settings, ShapeSlices,
     SplatKernels, View, Wanted,
@@ -300,6 +301,16 @@ fn near_enough<T: Real>(means: &[[T; 3]], view: &View, far: f64) -> Option<Vec<u
     (near.len() < means.len()).then_some(near)
 }
 
+/// Refuses a call whose images this machine has no memory left for: those of all channels, of the core's further ones
+/// twice, and what the core keeps of these. A backward pass takes as much again.
+fn demand_images<T: Float>(plan: &Plan, widths: Widths) -> PyResult<()> {
+    let size = [plan.width as usize, plan.height as usize];
+    let values = (widths.all() + 2 * widths.further()) as f64 * size[0] as f64 * size[1] as f64;
+    let bytes = values * size_of::<T>() as f64 + Rasterizer::<T>::channels_bytes(size, widths.further());
+    let what = format!("images of {} channels with {}x{} pixels", widths.all(), plan.width, plan.height);
+    demand_memory(what, bytes).or_raise()
+}
+
 /// A forward pass: image, alpha, flags of the Gaussians that touch the image, entries in the lists of all tiles.
 type Forward<T> = (PassOf<T>, Vec<T>, Vec<T>, Vec<bool>, usize);
 
@@ -309,6 +320,7 @@ fn forward_of<T: Float>(slices: &Slices<'_, T>, plan: Plan) -> PyResult<Forward<
     let plain = plan.sh_degree.is_none();
     let lift = if plain && widths.colors > 0 { lift_of(slices.colors) } else { 0.0 };
     let sh = if plain || !plan.color { constant_sh(slices.colors, widths.colors, n, lift) } else { Vec::new() };
+    demand_images::<T>(&plan, widths)?;
     let active = if plan.far_plane < 1e10 { near_enough(slices.means, &view, plan.far_plane) } else { None };
     let kept = T::idle().lock().unwrap_or_else(PoisonError::into_inner).pop();
     let mut pass = PassOf { rasterizer: Some(kept.unwrap_or_default()), plan, sh, active };
@@ -425,6 +437,7 @@ fn backward_of<T: Float>(
     if !fits(by_image.len(), pixels * widths.all()) || !fits(by_alpha.len(), pixels) {
         return Err(refused("the gradient of the images has another size than the images"));
     }
+    demand_images::<T>(plan, widths)?;
     // The gradient of a plain colour image goes to the core as it lies there.
     let direct = widths.all() == 3 && widths.colors == 3 && plan.background.is_empty();
     let taken = (!direct).then(|| take_apart(by_image, by_alpha, rasterizer.rendered(), widths, plan));

@@ -32,17 +32,19 @@ def program(*arguments):
     return subprocess.run([PROGRAM, *arguments], capture_output=True, text=True, check=True).stdout
 
 
-_folder = None
+_folders = {}
 
 
-def films():
-    """The folder of a blind comparison of nine frames: `truth` and `participant`; filmed once."""
-    global _folder
-    if _folder is None:
-        _folder = tempfile.mkdtemp(prefix="respire-bench-test-")
-        atexit.register(shutil.rmtree, _folder, ignore_errors=True)
-        program("simulate", "case4", "--blind", _folder, "--frames", "9", "--width", "48", "--spp", "4")
-    return _folder
+def films(clinical=False, pinhole=False):
+    """The folder of a blind comparison of nine frames: `truth` and `participant`; each kind is filmed once."""
+    kind = (clinical, pinhole)
+    if kind not in _folders:
+        folder = _folders[kind] = tempfile.mkdtemp(prefix="respire-bench-test-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        more = ["--track", "clinical"] if clinical else []
+        more += ["--without", "distortion"] if pinhole else []
+        program("simulate", "case4", "--blind", folder, "--frames", "9", "--width", "48", "--spp", "4", *more)
+    return _folders[kind]
 
 
 def scene(n=30, seed=0, dtype=np.float64, width=40, height=32, coefficients=None, channels=3):

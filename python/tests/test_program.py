@@ -60,6 +60,19 @@ class Exporting(unittest.TestCase):
             with self.assertRaises(ProgramFailed):
                 export(films(), "no-such-layout", os.path.join(place, "no"))
 
+    def test_axes_are_those_that_are_asked_for(self):
+        film = os.path.join(films(pinhole=True), "truth")
+        with tempfile.TemporaryDirectory() as place:
+            rotations = {}
+            for axes in (None, "opengl", "opencv"):
+                out = export(film, "endonerf", os.path.join(place, str(axes)), truth=True, axes=axes)
+                poses = np.load(os.path.join(out, "poses_bounds.npy"))[:, :15].reshape(-1, 3, 5)
+                rotations[axes] = poses[:, :, :3]
+            np.testing.assert_array_equal(rotations[None], rotations["opengl"])
+            np.testing.assert_array_equal(rotations["opengl"] * [1, -1, -1], rotations["opencv"])
+            with self.assertRaisesRegex(ProgramFailed, "axes"):
+                export(film, "tum", os.path.join(place, "no"), axes="opencv")
+
 
 if __name__ == "__main__":
     unittest.main()

@@ -258,6 +258,20 @@ class Refusals(unittest.TestCase):
         self.refused("near_plane", near_plane=0.0)
         self.refused("far_plane", far_plane=0.001)
         self.refused("eps2d", eps2d=-0.1)
+        for wrong in (np.nan, np.inf, 1e300):
+            coefficients = np.array([[0.1, 0, wrong, 0]])
+            self.refused("Ks: k3", camera_model="fisheye", radial_coeffs=coefficients)
+            self.refused("Ks: cx", Ks=np.array([[[30.0, 0, wrong], [0, 30, 16], [0, 0, 1]]]))
+
+    def test_more_channels_than_fit_into_memory_are_refused(self):
+        # 30 GB for the image alone; the interpreter ended by a signal.
+        few = scene(n=1, dtype=np.float32) | {"width": 16384, "height": 16384}
+        few["colors"] = np.zeros((1, 4000), np.float32)
+        with self.assertRaisesRegex(Error, "images of 4000 channels with 16384x16384 pixels would take .* GB"):
+            rasterize(**few)
+        few["features"], few["colors"] = few["colors"], few["colors"][:, :3]
+        with self.assertRaisesRegex(Error, "images of 4003 channels"):
+            rasterize(**few)
 
     def test_a_gradient_that_is_not_finite_is_named(self):
         image, _, meta = rasterize(**scene())

@@ -4,6 +4,14 @@ use glam::{DAffine3, DMat3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::error::{Error, Result};
+use super::range::NumberRange;
+
+/// Focal lengths in pixels: from a lens that sees everything to one that sees a hair.
+const FOCAL_PX: NumberRange = NumberRange::new(1e-3, 1e7);
+/// Principal points in pixels, which may lie outside of the image.
+const PRINCIPAL_PX: NumberRange = NumberRange::new(-1e7, 1e7);
+/// `k1..k4` of the fisheye model.
+const DISTORTION: NumberRange = NumberRange::new(-100.0, 100.0);
 
 /// Intrinsics of one camera. Lengths in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,13 +49,24 @@ impl Camera {
         }
     }
 
-    /// Rejects sizes and focal lengths that no image can have.
+    /// Refuses numbers that no camera has; the error names the one.
     pub fn validate(&self) -> Result<()> {
-        let finite = [self.fl_x, self.fl_y, self.cx, self.cy].iter().all(|v| v.is_finite());
-        if self.width == 0 || self.height == 0 || !finite || self.fl_x <= 0.0 || self.fl_y <= 0.0 {
-            return Err(Error::input("camera needs a positive size and positive finite focal lengths"));
+        if self.width == 0 || self.height == 0 {
+            return Err(Error::input("a camera needs a positive width and height"));
         }
-        Ok(())
+        let lens = [
+            ("fl_x", FOCAL_PX, self.fl_x),
+            ("fl_y", FOCAL_PX, self.fl_y),
+            ("cx", PRINCIPAL_PX, self.cx),
+            ("cy", PRINCIPAL_PX, self.cy),
+        ];
+        let bends = ["k1", "k2", "k3", "k4"].into_iter().zip(self.fisheye.unwrap_or_default());
+        let bends = bends.map(|(name, k)| (name, DISTORTION, k));
+        // Not `element`: callers name theirs.
+        let check = |(name, range, value): (&str, NumberRange, f64)| {
+            range.check(value).map_err(|e| Error::input(format!("{name}: {e}")))
+        };
+        lens.into_iter().chain(bends).try_for_each(check)
     }
 
     /// Direction (camera axes, z = 1 for a pinhole; unit length for fisheye) through the image point `pixel`.
@@ -151,6 +170,22 @@ mod tests {
             assert!((ours - DVec2::from_array(image)).length() < 1e-9, "{ours} for {point:?}");
             let back = camera.direction(ours).normalize();
             assert!((back - DVec3::from_array(point).normalize()).length() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn what_no_camera_has_is_named() {
+        let camera = Camera { fisheye: Some([0.02, -0.004, 0.001, 0.0]), ..Camera::pinhole(200, 100, 1.9) };
+        assert_eq!(camera.validate(), Ok(()));
+        let said = |camera: Camera| camera.validate().unwrap_err().to_string();
+        assert_eq!(said(Camera { fl_x: 1e-300, ..camera }), "fl_x: 1e-300 must lie in 0.001 to 1e7");
+        assert_eq!(said(Camera { cx: 1e300, ..camera }), "cx: 1e300 must lie in -1e7 to 1e7");
+        assert!(said(Camera { cy: f64::NAN, ..camera }).starts_with("cy: NaN"));
+        assert!(said(Camera { height: 0, ..camera }).contains("height"));
+        for (k, wrong) in [f64::NAN, f64::INFINITY, 1e300, -1e6].into_iter().enumerate() {
+            let mut fisheye = [0.0; 4];
+            fisheye[k] = wrong;
+            assert!(said(Camera { fisheye: Some(fisheye), ..camera }).starts_with(&format!("k{}: ", k + 1)));
         }
     }
 

@@ -2,7 +2,8 @@
 //! Reading takes paths on disk and those of carried files ([`super::shipped`]).
 
 use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::io::{BufWriter, Read, Write};
+use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -10,10 +11,13 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::error::{Error, Result};
+use super::estimate::demand_memory;
 use super::shipped;
 
 /// How the name of an unfinished file begins and ends.
 const UNFINISHED: (&str, &str) = (".", ".tmp");
+/// Most bytes that are read from a pipe, whose length nobody knows, and beyond the length of a file that grows.
+const MOST_UNKNOWN_BYTES: u64 = 1 << 28;
 
 /// Writes `path` in one atomic step through `write`; the folder is made when missing. On failure the old file, if
 /// any, stays as it was and nothing else is left behind.
@@ -140,20 +144,46 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     write_bytes(path, text.as_bytes())
 }
 
-/// Reads a whole file.
-pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    match shipped::below_root(path) {
-        Some(_) => read_text(path).map(String::into_bytes),
-        None => fs::read(path).map_err(|e| Error::io("reading", path, e)),
+/// Refuses what has no end: a device, a socket. The length of a file in bytes; `None` for a pipe.
+fn bounded_length(path: &Path) -> Result<Option<u64>> {
+    let about = fs::metadata(path).map_err(|e| Error::io("reading", path, e))?;
+    match about.file_type() {
+        kind if kind.is_fifo() => Ok(None),
+        kind if kind.is_file() || kind.is_dir() => Ok(Some(about.len())),
+        _ => Err(Error::input("is neither a file nor a pipe").at(path)),
     }
 }
 
-/// Reads a whole UTF-8 file.
+/// Reads the whole of a file, or of a pipe up to [`MOST_UNKNOWN_BYTES`].
+fn read_bounded(path: &Path) -> Result<Vec<u8>> {
+    let length = bounded_length(path)?;
+    demand_memory("its content", length.unwrap_or(0) as f64).map_err(|e| e.at(path))?;
+    let most = length.unwrap_or(0).saturating_add(MOST_UNKNOWN_BYTES);
+    let mut bytes = Vec::with_capacity(usize::try_from(length.unwrap_or(0)).unwrap_or(0));
+    let read = File::open(path).and_then(|file| file.take(most + 1).read_to_end(&mut bytes));
+    match read.map_err(|e| Error::io("reading", path, e))? as u64 {
+        count if count > most => Err(Error::input(format!("does not end after {most} bytes")).at(path)),
+        _ => Ok(bytes),
+    }
+}
+
+/// Reads a whole file or pipe.
+///
+/// Errors: neither of both (a device, which may have no end); more than this machine has memory for.
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    match shipped::below_root(path) {
+        Some(_) => read_text(path).map(String::into_bytes),
+        None => read_bounded(path),
+    }
+}
+
+/// Reads a whole UTF-8 file or pipe. Errors as [`read_bytes`].
 pub fn read_text(path: &Path) -> Result<String> {
     let fail = |e| Error::io("reading", path, e);
     match shipped::below_root(path) {
         Some(inside) => shipped::text(inside).map(str::to_owned).ok_or_else(|| fail(not_carried("file"))),
-        None => fs::read_to_string(path).map_err(fail),
+        None => String::from_utf8(read_bounded(path)?)
+            .map_err(|_| fail(std::io::Error::new(std::io::ErrorKind::InvalidData, "it is not UTF-8"))),
     }
 }
 
@@ -276,6 +306,30 @@ mod tests {
             assert!(place(name).exists(), "{name}");
         }
         remove_unfinished(&place("nowhere")).unwrap();
+    }
+
+    #[test]
+    fn what_has_no_end_is_refused_and_a_pipe_is_read() {
+        for device in ["/dev/zero", "/dev/full"] {
+            for said in [read_bytes(Path::new(device)).unwrap_err(), read_text(Path::new(device)).unwrap_err()] {
+                assert_eq!(said.to_string(), format!("{device}: is neither a file nor a pipe"));
+            }
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let hollow = folder.path().join("hollow");
+        File::create(&hollow).unwrap().set_len(1 << 43).unwrap();
+        let said = read_bytes(&hollow).unwrap_err().to_string();
+        assert!(said.contains("hollow: its content would take"), "{said}");
+        assert!(read_bytes(folder.path()).unwrap_err().to_string().contains("reading failed"));
+        let text = folder.path().join("text");
+        fs::write(&text, [0xff]).unwrap();
+        assert!(read_text(&text).unwrap_err().to_string().contains("UTF-8"));
+        let pipe = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        std::thread::scope(|scope| {
+            scope.spawn(|| fs::write(&pipe, "told").unwrap());
+            assert_eq!(read_text(&pipe).unwrap(), "told");
+        });
     }
 
     #[test]

@@ -43,6 +43,12 @@ pub const REPETITIONS: NumberRange = NumberRange::new(1.0, 10_000.0);
 pub const SHARE: NumberRange = NumberRange::new(0.0, 1.0);
 /// Coordinates in mm: ten metres around the origin of a scanner.
 pub const COORDINATE_MM: NumberRange = NumberRange::new(-10_000.0, 10_000.0);
+/// Coordinates in a unit that a file of another program does not tell: still exact to a millionth of a unit.
+pub const COORDINATE: NumberRange = NumberRange::new(-1e9, 1e9);
+/// Times of frames in seconds since the first.
+pub const TIME_S: NumberRange = NumberRange::new(0.0, 1e7);
+/// Mean duration of a breath in seconds.
+pub const BREATHING_PERIOD_S: NumberRange = NumberRange::new(1e-3, 1e6);
 /// Inscribed radii in mm.
 pub const RADIUS_MM: NumberRange = NumberRange::new(1e-3, 1000.0);
 /// Airway generations; real ones end at 23.

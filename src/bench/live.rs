@@ -5,15 +5,16 @@
 
 use std::cell::Cell;
 use std::collections::VecDeque;
-use std::io::{BufRead, BufReader, Read};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DMat4};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::catalogue::Catalogue;
+use super::live_poses::LivePoses;
 use super::pipeline::{method_of, open_given};
 use super::stages::caught;
 use crate::base::{Camera, Error, Image, Progress, Result, files};
@@ -49,35 +50,10 @@ impl FrameFeed {
 pub struct LiveOptions {
     /// Where pictures come from.
     pub feed: FrameFeed,
-    /// Times and poses in place of the film's: JSON lines of [`LivePose`].
+    /// Times and poses in place of the film's: the lines of [`LivePoses`].
     pub poses: Option<PathBuf>,
     /// No frame is left out, however long it takes.
     pub every_frame: bool,
-}
-
-/// Time and pose of a frame as a tracker sends them, one line of JSON each.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LivePose {
-    /// Seconds since the first frame.
-    pub time_s: f64,
-    /// Rows of the matrix from the camera's axes (x right, y down, z forward) to the world's, mm.
-    pub world_from_camera: [[f64; 4]; 4],
-}
-
-impl LivePose {
-    fn read(line: &str) -> Result<(f64, DAffine3)> {
-        let pose: LivePose = serde_json::from_str(line).map_err(|e| Error::input(format!("is no pose: {e}")))?;
-        let matrix = DMat4::from_cols_array_2d(&pose.world_from_camera).transpose();
-        let affine = DAffine3::from_mat4(matrix);
-        let turn = affine.matrix3;
-        let off = (turn * turn.transpose() - glam::DMat3::IDENTITY).to_cols_array();
-        let rigid = off.iter().all(|v| v.abs() < 1e-4) && turn.determinant() > 0.0;
-        if !(pose.time_s.is_finite() && affine.is_finite() && rigid) {
-            return Err(Error::input("is no time and rigid motion"));
-        }
-        Ok((pose.time_s, affine))
-    }
 }
 
 /// One line of `track`: the answer for one frame.
@@ -287,13 +263,7 @@ impl Reader {
     fn run(self) -> Result<()> {
         let Reader { film, table, queue, options: LiveOptions { mut feed, poses, every_frame } } = self;
         let leaves_out = feed.leaves_out() && !every_frame;
-        let mut lines = match &poses {
-            None => None,
-            Some(path) => {
-                let file = std::fs::File::open(path).map_err(|e| Error::io("opening", path, e))?;
-                Some((path, BufReader::new(file).lines()))
-            }
-        };
+        let mut poses = poses.as_deref().map(LivePoses::open).transpose()?;
         let start = Instant::now();
         let mut folder = FolderNames::default();
         for number in 0.. {
@@ -312,12 +282,9 @@ impl Reader {
             let Some(image) = image else { return Ok(()) };
             let since = Instant::now();
             let missing = || Error::input("has come, and its pose has not").element(format!("frame {number}"));
-            let (time_s, world_from_camera) = match &mut lines {
+            let (time_s, world_from_camera) = match &mut poses {
                 None => *table.get(number).ok_or_else(missing)?,
-                Some((path, lines)) => {
-                    let line = lines.next().ok_or_else(missing)?.map_err(|e| Error::io("reading", path, e))?;
-                    LivePose::read(&line).map_err(|e| e.element(format!("line {}", number + 1)).at(path))?
-                }
+                Some(poses) => poses.next_pose()?.ok_or_else(missing)?,
             };
             let frame = ArrivedFrame { image, time_s, world_from_camera, left_out: 0 };
             if !queue.push(Waiting { number, since, frame }, leaves_out) {
@@ -417,16 +384,6 @@ mod tests {
         let error = raw_image(&mut pipe, camera, 1).unwrap_err().to_string();
         assert!(error.contains("frame 1") && error.contains("5 of 12 bytes"), "{error}");
         assert!(raw_image(&mut pipe, camera, 2).unwrap().is_none());
-    }
-
-    #[test]
-    fn a_pose_that_is_none_is_refused() {
-        let good = "{\"time_s\":0.5,\"world_from_camera\":[[1,0,0,4],[0,1,0,5],[0,0,1,6],[0,0,0,1]]}";
-        let (time_s, pose) = LivePose::read(good).unwrap();
-        assert_eq!((time_s, pose.translation.to_array()), (0.5, [4.0, 5.0, 6.0]));
-        for bad in ["", "{}", &good.replace("0.5", "1e999"), &good.replacen("[[1,", "[[2,", 1)] {
-            assert!(LivePose::read(bad).is_err(), "{bad}");
-        }
     }
 
     #[test]

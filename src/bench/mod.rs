@@ -15,6 +15,7 @@ pub mod environment;
 pub mod event;
 pub mod executor;
 pub mod live;
+pub mod live_poses;
 pub mod pipeline;
 pub mod plan;
 pub mod profile;

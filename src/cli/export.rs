@@ -26,7 +26,8 @@ pub struct ExportArguments {
     /// New folder
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Export the truth too: the depth of every frame, the true surface at expiration
+    /// Export the truth too: the depth of every frame, the true surfaces; of the clinical track, the true camera and
+    /// poses
     #[arg(long)]
     truth: bool,
     /// Units of lengths in a millimetre: 0.001 writes metres [default: 1.0; for endonerf 10.0]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use super::{Terminal, comparison};
 use crate::base::{Error, Result, files};
-use crate::report::merge::{Films, merge, read_run};
+use crate::report::merge::{Films, merge, read_environments, read_run};
 use crate::report::summary::summarise;
 use crate::report::table::ComparisonTable;
 use crate::report::{self, Run};
@@ -41,15 +41,7 @@ pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
     }
     let mut environments: BTreeMap<String, serde_json::Value> = BTreeMap::new();
     for (folder, part) in arguments.runs.iter().zip(&parts) {
-        let path = folder.join("environment.json");
-        if path.exists() {
-            environments.insert(part.id.clone(), files::read_json(&path)?);
-        }
-        // Environments of runs that were merged before.
-        let path = folder.join("environments.json");
-        if path.exists() {
-            environments.extend(files::read_json::<BTreeMap<String, serde_json::Value>>(&path)?);
-        }
+        environments.extend(read_environments(folder, &part.id)?);
     }
     let films = if arguments.other_films { Films::Other } else { Films::Same };
     let merged = by_track(parts).into_iter().map(|parts| merge(parts, films)).collect::<Result<Vec<Run>>>()?;

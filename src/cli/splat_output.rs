@@ -106,10 +106,12 @@ impl SplatOutput {
     /// What `frames` frames of `size` (height, width) would cost, their files included, when `pass` is the cost of one
     /// rendering.
     pub fn with_files(&self, pass: Estimate, [height, width]: [usize; 2], frames: usize, repeat: usize) -> Estimate {
-        let values = 5 + usize::from(self.contributors) + if self.normals { 3 } else { 0 };
-        let values = (values + self.features.as_ref().map_or(0, |f| f.count)) as f64 * (height * width) as f64;
+        let (normals, features) = (if self.normals { 3 } else { 0 }, self.features.as_ref().map_or(0, |f| f.count));
+        let values = 5 + usize::from(self.contributors) + normals + features;
+        let values = values as f64 * (height * width) as f64;
+        let channels_bytes = Rasterizer::<f32>::channels_bytes([width, height], features.max(normals));
         Estimate {
-            memory_bytes: pass.memory_bytes + values * VALUE_BYTES,
+            memory_bytes: pass.memory_bytes + channels_bytes + values * VALUE_BYTES,
             seconds: frames as f64 * (repeat as f64 * pass.seconds + values * VALUE_S),
             resumable: false,
         }
@@ -147,5 +149,23 @@ impl SplatOutput {
             exr::write(&path("_channels.exr"), &image(features.count, channels), &names)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Each group of three channels keeps the state of all its tiles: more than the image of the channels.
+    #[test]
+    fn the_estimate_counts_the_states_of_the_channels() {
+        let output = |count: usize| {
+            let features = (count > 0).then(|| Features { data: Vec::new(), count });
+            SplatOutput { folder: PathBuf::new(), normals: false, contributors: false, features }
+        };
+        let bytes = |count| output(count).with_files(Estimate::default(), [4096, 4096], 1, 1).memory_bytes;
+        let (pixels, more) = (4096.0 * 4096.0, bytes(300) - bytes(0));
+        // 12 bytes of a value in files, 4 of a channel, and 5 numbers of 4 bytes for each three channels.
+        assert!((more / pixels - 300.0 * (12.0 + 4.0 + 20.0 / 3.0)).abs() < 1e-6, "{more}");
     }
 }

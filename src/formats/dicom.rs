@@ -1,17 +1,23 @@
 //! A folder of DICOM slices: one CT series, uncompressed.
 //!
-//! Read with the `dicom-object` crate. Slices are put in order by their place along the normal of their planes, never
+//! Slices are put in order by their place along the normal of their planes, never
 //! by name or number. Left out: compressed pixels, several series in a folder, slices of unequal distance; each is
 //! refused with the way out, which is `dcm2niix` (docs/decisions/0015-from-scans-to-case.md).
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use dicom_object::{DefaultDicomObject, Tag, open_file};
 use glam::{DMat3, DVec3};
 
-use crate::base::{Error, Result, Volume, VoxelGrid};
+use super::dicom_elements::{Elements, MAGIC_END, PIXELS, Tag, begin};
+use super::volume_samples::hounsfield;
+use crate::base::estimate::demand_memory;
+use crate::base::range::NumberRange;
+use crate::base::volume::MOST_VOXELS_A_SIDE;
+use crate::base::{Error, Result, Volume, VoxelGrid, files};
 
-const TRANSFER_SYNTAXES: [&str; 2] = ["1.2.840.10008.1.2", "1.2.840.10008.1.2.1"];
+const CLASS: Tag = Tag(0x0002, 0x0002);
 const MODALITY: Tag = Tag(0x0008, 0x0060);
 const SERIES: Tag = Tag(0x0020, 0x000e);
 const POSITION: Tag = Tag(0x0020, 0x0032);
@@ -24,14 +30,21 @@ const BITS_ALLOCATED: Tag = Tag(0x0028, 0x0100);
 const PIXEL_REPRESENTATION: Tag = Tag(0x0028, 0x0103);
 const INTERCEPT: Tag = Tag(0x0028, 0x1052);
 const SLOPE: Tag = Tag(0x0028, 0x1053);
-const PIXELS: Tag = Tag(0x7fe0, 0x0010);
 
 /// The way out that every refusal of a kind of DICOM names.
 const CURE: &str = "`dcm2niix -z y -o OUT DIR` makes a .nii.gz of the folder";
+/// Class of a slice of a CT.
+const CT_SLICE: &str = "1.2.840.10008.5.1.4.1.1.2";
 /// Most that distances between slices differ, as a part of the distance.
 const UNEVEN: f64 = 0.05;
 /// Most slices.
 const MOST_SLICES: usize = 4096;
+/// Rows and columns of a slice.
+const SIDE: NumberRange = NumberRange::new(1.0, MOST_VOXELS_A_SIDE as f64);
+/// What turns stored numbers into Hounsfield units.
+const SCALE: NumberRange = NumberRange::new(-1e6, 1e6);
+/// Coordinates in mm, components of directions and distances of pixels.
+const PLACE: NumberRange = NumberRange::new(-1e5, 1e5);
 
 /// What must agree between slices, and where a slice lies.
 struct SliceHeader {
@@ -46,79 +59,108 @@ struct SliceHeader {
     pixels: Vec<i16>,
 }
 
-/// Reads the series in `folder`: HU. Files that are no DICOM are passed over.
+/// Reads the series in `folder`: HU. Files that are no DICOM are passed over, and so is DICOM without pixels that is no
+/// slice of a CT; a slice that is damaged is not.
 ///
 /// Errors name the file and what it lacks; or say what the folder is instead of one CT series, and the cure.
 pub fn read_folder(folder: &Path) -> Result<Volume<i16>> {
-    let entries = std::fs::read_dir(folder).map_err(|e| Error::io("reading", folder, e))?;
-    let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
-    paths.retain(|path| path.is_file());
-    paths.sort();
+    let paths = files::all_directly_in(folder)?;
     let mut slices: Vec<SliceHeader> = Vec::new();
-    for path in paths {
-        // DICOM files need have no ending, and folders of exports hold indices and pictures besides.
-        let Ok(object) = open_file(&path) else { continue };
-        if object.element(PIXELS).is_err() {
-            continue;
-        }
+    for path in &paths {
+        let Some(slice) = read_slice(path).map_err(|e| e.at(path))? else { continue };
         if slices.len() == MOST_SLICES {
             return Err(Error::input(format!("holds more than {MOST_SLICES} slices")).at(folder));
         }
-        slices.push(slice(&object, &path).map_err(|e| e.at(&path))?);
+        match slices.first() {
+            // The slices, and the volume that is made of them.
+            None => demand_memory("its slices", 4.0 * (slice.pixels.len() * paths.len()) as f64)
+                .map_err(|e| e.at(folder))?,
+            Some(first) if first.size != slice.size => return Err(other_slice().at(path)),
+            Some(_) => {}
+        }
+        slices.push(slice);
     }
     stacked(slices).map_err(|e| e.at(folder))
 }
 
-fn slice(object: &DefaultDicomObject, path: &Path) -> Result<SliceHeader> {
-    let missing = |tag: Tag| Error::input(format!("is missing: {CURE}")).element(format!("DICOM tag {tag}"));
-    let numbers = |tag: Tag| -> Result<Vec<f64>> {
-        let element = object.element(tag).map_err(|_| missing(tag))?;
-        element.to_multi_float64().map_err(|_| missing(tag))
+fn other_slice() -> Error {
+    Error::input(format!("has another size, spacing or orientation than the other slices: {CURE}"))
+}
+
+/// The slice in a file; `None` where the file is none of a CT.
+fn read_slice(path: &Path) -> Result<Option<SliceHeader>> {
+    // DICOM files need have no ending, and folders of exports hold indices and pictures besides.
+    let mut start = Vec::with_capacity(MAGIC_END);
+    let opened = File::open(path).and_then(|file| file.take(MAGIC_END as u64).read_to_end(&mut start));
+    opened.map_err(|e| Error::io("reading", path, e))?;
+    let Some(elements_at) = begin(&start) else {
+        if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("dcm")) {
+            return Err(Error::input(format!("is called .dcm and is no DICOM file, or a damaged one: {CURE}")));
+        }
+        return Ok(None);
     };
-    let number = |tag: Tag| numbers(tag)?.first().copied().ok_or_else(|| missing(tag));
-    let text = |tag: Tag| object.element(tag).ok().and_then(|e| e.to_str().ok()).map(|t| t.trim().to_owned());
-    let modality = text(MODALITY).unwrap_or_default();
+    let bytes = files::read_bytes(path)?;
+    let elements = Elements::read(&bytes, elements_at)?;
+    let is_slice = elements.text(CLASS).as_deref() == Some(CT_SLICE)
+        || elements.text(MODALITY).as_deref() == Some("CT")
+        || elements.bytes(ROWS).is_some();
+    if elements.is_plain() && elements.bytes(PIXELS).is_none() && !is_slice {
+        return Ok(None);
+    }
+    slice(&elements, path).map(Some)
+}
+
+fn slice(elements: &Elements<'_>, path: &Path) -> Result<SliceHeader> {
+    if elements.transfer_syntax.is_empty() {
+        return Err(Error::input(format!("is damaged: it names no transfer syntax: {CURE}")));
+    }
+    if !elements.is_plain() {
+        let sentence = format!("is compressed (transfer syntax {}): {CURE}", elements.transfer_syntax);
+        return Err(Error::input(sentence));
+    }
+    let missing = |tag: Tag| Error::input(format!("is missing: {CURE}")).element(format!("DICOM tag {tag}"));
+    // Exactly `N` numbers in range.
+    fn some<const N: usize>(elements: &Elements<'_>, tag: Tag, range: NumberRange) -> Result<Option<[f64; N]>> {
+        let Some(numbers) = elements.numbers(tag).and_then(|n| <[f64; N]>::try_from(n).ok()) else { return Ok(None) };
+        let check = |&n: &f64| range.check(n).map_err(|e| e.element(format!("DICOM tag {tag}")));
+        numbers.iter().try_for_each(check).map(|()| Some(numbers))
+    }
+    let number = |tag: Tag, range| -> Result<f64> {
+        let [value] = some(elements, tag, range)?.ok_or_else(|| missing(tag))?;
+        Ok(value)
+    };
+    let modality = elements.text(MODALITY).unwrap_or_default();
     if modality != "CT" {
         return Err(Error::input(format!("is of modality `{modality}`, and CT is wanted")));
     }
-    let syntax = object.meta().transfer_syntax().trim_end_matches(['\0', ' ']).to_owned();
-    if !TRANSFER_SYNTAXES.contains(&syntax.as_str()) {
-        return Err(Error::input(format!("is compressed (transfer syntax {syntax}): {CURE}")));
-    }
-    let size = [number(COLUMNS)?, number(ROWS)?].map(|n| n as usize);
-    let is_signed = number(PIXEL_REPRESENTATION)? == 1.0;
-    if number(BITS_ALLOCATED)? != 16.0 || number(SAMPLES_PER_PIXEL)? != 1.0 {
+    let size = [number(COLUMNS, SIDE)?, number(ROWS, SIDE)?].map(|n| n as usize);
+    let is_signed = number(PIXEL_REPRESENTATION, SIDE.or_zero())? == 1.0;
+    if number(BITS_ALLOCATED, SIDE)? != 16.0 || number(SAMPLES_PER_PIXEL, SIDE)? != 1.0 {
         return Err(Error::input(format!("has no pixels of one 16-bit number: {CURE}")));
     }
-    let triple = |values: &[f64]| <[f64; 3]>::try_from(values).map(DVec3::from_array).ok();
-    let position_mm = triple(&numbers(POSITION)?).ok_or_else(|| missing(POSITION))?;
-    let orientation = numbers(ORIENTATION)?;
-    let directions = match orientation.len() {
-        6 => [0, 3].map(|at| triple(&orientation[at..at + 3]).unwrap_or_default()),
-        _ => return Err(missing(ORIENTATION)),
-    };
+    let position_mm = some(elements, POSITION, PLACE)?.ok_or_else(|| missing(POSITION))?;
+    let [a, b, c, d, e, f] = some(elements, ORIENTATION, PLACE)?.ok_or_else(|| missing(ORIENTATION))?;
     let [between_rows, between_columns] =
-        <[f64; 2]>::try_from(numbers(PIXEL_SPACING)?).map_err(|_| missing(PIXEL_SPACING))?;
-    let (slope, intercept) = (number(SLOPE)?, number(INTERCEPT)?);
-    let bytes = object.element(PIXELS).map_err(|_| missing(PIXELS))?.to_bytes().map_err(|_| missing(PIXELS))?;
+        some(elements, PIXEL_SPACING, PLACE)?.ok_or_else(|| missing(PIXEL_SPACING))?;
+    let (slope, intercept) = (number(SLOPE, SCALE)?, number(INTERCEPT, SCALE)?);
+    let bytes = elements.bytes(PIXELS).ok_or_else(|| missing(PIXELS))?;
     let count = size[0] * size[1];
     if bytes.len() < 2 * count {
         return Err(Error::input(format!("ends early: {} of {count} pixels are there", bytes.len() / 2)));
     }
-    let hounsfield = |pair: &[u8]| {
-        let word = [pair[0], pair[1]];
-        let stored = if is_signed { i16::from_le_bytes(word).into() } else { u16::from_le_bytes(word).into() };
+    let units = |word: &[u8; 2]| {
+        let stored = if is_signed { i16::from_le_bytes(*word).into() } else { u16::from_le_bytes(*word).into() };
         let stored: f64 = stored;
-        (stored * slope + intercept).round() as i16
+        hounsfield(stored * slope + intercept)
     };
     Ok(SliceHeader {
         path: path.to_path_buf(),
-        series: text(SERIES).unwrap_or_default(),
+        series: elements.text(SERIES).unwrap_or_default(),
         size,
-        directions,
+        directions: [DVec3::new(a, b, c), DVec3::new(d, e, f)],
         spacing_mm: [between_columns, between_rows],
-        position_mm,
-        pixels: bytes.chunks_exact(2).take(count).map(hounsfield).collect(),
+        position_mm: DVec3::from_array(position_mm),
+        pixels: bytes.as_chunks::<2>().0[..count].iter().map(units).collect::<Result<_>>()?,
     })
 }
 
@@ -142,8 +184,7 @@ fn stacked(mut slices: Vec<SliceHeader>) -> Result<Volume<i16>> {
         s.size == size && s.spacing_mm == spacing && (0..2).all(|k| s.directions[k].distance(directions[k]) < 1e-3)
     };
     if let Some(other) = slices.iter().find(|s| !agrees(s)) {
-        let sentence = format!("has another size, spacing or orientation than the other slices: {CURE}");
-        return Err(Error::input(sentence).at(&other.path));
+        return Err(other_slice().at(&other.path));
     }
     let height = |s: &SliceHeader| s.position_mm.dot(normal);
     slices.sort_by(|a, b| height(a).total_cmp(&height(b)));
@@ -169,7 +210,9 @@ fn stacked(mut slices: Vec<SliceHeader>) -> Result<Volume<i16>> {
         axes_mm: DMat3::from_cols(directions[0] * spacing[0], directions[1] * spacing[1], step),
     };
     grid.validate(2.0)?;
-    Ok(Volume { grid, data: slices.iter().flat_map(|s| s.pixels.iter().copied()).collect() })
+    let mut data = Vec::with_capacity(grid.count());
+    slices.into_iter().for_each(|slice| data.extend(slice.pixels));
+    Ok(Volume { grid, data })
 }
 
 #[cfg(test)]
@@ -226,7 +269,7 @@ mod tests {
         std::fs::write(folder.join(name), [vec![0; 128], b"DICM".to_vec(), length, meta, data].concat()).unwrap();
     }
 
-    const PLAIN: &str = TRANSFER_SYNTAXES[1];
+    const PLAIN: &str = "1.2.840.10008.1.2.1";
 
     #[test]
     fn slices_are_stacked_by_their_place_and_scaled_to_hounsfield_units() {
@@ -256,5 +299,72 @@ mod tests {
         assert!(said(&[("a", 0.0, "1", PLAIN), ("b", 0.0, "1", PLAIN)]).contains("slices are missing"));
         let packed = said(&[("a", 0.0, "1", "1.2.840.10008.1.2.4.70"), ("b", 1.0, "1", PLAIN)]);
         assert!(packed.contains("dcm2niix -z y") && packed.contains("compressed"), "{packed}");
+    }
+
+    /// Three slices, the file `name` of which `change` has changed.
+    fn read_changed(name: &str, change: impl Fn(&mut Vec<u8>)) -> Result<Volume<i16>, String> {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, z) in [("a", 0.0), ("b", 1.0), ("c", 2.0)] {
+            write(folder.path(), name, z, "1", 10, PLAIN);
+        }
+        let path = folder.path().join(name);
+        let mut bytes = std::fs::read(&path).unwrap_or_default();
+        change(&mut bytes);
+        std::fs::write(&path, bytes).unwrap();
+        read_folder(folder.path()).map_err(|e| e.to_string())
+    }
+
+    fn find(bytes: &[u8], what: &[u8]) -> usize {
+        bytes.windows(what.len()).position(|window| window == what).unwrap()
+    }
+
+    /// Passed over as no DICOM, it cropped the volume: at either end nobody missed it.
+    #[test]
+    fn a_damaged_slice_is_refused_wherever_it_ends() {
+        let whole = read_changed("c", |_| {}).unwrap();
+        assert_eq!(whole.grid.size, [3, 2, 3]);
+        let length = std::cell::Cell::new(0);
+        read_changed("c", |bytes| length.set(bytes.len())).unwrap();
+        // From where the magic says that it is DICOM.
+        for end in MAGIC_END..length.get() {
+            let said = read_changed("c", |bytes| bytes.truncate(end)).unwrap_err();
+            assert!(said.contains("/c: "), "{end}: {said}");
+        }
+        let said = read_changed("d.dcm", |bytes| bytes.extend([7; 40])).unwrap_err();
+        assert!(said.contains("d.dcm: is called .dcm and is no DICOM file"), "{said}");
+        assert!(read_changed("notes", |bytes| bytes.extend([7; 400])).is_ok());
+    }
+
+    /// 4 GB were zeroed for a file of a kilobyte, and products wrapped.
+    #[test]
+    fn lengths_sizes_and_scales_are_checked_before_they_are_used() {
+        let at = |bytes: &[u8], tag: Tag| find(bytes, &[tag.0.to_le_bytes(), tag.1.to_le_bytes()].concat());
+        let said = read_changed("b", |bytes| {
+            let length = at(bytes, PIXELS) + 8;
+            bytes[length..length + 4].copy_from_slice(&0xffff_fff0u32.to_le_bytes());
+        });
+        assert!(said.unwrap_err().contains("ends within DICOM tag (7FE0,0010), which has 4294967280 bytes"));
+        for (tag, kind, value) in [
+            (ROWS, b"UL", u32::MAX.to_le_bytes().to_vec()),
+            (COLUMNS, b"FD", 1e300f64.to_le_bytes().to_vec()),
+            (COLUMNS, b"US", vec![0, 0]),
+            (SLOPE, b"DS", b"nan ".to_vec()),
+            (INTERCEPT, b"DS", b"1e300 ".to_vec()),
+            (PIXEL_SPACING, b"DS", b"inf\\1 ".to_vec()),
+        ] {
+            let said = read_changed("b", |bytes| {
+                let start = at(bytes, tag);
+                let old = u16::from_le_bytes([bytes[start + 6], bytes[start + 7]]) as usize;
+                let new = element(tag.0, tag.1, std::str::from_utf8(kind).unwrap(), &value);
+                bytes.splice(start..start + 8 + old, new);
+            });
+            let said = said.unwrap_err();
+            assert!(said.contains(&format!("/b: DICOM tag {tag}: ")) && said.contains("must lie in"), "{said}");
+        }
+        let said = read_changed("b", |bytes| {
+            let value = at(bytes, INTERCEPT) + 8;
+            bytes[value..value + 5].copy_from_slice(b"90000");
+        });
+        assert!(said.unwrap_err().contains("Hounsfield units: 90020 must lie in"));
     }
 }

@@ -151,7 +151,7 @@ mod tests {
     }
 
     fn read(bytes: Vec<u8>) -> Result<crate::base::Volume<i16>> {
-        open_stream(Box::new(Cursor::new(bytes)), Path::new(""))?.read_scalars(|v| v as i16)
+        open_stream(Box::new(Cursor::new(bytes)), Path::new(""))?.read_scalars(|v| Ok(v as i16))
     }
 
     #[test]
@@ -174,7 +174,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("a.mhd"), HEADER.replace("LOCAL", "a.raw")).unwrap();
         std::fs::write(folder.path().join("a.raw"), &little).unwrap();
-        assert_eq!(open(&folder.path().join("a.mhd")).unwrap().read_scalars(|v| v as i16).unwrap(), volume);
+        assert_eq!(open(&folder.path().join("a.mhd")).unwrap().read_scalars(|v| Ok(v as i16)).unwrap(), volume);
     }
 
     #[test]

@@ -6,6 +6,8 @@ mod damage;
 pub mod depth_png;
 #[cfg(feature = "program")]
 pub mod dicom;
+#[cfg(feature = "program")]
+mod dicom_elements;
 pub mod exr;
 pub mod gaussians_ply;
 pub mod glb;
@@ -22,6 +24,7 @@ pub mod metaimage;
 #[cfg(feature = "program")]
 pub mod nifti;
 pub mod npy;
+pub mod number_table;
 pub mod png;
 pub mod points_ply;
 pub mod tiff_grey;

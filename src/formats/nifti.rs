@@ -266,7 +266,7 @@ mod tests {
             for name in ["a.nii", "a.nii.gz"] {
                 let path = folder.path().join(name);
                 write(&path, &scan).unwrap();
-                let read = open(&path).unwrap().read_scalars(|v| v as i16).unwrap();
+                let read = open(&path).unwrap().read_scalars(|v| Ok(v as i16)).unwrap();
                 assert!(near(&read.grid, &grid), "{:?}", read.grid);
                 assert_eq!(read.data, scan.data);
             }
@@ -287,7 +287,7 @@ mod tests {
         write(&path, &field).unwrap();
         assert_eq!(open(&path).unwrap().read_vectors().unwrap().data, field.data);
         assert!(!vectors_are_ras(&path).unwrap());
-        let refused = open(&path).unwrap().read_scalars(|v| v).unwrap_err().to_string();
+        let refused = open(&path).unwrap().read_scalars(Ok).unwrap_err().to_string();
         assert!(refused.contains("3 numbers a voxel"), "{refused}");
     }
 
@@ -299,7 +299,7 @@ mod tests {
         let said = |change: &dyn Fn(&mut Vec<u8>)| {
             let mut bytes = good.clone();
             change(&mut bytes);
-            let read = open_stream(Box::new(std::io::Cursor::new(bytes))).and_then(|s| s.read_scalars(|v| v as u8));
+            let read = open_stream(Box::new(std::io::Cursor::new(bytes))).and_then(|s| s.read_scalars(|v| Ok(v as u8)));
             read.map(|_| String::new()).unwrap_or_else(|e| e.to_string())
         };
         assert_eq!(said(&|_| ()), "");

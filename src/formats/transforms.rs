@@ -10,7 +10,8 @@ use std::path::Path;
 use glam::{DAffine3, DMat3, DVec3};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::base::{Camera, Error, Result, files};
+use crate::base::range::COORDINATE;
+use crate::base::{Camera, Error, Result, files, pose};
 
 /// Intrinsics as they stand in the file, at its top or in a frame; what a frame leaves out is as at the top.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -217,13 +218,6 @@ pub struct Transforms {
     pub frames: Vec<TransformsFrame>,
 }
 
-/// Columns of unit length at right angles, right-handed: to a thousandth, since files round.
-fn is_rigid(pose: &DAffine3) -> bool {
-    let m = pose.matrix3;
-    let products = (m.transpose() * m - DMat3::IDENTITY).to_cols_array();
-    products.iter().all(|v| v.abs() <= 2e-3) && m.determinant() > 0.0
-}
-
 fn thousandth() -> f64 {
     1e-3
 }
@@ -252,13 +246,9 @@ impl Transforms {
         if transforms.frames.is_empty() {
             transforms.lens.camera()?;
         }
-        let broken = |f: &TransformsFrame| f.transform_matrix.iter().flatten().any(|v| !v.is_finite());
-        if let Some(f) = transforms.frames.iter().position(broken) {
-            return Err(Error::input("transform_matrix is not finite").element(format!("frame {f}")));
-        }
-        if let Some(f) = transforms.frames.iter().position(|f| !is_rigid(&f.world_from_camera())) {
-            let message = "transform_matrix is no rotation and translation (it scales, shears, mirrors or is singular)";
-            return Err(Error::input(message).element(format!("frame {f}")));
+        for (index, frame) in transforms.frames.iter().enumerate() {
+            let named = |e: Error| Error::input(format!("transform_matrix {e}")).element(format!("frame {index}"));
+            pose::from_rows(&frame.transform_matrix, COORDINATE).map_err(named)?;
         }
         Ok(transforms)
     }
@@ -377,9 +367,23 @@ mod tests {
             "[[-1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]",
             "[[0,0,0,0],[0,0,0,0],[0,0,0,0],[0,0,0,1]]",
             "[[1,0.1,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]",
+            "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[4,5,6,1]]",
+            "[[1,0,0,1e300],[0,1,0,0],[0,0,1,0],[0,0,0,1]]",
         ] {
             let sentence = refused("", matrix);
             assert!(sentence.contains("transforms.json") && sentence.contains("frame 0"), "{sentence}");
+        }
+    }
+
+    #[test]
+    fn a_lens_that_no_camera_has_is_named() {
+        for (key, value) in [("fl_x", "1e-300"), ("fl_y", "-4"), ("cx", "1e300"), ("k1", "1e300"), ("k4", "-1e9")] {
+            let lens = [("fl_x", "4"), ("fl_y", "4"), ("cx", "2"), ("cy", "2"), ("k1", "0"), ("k4", "0")];
+            let lens = lens.map(|(name, good)| format!("\"{name}\":{}", if name == key { value } else { good }));
+            let text =
+                format!("{{\"camera_model\":\"OPENCV_FISHEYE\",\"w\":4,\"h\":4,{},\"frames\":[]}}", lens.join(","));
+            let said = Transforms::parse(text.as_bytes()).unwrap_err().to_string();
+            assert!(said.starts_with(&format!("{key}: {value} must lie in")), "{said}");
         }
     }
 

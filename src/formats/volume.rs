@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::volume_samples::VolumeSource;
+use super::volume_samples::{VolumeSource, hounsfield};
 use super::{dicom, metaimage, nifti};
 use crate::base::{Error, Result, Volume};
 
@@ -28,28 +28,22 @@ fn open(path: &Path) -> Result<VolumeSource> {
     }
 }
 
-/// Reads a CT scan: Hounsfield units, rounded. Errors name the file.
+/// Reads a CT scan: Hounsfield units, rounded. Errors name the file, and a voxel that is no number or beyond what a
+/// scan holds.
 pub fn read_scan(path: &Path) -> Result<Volume<i16>> {
     if path.is_dir() {
         return dicom::read_folder(path);
     }
-    open(path)?.read_scalars(|v| v.round() as i16).map_err(|e| e.at(path))
+    open(path)?.read_scalars(hounsfield).map_err(|e| e.at(path))
 }
 
 /// Reads a label map. Errors name the file, or the first value that is no label.
 pub fn read_labels(path: &Path) -> Result<Volume<u16>> {
-    let wrong = std::cell::Cell::new(None);
-    let labels = open(path)?.read_scalars(|v| {
-        if !(0.0..=MOST_LABEL).contains(&v) || (v - v.round()).abs() > 1e-3 {
-            wrong.set(wrong.get().or(Some(v)));
-        }
-        v.round() as u16
-    });
-    let labels = labels.map_err(|e| e.at(path))?;
-    match wrong.get() {
-        Some(value) => Err(Error::input(format!("holds {value}, and labels are whole numbers from 0")).at(path)),
-        None => Ok(labels),
-    }
+    let label = |value: f64| match (0.0..=MOST_LABEL).contains(&value) && (value - value.round()).abs() <= 1e-3 {
+        true => Ok(value.round() as u16),
+        false => Err(Error::input(format!("holds {value}, and labels are whole numbers from 0"))),
+    };
+    open(path)?.read_scalars(label).map_err(|e| e.at(path))
 }
 
 /// Reads a displacement field: vectors in LPS and mm. Errors name the file.
@@ -66,6 +60,30 @@ pub fn read_field(path: &Path) -> Result<Volume<[f32; 3]>> {
 mod tests {
     use super::*;
     use crate::base::VoxelGrid;
+
+    /// 1e9 HU and no number were metal and water.
+    #[test]
+    fn voxels_that_are_no_hounsfield_units_are_refused_by_their_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scan.mha");
+        let said = |kind: &str, voxels: &[u8]| {
+            let header = format!(
+                "ObjectType = Image\nNDims = 3\nBinaryData = True\nElementSpacing = 1 1 1\nDimSize = 3 1 1\n\
+                 ElementType = {kind}\nElementDataFile = LOCAL\n"
+            );
+            std::fs::write(&path, [header.as_bytes(), voxels].concat()).unwrap();
+            read_scan(&path).map(|scan| scan.data).map_err(|e| e.to_string())
+        };
+        let floats = |values: [f32; 3]| values.map(f32::to_le_bytes).concat();
+        assert_eq!(said("MET_FLOAT", &floats([-1024.4, 0.5, 32767.0])).unwrap(), [-1024, 1, 32767]);
+        for (value, shown) in [(f32::NAN, "NaN"), (f32::INFINITY, "inf"), (40_000.0, "40000"), (-1e9, "-1e9")] {
+            let sentence = said("MET_FLOAT", &floats([0.0, value, 0.0])).unwrap_err();
+            let says = format!("scan.mha: voxel [1, 0, 0]: Hounsfield units: {shown} must lie in -32768 to 32767");
+            assert!(sentence.ends_with(&says), "{sentence}");
+        }
+        let words = [0u16, 1, 65_535].map(u16::to_le_bytes).concat();
+        assert!(said("MET_USHORT", &words).unwrap_err().contains("voxel [2, 0, 0]"));
+    }
 
     #[test]
     fn files_are_read_by_their_ending_and_labels_must_be_labels() {

@@ -3,10 +3,20 @@
 
 use std::io::Read;
 
+use crate::base::range::NumberRange;
 use crate::base::{Error, Result, Volume, VoxelGrid};
 
+/// Hounsfield units that a scan can hold.
+const HOUNSFIELD: NumberRange = NumberRange::new(i16::MIN as f64, i16::MAX as f64);
 /// Bytes decoded at a time; a multiple of every sample's size.
 const CHUNK_BYTES: usize = 1 << 20;
+
+/// A voxel's Hounsfield units, rounded. Errors: no number, or more than a scan can hold.
+pub fn hounsfield(value: f64) -> Result<i16> {
+    let rounded = value.round();
+    HOUNSFIELD.check(rounded).map_err(|e| Error::input(format!("Hounsfield units: {e}")))?;
+    Ok(rounded as i16)
+}
 
 /// How a number is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,15 +91,21 @@ pub struct VolumeSource {
 impl VolumeSource {
     /// The value of every voxel through `convert`.
     ///
-    /// Errors: several numbers a voxel; a file that ends early; a grid too large for this machine.
-    pub fn read_scalars<T: Copy + Default>(self, convert: impl Fn(f64) -> T) -> Result<Volume<T>> {
+    /// Errors: several numbers a voxel; a file that ends early; a grid too large for this machine; the first of
+    /// `convert`.
+    pub fn read_scalars<T: Copy + Default>(self, convert: impl Fn(f64) -> Result<T>) -> Result<Volume<T>> {
         if self.channels != 1 {
             return Err(Error::input(format!("holds {} numbers a voxel, and one is wanted", self.channels)));
         }
         let grid = self.grid;
         grid.validate(size_of::<T>() as f64)?;
         let mut data = Vec::with_capacity(grid.count());
-        self.decode(grid.count(), |value| data.push(convert(value)))?;
+        self.decode(grid.count(), |value| {
+            let place = |e: Error| e.element(format!("voxel {:?}", grid.cell(data.len())));
+            let converted = convert(value).map_err(place)?;
+            data.push(converted);
+            Ok(())
+        })?;
         Ok(Volume { grid, data })
     }
 
@@ -110,6 +126,7 @@ impl VolumeSource {
                 ChannelOrder::ByChannel => data[next % count][next / count] = value as f32,
             }
             next += 1;
+            Ok(())
         })?;
         if let Some(at) = data.iter().position(|v| v.iter().any(|c| !c.is_finite())) {
             return Err(Error::input("is not finite").element(format!("the displacement of voxel {:?}", grid.cell(at))));
@@ -117,7 +134,7 @@ impl VolumeSource {
         Ok(Volume { grid, data })
     }
 
-    fn decode(mut self, count: usize, mut take: impl FnMut(f64)) -> Result<()> {
+    fn decode(mut self, count: usize, mut take: impl FnMut(f64) -> Result<()>) -> Result<()> {
         let size = self.kind.bytes();
         let mut left = count * size;
         let mut chunk = vec![0u8; CHUNK_BYTES.min(left)];
@@ -133,7 +150,7 @@ impl VolumeSource {
                 part.chunks_exact_mut(size).for_each(<[u8]>::reverse);
             }
             for sample in part.chunks_exact(size) {
-                take(self.kind.decode(sample) * self.slope + self.intercept);
+                take(self.kind.decode(sample) * self.slope + self.intercept)?;
             }
             left -= part.len();
         }

@@ -3,7 +3,7 @@
 //! Tiles are traced in parallel and put together by index; every sample is a function of (seed, frame, pixel, sample)
 //! alone, so the image does not depend on the number of threads.
 
-use glam::{DAffine3, DMat3, DVec2, DVec3};
+use glam::{DAffine3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::denoise::{Guides, denoised_indirect};
@@ -13,6 +13,7 @@ use super::settings::{
     Denoise, EMISSION_EXPONENT, Light, RAYS_PER_FACE, RenderSettings, Shading, Transport, check_size,
 };
 use super::vertex_light::vertex_light;
+use crate::base::pose::rotation_error;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::range::SAMPLES_PER_PIXEL;
 use crate::base::{Camera, Error, Estimate, Image, NoProgress, Progress, Result};
@@ -25,6 +26,8 @@ const PATH_SAMPLE_S: f64 = 3e-6;
 const KNOWN_SAMPLE_S: f64 = 1e-6;
 const FACE_RAY_BYTES: f64 = 32.0;
 const FACE_RAY_S: f64 = 1e-6;
+/// Largest error of a view's rotation, as single precision rounds it.
+const ROTATION_SLACK: f64 = 1e-4;
 
 /// A rendered frame.
 #[derive(Clone, Debug)]
@@ -125,9 +128,7 @@ pub fn render_watched(
 fn check(camera: &Camera, pose: &DAffine3, light: &Light, settings: &RenderSettings) -> Result<()> {
     camera.validate()?;
     check_size(camera.width, camera.height)?;
-    let rotation = pose.matrix3;
-    let off = (rotation * rotation.transpose() - DMat3::IDENTITY).to_cols_array();
-    if !pose.is_finite() || off.iter().any(|v| v.abs() > 1e-4) || rotation.determinant() < 0.0 {
+    if !pose.is_finite() || rotation_error(pose) > ROTATION_SLACK {
         return Err(Error::input("world_from_camera is not a rigid motion (rotation and translation)"));
     }
     if light.intensity.iter().any(|v| !v.is_finite() || *v < 0.0) || light.position_mm.is_some_and(|p| !p.is_finite()) {

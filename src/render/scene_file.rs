@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DAffine3, DMat4};
+use glam::DAffine3;
 use serde::{Deserialize, Serialize};
 
 use super::settings::{EMISSION_EXPONENT, RAYS_PER_FACE, STILL_SIDE_PX, check_size};
 use super::{Denoise, Light, Material, RenderSettings, Scene, Shading, Transport};
 use crate::base::range::{KeyRanges, LIGHT, NumberRange, SAMPLES_PER_PIXEL, SEED, SHARE};
-use crate::base::{Camera, Error, Result, TriangleMesh, files, mesh};
+use crate::base::{Camera, Error, Result, TriangleMesh, files, mesh, pose};
 use crate::formats::mesh::read as read_mesh;
 
 /// Image points in pixels.
@@ -278,13 +278,8 @@ impl CameraSection {
             Error::input(format!("has {} numbers, not 16", self.world_from_camera.len()))
                 .element("camera.world_from_camera")
         })?;
-        let matrix = DMat4::from_cols_array(&numbers).transpose();
-        if !matrix.is_finite() || (matrix.row(3) - glam::DVec4::W).length() > 1e-9 {
-            return Err(
-                Error::input("is not a finite matrix with last row 0 0 0 1").element("camera.world_from_camera")
-            );
-        }
-        Ok(DAffine3::from_mat4(matrix))
+        let [a, b, c, d] = [0, 4, 8, 12].map(|at| [0, 1, 2, 3].map(|k| numbers[at + k]));
+        pose::from_rows(&[a, b, c, d], PLACE_MM).map_err(|e| e.element("camera.world_from_camera"))
     }
 }
 

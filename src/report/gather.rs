@@ -64,17 +64,17 @@ pub fn whole_film(run: &Run, case: &CaseInfo) -> Result<Option<Scenes>> {
 
 fn of_case(run: &Run, case: &CaseInfo, truth: &dyn Truth, keeping: Keeping) -> Result<Scenes> {
     let frames = spread(truth.frames().len(), keeping.frames);
-    let meshes = [truth.inspiration()?, truth.expiration()?];
+    let walls = Walls { rest: [truth.inspiration()?, truth.expiration()?], last: truth.last_surface()? };
     let airway = match keeping.vertices {
         0 => None,
-        most => AirwayScene::of(&meshes[0], &meshes[1], most),
+        most => AirwayScene::of(&walls.rest[0], &walls.rest[1], walls.last.as_ref(), most),
     };
     let question = Question::of(truth);
     let mut scenes = Scenes::default();
     for (_, cell, score) in run.shown(&case.id) {
         let prediction = Prediction::open(&cell.prediction, &question)?;
         let surface = match &airway {
-            Some(airway) => surface(airway, &meshes, truth, &prediction)?,
+            Some(airway) => surface(airway, &walls, truth, &prediction)?,
             None => SurfaceScene::Unknown,
         };
         let places = |all: &[Vec<DVec3>]| {
@@ -95,6 +95,12 @@ fn of_case(run: &Run, case: &CaseInfo, truth: &dyn Truth, keeping: Keeping) -> R
     let targets = truth.targets();
     let ends = targets.iter().map(|t| t.inspiration_mm).chain(targets.iter().map(|t| t.expiration_mm));
     let camera = truth.camera();
+    let at_frame = |frame: usize| (0..targets.len()).map(move |index| truth.target_mm(index, frame));
+    // Without a surface at the last frame the phase says where everything is.
+    let by_frame = walls
+        .last
+        .is_some()
+        .then(|| Packed::of_doubles((0..records.len()).flat_map(at_frame).flat_map(|place| place.to_array())));
     scenes.films.push(FilmScene {
         film: FilmKey {
             case_id: case.id.clone(),
@@ -107,6 +113,7 @@ fn of_case(run: &Run, case: &CaseInfo, truth: &dyn Truth, keeping: Keeping) -> R
         poses: Packed::of_doubles(poses),
         tan_half_height: 0.5 * f64::from(camera.height) / camera.fl_y,
         targets_mm: Packed::of_doubles(ends.flat_map(|place| place.to_array())),
+        targets_by_frame_mm: by_frame,
         airway: airway.map(|airway| airway.scene),
         pictures: pictures(&frames, keeping, |frame| truth.image(frame))?,
     });
@@ -129,25 +136,32 @@ fn pictures(frames: &[usize], keeping: Keeping, read: impl Fn(usize) -> Result<I
     })
 }
 
+/// The true wall, as far as it is known.
+struct Walls {
+    /// At full inspiration and at full expiration.
+    rest: [TriangleMesh; 2],
+    /// At the last frame, where no phase says it.
+    last: Option<TriangleMesh>,
+}
+
 /// Where the row's surface is known point by point: the truth's faces, or a table of correspondences.
-fn surface(
-    airway: &ReducedAirway,
-    meshes: &[TriangleMesh; 2],
-    truth: &dyn Truth,
-    prediction: &Prediction,
-) -> Result<SurfaceScene> {
+fn surface(airway: &ReducedAirway, walls: &Walls, truth: &dyn Truth, prediction: &Prediction) -> Result<SurfaceScene> {
     let Some(predicted) = prediction.final_mesh()? else { return Ok(SurfaceScene::Unknown) };
     let Some(last) = truth.frames().last() else { return Ok(SurfaceScene::Unknown) };
     let places = match prediction.correspondence()? {
         Some(places) => places,
-        None if predicted.faces == meshes[0].faces => predicted.vertices,
+        None if predicted.faces == walls.rest[0].faces => predicted.vertices,
         None => return Ok(SurfaceScene::Unknown),
     };
-    if places.len() != meshes[0].vertices.len() {
+    if places.len() != walls.rest[0].vertices.len() {
         return Ok(SurfaceScene::Unknown);
     }
+    if let Some(wall) = &walls.last {
+        return Ok(airway.surface_from(wall, &places));
+    }
     let stated = prediction.phase().and_then(|phases| phases.last().copied());
-    Ok(airway.surface([&meshes[0], &meshes[1]], &places, last.phase, stated))
+    let [inspiration, expiration] = &walls.rest;
+    Ok(airway.surface([inspiration, expiration], &places, last.phase, stated))
 }
 
 fn rounded(overlay: &ContourOverlay) -> ContourOverlay {
@@ -158,5 +172,46 @@ fn rounded(overlay: &ContourOverlay) -> ContourOverlay {
         predicted_closed: overlay.predicted_closed,
         target_truth: round(overlay.target_truth),
         target_predicted: round(overlay.target_predicted),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::report_tests::sample_run;
+    use crate::score::fixture::{BeyondPhase, TubeTruth};
+
+    /// The page of a clinical film had balls, wall and colours where the phase would have them.
+    #[test]
+    fn what_no_phase_says_is_taken_from_the_film() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = sample_run(folder.path(), 16, 9);
+        let truth = BeyondPhase(TubeTruth::new("case1", 16, 9));
+        let keeping = Keeping { frames: FRAMES, side_px: SIDE_PX, quality: QUALITY, vertices: VERTICES };
+        let ideal = of_case(&run, &run.cases[0], &truth.0, keeping).unwrap();
+        let scenes = of_case(&run, &run.cases[0], &truth, keeping).unwrap();
+        let (film, places) = (&scenes.films[0], scenes.films[0].targets_by_frame_mm.as_ref().unwrap());
+        for (frame, of_frame) in places.0.chunks(9).enumerate() {
+            for (index, place) in of_frame.chunks(3).enumerate() {
+                let wanted = truth.target_mm(index, frame).as_vec3();
+                assert_eq!(place, wanted.to_array(), "target {index} at frame {frame}");
+                assert!(wanted.distance(truth.0.target_mm(index, frame).as_vec3()) > 0.1);
+            }
+        }
+        let (airway, wall) = (film.airway.as_ref().unwrap(), truth.last_surface().unwrap().unwrap());
+        let drawn = airway.last.as_ref().unwrap().0.as_chunks::<3>().0.iter();
+        let drawn =
+            drawn.map(|v| DVec3::from_array(airway.low_mm) + airway.step_mm * DVec3::from_array(v.map(f64::from)));
+        let off = drawn.map(|v| wall.vertices.iter().map(|w| w.distance(v)).fold(f64::INFINITY, f64::min));
+        assert!(off.fold(0.0, f64::max) < 2.0 * airway.step_mm);
+        // The row whose surface is the blend by its phase: right on the ideal track, off by what tissue moved besides.
+        let surface =
+            |scenes: &Scenes| scenes.rows.iter().find(|row| row.method == "oracle-phase").unwrap().surface.clone();
+        assert_eq!(surface(&ideal), SurfaceScene::ByPhase);
+        let SurfaceScene::AtEnd(codes) = surface(&scenes) else { panic!("an error that follows from the phase") };
+        let error_mm = |code: u8| 0.01 * 10f64.powf(4.0 * f64::from(code) / 254.0);
+        assert!(codes.0.iter().all(|&code| (error_mm(code) - BeyondPhase::MOVED_MM).abs() < 0.05));
+        assert!(ideal.films[0].targets_by_frame_mm.is_none() && ideal.films[0].airway.as_ref().unwrap().last.is_none());
+        assert!(!serde_json::to_string(&ideal.films[0]).unwrap().contains("by_frame"));
     }
 }

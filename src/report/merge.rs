@@ -11,7 +11,7 @@ use super::read::{CsvRow, CsvTable};
 use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
 use super::scene::{FilmKey, Scenes};
 use super::seal;
-use crate::base::{Error, Result, hash};
+use crate::base::{Error, Result, files, hash};
 use crate::score::{CellScore, FrameScore, FrameValue, MetricScore, Status, check_means, registry};
 use crate::simulate::track::Track;
 
@@ -22,6 +22,23 @@ pub enum Films {
     Same,
     /// Yes, and the report says which cells they are.
     Other,
+}
+
+/// The machines that the report in `folder`, of the run `id`, was made on, by the id of the run: its own
+/// (`environment.json`), and those of runs that it was merged from (`environments.json`). None where it has neither.
+///
+/// Errors name the file that is no JSON of that form.
+pub fn read_environments(folder: &Path, id: &str) -> Result<BTreeMap<String, serde_json::Value>> {
+    let mut environments = BTreeMap::new();
+    let path = folder.join("environment.json");
+    if path.exists() {
+        environments.insert(id.to_owned(), files::read_json(&path)?);
+    }
+    let path = folder.join("environments.json");
+    if path.exists() {
+        environments.extend(files::read_json::<BTreeMap<String, serde_json::Value>>(&path)?);
+    }
+    Ok(environments)
 }
 
 /// Reads the tables of a finished run back (`results.csv`, `comparison.csv`; `frames.csv` and `timings.csv` where they

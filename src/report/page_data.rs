@@ -41,6 +41,8 @@ struct PageFilm<'a> {
     poses: &'a Packed<f32>,
     tan_half_height: f64,
     targets_mm: &'a Packed<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    targets_by_frame_mm: Option<&'a Packed<f32>>,
     airway: Option<&'a AirwayScene>,
     pictures: &'a Pictures,
 }
@@ -53,6 +55,7 @@ impl<'a> PageFilm<'a> {
             poses: &film.poses,
             tan_half_height: film.tan_half_height,
             targets_mm: &film.targets_mm,
+            targets_by_frame_mm: film.targets_by_frame_mm.as_ref(),
             airway: film.airway.as_ref(),
             pictures: &film.pictures,
         }

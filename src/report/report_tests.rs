@@ -182,6 +182,7 @@ fn large_run(folder: &Path, bytes: usize) -> (Run, scene::Scenes) {
         step_mm: 0.01,
         inspiration: scene::Packed((0..3 * vertices).map(|v| v as u16).collect()),
         expiration: scene::Packed((0..3 * vertices).map(|v| (v * 7) as u16).collect()),
+        last: None,
         faces: scene::Packed((0..6 * vertices).map(|v| (v / 6) as u16).collect()),
     };
     run.methods = (0..14).map(|k| MethodInfo::of(&format!("method {k}"))).collect();

@@ -161,6 +161,86 @@ impl Truth for TubeTruth {
     }
 }
 
+/// The same tube on the clinical track: targets and the wall of the last frame have moved beside what the phase says.
+pub struct BeyondPhase(pub TubeTruth);
+
+impl BeyondPhase {
+    /// How far the wall of the last frame has moved, mm.
+    pub const MOVED_MM: f64 = 0.9;
+}
+
+impl Truth for BeyondPhase {
+    fn case_id(&self) -> &str {
+        self.0.case_id()
+    }
+
+    fn hash(&self) -> &str {
+        self.0.hash()
+    }
+
+    fn content(&self) -> &str {
+        self.0.content()
+    }
+
+    fn file_paths(&self) -> Vec<PathBuf> {
+        self.0.file_paths()
+    }
+
+    fn camera(&self) -> &Camera {
+        self.0.camera()
+    }
+
+    fn frames(&self) -> &[FrameRecord] {
+        self.0.frames()
+    }
+
+    fn image(&self, frame: usize) -> Result<Image<u8>> {
+        self.0.image(frame)
+    }
+
+    fn depth_mm(&self, frame: usize) -> Result<Image<f32>> {
+        self.0.depth_mm(frame)
+    }
+
+    fn novel_views(&self) -> &[NovelView] {
+        self.0.novel_views()
+    }
+
+    fn novel_image(&self, frame: usize) -> Result<Image<u8>> {
+        self.0.novel_image(frame)
+    }
+
+    fn novel_depth_mm(&self, frame: usize) -> Result<Image<f32>> {
+        self.0.novel_depth_mm(frame)
+    }
+
+    fn targets(&self) -> &[Target] {
+        self.0.targets()
+    }
+
+    fn target_mm(&self, index: usize, frame: usize) -> DVec3 {
+        self.0.target_mm(index, frame) + DVec3::new(0.5, 0.0, 0.1 * frame as f64)
+    }
+
+    fn last_surface(&self) -> Result<Option<TriangleMesh>> {
+        let mut surface = final_mesh(&self.0)?;
+        surface.vertices.iter_mut().for_each(|v| v.y += Self::MOVED_MM);
+        Ok(Some(surface))
+    }
+
+    fn mask(&self) -> Result<Option<Mask>> {
+        self.0.mask()
+    }
+
+    fn inspiration(&self) -> Result<TriangleMesh> {
+        self.0.inspiration()
+    }
+
+    fn expiration(&self) -> Result<TriangleMesh> {
+        self.0.expiration()
+    }
+}
+
 /// How a prediction departs from the truth; the default does not.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Distortion {

@@ -25,8 +25,9 @@ use serde::Deserialize;
 
 use super::correspondence;
 use super::truth::Truth;
-use crate::base::range::NumberRange;
-use crate::base::{Camera, Error, Image, Result, TriangleMesh, files};
+use crate::base::range::{COORDINATE_MM, NumberRange};
+use crate::base::{Camera, Error, Image, Result, TriangleMesh, files, pose};
+use crate::formats::number_table::{self, COUNT};
 use crate::formats::{depth_png, exr, mesh, npy, png};
 use crate::simulate::participant::{Given, Participant};
 use crate::simulate::sequence::held_out;
@@ -104,6 +105,11 @@ pub struct Prediction {
 
 /// Millimetres of a depth unit: from a nanometre to a kilometre.
 const DEPTH_UNIT_MM: NumberRange = NumberRange::new(1e-6, 1e6);
+/// Phases and their standard deviations; a phase in percent is read, and `check` warns of it.
+const PHASE: NumberRange = NumberRange::new(-1000.0, 1000.0);
+const PHASE_SD: NumberRange = NumberRange::new(1e-12, 1000.0);
+/// Entries of a pose's matrix: of a rotation, or of a place in mm.
+const ENTRY: NumberRange = COORDINATE_MM;
 /// Seconds that a method took.
 const TIME_S: NumberRange = NumberRange::new(0.0, 1e9);
 
@@ -304,7 +310,7 @@ impl Prediction {
         self.time_cpu_s
     }
 
-    /// Predicted surface at the last frame, if there is one; valid (finite, indices in range).
+    /// Predicted surface at the last frame, if there is one; valid (indices and coordinates in range).
     pub fn final_mesh(&self) -> Result<Option<TriangleMesh>> {
         let path = self.root.join("mesh/final.ply");
         if !path.exists() {
@@ -312,6 +318,11 @@ impl Prediction {
         }
         let surface = mesh::read(&path)?;
         surface.validate().map_err(|e| e.at(&path))?;
+        let is_near = |place: &DVec3| place.to_array().into_iter().all(|v| COORDINATE_MM.contains(v));
+        if let Some(far) = surface.vertices.iter().position(|place| !is_near(place)) {
+            let sentence = format!("lies at {} mm; coordinates lie in {COORDINATE_MM}", surface.vertices[far]);
+            return Err(Error::input(sentence).element(format!("vertex {far}")).at(path));
+        }
         Ok(Some(surface))
     }
 
@@ -422,28 +433,33 @@ fn read_targets(path: &Path, frames: usize, count: usize) -> Result<Option<Vec<V
     parse_targets(&files::read_bytes(path)?, frames, count).map(Some).map_err(|e| e.at(path))
 }
 
-/// Frame, target and place; frames in order, within each frame the targets in order.
+/// Columns of frame, target and place, found by name; frames in order, within each frame the targets in order.
 fn parse_targets(bytes: &[u8], frames: usize, count: usize) -> Result<Vec<Vec<DVec3>>> {
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
-    let mut places = vec![Vec::with_capacity(count); frames];
-    for (row, record) in reader.records().enumerate() {
-        let line = format!("line {}", row + 2);
-        let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
-        let numbers: Vec<f64> = record.iter().filter_map(|v| v.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
+    let place = |name| (name, COORDINATE_MM);
+    let columns = [("frame", COUNT), ("target", COUNT), place("x_mm"), place("y_mm"), place("z_mm")];
+    by_target(&number_table::rows(bytes, columns)?, frames, count, |&[_, _, x, y, z]| DVec3::new(x, y, z))
+}
+
+/// What `value` makes of each row, by frame and target, which are the first two numbers of the rows: frames in order,
+/// within each frame the targets in order.
+fn by_target<const N: usize, T>(
+    rows: &[[f64; N]],
+    frames: usize,
+    count: usize,
+    value: impl Fn(&[f64; N]) -> T,
+) -> Result<Vec<Vec<T>>> {
+    let mut values: Vec<Vec<T>> = (0..frames).map(|_| Vec::with_capacity(count)).collect();
+    for (row, numbers) in rows.iter().enumerate() {
         let (frame, target) = (row / count.max(1), row % count.max(1));
-        match numbers[..] {
-            [f, t, x, y, z] if f == frame as f64 && t == target as f64 && frame < frames && count > 0 => {
-                places[frame].push(DVec3::new(x, y, z));
-            }
-            _ => {
-                let sentence = format!("wanted frame {frame} of {frames}, target {target} of {count} and its place");
-                return Err(Error::input(sentence).element(line));
-            }
+        if numbers[..2] != [frame as f64, target as f64] || frame >= frames || count == 0 {
+            let sentence = format!("wanted frame {frame} of {frames}, target {target} of {count}");
+            return Err(Error::input(sentence).element(format!("line {}", row + 2)));
         }
+        values[frame].push(value(numbers));
     }
-    match places.iter().position(|of_frame| of_frame.len() < count) {
+    match values.iter().position(|of_frame| of_frame.len() < count) {
         Some(frame) => Err(Error::input(format!("frame {frame} lacks targets: {count} are wanted"))),
-        None => Ok(places),
+        None => Ok(values),
     }
 }
 
@@ -454,23 +470,22 @@ fn read_poses(path: &Path, frames: usize) -> Result<Option<Vec<DAffine3>>> {
     parse_poses(&files::read_bytes(path)?, frames).map(Some).map_err(|e| e.at(path))
 }
 
-/// Frame and the three upper rows of world_from_camera, frames in order.
+/// Columns of the frame and of the three upper rows of world_from_camera, found by name; frames in order.
 fn parse_poses(bytes: &[u8], frames: usize) -> Result<Vec<DAffine3>> {
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+    let names =
+        ["m00", "m01", "m02", "m03", "m10", "m11", "m12", "m13", "m20", "m21", "m22", "m23"].map(|name| (name, ENTRY));
+    let mut columns = [("frame", COUNT); 13];
+    columns[1..].copy_from_slice(&names);
     let mut poses = Vec::with_capacity(frames);
-    for (row, record) in reader.records().enumerate() {
+    for (row, numbers) in number_table::rows(bytes, columns)?.iter().enumerate() {
         let line = format!("line {}", row + 2);
-        let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
-        let numbers: Vec<f64> = record.iter().filter_map(|v| v.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
-        let [frame, m @ ..] = numbers.as_slice() else {
-            return Err(Error::input("is empty").element(line));
-        };
-        if m.len() != 12 || *frame != row as f64 || row >= frames {
-            let sentence = format!("wanted frame {row} of {frames} and twelve numbers");
-            return Err(Error::input(sentence).element(line));
+        if numbers[0] != row as f64 || row >= frames {
+            return Err(Error::input(format!("wanted frame {row} of {frames}")).element(line));
         }
-        let column = |k: usize| DVec3::new(m[k], m[4 + k], m[8 + k]);
-        poses.push(DAffine3::from_mat3_translation(DMat3::from_cols(column(0), column(1), column(2)), column(3)));
+        let column = |k: usize| DVec3::new(numbers[1 + k], numbers[5 + k], numbers[9 + k]);
+        let pose = DAffine3::from_mat3_translation(DMat3::from_cols(column(0), column(1), column(2)), column(3));
+        pose::check(&pose, COORDINATE_MM).map_err(|e| Error::input(format!("world_from_camera {e}")).element(line))?;
+        poses.push(pose);
     }
     if poses.len() < frames {
         return Err(Error::input(format!("frame {} is missing", poses.len())));
@@ -494,18 +509,18 @@ fn parse_phase(bytes: &[u8], frames: usize) -> Result<Phases> {
         let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
         let field = |column: usize| record.get(column).unwrap_or("");
         let frame = field(frame_column).parse::<usize>().ok().filter(|&f| f < frames);
-        let phase = field(phase_column).parse::<f64>().ok().filter(|p| p.is_finite());
+        let phase = field(phase_column).parse::<f64>().ok().filter(|&p| PHASE.contains(p));
         let (Some(frame), Some(phase)) = (frame, phase) else {
             let said = format!("frame \"{}\" with phase \"{}\"", field(frame_column), field(phase_column));
-            return Err(Error::input(format!("{said}: wanted a frame below {frames} and a finite phase")).element(line));
+            let sentence = format!("{said}: wanted a frame below {frames} and a phase in {PHASE}");
+            return Err(Error::input(sentence).element(line));
         };
         let sd = match sd_column.map(field) {
             None => 0.0,
             Some(text) => match text.parse::<f64>() {
-                Ok(sd) if sd.is_finite() && sd > 0.0 => sd,
+                Ok(sd) if PHASE_SD.contains(sd) => sd,
                 _ => {
-                    let sentence =
-                        format!("phase_sd \"{text}\": wanted a finite number above 0 in every row or no column");
+                    let sentence = format!("phase_sd \"{text}\": wanted {PHASE_SD} in every row, or no column");
                     return Err(Error::input(sentence).element(line));
                 }
             },
@@ -542,6 +557,14 @@ mod tests {
         assert!(say(text, 3).contains("frame 2 lacks targets") && say(text, 1).contains("line 4"));
         assert!(say(b"frame,target,x_mm,y_mm,z_mm\n0,0,1,2,nan\n", 1).contains("line 2"));
         assert!(say(b"frame,target,x_mm,y_mm,z_mm\n0,1,1,2,3\n", 1).contains("line 2"));
+        // Columns are what their names say, whatever their order.
+        assert_eq!(
+            parse_targets(b"z_mm,frame,y_mm,target,x_mm\n3,0,2,0,1\n", 1, 1).unwrap(),
+            [[DVec3::new(1.0, 2.0, 3.0)]]
+        );
+        assert!(say(b"frame,target,x,y,z\n0,0,1,2,3\n0,1,4,5,6\n", 1).contains("column x_mm: is missing"));
+        assert!(say(b"frame,target,x_mm,y_mm,z_mm\n0,0,n/a,1,2,3\n", 1).contains("line 2"));
+        assert!(say(b"frame,target,x_mm,y_mm,z_mm\n0,0,1,2,1e200\n", 1).contains("line 2: z_mm: 1e200 must lie"));
     }
 
     #[test]
@@ -550,7 +573,14 @@ mod tests {
         let pose = parse_poses(text.as_bytes(), 1).unwrap()[0];
         assert_eq!(pose.transform_point3(DVec3::new(1.0, 2.0, 3.0)), DVec3::new(8.0, 5.0, 11.0));
         assert!(parse_poses(text.as_bytes(), 2).unwrap_err().to_string().contains("frame 1 is missing"));
-        assert!(parse_poses(b"frame,m00,m01\n0,1,2\n", 1).unwrap_err().to_string().contains("line 2"));
+        let say = |text: &str| parse_poses(text.as_bytes(), 1).unwrap_err().to_string();
+        assert!(say("frame,m00,m01\n0,1,2\n").contains("column m02: is missing"));
+        assert!(say(&text.replace("0,1,0,0,7", "0,n/a,1,0,0,7")).contains("line 2"));
+        assert!(say(&text.replace("0,1,0,0,7", "0,1,0,0,1e200")).contains("line 2: m03: 1e200 must lie"));
+        for (from, to) in [("0,1,0,0,7", "0,0,0,0,7"), ("0,1,0,0,7", "0,-1,0,0,7"), ("0,1,0,0,7", "0,2,0,0,7")] {
+            let said = say(&text.replace(from, to));
+            assert!(said.contains("line 2: world_from_camera is no rotation"), "{said}");
+        }
     }
 
     #[test]
@@ -559,11 +589,12 @@ mod tests {
         assert!(say("frame,phase\n0,0.1\n").contains("frame 1 is missing"));
         assert!(say("frame,phase\n0,0.1\n0,0.2\n").contains("line 3"));
         assert!(say("frame,phase\n0,nan\n").contains("line 2"));
+        assert!(say("frame,phase\n0,1e200\n").contains("line 2"));
         assert!(say("frame,phase\n7,0.1\n").contains("line 2"));
         assert!(say("frame\n0\n").contains("column phase"));
         assert!(say("frame,phase\n0\n").contains("line 2"));
         assert!(say("").contains("column frame"));
-        for sd in ["", "0", "-1", "inf"] {
+        for sd in ["", "0", "-1", "inf", "1e200"] {
             assert!(say(&format!("frame,phase,phase_sd\n0,0.1,0.1\n1,0.2,{sd}\n")).contains("line 3"), "{sd}");
         }
     }

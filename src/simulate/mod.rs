@@ -4,6 +4,7 @@ pub mod clinical;
 pub mod export;
 pub mod exposure;
 pub mod film;
+mod film_tables;
 mod identity;
 mod misregister;
 mod novel_view;
@@ -157,9 +158,9 @@ fn write_truth(
     }
     files::write_bytes(&out.join(sequence::CENTERLINE), case_centerline::to_csv(&anatomy.centerline).as_bytes())?;
     let planned = targets(anatomy, case.breathing.as_ref());
-    let table = sequence::points_csv(sequence::POINTS_HEADER, planned.iter().map(|target| target.inspiration_mm));
+    let table = film_tables::points_csv(film_tables::POINTS_HEADER, planned.iter().map(|target| target.inspiration_mm));
     files::write_bytes(&out.join(sequence::TARGETS), table.as_bytes())?;
-    let table = sequence::points_csv(sequence::POINTS_HEADER, planned.iter().map(|target| target.expiration_mm));
+    let table = film_tables::points_csv(film_tables::POINTS_HEADER, planned.iter().map(|target| target.expiration_mm));
     files::write_bytes(&out.join(sequence::TARGETS_EXPIRATION), table.as_bytes())?;
     let mask = Sensor::new(&film.camera, &film.scope, case.seed).mask(&film.camera);
     if let Some(mask) = &mask {

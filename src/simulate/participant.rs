@@ -27,8 +27,9 @@ use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::film_tables::{given_frames, points_csv, read_points};
 use super::sequence::{self, NovelView, PARTICIPANT, Sequence};
-use crate::base::range::NumberRange;
+use crate::base::range::BREATHING_PERIOD_S;
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files, hash};
 use crate::formats::transforms::{Transforms, TransformsFrame, TransformsLens};
 use crate::formats::{exr, mesh, png};
@@ -37,8 +38,6 @@ use crate::formats::{exr, mesh, png};
 const CHANGED_S: u64 = 946_684_800;
 /// Keys of a frame in the two files of transforms; every other one is left out.
 const FRAME_KEYS: [&str; 5] = ["file_path", "depth_file_path", "mask_path", "transform_matrix", "time"];
-/// Duration of a breath in seconds.
-const PERIOD_S: NumberRange = NumberRange::new(1e-3, 1e6);
 /// First line of the participant's centreline.
 const CENTERLINE_HEADER: &str = "point,x_mm,y_mm,z_mm";
 
@@ -178,27 +177,24 @@ impl Participant {
         }
         let manifest = root.join(PARTICIPANT);
         let head: ParticipantHead = files::read_json(&manifest)?;
-        PERIOD_S.check(head.breathing_period_s).map_err(|e| e.element("breathing_period_s").at(&manifest))?;
+        BREATHING_PERIOD_S.check(head.breathing_period_s).map_err(|e| e.element("breathing_period_s").at(&manifest))?;
         let path = sequence::checked(PARTICIPANT, &head.files, root, sequence::TRANSFORMS)?;
         let transforms = Transforms::read(&path)?;
         if transforms.frames.len() != head.frames || head.frames == 0 {
             let sentence = format!("has {} frames, {PARTICIPANT} says {}", transforms.frames.len(), head.frames);
             return Err(Error::input(sentence).at(path));
         }
-        let frame = |(index, entry): (usize, &TransformsFrame)| {
-            let named = |e: Error| e.element(format!("frame {index}: time")).at(&path);
-            sequence::TIME_S.check(entry.time).map_err(named)?;
-            Ok(GivenFrame { time_s: entry.time, world_from_camera: entry.world_from_camera() })
-        };
-        let frames = transforms.frames.iter().enumerate().map(frame).collect::<Result<_>>()?;
+        let given = given_frames(&transforms).map_err(|e| e.at(&path))?;
+        let frames =
+            given.into_iter().map(|(time_s, world_from_camera)| GivenFrame { time_s, world_from_camera }).collect();
         let at = |name: &str| sequence::checked(PARTICIPANT, &head.files, root, name);
         Ok(Participant {
             root: root.to_path_buf(),
-            camera: transforms.camera()?,
+            camera: transforms.camera().map_err(|e| e.at(&path))?,
             frames,
             novel_views: sequence::novel_views(&at(sequence::NOVEL_TRANSFORMS)?, head.frames)?,
             breathing_period_s: head.breathing_period_s,
-            targets_mm: sequence::read_points(&at(sequence::TARGETS)?, sequence::POINTS_HEADER)?,
+            targets_mm: read_points(&at(sequence::TARGETS)?, "target")?,
             mask_path: transforms.frames[0].mask_path.clone(),
             files: head.files,
         })
@@ -276,7 +272,7 @@ impl Given for Participant {
     }
 
     fn given_centerline_mm(&self) -> Result<Vec<DVec3>> {
-        sequence::read_points(&self.checked(sequence::CENTERLINE)?, CENTERLINE_HEADER)
+        read_points(&self.checked(sequence::CENTERLINE)?, "point")
     }
 
     fn first_depth_mm(&self) -> Result<Image<f32>> {
@@ -369,7 +365,7 @@ fn write_tables(film: &Sequence, folder: &Path) -> Result<()> {
     let entries = film.given_views().iter().map(view).collect();
     write_transforms(&film.given_camera(), entries, &folder.join(sequence::NOVEL_TRANSFORMS))?;
     let points = film.given_centerline_mm()?;
-    let table = sequence::points_csv(CENTERLINE_HEADER, points.into_iter());
+    let table = points_csv(CENTERLINE_HEADER, points.into_iter());
     files::write_bytes(&folder.join(sequence::CENTERLINE), table.as_bytes())?;
     files::write_bytes(&folder.join(sequence::FORMAT), include_bytes!("PARTICIPANT.md"))
 }

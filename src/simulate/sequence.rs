@@ -13,10 +13,12 @@ use serde::{Deserialize, Serialize};
 use crate::airway::case_centerline;
 use crate::airway::centerline::Centerline;
 use crate::airway::targets::Target;
-use crate::base::range::{NumberRange, SHARE};
+use crate::base::range::{BREATHING_PERIOD_S, NumberRange, SHARE};
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files, hash};
 use crate::formats::transforms::{Transforms, TransformsFrame, TransformsLens};
 use crate::formats::{exr, mesh, png};
+
+use super::film_tables::{film_pose, given_frames, read_points, targets_by_frame};
 
 /// Record of one frame, truth included.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -132,8 +134,6 @@ pub const PLAN: &str = "plan.json";
 /// Manifest of a participant's folder.
 pub const PARTICIPANT: &str = "participant.json";
 
-/// Times of frames in seconds.
-pub(super) const TIME_S: NumberRange = NumberRange::new(0.0, 1e7);
 /// Gains and factors of the white balance.
 const FACTOR: NumberRange = NumberRange::new(1e-12, 1e12);
 
@@ -230,8 +230,6 @@ pub const CONDITIONS: &str = "clinical.csv";
 pub const SIZES: &str = "clinical.json";
 /// Where the targets are at every frame, on the clinical track.
 pub const TARGETS_BY_FRAME: &str = "targets_by_frame.csv";
-/// First line of [`TARGETS_BY_FRAME`].
-pub(super) const TARGETS_BY_FRAME_HEADER: &str = "frame,target,x_mm,y_mm,z_mm";
 /// Centreline at inspiration.
 pub const CENTERLINE: &str = "centerline.csv";
 /// Cameras and truth in nerfstudio's layout.
@@ -246,8 +244,6 @@ pub const NOVEL_TRANSFORMS: &str = "transforms_novel.json";
 pub const FRAMES: &str = "frames.csv";
 /// The layout in words.
 pub const FORMAT: &str = "FORMAT.md";
-/// First line of the tables of targets.
-pub(super) const POINTS_HEADER: &str = "target,x_mm,y_mm,z_mm";
 /// Where the images hold something, when the scope has a mask.
 pub const MASK: &str = "mask.png";
 /// A few frames at a glance.
@@ -293,22 +289,27 @@ impl Sequence {
             return Err(Error::input(why).at(root));
         }
         let head: ManifestHead = files::read_json(&manifest)?;
+        BREATHING_PERIOD_S.check(head.breathing_period_s).map_err(|e| e.element("breathing_period_s").at(&manifest))?;
         let path = head.checked(root, TRANSFORMS)?;
         let transforms = Transforms::read(&path)?;
         if transforms.frames.len() != head.frames || head.frames == 0 {
             let sentence = format!("has {} frames, the manifest says {}", transforms.frames.len(), head.frames);
             return Err(Error::input(sentence).at(path));
         }
+        let given = given_frames(&transforms).map_err(|e| e.at(&path))?;
         let mut frames = Vec::with_capacity(head.frames);
-        for (index, frame) in transforms.frames.iter().enumerate() {
-            frames.push(record(frame).map_err(|e| e.element(format!("frame {index}")).at(&path))?);
+        for (index, (frame, given)) in transforms.frames.iter().zip(given).enumerate() {
+            frames.push(record(frame, given).map_err(|e| e.element(format!("frame {index}")).at(&path))?);
         }
-        let camera = transforms.camera()?;
+        let camera = transforms.camera().map_err(|e| e.at(&path))?;
         let mask_path = transforms.frames[0].mask_path.clone();
         let novel_views = novel_views(&head.checked(root, NOVEL_TRANSFORMS)?, head.frames)?;
         let targets = targets(&head.checked(root, TARGETS)?, &head.checked(root, TARGETS_EXPIRATION)?)?;
         let is_clinical = head.files.contains_key(TOLD_TRANSFORMS) || root.join(TOLD_TRANSFORMS).exists();
-        let clinical = if is_clinical { Some(clinical_truth(&head, root, targets.len())?) } else { None };
+        let clinical = match is_clinical {
+            true => Some(clinical_truth(&head, root, &camera, &novel_views, targets.len())?),
+            false => None,
+        };
         let read = head.files.iter().filter(|(name, _)| !FOR_PEOPLE.contains(&name.as_str()));
         let content = hash::of_value(&(&head.case_id, &head.hash, read.collect::<BTreeMap<_, _>>()))?;
         let ManifestHead { case_id, hash, files, breathing_period_s, .. } = head;
@@ -478,81 +479,62 @@ pub(super) fn read_mask(camera: &Camera, path: &Path) -> Result<Mask> {
     Mask::from_image(&image).and_then(|mask| mask.eroded(1)).map_err(|e| e.at(path))
 }
 
-/// The second cameras of a film of `frames` frames.
-pub(super) fn novel_views(path: &Path, frames: usize) -> Result<Vec<NovelView>> {
-    let transforms = Transforms::read(path)?;
-    let views = transforms.frames.iter().enumerate().map(|(index, entry)| {
-        let frame = (0..frames).find(|&frame| novel_image_name(frame) == entry.file_path);
-        let unknown = || Error::input(format!("{} is no view of this film", entry.file_path));
-        let frame = frame.ok_or_else(|| unknown().element(format!("frame {index}")).at(path))?;
-        Ok(NovelView { frame, world_from_camera: entry.world_from_camera() })
-    });
-    views.collect()
+/// Frame that `name` is the second camera's picture of; `None` where it is none.
+fn novel_frame(name: &str) -> Option<usize> {
+    let frame = name.strip_prefix("novel/")?.strip_suffix(".png")?.parse().ok()?;
+    (novel_image_name(frame) == name).then_some(frame)
 }
 
-/// Reads what is told of a film of the clinical track, and where its targets are at every frame.
-fn clinical_truth(head: &ManifestHead, root: &Path, targets: usize) -> Result<ClinicalTruth> {
+/// The second cameras of a film of `frames` frames. Errors name file and entry: a pose that is none, a name that is
+/// none of a view, views that do not follow each other in the order of their frames.
+pub(super) fn novel_views(path: &Path, frames: usize) -> Result<Vec<NovelView>> {
+    let transforms = Transforms::read(path)?;
+    let mut views: Vec<NovelView> = Vec::with_capacity(transforms.frames.len());
+    for (index, entry) in transforms.frames.iter().enumerate() {
+        let refused = |why: String| Error::input(why).element(format!("frame {index}")).at(path);
+        let Some(frame) = novel_frame(&entry.file_path).filter(|&frame| frame < frames) else {
+            return Err(refused(format!("{} is no view of this film", entry.file_path)));
+        };
+        if views.last().is_some_and(|before| before.frame >= frame) {
+            return Err(refused(format!("{} does not follow the view before it", entry.file_path)));
+        }
+        let world_from_camera = film_pose(entry).map_err(|e| e.element(format!("frame {index}")).at(path))?;
+        views.push(NovelView { frame, world_from_camera });
+    }
+    Ok(views)
+}
+
+/// Reads what is told of the film of the clinical track in `root`, and where its `targets` targets are at every frame.
+/// It must have the frames, the picture's size and the second cameras of the truth.
+fn clinical_truth(
+    head: &ManifestHead,
+    root: &Path,
+    camera: &Camera,
+    views: &[NovelView],
+    targets: usize,
+) -> Result<ClinicalTruth> {
     let path = head.checked(root, TOLD_TRANSFORMS)?;
     let told = Transforms::read(&path)?;
     if told.frames.len() != head.frames {
         let sentence = format!("has {} frames, the manifest says {}", told.frames.len(), head.frames);
         return Err(Error::input(sentence).at(path));
     }
+    let told_camera = told.camera().map_err(|e| e.at(&path))?;
+    check_size(camera, told_camera.width as usize, told_camera.height as usize, &path)?;
+    let told_poses = given_frames(&told).map_err(|e| e.at(&path))?.into_iter().map(|(_, pose)| pose).collect();
+    let path = head.checked(root, TOLD_NOVEL_TRANSFORMS)?;
+    let told_views = novel_views(&path, head.frames)?;
+    let of_frames = |views: &[NovelView]| views.iter().map(|view| view.frame).collect::<Vec<_>>();
+    if of_frames(&told_views) != of_frames(views) {
+        return Err(Error::input(format!("has other views than {NOVEL_TRANSFORMS}")).at(path));
+    }
     let path = head.checked(root, TARGETS_BY_FRAME)?;
-    let text = files::read_text(&path)?;
-    let mut lines = text.lines();
-    if lines.next() != Some(TARGETS_BY_FRAME_HEADER) {
-        return Err(Error::input(format!("must be \"{TARGETS_BY_FRAME_HEADER}\"")).element("line 1").at(path));
-    }
-    let mut target_places = vec![Vec::with_capacity(targets); head.frames];
-    for row in 0..head.frames * targets {
-        let (frame, target) = (row / targets, row % targets);
-        let line = lines.next().unwrap_or_default();
-        let values: Vec<f64> = line.split(',').filter_map(|v| v.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
-        match values[..] {
-            [f, t, x, y, z] if [f, t] == [frame as f64, target as f64] => {
-                target_places[frame].push(DVec3::new(x, y, z))
-            }
-            _ => {
-                let wanted = format!("wanted {frame}, {target} and three numbers");
-                return Err(Error::input(wanted).element(format!("line {}", row + 2)).at(path));
-            }
-        }
-    }
-    Ok(ClinicalTruth {
-        told_camera: told.camera()?,
-        told_poses: told.frames.iter().map(TransformsFrame::world_from_camera).collect(),
-        told_views: novel_views(&head.checked(root, TOLD_NOVEL_TRANSFORMS)?, head.frames)?,
-        target_places,
-    })
-}
-
-/// Points as a table below `header`, such as [`TARGETS`].
-pub(super) fn points_csv(header: &str, points: impl Iterator<Item = DVec3>) -> String {
-    let row = |(target, p): (usize, DVec3)| format!("{target},{},{},{}\n", p.x, p.y, p.z);
-    points.enumerate().map(row).fold(format!("{header}\n"), |text, row| text + &row)
-}
-
-/// Reads what [`points_csv`] wrote.
-pub(super) fn read_points(path: &Path, header: &str) -> Result<Vec<DVec3>> {
-    let text = files::read_text(path)?;
-    let mut lines = text.lines();
-    if lines.next() != Some(header) {
-        return Err(Error::input(format!("must be \"{header}\"")).element("line 1").at(path));
-    }
-    let point = |(row, line): (usize, &str)| {
-        let values: Vec<f64> = line.split(',').filter_map(|v| v.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
-        let wanted = || Error::input(format!("wanted {row} and three numbers")).element(format!("line {}", row + 2));
-        match values[..] {
-            [target, x, y, z] if target == row as f64 => Ok(DVec3::new(x, y, z)),
-            _ => Err(wanted().at(path)),
-        }
-    };
-    lines.enumerate().map(point).collect()
+    let target_places = targets_by_frame(&files::read_bytes(&path)?, head.frames, targets).map_err(|e| e.at(&path))?;
+    Ok(ClinicalTruth { told_camera, told_poses, told_views, target_places })
 }
 
 fn targets(planned: &Path, truth: &Path) -> Result<Vec<Target>> {
-    let (inspiration, expiration) = (read_points(planned, POINTS_HEADER)?, read_points(truth, POINTS_HEADER)?);
+    let (inspiration, expiration) = (read_points(planned, "target")?, read_points(truth, "target")?);
     if inspiration.len() != expiration.len() {
         let sentence = format!("has {} targets, {TARGETS} has {}", expiration.len(), inspiration.len());
         return Err(Error::input(sentence).at(truth));
@@ -561,20 +543,20 @@ fn targets(planned: &Path, truth: &Path) -> Result<Vec<Target>> {
     Ok(inspiration.into_iter().zip(expiration).map(pair).collect())
 }
 
-fn record(frame: &TransformsFrame) -> Result<FrameRecord> {
+/// The record of a frame whose time and pose are `given`.
+fn record(frame: &TransformsFrame, (time_s, world_from_camera): (f64, DAffine3)) -> Result<FrameRecord> {
     let check = |key: &'static str, range: NumberRange, value: f64| {
         range.check(value).map_err(|e| Error::input(format!("{key}: {e}")))
     };
-    check("time", TIME_S, frame.time)?;
     check("breathing_phase", SHARE, frame.breathing_phase.unwrap_or_default())?;
     check("exposure", FACTOR, frame.exposure)?;
     frame.white_balance.iter().try_for_each(|&factor| check("white_balance", FACTOR, factor))?;
     Ok(FrameRecord {
-        time_s: frame.time,
+        time_s,
         phase: frame.breathing_phase.ok_or_else(|| Error::input("has no breathing_phase"))?,
         gain: frame.exposure,
         white_balance: frame.white_balance,
-        world_from_camera: frame.world_from_camera(),
+        world_from_camera,
     })
 }
 
@@ -599,5 +581,59 @@ pub(super) fn transforms_frame(index: usize, frame: &FrameRecord, masked: bool) 
         exposure: frame.gain,
         white_balance: frame.white_balance,
         lens: TransformsLens::default(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DVec3};
+
+    use super::*;
+
+    fn view(name: &str, x_mm: f64) -> TransformsFrame {
+        TransformsFrame {
+            file_path: name.into(),
+            depth_file_path: None,
+            mask_path: None,
+            transform_matrix: TransformsFrame::matrix(&DAffine3::from_mat3_translation(
+                DMat3::IDENTITY,
+                DVec3::X * x_mm,
+            )),
+            time: 0.0,
+            breathing_phase: None,
+            exposure: 1.0,
+            white_balance: [1.0; 3],
+            lens: TransformsLens::default(),
+        }
+    }
+
+    #[test]
+    fn views_are_found_by_their_names_once_and_in_order() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("transforms_novel.json");
+        let read = |frames: usize, entries: Vec<TransformsFrame>| {
+            Transforms::new(&Camera::pinhole(4, 4, 1.0), entries).write(&path).unwrap();
+            novel_views(&path, frames).map_err(|e| e.to_string())
+        };
+        let named = |names: &[&str]| names.iter().map(|name| view(name, 1.0)).collect::<Vec<_>>();
+        let found = read(16, named(&["novel/000007.png", "novel/000015.png"])).unwrap();
+        assert_eq!(found.iter().map(|view| view.frame).collect::<Vec<_>>(), [7, 15]);
+        for (names, says) in [
+            (&["novel/000007.png", "novel/000007.png"][..], "frame 1: novel/000007.png does not follow"),
+            (&["novel/000015.png", "novel/000007.png"], "frame 1: novel/000007.png does not follow"),
+            (&["novel/000016.png"], "frame 0: novel/000016.png is no view of this film"),
+            (&["novel/7.png"], "is no view"),
+            (&["novel/+00007.png"], "is no view"),
+            (&["images/000007.png"], "is no view"),
+        ] {
+            let said = read(16, named(names)).unwrap_err();
+            assert!(said.contains("transforms_novel.json") && said.contains(says), "{said}");
+        }
+        assert!(read(16, vec![view("novel/000007.png", 1e200)]).unwrap_err().contains("transform_matrix lies too far"));
+        // Names of all frames were made for every view: minutes for a film of this length.
+        let (frames, start) = (100_000, std::time::Instant::now());
+        let all = (7..frames).step_by(8).map(|frame| view(&novel_image_name(frame), 1.0)).collect();
+        assert_eq!(read(frames, all).unwrap().len(), frames / 8);
+        assert!(start.elapsed().as_secs() < 20, "{:?}", start.elapsed());
     }
 }

@@ -16,6 +16,7 @@ use crate::formats::{mesh as mesh_file, png};
 use super::clinical::ClinicalFilm;
 use super::clinical::table::{PictureShares, table};
 use super::film::Film;
+use super::film_tables;
 use super::misregister::misregister;
 use super::sequence::{self, FrameRecord};
 
@@ -36,7 +37,7 @@ pub(super) fn write(
     let last = TriangleMesh { vertices: clinical.wall_at(last_s), faces: anatomy.inspiration.faces.clone() };
     mesh_file::write_ply(&out.join(sequence::LAST_SURFACE), &last, &["units mm", "space LPS"])?;
 
-    let mut text = format!("{}\n", sequence::TARGETS_BY_FRAME_HEADER);
+    let mut text = format!("{}\n", film_tables::TARGETS_BY_FRAME_HEADER);
     for (frame, conditions) in film.conditions.iter().enumerate() {
         for (index, target) in planned.iter().enumerate() {
             let point = clinical.motion.point(target.inspiration_mm, target.expiration_mm);

@@ -6,10 +6,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use glam::{DVec2, DVec3};
+use glam::{DAffine3, DVec2, DVec3};
 use respire_bench::airway::case::{Case, ScopeSettings};
-use respire_bench::base::{NoProgress, TriangleMesh, mesh};
+use respire_bench::base::{Camera, NoProgress, TriangleMesh, mesh};
+use respire_bench::formats::transforms::Transforms;
+use respire_bench::formats::{glb, npy};
 use respire_bench::simulate::export::{ExportFormat, ExportSettings, ExportedTruth, PoseAxes, export};
+use respire_bench::simulate::participant::Given;
 use respire_bench::simulate::sequence::Sequence;
 use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, participant, simulate};
 
@@ -301,6 +304,47 @@ fn c3vd_loaders_lift_its_depth_onto_the_wall() {
         let off = place.off_wall(&run_python(&python, &C3VD.replace("@ poses[4]", "@ poses[4].T"), &out), 1.0);
         assert!(largest(&off) > 1.0, "the test can tell: {} mm", largest(&off));
     }
+}
+
+/// What methods are told of a clinical film is off by millimetres; with its truth goes out what fits the depth.
+#[test]
+fn a_clinical_films_depth_lies_on_its_wall_with_the_truth_and_is_told_without() {
+    let place = Filmed::of(&case().on_clinical_track());
+    let out = place.export("shown", shown(ExportFormat::Nerfstudio));
+    let cameras = Transforms::read(&out.join("transforms.json")).unwrap();
+    let last = cameras.frames.len() - 1;
+    let wall = place.film.last_surface().unwrap().unwrap();
+    let depth = npy::read_plane(&out.join(format!("depth/{last:06}.npy"))).unwrap();
+    let largest_off = |camera: &Camera, pose: DAffine3| {
+        let lifted = |(pixel, &depth): (usize, &f32)| {
+            let (x, y) = (pixel % 48, pixel / 48);
+            let ray = camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+            let seen = ray * (f64::from(depth) * 1e-3 / ray.z);
+            (depth > 0.0).then(|| off_surface(&wall, pose.transform_point3(seen)))
+        };
+        let off: Vec<f64> = depth.data.iter().enumerate().step_by(7).filter_map(lifted).collect();
+        assert!(off.len() > 30);
+        largest(&off)
+    };
+    let exported = largest_off(&cameras.camera().unwrap(), cameras.frames[last].world_from_camera());
+    assert!(exported < 0.02, "{exported} mm");
+    let told = place.film.given_frames()[last].world_from_camera;
+    assert!(largest_off(&place.film.given_camera(), told) > 0.2, "the test can tell");
+    let about = |folder: &Path| fs::read_to_string(folder.join("EXPORT.md")).unwrap();
+    assert!(about(&out).contains("clinical track") && about(&out).contains("true ones"));
+
+    let out = place.export("told", of(ExportFormat::Nerfstudio));
+    let cameras = Transforms::read(&out.join("transforms.json")).unwrap();
+    assert_eq!(cameras.camera().unwrap(), place.film.given_camera());
+    assert!(cameras.frames[last].world_from_camera().abs_diff_eq(told, 1e-12));
+    assert!(about(&out).contains("that a method is told"));
+
+    let surfaces = place.export("glb", shown(ExportFormat::Glb));
+    let (rest, moved) = (place.film.inspiration().unwrap(), place.film.expiration().unwrap());
+    let wanted = glb::breathing(&rest, &moved, place.film.breathing_period_s).unwrap();
+    assert!(fs::read(surfaces.join("airway.glb")).unwrap() == wanted);
+    let ideal = Filmed::pinhole();
+    assert!(!about(&ideal.export("ideal", shown(ExportFormat::Nerfstudio))).contains("clinical"));
 }
 
 /// COLMAP's text by the rules of nerfstudio 1.1.5 (`data/utils/colmap_parsing_utils.py`), which are COLMAP's own: two

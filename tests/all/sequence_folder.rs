@@ -11,7 +11,7 @@ use respire_bench::simulate::sequence::{self, Sequence};
 use respire_bench::simulate::simulate;
 
 use crate::binary::{outcome, program};
-use crate::simulate::{assert_same, case, small};
+use crate::simulate::{assert_same, case, seal, small};
 
 /// A Python with the packages of the loader: `RESPIRE_PYTHON`, or `python3`. Says so loudly when there is none.
 pub fn python() -> Option<String> {
@@ -166,6 +166,65 @@ fn nerfstudio_reads_depths_that_fit_its_poses() {
     let [off_mm, unscaled_mm, z, pixels] = read[..] else { panic!("{read:?}") };
     assert!(off_mm < 1e-3 && pixels > 900.0, "nerfstudio sees the wall {off_mm} mm off, in {pixels} pixels");
     assert!(unscaled_mm > 5.0 && z == 0.0, "the test can tell: {unscaled_mm} mm without the scale, {z} from channel Z");
+}
+
+/// Every number of a film's files has a range, also where the hash in the manifest is right.
+#[test]
+fn numbers_out_of_range_are_refused_by_file_and_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("film");
+    let case = case().on_clinical_track();
+    simulate(&case, &small(), &out, &NoProgress).unwrap();
+    let change = |name: &str, edit: &dyn Fn(&mut serde_json::Value)| {
+        let path = out.join(name);
+        let whole = fs::read(&path).unwrap();
+        let mut value = serde_json::from_slice(&whole).unwrap();
+        edit(&mut value);
+        fs::write(&path, serde_json::to_vec(&value).unwrap()).unwrap();
+        (path, whole)
+    };
+    let said = |name: &str, edit: &dyn Fn(&mut serde_json::Value)| {
+        let manifest = fs::read(out.join(sequence::MANIFEST)).unwrap();
+        let (path, whole) = change(name, edit);
+        seal(&out);
+        let said = Sequence::open(&out).unwrap_err().to_string();
+        fs::write(path, whole).unwrap();
+        fs::write(out.join(sequence::MANIFEST), manifest).unwrap();
+        assert!(said.contains(name), "{said}");
+        said
+    };
+    for period in [1e-300, 0.0, -4.0, 1e300] {
+        let sentence = said(sequence::MANIFEST, &|manifest| manifest["breathing_period_s"] = period.into());
+        assert!(sentence.contains("breathing_period_s: ") && sentence.contains("must lie in"), "{sentence}");
+    }
+    for name in [sequence::TRANSFORMS, sequence::TOLD_TRANSFORMS] {
+        let sentence = said(name, &|film| film["frames"][2]["transform_matrix"][1][3] = 1e6.into());
+        assert!(sentence.contains("frame 2: transform_matrix lies too far away: 1000000 must lie"), "{sentence}");
+        let sentence = said(name, &|film| film["frames"][2]["time"] = 0.0.into());
+        assert!(sentence.contains("frame 2: time: 0 does not come after"), "{sentence}");
+        assert!(said(name, &|film| film["fl_x"] = 1e-300.into()).contains("fl_x: 1e-300 must lie"));
+    }
+    let sentence = said(sequence::TOLD_TRANSFORMS, &|film| film["w"] = 99.into());
+    assert!(sentence.contains("is 99x"), "{sentence}");
+    assert!(Sequence::open(&out).is_ok());
+    let path = out.join(sequence::TARGETS_BY_FRAME);
+    let places = fs::read_to_string(&path).unwrap();
+    for (from, to) in
+        [("x_mm,y_mm", "y_mm,x_mm"), ("\n0,0,", "\n0,0,n/a,"), ("\n0,0,", "\n0,0,1e200,"), ("\n0,1,", "\n0,2,")]
+    {
+        fs::write(&path, places.replacen(from, to, 1)).unwrap();
+        seal(&out);
+        let opened = Sequence::open(&out);
+        if from == "x_mm,y_mm" {
+            // Columns are what their names say.
+            let (first, line) = (opened.unwrap().target_mm(0, 0), places.lines().nth(1).unwrap().to_owned());
+            let told: Vec<f64> = line.split(',').map(|v| v.parse().unwrap()).collect();
+            assert_eq!(first.to_array(), [told[3], told[2], told[4]]);
+        } else {
+            let sentence = opened.unwrap_err().to_string();
+            assert!(sentence.contains("targets_by_frame.csv: line "), "{sentence}");
+        }
+    }
 }
 
 #[test]

@@ -1,9 +1,13 @@
 //! `track`: live answers are those of the whole run, wherever the pictures come from.
 
 use std::fs;
-use std::path::PathBuf;
-use std::process::Stdio;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::time::Duration;
+
+use glam::DMat4;
+use respire_bench::simulate::participant::{Given, GivenFrame};
+use respire_bench::simulate::sequence::Sequence;
 
 use crate::all_cases::TINY;
 use crate::binary::{program, run};
@@ -135,4 +139,21 @@ fn live_answers_are_those_of_the_whole_run_wherever_pictures_come_from() {
     refused(place.track(&["--method", "ours"]), 2, &["`ours` takes whole films"]);
     fs::write(place.path("poses"), "{}\n").unwrap();
     refused(place.track(&["--poses", &place.text("poses")]), 4, &["poses", "line 1", "is no pose"]);
+    refused(place.track(&["--poses", "/dev/zero"]), 4, &["/dev/zero: line 1: does not end within 64 KiB"]);
+
+    // Poses through a pipe of their own.
+    let film = Sequence::open(Path::new(&film)).unwrap();
+    let line = |frame: &GivenFrame| {
+        let rows = DMat4::from(frame.world_from_camera).transpose().to_cols_array_2d();
+        serde_json::json!({ "time_s": frame.time_s, "world_from_camera": rows }).to_string() + "\n"
+    };
+    let lines: String = film.given_frames().iter().map(line).collect();
+    let pipe = place.path("sensor");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let (code, out, err) = std::thread::scope(|scope| {
+        scope.spawn(|| fs::write(&pipe, lines).unwrap());
+        place.track(&["--poses", &place.text("sensor")])
+    });
+    assert_eq!(code, 0, "{err}");
+    assert!(answers(&out) == live, "a pipe of poses gives other answers than the film");
 }

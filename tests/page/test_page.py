@@ -153,6 +153,42 @@ def test_tracks(browser, url):
     check(numbers[0] != numbers[1], "the tables differ")
 
 
+# The open case as a film of the clinical track would have it: targets that move by a millimetre a frame, and a wall at the
+# last frame that is the one at expiration.
+BEYOND_PHASE = """(() => {
+  const before = page.open.player, data = JSON.parse(JSON.stringify(before.data)), film = data.film;
+  const base64 = array => btoa(String.fromCharCode(...new Uint8Array(array.buffer)));
+  const count = floatsOf(film.targets_mm).length / 6, frames = floatsOf(film.times_s).length;
+  film.targets_by_frame_mm = base64(Float32Array.from({ length: 3 * count * frames }, (_, k) => Math.floor(k / (3 * count))));
+  film.airway.last = film.airway.expiration;
+  const codes = base64(new Uint8Array(wordsOf(film.airway.inspiration).length / 3).fill(200));
+  for (const row of data.rows) { row.surface = { at_end: codes }; delete row.targets; }
+  before.close();
+  page.open.player = new CasePlayer(before.host, data, page);
+  return frames - 1;
+})()"""
+
+
+def test_beyond_phase(browser, url):
+    """A film whose wall no phase says: balls where they are, no colour of error but at the last frame."""
+    browser.show(url, 1280, 2200)
+    open_first(browser)
+    last = browser.run(BEYOND_PHASE)
+    browser.settle()
+    state = "[page.scene().errorKind(), page.open.player.note.textContent, page.scene().film.targetsAt(0.5, page.scene().state.frame)[0]]"
+    browser.run("page.open.player.seek(1); 1")
+    kind, note, ball = browser.run(state)
+    check(kind == 0 and "Tissue also moves beyond the breath" in note, "the blend of both breath holds has no colour of error")
+    check(ball == [1, 1, 1], f"balls are where the targets are at the frame: {ball}")
+    before = browser.run(PIXELS)
+    browser.run(f"page.open.player.seek({last}); 1")
+    kind, note, ball = browser.run(state)
+    check(kind == 1 and "at the last frame" in note and ball == [last] * 3, "the last frame has the true wall and its error")
+    check(browser.run(PIXELS)["hash"] != before["hash"], "and shows it")
+    browser.run("(() => { const s = document.querySelector('input[id^=phase-]'); s.value = 0.3; s.dispatchEvent(new Event('input')); })()")
+    check(browser.run(state)[0] == 0, "at another phase the wall is a blend again")
+
+
 def test_without_script(browser, url):
     browser.call("Emulation.setScriptExecutionDisabled", value=True)
     browser.show_plain(url)
@@ -183,6 +219,7 @@ def main(program, report, pictures=None):
             browser.run(open_first_film)
             browser.settle()
             check(browser.run("document.querySelectorAll('.tile').length") > 1, "the whole film opens")
+        test_beyond_phase(browser, url)
         test_without_script(browser, url)
         requests = [r for r in browser.requests if r != url and r not in [f.as_uri() for f in films]]
         check(not requests, f"nothing is asked for {requests[:3]}")

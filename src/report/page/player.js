@@ -29,9 +29,11 @@ function decodeFilm(data) {
     const a = Math.min(values.length - 1, Math.floor(at)), b = Math.min(values.length - 1, a + 1);
     return values[a] + (values[b] - values[a]) * (at - a);
   };
+  // Where no phase says it: on the clinical track.
+  const byFrame = film.targets_by_frame_mm ? floatsOf(film.targets_by_frame_mm) : null;
   const nearestSample = frame => nearest(data.samples, frame);
   return {
-    airway: { inspiration: places(film.airway.inspiration), expiration: places(film.airway.expiration), faces: wordsOf(film.airway.faces) },
+    airway: { inspiration: places(film.airway.inspiration), expiration: places(film.airway.expiration), last: film.airway.last ? places(film.airway.last) : null, faces: wordsOf(film.airway.faces) },
     poses: floatsOf(film.poses), tanHalfHeight: film.tan_half_height,
     truePhase: frame => lerp(phases, frame),
     statedPhase: (row, frame) => row.phase[nearestSample(frame)],
@@ -43,7 +45,12 @@ function decodeFilm(data) {
       }
       return null;
     },
-    targetsAt: phase => Array.from({ length: count }, (_, k) => [0, 1, 2].map(axis => {
+    targetsAt: (phase, frame) => Array.from({ length: count }, (_, k) => [0, 1, 2].map(axis => {
+      if (byFrame) {
+        const last = byFrame.length / (3 * count) - 1, f = Math.min(last, Math.floor(frame)), g = Math.min(last, f + 1);
+        const at = frame => byFrame[3 * (count * frame + k) + axis];
+        return at(f) + (at(g) - at(f)) * (frame - f);
+      }
       const a = targets[3 * k + axis];
       return a + (targets[3 * (count + k) + axis] - a) * phase;
     })),
@@ -276,6 +283,13 @@ class CasePlayer {
     this.phaseSlider.value = phase;
     this.phaseReadout.value = phase.toFixed(2);
     this.page.scene().set({ phase });
+    this.explainChange();
+  }
+
+  // The words below the scene where they no longer hold: at the last frame of a film whose wall no phase says.
+  explainChange() {
+    const scene = this.page.scene();
+    if (this.explained !== `${scene.errorKind()} ${scene.showsLast()}`) this.explain();
   }
 
   explain() {
@@ -283,8 +297,10 @@ class CasePlayer {
     const row = this.row, scene = this.page.scene();
     const known = scene.errorKind(), on = scene.state.surface;
     this.legend.replaceChildren(el("i", { style: `background:linear-gradient(90deg,${ERROR_STOPS.join(",")})` }), ...["0.1", "1", "10 mm"].map(text => el("span", {}, text)));
-    const surface = !on ? "" : known === 1 ? `The wall: distance of ${row.title} to the true one at the last frame.` :
+    const surface = !on ? "" : this.film.airway.last && !scene.showsLast() ? `The wall is a blend of both breath holds by the phase. Tissue also moves beyond the breath here, so that the true wall is known at the last frame alone: the error has no colour before it.` :
+      known === 1 ? `The wall: distance of ${row.title} to the true one at the last frame.` :
       known === 2 ? `The wall: distance of ${row.title} to the true one, which follows from the phase it states.` : `${row.title} keeps no surface, so that the wall has no colour.`;
+    this.explained = `${known} ${scene.showsLast()}`;
     this.note.textContent = `${surface}${known && on ? " Below 0.1 mm it keeps the colour of tissue." : ""} The path: its mean target error, or depth error, as the scope passed. Balls: targets, true in black or white, predicted in the row's colour.`;
   }
 
@@ -311,6 +327,7 @@ class CasePlayer {
     if (this.film) {
       this.page.scene().set({ frame: this.frame });
       if (this.follows.checked) this.setPhase(phase);
+      this.explainChange();
     }
     this.plot.move();
     this.drawTiles();

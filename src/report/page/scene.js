@@ -208,10 +208,8 @@ class AirwayScene {
     const gl = this.gl, { airway } = film;
     this.film = film;
     host.prepend(this.canvas);
-    if (this.array) { gl.deleteVertexArray(this.array); this.buffers.forEach(b => gl.deleteBuffer(b)); }
-    this.array = gl.createVertexArray();
+    if (this.array) { [this.array, this.lastArray].forEach(a => gl.deleteVertexArray(a)); this.buffers.forEach(b => gl.deleteBuffer(b)); }
     this.buffers = [];
-    gl.bindVertexArray(this.array);
     const attribute = (index, size, data) => {
       const buffer = gl.createBuffer();
       this.buffers.push(buffer);
@@ -221,19 +219,32 @@ class AirwayScene {
       gl.vertexAttribPointer(index, size, gl.FLOAT, false, 0, 0);
       return buffer;
     };
-    attribute(0, 3, airway.inspiration);
-    attribute(1, 3, airway.expiration);
-    attribute(2, 3, normalsOf(airway.inspiration, airway.faces));
-    attribute(3, 3, normalsOf(airway.expiration, airway.faces));
-    this.codes = attribute(4, 1, new Float32Array(airway.inspiration.length / 3).fill(255));
-    const faces = gl.createBuffer();
-    this.buffers.push(faces);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, faces);
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, airway.faces, gl.STATIC_DRAW);
-    gl.bindVertexArray(null);
+    const [codes, faces] = [gl.createBuffer(), gl.createBuffer()];
+    this.buffers.push(codes, faces);
+    this.codes = codes;
+    gl.bindBuffer(gl.ARRAY_BUFFER, codes);
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(airway.inspiration.length / 3).fill(255), gl.STATIC_DRAW);
+    // The wall between two states, which the phase blends.
+    const wall = (start, end) => {
+      const array = gl.createVertexArray();
+      gl.bindVertexArray(array);
+      attribute(0, 3, start);
+      attribute(1, 3, end);
+      attribute(2, 3, normalsOf(start, airway.faces));
+      attribute(3, 3, normalsOf(end, airway.faces));
+      gl.bindBuffer(gl.ARRAY_BUFFER, codes);
+      gl.enableVertexAttribArray(4);
+      gl.vertexAttribPointer(4, 1, gl.FLOAT, false, 0, 0);
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, faces);
+      gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, airway.faces, gl.STATIC_DRAW);
+      gl.bindVertexArray(null);
+      return array;
+    };
+    this.array = wall(airway.inspiration, airway.expiration);
+    this.lastArray = airway.last ? wall(airway.last, airway.last) : null;
     this.coded = null;
     const low = [1e9, 1e9, 1e9], high = [-1e9, -1e9, -1e9];
-    for (const vertices of [airway.inspiration, airway.expiration])
+    for (const vertices of [airway.inspiration, airway.expiration, airway.last || []])
       for (let k = 0; k < vertices.length; k++) { low[k % 3] = Math.min(low[k % 3], vertices[k]); high[k % 3] = Math.max(high[k % 3], vertices[k]); }
     this.centre = mix3(low, high, 0.5);
     this.half = sub(high, low).map(v => v / 2);
@@ -349,7 +360,7 @@ class AirwayScene {
     }
     if (state.targets) {
       const ball = view.kind === "ride" ? 0.7 : radius * 0.013;
-      const truth = film.targetsAt(state.phase), predicted = state.row && film.predictedTargets(state.row, state.frame);
+      const truth = film.targetsAt(state.phase, state.frame), predicted = state.row && film.predictedTargets(state.row, state.frame);
       truth.forEach((place, k) => {
         solids.sphere(place, ball, ink);
         if (!predicted || !predicted[k] || !predicted[k].every(Number.isFinite)) return;
@@ -374,10 +385,20 @@ class AirwayScene {
     gl.drawArrays(gl.TRIANGLES, 0, solids.data.length / 10);
   }
 
-  // Which error the surface shows: none, one per vertex of the last frame, or the one that follows from the phase.
+  // Whether the wall of the last frame is drawn, which is no blend by the phase: at that frame, with the film's phase.
+  showsLast() {
+    const { film, state } = this;
+    if (!film || !film.airway.last) return false;
+    const last = film.poses.length / 12 - 1;
+    return state.frame > last - 0.5 && Math.abs(state.phase - film.truePhase(state.frame)) < 1e-6;
+  }
+
+  // Which error the surface shows: none, one per vertex of the last frame, or the one that follows from the phase. Where
+  // the wall that is drawn is not the true one, there is none.
   errorKind() {
     const { row, surface } = this.state;
     if (!row || !surface || !row.surface || row.surface === "unknown") return 0;
+    if (this.film && this.film.airway.last && !this.showsLast()) return 0;
     if (row.surface === "by_phase") return 2;
     if (this.coded !== row) {
       this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.codes);
@@ -412,12 +433,12 @@ class AirwayScene {
     gl.uniform1f(places.phaseError, stated == null ? 0 : Math.abs(stated - this.film.truePhase(frame)));
     gl.uniform1i(places.inside, isRide ? 1 : 0);
     gl.uniform1f(places.dark, dark ? 1 : 0);
-    const faces = this.film.airway.faces.length;
+    const faces = this.film.airway.faces.length, array = this.showsLast() ? this.lastArray : this.array;
     // One layer of glass at a time: first the depth of the nearest wall alone, then its colour. No sorting is needed,
     // and walls behind walls do not pile up to fog.
     const layer = (cull, strength) => {
       gl.useProgram(program);
-      gl.bindVertexArray(this.array);
+      gl.bindVertexArray(array);
       gl.enable(gl.CULL_FACE);
       gl.cullFace(cull);
       gl.uniform1f(places.back, strength);
@@ -431,7 +452,7 @@ class AirwayScene {
     };
     const [solids, glow] = this.solids(dark);
     if (isRide) {
-      gl.bindVertexArray(this.array);
+      gl.bindVertexArray(array);
       gl.drawElements(gl.TRIANGLES, faces, gl.UNSIGNED_SHORT, 0);
       this.drawSolids(solids, camera);
       return;

@@ -26,6 +26,9 @@ pub struct AirwayScene {
     pub inspiration: Packed<u16>,
     /// The same at full expiration.
     pub expiration: Packed<u16>,
+    /// The same at the last frame, where no phase says it: on the clinical track.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last: Option<Packed<u16>>,
     /// Three vertices a face, normals into the lumen.
     pub faces: Packed<u16>,
 }
@@ -55,11 +58,18 @@ pub struct ReducedAirway {
 }
 
 impl AirwayScene {
-    /// The two breath holds with at most `most` vertices; `None` where they have no surface or are of several
-    /// topologies.
-    pub fn of(inspiration: &TriangleMesh, expiration: &TriangleMesh, most: usize) -> Option<ReducedAirway> {
-        let is_pair = inspiration.faces == expiration.faces;
-        if !is_pair || inspiration.faces.is_empty() || inspiration.vertices.len() != expiration.vertices.len() {
+    /// The two breath holds, and the wall at the last frame where that is no blend of them, with at most `most`
+    /// vertices; `None` where they have no surface or are of several topologies.
+    pub fn of(
+        inspiration: &TriangleMesh,
+        expiration: &TriangleMesh,
+        last: Option<&TriangleMesh>,
+        most: usize,
+    ) -> Option<ReducedAirway> {
+        let is_alike = |other: &TriangleMesh| {
+            other.faces == inspiration.faces && other.vertices.len() == inspiration.vertices.len()
+        };
+        if inspiration.faces.is_empty() || !is_alike(expiration) || !last.is_none_or(is_alike) {
             return None;
         }
         let Simplified { kept, faces } = simplify(inspiration, &expiration.vertices, most);
@@ -67,9 +77,9 @@ impl AirwayScene {
             return None;
         }
         let (start, end) = (pick(&inspiration.vertices, &kept), pick(&expiration.vertices, &kept));
-        let both = start.iter().chain(&end);
-        let (low, high) =
-            both.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &v| (low.min(v), high.max(v)));
+        let last = last.map(|last| pick(&last.vertices, &kept));
+        let all = start.iter().chain(&end).chain(last.iter().flatten());
+        let (low, high) = all.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &v| (low.min(v), high.max(v)));
         let step_mm = ((high - low).max_element() / f64::from(u16::MAX)).max(1e-9);
         let whole = |places: &[DVec3]| {
             let numbers = places.iter().flat_map(|&v| ((v - low) / step_mm).to_array());
@@ -80,6 +90,7 @@ impl AirwayScene {
             step_mm,
             inspiration: whole(&start),
             expiration: whole(&end),
+            last: last.as_deref().map(whole),
             faces: Packed(faces.iter().flatten().map(|&v| v as u16).collect()),
         };
         Some(ReducedAirway { scene, kept })
@@ -99,6 +110,7 @@ impl AirwayScene {
             Packed(kept.iter().flat_map(|&v| numbers.0[3 * v as usize..][..3].to_vec()).collect())
         };
         (self.inspiration, self.expiration) = (of_kept(&self.inspiration), of_kept(&self.expiration));
+        self.last = self.last.as_ref().map(of_kept);
         self.faces = Packed(faces.iter().flatten().map(|&v| v as u16).collect());
         kept
     }
@@ -110,11 +122,12 @@ impl AirwayScene {
 
     pub(super) fn check(&self) -> Result<()> {
         let vertices = self.vertices();
-        let is_whole = self.inspiration.0.len() == 3 * vertices && self.expiration.0.len() == 3 * vertices;
+        let places = [Some(&self.inspiration), Some(&self.expiration), self.last.as_ref()];
+        let is_whole = places.into_iter().flatten().all(|places| places.0.len() == 3 * vertices);
         let is_known = self.faces.0.iter().all(|&v| usize::from(v) < vertices);
         if !is_whole || !is_known || !self.faces.0.len().is_multiple_of(3) || self.step_mm <= 0.0 {
             return Err(Error::input(
-                "the airway needs three numbers a vertex in both breath holds, and known vertices",
+                "the airway needs three numbers a vertex in each of its states, and known vertices",
             ));
         }
         Ok(())
@@ -122,6 +135,12 @@ impl AirwayScene {
 }
 
 impl ReducedAirway {
+    /// How far `predicted`, places of all true vertices, is from `last`, the true surface where no phase says it.
+    pub fn surface_from(&self, last: &TriangleMesh, predicted: &[DVec3]) -> SurfaceScene {
+        let [truth, predicted] = [&last.vertices, predicted].map(|vertices| pick(vertices, &self.kept));
+        errors(&truth, &predicted)
+    }
+
     /// How far `predicted`, places of all true vertices, is from the true surface at `phase`; `stated` is the phase
     /// that the row has there.
     pub fn surface(
@@ -137,12 +156,17 @@ impl ReducedAirway {
         if stated.is_some_and(|stated| is_near(interpolate(&start, &end, stated))) {
             return SurfaceScene::ByPhase;
         }
-        let [low, high] = ERROR_SCALE_MM.map(f64::ln);
-        let code = |(truth, place): (DVec3, &DVec3)| {
-            let error_mm = truth.distance(*place);
-            let share = (error_mm.max(1e-9).ln() - low) / (high - low);
-            if error_mm.is_finite() { (share.clamp(0.0, 1.0) * ERROR_CODES).round() as u8 } else { u8::MAX }
-        };
-        SurfaceScene::AtEnd(Packed(interpolate(&start, &end, phase).into_iter().zip(&predicted).map(code).collect()))
+        errors(&interpolate(&start, &end, phase), &predicted)
     }
+}
+
+/// Distances of vertices as codes.
+fn errors(truth: &[DVec3], predicted: &[DVec3]) -> SurfaceScene {
+    let [low, high] = ERROR_SCALE_MM.map(f64::ln);
+    let code = |(truth, place): (&DVec3, &DVec3)| {
+        let error_mm = truth.distance(*place);
+        let share = (error_mm.max(1e-9).ln() - low) / (high - low);
+        if error_mm.is_finite() { (share.clamp(0.0, 1.0) * ERROR_CODES).round() as u8 } else { u8::MAX }
+    };
+    SurfaceScene::AtEnd(Packed(truth.iter().zip(predicted).map(code).collect()))
 }

@@ -83,6 +83,9 @@ pub struct FilmScene {
     pub tan_half_height: f64,
     /// Places x, y, z in mm of all targets at inspiration, then of all at expiration.
     pub targets_mm: Packed<f32>,
+    /// Places x, y, z in mm of all targets at every frame, where no phase says them: on the clinical track.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub targets_by_frame_mm: Option<Packed<f32>>,
     /// The surface; `None` where there is none to show.
     pub airway: Option<AirwayScene>,
     /// What the scope saw.
@@ -276,6 +279,10 @@ impl FilmScene {
         }
         if !self.targets_mm.0.len().is_multiple_of(6) || self.tan_half_height <= 0.0 {
             return Err(Error::input("targets need two places each, and a camera an angle of view"));
+        }
+        let wanted = self.targets_mm.0.len() / 2 * frames;
+        if self.targets_by_frame_mm.as_ref().is_some_and(|places| places.0.len() != wanted) {
+            return Err(Error::input("targets need a place at every frame, or none"));
         }
         self.airway.as_ref().map_or(Ok(()), AirwayScene::check)
     }

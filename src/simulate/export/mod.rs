@@ -99,7 +99,8 @@ pub fn export(root: &Path, settings: &ExportSettings, out: &Path, progress: &dyn
         ExportFormat::Glb => surface_glb::write(&source, &writer),
     }
     .map_err(|e| e.at(root))?;
-    files::write_bytes(&staging.path(ABOUT), text.about.as_bytes())?;
+    let about = text.about + source.track_words().unwrap_or_default();
+    files::write_bytes(&staging.path(ABOUT), about.as_bytes())?;
     let names = files::names_in(&staging.path(""))?;
     staging.publish(&names)?;
     Ok(Exported { folder: out.to_path_buf(), frames: source.frames.len(), notes: text.notes })

@@ -4,14 +4,15 @@ use std::path::Path;
 
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh};
 use crate::simulate::participant::{Given, GivenFrame, Participant};
-use crate::simulate::sequence::{Sequence, held_out};
+use crate::simulate::sequence::{FrameRecord, Sequence, held_out};
 
 /// Whether the truth goes out too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportedTruth {
     /// Only what a participant may see: images, given poses, intrinsics, mask, times, the two given surfaces.
     Hidden,
-    /// The depth of every frame, and the true surfaces, too.
+    /// The depth of every frame and the true surfaces too, and camera and poses as they were, which are told otherwise
+    /// on the clinical track.
     Shown,
 }
 
@@ -20,9 +21,11 @@ pub struct ExportSource {
     given: Box<dyn Given>,
     /// The film, where its truth may go out.
     truth: Option<Sequence>,
-    /// Intrinsics of all frames.
+    /// Whether the film is known to be of the clinical track.
+    is_clinical: bool,
+    /// Intrinsics of all frames: the true ones where the truth is shown, else the given ones.
     pub camera: Camera,
-    /// Time and given pose of each frame.
+    /// Time of each frame, and its true or given pose.
     pub frames: Vec<GivenFrame>,
     /// Which pixels show something; `None`: all.
     pub mask: Option<Mask>,
@@ -32,18 +35,24 @@ impl ExportSource {
     /// Opens the film or the participant's folder in `root`. Errors: a participant's folder of which the truth is
     /// wanted; those of opening.
     pub fn open(root: &Path, truth: ExportedTruth) -> Result<ExportSource> {
-        let (given, truth): (Box<dyn Given>, _) = if Participant::is_at(root) {
+        let (given, truth, is_clinical): (Box<dyn Given>, _, _) = if Participant::is_at(root) {
             if truth == ExportedTruth::Shown {
                 return Err(Error::input("is a participant's folder, which holds no truth to export").at(root));
             }
-            (Box::new(Participant::open(root)?), None)
+            (Box::new(Participant::open(root)?), None, false)
         } else {
             let film = Sequence::open(root)?;
             let shown = (truth == ExportedTruth::Shown).then(|| film.clone());
-            (Box::new(film), shown)
+            let is_clinical = film.clinical.is_some();
+            (Box::new(film), shown, is_clinical)
         };
-        let (camera, frames, mask) = (given.given_camera(), given.given_frames(), given.given_mask()?);
-        Ok(ExportSource { given, truth, camera, frames, mask })
+        let as_it_was = |f: &FrameRecord| GivenFrame { time_s: f.time_s, world_from_camera: f.world_from_camera };
+        let (camera, frames) = match &truth {
+            Some(film) => (film.camera, film.frames.iter().map(as_it_was).collect()),
+            None => (given.given_camera(), given.given_frames()),
+        };
+        let mask = given.given_mask()?;
+        Ok(ExportSource { given, truth, is_clinical, camera, frames, mask })
     }
 
     /// The 8-bit sRGB image of a frame.
@@ -56,15 +65,24 @@ impl ExportSource {
         self.truth.is_some()
     }
 
+    /// What EXPORT.md says of a film of the clinical track; `None` for any other.
+    pub fn track_words(&self) -> Option<&'static str> {
+        match self.is_clinical {
+            false => None,
+            true if self.shows_truth() => Some(include_str!("about/clinical_truth.md")),
+            true => Some(include_str!("about/clinical_told.md")),
+        }
+    }
+
     /// True z-depth of a frame in mm, 0 where nothing was hit. An error where the truth is hidden.
     pub fn depth_mm(&self, frame: usize) -> Result<Image<f32>> {
         let hidden = || Error::usage("the depth of every frame is truth; say --truth to export it");
         self.truth.as_ref().ok_or_else(hidden)?.depth_mm(frame)
     }
 
-    /// The surface at full inspiration.
+    /// The surface at full inspiration: the true one where the truth is shown, else the given one.
     pub fn inspiration(&self) -> Result<TriangleMesh> {
-        self.given.given_inspiration()
+        self.truth.as_ref().map_or_else(|| self.given.given_inspiration(), Sequence::inspiration)
     }
 
     /// The surface at full expiration: the true one where the truth is shown, else the registered one.

@@ -6,12 +6,13 @@
 
 use rayon::prelude::*;
 
+use crate::base::estimate::demand_memory;
 use crate::base::{Error, Result};
 use crate::splat::kernels::SplatKernels;
 use crate::splat::plain::fault::Faults;
 use crate::splat::plain::tile::Parts;
 use crate::splat::types::table::{PLANES, disc_sum, moment};
-use crate::splat::types::{DepthOutput, ImageGradient, PIXELS, Settings, Skips};
+use crate::splat::types::{DepthOutput, ImageGradient, PIXELS, Settings, Skips, Tiling};
 
 use super::backward::{Moments, TileGradient};
 use super::bins::Bins;
@@ -52,9 +53,25 @@ where
 }
 
 impl<T: SplatKernels> Channels<T> {
-    /// Takes `count` features of each of `n` Gaussians and keeps those of the active ones.
-    pub fn set_features(&mut self, features: &[T], count: usize, n: usize, active: Option<&[u32]>) -> Result<()> {
-        if count == 0 || features.len() != n * count {
+    /// Bytes of the image of `count` channels, and of the states of its groups, for an image of `size` (width, height).
+    pub fn bytes(size: [usize; 2], count: usize) -> f64 {
+        let (pixels, of_tiles) = (size[0] as f64 * size[1] as f64, (Tiling::of(size).count() * PIXELS) as f64);
+        let states = count.div_ceil(GROUP) as f64 * PLANES as f64 * of_tiles;
+        (pixels * count as f64 + states) * size_of::<T>() as f64
+    }
+
+    /// Takes `count` features of each of `n` Gaussians and keeps those of the active ones, for an image of `size`
+    /// (width, height).
+    ///
+    /// Errors: another number of features, one that is not finite, more than this machine has memory left for.
+    pub fn set_features(
+        &mut self,
+        features: &[T],
+        (count, n): (usize, usize),
+        active: Option<&[u32]>,
+        size: [usize; 2],
+    ) -> Result<()> {
+        if count == 0 || n.checked_mul(count) != Some(features.len()) {
             let found = features.len();
             return Err(Error::input(format!("{count} channels of {n} Gaussians are not {found} features")));
         }
@@ -62,6 +79,10 @@ impl<T: SplatKernels> Channels<T> {
             let element = format!("Gaussian {}, channel {}", bad / count, bad % count);
             return Err(Error::input("a feature is not finite").element(element));
         }
+        let there = self.image.capacity() + self.states.iter().map(Vec::capacity).sum::<usize>();
+        let wanted = Self::bytes(size, count) + size_of_val(features) as f64;
+        let new_bytes = wanted - (there * size_of::<T>()) as f64;
+        demand_memory(format_args!("{count} channels of an image of {}x{} pixels", size[0], size[1]), new_bytes)?;
         self.count = count;
         self.features.clear();
         match active {

@@ -360,15 +360,21 @@ impl<T: SplatKernels> Rasterizer<T> {
         Ok(walk.image(|t, p, pixel| walk.count(t, p, pixel)))
     }
 
+    /// Bytes that [`Rasterizer::render_channels`] keeps for `count` channels of an image of `size` (width, height).
+    pub fn channels_bytes(size: [usize; 2], count: usize) -> f64 {
+        Channels::<T>::bytes(size, count)
+    }
+
     /// Composites `count` further channels in the view of the last [`Rasterizer::render`]: `features` has `count`
     /// values per Gaussian (of all, not of the active alone), the image `count` per pixel, row by row: sums of the
     /// features weighted like the colours, 0 where nothing is, not divided by alpha. [`Rasterizer::backward`] then
     /// takes their gradient in `ImageGradient::channels`.
     ///
-    /// Errors: no render before; another number of features; a feature that is not finite.
+    /// Errors: no render before; another number of features; a feature that is not finite; more channels than this
+    /// machine has memory left for.
     pub fn render_channels(&mut self, features: &[T], count: usize) -> Result<&[T]> {
         let (view, settings, n) = self.last.ok_or_else(|| Error::input("channels need a render before them"))?;
-        self.channels.set_features(features, count, n, self.active.as_deref())?;
+        self.channels.set_features(features, (count, n), self.active.as_deref(), view.size())?;
         let pass = tile_pass(self.options, &self.rays, &view, &settings);
         self.channels.render(&pass, &mut self.splats, &mut self.bins);
         Ok(&self.channels.image)

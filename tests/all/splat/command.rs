@@ -232,6 +232,10 @@ fn command_says_what_is_wrong() {
     std::fs::write(path.join("transforms.json"), cameras).unwrap();
     std::fs::write(path.join("scene.ply"), "ply\nformat ascii 1.0\nelement vertex 0\nend_header\n").unwrap();
     assert!(refused(&[]).contains("property x"));
+    // Read to its end, a device takes all memory.
+    std::fs::remove_file(path.join("scene.ply")).unwrap();
+    std::os::unix::fs::symlink("/dev/zero", path.join("scene.ply")).unwrap();
+    assert!(refused(&[]).contains("scene.ply: is neither a file nor a pipe"), "{}", refused(&[]));
 }
 
 #[test]

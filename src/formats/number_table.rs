@@ -1,0 +1,80 @@
+//! Tables of numbers as CSV: columns are found by the names in the first line, and every row has all of them.
+
+use crate::base::range::NumberRange;
+use crate::base::{Error, Result};
+
+/// Numbers that count or name things: frames, targets, points.
+pub const COUNT: NumberRange = NumberRange::new(0.0, 1e9);
+
+/// A column: its name, and the numbers that it may hold.
+pub type Column<'a> = (&'a str, NumberRange);
+
+/// The numbers of `columns`, row by row, in the order of `columns`. The table may have them in another order, and
+/// others beside them.
+///
+/// Errors name the line and the column: a name that is missing or there twice, a row with more or fewer fields than
+/// names, a field that is no number or out of range.
+pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Vec<[f64; N]>> {
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+    let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();
+    let mut places = [0; N];
+    for (place, (name, _)) in places.iter_mut().zip(columns) {
+        let is_named = |h: &str| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(name);
+        let mut found = header.iter().enumerate().filter(|(_, h)| is_named(h)).map(|(at, _)| at);
+        *place = match (found.next(), found.next()) {
+            (Some(at), None) => at,
+            (Some(_), Some(_)) => return Err(Error::input("is there twice").element(format!("line 1: column {name}"))),
+            (None, _) => {
+                let names = columns.map(|(name, _)| name).join(",");
+                let missing = Error::input(format!("is missing; the columns are {names}"));
+                return Err(missing.element(format!("line 1: column {name}")));
+            }
+        };
+    }
+    let mut rows = Vec::new();
+    for (row, record) in reader.records().enumerate() {
+        let record = record.map_err(|e| Error::input(e.to_string()).element(format!("line {}", row + 2)))?;
+        let mut numbers = [0.0; N];
+        for ((number, place), (name, range)) in numbers.iter_mut().zip(places).zip(columns) {
+            let text = record.get(place).unwrap_or_default();
+            let named = |e: Error| e.element(format!("line {}: {name}", row + 2));
+            *number = text.parse().map_err(|_| named(Error::input(format!("\"{text}\" is no number"))))?;
+            range.check(*number).map_err(named)?;
+        }
+        rows.push(numbers);
+    }
+    Ok(rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::range::{COORDINATE_MM, FRAMES};
+
+    const COLUMNS: [Column<'_>; 3] = [("frame", FRAMES), ("x_mm", COORDINATE_MM), ("y_mm", COORDINATE_MM)];
+
+    #[test]
+    fn columns_are_found_by_name() {
+        let read = rows(b"\xef\xbb\xbfy_mm, note,X_mm,frame\n2.5,a,1,7\n-3,b,1e3,8\n", COLUMNS).unwrap();
+        assert_eq!(read, [[7.0, 1.0, 2.5], [8.0, 1000.0, -3.0]]);
+        assert!(rows(b"frame,x_mm,y_mm\n", COLUMNS).unwrap().is_empty());
+    }
+
+    #[test]
+    fn what_is_no_table_of_these_numbers_is_named() {
+        for (text, says) in [
+            ("", "line 1: column frame: is missing; the columns are frame,x_mm,y_mm"),
+            ("frame,x_mm\n7,1\n", "line 1: column y_mm: is missing; the columns are frame,x_mm,y_mm"),
+            ("frame,x_mm,y_mm,x_mm\n", "line 1: column x_mm: is there twice"),
+            ("frame,x_mm,y_mm\n7,1,2\n7,n/a,2\n", "line 3: x_mm: \"n/a\" is no number"),
+            ("frame,x_mm,y_mm\n7,,2\n", "line 2: x_mm: \"\" is no number"),
+            ("frame,x_mm,y_mm\n7,1,1e200\n", "line 2: y_mm: 1e200 must lie in -10000 to 10000"),
+            ("frame,x_mm,y_mm\n7,1,nan\n", "line 2: y_mm: NaN must lie in -10000 to 10000"),
+        ] {
+            assert_eq!(rows(text.as_bytes(), COLUMNS).unwrap_err().to_string(), says);
+        }
+        for uneven in ["frame,x_mm,y_mm\n7,1\n", "frame,x_mm,y_mm\n7,n/a,1,2\n"] {
+            assert!(rows(uneven.as_bytes(), COLUMNS).unwrap_err().to_string().starts_with("line 2: "), "{uneven}");
+        }
+    }
+}
