@@ -398,7 +398,7 @@ fn marker(bytes: &[u8], scratch: &Scratch) {
     let folder = scratch.folder.join("claimed");
     std::fs::create_dir_all(folder.join(".claim")).expect("the scratch folder takes folders");
     scratch.write(&format!("claimed/{MARKER}"), bytes);
-    let state = Store::look(&scratch.folder).state("claimed", "key");
+    let state = Store::look(&scratch.folder).state("claimed", "key").unwrap();
     assert!(state != ProductState::Whole && state != ProductState::Absent);
     scratch.write("claimed/.claim/holder.json", bytes);
     answer(Claims::default().ask(&folder, &[]));

@@ -9,6 +9,10 @@ import os
 import statistics
 import time
 
+# Threads of torch that have nothing to do sleep: polling, they would slow down what is measured after them, which is the
+# core alone.
+os.environ |= {"OMP_WAIT_POLICY": "PASSIVE", "GOMP_SPINCOUNT": "0"}
+
 import numpy as np
 import reference
 import torch
@@ -72,7 +76,7 @@ def main():
     for _ in range(arguments.rounds):
         for measured in (through_torch, core_alone):
             times[measured].append(measured())
-    # Last: the threads of torch go on polling for a while.
+    # Last, and apart from the two that are compared closely.
     times[formulas] = [formulas() for _ in range(arguments.formulas)]
     torch_s, core_s, formulas_s = (statistics.median(of) for of in times.values())
     print(f"{arguments.gaussians} Gaussians, {side}x{side}, SH degree {degree}, torch {torch.__version__}, "

@@ -151,7 +151,7 @@ pub fn execute_at_once(
 /// Whether a cell's score is in the cache, made by this program from this plan, and whole.
 pub fn is_finished(plan: &Plan, store: &Store, cell: &Cell) -> Result<bool> {
     let score = format!("{}/score", cell_folder(plan, cell)?);
-    Ok(store.state(&score, &plan.score_key(cell)?) == ProductState::Whole)
+    Ok(store.state(&score, &plan.score_key(cell)?)? == ProductState::Whole)
 }
 
 /// Every cell of `plan`, in its order, as it lies in the cache; what is not finished there has failed.
@@ -382,9 +382,10 @@ impl<'a> Execution<'a> {
 
     /// Whether all products of a piece of work are there, from the same keys, and whole, and may be used.
     fn is_done(&self, work: &str, products: &[(String, String)]) -> Result<bool> {
-        let whole = |(product, key): &(String, String)| self.store.state(product, key) == ProductState::Whole;
-        if !products.iter().all(|product| self.may_use(&product.0) && whole(product)) {
-            return Ok(false);
+        for (product, key) in products {
+            if !self.may_use(product) || self.store.state(product, key)? != ProductState::Whole {
+                return Ok(false);
+            }
         }
         self.store.tidy(work)?;
         Ok(true)
@@ -397,7 +398,7 @@ impl<'a> Execution<'a> {
 
     /// True when the product of claimed work is finished, from the same key, and whole. Otherwise it is removed.
     fn usable(&self, (product, key): &(String, String), work: &Work) -> Result<bool> {
-        let reason = match self.store.state(product, key) {
+        let reason = match self.store.state(product, key)? {
             ProductState::Absent => return Ok(false),
             ProductState::Whole if self.may_use(product) => return Ok(true),
             ProductState::Whole => None,

@@ -109,7 +109,7 @@ impl Work {
         }
         let moved = match fs::rename(&own, &place) {
             // Another process took this one for dead and has finished.
-            Err(e) if claim::is_occupied(&e) && state_of(&place, key) == ProductState::Whole => {
+            Err(e) if claim::is_occupied(&e) && state_of(&place, key)? == ProductState::Whole => {
                 return claim::remove_folder(&own);
             }
             Err(e) if claim::is_occupied(&e) => {
@@ -168,7 +168,9 @@ impl Store {
     }
 
     /// Checks a product against its key and, when the key fits, its files.
-    pub fn state(&self, product: &str, key: &str) -> ProductState {
+    ///
+    /// Errors: files that are there and cannot be read.
+    pub fn state(&self, product: &str, key: &str) -> Result<ProductState> {
         state_of(&self.path(product), key)
     }
 
@@ -213,17 +215,29 @@ impl Store {
     }
 }
 
-fn state_of(place: &Path, key: &str) -> ProductState {
-    let Ok(marker) = files::read_json::<FinishMarker>(&place.join(MARKER)) else {
-        return if place.exists() { ProductState::Damaged } else { ProductState::Absent };
+/// Errors: a marker or a file that is there and cannot be read: what a bad moment of the disk hides is not damaged.
+fn state_of(place: &Path, key: &str) -> Result<ProductState> {
+    let path = place.join(MARKER);
+    let text = match fs::read(&path) {
+        Err(_) if !path.exists() => {
+            return Ok(if place.exists() { ProductState::Damaged } else { ProductState::Absent });
+        }
+        read => read.map_err(|e| Error::io("reading", &path, e))?,
     };
+    let Ok(marker) = serde_json::from_slice::<FinishMarker>(&text) else { return Ok(ProductState::Damaged) };
     if marker.key != key {
-        return ProductState::Outdated;
+        return Ok(ProductState::Outdated);
     }
     // Copied files have other times, and are read.
-    let is_whole = hash_of_listing(place).is_ok_and(|listing| listing == marker.listing)
-        || hash_of_files(place).is_ok_and(|outputs| outputs == marker.outputs);
-    if is_whole { ProductState::Whole } else { ProductState::Damaged }
+    let is_whole = hash_of_listing(place)
+        .and_then(|listing| Ok(listing == marker.listing || hash_of_files(place)? == marker.outputs));
+    match is_whole {
+        Ok(true) => Ok(ProductState::Whole),
+        Ok(false) => Ok(ProductState::Damaged),
+        // A link that leads nowhere; or another process clears it away meanwhile.
+        Err(error) if error.path().is_none_or(|path| !path.exists()) => Ok(ProductState::Damaged),
+        Err(error) => Err(error),
+    }
 }
 
 /// One hash over the names and contents of all files of a folder, or of a single file; hidden files do not count.
@@ -304,7 +318,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::look(folder.path());
         let work = claimed(&store, "cells/a");
-        let state = |key: &str| Store::look(folder.path()).state("cells/a/score", key);
+        let state = |key: &str| Store::look(folder.path()).state("cells/a/score", key).unwrap();
         let _ = work.begin("score").unwrap();
         assert_eq!(state("key"), ProductState::Absent, "what is being made is not there");
         make(&work, "score", "key");
@@ -345,7 +359,7 @@ mod tests {
         work.release().unwrap();
         let left = claim::hidden(&store.path("sequences/a")).unwrap();
         assert!(left.is_empty(), "{left:?}");
-        assert_eq!(store.state("sequences/a/film", "key"), ProductState::Whole);
+        assert_eq!(store.state("sequences/a/film", "key").unwrap(), ProductState::Whole);
     }
 
     /// As when the disk of a process stood still for long, and another one has done its work.
@@ -360,7 +374,7 @@ mod tests {
         assert_eq!(fs::metadata(store.path("cells/a/score")).unwrap().modified().unwrap(), first);
         fs::remove_file(store.path("cells/a/score/x.png")).unwrap();
         make(&work, "score", "key");
-        assert_eq!(store.state("cells/a/score", "key"), ProductState::Whole);
+        assert_eq!(store.state("cells/a/score", "key").unwrap(), ProductState::Whole);
     }
 
     /// As when a process stood still for so long that another one took it for dead, then woke up and went on writing.
@@ -368,7 +382,7 @@ mod tests {
     fn what_was_taken_over_is_never_published() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::look(folder.path());
-        let absent = || assert_eq!(store.state("cells/a/score", "key"), ProductState::Absent);
+        let absent = || assert_eq!(store.state("cells/a/score", "key").unwrap(), ProductState::Absent);
         // The other one has cleared away what was begun, and is still at work.
         let slept = claimed(&store, "cells/a");
         let making = slept.begin("score").unwrap();
@@ -386,14 +400,14 @@ mod tests {
         absent();
         let work = claimed(&store, "cells/a");
         make(&work, "score", "key");
-        assert_eq!(store.state("cells/a/score", "key"), ProductState::Whole);
+        assert_eq!(store.state("cells/a/score", "key").unwrap(), ProductState::Whole);
     }
 
     #[test]
     fn looking_touches_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let absent = folder.path().join("nowhere");
-        assert_eq!(Store::look(&absent).state("cells/a/score", "key"), ProductState::Absent);
+        assert_eq!(Store::look(&absent).state("cells/a/score", "key").unwrap(), ProductState::Absent);
         assert!(!absent.exists());
     }
 }

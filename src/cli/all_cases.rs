@@ -140,11 +140,11 @@ fn print_plan(plan: &Plan, store: &Store, folder: &Path, freshness: Freshness, t
         _ => "to do",
     };
     for case in &plan.cases {
-        let film = store.state(&format!("{}/film", film_folder(plan, case)?), &plan.sequence_key(case)?);
+        let film = store.state(&format!("{}/film", film_folder(plan, case)?), &plan.sequence_key(case)?)?;
         terminal.line(format_args!("{:<8}film {}", word(film), case.id));
         for cell in plan.cells_of(&case.id) {
             let score = format!("{}/score", cell_folder(plan, &cell)?);
-            terminal.line(format_args!("{:<8}cell {}", word(store.state(&score, &plan.score_key(&cell)?)), cell.id()));
+            terminal.line(format_args!("{:<8}cell {}", word(store.state(&score, &plan.score_key(&cell)?)?), cell.id()));
         }
     }
     terminal.line(format_args!("report: {}", folder.display()));

@@ -172,7 +172,7 @@ fn assert_nothing_half_finished(cache: &Path, what: &str) {
     for path in published {
         let marker: FinishMarker = files::read_json(path).unwrap();
         let product = path.parent().unwrap().strip_prefix(cache).unwrap().to_str().unwrap();
-        assert_eq!(store.state(product, &marker.key), ProductState::Whole, "{what}: {product}");
+        assert_eq!(store.state(product, &marker.key).unwrap(), ProductState::Whole, "{what}: {product}");
     }
     let Ok(films) = fs::read_dir(cache.join("sequences")) else { return };
     for film in films.map(|entry| entry.unwrap().path()).filter(|path| path.join("film").join(MANIFEST).exists()) {
