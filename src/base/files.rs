@@ -142,17 +142,19 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
 
 /// Reads a whole file.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    let fail = |e| Error::io("reading", path, e);
     match shipped::below_root(path) {
-        Some(_) => read_text(path).map(String::into_bytes),
-        None => fs::read(path).map_err(|e| Error::io("reading", path, e)),
+        Some(inside) => shipped::bytes(inside).map(<[u8]>::to_vec).ok_or_else(|| fail(not_carried("file"))),
+        None => fs::read(path).map_err(fail),
     }
 }
 
 /// Reads a whole UTF-8 file.
 pub fn read_text(path: &Path) -> Result<String> {
     let fail = |e| Error::io("reading", path, e);
+    let not_text = |e| std::io::Error::new(std::io::ErrorKind::InvalidData, e);
     match shipped::below_root(path) {
-        Some(inside) => shipped::text(inside).map(str::to_owned).ok_or_else(|| fail(not_carried("file"))),
+        Some(_) => String::from_utf8(read_bytes(path)?).map_err(|e| fail(not_text(e))),
         None => fs::read_to_string(path).map_err(fail),
     }
 }
@@ -160,7 +162,7 @@ pub fn read_text(path: &Path) -> Result<String> {
 /// Whether there is a file at `path`.
 pub fn is_file(path: &Path) -> bool {
     match shipped::below_root(path) {
-        Some(inside) => shipped::text(inside).is_some(),
+        Some(inside) => shipped::bytes(inside).is_some(),
         None => path.is_file(),
     }
 }
