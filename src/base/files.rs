@@ -172,25 +172,23 @@ fn read_bounded(path: &Path) -> Result<Vec<u8>> {
 /// Errors: neither of both (a device, which may have no end); more than this machine has memory for.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     match shipped::below_root(path) {
-        Some(_) => read_text(path).map(String::into_bytes),
+        Some(inside) => shipped::bytes(inside)
+            .map(<[u8]>::to_vec)
+            .ok_or_else(|| Error::io("reading", path, not_carried("file"))),
         None => read_bounded(path),
     }
 }
 
 /// Reads a whole UTF-8 file or pipe. Errors as [`read_bytes`].
 pub fn read_text(path: &Path) -> Result<String> {
-    let fail = |e| Error::io("reading", path, e);
-    match shipped::below_root(path) {
-        Some(inside) => shipped::text(inside).map(str::to_owned).ok_or_else(|| fail(not_carried("file"))),
-        None => String::from_utf8(read_bounded(path)?)
-            .map_err(|_| fail(std::io::Error::new(std::io::ErrorKind::InvalidData, "it is not UTF-8"))),
-    }
+    let not_text = |_| std::io::Error::new(std::io::ErrorKind::InvalidData, "it is not UTF-8");
+    String::from_utf8(read_bytes(path)?).map_err(|e| Error::io("reading", path, not_text(e)))
 }
 
 /// Whether there is a file at `path`.
 pub fn is_file(path: &Path) -> bool {
     match shipped::below_root(path) {
-        Some(inside) => shipped::text(inside).is_some(),
+        Some(inside) => shipped::bytes(inside).is_some(),
         None => path.is_file(),
     }
 }

@@ -4,6 +4,7 @@
 //! ```text
 //! bench-cases/<case>.toml                a case each, scored
 //! bench-cases/tuning/<case>.toml         a case each, on which numbers of methods are chosen; never scored
+//! bench-cases/patients/<case>.toml       a case each whose anatomy and motion are one person's; run when asked for
 //! bench-cases/tuning/sweeps/<name>.toml  values of a method's keys, to be tried on the tuning cases
 //! bench-cases/gate.toml                  thresholds
 //! bench-cases/ablations.toml             variants of the methods and cases
@@ -19,6 +20,8 @@ use crate::base::{Error, Result, shipped};
 /// Files beside the cases: the thresholds and the ablations.
 const GATE: &str = "gate";
 const ABLATIONS: &str = "ablations";
+/// Folder of the cases whose anatomy and motion are one person's.
+const PATIENTS: &str = "patients";
 /// Folder of the tuning cases, and in it that of the sweeps.
 const TUNING: &str = "tuning";
 const SWEEPS: &str = "sweeps";
@@ -54,28 +57,33 @@ impl Catalogue {
         self.optional_ids(&self.root.join(TUNING))
     }
 
+    /// Ids of the patients' cases, which no run takes unless it is told so; none where there is no such folder.
+    pub fn patient_ids(&self) -> Result<Vec<String>> {
+        self.optional_ids(&self.root.join(PATIENTS))
+    }
+
     /// Ids of the files of a folder that a user's catalogue may lack.
     fn optional_ids(&self, folder: &Path) -> Result<Vec<String>> {
         let is_there = self.root == Path::new(shipped::ROOT) || folder.is_dir();
         if is_there { toml_ids(folder) } else { Ok(Vec::new()) }
     }
 
-    /// The file of a scored or a tuning case by id, or `wish` itself when it is the path of a TOML file.
+    /// The file of a scored, a tuning or a patient's case by id, or `wish` itself when it is the path of a TOML file.
     pub fn case_file(&self, wish: &str) -> Result<PathBuf> {
         if wish.ends_with(".toml") {
             return Ok(PathBuf::from(wish));
         }
-        let (scored, tuning) = (self.case_ids()?, self.tuning_ids()?);
-        let folder = match wish {
-            id if scored.iter().any(|known| known == id) => self.root.clone(),
-            id if tuning.iter().any(|known| known == id) => self.root.join(TUNING),
-            _ => {
-                let known = [scored, tuning].concat().join(", ");
-                return Err(Error::usage(format!(
-                    "there is no case `{wish}`; there are {known}, or the path of a case file"
-                )));
-            }
-        };
+        let folders = [
+            (self.root.clone(), self.case_ids()?),
+            (self.root.join(TUNING), self.tuning_ids()?),
+            (self.root.join(PATIENTS), self.patient_ids()?),
+        ];
+        let of_wish = folders.iter().find(|(_, ids)| ids.iter().any(|known| known == wish));
+        let (folder, _) = of_wish.ok_or_else(|| {
+            let known: Vec<String> = folders.iter().flat_map(|(_, ids)| ids.clone()).collect();
+            let known = known.join(", ");
+            Error::usage(format!("there is no case `{wish}`; there are {known}, or the path of a case file"))
+        })?;
         Ok(folder.join(format!("{wish}.toml")))
     }
 
@@ -136,13 +144,15 @@ mod tests {
     }
 
     #[test]
-    fn tuning_cases_and_sweeps_are_found_by_name_and_are_not_among_the_scored() {
+    fn tuning_cases_patients_and_sweeps_are_found_by_name_and_are_not_among_the_scored() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases");
         for catalogue in [Catalogue::open(None).unwrap(), Catalogue::open(Some(&folder)).unwrap()] {
             let tuning = catalogue.tuning_ids().unwrap();
             assert_eq!(tuning, ["tune1", "tune2", "tune3", "tune4"]);
             assert!(catalogue.case_ids().unwrap().iter().all(|id| !tuning.contains(id)));
             assert_eq!(catalogue.case_file("tune2").unwrap(), catalogue.root().join("tuning/tune2.toml"));
+            assert_eq!(catalogue.patient_ids().unwrap(), ["patient1"]);
+            assert_eq!(catalogue.case_file("patient1").unwrap(), catalogue.root().join("patients/patient1.toml"));
             assert_eq!(catalogue.sweep_file("ours").unwrap(), catalogue.root().join("tuning/sweeps/ours.toml"));
             assert_eq!(catalogue.sweep_file("my/own.toml").unwrap(), Path::new("my/own.toml"));
             assert!(catalogue.sweep_file("theirs").unwrap_err().to_string().contains("bridgesplat, clinical, ours"));

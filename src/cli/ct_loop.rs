@@ -9,7 +9,9 @@ use super::selection::CatalogueFolder;
 use super::simulate_ct::ProtocolChoice;
 use crate::airway::case::Case;
 use crate::base::{Result, files};
-use crate::experiments::ct_loop::{COLUMNS, LoopSettings, markdown, measure, records};
+use crate::experiments::ct_loop::masks::differences;
+use crate::experiments::ct_loop::tables::{COLUMNS, markdown, mask_table, records};
+use crate::experiments::ct_loop::{LoopSettings, measure};
 use crate::report::tables::write_csv;
 
 /// Arguments of `ct-loop`.
@@ -17,7 +19,8 @@ use crate::report::tables::write_csv;
 #[command(
     after_help = "Needs elastix (scripts/setup.sh --ct); minutes a case. A case whose result is there is not measured \
     again. DIR/PROTOCOL/CASE holds the imported airway in both states (inspiration.ply, expiration.ply).\n\
-    Example: respire-bench ct-loop case1 --protocol thin --out /tmp/ct-loop"
+    Examples:\n  respire-bench ct-loop case1 --protocol thin --out /tmp/ct-loop\n  respire-bench ct-loop --masks \
+    one.nii.gz another.nii.gz --out /tmp/masks"
 )]
 pub struct CtLoopArguments {
     /// Cases by id, or paths of case files; all of them when not given
@@ -26,6 +29,9 @@ pub struct CtLoopArguments {
     /// How the scanner is set, one or both
     #[arg(long, value_enum, value_delimiter = ',', default_value = "thin", value_name = "PROTOCOL,..")]
     protocol: Vec<ProtocolChoice>,
+    /// Instead: two or more label maps of one airway, and how far they differ from each other (masks.md)
+    #[arg(long, value_name = "MASK", num_args = 1.., conflicts_with_all = ["cases", "protocol"])]
+    masks: Vec<PathBuf>,
     /// Folder for results, ct-loop.csv and ct-loop.md
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -38,6 +44,14 @@ pub struct CtLoopArguments {
 
 /// Runs the command.
 pub fn run(arguments: CtLoopArguments, terminal: &Terminal) -> Result<()> {
+    if !arguments.masks.is_empty() {
+        terminal.stage("surfaces of the masks");
+        let table = mask_table(&differences(&arguments.masks, terminal)?);
+        terminal.finish();
+        files::write_bytes(&arguments.out.join("masks.md"), table.as_bytes())?;
+        terminal.line(table.trim_end());
+        return Ok(());
+    }
     let catalogue = arguments.catalogue.open()?;
     let names = if arguments.cases.is_empty() { catalogue.case_ids()? } else { arguments.cases };
     let load = |name: &String| Case::load(&catalogue.case_file(name)?);

@@ -1,7 +1,7 @@
 //! From two CT scans of a breathing patient to the two states of an airway: lungs, airway, surface, registration.
 //!
 //! ```text
-//! scan --> coarse scan, lungs ------------> registration (elastix) --> displacement field
+//! scan --> coarse scan, lungs, contrast --> registration (elastix) --> displacement field
 //!   |                                                                        |
 //!   +----> airway mask (given, or grown) --> surface at inspiration ---------+--> surface at expiration --> case
 //! ```
@@ -13,6 +13,7 @@
 
 pub mod airway_mask;
 mod distance;
+mod local_contrast;
 pub mod lumen;
 pub mod lungs;
 pub mod motion_field;

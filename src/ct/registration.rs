@@ -1,8 +1,8 @@
 //! Registers two breath holds with elastix, a program of its own: what moves where between inspiration and expiration.
 //!
-//! Both scans go in coarser, cropped to the lungs, and with a mask: lungs and airway, so that the ribs, which do not
-//! move with the lung, pull at nothing. Affine, then B-spline (Klein et al., IEEE Trans Med Imaging 29:196, 2010; lungs
-//! after Staring et al. at EMPIRE10). Parameters are files beside this one, and are kept with the case.
+//! Both scans go in coarser, cropped to the lungs, as local contrast ([`super::local_contrast`]), and with a mask: lungs
+//! and airway, so that the ribs, which do not move with the lung, pull at nothing. Affine, then B-spline (Klein et al.,
+//! IEEE Trans Med Imaging 29:196, 2010; lungs after Staring et al. at EMPIRE10). Parameters are files beside this one, and are kept with the case.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 
+use super::local_contrast::local_contrast;
 use super::lungs::on_grid;
 use super::parts::grown;
 use crate::base::{Error, ErrorKind, Progress, Result, Volume, files};
@@ -96,8 +97,8 @@ pub fn register(
 ) -> Result<Volume<[f32; 3]>> {
     let place = |name: &str| folder.join(name);
     std::fs::create_dir_all(folder).map_err(|e| Error::io("writing", folder, e))?;
-    nifti::write(&place("fixed.nii"), &fixed.scan)?;
-    nifti::write(&place("moving.nii"), &moving.scan)?;
+    nifti::write(&place("fixed.nii"), &local_contrast(&fixed.scan, &fixed.lungs))?;
+    nifti::write(&place("moving.nii"), &local_contrast(&moving.scan, &moving.lungs))?;
     nifti::write(&place("mask.nii"), &fixed.mask)?;
     let mut command = Command::new("elastix");
     command.arg("-f").arg(place("fixed.nii")).arg("-m").arg(place("moving.nii"));
