@@ -7,6 +7,8 @@
 //! novel/NNNNNN.png               views of the sequence's second cameras (transforms_novel.json): all of them or none
 //! novel_depth/NNNNNN.{exr,npy,png}  their z-depth, as above
 //! targets.csv                    frame,target,x_mm,y_mm,z_mm; where the targets of the sequence are, every frame
+//! target_covariance.csv          frame,target,xx,xy,xz,yy,yz,zz in mm^2: covariance of each target's place in the camera's
+//!                                axes (x right, y down, z forward), every frame; wants targets.csv
 //! phase.csv                      frame,phase[,phase_sd]; one row per frame, 0 = full inspiration, 1 = full expiration
 //! poses.csv                      frame,m00..m23; world_from_camera where the method has poses of its own
 //! mesh/final.ply                 surface at the last frame, mm, the sequence's world
@@ -33,6 +35,8 @@ use crate::simulate::sequence::held_out;
 
 /// Where the vertices of the sequence's meshes are on the predicted surface.
 const CORRESPONDENCE: &str = "correspondence.csv";
+/// How surely a prediction knows its targets.
+const TARGET_COVARIANCE: &str = "target_covariance.csv";
 /// How depth images are stored, in the order of the search.
 const DEPTH_ENDINGS: [&str; 3] = ["exr", "npy", "png"];
 
@@ -93,6 +97,8 @@ pub struct Prediction {
     novel_depth_ending: Option<&'static str>,
     /// Per frame, per target; mm.
     targets: Option<Vec<Vec<DVec3>>>,
+    /// Per frame, per target; mm^2, camera axes.
+    target_covariance_mm2: Option<Vec<Vec<DMat3>>>,
     method: Option<String>,
     phase: Option<Vec<f64>>,
     /// Standard deviation of each phase.
@@ -165,6 +171,7 @@ impl Prediction {
             novel,
             novel_depth_ending,
             targets: read_targets(&root.join("targets.csv"), frames, question.targets)?,
+            target_covariance_mm2: read_covariance(&root.join(TARGET_COVARIANCE), frames, question.targets)?,
             method: about.method,
             phase,
             phase_sd: phase_sd.flatten(),
@@ -211,6 +218,7 @@ impl Prediction {
             "phase.csv",
             "poses.csv",
             "targets.csv",
+            TARGET_COVARIANCE,
             "mesh/final.ply",
             CORRESPONDENCE,
             "timing.json",
@@ -252,6 +260,11 @@ impl Prediction {
     /// Predicted places of the targets in mm, per frame and target, if there are any.
     pub fn targets(&self) -> Option<&[Vec<DVec3>]> {
         self.targets.as_deref()
+    }
+
+    /// Stated covariances of the targets' places in the camera's axes in mm^2, per frame and target, if there are any.
+    pub fn target_covariance_mm2(&self) -> Option<&[Vec<DMat3>]> {
+        self.target_covariance_mm2.as_deref()
     }
 
     /// Predicted z-depth of `frame` in mm, if the prediction has depth.
@@ -424,26 +437,58 @@ fn read_targets(path: &Path, frames: usize, count: usize) -> Result<Option<Vec<V
 
 /// Frame, target and place; frames in order, within each frame the targets in order.
 fn parse_targets(bytes: &[u8], frames: usize, count: usize) -> Result<Vec<Vec<DVec3>>> {
+    let place = |[x, y, z]: [f64; 3]| Some(DVec3::new(x, y, z));
+    parse_by_target(bytes, frames, count, "its place", place)
+}
+
+fn read_covariance(path: &Path, frames: usize, count: usize) -> Result<Option<Vec<Vec<DMat3>>>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    parse_covariance(&files::read_bytes(path)?, frames, count).map(Some).map_err(|e| e.at(path))
+}
+
+/// Frame, target and the six entries of a covariance, in the order of [`parse_targets`].
+fn parse_covariance(bytes: &[u8], frames: usize, count: usize) -> Result<Vec<Vec<DMat3>>> {
+    let covariance = |[xx, xy, xz, yy, yz, zz]: [f64; 6]| {
+        let is_sound = xx > 0.0 && xx * yy - xy * xy > 0.0;
+        let matrix = DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
+        (is_sound && matrix.determinant() > 0.0).then_some(matrix)
+    };
+    parse_by_target(bytes, frames, count, "a positive definite covariance", covariance)
+}
+
+/// Rows of frame, target and `N` numbers, from which `read` makes a value; frames in order, within each frame the targets
+/// in order. `what` names the value.
+fn parse_by_target<const N: usize, T>(
+    bytes: &[u8],
+    frames: usize,
+    count: usize,
+    what: &str,
+    read: impl Fn([f64; N]) -> Option<T>,
+) -> Result<Vec<Vec<T>>> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
-    let mut places = vec![Vec::with_capacity(count); frames];
+    let mut values: Vec<Vec<T>> = (0..frames).map(|_| Vec::with_capacity(count)).collect();
     for (row, record) in reader.records().enumerate() {
         let line = format!("line {}", row + 2);
         let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
         let numbers: Vec<f64> = record.iter().filter_map(|v| v.parse().ok()).filter(|v: &f64| v.is_finite()).collect();
         let (frame, target) = (row / count.max(1), row % count.max(1));
-        match numbers[..] {
-            [f, t, x, y, z] if f == frame as f64 && t == target as f64 && frame < frames && count > 0 => {
-                places[frame].push(DVec3::new(x, y, z));
+        let value = match numbers.as_slice() {
+            [f, t, rest @ ..] if *f == frame as f64 && *t == target as f64 && frame < frames && count > 0 => {
+                rest.try_into().ok().and_then(&read)
             }
-            _ => {
-                let sentence = format!("wanted frame {frame} of {frames}, target {target} of {count} and its place");
-                return Err(Error::input(sentence).element(line));
-            }
-        }
+            _ => None,
+        };
+        let Some(value) = value else {
+            let sentence = format!("wanted frame {frame} of {frames}, target {target} of {count} and {what}");
+            return Err(Error::input(sentence).element(line));
+        };
+        values[frame].push(value);
     }
-    match places.iter().position(|of_frame| of_frame.len() < count) {
+    match values.iter().position(|of_frame| of_frame.len() < count) {
         Some(frame) => Err(Error::input(format!("frame {frame} lacks targets: {count} are wanted"))),
-        None => Ok(places),
+        None => Ok(values),
     }
 }
 
@@ -542,6 +587,16 @@ mod tests {
         assert!(say(text, 3).contains("frame 2 lacks targets") && say(text, 1).contains("line 4"));
         assert!(say(b"frame,target,x_mm,y_mm,z_mm\n0,0,1,2,nan\n", 1).contains("line 2"));
         assert!(say(b"frame,target,x_mm,y_mm,z_mm\n0,1,1,2,3\n", 1).contains("line 2"));
+    }
+
+    #[test]
+    fn covariances_are_read_target_by_target_and_must_be_positive_definite() {
+        let text = |zz: f64| format!("frame,target,xx,xy,xz,yy,yz,zz\n0,0,4,1,0,2,0,{zz}\n");
+        let read = parse_covariance(text(9.0).as_bytes(), 1, 1).unwrap();
+        assert_eq!(read[0][0], DMat3::from_cols_array(&[4.0, 1.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0, 9.0]));
+        for (wrong, says) in [(text(-1.0), "line 2"), (text(f64::NAN), "line 2"), (text(1.0).repeat(2), "line 3")] {
+            assert!(parse_covariance(wrong.as_bytes(), 1, 1).unwrap_err().to_string().contains(says), "{wrong}");
+        }
     }
 
     #[test]
