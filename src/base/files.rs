@@ -172,9 +172,9 @@ fn read_bounded(path: &Path) -> Result<Vec<u8>> {
 /// Errors: neither of both (a device, which may have no end); more than this machine has memory for.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     match shipped::below_root(path) {
-        Some(inside) => shipped::bytes(inside)
-            .map(<[u8]>::to_vec)
-            .ok_or_else(|| Error::io("reading", path, not_carried("file"))),
+        Some(inside) => {
+            shipped::bytes(inside).map(<[u8]>::to_vec).ok_or_else(|| Error::io("reading", path, not_carried("file")))
+        }
         None => read_bounded(path),
     }
 }

@@ -73,8 +73,10 @@ pub struct LiveLine {
     pub world_from_camera: [[f64; 4]; 4],
     /// Where the targets are, mm.
     pub targets_mm: Vec<[f64; 3]>,
-    /// Rows of the covariance of each target's place by the phase alone, mm squared.
+    /// Rows of the covariance of each target's place in the camera's axes, mm squared.
     pub target_covariance_mm2: Vec<[[f64; 3]; 3]>,
+    /// Share of the picture that does not show the wall, where the method tells them apart.
+    pub masked_share: Option<f64>,
     /// From the picture's arrival to the answer, milliseconds.
     pub latency_ms: f64,
     /// Frames left out just before.
@@ -244,6 +246,7 @@ fn line(answer: &LiveAnswer, frame: usize, time_s: f64, latency_ms: f64, left_ou
         world_from_camera: rows,
         targets_mm: answer.targets_mm.iter().map(|target| target.to_array()).collect(),
         target_covariance_mm2: answer.target_covariance_mm2.iter().map(|c| c.to_cols_array_2d()).collect(),
+        masked_share: answer.masked_share,
         latency_ms,
         left_out,
     }

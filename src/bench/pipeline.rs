@@ -28,7 +28,7 @@ use crate::simulate::{self, MeshOutput, RadianceOutput, SimulationSettings};
 
 /// The rows of the paper's Table 1 from top to bottom, ours beyond it, what needs no map, then the bounds; further
 /// methods follow by name.
-const ORDER: [&str; 13] = [
+const ORDER: [&str; 14] = [
     "bridgesplat",
     "bridgesplat-release",
     "bridgesplat-nomesh",
@@ -36,6 +36,7 @@ const ORDER: [&str; 13] = [
     "ours",
     "ours-window",
     "ours-gn",
+    "ours-nav",
     "virtual-bronchoscopy",
     "pose-only",
     "mean-breath",
@@ -107,6 +108,10 @@ impl Method {
 impl Pipeline {
     /// Reads the profile, the cases and the methods. Every mistake in them is found here, before any work.
     pub fn new(catalogue: &Catalogue, profile: &str, wishes: Wishes) -> Result<Self> {
+        let track = wishes.track;
+        let methods = |catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>| {
+            methods(catalogue, profile, wanted, track)
+        };
         Self::assemble(catalogue, profile, wishes, &toml::Table::new(), methods)
     }
 
@@ -299,7 +304,8 @@ fn refuse_doubles<T: PartialEq + std::fmt::Display>(items: impl Iterator<Item = 
     Ok(())
 }
 
-fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>) -> Result<Vec<Method>> {
+/// The methods that are wanted; without a wish, those that are listed on `track`.
+fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>, track: Track) -> Result<Vec<Method>> {
     let mut found = Vec::new();
     for file in reconstruct::method_files(&catalogue.methods())? {
         found.push(Method::new(&file, profile)?);
@@ -310,7 +316,11 @@ fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>) 
     let chosen = choose(&known, wanted, "method")?;
     found.retain(|m| chosen.iter().any(|id| id == m.method.id()));
     if wanted.is_none() {
-        found.retain(|m| m.method.listing() == Listing::Always);
+        found.retain(|m| match m.method.listing() {
+            Listing::Always => true,
+            Listing::Clinical => track == Track::Clinical,
+            Listing::OnRequest => false,
+        });
     }
     Ok(found)
 }
@@ -339,7 +349,7 @@ pub fn reconstruct_folder(
 /// The method `id` at the size of `profile`. Errors: one of the two is unknown.
 pub(super) fn method_of(catalogue: &Catalogue, profile: &str, id: &str) -> Result<Box<dyn Reconstruct>> {
     let profile = Profile::load(&catalogue.profiles(), profile)?;
-    let found = methods(catalogue, &profile, Some(&[id.to_owned()]))?;
+    let found = methods(catalogue, &profile, Some(&[id.to_owned()]), Track::Ideal)?;
     let first = found.into_iter().next().map(|found| found.method);
     first.ok_or_else(|| Error::usage(format!("there is no method `{id}`")))
 }

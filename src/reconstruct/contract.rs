@@ -123,6 +123,8 @@ pub struct FramePrediction {
     pub ahead: Option<Image<f32>>,
     /// Where the targets are, mm, where the method knows how the airway moves.
     pub targets_mm: Option<Vec<DVec3>>,
+    /// Covariance of each target's place in the camera's axes, mm squared, where the method knows it.
+    pub target_covariance_mm2: Option<Vec<DMat3>>,
     /// Rendering from the frame's second camera, made after the frame was fitted.
     pub novel: Option<NovelPrediction>,
 }
@@ -182,8 +184,11 @@ pub struct LiveAnswer {
     pub world_from_camera: DAffine3,
     /// Where the targets are, mm.
     pub targets_mm: Vec<DVec3>,
-    /// Covariance of each target's place by the phase alone, mm squared: of rank one, along the target's motion.
+    /// Covariance of each target's place in the camera's axes, mm squared: of all that the method takes to be uncertain.
     pub target_covariance_mm2: Vec<DMat3>,
+    /// Share of the picture that the method left out because it does not show the wall (secretions, glare, a film on the
+    /// lens), 0 to 1; `None` where it does not tell them apart.
+    pub masked_share: Option<f64>,
 }
 
 /// A method that answers while the film goes on.

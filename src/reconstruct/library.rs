@@ -16,6 +16,7 @@ use super::methods::bridgesplat::Bridgesplat;
 use super::methods::bridgesplat_nomesh::BridgesplatNomesh;
 use super::methods::ours::{GivenPhase, Ours};
 use super::methods::ours_gn::OursGn;
+use super::methods::ours_nav::OursNav;
 use super::methods::ours_nomesh::OursNomesh;
 use super::methods::virtual_rows::VirtualMethod;
 use super::settings::{
@@ -107,6 +108,13 @@ impl MethodFile {
         self.build(iteration_scale).map(|(method, _)| method)
     }
 
+    /// The method as the navigation that it is.
+    ///
+    /// Errors: a method of another kind.
+    pub fn navigation(&self) -> Result<OursNav> {
+        MethodSettings::read(&mut Keys::new(self.keys.clone())).map(OursNav::new).map_err(|e| e.at(&self.path))
+    }
+
     /// The settings, of the type that belongs to the method's kind.
     #[cfg(test)]
     pub fn settings<S: MethodSettings>(&self) -> Result<S> {
@@ -140,6 +148,7 @@ impl MethodFile {
             }
             MethodKind::OursNomesh => Box::new(OursNomesh::new(MethodSettings::read(keys)?, scale)),
             MethodKind::OursGn => Box::new(OursGn::new(MethodSettings::read(keys)?, scale)),
+            MethodKind::OursNav => Box::new(OursNav::new(MethodSettings::read(keys)?)),
             MethodKind::Bridgesplat => Box::new(Bridgesplat::new(MethodSettings::read(keys)?, scale)),
             MethodKind::BridgesplatNomesh => Box::new(BridgesplatNomesh::new(MethodSettings::read(keys)?, scale)),
         })
@@ -198,6 +207,7 @@ mod tests {
             ("ours", None),
             ("ours-gn", None),
             ("ours-gn-pose", Some("ours-gn")),
+            ("ours-nav", None),
             ("ours-nomesh", Some("ours")),
             ("ours-window", Some("ours")),
             ("pose-only", None),
@@ -228,7 +238,11 @@ mod tests {
             let path = folder.path().join(format!("{}.toml", file.header().id));
             let text = std::fs::read_to_string(&path).unwrap();
             let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("listing")).collect();
-            for (line, listing) in [("", Listing::Always), ("listing = \"on-request\"\n", Listing::OnRequest)] {
+            for (line, listing) in [
+                ("", Listing::Always),
+                ("listing = \"on-request\"\n", Listing::OnRequest),
+                ("listing = \"clinical\"\n", Listing::Clinical),
+            ] {
                 std::fs::write(&path, format!("{line}{}", lines.join("\n"))).unwrap();
                 let method = MethodFile::load(&path).unwrap().method(1.0).unwrap();
                 assert_eq!((method.id(), method.listing()), (file.header().id.as_str(), listing));

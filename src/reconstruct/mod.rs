@@ -36,6 +36,7 @@ pub use methods::bridgesplat::Bridgesplat;
 pub use methods::bridgesplat_nomesh::BridgesplatNomesh;
 pub use methods::ours::{GivenPhase, Ours};
 pub use methods::ours_gn::OursGn;
+pub use methods::ours_nav::OursNav;
 pub use methods::ours_nomesh::OursNomesh;
 pub use observe::{given_poses, observe, observe_first};
 pub use prediction::{PredictionFolder, PredictionTiming, write_prediction};

@@ -48,8 +48,19 @@ impl OnlineRun {
 pub fn rendered_prediction(frame: usize, rasterizer: &Rasterizer<f32>, ahead: Option<Image<f32>>) -> FramePrediction {
     let NovelPrediction { color, depth_mm } = shown(rasterizer);
     let (phase, phase_deviation, world_from_camera) = (None, None, None);
-    let (targets_mm, novel) = (None, None);
-    FramePrediction { frame, color, depth_mm, phase, phase_deviation, world_from_camera, ahead, targets_mm, novel }
+    let (targets_mm, target_covariance_mm2, novel) = (None, None, None);
+    FramePrediction {
+        frame,
+        color,
+        depth_mm,
+        phase,
+        phase_deviation,
+        world_from_camera,
+        ahead,
+        targets_mm,
+        target_covariance_mm2,
+        novel,
+    }
 }
 
 /// Colour and depth of the last rendering.

@@ -1,11 +1,11 @@
 //! The PREDICTION folder: `color/NNNNNN.png`, `depth/NNNNNN.exr`, `ahead/NNNNNN.png`,
-//! `novel/NNNNNN.png`, `novel_depth/NNNNNN.exr`, `targets.csv`, `phase.csv` (with
+//! `novel/NNNNNN.png`, `novel_depth/NNNNNN.exr`, `targets.csv`, `target_covariance.csv`, `phase.csv` (with
 //! `phase_sd` if the method estimates it), `mesh/final.ply`, `timing.json`, `prediction.json`. Frames are written as
 //! they come, the rest at the end.
 
 use std::path::{Path, PathBuf};
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -43,6 +43,7 @@ pub struct PredictionFolder {
     phases: Vec<(usize, f64, Option<f64>)>,
     poses: Vec<(usize, DAffine3)>,
     targets: String,
+    covariances: String,
 }
 
 impl PredictionFolder {
@@ -53,6 +54,7 @@ impl PredictionFolder {
             phases: Vec::new(),
             poses: Vec::new(),
             targets: String::from("frame,target,x_mm,y_mm,z_mm\n"),
+            covariances: String::from("frame,target,xx,xy,xz,yy,yz,zz\n"),
         }
     }
 
@@ -102,6 +104,15 @@ impl PredictionFolder {
         }
     }
 
+    /// Adds the covariances of all targets' places at a frame, camera axes, mm squared.
+    pub fn add_target_covariances(&mut self, frame: usize, covariances_mm2: &[DMat3]) {
+        for (target, c) in covariances_mm2.iter().enumerate() {
+            let (x, y) = (c.x_axis, c.y_axis);
+            let entries = [x.x, x.y, x.z, y.y, y.z, c.z_axis.z].map(|entry| format!(",{entry:.9}")).concat();
+            self.covariances += &format!("{frame},{target}{entries}\n");
+        }
+    }
+
     /// Writes the tables, the surface at the last frame and the times, as far as they are there.
     pub fn finish(self, final_mesh: Option<&TriangleMesh>, timing: Option<&PredictionTiming>) -> Result<()> {
         let at = |name: &str| self.folder.join(name);
@@ -113,6 +124,9 @@ impl PredictionFolder {
         }
         if self.targets.lines().count() > 1 {
             files::write_bytes(&at("targets.csv"), self.targets.as_bytes())?;
+        }
+        if self.covariances.lines().count() > 1 {
+            files::write_bytes(&at("target_covariance.csv"), self.covariances.as_bytes())?;
         }
         if let Some(surface) = final_mesh {
             mesh::write_ply(&at("mesh/final.ply"), surface, &["airway surface at the last frame, mm"])?;
@@ -161,6 +175,7 @@ pub fn write_prediction(
         prediction.world_from_camera.into_iter().for_each(|pose| out.add_pose(frame, pose));
         prediction.phase.into_iter().for_each(|phase| out.add_phase(frame, phase, prediction.phase_deviation));
         out.add_targets(frame, prediction.targets_mm.as_deref().unwrap_or_default());
+        out.add_target_covariances(frame, prediction.target_covariance_mm2.as_deref().unwrap_or_default());
         waiting.push(prediction);
         if waiting.len() == BATCH {
             write_frames(&out, &waiting)?;

@@ -35,12 +35,13 @@ const DOTS: Option<[u8; 2]> = Some([2, 2]);
 type OwnStyle = (&'static str, [u8; 3], Option<[u8; 2]>);
 
 /// Own rows. A test holds that each row of this program has one.
-const OWN: [OwnStyle; 14] = [
+const OWN: [OwnStyle; 15] = [
     ("ours", [0, 114, 178], None),
     ("ours-nomesh", [86, 180, 233], None),
     ("ours-window", [96, 24, 252], None),
     ("ours-gn", [204, 121, 167], None),
     ("ours-gn-pose", [216, 0, 252], LONG),
+    ("ours-nav", [144, 72, 228], None),
     ("bridgesplat", [213, 94, 0], None),
     ("bridgesplat-release", [156, 48, 96], None),
     ("bridgesplat-nomesh", [230, 159, 0], None),
@@ -158,7 +159,7 @@ mod tests {
         for (i, style) in styles.iter().enumerate() {
             assert!(!styles[..i].contains(style), "{} has the style of another", methods[i].id);
         }
-        assert!(methods[..14].iter().all(|m| OWN.iter().any(|row| row.0 == m.id)));
+        assert!(methods[..15].iter().all(|m| OWN.iter().any(|row| row.0 == m.id)));
         assert_eq!(palette.style("ours").hex(), "#0072b2");
     }
 }

@@ -103,7 +103,7 @@ pub struct MethodInfo {
 /// Id, title, role, CT scans and mesh of this program's own rows: the paper's four, ours beyond the
 /// paper, what needs no map, the bounds.
 /// A test holds that these are the files of `bench-cases/methods/`. The names are reserved.
-const OWN_ROWS: [(&str, &str, Role, u8, bool); 14] = [
+const OWN_ROWS: [(&str, &str, Role, u8, bool); 15] = [
     ("bridgesplat", "BridgeSplat", Role::Ranked, 1, true),
     ("bridgesplat-release", "BridgeSplat (released objective)", Role::Ranked, 1, true),
     ("bridgesplat-nomesh", "BridgeSplat (no mesh)", Role::Ranked, 1, false),
@@ -112,6 +112,7 @@ const OWN_ROWS: [(&str, &str, Role, u8, bool); 14] = [
     ("ours-window", "Ours + keyframes", Role::Ranked, 2, true),
     ("ours-gn", "Ours (Gauss-Newton)", Role::Ranked, 2, true),
     ("ours-gn-pose", "Ours (Gauss-Newton), rough poses", Role::Ranked, 2, true),
+    ("ours-nav", "Ours, navigation", Role::Ranked, 2, true),
     ("virtual-bronchoscopy", "Virtual bronchoscopy", Role::Ranked, 2, true),
     ("pose-only", "No picture: pose", Role::Ranked, 2, true),
     ("mean-breath", "No picture: clock", Role::Ranked, 2, true),

@@ -10,6 +10,7 @@ use super::contour::{ContourOverlay, Correspondence, Enclosure, TargetErrors, ta
 use super::correspondence;
 use super::depth::{DepthErrors, depth_errors};
 use super::image_quality::{Psnr, Ssim, psnr_ceiling, psnr_within, ssim_within};
+use super::navigation::{self, NavigationFrame, navigation_errors};
 use super::prediction::{Prediction, Question};
 use super::registry::registry;
 use super::statistics::{MeanInterval, bootstrap_series, mean, pearson, quantile};
@@ -204,6 +205,7 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
         .map(|view| measure_novel(truth, &prediction, mask.as_ref(), view.frame))
         .collect::<Result<_>>()?;
     let distances = target_distances(truth, &prediction);
+    let navigation = navigation_errors(truth, &prediction);
     let target = target(truth, &prediction, settings)?;
     let pixels = mask.map_or(truth.camera().width as usize * truth.camera().height as usize, |mask| mask.count());
     let ceiling = psnr_ceiling(pixels * 3);
@@ -242,6 +244,10 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
             "target_error_mm" => target_score(m.id, &target, |t| t.target_mm),
             "target_error_mean_mm" => target_score(m.id, &target, |t| t.mean_mm),
             "target_error_p95_mm" => target_score(m.id, &target, |t| t.p95_mm),
+            "navigation_error_p95_mm" => plain(m.id, navigation_p95(&navigation), frames),
+            id if navigation::is_frame_wise(id) => {
+                series_mean(m.id, navigation.iter().filter_map(|frame| frame.value(id)).collect(), seed)
+            }
             "time_cpu_s" => plain(m.id, prediction.time_cpu_s(), 1),
             "time_total_s" => plain(m.id, prediction.time_total_s(), 1),
             "time_per_frame_s" => plain(m.id, prediction.time_total_s().map(|t| t / frames as f64), frames),
@@ -257,7 +263,7 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
         seed: settings.seed,
         frames,
         metrics,
-        frame_scores: frame_scores(truth, &prediction, &measured, &novel, &distances),
+        frame_scores: frame_scores(truth, &prediction, (&measured, &novel), &distances, &navigation),
         overlay: match target {
             TargetOutcome::Measured(t) if !t.overlay.predicted.is_empty() => Some(t.overlay),
             _ => None,
@@ -355,6 +361,11 @@ fn target_distances(truth: &dyn Truth, prediction: &Prediction) -> Vec<Vec<f64>>
     prediction
         .targets()
         .map_or_else(Vec::new, |all| all.iter().take(truth.frames().len()).enumerate().map(of_frame).collect())
+}
+
+/// 95th percentile in mm over all frames and targets.
+fn navigation_p95(frames: &[NavigationFrame]) -> Option<f64> {
+    quantile(&frames.iter().flat_map(NavigationFrame::distances_mm).collect::<Vec<_>>(), 0.95)
 }
 
 /// Distance in mm between two poses, and the angle in degrees between them.
@@ -522,9 +533,9 @@ fn target_score(id: &str, target: &TargetOutcome, part: impl Fn(&TargetErrors) -
 fn frame_scores(
     truth: &dyn Truth,
     prediction: &Prediction,
-    measured: &[FrameMeasurement],
-    novel: &[NovelMeasurement],
+    (measured, novel): (&[FrameMeasurement], &[NovelMeasurement]),
     distances: &[Vec<f64>],
+    navigation: &[NavigationFrame],
 ) -> Vec<FrameScore> {
     let frame_score = |(frame, m): (usize, &FrameMeasurement)| {
         let record = &truth.frames()[frame];
@@ -533,6 +544,9 @@ fn frame_scores(
         if let Some(distance) = distances.get(frame).and_then(|of_frame| mean(of_frame)) {
             let metric = "target_mean_mm".to_owned();
             values.push(FrameValue { metric, value: Some(distance), status: Status::Ok });
+        }
+        for (metric, value) in navigation.get(frame).into_iter().flat_map(navigation::frame_values) {
+            values.push(FrameValue { metric: metric.to_owned(), value: Some(value), status: Status::Ok });
         }
         FrameScore {
             frame,

@@ -266,6 +266,8 @@ pub struct Distortion {
     pub seconds: f64,
 }
 
+/// Standard deviation that predictions state of a target's place along each axis of the camera, mm.
+pub const TARGET_SD_MM: f64 = 1.0;
 /// Standard deviation that predictions state of their phase.
 pub const PHASE_SD: f64 = 0.05;
 
@@ -297,6 +299,14 @@ pub fn write_prediction(truth: &dyn Truth, folder: &Path, d: &Distortion) {
         }
     }
     files::write_bytes(&folder.join("targets.csv"), rows.as_bytes()).unwrap();
+    let mut rows = "frame,target,xx,xy,xz,yy,yz,zz\n".to_owned();
+    let square = TARGET_SD_MM * TARGET_SD_MM;
+    for frame in 0..truth.frames().len() {
+        for k in 0..truth.targets().len() {
+            rows.push_str(&format!("{frame},{k},{square},0,0,{square},0,{square}\n"));
+        }
+    }
+    files::write_bytes(&folder.join("target_covariance.csv"), rows.as_bytes()).unwrap();
     let mut rows = "frame,phase,phase_sd\n".to_owned();
     for frame in 0..truth.frames().len() {
         let phase = truth.frames()[frame.saturating_sub(d.lag)].phase + d.phase_offset;

@@ -13,6 +13,7 @@ pub mod depth;
 #[cfg(test)]
 pub(crate) mod fixture;
 pub mod image_quality;
+mod navigation;
 mod prediction;
 #[cfg(test)]
 mod protocol_tests;

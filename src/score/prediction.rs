@@ -7,6 +7,8 @@
 //! novel/NNNNNN.png               views of the sequence's second cameras (transforms_novel.json): all of them or none
 //! novel_depth/NNNNNN.{exr,npy,png}  their z-depth, as above
 //! targets.csv                    frame,target,x_mm,y_mm,z_mm; where the targets of the sequence are, every frame
+//! target_covariance.csv          frame,target,xx,xy,xz,yy,yz,zz in mm^2: covariance of each target's place in the camera's
+//!                                axes (x right, y down, z forward), every frame; wants targets.csv
 //! phase.csv                      frame,phase[,phase_sd]; one row per frame, 0 = full inspiration, 1 = full expiration
 //! poses.csv                      frame,m00..m23; world_from_camera where the method has poses of its own
 //! mesh/final.ply                 surface at the last frame, mm, the sequence's world
@@ -34,6 +36,8 @@ use crate::simulate::sequence::held_out;
 
 /// Where the vertices of the sequence's meshes are on the predicted surface.
 const CORRESPONDENCE: &str = "correspondence.csv";
+/// How surely a prediction knows its targets.
+const TARGET_COVARIANCE: &str = "target_covariance.csv";
 /// How depth images are stored, in the order of the search.
 const DEPTH_ENDINGS: [&str; 3] = ["exr", "npy", "png"];
 
@@ -94,6 +98,8 @@ pub struct Prediction {
     novel_depth_ending: Option<&'static str>,
     /// Per frame, per target; mm.
     targets: Option<Vec<Vec<DVec3>>>,
+    /// Per frame, per target; mm^2, camera axes.
+    target_covariance_mm2: Option<Vec<Vec<DMat3>>>,
     method: Option<String>,
     phase: Option<Vec<f64>>,
     /// Standard deviation of each phase.
@@ -110,6 +116,8 @@ const PHASE: NumberRange = NumberRange::new(-1000.0, 1000.0);
 const PHASE_SD: NumberRange = NumberRange::new(1e-12, 1000.0);
 /// Entries of a pose's matrix: of a rotation, or of a place in mm.
 const ENTRY: NumberRange = COORDINATE_MM;
+/// Entries of a covariance of places, mm squared.
+const COVARIANCE_MM2: NumberRange = NumberRange::new(-1e8, 1e8);
 /// Seconds that a method took.
 const TIME_S: NumberRange = NumberRange::new(0.0, 1e9);
 
@@ -171,6 +179,7 @@ impl Prediction {
             novel,
             novel_depth_ending,
             targets: read_targets(&root.join("targets.csv"), frames, question.targets)?,
+            target_covariance_mm2: read_covariance(&root.join(TARGET_COVARIANCE), frames, question.targets)?,
             method: about.method,
             phase,
             phase_sd: phase_sd.flatten(),
@@ -217,6 +226,7 @@ impl Prediction {
             "phase.csv",
             "poses.csv",
             "targets.csv",
+            TARGET_COVARIANCE,
             "mesh/final.ply",
             CORRESPONDENCE,
             "timing.json",
@@ -258,6 +268,11 @@ impl Prediction {
     /// Predicted places of the targets in mm, per frame and target, if there are any.
     pub fn targets(&self) -> Option<&[Vec<DVec3>]> {
         self.targets.as_deref()
+    }
+
+    /// Stated covariances of the targets' places in the camera's axes in mm^2, per frame and target, if there are any.
+    pub fn target_covariance_mm2(&self) -> Option<&[Vec<DMat3>]> {
+        self.target_covariance_mm2.as_deref()
     }
 
     /// Predicted z-depth of `frame` in mm, if the prediction has depth.
@@ -437,25 +452,48 @@ fn read_targets(path: &Path, frames: usize, count: usize) -> Result<Option<Vec<V
 fn parse_targets(bytes: &[u8], frames: usize, count: usize) -> Result<Vec<Vec<DVec3>>> {
     let place = |name| (name, COORDINATE_MM);
     let columns = [("frame", COUNT), ("target", COUNT), place("x_mm"), place("y_mm"), place("z_mm")];
-    by_target(&number_table::rows(bytes, columns)?, frames, count, |&[_, _, x, y, z]| DVec3::new(x, y, z))
+    let value = |&[_, _, x, y, z]: &[f64; 5]| Some(DVec3::new(x, y, z));
+    by_target(&number_table::rows(bytes, columns)?, frames, count, "its place", value)
+}
+
+fn read_covariance(path: &Path, frames: usize, count: usize) -> Result<Option<Vec<Vec<DMat3>>>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    parse_covariance(&files::read_bytes(path)?, frames, count).map(Some).map_err(|e| e.at(path))
+}
+
+/// Columns of frame, target and the six entries of a covariance in mm squared, found by name; rows as those of
+/// [`parse_targets`].
+fn parse_covariance(bytes: &[u8], frames: usize, count: usize) -> Result<Vec<Vec<DMat3>>> {
+    let [xx, xy, xz, yy, yz, zz] = ["xx", "xy", "xz", "yy", "yz", "zz"].map(|name| (name, COVARIANCE_MM2));
+    let columns = [("frame", COUNT), ("target", COUNT), xx, xy, xz, yy, yz, zz];
+    let covariance = |&[_, _, xx, xy, xz, yy, yz, zz]: &[f64; 8]| {
+        let is_sound = xx > 0.0 && xx * yy - xy * xy > 0.0;
+        let matrix = DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
+        (is_sound && matrix.determinant() > 0.0).then_some(matrix)
+    };
+    by_target(&number_table::rows(bytes, columns)?, frames, count, "a positive definite covariance", covariance)
 }
 
 /// What `value` makes of each row, by frame and target, which are the first two numbers of the rows: frames in order,
-/// within each frame the targets in order.
+/// within each frame the targets in order. `what` names the value, where a row has none.
 fn by_target<const N: usize, T>(
     rows: &[[f64; N]],
     frames: usize,
     count: usize,
-    value: impl Fn(&[f64; N]) -> T,
+    what: &str,
+    value: impl Fn(&[f64; N]) -> Option<T>,
 ) -> Result<Vec<Vec<T>>> {
     let mut values: Vec<Vec<T>> = (0..frames).map(|_| Vec::with_capacity(count)).collect();
     for (row, numbers) in rows.iter().enumerate() {
         let (frame, target) = (row / count.max(1), row % count.max(1));
-        if numbers[..2] != [frame as f64, target as f64] || frame >= frames || count == 0 {
-            let sentence = format!("wanted frame {frame} of {frames}, target {target} of {count}");
+        let is_next = numbers[..2] == [frame as f64, target as f64] && frame < frames && count > 0;
+        let Some(value) = is_next.then(|| value(numbers)).flatten() else {
+            let sentence = format!("wanted frame {frame} of {frames}, target {target} of {count} and {what}");
             return Err(Error::input(sentence).element(format!("line {}", row + 2)));
-        }
-        values[frame].push(value(numbers));
+        };
+        values[frame].push(value);
     }
     match values.iter().position(|of_frame| of_frame.len() < count) {
         Some(frame) => Err(Error::input(format!("frame {frame} lacks targets: {count} are wanted"))),
@@ -565,6 +603,16 @@ mod tests {
         assert!(say(b"frame,target,x,y,z\n0,0,1,2,3\n0,1,4,5,6\n", 1).contains("column x_mm: is missing"));
         assert!(say(b"frame,target,x_mm,y_mm,z_mm\n0,0,n/a,1,2,3\n", 1).contains("line 2"));
         assert!(say(b"frame,target,x_mm,y_mm,z_mm\n0,0,1,2,1e200\n", 1).contains("line 2: z_mm: 1e200 must lie"));
+    }
+
+    #[test]
+    fn covariances_are_read_target_by_target_and_must_be_positive_definite() {
+        let text = |zz: f64| format!("frame,target,xx,xy,xz,yy,yz,zz\n0,0,4,1,0,2,0,{zz}\n");
+        let read = parse_covariance(text(9.0).as_bytes(), 1, 1).unwrap();
+        assert_eq!(read[0][0], DMat3::from_cols_array(&[4.0, 1.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0, 9.0]));
+        for (wrong, says) in [(text(-1.0), "line 2"), (text(f64::NAN), "line 2"), (text(1.0).repeat(2), "line 3")] {
+            assert!(parse_covariance(wrong.as_bytes(), 1, 1).unwrap_err().to_string().contains(says), "{wrong}");
+        }
     }
 
     #[test]

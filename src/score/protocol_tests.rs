@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use super::fixture::{Distortion, PHASE_SD, TubeTruth, write_prediction};
+use super::fixture::{Distortion, PHASE_SD, TARGET_SD_MM, TubeTruth, write_prediction};
 use super::{CellScore, Goal, ScoreSettings, Status, metric, registry, score};
 use crate::base::{TriangleMesh, files};
 use crate::formats::mesh;
@@ -31,6 +31,10 @@ fn truth_as_prediction_is_perfect() {
             }
             None if m.is_runtime() => assert!(score.value.is_some()),
             None if m.id.starts_with("phase_coverage") => assert_eq!(score.value, Some(100.0)),
+            None if m.id.starts_with("navigation_coverage") => assert_eq!(score.value, Some(100.0)),
+            None if m.id == "navigation_sd_mm" => {
+                assert!((score.value.unwrap() - TARGET_SD_MM * 3f64.sqrt()).abs() < 1e-12);
+            }
             None if m.id == "phase_sd_mean" => assert!((score.value.unwrap() - PHASE_SD).abs() < 1e-12),
             None => assert_eq!((score.value, score.status), (None, Status::Identical), "{}", m.id),
         }
@@ -78,9 +82,8 @@ fn graded_distortions_are_told_apart() {
         ("dropout", &["depth_rmse_mm", "depth_coverage", "novel_depth_rmse_mm", "novel_depth_delta_1_25"], |g| {
             Distortion { dropout: 0.1 * g, ..Default::default() }
         }),
-        ("targets", &["target_mean_mm", "target_p95_mm"], |g| Distortion {
-            surface_shift_mm: 0.5 * g,
-            ..Default::default()
+        ("targets", &["target_mean_mm", "target_p95_mm", "navigation_error_mm", "navigation_error_p95_mm"], |g| {
+            Distortion { surface_shift_mm: 0.5 * g, ..Default::default() }
         }),
         ("lag", &["phase_mae", "phase_pearson_r"], |g| Distortion { lag: 2 * g as usize, ..Default::default() }),
         ("offset", &["phase_mae"], |g| Distortion { phase_offset: -0.1 * g, ..Default::default() }),
@@ -110,6 +113,15 @@ fn graded_distortions_are_told_apart() {
     let moved = scored(&truth, &Distortion { surface_shift_mm: 0.5, ..none });
     assert!((moved.value("target_error_mm").unwrap() - 0.5).abs() < 1e-9);
     assert!((moved.value("target_mean_mm").unwrap() - 0.5).abs() < 1e-9);
+    assert!((moved.value("navigation_error_mm").unwrap() - 0.5).abs() < 1e-9);
+    // A camera that is elsewhere than said is an error of navigation, and none of the targets.
+    let along = scored(&truth, &Distortion { pose_shift: 0.4, ..none });
+    assert!(along.value("navigation_error_mm").unwrap() > 0.3 && along.value("target_mean_mm").unwrap() < 1e-9);
+    // Ten standard deviations off, and an error bar of 1.7 mm: lost in silence.
+    let lost = scored(&truth, &Distortion { surface_shift_mm: 10.0, ..none });
+    let values = ["lost_pct", "silent_pct"].map(|id| lost.value(id).unwrap());
+    assert_eq!(values, [100.0, 100.0]);
+    assert!(lost.value("navigation_coverage_2sd_pct").unwrap() < 70.0);
     assert!((moved.value("depth_rmse_mm").unwrap()).abs() < 1e-9);
 }
 
@@ -123,11 +135,15 @@ fn what_is_not_claimed_is_not_applicable_and_constant_phase_has_no_correlation()
     }
     fs::remove_file(folder.path().join("timing.json")).unwrap();
     fs::remove_file(folder.path().join("targets.csv")).unwrap();
+    fs::remove_file(folder.path().join("target_covariance.csv")).unwrap();
     let rows: String = (0..9).map(|f| format!("{f},0\n")).collect();
     fs::write(folder.path().join("phase.csv"), format!("frame,phase\n{rows}")).unwrap();
     let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
     let metrics = ["depth_rmse_mm", "contour_rmse_mm", "target_error_p95_mm", "time_total_s", "psnr_ahead_db"];
     let of_views = ["novel_psnr_db", "novel_ssim", "novel_depth_rmse_mm", "target_mean_mm", "target_p95_mm"];
+    let of_navigation =
+        ["navigation_error_mm", "navigation_error_p95_mm", "lost_pct", "silent_pct", "navigation_sd_mm"];
+    let of_views = of_views.into_iter().chain(of_navigation);
     for id in metrics.into_iter().chain(of_views) {
         let score = found.metric(id).unwrap();
         assert_eq!((score.value, score.status), (None, Status::NotApplicable), "{id}");

@@ -8,7 +8,7 @@ use super::statistics::{deviation, mean, pearson};
 use crate::base::{Error, Result};
 
 /// Metrics whose value is a mean over the frames that have one.
-const FRAME_WISE: [&str; 16] = [
+const FRAME_WISE: [&str; 22] = [
     "psnr_db",
     "novel_psnr_db",
     "novel_ssim",
@@ -25,6 +25,12 @@ const FRAME_WISE: [&str; 16] = [
     "phase_sd_mean",
     "pose_error_mm",
     "pose_error_deg",
+    "navigation_error_mm",
+    "lost_pct",
+    "silent_pct",
+    "navigation_coverage_1sd_pct",
+    "navigation_coverage_2sd_pct",
+    "navigation_sd_mm",
 ];
 /// Largest relative difference of two sums of the same numbers that were written and read again.
 const ROUNDING: f64 = 1e-9;

@@ -168,6 +168,7 @@ const WITH_POSES: &str = "methods that estimate poses";
 const WITH_NOVEL: &str = "predictions with novel/NNNNNN.png for every second camera";
 const WITH_NOVEL_DEPTH: &str = "predictions with novel_depth/ for every second camera";
 const WITH_TARGETS: &str = "predictions with targets.csv";
+const WITH_TARGET_COVARIANCE: &str = "predictions with target_covariance.csv";
 const WITH_CPU_TIME: &str = "predictions with time_cpu_s in timing.json";
 const WITH_TIME: &str = "predictions with timing.json";
 
@@ -414,6 +415,58 @@ static REGISTRY: &[Metric] = &[
         split: Split::Final,
         applies_to: WITH_MESH,
         ..base("target_error_p95_mm", "Target error p95", "mm", Goal::Lower, Group::Target)
+    },
+    Metric {
+        definition: "Distance between predicted and true place of the targets of target_mean_mm in the camera's axes, mean over \
+            all frames and targets: with the predicted pose (poses.csv; the told one without it) the predicted place, with \
+            the true pose the true one, so that errors of pose and deformation count together.",
+        applies_to: WITH_TARGETS,
+        ..base("navigation_error_mm", "Navigation", "mm", Goal::Lower, Group::Target)
+    },
+    Metric {
+        definition: "95th percentile (linear between ranks) over all frames and targets of the distance of navigation_error_mm.",
+        applies_to: WITH_TARGETS,
+        ..base("navigation_error_p95_mm", "Navigation p95", "mm", Goal::Lower, Group::Target)
+    },
+    Metric {
+        definition: "Share of the frames whose navigation error, mean over targets, is more than 5 mm, in percent.",
+        range: [Some(0.0), Some(100.0)],
+        digits: 1,
+        applies_to: WITH_TARGETS,
+        ..base("lost_pct", "Lost", "%", Goal::Lower, Group::Target)
+    },
+    Metric {
+        definition: "Share of the frames that are lost (lost_pct) while the error bar that the method states for them \
+            (square root of the trace of target_covariance.csv, mean over targets) is below 2.5 mm, in percent.",
+        range: [Some(0.0), Some(100.0)],
+        digits: 1,
+        applies_to: WITH_TARGET_COVARIANCE,
+        ..base("silent_pct", "Lost in silence", "%", Goal::Lower, Group::Target)
+    },
+    Metric {
+        definition: "Share of the targets' coordinates in the camera's axes, over all frames, that are off by at most one \
+            standard deviation as stated in target_covariance.csv, in percent; 68 where the error bars are right and errors \
+            are normal. It rises with the width beside it (navigation_sd_mm), so alone it ranks nobody.",
+        range: [Some(0.0), Some(100.0)],
+        perfect: None,
+        digits: 1,
+        applies_to: WITH_TARGET_COVARIANCE,
+        ..base("navigation_coverage_1sd_pct", "Navigation within 1 sd", "%", Goal::Higher, Group::Target)
+    },
+    Metric {
+        definition: "As navigation_coverage_1sd_pct, for two standard deviations; 95 where the error bars are right.",
+        range: [Some(0.0), Some(100.0)],
+        perfect: None,
+        digits: 1,
+        applies_to: WITH_TARGET_COVARIANCE,
+        ..base("navigation_coverage_2sd_pct", "Navigation within 2 sd", "%", Goal::Higher, Group::Target)
+    },
+    Metric {
+        definition: "Error bar of a target's place in the camera's axes: square root of the trace of its covariance as stated \
+            in target_covariance.csv, mean over all frames and targets.",
+        perfect: None,
+        applies_to: WITH_TARGET_COVARIANCE,
+        ..base("navigation_sd_mm", "Navigation sd", "mm", Goal::Lower, Group::Target)
     },
 ];
 

@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 
 use crate::airway::targets::Target;
 use crate::base::mesh::interpolate;
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh};
+use crate::simulate::participant::Given;
 use crate::simulate::sequence::{FrameRecord, NovelView, Sequence};
 
 /// A sequence with its ground truth.
@@ -50,6 +51,11 @@ pub trait Truth: Send + Sync {
     /// Where target `index` is at `frame`, mm.
     fn target_mm(&self, index: usize, frame: usize) -> DVec3 {
         self.targets()[index].at(self.frames()[frame].phase)
+    }
+
+    /// The pose of every frame as methods are told it.
+    fn told_poses(&self) -> Vec<DAffine3> {
+        self.frames().iter().map(|frame| frame.world_from_camera).collect()
     }
 
     /// The surface that methods are told, and the `correspondence.csv` of a row that keeps its faces; `None` where those
@@ -124,6 +130,10 @@ impl Truth for Sequence {
 
     fn target_mm(&self, index: usize, frame: usize) -> DVec3 {
         Sequence::target_mm(self, index, frame)
+    }
+
+    fn told_poses(&self) -> Vec<DAffine3> {
+        self.given_frames().into_iter().map(|frame| frame.world_from_camera).collect()
     }
 
     fn told_correspondence(&self) -> Result<Option<(TriangleMesh, Vec<u8>)>> {

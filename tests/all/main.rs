@@ -34,6 +34,7 @@ mod sequence_folder;
 mod simulate;
 mod simulate_ct;
 mod splat;
+mod start_poses;
 mod third_parties;
 mod track;
 mod truth_maps;

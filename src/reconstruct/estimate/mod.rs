@@ -3,5 +3,6 @@
 pub mod breath;
 pub mod contrast_match;
 pub mod gauss_newton;
+pub mod navigation;
 pub mod phase_fit;
 pub mod window;

@@ -25,14 +25,7 @@ pub fn contrast_image(image: &Image<f32>, weights: &[f32], radius_share: f64) ->
     // The fourth plane counts the valid pixels in the neighbourhood.
     let value = |i: usize, c: usize| if c < 3 { image.data[3 * i + c] } else { 1.0 };
     let averaged = |c: usize| {
-        let mut plane: Vec<f32> = (0..pixels).map(|i| if counts[i] { value(i, c) } else { 0.0 }).collect();
-        for _ in 0..2 {
-            average_rows(&mut plane, width, radius);
-            plane = transposed(&plane, width);
-            average_rows(&mut plane, image.height, radius);
-            plane = transposed(&plane, image.height);
-        }
-        plane
+        summed_around((0..pixels).map(|i| if counts[i] { value(i, c) } else { 0.0 }).collect(), width, radius)
     };
     let planes: Vec<Vec<f32>> = (0..4).into_par_iter().map(averaged).collect();
     let mut contrast = Image::filled(width, image.height, 3, 0.0f32);
@@ -43,6 +36,18 @@ pub fn contrast_image(image: &Image<f32>, weights: &[f32], radius_share: f64) ->
         }
     }
     ContrastImage { contrast, counts }
+}
+
+/// Sums of `plane`, whose rows have `width` pixels, over squares of `2 radius + 1` pixels a side, twice; zero outside.
+pub fn summed_around(mut plane: Vec<f32>, width: usize, radius: usize) -> Vec<f32> {
+    let height = plane.len() / width;
+    for _ in 0..2 {
+        average_rows(&mut plane, width, radius);
+        plane = transposed(&plane, width);
+        average_rows(&mut plane, height, radius);
+        plane = transposed(&plane, height);
+    }
+    plane
 }
 
 /// Sums over `2 radius + 1` pixels along rows of `width`, zero outside.

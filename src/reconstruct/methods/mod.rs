@@ -4,6 +4,7 @@ pub mod bridgesplat;
 pub mod bridgesplat_nomesh;
 pub mod ours;
 pub mod ours_gn;
+pub mod ours_nav;
 pub mod ours_nomesh;
 #[cfg(test)]
 mod tests;

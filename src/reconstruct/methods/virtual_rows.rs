@@ -238,6 +238,7 @@ impl Screen<'_> {
             world_from_camera: None,
             ahead,
             targets_mm: Some(self.targets.at_phase(self.observation, phase)),
+            target_covariance_mm2: None,
             novel: self.observation.novel_pose[frame].map(|pose| self.view(pose, phase)),
         }
     }

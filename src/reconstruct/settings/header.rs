@@ -18,6 +18,8 @@ pub enum MethodKind {
     OursNomesh,
     /// Discs on the CT mesh, the phase by Gauss-Newton.
     OursGn,
+    /// The CT's surface under the scope's lamp; pose, phase and what else is not told, in one state.
+    OursNav,
     /// BridgeSplat with its mesh.
     Bridgesplat,
     /// BridgeSplat without its mesh.
@@ -37,6 +39,9 @@ pub enum Listing {
     /// Unless others are named.
     #[default]
     Always,
+    /// On the clinical track unless others are named, on the ideal one only where it is named: a row that estimates what
+    /// is exact there.
+    Clinical,
     /// Only where it is named: a variant of a row of the table.
     OnRequest,
 }

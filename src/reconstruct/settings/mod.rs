@@ -11,6 +11,7 @@ mod header;
 mod keys;
 mod ours;
 mod ours_gn;
+mod ours_nav;
 mod ranges;
 mod sourced;
 mod virtual_view;
@@ -27,6 +28,7 @@ pub use ours::{
     PhaseEstimation,
 };
 pub use ours_gn::{OursGnSettings, ScopeCalibration};
+pub use ours_nav::{OpticsPrior, OursNavSettings, SensorNoise, TipMotion, TissuePrior, WallMatching};
 pub(super) use ranges::METHOD_RANGES;
 pub use sourced::{NumberSource, Sourced};
 pub use virtual_view::{ContrastMatching, MeanBreathSettings, PoseOnlySettings, VirtualBronchoscopySettings};

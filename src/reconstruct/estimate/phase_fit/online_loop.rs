@@ -127,6 +127,7 @@ impl Fitter<'_> {
             world_from_camera: None,
             ahead,
             targets_mm: Some(self.targets.at_phase(self.observation, phase)),
+            target_covariance_mm2: None,
             novel,
         })
     }

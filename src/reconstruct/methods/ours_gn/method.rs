@@ -221,6 +221,7 @@ impl<'a> Tracker<'a> {
             world_from_camera,
             ahead,
             targets_mm,
+            target_covariance_mm2: None,
             novel,
         })
     }
@@ -231,7 +232,9 @@ impl<'a> Tracker<'a> {
         self.renderer.rasterizer.reuse(Reuse::Never);
         self.map.leave(active);
         self.breath.add(phase);
-        let motions = self.targets_at(1.0).into_iter().zip(self.targets_at(0.0)).map(|(out, rest)| out - rest);
+        let camera_from_world = finest.view.camera_from_world;
+        let motions = self.targets_at(1.0).into_iter().zip(self.targets_at(0.0));
+        let motions = motions.map(|(out, rest)| camera_from_world.transform_vector3(out - rest));
         let variance = phase_deviation.unwrap_or(1.0).powi(2);
         let covariance = |way: DVec3| DMat3::from_cols(way * way.x, way * way.y, way * way.z) * variance;
         let state = match phase_deviation {
@@ -243,9 +246,10 @@ impl<'a> Tracker<'a> {
             state,
             phase,
             phase_deviation,
-            world_from_camera: finest.view.camera_from_world.inverse(),
+            world_from_camera: camera_from_world.inverse(),
             targets_mm: self.targets_at(phase),
             target_covariance_mm2: motions.map(covariance).collect(),
+            masked_share: None,
         })
     }
 

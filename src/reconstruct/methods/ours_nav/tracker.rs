@@ -1,0 +1,199 @@
+//! One frame after another: what is known before, the told pose, the picture; and what follows for the targets.
+
+use glam::{DAffine3, DMat3, DVec3};
+
+use crate::base::{Image, mesh};
+use crate::reconstruct::contract::{Observation, TrackState};
+use crate::reconstruct::estimate::navigation::state::{PHASE_AT, cross};
+use crate::reconstruct::estimate::navigation::{LookOutcome, NavigationState, picture_levels, wall_shares};
+use crate::reconstruct::fitting::anchored::to_f32;
+use crate::reconstruct::geometry::breathing::BreathingMesh;
+use crate::reconstruct::geometry::lit_wall::NearWall;
+use crate::reconstruct::geometry::targets::CarriedTargets;
+use crate::reconstruct::settings::OursNavSettings;
+
+/// Way of the scope in mm after which the wall around it is gathered anew.
+const GATHER_AGAIN_MM: f64 = 6.0;
+/// Error bar in mm (square root of the covariance's trace, mean over targets) from which on an answer is unsure, and lost.
+const UNSURE_MM: f64 = 2.5;
+const LOST_MM: f64 = 5.0;
+/// Seconds without a picture that agrees after which an answer is lost.
+const LOST_S: f64 = 0.5;
+
+/// A frame as it arrives.
+pub struct NavigationInput<'f> {
+    /// The picture.
+    pub image: &'f Image<u8>,
+    /// Seconds since the first frame.
+    pub time_s: f64,
+    /// Told pose.
+    pub world_from_camera: DAffine3,
+}
+
+/// The answer for a frame.
+pub struct Navigated {
+    /// How far it is to be relied on.
+    pub state: TrackState,
+    /// Pose.
+    pub world_from_camera: DAffine3,
+    /// Phase and its standard deviation.
+    pub phase: [f64; 2],
+    /// Targets, mm, world.
+    pub targets_mm: Vec<DVec3>,
+    /// Covariances of their places in the camera's axes, mm squared.
+    pub covariance_mm2: Vec<DMat3>,
+    /// Share of the picture that does not show the wall.
+    pub masked_share: f64,
+}
+
+/// The tracker, from the first frame on.
+pub struct NavTracker<'a> {
+    settings: &'a OursNavSettings,
+    observation: &'a Observation,
+    rest: Vec<[f32; 3]>,
+    displacement: Vec<[f32; 3]>,
+    targets: CarriedTargets,
+    /// Motion of each target from inspiration to expiration, mm.
+    travel_mm: Vec<DVec3>,
+    wall: Option<NearWall>,
+    state: Option<NavigationState>,
+    /// When a picture last agreed, s.
+    agreed_s: f64,
+}
+
+impl<'a> NavTracker<'a> {
+    /// Before the first frame.
+    pub fn new(settings: &'a OursNavSettings, observation: &'a Observation) -> Self {
+        let inspiration = &observation.inspiration;
+        let expiration = observation.expiration.as_ref().unwrap_or(inspiration);
+        let targets = CarriedTargets::new(&observation.targets_mm, &inspiration.vertices);
+        let [rest, moved] = [0.0, 1.0].map(|phase| targets.at_phase(observation, phase));
+        NavTracker {
+            settings,
+            observation,
+            rest: to_f32(&inspiration.vertices),
+            displacement: mesh::displacement(inspiration, expiration),
+            travel_mm: moved.iter().zip(&rest).map(|(moved, rest)| *moved - *rest).collect(),
+            targets,
+            wall: None,
+            state: None,
+            agreed_s: 0.0,
+        }
+    }
+
+    /// The airway.
+    pub fn mesh(&self) -> BreathingMesh<'_> {
+        let faces = &self.observation.inspiration.faces;
+        BreathingMesh { rest: &self.rest, displacement: &self.displacement, faces }
+    }
+
+    /// Goes on to a frame and takes in its told pose. Returns pose (world from camera) and phase before the picture.
+    pub fn expect(&mut self, time_s: f64, told: &DAffine3) -> (DAffine3, f64) {
+        let state = match self.state.take() {
+            Some(mut state) => {
+                state.advance(self.settings, time_s);
+                state.take_pose(self.settings, told);
+                state
+            }
+            None => NavigationState::new(self.settings, *told, time_s, self.observation.breathing_period_s),
+        };
+        let expected = (state.camera_from_world.inverse(), state.mean[PHASE_AT]);
+        self.state = Some(state);
+        expected
+    }
+
+    /// Takes in the picture of the frame that [`NavTracker::expect`] went on to.
+    pub fn look(&mut self, image: &Image<u8>, time_s: f64) -> Navigated {
+        let place = self.state.as_ref().map_or(DVec3::ZERO, |state| state.camera_from_world.inverse().translation);
+        if self.wall.as_ref().is_none_or(|wall| wall.distance_mm(place) > GATHER_AGAIN_MM) {
+            let range_mm = *self.settings.visibility.range_mm + GATHER_AGAIN_MM;
+            self.wall = Some(NearWall::around(self.mesh(), place, range_mm));
+        }
+        let shares = wall_shares(image, self.observation.mask.as_ref());
+        let levels = picture_levels(&self.settings.matching, &self.observation.camera, image, &shares);
+        let (Some(state), Some(wall)) = (&mut self.state, &self.wall) else {
+            unreachable!("a frame is expected before its picture is looked at")
+        };
+        let look = state.look(&self.settings.matching, &levels, wall);
+        if look.agrees {
+            self.agreed_s = time_s;
+        }
+        let shown = (0..shares.len()).filter(|&i| self.observation.shows(i)).count().max(1) as f64;
+        let masked_share = 1.0 - f64::from(shares.iter().sum::<f32>()) / shown;
+        self.answer(look, masked_share, time_s)
+    }
+
+    /// The pose (world from camera) of the scope in the breath hold of the first CT, by a picture alone, from `start`, which
+    /// is off by about `deviation` (rad and mm, each about or along one axis).
+    pub fn find_pose(&mut self, image: &Image<u8>, start: DAffine3, deviation: [f64; 2]) -> DAffine3 {
+        let period_s = self.observation.breathing_period_s;
+        let mut state = NavigationState::new(self.settings, start, 0.0, period_s);
+        let wall = NearWall::around(self.mesh(), start.translation, *self.settings.visibility.range_mm);
+        let shares = wall_shares(image, self.observation.mask.as_ref());
+        let levels = picture_levels(&self.settings.matching, &self.observation.camera, image, &shares);
+        state.find_pose(&self.settings.matching, &levels, &wall, deviation);
+        state.camera_from_world.inverse()
+    }
+
+    fn answer(&self, look: LookOutcome, masked_share: f64, time_s: f64) -> Navigated {
+        let Some(state) = &self.state else { unreachable!("an answer follows a frame") };
+        let factor = *self.settings.deviation_factor;
+        let phase = state.mean[PHASE_AT];
+        let phase_deviation = factor * state.covariance[(PHASE_AT, PHASE_AT)].max(1e-12).sqrt();
+        let targets_mm = self.targets.at_phase(self.observation, phase);
+        let covariance_mm2: Vec<DMat3> =
+            (0..targets_mm.len()).map(|k| self.covariance_mm2(state, targets_mm[k], self.travel_mm[k])).collect();
+        let bars: f64 = covariance_mm2.iter().map(|c| (c.x_axis.x + c.y_axis.y + c.z_axis.z).sqrt()).sum();
+        let bar_mm = bars / covariance_mm2.len().max(1) as f64;
+        let track_state = if bar_mm > LOST_MM || time_s - self.agreed_s > LOST_S {
+            TrackState::Lost
+        } else if bar_mm > UNSURE_MM || !look.agrees {
+            TrackState::Unsure
+        } else {
+            TrackState::Tracking
+        };
+        Navigated {
+            state: track_state,
+            world_from_camera: state.camera_from_world.inverse(),
+            phase: [phase, phase_deviation],
+            targets_mm,
+            covariance_mm2,
+            masked_share,
+        }
+    }
+
+    /// Covariance in camera axes of a target at `place_mm` (world) that breathes by `travel_mm`. With `Y` its place in the
+    /// camera's axes, `dY = omega x Y + tau + R d dp + e`; `e` is what the field between scope and target is off by.
+    fn covariance_mm2(&self, state: &NavigationState, place_mm: DVec3, travel_mm: DVec3) -> DMat3 {
+        let seen = state.camera_from_world.transform_point3(place_mm);
+        let along = state.camera_from_world.transform_vector3(travel_mm);
+        let block = |row: usize, column: usize| {
+            DMat3::from_cols_array(&std::array::from_fn(|i| state.covariance[(row + i % 3, column + i / 3)]))
+        };
+        let (turn, both, shift) = (block(0, 0), block(0, 3), block(3, 3));
+        let by_turn = -cross(seen);
+        let mut sum = by_turn * turn * by_turn.transpose() + shift;
+        let mixed = by_turn * both;
+        sum += mixed + mixed.transpose();
+        // The phase, with the pose and alone.
+        let column = |first: usize| {
+            DVec3::new(
+                state.covariance[(first, PHASE_AT)],
+                state.covariance[(first + 1, PHASE_AT)],
+                state.covariance[(first + 2, PHASE_AT)],
+            )
+        };
+        let with_phase = by_turn * column(0) + column(3);
+        let outer = |a: DVec3, b: DVec3| DMat3::from_cols(a * b.x, a * b.y, a * b.z);
+        sum += outer(with_phase, along) + outer(along, with_phase);
+        let (phase, variance) = (state.mean[PHASE_AT], state.covariance[(PHASE_AT, PHASE_AT)]);
+        sum += outer(along, along) * variance;
+        // The field.
+        let tissue = &self.settings.tissue;
+        let field = tissue.registration_mm.powi(2) * (phase * phase + variance)
+            + (*tissue.loop_mm * state.flow()).powi(2)
+            + tissue.rest_mm.powi(2);
+        let total = (sum + DMat3::from_diagonal(DVec3::splat(field))) * self.settings.deviation_factor.powi(2);
+        (total + total.transpose()) * 0.5
+    }
+}

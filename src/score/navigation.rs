@@ -1,0 +1,117 @@
+//! Errors of navigation: where the targets are in the *camera's* axes, predicted against true, so that errors of the pose
+//! and of the tissue's motion count together. Where a prediction has no poses of its own, those that methods are told
+//! stand in.
+
+use glam::DVec3;
+
+use super::prediction::Prediction;
+use super::registry::metric;
+use super::statistics::mean;
+use super::truth::Truth;
+
+/// A frame whose targets are off by more than this in the mean is lost, mm.
+const LOST_MM: f64 = 5.0;
+/// A lost frame whose own error bar is below this is lost in silence, mm.
+const SILENT_MM: f64 = 2.5;
+
+/// Errors of one frame.
+#[derive(Clone, Debug, Default)]
+pub struct NavigationFrame {
+    /// Predicted minus true place of each target in camera axes, mm.
+    errors_mm: Vec<DVec3>,
+    /// Standard deviations that the prediction states of each place, along the camera's axes, mm; empty without any.
+    deviations_mm: Vec<DVec3>,
+}
+
+/// The errors of each frame; empty for a prediction without targets.
+pub fn navigation_errors(truth: &dyn Truth, prediction: &Prediction) -> Vec<NavigationFrame> {
+    let Some(places) = prediction.targets() else { return Vec::new() };
+    let told = truth.told_poses();
+    let frame = |(index, record): (usize, &crate::simulate::sequence::FrameRecord)| {
+        let own = prediction.poses().map_or(told[index], |poses| poses[index]).inverse();
+        let (seen, count) = (record.world_from_camera.inverse(), truth.targets().len());
+        let error = |(target, place): (usize, &DVec3)| {
+            own.transform_point3(*place) - seen.transform_point3(truth.target_mm(target, index))
+        };
+        let stated = prediction.target_covariance_mm2().map_or_else(Vec::new, |all| {
+            all[index].iter().map(|c| DVec3::new(c.x_axis.x, c.y_axis.y, c.z_axis.z).map(f64::sqrt)).collect()
+        });
+        let errors_mm = places[index].iter().take(count).enumerate().map(error).collect();
+        NavigationFrame { errors_mm, deviations_mm: stated }
+    };
+    truth.frames().iter().enumerate().map(frame).collect()
+}
+
+impl NavigationFrame {
+    /// Distance of each target from its true place in camera axes, mm.
+    pub fn distances_mm(&self) -> Vec<f64> {
+        self.errors_mm.iter().map(|e| e.length()).collect()
+    }
+
+    /// The frame's value of the metric `id`; `None` for a metric that is not of navigation, and where the prediction
+    /// states no error bar that it needs.
+    pub fn value(&self, id: &str) -> Option<f64> {
+        let error_mm = mean(&self.distances_mm())?;
+        let is_lost = error_mm > LOST_MM;
+        let percent = |holds: bool| if holds { 100.0 } else { 0.0 };
+        match id {
+            "navigation_error_mm" => Some(error_mm),
+            "lost_pct" => Some(percent(is_lost)),
+            "silent_pct" => self.bar_mm().map(|bar_mm| percent(is_lost && bar_mm < SILENT_MM)),
+            "navigation_coverage_1sd_pct" => self.coverage(1.0),
+            "navigation_coverage_2sd_pct" => self.coverage(2.0),
+            "navigation_sd_mm" => self.bar_mm(),
+            _ => None,
+        }
+    }
+
+    /// The error bar: square root of the covariance's trace, mean over targets, mm.
+    fn bar_mm(&self) -> Option<f64> {
+        mean(&self.deviations_mm.iter().map(|d| d.length()).collect::<Vec<_>>())
+    }
+
+    /// Percentage of the targets' coordinates in camera axes that are off by at most so many standard deviations.
+    fn coverage(&self, deviations: f64) -> Option<f64> {
+        let pairs = self.errors_mm.iter().zip(&self.deviations_mm);
+        let within = pairs.flat_map(|(error, deviation)| {
+            let (error, most) = (error.abs().to_array(), (*deviation * deviations).to_array());
+            (0..3).map(move |k| if error[k] <= most[k] { 100.0 } else { 0.0 })
+        });
+        mean(&within.collect::<Vec<_>>())
+    }
+}
+
+/// The values of one frame, by metric; none where there are no targets.
+pub fn frame_values(frame: &NavigationFrame) -> impl Iterator<Item = (&'static str, f64)> {
+    let ids = super::registry::registry().iter().map(|m| m.id);
+    ids.filter_map(|id| Some((id, frame.value(id)?)))
+}
+
+/// Whether `id` is a metric of navigation that is a mean over frames.
+pub fn is_frame_wise(id: &str) -> bool {
+    metric(id).is_some()
+        && (id.starts_with("navigation_") || id == "lost_pct" || id == "silent_pct")
+        && !id.contains("p95")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_is_lost_in_silence_only_if_its_error_bar_is_small() {
+        let frame = |error: f64, bar: f64| NavigationFrame {
+            errors_mm: vec![DVec3::X * error; 2],
+            deviations_mm: if bar > 0.0 { vec![DVec3::splat(bar / 3f64.sqrt()); 2] } else { Vec::new() },
+        };
+        let values = |error, bar| ["lost_pct", "silent_pct"].map(|id| frame(error, bar).value(id));
+        assert_eq!(values(4.9, 1.0), [Some(0.0), Some(0.0)]);
+        assert_eq!(values(5.1, 1.0), [Some(100.0), Some(100.0)]);
+        assert_eq!(values(5.1, 2.6), [Some(100.0), Some(0.0)]);
+        assert_eq!(["silent_pct", "navigation_coverage_2sd_pct"].map(|id| frame(4.9, 0.0).value(id)), [None, None]);
+        // Of three coordinates, two are exact and one is off by 3 deviations.
+        let covered = frame(3.0, 3f64.sqrt()).value("navigation_coverage_2sd_pct").unwrap();
+        assert!((covered - 200.0 / 3.0).abs() < 1e-9, "{covered}");
+        assert_eq!(NavigationFrame::default().value("navigation_error_mm"), None);
+    }
+}
