@@ -1,6 +1,6 @@
 //! Registers two breath holds with elastix, a program of its own: what moves where between inspiration and expiration.
 //!
-//! Both scans go in coarser, cropped to the lungs, as local contrast ([`super::local_contrast`]), and with a mask: lungs
+//! Both scans go in coarser, cropped to the lungs, as local contrast (`local_contrast.rs`), and with a mask: lungs
 //! and airway, so that the ribs, which do not move with the lung, pull at nothing. Affine, then B-spline (Klein et al.,
 //! IEEE Trans Med Imaging 29:196, 2010; lungs after Staring et al. at EMPIRE10). Parameters are files beside this one, and are kept with the case.
 

@@ -57,26 +57,29 @@ __attribute__((destructor)) static void report(void) {
   fclose(out);
 }
 
-#define OPEN(name)                             \
-  int name(const char* path, int flags, ...) { \
-    va_list rest;                              \
-    va_start(rest, flags);                     \
-    const mode_t mode = va_arg(rest, mode_t);  \
-    va_end(rest);                              \
-    if (is_below(path) && fails()) return -1;  \
-    return NEXT(name)(path, flags, mode);      \
+// Whether a call that opens has a file or is to make one: what is not there cannot fail to be read.
+static int has_file(const char* path, int flags) { return (flags & O_CREAT) != 0 || access(path, F_OK) == 0; }
+
+#define OPEN(name)                                                     \
+  int name(const char* path, int flags, ...) {                         \
+    va_list rest;                                                      \
+    va_start(rest, flags);                                             \
+    const mode_t mode = va_arg(rest, mode_t);                          \
+    va_end(rest);                                                      \
+    if (is_below(path) && has_file(path, flags) && fails()) return -1; \
+    return NEXT(name)(path, flags, mode);                              \
   }
 OPEN(open)
 OPEN(open64)
 
-#define OPENAT(name)                                       \
-  int name(int folder, const char* path, int flags, ...) { \
-    va_list rest;                                          \
-    va_start(rest, flags);                                 \
-    const mode_t mode = va_arg(rest, mode_t);              \
-    va_end(rest);                                          \
-    if (is_below(path) && fails()) return -1;              \
-    return NEXT(name)(folder, path, flags, mode);          \
+#define OPENAT(name)                                                   \
+  int name(int folder, const char* path, int flags, ...) {             \
+    va_list rest;                                                      \
+    va_start(rest, flags);                                             \
+    const mode_t mode = va_arg(rest, mode_t);                          \
+    va_end(rest);                                                      \
+    if (is_below(path) && has_file(path, flags) && fails()) return -1; \
+    return NEXT(name)(folder, path, flags, mode);                      \
   }
 OPENAT(openat)
 OPENAT(openat64)
