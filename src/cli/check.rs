@@ -30,6 +30,7 @@ pub struct CheckArguments {
 
 /// Reads every file; says what is there, or fails with the first thing that is wrong.
 pub fn run(arguments: CheckArguments, terminal: &Terminal) -> Result<()> {
+    terminal.stage("reading every file");
     let Some(sequence) = &arguments.sequence else {
         let (what, frames) = if Participant::is_at(&arguments.folder) {
             ("participant's folder", Participant::open(&arguments.folder)?.check()?)

@@ -31,6 +31,7 @@ pub struct CompareArguments {
 
 /// Prints one line per method and metric.
 pub fn run(arguments: CompareArguments, terminal: &Terminal) -> Result<()> {
+    terminal.stage("reading the runs");
     let (a, b) = (read::read(&arguments.a)?, read::read(&arguments.b)?);
     a.check_track(&b).map_err(|e| e.at(&arguments.b))?;
     let mut found = compare(&a, &b);

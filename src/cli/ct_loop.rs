@@ -17,8 +17,8 @@ use crate::report::tables::write_csv;
 /// Arguments of `ct-loop`.
 #[derive(Args)]
 #[command(
-    after_help = "Needs elastix (scripts/setup.sh --ct); minutes a case. A case whose result is there is not measured \
-    again. DIR/PROTOCOL/CASE holds the imported airway in both states (inspiration.ply, expiration.ply).\n\
+    after_help = "Needs elastix (scripts/setup.sh --ct); minutes a case. A case whose result is there, from the same files \
+    and program, is not measured again. DIR/PROTOCOL/CASE holds the imported airway in both states (inspiration.ply, expiration.ply).\n\
     Examples:\n  respire-bench ct-loop case1 --protocol thin --out /tmp/ct-loop\n  respire-bench ct-loop --masks \
     one.nii.gz another.nii.gz --out /tmp/masks"
 )]

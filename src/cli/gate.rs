@@ -57,6 +57,7 @@ pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
         Some(file) => file,
         None => arguments.catalogue.open()?.gate_file(),
     };
+    terminal.stage("reading the results");
     let mut thresholds = read_thresholds(&limits)?;
     let results = read::read(folder)?;
     let baseline = chosen(&results, &arguments.baseline)?;

@@ -57,6 +57,7 @@ pub fn run(arguments: &MeshArguments, terminal: &Terminal) -> Result<()> {
     let title = format!("{} with the motion of {}", name_of(&arguments.mesh), arguments.motion.name()?);
     let anatomy = AnatomySource::Mesh { path: wanted.file(AIRWAY), centerline: Some(wanted.file(CENTERLINE)) };
     let mut case = wanted.case(title, anatomy, Some(still_breathing()))?;
+    terminal.stage(format_args!("{}: surface and centreline", wanted.id));
     let mesh = meaning.read_surface(&arguments.mesh)?;
     // The motion is read before the long work, so that a wrong file is reported at once.
     let motion = arguments.motion.read()?;
@@ -81,6 +82,7 @@ pub fn run_pair(arguments: &PairArguments, terminal: &Terminal) -> Result<()> {
         centerline: Some(wanted.file(CENTERLINE)),
     };
     let case = wanted.case(title, anatomy, None)?;
+    terminal.stage(format_args!("{}: surfaces and centreline", wanted.id));
     let rest = meaning.read_surface(&arguments.inspiration)?;
     let other = meaning.read_surface(&arguments.expiration)?;
     meaning.check_pair(&rest, &other).map_err(|e| e.at(&arguments.expiration))?;

@@ -40,6 +40,7 @@ pub struct TreeArguments {
 pub fn run(arguments: &TreeArguments, terminal: &Terminal) -> Result<()> {
     let meaning = arguments.file.meaning();
     let input = &arguments.input;
+    terminal.stage("centreline and tree");
     let tree = if input.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
         from_table(input, &meaning, &arguments.source)?
     } else {

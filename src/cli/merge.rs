@@ -35,6 +35,7 @@ pub struct MergeArguments {
 
 /// Reads, merges, writes, and prints the table.
 pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
+    terminal.stage("reading the runs");
     let parts = arguments.runs.iter().map(|folder| read_run(folder)).collect::<Result<Vec<Run>>>()?;
     if let Some(folder) = arguments.runs.iter().find(|folder| same_folder(folder, &arguments.out)) {
         return Err(Error::usage(format!("--out is one of the runs: {}", folder.display())));

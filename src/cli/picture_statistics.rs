@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Terminal;
-use crate::base::{Result, files};
+use crate::base::{Progress, Result, files};
 use crate::experiments::picture_statistics::{PictureSet, columns, markdown, records};
 use crate::report::tables::write_csv;
 
@@ -31,7 +31,9 @@ pub struct PictureStatisticsArguments {
 /// Reads, prints, and writes where asked.
 pub fn run(arguments: PictureStatisticsArguments, terminal: &Terminal) -> Result<()> {
     let mut sets = Vec::new();
-    for folder in &arguments.folders {
+    terminal.stage("reading pictures");
+    for (number, folder) in arguments.folders.iter().enumerate() {
+        terminal.advance(number, arguments.folders.len());
         sets.push(PictureSet::read(folder, arguments.masked)?);
     }
     // Films keep their pictures in a folder of one name: the folder above says whose they are.

@@ -81,6 +81,7 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
     }
     let (wishes, rows) = (arguments.selection.case_wishes()?, arguments.selection.row_words());
     let everything = [vec!["--cases".to_owned(), wishes.join(",")], rows.clone()].concat();
+    terminal.stage("looking for what is finished");
     let pipeline = arguments.selection.pipeline(track)?;
     let plan = pipeline.plan()?;
     let store = Store::look(&arguments.cache);

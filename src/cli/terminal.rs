@@ -13,6 +13,9 @@ use crate::base::{Error, ErrorKind, Estimate, Progress, Result};
 /// Least time between two progress lines of a stage when there is no terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
+/// How often the seconds of a stage that counts nothing are drawn.
+const TICK: Duration = Duration::from_secs(1);
+
 /// Whether large work begins without a question.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Consent {
@@ -34,6 +37,8 @@ pub struct Terminal {
 struct TerminalState {
     label: String,
     bar: Option<ProgressBar>,
+    /// Whether the bar counts; until then it shows the stage and its seconds.
+    counts: bool,
     last_line: Option<Instant>,
     output_closed: bool,
 }
@@ -70,7 +75,8 @@ impl Terminal {
         self.consent = Consent::Given;
     }
 
-    /// Starts a stage: what `advance` counts from now on, for instance `case1: filming`.
+    /// Starts a stage: what `advance` counts from now on, for instance `case1: filming`. Where a person watches, the
+    /// stage and its seconds show until there is something to count.
     pub fn stage(&self, label: impl Display) {
         let mut state = self.state();
         if let Some(bar) = state.bar.take() {
@@ -78,6 +84,12 @@ impl Terminal {
         }
         state.label = label.to_string();
         state.last_line = None;
+        state.counts = false;
+        if self.watched && !state.label.is_empty() {
+            let bar = styled("{msg} {elapsed}", &state.label);
+            bar.enable_steady_tick(TICK);
+            state.bar = Some(bar);
+        }
     }
 
     /// One line on standard output. A reader that has gone away (`| head -1`) is no error: the rest is dropped.
@@ -111,8 +123,7 @@ impl Terminal {
     }
 }
 
-fn bar_of(label: &str) -> ProgressBar {
-    let template = "{msg:40!} {wide_bar} {pos}/{len} {elapsed} (eta {eta})";
+fn styled(template: &str, label: &str) -> ProgressBar {
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     ProgressBar::no_length().with_style(style).with_message(label.to_owned())
 }
@@ -121,8 +132,13 @@ impl Progress for Terminal {
     fn advance(&self, done: usize, total: usize) {
         let mut state = self.state();
         if self.watched {
-            let TerminalState { label, bar, .. } = &mut *state;
-            let bar = bar.get_or_insert_with(|| bar_of(label));
+            if !std::mem::replace(&mut state.counts, true) {
+                if let Some(waiting) = state.bar.take() {
+                    waiting.finish_and_clear();
+                }
+                state.bar = Some(styled("{msg:40!} {wide_bar} {pos}/{len} {elapsed} (eta {eta})", &state.label));
+            }
+            let Some(bar) = &state.bar else { return };
             bar.set_length(total as u64);
             bar.set_position(done as u64);
             return;

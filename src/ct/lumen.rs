@@ -45,7 +45,7 @@ const REMESHING_ROUNDS: usize = 5;
 const POLISHING_ROUNDS: usize = 4;
 
 /// Share, median, 95th percentile and greatest of some distances in mm.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DistanceSpread {
     /// Half of the distances are at most this.
     pub median_mm: f64,

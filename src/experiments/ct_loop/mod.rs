@@ -27,7 +27,7 @@ use crate::airway::case_build::mended_pair;
 use crate::airway::centerline::CenterlineSettings;
 use crate::airway::centerline_extract::extract;
 use crate::airway::remesh::remesh;
-use crate::base::{Error, ErrorKind, Progress, Result, TriangleMesh, Volume, files};
+use crate::base::{Error, ErrorKind, Progress, Result, TriangleMesh, Volume, files, hash, revision};
 use crate::ct::lumen::{DistanceSpread, LumenSurface};
 use crate::ct::motion_field::carried;
 use crate::ct::scan::read_checked;
@@ -43,6 +43,8 @@ const SMALL_EDGE: (f64, f64, f64) = (0.6, 1.3, 3.2);
 const SMALL_ROUNDS: usize = 4;
 /// The result of one case.
 const RESULT: &str = "ct-loop.json";
+/// How the name of the folder of its scans begins; digits of its key follow.
+const SCANS_FOLDER: &str = "scans-";
 
 /// What is done, besides measuring.
 pub struct LoopSettings {
@@ -68,25 +70,49 @@ fn small_pair(surface: &LumenSurface, field: &Volume<[f32; 3]>) -> Result<[Trian
     Ok([rest, expiration])
 }
 
-/// Scans, imports and compares one case; a result that is there already is read. Works in `OUT/PROTOCOL/CASE`.
+/// What a result depends on: the case with all its files, the protocol, and the code that scans, imports and compares.
+fn key_of(case: &Case, protocol: ScanProtocol) -> Result<String> {
+    let code = revision::of_rooms(&["outside", "base", "formats", "airway", "ct", "experiments"]);
+    hash::of_value(&("ct-loop", case.hash()?, protocol.name(), code))
+}
+
+/// The result that is there, where it has that key.
+fn kept(result: &Path, key: &str) -> Result<Option<LoopResult>> {
+    if !result.exists() {
+        return Ok(None);
+    }
+    let found: LoopResult = files::read_json(result)?;
+    Ok((found.key == key).then_some(found))
+}
+
+/// Scans, imports and compares one case. A result that is there already is read where it was made from the same case,
+/// protocol and code; so are scans. Works in `OUT/PROTOCOL/CASE`.
 ///
 /// Errors: what the import says of the scans; elastix missing.
 pub fn measure(case: &Case, settings: &LoopSettings, progress: &dyn Progress) -> Result<LoopResult> {
     let folder = settings.out.join(settings.protocol.name()).join(&case.id);
-    let result = folder.join(RESULT);
-    if result.exists() {
-        let text = files::read_text(&result)?;
-        return serde_json::from_str(&text).map_err(|e| Error::input(format!("is no result: {e}")).at(&result));
+    let (result, key) = (folder.join(RESULT), key_of(case, settings.protocol)?);
+    if let Some(found) = kept(&result, &key)? {
+        return Ok(found);
     }
-    let scans = folder.join("scans");
+    let leave = |folder: &Path| std::fs::remove_dir_all(folder).map_err(|e| Error::io("removing", folder, e));
+    // The key stands in the name, so that a run that was stopped goes on with its own scans and no others.
+    let scans = folder.join(format!("{SCANS_FOLDER}{}", &key[..12]));
+    if folder.is_dir() {
+        for other in files::folders_in(&folder)?.iter().filter(|other| **other != scans) {
+            let name = other.file_name().unwrap_or_default().to_string_lossy();
+            if name.starts_with(SCANS_FOLDER) {
+                leave(other)?;
+            }
+        }
+    }
     if !scans.join(RECORD).exists() {
         write_pair(&SimulatedChest::new(case)?, settings.protocol, scans.clone(), progress)?;
     }
     let work = folder.join("work");
-    let found = imported(case, settings.protocol, &scans, &work, &folder, progress)?;
-    let text = serde_json::to_string_pretty(&found).map_err(|e| Error::input(format!("cannot be written: {e}")))?;
-    files::write_bytes(&result, text.as_bytes())?;
-    let leave = |folder: &Path| std::fs::remove_dir_all(folder).map_err(|e| Error::io("removing", folder, e));
+    let mut found = imported(case, settings.protocol, &scans, &work, &folder, progress)?;
+    found.key = key;
+    files::write_json(&result, &found)?;
     leave(&work)?;
     if !settings.keep_scans {
         leave(&scans)?;
@@ -141,6 +167,7 @@ fn imported(
     let to: Vec<DVec3> = forks.iter().map(|f| f.expiration_mm).collect();
     let tissue = misses(&from, &to);
     Ok(LoopResult {
+        key: String::new(),
         case_id: case.id.clone(),
         protocol: protocol.name().to_owned(),
         ways: vec![given, grown],
@@ -151,4 +178,30 @@ fn imported(
         folded: pair.change.folded,
         voxels: pair.change.voxels,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::shipped::ROOT;
+
+    #[test]
+    fn a_result_of_another_case_or_protocol_is_not_taken() {
+        let case = Case::load(&Path::new(ROOT).join("case1.toml")).unwrap();
+        let key = |case: &Case, protocol| key_of(case, protocol).unwrap();
+        let mut edited = case.clone();
+        edited.seed += 1;
+        let thin = key(&case, ScanProtocol::Thin);
+        assert!(thin != key(&edited, ScanProtocol::Thin) && thin != key(&case, ScanProtocol::Thick));
+
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join(RESULT);
+        assert_eq!(kept(&file, &thin).unwrap(), None);
+        let found = LoopResult { key: thin.clone(), case_id: "case1".into(), ..LoopResult::default() };
+        files::write_json(&file, &found).unwrap();
+        assert_eq!(kept(&file, &thin).unwrap(), Some(found));
+        assert_eq!(kept(&file, &key(&edited, ScanProtocol::Thin)).unwrap(), None);
+        files::write_bytes(&file, b"{").unwrap();
+        assert_eq!(kept(&file, &thin).unwrap_err().kind(), ErrorKind::InputOutput);
+    }
 }

@@ -71,8 +71,11 @@ impl WayResult {
 }
 
 /// One case under one protocol.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LoopResult {
+    /// Hash of the case, the protocol and the code; empty in files of earlier versions.
+    #[serde(default)]
+    pub key: String,
     /// Case.
     pub case_id: String,
     /// Protocol, by name.
