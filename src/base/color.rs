@@ -1,5 +1,9 @@
 //! Colour: linear RGB inside, 8-bit sRGB at the edge (IEC 61966-2-1).
 
+/// Exponent of the power law `linear^(1 / 2.2)`, in which pictures are compared: it is close to sRGB, and a gain is a gain
+/// in it however dark a place is.
+pub const POWER_LAW: f32 = 2.2;
+
 /// sRGB transfer curve: linear value in [0, 1] to encoded value in [0, 1]; clamps, and maps NaN to 0.
 pub fn srgb_from_linear(linear: f32) -> f32 {
     let v = if linear > 0.0 { linear.min(1.0) } else { 0.0 };

@@ -13,21 +13,17 @@
 //! to an edge of a nearer wall, that wall's motion counts, since the edge moves with it. Left out: the turn of normals by
 //! breathing, shadows, light between walls beyond its constant share `k`.
 
-use glam::{DVec2, DVec3, Vec3};
+use glam::{DVec2, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::breathing::BreathingMesh;
 use super::mesh_depth::{PixelRays, nearest_faces, unhidden};
 use super::rigid::POSE;
+use super::virtual_view::{INDIRECT, NEAREST_MM, light_of_wall};
 use crate::base::Camera;
+use crate::base::color::POWER_LAW;
 use crate::splat::View;
 
-/// Exponent of the power law.
-const GAMMA: f32 = 2.2;
-/// Light that does not depend on the incidence, as a share of that which does.
-const INDIRECT: f32 = 0.3;
-/// Distance in mm below which a wall gets no brighter.
-const NEAREST_MM: f32 = 1.0;
 /// A neighbouring pixel whose wall is nearer than this share of a pixel's depth is an edge that moves over it.
 const EDGE: f32 = 0.8;
 /// Step of the forward difference of a projection, mm.
@@ -161,8 +157,8 @@ pub fn lit_picture(wall: &NearWall, lit: &LitView, with_slopes: bool) -> LitPict
             let normal = (b - a).cross(c - a).normalize_or_zero();
             let motion = corners.map(|v| Vec3::from(wall.displacement[v as usize])).into_iter().sum::<Vec3>() / 3.0;
             let (cosine, distance) = incidence(place - lamp, normal);
-            let light = (cosine + INDIRECT) / (1.0 + INDIRECT) / (distance * distance);
-            Seen { place, normal, motion: from.transform_vector3(motion), brightness: light.powf(1.0 / GAMMA) }
+            let brightness = light_of_wall(cosine, distance).powf(1.0 / POWER_LAW);
+            Seen { place, normal, motion: from.transform_vector3(motion), brightness }
         })
         .collect();
     let shown: Vec<f32> = seen.iter().map(|s| s.brightness).collect();
@@ -183,7 +179,7 @@ pub fn lit_picture(wall: &NearWall, lit: &LitView, with_slopes: bool) -> LitPict
             if x == 0 || y == 0 || x + 1 == width || y + 1 == height {
                 continue;
             }
-            let slope = Vec3::new(shown[at + 1] - shown[at - 1], shown[at + width] - shown[at - width], 0.0) * 0.5;
+            let slope = Vec2::new(shown[at + 1] - shown[at - 1], shown[at + width] - shown[at - width]) * 0.5;
             // The nearest wall of the neighbourhood, if it is an edge before this pixel's.
             let mut mover = at;
             let [above, below] = [at - width, at + width];
@@ -193,7 +189,7 @@ pub fn lit_picture(wall: &NearWall, lit: &LitView, with_slopes: bool) -> LitPict
                     mover = other;
                 }
             }
-            *out = slopes_at(&seen[at], &seen[mover], (slope.x, slope.y), &view.camera, lamp);
+            *out = slopes_at(&seen[at], &seen[mover], slope, &view.camera, lamp);
         }
     });
     picture.slopes = (0..PICTURE).map(|k| smoothed(&rows.iter().map(|r| r[k]).collect::<Vec<_>>(), width)).collect();
@@ -207,17 +203,14 @@ fn incidence(from_lamp: Vec3, normal: Vec3) -> (f32, f32) {
 }
 
 /// The derivatives at one pixel that shows `own`; edges move with `mover`. `slope` is the picture's, per pixel.
-fn slopes_at(own: &Seen, mover: &Seen, slope: (f32, f32), camera: &Camera, lamp: Vec3) -> [f32; PICTURE] {
+fn slopes_at(own: &Seen, mover: &Seen, slope: Vec2, camera: &Camera, lamp: Vec3) -> [f32; PICTURE] {
     let mut out = [0.0; PICTURE];
     // The motion over the image.
     let anchor = if mover.place.z > 0.0 { mover } else { own };
     if anchor.place.z > 0.0
         && let Some(jacobian) = projection(camera, anchor.place.as_dvec3())
     {
-        let along = |by: Vec3| {
-            let pixels = jacobian[0] * by.x + jacobian[1] * by.y + jacobian[2] * by.z;
-            slope.0 * pixels.0[0] + slope.1 * pixels.0[1]
-        };
+        let along = |by: Vec3| slope.dot(jacobian[0] * by.x + jacobian[1] * by.y + jacobian[2] * by.z);
         for (k, axis) in Vec3::AXES.into_iter().enumerate() {
             out[k] -= along(axis.cross(anchor.place));
             out[3 + k] -= along(axis);
@@ -225,9 +218,9 @@ fn slopes_at(own: &Seen, mover: &Seen, slope: (f32, f32), camera: &Camera, lamp:
         out[PHASE] -= along(anchor.motion);
         let pixel = camera.project(anchor.place.as_dvec3()).unwrap_or(DVec2::new(camera.cx, camera.cy));
         let width = camera.width as f32;
-        out[LENS] -= slope.0 * width;
-        out[LENS + 1] -= slope.1 * width;
-        out[LENS + 2] -= slope.0 * (pixel.x - camera.cx) as f32 + slope.1 * (pixel.y - camera.cy) as f32;
+        out[LENS] -= slope.x * width;
+        out[LENS + 1] -= slope.y * width;
+        out[LENS + 2] -= slope.dot((pixel - DVec2::new(camera.cx, camera.cy)).as_vec2());
     }
     // The change of shade.
     if own.brightness > 0.0 {
@@ -237,7 +230,7 @@ fn slopes_at(own: &Seen, mover: &Seen, slope: (f32, f32), camera: &Camera, lamp:
         let shade = |moved: Vec3, turned: Vec3| {
             let stretch = if from_lamp.length() > NEAREST_MM { from_lamp.dot(moved) / distance } else { 0.0 };
             let tilt = sign * (turned.dot(from_lamp) + own.normal.dot(moved)) / distance - cosine * stretch / distance;
-            own.brightness / GAMMA * (tilt / (cosine + INDIRECT) - 2.0 * stretch / distance)
+            own.brightness / POWER_LAW * (tilt / (cosine + INDIRECT) - 2.0 * stretch / distance)
         };
         for (k, axis) in Vec3::AXES.into_iter().enumerate() {
             out[k] += shade(axis.cross(own.place), axis.cross(own.normal));
@@ -250,36 +243,16 @@ fn slopes_at(own: &Seen, mover: &Seen, slope: (f32, f32), camera: &Camera, lamp:
     out
 }
 
-/// A change of pixel.
-#[derive(Clone, Copy)]
-struct PixelChange([f32; 2]);
-
-impl std::ops::Mul<f32> for PixelChange {
-    type Output = PixelChange;
-    fn mul(self, by: f32) -> PixelChange {
-        PixelChange(self.0.map(|v| v * by))
-    }
-}
-
-impl std::ops::Add for PixelChange {
-    type Output = PixelChange;
-    fn add(self, other: PixelChange) -> PixelChange {
-        PixelChange([self.0[0] + other.0[0], self.0[1] + other.0[1]])
-    }
-}
-
 /// Derivatives of the pixel of `place` by its three coordinates, 1 / mm.
-fn projection(camera: &Camera, place: DVec3) -> Option<[PixelChange; 3]> {
+fn projection(camera: &Camera, place: DVec3) -> Option<[Vec2; 3]> {
     if camera.fisheye.is_none() {
         let (x, y, z) = (place.x / place.z, place.y / place.z, place.z);
         let [fx, fy] = [camera.fl_x / z, camera.fl_y / z];
-        let columns = [[fx, 0.0], [0.0, fy], [-fx * x, -fy * y]];
-        return Some(columns.map(|c| PixelChange(c.map(|v| v as f32))));
+        return Some([DVec2::new(fx, 0.0), DVec2::new(0.0, fy), DVec2::new(-fx * x, -fy * y)].map(|d| d.as_vec2()));
     }
     let pixel = camera.project(place)?;
     let change = |by: DVec3| Some((camera.project(place + WIDTH_MM * by)? - pixel) / WIDTH_MM);
-    let [a, b, c] = [change(DVec3::X)?, change(DVec3::Y)?, change(DVec3::Z)?];
-    Some([a, b, c].map(|d| PixelChange([d.x as f32, d.y as f32])))
+    Some([change(DVec3::X)?, change(DVec3::Y)?, change(DVec3::Z)?].map(|d: DVec2| d.as_vec2()))
 }
 
 /// The faces that look at the camera and may lie in its picture, ascending.

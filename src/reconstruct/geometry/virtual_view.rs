@@ -17,12 +17,18 @@ use crate::splat::View;
 /// Linear colour of the wall: mucosa.
 const WALL: [f32; 3] = [1.0, 0.42, 0.36];
 /// Light that does not depend on the incidence, as a share of that which does.
-const INDIRECT: f32 = 0.3;
+pub(super) const INDIRECT: f32 = 0.3;
 /// Distance in mm below which a wall gets no brighter.
-const NEAREST_MM: f32 = 1.0;
+pub(super) const NEAREST_MM: f32 = 1.0;
 /// Mean encoded brightness that the exposure aims for, and the doublings and halvings of the gain that look for it.
 const BRIGHTNESS: f32 = 0.42;
 const GAIN_STEPS: usize = 24;
+
+/// Linear light, without exposure, of a wall that a lamp `distance` mm away lights at this cosine of incidence `c`:
+/// `(c + k) / (1 + k) / d^2`.
+pub(super) fn light_of_wall(cosine: f32, distance: f32) -> f32 {
+    (cosine + INDIRECT) / (1.0 + INDIRECT) / (distance * distance)
+}
 
 /// Colour (encoded, 0..1) and z-depth (mm, 0 where there is no wall) of a virtual view.
 #[derive(Clone, Debug)]
@@ -86,7 +92,7 @@ impl VirtualCamera {
             let normal = (b - a).cross(c - a).normalize_or_zero();
             let distance = (depth * ray.length()).max(NEAREST_MM);
             let cosine = normal.dot(ray.normalize_or_zero()).abs();
-            (cosine + INDIRECT) / (1.0 + INDIRECT) / (distance * distance)
+            light_of_wall(cosine, distance)
         };
         let light: Vec<f32> = nearest.iter().zip(self.rays.rays()).map(radiance).collect();
         let gain = exposure(&light);

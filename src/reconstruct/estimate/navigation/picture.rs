@@ -10,7 +10,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::base::color::linear_from_srgb;
+use crate::base::color::{POWER_LAW, linear_from_srgb};
 use crate::base::{Camera, Image};
 use crate::reconstruct::fitting::contrast::summed_around;
 use crate::reconstruct::geometry::lit_wall::{LitPicture, LitView, NearWall, PICTURE, lit_picture, smoothed};
@@ -20,8 +20,6 @@ use crate::splat::View;
 
 /// Added to the local mean, as a share of the picture's mean, so that darkness has little contrast.
 const FLOOR: f32 = 0.15;
-/// Exponent of the power law in which pictures are compared.
-const GAMMA: f32 = 2.2;
 /// Pixels whose masked share is above this do not count.
 const MOST_MASKED: f32 = 0.5;
 /// Smallest robust scale of the residuals, in units of contrast.
@@ -55,7 +53,7 @@ pub struct PictureEquations {
 
 /// Green of an 8-bit picture in the power law, a channel three times: the red of tissue clips first.
 fn green(image: &Image<u8>) -> Image<f32> {
-    let table: Vec<f32> = (0..256).map(|code| linear_from_srgb(code as f32 / 255.0).powf(1.0 / GAMMA)).collect();
+    let table: Vec<f32> = (0..256).map(|code| linear_from_srgb(code as f32 / 255.0).powf(1.0 / POWER_LAW)).collect();
     let data = image.data.chunks_exact(3).map(|pixel| table[pixel[1] as usize]).collect();
     Image { width: image.width, height: image.height, channels: 1, data }
 }

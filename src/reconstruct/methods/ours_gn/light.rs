@@ -10,13 +10,11 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
-use crate::base::color::{linear_from_srgb, srgb_from_linear};
+use crate::base::color::{POWER_LAW, linear_from_srgb, srgb_from_linear};
 use crate::base::{Camera, Image};
 
 use crate::reconstruct::settings::ScopeCalibration;
 
-/// Exponent of the power law.
-const GAMMA: f32 = 2.2;
 /// Entries of the table from the power law to sRGB. The error of interpolating linearly is well below half a code.
 const ENTRIES: usize = 1024;
 /// Pixels per task, at least.
@@ -26,7 +24,7 @@ const DARKEST_SHARE: f64 = 0.02;
 
 /// Lamp, lens and encoding of the scope.
 pub struct Scope {
-    /// Per pixel, `share of the light ^ (1 / GAMMA)`.
+    /// Per pixel, `share of the light ^ (1 / POWER_LAW)`.
     shadow: Vec<f32>,
     decode: Vec<f32>,
     encode: Vec<f32>,
@@ -42,12 +40,12 @@ impl Scope {
             for x in 0..camera.width {
                 let cosine = camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize().z.max(0.0);
                 let share = cosine.powf(exponent) * (1.0 - *light.vignette * (1.0 - cosine.powi(4)));
-                shadow.push(share.max(DARKEST_SHARE).powf(1.0 / GAMMA as f64) as f32);
+                shadow.push(share.max(DARKEST_SHARE).powf(1.0 / POWER_LAW as f64) as f32);
             }
         }
-        let decode = (0..256).map(|code| linear_from_srgb(code as f32 / 255.0).powf(1.0 / GAMMA)).collect();
+        let decode = (0..256).map(|code| linear_from_srgb(code as f32 / 255.0).powf(1.0 / POWER_LAW)).collect();
         let last = (ENTRIES - 1) as f32;
-        let encode = (0..ENTRIES).map(|i| srgb_from_linear((i as f32 / last).powf(GAMMA))).collect();
+        let encode = (0..ENTRIES).map(|i| srgb_from_linear((i as f32 / last).powf(POWER_LAW))).collect();
         Scope { shadow, decode, encode }
     }
 
@@ -107,7 +105,7 @@ mod tests {
         let value = |i: usize| (0.6 * light(i / 3 % 32, i / 96)) as f32;
         let codes = (0..32 * 32 * 3).map(|i| crate::base::color::srgb8_from_linear(value(i))).collect();
         let flat = scope(&camera, 60.0, 0.3).flat(&Image { width: 32, height: 32, channels: 3, data: codes });
-        let wanted = 0.6f32.powf(1.0 / GAMMA);
+        let wanted = 0.6f32.powf(1.0 / POWER_LAW);
         assert!(flat.data.iter().all(|v| (v - wanted).abs() < 0.01));
     }
 }
