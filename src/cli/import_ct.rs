@@ -125,7 +125,7 @@ fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &T
         .map(|(k, scan)| BreathHold { name: names[k], scan, vertices: vertices[k] })
         .collect();
     new.text(PAGE, &import.page(&wanted.id, &anatomy, &holds, Some(&pair.change))?)?;
-    for (name, text) in pair.kept {
+    for (name, text) in &pair.kept {
         new.text(name, text)?;
     }
     let to = arguments.expiration.as_deref().or(arguments.field.as_deref()).map(name_of).unwrap_or_default();

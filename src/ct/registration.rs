@@ -2,7 +2,8 @@
 //!
 //! Both scans go in coarser, cropped to the lungs, as local contrast (`local_contrast.rs`), and with a mask: lungs
 //! and airway, so that the ribs, which do not move with the lung, pull at nothing. Affine, then B-spline (Klein et al.,
-//! IEEE Trans Med Imaging 29:196, 2010; lungs after Staring et al. at EMPIRE10). Parameters are files beside this one, and are kept with the case.
+//! IEEE Trans Med Imaging 29:196, 2010; lungs after Staring et al. at EMPIRE10). Parameters are files beside this one, and
+//! are kept with the case, with the version of the program.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

@@ -54,7 +54,7 @@ pub struct ScanPair {
     /// What was measured.
     pub facts: Facts,
     /// Files to keep with the case: name and text.
-    pub kept: Vec<(&'static str, &'static str)>,
+    pub kept: Vec<(&'static str, String)>,
 }
 
 /// The airway of a mask's file, or grown from `scan`; what is to be said of it goes to `facts`.
@@ -152,7 +152,7 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
         }
         (None, Some(empty)) => {
             let field = register(&full, empty, &workshop.join("there"), progress)?;
-            facts.push(("registration", format!("elastix {}, affine and B-spline", version.unwrap_or_default())));
+            facts.push(("registration", format!("elastix {}, affine and B-spline", version.as_deref().unwrap_or_default())));
             if request.way_back {
                 let back = register(empty, &full, &workshop.join("back"), progress)?;
                 let miss = inverse_consistency(&field, &back, &full.lungs);
@@ -185,7 +185,10 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     }
     scans.push(full.scan);
     scans.extend(empty.map(|input| input.scan));
-    let kept = if request.field.is_none() { PARAMETERS.to_vec() } else { Vec::new() };
+    let stated = |version: &String| {
+        PARAMETERS.map(|(name, text)| (name, format!("// As they were given to elastix {version}.\n{text}"))).to_vec()
+    };
+    let kept = version.as_ref().map(stated).unwrap_or_default();
     Ok(ScanPair { surface, expiration, field, scans, change, facts, kept })
 }
 

@@ -56,7 +56,8 @@ pub struct LoopSettings {
     pub keep_scans: bool,
 }
 
-/// The imported airway with fewer faces, in both states, as a clinical track hands it out.
+/// An imported airway with fewer faces, in both states, as the clinical track hands it out: the grown one, which lacks
+/// what growing did not reach.
 fn small_pair(surface: &LumenSurface, field: &Volume<[f32; 3]>) -> Result<[TriangleMesh; 2]> {
     let lumen = signed_lumen(&surface.mesh)?;
     let line = extract(&surface.mesh, &CenterlineSettings::default())?;
@@ -146,16 +147,19 @@ fn imported(
     let moved = |rest: &TriangleMesh| Ok(mended_pair(rest, carried(&pair.field, &rest.vertices))?.0);
     let given = compared(AirwayWay::Mask, &truth, &pair.surface.mesh, moved(&pair.surface.mesh)?)?;
     let mut facts = Facts::new();
-    let mut grow = || {
+    let mut grow = || -> Result<_> {
         let airway = airway_of(None, None, Some(&scan), &mut facts, progress)?;
         let surface = surface_of(&airway, &mut facts)?;
-        compared(AirwayWay::Grown, &truth, &surface.mesh, moved(&surface.mesh)?)
+        let result = compared(AirwayWay::Grown, &truth, &surface.mesh, moved(&surface.mesh)?)?;
+        Ok((result, surface))
     };
-    let grown = match grow() {
+    let (grown, surface) = match grow() {
         Err(error) if error.kind() == ErrorKind::Interrupted => return Err(error),
-        outcome => outcome.unwrap_or_else(|error| failed(AirwayWay::Grown, &error)),
+        Ok((grown, surface)) => (grown, surface),
+        // A network would have found it: the true mask stands for one.
+        Err(error) => (failed(AirwayWay::Grown, &error), pair.surface),
     };
-    for (name, part) in ["inspiration.ply", "expiration.ply"].iter().zip(small_pair(&pair.surface, &pair.field)?) {
+    for (name, part) in ["inspiration.ply", "expiration.ply"].iter().zip(small_pair(&surface, &pair.field)?) {
         mesh::write_small_ply(&folder.join(name), &part, &["space LPS", "normals point into the lumen"])?;
     }
     let misses = |from: &[DVec3], to: &[DVec3]| -> Vec<f64> {
