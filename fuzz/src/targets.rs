@@ -22,6 +22,8 @@ use respire_bench::bench::claim::Claims;
 use respire_bench::bench::live_poses::LivePoses;
 use respire_bench::bench::store::{MARKER, ProductState, Store};
 use respire_bench::bench::{Ablations, Profile, timing};
+use respire_bench::experiments::ct_loop::result::LoopResult;
+use respire_bench::experiments::ct_loop::tables;
 use respire_bench::formats::transforms::Transforms;
 use respire_bench::formats::{depth_png, exr, gaussians_ply, landmarks, mesh, nifti, npy, png, volume};
 use respire_bench::reconstruct::MethodFile;
@@ -57,6 +59,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "gaussians", run: gaussians },
     Target { name: "landmarks", run: read_landmarks },
     Target { name: "live_poses", run: live_poses },
+    Target { name: "loop_result", run: loop_result },
     Target { name: "lung_box", run: lung_box },
     Target { name: "marker", run: marker },
     Target { name: "merge", run: merged },
@@ -367,6 +370,13 @@ fn read_npy(bytes: &[u8], scratch: &Scratch) {
     if let Some(plane) = answer(npy::plane(array)) {
         assert_shape(&plane);
     }
+}
+
+fn loop_result(bytes: &[u8], scratch: &Scratch) {
+    let Some(result) = answer(LoopResult::read(&scratch.write("ct-loop.json", bytes))) else { return };
+    let results = [result.clone(), result];
+    assert!(tables::records(&results).iter().all(|row| row.len() == tables::COLUMNS.len()));
+    tables::markdown(&results);
 }
 
 fn read_landmarks(bytes: &[u8], _: &Scratch) {

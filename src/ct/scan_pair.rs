@@ -152,7 +152,10 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
         }
         (None, Some(empty)) => {
             let field = register(&full, empty, &workshop.join("there"), progress)?;
-            facts.push(("registration", format!("elastix {}, affine and B-spline", version.as_deref().unwrap_or_default())));
+            facts.push((
+                "registration",
+                format!("elastix {}, affine and B-spline", version.as_deref().unwrap_or_default()),
+            ));
             if request.way_back {
                 let back = register(empty, &full, &workshop.join("back"), progress)?;
                 let miss = inverse_consistency(&field, &back, &full.lungs);

@@ -101,8 +101,8 @@ macro_rules! readers {
 }
 
 readers! {
-    ablations case centerline clinical depth_png dicom environments exr gate gaussians landmarks live_poses lung_box marker
-    merge metaimage method nifti npy obj participant ply png
+    ablations case centerline clinical depth_png dicom environments exr gate gaussians landmarks live_poses loop_result
+    lung_box marker merge metaimage method nifti npy obj participant ply png
     prediction profile results scene scenes score sequence stl timings transforms tree tree_table
 }
 

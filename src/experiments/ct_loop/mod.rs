@@ -82,7 +82,7 @@ fn kept(result: &Path, key: &str) -> Result<Option<LoopResult>> {
     if !result.exists() {
         return Ok(None);
     }
-    let found: LoopResult = files::read_json(result)?;
+    let found = LoopResult::read(result)?;
     Ok((found.key == key).then_some(found))
 }
 

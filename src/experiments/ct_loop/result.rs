@@ -1,7 +1,10 @@
 //! What the way from a case to its scans and back has cost.
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
+use crate::base::{Result, files};
 use crate::ct::lumen::DistanceSpread;
 
 /// Generations that are told apart; the last stands for all beyond.
@@ -66,7 +69,8 @@ pub struct WayResult {
 impl WayResult {
     /// Branches of the true airway, and those that were found.
     pub fn totals(&self) -> (usize, usize) {
-        self.generations.iter().fold((0, 0), |(all, found), row| (all + row.branches, found + row.found))
+        let count = |of: fn(&GenerationLoss) -> usize| self.generations.iter().map(of).fold(0, usize::saturating_add);
+        (count(|row| row.branches), count(|row| row.found))
     }
 }
 
@@ -94,4 +98,13 @@ pub struct LoopResult {
     pub folded: usize,
     /// Voxels in the lungs.
     pub voxels: usize,
+}
+
+impl LoopResult {
+    /// Reads a result's file.
+    ///
+    /// Errors: it cannot be read or is no such file.
+    pub fn read(path: &Path) -> Result<LoopResult> {
+        files::read_json(path)
+    }
 }
