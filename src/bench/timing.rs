@@ -51,8 +51,10 @@ pub fn read(path: &Path) -> Result<Vec<StageTiming>> {
 }
 
 /// Replaces the kept timing of the same stage.
+///
+/// Errors: the file cannot be read or written; what it holds would be lost without a word.
 pub fn keep(path: &Path, timing: StageTiming) -> Result<()> {
-    let mut all = read(path).unwrap_or_default();
+    let mut all = read(path)?;
     all.retain(|t| t.stage != timing.stage);
     all.push(timing);
     files::write_json(path, &all)
@@ -60,7 +62,7 @@ pub fn keep(path: &Path, timing: StageTiming) -> Result<()> {
 
 /// Adds to the kept timing of the same stage: for work that an interruption split.
 pub fn add(path: &Path, mut timing: StageTiming) -> Result<()> {
-    if let Some(before) = read(path).unwrap_or_default().into_iter().find(|t| t.stage == timing.stage) {
+    if let Some(before) = read(path)?.into_iter().find(|t| t.stage == timing.stage) {
         timing.wall_s += before.wall_s;
         timing.cpu_s += before.cpu_s;
         timing.peak_memory_mib = timing.peak_memory_mib.max(before.peak_memory_mib);

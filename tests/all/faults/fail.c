@@ -30,20 +30,22 @@ static int is_below(const char* path) {
   return folder && path && strncmp(path, folder, strlen(folder)) == 0;
 }
 
-static int is_open_below(int file) {
-  char link[64], path[PATH_MAX];
+// Puts the path of an open file into `path`.
+static int is_open_below(int file, char path[PATH_MAX]) {
+  char link[64];
   snprintf(link, sizeof link, "/proc/self/fd/%d", file);
-  const ssize_t length = readlink(link, path, sizeof path - 1);
+  const ssize_t length = readlink(link, path, PATH_MAX - 1);
   if (length <= 0) return 0;
   path[length] = 0;
   return is_below(path);
 }
 
-// Counts a call; sets errno and says 1 where it must fail.
-static int fails(void) {
+// Counts a call; sets errno, says so on standard error and gives 1 where it must fail.
+static int fails(const char* call, const char* path) {
   const char *at = getenv("FAULT_AT"), *error = getenv("FAULT_ERROR");
   const long number = atomic_fetch_add(&calls, 1) + 1;
   if (!at || number != atol(at)) return 0;
+  fprintf(stderr, "fault: %s %s\n", call, path);
   errno = error ? atoi(error) : EIO;
   return 1;
 }
@@ -66,7 +68,7 @@ static int has_file(const char* path, int flags) { return (flags & O_CREAT) != 0
     va_start(rest, flags);                                             \
     const mode_t mode = va_arg(rest, mode_t);                          \
     va_end(rest);                                                      \
-    if (is_below(path) && has_file(path, flags) && fails()) return -1; \
+    if (is_below(path) && has_file(path, flags) && fails(#name, path)) return -1; \
     return NEXT(name)(path, flags, mode);                              \
   }
 OPEN(open)
@@ -78,14 +80,15 @@ OPEN(open64)
     va_start(rest, flags);                                             \
     const mode_t mode = va_arg(rest, mode_t);                          \
     va_end(rest);                                                      \
-    if (is_below(path) && has_file(path, flags) && fails()) return -1; \
+    if (is_below(path) && has_file(path, flags) && fails(#name, path)) return -1; \
     return NEXT(name)(folder, path, flags, mode);                      \
   }
 OPENAT(openat)
 OPENAT(openat64)
 
 ssize_t write(int file, const void* bytes, size_t count) {
-  if (is_open_below(file) && fails()) {
+  char path[PATH_MAX];
+  if (is_open_below(file, path) && fails("write", path)) {
     const int error = errno;
     if (NEXT(write)(file, bytes, count / 2) < 0) return -1;
     errno = error;
@@ -95,13 +98,15 @@ ssize_t write(int file, const void* bytes, size_t count) {
 }
 
 ssize_t writev(int file, const struct iovec* parts, int count) {
-  if (is_open_below(file) && fails()) return -1;
+  char path[PATH_MAX];
+  if (is_open_below(file, path) && fails("writev", path)) return -1;
   return NEXT(writev)(file, parts, count);
 }
 
 #define ON_FILE(name)                              \
   int name(int file) {                             \
-    if (is_open_below(file) && fails()) return -1; \
+    char path[PATH_MAX]; \
+    if (is_open_below(file, path) && fails(#name, path)) return -1; \
     return NEXT(name)(file);                       \
   }
 ON_FILE(fsync)
@@ -109,33 +114,34 @@ ON_FILE(fdatasync)
 
 #define TRUNCATE(name, type)                       \
   int name(int file, type length) {                \
-    if (is_open_below(file) && fails()) return -1; \
+    char path[PATH_MAX]; \
+    if (is_open_below(file, path) && fails(#name, path)) return -1; \
     return NEXT(name)(file, length);               \
   }
 TRUNCATE(ftruncate, off_t)
 TRUNCATE(ftruncate64, off64_t)
 
 int rename(const char* from, const char* to) {
-  if (is_below(to) && fails()) return -1;
+  if (is_below(to) && fails("rename to", to)) return -1;
   return NEXT(rename)(from, to);
 }
 
 int renameat2(int from_folder, const char* from, int to_folder, const char* to, unsigned flags) {
-  if (is_below(to) && fails()) return -1;
+  if (is_below(to) && fails("rename to", to)) return -1;
   return NEXT(renameat2)(from_folder, from, to_folder, to, flags);
 }
 
 int linkat(int from_folder, const char* from, int to_folder, const char* to, int flags) {
-  if (is_below(to) && fails()) return -1;
+  if (is_below(to) && fails("linkat", to)) return -1;
   return NEXT(linkat)(from_folder, from, to_folder, to, flags);
 }
 
 int symlink(const char* target, const char* path) {
-  if (is_below(path) && fails()) return -1;
+  if (is_below(path) && fails("symlink", path)) return -1;
   return NEXT(symlink)(target, path);
 }
 
 int mkdir(const char* path, mode_t mode) {
-  if (is_below(path) && fails()) return -1;
+  if (is_below(path) && fails("mkdir", path)) return -1;
   return NEXT(mkdir)(path, mode);
 }
