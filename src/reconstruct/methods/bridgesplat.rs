@@ -123,7 +123,8 @@ impl<'a> BridgesplatFit<'a> {
                 AdamConstants::default(),
             ),
             reach: Reach::new(&settings.common.visibility),
-            targets: CarriedTargets::new(&observation.targets_mm, &mesh.vertices),
+            // Affine, they are off by 7.1 mm on the tuning cases (smoke), so by 6.9.
+            targets: CarriedTargets::with_nearest(&observation.targets_mm, &mesh.vertices),
             image_gradient: Vec::new(),
             by_patch: Vec::new(),
             by_vertex: Vec::new(),
