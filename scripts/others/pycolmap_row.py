@@ -20,7 +20,7 @@ from PIL import Image
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 METHOD = "colmap-points"
-# COLMAP's own is 0.0067, meant for pictures of megapixels. In 128x128 pixels of a smooth wall it finds 25 features a
+# COLMAP's own is 0.0067, meant for pictures of megapixels. In 128x128 pixels of a smooth wall it finds 22 features a
 # frame, and not one point; no other setting is changed.
 PEAK_THRESHOLD = 0.001
 # A triangle needs three; with fewer, those of the frames nearest in time are drawn too.
