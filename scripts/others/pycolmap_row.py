@@ -20,7 +20,7 @@ from PIL import Image
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 METHOD = "colmap-points"
-# COLMAP's own is 0.0067, meant for pictures of megapixels. In 128x128 pixels of a smooth wall it finds 25 features a
+# COLMAP's own is 0.0067, meant for pictures of megapixels. In 128x128 pixels of a smooth wall it finds 22 features a
 # frame, and not one point; no other setting is changed.
 PEAK_THRESHOLD = 0.001
 # A triangle needs three; with fewer, those of the frames nearest in time are drawn too.
@@ -40,6 +40,9 @@ def triangulate(folder, work):
         reader.mask_path = folder / "masks"
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.sift.peak_threshold = PEAK_THRESHOLD
+    # On one thread, and with RANSAC's own seed, a film has the same points every time; otherwise the depth of a view
+    # with few of them changes by half.
+    extraction.num_threads = 1
     database = work / "database.db"
     on_cpu = {"device": pycolmap.Device.cpu}
     pycolmap.extract_features(
@@ -50,7 +53,11 @@ def triangulate(folder, work):
         extraction_options=extraction,
         **on_cpu,
     )
-    pycolmap.match_exhaustive(database, **on_cpu)
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = 0
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.num_threads = 1
+    pycolmap.match_exhaustive(database, matching_options=matching, verification_options=verification, **on_cpu)
     # The database numbers the images itself, so the model is made from it and only the poses are ours.
     model = pycolmap.Reconstruction()
     with pycolmap.Database.open(database) as opened:
