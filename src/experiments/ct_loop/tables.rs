@@ -125,11 +125,12 @@ fn generation_line(results: &[LoopResult], protocol: ScanProtocol, way: AirwayWa
         .collect();
     let mut medians: Vec<f64> = rows.iter().filter(|row| row.found > 0).map(|row| row.wall.median_mm).collect();
     medians.sort_by(f64::total_cmp);
-    let branches: usize = rows.iter().map(|row| row.branches).sum();
+    let count = |of: fn(&GenerationLoss) -> usize| rows.iter().map(|row| of(row)).fold(0, usize::saturating_add);
+    let branches = count(|row| row.branches);
     if branches == 0 {
         return None;
     }
-    let found: usize = rows.iter().map(|row| row.found).sum();
+    let found = count(|row| row.found);
     let last = if generation + 1 == GENERATIONS { " and beyond" } else { "" };
     let walls = match (medians.get(medians.len() / 2), medians.last()) {
         (Some(middle), Some(worst)) => format!("{middle:.2} | {worst:.2}"),
