@@ -51,7 +51,13 @@ minimise() { # TARGET
 
 status=0 action=fuzz
 [ "$what" = minimise ] && action=minimise what=$value
-trap 'rm -rf /dev/shm/respire-bench-fuzz-*' EXIT
+# Folders of programs that have ended; others may be fuzzing beside this.
+sweep() {
+  for folder in /dev/shm/respire-bench-fuzz-*; do
+    kill -0 "${folder##*-}" 2>/dev/null || rm -rf "$folder"
+  done
+}
+trap sweep EXIT
 for name in $(names); do
   [ "$what" = all ] || [ "$what" = "$name" ] || continue
   "$action" "$name" || status=1
