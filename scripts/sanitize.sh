@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Runs tests with cpp/ and the bridges under AddressSanitizer and UndefinedBehaviorSanitizer:
 #
-#   scripts/sanitize.sh             all unit tests, and the integration tests of tracer, films and splat core
-#   scripts/sanitize.sh FILTER ..   the tests, of both kinds, whose names contain one of these
+#   scripts/sanitize.sh             all unit tests: tracer, films, splat core and scores are among them
+#   scripts/sanitize.sh FILTER ..   the unit and integration tests whose names contain one of these
 #
 # Needs clang with its runtime (Debian: clang, libclang-rt-14-dev or of clang's version). The C++ is compiled by clang
 # with the checks; the Rust code is as always, and its allocations are watched because the process has one allocator.
@@ -39,5 +39,4 @@ export ASAN_OPTIONS=detect_leaks=0:abort_on_error=0:detect_stack_use_after_retur
 export UBSAN_OPTIONS=print_stacktrace=1
 run=(cargo test --release --locked --target-dir "$folder")
 [ $# -eq 0 ] || exec "${run[@]}" --lib --test all -- "$@"
-"${run[@]}" --lib
-"${run[@]}" --test all -- render own_tracer truth_maps simulate:: scope splat clinical
+exec "${run[@]}" --lib

@@ -156,3 +156,30 @@ pub fn mask_table(rows: &[GenerationLoss]) -> String {
     }
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::result::WayResult;
+    use super::*;
+
+    /// Found by the fuzzer: their sum wrapped, and fewer branches than there are were told.
+    #[test]
+    fn counts_beyond_what_a_number_holds_stay_at_its_end() {
+        let row = GenerationLoss { generation: 0, branches: usize::MAX, found: 1, wall: DistanceSpread::default() };
+        let way = WayResult {
+            way: AirwayWay::Mask,
+            failure: None,
+            generations: vec![row],
+            wall: DistanceSpread::default(),
+            wall_to_3: DistanceSpread::default(),
+            imported_wall: DistanceSpread::default(),
+            extra_branches: 0,
+            centerline: DistanceSpread::default(),
+            wall_expiration: DistanceSpread::default(),
+        };
+        let protocol = ScanProtocol::Thin.name().to_owned();
+        let result = LoopResult { protocol, ways: vec![way], ..LoopResult::default() };
+        let line = generation_line(&[result.clone(), result], ScanProtocol::Thin, AirwayWay::Mask, 0).unwrap();
+        assert!(line.contains(&format!("2 of {}", usize::MAX)), "{line}");
+    }
+}
