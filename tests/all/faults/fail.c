@@ -62,26 +62,26 @@ __attribute__((destructor)) static void report(void) {
 // Whether a call that opens has a file or is to make one: what is not there cannot fail to be read.
 static int has_file(const char* path, int flags) { return (flags & O_CREAT) != 0 || access(path, F_OK) == 0; }
 
-#define OPEN(name)                                                     \
-  int name(const char* path, int flags, ...) {                         \
-    va_list rest;                                                      \
-    va_start(rest, flags);                                             \
-    const mode_t mode = va_arg(rest, mode_t);                          \
-    va_end(rest);                                                      \
+#define OPEN(name)                                                                \
+  int name(const char* path, int flags, ...) {                                    \
+    va_list rest;                                                                 \
+    va_start(rest, flags);                                                        \
+    const mode_t mode = va_arg(rest, mode_t);                                     \
+    va_end(rest);                                                                 \
     if (is_below(path) && has_file(path, flags) && fails(#name, path)) return -1; \
-    return NEXT(name)(path, flags, mode);                              \
+    return NEXT(name)(path, flags, mode);                                         \
   }
 OPEN(open)
 OPEN(open64)
 
-#define OPENAT(name)                                                   \
-  int name(int folder, const char* path, int flags, ...) {             \
-    va_list rest;                                                      \
-    va_start(rest, flags);                                             \
-    const mode_t mode = va_arg(rest, mode_t);                          \
-    va_end(rest);                                                      \
+#define OPENAT(name)                                                              \
+  int name(int folder, const char* path, int flags, ...) {                        \
+    va_list rest;                                                                 \
+    va_start(rest, flags);                                                        \
+    const mode_t mode = va_arg(rest, mode_t);                                     \
+    va_end(rest);                                                                 \
     if (is_below(path) && has_file(path, flags) && fails(#name, path)) return -1; \
-    return NEXT(name)(folder, path, flags, mode);                      \
+    return NEXT(name)(folder, path, flags, mode);                                 \
   }
 OPENAT(openat)
 OPENAT(openat64)
@@ -103,20 +103,20 @@ ssize_t writev(int file, const struct iovec* parts, int count) {
   return NEXT(writev)(file, parts, count);
 }
 
-#define ON_FILE(name)                              \
-  int name(int file) {                             \
-    char path[PATH_MAX]; \
+#define ON_FILE(name)                                               \
+  int name(int file) {                                              \
+    char path[PATH_MAX];                                            \
     if (is_open_below(file, path) && fails(#name, path)) return -1; \
-    return NEXT(name)(file);                       \
+    return NEXT(name)(file);                                        \
   }
 ON_FILE(fsync)
 ON_FILE(fdatasync)
 
-#define TRUNCATE(name, type)                       \
-  int name(int file, type length) {                \
-    char path[PATH_MAX]; \
+#define TRUNCATE(name, type)                                        \
+  int name(int file, type length) {                                 \
+    char path[PATH_MAX];                                            \
     if (is_open_below(file, path) && fails(#name, path)) return -1; \
-    return NEXT(name)(file, length);               \
+    return NEXT(name)(file, length);                                \
   }
 TRUNCATE(ftruncate, off_t)
 TRUNCATE(ftruncate64, off64_t)
