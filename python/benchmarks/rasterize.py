@@ -54,8 +54,7 @@ def main():
 
     arrays = {name: scene[name] for name in NAMES} | {"features": None}
     plan = {"near_plane": 0.2, "far_plane": 1e10, "eps2d": 0.3, "antialiased": False}
-    call = _Call(arrays, scene["viewmats"], scene["Ks"], None, side, side, degree, "RGB", None, plan)
-    plan = call.of_camera(0, scene["viewmats"][0], scene["Ks"][0], None)
+    plan = _Call(arrays, scene["viewmats"], scene["Ks"], None, side, side, degree, "RGB", None, plan).plans[0]
     wanted = dict.fromkeys(NAMES, True) | dict.fromkeys(("features", "viewmats", "Ks"), False)
 
     def core_alone():

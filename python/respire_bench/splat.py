@@ -1,5 +1,6 @@
 """`rasterize`: gsplat's `rasterization` (1.5.3) on CPU, by the splat core of respire-bench."""
 
+import functools
 import math
 
 import numpy as np
@@ -17,70 +18,81 @@ class Meta(dict):
         raise KeyError(f"{key}: this core does not compute it; there are {', '.join(self)}")
 
 
-def _refuse_unless(holds, sentence):
+def _refuse_unless(holds, sentence, *of):
+    """Raises `sentence`, which is put together with `of` only then."""
     if not holds:
-        raise Error(sentence)
+        raise Error(sentence.format(*of))
 
 
 def _shape(name, array, *wanted):
     """Compares a shape with the wanted one, in which `None` is any length."""
     found = tuple(array.shape)
-    fits = len(found) == len(wanted) and all(w is None or f == w for f, w in zip(found, wanted))
-    shown = ", ".join("?" if w is None else str(w) for w in wanted)
-    _refuse_unless(fits, f"{name}: has shape {found} instead of ({shown})")
+    fits = len(found) == len(wanted)
+    for length, length_wanted in zip(found, wanted):
+        fits = fits and (length_wanted is None or length == length_wanted)
+    if not fits:
+        shown = ", ".join("?" if w is None else str(w) for w in wanted)
+        raise Error(f"{name}: has shape {found} instead of ({shown})")
     return found
 
 
 class _Call:
-    """The arguments of a call that are no arrays, checked; and the plan of each camera."""
+    """The arguments of a call, checked; and the plan of each camera, which holds all of them that are no arrays of the
+    Gaussians."""
 
     def __init__(self, arrays, viewmats, Ks, backgrounds, width, height, sh_degree, mode, fisheye, plan):
         means, colors, features = arrays["means"], arrays["colors"], arrays["features"]
-        _refuse_unless(mode in MODES, f"render_mode: {mode!r} is none of {', '.join(MODES)}")
-        _refuse_unless(len(means.shape) == 2, f"means: has shape {tuple(means.shape)}; batches of scenes are not here")
+        _refuse_unless(mode in MODES, "render_mode: {!r} is none of {}", mode, ", ".join(MODES))
+        _refuse_unless(
+            len(means.shape) == 2, "means: has shape {}; batches of scenes are not here", tuple(means.shape)
+        )
         n, _ = _shape("means", means, None, 3)
         _shape("quats", arrays["quats"], n, 4)
         _shape("scales", arrays["scales"], n, 3)
         _shape("opacities", arrays["opacities"], n)
-        self.cameras = _shape("viewmats", viewmats, None, 4, 4)[0]
-        _shape("Ks", Ks, self.cameras, 3, 3)
-        _refuse_unless(self.cameras > 0, "viewmats: holds no camera")
-        self.color = mode.startswith("RGB")
+        cameras = _shape("viewmats", viewmats, None, 4, 4)[0]
+        _shape("Ks", Ks, cameras, 3, 3)
+        _refuse_unless(cameras > 0, "viewmats: holds no camera")
+        color, depth = mode.startswith("RGB"), mode != "RGB"
         self.sh_degree = sh_degree
-        self.widths = [0, 0, int(mode != "RGB")]
         plain = 2 if sh_degree is None else 3
         self.per_camera = len(colors.shape) == plain + 1
-        views = (self.cameras,) if self.per_camera else ()
+        views = (cameras,) if self.per_camera else ()
         if sh_degree is None:
-            self.widths[0] = _shape("colors", colors, *views, n, None)[-1] if self.color else 0
+            shown = _shape("colors", colors, *views, n, None)[-1] if color else 0
         else:
-            _refuse_unless(sh_degree in (0, 1, 2, 3), f"sh_degree: {sh_degree} is not 0, 1, 2 or 3")
+            _refuse_unless(sh_degree in (0, 1, 2, 3), "sh_degree: {} is not 0, 1, 2 or 3", sh_degree)
             held = _shape("colors", colors, *views, n, None, 3)[-2]
             wanted = (sh_degree + 1) ** 2
-            _refuse_unless(held >= wanted, f"colors: {held} coefficients, degree {sh_degree} has {wanted}")
-            self.widths[0] = 3 if self.color else 0
-        if features is not None:
-            self.widths[1] = _shape("features", features, n, None)[-1]
+            _refuse_unless(held >= wanted, "colors: {} coefficients, degree {} has {}", held, sh_degree, wanted)
+            shown = 3 if color else 0
+        further = 0 if features is None else _shape("features", features, n, None)[-1]
         if backgrounds is not None:
-            _shape("backgrounds", backgrounds, self.cameras, self.widths[0])
+            _shape("backgrounds", backgrounds, cameras, shown)
         if fisheye is not None:
-            _shape("radial_coeffs", fisheye, self.cameras, 4)
-        self.size = (height, width)
-        self.mode, self.fisheye, self.plan = mode, fisheye, plan
-
-    def of_camera(self, camera, viewmat, K, background):
-        """The plan of one camera, from arrays of numpy."""
-        K = np.asarray(K, dtype=np.float64)
-        skew = [K[0, 1], K[1, 0], K[2, 0], K[2, 1]]
-        _refuse_unless(not any(skew) and K[2, 2] == 1, "Ks: has a skew, or its last row is not 0 0 1")
-        plan = dict(self.plan, sh_degree=self.sh_degree, color=self.color, depth={"D": 1, "ED": 2}.get(
-            self.mode.removeprefix("RGB+"), 0))
-        plan["width"], plan["height"] = self.size[1], self.size[0]
-        plan["fisheye"] = None if self.fisheye is None else [float(k) for k in self.fisheye[camera]]
-        plan["viewmat"] = np.asarray(viewmat, dtype=np.float64).reshape(-1).tolist()
-        plan["intrinsics"] = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-        plan["background"] = [] if background is None else np.asarray(background, dtype=np.float64).tolist()
-        return plan
+            _shape("radial_coeffs", fisheye, cameras, 4)
+        self.shape = (cameras, height, width, shown + further + depth)
+        plan = plan | {
+            "width": width,
+            "height": height,
+            "sh_degree": sh_degree,
+            "color": color,
+            "depth": {"D": 1, "ED": 2}.get(mode.removeprefix("RGB+"), 0),
+        }
+        none = [None] * cameras
+        self.plans = []
+        for viewmat, K, background, k in zip(
+            viewmats.tolist(),
+            Ks.tolist(),
+            none if backgrounds is None else backgrounds.tolist(),
+            none if fisheye is None else fisheye.tolist(),
+        ):
+            (fl_x, *skew_x, cx), (*skew_y, fl_y, cy), last = K
+            _refuse_unless(
+                not any(skew_x + skew_y) and last == [0, 0, 1], "Ks: has a skew, or its last row is not 0 0 1"
+            )
+            camera = {"viewmat": viewmat, "intrinsics": [fl_x, fl_y, cx, cy], "background": background, "fisheye": k}
+            self.plans.append(plan | camera)
 
     def colors_of(self, colors, camera):
         """The colours that one camera shows: of the bands that are used, a view."""
@@ -88,80 +100,85 @@ class _Call:
         return colors if self.sh_degree is None else colors[:, : (self.sh_degree + 1) ** 2]
 
     def meta(self, visible, entries):
+        cameras, height, width, _ = self.shape
         return Meta(
-            width=self.size[1],
-            height=self.size[0],
-            tile_size=16,
-            n_cameras=self.cameras,
-            visible=visible,
-            tile_entries=entries,
+            width=width, height=height, tile_size=16, n_cameras=cameras, visible=visible, tile_entries=entries
         )
 
 
-def _matrix_of_intrinsics(by):
-    """The gradient of K from that of `fl_x, fl_y, cx, cy`."""
-    return [[by[0], 0, by[2]], [0, by[1], by[3]], [0, 0, 0]]
+def _joined(parts, *shape):
+    """What the cameras gave, as one array; of one camera the same memory."""
+    return (parts[0] if len(parts) == 1 else np.stack(parts)).reshape(shape)
 
 
-def _contiguous(array):
-    """The array as it is where it is contiguous, else a copy."""
-    return np.ascontiguousarray(array)
+class _Pass:
+    """All cameras of a call rendered from arrays of numpy, kept for the backward pass."""
 
-
-class _NumpyPass:
-    """All cameras of a call on arrays of numpy, and the backward pass."""
-
-    def __init__(self, call, arrays, viewmats, Ks, backgrounds):
-        self.call, self.arrays, self.passes = call, arrays, []
-        self.dtype = arrays["means"].dtype
-        images, alphas, visible, entries = [], [], [], 0
-        height, width = call.size
-        for c in range(call.cameras):
-            plan = call.of_camera(c, viewmats[c], Ks[c], None if backgrounds is None else backgrounds[c])
-            kept, image, alpha, shown, count = forward(self._of_camera(c), plan)
-            self.passes.append(kept)
-            images.append(image.reshape(height, width, sum(call.widths)))
-            alphas.append(alpha.reshape(height, width, 1))
-            visible.append(shown)
-            entries += count
-        one = call.cameras == 1
-        self.image = images[0][None] if one else np.stack(images)
-        self.alpha = alphas[0][None] if one else np.stack(alphas)
-        self.meta = call.meta(np.stack(visible), entries)
-        self.meta["backward"] = self.backward
+    def __init__(self, call, arrays):
+        cameras, height, width, channels = call.shape
+        self.call, self.held = call, arrays
+        # Contiguous, as the core reads them, for each camera.
+        flat = {name: a if a is None or name == "colors" else np.ascontiguousarray(a) for name, a in arrays.items()}
+        shown = [call.colors_of(arrays["colors"], c) for c in range(cameras if call.per_camera else 1)]
+        self.arrays = [flat | {"colors": np.ascontiguousarray(colors)} for colors in shown]
+        self.passes, images, alphas, visible, entries = zip(
+            *(forward(self._of_camera(c), plan) for c, plan in enumerate(call.plans))
+        )
+        self.image = _joined(images, cameras, height, width, channels)
+        self.alpha = _joined(alphas, cameras, height, width, 1)
+        self.visible, self.entries = _joined(visible, cameras, -1), sum(entries)
 
     def _of_camera(self, camera):
-        return dict(self.arrays, colors=_contiguous(self.call.colors_of(self.arrays["colors"], camera)))
+        return self.arrays[camera if self.call.per_camera else 0]
 
-    def backward(self, by_colors=None, by_alphas=None):
-        """Gradients by the names of the arguments, from those of the images (as returned; `None` is 0)."""
-        call = self.call
-        shape = (call.cameras, *call.size, sum(call.widths))
-        by_colors = np.zeros(shape, self.dtype) if by_colors is None else np.asarray(by_colors, self.dtype)
-        _shape("by_colors", by_colors, *shape)
-        if by_alphas is not None:
-            by_alphas = np.asarray(by_alphas, self.dtype)
-            _shape("by_alphas", by_alphas, *shape[:3], 1)
-        names = ("means", "quats", "scales", "opacities", "colors", "features")
-        wanted = {name: self.arrays[name] is not None for name in names} | {"viewmats": True, "Ks": True}
-        found = {name: np.zeros_like(self.arrays[name]) for name in names if wanted[name]}
-        found |= {"viewmats": [], "Ks": [], "backgrounds": []}
+    def backward(self, by_colors, by_alphas, wanted):
+        """Those of the wanted gradients that are not 0 by the nature of the call, by the names of the arguments.
+
+        `by_colors` and `by_alphas` are gradients of the images, in their shapes; `None` is 0.
+        """
+        of_each = []
         for c, kept in enumerate(self.passes):
-            by_alpha = None if by_alphas is None else _contiguous(by_alphas[c])
-            by = kept.backward(self._of_camera(c), _contiguous(by_colors[c]), by_alpha, wanted)
-            for name in names:
-                if name in by:
-                    target = call.colors_of(found[name], c) if name == "colors" else found[name]
-                    target += by[name].reshape(target.shape)
-            found["viewmats"].append(by["viewmats"].reshape(4, 4))
-            found["Ks"].append(np.array(_matrix_of_intrinsics(by["Ks"])))
-            found["backgrounds"].append(by["backgrounds"])
-        return {name: np.stack(by) if isinstance(by, list) else by for name, by in found.items()}
+            by = (None if by is None else np.ascontiguousarray(by[c]) for by in (by_colors, by_alphas))
+            of_each.append(kept.backward(self._of_camera(c), *by, wanted))
+        return {name: self._of_all(name, [by[name] for by in of_each]) for name in of_each[0]}
+
+    def _of_all(self, name, parts):
+        """A gradient by all cameras from those by each."""
+        if name in _OF_CAMERAS:
+            return _joined(parts, len(parts), *_OF_CAMERAS[name])
+        held = self.held[name]
+        if len(parts) == 1 and parts[0].size == held.size:
+            return parts[0].reshape(held.shape)
+        found = np.zeros_like(held)
+        for c, part in enumerate(parts):
+            target = self.call.colors_of(found, c) if name == "colors" else found
+            target += part.reshape(target.shape)
+        return found
+
+
+_OF_CAMERAS = {"viewmats": (4, 4), "Ks": (3, 3), "backgrounds": (-1,)}
+"""Arguments of each camera, with the shape of one."""
 
 
 def _rasterize_numpy(call, arrays, viewmats, Ks, backgrounds):
-    done = _NumpyPass(call, arrays, viewmats, Ks, backgrounds)
-    return done.image, done.alpha, done.meta
+    done = _Pass(call, arrays)
+    dtype = arrays["means"].dtype
+    wanted = dict.fromkeys((name for name, array in arrays.items() if array is not None), True)
+    zeros = {name: arrays[name] for name in wanted} | {"backgrounds": np.zeros((call.shape[0], 0))}
+    wanted |= {"features": "features" in wanted, "viewmats": True, "Ks": True}
+
+    def backward(by_colors=None, by_alphas=None):
+        """Gradients by the names of the arguments, from those of the images (as returned; `None` is 0)."""
+        by = [None if by is None else np.asarray(by, dtype) for by in (by_colors, by_alphas)]
+        for name, array, last in zip(("by_colors", "by_alphas"), by, (call.shape[3], 1)):
+            if array is not None:
+                _shape(name, array, *call.shape[:3], last)
+        found = done.backward(*by, wanted)
+        return {name: np.zeros_like(of) for name, of in zeros.items() if name not in found} | found
+
+    meta = call.meta(done.visible, done.entries)
+    meta["backward"] = backward
+    return done.image, done.alpha, meta
 
 
 def rasterize(
@@ -244,19 +261,18 @@ def rasterize(
         ("ftheta_coeffs", ftheta_coeffs, None),
         ("viewmats_rs", viewmats_rs, None),
     ):
-        _refuse_unless(
-            value is usual or (usual is not None and value == usual), f"{name}: only {usual} is here, this core has no other"
-        )
+        fits = value is usual or (usual is not None and value == usual)
+        _refuse_unless(fits, "{}: only {} is here, this core has no other", name, usual)
     shutter = getattr(rolling_shutter, "name", rolling_shutter)
     _refuse_unless(shutter in (None, "GLOBAL"), "rolling_shutter: only a global shutter is here")
-    _refuse_unless(rasterize_mode in ("classic", "antialiased"), f"rasterize_mode: {rasterize_mode!r} is neither classic nor antialiased")
-    _refuse_unless(camera_model in ("pinhole", "fisheye"), f"camera_model: {camera_model!r} is neither pinhole nor fisheye")
+    _refuse_unless(rasterize_mode in ("classic", "antialiased"), "rasterize_mode: {!r} is neither classic nor antialiased", rasterize_mode)
+    _refuse_unless(camera_model in ("pinhole", "fisheye"), "camera_model: {!r} is neither pinhole nor fisheye", camera_model)
     is_fisheye = camera_model == "fisheye"
     _refuse_unless(is_fisheye or radial_coeffs is None, "radial_coeffs: only a fisheye has them here")
     for name, value in (("width", width), ("height", height)):
-        _refuse_unless(value == int(value) and 0 < value <= 16384, f"{name}: {value} is not within 1 to 16384")
+        _refuse_unless(value == int(value) and 0 < value <= 16384, "{}: {} is not within 1 to 16384", name, value)
     for name, value, least in (("near_plane", near_plane, 0), ("far_plane", far_plane, near_plane), ("eps2d", eps2d, -1e-300)):
-        _refuse_unless(math.isfinite(value) and value > least, f"{name}: {value} is out of range")
+        _refuse_unless(math.isfinite(value) and value > least, "{}: {} is out of range", name, value)
     plan = {
         "near_plane": float(near_plane),
         "far_plane": float(far_plane),
@@ -271,10 +287,7 @@ def rasterize(
         "colors": colors,
         "features": features,
     }
-    if type(means).__module__.partition(".")[0] == "torch":
-        from ._torch import prepared, render
-    else:
-        prepared, render = _prepared_numpy, _rasterize_numpy
+    prepared, render = _through(type(means).__module__.partition(".")[0])
     arrays, viewmats, Ks, backgrounds, radial_coeffs = prepared(arrays, viewmats, Ks, backgrounds, radial_coeffs)
     if is_fisheye and radial_coeffs is None:
         radial_coeffs = np.zeros((viewmats.shape[0], 4))
@@ -284,16 +297,26 @@ def rasterize(
     return render(call, arrays, viewmats, Ks, backgrounds)
 
 
+@functools.cache
+def _through(package):
+    """What checks and what renders the arrays of a package."""
+    if package == "torch":
+        from ._torch import prepared, render
+
+        return prepared, render
+    return _prepared_numpy, _rasterize_numpy
+
+
 def _prepared_numpy(arrays, viewmats, Ks, backgrounds, radial_coeffs):
     dtype = np.asarray(arrays["means"]).dtype
-    _refuse_unless(dtype in (np.float32, np.float64), f"means: {dtype} is neither float32 nor float64")
+    _refuse_unless(dtype in (np.float32, np.float64), "means: {} is neither float32 nor float64", dtype)
 
     def checked(name, array):
         if array is None:
             return None
         array = np.asarray(array)
-        _refuse_unless(array.dtype == dtype, f"{name}: is {array.dtype}, means are {dtype}")
-        return array if name == "colors" else _contiguous(array)
+        _refuse_unless(array.dtype == dtype, "{}: is {}, means are {}", name, array.dtype, dtype)
+        return array
 
     arrays = {name: checked(name, array) for name, array in arrays.items()}
     return arrays, np.asarray(viewmats), np.asarray(Ks), *(

@@ -5,11 +5,10 @@
 //! `lift` keeps all colours above the core's clamp at 0; the background is lifted alike, so that the image is only
 //! `lift` too bright, everywhere. Colours beyond the third, and features, are further channels of the core.
 
-use std::borrow::Cow;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-use numpy::{Element, PyArray1, PyReadonlyArray, PyReadonlyArrayDyn};
+use numpy::{Element, PyArray1, PyArrayDyn, PyReadonlyArray, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use respire_bench::base::Camera;
@@ -106,11 +105,11 @@ pub struct Plan {
     /// `k1..k4`; `None` for a pinhole.
     fisheye: Option<[f64; 4]>,
     /// World to camera, row by row.
-    viewmat: Vec<f64>,
+    viewmat: [[f64; 4]; 4],
     /// `fl_x, fl_y, cx, cy`.
     intrinsics: [f64; 4],
-    /// One value per colour, or none.
-    background: Vec<f64>,
+    /// One value per colour.
+    background: Option<Vec<f64>>,
 }
 
 /// The arrays of one call, C-contiguous and of one type.
@@ -181,8 +180,14 @@ pub struct Gathered<'py> {
 }
 
 impl Plan {
+    /// One value per colour, or none.
+    fn background(&self) -> &[f64] {
+        self.background.as_deref().unwrap_or_default()
+    }
+
     fn view(&self) -> PyResult<View> {
-        let camera_from_world = rigid(&self.viewmat).ok_or_else(|| refused(format!("viewmats: {RIGID}")))?;
+        let camera_from_world =
+            rigid(self.viewmat.as_flattened()).ok_or_else(|| refused(format!("viewmats: {RIGID}")))?;
         let [fl_x, fl_y, cx, cy] = self.intrinsics;
         let camera = Camera { width: self.width, height: self.height, fl_x, fl_y, cx, cy, fisheye: self.fisheye };
         camera.validate().map_err(|e| e.element("Ks")).or_raise()?;
@@ -191,7 +196,7 @@ impl Plan {
 
     /// Settings for colours that are lifted by `lift`.
     fn settings(&self, lift: f64) -> Settings {
-        let behind = |k: usize| self.background.get(k).copied().unwrap_or(0.0) + lift;
+        let behind = |k: usize| self.background().get(k).copied().unwrap_or(0.0) + lift;
         Settings {
             near_mm: self.near_plane,
             dilation_px2: self.eps2d,
@@ -260,10 +265,7 @@ fn further_channels<T: Real>(slices: &Slices<'_, T>, widths: Widths) -> Vec<T> {
 
 /// Puts the image together, `height * width * channels`.
 fn assemble<T: Real>(images: &Rendered<T>, channels: &[T], widths: Widths, plan: &Plan, lift: f64) -> Vec<T> {
-    if widths.all() == 3 && widths.colors == 3 && lift == 0.0 {
-        return images.color.clone();
-    }
-    let (lift, behind): (T, Vec<T>) = (T::of(lift), plan.background.iter().map(|v| T::of(*v)).collect());
+    let (lift, behind): (T, Vec<T>) = (T::of(lift), plan.background().iter().map(|v| T::of(*v)).collect());
     let (shown, further) = (widths.colors.min(3), widths.further());
     let mut image = Vec::with_capacity(images.alpha.len() * widths.all());
     for (pixel, color) in images.color.as_chunks::<3>().0.iter().enumerate() {
@@ -331,8 +333,13 @@ fn forward_of<T: Float>(slices: &Slices<'_, T>, plan: Plan) -> PyResult<Forward<
         0 => Vec::new(),
         count => rasterizer.render_channels(&further_channels(slices, widths), count).or_raise()?.to_vec(),
     };
+    // Three colours that are not lifted are the core's own image.
+    let image = if widths.all() == 3 && widths.colors == 3 && lift == 0.0 {
+        rasterizer.take_color()
+    } else {
+        assemble(rasterizer.rendered(), &channels, widths, plan, lift)
+    };
     let images = rasterizer.rendered();
-    let image = assemble(images, &channels, widths, plan, lift);
     let mut visible = images.visible.clone();
     if let Some(list) = active {
         visible = vec![false; n];
@@ -343,8 +350,8 @@ fn forward_of<T: Float>(slices: &Slices<'_, T>, plan: Plan) -> PyResult<Forward<
 }
 
 /// Values of a gradient at the places of all Gaussians, 0 where they took no part.
-fn spread<T: Real>(values: &[T], active: Option<&[u32]>, n: usize) -> Vec<T> {
-    let Some(list) = active else { return values.to_vec() };
+fn spread<T: Real>(values: Vec<T>, active: Option<&[u32]>, n: usize) -> Vec<T> {
+    let Some(list) = active else { return values };
     let width = values.len().checked_div(list.len()).unwrap_or_default();
     let mut all = vec![T::zero(); n * width];
     for (i, value) in list.iter().zip(values.chunks(width.max(1))) {
@@ -362,8 +369,13 @@ struct Backward<T> {
     colors: Vec<T>,
     features: Vec<T>,
     viewmat: [f64; 16],
-    intrinsics: [f64; 4],
+    intrinsics: [f64; 9],
     background: Vec<f64>,
+}
+
+/// Gradient by the entries of the 3x3 matrix from that by `fl_x, fl_y, cx, cy`.
+fn by_matrix([fl_x, fl_y, cx, cy]: [f64; 4]) -> [f64; 9] {
+    [fl_x, 0.0, cx, 0.0, fl_y, cy, 0.0, 0.0, 0.0]
 }
 
 /// Gradient by the entries of the 4x4 matrix from that by a small motion `(omega, tau)` of the camera: the one that is
@@ -397,7 +409,7 @@ fn take_apart<T: Real>(by_image: &[T], by_alpha: &[T], images: &Rendered<T>, wid
         depth: vec![T::zero(); pixels * widths.depth],
         alpha: by_alpha.to_vec(),
         channels: vec![T::zero(); pixels * further],
-        background: vec![0.0; plan.background.len()],
+        background: vec![0.0; plan.background().len()],
     };
     taken.alpha.resize(pixels, T::zero());
     for (pixel, by) in by_image.chunks_exact(all).enumerate() {
@@ -407,7 +419,7 @@ fn take_apart<T: Real>(by_image: &[T], by_alpha: &[T], images: &Rendered<T>, wid
         for (k, sum) in taken.background.iter_mut().enumerate().take(widths.colors) {
             *sum += (by[k] * (T::one() - alpha)).to_f64();
             if k >= 3 {
-                taken.alpha[pixel] -= T::of(plan.background[k]) * by[k];
+                taken.alpha[pixel] -= T::of(plan.background()[k]) * by[k];
             }
         }
         match plan.depth {
@@ -439,30 +451,30 @@ fn backward_of<T: Float>(
     }
     demand_images::<T>(plan, widths)?;
     // The gradient of a plain colour image goes to the core as it lies there.
-    let direct = widths.all() == 3 && widths.colors == 3 && plan.background.is_empty();
+    let direct = widths.all() == 3 && widths.colors == 3 && plan.background().is_empty();
     let taken = (!direct).then(|| take_apart(by_image, by_alpha, rasterizer.rendered(), widths, plan));
     let by = match &taken {
         None => ImageGradient { color: by_image, alpha: by_alpha, ..ImageGradient::default() },
         Some(t) => ImageGradient { color: &t.color, depth: &t.depth, alpha: &t.alpha, channels: &t.channels },
     };
     let view = plan.view()?;
-    let found = rasterizer.backward(gaussians(slices, sh, plan), &by, wanted.groups(widths)).or_raise()?;
+    rasterizer.backward(gaussians(slices, sh, plan), &by, wanted.groups(widths)).or_raise()?;
+    let mut found = rasterizer.take_gradients();
     let list = active.as_deref();
     let (colors, features) = if sh.is_empty() {
-        (Cow::Borrowed(&found.sh[..]), Cow::Borrowed(&found.channels[..]))
+        (std::mem::take(&mut found.sh), std::mem::take(&mut found.channels))
     } else {
-        let (colors, features) = by_plain_colors(found, widths, wanted);
-        (Cow::Owned(colors), Cow::Owned(features))
+        by_plain_colors(&found, widths, wanted)
     };
     Ok(Backward {
-        means: spread(found.positions.as_flattened(), list, n),
-        quats: spread(found.rotations.as_flattened(), list, n),
-        scales: spread(found.scales.as_flattened(), list, n),
-        opacities: spread(&found.opacities, list, n),
-        colors: spread(&colors, list, n),
-        features: spread(&features, list, n),
+        means: spread(found.positions.into_flattened(), list, n),
+        quats: spread(found.rotations.into_flattened(), list, n),
+        scales: spread(found.scales.into_flattened(), list, n),
+        opacities: spread(found.opacities, list, n),
+        colors: spread(colors, list, n),
+        features: spread(features, list, n),
         viewmat: by_viewmat(found.pose, &view),
-        intrinsics: found.lens,
+        intrinsics: by_matrix(found.lens),
         background: taken.map_or_else(Vec::new, |t| t.background),
     })
 }
@@ -520,7 +532,7 @@ impl Wishes {
 
 /// Whether the arrays are of single precision.
 fn is_single(arrays: &Gathered<'_>) -> bool {
-    arrays.means.extract::<PyReadonlyArrayDyn<'_, f32>>().is_ok()
+    arrays.means.cast::<PyArrayDyn<f32>>().is_ok()
 }
 
 /// A pass, its image (height * width * channels), alpha (height * width), which Gaussians touch the image, and the
@@ -545,7 +557,7 @@ fn backward_in<'py, T: Float>(
     py: Python<'py>,
     pass: &mut Pass,
     arrays: &Gathered<'py>,
-    (by_image, by_alpha): (Bound<'py, PyAny>, Option<Bound<'py, PyAny>>),
+    (by_image, by_alpha): (Option<Bound<'py, PyAny>>, Option<Bound<'py, PyAny>>),
     wanted: Wishes,
 ) -> PyResult<Bound<'py, PyDict>> {
     let pass =
@@ -555,8 +567,8 @@ fn backward_in<'py, T: Float>(
     let gradient = |array: Bound<'py, PyAny>| -> PyResult<PyReadonlyArrayDyn<'py, T>> {
         array.extract().map_err(|_| refused("the gradient of the images is of another type than the images"))
     };
-    let (by_image, by_alpha) = (gradient(by_image)?, by_alpha.map(gradient).transpose()?);
-    let by_image = slice("the gradient of the image", &by_image)?;
+    let (by_image, by_alpha) = (by_image.map(gradient).transpose()?, by_alpha.map(gradient).transpose()?);
+    let by_image = by_image.as_ref().map_or(Ok(&[][..]), |array| slice("the gradient of the image", array))?;
     let by_alpha = by_alpha.as_ref().map_or(Ok(&[][..]), |array| slice("the gradient of alpha", array))?;
     let found = py.detach(|| backward_of(pass, &slices, by_image, by_alpha, wanted))?;
     let all = PyDict::new(py);
@@ -572,21 +584,27 @@ fn backward_in<'py, T: Float>(
             all.set_item(name, PyArray1::from_vec(py, values))?;
         }
     }
-    all.set_item("viewmats", PyArray1::from_slice(py, &found.viewmat))?;
-    all.set_item("Ks", PyArray1::from_slice(py, &found.intrinsics))?;
-    all.set_item("backgrounds", PyArray1::from_vec(py, found.background))?;
+    if wanted.viewmats {
+        all.set_item("viewmats", PyArray1::from_slice(py, &found.viewmat))?;
+    }
+    if wanted.intrinsics {
+        all.set_item("Ks", PyArray1::from_slice(py, &found.intrinsics))?;
+    }
+    if !found.background.is_empty() {
+        all.set_item("backgrounds", PyArray1::from_vec(py, found.background))?;
+    }
     Ok(all)
 }
 
 #[pymethods]
 impl Pass {
-    /// Flat gradients by the names of the arguments, those that are wanted; of the camera always.
+    /// Flat gradients by the names of the arguments, those that are wanted; of a background always.
     #[pyo3(signature = (arrays, by_image, by_alpha, wanted))]
     fn backward<'py>(
         &mut self,
         py: Python<'py>,
         arrays: Gathered<'py>,
-        by_image: Bound<'py, PyAny>,
+        by_image: Option<Bound<'py, PyAny>>,
         by_alpha: Option<Bound<'py, PyAny>>,
         wanted: Wishes,
     ) -> PyResult<Bound<'py, PyDict>> {
@@ -598,8 +616,8 @@ impl Pass {
     }
 }
 
-/// Seconds of one forward and one backward pass of the core alone, for the benchmark: no array of Python is made, and
-/// nothing is copied.
+/// Seconds of one forward and one backward pass of the core alone, for the benchmark: no array of Python is made,
+/// nothing is copied, and the rasteriser keeps its tables from call to call.
 #[pyfunction]
 pub fn time_core<'py>(
     py: Python<'py>,
@@ -611,9 +629,10 @@ pub fn time_core<'py>(
     let arrays = Arrays::<f32>::take(&arrays)?;
     let (slices, by_image) = (arrays.slices()?, slice("the gradient of the image", &by_image)?);
     let view = plan.view()?;
+    static RASTERIZER: Mutex<Option<Rasterizer<f32>>> = Mutex::new(None);
     py.detach(|| {
-        let kept = f32::idle().lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let mut rasterizer = kept.unwrap_or_default();
+        let mut kept = RASTERIZER.lock().unwrap_or_else(PoisonError::into_inner);
+        let rasterizer = kept.get_or_insert_default();
         let scene = gaussians(&slices, &[], &plan);
         let start = Instant::now();
         rasterizer.render(scene, &view, &plan.settings(0.0), None).or_raise()?;
@@ -621,7 +640,6 @@ pub fn time_core<'py>(
         let by = ImageGradient { color: by_image, ..ImageGradient::default() };
         rasterizer.backward(scene, &by, wanted.groups(plan.shape(slices.means.len(), &slices))).or_raise()?;
         let both = start.elapsed().as_secs_f64();
-        f32::idle().lock().unwrap_or_else(PoisonError::into_inner).push(rasterizer);
         Ok((forward, both))
     })
 }

@@ -107,19 +107,19 @@ class Gradients(unittest.TestCase):
             self.assertLess(abs(found - wanted), 1e-4 * max(1, abs(wanted)), f"axis {axis}")
 
     def test_a_wrong_gradient_fails(self):
-        backward = respire_bench.splat._NumpyPass.backward
+        backward = respire_bench.splat._Pass.backward
 
         def wrong(done, *by):
             found = backward(done, *by)
             found["quats"] *= 1.001
             return found
 
-        respire_bench.splat._NumpyPass.backward = wrong
+        respire_bench.splat._Pass.backward = wrong
         try:
             with self.assertRaises(AssertionError):
                 self.differences_agree(scene(), ("quats",))
         finally:
-            respire_bench.splat._NumpyPass.backward = backward
+            respire_bench.splat._Pass.backward = backward
 
 
 class Images(unittest.TestCase):

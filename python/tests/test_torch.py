@@ -83,7 +83,7 @@ class ThroughTorch(unittest.TestCase):
                 np.testing.assert_array_equal(leaves[name].grad.numpy(), found[name])
 
     def test_tensors_are_read_where_they_lie(self):
-        import respire_bench._torch as module
+        import respire_bench.splat as module
 
         leaves = tensors(scene(dtype=np.float32))
         seen, forward = [], module.forward

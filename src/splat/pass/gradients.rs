@@ -26,6 +26,12 @@ pub struct GradientTables<T> {
 type GradientLayout = (usize, usize, bool, Wanted);
 
 impl<T: SplatKernels> GradientTables<T> {
+    /// Hands the gradients over; the next pass begins new tables.
+    pub fn take(&mut self) -> Gradients<T> {
+        self.layout = None;
+        std::mem::take(&mut self.gradients)
+    }
+
     /// Gradients of the wanted groups from the moments in the slots; those of splat `k` begin at `starts[k]`.
     pub fn chain(
         &mut self,
@@ -67,16 +73,17 @@ impl<T: SplatKernels> GradientTables<T> {
         let size = |group: Wanted| if wanted.any(group) { n } else { 0 };
         let out = &mut self.gradients;
         let zero = [T::zero(); 3];
-        out.positions.resize(size(Wanted::POSITIONS), zero);
-        out.rotations.resize(if has_axes { 0 } else { size(Wanted::SHAPES) }, [T::zero(); 4]);
-        out.scales.resize(if has_axes { 0 } else { size(Wanted::SHAPES) }, zero);
-        out.axes.resize(if has_axes { size(Wanted::SHAPES) } else { 0 }, [zero; 2]);
-        out.opacities.resize(size(Wanted::OPACITIES), T::zero());
-        out.sh.resize(size(Wanted::SH) * stride, T::zero());
+        resize(&mut out.positions, size(Wanted::POSITIONS), zero);
+        resize(&mut out.rotations, if has_axes { 0 } else { size(Wanted::SHAPES) }, [T::zero(); 4]);
+        resize(&mut out.scales, if has_axes { 0 } else { size(Wanted::SHAPES) }, zero);
+        resize(&mut out.axes, if has_axes { size(Wanted::SHAPES) } else { 0 }, [zero; 2]);
+        resize(&mut out.opacities, size(Wanted::OPACITIES), T::zero());
+        resize(&mut out.sh, size(Wanted::SH) * stride, T::zero());
         (out.pose, out.lens) = ([0.0; 6], [0.0; 4]);
         if self.layout != Some(layout) {
+            // Without a layout the tables are new, and all 0.
+            self.written = vec![self.layout.is_some(); n.div_ceil(CHUNK)];
             self.layout = Some(layout);
-            self.written = vec![true; n.div_ceil(CHUNK)];
         }
     }
 
@@ -108,5 +115,14 @@ impl<T: SplatKernels> GradientTables<T> {
                 std::mem::replace(before, task.visible) || task.visible
             })
             .collect()
+    }
+}
+
+/// Resizes a table; a new one is asked for as zeros, which a large one then is without being written.
+fn resize<V: Clone>(table: &mut Vec<V>, n: usize, zero: V) {
+    if table.capacity() == 0 {
+        *table = vec![zero; n];
+    } else {
+        table.resize(n, zero);
     }
 }

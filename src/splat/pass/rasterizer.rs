@@ -145,6 +145,18 @@ impl<T: SplatKernels> Rasterizer<T> {
         &self.gradients.gradients
     }
 
+    /// The colour image of the last [`Rasterizer::render`], handed over instead of copied: it is then empty here, and
+    /// the next render makes a new one.
+    pub fn take_color(&mut self) -> Vec<T> {
+        std::mem::take(&mut self.images.rendered.color)
+    }
+
+    /// The gradients of the last [`Rasterizer::backward`], handed over instead of copied: they are then empty here, and
+    /// the next backward pass makes new ones.
+    pub fn take_gradients(&mut self) -> Gradients<T> {
+        self.gradients.take()
+    }
+
     /// Pairs of a tile and a visible splat of the last render whose bounding box meets it, which is what other
     /// renderers count; the lists have fewer ([`Rendered::intersections`]). Not for exact discs, whose boxes are not
     /// kept.
