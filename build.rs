@@ -43,12 +43,13 @@ const SPLAT: Part = Part {
         "cpp/splat/bin.cpp",
         "cpp/splat/image.cpp",
     ],
+    // What takes longest to compile first, so that no compiler works alone in the end.
     kernels: &[
-        "cpp/splat/loss_kernel.cpp",
-        "cpp/splat/chain.cpp",
-        "cpp/splat/disc.cpp",
-        "cpp/splat/kernel.cpp",
         "cpp/splat/project.cpp",
+        "cpp/splat/chain.cpp",
+        "cpp/splat/kernel.cpp",
+        "cpp/splat/loss_kernel.cpp",
+        "cpp/splat/disc.cpp",
     ],
 };
 

@@ -58,7 +58,8 @@
 //!
 //! | feature | rooms | needs |
 //! |---|---|---|
-//! | none | [`base`], [`formats`], [`airway`], [`splat`], [`reconstruct`], and of [`simulate`] the readers `sequence` and `participant`, and `export` | g++ |
+//! | none | [`base`], [`formats`], [`splat`]; of [`simulate`] the readers `sequence` and `participant`, of [`reconstruct`] the writer of predictions | g++ |
+//! | `methods` | [`airway`], [`reconstruct`], and of [`simulate`] `export` | g++ |
 //! | `trace` | [`render`], [`simulate`] | Embree 4, libclang |
 //! | `vision` | [`score`] | OpenCV 4, clang |
 //! | `program` | [`ct`], [`report`], [`mod@bench`], [`experiments`], [`cli`] | both |
@@ -72,7 +73,16 @@ pub mod base;
 pub mod ffi;
 pub mod formats;
 
+#[cfg(feature = "methods")]
 pub mod airway;
+/// What a film tells of the airway.
+#[cfg(not(feature = "methods"))]
+#[allow(dead_code, reason = "what only the maker of airways needs")]
+pub mod airway {
+    pub mod case_centerline;
+    pub mod centerline;
+    pub mod target;
+}
 #[cfg(feature = "program")]
 pub mod ct;
 #[cfg(feature = "trace")]
@@ -83,6 +93,7 @@ pub mod simulate;
 #[cfg(not(feature = "trace"))]
 #[allow(dead_code, reason = "names and entries that only the writer needs")]
 pub mod simulate {
+    #[cfg(feature = "methods")]
     pub mod export;
     mod film_tables;
     pub mod participant;
@@ -91,7 +102,14 @@ pub mod simulate {
 
 pub mod splat;
 
+#[cfg(feature = "methods")]
 pub mod reconstruct;
+/// Predictions can be written without the methods.
+#[cfg(not(feature = "methods"))]
+pub mod reconstruct {
+    mod prediction_folder;
+    pub use prediction_folder::{PredictionFolder, PredictionTiming};
+}
 
 #[cfg(feature = "vision")]
 pub mod score;

@@ -13,7 +13,7 @@ use respire_bench::airway::import_axes::PatientAxes;
 use respire_bench::airway::import_breathing::LungBox;
 use respire_bench::airway::import_mesh::{ExpectedAnatomy, FileMeaning, PartChoice};
 use respire_bench::airway::import_tree;
-use respire_bench::airway::targets::Target as AirwayTarget;
+use respire_bench::airway::target::Target as AirwayTarget;
 use respire_bench::airway::{case_build, case_centerline};
 use respire_bench::base::pose::rotation_error;
 use respire_bench::base::random::CounterRng;

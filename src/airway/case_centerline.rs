@@ -5,8 +5,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::centerline::{Centerline, CenterlinePoint};
-use super::tree::MOST_LENGTH_MM;
+use super::centerline::{Centerline, CenterlinePoint, MOST_LENGTH_MM};
 use crate::base::range::{COORDINATE_MM, GENERATION, NumberRange, RADIUS_MM};
 use crate::base::{Error, Result, files};
 

@@ -2,6 +2,9 @@
 
 use glam::DVec3;
 
+/// Longest sum of all branches in mm: a kilometre, some fifty times what CT shows.
+pub(super) const MOST_LENGTH_MM: f64 = 1e6;
+
 /// One point of the medial axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CenterlinePoint {

@@ -32,6 +32,7 @@ pub mod remesh;
 pub mod surface;
 pub mod surface_field;
 pub mod surface_polygon;
+pub mod target;
 pub mod targets;
 pub mod tree;
 pub mod waveform;

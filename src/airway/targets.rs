@@ -5,6 +5,7 @@ use glam::DVec3;
 
 use super::Anatomy;
 use super::case::Breathing;
+use super::target::Target;
 
 /// Branch tips, spread over the lungs; each has a companion in the tissue beside it.
 const TIPS: usize = 5;
@@ -12,22 +13,6 @@ const TIPS: usize = 5;
 const BESIDE_MM: f64 = 10.0;
 /// Directions around the branch among which the one that leads away from the airways is taken.
 const DIRECTIONS: usize = 16;
-
-/// One target.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Target {
-    /// Place in mm at full inspiration, as planned on the CT.
-    pub inspiration_mm: DVec3,
-    /// Place in mm at full expiration: truth.
-    pub expiration_mm: DVec3,
-}
-
-impl Target {
-    /// Place in mm at `phase`.
-    pub fn at(&self, phase: f64) -> DVec3 {
-        self.inspiration_mm.lerp(self.expiration_mm, phase)
-    }
-}
 
 /// The targets of a case: tips first, then the tissue beside each. Fewer than ten where the tree has fewer tips.
 pub fn targets(anatomy: &Anatomy, breathing: Option<&Breathing>) -> Vec<Target> {

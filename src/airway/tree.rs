@@ -7,12 +7,9 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::centerline::{Centerline, CenterlinePoint};
+use super::centerline::{Centerline, CenterlinePoint, MOST_LENGTH_MM};
 use crate::base::range::{COORDINATE_MM, GENERATION, RADIUS_MM};
 use crate::base::{Error, Result};
-
-/// Longest sum of all branches in mm: a kilometre, some fifty times what CT shows.
-pub(super) const MOST_LENGTH_MM: f64 = 1e6;
 
 /// One branch between two bifurcations. Its first point lies on the parent's centreline (or is the inlet).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -23,6 +23,7 @@ mod mesh_ply;
 pub mod metaimage;
 #[cfg(feature = "program")]
 pub mod nifti;
+#[cfg(feature = "methods")]
 pub mod npy;
 pub mod number_table;
 pub mod png;

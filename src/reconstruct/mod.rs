@@ -5,7 +5,7 @@
 //! | floor | holds |
 //! |---|---|
 //! | `contract`, `settings`, `activation`, `stopwatch` | inputs and outputs of a method, and its numbers |
-//! | `online`, `observe`, `rough_poses`, `prediction` | the protocol, from the sequence to the prediction |
+//! | `online`, `observe`, `rough_poses`, `prediction_folder`, `prediction` | the protocol, from the sequence to the prediction |
 //! | `geometry` | the mesh at a phase: visible faces, depth, image pyramid, rigid motions, neighbours |
 //! | `fitting` | building blocks: optimiser, losses, discs and free Gaussians, light, memory of colours |
 //! | `estimate` | estimators, which do not know each other: phase fit, keyframe window, Gauss-Newton, breath |
@@ -22,6 +22,7 @@ mod methods;
 mod observe;
 mod online;
 mod prediction;
+mod prediction_folder;
 mod rough_poses;
 pub mod settings;
 mod stopwatch;
@@ -39,7 +40,8 @@ pub use methods::ours_gn::OursGn;
 pub use methods::ours_nav::OursNav;
 pub use methods::ours_nomesh::OursNomesh;
 pub use observe::{given_poses, observe, observe_first};
-pub use prediction::{PredictionFolder, PredictionTiming, write_prediction};
+pub use prediction::write_prediction;
+pub use prediction_folder::{PredictionFolder, PredictionTiming};
 pub use rough_poses::rough_poses;
 pub use settings::Listing;
 pub use stopwatch::Spent;

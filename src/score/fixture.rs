@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DVec3};
 
 use super::truth::{Truth, final_mesh};
-use crate::airway::targets::Target;
+use crate::airway::target::Target;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Camera, Image, Mask, Result, TriangleMesh, files};
 use crate::formats::{exr, mesh, png};

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3};
 
-use crate::airway::targets::Target;
+use crate::airway::target::Target;
 use crate::base::mesh::interpolate;
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh};
 use crate::simulate::participant::Given;

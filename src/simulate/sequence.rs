@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::airway::case_centerline;
 use crate::airway::centerline::Centerline;
-use crate::airway::targets::Target;
+use crate::airway::target::Target;
 use crate::base::range::{BREATHING_PERIOD_S, NumberRange, SHARE};
 use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files, hash};
 use crate::formats::transforms::{Transforms, TransformsFrame, TransformsLens};

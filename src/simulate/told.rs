@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::airway::Anatomy;
 use crate::airway::case::Case;
 use crate::airway::centerline_distance::SurfaceDistance;
-use crate::airway::targets::Target;
+use crate::airway::target::Target;
 use crate::base::{Error, Result, TriangleMesh, files};
 use crate::formats::transforms::{Transforms, TransformsFrame};
 use crate::formats::{mesh as mesh_file, png};

@@ -55,6 +55,7 @@ const FLOORS: [(&str, &[&str]); 2] = [
             "rough_poses",
             "observe",
             "online",
+            "prediction_folder",
             "prediction",
             "geometry",
             "fitting",
