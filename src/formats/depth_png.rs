@@ -1,17 +1,12 @@
 //! Depth as 16-bit grey PNG, 0 where there is none (nerfstudio, KITTI and most endoscopy sets; the file
 //! does not say its unit).
 
-use std::io::Cursor;
 use std::path::Path;
 
-use image::{DynamicImage, ImageBuffer, ImageFormat, ImageReader, Limits, Luma};
+use png::{BitDepth, ColorType, Compression};
 
+use super::png::{encode_pixels, pixels};
 use crate::base::{Error, Image, Result, files};
-
-/// No depth image is wider or higher.
-const MAX_SIDE_PX: u32 = 32_768;
-/// Memory that decoding may ask for, in bytes.
-const MAX_DECODED_BYTES: u64 = 256 << 20;
 
 /// Reads a 16-bit grey PNG as one channel of `unit_mm` times its codes. Errors name the file; 8 bits are refused,
 /// because they cannot hold a depth.
@@ -27,32 +22,21 @@ pub fn write(path: &Path, codes: &Image<u16>) -> Result<()> {
 fn encode(codes: &Image<u16>) -> Result<Vec<u8>> {
     let refused = || Error::input("an image of depth has one channel and at least one pixel");
     let grey = Some(codes).filter(|codes| codes.channels == 1 && !codes.data.is_empty()).ok_or_else(refused)?;
-    let (width, height) = (grey.width as u32, grey.height as u32);
-    let grey = ImageBuffer::<Luma<u16>, _>::from_raw(width, height, grey.data.as_slice()).ok_or_else(refused)?;
-    let mut bytes = Cursor::new(Vec::new());
-    let failed = |e: image::ImageError| Error::input(format!("encoding as PNG failed: {e}"));
-    grey.write_to(&mut bytes, ImageFormat::Png).map_err(failed)?;
-    Ok(bytes.into_inner())
+    let data: Vec<u8> = grey.data.iter().flat_map(|code| code.to_be_bytes()).collect();
+    let size = [grey.width as u32, grey.height as u32];
+    encode_pixels(&data, size, ColorType::Grayscale, BitDepth::Sixteen, Compression::Fast)
 }
 
 /// [`read`] for bytes in memory.
 pub fn decode(bytes: &[u8], unit_mm: f64) -> Result<Image<f32>> {
-    let damaged = |e: image::ImageError| Error::input(format!("is not a readable PNG image: {e}"));
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE_PX);
-    limits.max_image_height = Some(MAX_SIDE_PX);
-    limits.max_alloc = Some(MAX_DECODED_BYTES);
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
-    reader.limits(limits);
-    match reader.decode().map_err(damaged)? {
-        DynamicImage::ImageLuma16(grey) => Ok(Image {
-            width: grey.width() as usize,
-            height: grey.height() as usize,
-            channels: 1,
-            data: grey.as_raw().iter().map(|&code| (f64::from(code) * unit_mm) as f32).collect(),
-        }),
-        other => Err(Error::input(format!("has pixels of type {:?}; a depth image has 16-bit grey", other.color()))),
+    let grey = pixels(bytes)?;
+    if (grey.color, grey.depth) != (ColorType::Grayscale, BitDepth::Sixteen) {
+        let (color, depth) = (grey.color, grey.depth);
+        return Err(Error::input(format!("has {color:?} pixels of {depth:?} bits; a depth image has 16-bit grey")));
     }
+    let mm = |&be: &[u8; 2]| (f64::from(u16::from_be_bytes(be)) * unit_mm) as f32;
+    let data = grey.data.as_chunks::<2>().0.iter().map(mm).collect();
+    Ok(Image { width: grey.width, height: grey.height, channels: 1, data })
 }
 
 #[cfg(test)]
@@ -70,8 +54,7 @@ mod tests {
 
     #[test]
     fn eight_bits_are_refused() {
-        let mut bytes = Cursor::new(Vec::new());
-        image::GrayImage::new(2, 2).write_to(&mut bytes, ImageFormat::Png).unwrap();
-        assert!(decode(&bytes.into_inner(), 1.0).unwrap_err().to_string().contains("16-bit"));
+        let bytes = encode_pixels(&[0; 4], [2, 2], ColorType::Grayscale, BitDepth::Eight, Compression::Fast).unwrap();
+        assert!(decode(&bytes, 1.0).unwrap_err().to_string().contains("16-bit"));
     }
 }

@@ -3,15 +3,14 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder, ImageFormat, ImageReader, Limits};
+use png::{BitDepth, ColorType, Compression, Filter, Limits, Transformations};
 
 use crate::base::{Error, Image, Result, files};
 
 /// No image of this program is wider or higher.
 const MAX_SIDE_PX: u32 = 32_768;
 /// Memory that decoding may ask for, in bytes.
-const MAX_DECODED_BYTES: u64 = 256 << 20;
+const MAX_DECODED_BYTES: usize = 256 << 20;
 
 /// Reads any PNG as 8-bit RGB: grey is spread, alpha dropped, 16 bits rounded to 8.
 ///
@@ -27,7 +26,7 @@ pub fn write_rgb(path: &Path, image: &Image<u8>) -> Result<()> {
 
 /// Writes a grey image (one channel) in one atomic step.
 pub fn write_grey(path: &Path, image: &Image<u8>) -> Result<()> {
-    files::write_bytes(path, &encode_as(image, 1, ExtendedColorType::L8).map_err(|e| e.at(path))?)
+    files::write_bytes(path, &encode_as(image, 1, ColorType::Grayscale).map_err(|e| e.at(path))?)
 }
 
 /// Writes RGB images of one size as an endless animated PNG, `seconds` each, in one atomic step. Readers without
@@ -44,8 +43,8 @@ fn animation(images: &[Image<u8>], seconds: f64) -> Result<Vec<u8>> {
     let failed = |e: png::EncodingError| Error::input(format!("encoding as animated PNG failed: {e}"));
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, first.width as u32, first.height as u32);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_color(ColorType::Rgb);
+    encoder.set_depth(BitDepth::Eight);
     encoder.set_animated(images.len() as u32, 0).map_err(failed)?;
     encoder.set_frame_delay((seconds * 1000.0).round().clamp(1.0, 65_535.0) as u16, 1000).map_err(failed)?;
     let mut writer = encoder.write_header().map_err(failed)?;
@@ -58,33 +57,84 @@ fn animation(images: &[Image<u8>], seconds: f64) -> Result<Vec<u8>> {
 
 /// [`read_rgb`] for bytes in memory.
 pub fn decode(bytes: &[u8]) -> Result<Image<u8>> {
-    let damaged = |e: image::ImageError| Error::input(format!("is not a readable PNG image: {e}"));
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE_PX);
-    limits.max_image_height = Some(MAX_SIDE_PX);
-    limits.max_alloc = Some(MAX_DECODED_BYTES);
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
-    reader.limits(limits);
-    let rgb = reader.decode().map_err(damaged)?.into_rgb8();
-    Ok(Image { width: rgb.width() as usize, height: rgb.height() as usize, channels: 3, data: rgb.into_raw() })
+    let pixels = pixels(bytes)?;
+    let eight_bits = if pixels.depth == BitDepth::Sixteen {
+        // Codes of 65535 to the nearest of 255.
+        let code = |&be: &[u8; 2]| ((u32::from(u16::from_be_bytes(be)) + 128) / 257) as u8;
+        pixels.data.as_chunks::<2>().0.iter().map(code).collect()
+    } else {
+        pixels.data
+    };
+    let data = match pixels.color {
+        ColorType::Rgb => eight_bits,
+        ColorType::Rgba => eight_bits.as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect(),
+        ColorType::GrayscaleAlpha => eight_bits.as_chunks::<2>().0.iter().flat_map(|&[grey, _]| [grey; 3]).collect(),
+        ColorType::Grayscale | ColorType::Indexed => eight_bits.into_iter().flat_map(|grey| [grey; 3]).collect(),
+    };
+    Ok(Image { width: pixels.width, height: pixels.height, channels: 3, data })
+}
+
+/// A decoded PNG: palettes resolved, fewer than 8 bits spread to 8; 16 bits big endian.
+pub(super) struct Pixels {
+    pub width: usize,
+    pub height: usize,
+    pub color: ColorType,
+    pub depth: BitDepth,
+    pub data: Vec<u8>,
+}
+
+/// Decodes the first image of a PNG. Errors: not a PNG, damaged, too large.
+pub(super) fn pixels(bytes: &[u8]) -> Result<Pixels> {
+    let damaged = |e: png::DecodingError| Error::input(format!("is not a readable PNG image: {e}"));
+    let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: MAX_DECODED_BYTES });
+    decoder.set_transformations(Transformations::EXPAND);
+    let header = decoder.read_header_info().map_err(damaged)?;
+    let (width, height) = (header.width, header.height);
+    let mut reader = decoder.read_info().map_err(damaged)?;
+    let size = reader.output_buffer_size().filter(|size| *size <= MAX_DECODED_BYTES);
+    let Some(size) = size.filter(|_| width.max(height) <= MAX_SIDE_PX) else {
+        return Err(Error::input(format!("is not a readable PNG image: {width}x{height} pixels are too many")));
+    };
+    let (color, depth) = reader.output_color_type();
+    let mut data = vec![0; size];
+    reader.next_frame(&mut data).map_err(damaged)?;
+    Ok(Pixels { width: width as usize, height: height as usize, color, depth, data })
 }
 
 /// The bytes of an RGB image as a PNG file. Errors: not three channels.
 pub fn encode(image: &Image<u8>) -> Result<Vec<u8>> {
-    encode_as(image, 3, ExtendedColorType::Rgb8)
+    encode_as(image, 3, ColorType::Rgb)
 }
 
-fn encode_as(image: &Image<u8>, channels: usize, color: ExtendedColorType) -> Result<Vec<u8>> {
+fn encode_as(image: &Image<u8>, channels: usize, color: ColorType) -> Result<Vec<u8>> {
     if image.channels != channels || image.width == 0 || image.height == 0 {
         return Err(Error::input(format!(
             "an image of {}x{} pixels and {} channels cannot be written as PNG of {channels} channels",
             image.width, image.height, image.channels
         )));
     }
+    let size = [image.width as u32, image.height as u32];
+    encode_pixels(&image.data, size, color, BitDepth::Eight, Compression::Balanced)
+}
+
+/// A PNG of `data`, row by row, 16 bits big endian.
+pub(super) fn encode_pixels(
+    data: &[u8],
+    [width, height]: [u32; 2],
+    color: ColorType,
+    depth: BitDepth,
+    compression: Compression,
+) -> Result<Vec<u8>> {
+    let failed = |e: png::EncodingError| Error::input(format!("encoding as PNG failed: {e}"));
     let mut bytes = Vec::new();
-    PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive)
-        .write_image(&image.data, image.width as u32, image.height as u32, color)
-        .map_err(|e| Error::input(format!("encoding as PNG failed: {e}")))?;
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(color);
+    encoder.set_depth(depth);
+    encoder.set_compression(compression);
+    encoder.set_filter(Filter::Adaptive);
+    let mut writer = encoder.write_header().map_err(failed)?;
+    writer.write_image_data(data).map_err(failed)?;
+    writer.finish().map_err(failed)?;
     Ok(bytes)
 }
 
@@ -143,6 +193,41 @@ mod tests {
         assert_eq!(pixels, other.data);
         let small = Image::filled(2, 2, 3, 0u8);
         assert!(animation(&[sample(), small], 0.1).is_err() && animation(&[], 0.1).is_err());
+    }
+
+    /// The crate `image` turns every kind of pixel into this one on its own.
+    #[cfg(feature = "program")]
+    #[test]
+    fn another_reader_and_writer_agree() {
+        let bytes = encode(&sample()).unwrap();
+        assert_eq!(image::load_from_memory(&bytes).unwrap().into_rgb8().into_raw(), sample().data);
+        let codes: Vec<u16> = (0..9u32 * 7 * 4).map(|i| (i * 2657 % 65_536) as u16).collect();
+        let rgba = image::DynamicImage::ImageRgba16(image::ImageBuffer::from_raw(9, 7, codes).unwrap());
+        for kind in [
+            rgba.clone(),
+            rgba.to_rgb16().into(),
+            rgba.to_luma16().into(),
+            rgba.to_luma_alpha16().into(),
+            rgba.to_rgba8().into(),
+            rgba.to_rgb8().into(),
+            rgba.to_luma8().into(),
+            rgba.to_luma_alpha8().into(),
+        ] {
+            let mut bytes = Cursor::new(Vec::new());
+            kind.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+            assert_eq!(decode(bytes.get_ref()).unwrap().data, kind.to_rgb8().into_raw(), "{:?}", kind.color());
+        }
+    }
+
+    #[test]
+    fn palettes_and_few_bits_are_spread() {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, 2, 1);
+        encoder.set_color(ColorType::Indexed);
+        encoder.set_depth(BitDepth::One);
+        encoder.set_palette(vec![10, 20, 30, 40, 50, 60]);
+        encoder.write_header().unwrap().write_image_data(&[0b0100_0000]).unwrap();
+        assert_eq!(decode(&bytes).unwrap().data, [10, 20, 30, 40, 50, 60]);
     }
 
     #[test]
