@@ -6,12 +6,14 @@
 //! | `film` | a film's folder or a participant's, read file by file |
 //! | `predict` | a prediction's folder |
 //! | `rasterize` | the splat core behind `rasterize` |
+//! | `threads` | the interpreter's thread as one of those that render |
 //! | `failure` | errors of the library as Python exceptions |
 
 mod failure;
 mod film;
 mod predict;
 mod rasterize;
+mod threads;
 
 use pyo3::prelude::*;
 

@@ -20,6 +20,7 @@ use respire_bench::splat::{
 
 use crate::failure::{OrRaise, refused};
 use crate::predict::{RIGID, rigid};
+use crate::threads;
 
 /// The constant spherical harmonic.
 const C0: f64 = 0.28209479177387814;
@@ -550,6 +551,7 @@ fn forward_in<'py, T: Float>(py: Python<'py>, arrays: &Gathered<'py>, plan: Plan
 /// Renders one camera.
 #[pyfunction]
 pub fn forward<'py>(py: Python<'py>, arrays: Gathered<'py>, plan: Plan) -> PyResult<Rendering<'py>> {
+    threads::join();
     if is_single(&arrays) { forward_in::<f32>(py, &arrays, plan) } else { forward_in::<f64>(py, &arrays, plan) }
 }
 
@@ -626,6 +628,7 @@ pub fn time_core<'py>(
     by_image: PyReadonlyArrayDyn<'py, f32>,
     wanted: Wishes,
 ) -> PyResult<(f64, f64)> {
+    threads::join();
     let arrays = Arrays::<f32>::take(&arrays)?;
     let (slices, by_image) = (arrays.slices()?, slice("the gradient of the image", &by_image)?);
     let view = plan.view()?;

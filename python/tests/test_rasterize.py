@@ -1,5 +1,6 @@
 """`rasterize` on arrays of numpy."""
 
+import threading
 import unittest
 
 import numpy as np
@@ -198,6 +199,20 @@ class Images(unittest.TestCase):
         np.testing.assert_array_equal(meta["backward"](by)["quats"][z <= 4.5], near_meta["backward"](by)["quats"])
         self.assertEqual(np.abs(meta["backward"](by)["colors"][z > 4.5]).max(), 0)
         self.assertFalse(meta["visible"][0, z > 4.5].any())
+
+    def test_other_threads_get_the_same_bits(self):
+        arguments = scene(300, dtype=np.float32)
+        first, _ = rasterize(**arguments)[:2]
+        found = []
+        threads = [threading.Thread(target=lambda: found.append(rasterize(**arguments)[0])) for _ in range(3)]
+        for thread in threads:
+            thread.start()
+        again = rasterize(**arguments)[0]
+        for thread in threads:
+            thread.join()
+        self.assertEqual(len(found), 3)
+        for image in (again, *found):
+            np.testing.assert_array_equal(image, first)
 
     def test_passes_do_not_disturb_each_other(self):
         first, second = scene(seed=1), scene(seed=2, width=70, height=50)
