@@ -24,8 +24,8 @@ edition = "2024"
 respire-bench = { path = "$root", default-features = false }
 glam = "0.34"
 # The library does not need these features; the Python package's other dependencies ask for them.
-matrixmultiply = { version = "0.3", features = ["cgemm"] }
-num-integer = "0.1"
+num-traits = "0.2"
+once_cell = "1"
 [build-dependencies]
 syn = { version = "3", features = ["extra-traits", "visit-mut"] }
 
