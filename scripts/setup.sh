@@ -51,7 +51,7 @@ else
   fi
 fi
 
-[ -z "$with_ct" ] || packages+=(elastix)
+[ -z "$with_ct" ] || packages+=(elastix dcm2niix)
 install_packages "${packages[@]}"
 
 # --- Embree 4 where Debian has only Embree 3 --------------------------------------------------------------------

@@ -181,8 +181,8 @@ pub struct SurfaceConditions {
     /// the case file or beside its folder, where that is there.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub folder: Option<PathBuf>,
-    /// Without such a folder the true surfaces are given, the one at expiration with a smooth error of this root mean
-    /// square in mm.
+    /// The surface at expiration has a smooth error of this root mean square in mm: without such a folder in place of a
+    /// registration's, with it besides, since a case's smooth field is easier to register than a patient.
     pub registration_error_mm: f64,
 }
 

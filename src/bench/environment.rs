@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::base::hash;
+use crate::ct::dicom_conversion::converter_version;
 use crate::ct::registration::elastix_version;
 use crate::ffi::versions::{EMBREE_HEADER, embree_complaint, embree_runtime};
 use crate::ffi::{system, vision};
@@ -27,6 +28,8 @@ pub struct Environment {
     pub opencv: String,
     /// The elastix that `import ct` calls; nothing else needs it.
     pub elastix: Option<String>,
+    /// The dcm2niix that `import ct` calls for DICOM that is compressed; nothing else needs it.
+    pub dcm2niix: Option<String>,
     /// Instruction sets of the processor.
     pub isa_available: Vec<&'static str>,
     /// Instruction set for tracing rays: pinned, so that images are the same on every machine that has it.
@@ -88,6 +91,7 @@ impl Environment {
             embree_header: EMBREE_HEADER.to_string(),
             opencv: vision::version(),
             elastix: elastix_version(),
+            dcm2niix: converter_version(),
             isa_available,
             isa_of_rays: render::ISA,
             isa_of_splats: Isa::widest().to_string(),

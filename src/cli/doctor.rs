@@ -3,7 +3,7 @@
 use super::Terminal;
 use crate::base::{Error, ErrorKind, Result};
 use crate::bench::Environment;
-use crate::ct::registration::REMEDY as ELASTIX;
+use crate::ct::registration::REMEDY as SCANS;
 
 /// Installs what is missing.
 const REMEDY: &str = "scripts/setup.sh";
@@ -28,7 +28,8 @@ pub fn run(arguments: DoctorArguments, terminal: &Terminal) -> Result<()> {
             ("compiler", found.rustc.to_owned()),
             ("Embree", format!("{} (headers {})", found.embree_runtime, found.embree_header)),
             ("OpenCV", found.opencv.clone()),
-            ("elastix", found.elastix.clone().unwrap_or_else(|| format!("none; for import ct: {ELASTIX}"))),
+            ("elastix", found.elastix.clone().unwrap_or_else(|| format!("none; for import ct: {SCANS}"))),
+            ("dcm2niix", found.dcm2niix.clone().unwrap_or_else(|| format!("none; for compressed DICOM: {SCANS}"))),
             ("instruction sets", found.isa_available.join(", ")),
             ("used", format!("{} for rays, {} for splats", found.isa_of_rays, found.isa_of_splats)),
             ("processor", found.processor.clone()),

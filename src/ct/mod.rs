@@ -12,6 +12,7 @@
 //! in `formats`.
 
 pub mod airway_mask;
+pub mod dicom_conversion;
 mod distance;
 mod local_contrast;
 pub mod lumen;

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 
+use super::dicom_conversion::read_scan;
 use crate::base::{Error, Result, Volume, VoxelGrid};
-use crate::formats::volume::read_scan;
 
 /// Least share of voxels that are air or lung, and that are soft tissue, of a CT of a chest.
 const LEAST_SHARE: f64 = 0.01;

@@ -1,8 +1,9 @@
 //! A folder of DICOM slices: one CT series, uncompressed.
 //!
 //! Slices are put in order by their place along the normal of their planes, never
-//! by name or number. Left out: compressed pixels, several series in a folder, slices of unequal distance; each is
-//! refused with the way out, which is `dcm2niix` (docs/decisions/0015-from-scans-to-case.md).
+//! by name or number. Left out: compressed pixels, several slices in a file, several series in a folder, slices of
+//! unequal distance; each is refused with the way out, which is `dcm2niix`
+//! (docs/decisions/0015-from-scans-to-case.md).
 
 use std::fs::File;
 use std::io::Read;
@@ -32,9 +33,10 @@ const INTERCEPT: Tag = Tag(0x0028, 0x1052);
 const SLOPE: Tag = Tag(0x0028, 0x1053);
 
 /// The way out that every refusal of a kind of DICOM names.
-const CURE: &str = "`dcm2niix -z y -o OUT DIR` makes a .nii.gz of the folder";
-/// Class of a slice of a CT.
+const CURE: &str = "`dcm2niix -z y -o OUT DIR` makes a .nii.gz of the folder (scripts/setup.sh --ct installs it)";
+/// Class of a slice of a CT, and how the classes of files begin that hold many.
 const CT_SLICE: &str = "1.2.840.10008.5.1.4.1.1.2";
+const CT_SLICES: &str = "1.2.840.10008.5.1.4.1.1.2.";
 /// Most that distances between slices differ, as a part of the distance.
 const UNEVEN: f64 = 0.05;
 /// Most slices.
@@ -83,17 +85,51 @@ pub fn read_folder(folder: &Path) -> Result<Volume<i16>> {
     stacked(slices).map_err(|e| e.at(folder))
 }
 
+/// CT in a folder that [`read_folder`] does not read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PackedSlices {
+    /// Files with one slice each.
+    pub single: usize,
+    /// Files with many slices each.
+    pub many: usize,
+}
+
+/// What is to be unpacked in `folder`; `None` where every CT is stored as [`read_folder`] reads it: uncompressed, one
+/// slice in a file.
+///
+/// Errors: a file that cannot be read. What is damaged is left to [`read_folder`].
+pub fn packed_slices(folder: &Path) -> Result<Option<PackedSlices>> {
+    let mut found = PackedSlices { single: 0, many: 0 };
+    let mut is_packed = false;
+    for path in files::all_directly_in(folder)? {
+        let Some(elements_at) = beginning(&path)? else { continue };
+        let bytes = files::read_bytes(&path)?;
+        let Ok(elements) = Elements::read(&bytes, elements_at) else { continue };
+        let class = elements.text(CLASS).unwrap_or_default();
+        let (is_single, is_many) = (class == CT_SLICE, class.starts_with(CT_SLICES));
+        found.single += usize::from(is_single);
+        found.many += usize::from(is_many);
+        is_packed |= is_many || is_single && !elements.is_plain();
+    }
+    Ok(is_packed.then_some(found))
+}
+
 fn other_slice() -> Error {
     Error::input(format!("has another size, spacing or orientation than the other slices: {CURE}"))
 }
 
-/// The slice in a file; `None` where the file is none of a CT.
-fn read_slice(path: &Path) -> Result<Option<SliceHeader>> {
-    // DICOM files need have no ending, and folders of exports hold indices and pictures besides.
+/// Where the elements of a DICOM file begin; `None` where it is none. DICOM files need have no ending, and folders of
+/// exports hold indices and pictures besides.
+fn beginning(path: &Path) -> Result<Option<usize>> {
     let mut start = Vec::with_capacity(MAGIC_END);
     let opened = File::open(path).and_then(|file| file.take(MAGIC_END as u64).read_to_end(&mut start));
     opened.map_err(|e| Error::io("reading", path, e))?;
-    let Some(elements_at) = begin(&start) else {
+    Ok(begin(&start))
+}
+
+/// The slice in a file; `None` where the file is none of a CT.
+fn read_slice(path: &Path) -> Result<Option<SliceHeader>> {
+    let Some(elements_at) = beginning(path)? else {
         if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("dcm")) {
             return Err(Error::input(format!("is called .dcm and is no DICOM file, or a damaged one: {CURE}")));
         }
@@ -216,7 +252,7 @@ fn stacked(mut slices: Vec<SliceHeader>) -> Result<Volume<i16>> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// An element in explicit representation, little endian.
@@ -237,7 +273,7 @@ mod tests {
     }
 
     /// A file of 3 x 2 pixels at height `z` in series `series`, all of whose pixels hold `stored`.
-    fn write(folder: &Path, name: &str, z: f64, series: &str, stored: i16, syntax: &str) {
+    pub(crate) fn write(folder: &Path, name: &str, z: f64, series: &str, stored: i16, syntax: &str) {
         let meta = [
             element(2, 1, "OB", &[0, 1]),
             element(2, 2, "UI", b"1.2.840.10008.5.1.4.1.1.2"),
@@ -252,6 +288,7 @@ mod tests {
             element(8, 0x18, "UI", b"1.2.3"),
             element(8, 0x60, "CS", b"CT"),
             element(0x20, 0xe, "UI", series.as_bytes()),
+            element(0x20, 0x13, "IS", format!("{}", (10.0 * z) as i32).as_bytes()),
             element(0x20, 0x32, "DS", format!("-10\\20\\{z}").as_bytes()),
             element(0x20, 0x37, "DS", b"1\\0\\0\\0\\1\\0"),
             element(0x28, 2, "US", &1u16.to_le_bytes()),
@@ -262,14 +299,29 @@ mod tests {
             element(0x28, 0x103, "US", &1u16.to_le_bytes()),
             element(0x28, 0x1052, "DS", b"-1024"),
             element(0x28, 0x1053, "DS", b"2"),
-            element(0x7fe0, 0x10, "OW", &pixels),
+            if syntax == RLE { run_lengths(stored) } else { element(0x7fe0, 0x10, "OW", &pixels) },
         ]
         .concat();
         let length = element(2, 0, "UL", &(meta.len() as u32).to_le_bytes());
         std::fs::write(folder.join(name), [vec![0; 128], b"DICM".to_vec(), length, meta, data].concat()).unwrap();
     }
 
-    const PLAIN: &str = "1.2.840.10008.1.2.1";
+    pub(crate) const PLAIN: &str = "1.2.840.10008.1.2.1";
+    pub(crate) const RLE: &str = "1.2.840.10008.1.2.5";
+
+    /// Pixels that all hold `stored`, as the run-length encoding of DICOM PS3.5, annex G: an empty table of offsets, one
+    /// item with a table of its two segments (high bytes, low bytes), each of one run.
+    fn run_lengths(stored: i16) -> Vec<u8> {
+        let [high, low] = stored.to_be_bytes();
+        let mut item: Vec<u8> = [2u32, 64, 66].iter().flat_map(|n| n.to_le_bytes()).collect();
+        item.resize(64, 0);
+        // Six times the same byte: 1 - 6.
+        item.extend([(-5i8) as u8, high, (-5i8) as u8, low]);
+        let part = |mark: [u8; 4], bytes: &[u8]| [&mark[..], &(bytes.len() as u32).to_le_bytes(), bytes].concat();
+        let begin = [0xe0, 0x7f, 0x10, 0, b'O', b'B', 0, 0, 0xff, 0xff, 0xff, 0xff];
+        let [item_mark, end_mark] = [[0xfe, 0xff, 0, 0xe0], [0xfe, 0xff, 0xdd, 0xe0]];
+        [begin.to_vec(), part(item_mark, &[]), part(item_mark, &item), part(end_mark, &[])].concat()
+    }
 
     #[test]
     fn slices_are_stacked_by_their_place_and_scaled_to_hounsfield_units() {

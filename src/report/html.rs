@@ -18,8 +18,11 @@ use crate::score::{Metric, paper_metrics, registry};
 pub const PAGE_BYTES: usize = 15_000_000;
 /// Where airways take more of the page than this, they are made smaller.
 const AIRWAY_BYTES: usize = 5_000_000;
-/// Bytes of a vertex and its faces: 12 each, in base64.
+/// Least part of the page that films get: where less is left, cases say less of themselves ([`CaseDetail`]).
+const FILM_BYTES: usize = 2_000_000;
+/// Bytes of a vertex and its faces, 12 each, in base64; and of a row's error there.
 const VERTEX_BYTES: usize = 32;
+const ERROR_BYTES: f64 = 4.0 / 3.0;
 
 const STYLE: &str = include_str!("page/page.css");
 /// In this order: the later ones use the earlier ones.
@@ -43,20 +46,47 @@ pub struct TrackReport<'a> {
     pub scenes: &'a Scenes,
 }
 
-/// The whole page, of at most [`PAGE_BYTES`] as long as tables and plots leave room: films get what they leave.
-pub fn report(tracks: &[TrackReport<'_>]) -> String {
-    let airways = tracks.iter().flat_map(|track| &track.scenes.films).filter(|film| film.airway.is_some()).count();
-    let vertices = AIRWAY_BYTES / VERTEX_BYTES / airways.max(1);
-    let small: Vec<Scenes> = tracks.iter().map(|track| track.scenes.with_small_airways(vertices)).collect();
-    let without: Vec<Scenes> = small.iter().map(|scenes| scenes.thinned(0)).collect();
-    let rest = assembled(tracks, &without).len();
-    let room = PAGE_BYTES.saturating_sub(rest) / tracks.len().max(1);
-    let scenes: Vec<Scenes> = small.iter().map(|scenes| scenes.thinned(room)).collect();
-    assembled(tracks, &scenes)
+/// What stands on the page of each case; the rest is in the case's own file. In order of size.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum CaseDetail {
+    /// Airway, film, curves, numbers, plots.
+    Whole,
+    /// All but the plots.
+    WithoutPlots,
+    /// Where it is to be found.
+    Elsewhere,
 }
 
-/// One case with every frame at full size, beside the report: too large for it.
-pub fn whole_film(run: &Run, case: &CaseInfo, scenes: &Scenes) -> String {
+/// The whole page, of at most [`PAGE_BYTES`] as long as the tables of all cases leave room: films get what is left. Of many
+/// cases each says less.
+pub fn report(tracks: &[TrackReport<'_>]) -> String {
+    let airways = || tracks.iter().flat_map(|track| &track.scenes.films).filter_map(|film| film.airway.as_ref());
+    let vertices = AIRWAY_BYTES / VERTEX_BYTES / airways().count().max(1);
+    let rows = tracks.iter().map(|track| track.run.methods.len()).max().unwrap_or(0);
+    let each = VERTEX_BYTES as f64 + ERROR_BYTES * rows as f64;
+    let drawn = airways().map(|airway| airway.vertices().min(vertices) as f64 * each).sum::<f64>() as usize;
+    let bare: Vec<Scenes> = tracks.iter().map(|track| track.scenes.without_pictures()).collect();
+    for detail in [CaseDetail::Whole, CaseDetail::WithoutPlots] {
+        if assembled(tracks, &bare, detail).len() + drawn + FILM_BYTES > PAGE_BYTES {
+            continue;
+        }
+        let small: Vec<Scenes> = tracks.iter().map(|track| track.scenes.with_small_airways(vertices)).collect();
+        let without: Vec<Scenes> = small.iter().map(|scenes| scenes.thinned(0)).collect();
+        let rest = assembled(tracks, &without, detail).len();
+        let room = PAGE_BYTES.saturating_sub(rest) / tracks.len().max(1);
+        let scenes: Vec<Scenes> = small.iter().map(|scenes| scenes.thinned(room)).collect();
+        let page = assembled(tracks, &scenes, detail);
+        if page.len() <= PAGE_BYTES {
+            return page;
+        }
+    }
+    assembled(tracks, &bare, CaseDetail::Elsewhere)
+}
+
+/// One case with every frame at full size, its numbers and plots, beside the report: too large for it. `track.place` is
+/// where the run's files lie, seen from this file.
+pub fn whole_film(track: &TrackReport<'_>, case: &CaseInfo) -> String {
+    let TrackReport { run, scenes, .. } = *track;
     let palette = Palette::of(&run.methods);
     let title = format!("{}: the whole film", case.heading());
     document(
@@ -64,7 +94,10 @@ pub fn whole_film(run: &Run, case: &CaseInfo, scenes: &Scenes) -> String {
         html! {
             h1 { (case.heading()) " " small { "whole film, " (run.id) } }
             div #tools {}
-            (case_section(run, case, scenes, &palette, html! {}))
+            (case_section(run, case, Some(scenes), &palette, html! {
+                (numbers(run, case))
+                @for picture in of_case(track, case) { (figure(picture)) }
+            }))
         },
     )
 }
@@ -89,14 +122,14 @@ fn document(title: &str, body: Markup) -> String {
     .into_string()
 }
 
-fn assembled(tracks: &[TrackReport<'_>], scenes: &[Scenes]) -> String {
+fn assembled(tracks: &[TrackReport<'_>], scenes: &[Scenes], detail: CaseDetail) -> String {
     let title = tracks.first().map_or_else(String::new, |track| format!("respire-bench: {}", track.run.id));
     document(
         &title,
         html! {
             h1 { "respire-bench " small { @for track in tracks { (track.run.id) " " } } }
             div #tools {}
-            @for (track, scenes) in tracks.iter().zip(scenes) { (track_section(track, scenes)) }
+            @for (track, scenes) in tracks.iter().zip(scenes) { (track_section(track, scenes, detail)) }
             h2 { "Definitions" }
             details { summary { "What every metric is" } dl { @for m in registry() {
                 dt { code { (m.id) } " (" (m.direction.word()) " is better)" }
@@ -106,7 +139,7 @@ fn assembled(tracks: &[TrackReport<'_>], scenes: &[Scenes]) -> String {
     )
 }
 
-fn track_section(track: &TrackReport<'_>, scenes: &Scenes) -> Markup {
+fn track_section(track: &TrackReport<'_>, scenes: &Scenes, detail: CaseDetail) -> Markup {
     let TrackReport { run, tables, differences, pictures, .. } = *track;
     let palette = Palette::of(&run.methods);
     let failed: Vec<_> = run.cells.iter().filter(|c| c.score().is_none()).collect();
@@ -132,22 +165,32 @@ fn track_section(track: &TrackReport<'_>, scenes: &Scenes) -> Markup {
                 } } }
             }
             h2 { "Every case" }
-            @for case in &run.cases { (case_section(run, case, scenes, &palette, static_part(track, case))) }
+            @if detail != CaseDetail::Whole { p.muted {
+                "Too many cases for the whole of each to stand here: plots"
+                @if detail == CaseDetail::Elsewhere { ", films and numbers of each case" }
+                " are in files beside this page, and all numbers in " a href={ (track.place) "results.csv" } { "results.csv" } "."
+            } }
+            @for case in &run.cases {
+                @let scenes = (detail != CaseDetail::Elsewhere).then_some(scenes);
+                (case_section(run, case, scenes, &palette, static_part(track, case, detail)))
+            }
             h2 { "Overview" }
             @for picture in &pictures.overview { (figure(picture)) }
         }
     }
 }
 
-/// A case: the scripts' part, for which a script holds the data, and what stands there without them.
-fn case_section(run: &Run, case: &CaseInfo, scenes: &Scenes, palette: &Palette, fixed: Markup) -> Markup {
-    let kept = scenes.film(&case.id).filter(|_| case.title.is_empty()).map(|film| film.title.as_str());
-    let data = case_data(run, case, scenes, palette);
+/// A case: the scripts' part, for which a script holds the data (none without `scenes`), and what stands there without
+/// them.
+fn case_section(run: &Run, case: &CaseInfo, scenes: Option<&Scenes>, palette: &Palette, fixed: Markup) -> Markup {
+    let kept = scenes.and_then(|scenes| scenes.film(&case.id)).filter(|_| case.title.is_empty());
+    let title = kept.map(|film| film.title.as_str()).filter(|title| !title.is_empty());
+    let data = scenes.and_then(|scenes| case_data(run, case, scenes, palette));
     html! {
         details.case {
-            summary { (case.heading()) @if let Some(title) = kept.filter(|title| !title.is_empty()) { ": " (title) } }
+            summary { (case.heading()) @if let Some(title) = title { ": " (title) } }
             div.inside {
-                div.player id={ (run.track.word()) "-" (case.id) } {}
+                @if scenes.is_some() { div.player id={ (run.track.word()) "-" (case.id) } {} }
                 @if let Some(data) = data { script type="application/json" { (PreEscaped(data)) } }
                 (fixed)
             }
@@ -155,18 +198,27 @@ fn case_section(run: &Run, case: &CaseInfo, scenes: &Scenes, palette: &Palette, 
     }
 }
 
-fn static_part(track: &TrackReport<'_>, case: &CaseInfo) -> Markup {
-    let TrackReport { run, place, pictures, .. } = *track;
-    let of_case = || pictures.by_case.iter().filter(|(id, _)| *id == case.id).flat_map(|(_, of_case)| of_case);
+fn numbers(run: &Run, case: &CaseInfo) -> Markup {
     html! {
         h3 { "Numbers" }
         (case_table(run, &case.id))
-        @for picture in of_case().filter(|picture| picture.svg.is_some()) { (figure(picture)) }
+    }
+}
+
+fn of_case<'a>(track: &TrackReport<'a>, case: &CaseInfo) -> impl Iterator<Item = &'a ReportImage> {
+    track.pictures.by_case.iter().filter(|(id, _)| *id == case.id).flat_map(|(_, of_case)| of_case)
+}
+
+fn static_part(track: &TrackReport<'_>, case: &CaseInfo, detail: CaseDetail) -> Markup {
+    let TrackReport { run, place, .. } = *track;
+    html! {
+        @if detail != CaseDetail::Elsewhere { (numbers(run, case)) }
+        @if detail == CaseDetail::Whole { @for picture in of_case(track, case) { (figure(picture)) } }
         @if case.truth.is_some() {
             p.muted.whole {
                 "In files beside this page: "
                 a href={ (place) "films/" (case.id) ".html" } { "the whole film" }
-                @for picture in of_case().filter(|picture| picture.svg.is_none()) {
+                @for picture in of_case(track, case).filter(|picture| picture.svg.is_none()) {
                     ", " a href={ (place) (picture.png) } { (picture.title) }
                 }
                 "."

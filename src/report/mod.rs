@@ -143,7 +143,7 @@ fn write_parts(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<RunP
     for case in &run.cases {
         // One at a time: a whole film is large.
         if let Some(whole) = gather::whole_film(run, case)? {
-            let page = html::whole_film(run, case, &whole);
+            let page = html::whole_film(&html::TrackReport { scenes: &whole, ..parts.track(run, "../") }, case);
             files::write_bytes(&folder.join(format!("films/{}.html", case.id)), page.as_bytes())?;
         }
     }

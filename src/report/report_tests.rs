@@ -162,8 +162,8 @@ fn a_run_in_which_everything_failed_is_reported() {
     assert!(fs::read_to_string(&written.markdown).unwrap().contains("disk full"));
 }
 
-/// Scenes whose pictures are `bytes` long, for nine cases and fourteen rows, with a run to go with them.
-fn large_run(folder: &Path, bytes: usize) -> (Run, scene::Scenes) {
+/// Scenes whose pictures are `bytes` long, for some cases and fourteen rows, with a run to go with them.
+fn large_run(folder: &Path, cases: usize, bytes: usize) -> (Run, scene::Scenes) {
     let small = sample_run(folder, 16, 3);
     let (film, row) = {
         let kept = gather::gather(&small, &NoProgress).unwrap();
@@ -186,7 +186,7 @@ fn large_run(folder: &Path, bytes: usize) -> (Run, scene::Scenes) {
         faces: scene::Packed((0..6 * vertices).map(|v| (v / 6) as u16).collect()),
     };
     run.methods = (0..14).map(|k| MethodInfo::of(&format!("method {k}"))).collect();
-    for case in 0..9 {
+    for case in 0..cases {
         let case_id = format!("case{case}");
         let key = scene::FilmKey { case_id: case_id.clone(), ..film.film.clone() };
         let frames = |values: &scene::Packed<f32>, each: usize| scene::Packed(values.0[..each].repeat(48));
@@ -195,7 +195,8 @@ fn large_run(folder: &Path, bytes: usize) -> (Run, scene::Scenes) {
             times_s: frames(&film.times_s, 1),
             phases: frames(&film.phases, 1),
             poses: frames(&film.poses, 12),
-            airway: Some(airway.clone()),
+            // Of many, making them smaller takes long, and is tested elsewhere.
+            airway: (cases < 10).then(|| airway.clone()),
             pictures: pictures(case),
             ..film.clone()
         });
@@ -219,24 +220,46 @@ fn large_run(folder: &Path, bytes: usize) -> (Run, scene::Scenes) {
     (run, scenes)
 }
 
+/// The page of a run with these scenes, and a plot of `plot` bytes for each case.
+fn page_of(run: &Run, scenes: &scene::Scenes, plot: usize) -> String {
+    // Intervals of many cases take long, and their tables are of the same size.
+    let cells = run.cells[..9 * run.methods.len()].to_vec();
+    let few = Run { cases: run.cases[..9].to_vec(), cells, ..run.clone() };
+    let tables = table::ComparisonTable::both(&summary::summarise(&few));
+    let of_case = |case: &CaseInfo| {
+        let svg = Some(format!("<svg>{}</svg>", "x".repeat(plot)));
+        let (title, caption) = ("A plot".to_owned(), "of this case".to_owned());
+        (case.id.clone(), vec![plots::ReportImage { title, caption, png: "a.png".into(), png_bytes: Vec::new(), svg }])
+    };
+    let by_case = run.cases.iter().map(of_case).collect();
+    let pictures = plots::ReportImages { by_case, ..plots::ReportImages::default() };
+    let track = html::TrackReport { run, place: "", tables: &tables, differences: &[], pictures: &pictures, scenes };
+    html::report(&[track])
+}
+
+/// However many cases there are, the page stays below its bound, says where the rest is, and keeps the comparison.
+#[test]
+fn many_cases_say_less_each_and_stay_below_fifteen_megabytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let plots = |page: &str| page.matches("of this case").count();
+    let players = |page: &str| page.matches("class=\"player\"").count();
+    for (cases, plot, shown, played) in [(9, 1_000, 9, 9), (60, 300_000, 0, 60), (500, 300_000, 0, 0)] {
+        let (run, scenes) = large_run(folder.path(), cases, 50);
+        let page = page_of(&run, &scenes, plot);
+        assert!(page.len() <= html::PAGE_BYTES, "{cases} cases: {} bytes", page.len());
+        assert_eq!((plots(&page), players(&page)), (shown, played), "{cases} cases");
+        assert_eq!(page.contains("Too many cases"), cases > 9);
+        assert_eq!(page.matches("<details class=\"case\"").count(), cases);
+    }
+}
+
 /// However large the pictures are, the page stays below its bound, and each row keeps some.
 #[test]
 fn nine_films_with_fourteen_rows_stay_below_fifteen_megabytes() {
     let folder = tempfile::tempdir().unwrap();
     for (bytes, least) in [(2_500, 15), (9_000, 4)] {
-        let (run, scenes) = large_run(folder.path(), bytes);
-        let summaries = summary::summarise(&run);
-        let tables = table::ComparisonTable::both(&summaries);
-        let (pictures, differences) = (plots::ReportImages::default(), Vec::new());
-        let track = html::TrackReport {
-            run: &run,
-            place: "",
-            tables: &tables,
-            differences: &differences,
-            pictures: &pictures,
-            scenes: &scenes,
-        };
-        let page = html::report(&[track]);
+        let (run, scenes) = large_run(folder.path(), 9, bytes);
+        let page = page_of(&run, &scenes, 0);
         assert!(page.len() <= html::PAGE_BYTES && page.len() > html::PAGE_BYTES * 3 / 4, "{} bytes", page.len());
         let each = page.matches("\"frames\":[").count();
         assert_eq!(each, 9 * 15);

@@ -90,9 +90,10 @@ fn write_cameras(film: &Film, clinical: &ClinicalFilm, out: &Path) -> Result<()>
     Transforms::new(&clinical.optics.told_camera, entries).write(&out.join(sequence::TOLD_NOVEL_TRANSFORMS))
 }
 
-/// The surfaces that methods are given: those of an import, or else the true ones, the second misregistered. Says which.
-fn write_surfaces(case: &Case, anatomy: &Anatomy, clinical: &ClinicalFilm, out: &Path) -> Result<&'static str> {
-    let (source, pair) = match case.given_surfaces() {
+/// The surfaces that methods are given: those of an import, or else the true ones; the second with a smooth error of
+/// registration. Says which.
+fn write_surfaces(case: &Case, anatomy: &Anatomy, clinical: &ClinicalFilm, out: &Path) -> Result<String> {
+    let (source, [rest, other]) = match case.given_surfaces() {
         Some([inspiration, expiration]) => {
             let (rest, other) = (mesh_file::read(&inspiration)?, mesh_file::read(&expiration)?);
             if rest.faces != other.faces || rest.vertices.len() != other.vertices.len() {
@@ -101,14 +102,15 @@ fn write_surfaces(case: &Case, anatomy: &Anatomy, clinical: &ClinicalFilm, out: 
             write_correspondence(&anatomy.inspiration, &rest, out)?;
             ("import of simulated scans", [rest, other])
         }
-        None => {
-            let error_mm = clinical.settings.surfaces.registration_error_mm;
-            let other = &anatomy.expiration;
-            let other = if error_mm > 0.0 { misregister(other, error_mm, case.seed) } else { other.clone() };
-            let word = if error_mm > 0.0 { "true surfaces, smooth registration error" } else { "true surfaces" };
-            (word, [anatomy.inspiration.clone(), other])
-        }
+        None => ("true surfaces", [anatomy.inspiration.clone(), anatomy.expiration.clone()]),
     };
+    let error_mm = clinical.settings.surfaces.registration_error_mm;
+    let (source, other) = if error_mm > 0.0 {
+        (format!("{source}, smooth registration error"), misregister(&other, error_mm, case.seed))
+    } else {
+        (source.to_owned(), other)
+    };
+    let pair = [rest, other];
     let names = [sequence::TOLD_INSPIRATION, sequence::TOLD_EXPIRATION];
     for (name, surface) in names.iter().zip(&pair) {
         mesh_file::write_ply(&out.join(name), surface, &["units mm", "space LPS", "normals point into the lumen"])?;

@@ -206,10 +206,18 @@ fn surfaces_of_an_import_are_handed_out() {
     for (name, mesh) in [("inspiration.ply", &anatomy.inspiration), ("expiration.ply", &anatomy.expiration)] {
         respire_bench::formats::mesh::write_ply(&surfaces.join(name), &moved(mesh), &[]).unwrap();
     }
-    let case = clinical(case(), |settings| settings.surfaces.folder = Some(surfaces.clone()));
+    let case = clinical(case(), |settings| {
+        settings.surfaces.folder = Some(surfaces.clone());
+        settings.spread = 0.0;
+    });
     let film = simulate(&case, &small(), &folder.path().join("film"), &NoProgress).unwrap();
     let given = film.given_inspiration().unwrap();
     assert!((given.vertices[7].x - film.inspiration().unwrap().vertices[7].x - 1.0).abs() < 1e-5);
+    // The error of registration comes on top.
+    let imported = moved(&anatomy.expiration).vertices;
+    let other = film.given_expiration().unwrap().vertices;
+    let square = other.iter().zip(&imported).map(|(a, b)| a.distance_squared(*b)).sum::<f64>() / other.len() as f64;
+    assert!((square.sqrt() - 1.5).abs() < 0.01, "{}", square.sqrt());
     let hash = case.hash().unwrap();
     respire_bench::formats::mesh::write_ply(&surfaces.join("expiration.ply"), &anatomy.expiration, &[]).unwrap();
     assert_ne!(case.hash().unwrap(), hash, "the hash is of their content");

@@ -239,6 +239,14 @@ impl Scenes {
         thin
     }
 
+    /// Without airways, errors on them, and pictures.
+    pub fn without_pictures(&self) -> Scenes {
+        let mut bare = self.thinned(0);
+        bare.films.iter_mut().for_each(|film| film.airway = None);
+        bare.rows.iter_mut().for_each(|row| row.surface = SurfaceScene::default());
+        bare
+    }
+
     /// With airways of at most `most` vertices, and the errors of rows at those that are left.
     pub fn with_small_airways(&self, most: usize) -> Scenes {
         let mut small = self.clone();
