@@ -151,8 +151,18 @@ fn files_below(folder: &Path, found: &mut Vec<PathBuf>) {
 fn products(place: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut paths = Vec::new();
     files_below(place, &mut paths);
-    let timed =
-        ["timing", "/plots/", "environment.json", "report.", "score.json", MARKER, "comparison", "summary", "latest"];
+    let timed = [
+        "timing",
+        "/plots/",
+        "/films/",
+        "environment.json",
+        "report.",
+        "score.json",
+        MARKER,
+        "comparison",
+        "summary",
+        "latest",
+    ];
     let name = |path: &Path| path.strip_prefix(place).unwrap().to_path_buf();
     let told = |path: &&PathBuf| {
         let name = name(path).to_string_lossy().into_owned();
