@@ -32,7 +32,7 @@ const KEPT: usize = 4;
 /// A number type of arrays that has a splat core.
 pub trait Float: SplatKernels + Element {
     /// Rasterisers whose passes are over.
-    fn idle() -> &'static Mutex<Vec<Box<Rasterizer<Self>>>>;
+    fn idle() -> &'static Mutex<Vec<Rasterizer<Self>>>;
     /// A pass of this type.
     fn pass(of: PassOf<Self>) -> Pass;
     /// The pass, if it is of this type.
@@ -42,8 +42,8 @@ pub trait Float: SplatKernels + Element {
 macro_rules! float {
     ($type:ty, $kind:ident) => {
         impl Float for $type {
-            fn idle() -> &'static Mutex<Vec<Box<Rasterizer<Self>>>> {
-                static IDLE: Mutex<Vec<Box<Rasterizer<$type>>>> = Mutex::new(Vec::new());
+            fn idle() -> &'static Mutex<Vec<Rasterizer<Self>>> {
+                static IDLE: Mutex<Vec<Rasterizer<$type>>> = Mutex::new(Vec::new());
                 &IDLE
             }
             fn pass(of: PassOf<Self>) -> Pass {
@@ -70,7 +70,7 @@ enum Kind {
 /// A forward pass in one number type.
 pub struct PassOf<T: Float> {
     /// Taken only when the pass is dropped.
-    rasterizer: Option<Box<Rasterizer<T>>>,
+    rasterizer: Option<Rasterizer<T>>,
     plan: Plan,
     /// Spherical harmonics made of plain colours; empty where they were handed in.
     sh: Vec<T>,
