@@ -227,6 +227,14 @@ fn check_faces(rest: &TriangleMesh, expiration: &[DVec3]) -> Result<()> {
     if let Some(v) = expiration.iter().position(|v| !v.is_finite()) {
         return Err(Error::input("is not finite at expiration").element(format!("vertex {v}")));
     }
+    let has_no_area = |&f: &usize| {
+        let [a, b, c] = rest.corners(f);
+        (b - a).cross(c - a) == DVec3::ZERO
+    };
+    if let Some(f) = (0..rest.faces.len()).find(has_no_area) {
+        let sentence = "has no area: its corners lie on a line, or two in one place; merge double vertices first";
+        return Err(Error::input(sentence).element(format!("face {f}")));
+    }
     match field_check::flipped_faces(rest, expiration).as_slice() {
         [] => Ok(()),
         flipped => Err(Error::input(format!("and {} others turn over between the breath holds", flipped.len() - 1))
@@ -248,4 +256,18 @@ fn finish(
         .collect();
     let expiration = TriangleMesh { vertices: expiration, faces: inspiration.faces.clone() };
     Anatomy { inspiration, expiration, vertex_generation, centerline, centerline_expiration, radius_expiration_mm }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// "Turns over between the breath holds" sent people looking for a motion where two vertices lay in one place.
+    #[test]
+    fn a_face_without_area_is_named_as_such() {
+        let vertices = [0.0, 1.0, 1.0].map(|x| DVec3::new(x, 0.0, 0.0)).to_vec();
+        let mesh = TriangleMesh { vertices, faces: vec![[0, 1, 2]] };
+        let said = check_faces(&mesh, &mesh.vertices).unwrap_err().to_string();
+        assert!(said.contains("face 0") && said.contains("has no area"), "{said}");
+    }
 }
