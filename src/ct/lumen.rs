@@ -7,18 +7,18 @@
 //! 2. The field is sampled on a finer grid along the body's axes; between slices it is the shape's own interpolation
 //!    (Raya and Udupa, IEEE TMI 9:32, 1990).
 //! 3. Handles and loose parts go (`topology.rs`).
-//! 4. Marching tetrahedra, and remeshing with edges in proportion to the airway's radius.
+//! 4. Surface nets and decimation (`isosurface.rs`), and remeshing with edges in proportion to the airway's radius.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::distance::signed_distance;
+use super::isosurface::{self, decimated, isosurface};
 use super::topology::{BallReport, keep_ball};
 use crate::airway::centerline_distance::SurfaceDistance;
 use crate::airway::remesh::remesh;
 use crate::airway::surface::smooth;
 use crate::airway::surface_field::LumenField;
-use crate::airway::surface_polygon::polygonise;
 use crate::base::estimate::demand_memory;
 use crate::base::{Error, Result, TriangleMesh, Volume, VoxelGrid};
 
@@ -36,7 +36,14 @@ const SPACING_MM: [f64; 2] = [0.45, 0.8];
 /// Most nodes of the finer grid; it becomes coarser to stay below.
 const MOST_NODES: f64 = 8e7;
 /// Bytes a node: value, order and mark.
-const NODE_BYTES: f64 = 16.0;
+const NODE_BYTES: f64 = 16.0 + isosurface::NODE_BYTES;
+/// Least size of a value over the grid's spacing: no vertex lies on a node, where several would coincide.
+const LEAST_VALUE: f64 = 0.02;
+/// A surface of this many times the faces that remeshing will leave is decimated first, to this many times them, as far
+/// as it stays this near to itself in mm.
+const DECIMATED_FROM: f64 = 3.0;
+const SPARE: f64 = 1.5;
+const DECIMATION_MM: f64 = 0.1;
 /// Edge length over radius, and its bounds in mm.
 const EDGE_PER_RADIUS: f64 = 0.32;
 const EDGE_MM: [f64; 2] = [0.6, 1.6];
@@ -98,10 +105,18 @@ pub fn surface_of_mask(mask: &Volume<u8>) -> Result<LumenSurface> {
     let smoothed = smoothed(&boundary);
     let (mut values, size, origin, spacing_mm) = on_finer_grid(&smoothed)?;
     let ball = keep_ball(&mut values, size, 0.05 * spacing_mm as f32);
+    let rough = isosurface(&values, size, origin, spacing_mm);
+    rough.validate_closed()?;
     let field = LumenField::from_values(origin, spacing_mm, size, values);
-    let rough = polygonise(&field);
     let edge = |place: DVec3| (EDGE_PER_RADIUS * radius_mm(&field, place)).clamp(EDGE_MM[0], EDGE_MM[1]);
-    let mut mesh = remesh(&rough, REMESHING_ROUNDS, edge, |place| field.project(place));
+    let wanted = faces_of_edges(&rough, edge);
+    // Remeshing decimates, too, edge by edge; where the grid is much finer than the edges, this comes sooner to it.
+    let coarse = if rough.faces.len() as f64 > DECIMATED_FROM * wanted {
+        decimated(&rough, (SPARE * wanted) as usize, DECIMATION_MM)
+    } else {
+        rough
+    };
+    let mut mesh = remesh(&coarse, REMESHING_ROUNDS, edge, |place| field.project(place));
     smooth(&mut mesh, POLISHING_ROUNDS);
     mesh.validate_closed()?;
     let residual_mm = from_boundary(&boundary, &mesh.vertices);
@@ -110,6 +125,16 @@ pub fn surface_of_mask(mask: &Volume<u8>) -> Result<LumenSurface> {
     let from_mask =
         DistanceSpread::of(boundary_faces(&mask).par_iter().map(|place| surface.distance(*place)).collect());
     Ok(LumenSurface { mesh, voxel_mm: mask.grid.spacing_mm(), ball, residual_mm, from_surface, from_mask })
+}
+
+/// How many equilateral faces of these edge lengths cover a surface.
+fn faces_of_edges(mesh: &TriangleMesh, edge_mm: impl Fn(DVec3) -> f64) -> f64 {
+    let share = |face: &[u32; 3]| {
+        let [a, b, c] = face.map(|v| mesh.vertices[v as usize]);
+        let area = 0.5 * (b - a).cross(c - a).length();
+        area / (0.25 * 3f64.sqrt() * edge_mm((a + b + c) / 3.0).powi(2))
+    };
+    mesh.faces.iter().map(share).sum()
 }
 
 /// Distance in mm of places from the boundary of a mask, at most 6.
@@ -209,15 +234,17 @@ fn on_finer_grid(field: &Volume<f32>) -> Result<(Vec<f32>, [usize; 3], DVec3, f6
     let to_index = field.grid.index_from_place();
     let near = 1.5 * field.grid.spacing_mm().max_element();
     let far = DEPTH_MM as f32;
+    let least = (LEAST_VALUE * spacing_mm) as f32;
     let node = |at: usize| {
         let (i, j, k) = (at % size[0], at / size[0] % size[1], at / size[0] / size[1]);
         let is_rim = [i, j, k].iter().zip(&size).any(|(&n, &count)| n == 0 || n + 1 == count);
         let index = to_index(origin + DVec3::new(i as f64, j as f64, k as f64) * spacing_mm);
-        match field.sample(index) {
+        let value = match field.sample(index) {
             Some(value) if !is_rim && value.abs() < near => cubic(field, index).unwrap_or(value) as f32,
             Some(value) if !is_rim => value as f32,
             _ => far,
-        }
+        };
+        if value.abs() < least { least.copysign(value) } else { value }
     };
     Ok(((0..nodes).into_par_iter().map(node).collect(), size, origin, spacing_mm))
 }

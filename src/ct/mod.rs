@@ -14,6 +14,7 @@
 pub mod airway_mask;
 pub mod dicom_conversion;
 mod distance;
+mod isosurface;
 mod local_contrast;
 pub mod lumen;
 pub mod lungs;
