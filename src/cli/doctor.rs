@@ -3,7 +3,7 @@
 use super::Terminal;
 use crate::base::{Error, ErrorKind, Result};
 use crate::bench::Environment;
-use crate::ct::registration::REMEDY as SCANS;
+use crate::ct::program::REMEDY as SCANS;
 
 /// Installs what is missing.
 const REMEDY: &str = "scripts/setup.sh";

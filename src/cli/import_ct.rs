@@ -16,6 +16,7 @@ use crate::airway::{Anatomy, centerline::Centerline};
 use crate::base::range::NumberRange;
 use crate::base::{Error, Progress, Result, TriangleMesh};
 use crate::ct::quality::{BreathHold, QualityPage};
+use crate::ct::scan::read_checked;
 use crate::ct::scan_pair::{Facts, ScanRequest, airway_of, import_pair, surface_of};
 use crate::ct::surface_pair::register_surfaces;
 
@@ -190,7 +191,7 @@ fn of_motion(arguments: &CtArguments, terminal: &Terminal) -> Result<()> {
     let mut facts = Facts::new();
     let motion = arguments.motion.read()?;
     let mask = arguments.airway_mask.first().map(PathBuf::as_path);
-    let scan = arguments.inspiration.as_deref().map(crate::ct::scan::read_checked).transpose()?;
+    let scan = arguments.inspiration.as_deref().map(|path| read_checked(path, terminal)).transpose()?;
     terminal.stage("the airway");
     let label = arguments.label.map(|label| label as u16);
     let airway = airway_of(mask, label, scan.as_ref(), &mut facts, terminal)?;

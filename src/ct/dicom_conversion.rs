@@ -4,7 +4,8 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::base::{Error, Result, Volume, files};
+use super::program::run;
+use crate::base::{Error, Progress, Result, Volume, files};
 use crate::formats::dicom::{self, PackedSlices};
 use crate::formats::volume;
 
@@ -21,31 +22,27 @@ pub fn converter_version() -> Option<String> {
 
 /// Reads a scan as [`volume::read_scan`] does, and a folder of packed DICOM by way of dcm2niix where that is installed.
 ///
-/// Errors name the file; what dcm2niix says; a folder of which it makes no volume, or several.
-pub fn read_scan(path: &Path) -> Result<Volume<i16>> {
+/// Errors name the file; what dcm2niix says; a folder of which it makes no volume, or several; the user stopped the work.
+pub fn read_scan(path: &Path, progress: &dyn Progress) -> Result<Volume<i16>> {
     if !path.is_dir() {
         return volume::read_scan(path);
     }
     match dicom::packed_slices(path)? {
-        Some(slices) if converter_version().is_some() => converted(path, slices).map_err(|e| e.at(path)),
+        Some(slices) if converter_version().is_some() => converted(path, slices, progress).map_err(|e| e.at(path)),
         _ => volume::read_scan(path),
     }
 }
 
-fn converted(folder: &Path, slices: PackedSlices) -> Result<Volume<i16>> {
+fn converted(folder: &Path, slices: PackedSlices, progress: &dyn Progress) -> Result<Volume<i16>> {
     let fail = |e| Error::io("reading", folder, e);
     // No name that begins with a minus is taken for a word of the program.
     let folder = folder.canonicalize().map_err(fail)?;
     let made = tempfile::tempdir().map_err(|e| Error::io("making", &std::env::temp_dir(), e))?;
     // Only this folder, no side files, uncompressed, the series number as name.
     let words = ["-d", "0", "-b", "n", "-z", "n", "-f", "series%s", "-o"];
-    let output = Command::new(PROGRAM).args(words).arg(made.path()).arg(&folder).stdin(Stdio::null()).output();
-    let output = output.map_err(|e| Error::input(format!("{PROGRAM} cannot be started: {e}")))?;
-    if !output.status.success() {
-        let text = String::from_utf8_lossy(&output.stdout).to_string() + &String::from_utf8_lossy(&output.stderr);
-        let words = text.lines().map(str::trim).rfind(|line| !line.is_empty()).unwrap_or("it said nothing");
-        return Err(Error::input(format!("{PROGRAM} failed ({}): {words}", output.status)));
-    }
+    let mut command = Command::new(PROGRAM);
+    command.args(words).arg(made.path()).arg(&folder);
+    run(command, &made.path().join("dcm2niix.out"), progress)?;
     let (mut volumes, mut taken) = (Vec::new(), 0);
     for path in files::all_directly_in(made.path())?.iter().filter(|path| path.extension().is_some_and(|e| e == "nii"))
     {
@@ -78,6 +75,7 @@ fn converted(folder: &Path, slices: PackedSlices) -> Result<Volume<i16>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::NoProgress;
     use crate::formats::dicom::tests::{PLAIN, RLE, write};
 
     /// Slices with run-length encoded pixels are read as those without, value by value.
@@ -95,7 +93,7 @@ mod tests {
             }
             folder
         });
-        let [plain, packed] = folders.each_ref().map(|folder| read_scan(folder.path()).unwrap());
+        let [plain, packed] = folders.each_ref().map(|folder| read_scan(folder.path(), &NoProgress).unwrap());
         assert_eq!(dicom::packed_slices(folders[0].path()).unwrap(), None);
         let three = PackedSlices { single: 3, many: 0 };
         assert_eq!(dicom::packed_slices(folders[1].path()).unwrap(), Some(three));
@@ -116,7 +114,7 @@ mod tests {
         for (name, z) in [("a", 0.0), ("b", 1.0), ("c", 1.01)] {
             write(folder.path(), name, z, "1.2", 10, RLE);
         }
-        let said = read_scan(folder.path()).unwrap_err().to_string();
+        let said = read_scan(folder.path(), &NoProgress).unwrap_err().to_string();
         assert!(said.contains("slices of its 3"), "{said}");
     }
 
@@ -130,7 +128,7 @@ mod tests {
         for (name, z, series) in [("a", 0.0, "1.2"), ("b", 1.0, "1.2"), ("c", 0.0, "1.3"), ("d", 1.0, "1.3")] {
             write(folder.path(), name, z, series, 10, RLE);
         }
-        let said = read_scan(folder.path()).unwrap_err().to_string();
+        let said = read_scan(folder.path(), &NoProgress).unwrap_err().to_string();
         assert!(said.contains("makes 2 volumes of it") && said.contains("one is wanted"), "{said}");
     }
 }

@@ -20,6 +20,7 @@ pub mod lumen;
 pub mod lungs;
 pub mod motion_field;
 mod parts;
+pub mod program;
 pub mod quality;
 mod quality_picture;
 pub mod region;

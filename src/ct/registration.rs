@@ -7,13 +7,13 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::Duration;
 
 use glam::DVec3;
 
 use super::local_contrast::local_contrast;
 use super::lungs::on_grid;
 use super::parts::grown;
+use super::program::{REMEDY, run};
 use crate::base::{Error, ErrorKind, Progress, Result, Volume, files};
 use crate::formats::{nifti, volume};
 
@@ -22,15 +22,11 @@ pub const PARAMETERS: [(&str, &str); 2] = [
     ("elastix-affine.txt", include_str!("elastix/affine.txt")),
     ("elastix-bspline.txt", include_str!("elastix/bspline.txt")),
 ];
-/// What installs the program.
-pub const REMEDY: &str = "scripts/setup.sh --ct";
 /// Voxels in mm that a registration works on.
 pub const REGISTRATION_MM: f64 = 1.5;
 /// Room in mm around the lungs, and around the airway in the mask.
 const MARGIN_MM: f64 = 15.0;
 const AROUND_AIRWAY_MM: f64 = 6.0;
-/// How often the program is looked after.
-const POLL: Duration = Duration::from_millis(100);
 
 /// One scan as the registration takes it.
 pub struct RegistrationInput {
@@ -101,6 +97,7 @@ pub fn register(
     nifti::write(&place("fixed.nii"), &local_contrast(&fixed.scan, &fixed.lungs))?;
     nifti::write(&place("moving.nii"), &local_contrast(&moving.scan, &moving.lungs))?;
     nifti::write(&place("mask.nii"), &fixed.mask)?;
+    let threads = rayon::current_num_threads().to_string();
     let mut command = Command::new("elastix");
     command.arg("-f").arg(place("fixed.nii")).arg("-m").arg(place("moving.nii"));
     command.arg("-fMask").arg(place("mask.nii"));
@@ -108,11 +105,11 @@ pub fn register(
         files::write_bytes(&place(name), text.as_bytes())?;
         command.arg("-p").arg(place(name));
     }
-    command.arg("-out").arg(folder);
+    command.arg("-out").arg(folder).args(["-threads", &threads]);
     run(command, &place("elastix.out"), progress)?;
     let mut command = Command::new("transformix");
     command.args(["-def", "all", "-tp"]).arg(place(&format!("TransformParameters.{}.txt", PARAMETERS.len() - 1)));
-    command.arg("-out").arg(folder);
+    command.arg("-out").arg(folder).args(["-threads", &threads]);
     run(command, &place("transformix.out"), progress)?;
     let made: PathBuf = place("deformationField.mha");
     let field = volume::read_field(&made)?;
@@ -120,37 +117,6 @@ pub fn register(
         return Err(Error::input("has another grid than the scan it was made for").at(&made));
     }
     Ok(field)
-}
-
-/// Runs a program of elastix to its end, on as many threads as this program, or until the user stops it.
-fn run(mut command: Command, log: &Path, progress: &dyn Progress) -> Result<()> {
-    let name = command.get_program().to_string_lossy().to_string();
-    let output = std::fs::File::create(log).map_err(|e| Error::io("writing", log, e))?;
-    let errors = output.try_clone().map_err(|e| Error::io("writing", log, e))?;
-    command.arg("-threads").arg(rayon::current_num_threads().to_string());
-    command.stdin(Stdio::null()).stdout(output).stderr(errors);
-    let mut child = command
-        .spawn()
-        .map_err(|e| Error::new(ErrorKind::Environment, format!("{name} cannot be started ({e}): run {REMEDY}")))?;
-    let status = loop {
-        if progress.cancelled() {
-            // Its files go with the folder.
-            let _ = child.kill();
-            let _ = child.wait();
-            return Err(Error::interrupted());
-        }
-        match child.try_wait().map_err(|e| Error::input(format!("{name} cannot be waited for: {e}")))? {
-            Some(status) => break status,
-            None => std::thread::sleep(POLL),
-        }
-    };
-    if status.success() {
-        return Ok(());
-    }
-    let text = std::fs::read_to_string(log).unwrap_or_default();
-    let words = text.lines().map(str::trim).rfind(|l| l.contains("rror") || l.contains("xception"));
-    let words = words.or_else(|| text.lines().map(str::trim).rfind(|l| !l.is_empty())).unwrap_or("it said nothing");
-    Err(Error::input(format!("{name} failed ({status}): {words}")))
 }
 
 /// The mean of the displacement over a mask of the field's grid, mm: what a patient's shift on the table adds.

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 
 use super::dicom_conversion::read_scan;
-use crate::base::{Error, Result, Volume, VoxelGrid};
+use crate::base::{Error, Progress, Result, Volume, VoxelGrid};
 
 /// Least share of voxels that are air or lung, and that are soft tissue, of a CT of a chest.
 const LEAST_SHARE: f64 = 0.01;
@@ -22,9 +22,9 @@ const HIGHEST_HU: i16 = 3071;
 
 /// Reads a scan, checks it, and turns it so that i, j and k run as nearly as they can to the left, back and head.
 ///
-/// Errors: one sentence that names the file, and the cure.
-pub fn read_checked(path: &Path) -> Result<Volume<i16>> {
-    let mut scan = read_scan(path)?;
+/// Errors: one sentence that names the file, and the cure; the user stopped the work.
+pub fn read_checked(path: &Path, progress: &dyn Progress) -> Result<Volume<i16>> {
+    let mut scan = read_scan(path, progress)?;
     check_units(&scan.data).and_then(|()| check_grid(&scan.grid)).map_err(|e| e.at(path))?;
     scan.data.iter_mut().for_each(|v| *v = (*v).clamp(PADDING_HU, HIGHEST_HU));
     Ok(turned(scan))

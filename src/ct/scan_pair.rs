@@ -122,7 +122,7 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     // What would fail at the end is said at the beginning.
     let version = if request.field.is_none() { Some(demand_elastix()?) } else { None };
     let mut facts = Facts::new();
-    let scan = read_checked(request.inspiration)?;
+    let scan = read_checked(request.inspiration, progress)?;
     let coarse = coarser(&scan, REGISTRATION_MM);
     let named = |e: Error| e.at(request.inspiration);
     let airway = airway_of(request.airway, request.label, Some(&scan), &mut facts, progress).map_err(named)?;
@@ -134,7 +134,7 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     let mut scans = Vec::new();
     let mut empty = None;
     if let Some(path) = request.expiration {
-        let coarse = coarser(&read_checked(path)?, REGISTRATION_MM);
+        let coarse = coarser(&read_checked(path, progress)?, REGISTRATION_MM);
         let lungs = lungs_of(&coarse, request.lungs.map(|l| l[1]), None).map_err(|e| e.at(path))?;
         let input = RegistrationInput::new(&coarse, &lungs, None);
         let ratio = check_pair(&full.lungs, &input.lungs).map_err(|e| e.at(path))?;

@@ -1,7 +1,11 @@
 //! From scans, masks and fields to cases: a drawn chest whose truth is known, real masks, and a real registration.
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::CommandExt;
 use std::path::Path;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
 
 use glam::DVec3;
 use respire_bench::airway;
@@ -15,7 +19,8 @@ use respire_bench::base::{NoProgress, Volume, VoxelGrid};
 use respire_bench::bench::Catalogue;
 use respire_bench::ct::lungs::on_grid;
 use respire_bench::ct::motion_field::{carried, sampled_field, volume_change};
-use respire_bench::ct::registration::{REMEDY, RegistrationInput, elastix_version, register};
+use respire_bench::ct::program::REMEDY;
+use respire_bench::ct::registration::{RegistrationInput, elastix_version, register};
 use respire_bench::formats::{nifti, volume};
 
 use crate::cases::case_path;
@@ -292,4 +297,59 @@ fn without_elastix_the_cure_is_named() {
     let said = String::from_utf8_lossy(&output.stderr).to_string();
     assert_eq!(output.status.code(), Some(5), "{said}");
     assert!(said.contains("scripts/setup.sh --ct") && said.contains("--field"), "{said}");
+}
+
+/// A folder of one compressed slice and the program that would unpack it, which here never ends: it makes `started` and
+/// waits.
+fn unending_conversion(folder: &Path) {
+    let element = |number: u8, kind: &str, value: &[u8]| {
+        let head = [&[2, 0, number, 0], kind.as_bytes(), &[value.len() as u8, 0]].concat();
+        [head, value.to_vec()].concat()
+    };
+    let elements = [
+        element(2, "UI", b"1.2.840.10008.5.1.4.1.1.2\0"),
+        // Run lengths.
+        element(0x10, "UI", b"1.2.840.10008.1.2.5\0"),
+    ]
+    .concat();
+    let length = element(0, "UL", &(elements.len() as u32).to_le_bytes());
+    fs::create_dir(folder.join("slices")).unwrap();
+    fs::write(folder.join("slices/a"), [vec![0; 128], b"DICM".to_vec(), length, elements].concat()).unwrap();
+    let program = folder.join("dcm2niix");
+    let started = folder.join("started");
+    let script = format!(
+        "#!/bin/sh\nif [ \"$1\" = --version ]; then echo v1.0.20220720; exit 3; fi\n: > '{}'\nexec sleep 60\n",
+        started.display()
+    );
+    fs::write(&program, script).unwrap();
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+}
+
+/// Ctrl-C in a terminal goes to the program and to what it started, `kill -INT` to the program alone. Either stops the
+/// conversion of a DICOM folder, and is no failure of dcm2niix.
+#[test]
+fn a_conversion_that_is_interrupted_says_so() {
+    for to_whole_group in [true, false] {
+        let folder = tempfile::tempdir().unwrap();
+        unending_conversion(folder.path());
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_respire-bench"));
+        command.args(["import", "ct"]).arg(folder.path().join("slices")).args(["--motion", "copd05", "--id", "a"]);
+        command.arg("--out").arg(folder.path().join("out"));
+        command.env("PATH", format!("{}:/usr/bin:/bin", folder.path().display())).stdin(Stdio::null());
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).process_group(0).spawn().unwrap();
+        let begun = Instant::now();
+        while !folder.path().join("started").exists() {
+            assert!(child.try_wait().unwrap().is_none(), "it ended before the conversion began");
+            assert!(begun.elapsed() < Duration::from_secs(60), "the conversion did not begin");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let target = format!("{}{}", if to_whole_group { "-" } else { "" }, child.id());
+        assert!(std::process::Command::new("kill").args(["-INT", "--", &target]).status().unwrap().success());
+        let told = Instant::now();
+        let output = child.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).to_string();
+        assert_eq!(output.status.code(), Some(130), "{said}");
+        assert!(told.elapsed() < Duration::from_secs(30), "it waited for the conversion to end");
+        assert!(!folder.path().join("out/a.toml").exists());
+    }
 }

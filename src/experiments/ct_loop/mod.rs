@@ -142,7 +142,7 @@ fn imported(
         way_back: false,
     };
     let pair = import_pair(&request, work, progress)?;
-    let scan = read_checked(&inspiration)?;
+    let scan = read_checked(&inspiration, progress)?;
     let truth = TrueAirway::new(build(case)?, scan.grid.bounds_mm().1.z)?;
     let moved = |rest: &TriangleMesh| Ok(mended_pair(rest, carried(&pair.field, &rest.vertices))?.0);
     let given = compared(AirwayWay::Mask, &truth, &pair.surface.mesh, moved(&pair.surface.mesh)?)?;
