@@ -32,7 +32,8 @@ pub struct Centerline {
 pub struct CenterlineSettings {
     /// Point in mm near the inlet; by default the upper (largest z) end of the widest airway.
     pub inlet_mm: Option<DVec3>,
-    /// End branches with a smaller mean radius in mm are left out.
+    /// End branches with a smaller mean radius in mm are cut back to their longest beginning that has it, or left out
+    /// where that is too short to be a branch.
     pub minimal_radius_mm: f64,
     /// Distance in mm between neighbouring points.
     pub point_spacing_mm: f64,

@@ -2,9 +2,10 @@
 //! joined.
 
 use super::centerline::{Centerline, CenterlineSettings};
+use super::centerline_centre::centre;
 use super::centerline_distance::SurfaceDistance;
 use super::centerline_trace::trace;
-use super::centerline_tree::{assemble, centre};
+use super::centerline_tree::assemble;
 use super::centerline_voxels::Voxels;
 use crate::base::{Error, Result, TriangleMesh};
 

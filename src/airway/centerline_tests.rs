@@ -4,6 +4,7 @@ use std::path::Path;
 use glam::DVec3;
 
 use super::*;
+use crate::base::random::{CounterRng, Stage};
 
 /// Radius in mm of the axis' quarter circle and of the tube.
 const BEND_MM: f64 = 30.0;
@@ -11,6 +12,11 @@ const TUBE_MM: f64 = 4.0;
 
 /// A quarter of a torus with flat caps: from (30, 0, 0) down to (0, 0, -30), normals outwards.
 fn bent_tube() -> TriangleMesh {
+    tube(BEND_MM, |_, _| TUBE_MM)
+}
+
+/// The same with an axis of radius `bend_mm` and a wall that is as far from it as `radius_mm` says, by ring and angle.
+fn tube(bend_mm: f64, radius_mm: impl Fn(u32, f64) -> f64) -> TriangleMesh {
     let (rings, sides) = (60u32, 40u32);
     let mut mesh = TriangleMesh::default();
     let axis = |ring: u32| {
@@ -19,8 +25,9 @@ fn bent_tube() -> TriangleMesh {
     };
     for ring in 0..=rings {
         for side in 0..sides {
-            let (sin, cos) = (TAU * f64::from(side) / f64::from(sides)).sin_cos();
-            mesh.vertices.push(axis(ring) * (BEND_MM + TUBE_MM * cos) + DVec3::Y * (TUBE_MM * sin));
+            let angle = TAU * f64::from(side) / f64::from(sides);
+            let (radius_mm, (sin, cos)) = (radius_mm(ring, angle), angle.sin_cos());
+            mesh.vertices.push(axis(ring) * (bend_mm + radius_mm * cos) + DVec3::Y * (radius_mm * sin));
         }
     }
     let at = |ring: u32, side: u32| ring * sides + side % sides;
@@ -32,7 +39,7 @@ fn bent_tube() -> TriangleMesh {
     }
     for (ring, flipped) in [(0, true), (rings, false)] {
         let middle = mesh.vertices.len() as u32;
-        mesh.vertices.push(axis(ring) * BEND_MM);
+        mesh.vertices.push(axis(ring) * bend_mm);
         for side in 0..sides {
             let (a, b) = (at(ring, side), at(ring, side + 1));
             mesh.faces.push(if flipped { [middle, b, a] } else { [middle, a, b] });
@@ -70,6 +77,46 @@ fn bent_tube_has_its_axis_and_radius() {
     for (a, b) in flipped.iter().zip(points) {
         assert!(a.position_mm.distance(b.position_mm) < 1e-6, "either orientation gives the same");
     }
+}
+
+/// A line that is smoothed after it was centred cuts a narrow bend, and its spheres are too small.
+#[test]
+fn a_narrow_bend_has_its_radius() {
+    let (bend_mm, tube_mm) = (8.0, 1.3);
+    let centerline = extract(&tube(bend_mm, |_, _| tube_mm), &CenterlineSettings::default()).unwrap();
+    let inner = centerline.points.iter().filter(|p| p.position_mm.x.min(-p.position_mm.z) > 1.5 * tube_mm);
+    let shares: Vec<f64> = inner.map(|p| p.radius_mm / tube_mm).collect();
+    assert!(shares.len() > 5 && shares.iter().all(|share| (0.97..1.0).contains(share)), "{shares:?}");
+}
+
+/// The wall of a scan is rough: each ring's middle lies elsewhere. Every point is to be near its own, and the line is not
+/// to wiggle from each to the next.
+#[test]
+fn a_rough_tube_is_followed_without_wiggles() {
+    let tube_mm = 1.5;
+    let roughness = |ring: u32, angle: f64| {
+        let mut rng = CounterRng::new(5, Stage::Test, &[ring.into()]);
+        (1..4).map(|k| 0.05 * rng.range(-1.0, 1.0) * (f64::from(k) * angle + rng.range(0.0, TAU)).cos()).sum::<f64>()
+    };
+    let mesh = tube(BEND_MM, |ring, angle| tube_mm * (1.0 + roughness(ring, angle)));
+    let points = extract(&mesh, &CenterlineSettings::default()).unwrap().points;
+    let surface = SurfaceDistance::new(&mesh);
+    let (mut missing, mut turns) = (Vec::new(), Vec::new());
+    for k in 4..points.len() - 4 {
+        let place = |k: usize| points[k].position_mm;
+        let (u, v) = (place(k + 3) - place(k - 3)).normalize().any_orthonormal_pair();
+        let near = (-12..=12).flat_map(|i| (-12..=12).map(move |j| (f64::from(i), f64::from(j))));
+        let greatest = near.map(|(i, j)| surface.distance(place(k) + 0.02 * (u * i + v * j))).fold(0.0, f64::max);
+        missing.push(1.0 - points[k].radius_mm / greatest);
+        turns.push((place(k + 1) - place(k)).angle_between(place(k) - place(k - 1)).to_degrees());
+    }
+    missing.sort_by(f64::total_cmp);
+    turns.sort_by(f64::total_cmp);
+    let of = |sorted: &[f64], share: f64| sorted[(share * sorted.len() as f64) as usize];
+    let (missing, turns) = ([0.5, 0.95].map(|s| of(&missing, s)), [0.5, 0.95].map(|s| of(&turns, s)));
+    println!("the radius misses {missing:.4?}, the line turns by {turns:.1?} degrees");
+    assert!(missing[0] < 0.015 && missing[1] < 0.03, "{missing:?}");
+    assert!(turns[0] < 6.0 && turns[1] < 18.0, "{turns:?}");
 }
 
 #[test]

@@ -19,7 +19,7 @@ const LEAVING: f64 = 1.2;
 /// The same within a radius of the inlet, where the corners of the cap look like short branches.
 const LEAVING_INLET: f64 = 2.5;
 /// The part of a side path beyond the wall of its parent must be longer than this many of its own mean radii.
-const PROTRUSION: f64 = 1.5;
+pub(super) const PROTRUSION: f64 = 1.5;
 /// A path ends where the lumen has narrowed to this share of the path's usual radius.
 const NARROWED: f64 = 0.6;
 

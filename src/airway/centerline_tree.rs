@@ -1,10 +1,10 @@
-//! From traced voxel paths to the centreline: centred, smooth, evenly spaced, with branches and generations.
+//! From centred paths to the centreline: evenly spaced, with branches and generations, without what is too narrow.
 
 use glam::DVec3;
 
 use super::centerline::{Centerline, CenterlinePoint, CenterlineSettings};
 use super::centerline_distance::SurfaceDistance;
-use super::centerline_trace::{TraceNode, Traces};
+use super::centerline_trace::{PROTRUSION, TraceNode, Traces};
 use super::centerline_voxels::{NONE, Voxels};
 
 /// A piece between two junctions shorter than this many radii belongs to the junction: its daughters count as the
@@ -14,74 +14,6 @@ const JUNCTION_RADII: f64 = 0.7;
 /// the trachea's flat end, where the scan was cut, and is none.
 const RIM_RADII: f64 = 1.6;
 const NEAR_INLET_RADII: f64 = 3.0;
-/// Rounds of smoothing and centring.
-const ROUNDS: usize = 3;
-
-/// Moves every node to the middle of its cross-section, path by path, and smooths the paths. No node leaves the lumen.
-pub fn centre(traces: &mut Traces, voxels: &Voxels, surface: &SurfaceDistance) {
-    for path in 0..traces.starts.len() - 1 {
-        let (start, end) = (traces.starts[path] as usize, traces.starts[path + 1] as usize);
-        let mut points: Vec<DVec3> = traces.nodes[start..end].iter().map(|n| n.position_mm).collect();
-        let join = traces.nodes.get(traces.nodes[start].parent as usize).copied();
-        for _ in 0..ROUNDS {
-            smooth(&mut points, join, 6, voxels);
-            for k in 0..points.len() {
-                let inside_parent = join.is_some_and(|j| j.position_mm.distance(points[k]) < j.radius_mm);
-                if !inside_parent {
-                    points[k] = climb(points[k], tangent(&points, k), voxels, surface);
-                }
-            }
-        }
-        smooth(&mut points, join, 6, voxels);
-        for (node, point) in traces.nodes[start..end].iter_mut().zip(&points) {
-            node.position_mm = *point;
-            node.radius_mm = surface.distance(*point);
-        }
-    }
-}
-
-/// Laplacian smoothing; the last point stays, the first one too unless it is attached to `join`.
-fn smooth(points: &mut [DVec3], join: Option<TraceNode>, passes: usize, voxels: &Voxels) {
-    for _ in 0..passes {
-        let old = points.to_vec();
-        for k in 0..old.len().saturating_sub(1) {
-            let before = if k > 0 { Some(old[k - 1]) } else { join.map(|j| j.position_mm) };
-            let Some(before) = before else { continue };
-            let moved = 0.5 * old[k] + 0.25 * (before + old[k + 1]);
-            if voxels.contains(moved) {
-                points[k] = moved;
-            }
-        }
-    }
-}
-
-fn tangent(points: &[DVec3], k: usize) -> DVec3 {
-    (points[(k + 4).min(points.len() - 1)] - points[k.saturating_sub(4)]).normalize_or(DVec3::Z)
-}
-
-/// Pattern search for the largest distance to the wall in the plane across `tangent`.
-fn climb(point: DVec3, tangent: DVec3, voxels: &Voxels, surface: &SurfaceDistance) -> DVec3 {
-    let (u, v) = tangent.any_orthonormal_pair();
-    let (mut best, mut radius) = (point, surface.distance(point));
-    let mut step = 0.25 * radius;
-    let finest = 0.02 * radius;
-    while step > finest {
-        let mut found = false;
-        for direction in [u, -u, v, -v] {
-            let trial = best + direction * step;
-            let distance = surface.distance_below(trial, (radius + step) * 1.000_001);
-            // a step shorter than the radius cannot cross the wall
-            if distance > radius && step < radius {
-                (best, radius, found) = (trial, distance, true);
-                break;
-            }
-        }
-        if !found || best.distance(point) > 2.0 * voxels.spacing_mm + 0.5 * radius {
-            step *= 0.5;
-        }
-    }
-    if voxels.contains(best) { best } else { point }
-}
 
 /// A run of nodes between two junctions, as positions with radii; the junction itself is the parent's last node.
 struct Piece {
@@ -155,17 +87,33 @@ fn split(nodes: &[TraceNode], kept: &[bool]) -> Vec<Piece> {
     pieces
 }
 
-/// Marks the nodes of end pieces that are narrower than allowed as dropped; whether there were any.
+/// Marks the nodes of end pieces from where they are narrower than allowed as dropped; whether there were any.
 fn drop_narrow(pieces: &[Piece], nodes: &[TraceNode], minimal_radius_mm: f64, kept: &mut [bool]) -> bool {
     let mut dropped = false;
     for piece in pieces.iter().filter(|p| p.children == 0 && p.parent.is_some()) {
-        let mean = piece.nodes.iter().map(|&n| nodes[n as usize].radius_mm).sum::<f64>() / piece.nodes.len() as f64;
-        if mean < minimal_radius_mm {
-            piece.nodes.iter().for_each(|&n| kept[n as usize] = false);
-            dropped = true;
-        }
+        let narrow = &piece.nodes[wide_beginning(piece, nodes, minimal_radius_mm)..];
+        narrow.iter().for_each(|&n| kept[n as usize] = false);
+        dropped |= !narrow.is_empty();
     }
     dropped
+}
+
+/// How many nodes of an end piece stay: all where their mean radius suffices; else the longest beginning whose mean
+/// radius does outside of the parent, which alone would make any beginning wide; none where that is no branch.
+fn wide_beginning(piece: &Piece, nodes: &[TraceNode], minimal_radius_mm: f64) -> usize {
+    let node = |n: &u32| nodes[*n as usize];
+    let mean = |part: &[u32]| part.iter().map(|n| node(n).radius_mm).sum::<f64>() / part.len() as f64;
+    if mean(&piece.nodes) >= minimal_radius_mm {
+        return piece.nodes.len();
+    }
+    let parent = nodes[node(&piece.nodes[0]).parent as usize];
+    let is_outside = |n: &u32| node(n).position_mm.distance(parent.position_mm) > parent.radius_mm;
+    let Some(start) = piece.nodes.iter().position(is_outside) else { return 0 };
+    let outside = &piece.nodes[start..];
+    let Some(count) = (1..=outside.len()).rev().find(|&k| mean(&outside[..k]) >= minimal_radius_mm) else { return 0 };
+    let wide = &outside[..count];
+    let length: f64 = wide.windows(2).map(|w| node(&w[0]).position_mm.distance(node(&w[1]).position_mm)).sum();
+    if length > PROTRUSION * mean(wide) { start + count } else { 0 }
 }
 
 /// Marks the nodes of an end piece that leads into the rim of the trachea's end as dropped; whether there was one.
@@ -233,4 +181,42 @@ fn resample(piece: &Piece, nodes: &[TraceNode], spacing_mm: f64, voxels: &Voxels
         points.push(line[line.len() - 1]);
     }
     points
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Adds a straight run of nodes 1 mm apart with these radii; its last node.
+    fn run(nodes: &mut Vec<TraceNode>, parent: u32, direction: DVec3, radii_mm: &[f64]) -> u32 {
+        let from = nodes.get(parent as usize).map_or(DVec3::ZERO, |n| n.position_mm);
+        for (k, &radius_mm) in radii_mm.iter().enumerate() {
+            let parent = if k == 0 { parent } else { nodes.len() as u32 - 1 };
+            nodes.push(TraceNode { position_mm: from + direction * (k + 1) as f64, radius_mm, parent });
+        }
+        nodes.len() as u32 - 1
+    }
+
+    /// Of a wide branch with a long thin end a part is kept; of a thin one nothing, though its first nodes, inside of its
+    /// wide parent, are wide.
+    #[test]
+    fn a_wide_branch_is_cut_where_it_becomes_thin_and_a_thin_one_goes() {
+        let mut nodes = Vec::new();
+        let carina = run(&mut nodes, NONE, DVec3::NEG_Z, &[4.0; 40]);
+        run(&mut nodes, carina, DVec3::NEG_Z, &[2.0; 20]);
+        let into = [3.5, 3.0, 2.0, 1.5];
+        let wide = nodes.len() as u32;
+        run(&mut nodes, carina, DVec3::X, &[&into[..], &[1.41; 12], &[0.6; 60]].concat());
+        let thin = nodes.len() as u32;
+        run(&mut nodes, carina, DVec3::NEG_X, &[&into[..], &[0.8; 40]].concat());
+        let mut kept = vec![true; nodes.len()];
+        assert!(drop_narrow(&split(&nodes, &kept), &nodes, 1.0, &mut kept));
+        let count = |from: u32, to: usize| kept[from as usize..to].iter().filter(|kept| **kept).count();
+        // 12 of 1.41 and 12 of 0.6 have a mean just above 1; the first four are inside of the parent.
+        assert_eq!(count(wide, thin as usize), 28);
+        assert!(kept[wide as usize..wide as usize + 28].iter().all(|kept| *kept));
+        assert_eq!(count(thin, nodes.len()), 0);
+        assert_eq!(count(0, wide as usize), 60);
+        assert!(!drop_narrow(&split(&nodes, &kept), &nodes, 1.0, &mut kept), "what was cut stays");
+    }
 }

@@ -8,6 +8,7 @@ pub mod case_clinical;
 mod case_scope;
 mod case_steering;
 pub mod centerline;
+mod centerline_centre;
 pub mod centerline_distance;
 pub mod centerline_extract;
 mod centerline_trace;
