@@ -27,30 +27,20 @@ struct Part {
     kernels: &'static [&'static str],
 }
 
-/// The splat core, and what both parts share.
+/// The splat core, and what all parts share.
 const SPLAT: Part = Part {
-    bridges: &[
-        "src/ffi/isa.rs",
-        "src/ffi/splat/loss.rs",
-        "src/ffi/splat/rasterize.rs",
-        "src/ffi/splat/bin.rs",
-        "src/ffi/splat/image.rs",
-    ],
-    sources: &[
-        "cpp/common/isa.cpp",
-        "cpp/splat/loss.cpp",
-        "cpp/splat/rasterize.cpp",
-        "cpp/splat/bin.cpp",
-        "cpp/splat/image.cpp",
-    ],
+    bridges: &["src/ffi/isa.rs", "src/ffi/splat/rasterize.rs", "src/ffi/splat/bin.rs", "src/ffi/splat/image.rs"],
+    sources: &["cpp/common/isa.cpp", "cpp/splat/rasterize.cpp", "cpp/splat/bin.cpp", "cpp/splat/image.cpp"],
     // What takes longest to compile first, so that no compiler works alone in the end.
-    kernels: &[
-        "cpp/splat/project.cpp",
-        "cpp/splat/chain.cpp",
-        "cpp/splat/kernel.cpp",
-        "cpp/splat/loss_kernel.cpp",
-        "cpp/splat/disc.cpp",
-    ],
+    kernels: &["cpp/splat/project.cpp", "cpp/splat/chain.cpp", "cpp/splat/kernel.cpp", "cpp/splat/disc.cpp"],
+};
+
+/// The photometric loss, which the methods train with.
+#[cfg(feature = "methods")]
+const LOSS: Part = Part {
+    bridges: &["src/ffi/splat/loss.rs"],
+    sources: &["cpp/splat/loss.cpp"],
+    kernels: &["cpp/splat/loss_kernel.cpp"],
 };
 
 /// The path tracer.
@@ -69,6 +59,8 @@ const TRACE: Part = Part {
 /// The parts of the crate that the features ask for.
 const PARTS: &[Part] = &[
     SPLAT,
+    #[cfg(feature = "methods")]
+    LOSS,
     #[cfg(feature = "trace")]
     TRACE,
 ];

@@ -22,7 +22,7 @@ edition = "2024"
 
 [dependencies]
 respire-bench = { path = "$root", default-features = false }
-glam = "0.34"
+glam = { version = "0.34", default-features = false }
 # The library does not need these features; the Python package's other dependencies ask for them.
 num-traits = "0.2"
 once_cell = "1"

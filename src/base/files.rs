@@ -223,6 +223,7 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
 }
 
 /// Reads TOML; the error names line and column, and shows the line.
+#[cfg(feature = "methods")]
 pub fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T> {
     let text = read_text(path)?;
     toml::from_str(&text).map_err(|e| {
@@ -235,6 +236,7 @@ pub fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T> {
 }
 
 /// Sets `value` at `path` and makes the path where it is missing: a case file leaves out what has a default.
+#[cfg(feature = "methods")]
 pub fn insert_toml(table: &mut toml::Table, path: &[&str], value: toml::Value) -> Result<()> {
     let (last, groups) = path.split_last().ok_or_else(|| Error::input("an empty key"))?;
     let mut at = table;
@@ -250,6 +252,7 @@ pub fn insert_toml(table: &mut toml::Table, path: &[&str], value: toml::Value) -
 }
 
 /// Line and column of the byte `offset` of `text`, counted from 1, with the beginning of its line.
+#[cfg(feature = "methods")]
 fn place(text: &str, offset: usize) -> String {
     let before = text.get(..offset).unwrap_or(text);
     let line_start = before.rfind('\n').map_or(0, |end| end + 1);

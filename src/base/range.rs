@@ -8,7 +8,9 @@
 use std::fmt;
 use std::str::FromStr;
 
+#[cfg(feature = "methods")]
 use serde::Serialize;
+#[cfg(feature = "methods")]
 use toml::Value;
 
 use super::error::{Error, Result};
@@ -118,8 +120,10 @@ fn shown(value: f64) -> String {
 
 /// Ranges of all numbers of one kind of settings. A key of a group has the group's name before it
 /// (`window.keyframes`); an array's numbers share its key, and so do the tables of an array.
+#[cfg(feature = "methods")]
 pub struct KeyRanges(pub &'static [(&'static str, NumberRange)]);
 
+#[cfg(feature = "methods")]
 impl KeyRanges {
     /// Checks every number that `settings` holds. The error names the key, with `prefix` before it where that is not
     /// empty. A number whose key has no range is refused too, so that no key can be added without one.
@@ -162,6 +166,7 @@ impl KeyRanges {
     }
 }
 
+#[cfg(feature = "methods")]
 fn joined(path: &str, name: &str) -> String {
     if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") }
 }

@@ -12,5 +12,6 @@
 pub mod adam;
 pub mod bin;
 pub mod image;
+#[cfg(feature = "methods")]
 pub mod loss;
 pub mod rasterize;
