@@ -70,7 +70,9 @@ mod tests {
         let said = outcome("echo begun; echo 'Error: no slices' >&2; echo done; exit 2").to_string();
         assert!(said.contains("sh failed (exit status: 2): Error: no slices"), "{said}");
         assert!(outcome("exit 1").to_string().contains("it said nothing"));
-        assert_eq!(outcome("kill -INT $$").kind(), ErrorKind::Interrupted);
+        // A job in the background ignores the signal, and so would what it starts.
+        let interrupted = outcome("exec env --default-signal=INT sh -c 'kill -INT $$'");
+        assert_eq!(interrupted.kind(), ErrorKind::Interrupted);
         assert_eq!(outcome("kill -TERM $$").kind(), ErrorKind::InputOutput);
     }
 
