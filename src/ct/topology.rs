@@ -170,13 +170,12 @@ pub fn keep_ball(values: &mut [f32], size: [usize; 3], outside: f32) -> BallRepo
     let mut open = BinaryHeap::from([rank(deepest)]);
     let mut count = 0;
     while let Some(Reverse((_, node))) = open.pop() {
-        let set = beside(&state, node);
-        // A node that is asked in vain is asked again when one beside it is taken.
-        let before = std::mem::replace(&mut state[node], State::Free);
-        if before == State::Taken {
-            state[node] = before;
+        if state[node] == State::Taken {
             continue;
         }
+        // A node that is asked in vain is asked again when one beside it is taken.
+        state[node] = State::Free;
+        let set = beside(&state, node);
         if count > 0 && !block.is_simple(set) {
             continue;
         }
