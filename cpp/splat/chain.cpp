@@ -7,17 +7,17 @@ namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-// Gradient of sum_k w[k] basis[k] by the vector v, as if its length were free.
-template <int DEGREE>
+// Gradient of the sum of w[k] times COUNT functions by the vector v, as if its length were free.
+template <int COUNT>
 inline void basis_pullback(const V* v, const V* w, V* g) {
   const V x = v[0], y = v[1], z = v[2];
   g[0] = -C1 * w[3], g[1] = -C1 * w[1], g[2] = C1 * w[2];
-  if constexpr (DEGREE >= 2) {
+  if constexpr (COUNT >= 9) {
     g[0] += C2[0] * y * w[4] - 2.0f * C2[2] * x * w[6] + C2[3] * z * w[7] + 2.0f * C2[4] * x * w[8];
     g[1] += C2[0] * x * w[4] + C2[1] * z * w[5] - 2.0f * C2[2] * y * w[6] - 2.0f * C2[4] * y * w[8];
     g[2] += C2[1] * y * w[5] + 4.0f * C2[2] * z * w[6] + C2[3] * x * w[7];
   }
-  if constexpr (DEGREE >= 3) {
+  if constexpr (COUNT >= 16) {
     const V xx = x * x, yy = y * y, zz = z * z, four_zz = 4.0f * zz;
     g[0] += C3[0] * 6.0f * x * y * w[9] + C3[1] * y * z * w[10] - C3[2] * 2.0f * x * y * w[11] -
             C3[3] * 6.0f * x * z * w[12] + C3[4] * (four_zz - 3.0f * xx - yy) * w[13] + C3[5] * 2.0f * x * z * w[14] +
@@ -28,6 +28,40 @@ inline void basis_pullback(const V* v, const V* w, V* g) {
     g[2] += C3[1] * x * y * w[10] + C3[2] * 8.0f * y * z * w[11] + C3[3] * (6.0f * zz - 3.0f * xx - 3.0f * yy) * w[12] +
             C3[4] * 8.0f * x * z * w[13] + C3[5] * (xx - yy) * w[14];
   }
+}
+
+inline V dot(const V* a, const V* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+// The gradient by the colours before the clamp, `by_color`, from that after it; by the vector from the eye; and the
+// functions of the direction, by which that of the coefficients follows.
+[[gnu::noinline]] void color_pullback(const Scene& s, const std::uint32_t* index, const V* direction, V distance,
+                                      const V* by_clamped, V* functions, V* by_color, V* by_offset) {
+  for_degree(s, [&](auto degree) {
+    constexpr int BASIS = degree.BASIS;
+    V sh[degree.SH], color[3];
+    gather<degree.SH>(s.sh, index, sh);
+    basis<V, BASIS>(direction, functions);
+    sum_color<V, BASIS>(functions, sh, color);
+    for (int k = 0; k < 3; ++k) by_color[k] = keep(color[k] > 0.0f, by_clamped[k]);
+    if constexpr (BASIS > 1) {
+      V weights[BASIS], by_direction[3];
+      for (int i = 0; i < BASIS; ++i) weights[i] = dot(sh + 3 * i, by_color);
+      basis_pullback<BASIS>(direction, weights, by_direction);
+      // Through the normalisation of the direction.
+      const V along = dot(by_direction, direction), by_distance = 1.0f / distance;
+      for (int k = 0; k < 3; ++k) by_offset[k] = (by_direction[k] - along * direction[k]) * by_distance;
+    }
+  });
+}
+
+// Writes the gradients by the coefficients of `count` Gaussians from number k0 on.
+[[gnu::noinline]] void write_harmonics(const Scene& s, float* base, std::size_t k0, int count, VI good,
+                                       const V* functions, const V* by_color) {
+  for_degree(s, [&](auto degree) {
+    V by_sh[degree.SH];
+    for (int i = 0; i < degree.SH; ++i) by_sh[i] = keep(good, functions[i / 3] * by_color[i % 3]);
+    scatter<degree.SH>(base + degree.SH * k0, count, by_sh);
+  });
 }
 
 // Adds to by_u the gradient through the factor sqrt(det / det dilated) of the opacity; by_log is that by its
@@ -46,8 +80,6 @@ inline void compensation_pullback(const G& g, V by_log, V by_u[COLUMNS][2]) {
     by_u[k][0] += by_log * dx, by_u[k][1] += by_log * dy;
   }
 }
-
-inline V dot(const V* a, const V* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 inline double total(const D4& v) { return (v[0] + v[2]) + (v[1] + v[3]); }
 
@@ -86,37 +118,37 @@ struct ChainKernel {
     scatter<N>(base + N * k0, count, values);
   }
 
-  template <int N>
-  void clear(float* base, std::size_t k0, int count) const {
-    for (int i = 0; i < N * count; ++i) base[N * k0 + i] = 0;
+  // Of `each` numbers a Gaussian.
+  void clear(float* base, std::size_t k0, int count, int each) const {
+    __builtin_memset(base + each * k0, 0, sizeof *base * static_cast<std::size_t>(each * count));
   }
 
-  template <int DEGREE, int COLUMNS, template <class> class Camera>
+  template <int COLUMNS, template <class> class Camera>
   void run() const {
-    constexpr int BASIS = (DEGREE + 1) * (DEGREE + 1), SH = 3 * BASIS;
     const View& w = s.view;
+    const int harmonics = harmonics_of(s);
     const bool through_position = wants(POSITIONS | POSE | LENS), shapes = wants(SHAPES);
     D4 pose_sums[6] = {}, lens_sums[4] = {};
     for_groups(s, o.first, o.count, [&](const LaneGroup& group) {
       const std::size_t k0 = group.k0;
       const int count = group.count;
       auto clear_all = [&] {
-        if (wants(POSITIONS)) clear<3>(o.positions, k0, count);
-        if (wants(OPACITIES)) clear<1>(o.opacities, k0, count);
-        if (wants(HARMONICS)) clear<SH>(o.sh, k0, count);
-        if (shapes && COLUMNS == 2) clear<6>(o.shape, k0, count);
-        if (shapes && COLUMNS == 3) clear<4>(o.shape, k0, count), clear<3>(o.scales, k0, count);
+        if (wants(POSITIONS)) clear(o.positions, k0, count, 3);
+        if (wants(OPACITIES)) clear(o.opacities, k0, count, 1);
+        if (wants(HARMONICS)) clear(o.sh, k0, count, harmonics);
+        if (shapes && COLUMNS == 2) clear(o.shape, k0, count, 6);
+        if (shapes && COLUMNS == 3) clear(o.shape, k0, count, 4), clear(o.scales, k0, count, 3);
       };
       if (o.starts[k0] == o.starts[k0 + count]) return clear_all();
       const std::uint32_t* const index = group.index;
       // Tables of a hundred thousand Gaussians fit into no near cache, and there are a dozen of them: too many
       // streams for the processor's own prefetcher.
-      prefetch_next_group<SH, COLUMNS>(s, group);
-      if (wants(POSITIONS)) prefetch_after<3, 1>(o.positions, k0);
-      if (wants(OPACITIES)) prefetch_after<1, 1>(o.opacities, k0);
-      if (wants(HARMONICS)) prefetch_after<SH, 1>(o.sh, k0);
-      if (shapes) prefetch_after<COLUMNS == 2 ? 6 : 4, 1>(o.shape, k0);
-      if (shapes && COLUMNS == 3) prefetch_after<3, 1>(o.scales, k0);
+      prefetch_next_group<COLUMNS>(s, group);
+      if (wants(POSITIONS)) prefetch_after<1>(o.positions, k0, 3);
+      if (wants(OPACITIES)) prefetch_after<1>(o.opacities, k0, 1);
+      if (wants(HARMONICS)) prefetch_after<1>(o.sh, k0, harmonics);
+      if (shapes) prefetch_after<1>(o.shape, k0, COLUMNS == 2 ? 6 : 4);
+      if (shapes && COLUMNS == 3) prefetch_after<1>(o.scales, k0, 3);
       V m[16];
       sum_slots(k0, count, m);
       // Behind what is opaque all moments are zero, and so are all gradients.
@@ -140,25 +172,9 @@ struct ChainKernel {
       V by_opacity[1] = {m[S] / opacity[0]};
       V sum = by_opacity[0] + m[SRED] + m[SGREEN] + m[SBLUE];
       // Colour: to the coefficients, and through the direction to the centre.
-      V by_sh[SH], by_offset[3] = {V{}, V{}, V{}};
-      if (wants(HARMONICS) || (through_position && DEGREE > 0)) {
-        V sh[SH], b[BASIS], color[3], v[3];
-        gather<SH>(s.sh, index, sh);
-        basis<V, DEGREE>(g.direction, b);
-        for (int k = 0; k < 3; ++k) {
-          color[k] = broadcast(0.5f);
-          for (int i = 0; i < BASIS; ++i) color[k] += b[i] * sh[3 * i + k];
-          v[k] = keep(color[k] > 0.0f, m[SRED + k]);
-        }
-        for (int i = 0; i < SH; ++i) by_sh[i] = b[i / 3] * v[i % 3];
-        if constexpr (DEGREE > 0) {
-          V weights[BASIS], direction[3];
-          for (int i = 0; i < BASIS; ++i) weights[i] = dot(sh + 3 * i, v);
-          basis_pullback<DEGREE>(g.direction, weights, direction);
-          // Through the normalisation of the direction.
-          const V along = dot(direction, g.direction), by_distance = 1.0f / g.distance;
-          for (int k = 0; k < 3; ++k) by_offset[k] = (direction[k] - along * g.direction[k]) * by_distance;
-        }
+      V functions[16], by_color[3], by_offset[3] = {V{}, V{}, V{}};
+      if (wants(HARMONICS) || (through_position && s.sh_degree > 0)) {
+        color_pullback(s, index, g.direction, g.distance, m + SRED, functions, by_color, by_offset);
       }
       // Shape, centre, camera.
       V by_columns[3][3], by_position[3] = {V{}, V{}, V{}}, pose[6], lens[4];
@@ -225,7 +241,7 @@ struct ChainKernel {
       const VI good = visible & g.good & finite(sum);
       if (wants(POSITIONS)) write<3>(o.positions, k0, count, good, by_position);
       if (wants(OPACITIES)) write<1>(o.opacities, k0, count, good, by_opacity);
-      if (wants(HARMONICS)) write<SH>(o.sh, k0, count, good, by_sh);
+      if (wants(HARMONICS)) write_harmonics(s, o.sh, k0, count, good, functions, by_color);
       if (shapes && COLUMNS == 2) write<6>(o.shape, k0, count, good, &by_columns[0][0]);
       if (shapes && COLUMNS == 3) write_ellipsoids(k0, count, good, shape, by_columns);
       if (wants(POSE)) {

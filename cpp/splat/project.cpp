@@ -41,9 +41,8 @@ struct VelocityKernel {
   const Scene& s;
   const TangentChunk& o;
 
-  template <int DEGREE, int COLUMNS, template <class> class Camera>
+  template <int COLUMNS, template <class> class Camera>
   void run() const {
-    constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     const View& w = s.view;
     for_groups(s, o.first, o.count, [&](const LaneGroup& group) {
       const std::size_t k0 = group.k0;
@@ -52,10 +51,10 @@ struct VelocityKernel {
       bool visible = false;
       for (int l = 0; l < count; ++l) visible |= o.visible[k0 + l];
       if (!visible) return;
-      prefetch_next_group<SH, COLUMNS>(s, group);
-      if (group.contiguous && o.positions) prefetch_after<3>(o.positions, group.from);
-      prefetch_after<8, 1>(o.rows, k0);
-      V position[3], from_eye[3], t[3], point[2], rest[2], sh[SH];
+      prefetch_next_group<COLUMNS>(s, group);
+      if (group.contiguous && o.positions) prefetch_after(o.positions, group.from, 3);
+      prefetch_after<1>(o.rows, k0, 8);
+      V position[3], from_eye[3], t[3], point[2], rest[2];
       load_centers(s, group, position, from_eye);
       // The same operations as in the projection, hence the same bytes.
       project_exactly<Camera>(s, position, t, point, rest);
@@ -67,8 +66,7 @@ struct VelocityKernel {
       for (int k = 0; k < 3; ++k) constant(from_eye[k], &away[k]);
       set_velocities(group, g, away);
       g.complete(w, away);
-      gather<SH>(s.sh, index, sh);
-      evaluate_color<Dual, DEGREE>(g.direction, sh, color);
+      color_towards(s, index, g.direction, color);
       write_rows(group, g, color);
     });
   }
@@ -227,15 +225,14 @@ struct ProjectionKernel {
     return k0;
   }
 
-  template <int DEGREE, int COLUMNS, template <class> class Camera>
+  template <int COLUMNS, template <class> class Camera>
   void run() const {
-    o.motion ? run_as<Dual, DEGREE, COLUMNS, Camera>() : run_as<V, DEGREE, COLUMNS, Camera>();
+    o.motion ? run_as<Dual, COLUMNS, Camera>() : run_as<V, COLUMNS, Camera>();
   }
 
   // For values (N = V), or for values and velocities (N = Dual), with the same operations on the values.
-  template <class N, int DEGREE, int COLUMNS, template <class> class Camera>
+  template <class N, int COLUMNS, template <class> class Camera>
   void run_as() const {
-    constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
     constexpr bool MOVING = sizeof(N) == sizeof(Dual);
     const View& w = s.view;
     __builtin_memset(o.visible, 0, o.count);
@@ -250,11 +247,11 @@ struct ProjectionKernel {
       V position[3], offset[3];
       load_centers(s, group, position, offset);
       const V opacity = load_scalars(s.opacities, group);
-      prefetch_next_group<SH, COLUMNS>(s, group);
-      prefetch_after<16, 1>(o.rows, k0);
+      prefetch_next_group<COLUMNS>(s, group);
+      prefetch_after<1>(o.rows, k0, 16);
       if (MOVING) {
-        prefetch_after<8, 1>(o.motion->rows, k0);
-        if (group.contiguous && o.motion->positions) prefetch_after<3>(o.motion->positions, group.from);
+        prefetch_after<1>(o.motion->rows, k0, 8);
+        if (group.contiguous && o.motion->positions) prefetch_after(o.motion->positions, group.from, 3);
       }
       // Below 1/255 an opacity is never blended; the other two conditions keep NaN and denormals out of the logarithm.
       V log2_opacity = log2(opacity);
@@ -284,10 +281,8 @@ struct ProjectionKernel {
       for (int k = 0; k < 2; ++k) visible &= (point[k] + half[k] > 0.0f) & (point[k] - half[k] < w.size[k]);
       if (!any_of(visible)) continue;
       // Colour.
-      V sh[SH];
       N color[3];
-      gather<SH>(s.sh, index, sh);
-      evaluate_color<N, DEGREE>(g.direction, sh, color);
+      color_towards(s, index, g.direction, color);
       visible &= finite(value(color[0]) + value(color[1]) + value(color[2]));
       if constexpr (MOVING) VelocityKernel{s, *o.motion}.write_rows(group, g, color);
       // The row (`at` in src/splat/types/table.rs).
@@ -326,11 +321,10 @@ struct ProjectionKernel {
 struct RecolorKernel {
   const Scene& s;
   const RecolorChunk& o;
-  bool finite_colors = true;
 
-  template <int DEGREE, int COLUMNS, template <class> class Camera>
-  void run() {
-    constexpr int SH = 3 * (DEGREE + 1) * (DEGREE + 1);
+  // Returns false when a visible colour is not finite.
+  bool run() const {
+    bool finite_colors = true;
     for_groups(s, o.first, o.count, [&](const LaneGroup& group) {
       const std::size_t k0 = group.k0;
       const int count = group.count;
@@ -338,17 +332,17 @@ struct RecolorKernel {
       VI visible{};
       for (int l = 0; l < count; ++l) visible[l] = o.visible[k0 + l] ? -1 : 0;
       if (!any_of(visible)) return;
-      V position[3], offset[3], direction[3], distance, sh[SH], color[3];
+      V position[3], offset[3], direction[3], distance, color[3];
       load_centers(s, group, position, offset);
       normalize_vector(offset, direction, distance);
-      gather<SH>(s.sh, index, sh);
-      evaluate_color<V, DEGREE>(direction, sh, color);
+      color_towards(s, index, direction, color);
       if (any_of(visible & ~finite(color[0] + color[1] + color[2]))) finite_colors = false;
       for (int k = 0; k < 3; ++k) color[k] = max(color[k], V{});
       for (int l = 0; l < count; ++l)
         if (visible[l])
           for (int k = 0; k < 3; ++k) o.rows[16 * (k0 + l) + RED + k] = color[k][l];
     });
+    return finite_colors;
   }
 };
 
@@ -359,11 +353,7 @@ void project(const Scene& scene, const ProjectChunk& chunk) {
   for_scene(scene, f);
 }
 
-bool recolor(const Scene& scene, const RecolorChunk& chunk) {
-  RecolorKernel f{scene, chunk};
-  for_scene(scene, f);
-  return f.finite_colors;
-}
+bool recolor(const Scene& scene, const RecolorChunk& chunk) { return RecolorKernel{scene, chunk}.run(); }
 
 void velocities(const Scene& scene, const TangentChunk& chunk) {
   const VelocityKernel f{scene, chunk};

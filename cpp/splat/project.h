@@ -5,6 +5,7 @@
 //   t = R (p - eye),  c_k = R m_k,  u_k = J c_k
 //   covariance on screen = sum_k u_k u_k^T + dilation I,  conic = its inverse
 #include "cpp/splat/camera.h"
+#include "cpp/splat/color.h"
 
 namespace respire {
 namespace RESPIRE_ISA {
@@ -122,43 +123,6 @@ struct Geometry {
   }
 };
 
-// Real spherical harmonics up to degree 3 with the signs and constants of 3DGS; src/splat/number/sh.rs is the twin.
-constexpr float C0 = 0.28209479177387814f, C1 = 0.4886025119029199f;
-constexpr float C2[5] = {1.0925484305920792f, -1.0925484305920792f, 0.31539156525252005f, -1.0925484305920792f,
-                         0.5462742152960396f};
-constexpr float C3[7] = {-0.5900435899266435f, 2.890611442640554f, -0.4570457994644658f, 0.3731763325901154f,
-                         -0.4570457994644658f, 1.445305721320277f, -0.5900435899266435f};
-
-template <class N, int DEGREE>
-inline void basis(const N* v, N* out) {
-  const N x = v[0], y = v[1], z = v[2];
-  constant(broadcast(C0), &out[0]);
-  if constexpr (DEGREE >= 1) out[1] = -(C1 * y), out[2] = C1 * z, out[3] = -(C1 * x);
-  if constexpr (DEGREE >= 2) {
-    out[4] = C2[0] * (x * y), out[5] = C2[1] * (y * z), out[6] = C2[2] * (2.0f * (z * z) - x * x - y * y);
-    out[7] = C2[3] * (x * z), out[8] = C2[4] * (x * x - y * y);
-  }
-  if constexpr (DEGREE >= 3) {
-    const N xx = x * x, yy = y * y, zz = z * z;
-    out[9] = C3[0] * (y * (3.0f * xx - yy)), out[10] = C3[1] * (x * y * z);
-    out[11] = C3[2] * (y * (4.0f * zz - xx - yy)), out[12] = C3[3] * (z * (2.0f * zz - 3.0f * xx - 3.0f * yy));
-    out[13] = C3[4] * (x * (4.0f * zz - xx - yy)), out[14] = C3[5] * (z * (xx - yy));
-    out[15] = C3[6] * (x * (xx - 3.0f * yy));
-  }
-}
-
-// Colour towards `direction` before the clamp at 0: 0.5 + sum_i b_i(direction) sh_i; `sh` has 3 (DEGREE + 1)^2 vectors.
-template <class N, int DEGREE>
-inline void evaluate_color(const N* direction, const V* sh, N* color) {
-  constexpr int COUNT = (DEGREE + 1) * (DEGREE + 1);
-  N b[COUNT];
-  basis<N, DEGREE>(direction, b);
-  for (int k = 0; k < 3; ++k) {
-    constant(broadcast(0.5f), &color[k]);
-    for (int i = 0; i < COUNT; ++i) color[k] = color[k] + b[i] * sh[3 * i + k];
-  }
-}
-
 // LANES Gaussians of a chunk, from its number k0 on; at the end of a chunk there are only `count`, and `index`
 // repeats the last one beyond that.
 struct LaneGroup {
@@ -197,22 +161,24 @@ inline void load_vectors(const float* base, const LaneGroup& group, V* out) {
   }
 }
 
-// Prefetches N numbers of each of the LANES Gaussians that begin LANES after number `from`, even beyond the end of
+// Prefetches `each` numbers of each of the LANES Gaussians that begin LANES after number `from`, even beyond the end of
 // the table, where a prefetch does nothing. Always inlined, because GCC 12 takes a function that only prefetches for
 // one without effects, and drops its calls.
-template <int N, int FOR_WRITING = 0>
-[[gnu::always_inline]] inline void prefetch_after(const float* base, std::size_t from) {
-  for (int i = 0; i < N * LANES; i += 16) __builtin_prefetch(base + N * (from + LANES) + i, FOR_WRITING);
+template <int FOR_WRITING = 0>
+[[gnu::always_inline]] inline void prefetch_after(const float* base, std::size_t from, int each) {
+  for (int i = 0; i < each * LANES; i += 16) {
+    __builtin_prefetch(base + static_cast<std::size_t>(each) * (from + LANES) + i, FOR_WRITING);
+  }
 }
 // Prefetches all parameters of the group after a contiguous one.
-template <int SH, int COLUMNS>
+template <int COLUMNS>
 [[gnu::always_inline]] inline void prefetch_next_group(const Scene& s, const LaneGroup& group) {
   if (!group.contiguous) return;
-  prefetch_after<3>(s.positions, group.from);
-  prefetch_after<COLUMNS == 2 ? 6 : 4>(s.shape, group.from);
-  if (COLUMNS == 3) prefetch_after<3>(s.scales, group.from);
-  prefetch_after<1>(s.opacities, group.from);
-  prefetch_after<SH>(s.sh, group.from);
+  prefetch_after(s.positions, group.from, 3);
+  prefetch_after(s.shape, group.from, COLUMNS == 2 ? 6 : 4);
+  if (COLUMNS == 3) prefetch_after(s.scales, group.from, 3);
+  prefetch_after(s.opacities, group.from, 1);
+  prefetch_after(s.sh, group.from, harmonics_of(s));
 }
 
 // Calls f(group) for all groups of the Gaussians number first..first + count.
@@ -231,26 +197,11 @@ inline void load_centers(const Scene& s, const LaneGroup& group, V* position, V*
   for (int k = 0; k < 3; ++k) offset[k] = position[k] - s.view.eye[k];
 }
 
-template <template <class> class Camera, class F>
-inline void for_shapes(const Scene& s, F& f) {
-  switch (s.sh_degree * 2 + (s.scales != nullptr)) {
-    case 0: return f.template run<0, 2, Camera>();
-    case 1: return f.template run<0, 3, Camera>();
-    case 2: return f.template run<1, 2, Camera>();
-    case 3: return f.template run<1, 3, Camera>();
-    case 4: return f.template run<2, 2, Camera>();
-    case 5: return f.template run<2, 3, Camera>();
-    case 6: return f.template run<3, 2, Camera>();
-    default: return f.template run<3, 3, Camera>();
-  }
-}
-
-// Calls f.run<DEGREE, COLUMNS, Camera>() for the degree, the shape (2 columns: discs, 3: ellipsoids) and the camera
-// of the scene.
+// Calls f.run<COLUMNS, Camera>() for the shape (2 columns: discs, 3: ellipsoids) and the camera of the scene.
 template <class F>
 inline void for_scene(const Scene& s, F& f) {
-  if (s.view.fisheye) return for_shapes<Fisheye>(s, f);
-  for_shapes<Pinhole>(s, f);
+  if (s.view.fisheye) return s.scales ? f.template run<3, Fisheye>() : f.template run<2, Fisheye>();
+  s.scales ? f.template run<3, Pinhole>() : f.template run<2, Pinhole>();
 }
 
 }  // namespace

@@ -20,13 +20,14 @@
 //! | `kernels` | one trait: which code runs a stage, C++ (`f32`) or `plain` (`f64`, dual numbers) |
 //! | `pass` | threads and tables: bins, tiles, images, moments, gradients; channels; derivatives along directions |
 //! | `anchors` | discs on the triangles of a mesh, and the backward pass of their gradients |
-//! | `check` | gradients against central differences, seeded faults, the scene of the timings |
+//! | `check` | gradients against central differences, seeded faults, the scene of the timings; with the feature `methods` |
 //!
 //! `Footprint::Disc` takes its own path from the projection on (`disc`, `disc_tile`, `disc_chain` in `plain`).
 //! Outputs beyond colour, depth and alpha: `pass/channels.rs` (features, normals), `pass/pixel_walk.rs` (depth
 //! of the surface, median depth, contributors).
 
 mod anchors;
+#[cfg(feature = "methods")]
 mod check;
 mod kernels;
 mod number;
@@ -36,6 +37,7 @@ mod types;
 
 pub use crate::ffi::isa::Isa;
 pub use anchors::{Anchors, Carrier, DiscFrame};
+#[cfg(feature = "methods")]
 pub use check::{gradient_check, tube};
 pub use kernels::SplatKernels;
 pub use number::{Dual, Real};

@@ -20,6 +20,8 @@ pub struct GradientTables<T> {
     written: Vec<bool>,
     /// The layout of the gradients.
     layout: Option<GradientLayout>,
+    /// Whether tables hold numbers of another pass.
+    used: bool,
 }
 
 /// Number of Gaussians, numbers of SH each, whether they are discs, and the groups.
@@ -28,8 +30,14 @@ type GradientLayout = (usize, usize, bool, Wanted);
 impl<T: SplatKernels> GradientTables<T> {
     /// Hands the gradients over; the next pass begins new tables.
     pub fn take(&mut self) -> Gradients<T> {
-        self.layout = None;
+        (self.layout, self.used) = (None, false);
         std::mem::take(&mut self.gradients)
+    }
+
+    /// Takes tables back whose numbers nobody needs any more.
+    pub fn give_back(&mut self, tables: Gradients<T>) {
+        (self.layout, self.used) = (None, true);
+        self.gradients = tables;
     }
 
     /// Gradients of the wanted groups from the moments in the slots; those of splat `k` begin at `starts[k]`.
@@ -81,8 +89,8 @@ impl<T: SplatKernels> GradientTables<T> {
         resize(&mut out.sh, size(Wanted::SH) * stride, T::zero());
         (out.pose, out.lens) = ([0.0; 6], [0.0; 4]);
         if self.layout != Some(layout) {
-            // Without a layout the tables are new, and all 0.
-            self.written = vec![self.layout.is_some(); n.div_ceil(CHUNK)];
+            // Without a layout the tables are new, and all 0, unless they have been used elsewhere.
+            self.written = vec![self.layout.is_some() || self.used; n.div_ceil(CHUNK)];
             self.layout = Some(layout);
         }
     }

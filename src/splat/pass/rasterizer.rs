@@ -157,6 +157,13 @@ impl<T: SplatKernels> Rasterizer<T> {
         self.gradients.take()
     }
 
+    /// Tables for the gradients of the next [`Rasterizer::backward`], of any length and with any numbers: those that
+    /// [`Rasterizer::take_gradients`] handed out, once they are done with. New ones cost a pass the zeros that they begin
+    /// with.
+    pub fn give_tables(&mut self, tables: Gradients<T>) {
+        self.gradients.give_back(tables);
+    }
+
     /// Pairs of a tile and a visible splat of the last render whose bounding box meets it, which is what other
     /// renderers count; the lists have fewer ([`Rendered::intersections`]). Not for exact discs, whose boxes are not
     /// kept.
