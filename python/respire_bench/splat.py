@@ -140,7 +140,7 @@ class _Pass:
         for c, kept in enumerate(self.passes):
             by = (None if by is None else np.ascontiguousarray(by[c]) for by in (by_colors, by_alphas))
             of_each.append(kept.backward(self._of_camera(c), *by, wanted))
-        return {name: self._of_all(name, [by[name] for by in of_each]) for name in of_each[0]}
+        return {name: self._of_all(name, [np.asarray(by[name]) for by in of_each]) for name in of_each[0]}
 
     def _of_all(self, name, parts):
         """A gradient by all cameras from those by each."""

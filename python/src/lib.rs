@@ -1,21 +1,7 @@
-//! The native half of the Python package `respire_bench`: numpy arrays in, numpy arrays out. What a user sees, with its
-//! documentation, is in `respire_bench/*.py`.
-//!
-//! | file | holds |
-//! |---|---|
-//! | `film` | a film's folder or a participant's, read file by file |
-//! | `predict` | a prediction's folder |
-//! | `rasterize` | the splat core behind `rasterize` |
-//! | `threads` | the interpreter's thread as one of those that render |
-//! | `failure` | errors of the library as Python exceptions |
-
-mod failure;
-mod film;
-mod predict;
-mod rasterize;
-mod threads;
+//! The module `respire_bench._native` that Python loads; what is in it: `native/src/lib.rs`.
 
 use pyo3::prelude::*;
+use respire_bench_native::{failure, film, predict, rasterize};
 
 /// The module `respire_bench._native`.
 #[pymodule]

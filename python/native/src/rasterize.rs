@@ -20,6 +20,7 @@ use respire_bench::splat::{
 
 use crate::failure::{OrRaise, refused};
 use crate::predict::{RIGID, rigid};
+use crate::table::{Memory, Pool, Table, TableOf};
 use crate::threads;
 
 /// The constant spherical harmonic.
@@ -33,6 +34,10 @@ const KEPT: usize = 4;
 pub trait Float: SplatKernels + Element {
     /// Rasterisers whose passes are over.
     fn idle() -> &'static Mutex<Vec<Rasterizer<Self>>>;
+    /// Tables that Python is done with.
+    fn pool() -> &'static Mutex<Pool<Self>>;
+    /// A table for Python.
+    fn memory(table: TableOf<Self>) -> Memory;
     /// A pass of this type.
     fn pass(of: PassOf<Self>) -> Pass;
     /// The pass, if it is of this type.
@@ -45,6 +50,13 @@ macro_rules! float {
             fn idle() -> &'static Mutex<Vec<Rasterizer<Self>>> {
                 static IDLE: Mutex<Vec<Rasterizer<$type>>> = Mutex::new(Vec::new());
                 &IDLE
+            }
+            fn pool() -> &'static Mutex<Pool<Self>> {
+                static POOL: Mutex<Pool<$type>> = Mutex::new(Pool::new());
+                &POOL
+            }
+            fn memory(table: TableOf<Self>) -> Memory {
+                Memory::$kind(table)
             }
             fn pass(of: PassOf<Self>) -> Pass {
                 Pass(Kind::$kind(of))
@@ -351,24 +363,25 @@ fn forward_of<T: Float>(slices: &Slices<'_, T>, plan: Plan) -> PyResult<Forward<
 }
 
 /// Values of a gradient at the places of all Gaussians, 0 where they took no part.
-fn spread<T: Real>(values: Vec<T>, active: Option<&[u32]>, n: usize) -> Vec<T> {
-    let Some(list) = active else { return values };
+fn spread<T: Real>(table: TableOf<T>, active: Option<&[u32]>, n: usize) -> TableOf<T> {
+    let Some(list) = active else { return table };
+    let values = table.values();
     let width = values.len().checked_div(list.len()).unwrap_or_default();
     let mut all = vec![T::zero(); n * width];
     for (i, value) in list.iter().zip(values.chunks(width.max(1))) {
         all[*i as usize * width..][..width].copy_from_slice(value);
     }
-    all
+    TableOf::One(all)
 }
 
 /// Gradients by the name of the argument; empty where not wanted.
 struct Backward<T> {
-    means: Vec<T>,
-    quats: Vec<T>,
-    scales: Vec<T>,
-    opacities: Vec<T>,
-    colors: Vec<T>,
-    features: Vec<T>,
+    means: TableOf<T>,
+    quats: TableOf<T>,
+    scales: TableOf<T>,
+    opacities: TableOf<T>,
+    colors: TableOf<T>,
+    features: TableOf<T>,
     viewmat: [f64; 16],
     intrinsics: [f64; 9],
     background: Vec<f64>,
@@ -459,21 +472,26 @@ fn backward_of<T: Float>(
         Some(t) => ImageGradient { color: &t.color, depth: &t.depth, alpha: &t.alpha, channels: &t.channels },
     };
     let view = plan.view()?;
-    rasterizer.backward(gaussians(slices, sh, plan), &by, wanted.groups(widths)).or_raise()?;
+    let scene = gaussians(slices, sh, plan);
+    let groups = wanted.groups(widths);
+    rasterizer.give_tables(T::pool().lock().unwrap_or_else(PoisonError::into_inner).take(n, scene.sh.len(), groups));
+    rasterizer.backward(scene, &by, groups).or_raise()?;
     let mut found = rasterizer.take_gradients();
     let list = active.as_deref();
     let (colors, features) = if sh.is_empty() {
         (std::mem::take(&mut found.sh), std::mem::take(&mut found.channels))
     } else {
-        by_plain_colors(&found, widths, wanted)
+        let by_colors = by_plain_colors(&found, widths, wanted);
+        T::pool().lock().unwrap_or_else(PoisonError::into_inner).give(TableOf::One(std::mem::take(&mut found.sh)));
+        by_colors
     };
     Ok(Backward {
-        means: spread(found.positions.into_flattened(), list, n),
-        quats: spread(found.rotations.into_flattened(), list, n),
-        scales: spread(found.scales.into_flattened(), list, n),
-        opacities: spread(found.opacities, list, n),
-        colors: spread(colors, list, n),
-        features: spread(features, list, n),
+        means: spread(TableOf::Three(found.positions), list, n),
+        quats: spread(TableOf::Four(found.rotations), list, n),
+        scales: spread(TableOf::Three(found.scales), list, n),
+        opacities: spread(TableOf::One(found.opacities), list, n),
+        colors: spread(TableOf::One(colors), list, n),
+        features: spread(TableOf::One(features), list, n),
         viewmat: by_viewmat(found.pose, &view),
         intrinsics: by_matrix(found.lens),
         background: taken.map_or_else(Vec::new, |t| t.background),
@@ -579,11 +597,11 @@ fn backward_in<'py, T: Float>(
         ("quats", wanted.quats, found.quats),
         ("scales", wanted.scales, found.scales),
         ("opacities", wanted.opacities, found.opacities),
-        ("colors", wanted.colors && !found.colors.is_empty(), found.colors),
-        ("features", wanted.features && !found.features.is_empty(), found.features),
+        ("colors", wanted.colors && !found.colors.values().is_empty(), found.colors),
+        ("features", wanted.features && !found.features.values().is_empty(), found.features),
     ] {
         if is_wanted {
-            all.set_item(name, PyArray1::from_vec(py, values))?;
+            all.set_item(name, Table::new(T::memory(values)))?;
         }
     }
     if wanted.viewmats {
@@ -600,7 +618,8 @@ fn backward_in<'py, T: Float>(
 
 #[pymethods]
 impl Pass {
-    /// Flat gradients by the names of the arguments, those that are wanted; of a background always.
+    /// Flat gradients by the names of the arguments, those that are wanted; of a background always. Those of the Gaussians
+    /// are tables, which `numpy.asarray` takes as they lie in memory.
     #[pyo3(signature = (arrays, by_image, by_alpha, wanted))]
     fn backward<'py>(
         &mut self,
