@@ -54,6 +54,8 @@ pub struct LiveOptions {
     pub poses: Option<PathBuf>,
     /// No frame is left out, however long it takes.
     pub every_frame: bool,
+    /// Folder for a picture of each answer: what of the frame counted as wall.
+    pub masks: Option<PathBuf>,
 }
 
 /// One line of `track`: the answer for one frame.
@@ -176,7 +178,7 @@ impl Queue {
 /// Lets the method `id` follow `film`, a film or a participant's folder, and hands each answer to `report`.
 ///
 /// Errors: an unknown profile or method, one that does not follow frames; those of reading, of the method and of
-/// `report`; `Interrupted` between frames.
+/// `report`; masks from a method that has none; `Interrupted` between frames.
 pub fn follow(
     catalogue: &Catalogue,
     profile: &str,
@@ -195,6 +197,7 @@ pub fn follow(
     let given = reconstruct::given_poses(film.as_ref(), method.access(), seed);
     let times = film.given_frames().into_iter().map(|frame| frame.time_s);
     let table: Vec<(f64, DAffine3)> = times.zip(given).collect();
+    let masks = options.masks.clone();
     let queue = Arc::new(Queue::default());
     let reader = Reader { film, table, queue: Arc::clone(&queue), options };
     // Not joined: it may wait in a pipe for ever.
@@ -221,6 +224,13 @@ pub fn follow(
         summary.frames += 1;
         summary.left_out += left_out;
         summary.latencies_ms.push(latency_ms);
+        match (&masks, &answer.mask) {
+            (Some(folder), Some(mask)) => png::write_grey(&folder.join(format!("{frame:06}.png")), mask)?,
+            (Some(_), None) => {
+                return Err(Error::usage(format!("--masks: `{id}` does not tell the wall from what covers it")));
+            }
+            (None, _) => {}
+        }
         report(&line(&answer, frame, time_s, latency_ms, left_out))
     };
     let outcome = live.follow(&known, &mut next, &mut answer);
@@ -264,7 +274,7 @@ struct Reader {
 impl Reader {
     /// Reads until there are no more pictures, or nobody wants any.
     fn run(self) -> Result<()> {
-        let Reader { film, table, queue, options: LiveOptions { mut feed, poses, every_frame } } = self;
+        let Reader { film, table, queue, options: LiveOptions { mut feed, poses, every_frame, .. } } = self;
         let leaves_out = feed.leaves_out() && !every_frame;
         let mut poses = poses.as_deref().map(LivePoses::open).transpose()?;
         let start = Instant::now();

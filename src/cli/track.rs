@@ -56,6 +56,9 @@ pub struct TrackArguments {
     /// Leave no frame out, however long it takes
     #[arg(long)]
     every_frame: bool,
+    /// Folder for masks: a PNG for each answer, bright where the picture counted as wall (ours-nav)
+    #[arg(long, value_name = "DIR")]
+    masks: Option<PathBuf>,
     #[command(flatten)]
     catalogue: CatalogueFolder,
 }
@@ -68,7 +71,8 @@ pub fn run(arguments: TrackArguments, terminal: &Terminal) -> Result<()> {
         (None, false, true) => FrameFeed::Paced,
         (None, false, false) => FrameFeed::Film,
     };
-    let options = LiveOptions { feed, poses: arguments.poses, every_frame: arguments.every_frame };
+    let options =
+        LiveOptions { feed, poses: arguments.poses, every_frame: arguments.every_frame, masks: arguments.masks };
     let mut report = |line: &live::LiveLine| {
         if terminal.cancelled() {
             return Err(Error::interrupted());

@@ -189,6 +189,8 @@ pub struct LiveAnswer {
     /// Share of the picture that the method left out because it does not show the wall (secretions, glare, a film on the
     /// lens), 0 to 1; `None` where it does not tell them apart.
     pub masked_share: Option<f64>,
+    /// How much each pixel of the picture counted, 0 to 255, one channel; likewise.
+    pub mask: Option<Image<u8>>,
 }
 
 /// A method that answers while the film goes on.

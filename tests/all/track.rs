@@ -141,6 +141,27 @@ fn live_answers_are_those_of_the_whole_run_wherever_pictures_come_from() {
     refused(place.track(&["--poses", &place.text("poses")]), 4, &["poses", "line 1", "is no pose"]);
     refused(place.track(&["--poses", "/dev/zero"]), 4, &["/dev/zero: line 1: does not end within 64 KiB"]);
 
+    // Glare is dark in the mask, and the wall beside it is not.
+    let mut raw = place.raw();
+    let shown = image::open(place.image(0)).unwrap();
+    let (width, height) = (shown.width() as usize, shown.height() as usize);
+    for y in 0..height / 4 {
+        raw[3 * y * width..3 * (y * width + width / 4)].fill(255);
+    }
+    let masks = place.text("masks");
+    let (code, _, err) = place.piped(&raw, &["--raw", "--every-frame", "--method", "ours-nav", "--masks", &masks]);
+    assert_eq!(code, 0, "{err}");
+    assert_eq!(fs::read_dir(&masks).unwrap().count(), FRAMES);
+    let mask = image::open(place.path("masks/000000.png")).unwrap().into_luma8();
+    assert_eq!((mask.width() as usize, mask.height() as usize), (width, height));
+    let (mut glare, mut wall) = (0, 0);
+    for (x, y, value) in mask.enumerate_pixels() {
+        let is_glare = (x as usize) < width / 4 && (y as usize) < height / 4;
+        *(if is_glare { &mut glare } else { &mut wall }) += usize::from(value.0[0] > 0);
+    }
+    assert!(glare == 0 && wall > width * height / 4, "{glare} pixels of glare, {wall} of the wall");
+    refused(place.track(&["--masks", &masks]), 2, &["`ours-gn` does not tell the wall"]);
+
     // Poses through a pipe of their own.
     let film = Sequence::open(Path::new(&film)).unwrap();
     let line = |frame: &GivenFrame| {

@@ -36,12 +36,14 @@ const OPEN_PHASE: f64 = 0.3;
 const OPEN_RATE: f64 = 1.0;
 
 /// What came of a picture.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct LookOutcome {
     /// Correlation of local contrast at the end.
     pub correlation: f64,
     /// Whether the picture agreed, and was taken in.
     pub agrees: bool,
+    /// How much each pixel of the finest resolution counted, 0 to 1; empty where the picture was not taken in.
+    pub weights: Vec<f32>,
 }
 
 /// A mean that a picture led to, and how well it agrees there.
@@ -49,6 +51,7 @@ struct PictureSolution {
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
     correlation: f64,
+    weights: Vec<f32>,
 }
 
 impl NavigationState {
@@ -121,9 +124,9 @@ impl NavigationState {
         match found {
             Some(found) if found.correlation >= least && self.is_likely(&found.mean) => {
                 self.settle(found.mean, found.covariance);
-                LookOutcome { correlation: found.correlation, agrees: true }
+                LookOutcome { correlation: found.correlation, agrees: true, weights: found.weights }
             }
-            found => LookOutcome { correlation: found.map_or(0.0, |f| f.correlation), agrees: false },
+            found => LookOutcome { correlation: found.map_or(0.0, |f| f.correlation), ..LookOutcome::default() },
         }
     }
 
@@ -179,7 +182,8 @@ impl NavigationState {
         wall: &NearWall,
         start: DVector<f64>,
     ) -> Option<PictureSolution> {
-        let mut solution = PictureSolution { mean: start, covariance: self.covariance.clone(), correlation: 0.0 };
+        let mut solution =
+            PictureSolution { mean: start, covariance: self.covariance.clone(), correlation: 0.0, weights: Vec::new() };
         for level in levels {
             let near = in_sight(wall, &self.lit_view(&solution.mean, &level.camera));
             for _ in 0..level.steps {
@@ -188,6 +192,7 @@ impl NavigationState {
                 let (step, covariance) = self.step(&equations, &solution.mean, &lit)?;
                 advance(&mut solution.mean, &step);
                 solution.covariance = covariance;
+                solution.weights = equations.weights;
             }
         }
         let finest = levels.last()?;

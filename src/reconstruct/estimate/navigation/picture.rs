@@ -49,6 +49,8 @@ pub struct PictureEquations {
     pub hessian: DMatrix<f64>,
     /// `sum w J^T r / scale^2`, likewise.
     pub gradient: DVector<f64>,
+    /// Weight `w` of each pixel, 0 to 1.
+    pub weights: Vec<f32>,
 }
 
 /// Green of an 8-bit picture in the power law, a channel three times: the red of tissue clips first.
@@ -175,6 +177,6 @@ impl PictureLevel {
                 hessian[(b, a)] = hessian[(a, b)];
             }
         }
-        Some(PictureEquations { hessian, gradient })
+        Some(PictureEquations { hessian, gradient, weights })
     }
 }

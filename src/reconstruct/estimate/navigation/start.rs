@@ -30,7 +30,7 @@ impl NavigationState {
         deviation: [f64; 2],
     ) -> LookOutcome {
         let Some(coarse) = levels.first() else {
-            return LookOutcome { correlation: 0.0, agrees: false };
+            return LookOutcome::default();
         };
         let of_axis = |k: usize| deviation[usize::from(k >= 3)];
         let at = |k: u64| {
@@ -46,7 +46,7 @@ impl NavigationState {
         tried.sort_by(|a, b| b.0.total_cmp(&a.0));
         tried.truncate(KEPT);
         let refine = |(_, mut state): (f64, NavigationState)| {
-            let mut look = LookOutcome { correlation: 0.0, agrees: false };
+            let mut look = LookOutcome::default();
             for _ in 0..ROUNDS {
                 open_pose(&mut state.covariance, of_axis);
                 look = state.look(settings, levels, wall);
@@ -56,7 +56,7 @@ impl NavigationState {
         let found: Vec<(LookOutcome, NavigationState)> = tried.into_par_iter().map(refine).collect();
         let best =
             found.into_iter().reduce(|best, next| if next.0.correlation > best.0.correlation { next } else { best });
-        let Some((look, state)) = best else { return LookOutcome { correlation: 0.0, agrees: false } };
+        let Some((look, state)) = best else { return LookOutcome::default() };
         *self = state;
         look
     }

@@ -250,6 +250,7 @@ impl<'a> Tracker<'a> {
             targets_mm: self.targets_at(phase),
             target_covariance_mm2: motions.map(covariance).collect(),
             masked_share: None,
+            mask: None,
         })
     }
 

@@ -123,5 +123,6 @@ fn live_answer(found: Navigated) -> LiveAnswer {
         targets_mm: found.targets_mm,
         target_covariance_mm2: found.covariance_mm2,
         masked_share: Some(found.masked_share),
+        mask: Some(found.mask),
     }
 }

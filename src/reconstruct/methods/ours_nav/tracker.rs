@@ -44,6 +44,8 @@ pub struct Navigated {
     pub covariance_mm2: Vec<DMat3>,
     /// Share of the picture that does not show the wall.
     pub masked_share: f64,
+    /// How much each pixel counted, 0 to 255: 0 where it does not show the wall as expected.
+    pub mask: Image<u8>,
 }
 
 /// The tracker, from the first frame on.
@@ -120,7 +122,9 @@ impl<'a> NavTracker<'a> {
         }
         let shown = (0..shares.len()).filter(|&i| self.observation.shows(i)).count().max(1) as f64;
         let masked_share = 1.0 - f64::from(shares.iter().sum::<f32>()) / shown;
-        self.answer(look, masked_share, time_s)
+        let coarse = levels.last().map_or(1, |level| level.camera.width as usize);
+        let mask = mask_of(image, &shares, &look.weights, coarse);
+        self.answer(&look, masked_share, mask, time_s)
     }
 
     /// The pose (world from camera) of the scope in the breath hold of the first CT, by a picture alone, from `start`, which
@@ -135,7 +139,7 @@ impl<'a> NavTracker<'a> {
         state.camera_from_world.inverse()
     }
 
-    fn answer(&self, look: LookOutcome, masked_share: f64, time_s: f64) -> Navigated {
+    fn answer(&self, look: &LookOutcome, masked_share: f64, mask: Image<u8>, time_s: f64) -> Navigated {
         let Some(state) = &self.state else { unreachable!("an answer follows a frame") };
         let factor = *self.settings.deviation_factor;
         let phase = state.mean[PHASE_AT];
@@ -159,6 +163,7 @@ impl<'a> NavTracker<'a> {
             targets_mm,
             covariance_mm2,
             masked_share,
+            mask,
         }
     }
 
@@ -196,4 +201,17 @@ impl<'a> NavTracker<'a> {
         let total = (sum + DMat3::from_diagonal(DVec3::splat(field))) * self.settings.deviation_factor.powi(2);
         (total + total.transpose()) * 0.5
     }
+}
+
+/// What of `image` counted: its share of wall by colour times the weight of the pixel of `weights` (`width` pixels wide)
+/// that it is part of. All 0 without weights.
+fn mask_of(image: &Image<u8>, shares: &[f32], weights: &[f32], width: usize) -> Image<u8> {
+    let height = weights.len() / width.max(1);
+    let counted = |index: usize| {
+        let (x, y) = (index % image.width, index / image.width);
+        let at = (y * height / image.height) * width + x * width / image.width;
+        (255.0 * shares[index] * weights.get(at).copied().unwrap_or(0.0)).round() as u8
+    };
+    let data = (0..image.width * image.height).map(counted).collect();
+    Image { width: image.width, height: image.height, channels: 1, data }
 }
