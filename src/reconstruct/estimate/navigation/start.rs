@@ -12,8 +12,8 @@ use crate::reconstruct::geometry::rigid::{POSE, motion};
 use crate::reconstruct::settings::WallMatching;
 
 /// Poses that are tried beside the given one, and those of them that go on.
-const TRIED: u64 = 160;
-const KEPT: usize = 6;
+const TRIED: u64 = 1500;
+const KEPT: usize = 24;
 /// Pictures are taken in so many times, each time with the pose as uncertain as at first.
 const ROUNDS: usize = 3;
 /// Standard deviations within which poses are drawn.
