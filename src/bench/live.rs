@@ -225,7 +225,7 @@ pub fn follow(
         summary.left_out += left_out;
         summary.latencies_ms.push(latency_ms);
         match (&masks, &answer.mask) {
-            (Some(folder), Some(mask)) => png::write_grey(&folder.join(format!("{frame:06}.png")), mask)?,
+            (Some(folder), Some(mask)) => png::write_grey(&folder.join(format!("{frame:06}.png")), &mask.picture())?,
             (Some(_), None) => {
                 return Err(Error::usage(format!("--masks: `{id}` does not tell the wall from what covers it")));
             }

@@ -189,8 +189,34 @@ pub struct LiveAnswer {
     /// Share of the picture that the method left out because it does not show the wall (secretions, glare, a film on the
     /// lens), 0 to 1; `None` where it does not tell them apart.
     pub masked_share: Option<f64>,
-    /// How much each pixel of the picture counted, 0 to 255, one channel; likewise.
-    pub mask: Option<Image<u8>>,
+    /// How much each pixel of the picture counted; likewise.
+    pub mask: Option<WallMask>,
+}
+
+/// How much each pixel of a picture counted as wall; drawn only where it is asked for.
+#[derive(Clone, Debug)]
+pub struct WallMask {
+    /// Width of the picture, pixels.
+    pub width: usize,
+    /// Share of wall by colour, 0 to 1, of each pixel of the picture.
+    pub shares: Vec<f32>,
+    /// How well each pixel fitted the expected wall, 0 to 1, at a lower resolution; empty where the picture did not.
+    pub weights: Vec<f32>,
+    /// Width of that resolution, pixels.
+    pub weights_width: usize,
+}
+
+impl WallMask {
+    /// The mask at the picture's size, one channel, 0 to 255: the product of both, all 0 where nothing fitted.
+    pub fn picture(&self) -> Image<u8> {
+        let (width, height) = (self.width, self.shares.len() / self.width.max(1));
+        let rows = self.weights.len() / self.weights_width.max(1);
+        let counted = |(index, share): (usize, &f32)| {
+            let at = (index / width * rows / height) * self.weights_width + index % width * self.weights_width / width;
+            (255.0 * share * self.weights.get(at).copied().unwrap_or(0.0)).round() as u8
+        };
+        Image { width, height, channels: 1, data: self.shares.iter().enumerate().map(counted).collect() }
+    }
 }
 
 /// A method that answers while the film goes on.

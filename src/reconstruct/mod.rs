@@ -29,7 +29,7 @@ mod stopwatch;
 
 pub use contract::{
     Access, ArrivedFrame, FollowFrames, FramePrediction, LiveAnswer, Observation, PoseAccuracy, Reconstruct,
-    Reconstruction, TrackState,
+    Reconstruction, TrackState, WallMask,
 };
 pub use fitting::{loss, optimiser};
 pub use library::{MethodFile, method_files};

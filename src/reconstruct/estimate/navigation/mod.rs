@@ -14,7 +14,6 @@ pub mod state;
 mod tests;
 pub mod wall_mask;
 
-pub use look::LookOutcome;
 pub use picture::picture_levels;
 pub use state::NavigationState;
 pub use wall_mask::wall_shares;

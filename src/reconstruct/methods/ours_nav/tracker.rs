@@ -3,9 +3,9 @@
 use glam::{DAffine3, DMat3, DVec3};
 
 use crate::base::{Image, mesh};
-use crate::reconstruct::contract::{Observation, TrackState};
+use crate::reconstruct::contract::{Observation, TrackState, WallMask};
 use crate::reconstruct::estimate::navigation::state::{PHASE_AT, cross};
-use crate::reconstruct::estimate::navigation::{LookOutcome, NavigationState, picture_levels, wall_shares};
+use crate::reconstruct::estimate::navigation::{NavigationState, picture_levels, wall_shares};
 use crate::reconstruct::fitting::anchored::to_f32;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::lit_wall::NearWall;
@@ -44,8 +44,8 @@ pub struct Navigated {
     pub covariance_mm2: Vec<DMat3>,
     /// Share of the picture that does not show the wall.
     pub masked_share: f64,
-    /// How much each pixel counted, 0 to 255: 0 where it does not show the wall as expected.
-    pub mask: Image<u8>,
+    /// How much each pixel counted.
+    pub mask: WallMask,
 }
 
 /// The tracker, from the first frame on.
@@ -123,8 +123,9 @@ impl<'a> NavTracker<'a> {
         let shown = (0..shares.len()).filter(|&i| self.observation.shows(i)).count().max(1) as f64;
         let masked_share = 1.0 - f64::from(shares.iter().sum::<f32>()) / shown;
         let coarse = levels.last().map_or(1, |level| level.camera.width as usize);
-        let mask = mask_of(image, &shares, &look.weights, coarse);
-        self.answer(&look, masked_share, mask, time_s)
+        let agrees = look.agrees;
+        let mask = WallMask { width: image.width, shares, weights: look.weights, weights_width: coarse };
+        self.answer(agrees, masked_share, mask, time_s)
     }
 
     /// The pose (world from camera) of the scope in the breath hold of the first CT, by a picture alone, from `start`, which
@@ -139,7 +140,7 @@ impl<'a> NavTracker<'a> {
         state.camera_from_world.inverse()
     }
 
-    fn answer(&self, look: &LookOutcome, masked_share: f64, mask: Image<u8>, time_s: f64) -> Navigated {
+    fn answer(&self, agrees: bool, masked_share: f64, mask: WallMask, time_s: f64) -> Navigated {
         let Some(state) = &self.state else { unreachable!("an answer follows a frame") };
         let factor = *self.settings.deviation_factor;
         let phase = state.mean[PHASE_AT];
@@ -151,7 +152,7 @@ impl<'a> NavTracker<'a> {
         let bar_mm = bars / covariance_mm2.len().max(1) as f64;
         let track_state = if bar_mm > LOST_MM || time_s - self.agreed_s > LOST_S {
             TrackState::Lost
-        } else if bar_mm > UNSURE_MM || !look.agrees {
+        } else if bar_mm > UNSURE_MM || !agrees {
             TrackState::Unsure
         } else {
             TrackState::Tracking
@@ -201,17 +202,4 @@ impl<'a> NavTracker<'a> {
         let total = (sum + DMat3::from_diagonal(DVec3::splat(field))) * self.settings.deviation_factor.powi(2);
         (total + total.transpose()) * 0.5
     }
-}
-
-/// What of `image` counted: its share of wall by colour times the weight of the pixel of `weights` (`width` pixels wide)
-/// that it is part of. All 0 without weights.
-fn mask_of(image: &Image<u8>, shares: &[f32], weights: &[f32], width: usize) -> Image<u8> {
-    let height = weights.len() / width.max(1);
-    let counted = |index: usize| {
-        let (x, y) = (index % image.width, index / image.width);
-        let at = (y * height / image.height) * width + x * width / image.width;
-        (255.0 * shares[index] * weights.get(at).copied().unwrap_or(0.0)).round() as u8
-    };
-    let data = (0..image.width * image.height).map(counted).collect();
-    Image { width: image.width, height: image.height, channels: 1, data }
 }
