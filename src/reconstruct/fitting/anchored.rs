@@ -290,27 +290,21 @@ impl Patch {
         self.anchors.vertex_pullback(gradients, self.carrier(vertices), None, out)
     }
 
-    /// One Adam step of logits, scales and SH: of the groups that `adam` learns, and of the discs that
-    /// `visible` names or an earlier step of the frame has touched.
-    pub fn step(
-        &mut self,
-        adam: &mut DiscAdam,
-        gradients: &Gradients<f32>,
-        visible: &[bool],
-        vertices: &[[f32; 3]],
-    ) -> Result<()> {
+    /// One Adam step of logits, scales and SH: of the groups that `adam` learns, and of the discs that have
+    /// had a gradient in the frame.
+    pub fn step(&mut self, adam: &mut DiscAdam, gradients: &Gradients<f32>, vertices: &[[f32; 3]]) -> Result<()> {
         let rates = adam.rates;
         if rates.learn_geometry() {
             let (mut logits, mut scales) = (std::mem::take(&mut self.logit_step), std::mem::take(&mut self.scale_step));
             self.anchors.pullback(gradients, self.carrier(vertices), None, &mut logits, &mut scales)?;
             let parameters = self.anchors.logits.as_flattened_mut();
-            adam.logits.step([rates.position; 3], parameters, logits.as_flattened(), visible);
+            adam.logits.step([rates.position; 3], parameters, logits.as_flattened());
             let parameters = self.anchors.log_scales.as_flattened_mut();
-            adam.scales.step([rates.scale; 2], parameters, scales.as_flattened(), visible);
+            adam.scales.step([rates.scale; 2], parameters, scales.as_flattened());
             (self.logit_step, self.scale_step) = (logits, scales);
         }
         if rates.learn_colors() {
-            adam.sh.step(rates.sh(), &mut self.gaussians.sh, &gradients.sh, visible);
+            adam.sh.step(rates.sh(), &mut self.gaussians.sh, &gradients.sh);
         }
         Ok(())
     }

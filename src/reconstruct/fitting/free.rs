@@ -154,17 +154,17 @@ impl FreePatch {
         }
     }
 
-    /// One Adam step of the own parameters: of the groups that are learned, and of the Gaussians that `visible`
-    /// names or an earlier step of the frame has touched.
-    pub fn step(&mut self, adam: &mut FreeAdam, gradients: &Gradients<f32>, visible: &[bool]) {
+    /// One Adam step of the own parameters: of the groups that are learned, and of the Gaussians that have had
+    /// a gradient in the frame.
+    pub fn step(&mut self, adam: &mut FreeAdam, gradients: &Gradients<f32>) {
         let rates = adam.rates;
         if rates.position > 0.0 {
             let (centres, by_centre) = (self.centres.as_flattened_mut(), gradients.positions.as_flattened());
-            adam.centres.step([rates.position; 3], centres, by_centre, visible);
+            adam.centres.step([rates.position; 3], centres, by_centre);
         }
         if rates.rotation > 0.0 {
             let (rotations, by_rotation) = (self.rotations.as_flattened_mut(), gradients.rotations.as_flattened());
-            adam.rotations.step([rates.rotation; 4], rotations, by_rotation, visible);
+            adam.rotations.step([rates.rotation; 4], rotations, by_rotation);
         }
         if rates.scale > 0.0 {
             let by_log: Vec<[f32; 3]> = gradients
@@ -173,10 +173,10 @@ impl FreePatch {
                 .zip(&self.log_scales)
                 .map(|(g, s)| [0, 1, 2].map(|k| g[k] * s[k].exp()))
                 .collect();
-            adam.scales.step([rates.scale; 3], self.log_scales.as_flattened_mut(), by_log.as_flattened(), visible);
+            adam.scales.step([rates.scale; 3], self.log_scales.as_flattened_mut(), by_log.as_flattened());
         }
         if rates.learn_colors() {
-            adam.sh.step(rates.sh(), &mut self.gaussians.sh, &gradients.sh, visible);
+            adam.sh.step(rates.sh(), &mut self.gaussians.sh, &gradients.sh);
         }
     }
 }

@@ -5,9 +5,9 @@
 //! kept"). [`StepCounter`] says whether the step counter is kept: if so, there is no bias correction, and the first
 //! steps after zeroing are up to 3.2 times as long.
 //!
-//! [`RowAdam`] does the same for one row of values per Gaussian, and touches only rows that some render of the
-//! frame has shown. A row without a gradient so far has zero moments and a step of exactly zero, so skipping it
-//! is exact. Moments, parameters and gradients (which the rasteriser overwrites, so they need no clearing) are
+//! [`RowAdam`] does the same for one row of values per Gaussian, and touches only rows that have had a gradient in
+//! the frame: most discs of an airway are out of sight, or behind others. A row without a gradient so far has zero
+//! moments and a step of exactly zero, so skipping it is exact. Moments, parameters and gradients (which the rasteriser overwrites, so they need no clearing) are
 //! processed in one vectorised pass (`ffi/splat/adam.rs`). Values are independent of each other, so any number of
 //! threads gives the same bytes.
 
@@ -113,7 +113,7 @@ impl<const K: usize> RowAdam<K> {
         RowAdam { constants, steps: 0, first: Vec::new(), second: Vec::new(), touched: Vec::new() }
     }
 
-    /// Zero moments for `rows` rows: they are written when a row is first visible.
+    /// Zero moments for `rows` rows: they are written when a row first has a gradient.
     pub fn begin(&mut self, rows: usize, counter: StepCounter) {
         if self.first.len() < rows * K {
             // Zeroed pages, which the system maps only when they are first written.
@@ -127,29 +127,36 @@ impl<const K: usize> RowAdam<K> {
         }
     }
 
+    /// Steps all rows from now on, as if each had had a gradient: what leaving them out saves can then be measured.
+    pub fn touch_all(&mut self) {
+        self.touched.fill(true);
+        self.first.fill(0.0);
+        self.second.fill(0.0);
+    }
+
     /// Number of rows touched since [`RowAdam::begin`], and the allocated length of both moments, in values.
     pub fn touched_rows_and_room(&self) -> (usize, usize) {
         (self.touched.iter().filter(|t| **t).count(), self.first.len() + self.second.len())
     }
 
-    /// One step of every row that `visible` names or an earlier step has touched, value `k` of a row at rate
+    /// One step of every row that has a gradient now or had one in an earlier step, value `k` of a row at rate
     /// `rates[k]`. `parameters` and `gradient` hold `K` values a row. Values whose gradient is not finite stay
     /// as they are.
-    pub fn step(&mut self, rates: [f64; K], parameters: &mut [f32], gradient: &[f32], visible: &[bool]) {
+    pub fn step(&mut self, rates: [f64; K], parameters: &mut [f32], gradient: &[f32]) {
         let rows = self.touched.len();
-        let sizes = [parameters.len(), gradient.len(), visible.len() * K];
-        assert!(sizes == [rows * K; 3], "group sizes differ");
+        assert!([parameters.len(), gradient.len()] == [rows * K; 2], "group sizes differ");
         self.steps += 1;
         let rule = rule(self.constants, self.steps);
         let rates: Vec<f32> = rates.iter().map(|&r| r as f32).cycle().take(RUN * K).collect();
         let moments = self.first[..rows * K].par_chunks_mut(ROWS * K).zip(self.second.par_chunks_mut(ROWS * K));
         let values = parameters.par_chunks_mut(ROWS * K).zip(gradient.par_chunks(ROWS * K));
-        let flags = self.touched.par_chunks_mut(ROWS).zip(visible.par_chunks(ROWS));
-        moments.zip(values).zip(flags).for_each(|(((first, second), (parameters, gradient)), (touched, visible))| {
+        let flags = self.touched.par_chunks_mut(ROWS);
+        moments.zip(values).zip(flags).for_each(|(((first, second), (parameters, gradient)), touched)| {
+            let speaks = |row: usize| gradient[row * K..(row + 1) * K].iter().any(|g| *g != 0.0);
             let mut row = 0;
             while row < touched.len() {
                 let start = row;
-                while row < touched.len() && row - start < RUN && (touched[row] || visible[row]) {
+                while row < touched.len() && row - start < RUN && (touched[row] || speaks(row)) {
                     if !touched[row] {
                         touched[row] = true;
                         first[row * K..(row + 1) * K].fill(0.0);
@@ -219,13 +226,12 @@ mod tests {
     use crate::base::random::{CounterRng, Stage};
 
     /// Gradients of rows that come into view and leave it.
-    fn frames(rows: usize) -> Vec<(Vec<bool>, Vec<f32>)> {
+    fn frames(rows: usize) -> Vec<Vec<f32>> {
         let mut r = CounterRng::new(5, Stage::Test, &[]);
         (0..25)
             .map(|frame| {
                 let visible: Vec<bool> = (0..rows).map(|k| k % 7 != 3 && (k / 90 + frame) % 5 != 0).collect();
-                let gradient = (0..rows * 12).map(|i| if visible[i / 12] { r.normal() as f32 } else { 0.0 }).collect();
-                (visible, gradient)
+                (0..rows * 12).map(|i| if visible[i / 12] { r.normal() as f32 } else { 0.0 }).collect()
             })
             .collect()
     }
@@ -239,18 +245,18 @@ mod tests {
         adam.first.fill(7.0);
         adam.second.fill(7.0);
         let rates = std::array::from_fn(|k| if k < 3 { 0.01 } else { 0.002 });
-        pool.install(|| frames(rows).iter().for_each(|(visible, g)| adam.step(rates, &mut x, g, visible)));
+        pool.install(|| frames(rows).iter().for_each(|g| adam.step(rates, &mut x, g)));
         (x, adam)
     }
 
     #[test]
-    fn rows_step_as_the_whole_does_and_what_no_frame_shows_is_not_touched() {
+    fn rows_step_as_the_whole_does_and_what_has_no_gradient_is_not_touched() {
         let rows = 1500;
         let (x, adam) = fit_rows(rows, 1);
         let mut whole = [Adam::new(AdamConstants::default()), Adam::new(AdamConstants::default())];
         whole.iter_mut().for_each(|adam| adam.begin(rows * 12, StepCounter::Restarted));
         let mut y: [Vec<f32>; 2] = std::array::from_fn(|_| (0..rows * 12).map(|i| i as f32 * 1e-3).collect());
-        for (_, g) in &frames(rows) {
+        for g in &frames(rows) {
             whole.iter_mut().zip(&mut y).zip([0.01, 0.002]).for_each(|((adam, y), rate)| adam.step(rate, y, g));
         }
         for (i, value) in x.iter().enumerate() {
@@ -276,10 +282,10 @@ mod tests {
         let mut adam = RowAdam::<2>::new(AdamConstants { epsilon: 0.0, ..AdamConstants::default() });
         adam.begin(3, StepCounter::Restarted);
         let mut x = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
-        adam.step([1.0; 2], &mut x, &[0.0, f32::NAN, f32::INFINITY, 1.0, f32::NEG_INFINITY, 0.0], &[true; 3]);
+        adam.step([1.0; 2], &mut x, &[0.0, f32::NAN, f32::INFINITY, 1.0, f32::NEG_INFINITY, 0.0]);
         assert_eq!(x, [1.0, 2.0, 3.0, 3.0, 5.0, 6.0]);
         // Nothing of the refused gradients is remembered.
-        adam.step([1.0; 2], &mut x, &[0.0; 6], &[true; 3]);
+        adam.step([1.0; 2], &mut x, &[0.0; 6]);
         assert_eq!((x[1], x[2], x[4]), (2.0, 3.0, 5.0));
     }
 }

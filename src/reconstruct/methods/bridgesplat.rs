@@ -264,8 +264,7 @@ impl<'a> BridgesplatFit<'a> {
             }
             // Steps of discs and control points.
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };
-            let visible = &self.rasterizer.rendered().visible;
-            patch.step(&mut self.adam, self.rasterizer.gradients(), visible, &local)?;
+            patch.step(&mut self.adam, self.rasterizer.gradients(), &local)?;
             let rate = *s.displacement_rate * factor;
             deformation.adam.step(rate, deformation.displacement.as_flattened_mut(), by_control.as_flattened());
         }

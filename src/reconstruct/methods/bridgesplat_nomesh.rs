@@ -258,7 +258,7 @@ impl<'a> BridgesplatNomeshFit<'a> {
             field.pull_back(&gradients.rotations, &mut by_turn);
             self.anchors.regularise(self.settings, invisible, &mut by_shift, &mut by_turn);
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };
-            patch.step(&mut self.adam, gradients, &self.rasterizer.rendered().visible);
+            patch.step(&mut self.adam, gradients);
             self.anchors.step(*s.displacement_rate * factor, &by_shift, &by_turn);
         }
         self.adam.rates.sh_rest = sh_rest;

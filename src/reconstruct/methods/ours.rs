@@ -259,8 +259,8 @@ impl VisiblePatch for VisibleDiscs<'_> {
         self.all.adam.rates.groups()
     }
 
-    fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()> {
-        self.patch.step(&mut self.all.adam, gradients, visible, &self.vertices)
+    fn step_appearance(&mut self, gradients: &Gradients<f32>) -> Result<()> {
+        self.patch.step(&mut self.all.adam, gradients, &self.vertices)
     }
 
     fn place_among_keyframes(&mut self, frame: PyramidLevel, expected: f64) -> f64 {

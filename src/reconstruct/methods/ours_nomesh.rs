@@ -171,8 +171,8 @@ impl VisiblePatch for VisibleFree<'_> {
         self.all.adam.rates.groups()
     }
 
-    fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()> {
-        self.patch.step(&mut self.all.adam, gradients, visible);
+    fn step_appearance(&mut self, gradients: &Gradients<f32>) -> Result<()> {
+        self.patch.step(&mut self.all.adam, gradients);
         Ok(())
     }
 

@@ -408,7 +408,7 @@ fn frozen_groups_have_no_gradients_and_no_moments() {
     let gradients = rasterizer.backward(&patch.gaussians, &image, rates.groups()).unwrap();
     let geometry = [gradients.positions.capacity(), gradients.axes.capacity(), gradients.opacities.capacity()];
     assert_eq!(geometry, [0; 3], "room for gradients that were not requested");
-    patch.step(&mut adam, gradients, &flags, &local).unwrap();
+    patch.step(&mut adam, gradients, &local).unwrap();
     patch.place(&local).unwrap();
     assert_eq!(adam.touched_rows_and_room(), [(0, 0), (0, 0), (visible, 2 * patch.discs.len() * SH_VALUES)]);
     assert_eq!((&patch.gaussians.positions, &patch.gaussians.shape), (&before.positions, &before.shape));

@@ -29,8 +29,8 @@ pub trait VisiblePatch {
     fn begin_appearance(&mut self);
     /// Groups of gradients that [`VisiblePatch::step_appearance`] needs.
     fn appearance_groups(&self) -> Wanted;
-    /// One optimiser step on the appearance of the `visible` Gaussians (one flag each).
-    fn step_appearance(&mut self, gradients: &Gradients<f32>, visible: &[bool]) -> Result<()>;
+    /// One optimiser step on the appearance of the Gaussians that have had a gradient in the frame.
+    fn step_appearance(&mut self, gradients: &Gradients<f32>) -> Result<()>;
     /// The phase near `expected` by alignment with past frames; `expected` itself if there is no surface to align on.
     fn place_among_keyframes(&mut self, _frame: PyramidLevel, expected: f64) -> f64 {
         expected

@@ -141,7 +141,7 @@ impl Fitter<'_> {
                 self.step_theta(&target.view, patch, &mut adam, &mut theta, rate)?;
             }
             // Step of appearance, and the new placement of the Gaussians.
-            patch.step_appearance(self.rasterizer.gradients(), &self.rasterizer.rendered().visible)?;
+            patch.step_appearance(self.rasterizer.gradients())?;
             if moves {
                 self.place(&target.view, patch, self.activation().phase(theta[0] as f64))?;
             } else if !still {
