@@ -104,7 +104,7 @@ fn report(out: &Path, pipeline: &Pipeline, plan: &Plan, finished: &[FinishedCell
     claim.release()?;
     point_latest(out, &run_id)?;
     terminal.finish();
-    for table in ComparisonTable::both(&summarise(&record)) {
+    for table in ComparisonTable::all(record.track, &summarise(&record)) {
         comparison::lines(&table).iter().for_each(|line| terminal.line(line));
     }
     terminal.line(format_args!("report: {}", written.html.display()));

@@ -1,7 +1,7 @@
 //! The comparison tables as aligned columns, the paper's row below ours: what `all-cases` prints at the end.
 
 use crate::report::Role;
-use crate::report::table::{ComparisonTable, TableKind, arrow, heading};
+use crate::report::table::{ComparisonTable, arrow, heading};
 
 /// Lines of equal columns; `*` marks the best ranked method, `(..)` a bound that is not ranked.
 pub fn lines(table: &ComparisonTable) -> Vec<String> {
@@ -21,7 +21,7 @@ pub fn lines(table: &ComparisonTable) -> Vec<String> {
     }
     let cases = if table.cases == 1 { "one case".to_owned() } else { format!("mean of {} cases", table.cases) };
     let star: String = table.signs().map(|(sign, means)| format!(", {sign} {means}")).collect();
-    let best = if table.kind == TableKind::Ranking { "* best ranked method, " } else { "" };
+    let best = if table.kind.ranks() { "* best ranked method, " } else { "" };
     let title = format!("{} ({cases}): {best}(..) bounds{star}", table.kind.title());
     std::iter::once(title).chain(aligned(&rows)).collect()
 }

@@ -88,7 +88,7 @@ pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
     }
     let run = as_run(evaluated, arguments.method.as_deref());
     if !arguments.json && run.cells.len() > 1 {
-        for table in ComparisonTable::both(&summarise(&run)) {
+        for table in ComparisonTable::all(run.track, &summarise(&run)) {
             comparison::lines(&table).iter().for_each(|line| terminal.line(line));
         }
         print_rows(&run, terminal);

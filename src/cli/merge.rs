@@ -54,7 +54,7 @@ pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
         if merged.len() > 1 {
             terminal.line(format_args!("track {}", run.track.word()));
         }
-        for table in ComparisonTable::both(&summarise(run)) {
+        for table in ComparisonTable::all(run.track, &summarise(run)) {
             comparison::lines(&table).iter().for_each(|line| terminal.line(line));
         }
     }

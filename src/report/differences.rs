@@ -4,7 +4,8 @@
 use super::run::{MethodInfo, Run};
 use super::summary::{MethodSummary, over_cases};
 use crate::score::statistics::MeanInterval;
-use crate::score::{Metric, ranking_metrics};
+use crate::score::{Metric, navigation_metrics, ranking_metrics};
+use crate::simulate::track::Track;
 
 /// A ranked row and the next one, by one metric.
 #[derive(Clone, Debug)]
@@ -44,7 +45,8 @@ impl NeighbourDifference {
 /// All pairs of neighbours: metric by metric in the order of the table, from the first place down. Rows that share a
 /// place stand in the run's order.
 pub fn neighbours(run: &Run, summaries: &[MethodSummary]) -> Vec<NeighbourDifference> {
-    ranking_metrics().flat_map(|metric| of_metric(run, summaries, metric)).collect()
+    let of_navigation = navigation_metrics().filter(|_| run.track == Track::Clinical);
+    of_navigation.chain(ranking_metrics()).flat_map(|metric| of_metric(run, summaries, metric)).collect()
 }
 
 fn of_metric(run: &Run, summaries: &[MethodSummary], metric: &'static Metric) -> Vec<NeighbourDifference> {

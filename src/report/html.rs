@@ -11,7 +11,7 @@ use super::palette::{Palette, RowStyle};
 use super::plots::{ReportImage, ReportImages};
 use super::run::{CaseInfo, CellRecord, Outcome, Role, Run};
 use super::scene::Scenes;
-use super::table::{ComparisonTable, TableCell, TableKind, arrow, heading, show};
+use super::table::{ComparisonTable, TableCell, arrow, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 /// Most bytes of the page, whatever it is of: it is mailed and opened on telephones.
@@ -267,7 +267,7 @@ fn comparison(table: &ComparisonTable, run: &Run, palette: &Palette) -> Markup {
         } }
         p.muted {
             (table.kind.explanation()) " Mean over " (table.cases) " cases; below it the 95 % bootstrap interval over trees and cases. "
-            @if table.kind == TableKind::Ranking {
+            @if table.kind.ranks() {
                 "Bold: best ranked method; a method is ranked where it is scored on every case. "
             }
             "Rows in italics are bounds and not ranked."

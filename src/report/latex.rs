@@ -31,6 +31,7 @@ pub fn table(table: &ComparisonTable, run_id: &str) -> String {
             .collect::<String>()
     ));
     let label = match table.kind {
+        TableKind::Navigation => "navigation",
         TableKind::Ranking => "ranking",
         TableKind::Paper => "paper",
     };

@@ -6,7 +6,7 @@ use super::differences::NeighbourDifference;
 use super::plots::ReportImages;
 use super::run::{Outcome, Role, Run};
 use super::summary::MethodSummary;
-use super::table::{ComparisonTable, TableCell, TableKind, arrow, heading, show};
+use super::table::{ComparisonTable, TableCell, arrow, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 /// The whole file.
@@ -47,9 +47,9 @@ pub fn escape(text: &str) -> String {
 }
 
 fn comparison(out: &mut String, table: &ComparisonTable) {
-    let ranked = match table.kind {
-        TableKind::Ranking => " **Bold**: best ranked method; a method is ranked where it is scored on every case.",
-        TableKind::Paper => "",
+    let ranked = match table.kind.ranks() {
+        true => " **Bold**: best ranked method; a method is ranked where it is scored on every case.",
+        false => "",
     };
     let _ = writeln!(
         out,

@@ -56,13 +56,13 @@ pub struct Written {
     pub markdown: PathBuf,
     /// The HTML report.
     pub html: PathBuf,
-    /// The table that ranks, as Markdown, for a terminal or a CI summary.
+    /// The first table, as Markdown, for a terminal or a CI summary.
     pub table: String,
 }
 
 /// What a page shows of a run, besides the run.
 struct RunParts {
-    tables: [table::ComparisonTable; 2],
+    tables: Vec<table::ComparisonTable>,
     differences: Vec<differences::NeighbourDifference>,
     pictures: plots::ReportImages,
     scenes: scene::Scenes,
@@ -129,7 +129,7 @@ fn write_parts(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<RunP
     tables::write_frames(run, &folder.join("frames.csv"))?;
     tables::write_timings(run, &folder.join("timings.csv"))?;
     files::write_json(&folder.join("run.json"), &run.facts())?;
-    let tables = table::ComparisonTable::both(&summaries);
+    let tables = table::ComparisonTable::all(run.track, &summaries);
     let latex: Vec<String> = tables.iter().map(|table| latex::table(table, &run.id)).collect();
     files::write_bytes(&folder.join("table.tex"), latex.join("\n").as_bytes())?;
     let pictures = plots::draw(run, &summaries, folder, progress)?;
@@ -151,7 +151,7 @@ fn write_parts(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<RunP
 }
 
 fn written(folder: &Path, parts: &RunParts) -> Written {
-    let [ranking, _] = &parts.tables;
-    let table = markdown::comparison_table(ranking);
+    // A track has a table at least: that of its headline comes first.
+    let table = parts.tables.first().map(markdown::comparison_table).unwrap_or_default();
     Written { markdown: folder.join(MARKDOWN), html: folder.join(PAGE), table }
 }

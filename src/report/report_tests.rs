@@ -225,7 +225,7 @@ fn page_of(run: &Run, scenes: &scene::Scenes, plot: usize) -> String {
     // Intervals of many cases take long, and their tables are of the same size.
     let cells = run.cells[..9 * run.methods.len()].to_vec();
     let few = Run { cases: run.cases[..9].to_vec(), cells, ..run.clone() };
-    let tables = table::ComparisonTable::both(&summary::summarise(&few));
+    let tables = table::ComparisonTable::all(few.track, &summary::summarise(&few));
     let of_case = |case: &CaseInfo| {
         let svg = Some(format!("<svg>{}</svg>", "x".repeat(plot)));
         let (title, caption) = ("A plot".to_owned(), "of this case".to_owned());

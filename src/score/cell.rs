@@ -205,7 +205,7 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
         .map(|view| measure_novel(truth, &prediction, mask.as_ref(), view.frame))
         .collect::<Result<_>>()?;
     let distances = target_distances(truth, &prediction);
-    let navigation = navigation_errors(truth, &prediction);
+    let navigation = navigation_errors(truth, &prediction)?;
     let target = target(truth, &prediction, settings)?;
     let pixels = mask.map_or(truth.camera().width as usize * truth.camera().height as usize, |mask| mask.count());
     let ceiling = psnr_ceiling(pixels * 3);

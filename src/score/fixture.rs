@@ -148,6 +148,11 @@ impl Truth for TubeTruth {
         &self.targets
     }
 
+    /// A touch of the wall in the third and fourth frame.
+    fn disturbed(&self) -> Result<Vec<bool>> {
+        Ok((0..self.frames.len()).map(|frame| frame == 2 || frame == 3).collect())
+    }
+
     fn mask(&self) -> Result<Option<Mask>> {
         Ok(None)
     }

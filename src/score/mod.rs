@@ -27,5 +27,8 @@ pub use cell::{CellScore, FrameScore, FrameValue, MetricScore, ScoreSettings, St
 pub use check::{Contents, check_prediction, check_truth};
 pub use prediction::{Prediction, Question};
 pub use recompute::check_means;
-pub use registry::{Goal, Group, Metric, Split, Standing, metric, paper_metrics, ranking_metrics, registry};
+pub use registry::{
+    Goal, Group, Metric, Split, Standing, metric, navigation_bar_metrics, navigation_metrics, paper_metrics,
+    ranking_metrics, registry,
+};
 pub use truth::{Truth, final_mesh};

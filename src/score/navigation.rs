@@ -8,11 +8,15 @@ use super::prediction::Prediction;
 use super::registry::metric;
 use super::statistics::mean;
 use super::truth::Truth;
+use crate::base::Result;
+use crate::simulate::sequence::FrameRecord;
 
 /// A frame whose targets are off by more than this in the mean is lost, mm.
 const LOST_MM: f64 = 5.0;
 /// A lost frame whose own error bar is below this is lost in silence, mm.
 const SILENT_MM: f64 = 2.5;
+/// Seconds after a cough or a touch of the wall within which the targets are to be found again.
+const RECOVERY_S: f64 = 1.0;
 
 /// Errors of one frame.
 #[derive(Clone, Debug, Default)]
@@ -21,13 +25,15 @@ pub struct NavigationFrame {
     errors_mm: Vec<DVec3>,
     /// Standard deviations that the prediction states of each place, along the camera's axes, mm; empty without any.
     deviations_mm: Vec<DVec3>,
+    /// Of the last frame of a cough or a touch of the wall: whether the targets were found again soon enough.
+    found_again: Option<bool>,
 }
 
 /// The errors of each frame; empty for a prediction without targets.
-pub fn navigation_errors(truth: &dyn Truth, prediction: &Prediction) -> Vec<NavigationFrame> {
-    let Some(places) = prediction.targets() else { return Vec::new() };
+pub fn navigation_errors(truth: &dyn Truth, prediction: &Prediction) -> Result<Vec<NavigationFrame>> {
+    let Some(places) = prediction.targets() else { return Ok(Vec::new()) };
     let told = truth.told_poses();
-    let frame = |(index, record): (usize, &crate::simulate::sequence::FrameRecord)| {
+    let frame = |(index, record): (usize, &FrameRecord)| {
         let own = prediction.poses().map_or(told[index], |poses| poses[index]).inverse();
         let (seen, count) = (record.world_from_camera.inverse(), truth.targets().len());
         let error = |(target, place): (usize, &DVec3)| {
@@ -37,9 +43,31 @@ pub fn navigation_errors(truth: &dyn Truth, prediction: &Prediction) -> Vec<Navi
             all[index].iter().map(|c| DVec3::new(c.x_axis.x, c.y_axis.y, c.z_axis.z).map(f64::sqrt)).collect()
         });
         let errors_mm = places[index].iter().take(count).enumerate().map(error).collect();
-        NavigationFrame { errors_mm, deviations_mm: stated }
+        NavigationFrame { errors_mm, deviations_mm: stated, found_again: None }
     };
-    truth.frames().iter().enumerate().map(frame).collect()
+    let mut frames: Vec<NavigationFrame> = truth.frames().iter().enumerate().map(frame).collect();
+    let times_s: Vec<f64> = truth.frames().iter().map(|frame| frame.time_s).collect();
+    let is_found: Vec<bool> = frames.iter().map(|f| f.error_mm().is_some_and(|error| error <= LOST_MM)).collect();
+    let found_again = recoveries(&times_s, &truth.disturbed()?, &is_found);
+    frames.iter_mut().zip(found_again).for_each(|(frame, found)| frame.found_again = found);
+    Ok(frames)
+}
+
+/// For the last frame of each stretch of disturbed ones: whether the targets are found within [`RECOVERY_S`] after it.
+/// Nothing where the film ends before that can be told.
+fn recoveries(times_s: &[f64], disturbed: &[bool], is_found: &[bool]) -> Vec<Option<bool>> {
+    let of_frame = |end: usize| {
+        if !disturbed[end] || *disturbed.get(end + 1)? {
+            return None;
+        }
+        let late = |frame: usize| times_s[frame] - times_s[end] > RECOVERY_S + 1e-9;
+        let mut after = end + 1..times_s.len();
+        match after.find(|&frame| late(frame) || is_found[frame]) {
+            Some(frame) => Some(!late(frame)),
+            None => None,
+        }
+    };
+    (0..times_s.len()).map(of_frame).collect()
 }
 
 impl NavigationFrame {
@@ -48,16 +76,22 @@ impl NavigationFrame {
         self.errors_mm.iter().map(|e| e.length()).collect()
     }
 
+    /// Mean over the targets, mm; `None` without any.
+    fn error_mm(&self) -> Option<f64> {
+        mean(&self.distances_mm())
+    }
+
     /// The frame's value of the metric `id`; `None` for a metric that is not of navigation, and where the prediction
     /// states no error bar that it needs.
     pub fn value(&self, id: &str) -> Option<f64> {
-        let error_mm = mean(&self.distances_mm())?;
+        let error_mm = self.error_mm()?;
         let is_lost = error_mm > LOST_MM;
         let percent = |holds: bool| if holds { 100.0 } else { 0.0 };
         match id {
             "navigation_error_mm" => Some(error_mm),
             "lost_pct" => Some(percent(is_lost)),
             "silent_pct" => self.bar_mm().map(|bar_mm| percent(is_lost && bar_mm < SILENT_MM)),
+            "recovered_pct" => self.found_again.map(percent),
             "navigation_coverage_1sd_pct" => self.coverage(1.0),
             "navigation_coverage_2sd_pct" => self.coverage(2.0),
             "navigation_sd_mm" => self.bar_mm(),
@@ -90,7 +124,7 @@ pub fn frame_values(frame: &NavigationFrame) -> impl Iterator<Item = (&'static s
 /// Whether `id` is a metric of navigation that is a mean over frames.
 pub fn is_frame_wise(id: &str) -> bool {
     metric(id).is_some()
-        && (id.starts_with("navigation_") || id == "lost_pct" || id == "silent_pct")
+        && (id.starts_with("navigation_") || ["lost_pct", "silent_pct", "recovered_pct"].contains(&id))
         && !id.contains("p95")
 }
 
@@ -103,6 +137,7 @@ mod tests {
         let frame = |error: f64, bar: f64| NavigationFrame {
             errors_mm: vec![DVec3::X * error; 2],
             deviations_mm: if bar > 0.0 { vec![DVec3::splat(bar / 3f64.sqrt()); 2] } else { Vec::new() },
+            found_again: None,
         };
         let values = |error, bar| ["lost_pct", "silent_pct"].map(|id| frame(error, bar).value(id));
         assert_eq!(values(4.9, 1.0), [Some(0.0), Some(0.0)]);
@@ -113,5 +148,21 @@ mod tests {
         let covered = frame(3.0, 3f64.sqrt()).value("navigation_coverage_2sd_pct").unwrap();
         assert!((covered - 200.0 / 3.0).abs() < 1e-9, "{covered}");
         assert_eq!(NavigationFrame::default().value("navigation_error_mm"), None);
+    }
+
+    #[test]
+    fn a_disturbance_is_over_with_its_last_frame_and_recovery_has_a_second() {
+        let times: Vec<f64> = (0..40).map(|frame| frame as f64 * 0.1).collect();
+        let disturbed: Vec<bool> = (0..40).map(|frame| [2, 3, 4, 20, 21, 35].contains(&frame)).collect();
+        let ends = |is_found: &dyn Fn(usize) -> bool| {
+            let is_found: Vec<bool> = (0..40).map(is_found).collect();
+            let found = recoveries(&times, &disturbed, &is_found);
+            found.into_iter().enumerate().filter_map(|(frame, found)| Some((frame, found?))).collect::<Vec<_>>()
+        };
+        assert_eq!(ends(&|_| true), [(4, true), (21, true), (35, true)]);
+        // Found during the disturbance alone; the film ends .4 s after the last one.
+        assert_eq!(ends(&|frame| disturbed[frame]), [(4, false), (21, true)]);
+        // Exactly a second after the first, a frame later than that after the second.
+        assert_eq!(ends(&|frame| [14, 32].contains(&frame)), [(4, true), (21, false)]);
     }
 }

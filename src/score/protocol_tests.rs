@@ -119,8 +119,8 @@ fn graded_distortions_are_told_apart() {
     assert!(along.value("navigation_error_mm").unwrap() > 0.3 && along.value("target_mean_mm").unwrap() < 1e-9);
     // Ten standard deviations off, and an error bar of 1.7 mm: lost in silence.
     let lost = scored(&truth, &Distortion { surface_shift_mm: 10.0, ..none });
-    let values = ["lost_pct", "silent_pct"].map(|id| lost.value(id).unwrap());
-    assert_eq!(values, [100.0, 100.0]);
+    let values = |cell: &CellScore| ["lost_pct", "silent_pct", "recovered_pct"].map(|id| cell.value(id).unwrap());
+    assert_eq!((values(&moved), values(&lost)), ([0.0, 0.0, 100.0], [100.0, 100.0, 0.0]));
     assert!(lost.value("navigation_coverage_2sd_pct").unwrap() < 70.0);
     assert!((moved.value("depth_rmse_mm").unwrap()).abs() < 1e-9);
 }
@@ -141,8 +141,14 @@ fn what_is_not_claimed_is_not_applicable_and_constant_phase_has_no_correlation()
     let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
     let metrics = ["depth_rmse_mm", "contour_rmse_mm", "target_error_p95_mm", "time_total_s", "psnr_ahead_db"];
     let of_views = ["novel_psnr_db", "novel_ssim", "novel_depth_rmse_mm", "target_mean_mm", "target_p95_mm"];
-    let of_navigation =
-        ["navigation_error_mm", "navigation_error_p95_mm", "lost_pct", "silent_pct", "navigation_sd_mm"];
+    let of_navigation = [
+        "navigation_error_mm",
+        "navigation_error_p95_mm",
+        "lost_pct",
+        "silent_pct",
+        "recovered_pct",
+        "navigation_sd_mm",
+    ];
     let of_views = of_views.into_iter().chain(of_navigation);
     for id in metrics.into_iter().chain(of_views) {
         let score = found.metric(id).unwrap();

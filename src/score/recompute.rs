@@ -8,7 +8,7 @@ use super::statistics::{deviation, mean, pearson};
 use crate::base::{Error, Result};
 
 /// Metrics whose value is a mean over the frames that have one.
-const FRAME_WISE: [&str; 22] = [
+const FRAME_WISE: [&str; 23] = [
     "psnr_db",
     "novel_psnr_db",
     "novel_ssim",
@@ -28,6 +28,7 @@ const FRAME_WISE: [&str; 22] = [
     "navigation_error_mm",
     "lost_pct",
     "silent_pct",
+    "recovered_pct",
     "navigation_coverage_1sd_pct",
     "navigation_coverage_2sd_pct",
     "navigation_sd_mm",

@@ -39,7 +39,7 @@ impl Goal {
     }
 }
 
-/// The paper's column groups (its Table 1).
+/// The paper's column groups (its Table 1), and navigation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Group {
@@ -51,6 +51,8 @@ pub enum Group {
     Breathing,
     /// Contour and target error at the final frame.
     Target,
+    /// Targets in the camera's axes.
+    Navigation,
     /// Seconds.
     Runtime,
 }
@@ -63,6 +65,7 @@ impl Group {
             Group::Depth => "Depth",
             Group::Breathing => "Breathing",
             Group::Target => "Target",
+            Group::Navigation => "Navigation",
             Group::Runtime => "Runtime",
         }
     }
@@ -168,6 +171,8 @@ const WITH_POSES: &str = "methods that estimate poses";
 const WITH_NOVEL: &str = "predictions with novel/NNNNNN.png for every second camera";
 const WITH_NOVEL_DEPTH: &str = "predictions with novel_depth/ for every second camera";
 const WITH_TARGETS: &str = "predictions with targets.csv";
+const WITH_TARGETS_AND_DISTURBANCES: &str =
+    "predictions with targets.csv, of films with a cough or a touch of the wall";
 const WITH_TARGET_COVARIANCE: &str = "predictions with target_covariance.csv";
 const WITH_CPU_TIME: &str = "predictions with time_cpu_s in timing.json";
 const WITH_TIME: &str = "predictions with timing.json";
@@ -421,19 +426,19 @@ static REGISTRY: &[Metric] = &[
             all frames and targets: with the predicted pose (poses.csv; the told one without it) the predicted place, with \
             the true pose the true one, so that errors of pose and deformation count together.",
         applies_to: WITH_TARGETS,
-        ..base("navigation_error_mm", "Navigation", "mm", Goal::Lower, Group::Target)
+        ..base("navigation_error_mm", "Navigation", "mm", Goal::Lower, Group::Navigation)
     },
     Metric {
         definition: "95th percentile (linear between ranks) over all frames and targets of the distance of navigation_error_mm.",
         applies_to: WITH_TARGETS,
-        ..base("navigation_error_p95_mm", "Navigation p95", "mm", Goal::Lower, Group::Target)
+        ..base("navigation_error_p95_mm", "Navigation p95", "mm", Goal::Lower, Group::Navigation)
     },
     Metric {
         definition: "Share of the frames whose navigation error, mean over targets, is more than 5 mm, in percent.",
         range: [Some(0.0), Some(100.0)],
         digits: 1,
         applies_to: WITH_TARGETS,
-        ..base("lost_pct", "Lost", "%", Goal::Lower, Group::Target)
+        ..base("lost_pct", "Lost", "%", Goal::Lower, Group::Navigation)
     },
     Metric {
         definition: "Share of the frames that are lost (lost_pct) while the error bar that the method states for them \
@@ -441,7 +446,18 @@ static REGISTRY: &[Metric] = &[
         range: [Some(0.0), Some(100.0)],
         digits: 1,
         applies_to: WITH_TARGET_COVARIANCE,
-        ..base("silent_pct", "Lost in silence", "%", Goal::Lower, Group::Target)
+        ..base("silent_pct", "Lost in silence", "%", Goal::Lower, Group::Navigation)
+    },
+    Metric {
+        definition: "Share of the coughs and touches of the wall (stretches of frames in which clinical.csv has an effort or a \
+            weight of .1 or more) after which the targets are found again: navigation error, mean over targets, of at most \
+            5 mm at a frame at most 1 s after the last disturbed one, in percent. One that ends less than a second before \
+            the film, and is not found until then, does not count.",
+        range: [Some(0.0), Some(100.0)],
+        perfect: Some(100.0),
+        digits: 1,
+        applies_to: WITH_TARGETS_AND_DISTURBANCES,
+        ..base("recovered_pct", "Found again", "%", Goal::Higher, Group::Navigation)
     },
     Metric {
         definition: "Share of the targets' coordinates in the camera's axes, over all frames, that are off by at most one \
@@ -451,7 +467,7 @@ static REGISTRY: &[Metric] = &[
         perfect: None,
         digits: 1,
         applies_to: WITH_TARGET_COVARIANCE,
-        ..base("navigation_coverage_1sd_pct", "Navigation within 1 sd", "%", Goal::Higher, Group::Target)
+        ..base("navigation_coverage_1sd_pct", "Navigation within 1 sd", "%", Goal::Higher, Group::Navigation)
     },
     Metric {
         definition: "As navigation_coverage_1sd_pct, for two standard deviations; 95 where the error bars are right.",
@@ -459,14 +475,14 @@ static REGISTRY: &[Metric] = &[
         perfect: None,
         digits: 1,
         applies_to: WITH_TARGET_COVARIANCE,
-        ..base("navigation_coverage_2sd_pct", "Navigation within 2 sd", "%", Goal::Higher, Group::Target)
+        ..base("navigation_coverage_2sd_pct", "Navigation within 2 sd", "%", Goal::Higher, Group::Navigation)
     },
     Metric {
         definition: "Error bar of a target's place in the camera's axes: square root of the trace of its covariance as stated \
             in target_covariance.csv, mean over all frames and targets.",
         perfect: None,
         applies_to: WITH_TARGET_COVARIANCE,
-        ..base("navigation_sd_mm", "Navigation sd", "mm", Goal::Lower, Group::Target)
+        ..base("navigation_sd_mm", "Navigation sd", "mm", Goal::Lower, Group::Navigation)
     },
 ];
 
@@ -488,6 +504,22 @@ const RANKING: [&str; 9] = [
     "time_per_frame_s",
     "time_cpu_s",
 ];
+
+/// What ranks on the clinical track besides, and stands before the rest: the targets as the scope is steered by them.
+const NAVIGATION: [&str; 4] = ["navigation_error_mm", "navigation_error_p95_mm", "lost_pct", "recovered_pct"];
+/// Error bars of navigation, which rank nobody.
+const NAVIGATION_BARS: [&str; 4] =
+    ["silent_pct", "navigation_coverage_1sd_pct", "navigation_coverage_2sd_pct", "navigation_sd_mm"];
+
+/// The columns of navigation that rank.
+pub fn navigation_metrics() -> impl Iterator<Item = &'static Metric> {
+    NAVIGATION.iter().filter_map(|id| metric(id))
+}
+
+/// The columns of navigation that judge error bars and rank nobody.
+pub fn navigation_bar_metrics() -> impl Iterator<Item = &'static Metric> {
+    NAVIGATION_BARS.iter().filter_map(|id| metric(id))
+}
 
 /// The columns that rank, in the order of their table.
 pub fn ranking_metrics() -> impl Iterator<Item = &'static Metric> {
@@ -527,6 +559,10 @@ mod tests {
             ]
         );
         assert_eq!(ranking_metrics().count(), RANKING.len());
+        assert_eq!(
+            navigation_metrics().chain(navigation_bar_metrics()).count(),
+            NAVIGATION.len() + NAVIGATION_BARS.len()
+        );
         for (index, m) in registry().iter().enumerate() {
             assert!(registry()[..index].iter().all(|other| other.id != m.id));
             assert!(m.definition.len() > 20 && m.definition.ends_with('.'), "{}", m.id);

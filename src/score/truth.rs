@@ -58,6 +58,11 @@ pub trait Truth: Send + Sync {
         self.frames().iter().map(|frame| frame.world_from_camera).collect()
     }
 
+    /// Which frames a cough or a touch of the wall disturbs.
+    fn disturbed(&self) -> Result<Vec<bool>> {
+        Ok(vec![false; self.frames().len()])
+    }
+
     /// The surface that methods are told, and the `correspondence.csv` of a row that keeps its faces; `None` where those
     /// are the true ones.
     fn told_correspondence(&self) -> Result<Option<(TriangleMesh, Vec<u8>)>> {
@@ -134,6 +139,10 @@ impl Truth for Sequence {
 
     fn told_poses(&self) -> Vec<DAffine3> {
         self.given_frames().into_iter().map(|frame| frame.world_from_camera).collect()
+    }
+
+    fn disturbed(&self) -> Result<Vec<bool>> {
+        Sequence::disturbed(self)
     }
 
     fn told_correspondence(&self) -> Result<Option<(TriangleMesh, Vec<u8>)>> {

@@ -1,11 +1,11 @@
-//! The numbers in a film's files, each checked against its range where it is read: times and poses, points, places at
-//! every frame.
+//! The numbers in a film's files, each checked against its range where it is read: times and poses, points, places and
+//! conditions at every frame.
 
 use std::path::Path;
 
 use glam::{DAffine3, DVec3};
 
-use crate::base::range::{COORDINATE_MM, TIME_S};
+use crate::base::range::{COORDINATE_MM, SHARE, TIME_S};
 use crate::base::{Error, Result, files, pose};
 use crate::formats::number_table::{self, COUNT};
 use crate::formats::transforms::{Transforms, TransformsFrame};
@@ -61,6 +61,18 @@ pub fn targets_by_frame(bytes: &[u8], frames: usize, targets: usize) -> Result<V
         places[frame].push(DVec3::new(x, y, z));
     }
     Ok(places)
+}
+
+/// Effort of a cough and weight of a touch of the wall from which a frame counts as disturbed by it.
+const DISTURBED: f64 = 0.1;
+
+/// Which of `frames` frames a cough or a touch of the wall disturbs, by the table of the clinical track's conditions.
+pub fn disturbed(bytes: &[u8], frames: usize) -> Result<Vec<bool>> {
+    let rows = number_table::rows(bytes, [("frame", COUNT), ("cough", SHARE), ("contact", SHARE)])?;
+    if rows.len() != frames {
+        return Err(Error::input(format!("has {} rows: {frames} frames are wanted", rows.len())));
+    }
+    Ok(rows.iter().map(|&[_, cough, contact]| cough.max(contact) >= DISTURBED).collect())
 }
 
 /// Points as a table below `header`, such as [`POINTS_HEADER`].
@@ -139,6 +151,16 @@ mod tests {
         ] {
             let said = read(text).unwrap_err();
             assert!(said.contains("targets.csv") && said.contains(says), "{said}");
+        }
+        let conditions = "frame,contact,phase,cough\n0,0,.5,.09\n1,0.2,.5,0\n2,0,.5,1\n";
+        assert_eq!(disturbed(conditions.as_bytes(), 3).unwrap(), [false, true, true]);
+        for (text, says) in [
+            (conditions, "has 3 rows: 4 frames"),
+            ("frame,cough\n0,1\n", "column contact: is missing"),
+            ("frame,cough,contact\n0,0,7\n", "line 2: contact: 7 must lie"),
+        ] {
+            let said = disturbed(text.as_bytes(), 4).unwrap_err().to_string();
+            assert!(said.contains(says), "{said}");
         }
         let by_frame = |text: &str| targets_by_frame(text.as_bytes(), 2, 1).map_err(|e| e.to_string());
         let header = TARGETS_BY_FRAME_HEADER;

@@ -18,7 +18,7 @@ use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files, hash}
 use crate::formats::transforms::{Transforms, TransformsFrame, TransformsLens};
 use crate::formats::{exr, mesh, png};
 
-use super::film_tables::{film_pose, given_frames, read_points, targets_by_frame};
+use super::film_tables::{disturbed, film_pose, given_frames, read_points, targets_by_frame};
 
 /// Record of one frame, truth included.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -335,6 +335,15 @@ impl Sequence {
             None => self.targets[index].at(self.frames[frame].phase),
             Some(clinical) => clinical.target_places[frame][index],
         }
+    }
+
+    /// Which frames a cough or a touch of the wall disturbs; none on the ideal track. Errors as [`Sequence::image`].
+    pub fn disturbed(&self) -> Result<Vec<bool>> {
+        if self.clinical.is_none() {
+            return Ok(vec![false; self.frames.len()]);
+        }
+        let path = self.checked(CONDITIONS)?;
+        disturbed(&files::read_bytes(&path)?, self.frames.len()).map_err(|e| e.at(&path))
     }
 
     /// The surface at the last frame where no phase says it; `None` on the ideal track. Errors as [`Sequence::image`].

@@ -176,7 +176,8 @@ fn runs_are_merged() {
             reader.records().map(|row| wanted.map(|c| row.as_ref().unwrap()[c].to_owned()).to_vec()).collect();
         // The committed report is older than the metrics of second cameras, of targets in all frames and of error bars.
         let later = ["novel_", "target_mean_mm", "target_p95_mm", "phase_coverage_", "phase_sd_mean"];
-        let later = later.into_iter().chain(["navigation_", "lost_pct", "silent_pct"]).collect::<Vec<_>>();
+        let later =
+            later.into_iter().chain(["navigation_", "lost_pct", "silent_pct", "recovered_pct"]).collect::<Vec<_>>();
         let is_later = |metric: &str| later.iter().any(|start| metric.starts_with(start));
         rows.retain(|row| !is_later(&row[3]));
         rows.sort();
