@@ -31,8 +31,9 @@ struct Part {
 const SPLAT: Part = Part {
     bridges: &["src/ffi/isa.rs", "src/ffi/splat/rasterize.rs", "src/ffi/splat/bin.rs", "src/ffi/splat/image.rs"],
     sources: &["cpp/common/isa.cpp", "cpp/splat/rasterize.cpp", "cpp/splat/bin.cpp", "cpp/splat/image.cpp"],
-    // What takes longest to compile first, so that no compiler works alone in the end.
-    kernels: &["cpp/splat/project.cpp", "cpp/splat/chain.cpp", "cpp/splat/kernel.cpp", "cpp/splat/disc.cpp"],
+    // What takes longest to compile first, so that no compiler works alone in the end; then pairs (`kernel_files`) that
+    // share no large function, since GCC inlines those that are called once.
+    kernels: &["cpp/splat/project.cpp", "cpp/splat/disc.cpp", "cpp/splat/chain.cpp", "cpp/splat/kernel.cpp"],
 };
 
 /// The photometric loss, which the methods train with.
@@ -81,7 +82,7 @@ fn main() {
         #[cfg(feature = "trace")]
         bind_embree(prefix.as_deref(), &out);
         compile_cpp(prefix.as_deref());
-        compile_kernels();
+        compile_kernels(&out);
         #[cfg(feature = "trace")]
         link_embree(prefix.as_deref());
         return;
@@ -111,6 +112,29 @@ fn name_compiler() {
 
 fn of_parts(files: impl Fn(&Part) -> &'static [&'static str]) -> impl Iterator<Item = &'static str> {
     PARTS.iter().flat_map(move |part| files(part).iter().copied())
+}
+
+/// Nothing but the methods asks for the kernels of velocities.
+fn define_directions(build: &mut cc::Build) {
+    if cfg!(feature = "methods") {
+        build.define("RESPIRE_DIRECTIONS", None);
+    }
+}
+
+/// The kernels as they are compiled: without velocities two by two, since reading the compiler's headers takes as long as
+/// compiling a small one. With velocities such a file would be so large that GCC inlines less.
+fn kernel_files(out: &Path) -> Vec<PathBuf> {
+    let kernels: Vec<_> = of_parts(|part| part.kernels).collect();
+    if cfg!(feature = "methods") {
+        return kernels.iter().map(PathBuf::from).collect();
+    }
+    let join = |(k, pair): (usize, &[&str])| {
+        let path = out.join(format!("kernels_{k}.cpp"));
+        let text: String = pair.iter().map(|kernel| format!("#include \"{kernel}\"\n")).collect();
+        std::fs::write(&path, text).expect("OUT_DIR is writable");
+        path
+    };
+    kernels.chunks(2).enumerate().map(join).collect()
 }
 
 /// The folder that holds Embree's `include/` and `lib/`; `None` for the system's, and where nothing traces rays.
@@ -165,6 +189,7 @@ fn compile_cpp(prefix: Option<&Path>) {
     build.files(of_parts(|part| part.sources)).include(".").std("c++17").opt_level(3).flag("-Wall").flag("-Wextra");
     // Results must not depend on how the compiler contracts or reorders arithmetic.
     build.flag("-ffp-contract=off");
+    define_directions(&mut build);
     if let Some(prefix) = prefix {
         build.include(prefix.join("include"));
     }
@@ -174,10 +199,11 @@ fn compile_cpp(prefix: Option<&Path>) {
     }
 }
 
-fn compile_kernels() {
+fn compile_kernels(out: &Path) {
+    let files = kernel_files(out);
     for (namespace, flags) in INSTRUCTION_SETS {
         let mut build = cc::Build::new();
-        build.cpp(true).files(of_parts(|part| part.kernels)).include(".").std("c++17").opt_level(3);
+        build.cpp(true).files(&files).include(".").std("c++17").opt_level(3);
         build.flag("-Wall").flag("-Wextra").define("RESPIRE_ISA", *namespace);
         // Forward and backward must take the same branches: no contraction except where it is written.
         build.flag("-ffp-contract=off").flag("-fno-math-errno").flag("-fno-trapping-math").flag("-fno-exceptions");
@@ -185,6 +211,7 @@ fn compile_kernels() {
         build.flag("-Wno-uninitialized").flag("-Wno-maybe-uninitialized");
         // No vector is passed from one file to another.
         build.flag("-Wno-psabi");
+        define_directions(&mut build);
         for flag in *flags {
             build.flag(flag);
         }

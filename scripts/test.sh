@@ -31,9 +31,14 @@ step package
 rm -rf target/package
 scripts/package.sh target/package
 step smoke run
-cargo run --release --locked --quiet -- all-cases --profile smoke --out target/smoke --cache target/smoke/cache
+bench() { cargo run --release --locked --quiet -- "$@"; }
+bench all-cases --profile smoke --out target/smoke --cache target/smoke/cache
+navigators=$(sed -n 's/^methods = \[\(.*\)\]$/\1/p' bench-cases/gate-clinical.toml | tr -d '" ')
+bench all-cases --profile smoke --track clinical --methods "$navigators" \
+  --out target/smoke-clinical --cache target/smoke/cache
 step page
 scripts/test-page.sh
 step gate: absolute limits, and losses against the baseline
-cargo run --release --locked --quiet -- gate --results target/smoke/latest --baseline reports/baselines/ideal
+bench gate --results target/smoke/latest --baseline reports/baselines/ideal
+bench gate --results target/smoke-clinical/latest --baseline reports/baselines/clinical
 step done

@@ -58,8 +58,8 @@
 //!
 //! | feature | rooms | needs |
 //! |---|---|---|
-//! | none | [`base`], [`formats`], [`splat`]; of [`simulate`] the readers `sequence` and `participant`, of [`reconstruct`] the writer of predictions | g++ |
-//! | `methods` | [`airway`], [`reconstruct`], and of [`simulate`] `export` | g++ |
+//! | none | [`base`], [`splat`], the [`formats`] of films and predictions; of [`simulate`] the readers `sequence` and `participant`, of [`reconstruct`] the writer of predictions | g++ |
+//! | `methods` | [`airway`], [`reconstruct`], of [`simulate`] `export`, all formats but those of scans; vectorised derivatives along directions | g++ |
 //! | `trace` | [`render`], [`simulate`] | Embree 4, libclang |
 //! | `vision` | [`score`] | OpenCV 4, clang |
 //! | `program` | [`ct`], [`report`], [`mod@bench`], [`experiments`], [`cli`] | both |

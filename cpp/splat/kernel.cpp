@@ -342,11 +342,12 @@ void backward_tile(const BackwardTile& t) {
 }  // namespace
 
 void forward(const ForwardTile& t, std::uint32_t parts) {
+  constexpr int D = WITH_DIRECTIONS;
   switch (t.directions) {
-    case 1: return forward_tile<false, 1, false>(t);
-    case 2: return forward_tile<false, 2, false>(t);
-    case 3: return forward_tile<false, 3, false>(t);
-    case 4: return forward_tile<false, 4, false>(t);
+    case 1: return forward_tile<false, 1 * D, false>(t);
+    case 2: return forward_tile<false, 2 * D, false>(t);
+    case 3: return forward_tile<false, 3 * D, false>(t);
+    case 4: return forward_tile<false, 4 * D, false>(t);
     default: break;
   }
   const bool known = parts & KNOWN_MASKS;

@@ -37,6 +37,13 @@ constexpr int PLANES = 5;    // of a tile's state: red, green, blue and depth su
 constexpr int MOVING = 4;    // planes of a tile's velocity: red, green and blue sums, transmittance
 constexpr int MAX_DIRECTIONS = 4;             // that one pass carries; each takes MOVING registers
 constexpr std::uint32_t ALL_BLOCKS = 0xffff;  // of a tile, a bit each
+// Whether the kernels compute velocities. Only methods ask for them (the feature `methods`, build.rs); to compile them
+// takes as long as half of all else.
+#if defined(RESPIRE_DIRECTIONS)
+constexpr bool WITH_DIRECTIONS = true;
+#else
+constexpr bool WITH_DIRECTIONS = false;
+#endif
 constexpr float TILES_PER_PX = 1.0f / 16.0f;
 // The three thresholds of 3DGS (Kerbl et al. 2023, its public rasteriser): nothing is blended below ALPHA_MIN, no
 // alpha is larger than ALPHA_MAX, and a pixel stops at the splat that would leave no more than STOP of the light.

@@ -4,7 +4,12 @@
 // vectors. AVX2 and AVX-512 give the same bits with every maker's processor: nothing takes an approximate reciprocal,
 // and sums over lanes are taken in one order, that of four groups of four lanes. Everything has internal linkage: the linker must not pick code compiled for a wider instruction set for
 // other files.
+#if defined(__AVX2__)
 #include <immintrin.h>
+#else
+// All that the baseline needs; it is read in a tenth of the time.
+#include <emmintrin.h>
+#endif
 
 #include <cstddef>
 #include <cstdint>

@@ -43,6 +43,11 @@ struct VelocityKernel {
 
   template <int COLUMNS, template <class> class Camera>
   void run() const {
+    if constexpr (WITH_DIRECTIONS) write_all<COLUMNS, Camera>();
+  }
+
+  template <int COLUMNS, template <class> class Camera>
+  void write_all() const {
     const View& w = s.view;
     for_groups(s, o.first, o.count, [&](const LaneGroup& group) {
       const std::size_t k0 = group.k0;
@@ -227,7 +232,10 @@ struct ProjectionKernel {
 
   template <int COLUMNS, template <class> class Camera>
   void run() const {
-    o.motion ? run_as<Dual, COLUMNS, Camera>() : run_as<V, COLUMNS, Camera>();
+    if constexpr (WITH_DIRECTIONS) {
+      if (o.motion) return run_as<Dual, COLUMNS, Camera>();
+    }
+    run_as<V, COLUMNS, Camera>();
   }
 
   // For values (N = V), or for values and velocities (N = Dual), with the same operations on the values.

@@ -145,6 +145,8 @@ DiscTile disc_tile_of(const SplatDiscs& d) {
   return tile;
 }
 
+void require_directions(bool wanted) { require(WITH_DIRECTIONS || !wanted, "built without velocities"); }
+
 // The threshold for a pixel's transmittance; -1, which none reaches, if pixels do not stop.
 float stop_of(std::uint32_t parts) { return parts & ENDLESS ? -1.0f : STOP; }
 
@@ -161,6 +163,7 @@ void splat_project(std::uint8_t isa, const SplatScene& scene, std::array<std::ui
   require(out.velocities.empty() || out.velocities.size() == count, "tables of a motion differ in length");
   TangentChunk tangent;
   const bool moving = !out.velocities.empty();
+  require_directions(moving);
   if (moving) tangent = tangent_of(scene, out.first, {out.visible.data(), count}, motion, out.velocities);
   ProjectChunk chunk;
   chunk.first = out.first;
@@ -185,6 +188,7 @@ bool splat_recolor(std::uint8_t isa, const SplatScene& scene, std::size_t first,
 void splat_velocities(std::uint8_t isa, const SplatScene& scene, std::size_t first, rust::Slice<const bool> visible,
                       const SplatMotion& motion, rust::Slice<std::array<float, 8>> rows) {
   const Kernels& kernels = kernels_of(isa);
+  require_directions(true);
   require(rows.size() == visible.size(), "tables of a motion differ in length");
   kernels.velocities(scene_of(scene, first, visible.size()), tangent_of(scene, first, visible, motion, rows));
 }
@@ -234,6 +238,7 @@ void splat_forward(std::uint8_t isa, SplatForward t) {
   require(t.moving.size() == directions * MOVING * PIXELS && directions <= MAX_DIRECTIONS &&
               t.velocities.size() == directions * splats,
           "tables of a tile's motion differ in length");
+  require_directions(directions > 0);
   ForwardTile tile;
   tile.rows = floats(t.rows);
   tile.entries = t.entries.data();

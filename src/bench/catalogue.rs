@@ -6,7 +6,8 @@
 //! bench-cases/tuning/<case>.toml         a case each, on which numbers of methods are chosen; never scored
 //! bench-cases/patients/<case>.toml       a case each whose anatomy and motion are one person's; run when asked for
 //! bench-cases/tuning/sweeps/<name>.toml  values of a method's keys, to be tried on the tuning cases
-//! bench-cases/gate.toml                  thresholds
+//! bench-cases/gate.toml                  thresholds of the ideal track
+//! bench-cases/gate-clinical.toml         thresholds of the clinical track
 //! bench-cases/ablations.toml             variants of the methods and cases
 //! bench-cases/methods/<id>.toml          a method each
 //! bench-cases/profiles/<id>.toml         a profile each
@@ -16,9 +17,11 @@ use std::path::{Path, PathBuf};
 
 use super::plan::toml_ids;
 use crate::base::{Error, Result, shipped};
+use crate::simulate::track::Track;
 
 /// Files beside the cases: the thresholds and the ablations.
 const GATE: &str = "gate";
+const CLINICAL_GATE: &str = "gate-clinical";
 const ABLATIONS: &str = "ablations";
 /// Folder of the cases whose anatomy and motion are one person's.
 const PATIENTS: &str = "patients";
@@ -49,7 +52,10 @@ impl Catalogue {
 
     /// Ids of the scored cases in natural order (`case2` before `case10`).
     pub fn case_ids(&self) -> Result<Vec<String>> {
-        Ok(toml_ids(&self.root)?.into_iter().filter(|id| id != GATE && id != ABLATIONS).collect())
+        Ok(toml_ids(&self.root)?
+            .into_iter()
+            .filter(|id| ![GATE, CLINICAL_GATE, ABLATIONS].contains(&id.as_str()))
+            .collect())
     }
 
     /// Ids of the tuning cases, which no run takes unless it is told so; none where there is no such folder.
@@ -97,9 +103,13 @@ impl Catalogue {
         self.root.join("profiles")
     }
 
-    /// The thresholds of the gate.
-    pub fn gate_file(&self) -> PathBuf {
-        self.root.join(GATE).with_extension("toml")
+    /// The thresholds of the gate for runs of `track`.
+    pub fn gate_file(&self, track: Track) -> PathBuf {
+        let name = match track {
+            Track::Ideal => GATE,
+            Track::Clinical => CLINICAL_GATE,
+        };
+        self.root.join(name).with_extension("toml")
     }
 
     /// The ablations.
@@ -129,7 +139,7 @@ mod tests {
     #[test]
     fn cases_are_found_by_id_or_path_and_the_gate_is_none() {
         let folder = tempfile::tempdir().unwrap();
-        for name in ["case1.toml", "case2.toml", "gate.toml", "ablations.toml"] {
+        for name in ["case1.toml", "case2.toml", "gate.toml", "gate-clinical.toml", "ablations.toml"] {
             std::fs::write(folder.path().join(name), "").unwrap();
         }
         let catalogue = Catalogue::open(Some(folder.path())).unwrap();

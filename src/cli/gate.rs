@@ -24,7 +24,7 @@ pub struct GateArguments {
     /// Report folder to judge
     #[arg(long, value_name = "DIR", required_unless_present = "limits_from")]
     results: Option<PathBuf>,
-    /// Limits [default: gate.toml beside the cases]
+    /// Limits [default: gate.toml beside the cases, for a run of the clinical track gate-clinical.toml]
     #[arg(long, value_name = "FILE")]
     thresholds: Option<PathBuf>,
     /// Report folder to compare with; of several, the first one that was made from the same films
@@ -53,13 +53,13 @@ pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
         let out = arguments.out.unwrap_or_default();
         return write_limits(&arguments.limits_from, &out, terminal);
     };
+    terminal.stage("reading the results");
+    let results = read::read(folder)?;
     let limits = match arguments.thresholds {
         Some(file) => file,
-        None => arguments.catalogue.open()?.gate_file(),
+        None => arguments.catalogue.open()?.gate_file(results.track),
     };
-    terminal.stage("reading the results");
     let mut thresholds = read_thresholds(&limits)?;
-    let results = read::read(folder)?;
     let baseline = chosen(&results, &arguments.baseline)?;
     if let Some((baseline, path)) = &baseline {
         results.check_track(baseline).map_err(|e| e.at(path))?;

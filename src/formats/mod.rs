@@ -1,20 +1,25 @@
 //! One external file format per file, pure functions both ways. Damaged input gives an error that names file and
 //! element, never a panic.
 
+#[cfg(feature = "methods")]
 pub mod colmap;
 mod damage;
+#[cfg(feature = "methods")]
 pub mod depth_png;
 #[cfg(feature = "program")]
 pub mod dicom;
 #[cfg(feature = "program")]
 mod dicom_elements;
 pub mod exr;
+#[cfg(feature = "methods")]
 pub mod gaussians_ply;
+#[cfg(feature = "methods")]
 pub mod glb;
 #[cfg(feature = "trace")]
 pub mod jpeg;
 #[cfg(feature = "trace")]
 mod jpeg_decode;
+#[cfg(feature = "methods")]
 pub mod landmarks;
 pub mod mesh;
 mod mesh_obj;
@@ -27,9 +32,12 @@ pub mod nifti;
 pub mod npy;
 pub mod number_table;
 pub mod png;
+#[cfg(feature = "methods")]
 pub mod points_ply;
+#[cfg(feature = "methods")]
 pub mod tiff_grey;
 pub mod transforms;
+#[cfg(feature = "methods")]
 pub mod tum;
 #[cfg(feature = "program")]
 pub mod volume;

@@ -4,9 +4,9 @@
 //! The deviation is that between the seeds of a case, pooled over cases. A method that draws nothing, so that seeds change
 //! none of its values, has none; then it is that of the differences of single cases between two films of the case that differ in
 //! nothing but their sampling, nine of them at least. No allowance is less than half a unit of the last decimal that
-//! tables show: a difference that no table shows is none.
+//! tables show: a difference that no table shows is none. A metric that fewer than nine cases have has no limit.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -43,7 +43,8 @@ pub struct ComputedLimit {
 
 /// The limits of every method and metric that the runs have values of; methods sorted, metrics in the registry's order.
 ///
-/// Errors: runs of two tracks; a method without spread between seeds that fewer than nine single cases show on two films.
+/// Errors: runs of two tracks; a method without spread between seeds that fewer than nine single cases show on two films,
+/// unless no more cases have the metric.
 pub fn limits_from(runs: &[Results]) -> Result<Vec<ComputedLimit>> {
     let Some(first) = runs.first() else { return Ok(Vec::new()) };
     runs.iter().try_for_each(|run| first.check_track(run))?;
@@ -54,11 +55,20 @@ pub fn limits_from(runs: &[Results]) -> Result<Vec<ComputedLimit>> {
     let metrics = || registry().iter().filter(|m| !m.is_runtime());
     for method in methods {
         let source = if draws(runs, method) { LimitSource::Seeds } else { LimitSource::SingleCases };
-        for metric in metrics() {
-            found.extend(limit_of(runs, method, metric, source)?);
+        let of_method: Vec<ComputedLimit> =
+            metrics().filter_map(|metric| limit_of(runs, method, metric, source).transpose()).collect::<Result<_>>()?;
+        if of_method.is_empty() && source == LimitSource::SingleCases {
+            return Err(too_few(method, "any metric", 0));
         }
+        found.extend(of_method);
     }
     Ok(found)
+}
+
+fn too_few(method: &str, metric: &str, cases: usize) -> Error {
+    Error::input(format!(
+        "{method} has no spread between seeds, and {cases} single cases with {metric} on two films: {LEAST_DIFFERENCES} are needed"
+    ))
 }
 
 fn limit_of(runs: &[Results], method: &str, metric: &Metric, source: LimitSource) -> Result<Option<ComputedLimit>> {
@@ -70,12 +80,10 @@ fn limit_of(runs: &[Results], method: &str, metric: &Metric, source: LimitSource
         LimitSource::SingleCases => {
             let differences = single_case_differences(runs, method, metric);
             if differences.len() < LEAST_DIFFERENCES {
-                return Err(Error::input(format!(
-                    "{method} has no spread between seeds, and {} single cases with {} on two films: {LEAST_DIFFERENCES} \
-                     are needed",
-                    differences.len(),
-                    metric.id
-                )));
+                let of_runs = runs.iter().flat_map(|run| run.case_values(method, metric.id));
+                let cases: BTreeSet<&str> = of_runs.map(|(case, _)| case).collect();
+                let is_rare = cases.len() < LEAST_DIFFERENCES;
+                return if is_rare { Ok(None) } else { Err(too_few(method, metric.id, differences.len())) };
             }
             deviation(&differences).unwrap_or(0.0)
         }

@@ -231,9 +231,11 @@ impl SplatKernels for f32 {
         native::chain(scene.isa, &native_scene, &moments, out)
     }
 
-    /// Not for `Filter::Compensate`, under which opacities change: the velocity of a splat has no column for that.
+    /// Not for `Filter::Compensate`, under which opacities change: the velocity of a splat has no column for that. Only
+    /// with the feature `methods` (`WITH_DIRECTIONS` in `cpp/splat/kernel.h`).
     fn velocity_kernels(scene: &KernelScene<'_, f32>) -> Option<VelocityKernels<f32>> {
-        (scene.camera.is_some() && scene.projector.filter == Filter::Dilate).then_some(VelocityKernels {
+        let serves = cfg!(feature = "methods") && scene.projector.filter == Filter::Dilate;
+        (serves && scene.camera.is_some()).then_some(VelocityKernels {
             velocities: vector_velocities,
             forward: vector_forward,
             develop: vector_develop,
