@@ -10,6 +10,7 @@ pub mod ablation;
 pub mod benchmark_json;
 pub mod compare;
 pub mod differences;
+mod document;
 pub mod gate;
 pub mod gate_files;
 pub mod gate_limits;
