@@ -11,6 +11,8 @@ mod dicom_elements;
 pub mod exr;
 pub mod gaussians_ply;
 pub mod glb;
+#[cfg(feature = "program")]
+pub mod http;
 #[cfg(feature = "trace")]
 pub mod jpeg;
 #[cfg(feature = "trace")]

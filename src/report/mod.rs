@@ -4,6 +4,7 @@
 //! Run (cells with their scores) -> write() -> results.csv frames.csv timings.csv comparison.csv summary.csv
 //!                                             differences.csv run.json report.md report.html table.tex plots/ panels/
 //!                                             films/ scenes.json manifest.json
+//! live: the page of `track`, which shows lines as they come
 //! ```
 
 pub mod ablation;
@@ -19,6 +20,7 @@ mod gate_tests;
 mod gather;
 mod html;
 mod latex;
+pub mod live;
 mod markdown;
 pub mod merge;
 #[cfg(test)]
