@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Opens a report in headless Chromium (software WebGL) and checks it: scripts/test-page.sh [REPORT.html [PICTURES]]
-# Default: the smoke run's, that run merged with a prediction of one's own, and one of both tracks. PICTURES: a folder for screenshots and a
-# print. Takes about 25 s; installs Debian's chromium where it is missing and can be had, and otherwise says loudly that
-# nothing was checked.
+# Default: the smoke run's, that run merged with a prediction of one's own, one of both tracks, and the page of `track`
+# while it follows a film. PICTURES: a folder for screenshots and a print. Takes about a minute; installs Debian's chromium
+# where it is missing and can be had, and otherwise says loudly that nothing was checked.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=test-page
@@ -39,3 +39,7 @@ python3 -B tests/page/test_merged.py "$chromium" "$work/table/report.html" mine
   --cache "$smoke/cache" >/dev/null 2>&1
 "$bench" merge "$work"/both/smoke-* --out "$work/page" >/dev/null
 python3 -B tests/page/test_tracks.py "$chromium" "$work/page/report.html"
+
+# --- the live page, while a small clinical film is followed ---------------------------------------------------------------------
+"$bench" simulate case1 --profile smoke --track clinical --out "$work/films" >/dev/null 2>&1
+python3 -B tests/page/test_live.py "$chromium" "$bench" "$work/films/case1"

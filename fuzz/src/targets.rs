@@ -24,6 +24,7 @@ use respire_bench::bench::store::{MARKER, ProductState, Store};
 use respire_bench::bench::{Ablations, Profile, timing};
 use respire_bench::experiments::ct_loop::result::LoopResult;
 use respire_bench::experiments::ct_loop::tables;
+use respire_bench::formats::http::{self, HttpStatus};
 use respire_bench::formats::transforms::Transforms;
 use respire_bench::formats::{depth_png, exr, gaussians_ply, landmarks, mesh, nifti, npy, png, volume};
 use respire_bench::reconstruct::MethodFile;
@@ -57,6 +58,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "exr", run: read_exr },
     Target { name: "gate", run: thresholds },
     Target { name: "gaussians", run: gaussians },
+    Target { name: "http", run: http_request },
     Target { name: "landmarks", run: read_landmarks },
     Target { name: "live_poses", run: live_poses },
     Target { name: "loop_result", run: loop_result },
@@ -480,6 +482,14 @@ fn live_poses(bytes: &[u8], _: &Scratch) {
         assert!(time_s > last_s && time_s <= 1e7 && rotation_error(&pose) < 0.01);
         assert!(pose.translation.abs().max_element() <= 1e4);
         last_s = time_s;
+    }
+}
+
+fn http_request(bytes: &[u8], _: &Scratch) {
+    match http::read_request(bytes) {
+        Ok(Some(request)) => assert!(request.path.starts_with('/') && !request.host.contains(['\r', '\n'])),
+        Ok(None) => assert!(bytes.len() < http::MOST_HEAD_BYTES),
+        Err(status) => assert!(status != HttpStatus::Ok),
     }
 }
 

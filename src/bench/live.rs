@@ -15,11 +15,11 @@ use serde::Serialize;
 
 use super::catalogue::Catalogue;
 use super::live_poses::LivePoses;
-use super::pipeline::{method_of, open_given};
+use super::pipeline::method_of;
 use super::stages::caught;
 use crate::base::{Camera, Error, Image, Progress, Result, files};
 use crate::formats::png;
-use crate::reconstruct::{self, ArrivedFrame, LiveAnswer, TrackState};
+use crate::reconstruct::{self, ArrivedFrame, LiveAnswer, TrackState, WallMask};
 use crate::simulate::participant::Given;
 
 /// How often a folder is looked at for new pictures, and a wait asks whether it was called off.
@@ -83,6 +83,20 @@ pub struct LiveLine {
     pub latency_ms: f64,
     /// Frames left out just before.
     pub left_out: usize,
+}
+
+/// The picture that a line is about.
+pub struct LivePicture {
+    /// 8-bit sRGB, of the camera's size.
+    pub image: Arc<Image<u8>>,
+    mask: Option<WallMask>,
+}
+
+impl LivePicture {
+    /// How much each pixel counted as wall, 0 to 255, drawn now; `None` where the method does not tell.
+    pub fn wall(&self) -> Option<Image<u8>> {
+        self.mask.as_ref().map(WallMask::picture)
+    }
 }
 
 /// What a followed film came to.
@@ -175,7 +189,10 @@ impl Queue {
     }
 }
 
-/// Lets the method `id` follow `film`, a film or a participant's folder, and hands each answer to `report`.
+/// A frame that the method has: its number, time and arrival, the frames left out before it, its picture.
+type CurrentFrame = (usize, f64, Instant, usize, Arc<Image<u8>>);
+
+/// Lets the method `id` follow `film` and hands each answer, with its picture, to `report`.
 ///
 /// Errors: an unknown profile or method, one that does not follow frames; those of reading, of the method and of
 /// `report`; masks from a method that has none; `Interrupted` between frames.
@@ -183,16 +200,15 @@ pub fn follow(
     catalogue: &Catalogue,
     profile: &str,
     (id, seed): (&str, u64),
-    film: &Path,
+    film: Arc<dyn Given>,
     options: LiveOptions,
-    report: &mut dyn FnMut(&LiveLine) -> Result<()>,
+    report: &mut dyn FnMut(&LiveLine, LivePicture) -> Result<()>,
     progress: &dyn Progress,
 ) -> Result<LiveSummary> {
     let method = method_of(catalogue, profile, id)?;
     let Some(live) = method.live() else {
         return Err(Error::usage(format!("`{id}` takes whole films; `ours-gn` and what builds on it follows frames")));
     };
-    let film: Arc<dyn Given> = open_given(film)?.into();
     let known = reconstruct::observe_first(film.as_ref(), method.access(), seed)?;
     let given = reconstruct::given_poses(film.as_ref(), method.access(), seed);
     let times = film.given_frames().into_iter().map(|frame| frame.time_s);
@@ -211,27 +227,24 @@ pub fn follow(
         .map_err(|e| Error::input(format!("cannot start a thread: {e}")))?;
 
     let mut summary = LiveSummary::default();
-    // Number, time, arrival and frames left out of the frame that the method has.
-    let current: Cell<Option<(usize, f64, Instant, usize)>> = Cell::new(None);
+    let current: Cell<Option<CurrentFrame>> = Cell::new(None);
     let mut next = || -> Result<Option<ArrivedFrame>> {
         let Some(Waiting { number, since, frame }) = queue.take(progress)? else { return Ok(None) };
-        current.set(Some((number, frame.time_s, since, frame.left_out)));
+        current.set(Some((number, frame.time_s, since, frame.left_out, Arc::clone(&frame.image))));
         Ok(Some(frame))
     };
-    let mut answer = |answer: LiveAnswer| -> Result<()> {
-        let (frame, time_s, since, left_out) = current.get().expect("an answer follows a frame");
+    let mut answer = |mut answer: LiveAnswer| -> Result<()> {
+        let (frame, time_s, since, left_out, image) = current.take().expect("an answer follows a frame");
         let latency_ms = 1e3 * since.elapsed().as_secs_f64();
         summary.frames += 1;
         summary.left_out += left_out;
         summary.latencies_ms.push(latency_ms);
-        match (&masks, &answer.mask) {
-            (Some(folder), Some(mask)) => png::write_grey(&folder.join(format!("{frame:06}.png")), &mask.picture())?,
-            (Some(_), None) => {
-                return Err(Error::usage(format!("--masks: `{id}` does not tell the wall from what covers it")));
-            }
-            (None, _) => {}
+        let picture = LivePicture { image, mask: answer.mask.take() };
+        if let Some(folder) = &masks {
+            let untold = || Error::usage(format!("--masks: `{id}` does not tell the wall from what covers it"));
+            png::write_grey(&folder.join(format!("{frame:06}.png")), &picture.wall().ok_or_else(untold)?)?;
         }
-        report(&line(&answer, frame, time_s, latency_ms, left_out))
+        report(&line(&answer, frame, time_s, latency_ms, left_out), picture)
     };
     let outcome = live.follow(&known, &mut next, &mut answer);
     queue.lock().abandoned = true;
@@ -299,7 +312,7 @@ impl Reader {
                 None => *table.get(number).ok_or_else(missing)?,
                 Some(poses) => poses.next_pose()?.ok_or_else(missing)?,
             };
-            let frame = ArrivedFrame { image, time_s, world_from_camera, left_out: 0 };
+            let frame = ArrivedFrame { image: Arc::new(image), time_s, world_from_camera, left_out: 0 };
             if !queue.push(Waiting { number, since, frame }, leaves_out) {
                 return Ok(());
             }
@@ -373,7 +386,7 @@ mod tests {
     use crate::base::NoProgress;
 
     fn waiting(number: usize) -> Waiting {
-        let image = Image { width: 1, height: 1, channels: 3, data: vec![0; 3] };
+        let image = Arc::new(Image { width: 1, height: 1, channels: 3, data: vec![0; 3] });
         let frame = ArrivedFrame { image, time_s: 0.0, world_from_camera: DAffine3::IDENTITY, left_out: 0 };
         Waiting { number, since: Instant::now(), frame }
     }

@@ -355,7 +355,7 @@ pub(super) fn method_of(catalogue: &Catalogue, profile: &str, id: &str) -> Resul
 }
 
 /// A film, or a participant's folder. Errors: it is neither.
-pub(super) fn open_given(folder: &Path) -> Result<Box<dyn Given>> {
+pub fn open_given(folder: &Path) -> Result<Box<dyn Given>> {
     Ok(if Participant::is_at(folder) {
         Box::new(Participant::open(folder)?)
     } else {

@@ -1,17 +1,24 @@
 //! `track`: answers while the film goes on.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use super::Terminal;
 use super::selection::CatalogueFolder;
 use super::terminal::complain;
 use crate::base::range::{NumberRange, SEED};
-use crate::base::{Error, Progress, Result};
-use crate::bench::live::{self, FrameFeed, LiveOptions};
+use crate::base::{Error, ErrorKind, Progress, Result};
+use crate::bench::live::{self, FrameFeed, LiveOptions, LiveSummary};
+use crate::bench::pipeline::open_given;
+use crate::report::live::{LiveAddress, LiveEnd, LivePage, ShownFrame};
+use crate::simulate::participant::Given;
 
 /// Seconds without a new picture after which a folder has ended.
 const PATIENCE_S: NumberRange = NumberRange::new(0.0, 86_400.0);
+/// How often the page that is left open asks for Ctrl-C.
+const LOOK_AGAIN: Duration = Duration::from_millis(50);
 
 /// Arguments of `track`.
 #[derive(clap::Args)]
@@ -23,7 +30,8 @@ const PATIENCE_S: NumberRange = NumberRange::new(0.0, 86_400.0);
     ffmpeg -i /dev/video0 -f rawvideo -pix_fmt rgb24 - | respire-bench track --sequence DIR --raw --poses FIFO\n\
     Each line has frame, time_s, state (tracking, unsure, lost), phase and its standard deviation, pose, targets and \
     the covariance of their places, the latency and how many frames were left out. At the end latencies are printed \
-    on standard error.\nExample: respire-bench track --sequence my/film --paced"
+    on standard error.\n\
+    --page shows all of it in a browser, and stays open after the last frame until Ctrl-C.\nExample: respire-bench track --sequence my/film --paced"
 )]
 pub struct TrackArguments {
     /// A film or a participant's folder
@@ -59,12 +67,51 @@ pub struct TrackArguments {
     /// Folder for masks: a PNG for each answer, bright where the picture counted as wall (ours-nav)
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
+    /// Show the airway, the scope and the answers as a page at this address and port, 127.0.0.1:8080 unless named
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080",
+        value_parser = address_and_port)]
+    page: Option<SocketAddr>,
     #[command(flatten)]
     catalogue: CatalogueFolder,
 }
 
+fn address_and_port(text: &str) -> Result<SocketAddr, String> {
+    text.parse()
+        .map_err(|_| "needs an address and a port, for instance 127.0.0.1:8080; port 0 is any free one".to_owned())
+}
+
+/// Serves the page and says where. Anyone who reaches another address than a loopback one sees the pictures.
+fn serve(address: LiveAddress, arguments: &TrackArguments, film: &dyn Given) -> Result<LivePage> {
+    let folder = arguments.sequence.canonicalize().unwrap_or_else(|_| arguments.sequence.clone());
+    let name = folder.file_name().map_or_else(|| "film".into(), |name| name.to_string_lossy());
+    let page = LivePage::serve(address, film, &name, &arguments.method)?;
+    complain(format_args!("page: http://{}/", page.address()));
+    Ok(page)
+}
+
+/// What the page says after the last frame.
+fn end_of(outcome: &Result<LiveSummary>) -> LiveEnd {
+    let none = LiveSummary::default();
+    let (summary, error) = match outcome {
+        Ok(summary) => (summary, None),
+        Err(error) if error.kind() == ErrorKind::Interrupted => (&none, Some("by Ctrl-C".into())),
+        Err(error) => (&none, Some(error.to_string())),
+    };
+    LiveEnd {
+        frames: summary.frames,
+        left_out: summary.left_out,
+        latency_ms: [0.5, 0.99].map(|share| summary.latency_ms(share)),
+        error,
+    }
+}
+
 /// Follows, and prints a line for each answer.
 pub fn run(arguments: TrackArguments, terminal: &Terminal) -> Result<()> {
+    // Before anything that takes long: the port may be in use.
+    let address = arguments.page.map(LiveAddress::take).transpose()?;
+    let catalogue = arguments.catalogue.open()?;
+    let film: Arc<dyn Given> = open_given(&arguments.sequence)?.into();
+    let page = address.map(|address| serve(address, &arguments, film.as_ref())).transpose()?;
     let feed = match (&arguments.images, arguments.raw, arguments.paced) {
         (Some(folder), ..) => FrameFeed::Folder(folder.clone(), Duration::from_secs_f64(arguments.patience_s)),
         (None, true, _) => FrameFeed::Raw(Box::new(std::io::stdin())),
@@ -73,17 +120,24 @@ pub fn run(arguments: TrackArguments, terminal: &Terminal) -> Result<()> {
     };
     let options =
         LiveOptions { feed, poses: arguments.poses, every_frame: arguments.every_frame, masks: arguments.masks };
-    let mut report = |line: &live::LiveLine| {
+    let mut report = |line: &live::LiveLine, picture: live::LivePicture| {
         if terminal.cancelled() {
             return Err(Error::interrupted());
         }
-        terminal.line(serde_json::to_string(line).map_err(|e| Error::input(format!("cannot be written: {e}")))?);
+        let line = serde_json::to_string(line).map_err(|e| Error::input(format!("cannot be written: {e}")))?;
+        terminal.line(&line);
+        if let Some(page) = &page {
+            let image = Arc::clone(&picture.image);
+            page.push(&line, ShownFrame { image, wall: Box::new(move || picture.wall()) });
+        }
         Ok(())
     };
     let method = (arguments.method.as_str(), arguments.seed);
-    let catalogue = arguments.catalogue.open()?;
-    let film = &arguments.sequence;
-    let summary = live::follow(&catalogue, &arguments.profile, method, film, options, &mut report, terminal)?;
+    let outcome = live::follow(&catalogue, &arguments.profile, method, film, options, &mut report, terminal);
+    if let Some(page) = &page {
+        page.end(&end_of(&outcome));
+    }
+    let summary = outcome?;
     complain(format_args!(
         "{} frames answered, {} left out; latency {:.1} ms (median), {:.1} ms (99 %)",
         summary.frames,
@@ -91,5 +145,11 @@ pub fn run(arguments: TrackArguments, terminal: &Terminal) -> Result<()> {
         summary.latency_ms(0.5),
         summary.latency_ms(0.99)
     ));
+    if page.is_some() {
+        complain("the film has ended; the page stays until Ctrl-C");
+        while !terminal.cancelled() {
+            std::thread::sleep(LOOK_AGAIN);
+        }
+    }
     Ok(())
 }

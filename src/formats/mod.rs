@@ -15,6 +15,8 @@ pub mod exr;
 pub mod gaussians_ply;
 #[cfg(feature = "methods")]
 pub mod glb;
+#[cfg(feature = "program")]
+pub mod http;
 #[cfg(feature = "trace")]
 pub mod jpeg;
 #[cfg(feature = "trace")]

@@ -4,6 +4,8 @@
 //! of it. Every eighth frame is also rendered *before* its image may be used (`ahead`), and after it was fitted from a
 //! second camera whose picture the method never sees (`novel`).
 
+use std::sync::Arc;
+
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::settings::{Listing, MethodHeader};
@@ -150,8 +152,8 @@ pub struct Reconstruction {
 /// A frame as it reaches a method that follows a scope.
 #[derive(Clone, Debug)]
 pub struct ArrivedFrame {
-    /// 8-bit sRGB image, of the camera's size.
-    pub image: Image<u8>,
+    /// 8-bit sRGB image, of the camera's size; shared with who shows it.
+    pub image: Arc<Image<u8>>,
     /// Seconds since the first frame.
     pub time_s: f64,
     /// Known pose.

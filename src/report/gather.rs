@@ -5,7 +5,8 @@ use rayon::prelude::*;
 
 use super::run::{CaseInfo, Run};
 use super::scene::{
-    AirwayScene, FilmKey, FilmScene, Packed, Pictures, ReducedAirway, RowScene, Scenes, SurfaceScene, spread,
+    AIRWAY_VERTICES, AirwayScene, FilmKey, FilmScene, Packed, Pictures, ReducedAirway, RowScene, Scenes, SurfaceScene,
+    spread,
 };
 use crate::base::{Error, Image, Progress, Result, TriangleMesh};
 use crate::formats::jpeg;
@@ -22,8 +23,6 @@ const QUALITY: u8 = 82;
 const WHOLE_QUALITY: u8 = 88;
 /// Characters that all kept pictures of a run may take.
 const PICTURE_CHARACTERS: usize = 9_000_000;
-/// Vertices of an airway. The same in every run, so that what is known at vertices fits together when runs are merged.
-const VERTICES: usize = 12_000;
 /// Contours are kept to a tenth of a micrometre.
 const CONTOUR_STEPS_PER_MM: f64 = 1e4;
 
@@ -40,7 +39,7 @@ struct Keeping {
 ///
 /// Errors: a film or prediction that cannot be read again.
 pub fn gather(run: &Run, progress: &dyn Progress) -> Result<Scenes> {
-    let keeping = Keeping { frames: FRAMES, side_px: SIDE_PX, quality: QUALITY, vertices: VERTICES };
+    let keeping = Keeping { frames: FRAMES, side_px: SIDE_PX, quality: QUALITY, vertices: AIRWAY_VERTICES };
     let mut scenes = run.scenes.clone();
     for (done, case) in run.cases.iter().enumerate() {
         if progress.cancelled() {
@@ -187,7 +186,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let run = sample_run(folder.path(), 16, 9);
         let truth = BeyondPhase(TubeTruth::new("case1", 16, 9));
-        let keeping = Keeping { frames: FRAMES, side_px: SIDE_PX, quality: QUALITY, vertices: VERTICES };
+        let keeping = Keeping { frames: FRAMES, side_px: SIDE_PX, quality: QUALITY, vertices: AIRWAY_VERTICES };
         let ideal = of_case(&run, &run.cases[0], &truth.0, keeping).unwrap();
         let scenes = of_case(&run, &run.cases[0], &truth, keeping).unwrap();
         let (film, places) = (&scenes.films[0], scenes.films[0].targets_by_frame_mm.as_ref().unwrap());

@@ -2,9 +2,10 @@
 //! need no script; the airway, the films and the curves under one cursor are drawn by the scripts in `page/` from the
 //! data of each case (`page_data`), read when the case is opened.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 
 use super::differences::NeighbourDifference;
+use super::document::document;
 use super::markdown::{NEIGHBOURS_MEAN, ahead};
 use super::page_data::case_data;
 use super::palette::{Palette, RowStyle};
@@ -24,10 +25,8 @@ const FILM_BYTES: usize = 2_000_000;
 const VERTEX_BYTES: usize = 32;
 const ERROR_BYTES: f64 = 4.0 / 3.0;
 
-const STYLE: &str = include_str!("page/page.css");
-/// In this order: the later ones use the earlier ones.
-const SCRIPTS: [&str; 3] =
-    [include_str!("page/scene.js"), include_str!("page/player.js"), include_str!("page/table.js")];
+/// In this order, after the scripts that all pages share.
+const SCRIPTS: [&str; 2] = [include_str!("page/player.js"), include_str!("page/table.js")];
 
 /// What a page shows of one track.
 #[derive(Clone, Copy)]
@@ -91,6 +90,8 @@ pub fn whole_film(track: &TrackReport<'_>, case: &CaseInfo) -> String {
     let title = format!("{}: the whole film", case.heading());
     document(
         &title,
+        "",
+        &SCRIPTS,
         html! {
             h1 { (case.heading()) " " small { "whole film, " (run.id) } }
             div #tools {}
@@ -102,30 +103,12 @@ pub fn whole_film(track: &TrackReport<'_>, case: &CaseInfo) -> String {
     )
 }
 
-fn document(title: &str, body: Markup) -> String {
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                link rel="icon" href="data:,";
-                title { (title) }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                (body)
-                @for script in SCRIPTS { script { (PreEscaped(script)) } }
-            }
-        }
-    }
-    .into_string()
-}
-
 fn assembled(tracks: &[TrackReport<'_>], scenes: &[Scenes], detail: CaseDetail) -> String {
     let title = tracks.first().map_or_else(String::new, |track| format!("respire-bench: {}", track.run.id));
     document(
         &title,
+        "",
+        &SCRIPTS,
         html! {
             h1 { "respire-bench " small { @for track in tracks { (track.run.id) " " } } }
             div #tools {}

@@ -4,12 +4,14 @@
 //! Run (cells with their scores) -> write() -> results.csv frames.csv timings.csv comparison.csv summary.csv
 //!                                             differences.csv run.json report.md report.html table.tex plots/ panels/
 //!                                             films/ scenes.json manifest.json
+//! live: the page of `track`, which shows lines as they come
 //! ```
 
 pub mod ablation;
 pub mod benchmark_json;
 pub mod compare;
 pub mod differences;
+mod document;
 pub mod gate;
 pub mod gate_files;
 pub mod gate_limits;
@@ -18,6 +20,7 @@ mod gate_tests;
 mod gather;
 mod html;
 mod latex;
+pub mod live;
 mod markdown;
 pub mod merge;
 #[cfg(test)]

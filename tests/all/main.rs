@@ -37,4 +37,5 @@ mod splat;
 mod start_poses;
 mod third_parties;
 mod track;
+mod track_page;
 mod truth_maps;

@@ -101,7 +101,7 @@ macro_rules! readers {
 }
 
 readers! {
-    ablations case centerline clinical depth_png dicom environments exr gate gaussians landmarks live_poses loop_result
+    ablations case centerline clinical depth_png dicom environments exr gate gaussians http landmarks live_poses loop_result
     lung_box marker merge metaimage method nifti npy obj participant ply png
     prediction profile results scene scenes score sequence stl timings transforms tree tree_table
 }

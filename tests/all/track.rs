@@ -13,12 +13,12 @@ use crate::all_cases::TINY;
 use crate::binary::{program, run};
 use crate::third_parties::{accepted, refused};
 
-const FRAMES: usize = 9;
+pub const FRAMES: usize = 9;
 
-struct Place(tempfile::TempDir);
+pub struct Place(tempfile::TempDir);
 
 impl Place {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let place = Place(tempfile::tempdir().unwrap());
         let profile = TINY.replace("minimum_frames = 3", &format!("minimum_frames = {FRAMES}"));
         fs::write(place.path("tiny.toml"), profile).unwrap();
@@ -30,11 +30,11 @@ impl Place {
         self.0.path().join(name)
     }
 
-    fn text(&self, name: &str) -> String {
+    pub fn text(&self, name: &str) -> String {
         self.path(name).to_str().unwrap().to_owned()
     }
 
-    fn words(&self, more: &[&str]) -> Vec<String> {
+    pub fn words(&self, more: &[&str]) -> Vec<String> {
         let (film, profile) = (self.text("films/case1"), self.text("tiny.toml"));
         let words = ["track", "--sequence", &film, "--profile", &profile];
         words.iter().chain(more).map(|word| (*word).to_owned()).collect()
@@ -50,7 +50,7 @@ impl Place {
     }
 
     /// The film's pictures as ffmpeg's raw frames.
-    fn raw(&self) -> Vec<u8> {
+    pub fn raw(&self) -> Vec<u8> {
         (0..FRAMES).flat_map(|frame| image::open(self.image(frame)).unwrap().into_rgb8().into_raw()).collect()
     }
 

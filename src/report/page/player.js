@@ -2,28 +2,10 @@
 // A case: the film beside the renderings, errors over time and the airway, all under one cursor. Data are read when a
 // case is opened, and forgotten when another one is.
 
-const el = (tag, attributes = {}, ...children) => {
-  const svg = ["svg", "path", "line", "text", "g", "rect", "circle"].includes(tag);
-  const node = svg ? document.createElementNS("http://www.w3.org/2000/svg", tag) : document.createElement(tag);
-  for (const [key, value] of Object.entries(attributes))
-    if (key.startsWith("on")) node.addEventListener(key.slice(2), value);
-    else if (value === true) node.setAttribute(key, "");
-    else if (value !== false && value != null) node.setAttribute(key, value);
-  node.append(...children.filter(child => child != null));
-  return node;
-};
-
-// --- typed arrays from base64, little-endian as every browser's machine --------------------------------------------
-const bytesOf = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
-const floatsOf = text => new Float32Array(bytesOf(text).buffer);
-const wordsOf = text => new Uint16Array(bytesOf(text).buffer);
-
 // What the scene asks of a film.
 function decodeFilm(data) {
   const film = data.film;
   if (!film || !film.airway) return null;
-  const { low_mm, step_mm } = film.airway;
-  const places = text => Float32Array.from(wordsOf(text), (v, k) => low_mm[k % 3] + step_mm * v);
   const phases = floatsOf(film.phases), targets = floatsOf(film.targets_mm), count = targets.length / 6;
   const lerp = (values, at) => {
     const a = Math.min(values.length - 1, Math.floor(at)), b = Math.min(values.length - 1, a + 1);
@@ -33,15 +15,18 @@ function decodeFilm(data) {
   const byFrame = film.targets_by_frame_mm ? floatsOf(film.targets_by_frame_mm) : null;
   const nearestSample = frame => nearest(data.samples, frame);
   return {
-    airway: { inspiration: places(film.airway.inspiration), expiration: places(film.airway.expiration), last: film.airway.last ? places(film.airway.last) : null, faces: wordsOf(film.airway.faces) },
+    airway: decodeAirway(film.airway),
     poses: floatsOf(film.poses), tanHalfHeight: film.tan_half_height,
     truePhase: frame => lerp(phases, frame),
     statedPhase: (row, frame) => row.phase[nearestSample(frame)],
-    // In mm, for the colour of the path: targets where the row states them, depth otherwise.
-    errorAt: (row, frame) => {
+    // Of the path: by the error in mm of targets where the row states them, of depth otherwise.
+    colorAt: (row, frame) => {
       for (const id of ["target_mean_mm", "depth_rmse_mm"]) {
         const k = data.metrics.findIndex(m => m.id === id);
-        if (k >= 0 && row.series[k].some(v => v != null)) return row.series[k][nearestSample(frame)];
+        if (k >= 0 && row.series[k].some(v => v != null)) {
+          const error = row.series[k][nearestSample(frame)];
+          return error == null ? null : errorColor(error);
+        }
       }
       return null;
     },
@@ -61,16 +46,6 @@ function decodeFilm(data) {
       return Array.from({ length: count }, (_, k) => [...row.targets.subarray(at + 3 * k, at + 3 * k + 3)]);
     },
   };
-}
-
-// Index of the number of an ascending list that is nearest to `value`.
-function nearest(list, value) {
-  let low = 0, high = list.length - 1;
-  while (high - low > 1) {
-    const middle = (low + high) >> 1;
-    if (list[middle] <= value) low = middle; else high = middle;
-  }
-  return Math.abs(list[low] - value) <= Math.abs(list[high] - value) ? low : high;
 }
 
 // --- the film ------------------------------------------------------------------------------------------------------
@@ -195,14 +170,6 @@ class ErrorPlot {
   }
 }
 
-const label = v => v === 0 ? "0" : String(Number(v.toPrecision(3)));
-function linearTicks(low, high, wanted) {
-  const rough = (high - low) / wanted, power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map(k => k * power).find(s => s >= rough) || 10 * power;
-  const out = [];
-  for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + 1e-9 * step; v += step) out.push(Math.abs(v) < step / 1e6 ? 0 : v);
-  return out;
-}
 function logTicks(low, high, wanted) {
   const decades = [];
   for (let d = Math.floor(Math.log10(low)); d <= Math.ceil(Math.log10(high)); d++) decades.push(d);
@@ -372,8 +339,3 @@ class CasePlayer {
     this.host.replaceChildren();
   }
 }
-
-const check = (text, on, change) => {
-  const input = el("input", { type: "checkbox", checked: on, onchange: () => change(input.checked) });
-  return el("label", { class: "check" }, input, ` ${text}`);
-};

@@ -19,27 +19,8 @@ const errorColor = mm => {
   return a.map((v, c) => v + (b[c] - v) * (at - k));
 };
 
-// --- small vectors ---------------------------------------------------------------------------------------------
-const sub = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-const madd = (a, b, s) => [a[0] + b[0] * s, a[1] + b[1] * s, a[2] + b[2] * s];
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-const unit = a => { const l = Math.hypot(...a) || 1; return [a[0] / l, a[1] / l, a[2] / l]; };
-const mix3 = (a, b, t) => [0, 1, 2].map(k => a[k] + (b[k] - a[k]) * t);
-
-function multiply(a, b) {
-  const out = new Float32Array(16);
-  for (let c = 0; c < 4; c++) for (let r = 0; r < 4; r++)
-    for (let k = 0; k < 4; k++) out[4 * c + r] += a[4 * k + r] * b[4 * c + k];
-  return out;
-}
-function perspective(tanHalf, aspect, near, far) {
-  const f = 1 / tanHalf, d = near - far;
-  return new Float32Array([f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / d, -1, 0, 0, 2 * far * near / d, 0]);
-}
-// A view from `eye` with axes right, up and back (unit vectors).
-const viewOf = (eye, x, y, z) => new Float32Array([
-  x[0], y[0], z[0], 0, x[1], y[1], z[1], 0, x[2], y[2], z[2], 0, -dot(x, eye), -dot(y, eye), -dot(z, eye), 1]);
+// Half the side of what is seen around the scope, from near; mm: some branches on every side.
+const NEAR_MM = 26;
 
 // --- shaders ---------------------------------------------------------------------------------------------------
 // Both breath holds are on the GPU; the slider moves one uniform. `invariant`: the depth pass and the colour pass must
@@ -112,40 +93,6 @@ void main() {
   color = vec4(ink.rgb * key * ink.a, ink.a);
 }`;
 
-// --- geometry that changes with the cursor -----------------------------------------------------------------------
-class Solids {
-  constructor() { this.data = []; }
-  vertex(p, n, color, alpha) { this.data.push(p[0], p[1], p[2], n[0], n[1], n[2], color[0], color[1], color[2], alpha); }
-  // A tube with one radius and one colour per point; sides flow into each other.
-  tube(points, radii, colors, alpha = 1, sides = 8) {
-    let side = unit(cross(sub(points[1], points[0]), Math.abs(points[1][2] - points[0][2]) > 1e-3 ? [1, 0.2, 0] : [0, 0, 1]));
-    const rings = points.map((p, i) => {
-      const along = unit(sub(points[Math.min(i + 1, points.length - 1)], points[Math.max(i - 1, 0)]));
-      side = unit(madd(side, along, -dot(side, along)));
-      const other = cross(along, side);
-      return Array.from({ length: sides + 1 }, (_, k) => {
-        const a = 2 * Math.PI * k / sides;
-        const n = madd(side.map(v => v * Math.cos(a)), other, Math.sin(a));
-        return [madd(p, n, radii[i]), n];
-      });
-    });
-    for (let i = 0; i + 1 < rings.length; i++) for (let k = 0; k < sides; k++) {
-      for (const [r, s] of [[i, k], [i + 1, k], [i, k + 1], [i, k + 1], [i + 1, k], [i + 1, k + 1]])
-        this.vertex(...rings[r][s], colors[r], alpha);
-    }
-  }
-  sphere(centre, radius, color, alpha = 1, steps = 10) {
-    const at = (i, k) => {
-      const t = Math.PI * i / steps, u = 2 * Math.PI * k / (2 * steps);
-      const n = [Math.sin(t) * Math.cos(u), Math.sin(t) * Math.sin(u), Math.cos(t)];
-      return [madd(centre, n, radius), n];
-    };
-    for (let i = 0; i < steps; i++) for (let k = 0; k < 2 * steps; k++)
-      for (const [r, s] of [[i, k], [i + 1, k], [i, k + 1], [i, k + 1], [i + 1, k], [i + 1, k + 1]])
-        this.vertex(...at(r, s), color, alpha);
-  }
-}
-
 // The scene of one page. `host` of `open` is the element that gets the canvas.
 class AirwayScene {
   constructor() {
@@ -203,7 +150,8 @@ class AirwayScene {
     return { program, places };
   }
 
-  // `film`: what is decoded of a case (player.js); `host`: where the canvas goes.
+  // `film`: airway and poses, and functions for places and colours at a frame (decodeFilm of player.js, LiveFilm of
+  // live.js); `host`: where the canvas goes.
   open(film, host) {
     const gl = this.gl, { airway } = film;
     this.film = film;
@@ -311,9 +259,12 @@ class AirwayScene {
     return { x: unit(part(0)), y: unit(part(1)), z: unit(part(2)), centre: part(3) };
   }
 
+  // Whether it is seen from the scope; before the first pose nothing is.
+  isRide() { return this.view.kind === "ride" && this.film.poses.length > 0; }
+
   camera(aspect) {
     const { view, radius } = this;
-    if (view.kind === "ride") {
+    if (this.isRide()) {
       const pose = this.poseAt(this.state.frame), back = pose.z.map(v => -v), up = pose.y.map(v => -v);
       const matrix = multiply(perspective(this.film.tanHalfHeight / view.zoom, aspect, 0.2, 4 * radius), viewOf(pose.centre, pose.x, up, back));
       return { eye: pose.centre, matrix, light: back };
@@ -323,10 +274,12 @@ class AirwayScene {
     const back = [sa * ce, -ca * ce, se], x = [ca, sa, 0], up = cross(back, x);
     const tan = 0.27;
     // As near as the box around both breaths allows, in this direction.
-    const reach = axis => Math.abs(axis[0]) * this.half[0] + Math.abs(axis[1]) * this.half[1] + Math.abs(axis[2]) * this.half[2];
+    const isNear = view.kind === "near" && this.film.poses.length > 0, half = isNear ? [NEAR_MM, NEAR_MM, NEAR_MM] : this.half;
+    const reach = axis => Math.abs(axis[0]) * half[0] + Math.abs(axis[1]) * half[1] + Math.abs(axis[2]) * half[2];
     const distance = (Math.max(reach(up) / tan, reach(x) / (tan * aspect)) * 0.96 + 0.6 * reach(back)) / view.zoom;
     const span = 2 * distance * tan;
-    const centre = madd(madd(this.centre, x, view.shift[0] * span), up, view.shift[1] * span);
+    const middle = isNear ? this.poseAt(this.state.frame).centre : this.centre;
+    const centre = madd(madd(middle, x, view.shift[0] * span), up, view.shift[1] * span);
     const eye = madd(centre, back, distance);
     const near = Math.max(distance - 2 * radius, distance * 0.02);
     const matrix = multiply(perspective(tan, aspect, near, distance + 2 * radius), viewOf(eye, x, up, back));
@@ -336,39 +289,41 @@ class AirwayScene {
   // Path, scope and targets at the cursor.
   solids(dark) {
     const { film, state, radius, view } = this, solids = new Solids(), glow = new Solids();
-    const frames = film.poses.length / 12, ink = dark ? [0.93, 0.94, 0.96] : [0.12, 0.13, 0.16];
-    const thin = Math.max(0.35, radius * 0.0065);
-    if (state.path && view.kind !== "ride" && frames > 1) {
+    const frames = film.poses.length / 12, isRide = this.isRide(), ink = dark ? [0.93, 0.94, 0.96] : [0.12, 0.13, 0.16];
+    // What scope, path and balls are in proportion to.
+    const size = view.kind === "near" ? 2.2 * NEAR_MM : radius, thin = Math.max(0.35, size * 0.0065);
+    if (state.path && !isRide && frames > 1) {
       const points = [], radii = [], colors = [], step = Math.max(1, Math.floor(frames / 300));
-      for (let f = 0; f < frames; f += step) {
+      for (let k = 0; k < frames - 1 + step; k += step) {
+        const f = Math.min(k, frames - 1);
         points.push([...film.poses.subarray(12 * f + 9, 12 * f + 12)]);
-        const error = state.row && film.errorAt(state.row, f);
         const past = f <= state.frame;
-        const color = error == null ? ink : errorColor(error);
+        const color = state.row && film.colorAt(state.row, f) || ink;
         colors.push(past ? color : mix3(color, dark ? [0.3, 0.32, 0.36] : [0.8, 0.81, 0.83], 0.55));
         radii.push(past ? thin * 1.5 : thin * 0.8);
       }
       solids.tube(points, radii, colors);
     }
-    const pose = this.poseAt(state.frame);
-    if (view.kind !== "ride") {
-      const length = radius * 0.1, at = s => madd(pose.centre, pose.z, s);
+    if (!isRide && frames) {
+      const pose = this.poseAt(state.frame), length = size * 0.1, at = s => madd(pose.centre, pose.z, s);
       solids.tube([at(-length), at(-length * 0.25), at(0)], [thin * 3.2, thin * 3.2, thin * 2.4], [[0.2, 0.22, 0.26], [0.2, 0.22, 0.26], [0.75, 0.78, 0.82]], 1, 14);
       solids.tube([at(0), at(0.01)], [thin * 2.4, 0], [[1, 0.95, 0.7], [1, 0.95, 0.7]], 1, 14);
       const cone = length * 1.6;
       glow.tube([at(0), at(cone)], [thin, cone * film.tanHalfHeight * 0.8], [[1, 0.84, 0.35], [1, 0.84, 0.35]], dark ? 0.20 : 0.34, 20);
     }
     if (state.targets) {
-      const ball = view.kind === "ride" ? 0.7 : radius * 0.013;
-      const truth = film.targetsAt(state.phase, state.frame), predicted = state.row && film.predictedTargets(state.row, state.frame);
-      truth.forEach((place, k) => {
-        solids.sphere(place, ball, ink);
-        if (!predicted || !predicted[k] || !predicted[k].every(Number.isFinite)) return;
-        const color = rgbOf(state.row.color);
-        solids.sphere(predicted[k], ball * 1.12, color);
-        if (Math.hypot(...sub(place, predicted[k])) > 1e-3)
-          solids.tube([place, predicted[k]], [thin * 0.8, thin * 0.8], [color, color]);
+      const ball = isRide ? 0.7 : size * 0.013;
+      const truth = film.targetsAt(state.phase, state.frame), predicted = state.row && film.predictedTargets(state.row, state.frame) || [];
+      const color = predicted.length ? rgbOf(state.row.color) : ink;
+      for (const place of truth) solids.sphere(place, ball, ink);
+      predicted.forEach((place, k) => {
+        if (!place.every(Number.isFinite)) return;
+        solids.sphere(place, ball * 1.12, color);
+        if (truth[k] && Math.hypot(...sub(place, truth[k])) > 1e-3)
+          solids.tube([truth[k], place], [thin * 0.8, thin * 0.8], [color, color]);
       });
+      // How well they are known, where a film says it.
+      for (const { centre, axes } of film.spreadAt?.(state.frame) || []) glow.ellipsoid(centre, axes, color, dark ? 0.2 : 0.16);
     }
     return [solids, glow];
   }
@@ -415,7 +370,7 @@ class AirwayScene {
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
     gl.viewport(0, 0, width, height);
     const style = getComputedStyle(canvas), dark = style.getPropertyValue("--dark").trim() === "1";
-    const isRide = this.view.kind === "ride", paper = isRide ? [0, 0, 0] : rgbOf(style.getPropertyValue("--stage").trim());
+    const isRide = this.isRide(), paper = isRide ? [0, 0, 0] : rgbOf(style.getPropertyValue("--stage").trim());
     gl.clearColor(...paper, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);

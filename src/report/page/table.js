@@ -40,7 +40,7 @@ class Page {
     for (const table of document.querySelectorAll("table.sortable")) makeSortable(table);
     this.buildTracks(tools);
     this.buildFilter(tools);
-    this.buildTheme(tools);
+    tools.append(themeButton(() => this.shared?.redraw()));
     for (const details of document.querySelectorAll("details.case")) details.addEventListener("toggle", () => this.toggle(details));
     document.documentElement.classList.add("scripted");
   }
@@ -76,19 +76,6 @@ class Page {
       for (const row of document.querySelectorAll("table.of-case tr[data-method]")) row.hidden = this.hidden.has(row.dataset.method);
       this.open?.player?.hide();
     };
-  }
-
-  buildTheme(tools) {
-    const root = document.documentElement, media = matchMedia("(prefers-color-scheme: dark)");
-    const isDark = () => (root.dataset.theme || (media.matches ? "dark" : "light")) === "dark";
-    const button = el("button", { id: "theme", onclick: () => { root.dataset.theme = isDark() ? "light" : "dark"; name(); } });
-    const name = () => {
-      button.textContent = isDark() ? "☀ Light" : "☾ Dark";
-      this.shared?.redraw();
-    };
-    media.addEventListener("change", name);
-    tools.append(button);
-    name();
   }
 
   toggle(details) {

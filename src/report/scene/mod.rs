@@ -21,6 +21,8 @@ use crate::score::contour::ContourOverlay;
 
 /// Name of the file.
 pub const SCENES: &str = "scenes.json";
+/// Vertices of an airway. The same in every run, so that what is known at vertices fits together when runs are merged.
+pub const AIRWAY_VERTICES: usize = 12_000;
 
 /// Everything that was kept of a run.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
