@@ -62,10 +62,7 @@ fn recoveries(times_s: &[f64], disturbed: &[bool], is_found: &[bool]) -> Vec<Opt
         }
         let late = |frame: usize| times_s[frame] - times_s[end] > RECOVERY_S + 1e-9;
         let mut after = end + 1..times_s.len();
-        match after.find(|&frame| late(frame) || is_found[frame]) {
-            Some(frame) => Some(!late(frame)),
-            None => None,
-        }
+        after.find(|&frame| late(frame) || is_found[frame]).map(|frame| !late(frame))
     };
     (0..times_s.len()).map(of_frame).collect()
 }
