@@ -253,7 +253,7 @@ fn merged(bytes: &[u8], scratch: &Scratch) {
     let Some(run) = answer(merge::read_run(&folder)) else { return };
     for films in [merge::Films::Same, merge::Films::Other] {
         if let Some(run) = answer(merge::merge(vec![run.clone(), run.clone()], films)) {
-            table::ComparisonTable::both(&summary::summarise(&run));
+            table::ComparisonTable::all(run.track, &summary::summarise(&run));
         }
     }
 }
