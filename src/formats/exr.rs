@@ -4,7 +4,6 @@ use std::io::Cursor;
 use std::path::Path;
 
 use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer};
-use exr::meta::MetaData;
 use exr::meta::header::LayerAttributes;
 use exr::prelude::{ReadChannels, ReadLayers, SmallVec, WritableImage};
 
@@ -81,8 +80,8 @@ pub fn decode(bytes: &[u8]) -> Result<Image<f32>> {
 
 fn decode_unguarded(bytes: &[u8]) -> Result<Image<f32>> {
     let damaged = |e: exr::error::Error| Error::input(format!("is not a readable OpenEXR file: {e}"));
-    let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
-    for header in &meta.headers {
+    let chunks = exr::block::read(Cursor::new(bytes), false).map_err(damaged)?;
+    for header in &chunks.meta_data().headers {
         let size = header.layer_size;
         let values = size.area().saturating_mul(header.channels.list.len());
         if values > MAX_VALUES || values / MAX_VALUES_PER_BYTE > bytes.len() {
@@ -101,7 +100,7 @@ fn decode_unguarded(bytes: &[u8]) -> Result<Image<f32>> {
         .first_valid_layer()
         .all_attributes()
         .non_parallel()
-        .from_buffered(Cursor::new(bytes))
+        .from_chunks(chunks)
         .map_err(damaged)?;
     let layer = image.layer_data;
     let channels = layer.channel_data.list;
