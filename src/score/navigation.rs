@@ -158,7 +158,7 @@ mod tests {
         };
         assert_eq!(ends(&|_| true), [(4, true), (21, true), (35, true)]);
         // Found during the disturbance alone; the film ends .4 s after the last one.
-        assert_eq!(ends(&|frame| disturbed[frame]), [(4, false), (21, true)]);
+        assert_eq!(ends(&|frame| disturbed[frame]), [(4, false), (21, false)]);
         // Exactly a second after the first, a frame later than that after the second.
         assert_eq!(ends(&|frame| [14, 32].contains(&frame)), [(4, true), (21, false)]);
     }

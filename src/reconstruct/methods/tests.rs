@@ -408,9 +408,12 @@ fn frozen_groups_have_no_gradients_and_no_moments() {
     let gradients = rasterizer.backward(&patch.gaussians, &image, rates.groups()).unwrap();
     let geometry = [gradients.positions.capacity(), gradients.axes.capacity(), gradients.opacities.capacity()];
     assert_eq!(geometry, [0; 3], "room for gradients that were not requested");
+    // Some discs in sight lie behind others.
+    let heard = gradients.sh.chunks_exact(SH_VALUES).filter(|row| row.iter().any(|g| *g != 0.0)).count();
+    assert!((1..visible).contains(&heard), "{heard} of {visible}");
     patch.step(&mut adam, gradients, &local).unwrap();
     patch.place(&local).unwrap();
-    assert_eq!(adam.touched_rows_and_room(), [(0, 0), (0, 0), (visible, 2 * patch.discs.len() * SH_VALUES)]);
+    assert_eq!(adam.touched_rows_and_room(), [(0, 0), (0, 0), (heard, 2 * patch.discs.len() * SH_VALUES)]);
     assert_eq!((&patch.gaussians.positions, &patch.gaussians.shape), (&before.positions, &before.shape));
     for (k, visible) in flags.iter().enumerate() {
         let [now, was] = [&patch.gaussians.sh, &before.sh].map(|sh| &sh[k * SH_VALUES..][..SH_VALUES]);
