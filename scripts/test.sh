@@ -22,7 +22,7 @@ step build
 tests=(--release --locked --quiet --lib --test all)
 cargo test "${tests[@]}" --no-run
 step tests
-RESPIRE_FUZZ_SECONDS=5 cargo test "${tests[@]}"
+RESPIRE_FUZZ_SECONDS=2 cargo test "${tests[@]}"
 step library
 scripts/check-library.sh
 step python

@@ -132,7 +132,9 @@ struct ChainKernel {
     for_groups(s, o.first, o.count, [&](const LaneGroup& group) {
       const std::size_t k0 = group.k0;
       const int count = group.count;
+      static_assert(GROUP % LANES == 0, "lanes of one group of vectors share a flag");
       auto clear_all = [&] {
+        if (!o.written[k0 / GROUP]) return;
         if (wants(POSITIONS)) clear(o.positions, k0, count, 3);
         if (wants(OPACITIES)) clear(o.opacities, k0, count, 1);
         if (wants(HARMONICS)) clear(o.sh, k0, count, harmonics);
@@ -155,6 +157,7 @@ struct ChainKernel {
       VI heard = {};
       for (const V& v : m) heard |= v != 0.0f;
       if (!any_of(heard)) return clear_all();
+      o.heard[k0 / GROUP] = true;
       VI visible;
       for (int l = 0; l < LANES; ++l) visible[l] = l < count && o.starts[k0 + l] != o.starts[k0 + l + 1] ? -1 : 0;
       // The projection again.

@@ -103,6 +103,9 @@ struct RecolorChunk {
 // Groups of parameters whose gradients are wanted; the bits of `Wanted` (src/splat/types/).
 enum ParameterGroup : std::uint32_t { POSITIONS = 1, SHAPES = 2, OPACITIES = 4, HARMONICS = 8, POSE = 16, LENS = 64 };
 
+// Gaussians that share a flag which says whether any of them has a gradient; `GROUP` in src/splat/types/gradients.rs.
+constexpr std::size_t GROUP = 16;
+
 struct ChainChunk {
   std::size_t first, count;
   const std::uint32_t* starts;  // slots of number k are starts[k]..starts[k + 1]
@@ -110,6 +113,10 @@ struct ChainChunk {
   std::uint32_t wanted;
   float *positions, *shape, *scales, *opacities, *sh;  // out, those that are wanted
   double *pose, *intrinsics;                           // out, 6 and 4 sums; 0 where not wanted
+  // Per GROUP Gaussians: whether any of their tables' rows may differ from 0 now; whether any may afterwards (out; 0
+  // when it comes).
+  const bool* written;
+  bool* heard;
 };
 
 struct ForwardTile {

@@ -207,6 +207,8 @@ SplatCameraGradient splat_chain(std::uint8_t isa, const SplatScene& scene, const
   check_room(SHAPES, out.scales, discs ? 0 : 3);
   check_room(OPACITIES, out.opacities, 1);
   check_room(HARMONICS, out.sh, 3 * (scene.sh_degree + 1) * (scene.sh_degree + 1));
+  const std::size_t groups = (count + GROUP - 1) / GROUP;
+  require(out.written.size() == groups && out.heard.size() == groups, "tables of a chain differ in length");
   const std::uint32_t* const starts = moments.starts.data();
   bool ascending = true;
   for (std::size_t k = 0; k < count; ++k) ascending &= starts[k] <= starts[k + 1];
@@ -226,6 +228,8 @@ SplatCameraGradient splat_chain(std::uint8_t isa, const SplatScene& scene, const
   chunk.sh = out.sh.data();
   chunk.pose = camera.pose.data();
   chunk.intrinsics = camera.intrinsics.data();
+  chunk.written = out.written.data();
+  chunk.heard = out.heard.data();
   kernels.chain(scene_of(scene, moments.first, count), chunk);
   return camera;
 }

@@ -373,8 +373,7 @@ impl<'a> Execution<'a> {
             }
             work.release()?;
         }
-        let plan = self.plan;
-        let total = plan.cases.len() * plan.methods.len() * plan.seeds.len();
+        let total = self.plan.cells().len();
         let done = self.done.fetch_add(1, Ordering::SeqCst) + 1;
         self.watcher.event(&Event::CellFinished { cell, cache_use, wall_s, done, total });
         Ok(Tried::Done(()))

@@ -372,7 +372,7 @@ fn a_run_that_was_taken_for_dead_takes_what_the_other_one_has_made() {
 #[ignore = "takes a minute, and prints times"]
 fn twelve_thousand_cells() {
     let folder = tempfile::tempdir().unwrap();
-    let planned = |id: String| Planned { content: format!("content of {id}"), id };
+    let planned = |id: String| Planned { content: format!("content of {id}"), id, draws: true };
     let plan = Plan {
         cases: (0..1000).map(|k| planned(format!("case{k}"))).collect(),
         methods: (0..12).map(|k| planned(format!("method{k}"))).collect(),

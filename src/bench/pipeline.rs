@@ -166,10 +166,11 @@ impl Pipeline {
     pub fn plan(&self) -> Result<Plan> {
         let cases = self.cases.iter().map(|case| {
             let content = hash::of_value(&(case.hash()?, self.simulation_settings(case)))?;
-            Ok(Planned { id: case.id.clone(), content })
+            Ok(Planned { id: case.id.clone(), content, draws: false })
         });
-        let methods =
-            self.methods.iter().map(|m| Planned { id: m.method.id().to_owned(), content: m.content.clone() }).collect();
+        let planned =
+            |m: &Method| Planned { id: m.method.id().to_owned(), content: m.content.clone(), draws: m.method.draws() };
+        let methods = self.methods.iter().map(planned).collect();
         Ok(Plan {
             profile: self.track.run_name(&self.profile.name),
             cases: cases.collect::<Result<_>>()?,
@@ -182,7 +183,8 @@ impl Pipeline {
     /// What the whole plan would cost, were nothing in the cache.
     pub fn estimate(&self) -> Estimate {
         let nothing = Estimate { resumable: true, ..Estimate::default() };
-        let effort: f64 = self.methods.iter().map(|method| method.effort).sum::<f64>() * self.seeds.len() as f64;
+        let seeds = |method: &Method| if method.method.draws() { self.seeds.len() } else { 1 };
+        let effort: f64 = self.methods.iter().map(|method| method.effort * seeds(method) as f64).sum();
         self.cases.iter().map(|case| self.case_estimate(case, effort)).fold(nothing, Estimate::then)
     }
 

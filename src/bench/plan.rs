@@ -14,6 +14,11 @@ pub struct Planned {
     pub id: String,
     /// Content hash: the TOML, and the profile's settings as far as they matter to it.
     pub content: String,
+    /// Whether what is made of it depends on the seed. No film does, and few methods do ([`Reconstruct::draws`]).
+    ///
+    /// [`Reconstruct::draws`]: crate::reconstruct::Reconstruct::draws
+    #[serde(skip)]
+    pub draws: bool,
 }
 
 /// One case x one method x one seed: the unit that is run, cached and resumed.
@@ -61,9 +66,10 @@ impl Plan {
         self.cases.iter().flat_map(|case| self.cells_of(&case.id)).collect()
     }
 
-    /// The cells of one case.
+    /// The cells of one case: of a method that draws nothing, the first seed is all there is.
     pub fn cells_of(&self, case_id: &str) -> Vec<Cell> {
-        let pairs = self.methods.iter().flat_map(|m| self.seeds.iter().map(move |&seed| (m, seed)));
+        let of_method = |m: &Planned| if m.draws { self.seeds.len() } else { 1 };
+        let pairs = self.methods.iter().flat_map(|m| self.seeds.iter().take(of_method(m)).map(move |&seed| (m, seed)));
         pairs.map(|(m, seed)| Cell { case_id: case_id.to_owned(), method: m.id.clone(), seed }).collect()
     }
 
@@ -128,7 +134,7 @@ pub(crate) mod tests {
     use super::*;
 
     pub(crate) fn small_plan() -> Plan {
-        let planned = |id: &str| Planned { id: id.into(), content: format!("content of {id}") };
+        let planned = |id: &str| Planned { id: id.into(), content: format!("content of {id}"), draws: true };
         Plan {
             profile: "smoke".into(),
             cases: vec![planned("case1"), planned("case2")],
@@ -144,6 +150,12 @@ pub(crate) mod tests {
         let cells = plan.cells();
         assert_eq!(cells.len(), 8);
         assert_eq!(cells[3].id(), "case1-static-ct-s2");
+
+        let mut still = plan.clone();
+        still.methods[1].draws = false;
+        let of_case1: Vec<String> = still.cells_of("case1").iter().map(Cell::id).collect();
+        assert_eq!(of_case1, ["case1-ours-s1", "case1-ours-s2", "case1-static-ct-s1"]);
+        assert_eq!(still.run_id().unwrap(), plan.run_id().unwrap(), "it follows from the content");
 
         let cell = &cells[0];
         let keys =

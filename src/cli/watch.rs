@@ -9,12 +9,15 @@ impl Watcher for Terminal {
     fn event(&self, event: &Event<'_>) {
         match event {
             Event::Started { plan } => {
-                let (cases, methods, seeds) = (plan.cases.len(), plan.methods.len(), plan.seeds.len());
-                let cells = plan.cells().len();
+                let (cases, methods, cells) = (plan.cases.len(), plan.methods.len(), plan.cells().len());
+                let seeds = match plan.seeds.len() {
+                    1 => String::new(),
+                    several => format!(" x {several} seeds, where a method draws,"),
+                };
+                let threads = rayon::current_num_threads();
+                let plan = &plan.profile;
                 self.note(&format!(
-                    "profile {}: {cases} cases x {methods} methods x {seeds} seeds = {cells} cells, {} threads",
-                    plan.profile,
-                    rayon::current_num_threads()
+                    "profile {plan}: {cases} cases x {methods} methods{seeds} = {cells} cells, {threads} threads"
                 ));
             }
             Event::Filming { case_id } => self.stage(format_args!("{case_id}: filming")),

@@ -56,6 +56,26 @@ impl Isa {
     }
 }
 
+/// A loop that [`with_avx2`] runs. A trait, since a closure is not inlined into a function with more instructions.
+pub trait VectorLoop {
+    /// Runs it. Write it `#[inline(always)]`, and so whatever it calls: the rest is compiled for SSE2.
+    fn run(self);
+}
+
+/// Runs `work` with AVX2 where the processor has it: Rust otherwise compiles for SSE2. No operation is fused or
+/// reordered, so the bytes are the same.
+pub fn with_avx2(work: impl VectorLoop) {
+    #[target_feature(enable = "avx2")]
+    fn compiled(work: impl VectorLoop) {
+        work.run();
+    }
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: `compiled` is safe code; calling it needs AVX2, which the line above has found.
+        return unsafe { compiled(work) };
+    }
+    work.run();
+}
+
 impl std::fmt::Display for Isa {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {

@@ -253,6 +253,12 @@ pub trait Reconstruct: Send + Sync {
     /// What it asks for.
     fn access(&self) -> Access;
 
+    /// Whether its answers depend on [`Observation::seed`], or it is told poses that do: then one seed says little. By
+    /// default rough poses alone are drawn.
+    fn draws(&self) -> bool {
+        self.access().poses == PoseAccuracy::Rough
+    }
+
     /// The method as one that answers while the film goes on, where it can.
     fn live(&self) -> Option<&dyn FollowFrames> {
         None

@@ -428,11 +428,11 @@ impl<T: Real> Anchors<T> {
                 let mut walk = FaceWalk::new(self.frame, carrier);
                 for (k, (by_logits, by_scales)) in logits.iter_mut().zip(log_scales).enumerate() {
                     let j = c * CHUNK + k;
-                    let (position, axes) = (gradients.positions[j], gradients.axes[j]);
-                    if silent(&position, &axes) {
+                    if gradients.is_unheard(j) || silent(&gradients.positions[j], &gradients.axes[j]) {
                         (*by_logits, *by_scales) = ([T::zero(); 3], [T::zero(); 2]);
                         continue;
                     }
+                    let (position, axes) = (gradients.positions[j], gradients.axes[j]);
                     let i = active.map_or(j, |list| list[j] as usize);
                     let face = walk.to(self.face[i]);
                     let form = self.form(i, self.forms.get(i));
@@ -490,12 +490,12 @@ impl<T: Real> Anchors<T> {
         let by_corners = |c: usize, positions: &[[T; 3]], axes: &[[[T; 3]; 2]]| -> Vec<(u32, [[T; 3]; 3])> {
             let mut walk = FaceWalk::new(self.frame, carrier);
             let mut found = Vec::with_capacity(positions.len());
-            for (k, (&position, &axes)) in positions.iter().zip(axes).enumerate() {
-                if !silent(&position, &axes) {
-                    let j = c * CHUNK + k;
+            for (k, (position, axes)) in positions.iter().zip(axes).enumerate() {
+                let j = c * CHUNK + k;
+                if !gradients.is_unheard(j) && !silent(position, axes) {
                     let i = active.map_or(j, |list| list[j] as usize);
                     let face = self.face[i];
-                    found.push((face, self.corner_gradients(i, walk.to(face), position, axes)));
+                    found.push((face, self.corner_gradients(i, walk.to(face), *position, *axes)));
                 }
             }
             found
@@ -534,13 +534,13 @@ impl<T: Real> Anchors<T> {
             .map(|(c, (positions, axes))| {
                 let mut sum = 0.0;
                 let mut walk = FaceWalk::new(self.frame, carrier);
-                for (k, (&position, &axes)) in positions.iter().zip(axes).enumerate() {
-                    if silent(&position, &axes) {
+                for (k, (position, axes)) in positions.iter().zip(axes).enumerate() {
+                    let j = c * CHUNK + k;
+                    if gradients.is_unheard(j) || silent(position, axes) {
                         continue;
                     }
-                    let j = c * CHUNK + k;
                     let i = active.map_or(j, |list| list[j] as usize);
-                    let by_corners = self.corner_gradients(i, walk.to(self.face[i]), position, axes);
+                    let by_corners = self.corner_gradients(i, walk.to(self.face[i]), *position, *axes);
                     for (&vertex, by_corner) in carrier.faces[self.face[i] as usize].iter().zip(by_corners) {
                         sum += dot(by_corner, displacement[vertex as usize]).to_f64();
                     }

@@ -225,6 +225,8 @@ impl SplatKernels for f32 {
             scales: chunk.scales.as_flattened_mut(),
             opacities: chunk.opacities,
             sh: chunk.sh,
+            written: chunk.written,
+            heard: chunk.heard,
         };
         let ChunkMoments { starts, moments, .. } = *from;
         let moments = SplatMoments { first: chunk.first, starts, slots: moments, wanted: wanted.bits() };

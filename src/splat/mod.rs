@@ -44,6 +44,6 @@ pub use number::{Dual, Real};
 pub use pass::{PassStage, Rasterizer, Reuse, StageTimes};
 pub use plain::fault::Fault;
 pub use types::{
-    DepthOutput, Direction, Filter, Footprint, GaussianSlices, Gaussians, Gradients, ImageGradient, Motion, Rendered,
-    Settings, Shape, ShapeSlices, Skips, View, Wanted,
+    DepthOutput, Direction, Filter, Footprint, GROUP, GaussianSlices, Gaussians, Gradients, ImageGradient, Motion,
+    Rendered, Settings, Shape, ShapeSlices, Skips, View, Wanted, is_unheard,
 };

@@ -1,5 +1,5 @@
 //! Every reader answers every input: the corpus of the fuzzer (`fuzz/`), findings included, goes through the fuzzer's own
-//! targets, and then changed inputs for some seconds (`RESPIRE_FUZZ_SECONDS`, 1 unless `scripts/test.sh` says 5).
+//! targets, and then changed inputs for some seconds (`RESPIRE_FUZZ_SECONDS`, 1 unless `scripts/test.sh` says 2).
 //! `scripts/fuzz.sh` searches with the compiler's help and for longer.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -127,9 +127,10 @@ fn optimiser(hidden: &TimedScene, repetitions: usize) -> Result<SkipSaving> {
     let mut adams = [(); 2].map(|()| RowAdam::<12>::new(AdamConstants::default()));
     adams.iter_mut().for_each(|adam| adam.begin(count, StepCounter::Restarted));
     adams[1].touch_all();
-    let gradient = &rasterizer.gradients().sh;
+    let gradients = rasterizer.gradients();
+    let heard: [&[bool]; 2] = [&gradients.heard, &[]];
     let samples = in_turns(repetitions, |k, samples| {
-        samples.time(|| adams[k].step([1e-3; 12], &mut learned[k], gradient));
+        samples.time(|| adams[k].step([1e-3; 12], &mut learned[k], &gradients.sh, heard[k]));
         Ok(())
     })?;
     let change = [0.0, relative_l2(&widened(&learned[1]), &widened(&learned[0]))];

@@ -129,6 +129,8 @@ mod bridge {
         scales: &'a mut [f32],
         opacities: &'a mut [f32],
         sh: &'a mut [f32],
+        written: &'a [bool],
+        heard: &'a mut [bool],
     }
 
     /// Gradient by the camera, summed over a chunk; 0 where not wanted.
@@ -320,6 +322,10 @@ pub struct ChainOutput<'a, T> {
     pub opacities: &'a mut [T],
     /// As in the scene.
     pub sh: &'a mut [T],
+    /// Per group of Gaussians, whether any of these may differ from 0 now.
+    pub written: &'a [bool],
+    /// Whether any may afterwards; `false` when it comes.
+    pub heard: &'a mut [bool],
 }
 
 /// Gradients of the Gaussians of a chunk from the moments of their splats; returns those by the camera.
@@ -329,8 +335,8 @@ pub fn chain(
     moments: &SplatMoments<'_>,
     out: ChainOutput<'_, f32>,
 ) -> SplatCameraGradient {
-    let ChainOutput { positions, shape, scales, opacities, sh } = out;
-    let gradients = bridge::SplatGradients { positions, shape, scales, opacities, sh };
+    let ChainOutput { positions, shape, scales, opacities, sh, written, heard } = out;
+    let gradients = bridge::SplatGradients { positions, shape, scales, opacities, sh, written, heard };
     bridge::splat_chain(isa.code(), scene, moments, gradients).expect(AGREE)
 }
 

@@ -298,13 +298,13 @@ impl Patch {
             let (mut logits, mut scales) = (std::mem::take(&mut self.logit_step), std::mem::take(&mut self.scale_step));
             self.anchors.pullback(gradients, self.carrier(vertices), None, &mut logits, &mut scales)?;
             let parameters = self.anchors.logits.as_flattened_mut();
-            adam.logits.step([rates.position; 3], parameters, logits.as_flattened());
+            adam.logits.step([rates.position; 3], parameters, logits.as_flattened(), &gradients.heard);
             let parameters = self.anchors.log_scales.as_flattened_mut();
-            adam.scales.step([rates.scale; 2], parameters, scales.as_flattened());
+            adam.scales.step([rates.scale; 2], parameters, scales.as_flattened(), &gradients.heard);
             (self.logit_step, self.scale_step) = (logits, scales);
         }
         if rates.learn_colors() {
-            adam.sh.step(rates.sh(), &mut self.gaussians.sh, &gradients.sh);
+            adam.sh.step(rates.sh(), &mut self.gaussians.sh, &gradients.sh, &gradients.heard);
         }
         Ok(())
     }

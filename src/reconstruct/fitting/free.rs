@@ -160,11 +160,11 @@ impl FreePatch {
         let rates = adam.rates;
         if rates.position > 0.0 {
             let (centres, by_centre) = (self.centres.as_flattened_mut(), gradients.positions.as_flattened());
-            adam.centres.step([rates.position; 3], centres, by_centre);
+            adam.centres.step([rates.position; 3], centres, by_centre, &gradients.heard);
         }
         if rates.rotation > 0.0 {
             let (rotations, by_rotation) = (self.rotations.as_flattened_mut(), gradients.rotations.as_flattened());
-            adam.rotations.step([rates.rotation; 4], rotations, by_rotation);
+            adam.rotations.step([rates.rotation; 4], rotations, by_rotation, &gradients.heard);
         }
         if rates.scale > 0.0 {
             let by_log: Vec<[f32; 3]> = gradients
@@ -173,10 +173,15 @@ impl FreePatch {
                 .zip(&self.log_scales)
                 .map(|(g, s)| [0, 1, 2].map(|k| g[k] * s[k].exp()))
                 .collect();
-            adam.scales.step([rates.scale; 3], self.log_scales.as_flattened_mut(), by_log.as_flattened());
+            adam.scales.step(
+                [rates.scale; 3],
+                self.log_scales.as_flattened_mut(),
+                by_log.as_flattened(),
+                &gradients.heard,
+            );
         }
         if rates.learn_colors() {
-            adam.sh.step(rates.sh(), &mut self.gaussians.sh, &gradients.sh);
+            adam.sh.step(rates.sh(), &mut self.gaussians.sh, &gradients.sh, &gradients.heard);
         }
     }
 }

@@ -14,6 +14,7 @@
 use rayon::prelude::*;
 
 use crate::ffi::splat::adam::AdamStep;
+use crate::splat::is_unheard;
 
 /// Constants of Adam.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -140,9 +141,9 @@ impl<const K: usize> RowAdam<K> {
     }
 
     /// One step of every row that has a gradient now or had one in an earlier step, value `k` of a row at rate
-    /// `rates[k]`. `parameters` and `gradient` hold `K` values a row. Values whose gradient is not finite stay
-    /// as they are.
-    pub fn step(&mut self, rates: [f64; K], parameters: &mut [f32], gradient: &[f32]) {
+    /// `rates[k]`. `parameters` and `gradient` hold `K` values a row; rows that `heard` ([`Gradients::heard`]) rules out
+    /// have none. Values whose gradient is not finite stay as they are.
+    pub fn step(&mut self, rates: [f64; K], parameters: &mut [f32], gradient: &[f32], heard: &[bool]) {
         let rows = self.touched.len();
         assert!([parameters.len(), gradient.len()] == [rows * K; 2], "group sizes differ");
         self.steps += 1;
@@ -151,38 +152,43 @@ impl<const K: usize> RowAdam<K> {
         let moments = self.first[..rows * K].par_chunks_mut(ROWS * K).zip(self.second.par_chunks_mut(ROWS * K));
         let values = parameters.par_chunks_mut(ROWS * K).zip(gradient.par_chunks(ROWS * K));
         let flags = self.touched.par_chunks_mut(ROWS);
-        moments.zip(values).zip(flags).for_each(|(((first, second), (parameters, gradient)), touched)| {
-            let speaks = |row: usize| gradient[row * K..(row + 1) * K].iter().any(|g| *g != 0.0);
-            let mut row = 0;
-            while row < touched.len() {
-                let start = row;
-                while row < touched.len() && row - start < RUN && (touched[row] || speaks(row)) {
-                    if !touched[row] {
-                        touched[row] = true;
-                        first[row * K..(row + 1) * K].fill(0.0);
-                        second[row * K..(row + 1) * K].fill(0.0);
+        moments.zip(values).zip(flags).enumerate().for_each(
+            |(task, (((first, second), (parameters, gradient)), touched))| {
+                let speaks = |row: usize| {
+                    !is_unheard(heard, task * ROWS + row) && gradient[row * K..(row + 1) * K].iter().any(|g| *g != 0.0)
+                };
+                let mut row = 0;
+                while row < touched.len() {
+                    let start = row;
+                    while row < touched.len() && row - start < RUN && (touched[row] || speaks(row)) {
+                        if !touched[row] {
+                            touched[row] = true;
+                            first[row * K..(row + 1) * K].fill(0.0);
+                            second[row * K..(row + 1) * K].fill(0.0);
+                        }
+                        row += 1;
                     }
-                    row += 1;
+                    let run = start * K..row * K;
+                    rule.apply_all(
+                        &rates,
+                        &mut parameters[run.clone()],
+                        &gradient[run.clone()],
+                        &mut first[run.clone()],
+                        &mut second[run],
+                    );
+                    if row == start {
+                        row += 1;
+                    }
                 }
-                let run = start * K..row * K;
-                rule.apply_all(
-                    &rates,
-                    &mut parameters[run.clone()],
-                    &gradient[run.clone()],
-                    &mut first[run.clone()],
-                    &mut second[run],
-                );
-                if row == start {
-                    row += 1;
-                }
-            }
-        });
+            },
+        );
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::splat::GROUP;
 
     /// f(x) = x^2 from 1 at rate 0.1: worked out by hand from the paper's Algorithm 1.
     #[test]
@@ -245,7 +251,13 @@ mod tests {
         adam.first.fill(7.0);
         adam.second.fill(7.0);
         let rates = std::array::from_fn(|k| if k < 3 { 0.01 } else { 0.002 });
-        pool.install(|| frames(rows).iter().for_each(|g| adam.step(rates, &mut x, g)));
+        pool.install(|| {
+            for g in &frames(rows) {
+                let heard: Vec<bool> = g.chunks(GROUP * 12).map(|group| group.iter().any(|g| *g != 0.0)).collect();
+                assert!(heard.contains(&false));
+                adam.step(rates, &mut x, g, &heard);
+            }
+        });
         (x, adam)
     }
 
@@ -282,10 +294,10 @@ mod tests {
         let mut adam = RowAdam::<2>::new(AdamConstants { epsilon: 0.0, ..AdamConstants::default() });
         adam.begin(3, StepCounter::Restarted);
         let mut x = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
-        adam.step([1.0; 2], &mut x, &[0.0, f32::NAN, f32::INFINITY, 1.0, f32::NEG_INFINITY, 0.0]);
+        adam.step([1.0; 2], &mut x, &[0.0, f32::NAN, f32::INFINITY, 1.0, f32::NEG_INFINITY, 0.0], &[]);
         assert_eq!(x, [1.0, 2.0, 3.0, 3.0, 5.0, 6.0]);
         // Nothing of the refused gradients is remembered.
-        adam.step([1.0; 2], &mut x, &[0.0; 6]);
+        adam.step([1.0; 2], &mut x, &[0.0; 6], &[]);
         assert_eq!((x[1], x[2], x[4]), (2.0, 3.0, 5.0));
     }
 }

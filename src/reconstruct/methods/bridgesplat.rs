@@ -55,6 +55,11 @@ impl Reconstruct for Bridgesplat {
         Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: PoseAccuracy::True }
     }
 
+    /// Colours and places of the discs.
+    fn draws(&self) -> bool {
+        true
+    }
+
     fn run(
         &self,
         observation: &Observation,

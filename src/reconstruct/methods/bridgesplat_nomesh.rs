@@ -47,6 +47,11 @@ impl Reconstruct for BridgesplatNomesh {
         Access { expiration_mesh: false, first_depth: false, true_phase: false, poses: PoseAccuracy::True }
     }
 
+    /// The anchors are drawn from the Gaussians.
+    fn draws(&self) -> bool {
+        true
+    }
+
     fn run(
         &self,
         observation: &Observation,

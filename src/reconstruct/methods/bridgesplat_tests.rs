@@ -50,8 +50,6 @@ enum Bump {
     Gentle,
     /// Fades to 2 mm at the rim, as a breathing organ does: strains up to a tenth.
     Wide,
-    /// Fades to nothing within 20 mm: strains up to a third.
-    Narrow,
 }
 
 fn planted(bump: Bump, at: DVec3, share: f64) -> DVec3 {
@@ -68,7 +66,6 @@ fn planted(bump: Bump, at: DVec3, share: f64) -> DVec3 {
         Bump::Bend => unreachable!("has no fade"),
         Bump::Gentle => 0.85 + 0.15 * (at.x / 13.0).cos() * (at.y / 13.0).cos(),
         Bump::Wide => 0.7 + 0.3 * (at.x / 13.0).cos() * (at.y / 13.0).cos(),
-        Bump::Narrow => (-(at.x * at.x + at.y * at.y) / (2.0 * 9.0 * 9.0)).exp(),
     };
     at + DVec3::new(3.5, 2.5, -2.549) * share * fade
 }
@@ -127,24 +124,14 @@ fn film(bump: Bump, most: f64) -> (Observation, Vec<DVec3>) {
     (observation, vertices)
 }
 
-/// How the colours of the method start.
-#[derive(Clone, Copy, PartialEq)]
-enum Colors {
-    /// As published: at random.
-    Random,
-    /// As learned from a still patch over many frames.
-    Known,
-}
-
-/// Root mean square distance of the recovered surface to the true one in mm.
-fn error_mm(settings: &BridgesplatSettings, colors: Colors, observation: &Observation, truth: &[DVec3]) -> f64 {
+/// Root mean square distance of the recovered surface to the true one in mm. Colours start as learned from a still patch
+/// over many frames: from random ones, as published, the surface of `Bump::Wide` is as far off (docs/log).
+fn error_mm(settings: &BridgesplatSettings, observation: &Observation, truth: &[DVec3]) -> f64 {
     let mut fit = BridgesplatFit::new(settings, 1.0, observation).unwrap();
-    if colors == Colors::Known {
-        let faces: Vec<u32> = (0..observation.inspiration.faces.len() as u32).collect();
-        let mut discs = fit.surface.patch(&faces).unwrap();
-        discs.place(&to_f32(&observation.inspiration.vertices)).unwrap();
-        color(&mut fit.surface, &discs.gaussians.positions);
-    }
+    let faces: Vec<u32> = (0..observation.inspiration.faces.len() as u32).collect();
+    let mut discs = fit.surface.patch(&faces).unwrap();
+    discs.place(&to_f32(&observation.inspiration.vertices)).unwrap();
+    color(&mut fit.surface, &discs.gaussians.positions);
     for frame in 0..observation.images.len() {
         fit.fit(frame).unwrap();
     }
@@ -158,26 +145,20 @@ fn error_mm(settings: &BridgesplatSettings, colors: Colors, observation: &Observ
 fn a_planted_smooth_deformation_of_5_mm_is_recovered() {
     let shipped = bridgesplat();
     let (observation, truth) = film(Bump::Wide, 1.0);
-    let error = error_mm(&shipped, Colors::Known, &observation, &truth);
+    let error = error_mm(&shipped, &observation, &truth);
     let mut frozen = shipped.clone();
     frozen.common.displacement_rate.value = 0.0;
-    let without = error_mm(&frozen, Colors::Known, &observation, &truth);
-    let at_random = error_mm(&shipped, Colors::Random, &observation, &truth);
-    let (narrow, narrow_truth) = film(Bump::Narrow, 1.0);
-    let of_narrow = error_mm(&shipped, Colors::Known, &narrow, &narrow_truth);
+    let without = error_mm(&frozen, &observation, &truth);
     let (gentle, gentle_truth) = film(Bump::Gentle, 1.0);
-    let of_gentle = error_mm(&shipped, Colors::Known, &gentle, &gentle_truth);
+    let of_gentle = error_mm(&shipped, &gentle, &gentle_truth);
     let (bent, bent_truth) = film(Bump::Bend, 1.0);
-    let of_bent = error_mm(&shipped, Colors::Known, &bent, &bent_truth);
+    let of_bent = error_mm(&shipped, &bent, &bent_truth);
     let displacements: Vec<f64> =
         patch().vertices.iter().map(|v| planted(Bump::Bend, *v, 1.0).distance_squared(*v)).collect();
     let most = displacements.iter().copied().fold(0.0, f64::max).sqrt();
     let of_still = (displacements.iter().sum::<f64>() / displacements.len() as f64).sqrt();
     println!("bent by {most:.2} mm without strain: {of_bent:.3} mm, if it stays {of_still:.3}");
-    println!(
-        "5 mm: {error:.3} mm, with half the strain {of_gentle:.3}; frozen {without:.3}, \
-         colours at random {at_random:.3}, narrow bump {of_narrow:.3}"
-    );
+    println!("5 mm: {error:.3} mm, with half the strain {of_gentle:.3}; frozen {without:.3}");
     assert!(error <= 0.7, "{error}");
     assert!(of_gentle <= 0.5, "{of_gentle}");
     assert!((most - 5.0).abs() < 0.05 && of_bent < 0.7 * of_still, "{of_bent} of {of_still}, {most}");
@@ -187,6 +168,6 @@ fn a_planted_smooth_deformation_of_5_mm_is_recovered() {
 #[test]
 fn what_does_not_move_is_left_in_place() {
     let (observation, truth) = film(Bump::Wide, 0.0);
-    let error = error_mm(&bridgesplat(), Colors::Known, &observation, &truth);
+    let error = error_mm(&bridgesplat(), &observation, &truth);
     assert!(error <= 0.5, "{error}");
 }

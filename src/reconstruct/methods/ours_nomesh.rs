@@ -14,7 +14,7 @@ use crate::reconstruct::fitting::schedule::rate_factor;
 use crate::reconstruct::geometry::neighbours;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::online::OnlineRun;
-use crate::reconstruct::settings::{MethodHeader, OursNomeshSettings};
+use crate::reconstruct::settings::{MethodHeader, OursNomeshSettings, PerFace};
 use crate::splat::{Gaussians, Gradients, View, Wanted};
 
 /// Mesh vertices whose displacements a Gaussian averages.
@@ -40,6 +40,11 @@ impl Reconstruct for OursNomesh {
 
     fn access(&self) -> Access {
         Access { expiration_mesh: true, first_depth: true, true_phase: false, poses: PoseAccuracy::True }
+    }
+
+    /// One Gaussian lies at the centroid of its face; several are drawn.
+    fn draws(&self) -> bool {
+        *self.settings.appearance.gaussians.gaussians_per_face != PerFace::Count(1)
     }
 
     fn run(

@@ -329,6 +329,37 @@ fn bridgesplat_nomesh_recovers_its_world() {
     assert!(psnr >= 38.0, "{psnr}");
 }
 
+/// What the plan of a run relies on: a method that says that it draws nothing answers the same for every seed.
+#[test]
+fn a_seed_changes_the_answers_of_methods_that_draw_and_of_no_other() {
+    let mut observation = world(Made::Discs, 2, 24, breath);
+    observation.centerline_mm = (0..7).map(|i| DVec3::Z * (10.0 * i as f64)).collect();
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
+    let mut drawing = Vec::new();
+    for file in std::fs::read_dir(folder).unwrap() {
+        let method = MethodFile::load(&file.unwrap().path()).unwrap().method(0.02).unwrap();
+        let mut of_seed = |seed: u64| {
+            observation.seed = seed;
+            let mut answers = Vec::new();
+            let mut emit = |answer: FramePrediction| {
+                answers.push(format!("{:?} {:?} {:?}", answer.color.data, answer.phase, answer.targets_mm));
+                Ok(())
+            };
+            let done = method.run(&observation, &mut emit, &NoProgress).unwrap();
+            format!("{answers:?} {:?}", done.final_mesh.map(|mesh| mesh.vertices))
+        };
+        let differs = of_seed(1) != of_seed(2);
+        // Rough poses are drawn before the method begins.
+        let told = method.access().poses == PoseAccuracy::Rough;
+        assert_eq!(differs || told, method.draws(), "{}", method.id());
+        if method.draws() {
+            drawing.push(method.id().to_owned());
+        }
+    }
+    drawing.sort();
+    assert_eq!(drawing, ["bridgesplat", "bridgesplat-nomesh", "bridgesplat-release", "ours-gn-pose", "ours-nomesh"]);
+}
+
 #[test]
 fn sanity_rows_recover_what_they_can() {
     let observation = world(Made::Free, 12, 64, |t| 0.1 * t as f64 / 12.0);

@@ -7,7 +7,7 @@ use crate::ffi::splat::rasterize::SplatCameraGradient;
 use crate::splat::kernels::{KernelScene, SplatKernels};
 use crate::splat::plain::fault::Faults;
 use crate::splat::plain::gradient_chunk::{ChunkMoments, GradientChunk};
-use crate::splat::types::{Gradients, ShapeSlices, Wanted};
+use crate::splat::types::{GROUP, Gradients, ShapeSlices, Wanted};
 
 use super::backward::Moments;
 use super::pool::{CHUNK, cut, piece_of};
@@ -16,7 +16,7 @@ use super::pool::{CHUNK, cut, piece_of};
 #[derive(Debug, Default)]
 pub struct GradientTables<T> {
     pub gradients: Gradients<T>,
-    /// Chunks whose gradients are not all zero.
+    /// [`Gradients::heard`] of the pass before: where it says `false`, the tables are zero already.
     written: Vec<bool>,
     /// The layout of the gradients.
     layout: Option<GradientLayout>,
@@ -90,9 +90,12 @@ impl<T: SplatKernels> GradientTables<T> {
         (out.pose, out.lens) = ([0.0; 6], [0.0; 4]);
         if self.layout != Some(layout) {
             // Without a layout the tables are new, and all 0, unless they have been used elsewhere.
-            self.written = vec![self.layout.is_some() || self.used; n.div_ceil(CHUNK)];
+            out.heard = vec![self.layout.is_some() || self.used; n.div_ceil(GROUP)];
             self.layout = Some(layout);
         }
+        std::mem::swap(&mut self.written, &mut out.heard);
+        out.heard.clear();
+        out.heard.resize(n.div_ceil(GROUP), false);
     }
 
     /// The chunks with a visible splat, and those whose gradients are not zero yet.
@@ -104,7 +107,7 @@ impl<T: SplatKernels> GradientTables<T> {
         };
         let (positions, rotations, scales) = (out.positions.len(), out.rotations.len(), out.scales.len());
         let (axes, opacities, sh) = (out.axes.len(), out.opacities.len(), out.sh.len());
-        let written = &mut self.written;
+        let flags = self.written.chunks(CHUNK / GROUP).zip(out.heard.chunks_mut(CHUNK / GROUP));
         cut(&mut out.positions, lengths(positions, 1))
             .into_iter()
             .zip(cut(&mut out.rotations, lengths(rotations, 1)))
@@ -113,15 +116,25 @@ impl<T: SplatKernels> GradientTables<T> {
             .zip(cut(&mut out.opacities, lengths(opacities, 1)))
             .zip(cut(&mut out.sh, lengths(sh, stride)))
             .zip((0..n).step_by(CHUNK))
-            .map(|((((((positions, rotations), scales), axes), opacities), sh), first)| {
+            .zip(flags)
+            .map(|(((((((positions, rotations), scales), axes), opacities), sh), first), (written, heard))| {
                 let count = CHUNK.min(n - first);
                 let visible = starts[first] != starts[first + count];
-                GradientChunk { first, count, visible, positions, rotations, scales, axes, opacities, sh }
+                GradientChunk {
+                    first,
+                    count,
+                    visible,
+                    positions,
+                    rotations,
+                    scales,
+                    axes,
+                    opacities,
+                    sh,
+                    written,
+                    heard,
+                }
             })
-            .filter(|task| {
-                let before = &mut written[task.first / CHUNK];
-                std::mem::replace(before, task.visible) || task.visible
-            })
+            .filter(|task| task.visible || task.written.contains(&true))
             .collect()
     }
 }

@@ -35,6 +35,10 @@ pub struct GradientChunk<'a, T> {
     pub axes: &'a mut [[[T; 3]; 2]],
     pub opacities: &'a mut [T],
     pub sh: &'a mut [T],
+    /// Per [`GROUP`](crate::splat::types::GROUP) Gaussians, whether any of these tables may differ from 0 now.
+    pub written: &'a [bool],
+    /// Whether any may afterwards; `false` when it comes.
+    pub heard: &'a mut [bool],
 }
 
 impl<T: Real> GradientChunk<'_, T> {
@@ -59,6 +63,7 @@ impl<T: Real> GradientChunk<'_, T> {
         wanted: Wanted,
         faults: impl Faults,
     ) -> SplatCameraGradient {
+        self.heard.fill(true);
         let stride = gaussians.sh_stride();
         let mut camera = SplatCameraGradient::default();
         for k in 0..self.count {

@@ -46,6 +46,9 @@ impl BitOr for Wanted {
     }
 }
 
+/// Gaussians that share a flag of [`Gradients::heard`]; `GROUP` in `cpp/splat/kernel.h`.
+pub const GROUP: usize = 16;
+
 /// Gradients of a loss. **Entry `k` belongs to the `k`-th *active* Gaussian** of the last forward pass (to Gaussian
 /// `k` when all were active), so that nothing is done for the inactive. Groups that were not wanted are empty.
 #[derive(Clone, Debug, Default)]
@@ -71,4 +74,21 @@ pub struct Gradients<T> {
     pub gain: [f64; 3],
     /// Of `fl_x`, `fl_y`, `cx`, `cy` of the camera (per pixel).
     pub lens: [f64; 4],
+    /// Per [`GROUP`] active Gaussians, whether any of their gradients, those of the channels apart, may differ from 0:
+    /// what is out of sight, or behind what is opaque, has none, and need not be read. Empty where nothing is known.
+    pub heard: Vec<bool>,
+}
+
+impl<T> Gradients<T> {
+    /// Whether the `k`-th active Gaussian is in a group without gradients.
+    #[inline(always)]
+    pub fn is_unheard(&self, k: usize) -> bool {
+        is_unheard(&self.heard, k)
+    }
+}
+
+/// Whether `heard`, of [`Gradients::heard`], says that number `k` has no gradients.
+#[inline(always)]
+pub fn is_unheard(heard: &[bool], k: usize) -> bool {
+    heard.get(k / GROUP) == Some(&false)
 }

@@ -9,7 +9,7 @@ mod settings;
 pub mod table;
 mod tiling;
 
-pub use gradients::{Gradients, Wanted};
+pub use gradients::{GROUP, Gradients, Wanted, is_unheard};
 pub use images::{ImageGradient, Rendered};
 pub use motion::{Direction, Motion};
 pub use scene::{GaussianSlices, Gaussians, Shape, ShapeSlices, View};

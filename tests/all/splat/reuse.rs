@@ -151,3 +151,40 @@ fn what_is_out_of_sight_changes_nothing() {
         among.backward(&tree, &weights.gradient(), Wanted::ALL).unwrap();
     }
 }
+
+/// A wall in front of everything that comes and goes: what it hides has no gradients, is said to have none, and is not
+/// written again; what it shows again has them all.
+#[test]
+fn what_is_hidden_is_said_to_have_no_gradients_and_has_none() {
+    for isa in [Isa::Scalar, Isa::Baseline, Isa::Avx2, Isa::Avx512].into_iter().filter(|isa| isa.available().is_ok()) {
+        let view = view(Lens::Pinhole);
+        let mut scene = random(400, Kind::Discs, 1, 65).cast::<f32>();
+        let pose = view.camera_from_world.inverse();
+        let eye = pose.translation.as_vec3();
+        let forward = pose.matrix3.z_axis.as_vec3();
+        let mut kept = Rasterizer::<f32>::with_isa(isa).unwrap();
+        for (step, is_there) in [false, true, true, false, true].into_iter().enumerate() {
+            // Four opaque discs of a metre, a millimetre before the eye; or behind it.
+            for k in 0..4 {
+                let away = if is_there { 1.0 + 0.01 * k as f32 } else { -1.0 };
+                scene.positions[k] = (eye + forward * away).to_array();
+                scene.opacities[k] = 0.99;
+                let Shape::Discs { axes } = &mut scene.shape else { unreachable!("made of discs") };
+                axes[k] = [pose.matrix3.x_axis, pose.matrix3.y_axis].map(|axis| (axis.as_vec3() * 1000.0).to_array());
+            }
+            let mut fresh = Rasterizer::<f32>::with_isa(isa).unwrap();
+            let settings = Settings::default();
+            let said = pass(&mut kept, &scene, &view, &settings);
+            assert!(said == pass(&mut fresh, &scene, &view, &settings), "{isa}, step {step}");
+            let gradients = kept.gradients();
+            let unheard: Vec<usize> = (0..scene.len()).filter(|&k| gradients.is_unheard(k)).collect();
+            let Shape::Discs { .. } = scene.shape else { unreachable!("made of discs") };
+            assert!(unheard.iter().all(|&k| {
+                let geometry = gradients.positions[k].iter().chain(gradients.axes[k].as_flattened());
+                geometry.chain(&gradients.sh[k * 12..][..12]).chain([&gradients.opacities[k]]).all(|g| *g == 0.0)
+            }));
+            // The plain twin does not look.
+            assert_eq!(unheard.len() > 300, is_there && isa != Isa::Scalar, "{isa}, step {step}: {}", unheard.len());
+        }
+    }
+}
