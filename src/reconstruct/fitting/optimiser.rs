@@ -141,8 +141,8 @@ impl<const K: usize> RowAdam<K> {
     }
 
     /// One step of every row that has a gradient now or had one in an earlier step, value `k` of a row at rate
-    /// `rates[k]`. `parameters` and `gradient` hold `K` values a row; rows that `heard` ([`Gradients::heard`]) rules out
-    /// have none. Values whose gradient is not finite stay as they are.
+    /// `rates[k]`. `parameters` and `gradient` hold `K` values a row; rows that `heard` rules out
+    /// ([`crate::splat::Gradients::heard`]) have none. Values whose gradient is not finite stay as they are.
     pub fn step(&mut self, rates: [f64; K], parameters: &mut [f32], gradient: &[f32], heard: &[bool]) {
         let rows = self.touched.len();
         assert!([parameters.len(), gradient.len()] == [rows * K; 2], "group sizes differ");
