@@ -28,9 +28,10 @@ use crate::simulate::{self, MeshOutput, RadianceOutput, SimulationSettings};
 
 /// The rows of the paper's Table 1 from top to bottom, ours beyond it, what needs no map, then the bounds; further
 /// methods follow by name.
-const ORDER: [&str; 14] = [
+const ORDER: [&str; 15] = [
     "bridgesplat",
     "bridgesplat-release",
+    "bridgesplat-tuned",
     "bridgesplat-nomesh",
     "ours-nomesh",
     "ours",

@@ -202,6 +202,7 @@ mod tests {
             ("bridgesplat", None),
             ("bridgesplat-nomesh", None),
             ("bridgesplat-release", Some("bridgesplat")),
+            ("bridgesplat-tuned", Some("bridgesplat")),
             ("mean-breath", Some("virtual-bronchoscopy")),
             ("oracle-phase", Some("ours-window")),
             ("ours", None),

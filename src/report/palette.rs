@@ -35,7 +35,7 @@ const DOTS: Option<[u8; 2]> = Some([2, 2]);
 type OwnStyle = (&'static str, [u8; 3], Option<[u8; 2]>);
 
 /// Own rows. A test holds that each row of this program has one.
-const OWN: [OwnStyle; 15] = [
+const OWN: [OwnStyle; 16] = [
     ("ours", [0, 114, 178], None),
     ("ours-nomesh", [86, 180, 233], None),
     ("ours-window", [96, 24, 252], None),
@@ -44,6 +44,7 @@ const OWN: [OwnStyle; 15] = [
     ("ours-nav", [144, 72, 228], None),
     ("bridgesplat", [213, 94, 0], None),
     ("bridgesplat-release", [156, 48, 96], None),
+    ("bridgesplat-tuned", [120, 24, 144], None),
     ("bridgesplat-nomesh", [230, 159, 0], None),
     ("virtual-bronchoscopy", [12, 192, 72], None),
     ("pose-only", [132, 84, 0], SHORT),
@@ -159,7 +160,7 @@ mod tests {
         for (i, style) in styles.iter().enumerate() {
             assert!(!styles[..i].contains(style), "{} has the style of another", methods[i].id);
         }
-        assert!(methods[..15].iter().all(|m| OWN.iter().any(|row| row.0 == m.id)));
+        assert!(methods[..OWN.len()].iter().all(|m| OWN.iter().any(|row| row.0 == m.id)));
         assert_eq!(palette.style("ours").hex(), "#0072b2");
     }
 }

@@ -103,9 +103,10 @@ pub struct MethodInfo {
 /// Id, title, role, CT scans and mesh of this program's own rows: the paper's four, ours beyond the
 /// paper, what needs no map, the bounds.
 /// A test holds that these are the files of `bench-cases/methods/`. The names are reserved.
-const OWN_ROWS: [(&str, &str, Role, u8, bool); 15] = [
+const OWN_ROWS: [(&str, &str, Role, u8, bool); 16] = [
     ("bridgesplat", "BridgeSplat", Role::Ranked, 1, true),
     ("bridgesplat-release", "BridgeSplat (released objective)", Role::Ranked, 1, true),
+    ("bridgesplat-tuned", "BridgeSplat (tuned)", Role::Ranked, 1, true),
     ("bridgesplat-nomesh", "BridgeSplat (no mesh)", Role::Ranked, 1, false),
     ("ours-nomesh", "Ours (no mesh)", Role::Ranked, 2, false),
     ("ours", "Ours", Role::Ranked, 2, true),

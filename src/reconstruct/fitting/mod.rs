@@ -10,3 +10,4 @@ pub mod memory;
 pub mod optimiser;
 pub mod schedule;
 pub mod scope_light;
+pub mod unseen;

@@ -20,6 +20,7 @@ pub struct ScopeLight {
     eye: Vec3,
     exponent: f32,
     indirect: f32,
+    exposure: f32,
 }
 
 /// The shade of a Gaussian.
@@ -38,7 +39,13 @@ impl ScopeLight {
             eye: view.camera_from_world.inverse().translation.as_vec3(),
             exponent: exponent as f32,
             indirect: indirect_share as f32,
+            exposure: 1.0,
         }
+    }
+
+    /// The same light at an `exposure` that makes every shade this many times as bright.
+    pub fn exposed(self, exposure: f64) -> Self {
+        ScopeLight { exposure: exposure as f32, ..self }
     }
 
     /// One shade per Gaussian. `velocities` are mm per unit of phase (empty: slopes are 0); the slope leaves out the
@@ -75,7 +82,7 @@ impl ScopeLight {
         }
         // An exponent of 1 is common, and this runs for every disc in every step.
         let value = if self.exponent == 1.0 { shown } else { shown.powf(self.exponent) };
-        Shade { value, relative_slope: self.exponent * slope }
+        Shade { value: value * self.exposure, relative_slope: self.exponent * slope }
     }
 }
 

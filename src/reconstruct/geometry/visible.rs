@@ -25,7 +25,8 @@ impl Reach {
     }
 }
 
-/// The error of a method when no part of the airway is in view.
+/// The error of a method that begins where it sees no part of the airway. Later, and with a phase that is given, a scope
+/// that its mesh says is inside the wall has a black picture.
 pub fn nothing_in_view() -> Error {
     Error::input("the camera sees no face of the airway mesh: poses and mesh do not belong together")
 }

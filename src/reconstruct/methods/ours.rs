@@ -13,7 +13,7 @@ use crate::reconstruct::fitting::schedule::rate_factor;
 use crate::reconstruct::geometry::breathing::{BreathingMesh, at_phase, mesh_at};
 use crate::reconstruct::geometry::mesh_depth::{PixelRays, unhidden};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
-use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, pixel_areas, visible_faces};
+use crate::reconstruct::geometry::visible::{Reach, Sides, pixel_areas, visible_faces};
 use crate::reconstruct::online::OnlineRun;
 use crate::reconstruct::settings::{GivenPhaseSettings, KeyframeSettings, MethodHeader, OursSettings, PhaseEstimation};
 use crate::splat::{DiscFrame, Gaussians, Gradients, View, Wanted};
@@ -179,15 +179,12 @@ impl BreathingDiscs {
 
 impl BreathingDiscs {
     /// The faces that `view` may show while the phase stays within the range.
-    fn faces_in_view(&self, view: &View, [low, high]: [f64; 2]) -> Result<Vec<u32>> {
+    fn faces_in_view(&self, view: &View, [low, high]: [f64; 2]) -> Vec<u32> {
         let phases: &[f64] = if low == high { &[low] } else { &[low, 0.5 * (low + high), high] };
         let states: Vec<Vec<[f32; 3]>> = phases.iter().map(|&phase| self.mesh().at(phase)).collect();
         let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
-        let mut faces = visible_faces(&self.surface.faces, &states, view, self.reach, Sides::Lumen);
-        if self.hidden_left_out && high - low <= WIDEST_REACH {
-            faces = self.unhidden(view, &states, &faces);
-        }
-        if faces.is_empty() { Err(nothing_in_view()) } else { Ok(faces) }
+        let faces = visible_faces(&self.surface.faces, &states, view, self.reach, Sides::Lumen);
+        if self.hidden_left_out && high - low <= WIDEST_REACH { self.unhidden(view, &states, &faces) } else { faces }
     }
 
     fn patch_of(&mut self, faces: Vec<u32>) -> Result<Box<dyn VisiblePatch + '_>> {
@@ -206,14 +203,14 @@ impl BreathingDiscs {
 
 impl BreathingGaussians for BreathingDiscs {
     fn enter<'a>(&'a mut self, view: &View, [low, high]: [f64; 2]) -> Result<Box<dyn VisiblePatch + 'a>> {
-        let faces = self.faces_in_view(view, [low, high])?;
+        let faces = self.faces_in_view(view, [low, high]);
         let middle = self.mesh().at(if low == high { low } else { 0.5 * (low + high) });
         self.refine(&faces, &middle, view);
         self.patch_of(faces)
     }
 
     fn look<'a>(&'a mut self, view: &View, phase: f64) -> Result<Box<dyn VisiblePatch + 'a>> {
-        let faces = self.faces_in_view(view, [phase, phase])?;
+        let faces = self.faces_in_view(view, [phase, phase]);
         self.patch_of(faces)
     }
 }
@@ -265,7 +262,7 @@ impl VisiblePatch for VisibleDiscs<'_> {
 
     fn place_among_keyframes(&mut self, frame: PyramidLevel, expected: f64) -> f64 {
         let BreathingDiscs { window, inspiration, displacement, surface, .. } = &mut *self.all;
-        let Some(window) = window else { return expected };
+        let Some(window) = window.as_mut().filter(|_| !self.faces.is_empty()) else { return expected };
         let mut level = frame;
         while !KeyframeWindow::suits(&level) {
             level = level.halved();

@@ -12,7 +12,7 @@ use crate::reconstruct::fitting::memory::Memory;
 use crate::reconstruct::fitting::optimiser::StepCounter;
 use crate::reconstruct::fitting::schedule::rate_factor;
 use crate::reconstruct::geometry::neighbours;
-use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
+use crate::reconstruct::geometry::visible::{Reach, Sides, visible_faces};
 use crate::reconstruct::online::OnlineRun;
 use crate::reconstruct::settings::{MethodHeader, OursNomeshSettings, PerFace};
 use crate::splat::{Gaussians, Gradients, View, Wanted};
@@ -118,9 +118,6 @@ impl BreathingGaussians for FieldGaussians {
         let states = [at(low), at(0.5 * (low + high)), at(high)];
         let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
         let faces = visible_faces(&self.faces, &states, view, self.reach, Sides::Lumen);
-        if faces.is_empty() {
-            return Err(nothing_in_view());
-        }
         let patch = self.free.patch(&faces);
         Ok(Box::new(VisibleFree {
             displacement: patch.ids.iter().map(|&i| self.displacement[i as usize]).collect(),

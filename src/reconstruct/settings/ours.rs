@@ -21,8 +21,8 @@ pub struct FrameFitSettings {
     pub first_frame_factor: Sourced<f64>,
     /// w_s of Eq. 4, the weight of SSIM.
     pub ssim_weight: Sourced<f64>,
-    /// Largest relative change of the exposure gain, which is fitted in closed form per channel and frame; 0 = no
-    /// gain.
+    /// Largest relative change of the exposure, which is fitted in closed form per frame: with a fall-off, since the
+    /// frame before, and kept; without one, per channel, of this frame alone. 0 = no change.
     pub exposure_limit: Sourced<f64>,
     /// Encoded brightness falls with distance to this power (0 = appearance is carried over as is).
     pub falloff_exponent: Sourced<f64>,

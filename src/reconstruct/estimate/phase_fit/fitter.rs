@@ -9,6 +9,7 @@ use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::memory::{ShownColors, shift};
 use crate::reconstruct::fitting::schedule::scaled_iterations;
 use crate::reconstruct::fitting::scope_light::{ScopeLight, Shade};
+use crate::reconstruct::fitting::unseen::{Lender, lent_colors};
 use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{depths_mm, pixels};
 use crate::reconstruct::settings::{FrameFitSettings, PhaseEstimation};
@@ -20,6 +21,12 @@ const DARKEST: f32 = 0.01;
 /// Largest change of colour with direction that a Gaussian keeps, as a share of its colour, per axis. Linear terms
 /// learned at grazing incidence have little effect there and a wild one from other directions.
 const LARGEST_CHANGE: f32 = 0.3;
+/// Encoded values from which on a pixel is clipped and says nothing of the exposure.
+const CLIPPED: f32 = 0.98;
+/// Mean product of the values of picture and rendering up to which one of them is black and says nothing of it either.
+const DARK: f64 = 1e-4;
+/// Largest factor of encoded values between the exposures of a film. An automatic one stays within 8 of linear ones.
+const WIDEST_EXPOSURE: f64 = 16.0;
 /// Factor of the linear spherical harmonics of a unit direction.
 const SH_C1: f32 = 0.488_602_5;
 
@@ -38,6 +45,7 @@ pub struct Fitter<'a> {
     pub rasterizer: Rasterizer<f32>,
     gradient: Vec<f32>,
     gain: [f64; 3],
+    exposure: f64,
     /// Phases of the frames so far.
     pub phases: Vec<f64>,
     mean_color: [f32; 3],
@@ -84,6 +92,7 @@ impl<'a> Fitter<'a> {
             rasterizer: Rasterizer::new(),
             gradient: Vec::new(),
             gain: [1.0; 3],
+            exposure: 1.0,
             phases: Vec::new(),
             mean_color: [0.0; 3],
             velocities: Vec::new(),
@@ -120,26 +129,35 @@ impl<'a> Fitter<'a> {
     }
 
     fn light(&self, view: &View) -> ScopeLight {
-        ScopeLight::new(view, *self.settings.falloff_exponent, *self.settings.indirect_share)
+        ScopeLight::new(view, *self.settings.falloff_exponent, *self.settings.indirect_share).exposed(self.exposure)
     }
 
     /// Moves the Gaussians to `phase` and relights those that an earlier frame has shown for the scope's position.
     pub fn place(&mut self, view: &View, patch: &mut dyn VisiblePatch, phase: f64) -> Result<()> {
         patch.place(phase)?;
-        if *self.settings.falloff_exponent != 0.0 {
-            self.light(view).shades(patch.gaussians(), &[], &mut self.shades);
-            let (sh, memory) = patch.colors();
-            for ((sh, at), shade) in sh.chunks_exact_mut(SH_VALUES).zip(&mut memory.contained_shade).zip(&self.shades) {
-                if *at > 0.0 {
-                    let ratio = shade.value / *at;
-                    for (i, value) in sh.iter_mut().enumerate() {
-                        *value = (*value + shift(i)) * ratio - shift(i);
-                    }
-                    *at = shade.value;
-                }
-            }
+        if self.models_light() {
+            self.relight(view, patch);
         }
         Ok(())
+    }
+
+    fn models_light(&self) -> bool {
+        *self.settings.falloff_exponent != 0.0
+    }
+
+    /// Gives Gaussians that an earlier frame has shown the light of the scope at `view`, at the present exposure.
+    fn relight(&mut self, view: &View, patch: &mut dyn VisiblePatch) {
+        self.light(view).shades(patch.gaussians(), &[], &mut self.shades);
+        let (sh, memory) = patch.colors();
+        for ((sh, at), shade) in sh.chunks_exact_mut(SH_VALUES).zip(&mut memory.contained_shade).zip(&self.shades) {
+            if *at > 0.0 {
+                let ratio = shade.value / *at;
+                for (i, value) in sh.iter_mut().enumerate() {
+                    *value = (*value + shift(i)) * ratio - shift(i);
+                }
+                *at = shade.value;
+            }
+        }
     }
 
     /// dL/dphase of the photometric loss. Gaussians move, and the light on them changes:
@@ -148,7 +166,7 @@ impl<'a> Fitter<'a> {
     pub fn phase_derivative(&mut self, view: &View, patch: &mut dyn VisiblePatch) -> Result<f64> {
         // Centres and spread.
         let mut sum = patch.phase_derivative(self.rasterizer.gradients())?;
-        if *self.settings.falloff_exponent != 0.0 {
+        if self.models_light() {
             // Colours: shade changes as the centres move.
             patch.velocities(&mut self.velocities)?;
             self.light(view).shades(patch.gaussians(), &self.velocities, &mut self.shades);
@@ -165,9 +183,11 @@ impl<'a> Fitter<'a> {
         Ok(sum)
     }
 
-    /// Gain per channel that brings the rendering `R` nearest to the image `I` in the least-squares sense,
-    /// `g = sum R I / sum R^2`, within the limit.
-    pub fn fit_gain(&mut self, view: &View, patch: &mut dyn VisiblePatch, image: &Image<f32>) -> Result<()> {
+    /// The change of exposure since the frame before, in closed form and within the limit: the factor that brings the
+    /// rendering `R` nearest to the image `I` in the least-squares sense, `g = sum R I / sum R^2`. With a model of the
+    /// light it is part of that, so that what an earlier frame has shown keeps in step with what the scope sees now;
+    /// without one it is a gain of this frame, per channel.
+    pub fn fit_exposure(&mut self, view: &View, patch: &mut dyn VisiblePatch, image: &Image<f32>) -> Result<()> {
         let limit = *self.settings.exposure_limit;
         if limit <= 0.0 {
             return Ok(());
@@ -175,14 +195,21 @@ impl<'a> Fitter<'a> {
         self.gain = [1.0; 3];
         let settings = Settings { depth: DepthOutput::Skip, ..Settings::default() };
         let rendered = self.rasterizer.render(patch.gaussians(), view, &settings, None)?;
-        for c in 0..3 {
-            let pairs = rendered.color.iter().zip(&image.data).skip(c).step_by(3).enumerate();
-            let (mut cross, mut square) = (0.0f64, 1e-9f64);
-            for (_, (&r, &i)) in pairs.filter(|(pixel, _)| self.observation.shows(*pixel)) {
-                cross += (r * i) as f64;
-                square += (r * r) as f64;
+        let models_light = *self.settings.falloff_exponent != 0.0;
+        let (mut cross, mut square) = ([0.0f64; 3], [1e-9f64; 3]);
+        for (i, (&r, &v)) in rendered.color.iter().zip(&image.data).enumerate() {
+            if self.observation.shows(i / 3) && !(models_light && v > CLIPPED) {
+                cross[i % 3] += (r * v) as f64;
+                square[i % 3] += (r * r) as f64;
             }
-            self.gain[c] = (cross / square).clamp(1.0 - limit, 1.0 / (1.0 - limit));
+        }
+        let within = |gain: f64| gain.clamp(1.0 - limit, 1.0 / (1.0 - limit));
+        if !models_light {
+            self.gain = [0, 1, 2].map(|c| within(cross[c] / square[c]));
+        } else if cross.iter().sum::<f64>() > DARK * image.data.len() as f64 {
+            let change = within(cross.iter().sum::<f64>() / square.iter().sum::<f64>());
+            self.exposure = (self.exposure * change).clamp(1.0 / WIDEST_EXPOSURE, WIDEST_EXPOSURE);
+            self.relight(view, patch);
         }
         Ok(())
     }
@@ -203,22 +230,25 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    /// Where there is no image to take a colour from, Gaussians that no frame has shown get the mean colour of those
-    /// that one has, under the light at their own place.
-    pub fn color_the_unseen_evenly(&mut self, view: &View, patch: &mut dyn VisiblePatch) {
+    /// Where there is no image to take a colour from, Gaussians that no frame has shown get the colour of the wall beside
+    /// them, under the light at their own place.
+    pub fn color_the_unseen_as_beside(&mut self, view: &View, patch: &mut dyn VisiblePatch) {
         self.light(view).shades(patch.gaussians(), &[], &mut self.shades);
+        let positions = patch.gaussians().positions.clone();
         let (sh, memory) = patch.colors();
-        let (mut sum, mut count) = ([0.0f32; 3], 0.0f32);
-        for (sh, at) in sh.chunks_exact(SH_VALUES).zip(&memory.contained_shade).filter(|(_, at)| **at > 0.0) {
-            (0..3).for_each(|c| sum[c] += (sh[c] * SH_C0 + 0.5) / at);
-            count += 1.0;
+        let shown = |k: &usize| memory.contained_shade[*k] > 0.0;
+        let (seen, unseen): (Vec<usize>, Vec<usize>) = (0..positions.len()).partition(shown);
+        let lender = |&k: &usize| Lender {
+            position: positions[k],
+            color: [0, 1, 2].map(|c| sh[k * SH_VALUES + c] * SH_C0 + 0.5),
+            shade: memory.contained_shade[k],
+        };
+        let lenders: Vec<Lender> = seen.iter().map(lender).collect();
+        let places: Vec<[f32; 3]> = unseen.iter().map(|&k| positions[k]).collect();
+        for (&k, color) in unseen.iter().zip(lent_colors(&lenders, &places)) {
+            (0..3).for_each(|c| sh[k * SH_VALUES + c] = (color[c] * self.shades[k].value - 0.5) / SH_C0);
         }
-        let mean = sum.map(|sum| if count > 0.0 { sum / count } else { 0.5 });
-        for ((sh, at), shade) in sh.chunks_exact_mut(SH_VALUES).zip(&memory.contained_shade).zip(&self.shades) {
-            if *at == 0.0 {
-                (0..3).for_each(|c| sh[c] = (mean[c] * shade.value - 0.5) / SH_C0);
-            }
-        }
+        sh.chunks_exact_mut(SH_VALUES).for_each(clip);
     }
 
     /// Records the shade contained in the colour of each visible disc (one not behind the rendered surface). The
@@ -279,7 +309,7 @@ impl<'a> Fitter<'a> {
     /// Groups that [`Fitter::phase_derivative`] needs.
     pub fn phase_groups(&self) -> Wanted {
         let carried = Wanted::POSITIONS | Wanted::SHAPES;
-        if *self.settings.falloff_exponent == 0.0 { carried } else { carried | Wanted::SH }
+        if self.models_light() { carried | Wanted::SH } else { carried }
     }
 }
 
@@ -293,9 +323,32 @@ fn bound(sh: &mut [f32]) {
     }
 }
 
+/// Clips the colour of one Gaussian at white, as a sensor does: what the second camera has right before it may be many
+/// times too bright by the law of the light, and would shine through the rim of its disc.
+fn clip(sh: &mut [f32]) {
+    let (constant, linear) = sh.split_at_mut(3);
+    for (c, value) in constant.iter_mut().enumerate() {
+        let color = *value * SH_C0 + 0.5;
+        if color > 1.0 {
+            *value = 0.5 / SH_C0;
+            linear.iter_mut().skip(c).step_by(3).for_each(|v| *v /= color);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_brighter_than_white_is_white() {
+        let mut sh = vec![0.2f32; SH_VALUES];
+        sh[1] = (4.0 - 0.5) / SH_C0;
+        clip(&mut sh);
+        let colors = [0, 1, 2].map(|c| sh[c] * SH_C0 + 0.5);
+        assert!((colors[1] - 1.0).abs() < 1e-6 && colors[0] == colors[2] && colors[0] < 0.6, "{colors:?}");
+        assert_eq!([sh[3], sh[4], sh[5]], [0.2, 0.05, 0.2]);
+    }
 
     #[test]
     fn a_colour_changes_with_the_direction_by_a_share_of_itself() {

@@ -7,6 +7,7 @@ use crate::reconstruct::contract::{FramePrediction, NovelPrediction, Reconstruct
 use crate::reconstruct::fitting::grid_search::grid_search;
 use crate::reconstruct::geometry::mesh_depth::depth_gap_mm;
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
+use crate::reconstruct::geometry::visible::nothing_in_view;
 use crate::reconstruct::online::{OnlineRun, color_image, depth_image, held_out, shown};
 use crate::reconstruct::settings::PhaseEstimation;
 use crate::splat::{DepthOutput, View};
@@ -77,6 +78,9 @@ impl Fitter<'_> {
         };
         let mut entered = gaussians.enter(&view, reach)?;
         let patch = &mut *entered;
+        if estimated && frame == 0 && patch.gaussians().positions.is_empty() {
+            return Err(nothing_in_view());
+        }
         self.place(&view, patch, phase)?;
         if estimated && frame == 0 {
             phase = self.search_by_depth(&view, patch)?;
@@ -102,7 +106,7 @@ impl Fitter<'_> {
             self.place(&view, patch, phase)?;
         }
         if frame > 0 {
-            self.fit_gain(&view, patch, &target.image)?;
+            self.fit_exposure(&view, patch, &target.image)?;
         }
         self.color_the_unseen(&view, patch, &target.image);
         let (sh, memory) = patch.colors();
@@ -143,7 +147,7 @@ impl Fitter<'_> {
         let view = View::new(self.observation.camera, pose);
         let mut patch = gaussians.look(&view, phase)?;
         self.place(&view, &mut *patch, phase)?;
-        self.color_the_unseen_evenly(&view, &mut *patch);
+        self.color_the_unseen_as_beside(&view, &mut *patch);
         self.render(&view, &*patch, DepthOutput::Surface)?;
         Ok(Some(shown(&self.rasterizer)))
     }

@@ -27,7 +27,7 @@ impl Fitter<'_> {
             memory.recall(sh)
         });
         self.place(&target.view, patch, guess)?;
-        self.fit_gain(&target.view, patch, &target.image)?;
+        self.fit_exposure(&target.view, patch, &target.image)?;
         self.color_the_unseen(&target.view, patch, &target.image);
         // The phase: the best candidate, then Adam on theta.
         let start = self.best_candidate(patch, target, guess)?;

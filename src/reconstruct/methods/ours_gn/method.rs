@@ -276,6 +276,9 @@ impl<'a> Tracker<'a> {
         }
         let mut phase = if frame == 0 { self.search_by_depth(&given, time_s)? } else { self.breath.expected() };
         let mut active = self.enter(&given, phase, REACH)?;
+        if frame == 0 && active.faces.is_empty() {
+            return Err(nothing_in_view());
+        }
         let ahead = if ahead {
             let view = moved(&given, self.pose);
             active.place(phase, &self.renderer.light(&view))?;
@@ -299,7 +302,7 @@ impl<'a> Tracker<'a> {
 
         // Starting there: phase, pose and correction of the registration by the keyframe window.
         let mut phase_deviation = None;
-        if let Some(window) = &mut self.window {
+        if let Some(window) = self.window.as_mut().filter(|_| !active.faces.is_empty()) {
             let level = levels.iter().rev().find(|level| KeyframeWindow::suits(level)).unwrap_or(&levels[0]);
             let mesh =
                 BreathingMesh { rest: &self.rest, displacement: &self.given_displacement, faces: self.map.faces() };
@@ -327,7 +330,7 @@ impl<'a> Tracker<'a> {
         let mut active = self.enter(&given, phase, 0.0)?;
         let view = moved(&given, self.pose);
         active.place(phase, &self.renderer.light(&view))?;
-        active.color_the_unseen(self.renderer.mean_color);
+        active.color_the_unseen_as_beside();
         self.renderer.draw(&active, &view)?;
         let color = self.shown();
         Ok(Some(NovelPrediction { color, depth_mm: self.depth_mm(&view, phase, &active.faces) }))
@@ -405,10 +408,10 @@ impl<'a> Tracker<'a> {
     /// Starts a frame: the compact copy of what is visible from the corrected `given` pose at phases within `reach` of
     /// `phase`.
     fn enter(&self, given: &View, phase: f64, reach: f64) -> Result<ActiveFrame> {
-        self.map.enter(self.faces_in_view(given, phase, reach)?, self.breathing())
+        self.map.enter(self.faces_in_view(given, phase, reach), self.breathing())
     }
 
-    fn faces_in_view(&self, given: &View, phase: f64, reach: f64) -> Result<Vec<u32>> {
+    fn faces_in_view(&self, given: &View, phase: f64, reach: f64) -> Vec<u32> {
         let view = &moved(given, self.pose);
         let states =
             [(phase - reach).max(0.0), phase, (phase + reach).min(1.0)].map(|phase| self.breathing().at(phase));
@@ -417,7 +420,7 @@ impl<'a> Tracker<'a> {
         if reach <= REACH {
             faces = unhidden(view, &self.rays, &states[1], self.map.faces(), &faces);
         }
-        if faces.is_empty() { Err(nothing_in_view()) } else { Ok(faces) }
+        faces
     }
 
     /// Depth of the mesh at `phase`, considering only `faces`.
@@ -429,7 +432,7 @@ impl<'a> Tracker<'a> {
     fn search_by_depth(&mut self, view: &View, time_s: f64) -> Result<f64> {
         let observation = self.observation;
         let Some(depth) = &observation.first_depth_mm else { return Ok(0.0) };
-        let faces = self.faces_in_view(view, 0.5, 1.0)?;
+        let faces = self.faces_in_view(view, 0.5, 1.0);
         if !*self.settings.unknown_pose {
             let gap = |phase| Ok(depth_gap_mm(&self.depth_mm(view, phase, &faces), depth));
             return grid_search(*self.settings.grid_steps, gap);
