@@ -13,34 +13,45 @@ const ALIKE_MM: f64 = 0.2;
 /// The colour where nothing has been seen.
 const GREY: [f32; 3] = [0.5; 3];
 
-/// A Gaussian that a frame has shown.
+/// How a frame has shown a Gaussian.
 #[derive(Clone, Copy, Debug)]
-pub struct Lender {
-    /// Its centre in mm.
-    pub position: [f32; 3],
+pub struct Shown {
     /// Its encoded colour as shown.
     pub color: [f32; 3],
     /// The shade contained in that.
     pub shade: f32,
 }
 
-/// The encoded colour at shade 1 of Gaussians at the positions `unseen`, in mm: what the nearest lenders show, over the
-/// shade in which they show it. A dark lender, whose colour is uncertain, has less of a say.
-pub fn lent_colors(lenders: &[Lender], unseen: &[[f32; 3]]) -> Vec<[f32; 3]> {
-    let at = |p: &[f32; 3]| Vec3::from(*p).as_dvec3();
-    let from: Vec<DVec3> = lenders.iter().map(|lender| at(&lender.position)).collect();
-    let to: Vec<DVec3> = unseen.iter().map(at).collect();
-    let mean = |near: &Vec<(u32, f64)>| {
+/// Number and encoded colour at shade 1 of each Gaussian that no frame has shown: what the nearest others show, over the
+/// shade in which they show it. A dark one, whose colour is uncertain, has less of a say. `positions` are in mm, one per
+/// Gaussian; `shown` is `None` where no frame has shown it.
+pub fn lent_colors(positions: &[[f32; 3]], shown: impl Fn(usize) -> Option<Shown>) -> Vec<(usize, [f32; 3])> {
+    let (mut lenders, mut from) = (Vec::new(), Vec::new());
+    let (mut unseen, mut to) = (Vec::new(), Vec::new());
+    for (k, position) in positions.iter().enumerate() {
+        let position = Vec3::from(*position).as_dvec3();
+        match shown(k) {
+            Some(lender) => {
+                lenders.push(lender);
+                from.push(position);
+            }
+            None => {
+                unseen.push(k);
+                to.push(position);
+            }
+        }
+    }
+    let mean = |near: Vec<(u32, f64)>| {
         let (mut sum, mut shades) = (DVec3::ZERO, 0.0);
-        for &(i, distance_mm) in near {
-            let lender = &lenders[i as usize];
+        for (i, distance_mm) in near {
+            let Shown { color, shade } = lenders[i as usize];
             let weight = 1.0 / (distance_mm + ALIKE_MM);
-            sum += weight * at(&lender.color);
-            shades += weight * lender.shade as f64;
+            sum += weight * Vec3::from(color).as_dvec3();
+            shades += weight * shade as f64;
         }
         if shades > 0.0 { (sum / shades).as_vec3().to_array() } else { GREY }
     };
-    neighbours::nearest(&from, &to, LENDERS).iter().map(mean).collect()
+    unseen.into_iter().zip(neighbours::nearest(&from, &to, LENDERS).into_iter().map(mean)).collect()
 }
 
 #[cfg(test)]
@@ -51,20 +62,22 @@ mod tests {
     fn the_wall_beside_lends_its_colour_whatever_light_fell_on_it() {
         // Two walls of one colour each, 50 mm apart, every disc in a light of its own.
         let [red, grey] = [[0.6, 0.3, 0.2], [0.4, 0.4, 0.4]];
-        let lender = |k: usize| {
-            let (wall, shade) = (k % 2, 0.2 + 0.1 * (k % 7) as f32);
-            let color = if wall == 0 { red } else { grey };
-            Lender { position: [50.0 * wall as f32, 0.3 * k as f32, 0.0], color: color.map(|v: f32| v * shade), shade }
+        let mut positions: Vec<[f32; 3]> = (0..40).map(|k| [50.0 * (k % 2) as f32, 0.3 * k as f32, 0.0]).collect();
+        positions.extend([[2.0, 4.0, 1.0], [47.0, 9.0, 0.0]]);
+        let shown = |k: usize| {
+            let shade = 0.2 + 0.1 * (k % 7) as f32;
+            let color = [red, grey][k % 2];
+            (k < 40).then(|| Shown { color: color.map(|v: f32| v * shade), shade })
         };
-        let lenders: Vec<Lender> = (0..40).map(lender).collect();
-        let lent = lent_colors(&lenders, &[[2.0, 4.0, 1.0], [47.0, 9.0, 0.0]]);
-        for (lent, color) in lent.iter().zip([red, grey]) {
+        let lent = lent_colors(&positions, shown);
+        assert_eq!([lent[0].0, lent[1].0, lent.len()], [40, 41, 2]);
+        for ((_, lent), color) in lent.iter().zip([red, grey]) {
             assert!(lent.iter().zip(color).all(|(a, b)| (a - b).abs() < 1e-5), "{lent:?}");
         }
     }
 
     #[test]
     fn nothing_seen_is_grey() {
-        assert_eq!(lent_colors(&[], &[[0.0; 3], [1.0; 3]]), [GREY; 2]);
+        assert_eq!(lent_colors(&[[0.0; 3], [1.0; 3]], |_| None), [(0, GREY), (1, GREY)]);
     }
 }

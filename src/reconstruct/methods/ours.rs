@@ -262,7 +262,7 @@ impl VisiblePatch for VisibleDiscs<'_> {
 
     fn place_among_keyframes(&mut self, frame: PyramidLevel, expected: f64) -> f64 {
         let BreathingDiscs { window, inspiration, displacement, surface, .. } = &mut *self.all;
-        let Some(window) = window.as_mut().filter(|_| !self.faces.is_empty()) else { return expected };
+        let Some(window) = window else { return expected };
         let mut level = frame;
         while !KeyframeWindow::suits(&level) {
             level = level.halved();

@@ -128,8 +128,17 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
 }
 
 fn shipped<S: MethodSettings>(id: &str) -> S {
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
-    MethodFile::load(&folder.join(format!("{id}.toml"))).unwrap().settings().unwrap()
+    MethodFile::load(&methods_folder().join(format!("{id}.toml"))).unwrap().settings().unwrap()
+}
+
+fn methods_folder() -> std::path::PathBuf {
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods")
+}
+
+/// All shipped methods, with few iterations.
+fn shipped_methods() -> impl Iterator<Item = Box<dyn Reconstruct>> {
+    let files = std::fs::read_dir(methods_folder()).unwrap();
+    files.map(|file| MethodFile::load(&file.unwrap().path()).unwrap().method(0.02).unwrap())
 }
 
 fn shipped_discs() -> AnchoredAppearance {
@@ -337,10 +346,8 @@ fn bridgesplat_nomesh_recovers_its_world() {
 fn a_seed_changes_the_answers_of_methods_that_draw_and_of_no_other() {
     let mut observation = world(Made::Discs, 2, 24, breath);
     observation.centerline_mm = (0..7).map(|i| DVec3::Z * (10.0 * i as f64)).collect();
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
     let mut drawing = Vec::new();
-    for file in std::fs::read_dir(folder).unwrap() {
-        let method = MethodFile::load(&file.unwrap().path()).unwrap().method(0.02).unwrap();
+    for method in shipped_methods() {
         let mut of_seed = |seed: u64| {
             observation.seed = seed;
             let mut answers = Vec::new();
@@ -417,9 +424,7 @@ fn a_frame_that_shows_no_wall_is_answered_by_every_method() {
     observation.novel_pose[4] = Some(observation.world_from_camera[4]);
     let mut elsewhere = observation.clone();
     elsewhere.world_from_camera = vec![away; 6];
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
-    for file in std::fs::read_dir(folder).unwrap() {
-        let method = MethodFile::load(&file.unwrap().path()).unwrap().method(0.02).unwrap();
+    for method in shipped_methods() {
         let (_, answers) = recover(&*method, &observation);
         assert_eq!(answers.len(), 6, "{}", method.id());
         for answer in &answers {

@@ -9,7 +9,7 @@ use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::memory::{ShownColors, shift};
 use crate::reconstruct::fitting::schedule::scaled_iterations;
 use crate::reconstruct::fitting::scope_light::{ScopeLight, Shade};
-use crate::reconstruct::fitting::unseen::{Lender, lent_colors};
+use crate::reconstruct::fitting::unseen::{Shown, lent_colors};
 use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{depths_mm, pixels};
 use crate::reconstruct::settings::{FrameFitSettings, PhaseEstimation};
@@ -193,9 +193,9 @@ impl<'a> Fitter<'a> {
             return Ok(());
         }
         self.gain = [1.0; 3];
+        let models_light = self.models_light();
         let settings = Settings { depth: DepthOutput::Skip, ..Settings::default() };
         let rendered = self.rasterizer.render(patch.gaussians(), view, &settings, None)?;
-        let models_light = *self.settings.falloff_exponent != 0.0;
         let (mut cross, mut square) = ([0.0f64; 3], [1e-9f64; 3]);
         for (i, (&r, &v)) in rendered.color.iter().zip(&image.data).enumerate() {
             if self.observation.shows(i / 3) && !(models_light && v > CLIPPED) {
@@ -236,19 +236,16 @@ impl<'a> Fitter<'a> {
         self.light(view).shades(patch.gaussians(), &[], &mut self.shades);
         let positions = patch.gaussians().positions.clone();
         let (sh, memory) = patch.colors();
-        let shown = |k: &usize| memory.contained_shade[*k] > 0.0;
-        let (seen, unseen): (Vec<usize>, Vec<usize>) = (0..positions.len()).partition(shown);
-        let lender = |&k: &usize| Lender {
-            position: positions[k],
-            color: [0, 1, 2].map(|c| sh[k * SH_VALUES + c] * SH_C0 + 0.5),
-            shade: memory.contained_shade[k],
+        let shown = |k: usize| {
+            let shade = memory.contained_shade[k];
+            (shade > 0.0).then(|| Shown { color: [0, 1, 2].map(|c| sh[k * SH_VALUES + c] * SH_C0 + 0.5), shade })
         };
-        let lenders: Vec<Lender> = seen.iter().map(lender).collect();
-        let places: Vec<[f32; 3]> = unseen.iter().map(|&k| positions[k]).collect();
-        for (&k, color) in unseen.iter().zip(lent_colors(&lenders, &places)) {
+        for (k, color) in lent_colors(&positions, shown) {
             (0..3).for_each(|c| sh[k * SH_VALUES + c] = (color[c] * self.shades[k].value - 0.5) / SH_C0);
         }
-        sh.chunks_exact_mut(SH_VALUES).for_each(clip);
+        if self.models_light() {
+            sh.chunks_exact_mut(SH_VALUES).for_each(clip);
+        }
     }
 
     /// Records the shade contained in the colour of each visible disc (one not behind the rendered surface). The

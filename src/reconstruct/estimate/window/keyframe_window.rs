@@ -163,8 +163,8 @@ impl KeyframeWindow {
         self.correction.estimates().then(|| self.correction.apply(given).into_owned())
     }
 
-    /// Places a frame whose predicted phase is `expected`. `mesh` is the given airway, `visible` the faces in view. All
-    /// frames share one camera.
+    /// Places a frame whose predicted phase is `expected`. `mesh` is the given airway, `visible` the faces in view; without
+    /// any, the frame says nothing, and what is expected stands. All frames share one camera.
     pub fn place(
         &mut self,
         frame: &PyramidLevel,
@@ -176,6 +176,12 @@ impl KeyframeWindow {
         let mut correction = std::mem::take(&mut self.correction);
         let layout = UnknownLayout::new(self.drift.is_some(), &correction, &frame.view);
         self.make_room(layout.first);
+        if visible.is_empty() {
+            let at = self.unknowns.clone().push(expected);
+            let pose = self.correction_of_poses(&at, 0.0);
+            (self.rays, self.correction) = (Some(rays), correction);
+            return FramePlacement { phase: expected, deviation: self.prior_deviation, pose };
+        }
         self.waited += 1;
 
         // The wall that the frame shows at the expected values of all unknowns.

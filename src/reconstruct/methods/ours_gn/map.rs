@@ -8,7 +8,7 @@ use crate::base::Result;
 use crate::reconstruct::contract::Observation;
 use crate::reconstruct::fitting::anchored::{Patch, SH_C0, Start, Surface};
 use crate::reconstruct::fitting::scope_light::ScopeLight;
-use crate::reconstruct::fitting::unseen::{Lender, lent_colors};
+use crate::reconstruct::fitting::unseen::{Shown, lent_colors};
 use crate::reconstruct::geometry::breathing::{BreathingMesh, at_phase};
 use crate::reconstruct::settings::GaussianSettings;
 use crate::splat::{DiscFrame, Gaussians, Shape};
@@ -137,15 +137,11 @@ impl ActiveFrame {
 
     /// Discs that no frame has shown get the albedo of the wall beside them, where there is no image to take one from.
     pub fn color_the_unseen_as_beside(&mut self) {
-        let (positions, shade) = (&self.patch.gaussians.positions, &self.shade);
-        let (seen, unseen): (Vec<usize>, Vec<usize>) = (0..positions.len()).partition(|&k| self.memory[k] > 0.0);
-        let lender = |&k: &usize| {
-            let color = self.albedo[k].map(|v| v * shade[k]);
-            Lender { position: positions[k], color, shade: shade[k] }
+        let shown = |k: usize| {
+            let shade = self.shade[k];
+            (self.memory[k] > 0.0).then(|| Shown { color: self.albedo[k].map(|v| v * shade), shade })
         };
-        let lenders: Vec<Lender> = seen.iter().map(lender).collect();
-        let places: Vec<[f32; 3]> = unseen.iter().map(|&k| positions[k]).collect();
-        for (&k, albedo) in unseen.iter().zip(lent_colors(&lenders, &places)) {
+        for (k, albedo) in lent_colors(&self.patch.gaussians.positions, shown) {
             self.albedo[k] = albedo;
         }
         self.color();

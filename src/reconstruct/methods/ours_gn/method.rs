@@ -302,7 +302,7 @@ impl<'a> Tracker<'a> {
 
         // Starting there: phase, pose and correction of the registration by the keyframe window.
         let mut phase_deviation = None;
-        if let Some(window) = self.window.as_mut().filter(|_| !active.faces.is_empty()) {
+        if let Some(window) = &mut self.window {
             let level = levels.iter().rev().find(|level| KeyframeWindow::suits(level)).unwrap_or(&levels[0]);
             let mesh =
                 BreathingMesh { rest: &self.rest, displacement: &self.given_displacement, faces: self.map.faces() };
