@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::base::{Error, Result};
 
-use super::number::{Dual, Real, cross, dot};
+use super::number::{Dual, Each, Real, cross, dot};
 use super::pass::cut;
 use super::types::{Gaussians, Gradients, Shape};
 
@@ -80,24 +80,18 @@ fn subtract<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// The three values of `f`; unlike `array::map`, always inlined.
-#[inline(always)]
-fn each<V>(f: impl Fn(usize) -> V) -> [V; 3] {
-    [f(0), f(1), f(2)]
-}
-
 /// `a x + b y`.
 #[inline(always)]
 fn mix<T: Real>(a: T, x: [T; 3], b: T, y: [T; 3]) -> [T; 3] {
-    each(|k| a * x[k] + b * y[k])
+    [0, 1, 2].each(|k| a * x[k] + b * y[k])
 }
 
 #[inline(always)]
 fn softmax<T: Real>(logits: [T; 3]) -> [T; 3] {
     let top = logits[0].maximum(logits[1]).maximum(logits[2]);
-    let e = each(|k| (logits[k] - top).exp());
+    let e = [0, 1, 2].each(|k| (logits[k] - top).exp());
     let sum = e[0] + e[1] + e[2];
-    each(|k| e[k] / sum)
+    [0, 1, 2].each(|k| e[k] / sum)
 }
 
 /// Unit normal and 1 / length of the cross product; length 0 where there is no area.
@@ -105,7 +99,7 @@ fn softmax<T: Real>(logits: [T; 3]) -> [T; 3] {
 fn unit_normal<T: Real>(e1: [T; 3], e2: [T; 3]) -> ([T; 3], T) {
     let n = cross(e1, e2);
     let inverse = T::one() / dot(n, n).sqrt();
-    if inverse.is_finite() { (n.map(|v| v * inverse), inverse) } else { ([T::zero(), T::zero(), T::one()], T::zero()) }
+    if inverse.is_finite() { (n.each(|v| v * inverse), inverse) } else { ([T::zero(), T::zero(), T::one()], T::zero()) }
 }
 
 /// True where the shortest arc from +z to `n` is undefined; a half turn about the x axis replaces it.
@@ -154,7 +148,7 @@ struct PlacedFace<T> {
 
 impl<T: Real> PlacedFace<T> {
     fn new(frame: DiscFrame, face: u32, carrier: Carrier<'_, T>) -> Self {
-        let corners = carrier.faces[face as usize].map(|v| carrier.vertices[v as usize]);
+        let corners = carrier.faces[face as usize].each(|v| carrier.vertices[v as usize]);
         let edges = [subtract(corners[1], corners[0]), subtract(corners[2], corners[0])];
         let (normal, arc) = match frame {
             DiscFrame::InheritStretch => (([T::zero(); 3], T::zero()), [[T::zero(); 3]; 2]),
@@ -217,7 +211,7 @@ impl<T: Real> Anchors<T> {
         let tangents = face
             .iter()
             .map(|&f| {
-                let [a, b, c] = rest.faces[f as usize].map(|v| rest.vertices[v as usize]);
+                let [a, b, c] = rest.faces[f as usize].each(|v| rest.vertices[v as usize]);
                 let (e1, e2) = (subtract(b, a), subtract(c, a));
                 let inverse = T::one() / dot(e1, e1).sqrt();
                 let along = dot(e1, e2) * inverse * inverse;
@@ -352,9 +346,10 @@ impl<T: Real> Anchors<T> {
                 let form = self.form(i, Some(&forms[place]));
                 forms[place] = form;
                 let (w, [a, b, d]) = (form.weights, face.corners);
-                positions[place] = each(|k| w[0] * a[k] + w[1] * b[k] + w[2] * d[k]);
+                positions[place] = [0, 1, 2].each(|k| w[0] * a[k] + w[1] * b[k] + w[2] * d[k]);
                 let [first, second] = self.directions(i, face);
-                axes[place] = [each(|k| first[k] * form.scales[0]), each(|k| second[k] * form.scales[1])];
+                axes[place] =
+                    [[0, 1, 2].each(|k| first[k] * form.scales[0]), [0, 1, 2].each(|k| second[k] * form.scales[1])];
             }
         });
         self.forms = forms;
@@ -385,22 +380,22 @@ impl<T: Real> Anchors<T> {
             let i = active.map_or(j, |list| list[j] as usize);
             let form = self.form(i, self.forms.get(i));
             let corners = carrier.faces[self.face[i] as usize];
-            let [a, b, c] = corners.map(|v| displacement[v as usize]);
+            let [a, b, c] = corners.each(|v| displacement[v as usize]);
             let w = form.weights;
             let edges = [subtract(b, a), subtract(c, a)];
             let [first, second] = match self.frame {
                 DiscFrame::InheritStretch => self.stretched(i, edges),
                 DiscFrame::NormalOnly => {
-                    let [a, b, c] = corners.map(|v| carrier.vertices[v as usize]);
+                    let [a, b, c] = corners.each(|v| carrier.vertices[v as usize]);
                     let still = [subtract(b, a), subtract(c, a)];
-                    let moving = |e: usize| each(|k| Dual::new(still[e][k], edges[e][k]));
-                    shortest_arc(unit_normal(moving(0), moving(1)).0).map(|v| v.map(|d| d.derivative))
+                    let moving = |e: usize| [0, 1, 2].each(|k| Dual::new(still[e][k], edges[e][k]));
+                    shortest_arc(unit_normal(moving(0), moving(1)).0).each(|v| v.each(|d| d.derivative))
                 }
             };
             (
                 i,
-                each(|k| w[0] * a[k] + w[1] * b[k] + w[2] * c[k]),
-                [each(|k| first[k] * form.scales[0]), each(|k| second[k] * form.scales[1])],
+                [0, 1, 2].each(|k| w[0] * a[k] + w[1] * b[k] + w[2] * c[k]),
+                [[0, 1, 2].each(|k| first[k] * form.scales[0]), [0, 1, 2].each(|k| second[k] * form.scales[1])],
             )
         };
         let velocities: Vec<_> = (0..n).into_par_iter().with_min_len(CHUNK).map(velocity).collect();
@@ -436,11 +431,11 @@ impl<T: Real> Anchors<T> {
                     let i = active.map_or(j, |list| list[j] as usize);
                     let face = walk.to(self.face[i]);
                     let form = self.form(i, self.forms.get(i));
-                    let by_weights = each(|k| dot(position, face.corners[k]));
+                    let by_weights = [0, 1, 2].each(|k| dot(position, face.corners[k]));
                     let mean = dot(form.weights, by_weights);
-                    *by_logits = each(|k| form.weights[k] * (by_weights[k] - mean));
+                    *by_logits = [0, 1, 2].each(|k| form.weights[k] * (by_weights[k] - mean));
                     let (directions, (_, capped)) = (self.directions(i, face), self.limited(i));
-                    *by_scales = [0, 1].map(|k| {
+                    *by_scales = [0, 1].each(|k| {
                         let slope = form.scales[k] * dot(axes[k], directions[k]);
                         if capped[k] { T::zero() } else { slope }
                     });
@@ -455,7 +450,7 @@ impl<T: Real> Anchors<T> {
     fn corner_gradients(&self, i: usize, face: &PlacedFace<T>, position: [T; 3], axes: [[T; 3]; 2]) -> [[T; 3]; 3] {
         let form = self.form(i, self.forms.get(i));
         let [s0, s1] = form.scales;
-        let scaled = [each(|k| axes[0][k] * s0), each(|k| axes[1][k] * s1)];
+        let scaled = [[0, 1, 2].each(|k| axes[0][k] * s0), [0, 1, 2].each(|k| axes[1][k] * s1)];
         let [e1, e2] = face.edges;
         let by_edges = match self.frame {
             DiscFrame::InheritStretch => {
@@ -466,15 +461,15 @@ impl<T: Real> Anchors<T> {
                 let (n, inverse) = face.normal;
                 let by_n = shortest_arc_pullback(n, scaled);
                 let along = dot(by_n, n);
-                let by_cross = each(|k| (by_n[k] - along * n[k]) * inverse);
+                let by_cross = [0, 1, 2].each(|k| (by_n[k] - along * n[k]) * inverse);
                 [cross(e2, by_cross), cross(by_cross, e1)]
             }
         };
         let w = form.weights;
         [
-            each(|k| w[0] * position[k] - by_edges[0][k] - by_edges[1][k]),
-            each(|k| w[1] * position[k] + by_edges[0][k]),
-            each(|k| w[2] * position[k] + by_edges[1][k]),
+            [0, 1, 2].each(|k| w[0] * position[k] - by_edges[0][k] - by_edges[1][k]),
+            [0, 1, 2].each(|k| w[1] * position[k] + by_edges[0][k]),
+            [0, 1, 2].each(|k| w[2] * position[k] + by_edges[1][k]),
         ]
     }
 
@@ -507,7 +502,7 @@ impl<T: Real> Anchors<T> {
         for (face, by_corners) in found.into_iter().flatten() {
             for (&vertex, by_corner) in carrier.faces[face as usize].iter().zip(by_corners) {
                 let sum = &mut vertices[vertex as usize];
-                *sum = each(|k| sum[k] + by_corner[k]);
+                *sum = [0, 1, 2].each(|k| sum[k] + by_corner[k]);
             }
         }
         Ok(())

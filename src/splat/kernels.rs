@@ -10,7 +10,7 @@ use crate::ffi::splat::rasterize::{
     SplatDiscs, SplatExactCamera, SplatForward, SplatMoments, SplatMotion, SplatScene,
 };
 
-use super::number::{Dual, Real};
+use super::number::{Dual, Each, Real};
 use super::plain::disc_tile::DiscTile;
 use super::plain::fault::Faults;
 use super::plain::gradient_chunk::{ChunkMoments, GradientChunk};
@@ -317,23 +317,23 @@ fn native_camera<T: Real>(projector: &Projector<T>) -> (SplatCamera, SplatExactC
     let (lens, exact) = (&projector.lens, &projector.exact);
     let single = |v: T| v.to_f64() as f32;
     let rows = |[a, b, c]: [[f64; 3]; 3]| [a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]];
-    let (size, dilation) = (projector.size.map(T::to_f64), projector.dilation.to_f64());
+    let (size, dilation) = (projector.size.each(T::to_f64), projector.dilation.to_f64());
     let cone = exact.fisheye.map_or([0.0; 3], |distortion| exact.cone(distortion, size, dilation));
-    let [cone_cosine, cone_sine, cone_reach] = cone.map(|v| v as f32);
+    let [cone_cosine, cone_sine, cone_reach] = cone.each(|v| v as f32);
     let camera = SplatCamera {
-        rotation: rows(projector.rotation.map(|row| row.map(T::to_f64))).map(|v| v as f32),
-        eye: projector.eye.map(single),
-        focal: lens.focal.map(single),
-        center: lens.center.map(single),
-        limit: lens.limit.map(single),
-        size: projector.size.map(single),
+        rotation: rows(projector.rotation.each(|row| row.each(T::to_f64))).map(|v| v as f32),
+        eye: projector.eye.each(single),
+        focal: lens.focal.each(single),
+        center: lens.center.each(single),
+        limit: lens.limit.each(single),
+        size: projector.size.each(single),
         near: single(projector.near),
         dilation: single(projector.dilation),
         extent_by_opacity: projector.skips.any(Skips::EXTENTS),
         skip_beside: projector.skips.any(Skips::BESIDE),
         compensate: projector.filter == Filter::Compensate,
         fisheye: exact.fisheye.is_some(),
-        distortion: exact.fisheye.unwrap_or_default().map(|v| v as f32),
+        distortion: exact.fisheye.unwrap_or_default().each(|v| v as f32),
         cone_cosine,
         cone_sine,
         cone_reach,

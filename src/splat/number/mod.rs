@@ -7,4 +7,4 @@ mod vector;
 
 pub use dual::Dual;
 pub use real::Real;
-pub use vector::{add, cross, dot, normalized, rotation_columns};
+pub use vector::{Each, add, cross, dot, normalized, rotation_columns};

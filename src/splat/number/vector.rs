@@ -2,6 +2,33 @@
 
 use super::real::Real;
 
+/// Short arrays, value by value: as `map`, which the compiler does not always inline, and takes long over each time.
+pub trait Each: Copy {
+    /// One value.
+    type Value;
+    /// As many of other values.
+    type Of<B>;
+    /// What `f` makes of each value.
+    fn each<B>(self, f: impl FnMut(Self::Value) -> B) -> Self::Of<B>;
+}
+
+macro_rules! each {
+    ($n:literal: $($k:literal)*) => {
+        impl<A: Copy> Each for [A; $n] {
+            type Value = A;
+            type Of<B> = [B; $n];
+            #[inline(always)]
+            fn each<B>(self, mut f: impl FnMut(A) -> B) -> [B; $n] {
+                [$(f(self[$k])),*]
+            }
+        }
+    };
+}
+
+each!(2: 0 1);
+each!(3: 0 1 2);
+each!(4: 0 1 2 3);
+
 /// `a . b`.
 #[inline(always)]
 pub fn dot<T: Real>(a: [T; 3], b: [T; 3]) -> T {
@@ -35,5 +62,5 @@ pub fn rotation_columns<T: Real>([w, x, y, z]: [T; 4]) -> [[T; 3]; 3] {
 #[inline(always)]
 pub fn normalized<T: Real>(q: [T; 4]) -> ([T; 4], T) {
     let inverse = T::one() / (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
-    (q.map(|v| v * inverse), inverse)
+    (q.each(|v| v * inverse), inverse)
 }

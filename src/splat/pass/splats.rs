@@ -7,6 +7,7 @@ use crate::ffi::splat::bin::{self as native_bin, Boxes};
 use crate::ffi::splat::rasterize::Aligned;
 use crate::ffi::system::grow;
 use crate::splat::kernels::{KernelScene, SplatKernels};
+use crate::splat::number::Each;
 use crate::splat::plain::bins::TileBox;
 use crate::splat::plain::disc::tiles_of;
 use crate::splat::plain::project::ProjectionChunk;
@@ -112,7 +113,7 @@ impl<T: SplatKernels> Splats<T> {
 
     /// The colours in the rows of the first `n` splats.
     pub fn colors(&self, n: usize) -> Vec<[T; 3]> {
-        self.rows[..n].iter().map(|row| [0, 1, 2].map(|k| row.0[at::RED + k])).collect()
+        self.rows[..n].iter().map(|row| [0, 1, 2].each(|k| row.0[at::RED + k])).collect()
     }
 
     /// Writes colours into the rows.

@@ -1,7 +1,7 @@
 //! From the moments of one splat to the gradients of its Gaussian and of the camera: the reverse of `project.rs`, with
 //! its symbols. The projection is computed again rather than stored.
 
-use crate::splat::number::{Real, cross, dot, normalized, rotation_columns, sh};
+use crate::splat::number::{Each, Real, cross, dot, normalized, rotation_columns, sh};
 use crate::splat::types::table::{SplatRow, moment};
 use crate::splat::types::{Filter, GaussianSlices, ShapeSlices, Wanted};
 
@@ -37,7 +37,7 @@ impl<T: Real> GaussianGradient<T> {
     #[inline(always)]
     pub fn is_finite(&self) -> bool {
         let ones = [T::one(); 3];
-        let [a, b, c] = self.columns.map(|column| dot(column, ones));
+        let [a, b, c] = self.columns.each(|column| dot(column, ones));
         let pose = self.pose.iter().chain(&self.lens).fold(T::zero(), |sum, &v| sum + v);
         (self.opacity + dot(self.position, ones) + a + b + c + pose).is_finite()
     }
@@ -90,9 +90,9 @@ pub fn color_gradient<T: Real>(
     let basis = sh::basis(direction, gaussians.sh_degree);
     let shown = sh::color(&basis, coefficients);
     let shows = |k: usize| shown[k] > T::zero() || faults.has(Fault::ColorCutIgnored);
-    let v = [0, 1, 2].map(|k| if shows(k) { by_color[k] } else { T::zero() });
+    let v = [0, 1, 2].each(|k| if shows(k) { by_color[k] } else { T::zero() });
     for (place, b) in by_sh.as_chunks_mut::<3>().0.iter_mut().zip(&basis) {
-        *place = v.map(|k| *b * k);
+        *place = v.each(|k| *b * k);
     }
     if gaussians.sh_degree == 0 || faults.has(Fault::ViewDirectionHeldFixed) {
         return [T::zero(); 3];
@@ -108,7 +108,7 @@ pub fn color_gradient<T: Real>(
 #[inline(always)]
 pub fn by_view_direction<T: Real>(free: [T; 3], direction: [T; 3], distance: T) -> [T; 3] {
     let along = dot(free, direction);
-    [0, 1, 2].map(|k| (free[k] - along * direction[k]) / distance)
+    [0, 1, 2].each(|k| (free[k] - along * direction[k]) / distance)
 }
 
 /// Gradients of Gaussian `i` from the moments `m` of its splat, those of the SH into `by_sh` (empty if not wanted);
@@ -140,16 +140,16 @@ pub fn gradients_of_splat<T: Real>(
         // Columns on screen, covariance = sum u_k u_k^T + dilation I: d loss / d u_k = 2 V u_k.
         let [va, vb, vc] = covariance_gradient(&g, m, faults);
         let two = T::of(if faults.has(Fault::ColumnFactorMissing) { 1.0 } else { 2.0 });
-        let mut by_u = g.u.map(|[x, y]| [two * (va * x + vb * y), two * (vb * x + vc * y)]);
+        let mut by_u = g.u.each(|[x, y]| [two * (va * x + vb * y), two * (vb * x + vc * y)]);
         if projector.filter == Filter::Compensate && !faults.has(Fault::CompensationHeldFixed) {
             compensation_pullback(&g, m[moment::S], &mut by_u);
         }
         // Columns in camera axes, u_k = J c_k.
         let j = &g.jacobian;
-        let by_c = by_u.map(|v| [0, 1, 2].map(|k| j[0][k] * v[0] + j[1][k] * v[1]));
+        let by_c = by_u.each(|v| [0, 1, 2].each(|k| j[0][k] * v[0] + j[1][k] * v[1]));
         if wanted.any(Wanted::SHAPES) {
             let transposed = faults.has(Fault::CameraTransposed);
-            one.columns = by_c.map(|v| if transposed { projector.turn(v) } else { projector.turn_back(v) });
+            one.columns = by_c.each(|v| if transposed { projector.turn(v) } else { projector.turn_back(v) });
         }
         if through_position {
             // The Jacobian, through all u_k; then the centre, through its image point, the Jacobian and the depth.
@@ -169,7 +169,7 @@ pub fn gradients_of_splat<T: Real>(
             let mut by_t = projector.lens.pullback(g.t, by_point, by_jacobian, faults);
             by_t[2] += m[moment::DEPTH];
             let back = projector.turn_back(by_t);
-            one.position = [0, 1, 2].map(|k| back[k] + by_direction[k]);
+            one.position = [0, 1, 2].each(|k| back[k] + by_direction[k]);
             if wanted.any(Wanted::POSE) {
                 one.pose = pose_gradient(projector, g.t, &g.c, by_t, &by_c, by_direction, faults);
             }
@@ -217,11 +217,11 @@ pub fn ellipsoid_gradient<T: Real>(
     let ShapeSlices::Ellipsoids { rotations, scales } = shape else { return ([T::zero(); 4], [T::zero(); 3]) };
     let (q, inverse_length) = normalized(rotations[i]);
     let axes = rotation_columns(q);
-    let by_scale = [0, 1, 2].map(|k| dot(by_columns[k], axes[k]));
+    let by_scale = [0, 1, 2].each(|k| dot(by_columns[k], axes[k]));
     // r[column][row] = dL/dR
-    let mut r = [0, 1, 2].map(|k| by_columns[k].map(|v| v * scales[i][k]));
+    let mut r = [0, 1, 2].each(|k| by_columns[k].each(|v| v * scales[i][k]));
     if faults.has(Fault::EllipsoidTransposed) {
-        r = [0, 1, 2].map(|column| [0, 1, 2].map(|row| r[row][column]));
+        r = [0, 1, 2].each(|column| [0, 1, 2].each(|row| r[row][column]));
     }
     let [w, x, y, z] = q;
     let two = T::of(2.0);
@@ -238,5 +238,5 @@ pub fn ellipsoid_gradient<T: Real>(
     if faults.has(Fault::QuaternionNotNormalized) {
         along = T::zero();
     }
-    ([0, 1, 2, 3].map(|k| (by_q[k] - along * q[k]) * inverse_length), by_scale)
+    ([0, 1, 2, 3].each(|k| (by_q[k] - along * q[k]) * inverse_length), by_scale)
 }

@@ -21,7 +21,7 @@
 //! `Filter::Compensate`.
 
 use crate::ffi::splat::rasterize::Aligned;
-use crate::splat::number::{Real, cross, dot};
+use crate::splat::number::{Each, Real, cross, dot};
 use crate::splat::types::table::{LOG2_255, SplatRow, at};
 use crate::splat::types::{GaussianSlices, Settings, Tiling, View};
 
@@ -110,9 +110,9 @@ pub struct DiscInCamera<T> {
 
 impl<T: Real> DiscInCamera<T> {
     pub fn of(projector: &Projector<T>, gaussians: &GaussianSlices<'_, T>, i: usize) -> DiscInCamera<T> {
-        let offset = [0, 1, 2].map(|k| gaussians.positions[i][k] - projector.eye[k]);
+        let offset = [0, 1, 2].each(|k| gaussians.positions[i][k] - projector.eye[k]);
         let columns = gaussians.shape.columns(i);
-        let [a, b] = gaussians.shape.disc_columns(i).map(|k| projector.turn(columns[k]));
+        let [a, b] = gaussians.shape.disc_columns(i).each(|k| projector.turn(columns[k]));
         DiscInCamera { t: projector.turn(offset), a, b, offset }
     }
 
@@ -134,15 +134,15 @@ impl<T: Real> DiscInCamera<T> {
         let (t, point) = (self.t, projector.lens.image_of(self.t).point);
         let everywhere = T::of(EVERYWHERE);
         let around = |half: [T; 2]| DiscBounds {
-            low: [0, 1].map(|k| point[k] - half[k].minimum(everywhere)),
-            high: [0, 1].map(|k| point[k] + half[k].minimum(everywhere)),
+            low: [0, 1].each(|k| point[k] - half[k].minimum(everywhere)),
+            high: [0, 1].each(|k| point[k] + half[k].minimum(everywhere)),
         };
         if let Some(stretch) = projector.lens.fisheye_stretch() {
             let radius = reach * (dot(self.a, self.a) + dot(self.b, self.b)).sqrt();
             let sine = radius / dot(t, t).sqrt();
             // asin(x) <= pi/2 x
             let angle = sine * T::of(std::f64::consts::FRAC_PI_2);
-            return around(if sine < T::one() { stretch.map(|s| s * angle) } else { [everywhere; 2] });
+            return around(if sine < T::one() { stretch.each(|s| s * angle) } else { [everywhere; 2] });
         }
         let mut bounds = around([T::zero(); 2]);
         for k in 0..2 {
@@ -214,9 +214,9 @@ impl<T: Real> Projector<T> {
         let mut disc = placed.disc();
         let point = self.lens.image_of(placed.t).point;
         let distance = dot(placed.offset, placed.offset).sqrt();
-        let rgb = gaussians.color(i, placed.offset.map(|v| v / distance));
+        let rgb = gaussians.color(i, placed.offset.each(|v| v / distance));
         // A sum is finite only if every term is.
-        let sums = [disc.p, disc.q, disc.n, rgb].map(|v| v[0] + v[1] + v[2]);
+        let sums = [disc.p, disc.q, disc.n, rgb].each(|v| v[0] + v[1] + v[2]);
         let sum = sums[0] + sums[1] + sums[2] + sums[3] + disc.height + point[0] + point[1];
         if !(sum + disc.slope[0] + disc.slope[1]).is_finite() {
             return None;
@@ -273,7 +273,7 @@ impl<'a, T: Real> DiscOptics<'a, T> {
     /// The optics of a view, whose rays are `rays`.
     pub fn new(view: &View, settings: &Settings, rays: &'a [[T; 3]]) -> Self {
         let camera = &view.camera;
-        let per_pixel = [camera.fl_x, camera.fl_y].map(|f| T::of(1.0 / f));
+        let per_pixel = [camera.fl_x, camera.fl_y].each(|f| T::of(1.0 / f));
         DiscOptics {
             rays,
             size: view.size(),

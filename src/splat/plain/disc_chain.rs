@@ -1,6 +1,6 @@
 //! From the sums of one exact disc to the gradients of its Gaussian and of the camera; symbols as in `disc.rs`.
 
-use crate::splat::number::{Real, add, cross, dot};
+use crate::splat::number::{Each, Real, add, cross, dot};
 use crate::splat::types::table::{DiscSums, disc_sum as sum};
 use crate::splat::types::{GaussianSlices, Wanted};
 
@@ -30,7 +30,7 @@ pub fn gradients_of_disc<T: Real>(
     let mut by_direction = [T::zero(); 3];
     if wanted.any(Wanted::SH) || (through_position && gaussians.sh_degree > 0) {
         let distance = dot(placed.offset, placed.offset).sqrt();
-        let direction = placed.offset.map(|v| v / distance);
+        let direction = placed.offset.each(|v| v / distance);
         let rgb = [m[sum::RED], m[sum::RED + 1], m[sum::RED + 2]];
         let free = color_gradient(gaussians, i, direction, rgb, by_sh, faults);
         by_direction = by_view_direction(free, direction, distance);
@@ -38,7 +38,7 @@ pub fn gradients_of_disc<T: Real>(
     let three = |at: usize| [m[at], m[at + 1], m[at + 2]];
     let (by_p, by_q) = (three(sum::P), three(sum::Q));
     // The three normals of the intersection; N.t is the height.
-    let by_n = add(three(sum::N), t.map(|v| v * m[sum::HEIGHT]));
+    let by_n = add(three(sum::N), t.each(|v| v * m[sum::HEIGHT]));
     // The axes: P = b x t, Q = t x a, N = a x b.
     let by_a = add(cross(by_q, t), cross(b, by_n));
     let by_b = add(cross(t, by_p), cross(by_n, a));
@@ -46,7 +46,7 @@ pub fn gradients_of_disc<T: Real>(
     let mut by_columns = [[T::zero(); 3]; 3];
     (by_columns[first], by_columns[second]) = (by_a, by_b);
     if wanted.any(Wanted::SHAPES) {
-        one.columns = by_columns.map(|v| projector.turn_back(v));
+        one.columns = by_columns.each(|v| projector.turn_back(v));
     }
     if through_position {
         // The centre: through P and Q, the height, the depth, and the centre of the screen filter.

@@ -8,7 +8,7 @@
 use std::f64::consts::LOG2_E;
 
 use crate::ffi::splat::rasterize::Aligned;
-use crate::splat::number::{Real, dot};
+use crate::splat::number::{Each, Real, dot};
 use crate::splat::types::table::{DiscSums, PLANES, SplatRow, at, disc_sum};
 use crate::splat::types::{PIXELS, Tiling, pixel_of};
 
@@ -96,7 +96,7 @@ impl<T: Real> DiscTile<'_, T> {
         let (column, line) = pixel_of(16 * block);
         let (tiling, t) = self.tile;
         let corner = tiling.corner(t);
-        let middle = [corner[0] + column, corner[1] + line].map(|v| T::of(v as f64 + 2.0));
+        let middle = [corner[0] + column, corner[1] + line].each(|v| T::of(v as f64 + 2.0));
         let half = T::of(1.5);
         let meets = |k: &usize| Disc::unpack(&self.discs[self.entries[*k] as usize]).bounds.holds(middle, half);
         near.clear();

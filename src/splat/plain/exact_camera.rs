@@ -1,6 +1,7 @@
 //! The camera in double precision.
 
 use crate::base::Camera;
+use crate::splat::number::Each;
 use glam::DAffine3;
 
 use super::lens::{distorted_angle, fisheye, largest_stretch};
@@ -21,7 +22,7 @@ impl ExactCamera {
     pub fn new(camera: &Camera, camera_from_world: &DAffine3) -> Self {
         let m = camera_from_world.matrix3;
         ExactCamera {
-            rotation: [0, 1, 2].map(|i| [m.x_axis[i], m.y_axis[i], m.z_axis[i]]),
+            rotation: [0, 1, 2].each(|i| [m.x_axis[i], m.y_axis[i], m.z_axis[i]]),
             eye: camera_from_world.inverse().translation.to_array(),
             focal: [camera.fl_x, camera.fl_y],
             center: [camera.cx, camera.cy],
@@ -32,15 +33,15 @@ impl ExactCamera {
     /// A position in camera axes.
     #[inline(always)]
     pub fn in_camera_axes(&self, position: [f64; 3]) -> [f64; 3] {
-        let d = [0, 1, 2].map(|k| position[k] - self.eye[k]);
-        self.rotation.map(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2])
+        let d = [0, 1, 2].each(|k| position[k] - self.eye[k]);
+        self.rotation.each(|row| row[0] * d[0] + row[1] * d[1] + row[2] * d[2])
     }
 
     /// Its image.
     #[inline(always)]
     pub fn point(&self, t: [f64; 3]) -> [f64; 2] {
         match self.fisheye {
-            None => [0, 1].map(|k| self.focal[k] * (t[k] / t[2]) + self.center[k]),
+            None => [0, 1].each(|k| self.focal[k] * (t[k] / t[2]) + self.center[k]),
             Some(k) => fisheye(t, self.focal, self.center, k).point,
         }
     }
@@ -56,7 +57,7 @@ impl ExactCamera {
     /// `slope`.
     pub fn cone(&self, lens: [f64; 4], size: [f64; 2], dilation: f64) -> [f64; 3] {
         const STEPS: usize = 1000;
-        let corner = [0, 1].map(|k| self.center[k].abs().max((size[k] - self.center[k]).abs()) / self.focal[k]);
+        let corner = [0, 1].each(|k| self.center[k].abs().max((size[k] - self.center[k]).abs()) / self.focal[k]);
         let filter = 3.34 * dilation.sqrt() + 0.01;
         let edge = corner[0].hypot(corner[1]) + std::f64::consts::SQRT_2 * filter / self.focal[0].min(self.focal[1]);
         let angle = |step: usize| step as f64 / STEPS as f64 * std::f64::consts::FRAC_PI_2;

@@ -4,7 +4,7 @@
 //! the backward pass.
 
 use crate::ffi::splat::image::{ImageBand, ImageFormation};
-use crate::splat::number::Real;
+use crate::splat::number::{Each, Real};
 use crate::splat::types::table::PLANES;
 use crate::splat::types::{ImageGradient, PIXELS, TILE_SIDE, Tiling, index_of};
 
@@ -12,14 +12,14 @@ use super::fault::{Fault, Faults};
 
 /// Sums of a row of tiles to the lines of images of `width` pixels; no depth is written if its slice is empty.
 pub fn develop<T: Real>(tiles: &[T], width: usize, formation: &ImageFormation, band: ImageBand<'_, T>) {
-    let (gain, background) = (formation.gain.map(T::of), formation.background.map(T::of));
+    let (gain, background) = (formation.gain.each(T::of), formation.background.each(T::of));
     let pixels = band.color.as_chunks_mut::<3>().0.iter_mut().zip(band.alpha);
     for (at, (color, alpha)) in pixels.enumerate() {
         let (line, column) = (at / width, at % width);
         let tile = &tiles[column / TILE_SIDE * PLANES * PIXELS..][..PLANES * PIXELS];
         let p = index_of(column % TILE_SIDE, line);
         let left = tile[4 * PIXELS + p];
-        *color = [0, 1, 2].map(|k| gain[k] * (tile[k * PIXELS + p] + left * background[k]));
+        *color = [0, 1, 2].each(|k| gain[k] * (tile[k * PIXELS + p] + left * background[k]));
         *alpha = T::one() - left;
         if let Some(depth) = band.depth.get_mut(at) {
             let shown = formation.with_depth && *alpha > T::zero();
@@ -39,7 +39,7 @@ pub fn adjoint<T: Real>(
     adjoint: &mut [T],
     faults: impl Faults,
 ) -> [f64; 3] {
-    let (gain, background) = (formation.gain.map(T::of), formation.background.map(T::of));
+    let (gain, background) = (formation.gain.each(T::of), formation.background.each(T::of));
     let mut by_gain = [0.0; 3];
     for p in 0..PIXELS {
         let Some([x, y]) = tiling.pixel(t, p, size) else { continue };

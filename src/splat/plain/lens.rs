@@ -2,7 +2,7 @@
 //! Jacobian taken at a clamped point as in 3DGS, and OpenCV's fisheye model. The symbols are those of `project.rs`.
 
 use crate::base::Camera;
-use crate::splat::number::{Dual, Real, dot};
+use crate::splat::number::{Dual, Each, Real, dot};
 
 use super::fault::{Fault, Faults};
 
@@ -35,7 +35,7 @@ impl<T: Real> Lens<T> {
             focal: [T::of(camera.fl_x), T::of(camera.fl_y)],
             center: [T::of(camera.cx), T::of(camera.cy)],
             limit: [T::of(1.3 * 0.5 * width / camera.fl_x), T::of(1.3 * 0.5 * height / camera.fl_y)],
-            fisheye: camera.fisheye.map(|k| k.map(T::of)),
+            fisheye: camera.fisheye.map(|k| k.each(T::of)),
             stretch: camera.fisheye.map(|k| T::of(largest_stretch(k))),
         }
     }
@@ -51,12 +51,12 @@ impl<T: Real> Lens<T> {
 
     /// Largest number of pixels per radian of a fisheye in front of the camera, along both axes; `None` for a pinhole.
     pub fn fisheye_stretch(&self) -> Option<[T; 2]> {
-        self.stretch.map(|s| self.focal.map(|f| f * s))
+        self.stretch.map(|s| self.focal.each(|f| f * s))
     }
 
     #[inline(always)]
     fn clamped(&self, t: [T; 3], rz: T) -> [T; 2] {
-        [0, 1].map(|k| (t[k] * rz).maximum(-self.limit[k]).minimum(self.limit[k]))
+        [0, 1].each(|k| (t[k] * rz).maximum(-self.limit[k]).minimum(self.limit[k]))
     }
 
     #[inline(always)]
@@ -77,11 +77,11 @@ impl<T: Real> Lens<T> {
             None => self.pinhole_pullback(t, point, jacobian, faults),
             Some(k) => {
                 // Second derivatives of the lens come from its Jacobian evaluated in dual numbers.
-                let focal = self.focal.map(Dual::constant);
-                let center = self.center.map(Dual::constant);
-                [0, 1, 2].map(|axis| {
-                    let moved = [0, 1, 2].map(|k| Dual::new(t[k], if k == axis { T::one() } else { T::zero() }));
-                    let lens = fisheye(moved, focal, center, k.map(Dual::constant));
+                let focal = self.focal.each(Dual::constant);
+                let center = self.center.each(Dual::constant);
+                [0, 1, 2].each(|axis| {
+                    let moved = [0, 1, 2].each(|k| Dual::new(t[k], if k == axis { T::one() } else { T::zero() }));
+                    let lens = fisheye(moved, focal, center, k.each(Dual::constant));
                     let mut sum = lens.point[0].derivative * point[0] + lens.point[1].derivative * point[1];
                     for (row, weights) in lens.jacobian.iter().zip(jacobian) {
                         for (entry, weight) in row.iter().zip(weights) {

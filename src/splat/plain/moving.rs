@@ -3,7 +3,7 @@
 //! A motion of the camera, `t <- t + h (omega x t + tau)` in its axes, equals a motion of all Gaussians, except for
 //! the view direction: turning leaves the eye where it is.
 
-use crate::splat::number::{Dual, Real, add, cross, dot, sh};
+use crate::splat::number::{Dual, Each, Real, add, cross, dot, sh};
 use crate::splat::types::table::SplatRow;
 use crate::splat::types::{Direction, GaussianSlices, Gaussians, Motion, Shape};
 
@@ -11,7 +11,7 @@ use super::projector::Projector;
 
 /// A vector and its velocity.
 fn moving<T: Real>(value: [T; 3], velocity: [T; 3]) -> [Dual<T>; 3] {
-    [0, 1, 2].map(|k| Dual::new(value[k], velocity[k]))
+    [0, 1, 2].each(|k| Dual::new(value[k], velocity[k]))
 }
 
 /// Colour of Gaussian `i` seen along a direction that moves, before the clamp at 0.
@@ -35,9 +35,9 @@ pub fn moving_row<T: Real>(
     direction: &Direction<'_, T>,
 ) -> Option<SplatRow<Dual<T>>> {
     let zero = [T::zero(); 3];
-    let offset = [0, 1, 2].map(|k| gaussians.positions[i][k] - plain.eye[k]);
+    let offset = [0, 1, 2].each(|k| gaussians.positions[i][k] - plain.eye[k]);
     let t = plain.turn(offset);
-    let c = gaussians.shape.columns(i).map(|m| plain.turn(m));
+    let c = gaussians.shape.columns(i).each(|m| plain.turn(m));
     let (offset, t, c, recolored) = match direction {
         Direction::Motion(motion) => {
             let velocity = motion.positions.get(i).copied().unwrap_or(zero);
@@ -48,7 +48,7 @@ pub fn moving_row<T: Real>(
             (
                 moving(offset, velocity),
                 moving(t, plain.turn(velocity)),
-                [0, 1, 2].map(|k| moving(c[k], turned(k))),
+                [0, 1, 2].each(|k| moving(c[k], turned(k))),
                 motion.colors.get(i).copied().unwrap_or(zero),
             )
         }
@@ -59,7 +59,7 @@ pub fn moving_row<T: Real>(
                 // Turning leaves the eye where it is.
                 moving(offset, plain.turn_back(tau)),
                 moving(t, add(cross(omega, t), tau)),
-                c.map(|column| moving(column, cross(omega, column))),
+                c.each(|column| moving(column, cross(omega, column))),
                 zero,
             )
         }
@@ -103,16 +103,16 @@ impl<T: Real> DiscVelocity<T> {
     ) -> Self {
         let (omega, tau) = ([xi[0], xi[1], xi[2]], [xi[3], xi[4], xi[5]]);
         let turning = |v: [T; 3]| projector.turn_back(cross(omega, projector.turn(v)));
-        let offset = [0, 1, 2].map(|k| gaussians.positions[i][k] - projector.eye[k]);
+        let offset = [0, 1, 2].each(|k| gaussians.positions[i][k] - projector.eye[k]);
         let (turned, shifted) = (turning(offset), projector.turn_back(tau));
         // Cancels the change of colour by the turning, which does not move the eye.
-        let moved = [0, 1, 2].map(|k| Dual::new(offset[k], -turned[k]));
+        let moved = [0, 1, 2].each(|k| Dual::new(offset[k], -turned[k]));
         let distance = dot(moved, moved).sqrt();
-        let color = moving_color(gaussians, i, moved.map(|v| v / distance));
+        let color = moving_color(gaussians, i, moved.each(|v| v / distance));
         DiscVelocity {
-            position: [0, 1, 2].map(|k| turned[k] + shifted[k]),
-            axes: axes.map(turning),
-            color: color.map(|shown| shown.derivative),
+            position: [0, 1, 2].each(|k| turned[k] + shifted[k]),
+            axes: axes.each(turning),
+            color: color.each(|shown| shown.derivative),
         }
     }
 }
@@ -126,18 +126,18 @@ pub fn moving_discs<T: Real>(
     let mut moving = gaussians.cast::<Dual<T>>();
     let mut axes = Vec::with_capacity(gaussians.len());
     let stride = gaussians.sh_stride();
-    let pair = |value: [T; 3], velocity: [T; 3]| [0, 1, 2].map(|k| Dual::new(value[k], velocity[k].finite_or_zero()));
+    let pair = |value: [T; 3], velocity: [T; 3]| [0, 1, 2].each(|k| Dual::new(value[k], velocity[k].finite_or_zero()));
     for i in 0..gaussians.len() {
         let plane = gaussians.shape.disc_columns(i);
         let spread = gaussians.shape.columns(i);
-        let disc = plane.map(|k| spread[k]);
+        let disc = plane.each(|k| spread[k]);
         let velocity = match direction {
             Direction::Motion(motion) => DiscVelocity::of_motion(motion, i, plane),
             Direction::Pose(xi) => DiscVelocity::of_pose(projector, gaussians, i, disc, xi.map(T::of)),
             Direction::Gain(_) => DiscVelocity::of_motion(&Motion::default(), i, plane),
         };
         moving.positions[i] = pair(gaussians.positions[i], velocity.position);
-        axes.push([0, 1].map(|k| pair(disc[k], velocity.axes[k])));
+        axes.push([0, 1].each(|k| pair(disc[k], velocity.axes[k])));
         for (value, change) in moving.sh[i * stride..].iter_mut().zip(velocity.color) {
             value.derivative = (change / T::of(sh::C0)).finite_or_zero();
         }

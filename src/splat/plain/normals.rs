@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::base::{Error, Result};
-use crate::splat::number::{Real, cross, dot};
+use crate::splat::number::{Each, Real, cross, dot};
 use crate::splat::types::{GaussianSlices, Gaussians, Gradients, Shape, View};
 
 use super::chain::ellipsoid_gradient;
@@ -14,19 +14,19 @@ use super::fault::Sound;
 /// normalisation.
 fn normal<T: Real>(gaussians: &GaussianSlices<'_, T>, i: usize, eye: [T; 3]) -> ([T; 3], T, T) {
     let columns = gaussians.shape.columns(i);
-    let [a, b] = gaussians.shape.disc_columns(i).map(|k| columns[k]);
+    let [a, b] = gaussians.shape.disc_columns(i).each(|k| columns[k]);
     let product = cross(a, b);
     let length = dot(product, product).sqrt();
-    let offset = [0, 1, 2].map(|k| gaussians.positions[i][k] - eye[k]);
+    let offset = [0, 1, 2].each(|k| gaussians.positions[i][k] - eye[k]);
     let sign = if dot(product, offset) > T::zero() { -T::one() } else { T::one() };
-    let unit = product.map(|v| sign * v / length);
+    let unit = product.each(|v| sign * v / length);
     if unit.iter().all(|v| v.is_finite()) { (unit, sign, length) } else { ([T::zero(); 3], T::zero(), T::one()) }
 }
 
 /// Rotation into camera axes and position of the camera.
 fn pose<T: Real>(view: &View) -> ([[T; 3]; 3], [T; 3]) {
     let exact = ExactCamera::new(&view.camera, &view.camera_from_world);
-    (exact.rotation.map(|row| row.map(T::of)), exact.eye.map(T::of))
+    (exact.rotation.each(|row| row.each(T::of)), exact.eye.each(T::of))
 }
 
 impl<T: Real> Gaussians<T> {
@@ -37,7 +37,7 @@ impl<T: Real> Gaussians<T> {
         let (slices, (m, eye)) = (GaussianSlices::from(self), pose::<T>(view));
         let of = |i: usize| {
             let unit = normal(&slices, i, eye).0;
-            m.map(|row| dot(row, unit))
+            m.each(|row| dot(row, unit))
         };
         (0..self.len()).into_par_iter().flat_map_iter(of).collect()
     }
@@ -62,11 +62,11 @@ impl<T: Real> Gaussians<T> {
         for (j, by_normal) in by_normals.as_chunks::<3>().0.iter().enumerate() {
             let i = active.map_or(j, |list| list[j] as usize);
             let (unit, sign, length) = normal(&slices, i, eye);
-            let turned = cross(m.map(|row| dot(row, unit)), *by_normal);
+            let turned = cross(m.each(|row| dot(row, unit)), *by_normal);
             (0..3).for_each(|k| gradients.pose[k] += turned[k].to_f64());
-            let by_unit = [0, 1, 2].map(|k| m[0][k] * by_normal[0] + m[1][k] * by_normal[1] + m[2][k] * by_normal[2]);
+            let by_unit = [0, 1, 2].each(|k| m[0][k] * by_normal[0] + m[1][k] * by_normal[1] + m[2][k] * by_normal[2]);
             let along = dot(by_unit, unit);
-            let by_product = [0, 1, 2].map(|k| sign * (by_unit[k] - along * unit[k]) / length);
+            let by_product = [0, 1, 2].each(|k| sign * (by_unit[k] - along * unit[k]) / length);
             let [first, second] = slices.shape.disc_columns(i);
             let all = slices.shape.columns(i);
             let mut by_columns = [[T::zero(); 3]; 3];

@@ -12,7 +12,7 @@
 use std::f64::consts::LOG2_E;
 
 use crate::ffi::splat::rasterize::Aligned;
-use crate::splat::number::{Real, dot};
+use crate::splat::number::{Each, Real, dot};
 use crate::splat::types::table::{LOG2_255, SplatRow, at};
 use crate::splat::types::{Filter, GaussianSlices, Tiling};
 
@@ -46,18 +46,18 @@ impl<T: Real> Projector<T> {
     /// Everything up to the conic; `None` in front of the near plane or if a number is not finite.
     #[inline(always)]
     pub fn geometry(&self, position: [T; 3], columns: [[T; 3]; 3]) -> Option<Geometry<T>> {
-        let offset = [0, 1, 2].map(|k| position[k] - self.eye[k]);
-        let exact = self.exact.in_camera_axes(position.map(T::to_f64));
-        let t = if T::PLAIN { exact.map(T::of) } else { self.turn(offset) };
+        let offset = [0, 1, 2].each(|k| position[k] - self.eye[k]);
+        let exact = self.exact.in_camera_axes(position.each(T::to_f64));
+        let t = if T::PLAIN { exact.each(T::of) } else { self.turn(offset) };
         let in_front = t[2] >= self.near;
         if !in_front {
             return None;
         }
-        let mut g = self.geometry_of(t, columns.map(|m| self.turn(m)), offset)?;
+        let mut g = self.geometry_of(t, columns.each(|m| self.turn(m)), offset)?;
         if T::PLAIN {
             let point = self.exact.point(exact);
-            g.point = point.map(T::of);
-            g.rest = [0, 1].map(|k| T::of(point[k] - g.point[k].to_f64()));
+            g.point = point.each(T::of);
+            g.rest = [0, 1].each(|k| T::of(point[k] - g.point[k].to_f64()));
         }
         Some(g)
     }
@@ -67,7 +67,7 @@ impl<T: Real> Projector<T> {
     pub fn geometry_of(&self, t: [T; 3], c: [[T; 3]; 3], offset: [T; 3]) -> Option<Geometry<T>> {
         let LensPoint { point, jacobian } = self.lens.image_of(t);
         // Covariance on screen: sum u_k u_k^T + dilation I, u_k = J c_k.
-        let u = c.map(|column| jacobian.map(|row| dot(row, column)));
+        let u = c.each(|column| jacobian.each(|row| dot(row, column)));
         let sum = |a: usize, b: usize| u[0][a] * u[0][b] + u[1][a] * u[1][b] + u[2][a] * u[2][b];
         let plain = [sum(0, 0), sum(0, 1), sum(1, 1)];
         let d = self.dilation;
@@ -86,7 +86,7 @@ impl<T: Real> Projector<T> {
         ];
         // View direction.
         let distance = dot(offset, offset).sqrt();
-        let direction = offset.map(|v| v / distance);
+        let direction = offset.each(|v| v / distance);
         // A sum is finite only if every term is (0 times infinity and infinities of both signs give NaN).
         let sum = conic[0] + conic[1] + conic[2] + point[0] + point[1] + covariance[0] + covariance[2];
         let finite = (sum + direction[0] + direction[1] + direction[2] + inverse_determinant).is_finite();
@@ -227,9 +227,9 @@ pub fn recolor<T: Real>(
     let mut finite = true;
     for (k, row) in rows.iter_mut().enumerate().filter(|(k, _)| visible[*k]) {
         let i = active.map_or(first + k, |list| list[first + k] as usize);
-        let offset = [0, 1, 2].map(|c| gaussians.positions[i][c] - projector.eye[c]);
+        let offset = [0, 1, 2].each(|c| gaussians.positions[i][c] - projector.eye[c]);
         let distance = dot(offset, offset).sqrt();
-        let shown = gaussians.color(i, offset.map(|v| v / distance));
+        let shown = gaussians.color(i, offset.each(|v| v / distance));
         finite &= (shown[0] + shown[1] + shown[2]).is_finite();
         for c in 0..3 {
             row.0[at::RED + c] = shown[c].maximum(T::zero());

@@ -1,7 +1,7 @@
 //! One view, ready to project Gaussians.
 
 use crate::base::{Error, Result};
-use crate::splat::number::{Real, dot};
+use crate::splat::number::{Each, Real, dot};
 use crate::splat::types::table::LOG2_255;
 use crate::splat::types::{Filter, Footprint, Settings, Skips, View};
 
@@ -50,8 +50,8 @@ impl<T: Real> Projector<T> {
         }
         let exact = ExactCamera::new(camera, &transform);
         Ok(Projector {
-            rotation: exact.rotation.map(|row| row.map(T::of)),
-            eye: exact.eye.map(T::of),
+            rotation: exact.rotation.each(|row| row.each(T::of)),
+            eye: exact.eye.each(T::of),
             lens: Lens::new(camera),
             size: [T::of(camera.width as f64), T::of(camera.height as f64)],
             near: T::of(settings.near_mm),
@@ -79,19 +79,19 @@ impl<T: Real> Projector<T> {
     /// the order depends on the scene and not on rounding. Positive floats sort like their bits.
     #[inline(always)]
     pub fn key(&self, position: [T; 3]) -> u32 {
-        (self.exact.in_camera_axes(position.map(T::to_f64))[2] as f32).to_bits()
+        (self.exact.in_camera_axes(position.each(T::to_f64))[2] as f32).to_bits()
     }
 
     /// A vector in camera axes.
     #[inline(always)]
     pub fn turn(&self, v: [T; 3]) -> [T; 3] {
-        self.rotation.map(|row| dot(row, v))
+        self.rotation.each(|row| dot(row, v))
     }
 
     /// A vector in world axes.
     #[inline(always)]
     pub fn turn_back(&self, v: [T; 3]) -> [T; 3] {
         let r = &self.rotation;
-        [0, 1, 2].map(|k| r[0][k] * v[0] + r[1][k] * v[1] + r[2][k] * v[2])
+        [0, 1, 2].each(|k| r[0][k] * v[0] + r[1][k] * v[1] + r[2][k] * v[2])
     }
 }

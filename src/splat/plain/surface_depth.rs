@@ -6,7 +6,7 @@
 //! on a wall seen at a grazing angle that is a bias of tens of percent.
 //! Forward only (`pass/pixel_walk.rs`): it runs once per finished frame, not in an optimisation.
 
-use crate::splat::number::{Real, dot};
+use crate::splat::number::{Each, Real, dot};
 use crate::splat::types::{GaussianSlices, ShapeSlices, View};
 
 /// Depths are clamped to between the inverse of this and this many times the centre's depth; only planes seen edge-on
@@ -30,22 +30,22 @@ enum SurfaceKind {
 impl SplatSurface {
     pub fn of<T: Real>(gaussians: &GaussianSlices<'_, T>, i: usize, view: &View) -> SplatSurface {
         let turn = |v: glam::DVec3| view.camera_from_world.transform_vector3(v).to_array();
-        let wide = |v: [T; 3]| glam::DVec3::from_array(v.map(|c| c.to_f64()));
+        let wide = |v: [T; 3]| glam::DVec3::from_array(v.each(|c| c.to_f64()));
         let center = view.camera_from_world.transform_point3(wide(gaussians.positions[i])).to_array();
         match gaussians.shape {
             ShapeSlices::Discs { axes } => {
-                let [a, b] = axes[i].map(|axis| turn(wide(axis)));
+                let [a, b] = axes[i].each(|axis| turn(wide(axis)));
                 let normal =
                     glam::DVec3::from_array(a).cross(glam::DVec3::from_array(b)).normalize_or_zero().to_array();
                 SplatSurface { kind: SurfaceKind::Plane(normal, dot(normal, center)), center: center[2] }
             }
             ShapeSlices::Ellipsoids { rotations, scales } => {
-                let [w, x, y, z] = rotations[i].map(|c| c.to_f64());
+                let [w, x, y, z] = rotations[i].each(|c| c.to_f64());
                 let turned = glam::DMat3::from_quat(glam::DQuat::from_xyzw(x, y, z, w).normalize());
-                let size = scales[i].map(|s| s.to_f64().max(1e-9));
+                let size = scales[i].each(|s| s.to_f64().max(1e-9));
                 let axes: [[f64; 3]; 3] = std::array::from_fn(|k| turn(turned.col(k) * size[k]));
                 // R / s, from R s.
-                let form: [[f64; 3]; 3] = std::array::from_fn(|k| axes[k].map(|v| v / (size[k] * size[k])));
+                let form: [[f64; 3]; 3] = std::array::from_fn(|k| axes[k].each(|v| v / (size[k] * size[k])));
                 let local = std::array::from_fn(|k| dot(form[k], center));
                 SplatSurface { kind: SurfaceKind::Ellipsoid(form, local), center: center[2] }
             }

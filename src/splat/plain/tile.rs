@@ -13,7 +13,7 @@
 //! block.
 
 use crate::ffi::splat::rasterize::Aligned;
-use crate::splat::number::Real;
+use crate::splat::number::{Each, Real};
 use crate::splat::types::table::{PLANES, SplatRow, at, moment};
 use crate::splat::types::{PIXELS, pixel_of};
 
@@ -137,7 +137,7 @@ pub fn alpha_at<T: Real>(row: &SplatRow<T>, corner: [usize; 2], p: usize) -> Opt
 
 /// Composites one tile, pixel by pixel.
 pub fn forward<T: Real>(t: &mut ForwardTile<'_, T>) {
-    let corner = t.corner.map(|v| T::of(v as f64));
+    let corner = t.corner.each(|v| T::of(v as f64));
     for (mask, &entry) in t.masks.iter_mut().zip(t.entries).filter(|_| !t.parts.known) {
         *mask = block_mask(&t.rows[entry as usize].0, corner);
     }

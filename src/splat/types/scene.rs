@@ -4,7 +4,7 @@ use glam::{DAffine3, DVec3};
 
 use crate::base::{Camera, Error, Result};
 
-use crate::splat::number::{Real, normalized, rotation_columns, sh};
+use crate::splat::number::{Each, Real, normalized, rotation_columns, sh};
 
 /// How the spread of each Gaussian is given.
 #[derive(Clone, Debug, PartialEq)]
@@ -105,7 +105,7 @@ impl<T: Real> ShapeSlices<'_, T> {
             ShapeSlices::Ellipsoids { rotations, scales } => {
                 let mut columns = rotation_columns(normalized(rotations[i]).0);
                 for (column, scale) in columns.iter_mut().zip(scales[i]) {
-                    *column = column.map(|v| v * scale);
+                    *column = column.each(|v| v * scale);
                 }
                 columns
             }
@@ -195,7 +195,7 @@ impl<'a, T: Real> GaussianSlices<'a, T> {
     pub fn before_camera(&self, view: &View, near_mm: f64) -> [usize; 2] {
         let mut counts = [0; 2];
         for position in self.positions {
-            let depth_mm = view.camera_from_world.transform_point3(DVec3::from_array(position.map(T::to_f64))).z;
+            let depth_mm = view.camera_from_world.transform_point3(DVec3::from_array(position.each(T::to_f64))).z;
             counts[0] += usize::from(depth_mm > 0.0);
             counts[1] += usize::from(depth_mm > 0.0 && depth_mm >= near_mm);
         }
