@@ -36,7 +36,7 @@ fn error_falls_as_the_inverse_of_the_samples() {
             let pairs = [(1, 2), (3, 4), (5, 6)].map(|(a, b)| (picture(samples, a), picture(samples, b)));
             pairs.iter().flat_map(|(a, b)| a.data.iter().zip(&b.data)).map(|(a, b)| f64::from(a - b).powi(2)).sum()
         };
-        let points: Vec<(f64, f64)> = [4u32, 8, 16, 32].iter().map(|&n| (n as f64, error(n))).collect();
+        let points: Vec<(f64, f64)> = [4u32, 8, 16, 32, 64].iter().map(|&n| (n as f64, error(n))).collect();
         let slope = log_slope(&points);
         println!("{name}: slope {slope:.3}");
         assert!((-1.2..=-0.9).contains(&slope), "{name}: {slope} over {points:?}");
