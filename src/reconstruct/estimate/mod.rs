@@ -5,4 +5,5 @@ pub mod contrast_match;
 pub mod gauss_newton;
 pub mod navigation;
 pub mod phase_fit;
+pub mod surface_phase;
 pub mod window;

@@ -12,6 +12,8 @@ use crate::splat::View;
 
 /// What is nearer than this to the plane of the camera, mm of z-depth, is cut off.
 const NEAR_MM: f32 = 0.05;
+/// A ray meets a face in single precision, so that it may pass it by this much, pixels.
+const ROUNDING_PX: f64 = 0.01;
 /// Rows that one thread fills at a time.
 const BAND: usize = 16;
 /// A face is hidden if all its corners lie behind the farthest wall next to their pixels by more than this share
@@ -71,15 +73,14 @@ fn on_screen(camera: &Camera, [a, b, c]: [Vec3; 3]) -> Option<Triangle> {
     let bulge = if camera.fisheye.is_some() { 0.1 * (high - low).max_element() } else { 0.0 };
     let (low, high) = (low - bulge, high + bulge);
     let last = DVec2::new(camera.width as f64 - 1.0, camera.height as f64 - 1.0);
-    if !(high.cmpge(DVec2::ZERO).all() && low.cmple(last + 1.0).all()) {
-        return None;
-    }
-    let (low, high) = (low.max(DVec2::ZERO), high.min(last));
-    Some(Triangle {
+    // The pixels whose centres lie in the rectangle; most faces of a far wall have none.
+    let low = (low - 0.5 - ROUNDING_PX).ceil().max(DVec2::ZERO);
+    let high = (high - 0.5 + ROUNDING_PX).floor().min(last);
+    low.cmple(high).all().then(|| Triangle {
         sides: [b.cross(c), c.cross(a), a.cross(b)],
         volume: a.dot(b.cross(c)),
-        columns: [low.x as usize, high.x.max(0.0) as usize],
-        rows: [low.y as usize, high.y.max(0.0) as usize],
+        columns: [low.x as usize, high.x as usize],
+        rows: [low.y as usize, high.y as usize],
     })
 }
 

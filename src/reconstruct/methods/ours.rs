@@ -268,7 +268,7 @@ impl VisiblePatch for VisibleDiscs<'_> {
             level = level.halved();
         }
         let mesh = BreathingMesh { rest: inspiration, displacement, faces: &surface.faces };
-        window.place(&level, mesh, &self.faces, expected).phase
+        window.place(&level, mesh, &self.faces, expected, |_| None).phase
     }
 
     fn leave(self: Box<Self>) {

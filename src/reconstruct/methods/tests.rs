@@ -222,6 +222,7 @@ fn unlit_gn() -> OursGnSettings {
     settings.falloff_exponent.value = 0.0;
     settings.scope.emission_half_angle_deg.value = 0.0;
     settings.scope.vignette.value = 0.0;
+    settings.surface.flow.value = 0.0;
     settings.discs.gaussians_per_face.value = PerFace::Auto(Auto::Auto);
     settings.discs.gaussian_budget.value = 7000;
     // The world's discs have gaps between them.

@@ -27,7 +27,7 @@ pub use ours::{
     AnchoredDiscs, FrameFitSettings, GivenPhaseSettings, KeyframeSettings, OnFace, OursNomeshSettings, OursSettings,
     PhaseEstimation,
 };
-pub use ours_gn::{OursGnSettings, ScopeCalibration};
+pub use ours_gn::{OursGnSettings, ScopeCalibration, SurfaceMatching};
 pub use ours_nav::{OpticsPrior, OursNavSettings, SensorNoise, TipMotion, TissuePrior, WallMatching};
 pub(super) use ranges::METHOD_RANGES;
 pub use sourced::{NumberSource, Sourced};

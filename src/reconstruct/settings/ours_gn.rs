@@ -18,6 +18,20 @@ pub struct ScopeCalibration {
     pub vignette: Sourced<f64>,
 }
 
+/// How a frame is compared with the CT's surface.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceMatching {
+    /// Way of the wall over the image, as a share of its width, on which the phase comes nearer to the surface's by a factor
+    /// of e, where the surface explains half of the picture's contrast; 0 = not compared.
+    pub flow: Sourced<f64>,
+    /// Images are halved until they are no wider than this many pixels.
+    pub largest_width: Sourced<u32>,
+    /// Half width of the neighbourhood of local contrast, as a share of the image's width.
+    pub contrast_radius: Sourced<f64>,
+    /// Distance of the phases that are tried.
+    pub spacing: Sourced<f64>,
+}
+
 /// Settings of `ours-gn`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OursGnSettings {
@@ -77,8 +91,12 @@ pub struct OursGnSettings {
     pub memory_frames: Sourced<f64>,
     /// Standard deviation of the estimated phase, as a multiple of the one that the keyframes yield.
     pub window_deviation_factor: Sourced<f64>,
+    /// The least standard deviation, added in squares.
+    pub window_deviation_floor: Sourced<f64>,
     /// Keyframes.
     pub window: KeyframeSettings,
+    /// The CT's surface.
+    pub surface: SurfaceMatching,
     /// The scope's lamp and lens.
     pub scope: ScopeCalibration,
     /// Discs.

@@ -109,6 +109,11 @@ pub const METHOD_RANGES: KeyRanges = KeyRanges(&[
     ("correction_deviation_mm", DEVIATION),
     ("hold_pixels", WEIGHT),
     ("window_deviation_factor", FACTOR),
+    ("window_deviation_floor", DEVIATION.or_zero()),
+    ("surface.flow", NumberRange::new(1e-6, 1e6).or_zero()),
+    ("surface.largest_width", NumberRange::new(8.0, 8192.0)),
+    ("surface.contrast_radius", NumberRange::new(1e-3, 1.0)),
+    ("surface.spacing", NumberRange::new(1e-3, 0.5)),
     // navigation
     ("sensor.noise", DEVIATION),
     ("sensor.bias", DEVIATION),

@@ -11,7 +11,7 @@ pub mod sensor;
 pub mod start;
 pub mod state;
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 pub mod wall_mask;
 
 pub use picture::picture_levels;

@@ -12,14 +12,12 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::base::color::{POWER_LAW, linear_from_srgb};
 use crate::base::{Camera, Image};
-use crate::reconstruct::fitting::contrast::summed_around;
+use crate::reconstruct::fitting::contrast::{Surroundings, agreement};
 use crate::reconstruct::geometry::lit_wall::{LitPicture, LitView, NearWall, PICTURE, lit_picture, smoothed};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::settings::WallMatching;
 use crate::splat::View;
 
-/// Added to the local mean, as a share of the picture's mean, so that darkness has little contrast.
-const FLOOR: f32 = 0.15;
 /// Pixels whose masked share is above this do not count.
 const MOST_MASKED: f32 = 0.5;
 /// Smallest robust scale of the residuals, in units of contrast.
@@ -38,9 +36,8 @@ pub struct PictureLevel {
     /// Gauss-Newton steps at this resolution.
     pub steps: u32,
     contrast: Vec<f32>,
-    /// How much a pixel counts: 0 where it does not show the wall.
-    weights: Vec<f32>,
-    radius: usize,
+    /// A pixel that does not show the wall does not count.
+    around: Surroundings,
 }
 
 /// What a picture says at one resolution.
@@ -84,25 +81,9 @@ pub fn picture_levels(settings: &WallMatching, camera: &Camera, image: &Image<u8
 fn contrast_level(settings: &WallMatching, level: &PyramidLevel, shows: &[f32], steps: u32) -> PictureLevel {
     let width = level.image.width;
     let weights: Vec<f32> = shows.iter().map(|&w| if w > 1.0 - MOST_MASKED { w } else { 0.0 }).collect();
-    let radius = ((width as f64 * *settings.contrast_radius).round() as usize).max(1);
-    let (contrast, _) = contrast(&smoothed(&level.image.data, width), &weights, width, radius);
-    PictureLevel { camera: level.view.camera, steps, contrast, weights, radius }
-}
-
-/// The local contrast of `plane`, and the divisor `B + floor` of each pixel.
-fn contrast(plane: &[f32], weights: &[f32], width: usize, radius: usize) -> (Vec<f32>, Vec<f32>) {
-    let counted = summed_around(weights.to_vec(), width, radius);
-    let around = around(plane, weights, &counted, width, radius);
-    let total: f32 = weights.iter().sum();
-    let mean = plane.iter().zip(weights).map(|(v, w)| v * w).sum::<f32>() / total.max(1e-6);
-    let divisor: Vec<f32> = around.iter().map(|b| b + FLOOR * mean + 1e-9).collect();
-    (plane.iter().zip(&around).zip(&divisor).map(|((v, b), d)| (v - b) / d).collect(), divisor)
-}
-
-/// The weighted mean of `plane` around each pixel.
-fn around(plane: &[f32], weights: &[f32], counted: &[f32], width: usize, radius: usize) -> Vec<f32> {
-    let sums = summed_around(plane.iter().zip(weights).map(|(v, w)| v * w).collect(), width, radius);
-    sums.iter().zip(counted).map(|(s, c)| if *c > 0.0 { s / c } else { 0.0 }).collect()
+    let around = Surroundings::new(weights, width, *settings.contrast_radius);
+    let (contrast, _) = around.contrast(&smoothed(&level.image.data, width));
+    PictureLevel { camera: level.view.camera, steps, contrast, around }
 }
 
 impl PictureLevel {
@@ -113,29 +94,19 @@ impl PictureLevel {
         if picture.touching > MOST_TOUCHING {
             return 0.0;
         }
-        let (expected, _) = contrast(&picture.brightness, &self.weights, lit.view.camera.width as usize, self.radius);
-        self.agreement(&expected).1
-    }
-
-    /// `sum w C_I C_R / sum w C_R^2`, and the correlation.
-    fn agreement(&self, expected: &[f32]) -> (f64, f64) {
-        let (mut both, mut own, mut other) = (0.0f64, 0.0f64, 0.0f64);
-        for ((i, r), w) in self.contrast.iter().zip(expected).zip(&self.weights) {
-            let (i, r, w) = (f64::from(*i), f64::from(*r), f64::from(*w));
-            (both, own, other) = (both + w * i * r, own + w * i * i, other + w * r * r);
-        }
-        if own > 0.0 && other > 0.0 { (both / other, both / (own * other).sqrt()) } else { (0.0, 0.0) }
+        let (expected, _) = self.around.contrast(&picture.brightness);
+        agreement(&self.contrast, &expected, self.around.weights()).correlation
     }
 
     /// The normal equations at `lit`; `None` where too little of the wall is seen.
     pub fn equations(&self, settings: &WallMatching, wall: &NearWall, lit: &LitView) -> Option<PictureEquations> {
-        let width = lit.view.camera.width as usize;
-        if self.weights.iter().sum::<f32>() < FEWEST_PIXELS {
+        let counts = self.around.weights();
+        if self.around.total() < FEWEST_PIXELS {
             return None;
         }
         let LitPicture { brightness, slopes, .. } = lit_picture(wall, lit, true);
-        let (expected, divisor) = contrast(&brightness, &self.weights, width, self.radius);
-        let gain = self.agreement(&expected).0;
+        let (expected, divisor) = self.around.contrast(&brightness);
+        let gain = agreement(&self.contrast, &expected, counts).gain;
         if gain <= 0.0 {
             return None;
         }
@@ -144,18 +115,16 @@ impl PictureLevel {
         // Residuals and their robust weights.
         let residuals: Vec<f32> = self.contrast.iter().zip(&expected).map(|(i, r)| i - gain * r).collect();
         let mut sizes: Vec<f32> =
-            residuals.iter().zip(&self.weights).filter(|(_, w)| **w > 0.0).map(|(r, _)| r.abs()).collect();
+            residuals.iter().zip(counts).filter(|(_, w)| **w > 0.0).map(|(r, _)| r.abs()).collect();
         let middle = sizes.len() / 2;
         let scale = (1.4826 * *sizes.select_nth_unstable_by(middle, f32::total_cmp).1).max(SMALLEST_SCALE);
         let limit = *settings.huber as f32 * scale;
-        let weights: Vec<f32> =
-            residuals.iter().zip(&self.weights).map(|(r, w)| w * limit / r.abs().max(limit)).collect();
+        let weights: Vec<f32> = residuals.iter().zip(counts).map(|(r, w)| w * limit / r.abs().max(limit)).collect();
 
         // The contrast's derivatives: dC = (dR - dB (1 + C)) / (B + floor), without what the gain explains.
-        let counted = summed_around(self.weights.clone(), width, self.radius);
         let square: f64 = expected.iter().zip(&weights).map(|(c, w)| f64::from(w * c * c)).sum();
         let column = |slope: &Vec<f32>| -> Vec<f32> {
-            let mean = around(slope, &self.weights, &counted, width, self.radius);
+            let mean = self.around.mean(slope);
             let own = slope.iter().zip(&mean).zip(&expected).zip(&divisor);
             let mut column: Vec<f32> = own.map(|(((d, b), c), v)| (d - b * (1.0 + c)) / v).collect();
             let along = column.iter().zip(&expected).zip(&weights).map(|((j, c), w)| f64::from(w * c * j)).sum::<f64>();

@@ -18,7 +18,7 @@ use crate::splat::View;
 const AROUND: usize = 48;
 const ALONG: usize = 160;
 
-pub(super) struct World {
+pub(in crate::reconstruct::estimate) struct World {
     rest: Vec<[f32; 3]>,
     displacement: Vec<[f32; 3]>,
     faces: Vec<[u32; 3]>,

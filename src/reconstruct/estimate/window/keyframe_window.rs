@@ -36,6 +36,8 @@ const WIDEST: usize = 160;
 const LONGEST_WAIT: usize = 4;
 const LONGEST_FLOW: f64 = 0.06;
 const FEWEST_KEPT: f64 = 0.7;
+/// Largest product of pull and flow: all but .7 % of a difference is then taken over at once.
+const STRONGEST_PULL: f64 = 5.0;
 /// Standard deviation of the first frame's phase, which is found by the depth given there.
 const FIRST_DEVIATION: f64 = 0.003;
 
@@ -48,6 +50,16 @@ pub struct FramePlacement {
     pub deviation: f64,
     /// Correction of its pose.
     pub pose: [f64; POSE],
+}
+
+/// A frame's phase as something else than keyframes tells it: rougher, but without their drift.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PhaseMeasurement {
+    /// Phase, 0..1.
+    pub phase: f64,
+    /// How fast the window is drawn to it, per image width that the wall moves over the image: the difference falls by a
+    /// factor of e over the inverse of this.
+    pub pull: f64,
 }
 
 /// What a window estimates besides the phases; by default nothing.
@@ -164,13 +176,15 @@ impl KeyframeWindow {
     }
 
     /// Places a frame whose predicted phase is `expected`. `mesh` is the given airway, `visible` the faces in view; without
-    /// any, the frame says nothing, and what is expected stands. All frames share one camera.
+    /// any, the frame says nothing, and what is expected stands. All frames share one camera. A frame that becomes a
+    /// keyframe is drawn to what `measure` tells of it, given its phase by the keyframes so far; no other is measured.
     pub fn place(
         &mut self,
         frame: &PyramidLevel,
         mesh: BreathingMesh<'_>,
         visible: &[u32],
         expected: f64,
+        measure: impl FnOnce(f64) -> Option<PhaseMeasurement>,
     ) -> FramePlacement {
         let rays = self.rays.take().unwrap_or_else(|| PixelRays::new(&frame.view.camera));
         let mut correction = std::mem::take(&mut self.correction);
@@ -197,17 +211,21 @@ impl KeyframeWindow {
 
         // Solve for all unknowns; the frame's phase is the last.
         let incoming = IncomingFrame { given: &frame.view, contrast: &contrast, nearest: &nearest };
-        let solution = self.solve(&incoming, expected_at, &layout, mesh);
+        let mut solution = self.solve(&incoming, expected_at, &layout, mesh);
         let now = solution.at.len() - 1;
+        // A frame that shows enough new wall becomes a keyframe.
+        let enough = |(flow, kept): (f64, f64)| flow > LONGEST_FLOW || kept < FEWEST_KEPT;
+        let becomes_keyframe = solution.last.is_none_or(enough) || self.waited >= LONGEST_WAIT;
+        if becomes_keyframe && let Some(measured) = measure(solution.at[now]) {
+            solution.draw_to(measured, &layout);
+        }
         let placement = FramePlacement {
             phase: solution.at[now],
             deviation: solution.deviation(&layout).unwrap_or(self.prior_deviation),
             pose: self.correction_of_poses(&solution.at, 0.0),
         };
 
-        // A frame that shows enough new wall becomes a keyframe.
-        let enough = |(flow, kept): (f64, f64)| flow > LONGEST_FLOW || kept < FEWEST_KEPT;
-        if solution.last.is_none_or(enough) || self.waited >= LONGEST_WAIT {
+        if becomes_keyframe {
             let (view, nearest) = view_and_walls(&solution.at);
             let target = TargetFrame { view: &view, contrast_image: &contrast, nearest: &nearest };
             let key = keyframe(&target, &frame.view, self.time_s, mesh.faces);
@@ -444,6 +462,24 @@ struct Solution {
 }
 
 impl Solution {
+    /// Takes over a share of the difference to a measured phase, and the same share of the window's uncertainty.
+    ///
+    /// That is a Kalman update whose gain `k = 1 - exp(-pull flow)` is given, not the measurement's variance: the window's
+    /// own deviation leaves out its drift, which grows with the way that the wall has moved over the image since the last
+    /// keyframe. Keyframes are drawn along as far as their phases depend on the frame's.
+    fn draw_to(&mut self, measured: PhaseMeasurement, layout: &UnknownLayout<'_>) {
+        let Some((flow, _)) = self.last else { return };
+        let Some(factor) = layout.with_prior(&self.total).cholesky() else { return };
+        let now = self.at.len() - 1;
+        let strength = (measured.pull * flow).min(STRONGEST_PULL);
+        let share = -(-strength).exp_m1();
+        let covariance = factor.inverse();
+        let variance = covariance[(now, now)];
+        let moved = covariance.column(now) * (share / variance * (measured.phase - self.at[now]));
+        layout.advance(&mut self.at, &moved);
+        self.total[(now, now)] += strength.exp_m1() / variance;
+    }
+
     /// Standard deviation of the phase.
     fn deviation(&self, layout: &UnknownLayout<'_>) -> Option<f64> {
         let now = self.at.len() - 1;

@@ -35,4 +35,4 @@ pub mod pair;
 mod tests;
 mod unknowns;
 
-pub use keyframe_window::{KeyframeWindow, WindowOptions};
+pub use keyframe_window::{KeyframeWindow, PhaseMeasurement, WindowOptions};

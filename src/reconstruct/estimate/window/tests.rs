@@ -99,7 +99,7 @@ fn errors(off: f64) -> Vec<f64> {
             let truth = 0.5 + 0.3 * (frame as f64 * 0.15).sin();
             let (view, image) = tube.film(2.0 + 0.3 * frame as f64, truth);
             let frame = PyramidLevel { view, image, weights: Vec::new() };
-            window.place(&frame, tube.mesh(), &all, truth + off).phase - truth
+            window.place(&frame, tube.mesh(), &all, truth + off, |_| None).phase - truth
         })
         .collect()
 }
@@ -126,7 +126,7 @@ fn of_two_answers_all_keyframes_choose() {
     for frame in 0..12 {
         let (view, image) = film(frame);
         let level = PyramidLevel { view, image, weights: Vec::new() };
-        window.place(&level, tube.mesh(), &all, truth(frame));
+        window.place(&level, tube.mesh(), &all, truth(frame), |_| None);
     }
     let last = window.unknowns.len() - 1;
     window.unknowns[last] += 0.06;
@@ -138,9 +138,49 @@ fn of_two_answers_all_keyframes_choose() {
     let incoming = IncomingFrame { given: &view, contrast: &contrast, nearest: &nearest };
     let astray = window.nearest_fit(&incoming, &window.unknowns.clone().push(expected), tube.mesh());
     let level = PyramidLevel { view, image, weights: Vec::new() };
-    let placed = window.place(&level, tube.mesh(), &all, expected);
+    let placed = window.place(&level, tube.mesh(), &all, expected, |_| None);
     assert!((astray - expected).abs() > 0.03, "the search is not sent astray: {astray}");
     assert!((placed.phase - expected).abs() < 0.012, "{} instead of {expected}", placed.phase);
+}
+
+/// A phase that something else measures draws a frame that becomes a keyframe to it, by the way that the wall has moved
+/// over the image; other frames are not measured.
+#[test]
+fn a_measured_phase_draws_a_keyframe_by_the_way_over_the_image() {
+    let tube = Tube::new();
+    let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
+    let truth = |frame: f64| 0.5 + 0.3 * (frame * 0.15).sin();
+    // The frames 0 to 15, then `last`, and how many of them were measured.
+    let placed = |last: f64, pull: Option<f64>| {
+        let mut window = window_of(None);
+        let mut count = 0;
+        let mut place = |frame: f64, measured: Option<PhaseMeasurement>| {
+            let (view, image) = tube.film(2.0 + 0.3 * frame, truth(frame));
+            let level = PyramidLevel { view, image, weights: Vec::new() };
+            window.place(&level, tube.mesh(), &all, truth(frame), |phase| {
+                assert!((phase - truth(frame)).abs() < 0.02, "{phase} by the keyframes");
+                count += 1;
+                measured
+            })
+        };
+        (0..16).for_each(|frame| {
+            place(f64::from(frame), None);
+        });
+        let placement = place(last, pull.map(|pull| PhaseMeasurement { phase: truth(last) + 0.02, pull }));
+        (placement, count)
+    };
+    let share = |last: f64, pull: f64| {
+        let ((alone, asked), (drawn, _)) = (placed(last, None), placed(last, Some(pull)));
+        assert!((5..10).contains(&asked), "{asked} of 17 frames are measured");
+        assert!(drawn.deviation <= alone.deviation);
+        (drawn.phase - alone.phase) / (truth(last) + 0.02 - alone.phase)
+    };
+    // So far from the frame before, it shows enough new wall.
+    let [gentle, firm, whole] = [1.0, 10.0, 1e4].map(|pull| share(19.0, pull));
+    assert!(gentle > 0.0 && firm > 3.0 * gentle && firm < 0.9, "{gentle} {firm}");
+    assert!((whole - 1.0).abs() < 0.01, "{whole}");
+    let nearer = share(18.0, 10.0);
+    assert!(nearer > 0.0 && nearer < 0.9 * firm, "{nearer} {firm}");
 }
 
 /// The search before the first step finds the nearest of the tried phases from either side, and returns a correct
@@ -151,7 +191,7 @@ fn a_phase_that_is_expected_in_the_wrong_place_is_searched_for() {
     let all: Vec<u32> = (0..tube.faces.len() as u32).collect();
     let mut window = window_of(None);
     let (view, image) = tube.film(2.0, 0.5);
-    window.place(&PyramidLevel { view, image, weights: Vec::new() }, tube.mesh(), &all, 0.5);
+    window.place(&PyramidLevel { view, image, weights: Vec::new() }, tube.mesh(), &all, 0.5, |_| None);
     const TRUTH: f64 = 0.62;
     let (view, image) = tube.film(2.6, TRUTH);
     let contrast = contrast_image(&image, &[], CONTRAST_RADIUS);
@@ -224,7 +264,7 @@ fn an_error_of_the_registration_is_seen_by_parallax() {
         for (frame, (view, image)) in films.iter().enumerate() {
             let level = PyramidLevel { view: *view, image: image.clone(), weights: Vec::new() };
             let mesh = BreathingMesh { displacement: &given, ..tube.mesh() };
-            let placed = window.place(&level, mesh, &all, breath(frame));
+            let placed = window.place(&level, mesh, &all, breath(frame), |_| None);
             wrong.push((placed.phase - breath(frame)).abs());
         }
         let found = window.corrected(&given).unwrap_or_else(|| given.clone());
@@ -351,7 +391,7 @@ fn a_drift_of_the_given_poses_is_followed() {
         let given = View { camera_from_world: motion(drift(time_s)).inverse() * view.camera_from_world, ..view };
         window.advance_to(time_s);
         let level = PyramidLevel { view: given, image, weights: Vec::new() };
-        let placed = window.place(&level, tube.mesh(), &all, phase);
+        let placed = window.place(&level, tube.mesh(), &all, phase, |_| None);
         let off = |from: usize, to: usize| {
             (from..to).map(|k| (placed.pose[k] - drift(time_s)[k]).powi(2)).sum::<f64>().sqrt()
         };

@@ -13,9 +13,10 @@ use crate::reconstruct::contract::{
     Reconstruct, Reconstruction, TrackState,
 };
 use crate::reconstruct::estimate::breath::{BreathPredictor, Repetition};
+use crate::reconstruct::estimate::surface_phase::{WallInReach, surface_phase};
 use crate::reconstruct::estimate::window::correction::Correction;
 use crate::reconstruct::estimate::window::drift::PoseDrift;
-use crate::reconstruct::estimate::window::{KeyframeWindow, WindowOptions};
+use crate::reconstruct::estimate::window::{KeyframeWindow, PhaseMeasurement, WindowOptions};
 use crate::reconstruct::fitting::anchored::to_f32;
 use crate::reconstruct::fitting::grid_search::grid_search;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
@@ -37,6 +38,9 @@ const COST_SHARE: f64 = 0.2;
 /// Standard deviation of the phase from which on a live answer counts as unsure: a target that breathes by 15 mm is then
 /// known to 1.5 mm.
 const UNSURE_DEVIATION: f64 = 0.1;
+
+/// Share of what keyframes and surface disagree by that counts as a deviation.
+const DISAGREEMENT: f64 = 0.5;
 
 /// The method with its settings.
 pub struct OursGn {
@@ -154,6 +158,9 @@ struct Tracker<'a> {
     /// Running mean of the cost of the frames so far.
     mean_cost: f64,
     window: Option<KeyframeWindow>,
+    wall: WallInReach,
+    /// What keyframes and surface disagreed by when last compared.
+    apart: f64,
     targets: CarriedTargets,
 }
 
@@ -194,6 +201,8 @@ impl<'a> Tracker<'a> {
             breath: BreathPredictor::new(*settings.velocity, repetition),
             mean_cost: f64::INFINITY,
             window,
+            wall: WallInReach::default(),
+            apart: 0.0,
             targets: CarriedTargets::new(&observation.targets_mm, &inspiration.vertices),
         })
     }
@@ -300,18 +309,44 @@ impl<'a> Tracker<'a> {
             }
         }
 
-        // Starting there: phase, pose and correction of the registration by the keyframe window.
+        // Starting there: phase, pose and correction of the registration by the keyframe window, and by the CT's surface,
+        // which does not drift as map and keyframes do.
         let mut phase_deviation = None;
         if let Some(window) = &mut self.window {
             let level = levels.iter().rev().find(|level| KeyframeWindow::suits(level)).unwrap_or(&levels[0]);
             let mesh =
                 BreathingMesh { rest: &self.rest, displacement: &self.given_displacement, faces: self.map.faces() };
-            let placement = window.place(level, mesh, &active.faces, phase);
+            let mut measured = None;
+            let by_surface = |expected: f64| {
+                let settings = &self.settings.surface;
+                if *settings.flow == 0.0 {
+                    return None;
+                }
+                let small = |level: &&PyramidLevel| level.image.width <= *settings.largest_width as usize;
+                let mut halved;
+                let mut level = levels.iter().rev().find(small).unwrap_or(&levels[0]);
+                while !small(&level) {
+                    halved = level.halved();
+                    level = &halved;
+                }
+                let view = moved(&level.view, self.pose);
+                let mesh = BreathingMesh { displacement: &self.displacement, ..mesh };
+                let place = view.camera_from_world.inverse().translation;
+                let wall = self.wall.around(mesh, place, *self.settings.visibility.range_mm);
+                measured = surface_phase(settings, level, &view, wall, expected);
+                measured.map(|found| PhaseMeasurement { phase: found.phase, pull: found.weight / *settings.flow })
+            };
+            let placement = window.place(level, mesh, &active.faces, phase, by_surface);
             (phase, self.pose) = (placement.phase, placement.pose);
-            phase_deviation = Some(*self.settings.window_deviation_factor * placement.deviation);
+            self.apart = measured.map_or(self.apart, |surface| surface.phase - phase);
+            let by_window = *self.settings.window_deviation_factor * placement.deviation;
+            let floor = *self.settings.window_deviation_floor;
+            let apart = DISAGREEMENT * self.apart;
+            phase_deviation = Some((by_window * by_window + apart * apart + floor * floor).sqrt());
             if let Some(corrected) = window.corrected(&self.given_displacement) {
                 active.bend(&corrected);
                 self.displacement = corrected;
+                self.wall.forget();
             }
         }
 
