@@ -91,7 +91,7 @@ impl Reconstruct for VirtualMethod {
             observation,
             airway,
             camera: VirtualCamera::new(observation.camera, reach),
-            targets: CarriedTargets::new(&observation.targets_mm, &observation.inspiration.vertices),
+            targets: CarriedTargets::new(&observation.targets_mm, &observation.inspiration),
         };
         let mut last = 0.0;
         let fit = |frame: usize| {
@@ -144,7 +144,7 @@ struct CentredLumen<'a> {
 impl<'a> CentredLumen<'a> {
     fn new(observation: &'a Observation, steps: u32) -> Self {
         let line = &observation.centerline_mm;
-        let carried = CarriedTargets::new(line, &observation.inspiration.vertices);
+        let carried = CarriedTargets::on_axis(line, &observation.inspiration.vertices);
         let motion = carried.at_phase(observation, 1.0).iter().zip(line).map(|(moved, p)| *moved - *p).collect();
         CentredLumen { observation, steps: steps.max(2), motion }
     }

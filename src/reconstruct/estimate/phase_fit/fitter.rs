@@ -87,7 +87,7 @@ impl<'a> Fitter<'a> {
             settings,
             estimation,
             observation,
-            targets: CarriedTargets::new(&observation.targets_mm, &observation.inspiration.vertices),
+            targets: CarriedTargets::new(&observation.targets_mm, &observation.inspiration),
             scale: iteration_scale,
             rasterizer: Rasterizer::new(),
             gradient: Vec::new(),

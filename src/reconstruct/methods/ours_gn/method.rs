@@ -203,7 +203,7 @@ impl<'a> Tracker<'a> {
             window,
             wall: WallInReach::default(),
             apart: 0.0,
-            targets: CarriedTargets::new(&observation.targets_mm, &inspiration.vertices),
+            targets: CarriedTargets::new(&observation.targets_mm, inspiration),
         })
     }
 

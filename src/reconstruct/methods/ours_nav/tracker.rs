@@ -68,7 +68,7 @@ impl<'a> NavTracker<'a> {
     pub fn new(settings: &'a OursNavSettings, observation: &'a Observation) -> Self {
         let inspiration = &observation.inspiration;
         let expiration = observation.expiration.as_ref().unwrap_or(inspiration);
-        let targets = CarriedTargets::new(&observation.targets_mm, &inspiration.vertices);
+        let targets = CarriedTargets::new(&observation.targets_mm, inspiration);
         let [rest, moved] = [0.0, 1.0].map(|phase| targets.at_phase(observation, phase));
         NavTracker {
             settings,
