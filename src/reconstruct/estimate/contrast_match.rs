@@ -78,13 +78,15 @@ pub fn peak(values: &[f64]) -> f64 {
     let best = (0..=last).fold(0, |best, i| if values[i] > values[best] { i } else { best });
     let mut place = best as f64;
     if (1..last).contains(&best) {
-        let [low, middle, high] = [values[best - 1], values[best], values[best + 1]];
-        let bend = low - 2.0 * middle + high;
-        if bend < 0.0 {
-            place += (0.5 * (low - high) / bend).clamp(-0.5, 0.5);
-        }
+        place += top_of_parabola([values[best - 1], values[best], values[best + 1]]);
     }
     place / last as f64
+}
+
+/// Where between -1/2 and 1/2 the parabola through the values at -1, 0 and 1 has its top; 0 where it has none.
+pub fn top_of_parabola([low, middle, high]: [f64; 3]) -> f64 {
+    let bend = low - 2.0 * middle + high;
+    if bend < 0.0 { (0.5 * (low - high) / bend).clamp(-0.5, 0.5) } else { 0.0 }
 }
 
 /// `values` at `phase`, linear between the points of their grid.

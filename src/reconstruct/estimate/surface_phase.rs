@@ -4,6 +4,7 @@
 
 use glam::DVec3;
 
+use crate::reconstruct::estimate::contrast_match::top_of_parabola;
 use crate::reconstruct::fitting::contrast::{Surroundings, agreement};
 use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::lit_wall::{LitView, NearWall, lit_picture, smoothed};
@@ -71,11 +72,7 @@ fn uphill(spacing: f64, start: f64, value: impl Fn(f64) -> f64) -> (f64, f64) {
     let top = at(best);
     let mut place = best as f64;
     if (1..last).contains(&best) {
-        let (low, high) = (at(best - 1), at(best + 1));
-        let bend = low - 2.0 * top + high;
-        if bend < 0.0 {
-            place += (0.5 * (low - high) / bend).clamp(-0.5, 0.5);
-        }
+        place += top_of_parabola([at(best - 1), top, at(best + 1)]);
     }
     (place / last as f64, top)
 }
