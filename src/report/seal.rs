@@ -14,6 +14,9 @@ const MANIFEST: &str = "manifest.json";
 /// Tables that it covers; what the page shows is covered too, where it is there.
 const TABLES: [&str; 4] = ["results.csv", "comparison.csv", "frames.csv", "timings.csv"];
 
+/// Tables with a row per frame or stage, without which a report can be read.
+const LONG: [&str; 2] = ["frames.csv", "timings.csv"];
+
 #[derive(Serialize, Deserialize)]
 struct ReportManifest {
     /// BLAKE3 of each file, by its name.
@@ -32,8 +35,8 @@ pub(super) fn write(folder: &Path) -> Result<()> {
     files::write_json(&folder.join(MANIFEST), &ReportManifest { files })
 }
 
-/// Refuses tables that are not those of the manifest. A report of an older version has none, which is accepted unless
-/// one is `needed`.
+/// Refuses tables that are not those of the manifest. A report of an older version has none, and a report kept for
+/// reference leaves out what is long ([`LONG`]); both are accepted unless a manifest is `needed`.
 pub(super) fn check(folder: &Path, needed: bool) -> Result<()> {
     let path = folder.join(MANIFEST);
     if !path.exists() {
@@ -44,6 +47,9 @@ pub(super) fn check(folder: &Path, needed: bool) -> Result<()> {
     let manifest: ReportManifest = files::read_json(&path)?;
     for name in covered(folder) {
         let table = folder.join(name);
+        if !needed && LONG.contains(&name) && !table.exists() {
+            continue;
+        }
         let wanted = manifest.files.get(name);
         if wanted.is_none() || wanted != Some(&hash::of_file(&table)?) {
             let sentence =

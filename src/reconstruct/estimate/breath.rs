@@ -4,6 +4,8 @@
 //! relative to the mean over all shorter lags. Each guess is weighted by the inverse of its recent squared error, so
 //! that the period loses its weight in a breath-hold or an irregular breath.
 
+use crate::reconstruct::fitting::grid_search::top_of_parabola;
+
 /// Share of the newest error in each guess's running mean square.
 const NEWEST: f64 = 0.2;
 /// YIN's absolute threshold: largest difference at the period, relative to the mean over the shorter lags.
@@ -131,9 +133,7 @@ fn period(phases: &[f64]) -> Option<f64> {
     // Refine between frames by the minimum of a parabola. There is none where the difference still falls at the
     // longest lag.
     let (&left, &middle, &right) = (relative.get(lag - 1)?, relative.get(lag)?, relative.get(lag + 1)?);
-    let curvature = left - 2.0 * middle + right;
-    let shift = if curvature > 0.0 { 0.5 * (left - right) / curvature } else { 0.0 };
-    Some(lag as f64 + shift.clamp(-0.5, 0.5))
+    Some(lag as f64 + top_of_parabola([-left, -middle, -right]))
 }
 
 #[cfg(test)]

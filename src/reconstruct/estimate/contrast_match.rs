@@ -4,6 +4,7 @@
 use crate::base::Image;
 use crate::reconstruct::contract::Observation;
 use crate::reconstruct::fitting::contrast::{ContrastImage, contrast_image};
+use crate::reconstruct::fitting::grid_search::top_of_parabola;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::virtual_view::VirtualCamera;
@@ -42,15 +43,12 @@ impl<'a> ContrastMatcher<'a> {
 
 /// The frame at a width of at most `largest_width`.
 fn small(settings: &ContrastMatching, observation: &Observation, frame: usize) -> PyramidLevel {
-    let mut level = PyramidLevel {
+    let level = PyramidLevel {
         view: View::new(observation.camera, observation.world_from_camera[frame]),
         image: observation.images[frame].to_unit(),
         weights: observation.pixel_weights().unwrap_or_default(),
     };
-    while level.image.width > *settings.largest_width as usize && level.image.height > 1 {
-        level = level.halved();
-    }
-    level
+    level.halved_until(|level| level.is_within(*settings.largest_width))
 }
 
 /// Pearson correlation over the pixels that both images count, all channels together; 0 where one is even.
@@ -81,12 +79,6 @@ pub fn peak(values: &[f64]) -> f64 {
         place += top_of_parabola([values[best - 1], values[best], values[best + 1]]);
     }
     place / last as f64
-}
-
-/// Where between -1/2 and 1/2 the parabola through the values at -1, 0 and 1 has its top; 0 where it has none.
-pub fn top_of_parabola([low, middle, high]: [f64; 3]) -> f64 {
-    let bend = low - 2.0 * middle + high;
-    if bend < 0.0 { (0.5 * (low - high) / bend).clamp(-0.5, 0.5) } else { 0.0 }
 }
 
 /// `values` at `phase`, linear between the points of their grid.

@@ -4,9 +4,8 @@
 
 use glam::DVec3;
 
-use crate::reconstruct::estimate::contrast_match::top_of_parabola;
 use crate::reconstruct::fitting::contrast::{Surroundings, agreement};
-use crate::reconstruct::geometry::breathing::BreathingMesh;
+use crate::reconstruct::fitting::grid_search::top_of_parabola;
 use crate::reconstruct::geometry::lit_wall::{LitView, NearWall, lit_picture, smoothed};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::settings::SurfaceMatching;
@@ -75,23 +74,6 @@ fn uphill(spacing: f64, start: f64, value: impl Fn(f64) -> f64) -> (f64, f64) {
         place += top_of_parabola([at(best - 1), top, at(best + 1)]);
     }
     (place / last as f64, top)
-}
-
-/// Keeps the part of the airway that is within sight of the scope while the scope stays near.
-#[derive(Default)]
-pub struct WallInReach(Option<NearWall>);
-
-impl WallInReach {
-    /// The wall of `mesh` within `range_mm` of `place`, or of a place no farther than a quarter of that from it.
-    pub fn around(&mut self, mesh: BreathingMesh<'_>, place: DVec3, range_mm: f64) -> &NearWall {
-        let near = self.0.take().filter(|wall| wall.distance_mm(place) < 0.25 * range_mm);
-        self.0.insert(near.unwrap_or_else(|| NearWall::around(mesh, place, 1.25 * range_mm)))
-    }
-
-    /// Forgets it: the airway has changed.
-    pub fn forget(&mut self) {
-        self.0 = None;
-    }
 }
 
 #[cfg(test)]

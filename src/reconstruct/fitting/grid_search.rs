@@ -1,5 +1,5 @@
-//! Minimum of a function of the phase: a grid over 0..1, then golden-section search. It finds the first frame's
-//! phase by the depth given there (paper, Section 3.4).
+//! Extremes of functions on a grid. Minimum of a function of the phase: a grid over 0..1, then golden-section search; it
+//! finds the first frame's phase by the depth given there (paper, Section 3.4). Top between the points: a parabola.
 
 use crate::base::Result;
 
@@ -33,6 +33,12 @@ pub fn grid_search(steps: u32, mut error: impl FnMut(f64) -> Result<f64>) -> Res
     Ok(if error(refined)? <= best.0 { refined } else { best.1 })
 }
 
+/// Where between -1/2 and 1/2 the parabola through the values at -1, 0 and 1 has its top; 0 where it has none.
+pub fn top_of_parabola([low, middle, high]: [f64; 3]) -> f64 {
+    let bend = low - 2.0 * middle + high;
+    if bend < 0.0 { (0.5 * (low - high) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -45,5 +51,14 @@ mod tests {
         }
         let two_valleys = |p: f64| Ok(((p - 0.2).abs() + 0.1).min((p - 0.8).abs()));
         assert!((grid_search(21, two_valleys).unwrap() - 0.8).abs() < 1e-3);
+    }
+    #[test]
+    fn the_top_of_a_parabola_is_exact_and_a_valley_has_none() {
+        let through = |top: f64, bend: f64| [-1.0, 0.0, 1.0].map(|x: f64| 3.0 - bend * (x - top).powi(2));
+        for top in [-0.4, 0.0, 0.31] {
+            assert!((top_of_parabola(through(top, 2.0)) - top).abs() < 1e-12, "{top}");
+            assert_eq!(top_of_parabola(through(top, -2.0)), 0.0);
+        }
+        assert_eq!(top_of_parabola([1.0; 3]), 0.0);
     }
 }

@@ -90,13 +90,26 @@ impl NearWall {
         wall
     }
 
-    /// Distance in mm of `place` from the one around which the wall was taken.
-    pub fn distance_mm(&self, place: DVec3) -> f64 {
-        self.centre.distance(place)
-    }
-
     fn mesh(&self) -> BreathingMesh<'_> {
         BreathingMesh { rest: &self.rest, displacement: &self.displacement, faces: &self.faces }
+    }
+}
+
+/// Keeps the part of the airway that is within sight of the scope while the scope stays near.
+#[derive(Default)]
+pub struct WallInReach(Option<NearWall>);
+
+impl WallInReach {
+    /// The wall of `mesh` that is within `range_mm` of `place`, and some more of it: gathered anew where `place` is
+    /// `again_mm` from where it was gathered last.
+    pub fn around(&mut self, mesh: BreathingMesh<'_>, place: DVec3, range_mm: f64, again_mm: f64) -> &NearWall {
+        let near = self.0.take().filter(|wall| wall.centre.distance(place) < again_mm);
+        self.0.insert(near.unwrap_or_else(|| NearWall::around(mesh, place, range_mm + again_mm)))
+    }
+
+    /// Forgets it: the airway has changed.
+    pub fn forget(&mut self) {
+        self.0 = None;
     }
 }
 

@@ -27,6 +27,19 @@ impl PyramidLevel {
         PyramidLevel { view: View { camera, ..self.view }, weights: self.halved_weights(), image }
     }
 
+    /// Whether it is no wider than `width` pixels, or cannot be halved.
+    pub fn is_within(&self, width: u32) -> bool {
+        self.image.width <= width as usize || self.image.height <= 1
+    }
+
+    /// Halved until it `suits`.
+    pub fn halved_until(mut self, suits: impl Fn(&PyramidLevel) -> bool) -> PyramidLevel {
+        while !suits(&self) {
+            self = self.halved();
+        }
+        self
+    }
+
     fn halved_weights(&self) -> Vec<f32> {
         if self.weights.is_empty() {
             return Vec::new();

@@ -263,10 +263,7 @@ impl VisiblePatch for VisibleDiscs<'_> {
     fn place_among_keyframes(&mut self, frame: PyramidLevel, expected: f64) -> f64 {
         let BreathingDiscs { window, inspiration, displacement, surface, .. } = &mut *self.all;
         let Some(window) = window else { return expected };
-        let mut level = frame;
-        while !KeyframeWindow::suits(&level) {
-            level = level.halved();
-        }
+        let level = frame.halved_until(KeyframeWindow::suits);
         let mesh = BreathingMesh { rest: inspiration, displacement, faces: &surface.faces };
         window.place(&level, mesh, &self.faces, expected, |_| None).phase
     }

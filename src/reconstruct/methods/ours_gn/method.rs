@@ -13,13 +13,14 @@ use crate::reconstruct::contract::{
     Reconstruct, Reconstruction, TrackState,
 };
 use crate::reconstruct::estimate::breath::{BreathPredictor, Repetition};
-use crate::reconstruct::estimate::surface_phase::{WallInReach, surface_phase};
+use crate::reconstruct::estimate::surface_phase::surface_phase;
 use crate::reconstruct::estimate::window::correction::Correction;
 use crate::reconstruct::estimate::window::drift::PoseDrift;
 use crate::reconstruct::estimate::window::{KeyframeWindow, PhaseMeasurement, WindowOptions};
 use crate::reconstruct::fitting::anchored::to_f32;
 use crate::reconstruct::fitting::grid_search::grid_search;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
+use crate::reconstruct::geometry::lit_wall::WallInReach;
 use crate::reconstruct::geometry::mesh_depth::{PixelRays, depth_gap_mm, nearest_depth_mm, unhidden};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::rigid::{POSE, moved};
@@ -322,17 +323,20 @@ impl<'a> Tracker<'a> {
                 if *settings.flow == 0.0 {
                     return None;
                 }
-                let small = |level: &&PyramidLevel| level.image.width <= *settings.largest_width as usize;
-                let mut halved;
-                let mut level = levels.iter().rev().find(small).unwrap_or(&levels[0]);
-                while !small(&level) {
-                    halved = level.halved();
-                    level = &halved;
-                }
+                let small = |level: &PyramidLevel| level.is_within(*settings.largest_width);
+                let halved;
+                let level = match levels.iter().rev().find(|level| small(level)) {
+                    Some(level) => level,
+                    None => {
+                        halved = levels[0].halved().halved_until(small);
+                        &halved
+                    }
+                };
                 let view = moved(&level.view, self.pose);
                 let mesh = BreathingMesh { displacement: &self.displacement, ..mesh };
                 let place = view.camera_from_world.inverse().translation;
-                let wall = self.wall.around(mesh, place, *self.settings.visibility.range_mm);
+                let range_mm = *self.settings.visibility.range_mm;
+                let wall = self.wall.around(mesh, place, range_mm, 0.25 * range_mm);
                 measured = surface_phase(settings, level, &view, wall, expected);
                 measured.map(|found| PhaseMeasurement { phase: found.phase, pull: found.weight / *settings.flow })
             };

@@ -8,7 +8,7 @@ use crate::reconstruct::estimate::navigation::state::{PHASE_AT, cross};
 use crate::reconstruct::estimate::navigation::{NavigationState, picture_levels, wall_shares};
 use crate::reconstruct::fitting::anchored::to_f32;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
-use crate::reconstruct::geometry::lit_wall::NearWall;
+use crate::reconstruct::geometry::lit_wall::{NearWall, WallInReach};
 use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::settings::OursNavSettings;
 
@@ -57,7 +57,7 @@ pub struct NavTracker<'a> {
     targets: CarriedTargets,
     /// Motion of each target from inspiration to expiration, mm.
     travel_mm: Vec<DVec3>,
-    wall: Option<NearWall>,
+    wall: WallInReach,
     state: Option<NavigationState>,
     /// When a picture last agreed, s.
     agreed_s: f64,
@@ -77,7 +77,7 @@ impl<'a> NavTracker<'a> {
             displacement: mesh::displacement(inspiration, expiration),
             travel_mm: moved.iter().zip(&rest).map(|(moved, rest)| *moved - *rest).collect(),
             targets,
-            wall: None,
+            wall: WallInReach::default(),
             state: None,
             agreed_s: 0.0,
         }
@@ -107,15 +107,12 @@ impl<'a> NavTracker<'a> {
     /// Takes in the picture of the frame that [`NavTracker::expect`] went on to.
     pub fn look(&mut self, image: &Image<u8>, time_s: f64) -> Navigated {
         let place = self.state.as_ref().map_or(DVec3::ZERO, |state| state.camera_from_world.inverse().translation);
-        if self.wall.as_ref().is_none_or(|wall| wall.distance_mm(place) > GATHER_AGAIN_MM) {
-            let range_mm = *self.settings.visibility.range_mm + GATHER_AGAIN_MM;
-            self.wall = Some(NearWall::around(self.mesh(), place, range_mm));
-        }
         let shares = wall_shares(image, self.observation.mask.as_ref());
         let levels = picture_levels(&self.settings.matching, &self.observation.camera, image, &shares);
-        let (Some(state), Some(wall)) = (&mut self.state, &self.wall) else {
-            unreachable!("a frame is expected before its picture is looked at")
-        };
+        let faces = &self.observation.inspiration.faces;
+        let mesh = BreathingMesh { rest: &self.rest, displacement: &self.displacement, faces };
+        let wall = self.wall.around(mesh, place, *self.settings.visibility.range_mm, GATHER_AGAIN_MM);
+        let Some(state) = &mut self.state else { unreachable!("a frame is expected before its picture is looked at") };
         let look = state.look(&self.settings.matching, &levels, wall);
         if look.agrees {
             self.agreed_s = time_s;
