@@ -7,7 +7,6 @@
 // are in the local frame of the shading normal (z up).
 
 #include <cmath>
-#include <vector>
 
 #include "cpp/trace/vector.h"
 
@@ -102,7 +101,7 @@ class Coat {
   static constexpr int kRoughnesses = 8;
   int rows_ = 0;
   float alpha_low_ = 0, rows_per_alpha_ = 0, ior_ = 1;
-  std::vector<float> table_;
+  const float* table_ = nullptr;
 };
 
 }  // namespace respire

@@ -14,6 +14,7 @@ use super::field_calibre::{Axis, AxisPoint};
 use super::field_check;
 use super::fold_mending::{Mending, mended, settled, yielding};
 use super::grow::grow;
+use super::nearest_points::NearestPoints;
 use super::surface::{SurfaceSettings, surface_from_tree};
 use super::tree::Tree;
 use crate::base::{Error, Result, TriangleMesh, files};
@@ -120,40 +121,72 @@ pub fn from_field(
     vertex_generation: Option<Vec<f32>>,
     breathing: &Breathing,
 ) -> Result<Anatomy> {
-    from_field_with(rest, centerline, vertex_generation, breathing, FoldPolicy::Yield)
+    AirwayAtRest::new(&rest, &centerline)?.moved(breathing, vertex_generation, FoldPolicy::Yield)
 }
 
-/// [`from_field`] with a choice of what is done with faces that would turn over.
-pub fn from_field_with(
-    rest: TriangleMesh,
-    centerline: Centerline,
-    vertex_generation: Option<Vec<f32>>,
-    breathing: &Breathing,
-    policy: FoldPolicy,
-) -> Result<Anatomy> {
-    let axis = Axis::new(&centerline);
-    let feet = axis.feet(&rest.vertices);
-    let line_points: Vec<DVec3> = centerline.points.iter().map(|p| p.position_mm).collect();
-    let line_feet = axis.feet(&line_points);
-    if feet.len() != rest.vertices.len() {
-        return Err(Error::input("the centreline has no length"));
+/// An airway at full inspiration, ready to be moved, by one breath after another.
+pub struct AirwayAtRest<'a> {
+    /// Its surface.
+    pub mesh: &'a TriangleMesh,
+    /// Its centreline.
+    pub centerline: &'a Centerline,
+    /// Foot of each vertex on the centreline.
+    feet: Vec<AxisPoint>,
+    line_points: Vec<DVec3>,
+    line_feet: Vec<AxisPoint>,
+}
+
+impl<'a> AirwayAtRest<'a> {
+    /// Finds where on the centreline each vertex belongs. Errors: a centreline without length.
+    pub fn new(mesh: &'a TriangleMesh, centerline: &'a Centerline) -> Result<Self> {
+        let axis = Axis::new(centerline);
+        let feet = axis.feet(&mesh.vertices);
+        let line_points: Vec<DVec3> = centerline.points.iter().map(|p| p.position_mm).collect();
+        let line_feet = axis.feet(&line_points);
+        if feet.len() != mesh.vertices.len() {
+            return Err(Error::input("the centreline has no length"));
+        }
+        Ok(AirwayAtRest { mesh, centerline, feet, line_points, line_feet })
     }
-    let whole = vec![1.0; feet.len()];
-    let mut expiration = settled(&rest, moved(&rest.vertices, &feet, breathing, &whole));
-    let (least, vertex) = field_check::least_determinant(&breathing.field, &rest.vertices);
-    if least <= 0.0 {
-        return Err(
-            Error::input(format!("folds space (determinant {least:.3} at vertex {vertex})")).element("breathing.field")
-        );
+
+    /// Both states under `breathing`. `vertex_generation` is taken from the centreline when not known.
+    ///
+    /// Errors: a field that folds space; faces that turn over in spite of `policy`.
+    pub fn moved(
+        &self,
+        breathing: &Breathing,
+        vertex_generation: Option<Vec<f32>>,
+        policy: FoldPolicy,
+    ) -> Result<Anatomy> {
+        let (rest, feet) = (self.mesh, &self.feet);
+        let whole = vec![1.0; feet.len()];
+        let mut expiration = settled(rest, moved(&rest.vertices, feet, breathing, &whole));
+        let (least, vertex) = field_check::least_determinant(&breathing.field, &rest.vertices);
+        if least <= 0.0 {
+            return Err(Error::input(format!("folds space (determinant {least:.3} at vertex {vertex})"))
+                .element("breathing.field"));
+        }
+        if policy == FoldPolicy::Yield && check_faces(rest, &expiration).is_err() {
+            let walls = wall_shares(&rest.vertices, feet);
+            expiration = yielding(rest, walls, |share| moved(&rest.vertices, feet, breathing, share));
+        }
+        check_faces(rest, &expiration)?;
+        let line_expiration = moved(&self.line_points, &self.line_feet, breathing, &vec![1.0; self.line_feet.len()]);
+        let generation = vertex_generation.unwrap_or_else(|| feet.iter().map(|foot| foot.generation as f32).collect());
+        finish(rest.clone(), expiration, generation, self.centerline.clone(), line_expiration)
     }
-    if policy == FoldPolicy::Yield && check_faces(&rest, &expiration).is_err() {
-        let walls = wall_shares(&rest.vertices, &feet);
-        expiration = yielding(&rest, walls, |share| moved(&rest.vertices, &feet, breathing, share));
+
+    /// By how much the narrowing yielded to faces that would turn over, where `expiration` is what came of `breathing`.
+    pub fn mending(&self, expiration: &[DVec3], breathing: &Breathing) -> Mending {
+        let (rest, feet) = (self.mesh, &self.feet);
+        let whole = moved(&rest.vertices, feet, breathing, &vec![1.0; feet.len()]);
+        let faces = field_check::flipped_faces(rest, &whole).len();
+        if faces == 0 {
+            return Mending::default();
+        }
+        let wanted = moved(&rest.vertices, feet, breathing, &wall_shares(&rest.vertices, feet));
+        Mending { faces, ..Mending::between(rest, &wanted, expiration) }
     }
-    check_faces(&rest, &expiration)?;
-    let line_expiration = moved(&line_points, &line_feet, breathing, &vec![1.0; line_feet.len()]);
-    let generation = vertex_generation.unwrap_or_else(|| feet.iter().map(|foot| foot.generation as f32).collect());
-    Ok(finish(rest, expiration, generation, centerline, line_expiration))
 }
 
 /// How far each vertex is the wall of its foot's airway: 1 up to twice its radius, 0 from three times on. A branch too
@@ -161,20 +194,6 @@ pub fn from_field_with(
 fn wall_shares(vertices: &[DVec3], feet: &[AxisPoint]) -> Vec<f64> {
     let share = |(x, foot): (&DVec3, &AxisPoint)| (3.0 - x.distance(foot.position_mm) / foot.radius_mm).clamp(0.0, 1.0);
     vertices.iter().zip(feet).map(share).collect()
-}
-
-/// By how much the narrowing yielded to faces that would turn over in `anatomy`, which `breathing` moves.
-pub fn mending_of(anatomy: &Anatomy, breathing: &Breathing) -> Mending {
-    let rest = &anatomy.inspiration;
-    let feet = Axis::new(&anatomy.centerline).feet(&rest.vertices);
-    let whole = moved(&rest.vertices, &feet, breathing, &vec![1.0; feet.len()]);
-    let faces = field_check::flipped_faces(rest, &whole).len();
-    if faces == 0 {
-        return Mending::default();
-    }
-    let walls = wall_shares(&rest.vertices, &feet);
-    let wanted = moved(&rest.vertices, &feet, breathing, &walls);
-    Mending { faces, ..Mending::between(rest, &wanted, &anatomy.expiration.vertices) }
 }
 
 /// The other state of a registered pair, with the motion averaged around faces that it would turn over. Errors: faces
@@ -211,7 +230,7 @@ pub fn from_pair(rest: TriangleMesh, expiration: Vec<DVec3>, centerline: Centerl
             point.position_mm + if total > 0.0 { sum / total } else { DVec3::ZERO }
         })
         .collect();
-    Ok(finish(rest, expiration, generation, centerline, carried))
+    finish(rest, expiration, generation, centerline, carried)
 }
 
 /// Where points are at expiration, with `share` of the narrowing each.
@@ -248,14 +267,12 @@ fn finish(
     vertex_generation: Vec<f32>,
     centerline: Centerline,
     centerline_expiration: Vec<DVec3>,
-) -> Anatomy {
+) -> Result<Anatomy> {
     // The wall's vertices are dense enough to measure an inscribed radius.
-    let radius_expiration_mm = centerline_expiration
-        .par_iter()
-        .map(|p| expiration.iter().map(|v| v.distance_squared(*p)).fold(f64::INFINITY, f64::min).sqrt())
-        .collect();
+    let wall = NearestPoints::new(&expiration)?;
+    let radius_expiration_mm = centerline_expiration.par_iter().map(|p| wall.nearest(*p).1).collect();
     let expiration = TriangleMesh { vertices: expiration, faces: inspiration.faces.clone() };
-    Anatomy { inspiration, expiration, vertex_generation, centerline, centerline_expiration, radius_expiration_mm }
+    Ok(Anatomy { inspiration, expiration, vertex_generation, centerline, centerline_expiration, radius_expiration_mm })
 }
 
 #[cfg(test)]

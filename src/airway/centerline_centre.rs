@@ -121,7 +121,7 @@ impl Path<'_> {
     fn towards(&self, from: DVec3, middle: &Middle) -> DVec3 {
         let from = from - middle.tangent * (from - middle.position_mm).dot(middle.tangent);
         let least = (1.0 - SLACK) * middle.radius_mm;
-        let suffices = |share: f64| self.surface.distance(from.lerp(middle.position_mm, share)) >= least;
+        let suffices = |share: f64| self.surface.is_farther(from.lerp(middle.position_mm, share), least);
         if suffices(0.0) && self.voxels.contains(from) {
             return from;
         }
@@ -156,8 +156,11 @@ impl Path<'_> {
             // A step shorter than the radius cannot cross the wall.
             let better = [u, -u, v, -v, p, -p, q, -q].iter().find_map(|&direction| {
                 let trial = best + direction * step;
-                let distance = self.surface.distance_below(trial, (radius + step) * 1.000_001);
-                (trial.distance(point) <= reach_mm && distance > radius).then_some((trial, distance))
+                if trial.distance(point) > reach_mm {
+                    return None;
+                }
+                let distance = self.surface.distance_between(trial, radius, (radius + step) * 1.000_001)?;
+                Some((trial, distance))
             });
             match better {
                 Some(found) => (best, radius) = found,

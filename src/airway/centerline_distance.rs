@@ -48,12 +48,24 @@ impl SurfaceDistance {
     /// Distance in mm from `point` to the surface where it is less than `limit_mm`, else `limit_mm`. A tight limit
     /// saves most of the walk.
     pub fn distance_below(&self, point: DVec3, limit_mm: f64) -> f64 {
-        self.nearest(point, limit_mm).0
+        self.nearest(point, 0.0, limit_mm).0
+    }
+
+    /// Distance in mm from `point` to the surface, at most `limit_mm`; `None` where it is `floor_mm` or less, which is
+    /// known as soon as anything that near is found.
+    pub fn distance_between(&self, point: DVec3, floor_mm: f64, limit_mm: f64) -> Option<f64> {
+        let (distance, _) = self.nearest(point, floor_mm, limit_mm);
+        (distance > floor_mm).then_some(distance)
+    }
+
+    /// Whether the surface is `distance_mm` or more from `point`.
+    pub fn is_farther(&self, point: DVec3, distance_mm: f64) -> bool {
+        self.distance_between(point, distance_mm.next_down(), distance_mm).is_some()
     }
 
     /// The face nearest to `point` and the weights of its corners at the nearest place on it. The mesh must be finite.
     pub fn nearest_place(&self, point: DVec3) -> (u32, [f64; 3]) {
-        let triangle = self.nearest(point, f64::INFINITY).1.unwrap_or(0);
+        let triangle = self.nearest(point, 0.0, f64::INFINITY).1.unwrap_or(0);
         let [a, b, c] = self.triangles[triangle];
         let place = closest_on_triangle(point, &[a, b, c]) - a;
         let (ab, ac) = (b - a, c - a);
@@ -64,8 +76,9 @@ impl SurfaceDistance {
         (self.faces[triangle], [1.0 - v - w, v, w])
     }
 
-    /// Distance to the surface below the limit, and the triangle that is nearest.
-    fn nearest(&self, point: DVec3, limit_mm: f64) -> (f64, Option<usize>) {
+    /// Distance to the surface below the limit, and the triangle that is nearest. What is found at `floor_mm` or less ends
+    /// the search, and may not be the nearest.
+    fn nearest(&self, point: DVec3, floor_mm: f64, limit_mm: f64) -> (f64, Option<usize>) {
         let mut best = limit_mm * limit_mm;
         let mut found = None;
         let mut stack = [(0u32, 0.0f64); 64];
@@ -83,6 +96,9 @@ impl SurfaceDistance {
                     let d2 = closest_on_triangle(point, &self.triangles[index]).distance_squared(point);
                     if d2 < best {
                         (best, found) = (d2, Some(index));
+                        if d2.sqrt() <= floor_mm {
+                            return (d2.sqrt(), found);
+                        }
                     }
                 }
                 continue;

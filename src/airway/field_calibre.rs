@@ -107,9 +107,11 @@ pub struct Axis {
     samples: Vec<AxisSample>,
     /// Spheres around runs of [`RUN`] samples: a whole run is skipped when even its nearest sample could not matter.
     runs: Vec<SampleRun>,
+    /// The same around [`RUN`] runs.
+    stretches: Vec<SampleRun>,
 }
 
-/// Samples per run.
+/// Samples per run, and runs per stretch.
 const RUN: usize = 16;
 
 struct SampleRun {
@@ -169,19 +171,29 @@ impl Axis {
                 });
             }
         }
-        let runs = samples.chunks(RUN).map(SampleRun::around).collect();
-        Axis { samples, runs }
+        let around = |count: usize| samples.chunks(count).map(SampleRun::around).collect();
+        let (runs, stretches) = (around(RUN), around(RUN * RUN));
+        Axis { samples, runs, stretches }
     }
 
     /// The soft foot of `x`; `None` only for a centreline without length.
     pub fn foot(&self, x: DVec3) -> Option<AxisPoint> {
         let exponent = |s: &AxisSample| (x - s.position).length_squared() * s.inverse_radius2 * SHARPNESS;
-        let runs = || self.runs.iter().zip(self.samples.chunks(RUN));
-        // The least exponent: weights are taken relative to its own, and far runs are skipped.
+        let runs = |stretch: usize| {
+            let first = stretch * RUN;
+            self.runs.iter().zip(self.samples.chunks(RUN)).skip(first).take(RUN)
+        };
+        // The least exponent: weights are taken relative to its own, and what is far is skipped.
         let mut best = f64::INFINITY;
-        for (run, samples) in runs() {
-            if run.least_exponent(x) < best {
-                best = samples.iter().map(exponent).fold(best, f64::min);
+        let least: Vec<f64> = self.stretches.iter().map(|stretch| stretch.least_exponent(x)).collect();
+        let nearest = (0..least.len()).min_by(|&a, &b| least[a].total_cmp(&least[b]))?;
+        for stretch in std::iter::once(nearest).chain(0..least.len()) {
+            if least[stretch] < best {
+                for (run, samples) in runs(stretch) {
+                    if run.least_exponent(x) < best {
+                        best = samples.iter().map(exponent).fold(best, f64::min);
+                    }
+                }
             }
         }
         if !best.is_finite() {
@@ -190,7 +202,8 @@ impl Axis {
         // Weighted means over the samples near it.
         let mut total = 0.0;
         let mut foot = AxisPoint { position_mm: DVec3::ZERO, radius_mm: 0.0, generation: 0.0, tangent: DVec3::ZERO };
-        let near = runs().filter(|(run, _)| run.least_exponent(x) < best + EXPONENT_REACH);
+        let near = (0..least.len()).filter(|&stretch| least[stretch] < best + EXPONENT_REACH).flat_map(runs);
+        let near = near.filter(|(run, _)| run.least_exponent(x) < best + EXPONENT_REACH);
         for sample in near.flat_map(|(_, samples)| samples) {
             let behind = exponent(sample) - best;
             if behind < EXPONENT_REACH {

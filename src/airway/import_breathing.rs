@@ -12,13 +12,13 @@ use glam::DVec3;
 
 use super::Anatomy;
 use super::case::Breathing;
-use super::case_build::{self, FoldPolicy};
+use super::case_build::{AirwayAtRest, FoldPolicy};
 use super::centerline::Centerline;
 use super::field::BreathingField;
 use super::field_calibre::Calibre;
 use super::field_fit::{Anchor, FitQuality, FitSettings, LAMBDAS, choose_centers, fit};
 use crate::base::range::COORDINATE_MM;
-use crate::base::{Error, Result, TriangleMesh, files};
+use crate::base::{Error, Result, files};
 use crate::formats::landmarks::LandmarkPair;
 
 /// Where the carina lies in the lungs' box at inspiration, as fractions from its low (right, front, bottom) corner.
@@ -135,20 +135,20 @@ pub struct MeasuredBreathing {
     pub extra_smoothing: usize,
 }
 
-/// Fits the motion of `pairs` for the airway `rest` with `centerline`, checked free of folds at up to `largest_scale`
+/// Fits the motion of `pairs` for the airway `rest`, checked free of folds at up to `largest_scale`
 /// times the measured motion.
 ///
 /// Where faces turn over even at the strongest smoothing, the narrowing yields around them at the best-predicting one.
 ///
 /// Errors: too few landmarks; a field that folds even at the strongest smoothing.
 pub fn measured_breathing(
-    rest: &TriangleMesh,
-    centerline: &Centerline,
+    rest: &AirwayAtRest<'_>,
     pairs: &[LandmarkPair],
     lungs: &LungBox,
     source: &str,
     largest_scale: f64,
 ) -> Result<MeasuredBreathing> {
+    let centerline = rest.centerline;
     let placement = Placement::fit(centerline, lungs)?;
     let placed: Vec<LandmarkPair> = pairs.iter().map(|p| placement.to_airway(p)).collect();
     let near: Vec<DVec3> = placed
@@ -173,8 +173,7 @@ pub fn measured_breathing(
         let breathing = Breathing { calibre: Calibre::default(), field: candidate.0.clone() };
         let at_most =
             Breathing { field: BreathingField { scale: largest_scale, ..candidate.0.clone() }, ..breathing.clone() };
-        let strict = FoldPolicy::Strict;
-        match case_build::from_field_with(rest.clone(), centerline.clone(), Some(vec![]), &at_most, strict) {
+        match rest.moved(&at_most, Some(vec![]), FoldPolicy::Strict) {
             Ok(_) => {
                 return Ok(MeasuredBreathing { breathing, quality: candidate.1, placement, extra_smoothing: extra });
             }
@@ -187,7 +186,7 @@ pub fn measured_breathing(
         let (field, quality) = fit(&placed, &settings, lambda)?;
         let at_most =
             Breathing { calibre: Calibre::default(), field: BreathingField { scale: largest_scale, ..field.clone() } };
-        match case_build::from_field(rest.clone(), centerline.clone(), Some(vec![]), &at_most) {
+        match moving(rest, &at_most) {
             Ok(_) => {
                 let breathing = Breathing { calibre: Calibre::default(), field };
                 return Ok(MeasuredBreathing { breathing, quality, placement, extra_smoothing: extra });
@@ -215,13 +214,12 @@ pub struct WantedMotion<'a> {
 ///
 /// Errors: those of the fit, and an end that does not move, which nothing can scale.
 pub fn fitted_breathing(
-    rest: &TriangleMesh,
-    centerline: &Centerline,
+    rest: &AirwayAtRest<'_>,
     wanted: &WantedMotion<'_>,
     end_motion_mm: impl Fn(&Anatomy) -> Result<f64>,
 ) -> Result<MeasuredBreathing> {
     let fit = |scale: f64| {
-        let mut found = measured_breathing(rest, centerline, wanted.pairs, &wanted.lungs, &wanted.source, scale)?;
+        let mut found = measured_breathing(rest, wanted.pairs, &wanted.lungs, &wanted.source, scale)?;
         found.breathing.field.scale = scale;
         Ok(found)
     };
@@ -229,7 +227,7 @@ pub fn fitted_breathing(
     let mut found = fit(scale)?;
     if let Some(wanted_mm) = wanted.end_motion_mm {
         for _ in 0..SCALING_ROUNDS {
-            let moved = moving(rest, centerline, &found.breathing)?;
+            let moved = moving(rest, &found.breathing)?;
             let moves_mm = end_motion_mm(&moved)?;
             if moves_mm < LEAST_MOTION_MM {
                 let sentence = format!("the end of the scope's way moves by {moves_mm:.3} mm, which nothing can scale");
@@ -248,8 +246,8 @@ pub fn fitted_breathing(
 }
 
 /// The airway in both breath holds, for what does not ask for generations.
-pub fn moving(rest: &TriangleMesh, centerline: &Centerline, breathing: &Breathing) -> Result<Anatomy> {
-    case_build::from_field(rest.clone(), centerline.clone(), Some(vec![]), breathing)
+pub fn moving(rest: &AirwayAtRest<'_>, breathing: &Breathing) -> Result<Anatomy> {
+    rest.moved(breathing, Some(vec![]), FoldPolicy::Yield)
 }
 
 /// Anchors every few millimetres along the upper part of the trachea.

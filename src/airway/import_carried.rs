@@ -7,10 +7,11 @@
 use glam::DVec3;
 
 use super::case::Breathing;
+use super::case_build::AirwayAtRest;
 use super::centerline::Centerline;
 use super::field::BreathingField;
 use super::import_breathing::{carina, moving};
-use crate::base::{Error, Result, TriangleMesh};
+use crate::base::{Error, Result};
 
 /// Largest factor between two airways: a child's and a large man's.
 const MOST_SCALE: f64 = 1.6;
@@ -53,17 +54,12 @@ pub fn carried_field(from: &BreathingField, line: &Centerline, to: &Centerline) 
 /// The motion of another airway's case for the airway `rest`, as large as was measured, or as it may be without folds.
 ///
 /// Errors: those of [`carried_field`]; a field that folds however small.
-pub fn carried_breathing(
-    from: &Breathing,
-    line: &Centerline,
-    rest: &TriangleMesh,
-    to: &Centerline,
-) -> Result<Breathing> {
-    let field = carried_field(&from.field, line, to)?;
+pub fn carried_breathing(from: &Breathing, line: &Centerline, rest: &AirwayAtRest<'_>) -> Result<Breathing> {
+    let field = carried_field(&from.field, line, rest.centerline)?;
     let mut breathing = Breathing { calibre: from.calibre.clone(), field };
     let mut last = None;
     for _ in 0..MOST_STEPS {
-        match moving(rest, to, &breathing) {
+        match moving(rest, &breathing) {
             Ok(_) => return Ok(breathing),
             Err(error) => last = Some(error),
         }

@@ -29,6 +29,7 @@ pub mod import_check;
 pub mod import_mesh;
 pub mod import_tree;
 pub mod morphometry;
+pub mod nearest_points;
 pub mod remesh;
 pub mod surface;
 pub mod surface_field;

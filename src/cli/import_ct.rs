@@ -9,7 +9,7 @@ use super::import_case::{AIRWAY, CENTERLINE, CaseArguments, EXPIRATION, INSPIRAT
 use super::import_file::FileArguments;
 use super::import_motion::{MotionArguments, mended_words, still_breathing};
 use crate::airway::case::AnatomySource;
-use crate::airway::case_build::{from_field, from_pair, mended_pair};
+use crate::airway::case_build::{AirwayAtRest, from_field, from_pair, mended_pair};
 use crate::airway::import_breathing::{breathing_toml, moving};
 use crate::airway::import_mesh::FileMeaning;
 use crate::airway::{Anatomy, centerline::Centerline};
@@ -214,7 +214,7 @@ fn of_motion(arguments: &CtArguments, terminal: &Terminal) -> Result<()> {
         residual_mm: surface.residual_mm,
         residual_words: "Distance of the surface from the mask",
     };
-    let anatomy = moving(&rest.inspiration, &rest.centerline, &breathing)?;
+    let anatomy = moving(&AirwayAtRest::new(&rest.inspiration, &rest.centerline)?, &breathing)?;
     import.facts.push(("tree", tree_words(&anatomy.centerline)));
     let holds: Vec<BreathHold<'_>> = scan
         .iter()

@@ -7,7 +7,7 @@ use clap::Args;
 use super::Terminal;
 use super::import_case::name_of;
 use crate::airway::case::{Breathing, Case};
-use crate::airway::case_build::mending_of;
+use crate::airway::case_build::AirwayAtRest;
 use crate::airway::centerline::Centerline;
 use crate::airway::field::BreathingField;
 use crate::airway::field_calibre::Calibre;
@@ -100,7 +100,7 @@ impl MotionArguments {
         motion: &ReadMotion,
         terminal: &Terminal,
     ) -> Result<Breathing> {
-        let (mesh, line) = (&rest.inspiration, &rest.centerline);
+        let rest = &AirwayAtRest::new(&rest.inspiration, &rest.centerline)?;
         let plan = |anatomy: &Anatomy| Route::plan(anatomy, &case.trajectory);
         let breathing = match motion {
             ReadMotion::Landmarks { pairs, lungs, patient } => {
@@ -110,20 +110,20 @@ impl MotionArguments {
                     self.source
                 );
                 let wanted = WantedMotion { pairs, lungs: *lungs, source, end_motion_mm: self.end_motion_mm };
-                let found = fitted_breathing(mesh, line, &wanted, |anatomy| Ok(plan(anatomy)?.end_motion_mm()))?;
-                let route = plan(&moving(mesh, line, &found.breathing)?)?;
+                let found = fitted_breathing(rest, &wanted, |anatomy| Ok(plan(anatomy)?.end_motion_mm()))?;
+                let route = plan(&moving(rest, &found.breathing)?)?;
                 terminal.line(words(&case.id, &route, &found));
                 found.breathing
             }
             ReadMotion::Carried { breathing, line: from, patient } => {
-                let mut found = carried_breathing(breathing, from, mesh, line)?;
+                let mut found = carried_breathing(breathing, from, rest)?;
                 if let Some(wanted_mm) = self.end_motion_mm {
                     for _ in 0..CARRIED_ROUNDS {
-                        let moves_mm = plan(&moving(mesh, line, &found)?)?.end_motion_mm();
+                        let moves_mm = plan(&moving(rest, &found)?)?.end_motion_mm();
                         found.field.scale *= wanted_mm / moves_mm.max(LEAST_MOTION_MM);
                     }
                 }
-                let route = plan(&moving(mesh, line, &found)?)?;
+                let route = plan(&moving(rest, &found)?)?;
                 terminal.line(format_args!(
                     "{}: way {:.0} mm, its end moves {:.1} mm, {:.0} % of the measured motion of {patient}",
                     case.id,
@@ -134,9 +134,9 @@ impl MotionArguments {
                 found
             }
         };
-        let mending = mending_of(&moving(mesh, line, &breathing)?, &breathing);
+        let mending = rest.mending(&moving(rest, &breathing)?.expiration.vertices, &breathing);
         if mending.vertices > 0 {
-            terminal.note(&mended_words(&mending, mesh.vertices.len()));
+            terminal.note(&mended_words(&mending, rest.mesh.vertices.len()));
         }
         Ok(breathing)
     }

@@ -69,9 +69,10 @@ fn probed_points_lie_where_the_rays_meet_the_wall() {
     assert!(probe(&scene, &camera, &away).unwrap().iter().all(Option::is_none));
 }
 
-/// A case with every effect at work.
+/// A case with every effect at work, on a wall whose light takes no walks under it.
 fn everything() -> Case {
     let mut case = case();
+    case.material = toml::from_str("kind = \"lambert\"\nalbedo = [0.6, 0.3, 0.25]").unwrap();
     case.camera.fisheye = Some([-0.03, 0.002, 0.0, 0.0]);
     case.scope = ScopeSettings { shutter_s: 0.06, mask_radius: 0.95, ..case.scope };
     case

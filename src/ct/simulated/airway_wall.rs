@@ -8,18 +8,16 @@
 //! which is 1.5 mm in a trachea of 14 mm and 0.75 mm in a bronchus of 3 mm, between what histology (Weibel) and CT
 //! (which shows it thicker) give. The trachea goes on beyond the inlet, as it does in a patient.
 
-use std::num::NonZeroUsize;
-
 use glam::DVec3;
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 
 use super::node_grid::NodeGrid;
 use crate::airway::centerline_distance::SurfaceDistance;
 use crate::airway::centerline_voxels::Voxels;
+use crate::airway::nearest_points::NearestPoints;
 use crate::airway::surface_field::LumenField;
 use crate::base::estimate::demand_memory;
-use crate::base::{Error, Result, TriangleMesh};
+use crate::base::{Result, TriangleMesh};
 
 /// Spacing of the grid in mm; a lumen of 1.1 mm radius is then off by 0.03 mm.
 const SPACING_MM: f64 = 0.6;
@@ -31,36 +29,6 @@ const WALL: (f64, f64, f64) = (0.55, 0.14, 1.8);
 const WALL_SPACING_MM: f64 = 4.0;
 /// Length in mm by which the trachea goes on.
 const EXTENSION_MM: f64 = 120.0;
-
-/// Points of a set, ready to be asked for the nearest.
-pub struct NearestPoints {
-    tree: ImmutableKdTree<f64, 3>,
-}
-
-impl NearestPoints {
-    /// Sorts the points, of which there must be one at least.
-    pub fn new(points: &[DVec3]) -> Result<Self> {
-        let keys: Vec<[f64; 3]> = points.iter().map(|v| v.to_array()).collect();
-        let tree = ImmutableKdTree::new_from_slice(&keys)
-            .map_err(|e| Error::input(format!("its points cannot be searched: {e:?}")))?;
-        Ok(NearestPoints { tree })
-    }
-
-    /// The nearest point and its distance in mm.
-    pub fn nearest(&self, place: DVec3) -> (usize, f64) {
-        self.several(place, 1).first().copied().unwrap_or((0, f64::INFINITY))
-    }
-
-    /// The `count` nearest points and their distances in mm, nearest first.
-    pub fn several(&self, place: DVec3, count: usize) -> Vec<(usize, f64)> {
-        let Some(count) = NonZeroUsize::new(count) else { return Vec::new() };
-        let found = self.tree.query(&place.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();
-        let mut found: Vec<(usize, f64)> = found.iter().map(|n| (n.item as usize, n.distance.sqrt())).collect();
-        // Of equally near ones the first: the order of the search must not tell.
-        found.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
-        found
-    }
-}
 
 /// A straight continuation of the trachea beyond the inlet.
 #[derive(Clone, Copy, Debug)]

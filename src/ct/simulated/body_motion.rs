@@ -11,11 +11,11 @@
 
 use glam::{DMat3, DVec3};
 
-use super::airway_wall::NearestPoints;
 use super::node_grid::NodeGrid;
 use crate::airway::Anatomy;
 use crate::airway::field::BreathingField;
 use crate::airway::field_fit::{FitSettings, choose_centers, fit};
+use crate::airway::nearest_points::NearestPoints;
 use crate::base::{Error, Result};
 use crate::formats::landmarks::LandmarkPair;
 

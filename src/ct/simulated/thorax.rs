@@ -7,9 +7,9 @@
 
 use glam::{DVec2, DVec3};
 
-use super::airway_wall::NearestPoints;
 use crate::airway::centerline::Centerline;
 use crate::airway::field::BreathingField;
+use crate::airway::nearest_points::NearestPoints;
 use crate::base::{Error, Result};
 
 /// Room in mm between the outermost centres or airways and the pleura.

@@ -11,9 +11,9 @@ use crate::airway::Anatomy;
 use crate::airway::centerline::{Centerline, CenterlineSettings};
 use crate::airway::centerline_distance::SurfaceDistance;
 use crate::airway::centerline_extract::extract;
+use crate::airway::nearest_points::NearestPoints;
 use crate::base::{Error, Result, TriangleMesh};
 use crate::ct::lumen::DistanceSpread;
-use crate::ct::simulated::airway_wall::NearestPoints;
 
 /// Radii of the inlet that are left out.
 const INLET_RADII: f64 = 1.5;
