@@ -246,7 +246,7 @@ fn directions(signs: &BodySigns) -> Option<PatientAxes> {
 #[cfg(test)]
 mod tests {
     use super::super::case::Case;
-    use super::super::case_build::build;
+    use super::super::case_build::rest_centerline;
     use super::super::centerline::CenterlinePoint;
     use super::*;
 
@@ -328,7 +328,7 @@ mod tests {
     fn the_shipped_airways_lie_as_they_should() {
         for number in 1..=9 {
             let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("bench-cases/case{number}.toml"));
-            let line = build(&Case::load(&path).unwrap()).unwrap().centerline;
+            let line = rest_centerline(&Case::load(&path).unwrap()).unwrap();
             check_extent(line.points.iter().map(|p| p.position_mm)).unwrap();
             check_stem(&line, PatientAxes::LPS).unwrap_or_else(|e| panic!("case{number}: {e}"));
         }

@@ -12,7 +12,7 @@ use crate::score::metric;
 #[derive(clap::Args)]
 #[command(
     after_help = "Differences are B - A over the cases that both runs have, paired, with 95 % bootstrap bounds.\n\
-    Example: respire-bench compare reports/reference/paper reports/latest --method ours"
+    Example: respire-bench compare reports/reference/quick reports/latest --method ours"
 )]
 pub struct CompareArguments {
     /// First report folder

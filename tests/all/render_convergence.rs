@@ -19,7 +19,7 @@ fn log_slope(points: &[(f64, f64)]) -> f64 {
 
 #[test]
 fn error_falls_as_the_inverse_of_the_samples() {
-    let camera = Camera::pinhole(48, 48, 1.7);
+    let camera = Camera::pinhole(32, 32, 1.7);
     for (name, material) in [
         ("Lambert", Material::lambert(RHO)),
         ("mucosa", Material { subsurface: Some(Subsurface::Off), ..Material::default() }),

@@ -129,7 +129,7 @@ fn light_in_the_wall_agrees_with_paths_on_a_breathing_shape() {
         .iter()
         .map(|&v| DVec3::new(v.x * 0.88 + 0.8 * (v.z * 0.1).sin(), v.y * 0.9, v.z * 0.95))
         .collect();
-    let camera = Camera::pinhole(64, 64, 1.6);
+    let camera = Camera::pinhole(48, 48, 1.6);
     let pose = DAffine3::from_translation(DVec3::new(0.3, 0.0, 2.0));
     for material in [
         Material::subsurface(RHO, [1.0, 0.4, 0.25], Boundary::Diffuse, WalkedVertices::First),
