@@ -69,13 +69,16 @@ pub fn visible_faces(faces: &[[u32; 3]], states: &[&[[f32; 3]]], view: &View, re
         let towards =
             sides == Sides::Both || normal.dot(eye - centre) > -0.1 * normal.length() * (eye - centre).length();
         let p = camera_from_world.transform_point3(centre);
-        if !towards || p.z > reach.range_mm as f32 || p.z < 0.5 * size {
+        // What the face's size in the picture goes by: the depth behind a pinhole; in a fisheye the distance, as a
+        // face near the edge of its picture is before the camera by hardly anything, however far away.
+        let away = if view.camera.fisheye.is_some() { p.length() } else { p.z };
+        if !towards || p.z <= 0.0 || p.z > reach.range_mm as f32 || away < 0.5 * size {
             return false;
         }
         let Some(pixel) = view.camera.project(p.as_dvec3()) else { return false };
         // The extent of a face beyond the margin, limited: beside the camera the linearised projection of a Gaussian
         // would cover the whole image.
-        let slack = margin + (size / p.z * view.camera.fl_x as f32).min(0.15 * width);
+        let slack = margin + (size / away * view.camera.fl_x as f32).min(0.15 * width);
         let (x, y) = (pixel.x as f32, pixel.y as f32);
         x > -slack && y > -slack && x < width + slack && y < height + slack
     };
@@ -109,4 +112,37 @@ pub fn depths_mm(view: &View, centres: &[[f32; 3]]) -> Vec<f32> {
 fn in_camera(view: &View, centres: &[[f32; 3]]) -> Vec<Vec3> {
     let transform = view.camera_from_world.as_affine3();
     centres.par_iter().with_min_len(4096).map(|p| transform.transform_point3(Vec3::from(*p))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DAffine3, DVec2};
+
+    use super::*;
+    use crate::base::Camera;
+
+    /// A face of 2 mm that faces the camera, 8 mm away in the direction of a pixel.
+    fn sees(camera: Camera, pixel: DVec2) -> bool {
+        let view = View::new(camera, DAffine3::IDENTITY);
+        let towards = camera.direction(pixel).normalize().as_vec3();
+        let (x, y) = towards.any_orthonormal_pair();
+        let corners = [-x - y, y * 1.5, x - y].map(|d| (towards * 8.0 + d).into());
+        !visible_faces(&[[0, 1, 2]], &[&corners], &view, Reach { margin: 0.0, range_mm: 150.0 }, Sides::Both).is_empty()
+    }
+
+    #[test]
+    fn a_face_is_seen_in_the_corner_of_a_fisheye_picture() {
+        let wide = Camera {
+            fl_x: 125.0,
+            fl_y: 125.0,
+            fisheye: Some([-0.02, 0.0, 0.0, 0.0]),
+            ..Camera::pinhole(256, 256, 1.0)
+        };
+        let corner = wide.direction(DVec2::splat(2.0));
+        assert!(corner.z > 0.0 && 8.0 * corner.z < 1.0, "a corner less than a face's half before the camera: {corner}");
+        assert!(sees(wide, DVec2::splat(2.0)) && sees(wide, DVec2::splat(128.0)));
+        assert!(!sees(wide, DVec2::splat(-60.0)), "nothing behind the camera");
+        let pinhole = Camera::pinhole(256, 256, 1.6);
+        assert!(sees(pinhole, DVec2::splat(2.0)) && !sees(pinhole, DVec2::splat(-120.0)));
+    }
 }
