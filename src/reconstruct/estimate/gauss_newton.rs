@@ -3,6 +3,8 @@
 //!
 //! Per channel the exposure gain `g` is eliminated in closed form (variable projection): with weights `w`,
 //! `g = sum w I R / sum w R^2`, residual `r = I - g R`, derivative `J = g (T - R sum w T R / sum w R^2)`.
+//! A clipped value says that the wall is at least so bright (censored regression: Tobin, Econometrica 26:24, 1958): it
+//! counts where the rendering is darker, and never for the gain.
 //! Weights are Huber's (1964), with the median absolute deviation as the scale of the residuals. Errors of
 //! neighbouring pixels are correlated, so the information is that of the sandwich estimator with square blocks as
 //! clusters (Liang and Zeger 1986): `information = H S^-1 H`, `H = sum w J^2`, `S` the sum over blocks of the
@@ -23,6 +25,8 @@ pub struct ImageComparison<'a> {
     pub rendered: &'a [f32],
     /// How much each pixel counts; empty where all count alike.
     pub weights: &'a [f32],
+    /// Values of `image` from which on they are clipped, like `image`; empty where none is.
+    pub clipped_from: &'a [f32],
     /// d(rendered)/d(phase), like `image`.
     pub tangent: &'a [f32],
 }
@@ -93,14 +97,16 @@ fn solve(square: f64, right: f64) -> f64 {
 
 /// Evidence of one image; `None` if it says nothing about the phase (black rendering, zero derivative).
 pub fn evidence(comparison: &ImageComparison<'_>, robust: Robust) -> Option<Evidence> {
-    let ImageComparison { width, image, rendered, weights: pixel_weights, tangent } = *comparison;
+    let ImageComparison { width, image, rendered, weights: pixel_weights, clipped_from, tangent } = *comparison;
     let n = image.len();
+    let is_clipped = |i: usize| clipped_from.get(i).is_some_and(|from| image[i] >= *from);
     let pixel_weight = |i: usize| pixel_weights.get(i / 3).copied().unwrap_or(1.0);
     let residual = |gain: [f64; 3], i: usize| image[i] - gain[i % 3] as f32 * rendered[i];
 
     // Huber weights w = min(1, limit / |r|), with residuals r = I - g R under the plain least-squares gains.
-    let first_gain = gains(image, rendered, &robust, pixel_weight);
+    let first_gain = gains(image, rendered, &robust, |i| if is_clipped(i) { 0.0 } else { pixel_weight(i) });
     let rough: Vec<f32> = (0..n).map(|i| residual(first_gain, i)).collect();
+    let pixel_weight = |i: usize| if is_clipped(i) && rough[i] < 0.0 { 0.0 } else { pixel_weight(i) };
     let counting: Vec<f32> = (0..n).filter(|&i| pixel_weight(i) > 0.0).map(|i| rough[i]).collect();
     if counting.is_empty() {
         return None;
@@ -111,12 +117,14 @@ pub fn evidence(comparison: &ImageComparison<'_>, robust: Robust) -> Option<Evid
 
     // Gains g under these weights, and per channel the part sum w T R / sum w R^2 of the derivative that a change of
     // gain also explains.
-    let gain = gains(image, rendered, &robust, |i| weights[i]);
+    let gain_weight = |i: usize| if is_clipped(i) { 0.0 } else { weights[i] };
+    let gain = gains(image, rendered, &robust, gain_weight);
     let explained: [f32; 3] = std::array::from_fn(|c| {
         let (mut cross, mut square) = (0.0f64, 1e-9f64);
         for i in (c..n).step_by(3) {
-            cross += (weights[i] * rendered[i] * tangent[i]) as f64;
-            square += (weights[i] * rendered[i] * rendered[i]) as f64;
+            let weighted = gain_weight(i) * rendered[i];
+            cross += (weighted * tangent[i]) as f64;
+            square += (weighted * rendered[i]) as f64;
         }
         solve(square, cross) as f32
     });
@@ -182,13 +190,58 @@ mod tests {
         let image: Vec<f32> = (0..n).map(|i| at(i, 0.05)).collect();
         let spoilt: Vec<f32> = (0..n).map(|i| if weights[i / 3] > 0.0 { image[i] } else { 0.9 }).collect();
         let of = |image: &[f32], weights: &[f32]| {
-            let comparison = ImageComparison { width: SIZE, image, rendered: &rendered, weights, tangent: &tangent };
+            let comparison = ImageComparison {
+                width: SIZE,
+                image,
+                rendered: &rendered,
+                weights,
+                clipped_from: &[],
+                tangent: &tangent,
+            };
             evidence(&comparison, ROBUST)
         };
         let (clean, hidden) = (of(&image, &weights).unwrap(), of(&spoilt, &weights).unwrap());
         assert_eq!((clean.step, clean.cost), (hidden.step, hidden.cost));
         assert!((clean.step - 0.05).abs() < 0.01, "{}", clean.step);
         assert!(of(&image, &vec![0.0; SIZE * SIZE]).is_none());
+    }
+
+    #[test]
+    fn what_is_clipped_pulls_neither_phase_nor_gain() {
+        let truth = 0.05;
+        let (rendered, tangent) = wave(0.0);
+        let white = 0.7;
+        let image: Vec<f32> = wave(truth).0.iter().map(|v| v.min(white)).collect();
+        let clipped_from = vec![white; image.len()];
+        let clipped = image.iter().filter(|v| **v >= white).count() as f64 / image.len() as f64;
+        assert!((0.1..0.4).contains(&clipped), "{clipped}");
+        let of = |clipped_from: &[f32]| {
+            let comparison = ImageComparison {
+                width: SIZE,
+                image: &image,
+                rendered: &rendered,
+                weights: &[],
+                clipped_from,
+                tangent: &tangent,
+            };
+            evidence(&comparison, ROBUST).unwrap()
+        };
+        let (told, untold) = (of(&clipped_from), of(&[]));
+        let gain_error = |found: &Evidence| found.gain.iter().map(|g| (g - 1.0).abs()).fold(0.0, f64::max);
+        assert!((told.step - truth).abs() < 0.005 && gain_error(&told) < 0.005, "{told:?}");
+        assert!(gain_error(&untold) > 2.0 * gain_error(&told), "{untold:?}");
+        // Where the rendering is darker than white, a clipped value does count.
+        let dark: Vec<f32> = rendered.iter().map(|v| 0.5 * v).collect();
+        let all_white = vec![0.7f32; image.len()];
+        let comparison = ImageComparison {
+            width: SIZE,
+            image: &all_white,
+            rendered: &dark,
+            weights: &[],
+            clipped_from: &clipped_from,
+            tangent: &tangent,
+        };
+        assert!(evidence(&comparison, ROBUST).is_some_and(|found| found.cost > 0.0));
     }
 
     #[test]
@@ -205,8 +258,14 @@ mod tests {
         let mut last = None;
         for _ in 0..6 {
             let (rendered, tangent) = wave(at);
-            let comparison =
-                ImageComparison { width: SIZE, image: &image, rendered: &rendered, weights: &[], tangent: &tangent };
+            let comparison = ImageComparison {
+                width: SIZE,
+                image: &image,
+                rendered: &rendered,
+                weights: &[],
+                clipped_from: &[],
+                tangent: &tangent,
+            };
             let found = evidence(&comparison, ROBUST).unwrap();
             at += found.step;
             last = Some(found);
@@ -226,8 +285,14 @@ mod tests {
             let blocks: Vec<f32> = (0..(SIZE / 8).pow(2)).map(|_| 0.02 * rng.normal() as f32).collect();
             let noisy = |(i, v): (usize, &f32)| v + blocks[(i / 3 / SIZE / 8) * (SIZE / 8) + (i / 3 % SIZE) / 8];
             let image: Vec<f32> = clean.iter().enumerate().map(noisy).collect();
-            let comparison =
-                ImageComparison { width: SIZE, image: &image, rendered: &clean, weights: &[], tangent: &tangent };
+            let comparison = ImageComparison {
+                width: SIZE,
+                image: &image,
+                rendered: &clean,
+                weights: &[],
+                clipped_from: &[],
+                tangent: &tangent,
+            };
             let found = evidence(&comparison, ROBUST).unwrap();
             scores.push(found.step * found.information.sqrt());
         }
@@ -246,8 +311,14 @@ mod tests {
     #[test]
     fn nothing_is_said_by_a_black_or_rigid_rendering() {
         let (image, still) = (vec![0.5; 3 * 64], vec![0.0; 3 * 64]);
-        let comparison =
-            ImageComparison { width: 8, image: &image, rendered: &[0.0; 192], weights: &[], tangent: &still };
+        let comparison = ImageComparison {
+            width: 8,
+            image: &image,
+            rendered: &[0.0; 192],
+            weights: &[],
+            clipped_from: &[],
+            tangent: &still,
+        };
         assert!(evidence(&comparison, ROBUST).is_none());
     }
 }

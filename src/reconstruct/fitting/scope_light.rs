@@ -13,6 +13,8 @@ use crate::splat::{Gaussians, Shape, View};
 const REFERENCE_MM: f32 = 10.0;
 /// Smallest distance in mm; nearer surfaces are shaded as if they were there.
 const NEAREST_MM: f32 = 0.5;
+/// Encoded value from which on a channel counts as clipped: what it shows is at least so bright.
+pub const CLIPPED: f32 = 0.98;
 
 /// Light at the scope.
 #[derive(Clone, Copy, Debug, PartialEq)]

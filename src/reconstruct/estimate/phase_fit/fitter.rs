@@ -8,7 +8,7 @@ use crate::reconstruct::fitting::anchored::{SH_C0, SH_VALUES};
 use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::memory::{ShownColors, shift};
 use crate::reconstruct::fitting::schedule::scaled_iterations;
-use crate::reconstruct::fitting::scope_light::{ScopeLight, Shade};
+use crate::reconstruct::fitting::scope_light::{CLIPPED, ScopeLight, Shade};
 use crate::reconstruct::fitting::unseen::{Shown, lent_colors};
 use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{depths_mm, pixels};
@@ -21,8 +21,6 @@ const DARKEST: f32 = 0.01;
 /// Largest change of colour with direction that a Gaussian keeps, as a share of its colour, per axis. Linear terms
 /// learned at grazing incidence have little effect there and a wild one from other directions.
 const LARGEST_CHANGE: f32 = 0.3;
-/// Encoded values from which on a pixel is clipped and says nothing of the exposure.
-const CLIPPED: f32 = 0.98;
 /// Mean product of the values of picture and rendering up to which one of them is black and says nothing of it either.
 const DARK: f64 = 1e-4;
 /// Largest factor of encoded values between the exposures of a film. An automatic one stays within 8 of linear ones.

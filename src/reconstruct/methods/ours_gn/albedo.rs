@@ -71,24 +71,32 @@ impl DiscRenderer<'_> {
 
     /// SIRT: let `n_k` be the pixels of disc `k`, `s_k` its shade and `m_k` the weight, in pixels, of its former
     /// albedo `b_k`. Each sweep moves its albedo `a_k` by `(g_k - m_k (a_k - b_k)) / (n_k + m_k)`, where
-    /// `g_k = sum_i w_i dI_i/d(colour k) (I_i - R_i) / (gain^2 s_k)` is the residual of its pixels, in albedo.
+    /// `g_k = sum_i w_i dI_i/d(colour k) (I_i - R_i) / (gain^2 s_k)` is the residual of its pixels, in albedo; it is 0
+    /// where the picture is clipped and the rendering brighter.
     fn sweep(&mut self, active: &mut ActiveFrame, level: &PyramidLevel, sweeps: usize, hold: Hold) -> Result<()> {
         let gain = self.gain;
         let settings = Settings { gain, depth: DepthOutput::Skip, ..Settings::default() };
         let hold_pixels = *self.settings.hold_pixels as f32;
         let before = active.albedo.clone();
         let mut last = active.albedo.clone();
+        let clipped_from = self.clipped_from(level).to_vec();
         let mut residual = vec![0.0; level.image.data.len()];
         for sweep in 0..sweeps {
             // Weighted residuals.
+            let clipped_from = &clipped_from;
             let rendered = self.rasterizer.render(active.gaussians(), &level.view, &settings, None)?;
             let images = level.image.data.par_chunks(3 * PIXELS).zip(rendered.color.par_chunks(3 * PIXELS));
             residual.par_chunks_mut(3 * PIXELS).zip(images).enumerate().for_each(
                 |(piece, (out, (image, rendered)))| {
                     let pixels = image.as_chunks::<3>().0.iter().zip(rendered.as_chunks::<3>().0).enumerate();
                     for (out, (at, (image, rendered))) in out.as_chunks_mut::<3>().0.iter_mut().zip(pixels) {
-                        let weight = level.weight(PIXELS * piece + at);
-                        *out = [0, 1, 2].map(|c| weight * (image[c] - rendered[c]));
+                        let index = PIXELS * piece + at;
+                        let weight = level.weight(index);
+                        let is_clipped = |c: usize| clipped_from.get(3 * index + c).is_some_and(|v| image[c] >= *v);
+                        // A clipped value is no reason to darken.
+                        let off = |c: usize| image[c] - rendered[c];
+                        *out =
+                            [0, 1, 2].map(|c| if is_clipped(c) { weight * off(c).max(0.0) } else { weight * off(c) });
                     }
                 },
             );

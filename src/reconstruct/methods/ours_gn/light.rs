@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use crate::base::color::{POWER_LAW, linear_from_srgb, srgb_from_linear};
 use crate::base::{Camera, Image};
 
+use crate::reconstruct::fitting::scope_light::CLIPPED;
 use crate::reconstruct::settings::ScopeCalibration;
 
 /// Entries of the table from the power law to sRGB. The error of interpolating linearly is well below half a code.
@@ -55,6 +56,16 @@ impl Scope {
         let flat: Vec<[f32; 3]> =
             pixels.map(|(p, shadow)| [0, 1, 2].map(|c| self.decode[p[c] as usize] / shadow)).collect();
         Image { width: image.width, height: image.height, channels: 3, data: flat.into_flattened() }
+    }
+
+    /// The values of [`Scope::flat`] from which on a channel is clipped, at the picture's size and halved `times` times.
+    pub fn clipped_from(&self, camera: &Camera, times: usize) -> Vec<Image<f32>> {
+        let code = (CLIPPED * 255.0).ceil() as u8;
+        let mut sizes = vec![self.flat(&Image::filled(camera.width as usize, camera.height as usize, 3, code))];
+        while sizes.len() <= times && sizes[sizes.len() - 1].width.min(sizes[sizes.len() - 1].height) > 1 {
+            sizes.push(sizes[sizes.len() - 1].halved());
+        }
+        sizes
     }
 
     /// The inverse of [`Scope::flat`]: a rendering as the film would show it, sRGB in 0..1.

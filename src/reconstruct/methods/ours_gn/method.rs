@@ -188,6 +188,8 @@ impl<'a> Tracker<'a> {
             let reason = "unknown poses and a correction of the registration are estimated by the window of keyframes";
             return Err(Error::input(format!("must not be 0: {reason}")).element("window.keyframes"));
         }
+        let scope = Scope::new(&observation.camera, &settings.scope);
+        let clipped_from = scope.clipped_from(&observation.camera, settings.steps.len() - 1);
         Ok(Tracker {
             settings,
             observation,
@@ -196,9 +198,9 @@ impl<'a> Tracker<'a> {
             given_displacement: displacement.clone(),
             displacement,
             pose: [0.0; POSE],
-            scope: Scope::new(&observation.camera, &settings.scope),
+            scope,
             rays: PixelRays::new(&observation.camera),
-            renderer: DiscRenderer::new(settings, iteration_scale),
+            renderer: DiscRenderer::new(settings, iteration_scale, clipped_from),
             breath: BreathPredictor::new(*settings.velocity, repetition),
             mean_cost: f64::INFINITY,
             window,

@@ -1,8 +1,9 @@
 //! Renders the discs of a frame under the light of the scope and the exposure of the frame.
 
 use super::map::ActiveFrame;
-use crate::base::Result;
+use crate::base::{Image, Result};
 use crate::reconstruct::fitting::scope_light::ScopeLight;
+use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::settings::OursGnSettings;
 use crate::splat::{DepthOutput, Rasterizer, Rendered, Settings, View};
 
@@ -18,18 +19,26 @@ pub struct DiscRenderer<'a> {
     pub gain: [f64; 3],
     /// Mean albedo of the discs last in view.
     pub mean_color: [f32; 3],
+    /// Values from which on the pixels of a frame are clipped, at each resolution.
+    clipped_from: Vec<Image<f32>>,
 }
 
 impl<'a> DiscRenderer<'a> {
     /// With an exposure of 1.
-    pub fn new(settings: &'a OursGnSettings, iteration_scale: f64) -> Self {
+    pub fn new(settings: &'a OursGnSettings, iteration_scale: f64, clipped_from: Vec<Image<f32>>) -> Self {
         let (rasterizer, gain, mean_color) = (Rasterizer::new(), [1.0; 3], [0.5; 3]);
-        DiscRenderer { settings, iteration_scale, rasterizer, gain, mean_color }
+        DiscRenderer { settings, iteration_scale, rasterizer, gain, mean_color, clipped_from }
     }
 
     /// The light of the scope at `view`.
     pub fn light(&self, view: &View) -> ScopeLight {
         ScopeLight::new(view, *self.settings.falloff_exponent, *self.settings.indirect_share)
+    }
+
+    /// The values from which on pixels of `level` are clipped; empty if no frame has its size.
+    pub fn clipped_from(&self, level: &PyramidLevel) -> &[f32] {
+        let same_size = |image: &&Image<f32>| image.data.len() == level.image.data.len();
+        self.clipped_from.iter().find(same_size).map_or(&[], |image| &image.data)
     }
 
     /// Renders the discs as placed.

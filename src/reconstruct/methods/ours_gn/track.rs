@@ -82,6 +82,7 @@ impl DiscRenderer<'_> {
             image: &level.image.data,
             rendered: &self.rasterizer.rendered().color,
             weights: &level.weights,
+            clipped_from: self.clipped_from(level),
             tangent: &tangent,
         };
         let block_px = (level.image.width as f64 * *self.settings.block_share).round() as usize;
