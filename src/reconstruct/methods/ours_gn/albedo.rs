@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use super::map::{ActiveFrame, DISCS};
-use super::renderer::DiscRenderer;
+use super::renderer::{DiscRenderer, of_size};
 use crate::base::Result;
 use crate::reconstruct::fitting::anchored::SH_C0;
 use crate::reconstruct::fitting::schedule::scaled_iterations;
@@ -79,11 +79,10 @@ impl DiscRenderer<'_> {
         let hold_pixels = *self.settings.hold_pixels as f32;
         let before = active.albedo.clone();
         let mut last = active.albedo.clone();
-        let clipped_from = self.clipped_from(level).to_vec();
+        let clipped_from = of_size(&self.clipped_from, level);
         let mut residual = vec![0.0; level.image.data.len()];
         for sweep in 0..sweeps {
             // Weighted residuals.
-            let clipped_from = &clipped_from;
             let rendered = self.rasterizer.render(active.gaussians(), &level.view, &settings, None)?;
             let images = level.image.data.par_chunks(3 * PIXELS).zip(rendered.color.par_chunks(3 * PIXELS));
             residual.par_chunks_mut(3 * PIXELS).zip(images).enumerate().for_each(

@@ -20,7 +20,7 @@ pub struct DiscRenderer<'a> {
     /// Mean albedo of the discs last in view.
     pub mean_color: [f32; 3],
     /// Values from which on the pixels of a frame are clipped, at each resolution.
-    clipped_from: Vec<Image<f32>>,
+    pub clipped_from: Vec<Image<f32>>,
 }
 
 impl<'a> DiscRenderer<'a> {
@@ -35,15 +35,15 @@ impl<'a> DiscRenderer<'a> {
         ScopeLight::new(view, *self.settings.falloff_exponent, *self.settings.indirect_share)
     }
 
-    /// The values from which on pixels of `level` are clipped; empty if no frame has its size.
-    pub fn clipped_from(&self, level: &PyramidLevel) -> &[f32] {
-        let same_size = |image: &&Image<f32>| image.data.len() == level.image.data.len();
-        self.clipped_from.iter().find(same_size).map_or(&[], |image| &image.data)
-    }
-
     /// Renders the discs as placed.
     pub fn draw(&mut self, active: &ActiveFrame, view: &View) -> Result<&Rendered<f32>> {
         let settings = Settings { gain: self.gain, depth: DepthOutput::Skip, ..Settings::default() };
         self.rasterizer.render(active.gaussians(), view, &settings, None)
     }
+}
+
+/// Of the images in `sizes`, the values of the one of `level`'s size; none if no frame has it.
+pub fn of_size<'s>(sizes: &'s [Image<f32>], level: &PyramidLevel) -> &'s [f32] {
+    let same_size = |image: &&Image<f32>| image.data.len() == level.image.data.len();
+    sizes.iter().find(same_size).map_or(&[], |image| &image.data)
 }

@@ -2,7 +2,7 @@
 //! derivative of the image.
 
 use super::map::{ActiveFrame, MapVelocity};
-use super::renderer::DiscRenderer;
+use super::renderer::{DiscRenderer, of_size};
 use crate::base::Result;
 use crate::reconstruct::estimate::gauss_newton::{self, Evidence, ImageComparison, Prior, Robust};
 use crate::reconstruct::fitting::grid_search::grid_search;
@@ -82,7 +82,7 @@ impl DiscRenderer<'_> {
             image: &level.image.data,
             rendered: &self.rasterizer.rendered().color,
             weights: &level.weights,
-            clipped_from: self.clipped_from(level),
+            clipped_from: of_size(&self.clipped_from, level),
             tangent: &tangent,
         };
         let block_px = (level.image.width as f64 * *self.settings.block_share).round() as usize;
