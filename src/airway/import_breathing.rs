@@ -72,7 +72,7 @@ impl LungBox {
         Err(Error::input(format!("has no inspiration box of `{patient}`")).at(path))
     }
 
-    /// The box around landmarks, a tenth wider on each side: for patients without a measured box.
+    /// The box around landmarks, a twentieth wider on each side: for patients without a measured box.
     pub fn around(pairs: &[LandmarkPair]) -> LungBox {
         let (low, high) = pairs.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| {
             (low.min(p.inspiration_mm), high.max(p.inspiration_mm))

@@ -66,7 +66,29 @@ impl Camera {
         let check = |(name, range, value): (&str, NumberRange, f64)| {
             range.check(value).map_err(|e| Error::input(format!("{name}: {e}")))
         };
-        lens.into_iter().chain(bends).try_for_each(check)
+        lens.into_iter().chain(bends).try_for_each(check)?;
+        self.check_lens()
+    }
+
+    /// Refuses a fisheye whose law says nothing, or two things, of some point of the image: the distorted angle must rise
+    /// up to that of the farthest corner, and reach it in front of straight back.
+    fn check_lens(&self) -> Result<()> {
+        let Some(k) = self.fisheye else { return Ok(()) };
+        let x = self.cx.abs().max((self.cx - f64::from(self.width)).abs()) / self.fl_x;
+        let y = self.cy.abs().max((self.cy - f64::from(self.height)).abs()) / self.fl_y;
+        let corner = x.hypot(y);
+        for step in 0..=LENS_STEPS {
+            let (distorted, slope) = distort(std::f64::consts::PI * f64::from(step) / f64::from(LENS_STEPS), k);
+            if slope > 0.0 && distorted >= corner {
+                return Ok(());
+            }
+            if slope <= 0.0 {
+                break;
+            }
+        }
+        let sentence =
+            "k1..k4: no angle from the axis is seen at the farthest corner: the distorted angle stops rising before it";
+        Err(Error::input(sentence))
     }
 
     /// Direction (camera axes, z = 1 for a pinhole; unit length for fisheye) through the image point `pixel`.
@@ -74,7 +96,7 @@ impl Camera {
     pub fn direction(&self, pixel: DVec2) -> DVec3 {
         let x = (pixel.x - self.cx) / self.fl_x;
         let y = (pixel.y - self.cy) / self.fl_y;
-        let Some([k1, k2, k3, k4]) = self.fisheye else { return DVec3::new(x, y, 1.0) };
+        let Some(k) = self.fisheye else { return DVec3::new(x, y, 1.0) };
         let distorted = x.hypot(y);
         if distorted < 1e-12 {
             return DVec3::Z;
@@ -82,10 +104,8 @@ impl Camera {
         // Newton's method on theta (1 + k1 theta^2 + ...) = distorted.
         let mut theta = distorted.min(std::f64::consts::PI);
         for _ in 0..20 {
-            let t2 = theta * theta;
-            let value = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) - distorted;
-            let slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)));
-            theta -= value / slope;
+            let (value, slope) = distort(theta, k);
+            theta -= (value - distorted) / slope;
         }
         let s = theta.sin() / distorted;
         DVec3::new(x * s, y * s, theta.cos())
@@ -96,11 +116,9 @@ impl Camera {
         let (x, y) = match self.fisheye {
             None if point.z <= 0.0 => return None,
             None => (point.x / point.z, point.y / point.z),
-            Some([k1, k2, k3, k4]) => {
+            Some(k) => {
                 let r = point.x.hypot(point.y);
-                let theta = r.atan2(point.z);
-                let t2 = theta * theta;
-                let distorted = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))));
+                let (distorted, _) = distort(r.atan2(point.z), k);
                 let s = if r > 1e-12 { distorted / r } else { 1.0 / point.z };
                 (point.x * s, point.y * s)
             }
@@ -122,6 +140,17 @@ impl Camera {
     }
 }
 
+/// Angles between the axis and straight back at which a lens is looked at.
+const LENS_STEPS: u32 = 1000;
+
+/// OpenCV's fisheye: the distorted angle of `theta`, and its derivative.
+fn distort(theta: f64, [k1, k2, k3, k4]: [f64; 4]) -> (f64, f64) {
+    let t2 = theta * theta;
+    let value = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))));
+    let slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)));
+    (value, slope)
+}
+
 /// Camera at `origin` that looks along `forward`; `up` points to the top of the image as far as it can.
 pub fn world_from_camera_looking(origin: DVec3, forward: DVec3, up: DVec3) -> DAffine3 {
     let z = forward.normalize();
@@ -133,6 +162,26 @@ pub fn world_from_camera_looking(origin: DVec3, forward: DVec3, up: DVec3) -> DA
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_fisheye_that_bends_back_before_its_corner_is_refused() {
+        let lens = |fl: f64, k1: f64| Camera {
+            fl_x: fl,
+            fl_y: fl,
+            fisheye: Some([k1, 0.0, 0.0, 0.0]),
+            ..Camera::pinhole(64, 64, 1.0)
+        };
+        for (camera, is_lens) in [
+            // theta (1 - .5 theta^2) rises to .544 at most.
+            (lens(90.0, -0.5), true),
+            (lens(80.0, -0.5), false),
+            // An undistorted one sees 180 degrees at the corner.
+            (lens(32.0 * 2f64.sqrt() / 3.14, 0.0), true),
+            (lens(32.0 * 2f64.sqrt() / 3.15, 0.0), false),
+        ] {
+            assert_eq!(camera.validate().is_ok(), is_lens, "{camera:?}");
+        }
+    }
 
     #[test]
     fn projection_inverts_direction() {

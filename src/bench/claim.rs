@@ -175,7 +175,7 @@ impl Drop for Claim {
 #[derive(Debug, Default)]
 pub struct Claims {
     /// By token: the holder's last sign of life, and when this process first saw it.
-    signs: Mutex<HashMap<String, (SystemTime, Instant)>>,
+    signs: Mutex<HashMap<(PathBuf, String), (SystemTime, Instant)>>,
 }
 
 impl Claims {
@@ -217,7 +217,7 @@ impl Claims {
             sign => sign.map_err(|e| Error::io("reading", &path, e))?,
         };
         let mut signs = lock(&self.signs);
-        let (last, since) = signs.entry(holder.token.clone()).or_insert((sign, Instant::now()));
+        let (last, since) = signs.entry((claim.to_owned(), holder.token.clone())).or_insert((sign, Instant::now()));
         if *last != sign {
             (*last, *since) = (sign, Instant::now());
         }

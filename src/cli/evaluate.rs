@@ -18,7 +18,8 @@ use crate::simulate::track::Track;
 #[derive(clap::Args)]
 #[command(
     after_help = "The folder holds color/NNNNNN.png, and as far as the method has them depth/NNNNNN.{exr,npy,png}, \
-    ahead/NNNNNN.png, phase.csv (frame,phase), mesh/final.ply, correspondence.csv, timing.json ({\"time_total_s\": ..}), prediction.json \
+    ahead/NNNNNN.png, novel/NNNNNN.png, novel_depth/NNNNNN.{exr,npy,png}, phase.csv (frame,phase), targets.csv, \
+    target_covariance.csv, poses.csv, mesh/final.ply, correspondence.csv, timing.json ({\"time_total_s\": ..}), prediction.json \
     ({\"method\": .., \"case\": .., \"depth_unit_mm\": ..}); see docs/predictions.md. Names of this program's own rows are \
     reserved.\n\
     Of several films, --predictions is a folder with one folder for each, named as its case or as the film's folder, or \

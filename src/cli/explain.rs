@@ -23,7 +23,7 @@ pub fn run(arguments: ExplainArguments, terminal: &Terminal) -> Result<()> {
             return terminal.json(&registry());
         }
         for m in registry() {
-            terminal.line(format_args!("{:<22}{:<5}{:<8}{}", m.id, m.unit, m.direction.word(), m.label));
+            terminal.line(format_args!("{:<29}{:<5}{:<8}{}", m.id, m.unit, m.direction.word(), m.label));
         }
         return Ok(());
     };

@@ -45,7 +45,7 @@ pub fn run(arguments: ListArguments, terminal: &Terminal) -> Result<()> {
     terminal.line("metrics");
     for metric in score::registry() {
         let direction = format!("{} is better", metric.direction.word());
-        terminal.line(format_args!("  {:<22}{:<8}{direction}", metric.id, metric.unit));
+        terminal.line(format_args!("  {:<29}{:<8}{direction}", metric.id, metric.unit));
     }
     terminal.line(format_args!("cells of profile {}: {}", plan.profile, cells.len()));
     for cell in cells {

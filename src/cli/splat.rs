@@ -69,7 +69,7 @@ pub struct SplatArguments {
     /// With --gradients: those of the focal lengths and the principal point too
     #[arg(long, requires = "gradients")]
     lens: bool,
-    /// KernelChoice to use; the widest that the processor has by default
+    /// Instruction set of the kernels; the widest that the processor has by default
     #[arg(long, value_enum)]
     isa: Option<KernelChoice>,
     /// Colour behind everything

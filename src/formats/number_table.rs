@@ -19,8 +19,7 @@ pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Ve
     let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();
     let mut places = [0; N];
     for (place, (name, _)) in places.iter_mut().zip(columns) {
-        let is_named = |h: &str| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(name);
-        let mut found = header.iter().enumerate().filter(|(_, h)| is_named(h)).map(|(at, _)| at);
+        let mut found = header.iter().enumerate().filter(|(_, h)| is_named(h, name)).map(|(at, _)| at);
         *place = match (found.next(), found.next()) {
             (Some(at), None) => at,
             (Some(_), Some(_)) => return Err(Error::input("is there twice").element(format!("line 1: column {name}"))),
@@ -44,6 +43,19 @@ pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Ve
         rows.push(numbers);
     }
     Ok(rows)
+}
+
+/// Whether the first line of a table names `column`.
+///
+/// Errors: a first line that is no text.
+pub fn has_column(bytes: &[u8], column: &str) -> Result<bool> {
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+    let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?;
+    Ok(header.iter().any(|h| is_named(h, column)))
+}
+
+fn is_named(header: &str, column: &str) -> bool {
+    header.trim_start_matches('\u{feff}').eq_ignore_ascii_case(column)
 }
 
 #[cfg(test)]

@@ -101,7 +101,7 @@ pub fn render_watched(
     let frame = frame_settings(scene, camera, world_from_camera, light, settings);
     let corners = corner_directions(camera);
     let mut statistics = Statistics::default();
-    let (depth_mm, visible) = depth(scene, &frame, camera)?;
+    let (mut depth_mm, visible) = depth(scene, &frame, camera)?;
     let known = match settings.transport {
         Transport::Paths => Vec::new(),
         Transport::Vertices { rays_per_face } | Transport::Gather { rays_per_face } => {
@@ -122,6 +122,8 @@ pub fn render_watched(
         Denoise::Off => develop(&film, camera),
         Denoise::On => develop_denoised(&film, camera, &depth_mm),
     };
+    // What a lens sees beside or behind itself has no z-depth.
+    depth_mm.data.iter_mut().for_each(|z| *z = z.max(0.0));
     Ok(RenderedFrame { radiance, depth_mm, statistics })
 }
 

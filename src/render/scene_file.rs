@@ -189,6 +189,10 @@ impl SceneFile {
         LIGHT_RANGES.check("light", &self.light)?;
         INTEGRATOR_RANGES.check("integrator", &self.integrator)?;
         check_size(self.camera.width, self.camera.height).map_err(|e| e.element("camera"))?;
+        if self.integrator.transport == TransportName::Paths && self.integrator.rays_per_face.is_some() {
+            let sentence = "is of the transports \"vertices\" and \"gather\", not of \"paths\"";
+            return Err(Error::input(sentence).element("integrator.rays_per_face"));
+        }
         self.camera.intrinsics()?;
         self.camera.pose()?;
         self.material.settings(self.integrator.seed).map(|_| ())
@@ -246,7 +250,14 @@ impl CameraSection {
     /// Intrinsics; the error names the missing key.
     pub fn intrinsics(&self) -> Result<Camera> {
         let fisheye = match self.model.as_deref().map(str::to_ascii_lowercase).as_deref() {
-            None | Some("pinhole") => None,
+            None | Some("pinhole") => {
+                let bends = [("k1", self.k1), ("k2", self.k2), ("k3", self.k3), ("k4", self.k4)];
+                if let Some((name, _)) = bends.iter().find(|(_, k)| *k != 0.0) {
+                    let sentence = "is of OPENCV_FISHEYE; a pinhole has no distortion here";
+                    return Err(Error::input(sentence).element(format!("camera.{name}")));
+                }
+                None
+            }
             Some("opencv_fisheye" | "fisheye") => Some([self.k1, self.k2, self.k3, self.k4]),
             Some(other) => {
                 return Err(

@@ -213,11 +213,18 @@ pub fn score(truth: &dyn Truth, prediction: &Path, settings: &ScoreSettings) -> 
     let metrics = registry()
         .iter()
         .map(|m| match m.id {
-            "psnr_db" | "ssim" | "ssim_padded" if is_copy(&measured) => {
-                entry(m.id, None, Status::Copied, frames, "the pictures are the input, which no estimate equals")
+            "psnr_db" | "ssim" | "ssim_padded" if are_copies(measured.iter().map(|f| f.psnr)) => {
+                entry(m.id, None, Status::Copied, frames, COPIED)
             }
             "psnr_db" => psnr_mean(m.id, measured.iter().map(|f| f.psnr).collect(), ceiling, seed),
+            "psnr_ahead_db" if are_copies(measured.iter().filter_map(|f| f.psnr_ahead)) => {
+                let count = measured.iter().filter(|f| f.psnr_ahead.is_some()).count();
+                entry(m.id, None, Status::Copied, count, COPIED)
+            }
             "psnr_ahead_db" => psnr_mean(m.id, measured.iter().filter_map(|f| f.psnr_ahead).collect(), ceiling, seed),
+            "novel_psnr_db" | "novel_ssim" if are_nearly_copies(&novel) => {
+                entry(m.id, None, Status::Copied, novel.len(), "the pictures are nearly the truth's, noise and all")
+            }
             "novel_psnr_db" => psnr_mean(m.id, novel.iter().filter_map(|f| f.psnr).collect(), ceiling, seed),
             "novel_ssim" => ssim_mean(m.id, novel.iter().filter_map(|f| f.ssim), seed),
             "novel_depth_rmse_mm" => depth_mean(m.id, novel.iter().map(|f| &f.depth), |d| d.rmse_mm, seed),
@@ -434,12 +441,21 @@ const COPIED_DB: f64 = 65.0;
 /// Share of copied frames from which the pictures count as copied.
 const COPIED_SHARE: f64 = 0.01;
 
-fn is_copy(measured: &[FrameMeasurement]) -> bool {
-    let copied = |frame: &&FrameMeasurement| match frame.psnr {
+/// What is said of them.
+const COPIED: &str = "the pictures are the input, which no estimate equals";
+
+fn are_copies(pictures: impl Iterator<Item = Psnr> + Clone) -> bool {
+    let copied = |psnr: &Psnr| match psnr {
         Psnr::Identical => true,
-        Psnr::Decibel(decibel) => decibel > COPIED_DB,
+        Psnr::Decibel(decibel) => *decibel > COPIED_DB,
     };
-    measured.iter().filter(copied).count() as f64 > COPIED_SHARE * measured.len() as f64
+    pictures.clone().filter(copied).count() as f64 > COPIED_SHARE * pictures.count() as f64
+}
+
+/// Pictures that equal the truth are marked as such; those that nearly do are no better.
+fn are_nearly_copies(novel: &[NovelMeasurement]) -> bool {
+    let pictures = novel.iter().filter_map(|view| view.psnr);
+    !pictures.clone().all(|psnr| psnr == Psnr::Identical) && are_copies(pictures)
 }
 
 fn psnr_mean(id: &str, frames: Vec<Psnr>, ceiling: f64, seed: u64) -> MetricScore {

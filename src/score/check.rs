@@ -87,7 +87,8 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
         id if id.starts_with("phase_coverage") || id.starts_with("phase_sd") => prediction.phase_sd().is_none(),
         id if id.starts_with("novel_depth") => !contents.novel_depth,
         id if id.starts_with("novel") => contents.novel == 0,
-        "target_mean_mm" | "target_p95_mm" | "lost_pct" => !contents.targets,
+        "target_mean_mm" | "target_p95_mm" | "lost_pct" | "recovered_pct" => !contents.targets,
+        id if id.starts_with("pose_error") => prediction.poses().is_none(),
         "silent_pct" => prediction.target_covariance_mm2().is_none(),
         id if id.starts_with("navigation_error") => !contents.targets,
         id if id.starts_with("navigation") => prediction.target_covariance_mm2().is_none(),
@@ -102,6 +103,8 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
     contents.warnings.extend(prediction.phase().and_then(phase_warning));
     contents.warnings.extend(depth_warning(depths_mm.into_iter().flatten().collect()));
     contents.warnings.extend(surface.as_ref().and_then(surface_warning));
+    contents.warnings.extend(beyond_warning(folder, frames));
+    contents.warnings.extend(beyond_warning(folder, frames));
     contents.warnings.extend(unread_warnings(&prediction, folder, frames)?);
     Ok(contents)
 }
@@ -148,6 +151,15 @@ fn surface_warning(surface: &TriangleMesh) -> Option<String> {
     let diagonal_mm = low.distance(high);
     let sentence = format!("mesh/final.ply: spans {diagonal_mm:.3} mm, as if in metres; coordinates are in mm");
     if diagonal_mm < LEAST_MESH_MM { Some(sentence) } else { None }
+}
+
+/// Pictures of frames that the film has not: whoever counts from 1 has one too many.
+fn beyond_warning(folder: &Path, frames: usize) -> Option<String> {
+    let beyond = ["color", "depth"]
+        .iter()
+        .flat_map(|place| ["png", "exr", "npy"].iter().map(move |ending| format!("{place}/{frames:06}.{ending}")));
+    let name = beyond.into_iter().find(|name| folder.join(name).exists())?;
+    Some(format!("{name}: is not read; the frames are 000000 to {:06}", frames.saturating_sub(1)))
 }
 
 /// Results that nobody reads, because they have another name.

@@ -4,8 +4,9 @@
 //! Contour RMSE is symmetric: both contours are resampled densely and every sample is measured against the other
 //! polyline. Where the plane meets a bifurcation, a shift of a hair's breadth joins the contours of two branches to one
 //! or parts them; so of a prediction with the truth's faces, cuts of the other surface that come nearer than its contour
-//! around the camera join that contour, on both sides. The target error is the displacement of one material point of the true contour (same mesh edge, same
-//! fraction along it), so it also measures motion *along* the wall and along the airway, which the contour RMSE cannot.
+//! around the camera join that contour, on both sides, and so do their counterparts. The target error is the
+//! displacement of one material point of the true contour (same mesh edge, same fraction along it), so it also measures
+//! motion *along* the wall and along the airway, which the contour RMSE cannot.
 
 use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
@@ -21,6 +22,11 @@ use crate::ffi::vision::PlaneContour;
 const SAMPLE_STEP_MM: f64 = 0.05;
 /// Samples of one contour at most: a damaged mesh may have contours of any length.
 const MAX_SAMPLES: usize = 5000;
+
+/// Cuts of a prediction for each of the truth that may join.
+const MOST_PARTS: usize = 2;
+/// Share of the true contour of which the predicted one around the camera is the nearest cut, at least, where others join.
+const LEAST_SHARE: f64 = 0.1;
 
 /// Whether a surface's contour runs around the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,8 +122,15 @@ pub fn target_errors(
         let (mut own, mut other) = (vec![own], vec![contour]);
         // A surface of its own faces could be folded into every gap: of it the one contour counts.
         if same_topology {
-            join_nearer(&true_cuts, &own, &predicted_cuts, &mut other);
-            join_nearer(&predicted_cuts, &other, &true_cuts, &mut own);
+            let [alone, alone_predicted] = [own.clone(), other.clone()];
+            join_counterparts((&true_cuts, &mut own), (&predicted_cuts, &mut other));
+            // So could one with the truth's faces, whose vertices are its own. Where branches part, each part is some of the
+            // wall; and the part around the camera is the nearest of it somewhere.
+            let is_folded = other.len() > MOST_PARTS * own.len()
+                || nearest_share(&true_cuts[own[0]], &predicted_cuts, &other) < LEAST_SHARE;
+            if is_folded {
+                (own, other) = (alone, alone_predicted);
+            }
         }
         let of = |cuts: &[Polyline], chosen: &[usize]| chosen.iter().map(|&k| cuts[k].clone()).collect::<Vec<_>>();
         contour_rmse_mm = Some(symmetric_rmse(&of(&true_cuts, &own), &of(&predicted_cuts, &other)));
@@ -142,6 +155,19 @@ pub fn target_errors(
     }))
 }
 
+/// Joins the cuts of two surfaces, each with the places of its chosen ones, until neither has one that comes nearer to what
+/// is chosen of the other: a cut that joins may have a counterpart of its own.
+fn join_counterparts((cuts, chosen): (&[Polyline], &mut Vec<usize>), (others, other): (&[Polyline], &mut Vec<usize>)) {
+    loop {
+        let before = chosen.len() + other.len();
+        join_nearer(cuts, chosen, others, other);
+        join_nearer(others, other, cuts, chosen);
+        if chosen.len() + other.len() == before {
+            return;
+        }
+    }
+}
+
 /// Adds to `joined`, places in `others`, every cut that is nearer to some sample of the `chosen` ones of `cuts` than the
 /// cuts that are in it.
 fn join_nearer(cuts: &[Polyline], chosen: &[usize], others: &[Polyline], joined: &mut Vec<usize>) {
@@ -156,6 +182,16 @@ fn join_nearer(cuts: &[Polyline], chosen: &[usize], others: &[Polyline], joined:
     found.sort_unstable();
     found.dedup();
     joined.extend(found);
+}
+
+/// Share of `contour` to which the first of the `chosen` ones of `cuts` is the nearest.
+fn nearest_share(contour: &Polyline, cuts: &[Polyline], chosen: &[usize]) -> f64 {
+    let samples = resample(contour);
+    let is_first = |&point: &[f64; 2]| {
+        let distance = |k: usize| nearest_on(&cuts[k], point).1;
+        chosen[1..].iter().all(|&k| distance(chosen[0]) <= distance(k))
+    };
+    samples.par_iter().filter(|&point| is_first(point)).count() as f64 / samples.len() as f64
 }
 
 /// The place of the cut around the camera (0, 0), by OpenCV's contour analysis: the closed cut of least area that encloses it, or,
@@ -340,6 +376,42 @@ mod tests {
             assert!(across.0 < 3.0 * parted.0.max(joined.0), "{} of {} and {}", across.0, parted.0, joined.0);
             assert!(across.0 < 0.5, "{}", across.0);
         }
+    }
+
+    /// Copies of a tube of radius 3 mm beside each other, along x at `places`, in one mesh.
+    fn tubes(places: impl IntoIterator<Item = f64>) -> TriangleMesh {
+        let mut all = TriangleMesh { vertices: Vec::new(), faces: Vec::new() };
+        for x in places {
+            let one = moved(&tube(3.0, 20.0, 64, 20), |v| v + DVec3::X * x);
+            let offset = all.vertices.len() as u32;
+            all.vertices.extend(one.vertices);
+            all.faces.extend(one.faces.iter().map(|f| f.map(|v| v + offset)));
+        }
+        all
+    }
+
+    /// A branch that joins because the prediction comes near it is compared with its own counterpart.
+    #[test]
+    fn a_cut_that_joins_brings_its_counterpart() {
+        let (truth, predicted) = (tubes([0.0, 7.0]), tubes([1.2, 8.2]));
+        let found = target_errors(&truth, &predicted, None, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        assert_eq!(found.cuts, [2, 2]);
+        assert!(found.contour_rmse_mm.unwrap() < 1.2, "{:?}", found.contour_rmse_mm);
+    }
+
+    /// Vertices are a prediction's own even where its faces are the truth's: rings at every place where the wall might be
+    /// are no answer.
+    #[test]
+    fn a_surface_that_is_cut_many_times_counts_by_its_contour_alone() {
+        let truth = tubes((0..8).map(|k| 40.0 * f64::from(k)));
+        // One ring around the camera, too small, and one for each guess.
+        let guesses = (1..8).map(|k| 0.3 * f64::from(k - 3) + 0.1);
+        let mut predicted = tubes(std::iter::once(0.0).chain(guesses));
+        let first = truth.vertices.len() / 8;
+        predicted.vertices[..first].iter_mut().for_each(|v| *v *= DVec3::new(0.2, 0.2, 1.0));
+        let found = target_errors(&truth, &predicted, None, &camera_at(0.0, 7.3), 3).unwrap().unwrap();
+        assert_eq!(found.cuts, [1, 1]);
+        assert!(found.contour_rmse_mm.unwrap() > 2.3, "{:?}", found.contour_rmse_mm);
     }
 
     #[test]

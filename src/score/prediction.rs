@@ -10,11 +10,12 @@
 //! target_covariance.csv          frame,target,xx,xy,xz,yy,yz,zz in mm^2: covariance of each target's place in the camera's
 //!                                axes (x right, y down, z forward), every frame; wants targets.csv
 //! phase.csv                      frame,phase[,phase_sd]; one row per frame, 0 = full inspiration, 1 = full expiration
-//! poses.csv                      frame,m00..m23; world_from_camera where the method has poses of its own
+//! poses.csv                      frame,m00..m23; world_from_camera where the method has poses of its own; camera axes as
+//!                                above (OpenCV's, not those of transforms.json)
 //! mesh/final.ply                 surface at the last frame, mm, the sequence's world
 //! correspondence.csv             vertex,face,b0,b1,b2 or vertex,predicted_vertex: where each vertex of the sequence's
 //!                                meshes is on final.ply, which is needed if it has other faces
-//! timing.json                    {"time_total_s": wall seconds of the method alone, "time_cpu_s": its CPU seconds}
+//! timing.json                    {"time_total_s": wall seconds of the method alone, "time_cpu_s": its CPU seconds}, or one
 //! prediction.json                {"method": id, "case": id, "depth_unit_mm": 1.0}
 //! ```
 
@@ -118,8 +119,19 @@ const PHASE_SD: NumberRange = NumberRange::new(1e-12, 1000.0);
 const ENTRY: NumberRange = COORDINATE_MM;
 /// Entries of a covariance of places, mm squared.
 const COVARIANCE_MM2: NumberRange = NumberRange::new(-1e8, 1e8);
-/// Seconds that a method took.
-const TIME_S: NumberRange = NumberRange::new(0.0, 1e9);
+/// Seconds that a method took: no less than a clock can tell.
+const TIME_S: NumberRange = NumberRange::new(1e-6, 1e9);
+/// Files beside the folders of pictures.
+const SINGLE_FILES: [&str; 8] = [
+    "phase.csv",
+    "poses.csv",
+    "targets.csv",
+    TARGET_COVARIANCE,
+    "mesh/final.ply",
+    CORRESPONDENCE,
+    "timing.json",
+    "prediction.json",
+];
 
 #[derive(Default, Deserialize)]
 struct About {
@@ -130,7 +142,7 @@ struct About {
 
 #[derive(Deserialize)]
 struct TimingFile {
-    time_total_s: f64,
+    time_total_s: Option<f64>,
     time_cpu_s: Option<f64>,
 }
 
@@ -142,6 +154,11 @@ impl Prediction {
     pub fn open(root: &Path, question: &Question) -> Result<Self> {
         if !root.is_dir() {
             return Err(Error::input("is not a folder").at(root));
+        }
+        // A pipe would be read for ever.
+        let pipe = SINGLE_FILES.iter().map(|name| root.join(name)).find(|path| path.exists() && !path.is_file());
+        if let Some(path) = pipe {
+            return Err(Error::input("is no file").at(path));
         }
         let (camera, frames) = (&question.camera, question.frames);
         let about: About = read_optional(&root.join("prediction.json"))?.unwrap_or_default();
@@ -169,7 +186,7 @@ impl Prediction {
             expect_frames(&root.join("novel_depth"), ending, views.iter().copied())?;
         }
         let (phase, phase_sd) = read_phase(&root.join("phase.csv"), frames)?.unzip();
-        let (time_total_s, time_cpu_s) = read_time(&root.join("timing.json"))?.unzip();
+        let [time_total_s, time_cpu_s] = read_time(&root.join("timing.json"))?;
         let prediction = Prediction {
             width: camera.width as usize,
             height: camera.height as usize,
@@ -185,9 +202,12 @@ impl Prediction {
             phase_sd: phase_sd.flatten(),
             poses: read_poses(&root.join("poses.csv"), frames)?,
             time_total_s,
-            time_cpu_s: time_cpu_s.flatten(),
+            time_cpu_s,
             root: root.to_path_buf(),
         };
+        if prediction.target_covariance_mm2.is_some() && prediction.targets.is_none() {
+            return Err(Error::input("is there without targets.csv").at(root.join(TARGET_COVARIANCE)));
+        }
         prediction.refuse_true_files(question)?;
         Ok(prediction)
     }
@@ -222,17 +242,7 @@ impl Prediction {
                 (0..frames).map(move |frame| frame_path(&folder, frame, ending))
             })
         };
-        let single = [
-            "phase.csv",
-            "poses.csv",
-            "targets.csv",
-            TARGET_COVARIANCE,
-            "mesh/final.ply",
-            CORRESPONDENCE,
-            "timing.json",
-            "prediction.json",
-        ];
-        folders.into_iter().flat_map(of_folder).chain(single.map(|name| self.root.join(name)))
+        folders.into_iter().flat_map(of_folder).chain(SINGLE_FILES.map(|name| self.root.join(name)))
     }
 
     /// The method's own name, if the folder tells it.
@@ -418,9 +428,9 @@ fn read_optional<T: serde::de::DeserializeOwned>(path: &Path) -> Result<Option<T
 }
 
 /// Wall and CPU seconds.
-fn read_time(path: &Path) -> Result<Option<(f64, Option<f64>)>> {
-    let Some(told) = read_optional::<TimingFile>(path)? else { return Ok(None) };
-    for (key, seconds) in [("time_total_s", Some(told.time_total_s)), ("time_cpu_s", told.time_cpu_s)] {
+fn read_time(path: &Path) -> Result<[Option<f64>; 2]> {
+    let Some(told) = read_optional::<TimingFile>(path)? else { return Ok([None; 2]) };
+    for (key, seconds) in [("time_total_s", told.time_total_s), ("time_cpu_s", told.time_cpu_s)] {
         let Some(seconds) = seconds else { continue };
         if seconds == 0.0 {
             let sentence = "is 0: no method takes no time; leave it out if it is not known";
@@ -428,7 +438,7 @@ fn read_time(path: &Path) -> Result<Option<(f64, Option<f64>)>> {
         }
         TIME_S.check(seconds).map_err(|e| e.element(key).at(path))?;
     }
-    Ok(Some((told.time_total_s, told.time_cpu_s)))
+    Ok([told.time_total_s, told.time_cpu_s])
 }
 
 /// Phases, and their standard deviations where they are stated.
@@ -533,45 +543,27 @@ fn parse_poses(bytes: &[u8], frames: usize) -> Result<Vec<DAffine3>> {
 
 /// Columns `frame`, `phase` and perhaps `phase_sd` by name, rows in any order, every frame exactly once.
 fn parse_phase(bytes: &[u8], frames: usize) -> Result<Phases> {
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
-    let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();
-    let place = |name: &str| header.iter().position(|h| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(name));
-    let column = |name: &str| {
-        let missing = || Error::input("is missing; the columns are frame,phase").element(format!("column {name}"));
-        place(name).ok_or_else(missing)
+    let [frame, phase, sd] = [("frame", COUNT), ("phase", PHASE), ("phase_sd", PHASE_SD)];
+    let has_sd = number_table::has_column(bytes, sd.0)?;
+    let rows: Vec<[f64; 3]> = match has_sd {
+        true => number_table::rows(bytes, [frame, phase, sd])?,
+        false => number_table::rows(bytes, [frame, phase])?.into_iter().map(|[f, p]| [f, p, 0.0]).collect(),
     };
-    let (frame_column, phase_column, sd_column) = (column("frame")?, column("phase")?, place("phase_sd"));
     let mut phases: Vec<Option<(f64, f64)>> = vec![None; frames];
-    for (row, record) in reader.records().enumerate() {
-        let line = format!("line {}", row + 2);
-        let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
-        let field = |column: usize| record.get(column).unwrap_or("");
-        let frame = field(frame_column).parse::<usize>().ok().filter(|&f| f < frames);
-        let phase = field(phase_column).parse::<f64>().ok().filter(|&p| PHASE.contains(p));
-        let (Some(frame), Some(phase)) = (frame, phase) else {
-            let said = format!("frame \"{}\" with phase \"{}\"", field(frame_column), field(phase_column));
-            let sentence = format!("{said}: wanted a frame below {frames} and a phase in {PHASE}");
-            return Err(Error::input(sentence).element(line));
+    for (row, &[frame, phase, sd]) in rows.iter().enumerate() {
+        let line = || format!("line {}", row + 2);
+        let Some(place) = phases.get_mut(frame as usize).filter(|_| frame.fract() == 0.0) else {
+            return Err(Error::input(format!("{frame} is no frame below {frames}")).element(line()));
         };
-        let sd = match sd_column.map(field) {
-            None => 0.0,
-            Some(text) => match text.parse::<f64>() {
-                Ok(sd) if PHASE_SD.contains(sd) => sd,
-                _ => {
-                    let sentence = format!("phase_sd \"{text}\": wanted {PHASE_SD} in every row, or no column");
-                    return Err(Error::input(sentence).element(line));
-                }
-            },
-        };
-        if phases[frame].replace((phase, sd)).is_some() {
-            return Err(Error::input(format!("frame {frame} is there twice")).element(line));
+        if place.replace((phase, sd)).is_some() {
+            return Err(Error::input(format!("frame {frame} is there twice")).element(line()));
         }
     }
     if let Some(frame) = phases.iter().position(Option::is_none) {
         return Err(Error::input(format!("frame {frame} is missing")));
     }
     let (phase, sd): (Vec<f64>, Vec<f64>) = phases.into_iter().flatten().unzip();
-    Ok((phase, sd_column.map(|_| sd)))
+    Ok((phase, has_sd.then_some(sd)))
 }
 
 #[cfg(test)]
@@ -642,6 +634,8 @@ mod tests {
         assert!(say("frame\n0\n").contains("column phase"));
         assert!(say("frame,phase\n0\n").contains("line 2"));
         assert!(say("").contains("column frame"));
+        assert!(say("frame,phase,phase\n0,0.1,0.5\n1,0.2,0.5\n").contains("column phase: is there twice"));
+        assert!(say("frame,phase\n0.5,0.1\n1,0.2\n").contains("line 2"));
         for sd in ["", "0", "-1", "inf", "1e200"] {
             assert!(say(&format!("frame,phase,phase_sd\n0,0.1,0.1\n1,0.2,{sd}\n")).contains("line 3"), "{sd}");
         }

@@ -144,10 +144,6 @@ mod tests {
             ..Default::default()
         };
         write_prediction(&truth, folder.path(), &distortion);
-        let perfect = tempfile::tempdir().unwrap();
-        write_prediction(&truth, perfect.path(), &Distortion::default());
-        let name = "novel/000007.png";
-        std::fs::copy(perfect.path().join(name), folder.path().join(name)).unwrap();
         score(&truth, folder.path(), &ScoreSettings::default()).unwrap()
     }
 
@@ -159,11 +155,21 @@ mod tests {
             let place = honest.metrics.iter().position(|m| m.metric == *id).unwrap();
             let value = honest.metrics[place].value.unwrap_or_else(|| panic!("{id} has no value"));
             let mut edited = honest.clone();
-            // A PSNR with frames equal to the truth leaves room for what those count as.
-            edited.metrics[place].value = Some(if *id == "novel_psnr_db" { value * 6.0 } else { value * 1.001 + 1e-3 });
+            edited.metrics[place].value = Some(value * 1.001 + 1e-3);
             let said = check_means(&edited).unwrap_err().to_string();
             assert!(said.contains(&format!("case1 prediction {id}")) && said.contains("csv"), "{said}");
         }
+        // A PSNR with a frame that equals the truth leaves room for what that counts as.
+        let mut equal = honest.clone();
+        let first = equal.frame_scores[0].values.iter_mut().find(|v| v.metric == "psnr_db").unwrap();
+        let was = std::mem::replace(&mut first.value, None).unwrap();
+        first.status = Status::Identical;
+        let mean = equal.metrics.iter_mut().find(|m| m.metric == "psnr_db").unwrap();
+        mean.value = mean.value.map(|value| value + (70.0 - was) / mean.count as f64);
+        check_means(&equal).unwrap();
+        let mean = equal.metrics.iter_mut().find(|m| m.metric == "psnr_db").unwrap();
+        mean.value = mean.value.map(|value| value * 6.0);
+        assert!(check_means(&equal).is_err());
         let mut fewer = honest.clone();
         fewer.frame_scores.pop();
         assert!(check_means(&fewer).unwrap_err().to_string().contains("frames: are 17"));

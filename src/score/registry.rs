@@ -270,10 +270,10 @@ static REGISTRY: &[Metric] = &[
             to its optical axis. Of each, the contour around the camera is kept (smallest enclosed area). Both are resampled \
             every 0.05 mm; the value is sqrt((mean d^2 from truth to prediction + mean d^2 from prediction to truth) / 2), d the \
             distance of a point to the other contour. Of a prediction with the truth's faces, cuts that come nearer to a \
-            contour than the other one does join that one, on both sides: a plane through a bifurcation joins or parts \
-            branches. If no predicted contour encloses the camera, the one nearest to it is taken, status \
+            contour than the other one does join that one, on both sides, until there is none: a plane through a bifurcation \
+            joins or parts branches. If no predicted contour encloses the camera, the one nearest to it is taken, status \
             `camera_outside`. If the plane misses the surface, the row counts with the case's worst, status `no_contour`.",
-        version: 2,
+        version: 3,
         standing: Standing::Paper,
         split: Split::Final,
         applies_to: WITH_MESH,

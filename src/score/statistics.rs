@@ -160,7 +160,7 @@ mod tests {
         assert!((0.90..=0.98).contains(&share), "{share}");
     }
 
-    /// Nine cases of six trees, as the bench has them, with trees that differ twice as much as cases of one tree.
+    /// Nine cases of seven trees, as the bench has them, with trees that differ twice as much as cases of one tree.
     #[test]
     fn groups_are_drawn_before_their_values() {
         let groups = ["a", "b", "c", "d", "b", "c", "e", "f", "g"];

@@ -105,6 +105,7 @@ fn pictures_that_are_the_input_or_the_truth_are_marked() {
     for id in ["psnr_db", "ssim"] {
         assert_eq!((found.status(id), found.metric(id)["value"].as_f64()), ("copied", None));
     }
+    assert_eq!(found.status("psnr_ahead_db"), "copied");
     assert_eq!((found.status("novel_psnr_db"), found.value("phase_mae")), ("identical", 0.0));
     assert_eq!((found.value("target_error_mm"), found.value("novel_depth_rmse_mm")), (0.0, 0.0));
     let (ranks, report) = ranked(&place, "everything", "psnr_db");
@@ -120,6 +121,16 @@ fn pictures_that_are_the_input_or_the_truth_are_marked() {
         }
     });
     assert_eq!(Scored::of(&place, "one-bit").status("psnr_db"), "copied");
+    cheat(&place, "one-novel-bit", |folder| {
+        for view in &whole.novel_views {
+            let mut image = whole.novel_image(view.frame).unwrap();
+            image.data[100 * 3] ^= 1;
+            png::write_rgb(&folder.join(format!("novel/{:06}.png", view.frame)), &image).unwrap();
+        }
+    });
+    for id in ["novel_psnr_db", "novel_ssim"] {
+        assert_eq!(Scored::of(&place, "one-novel-bit").status(id), "copied");
+    }
     cheat(&place, "one-frame", |folder| {
         png::write_rgb(&folder.join("color/000003.png"), &picture(3)).unwrap();
     });

@@ -198,7 +198,7 @@ fn scene_folder(camera: &str, integrator: &str) -> tempfile::TempDir {
 fn every_number_of_a_scene_is_used_or_refused_by_name() {
     let fisheye = "width = 24\nheight = 20\nfl_x = 20.0\nfl_y = 20.0\ncx = 12.0\ncy = 10.0\nk1 = 0.1\n\
                    k2 = 0.0\nk3 = 0.0\nk4 = 0.0\nmodel = \"OPENCV_FISHEYE\"";
-    let all = "max_scatterings = 2\nspp = 4\ntarget_relmse = 0.01\nrays_per_face = 32\nseed = 1\n\
+    let all = "max_scatterings = 2\nspp = 4\ntarget_relmse = 0.01\ntransport = \"gather\"\nrays_per_face = 32\nseed = 1\n\
                background = [0.1, 0.1, 0.1]";
     for camera in [fisheye, "width = 24\nheight = 20\nfov_x_deg = 90.0"] {
         let folder = scene_folder(camera, all);

@@ -243,7 +243,6 @@ impl<'a> BridgesplatFit<'a> {
         let iterations = scaled_iterations(s.iterations[usize::from(frame > 0)] as f64, self.scale);
         let sh_from = if frame > 0 { 0 } else { scaled_iterations(*s.sh_from_iteration as f64, self.scale) };
         let sh_rest = self.adam.rates.sh_rest;
-        let factor = rate_factor(self.scale);
         self.adam.begin(patch.discs.len());
         deformation.adam.begin(deformation.rest.len() * 3, StepCounter::Kept);
         let mut delta = Vec::new();
@@ -270,8 +269,11 @@ impl<'a> BridgesplatFit<'a> {
             // Steps of discs and control points.
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };
             patch.step(&mut self.adam, self.rasterizer.gradients(), &local)?;
-            let rate = *s.displacement_rate * factor;
-            deformation.adam.step(rate, deformation.displacement.as_flattened_mut(), by_control.as_flattened());
+            deformation.adam.step(
+                *s.displacement_rate,
+                deformation.displacement.as_flattened_mut(),
+                by_control.as_flattened(),
+            );
         }
         self.adam.rates.sh_rest = sh_rest;
         deformation.field.apply(&deformation.displacement, &mut delta);

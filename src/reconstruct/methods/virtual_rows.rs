@@ -95,7 +95,7 @@ impl Reconstruct for VirtualMethod {
         };
         let mut last = 0.0;
         let fit = |frame: usize| {
-            let expected = last;
+            let expected = finder.expected(frame, last);
             last = finder.phase(frame, airway);
             Ok(screen.prediction(frame, last, expected))
         };
@@ -124,6 +124,15 @@ enum Finder<'a> {
 }
 
 impl Finder<'_> {
+    /// The phase before the frame's picture is looked at; `last` is that of the frame before.
+    fn expected(&self, frame: usize, last: f64) -> f64 {
+        match self {
+            Finder::Centred(lumen) => lumen.phase(frame),
+            Finder::Clock(clock) => clock.expected(frame),
+            Finder::Picture(_) => last,
+        }
+    }
+
     fn phase(&mut self, frame: usize, airway: BreathingMesh<'_>) -> f64 {
         match self {
             Finder::Centred(lumen) => lumen.phase(frame),
@@ -193,6 +202,11 @@ impl<'a> Clock<'a> {
         self.mean_breath.phase(time_s + offset_s, 0)
     }
 
+    /// The phase that the offset so far says.
+    fn expected(&self, frame: usize) -> f64 {
+        self.at(self.observation.time_s[frame], self.offset_s)
+    }
+
     fn phase(&mut self, frame: usize, airway: BreathingMesh<'_>) -> f64 {
         let time_s = self.observation.time_s[frame];
         if time_s <= self.calibration_s {
@@ -206,7 +220,7 @@ impl<'a> Clock<'a> {
             let best = (0..sums.len()).fold(0, |best, k| if sums[k] > sums[best] { k } else { best });
             self.offset_s = offset(best as u32);
         }
-        self.at(time_s, self.offset_s)
+        self.expected(frame)
     }
 }
 
