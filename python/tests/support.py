@@ -1,6 +1,7 @@
 """What the tests share: scenes, the program, and a loud way to skip."""
 
 import atexit
+import multiprocessing
 import os
 import shutil
 import subprocess
@@ -30,6 +31,22 @@ def needs(what, sentence):
 
 def program(*arguments):
     return subprocess.run([PROGRAM, *arguments], capture_output=True, text=True, check=True).stdout
+
+
+def forked(compute, seconds=60):
+    """What `compute` gives in a fork of this process, which is ended if it hangs."""
+    fork = multiprocessing.get_context("fork")
+    ours, theirs = fork.Pipe(False)
+    child = fork.Process(target=lambda: theirs.send(compute()))
+    child.start()
+    theirs.close()
+    try:
+        if not ours.poll(seconds):
+            raise AssertionError(f"a forked child has no answer after {seconds} s")
+        return ours.recv()
+    finally:
+        child.kill()
+        child.join()
 
 
 _folders = {}

@@ -1,6 +1,7 @@
 """`load` and `write_prediction`, on a film that the program makes."""
 
 import json
+import multiprocessing
 import os
 import tempfile
 import unittest
@@ -8,7 +9,7 @@ import unittest
 import numpy as np
 
 from respire_bench import Error, load, write_prediction
-from support import PROGRAM, films, needs, program
+from support import PROGRAM, films, forked, needs, program, torch
 
 
 @needs(PROGRAM, "the program respire-bench is not there, so that no film can be made to read")
@@ -121,6 +122,23 @@ class Reading(unittest.TestCase):
             load("/nonexistent/film")
         with self.assertRaisesRegex(IndexError, "out of range"):
             self.film[9]
+
+    def test_a_forked_child_reads(self):
+        wanted = self.truth.depths_mm[3]
+
+        def read():
+            np.testing.assert_array_equal(self.truth.depths_mm[3], wanted)
+            np.testing.assert_array_equal(load(self.truth.folder).images[3], self.truth.images[3])
+            return len(self.truth.meshes[3].faces)
+
+        self.assertEqual(forked(read), len(self.truth.meshes[3].faces))
+
+    @needs(torch, "torch cannot be imported here, so that no DataLoader reads a film")
+    def test_a_dataloader_with_workers_reads(self):
+        self.truth.depths_mm[0]
+        how = {"num_workers": 2, "multiprocessing_context": multiprocessing.get_context("fork"), "timeout": 60}
+        loader = torch.utils.data.DataLoader(self.truth.depths_mm, batch_size=3, **how)
+        np.testing.assert_array_equal(torch.cat(list(loader)), self.truth.depths_mm)
 
 
 @needs(PROGRAM, "the program respire-bench is not there, so that no film can be made to read")

@@ -7,7 +7,7 @@ import numpy as np
 
 import respire_bench
 from respire_bench import Error, rasterize
-from support import scene
+from support import forked, scene
 
 NAMES = ("means", "quats", "scales", "opacities", "colors")
 
@@ -199,6 +199,32 @@ class Images(unittest.TestCase):
         np.testing.assert_array_equal(meta["backward"](by)["quats"][z <= 4.5], near_meta["backward"](by)["quats"])
         self.assertEqual(np.abs(meta["backward"](by)["colors"][z > 4.5]).max(), 0)
         self.assertFalse(meta["visible"][0, z > 4.5].any())
+
+    def test_a_forked_child_renders(self):
+        arguments = scene(3000, dtype=np.float32)
+        image, _, meta = rasterize(**arguments)
+
+        def both():
+            image, _, meta = rasterize(**arguments)
+            return image, meta["backward"](np.ones_like(image))["means"]
+
+        def in_a_thread(compute):
+            found = []
+            thread = threading.Thread(target=lambda: found.append(compute()))
+            thread.start()
+            thread.join()
+            return found[0]
+
+        wanted = meta["backward"](np.ones_like(image))["means"]
+        in_a_thread(both)
+        # From the thread that forked, from another one, and from a fork of the fork; the same with a fork by a thread
+        # that is in no pool of the parent.
+        ways = (both, lambda: in_a_thread(both), lambda: (both(), forked(both, 30))[1])
+        for start in (lambda way: forked(way), lambda way: in_a_thread(lambda: forked(way))):
+            for way in ways:
+                found = start(way)
+                np.testing.assert_array_equal(found[0], image)
+                np.testing.assert_array_equal(found[1], wanted)
 
     def test_other_threads_get_the_same_bits(self):
         arguments = scene(300, dtype=np.float32)

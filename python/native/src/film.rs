@@ -10,6 +10,7 @@ use respire_bench::simulate::participant::{Given, Participant};
 use respire_bench::simulate::sequence::{Sequence, held_out};
 
 use crate::failure::{OrRaise, refused};
+use crate::threads;
 
 /// An opened folder.
 enum Opened {
@@ -90,7 +91,7 @@ impl Film {
 
 /// Reads without holding the interpreter.
 fn read<T: Send>(py: Python<'_>, read: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
-    py.detach(read).or_raise()
+    threads::run(py, || read().or_raise())
 }
 
 #[pymethods]

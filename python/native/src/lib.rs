@@ -7,7 +7,7 @@
 //! | `predict` | a prediction's folder |
 //! | `rasterize` | the splat core behind `rasterize` |
 //! | `table` | gradients as Python holds them |
-//! | `threads` | the interpreter's thread as one of those that render |
+//! | `threads` | on which threads a call computes, and in a forked child |
 //! | `failure` | errors of the library as Python exceptions |
 
 pub mod failure;

@@ -10,6 +10,7 @@ use respire_bench::base::{Error as LibraryError, Image, Result, Staging, Triangl
 use respire_bench::reconstruct::{PredictionFolder as Folder, PredictionTiming};
 
 use crate::failure::{OrRaise, refused};
+use crate::threads;
 
 /// A prediction on its way to its folder. Dropped before `finish`, it leaves nothing behind.
 #[pyclass]
@@ -64,22 +65,22 @@ impl PredictionFolder {
     /// Writes a picture of `kind` `color`, `ahead` or `novel`.
     fn picture(&self, py: Python<'_>, kind: &str, frame: usize, image: PyReadonlyArray3<'_, u8>) -> PyResult<()> {
         let (folder, image) = (self.folder()?, picture(&image)?);
-        py.detach(|| match kind {
+        let write = || match kind {
             "color" => folder.color(frame, &image),
             "ahead" => folder.ahead(frame, &image),
             _ => folder.novel(frame, &image),
-        })
-        .or_raise()
+        };
+        threads::run(py, || write().or_raise())
     }
 
     /// Writes a depth of `kind` `depth` or `novel_depth`.
     fn depth(&self, py: Python<'_>, kind: &str, frame: usize, depth: PyReadonlyArray2<'_, f32>) -> PyResult<()> {
         let (folder, depth) = (self.folder()?, plane(&depth)?);
-        py.detach(|| match kind {
+        let write = || match kind {
             "depth" => folder.depth_mm(frame, &depth),
             _ => folder.novel_depth_mm(frame, &depth),
-        })
-        .or_raise()
+        };
+        threads::run(py, || write().or_raise())
     }
 
     #[pyo3(signature = (frame, phase, deviation=None))]

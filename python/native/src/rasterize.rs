@@ -561,7 +561,7 @@ type Rendering<'py> = (Pass, Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, Py
 fn forward_in<'py, T: Float>(py: Python<'py>, arrays: &Gathered<'py>, plan: Plan) -> PyResult<Rendering<'py>> {
     let arrays = Arrays::<T>::take(arrays)?;
     let slices = arrays.slices()?;
-    let (pass, image, alpha, visible, entries) = py.detach(|| forward_of(&slices, plan))?;
+    let (pass, image, alpha, visible, entries) = threads::run(py, || forward_of(&slices, plan))?;
     let (image, alpha) = (PyArray1::from_vec(py, image).into_any(), PyArray1::from_vec(py, alpha).into_any());
     Ok((T::pass(pass), image, alpha, PyArray1::from_vec(py, visible), entries))
 }
@@ -590,7 +590,7 @@ fn backward_in<'py, T: Float>(
     let (by_image, by_alpha) = (by_image.map(gradient).transpose()?, by_alpha.map(gradient).transpose()?);
     let by_image = by_image.as_ref().map_or(Ok(&[][..]), |array| slice("the gradient of the image", array))?;
     let by_alpha = by_alpha.as_ref().map_or(Ok(&[][..]), |array| slice("the gradient of alpha", array))?;
-    let found = py.detach(|| backward_of(pass, &slices, by_image, by_alpha, wanted))?;
+    let found = threads::run(py, || backward_of(pass, &slices, by_image, by_alpha, wanted))?;
     let all = PyDict::new(py);
     for (name, is_wanted, values) in [
         ("means", wanted.means, found.means),
@@ -652,7 +652,7 @@ pub fn time_core<'py>(
     let (slices, by_image) = (arrays.slices()?, slice("the gradient of the image", &by_image)?);
     let view = plan.view()?;
     static RASTERIZER: Mutex<Option<Rasterizer<f32>>> = Mutex::new(None);
-    py.detach(|| {
+    threads::run(py, || {
         let mut kept = RASTERIZER.lock().unwrap_or_else(PoisonError::into_inner);
         let rasterizer = kept.get_or_insert_default();
         let scene = gaussians(&slices, &[], &plan);
