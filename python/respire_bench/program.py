@@ -19,8 +19,12 @@ class ProgramFailed(RuntimeError):
     """The program stopped with an error: its sentence, and its exit code in `exit_code`."""
 
     def __init__(self, sentence, exit_code):
-        super().__init__(sentence)
+        # Both, since that is what another process makes it anew from.
+        super().__init__(sentence, exit_code)
         self.exit_code = exit_code
+
+    def __str__(self):
+        return str(self.args[0])
 
 
 def _program():
@@ -32,39 +36,60 @@ def _program():
 
 
 def _folder(of):
-    return os.fspath(getattr(of, "folder", of))
+    """A film or a path, as an argument that is no option."""
+    path = os.fspath(getattr(of, "folder", of))
+    return os.path.join(".", path) if path.startswith("-") else path
 
 
-def _run(*arguments):
-    done = subprocess.run([_program(), *map(str, arguments)], capture_output=True, text=True)
+def _sentence(said):
+    """The last error of a program, in one line; else its last line."""
+    lines = [line.strip() for line in said.splitlines()]
+    starts = [number for number, line in enumerate(lines) if line.startswith("error: ")]
+    if not starts:
+        return next((line for line in reversed(lines) if line), "")
+    end = lines.index("", starts[-1]) if "" in lines[starts[-1] :] else len(lines)
+    return " ".join(lines[starts[-1] : end]).removeprefix("error: ")
+
+
+def _run(command, *arguments, **options):
+    """What the program prints. An option that is `None` is left out."""
+    named = [f"--{name}={value}" for name, value in options.items() if value is not None]
+    done = subprocess.run([_program(), command, *arguments, *named], capture_output=True, text=True)
     if done.returncode:
-        lines = done.stderr.strip().splitlines() or [f"respire-bench {arguments[0]} failed without a word"]
-        raise ProgramFailed(lines[-1], done.returncode)
+        sentence = _sentence(done.stderr) or f"respire-bench {command} failed without a word"
+        raise ProgramFailed(sentence, done.returncode)
     return done.stdout
 
 
-def evaluate(truth, predictions, *, method=None, out=None):
+def evaluate(truth, predictions, *, method=None, out=None, threads=None):
     """Scores a folder of predictions against a film with its truth: `respire-bench evaluate`.
 
     truth        the film (a `Film` or its folder); of a blind comparison, its `truth`
     predictions  the folder of predictions
     method       name of the method in tables; by default the one in `prediction.json`
     out          folder for the whole report: CSV, Markdown, LaTeX, HTML, plots
+    threads      how many; by default one per core
 
     Returns `(scores, row)`. `scores` is a dict by metric: `value` (`None` where there is none), `status`, `interval`,
     `deviation`, `count`, `detail` (docs/metrics.md). `row` is flat: `case`, `method`, `frames`, then the value of each
     metric. Raises `ProgramMissing`, with the cure, or `ProgramFailed`, with the program's sentence.
     """
-    arguments = ["evaluate", "--sequence", _folder(truth), "--predictions", os.fspath(predictions), "--json"]
-    arguments += ["--method", method] if method is not None else []
-    arguments += ["--out", os.fspath(out)] if out is not None else []
-    found = json.loads(_run(*arguments))
+    said = _run(
+        "evaluate",
+        "--json",
+        sequence=_folder(truth),
+        predictions=_folder(predictions),
+        method=method,
+        out=None if out is None else _folder(out),
+        threads=threads,
+    )
+    found = json.loads(said)
     scores = {score.pop("metric"): score for score in found["metrics"]}
     row = {"case": found["case_id"], "method": found["method"], "frames": found["frames"]}
     return scores, row | {metric: score["value"] for metric, score in scores.items()}
 
 
-def export(sequence, format, out, *, truth=False, scale=None, axes=None):
+def export(sequence, format, out, *, truth=False, scale=None, axes=None, threads=None):
     """Writes a film in the layout of another program: `respire-bench export`.
 
     format  `colmap`, `nerfstudio`, `endonerf`, `c3vd`, `tum` or `glb`
@@ -72,12 +97,11 @@ def export(sequence, format, out, *, truth=False, scale=None, axes=None):
     truth   also what no method may see
     scale   units of lengths in a millimetre, instead of the layout's own
     axes    of `endonerf`: `opengl` (EndoNeRF, Deform3DGS; the default) or `opencv` (EndoGaussian)
+    threads how many; by default one per core
 
     Returns `out`. Raises as `evaluate`.
     """
-    arguments = ["export", _folder(sequence), "--format", format, "--out", os.fspath(out)]
-    arguments += ["--truth"] if truth else []
-    arguments += ["--scale", scale] if scale is not None else []
-    arguments += ["--axes", axes] if axes is not None else []
-    _run(*arguments)
+    flags = ["--truth"] if truth else []
+    options = {"format": format, "out": _folder(out), "scale": scale, "axes": axes, "threads": threads}
+    _run("export", _folder(sequence), *flags, **options)
     return os.fspath(out)

@@ -14,6 +14,7 @@ def evaluate(
     *,
     method: str | None = None,
     out: str | PathLike[str] | None = None,
+    threads: int | None = None,
 ) -> tuple[dict[str, dict[str, Any]], dict[str, str | int | float | None]]: ...
 def export(
     sequence: Film | str | PathLike[str],
@@ -23,4 +24,5 @@ def export(
     truth: bool = False,
     scale: float | None = None,
     axes: Literal["opengl", "opencv"] | None = None,
+    threads: int | None = None,
 ) -> str: ...

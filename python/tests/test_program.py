@@ -1,7 +1,9 @@
 """`evaluate` and `export`, through the real program."""
 
 import os
+import pickle
 import subprocess
+import sys
 import tempfile
 import unittest
 from unittest import mock
@@ -27,6 +29,58 @@ class Missing(unittest.TestCase):
                 export("film", "tum", "out")
 
 
+class Said(unittest.TestCase):
+    """What a program that is none of ours says, and is told."""
+
+    def run_script(self, lines, call):
+        with tempfile.TemporaryDirectory() as place:
+            script = os.path.join(place, "program")
+            with open(script, "w") as file:
+                file.write("\n".join([f"#!{sys.executable}", "import sys", *lines]))
+            os.chmod(script, 0o755)
+            with mock.patch.dict(os.environ, {"RESPIRE_BENCH": script}):
+                return call()
+
+    def failed(self, said):
+        with self.assertRaises(ProgramFailed) as caught:
+            self.run_script([f"sys.stderr.write({said!r})", "sys.exit(3)"], lambda: evaluate("film", "answer"))
+        return caught.exception
+
+    def test_the_sentence_is_the_last_error(self):
+        for said, sentence in (
+            ("note\nerror: a\n\nerror: no 'x'\n  [possible: y, z]\n\nUsage: u\n\nmore\n", "no 'x' [possible: y, z]"),
+            ("error: the film is\ndamaged", "the film is damaged"),
+            ("Killed: 9\n\n", "Killed: 9"),
+            ("", "respire-bench evaluate failed without a word"),
+        ):
+            self.assertEqual(str(self.failed(said)), sentence)
+
+    def test_a_failure_goes_to_another_process(self):
+        failed = self.failed("error: nothing is there")
+        copy = pickle.loads(pickle.dumps(failed))
+        self.assertEqual((str(copy), copy.exit_code, copy.args), ("nothing is there", 3, failed.args))
+
+    def test_values_that_look_like_options_are_none(self):
+        lines = ["sys.stderr.write('error: ' + '|'.join(sys.argv[1:]))", "sys.exit(1)"]
+        for call, wanted in (
+            (
+                lambda: evaluate("-film", "answer", method="-x", out="-o", threads=2),
+                "evaluate|--json|--sequence=./-film|--predictions=answer|--method=-x|--out=./-o|--threads=2",
+            ),
+            (
+                lambda: export("-f", "tum", "o", scale=-1.0, threads=0),
+                "export|./-f|--format=tum|--out=o|--scale=-1.0|--threads=0",
+            ),
+            (
+                lambda: export("f", "endonerf", "o", truth=True, axes="opencv"),
+                "export|f|--truth|--format=endonerf|--out=o|--axes=opencv",
+            ),
+        ):
+            with self.assertRaises(ProgramFailed) as caught:
+                self.run_script(lines, call)
+            self.assertEqual(str(caught.exception), wanted)
+
+
 @needs(PROGRAM, "the program respire-bench is not there, so that nothing is scored")
 class Scoring(unittest.TestCase):
     def test_a_prediction_becomes_a_dict_and_a_row(self):
@@ -44,7 +98,7 @@ class Scoring(unittest.TestCase):
             self.assertEqual(scores["psnr_db"]["status"], "ok")
             self.assertIsNone(row["phase_mae"])
             self.assertEqual(scores["phase_mae"]["status"], "not_applicable")
-            self.assertEqual(evaluate(film.folder, answer, method="other")[1]["method"], "other")
+            self.assertEqual(evaluate(film.folder, answer, method="-other", threads=1)[1]["method"], "-other")
             with self.assertRaises(ProgramFailed) as caught:
                 evaluate(film, os.path.join(place, "nothing"))
             self.assertEqual(caught.exception.exit_code, 4)
@@ -57,7 +111,7 @@ class Exporting(unittest.TestCase):
         with tempfile.TemporaryDirectory() as place:
             out = export(load(os.path.join(films(), "truth")), "tum", os.path.join(place, "tum"))
             self.assertTrue(any(len(files) for _, _, files in os.walk(out)))
-            with self.assertRaises(ProgramFailed):
+            with self.assertRaisesRegex(ProgramFailed, "^invalid value 'no-such-layout'.*colmap"):
                 export(films(), "no-such-layout", os.path.join(place, "no"))
 
     def test_axes_are_those_that_are_asked_for(self):
