@@ -20,6 +20,7 @@ def write_prediction(
     phase_sd: _PerFrame | None = None,
     poses: _PerFrame | None = None,
     targets_mm: _PerFrame | None = None,
+    target_covariance_mm2: _PerFrame | None = None,
     mesh: Mesh | tuple[ArrayLike, ArrayLike] | None = None,
     method: str | None = None,
     time_total_s: float | None = None,

@@ -3,12 +3,13 @@
 import json
 import multiprocessing
 import os
+import shutil
 import tempfile
 import unittest
 
 import numpy as np
 
-from respire_bench import Error, load, write_prediction
+from respire_bench import Error, ProgramFailed, evaluate, load, write_prediction
 from support import PROGRAM, films, forked, needs, program, torch
 
 
@@ -209,6 +210,7 @@ class Writing(unittest.TestCase):
             phase_sd=np.full(9, 0.1),
             poses=film.poses,
             targets_mm=np.stack([film.targets_mm] * 9),
+            target_covariance_mm2=np.tile([[4, 1, 0], [1, 2, -0.5], [0, -0.5, 3]], (9, len(film.targets_mm), 1, 1)),
             mesh=film.inspiration,
             method="random",
             time_total_s=2.5,
@@ -224,6 +226,14 @@ class Writing(unittest.TestCase):
         self.assertEqual((said["timing.json"]["time_total_s"], said["timing.json"]["time_cpu_s"]), (2.5, 3.5))
         rows = np.loadtxt(os.path.join(self.folder, "phase.csv"), delimiter=",", skiprows=1)
         np.testing.assert_allclose(rows[:, 1], np.linspace(0, 1, 9), atol=1e-9)
+        rows = np.loadtxt(os.path.join(self.folder, "target_covariance.csv"), delimiter=",", skiprows=1)
+        np.testing.assert_array_equal(rows[0], [0, 0, 4, 1, 0, 2, -0.5, 3])
+
+    def test_a_dict_in_any_order(self):
+        images = np.zeros((9, 48, 48, 3), np.uint8)
+        poses = {i: self.film.poses[i] for i in reversed(range(9))}
+        write_prediction(self.folder, self.film, dict(enumerate(images)), poses=poses)
+        program("check", self.folder, "--sequence", self.film.folder)
 
     def test_pictures_alone_are_enough(self):
         write_prediction(self.folder, self.film, np.zeros((9, 48, 48, 3), np.uint8))
@@ -239,6 +249,7 @@ class Writing(unittest.TestCase):
         else:
             self.fail(f"nothing was refused: {word}")
         self.assertRegex(str(kept), f"^{word}")
+        self.assertNotIn("\n", str(kept))
         self.assertFalse(os.path.exists(self.folder))
         self.assertEqual(os.listdir(self.place), [])
 
@@ -249,14 +260,61 @@ class Writing(unittest.TestCase):
         self.refused("color, frame 0: wanted 8-bit", np.zeros((9, 48, 48, 3), np.int64))
         self.refused("depth_mm, frame 0", depth_mm=np.zeros((9, 4, 4)))
         self.refused("ahead: wanted the frames", ahead={6: np.zeros((48, 48, 3))})
+        self.refused("ahead: wanted the frames", ahead={6: np.zeros((48, 48, 3)), "7": None})
+        self.refused("color: is None", None)
+        self.refused("color: wanted a value for each of 9 frames, not 3", 3)
+        self.refused("color, frame 0: has 255; floats are in 0..1", np.full((9, 48, 48, 3), 255.0))
         self.refused("phase, frame 2", phase=[0, 0, np.nan, 0, 0, 0, 0, 0, 0])
+        self.refused(r"phase, frame 0: has shape \(1,\)", phase=np.zeros((9, 1)))
+        self.refused("phase, frame 0: wanted numbers, not None", phase=[None] * 9)
+        self.refused("phase, frame 0: is no array", phase=[[1, [2]]] * 9)
+        self.refused("phase_sd: wanted a value for each", phase=np.ones(9), phase_sd=0.1)
         self.refused("phase_sd", phase_sd=np.ones(9))
         self.refused("phase, frame 0", phase=np.ones(9), phase_sd=np.zeros(9))
-        self.refused("frame 0: the pose", poses=np.zeros((9, 4, 4)))
+        self.refused("poses, frame 0: has another last row", poses=np.zeros((9, 4, 4)))
+        far = self.film.poses.copy()
+        far[2, 0, 3] = 20000
+        self.refused("poses, frame 2: lies too far away", poses=far)
         self.refused("targets_mm, frame 0", targets_mm=np.zeros((9, 1, 3)))
+        places = np.stack([self.film.targets_mm] * 9)
+        for wrong in (20000, np.nan):
+            far = places.copy()
+            far[3, 1, 2] = wrong
+            self.refused("targets_mm, frame 3: point 1: .* must lie in -10000 to 10000", targets_mm=far)
+        spread = np.tile(np.eye(3), (9, places.shape[1], 1, 1))
+        self.refused("target_covariance_mm2: is given without targets_mm", target_covariance_mm2=spread)
+        for k, wrong in (((0, 0), -1), ((0, 1), 0.5), ((2, 2), 1e-10), ((1, 1), 1e9), ((1, 1), np.nan)):
+            bad = spread.copy()
+            bad[(4, 1, *k)] = wrong
+            word = "target_covariance_mm2, frame 4: that of target 1"
+            self.refused(word, targets_mm=places, target_covariance_mm2=bad)
+        self.refused("mesh: point 2: 20000", mesh=(np.diag([0, 0, 20000.0]), [[0, 1, 2]]))
+        self.refused("mesh: face 0: names one vertex twice", mesh=(np.eye(3), [[0, 1, 1]]))
+        self.refused("mesh: faces are numbers of vertices", mesh=(np.eye(3), [[0, 1, 1.5]]))
+        self.refused("mesh: wanted a pair", mesh=self.film.inspiration.vertices)
         self.refused("mesh: a face names", mesh=(np.zeros((3, 3)), np.array([[0, 1, 3]])))
         self.refused("time_total_s", time_total_s=0)
+        self.refused("time_total_s: wanted numbers, not <U1", time_total_s="1")
         self.refused("time_cpu_s", time_cpu_s=1)
+
+    def test_names_that_evaluate_refuses_are_refused(self):
+        for name in ("", " ", "two\nlines", "x" * 61, "Ours", "static CT", "ours_gn"):
+            self.refused("method: ", method=name)
+            write_prediction(self.folder, self.film, np.zeros((9, 48, 48, 3), np.uint8), method="free")
+            with open(os.path.join(self.folder, "prediction.json"), "w") as file:
+                json.dump({"method": name}, file)
+            with self.assertRaises(ProgramFailed):
+                evaluate(os.path.join(films(), "truth"), self.folder)
+            shutil.rmtree(self.folder)
+        self.refused("method: wanted a name, not 3", method=3)
+
+    @needs(torch, "torch cannot be imported here, so that no tensor is written")
+    def test_tensors(self):
+        image = torch.rand(9, 48, 48, 3)
+        write_prediction(self.folder, self.film, image, phase=torch.linspace(0, 1, 9))
+        shutil.rmtree(self.folder)
+        word = "color, frame 0: is no array: Can't call numpy.. on Tensor that requires grad"
+        self.refused(word, image.requires_grad_())
 
     def test_nothing_is_overwritten(self):
         os.mkdir(self.folder)

@@ -1,21 +1,24 @@
 //! A prediction's folder: written apart, and moved to its place once it is whole.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use respire_bench::base::range::COORDINATE;
-use respire_bench::base::{Error as LibraryError, Image, Result, Staging, TriangleMesh, pose};
+use respire_bench::base::range::{COORDINATE_MM, NumberRange};
+use respire_bench::base::{Error as LibraryError, Image, Result, Staging, TriangleMesh, files, pose, shipped};
 use respire_bench::reconstruct::{PredictionFolder as Folder, PredictionTiming};
 
 use crate::failure::{OrRaise, refused};
 use crate::threads;
 
+/// Most characters of a method's name, as in `respire_bench::report`.
+const LONGEST_NAME: usize = 60;
+
 /// A prediction on its way to its folder. Dropped before `finish`, it leaves nothing behind.
 #[pyclass]
 pub struct PredictionFolder {
-    target: PathBuf,
+    method: Option<String>,
     writing: Option<(Staging, Folder)>,
 }
 
@@ -43,15 +46,39 @@ fn plane(depth: &PyReadonlyArray2<'_, f32>) -> PyResult<Image<f32>> {
     Ok(Image { width, height, channels: 1, data: depth.as_slice()?.to_vec() })
 }
 
-fn points(values: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<DVec3>> {
-    Ok(values.as_slice()?.as_chunks::<3>().0.iter().map(|p| DVec3::from_array(*p)).collect())
+/// Places in mm; the error names one that no prediction may have.
+fn points(name: &str, values: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<DVec3>> {
+    let point = |(i, place): (usize, &[f64; 3])| {
+        let within = place.iter().try_for_each(|v| COORDINATE_MM.check(*v));
+        within.map_err(|e| refused(format!("{name}: point {i}: {e}")))?;
+        Ok(DVec3::from_array(*place))
+    };
+    values.as_slice()?.as_chunks::<3>().0.iter().enumerate().map(point).collect()
+}
+
+/// Refuses a name that tables cannot show, or that is the id of a method of the program, whatever its case and
+/// punctuation.
+fn check_method(name: &str) -> PyResult<()> {
+    let is_blank = name.chars().all(char::is_whitespace);
+    if is_blank || name.chars().count() > LONGEST_NAME || name.chars().any(char::is_control) {
+        return Err(refused(format!("method: a name has 1 to {LONGEST_NAME} printable characters, {name:?} has not")));
+    }
+    let letters =
+        |text: &str| -> String { text.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect() };
+    let own = files::toml_stems(&Path::new(shipped::ROOT).join("methods")).or_raise()?;
+    match own.iter().find(|id| letters(id) == letters(name)) {
+        Some(id) => Err(refused(format!("method: `{name}` is reserved for the program's own `{id}`"))),
+        None => Ok(()),
+    }
 }
 
 #[pymethods]
 impl PredictionFolder {
     /// `target` must be empty or not there.
     #[new]
-    fn new(target: PathBuf) -> PyResult<Self> {
+    #[pyo3(signature = (target, method=None))]
+    fn new(target: PathBuf, method: Option<String>) -> PyResult<Self> {
+        method.as_deref().map_or(Ok(()), check_method)?;
         let fail = |e| LibraryError::io("reading", &target, e);
         let is_taken = target.exists() && target.read_dir().map_err(fail).or_raise()?.next().is_some();
         if is_taken {
@@ -59,7 +86,7 @@ impl PredictionFolder {
         }
         let staging = Staging::new(&target).or_raise()?;
         let folder = Folder::new(&staging.path(""));
-        Ok(PredictionFolder { target, writing: Some((staging, folder)) })
+        Ok(PredictionFolder { method, writing: Some((staging, folder)) })
     }
 
     /// Writes a picture of `kind` `color`, `ahead` or `novel`.
@@ -91,14 +118,22 @@ impl PredictionFolder {
 
     /// A pose as a 4x4 matrix.
     fn pose(&mut self, frame: usize, world_from_camera: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
-        let pose = rigid(world_from_camera.as_slice()?).ok_or_else(|| refused(format!("frame {frame}: {RIGID}")))?;
+        let pose = rigid(&format!("poses, frame {frame}"), world_from_camera.as_slice()?, COORDINATE_MM)?;
         self.folder_mut()?.add_pose(frame, pose);
         Ok(())
     }
 
     fn targets(&mut self, frame: usize, places_mm: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
-        let places = points(&places_mm)?;
+        let places = points(&format!("targets_mm, frame {frame}"), &places_mm)?;
         self.folder_mut()?.add_targets(frame, &places);
+        Ok(())
+    }
+
+    /// Covariances of the targets' places, nine numbers each.
+    fn target_covariances(&mut self, frame: usize, covariances_mm2: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
+        let matrices: Vec<DMat3> =
+            covariances_mm2.as_slice()?.as_chunks::<9>().0.iter().map(DMat3::from_cols_array).collect();
+        self.folder_mut()?.add_target_covariances(frame, &matrices);
         Ok(())
     }
 
@@ -108,11 +143,10 @@ impl PredictionFolder {
     }
 
     /// Writes the rest and moves all of it to its place.
-    #[pyo3(signature = (frames, method=None, vertices=None, faces=None, time_total_s=None, time_cpu_s=None))]
+    #[pyo3(signature = (frames, vertices=None, faces=None, time_total_s=None, time_cpu_s=None))]
     fn finish(
         &mut self,
         frames: usize,
-        method: Option<&str>,
         vertices: Option<PyReadonlyArray2<'_, f64>>,
         faces: Option<PyReadonlyArray1<'_, u32>>,
         time_total_s: Option<f64>,
@@ -121,8 +155,8 @@ impl PredictionFolder {
         let surface = match (vertices, faces) {
             (Some(vertices), Some(faces)) => {
                 let faces = faces.as_slice()?.as_chunks::<3>().0.to_vec();
-                let surface = TriangleMesh { vertices: points(&vertices)?, faces };
-                surface.validate().map_err(|e| e.at(self.target.join("mesh/final.ply"))).or_raise()?;
+                let surface = TriangleMesh { vertices: points("mesh", &vertices)?, faces };
+                surface.validate().map_err(|e| refused(format!("mesh: {e}")))?;
                 Some(surface)
             }
             _ => None,
@@ -135,7 +169,7 @@ impl PredictionFolder {
         });
         let (staging, folder) = self.writing.take().ok_or_else(closed)?;
         let write = || -> Result<()> {
-            if let Some(method) = method {
+            if let Some(method) = &self.method {
                 folder.write_about(method)?;
             }
             folder.finish(surface.as_ref(), timing.as_ref())?;
@@ -150,12 +184,8 @@ impl PredictionFolder {
     }
 }
 
-/// What a matrix must be.
-pub const RIGID: &str = "the pose is no rigid motion (a 4x4 matrix with a rotation, and 0 0 0 1 below)";
-
-/// The rigid motion in the 16 numbers of a 4x4 matrix, row by row; `None` for anything else. Its unit is not known
-/// here.
-pub fn rigid(matrix: &[f64]) -> Option<DAffine3> {
-    let rows: [[f64; 4]; 4] = matrix.as_chunks::<4>().0.try_into().ok().filter(|_| matrix.len() == 16)?;
-    pose::from_rows(&rows, COORDINATE).ok()
+/// The rigid motion in the 16 numbers of a 4x4 matrix, row by row, with its place in `places`; an error names `name`.
+pub fn rigid(name: &str, matrix: &[f64], places: NumberRange) -> PyResult<DAffine3> {
+    let rows = matrix.as_chunks::<4>().0.try_into().map_err(|_| refused(format!("{name}: is no 4x4 matrix")))?;
+    pose::from_rows(rows, places).map_err(|e| refused(format!("{name}: {e}")))
 }

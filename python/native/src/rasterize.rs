@@ -13,13 +13,14 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use respire_bench::base::Camera;
 use respire_bench::base::estimate::demand_memory;
+use respire_bench::base::range::COORDINATE;
 use respire_bench::splat::{
     DepthOutput, Filter, GaussianSlices, Gradients, ImageGradient, Rasterizer, Real, Rendered, Settings, ShapeSlices,
     SplatKernels, View, Wanted,
 };
 
 use crate::failure::{OrRaise, refused};
-use crate::predict::{RIGID, rigid};
+use crate::predict::rigid;
 use crate::table::{Memory, Pool, Table, TableOf};
 use crate::threads;
 
@@ -199,8 +200,7 @@ impl Plan {
     }
 
     fn view(&self) -> PyResult<View> {
-        let camera_from_world =
-            rigid(self.viewmat.as_flattened()).ok_or_else(|| refused(format!("viewmats: {RIGID}")))?;
+        let camera_from_world = rigid("viewmats", self.viewmat.as_flattened(), COORDINATE)?;
         let [fl_x, fl_y, cx, cy] = self.intrinsics;
         let camera = Camera { width: self.width, height: self.height, fl_x, fl_y, cx, cy, fisheye: self.fisheye };
         camera.validate().map_err(|e| e.element("Ks")).or_raise()?;
