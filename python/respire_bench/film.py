@@ -27,20 +27,49 @@ class Frame(NamedTuple):
     """(4, 4), world from camera, mm."""
 
 
+_READS = {
+    "images": ("image", (3,), np.uint8),
+    "depths_mm": ("depth_mm", (), np.float32),
+    "novel_images": ("novel_image", (3,), np.uint8),
+    "novel_depths_mm": ("novel_depth_mm", (), np.float32),
+}
+"""What a `Lazy` reads: the native method, the shape of a pixel, the type."""
+
+
 class Lazy:
     """Arrays of one shape, read from disk one by one: `a[3]`, `a[2:9]`, `for x in a`, `numpy.asarray(a)`."""
 
-    def __init__(self, read, indices, shape, dtype):
-        self._read, self._indices = read, range(indices) if isinstance(indices, int) else indices
-        self.shape, self.dtype = (len(self._indices), *shape), np.dtype(dtype)
+    def __init__(self, film, name, indices):
+        self._film, self._name, self._indices = film, name, indices
+        _, pixel, dtype = _READS[name]
+        self.shape, self.dtype = (len(indices), film.height, film.width, *pixel), np.dtype(dtype)
+
+    @property
+    def ndim(self):
+        """Number of dimensions."""
+        return len(self.shape)
+
+    def _read(self, index):
+        return getattr(self._film._film, _READS[self._name][0])(index)
 
     def __len__(self):
         return len(self._indices)
 
     def __getitem__(self, key):
         if isinstance(key, slice):
-            return np.asarray(Lazy(self._read, self._indices[key], self.shape[1:], self.dtype))
-        return self._read(self._indices[key])
+            return np.asarray(Lazy(self._film, self._name, self._indices[key]))
+        try:
+            index = self._indices[key]
+        except IndexError:
+            raise IndexError(f"{self._name}[{key}]: {self._held()}") from None
+        return self._read(index)
+
+    def _held(self):
+        if self._name.startswith("novel"):
+            return f"the frames with a second camera are {list(self._film.novel_frames)}"
+        if self._name == "depths_mm" and not self._film.truth:
+            return "a method sees the depth of frame 0; load(.., truth=True) opens the others"
+        return f"the film has {len(self._film)} frames"
 
     def __iter__(self):
         return (self._read(index) for index in self._indices)
@@ -61,7 +90,7 @@ def _matrix_of(intrinsics):
 
 
 class Film:
-    """A film. Its length is its number of frames, `film[i]` a `Frame`.
+    """A film. Its length is its number of frames, `film[i]` a `Frame`, `film[2:9]` a list of them.
 
     Without truth it holds what a method may see and nothing else, whether the folder is a whole film or what
     participants of a blind comparison get. Every file is compared with the hash in the film's manifest first.
@@ -77,25 +106,37 @@ class Film:
         return self._film.frames
 
     def __getitem__(self, index):
-        index = range(len(self))[index]
+        if isinstance(index, slice):
+            return [self[i] for i in range(len(self))[index]]
+        index = self._frame(index)
         return Frame(index, self._film.image(index), float(self.times_s[index]), self.poses[index])
+
+    def __iter__(self):
+        return (self[index] for index in range(len(self)))
+
+    def __reduce__(self):
+        return type(self), (self.folder, self.truth)
+
+    def _frame(self, index):
+        """The number of a frame, which may be counted from the end."""
+        try:
+            return range(len(self))[index]
+        except IndexError:
+            raise IndexError(f"frame {index} of a film of {len(self)} frames") from None
 
     def __repr__(self):
         seen = "with its truth" if self.truth else "as a method sees it"
         return f"<Film {self.folder}: {len(self)} frames of {self.width}x{self.height}, {seen}>"
 
-    def _lazy(self, read, count, channels=None, dtype=np.uint8):
-        return Lazy(read, count, (self.height, self.width) + ((channels,) if channels else ()), dtype)
-
     @property
     def images(self):
         """Images of all frames: (height, width, 3), 8-bit sRGB."""
-        return self._lazy(self._film.image, len(self), 3)
+        return Lazy(self, "images", range(len(self)))
 
     @property
     def depths_mm(self):
         """z-depths in mm, 0 where nothing was hit: that of frame 0; with the truth those of all frames."""
-        return self._lazy(self._film.depth_mm, len(self) if self.truth else 1, dtype=np.float32)
+        return Lazy(self, "depths_mm", range(len(self) if self.truth else 1))
 
     @cached_property
     def poses(self):
@@ -220,17 +261,17 @@ class Film:
     @property
     def meshes(self):
         """Truth: the surface at each frame, as `Mesh`; of a film of the clinical track the last alone, `meshes[-1]`."""
-        return _Meshes(self._film)
+        return _Meshes(self)
 
     @property
     def novel_images(self):
         """Truth: what the second cameras saw, in the order of `novel_frames`."""
-        return Lazy(self._film.novel_image, self.novel_frames, (self.height, self.width, 3), np.uint8)
+        return Lazy(self, "novel_images", self.novel_frames)
 
     @property
     def novel_depths_mm(self):
         """Truth: their z-depths in mm."""
-        return Lazy(self._film.novel_depth_mm, self.novel_frames, (self.height, self.width), np.float32)
+        return Lazy(self, "novel_depths_mm", self.novel_frames)
 
 
 class _Meshes:
@@ -240,10 +281,13 @@ class _Meshes:
         self._film = film
 
     def __len__(self):
-        return self._film.frames
+        return len(self._film)
 
     def __getitem__(self, index):
-        return Mesh(*self._film.true_mesh(range(len(self))[index]))
+        return Mesh(*self._film._film.true_mesh(self._film._frame(index)))
+
+    def __iter__(self):
+        return (self[index] for index in range(len(self)))
 
 
 def load(sequence, truth=False):

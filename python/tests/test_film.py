@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import os
+import pickle
 import shutil
 import tempfile
 import unittest
@@ -88,7 +89,7 @@ class Reading(unittest.TestCase):
             for read in (lambda: film.meshes[0], lambda: film.novel_images[0], lambda: film.novel_depths_mm[0]):
                 with self.assertRaisesRegex(Error, "is truth"):
                     read()
-            with self.assertRaises(IndexError):
+            with self.assertRaisesRegex(IndexError, r"depths_mm\[1\].*truth=True\) opens the others"):
                 film.depths_mm[1]
             with self.assertRaisesRegex(Error, "is truth"):
                 film._film.depth_mm(1)
@@ -121,8 +122,32 @@ class Reading(unittest.TestCase):
                 load(folder)
         with self.assertRaisesRegex(Error, "there is no such folder"):
             load("/nonexistent/film")
-        with self.assertRaisesRegex(IndexError, "out of range"):
-            self.film[9]
+        for wrong, said in (
+            (lambda: self.film[9], "frame 9 of a film of 9 frames"),
+            (lambda: self.film.images[-10], r"images\[-10\]: the film has 9 frames"),
+            (lambda: self.truth.novel_images[1], r"novel_images\[1\]: the frames with a second camera are \[7\]"),
+            (lambda: self.truth.meshes[9], "frame 9 of a film of 9 frames"),
+        ):
+            with self.assertRaisesRegex(IndexError, said):
+                wrong()
+
+    def test_films_are_sequences(self):
+        film = self.truth
+        self.assertEqual([frame.index for frame in film[6:3:-1]], [6, 5, 4])
+        self.assertEqual(film[9:], [])
+        for frames in (film, film.meshes):
+            self.assertTrue(hasattr(type(frames), "__iter__"))
+        self.assertEqual(len(list(film.meshes)), 9)
+        self.assertEqual((film.images.ndim, film.depths_mm.ndim), (4, 3))
+
+    def test_films_go_to_other_processes(self):
+        copy = pickle.loads(pickle.dumps(self.truth))
+        self.assertEqual((copy.folder, copy.truth), (self.truth.folder, True))
+        np.testing.assert_array_equal(copy.phases, self.truth.phases)
+        for lazy in (self.truth.images, self.truth.depths_mm, self.truth.novel_images, self.truth.novel_depths_mm):
+            np.testing.assert_array_equal(pickle.loads(pickle.dumps(lazy)), lazy)
+        meshes = pickle.loads(pickle.dumps(self.truth.meshes))
+        np.testing.assert_array_equal(meshes[3].vertices, self.truth.meshes[3].vertices)
 
     def test_a_forked_child_reads(self):
         wanted = self.truth.depths_mm[3]
