@@ -9,7 +9,7 @@
 Millimetres, seconds, radians; camera axes as OpenCV (x right, y down, z forward).
 """
 
-from ._native import Error
+from ._native import Error, __version__
 from .film import Film, Frame, Lazy, Mesh, load
 from .prediction import write_prediction
 from .program import ProgramFailed, ProgramMissing, evaluate, export

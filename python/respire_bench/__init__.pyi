@@ -4,5 +4,7 @@ from .program import ProgramFailed as ProgramFailed, ProgramMissing as ProgramMi
 from .program import evaluate as evaluate, export as export
 from .splat import Meta as Meta, rasterize as rasterize
 
+__version__: str
+
 class Error(Exception):
     """What went wrong, in one sentence."""

@@ -7,6 +7,7 @@ use respire_bench_native::{failure, film, predict, rasterize};
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("Error", module.py().get_type::<failure::Error>())?;
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<film::Film>()?;
     module.add_class::<rasterize::Pass>()?;
     module.add_class::<predict::PredictionFolder>()?;
