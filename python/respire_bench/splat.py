@@ -2,6 +2,7 @@
 
 import functools
 import math
+import sys
 
 import numpy as np
 
@@ -11,8 +12,11 @@ MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
 """What the channels of the image may be: colours, accumulated or expected z-depth."""
 
 
+_LEAST_DEPTH = float(np.finfo(np.float32).tiny)
+
+
 class Meta(dict):
-    """What a call tells beside its images. Keys of gsplat that the core has not raise a `KeyError` that says so."""
+    """What a call tells beside its images. `meta[key]` of a key that gsplat alone has raises a `KeyError`."""
 
     def __missing__(self, key):
         raise KeyError(f"{key}: this core does not compute it; there are {', '.join(self)}")
@@ -34,6 +38,14 @@ def _shape(name, array, *wanted):
         shown = ", ".join("?" if w is None else str(w) for w in wanted)
         raise Error(f"{name}: has shape {found} instead of ({shown})")
     return found
+
+
+def _backgrounds(backgrounds, cameras, shown):
+    """Those of each camera, a list of `shown` values."""
+    _shape("backgrounds", backgrounds, cameras, shown)
+    values = backgrounds.tolist()
+    _refuse_unless(all(math.isfinite(value) for of in values for value in of), "backgrounds: is not finite")
+    return values
 
 
 class _Call:
@@ -67,8 +79,8 @@ class _Call:
             _refuse_unless(held >= wanted, "colors: {} coefficients, degree {} has {}", held, sh_degree, wanted)
             shown = 3 if color else 0
         further = 0 if features is None else _shape("features", features, n, None)[-1]
-        if backgrounds is not None:
-            _shape("backgrounds", backgrounds, cameras, shown)
+        # Nothing is behind a depth, as in gsplat.
+        behind = _backgrounds(backgrounds, cameras, shown) if color and backgrounds is not None else [None] * cameras
         if fisheye is not None:
             _shape("radial_coeffs", fisheye, cameras, 4)
         self.shape = (cameras, height, width, shown + further + depth)
@@ -76,17 +88,13 @@ class _Call:
             "width": width,
             "height": height,
             "sh_degree": sh_degree,
-            "color": color,
+            "colors": shown,
+            "features": further,
             "depth": {"D": 1, "ED": 2}.get(mode.removeprefix("RGB+"), 0),
         }
-        none = [None] * cameras
+        lenses = [None] * cameras if fisheye is None else fisheye.tolist()
         self.plans = []
-        for viewmat, K, background, k in zip(
-            viewmats.tolist(),
-            Ks.tolist(),
-            none if backgrounds is None else backgrounds.tolist(),
-            none if fisheye is None else fisheye.tolist(),
-        ):
+        for viewmat, K, background, k in zip(viewmats.tolist(), Ks.tolist(), behind, lenses):
             (fl_x, *skew_x, cx), (*skew_y, fl_y, cy), last = K
             _refuse_unless(
                 not any(skew_x + skew_y) and last == [0, 0, 1], "Ks: has a skew, or its last row is not 0 0 1"
@@ -164,7 +172,8 @@ def _rasterize_numpy(call, arrays, viewmats, Ks, backgrounds):
     done = _Pass(call, arrays)
     dtype = arrays["means"].dtype
     wanted = dict.fromkeys((name for name, array in arrays.items() if array is not None), True)
-    zeros = {name: arrays[name] for name in wanted} | {"backgrounds": np.zeros((call.shape[0], 0))}
+    behind = np.zeros((call.shape[0], 0)) if backgrounds is None else backgrounds
+    zeros = {name: arrays[name] for name in wanted} | {"backgrounds": behind}
     wanted |= {"features": "features" in wanted, "viewmats": True, "Ks": True}
 
     def backward(by_colors=None, by_alphas=None):
@@ -228,15 +237,16 @@ def rasterize(
     quats        (N, 4), `w x y z`, of any length but 0
     scales       (N, 3), standard deviations
     opacities    (N,), in 0..1
-    colors       (N, D) or (C, N, D), any D; with `sh_degree` SH coefficients, (N, K, 3) or (C, N, K, 3)
+    colors       (N, D) or (C, N, D), any D, finite; with `sh_degree` SH coefficients, (N, K, 3) or (C, N, K, 3)
     viewmats     (C, 4, 4), world to camera, rigid
     Ks           (C, 3, 3), pixels
     sh_degree    0 to 3, at most what K holds
-    backgrounds  (C, D)
+    near_plane   least z-depth of a centre, 0 or more; far_plane may be infinite
+    backgrounds  (C, D); ignored where no colours are shown
     render_mode  `RGB`, `D` (accumulated z-depth), `ED` (expected), `RGB+D`, `RGB+ED`
     rasterize_mode   `classic`, or `antialiased` (Mip-Splatting)
     camera_model     `pinhole`, or `fisheye` (OpenCV's, with `k1..k4` in `radial_coeffs` (C, 4); 0 without)
-    features     not gsplat's: (N, E), further channels of every Gaussian after the colours
+    features     not gsplat's: (N, E), finite: further channels of every Gaussian after the colours
 
     Returns `(render_colors, render_alphas, meta)`: (C, height, width, D + E + depth), (C, height, width, 1), and a
     `Meta`: `visible` (C, N), `tile_entries`. Gradients go to all arrays, also to `viewmats` (that part of the gradient
@@ -271,10 +281,15 @@ def rasterize(
     _refuse_unless(is_fisheye or radial_coeffs is None, "radial_coeffs: only a fisheye has them here")
     for name, value in (("width", width), ("height", height)):
         _refuse_unless(value == int(value) and 0 < value <= 16384, "{}: {} is not within 1 to 16384", name, value)
-    for name, value, least in (("near_plane", near_plane, 0), ("far_plane", far_plane, near_plane), ("eps2d", eps2d, -1e-300)):
-        _refuse_unless(math.isfinite(value) and value > least, "{}: {} is out of range", name, value)
+    for name, value, fits in (
+        ("near_plane", near_plane, 0 <= near_plane < math.inf),
+        ("far_plane", far_plane, far_plane > near_plane),
+        ("eps2d", eps2d, 0 <= eps2d < math.inf),
+    ):
+        _refuse_unless(fits, "{}: {} is out of range", name, value)
     plan = {
-        "near_plane": float(near_plane),
+        # The core wants a positive one.
+        "near_plane": max(float(near_plane), _LEAST_DEPTH),
         "far_plane": float(far_plane),
         "eps2d": float(eps2d),
         "antialiased": rasterize_mode == "antialiased",
@@ -287,7 +302,7 @@ def rasterize(
         "colors": colors,
         "features": features,
     }
-    prepared, render = _through(type(means).__module__.partition(".")[0])
+    prepared, render = _through(_is_tensor(means))
     arrays, viewmats, Ks, backgrounds, radial_coeffs = prepared(arrays, viewmats, Ks, backgrounds, radial_coeffs)
     if is_fisheye and radial_coeffs is None:
         radial_coeffs = np.zeros((viewmats.shape[0], 4))
@@ -297,10 +312,16 @@ def rasterize(
     return render(call, arrays, viewmats, Ks, backgrounds)
 
 
+def _is_tensor(array):
+    """Whether it is one of torch, which is not imported for that."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(array, getattr(torch, "Tensor", ()))
+
+
 @functools.cache
-def _through(package):
-    """What checks and what renders the arrays of a package."""
-    if package == "torch":
+def _through(is_tensor):
+    """What checks and what renders tensors, or arrays of numpy."""
+    if is_tensor:
         from ._torch import prepared, render
 
         return prepared, render

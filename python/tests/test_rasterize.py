@@ -1,5 +1,6 @@
 """`rasterize` on arrays of numpy."""
 
+import itertools
 import threading
 import unittest
 
@@ -75,6 +76,14 @@ class Gradients(unittest.TestCase):
     def test_depth_alone(self):
         for mode in ("D", "ED"):
             self.differences_agree(scene() | {"render_mode": mode}, NAMES[:4], 6)
+
+    def test_colors_far_below_zero(self):
+        # Too far to be lifted: all of them are further channels of the core.
+        for channels in (1, 3, 5):
+            arguments = scene(channels=channels) | {"features": random_like(np.zeros((30, 2)))}
+            arguments["colors"][:, 0] -= 5
+            arguments["backgrounds"] = np.linspace(-3, 1, channels)[None]
+            self.differences_agree(arguments, (*NAMES, "features", "backgrounds"), 6)
 
     def test_antialiased(self):
         self.differences_agree(scene() | {"rasterize_mode": "antialiased", "eps2d": 0.5})
@@ -200,6 +209,85 @@ class Images(unittest.TestCase):
         self.assertEqual(np.abs(meta["backward"](by)["colors"][z > 4.5]).max(), 0)
         self.assertFalse(meta["visible"][0, z > 4.5].any())
 
+    def test_no_gaussian(self):
+        kinds = ((None, 3, None), (None, 1, 2), (None, 5, 2), (9, 3, None), (9, 3, 2))
+        for mode in ("RGB", "D", "ED", "RGB+D", "RGB+ED"):
+            for coefficients, channels, features in kinds:
+                arguments = scene(0, coefficients=coefficients, channels=channels)
+                arguments |= {"render_mode": mode, "far_plane": 5.0}
+                color = channels if "RGB" in mode else 0
+                behind = np.linspace(0.2, 1, channels)
+                arguments |= {"backgrounds": behind[None], "sh_degree": coefficients and 2}
+                arguments["features"] = features and np.zeros((0, features))
+                image, alpha, meta = rasterize(**arguments)
+                wanted = np.zeros((1, 32, 40, color + (features or 0) + (mode != "RGB")))
+                wanted[..., :color] = behind[:color]
+                np.testing.assert_array_equal(image, wanted)
+                np.testing.assert_array_equal(alpha, 0)
+                self.assertEqual(meta["visible"].shape, (1, 0))
+                gradients = meta["backward"](np.ones_like(image), np.ones_like(alpha))
+                for name, gradient in gradients.items():
+                    self.assertEqual(gradient.shape, arguments[name].shape, f"{name} {mode}")
+                np.testing.assert_array_equal(gradients["backgrounds"], 32 * 40 if color else 0)
+
+    def test_no_gaussian_before_the_far_plane(self):
+        for extra in ({}, {"features": np.ones((30, 2))}, {"render_mode": "RGB+ED"}, {"sh_degree": 1}):
+            arguments = scene(coefficients=4 if "sh_degree" in extra else None) | extra
+            image, alpha, meta = rasterize(**arguments, far_plane=1.0)
+            self.assertFalse(image.any() or alpha.any() or meta["visible"].any())
+            for name, gradient in meta["backward"](np.ones_like(image), np.ones_like(alpha)).items():
+                self.assertFalse(gradient.any(), name)
+                if name != "backgrounds":
+                    self.assertEqual(gradient.shape, arguments[name].shape)
+
+    def test_a_negative_color_spoils_no_other(self):
+        single, double = scene(dtype=np.float32), scene()
+        for lowest in (-0.9, -1.1, -1e4, -1e7):
+            seen = []
+            for arguments in (single, double):
+                colors = arguments["colors"].copy()
+                colors[3, 0] = lowest
+                image, _, meta = rasterize(**arguments | {"colors": colors})
+                by = random_like(np.zeros(image.shape)).astype(image.dtype)
+                by[..., 0] = 0
+                seen.append((image[..., 1:], meta["backward"](by)))
+            (image, found), (wanted, gradients) = seen
+            self.assertLess(np.abs(image - wanted).max(), 1e-6, lowest)
+            for name in NAMES:
+                error = np.abs(found[name] - gradients[name]).max() / np.abs(gradients[name]).max()
+                self.assertLess(error, 1e-4, f"{name} {lowest}")
+
+    def test_what_is_not_finite_is_left_out(self):
+        # But for plain colours and features, which are refused.
+        for name, wrong, dtype in itertools.product(NAMES, (np.nan, np.inf), (np.float32, np.float64)):
+            with self.subTest(name=name, wrong=wrong, dtype=dtype):
+                arguments = scene(coefficients=4, dtype=dtype) | {"sh_degree": 1}
+                rest = {k: np.delete(arguments[k], 4, 0) for k in NAMES}
+                arguments[name].reshape(30, -1)[4, 0] = wrong
+                image, _, meta = rasterize(**arguments)
+                np.testing.assert_allclose(image, rasterize(**arguments | rest)[0], atol=1e-6)
+                self.assertFalse(meta["visible"][0, 4])
+                gradients = meta["backward"](np.ones_like(image))
+                self.assertTrue(all(np.isfinite(gradient).all() for gradient in gradients.values()))
+                self.assertFalse(any(gradients[k][4].any() for k in NAMES))
+
+    def test_planes_at_the_ends(self):
+        plain, _, _ = rasterize(**scene())
+        np.testing.assert_array_equal(rasterize(**scene(), near_plane=0, far_plane=np.inf)[0], plain)
+        close = scene(1, dtype=np.float32)
+        close["means"][:], close["scales"][:], close["viewmats"][0] = [0, 0, 1e-4], 1e-5, np.eye(4)
+        self.assertEqual(rasterize(**close)[1].max(), 0)
+        self.assertGreater(rasterize(**close, near_plane=0)[1].max(), 0.1)
+
+    def test_nothing_is_behind_a_depth(self):
+        for mode in ("D", "ED"):
+            plain, _, _ = rasterize(**scene(), render_mode=mode)
+            for width in (1, 3):
+                behind = np.full((1, width), np.nan)
+                image, _, meta = rasterize(**scene(), render_mode=mode, backgrounds=behind)
+                np.testing.assert_array_equal(image, plain)
+                np.testing.assert_array_equal(meta["backward"](image)["backgrounds"], np.zeros((1, width)))
+
     def test_a_forked_child_renders(self):
         arguments = scene(3000, dtype=np.float32)
         image, _, meta = rasterize(**arguments)
@@ -296,13 +384,24 @@ class Refusals(unittest.TestCase):
         self.refused("Ks", Ks=np.array([[[30.0, 1, 16], [0, 30, 16], [0, 0, 1]]]))
         self.refused("backgrounds", backgrounds=np.zeros((1, 4)))
         self.refused("width", width=0)
-        self.refused("near_plane", near_plane=0.0)
+        self.refused("backgrounds: is not finite", backgrounds=np.array([[0, np.nan, 0]]))
+        self.refused("near_plane", near_plane=-0.1)
+        self.refused("near_plane", near_plane=np.inf)
+        self.refused("far_plane", far_plane=np.nan)
         self.refused("far_plane", far_plane=0.001)
         self.refused("eps2d", eps2d=-0.1)
         for wrong in (np.nan, np.inf, 1e300):
             coefficients = np.array([[0.1, 0, wrong, 0]])
             self.refused("Ks: k3", camera_model="fisheye", radial_coeffs=coefficients)
             self.refused("Ks: cx", Ks=np.array([[[30.0, 0, wrong], [0, 30, 16], [0, 0, 1]]]))
+
+    def test_what_is_not_finite_is_named(self):
+        for channels in (3, 5):
+            for wrong in (np.nan, np.inf, -np.inf):
+                colors = scene(channels=channels)["colors"]
+                colors[4, channels - 1] = wrong
+                self.refused(f"colors: channel {channels - 1} of Gaussian 4 is not finite", colors=colors)
+                self.refused("features: channel 1 of Gaussian 4", features=colors[:, channels - 2 :])
 
     def test_more_channels_than_fit_into_memory_are_refused(self):
         # 30 GB for the image alone; the interpreter ended by a signal.
@@ -325,6 +424,7 @@ class Refusals(unittest.TestCase):
         _, _, meta = rasterize(**scene())
         with self.assertRaisesRegex(KeyError, "means2d: this core does not compute it"):
             meta["means2d"]
+        self.assertIsNone(meta.get("means2d"))
 
 
 if __name__ == "__main__":

@@ -140,6 +140,31 @@ class ThroughTorch(unittest.TestCase):
         found = meta["backward"](None, np.ones((1, 32, 40, 1)))
         np.testing.assert_array_equal(leaves["opacities"].grad.numpy(), found["opacities"])
 
+    def test_no_gaussian(self):
+        for coefficients in (None, 4):
+            arguments = scene(0, coefficients=coefficients) | {"sh_degree": coefficients and 1}
+            for mode in ("RGB", "D", "ED", "RGB+D", "RGB+ED"):
+                leaves = tensors(arguments | {"render_mode": mode, "backgrounds": np.array([[0.1, 0.2, 0.3]])})
+                image, alpha, _ = rasterize(**leaves)
+                (image.sum() + alpha.sum()).backward()
+                for name in NAMES[:4] if mode in ("D", "ED") else NAMES:
+                    self.assertEqual(leaves[name].grad.shape, leaves[name].shape, f"{name} {mode}")
+
+    def test_no_gaussian_before_the_far_plane(self):
+        leaves = tensors(scene())
+        rasterize(**leaves, far_plane=1.0)[0].sum().backward()
+        for name in NAMES:
+            self.assertEqual(leaves[name].grad.abs().sum(), 0, name)
+
+    def test_a_class_of_somebody_elses(self):
+        class Mine(torch.Tensor):
+            pass
+
+        leaves = tensors(scene())
+        means = leaves["means"].detach().as_subclass(Mine).requires_grad_()
+        rasterize(**leaves | {"means": means})[0].sum().backward()
+        self.assertEqual(means.grad.shape, (30, 3))
+
     def test_wrong_tensors_are_named(self):
         leaves = tensors(scene(), ())
         for name, wrong in (("scales", leaves["scales"].float()), ("quats", leaves["quats"].numpy())):

@@ -3,7 +3,9 @@
 //!
 //! A colour `c` of a Gaussian goes into the core as the spherical harmonic of degree 0 that gives `c + lift`, where
 //! `lift` keeps all colours above the core's clamp at 0; the background is lifted alike, so that the image is only
-//! `lift` too bright, everywhere. Colours beyond the third, and features, are further channels of the core.
+//! `lift` too bright, everywhere. Colours beyond the third, and features, are further channels of the core, which it
+//! does not clamp. Where a colour is so negative that its lift would cost the others their last digits, all colours are
+//! further channels.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -28,6 +30,8 @@ use crate::threads;
 const C0: f64 = 0.28209479177387814;
 /// Least value of a lifted colour: above 0, where the core would clamp it.
 const LEAST_COLOR: f64 = 1e-3;
+/// Most that colours are lifted: a colour loses a bit of float32 or two.
+const MOST_LIFT: f64 = 1.0 + LEAST_COLOR;
 /// Rasterisers kept for later passes, per number type; each holds the tables of one pass.
 const KEPT: usize = 4;
 
@@ -85,6 +89,7 @@ pub struct PassOf<T: Float> {
     /// Taken only when the pass is dropped.
     rasterizer: Option<Rasterizer<T>>,
     plan: Plan,
+    widths: Widths,
     /// Spherical harmonics made of plain colours; empty where they were handed in.
     sh: Vec<T>,
     /// Which Gaussians take part, where not all do.
@@ -112,8 +117,10 @@ pub struct Plan {
     antialiased: bool,
     /// Degree of the SH; `None` for plain colours.
     sh_degree: Option<u8>,
-    /// Whether colours are wanted.
-    color: bool,
+    /// Colours of a Gaussian that are shown.
+    colors: usize,
+    /// Features of a Gaussian.
+    features: usize,
     /// 0 none, 1 accumulated, 2 expected.
     depth: u8,
     /// `k1..k4`; `None` for a pinhole.
@@ -220,14 +227,15 @@ impl Plan {
         }
     }
 
-    fn shape(&self, n: usize, slices: &Slices<'_, impl Copy>) -> Widths {
-        let per = |values: usize| values.checked_div(n).unwrap_or_default();
-        let colors = match (self.color, self.sh_degree) {
-            (false, _) => 0,
-            (true, Some(_)) => 3,
-            (true, None) => per(slices.colors.len()),
-        };
-        Widths { colors, features: per(slices.features.len()), depth: usize::from(self.depth > 0) }
+    /// Whether the colours of the arrays are the core's SH.
+    fn takes_sh(&self) -> bool {
+        self.sh_degree.is_some() && self.colors > 0
+    }
+
+    /// With colours that are lifted by `lift`; `None` where they are not.
+    fn widths(&self, lift: Option<f64>) -> Widths {
+        let shown = if lift.is_some() { self.colors.min(3) } else { 0 };
+        Widths { colors: self.colors, shown, features: self.features, depth: usize::from(self.depth > 0) }
     }
 }
 
@@ -235,6 +243,8 @@ impl Plan {
 #[derive(Clone, Copy)]
 struct Widths {
     colors: usize,
+    /// The first of the colours, which are the core's own.
+    shown: usize,
     features: usize,
     depth: usize,
 }
@@ -246,46 +256,55 @@ impl Widths {
 
     /// Channels of the core beside its three colours.
     fn further(self) -> usize {
-        self.colors.saturating_sub(3) + self.features
+        self.colors - self.shown + self.features
     }
 }
 
-/// How far plain colours are lifted.
-fn lift_of<T: Real>(colors: &[T]) -> f64 {
+/// How far plain colours are lifted; `None` if that is too far.
+fn lift_of<T: Real>(colors: &[T]) -> Option<f64> {
     let least = colors.iter().fold(f64::INFINITY, |least, c| least.min(c.to_f64()));
-    if least.is_finite() { (LEAST_COLOR - least).max(0.0) } else { 0.0 }
+    Some((LEAST_COLOR - least).max(0.0)).filter(|lift| *lift <= MOST_LIFT)
 }
 
-/// SH of degree 0 that show the first three of `width` colours of each Gaussian, lifted.
-fn constant_sh<T: Real>(colors: &[T], width: usize, n: usize, lift: f64) -> Vec<T> {
-    if width == 0 {
+/// Refuses `values`, `width` of each Gaussian, of which one is not finite.
+fn demand_finite<T: Float>(name: &str, values: &[T], width: usize) -> PyResult<()> {
+    if T::all_finite(values) {
+        return Ok(());
+    }
+    let bad = values.iter().position(|v| !v.is_finite()).unwrap_or_default();
+    Err(refused(format!("{name}: channel {} of Gaussian {} is not finite", bad % width, bad / width)))
+}
+
+/// SH of degree 0 that show the first `widths.shown` plain colours of each of `n` Gaussians, lifted.
+fn constant_sh<T: Real>(colors: &[T], widths: Widths, n: usize, lift: f64) -> Vec<T> {
+    if widths.shown == 0 {
         return vec![T::zero(); 3 * n];
     }
     let sh = |c: T| T::of((c.to_f64() + lift - 0.5) / C0);
     let shown = |c: &[T]| [0, 1, 2].map(|k| c.get(k).map_or(T::zero(), |c| sh(*c)));
-    colors.chunks_exact(width).flat_map(shown).collect()
+    colors.chunks_exact(widths.colors).flat_map(shown).collect()
 }
 
-/// The further channels of all Gaussians: colours beyond the third, then features.
+/// The further channels of all Gaussians: colours that are not the core's own, then features.
 fn further_channels<T: Real>(slices: &Slices<'_, T>, widths: Widths) -> Vec<T> {
-    if widths.colors <= 3 {
+    if widths.colors == widths.shown {
         return slices.features.to_vec();
     }
     let colors = slices.colors.chunks_exact(widths.colors);
     let mut features = slices.features.chunks_exact(widths.features.max(1));
-    colors.flat_map(|c| c[3..].iter().chain(features.next().unwrap_or_default()).copied()).collect()
+    colors.flat_map(|c| c[widths.shown..].iter().chain(features.next().unwrap_or_default()).copied()).collect()
 }
 
 /// Puts the image together, `height * width * channels`.
 fn assemble<T: Real>(images: &Rendered<T>, channels: &[T], widths: Widths, plan: &Plan, lift: f64) -> Vec<T> {
     let (lift, behind): (T, Vec<T>) = (T::of(lift), plan.background().iter().map(|v| T::of(*v)).collect());
-    let (shown, further) = (widths.colors.min(3), widths.further());
+    let (shown, further) = (widths.shown, widths.further());
     let mut image = Vec::with_capacity(images.alpha.len() * widths.all());
     for (pixel, color) in images.color.as_chunks::<3>().0.iter().enumerate() {
         let alpha = images.alpha[pixel];
         image.extend(color[..shown].iter().map(|c| *c - lift));
         for (k, value) in channels[pixel * further..(pixel + 1) * further].iter().enumerate() {
-            image.push(match behind.get(3 + k).filter(|_| 3 + k < widths.colors) {
+            image.push(match behind.get(shown + k).filter(|_| shown + k < widths.colors) {
                 Some(behind) => *value + *behind * (T::one() - alpha),
                 None => *value,
             });
@@ -304,8 +323,8 @@ fn gaussians<'a, T: Real>(slices: &Slices<'a, T>, sh: &'a [T], plan: &Plan) -> G
         positions: slices.means,
         shape: ShapeSlices::Ellipsoids { rotations: slices.quats, scales: slices.scales },
         opacities: slices.opacities,
-        sh: if sh.is_empty() { slices.colors } else { sh },
-        sh_degree: if sh.is_empty() { plan.sh_degree.unwrap_or_default() } else { 0 },
+        sh: if plan.takes_sh() { slices.colors } else { sh },
+        sh_degree: plan.sh_degree.filter(|_| plan.takes_sh()).unwrap_or_default(),
     }
 }
 
@@ -331,15 +350,21 @@ type Forward<T> = (PassOf<T>, Vec<T>, Vec<T>, Vec<bool>, usize);
 
 fn forward_of<T: Float>(slices: &Slices<'_, T>, plan: Plan) -> PyResult<Forward<T>> {
     let (n, view) = (slices.means.len(), plan.view()?);
-    let widths = plan.shape(n, slices);
-    let plain = plan.sh_degree.is_none();
-    let lift = if plain && widths.colors > 0 { lift_of(slices.colors) } else { 0.0 };
-    let sh = if plain || !plan.color { constant_sh(slices.colors, widths.colors, n, lift) } else { Vec::new() };
+    let is_plain = plan.colors > 0 && !plan.takes_sh();
+    if is_plain {
+        demand_finite("colors", slices.colors, plan.colors)?;
+    }
+    demand_finite("features", slices.features, plan.features)?;
+    let lift = if is_plain { lift_of(slices.colors) } else { Some(0.0) };
+    let (widths, lift) = (plan.widths(lift), lift.unwrap_or_default());
+    let sh = if plan.takes_sh() { Vec::new() } else { constant_sh(slices.colors, widths, n, lift) };
     demand_images::<T>(&plan, widths)?;
     let active = if plan.far_plane < 1e10 { near_enough(slices.means, &view, plan.far_plane) } else { None };
     let kept = T::idle().lock().unwrap_or_else(PoisonError::into_inner).pop();
-    let mut pass = PassOf { rasterizer: Some(kept.unwrap_or_default()), plan, sh, active };
-    let PassOf { rasterizer: Some(rasterizer), plan, sh, active } = &mut pass else { return Err(refused("no core")) };
+    let mut pass = PassOf { rasterizer: Some(kept.unwrap_or_default()), plan, widths, sh, active };
+    let PassOf { rasterizer: Some(rasterizer), plan, sh, active, .. } = &mut pass else {
+        return Err(refused("no core"));
+    };
     let scene = gaussians(slices, sh, plan);
     rasterizer.render(scene, &view, &plan.settings(lift), active.as_deref()).or_raise()?;
     let channels = match widths.further() {
@@ -347,7 +372,7 @@ fn forward_of<T: Float>(slices: &Slices<'_, T>, plan: Plan) -> PyResult<Forward<
         count => rasterizer.render_channels(&further_channels(slices, widths), count).or_raise()?.to_vec(),
     };
     // Three colours that are not lifted are the core's own image.
-    let image = if widths.all() == 3 && widths.colors == 3 && lift == 0.0 {
+    let image = if widths.all() == 3 && widths.shown == 3 && lift == 0.0 {
         rasterizer.take_color()
     } else {
         assemble(rasterizer.rendered(), &channels, widths, plan, lift)
@@ -362,13 +387,12 @@ fn forward_of<T: Float>(slices: &Slices<'_, T>, plan: Plan) -> PyResult<Forward<
     Ok((pass, image, alpha, visible, entries))
 }
 
-/// Values of a gradient at the places of all Gaussians, 0 where they took no part.
-fn spread<T: Real>(table: TableOf<T>, active: Option<&[u32]>, n: usize) -> TableOf<T> {
-    let Some(list) = active else { return table };
-    let values = table.values();
-    let width = values.len().checked_div(list.len()).unwrap_or_default();
+/// Values of a gradient, `width` of each active Gaussian, at the places of all `n`: 0 where they took no part. One that
+/// was not wanted is empty, as it was.
+fn spread<T: Real>(table: TableOf<T>, active: Option<&[u32]>, n: usize, width: usize) -> TableOf<T> {
+    let Some(list) = active.filter(|list| table.values().len() == list.len() * width) else { return table };
     let mut all = vec![T::zero(); n * width];
-    for (i, value) in list.iter().zip(values.chunks(width.max(1))) {
+    for (i, value) in list.iter().zip(table.values().chunks(width.max(1))) {
         all[*i as usize * width..][..width].copy_from_slice(value);
     }
     TableOf::One(all)
@@ -416,7 +440,7 @@ struct Taken<T> {
 }
 
 fn take_apart<T: Real>(by_image: &[T], by_alpha: &[T], images: &Rendered<T>, widths: Widths, plan: &Plan) -> Taken<T> {
-    let (pixels, all, shown) = (images.alpha.len(), widths.all(), widths.colors.min(3));
+    let (pixels, all, shown) = (images.alpha.len(), widths.all(), widths.shown);
     let further = widths.further();
     let mut taken = Taken {
         color: vec![T::zero(); 3 * pixels],
@@ -426,13 +450,13 @@ fn take_apart<T: Real>(by_image: &[T], by_alpha: &[T], images: &Rendered<T>, wid
         background: vec![0.0; plan.background().len()],
     };
     taken.alpha.resize(pixels, T::zero());
-    for (pixel, by) in by_image.chunks_exact(all).enumerate() {
+    for (pixel, by) in by_image.chunks_exact(all.max(1)).enumerate() {
         let alpha = images.alpha[pixel];
         taken.color[3 * pixel..][..shown].copy_from_slice(&by[..shown]);
         taken.channels[pixel * further..][..further].copy_from_slice(&by[shown..shown + further]);
         for (k, sum) in taken.background.iter_mut().enumerate().take(widths.colors) {
             *sum += (by[k] * (T::one() - alpha)).to_f64();
-            if k >= 3 {
+            if k >= shown {
                 taken.alpha[pixel] -= T::of(plan.background()[k]) * by[k];
             }
         }
@@ -455,9 +479,10 @@ fn backward_of<T: Float>(
     by_alpha: &[T],
     wanted: Wishes,
 ) -> PyResult<Backward<T>> {
-    let PassOf { rasterizer: Some(rasterizer), plan, sh, active } = pass else { return Err(refused("no core")) };
-    let n = slices.means.len();
-    let widths = plan.shape(n, slices);
+    let PassOf { rasterizer: Some(rasterizer), plan, widths, sh, active } = pass else {
+        return Err(refused("no core"));
+    };
+    let (n, widths) = (slices.means.len(), *widths);
     let pixels = plan.width as usize * plan.height as usize;
     let fits = |found: usize, wanted: usize| found == 0 || found == wanted;
     if !fits(by_image.len(), pixels * widths.all()) || !fits(by_alpha.len(), pixels) {
@@ -465,7 +490,7 @@ fn backward_of<T: Float>(
     }
     demand_images::<T>(plan, widths)?;
     // The gradient of a plain colour image goes to the core as it lies there.
-    let direct = widths.all() == 3 && widths.colors == 3 && plan.background().is_empty();
+    let direct = widths.all() == 3 && widths.shown == 3 && plan.background().is_empty();
     let taken = (!direct).then(|| take_apart(by_image, by_alpha, rasterizer.rendered(), widths, plan));
     let by = match &taken {
         None => ImageGradient { color: by_image, alpha: by_alpha, ..ImageGradient::default() },
@@ -478,20 +503,22 @@ fn backward_of<T: Float>(
     rasterizer.backward(scene, &by, groups).or_raise()?;
     let mut found = rasterizer.take_gradients();
     let list = active.as_deref();
-    let (colors, features) = if sh.is_empty() {
+    let (colors, features) = if plan.takes_sh() {
         (std::mem::take(&mut found.sh), std::mem::take(&mut found.channels))
     } else {
         let by_colors = by_plain_colors(&found, widths, wanted);
         T::pool().lock().unwrap_or_else(PoisonError::into_inner).give(TableOf::One(std::mem::take(&mut found.sh)));
         by_colors
     };
+    let color_width =
+        if plan.takes_sh() { slices.colors.len().checked_div(n).unwrap_or_default() } else { plan.colors };
     Ok(Backward {
-        means: spread(TableOf::Three(found.positions), list, n),
-        quats: spread(TableOf::Four(found.rotations), list, n),
-        scales: spread(TableOf::Three(found.scales), list, n),
-        opacities: spread(TableOf::One(found.opacities), list, n),
-        colors: spread(TableOf::One(colors), list, n),
-        features: spread(TableOf::One(features), list, n),
+        means: spread(TableOf::Three(found.positions), list, n, 3),
+        quats: spread(TableOf::Four(found.rotations), list, n, 4),
+        scales: spread(TableOf::Three(found.scales), list, n, 3),
+        opacities: spread(TableOf::One(found.opacities), list, n, 1),
+        colors: spread(TableOf::One(colors), list, n, color_width),
+        features: spread(TableOf::One(features), list, n, plan.features),
         viewmat: by_viewmat(found.pose, &view),
         intrinsics: by_matrix(found.lens),
         background: taken.map_or_else(Vec::new, |t| t.background),
@@ -500,19 +527,19 @@ fn backward_of<T: Float>(
 
 /// Gradients of plain colours and of the features of the active Gaussians, from those of constant SH and of channels.
 fn by_plain_colors<T: Real>(found: &Gradients<T>, widths: Widths, wanted: Wishes) -> (Vec<T>, Vec<T>) {
-    let (shown, more, further) = (widths.colors.min(3), widths.colors.saturating_sub(3), widths.further());
-    let (mut colors, mut features) = (Vec::new(), Vec::new());
-    let channels =
-        |i: usize| if found.channels.is_empty() { &[][..] } else { &found.channels[i * further..][..further] };
-    if wanted.colors && widths.colors > 0 {
-        for (i, by) in found.sh.as_chunks::<3>().0.iter().enumerate() {
+    let (shown, further) = (widths.shown, widths.further());
+    let (more, mut colors, mut features) = (widths.colors - shown, Vec::new(), Vec::new());
+    let mut channels = found.channels.chunks_exact(further.max(1));
+    if wanted.colors && shown > 0 {
+        for by in found.sh.as_chunks::<3>().0 {
             colors.extend(by[..shown].iter().map(|v| *v / T::of(C0)));
-            colors.extend_from_slice(channels(i).get(..more).unwrap_or_default());
+            colors.extend_from_slice(channels.next().and_then(|of| of.get(..more)).unwrap_or_default());
         }
+    } else if wanted.colors && more > 0 {
+        channels.clone().for_each(|of| colors.extend_from_slice(&of[..more]));
     }
     if wanted.features && widths.features > 0 {
-        let count = found.channels.len() / further;
-        (0..count).for_each(|i| features.extend_from_slice(&channels(i)[more..]));
+        found.channels.chunks_exact(further).for_each(|of| features.extend_from_slice(&of[more..]));
     }
     (colors, features)
 }
@@ -534,8 +561,8 @@ pub struct Wishes {
 
 impl Wishes {
     fn groups(self, widths: Widths) -> Wanted {
-        let colors = self.colors && widths.colors > 0;
-        let further = (self.colors && widths.colors > 3) || (self.features && widths.features > 0);
+        let colors = self.colors && widths.shown > 0;
+        let further = (self.colors && widths.colors > widths.shown) || (self.features && widths.features > 0);
         let groups = [
             (self.means, Wanted::POSITIONS),
             (self.quats || self.scales, Wanted::SHAPES),
@@ -590,6 +617,7 @@ fn backward_in<'py, T: Float>(
     let (by_image, by_alpha) = (by_image.map(gradient).transpose()?, by_alpha.map(gradient).transpose()?);
     let by_image = by_image.as_ref().map_or(Ok(&[][..]), |array| slice("the gradient of the image", array))?;
     let by_alpha = by_alpha.as_ref().map_or(Ok(&[][..]), |array| slice("the gradient of alpha", array))?;
+    let widths = pass.widths;
     let found = threads::run(py, || backward_of(pass, &slices, by_image, by_alpha, wanted))?;
     let all = PyDict::new(py);
     for (name, is_wanted, values) in [
@@ -597,8 +625,8 @@ fn backward_in<'py, T: Float>(
         ("quats", wanted.quats, found.quats),
         ("scales", wanted.scales, found.scales),
         ("opacities", wanted.opacities, found.opacities),
-        ("colors", wanted.colors && !found.colors.values().is_empty(), found.colors),
-        ("features", wanted.features && !found.features.values().is_empty(), found.features),
+        ("colors", wanted.colors && widths.colors > 0, found.colors),
+        ("features", wanted.features && widths.features > 0, found.features),
     ] {
         if is_wanted {
             all.set_item(name, Table::new(T::memory(values)))?;
@@ -660,7 +688,7 @@ pub fn time_core<'py>(
         rasterizer.render(scene, &view, &plan.settings(0.0), None).or_raise()?;
         let forward = start.elapsed().as_secs_f64();
         let by = ImageGradient { color: by_image, ..ImageGradient::default() };
-        rasterizer.backward(scene, &by, wanted.groups(plan.shape(slices.means.len(), &slices))).or_raise()?;
+        rasterizer.backward(scene, &by, wanted.groups(plan.widths(Some(0.0)))).or_raise()?;
         let both = start.elapsed().as_secs_f64();
         Ok((forward, both))
     })
