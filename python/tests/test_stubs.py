@@ -2,13 +2,21 @@
 
 import ast
 import importlib
+import importlib.util
 import inspect
 import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
 import unittest
 
 import respire_bench
+from support import needs
 
 PACKAGE = os.path.dirname(respire_bench.__file__)
+DOCUMENT = os.path.join(os.path.dirname(__file__), "..", "..", "docs", "python.md")
 MODULES = sorted(name.removesuffix(".pyi") for name in os.listdir(PACKAGE) if name.endswith(".pyi"))
 
 
@@ -110,6 +118,39 @@ class Stubs(unittest.TestCase):
             if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store) and not n.attr.startswith("_")
         }
         self.assertEqual(set(fields), assigned, "attributes")
+
+
+@needs(importlib.util.find_spec("mypy"), "mypy is not installed here, so that docs/python.md is not type-checked")
+class Snippets(unittest.TestCase):
+    # What the snippets take as given.
+    GIVEN = """
+from typing import Any
+import numpy
+my_method: Any; loss: Any
+means = quats = scales = opacities = sh = viewmats = Ks = by_colors = by_alphas = numpy.zeros(3)
+width = height = 64
+"""
+
+    def check(self, code):
+        with tempfile.TemporaryDirectory() as place:
+            stubs = os.path.join(place, "respire_bench")
+            os.mkdir(stubs)
+            for name in ["py.typed", *(f"{module}.pyi" for module in MODULES)]:
+                shutil.copy(os.path.join(PACKAGE, name), stubs)
+            with open(os.path.join(place, "snippets.py"), "w") as file:
+                file.write(code)
+            mypy = [sys.executable, "-m", "mypy", "--ignore-missing-imports", "--cache-dir", os.devnull, "snippets.py"]
+            done = subprocess.run(mypy, cwd=place, env=os.environ | {"MYPYPATH": place}, capture_output=True, text=True)
+            return done.returncode, done.stdout + done.stderr
+
+    def test_they_pass_a_type_checker(self):
+        with open(DOCUMENT) as file:
+            snippets = re.findall(r"^```python\n(.*?)^```", file.read(), re.M | re.S)
+        self.assertGreaterEqual(len(snippets), 3)
+        code, said = self.check("\n".join([self.GIVEN, *snippets, "for mesh in film.meshes: mesh.vertices.sum()"]))
+        self.assertEqual(code, 0, said)
+        code, said = self.check("import respire_bench as rb\nrb.load(3)\nfor x in rb.load('f'): x.imaje\n")
+        self.assertEqual((code, said.count("error:")), (1, 2), said)
 
 
 if __name__ == "__main__":
