@@ -113,11 +113,18 @@ pub const NEIGHBOURS_MEAN: &str = "By how much a row is ahead of the next one: m
 
 /// A difference with its interval.
 pub fn ahead(d: &NeighbourDifference) -> String {
-    let interval = d
-        .ahead
-        .interval
-        .map_or_else(String::new, |[low, high]| format!(" ({} to {})", d.metric.format(low), d.metric.format(high)));
-    format!("{}{interval}", d.metric.format(d.ahead.mean))
+    let number = |value: f64| unsigned_zero(d.metric.format(value));
+    let interval =
+        d.ahead.interval.map_or_else(String::new, |[low, high]| format!(" ({} to {})", number(low), number(high)));
+    format!("{}{interval}", number(d.ahead.mean))
+}
+
+/// A number without the sign of what was rounded away.
+fn unsigned_zero(text: String) -> String {
+    match text.strip_prefix('-') {
+        Some(rest) if !rest.contains(|c: char| c.is_ascii_digit() && c != '0') => rest.to_owned(),
+        _ => text,
+    }
 }
 
 fn intervals(out: &mut String, summaries: &[MethodSummary]) {
@@ -200,5 +207,18 @@ fn definitions(out: &mut String) {
     out.push_str("## Definitions\n\n");
     for m in registry() {
         let _ = writeln!(out, "- `{}` ({} is better): {}", m.id, m.direction.word(), escape(m.definition));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_has_no_sign() {
+        for (text, shown) in [("-0.000", "0.000"), ("-0", "0"), ("0.00", "0.00"), ("-0.010", "-0.010"), ("-10", "-10")]
+        {
+            assert_eq!(unsigned_zero(text.to_owned()), shown);
+        }
     }
 }

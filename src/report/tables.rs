@@ -59,7 +59,8 @@ const TIMINGS_COLUMNS: [&str; 11] = [
 /// A number as its shortest round-trip text; empty for none, NaN and infinity.
 pub fn number(value: Option<f64>) -> String {
     match value {
-        Some(v) if v.is_finite() => format!("{v}"),
+        // Without the sign of a zero, which a mean of no differences can have.
+        Some(v) if v.is_finite() => format!("{}", v + 0.0),
         _ => String::new(),
     }
 }
