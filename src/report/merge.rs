@@ -89,7 +89,7 @@ pub fn read_run(folder: &Path) -> Result<Run> {
         return Err(Error::input(what).at(results));
     };
     let Some(first) = cells.first() else { return Err(Error::input("has no rows").at(results)) };
-    let (id, is_foreign) = (first.run_id.clone(), first.is_foreign());
+    let (id, is_evaluated) = (first.run_id.clone(), first.is_evaluated());
     for row in CsvTable::read(&folder.join("comparison.csv"))?.rows() {
         let cell = cell_of(&mut cells, &row, "method")?;
         if let Outcome::Scored(score) = &mut cell.outcome {
@@ -117,7 +117,7 @@ pub fn read_run(folder: &Path) -> Result<Run> {
         }
     }
     // `<profile>-<hash of the plan>`, or `evaluate-<case>-<method>`.
-    let cut = if is_foreign { id.split_once('-') } else { id.rsplit_once('-') };
+    let cut = if is_evaluated { id.split_once('-') } else { id.rsplit_once('-') };
     let profile = cut.map_or(id.as_str(), |(profile, _)| profile).to_owned();
     Ok(Run { id, profile, track, scenes, ..gathered(cells, &trees) })
 }
@@ -224,12 +224,12 @@ fn gathered(mut cells: Vec<CellRecord>, trees: &BTreeMap<String, String>) -> Run
 /// Rows of different origin are never one row: neither a run's and a third party's, nor two predictions of one name.
 fn refuse_other_origin(cells: &[CellRecord], new: &CellRecord) -> Result<()> {
     let rename = "score the prediction again with `evaluate --method NAME`";
-    if let Some(other) = cells.iter().find(|c| c.method == new.method && c.is_foreign() != new.is_foreign()) {
+    if let Some(other) = cells.iter().find(|c| c.method == new.method && c.is_evaluated() != new.is_evaluated()) {
         return Err(Error::input(format!(
             "`{}` is a method of {} and a prediction in {}: one row cannot be both; {rename}",
             new.method,
-            if new.is_foreign() { &other.run_id } else { &new.run_id },
-            if new.is_foreign() { &new.run_id } else { &other.run_id },
+            if new.is_evaluated() { &other.run_id } else { &new.run_id },
+            if new.is_evaluated() { &new.run_id } else { &other.run_id },
         )));
     }
     let is_other = |c: &&CellRecord| c.is_foreign() && is_same(c, new) && !has_same_numbers(c, new);

@@ -140,19 +140,23 @@ impl MethodInfo {
         OWN_ROWS.iter().map(|row| MethodInfo::of(row.0))
     }
 
-    /// Refuses a name that a third party's row cannot have: an own row's id or title, whatever its case, blanks and
-    /// punctuation (two rows of a table must not look like one), or nothing that a table can show.
+    /// Whether `id` is one of this program's own rows.
+    pub fn is_own(id: &str) -> bool {
+        OWN_ROWS.iter().any(|row| row.0 == id)
+    }
+
+    /// Refuses a name that a third party's row cannot have: other letters than ASCII, among which many look alike and some
+    /// turn the text around them; and an own row's id or title, whatever its case and separators (two rows of a table must
+    /// not look like one).
     pub fn check_foreign(name: &str) -> Result<()> {
-        let shown = name.chars().filter(|c| !c.is_whitespace()).count();
-        if shown == 0 || name.chars().count() > LONGEST_NAME || name.chars().any(char::is_control) {
-            let sentence = format!("the name of a method has 1 to {LONGEST_NAME} printable characters");
-            return Err(Error::input(sentence));
+        let is_printable = |c: char| c == ' ' || c.is_ascii_graphic();
+        if name.trim().is_empty() || name.len() > LONGEST_NAME || !name.chars().all(is_printable) {
+            return Err(Error::input(format!(
+                "the name of a method has 1 to {LONGEST_NAME} characters, which are letters a to z, digits, spaces and \
+                 punctuation of ASCII"
+            )));
         }
-        let letters = |text: &str| -> String {
-            text.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
-        };
-        let is_own =
-            |row: &&(&str, &str, Role, u8, bool)| [row.0, row.1].iter().any(|own| letters(own) == letters(name));
+        let is_own = |row: &&(&str, &str, Role, u8, bool)| [row.0, row.1].iter().any(|own| seen(own) == seen(name));
         match OWN_ROWS.iter().find(is_own) {
             Some(row) => Err(Error::input(format!(
                 "`{name}` is reserved for this program's own row `{}`; give yours another name, with --method NAME or \
@@ -164,8 +168,21 @@ impl MethodInfo {
     }
 }
 
+/// What a reader tells names apart by: letters and digits, where 0 may be an o, and 1 and l an i.
+fn seen(name: &str) -> String {
+    let letter = |c: char| match c.to_ascii_lowercase() {
+        '0' => 'o',
+        '1' | 'l' => 'i',
+        other => other,
+    };
+    name.chars().filter(char::is_ascii_alphanumeric).map(letter).collect()
+}
+
 /// How the id of a run begins whose one cell was scored by `evaluate`.
 const EVALUATED: &str = "evaluate-";
+
+/// The stage in which a method works.
+const RECONSTRUCT: &str = "reconstruct";
 
 /// The id of the run of a prediction that `evaluate` scored.
 pub fn evaluated_id(case_id: &str, method: &str) -> String {
@@ -218,9 +235,21 @@ pub struct StageCost {
 }
 
 impl CellRecord {
-    /// Whether it is a third party's prediction, scored by `evaluate`, and not a cell of a run of this program.
-    pub fn is_foreign(&self) -> bool {
+    /// Whether `evaluate` scored it, as it says itself.
+    pub fn is_evaluated(&self) -> bool {
         self.run_id.starts_with(EVALUATED)
+    }
+
+    /// Whether it is not one of this program's own rows. An id that is reserved for those is none of `evaluate`, and
+    /// `merge` takes it only from a report whose frames bear its numbers out.
+    pub fn is_foreign(&self) -> bool {
+        self.is_evaluated() || !MethodInfo::is_own(&self.method)
+    }
+
+    /// The machine on which the method ran; none where nobody measured it.
+    pub fn machine_id(&self) -> Option<&str> {
+        let cost = self.timings.iter().find(|cost| cost.stage == RECONSTRUCT)?;
+        Some(cost.machine_id.as_str()).filter(|id| !id.is_empty())
     }
 
     /// The score, unless the cell failed.
@@ -242,18 +271,54 @@ impl Run {
         self.methods.iter().filter_map(|m| of(m).map(|(c, s)| (m, c, s))).collect()
     }
 
+    /// Cells that set the measure for all: those of this program's own rows, or all cells where there are none. What a
+    /// third party hands in decides neither over which cases a table ranks, nor what the worst value of a case is.
+    fn measure(&self) -> impl Iterator<Item = &CellRecord> {
+        let has_own = self.cells.iter().any(|cell| !cell.is_foreign());
+        self.cells.iter().filter(move |cell| !has_own || !cell.is_foreign())
+    }
+
+    /// Cases over which means and places are taken, in order; others are only listed.
+    pub fn ranking_cases(&self) -> Vec<&CaseInfo> {
+        let counts = |case: &&CaseInfo| self.measure().any(|cell| cell.case_id == case.id);
+        self.cases.iter().filter(counts).collect()
+    }
+
     /// The number with which a cell counts in means and ranks, and whether it is not its own: a surface that was handed
-    /// in and cannot be measured counts with the worst value that any row has in its case.
+    /// in and cannot be measured counts with the worst value that any row of this program has in its case.
     pub fn counted(&self, cell: &CellRecord, metric: &str) -> Option<(f64, bool)> {
         let own = cell.score()?.metric(metric)?;
         if let Some(value) = own.value {
             return Some((value, false));
         }
+        if !own.status.counts_as_worst() {
+            return None;
+        }
         let goal = crate::score::metric(metric)?.direction;
-        let in_case = self.cells.iter().filter(|c| c.case_id == cell.case_id);
-        let values = in_case.filter_map(|c| c.score()?.value(metric));
-        let worst = values.reduce(|a, b| if goal.better(a, b) { b } else { a });
-        if own.status.counts_as_worst() { worst.map(|value| (value, true)) } else { None }
+        let value = |other: &CellRecord| Some(other).filter(|c| c.case_id == cell.case_id)?.score()?.value(metric);
+        let worst = |a: f64, b: f64| if goal.better(a, b) { b } else { a };
+        let known = self.measure().filter_map(value).reduce(worst);
+        known.or_else(|| self.cells.iter().filter_map(value).reduce(worst)).map(|value| (value, true))
+    }
+
+    /// The machine whose times rank: that of most cells of the run's own, the first of equals; none where nobody measured.
+    pub fn machine_id(&self) -> Option<&str> {
+        let machines: Vec<&str> = self.cells.iter().filter(|c| self.is_run(c)).filter_map(|c| c.machine_id()).collect();
+        let cells_of = |machine: &str| machines.iter().filter(|other| **other == machine).count();
+        let most = machines.iter().map(|machine| cells_of(machine)).max()?;
+        machines.iter().find(|machine| cells_of(machine) == most).copied()
+    }
+
+    /// Whether the program ran the method itself: any one in the run at hand, an own row in others.
+    fn is_run(&self, cell: &CellRecord) -> bool {
+        !cell.is_foreign() || (!cell.is_evaluated() && cell.run_id == self.id)
+    }
+
+    /// Whether all times of the method were measured by this program, and on the machine of the others.
+    pub fn is_timed(&self, method: &str) -> bool {
+        let machine = self.machine_id();
+        let is_timed = |cell: &CellRecord| self.is_run(cell) && machine.is_some() && cell.machine_id() == machine;
+        self.cells.iter().filter(|cell| cell.method == method).all(is_timed)
     }
 
     /// Whether another row's number counts in place of one of the method's.
@@ -283,36 +348,36 @@ impl Run {
         self.cases.iter().find(|case| case.id == case_id).map_or(case_id, CaseInfo::tree)
     }
 
-    /// Whether the method is scored in every case, with every seed, and has a number of `metric` in each case in which
-    /// any row has a value: the condition of a place in the ranking.
+    /// Whether the method is scored in every case that counts, with every seed, and has a number of `metric` in each of
+    /// them in which an own row has a value: the condition of a place in the ranking.
     pub fn covers(&self, method: &str, metric: &str) -> bool {
-        let is_scored = |case: &CaseInfo| {
+        let cases = self.ranking_cases();
+        let all_of = |case: &CaseInfo, is_good: &dyn Fn(&CellRecord) -> bool| {
             let mut own = self.cells.iter().filter(|c| c.case_id == case.id && c.method == method).peekable();
-            own.peek().is_some() && own.all(|cell| cell.score().is_some())
+            own.peek().is_some() && own.all(is_good)
         };
-        if !self.cases.iter().all(is_scored) {
+        if !cases.iter().all(|case| all_of(case, &|cell| cell.score().is_some())) {
             return false;
         }
         let has = |cell: &CellRecord| cell.score().is_some_and(|s| s.value(metric).is_some());
+        let is_known = self.measure().any(has);
+        let in_question = |case: &&&CaseInfo| {
+            let of_case = |cell: &CellRecord| cell.case_id == case.id && has(cell);
+            if is_known { self.measure().any(of_case) } else { self.cells.iter().any(of_case) }
+        };
         let counts = |cell: &CellRecord| self.counted(cell, metric).is_some();
-        let in_question =
-            self.cases.iter().filter(|case| self.cells.iter().any(|cell| cell.case_id == case.id && has(cell)));
-        let mut own = in_question.map(|case| {
-            let mut cells = self.cells.iter().filter(|c| c.case_id == case.id && c.method == method).peekable();
-            cells.peek().is_some() && cells.all(counts)
-        });
-        own.all(|covered| covered)
+        cases.iter().filter(in_question).all(|case| all_of(case, &counts))
     }
 
-    /// One value per case (mean over seeds) of a metric of a method, in the order of the cases; cases without a value
-    /// are left out.
+    /// One value per case that counts (mean over seeds) of a metric of a method, in the order of the cases; cases without
+    /// a value are left out.
     pub fn case_values(&self, method: &str, metric: &str) -> Vec<(&str, f64)> {
         let value = |case: &CaseInfo| {
             let cells = self.cells.iter().filter(|c| c.case_id == case.id && c.method == method);
             let values: Vec<f64> = cells.filter_map(|c| self.counted(c, metric)).map(|(value, _)| value).collect();
             crate::score::statistics::mean(&values)
         };
-        self.cases.iter().filter_map(|case| value(case).map(|v| (case.id.as_str(), v))).collect()
+        self.ranking_cases().into_iter().filter_map(|case| value(case).map(|v| (case.id.as_str(), v))).collect()
     }
 }
 
@@ -335,14 +400,29 @@ mod tests {
 
     #[test]
     fn names_that_look_like_an_own_row_are_reserved() {
-        for reserved in ["ours", "Ours", " OURS ", "ours_nomesh", "Ours (no mesh)", "oracle phase", "Static CT"] {
+        let reserved = [
+            "ours",
+            "Ours",
+            " OURS ",
+            "ours_nomesh",
+            "Ours (no mesh)",
+            "oracle phase",
+            "Static CT",
+            "0urs",
+            "VirtuaI bronchoscopy",
+        ];
+        for reserved in reserved {
             let said = MethodInfo::check_foreign(reserved).unwrap_err().to_string();
             assert!(said.contains("reserved") && said.contains("--method NAME"), "{said}");
         }
-        for unfit in ["", "  ", "two\nlines", &"x".repeat(61)] {
-            assert!(MethodInfo::check_foreign(unfit).unwrap_err().to_string().contains("1 to 60"), "{unfit}");
+        // Cyrillic, full width, turned around, with a dash, an accent or a blank that nobody sees.
+        let alike =
+            ["\u{43e}urs", "\u{ff2f}urs", "\u{202e}sruo", "Ours (Gauss\u{2013}Newton)", "ours\u{308}", "o\u{200b}urs"];
+        for unfit in alike.into_iter().chain(["", "  ", "two\nlines", "ours2\u{8}", &"x".repeat(61)]) {
+            let said = MethodInfo::check_foreign(unfit).unwrap_err().to_string();
+            assert!(said.contains("1 to 60 characters") && said.contains("ASCII"), "{unfit}: {said}");
         }
-        for free in ["mine", "ours-but-better", "EndoGSLAM", "Größe 2"] {
+        for free in ["mine", "ours-but-better", "EndoGSLAM", "Groesse 2", "oracle-phase (paper)"] {
             MethodInfo::check_foreign(free).unwrap();
         }
     }

@@ -2,7 +2,8 @@
 //!
 //! A method is ranked by a metric when it is scored in every case, with every seed ([`Run::covers`]): a mean over
 //! other cases is another number. A surface that cannot be measured counts with the case's worst row, behind it.
-//! Bounds are not ranked. Equal numbers, to the decimals that tables show, share a place.
+//! Bounds are not ranked, nor what equals the truth or the input, nor times that were not measured beside the others
+//! ([`Run::is_timed`]). Equal numbers, to the decimals that tables show, share a place.
 
 use super::run::{MethodInfo, Role, Run};
 use crate::score::statistics::{MeanInterval, bootstrap_groups};
@@ -18,7 +19,7 @@ pub struct MetricSummary {
     pub metric: &'static Metric,
     /// Mean over cases; `None` where no case has a value.
     pub mean: Option<MeanInterval>,
-    /// Place among the ranked methods, 1 the best; `None` for bounds and where a value is missing.
+    /// Place among the ranked methods, 1 the best; `None` for bounds and where a value is missing or no estimate.
     pub rank: Option<usize>,
     /// The prediction of a ranked method equals the truth: no error at all, or every frame of a case to the bit.
     pub is_perfect: bool,
@@ -31,7 +32,7 @@ pub struct MetricSummary {
 pub struct MethodSummary {
     /// The method.
     pub method: MethodInfo,
-    /// Cases with at least one scored cell.
+    /// Cases with at least one scored cell, of those that count.
     pub cases: usize,
     /// Cells that failed.
     pub failed: usize,
@@ -58,7 +59,7 @@ pub fn summarise(run: &Run) -> Vec<MethodSummary> {
             |case: &str| run.cells.iter().any(|c| c.case_id == case && c.method == method.id && c.score().is_some());
         MethodSummary {
             method: method.clone(),
-            cases: run.cases.iter().filter(|c| scored(&c.id)).count(),
+            cases: run.ranking_cases().into_iter().filter(|c| scored(&c.id)).count(),
             failed: run.cells.iter().filter(|c| c.method == method.id && c.score().is_none()).count(),
             metrics: registry().iter().map(|m| metric_summary(run, method, m)).collect(),
         }
@@ -98,7 +99,18 @@ fn metric_summary(run: &Run, method: &MethodInfo, metric: &'static Metric) -> Me
 /// The place of each method by `metric`: 1 + the number of better ones.
 fn ranks(run: &Run, summaries: &[MethodSummary], metric: &Metric) -> Vec<Option<usize>> {
     let shown = |s: &MethodSummary| s.mean(metric.id).and_then(|m| metric.format(m.mean).parse::<f64>().ok());
-    let is_ranked = |s: &MethodSummary| s.method.role == Role::Ranked && run.covers(&s.method.id, metric.id);
+    let is_estimate = |s: &MethodSummary| {
+        let is_perfect = s.metric(metric.id).is_some_and(|m| m.is_perfect);
+        let mut scores =
+            run.cells.iter().filter(|c| c.method == s.method.id).filter_map(|c| c.score()?.metric(metric.id));
+        !is_perfect && scores.all(|score| score.status != Status::Copied)
+    };
+    let is_ranked = |s: &MethodSummary| {
+        s.method.role == Role::Ranked
+            && run.covers(&s.method.id, metric.id)
+            && is_estimate(s)
+            && (!metric.is_runtime() || run.is_timed(&s.method.id))
+    };
     let marked = |s: &MethodSummary| s.metric(metric.id).is_some_and(|m| m.is_marked);
     let place = |s: &MethodSummary| if is_ranked(s) { shown(s).map(|value| (value, marked(s))) } else { None };
     let values: Vec<Option<(f64, bool)>> = summaries.iter().map(place).collect();
