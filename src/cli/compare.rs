@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::Terminal;
-use crate::base::{Error, Result};
+use crate::base::{Error, Progress, Result};
 use crate::report::compare::{Change, Comparison, compare};
 use crate::report::read;
 use crate::score::metric;
@@ -11,7 +11,8 @@ use crate::score::metric;
 /// Arguments of `compare`.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Differences are B - A over the cases that both runs have, paired, with 95 % bootstrap bounds.\n\
+    after_help = "Differences are B - A over the cases that both runs have, paired, with 95 % bootstrap bounds. Cases \
+    whose films differ are named.\n\
     Example: respire-bench compare reports/reference/quick reports/latest --method ours"
 )]
 pub struct CompareArguments {
@@ -34,6 +35,11 @@ pub fn run(arguments: CompareArguments, terminal: &Terminal) -> Result<()> {
     terminal.stage("reading the runs");
     let (a, b) = (read::read(&arguments.a)?, read::read(&arguments.b)?);
     a.check_track(&b).map_err(|e| e.at(&arguments.b))?;
+    let others = a.other_films(&b);
+    if !others.is_empty() {
+        let sentence = "are of other films in B, so that differences there are not of the methods alone";
+        terminal.note(&format!("{} {sentence}", others.join(", ")));
+    }
     let mut found = compare(&a, &b);
     if let Some(wanted) = &arguments.method {
         found.retain(|c| c.method == *wanted);

@@ -13,7 +13,8 @@ use crate::report::{benchmark_json, gate_files, gate_limits, read};
 #[derive(clap::Args)]
 #[command(
     after_help = "Writes gate.md and gate.xml (JUnit) before it decides. Exit code 3 when anything fails: a value beyond \
-    its limit, an empty or broken value, a missing case, method or metric, a film that is not the baseline's.\n\
+    its limit, an empty or broken value, a missing case, method or metric, a film that is unknown or not the baseline's, a \
+    limit that no row meets, or nothing to check. Exit code 4 when a table does not have the hash of its manifest.json.\n\
     Films and fits differ in their last bits between kinds of processors, so there may be a baseline for each kind.\n\
     A baseline folder with a limits.toml brings relative limits of its own, which must hold too. --limits-from writes it, judging nothing: four \
     standard deviations of the seeds or, where those are 0, of single cases between two samplings of their films \
@@ -63,7 +64,7 @@ pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
     let baseline = chosen(&results, &arguments.baseline)?;
     if let Some((baseline, path)) = &baseline {
         results.check_track(baseline).map_err(|e| e.at(path))?;
-        thresholds = with_limits_of(thresholds, path)?;
+        thresholds = with_limits_of(thresholds, baseline, path)?;
         terminal.note(&format!("compared with {}", path.display()));
     }
     let checks = judge(&results, &thresholds, baseline.as_ref().map(|(baseline, _)| baseline));
@@ -81,15 +82,13 @@ pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
         terminal.line(format_args!("passed: {} checks", checks.len()));
         return Ok(());
     };
-    let place: Vec<&str> =
-        [&first.case, &first.method, &first.metric].into_iter().map(String::as_str).filter(|w| !w.is_empty()).collect();
-    let sentence = format!(
-        "{} of {} checks failed, the first: {}: {}",
-        failed.len(),
-        checks.len(),
-        place.join(" "),
-        first.sentence
-    );
+    let place = [&first.case, &first.method, &first.metric].into_iter().filter(|word| !word.is_empty());
+    let mut place = place.map(String::as_str).collect::<Vec<_>>().join(" ");
+    if !place.is_empty() {
+        place += ": ";
+    }
+    let (failed, all) = (failed.len(), checks.len());
+    let sentence = format!("{failed} of {all} checks failed, the first: {place}{}", first.sentence);
     Err(Error::new(ErrorKind::Regression, sentence))
 }
 
@@ -98,7 +97,7 @@ fn chosen<'a>(results: &Results, folders: &'a [PathBuf]) -> Result<Option<(Resul
     let mut first = None;
     for folder in folders {
         let baseline = read::read(folder)?;
-        if results.has_films_of(&baseline) {
+        if results.other_films(&baseline).is_empty() {
             return Ok(Some((baseline, folder)));
         }
         first = first.or(Some((baseline, folder.as_path())));

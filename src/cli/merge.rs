@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use super::{Terminal, comparison};
 use crate::base::{Error, Result, files};
-use crate::report::merge::{Films, merge, read_environments, read_run};
+use crate::report::merge::{Evidence, Films, Part, merge, read_environments, read_run};
 use crate::report::summary::summarise;
 use crate::report::table::ComparisonTable;
 use crate::report::{self, Run};
@@ -14,8 +14,10 @@ use crate::report::{self, Run};
 #[derive(clap::Args)]
 #[command(
     after_help = "For cells that were run on several machines, rows that were renewed, and predictions of another program \
-    beside the methods. A cell that several runs have is taken from the last; a prediction never takes the place of \
-    another one, or of a method. Films, airways and contours are those \
+    beside the methods. A cell that several runs have is taken from the last, and the report names it; a prediction \
+    never takes the place of another one, or of a method. Cases that only predictions have are listed and rank nobody; \
+    times that were not measured beside the others have no place. A report must be whole (manifest.json, frames.csv), as \
+    `all-cases` leaves it; --unchecked takes less. Films, airways and contours are those \
     that the runs kept; panels need whole films and are left out. Runs of different tracks share a page and no table: \
     each track has a folder of its own in --out.\n\
     Example: respire-bench merge reports/latest mine/case1 mine/case2 --out table"
@@ -27,6 +29,10 @@ pub struct MergeArguments {
     /// Folder of the merged report
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Merge reports without manifest.json, frames.csv or timings.csv too, and metrics that are defined otherwise now (which
+    /// are left out); the report says which rows were not checked
+    #[arg(long)]
+    unchecked: bool,
     /// Merge scores of different films of a case (another revision of the simulator) too; the report says which they
     /// are
     #[arg(long)]
@@ -36,13 +42,15 @@ pub struct MergeArguments {
 /// Reads, merges, writes, and prints the table.
 pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
     terminal.stage("reading the runs");
-    let parts = arguments.runs.iter().map(|folder| read_run(folder)).collect::<Result<Vec<Run>>>()?;
+    let evidence = if arguments.unchecked { Evidence::Waived } else { Evidence::Needed };
+    let part = |folder: &PathBuf| Ok(Part { run: read_run(folder, evidence)?, folder: folder.clone() });
+    let parts = arguments.runs.iter().map(part).collect::<Result<Vec<Part>>>()?;
     if let Some(folder) = arguments.runs.iter().find(|folder| same_folder(folder, &arguments.out)) {
         return Err(Error::usage(format!("--out is one of the runs: {}", folder.display())));
     }
     let mut environments: BTreeMap<String, serde_json::Value> = BTreeMap::new();
-    for (folder, part) in arguments.runs.iter().zip(&parts) {
-        environments.extend(read_environments(folder, &part.id)?);
+    for part in &parts {
+        environments.extend(read_environments(&part.folder, &part.run.id)?);
     }
     let films = if arguments.other_films { Films::Other } else { Films::Same };
     let merged = by_track(parts).into_iter().map(|parts| merge(parts, films)).collect::<Result<Vec<Run>>>()?;
@@ -62,13 +70,13 @@ pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
     Ok(())
 }
 
-/// The runs of each track, tracks in the order in which they come.
-fn by_track(runs: Vec<Run>) -> Vec<Vec<Run>> {
-    let mut tracks: Vec<Vec<Run>> = Vec::new();
-    for run in runs {
-        match tracks.iter_mut().find(|of_track| of_track[0].track == run.track) {
-            Some(of_track) => of_track.push(run),
-            None => tracks.push(vec![run]),
+/// The parts of each track, tracks in the order in which they come.
+fn by_track(parts: Vec<Part>) -> Vec<Vec<Part>> {
+    let mut tracks: Vec<Vec<Part>> = Vec::new();
+    for part in parts {
+        match tracks.iter_mut().find(|of_track| of_track[0].run.track == part.run.track) {
+            Some(of_track) => of_track.push(part),
+            None => tracks.push(vec![part]),
         }
     }
     tracks

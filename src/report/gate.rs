@@ -1,5 +1,6 @@
 //! The gate: absolute limits, and limits against a baseline run. Everything that is not shown to be good enough
-//! fails: a missing case, method or metric, an empty value, a NaN, a definition that changed.
+//! fails: a missing case, method or metric, an empty value, a NaN, one out of its range, a definition that changed, a film
+//! that is unknown, a limit that no row meets.
 //!
 //! ```toml
 //! cases = ["case1"]                    # must be there
@@ -20,7 +21,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::read::{Key, ResultEntry, Results};
+use super::read::{CaseFacts, Key, ResultEntry, Results, unfit};
 use crate::base::range::{KeyRanges, NumberRange};
 use crate::base::{Error, Result, files};
 use crate::score::{Metric, Status, metric, statistics};
@@ -100,6 +101,12 @@ pub struct Relative {
     pub advisory: bool,
 }
 
+impl Relative {
+    fn concerns(&self, key: &Key) -> bool {
+        self.metric == key.metric && self.method.as_ref().is_none_or(|method| *method == key.method)
+    }
+}
+
 /// The outcome of one check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
@@ -150,11 +157,14 @@ pub fn read_thresholds(path: &Path) -> Result<Thresholds> {
 }
 
 /// The limits that come with a baseline, beside those of every baseline: both must hold. The spread of seeds and samplings
-/// is wide where a method is fragile, and a build that changes nothing gives the same bytes.
-pub fn with_limits_of(mut thresholds: Thresholds, baseline: &Path) -> Result<Thresholds> {
-    let file = baseline.join(LIMITS_FILE);
+/// is wide where a method is fragile, and a build that changes nothing gives the same bytes. The runs that they were
+/// computed from may have had more methods than the baseline.
+pub fn with_limits_of(mut thresholds: Thresholds, baseline: &Results, folder: &Path) -> Result<Thresholds> {
+    let file = folder.join(LIMITS_FILE);
     if file.exists() {
-        thresholds.relative.extend(read_thresholds(&file)?.relative);
+        let methods = baseline.methods();
+        let is_known = |limit: &Relative| limit.method.as_ref().is_none_or(|method| methods.contains(&method.as_str()));
+        thresholds.relative.extend(read_thresholds(&file)?.relative.into_iter().filter(is_known));
     }
     Ok(thresholds)
 }
@@ -162,6 +172,7 @@ pub fn with_limits_of(mut thresholds: Thresholds, baseline: &Path) -> Result<Thr
 /// All checks, in a fixed order.
 pub fn judge(results: &Results, thresholds: &Thresholds, baseline: Option<&Results>) -> Vec<Check> {
     let mut checks = presence(results, thresholds);
+    checks.extend(soundness(results));
     for limit in &thresholds.absolute {
         checks.extend(match limit.over {
             Over::Each => each(results, limit),
@@ -171,7 +182,17 @@ pub fn judge(results: &Results, thresholds: &Thresholds, baseline: Option<&Resul
     if let Some(baseline) = baseline {
         checks.extend(against(results, thresholds, baseline));
     }
+    checks.extend(thresholds.relative.iter().filter_map(|limit| idle(limit, results, baseline)));
+    let is_remark = |c: &Check| c.verdict == Verdict::Note && c.metric.is_empty();
+    if checks.iter().all(is_remark) {
+        checks.push(check(("", "", ""), Verdict::Fail, "no limit applies, so that nothing was checked".into()));
+    }
     checks
+}
+
+/// That two definitions of a metric are not one.
+pub(super) fn redefinition(from: &str, to: &str) -> String {
+    format!("the definition changed from {from} to {to}: not comparable")
 }
 
 fn check(key: (&str, &str, &str), verdict: Verdict, sentence: String) -> Check {
@@ -188,11 +209,17 @@ fn presence(results: &Results, thresholds: &Thresholds) -> Vec<Check> {
     if results.entries.is_empty() {
         checks.push(check(("", "", ""), Verdict::Fail, "the results hold no row".into()));
     }
-    for case in thresholds.cases.iter().filter(|c| !cases.contains(&c.as_str())) {
-        checks.push(check((case, "", ""), Verdict::Fail, "the case is missing".into()));
+    let found = |is_there: bool, what: &str| match is_there {
+        true => (Verdict::Pass, format!("the {what} is there")),
+        false => (Verdict::Fail, format!("the {what} is missing")),
+    };
+    for case in &thresholds.cases {
+        let (verdict, sentence) = found(cases.contains(&case.as_str()), "case");
+        checks.push(check((case, "", ""), verdict, sentence));
     }
-    for method in thresholds.methods.iter().filter(|m| !methods.contains(&m.as_str())) {
-        checks.push(check(("", method, ""), Verdict::Fail, "the method is missing".into()));
+    for method in &thresholds.methods {
+        let (verdict, sentence) = found(methods.contains(&method.as_str()), "method");
+        checks.push(check(("", method, ""), verdict, sentence));
     }
     // A cell that failed has rows, and each says so; one check for each is enough.
     let failed: BTreeMap<(&str, &str, u64), ()> = results
@@ -207,6 +234,37 @@ fn presence(results: &Results, thresholds: &Thresholds) -> Vec<Check> {
     checks
 }
 
+/// What no table that this program wrote has: a value out of its metric's range, a case whose rows are of several films or
+/// of an unknown one.
+fn soundness(results: &Results) -> Vec<Check> {
+    let broken = |(key, entry): (&Key, &ResultEntry)| {
+        let sentence = unfit(metric(&key.metric)?, entry.value?)?;
+        Some(check((&key.case, &key.method, &key.metric), Verdict::Fail, sentence))
+    };
+    let film = |(case, facts): (&String, &CaseFacts)| {
+        let sentence = match facts.film_contents.len() {
+            _ if facts.film().is_some() => return None,
+            // Every cell failed, and each says so.
+            0 => return None,
+            1 => "no row tells which film it is of (film_content)",
+            _ => "its rows are not all of one film (film_content)",
+        };
+        Some(check((case, "", ""), Verdict::Fail, sentence.to_owned()))
+    };
+    results.facts.iter().filter_map(film).chain(results.entries.iter().filter_map(broken)).collect()
+}
+
+/// A relative limit that no row meets says nothing: its method or metric is misspelt, or has left the tables.
+fn idle(limit: &Relative, results: &Results, baseline: Option<&Results>) -> Option<Check> {
+    let meets = |key: &Key| limit.concerns(key) && results.facts.contains_key(&key.case);
+    if baseline.unwrap_or(results).entries.keys().any(meets) {
+        return None;
+    }
+    let whose = if baseline.is_some() { "the baseline" } else { "the results" };
+    let place = ("", limit.method.as_deref().unwrap_or(""), limit.metric.as_str());
+    Some(check(place, or_note(limit.advisory), format!("no row of {whose} meets this limit")))
+}
+
 /// Rows of the limit's metric and method. A method or metric without any row is a failure, not a pass.
 fn each(results: &Results, limit: &Absolute) -> Vec<Check> {
     let Some(m) = metric(&limit.metric) else { return Vec::new() };
@@ -214,7 +272,7 @@ fn each(results: &Results, limit: &Absolute) -> Vec<Check> {
         .entries
         .iter()
         .filter(|(k, _)| k.metric == m.id && k.method == limit.method)
-        .map(|(k, entry)| absolute(m, limit, &k.case, shown_value(entry)))
+        .map(|(k, entry)| absolute(m, limit, &k.case, shown_value(m, entry)))
         .collect();
     if checks.is_empty() {
         checks.push(check(("", &limit.method, m.id), or_note(limit.advisory), "no case has this metric".into()));
@@ -229,7 +287,7 @@ fn mean(results: &Results, limit: &Absolute) -> Check {
     let rows: Vec<&ResultEntry> = results.entries.iter().filter(|(k, _)| of_method(k)).map(|(_, e)| e).collect();
     let values: Vec<f64> = results.case_values(&limit.method, m.id).into_iter().map(|(_, v)| v).collect();
     // A mean that silently leaves a case out would pass when the worst case loses its value.
-    let whole = cells > 0 && rows.iter().all(|e| matches!(shown_value(e), Value::Number(v) if v.is_finite()));
+    let whole = cells > 0 && rows.iter().all(|e| matches!(shown_value(m, e), Value::Number(v) if v.is_finite()));
     if !whole {
         let sentence = "not every case has a value, so there is no mean".to_owned();
         return check(("mean", &limit.method, m.id), or_note(limit.advisory), sentence);
@@ -246,9 +304,10 @@ enum Value {
     None(String),
 }
 
-fn shown_value(entry: &ResultEntry) -> Value {
+/// Only a ratio to no error at all is better than any number; elsewhere the status is no value.
+fn shown_value(m: &Metric, entry: &ResultEntry) -> Value {
     match entry.value {
-        _ if entry.status == Status::Identical.word() => Value::Identical,
+        _ if entry.status == Status::Identical.word() && m.unit == "dB" => Value::Identical,
         Some(value) => Value::Number(value),
         None => Value::None(entry.status.clone()),
     }
@@ -279,17 +338,19 @@ fn against(results: &Results, thresholds: &Thresholds, baseline: &Results) -> Ve
         checks.push(check((case, "", ""), Verdict::Fail, "the baseline has this case, the results do not".into()));
     }
     for case in now.iter().filter(|c| before.contains(c)) {
-        let film = |results: &Results| results.facts.get(*case).map(|facts| facts.film_content.clone());
-        let (own, known) = (film(results).unwrap_or_default(), film(baseline).unwrap_or_default());
-        if !own.is_empty() && !known.is_empty() && own != known {
-            let sentence = "the film is another than the baseline's: where that is meant, make the baseline anew";
-            checks.push(check((case, "", ""), Verdict::Fail, sentence.to_owned()));
-        }
+        let film = |results: &Results| results.facts.get(*case).and_then(|facts| facts.film().map(str::to_owned));
+        let sentence = match (film(results), film(baseline)) {
+            (Some(own), Some(known)) if own != known => {
+                "the film is another than the baseline's: where that is meant, make the baseline anew"
+            }
+            (Some(_), None) => "the baseline does not tell which film it is of: make it anew",
+            _ => continue,
+        };
+        checks.push(check((case, "", ""), Verdict::Fail, sentence.to_owned()));
     }
     for limit in &thresholds.relative {
         let Some(m) = metric(&limit.metric) else { continue };
-        let concerned = |k: &Key| k.metric == m.id && limit.method.as_ref().is_none_or(|wanted| *wanted == k.method);
-        for (key, old) in baseline.entries.iter().filter(|(k, _)| concerned(k) && now.contains(&k.case.as_str())) {
+        for (key, old) in baseline.entries.iter().filter(|(k, _)| limit.concerns(k) && now.contains(&k.case.as_str())) {
             checks.push(relative(m, limit, key, old, results.entries.get(key)));
         }
     }
@@ -303,10 +364,9 @@ fn relative(m: &Metric, limit: &Relative, key: &Key, old: &ResultEntry, new: Opt
         return check(place, fail, "the baseline has this metric, the results do not".into());
     };
     if new.definition != old.definition {
-        let sentence = format!("the definition changed from {} to {}: not comparable", old.definition, new.definition);
-        return check(place, fail, sentence);
+        return check(place, fail, redefinition(&old.definition, &new.definition));
     }
-    match (shown_value(old), shown_value(new)) {
+    match (shown_value(m, old), shown_value(m, new)) {
         (Value::None(_), Value::None(_)) => check(place, Verdict::Pass, "no value, as in the baseline".into()),
         (Value::None(_), _) => check(place, Verdict::Note, "has a value, the baseline has none".into()),
         (_, Value::Identical) => check(place, Verdict::Pass, "identical to the truth".into()),

@@ -134,7 +134,7 @@ fn deviation_of_seeds(runs: &[Results], method: &str, metric: &Metric) -> Option
 /// Values of a case in one run minus those in an earlier one that filmed it differently.
 fn single_case_differences(runs: &[Results], method: &str, metric: &Metric) -> Vec<f64> {
     let mut found = Vec::new();
-    let film = |run: &Results, case: &str| run.facts.get(case).map(|facts| facts.film_content.clone());
+    let film = |run: &Results, case: &str| run.facts.get(case).and_then(|facts| facts.film().map(str::to_owned));
     for (at, run) in runs.iter().enumerate() {
         for (key, entry) in run.entries.iter().filter(|(k, _)| k.method == method && k.metric == metric.id) {
             let others = runs[..at].iter().filter(|other| film(other, &key.case) != film(run, &key.case));

@@ -88,9 +88,20 @@ fn verdicts() {
     assert_eq!(verdict(&changed(&good, "bridgesplat-nomesh", "depth_rmse_mm", |v| Some(v * 1.03))).len(), 2);
     // NaN, infinity and an empty value fail each limit that applies to them.
     for bad in [Some(f64::NAN), Some(f64::NEG_INFINITY), None] {
-        assert_eq!(verdict(&changed(&good, "ours", "psnr_db", |_| bad)).len(), 4, "{bad:?}");
+        // And each value for itself, whatever the limits.
+        let broken = if bad.is_some() { 2 } else { 0 };
+        assert_eq!(verdict(&changed(&good, "ours", "psnr_db", |_| bad)).len(), 4 + broken, "{bad:?}");
     }
-    assert_eq!(verdict(&changed(&good, "ours", "depth_rmse_mm", |_| Some(f64::NAN))).len(), 3);
+    assert_eq!(verdict(&changed(&good, "ours", "depth_rmse_mm", |_| Some(f64::NAN))).len(), 5);
+    assert_eq!(verdict(&changed(&good, "ours", "ssim", |_| Some(1.5))).len(), 2);
+    // No error at all is better than any number by PSNR alone.
+    let identical = |metric: &str| {
+        let mut results = changed(&good, "ours", metric, |_| None);
+        let of_metric = results.entries.iter_mut().filter(|(k, _)| k.method == "ours" && k.metric == metric);
+        of_metric.for_each(|(_, entry)| entry.status = "identical".into());
+        verdict(&results).len()
+    };
+    assert_eq!((identical("psnr_db"), identical("depth_rmse_mm")), (0, 3));
     // Times are advisory.
     let slow = judge(&changed(&good, "ours", "time_total_s", |v| Some(v * 9.0)), &limits, Some(&good));
     assert!(failures(&slow).is_empty() && slow.iter().any(|c| c.verdict == Verdict::Note));
@@ -117,6 +128,26 @@ fn what_is_missing_fails_and_what_is_new_is_noted() {
     let checks = judge(&good, &limits, Some(&fewer));
     assert!(failures(&checks).is_empty());
     assert!(checks.iter().any(|c| c.verdict == Verdict::Note && c.case == "case2"));
+    // A limit that no row meets, and no limit at all, check nothing.
+    for limit in ["metric = 'psnr_db'\nmethod = 'ours-gm'", "metric = 'psnr_ahead_db'\nmethod = 'mean-breath'"] {
+        let limits: Thresholds = toml::from_str(&format!("[[relative]]\n{limit}\nworse_by = 0.1")).unwrap();
+        for (baseline, whose) in [(Some(&good), "baseline"), (None, "results")] {
+            let failed = failures(&judge(&good, &limits, baseline));
+            assert!(failed[0].contains(&format!("no row of the {whose} meets this limit")), "{failed:?}");
+        }
+    }
+    let nothing = failures(&judge(&good, &Thresholds::default(), Some(&good)));
+    assert!(nothing.len() == 1 && nothing[0].contains("nothing was checked"), "{nothing:?}");
+    // A case whose film nobody knows, or whose rows are of several.
+    for (contents, words) in
+        [(&[""][..], "no row tells"), (&["", "a"], "not all of one film"), (&["a", "b"], "not all of")]
+    {
+        let mut results = good.clone();
+        let films = contents.iter().map(|film| film.to_string()).collect();
+        results.facts.get_mut("case1").unwrap().film_contents = films;
+        let failed = verdict(&results);
+        assert!(failed.len() == 1 && failed[0].contains(words), "{failed:?}");
+    }
     // A renamed definition is not compared.
     let mut renamed = good.clone();
     for (_, entry) in renamed.entries.iter_mut().filter(|(k, _)| k.metric == "psnr_db") {
@@ -325,7 +356,11 @@ fn planted_regressions_are_refused_and_sound_builds_are_not() {
     let file =
         "[[relative]]\nmetric = 'psnr_db'\nworse_by = 0.0\n[[relative]]\nmetric = 'time_total_s'\nadvisory = true";
     write_limits(&limits, &folder.path().join("limits.toml")).unwrap();
-    let limits = with_limits_of(toml::from_str(file).unwrap(), folder.path()).unwrap();
+    // Limits of a row that the baseline does not have are of the runs that they are computed from.
+    let path = folder.path().join("limits.toml");
+    let more = "[[relative]]\nmetric = 'psnr_db'\nmethod = 'ours-nav'\n";
+    fs::write(&path, fs::read_to_string(&path).unwrap() + more).unwrap();
+    let limits = with_limits_of(toml::from_str(file).unwrap(), &baseline, folder.path()).unwrap();
     assert!(limits.relative[1].advisory && limits.relative.iter().filter(|l| l.metric == "psnr_db").count() == 3);
 
     // The same bytes on every machine: ten more runs of the same build are ten times the same table.

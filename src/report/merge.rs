@@ -5,14 +5,15 @@
 //! those that the runs kept (`scenes.json`); panels, which need whole films and predictions, are left out.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::read::{CsvRow, CsvTable};
-use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
+use super::gate::redefinition;
+use super::read::{CsvRow, CsvTable, distinct, unfit};
+use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Role, Run, StageCost};
 use super::scene::{FilmKey, Scenes};
 use super::seal;
 use crate::base::{Error, Result, files, hash};
-use crate::score::{CellScore, FrameScore, FrameValue, MetricScore, Status, check_means, registry};
+use crate::score::{CellScore, FrameScore, FrameValue, Metric, MetricScore, Status, check_means, metric, registry};
 use crate::simulate::track::Track;
 
 /// Whether a table may hold scores of different films of one case.
@@ -22,6 +23,24 @@ pub enum Films {
     Same,
     /// Yes, and the report says which cells they are.
     Other,
+}
+
+/// Whether rows may lack what they are checked with: the report's manifest, and the frames from which its means follow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Evidence {
+    /// No: such a report is refused.
+    Needed,
+    /// Yes, and the report says which rows were not checked. What is there must still agree.
+    Waived,
+}
+
+/// A report to merge.
+#[derive(Clone)]
+pub struct Part {
+    /// Its folder, by which notes name it.
+    pub folder: PathBuf,
+    /// What its tables hold.
+    pub run: Run,
 }
 
 /// The machines that the report in `folder`, of the run `id`, was made on, by the id of the run: its own
@@ -41,16 +60,17 @@ pub fn read_environments(folder: &Path, id: &str) -> Result<BTreeMap<String, ser
     Ok(environments)
 }
 
-/// Reads the tables of a finished run back (`results.csv`, `comparison.csv`; `frames.csv` and `timings.csv` where they
-/// are).
+/// Reads the tables of a finished run back (`results.csv`, `comparison.csv`, `frames.csv`, `timings.csv`).
 ///
-/// Errors name file, line and column: a metric or status that this version does not know; a number that does not follow
-/// from the frames; a table that was changed since it was written; a prediction of a third party without its frames or
-/// its manifest, or under the name of an own row.
-pub fn read_run(folder: &Path) -> Result<Run> {
+/// Errors name file, line and column: a metric or status that this version does not know, or a definition of a metric that
+/// is not this version's; a value that the metric cannot have; a number that does not follow from the frames; a table
+/// that was changed since it was written; a foreign row under the name of an own one. A report without frames, manifest or
+/// other tables is refused unless that is waived; then metrics of another definition are left out.
+pub fn read_run(folder: &Path, evidence: Evidence) -> Result<Run> {
     let mut cells: Vec<CellRecord> = Vec::new();
     let results = folder.join("results.csv");
     let (mut trees, mut tracks) = (BTreeMap::new(), Vec::new());
+    let mut redefined: Vec<String> = Vec::new();
     for row in CsvTable::read(&results)?.rows() {
         trees.insert(plain(row.text("case_id")?), plain(row.text_or_empty("tree")));
         let track = Track::of_word(&row.text_or_empty("track")).map_err(|e| row.refuse("track", e.to_string()))?;
@@ -67,16 +87,31 @@ pub fn read_run(folder: &Path) -> Result<Run> {
         let Outcome::Scored(score) = &mut cell.outcome else {
             return Err(row.refuse("status", "the cell has failed in a row before and has a value here".into()));
         };
-        score.case_hash = row.text("case_hash")?;
-        score.film_content = row.text_or_empty("film_content");
+        let (hash, content) = (row.text("case_hash")?, row.text_or_empty("film_content"));
+        if !score.metrics.is_empty() && (&hash, &content) != (&score.case_hash, &score.film_content) {
+            return Err(row.refuse("film_content", "is of another film than the rows before of this cell".into()));
+        }
+        (score.case_hash, score.film_content) = (hash, content);
         let metric = metric_of(&row)?;
-        if score.metric(&metric).is_some() {
-            return Err(row.refuse("metric", format!("\"{metric}\" of this cell is there twice")));
+        if score.metric(metric.id).is_some() {
+            return Err(row.refuse("metric", format!("\"{}\" of this cell is there twice", metric.id)));
+        }
+        let (known, definition) = (metric.definition_id(), row.text("definition")?);
+        if definition != known {
+            if evidence == Evidence::Needed {
+                return Err(row.refuse("definition", redefinition(&definition, &known)));
+            }
+            if !redefined.contains(&definition) {
+                redefined.push(definition);
+            }
+            continue;
         }
         let (low, high) = (row.number("ci_low")?, row.number("ci_high")?);
+        let value = row.number("value")?;
+        fits(&row, "value", metric, value)?;
         score.metrics.push(MetricScore {
-            metric,
-            value: row.number("value")?,
+            metric: metric.id.to_owned(),
+            value,
             status,
             deviation: row.number("sd")?,
             count: row.number("n")?.unwrap_or(0.0) as usize,
@@ -101,15 +136,28 @@ pub fn read_run(folder: &Path) -> Result<Run> {
         MethodInfo::check_foreign(&cell.method).map_err(named)?;
     }
     let frames = folder.join("frames.csv");
-    if frames.exists() || cells.iter().any(CellRecord::is_foreign) {
+    if frames.exists() {
         CsvTable::read(&frames)?.rows().try_for_each(|row| add_frame(&mut cells, &row))?;
-        cells.iter().filter_map(CellRecord::score).try_for_each(check_means).map_err(|e| e.at(&results))?;
+        let has_frames = |score: &&CellScore| evidence == Evidence::Needed || !score.frame_scores.is_empty();
+        let scores = || cells.iter().filter_map(CellRecord::score).filter(has_frames);
+        scores().try_for_each(check_means).map_err(|e| e.at(&results))?;
+        if let Some(score) = scores().find(|score| score.frame_scores.is_empty()) {
+            let sentence =
+                format!("has no frames of {} in {}, from which its numbers follow", score.method, score.case_id);
+            return Err(Error::input(sentence).at(frames));
+        }
     }
     let timings = folder.join("timings.csv");
     if timings.exists() {
         CsvTable::read(&timings)?.rows().try_for_each(|row| add_timing(&mut cells, &row))?;
     }
-    seal::check(folder, cells.iter().any(CellRecord::is_foreign))?;
+    let missing = seal::check(folder)?;
+    let notes = notes_of(folder, &cells, &missing, &redefined);
+    if let Some(name) = missing.first().filter(|_| evidence == Evidence::Needed) {
+        let sentence =
+            "is missing, so that the rows of this report cannot be checked; --unchecked merges it and says so";
+        return Err(Error::input(sentence).at(folder.join(name)));
+    }
     let scenes = Scenes::read(folder)?;
     for cell in &mut cells {
         if let Outcome::Scored(score) = &mut cell.outcome {
@@ -119,28 +167,46 @@ pub fn read_run(folder: &Path) -> Result<Run> {
     // `<profile>-<hash of the plan>`, or `evaluate-<case>-<method>`.
     let cut = if is_evaluated { id.split_once('-') } else { id.rsplit_once('-') };
     let profile = cut.map_or(id.as_str(), |(profile, _)| profile).to_owned();
-    Ok(Run { id, profile, track, scenes, ..gathered(cells, &trees) })
+    Ok(Run { id, profile, track, scenes, notes, ..gathered(cells, &trees) })
 }
 
-/// Merges `parts`; a cell that several runs have is taken from the last.
+/// What a report must say of a part that is less than a whole report of this version.
+fn notes_of(folder: &Path, cells: &[CellRecord], missing: &[&str], redefined: &[String]) -> Vec<String> {
+    let is_bare = |cell: &&CellRecord| cell.score().is_some_and(|score| score.frame_scores.is_empty());
+    let unchecked =
+        distinct(cells.iter().filter(|cell| !missing.is_empty() || is_bare(cell)).map(|c| c.method.as_str()));
+    let mut notes = Vec::new();
+    if !unchecked.is_empty() {
+        let what = if missing.is_empty() { "their frames".to_owned() } else { missing.join(", ") };
+        let (place, rows) = (folder.display(), unchecked.join(", "));
+        notes.push(format!("Rows of {place} were not checked, for want of {what}: {rows}."));
+    }
+    if !redefined.is_empty() {
+        let which = redefined.join(", ");
+        notes.push(format!("Left out of {}, since they are defined otherwise now: {which}.", folder.display()));
+    }
+    notes
+}
+
+/// Merges `parts`; a cell that several have is taken from the last, and the report says so.
 ///
 /// Errors: a method with rows of this program's runs and of predictions that `evaluate` scored; two different
 /// predictions of one name; with [`Films::Same`], two parts that scored different films of one case.
-pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
+pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
     // A part may itself be a merged run.
     let mut ids: Vec<String> = Vec::new();
-    for id in parts.iter().flat_map(|run| &run.cells).map(|cell| &cell.run_id) {
+    for id in parts.iter().flat_map(|part| &part.run.cells).map(|cell| &cell.run_id) {
         if !ids.contains(id) {
             ids.push(id.clone());
         }
     }
-    let track = parts.first().map(|run| run.track).unwrap_or_default();
-    if let Some(other) = parts.iter().find(|run| run.track != track) {
-        let (a, b) = (track.word(), other.track.word());
+    let track = parts.first().map(|part| part.run.track).unwrap_or_default();
+    if let Some(other) = parts.iter().find(|part| part.run.track != track) {
+        let (a, b) = (track.word(), other.run.track.word());
         return Err(Error::input(format!("a table holds one track, and these are of {a} and of {b}")));
     }
     let mut trees: BTreeMap<String, String> = BTreeMap::new();
-    for case in parts.iter().flat_map(|run| &run.cases).filter(|case| !case.tree.is_empty()) {
+    for case in parts.iter().flat_map(|part| &part.run.cases).filter(|case| !case.tree.is_empty()) {
         // A third party's scores do not know the tree, and are written with the case as its own.
         let known = trees.entry(case.id.clone()).or_default();
         if known.is_empty() || *known == case.id {
@@ -150,7 +216,10 @@ pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
     let mut profiles: Vec<String> = Vec::new();
     let mut cells: Vec<CellRecord> = Vec::new();
     let mut scenes = Scenes::default();
-    for run in parts {
+    let mut notes = vec![format!("Put together from {}.", ids.join(", "))];
+    for Part { folder, run } in parts {
+        notes.extend(run.notes);
+        let mut replaced: BTreeMap<String, Vec<String>> = BTreeMap::new();
         // A cell that is renewed takes its pictures along, even where the new run kept none.
         scenes.rows.retain(|row| {
             let is_of = |c: &CellRecord| (&c.case_id, &c.method, c.seed) == (&row.film.case_id, &row.method, row.seed);
@@ -163,9 +232,18 @@ pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
         for cell in run.cells {
             refuse_other_origin(&cells, &cell)?;
             match cells.iter_mut().find(|c| is_same(c, &cell)) {
-                Some(before) => *before = cell,
+                Some(before) => {
+                    if !has_same_numbers(before, &cell) {
+                        replaced.entry(cell.method.clone()).or_default().push(cell.case_id.clone());
+                    }
+                    *before = cell;
+                }
                 None => cells.push(cell),
             }
+        }
+        for (method, cases) in replaced {
+            let cases = distinct(cases.iter().map(String::as_str)).join(", ");
+            notes.push(format!("`{method}` of {cases} is that of {}, in place of an earlier one.", folder.display()));
         }
     }
     let id = format!("merged-{}", &hash::of_value(&ids)?[..8]);
@@ -174,8 +252,8 @@ pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
         let is_of = |score: &CellScore| FilmKey::of(score) == row.film && score.seed == row.seed;
         cells.iter().any(|cell| cell.method == row.method && cell.score().is_some_and(is_of))
     });
-    let mut run = Run { id, profile: profiles.join(" + "), track, scenes, ..gathered(cells, &trees) };
-    run.notes.push(format!("Put together from {}.", ids.join(", ")));
+    let mut run = Run { id, profile: profiles.join(" + "), track, scenes, notes, ..gathered(cells, &trees) };
+    run.notes.extend(notes_on_places(&run));
     for case in &run.cases {
         let of_film = films_of(&run.cells, &case.id);
         if of_film.len() < 2 {
@@ -189,6 +267,31 @@ pub fn merge(parts: Vec<Run>, films: Films) -> Result<Run> {
         run.notes.push(sentence + ".");
     }
     Ok(run)
+}
+
+/// Which cases and times of a merged run count in no place.
+fn notes_on_places(run: &Run) -> Vec<String> {
+    let counted = run.ranking_cases();
+    let others: Vec<&str> =
+        run.cases.iter().map(|c| c.id.as_str()).filter(|id| counted.iter().all(|c| c.id != *id)).collect();
+    let has_time = |method: &MethodInfo| !run.case_values(&method.id, "time_total_s").is_empty();
+    let stated: Vec<&str> = run
+        .methods
+        .iter()
+        .filter(|m| m.role == Role::Ranked && has_time(m) && !run.is_timed(&m.id))
+        .map(|m| m.id.as_str())
+        .collect();
+    let mut notes = Vec::new();
+    if !others.is_empty() {
+        let others = others.join(", ");
+        notes.push(format!("Listed, but of no row of this program, so that they count in no mean or place: {others}."));
+    }
+    if !stated.is_empty() {
+        let stated = stated.join(", ");
+        notes
+            .push(format!("Times as stated, not measured beside the others, and therefore without a place: {stated}."));
+    }
+    notes
 }
 
 /// A run of `cells` whose cases and methods are in the order in which they come.
@@ -329,6 +432,7 @@ fn add_times(score: &mut CellScore, row: &CsvRow<'_>) -> Result<()> {
     score.frames = row.number("frames")?.unwrap_or(0.0) as usize;
     for m in registry().iter().filter(|m| m.is_runtime()) {
         let value = row.seconds(m.id)?;
+        fits(row, m.id, m, value)?;
         let status = if value.is_some() { Status::Ok } else { Status::NotApplicable };
         let (metric, detail) = (m.id.to_owned(), String::new());
         score.metrics.push(MetricScore { metric, value, status, deviation: None, count: 0, interval: None, detail });
@@ -345,12 +449,19 @@ fn add_frame(cells: &mut Vec<CellRecord>, row: &CsvRow<'_>) -> Result<()> {
     if score.frame_scores.last().is_none_or(|last| last.frame != frame) {
         score.frame_scores.push(FrameScore { frame, time_s, phase, phase_predicted: None, values: Vec::new() });
     }
-    let Some(last) = score.frame_scores.last_mut() else { return Ok(()) };
     let value = row.number("value")?;
     if row.text("metric")? == "phase_predicted" {
-        last.phase_predicted = value;
+        if let Some(last) = score.frame_scores.last_mut() {
+            last.phase_predicted = value;
+        }
     } else {
-        last.values.push(FrameValue { metric: metric_of(row)?, value, status: status_of(row)? });
+        let metric = metric_of(row)?;
+        fits(row, "value", metric, value)?;
+        // A metric of another definition is left out here as in the table.
+        let is_kept = score.metric(metric.id).is_some();
+        if let Some(last) = score.frame_scores.last_mut().filter(|_| is_kept) {
+            last.values.push(FrameValue { metric: metric.id.to_owned(), value, status: status_of(row)? });
+        }
     }
     Ok(())
 }
@@ -369,12 +480,14 @@ fn add_timing(cells: &mut Vec<CellRecord>, row: &CsvRow<'_>) -> Result<()> {
     Ok(())
 }
 
-fn metric_of(row: &CsvRow<'_>) -> Result<String> {
+fn metric_of(row: &CsvRow<'_>) -> Result<&'static Metric> {
     let id = row.text("metric")?;
-    if registry().iter().any(|m| m.id == id) {
-        return Ok(id);
-    }
-    Err(row.refuse("metric", format!("\"{id}\" is no metric of this version")))
+    metric(&id).ok_or_else(|| row.refuse("metric", format!("\"{id}\" is no metric of this version")))
+}
+
+/// Refuses a value that the metric cannot have.
+fn fits(row: &CsvRow<'_>, column: &str, metric: &Metric, value: Option<f64>) -> Result<()> {
+    value.and_then(|value| unfit(metric, value)).map_or(Ok(()), |sentence| Err(row.refuse(column, sentence)))
 }
 
 fn status_of(row: &CsvRow<'_>) -> Result<Status> {

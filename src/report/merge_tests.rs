@@ -2,11 +2,21 @@
 
 use std::fs;
 
-use super::merge::{Films, merge, read_run};
+use super::merge::{Evidence, Films, Part};
 use super::report_tests::sample_run;
 use super::*;
 use crate::base::NoProgress;
-use crate::score::Status;
+use crate::score::{Goal, Status};
+
+fn read_run(folder: &Path) -> Result<Run> {
+    merge::read_run(folder, Evidence::Needed)
+}
+
+/// The runs as parts `part-1`, `part-2` and so on.
+fn merge(runs: Vec<Run>, films: Films) -> Result<Run> {
+    let part = |(k, run)| Part { folder: format!("part-{}", k + 1).into(), run };
+    merge::merge(runs.into_iter().enumerate().map(part).collect(), films)
+}
 
 /// A row of fewer cases says so and is never the best.
 #[test]
@@ -129,7 +139,6 @@ fn the_last_run_that_has_a_cell_gives_it() {
     let (first, second) = ("quick-00000001", "quick-00000002");
     let of_case = |case| [(case, "ours", second), (case, "static-ct", first), (case, "bridgesplat", second)];
     assert_eq!(found, [of_case("case1"), of_case("case2")].concat());
-    assert_eq!(merged.notes.len(), 1);
     assert!(merged.notes[0].contains(first) && merged.notes[0].contains(second));
     // Put together once more, it still knows where its cells come from.
     let place = folder.path().join("merged");
@@ -313,4 +322,101 @@ fn a_merged_report_keeps_films_airways_and_contours() {
     fs::write(&path, fs::read_to_string(&path).unwrap().replacen("\"seed\":1", "\"seed\":2", 1)).unwrap();
     let said = read_run(&first).err().unwrap().to_string();
     assert!(said.contains("scenes.json") && said.contains("was changed"), "{said}");
+}
+
+/// What a third party adds, of its own cases or as a measure of the worst, changes no place of other rows.
+#[test]
+fn a_third_party_ranks_nobody_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = sample_run(folder.path(), 24, 5);
+    let ranks = |run: &Run| -> Vec<(String, Vec<Option<usize>>, Option<f64>)> {
+        let of = |s: summary::MethodSummary| {
+            let mean = s.mean("target_mean_mm").map(|m| m.mean);
+            (s.method.id.clone(), s.metrics.iter().map(|m| m.rank).collect(), mean)
+        };
+        summary::summarise(run).into_iter().map(of).filter(|(id, ..)| id != "mine").collect()
+    };
+    let mut worse = run.clone();
+    // `ours` has a surface that cannot be measured in case1; a foreign row that is far off there sets no measure.
+    let unmeasured = |run: &mut Run| {
+        let ours = run.cells.iter_mut().find(|c| c.case_id == "case1" && c.method == "ours").unwrap();
+        let Outcome::Scored(score) = &mut ours.outcome else { panic!("not scored") };
+        let target = score.metrics.iter_mut().find(|m| m.metric == "target_error_mm").unwrap();
+        (target.value, target.status) = (None, Status::NoContour);
+        ours.clone()
+    };
+    let mut own = run.clone();
+    unmeasured(&mut own);
+    let ours = unmeasured(&mut worse);
+    worse.methods.push(MethodInfo::of("mine"));
+    for case in ["case1", "case2", "case9"] {
+        let mut mine = ours.clone();
+        (mine.case_id, mine.method, mine.run_id) = (case.into(), "mine".into(), run::evaluated_id(case, "mine"));
+        let Outcome::Scored(score) = &mut mine.outcome else { panic!("not scored") };
+        for m in &mut score.metrics {
+            let is_higher = crate::score::metric(&m.metric).unwrap().direction == Goal::Higher;
+            (m.value, m.status) = (Some(if is_higher { -900.0 } else { 900.0 }), Status::Ok);
+        }
+        worse.cells.push(mine);
+    }
+    worse.cases.push(CaseInfo { id: "case9".into(), title: String::new(), tree: String::new(), truth: None });
+    assert_eq!(ranks(&own), ranks(&worse));
+    let mine = &summary::summarise(&worse).pop().unwrap();
+    assert!(mine.cases == 2 && mine.metric("psnr_db").unwrap().rank.is_some());
+    let merged = merge(vec![worse], Films::Same).unwrap();
+    assert!(merged.notes.iter().any(|note| note.ends_with("count in no mean or place: case9.")), "{:?}", merged.notes);
+}
+
+/// Times rank where they were measured beside the others.
+#[test]
+fn times_of_another_machine_have_no_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 24, 4);
+    let rank = |run: &Run, method: &str| {
+        let summaries = summary::summarise(run);
+        summaries.iter().find(|s| s.method.id == method).unwrap().metric("time_total_s").unwrap().rank
+    };
+    assert!(rank(&run, "ours").is_some() && rank(&run, "ours-nomesh").is_some());
+    for cell in run.cells.iter_mut().filter(|c| c.method == "ours") {
+        cell.timings[0].machine_id = "a faster one".into();
+    }
+    assert!(rank(&run, "ours").is_none() && rank(&run, "ours-nomesh").is_some());
+    let merged = merge(vec![run], Films::Same).unwrap();
+    assert!(merged.notes.iter().any(|note| note.ends_with("without a place: ours.")), "{:?}", merged.notes);
+}
+
+/// Numbers of another definition, or that the metric cannot have, are not this version's; and a renewed row says where
+/// it is from.
+#[test]
+fn what_a_table_cannot_hold_is_refused_and_a_renewed_row_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = sample_run(folder.path(), 24, 4);
+    let place = folder.path().join("run");
+    write(&run, &place, &NoProgress).unwrap();
+    let path = place.join("results.csv");
+    let good = fs::read_to_string(&path).unwrap();
+    let row = good.lines().find(|row| row.contains(",ours,") && row.contains(",target_p95_mm,")).unwrap();
+    let value = row.split(',').nth(12).unwrap();
+    let edited = |from: &str, to: &str| {
+        fs::write(&path, good.replace(row, &row.replacen(from, to, 1))).unwrap();
+        read_run(&place).err().unwrap().to_string()
+    };
+    for unfit in ["-3", "NaN", "inf"] {
+        let said = edited(&format!(",{value},"), &format!(",{unfit},"));
+        assert!(said.contains("column value") && said.contains("is no value of target_p95_mm"), "{said}");
+    }
+    let said = edited("target_p95_mm/", "target_p95_mm/9");
+    assert!(
+        said.contains("column definition") && said.contains("the definition changed from target_p95_mm/9"),
+        "{said}"
+    );
+    fs::write(&path, &good).unwrap();
+
+    let mut renewed = run.clone();
+    renewed.cells.retain(|c| c.method == "ours" && c.case_id == "case1");
+    let Outcome::Scored(score) = &mut renewed.cells[0].outcome else { panic!("not scored") };
+    score.metrics.iter_mut().find(|m| m.metric == "target_p95_mm").unwrap().value = Some(0.5);
+    let notes = merge(vec![run.clone(), renewed], Films::Same).unwrap().notes;
+    assert!(notes.contains(&"`ours` of case1 is that of part-2, in place of an earlier one.".to_owned()), "{notes:?}");
+    assert_eq!(merge(vec![run.clone(), run], Films::Same).unwrap().notes.len(), 1);
 }

@@ -1,11 +1,15 @@
 //! Reads the tables of a finished run back: the input of `gate` and `compare`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use super::seal;
 use crate::base::{Error, Result, files};
-use crate::score::{Status, registry};
+use crate::score::{Metric, Status, registry};
 use crate::simulate::track::Track;
+
+/// How far beyond its range a sum of many numbers may be.
+const ROUNDING: f64 = 1e-9;
 
 /// Names a number of the tables.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -36,8 +40,17 @@ pub struct ResultEntry {
 pub struct CaseFacts {
     /// Whose airway it is; the case's own id when unknown.
     pub tree: String,
-    /// Hash of the film's files; empty when unknown.
-    pub film_content: String,
+    /// Hashes of the film's files that rows with a score name; an empty one where a row does not tell.
+    pub film_contents: BTreeSet<String>,
+}
+
+impl CaseFacts {
+    /// The film of all rows; none when one of them does not tell or names another.
+    pub fn film(&self) -> Option<&str> {
+        let mut films = self.film_contents.iter();
+        let first = films.next().filter(|film| !film.is_empty())?;
+        if films.next().is_none() { Some(first) } else { None }
+    }
 }
 
 /// All numbers of a run.
@@ -53,7 +66,7 @@ pub struct Results {
 
 /// Reads `results.csv` of `folder`, and the times from its `comparison.csv` where there is one.
 ///
-/// Errors name file, line and column.
+/// Errors name file, line and column, and a table that does not have the hash of the manifest, where there is one.
 pub fn read(folder: &Path) -> Result<Results> {
     let mut results = Results::default();
     let path = folder.join("results.csv");
@@ -67,8 +80,9 @@ pub fn read(folder: &Path) -> Result<Results> {
         let facts = results.facts.entry(key.case.clone()).or_default();
         let (tree, content) = (row.text_or_empty("tree"), row.text_or_empty("film_content"));
         facts.tree = if tree.is_empty() { key.case.clone() } else { tree };
-        if !content.is_empty() {
-            facts.film_content = content;
+        // A cell that failed has no film.
+        if row.text("status")? != Status::Failed.word() {
+            facts.film_contents.insert(content);
         }
         let entry = ResultEntry {
             value: row.number("value")?,
@@ -92,7 +106,16 @@ pub fn read(folder: &Path) -> Result<Results> {
             }
         }
     }
+    seal::check(folder)?;
     Ok(results)
+}
+
+/// What is wrong with a value that the metric cannot have; none for a sound one.
+pub(super) fn unfit(metric: &Metric, value: f64) -> Option<String> {
+    let [low, high] = metric.range;
+    let (low, high) = (low.unwrap_or(f64::NEG_INFINITY), high.unwrap_or(f64::INFINITY));
+    let is_sound = value.is_finite() && (low - ROUNDING..=high + ROUNDING).contains(&value);
+    (!is_sound).then(|| format!("{value} is no value of {}, which lies between {low} and {high}", metric.id))
 }
 
 impl Results {
@@ -117,11 +140,11 @@ impl Results {
         )))
     }
 
-    /// Whether no case that both know was filmed otherwise there, as far as that is known.
-    pub fn has_films_of(&self, other: &Results) -> bool {
-        let unlike = |own: &str, known: &str| !own.is_empty() && !known.is_empty() && own != known;
-        let known = |case: &String| other.facts.get(case).map_or("", |facts| facts.film_content.as_str());
-        !self.facts.iter().any(|(case, facts)| unlike(&facts.film_content, known(case)))
+    /// Cases that both have and that were filmed otherwise there, as far as all rows tell.
+    pub fn other_films(&self, other: &Results) -> Vec<&str> {
+        let film = |results: &Results, case: &str| results.facts.get(case).and_then(|f| f.film().map(str::to_owned));
+        let is_other = |case: &&str| film(self, case).zip(film(other, case)).is_some_and(|(own, known)| own != known);
+        self.facts.keys().map(String::as_str).filter(is_other).collect()
     }
 
     /// The tree of a case.
@@ -145,7 +168,8 @@ impl Results {
     }
 }
 
-fn distinct<'a>(words: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+/// Sorted, each once.
+pub(super) fn distinct<'a>(words: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     let mut words: Vec<&str> = words.collect();
     words.sort_unstable();
     words.dedup();

@@ -1,5 +1,5 @@
-//! `manifest.json` of a report: the hash of each file that `merge` reads, so that one that was changed afterwards is
-//! noticed. It is no signature: whoever changes table and manifest alike is found only where frames contradict.
+//! `manifest.json` of a report: the hash of each file that `merge`, `gate` and `compare` read, so that one that was changed
+//! afterwards is noticed. It is no signature: whoever changes table and manifest alike is found only where frames contradict.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,9 +13,6 @@ use crate::base::{Error, Result, files, hash};
 const MANIFEST: &str = "manifest.json";
 /// Tables that it covers; what the page shows is covered too, where it is there.
 const TABLES: [&str; 4] = ["results.csv", "comparison.csv", "frames.csv", "timings.csv"];
-
-/// Tables with a row per frame or stage, without which a report can be read.
-const LONG: [&str; 2] = ["frames.csv", "timings.csv"];
 
 #[derive(Serialize, Deserialize)]
 struct ReportManifest {
@@ -35,27 +32,23 @@ pub(super) fn write(folder: &Path) -> Result<()> {
     files::write_json(&folder.join(MANIFEST), &ReportManifest { files })
 }
 
-/// Refuses tables that are not those of the manifest. A report of an older version has none, and a report kept for
-/// reference leaves out what is long ([`LONG`]); both are accepted unless a manifest is `needed`.
-pub(super) fn check(folder: &Path, needed: bool) -> Result<()> {
+/// Refuses tables that are not those of the manifest, and names the files that are not there: a report of an older
+/// version has no manifest, and one kept for reference leaves out what is long.
+pub(super) fn check(folder: &Path) -> Result<Vec<&'static str>> {
+    let (there, mut missing): (Vec<&str>, Vec<&str>) = covered(folder).partition(|name| folder.join(name).exists());
     let path = folder.join(MANIFEST);
     if !path.exists() {
-        let sentence =
-            "is missing: without it nobody can tell whether the tables were changed; score the prediction again";
-        return if needed { Err(Error::input(sentence).at(path)) } else { Ok(()) };
+        missing.insert(0, MANIFEST);
+        return Ok(missing);
     }
     let manifest: ReportManifest = files::read_json(&path)?;
-    for name in covered(folder) {
+    for name in there {
         let table = folder.join(name);
-        if !needed && LONG.contains(&name) && !table.exists() {
-            continue;
-        }
-        let wanted = manifest.files.get(name);
-        if wanted.is_none() || wanted != Some(&hash::of_file(&table)?) {
+        if manifest.files.get(name) != Some(&hash::of_file(&table)?) {
             let sentence =
                 "was changed since it was written: its content does not have the hash that manifest.json gives";
             return Err(Error::input(sentence).at(table));
         }
     }
-    Ok(())
+    Ok(missing)
 }

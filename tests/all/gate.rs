@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::binary::run;
 
-const HEADER: &str = "run_id,case_id,case_hash,config,seed,split,metric,definition,unit,direction,alignment,mask,value,sd,n,ci_low,ci_high,status,detail";
+const HEADER: &str = "run_id,case_id,case_hash,config,seed,split,metric,definition,unit,direction,alignment,mask,value,sd,n,ci_low,ci_high,status,detail,film_content";
 
 /// A run of two cases whose PSNR and depth error are given.
 fn write_run(folder: &Path, psnr: [&str; 2], depth: [&str; 2]) {
@@ -13,11 +13,11 @@ fn write_run(folder: &Path, psnr: [&str; 2], depth: [&str; 2]) {
     for (case, (psnr, depth)) in ["case1", "case5"].iter().zip(psnr.iter().zip(depth)) {
         let status = |v: &str| if v.is_empty() { "degenerate" } else { "ok" };
         text += &format!(
-            "smoke-1,{case},ab,ours,1,online,psnr_db,psnr_db/1,dB,higher,,none,{psnr},,12,,,{},\n",
+            "smoke-1,{case},ab,ours,1,online,psnr_db,psnr_db/1,dB,higher,,none,{psnr},,12,,,{},,film of {case}\n",
             status(psnr)
         );
         text += &format!(
-            "smoke-1,{case},ab,ours,1,online,depth_rmse_mm,depth_rmse_mm/1,mm,lower,none,true_depth,{depth},,12,,,{},\n",
+            "smoke-1,{case},ab,ours,1,online,depth_rmse_mm,depth_rmse_mm/2,mm,lower,none,true_depth,{depth},,12,,,{},,film of {case}\n",
             status(depth)
         );
     }
@@ -79,6 +79,14 @@ fn broken_input_ends_with_exit_code_4_and_one_sentence() {
     let at = |name: &str| folder.path().join(name);
     fs::write(at("gate.toml"), LIMITS).unwrap();
     write_run(&at("baseline"), ["27.5", "26.5"], ["2.0", "3.0"]);
+    // A table that was edited after its manifest was written.
+    write_run(&at("edited"), ["27.5", "26.5"], ["2.0", "3.0"]);
+    let hash = blake3::hash(&fs::read(at("edited").join("results.csv")).unwrap()).to_hex();
+    fs::write(at("edited").join("manifest.json"), format!("{{\"files\": {{\"results.csv\": \"{hash}\"}}}}")).unwrap();
+    assert_eq!(gate(folder.path(), "edited").0, 0);
+    write_run(&at("edited"), ["29.5", "26.5"], ["2.0", "3.0"]);
+    let (code, _, complaint) = gate(folder.path(), "edited");
+    assert!(code == 4 && complaint.contains("results.csv: was changed since it was written"), "{code} {complaint}");
     let (code, _, complaint) = gate(folder.path(), "nowhere");
     assert!(code == 4 && complaint.contains("results.csv"), "{code} {complaint}");
     write_run(&at("broken"), ["a lot", "26.5"], ["2.0", "3.0"]);
@@ -114,6 +122,13 @@ fn two_runs_are_compared() {
     let (code, said, _) = run(&["compare", a, b, "--json"]);
     let found: serde_json::Value = serde_json::from_str(&said).unwrap();
     assert_eq!((code, &found[0]["difference"]), (0, &serde_json::json!(0.75)));
+    // A difference between films is not one between methods alone.
+    let (code, _, complaint) = run(&["compare", a, b]);
+    assert!(code == 0 && !complaint.contains("other films"), "{complaint}");
+    let results = Path::new(b).join("results.csv");
+    fs::write(&results, fs::read_to_string(&results).unwrap().replace("film of case5", "another")).unwrap();
+    let (code, _, complaint) = run(&["compare", a, b]);
+    assert!(code == 0 && complaint.contains("case5 are of other films in B"), "{complaint}");
     let (code, _, complaint) = run(&["compare", a, b, "--method", "theirs"]);
     assert!(code == 4 && complaint.contains("share no case"), "{complaint}");
 }
@@ -130,7 +145,8 @@ fn a_metric_is_explained() {
     assert_eq!(all[0]["direction"], "higher");
 }
 
-/// The reference report, taken apart by methods and put together again, is the reference report.
+/// The reference report, taken apart by methods and put together again, is the reference report. It was kept without its
+/// frames, and has metrics of definitions that were changed since.
 #[test]
 fn runs_are_merged() {
     let folder = tempfile::tempdir().unwrap();
@@ -149,7 +165,9 @@ fn runs_are_merged() {
     let (all, mine, others) =
         (part("all", &|_| true), part("mine", &|m| m.starts_with("ours")), part("others", &|m| !m.starts_with("ours")));
     let out = folder.path().join("merged").to_str().unwrap().to_owned();
-    let (code, said, complaint) = run(&["merge", &others, &mine, "--out", &out]);
+    let (code, _, complaint) = run(&["merge", &others, &mine, "--out", &out]);
+    assert!(code == 4 && complaint.contains("the definition changed from "), "{complaint}");
+    let (code, said, complaint) = run(&["merge", &others, &mine, "--unchecked", "--out", &out]);
     assert_eq!(code, 0, "{complaint}");
     assert!(said.contains("Static CT") && said.contains("report.html"), "{said}");
     let rows = |path: &Path| {
@@ -160,7 +178,7 @@ fn runs_are_merged() {
     };
     // The committed report is of a version that knew no places and no contents of films: it is read, and written anew.
     let anew = folder.path().join("anew").to_str().unwrap().to_owned();
-    let (code, _, complaint) = run(&["merge", &all, "--out", &anew]);
+    let (code, _, complaint) = run(&["merge", &all, "--unchecked", "--out", &anew]);
     assert_eq!(code, 0, "{complaint}");
     for table in ["results.csv", "comparison.csv", "summary.csv", "timings.csv"] {
         let (merged, whole) = (rows(&folder.path().join("merged").join(table)), rows(&Path::new(&anew).join(table)));
@@ -178,17 +196,22 @@ fn runs_are_merged() {
         let later = ["novel_", "target_mean_mm", "target_p95_mm", "phase_coverage_", "phase_sd_mean"];
         let later =
             later.into_iter().chain(["navigation_", "lost_pct", "silent_pct", "recovered_pct"]).collect::<Vec<_>>();
-        let is_later = |metric: &str| later.iter().any(|start| metric.starts_with(start));
+        let redefined = ["contour_rmse_mm", "depth_rmse_mm", "target_error_"];
+        let is_later = |metric: &str| later.iter().chain(&redefined).any(|start| metric.starts_with(start));
         rows.retain(|row| !is_later(&row[3]));
         rows.sort();
         rows
     };
     assert_eq!(values(Path::new(&anew)), values(&whole));
+    let report = fs::read_to_string(folder.path().join("merged/report.md")).unwrap();
+    for sentence in ["were not checked, for want of manifest.json, frames.csv: ", "defined otherwise now: "] {
+        assert!(report.contains(sentence), "{sentence}");
+    }
     for picture in ["report.md", "plots/methods.png", "plots/error-against-time.png", "environments.json"] {
         assert!(folder.path().join("merged").join(picture).exists(), "{picture}");
     }
 
-    let (code, _, complaint) = run(&["merge", &all, "--out", &all]);
+    let (code, _, complaint) = run(&["merge", &all, "--unchecked", "--out", &all]);
     assert!(code == 2 && complaint.contains("--out is one of the runs"), "{complaint}");
     let (code, _, complaint) = run(&["merge", "nothing-here", "--out", &out]);
     assert!(code == 4 && complaint.contains("nothing-here/results.csv"), "{complaint}");

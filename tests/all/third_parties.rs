@@ -143,7 +143,13 @@ fn a_third_party_stands_in_the_ranking_under_a_name_of_its_own() {
     accepted(place.evaluate(&film, "mine", "scores", &["--method", "mine"]));
     accepted(place.merge(&["reports/latest", "scores"], &[]));
     assert_eq!(sorted(rank("psnr_db")), sorted(pairs("1", "2").to_vec()));
-    // Without a time it has no place among the times.
+    // A time that somebody states has no place among those that were measured, and none has none.
+    fs::write(place.path("mine/timing.json"), "{\"time_total_s\": 0.001, \"time_cpu_s\": 0.001}").unwrap();
+    accepted(place.evaluate(&film, "mine", "scores", &["--method", "mine"]));
+    accepted(place.merge(&["reports/latest", "scores"], &[]));
+    assert_eq!(sorted(rank("time_cpu_s")), sorted(pairs("1", "").to_vec()));
+    let report = fs::read_to_string(place.path("table/report.md")).unwrap();
+    assert!(report.contains("without a place: mine."), "{report}");
     fs::remove_file(place.path("mine/timing.json")).unwrap();
     accepted(place.evaluate(&film, "mine", "scores", &["--method", "mine"]));
     accepted(place.merge(&["reports/latest", "scores"], &[]));
@@ -319,15 +325,23 @@ fn numbers_that_do_not_follow_from_the_frames_are_not_merged() {
     let kept = fs::read(&manifest).unwrap();
     fs::remove_file(&manifest).unwrap();
     refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["scores/manifest.json", "is missing"]);
+    // Nor do other words in the table help.
+    let forged = honest.replace("evaluate-case1-mine", "tiny-01234567");
+    fs::write(&results, &forged).unwrap();
+    refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["scores/manifest.json", "is missing"]);
+    fs::write(&results, &honest).unwrap();
     fs::write(&manifest, kept).unwrap();
     accepted(place.merge(&["reports/latest", "scores"], &[]));
     // Without its frames nothing can be told of a prediction.
     fs::remove_file(place.path("scores/frames.csv")).unwrap();
     refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["scores/frames.csv"]);
-    // A report that was kept without its long tables takes a prediction beside its rows all the same.
+    // A report that was kept without its long tables takes a prediction beside its rows where that is wanted, and says so.
     accepted(place.evaluate(&place.film(), "mine", "scores", &[]));
     ["frames.csv", "timings.csv"]
         .iter()
         .for_each(|table| fs::remove_file(place.path("reports/latest").join(table)).unwrap());
-    accepted(place.merge(&["reports/latest", "scores"], &[]));
+    refused(place.merge(&["reports/latest", "scores"], &[]), 4, &["latest/frames.csv: is missing", "--unchecked"]);
+    accepted(place.merge(&["reports/latest", "scores"], &["--unchecked"]));
+    let report = fs::read_to_string(place.path("table/report.md")).unwrap();
+    assert!(report.contains("were not checked, for want of frames.csv, timings.csv: ours, static-ct."), "{report}");
 }
