@@ -1,37 +1,47 @@
 //! MetaImage (`.mha`, and `.mhd` with its data beside it): what ITK, elastix and plastimatch write.
 //!
-//! A text header of `key = value` lines whose last is `ElementDataFile`, then the voxels, raw or packed by zlib. Places
+//! A text header of `key = value` lines whose last is `ElementDataFile`, then the voxels, raw or packed by zlib. They
+//! begin at byte `HeaderSize` of their file, or end with it where that is -1. Places
 //! are in LPS, as ITK reads the format; `TransformMatrix` lists the direction of i, then of j, then of k.
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Cursor, Read};
 use std::path::Path;
 
 use flate2::read::ZlibDecoder;
 use glam::{DMat3, DVec3};
 
 use super::volume_samples::{ChannelOrder, SampleKind, VolumeSource};
+use crate::base::estimate::demand_memory;
 use crate::base::{Error, Result, VoxelGrid};
 
 /// Most bytes and lines of a header.
 const MOST_HEADER_BYTES: u64 = 64 << 10;
+/// Most bytes of another format's header before the voxels.
+const MOST_SKIPPED_BYTES: f64 = 1e8;
 /// Keys that say the same, the usual one first.
 const SPACING: [&str; 2] = ["ElementSpacing", "ElementSize"];
 const ORIGIN: [&str; 3] = ["Offset", "Origin", "Position"];
 const AXES: [&str; 3] = ["TransformMatrix", "Rotation", "Orientation"];
 const BIG_ENDIAN: [&str; 2] = ["BinaryDataByteOrderMSB", "ElementByteOrderMSB"];
 
-struct MetaHeader(HashMap<String, String>);
+struct MetaHeader {
+    keys: HashMap<String, String>,
+    /// Its length.
+    bytes: u64,
+}
 
 impl MetaHeader {
     fn read(from: &mut impl BufRead) -> Result<Self> {
         let mut keys = HashMap::new();
+        let mut bytes = 0;
         let mut limited = from.take(MOST_HEADER_BYTES);
         loop {
             let mut line = Vec::new();
             let count =
                 limited.read_until(b'\n', &mut line).map_err(|e| Error::input(format!("cannot be read: {e}")))?;
+            bytes += count as u64;
             let text = String::from_utf8_lossy(&line);
             let Some((key, value)) = text.split_once('=').filter(|_| count > 0) else {
                 return Err(Error::input("is no MetaImage: its header has no `ElementDataFile`"));
@@ -40,13 +50,13 @@ impl MetaHeader {
             let is_last = key == "ElementDataFile";
             keys.insert(key, value);
             if is_last {
-                return Ok(MetaHeader(keys));
+                return Ok(MetaHeader { keys, bytes });
             }
         }
     }
 
     fn text(&self, names: &[&str]) -> Option<&str> {
-        names.iter().find_map(|name| self.0.get(*name)).map(String::as_str)
+        names.iter().find_map(|name| self.keys.get(*name)).map(String::as_str)
     }
 
     fn is_true(&self, names: &[&str]) -> bool {
@@ -94,6 +104,47 @@ impl MetaHeader {
     }
 }
 
+/// The voxels in `raw`, of which `gone` bytes have been read, after what `HeaderSize` says is before them. With -1 the
+/// last `wanted` bytes are taken.
+fn after_header(
+    header: &MetaHeader,
+    mut raw: Box<dyn Read>,
+    gone: u64,
+    wanted: f64,
+    is_packed: bool,
+) -> Result<Box<dyn Read>> {
+    let refused = |size: f64| {
+        Err(Error::input(format!("is {size}, and the voxels begin at a byte from {gone} on, or end the file (-1)"))
+            .element("HeaderSize"))
+    };
+    match header.numbers::<1>(&["HeaderSize"])?.map_or(0.0, |[n]| n) {
+        // What every writer means that states it at all without a header.
+        0.0 => Ok(raw),
+        -1.0 if !is_packed => {
+            demand_memory("its voxels", wanted)?;
+            let mut bytes = Vec::new();
+            let most = wanted + MOST_SKIPPED_BYTES;
+            raw.take(most as u64 + 1)
+                .read_to_end(&mut bytes)
+                .map_err(|e| Error::input(format!("its voxels cannot be read: {e}")))?;
+            if bytes.len() as f64 > most {
+                return Err(Error::input("its voxels end the file, and too much comes before them"));
+            }
+            let first = bytes.len().saturating_sub(wanted as usize);
+            Ok(Box::new(Cursor::new(bytes.split_off(first))))
+        }
+        size if size.fract() == 0.0 && (gone as f64..=MOST_SKIPPED_BYTES).contains(&size) => {
+            let skipped = size as u64 - gone;
+            let copied = std::io::copy(&mut raw.by_ref().take(skipped), &mut std::io::sink());
+            if copied.map_err(|e| Error::input(format!("its voxels cannot be read: {e}")))? != skipped {
+                return Err(Error::input("ends before its voxels begin").element("HeaderSize"));
+            }
+            Ok(raw)
+        }
+        size => refused(size),
+    }
+}
+
 /// Opens a file and reads its header. Errors name what is wrong with it.
 pub fn open(path: &Path) -> Result<VolumeSource> {
     let file = File::open(path).map_err(|e| Error::io("reading", path, e))?;
@@ -112,18 +163,20 @@ pub fn open_stream(mut file: Box<dyn BufRead>, folder: &Path) -> Result<VolumeSo
         return Err(Error::input("holds its voxels as text: write it as binary"));
     }
     let place = header.text(&["ElementDataFile"]).unwrap_or_default();
-    let raw: Box<dyn Read> = match place {
-        "LOCAL" | "Local" | "local" => file,
+    let (raw, gone): (Box<dyn Read>, u64) = match place {
+        "LOCAL" | "Local" | "local" => (file, header.bytes),
         // A header may be anybody's: it names a file beside itself and no other.
         name if name.contains(['/', '\\', '%']) || name.starts_with("LIST") || name.is_empty() => {
             return Err(Error::input(format!("keeps its voxels in `{name}`, and one file beside it is wanted")));
         }
         name => {
             let beside = folder.join(name);
-            Box::new(BufReader::new(File::open(&beside).map_err(|e| Error::io("reading", &beside, e))?))
+            (Box::new(BufReader::new(File::open(&beside).map_err(|e| Error::io("reading", &beside, e))?)), 0)
         }
     };
     let is_packed = header.is_true(&["CompressedData"]);
+    let wanted = grid.count() as f64 * channels * kind.bytes() as f64;
+    let raw = after_header(&header, raw, gone, wanted, is_packed)?;
     Ok(VolumeSource {
         grid,
         channels: channels as usize,
@@ -138,7 +191,7 @@ pub fn open_stream(mut file: Box<dyn BufRead>, folder: &Path) -> Result<VolumeSo
 
 #[cfg(test)]
 mod tests {
-    use std::io::{Cursor, Write};
+    use std::io::Write;
 
     use super::*;
 
@@ -175,6 +228,36 @@ mod tests {
         std::fs::write(folder.path().join("a.mhd"), HEADER.replace("LOCAL", "a.raw")).unwrap();
         std::fs::write(folder.path().join("a.raw"), &little).unwrap();
         assert_eq!(open(&folder.path().join("a.mhd")).unwrap().read_scalars(|v| Ok(v as i16)).unwrap(), volume);
+    }
+
+    /// The bytes before the voxels were read as voxels: the airway lay elsewhere.
+    #[test]
+    fn what_comes_before_the_voxels_is_skipped() {
+        let values: Vec<i16> = (0..8).map(|v| v * 300 - 1000).collect();
+        let voxels: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let folder = tempfile::tempdir().unwrap();
+        let before = [vec![7u8; 300], voxels.clone()].concat();
+        std::fs::write(folder.path().join("a.raw"), &before).unwrap();
+        let beside = |size: &str| {
+            let header = HEADER.replace("NDims", &format!("HeaderSize = {size}\nNDims")).replace("LOCAL", "a.raw");
+            std::fs::write(folder.path().join("a.mhd"), header).unwrap();
+            open(&folder.path().join("a.mhd"))
+                .and_then(|source| source.read_scalars(|v| Ok(v as i16)))
+                .map(|volume| volume.data)
+                .map_err(|e| e.to_string())
+        };
+        assert_eq!(beside("300").unwrap(), values);
+        assert_eq!(beside("-1").unwrap(), values);
+        for wrong in ["-2", "1.5", "1e30"] {
+            assert!(beside(wrong).unwrap_err().contains("HeaderSize: is "), "{wrong}");
+        }
+        assert!(beside("400").unwrap_err().contains("ends before its voxels begin"));
+        assert!(beside("310").unwrap_err().contains("ends early"));
+        // In one file the count is from its beginning.
+        let local = HEADER.replace("NDims", "HeaderSize = 1000\nNDims");
+        let mut file = bytes(&local, &[]);
+        file.resize(1000, b' ');
+        assert_eq!(read([file, voxels].concat()).unwrap().data, values);
     }
 
     #[test]

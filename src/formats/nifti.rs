@@ -22,6 +22,8 @@ const HEADER_BYTES: usize = 348;
 const VOXELS_AT: usize = 352;
 /// Farthest that voxels may begin: room for extensions of the header.
 const LATEST_VOXELS: f64 = 1e8;
+/// What a NIfTI-2 file begins with: the size of its header.
+const NIFTI_2_BYTES: [[u8; 4]; 2] = [540i32.to_le_bytes(), 540i32.to_be_bytes()];
 /// Intents of vectors.
 const DISPLACEMENT: i16 = 1006;
 const VECTOR: i16 = 1007;
@@ -39,8 +41,18 @@ pub fn open(path: &Path) -> Result<VolumeSource> {
 
 /// [`open`] for the (uncompressed) bytes of a file.
 pub fn open_stream(mut reader: Box<dyn Read>) -> Result<VolumeSource> {
-    let mut bytes = [0u8; HEADER_BYTES];
-    reader.read_exact(&mut bytes).map_err(|e| Error::input(format!("is no NIfTI file: {e}")))?;
+    let mut bytes = Vec::with_capacity(HEADER_BYTES);
+    let read = reader.by_ref().take(HEADER_BYTES as u64).read_to_end(&mut bytes);
+    read.map_err(|e| Error::input(format!("is no NIfTI file: {e}")))?;
+    if bytes.is_empty() {
+        return Err(Error::input("is empty"));
+    }
+    if NIFTI_2_BYTES.iter().any(|start| bytes.starts_with(start)) {
+        return Err(Error::input("is NIfTI-2: rewrite it as NIfTI-1, as SimpleITK and nibabel's Nifti1Image do"));
+    }
+    if bytes.len() < HEADER_BYTES {
+        return Err(Error::input(format!("is no NIfTI file: it ends within the header, after {} bytes", bytes.len())));
+    }
     let header = NiftiHeader::from_reader(&bytes[..]).map_err(|e| Error::input(format!("is no NIfTI file: {e}")))?;
     if &header.magic[..3] != b"n+1" {
         return Err(Error::input("keeps its voxels in another file (.hdr and .img): rewrite it as one .nii.gz"));
@@ -76,6 +88,22 @@ pub fn vectors_are_ras(path: &Path) -> Result<bool> {
     Ok(header.intent_code == DISPLACEMENT)
 }
 
+/// A sentence where sform and qform of the file at `path` lie more than a voxel apart: which of them is taken. Only for
+/// files that [`open`] has accepted.
+pub fn frame_note(path: &Path) -> Option<String> {
+    let header = NiftiHeader::from_file(path).ok()?;
+    if header.sform_code <= 0 || header.qform_code <= 0 {
+        return None;
+    }
+    let sform = grid_of(&header).ok()?;
+    let qform = grid_of(&NiftiHeader { sform_code: 0, ..header }).ok()?;
+    let corner = |k: usize| DVec3::from_array([0, 1, 2].map(|a| ((k >> a & 1) * (sform.size[a] - 1)) as f64));
+    let apart = (0..8).map(|k| sform.position(corner(k)).distance(qform.position(corner(k)))).fold(0.0, f64::max);
+    let sentence =
+        || format!("{}: its sform and its qform lie up to {apart:.1} mm apart: the sform is taken", path.display());
+    (apart > sform.spacing_mm().max_element()).then(sentence)
+}
+
 fn kind_of(datatype: i16) -> Result<SampleKind> {
     Ok(match datatype {
         2 => SampleKind::U8,
@@ -86,6 +114,8 @@ fn kind_of(datatype: i16) -> Result<SampleKind> {
         256 => SampleKind::I8,
         512 => SampleKind::U16,
         768 => SampleKind::U32,
+        1024 => SampleKind::I64,
+        1280 => SampleKind::U64,
         other => return Err(Error::input(format!("its voxels are of type {other}, which no scan or mask has"))),
     })
 }
@@ -275,6 +305,14 @@ mod tests {
             bytes[254..256].fill(0);
             let source = open_stream(Box::new(std::io::Cursor::new(bytes))).unwrap();
             assert!(near(&source.grid, &grid), "{handed}: {:?}", source.grid);
+            // Both are the same, until one of them is moved.
+            let path = folder.path().join("a.nii");
+            assert_eq!(frame_note(&path), None);
+            let mut bytes = std::fs::read(&path).unwrap();
+            let x = f32::from_le_bytes([bytes[268], bytes[269], bytes[270], bytes[271]]) + 20.0;
+            bytes[268..272].copy_from_slice(&x.to_le_bytes());
+            std::fs::write(&path, bytes).unwrap();
+            assert!(frame_note(&path).unwrap().ends_with("20.0 mm apart: the sform is taken"));
         }
     }
 
@@ -304,6 +342,15 @@ mod tests {
         };
         assert_eq!(said(&|_| ()), "");
         assert!(said(&|b| b.truncate(100)).contains("is no NIfTI file"));
+        assert_eq!(said(&|b| b.clear()), "is empty");
+        assert!(said(&|b| b[..4].copy_from_slice(&540i32.to_be_bytes())).contains("is NIfTI-2: rewrite it"));
+        // Labels of 64 bits, as numpy has them.
+        let wide = |b: &mut Vec<u8>| {
+            b[70..72].copy_from_slice(&1024i16.to_le_bytes());
+            b.truncate(VOXELS_AT);
+            b.extend([7i64; 8].map(i64::to_le_bytes).concat());
+        };
+        assert_eq!(said(&wide), "");
         assert!(said(&|b| b.truncate(355)).contains("ends early: fewer than 8"));
         assert!(said(&|b| b[42..44].copy_from_slice(&0i16.to_le_bytes())).contains("none of a scan"));
         assert!(said(&|b| b[48..50].copy_from_slice(&9i16.to_le_bytes())).is_empty());

@@ -22,10 +22,30 @@ fn open(path: &Path) -> Result<VolumeSource> {
     } else if name.ends_with(".mha") || name.ends_with(".mhd") {
         metaimage::open(path)
     } else {
-        let sentence =
-            "is no volume that can be read: .nii, .nii.gz, .mha, .mhd, or a folder of DICOM slices is wanted";
-        Err(Error::input(sentence).at(path))
+        Err(Error::input(unreadable(path, &name)).at(path))
     }
+}
+
+/// What a file is that is no volume, and its cure.
+fn unreadable(path: &Path, name: &str) -> &'static str {
+    let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
+    if path.is_dir() {
+        "is a folder, and masks and fields are single files: .nii, .nii.gz, .mha or .mhd"
+    } else if ends(&[".nrrd", ".nhdr"]) {
+        "is NRRD, which is not read: export it from 3D Slicer as .nii.gz"
+    } else if ends(&[".h5", ".hdf5", ".tfm", ".mat"]) {
+        "is a transform and no volume: write it as a displacement field, .nii.gz or .mha"
+    } else if ends(&[".hdr", ".img"]) {
+        "keeps header and voxels in two files: rewrite it as one .nii.gz"
+    } else {
+        "is no volume that can be read: .nii, .nii.gz, .mha, .mhd, or (scans) a folder of DICOM slices is wanted"
+    }
+}
+
+/// A sentence where the file at `path`, which has been read, says in two ways where it lies, and they differ.
+pub fn frame_note(path: &Path) -> Option<String> {
+    let name = ending(path);
+    (name.ends_with(".nii") || name.ends_with(".nii.gz")).then(|| nifti::frame_note(path)).flatten()
 }
 
 /// Reads a CT scan: Hounsfield units, rounded. Errors name the file, and a voxel that is no number or beyond what a
@@ -98,6 +118,10 @@ mod tests {
         nifti::write(&written, &Volume { grid, data: vec![0i16, -7] }).unwrap();
         assert!(read_labels(&written).unwrap_err().to_string().contains("holds -7"));
         assert!(read_scan(Path::new("a.png")).unwrap_err().to_string().contains("a folder of DICOM"));
+        for (name, says) in [("a.seg.nrrd", "as .nii.gz"), ("t.h5", "displacement field"), ("a.hdr", "two files")] {
+            assert!(read_labels(Path::new(name)).unwrap_err().to_string().contains(says), "{name}");
+        }
+        assert!(read_labels(folder.path()).unwrap_err().to_string().contains("is a folder, and masks"));
         let field = folder.path().join("field.nii");
         nifti::write(&field, &Volume { grid, data: vec![[1f32, 2.0, 3.0]; 2] }).unwrap();
         assert_eq!(read_field(&field).unwrap().data[1], [1.0, 2.0, 3.0]);

@@ -27,17 +27,20 @@ pub enum SampleKind {
     I16,
     U32,
     I32,
+    U64,
+    I64,
     F32,
     F64,
 }
 
 impl SampleKind {
-    fn bytes(self) -> usize {
+    /// Bytes of a number.
+    pub fn bytes(self) -> usize {
         match self {
             SampleKind::U8 | SampleKind::I8 => 1,
             SampleKind::U16 | SampleKind::I16 => 2,
             SampleKind::U32 | SampleKind::I32 | SampleKind::F32 => 4,
-            SampleKind::F64 => 8,
+            SampleKind::U64 | SampleKind::I64 | SampleKind::F64 => 8,
         }
     }
 
@@ -53,6 +56,8 @@ impl SampleKind {
             SampleKind::I16 => f64::from(i16::from_le_bytes(first(bytes))),
             SampleKind::U32 => f64::from(u32::from_le_bytes(first(bytes))),
             SampleKind::I32 => f64::from(i32::from_le_bytes(first(bytes))),
+            SampleKind::U64 => u64::from_le_bytes(first(bytes)) as f64,
+            SampleKind::I64 => i64::from_le_bytes(first(bytes)) as f64,
             SampleKind::F32 => f64::from(f32::from_le_bytes(first(bytes))),
             SampleKind::F64 => f64::from_le_bytes(first(bytes)),
         }
