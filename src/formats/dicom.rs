@@ -28,12 +28,21 @@ const ROWS: Tag = Tag(0x0028, 0x0010);
 const COLUMNS: Tag = Tag(0x0028, 0x0011);
 const PIXEL_SPACING: Tag = Tag(0x0028, 0x0030);
 const BITS_ALLOCATED: Tag = Tag(0x0028, 0x0100);
+const BITS_STORED: Tag = Tag(0x0028, 0x0101);
+const HIGH_BIT: Tag = Tag(0x0028, 0x0102);
 const PIXEL_REPRESENTATION: Tag = Tag(0x0028, 0x0103);
 const INTERCEPT: Tag = Tag(0x0028, 0x1052);
 const SLOPE: Tag = Tag(0x0028, 0x1053);
 
 /// The way out that every refusal of a kind of DICOM names.
 const CURE: &str = "`dcm2niix -z y -o OUT DIR` makes a .nii.gz of the folder (scripts/setup.sh --ct installs it)";
+/// Transfer syntaxes that need words of their own: whole files packed by zlib, which dcm2niix does not read either, and
+/// the other byte order.
+const DEFLATED: &str = "1.2.840.10008.1.2.1.99";
+const BIG_ENDIAN: &str = "1.2.840.10008.1.2.2";
+/// Bits of a stored number, and the place of its highest.
+const STORED_BITS: NumberRange = NumberRange::new(1.0, 16.0);
+const BIT: NumberRange = NumberRange::new(0.0, 15.0);
 /// Class of a slice of a CT, and how the classes of files begin that hold many.
 const CT_SLICE: &str = "1.2.840.10008.5.1.4.1.1.2";
 const CT_SLICES: &str = "1.2.840.10008.5.1.4.1.1.2.";
@@ -77,6 +86,7 @@ pub fn read_folder(folder: &Path) -> Result<Volume<i16>> {
             // The slices, and the volume that is made of them.
             None => demand_memory("its slices", 4.0 * (slice.pixels.len() * paths.len()) as f64)
                 .map_err(|e| e.at(folder))?,
+            Some(first) if first.series != slice.series => return Err(other_series(&first.path).at(path)),
             Some(first) if first.size != slice.size => return Err(other_slice().at(path)),
             Some(_) => {}
         }
@@ -105,6 +115,10 @@ pub fn packed_slices(folder: &Path) -> Result<Option<PackedSlices>> {
         let Some(elements_at) = beginning(&path)? else { continue };
         let bytes = files::read_bytes(&path)?;
         let Ok(elements) = Elements::read(&bytes, elements_at) else { continue };
+        // Nothing here unpacks it, and the reader says so.
+        if elements.transfer_syntax == DEFLATED {
+            return Ok(None);
+        }
         let class = elements.text(CLASS).unwrap_or_default();
         let (is_single, is_many) = (class == CT_SLICE, class.starts_with(CT_SLICES));
         found.single += usize::from(is_single);
@@ -112,6 +126,26 @@ pub fn packed_slices(folder: &Path) -> Result<Option<PackedSlices>> {
         is_packed |= is_many || is_single && !elements.is_plain();
     }
     Ok(is_packed.then_some(found))
+}
+
+fn other_series(first: &Path) -> Error {
+    Error::input(format!(
+        "is of another series than {}, a localizer or another reconstruction: put the slices of the wanted series into a \
+         folder of their own, or {CURE} for each",
+        first.file_name().unwrap_or_default().to_string_lossy()
+    ))
+}
+
+/// Why the elements of a file cannot be read, by its transfer syntax.
+fn unreadable(transfer_syntax: &str) -> Error {
+    Error::input(match transfer_syntax {
+        DEFLATED => format!(
+            "is deflated (transfer syntax {DEFLATED}), which dcm2niix does not read either: `dcmconv +te IN OUT` (DCMTK) \
+             writes each slice plainly"
+        ),
+        BIG_ENDIAN => format!("is stored big-endian (transfer syntax {BIG_ENDIAN}): {CURE}"),
+        other => format!("is compressed (transfer syntax {other}): {CURE}"),
+    })
 }
 
 fn other_slice() -> Error {
@@ -151,8 +185,7 @@ fn slice(elements: &Elements<'_>, path: &Path) -> Result<SliceHeader> {
         return Err(Error::input(format!("is damaged: it names no transfer syntax: {CURE}")));
     }
     if !elements.is_plain() {
-        let sentence = format!("is compressed (transfer syntax {}): {CURE}", elements.transfer_syntax);
-        return Err(Error::input(sentence));
+        return Err(unreadable(&elements.transfer_syntax));
     }
     let missing = |tag: Tag| Error::input(format!("is missing: {CURE}")).element(format!("DICOM tag {tag}"));
     // Exactly `N` numbers in range.
@@ -184,9 +217,17 @@ fn slice(elements: &Elements<'_>, path: &Path) -> Result<SliceHeader> {
     if bytes.len() < 2 * count {
         return Err(Error::input(format!("ends early: {} of {count} pixels are there", bytes.len() / 2)));
     }
+    let [bits] = some(elements, BITS_STORED, STORED_BITS)?.unwrap_or([16.0]);
+    let [high_bit] = some(elements, HIGH_BIT, BIT)?.unwrap_or([bits - 1.0]);
+    if high_bit + 1.0 < bits {
+        let sentence = format!("is {high_bit}, below the {bits} bits that are stored");
+        return Err(Error::input(sentence).element(format!("DICOM tag {HIGH_BIT}")));
+    }
+    // The bits above and below belong to nothing (PS3.5, 8.1.1): out to the left, and back with the sign.
+    let (above, unused) = (15 - high_bit as u32, 16 - bits as u32);
     let units = |word: &[u8; 2]| {
-        let stored = if is_signed { i16::from_le_bytes(*word).into() } else { u16::from_le_bytes(*word).into() };
-        let stored: f64 = stored;
+        let aligned = u16::from_le_bytes(*word) << above;
+        let stored = if is_signed { f64::from(aligned as i16 >> unused) } else { f64::from(aligned >> unused) };
         hounsfield(stored * slope + intercept)
     };
     Ok(SliceHeader {
@@ -204,16 +245,6 @@ fn stacked(mut slices: Vec<SliceHeader>) -> Result<Volume<i16>> {
     let Some(first) = slices.first() else {
         return Err(Error::input("holds no DICOM slices of a CT"));
     };
-    let mut series: Vec<&str> = slices.iter().map(|s| s.series.as_str()).collect();
-    series.sort_unstable();
-    series.dedup();
-    if series.len() > 1 {
-        return Err(Error::input(format!(
-            "holds {} series, and one is wanted: put the slices of the wanted one into a folder of their own, or {CURE} \
-             for each",
-            series.len()
-        )));
-    }
     let normal = first.directions[0].cross(first.directions[1]).normalize_or_zero();
     let (size, spacing, directions) = (first.size, first.spacing_mm, first.directions);
     let agrees = |s: &SliceHeader| {
@@ -228,14 +259,18 @@ fn stacked(mut slices: Vec<SliceHeader>) -> Result<Volume<i16>> {
         return Err(Error::input("holds one slice, and a volume has more"));
     }
     let step = (slices[slices.len() - 1].position_mm - slices[0].position_mm) / (slices.len() - 1) as f64;
+    let mut steps: Vec<DVec3> = slices.windows(2).map(|pair| pair[1].position_mm - pair[0].position_mm).collect();
+    steps.sort_by(|a, b| a.dot(normal).total_cmp(&b.dot(normal)));
+    // What a gap does not change, as it does the mean.
+    let usual = steps[steps.len() / 2];
     for pair in slices.windows(2) {
-        let off = (pair[1].position_mm - pair[0].position_mm).distance(step);
-        if off.is_nan() || off > UNEVEN * step.length() || height(&pair[1]) <= height(&pair[0]) {
+        let off = (pair[1].position_mm - pair[0].position_mm).distance(usual);
+        if off.is_nan() || off > UNEVEN * usual.length() || height(&pair[1]) <= height(&pair[0]) {
             let sentence = format!(
                 "lies {:.2} mm from the slice before it and not {:.2} mm: slices are missing, double, or from several \
                  breathing phases",
                 height(&pair[1]) - height(&pair[0]),
-                step.dot(normal)
+                usual.dot(normal)
             );
             return Err(Error::input(sentence).at(&pair[1].path));
         }
@@ -345,9 +380,14 @@ pub(crate) mod tests {
             read_folder(folder.path()).unwrap_err().to_string()
         };
         assert!(said(&[]).contains("no DICOM slices"));
-        assert!(said(&[("a", 0.0, "1", PLAIN), ("b", 1.0, "2", PLAIN)]).contains("holds 2 series"));
+        assert!(said(&[("a", 0.0, "1", PLAIN), ("b", 1.0, "2", PLAIN)]).contains("is of another series than a"));
         let gap = said(&[("a", 0.0, "1", PLAIN), ("b", 1.0, "1", PLAIN), ("c", 4.0, "1", PLAIN)]);
         assert!(gap.contains("slices are missing"), "{gap}");
+        let gap: Vec<(String, f64)> = [0.0, 2.5, 5.0, 10.0, 12.5].map(|z| (format!("s{z}"), z)).to_vec();
+        let gap: Vec<_> = gap.iter().map(|(name, z)| (name.as_str(), *z, "1", PLAIN)).collect();
+        assert!(said(&gap).contains("lies 5.00 mm from the slice before it and not 2.50 mm"), "{}", said(&gap));
+        let deflated = said(&[("a", 0.0, "1", DEFLATED), ("b", 1.0, "1", DEFLATED)]);
+        assert!(deflated.contains("dcmconv") && !deflated.contains("-z y"), "{deflated}");
         assert!(said(&[("a", 0.0, "1", PLAIN), ("b", 0.0, "1", PLAIN)]).contains("slices are missing"));
         let packed = said(&[("a", 0.0, "1", "1.2.840.10008.1.2.4.70"), ("b", 1.0, "1", PLAIN)]);
         assert!(packed.contains("dcm2niix -z y") && packed.contains("compressed"), "{packed}");
@@ -364,6 +404,32 @@ pub(crate) mod tests {
         change(&mut bytes);
         std::fs::write(&path, bytes).unwrap();
         read_folder(folder.path()).map_err(|e| e.to_string())
+    }
+
+    /// 12 bits and a sign, without the sign in the bits above: -1000 was 3096.
+    #[test]
+    fn numbers_of_fewer_bits_are_masked_and_get_their_sign() {
+        let units = |word: u16, bits: u16, high_bit: u16| {
+            let folder = tempfile::tempdir().unwrap();
+            for (name, z) in [("a", 0.0), ("b", 1.0)] {
+                write(folder.path(), name, z, "1", word as i16, PLAIN);
+                let path = folder.path().join(name);
+                let mut bytes = std::fs::read(&path).unwrap();
+                let at = find(&bytes, &[0x28, 0, 3, 1]);
+                let stored = [element(0x28, 0x101, "US", &bits.to_le_bytes()), {
+                    element(0x28, 0x102, "US", &high_bit.to_le_bytes())
+                }];
+                bytes.splice(at..at, stored.concat());
+                std::fs::write(&path, bytes).unwrap();
+            }
+            read_folder(folder.path()).map(|volume| (volume.data[0] + 1024) / 2).map_err(|e| e.to_string())
+        };
+        let minus = (-1000i16) as u16;
+        assert_eq!(units(minus & 0x0fff, 12, 11).unwrap(), -1000);
+        assert_eq!(units(minus, 12, 11).unwrap(), -1000);
+        assert_eq!(units(0x8000 | 40, 12, 11).unwrap(), 40);
+        assert_eq!(units((minus & 0x0fff) << 4, 12, 15).unwrap(), -1000);
+        assert!(units(0, 12, 10).unwrap_err().contains("DICOM tag (0028,0102): is 10"));
     }
 
     fn find(bytes: &[u8], what: &[u8]) -> usize {
