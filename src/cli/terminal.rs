@@ -56,10 +56,10 @@ impl Terminal {
         let token = Arc::clone(&interrupted);
         ctrlc::set_handler(move || {
             if token.swap(true, Ordering::SeqCst) {
-                // Files are written atomically, so there is nothing to clean up.
+                // Files are written atomically; a folder that was not finished is removed by the next run.
                 std::process::exit(i32::from(ErrorKind::Interrupted.exit_code()));
             }
-            complain("stopping at the next frame; press Ctrl-C again to stop at once");
+            complain("stopping at the next safe point; press Ctrl-C again to stop at once");
         })
         .map_err(|e| Error::new(ErrorKind::Environment, format!("cannot take over Ctrl-C: {e}")))?;
         Ok(Terminal {
