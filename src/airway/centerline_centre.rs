@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use super::centerline_distance::SurfaceDistance;
 use super::centerline_trace::{TraceNode, Traces};
 use super::centerline_voxels::Voxels;
+use crate::base::{Progress, Result};
 
 /// Rounds of smoothing and centring.
 const ROUNDS: usize = 3;
@@ -30,8 +31,13 @@ const LAST_STEP: f64 = 0.005;
 const HALVINGS: usize = 6;
 
 /// Moves every node to the middle of its cross-section, path by path, and smooths the paths. No node leaves the lumen.
-pub fn centre(traces: &mut Traces, voxels: &Voxels, surface: &SurfaceDistance) {
-    for path in 0..traces.starts.len() - 1 {
+///
+/// Errors: `progress` stops the work.
+pub fn centre(traces: &mut Traces, voxels: &Voxels, surface: &SurfaceDistance, progress: &dyn Progress) -> Result<()> {
+    let paths = traces.starts.len() - 1;
+    for path in 0..paths {
+        progress.proceed()?;
+        progress.advance(path, paths);
         let (start, end) = (traces.starts[path] as usize, traces.starts[path + 1] as usize);
         let join = traces.nodes.get(traces.nodes[start].parent as usize).copied();
         let points = traces.nodes[start..end].iter().map(|n| n.position_mm).collect();
@@ -47,6 +53,7 @@ pub fn centre(traces: &mut Traces, voxels: &Voxels, surface: &SurfaceDistance) {
             node.radius_mm = surface.distance(*point);
         }
     }
+    Ok(())
 }
 
 /// The nodes between a tip and where the path meets another, and what they lie in.

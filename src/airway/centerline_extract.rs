@@ -7,7 +7,7 @@ use super::centerline_distance::SurfaceDistance;
 use super::centerline_trace::trace;
 use super::centerline_tree::assemble;
 use super::centerline_voxels::Voxels;
-use crate::base::{Error, Result, TriangleMesh};
+use crate::base::{Error, NoProgress, Progress, Result, TriangleMesh};
 
 /// Extracts the centreline of the closed surface `mesh` (normals either way).
 ///
@@ -17,6 +17,15 @@ use crate::base::{Error, Result, TriangleMesh};
 /// # Errors
 /// A mesh that is damaged, not closed or encloses no voxel; settings that are not positive.
 pub fn extract(mesh: &TriangleMesh, settings: &CenterlineSettings) -> Result<Centerline> {
+    extract_watched(mesh, settings, &NoProgress)
+}
+
+/// [`extract`], which `progress` watches and may stop.
+pub fn extract_watched(
+    mesh: &TriangleMesh,
+    settings: &CenterlineSettings,
+    progress: &dyn Progress,
+) -> Result<Centerline> {
     mesh.validate()?;
     let voxel_mm = settings.voxel_mm.unwrap_or(0.6 * settings.minimal_radius_mm);
     if !(settings.minimal_radius_mm > 0.0 && settings.point_spacing_mm > 0.0 && voxel_mm > 0.0) {
@@ -25,8 +34,8 @@ pub fn extract(mesh: &TriangleMesh, settings: &CenterlineSettings) -> Result<Cen
     let surface = SurfaceDistance::new(mesh);
     let voxels = Voxels::new(mesh, &surface, voxel_mm)?;
     let inlet = settings.inlet_mm.map_or_else(|| upper_end(&voxels), |point| voxels.nearest(point));
-    let mut traces = trace(&voxels, inlet, settings.minimal_radius_mm);
-    centre(&mut traces, &voxels, &surface);
+    let mut traces = trace(&voxels, inlet, settings.minimal_radius_mm, progress)?;
+    centre(&mut traces, &voxels, &surface, progress)?;
     Ok(assemble(&traces, settings, &voxels, &surface))
 }
 

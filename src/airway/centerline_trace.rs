@@ -11,6 +11,7 @@ use std::collections::BinaryHeap;
 use glam::DVec3;
 
 use super::centerline_voxels::{NONE, Voxels};
+use crate::base::{Progress, Result};
 
 /// A path has met another when it enters this share of the inscribed ball of one of its nodes.
 const MEETING: f64 = 0.7;
@@ -22,6 +23,8 @@ const LEAVING_INLET: f64 = 2.5;
 pub(super) const PROTRUSION: f64 = 1.5;
 /// A path ends where the lumen has narrowed to this share of the path's usual radius.
 const NARROWED: f64 = 0.6;
+/// Voxels between two looks at whether the user has stopped the work.
+const WATCHED_VOXELS: usize = 1 << 16;
 
 /// One node of the traced tree.
 #[derive(Clone, Copy, Debug)]
@@ -43,16 +46,21 @@ pub struct Traces {
 }
 
 /// Follows all tips back to `inlet`; side paths with a mean radius below `minimal_radius_mm` are left out.
-pub fn trace(voxels: &Voxels, inlet: u32, minimal_radius_mm: f64) -> Traces {
+///
+/// Errors: `progress` stops the work.
+pub fn trace(voxels: &Voxels, inlet: u32, minimal_radius_mm: f64, progress: &dyn Progress) -> Result<Traces> {
     let neighbours = voxels.neighbours();
-    let (lengths, _) = shortest_paths(voxels, &neighbours, inlet, |_| 1.0);
+    let (lengths, _) = shortest_paths(voxels, &neighbours, inlet, |_| 1.0, progress)?;
     let centring = |v: u32| 1.0 / (voxels.distance_mm[v as usize].powi(2) + 1e-3);
-    let (_, towards_inlet) = shortest_paths(voxels, &neighbours, inlet, centring);
+    let (_, towards_inlet) = shortest_paths(voxels, &neighbours, inlet, centring, progress)?;
     let mut tracer = VoxelTracer::new(voxels, towards_inlet);
-    for tip in tips(&neighbours, &lengths) {
+    let tips = tips(&neighbours, &lengths);
+    for (done, &tip) in tips.iter().enumerate() {
+        progress.proceed()?;
+        progress.advance(done, tips.len());
         tracer.follow(tip, minimal_radius_mm);
     }
-    Traces { nodes: tracer.nodes, starts: tracer.starts }
+    Ok(Traces { nodes: tracer.nodes, starts: tracer.starts })
 }
 
 /// Cost of the cheapest path from `start` to each voxel and the voxel before it; infinite and [`NONE`] out of reach.
@@ -61,13 +69,19 @@ fn shortest_paths(
     neighbours: &[[u32; 26]],
     start: u32,
     weight: impl Fn(u32) -> f64,
-) -> (Vec<f64>, Vec<u32>) {
+    progress: &dyn Progress,
+) -> Result<(Vec<f64>, Vec<u32>)> {
     let mut cost = vec![f64::INFINITY; voxels.len()];
     let mut before = vec![NONE; voxels.len()];
     cost[start as usize] = 0.0;
     // the bits of non-negative floats are ordered as the floats are
     let mut queue = BinaryHeap::from([Reverse((0u64, start))]);
+    let mut looked = 0;
     while let Some(Reverse((bits, v))) = queue.pop() {
+        looked += 1;
+        if looked % WATCHED_VOXELS == 0 {
+            progress.proceed()?;
+        }
         let here = f64::from_bits(bits);
         if here > cost[v as usize] {
             continue;
@@ -82,7 +96,7 @@ fn shortest_paths(
             }
         }
     }
-    (cost, before)
+    Ok((cost, before))
 }
 
 /// Local maxima of the reachable `lengths`, the farthest first.

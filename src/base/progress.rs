@@ -1,6 +1,6 @@
 //! How long-running work reports progress and is stopped; rooms below the command line never print.
 
-use super::error::Result;
+use super::error::{Error, Result};
 use super::estimate::Estimate;
 
 /// Receives the progress of long-running work and may stop it.
@@ -10,6 +10,11 @@ pub trait Progress: Sync {
 
     /// True when the work should stop at the next safe point, with `ErrorKind::Interrupted`.
     fn cancelled(&self) -> bool;
+
+    /// An error when the work should stop: for the places between two stages.
+    fn proceed(&self) -> Result<()> {
+        if self.cancelled() { Err(Error::interrupted()) } else { Ok(()) }
+    }
 
     /// Whether work of this size may begin; an error when the user would have to be asked first. Who calls the library
     /// decides alone: by default all work may.
