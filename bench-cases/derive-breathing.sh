@@ -4,9 +4,10 @@
 set -eu
 cd "$(dirname "$0")/.."
 DIR=${1:-../shared/data/dirlab_copd}
+SOURCE="DIR-Lab COPDgene (Castillo et al., Phys Med Biol 58:2861, 2013) by way of Lung250M-4B"
 derive() {
     cargo run --release --quiet -- import breathing "bench-cases/$1.toml" --landmarks "$DIR/$2.csv" \
-        --lung-boxes "$DIR/lung_boxes.csv" --end-motion-mm "$3"
+        --lung-boxes "$DIR/lung_boxes.csv" --end-motion-mm "$3" --source "$SOURCE"
 }
 derive case1 copd01 12.0
 derive case2 copd02 9.0
@@ -26,7 +27,7 @@ derive_mirrored() {
     awk -F, -v OFS=, 'NR > 1 {$1 = -$1; $4 = -$4} {print}' "$DIR/$2.csv" > "$mirrored/$2.csv"
     cargo run --release --quiet -- import breathing "bench-cases/tuning/$1.toml" --landmarks "$mirrored/$2.csv" \
         --lung-boxes "$mirrored/lung_boxes.csv" --end-motion-mm "$3" \
-        --source "reflected left to right: DIR-Lab COPDgene (Castillo et al., Phys Med Biol 58:2861, 2013) by way of Lung250M-4B"
+        --source "reflected left to right: $SOURCE"
 }
 derive_mirrored tune1 copd03 9.0
 derive_mirrored tune2 copd05 17.0

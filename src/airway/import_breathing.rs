@@ -1,9 +1,11 @@
-//! Brings measured lung motion to an airway that is not the patient's: placement by the lungs' box, fit, fold check.
+//! Brings measured lung motion to an airway: placement by the lungs' box where it is not the patient's, fit, fold check.
 //!
-//! The airway stays where it is; the patient's landmarks are carried into its frame. Carina goes to carina, assumed at
+//! Landmarks of the airway's own patient are taken as they are. The airway stays where it is; another patient's
+//! landmarks are carried into its frame. Carina goes to carina, assumed at
 //! fixed fractions of the lungs' inspiration box, and each axis is scaled so that the airway fills as much of that box
 //! as airways visible in CT do. So tree and motion are both real, but not of one patient, and case files say so. The
-//! top of the trachea is held by anchors of small motion: landmarks lie in the parenchyma, and the trachea moves least.
+//! top of the trachea is held by anchors of small motion, unless own landmarks surround it: landmarks lie in the
+//! parenchyma, and the trachea moves least.
 //! When the interpolated mesh would fold anywhere, smoothing is raised step by step until it does not.
 
 use std::path::Path;
@@ -40,6 +42,8 @@ const SOFTENING_MM: f64 = 15.0;
 const SCALING_ROUNDS: usize = 4;
 /// Scales are rounded to a part of this.
 const SCALE_DIGITS: f64 = 1e4;
+/// Share of an airway that its own landmarks leave out at most: beyond it they lie in another frame.
+const MOST_BEYOND: f64 = 0.9;
 /// An end of the way that moves less than this many mm is taken to stand still.
 const LEAST_MOTION_MM: f64 = 0.01;
 
@@ -129,14 +133,62 @@ pub struct MeasuredBreathing {
     pub breathing: Breathing,
     /// How good the fit is.
     pub quality: FitQuality,
-    /// How the airway lies in the lungs.
-    pub placement: Placement,
+    /// How the airway lies in another patient's lungs; `None` with landmarks of its own.
+    pub placement: Option<Placement>,
     /// Smoothing steps that were needed beyond the best-predicting one to avoid folds.
     pub extra_smoothing: usize,
 }
 
+/// How far an airway reaches beyond the box of its own landmarks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Beyond {
+    /// Share of its vertices that lie outside.
+    pub share: f64,
+    /// Distance in mm of the farthest.
+    pub farthest_mm: f64,
+}
+
+impl Beyond {
+    /// Measures it. Errors: landmarks so far away that they lie in another frame.
+    pub fn of(vertices: &[DVec3], pairs: &[LandmarkPair]) -> Result<Beyond> {
+        let outside = Outside::of(pairs);
+        let off: Vec<f64> = vertices.iter().map(|v| outside.distance_mm(*v)).collect();
+        let share = off.iter().filter(|d| **d > 0.0).count() as f64 / off.len().max(1) as f64;
+        let beyond = Beyond { share, farthest_mm: off.iter().copied().fold(0.0, f64::max) };
+        if share > MOST_BEYOND {
+            return Err(Error::input(format!(
+                "{:.0} % of the airway lies outside of the landmarks' box, up to {:.0} mm: both must have one frame (LPS), \
+                 and landmarks of another patient need --other-patient",
+                100.0 * share,
+                beyond.farthest_mm
+            )));
+        }
+        Ok(beyond)
+    }
+}
+
+/// The box around landmarks at inspiration, and what lies outside of it.
+struct Outside {
+    low_mm: DVec3,
+    high_mm: DVec3,
+}
+
+impl Outside {
+    fn of(pairs: &[LandmarkPair]) -> Outside {
+        let places = || pairs.iter().map(|p| p.inspiration_mm);
+        Outside {
+            low_mm: places().fold(DVec3::INFINITY, DVec3::min),
+            high_mm: places().fold(DVec3::NEG_INFINITY, DVec3::max),
+        }
+    }
+
+    fn distance_mm(&self, place: DVec3) -> f64 {
+        (self.low_mm - place).max(place - self.high_mm).max(DVec3::ZERO).length()
+    }
+}
+
 /// Fits the motion of `pairs` for the airway `rest`, checked free of folds at up to `largest_scale`
-/// times the measured motion.
+/// times the measured motion. With `lungs` the landmarks are another patient's, who has these.
 ///
 /// Where faces turn over even at the strongest smoothing, the narrowing yields around them at the best-predicting one.
 ///
@@ -144,13 +196,20 @@ pub struct MeasuredBreathing {
 pub fn measured_breathing(
     rest: &AirwayAtRest<'_>,
     pairs: &[LandmarkPair],
-    lungs: &LungBox,
+    lungs: Option<&LungBox>,
     source: &str,
     largest_scale: f64,
 ) -> Result<MeasuredBreathing> {
     let centerline = rest.centerline;
-    let placement = Placement::fit(centerline, lungs)?;
-    let placed: Vec<LandmarkPair> = pairs.iter().map(|p| placement.to_airway(p)).collect();
+    let placement = lungs.map(|lungs| Placement::fit(centerline, lungs)).transpose()?;
+    let placed: Vec<LandmarkPair> =
+        pairs.iter().map(|p| placement.map_or(*p, |placement| placement.to_airway(p))).collect();
+    let mut anchors = trachea_anchors(centerline);
+    if placement.is_none() {
+        // What is measured there is not stated.
+        let outside = Outside::of(&placed);
+        anchors.retain(|anchor| outside.distance_mm(anchor.position_mm) > 0.0);
+    }
     let near: Vec<DVec3> = placed
         .iter()
         .map(|p| p.inspiration_mm)
@@ -160,7 +219,7 @@ pub fn measured_breathing(
         source: source.into(),
         centers_mm: choose_centers(&near, 14.0, 22.0, CENTERS),
         softening_mm: SOFTENING_MM,
-        anchors: trachea_anchors(centerline),
+        anchors,
     };
     let (first, quality) = fit(&placed, &settings, 0.0)?;
     let mut candidate = (first, quality);
@@ -201,8 +260,8 @@ pub fn measured_breathing(
 pub struct WantedMotion<'a> {
     /// Landmarks of the lungs' motion.
     pub pairs: &'a [LandmarkPair],
-    /// Box around the lungs.
-    pub lungs: LungBox,
+    /// Box around the lungs of another patient, whose landmarks these are; `None` where they are the airway's own.
+    pub lungs: Option<LungBox>,
     /// Where the landmarks come from, for the case file.
     pub source: String,
     /// How far the end of the scope's way is to move, mm; the measured motion is kept without it.
@@ -219,7 +278,7 @@ pub fn fitted_breathing(
     end_motion_mm: impl Fn(&Anatomy) -> Result<f64>,
 ) -> Result<MeasuredBreathing> {
     let fit = |scale: f64| {
-        let mut found = measured_breathing(rest, wanted.pairs, &wanted.lungs, &wanted.source, scale)?;
+        let mut found = measured_breathing(rest, wanted.pairs, wanted.lungs.as_ref(), &wanted.source, scale)?;
         found.breathing.field.scale = scale;
         Ok(found)
     };
@@ -282,4 +341,21 @@ pub fn breathing_toml(breathing: &Breathing) -> String {
         rows(f.affine.iter().map(|r| row(r)).collect()),
         rows(f.centers.iter().map(|r| row(r)).collect()),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_landmarks_do_not_surround_is_measured() {
+        let pair = |x: f64| LandmarkPair { inspiration_mm: DVec3::splat(x), expiration_mm: DVec3::splat(x) };
+        let pairs = [pair(0.0), pair(100.0)];
+        let airway = [10.0, 50.0, 90.0].map(DVec3::splat).to_vec();
+        assert_eq!(Beyond::of(&airway, &pairs).unwrap(), Beyond { share: 0.0, farthest_mm: 0.0 });
+        let higher = [airway, vec![DVec3::new(50.0, 50.0, 140.0)]].concat();
+        assert_eq!(Beyond::of(&higher, &pairs).unwrap(), Beyond { share: 0.25, farthest_mm: 40.0 });
+        let elsewhere: Vec<DVec3> = higher.iter().map(|v| v + 500.0).collect();
+        assert!(Beyond::of(&elsewhere, &pairs).unwrap_err().to_string().contains("--other-patient"));
+    }
 }

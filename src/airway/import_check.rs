@@ -8,6 +8,7 @@
 //! bronchus 1.8 to 2.9 times as long, .73 to .85 times as wide, its part downwards .10 to .17 less.
 
 use glam::DVec3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::centerline::Centerline;
 use super::import_axes::PatientAxes;
@@ -22,6 +23,14 @@ const TRACHEA_MM: [f64; 2] = [8.0, 30.0];
 const LEAST_TRACHEA_MM: f64 = 15.0;
 /// Longest side of the box around lung landmarks in mm.
 const LUNGS_MM: [f64; 2] = [80.0, 500.0];
+/// Furthest in mm that tissue moves between two breath holds: the lung's base, deeply breathed, moves 60 mm.
+pub const FURTHEST_MM: f64 = 80.0;
+/// What moves less than this many mm everywhere does not breathe, or is in metres.
+pub const STILL_MM: f64 = 0.1;
+/// Largest factor between the lungs' volumes at expiration and at inspiration: 1, and the error of landmarks.
+const MOST_GROWTH: f64 = 1.02;
+/// Variance of landmarks along an axis, as a part of the largest, below which they tell nothing about that axis.
+const LEAST_VARIANCE: f64 = 1e-3;
 /// Units that files come in, with their size in mm.
 const UNITS: [(&str, f64); 4] = [("centimetres", 10.0), ("metres", 1000.0), ("inches", 25.4), ("micrometres", 1e-3)];
 /// Part of the way from the tree to the trachea's top that lies along the axis to the head.
@@ -63,8 +72,17 @@ struct BodySigns {
     back: Option<bool>,
 }
 
+/// Where the frame and the unit of an airway come from, and so what cures a wrong one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameSource {
+    /// A surface's file says nothing: `--axes` and `--scale` do.
+    Options,
+    /// The affine in a volume's header.
+    Header,
+}
+
 /// Refuses an airway of an impossible size, and names the unit that would make it a possible one. `points` in mm.
-pub fn check_extent(points: impl Iterator<Item = DVec3>) -> Result<()> {
+pub fn check_extent(points: impl Iterator<Item = DVec3>, source: FrameSource) -> Result<()> {
     let extent = longest_side(points);
     if within(extent, EXTENT_MM) {
         return Ok(());
@@ -73,24 +91,58 @@ pub fn check_extent(points: impl Iterator<Item = DVec3>) -> Result<()> {
         "the airway's longest side is {extent:.4} mm, and an airway's is {} to {} mm",
         EXTENT_MM[0], EXTENT_MM[1]
     );
-    Err(Error::input(format!("{sentence}: {}", scale_cure(extent, EXTENT_MM))))
+    Err(Error::input(format!("{sentence}: {}", scale_cure(extent, EXTENT_MM, source))))
 }
 
-/// Refuses lung landmarks of an impossible size.
+/// Refuses lung landmarks of an impossible size, and a motion that no breathing is. Pair k stands in line k + 2.
 pub fn check_landmarks(pairs: &[LandmarkPair]) -> Result<()> {
     let extent = longest_side(pairs.iter().map(|pair| pair.inspiration_mm));
-    if within(extent, LUNGS_MM) {
-        return Ok(());
+    if !within(extent, LUNGS_MM) {
+        return Err(Error::input(format!(
+            "the landmarks' longest side is {extent:.4}, and lungs measure {} to {} mm: landmarks are in mm (LPS)",
+            LUNGS_MM[0], LUNGS_MM[1]
+        )));
     }
-    Err(Error::input(format!(
-        "the landmarks' longest side is {extent:.4}, and lungs measure {} to {} mm: landmarks are in mm (LPS)",
-        LUNGS_MM[0], LUNGS_MM[1]
-    )))
+    let moves = |pair: &LandmarkPair| pair.motion_mm().length();
+    if let Some(at) = pairs.iter().position(|pair| moves(pair) > FURTHEST_MM) {
+        let sentence =
+            format!("the landmark moves by {:.0} mm, and breathing moves {FURTHEST_MM} mm at most", moves(&pairs[at]));
+        return Err(Error::input(sentence).element(format!("line {}", at + 2)));
+    }
+    let most = pairs.iter().map(moves).fold(0.0, f64::max);
+    if most < STILL_MM {
+        return Err(Error::input(format!("no landmark moves by {STILL_MM} mm or more (the most is {most:.3} mm)")));
+    }
+    let growth = growth(pairs);
+    if growth > MOST_GROWTH {
+        return Err(Error::input(format!(
+            "the lungs are {growth:.2} times as large at expiration as at inspiration: are the columns insp and exp \
+             swapped?"
+        )));
+    }
+    Ok(())
+}
+
+/// The factor on volumes from inspiration to expiration: det(I + A), where the motion is nearest to A x + b.
+fn growth(pairs: &[LandmarkPair]) -> f64 {
+    let count = pairs.len().max(1) as f64;
+    let place = pairs.iter().map(|p| p.inspiration_mm).sum::<DVec3>() / count;
+    let motion = pairs.iter().map(LandmarkPair::motion_mm).sum::<DVec3>() / count;
+    let (mut spread, mut product) = (Matrix3::<f64>::zeros(), Matrix3::<f64>::zeros());
+    for pair in pairs {
+        let x = Vector3::from((pair.inspiration_mm - place).to_array());
+        let d = Vector3::from((pair.motion_mm() - motion).to_array());
+        spread += x * x.transpose();
+        product += d * x.transpose();
+    }
+    // Along an axis without spread nothing is known, and no growth is assumed.
+    let least = LEAST_VARIANCE * spread.symmetric_eigenvalues().max();
+    spread.pseudo_inverse(least).map_or(1.0, |inverse| (Matrix3::identity() + product * inverse).determinant())
 }
 
 /// Refuses an airway whose trachea is too narrow or too wide, or that does not lie in the body as `axes`, with which it
 /// was read, say.
-pub fn check_stem(centerline: &Centerline, axes: PatientAxes) -> Result<()> {
+pub fn check_stem(centerline: &Centerline, axes: PatientAxes, source: FrameSource) -> Result<()> {
     let position = |p: usize| centerline.points[p].position_mm;
     let Some(stem) = stem(centerline) else {
         return Err(Error::input(
@@ -105,7 +157,7 @@ pub fn check_stem(centerline: &Centerline, axes: PatientAxes) -> Result<()> {
             "the widest branch that ends is {diameter:.1} mm across, and a trachea is {} to {} mm: {}",
             TRACHEA_MM[0],
             TRACHEA_MM[1],
-            scale_cure(diameter, TRACHEA_MM)
+            scale_cure(diameter, TRACHEA_MM, source)
         )));
     }
     let (top, carina) = (position(stem.trachea[0]), position(stem.trachea[stem.trachea.len() - 1]));
@@ -116,18 +168,27 @@ pub fn check_stem(centerline: &Centerline, axes: PatientAxes) -> Result<()> {
     if found == PatientAxes::LPS {
         return Ok(());
     }
-    Err(Error::input(format!(
-        "its trachea and main bronchi lie as if the file's axes were `{0}` and not `{axes}`: --axes {0}, or --unusual if it \
-         is right",
-        axes.corrected(found)
-    )))
+    let corrected = axes.corrected(found);
+    Err(Error::input(match source {
+        FrameSource::Options => format!(
+            "its trachea and main bronchi lie as if the file's axes were `{corrected}` and not `{axes}`: --axes \
+             {corrected}, or --unusual if it is right"
+        ),
+        FrameSource::Header => format!(
+            "its trachea and main bronchi lie as if its axes were `{corrected}` where its header says `{axes}`: the \
+             header's affine is missing or wrong, so export it anew from the DICOM, or --unusual if it is right"
+        ),
+    }))
 }
 
 fn within(value: f64, [least, most]: [f64; 2]) -> bool {
     (least..=most).contains(&value)
 }
 
-fn scale_cure(value: f64, range: [f64; 2]) -> String {
+fn scale_cure(value: f64, range: [f64; 2], source: FrameSource) -> String {
+    if source == FrameSource::Header {
+        return "the spacing in the file's header is wrong; --unusual takes it as it is".to_owned();
+    }
     let known = UNITS.iter().find(|(_, size)| within(value * size, range));
     let cure = match known {
         Some((unit, size)) => format!("if the file is in {unit}, --scale {size}"),
@@ -283,7 +344,7 @@ mod tests {
     #[test]
     fn every_wrong_reading_of_right_handed_axes_is_refused_with_the_right_one() {
         let line = airway();
-        check_stem(&line, PatientAxes::LPS).unwrap();
+        check_stem(&line, PatientAxes::LPS, FrameSource::Options).unwrap();
         for letters in ["ras", "lsa", "rsp", "lai", "rpi", "psl", "als", "sal", "slp", "asr"] {
             let truth: PatientAxes = letters.parse().unwrap();
             // What the file of these axes holds, read as LPS.
@@ -292,36 +353,84 @@ mod tests {
                 DVec3::new(along(DVec3::X), along(DVec3::Y), along(DVec3::Z))
             };
             let file = mapped(&line, inverse);
-            let said = check_stem(&file, PatientAxes::LPS).unwrap_err().to_string();
+            let said = check_stem(&file, PatientAxes::LPS, FrameSource::Options).unwrap_err().to_string();
             if truth.is_mirrored() {
                 continue;
             }
             assert!(said.contains(&format!("--axes {letters},")), "{letters}: {said}");
-            check_stem(&mapped(&file, |p| truth.to_lps(p)), truth).unwrap();
+            check_stem(&mapped(&file, |p| truth.to_lps(p)), truth, FrameSource::Options).unwrap();
         }
         let mirrored = mapped(&line, |p| DVec3::new(-p.x, p.y, p.z));
-        assert!(check_stem(&mirrored, PatientAxes::LPS).unwrap_err().to_string().contains("--axes rps"));
+        assert!(
+            check_stem(&mirrored, PatientAxes::LPS, FrameSource::Options)
+                .unwrap_err()
+                .to_string()
+                .contains("--axes rps")
+        );
         // A bent neck is no error.
         let trachea = |p: DVec3| if p.z > 0.0 { DVec3::new(p.x, 50.0 - p.y, p.z) } else { p };
-        check_stem(&mapped(&line, trachea), PatientAxes::LPS).unwrap();
+        check_stem(&mapped(&line, trachea), PatientAxes::LPS, FrameSource::Options).unwrap();
     }
 
     #[test]
     fn wrong_units_are_named_with_their_factor() {
         let positions = |line: &Centerline| line.points.iter().map(|p| p.position_mm).collect::<Vec<_>>();
         let whole = positions(&airway());
-        check_extent(whole.iter().copied()).unwrap();
+        check_extent(whole.iter().copied(), FrameSource::Options).unwrap();
         for (unit, factor) in [("centimetres, --scale 10", 0.1), ("metres, --scale 1000", 1e-3)] {
-            let said = check_extent(whole.iter().map(|p| *p * factor)).unwrap_err().to_string();
+            let said = check_extent(whole.iter().map(|p| *p * factor), FrameSource::Options).unwrap_err().to_string();
             assert!(said.contains(unit), "{said}");
         }
-        assert!(check_extent(whole.iter().map(|p| *p * 30.0)).unwrap_err().to_string().contains("--scale FACTOR"));
+        assert!(
+            check_extent(whole.iter().map(|p| *p * 30.0), FrameSource::Options)
+                .unwrap_err()
+                .to_string()
+                .contains("--scale FACTOR")
+        );
         let mut narrow = airway();
         narrow.points.iter_mut().for_each(|p| p.radius_mm *= 0.4);
-        assert!(check_stem(&narrow, PatientAxes::LPS).unwrap_err().to_string().contains("5.6 mm across"));
-        let pair = |at: f64| LandmarkPair { inspiration_mm: DVec3::splat(at), expiration_mm: DVec3::splat(at) };
-        check_landmarks(&[pair(0.0), pair(210.0)]).unwrap();
-        assert!(check_landmarks(&[pair(0.0), pair(21.0)]).unwrap_err().to_string().contains("mm (LPS)"));
+        assert!(
+            check_stem(&narrow, PatientAxes::LPS, FrameSource::Options)
+                .unwrap_err()
+                .to_string()
+                .contains("5.6 mm across")
+        );
+        let header = check_extent(whole.iter().map(|p| *p * 0.1), FrameSource::Header).unwrap_err().to_string();
+        assert!(header.contains("in the file's header") && !header.contains("--scale"), "{header}");
+        let turned = mapped(&airway(), |p| DVec3::new(-p.x, -p.y, p.z));
+        let header = check_stem(&turned, PatientAxes::LPS, FrameSource::Header).unwrap_err().to_string();
+        assert!(header.contains("header's affine is missing or wrong") && !header.contains("--axes"), "{header}");
+    }
+
+    /// Landmarks on a grid of `spacing_mm`, each moved by `motion`.
+    fn lungs(spacing_mm: f64, motion: impl Fn(DVec3) -> DVec3) -> Vec<LandmarkPair> {
+        (0..125)
+            .map(|k| {
+                let inspiration_mm = DVec3::new((k % 5) as f64, (k / 5 % 5) as f64, (k / 25) as f64) * spacing_mm;
+                LandmarkPair { inspiration_mm, expiration_mm: inspiration_mm + motion(inspiration_mm) }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn landmarks_that_no_breathing_moves_are_refused() {
+        let breath = |p: DVec3| DVec3::new(0.0, 3.0, 20.0 - 0.1 * p.z);
+        let said = |pairs: &[LandmarkPair]| check_landmarks(pairs).unwrap_err().to_string();
+        let good = lungs(50.0, breath);
+        check_landmarks(&good).unwrap();
+        // In one plane, or moved as a whole, the volume stays.
+        check_landmarks(&good[..25]).unwrap();
+        check_landmarks(&lungs(50.0, |_| DVec3::splat(9.0))).unwrap();
+        assert!(said(&lungs(5.0, breath)).contains("mm (LPS)"));
+        let mut outlier = good.clone();
+        outlier[7].expiration_mm.x += 200.0;
+        assert!(said(&outlier).contains("line 9: the landmark moves by 201 mm"), "{}", said(&outlier));
+        let swapped: Vec<LandmarkPair> = good
+            .iter()
+            .map(|p| LandmarkPair { inspiration_mm: p.expiration_mm, expiration_mm: p.inspiration_mm })
+            .collect();
+        assert!(said(&swapped).contains("1.11 times as large at expiration"), "{}", said(&swapped));
+        assert!(said(&lungs(50.0, |p| breath(p) * 1e-3)).contains("no landmark moves by 0.1 mm"));
     }
 
     #[test]
@@ -329,8 +438,8 @@ mod tests {
         for number in 1..=9 {
             let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("bench-cases/case{number}.toml"));
             let line = rest_centerline(&Case::load(&path).unwrap()).unwrap();
-            check_extent(line.points.iter().map(|p| p.position_mm)).unwrap();
-            check_stem(&line, PatientAxes::LPS).unwrap_or_else(|e| panic!("case{number}: {e}"));
+            check_extent(line.points.iter().map(|p| p.position_mm), FrameSource::Options).unwrap();
+            check_stem(&line, PatientAxes::LPS, FrameSource::Options).unwrap_or_else(|e| panic!("case{number}: {e}"));
         }
     }
 }

@@ -8,7 +8,7 @@ use super::centerline::{Centerline, CenterlinePoint};
 use super::import_mesh::FileMeaning;
 use super::tree::Tree;
 use crate::base::range::{COORDINATE_MM, GENERATION, RADIUS_MM};
-use crate::base::{Error, Result, files};
+use crate::base::{Error, Progress, Result, files};
 
 /// Columns of a centreline table.
 const COLUMNS: [&str; 8] = ["id", "x_mm", "y_mm", "z_mm", "radius_mm", "branch", "generation", "parent_id"];
@@ -28,9 +28,9 @@ pub fn from_table(path: &Path, meaning: &FileMeaning, source: &str) -> Result<Tr
 }
 
 /// Extracts the centreline of the closed airway surface in `path` and makes a tree of it.
-pub fn from_mesh(path: &Path, meaning: &FileMeaning, source: &str) -> Result<Tree> {
+pub fn from_mesh(path: &Path, meaning: &FileMeaning, source: &str, progress: &dyn Progress) -> Result<Tree> {
     let mesh = meaning.read_surface(path)?;
-    meaning.centerline(&mesh).and_then(|line| from_centerline(&line, source)).map_err(|e| e.at(path))
+    meaning.centerline(&mesh, progress).and_then(|line| from_centerline(&line, source)).map_err(|e| e.at(path))
 }
 
 /// The table of `centerline`, resampled to 1.5 mm.

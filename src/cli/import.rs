@@ -12,11 +12,13 @@ use super::import_tree::{self, TreeArguments};
 use crate::airway;
 use crate::airway::case::Case;
 use crate::airway::import_breathing::breathing_toml;
-use crate::base::{Error, Result, files};
+use crate::base::{Error, ErrorKind, Progress, Result, files};
 
 /// Arguments of `import`.
 #[derive(Args)]
-#[command(after_help = "Example: respire-bench import breathing bench-cases/case1.toml --landmarks copd01.csv")]
+#[command(
+    after_help = "Example: respire-bench import breathing bench-cases/case1.toml --landmarks copd01.csv --other-patient"
+)]
 pub struct ImportArguments {
     #[command(subcommand)]
     kind: ImportKind,
@@ -47,13 +49,21 @@ struct BreathingArguments {
 
 /// Runs the command.
 pub fn run(arguments: ImportArguments, terminal: &Terminal) -> Result<()> {
-    match arguments.kind {
+    all_or_nothing(match arguments.kind {
         ImportKind::Breathing(arguments) => import_breathing(&arguments, terminal),
         ImportKind::Ct(arguments) => import_ct::run(&arguments, terminal),
         ImportKind::Mesh(arguments) => import_mesh::run(&arguments, terminal),
         ImportKind::MeshPair(arguments) => import_mesh::run_pair(&arguments, terminal),
         ImportKind::Tree(arguments) => import_tree::run(&arguments, terminal),
-    }
+    })
+}
+
+/// The outcome of work that keeps nothing when it is stopped, so that nothing resumes.
+pub(super) fn all_or_nothing(outcome: Result<()>) -> Result<()> {
+    outcome.map_err(|error| match error.kind() {
+        ErrorKind::Interrupted => Error::new(ErrorKind::Interrupted, "stopped; nothing was kept"),
+        _ => error,
+    })
 }
 
 fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Result<()> {
@@ -65,7 +75,9 @@ fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Resu
     case.folder = arguments.case.parent().map(Path::to_path_buf).unwrap_or_default();
     case.validate().map_err(|e| e.at(&arguments.case))?;
     let rest = airway::build(&case)?;
+    terminal.proceed()?;
     let breathing = arguments.motion.fit(&rest, &case, &motion, terminal)?;
+    terminal.proceed()?;
     let out = format!("{head}\n\n{}", breathing_toml(&breathing));
     files::write_bytes(&arguments.case, out.as_bytes())
 }

@@ -27,7 +27,7 @@ pub(super) const CENTERLINE: &str = "centerline.csv";
 #[derive(Args)]
 pub(super) struct CaseArguments {
     /// Name of the case: letters, digits, `-`, `_`
-    #[arg(long)]
+    #[arg(long, value_parser = case_id)]
     pub(super) id: String,
     /// Folder for the case
     #[arg(long, value_name = "DIR")]
@@ -44,6 +44,15 @@ pub(super) struct CaseArguments {
     /// Seed of everything random
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = SEED.parser::<u64>())]
     seed: u64,
+}
+
+/// A name that files may have.
+fn case_id(text: &str) -> Result<String, String> {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+    match !text.is_empty() && text.chars().all(is_plain) {
+        true => Ok(text.to_owned()),
+        false => Err("must be letters, digits, `-` and `_`".to_owned()),
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -145,7 +154,11 @@ impl<'a> NewCase<'a> {
         let path = self.staging.path(&file);
         files::write_bytes(&path, text.as_bytes())?;
         let case = Case::load(&path)?;
-        let route = Route::plan(&airway::build(&case)?, &case.trajectory)?;
+        terminal.proceed()?;
+        let anatomy = airway::build(&case)?;
+        terminal.proceed()?;
+        let route = Route::plan(&anatomy, &case.trajectory)?;
+        terminal.proceed()?;
         self.files.push(file.clone());
         self.staging.publish(&self.files)?;
         terminal.note(&format!(

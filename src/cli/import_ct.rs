@@ -11,7 +11,7 @@ use super::import_motion::{MotionArguments, mended_words, still_breathing};
 use crate::airway::case::AnatomySource;
 use crate::airway::case_build::{AirwayAtRest, from_field, from_pair, mended_pair};
 use crate::airway::import_breathing::{breathing_toml, moving};
-use crate::airway::import_mesh::FileMeaning;
+use crate::airway::import_mesh::{FileMeaning, check_moves};
 use crate::airway::{Anatomy, centerline::Centerline};
 use crate::base::range::NumberRange;
 use crate::base::{Error, Progress, Result, TriangleMesh};
@@ -76,8 +76,23 @@ struct Import {
 /// Runs the command.
 pub fn run(arguments: &CtArguments, terminal: &Terminal) -> Result<()> {
     let has_motion = arguments.motion.is_given();
+    if let Some(option) = arguments.file.only_for_surfaces().filter(|_| arguments.meshes.is_empty()) {
+        return Err(Error::usage(format!(
+            "{option} is for --meshes alone: scans and masks say in their headers where they lie, and of a mask the \
+             largest part is taken"
+        )));
+    }
+    if let (None, None, [_, second]) = (&arguments.expiration, &arguments.field, &arguments.airway_mask[..]) {
+        return Err(Error::usage(format!(
+            "--airway-mask took {} as the mask at expiration: where that is a scan, name the scans first",
+            second.display()
+        )));
+    }
     match (&arguments.inspiration, &arguments.meshes[..]) {
         (None, [first, second]) if !has_motion => of_meshes(arguments, first, second, terminal),
+        (Some(_), []) if !has_motion && arguments.expiration.is_none() && arguments.field.is_none() => {
+            Err(Error::usage("one scan has no motion: give the expiration, or --field, --landmarks, --motion"))
+        }
         (Some(scan), []) if !has_motion => of_scans(arguments, scan, terminal),
         (_, []) if has_motion && arguments.expiration.is_none() && arguments.field.is_none() => {
             of_motion(arguments, terminal)
@@ -115,8 +130,12 @@ fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &T
         residual_words: "Distance of the surface from the mask",
     };
     let rest = pair.surface.mesh;
-    let line = meaning.centerline(&rest).map_err(|e| e.at(inspiration))?;
+    terminal.proceed()?;
+    terminal.stage("centreline");
+    let line = meaning.centerline_in_volume(&rest, terminal).map_err(|e| e.at(inspiration))?;
+    terminal.finish();
     let anatomy = paired(rest, pair.expiration, line, &mut import)?;
+    terminal.proceed()?;
     let names = ["inspiration", "expiration"];
     let vertices = [&anatomy.inspiration.vertices, &anatomy.expiration.vertices];
     let holds: Vec<BreathHold<'_>> = pair
@@ -142,7 +161,10 @@ fn of_meshes(
     let (wanted, meaning) = (&arguments.case, arguments.file.meaning());
     let mut new = NewCase::new(wanted)?;
     let (rest, other) = (meaning.read_surface(first)?, meaning.read_surface(second)?);
-    let line = meaning.centerline(&rest).map_err(|e| e.at(first))?;
+    terminal.stage("centreline");
+    let line = meaning.centerline(&rest, terminal).map_err(|e| e.at(first))?;
+    terminal.finish();
+    terminal.proceed()?;
     let mut import = Import {
         facts: Facts::new(),
         residual_mm: vec![0.0; rest.vertices.len()],
@@ -156,6 +178,7 @@ fn of_meshes(
     } else {
         register(&meaning, &rest, &other, &mut import, terminal).map_err(|e| e.at(second))?
     };
+    check_moves(&rest, &moved).map_err(|e| e.at(second))?;
     let anatomy = paired(rest, moved, line, &mut import)?;
     new.text(PAGE, &import.page(&wanted.id, &anatomy, &[], None)?)?;
     finish_pair(arguments, new, &anatomy, &import, format!("{} and {}", name_of(first), name_of(second)), terminal)
@@ -170,7 +193,7 @@ fn register(
     terminal: &Terminal,
 ) -> Result<Vec<glam::DVec3>> {
     // What lies wrong is said of the second as of the first.
-    meaning.centerline(other)?;
+    meaning.centerline(other, terminal)?;
     terminal.stage("registering the surfaces");
     let found = register_surfaces(rest, other, terminal)?;
     terminal.finish();
@@ -195,10 +218,15 @@ fn of_motion(arguments: &CtArguments, terminal: &Terminal) -> Result<()> {
     terminal.stage("the airway");
     let label = arguments.label.map(|label| label as u16);
     let airway = airway_of(mask, label, scan.as_ref(), &mut facts, terminal)?;
+    terminal.proceed()?;
     let surface = surface_of(&airway, &mut facts)?;
     terminal.finish();
+    terminal.proceed()?;
+    terminal.stage("centreline");
     let from = mask.or(arguments.inspiration.as_deref()).unwrap_or(std::path::Path::new(""));
-    let line = meaning.centerline(&surface.mesh).map_err(|e| e.at(from))?;
+    let line = meaning.centerline_in_volume(&surface.mesh, terminal).map_err(|e| e.at(from))?;
+    terminal.finish();
+    terminal.proceed()?;
     let title = format!("{} with the motion of {}", name_of(from), arguments.motion.name()?);
     let source = AnatomySource::Mesh { path: wanted.file(AIRWAY), centerline: Some(wanted.file(CENTERLINE)) };
     let mut case = wanted.case(title, source, Some(still_breathing()))?;

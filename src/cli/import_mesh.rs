@@ -11,13 +11,13 @@ use super::import_motion::{MotionArguments, still_breathing};
 use crate::airway::case::AnatomySource;
 use crate::airway::case_build;
 use crate::airway::import_breathing::breathing_toml;
-use crate::base::Result;
+use crate::base::{Progress, Result};
 
 /// Arguments of `import mesh`.
 #[derive(Args)]
 #[command(
     after_help = "Writes DIR/<id>.toml with its own mesh and centreline beside it.\nExample: respire-bench import \
-    mesh airway.ply --axes ras --landmarks copd03.csv --lung-boxes lung_boxes.csv --id mine --out mine"
+    mesh airway.ply --axes ras --landmarks motion.csv --id mine --out mine"
 )]
 pub struct MeshArguments {
     /// Closed airway surface (PLY, STL, OBJ) in mm
@@ -61,11 +61,14 @@ pub fn run(arguments: &MeshArguments, terminal: &Terminal) -> Result<()> {
     let mesh = meaning.read_surface(&arguments.mesh)?;
     // The motion is read before the long work, so that a wrong file is reported at once.
     let motion = arguments.motion.read()?;
-    let line = meaning.centerline(&mesh).map_err(|e| e.at(&arguments.mesh))?;
+    let line = meaning.centerline(&mesh, terminal).map_err(|e| e.at(&arguments.mesh))?;
+    terminal.proceed()?;
     let mut new = NewCase::new(wanted)?;
     new.mesh(AIRWAY, &mesh)?;
     new.centerline(&line)?;
     let rest = case_build::from_field(mesh, line, None, &still_breathing()).map_err(|e| e.at(&arguments.mesh))?;
+    terminal.stage(format_args!("{}: motion", wanted.id));
+    terminal.proceed()?;
     let breathing = arguments.motion.fit(&rest, &case, &motion, terminal)?;
     case.breathing = None;
     new.finish(&format!("{}\n{}", case_head(&case)?, breathing_toml(&breathing)), terminal)
@@ -86,7 +89,8 @@ pub fn run_pair(arguments: &PairArguments, terminal: &Terminal) -> Result<()> {
     let rest = meaning.read_surface(&arguments.inspiration)?;
     let other = meaning.read_surface(&arguments.expiration)?;
     meaning.check_pair(&rest, &other).map_err(|e| e.at(&arguments.expiration))?;
-    let line = meaning.centerline(&rest).map_err(|e| e.at(&arguments.inspiration))?;
+    let line = meaning.centerline(&rest, terminal).map_err(|e| e.at(&arguments.inspiration))?;
+    terminal.proceed()?;
     let mut new = NewCase::new(wanted)?;
     new.mesh(INSPIRATION, &rest)?;
     new.mesh(EXPIRATION, &other)?;

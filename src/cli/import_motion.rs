@@ -1,6 +1,6 @@
 //! The measured motion of an imported case: its arguments, and how well the airway was given it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -13,7 +13,7 @@ use crate::airway::field::BreathingField;
 use crate::airway::field_calibre::Calibre;
 use crate::airway::field_fit::check_pairs;
 use crate::airway::fold_mending::Mending;
-use crate::airway::import_breathing::{LungBox, MeasuredBreathing, WantedMotion, fitted_breathing, moving};
+use crate::airway::import_breathing::{Beyond, LungBox, MeasuredBreathing, WantedMotion, fitted_breathing, moving};
 use crate::airway::import_carried::carried_breathing;
 use crate::airway::import_check::check_landmarks;
 use crate::airway::{Anatomy, case_build};
@@ -32,30 +32,30 @@ const LEAST_MOTION_MM: f64 = 0.01;
 /// Where the motion comes from and how large it is.
 #[derive(Args)]
 pub(super) struct MotionArguments {
-    /// Landmark pairs: insp_x,insp_y,insp_z,exp_x,exp_y,exp_z in mm (LPS)
+    /// Landmark pairs: insp_x,insp_y,insp_z,exp_x,exp_y,exp_z in mm (LPS), in the frame of the airway
     #[arg(long, value_name = "CSV", conflicts_with = "motion")]
     landmarks: Option<PathBuf>,
     /// Measured motion of a carried case, by its patient: copd01 to copd09
     #[arg(long, value_name = "PATIENT")]
     motion: Option<String>,
-    /// Table of lung boxes: case,phase,min_x,..,max_z; without it the box around the landmarks is used
-    #[arg(long, value_name = "CSV")]
+    /// The landmarks are another patient's: carina and extent of the airway are fitted to the box of the lungs
+    #[arg(long, requires = "landmarks")]
+    other_patient: bool,
+    /// Table of lung boxes for another patient's landmarks: case,phase,min_x,..,max_z; the box around them without
+    #[arg(long, value_name = "CSV", requires = "landmarks")]
     lung_boxes: Option<PathBuf>,
     /// Motion in mm of the end of the scope's way; without it the measured motion is kept
     #[arg(long, value_name = "MM", value_parser = END_MOTION_MM.parser::<f64>())]
     end_motion_mm: Option<f64>,
-    /// Where the landmarks come from, for the case file
-    #[arg(
-        long,
-        default_value = "DIR-Lab COPDgene (Castillo et al., Phys Med Biol 58:2861, 2013) by way of Lung250M-4B"
-    )]
-    source: String,
+    /// Where the landmarks come from, for the case file; the name of their file without
+    #[arg(long)]
+    source: Option<String>,
 }
 
 /// A motion that has been read.
 pub(super) enum ReadMotion {
-    /// Landmark pairs of a patient.
-    Landmarks { pairs: Vec<LandmarkPair>, lungs: LungBox, patient: String },
+    /// Landmark pairs of the airway's own patient, or of another one with these lungs.
+    Landmarks { pairs: Vec<LandmarkPair>, lungs: Option<LungBox>, path: PathBuf },
     /// The motion of a carried case, and the centreline of its airway.
     Carried { breathing: Breathing, line: Centerline, patient: String },
 }
@@ -86,10 +86,25 @@ impl MotionArguments {
         check_pairs(&pairs).and_then(|()| check_landmarks(&pairs)).map_err(|e| e.at(path))?;
         let patient = path.file_stem().map(|s| s.to_string_lossy().to_string()).unwrap_or_default();
         let lungs = match &self.lung_boxes {
-            Some(path) => LungBox::read(path, &patient)?,
-            None => LungBox::around(&pairs),
+            Some(path) => Some(LungBox::read(path, &patient)?),
+            None => self.other_patient.then(|| LungBox::around(&pairs)),
         };
-        Ok(ReadMotion::Landmarks { pairs, lungs, patient })
+        Ok(ReadMotion::Landmarks { pairs, lungs, path: path.clone() })
+    }
+
+    /// Where landmarks come from, for the case file.
+    fn source_of(&self, path: &Path, is_other_patient: bool) -> String {
+        let patient = path.file_stem().unwrap_or_default().to_string_lossy();
+        let from = match &self.source {
+            Some(source) => format!("{patient} of {source}"),
+            None => name_of(path),
+        };
+        match is_other_patient {
+            true => format!(
+                "{from}: real motion, but not of this airway's patient; carina and extent fitted to the lungs' box"
+            ),
+            false => format!("{from}: landmarks in the airway's own frame"),
+        }
     }
 
     /// Gives `rest` the motion, and says how well it went.
@@ -103,14 +118,20 @@ impl MotionArguments {
         let rest = &AirwayAtRest::new(&rest.inspiration, &rest.centerline)?;
         let plan = |anatomy: &Anatomy| Route::plan(anatomy, &case.trajectory);
         let breathing = match motion {
-            ReadMotion::Landmarks { pairs, lungs, patient } => {
-                let source = format!(
-                    "{patient} of {}: real motion, but not of this airway's patient; carina and extent fitted to the \
-                     lungs' box",
-                    self.source
-                );
+            ReadMotion::Landmarks { pairs, lungs, path } => {
+                if lungs.is_none() {
+                    let beyond = Beyond::of(&rest.mesh.vertices, pairs).map_err(|e| e.at(path))?;
+                    if beyond.share > 0.0 {
+                        terminal.note(&beyond_words(&beyond));
+                    }
+                }
+                let source = self.source_of(path, lungs.is_some());
                 let wanted = WantedMotion { pairs, lungs: *lungs, source, end_motion_mm: self.end_motion_mm };
-                let found = fitted_breathing(rest, &wanted, |anatomy| Ok(plan(anatomy)?.end_motion_mm()))?;
+                let end_motion_mm = |anatomy: &Anatomy| {
+                    terminal.proceed()?;
+                    Ok(plan(anatomy)?.end_motion_mm())
+                };
+                let found = fitted_breathing(rest, &wanted, end_motion_mm)?;
                 let route = plan(&moving(rest, &found.breathing)?)?;
                 terminal.line(words(&case.id, &route, &found));
                 found.breathing
@@ -119,6 +140,7 @@ impl MotionArguments {
                 let mut found = carried_breathing(breathing, from, rest)?;
                 if let Some(wanted_mm) = self.end_motion_mm {
                     for _ in 0..CARRIED_ROUNDS {
+                        terminal.proceed()?;
                         let moves_mm = plan(&moving(rest, &found)?)?.end_motion_mm();
                         found.field.scale *= wanted_mm / moves_mm.max(LEAST_MOTION_MM);
                     }
@@ -134,12 +156,23 @@ impl MotionArguments {
                 found
             }
         };
+        terminal.proceed()?;
         let mending = rest.mending(&moving(rest, &breathing)?.expiration.vertices, &breathing);
         if mending.vertices > 0 {
             terminal.note(&mended_words(&mending, rest.mesh.vertices.len()));
         }
         Ok(breathing)
     }
+}
+
+/// How far an airway reaches beyond its landmarks, in a sentence.
+fn beyond_words(beyond: &Beyond) -> String {
+    format!(
+        "{:.0} % of the airway lies outside of the landmarks' box, up to {:.0} mm: its motion there is not measured but \
+         extrapolated, and the top of the trachea outside is taken to move 1 mm",
+        100.0 * beyond.share,
+        beyond.farthest_mm
+    )
 }
 
 /// What mending did, in a sentence.
@@ -182,10 +215,12 @@ pub(super) fn still_breathing() -> Breathing {
 }
 
 fn words(case_id: &str, route: &Route, found: &MeasuredBreathing) -> String {
-    let (q, s) = (found.quality, found.placement.stretch);
+    let q = found.quality;
+    let stretch = found.placement.map(|placement| placement.stretch);
+    let stretched = stretch.map_or_else(String::new, |s| format!(", stretch {:.2} {:.2} {:.2}", s.x, s.y, s.z));
     format!(
         "{case_id}: way {:.0} mm, its end moves {:.1} mm, scale {:.3}, held-out {:.2} mm of {:.1} mm (affine {:.2}), \
-         lambda {}, {} steps of extra smoothing, stretch {:.2} {:.2} {:.2}",
+         lambda {}, {} steps of extra smoothing{stretched}",
         route.length_mm(),
         route.end_motion_mm(),
         found.breathing.field.scale,
@@ -193,9 +228,6 @@ fn words(case_id: &str, route: &Route, found: &MeasuredBreathing) -> String {
         q.motion_mm,
         q.affine_held_out_mm,
         q.lambda,
-        found.extra_smoothing,
-        s.x,
-        s.y,
-        s.z
+        found.extra_smoothing
     )
 }

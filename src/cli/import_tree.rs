@@ -44,9 +44,10 @@ pub fn run(arguments: &TreeArguments, terminal: &Terminal) -> Result<()> {
     let tree = if input.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
         from_table(input, &meaning, &arguments.source)?
     } else {
-        from_mesh(input, &meaning, &arguments.source)?
+        from_mesh(input, &meaning, &arguments.source, terminal)?
     };
     let tree = tree.reachable(arguments.least_radius_mm, arguments.deepest);
+    terminal.proceed()?;
     let text = toml::to_string(&tree).map_err(|e| Error::input(e.to_string()))?;
     files::write_bytes(&arguments.out, text.as_bytes())?;
     terminal.note(&format!("{}: {} branches", arguments.out.display(), tree.branches.len()));

@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::Terminal;
+use super::import::all_or_nothing;
 use super::selection::CatalogueFolder;
 use crate::airway::case::Case;
-use crate::base::Result;
+use crate::base::{Progress, Result};
 use crate::ct::simulated::chest::SimulatedChest;
 use crate::ct::simulated::protocol::ScanProtocol;
 use crate::ct::simulated::scan_truth::write_pair;
@@ -57,8 +58,9 @@ pub fn run(arguments: SimulateCtArguments, terminal: &Terminal) -> Result<()> {
     let case = Case::load(&arguments.catalogue.open()?.case_file(&arguments.case)?)?;
     terminal.stage(format!("{}: chest", case.id));
     let chest = SimulatedChest::new(&case)?;
+    all_or_nothing(terminal.proceed())?;
     terminal.stage(format!("{}: scanning", case.id));
-    write_pair(&chest, arguments.protocol.protocol(), arguments.out.clone(), terminal)?;
+    all_or_nothing(write_pair(&chest, arguments.protocol.protocol(), arguments.out.clone(), terminal))?;
     terminal.finish();
     terminal.line(arguments.out.display());
     Ok(())

@@ -6,6 +6,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::lumen::DistanceSpread;
+use crate::airway::import_check::STILL_MM;
 use crate::base::{Error, Result, Volume, VoxelGrid};
 
 /// Farthest in mm that tissue moves between two breath holds, the patient's own motion included.
@@ -31,8 +32,8 @@ pub struct VolumeChange {
     pub histogram: Vec<f64>,
 }
 
-/// Refuses a field that no breathing is, and one that does not cover `places`, the airway.
-pub fn check_field(field: &Volume<[f32; 3]>, places: &[DVec3]) -> Result<()> {
+/// Refuses a field that no breathing is: too far, or nowhere.
+pub fn check_motion(field: &Volume<[f32; 3]>) -> Result<()> {
     let farthest = field.data.iter().map(|v| v.iter().map(|c| c * c).sum::<f32>()).fold(0.0, f32::max).sqrt();
     if f64::from(farthest) > FARTHEST_MM {
         return Err(Error::input(format!(
@@ -40,15 +41,31 @@ pub fn check_field(field: &Volume<[f32; 3]>, places: &[DVec3]) -> Result<()> {
              in mm is wanted"
         )));
     }
-    let to_index = field.grid.index_from_place();
-    let covered = places.iter().filter(|p| field.sample_vector(to_index(**p)).is_some()).count();
-    if (covered as f64) < 0.98 * places.len() as f64 {
-        return Err(Error::input(format!(
-            "covers {:.0} % of the airway: it was made for another scan, or its frame is not that of the inspiration scan",
-            100.0 * covered as f64 / places.len().max(1) as f64
-        )));
+    if f64::from(farthest) < STILL_MM {
+        return Err(still(farthest.into()));
     }
     Ok(())
+}
+
+fn still(most_mm: f64) -> Error {
+    Error::input(format!(
+        "does not move the airway (by {most_mm:.3} mm at most): is it in metres? A displacement field in mm is wanted"
+    ))
+}
+
+/// Refuses a field that does not cover `places`, the airway, and one that does not move them.
+pub fn check_field(field: &Volume<[f32; 3]>, places: &[DVec3]) -> Result<()> {
+    let to_index = field.grid.index_from_place();
+    let moves: Vec<f64> =
+        places.iter().filter_map(|p| field.sample_vector(to_index(*p))).map(|motion| motion.length()).collect();
+    if (moves.len() as f64) < 0.98 * places.len() as f64 {
+        return Err(Error::input(format!(
+            "covers {:.0} % of the airway: it was made for another scan, or its frame is not that of the inspiration scan",
+            100.0 * moves.len() as f64 / places.len().max(1) as f64
+        )));
+    }
+    let most = moves.into_iter().fold(0.0, f64::max);
+    if most < STILL_MM { Err(still(most)) } else { Ok(()) }
 }
 
 /// Displacement at a place; at the rim's where the field has ended.
@@ -153,7 +170,7 @@ mod tests {
         assert!(inverse_consistency(&forward, &back, &whole).most_mm < 1e-4);
         let place = grid().position(DVec3::new(3.3, 4.4, 5.5));
         assert!((carried(&forward, &[place])[0] - (place + matrix * place)).length() < 1e-4);
-        check_field(&forward, &[place]).unwrap();
+        check_motion(&forward).and_then(|()| check_field(&forward, &[place])).unwrap();
     }
 
     #[test]
@@ -162,7 +179,14 @@ mod tests {
         assert_eq!(volume_change(&folding, &Volume::filled(grid(), 1u8)).folded, grid().count());
         let far = grid().position(DVec3::splat(-9.0));
         assert!(check_field(&folding, &[far]).unwrap_err().to_string().contains("covers 0 %"));
-        let metres = sampled_field(grid(), |_| DVec3::X * 900.0);
-        assert!(check_field(&metres, &[]).unwrap_err().to_string().contains("900 mm"));
+        let wide = sampled_field(grid(), |_| DVec3::X * 900.0);
+        assert!(check_motion(&wide).unwrap_err().to_string().contains("900 mm"));
+        let metres = sampled_field(grid(), |_| DVec3::X * 0.02);
+        assert!(check_motion(&metres).unwrap_err().to_string().contains("0.020 mm at most): is it in metres?"));
+        // It moves, but not where the airway is.
+        let middle = grid().position(DVec3::splat(8.0));
+        let aside = sampled_field(grid(), |p| if p.distance(middle) > 15.0 { DVec3::X * 5.0 } else { DVec3::ZERO });
+        check_motion(&aside).unwrap();
+        assert!(check_field(&aside, &[middle]).unwrap_err().to_string().contains("does not move the airway"));
     }
 }

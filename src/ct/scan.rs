@@ -6,6 +6,7 @@ use glam::{DMat3, DVec3};
 
 use super::dicom_conversion::read_scan;
 use crate::base::{Error, Progress, Result, Volume, VoxelGrid};
+use crate::formats::volume::frame_note;
 
 /// Least share of voxels that are air or lung, and that are soft tissue, of a CT of a chest.
 const LEAST_SHARE: f64 = 0.01;
@@ -25,6 +26,8 @@ const HIGHEST_HU: i16 = 3071;
 /// Errors: one sentence that names the file, and the cure; the user stopped the work.
 pub fn read_checked(path: &Path, progress: &dyn Progress) -> Result<Volume<i16>> {
     let mut scan = read_scan(path, progress)?;
+    progress.proceed()?;
+    frame_note(path).iter().for_each(|note| progress.note(note));
     check_units(&scan.data).and_then(|()| check_grid(&scan.grid)).map_err(|e| e.at(path))?;
     scan.data.iter_mut().for_each(|v| *v = (*v).clamp(PADDING_HU, HIGHEST_HU));
     Ok(turned(scan))

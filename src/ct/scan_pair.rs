@@ -7,14 +7,14 @@ use glam::DVec3;
 use super::airway_mask::{AirwayMask, read_mask};
 use super::lumen::{DistanceSpread, LumenSurface, distances_from_mask, surface_of_mask};
 use super::lungs::{check_pair, find_lungs, litres, on_grid};
-use super::motion_field::{VolumeChange, carried, check_field, inverse_consistency, volume_change};
+use super::motion_field::{VolumeChange, carried, check_field, check_motion, inverse_consistency, volume_change};
 use super::region::grow_airway;
 use super::registration::{
     PARAMETERS, REGISTRATION_MM, RegistrationInput, demand_elastix, mean_displacement, register,
 };
 use super::scan::{coarser, read_checked};
 use crate::base::{Error, Progress, Result, Volume};
-use crate::formats::volume::read_field;
+use crate::formats::volume::{frame_note, read_field};
 
 /// What is measured and done, for the user and the page: what, and in words.
 pub type Facts = Vec<(&'static str, String)>;
@@ -68,6 +68,7 @@ pub fn airway_of(
     let airway = match (mask, scan) {
         (Some(path), _) => {
             let airway = read_mask(path, label)?;
+            frame_note(path).iter().for_each(|note| progress.note(note));
             facts.push(("airway mask", format!("{}, {:.1} ml", path.display(), airway.volume_ml)));
             airway
         }
@@ -120,17 +121,27 @@ pub fn surface_of(airway: &AirwayMask, facts: &mut Facts) -> Result<LumenSurface
 /// counted and told, and no error: the airway may lie elsewhere.
 pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Progress) -> Result<ScanPair> {
     // What would fail at the end is said at the beginning.
+    if request.expiration.is_none() && request.field.is_none() {
+        return Err(Error::usage("one scan has no motion: give the expiration, or a field"));
+    }
     let version = if request.field.is_none() { Some(demand_elastix()?) } else { None };
+    let given = request.field.map(|path| own_field(path, progress)).transpose()?;
     let mut facts = Facts::new();
     let scan = read_checked(request.inspiration, progress)?;
     let coarse = coarser(&scan, REGISTRATION_MM);
     let named = |e: Error| e.at(request.inspiration);
     let airway = airway_of(request.airway, request.label, Some(&scan), &mut facts, progress).map_err(named)?;
+    progress.proceed()?;
     let surface = surface_of(&airway, &mut facts).map_err(named)?;
     drop(scan);
+    if let Some((path, field)) = &given {
+        check_field(field, &surface.mesh.vertices).map_err(|e| e.at(path))?;
+    }
+    progress.proceed()?;
     let lungs = lungs_of(&coarse, request.lungs.map(|l| l[0]), Some(&airway.mask)).map_err(named)?;
     let full = RegistrationInput::new(&coarse, &lungs, Some(&airway.mask));
     drop((coarse, lungs));
+    progress.proceed()?;
     let mut scans = Vec::new();
     let mut empty = None;
     if let Some(path) = request.expiration {
@@ -142,10 +153,9 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
         facts.push(("lungs", format!("{before:.2} l at inspiration, {after:.2} l at expiration, ratio {ratio:.2}")));
         empty = Some(input);
     }
-    let (field, region) = match (request.field, &empty) {
-        (Some(path), _) => {
-            let field = read_field(path)?;
-            check_field(&field, &surface.mesh.vertices).map_err(|e| e.at(path))?;
+    progress.proceed()?;
+    let (field, region) = match (given, &empty) {
+        (Some((path, field)), _) => {
             facts.push(("field", path.display().to_string()));
             let region = on_grid(&full.lungs, &Volume::filled(field.grid, 0u8));
             (field, region)
@@ -163,10 +173,9 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
             }
             (field, full.lungs.clone())
         }
-        (None, None) => {
-            return Err(Error::usage("one scan has no motion: give the expiration, or --field, --landmarks, --motion"));
-        }
+        (None, None) => return Err(Error::usage("without a second scan a field is wanted")),
     };
+    progress.proceed()?;
     let change = volume_change(&field, &region);
     facts.push((
         "folds",
@@ -193,6 +202,15 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     };
     let kept = version.as_ref().map(stated).unwrap_or_default();
     Ok(ScanPair { surface, expiration, field, scans, change, facts, kept })
+}
+
+/// Somebody's field, and what is wrong with it before any work.
+fn own_field<'a>(path: &'a Path, progress: &dyn Progress) -> Result<(&'a Path, Volume<[f32; 3]>)> {
+    let field = read_field(path)?;
+    check_motion(&field).map_err(|e| e.at(path))?;
+    frame_note(path).iter().for_each(|note| progress.note(note));
+    progress.proceed()?;
+    Ok((path, field))
 }
 
 fn lungs_of(scan: &Volume<i16>, mask: Option<&Path>, airway: Option<&Volume<u8>>) -> Result<Volume<u8>> {

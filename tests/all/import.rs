@@ -1,7 +1,9 @@
 //! Import of real airway surfaces with real motion, and of what is wrong with them.
 
 use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 use assert_cmd::Command;
 use glam::DVec3;
@@ -159,7 +161,7 @@ fn units_axes_and_loose_parts_are_noticed_and_their_cure_works() {
     let import = |surface: &str, more: &[&str]| {
         let mut command = command();
         command.args(["import", "mesh", "--id", "x", "--end-motion-mm", "8"]).arg(at(surface)).arg("--landmarks");
-        command.arg(&landmarks).args(more).arg("--out").arg(at("out"));
+        command.arg(&landmarks).arg("--other-patient").args(more).arg("--out").arg(at("out"));
         command
     };
     for (surface, said, cure) in [
@@ -224,7 +226,7 @@ fn a_case_that_cannot_be_filmed_leaves_nothing_behind() {
     let landmarks = invented_landmarks(folder.path());
     let mut command = command();
     command.args(["import", "mesh", "--id", "x", "--scope-radius-mm", "40"]).arg(at("good.ply"));
-    command.arg("--landmarks").arg(&landmarks).arg("--out").arg(at("new/out"));
+    command.arg("--landmarks").arg(&landmarks).arg("--other-patient").arg("--out").arg(at("new/out"));
     fails(&mut command, &["scope"]);
     let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     left.sort();
@@ -242,13 +244,110 @@ fn without_real_files_a_mesh_and_invented_motion_become_a_case() {
     let landmarks = invented_landmarks(folder.path());
     let mut command = command();
     command.args(["import", "mesh", "--id", "mine", "--end-motion-mm", "8"]).arg(&surface).arg("--landmarks");
-    command.arg(&landmarks).arg("--out").arg(folder.path()).assert().success();
+    command.arg(&landmarks).arg("--other-patient").arg("--out").arg(folder.path()).assert().success();
     let case = Case::load(&folder.path().join("mine.toml")).unwrap();
+    let source = &case.breathing.as_ref().unwrap().field.source;
+    assert!(source.starts_with("invented.csv: real motion, but not of this airway's patient"), "{source}");
     let built = airway::build(&case).unwrap();
     assert!(built.inspiration.signed_volume() < 0.0, "normals must point into the lumen");
     assert!(flipped_faces(&built.inspiration, &built.expiration.vertices).is_empty());
     let route = Route::plan(&built, &case.trajectory).unwrap();
     assert!((route.end_motion_mm() - 8.0).abs() < 0.1, "{}", route.end_motion_mm());
+}
+
+/// Landmarks of a known motion around the airway `rest`, down from a height: as a file, and the motion.
+fn own_landmarks(path: &Path, rest: &TriangleMesh, top_share: f64) -> impl Fn(DVec3) -> DVec3 + use<> {
+    let (low, high) = rest.bounds();
+    let size = high - low;
+    let motion = move |p: DVec3| DVec3::new(0.0, 2.0, 12.0 * (high.z - p.z) / size.z);
+    let mut text = String::from("insp_x,insp_y,insp_z,exp_x,exp_y,exp_z\n");
+    for k in 0..216 {
+        let part = DVec3::new((k % 6) as f64, (k / 6 % 6) as f64, (k / 36) as f64) / 5.0 * 1.1 - 0.05;
+        let place = low + size * part * DVec3::new(1.0, 1.0, top_share);
+        let moved = place + motion(place);
+        let cells = [place.to_array(), moved.to_array()].concat();
+        text += &(cells.iter().map(f64::to_string).collect::<Vec<_>>().join(",") + "\n");
+    }
+    fs::write(path, text).unwrap();
+    motion
+}
+
+/// They were taken for another patient's, moved and stretched, and called DIR-Lab's.
+#[test]
+fn landmarks_of_the_airways_own_patient_stay_where_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let mut rest = airway::build(&Case::load(&case_path(3)).unwrap()).unwrap().inspiration;
+    // Scanners put the origin anywhere.
+    rest.vertices.iter_mut().for_each(|v| *v += DVec3::new(120.0, -310.0, -900.0));
+    mesh::write_ply(&at("good.ply"), &rest, &[]).unwrap();
+    let import = || {
+        let mut command = command();
+        command.args(["import", "mesh", "--id", "mine"]).arg(at("good.ply")).arg("--landmarks").arg(at("own.csv"));
+        command.arg("--out").arg(at("out"));
+        command
+    };
+    let motion = own_landmarks(&at("own.csv"), &rest, 1.0);
+    let told = String::from_utf8(import().assert().success().get_output().stderr.clone()).unwrap();
+    assert!(!told.contains("landmarks' box"), "{told}");
+    let field = Case::load(&at("out/mine.toml")).unwrap().breathing.unwrap().field;
+    assert!(field.source.starts_with("own.csv: landmarks in the airway's own frame"), "{}", field.source);
+    let off = rest.vertices.iter().map(|v| field.displacement(*v).distance(motion(*v))).fold(0.0, f64::max);
+    assert!(off < 0.1, "{off} mm off the known motion");
+    // Of the lower part only: the trachea reaches beyond them.
+    let _ = own_landmarks(&at("own.csv"), &rest, 0.6);
+    let told = String::from_utf8(import().assert().success().get_output().stderr.clone()).unwrap();
+    assert!(told.contains("of the airway lies outside of the landmarks' box"), "{told}");
+    // In another frame.
+    invented_landmarks(folder.path());
+    fs::rename(at("invented.csv"), at("own.csv")).unwrap();
+    fails(&mut import(), &["own.csv", "100 % of the airway lies outside", "--other-patient"]);
+}
+
+/// What runs until Ctrl-C is asked to stop while it waits for its landmarks, and gets them then.
+#[test]
+fn an_import_that_is_stopped_publishes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let rest = airway::build(&Case::load(&case_path(3)).unwrap()).unwrap().inspiration;
+    mesh::write_ply(&at("good.ply"), &rest, &[]).unwrap();
+    let _ = own_landmarks(&at("own.csv"), &rest, 1.0);
+    assert!(std::process::Command::new("mkfifo").arg(at("pipe.csv")).status().unwrap().success());
+    // A folder that a kill left behind.
+    fs::create_dir_all(at(".unfinished-Ab12Cd/work")).unwrap();
+    let start = |landmarks: &Path| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_respire-bench"));
+        command.args(["import", "mesh", "--id", "x"]).arg(at("good.ply")).arg("--landmarks").arg(landmarks);
+        command.arg("--out").arg(at("new/out")).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
+    };
+    let mut child = start(&at("pipe.csv"));
+    // Opens once the import reads it.
+    let mut pipe = fs::OpenOptions::new().write(true).open(at("pipe.csv")).unwrap();
+    let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    let mut told = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    told.read_line(&mut line).unwrap();
+    assert!(line.contains("stopping at the next safe point"), "{line}");
+    pipe.write_all(&fs::read(at("own.csv")).unwrap()).unwrap();
+    drop(pipe);
+    line.clear();
+    told.read_to_string(&mut line).unwrap();
+    assert_eq!((child.wait().unwrap().code(), line.trim()), (Some(130), "error: stopped; nothing was kept"));
+    assert!(!at("new").exists());
+    assert!(start(&at("own.csv")).wait().unwrap().success());
+    assert!(at("new/out/x.toml").exists() && !at(".unfinished-Ab12Cd").exists());
+}
+
+/// The files of a case were written under its name before the name was looked at.
+#[test]
+fn a_name_that_no_file_may_have_is_refused_first() {
+    for kind in [&["mesh", "no.ply", "--motion", "copd05"][..], &["mesh-pair", "no.ply", "no.ply"], &["ct", "no.nii"]] {
+        for id in ["../evil", "a/b", ""] {
+            let output = command().arg("import").args(kind).args(["--id", id, "--out", "out"]).assert().code(2);
+            assert!(String::from_utf8_lossy(&output.get_output().stderr).contains("letters, digits, `-` and `_`"));
+        }
+    }
 }
 
 #[test]

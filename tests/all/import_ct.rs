@@ -141,14 +141,18 @@ fn a_drawn_chest_with_a_known_field_becomes_a_case_that_moves_as_the_field_says(
     // What is wrong is said in one sentence with its cure, and nothing is left behind.
     let picture = chest.scan().map(|v| ((v.clamp(-1000, 200) + 1000) / 5) as u8);
     nifti::write(&place("picture.nii.gz"), &picture).unwrap();
-    nifti::write(&place("still.nii.gz"), &sampled_field(coarse, |_| DVec3::X * 500.0)).unwrap();
+    nifti::write(&place("far.nii.gz"), &sampled_field(coarse, |_| DVec3::X * 500.0)).unwrap();
+    nifti::write(&place("metres.nii.gz"), &sampled_field(coarse, |p| chest.motion(p) * 1e-3)).unwrap();
     let mut labels = chest.mask();
     labels.data[0] = 2;
     nifti::write(&place("labels.nii.gz"), &labels).unwrap();
     for (scan, mask, field, sentence) in [
         ("picture.nii.gz", "mask.nii.gz", "field.nii.gz", "no Hounsfield units of a chest"),
         ("insp.nii.gz", "labels.nii.gz", "field.nii.gz", "holds 2 labels (1, 2): --label"),
-        ("insp.nii.gz", "mask.nii.gz", "still.nii.gz", "moves tissue by 500 mm"),
+        ("insp.nii.gz", "mask.nii.gz", "far.nii.gz", "moves tissue by 500 mm"),
+        ("insp.nii.gz", "mask.nii.gz", "metres.nii.gz", "metres.nii.gz: does not move the airway"),
+        // The field is looked at first.
+        ("picture.nii.gz", "mask.nii.gz", "metres.nii.gz", "metres.nii.gz: does not move the airway"),
         ("insp.nii.gz", "mask.nii.gz", "mask.nii.gz", "a displacement has three"),
     ] {
         let (code, said) = import(scan, mask, field, "refused");
@@ -157,6 +161,23 @@ fn a_drawn_chest_with_a_known_field_becomes_a_case_that_moves_as_the_field_says(
         assert!(!place("refused").exists());
     }
     assert!(!fs::read_dir(folder.path()).unwrap().any(|e| e.unwrap().file_name().to_string_lossy().starts_with('.')));
+}
+
+/// What says nothing of a volume was ignored; an option that takes two files swallowed a scan.
+#[test]
+fn options_that_do_not_go_with_scans_are_refused_before_any_file_is_read() {
+    for (words, says) in [
+        (&["no.nii", "no.nii", "--axes", "ras"][..], "--axes is for --meshes alone"),
+        (&["--airway-mask", "no.nii", "--motion", "copd05", "--scale", "10"], "--scale is for --meshes alone"),
+        (&["no.nii", "no.nii", "--keep-largest"], "--keep-largest is for --meshes alone"),
+        (&["no.nii", "--airway-mask", "no.nii"], "one scan has no motion: give the expiration, or --field"),
+        (&["--airway-mask", "mask.nii", "insp.nii", "exp.nii"], "took insp.nii as the mask at expiration"),
+        (&["--airway-mask", "mask.nii", "insp.nii", "--motion", "copd05"], "took insp.nii as the mask at expiration"),
+    ] {
+        let output = command().args(["import", "ct", "--id", "a", "--out", "out"]).args(words).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).to_string();
+        assert!(output.status.code() == Some(2) && said.contains(says), "{words:?}: {said}");
+    }
 }
 
 #[test]
