@@ -250,8 +250,8 @@ fn merged(bytes: &[u8], scratch: &Scratch) {
     let names = ["results.csv", "comparison.csv", "frames.csv", "timings.csv", "manifest.json"];
     let folder = scratch.write_parts("merge", &names, bytes);
     scratch.seal("merge", "manifest.json", &names[..4]);
-    answer(merge::read_run(&folder, merge::Evidence::Needed));
-    let Some(run) = answer(merge::read_run(&folder, merge::Evidence::Waived)) else { return };
+    answer(merge::read_run(&folder, merge::PartEvidence::Needed));
+    let Some(run) = answer(merge::read_run(&folder, merge::PartEvidence::Waived)) else { return };
     let part = merge::Part { folder, run };
     for films in [merge::Films::Same, merge::Films::Other] {
         if let Some(run) = answer(merge::merge(vec![part.clone(), part.clone()], films)) {

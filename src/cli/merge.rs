@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use super::{Terminal, comparison};
 use crate::base::{Error, Result, files};
-use crate::report::merge::{Evidence, Films, Part, merge, read_environments, read_run};
+use crate::report::merge::{Films, Part, PartEvidence, merge, read_environments, read_run};
 use crate::report::summary::summarise;
 use crate::report::table::ComparisonTable;
 use crate::report::{self, Run};
@@ -42,7 +42,7 @@ pub struct MergeArguments {
 /// Reads, merges, writes, and prints the table.
 pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
     terminal.stage("reading the runs");
-    let evidence = if arguments.unchecked { Evidence::Waived } else { Evidence::Needed };
+    let evidence = if arguments.unchecked { PartEvidence::Waived } else { PartEvidence::Needed };
     let part = |folder: &PathBuf| Ok(Part { run: read_run(folder, evidence)?, folder: folder.clone() });
     let parts = arguments.runs.iter().map(part).collect::<Result<Vec<Part>>>()?;
     if let Some(folder) = arguments.runs.iter().find(|folder| same_folder(folder, &arguments.out)) {

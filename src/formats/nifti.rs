@@ -32,8 +32,9 @@ const VECTOR: i16 = 1007;
 pub fn open(path: &Path) -> Result<VolumeSource> {
     let file = File::open(path).map_err(|e| Error::io("reading", path, e))?;
     let mut file = BufReader::new(file);
-    let mut start = [0u8; 2];
-    let is_compressed = file.read_exact(&mut start).is_ok() && start == [0x1f, 0x8b];
+    let mut start = Vec::new();
+    file.by_ref().take(2).read_to_end(&mut start).map_err(|e| Error::io("reading", path, e))?;
+    let is_compressed = start == [0x1f, 0x8b];
     let whole = std::io::Cursor::new(start).chain(file);
     let reader: Box<dyn Read> = if is_compressed { Box::new(MultiGzDecoder::new(whole)) } else { Box::new(whole) };
     open_stream(reader).map_err(|e| e.at(path))
@@ -342,7 +343,11 @@ mod tests {
         };
         assert_eq!(said(&|_| ()), "");
         assert!(said(&|b| b.truncate(100)).contains("is no NIfTI file"));
-        assert_eq!(said(&|b| b.clear()), "is empty");
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("empty.nii.gz"), "").unwrap();
+        assert!(
+            open(&folder.path().join("empty.nii.gz")).err().unwrap().to_string().ends_with("empty.nii.gz: is empty")
+        );
         assert!(said(&|b| b[..4].copy_from_slice(&540i32.to_be_bytes())).contains("is NIfTI-2: rewrite it"));
         // Labels of 64 bits, as numpy has them.
         let wide = |b: &mut Vec<u8>| {

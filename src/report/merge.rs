@@ -27,7 +27,7 @@ pub enum Films {
 
 /// Whether rows may lack what they are checked with: the report's manifest, and the frames from which its means follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Evidence {
+pub enum PartEvidence {
     /// No: such a report is refused.
     Needed,
     /// Yes, and the report says which rows were not checked. What is there must still agree.
@@ -66,7 +66,7 @@ pub fn read_environments(folder: &Path, id: &str) -> Result<BTreeMap<String, ser
 /// is not this version's; a value that the metric cannot have; a number that does not follow from the frames; a table
 /// that was changed since it was written; a foreign row under the name of an own one. A report without frames, manifest or
 /// other tables is refused unless that is waived; then metrics of another definition are left out.
-pub fn read_run(folder: &Path, evidence: Evidence) -> Result<Run> {
+pub fn read_run(folder: &Path, evidence: PartEvidence) -> Result<Run> {
     let mut cells: Vec<CellRecord> = Vec::new();
     let results = folder.join("results.csv");
     let (mut trees, mut tracks) = (BTreeMap::new(), Vec::new());
@@ -98,7 +98,7 @@ pub fn read_run(folder: &Path, evidence: Evidence) -> Result<Run> {
         }
         let (known, definition) = (metric.definition_id(), row.text("definition")?);
         if definition != known {
-            if evidence == Evidence::Needed {
+            if evidence == PartEvidence::Needed {
                 return Err(row.refuse("definition", redefinition(&definition, &known)));
             }
             if !redefined.contains(&definition) {
@@ -138,7 +138,7 @@ pub fn read_run(folder: &Path, evidence: Evidence) -> Result<Run> {
     let frames = folder.join("frames.csv");
     if frames.exists() {
         CsvTable::read(&frames)?.rows().try_for_each(|row| add_frame(&mut cells, &row))?;
-        let has_frames = |score: &&CellScore| evidence == Evidence::Needed || !score.frame_scores.is_empty();
+        let has_frames = |score: &&CellScore| evidence == PartEvidence::Needed || !score.frame_scores.is_empty();
         let scores = || cells.iter().filter_map(CellRecord::score).filter(has_frames);
         scores().try_for_each(check_means).map_err(|e| e.at(&results))?;
         if let Some(score) = scores().find(|score| score.frame_scores.is_empty()) {
@@ -153,7 +153,7 @@ pub fn read_run(folder: &Path, evidence: Evidence) -> Result<Run> {
     }
     let missing = seal::check(folder)?;
     let notes = notes_of(folder, &cells, &missing, &redefined);
-    if let Some(name) = missing.first().filter(|_| evidence == Evidence::Needed) {
+    if let Some(name) = missing.first().filter(|_| evidence == PartEvidence::Needed) {
         let sentence =
             "is missing, so that the rows of this report cannot be checked; --unchecked merges it and says so";
         return Err(Error::input(sentence).at(folder.join(name)));

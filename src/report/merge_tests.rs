@@ -2,14 +2,14 @@
 
 use std::fs;
 
-use super::merge::{Evidence, Films, Part};
+use super::merge::{Films, Part, PartEvidence};
 use super::report_tests::sample_run;
 use super::*;
 use crate::base::NoProgress;
 use crate::score::{Goal, Status};
 
 fn read_run(folder: &Path) -> Result<Run> {
-    merge::read_run(folder, Evidence::Needed)
+    merge::read_run(folder, PartEvidence::Needed)
 }
 
 /// The runs as parts `part-1`, `part-2` and so on.
@@ -363,7 +363,7 @@ fn a_third_party_ranks_nobody_out() {
     assert_eq!(ranks(&own), ranks(&worse));
     let mine = &summary::summarise(&worse).pop().unwrap();
     assert!(mine.cases == 2 && mine.metric("psnr_db").unwrap().rank.is_some());
-    let merged = merge(vec![worse], Films::Same).unwrap();
+    let merged = merge(vec![worse], Films::Other).unwrap();
     assert!(merged.notes.iter().any(|note| note.ends_with("count in no mean or place: case9.")), "{:?}", merged.notes);
 }
 
