@@ -86,9 +86,11 @@ impl Camera {
                 break;
             }
         }
-        let sentence =
-            "k1..k4: no angle from the axis is seen at the farthest corner: the distorted angle stops rising before it";
-        Err(Error::input(sentence))
+        let (width, height) = (self.width, self.height);
+        Err(Error::input(format!(
+            "fl_x, fl_y, cx, cy and k1, k2, k3, k4 of a fisheye of width {width} and height {height} show nothing at its \
+             farthest corner: the distorted angle stops rising before it"
+        )))
     }
 
     /// Direction (camera axes, z = 1 for a pinhole; unit length for fisheye) through the image point `pixel`.

@@ -239,6 +239,7 @@ impl<'a> BridgesplatNomeshFit<'a> {
         let weights = self.observation.pixel_weights();
         let mut loss = Photometric::new(&image.data, image.width, image.height, 0.0, weights.as_deref());
         let iterations = scaled_iterations(s.iterations[usize::from(frame > 0)] as f64, self.scale);
+        let factor = rate_factor(self.scale);
         let sh_from = if frame > 0 { 0 } else { scaled_iterations(*s.sh_from_iteration as f64, self.scale) };
         let sh_rest = self.adam.rates.sh_rest;
         self.adam.begin(patch.ids.len());
@@ -263,7 +264,7 @@ impl<'a> BridgesplatNomeshFit<'a> {
             self.anchors.regularise(self.settings, invisible, &mut by_shift, &mut by_turn);
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };
             patch.step(&mut self.adam, gradients);
-            self.anchors.step(*s.displacement_rate, &by_shift, &by_turn);
+            self.anchors.step(*s.displacement_rate * factor, &by_shift, &by_turn);
         }
         self.adam.rates.sh_rest = sh_rest;
         Ok(())
