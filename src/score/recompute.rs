@@ -162,7 +162,7 @@ mod tests {
         // A PSNR with a frame that equals the truth leaves room for what that counts as.
         let mut equal = honest.clone();
         let first = equal.frame_scores[0].values.iter_mut().find(|v| v.metric == "psnr_db").unwrap();
-        let was = std::mem::replace(&mut first.value, None).unwrap();
+        let was = first.value.take().unwrap();
         first.status = Status::Identical;
         let mean = equal.metrics.iter_mut().find(|m| m.metric == "psnr_db").unwrap();
         mean.value = mean.value.map(|value| value + (70.0 - was) / mean.count as f64);
