@@ -295,7 +295,8 @@ class Writing(unittest.TestCase):
         self.refused("phase, frame 0: is no array", phase=[[1, [2]]] * 9)
         self.refused("phase_sd: wanted a value for each", phase=np.ones(9), phase_sd=0.1)
         self.refused("phase_sd", phase_sd=np.ones(9))
-        self.refused("phase, frame 0", phase=np.ones(9), phase_sd=np.zeros(9))
+        self.refused("phase, frame 0: 2000 must lie in -1000 to 1000", phase=np.full(9, 2000))
+        self.refused("phase_sd, frame 0: 0 must lie in", phase=np.ones(9), phase_sd=np.zeros(9))
         self.refused("poses, frame 0: has another last row", poses=np.zeros((9, 4, 4)))
         far = self.film.poses.copy()
         far[2, 0, 3] = 20000
@@ -323,7 +324,7 @@ class Writing(unittest.TestCase):
         self.refused("time_cpu_s", time_cpu_s=1)
 
     def test_names_that_evaluate_refuses_are_refused(self):
-        for name in ("", " ", "two\nlines", "x" * 61, "Ours", "static CT", "ours_gn"):
+        for name in ("", " ", "two\nlines", "x" * 61, "Ours", "static CT", "ours_gn", "0urs", "\u043eurs"):
             self.refused("method: ", method=name)
             write_prediction(self.folder, self.film, np.zeros((9, 48, 48, 3), np.uint8), method="free")
             with open(os.path.join(self.folder, "prediction.json"), "w") as file:

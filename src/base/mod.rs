@@ -10,6 +10,7 @@ pub mod hash;
 pub mod image;
 pub mod mask;
 pub mod mesh;
+pub mod method_name;
 pub mod pose;
 pub mod progress;
 pub mod random;

@@ -49,6 +49,14 @@ pub const COORDINATE_MM: NumberRange = NumberRange::new(-10_000.0, 10_000.0);
 pub const COORDINATE: NumberRange = NumberRange::new(-1e9, 1e9);
 /// Times of frames in seconds since the first.
 pub const TIME_S: NumberRange = NumberRange::new(0.0, 1e7);
+/// Phases of a prediction; one in percent is read, and `check` warns of it.
+pub const PREDICTED_PHASE: NumberRange = NumberRange::new(-1000.0, 1000.0);
+/// Standard deviations of a prediction's phases.
+pub const PREDICTED_PHASE_SD: NumberRange = NumberRange::new(1e-12, 1000.0);
+/// Entries of a covariance of places, mm squared.
+pub const COVARIANCE_MM2: NumberRange = NumberRange::new(-1e8, 1e8);
+/// Seconds that a method took: no less than a clock can tell.
+pub const WORK_TIME_S: NumberRange = NumberRange::new(1e-6, 1e9);
 /// Mean duration of a breath in seconds.
 pub const BREATHING_PERIOD_S: NumberRange = NumberRange::new(1e-3, 1e6);
 /// Inscribed radii in mm.

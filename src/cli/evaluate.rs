@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::{Terminal, comparison};
-use crate::base::{Error, ErrorKind, Progress, Result, files};
+use crate::base::{Error, ErrorKind, Progress, Result, files, method_name};
 use crate::report::run::evaluated_id;
 use crate::report::scene::Scenes;
 use crate::report::summary::summarise;
@@ -58,7 +58,7 @@ pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
     let films = films(&arguments.sequence)?;
     let predictions = predictions(&films, &arguments.predictions)?;
     // Before the work.
-    let given = arguments.method.as_deref().map_or(Ok(()), MethodInfo::check_foreign);
+    let given = arguments.method.as_deref().map_or(Ok(()), method_name::check_foreign);
     given.map_err(|e| Error::usage(format!("--method: {e}")))?;
     let mut evaluated = Vec::new();
     terminal.stage("scoring");
@@ -196,7 +196,7 @@ fn failures(evaluated: &[Evaluated], terminal: &Terminal) -> Result<()> {
 pub(super) fn check_name(prediction: &Path, question: &Question) -> Result<()> {
     let opened = Prediction::open(prediction, question)?;
     let named = |e: Error| e.element("method").at(prediction.join("prediction.json"));
-    opened.method().map_or(Ok(()), MethodInfo::check_foreign).map_err(named)
+    opened.method().map_or(Ok(()), method_name::check_foreign).map_err(named)
 }
 
 fn print(found: &CellScore, terminal: &Terminal) {

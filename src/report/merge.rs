@@ -12,7 +12,7 @@ use super::read::{CsvRow, CsvTable, distinct, unfit};
 use super::run::{CaseInfo, CellRecord, MethodInfo, Outcome, Role, Run, StageCost};
 use super::scene::{FilmKey, Scenes};
 use super::seal;
-use crate::base::{Error, Result, files, hash};
+use crate::base::{Error, Result, files, hash, method_name};
 use crate::score::{CellScore, FrameScore, FrameValue, Metric, MetricScore, Status, check_means, metric, registry};
 use crate::simulate::track::Track;
 
@@ -133,7 +133,7 @@ pub fn read_run(folder: &Path, evidence: PartEvidence) -> Result<Run> {
     }
     for cell in cells.iter().filter(|cell| cell.is_foreign()) {
         let named = |e: Error| e.element(format!("row {} of {}", cell.method, cell.case_id)).at(&results);
-        MethodInfo::check_foreign(&cell.method).map_err(named)?;
+        method_name::check_foreign(&cell.method).map_err(named)?;
     }
     let frames = folder.join("frames.csv");
     if frames.exists() {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::scene::Scenes;
-use crate::base::{Error, Result};
+use crate::base::method_name;
 use crate::score::{CellScore, Truth};
 use crate::simulate::track::Track;
 
@@ -100,38 +100,36 @@ pub struct MethodInfo {
     pub mesh: Option<bool>,
 }
 
-/// Id, title, role, CT scans and mesh of this program's own rows: the paper's four, ours beyond the
-/// paper, what needs no map, the bounds.
-/// A test holds that these are the files of `bench-cases/methods/`. The names are reserved.
-const OWN_ROWS: [(&str, &str, Role, u8, bool); 16] = [
-    ("bridgesplat", "BridgeSplat", Role::Ranked, 1, true),
-    ("bridgesplat-release", "BridgeSplat (released objective)", Role::Ranked, 1, true),
-    ("bridgesplat-tuned", "BridgeSplat (tuned)", Role::Ranked, 1, true),
-    ("bridgesplat-nomesh", "BridgeSplat (no mesh)", Role::Ranked, 1, false),
-    ("ours-nomesh", "Ours (no mesh)", Role::Ranked, 2, false),
-    ("ours", "Ours", Role::Ranked, 2, true),
-    ("ours-window", "Ours + keyframes", Role::Ranked, 2, true),
-    ("ours-gn", "Ours (Gauss-Newton)", Role::Ranked, 2, true),
-    ("ours-gn-pose", "Ours (Gauss-Newton), rough poses", Role::Ranked, 2, true),
-    ("ours-nav", "Ours, navigation", Role::Ranked, 2, true),
-    ("virtual-bronchoscopy", "Virtual bronchoscopy", Role::Ranked, 2, true),
-    ("pose-only", "No picture: pose", Role::Ranked, 2, true),
-    ("mean-breath", "No picture: clock", Role::Ranked, 2, true),
-    ("static-ct", "Static CT", Role::Sanity, 1, true),
-    ("static-expiration", "Static CT, expiration", Role::Sanity, 1, true),
-    ("oracle-phase", "Oracle phase", Role::Sanity, 2, true),
+/// Id, role, CT scans and mesh of this program's own rows; a test holds that they are those of
+/// [`method_name::OWN`] and of `bench-cases/methods/`.
+const OWN_ROWS: [(&str, Role, u8, bool); 16] = [
+    ("bridgesplat", Role::Ranked, 1, true),
+    ("bridgesplat-release", Role::Ranked, 1, true),
+    ("bridgesplat-tuned", Role::Ranked, 1, true),
+    ("bridgesplat-nomesh", Role::Ranked, 1, false),
+    ("ours-nomesh", Role::Ranked, 2, false),
+    ("ours", Role::Ranked, 2, true),
+    ("ours-window", Role::Ranked, 2, true),
+    ("ours-gn", Role::Ranked, 2, true),
+    ("ours-gn-pose", Role::Ranked, 2, true),
+    ("ours-nav", Role::Ranked, 2, true),
+    ("virtual-bronchoscopy", Role::Ranked, 2, true),
+    ("pose-only", Role::Ranked, 2, true),
+    ("mean-breath", Role::Ranked, 2, true),
+    ("static-ct", Role::Sanity, 1, true),
+    ("static-expiration", Role::Sanity, 1, true),
+    ("oracle-phase", Role::Sanity, 2, true),
 ];
-/// Most characters of a third party's name: more would break tables.
-const LONGEST_NAME: usize = 60;
 
 impl MethodInfo {
     /// One of this program's own rows, and for any other id a ranked method of that name.
     pub fn of(id: &str) -> Self {
+        let title = method_name::own_title(id).unwrap_or(id).into();
         match OWN_ROWS.iter().find(|row| row.0 == id) {
-            Some(&(id, title, role, ct_scans, mesh)) => {
-                MethodInfo { id: id.into(), title: title.into(), role, ct_scans: Some(ct_scans), mesh: Some(mesh) }
+            Some(&(_, role, ct_scans, mesh)) => {
+                MethodInfo { id: id.into(), title, role, ct_scans: Some(ct_scans), mesh: Some(mesh) }
             }
-            None => MethodInfo { id: id.into(), title: id.into(), role: Role::Ranked, ct_scans: None, mesh: None },
+            None => MethodInfo { id: id.into(), title, role: Role::Ranked, ct_scans: None, mesh: None },
         }
     }
 
@@ -142,40 +140,8 @@ impl MethodInfo {
 
     /// Whether `id` is one of this program's own rows.
     pub fn is_own(id: &str) -> bool {
-        OWN_ROWS.iter().any(|row| row.0 == id)
+        method_name::own_title(id).is_some()
     }
-
-    /// Refuses a name that a third party's row cannot have: other letters than ASCII, among which many look alike and some
-    /// turn the text around them; and an own row's id or title, whatever its case and separators (two rows of a table must
-    /// not look like one).
-    pub fn check_foreign(name: &str) -> Result<()> {
-        let is_printable = |c: char| c == ' ' || c.is_ascii_graphic();
-        if name.trim().is_empty() || name.len() > LONGEST_NAME || !name.chars().all(is_printable) {
-            return Err(Error::input(format!(
-                "the name of a method has 1 to {LONGEST_NAME} characters, which are letters a to z, digits, spaces and \
-                 punctuation of ASCII"
-            )));
-        }
-        let is_own = |row: &&(&str, &str, Role, u8, bool)| [row.0, row.1].iter().any(|own| seen(own) == seen(name));
-        match OWN_ROWS.iter().find(is_own) {
-            Some(row) => Err(Error::input(format!(
-                "`{name}` is reserved for this program's own row `{}`; give yours another name, with --method NAME or \
-                 as `method` in prediction.json",
-                row.0
-            ))),
-            None => Ok(()),
-        }
-    }
-}
-
-/// What a reader tells names apart by: letters and digits, where 0 may be an o, and 1 and l an i.
-fn seen(name: &str) -> String {
-    let letter = |c: char| match c.to_ascii_lowercase() {
-        '0' => 'o',
-        '1' | 'l' => 'i',
-        other => other,
-    };
-    name.chars().filter(char::is_ascii_alphanumeric).map(letter).collect()
 }
 
 /// How the id of a run begins whose one cell was scored by `evaluate`.
@@ -396,34 +362,6 @@ mod tests {
         shipped.sort();
         own.sort_unstable();
         assert_eq!(own, shipped);
-    }
-
-    #[test]
-    fn names_that_look_like_an_own_row_are_reserved() {
-        let reserved = [
-            "ours",
-            "Ours",
-            " OURS ",
-            "ours_nomesh",
-            "Ours (no mesh)",
-            "oracle phase",
-            "Static CT",
-            "0urs",
-            "VirtuaI bronchoscopy",
-        ];
-        for reserved in reserved {
-            let said = MethodInfo::check_foreign(reserved).unwrap_err().to_string();
-            assert!(said.contains("reserved") && said.contains("--method NAME"), "{said}");
-        }
-        // Cyrillic, full width, turned around, with a dash, an accent or a blank that nobody sees.
-        let alike =
-            ["\u{43e}urs", "\u{ff2f}urs", "\u{202e}sruo", "Ours (Gauss\u{2013}Newton)", "ours\u{308}", "o\u{200b}urs"];
-        for unfit in alike.into_iter().chain(["", "  ", "two\nlines", "ours2\u{8}", &"x".repeat(61)]) {
-            let said = MethodInfo::check_foreign(unfit).unwrap_err().to_string();
-            assert!(said.contains("1 to 60 characters") && said.contains("ASCII"), "{unfit}: {said}");
-        }
-        for free in ["mine", "ours-but-better", "EndoGSLAM", "Groesse 2", "oracle-phase (paper)"] {
-            MethodInfo::check_foreign(free).unwrap();
-        }
+        assert!(OWN_ROWS.map(|row| row.0) == method_name::OWN.map(|row| row.0));
     }
 }

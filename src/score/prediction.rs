@@ -28,7 +28,9 @@ use serde::Deserialize;
 
 use super::correspondence;
 use super::truth::Truth;
-use crate::base::range::{COORDINATE_MM, NumberRange};
+use crate::base::range::{
+    COORDINATE_MM, COVARIANCE_MM2, NumberRange, PREDICTED_PHASE, PREDICTED_PHASE_SD, WORK_TIME_S,
+};
 use crate::base::{Camera, Error, Image, Result, TriangleMesh, files, pose};
 use crate::formats::number_table::{self, COUNT};
 use crate::formats::{depth_png, exr, mesh, npy, png};
@@ -112,15 +114,8 @@ pub struct Prediction {
 
 /// Millimetres of a depth unit: from a nanometre to a kilometre.
 const DEPTH_UNIT_MM: NumberRange = NumberRange::new(1e-6, 1e6);
-/// Phases and their standard deviations; a phase in percent is read, and `check` warns of it.
-const PHASE: NumberRange = NumberRange::new(-1000.0, 1000.0);
-const PHASE_SD: NumberRange = NumberRange::new(1e-12, 1000.0);
 /// Entries of a pose's matrix: of a rotation, or of a place in mm.
 const ENTRY: NumberRange = COORDINATE_MM;
-/// Entries of a covariance of places, mm squared.
-const COVARIANCE_MM2: NumberRange = NumberRange::new(-1e8, 1e8);
-/// Seconds that a method took: no less than a clock can tell.
-const TIME_S: NumberRange = NumberRange::new(1e-6, 1e9);
 /// Files beside the folders of pictures.
 const SINGLE_FILES: [&str; 8] = [
     "phase.csv",
@@ -436,7 +431,7 @@ fn read_time(path: &Path) -> Result<[Option<f64>; 2]> {
             let sentence = "is 0: no method takes no time; leave it out if it is not known";
             return Err(Error::input(sentence).element(key).at(path));
         }
-        TIME_S.check(seconds).map_err(|e| e.element(key).at(path))?;
+        WORK_TIME_S.check(seconds).map_err(|e| e.element(key).at(path))?;
     }
     Ok([told.time_total_s, told.time_cpu_s])
 }
@@ -543,7 +538,7 @@ fn parse_poses(bytes: &[u8], frames: usize) -> Result<Vec<DAffine3>> {
 
 /// Columns `frame`, `phase` and perhaps `phase_sd` by name, rows in any order, every frame exactly once.
 fn parse_phase(bytes: &[u8], frames: usize) -> Result<Phases> {
-    let [frame, phase, sd] = [("frame", COUNT), ("phase", PHASE), ("phase_sd", PHASE_SD)];
+    let [frame, phase, sd] = [("frame", COUNT), ("phase", PREDICTED_PHASE), ("phase_sd", PREDICTED_PHASE_SD)];
     let has_sd = number_table::has_column(bytes, sd.0)?;
     let rows: Vec<[f64; 3]> = match has_sd {
         true => number_table::rows(bytes, [frame, phase, sd])?,

@@ -120,7 +120,7 @@ fn a_third_party_stands_in_the_ranking_under_a_name_of_its_own() {
     let film = place.film();
     // An own row's name, in each of the places where a name can stand, and in disguise.
     fs::write(place.path("mine/prediction.json"), "{\"method\": \"ours\"}").unwrap();
-    let words = ["prediction.json: method: `ours` is reserved", "--method NAME"];
+    let words = ["prediction.json: method: `ours` is reserved", "another name"];
     refused(place.evaluate(&film, "mine", "scores", &[]), 4, &words);
     refused(run(&["check", &place.text("mine"), "--sequence", film.to_str().unwrap()]), 4, &words);
     refused(place.evaluate(&film, "mine", "scores", &["--method", "Static_CT"]), 2, &["--method", "`static-ct`"]);

@@ -1,19 +1,18 @@
 //! A prediction's folder: written apart, and moved to its place once it is whole.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use glam::{DAffine3, DMat3, DVec3};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use respire_bench::base::range::{COORDINATE_MM, NumberRange};
-use respire_bench::base::{Error as LibraryError, Image, Result, Staging, TriangleMesh, files, pose, shipped};
+use respire_bench::base::range::{
+    COORDINATE_MM, COVARIANCE_MM2, NumberRange, PREDICTED_PHASE, PREDICTED_PHASE_SD, WORK_TIME_S,
+};
+use respire_bench::base::{Error as LibraryError, Image, Result, Staging, TriangleMesh, method_name, pose};
 use respire_bench::reconstruct::{PredictionFolder as Folder, PredictionTiming};
 
 use crate::failure::{OrRaise, refused};
 use crate::threads;
-
-/// Most characters of a method's name, as in `respire_bench::report`.
-const LONGEST_NAME: usize = 60;
 
 /// A prediction on its way to its folder. Dropped before `finish`, it leaves nothing behind.
 #[pyclass]
@@ -56,29 +55,14 @@ fn points(name: &str, values: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<DVec3>
     values.as_slice()?.as_chunks::<3>().0.iter().enumerate().map(point).collect()
 }
 
-/// Refuses a name that tables cannot show, or that is the id of a method of the program, whatever its case and
-/// punctuation.
-fn check_method(name: &str) -> PyResult<()> {
-    let is_blank = name.chars().all(char::is_whitespace);
-    if is_blank || name.chars().count() > LONGEST_NAME || name.chars().any(char::is_control) {
-        return Err(refused(format!("method: a name has 1 to {LONGEST_NAME} printable characters, {name:?} has not")));
-    }
-    let letters =
-        |text: &str| -> String { text.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect() };
-    let own = files::toml_stems(&Path::new(shipped::ROOT).join("methods")).or_raise()?;
-    match own.iter().find(|id| letters(id) == letters(name)) {
-        Some(id) => Err(refused(format!("method: `{name}` is reserved for the program's own `{id}`"))),
-        None => Ok(()),
-    }
-}
-
 #[pymethods]
 impl PredictionFolder {
     /// `target` must be empty or not there.
     #[new]
     #[pyo3(signature = (target, method=None))]
     fn new(target: PathBuf, method: Option<String>) -> PyResult<Self> {
-        method.as_deref().map_or(Ok(()), check_method)?;
+        let named = method.as_deref().map_or(Ok(()), method_name::check_foreign);
+        named.map_err(|e| refused(format!("method: {e}")))?;
         let fail = |e| LibraryError::io("reading", &target, e);
         let is_taken = target.exists() && target.read_dir().map_err(fail).or_raise()?.next().is_some();
         if is_taken {
@@ -112,6 +96,11 @@ impl PredictionFolder {
 
     #[pyo3(signature = (frame, phase, deviation=None))]
     fn phase(&mut self, frame: usize, phase: f64, deviation: Option<f64>) -> PyResult<()> {
+        let within = |name: &str, range: NumberRange, value: f64| {
+            range.check(value).map_err(|e| refused(format!("{name}, frame {frame}: {e}")))
+        };
+        within("phase", PREDICTED_PHASE, phase)?;
+        deviation.map_or(Ok(()), |sd| within("phase_sd", PREDICTED_PHASE_SD, sd))?;
         self.folder_mut()?.add_phase(frame, phase, deviation);
         Ok(())
     }
@@ -131,8 +120,12 @@ impl PredictionFolder {
 
     /// Covariances of the targets' places, nine numbers each.
     fn target_covariances(&mut self, frame: usize, covariances_mm2: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
-        let matrices: Vec<DMat3> =
-            covariances_mm2.as_slice()?.as_chunks::<9>().0.iter().map(DMat3::from_cols_array).collect();
+        let entries = covariances_mm2.as_slice()?;
+        for (i, entry) in entries.iter().enumerate() {
+            let place = || format!("target_covariance_mm2, frame {frame}: that of target {}", i / 9);
+            COVARIANCE_MM2.check(*entry).map_err(|e| refused(format!("{}: {e}", place())))?;
+        }
+        let matrices: Vec<DMat3> = entries.as_chunks::<9>().0.iter().map(DMat3::from_cols_array).collect();
         self.folder_mut()?.add_target_covariances(frame, &matrices);
         Ok(())
     }
@@ -161,6 +154,10 @@ impl PredictionFolder {
             }
             _ => None,
         };
+        for (name, time) in [("time_total_s", time_total_s), ("time_cpu_s", time_cpu_s)] {
+            let within = time.map_or(Ok(()), |seconds| WORK_TIME_S.check(seconds));
+            within.map_err(|e| refused(format!("{name}: {e}")))?;
+        }
         let timing = time_total_s.map(|time_total_s| PredictionTiming {
             time_total_s,
             time_cpu_s,

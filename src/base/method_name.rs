@@ -1,0 +1,95 @@
+//! Names of methods: those of this program's own rows, and what a third party may call its own.
+
+use super::{Error, Result};
+
+/// Id and title of this program's own rows, in the order of tables: the paper's four, ours beyond the paper, what needs
+/// no map, the bounds. The names are reserved.
+pub const OWN: [(&str, &str); 16] = [
+    ("bridgesplat", "BridgeSplat"),
+    ("bridgesplat-release", "BridgeSplat (released objective)"),
+    ("bridgesplat-tuned", "BridgeSplat (tuned)"),
+    ("bridgesplat-nomesh", "BridgeSplat (no mesh)"),
+    ("ours-nomesh", "Ours (no mesh)"),
+    ("ours", "Ours"),
+    ("ours-window", "Ours + keyframes"),
+    ("ours-gn", "Ours (Gauss-Newton)"),
+    ("ours-gn-pose", "Ours (Gauss-Newton), rough poses"),
+    ("ours-nav", "Ours, navigation"),
+    ("virtual-bronchoscopy", "Virtual bronchoscopy"),
+    ("pose-only", "No picture: pose"),
+    ("mean-breath", "No picture: clock"),
+    ("static-ct", "Static CT"),
+    ("static-expiration", "Static CT, expiration"),
+    ("oracle-phase", "Oracle phase"),
+];
+
+/// Most characters of a third party's name: more would break tables.
+const LONGEST: usize = 60;
+
+/// The title of one of this program's own rows.
+pub fn own_title(id: &str) -> Option<&'static str> {
+    OWN.iter().find(|row| row.0 == id).map(|row| row.1)
+}
+
+/// Refuses a name that a third party's row cannot have: other letters than ASCII, among which many look alike and some
+/// turn the text around them; and an own row's id or title, whatever its case and separators (two rows of a table must
+/// not look like one).
+pub fn check_foreign(name: &str) -> Result<()> {
+    let is_printable = |c: char| c == ' ' || c.is_ascii_graphic();
+    if name.trim().is_empty() || name.len() > LONGEST || !name.chars().all(is_printable) {
+        return Err(Error::input(format!(
+            "the name of a method has 1 to {LONGEST} characters, which are letters a to z, digits, spaces and \
+             punctuation of ASCII"
+        )));
+    }
+    match OWN.iter().find(|(id, title)| [id, title].iter().any(|own| seen(own) == seen(name))) {
+        Some((id, _)) => Err(Error::input(format!(
+            "`{name}` is reserved for this program's own row `{id}`; give yours another name"
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// What a reader tells names apart by: letters and digits, where 0 may be an o, and 1 and l an i.
+fn seen(name: &str) -> String {
+    let letter = |c: char| match c.to_ascii_lowercase() {
+        '0' => 'o',
+        '1' | 'l' => 'i',
+        other => other,
+    };
+    name.chars().filter(char::is_ascii_alphanumeric).map(letter).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_look_like_an_own_row_are_reserved() {
+        let reserved = [
+            "ours",
+            "Ours",
+            " OURS ",
+            "ours_nomesh",
+            "Ours (no mesh)",
+            "oracle phase",
+            "Static CT",
+            "0urs",
+            "VirtuaI bronchoscopy",
+        ];
+        for reserved in reserved {
+            let said = check_foreign(reserved).unwrap_err().to_string();
+            assert!(said.contains("reserved"), "{said}");
+        }
+        // Cyrillic, full width, turned around, with a dash, an accent or a blank that nobody sees.
+        let alike =
+            ["\u{43e}urs", "\u{ff2f}urs", "\u{202e}sruo", "Ours (Gauss\u{2013}Newton)", "ours\u{308}", "o\u{200b}urs"];
+        for unfit in alike.into_iter().chain(["", "  ", "two\nlines", "ours2\u{8}", &"x".repeat(61)]) {
+            let said = check_foreign(unfit).unwrap_err().to_string();
+            assert!(said.contains("1 to 60 characters") && said.contains("ASCII"), "{unfit}: {said}");
+        }
+        for free in ["mine", "ours-but-better", "EndoGSLAM", "Groesse 2", "oracle-phase (paper)"] {
+            check_foreign(free).unwrap();
+        }
+    }
+}
