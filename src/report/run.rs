@@ -100,47 +100,26 @@ pub struct MethodInfo {
     pub mesh: Option<bool>,
 }
 
-/// Id, role, CT scans and mesh of this program's own rows; a test holds that they are those of
-/// [`method_name::OWN`] and of `bench-cases/methods/`.
-const OWN_ROWS: [(&str, Role, u8, bool); 16] = [
-    ("bridgesplat", Role::Ranked, 1, true),
-    ("bridgesplat-release", Role::Ranked, 1, true),
-    ("bridgesplat-tuned", Role::Ranked, 1, true),
-    ("bridgesplat-nomesh", Role::Ranked, 1, false),
-    ("ours-nomesh", Role::Ranked, 2, false),
-    ("ours", Role::Ranked, 2, true),
-    ("ours-window", Role::Ranked, 2, true),
-    ("ours-gn", Role::Ranked, 2, true),
-    ("ours-gn-pose", Role::Ranked, 2, true),
-    ("ours-nav", Role::Ranked, 2, true),
-    ("virtual-bronchoscopy", Role::Ranked, 2, true),
-    ("pose-only", Role::Ranked, 2, true),
-    ("mean-breath", Role::Ranked, 2, true),
-    ("static-ct", Role::Sanity, 1, true),
-    ("static-expiration", Role::Sanity, 1, true),
-    ("oracle-phase", Role::Sanity, 2, true),
-];
-
 impl MethodInfo {
     /// One of this program's own rows, and for any other id a ranked method of that name.
     pub fn of(id: &str) -> Self {
-        let title = method_name::own_title(id).unwrap_or(id).into();
-        match OWN_ROWS.iter().find(|row| row.0 == id) {
-            Some(&(_, role, ct_scans, mesh)) => {
-                MethodInfo { id: id.into(), title, role, ct_scans: Some(ct_scans), mesh: Some(mesh) }
+        match method_name::own(id) {
+            Some(&(id, title, is_bound, ct_scans, mesh)) => {
+                let role = if is_bound { Role::Sanity } else { Role::Ranked };
+                MethodInfo { id: id.into(), title: title.into(), role, ct_scans: Some(ct_scans), mesh: Some(mesh) }
             }
-            None => MethodInfo { id: id.into(), title, role: Role::Ranked, ct_scans: None, mesh: None },
+            None => MethodInfo { id: id.into(), title: id.into(), role: Role::Ranked, ct_scans: None, mesh: None },
         }
     }
 
     /// This program's own rows.
     pub fn own_rows() -> impl Iterator<Item = MethodInfo> {
-        OWN_ROWS.iter().map(|row| MethodInfo::of(row.0))
+        method_name::OWN.iter().map(|row| MethodInfo::of(row.0))
     }
 
     /// Whether `id` is one of this program's own rows.
     pub fn is_own(id: &str) -> bool {
-        method_name::own_title(id).is_some()
+        method_name::own(id).is_some()
     }
 }
 
@@ -344,24 +323,5 @@ impl Run {
             crate::score::statistics::mean(&values)
         };
         self.ranking_cases().into_iter().filter_map(|case| value(case).map(|v| (case.id.as_str(), v))).collect()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_own_rows_are_the_shipped_methods() {
-        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods");
-        let mut shipped: Vec<String> = std::fs::read_dir(folder)
-            .unwrap()
-            .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
-            .collect();
-        let mut own: Vec<&str> = OWN_ROWS.iter().map(|row| row.0).collect();
-        shipped.sort();
-        own.sort_unstable();
-        assert_eq!(own, shipped);
-        assert!(OWN_ROWS.map(|row| row.0) == method_name::OWN.map(|row| row.0));
     }
 }

@@ -122,8 +122,8 @@ impl PredictionFolder {
     fn target_covariances(&mut self, frame: usize, covariances_mm2: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
         let entries = covariances_mm2.as_slice()?;
         for (i, entry) in entries.iter().enumerate() {
-            let place = || format!("target_covariance_mm2, frame {frame}: that of target {}", i / 9);
-            COVARIANCE_MM2.check(*entry).map_err(|e| refused(format!("{}: {e}", place())))?;
+            let named = |e| format!("target_covariance_mm2, frame {frame}: that of target {}: {e}", i / 9);
+            COVARIANCE_MM2.check(*entry).map_err(|e| refused(named(e)))?;
         }
         let matrices: Vec<DMat3> = entries.as_chunks::<9>().0.iter().map(DMat3::from_cols_array).collect();
         self.folder_mut()?.add_target_covariances(frame, &matrices);
