@@ -103,6 +103,22 @@ fn fill(band: &mut [(f32, u32)], rays: &PixelRays, first: usize, face: u32, tria
     }
 }
 
+/// The faces whose lumen side is before the camera of `view` and within `range_mm` of z-depth in at least one of `states`,
+/// ascending. Unlike discs, faces beside the camera are drawn as they are: none is left out for being near.
+pub fn faces_before(view: &View, states: &[&[[f32; 3]]], faces: &[[u32; 3]], range_mm: f32) -> Vec<u32> {
+    let camera_from_world = view.camera_from_world.as_affine3();
+    let seen = |corners: [Vec3; 3]| {
+        let [a, b, c] = corners.map(|corner| camera_from_world.transform_point3(corner));
+        let towards = (b - a).cross(c - a).dot(a) < 0.0;
+        towards && a.z.max(b.z).max(c.z) > 0.0 && a.z.min(b.z).min(c.z) < range_mm
+    };
+    let before = |face: &u32| {
+        let corners = faces[*face as usize];
+        states.iter().any(|state| seen(corners.map(|v| Vec3::from(state[v as usize]))))
+    };
+    (0..faces.len() as u32).into_par_iter().with_min_len(1024).filter(before).collect()
+}
+
 /// z-depth in mm of the nearest of the faces `which` at each pixel of `view`, whose rays are `rays`; 0 where
 /// there is none.
 pub fn nearest_depth_mm(

@@ -5,10 +5,9 @@
 //! a share for the light of the other walls; an automatic exposure brings the mean encoded brightness to a fixed value.
 
 use glam::Vec3;
-use rayon::prelude::*;
 
 use super::breathing::BreathingMesh;
-use super::mesh_depth::{PixelRays, nearest_faces};
+use super::mesh_depth::{PixelRays, faces_before, nearest_faces};
 use super::visible::Reach;
 use crate::base::color::srgb_from_linear;
 use crate::base::{Camera, Image};
@@ -62,19 +61,8 @@ impl VirtualCamera {
     pub fn aim(&self, view: &View, mesh: BreathingMesh<'_>) -> FacesInView {
         let view = View { camera: self.camera, ..*view };
         let states = [0.0, 0.5, 1.0].map(|phase| mesh.at(phase));
-        let camera_from_world = view.camera_from_world.as_affine3();
-        let range_mm = self.reach.range_mm as f32;
-        // Unlike discs, faces beside the camera are drawn as they are: none is left out for being near.
-        let seen = |corners: [Vec3; 3]| {
-            let [a, b, c] = corners.map(|corner| camera_from_world.transform_point3(corner));
-            let towards = (b - a).cross(c - a).dot(a) < 0.0;
-            towards && a.z.max(b.z).max(c.z) > 0.0 && a.z.min(b.z).min(c.z) < range_mm
-        };
-        let in_view = |face: &u32| {
-            let corners = mesh.faces[*face as usize];
-            states.iter().any(|state| seen(corners.map(|v| Vec3::from(state[v as usize]))))
-        };
-        let faces = (0..mesh.faces.len() as u32).into_par_iter().with_min_len(1024).filter(in_view).collect();
+        let states = states.each_ref().map(|state| &state[..]);
+        let faces = faces_before(&view, &states, mesh.faces, self.reach.range_mm as f32);
         FacesInView { view, faces }
     }
 

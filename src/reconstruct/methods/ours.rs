@@ -2,7 +2,7 @@
 //! same program runs the sanity rows `static-ct` (inspiration mesh, phase 0 throughout) and `oracle-phase`
 //! (true phase). Discs on faces that a wall hides are left out of a frame.
 
-use crate::base::{Progress, Result, mesh};
+use crate::base::{Image, Progress, Result, mesh};
 use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
 use crate::reconstruct::estimate::phase_fit::{self, BreathingGaussians, Fitter, PhaseSource, VisiblePatch};
 use crate::reconstruct::estimate::window::{KeyframeWindow, WindowOptions};
@@ -11,7 +11,7 @@ use crate::reconstruct::fitting::memory::Memory;
 use crate::reconstruct::fitting::optimiser::StepCounter;
 use crate::reconstruct::fitting::schedule::rate_factor;
 use crate::reconstruct::geometry::breathing::{BreathingMesh, at_phase, mesh_at};
-use crate::reconstruct::geometry::mesh_depth::{PixelRays, unhidden};
+use crate::reconstruct::geometry::mesh_depth::{PixelRays, faces_before, nearest_depth_mm, unhidden};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::visible::{Reach, Sides, pixel_areas, visible_faces};
 use crate::reconstruct::online::OnlineRun;
@@ -116,6 +116,7 @@ struct BreathingDiscs {
     pixels_per_disc: f32,
     most_per_face: f32,
     hidden_left_out: bool,
+    depth_of_surface: bool,
 }
 
 impl BreathingDiscs {
@@ -143,6 +144,7 @@ impl BreathingDiscs {
             pixels_per_disc: *discs.on_face.pixels_per_disc as f32,
             most_per_face: *discs.on_face.most_per_face as f32,
             hidden_left_out: *discs.on_face.hidden_left_out,
+            depth_of_surface: *discs.on_face.depth_of_surface,
             surface,
             inspiration: to_f32(&rest.vertices),
             displacement: mesh::displacement(rest, expiration),
@@ -212,6 +214,14 @@ impl BreathingGaussians for BreathingDiscs {
     fn look<'a>(&'a mut self, view: &View, phase: f64) -> Result<Box<dyn VisiblePatch + 'a>> {
         let faces = self.faces_in_view(view, [phase, phase]);
         self.patch_of(faces)
+    }
+
+    fn surface_depth_mm(&self, view: &View, phase: f64) -> Option<Image<f32>> {
+        self.depth_of_surface.then(|| {
+            let (vertices, faces) = (self.mesh().at(phase), &self.surface.faces);
+            let before = faces_before(view, &[&vertices], faces, self.reach.range_mm as f32);
+            nearest_depth_mm(view, &self.rays, &vertices, faces, &before)
+        })
     }
 }
 

@@ -1,6 +1,6 @@
 //! Can each method learn its own world? Sequences rendered by the splat core itself.
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DMat3, DVec2, DVec3};
 
 use crate::base::camera::world_from_camera_looking;
 use crate::base::image::codes_from_unit;
@@ -408,6 +408,51 @@ fn a_change_of_exposure_reaches_the_wall_that_is_out_of_view() {
     // The black frame has darkened some of it, so that the next one seems to be a smaller change.
     assert!((0.4..0.7).contains(&carried), "{carried}");
     assert!(kept > 0.85, "the test would pass without: {kept}");
+}
+
+/// The answer's depth is that of the mesh where the true phase puts it, not that of discs: to the ray, in both cameras.
+#[test]
+fn depth_is_that_of_the_surface_where_asked_for() {
+    let mut observation = world(Made::Discs, 4, 48, breath);
+    observation.novel_pose[3] = Some(observation.world_from_camera[1]);
+    let of = |surface: bool| {
+        let mut settings: GivenPhaseSettings = shipped("oracle-phase");
+        settings.discs.on_face.depth_of_surface.value = surface;
+        recover(&Ours::with_given_phase(settings, GivenPhase::True, 0.2), &observation).1.pop().unwrap()
+    };
+    let (mesh, expiration) = (&observation.inspiration, observation.expiration.as_ref().unwrap());
+    let phase = observation.true_phase.as_ref().unwrap()[3];
+    let vertices = mesh::interpolate(&mesh.vertices, &expiration.vertices, phase);
+    // Most and largest difference in mm to the nearest wall that each ray meets, by solving for every triangle.
+    let off = |depth: &Image<f32>, pose: DAffine3| {
+        let inverse = pose.inverse();
+        let corner = |v: u32| inverse.transform_point3(vertices[v as usize]);
+        let triangles: Vec<[DVec3; 3]> = mesh.faces.iter().map(|f| f.map(corner)).collect();
+        let mut apart: Vec<f64> = (0..48 * 48)
+            .step_by(7)
+            .map(|i| {
+                let pixel = DVec2::new((i % 48) as f64 + 0.5, (i / 48) as f64 + 0.5);
+                let ray = observation.camera.direction(pixel);
+                let hit = |[a, b, c]: &[DVec3; 3]| {
+                    let solved = DMat3::from_cols(*a - *b, *a - *c, ray).inverse() * *a;
+                    let inside = solved.x >= 0.0 && solved.y >= 0.0 && solved.x + solved.y <= 1.0 && solved.z > 0.0;
+                    if inside { solved.z * ray.z } else { f64::INFINITY }
+                };
+                let nearest = triangles.iter().map(hit).fold(f64::INFINITY, f64::min);
+                (depth.data[i] as f64 - nearest).abs()
+            })
+            .collect();
+        apart.sort_unstable_by(f64::total_cmp);
+        [apart[apart.len() * 9 / 10], apart[apart.len() - 1]]
+    };
+    let poses = [observation.world_from_camera[3], observation.novel_pose[3].unwrap()];
+    let depths = |answer: &FramePrediction| [answer.depth_mm.clone(), answer.novel.clone().unwrap().depth_mm];
+    for (depth, pose) in depths(&of(true)).iter().zip(poses) {
+        let [most, largest] = off(depth, pose);
+        assert!(most < 1e-3 && largest < 0.05, "{most} {largest}");
+    }
+    let [most, _] = off(&depths(&of(false))[0], poses[0]);
+    assert!(most > 0.01, "discs are not the surface: {most}");
 }
 
 fn mean_value(image: &Image<f32>) -> f64 {

@@ -94,6 +94,9 @@ pub struct OnFace {
     pub most_per_face: Sourced<u32>,
     /// Whether discs on faces that a wall hides are left out of a frame: not in the paper.
     pub hidden_left_out: Sourced<bool>,
+    /// Whether the depth handed out is that of the mesh at the estimated phase, not that of the rendered discs: not in the
+    /// paper.
+    pub depth_of_surface: Sourced<bool>,
     /// What a disc takes over from its deformed face: `stretch` (direction and stretch) or `normal` (direction alone).
     pub inherits: Sourced<Inherits>,
 }

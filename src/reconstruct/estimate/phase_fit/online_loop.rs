@@ -120,6 +120,7 @@ impl Fitter<'_> {
         let NovelPrediction { color, depth_mm } = shown(&self.rasterizer);
         self.mark_fitted(patch, &target, &before);
         entered.leave();
+        let depth_mm = gaussians.surface_depth_mm(&view, phase).unwrap_or(depth_mm);
         self.phases.push(phase);
         let novel = self.novel(frame, phase, gaussians)?;
         Ok(FramePrediction {
@@ -145,11 +146,14 @@ impl Fitter<'_> {
     ) -> Result<Option<NovelPrediction>> {
         let Some(pose) = self.observation.novel_pose[frame] else { return Ok(None) };
         let view = View::new(self.observation.camera, pose);
+        let surface = gaussians.surface_depth_mm(&view, phase);
         let mut patch = gaussians.look(&view, phase)?;
         self.place(&view, &mut *patch, phase)?;
         self.color_the_unseen_as_beside(&view, &mut *patch);
-        self.render(&view, &*patch, DepthOutput::Surface)?;
-        Ok(Some(shown(&self.rasterizer)))
+        let depth = if surface.is_some() { DepthOutput::Skip } else { DepthOutput::Surface };
+        self.render(&view, &*patch, depth)?;
+        let shown = shown(&self.rasterizer);
+        Ok(Some(NovelPrediction { depth_mm: surface.unwrap_or(shown.depth_mm), ..shown }))
     }
 
     /// First frame: the phase whose rendered depth is closest to the given depth.

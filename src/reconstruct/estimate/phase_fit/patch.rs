@@ -1,6 +1,6 @@
 //! What a method with one phase per frame must provide: Gaussians that the phase moves.
 
-use crate::base::Result;
+use crate::base::{Image, Result};
 use crate::reconstruct::fitting::memory::Memory;
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::splat::{Gaussians, Gradients, View, Wanted};
@@ -11,6 +11,11 @@ pub trait BreathingGaussians: Send {
     fn enter<'a>(&'a mut self, view: &View, phases: [f64; 2]) -> Result<Box<dyn VisiblePatch + 'a>>;
     /// The same for a view that is only rendered: nothing is refined, and nothing must be written back.
     fn look<'a>(&'a mut self, view: &View, phase: f64) -> Result<Box<dyn VisiblePatch + 'a>>;
+    /// Depth of the surface itself from `view` at `phase`: z-depth in mm, 0 where there is none. `None` if the rendered
+    /// depth of the Gaussians is the method's.
+    fn surface_depth_mm(&self, _view: &View, _phase: f64) -> Option<Image<f32>> {
+        None
+    }
 }
 
 /// The compact copy of the Gaussians visible in one frame, on which all work of the frame is done.

@@ -21,7 +21,7 @@ use crate::reconstruct::fitting::anchored::to_f32;
 use crate::reconstruct::fitting::grid_search::grid_search;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::lit_wall::WallInReach;
-use crate::reconstruct::geometry::mesh_depth::{PixelRays, depth_gap_mm, nearest_depth_mm, unhidden};
+use crate::reconstruct::geometry::mesh_depth::{PixelRays, depth_gap_mm, faces_before, nearest_depth_mm, unhidden};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::rigid::{POSE, moved};
 use crate::reconstruct::geometry::targets::CarriedTargets;
@@ -218,7 +218,7 @@ impl<'a> Tracker<'a> {
         self.renderer.draw(&active, &finest.view)?;
         let color = self.shown();
         self.renderer.rasterizer.reuse(Reuse::Never);
-        let depth_mm = self.depth_mm(&finest.view, phase, &active.faces);
+        let depth_mm = self.surface_depth_mm(&finest.view, phase);
         self.map.leave(active);
         self.breath.add(phase);
         let world_from_camera = self.settings.unknown_pose.then(|| finest.view.camera_from_world.inverse());
@@ -374,7 +374,7 @@ impl<'a> Tracker<'a> {
         active.color_the_unseen_as_beside();
         self.renderer.draw(&active, &view)?;
         let color = self.shown();
-        Ok(Some(NovelPrediction { color, depth_mm: self.depth_mm(&view, phase, &active.faces) }))
+        Ok(Some(NovelPrediction { color, depth_mm: self.surface_depth_mm(&view, phase) }))
     }
 
     /// Tracks from the expected `phase`; if tracking is lost, from the best of all phases. The last: whether it is lost
@@ -467,6 +467,13 @@ impl<'a> Tracker<'a> {
     /// Depth of the mesh at `phase`, considering only `faces`.
     fn depth_mm(&self, view: &View, phase: f64, faces: &[u32]) -> Image<f32> {
         nearest_depth_mm(view, &self.rays, &self.breathing().at(phase), self.map.faces(), faces)
+    }
+
+    /// Depth of the mesh at `phase`, with the faces beside the camera, which hold no disc that is drawn.
+    fn surface_depth_mm(&self, view: &View, phase: f64) -> Image<f32> {
+        let (vertices, faces) = (self.breathing().at(phase), self.map.faces());
+        let before = faces_before(view, &[&vertices], faces, *self.settings.visibility.range_mm as f32);
+        nearest_depth_mm(view, &self.rays, &vertices, faces, &before)
     }
 
     /// Phase of the first frame and, if poses are unknown, its pose correction, by the depth given there.
