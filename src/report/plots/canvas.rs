@@ -244,9 +244,11 @@ pub fn chart<'a, DB: DrawingBackend + 'a>(
     Ok(chart)
 }
 
-/// A tick value without trailing zeros.
+/// A tick value without trailing zeros: to a thousandth, or to two digits where it is smaller.
 pub fn tick(value: f64) -> String {
-    let text = format!("{value:.3}");
+    // Ticks of an even axis are sums, so that its 0 may be off by rounding.
+    let decimals = if value.abs() < 1e-9 { 3 } else { (1.0 - value.abs().log10().floor()).max(3.0) as usize };
+    let text = format!("{value:.decimals$}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
     if text == "-0" { "0".into() } else { text.into() }
 }
@@ -302,5 +304,6 @@ mod tests {
         let [low, high] = range_of([3.0, 3.0].into_iter());
         assert!(low < 3.0 && 3.0 < high);
         assert_eq!((tick(0.5), tick(-0.0), tick(20.0)), ("0.5".into(), "0".into(), "20".into()));
+        assert_eq!((tick(1e-4), tick(0.001), tick(0.3 - 0.2 - 0.1)), ("0.0001".into(), "0.001".into(), "0".into()));
     }
 }
