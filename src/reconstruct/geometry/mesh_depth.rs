@@ -133,6 +133,19 @@ pub fn nearest_depth_mm(
     Image { width: rays.width, height: view.camera.height as usize, channels: 1, data }
 }
 
+/// z-depth in mm of the mesh at each pixel of `view`, whose rays are `rays`, by all faces before the camera within
+/// `range_mm`; 0 where there is none.
+pub fn surface_depth_mm(
+    view: &View,
+    rays: &PixelRays,
+    vertices: &[[f32; 3]],
+    faces: &[[u32; 3]],
+    range_mm: f64,
+) -> Image<f32> {
+    let before = faces_before(view, &[vertices], faces, range_mm as f32);
+    nearest_depth_mm(view, rays, vertices, faces, &before)
+}
+
 /// z-depth in mm of the nearest of the faces `which` at each pixel of `view`, and its index; depth 0 where
 /// there is none.
 pub fn nearest_faces(

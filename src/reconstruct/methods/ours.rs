@@ -11,7 +11,7 @@ use crate::reconstruct::fitting::memory::Memory;
 use crate::reconstruct::fitting::optimiser::StepCounter;
 use crate::reconstruct::fitting::schedule::rate_factor;
 use crate::reconstruct::geometry::breathing::{BreathingMesh, at_phase, mesh_at};
-use crate::reconstruct::geometry::mesh_depth::{PixelRays, faces_before, nearest_depth_mm, unhidden};
+use crate::reconstruct::geometry::mesh_depth::{PixelRays, surface_depth_mm, unhidden};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::visible::{Reach, Sides, pixel_areas, visible_faces};
 use crate::reconstruct::online::OnlineRun;
@@ -218,9 +218,8 @@ impl BreathingGaussians for BreathingDiscs {
 
     fn surface_depth_mm(&self, view: &View, phase: f64) -> Option<Image<f32>> {
         self.depth_of_surface.then(|| {
-            let (vertices, faces) = (self.mesh().at(phase), &self.surface.faces);
-            let before = faces_before(view, &[&vertices], faces, self.reach.range_mm as f32);
-            nearest_depth_mm(view, &self.rays, &vertices, faces, &before)
+            let vertices = self.mesh().at(phase);
+            surface_depth_mm(view, &self.rays, &vertices, &self.surface.faces, self.reach.range_mm)
         })
     }
 }

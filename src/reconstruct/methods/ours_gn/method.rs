@@ -21,7 +21,7 @@ use crate::reconstruct::fitting::anchored::to_f32;
 use crate::reconstruct::fitting::grid_search::grid_search;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::lit_wall::WallInReach;
-use crate::reconstruct::geometry::mesh_depth::{PixelRays, depth_gap_mm, faces_before, nearest_depth_mm, unhidden};
+use crate::reconstruct::geometry::mesh_depth::{PixelRays, depth_gap_mm, nearest_depth_mm, surface_depth_mm, unhidden};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::geometry::rigid::{POSE, moved};
 use crate::reconstruct::geometry::targets::CarriedTargets;
@@ -471,9 +471,8 @@ impl<'a> Tracker<'a> {
 
     /// Depth of the mesh at `phase`, with the faces beside the camera, which hold no disc that is drawn.
     fn surface_depth_mm(&self, view: &View, phase: f64) -> Image<f32> {
-        let (vertices, faces) = (self.breathing().at(phase), self.map.faces());
-        let before = faces_before(view, &[&vertices], faces, *self.settings.visibility.range_mm as f32);
-        nearest_depth_mm(view, &self.rays, &vertices, faces, &before)
+        let (vertices, range_mm) = (self.breathing().at(phase), *self.settings.visibility.range_mm);
+        surface_depth_mm(view, &self.rays, &vertices, self.map.faces(), range_mm)
     }
 
     /// Phase of the first frame and, if poses are unknown, its pose correction, by the depth given there.
