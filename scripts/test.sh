@@ -2,6 +2,9 @@
 # Everything that must hold before a change lands: format, lints, documentation, tests, the smoke run and its gate.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+# Half of what the compiler does for a release is optimising across the units of a crate. A check does without: the same
+# bytes, programs a tenth slower (docs/log/2026-11-compile-time.md).
+export CARGO_PROFILE_RELEASE_LTO=off
 step() { printf '\n== %s (%s s)\n' "$*" "$SECONDS"; }
 
 step setup
