@@ -10,6 +10,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::read::Results;
+use super::table::counted;
 use crate::base::{Result, files};
 use crate::score::statistics::{MeanInterval, bootstrap_groups};
 use crate::score::{Goal, Metric, registry};
@@ -60,7 +61,7 @@ pub fn write(results: &Results, folder: &Path) -> Result<()> {
                 Goal::Lower => &mut smaller,
                 Goal::Higher => &mut bigger,
             };
-            let count = if mean.count == 1 { "1 case".to_owned() } else { format!("{} cases", mean.count) };
+            let count = counted(mean.count, "case");
             // Times have none.
             let definition = results.entries.iter().find(|(key, _)| key.method == method && key.metric == metric.id);
             let definition = definition.map_or("", |(_, entry)| entry.definition.as_str());

@@ -12,7 +12,7 @@ use super::palette::{Palette, RowStyle};
 use super::plots::{ReportImage, ReportImages};
 use super::run::{CaseInfo, CellRecord, Outcome, Role, Run};
 use super::scene::Scenes;
-use super::table::{ComparisonTable, TableCell, arrow, heading, show};
+use super::table::{ComparisonTable, TableCell, arrow, counted, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 /// Most bytes of the page, whatever it is of: it is mailed and opened on telephones.
@@ -129,7 +129,8 @@ fn track_section(track: &TrackReport<'_>, scenes: &Scenes, detail: CaseDetail) -
     html! {
         section.track data-track=(run.track.word()) {
             p.muted {
-                (run.cases.len()) " cases, " (run.methods.len()) " methods, " (run.cells.len()) " cells, "
+                (counted(run.cases.len(), "case")) ", " (counted(run.methods.len(), "method")) ", "
+                (counted(run.cells.len(), "cell")) ", "
                 (failed.len()) " failed. Profile " code { (run.profile) } ", track " code { (run.track.word()) } "."
             }
             @for note in &run.notes { p.muted { (note) } }
@@ -249,7 +250,7 @@ fn comparison(table: &ComparisonTable, run: &Run, palette: &Palette) -> Markup {
             } }
         } }
         p.muted {
-            (table.kind.explanation()) " Mean over " (table.cases) " cases; below it the 95 % bootstrap interval over trees and cases. "
+            (table.kind.explanation()) " Mean over " (counted(table.cases, "case")) "; below it the 95 % bootstrap interval over trees and cases. "
             @if table.kind.ranks() {
                 "Bold: best ranked method; a method is ranked where it is scored on every case. "
             }

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::run::Role;
-use super::table::{ComparisonTable, MARK, STAR, TableCell, TableKind, heading};
+use super::table::{ComparisonTable, MARK, STAR, TableCell, TableKind, counted, heading};
 use crate::score::Goal;
 
 /// The whole `table*` environment; ours in black, the paper's value in grey below each.
@@ -17,12 +17,12 @@ pub fn table(table: &ComparisonTable, run_id: &str) -> String {
     line("\\providecommand{\\cmark}{\\ding{51}}\\providecommand{\\xmark}{\\ding{55}}".into());
     line("\\begin{table*}\n\\centering".into());
     line(format!(
-        "\\caption{{{}: mean over {} cases, run \\texttt{{{}}}. {} Best ranked in \
+        "\\caption{{{}: mean over {}, run \\texttt{{{}}}. {} Best ranked in \
          \\textbf{{bold}}, $\\uparrow$\\,=\\,higher is better, $\\downarrow$\\,=\\,lower is better. Breathing and target metrics \
          apply only to methods that model respiratory state or maintain an explicit mesh, respectively. Rows below the last \
          rule are bounds and not ranked.{}}}",
         table.kind.title(),
-        table.cases,
+        counted(table.cases, "case"),
         escape(run_id),
         table.kind.explanation(),
         table

@@ -6,7 +6,7 @@ use super::differences::NeighbourDifference;
 use super::plots::ReportImages;
 use super::run::{Outcome, Role, Run};
 use super::summary::MethodSummary;
-use super::table::{ComparisonTable, TableCell, arrow, heading, show};
+use super::table::{ComparisonTable, TableCell, arrow, counted, heading, show};
 use crate::score::{Metric, paper_metrics, registry};
 
 /// The whole file.
@@ -21,10 +21,10 @@ pub fn report(
     let failed = run.cells.iter().filter(|c| c.score().is_none()).count();
     let _ = writeln!(
         out,
-        "{} cases, {} methods, {} cells, {failed} failed. Profile `{}`, track `{}`.\n",
-        run.cases.len(),
-        run.methods.len(),
-        run.cells.len(),
+        "{}, {}, {}, {failed} failed. Profile `{}`, track `{}`.\n",
+        counted(run.cases.len(), "case"),
+        counted(run.methods.len(), "method"),
+        counted(run.cells.len(), "cell"),
         run.profile,
         run.track.word()
     );
@@ -53,10 +53,10 @@ fn comparison(out: &mut String, table: &ComparisonTable) {
     };
     let _ = writeln!(
         out,
-        "## {}\n\n{} Mean over {} cases.{ranked} Rows in *italics* are bounds, not ranked.{}\n\n{}",
+        "## {}\n\n{} Mean over {}.{ranked} Rows in *italics* are bounds, not ranked.{}\n\n{}",
         table.kind.title(),
         table.kind.explanation(),
-        table.cases,
+        counted(table.cases, "case"),
         table.signs().map(|(sign, means)| format!(" {sign}: {means}.")).collect::<String>(),
         comparison_table(table)
     );

@@ -39,6 +39,11 @@ pub struct TableRow {
     pub failed: usize,
 }
 
+/// "1 case", "9 cases".
+pub fn counted(number: usize, noun: &str) -> String {
+    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
+}
+
 /// Which columns a table has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TableKind {
