@@ -3,7 +3,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 # Half of what the compiler does for a release is optimising across the units of a crate. A check does without: the same
-# bytes, programs a tenth slower (docs/log/2026-11-compile-time.md).
+# bytes, methods a tenth to a quarter slower (docs/log/2026-11-compile-time.md).
 export CARGO_PROFILE_RELEASE_LTO=off
 step() { printf '\n== %s (%s s)\n' "$*" "$SECONDS"; }
 
