@@ -100,6 +100,7 @@ struct ChainKernel {
       for (V& v : total) v = V{};
       if (l < count) {
         for (std::uint32_t e = o.starts[k0 + l]; e < o.starts[k0 + l + 1]; ++e) {
+          if (!o.live[e]) continue;
           const float* slot = o.slots + 16 * static_cast<std::size_t>(e);
           __builtin_prefetch(slot + 16 * AHEAD);
           for (int p = 0; p < PARTS; ++p) total[p] += load(slot + LANES * p);
@@ -110,6 +111,12 @@ struct ChainKernel {
     std::uint32_t lane[LANES];
     for (int l = 0; l < LANES; ++l) lane[l] = static_cast<std::uint32_t>(l);
     gather<16>(&sums[0][0], lane, m);
+  }
+
+  static bool any_live(const bool* from, const bool* to) {
+    bool any = false;
+    for (; from < to; ++from) any |= *from;
+    return any;
   }
 
   template <int N>
@@ -141,7 +148,9 @@ struct ChainKernel {
         if (shapes && COLUMNS == 2) clear(o.shape, k0, count, 6);
         if (shapes && COLUMNS == 3) clear(o.shape, k0, count, 4), clear(o.scales, k0, count, 3);
       };
-      if (o.starts[k0] == o.starts[k0 + count]) return clear_all();
+      // Behind what is opaque no slot was written. Splats that are not visible have none.
+      const bool* const live = o.live + o.starts[k0];
+      if (!any_live(live, o.live + o.starts[k0 + count])) return clear_all();
       const std::uint32_t* const index = group.index;
       // Tables of a hundred thousand Gaussians fit into no near cache, and there are a dozen of them: too many
       // streams for the processor's own prefetcher.
@@ -153,10 +162,6 @@ struct ChainKernel {
       if (shapes && COLUMNS == 3) prefetch_after<1>(o.scales, k0, 3);
       V m[16];
       sum_slots(k0, count, m);
-      // Behind what is opaque all moments are zero, and so are all gradients.
-      VI heard = {};
-      for (const V& v : m) heard |= v != 0.0f;
-      if (!any_of(heard)) return clear_all();
       o.heard[k0 / GROUP] = true;
       VI visible;
       for (int l = 0; l < LANES; ++l) visible[l] = l < count && o.starts[k0 + l] != o.starts[k0 + l + 1] ? -1 : 0;

@@ -260,27 +260,26 @@ void backward_tile(const BackwardTile& t) {
   const V stop = broadcast(t.stop);
   const float* const rows = t.rows;
   float* const slots = t.slots;
+  bool* const live = t.live;
   const std::uint32_t *const entries = t.entries, *const targets = t.targets;
   std::uint32_t alive = ALL_BLOCKS;
-  for (std::size_t first = 0; first < t.count; first += BATCH) {
+  for (std::size_t first = 0; first < t.count && alive; first += BATCH) {
     const int count = t.count - first < BATCH ? static_cast<int>(t.count - first) : BATCH;
     // Rows and slots of the next batch.
     const std::size_t next = first + BATCH, end = next + BATCH < t.count ? next + BATCH : t.count;
     for (std::size_t i = next; i < end; ++i) {
+      if (!(t.masks[i] & alive)) continue;
       __builtin_prefetch(rows + 16 * static_cast<std::size_t>(entries[i]));
       __builtin_prefetch(slots + 16 * static_cast<std::size_t>(targets[i]), 1);
     }
     pairs.collect(t, first, count, alive);
     pairs.evaluate_alphas(t, first, count, columns, lines);
     for (int e = 0; e < count; ++e) {
-      float* slot = slots + 16 * static_cast<std::size_t>(targets[first + e]);
+      // No block: one entry in eleven of the timing scene (src/splat/check/tube.rs), nine in ten of many layers. Most lie
+      // behind blocks that have stopped, some in corners of boxes that the ellipse does not reach.
+      if (pairs.starts[e] == pairs.starts[e + 1]) continue;
+      const std::size_t target = targets[first + e];
       const float* q = rows + 16 * static_cast<std::size_t>(entries[first + e]);
-      if (pairs.starts[e] == pairs.starts[e + 1]) {
-        // No block: one entry in eleven of the timing scene (src/splat/check/tube.rs). Most lie behind blocks that have
-        // stopped, some in corners of boxes that the ellipse does not reach.
-        for (int k = 0; k < PARTS; ++k) store(slot + LANES * k, V{});
-        continue;
-      }
       // Sums over each four lanes, three times four of them: the moments. Part after part, so that the sums of one fit
       // into the registers and are taken in the same order for every LANES.
       V moments[3][PARTS];
@@ -326,7 +325,13 @@ void backward_tile(const BackwardTile& t) {
         moments[1][k] = sums_of_groups(sxy, syy, sz, V{});
         moments[2][k] = sums_of_groups(sr, sg, sb, V{});
       }
-      for (int m = 0; m < 3; ++m) _mm_storeu_ps(slot + 4 * m, sum_of_sixteen(moments[m]));
+      const __m128 sums[3] = {sum_of_sixteen(moments[0]), sum_of_sixteen(moments[1]), sum_of_sixteen(moments[2])};
+      const auto is_not_zero = [](__m128 v) { return _mm_cmpneq_ps(v, _mm_setzero_ps()); };
+      if (!_mm_movemask_ps(_mm_or_ps(_mm_or_ps(is_not_zero(sums[0]), is_not_zero(sums[1])), is_not_zero(sums[2]))))
+        continue;
+      float* slot = slots + 16 * target;
+      live[target] = true;
+      for (int m = 0; m < 3; ++m) _mm_storeu_ps(slot + 4 * m, sums[m]);
       _mm_storeu_ps(slot + 12, _mm_setzero_ps());
     }
     // Drop blocks whose pixels have all stopped.

@@ -110,6 +110,7 @@ struct ChainChunk {
   std::size_t first, count;
   const std::uint32_t* starts;  // slots of number k are starts[k]..starts[k + 1]
   const float* slots;
+  const bool* live;  // of each slot: whether it was written; the others hold what is left of other passes
   std::uint32_t wanted;
   float *positions, *shape, *scales, *opacities, *sh;  // out, those that are wanted
   double *pose, *intrinsics;                           // out, 6 and 4 sums; 0 where not wanted
@@ -141,7 +142,8 @@ struct BackwardTile {
   float x, y, stop;
   const float* adjoint;          // dL/d red, green, blue, depth sums; then the loss still to come behind (PIXELS each)
   const std::uint32_t* targets;  // slot of each entry
-  float* slots;                  // out: 16 moments in the slot of each entry
+  float* slots;                  // out: 16 moments in the slot of each entry that has any but zeros
+  bool* live;                    // out: set for the slots that were written; false when it comes
 };
 
 // Columns of an exact disc (`Disc::pack` of src/splat/plain/disc.rs, which explains the symbols).

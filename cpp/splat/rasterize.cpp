@@ -213,13 +213,14 @@ SplatCameraGradient splat_chain(std::uint8_t isa, const SplatScene& scene, const
   bool ascending = true;
   for (std::size_t k = 0; k < count; ++k) ascending &= starts[k] <= starts[k + 1];
   require(ascending, "entries of a splat are out of order");
-  require(starts[count] <= moments.slots.size(), "an entry has no slot");
+  require(starts[count] <= moments.slots.size() && starts[count] <= moments.live.size(), "an entry has no slot");
   SplatCameraGradient camera;
   ChainChunk chunk;
   chunk.first = moments.first;
   chunk.count = count;
   chunk.starts = starts;
   chunk.slots = floats(moments.slots);
+  chunk.live = moments.live.data();
   chunk.wanted = moments.wanted;
   chunk.positions = out.positions.data();
   chunk.shape = out.shape.data();
@@ -258,7 +259,7 @@ void splat_forward(std::uint8_t isa, SplatForward t) {
   kernels.forward(tile, t.parts);
 }
 
-void splat_backward(std::uint8_t isa, const SplatBackward& t, AlignedRow* slots, std::size_t slot_count) {
+void splat_backward(std::uint8_t isa, const SplatBackward& t, AlignedRow* slots, bool* live, std::size_t slot_count) {
   const Kernels& kernels = kernels_of(isa);
   require(all_below(t.entries, t.rows.size()), "a tile entry names no splat");
   require(
@@ -275,6 +276,7 @@ void splat_backward(std::uint8_t isa, const SplatBackward& t, AlignedRow* slots,
   tile.adjoint = t.adjoint.data();
   tile.targets = t.targets.data();
   tile.slots = reinterpret_cast<float*>(slots);
+  tile.live = live;
   kernels.backward(tile, t.parts);
 }
 

@@ -43,7 +43,7 @@ SplatCameraGradient splat_chain(std::uint8_t isa, const SplatScene& scene, const
 // Composites one tile.
 void splat_forward(std::uint8_t isa, SplatForward tile);
 // Writes the slots that the tile's targets name, of `slot_count`: no other thread may use those at the same time.
-void splat_backward(std::uint8_t isa, const SplatBackward& tile, AlignedRow* slots, std::size_t slot_count);
+void splat_backward(std::uint8_t isa, const SplatBackward& tile, AlignedRow* slots, bool* live, std::size_t slot_count);
 // Composites the exact discs of one tile to `state`, as of splat_forward.
 void splat_disc_forward(std::uint8_t isa, const SplatDiscs& discs, bool with_depth, rust::Slice<float> state);
 // Backward: DISC_SUMS sums for each entry.

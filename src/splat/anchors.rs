@@ -75,6 +75,16 @@ pub struct Carrier<'a, T> {
     pub faces: &'a [[u32; 3]],
 }
 
+/// Arrays are compared by a call that is not inlined, here once for each disc and pass.
+#[inline(always)]
+fn equal<T: Real, const N: usize>(a: [T; N], b: [T; N]) -> bool {
+    let mut equal = true;
+    for k in 0..N {
+        equal &= a[k] == b[k];
+    }
+    equal
+}
+
 #[inline(always)]
 fn subtract<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
@@ -281,7 +291,7 @@ impl<T: Real> Anchors<T> {
     fn form(&self, i: usize, known: Option<&AnchorForm<T>>) -> AnchorForm<T> {
         let (logits, log_scales) = (self.logits[i], self.limited(i).0);
         match known {
-            Some(form) if form.logits == logits && form.log_scales == log_scales => *form,
+            Some(form) if equal(form.logits, logits) & equal(form.log_scales, log_scales) => *form,
             _ => AnchorForm::of(logits, log_scales),
         }
     }

@@ -121,8 +121,8 @@ pub trait SplatKernels: Real {
         tile::forward(tile);
     }
 
-    /// The slots as tiles can share them while they write; `None` where tiles return their moments.
-    fn shared_slots(_isa: Isa, _slots: &mut [Aligned<Self>]) -> Option<Slots<'_>> {
+    /// The slots and their flags as tiles can share them while they write; `None` where tiles return their moments.
+    fn shared_slots<'s>(_isa: Isa, _slots: &'s mut [Aligned<Self>], _live: &'s mut [bool]) -> Option<Slots<'s>> {
         None
     }
 
@@ -228,8 +228,8 @@ impl SplatKernels for f32 {
             written: chunk.written,
             heard: chunk.heard,
         };
-        let ChunkMoments { starts, moments, .. } = *from;
-        let moments = SplatMoments { first: chunk.first, starts, slots: moments, wanted: wanted.bits() };
+        let ChunkMoments { starts, moments, live, .. } = *from;
+        let moments = SplatMoments { first: chunk.first, starts, slots: moments, live, wanted: wanted.bits() };
         native::chain(scene.isa, &native_scene, &moments, out)
     }
 
@@ -251,8 +251,8 @@ impl SplatKernels for f32 {
         }
     }
 
-    fn shared_slots(isa: Isa, slots: &mut [Aligned<f32>]) -> Option<Slots<'_>> {
-        (isa != Isa::Scalar).then(|| Slots::new(slots))
+    fn shared_slots<'s>(isa: Isa, slots: &'s mut [Aligned<f32>], live: &'s mut [bool]) -> Option<Slots<'s>> {
+        (isa != Isa::Scalar).then(|| Slots::new(slots, live))
     }
 
     fn backward_tile(

@@ -118,6 +118,8 @@ mod bridge {
         /// The moments of number `first + k` are the sum over `slots[starts[k]..starts[k + 1]]`.
         starts: &'a [u32],
         slots: &'a [AlignedRow],
+        /// Of each slot, whether its moments are of this pass; those of the others are 0.
+        live: &'a [bool],
         /// Bits of `ParameterGroup` (`cpp/splat/kernel.h`).
         wanted: u32,
     }
@@ -245,6 +247,7 @@ mod bridge {
             isa: u8,
             tile: &SplatBackward,
             slots: *mut AlignedRow,
+            live: *mut bool,
             slot_count: usize,
         ) -> Result<()>;
         fn splat_disc_forward(isa: u8, discs: &SplatDiscs, with_depth: bool, state: &mut [f32]) -> Result<()>;
@@ -357,29 +360,33 @@ pub fn disc_backward(isa: Isa, discs: &SplatDiscs<'_>, adjoint: &[f32], parts: u
 
 /// Slots that several tiles write at the same time, each its own: the entries' targets are all different, since
 /// [`super::bin`] numbers them splat by splat and refuses more of them than 32 bits can number (its lists are compared
-/// with the plain twin's in `src/splat/pass/`). Only this crate can make one, so that nobody else has to keep this.
+/// with the plain twin's in `src/splat/pass/`). Each has a flag that says whether it was written. Only this crate can
+/// make one, so that nobody else has to keep this.
 pub struct Slots<'a> {
     start: *mut AlignedRow,
+    live: *mut bool,
     count: usize,
-    owner: PhantomData<&'a mut [AlignedRow]>,
+    owner: PhantomData<(&'a mut [AlignedRow], &'a mut [bool])>,
 }
 
-// SAFETY: the slots are plain numbers that nothing else can reach while the exclusive borrow lasts, a `Slots` itself
+// SAFETY: the slots and their flags are plain numbers that nothing else can reach while the exclusive borrow lasts, a `Slots` itself
 // gives no access to them, and threads that share one write different slots through [`backward`].
 unsafe impl Sync for Slots<'_> {}
 
 impl<'a> Slots<'a> {
-    /// All of `slots`, to be shared among tiles.
-    pub(crate) fn new(slots: &'a mut [AlignedRow]) -> Self {
-        Slots { start: slots.as_mut_ptr(), count: slots.len(), owner: PhantomData }
+    /// As many of `slots` as there are flags in `live`, to be shared among tiles.
+    pub(crate) fn new(slots: &'a mut [AlignedRow], live: &'a mut [bool]) -> Self {
+        let count = slots.len().min(live.len());
+        Slots { start: slots.as_mut_ptr(), live: live.as_mut_ptr(), count, owner: PhantomData }
     }
 }
 
-/// Backward of [`forward`]: writes the moments of each entry into its slot. Tiles that run at the same time must have
+/// Backward of [`forward`]: writes the moments of each entry that has any into its slot and sets its flag. Tiles that run at the same time must have
 /// different targets, as the lists of [`super::bin`] have.
 pub(crate) fn backward(isa: Isa, tile: &SplatBackward<'_>, slots: &Slots<'_>) {
-    // SAFETY: `start` and `count` are those of a slice that is borrowed exclusively as long as `slots` lives, aligned as
-    // its type; C++ checks that every target lies below `count`; tiles that run at the same time have different targets
-    // (above), so that no two threads write one slot, and nobody reads a slot before all tiles are done.
-    unsafe { bridge::splat_backward(isa.code(), tile, slots.start, slots.count) }.expect(AGREE);
+    // SAFETY: `start` and `live` begin slices of at least `count` that are borrowed exclusively as long as `slots` lives,
+    // aligned as their types; C++ checks that every target lies below `count`; tiles that run at the same time have
+    // different targets (above), so that no two threads write one slot or flag, and nobody reads one before all tiles
+    // are done.
+    unsafe { bridge::splat_backward(isa.code(), tile, slots.start, slots.live, slots.count) }.expect(AGREE);
 }

@@ -24,6 +24,9 @@ use super::splats::Splats;
 pub struct Moments<T> {
     /// With `Footprint::Ewa`.
     pub splats: Vec<Aligned<T>>,
+    /// Of each of these, whether the last pass wrote it: most entries of a scene of many layers lie behind others, and
+    /// to write zeros for them would cost more than all else that a pass does with them.
+    pub live: Vec<bool>,
     /// With `Footprint::Disc`.
     pub discs: Vec<DiscSums<T>>,
 }
@@ -67,10 +70,13 @@ impl<T: SplatKernels> TilePass<'_, T> {
         if self.optics.is_none() && moments.splats.len() < entries {
             grow(&mut moments.splats, entries);
         }
+        moments.live.clear();
+        moments.live.resize(if self.optics.is_none() { entries } else { 0 }, false);
         if self.optics.is_some() && moments.discs.len() < entries {
             grow(&mut moments.discs, entries);
         }
-        let shared = if faults.is_sound() { T::shared_slots(isa, &mut moments.splats) } else { None };
+        let shared =
+            if faults.is_sound() { T::shared_slots(isa, &mut moments.splats, &mut moments.live) } else { None };
         let formation = image_formation(&self.settings, !gradient.image.depth.is_empty());
         let tile_result = |(t, state): (usize, &[T])| -> TileResult<T> {
             let place = (bins.tiling, t);
@@ -97,6 +103,7 @@ impl<T: SplatKernels> TilePass<'_, T> {
             let targets = &bins.targets[bins.offsets[t] as usize..];
             for (&target, moments_of_entry) in targets.iter().zip(of_splats) {
                 moments.splats[target as usize] = moments_of_entry;
+                moments.live[target as usize] = true;
             }
             for (&target, sums) in targets.iter().zip(of_discs) {
                 moments.discs[target as usize] = sums;

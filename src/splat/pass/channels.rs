@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::base::estimate::demand_memory;
 use crate::base::{Error, Result};
+use crate::ffi::splat::rasterize::Aligned;
 use crate::splat::kernels::SplatKernels;
 use crate::splat::plain::fault::Faults;
 use crate::splat::plain::tile::Parts;
@@ -187,7 +188,11 @@ impl<T: SplatKernels> Moments<T> {
         for (sums, more) in self.discs.iter_mut().zip(&more.discs) {
             (0..disc_sum::COUNT).filter(|k| !of_colors.contains(k)).for_each(|k| sums[k] += more[k]);
         }
-        for (slot, more) in self.splats.iter_mut().zip(&more.splats) {
+        let slots = self.splats.iter_mut().zip(&mut self.live).zip(more.splats.iter().zip(&more.live));
+        for ((slot, live), (more, _)) in slots.filter(|(_, (_, live))| **live) {
+            if !*live {
+                (*slot, *live) = (Aligned([T::zero(); 16]), true);
+            }
             (0..moment::RED).for_each(|k| slot.0[k] += more.0[k]);
         }
     }

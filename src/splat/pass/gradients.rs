@@ -64,7 +64,8 @@ impl<T: SplatKernels> GradientTables<T> {
                 return SplatCameraGradient::default();
             }
             let starts = &starts[task.first..=task.first + task.count];
-            let from = ChunkMoments { starts, moments: &moments.splats, disc_sums: &moments.discs };
+            let from =
+                ChunkMoments { starts, moments: &moments.splats, live: &moments.live, disc_sums: &moments.discs };
             T::chain(scene, &from, wanted, &mut task, faults)
         };
         let cameras: Vec<SplatCameraGradient> = tasks.into_par_iter().with_max_len(piece).map(chain).collect();

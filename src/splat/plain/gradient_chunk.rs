@@ -18,6 +18,8 @@ pub struct ChunkMoments<'a, T> {
     pub starts: &'a [u32],
     /// Moments of all slots, with `Footprint::Ewa`.
     pub moments: &'a [Aligned<T>],
+    /// Of each of these, whether its numbers are of this pass; those of the others count as 0.
+    pub live: &'a [bool],
     /// Sums of all slots, with `Footprint::Disc`.
     pub disc_sums: &'a [DiscSums<T>],
 }
@@ -73,7 +75,7 @@ impl<T: Real> GradientChunk<'_, T> {
             let found = match projector.footprint {
                 Footprint::Disc => added(slots.map(|slot| &from.disc_sums[slot]))
                     .and_then(|m| gradients_of_disc(projector, gaussians, i, &m, wanted, by_sh, faults)),
-                Footprint::Ewa => added(slots.map(|slot| &from.moments[slot].0))
+                Footprint::Ewa => added(slots.filter(|&slot| from.live[slot]).map(|slot| &from.moments[slot].0))
                     .and_then(|m| gradients_of_splat(projector, gaussians, i, &m, wanted, by_sh, faults)),
             };
             if let Some(found) = found.as_ref().filter(|_| wanted.any(Wanted::POSE | Wanted::LENS)) {

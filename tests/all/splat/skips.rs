@@ -110,3 +110,36 @@ fn a_pass_needs_a_render_after_the_skips_have_changed() {
     rasterizer.skips(Skips::ALL);
     assert!(rasterizer.backward(&scene, &ImageGradient::default(), Wanted::ALL).is_err());
 }
+
+/// Moments are written only where a pixel blends; what another pass has left in the other slots must not count, nor with
+/// further channels, whose moments are added.
+#[test]
+fn a_pass_knows_nothing_of_the_one_before() {
+    let dense = |seed: u64| {
+        let mut scene = random(900, Kind::Discs, 1, seed).cast::<f32>();
+        scene.opacities.fill(0.95);
+        scene
+    };
+    let (before, scene, view) = (dense(31), dense(77), view(Lens::Pinhole));
+    for isa in available() {
+        let gradients = |rasterizer: &mut Rasterizer<f32>, scene: &Gaussians<f32>| {
+            let features: Vec<f32> = (0..2 * scene.len()).map(|k| (k % 13) as f32 / 6.0 - 1.0).collect();
+            let image = rasterizer.render(scene, &view, &Settings::default(), None).unwrap().color.clone();
+            rasterizer.render_channels(&features, 2).unwrap();
+            let weights: Vec<f32> = (0..image.len()).map(|k| ((k * 7919) % 101) as f32 / 50.0 - 1.0).collect();
+            let by_image = ImageGradient {
+                color: &weights,
+                channels: &weights[..image.len() / 3 * 2],
+                ..ImageGradient::default()
+            };
+            rasterizer.backward(scene, &by_image, Wanted::ALL | Wanted::CHANNELS).unwrap().clone()
+        };
+        let mut used = Rasterizer::<f32>::with_isa(isa).unwrap();
+        gradients(&mut used, &before);
+        let (found, fresh) =
+            (gradients(&mut used, &scene), gradients(&mut Rasterizer::<f32>::with_isa(isa).unwrap(), &scene));
+        let hidden = (0..scene.len()).filter(|&i| fresh.opacities[i] == 0.0).count();
+        assert!(hidden > 200 && hidden < 800, "{isa}: {hidden} of 900 have no gradient: nothing to tell");
+        assert!(all(&found) == all(&fresh) && found.channels == fresh.channels, "{isa}: another gradient");
+    }
+}
