@@ -61,13 +61,17 @@ pub fn run(arguments: CompareArguments, terminal: &Terminal) -> Result<()> {
 }
 
 fn line(c: &Comparison) -> String {
-    let show = |v: f64| metric(c.metric).map_or_else(|| v.to_string(), |m| m.format(v));
+    let show = |v: f64| match metric(c.metric) {
+        Some(m) if v.is_finite() => m.format(v),
+        _ => "-".to_owned(),
+    };
     let interval = c.interval.map_or_else(String::new, |[low, high]| format!("{} to {}", show(low), show(high)));
     let change = match c.change {
         Change::Better => "better",
         Change::Worse => "worse",
         Change::Unclear => "unclear",
         Change::Same => "same",
+        Change::Lost => "lost a value",
         Change::Single => "one case",
         Change::Redefined => "definition changed",
     };

@@ -255,7 +255,7 @@ fn as_run(evaluated: Vec<Evaluated>, method: Option<&str>) -> Run {
         cases.push(CaseInfo {
             title: case_id.clone(),
             id: case_id.clone(),
-            tree: String::new(),
+            tree: truth.as_ref().map(Sequence::tree).unwrap_or_default(),
             truth: truth.map(|film| Arc::new(film) as Arc<dyn Truth>),
         });
         let (run_id, timings) = (evaluated_id(&case_id, &method), Vec::new());

@@ -2,7 +2,7 @@
 
 use super::Terminal;
 use crate::base::{Error, Result};
-use crate::score::{Metric, metric, registry};
+use crate::score::{Metric, Split, metric, registry};
 
 /// Arguments of `explain`.
 #[derive(clap::Args)]
@@ -42,8 +42,9 @@ fn print(m: &Metric, terminal: &Terminal) {
     let bound = |v: Option<f64>, without: &str| v.map_or_else(|| without.to_owned(), |v| v.to_string());
     let perfect = match m.perfect {
         Some(value) => value.to_string(),
-        None if m.is_runtime() => "none".to_owned(),
-        None => "no number: status `identical`".to_owned(),
+        None if m.unit != "dB" => "none".to_owned(),
+        None if m.split == Split::Novel => "no number: status `identical`".to_owned(),
+        None => "no number: status `copied`, since methods are given these pictures".to_owned(),
     };
     let lines = [
         ("metric", format!("{} ({}), definition {}", m.id, m.label, m.definition_id())),

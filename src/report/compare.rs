@@ -22,6 +22,8 @@ pub enum Change {
     Unclear,
     /// All values are equal.
     Same,
+    /// The first run has a value in a case that both have, and the second none.
+    Lost,
     /// One case only: a difference without an interval.
     Single,
     /// The metric's definition differs between the runs: no comparison.
@@ -68,8 +70,22 @@ fn compare_one(a: &Results, b: &Results, method: &str, m: &'static Metric) -> Op
             trees.push(a.tree_of(case));
         }
     }
+    let without = b.cases_without(method, m.id);
+    let has_lost = values_a.iter().any(|(case, _)| without.contains(case));
     let differences: Vec<f64> = pairs.iter().map(|(va, vb)| vb - va).collect();
-    let mean = bootstrap_groups(&differences, &trees, BOOTSTRAP_SEED)?;
+    let Some(mean) = bootstrap_groups(&differences, &trees, BOOTSTRAP_SEED) else {
+        let nothing = Comparison {
+            method: method.to_owned(),
+            metric: m.id,
+            cases: 0,
+            a: f64::NAN,
+            b: f64::NAN,
+            difference: f64::NAN,
+            interval: None,
+            change: Change::Lost,
+        };
+        return has_lost.then_some(nothing);
+    };
     let side = |get: fn(&(f64, f64)) -> f64| pairs.iter().map(get).sum::<f64>() / pairs.len() as f64;
     let definitions = |r: &Results| -> Vec<String> {
         let mut all: Vec<String> = r
@@ -84,6 +100,8 @@ fn compare_one(a: &Results, b: &Results, method: &str, m: &'static Metric) -> Op
     };
     let change = if definitions(a) != definitions(b) {
         Change::Redefined
+    } else if has_lost {
+        Change::Lost
     } else if differences.iter().all(|d| *d == 0.0) {
         Change::Same
     } else {

@@ -175,8 +175,8 @@ pub fn judge(results: &Results, thresholds: &Thresholds, baseline: Option<&Resul
     checks.extend(soundness(results));
     for limit in &thresholds.absolute {
         checks.extend(match limit.over {
-            Over::Each => each(results, limit),
-            Over::Mean => vec![mean(results, limit)],
+            Over::Each => each(results, thresholds, limit),
+            Over::Mean => vec![mean(results, thresholds, limit)],
         });
     }
     if let Some(baseline) = baseline {
@@ -220,6 +220,13 @@ fn presence(results: &Results, thresholds: &Thresholds) -> Vec<Check> {
     for method in &thresholds.methods {
         let (verdict, sentence) = found(methods.contains(&method.as_str()), "method");
         checks.push(check(("", method, ""), verdict, sentence));
+        if verdict == Verdict::Pass {
+            let ran = |case: &&&str| results.entries.keys().any(|k| k.case == ***case && k.method == *method);
+            let wanted = wanted_cases(results, thresholds);
+            let lacking = wanted.iter().filter(|case| cases.contains(case) && !ran(case));
+            checks
+                .extend(lacking.map(|case| check((case, method, ""), Verdict::Fail, "the method did not run".into())));
+        }
     }
     // A cell that failed has rows, and each says so; one check for each is enough.
     let failed: BTreeMap<(&str, &str, u64), ()> = results
@@ -232,6 +239,11 @@ fn presence(results: &Results, thresholds: &Thresholds) -> Vec<Check> {
         checks.push(check((case, method, ""), Verdict::Fail, format!("the cell failed (seed {seed})")));
     }
     checks
+}
+
+/// Cases that must be there, or without such a list all that are.
+fn wanted_cases<'a>(results: &'a Results, thresholds: &'a Thresholds) -> Vec<&'a str> {
+    if thresholds.cases.is_empty() { results.cases() } else { thresholds.cases.iter().map(String::as_str).collect() }
 }
 
 /// What no table that this program wrote has: a value out of its metric's range, a case whose rows are of several films or
@@ -265,8 +277,24 @@ fn idle(limit: &Relative, results: &Results, baseline: Option<&Results>) -> Opti
     Some(check(place, or_note(limit.advisory), format!("no row of {whose} meets this limit")))
 }
 
-/// Rows of the limit's metric and method. A method or metric without any row is a failure, not a pass.
-fn each(results: &Results, limit: &Absolute) -> Vec<Check> {
+/// Cases, with the seed where there is one, in which the limit's method lacks a row of its metric: it did not run there, or
+/// the row was taken out.
+fn lacking(results: &Results, thresholds: &Thresholds, limit: &Absolute) -> Vec<String> {
+    let of_method = || results.entries.keys().filter(|k| k.method == limit.method);
+    let has = |case: &str, seed: u64| of_method().any(|k| k.case == case && k.seed == seed && k.metric == limit.metric);
+    let mut lacking: Vec<String> = wanted_cases(results, thresholds)
+        .into_iter()
+        .filter(|case| !of_method().any(|k| k.case == *case))
+        .map(str::to_owned)
+        .collect();
+    let without = of_method().filter(|k| !has(&k.case, k.seed)).map(|k| k.case.clone());
+    lacking.extend(without);
+    lacking.dedup();
+    lacking
+}
+
+/// Rows of the limit's metric and method. A case without a row is a failure, not a pass.
+fn each(results: &Results, thresholds: &Thresholds, limit: &Absolute) -> Vec<Check> {
     let Some(m) = metric(&limit.metric) else { return Vec::new() };
     let mut checks: Vec<Check> = results
         .entries
@@ -276,18 +304,23 @@ fn each(results: &Results, limit: &Absolute) -> Vec<Check> {
         .collect();
     if checks.is_empty() {
         checks.push(check(("", &limit.method, m.id), or_note(limit.advisory), "no case has this metric".into()));
+        return checks;
     }
+    let lost = |case: String| check((&case, &limit.method, m.id), or_note(limit.advisory), "no row".into());
+    checks.extend(lacking(results, thresholds, limit).into_iter().map(lost));
     checks
 }
 
-fn mean(results: &Results, limit: &Absolute) -> Check {
+fn mean(results: &Results, thresholds: &Thresholds, limit: &Absolute) -> Check {
     let m = metric(&limit.metric).expect("thresholds were checked when they were read");
     let of_method = |k: &&Key| k.metric == m.id && k.method == limit.method;
     let cells = results.entries.keys().filter(of_method).count();
     let rows: Vec<&ResultEntry> = results.entries.iter().filter(|(k, _)| of_method(k)).map(|(_, e)| e).collect();
     let values: Vec<f64> = results.case_values(&limit.method, m.id).into_iter().map(|(_, v)| v).collect();
     // A mean that silently leaves a case out would pass when the worst case loses its value.
-    let whole = cells > 0 && rows.iter().all(|e| matches!(shown_value(m, e), Value::Number(v) if v.is_finite()));
+    let whole = cells > 0
+        && lacking(results, thresholds, limit).is_empty()
+        && rows.iter().all(|e| matches!(shown_value(m, e), Value::Number(v) if v.is_finite()));
     if !whole {
         let sentence = "not every case has a value, so there is no mean".to_owned();
         return check(("mean", &limit.method, m.id), or_note(limit.advisory), sentence);
@@ -318,6 +351,9 @@ fn absolute(m: &Metric, limit: &Absolute, case: &str, value: Value) -> Check {
     let bound = if m.direction.word() == "higher" { "at least" } else { "at most" };
     match value {
         Value::Identical => check(key, Verdict::Pass, "identical to the truth".into()),
+        Value::None(status) if status == Status::Ok.word() => {
+            check(key, or_note(limit.advisory), "the value is empty".into())
+        }
         Value::None(status) => check(key, or_note(limit.advisory), format!("no value ({status})")),
         Value::Number(v) => {
             // NaN fails: the question is whether the loss is shown to be no more than 0.
@@ -375,7 +411,11 @@ fn relative(m: &Metric, limit: &Relative, key: &Key, old: &ResultEntry, new: Opt
         (Value::Number(old), Value::Number(new)) => {
             let allowed = limit.worse_by.max(limit.worse_by_percent / 100.0 * old.abs());
             let loss = m.direction.loss(new, old);
-            let verdict = if loss <= allowed { Verdict::Pass } else { fail };
+            // What was written in decimals may exceed the allowance by a rounding and no more.
+            let verdict = if loss <= allowed * (1.0 + 1e-9) { Verdict::Pass } else { fail };
+            if !loss.is_finite() {
+                return check(place, fail, format!("{new} is no value, or {old} of the baseline is none"));
+            }
             let word = if loss > 0.0 { "worse" } else { "better" };
             let sentence = format!(
                 "{} {unit}, baseline {}: {word} by {:.4}, allowed {:.4}",

@@ -17,14 +17,14 @@ pub fn table(table: &ComparisonTable, run_id: &str) -> String {
     line("\\providecommand{\\cmark}{\\ding{51}}\\providecommand{\\xmark}{\\ding{55}}".into());
     line("\\begin{table*}\n\\centering".into());
     line(format!(
-        "\\caption{{{}: mean over {}, run \\texttt{{{}}}. {} Best ranked in \
-         \\textbf{{bold}}, $\\uparrow$\\,=\\,higher is better, $\\downarrow$\\,=\\,lower is better. Breathing and target metrics \
+        "\\caption{{{}: mean over {}, run \\texttt{{{}}}. {} {}$\\uparrow$\\,=\\,higher is better, $\\downarrow$\\,=\\,lower is better. Breathing and target metrics \
          apply only to methods that model respiratory state or maintain an explicit mesh, respectively. Rows below the last \
          rule are bounds and not ranked.{}}}",
         table.kind.title(),
         counted(table.cases, "case"),
         escape(run_id),
         table.kind.explanation(),
+        if table.kind.ranks() { "Best ranked in \\textbf{bold}, " } else { "" },
         table
             .signs()
             .map(|(sign, means)| format!(" {}\\,=\\,{}.", escape(&sign.to_string()), escape(means)))

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use super::run::MethodInfo;
 use super::seal;
 use crate::base::{Error, Result, files};
 use crate::score::{Metric, Status, registry};
@@ -152,11 +153,34 @@ impl Results {
         self.facts.get(case).map_or(case, |facts| facts.tree.as_str())
     }
 
+    /// The number with which a row counts in a mean: a surface that cannot be measured counts with the worst value that any
+    /// row of this program has in its case, as in the tables (`Run::counted`).
+    fn counted(&self, key: &Key, entry: &ResultEntry) -> Option<f64> {
+        if entry.value.is_some() || !Status::of_word(&entry.status).is_some_and(Status::counts_as_worst) {
+            return entry.value.filter(|v| v.is_finite());
+        }
+        let goal = crate::score::metric(&key.metric)?.direction;
+        let others = || self.entries.iter().filter(|(k, _)| k.case == key.case && k.metric == key.metric);
+        let worst = |a: f64, b: f64| if goal.better(a, b) { b } else { a };
+        let value = |(_, entry): (&Key, &ResultEntry)| entry.value.filter(|v| v.is_finite());
+        let own = others().filter(|(k, _)| MethodInfo::is_own(&k.method)).filter_map(value).reduce(worst);
+        own.or_else(|| others().filter_map(value).reduce(worst))
+    }
+
+    /// Cases in which the method has a row of the metric without a number, and does not equal the truth.
+    pub fn cases_without(&self, method: &str, metric: &str) -> Vec<&str> {
+        let is_without = |(key, entry): &(&Key, &ResultEntry)| {
+            let is_asked = key.method == method && key.metric == metric;
+            is_asked && entry.status != Status::Identical.word() && self.counted(key, entry).is_none()
+        };
+        distinct(self.entries.iter().filter(is_without).map(|(k, _)| k.case.as_str()))
+    }
+
     /// Value of each case (mean over seeds) of a metric of a method; cases in which a seed has no value are left out.
     pub fn case_values(&self, method: &str, metric: &str) -> Vec<(&str, f64)> {
         let mut by_case: BTreeMap<&str, Vec<Option<f64>>> = BTreeMap::new();
         for (key, entry) in self.entries.iter().filter(|(k, _)| k.method == method && k.metric == metric) {
-            by_case.entry(&key.case).or_default().push(entry.value.filter(|v| v.is_finite()));
+            by_case.entry(&key.case).or_default().push(self.counted(key, entry));
         }
         by_case
             .into_iter()

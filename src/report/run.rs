@@ -1,5 +1,6 @@
 //! What a report is made of: cells with their scores, and where images can be read from.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -293,10 +294,17 @@ impl Run {
         self.cases.iter().find(|case| case.id == case_id).map_or(case_id, CaseInfo::tree)
     }
 
-    /// Whether the method is scored in every case that counts, with every seed, and has a number of `metric` in each of
-    /// them in which an own row has a value: the condition of a place in the ranking.
+    /// Whether the method is scored in every case that counts, with the same seeds in each, and has a number of `metric` in
+    /// each of them in which an own row has a value: the condition of a place in the ranking.
     pub fn covers(&self, method: &str, metric: &str) -> bool {
         let cases = self.ranking_cases();
+        let seeds_in = |case: &str| {
+            let of_case = self.cells.iter().filter(|c| c.method == method && c.case_id == case);
+            of_case.map(|c| c.seed).collect::<BTreeSet<u64>>()
+        };
+        if cases.windows(2).any(|two| seeds_in(&two[0].id) != seeds_in(&two[1].id)) {
+            return false;
+        }
         let all_of = |case: &CaseInfo, is_good: &dyn Fn(&CellRecord) -> bool| {
             let mut own = self.cells.iter().filter(|c| c.case_id == case.id && c.method == method).peekable();
             own.peek().is_some() && own.all(is_good)

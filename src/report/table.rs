@@ -233,9 +233,11 @@ fn cell(kind: TableKind, summary: &MethodSummary, metric: &Metric) -> TableCell 
     let ranks = kind.ranks() && !navigation_bar_metrics().any(|bar| bar.id == metric.id);
     let found = summary.metric(metric.id);
     let mean = found.and_then(|m| m.mean);
+    // A mean over fewer cases than the row has is another number than those beside it.
+    let fewer = mean.filter(|m| m.count < summary.cases).map(|m| format!(" ({} of {})", m.count, summary.cases));
     TableCell {
         number: mean.map(|m| m.mean),
-        value: mean.map_or_else(|| "–".into(), |m| show(metric, m.mean)),
+        value: mean.map_or_else(|| "–".into(), |m| show(metric, m.mean) + &fewer.unwrap_or_default()),
         interval: mean
             .and_then(|m| m.interval)
             .map_or_else(String::new, |[low, high]| format!("{} to {}", show(metric, low), show(metric, high))),

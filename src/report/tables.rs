@@ -87,13 +87,18 @@ fn header(columns: &[&str]) -> Vec<String> {
 
 fn alignment_of(m: &Metric) -> &'static str {
     match m.id {
-        id if id.starts_with("depth") || id.starts_with("contour") || id.starts_with("target") => "none",
+        id if is_of_depth(m) || id.starts_with("contour") || id.starts_with("target") => "none",
         _ => "",
     }
 }
 
+fn is_of_depth(m: &Metric) -> bool {
+    m.id.starts_with("depth") || m.id.starts_with("novel_depth")
+}
+
+/// Which pixels count: where the truth has a depth, those of the film's mask where it has one, all.
 fn mask_of(m: &Metric) -> &'static str {
-    if m.id.starts_with("depth") { "true_depth" } else { "none" }
+    if is_of_depth(m) { "true_depth" } else { "none" }
 }
 
 /// `results.csv`: one row per cell and metric, times left out.

@@ -87,7 +87,8 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
         id if id.starts_with("phase_coverage") || id.starts_with("phase_sd") => prediction.phase_sd().is_none(),
         id if id.starts_with("novel_depth") => !contents.novel_depth,
         id if id.starts_with("novel") => contents.novel == 0,
-        "target_mean_mm" | "target_p95_mm" | "lost_pct" | "recovered_pct" => !contents.targets,
+        "recovered_pct" => !contents.targets || question.is_disturbed == Some(false),
+        "target_mean_mm" | "target_p95_mm" | "lost_pct" => !contents.targets,
         id if id.starts_with("pose_error") => prediction.poses().is_none(),
         "silent_pct" => prediction.target_covariance_mm2().is_none(),
         id if id.starts_with("navigation_error") => !contents.targets,
@@ -103,7 +104,6 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
     contents.warnings.extend(prediction.phase().and_then(phase_warning));
     contents.warnings.extend(depth_warning(depths_mm.into_iter().flatten().collect()));
     contents.warnings.extend(surface.as_ref().and_then(surface_warning));
-    contents.warnings.extend(beyond_warning(folder, frames));
     contents.warnings.extend(beyond_warning(folder, frames));
     contents.warnings.extend(unread_warnings(&prediction, folder, frames)?);
     Ok(contents)
@@ -178,7 +178,7 @@ fn unread_warnings(prediction: &Prediction, folder: &Path, frames: usize) -> Res
         let wanted = if is_surface {
             "the surface at the last frame is mesh/final.ply"
         } else {
-            "tables are phase.csv, poses.csv, targets.csv and correspondence.csv"
+            "tables are phase.csv, poses.csv, targets.csv, target_covariance.csv and correspondence.csv"
         };
         format!("{name}: is not read; {wanted}")
     };

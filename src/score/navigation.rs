@@ -60,9 +60,12 @@ fn recoveries(times_s: &[f64], disturbed: &[bool], is_found: &[bool]) -> Vec<Opt
         if !disturbed[end] || *disturbed.get(end + 1)? {
             return None;
         }
-        let late = |frame: usize| times_s[frame] - times_s[end] > RECOVERY_S + 1e-9;
+        let since_s = |frame: usize| times_s[frame] - times_s[end];
         let mut after = end + 1..times_s.len();
-        after.find(|&frame| late(frame) || is_found[frame]).map(|frame| !late(frame))
+        let within = |frame: &usize| since_s(*frame) <= RECOVERY_S + 1e-9;
+        let is_told = after.clone().next_back().is_some_and(|last| since_s(last) >= RECOVERY_S - 1e-9);
+        let is_found_again = after.by_ref().take_while(within).any(|frame| is_found[frame]);
+        (is_found_again || is_told).then_some(is_found_again)
     };
     (0..times_s.len()).map(of_frame).collect()
 }

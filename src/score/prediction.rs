@@ -55,6 +55,8 @@ pub struct Question {
     pub novel_frames: Vec<usize>,
     /// Targets.
     pub targets: usize,
+    /// Whether there are coughs or touches of the wall, where it may be known.
+    pub is_disturbed: Option<bool>,
     /// The case, where it may be known.
     case_id: Option<String>,
     /// Files of the truth, which a prediction must not hand back by a link.
@@ -69,6 +71,7 @@ impl Question {
             frames: truth.frames().len(),
             novel_frames: truth.novel_views().iter().map(|view| view.frame).collect(),
             targets: truth.targets().len(),
+            is_disturbed: truth.disturbed().ok().map(|frames| frames.contains(&true)),
             case_id: Some(truth.case_id().to_owned()),
             true_files: truth.file_paths(),
         }
@@ -81,6 +84,7 @@ impl Question {
             frames: participant.given_frames().len(),
             novel_frames: participant.given_views().iter().map(|view| view.frame).collect(),
             targets: participant.planned_targets_mm().len(),
+            is_disturbed: None,
             case_id: None,
             true_files: Vec::new(),
         }

@@ -124,7 +124,7 @@ pub struct Metric {
     pub version: u32,
     /// Lowest and highest value it can take (`null` in JSON: unbounded).
     pub range: [Option<f64>; 2],
-    /// Its value when truth itself is the prediction; `None` for PSNR (status `identical`), and where the truth has none
+    /// Its value when truth itself is the prediction; `None` for PSNR (status `identical` or `copied`), and where the truth has none
     /// (times, error bars).
     pub perfect: Option<f64>,
     /// Decimals in tables.
@@ -199,7 +199,8 @@ static REGISTRY: &[Metric] = &[
     Metric {
         definition: "10 log10(1 / MSE) per frame on 8-bit sRGB codes divided by 255, MSE over all pixels and the three \
             channels, then the mean over frames. A frame equal to the truth counts with the PSNR of the smallest error that \
-            8 bits can show (one code in one value); if all frames are equal the value is empty, status `identical`.",
+            8 bits can show (one code in one value). Where more than one in a hundred of the pictures are the input, to the bit \
+            or nearly (above 65 dB), there is no value, status `copied`: no estimate equals it, noise and all.",
         perfect: None,
         standing: Standing::Paper,
         ..base("psnr_db", "PSNR", "dB", Goal::Higher, Group::Rendering)

@@ -10,6 +10,7 @@ use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::airway::case::AnatomySource;
 use crate::airway::case_centerline;
 use crate::airway::centerline::Centerline;
 use crate::airway::target::Target;
@@ -327,6 +328,19 @@ impl Sequence {
             mask_path,
             files,
         })
+    }
+
+    /// Whose airway was filmed, as its case file says; empty where the film does not tell.
+    pub fn tree(&self) -> String {
+        #[derive(Deserialize)]
+        struct Filmed {
+            case: FilmedCase,
+        }
+        #[derive(Deserialize)]
+        struct FilmedCase {
+            anatomy: AnatomySource,
+        }
+        files::read_json::<Filmed>(&self.root.join(MANIFEST)).map_or_else(|_| String::new(), |f| f.case.anatomy.tree())
     }
 
     /// Where target `index` is at `frame`, mm.
