@@ -35,6 +35,9 @@ const TRAJECTORY_RANGES: KeyRanges = KeyRanges(&[
 ]);
 /// Range of `light_intensity`, W/sr.
 const LIGHT_INTENSITY: NumberRange = NumberRange::new(1e-6, 1e9);
+/// Most characters of an id, with room for what the names of folders have besides.
+const LONGEST_ID: usize = 100;
+
 /// Range of `registration_error_mm`.
 const REGISTRATION_ERROR_MM: NumberRange = NumberRange::new(0.0, 20.0);
 
@@ -402,6 +405,7 @@ impl Case {
         let needs_field = !matches!(self.anatomy, AnatomySource::MeshPair { .. });
         let demands = [
             ("id", !self.id.is_empty() && self.id.chars().all(plain), "must be letters, digits, `-` and `_`"),
+            ("id", self.id.len() <= LONGEST_ID, "must have no more than 100 characters: folders are named by it"),
             ("breathing", self.breathing.is_some() == needs_field, {
                 if needs_field { "is missing" } else { "does not belong to a mesh pair, which has its motion" }
             }),

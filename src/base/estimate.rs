@@ -13,7 +13,7 @@ use super::error::{Error, Result};
 
 /// Work that starts anew when it is stopped is asked about above this many seconds: half an hour.
 pub const ASK_SECONDS: f64 = 1800.0;
-/// Work that resumes where it was stopped is asked about above this many seconds: a day. The shipped profiles stay
+/// Work that resumes where it was stopped is asked about above this many seconds: a day. `smoke` and `quick` stay
 /// below.
 pub const ASK_RESUMABLE_SECONDS: f64 = 86_400.0;
 /// Work is asked about when it takes more than this part of the memory that the machine has left.

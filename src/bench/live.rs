@@ -207,7 +207,9 @@ pub fn follow(
 ) -> Result<LiveSummary> {
     let method = method_of(catalogue, profile, id)?;
     let Some(live) = method.live() else {
-        return Err(Error::usage(format!("`{id}` takes whole films; `ours-gn` and what builds on it follows frames")));
+        return Err(Error::usage(format!(
+            "`{id}` takes whole films; `ours-gn`, `ours-gn-pose` and `ours-nav` follow frames"
+        )));
     };
     let known = reconstruct::observe_first(film.as_ref(), method.access(), seed)?;
     let given = reconstruct::given_poses(film.as_ref(), method.access(), seed);

@@ -49,6 +49,8 @@ const ORDER: [&str; 15] = [
 /// Iterations of a frame of `ours`, and the core seconds that they take at the published scale in an image of 256x256
 /// pixels and in one of no pixels; scoring included. The model behind [`Pipeline::estimate`].
 const OUR_ITERATIONS: f64 = 130.0;
+/// Discs on a face of `ours`. An iteration of BridgeSplat, which has 25, takes about as many times longer.
+const OUR_DISCS_ON_A_FACE: f64 = 4.0;
 const FRAME_S: f64 = 0.8;
 const FRAME_PIXELS: f64 = 256.0 * 256.0;
 const SMALL_FRAME_S: f64 = 0.1;
@@ -97,12 +99,19 @@ fn iterations(keys: &toml::Table) -> f64 {
     }
 }
 
+/// How many times as long an iteration takes as one of `ours`, by the discs on a face that the keys name.
+fn work_of_iteration(keys: &toml::Table) -> f64 {
+    let discs = keys.get("gaussians_per_face").and_then(|key| key.get("value")).and_then(toml::Value::as_integer);
+    discs.map_or(1.0, |discs| (discs as f64 / OUR_DISCS_ON_A_FACE).max(1.0))
+}
+
 impl Method {
     fn new(file: &MethodFile, profile: &Profile) -> Result<Self> {
         let scale = profile.iteration_scale;
         // Hash of the parsed keys, inherited ones included, so that changing a comment or a blank recomputes no cell.
         let content = hash::of_value(&(file.keys(), scale))?;
-        Ok(Method { content, method: file.method(scale)?, effort: scale * iterations(file.keys()) / OUR_ITERATIONS })
+        let effort = scale * work_of_iteration(file.keys()) * iterations(file.keys()) / OUR_ITERATIONS;
+        Ok(Method { content, method: file.method(scale)?, effort })
     }
 }
 
@@ -139,7 +148,16 @@ impl Pipeline {
         methods: impl FnOnce(&Catalogue, &Profile, Option<&[String]>) -> Result<Vec<Method>>,
     ) -> Result<Self> {
         let profile = Profile::load(&catalogue.profiles(), profile)?;
+        // What the profile's file says wrong is not said on the command line.
+        let of_profile = |key: &'static str, asked: bool| {
+            let file = profile.file.clone();
+            move |e: Error| if asked { e } else { Error::input(e.to_string()).element(key).at(&file) }
+        };
+        let (asks_cases, asks_seeds) = (wishes.cases.is_some(), wishes.seeds.is_some());
         let wanted_cases = match wishes.cases.or_else(|| profile.cases.clone()) {
+            Some(wanted) if wanted.is_empty() => {
+                return Err(of_profile("cases", asks_cases)(Error::usage("names no case")));
+            }
             Some(wanted) => wanted,
             None => catalogue.case_ids()?,
         };
@@ -147,7 +165,7 @@ impl Pipeline {
             return Err(Error::input("there are no case files").at(catalogue.root()));
         }
         let load = |wish: &String| -> Result<Case> {
-            let file = catalogue.case_file(wish)?;
+            let file = catalogue.case_file(wish).map_err(of_profile("cases", asks_cases))?;
             let case = wishes.track.filming(Case::load_changed(&file, changes)?).without(&profile.without);
             simulate::material(&case).map_err(|e| e.at(&file))?;
             film_settings(&profile, &case).check().map_err(|e| {
@@ -156,9 +174,9 @@ impl Pipeline {
             Ok(case)
         };
         let cases: Vec<Case> = wanted_cases.iter().map(load).collect::<Result<_>>()?;
-        refuse_doubles(cases.iter().map(|case| case.id.as_str()), "case")?;
+        refuse_doubles(cases.iter().map(|case| case.id.as_str()), "case").map_err(of_profile("cases", asks_cases))?;
         let seeds = wishes.seeds.unwrap_or_else(|| profile.seeds.clone());
-        refuse_doubles(seeds.iter(), "seed")?;
+        refuse_doubles(seeds.iter(), "seed").map_err(of_profile("seeds", asks_seeds))?;
         let methods = methods(catalogue, &profile, wishes.methods.or_else(|| profile.methods.clone()).as_deref())?;
         Ok(Pipeline { profile, track: wishes.track, cases, methods, seeds })
     }

@@ -28,6 +28,9 @@ pub struct Profile {
     /// Name: that of its file.
     #[serde(skip)]
     pub name: String,
+    /// Its file.
+    #[serde(skip)]
+    pub file: PathBuf,
     /// One line for readers of the file.
     pub description: String,
     /// Cases to run; absent means all.
@@ -70,6 +73,7 @@ impl Profile {
         }
         let mut profile: Profile = files::read_toml(&path)?;
         profile.validate().map_err(|e| e.at(&path))?;
+        profile.file.clone_from(&path);
         profile.name = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or("custom").to_owned();
         Ok(profile)
     }

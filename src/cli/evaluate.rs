@@ -58,6 +58,7 @@ pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
     let films = films(&arguments.sequence)?;
     let predictions = predictions(&films, &arguments.predictions)?;
     // Before the work.
+    arguments.out.as_deref().map_or(Ok(()), report::refuse_other_folder)?;
     let given = arguments.method.as_deref().map_or(Ok(()), method_name::check_foreign);
     given.map_err(|e| Error::usage(format!("--method: {e}")))?;
     let mut evaluated = Vec::new();
@@ -109,7 +110,8 @@ pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
 fn films(folders: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut films = Vec::new();
     for folder in folders {
-        let is_film = |path: &Path| path.join(sequence::MANIFEST).is_file();
+        // A report beside the films has a manifest, too.
+        let is_film = |path: &Path| path.join(sequence::MANIFEST).is_file() && !path.join("results.csv").is_file();
         let inside = if folder.is_dir() { files::folders_in(folder)? } else { Vec::new() };
         // In a cache each film lies in a folder of its own, as `film`.
         let film_of = |path: PathBuf| [path.join("film"), path].into_iter().find(|path| is_film(path));
@@ -207,7 +209,7 @@ fn print(found: &CellScore, terminal: &Terminal) {
         let interval =
             score.interval.map_or_else(String::new, |[low, high]| format!("({} to {})", m.format(low), m.format(high)));
         let status = if score.status.word() == "ok" { "" } else { score.status.word() };
-        let line = format!("{:<22}{value:>10} {:<4}{interval:<22}{status} {}", m.id, m.unit, score.detail);
+        let line = format!("{:<28}{value:>10} {:<4}{interval:<22}{status} {}", m.id, m.unit, score.detail);
         terminal.line(line.trim_end());
     }
 }

@@ -15,7 +15,7 @@ use crate::report::{benchmark_json, gate_files, gate_limits, read};
     after_help = "Writes gate.md and gate.xml (JUnit) before it decides. Exit code 3 when anything fails: a value beyond \
     its limit, an empty or broken value, a missing case, method or metric, a film that is unknown or not the baseline's, a \
     limit that no row meets, or nothing to check. Exit code 4 when a table does not have the hash of its manifest.json.\n\
-    Films and fits differ in their last bits between kinds of processors, so there may be a baseline for each kind.\n\
+    A baseline holds on every processor with AVX2, which all give the same bytes.\n\
     A baseline folder with a limits.toml brings relative limits of its own, which must hold too. --limits-from writes it, judging nothing: four \
     standard deviations of the seeds or, where those are 0, of single cases between two samplings of their films \
     (scripts/baseline.sh).\n\

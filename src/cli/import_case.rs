@@ -118,6 +118,12 @@ pub(super) struct NewCase<'a> {
 
 impl<'a> NewCase<'a> {
     pub(super) fn new(case: &'a CaseArguments) -> Result<Self> {
+        // It may have been edited: lens, waveform and scope have no other place.
+        let file = case.out.join(format!("{}.toml", case.id));
+        if file.exists() {
+            let sentence = "is there already, and nothing is overwritten: remove it, or take another --id";
+            return Err(Error::input(sentence).at(file));
+        }
         Ok(NewCase { case, staging: Staging::new(&case.out)?, files: Vec::new() })
     }
 

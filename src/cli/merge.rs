@@ -41,6 +41,7 @@ pub struct MergeArguments {
 
 /// Reads, merges, writes, and prints the table.
 pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
+    report::refuse_other_folder(&arguments.out)?;
     terminal.stage("reading the runs");
     let evidence = if arguments.unchecked { PartEvidence::Waived } else { PartEvidence::Needed };
     let part = |folder: &PathBuf| Ok(Part { run: read_run(folder, evidence)?, folder: folder.clone() });

@@ -167,7 +167,7 @@ pub fn main() -> ExitCode {
     if line.yes {
         terminal.give_consent();
     }
-    match start(line, &terminal) {
+    match start(line, &terminal).and_then(|()| terminal.output()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => refuse(&error),
     }

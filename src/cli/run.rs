@@ -25,7 +25,7 @@ pub struct RunArguments {
     #[arg(long, value_name = "DIR", conflicts_with_all = ["case", "cache", "fresh", "json"], requires = "out")]
     sequence: Option<PathBuf>,
     /// New folder of the prediction of --sequence
-    #[arg(long, value_name = "DIR", requires = "sequence")]
+    #[arg(long, value_name = "DIR", requires = "sequence", conflicts_with = "case")]
     out: Option<PathBuf>,
     /// Method by id
     #[arg(long, value_name = "METHOD")]

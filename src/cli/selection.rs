@@ -16,7 +16,7 @@ const WITHOUT_POSES: &str = "ours-gn-pose";
 /// Profile, cases, methods, seeds.
 #[derive(Args)]
 pub struct Selection {
-    /// Size of the run: smoke, quick or paper
+    /// Size of the run: smoke, quick, paper, or the path of a profile file
     #[arg(long, default_value = "quick", value_name = "P")]
     profile: String,
     /// Cases by id, or paths of case files; the profile's when not given

@@ -33,7 +33,7 @@ pub struct SimulateArguments {
     /// Films one case into DIR/truth, and writes what methods may see of it, and nothing else, to DIR/participant
     #[arg(long, value_name = "DIR", conflicts_with = "out")]
     blind: Option<PathBuf>,
-    /// Size of the run: smoke, quick or paper
+    /// Size of the run: smoke, quick, paper, or the path of a profile file
     #[arg(long, default_value = "quick", value_name = "P")]
     profile: String,
     /// Frames, instead of the profile's

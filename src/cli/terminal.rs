@@ -40,7 +40,10 @@ struct TerminalState {
     /// Whether the bar counts; until then it shows the stage and its seconds.
     counts: bool,
     last_line: Option<Instant>,
+    /// Nothing more can be written to standard output.
     output_closed: bool,
+    /// Why, unless its reader has gone away.
+    output_failure: Option<std::io::Error>,
 }
 
 /// One line on standard error. Where that cannot be written (a log on a full disk) it is dropped: the exit code
@@ -92,10 +95,14 @@ impl Terminal {
         }
     }
 
-    /// One line on standard output. A reader that has gone away (`| head -1`) is no error: the rest is dropped.
+    /// One line on standard output. A reader that has gone away (`| head -1`) is no error: the rest is dropped. Any other
+    /// failure is that of the command ([`Terminal::output`]).
     pub fn line(&self, text: impl Display) {
         let mut state = self.state();
-        let write = || writeln!(std::io::stdout().lock(), "{text}");
+        let write = || {
+            let mut output = std::io::stdout().lock();
+            writeln!(output, "{text}").and_then(|()| output.flush())
+        };
         if state.output_closed {
             return;
         }
@@ -103,7 +110,18 @@ impl Terminal {
             Some(bar) => bar.suspend(write),
             None => write(),
         };
-        state.output_closed = outcome.is_err();
+        if let Err(failure) = outcome {
+            state.output_closed = true;
+            state.output_failure = (failure.kind() != std::io::ErrorKind::BrokenPipe).then_some(failure);
+        }
+    }
+
+    /// Whether all lines could be written, once the command is done.
+    pub fn output(&self) -> Result<()> {
+        match self.state().output_failure.take() {
+            Some(failure) => Err(Error::input(format!("standard output: writing failed: {failure}"))),
+            None => Ok(()),
+        }
     }
 
     /// A value as JSON on standard output.

@@ -79,6 +79,19 @@ impl RunParts {
     }
 }
 
+/// Refuses a `folder` that holds something and no report: a film's or a prediction's files have names that a report's have,
+/// too, and would be lost.
+pub fn refuse_other_folder(folder: &Path) -> Result<()> {
+    let is_report = ["run.json", "results.csv", PAGE].iter().any(|name| folder.join(name).is_file());
+    if !folder.is_dir()
+        || is_report
+        || files::all_directly_in(folder)?.is_empty() && files::folders_in(folder)?.is_empty()
+    {
+        return Ok(());
+    }
+    Err(Error::input("holds other files than a report's: name a new folder, nothing is overwritten").at(folder))
+}
+
 /// Writes every file of the report into `folder`, tables first, so that an image that cannot be drawn loses no number.
 ///
 /// Errors: an unwritable folder, a sequence or prediction that cannot be read again for the images.

@@ -162,6 +162,10 @@ fn beyond_warning(folder: &Path, frames: usize) -> Option<String> {
     Some(format!("{name}: is not read; the frames are 000000 to {:06}", frames.saturating_sub(1)))
 }
 
+/// Keys of the two JSON files of a prediction.
+const KEYS: [(&str, &[&str]); 2] =
+    [("timing.json", &["time_total_s", "time_cpu_s"]), ("prediction.json", &["method", "case", "depth_unit_mm"])];
+
 /// Results that nobody reads, because they have another name.
 fn unread_warnings(prediction: &Prediction, folder: &Path, frames: usize) -> Result<Vec<String>> {
     let read: Vec<PathBuf> = prediction.file_paths(frames).collect();
@@ -182,7 +186,17 @@ fn unread_warnings(prediction: &Prediction, folder: &Path, frames: usize) -> Res
         };
         format!("{name}: is not read; {wanted}")
     };
-    Ok(unread.iter().map(sentence).collect())
+    let mut warnings: Vec<String> = unread.iter().map(sentence).collect();
+    for (name, known) in KEYS {
+        let path = folder.join(name);
+        if !path.is_file() {
+            continue;
+        }
+        let keys: serde_json::Map<String, serde_json::Value> = files::read_json(&path)?;
+        let unknown = keys.keys().filter(|key| !known.contains(&key.as_str()));
+        warnings.extend(unknown.map(|key| format!("{name}: `{key}` is not read; keys are {}", known.join(", "))));
+    }
+    Ok(warnings)
 }
 
 /// Checks a sequence folder file by file: images, depths, both surfaces, one topology. Gives the number of frames.

@@ -58,7 +58,10 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
     progress.accepts(&settings.estimate(case))?;
     prepare_folder(out, &hash)?;
     progress.advance(0, settings.frames);
-    let anatomy = airway::build(case)?;
+    // What is wrong with the case stands in its file, which has its id where nothing else was meant.
+    let file = case.folder.join(format!("{}.toml", case.id));
+    let of_case = |e: Error| if e.path().is_none() && file.is_file() { e.at(&file) } else { e };
+    let anatomy = airway::build(case).map_err(of_case)?;
     let film = Film::plan_watched(case, &anatomy, settings, &material, progress)?;
     film.notes.iter().for_each(|note| progress.note(&format!("{}: {note}", case.id)));
     shared_frames::copy_frames(case, settings, out, progress)?;

@@ -31,6 +31,7 @@ use crate::airway::remesh::remesh;
 use crate::base::{Error, ErrorKind, Progress, Result, TriangleMesh, Volume, files, hash, revision};
 use crate::ct::lumen::{DistanceSpread, LumenSurface};
 use crate::ct::motion_field::carried;
+use crate::ct::registration::demand_elastix;
 use crate::ct::scan::read_checked;
 use crate::ct::scan_pair::{Facts, ScanRequest, airway_of, import_pair, surface_of};
 use crate::ct::simulated::airway_wall::signed_lumen;
@@ -97,6 +98,8 @@ pub fn measure(case: &Case, settings: &LoopSettings, progress: &dyn Progress) ->
     if let Some(found) = kept(&result, &key)? {
         return Ok(found);
     }
+    // Before the scans, which take a minute.
+    demand_elastix()?;
     let leave = |folder: &Path| std::fs::remove_dir_all(folder).map_err(|e| Error::io("removing", folder, e));
     // The key stands in the name, so that a run that was stopped goes on with its own scans and no others.
     let scans = folder.join(format!("{SCANS_FOLDER}{}", &key[..12]));
