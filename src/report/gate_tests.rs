@@ -124,6 +124,15 @@ fn what_is_missing_fails_and_what_is_new_is_noted() {
     assert!(!verdict(&without(&|_| false)).is_empty());
     // Without a baseline too.
     assert!(!failures(&judge(&without(&|k| k.metric != "psnr_db"), &limits, None)).is_empty());
+    // Without a baseline a method must have run in every case that must be there, and each limit wants its rows.
+    let alone = |results: &Results| failures(&judge(results, &limits, None));
+    assert_eq!(alone(&good), Vec::<String>::new());
+    let in_one = alone(&without(&|k| k.method != "ours" || k.case != "case2"));
+    assert!(in_one.iter().any(|f| f == "case2/ours/: the method did not run"), "{in_one:?}");
+    assert!(in_one.iter().any(|f| f == "case2/ours/psnr_db: no row"), "{in_one:?}");
+    assert!(in_one.iter().any(|f| f.starts_with("mean/ours/depth_rmse_mm: not every case")), "{in_one:?}");
+    let row = alone(&without(&|k| k.method != "ours" || k.case != "case2" || k.metric != "psnr_db"));
+    assert_eq!(row, ["case2/ours/psnr_db: no row"]);
     let fewer = without(&|k| k.case != "case2");
     let checks = judge(&good, &limits, Some(&fewer));
     assert!(failures(&checks).is_empty());
@@ -217,6 +226,25 @@ fn two_runs_are_compared_in_pairs() {
     assert!((depth.difference - 0.5).abs() < 1e-12 && depth.change == Change::Worse && depth.cases == 2);
     let psnr = found.iter().find(|c| c.method == "ours" && c.metric == "psnr_db").unwrap();
     assert_eq!(psnr.change, Change::Same);
+    // A value that has gone is not the same; a surface that cannot be measured counts with its case's worst row.
+    let mut lost = a.clone();
+    let mut worse = a.clone();
+    for (results, metric, status) in
+        [(&mut lost, "depth_rmse_mm", "degenerate"), (&mut worse, "target_error_mm", "no_contour")]
+    {
+        let of_case = |k: &super::read::Key| k.method == "ours" && k.metric == metric && k.case == "case2";
+        for (_, entry) in results.entries.iter_mut().filter(|(k, _)| of_case(k)) {
+            (entry.value, entry.status) = (None, status.into());
+        }
+    }
+    let change = |b: &Results, metric: &str| {
+        let found = compare(&a, b);
+        let one = found.iter().find(|c| c.method == "ours" && c.metric == metric).unwrap();
+        (one.change, one.cases, one.difference)
+    };
+    assert_eq!(change(&lost, "depth_rmse_mm").0, Change::Lost);
+    let (change, cases, difference) = change(&worse, "target_error_mm");
+    assert!(change != Change::Same && cases == 2 && difference > 0.0, "{change:?} {cases} {difference}");
 }
 
 /// What is wrong with the predictions of a build.

@@ -71,6 +71,55 @@ fn neighbours_are_compared_in_pairs() {
     assert!(read("run.json").contains("\"track\": \"ideal\"") && read("run.json").contains("tree of case1"));
 }
 
+/// Two seeds in one case and one in the other are not every seed in every case.
+#[test]
+fn a_row_that_lacks_a_seed_has_no_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 24, 5);
+    let rank = |run: &Run| {
+        summary::summarise(run).iter().find(|s| s.method.id == "ours").unwrap().metric("psnr_db").unwrap().rank
+    };
+    assert!(rank(&run).is_some());
+    let mut second = run.cells.iter().find(|c| c.case_id == "case1" && c.method == "ours").unwrap().clone();
+    second.seed += 1;
+    run.cells.push(second);
+    assert_eq!(rank(&run), None);
+}
+
+/// Pictures that equal the truth have no place by any metric of pictures; a mean over fewer cases says so.
+#[test]
+fn what_equals_the_truth_has_no_place_by_any_of_its_metrics() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 24, 5);
+    for case in ["case1", "case2"] {
+        let mut mine = run.cells.iter().find(|c| c.case_id == case && c.method == "ours").unwrap().clone();
+        (mine.method, mine.seed, mine.run_id) = ("mine".into(), 0, run::evaluated_id(case, "mine"));
+        let Outcome::Scored(score) = &mut mine.outcome else { panic!("not scored") };
+        for metric in &mut score.metrics {
+            match metric.metric.as_str() {
+                "novel_psnr_db" => (metric.value, metric.status) = (None, Status::Identical),
+                "novel_ssim" | "novel_depth_delta_1_25" => (metric.value, metric.status) = (Some(1.0), Status::Ok),
+                "novel_depth_rmse_mm" => (metric.value, metric.status) = (Some(0.0), Status::Ok),
+                "target_mean_mm" if case == "case2" => metric.value = None,
+                _ => {}
+            }
+        }
+        run.cells.push(mine);
+    }
+    run.methods.push(MethodInfo::of("mine"));
+    let summaries = summary::summarise(&run);
+    let mine = summaries.iter().find(|s| s.method.id == "mine").unwrap();
+    for metric in ["novel_psnr_db", "novel_ssim", "novel_depth_rmse_mm", "novel_depth_delta_1_25"] {
+        let found = mine.metric(metric).unwrap();
+        assert!(found.rank.is_none() && found.is_perfect, "{metric}: {found:?}");
+    }
+    assert!(mine.metric("ssim").unwrap().rank.is_some(), "other pictures are not the truth's");
+    let table = table::ComparisonTable::new(table::TableKind::Ranking, &summaries);
+    let row = table.rows.iter().find(|row| row.method.id == "mine").unwrap();
+    let fewer = row.cells.iter().filter(|cell| cell.value.ends_with("(1 of 2)")).count();
+    assert_eq!(fewer, usize::from(mine.metric("target_mean_mm").unwrap().mean.is_some()), "{:?}", row.cells);
+}
+
 /// A cell that failed costs the place, even by a metric that no other row has there.
 #[test]
 fn a_row_with_a_failed_cell_has_no_place() {

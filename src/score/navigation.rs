@@ -162,6 +162,9 @@ mod tests {
         assert_eq!(ends(&|_| true), [(4, true), (21, true), (35, true)]);
         // Found during the disturbance alone; the film ends .4 s after the last one.
         assert_eq!(ends(&|frame| disturbed[frame]), [(4, false), (21, false)]);
+        // A film that ends exactly a second later tells.
+        let of_film = |frames: usize| recoveries(&times[..frames], &disturbed[..frames], &vec![false; frames])[4];
+        assert_eq!((of_film(15), of_film(14)), (Some(false), None));
         // Exactly a second after the first, a frame later than that after the second.
         assert_eq!(ends(&|frame| [14, 32].contains(&frame)), [(4, true), (21, false)]);
     }

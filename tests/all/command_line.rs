@@ -75,6 +75,17 @@ fn a_log_on_a_full_disk_changes_no_exit_code() {
     assert_eq!(status.code(), Some(4));
 }
 
+/// A log may be lost; what was asked for may not.
+#[test]
+fn output_on_a_full_disk_is_an_error() {
+    for arguments in [&["list", "--json"][..], &["explain", "psnr_db"]] {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let done = program().args(arguments).stdout(full).output().unwrap();
+        let said = String::from_utf8_lossy(&done.stderr);
+        assert!(done.status.code() == Some(4) && said.contains("standard output: writing failed"), "{said}");
+    }
+}
+
 #[test]
 fn list_has_the_keys_that_scripts_rely_on() {
     let (code, out, err) = run(&["list", "--json"]);

@@ -245,7 +245,13 @@ fn without_real_files_a_mesh_and_invented_motion_become_a_case() {
     let mut command = command();
     command.args(["import", "mesh", "--id", "mine", "--end-motion-mm", "8"]).arg(&surface).arg("--landmarks");
     command.arg(&landmarks).arg("--other-patient").arg("--out").arg(folder.path()).assert().success();
-    let case = Case::load(&folder.path().join("mine.toml")).unwrap();
+    // What was edited since is not overwritten.
+    let file = folder.path().join("mine.toml");
+    let edited = fs::read_to_string(&file).unwrap().replace("fov_x_deg = 100.0", "fov_x_deg = 77.0");
+    fs::write(&file, &edited).unwrap();
+    fails(&mut command, &["mine.toml: is there already", "another --id"]);
+    assert_eq!(fs::read_to_string(&file).unwrap(), edited);
+    let case = Case::load(&file).unwrap();
     let source = &case.breathing.as_ref().unwrap().field.source;
     assert!(source.starts_with("invented.csv: real motion, but not of this airway's patient"), "{source}");
     let built = airway::build(&case).unwrap();

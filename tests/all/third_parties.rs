@@ -268,6 +268,20 @@ fn links_to_the_truth_foreign_cases_and_no_time_are_refused() {
     fs::rename(place.path("color"), place.path("mine/color")).unwrap();
     accepted(check(&place));
 
+    // A report has names that films and predictions have, and must not land among them.
+    let manifest = fs::read(film.join("manifest.json")).unwrap();
+    let in_film = ["evaluate", "--sequence", film.to_str().unwrap(), "--predictions", &place.text("mine"), "--out"];
+    refused(run(&[&in_film[..], &[film.to_str().unwrap()]].concat()), 4, &["holds other files than a report's"]);
+    refused(run(&[&in_film[..], &[&place.text("mine")]].concat()), 4, &["mine: holds other files than a report's"]);
+    accepted(run(&[&in_film[..], &[&place.text("scores")]].concat()));
+    accepted(run(&[&in_film[..], &[&place.text("scores")]].concat()));
+    let into_film = ["merge", &place.text("scores"), "--out", film.to_str().unwrap()];
+    refused(run(&into_film), 4, &["holds other files than a report's"]);
+    assert_eq!(fs::read(film.join("manifest.json")).unwrap(), manifest);
+
+    fs::write(place.path("mine/timing.json"), "{\"time_total\": 3}").unwrap();
+    let said = accepted(check(&place));
+    assert!(said.contains("timing.json: `time_total` is not read; keys are time_total_s, time_cpu_s"), "{said}");
     let about = place.path("mine/prediction.json");
     edit(&about, |text| text.replace("case1", "case2"));
     refused(check(&place), 4, &["prediction.json: case: is `case2`, but the film is of `case1`"]);
