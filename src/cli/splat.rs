@@ -19,7 +19,7 @@ use crate::splat::{
 /// Arguments of `splat`.
 #[derive(Args)]
 #[command(
-    after_help = "Writes per frame NNNNNN.exr (R, G, B), NNNNNN.png, NNNNNN_depth.exr (Z: z-depth, 0 = nothing),\n\
+    after_help = "Writes per frame NNNNNN.exr (R, G, B), NNNNNN.png, NNNNNN_depth.exr (Y: z-depth, 0 = nothing),\n\
     NNNNNN_alpha.exr (A) and timing.json into DIR; on request NNNNNN_normals.exr (R, G, B: x, y, z in OpenCV camera\n\
     axes), NNNNNN_contributors.exr (N), NNNNNN_channels.exr (C000, C001, ..).\n\
     With --gradients also gradients.npz: d(sum of w * image)/d(means, scales, quats, opacities, sh), summed over the\n\

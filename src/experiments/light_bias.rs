@@ -18,6 +18,7 @@ use crate::experiments::difference::relative_mse;
 use crate::experiments::timing;
 use crate::formats::exr;
 use crate::render::{RenderSettings, Shading, Transport};
+use crate::report::table::counted;
 use crate::simulate::trajectory::Route;
 
 /// Independent images of a reference.
@@ -412,9 +413,9 @@ pub fn summary(rows: &[BiasRow], sweep: &BiasSweep) -> String {
     let largest = |values: &[f64]| 100.0 * values.iter().copied().fold(0.0, f64::max);
     let error = rows.iter().flat_map(|row| row.standard_error).sum::<f64>() / (3 * rows.len().max(1)) as f64;
     format!(
-        "Mean over {} places: {} of {} cases, looks and phases within .5 % in every channel, largest {:.2} %. Single \
+        "Mean over {}: {} of {} cases, looks and phases within .5 % in every channel, largest {:.2} %. Single \
          frames of {} px: {} of {} within .5 %, {} within 1 %, largest {:.2} %, mean standard error {:.2} %.",
-        sweep.places.len(),
+        counted(sweep.places.len(), "place"),
         within(&of_groups, 0.005),
         groups.len(),
         largest(&of_groups),
@@ -462,6 +463,8 @@ mod tests {
         // Green: (-0.2 - 1.2) / 2, with the standard error of the mean of two, 0.2 / sqrt 2.
         assert!(text.contains("| case1 | bare | 0.25 | -0.70 ± 0.14 green | -1.20 ± 0.20 green | 0.0090 |"), "{text}");
         assert!(text.starts_with("Mean over 2 places: 0 of 1 cases, looks and phases within .5 %"), "{text}");
+        let one = summary(&rows[..1], &BiasSweep { places: vec![0.5], ..sweep() });
+        assert!(one.starts_with("Mean over 1 place: "), "{one}");
         assert!(text.contains("128 px: 1 of 2 within .5 %, 1 within 1 %, largest 1.20 %"), "{text}");
         assert!(records(&rows, &sweep()).iter().all(|record| record.len() == COLUMNS.len()));
     }

@@ -386,12 +386,21 @@ fn digits(value: f64) -> String {
         return "-".to_owned();
     }
     let decimals = (2 - value.abs().max(1e-3).log10().floor() as i32).clamp(0, 4) as usize;
-    format!("{value:.decimals$}")
+    let text = format!("{value:.decimals$}");
+    // What rounds to nothing has no sign.
+    if text.trim_start_matches('-').contains(|c| ('1'..='9').contains(&c)) { text } else { text.replace('-', "") }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_have_three_digits_and_nothing_has_no_sign() {
+        let shown = [-0.00001, 0.0, -0.0523, 12.345, -123.4, f64::NAN].map(digits);
+        assert_eq!(shown, ["0.0000", "0.0000", "-0.0523", "12.3", "-123", "-"]);
+    }
+
     use crate::base::random::{CounterRng, Stage};
 
     fn picture(side: usize, value: impl Fn(usize, usize) -> [u8; 3]) -> Image<u8> {
