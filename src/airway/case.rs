@@ -14,6 +14,7 @@ use super::field_calibre::Calibre;
 use super::grow::GrowthSettings;
 use super::surface::SurfaceSettings;
 use super::waveform::Waveform;
+use crate::base::camera::fisheye_rises_to;
 use crate::base::range::{
     FIELD_OF_VIEW_DEG, GENERATION, KeyRanges, LEAST_RADIUS_MM, NumberRange, SCOPE_RADIUS_MM, SEED,
 };
@@ -198,6 +199,19 @@ pub struct CameraSettings {
 }
 
 impl CameraSettings {
+    /// Refuses a fisheye that bends back before the edge of the field of view, where its law means nothing.
+    fn check_fisheye(&self) -> Result<()> {
+        match self.fisheye {
+            Some(k) if !fisheye_rises_to(self.fov_x_deg.to_radians() / 2.0, k) => {
+                let half = self.fov_x_deg / 2.0;
+                let sentence =
+                    format!("stops rising before half of fov_x_deg, {half} degrees, and shows nothing there");
+                Err(Error::input(sentence).element("camera.fisheye"))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Intrinsics for a square image.
     pub fn camera(&self, width_px: u32, height_px: u32) -> Camera {
         let fov = self.fov_x_deg.to_radians();
@@ -421,6 +435,7 @@ impl Case {
         CAMERA_RANGES.check("camera", &self.camera)?;
         TRAJECTORY_RANGES.check("trajectory", &self.trajectory)?;
         self.anatomy.validate()?;
+        self.camera.check_fisheye()?;
         self.camera.camera(64, 64).validate().map_err(|e| e.element("camera.fisheye"))?;
         case_scope::validate(&self.exposure, &self.scope)?;
         self.waveform.validate()?;
@@ -532,6 +547,11 @@ centers = []
     fn what_is_wrong_is_named_with_the_file() {
         for (from, to, said) in [
             ("fov_x_deg = 100.0", "fov_x_deg = 10.0", "camera.fov_x_deg"),
+            (
+                "fov_x_deg = 100.0",
+                "fov_x_deg = 100.0\nfisheye = [-0.9, 0.0, 0.0, 0.0]",
+                "camera.fisheye: stops rising before half of fov_x_deg, 50 degrees",
+            ),
             ("fov_x_deg", "fov", "unknown field `fov`"),
             ("id = \"test\"", "id = \"a/b\"", "id: must be letters"),
             ("centers = []", "centers = [[1.0, 2.0, 3.0, nan, 0.0, 0.0]]", "centers[0]"),

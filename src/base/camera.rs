@@ -153,6 +153,11 @@ fn distort(theta: f64, [k1, k2, k3, k4]: [f64; 4]) -> (f64, f64) {
     (value, slope)
 }
 
+/// Whether the distorted angle of a fisheye of coefficients `k` rises all the way up to `theta` (radians).
+pub fn fisheye_rises_to(theta: f64, k: [f64; 4]) -> bool {
+    (0..=LENS_STEPS).all(|step| distort(theta * f64::from(step) / f64::from(LENS_STEPS), k).1 > 0.0)
+}
+
 /// Camera at `origin` that looks along `forward`; `up` points to the top of the image as far as it can.
 pub fn world_from_camera_looking(origin: DVec3, forward: DVec3, up: DVec3) -> DAffine3 {
     let z = forward.normalize();
