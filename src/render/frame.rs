@@ -34,7 +34,8 @@ const ROTATION_SLACK: f64 = 1e-4;
 pub struct RenderedFrame {
     /// Linear RGB radiance, W / (sr mm^2), neither scaled nor clamped.
     pub radiance: Image<f32>,
-    /// z-depth in mm through the pixel centres, 0 where nothing is hit.
+    /// z-depth in mm through the pixel centres; 0 where nothing is hit, and 90 degrees or more off the axis, for what a
+    /// lens sees beside or behind itself.
     pub depth_mm: Image<f32>,
     /// What was done.
     pub statistics: Statistics,
@@ -86,7 +87,7 @@ pub fn estimate(scene: &Scene, camera: &Camera, settings: &RenderSettings) -> Es
 /// Path-traces `scene` through `camera` at `world_from_camera`.
 ///
 /// Errors: an impossible camera or pose, no samples, a light that is negative or not finite; work that `progress` does
-/// not accept; stopped by the user.
+/// not accept; light at vertices that does not settle between walls so bright; stopped by the user.
 pub fn render_watched(
     scene: &Scene,
     camera: &Camera,

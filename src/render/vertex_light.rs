@@ -24,7 +24,7 @@ use rayon::prelude::*;
 use super::scene::Scene;
 use super::settings::DRAFT_RAYS_PER_FACE;
 use super::tissue::WalkedVertex;
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::ffi::trace::tracer::{FaceLight, FacePlace, FrameSettings, Glint, KnownLight, NO_FACE, ScatterExit};
 
 /// Generations of faces that send rays.
@@ -37,8 +37,10 @@ const SPREAD_EDGES: usize = 12;
 const CHUNK: usize = 64;
 /// The solution has converged when a step changes the mean by no more than this fraction.
 const CONVERGED: f64 = 1e-4;
-/// Most Jacobi steps (white walls converge slowly).
-const MOST_STEPS: u32 = 256;
+/// And when the steps to come, as a geometric series, change it by no more than this one: bright walls converge slowly.
+const CONVERGED_TAIL: f64 = 1e-3;
+/// Most Jacobi steps: enough for closed walls of albedo .993. Brighter ones take minutes, white ones for ever.
+const MOST_STEPS: u32 = 1024;
 
 /// The solution.
 pub(super) struct VertexLight {
@@ -121,7 +123,7 @@ pub(super) fn vertex_light(
     let met = lamp_on(scene, frame, &faces.list[lamp.len()..], &mut rays)?;
     lamp.extend(met);
     add_glints(scene, frame, &mut generations, &lamp)?;
-    let irradiance = solve(frame, steps(scene, frame), &generations, &lamp);
+    let irradiance = solve(frame, steps(scene, frame), &generations, &lamp)?;
     let solved = generations.iter().map(Generation::len).sum();
     let scattered =
         if scatters { scattered_light(scene, frame, &ends, &walked, &faces, &lamp, &irradiance)? } else { Vec::new() };
@@ -249,10 +251,36 @@ fn steps(scene: &Scene, frame: &FrameSettings) -> Option<u32> {
     (frame.max_scatterings > 0).then(|| frame.max_scatterings.saturating_sub(own))
 }
 
+/// How a sum of light grows from step to step.
+#[derive(Default)]
+struct Convergence {
+    total: f64,
+    /// By how much the last step changed it.
+    change: f64,
+}
+
+impl Convergence {
+    /// Takes in the total after one more step; whether nothing worth a step is missing. With changes c that shrink by q
+    /// the rest of the series is c q / (1 - q).
+    fn reached(&mut self, total: f64) -> bool {
+        let change = (total - self.total).abs();
+        let last = std::mem::replace(&mut self.change, change);
+        self.total = total;
+        change <= CONVERGED * total && (change == 0.0 || change * change <= CONVERGED_TAIL * total * (last - change))
+    }
+}
+
 /// Irradiance by other walls, per face: Jacobi steps of `E = G (sent + R E)`.
-fn solve(frame: &FrameSettings, steps: Option<u32>, generations: &[Generation], lamp: &[FaceLight]) -> Vec<Rgb> {
+///
+/// Errors: without a limit on the steps, walls so bright that the solution does not converge.
+fn solve(
+    frame: &FrameSettings,
+    steps: Option<u32>,
+    generations: &[Generation],
+    lamp: &[FaceLight],
+) -> Result<Vec<Rgb>> {
     let mut irradiance = vec![[0.0; 3]; lamp.len()];
-    let mut before = 0.0;
+    let mut progress = Convergence::default();
     for _ in 0..steps.unwrap_or(MOST_STEPS) {
         let sent: Vec<Sent> = irradiance
             .iter()
@@ -264,12 +292,17 @@ fn solve(frame: &FrameSettings, steps: Option<u32>, generations: &[Generation], 
             .collect();
         irradiance = step(frame, generations, &sent);
         let total: f64 = irradiance.iter().flatten().map(|&v| f64::from(v)).sum();
-        if steps.is_none() && (total - before).abs() <= CONVERGED * total {
-            break;
+        if steps.is_none() && progress.reached(total) {
+            return Ok(irradiance);
         }
-        before = total;
     }
-    irradiance
+    if steps.is_some() {
+        return Ok(irradiance);
+    }
+    Err(Error::input(
+        "light between walls so bright does not settle at the vertices: limit max_scatterings, darken the walls or \
+         take transport \"paths\"",
+    ))
 }
 
 /// One product with `G`: every face takes the weighted mean of what its rays bring.
@@ -503,4 +536,31 @@ fn mean_around(scene: &Scene, vertex: u32, known: &[KnownLight]) -> VertexChanne
         }
     }
     std::array::from_fn(|c| if count[c] > 0 { sum[c] / count[c] as f32 } else { -1.0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn series_of_bright_walls_go_on_until_little_is_missing() {
+        for (albedo, most_steps) in [(0.5, 16), (0.8, 44), (0.99, 700)] {
+            let (mut sum, mut term, mut convergence) = (0.0, 1.0, Convergence::default());
+            let steps = (1..=MOST_STEPS).find(|_| {
+                sum += term;
+                term *= albedo;
+                convergence.reached(sum)
+            });
+            let missing = 1.0 - sum * (1.0 - albedo);
+            assert!(
+                steps.is_some_and(|steps| steps <= most_steps) && missing < 1.1e-3,
+                "{albedo}: {steps:?}, {missing}"
+            );
+        }
+        let (mut white, mut nearly) = (Convergence::default(), Convergence::default());
+        assert!((1..=MOST_STEPS).all(|step| !white.reached(f64::from(step))));
+        assert!((1..=MOST_STEPS as i32).all(|step| !nearly.reached(1.0 - 0.999f64.powi(step))));
+        // No light at all.
+        assert!(Convergence::default().reached(0.0));
+    }
 }
