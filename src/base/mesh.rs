@@ -89,6 +89,21 @@ impl TriangleMesh {
         self.vertices.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &v| (low.min(v), high.max(v)))
     }
 
+    /// Whether some face uses a vertex, by vertex. The faces name vertices that are there.
+    pub fn used_vertices(&self) -> Vec<bool> {
+        let mut used = vec![false; self.vertices.len()];
+        self.faces.iter().flatten().for_each(|&v| used[v as usize] = true);
+        used
+    }
+
+    /// Puts vertices that no face uses where the first face begins: a stray one far away must not set the scale of the
+    /// others. The faces name vertices that are there.
+    pub fn park_unused_vertices(&mut self) {
+        let Some(place) = self.faces.first().map(|face| self.vertices[face[0] as usize]) else { return };
+        let used = self.used_vertices();
+        self.vertices.iter_mut().zip(used).filter(|(_, used)| !used).for_each(|(vertex, _)| *vertex = place);
+    }
+
     /// Sorted unique undirected edges.
     pub fn edges(&self) -> Vec<[u32; 2]> {
         let mut edges: Vec<[u32; 2]> = self
@@ -224,5 +239,15 @@ mod tests {
         let b = [DVec3::new(0.3, -0.2, 1e-9)];
         assert_eq!(interpolate(&a, &b, 0.0), a);
         assert_eq!(interpolate(&a, &b, 1.0), b);
+    }
+
+    #[test]
+    fn stray_vertices_are_parked_and_others_stay() {
+        let mut mesh = tetrahedron();
+        mesh.vertices.insert(1, DVec3::splat(1e12));
+        mesh.faces.iter_mut().flatten().for_each(|v| *v += u32::from(*v > 0));
+        assert_eq!(mesh.used_vertices(), [true, false, true, true, true]);
+        mesh.park_unused_vertices();
+        assert_eq!(mesh.vertices, [DVec3::ZERO, DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z]);
     }
 }

@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::Terminal;
-use crate::base::{Result, files};
+use crate::base::{Error, Progress, Result, files};
 use crate::experiments::timing::measure;
 use crate::formats::exr;
 use crate::render::scene_file::SceneFile;
@@ -14,10 +14,10 @@ use crate::render::{ISA, render_watched};
 
 /// Arguments of `render`.
 #[derive(Args)]
-#[command(
-    after_help = "Writes image.exr (R, G, B: linear radiance, no clamp), depth.exr (Z: z-depth in mm, 0 = nothing)\n\
-    and timing.json into DIR.\nExample: respire-bench render scene.toml --out /tmp/view"
-)]
+#[command(after_help = "Writes image.exr (R, G, B: linear radiance, no clamp), depth.exr (Y: z-depth in mm, 0 where\n\
+    nothing is hit and beyond 90 degrees off the axis) and timing.json into DIR.\n\
+    Keys of a scene file: docs/scenes.md.\n\
+    Example: respire-bench render scene.toml --out /tmp/view")]
 pub struct RenderArguments {
     /// Scene file: mesh, camera, light, material, integrator
     #[arg(value_name = "SCENE.toml")]
@@ -29,6 +29,10 @@ pub struct RenderArguments {
 
 /// Refits that are timed; the fastest counts.
 const REFITS: usize = 5;
+
+/// Said of a picture without any wall.
+const NOTHING_HIT: &str = "note: no pixel shows the mesh; does camera.world_from_camera stand inside of it (mm, z \
+    forward, y down), and have its faces any area?";
 
 #[derive(Serialize)]
 struct RenderTiming {
@@ -47,16 +51,23 @@ struct RenderTiming {
 
 /// Runs the command.
 pub fn run(arguments: RenderArguments, terminal: &Terminal) -> Result<()> {
+    if arguments.out.exists() && !arguments.out.is_dir() {
+        return Err(Error::input("is no folder").element("--out").at(&arguments.out));
+    }
     let file = SceneFile::load(&arguments.scene)?;
     let (camera, pose) = (file.camera.intrinsics()?, file.camera.pose()?);
     let (scene, build) = measure(|| file.build());
     let mut scene = scene?;
+    file.check_view(&scene).map_err(|e| e.at(&arguments.scene))?;
     // The first refit also touches its memory for the first time.
     let refits: Vec<f64> = (0..REFITS).map(|_| scene.refit_seconds()).collect::<Result<_>>()?;
     let bvh_refit_s = refits.iter().copied().fold(f64::INFINITY, f64::min);
     terminal.stage(arguments.scene.display());
     let (frame, cost) = measure(|| render_watched(&scene, &camera, &pose, &file.light, &file.settings(), terminal));
     let frame = frame?;
+    if frame.depth_mm.data.iter().all(|&z| z == 0.0) {
+        terminal.note(NOTHING_HIT);
+    }
     let timing = RenderTiming {
         render_wall_s: cost.wall_s,
         render_cpu_s: cost.cpu_s,

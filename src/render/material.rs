@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::Result;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::range::{KeyRanges, NumberRange, SHARE};
+use crate::base::{Error, Result};
 use crate::ffi::trace::tracer::{MaterialSettings, SubsurfaceKind};
 
 /// Strengths of the look's parts.
@@ -94,7 +94,8 @@ pub struct Material {
     pub subsurface: Option<Subsurface>,
     /// Mean free path below the surface in mm per channel (`subsurface`).
     pub mean_free_path_mm: [f64; 3],
-    /// Single-scattering albedo per channel (`subsurface`); where left out, that whose half-space has `albedo`.
+    /// Single-scattering albedo per channel (`subsurface`); where left out, that whose half-space has `albedo`. A
+    /// file gives one of the two ([`Material::as_given`]).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub single_scattering_albedo: Option<[f64; 3]>,
     /// Surface of a `subsurface` wall.
@@ -146,6 +147,14 @@ impl Default for Material {
     }
 }
 
+/// Diffuse albedo of a half-space of single-scattering albedo `a`: van de Hulst's law, whose inversion is
+/// `single_scattering_albedo` of `cpp/trace/scatter_walk.h`.
+///   rho = (1 - s) (1 - 0.139 s) / (1 + 1.17 s),   s = sqrt(1 - a)
+fn half_space_albedo(a: f64) -> f64 {
+    let s = (1.0 - a).sqrt();
+    (1.0 - s) * (1.0 - 0.139 * s) / (1.0 + 1.17 * s)
+}
+
 impl Material {
     /// A Lambert wall.
     pub fn lambert(albedo: [f64; 3]) -> Self {
@@ -160,6 +169,22 @@ impl Material {
     /// An uncoated wall with light scattering in it.
     pub fn subsurface(albedo: [f64; 3], mean_free_path_mm: [f64; 3], boundary: Boundary, walk: WalkedVertices) -> Self {
         Material { kind: MaterialKind::Subsurface, albedo, mean_free_path_mm, boundary, walk, ..Material::default() }
+    }
+
+    /// The material as a file means it that gives these `keys`: a `subsurface` wall of a given single-scattering albedo
+    /// has the diffuse albedo of its half-space wherever it is taken as a Lambert surface.
+    ///
+    /// Errors: a `subsurface` wall with both albedos.
+    pub fn as_given(self, keys: &toml::Table) -> Result<Self> {
+        let given = self.single_scattering_albedo.filter(|_| self.kind == MaterialKind::Subsurface);
+        let Some(scattering) = given else { return Ok(self) };
+        if keys.contains_key("albedo") {
+            let sentence = "stands beside material.albedo, which follows from it; give one of the two";
+            return Err(Error::input(sentence).element("material.single_scattering_albedo"));
+        }
+        // Others are refused by `validate`, under their own name.
+        let is_share = scattering.iter().all(|&a| SHARE.contains(a));
+        Ok(Material { albedo: if is_share { scattering.map(half_space_albedo) } else { self.albedo }, ..self })
     }
 
     /// Rejects values that no wall can have; the error names the key.
@@ -213,6 +238,7 @@ impl Material {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ffi::trace::tracer::medium_albedo;
 
     #[test]
     fn a_wrong_value_is_named() {
@@ -228,5 +254,25 @@ mod tests {
         assert_eq!(m, Material::lambert([0.5; 3]));
         assert!(toml::from_str::<Material>("kind = \"velvet\"").is_err());
         assert!(toml::from_str::<Material>("colour = 1").is_err());
+    }
+
+    #[test]
+    fn the_albedo_of_a_given_medium_is_that_of_its_half_space() {
+        for a in [0.0, 0.3, 0.8, 0.95, 0.999, 1.0] {
+            let back = f64::from(medium_albedo(half_space_albedo(a) as f32));
+            assert!((back - a).abs() < 2e-4, "{a}: {back}");
+        }
+        let read = |text: &str| -> Result<Material> {
+            let keys: toml::Table = toml::from_str(text).unwrap();
+            keys.clone().try_into::<Material>().unwrap().as_given(&keys)
+        };
+        let given = "kind = \"subsurface\"\nsingle_scattering_albedo = [0.95, 0.95, 0.95]";
+        assert!(read(given).unwrap().albedo.iter().all(|v| (v - 0.59626).abs() < 1e-5));
+        let both = format!("{given}\nalbedo = [0.0, 0.0, 0.0]");
+        assert!(read(&both).unwrap_err().to_string().starts_with("material.single_scattering_albedo: "));
+        // Other kinds ignore it.
+        assert_eq!(read(&both.replace("subsurface", "coated")).unwrap().albedo, [0.0; 3]);
+        let wrong = read(&given.replace("0.95]", "1.95]")).unwrap().validate().unwrap_err().to_string();
+        assert!(wrong.starts_with("material.single_scattering_albedo[2]: "), "{wrong}");
     }
 }

@@ -44,6 +44,41 @@ pub fn probe(scene: &Scene, camera: &Camera, world_from_camera: &DAffine3) -> Re
     Ok(rows.concat())
 }
 
+/// Rays of [`WallInView`], at most: an even share of the pixels says as much as all of them.
+const VIEW_RAYS: f64 = 65_536.0;
+
+/// How much of the wall a camera sees, by rays through even parts of its picture.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WallInView {
+    /// Rays that meet the wall.
+    pub hit: usize,
+    /// Those of them that meet it from behind: its normals, as the faces are wound, point away from the camera.
+    pub from_behind: usize,
+}
+
+impl WallInView {
+    /// Looks through `camera` at `world_from_camera`.
+    ///
+    /// Errors: an impossible camera.
+    pub fn new(scene: &Scene, camera: &Camera, world_from_camera: &DAffine3) -> Result<Self> {
+        camera.validate()?;
+        let pixels = f64::from(camera.width) * f64::from(camera.height);
+        let camera = camera.scaled((VIEW_RAYS / pixels).sqrt().min(1.0));
+        let camera = Camera { width: camera.width.max(1), height: camera.height.max(1), ..camera };
+        let points = probe(scene, &camera, world_from_camera)?;
+        let mut view = WallInView::default();
+        for (pixel, point) in points.iter().enumerate().filter_map(|(pixel, point)| Some((pixel, point.as_ref()?))) {
+            let (x, y) = (pixel % camera.width as usize, pixel / camera.width as usize);
+            let direction = camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+            let normal = scene.tissue.face_normal(scene.topology.faces[point.face as usize], scene.progress);
+            view.hit += 1;
+            view.from_behind +=
+                usize::from(world_from_camera.transform_vector3(direction).dot(normal.as_dvec3()) > 0.0);
+        }
+        Ok(view)
+    }
+}
+
 impl SurfacePoint {
     /// The point on a mesh of the probed one's faces, whatever its vertices.
     pub fn on(&self, vertices: &[DVec3], faces: &[[u32; 3]]) -> DVec3 {

@@ -17,6 +17,7 @@
 
 use std::sync::OnceLock;
 
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::topology::Topology;
@@ -165,6 +166,16 @@ impl Tissue {
             whole += f64::from(o - r).powi(2);
         }
         if whole > 0.0 { (along / whole).clamp(0.0, 1.0) } else { 0.0 }
+    }
+
+    /// Normal of a face as wound, not normalised, at `progress` on the way to the other end.
+    pub(super) fn face_normal(&self, corners: [u32; 3], progress: f64) -> Vec3 {
+        let place = |vertices: &[f32], v: u32| Vec3::from_slice(&vertices[3 * v as usize..]);
+        let [a, b, c] = corners.map(|v| {
+            let rest = place(&self.ends[0].vertices, v);
+            self.ends.get(1).map_or(rest, |other| rest.lerp(place(&other.vertices, v), progress as f32))
+        });
+        (b - a).cross(c - a)
     }
 
     /// The ends that represent a shape, and their weights.

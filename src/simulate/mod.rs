@@ -113,6 +113,7 @@ pub fn material(case: &Case) -> Result<Material> {
         .clone()
         .try_into()
         .map_err(|e| Error::input(e.to_string().trim_end().replace('\n', " ")).element("material"))?;
+    let material = material.as_given(&case.material)?;
     material.validate()?;
     Ok(material)
 }

@@ -186,8 +186,9 @@ fn scene_folder(camera: &str, integrator: &str) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     mesh::write_ply(&folder.path().join("tube.ply"), &small_tube(), &[]).unwrap();
     let text = format!(
-        "[mesh]\npath = \"tube.ply\"\nphase = 0.5\n[camera]\nworld_from_camera = [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]\n\
-         {camera}\n[light]\nintensity = [400.0, 400.0, 400.0]\nposition = [0.0, 1.0, 0.0]\nemission_exponent = 1.0\n\
+        "[mesh]\npath = \"tube.ply\"\nexpiration = \"tube.ply\"\nphase = 0.5\n\
+         [camera]\nworld_from_camera = [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]\n{camera}\n\
+         [light]\nintensity = [400.0, 400.0, 400.0]\nposition = [0.0, 1.0, 0.0]\nemission_exponent = 1.0\n\
          [material]\nkind = \"lambert\"\n[integrator]\n{integrator}\n"
     );
     std::fs::write(folder.path().join("scene.toml"), text).unwrap();

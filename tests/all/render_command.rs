@@ -4,7 +4,7 @@ use respire_bench::formats::{exr, mesh};
 use respire_bench::render::scene_file::{MeshSection, SceneFile};
 use respire_bench::render::{Scene, render};
 
-use crate::render::small_tube;
+use crate::render::{scaled, small_tube, sphere};
 
 /// A scene file around a small tube, in a new folder.
 fn scene_folder(material: &str, expiration: bool) -> tempfile::TempDir {
@@ -113,4 +113,63 @@ fn command_says_what_is_wrong() {
     std::fs::remove_file(folder.path().join("tube.ply")).unwrap();
     let text = String::from_utf8(command(&folder).code(4).get_output().stderr.clone()).unwrap();
     assert!(text.contains("tube.ply"), "{text}");
+}
+
+/// Replaces `from` in the folder's scene file.
+fn change(folder: &tempfile::TempDir, from: &str, to: &str) {
+    let path = folder.path().join("scene.toml");
+    let text = std::fs::read_to_string(&path).unwrap();
+    assert!(text.contains(from), "{from}");
+    std::fs::write(&path, text.replace(from, to)).unwrap();
+}
+
+fn complaint(outcome: assert_cmd::assert::Assert) -> String {
+    String::from_utf8(outcome.get_output().stderr.clone()).unwrap()
+}
+
+#[test]
+fn light_at_vertices_refuses_walls_wound_the_other_way() {
+    let folder = scene_folder("kind = \"lambert\"", false);
+    change(&folder, "spp = 4", "spp = 4\ntransport = \"vertices\"");
+    command(&folder).success();
+    change(&folder, "path = \"tube.ply\"", "path = \"tube.ply\"\nflip = true");
+    let text = complaint(command(&folder).code(4));
+    assert!(text.contains("scene.toml: mesh.flip: ") && text.contains("flip = false"), "{text}");
+    change(&folder, "\"vertices\"", "\"paths\"");
+    command(&folder).success();
+}
+
+#[test]
+fn light_at_vertices_settles_between_bright_walls_or_says_so() {
+    let mean_of = |albedo: &str, transport: &str, subdivisions: u32| {
+        let folder = scene_folder(&format!("kind = \"lambert\"\nalbedo = [{albedo}, {albedo}, {albedo}]"), false);
+        mesh::write_ply(&folder.path().join("tube.ply"), &scaled(sphere(subdivisions), 10.0), &[]).unwrap();
+        change(&folder, "max_scatterings = 2", &format!("transport = \"{transport}\""));
+        let outcome = command(&folder);
+        let image = exr::read(&folder.path().join("view/image.exr"));
+        image
+            .map(|image| image.data.iter().map(|&v| f64::from(v)).sum::<f64>() / image.data.len() as f64)
+            .map_err(|_| complaint(outcome.code(4)))
+    };
+    // Lambert's sphere lit from its middle: I albedo / (1 - albedo) / (pi r^2).
+    for transport in ["vertices", "gather"] {
+        let expected = 400.0 / (100.0 * std::f64::consts::PI) * 0.99 / 0.01;
+        let found = mean_of("0.99", transport, 4).unwrap();
+        assert!((found / expected - 1.0).abs() < 0.02, "{transport}: {found} for {expected}");
+    }
+    let text = mean_of("1.0", "vertices", 1).unwrap_err();
+    assert!(text.contains("max_scatterings"), "{text}");
+}
+
+#[test]
+fn a_picture_of_nothing_is_noted_and_a_file_for_a_folder_refused() {
+    let folder = scene_folder("kind = \"lambert\"", false);
+    assert_eq!(complaint(command(&folder).success()), "");
+    change(&folder, "0,0,1,0, 0,0,0,1]", "0,0,1,500, 0,0,0,1]");
+    let text = complaint(command(&folder).success());
+    assert!(text.starts_with("note: no pixel shows the mesh"), "{text}");
+    std::fs::remove_dir_all(folder.path().join("view")).unwrap();
+    std::fs::write(folder.path().join("view"), "a file").unwrap();
+    let text = complaint(command(&folder).code(4));
+    assert!(text.contains("view: --out: is no folder"), "{text}");
 }
