@@ -10,6 +10,7 @@ use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+#[cfg(feature = "methods")]
 use crate::airway::case::AnatomySource;
 use crate::airway::case_centerline;
 use crate::airway::centerline::Centerline;
@@ -331,6 +332,7 @@ impl Sequence {
     }
 
     /// Whose airway was filmed, as its case file says; empty where the film does not tell.
+    #[cfg(feature = "methods")]
     pub fn tree(&self) -> String {
         #[derive(Deserialize)]
         struct Filmed {
