@@ -33,9 +33,18 @@ inline void rotate_back(const View& w, const N* v, N* out) {
 
 // Divides quaternions by their length; returns 1 / length.
 inline V normalize(V* q) {
-  const V inverse = 1.0f / square_root(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  V squares = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+  V scale = broadcast(1.0f);
+  // Squares beyond single precision: of multiples by a power of two, which is exact.
+  const VI small = (VI)(squares < broadcast(1e-30f)), large = (VI)(squares > broadcast(1e30f));
+  if (any_of(small | large)) {
+    scale = select(small, broadcast(0x1p100f), select(large, broadcast(0x1p-70f), scale));
+    for (int k = 0; k < 4; ++k) q[k] *= scale;
+    squares = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+  }
+  const V inverse = 1.0f / square_root(squares);
   for (int k = 0; k < 4; ++k) q[k] *= inverse;
-  return inverse;
+  return inverse * scale;
 }
 
 // Columns of the rotation matrix of unit quaternions (w, x, y, z).

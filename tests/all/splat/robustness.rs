@@ -6,7 +6,7 @@ use respire_bench::splat::{
 };
 
 use super::forward::available;
-use super::scenes::{Kind, Lens, Weights, random, rng, view, world_from_camera};
+use super::scenes::{Kind, Lens, Weights, flat, random, relative, rng, view, world_from_camera};
 
 const POISON: [f32; 14] = [
     f32::NAN,
@@ -52,6 +52,38 @@ fn all_finite(g: &Gradients<f32>) -> bool {
     let rest = g.rotations.iter().flatten().chain(&g.opacities).chain(&g.sh).chain(&g.channels);
     let camera = g.pose.iter().chain(&g.gain).chain(&g.lens);
     vectors.chain(rest).all(|v| v.is_finite()) && camera.into_iter().all(|v| v.is_finite())
+}
+
+/// Their squares are beyond single precision; a power of two changes no digit of the images.
+#[test]
+fn quaternions_of_any_length_show_the_same() {
+    let scene = random(60, Kind::Ellipsoids, 1, 7).cast::<f32>();
+    let weights = Weights::<f32>::new(43 * 29, 1);
+    for isa in available() {
+        for (footprint, lens) in [(Footprint::Ewa, Lens::Pinhole), (Footprint::Disc, Lens::Fisheye)] {
+            let settings = Settings { footprint, ..Settings::default() };
+            let mut rasterizer = Rasterizer::<f32>::with_isa(isa).unwrap();
+            let mut seen = |length: f32| {
+                let mut scene = scene.clone();
+                let Shape::Ellipsoids { rotations, .. } = &mut scene.shape else { unreachable!("asked for them") };
+                // Others keep theirs, beside these in the same vectors.
+                rotations.iter_mut().step_by(2).for_each(|q| *q = q.map(|v| v * length));
+                let color = rasterizer.render(&scene, &view(lens), &settings, None).unwrap().color.clone();
+                let gradients = rasterizer.backward(&scene, &weights.gradient(), Wanted::SHAPES).unwrap();
+                let by: Vec<[f32; 4]> =
+                    gradients.rotations.iter().step_by(2).map(|by| by.map(|v| v * length)).collect();
+                (color, by, gradients.scales.clone())
+            };
+            let usual = seen(1.0);
+            for exponent in [-110, -80, -73, 66, 83, 110] {
+                let (color, by, scales) = seen(2f32.powi(exponent));
+                assert!(color == usual.0 && scales == usual.2, "{isa}, {footprint:?}: 2^{exponent}");
+                // Small gradients of large quaternions are denormal.
+                let error = relative(&flat(&by), &flat(&usual.1));
+                assert!(error < 1e-6, "{isa}, {footprint:?}: 2^{exponent}: {error}");
+            }
+        }
+    }
 }
 
 #[test]
