@@ -1,7 +1,9 @@
 //! The `.ply` of 3D Gaussian splatting, as Inria's code writes it and viewers read it: one element `vertex` of floats
 //! `x y z nx ny nz f_dc_0..2 f_rest_0.. opacity scale_0..2 rot_0..3`. `opacity` is a logit, `scale_*` are natural
 //! logarithms of standard deviations, `rot_*` is w x y z, `f_rest` is channel-major (all red, then green, then blue).
-//! Read in any order and any number type; other properties are skipped.
+//! Without `scale_2`, as 2DGS writes it, a Gaussian is a flat disc: its third standard deviation is 0.
+//! Read in any order and any number type; other properties and elements are skipped. A text has a line, or several, for
+//! each Gaussian.
 
 use std::path::Path;
 
@@ -38,9 +40,11 @@ pub struct GaussianCloud {
 struct PropertyColumns {
     fields: [usize; 14],
     rest: Vec<usize>,
+    /// Whether there is no `scale_2`: the Gaussians are discs of 2DGS.
+    flat: bool,
 }
 
-/// Properties that every file has, in the order of the columns.
+/// Properties that every file has, in the order of the columns; those of 2DGS have no `scale_2`.
 const FIELDS: [&str; 14] = [
     "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",
     "rot_3",
@@ -61,10 +65,14 @@ impl GaussianCloud {
     fn push(&mut self, number: usize, record: &[f64], places: &PropertyColumns, channel: usize) {
         let field = |k: usize| record[places.fields[k]];
         let quaternion = [10, 11, 12, 13].map(field);
+        let largest = quaternion.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
+        // Squares of other sizes are beyond double precision.
+        let quaternion = if (1e-150..1e150).contains(&largest) { quaternion } else { quaternion.map(|v| v / largest) };
         let length = quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
         let mut values: Vec<f32> = [0, 1, 2].map(|k| field(k) as f32).to_vec();
         values.extend(quaternion.map(|v| (v / length) as f32));
-        values.extend([7, 8, 9].map(|k| field(k).exp() as f32));
+        values.extend([7, 8].map(|k| field(k).exp() as f32));
+        values.push(if places.flat { 0.0 } else { field(9).exp() as f32 });
         values.push((1.0 / (1.0 + (-field(6)).exp())) as f32);
         values.extend([3, 4, 5].map(|k| field(k) as f32));
         let kept = (self.sh_degree as usize + 1).pow(2) - 1;
@@ -92,7 +100,7 @@ fn coefficients(degree: usize) -> usize {
 /// Reads a file. Gaussians with numbers that are not finite are left out and counted, SH beyond degree 3 are ignored.
 ///
 /// Errors name the file: no PLY, a property that is missing, a number of SH coefficients that no degree has, a count
-/// that the file cannot hold.
+/// that the file cannot hold, records that do not match the header.
 pub fn read(path: &Path) -> Result<GaussianCloud> {
     parse(&files::read_bytes(path)?).map_err(|e| e.at(path))
 }
@@ -100,7 +108,7 @@ pub fn read(path: &Path) -> Result<GaussianCloud> {
 /// [`read`] for bytes in memory.
 pub fn parse(bytes: &[u8]) -> Result<GaussianCloud> {
     let (elements, mut body) = parse_header(bytes)?;
-    let Some(vertex) = elements.first().filter(|e| e.name == "vertex") else {
+    let Some((vertex, others)) = elements.split_first().filter(|(first, _)| first.name == "vertex") else {
         return Err(Error::input("the first element is not vertex: these are not Gaussians"));
     };
     if let Some(list) = vertex.properties.iter().find(|p| p.list.is_some()) {
@@ -108,8 +116,9 @@ pub fn parse(bytes: &[u8]) -> Result<GaussianCloud> {
     }
     let place = |name: &str| vertex.properties.iter().position(|p| p.name == name);
     let missing = |name: &str| Error::input("is missing: these are not Gaussians").element(format!("property {name}"));
+    let flat = place("scale_2").is_none();
     let mut fields = [0; 14];
-    for (found, name) in fields.iter_mut().zip(FIELDS) {
+    for (found, name) in fields.iter_mut().zip(FIELDS).filter(|(_, name)| !flat || *name != "scale_2") {
         *found = place(name).ok_or_else(|| missing(name))?;
     }
     // One more than the highest degree has, so that more are seen; each is a search.
@@ -119,7 +128,7 @@ pub fn parse(bytes: &[u8]) -> Result<GaussianCloud> {
     })?;
     body.expect_room(vertex)?;
     let channel = rest.len() / 3;
-    let places = PropertyColumns { fields, rest };
+    let places = PropertyColumns { fields, rest, flat };
     let mut cloud = GaussianCloud {
         sh_degree: degree.min(MOST_DEGREE) as u8,
         count_in_file: vertex.count as usize,
@@ -128,13 +137,20 @@ pub fn parse(bytes: &[u8]) -> Result<GaussianCloud> {
     };
     let mut record = vec![0.0; vertex.properties.len()];
     for number in 0..vertex.count as usize {
+        let start = body.start_record();
         for (value, property) in record.iter_mut().zip(&vertex.properties) {
             *value = body.next(property.number).ok_or_else(|| {
-                Error::input("the file ends here, or a number cannot be read").element(format!("Gaussian {number}"))
+                let message = "the file ends here, or a number cannot be read";
+                body.first_mistake(Error::input(message).element(format!("Gaussian {number}")))
             })?;
+        }
+        if !body.end_record(start, || format!("Gaussian {number}")) {
+            let noticed = Error::input("another one follows in its line").element(format!("Gaussian {number}"));
+            return Err(body.first_mistake(noticed));
         }
         cloud.push(number, &record, &places, channel);
     }
+    body.finish(others)?;
     Ok(cloud)
 }
 
@@ -252,5 +268,67 @@ mod tests {
         let four =
             parse(format!("{}{rest}end_header\n{values}\n", head.replace("vertex 9", "vertex 1")).as_bytes()).unwrap();
         assert_eq!((four.degree_in_file, four.sh_degree, four.sh.len()), (4, 3, 48));
+    }
+
+    #[test]
+    fn records_that_do_not_match_the_header_are_refused() {
+        let names: String = FIELDS.iter().map(|n| format!("property float {n}\n")).collect();
+        let head = format!("ply\nformat ascii 1.0\nelement vertex 3\n{names}");
+        let line = |x: f64| format!("{x}{}", " 0.5".repeat(13));
+        let lines = [line(0.0), line(1.0), line(2.0)];
+        let read = |more: &str, lines: &[String]| {
+            parse(format!("{head}{more}end_header\n{}\n", lines.join("\n")).as_bytes()).map_err(|e| e.to_string())
+        };
+        let places = |cloud: GaussianCloud| cloud.positions.iter().map(|p| p[0]).collect::<Vec<f32>>();
+        assert_eq!(places(read("", &lines).unwrap()), [0.0, 1.0, 2.0]);
+        // A wrapped record, white space, and an element that nobody wants.
+        let wrapped = [lines[0].clone() + " \r", lines[1].replacen(' ', "\n", 1), lines[2].clone() + "\n\n2 7 8"];
+        let more = "element face 1\nproperty list uchar int vertex_indices\n";
+        assert_eq!(places(read(more, &wrapped).unwrap()), [0.0, 1.0, 2.0]);
+        for (changed, says) in [
+            (line(1.0) + " 7 7", "Gaussian 1: its line has 16 numbers, and the header's properties are 14"),
+            (line(1.0).replacen(" 0.5", "", 3), "Gaussian 1: its line has 11 numbers"),
+            (line(1.0).replacen(" 0.5", " x", 1), "Gaussian 1: the file ends here, or a number cannot be read"),
+            (line(1.0) + "\n" + &line(1.5), "40 bytes follow the last element"),
+        ] {
+            let said = read("", &[lines[0].clone(), changed, lines[2].clone()]).unwrap_err();
+            assert!(said.starts_with(says), "{said}");
+        }
+        assert!(read("", &[lines[0].clone(), lines[1].clone(), "2 1".into()]).unwrap_err().starts_with("Gaussian 2"));
+        // Binary, with a property that the header forgets.
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("g.ply");
+        write(&path, &cloud(3, 0)).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let cut = bytes.windows(18).position(|w| w == b"property float nx\n").unwrap();
+        let forgotten = [&bytes[..cut], &bytes[cut + 18..]].concat();
+        let said = parse(&forgotten).unwrap_err().to_string();
+        assert!(said.contains("follow the last element: the header names too few"), "{said}");
+    }
+
+    #[test]
+    fn discs_of_2dgs_are_flat() {
+        let names: String =
+            FIELDS.iter().filter(|n| **n != "scale_2").map(|n| format!("property float {n}\n")).collect();
+        let text = format!("ply\nformat ascii 1.0\nelement vertex 1\n{names}end_header\n1 2 3 0 0 0 0 0 -1 0 0 0 2\n");
+        let read = parse(text.as_bytes()).unwrap();
+        assert_eq!(read.scales, [[1.0, (-1f64).exp() as f32, 0.0]]);
+        assert_eq!((read.positions, read.rotations), (vec![[1.0, 2.0, 3.0]], vec![[0.0, 0.0, 0.0, 1.0]]));
+        let without = text.replace("property float scale_1\n", "");
+        assert!(parse(without.as_bytes()).unwrap_err().to_string().contains("property scale_1: is missing"));
+    }
+
+    #[test]
+    fn quaternions_of_any_length_are_unit_quaternions() {
+        let names: String = FIELDS.iter().map(|n| format!("property double {n}\n")).collect();
+        let head = format!("ply\nformat ascii 1.0\nelement vertex 1\n{names}end_header\n0 0 0 0 0 0 0 0 0 0");
+        let rotation = |scale: &str| {
+            let text = format!("{head} 1e{scale} -1e{scale} 1e{scale} 1e{scale}\n");
+            parse(text.as_bytes()).unwrap().rotations
+        };
+        for scale in ["0", "20", "200", "300", "-20", "-200", "-300"] {
+            assert_eq!(rotation(scale), [[0.5, -0.5, 0.5, 0.5]], "{scale}");
+        }
+        assert!(parse(format!("{head} 0 0 0 0").as_bytes()).unwrap().is_empty());
     }
 }

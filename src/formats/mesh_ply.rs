@@ -65,11 +65,82 @@ pub(super) struct Element {
 
 /// Reads numbers one after the other.
 pub(super) struct PlyBody<'a> {
-    pub bytes: &'a [u8],
+    bytes: &'a [u8],
     encoding: Encoding,
+    /// Says of the first record of a text that does not fill a line which it is: what is wrong later began there.
+    uneven: Option<Error>,
 }
 
-impl PlyBody<'_> {
+/// How many numbers stand in a text.
+fn numbers_in(text: &[u8]) -> usize {
+    text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).count()
+}
+
+fn is_line_end(byte: &u8) -> bool {
+    matches!(byte, b'\n' | b'\r')
+}
+
+impl<'a> PlyBody<'a> {
+    /// Where a record begins.
+    pub fn start_record(&mut self) -> &'a [u8] {
+        if self.encoding == Encoding::Ascii {
+            self.bytes = self.bytes.trim_ascii_start();
+        }
+        self.bytes
+    }
+
+    /// Notes a record of a text, read from `start` on, that does not fill a line; false when another one follows it in
+    /// its line. Some programs wrap records, so that this is wrong only where something else is.
+    pub fn end_record(&mut self, start: &'a [u8], name: impl FnOnce() -> String) -> bool {
+        if self.encoding != Encoding::Ascii {
+            return true;
+        }
+        let read = &start[..start.len() - self.bytes.len()];
+        let next = self.bytes.iter().find(|b| is_line_end(b) || !b.is_ascii_whitespace());
+        let ends_line = next.is_none_or(is_line_end);
+        if self.uneven.is_none() && (!ends_line || read.iter().any(is_line_end)) {
+            let line = start.split(is_line_end).next().unwrap_or_default();
+            let (found, wanted) = (numbers_in(line), numbers_in(read));
+            let message = format!("its line has {found} numbers, and the header's properties are {wanted}");
+            self.uneven = Some(Error::input(message).element(name()));
+        }
+        ends_line
+    }
+
+    /// The record where a mistake began that was noticed later, or the mistake.
+    pub fn first_mistake(&mut self, noticed: Error) -> Error {
+        self.uneven.take().unwrap_or(noticed)
+    }
+
+    /// Reads over the elements that nobody wants, and demands that nothing but white space is left then.
+    pub fn finish(&mut self, others: &[Element]) -> Result<()> {
+        for element in others {
+            self.expect_room(element)?;
+            for index in 0..element.count {
+                self.skip_record(element).ok_or_else(|| {
+                    Error::input("the file ends here, or a number cannot be read")
+                        .element(format!("{} {index}", element.name))
+                })?;
+            }
+        }
+        let left = self.bytes.iter().filter(|b| !b.is_ascii_whitespace()).count();
+        if left == 0 {
+            return Ok(());
+        }
+        let message = format!("{left} bytes follow the last element: the header names too few records or properties");
+        Err(self.first_mistake(Error::input(message)))
+    }
+
+    fn skip_record(&mut self, element: &Element) -> Option<()> {
+        for property in &element.properties {
+            let count = property.list.map_or(Some(1.0), |count| self.next(count))?;
+            for _ in 0..count.max(0.0) as u64 {
+                self.next(property.number)?;
+            }
+        }
+        Some(())
+    }
+
     pub fn next(&mut self, number: Number) -> Option<f64> {
         if self.encoding == Encoding::Ascii {
             let start = self.bytes.iter().position(|b| !b.is_ascii_whitespace())?;
@@ -167,7 +238,7 @@ pub(super) fn parse_header(bytes: &[u8]) -> Result<(Vec<Element>, PlyBody<'_>)> 
             }
             ["end_header"] => {
                 let encoding = encoding.ok_or_else(|| Error::input("the header names no format"))?;
-                return Ok((elements, PlyBody { bytes: rest, encoding }));
+                return Ok((elements, PlyBody { bytes: rest, encoding, uneven: None }));
             }
             _ => return Err(fail("cannot be understood")),
         }
@@ -191,8 +262,14 @@ fn is_face_list(property: &Property) -> bool {
 /// The mesh in the bytes of a PLY file; the caller validates it.
 pub(super) fn parse(bytes: &[u8]) -> Result<TriangleMesh> {
     let (elements, mut body) = parse_header(bytes)?;
+    let mesh = parse_body(&elements, &mut body).map_err(|e| body.first_mistake(e))?;
+    body.finish(&[])?;
+    Ok(mesh)
+}
+
+fn parse_body(elements: &[Element], body: &mut PlyBody<'_>) -> Result<TriangleMesh> {
     let mut mesh = TriangleMesh::default();
-    for element in &elements {
+    for element in elements {
         body.expect_room(element)?;
         let coordinates = if element.name == "vertex" { Some(coordinate_places(element)?) } else { None };
         if element.name == "face" && !element.properties.iter().any(is_face_list) {
@@ -201,6 +278,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<TriangleMesh> {
         for index in 0..element.count {
             let named = |message: String| Error::input(message).element(format!("{} {index}", element.name));
             let broken = || named("the file ends here, or a number cannot be read".into());
+            let start = body.start_record();
             let mut record = [0.0; 3];
             for (place, property) in element.properties.iter().enumerate() {
                 let Some(count_type) = property.list else {
@@ -233,14 +311,11 @@ pub(super) fn parse(bytes: &[u8]) -> Result<TriangleMesh> {
                     }
                 }
             }
+            body.end_record(start, || format!("{} {index}", element.name));
             if coordinates.is_some() {
                 mesh.vertices.push(DVec3::from_array(record));
             }
         }
-    }
-    let left = body.bytes.iter().filter(|b| !b.is_ascii_whitespace()).count();
-    if left > 0 {
-        return Err(Error::input(format!("{left} bytes follow the last element: a count in the header is too small")));
     }
     Ok(mesh)
 }
@@ -263,5 +338,37 @@ mod tests {
         let head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
         assert_eq!(parse(format!("{head}end_header\n1 2 3").as_bytes()).unwrap().vertices, [DVec3::new(1., 2., 3.)]);
         assert!(parse(format!("{head}end_header\n1 2").as_bytes()).is_err());
+    }
+
+    /// Records may wrap or share a line; but what is wrong in the end began where one does not fit its line.
+    #[test]
+    fn a_line_that_does_not_fit_the_header_is_named() {
+        let head = "ply\r\nformat ascii 1.0\ncomment by hand\nobj_info 1\nelement vertex 3\nproperty float x\n\
+                    property float y\nproperty float z\nelement face 1\nproperty list uchar int vertex_indices\n\
+                    element edge 1\nproperty int vertex1\nproperty list int int more\nend_header\n";
+        let read = |body: &str| parse(format!("{head}{body}").as_bytes()).map_err(|e| e.to_string());
+        let good = read("0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n5 2 6 7\n").unwrap();
+        for same in [
+            "0 0 0 \t\r\n1 0 0\r\n\r\n0 1 0\r\n3 0 1 2 \r\n5 2 6 7\r\n \n",
+            "0 0\n0\n1 0 0\n0 1 0\n3 0\n1 2\n5 2 6 7",
+            "0 0 0 1 0 0 0 1 0 3 0 1 2 5 2 6 7",
+        ] {
+            assert_eq!(read(same).unwrap(), good, "{same:?}");
+        }
+        for (body, says) in [
+            ("0 0 0\n1 0 0 9\n0 1 0\n3 0 1 2\n5 2 6 7\n", "vertex 1: its line has 4 numbers"),
+            (
+                "0 0 0\n1 0\n0 1 0\n3 0 1 2\n5 2 6 7\n",
+                "vertex 1: its line has 2 numbers, and the header's properties are 3",
+            ),
+            (
+                "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n5 2 6 7 8\n",
+                "edge 0: its line has 5 numbers, and the header's properties are 4",
+            ),
+            ("0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n5 2 6 7\n8\n", "1 bytes follow the last element"),
+        ] {
+            let said = read(body).unwrap_err();
+            assert!(said.starts_with(says), "{said}");
+        }
     }
 }
