@@ -1,6 +1,6 @@
 //! `transforms.json` in the layout of nerfstudio, with the extra per-frame keys of this project. What other programs
 //! write is read too: intrinsics of each frame in place of those of all, sizes as `160.0`, and a field of view
-//! (`camera_angle_x`, Blender's and D-NeRF's) in place of a focal length.
+//! (`camera_angle_x` and `camera_angle_y`, Blender's and D-NeRF's) in place of a focal length.
 //!
 //! Camera axes in the file are OpenGL's (x right, y up, z backwards) and `transform_matrix` is world-from-camera, row
 //! major; this module converts from and to OpenCV axes. World z points up (LPS: towards the head). Lengths are mm.
@@ -19,6 +19,9 @@ pub struct TransformsLens {
     /// `OPENCV` (pinhole; the default) or `OPENCV_FISHEYE`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera_model: Option<String>,
+    /// The same as instant-ngp says it; it must not contradict `camera_model`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub is_fisheye: Option<bool>,
     /// Image width in pixels.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "pixels")]
     pub w: Option<u32>,
@@ -28,8 +31,11 @@ pub struct TransformsLens {
     /// Horizontal field of view in radians, where there is no `fl_x`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera_angle_x: Option<f64>,
-    /// Focal lengths and principal point in pixels. Without `fl_y` pixels are square, without `cx` and `cy` the
-    /// principal point is the middle of the image.
+    /// Vertical field of view in radians, where there is no `fl_y`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera_angle_y: Option<f64>,
+    /// Focal lengths and principal point in pixels. Without the vertical one pixels are square, without `cx` and `cy`
+    /// the principal point is the middle of the image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fl_x: Option<f64>,
     /// See `fl_x`.
@@ -78,7 +84,9 @@ impl TransformsLens {
             camera_model: Some(if camera.fisheye.is_some() { "OPENCV_FISHEYE" } else { "OPENCV" }.into()),
             w: Some(camera.width),
             h: Some(camera.height),
+            is_fisheye: None,
             camera_angle_x: None,
+            camera_angle_y: None,
             fl_x: Some(camera.fl_x),
             fl_y: Some(camera.fl_y),
             cx: Some(camera.cx),
@@ -94,15 +102,20 @@ impl TransformsLens {
 
     /// These, and `other` where one is left out.
     fn or(&self, other: &Self) -> Self {
-        // A frame's field of view goes before the focal length of all frames.
-        let fl_x = self.fl_x.or(if self.camera_angle_x.is_some() { None } else { other.fl_x });
+        // A frame's field of view goes before the focal length of all frames, and makes square pixels if it is alone;
+        // a frame's model goes before what is said of all frames in other words.
+        let angle_x = self.camera_angle_x.is_some();
+        let angle_y = angle_x || self.camera_angle_y.is_some();
+        let models = if self.is_fisheye.is_some() { &None } else { &other.camera_model };
         TransformsLens {
-            camera_model: self.camera_model.clone().or_else(|| other.camera_model.clone()),
+            camera_model: self.camera_model.clone().or_else(|| models.clone()),
+            is_fisheye: self.is_fisheye.or(if self.camera_model.is_some() { None } else { other.is_fisheye }),
             w: self.w.or(other.w),
             h: self.h.or(other.h),
             camera_angle_x: self.camera_angle_x.or(other.camera_angle_x),
-            fl_x,
-            fl_y: self.fl_y.or(if self.camera_angle_x.is_some() { None } else { other.fl_y }),
+            camera_angle_y: self.camera_angle_y.or(if angle_x { None } else { other.camera_angle_y }),
+            fl_x: self.fl_x.or(if angle_x { None } else { other.fl_x }),
+            fl_y: self.fl_y.or(if angle_y { None } else { other.fl_y }),
             cx: self.cx.or(other.cx),
             cy: self.cy.or(other.cy),
             k1: self.k1.or(other.k1),
@@ -114,8 +127,8 @@ impl TransformsLens {
         }
     }
 
-    /// The camera of these. Errors: one that is missing, a model that is neither pinhole nor fisheye, impossible
-    /// values.
+    /// The camera of these. Errors: one that is missing, a model that is neither pinhole nor fisheye, two models that
+    /// contradict each other, impossible values.
     fn camera(&self) -> Result<Camera> {
         let wanted =
             |key: &str| Error::input(format!("`{key}` stands neither in the frame nor at the top of the file"));
@@ -123,20 +136,30 @@ impl TransformsLens {
         if [self.p1, self.p2].into_iter().flatten().any(|p| p != 0.0) {
             return Err(Error::input("tangential distortion is not supported").element("p1, p2"));
         }
-        let fisheye = match self.camera_model.as_deref().unwrap_or("OPENCV") {
+        let usual = if self.is_fisheye == Some(true) { "OPENCV_FISHEYE" } else { "OPENCV" };
+        let model = self.camera_model.as_deref().unwrap_or(usual);
+        let fisheye = match model {
             "OPENCV_FISHEYE" => Some(distortion),
-            "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE" if distortion == [0.0; 4] => None,
-            "OPENCV" => return Err(Error::input("radial distortion of a pinhole is not supported").element("k1")),
+            "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "PERSPECTIVE" => None,
             other => return Err(Error::input(format!("`{other}` is not supported")).element("camera_model")),
         };
+        if let Some(said) = self.is_fisheye.filter(|said| *said != fisheye.is_some()) {
+            return Err(Error::input(format!("{said} contradicts the camera_model `{model}`")).element("is_fisheye"));
+        }
+        if let (None, Some(k)) = (fisheye, distortion.iter().position(|k| *k != 0.0)) {
+            let message = "radial distortion of a pinhole is not supported";
+            return Err(Error::input(message).element(format!("k{}", k + 1)));
+        }
         let (width, height) = (self.w.ok_or_else(|| wanted("w"))?, self.h.ok_or_else(|| wanted("h"))?);
-        let of_angle = |angle: f64| f64::from(width) / 2.0 / (angle / 2.0).tan();
-        let fl_x = self.fl_x.or(self.camera_angle_x.map(of_angle)).ok_or_else(|| wanted("fl_x"))?;
+        let of_angle = |angle: f64, size: u32| f64::from(size) / 2.0 / (angle / 2.0).tan();
+        let fl_x = self.fl_x.or(self.camera_angle_x.map(|angle| of_angle(angle, width)));
+        let fl_x = fl_x.ok_or_else(|| wanted("fl_x"))?;
+        let fl_y = self.fl_y.or(self.camera_angle_y.map(|angle| of_angle(angle, height)));
         let camera = Camera {
             width,
             height,
             fl_x,
-            fl_y: self.fl_y.unwrap_or(fl_x),
+            fl_y: fl_y.unwrap_or(fl_x),
             cx: self.cx.unwrap_or(f64::from(width) / 2.0),
             cy: self.cy.unwrap_or(f64::from(height) / 2.0),
             fisheye,
@@ -362,6 +385,13 @@ mod tests {
         assert_eq!(refused("", rigid), "", "the model of a camera is a pinhole unless it is named");
         assert!(refused(",\"p2\":0.01", rigid).contains("tangential"));
         assert!(refused(",\"k1\":0.1", rigid).contains("k1: radial"));
+        assert!(refused(",\"k3\":0.1", rigid).contains("k3: radial"));
+        assert!(refused(",\"k1\":0.1,\"camera_model\":\"PINHOLE\"", rigid).contains("k1: radial"));
+        assert!(
+            refused(",\"is_fisheye\":true,\"camera_model\":\"OPENCV\"", rigid)
+                .contains("is_fisheye: true contradicts the camera_model `OPENCV`")
+        );
+        assert_eq!(refused(",\"is_fisheye\":false,\"camera_model\":\"PINHOLE\"", rigid), "");
         for matrix in [
             "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]",
             "[[-1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]",
@@ -409,11 +439,22 @@ mod tests {
             parse("\"camera_angle_x\":1.5707963267948966,\"w\":160.0,\"h\":120,", &["", ",\"fl_x\":70"]).unwrap();
         assert!((angled.frame_camera(0).unwrap().fl_y - 80.0).abs() < 1e-9);
         assert_eq!(angled.frame_camera(1).unwrap().fl_x, 70.0);
+        // A vertical one too: of all frames, of a frame, and not where the frame has a horizontal one alone.
+        let top = "\"camera_angle_x\":1.5707963267948966,\"camera_angle_y\":1.2870022175866,\"w\":160,\"h\":120,";
+        let frames = ["", ",\"fl_y\":70", ",\"camera_angle_x\":1", ",\"camera_angle_y\":1.5707963267948966"];
+        let angled = parse(top, &frames).unwrap();
+        let focal_y = [0, 1, 2, 3].map(|frame| angled.frame_camera(frame).unwrap().fl_y.round());
+        assert_eq!(focal_y, [80.0, 70.0, 146.0, 60.0]);
+        // A model as instant-ngp says it; the frame's word goes first.
+        let frames = ["", ",\"is_fisheye\":false,\"k1\":0", ",\"camera_model\":\"PINHOLE\",\"k1\":0"];
+        let fisheye = parse("\"is_fisheye\":true,\"k1\":0.1,\"w\":160,\"h\":120,\"fl_x\":80,", &frames).unwrap();
+        assert_eq!(fisheye.frame_camera(0).unwrap().fisheye, Some([0.1, 0.0, 0.0, 0.0]));
+        assert_eq!([1, 2].map(|frame| fisheye.frame_camera(frame).unwrap().fisheye), [None; 2]);
         for (top, frames, says) in [
             ("", vec![own, ""], "`w` stands neither"),
             ("\"w\":160.5,\"h\":1,\"fl_x\":1,", vec![""], "160.5 is no number of pixels"),
             ("\"w\":-1,\"h\":1,\"fl_x\":1,", vec![""], "-1 is no number of pixels"),
-            ("", vec![own, ",\"w\":8,\"h\":8,\"fl_x\":1,\"k2\":1"], "frame 1: k1: radial"),
+            ("", vec![own, ",\"w\":8,\"h\":8,\"fl_x\":1,\"k2\":1"], "frame 1: k2: radial"),
         ] {
             let said = parse(top, &frames).unwrap_err().to_string();
             assert!(said.contains(says), "{said}");
