@@ -18,7 +18,8 @@ use crate::report::tables::write_csv;
 
 /// Arguments of `pareto`.
 #[derive(Args)]
-#[command(after_help = "Each kind writes pareto-KIND.csv, .svg and .png into DIR.\n\
+#[command(after_help = "Each kind writes pareto-KIND.csv, .svg and .png into DIR; splat also writes\n\
+    pareto-splat-image.csv, .svg and .png (the image's error; gradients are in the others) and skipping.csv.\n\
     Example: respire-bench pareto render --out /tmp/pareto")]
 pub struct ParetoArguments {
     #[command(subcommand)]

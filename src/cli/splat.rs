@@ -149,10 +149,7 @@ impl SplatArguments {
                 DepthChoice::Surface => DepthOutput::Surface,
                 DepthChoice::Median => DepthOutput::Median,
             },
-            footprint: match self.mode {
-                FootprintChoice::Ewa => Footprint::Ewa,
-                FootprintChoice::Disc => Footprint::Disc,
-            },
+            footprint: if self.is_disc() { Footprint::Disc } else { Footprint::Ewa },
             filter: match self.filter {
                 FilterChoice::Dilate => Filter::Dilate,
                 FilterChoice::Compensate => Filter::Compensate,
@@ -160,6 +157,10 @@ impl SplatArguments {
             near_mm: self.near,
             ..Settings::default()
         }
+    }
+
+    fn is_disc(&self) -> bool {
+        matches!(self.mode, FootprintChoice::Disc)
     }
 
     fn wanted(&self) -> Wanted {
@@ -179,6 +180,11 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     let Some((largest, largest_view)) = views.iter().enumerate().rev().max_by_key(|(_, view)| pixels(view)) else {
         return Err(Error::input("there is none").element("frames").at(&arguments.cameras));
     };
+    let is_fisheye = |view: &View| view.camera.fisheye.is_some();
+    if let Some(frame) = views.iter().position(|view| arguments.lens && arguments.is_disc() && is_fisheye(view)) {
+        let sentence = "is a fisheye, whose --lens has no gradient with --mode disc";
+        return Err(Error::input(sentence).element(format!("frame {frame}")).at(&arguments.cameras));
+    }
     let size = [largest_view.camera.height as usize, largest_view.camera.width as usize];
     let weights = arguments.gradients.as_deref().map(|p| Weights::read(p, size, count)).transpose()?;
     let is_other = |view: &View| [view.camera.height as usize, view.camera.width as usize] != size;
@@ -188,7 +194,8 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     }
     let dropped = cloud.count_in_file - cloud.len();
     if dropped > 0 {
-        terminal.line(format!("{dropped} of {} Gaussians are not finite and left out", cloud.count_in_file));
+        let count = cloud.count_in_file;
+        terminal.line(format!("{dropped} of {count} Gaussians are not finite, or have no rotation: they are left out"));
     }
     if cloud.degree_in_file > cloud.sh_degree {
         terminal.line(format!("SH of degree {} are shown up to degree {}", cloud.degree_in_file, cloud.sh_degree));
@@ -226,7 +233,7 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
             rasterizer.render(&scene, view, &settings, None).map_err(named)?;
             if let Some(weights) = &weights {
                 let image = ImageGradient { color: weights.of_frame(number), ..ImageGradient::default() };
-                rasterizer.backward(&scene, &image, wanted)?;
+                rasterizer.backward(&scene, &image, wanted).map_err(named)?;
             }
             times.push(rasterizer.stage_times());
         }
@@ -254,7 +261,12 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     files::write_json(&output.folder.join("timing.json"), &timing)?;
     terminal.line(format!("{}: {count} frames of {} Gaussians", output.folder.display(), cloud.len()));
     if let Some(&number) = empty.first() {
-        terminal.note(&emptiness(&scene, &views[number], &settings, [number, empty.len(), count]));
+        let why = match cloud.len() {
+            0 if dropped == 0 => format!("{} holds none", arguments.gaussians.display()),
+            0 => format!("all of {} are left out", arguments.gaussians.display()),
+            _ => emptiness(&scene, &views[number], &settings, number),
+        };
+        terminal.note(&format!("no Gaussian is visible in {} of {count} frames: {why}", empty.len()));
     }
     Ok(())
 }
@@ -267,8 +279,8 @@ fn views(transforms: &Transforms) -> Result<Vec<View>> {
     transforms.frames.iter().enumerate().map(view).collect()
 }
 
-/// Why nothing is to be seen in frame `number`, the first of `empty` frames of `count`.
-fn emptiness(scene: &Gaussians<f32>, view: &View, settings: &Settings, [number, empty, count]: [usize; 3]) -> String {
+/// Why nothing is to be seen in frame `number`, the first of those.
+fn emptiness(scene: &Gaussians<f32>, view: &View, settings: &Settings, number: usize) -> String {
     let [before, beyond] = GaussianSlices::from(scene).before_camera(view, settings.near_mm);
     let advice = match (before, beyond) {
         (0, _) => "all lie behind the camera: are its axes OpenGL's (x right, y up, z backwards)?",
@@ -276,8 +288,8 @@ fn emptiness(scene: &Gaussians<f32>, view: &View, settings: &Settings, [number, 
         _ => "these lie beside the image, or are transparent",
     };
     format!(
-        "no Gaussian is visible in {empty} of {count} frames: in frame {number}, {before} of {} centres lie before the \
-         camera and {beyond} of them beyond --near {}; {advice}",
+        "in frame {number}, {before} of {} centres lie before the camera and {beyond} of them beyond --near {}; \
+         {advice}",
         scene.len(),
         settings.near_mm
     )

@@ -14,7 +14,7 @@ pub(super) struct Weights {
 }
 
 impl Weights {
-    /// Reads the weights; the error names the file and the shape that is wanted.
+    /// Reads the weights; the error names the file, and the shape that is wanted or the pixel that is not finite.
     pub fn read(path: &Path, [height, width]: [usize; 2], frames: usize) -> Result<Weights> {
         let array = npy::read(path)?;
         let one = [height, width, 3];
@@ -22,7 +22,14 @@ impl Weights {
             let message = format!("has shape {:?}; {one:?} is wanted, or one such image per frame", array.shape);
             return Err(Error::input(message).at(path));
         }
-        Ok(Weights { data: array.data, per_frame: height * width * 3 })
+        let per_frame = height * width * 3;
+        if let Some(bad) = array.data.iter().position(|v| !v.is_finite()) {
+            let (frame, pixel) = (bad / per_frame, bad % per_frame / 3);
+            let pixel = format!("pixel ({}, {})", pixel % width, pixel / width);
+            let element = if array.shape == one { pixel } else { format!("frame {frame}, {pixel}") };
+            return Err(Error::input("a weight is not finite").element(element).at(path));
+        }
+        Ok(Weights { data: array.data, per_frame })
     }
 
     /// Those of a frame.

@@ -75,7 +75,7 @@ pub(super) struct Features {
 }
 
 impl Features {
-    /// Reads the features; the error names the file and the shape that is wanted.
+    /// Reads the features; the error names the file, and the shape that is wanted or the value that is not finite.
     pub fn read(path: &Path, cloud: &GaussianCloud) -> Result<Features> {
         let array = npy::read(path)?;
         let &[n, count] = array.shape.as_slice() else {
@@ -86,6 +86,12 @@ impl Features {
             return Err(Error::input(message).at(path));
         }
         let of = |&i: &u32| &array.data[i as usize * count..(i as usize + 1) * count];
+        for i in &cloud.index {
+            if let Some(channel) = of(i).iter().position(|v| !v.is_finite()) {
+                let element = format!("Gaussian {i}, channel {channel}");
+                return Err(Error::input("a feature is not finite").element(element).at(path));
+            }
+        }
         Ok(Features { data: cloud.index.iter().flat_map(of).copied().collect(), count })
     }
 }

@@ -200,6 +200,19 @@ fn what_is_asked_for_is_written() {
     let refused = command(path, &["--channels", "short.npy"]).failure();
     let sentence = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
     assert!(sentence.contains("short.npy") && sentence.contains("40 Gaussians"), "{sentence}");
+    // Named by its row in the file, before anything is written; what belongs to the one that is left out is not read.
+    std::fs::remove_dir_all(path.join("out")).unwrap();
+    let mut bad = features.clone();
+    bad[17 * 5] = f32::NAN;
+    npy::write(&path.join("left-out.npy"), &[40, 5], &bad).unwrap();
+    command(path, &["--channels", "left-out.npy"]).success();
+    std::fs::remove_dir_all(path.join("out")).unwrap();
+    bad[30 * 5 + 2] = f32::INFINITY;
+    npy::write(&path.join("bad.npy"), &[40, 5], &bad).unwrap();
+    let refused = command(path, &["--channels", "bad.npy"]).code(4);
+    let sentence = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
+    assert!(sentence.contains("bad.npy: Gaussian 30, channel 2: a feature is not finite"), "{sentence}");
+    assert!(!path.join("out").exists());
 }
 
 #[test]
@@ -219,12 +232,26 @@ fn command_says_what_is_wrong() {
     npy::write(&path.join("w.npy"), &[4, 4, 3], &[0.0; 48]).unwrap();
     assert!(refused(&["--gradients", "w.npy"]).contains("[29, 43, 3] is wanted"));
     npy::write(&path.join("nan.npy"), &[29, 43, 3], &vec![f32::NAN; 29 * 43 * 3]).unwrap();
-    assert!(refused(&["--gradients", "nan.npy"]).contains("not finite"));
+    assert!(refused(&["--gradients", "nan.npy"]).contains("nan.npy: pixel (0, 0): a weight is not finite"));
+    let mut weights = vec![0.0; 2 * 29 * 43 * 3];
+    weights[29 * 43 * 3 + 3 * (5 * 43 + 7) + 1] = f32::INFINITY;
+    npy::write(&path.join("inf.npy"), &[2, 29, 43, 3], &weights).unwrap();
+    assert!(refused(&["--gradients", "inf.npy"]).contains("inf.npy: frame 1, pixel (7, 5): a weight is not finite"));
+    npy::write(&path.join("zeros.npy"), &[29, 43, 3], &[0.0; 29 * 43 * 3]).unwrap();
     let cameras = std::fs::read_to_string(path.join("transforms.json")).unwrap();
     let mut value: serde_json::Value = serde_json::from_str(&cameras).unwrap();
     value["frames"] = serde_json::json!([]);
     std::fs::write(path.join("transforms.json"), value.to_string()).unwrap();
     assert!(refused(&[]).contains("transforms.json: frames: there is none"), "{}", refused(&[]));
+    let mut value: serde_json::Value = serde_json::from_str(&cameras).unwrap();
+    value["camera_model"] = "OPENCV_FISHEYE".into();
+    std::fs::write(path.join("transforms.json"), value.to_string()).unwrap();
+    let said = refused(&["--gradients", "zeros.npy", "--lens", "--mode", "disc"]);
+    assert!(
+        said.contains("transforms.json: frame 0: is a fisheye, whose --lens has no gradient with --mode disc"),
+        "{said}"
+    );
+    assert!(!path.join("out").exists(), "all of it is known before any work");
     let mut value: serde_json::Value = serde_json::from_str(&cameras).unwrap();
     value["w"] = 60000.into();
     std::fs::write(path.join("transforms.json"), value.to_string()).unwrap();
@@ -265,6 +292,23 @@ fn stress_passes_and_pareto_marks_the_default() {
     let table = std::fs::read_to_string(folder.path().join("pareto/skipping.csv")).unwrap();
     for skipped in ["extents", "blocks", "beside", "stopped", "frozen", "(JVP)", "Unchanged", "moments"] {
         assert!(table.contains(skipped), "{skipped} is missing: {table}");
+    }
+}
+
+#[test]
+fn an_empty_scene_is_said_to_be_empty() {
+    let (folder, mut cloud) = folder();
+    let path = folder.path();
+    cloud.rotations.iter_mut().for_each(|q| *q = [0.0; 4]);
+    for (cloud, says) in [
+        (cloud, "39 of 39 Gaussians are not finite, or have no rotation: they are left out"),
+        (GaussianCloud::default(), "no Gaussian is visible in 2 of 2 frames: scene.ply holds none"),
+    ] {
+        gaussians_ply::write(&path.join("scene.ply"), &cloud).unwrap();
+        let said = command(path, &[]).success();
+        let said = String::from_utf8_lossy(&said.get_output().stdout).into_owned()
+            + &String::from_utf8_lossy(&said.get_output().stderr);
+        assert!(said.contains(says) && !said.contains("behind the camera"), "{said}");
     }
 }
 
