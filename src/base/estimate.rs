@@ -105,12 +105,32 @@ fn demand_memory_with(what: impl fmt::Display, bytes: f64, available_bytes: Opti
 }
 
 /// Memory in bytes that this process can still get: what the system has left, or what its control group (a container)
-/// allows, where that is less. `None` when the system does not say.
+/// or its limit of addresses (`ulimit -v`) allows, where that is less. `None` when the system does not say.
 pub fn available_memory_bytes() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
     let system = line.trim().trim_end_matches("kB").trim().parse::<f64>().ok()? * 1024.0;
-    Some(group_bytes().map_or(system, |group| group.min(system)))
+    let limits = [group_bytes(), address_bytes()];
+    Some(limits.into_iter().flatten().fold(system, f64::min))
+}
+
+/// What the limit of the process's addresses has left.
+fn address_bytes() -> Option<f64> {
+    let read = |name: &str| std::fs::read_to_string(format!("/proc/self/{name}")).ok();
+    let limit = address_limit_bytes(&read("limits")?)?;
+    Some((limit - mapped_bytes(&read("status")?)?).max(0.0))
+}
+
+/// The soft limit in the text of `/proc/self/limits`; `None` when there is none.
+fn address_limit_bytes(limits: &str) -> Option<f64> {
+    let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
+    line.split_whitespace().next()?.parse().ok()
+}
+
+/// What is mapped, from the text of `/proc/self/status`.
+fn mapped_bytes(status: &str) -> Option<f64> {
+    let line = status.lines().find_map(|line| line.strip_prefix("VmSize:"))?;
+    Some(line.trim().trim_end_matches("kB").trim().parse::<f64>().ok()? * 1024.0)
 }
 
 /// What the control group (version 2) has left.
@@ -155,5 +175,17 @@ mod tests {
         assert!(demand_memory_with("the list", 2e9, Some(3e9)).is_ok());
         assert!(demand_memory("the list", 1e18).is_err());
         assert!(available_memory_bytes().is_some_and(|bytes| bytes > 1e7));
+    }
+
+    #[test]
+    fn the_limit_of_addresses_is_read() {
+        let limits = |soft: &str| {
+            format!("Limit    Soft Limit    Hard Limit    Units\nMax address space         {soft}  unlimited  bytes\n")
+        };
+        assert_eq!(address_limit_bytes(&limits("4294967296")), Some(4294967296.0));
+        assert_eq!(address_limit_bytes(&limits("unlimited")), None);
+        assert_eq!(mapped_bytes("Name:\tx\nVmPeak:\t 9 kB\nVmSize:\t   2048 kB\n"), Some(2_097_152.0));
+        let status = std::fs::read_to_string("/proc/self/status").unwrap();
+        assert!(mapped_bytes(&status).is_some_and(|bytes| bytes > 1e6));
     }
 }
