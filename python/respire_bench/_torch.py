@@ -9,6 +9,10 @@ _NAMES = ("viewmats", "Ks", "backgrounds", "means", "quats", "scales", "opacitie
 """The arguments of `_Rasterize`, in order."""
 
 
+_GRADIENTS = ("the gradient of render_colors", "the gradient of render_alphas")
+"""What errors call the gradients of the images."""
+
+
 def _checked(name, tensor, dtype):
     if tensor is None:
         return None
@@ -16,6 +20,8 @@ def _checked(name, tensor, dtype):
         raise Error(f"{name}: is no tensor, as means are")
     if not tensor.is_cpu:
         raise Error(f"{name}: is on {tensor.device}; this core renders on the CPU")
+    if tensor.layout != torch.strided:
+        raise Error(f"{name}: is sparse; only a dense tensor lies as the core reads it")
     if tensor.dtype != dtype:
         raise Error(f"{name}: is {tensor.dtype}, means are {dtype}")
     return tensor
@@ -57,7 +63,7 @@ class _Rasterize(torch.autograd.Function):
         # Raises where a tensor has been changed in place since.
         tensors = ctx.saved_tensors
         needed = dict(zip(_NAMES, ctx.needs_input_grad[1:]))
-        found = ctx.done.backward(_numpy(by_image), _numpy(by_alpha), needed)
+        found = ctx.done.backward((_numpy(by_image), _numpy(by_alpha)), _GRADIENTS, needed)
         return None, *(
             # The camera may be of another type than its gradient.
             torch.from_numpy(found[name]).to(tensor.dtype) if needed[name] and name in found else None

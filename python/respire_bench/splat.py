@@ -2,6 +2,7 @@
 
 import functools
 import math
+import numbers
 import sys
 
 import numpy as np
@@ -19,6 +20,8 @@ class Meta(dict):
     """What a call tells beside its images. `meta[key]` of a key that gsplat alone has raises a `KeyError`."""
 
     def __missing__(self, key):
+        if key == "backward":
+            raise KeyError("backward: only a call with arrays of numpy has it; with torch, autograd has the gradients")
         raise KeyError(f"{key}: this core does not compute it; there are {', '.join(self)}")
 
 
@@ -26,6 +29,31 @@ def _refuse_unless(holds, sentence, *of):
     """Raises `sentence`, which is put together with `of` only then."""
     if not holds:
         raise Error(sentence.format(*of))
+
+
+def _number(name, value):
+    """A number of any type as a float."""
+    try:
+        if hasattr(value, "__float__") or hasattr(value, "__index__"):
+            return float(value)
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        pass
+    raise Error(f"{name}: {value!r} is no number that can be used")
+
+
+def _array(name, value, dtype=None):
+    """An array of numpy."""
+    try:
+        array = np.asarray(value, dtype)
+    except (TypeError, ValueError, RuntimeError) as why:
+        raise Error(f"{name}: is no array of numpy: {why}") from None
+    _refuse_unless(array.dtype.kind in "fiub", "{}: {} is no type of numbers that can be used", name, array.dtype)
+    return array
+
+
+def _for_core(array):
+    """The array as the core reads it, contiguous and aligned."""
+    return np.ascontiguousarray(array) if array.flags.aligned else array.copy(order="C")
 
 
 def _shape(name, array, *wanted):
@@ -73,7 +101,8 @@ class _Call:
         if sh_degree is None:
             shown = _shape("colors", colors, *views, n, None)[-1] if color else 0
         else:
-            _refuse_unless(sh_degree in (0, 1, 2, 3), "sh_degree: {} is not 0, 1, 2 or 3", sh_degree)
+            whole = isinstance(sh_degree, numbers.Integral) and 0 <= sh_degree <= 3
+            _refuse_unless(whole, "sh_degree: {!r} is not 0, 1, 2 or 3", sh_degree)
             held = _shape("colors", colors, *views, n, None, 3)[-2]
             wanted = (sh_degree + 1) ** 2
             _refuse_unless(held >= wanted, "colors: {} coefficients, degree {} has {}", held, sh_degree, wanted)
@@ -125,10 +154,10 @@ class _Pass:
     def __init__(self, call, arrays):
         cameras, height, width, channels = call.shape
         self.call, self.held = call, arrays
-        # Contiguous, as the core reads them, for each camera.
-        flat = {name: a if a is None or name == "colors" else np.ascontiguousarray(a) for name, a in arrays.items()}
+        # As the core reads them, for each camera.
+        flat = {name: a if a is None or name == "colors" else _for_core(a) for name, a in arrays.items()}
         shown = [call.colors_of(arrays["colors"], c) for c in range(cameras if call.per_camera else 1)]
-        self.arrays = [flat | {"colors": np.ascontiguousarray(colors)} for colors in shown]
+        self.arrays = [flat | {"colors": _for_core(colors)} for colors in shown]
         self.passes, images, alphas, visible, entries = zip(
             *(forward(self._of_camera(c), plan) for c, plan in enumerate(call.plans))
         )
@@ -139,15 +168,18 @@ class _Pass:
     def _of_camera(self, camera):
         return self.arrays[camera if self.call.per_camera else 0]
 
-    def backward(self, by_colors, by_alphas, wanted):
+    def backward(self, by_images, names, wanted):
         """Those of the wanted gradients that are not 0 by the nature of the call, by the names of the arguments.
 
-        `by_colors` and `by_alphas` are gradients of the images, in their shapes; `None` is 0.
+        `by_images` are the gradients of image and alpha, in their shapes; `None` is 0. Errors give them these `names`.
         """
         of_each = []
         for c, kept in enumerate(self.passes):
-            by = (None if by is None else np.ascontiguousarray(by[c]) for by in (by_colors, by_alphas))
-            of_each.append(kept.backward(self._of_camera(c), *by, wanted))
+            by = [None if by is None else _for_core(by[c]) for by in by_images]
+            try:
+                of_each.append(kept.backward(self._of_camera(c), *by, wanted))
+            except Error as error:
+                raise Error(_not_finite(by, names, c) or f"camera {c}: {error}") from None
         return {name: self._of_all(name, [np.asarray(by[name]) for by in of_each]) for name in of_each[0]}
 
     def _of_all(self, name, parts):
@@ -168,25 +200,54 @@ _OF_CAMERAS = {"viewmats": (4, 4), "Ks": (3, 3), "backgrounds": (-1,)}
 """Arguments of each camera, with the shape of one."""
 
 
+def _not_finite(by_images, names, camera):
+    """Which number of the gradients of a camera's image and alpha is not finite; the core knows the pixel alone."""
+    for name, by in zip(names, by_images):
+        if by is not None and not np.isfinite(by).all():
+            y, x, channel = np.argwhere(~np.isfinite(by))[0]
+            return f"{name}: channel {channel} of pixel ({x}, {y}) of camera {camera} is not finite"
+    return None
+
+
+class _Backward:
+    """`meta["backward"]`. Pickled, it leaves its pass behind, which belongs to the process."""
+
+    names = ("by_colors", "by_alphas")
+
+    def __init__(self, done=None, wanted=None, zeros=None):
+        self.done, self.wanted, self.zeros = done, wanted, zeros
+
+    def __reduce__(self):
+        return _Backward, ()
+
+    def __copy__(self):
+        return self
+
+    def __deepcopy__(self, memo):
+        return self
+
+    def __call__(self, by_colors=None, by_alphas=None):
+        """Gradients by the names of the arguments, from those of the images (as returned; `None` is 0)."""
+        if self.done is None:
+            raise Error("backward: was pickled, and the pass stays in the process that rendered")
+        dtype, shape = self.done.image.dtype, self.done.call.shape
+        named = dict(zip(self.names, (by_colors, by_alphas)))
+        by = [None if by is None else _array(name, by, dtype) for name, by in named.items()]
+        for name, array, last in zip(self.names, by, (shape[3], 1)):
+            if array is not None:
+                _shape(name, array, *shape[:3], last)
+        found = self.done.backward(by, self.names, self.wanted)
+        return {name: np.zeros_like(of) for name, of in self.zeros.items() if name not in found} | found
+
+
 def _rasterize_numpy(call, arrays, viewmats, Ks, backgrounds):
     done = _Pass(call, arrays)
-    dtype = arrays["means"].dtype
     wanted = dict.fromkeys((name for name, array in arrays.items() if array is not None), True)
     behind = np.zeros((call.shape[0], 0)) if backgrounds is None else backgrounds
     zeros = {name: arrays[name] for name in wanted} | {"backgrounds": behind}
     wanted |= {"features": "features" in wanted, "viewmats": True, "Ks": True}
-
-    def backward(by_colors=None, by_alphas=None):
-        """Gradients by the names of the arguments, from those of the images (as returned; `None` is 0)."""
-        by = [None if by is None else np.asarray(by, dtype) for by in (by_colors, by_alphas)]
-        for name, array, last in zip(("by_colors", "by_alphas"), by, (call.shape[3], 1)):
-            if array is not None:
-                _shape(name, array, *call.shape[:3], last)
-        found = done.backward(*by, wanted)
-        return {name: np.zeros_like(of) for name, of in zeros.items() if name not in found} | found
-
     meta = call.meta(done.visible, done.entries)
-    meta["backward"] = backward
+    meta["backward"] = _Backward(done, wanted, zeros)
     return done.image, done.alpha, meta
 
 
@@ -234,7 +295,7 @@ def rasterize(
     oracle. Names, shapes and conventions are gsplat's:
 
     means        (N, 3)
-    quats        (N, 4), `w x y z`, of any length but 0
+    quats        (N, 4), `w x y z`, of any finite length but 0
     scales       (N, 3), standard deviations
     opacities    (N,), in 0..1
     colors       (N, D) or (C, N, D), any D, finite; with `sh_degree` SH coefficients, (N, K, 3) or (C, N, K, 3)
@@ -251,7 +312,7 @@ def rasterize(
     Returns `(render_colors, render_alphas, meta)`: (C, height, width, D + E + depth), (C, height, width, 1), and a
     `Meta`: `visible` (C, N), `tile_entries`. Gradients go to all arrays, also to `viewmats` (that part of the gradient
     which is tangent to the rigid motions), `Ks` and `backgrounds`. With numpy, `meta["backward"](by_colors, by_alphas)`
-    returns them as a dict.
+    returns them as a dict; a pickled `meta` has no pass to go back through.
 
     `packed`, `channel_chunk` and `segmented` change nothing here, as in gsplat's image. What the core cannot do is
     refused by an `Error` that names the argument, and so are numbers that are not finite in a gradient of the image.
@@ -280,7 +341,11 @@ def rasterize(
     is_fisheye = camera_model == "fisheye"
     _refuse_unless(is_fisheye or radial_coeffs is None, "radial_coeffs: only a fisheye has them here")
     for name, value in (("width", width), ("height", height)):
-        _refuse_unless(value == int(value) and 0 < value <= 16384, "{}: {} is not within 1 to 16384", name, value)
+        pixels = _number(name, value)
+        _refuse_unless(1 <= pixels <= 16384, "{}: {} is not within 1 to 16384", name, value)
+        _refuse_unless(pixels == int(pixels), "{}: {} is not a whole number", name, value)
+    near_plane, far_plane = _number("near_plane", near_plane), _number("far_plane", far_plane)
+    eps2d = _number("eps2d", eps2d)
     for name, value, fits in (
         ("near_plane", near_plane, 0 <= near_plane < math.inf),
         ("far_plane", far_plane, far_plane > near_plane),
@@ -289,9 +354,9 @@ def rasterize(
         _refuse_unless(fits, "{}: {} is out of range", name, value)
     plan = {
         # The core wants a positive one.
-        "near_plane": max(float(near_plane), _LEAST_DEPTH),
-        "far_plane": float(far_plane),
-        "eps2d": float(eps2d),
+        "near_plane": max(near_plane, _LEAST_DEPTH),
+        "far_plane": far_plane,
+        "eps2d": eps2d,
         "antialiased": rasterize_mode == "antialiased",
     }
     arrays = {
@@ -302,6 +367,8 @@ def rasterize(
         "colors": colors,
         "features": features,
     }
+    for name, value in (arrays | {"viewmats": viewmats, "Ks": Ks}).items():
+        _refuse_unless(value is not None or name == "features", "{}: is None", name)
     prepared, render = _through(_is_tensor(means))
     arrays, viewmats, Ks, backgrounds, radial_coeffs = prepared(arrays, viewmats, Ks, backgrounds, radial_coeffs)
     if is_fisheye and radial_coeffs is None:
@@ -329,17 +396,16 @@ def _through(is_tensor):
 
 
 def _prepared_numpy(arrays, viewmats, Ks, backgrounds, radial_coeffs):
-    dtype = np.asarray(arrays["means"]).dtype
+    dtype = _array("means", arrays["means"]).dtype
     _refuse_unless(dtype in (np.float32, np.float64), "means: {} is neither float32 nor float64", dtype)
 
     def checked(name, array):
         if array is None:
             return None
-        array = np.asarray(array)
+        array = _array(name, array)
         _refuse_unless(array.dtype == dtype, "{}: is {}, means are {}", name, array.dtype, dtype)
         return array
 
     arrays = {name: checked(name, array) for name, array in arrays.items()}
-    return arrays, np.asarray(viewmats), np.asarray(Ks), *(
-        None if array is None else np.asarray(array) for array in (backgrounds, radial_coeffs)
-    )
+    named = {"viewmats": viewmats, "Ks": Ks, "backgrounds": backgrounds, "radial_coeffs": radial_coeffs}
+    return arrays, *(None if array is None else _array(name, array) for name, array in named.items())

@@ -1,6 +1,8 @@
 """`rasterize` on arrays of numpy."""
 
+import copy
 import itertools
+import pickle
 import threading
 import unittest
 
@@ -271,6 +273,32 @@ class Images(unittest.TestCase):
                 self.assertTrue(all(np.isfinite(gradient).all() for gradient in gradients.values()))
                 self.assertFalse(any(gradients[k][4].any() for k in NAMES))
 
+    def test_arrays_that_are_not_aligned(self):
+        arguments = scene()
+        plain, gradients = loss_and_gradients(arguments)
+        for name in NAMES:
+            held = arguments[name]
+            memory = np.zeros(held.nbytes + 1, np.uint8)
+            shifted = memory[1:].view(held.dtype).reshape(held.shape)
+            shifted[...] = held
+            self.assertFalse(shifted.flags.aligned)
+            loss, found = loss_and_gradients(arguments | {name: shifted})
+            self.assertEqual(loss, plain)
+            np.testing.assert_array_equal(found[name], gradients[name])
+
+    def test_quaternions_of_any_length(self):
+        for dtype, lengths in ((np.float32, (1e-30, 1e-22, 1e20, 1e30)), (np.float64, (1e-200, 1e-30, 1e30, 1e200))):
+            arguments = scene(dtype=dtype)
+            quats = arguments["quats"]
+            image, _, meta = rasterize(**arguments)
+            gradient = meta["backward"](random_like(image))["quats"]
+            for length in lengths:
+                scaled = (quats.astype(np.float64) * length).astype(dtype)
+                found, _, meta = rasterize(**arguments | {"quats": scaled})
+                np.testing.assert_allclose(found, image, atol=1e-5)
+                by = meta["backward"](random_like(image))["quats"].astype(np.float64) * length
+                np.testing.assert_allclose(by, gradient, rtol=1e-2, atol=1e-3 * np.abs(gradient).max())
+
     def test_planes_at_the_ends(self):
         plain, _, _ = rasterize(**scene())
         np.testing.assert_array_equal(rasterize(**scene(), near_plane=0, far_plane=np.inf)[0], plain)
@@ -364,8 +392,16 @@ class Refusals(unittest.TestCase):
             ("render_mode", "N"),
             ("radial_coeffs", np.zeros((1, 4))),
             ("sh_degree", 4),
+            ("sh_degree", 1.0),
+            ("sh_degree", "1"),
         ):
             self.refused(name, **{name: value})
+        for name in ("near_plane", "far_plane", "eps2d", "width", "height"):
+            for value in (None, "1", [1, 2], 1j):
+                self.refused(f"{name}: {value!r} is no number", **{name: value})
+        for value in (np.nan, np.inf, -np.inf, 0, 1e300):
+            self.refused(f"height: {value} is not within 1 to 16384", height=value)
+        self.refused("width: 37.5 is not a whole number", width=37.5)
 
     def test_what_makes_no_difference_is_taken(self):
         plain, _, _ = rasterize(**scene())
@@ -373,6 +409,11 @@ class Refusals(unittest.TestCase):
         np.testing.assert_array_equal(image, plain)
 
     def test_wrong_arrays_are_named(self):
+        for name in (*NAMES, "viewmats", "Ks"):
+            self.refused(f"{name}: is None", **{name: None}, render_mode="D")
+            self.refused(name, **{name: "text"})
+            self.refused(name, **{name: [[1.0], [2.0, 3.0]]})
+        self.refused("backgrounds", backgrounds=np.full((1, 3), 1j))
         self.refused("means", means=np.zeros((2, 30, 3)))
         self.refused("quats", quats=np.zeros((30, 3)))
         self.refused("colors", colors=np.zeros((29, 3)))
@@ -392,7 +433,7 @@ class Refusals(unittest.TestCase):
         self.refused("eps2d", eps2d=-0.1)
         for wrong in (np.nan, np.inf, 1e300):
             coefficients = np.array([[0.1, 0, wrong, 0]])
-            self.refused("Ks: k3", camera_model="fisheye", radial_coeffs=coefficients)
+            self.refused("radial_coeffs: k3", camera_model="fisheye", radial_coeffs=coefficients)
             self.refused("Ks: cx", Ks=np.array([[[30.0, 0, wrong], [0, 30, 16], [0, 0, 1]]]))
 
     def test_what_is_not_finite_is_named(self):
@@ -417,8 +458,28 @@ class Refusals(unittest.TestCase):
         image, _, meta = rasterize(**scene())
         by = np.ones_like(image)
         by[0, 3, 7, 1] = np.nan
-        with self.assertRaisesRegex(Error, r"pixel \(7, 3\)"):
+        with self.assertRaisesRegex(Error, r"^by_colors: channel 1 of pixel \(7, 3\) of camera 0 is not finite"):
             meta["backward"](by)
+        # Of the second camera; and where the core takes the colours for a part of another image.
+        two = scene(channels=5) | {"backgrounds": np.ones((2, 5)), "render_mode": "RGB+D"}
+        two |= {name: np.repeat(two[name], 2, axis=0) for name in ("viewmats", "Ks")}
+        image, alpha, meta = rasterize(**two)
+        for name, channel in (("by_colors", 4), ("by_colors", 5), ("by_alphas", 0)):
+            by = {"by_colors": np.ones_like(image), "by_alphas": np.ones_like(alpha)}
+            by[name][1, 3, 7, channel] = np.inf
+            with self.assertRaisesRegex(Error, rf"^{name}: channel {channel} of pixel \(7, 3\) of camera 1"):
+                meta["backward"](**by)
+        with self.assertRaisesRegex(Error, "^by_alphas: is no array"):
+            meta["backward"](None, "text")
+
+    def test_a_pickled_meta_leaves_its_pass_behind(self):
+        image, _, meta = rasterize(**scene())
+        for same in (copy.copy(meta), copy.deepcopy(meta)):
+            self.assertEqual(same["backward"](image).keys(), meta["backward"](image).keys())
+        back = pickle.loads(pickle.dumps(meta))
+        np.testing.assert_array_equal(back["visible"], meta["visible"])
+        with self.assertRaisesRegex(Error, "^backward: was pickled"):
+            back["backward"](image)
 
     def test_keys_of_gsplat_are_not_made_up(self):
         _, _, meta = rasterize(**scene())

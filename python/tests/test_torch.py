@@ -165,6 +165,19 @@ class ThroughTorch(unittest.TestCase):
         rasterize(**leaves | {"means": means})[0].sum().backward()
         self.assertEqual(means.grad.shape, (30, 3))
 
+    def test_tensors_that_numpy_cannot_read_are_named(self):
+        leaves = tensors(scene())
+        with self.assertRaisesRegex(Error, "^colors: is sparse"):
+            rasterize(**leaves | {"colors": leaves["colors"].detach().to_sparse()})
+        held = scene()
+        with self.assertRaisesRegex(Error, "^scales: is no array of numpy: .*grad"):
+            rasterize(**held | {"scales": torch.from_numpy(held["scales"]).requires_grad_()})
+        image, _, _ = rasterize(**leaves)
+        by = torch.ones_like(image)
+        by[0, 3, 7, 1] = torch.nan
+        with self.assertRaisesRegex(Error, r"^the gradient of render_colors: channel 1 of pixel \(7, 3\) of camera 0"):
+            image.backward(by)
+
     def test_wrong_tensors_are_named(self):
         leaves = tensors(scene(), ())
         for name, wrong in (("scales", leaves["scales"].float()), ("quats", leaves["quats"].numpy())):

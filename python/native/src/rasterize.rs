@@ -158,7 +158,7 @@ fn slice<'a, T: Element, D: numpy::ndarray::Dimension>(
     name: &str,
     array: &'a PyReadonlyArray<'_, T, D>,
 ) -> PyResult<&'a [T]> {
-    array.as_slice().map_err(|_| refused(format!("{name}: the array is not contiguous")))
+    array.as_slice().map_err(|_| refused(format!("{name}: the array is not contiguous and aligned")))
 }
 
 impl<'py, T: Float> Arrays<'py, T> {
@@ -210,7 +210,8 @@ impl Plan {
         let camera_from_world = rigid("viewmats", self.viewmat.as_flattened(), COORDINATE)?;
         let [fl_x, fl_y, cx, cy] = self.intrinsics;
         let camera = Camera { width: self.width, height: self.height, fl_x, fl_y, cx, cy, fisheye: self.fisheye };
-        camera.validate().map_err(|e| e.element("Ks")).or_raise()?;
+        Camera { fisheye: None, ..camera }.validate().map_err(|e| e.element("Ks")).or_raise()?;
+        camera.validate().map_err(|e| e.element("radial_coeffs")).or_raise()?;
         Ok(View { camera, camera_from_world })
     }
 
