@@ -164,10 +164,10 @@ fn light_at_vertices_settles_between_bright_walls_or_says_so() {
 #[test]
 fn a_picture_of_nothing_is_noted_and_a_file_for_a_folder_refused() {
     let folder = scene_folder("kind = \"lambert\"", false);
-    assert_eq!(complaint(command(&folder).success()), "");
+    assert!(!complaint(command(&folder).success()).contains("note:"));
     change(&folder, "0,0,1,0, 0,0,0,1]", "0,0,1,500, 0,0,0,1]");
     let text = complaint(command(&folder).success());
-    assert!(text.starts_with("note: no pixel shows the mesh"), "{text}");
+    assert!(text.contains("note: no pixel shows the mesh"), "{text}");
     std::fs::remove_dir_all(folder.path().join("view")).unwrap();
     std::fs::write(folder.path().join("view"), "a file").unwrap();
     let text = complaint(command(&folder).code(4));
