@@ -287,14 +287,14 @@ fn landmarks_of_the_airways_own_patient_stay_where_they_are() {
     // Scanners put the origin anywhere.
     rest.vertices.iter_mut().for_each(|v| *v += DVec3::new(120.0, -310.0, -900.0));
     mesh::write_ply(&at("good.ply"), &rest, &[]).unwrap();
-    let import = || {
+    let import = |out: &str| {
         let mut command = command();
         command.args(["import", "mesh", "--id", "mine"]).arg(at("good.ply")).arg("--landmarks").arg(at("own.csv"));
-        command.arg("--out").arg(at("out"));
+        command.arg("--out").arg(at(out));
         command
     };
     let motion = own_landmarks(&at("own.csv"), &rest, 1.0);
-    let told = String::from_utf8(import().assert().success().get_output().stderr.clone()).unwrap();
+    let told = String::from_utf8(import("out").assert().success().get_output().stderr.clone()).unwrap();
     assert!(!told.contains("landmarks' box"), "{told}");
     let field = Case::load(&at("out/mine.toml")).unwrap().breathing.unwrap().field;
     assert!(field.source.starts_with("own.csv: landmarks in the airway's own frame"), "{}", field.source);
@@ -302,12 +302,12 @@ fn landmarks_of_the_airways_own_patient_stay_where_they_are() {
     assert!(off < 0.1, "{off} mm off the known motion");
     // Of the lower part only: the trachea reaches beyond them.
     let _ = own_landmarks(&at("own.csv"), &rest, 0.6);
-    let told = String::from_utf8(import().assert().success().get_output().stderr.clone()).unwrap();
+    let told = String::from_utf8(import("lower").assert().success().get_output().stderr.clone()).unwrap();
     assert!(told.contains("of the airway lies outside of the landmarks' box"), "{told}");
     // In another frame.
     invented_landmarks(folder.path());
     fs::rename(at("invented.csv"), at("own.csv")).unwrap();
-    fails(&mut import(), &["own.csv", "100 % of the airway lies outside", "--other-patient"]);
+    fails(&mut import("other"), &["own.csv", "100 % of the airway lies outside", "--other-patient"]);
 }
 
 /// What runs until Ctrl-C is asked to stop while it waits for its landmarks, and gets them then.
