@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::Terminal;
-use crate::base::{Error, Progress, Result, files};
+use crate::base::{Error, ErrorKind, Progress, Result, files};
 use crate::experiments::timing::measure;
 use crate::formats::exr;
 use crate::render::scene_file::SceneFile;
@@ -64,7 +64,8 @@ pub fn run(arguments: RenderArguments, terminal: &Terminal) -> Result<()> {
     let bvh_refit_s = refits.iter().copied().fold(f64::INFINITY, f64::min);
     terminal.stage(arguments.scene.display());
     let (frame, cost) = measure(|| render_watched(&scene, &camera, &pose, &file.light, &file.settings(), terminal));
-    let frame = frame?;
+    let is_of_scene = |e: &Error| e.path().is_none() && e.kind() == ErrorKind::InputOutput;
+    let frame = frame.map_err(|e| if is_of_scene(&e) { e.at(&arguments.scene) } else { e })?;
     if frame.depth_mm.data.iter().all(|&z| z == 0.0) {
         terminal.note(NOTHING_HIT);
     }
