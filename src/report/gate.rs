@@ -16,7 +16,7 @@
 //! advisory = true                      # a note instead of a failure (times)
 //! ```
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -221,9 +221,10 @@ fn presence(results: &Results, thresholds: &Thresholds) -> Vec<Check> {
         let (verdict, sentence) = found(methods.contains(&method.as_str()), "method");
         checks.push(check(("", method, ""), verdict, sentence));
         if verdict == Verdict::Pass {
-            let ran = |case: &&&str| results.entries.keys().any(|k| k.case == ***case && k.method == *method);
+            let ran: BTreeSet<&str> =
+                (results.entries.keys()).filter(|k| k.method == *method).map(|k| k.case.as_str()).collect();
             let wanted = wanted_cases(results, thresholds);
-            let lacking = wanted.iter().filter(|case| cases.contains(case) && !ran(case));
+            let lacking = wanted.iter().filter(|case| cases.contains(case) && !ran.contains(*case));
             checks
                 .extend(lacking.map(|case| check((case, method, ""), Verdict::Fail, "the method did not run".into())));
         }
@@ -280,15 +281,16 @@ fn idle(limit: &Relative, results: &Results, baseline: Option<&Results>) -> Opti
 /// Cases, with the seed where there is one, in which the limit's method lacks a row of its metric: it did not run there, or
 /// the row was taken out.
 fn lacking(results: &Results, thresholds: &Thresholds, limit: &Absolute) -> Vec<String> {
-    let of_method = || results.entries.keys().filter(|k| k.method == limit.method);
-    let has = |case: &str, seed: u64| of_method().any(|k| k.case == case && k.seed == seed && k.metric == limit.metric);
-    let mut lacking: Vec<String> = wanted_cases(results, thresholds)
-        .into_iter()
-        .filter(|case| !of_method().any(|k| k.case == *case))
-        .map(str::to_owned)
-        .collect();
-    let without = of_method().filter(|k| !has(&k.case, k.seed)).map(|k| k.case.clone());
-    lacking.extend(without);
+    let of_method = results.entries.keys().filter(|k| k.method == limit.method);
+    let cells: BTreeSet<(&str, u64)> = of_method.map(|k| (k.case.as_str(), k.seed)).collect();
+    let has = |&(case, seed): &(&str, u64)| {
+        let (case, method, metric) = (case.to_owned(), limit.method.clone(), limit.metric.clone());
+        results.entries.contains_key(&Key { case, method, seed, metric })
+    };
+    let wanted = wanted_cases(results, thresholds).into_iter();
+    let absent = wanted.filter(|case| cells.range((*case, 0)..=(*case, u64::MAX)).next().is_none());
+    let mut lacking: Vec<String> = absent.map(str::to_owned).collect();
+    lacking.extend(cells.iter().filter(|cell| !has(cell)).map(|(case, _)| (*case).to_owned()));
     lacking.dedup();
     lacking
 }

@@ -6,7 +6,7 @@ use super::merge::{Films, Part, PartEvidence};
 use super::report_tests::sample_run;
 use super::*;
 use crate::base::NoProgress;
-use crate::score::{Goal, Status};
+use crate::score::{Goal, MetricScore, Status};
 
 fn read_run(folder: &Path) -> Result<Run> {
     merge::read_run(folder, PartEvidence::Needed)
@@ -16,6 +16,18 @@ fn read_run(folder: &Path) -> Result<Run> {
 fn merge(runs: Vec<Run>, films: Films) -> Result<Run> {
     let part = |(k, run)| Part { folder: format!("part-{}", k + 1).into(), run };
     merge::merge(runs.into_iter().enumerate().map(part).collect(), films)
+}
+
+/// Adds a third party's row `mine` on both cases: scores of `ours` under another seed, changed by case and metric.
+fn add_mine(run: &mut Run, change: impl Fn(&str, &mut MetricScore)) {
+    for case in ["case1", "case2"] {
+        let mut mine = run.cells.iter().find(|c| c.case_id == case && c.method == "ours").unwrap().clone();
+        (mine.method, mine.seed, mine.run_id) = ("mine".into(), 0, run::evaluated_id(case, "mine"));
+        let Outcome::Scored(score) = &mut mine.outcome else { panic!("not scored") };
+        score.metrics.iter_mut().for_each(|metric| change(case, metric));
+        run.cells.push(mine);
+    }
+    run.methods.push(MethodInfo::of("mine"));
 }
 
 /// A row of fewer cases says so and is never the best.
@@ -91,22 +103,13 @@ fn a_row_that_lacks_a_seed_has_no_place() {
 fn what_equals_the_truth_has_no_place_by_any_of_its_metrics() {
     let folder = tempfile::tempdir().unwrap();
     let mut run = sample_run(folder.path(), 24, 5);
-    for case in ["case1", "case2"] {
-        let mut mine = run.cells.iter().find(|c| c.case_id == case && c.method == "ours").unwrap().clone();
-        (mine.method, mine.seed, mine.run_id) = ("mine".into(), 0, run::evaluated_id(case, "mine"));
-        let Outcome::Scored(score) = &mut mine.outcome else { panic!("not scored") };
-        for metric in &mut score.metrics {
-            match metric.metric.as_str() {
-                "novel_psnr_db" => (metric.value, metric.status) = (None, Status::Identical),
-                "novel_ssim" | "novel_depth_delta_1_25" => (metric.value, metric.status) = (Some(1.0), Status::Ok),
-                "novel_depth_rmse_mm" => (metric.value, metric.status) = (Some(0.0), Status::Ok),
-                "target_mean_mm" if case == "case2" => metric.value = None,
-                _ => {}
-            }
-        }
-        run.cells.push(mine);
-    }
-    run.methods.push(MethodInfo::of("mine"));
+    add_mine(&mut run, |case, metric| match metric.metric.as_str() {
+        "novel_psnr_db" => (metric.value, metric.status) = (None, Status::Identical),
+        "novel_ssim" | "novel_depth_delta_1_25" => (metric.value, metric.status) = (Some(1.0), Status::Ok),
+        "novel_depth_rmse_mm" => (metric.value, metric.status) = (Some(0.0), Status::Ok),
+        "phase_mae" if case == "case2" => metric.value = None,
+        _ => {}
+    });
     let summaries = summary::summarise(&run);
     let mine = summaries.iter().find(|s| s.method.id == "mine").unwrap();
     for metric in ["novel_psnr_db", "novel_ssim", "novel_depth_rmse_mm", "novel_depth_delta_1_25"] {
@@ -117,7 +120,7 @@ fn what_equals_the_truth_has_no_place_by_any_of_its_metrics() {
     let table = table::ComparisonTable::new(table::TableKind::Ranking, &summaries);
     let row = table.rows.iter().find(|row| row.method.id == "mine").unwrap();
     let fewer = row.cells.iter().filter(|cell| cell.value.ends_with("(1 of 2)")).count();
-    assert_eq!(fewer, usize::from(mine.metric("target_mean_mm").unwrap().mean.is_some()), "{:?}", row.cells);
+    assert_eq!(fewer, 1, "the phase: {:?}", row.cells);
 }
 
 /// A cell that failed costs the place, even by a metric that no other row has there.
@@ -258,21 +261,12 @@ fn places_are_of_the_whole_table_and_the_truth_is_starred() {
     let mut run = sample_run(folder.path(), 24, 5);
     // A third party on both cases, under another seed, a little better than `ours` in the phase and without a mesh in
     // one.
-    for case in ["case1", "case2"] {
-        let mut mine = run.cells.iter().find(|c| c.case_id == case && c.method == "ours").unwrap().clone();
-        (mine.method, mine.seed, mine.run_id) = ("mine".into(), 0, run::evaluated_id(case, "mine"));
-        let Outcome::Scored(score) = &mut mine.outcome else { panic!("not scored") };
-        for metric in &mut score.metrics {
-            match metric.metric.as_str() {
-                "phase_mae" => metric.value = Some(0.0),
-                "target_error_mm" if case == "case2" => metric.value = None,
-                "target_error_mm" => metric.value = Some(0.01),
-                _ => {}
-            }
-        }
-        run.cells.push(mine);
-    }
-    run.methods.push(MethodInfo::of("mine"));
+    add_mine(&mut run, |case, metric| match metric.metric.as_str() {
+        "phase_mae" => metric.value = Some(0.0),
+        "target_error_mm" if case == "case2" => metric.value = None,
+        "target_error_mm" => metric.value = Some(0.01),
+        _ => {}
+    });
     let summaries = summary::summarise(&run);
     let rank = |method: &str, metric: &str| {
         summaries.iter().find(|s| s.method.id == method).unwrap().metric(metric).unwrap().rank

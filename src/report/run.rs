@@ -1,6 +1,6 @@
 //! What a report is made of: cells with their scores, and where images can be read from.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -298,11 +298,12 @@ impl Run {
     /// each of them in which an own row has a value: the condition of a place in the ranking.
     pub fn covers(&self, method: &str, metric: &str) -> bool {
         let cases = self.ranking_cases();
-        let seeds_in = |case: &str| {
-            let of_case = self.cells.iter().filter(|c| c.method == method && c.case_id == case);
-            of_case.map(|c| c.seed).collect::<BTreeSet<u64>>()
-        };
-        if cases.windows(2).any(|two| seeds_in(&two[0].id) != seeds_in(&two[1].id)) {
+        let mut seeds: BTreeMap<&str, BTreeSet<u64>> = BTreeMap::new();
+        for cell in self.cells.iter().filter(|cell| cell.method == method) {
+            seeds.entry(&cell.case_id).or_default().insert(cell.seed);
+        }
+        let seeds_in = |case: &&CaseInfo| seeds.get(case.id.as_str());
+        if cases.windows(2).any(|two| seeds_in(&two[0]) != seeds_in(&two[1])) {
             return false;
         }
         let all_of = |case: &CaseInfo, is_good: &dyn Fn(&CellRecord) -> bool| {

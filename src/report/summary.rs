@@ -80,21 +80,10 @@ pub fn over_cases(run: &Run, of_cases: &[(&str, f64)]) -> Option<MeanInterval> {
     bootstrap_groups(&values, &trees, BOOTSTRAP_SEED)
 }
 
-/// Metrics that equal the truth where the one beside them does, which measures the same pictures, depths or phases: a
-/// share of pixels that are near enough does not tell, nor would an SSIM of nearly 1.
-const TOLD_BY: [(&str, &str); 6] = [
-    ("ssim", "psnr_db"),
-    ("ssim_padded", "psnr_db"),
-    ("novel_ssim", "novel_psnr_db"),
-    ("depth_delta_1_25", "depth_rmse_mm"),
-    ("novel_depth_delta_1_25", "novel_depth_rmse_mm"),
-    ("phase_pearson_r", "phase_mae"),
-];
-
 /// Whether a ranked method's numbers of `metric` are of the truth itself.
 fn equals_truth(run: &Run, method: &MethodInfo, metric: &Metric) -> bool {
-    if let Some((_, told_by)) = TOLD_BY.iter().find(|(id, _)| *id == metric.id) {
-        return crate::score::metric(told_by).is_some_and(|metric| equals_truth(run, method, metric));
+    if let Some(told_by) = metric.told_by() {
+        return equals_truth(run, method, told_by);
     }
     let mean = over_cases(run, &run.case_values(&method.id, metric.id));
     // That no frame of a hundred is lost is an estimate like any other.

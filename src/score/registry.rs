@@ -150,6 +150,19 @@ impl Metric {
         if self.unit.is_empty() { self.label.to_owned() } else { format!("{} [{}]", self.label, self.unit) }
     }
 
+    /// The metric of the same pictures, depths or phases that tells whether they equal the truth: a share of pixels that
+    /// are near enough does not, nor would an SSIM of nearly 1. `None` where it tells itself.
+    pub fn told_by(&self) -> Option<&'static Metric> {
+        metric(match self.id {
+            "ssim" | "ssim_padded" => "psnr_db",
+            "novel_ssim" => "novel_psnr_db",
+            "depth_delta_1_25" => "depth_rmse_mm",
+            "novel_depth_delta_1_25" => "novel_depth_rmse_mm",
+            "phase_pearson_r" => "phase_mae",
+            _ => return None,
+        })
+    }
+
     /// Times differ from run to run and stay out of `results.csv`.
     pub fn is_runtime(&self) -> bool {
         self.group == Group::Runtime
