@@ -1,10 +1,11 @@
 //! NumPy arrays (.npy, .npz) of 32- and 64-bit floats, C or Fortran order; written as little-endian f32 in C order.
 
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 use std::path::Path;
 
-use npyz::npz::NpzWriter;
 use npyz::{NpyFile, Order, WriterBuilder};
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
 
 use super::damage::guarded;
 use crate::base::{Error, Image, Result, files};
@@ -50,21 +51,16 @@ pub fn write(path: &Path, shape: &[usize], data: &[f32]) -> Result<()> {
 
 /// Writes named arrays as an uncompressed `.npz` in one atomic step.
 pub fn write_npz(path: &Path, arrays: &[(&str, &[usize], &[f32])]) -> Result<()> {
-    let failed = |e: std::io::Error| Error::input(format!("encoding as .npz failed: {e}")).at(path);
+    let failed = |e: &dyn std::fmt::Display| Error::input(format!("encoding as .npz failed: {e}")).at(path);
     // The same bytes whenever it is written.
-    let options = npyz::zip::write::FileOptions::default().last_modified_time(npyz::zip::DateTime::default());
-    let mut bytes = Cursor::new(Vec::new());
-    let mut archive = NpzWriter::new(&mut bytes);
+    let stored = SimpleFileOptions::DEFAULT.compression_method(CompressionMethod::Stored);
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, shape, data) in arrays {
-        expect_length(shape, data).map_err(|e| e.element(name).at(path))?;
-        let shape = shape_u64(shape);
-        let array = archive.array(name, options).map_err(failed)?;
-        let mut writer = array.default_dtype().shape(&shape).begin_nd().map_err(failed)?;
-        writer.extend(data.iter().copied()).map_err(failed)?;
-        writer.finish().map_err(failed)?;
+        let array = encode(shape, data).map_err(|e| e.element(name).at(path))?;
+        archive.start_file(format!("{name}.npy"), stored).map_err(|e| failed(&e))?;
+        archive.write_all(&array).map_err(|e| failed(&e))?;
     }
-    drop(archive);
-    files::write_bytes(path, &bytes.into_inner())
+    files::write_bytes(path, archive.finish().map_err(|e| failed(&e))?.get_ref())
 }
 
 fn shape_u64(shape: &[usize]) -> Vec<u64> {
@@ -164,6 +160,8 @@ fn from_fortran(shape: &[usize], data: &[f32]) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Read;
+
     use super::*;
 
     #[test]
@@ -200,10 +198,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.npz");
         write_npz(&path, &[("means", &[1, 3], &[1.0, 2.0, 3.0]), ("opacities", &[2], &[0.5, 0.25])]).unwrap();
-        let mut archive = npyz::npz::NpzArchive::open(&path).unwrap();
-        let means = archive.by_name("means").unwrap().unwrap();
-        assert_eq!(means.shape(), [1, 3]);
-        assert_eq!(means.into_vec::<f32>().unwrap(), [1.0, 2.0, 3.0]);
+        let mut archive = zip::ZipArchive::new(std::fs::File::open(&path).unwrap()).unwrap();
+        let mut means = Vec::new();
+        archive.by_name("means.npy").unwrap().read_to_end(&mut means).unwrap();
+        assert_eq!(decode(&means).unwrap(), Array { shape: vec![1, 3], data: vec![1.0, 2.0, 3.0] });
         assert!(write_npz(&path, &[("means", &[2], &[1.0])]).unwrap_err().to_string().contains("means"));
     }
 
