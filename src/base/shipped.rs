@@ -1,5 +1,5 @@
 //! The files that the program carries: cases with their trees and surfaces, methods, profiles, thresholds and ablations,
-//! as they were in `bench-cases/` when it was built. Their paths begin with [`ROOT`], and [`super::files`] reads them like files on
+//! as they were in `bench-cases/` when it was built; none without the feature `methods`. Their paths begin with [`ROOT`], and [`super::files`] reads them like files on
 //! disk, so that nothing above needs to know where a case comes from.
 
 use std::path::{Component, Path, PathBuf};
@@ -35,7 +35,7 @@ pub(super) fn names(inside: &Path) -> Option<Vec<&'static str>> {
     (!names.is_empty()).then_some(names)
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "methods"))]
 mod tests {
     use super::*;
     use crate::base::files;
