@@ -8,7 +8,7 @@
 #include <cstring>
 #include <vector>
 
-#include "cpp/splat/require.h"
+#include "cpp/common/require.h"
 #include "respire-bench/src/ffi/splat/bin.rs.h"
 
 namespace respire {

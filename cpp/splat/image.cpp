@@ -11,8 +11,8 @@
 
 #include <algorithm>
 
+#include "cpp/common/require.h"
 #include "cpp/splat/kernel.h"
-#include "cpp/splat/require.h"
 #include "respire-bench/src/ffi/splat/image.rs.h"
 
 namespace respire {

@@ -2,8 +2,8 @@
 #include "cpp/splat/loss.h"
 
 #include "cpp/common/isa.h"
+#include "cpp/common/require.h"
 #include "cpp/splat/loss_kernel.h"
-#include "cpp/splat/require.h"
 #include "respire-bench/src/ffi/splat/loss.rs.h"
 
 namespace respire {

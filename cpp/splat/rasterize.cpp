@@ -5,8 +5,8 @@
 #include <algorithm>
 
 #include "cpp/common/isa.h"
+#include "cpp/common/require.h"
 #include "cpp/splat/kernel.h"
-#include "cpp/splat/require.h"
 #include "respire-bench/src/ffi/splat/rasterize.rs.h"
 
 namespace respire {

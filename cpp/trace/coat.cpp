@@ -36,14 +36,14 @@ std::vector<float> directional_albedo(int rows, int cosines, float alpha_low, fl
 }  // namespace
 
 Coat::Coat(float alpha_low, float alpha_high, float ior)
-    : rows_(alpha_high > alpha_low ? kRoughnesses : 1), alpha_low_(alpha_low), ior_(ior) {
+    : rows_(alpha_high > alpha_low ? ROUGHNESSES : 1), alpha_low_(alpha_low), ior_(ior) {
   rows_per_alpha_ = rows_ > 1 ? static_cast<float>(rows_ - 1) / (alpha_high - alpha_low) : 0.0f;
   // A scene has a tracer per shape, all of one material. Tables are few and small, and live as long as the program.
   static std::mutex mutex;
   static auto& tables = *new std::map<std::tuple<float, float, float>, std::vector<float>>;
   const std::lock_guard<std::mutex> lock(mutex);
   std::vector<float>& table = tables[{alpha_low, alpha_high, ior}];
-  if (table.empty()) table = directional_albedo(rows_, kCosines, alpha_low, rows_per_alpha_, ior);
+  if (table.empty()) table = directional_albedo(rows_, COSINES, alpha_low, rows_per_alpha_, ior);
   table_ = table.data();
 }
 

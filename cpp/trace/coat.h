@@ -29,7 +29,7 @@ inline float smith_lambda(float cosine, float alpha) {
 // GGX distribution of microfacet normals: D = alpha^2 / (pi (cos_h^2 (alpha^2 - 1) + 1)^2).
 inline float ggx(float cosine_h, float alpha) {
   float a2 = alpha * alpha, d = cosine_h * cosine_h * (a2 - 1.0f) + 1.0f;
-  return a2 / (kPi * d * d);
+  return a2 / (PI * d * d);
 }
 
 // Weight of the direction `i` into which the sampled visible normal h mirrors `o`: f cos_i / density = F G2 / G1, or
@@ -70,14 +70,14 @@ class Coat {
 
   // Directional albedo of the coat seen under the cosine `cosine_o`.
   float albedo(float alpha, float cosine_o) const {
-    float column = clamp(cosine_o, 0.0f, 1.0f) * (kCosines - 1);
-    int c = std::min(static_cast<int>(column), kCosines - 2);
+    float column = clamp(cosine_o, 0.0f, 1.0f) * (COSINES - 1);
+    int c = std::min(static_cast<int>(column), COSINES - 2);
     float t = column - static_cast<float>(c);
     if (rows_ == 1) return mix(table_[c], table_[c + 1], t);
     float row = clamp((alpha - alpha_low_) * rows_per_alpha_, 0.0f, static_cast<float>(rows_ - 1));
     int r = std::min(static_cast<int>(row), rows_ - 2);
-    const float* p = &table_[static_cast<std::size_t>(r) * kCosines + c];
-    return mix(mix(p[0], p[1], t), mix(p[kCosines], p[kCosines + 1], t), row - static_cast<float>(r));
+    const float* p = &table_[static_cast<std::size_t>(r) * COSINES + c];
+    return mix(mix(p[0], p[1], t), mix(p[COSINES], p[COSINES + 1], t), row - static_cast<float>(r));
   }
 
   // The first term of f.
@@ -97,8 +97,8 @@ class Coat {
 
  private:
   // Columns of the table, evenly spaced in the cosine; rows, evenly spaced in roughness, where it varies.
-  static constexpr int kCosines = 129;
-  static constexpr int kRoughnesses = 8;
+  static constexpr int COSINES = 129;
+  static constexpr int ROUGHNESSES = 8;
   int rows_ = 0;
   float alpha_low_ = 0, rows_per_alpha_ = 0, ior_ = 1;
   const float* table_ = nullptr;

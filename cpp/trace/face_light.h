@@ -9,7 +9,7 @@ namespace respire {
 
 // Assumed fraction of the indirect light that reaches the coat from about the lamp's direction; the rest is taken as
 // uniform over all directions.
-constexpr float kFromLampSide = 0.5f;
+constexpr float FROM_LAMP_SIDE = 0.5f;
 
 // Barycentric weights of a place in a face whose corner `corner` has the weight `own`; the other two share the rest.
 struct CornerWeights {
@@ -43,7 +43,7 @@ class FaceLighting {
       received += light, sent += light * part.albedo, even += lamp_.unshadowed(part);
     }
     const float each = 1.0f / static_cast<float>(parts * parts);
-    const float e = material_.mean_coat(), spread = e * (1.0f - kFromLampSide);
+    const float e = material_.mean_coat(), spread = e * (1.0f - FROM_LAMP_SIDE);
     FaceLight out{};
     store(out.irradiance.data(), received * each);
     store(out.sent.data(), sent * (each * (1.0f - e)));
@@ -55,9 +55,9 @@ class FaceLighting {
     if (!material_.coated()) return out;
     // The coat's total reflection, sent through the wider lobe.
     const float cosine = std::max(dot(s.shading, normalize(lamp_.position() - s.point)), 0.0f);
-    const float wide = std::max(material_.wide_coat().albedo(kWideAlpha, cosine), 1e-6f);
+    const float wide = std::max(material_.wide_coat().albedo(WIDE_ALPHA, cosine), 1e-6f);
     out.mirrored_lamp = material_.coat().albedo(s.alpha, cosine) / wide;
-    out.mirrored_other = e * kFromLampSide / wide;
+    out.mirrored_other = e * FROM_LAMP_SIDE / wide;
     return out;
   }
 
@@ -71,11 +71,11 @@ class FaceLighting {
     const Vec3 o = frame.local(way * (1.0f / std::sqrt(l2))), i = frame.local(normalize(lamp_.position() - point));
     out.base =
         (1.0f - material_.coat().albedo(material_.mean_alpha(), std::max(o.z, 0.0f))) / (1.0f - material_.mean_coat());
-    out.coat = kPi * material_.wide_coat().value(o, i, kWideAlpha);
+    out.coat = PI * material_.wide_coat().value(o, i, WIDE_ALPHA);
     return out;
   }
 
-  // Faces hit by `count` cosine-distributed rays from `face`; kNoFace for a ray that leaves the mesh. The rays are
+  // Faces hit by `count` cosine-distributed rays from `face`; NO_FACE for a ray that leaves the mesh. The rays are
   // fixed to the tissue, so their noise moves with the wall and does not flicker.
   void gather(std::uint32_t face, std::uint32_t count, std::uint32_t* hits) {
     const std::uint32_t key = hash32(face ^ pattern_key_);
@@ -91,7 +91,7 @@ class FaceLighting {
       Hit hit;
       const bool leaves = dot(direction, s.geometric) > 0.0f;
       hits[k] =
-          leaves && caster_.intersect(s.point + s.geometric * kSurfaceOffset, direction, hit) ? hit.face : kNoFace;
+          leaves && caster_.intersect(s.point + s.geometric * SURFACE_OFFSET, direction, hit) ? hit.face : NO_FACE;
     }
   }
 
@@ -158,7 +158,7 @@ class FaceLighting {
   }
 
   // The exit of a walk that does not come out.
-  static ScatterExit no_exit() { return {{kNoFace, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}}; }
+  static ScatterExit no_exit() { return {{NO_FACE, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}}; }
 
  private:
   // Parts along a face's side, chosen by the squared ratio of its longest side to its distance from the lamp.

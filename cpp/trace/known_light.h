@@ -26,7 +26,7 @@ class KnownLightTracer {
       if (scatters) light = sharpened(*hit, light, at.s);
       const float share = material_.coated() ? 1.0f - material_.coat().albedo(at.s.alpha, at.o.z) : 1.0f;
       Indirect found;
-      found.base = light * (share * (1.0f / kPi));
+      found.base = light * (share * (1.0f / PI));
       if (material_.coated() && paths_.limit() > 1) found.coat = mirrored(at, sampler);
       return found;
     });
@@ -65,7 +65,7 @@ class KnownLightTracer {
     Surface out;
     if (!paths_.scatter_out(at.s, at.frame.world(at.o), sampler, throughput, hit, out)) return {};
     if (irradiance_at(hit, light))
-      light = (light + lamp_.irradiance(out, &paths_.caster())) * (1.0f / kPi);
+      light = (light + lamp_.irradiance(out, &paths_.caster())) * (1.0f / PI);
     else
       light = paths_.lit_exit(out, throughput * weight, 1, sampler);
     return {quotient(throughput * light, at.s.albedo) * weight, {}};
@@ -82,7 +82,7 @@ class KnownLightTracer {
     Vec3 radiance = lamp_.direct_light(material_, met.s, met.frame, met.o, met.s.albedo, &paths_.caster());
     if (paths_.limit() == 2) return radiance;
     const float share = material_.coated() ? 1.0f - material_.coat().albedo(met.s.alpha, met.o.z) : 1.0f;
-    radiance += light * met.s.albedo * (share * (1.0f / kPi));
+    radiance += light * met.s.albedo * (share * (1.0f / PI));
     float weight;
     if (paths_.coat_is_chosen(met, sampler, weight)) radiance += paths_.mirrored_light(met, sampler, 3) * weight;
     return radiance;
@@ -103,16 +103,16 @@ class KnownLightTracer {
     // A sharp highlight in a mirror would be all noise, so the coat hit there uses the wide lobe.
     const Vec3 to_lamp = met.frame.local(normalize(lamp_.position() - met.s.point));
     const float cosine = std::max(to_lamp.z, 0.0f);
-    const float wide = std::max(material_.wide_coat().albedo(kWideAlpha, cosine), 1e-6f);
-    const float glint = kPi / wide * material_.wide_coat().value(met.o, to_lamp, kWideAlpha);
+    const float wide = std::max(material_.wide_coat().albedo(WIDE_ALPHA, cosine), 1e-6f);
+    const float glint = PI / wide * material_.wide_coat().value(met.o, to_lamp, WIDE_ALPHA);
     const float lamp = material_.coat().albedo(met.s.alpha, cosine) * glint;
     // Indirect light by the coat: of its uniform part, by reciprocity, the albedo seen from here; the rest through the
     // wide lobe.
     const float e = material_.coat().albedo(met.s.alpha, met.o.z);
-    const float other = (1.0f - kFromLampSide) * e + kFromLampSide * material_.mean_coat() * glint;
+    const float other = (1.0f - FROM_LAMP_SIDE) * e + FROM_LAMP_SIDE * material_.mean_coat() * glint;
     const Vec3 base = met.s.albedo * (1.0f - e);
     const Vec3 by_lamp = lamp_.irradiance(met.s, &paths_.caster()) * (base + grey(lamp));
-    return (by_lamp + light * (base + grey(other))) * (weight / kPi);
+    return (by_lamp + light * (base + grey(other))) * (weight / PI);
   }
 
   bool scattered_at(const Hit& hit, Vec3& light) const {
@@ -127,7 +127,7 @@ class KnownLightTracer {
   template <class Values>
   bool interpolated(const Hit& hit, Values&& values, Vec3& light) const {
     // Least total weight of known vertices at which they may stand for the whole face.
-    constexpr float kEnough = 0.05f;
+    constexpr float ENOUGH = 0.05f;
     const std::uint32_t* corners = wall_.mesh.corners(hit.face);
     const float w[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};
     float total = 0.0f;
@@ -138,7 +138,7 @@ class KnownLightTracer {
       light += load(value) * w[k];
       total += w[k];
     }
-    if (!(total > kEnough)) return false;
+    if (!(total > ENOUGH)) return false;
     light = light * (1.0f / total);
     return true;
   }

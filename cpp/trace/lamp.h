@@ -35,15 +35,15 @@ class Lamp {
   }
 
   // Squared length of `way` as the falloff uses it.
-  static float squared(Vec3 way) { return std::max(dot(way, way), kNearest2); }
+  static float squared(Vec3 way) { return std::max(dot(way, way), NEAREST2); }
 
   // Irradiance, and the direction to the lamp. `shadows` casts the shadow ray; null: nothing can be in between.
   Vec3 irradiance(const Surface& s, RayCaster* shadows, Vec3& direction) const {
     const float r2 = direction_from(s.point, direction);
     const float cosine = dot(s.shading, direction);
     if (cosine <= 0.0f || dot(s.geometric, direction) <= 0.0f) return {0, 0, 0};
-    const Vec3 origin = s.point + s.geometric * kSurfaceOffset;
-    const float length = std::sqrt(r2) * (1.0f - 1e-5f) - kSurfaceOffset;
+    const Vec3 origin = s.point + s.geometric * SURFACE_OFFSET;
+    const float length = std::sqrt(r2) * (1.0f - 1e-5f) - SURFACE_OFFSET;
     if (shadows && shadows->occluded(origin, direction, length)) return {0, 0, 0};
     return intensity_ * (emission(direction) * cosine / r2);
   }
@@ -68,15 +68,15 @@ class Lamp {
     Vec3 direction;
     const Vec3 received = irradiance(s, shadows, direction);
     if (!(received.x + received.y + received.z > 0.0f)) return {0, 0, 0};
-    if (!material.coated()) return received * rho * (1.0f / kPi);
+    if (!material.coated()) return received * rho * (1.0f / PI);
     const float e = material.coat().albedo(s.alpha, o.z);
     const float mirrored = material.coat().value(o, frame.local(direction), s.alpha);
-    return received * (rho * ((1.0f - e) / kPi) + Vec3{mirrored, mirrored, mirrored});
+    return received * (rho * ((1.0f - e) / PI) + Vec3{mirrored, mirrored, mirrored});
   }
 
  private:
   // Least squared distance of the falloff, in mm^2 (a hundredth of a millimetre): keeps it finite at the lamp.
-  static constexpr float kNearest2 = 1e-4f;
+  static constexpr float NEAREST2 = 1e-4f;
 
   Vec3 position_, intensity_, axis_;
   float exponent_;

@@ -80,7 +80,7 @@ inline float vessel_coverage(const NoiseKernel& noise, Vec3 rest_mm, Vec3 normal
 }
 
 // Height of the cartilage rings at full strength; like all numbers of the look, no measurement.
-constexpr float kRingHeightMm = 0.45f;
+constexpr float RING_HEIGHT_MM = 0.45f;
 
 // Cartilage: full in trachea and main bronchi, gone from generation 4 on.
 // The back wall of trachea and main bronchi is a membrane without it: LPS, y to the back, `rest_normal` into the lumen.
@@ -96,12 +96,12 @@ inline float ring_profile(float axial_mm, float spacing_mm, float& slope) {
   turns -= std::floor(turns);
   float c, s;
   cos_sin_turns(turns, c, s);
-  slope = s * kPi / spacing_mm;
+  slope = s * PI / spacing_mm;
   return 0.5f - 0.5f * c;
 }
 
 // Height of the lengthwise folds at full strength, from hollow to crest.
-constexpr float kFoldHeightMm = 1.2f;
+constexpr float FOLD_HEIGHT_MM = 1.2f;
 
 // Folds: on the membranous back wall of trachea and main bronchi, and, lower, all around in small airways.
 inline float fold_weight(float generation, Vec3 rest_normal) {

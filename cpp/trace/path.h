@@ -39,7 +39,7 @@ struct Vertex {
   explicit Vertex(const Surface& surface) : s(surface), frame(surface.shading), o{0, 0, 1} {}
   // The vertex that a ray along `direction` hits.
   Vertex(const Surface& surface, Vec3 direction) : Vertex(surface) { o = upper(frame.local(-direction)); }
-  Vec3 origin() const { return s.point + s.geometric * kSurfaceOffset; }
+  Vec3 origin() const { return s.point + s.geometric * SURFACE_OFFSET; }
 };
 
 // Indirect light that a vertex sends to the viewer: by the base, over its albedo, and by the coat.
@@ -129,9 +129,9 @@ class PathTracer {
       next.local = cosine_direction(u, v);
     }
     const float density =
-        p_coat * Coat::density(at.o, next.local, at.s.alpha) + (1.0f - p_coat) * next.local.z * (1.0f / kPi);
+        p_coat * Coat::density(at.o, next.local, at.s.alpha) + (1.0f - p_coat) * next.local.z * (1.0f / PI);
     if (!(density > 1e-12f)) return false;
-    next.base = (1.0f - e) * (1.0f / kPi) * next.local.z / density;
+    next.base = (1.0f - e) * (1.0f / PI) * next.local.z / density;
     next.coat = coat.value(at.o, next.local, at.s.alpha) * next.local.z / density;
     return true;
   }
@@ -187,7 +187,7 @@ class PathTracer {
   // light.
   Vec3 lit_exit(const Surface& s, Vec3 carried, std::uint32_t scattering, Sampler& sampler) {
     const float survival = scattering > 1 ? std::min(max_component(carried), 1.0f) : 1.0f;
-    Vec3 light = lamp_.irradiance(s, &caster_) * (1.0f / kPi);
+    Vec3 light = lamp_.irradiance(s, &caster_) * (1.0f / PI);
     if (scattering < limit_ && (survival >= 1.0f || sampler.random() < survival)) {
       float u, v;
       sampler.next2(u, v);
@@ -246,11 +246,11 @@ class PathTracer {
  private:
   // Most scatterings of an unlimited path. Roulette ends every path long before; the bound only stops paths in a
   // perfectly white closed room.
-  static constexpr std::uint32_t kLongestPath = 4096;
+  static constexpr std::uint32_t LONGEST_PATH = 4096;
   // The same for a matched boundary, where every scattering below the surface counts.
-  static constexpr std::uint32_t kLongestMatchedPath = 1u << 24;
+  static constexpr std::uint32_t LONGEST_MATCHED_PATH = 1u << 24;
   static std::uint32_t unlimited(const WallMaterial& material) {
-    return material.subsurface() == SubsurfaceKind::Matched ? kLongestMatchedPath : kLongestPath;
+    return material.subsurface() == SubsurfaceKind::Matched ? LONGEST_MATCHED_PATH : LONGEST_PATH;
   }
 
   static void add(std::array<float, 3>& sum, Vec3 v) { sum[0] += v.x, sum[1] += v.y, sum[2] += v.z; }
@@ -311,21 +311,21 @@ class PathTracer {
     const ScatterWalk walk(wall_.mesh, medium, caster_.rays);
     Vec3 radiance{0, 0, 0};
     ScatterWalk::Flight flight{entry.point, direction, {1, 1, 1}};
-    float near = ScatterWalk::kStart;
+    float near = ScatterWalk::START;
     Hit hit;
     for (std::uint32_t scattering = 0;;) {
       const ScatterWalk::Step step = walk.fly(flight, near, sampler, hit);
-      if (step == ScatterWalk::Step::kAbsorbed) return radiance;
-      if (step == ScatterWalk::Step::kSurface) {
+      if (step == ScatterWalk::Step::ABSORBED) return radiance;
+      if (step == ScatterWalk::Step::SURFACE) {
         // Through the lumen to the next wall.
-        const Vec3 from = flight.point + flight.direction * kSurfaceOffset;
+        const Vec3 from = flight.point + flight.direction * SURFACE_OFFSET;
         if (!caster_.intersect(from, flight.direction, hit)) return radiance + flight.throughput * background_;
         if (!material_.scatters_at_every_vertex()) {
           const Vec3 onwards = reflected(hit, from, flight.direction, flight.throughput, scattering + 1, sampler);
           return radiance + flight.throughput * onwards;
         }
         flight.point = from + flight.direction * hit.t;
-        near = ScatterWalk::kStart;
+        near = ScatterWalk::START;
         continue;
       }
       ++scattering;
@@ -341,23 +341,23 @@ class PathTracer {
   // times: I exp(-sigma d) / (4 pi r^2), d the length of the path inside the wall.
   Vec3 lamp_through_boundary(const ScatterWalk& walk, const Medium& medium, Vec3 point) {
     // Optical depth beyond which the remaining light (2e-9) is invisible.
-    constexpr float kOpaque = 20.0f;
+    constexpr float OPAQUE = 20.0f;
     Vec3 direction;
     const float r2 = lamp_.direction_from(point, direction), r = std::sqrt(r2);
     const float thinnest = std::min(medium.extinction.x, std::min(medium.extinction.y, medium.extinction.z));
     float in_wall = 0.0f, so_far = 0.0f;
     bool inside = true;
     Hit hit;
-    for (float near = 0.0f;; near = so_far + ScatterWalk::kStart, inside = !inside) {
+    for (float near = 0.0f;; near = so_far + ScatterWalk::START, inside = !inside) {
       const bool surface = near < r && walk.reaches(point, direction, near, r, hit);
       // A hit at grazing incidence is placed by rounding; it must not lie before where the ray began, or this never ends.
       const float end = surface ? std::max(hit.t, near) : r;
       if (inside) in_wall += end - so_far;
-      if (in_wall * thinnest > kOpaque) return {0, 0, 0};
+      if (in_wall * thinnest > OPAQUE) return {0, 0, 0};
       if (!surface) break;
       so_far = end;
     }
-    const float falloff = lamp_.emission(direction) / (4.0f * kPi * r2);
+    const float falloff = lamp_.emission(direction) / (4.0f * PI * r2);
     return lamp_.intensity() * attenuation(medium.extinction, in_wall) * falloff;
   }
 

@@ -53,14 +53,14 @@ class Sampler {
         state_(hash32(pixel_key ^ hash32(index + 0x9e3779b9u))) {}
 
   float next1() {
-    if (dimension_ >= kStratified) return unit_float(next_hash());
+    if (dimension_ >= STRATIFIED) return unit_float(next_hash());
     std::uint32_t seed = hash32(key_ + ++dimension_ * 0x68bc21ebu);
     std::uint32_t i = shuffled(seed);
     return unit_float(reverse_bits(scramble_reversed(i, hash32(seed + 1))));
   }
 
   void next2(float& u, float& v) {
-    if (dimension_ >= kStratified) {
+    if (dimension_ >= STRATIFIED) {
       u = unit_float(next_hash());
       v = unit_float(next_hash());
       return;
@@ -77,7 +77,7 @@ class Sampler {
 
  private:
   // Dimensions that are stratified; later ones use plain hashing.
-  static constexpr std::uint32_t kStratified = 24;
+  static constexpr std::uint32_t STRATIFIED = 24;
 
   std::uint32_t shuffled(std::uint32_t seed) const { return reverse_bits(scramble_reversed(reversed_index_, seed)); }
   std::uint32_t next_hash() { return hash32(state_ += 0x9e3779b9u); }

@@ -12,7 +12,7 @@
 // functions and non-exponential free flights"; with three different extinctions a single channel's density gives
 // unbounded weights). The single-scattering albedo that makes a half-space of diffuse albedo A is van de Hulst's
 // (Multiple Light Scattering, 1980), inverted. Roulette starts where throughput is low: survival = throughput /
-// kRouletteBelow, never capped. Left out: anisotropic phase functions (use reduced coefficients), guiding (Dwivedi's
+// ROULETTE_BELOW, never capped. Left out: anisotropic phase functions (use reduced coefficients), guiding (Dwivedi's
 // saves 6 to 13 % here: the red albedo is too close to 1).
 
 #include <cmath>
@@ -47,10 +47,10 @@ inline Vec3 attenuation(Vec3 extinction, float distance) {
 
 class ScatterWalk {
  public:
-  enum class Step { kScattered, kSurface, kAbsorbed };
+  enum class Step { SCATTERED, SURFACE, ABSORBED };
 
   // A flight from the surface starts this far below it, in mm, like a ray in the lumen above it.
-  static constexpr float kStart = kSurfaceOffset;
+  static constexpr float START = SURFACE_OFFSET;
 
   // Inside a mesh; `rays` counts the rays.
   ScatterWalk(const TracedMesh& mesh, const Medium& medium, std::uint64_t& rays)
@@ -71,7 +71,7 @@ class ScatterWalk {
     // Choose the channel: p_c = T_c a_c / sum(T a).
     const Vec3 carried = flight.throughput * medium_.albedo;
     const float sum = carried.x + carried.y + carried.z;
-    if (!(sum > 0.0f)) return Step::kAbsorbed;
+    if (!(sum > 0.0f)) return Step::ABSORBED;
     const Vec3 choice = carried * (1.0f / sum);
     float which, distance;
     if (stratified)
@@ -89,24 +89,24 @@ class ScatterWalk {
     Vec3 value = attenuation(medium_.extinction, length);
     if (!surface) value = value * medium_.extinction;
     const float density = dot(choice, value);
-    if (!(density > 0.0f)) return Step::kAbsorbed;
+    if (!(density > 0.0f)) return Step::ABSORBED;
     flight.throughput = flight.throughput * value * (1.0f / density);
     flight.point += flight.direction * length;
-    if (surface) return Step::kSurface;
+    if (surface) return Step::SURFACE;
     flight.throughput = flight.throughput * medium_.albedo;
-    return Step::kScattered;
+    return Step::SCATTERED;
   }
 
   // Walks from the surface point `flight.point` into the wall along `flight.direction` until the light comes out again.
   // On true, `flight` and `hit` hold the exit and the throughput, which starts at 1.
   bool leave(Flight& flight, Sampler& sampler, Hit& hit) const {
     flight.throughput = {1, 1, 1};
-    float near = kStart;
-    for (int step = 0; step < kLongest; ++step) {
-      const bool stratified = step < kStratifiedSteps;
+    float near = START;
+    for (int step = 0; step < LONGEST; ++step) {
+      const bool stratified = step < STRATIFIED_STEPS;
       const Step outcome = fly(flight, near, sampler, hit, stratified);
-      if (outcome == Step::kSurface) return true;
-      if (outcome == Step::kAbsorbed || !survives(flight.throughput, sampler)) return false;
+      if (outcome == Step::SURFACE) return true;
+      if (outcome == Step::ABSORBED || !survives(flight.throughput, sampler)) return false;
       float u, v;
       if (stratified)
         sampler.next2(u, v);
@@ -118,9 +118,9 @@ class ScatterWalk {
     return false;
   }
 
-  // Roulette: survives with the probability throughput / kRouletteBelow.
+  // Roulette: survives with the probability throughput / ROULETTE_BELOW.
   static bool survives(Vec3& throughput, Sampler& sampler) {
-    const float survival = max_component(throughput) * (1.0f / kRouletteBelow);
+    const float survival = max_component(throughput) * (1.0f / ROULETTE_BELOW);
     if (survival >= 1.0f) return true;
     if (sampler.random() >= survival) return false;
     throughput = throughput * (1.0f / survival);
@@ -140,11 +140,11 @@ class ScatterWalk {
 
  private:
   // Throughput below which roulette starts.
-  static constexpr float kRouletteBelow = 0.5f;
+  static constexpr float ROULETTE_BELOW = 0.5f;
   // The first flights, for which stratification pays; later ones use plain random numbers.
-  static constexpr int kStratifiedSteps = 2;
+  static constexpr int STRATIFIED_STEPS = 2;
   // Flights of the longest walk: ends walks in perfectly white, closed walls.
-  static constexpr int kLongest = 1 << 16;
+  static constexpr int LONGEST = 1 << 16;
 
   const TracedMesh* mesh_ = nullptr;
   Vec3 point_{}, normal_{};

@@ -6,12 +6,12 @@
 #include <string>
 
 #include "cpp/common/float_mode.h"
-#include "cpp/trace/demand.h"
+#include "cpp/common/require.h"
 
 namespace respire {
 
 void RayPacket::aim(const float* origins, std::size_t origin_stride, const float* directions, std::size_t count) {
-  for (std::size_t lane = 0; lane < kWidth; ++lane) {
+  for (std::size_t lane = 0; lane < WIDTH; ++lane) {
     std::size_t source = lane < count ? lane : 0;
     valid_[lane] = lane < count ? -1 : 0;
     const float *o = origins + origin_stride * source, *d = directions + 3 * source;
@@ -27,7 +27,7 @@ void RayPacket::aim(const float* origins, std::size_t origin_stride, const float
 void RayPacket::trace(RTCScene scene, Bundle bundle) {
   RTCIntersectArguments arguments;
   rtcInitIntersectArguments(&arguments);
-  arguments.flags = bundle == Bundle::kCoherent ? RTC_RAY_QUERY_FLAG_COHERENT : RTC_RAY_QUERY_FLAG_INCOHERENT;
+  arguments.flags = bundle == Bundle::COHERENT ? RTC_RAY_QUERY_FLAG_COHERENT : RTC_RAY_QUERY_FLAG_INCOHERENT;
   rtcIntersect8(valid_, scene, &rays_, &arguments);
 }
 
@@ -41,8 +41,8 @@ bool RayPacket::hit(const TracedMesh& mesh, std::size_t lane, Hit& hit) const {
 
 TracedMesh::TracedMesh(rust::Slice<const float> vertices, rust::Slice<const std::uint32_t> faces)
     : vertex_count_(vertices.size() / 3), face_count_(faces.size() / 3) {
-  demand(vertices.size() % 3 == 0 && faces.size() % 3 == 0, "vertex and index lengths must be multiples of 3");
-  for (std::uint32_t v : faces) demand(v < vertex_count_, "a face names a vertex that is not there");
+  require(vertices.size() % 3 == 0 && faces.size() % 3 == 0, "vertex and index lengths must be multiples of 3");
+  for (std::uint32_t v : faces) require(v < vertex_count_, "a face names a vertex that is not there");
   FloatMode mode;
   device_.reset(rtcNewDevice("isa=avx2"));
   if (!device_)
@@ -68,18 +68,18 @@ TracedMesh::TracedMesh(rust::Slice<const float> vertices, rust::Slice<const std:
     rtcAttachGeometry(scene, geometry_);
     rtcCommitScene(scene);
   }
-  demand_no_error();
+  require_no_error();
   update_normals();
 }
 
 // Embree's functions say nothing when they fail: the device remembers the first error.
-void TracedMesh::demand_no_error() const {
+void TracedMesh::require_no_error() const {
   const RTCError error = rtcGetDeviceError(device_);
   if (error != RTC_ERROR_NONE) throw std::runtime_error("Embree reports error " + std::to_string(error));
 }
 
 void TracedMesh::update(rust::Slice<const float> vertices) {
-  demand(vertices.size() == 3 * vertex_count_, "the number of vertices cannot change");
+  require(vertices.size() == 3 * vertex_count_, "the number of vertices cannot change");
   FloatMode mode;
   void* v = rtcGetGeometryBufferData(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
   if (std::memcmp(v, vertices.data(), vertices.size() * sizeof(float)) == 0) return;
@@ -94,7 +94,7 @@ void TracedMesh::refit() {
   rtcCommitGeometry(geometry_);
   rtcCommitScene(robust_);
   rtcCommitScene(fast_);
-  demand_no_error();
+  require_no_error();
 }
 
 // The area-weighted normals of the faces around each vertex, summed and normalised.

@@ -20,11 +20,11 @@
 namespace respire {
 
 // The face index where nothing was hit.
-constexpr std::uint32_t kNoFace = ~0u;
+constexpr std::uint32_t NO_FACE = ~0u;
 
 // Origins of rays are moved off the surface by this much, in mm: more than ten times the rounding of a coordinate of
 // 200 mm.
-constexpr float kSurfaceOffset = 2e-4f;
+constexpr float SURFACE_OFFSET = 2e-4f;
 
 // Where a ray hits the mesh: distance, barycentric weights of the face's second and third corner, face, and its normal
 // as wound (not normalised).
@@ -40,14 +40,14 @@ class TracedMesh;
 class RayPacket {
  public:
   // Rays per packet: AVX2 has eight lanes of float.
-  static constexpr std::size_t kWidth = 8;
+  static constexpr std::size_t WIDTH = 8;
 
   // The first `count` lanes' rays; `origins` and `directions` are xyz interleaved, `origin_stride` floats lie between
   // two origins (0: one for all).
   void aim(const float* origins, std::size_t origin_stride, const float* directions, std::size_t count);
 
   // Camera rays of one packet are coherent, rays in all directions are not: Embree traverses them differently.
-  enum class Bundle { kCoherent, kScattered };
+  enum class Bundle { COHERENT, SCATTERED };
   void trace(RTCScene scene, Bundle bundle);
 
   // Whether a lane's ray has met the mesh that was traced, and where.
@@ -55,7 +55,7 @@ class RayPacket {
 
  private:
   RTCRayHit8 rays_;
-  alignas(32) int valid_[kWidth];
+  alignas(32) int valid_[WIDTH];
 };
 
 // Owns an Embree object.
@@ -120,7 +120,7 @@ class TracedMesh {
 
  private:
   void update_normals();
-  void demand_no_error() const;
+  void require_no_error() const;
 
   // Declared in the order of creation, so that they are released in reverse.
   Handle<RTCDevice, rtcReleaseDevice> device_;

@@ -5,7 +5,7 @@
 
 #include "cpp/common/float_mode.h"
 #include "cpp/common/isa.h"
-#include "cpp/trace/demand.h"
+#include "cpp/common/require.h"
 #include "cpp/trace/face_light.h"
 #include "cpp/trace/known_light.h"
 #include "cpp/trace/path.h"
@@ -17,21 +17,21 @@ namespace respire {
 namespace {
 
 // Distance of a ray that hits nothing.
-constexpr float kInfinity = std::numeric_limits<float>::infinity();
+constexpr float FAR_AWAY = std::numeric_limits<float>::infinity();
 
 // The faces around a vertex and their areas (doubled).
 class AreasAround {
  public:
   AreasAround(const TracedMesh& mesh, std::uint32_t vertex, const FacesAround& around) {
     const auto& offsets = around.offsets;
-    demand(offsets.size() == mesh.vertex_count() + 1, "one offset per vertex and one for the end");
-    demand(vertex < mesh.vertex_count(), "a vertex that is not there");
+    require(offsets.size() == mesh.vertex_count() + 1, "one offset per vertex and one for the end");
+    require(vertex < mesh.vertex_count(), "a vertex that is not there");
     const std::uint32_t first = offsets[vertex], end = offsets[vertex + 1];
-    demand(first <= end && end <= around.faces.size(), "faces around a vertex that are not there");
+    require(first <= end && end <= around.faces.size(), "faces around a vertex that are not there");
     faces_ = around.faces.data() + first;
     float total = 0.0f;
     for (std::uint32_t k = 0; k < end - first; ++k) {
-      demand(faces_[k] < mesh.face_count(), "a face that is not there");
+      require(faces_[k] < mesh.face_count(), "a face that is not there");
       const std::uint32_t* corners = mesh.corners(faces_[k]);
       const Vec3 p = mesh.position(corners[0]);
       total += length(cross(mesh.position(corners[1]) - p, mesh.position(corners[2]) - p));
@@ -70,15 +70,15 @@ class AreasAround {
 template <class Found>
 void for_each_camera_ray(const Wall& wall, const FrameSettings& frame, rust::Slice<const float> directions,
                          Found&& found) {
-  float world[RayPacket::kWidth * 3];
+  float world[RayPacket::WIDTH * 3];
   RayPacket packet;
   const std::size_t rays = directions.size() / 3;
-  for (std::size_t first = 0; first < rays; first += RayPacket::kWidth) {
-    const std::size_t count = std::min(RayPacket::kWidth, rays - first);
+  for (std::size_t first = 0; first < rays; first += RayPacket::WIDTH) {
+    const std::size_t count = std::min(RayPacket::WIDTH, rays - first);
     for (std::size_t lane = 0; lane < count; ++lane)
       store(world + 3 * lane, wall.world_direction(load(directions.data() + 3 * (first + lane))));
     packet.aim(frame.origin.data(), 0, world, count);
-    packet.trace(wall.mesh.robust(), RayPacket::Bundle::kCoherent);
+    packet.trace(wall.mesh.robust(), RayPacket::Bundle::COHERENT);
     for (std::size_t lane = 0; lane < count; ++lane) {
       Hit hit;
       found(first + lane, load(world + 3 * lane), packet.hit(wall.mesh, lane, hit) ? &hit : nullptr);
@@ -87,10 +87,10 @@ void for_each_camera_ray(const Wall& wall, const FrameSettings& frame, rust::Sli
 }
 
 void check_tile(const FrameSettings& frame, const TileRequest& tile, std::size_t corners, std::size_t film) {
-  demand(tile.x1 <= frame.width && tile.y1 <= frame.height && tile.x0 < tile.x1 && tile.y0 < tile.y1,
-         "tile outside the image");
-  demand(corners == 3 * (frame.width + 1ull) * (frame.height + 1ull), "one direction per pixel corner");
-  demand(film == static_cast<std::size_t>(tile.x1 - tile.x0) * (tile.y1 - tile.y0), "film size");
+  require(tile.x1 <= frame.width && tile.y1 <= frame.height && tile.x0 < tile.x1 && tile.y0 < tile.y1,
+          "tile outside the image");
+  require(corners == 3 * (frame.width + 1ull) * (frame.height + 1ull), "one direction per pixel corner");
+  require(film == static_cast<std::size_t>(tile.x1 - tile.x0) * (tile.y1 - tile.y0), "film size");
 }
 
 // Camera direction (not normalised) through a pixel, bilinear between those through its corners.
@@ -119,7 +119,7 @@ std::unique_ptr<Tracer> new_tracer(rust::Slice<const float> vertices, rust::Slic
 
 TileCounters Tracer::trace_tile(const FrameSettings& frame, const TileRequest& tile, rust::Slice<const float> corners,
                                 rust::Slice<const KnownLight> known, rust::Slice<FilmPixel> film) const {
-  demand(known.empty() || known.size() == mesh_.vertex_count(), "what is known must be known per vertex");
+  require(known.empty() || known.size() == mesh_.vertex_count(), "what is known must be known per vertex");
   check_tile(frame, tile, corners.size(), film.size());
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
@@ -128,13 +128,13 @@ TileCounters Tracer::trace_tile(const FrameSettings& frame, const TileRequest& t
   KnownLightTracer from_vertices(paths, known.data());
   const std::uint32_t columns = tile.x1 - tile.x0, rows = tile.y1 - tile.y0;
   const std::uint64_t total = static_cast<std::uint64_t>(columns) * rows * tile.samples;
-  float directions[RayPacket::kWidth * 3];
+  float directions[RayPacket::WIDTH * 3];
   RayPacket packet;
   std::vector<Sampler> samplers;
-  samplers.reserve(RayPacket::kWidth);
+  samplers.reserve(RayPacket::WIDTH);
   // Samples of the tile, pixel after pixel, eight camera rays at a time.
-  for (std::uint64_t first = 0; first < total; first += RayPacket::kWidth) {
-    const std::size_t count = static_cast<std::size_t>(std::min<std::uint64_t>(RayPacket::kWidth, total - first));
+  for (std::uint64_t first = 0; first < total; first += RayPacket::WIDTH) {
+    const std::size_t count = static_cast<std::size_t>(std::min<std::uint64_t>(RayPacket::WIDTH, total - first));
     samplers.clear();
     for (std::size_t lane = 0; lane < count; ++lane) {
       const std::uint64_t pixel = (first + lane) / tile.samples;
@@ -146,7 +146,7 @@ TileCounters Tracer::trace_tile(const FrameSettings& frame, const TileRequest& t
       store(directions + 3 * lane, normalize(wall.world_direction(direction)));
     }
     packet.aim(frame.origin.data(), 0, directions, count);
-    packet.trace(mesh_.robust(), RayPacket::Bundle::kCoherent);
+    packet.trace(mesh_.robust(), RayPacket::Bundle::COHERENT);
     paths.caster().rays += count;
     for (std::size_t lane = 0; lane < count; ++lane) {
       Hit hit;
@@ -166,23 +166,23 @@ TileCounters Tracer::trace_tile(const FrameSettings& frame, const TileRequest& t
 
 void Tracer::probe_depth(const FrameSettings& frame, rust::Slice<const float> directions, rust::Slice<float> distances,
                          rust::Slice<std::uint32_t> faces) const {
-  demand(directions.size() == 3 * distances.size() && faces.size() == distances.size(), "one direction per distance");
+  require(directions.size() == 3 * distances.size() && faces.size() == distances.size(), "one direction per distance");
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
   for_each_camera_ray(wall, frame, directions, [&](std::size_t ray, Vec3, const Hit* hit) {
-    distances[ray] = hit ? hit->t : kInfinity;
-    faces[ray] = hit ? hit->face : kNoFace;
+    distances[ray] = hit ? hit->t : FAR_AWAY;
+    faces[ray] = hit ? hit->face : NO_FACE;
   });
 }
 
 void Tracer::probe(const FrameSettings& frame, rust::Slice<const float> directions,
                    rust::Slice<ProbedPoint> points) const {
-  demand(directions.size() == 3 * points.size(), "one direction per point");
+  require(directions.size() == 3 * points.size(), "one direction per point");
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
   for_each_camera_ray(wall, frame, directions, [&](std::size_t ray, Vec3 direction, const Hit* hit) {
     ProbedPoint& point = points[ray];
-    point = {{kNoFace, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}};
+    point = {{NO_FACE, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}};
     if (!hit) return;
     point.place = {hit->face, hit->u, hit->v};
     store(point.albedo.data(), wall.camera_surface(*hit, direction).albedo);
@@ -191,29 +191,29 @@ void Tracer::probe(const FrameSettings& frame, rust::Slice<const float> directio
 
 void Tracer::cast(rust::Slice<const float> origins, rust::Slice<const float> directions,
                   rust::Slice<float> distances) const {
-  demand(directions.size() == 3 * distances.size() && origins.size() == directions.size(), "one ray per distance");
+  require(directions.size() == 3 * distances.size() && origins.size() == directions.size(), "one ray per distance");
   FloatMode mode;
   RayPacket packet;
-  for (std::size_t first = 0; first < distances.size(); first += RayPacket::kWidth) {
-    const std::size_t count = std::min(RayPacket::kWidth, distances.size() - first);
+  for (std::size_t first = 0; first < distances.size(); first += RayPacket::WIDTH) {
+    const std::size_t count = std::min(RayPacket::WIDTH, distances.size() - first);
     packet.aim(origins.data() + 3 * first, 3, directions.data() + 3 * first, count);
-    packet.trace(mesh_.robust(), RayPacket::Bundle::kScattered);
+    packet.trace(mesh_.robust(), RayPacket::Bundle::SCATTERED);
     for (std::size_t lane = 0; lane < count; ++lane) {
       Hit hit;
-      distances[first + lane] = packet.hit(mesh_, lane, hit) ? hit.t : kInfinity;
+      distances[first + lane] = packet.hit(mesh_, lane, hit) ? hit.t : FAR_AWAY;
     }
   }
 }
 
 std::uint64_t Tracer::lamp_on_faces(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces,
                                     rust::Slice<FaceLight> light) const {
-  demand(light.size() == faces.size(), "one record per face");
+  require(light.size() == faces.size(), "one record per face");
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
   const Lamp lamp(frame);
   FaceLighting lighting(wall, lamp, frame);
   for (std::size_t f = 0; f < faces.size(); ++f) {
-    demand(faces[f] < mesh_.face_count(), "a face that is not there");
+    require(faces[f] < mesh_.face_count(), "a face that is not there");
     light[f] = lighting.lamp_on(faces[f]);
   }
   return lighting.rays();
@@ -221,8 +221,8 @@ std::uint64_t Tracer::lamp_on_faces(const FrameSettings& frame, rust::Slice<cons
 
 void Tracer::glints(const FrameSettings& frame, rust::Slice<const FaceLight> light, rust::Slice<const std::uint32_t> to,
                     rust::Slice<const std::uint32_t> from, rust::Slice<Glint> glints) const {
-  demand(!to.empty() && from.size() % to.size() == 0, "the same number of rays for every face");
-  demand(glints.size() == from.size(), "one record per ray");
+  require(!to.empty() && from.size() % to.size() == 0, "the same number of rays for every face");
+  require(glints.size() == from.size(), "one record per ray");
   if (!material_->coated()) return;
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
@@ -231,22 +231,22 @@ void Tracer::glints(const FrameSettings& frame, rust::Slice<const FaceLight> lig
   const std::size_t rays = from.size() / to.size();
   for (std::size_t ray = 0; ray < from.size(); ++ray) {
     const std::uint32_t source = from[ray], face = to[ray / rays];
-    if (source == kNoFace) continue;
-    demand(source < light.size() && face < light.size(), "a face without a record of its light");
+    if (source == NO_FACE) continue;
+    require(source < light.size() && face < light.size(), "a face without a record of its light");
     glints[ray] = lighting.glint(load(light[face].centre.data()), light[source]);
   }
 }
 
 std::uint64_t Tracer::gather(const FrameSettings& frame, rust::Slice<const std::uint32_t> faces,
                              rust::Slice<std::uint32_t> hits) const {
-  demand(!faces.empty() && !hits.empty() && hits.size() % faces.size() == 0, "the same number of rays for every face");
+  require(!faces.empty() && !hits.empty() && hits.size() % faces.size() == 0, "the same number of rays for every face");
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
   const Lamp lamp(frame);
   FaceLighting lighting(wall, lamp, frame);
   const std::size_t count = hits.size() / faces.size();
   for (std::size_t f = 0; f < faces.size(); ++f) {
-    demand(faces[f] < mesh_.face_count(), "a face that is not there");
+    require(faces[f] < mesh_.face_count(), "a face that is not there");
     lighting.gather(faces[f], static_cast<std::uint32_t>(count), &hits[f * count]);
   }
   return lighting.rays();
@@ -255,8 +255,8 @@ std::uint64_t Tracer::gather(const FrameSettings& frame, rust::Slice<const std::
 std::uint64_t Tracer::scatter_walks(const FrameSettings& frame, rust::Slice<const std::uint32_t> vertices,
                                     const FacesAround& around, rust::Slice<ScatterExit> exits,
                                     rust::Slice<FlatWalks> flat) const {
-  demand(!vertices.empty() && exits.size() % vertices.size() == 0, "the same number of walks for every vertex");
-  demand(flat.size() == vertices.size(), "one record per vertex");
+  require(!vertices.empty() && exits.size() % vertices.size() == 0, "the same number of walks for every vertex");
+  require(flat.size() == vertices.size(), "one record per vertex");
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
   const Lamp lamp(frame);
@@ -267,7 +267,7 @@ std::uint64_t Tracer::scatter_walks(const FrameSettings& frame, rust::Slice<cons
     const AreasAround areas(mesh_, vertex, around);
     const Vec3 centre = areas.weighted_centre(mesh_, vertex);
     // Squared diameter of a disc of the faces' area: how far the slope that these give is to be trusted.
-    const float reach2 = std::max(areas.total() * (2.0f / kPi), 1e-12f);
+    const float reach2 = std::max(areas.total() * (2.0f / PI), 1e-12f);
     Vec3 excess{0, 0, 0}, moments[3] = {};
     for (std::size_t k = 0; k < count; ++k) {
       ScatterExit& exit = exits[i * count + k];
@@ -293,20 +293,20 @@ std::uint64_t Tracer::scatter_walks(const FrameSettings& frame, rust::Slice<cons
 
 void Tracer::unshadowed(const FrameSettings& frame, rust::Slice<const FacePlace> places,
                         rust::Slice<float> irradiance) const {
-  demand(irradiance.size() == 3 * places.size(), "three values per place");
+  require(irradiance.size() == 3 * places.size(), "three values per place");
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
   const Lamp lamp(frame);
   const FaceLighting lighting(wall, lamp, frame);
   for (std::size_t k = 0; k < places.size(); ++k) {
-    demand(places[k].face < mesh_.face_count(), "a face that is not there");
+    require(places[k].face < mesh_.face_count(), "a face that is not there");
     store(&irradiance[3 * k], lighting.unshadowed_at(places[k].face, places[k].u, places[k].v));
   }
 }
 
 void Tracer::unshadowed_around(const FrameSettings& frame, rust::Slice<const std::uint32_t> vertices,
                                const FacesAround& around, rust::Slice<float> irradiance) const {
-  demand(irradiance.size() == 3 * vertices.size(), "three values per vertex");
+  require(irradiance.size() == 3 * vertices.size(), "three values per vertex");
   FloatMode mode;
   const Wall wall(mesh_, *material_, frame);
   const Lamp lamp(frame);
@@ -327,20 +327,20 @@ float coat_albedo(float alpha, float ior, float cosine) { return Coat(alpha, alp
 float medium_albedo(float rho) { return single_scattering_albedo(rho); }
 
 void sobol_pair(std::uint32_t key, std::uint32_t index, std::uint32_t dimension, rust::Slice<float> pair) {
-  demand(pair.size() == 2, "a pair has two values");
+  require(pair.size() == 2, "a pair has two values");
   Sampler sampler(key, index);
   for (std::uint32_t d = 0; d <= dimension; ++d) sampler.next2(pair[0], pair[1]);
 }
 
 GradientNoise gradient_noise(std::uint8_t isa, rust::Slice<const float> point, std::uint32_t seed) {
-  demand(isa <= widest_isa() && point.size() == 3, "a point and an instruction set of this processor");
+  require(isa <= widest_isa() && point.size() == 3, "a point and an instruction set of this processor");
   const Noise n = noise_kernel(isa).gradient(point.data(), seed);
   return {n.value, {n.gradient[0], n.gradient[1], n.gradient[2]}};
 }
 
 void noise_neighbours(std::uint8_t isa, rust::Slice<const float> point, std::uint32_t seed,
                       rust::Slice<NoiseNeighbour> nearest) {
-  demand(isa <= widest_isa() && point.size() == 3 && nearest.size() == 2, "a point and its two neighbours");
+  require(isa <= widest_isa() && point.size() == 3 && nearest.size() == 2, "a point and its two neighbours");
   const Neighbours n = noise_kernel(isa).neighbours(point.data(), seed);
   for (std::size_t k = 0; k < 2; ++k)
     nearest[k] = {{n.place[k][0], n.place[k][1], n.place[k][2]}, n.distance2[k], n.cell[k]};

@@ -9,7 +9,7 @@
 
 namespace respire {
 
-constexpr float kPi = 3.14159265358979f;
+constexpr float PI = 3.14159265358979f;
 
 struct Vec3 {
   float x, y, z;
@@ -62,7 +62,7 @@ inline float inverse_smoothstep(float v) {
 inline void cos_sin_turns(float turns, float& cosine, float& sine) {
   float quarter = turns * 4.0f;
   int q = static_cast<int>(quarter + 0.5f);
-  float r = (quarter - static_cast<float>(q)) * (0.5f * kPi);
+  float r = (quarter - static_cast<float>(q)) * (0.5f * PI);
   float r2 = r * r;
   float s = r * (1.0f + r2 * (-1.6666667e-1f + r2 * (8.3333333e-3f + r2 * -1.9515296e-4f)));
   float c = 1.0f + r2 * (-0.5f + r2 * (4.1666668e-2f + r2 * (-1.3888397e-3f + r2 * 2.4433157e-5f)));

@@ -2,7 +2,7 @@
 
 #include "cpp/common/float_mode.h"
 #include "cpp/common/isa.h"
-#include "cpp/trace/demand.h"
+#include "cpp/common/require.h"
 
 namespace respire {
 
@@ -15,7 +15,7 @@ WallMaterial::WallMaterial(const MaterialSettings& settings, const TracedMesh& r
       look_{settings.vessels,         settings.blotches, settings.relief, settings.film,        settings.rings,
             settings.ring_spacing_mm, settings.folds,    settings.spurs,  settings.anthracosis, settings.seed},
       noise_(noise_kernel(widest_isa())) {
-  demand(vertices.size() == rest.vertex_count(), "one record of the rest shape per vertex");
+  require(vertices.size() == rest.vertex_count(), "one record of the rest shape per vertex");
   for (const RestVertex& vertex : vertices) {
     generations_.push_back(vertex.generation);
     axial_mm_.push_back(vertex.axial_mm);
@@ -24,12 +24,12 @@ WallMaterial::WallMaterial(const MaterialSettings& settings, const TracedMesh& r
   }
   if (coated()) {
     coat_ = Coat(settings.alpha_low, settings.alpha_high, settings.ior);
-    wide_coat_ = Coat(kWideAlpha, kWideAlpha, settings.ior);
+    wide_coat_ = Coat(WIDE_ALPHA, WIDE_ALPHA, settings.ior);
     // Integral of 2 E(cos) cos dcos by the midpoint rule.
-    constexpr int kSteps = 64;
-    for (int k = 0; k < kSteps; ++k) {
-      const float cosine = (static_cast<float>(k) + 0.5f) / kSteps;
-      mean_coat_ += coat_.albedo(mean_alpha(), cosine) * cosine * (2.0f / kSteps);
+    constexpr int STEPS = 64;
+    for (int k = 0; k < STEPS; ++k) {
+      const float cosine = (static_cast<float>(k) + 0.5f) / STEPS;
+      mean_coat_ += coat_.albedo(mean_alpha(), cosine) * cosine * (2.0f / STEPS);
     }
   }
   if (!mucosa()) return;
@@ -43,21 +43,21 @@ WallMaterial::WallMaterial(const MaterialSettings& settings, const TracedMesh& r
   bake_vertex_albedo(rest);
 }
 
-// One noise shifts the rings along the airway, by up to the fraction `kShift` of their spacing; another scales their
+// One noise shifts the rings along the airway, by up to the fraction `SHIFT` of their spacing; another scales their
 // height. None of the numbers is a measurement.
 void WallMaterial::bend_and_fade_rings(const TracedMesh& rest) {
-  constexpr float kShiftPeriodMm = 9.0f, kShift = 0.22f, kHeightPeriodMm = 6.0f;
+  constexpr float SHIFT_PERIOD_MM = 9.0f, SHIFT = 0.22f, HEIGHT_PERIOD_MM = 6.0f;
   ring_weight_.assign(rest.vertex_count(), 0.0f);
   for (std::size_t v = 0; v < ring_weight_.size(); ++v) {
     const Vec3 p = load(&rest_[3 * v]);
     axial_mm_[v] +=
-        kShift * look_.ring_spacing_mm * gradient_noise(noise_, p * (1.0f / kShiftPeriodMm), look_.seed + 8);
-    const float fade = gradient_noise(noise_, p * (1.0f / kHeightPeriodMm), look_.seed + 9);
+        SHIFT * look_.ring_spacing_mm * gradient_noise(noise_, p * (1.0f / SHIFT_PERIOD_MM), look_.seed + 8);
+    const float fade = gradient_noise(noise_, p * (1.0f / HEIGHT_PERIOD_MM), look_.seed + 9);
     ring_weight_[v] =
         ring_weight(generations_[v], load(rest.normals() + 3 * v)) * clamp(0.85f + 0.5f * fade, 0.0f, 1.2f);
   }
   if (look_.rings > 0.0f) {
-    for (float weight : ring_weight_) ring_height_.push_back(kRingHeightMm * look_.rings * weight);
+    for (float weight : ring_weight_) ring_height_.push_back(RING_HEIGHT_MM * look_.rings * weight);
   }
 }
 
@@ -65,12 +65,12 @@ void WallMaterial::bend_and_fade_rings(const TracedMesh& rest) {
 // it, so that a fold ends after some periods. None of the numbers is a measurement.
 void WallMaterial::lay_folds(const TracedMesh& rest) {
   if (look_.folds <= 0.0f) return;
-  constexpr float kPeriodMm = 2.8f, kStretch = 9.0f;
+  constexpr float PERIOD_MM = 2.8f, STRETCH = 9.0f;
   for (std::size_t v = 0; v < generations_.size(); ++v) {
     const Vec3 section = load(&section_mm_[3 * v]);
-    const Vec3 along = {0.0f, 0.0f, axial_mm_[v] * (1.0f / kStretch)};
-    fold_height_.push_back(look_.folds * kFoldHeightMm * fold_weight(generations_[v], load(rest.normals() + 3 * v)));
-    const Vec3 place = (section + along) * (1.0f / kPeriodMm);
+    const Vec3 along = {0.0f, 0.0f, axial_mm_[v] * (1.0f / STRETCH)};
+    fold_height_.push_back(look_.folds * FOLD_HEIGHT_MM * fold_weight(generations_[v], load(rest.normals() + 3 * v)));
+    const Vec3 place = (section + along) * (1.0f / PERIOD_MM);
     fold_place_.insert(fold_place_.end(), {place.x, place.y, place.z});
   }
 }

@@ -20,7 +20,7 @@ namespace respire {
 
 // Roughness of the coat's lobe between walls: a narrow one would be all noise with few rays per face, a wide one sends
 // light back that a coat sends on (0.3: films up to .4 % too bright, 0.2: half of that).
-constexpr float kWideAlpha = 0.2f;
+constexpr float WIDE_ALPHA = 0.2f;
 
 class WallMaterial {
  public:
@@ -36,7 +36,7 @@ class WallMaterial {
   bool has_flat_albedo() const { return !settings_.fixed_scattering && settings_.refracted_entry == 0.0f; }
 
   const Coat& coat() const { return coat_; }
-  // The coat for light between walls (kWideAlpha).
+  // The coat for light between walls (WIDE_ALPHA).
   const Coat& wide_coat() const { return wide_coat_; }
   // Fraction of uniform light that the coat reflects.
   float mean_coat() const { return mean_coat_; }
@@ -126,7 +126,8 @@ class WallMaterial {
     if (fold_height_.empty()) return 0.0f;
     const float w0 = 1.0f - w1 - w2;
     const float weight =
-        (w0 * fold_height_[corners[0]] + w1 * fold_height_[corners[1]] + w2 * fold_height_[corners[2]]) / kFoldHeightMm;
+        (w0 * fold_height_[corners[0]] + w1 * fold_height_[corners[1]] + w2 * fold_height_[corners[2]]) /
+        FOLD_HEIGHT_MM;
     if (weight <= 0.0f) return 0.0f;
     const Vec3 q = load(&fold_place_[3ull * corners[0]]) * w0 + load(&fold_place_[3ull * corners[1]]) * w1 +
                    load(&fold_place_[3ull * corners[2]]) * w2;
