@@ -123,13 +123,13 @@ class _Call:
         }
         lenses = [None] * cameras if fisheye is None else fisheye.tolist()
         self.plans = []
-        for viewmat, K, background, k in zip(viewmats.tolist(), Ks.tolist(), behind, lenses):
+        for c, (viewmat, K, background, k) in enumerate(zip(viewmats.tolist(), Ks.tolist(), behind, lenses)):
             (fl_x, *skew_x, cx), (*skew_y, fl_y, cy), last = K
             _refuse_unless(
-                not any(skew_x + skew_y) and last == [0, 0, 1], "Ks: has a skew, or its last row is not 0 0 1"
+                not any(skew_x + skew_y) and last == [0, 0, 1], "Ks[{}]: has a skew, or its last row is not 0 0 1", c
             )
-            camera = {"viewmat": viewmat, "intrinsics": [fl_x, fl_y, cx, cy], "background": background, "fisheye": k}
-            self.plans.append(plan | camera)
+            camera = {"camera": c, "viewmat": viewmat, "intrinsics": [fl_x, fl_y, cx, cy]}
+            self.plans.append(plan | camera | {"background": background, "fisheye": k})
 
     def colors_of(self, colors, camera):
         """The colours that one camera shows: of the bands that are used, a view."""

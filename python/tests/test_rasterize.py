@@ -423,6 +423,8 @@ class Refusals(unittest.TestCase):
         self.refused("viewmats", viewmats=np.full((1, 4, 4), np.nan))
         self.refused("Ks", Ks=np.zeros((1, 3, 3)))
         self.refused("Ks", Ks=np.array([[[30.0, 1, 16], [0, 30, 16], [0, 0, 1]]]))
+        second = np.stack([np.eye(4), 2 * np.eye(4)])
+        self.refused("viewmats[1]", viewmats=second, Ks=np.repeat(scene()["Ks"], 2, axis=0))
         self.refused("backgrounds", backgrounds=np.zeros((1, 4)))
         self.refused("width", width=0)
         self.refused("backgrounds: is not finite", backgrounds=np.array([[0, np.nan, 0]]))
@@ -433,8 +435,8 @@ class Refusals(unittest.TestCase):
         self.refused("eps2d", eps2d=-0.1)
         for wrong in (np.nan, np.inf, 1e300):
             coefficients = np.array([[0.1, 0, wrong, 0]])
-            self.refused("radial_coeffs: k3", camera_model="fisheye", radial_coeffs=coefficients)
-            self.refused("Ks: cx", Ks=np.array([[[30.0, 0, wrong], [0, 30, 16], [0, 0, 1]]]))
+            self.refused("radial_coeffs[0]: k3", camera_model="fisheye", radial_coeffs=coefficients)
+            self.refused("Ks[0]: cx", Ks=np.array([[[30.0, 0, wrong], [0, 30, 16], [0, 0, 1]]]))
 
     def test_what_is_not_finite_is_named(self):
         for channels in (3, 5):

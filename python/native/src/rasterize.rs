@@ -109,6 +109,8 @@ impl<T: Float> Drop for PassOf<T> {
 #[derive(Clone, Debug, FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Plan {
+    /// Which of the call's cameras this is.
+    camera: usize,
     width: u32,
     height: u32,
     near_plane: f64,
@@ -207,11 +209,12 @@ impl Plan {
     }
 
     fn view(&self) -> PyResult<View> {
-        let camera_from_world = rigid("viewmats", self.viewmat.as_flattened(), COORDINATE)?;
+        let named = |argument: &str| format!("{argument}[{}]", self.camera);
+        let camera_from_world = rigid(&named("viewmats"), self.viewmat.as_flattened(), COORDINATE)?;
         let [fl_x, fl_y, cx, cy] = self.intrinsics;
         let camera = Camera { width: self.width, height: self.height, fl_x, fl_y, cx, cy, fisheye: self.fisheye };
-        Camera { fisheye: None, ..camera }.validate().map_err(|e| e.element("Ks")).or_raise()?;
-        camera.validate().map_err(|e| e.element("radial_coeffs")).or_raise()?;
+        Camera { fisheye: None, ..camera }.validate().map_err(|e| e.element(named("Ks"))).or_raise()?;
+        camera.validate().map_err(|e| e.element(named("radial_coeffs"))).or_raise()?;
         Ok(View { camera, camera_from_world })
     }
 
