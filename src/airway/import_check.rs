@@ -169,14 +169,20 @@ pub fn check_stem(centerline: &Centerline, axes: PatientAxes, source: FrameSourc
         return Ok(());
     }
     let corrected = axes.corrected(found);
+    // One sign that is misread swaps left and right, and few programs write mirrored axes.
+    let doubt = if corrected.is_mirrored() != axes.is_mirrored() {
+        " (a mirror image of how it was read: look up in the scan which side is left)"
+    } else {
+        ""
+    };
     Err(Error::input(match source {
         FrameSource::Options => format!(
-            "its trachea and main bronchi lie as if the file's axes were `{corrected}` and not `{axes}`: --axes \
+            "its trachea and main bronchi lie as if the file's axes were `{corrected}` and not `{axes}`{doubt}: --axes \
              {corrected}, or --unusual if it is right"
         ),
         FrameSource::Header => format!(
-            "its trachea and main bronchi lie as if its axes were `{corrected}` where its header says `{axes}`: the \
-             header's affine is missing or wrong, so export it anew from the DICOM, or --unusual if it is right"
+            "its trachea and main bronchi lie as if its axes were `{corrected}` where its header says `{axes}`{doubt}: \
+             the header's affine is missing or wrong, so export it anew from the DICOM, or --unusual if it is right"
         ),
     }))
 }
@@ -357,16 +363,12 @@ mod tests {
             if truth.is_mirrored() {
                 continue;
             }
-            assert!(said.contains(&format!("--axes {letters},")), "{letters}: {said}");
+            assert!(said.contains(&format!("--axes {letters},")) && !said.contains("mirror"), "{letters}: {said}");
             check_stem(&mapped(&file, |p| truth.to_lps(p)), truth, FrameSource::Options).unwrap();
         }
         let mirrored = mapped(&line, |p| DVec3::new(-p.x, p.y, p.z));
-        assert!(
-            check_stem(&mirrored, PatientAxes::LPS, FrameSource::Options)
-                .unwrap_err()
-                .to_string()
-                .contains("--axes rps")
-        );
+        let said = check_stem(&mirrored, PatientAxes::LPS, FrameSource::Options).unwrap_err().to_string();
+        assert!(said.contains("a mirror image of how it was read") && said.contains("--axes rps"), "{said}");
         // A bent neck is no error.
         let trachea = |p: DVec3| if p.z > 0.0 { DVec3::new(p.x, 50.0 - p.y, p.z) } else { p };
         check_stem(&mapped(&line, trachea), PatientAxes::LPS, FrameSource::Options).unwrap();
