@@ -173,40 +173,30 @@ impl Film {
         let route = Route::plan(anatomy, &case.trajectory)?;
         let nominal = case.camera.camera(settings.width_px, settings.height_px);
         let duration_s = (settings.frames - 1) as f64 / settings.frames_per_second;
+        let time_s: Vec<f64> = (0..settings.frames).map(|i| i as f64 / settings.frames_per_second).collect();
         let mut notes = Vec::new();
-        let mut speed = case.trajectory.speed_mm_per_s;
-        let steer = |speed| {
-            let steering = Steering::new(case.trajectory.steering, speed, duration_s, case.trajectory.seed ^ case.seed);
-            let [back, on] = steering.extent_mm(duration_s);
-            (steering, on - back, on)
-        };
-        let (mut steering, mut way_mm, mut farthest_mm) = steer(speed);
-        if way_mm > route.length_mm() {
-            speed *= route.length_mm() / way_mm;
-            (steering, way_mm, farthest_mm) = steer(speed);
+        let pace = Pace::on(&route, case, duration_s);
+        if pace.speed_mm_per_s < case.trajectory.speed_mm_per_s {
             notes.push(format!(
-                "the route of {:.0} mm is too short for {duration_s:.1} s at {} mm/s: the scope goes {speed:.2} mm/s",
+                "the route of {:.0} mm is too short for {duration_s:.1} s at {} mm/s: the scope goes {:.2} mm/s",
                 route.length_mm(),
-                case.trajectory.speed_mm_per_s
+                case.trajectory.speed_mm_per_s,
+                pace.speed_mm_per_s
             ));
         }
-        debug_assert!(way_mm <= route.length_mm() * (1.0 + 1e-9));
-        let start = route.length_mm() - farthest_mm;
-        let time_s: Vec<f64> = (0..settings.frames).map(|i| i as f64 / settings.frames_per_second).collect();
-        let arc_mm: Vec<f64> = time_s.iter().map(|&t| start + steering.way_mm(t)).collect();
         let (route_mm, end_motion_mm) = (route.length_mm(), route.end_motion_mm());
-        let generation = arc_mm.iter().map(|&arc| route.generation(arc)).collect();
         let mut scene = Scene::new(&anatomy.inspiration, &anatomy.vertex_generation, flat(material), case.seed)?;
         let drawn = case.clinical.as_ref().map(|settings| settings.drawn(case.seed));
         let breathing = drawn.as_ref().map_or_else(|| case.waveform.clone(), |drawn| clinical::waveform(case, drawn));
         let waveform = breathing.ending(duration_s, case.seed);
+        let start_mm = route_mm - pace.farthest_mm;
         let clinical = drawn.as_ref().map(|drawn| {
-            let points = route.points_between(start, start + way_mm);
+            let points = route.points_between(start_mm, start_mm + pace.extent_mm);
             ClinicalFilm::new(case, anatomy, drawn, &nominal, (&waveform, &time_s), points)
         });
         let camera = clinical.as_ref().map_or(nominal, |clinical| clinical.optics.camera);
         let scope = clinical.as_ref().map_or(case.scope, |clinical| clinical.scope(case));
-        let mut way = Way { route, waveform, seed: case.seed, steering, start_mm: start, clinical };
+        let mut way = Way { route, waveform, seed: case.seed, steering: pace.steering, start_mm, clinical };
         way.plan_contact(&mut scene, &time_s)?;
         notes.extend(way.clinical.iter().filter(|c| c.motion.share < 1.0).map(|c| {
             format!(
@@ -215,84 +205,39 @@ impl Film {
             )
         }));
         let light = scope_light(case);
-        let (mut conditions, mut told_views) = (Vec::new(), Vec::new());
-        let (mut frames, mut wanted, mut clearance_mm) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut blur_px, mut novel_views, mut off_route_mm) = (Vec::new(), Vec::new(), Vec::new());
+        let planner = Planner { case, anatomy, albedo: material.albedo, camera, scope, light, way: &way };
+        let mut planned = Vec::with_capacity(time_s.len());
         for (index, &now_s) in time_s.iter().enumerate() {
-            if progress.cancelled() {
-                return Err(Error::interrupted());
-            }
+            progress.proceed()?;
             progress.advance(index, time_s.len());
-            let (world_from_camera, phase) = way.state_at(now_s);
-            let wall = way.wall(anatomy, now_s, phase);
-            let clearance = nearest_mm(&wall, world_from_camera.translation);
-            let least_mm = match way.clinical {
-                None => LEAST_CLEARANCE * (1.0 - case.trajectory.steering.sideways) * case.trajectory.scope_radius_mm,
-                Some(_) => LEAST_CLINICAL_MM,
-            };
-            if clearance < least_mm {
-                let sentence = format!("the wall is {clearance:.2} mm from the camera: too close for this scope");
-                return Err(Error::input(sentence).element(format!("frame {index}")));
-            }
-            clearance_mm.push(clearance);
-            let middle = match &way.clinical {
-                None => way.route.pose(arc_mm[index], phase),
-                Some(clinical) => way.on_route(clinical, now_s).0,
-            };
-            off_route_mm.push(middle.translation.distance(world_from_camera.translation));
-            scene.deform(&wall)?;
-            if let Some(clinical) = &way.clinical {
-                let named = |e: Error| e.element(format!("frame {index}"));
-                way.check_inside(clinical, &scene, now_s, world_from_camera.translation).map_err(named)?;
-                let fault = clinical.sensor.told(index, now_s, |time_s| way.state_at(time_s).0);
-                let lamp = clinical.optics.light(case, &scene, &world_from_camera)?.position_mm;
-                conditions.push(FrameConditions {
-                    body: clinical.motion.state(now_s),
-                    contact: clinical.contact.as_ref().map_or(0.0, |contact| contact.weight(now_s)),
-                    fault,
-                    lamp_mm: lamp.map_or(DVec3::ZERO, |lamp| world_from_camera.inverse().transform_point3(lamp)),
-                    lens_film: clinical.lens_film.scattered(now_s),
-                });
-            }
-            let proxy =
-                exposure::proxy_radiance(&scene, &camera, &world_from_camera, &light, scope.vignette, material.albedo)?;
-            wanted.push(exposure::wanted_gain(&proxy, case.exposure.target));
-            blur_px.push(blur(&scene, &camera, anatomy, &way, now_s, scope.shutter_s)?);
-            if sequence::held_out(index) {
-                let first = world_from_camera;
-                let world_from_camera = beside(&scene, &wall, &first, case.seed, index)?;
-                novel_views.push(NovelView { frame: index, world_from_camera });
-                // A second camera is known relative to the first: what is told of it is off by as much.
-                told_views.extend(conditions.last().map(|told| NovelView {
-                    frame: index,
-                    world_from_camera: told.fault.told * first.inverse() * world_from_camera,
-                }));
-            }
-            frames.push(FrameRecord { time_s: now_s, phase, gain: 1.0, white_balance: [1.0; 3], world_from_camera });
+            planned.push(planner.frame(&mut scene, index, now_s)?);
         }
-        for (frame, set) in frames.iter_mut().zip(exposure::follow(&wanted, &time_s, &case.exposure, case.seed)) {
+        let wanted_gain: Vec<f64> = planned.iter().map(|frame| frame.wanted_gain).collect();
+        let mut frames: Vec<FrameRecord> = planned.iter().map(|frame| frame.record).collect();
+        for (frame, set) in frames.iter_mut().zip(exposure::follow(&wanted_gain, &time_s, &case.exposure, case.seed)) {
             frame.gain = set.gain * way.clinical.as_ref().map_or(1.0, ClinicalFilm::overexposure);
             frame.white_balance = set.white_balance;
         }
         let middle_gain = exposure::median(frames.iter().map(|f| f.gain));
+        let arc_mm: Vec<f64> = time_s.iter().map(|&t| way.arc_mm(t)).collect();
         Ok(Film {
             camera,
-            generation,
-            wanted_gain: wanted,
+            generation: arc_mm.iter().map(|&arc| way.route.generation(arc)).collect(),
+            wanted_gain,
             amplification: frames.iter().map(|f| f.gain / middle_gain).collect(),
-            blur_px,
+            blur_px: planned.iter().map(|frame| frame.blur_px).collect(),
             frames,
-            novel_views,
+            novel_views: planned.iter().filter_map(|frame| frame.novel_view).collect(),
             arc_mm,
-            off_route_mm,
-            clearance_mm,
-            speed_mm_per_s: speed,
+            off_route_mm: planned.iter().map(|frame| frame.off_route_mm).collect(),
+            clearance_mm: planned.iter().map(|frame| frame.clearance_mm).collect(),
+            speed_mm_per_s: pace.speed_mm_per_s,
             end_motion_mm,
             route_mm,
             notes,
             scope,
-            conditions,
-            told_views,
+            told_views: planned.iter().filter_map(|frame| frame.told_view).collect(),
+            conditions: planned.into_iter().filter_map(|frame| frame.conditions).collect(),
             way,
         })
     }
@@ -368,6 +313,131 @@ impl Film {
             "least_clearance_mm": self.clearance_mm.iter().copied().fold(f64::INFINITY, f64::min),
             "notes": self.notes,
         })
+    }
+}
+
+/// How fast the scope goes, and how far that takes it.
+struct Pace {
+    steering: Steering,
+    speed_mm_per_s: f64,
+    /// From the least to the farthest that it gets.
+    extent_mm: f64,
+    /// The farthest, counted from where it starts.
+    farthest_mm: f64,
+}
+
+impl Pace {
+    /// As fast as the case says, or as slowly as a short route asks for.
+    fn on(route: &Route, case: &Case, duration_s: f64) -> Pace {
+        let at_speed = |speed_mm_per_s: f64| {
+            let seed = case.trajectory.seed ^ case.seed;
+            let steering = Steering::new(case.trajectory.steering, speed_mm_per_s, duration_s, seed);
+            let [back, on] = steering.extent_mm(duration_s);
+            Pace { steering, speed_mm_per_s, extent_mm: on - back, farthest_mm: on }
+        };
+        let pace = at_speed(case.trajectory.speed_mm_per_s);
+        if pace.extent_mm <= route.length_mm() {
+            return pace;
+        }
+        let slowed = at_speed(pace.speed_mm_per_s * (route.length_mm() / pace.extent_mm));
+        debug_assert!(slowed.extent_mm <= route.length_mm() * (1.0 + 1e-9));
+        slowed
+    }
+}
+
+/// What the plan of one frame is.
+struct PlannedFrame {
+    /// Without its gain and white balance, which follow from all frames.
+    record: FrameRecord,
+    wanted_gain: f64,
+    clearance_mm: f64,
+    off_route_mm: f64,
+    blur_px: f64,
+    /// On the clinical track.
+    conditions: Option<FrameConditions>,
+    novel_view: Option<NovelView>,
+    told_view: Option<NovelView>,
+}
+
+/// What all frames are planned with.
+struct Planner<'a> {
+    case: &'a Case,
+    anatomy: &'a Anatomy,
+    albedo: [f64; 3],
+    camera: Camera,
+    scope: ScopeSettings,
+    light: Light,
+    way: &'a Way,
+}
+
+impl Planner<'_> {
+    /// Plans the frame `index` at `now_s`; `scene` is left in its shape. Errors: the camera would leave the lumen.
+    fn frame(&self, scene: &mut Scene, index: usize, now_s: f64) -> Result<PlannedFrame> {
+        let Planner { case, anatomy, camera, scope, way, .. } = self;
+        let named = |e: Error| e.element(format!("frame {index}"));
+        let (world_from_camera, phase) = way.state_at(now_s);
+        let wall = way.wall(anatomy, now_s, phase);
+        let clearance_mm = self.clearance_mm(&wall, world_from_camera.translation).map_err(named)?;
+        let middle = match &way.clinical {
+            None => way.route.pose(way.arc_mm(now_s), phase),
+            Some(clinical) => way.on_route(clinical, now_s).0,
+        };
+        scene.deform(&wall)?;
+        let conditions = match &way.clinical {
+            None => None,
+            Some(clinical) => {
+                way.check_inside(clinical, scene, now_s, world_from_camera.translation).map_err(named)?;
+                let fault = clinical.sensor.told(index, now_s, |time_s| way.state_at(time_s).0);
+                let lamp = clinical.optics.light(case, scene, &world_from_camera)?.position_mm;
+                Some(FrameConditions {
+                    body: clinical.motion.state(now_s),
+                    contact: clinical.contact.as_ref().map_or(0.0, |contact| contact.weight(now_s)),
+                    fault,
+                    lamp_mm: lamp.map_or(DVec3::ZERO, |lamp| world_from_camera.inverse().transform_point3(lamp)),
+                    lens_film: clinical.lens_film.scattered(now_s),
+                })
+            }
+        };
+        let proxy =
+            exposure::proxy_radiance(scene, camera, &world_from_camera, &self.light, scope.vignette, self.albedo)?;
+        let wanted_gain = exposure::wanted_gain(&proxy, case.exposure.target);
+        let blur_px = blur(scene, camera, anatomy, way, now_s, scope.shutter_s)?;
+        let novel_view = if sequence::held_out(index) {
+            let world_from_camera = beside(scene, &wall, &world_from_camera, case.seed, index)?;
+            Some(NovelView { frame: index, world_from_camera })
+        } else {
+            None
+        };
+        // A second camera is known relative to the first: what is told of it is off by as much.
+        let told_view = novel_view.as_ref().zip(conditions.as_ref()).map(|(view, told)| NovelView {
+            frame: index,
+            world_from_camera: told.fault.told * world_from_camera.inverse() * view.world_from_camera,
+        });
+        Ok(PlannedFrame {
+            record: FrameRecord { time_s: now_s, phase, gain: 1.0, white_balance: [1.0; 3], world_from_camera },
+            wanted_gain,
+            clearance_mm,
+            off_route_mm: middle.translation.distance(world_from_camera.translation),
+            blur_px,
+            conditions,
+            novel_view,
+            told_view,
+        })
+    }
+
+    /// Distance from the camera to the nearest vertex of the wall in mm. Errors: less than the scope needs.
+    fn clearance_mm(&self, wall: &[DVec3], camera_mm: DVec3) -> Result<f64> {
+        let trajectory = &self.case.trajectory;
+        let least_mm = match self.way.clinical {
+            None => LEAST_CLEARANCE * (1.0 - trajectory.steering.sideways) * trajectory.scope_radius_mm,
+            Some(_) => LEAST_CLINICAL_MM,
+        };
+        let clearance_mm = nearest_mm(wall, camera_mm);
+        if clearance_mm < least_mm {
+            let sentence = format!("the wall is {clearance_mm:.2} mm from the camera: too close for this scope");
+            return Err(Error::input(sentence));
+        }
+        Ok(clearance_mm)
     }
 }
 
