@@ -20,9 +20,16 @@ const WIDTHS: [f64; 1 + POSE] = [0.01, 2e-3, 2e-3, 2e-3, 0.03, 0.03, 0.03];
 const HUBER: [f64; 4] = [0.1, 0.03, 0.01, 0.003];
 /// Relative error of depth beyond which a pixel counts no more.
 const LARGEST: f64 = 0.3;
+/// Largest change of the relative error within a half width: more is a jump of depth at an edge of the wall, whose slope
+/// is meaningless.
+const LARGEST_CHANGE: f64 = 0.05;
 /// A stage ends if a step lowers the cost by less than this share, or if the damping exceeds this factor.
 const SETTLED: f64 = 1e-4;
 const LARGEST_DAMPING: f64 = 1e6;
+/// The damping of a stage's first step, and what multiplies it after a step that lowered the cost, and after another.
+const FIRST_DAMPING: f64 = 1e-3;
+const AFTER_GOOD: f64 = 0.1;
+const AFTER_BAD: f64 = 4.0;
 /// Number of pixels that count as one independent observation: errors of neighbouring pixels are correlated.
 const TOGETHER: f64 = 100.0;
 
@@ -46,111 +53,136 @@ fn weight(error: f64, huber: f64) -> f64 {
     if error.abs() < LARGEST { (huber / error.abs().max(huber)) / (huber * huber) } else { 0.0 }
 }
 
-fn cost(errors: &[f64], huber: f64, x: &DVector<f64>, mean: &DVector<f64>, precision: &DVector<f64>) -> f64 {
-    let most = huber * (LARGEST - 0.5 * huber);
-    let one = |e: &f64| {
-        let size = e.abs();
-        // A pixel where either depth is missing costs as much as the worst.
-        let loss = if size <= huber { 0.5 * size * size } else { huber * (size - 0.5 * huber) };
-        if loss.is_nan() { most } else { loss.min(most) }
-    };
-    let prior: f64 = (x - mean).iter().zip(precision.iter()).map(|(d, p)| 0.5 * p * d * d).sum();
-    errors.iter().map(one).sum::<f64>() / (huber * huber) / TOGETHER + prior
-}
-
 /// Phase and pose `x = (phase, xi)` whose rendered depth `d(x)` best matches the `given` depth `t`: minimises
 /// `sum_i rho(d_i(x) / t_i - 1) + 1/2 (x - mean)^T P (x - mean)` by damped Gauss-Newton. `render` returns the
 /// depth image in mm for a phase and `xi`.
 pub fn register(
     given: &Image<f32>,
     before: &Before,
-    mut render: impl FnMut(f64, [f64; POSE]) -> Image<f32>,
+    render: impl FnMut(f64, [f64; POSE]) -> Image<f32>,
 ) -> (f64, [f64; POSE]) {
-    let mut errors_at = |x: &DVector<f64>| errors(&render(x[0].clamp(0.0, 1.0), unpacked(x)), given);
     let (r, t) = (before.turn, before.shift_mm);
     let precision = DVector::from_vec([before.phase, r, r, r, t, t, t].map(|d| 1.0 / (d * d)).to_vec());
     let mean = DVector::from_vec(vec![0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
-    let mut descend = |mut x: DVector<f64>, stage: usize| {
+    let mut registration = Registration { given, render, mean, precision };
+    // Start from several phases; continue the best ones under ever stricter norms.
+    let mut found: Vec<(f64, DVector<f64>)> = Vec::new();
+    for phase in STARTS {
+        let mut start = registration.mean.clone();
+        start[0] = phase;
+        found.push(registration.descend(start, 0));
+    }
+    for stage in [1, 2, 3] {
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        found.truncate(BEST);
+        found = found.into_iter().map(|(_, x)| registration.descend(x, stage)).collect();
+    }
+    found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (_, x) = found.swap_remove(0);
+    (x[0].clamp(0.0, 1.0), unpacked(&x))
+}
+
+/// The objective, of `x = (phase, xi)`.
+struct Registration<'a, R> {
+    given: &'a Image<f32>,
+    render: R,
+    mean: DVector<f64>,
+    /// Diagonal of the prior's precision.
+    precision: DVector<f64>,
+}
+
+impl<R: FnMut(f64, [f64; POSE]) -> Image<f32>> Registration<'_, R> {
+    fn errors_at(&mut self, x: &DVector<f64>) -> Vec<f64> {
+        errors(&(self.render)(x[0].clamp(0.0, 1.0), unpacked(x)), self.given)
+    }
+
+    fn cost(&self, errors: &[f64], huber: f64, x: &DVector<f64>) -> f64 {
+        let most = huber * (LARGEST - 0.5 * huber);
+        let one = |e: &f64| {
+            let size = e.abs();
+            // A pixel where either depth is missing costs as much as the worst.
+            let loss = if size <= huber { 0.5 * size * size } else { huber * (size - 0.5 * huber) };
+            if loss.is_nan() { most } else { loss.min(most) }
+        };
+        let prior: f64 = (x - &self.mean).iter().zip(self.precision.iter()).map(|(d, p)| 0.5 * p * d * d).sum();
+        errors.iter().map(one).sum::<f64>() / (huber * huber) / TOGETHER + prior
+    }
+
+    /// The lowest cost of a stage that begins at `x`, and where it is.
+    fn descend(&mut self, mut x: DVector<f64>, stage: usize) -> (f64, DVector<f64>) {
         let (steps, huber) = (STEPS[stage], HUBER[stage]);
-        let mut here = errors_at(&x);
-        let mut lowest = cost(&here, huber, &x, &mean, &precision);
-        let mut damping = 1e-3;
+        let mut here = self.errors_at(&x);
+        let mut lowest = self.cost(&here, huber, &x);
+        let mut damping = FIRST_DAMPING;
         for _ in 0..steps {
-            // Jacobian of the errors, by central differences.
-            let columns: Vec<Vec<f64>> = (0..=POSE)
-                .map(|k| {
-                    let mut side = |sign: f64| {
-                        let mut moved = x.clone();
-                        moved[k] += sign * WIDTHS[k];
-                        errors_at(&moved)
-                    };
-                    let (plus, minus) = (side(1.0), side(-1.0));
-                    let slope = |(p, m): (&f64, &f64)| (p - m) / (2.0 * WIDTHS[k]);
-                    plus.iter().zip(&minus).map(slope).collect()
-                })
-                .collect();
-            // Normal equations, with the prior.
-            let mut hessian = DMatrix::from_diagonal(&precision);
-            let mut gradient = precision.component_mul(&(&mean - &x));
-            for (i, e) in here.iter().enumerate() {
-                let row: [f64; 1 + POSE] = std::array::from_fn(|k| columns[k][i]);
-                // Depth jumps at edges of the wall: its slope there is meaningless.
-                if e.is_nan() || row.iter().zip(WIDTHS).any(|(v, w)| !(v * w).is_finite() || (v * w).abs() > 0.05) {
-                    continue;
-                }
-                let w = weight(*e, huber) / TOGETHER;
-                for a in 0..=POSE {
-                    gradient[a] -= w * row[a] * e;
-                    (0..=POSE).for_each(|b| hessian[(a, b)] += w * row[a] * row[b]);
-                }
-            }
-            // Damped step, the phase within 0..1.
-            let damped = &hessian + DMatrix::from_diagonal(&hessian.diagonal()) * damping;
-            let Some(mut step) = damped.clone().cholesky().map(|c| c.solve(&gradient)) else { break };
-            if !(0.0..=1.0).contains(&(x[0] + step[0])) {
-                // The step leaves 0..1: hold the phase at the end and solve for the others given that.
-                let rest = damped.remove_row(0).remove_column(0);
-                let edge = (x[0] + step[0]).clamp(0.0, 1.0) - x[0];
-                let against = DVector::from_fn(POSE, |k, _| gradient[k + 1] - hessian[(k + 1, 0)] * edge);
-                let Some(others) = rest.cholesky().map(|c| c.solve(&against)) else { break };
-                step[0] = edge;
-                step.rows_mut(1, POSE).copy_from(&others);
-            }
-            // Take a step that lowers the cost; otherwise increase the damping.
+            let (hessian, gradient) = self.normal_equations(&x, &here, huber);
+            let Some(step) = damped_step(&hessian, &gradient, damping, x[0]) else { break };
             let mut next = &x + step;
             next[0] = next[0].clamp(0.0, 1.0);
-            let there = errors_at(&next);
-            let found = cost(&there, huber, &next, &mean, &precision);
+            let there = self.errors_at(&next);
+            let found = self.cost(&there, huber, &next);
             if found < lowest {
                 let settled = lowest - found < SETTLED * lowest;
-                (x, here, lowest, damping) = (next, there, found, damping * 0.1);
+                (x, here, lowest, damping) = (next, there, found, damping * AFTER_GOOD);
                 if settled {
                     break;
                 }
             } else {
-                damping *= 4.0;
+                damping *= AFTER_BAD;
                 if damping > LARGEST_DAMPING {
                     break;
                 }
             }
         }
         (lowest, x)
-    };
-    // Start from several phases; continue the best ones under ever stricter norms.
-    let from = |&phase: &f64| {
-        let mut start = mean.clone();
-        start[0] = phase;
-        start
-    };
-    let mut found: Vec<(f64, DVector<f64>)> = STARTS.iter().map(from).map(|x| descend(x, 0)).collect();
-    for stage in [1, 2, 3] {
-        found.sort_by(|a, b| a.0.total_cmp(&b.0));
-        found.truncate(BEST);
-        found = found.into_iter().map(|(_, x)| descend(x, stage)).collect();
     }
-    found.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (_, x) = found.swap_remove(0);
-    (x[0].clamp(0.0, 1.0), unpacked(&x))
+
+    /// Hessian of Gauss-Newton and the negative gradient at `x`, where the errors are `here`; with the prior.
+    fn normal_equations(&mut self, x: &DVector<f64>, here: &[f64], huber: f64) -> (DMatrix<f64>, DVector<f64>) {
+        let columns: Vec<Vec<f64>> = (0..=POSE)
+            .map(|k| {
+                let mut side = |sign: f64| {
+                    let mut moved = x.clone();
+                    moved[k] += sign * WIDTHS[k];
+                    self.errors_at(&moved)
+                };
+                let (plus, minus) = (side(1.0), side(-1.0));
+                let slope = |(p, m): (&f64, &f64)| (p - m) / (2.0 * WIDTHS[k]);
+                plus.iter().zip(&minus).map(slope).collect()
+            })
+            .collect();
+        let mut hessian = DMatrix::from_diagonal(&self.precision);
+        let mut gradient = self.precision.component_mul(&(&self.mean - x));
+        for (i, e) in here.iter().enumerate() {
+            let row: [f64; 1 + POSE] = std::array::from_fn(|k| columns[k][i]);
+            let jumps = |(v, w): (&f64, f64)| !(v * w).is_finite() || (v * w).abs() > LARGEST_CHANGE;
+            if e.is_nan() || row.iter().zip(WIDTHS).any(jumps) {
+                continue;
+            }
+            let w = weight(*e, huber) / TOGETHER;
+            for a in 0..=POSE {
+                gradient[a] -= w * row[a] * e;
+                (0..=POSE).for_each(|b| hessian[(a, b)] += w * row[a] * row[b]);
+            }
+        }
+        (hessian, gradient)
+    }
+}
+
+/// The step that keeps `phase` within 0 to 1; `None` where the equations have no solution.
+fn damped_step(hessian: &DMatrix<f64>, gradient: &DVector<f64>, damping: f64, phase: f64) -> Option<DVector<f64>> {
+    let damped = hessian + DMatrix::from_diagonal(&hessian.diagonal()) * damping;
+    let mut step = damped.clone().cholesky()?.solve(gradient);
+    if !(0.0..=1.0).contains(&(phase + step[0])) {
+        // Hold the phase at the end and solve for the others given that.
+        let rest = damped.remove_row(0).remove_column(0);
+        let edge = (phase + step[0]).clamp(0.0, 1.0) - phase;
+        let against = DVector::from_fn(POSE, |k, _| gradient[k + 1] - hessian[(k + 1, 0)] * edge);
+        let others = rest.cholesky()?.solve(&against);
+        step[0] = edge;
+        step.rows_mut(1, POSE).copy_from(&others);
+    }
+    Some(step)
 }
 
 fn unpacked(x: &DVector<f64>) -> [f64; POSE] {
