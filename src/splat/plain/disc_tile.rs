@@ -9,7 +9,9 @@ use std::f64::consts::LOG2_E;
 
 use crate::ffi::splat::rasterize::Aligned;
 use crate::splat::number::{Each, Real, dot};
-use crate::splat::types::table::{DiscSums, PLANES, SplatRow, at, disc_sum};
+use crate::splat::types::table::{
+    ALPHA_MAX, ALPHA_MIN, DiscSums, PLANES, SPARED_LOG2_ALPHA, STOP, SplatRow, at, disc_sum,
+};
 use crate::splat::types::{PIXELS, Tiling, pixel_of};
 
 use super::disc::{Disc, DiscOptics};
@@ -68,12 +70,12 @@ pub fn evaluate_alpha<T: Real>(
     let on_plane = met && filter.is_none_or(|f| square <= f);
     let distance = if on_plane { square } else { filter? };
     let exponent = row[at::LOG2_OPACITY] - T::of(0.5 * LOG2_E) * distance;
-    if exponent < T::of(-8.0) {
+    if exponent < T::of(SPARED_LOG2_ALPHA) {
         return None;
     }
     let raw = exponent.exp2();
-    let alpha = raw.minimum(T::of(0.99));
-    (alpha >= T::of(1.0 / 255.0)).then(|| DiscSample {
+    let alpha = raw.minimum(T::of(ALPHA_MAX));
+    (alpha >= T::of(ALPHA_MIN)).then(|| DiscSample {
         offset,
         tilt,
         hit: on_plane.then_some(PlanePoint { s, u, over }),
@@ -117,7 +119,7 @@ impl<T: Real> DiscTile<'_, T> {
                 continue;
             };
             let next = left - sample.alpha * left;
-            if next <= T::of(1e-4) {
+            if next <= T::of(STOP) {
                 break;
             }
             visit(k, row, &sample, left, next);
@@ -176,7 +178,7 @@ impl<T: Real> DiscTile<'_, T> {
                     value += sample.depth * by(3);
                 }
                 behind -= weight * value;
-                if sample.raw <= T::of(0.99) {
+                if sample.raw <= T::of(ALPHA_MAX) {
                     let v = sample.alpha * (left * value - behind / (T::one() - sample.alpha));
                     sample.alpha_pullback(v, d, out, faults);
                 }

@@ -14,7 +14,7 @@
 
 use crate::ffi::splat::rasterize::Aligned;
 use crate::splat::number::{Each, Real};
-use crate::splat::types::table::{PLANES, SplatRow, at, moment};
+use crate::splat::types::table::{ALPHA_MAX, ALPHA_MIN, PLANES, SPARED_LOG2_ALPHA, STOP, SplatRow, at, moment};
 use crate::splat::types::{PIXELS, pixel_of};
 
 use super::fault::{Fault, Faults};
@@ -34,7 +34,7 @@ pub struct Parts {
 impl Parts {
     /// A pixel stops at the splat that would bring its transmittance to this or below.
     fn stop<T: Real>(self) -> T {
-        T::of(if self.endless { -1.0 } else { 1e-4 })
+        T::of(if self.endless { -1.0 } else { STOP })
     }
 
     pub fn bits(self) -> u32 {
@@ -121,13 +121,12 @@ fn evaluate_alpha<T: Real>(q: &SplatRow<T>, corner: [usize; 2], p: usize) -> Opt
     let dx = T::of((corner[0] + column) as f64 + 0.5) - q[at::X] - q[at::X_REST];
     let dy = T::of((corner[1] + line) as f64 + 0.5) - q[at::Y] - q[at::Y_REST];
     let exponent = q[at::LOG2_OPACITY] - q[at::C] * dy * dy - (q[at::A] * dx + q[at::B] * dy) * dx;
-    // Well below 1/255: spare the power.
-    if exponent < T::of(-8.0) {
+    if exponent < T::of(SPARED_LOG2_ALPHA) {
         return None;
     }
     let raw = exponent.exp2();
-    let alpha = raw.minimum(T::of(0.99));
-    (alpha >= T::of(1.0 / 255.0)).then_some(AlphaSample { offset: [dx, dy], raw, alpha })
+    let alpha = raw.minimum(T::of(ALPHA_MAX));
+    (alpha >= T::of(ALPHA_MIN)).then_some(AlphaSample { offset: [dx, dy], raw, alpha })
 }
 
 /// Alpha of the splat of `row` at pixel `p` of the tile at `corner`; `None` below 1/255.
@@ -200,7 +199,7 @@ pub fn backward<T: Real>(t: &BackwardTile<'_, T>, faults: impl Faults) -> Vec<Al
                     value += q[at::DEPTH] * adjoint(3);
                 }
                 behind[p] -= weight * value;
-                if raw <= T::of(0.99) || faults.has(Fault::AlphaCutIgnored) {
+                if raw <= T::of(ALPHA_MAX) || faults.has(Fault::AlphaCutIgnored) {
                     let mut hidden = behind[p] / (T::one() - alpha);
                     if faults.has(Fault::OcclusionForgotten) {
                         hidden = T::zero();

@@ -6,7 +6,16 @@ pub type SplatRow<T> = [T; 16];
 /// The sums of a backward pass over the pixels of one exact disc; columns in [`disc_sum`].
 pub type DiscSums<T> = [T; disc_sum::COUNT];
 
-/// `log2(255)`: how far below 1 an alpha of 1/255 lies, in powers of 2.
+/// The three thresholds of 3DGS (Kerbl et al. 2023, its public rasteriser), as in `cpp/splat/kernel.h`: nothing is blended
+/// below this alpha,
+pub const ALPHA_MIN: f64 = 1.0 / 255.0;
+/// no alpha is larger than this,
+pub const ALPHA_MAX: f64 = 0.99;
+/// and a pixel stops at the splat that would leave no more than this part of the light.
+pub const STOP: f64 = 1e-4;
+/// A logarithm (base 2) well below that of [`ALPHA_MIN`], where the power is spared.
+pub const SPARED_LOG2_ALPHA: f64 = -8.0;
+/// `log2(255)`: how far below 1 an alpha of [`ALPHA_MIN`] lies, in powers of 2.
 pub const LOG2_255: f64 = 7.994353436858858;
 
 /// Planes of a tile's state (red, green, blue, depth, transmittance) and of its adjoint (the same, then `behind`).
