@@ -14,7 +14,7 @@ use crate::render::{ISA, render_watched};
 
 /// Arguments of `render`.
 #[derive(Args)]
-#[command(after_help = "Writes image.exr (R, G, B: linear radiance, no clamp), depth.exr (Y: z-depth in mm, 0 where\n\
+#[command(after_help = "Writes image.exr (R, G, B: linear radiance, no clamp), depth.exr (Z: z-depth in mm, 0 where\n\
     nothing is hit and beyond 90 degrees off the axis) and timing.json into DIR.\n\
     Keys of a scene file: docs/scenes.md.\n\
     Example: respire-bench render scene.toml --out /tmp/view")]
@@ -83,7 +83,7 @@ pub fn run(arguments: RenderArguments, terminal: &Terminal) -> Result<()> {
         isa: ISA,
     };
     exr::write_rgb(&arguments.out.join("image.exr"), &frame.radiance)?;
-    exr::write_depth(&arguments.out.join("depth.exr"), &frame.depth_mm)?;
+    exr::write_channel(&arguments.out.join("depth.exr"), "Z", &frame.depth_mm)?;
     files::write_json(&arguments.out.join("timing.json"), &timing)?;
     terminal.line(format!(
         "{}: {} samples per pixel in {:.2} s",
