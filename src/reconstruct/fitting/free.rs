@@ -1,5 +1,5 @@
 //! Free Gaussians: placed on the inspiration surface at first, tied to nothing afterwards. As with the discs, a frame
-//! works on a compact copy of the visible ones; the face of birth serves only to leave out those that face away.
+//! works on a compact copy of the visible ones.
 
 use glam::DVec3;
 
@@ -14,8 +14,6 @@ use crate::reconstruct::settings::{FreeAppearance, GaussianSettings, PerFace};
 
 /// All free Gaussians.
 pub struct Free {
-    /// First Gaussian born on each face, and the total.
-    first: Vec<u32>,
     /// Centres in mm, without the motion added to them.
     pub centres: Vec<[f32; 3]>,
     rotations: Vec<[f32; 4]>,
@@ -28,10 +26,10 @@ pub struct Free {
 impl Free {
     /// One at each face centroid if `gaussians_per_face` is 1, else that many per face at random points of the surface.
     pub fn new(mesh: &TriangleMesh, settings: &GaussianSettings, color: f32, seed: u64) -> Self {
-        let (first, centres) = match *settings.gaussians_per_face {
+        let centres: Vec<DVec3> = match *settings.gaussians_per_face {
             PerFace::Count(1) => {
                 let centroid = |f: usize| mesh.corners(f).iter().sum::<DVec3>() / 3.0;
-                ((0..=mesh.faces.len() as u32).collect(), (0..mesh.faces.len()).map(centroid).collect())
+                (0..mesh.faces.len()).map(centroid).collect()
             }
             per_face => {
                 let n = mesh.faces.len() * per_face.resolve(mesh.faces.len(), *settings.gaussian_budget);
@@ -43,7 +41,6 @@ impl Free {
         let mut sh = vec![0.0; n * SH_VALUES];
         sh.chunks_exact_mut(SH_VALUES).for_each(|s| s[..3].fill((color - 0.5) / SH_C0));
         Free {
-            first,
             centres: super::anchored::to_f32(&centres),
             rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
             log_scales: spacing.iter().map(|s| [(s * *settings.initial_scale).ln() as f32; 3]).collect(),
@@ -52,9 +49,13 @@ impl Free {
         }
     }
 
-    /// Copies those born on `faces` (ascending).
-    pub fn patch(&self, faces: &[u32]) -> FreePatch {
-        let ids: Vec<u32> = faces.iter().flat_map(|&f| self.first[f as usize]..self.first[f as usize + 1]).collect();
+    /// Two standard deviations of each along its longest axis, in mm.
+    pub fn sizes_mm(&self) -> Vec<f32> {
+        self.log_scales.iter().map(|s| 2.0 * s[0].max(s[1]).max(s[2]).exp()).collect()
+    }
+
+    /// Copies those with the indices `ids` (ascending).
+    pub fn patch(&self, ids: Vec<u32>) -> FreePatch {
         let at = |i: &u32| *i as usize;
         let log_scales: Vec<[f32; 3]> = ids.iter().map(|i| self.log_scales[at(i)]).collect();
         let sh = ids.iter().flat_map(|i| self.sh[at(i) * SH_VALUES..][..SH_VALUES].iter().copied()).collect();
@@ -88,8 +89,8 @@ impl Free {
     }
 }
 
-/// `n` points spread by area, sorted by face: stratified along the sum of areas, uniform within the face.
-fn random_points(mesh: &TriangleMesh, n: usize, seed: u64) -> (Vec<u32>, Vec<DVec3>) {
+/// `n` points spread by area, face after face: stratified along the sum of areas, uniform within the face.
+fn random_points(mesh: &TriangleMesh, n: usize, seed: u64) -> Vec<DVec3> {
     let mut rng = CounterRng::new(seed, Stage::Method, &[2]);
     let mut ends = Vec::with_capacity(mesh.faces.len());
     let mut sum = 0.0;
@@ -98,20 +99,17 @@ fn random_points(mesh: &TriangleMesh, n: usize, seed: u64) -> (Vec<u32>, Vec<DVe
         ends.push(sum);
     }
     let mut points = Vec::with_capacity(n);
-    let mut first = vec![0u32];
     let mut face = 0;
     for i in 0..n {
         let target = (i as f64 + rng.uniform()) / n as f64 * sum;
         while face + 1 < ends.len() && ends[face] < target {
             face += 1;
-            first.push(i as u32);
         }
         let (u, v) = (rng.uniform().sqrt(), rng.uniform());
         let [a, b, c] = mesh.corners(face);
         points.push(a * (1.0 - u) + b * (u * (1.0 - v)) + c * (u * v));
     }
-    first.resize(mesh.faces.len() + 1, n as u32);
-    (first, points)
+    points
 }
 
 /// The Gaussians of [`Free`] that are visible in one frame.

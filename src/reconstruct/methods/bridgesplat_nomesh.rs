@@ -15,13 +15,13 @@ use crate::splat::{DepthOutput, ImageGradient, Rasterizer, Settings, View, Wante
 use crate::reconstruct::contract::{
     Access, FramePrediction, NovelPrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction,
 };
-use crate::reconstruct::fitting::anchored::{Rates, to_f32};
+use crate::reconstruct::fitting::anchored::Rates;
 use crate::reconstruct::fitting::control_points::ControlField;
 use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch};
 use crate::reconstruct::fitting::loss::pairs::{self, Pairs};
 use crate::reconstruct::fitting::loss::photometric::Photometric;
 use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
-use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
+use crate::reconstruct::geometry::visible::{Reach, nothing_in_view, visible_points};
 use crate::reconstruct::online::{OnlineRun, color_image, held_out, rendered_prediction, shown};
 use crate::reconstruct::settings::{BridgesplatNomeshSettings, MethodHeader};
 
@@ -69,7 +69,6 @@ struct BridgesplatNomeshFit<'a> {
     settings: &'a BridgesplatNomeshSettings,
     scale: f64,
     observation: &'a Observation,
-    surface: Vec<[f32; 3]>,
     free: Free,
     anchors: ControlAnchors,
     rasterizer: Rasterizer<f32>,
@@ -157,7 +156,6 @@ impl<'a> BridgesplatNomeshFit<'a> {
             settings,
             scale,
             observation,
-            surface: to_f32(&observation.inspiration.vertices),
             anchors: ControlAnchors::new(settings, &free.centres, observation.seed),
             free,
             rasterizer: Rasterizer::new(),
@@ -169,6 +167,16 @@ impl<'a> BridgesplatNomeshFit<'a> {
             reach: Reach::new(&settings.common.visibility),
             image_gradient: Vec::new(),
         }
+    }
+
+    /// The Gaussians that `view` may show where they are now: the released code draws what is in the frustum.
+    fn in_view(&self, view: &View) -> FreePatch {
+        let mut shift = Vec::new();
+        self.anchors.field.apply(&self.anchors.displacement, &mut shift);
+        let unit = *self.settings.common.unit_mm as f32;
+        let places: Vec<[f32; 3]> =
+            self.free.centres.iter().zip(&shift).map(|(c, s)| [0, 1, 2].map(|k| c[k] + s[k] * unit)).collect();
+        self.free.patch(visible_points(&[&places], &self.free.sizes_mm(), view, self.reach))
     }
 
     fn place(&self, patch: &mut FreePatch, field: &ControlField) {
@@ -186,13 +194,10 @@ impl<'a> BridgesplatNomeshFit<'a> {
 
     fn fit(&mut self, frame: usize) -> Result<FramePrediction> {
         let view = View::new(self.observation.camera, self.observation.world_from_camera[frame]);
-        // Gaussians drift little from their face of birth; the margin covers it.
-        let faces =
-            visible_faces(&self.observation.inspiration.faces, &[&self.surface], &view, self.reach, Sides::Lumen);
-        if faces.is_empty() && frame == 0 {
+        let mut patch = self.in_view(&view);
+        if patch.ids.is_empty() && frame == 0 {
             return Err(nothing_in_view());
         }
-        let mut patch = self.free.patch(&faces);
         let field = self.anchors.field.subset(&patch.ids);
         self.place(&mut patch, &field);
         self.render(&patch, &view, DepthOutput::Skip)?;
@@ -210,9 +215,7 @@ impl<'a> BridgesplatNomeshFit<'a> {
     fn novel(&mut self, frame: usize) -> Result<Option<NovelPrediction>> {
         let Some(pose) = self.observation.novel_pose[frame] else { return Ok(None) };
         let view = View::new(self.observation.camera, pose);
-        let faces =
-            visible_faces(&self.observation.inspiration.faces, &[&self.surface], &view, self.reach, Sides::Lumen);
-        let mut patch = self.free.patch(&faces);
+        let mut patch = self.in_view(&view);
         let field = self.anchors.field.subset(&patch.ids);
         self.place(&mut patch, &field);
         self.render(&patch, &view, DepthOutput::Surface)?;

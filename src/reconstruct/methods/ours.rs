@@ -185,7 +185,8 @@ impl BreathingDiscs {
         let phases: &[f64] = if low == high { &[low] } else { &[low, 0.5 * (low + high), high] };
         let states: Vec<Vec<[f32; 3]>> = phases.iter().map(|&phase| self.mesh().at(phase)).collect();
         let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
-        let faces = visible_faces(&self.surface.faces, &states, view, self.reach, Sides::Lumen);
+        let sides = if self.hidden_left_out { Sides::Lumen } else { Sides::Both };
+        let faces = visible_faces(&self.surface.faces, &states, view, self.reach, sides);
         if self.hidden_left_out && high - low <= WIDEST_REACH { self.unhidden(view, &states, &faces) } else { faces }
     }
 

@@ -6,13 +6,14 @@
 use crate::base::{Progress, Result};
 use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};
 use crate::reconstruct::estimate::phase_fit::{BreathingGaussians, Fitter, PhaseSource, VisiblePatch};
-use crate::reconstruct::fitting::anchored::{Rates, adam_constants, to_f32};
+use crate::reconstruct::fitting::anchored::{Rates, adam_constants};
 use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch};
 use crate::reconstruct::fitting::memory::Memory;
 use crate::reconstruct::fitting::optimiser::StepCounter;
 use crate::reconstruct::fitting::schedule::rate_factor;
+use crate::reconstruct::geometry::breathing::at_phase;
 use crate::reconstruct::geometry::neighbours;
-use crate::reconstruct::geometry::visible::{Reach, Sides, visible_faces};
+use crate::reconstruct::geometry::visible::{Reach, visible_points};
 use crate::reconstruct::online::OnlineRun;
 use crate::reconstruct::settings::{MethodHeader, OursNomeshSettings, PerFace};
 use crate::splat::{Gaussians, Gradients, View, Wanted};
@@ -66,8 +67,6 @@ impl Reconstruct for OursNomesh {
 struct FieldGaussians {
     free: Free,
     displacement: Vec<[f32; 3]>,
-    faces: Vec<[u32; 3]>,
-    ends: [Vec<[f32; 3]>; 2],
     reach: Reach,
     adam: FreeAdam,
     memory: Memory,
@@ -96,8 +95,6 @@ impl FieldGaussians {
         FieldGaussians {
             free,
             displacement,
-            faces: rest.faces.clone(),
-            ends: [to_f32(&rest.vertices), to_f32(&expiration.vertices)],
             reach: Reach::new(&settings.fit.visibility),
             adam: FreeAdam::new(
                 Rates::new(rates, rate_factor(iteration_scale)),
@@ -111,14 +108,16 @@ impl FieldGaussians {
 
 impl BreathingGaussians for FieldGaussians {
     fn enter<'a>(&'a mut self, view: &View, [low, high]: [f64; 2]) -> Result<Box<dyn VisiblePatch + 'a>> {
-        let at = |phase: f64| -> Vec<[f32; 3]> {
-            let p = phase as f32;
-            self.ends[0].iter().zip(&self.ends[1]).map(|(a, b)| [0, 1, 2].map(|k| a[k] + p * (b[k] - a[k]))).collect()
+        let phases: &[f64] = if low == high { &[low] } else { &[low, 0.5 * (low + high), high] };
+        let at = |&phase: &f64| {
+            let mut places = Vec::new();
+            at_phase(&self.free.centres, &self.displacement, phase as f32, &mut places);
+            places
         };
-        let states = [at(low), at(0.5 * (low + high)), at(high)];
+        let states: Vec<Vec<[f32; 3]>> = phases.iter().map(at).collect();
         let states: Vec<&[[f32; 3]]> = states.iter().map(|s| &s[..]).collect();
-        let faces = visible_faces(&self.faces, &states, view, self.reach, Sides::Lumen);
-        let patch = self.free.patch(&faces);
+        let ids = visible_points(&states, &self.free.sizes_mm(), view, self.reach);
+        let patch = self.free.patch(ids);
         Ok(Box::new(VisibleFree {
             displacement: patch.ids.iter().map(|&i| self.displacement[i as usize]).collect(),
             memory: self.memory.pick(&patch.ids),

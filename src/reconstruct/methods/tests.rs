@@ -100,7 +100,7 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
             visible_faces(&inspiration.faces, &[&vertices], &view, Reach { margin: 0.1, range_mm: 150.0 }, Sides::Both);
         let mut discs = surface.patch(&faces).unwrap();
         discs.place(&discs.pick(&vertices)).unwrap();
-        let mut balls = free.patch(&faces);
+        let mut balls = free.patch(faces.clone());
         balls.place(|_| [0.0; 3], |_| [0.0; 4]);
         let gaussians = if made == Made::Free { &balls.gaussians } else { &discs.gaussians };
         let rendered = rasterizer.render(gaussians, &view, &settings, None).unwrap();
