@@ -96,7 +96,7 @@ fn is_of_depth(m: &Metric) -> bool {
     m.id.starts_with("depth") || m.id.starts_with("novel_depth")
 }
 
-/// Which pixels count: where the truth has a depth, those of the film's mask where it has one, all.
+/// Which pixels count: where the truth has a depth, or all. What a film's own mask hides counts nowhere.
 fn mask_of(m: &Metric) -> &'static str {
     if is_of_depth(m) { "true_depth" } else { "none" }
 }
