@@ -1,6 +1,6 @@
 //! Discs on the triangles of a deforming mesh, and the backward pass of their gradients.
 //!
-//! Centre: `sum_j lambda_j v_j`, `lambda = softmax(logits)` (RESPIRE, Eq. 2). Axes, either
+//! Centre: `sum_j lambda_j v_j`, `lambda = softmax(logits)` (RESPIRE, Eq. 1). Axes, either
 //! - [`DiscFrame::InheritStretch`]: two tangents, perpendicular unit vectors on the triangle *at rest*, are carried
 //!   by the triangle's affine map, so that discs stretch, turn and shear with the tissue (as in GaMeS, Waczynska et
 //!   al. 2024); `axis_k = exp(s_k) (a_k e1 + b_k e2)` with the edges `e1, e2` of the triangle as it is now; or

@@ -1,5 +1,5 @@
 //! The shade of a patch of wall, i.e. its brightness relative to its colour, under the light at the tip of the scope
-//! (paper, Section 3: a co-located light), in the encoded (sRGB) values in which methods compare images:
+//! (paper, Section 4: a co-located light), in the encoded (sRGB) values in which methods compare images:
 //! `(d0 / d)^p ((c + k) / (1 + k))^(p / 2)` with `d` the distance to the scope, `c` the cosine of incidence,
 //! `p` the exponent of the fall-off (2 / 2.2 for the inverse square through the sRGB curve, less where light
 //! between walls adds to it) and `k` the share of light from the other walls. Left out: shadows (a light at the
