@@ -9,7 +9,16 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
+action=fuzz
+[ "${1:-}" != minimise ] || { action=minimise; shift; }
 what=${1:-all} value=${2:-60}
+names() { sed -n 's/^ *Target { name: "\([a-z_]*\)".*/\1/p' fuzz/src/targets.rs; }
+chosen=$(names)
+if [ "$what" != all ]; then
+  grep -qxF -e "$what" <<<"$chosen" ||
+    { printf 'fuzz: there is no target `%s`; the targets are: all %s\n' "$what" "$(tr '\n' ' ' <<<"$chosen")" >&2; exit 2; }
+  chosen=$what
+fi
 host=$(rustc -vV | sed -n 's/^host: //p')
 target_folder=$PWD/target/fuzz
 
@@ -23,8 +32,6 @@ RUSTFLAGS="${flags[*]}" CARGO_INCREMENTAL=0 \
 program=$target_folder/$host/release/fuzz
 # The library of scripts/setup.sh on Debian 12; elsewhere it lies in the system.
 export LD_LIBRARY_PATH=$PWD/.deps/embree4/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
-
-names() { sed -n 's/^ *Target { name: "\([a-z_]*\)".*/\1/p' fuzz/src/targets.rs; }
 
 # One input may take 10 s (on a busy machine), ask for 1 GiB at once and hold 2 GiB in all.
 limits=(-timeout=10 -rss_limit_mb=2048 -malloc_limit_mb=1024 -max_len=20000 -len_control=50)
@@ -40,17 +47,29 @@ fuzz() { # TARGET
   printf '%-14s %s\n' "$1" "$(sed -n 's/^stat::number_of_executed_units: *\(.*\)/\1 executions/p' "$found.log")"
 }
 
+# Whoever calls these functions asks whether they failed, which switches errexit off inside them.
 minimise() { # TARGET
-  local found=target/fuzz-corpus/$1 merged
-  merged=$(mktemp -d)
-  RESPIRE_FUZZ_TARGET=$1 "$program" -merge=1 -max_len=4000 "$merged" "fuzz/corpus/$1" "$found" 2>"$found.log"
+  local corpus=fuzz/corpus/$1 found=target/fuzz-corpus/$1 merged
+  mkdir -p "$found" || return 1
+  merged=$(mktemp -d target/fuzz-merged.XXXXXX) || return 1
+  RESPIRE_FUZZ_TARGET=$1 "$program" -merge=1 -max_len=4000 "$merged" "$corpus" "$found" 2>"$found.log" || {
+    printf '%s: not merged, and the corpus stays as it is; the end of %s:\n' "$1" "$found.log"
+    tail -n 4 "$found.log"
+    rm -rf "$merged"
+    return 1
+  }
+  # Refused by rmdir unless it is empty.
+  ! rmdir "$merged" 2>/dev/null || { printf '%s: nothing was left of the corpus, which stays as it is\n' "$1"; return 1; }
   # Findings are kept whatever they cover.
-  cp -n "fuzz/corpus/$1"/found-* "$merged"/ 2>/dev/null || true
-  rm -rf "fuzz/corpus/$1" && mv "$merged" "fuzz/corpus/$1" && chmod 755 "fuzz/corpus/$1"
+  for finding in "$corpus"/found-*; do
+    [ ! -e "$finding" ] || cp "$finding" "$merged"/ || return 1
+  done
+  # The old one goes when the new one is in its place.
+  chmod 755 "$merged" && mv "$corpus" "$merged.old" && mv "$merged" "$corpus" && rm -rf "$merged.old" || return 1
+  printf '%-14s %s inputs\n' "$1" "$(find "$corpus" -type f | wc -l)"
 }
 
-status=0 action=fuzz
-[ "$what" = minimise ] && action=minimise what=$value
+status=0
 # Folders of programs that have ended; others may be fuzzing beside this.
 sweep() {
   for folder in /dev/shm/respire-bench-fuzz-*; do
@@ -58,8 +77,7 @@ sweep() {
   done
 }
 trap sweep EXIT
-for name in $(names); do
-  [ "$what" = all ] || [ "$what" = "$name" ] || continue
+for name in $chosen; do
   "$action" "$name" || status=1
 done
 exit $status
