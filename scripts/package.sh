@@ -89,6 +89,9 @@ cp src/report/font/LICENSE "$licences/DejaVu-fonts/"
     esac
   done
 } >"$licences/README.txt"
+# Asked for first: of a command in <(..) nobody sees that it failed, and the folder would have no licences.
+crates=$(cargo tree --locked --edges normal --prefix none --no-dedupe --format '{p} {l}' | grep -v "^respire-bench " |
+  sed 's/ (proc-macro)//' | LC_ALL=C sort -u) || stop "cargo tree does not name the crates whose licences are to be collected."
 while read -r crate version licence; do
   printf '%s %s: %s\n' "$crate" "${version#v}" "$licence" >>"$licences/README.txt"
   for source in "${CARGO_HOME:-$HOME/.cargo}"/registry/src/*/"$crate-${version#v}"; do
@@ -98,8 +101,7 @@ while read -r crate version licence; do
       cp "$text" "$licences/$crate-${version#v}/"
     done
   done
-done < <(cargo tree --locked --edges normal --prefix none --no-dedupe --format '{p} {l}' | grep -v "^respire-bench " |
-  sed 's/ (proc-macro)//' | LC_ALL=C sort -u)
+done <<<"$crates"
 
 # --- proof -----------------------------------------------------------------------------------------------------
 mv "$part" "$out"

@@ -27,19 +27,24 @@ bench=${CARGO_TARGET_DIR:-target}/release/respire-bench
 smoke=$(dirname "$(dirname "$report")")
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
+# What a command prints is shown where it fails, and is not wanted otherwise.
+quietly() {
+  "$@" >"$work/said" 2>"$work/log" || { cat "$work/said" "$work/log" >&2; say "this failed: $*" >&2; return 1; }
+}
 # A cell that the run has made; where it is missing it is made.
-said=$("$bench" run --case case1 --method pose-only --profile smoke --cache "$smoke/cache" 2>/dev/null)
+quietly "$bench" run --case case1 --method pose-only --profile smoke --cache "$smoke/cache"
+said=$(cat "$work/said")
 film=$(sed -n 's/^sequence: *//p' <<<"$said") prediction=$(sed -n 's/^prediction: *//p' <<<"$said")
-"$bench" evaluate --sequence "$film" --predictions "$prediction" --method mine --out "$work/mine" >/dev/null
-"$bench" merge "$smoke/latest" "$work/mine" --out "$work/table" >/dev/null
+quietly "$bench" evaluate --sequence "$film" --predictions "$prediction" --method mine --out "$work/mine"
+quietly "$bench" merge "$smoke/latest" "$work/mine" --out "$work/table"
 python3 -B tests/page/test_merged.py "$chromium" "$work/table/report.html" mine
 
 # --- both tracks on one page ------------------------------------------------------------------------------------------------
-"$bench" all-cases --profile smoke --track both --cases case1 --methods pose-only,static-ct --out "$work/both" \
-  --cache "$smoke/cache" >/dev/null 2>&1
-"$bench" merge "$work"/both/smoke-* --out "$work/page" >/dev/null
+quietly "$bench" all-cases --profile smoke --track both --cases case1 --methods pose-only,static-ct --out "$work/both" \
+  --cache "$smoke/cache"
+quietly "$bench" merge "$work"/both/smoke-* --out "$work/page"
 python3 -B tests/page/test_tracks.py "$chromium" "$work/page/report.html"
 
 # --- the live page, while a small clinical film is followed ---------------------------------------------------------------------
-"$bench" simulate case1 --profile smoke --track clinical --out "$work/films" >/dev/null 2>&1
+quietly "$bench" simulate case1 --profile smoke --track clinical --out "$work/films"
 python3 -B tests/page/test_live.py "$chromium" "$bench" "$work/films/case1"

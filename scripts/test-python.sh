@@ -53,5 +53,6 @@ if ! has_torch "$python" "$numpy"; then
       exit
     fi
   done
+  ! required torch || stop "no Python here has torch, so that rasterize was tested on numpy alone"
   say "SKIPPED: no Python here has torch, so that rasterize was tested on numpy alone; scripts/test-python.sh --torch installs it"
 fi

@@ -79,9 +79,19 @@ await() { # JOB
 
 "${slurm[@]}"
 report=$(submitted)
-# The first task that works is killed, as a node that fails would.
+# The first task that works is killed, as a node that fails would. Known by its program and by this script's own cache,
+# which no other process has among its arguments.
+working_task() {
+  local process
+  for process in /proc/[0-9]*; do
+    if [ "$process/exe" -ef "$bench" ] && grep -qzxF -e --cells-only "$process/cmdline" && grep -qzxF "$work/cache" "$process/cmdline"; then
+      echo "${process##*/}"
+      return
+    fi
+  done 2>/dev/null
+}
 for _ in $(seq 300); do
-  child=$(pgrep -f "$bench all-cases.*--cells-only" | head -1 || true)
+  child=$(working_task)
   [ -n "$child" ] && break
   sleep 0.05
 done
