@@ -1,5 +1,6 @@
-# Sourced by the scripts that fetch something: Debian's packages and wheels of the Python package index, the latter by
-# their hashes. The caller sets $program, its name in messages.
+# Sourced by the scripts that fetch something. Debian's packages are signed. Wheels of the Python package index: Embree,
+# which becomes part of the program, and clang-format are wanted by their hashes (fetch_wheel); maturin and the packages that
+# tests read with are ranges of versions (test-python.sh, python-packages.sh). The caller sets $program, its name in messages.
 
 say() { printf '%s: %s\n' "$program" "$*"; }
 # One sentence, and the documented exit code for an environment that lacks something.
