@@ -1,4 +1,5 @@
-//! How an imported file is to be understood: the arguments that `import mesh`, `mesh-pair` and `tree` share.
+//! How an imported file is to be understood: the arguments that `import mesh`, `mesh-pair`, `tree`
+//! and `ct` share.
 
 use clap::Args;
 

@@ -1,4 +1,4 @@
-//! Which cells: the arguments that `all-cases`, `run` and `list` share.
+//! Which cells: the arguments that `all-cases`, `slurm` and `list` share, and parts of them that others take.
 
 use std::path::{Path, PathBuf};
 

@@ -2,8 +2,8 @@
 //!
 //! A file may name another one as its `base` and then states only what differs from it; a base may have a base of its
 //! own. Values are inherited together with their source. The header is not inherited: every file has its own. Nor are
-//! keys that the file's kind does not read, so that `static-ct`, which is given the phase, can build on `ours`, which
-//! estimates it. What a file itself states must be read by its kind: every other key is refused by name.
+//! keys that the file's kind does not read, so that `static-ct`, which is given the phase, can build on `ours-window`,
+//! which estimates it. What a file itself states must be read by its kind: every other key is refused by name.
 
 use std::path::{Path, PathBuf};
 
