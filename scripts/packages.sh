@@ -44,5 +44,6 @@ fetch_wheel() {
 }
 
 # Whether a check must be made, so that a missing tool is a failure and not a line that says SKIPPED. RESPIRE_REQUIRE has
-# the names of such checks (page, torch) with commas between, or "all".
+# the names of such checks with commas between, or "all": page and torch of the scripts, and those of the tests
+# (CONTRIBUTING.md, tests/all/skip.rs).
 required() { case ",${RESPIRE_REQUIRE:-}," in *,all,* | *,"$1",*) return 0 ;; *) return 1 ;; esac; }

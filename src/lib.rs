@@ -102,6 +102,11 @@ pub mod simulate {
 
 pub mod splat;
 
+/// How tests say what they cannot test here.
+#[cfg(all(test, feature = "methods"))]
+#[path = "../tests/all/skip.rs"]
+mod skip;
+
 #[cfg(feature = "methods")]
 pub mod reconstruct;
 /// Predictions can be written without the methods.

@@ -77,13 +77,15 @@ mod tests {
     use super::*;
     use crate::base::NoProgress;
     use crate::formats::dicom::tests::{PLAIN, RLE, write};
+    use crate::skip::skip;
+
+    const WITHOUT: &str = "dcm2niix is not installed (scripts/setup.sh --ct)";
 
     /// Slices with run-length encoded pixels are read as those without, value by value.
     #[test]
     fn compressed_slices_are_read_by_way_of_dcm2niix() {
         let Some(version) = converter_version() else {
-            println!("SKIPPED: dcm2niix is not installed (scripts/setup.sh --ct)");
-            return;
+            return skip("dcm2niix", WITHOUT);
         };
         println!("dcm2niix {version}");
         let folders = [PLAIN, RLE].map(|syntax| {
@@ -107,8 +109,7 @@ mod tests {
     #[test]
     fn slices_that_are_dropped_are_missed() {
         if converter_version().is_none() {
-            println!("SKIPPED: dcm2niix is not installed (scripts/setup.sh --ct)");
-            return;
+            return skip("dcm2niix", WITHOUT);
         }
         let folder = tempfile::tempdir().unwrap();
         for (name, z) in [("a", 0.0), ("b", 1.0), ("c", 1.01)] {
@@ -121,8 +122,7 @@ mod tests {
     #[test]
     fn which_of_two_series_was_meant_is_not_guessed() {
         if converter_version().is_none() {
-            println!("SKIPPED: dcm2niix is not installed (scripts/setup.sh --ct)");
-            return;
+            return skip("dcm2niix", WITHOUT);
         }
         let folder = tempfile::tempdir().unwrap();
         for (name, z, series) in [("a", 0.0, "1.2"), ("b", 1.0, "1.2"), ("c", 0.0, "1.3"), ("d", 1.0, "1.3")] {

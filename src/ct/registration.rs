@@ -133,13 +133,13 @@ mod tests {
     use super::*;
     use crate::base::random::{CounterRng, Stage};
     use crate::base::{NoProgress, VoxelGrid};
+    use crate::skip::skip;
 
     /// Texture of smooth bumps, moved by a known motion: registered, it gives the motion back.
     #[test]
     fn elastix_finds_a_known_motion() {
         let Some(version) = elastix_version() else {
-            println!("SKIPPED: elastix is not installed ({REMEDY})");
-            return;
+            return skip("elastix", &format!("elastix is not installed ({REMEDY})"));
         };
         println!("elastix {version}");
         let grid = VoxelGrid::upright([48, 48, 48], DVec3::new(-70.0, -70.0, -1070.0), DVec3::splat(3.0));

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use respire_bench::bench::store::MARKER;
 
 use crate::binary::{outcome, program};
+use crate::skip::skip;
 
 /// Smaller than `smoke`: the tests run it several times.
 pub const TINY: &str = r#"
@@ -270,7 +271,7 @@ fn a_full_disk_is_one_sentence_and_nothing_is_lost() {
     command.arg(run.get_program()).args(run.get_args()).current_dir(env!("CARGO_MANIFEST_DIR"));
     let answer = command.output();
     let Some((code, out, err)) = answer.ok().map(outcome).filter(|(code, _, _)| *code == 0) else {
-        eprintln!("SKIPPED: this system lets nobody mount a small disk of his own");
+        skip("small-disk", "this system lets nobody mount a small disk of his own");
         return;
     };
     let sentences: Vec<&str> = err.lines().filter(|line| line.starts_with("error:")).collect();

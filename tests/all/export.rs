@@ -19,6 +19,7 @@ use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, pa
 use crate::binary::{outcome, run};
 use crate::sequence_folder::python;
 use crate::simulate::{case, contents, off_surface, small};
+use crate::skip::skip;
 use crate::third_parties::{accepted, refused};
 
 /// The frame whose points are looked at.
@@ -106,14 +107,14 @@ fn run_python(python: &str, code: &str, folder: &Path) -> String {
     out
 }
 
-/// A Python that has `module` too. Says so loudly where there is none.
+/// A Python that has `module` too. Says so where there is none.
 fn python_with(module: &str) -> Option<String> {
     let python = python()?;
     let found = Command::new(&python).args(["-c", &format!("import {module}")]).stderr(Stdio::null()).status();
     if found.is_ok_and(|status| status.success()) {
         return Some(python);
     }
-    eprintln!("SKIPPED: {python} has no {module} (scripts/python-packages.sh, RESPIRE_PYTHON)");
+    skip("python", &format!("{python} has no {module} (scripts/python-packages.sh, RESPIRE_PYTHON)"));
     None
 }
 

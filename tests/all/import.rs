@@ -15,15 +15,7 @@ use respire_bench::formats::{landmarks, mesh};
 use respire_bench::simulate::trajectory::Route;
 
 use crate::cases::case_path;
-
-pub fn shared(part: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(part);
-    if !path.exists() {
-        eprintln!("SKIPPED: {} is absent", path.display());
-        return None;
-    }
-    Some(path)
-}
+use crate::skip::shared;
 
 pub fn command() -> Command {
     Command::new(env!("CARGO_BIN_EXE_respire-bench"))
@@ -48,7 +40,7 @@ fn invented_landmarks(folder: &Path) -> PathBuf {
 
 #[test]
 fn real_surfaces_become_cases_without_folds() {
-    let (Some(meshes), Some(data)) = (shared("atm22/meshes"), shared("dirlab_copd")) else { return };
+    let (Some(meshes), Some(data)) = (shared("data/atm22/meshes"), shared("data/dirlab_copd")) else { return };
     let folder = tempfile::tempdir().unwrap();
     for (name, motion) in [("ATM_305", "copd03"), ("ATM_307", "copd05")] {
         command()
@@ -358,7 +350,7 @@ fn a_name_that_no_file_may_have_is_refused_first() {
 
 #[test]
 fn the_shipped_fields_describe_the_measured_motion() {
-    let Some(data) = shared("dirlab_copd") else { return };
+    let Some(data) = shared("data/dirlab_copd") else { return };
     for (number, most_mm) in [(1, 3.0), (3, 2.5), (4, 3.0), (5, 4.0)] {
         let case = Case::load(&case_path(number)).unwrap();
         let anatomy = airway::build(&case).unwrap();

@@ -24,7 +24,8 @@ use respire_bench::ct::registration::{RegistrationInput, elastix_version, regist
 use respire_bench::formats::{nifti, volume};
 
 use crate::cases::case_path;
-use crate::import::{command, shared};
+use crate::import::command;
+use crate::skip::{shared, skip};
 
 /// A chest with the lumen of case 1: its field, and the voxels it is seen on.
 struct DrawnChest {
@@ -199,15 +200,27 @@ fn a_mask_becomes_a_case_with_a_named_motion() {
     assert!(case.breathing.unwrap().field.source.starts_with("copd05 "));
 }
 
-/// Whether tests that take minutes were asked for.
-fn all_wanted() -> bool {
-    std::env::var("RESPIRE_CT").is_ok_and(|wish| wish == "all")
+/// Whether tests that take minutes were asked for; `what` is not tested where they were not.
+fn minutes_wanted(what: &str) -> bool {
+    let wanted = std::env::var("RESPIRE_CT").is_ok_and(|wish| wish == "all");
+    if !wanted {
+        skip("ct", &format!("{what} would take minutes; RESPIRE_CT=all runs it"));
+    }
+    wanted
+}
+
+fn has_elastix() -> bool {
+    let found = elastix_version().is_some();
+    if !found {
+        skip("elastix", &format!("elastix is not installed ({REMEDY})"));
+    }
+    found
 }
 
 /// The raw masks of five teams, unsmoothed, as networks write them: one of them unless all are asked for.
 #[test]
 fn every_real_mask_is_imported_at_the_first_try() {
-    let Some(masks) = shared("atm22/masks") else { return };
+    let Some(masks) = shared("data/atm22/masks") else { return };
     let folder = tempfile::tempdir().unwrap();
     let mut count = 0;
     for team in ["SanmedAI", "YangLab", "deeptree_damo", "neu204", "timi"] {
@@ -220,8 +233,7 @@ fn every_real_mask_is_imported_at_the_first_try() {
             println!("{team} {patient}: {said}");
             assert!(output.status.success(), "{team} {patient}: {said}");
             count += 1;
-            if !all_wanted() {
-                eprintln!("SKIPPED: nine of the ten masks; RESPIRE_CT=all imports them");
+            if count == 1 && !minutes_wanted("the import of the other nine masks") {
                 return;
             }
         }
@@ -232,13 +244,8 @@ fn every_real_mask_is_imported_at_the_first_try() {
 /// Target registration error on landmarks of experts: the two visits of `pair_visits`.
 #[test]
 fn a_registration_meets_its_target_on_landmarks() {
-    let Some(data) = shared("ct/pair_visits") else { return };
-    if elastix_version().is_none() {
-        eprintln!("SKIPPED: elastix is not installed ({REMEDY})");
-        return;
-    }
-    if !all_wanted() {
-        eprintln!("SKIPPED: a registration takes minutes; RESPIRE_CT=all runs it");
+    let Some(data) = shared("data/ct/pair_visits") else { return };
+    if !has_elastix() || !minutes_wanted("a registration of two visits") {
         return;
     }
     let input = |name: &str| {
@@ -282,9 +289,8 @@ fn the_patient_is_a_case_that_an_import_makes_again() {
     let licence = fs::read_to_string(folder.join("patient1-licence.txt")).unwrap();
     assert!(licence.contains("Plastimatch Software License"));
 
-    let Some(data) = shared("ct/pair_tidal") else { return };
-    if elastix_version().is_none() || !all_wanted() {
-        eprintln!("SKIPPED: the import of the patient; RESPIRE_CT=all runs it where elastix is installed");
+    let Some(data) = shared("data/ct/pair_tidal") else { return };
+    if !has_elastix() || !minutes_wanted("the import of the patient") {
         return;
     }
     let again = tempfile::tempdir().unwrap();

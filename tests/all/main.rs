@@ -33,6 +33,8 @@ mod scope;
 mod sequence_folder;
 mod simulate;
 mod simulate_ct;
+mod skip;
+mod skip_is_seen;
 mod splat;
 mod start_poses;
 mod third_parties;

@@ -9,6 +9,8 @@ use respire_bench::base::TriangleMesh;
 use respire_bench::base::random::{CounterRng, Stage};
 use respire_bench::formats::mesh;
 
+use crate::skip::shared;
+
 fn octahedron() -> TriangleMesh {
     TriangleMesh {
         vertices: [DVec3::X, DVec3::Y, DVec3::Z].into_iter().flat_map(|a| [a / 3.0, -a / 3.0]).collect(),
@@ -159,13 +161,8 @@ fn values_that_are_no_numbers_name_the_element() {
 
 #[test]
 fn real_meshes_written_by_trimesh_are_read_whole() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/atm22/meshes");
     for (name, vertices, faces) in [("ATM_384.ply", 89_810, 179_616), ("ATM_224.ply", 124_074, 248_144)] {
-        let path = folder.join(name);
-        if !path.exists() {
-            println!("SKIPPED: {} is absent", path.display());
-            continue;
-        }
+        let Some(path) = shared(&format!("data/atm22/meshes/{name}")) else { continue };
         let mesh = mesh::read(&path).unwrap();
         assert_eq!((mesh.vertices.len(), mesh.faces.len()), (vertices, faces));
         mesh.validate_closed().unwrap();

@@ -5,14 +5,15 @@ use std::path::{Path, PathBuf};
 use respire_bench::base::{Image, TriangleMesh};
 use respire_bench::formats::mesh;
 
+use crate::skip::{shared, skip};
+
 /// A folder below `../shared`.
 pub struct Reference(PathBuf);
 
 impl Reference {
-    /// `None`, said loudly, where the folder is absent: the reference data is not part of the repository.
+    /// `None` where the folder is absent, which is said.
     pub fn open(folder: &str) -> Option<Self> {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared").join(folder);
-        present(&path).then_some(Reference(path))
+        shared(folder).map(Reference)
     }
 
     /// Where a file of it lies.
@@ -47,7 +48,7 @@ impl Reference {
 
 fn present(path: &Path) -> bool {
     if !path.exists() {
-        println!("SKIPPED: {} is absent", path.display());
+        skip("shared", &format!("{} is absent", path.display()));
     }
     path.exists()
 }

@@ -12,15 +12,17 @@ use respire_bench::simulate::simulate;
 
 use crate::binary::{outcome, program};
 use crate::simulate::{assert_same, case, seal, small};
+use crate::skip::skip;
 
-/// A Python with the packages of the loader: `RESPIRE_PYTHON`, or `python3`. Says so loudly when there is none.
+/// A Python with the packages of the loader: `RESPIRE_PYTHON`, or `python3`. Says so when there is none.
 pub fn python() -> Option<String> {
     let name = std::env::var("RESPIRE_PYTHON").unwrap_or_else(|_| "python3".into());
     let found = Command::new(&name).args(["-c", "import numpy, PIL, OpenEXR"]).stderr(Stdio::null()).status();
     if found.is_ok_and(|status| status.success()) {
         return Some(name);
     }
-    eprintln!("SKIPPED: {name} with numpy, pillow and OpenEXR is absent (scripts/python-packages.sh, RESPIRE_PYTHON)");
+    let why = format!("{name} with numpy, pillow and OpenEXR is absent (scripts/python-packages.sh, RESPIRE_PYTHON)");
+    skip("python", &why);
     None
 }
 

@@ -21,6 +21,7 @@ use respire_bench::formats::mesh;
 use respire_bench::simulate::sequence::{MANIFEST, Sequence};
 
 use crate::binary::{outcome, program};
+use crate::skip::skip;
 
 /// How many calls fail, one in each run, unless all are asked for.
 const TRIED: usize = 12;
@@ -95,7 +96,7 @@ impl Workshop {
         match compiler.status() {
             Ok(status) => assert!(status.success()),
             Err(_) => {
-                eprintln!("SKIPPED: there is no C compiler");
+                skip("compiler", "there is no C compiler");
                 return None;
             }
         }

@@ -4,6 +4,7 @@ use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 use respire_bench::splat::{Gaussians, Isa, Rasterizer, Rendered, Settings, Shape, View};
 
 use super::scenes::{Kind, Lens, random, tube, view};
+use crate::skip::shared;
 
 /// Values of one pixel, and how close any of its decisions was (relative distance of alpha from 1/255, of the
 /// transmittance from the stop).
@@ -146,11 +147,8 @@ fn forward_equals_brute_force() {
 #[test]
 fn the_reference_scene_gives_the_reference_figures() {
     let Some((tube, view)) = tube("tube_20k.npz", 256) else { return };
-    let text = std::fs::read_to_string(
-        std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/reference/splat/ref_expected.json"),
-    )
-    .unwrap();
-    let expected: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let Some(path) = shared("reference/splat/ref_expected.json") else { return };
+    let expected: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let expected = &expected["tube_20k_256"];
     for isa in available() {
         let mut rasterizer = Rasterizer::<f32>::with_isa(isa).unwrap();

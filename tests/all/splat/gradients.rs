@@ -8,6 +8,7 @@ use respire_bench::splat::{
 use super::forward::available;
 use super::numpy_normal::Numpy;
 use super::scenes::{Kind, Lens, Weights, flat, random, relative, tube, view, wide};
+use crate::skip::shared;
 
 const STEP: f64 = 1e-6;
 
@@ -184,12 +185,8 @@ fn every_mode_on_the_reference_scene() {
 /// Norms of the gradients of the fixed loss against those of a double-precision program that is not ours.
 #[test]
 fn the_reference_scenes_give_the_reference_gradient_norms() {
-    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/reference/splat/ref_expected.json");
-    let Ok(text) = std::fs::read_to_string(&path) else {
-        eprintln!("SKIPPED: {} is absent", path.display());
-        return;
-    };
-    let expected: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let Some(path) = shared("reference/splat/ref_expected.json") else { return };
+    let expected: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     for (file, key, side) in [
         ("tube_20k.npz", "tube_20k_256", 256),
         ("tube_20k.npz", "tube_20k_400", 400),

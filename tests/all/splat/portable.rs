@@ -7,6 +7,7 @@ use respire_bench::splat::{
 };
 
 use super::scenes::{Kind, Lens, Weights, random, tube, view};
+use crate::skip::skip;
 
 /// The bits of numbers, both zeros alike.
 fn bits<'a>(values: impl IntoIterator<Item = &'a f32>) -> Vec<u32> {
@@ -37,7 +38,7 @@ fn both() -> Option<[Isa; 2]> {
     if Isa::Avx512.available().is_ok() {
         return Some([Isa::Avx2, Isa::Avx512]);
     }
-    eprintln!("not compared: this processor has no AVX-512");
+    skip("avx512", "this processor has no AVX-512 to compare AVX2 with");
     None
 }
 

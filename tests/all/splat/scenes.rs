@@ -1,13 +1,14 @@
 //! Scenes, losses and measures of the splat tests.
 
 use std::io::Read;
-use std::path::Path;
 
 use glam::{DAffine3, DVec3};
 use respire_bench::base::Camera;
 use respire_bench::base::camera::world_from_camera_looking;
 use respire_bench::base::random::{CounterRng, Stage};
 use respire_bench::splat::{Gaussians, ImageGradient, Rendered, Shape, SplatKernels, View};
+
+use crate::skip::shared;
 
 pub fn rng(keys: &[u64]) -> CounterRng {
     CounterRng::new(4711, Stage::Test, keys)
@@ -132,13 +133,9 @@ fn half(bits: u16) -> f32 {
     }
 }
 
-/// The tube of `../shared/reference/splat` with its camera; `None`, said loudly, when it is absent.
+/// The tube of `../shared/reference/splat` with its camera; `None` when it is absent, which is said.
 pub fn tube(name: &str, width: u32) -> Option<(Gaussians<f32>, View)> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/reference/splat").join(name);
-    if !path.exists() {
-        eprintln!("SKIPPED: {} is absent", path.display());
-        return None;
-    }
+    let path = shared(&format!("reference/splat/{name}"))?;
     let mut archive = npyz::npz::NpzArchive::open(path).unwrap();
     let f32s = |b: Vec<u8>| b.chunks_exact(4).map(|c| f32::from_le_bytes(c.try_into().unwrap())).collect::<Vec<_>>();
     let f16s = |b: Vec<u8>| b.chunks_exact(2).map(|c| half(u16::from_le_bytes([c[0], c[1]]))).collect::<Vec<_>>();
