@@ -5,7 +5,7 @@ use std::path::Path;
 use respire_bench::formats::gaussians_ply::{self, GaussianCloud};
 use respire_bench::formats::transforms::{Transforms, TransformsFrame, TransformsLens};
 use respire_bench::formats::{exr, npy};
-use respire_bench::splat::{Gaussians, ImageGradient, Rasterizer, Settings, Shape, View, Wanted};
+use respire_bench::splat::{DepthOutput, Gaussians, ImageGradient, Isa, Rasterizer, Settings, Shape, View, Wanted};
 
 use super::scenes::{Kind, Lens, random, relative, view, world_from_camera};
 
@@ -215,11 +215,49 @@ fn what_is_asked_for_is_written() {
     assert!(!path.join("out").exists());
 }
 
+/// Every kernel that this processor runs shows what the plain twin in double precision does, at every kind of depth.
 #[test]
 fn every_kernel_can_be_asked_for_and_depth_chosen() {
-    let (folder, _) = folder();
-    for isa in ["scalar", "sse2"] {
-        command(folder.path(), &["--isa", isa, "--depth", "surface", "--background", "1", "0.5", "0"]).success();
+    let (folder, cloud) = folder();
+    let path = folder.path();
+    let scene = Gaussians {
+        positions: cloud.positions.clone(),
+        shape: Shape::Ellipsoids { rotations: cloud.rotations.clone(), scales: cloud.scales.clone() },
+        opacities: cloud.opacities.clone(),
+        sh: cloud.sh.clone(),
+        sh_degree: 1,
+    };
+    let scene = scene.cast::<f64>();
+    let seen = View::new(view(Lens::Pinhole).camera, world_from_camera());
+    let mut depths: Vec<Vec<f64>> = Vec::new();
+    for (name, depth) in
+        [("expected", DepthOutput::Expected), ("surface", DepthOutput::Surface), ("median", DepthOutput::Median)]
+    {
+        let settings = Settings { depth, background: [1.0, 0.5, 0.0], ..Settings::default() };
+        let truth = Rasterizer::<f64>::new().render(&scene, &seen, &settings, None).unwrap().clone();
+        for isa in [Isa::Scalar, Isa::Baseline, Isa::Avx2, Isa::Avx512] {
+            let asked = isa.to_string();
+            let said = command(path, &["--isa", &asked, "--depth", name, "--background", "1", "0.5", "0"]);
+            if isa.available().is_err() {
+                said.code(5);
+                continue;
+            }
+            said.success();
+            let timing = std::fs::read_to_string(path.join("out/timing.json")).unwrap();
+            let timing: serde_json::Value = serde_json::from_str(&timing).unwrap();
+            assert_eq!(timing["isa"].as_str(), Some(&asked[..]));
+            // A ray that grazes an ellipsoid magnifies what rounding takes from its depth.
+            for (ending, truth, most) in
+                [("", &truth.color, 1e-4), ("_alpha", &truth.alpha, 1e-4), ("_depth", &truth.depth, 1e-3)]
+            {
+                let found = exr::read(&path.join(format!("out/000000{ending}.exr"))).unwrap();
+                let found: Vec<f64> = found.data.iter().map(|&v| f64::from(v)).collect();
+                let error = relative(&found, truth);
+                assert!(error < most, "{isa}, depth {name}, 000000{ending}.exr: {error:e}");
+            }
+        }
+        assert!(depths.iter().all(|other| relative(other, &truth.depth) > 2e-3), "{name} shows another depth");
+        depths.push(truth.depth);
     }
 }
 
