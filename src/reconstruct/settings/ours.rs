@@ -31,6 +31,9 @@ pub struct FrameFitSettings {
     /// Whether colours are kept within what a wall can show, and those of Gaussians behind the rendered surface as they
     /// were: not in the paper.
     pub guarded_colors: Sourced<bool>,
+    /// Whether Gaussians that no frame has shown get the colour of the wall beside them in a second camera's view: not in
+    /// the paper.
+    pub lent_colors: Sourced<bool>,
     /// What is left out.
     pub visibility: Visibility,
 }
@@ -92,7 +95,8 @@ pub struct OnFace {
     pub pixels_per_disc: Sourced<f64>,
     /// Largest number of discs that a face in view asks for.
     pub most_per_face: Sourced<u32>,
-    /// Whether discs on faces that a wall hides are left out of a frame: not in the paper.
+    /// Whether discs on faces that a wall hides, or that look away from the camera, are left out of a frame: not in the
+    /// paper.
     pub hidden_left_out: Sourced<bool>,
     /// Whether the depth handed out is that of the mesh at the estimated phase, not that of the rendered discs: not in the
     /// paper.

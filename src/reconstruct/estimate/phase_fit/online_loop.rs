@@ -149,7 +149,9 @@ impl Fitter<'_> {
         let surface = gaussians.surface_depth_mm(&view, phase);
         let mut patch = gaussians.look(&view, phase)?;
         self.place(&view, &mut *patch, phase)?;
-        self.color_the_unseen_as_beside(&view, &mut *patch);
+        if *self.settings.lent_colors {
+            self.color_the_unseen_as_beside(&view, &mut *patch);
+        }
         let depth = if surface.is_some() { DepthOutput::Skip } else { DepthOutput::Surface };
         self.render(&view, &*patch, depth)?;
         let shown = shown(&self.rasterizer);
