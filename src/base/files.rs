@@ -3,7 +3,7 @@
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Read, Write};
-use std::os::unix::fs::FileTypeExt;
+use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -16,6 +16,8 @@ use super::shipped;
 
 /// How the name of an unfinished file begins and ends.
 const UNFINISHED: (&str, &str) = (".", ".tmp");
+/// Permissions that a file is opened with; the system takes away those of the process's mask (`umask`).
+const FOR_EVERYBODY: u32 = 0o666;
 /// Most bytes that are read from a pipe, whose length nobody knows, and beyond the length of a file that grows.
 const MOST_UNKNOWN_BYTES: u64 = 1 << 28;
 
@@ -31,20 +33,16 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::
         return Err(Error::input("what the program carries cannot be written").at(path));
     }
     fs::create_dir_all(folder).map_err(fail)?;
-    let file = tempfile::Builder::new().prefix(UNFINISHED.0).suffix(UNFINISHED.1).tempfile_in(folder).map_err(fail)?;
+    let mut unfinished = tempfile::Builder::new();
+    // Temporary files are made for the owner alone; results are for whom the user's mask lets in.
+    unfinished.prefix(UNFINISHED.0).suffix(UNFINISHED.1).permissions(fs::Permissions::from_mode(FOR_EVERYBODY));
+    let file = unfinished.tempfile_in(folder).map_err(fail)?;
     let mut buffered = BufWriter::new(file);
     write(&mut buffered).map_err(fail)?;
     let file = buffered.into_inner().map_err(|e| fail(e.into_error()))?;
-    set_umask_permissions(file.as_file()).map_err(fail)?;
     file.as_file().sync_all().map_err(fail)?;
     file.persist(path).map_err(|e| fail(e.error))?;
     File::open(folder).and_then(|f| f.sync_all()).map_err(fail)
-}
-
-/// Temporary files are made for the owner alone; results are for everybody.
-fn set_umask_permissions(file: &File) -> std::io::Result<()> {
-    use std::os::unix::fs::PermissionsExt;
-    file.set_permissions(fs::Permissions::from_mode(0o644))
 }
 
 /// Removes what a kill in the middle of [`write_atomically`] left behind in `folder` and below it. Call it only as the

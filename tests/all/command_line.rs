@@ -1,7 +1,8 @@
 //! Words in, words out: help, exit codes, one sentence for every mistake.
 
 use std::io::Read;
-use std::process::Stdio;
+use std::os::unix::fs::PermissionsExt;
+use std::process::{Command, Stdio};
 
 use crate::binary::{program, run};
 
@@ -138,7 +139,7 @@ fn bash_completes_commands_options_and_values() {
         (&["respire-bench", "import", "mesh-"], "mesh-pair"),
         (&["respire-bench", "splat", "--isa", "avx"], "avx2 avx512"),
     ] {
-        let mut bash = std::process::Command::new("bash");
+        let mut bash = Command::new("bash");
         let output = bash.args(["-c", asked, "-"]).arg(&file).args(words).output().unwrap();
         let said = String::from_utf8(output.stdout).unwrap();
         assert_eq!(said.trim(), wanted, "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
@@ -146,6 +147,19 @@ fn bash_completes_commands_options_and_values() {
     for (shell, word) in [("zsh", "#compdef respire-bench"), ("fish", "complete -c respire-bench")] {
         let (code, script, err) = run(&["completions", shell]);
         assert!(code == 0 && script.contains(word), "{err}");
+    }
+}
+
+/// Imports of scans are of patients: who keeps others out keeps them out of results, too.
+#[test]
+fn files_are_for_whom_the_users_mask_lets_in() {
+    for (mask, mode) in [("077", 0o600), ("022", 0o644), ("002", 0o664)] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut shell = Command::new("sh");
+        shell.args(["-c", "umask $1; exec \"$2\" man --out \"$3\"", "-", mask, env!("CARGO_BIN_EXE_respire-bench")]);
+        assert!(shell.arg(folder.path()).status().unwrap().success());
+        let page = std::fs::metadata(folder.path().join("respire-bench.1")).unwrap();
+        assert_eq!(page.permissions().mode() & 0o777, mode, "umask {mask}");
     }
 }
 
