@@ -58,6 +58,18 @@ pub struct LiveOptions {
     pub masks: Option<PathBuf>,
 }
 
+impl LiveOptions {
+    /// Refuses masks in the folder of the pictures, over which they would be written.
+    fn check(&self) -> Result<()> {
+        let (FrameFeed::Folder(images, _), Some(masks)) = (&self.feed, &self.masks) else { return Ok(()) };
+        let is_same = images.canonicalize().is_ok_and(|images| masks.canonicalize().is_ok_and(|masks| masks == images));
+        match is_same {
+            true => Err(Error::usage("--masks: names the folder of --images, whose pictures would be replaced")),
+            false => Ok(()),
+        }
+    }
+}
+
 /// One line of `track`: the answer for one frame.
 #[derive(Clone, Debug, Serialize)]
 pub struct LiveLine {
@@ -189,13 +201,23 @@ impl Queue {
     }
 }
 
-/// A frame that the method has: its number, time and arrival, the frames left out before it, its picture.
-type CurrentFrame = (usize, f64, Instant, usize, Arc<Image<u8>>);
+/// A frame that the method has.
+struct CurrentFrame {
+    /// Among all that came.
+    number: usize,
+    /// Seconds since the first frame.
+    time_s: f64,
+    /// When it came.
+    since: Instant,
+    /// Frames left out just before.
+    left_out: usize,
+    image: Arc<Image<u8>>,
+}
 
 /// Lets the method `id` follow `film` and hands each answer, with its picture, to `report`.
 ///
 /// Errors: an unknown profile or method, one that does not follow frames; those of reading, of the method and of
-/// `report`; masks from a method that has none; `Interrupted` between frames.
+/// `report`; masks from a method that has none, or among the pictures; `Interrupted` between frames.
 pub fn follow(
     catalogue: &Catalogue,
     profile: &str,
@@ -205,6 +227,7 @@ pub fn follow(
     report: &mut dyn FnMut(&LiveLine, LivePicture) -> Result<()>,
     progress: &dyn Progress,
 ) -> Result<LiveSummary> {
+    options.check()?;
     let method = method_of(catalogue, profile, id)?;
     let Some(live) = method.live() else {
         return Err(Error::usage(format!(
@@ -232,21 +255,23 @@ pub fn follow(
     let current: Cell<Option<CurrentFrame>> = Cell::new(None);
     let mut next = || -> Result<Option<ArrivedFrame>> {
         let Some(Waiting { number, since, frame }) = queue.take(progress)? else { return Ok(None) };
-        current.set(Some((number, frame.time_s, since, frame.left_out, Arc::clone(&frame.image))));
+        let (time_s, left_out, image) = (frame.time_s, frame.left_out, Arc::clone(&frame.image));
+        current.set(Some(CurrentFrame { number, time_s, since, left_out, image }));
         Ok(Some(frame))
     };
     let mut answer = |mut answer: LiveAnswer| -> Result<()> {
-        let (frame, time_s, since, left_out, image) = current.take().expect("an answer follows a frame");
-        let latency_ms = 1e3 * since.elapsed().as_secs_f64();
+        let frame = current.take().expect("an answer follows a frame");
+        let latency_ms = 1e3 * frame.since.elapsed().as_secs_f64();
         summary.frames += 1;
-        summary.left_out += left_out;
+        summary.left_out += frame.left_out;
         summary.latencies_ms.push(latency_ms);
-        let picture = LivePicture { image, mask: answer.mask.take() };
+        let line = line(&answer, &frame, latency_ms);
+        let picture = LivePicture { image: frame.image, mask: answer.mask.take() };
         if let Some(folder) = &masks {
             let untold = || Error::usage(format!("--masks: `{id}` does not tell the wall from what covers it"));
-            png::write_grey(&folder.join(format!("{frame:06}.png")), &picture.wall().ok_or_else(untold)?)?;
+            png::write_grey(&folder.join(format!("{:06}.png", frame.number)), &picture.wall().ok_or_else(untold)?)?;
         }
-        report(&line(&answer, frame, time_s, latency_ms, left_out), picture)
+        report(&line, picture)
     };
     let outcome = live.follow(&known, &mut next, &mut answer);
     queue.lock().abandoned = true;
@@ -256,11 +281,11 @@ pub fn follow(
     Ok(summary)
 }
 
-fn line(answer: &LiveAnswer, frame: usize, time_s: f64, latency_ms: f64, left_out: usize) -> LiveLine {
+fn line(answer: &LiveAnswer, frame: &CurrentFrame, latency_ms: f64) -> LiveLine {
     let rows = DMat4::from(answer.world_from_camera).transpose().to_cols_array_2d();
     LiveLine {
-        frame,
-        time_s,
+        frame: frame.number,
+        time_s: frame.time_s,
         state: match answer.state {
             TrackState::Tracking => "tracking",
             TrackState::Unsure => "unsure",
@@ -273,7 +298,7 @@ fn line(answer: &LiveAnswer, frame: usize, time_s: f64, latency_ms: f64, left_ou
         target_covariance_mm2: answer.target_covariance_mm2.iter().map(|c| c.to_cols_array_2d()).collect(),
         masked_share: answer.masked_share,
         latency_ms,
-        left_out,
+        left_out: frame.left_out,
     }
 }
 
@@ -343,7 +368,8 @@ fn raw_image(pipe: &mut dyn Read, camera: Camera, number: usize) -> Result<Optio
     Ok(Some(Image { width, height, channels: 3, data }))
 }
 
-/// The pictures of a folder that have been taken.
+/// The pictures of a folder that have been taken: all up to a name. Folders within it are not looked at: masks of the
+/// answers may be among them.
 #[derive(Default)]
 struct FolderNames {
     last: Option<PathBuf>,
@@ -356,10 +382,12 @@ impl FolderNames {
         let start = Instant::now();
         let mut damaged = None;
         loop {
-            let is_new = |path: &PathBuf| {
-                path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) && self.last.as_ref() < Some(path)
+            let is_new = |name: &PathBuf| {
+                name.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) && self.last.as_ref() < Some(name)
             };
-            if let Some(path) = files::all_in(folder)?.into_iter().filter(is_new).min() {
+            let next = files::names_in(folder)?.into_iter().filter(is_new).find(|name| folder.join(name).is_file());
+            if let Some(name) = next {
+                let path = folder.join(&name);
                 match png::read_rgb(&path) {
                     Ok(image) => {
                         let size = (camera.width as usize, camera.height as usize);
@@ -368,7 +396,7 @@ impl FolderNames {
                             let sentence = format!("has {width}x{height} pixels, the camera {}x{}", size.0, size.1);
                             return Err(Error::input(sentence).at(path));
                         }
-                        self.last = Some(path);
+                        self.last = Some(name);
                         return Ok(Some(image));
                     }
                     Err(error) => damaged = Some(error),
@@ -412,6 +440,31 @@ mod tests {
         let error = raw_image(&mut pipe, camera, 1).unwrap_err().to_string();
         assert!(error.contains("frame 1") && error.contains("5 of 12 bytes"), "{error}");
         assert!(raw_image(&mut pipe, camera, 2).unwrap().is_none());
+    }
+
+    #[test]
+    fn a_folder_gives_its_own_pictures_by_name_and_none_of_the_folders_in_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let mask = Image { width: 2, height: 2, channels: 1, data: vec![9; 4] };
+        png::write_grey(&folder.path().join("masks/000000.png"), &mask).unwrap();
+        for (name, value) in [("000001.PNG", 1), ("000000.png", 0), ("notes.txt", 7)] {
+            png::write_rgb(&folder.path().join(name), &Image::filled(2, 2, 3, value)).unwrap();
+        }
+        let mut names = FolderNames::default();
+        let mut next = || names.next(folder.path(), Duration::ZERO, Camera::pinhole(2, 2, 1.0)).unwrap();
+        let taken: Vec<u8> = std::iter::from_fn(|| next().map(|image| image.data[0])).collect();
+        assert_eq!(taken, [0, 1]);
+    }
+
+    #[test]
+    fn masks_replace_no_pictures() {
+        let folder = tempfile::tempdir().unwrap();
+        let check = |masks: &str| {
+            let feed = FrameFeed::Folder(folder.path().to_owned(), Duration::ZERO);
+            LiveOptions { feed, poses: None, every_frame: false, masks: Some(folder.path().join(masks)) }.check()
+        };
+        assert_eq!(check(".").unwrap_err().kind().exit_code(), 2);
+        check("masks").unwrap();
     }
 
     #[test]
