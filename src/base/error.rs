@@ -66,9 +66,9 @@ impl Error {
         Self::new(ErrorKind::Usage, message)
     }
 
-    /// The user stopped the work.
+    /// The user stopped the work. Whether it can be resumed, the command knows.
     pub fn interrupted() -> Self {
-        Self::new(ErrorKind::Interrupted, "stopped; the same command resumes")
+        Self::new(ErrorKind::Interrupted, "stopped")
     }
 
     /// An operating-system error while doing `what` ("reading", "writing") with `path`.

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::Terminal;
 use super::selection::CatalogueFolder;
+use super::stopped::resumable;
 use crate::base::range::THREADS;
 use crate::base::{Result, files};
 use crate::bench::Ablations;
@@ -85,7 +86,7 @@ pub fn run(arguments: AblateArguments, terminal: &Terminal) -> Result<()> {
         ablations.noise_seeds[0],
     );
     let metrics = &ablations.metrics;
-    run_variants(&plan, terminal, |scores| write(scores, metrics, &title, &out).map(drop))?;
+    resumable(run_variants(&plan, terminal, |scores| write(scores, metrics, &title, &out).map(drop)))?;
     terminal.finish();
     terminal.line(files::read_text(&out.join("ablations.md"))?.trim_end());
     Ok(())

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::selection::Selection;
+use super::stopped::resumable;
 use super::{Terminal, comparison};
 use crate::base::{Error, ErrorKind, Progress, Result, files};
 use crate::bench::claim::{Asked, Claim, Claims};
@@ -55,7 +56,10 @@ pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
     // One after the other: what fails on one track must not keep the other from being run.
     let mut outcome = Ok(());
     for track in tracks {
-        match run_track(&arguments, track, terminal) {
+        let done = run_track(&arguments, track, terminal);
+        // The same command would begin anew.
+        let done = if arguments.fresh { done } else { resumable(done) };
+        match done {
             Err(error) if error.kind() != ErrorKind::CellFailed => return Err(error),
             Err(error) => outcome = Err(error),
             Ok(()) => {}

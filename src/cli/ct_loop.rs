@@ -7,6 +7,7 @@ use clap::Args;
 use super::Terminal;
 use super::selection::CatalogueFolder;
 use super::simulate_ct::ProtocolChoice;
+use super::stopped::resumable;
 use crate::airway::case::Case;
 use crate::base::{Result, files};
 use crate::experiments::ct_loop::masks::differences;
@@ -61,7 +62,7 @@ pub fn run(arguments: CtLoopArguments, terminal: &Terminal) -> Result<()> {
         let settings = LoopSettings { protocol, out: arguments.out.clone(), keep_scans: arguments.keep_scans };
         for case in &cases {
             terminal.stage(format!("{}, {}", case.id, protocol.name()));
-            results.push(measure(case, &settings, terminal)?);
+            results.push(resumable(measure(case, &settings, terminal))?);
             write_csv(&arguments.out.join("ct-loop.csv"), &COLUMNS.map(String::from), &records(&results))?;
             files::write_bytes(&arguments.out.join("ct-loop.md"), markdown(&results).as_bytes())?;
         }

@@ -9,10 +9,11 @@ use super::import_ct::{self, CtArguments};
 use super::import_mesh::{self, MeshArguments, PairArguments};
 use super::import_motion::{MotionArguments, still_breathing};
 use super::import_tree::{self, TreeArguments};
+use super::stopped::all_or_nothing;
 use crate::airway;
 use crate::airway::case::Case;
 use crate::airway::import_breathing::breathing_toml;
-use crate::base::{Error, ErrorKind, Progress, Result, files};
+use crate::base::{Error, Progress, Result, files};
 
 /// Arguments of `import`.
 #[derive(Args)]
@@ -55,14 +56,6 @@ pub fn run(arguments: ImportArguments, terminal: &Terminal) -> Result<()> {
         ImportKind::Mesh(arguments) => import_mesh::run(&arguments, terminal),
         ImportKind::MeshPair(arguments) => import_mesh::run_pair(&arguments, terminal),
         ImportKind::Tree(arguments) => import_tree::run(&arguments, terminal),
-    })
-}
-
-/// The outcome of work that keeps nothing when it is stopped, so that nothing resumes.
-pub(super) fn all_or_nothing(outcome: Result<()>) -> Result<()> {
-    outcome.map_err(|error| match error.kind() {
-        ErrorKind::Interrupted => Error::new(ErrorKind::Interrupted, "stopped; nothing was kept"),
-        _ => error,
     })
 }
 

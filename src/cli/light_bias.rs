@@ -7,6 +7,7 @@ use clap::{Args, builder::TypedValueParser};
 
 use super::Terminal;
 use super::selection::CatalogueFolder;
+use super::stopped::resumable;
 use crate::airway::case::Case;
 use crate::base::range::{NumberRange, SHARE};
 use crate::base::{Estimate, Progress, Result, files};
@@ -76,7 +77,8 @@ pub fn run(arguments: LightBiasArguments, terminal: &Terminal) -> Result<()> {
     terminal.accepts(&Estimate { seconds: cases.len() as f64 * one.seconds, ..one })?;
     let mut rows = Vec::new();
     for name in &cases {
-        rows.extend(light_bias::rows(&Case::load(&catalogue.case_file(name)?)?, &sweep, terminal)?);
+        let case = Case::load(&catalogue.case_file(name)?)?;
+        rows.extend(resumable(light_bias::rows(&case, &sweep, terminal))?);
         let table = light_bias::records(&rows, &sweep);
         write_csv(&arguments.out.join("light-bias.csv"), &light_bias::COLUMNS.map(String::from), &table)?;
         files::write_bytes(&arguments.out.join("light-bias.md"), light_bias::markdown(&rows, &sweep).as_bytes())?;

@@ -37,6 +37,7 @@ mod slurm;
 mod splat;
 mod splat_gradients;
 mod splat_output;
+mod stopped;
 mod stress;
 mod terminal;
 mod track;

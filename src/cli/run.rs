@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::Terminal;
 use super::selection::{CatalogueFolder, PoseChoice};
+use super::stopped::resumable;
 use crate::base::range::SEED;
 use crate::base::{Error, Progress, Result, files};
 use crate::bench::{Freshness, Pipeline, Store, Wishes, execute, reconstruct_folder};
@@ -76,7 +77,9 @@ pub fn run(arguments: RunArguments, terminal: &Terminal) -> Result<()> {
     terminal.accepts(&pipeline.estimate())?;
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
     let store = Store::open(&arguments.cache)?;
-    let finished = execute(&pipeline.plan()?, &pipeline, &store, freshness, terminal)?;
+    let finished = execute(&pipeline.plan()?, &pipeline, &store, freshness, terminal);
+    // With --fresh, the same command would begin anew.
+    let finished = if arguments.fresh { finished? } else { resumable(finished)? };
     for cell in finished {
         if let Some(error) = cell.failure {
             return Err(error);

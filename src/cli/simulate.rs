@@ -6,6 +6,7 @@ use clap::Args;
 
 use super::Terminal;
 use super::selection::CatalogueFolder;
+use super::stopped::resumable;
 use crate::airway::case::{Case, Condition, Effect};
 use crate::base::range::{FRAMES, IMAGE_SIDE_PX, SAMPLES_PER_PIXEL};
 use crate::base::{Error, Estimate, Progress, Result};
@@ -126,7 +127,7 @@ pub fn run(arguments: SimulateArguments, terminal: &Terminal) -> Result<()> {
             (Some(blind), _) => blind.join("truth"),
             (None, out) => out.clone().unwrap_or_default().join(&case.id),
         };
-        let sequence = simulate(case, &settings(case), &folder, terminal)?;
+        let sequence = resumable(simulate(case, &settings(case), &folder, terminal))?;
         terminal.line(format!("{}: {} frames", sequence.root.display(), sequence.frames.len()));
         if let Some(blind) = &arguments.blind {
             let folder = blind.join("participant");

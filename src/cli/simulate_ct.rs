@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::Terminal;
-use super::import::all_or_nothing;
 use super::selection::CatalogueFolder;
+use super::stopped::all_or_nothing;
 use crate::airway::case::Case;
 use crate::base::{Progress, Result};
 use crate::ct::simulated::chest::SimulatedChest;
