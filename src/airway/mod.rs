@@ -1,6 +1,7 @@
 //! Anatomy that breathes: case files, bronchial trees, surface, breathing field and waveform, centreline, import.
 //! Knows nothing of rendering.
 
+pub mod breathing_text;
 pub mod case;
 pub mod case_build;
 pub mod case_centerline;

@@ -223,11 +223,16 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
 /// Reads TOML; the error names line and column, and shows the line.
 #[cfg(feature = "methods")]
 pub fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T> {
-    let text = read_text(path)?;
-    toml::from_str(&text).map_err(|e| {
+    parse_toml(&read_text(path)?, path)
+}
+
+/// [`read_toml`] of the text of the file `path`.
+#[cfg(feature = "methods")]
+pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T> {
+    toml::from_str(text).map_err(|e| {
         let error = Error::input(e.message().trim_end().replace('\n', ", ")).at(path);
         match e.span() {
-            Some(span) => error.element(place(&text, span.start)),
+            Some(span) => error.element(place(text, span.start)),
             None => error,
         }
     })

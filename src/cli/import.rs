@@ -11,9 +11,9 @@ use super::import_motion::{MotionArguments, still_breathing};
 use super::import_tree::{self, TreeArguments};
 use super::stopped::all_or_nothing;
 use crate::airway;
+use crate::airway::breathing_text::with_breathing;
 use crate::airway::case::Case;
-use crate::airway::import_breathing::breathing_toml;
-use crate::base::{Error, Progress, Result, files};
+use crate::base::{Progress, Result, files};
 
 /// Arguments of `import`.
 #[derive(Args)]
@@ -41,7 +41,7 @@ enum ImportKind {
 
 #[derive(Args)]
 struct BreathingArguments {
-    /// Case file; everything from its line "[breathing" on is replaced
+    /// Case file; its `[breathing]` is replaced, or added, and all else in it stays
     #[arg(value_name = "CASE.toml")]
     case: PathBuf,
     #[command(flatten)]
@@ -62,15 +62,14 @@ pub fn run(arguments: ImportArguments, terminal: &Terminal) -> Result<()> {
 fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Result<()> {
     let motion = arguments.motion.read()?;
     let text = files::read_text(&arguments.case)?;
-    let head = text.split("\n[breathing").next().unwrap_or(&text).trim_end().to_string();
-    let mut case: Case = toml::from_str(&format!("{head}\n\n{}", breathing_toml(&still_breathing())))
-        .map_err(|e| Error::input(e.to_string()).at(&arguments.case))?;
+    let still = with_breathing(&text, &arguments.case, &still_breathing())?;
+    let mut case: Case = files::parse_toml(&still, &arguments.case)?;
     case.folder = arguments.case.parent().map(Path::to_path_buf).unwrap_or_default();
     case.validate().map_err(|e| e.at(&arguments.case))?;
     let rest = airway::build(&case)?;
     terminal.proceed()?;
     let breathing = arguments.motion.fit(&rest, &case, &motion, terminal)?;
     terminal.proceed()?;
-    let out = format!("{head}\n\n{}", breathing_toml(&breathing));
-    files::write_bytes(&arguments.case, out.as_bytes())
+    let written = with_breathing(&text, &arguments.case, &breathing)?;
+    files::write_bytes(&arguments.case, written.as_bytes())
 }
