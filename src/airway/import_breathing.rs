@@ -37,8 +37,7 @@ const ANCHOR_MASS: f64 = 20.0;
 /// Number of the kernel's centres, and its softening length.
 const CENTERS: usize = 56;
 const SOFTENING_MM: f64 = 15.0;
-/// Rounds in which the motion is scaled to the wanted one: folds, and with them the field, depend a little on the
-/// scale.
+/// Rounds in which a motion is scaled to the wanted one: folds, and with them the field, depend a little on the scale.
 const SCALING_ROUNDS: usize = 4;
 /// Scales are rounded to a part of this.
 const SCALE_DIGITS: f64 = 1e4;
@@ -268,6 +267,27 @@ pub struct WantedMotion<'a> {
     pub end_motion_mm: Option<f64>,
 }
 
+/// The scale, from `scale` on, at which the end of the scope's way moves by `wanted_mm`; `end_motion_mm` measures it at
+/// a scale, and each scale found is rounded by `rounded`.
+///
+/// Errors: those of measuring, and an end that does not move, which nothing can scale.
+pub(super) fn scaled_to(
+    wanted_mm: f64,
+    mut scale: f64,
+    rounded: impl Fn(f64) -> f64,
+    mut end_motion_mm: impl FnMut(f64) -> Result<f64>,
+) -> Result<f64> {
+    for _ in 0..SCALING_ROUNDS {
+        let moves_mm = end_motion_mm(scale)?;
+        if moves_mm < LEAST_MOTION_MM {
+            let sentence = format!("the end of the scope's way moves by {moves_mm:.3} mm, which nothing can scale");
+            return Err(Error::input(sentence));
+        }
+        scale = rounded(scale * (wanted_mm / moves_mm));
+    }
+    Ok(scale)
+}
+
 /// [`measured_breathing`], scaled so that the end of the scope's way moves as far as is wanted; `end_motion_mm`
 /// measures that on a breathing airway. The field's source says how well the motion is met.
 ///
@@ -282,20 +302,10 @@ pub fn fitted_breathing(
         found.breathing.field.scale = scale;
         Ok(found)
     };
-    let mut scale = 1.0;
+    let rounded = |scale: f64| (scale * SCALE_DIGITS).round() / SCALE_DIGITS;
+    let at_scale = |scale: f64| end_motion_mm(&moving(rest, &fit(scale)?.breathing)?);
+    let scale = wanted.end_motion_mm.map_or(Ok(1.0), |wanted_mm| scaled_to(wanted_mm, 1.0, rounded, at_scale))?;
     let mut found = fit(scale)?;
-    if let Some(wanted_mm) = wanted.end_motion_mm {
-        for _ in 0..SCALING_ROUNDS {
-            let moved = moving(rest, &found.breathing)?;
-            let moves_mm = end_motion_mm(&moved)?;
-            if moves_mm < LEAST_MOTION_MM {
-                let sentence = format!("the end of the scope's way moves by {moves_mm:.3} mm, which nothing can scale");
-                return Err(Error::input(sentence));
-            }
-            scale = (scale * wanted_mm / moves_mm * SCALE_DIGITS).round() / SCALE_DIGITS;
-            found = fit(scale)?;
-        }
-    }
     let q = found.quality;
     found.breathing.field.source = format!(
         "{}; landmarks move {:.1} mm, held-out error {:.2} mm (affine alone {:.2} mm)",
@@ -346,6 +356,16 @@ pub fn breathing_toml(breathing: &Breathing) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_motion_is_scaled_to_the_wanted_one_and_one_that_stands_still_is_refused() {
+        // Folds take more of a larger motion.
+        let moves_mm = |scale: f64| Ok(20.0 * scale - scale * scale);
+        let scale = scaled_to(8.0, 1.0, |scale| scale, moves_mm).unwrap();
+        assert!((moves_mm(scale).unwrap() - 8.0).abs() < 1e-4, "{scale}");
+        let error = scaled_to(8.0, 1.0, |scale| scale, |scale| Ok(0.005 * scale)).unwrap_err();
+        assert!(error.to_string().contains("0.005 mm, which nothing can scale"), "{error}");
+    }
 
     #[test]
     fn what_landmarks_do_not_surround_is_measured() {

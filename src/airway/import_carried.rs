@@ -6,11 +6,12 @@
 
 use glam::DVec3;
 
+use super::Anatomy;
 use super::case::Breathing;
 use super::case_build::AirwayAtRest;
 use super::centerline::Centerline;
 use super::field::BreathingField;
-use super::import_breathing::{carina, moving};
+use super::import_breathing::{carina, moving, scaled_to};
 use crate::base::{Error, Result};
 
 /// Largest factor between two airways: a child's and a large man's.
@@ -54,7 +55,7 @@ pub fn carried_field(from: &BreathingField, line: &Centerline, to: &Centerline) 
 /// The motion of another airway's case for the airway `rest`, as large as was measured, or as it may be without folds.
 ///
 /// Errors: those of [`carried_field`]; a field that folds however small.
-pub fn carried_breathing(from: &Breathing, line: &Centerline, rest: &AirwayAtRest<'_>) -> Result<Breathing> {
+fn carried_breathing(from: &Breathing, line: &Centerline, rest: &AirwayAtRest<'_>) -> Result<Breathing> {
     let field = carried_field(&from.field, line, rest.centerline)?;
     let mut breathing = Breathing { calibre: from.calibre.clone(), field };
     let mut last = None;
@@ -66,6 +67,26 @@ pub fn carried_breathing(from: &Breathing, line: &Centerline, rest: &AirwayAtRes
         breathing.field.scale *= SMALLER;
     }
     Err(last.unwrap_or_else(|| Error::input("no motion was tried")))
+}
+
+/// The motion of another airway's case, whose centreline is `line`, for the airway `rest`: so large that the end of the
+/// scope's way moves by `wanted_mm`, or, where nothing is wanted, as it was measured, or as it may be without folds.
+/// `end_motion_mm` measures that on a breathing airway.
+///
+/// Errors: those of [`carried_field`]; a field that folds however small; an end that does not move, which nothing can
+/// scale.
+pub fn scaled_carried_breathing(
+    from: &Breathing,
+    line: &Centerline,
+    rest: &AirwayAtRest<'_>,
+    wanted_mm: Option<f64>,
+    end_motion_mm: impl Fn(&Anatomy) -> Result<f64>,
+) -> Result<Breathing> {
+    let carried = carried_breathing(from, line, rest)?;
+    let Some(wanted_mm) = wanted_mm else { return Ok(carried) };
+    let scaled = |scale| Breathing { field: BreathingField { scale, ..carried.field.clone() }, ..carried.clone() };
+    let at_scale = |scale| end_motion_mm(&moving(rest, &scaled(scale))?);
+    Ok(scaled(scaled_to(wanted_mm, carried.field.scale, |scale| scale, at_scale)?))
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ use crate::airway::field_calibre::Calibre;
 use crate::airway::field_fit::check_pairs;
 use crate::airway::fold_mending::Mending;
 use crate::airway::import_breathing::{Beyond, LungBox, MeasuredBreathing, WantedMotion, fitted_breathing, moving};
-use crate::airway::import_carried::carried_breathing;
+use crate::airway::import_carried::scaled_carried_breathing;
 use crate::airway::import_check::check_landmarks;
 use crate::airway::{Anatomy, case_build};
 use crate::base::range::NumberRange;
@@ -25,9 +25,6 @@ use crate::simulate::trajectory::Route;
 
 /// Motion in mm of the end of a route; lungs are no longer than 300 mm.
 const END_MOTION_MM: NumberRange = NumberRange::new(0.01, 100.0);
-/// Rounds in which a carried motion is scaled, and the motion in mm of an end that stands still.
-const CARRIED_ROUNDS: usize = 4;
-const LEAST_MOTION_MM: f64 = 0.01;
 
 /// Where the motion comes from and how large it is.
 #[derive(Args)]
@@ -117,6 +114,10 @@ impl MotionArguments {
     ) -> Result<Breathing> {
         let rest = &AirwayAtRest::new(&rest.inspiration, &rest.centerline)?;
         let plan = |anatomy: &Anatomy| Route::plan(anatomy, &case.trajectory);
+        let end_motion_mm = |anatomy: &Anatomy| {
+            terminal.proceed()?;
+            Ok(plan(anatomy)?.end_motion_mm())
+        };
         let breathing = match motion {
             ReadMotion::Landmarks { pairs, lungs, path } => {
                 if lungs.is_none() {
@@ -127,24 +128,13 @@ impl MotionArguments {
                 }
                 let source = self.source_of(path, lungs.is_some());
                 let wanted = WantedMotion { pairs, lungs: *lungs, source, end_motion_mm: self.end_motion_mm };
-                let end_motion_mm = |anatomy: &Anatomy| {
-                    terminal.proceed()?;
-                    Ok(plan(anatomy)?.end_motion_mm())
-                };
                 let found = fitted_breathing(rest, &wanted, end_motion_mm)?;
                 let route = plan(&moving(rest, &found.breathing)?)?;
                 terminal.line(words(&case.id, &route, &found));
                 found.breathing
             }
             ReadMotion::Carried { breathing, line: from, patient } => {
-                let mut found = carried_breathing(breathing, from, rest)?;
-                if let Some(wanted_mm) = self.end_motion_mm {
-                    for _ in 0..CARRIED_ROUNDS {
-                        terminal.proceed()?;
-                        let moves_mm = plan(&moving(rest, &found)?)?.end_motion_mm();
-                        found.field.scale *= wanted_mm / moves_mm.max(LEAST_MOTION_MM);
-                    }
-                }
+                let found = scaled_carried_breathing(breathing, from, rest, self.end_motion_mm, end_motion_mm)?;
                 let route = plan(&moving(rest, &found)?)?;
                 terminal.line(format_args!(
                     "{}: way {:.0} mm, its end moves {:.1} mm, {:.0} % of the measured motion of {patient}",
