@@ -14,7 +14,7 @@ use super::history::{LineHistory, NumberedLine};
 use crate::formats::http::{HttpRequest, HttpStatus, answer_head, event, read_request};
 
 /// Connections that are open at a time; a page has two.
-const CONNECTIONS: usize = 32;
+pub(super) const CONNECTIONS: usize = 32;
 /// A client that says or takes nothing for so long is given up.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Least sign of life to a client while no line comes, which shows whether it is still there.
@@ -120,16 +120,16 @@ impl LiveState {
 }
 
 /// Counts a connection, or a follower, as long as it lives.
-struct Counted<'a>(&'a LiveState, fn(&mut SharedLines) -> &mut usize);
+struct Counted(Arc<LiveState>, fn(&mut SharedLines) -> &mut usize);
 
-impl<'a> Counted<'a> {
-    fn new(state: &'a LiveState, count: fn(&mut SharedLines) -> &mut usize) -> Self {
+impl Counted {
+    fn new(state: &Arc<LiveState>, count: fn(&mut SharedLines) -> &mut usize) -> Self {
         *count(&mut state.lock()) += 1;
-        Counted(state, count)
+        Counted(Arc::clone(state), count)
     }
 }
 
-impl Drop for Counted<'_> {
+impl Drop for Counted {
     fn drop(&mut self) {
         self.0.change(|shared| *(self.1)(shared) -= 1);
     }
@@ -158,18 +158,20 @@ pub(super) fn accept(listener: &TcpListener, state: &Arc<LiveState>) {
             let _ = refuse(&mut stream, HttpStatus::Unavailable);
             continue;
         }
+        // Counted before its thread begins: until then many more could come.
+        let counted = Counted::new(state, |shared| &mut shared.connections);
         let state = Arc::clone(state);
-        let counted = move || {
-            let _counted = Counted::new(&state, |shared| &mut shared.connections);
+        let client = move || {
+            let _counted = counted;
             // A client that has gone away misses nothing.
             let _ = answer(&mut stream, &state);
         };
         // Without a thread to be had the connection is closed.
-        let _ = std::thread::Builder::new().name("page client".into()).spawn(counted);
+        let _ = std::thread::Builder::new().name("page client".into()).spawn(client);
     }
 }
 
-fn answer(stream: &mut TcpStream, state: &LiveState) -> io::Result<()> {
+fn answer(stream: &mut TcpStream, state: &Arc<LiveState>) -> io::Result<()> {
     let request = match receive(stream)? {
         Ok(request) if is_own_host(&request.host, state.address.ip()) => request,
         Ok(_) => return refuse_gently(stream, HttpStatus::Forbidden),
@@ -241,7 +243,7 @@ fn refuse_gently(stream: &mut TcpStream, status: HttpStatus) -> io::Result<()> {
 }
 
 /// Sends every line from where the client is, until the end.
-fn follow(stream: &mut TcpStream, state: &LiveState, request: &HttpRequest) -> io::Result<()> {
+fn follow(stream: &mut TcpStream, state: &Arc<LiveState>, request: &HttpRequest) -> io::Result<()> {
     let _counted = Counted::new(state, |shared| &mut shared.followers);
     stream.write_all(answer_head(HttpStatus::Ok, "text/event-stream", None, &[]).as_bytes())?;
     if request.query_value("run") != Some(&state.run) {

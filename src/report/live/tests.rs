@@ -7,6 +7,7 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use super::history::RECENT;
+use super::serve::CONNECTIONS;
 use super::*;
 use crate::base::Image;
 use crate::formats::http::MOST_HEAD_BYTES;
@@ -128,6 +129,29 @@ fn a_client_that_never_reads_holds_nobody_up() {
     let mut seen = stream(&page, "");
     assert!(seen.any(|line| line == "data: {\"last\":1}"), "another client gets the newest line");
     drop(stalled);
+}
+
+#[test]
+fn connections_beyond_the_limit_are_refused_however_fast_they_come() {
+    let page = page();
+    let mut open: Vec<TcpStream> = (0..CONNECTIONS + 8).map(|_| connect(&page, "")).collect();
+    for refused in &mut open[CONNECTIONS..] {
+        let mut head = String::new();
+        refused.read_to_string(&mut head).unwrap();
+        assert!(head.starts_with("HTTP/1.1 503 "), "{head}");
+    }
+    // Each that goes makes room.
+    open.clear();
+    let is_served = || {
+        let mut bytes = Vec::new();
+        // One that is refused may be closed before its request was read.
+        connect(&page, &get("/", "")).read_to_end(&mut bytes).is_ok() && bytes.starts_with(b"HTTP/1.1 200 ")
+    };
+    let start = std::time::Instant::now();
+    while !is_served() {
+        assert!(start.elapsed() < HANGS, "connections that are gone are counted");
+        std::thread::sleep(Duration::from_millis(5));
+    }
 }
 
 #[test]
