@@ -132,7 +132,12 @@ fn prepare_folder(out: &Path, hash: &str) -> Result<()> {
         if !empty && !plan.is_file() {
             return Err(Error::input("is neither empty nor a sequence folder: nothing is overwritten").at(out));
         }
-        let _ = std::fs::remove_file(out.join(sequence::MANIFEST));
+        // One that stayed would describe frames of another film.
+        let manifest = out.join(sequence::MANIFEST);
+        match std::fs::remove_file(&manifest) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(Error::io("removing", &manifest, e)),
+            _ => {}
+        }
         for part in sequence::FOLDERS {
             let folder = out.join(part);
             if folder.exists() {

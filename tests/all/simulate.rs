@@ -254,3 +254,16 @@ fn damaged_or_foreign_folders_are_named() {
     assert!(refused.to_string().contains("nothing is overwritten"), "{refused}");
     assert!(foreign.join("photo.jpg").exists());
 }
+
+/// An old manifest over new frames would say that they are of the old film.
+#[test]
+fn a_manifest_that_cannot_be_removed_stops_the_filming() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path();
+    fs::write(out.join("plan.json"), r#"{"hash": "of another film"}"#).unwrap();
+    // Nobody, root neither, removes a folder as a file.
+    fs::create_dir(out.join("manifest.json")).unwrap();
+    let error = simulate(&case(), &small(), out, &NoProgress).unwrap_err().to_string();
+    assert!(error.contains("manifest.json: removing failed"), "{error}");
+    assert!(!out.join("images").exists());
+}
