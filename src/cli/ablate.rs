@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::Terminal;
-use super::selection::CatalogueFolder;
+use super::selection::{CacheFolder, CatalogueFolder, ProfileChoice};
 use super::stopped::resumable;
 use crate::base::range::THREADS;
 use crate::base::{Result, files};
@@ -40,15 +40,13 @@ pub struct AblateArguments {
     /// commands print too
     #[arg(long, default_value_t = 0, value_name = "N", value_parser = THREADS.parser::<usize>())]
     at_once: usize,
-    /// Size of the run: smoke, quick, paper, or the path of a profile file
-    #[arg(long, default_value = "quick", value_name = "P")]
-    profile: String,
+    #[command(flatten)]
+    profile: ProfileChoice,
     /// Folder for ablations.csv and ablations.md [default: reports/ablations, with --file reports/sweeps/NAME]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Folder of sequences and finished cells
-    #[arg(long, default_value = ".cache", value_name = "DIR")]
-    cache: PathBuf,
+    #[command(flatten)]
+    cache: CacheFolder,
     #[command(flatten)]
     catalogue: CatalogueFolder,
 }
@@ -71,8 +69,8 @@ pub fn run(arguments: AblateArguments, terminal: &Terminal) -> Result<()> {
         scored_cases: if arguments.scored_cases { ScoredCases::Taken } else { ScoredCases::Refused },
         at_once,
         cases: if arguments.cases.is_empty() { &ablations.cases } else { &arguments.cases },
-        profile: &arguments.profile,
-        cache: &arguments.cache,
+        profile: arguments.profile.name(),
+        cache: arguments.cache.path(),
     };
     let out = arguments.out.unwrap_or_else(|| match &arguments.file {
         None => PathBuf::from("reports/ablations"),
@@ -81,7 +79,7 @@ pub fn run(arguments: AblateArguments, terminal: &Terminal) -> Result<()> {
     let name = file.file_name().unwrap_or_default().to_string_lossy();
     let title = format!(
         "Lines of `{name}`, profile `{}`, cases {}, seed {}. {at_once} cells at once on {threads} threads",
-        arguments.profile,
+        arguments.profile.name(),
         plan.cases.join(", "),
         ablations.noise_seeds[0],
     );

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::selection::Selection;
+use super::selection::{CacheFolder, Selection};
 use super::stopped::resumable;
 use super::{Terminal, comparison};
 use crate::base::{Error, ErrorKind, Progress, Result, files};
@@ -27,15 +27,14 @@ const WAIT: Duration = Duration::from_millis(200);
 pub struct AllCasesArguments {
     #[command(flatten)]
     selection: Selection,
-    /// What the methods are told: ideal (the paper's assumptions), clinical, or both, each with a report of its own
-    #[arg(long, default_value = "ideal", value_name = "T")]
-    track: String,
+    /// What the methods are told
+    #[arg(long, value_enum, default_value = "ideal", value_name = "T")]
+    track: TracksChoice,
     /// Folder of the reports; `latest` in it points to the newest
     #[arg(long, default_value = "reports", value_name = "DIR")]
     out: PathBuf,
-    /// Folder of sequences and finished cells
-    #[arg(long, default_value = ".cache", value_name = "DIR")]
-    cache: PathBuf,
+    #[command(flatten)]
+    cache: CacheFolder,
     /// Recompute everything, even what is finished
     #[arg(long)]
     fresh: bool,
@@ -50,12 +49,32 @@ pub struct AllCasesArguments {
     report_only: bool,
 }
 
+/// The tracks that are run.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum TracksChoice {
+    /// The paper's assumptions
+    Ideal,
+    /// What a hospital has (docs/clinical.md)
+    Clinical,
+    /// One after the other, each with a report of its own
+    Both,
+}
+
+impl TracksChoice {
+    fn tracks(self) -> &'static [Track] {
+        match self {
+            TracksChoice::Ideal => &[Track::Ideal],
+            TracksChoice::Clinical => &[Track::Clinical],
+            TracksChoice::Both => &[Track::Ideal, Track::Clinical],
+        }
+    }
+}
+
 /// Runs the plan and writes the report; `ErrorKind::CellFailed` names the cells that failed.
 pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
-    let tracks = Track::wanted(&arguments.track)?;
     // One after the other: what fails on one track must not keep the other from being run.
     let mut outcome = Ok(());
-    for track in tracks {
+    for &track in arguments.track.tracks() {
         let done = run_track(&arguments, track, terminal);
         // The same command would begin anew.
         let done = if arguments.fresh { done } else { resumable(done) };
@@ -75,21 +94,21 @@ fn run_track(arguments: &AllCasesArguments, track: Track, terminal: &Terminal) -
     let run_id = plan.run_id()?;
     let folder = arguments.out.join(&run_id);
     if arguments.dry_run {
-        return print_plan(&plan, &Store::look(&arguments.cache), &folder, freshness, terminal);
+        return print_plan(&plan, &Store::look(arguments.cache.path()), &folder, freshness, terminal);
     }
     if arguments.report_only {
-        let finished = finished(&plan, &Store::look(&arguments.cache))?;
+        let finished = finished(&plan, &Store::look(arguments.cache.path()))?;
         return report(&arguments.out, &pipeline, &plan, &finished, terminal);
     }
     terminal.accepts(&pipeline.estimate())?;
     if arguments.cells_only {
-        let finished = execute(&plan, &pipeline, &Store::open(&arguments.cache)?, freshness, terminal)?;
+        let finished = execute(&plan, &pipeline, &Store::open(arguments.cache.path())?, freshness, terminal)?;
         terminal.finish();
         return failures(&finished);
     }
     // Both folders are tried before any work: a run that cannot be written is refused now and not in ten minutes.
     claimed(&folder, terminal)?.release()?;
-    let store = Store::open(&arguments.cache)?;
+    let store = Store::open(arguments.cache.path())?;
     let finished = execute(&plan, &pipeline, &store, freshness, terminal)?;
 
     report(&arguments.out, &pipeline, &plan, &finished, terminal)

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 
 use super::Terminal;
-use super::selection::CatalogueFolder;
+use super::selection::{CacheFolder, CatalogueFolder, ProfileChoice};
 use crate::airway::case::Case;
 use crate::base::range::{IMAGE_SIDE_PX, REPETITIONS, SAMPLES_PER_PIXEL, SHARE};
 use crate::base::{Error, Estimate, Progress, Result};
@@ -69,12 +69,10 @@ struct PhaseChartArguments {
     /// Cases by id, or paths of case files
     #[arg(long, value_delimiter = ',', value_name = "CASE,..", default_value = "case1,case5,case9")]
     cases: Vec<String>,
-    /// Size of the run: smoke, quick, paper, or the path of a profile file
-    #[arg(long, default_value = "quick", value_name = "P")]
-    profile: String,
-    /// Folder of sequences
-    #[arg(long, default_value = ".cache", value_name = "DIR")]
-    cache: PathBuf,
+    #[command(flatten)]
+    profile: ProfileChoice,
+    #[command(flatten)]
+    cache: CacheFolder,
     #[command(flatten)]
     catalogue: CatalogueFolder,
 }
@@ -128,7 +126,8 @@ fn run_render(arguments: RenderChartArguments, terminal: &Terminal) -> Result<Pa
 fn run_phase(arguments: PhaseChartArguments, terminal: &Terminal) -> Result<PathBuf> {
     let catalogue = arguments.catalogue.open()?;
     let PhaseChartArguments { cases, profile, cache, .. } = arguments;
-    let chart = phase::chart(&PhaseSweep { catalogue: &catalogue, cases, profile: &profile, cache: &cache }, terminal)?;
+    let sweep = PhaseSweep { catalogue: &catalogue, cases, profile: profile.name(), cache: cache.path() };
+    let chart = phase::chart(&sweep, terminal)?;
     write(&chart, &arguments.out, "pareto-phase")
 }
 

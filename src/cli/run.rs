@@ -3,13 +3,12 @@
 use std::path::PathBuf;
 
 use super::Terminal;
-use super::selection::{CatalogueFolder, PoseChoice};
+use super::selection::{CacheFolder, CatalogueFolder, PoseChoice, ProfileChoice, TrackChoice};
 use super::stopped::resumable;
 use crate::base::range::SEED;
-use crate::base::{Error, Progress, Result, files};
+use crate::base::{Progress, Result, files};
 use crate::bench::{Freshness, Pipeline, Store, Wishes, execute, reconstruct_folder};
 use crate::score::{self, CellScore};
-use crate::simulate::track::Track;
 
 /// Arguments of `run`.
 #[derive(clap::Args)]
@@ -23,7 +22,7 @@ pub struct RunArguments {
     #[arg(long, value_name = "CASE", required_unless_present = "sequence")]
     case: Option<String>,
     /// A film or a participant's folder, in place of a case
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["case", "cache", "fresh", "json"], requires = "out")]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["case", "track", "cache", "fresh", "json"], requires = "out")]
     sequence: Option<PathBuf>,
     /// New folder of the prediction of --sequence
     #[arg(long, value_name = "DIR", requires = "sequence", conflicts_with = "case")]
@@ -31,18 +30,15 @@ pub struct RunArguments {
     /// Method by id
     #[arg(long, value_name = "METHOD")]
     method: String,
-    /// What the method is told: ideal (the paper's assumptions) or clinical
-    #[arg(long, default_value = "ideal", value_name = "T")]
-    track: String,
+    #[command(flatten)]
+    track: TrackChoice,
     /// Seed of the method's randomness
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = SEED.parser::<u64>())]
     seed: u64,
-    /// Size of the run: smoke, quick, paper, or the path of a profile file
-    #[arg(long, default_value = "quick", value_name = "P")]
-    profile: String,
-    /// Folder of sequences and finished cells
-    #[arg(long, default_value = ".cache", value_name = "DIR")]
-    cache: PathBuf,
+    #[command(flatten)]
+    profile: ProfileChoice,
+    #[command(flatten)]
+    cache: CacheFolder,
     /// Recompute it even when it is finished
     #[arg(long)]
     fresh: bool,
@@ -62,21 +58,19 @@ pub fn run(arguments: RunArguments, terminal: &Terminal) -> Result<()> {
         let catalogue = arguments.catalogue.open()?;
         for method in methods.iter().flatten() {
             terminal.stage(format!("{method}: {}", film.display()));
-            reconstruct_folder(&catalogue, &arguments.profile, (method, arguments.seed), film, out, terminal)?;
+            reconstruct_folder(&catalogue, arguments.profile.name(), (method, arguments.seed), film, out, terminal)?;
         }
         terminal.finish();
         terminal.line(format_args!("prediction: {}", out.display()));
         return Ok(());
     }
-    let [track] = Track::wanted(&arguments.track)?[..] else {
-        return Err(Error::usage("--track both: a cell is of one track"));
-    };
+    let track = arguments.track.track();
     let (cases, seeds) = (arguments.case.map(|case| vec![case]), Some(vec![arguments.seed]));
     let wishes = Wishes { cases, methods, seeds, track };
-    let pipeline = Pipeline::new(&arguments.catalogue.open()?, &arguments.profile, wishes)?;
+    let pipeline = Pipeline::new(&arguments.catalogue.open()?, arguments.profile.name(), wishes)?;
     terminal.accepts(&pipeline.estimate())?;
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
-    let store = Store::open(&arguments.cache)?;
+    let store = Store::open(arguments.cache.path())?;
     let finished = execute(&pipeline.plan()?, &pipeline, &store, freshness, terminal);
     // With --fresh, the same command would begin anew.
     let finished = if arguments.fresh { finished? } else { resumable(finished)? };

@@ -1,8 +1,8 @@
-//! Which cells: the arguments that `all-cases`, `slurm` and `list` share, and parts of them that others take.
+//! Which cells, and where they are kept: arguments that several commands share.
 
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use crate::base::range::SEED;
 use crate::base::{Error, Result};
@@ -16,9 +16,8 @@ const WITHOUT_POSES: &str = "ours-gn-pose";
 /// Profile, cases, methods, seeds.
 #[derive(Args)]
 pub struct Selection {
-    /// Size of the run: smoke, quick, paper, or the path of a profile file
-    #[arg(long, default_value = "quick", value_name = "P")]
-    profile: String,
+    #[command(flatten)]
+    profile: ProfileChoice,
     /// Cases by id, or paths of case files; the profile's when not given
     #[arg(long, value_delimiter = ',', value_name = "CASE,..")]
     cases: Vec<String>,
@@ -32,6 +31,62 @@ pub struct Selection {
     seeds: Vec<u64>,
     #[command(flatten)]
     catalogue: CatalogueFolder,
+}
+
+/// Size of a run.
+#[derive(Args)]
+pub struct ProfileChoice {
+    /// Size of the run: smoke, quick, paper, or the path of a profile file
+    #[arg(long, default_value = "quick", value_name = "P")]
+    profile: String,
+}
+
+impl ProfileChoice {
+    /// Name or path, as it was given.
+    pub fn name(&self) -> &str {
+        &self.profile
+    }
+}
+
+/// Where a run keeps what it makes.
+#[derive(Args)]
+pub struct CacheFolder {
+    /// Folder of sequences and finished cells
+    #[arg(long, default_value = ".cache", value_name = "DIR")]
+    cache: PathBuf,
+}
+
+impl CacheFolder {
+    /// The folder, which may not be there yet.
+    pub fn path(&self) -> &Path {
+        &self.cache
+    }
+}
+
+/// The one track that a command is about.
+#[derive(Args)]
+pub struct TrackChoice {
+    /// What the methods are told
+    #[arg(long, value_enum, default_value = "ideal", value_name = "T")]
+    track: TrackWord,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum TrackWord {
+    /// The paper's assumptions
+    Ideal,
+    /// What a hospital has (docs/clinical.md)
+    Clinical,
+}
+
+impl TrackChoice {
+    /// The track.
+    pub fn track(&self) -> Track {
+        match self.track {
+            TrackWord::Ideal => Track::Ideal,
+            TrackWord::Clinical => Track::Clinical,
+        }
+    }
 }
 
 /// How well the poses are known.
@@ -89,7 +144,7 @@ fn wish<T>(given: Vec<T>) -> Option<Vec<T>> {
 impl Selection {
     /// The words of a command line that has the same profile and folders, which are absolute.
     pub fn place_words(&self) -> Result<Vec<String>> {
-        let mut words = vec!["--profile".to_owned(), absolute_file(&self.profile)?];
+        let mut words = vec!["--profile".to_owned(), absolute_file(self.profile.name())?];
         if let Some(folder) = &self.catalogue.bench_cases {
             words.extend(["--bench-cases".to_owned(), absolute_path(folder)?]);
         }
@@ -118,7 +173,7 @@ impl Selection {
             return self.cases.iter().map(|wish| absolute_file(wish)).collect();
         }
         let catalogue = self.catalogue.open()?;
-        match Profile::load(&catalogue.profiles(), &self.profile)?.cases {
+        match Profile::load(&catalogue.profiles(), self.profile.name())?.cases {
             Some(cases) => Ok(cases),
             None => catalogue.case_ids(),
         }
@@ -128,7 +183,7 @@ impl Selection {
     pub fn pipeline(&self, track: Track) -> Result<Pipeline> {
         let methods = self.poses.rows(wish(self.methods.clone()))?;
         let wishes = Wishes { cases: wish(self.cases.clone()), methods, seeds: wish(self.seeds.clone()), track };
-        Pipeline::new(&self.catalogue.open()?, &self.profile, wishes)
+        Pipeline::new(&self.catalogue.open()?, self.profile.name(), wishes)
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Terminal;
-use super::selection::CatalogueFolder;
+use super::selection::{CatalogueFolder, ProfileChoice, TrackChoice};
 use super::stopped::resumable;
 use crate::airway::case::{Case, Condition, Effect};
 use crate::base::range::{FRAMES, IMAGE_SIDE_PX, SAMPLES_PER_PIXEL};
@@ -34,9 +34,8 @@ pub struct SimulateArguments {
     /// Films one case into DIR/truth, and writes what methods may see of it, and nothing else, to DIR/participant
     #[arg(long, value_name = "DIR", conflicts_with = "out")]
     blind: Option<PathBuf>,
-    /// Size of the run: smoke, quick, paper, or the path of a profile file
-    #[arg(long, default_value = "quick", value_name = "P")]
-    profile: String,
+    #[command(flatten)]
+    profile: ProfileChoice,
     /// Frames, instead of the profile's
     #[arg(long, value_name = "N", value_parser = FRAMES.parser::<usize>())]
     frames: Option<usize>,
@@ -59,9 +58,8 @@ pub struct SimulateArguments {
     /// shot-noise, read-noise, vignette, distortion, motion-blur, mask, steering
     #[arg(long, value_name = "EFFECT,..", value_delimiter = ',')]
     without: Vec<Effect>,
-    /// ideal: the paper's assumptions; clinical: what a hospital has (docs/clinical.md)
-    #[arg(long, default_value = "ideal", value_name = "T")]
-    track: String,
+    #[command(flatten)]
+    track: TrackChoice,
     /// Switches rows of the clinical track off, by their names in docs/clinical.md
     #[arg(long, value_name = "ROW,..", value_delimiter = ',', conflicts_with = "only")]
     off: Vec<Condition>,
@@ -77,16 +75,14 @@ pub fn run(arguments: SimulateArguments, terminal: &Terminal) -> Result<()> {
     if arguments.blind.is_some() && arguments.cases.len() != 1 {
         return Err(Error::usage("--blind takes one case: the names of several would tell which they are"));
     }
-    let [track] = Track::wanted(&arguments.track)?[..] else {
-        return Err(Error::usage("--track both: a film is of one track"));
-    };
+    let track = arguments.track.track();
     if track == Track::Ideal && !(arguments.off.is_empty() && arguments.only.is_empty()) {
         return Err(Error::usage("--off and --only are for --track clinical"));
     }
     // Before the work.
     arguments.blind.iter().try_for_each(|blind| participant::check_replaceable(&blind.join("participant")))?;
     let catalogue = arguments.catalogue.open()?;
-    let profile = Profile::load(&catalogue.profiles(), &arguments.profile)?;
+    let profile = Profile::load(&catalogue.profiles(), arguments.profile.name())?;
     let files: Vec<PathBuf> = arguments.cases.iter().map(|c| catalogue.case_file(c)).collect::<Result<_>>()?;
     let load = |file: &PathBuf| {
         let mut case = track.filming(Case::load(file)?).without(&profile.without).without(&arguments.without);

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::Terminal;
-use super::selection::Selection;
+use super::selection::{CacheFolder, Selection, TrackChoice};
 use crate::base::range::{NumberRange, PROCESSORS};
 use crate::base::{Error, ErrorKind, Result, files};
 use crate::bench::array_job::{ArrayJob, WorkCost};
@@ -34,9 +34,8 @@ enum Task {
 pub struct SlurmArguments {
     #[command(flatten)]
     selection: Selection,
-    /// What the methods are told: ideal (the paper's assumptions) or clinical
-    #[arg(long, default_value = "ideal", value_name = "T")]
-    track: String,
+    #[command(flatten)]
+    track: TrackChoice,
     /// Folder of the scripts and of what the tasks print
     #[arg(long, value_name = "DIR")]
     scripts: PathBuf,
@@ -52,9 +51,8 @@ pub struct SlurmArguments {
     /// Folder of the reports
     #[arg(long, default_value = "reports", value_name = "DIR")]
     out: PathBuf,
-    /// Folder of sequences and finished cells
-    #[arg(long, default_value = ".cache", value_name = "DIR")]
-    cache: PathBuf,
+    #[command(flatten)]
+    cache: CacheFolder,
 }
 
 /// Writes the scripts, and says how much there is to do.
@@ -63,15 +61,18 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         let path = std::path::absolute(path).map_err(|e| Error::io("reading", path, e))?;
         Ok(path.to_string_lossy().into_owned())
     };
-    let [track] = Track::wanted(&arguments.track)?[..] else {
-        return Err(Error::usage("--track both: an array is of one track"));
-    };
+    let track = arguments.track.track();
     let mut common = vec!["all-cases".to_owned()];
     if track != Track::default() {
         common.extend(["--track".to_owned(), track.word().to_owned()]);
     }
     common.extend(arguments.selection.place_words()?);
-    common.extend(["--out".to_owned(), absolute(&arguments.out)?, "--cache".to_owned(), absolute(&arguments.cache)?]);
+    common.extend([
+        "--out".to_owned(),
+        absolute(&arguments.out)?,
+        "--cache".to_owned(),
+        absolute(arguments.cache.path())?,
+    ]);
     let scripts = absolute(&arguments.scripts)?;
     // A line of a script that Slurm reads ends there, and it takes the other one for an escape.
     if scripts.contains(['\n', '\\']) {
@@ -84,7 +85,7 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
     terminal.stage("looking for what is finished");
     let pipeline = arguments.selection.pipeline(track)?;
     let plan = pipeline.plan()?;
-    let store = Store::look(&arguments.cache);
+    let store = Store::look(arguments.cache.path());
 
     let costs = Costs { pipeline: &pipeline, plan: &plan, measured: timing::measured_costs(store.root()) };
     let (mut work, mut cost, mut missing) = (Vec::new(), WorkCost::default(), 0);

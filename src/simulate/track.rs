@@ -31,16 +31,6 @@ impl Track {
         }
     }
 
-    /// The tracks that `--track` asks for: `ideal`, `clinical` or `both`.
-    pub fn wanted(word: &str) -> Result<Vec<Self>> {
-        match word {
-            "ideal" => Ok(vec![Track::Ideal]),
-            "clinical" => Ok(vec![Track::Clinical]),
-            "both" => Ok(vec![Track::Ideal, Track::Clinical]),
-            other => Err(Error::usage(format!("--track {other}: a track is `ideal` or `clinical`, or `both`"))),
-        }
-    }
-
     /// The track of the films of `case`.
     pub fn of_case(case: &Case) -> Self {
         if case.clinical.is_some() { Track::Clinical } else { Track::Ideal }
@@ -71,12 +61,8 @@ mod tests {
     fn words_are_those_of_the_tracks() {
         for track in [Track::Ideal, Track::Clinical] {
             assert_eq!(Track::of_word(track.word()).unwrap(), track);
-            assert_eq!(Track::wanted(track.word()).unwrap(), [track]);
         }
         assert_eq!(Track::of_word("").unwrap(), Track::Ideal);
-        assert_eq!(Track::wanted("both").unwrap(), [Track::Ideal, Track::Clinical]);
-        let refused = Track::wanted("x").unwrap_err();
-        assert!(refused.kind().exit_code() == 2 && refused.to_string().contains("`clinical`"), "{refused}");
         assert!(Track::of_word("lunar").unwrap_err().to_string().contains("`lunar`"));
         assert_eq!(
             (Track::Ideal.run_name("quick"), Track::Clinical.run_name("quick")),

@@ -25,7 +25,11 @@ fn help_and_version_are_no_errors_and_mistakes_are_usage() {
         vec!["all-cases", "--methods", "magic"],
         vec!["all-cases", "--cases", "case1,case1"],
         vec!["all-cases", "--seeds", "1,x"],
+        vec!["all-cases", "--track", "lunar"],
         vec!["run", "--case", "case1"],
+        vec!["run", "--case", "case1", "--method", "ours", "--track", "both"],
+        // The film says of which track it is.
+        vec!["run", "--sequence", "film", "--out", "answer", "--method", "ours", "--track", "clinical"],
     ];
     for words in bad {
         let (code, out, err) = run(&words);
