@@ -248,9 +248,7 @@ impl<'a> Execution<'a> {
 
     /// Waits a moment for another process.
     fn wait(&self, cell: &Cell, holder: &Holder) -> Result<()> {
-        if self.watcher.cancelled() {
-            return Err(Error::interrupted());
-        }
+        self.watcher.proceed()?;
         if lock(&self.waits_for).replace(holder.token.clone()).as_ref() != Some(&holder.token) {
             self.watcher.event(&Event::Waiting { cell, holder });
         }
@@ -317,9 +315,7 @@ impl<'a> Execution<'a> {
     }
 
     fn cell(&self, case: &Planned, cell: &Cell, progress: &dyn Progress) -> Result<Tried<()>> {
-        if self.watcher.cancelled() {
-            return Err(Error::interrupted());
-        }
+        self.watcher.proceed()?;
         let folder = cell_folder(self.plan, cell)?;
         let products = [
             (format!("{folder}/prediction"), self.plan.prediction_key(cell)?),

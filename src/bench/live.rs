@@ -193,9 +193,7 @@ impl Queue {
             if let Some(how) = state.ended.take() {
                 return how.map(|()| None);
             }
-            if progress.cancelled() {
-                return Err(Error::interrupted());
-            }
+            progress.proceed()?;
             state = self.changed.wait_timeout(state, 20 * LOOK_AGAIN).unwrap_or_else(PoisonError::into_inner).0;
         }
     }

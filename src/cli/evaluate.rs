@@ -65,9 +65,7 @@ pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
     terminal.stage("scoring");
     for (film, prediction) in films.iter().zip(predictions) {
         terminal.advance(evaluated.len(), films.len());
-        if terminal.cancelled() {
-            return Err(Error::interrupted());
-        }
+        terminal.proceed()?;
         let scored = evaluate(film, &prediction, arguments.method.as_deref());
         evaluated.push(Evaluated { film: film.clone(), prediction, scored });
     }

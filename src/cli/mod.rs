@@ -185,9 +185,7 @@ fn start(line: Line, terminal: &Terminal) -> Result<()> {
         .num_threads(line.threads)
         .build_global()
         .map_err(|e| Error::usage(format!("cannot start {} threads: {e}", line.threads)))?;
-    if terminal.cancelled() {
-        return Err(Error::interrupted());
-    }
+    terminal.proceed()?;
     let outcome = line.command.run(terminal);
     terminal.finish();
     outcome

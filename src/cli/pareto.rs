@@ -8,7 +8,7 @@ use super::Terminal;
 use super::selection::{CacheFolder, CatalogueFolder, ProfileChoice};
 use crate::airway::case::Case;
 use crate::base::range::{IMAGE_SIDE_PX, REPETITIONS, SAMPLES_PER_PIXEL, SHARE};
-use crate::base::{Error, Estimate, Progress, Result};
+use crate::base::{Estimate, Progress, Result};
 use crate::experiments::pareto::phase::{self, PhaseSweep};
 use crate::experiments::pareto::render::{self, RenderSweep};
 use crate::experiments::pareto::skipping;
@@ -136,9 +136,7 @@ fn run_splat(arguments: SplatChartArguments, terminal: &Terminal) -> Result<Path
     terminal.accepts(&sizes.fold(Estimate::default(), Estimate::then))?;
     let (mut gradients, mut images, mut skips) = (Vec::new(), Vec::new(), Vec::new());
     for &size in &arguments.scenes {
-        if terminal.cancelled() {
-            return Err(Error::interrupted());
-        }
+        terminal.proceed()?;
         terminal.stage(size);
         let found = splat::measure(size, arguments.repeat)?;
         gradients.extend(found.gradients);

@@ -223,7 +223,7 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     let advance = |steps: &mut std::ops::Range<usize>| {
         terminal.advance(steps.start, steps.end);
         steps.next();
-        if terminal.cancelled() { Err(Error::interrupted()) } else { Ok(()) }
+        terminal.proceed()
     };
     for (number, view) in views.iter().enumerate() {
         let mut times = Vec::new();

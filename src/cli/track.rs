@@ -121,9 +121,7 @@ pub fn run(arguments: TrackArguments, terminal: &Terminal) -> Result<()> {
     let options =
         LiveOptions { feed, poses: arguments.poses, every_frame: arguments.every_frame, masks: arguments.masks };
     let mut report = |line: &live::LiveLine, picture: live::LivePicture| {
-        if terminal.cancelled() {
-            return Err(Error::interrupted());
-        }
+        terminal.proceed()?;
         let line = serde_json::to_string(line).map_err(|e| Error::input(format!("cannot be written: {e}")))?;
         terminal.line(&line);
         if let Some(page) = &page {

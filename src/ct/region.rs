@@ -64,9 +64,7 @@ pub fn grow_airway(scan: &Volume<i16>, progress: &dyn Progress) -> Result<GrownA
     let mut best: Option<(Volume<u8>, i16)> = None;
     let mut leaked_at_hu = None;
     for (done, &threshold) in thresholds.iter().enumerate() {
-        if progress.cancelled() {
-            return Err(Error::interrupted());
-        }
+        progress.proceed()?;
         progress.advance(done, thresholds.len());
         let before = volume as f64 * to_ml;
         let (added, next) = spread(scan, &mut region, rim, VoxelContact::Faces, |hu| hu < threshold);

@@ -117,9 +117,7 @@ pub fn register_surfaces(
     };
     let mut field: Option<BreathingField> = None;
     for (round, (farthest_mm, least_lambda)) in ROUNDS.into_iter().enumerate() {
-        if progress.cancelled() {
-            return Err(Error::interrupted());
-        }
+        progress.proceed()?;
         progress.advance(round, ROUNDS.len());
         let at =
             |v: usize| first.vertices[v] + field.as_ref().map_or(DVec3::ZERO, |f| f.displacement(first.vertices[v]));

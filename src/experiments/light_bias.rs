@@ -255,9 +255,7 @@ impl ComparedFrame<'_> {
         let each = samples.div_ceil(REFERENCE_PARTS);
         let part = |part: u32| {
             let file = folder.join(format!("{each}spp-{part}.exr"));
-            if watcher.cancelled() {
-                return Err(Error::interrupted());
-            }
+            watcher.proceed()?;
             if !file.is_file() {
                 exr::write_rgb(&file, &self.paths(each, part)?)?;
             }

@@ -1,7 +1,7 @@
 //! The protocol that all methods share: frames in order, each timed alone; every eighth one is rendered before
 //! its image may be used.
 
-use crate::base::{Error, Image, Progress, Result};
+use crate::base::{Image, Progress, Result};
 use crate::splat::{Rasterizer, Rendered};
 
 use super::contract::{Access, FramePrediction, NovelPrediction, Observation};
@@ -32,7 +32,7 @@ impl OnlineRun {
     ) -> Result<Spent> {
         let mut spent = self.clock.spent();
         for frame in 0..self.frames {
-            stop_if_cancelled(progress)?;
+            progress.proceed()?;
             let clock = Stopwatch::start();
             // Inside the thread pool: entering it from outside costs more than many of the parallel loops.
             let prediction = rayon::scope(|_| fit(frame))?;
@@ -75,10 +75,6 @@ pub fn color_image(rasterizer: &Rasterizer<f32>) -> Image<f32> {
     let rendered = rasterizer.rendered();
     let data = rendered.color.iter().map(|v| v.clamp(0.0, 1.0)).collect();
     Image { width: rendered.width, height: rendered.height, channels: 3, data }
-}
-
-fn stop_if_cancelled(progress: &dyn Progress) -> Result<()> {
-    if progress.cancelled() { Err(Error::interrupted()) } else { Ok(()) }
 }
 
 /// Rendered depth where something was rendered, 0 elsewhere.

@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 
 use super::scene::Scene;
-use crate::base::{Error, Progress, Result};
+use crate::base::{Progress, Result};
 use crate::ffi::trace::tracer::{FilmPixel, FrameSettings, KnownLight, TileCounters, TileRequest};
 
 /// Side of a tile in pixels.
@@ -176,9 +176,7 @@ impl SampledImage {
             for tiles in wanted.chunks(TILES_PER_REPORT) {
                 self.add(view, tiles, counters)?;
                 progress.advance(self.samples.iter().map(|&n| n as usize).sum(), total as usize);
-                if progress.cancelled() {
-                    return Err(Error::interrupted());
-                }
+                progress.proceed()?;
             }
         }
     }

@@ -8,7 +8,7 @@ use super::scene::{
     AIRWAY_VERTICES, AirwayScene, FilmKey, FilmScene, Packed, Pictures, ReducedAirway, RowScene, Scenes, SurfaceScene,
     spread,
 };
-use crate::base::{Error, Image, Progress, Result, TriangleMesh};
+use crate::base::{Image, Progress, Result, TriangleMesh};
 use crate::formats::jpeg;
 use crate::score::contour::ContourOverlay;
 use crate::score::{Prediction, Question, Truth};
@@ -42,9 +42,7 @@ pub fn gather(run: &Run, progress: &dyn Progress) -> Result<Scenes> {
     let keeping = Keeping { frames: FRAMES, side_px: SIDE_PX, quality: QUALITY, vertices: AIRWAY_VERTICES };
     let mut scenes = run.scenes.clone();
     for (done, case) in run.cases.iter().enumerate() {
-        if progress.cancelled() {
-            return Err(Error::interrupted());
-        }
+        progress.proceed()?;
         progress.advance(done, run.cases.len());
         if let Some(truth) = &case.truth {
             scenes.add(of_case(run, case, truth.as_ref(), keeping)?);

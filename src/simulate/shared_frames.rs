@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use crate::airway::case::Case;
-use crate::base::{Error, Progress, Result, files, hash};
+use crate::base::{Progress, Result, files, hash};
 
 use super::identity::film_hash;
 use super::sequence;
@@ -38,9 +38,7 @@ pub(super) fn copy_frames(
     let Some((folder, manifest)) = find(case, &film_hash(case, settings)?, out) else { return Ok(()) };
     let mut copied = 0;
     for frame in missing {
-        if progress.cancelled() {
-            return Err(Error::interrupted());
-        }
+        progress.proceed()?;
         // In the order of writing: the image is the last, so that an image means a whole frame.
         let names = settings.frame_names(case, frame);
         let Some(contents) = names.iter().map(|name| intact(&folder, name, &manifest)).collect::<Option<Vec<_>>>()

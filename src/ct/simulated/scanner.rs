@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::protocol::ScannerSettings;
 use super::thorax::EDGE_DEVIATION_MM;
 use crate::base::estimate::demand_memory;
-use crate::base::{Error, Progress, Result, Volume, VoxelGrid};
+use crate::base::{Progress, Result, Volume, VoxelGrid};
 
 /// Standard deviation of a Gaussian over its full width at half maximum.
 const DEVIATION_PER_WIDTH: f64 = 0.424_66;
@@ -173,9 +173,7 @@ pub fn scan(
     // The first computed slice that a slice takes, relative to its own first one.
     let before = (profile.len() - fine.min(profile.len())) / 2;
     for (slab, part) in data.chunks_mut(SLAB * nx * ny).enumerate() {
-        if progress.cancelled() {
-            return Err(Error::interrupted());
-        }
+        progress.proceed()?;
         progress.advance(slab * SLAB, nz);
         let first = slab * SLAB;
         let slices = part.len() / (nx * ny);

@@ -24,9 +24,7 @@ pub fn differences(masks: &[PathBuf], progress: &dyn Progress) -> Result<Vec<Gen
     }
     let mut airways: Vec<(TriangleMesh, Centerline)> = Vec::new();
     for (done, path) in masks.iter().enumerate() {
-        if progress.cancelled() {
-            return Err(Error::interrupted());
-        }
+        progress.proceed()?;
         progress.advance(done, masks.len());
         let surface = surface_of_mask(&read_mask(path, None)?.mask).map_err(|e| e.at(path))?;
         let line = extract(&surface.mesh, &CenterlineSettings::default()).map_err(|e| e.at(path))?;

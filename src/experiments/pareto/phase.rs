@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use crate::base::{Error, NoProgress, Result};
+use crate::base::{NoProgress, Result};
 use crate::bench::{Catalogue, Freshness, Pipeline, Profile, Store, Variant, Wishes, execute};
 use crate::experiments::{ExperimentWatcher, timing};
 use crate::reconstruct::observe;
@@ -34,9 +34,7 @@ pub fn chart(sweep: &PhaseSweep<'_>, watcher: &dyn ExperimentWatcher) -> Result<
     for sequence in sequences(sweep, watcher)? {
         watcher.stage_starts(&sequence.case_id);
         for setting in settings() {
-            if watcher.cancelled() {
-                return Err(Error::interrupted());
-            }
+            watcher.proceed()?;
             points.push(point(&sequence, &setting, &sweep.catalogue.methods(), iteration_scale)?);
         }
     }

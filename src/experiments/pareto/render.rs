@@ -5,7 +5,7 @@
 //! work on the machine disturbs least.
 
 use crate::airway::{self, case::Case};
-use crate::base::{Error, Estimate, Image, Result};
+use crate::base::{Estimate, Image, Result};
 use crate::experiments::ExperimentWatcher;
 use crate::experiments::case_scene::{CaseScene, Viewpoint};
 use crate::experiments::difference::relative_mse;
@@ -67,9 +67,7 @@ pub fn points(case: &Case, sweep: &RenderSweep, watcher: &dyn ExperimentWatcher)
     for mode in modes(case.seed, sweep.most_samples) {
         let mut samples_per_pixel = 1;
         while samples_per_pixel <= mode.most_samples {
-            if watcher.cancelled() {
-                return Err(Error::interrupted());
-            }
+            watcher.proceed()?;
             points.push(point(&subject, &reference, &mode, samples_per_pixel)?);
             samples_per_pixel *= 2;
         }

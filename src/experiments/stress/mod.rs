@@ -12,7 +12,7 @@ mod scenes;
 
 pub use row::StressRow;
 
-use crate::base::{Error, Result};
+use crate::base::Result;
 use crate::experiments::ExperimentWatcher;
 
 /// How large the scenes get.
@@ -29,9 +29,7 @@ pub fn rows(size: StressSize, watcher: &dyn ExperimentWatcher) -> Result<Vec<Str
     let mut rows = Vec::new();
     let items = scenes::geometry().into_iter().chain(scenes::sizes(size == StressSize::Small));
     for item in items.chain(scenes::anchored()).chain(scenes::poisons()).chain(scenes::modes()) {
-        if watcher.cancelled() {
-            return Err(Error::interrupted());
-        }
+        watcher.proceed()?;
         watcher.stage_starts(&item.name);
         rows.push(precision::compare(&item)?);
     }

@@ -77,9 +77,7 @@ pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dy
         "Lumen contour in the plane of the last camera (triangle): truth in black, predictions in colour. Cross: the true target; dots: where a method puts it.",
     )?);
     for (done, case) in run.cases.iter().enumerate() {
-        if progress.cancelled() {
-            return Err(crate::base::Error::interrupted());
-        }
+        progress.proceed()?;
         progress.advance(done, run.cases.len());
         let mut of_case = Vec::new();
         of_case.extend(plot(

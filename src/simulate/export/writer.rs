@@ -7,7 +7,7 @@ use glam::DAffine3;
 use rayon::prelude::*;
 
 use crate::base::staging::Staging;
-use crate::base::{Error, Progress, Result, files};
+use crate::base::{Progress, Result, files};
 
 /// What a layout says of itself.
 pub(super) struct LayoutText {
@@ -38,9 +38,7 @@ impl ExportWriter<'_> {
     pub fn each_frame(&self, frames: usize, work: impl Fn(usize) -> Result<()> + Sync) -> Result<()> {
         let done = AtomicUsize::new(0);
         (0..frames).into_par_iter().try_for_each(|frame| {
-            if self.progress.cancelled() {
-                return Err(Error::interrupted());
-            }
+            self.progress.proceed()?;
             work(frame)?;
             let count = done.fetch_add(1, Ordering::Relaxed) + 1;
             self.progress.advance(count, frames);
