@@ -36,8 +36,9 @@ use crate::formats::{exr, mesh, png};
 
 /// Time of change of every file and folder: the first second of 2000, in seconds of Unix.
 const CHANGED_S: u64 = 946_684_800;
-/// Keys of a frame in the two files of transforms; every other one is left out.
-const FRAME_KEYS: [&str; 5] = ["file_path", "depth_file_path", "mask_path", "transform_matrix", "time"];
+/// Keys of a frame that are told, in a participant's folder and in exports; every other one is left out, so that none of
+/// the truth goes out.
+pub(super) const FRAME_KEYS: [&str; 5] = ["file_path", "depth_file_path", "mask_path", "transform_matrix", "time"];
 /// First line of the participant's centreline.
 const CENTERLINE_HEADER: &str = "point,x_mm,y_mm,z_mm";
 

@@ -15,11 +15,10 @@ use crate::base::{Error, Result, files};
 use crate::formats::colmap::ColoredPoint;
 use crate::formats::transforms::{Transforms, TransformsFrame, TransformsLens};
 use crate::formats::{npy, png, points_ply};
+use crate::simulate::participant::FRAME_KEYS;
 
 /// nerfstudio's `depth_unit_scale_factor`.
 const DEPTH_UNIT: f64 = 1e-3;
-/// Keys of a frame that nerfstudio and others know.
-const FRAME_KEYS: [&str; 5] = ["file_path", "depth_file_path", "mask_path", "transform_matrix", "time"];
 
 /// What EXPORT.md says of D-NeRF's files, and of their absence.
 const DNERF: &str = "\
