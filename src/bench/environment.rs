@@ -30,8 +30,8 @@ pub struct Environment {
     pub elastix: Option<String>,
     /// The dcm2niix that `import ct` calls for DICOM that is compressed; nothing else needs it.
     pub dcm2niix: Option<String>,
-    /// Instruction sets of the processor.
-    pub isa_available: Vec<&'static str>,
+    /// Instruction sets that there are kernels for and that the processor has.
+    pub isa_available: Vec<String>,
     /// Instruction set for tracing rays: pinned, so that images are the same on every machine that has it.
     pub isa_of_rays: &'static str,
     /// Instruction set for rasterising: the widest.
@@ -48,20 +48,10 @@ pub struct Environment {
     pub missing: Vec<String>,
 }
 
-fn isa_available() -> Vec<&'static str> {
-    let mut found = Vec::new();
-    #[cfg(target_arch = "x86_64")]
-    for (name, present) in [
-        ("sse2", is_x86_feature_detected!("sse2")),
-        ("sse4.2", is_x86_feature_detected!("sse4.2")),
-        ("avx2", is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")),
-        ("avx512", is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq")),
-    ] {
-        if present {
-            found.push(name);
-        }
-    }
-    found
+/// By the test that chooses the kernels, so that what is listed runs.
+fn isa_available() -> Vec<String> {
+    let kernels = [Isa::Baseline, Isa::Avx2, Isa::Avx512];
+    kernels.into_iter().filter(|isa| isa.available().is_ok()).map(|isa| isa.to_string()).collect()
 }
 
 fn processor() -> String {
@@ -77,7 +67,7 @@ impl Environment {
         let isa_available = isa_available();
         let memory_mib = system::memory_mib();
         let mut missing: Vec<String> = embree_complaint(embree, EMBREE_HEADER).into_iter().collect();
-        if !isa_available.contains(&render::ISA) {
+        if !isa_available.iter().any(|isa| isa == render::ISA) {
             missing.push(format!("the processor has no {}, which rays are traced with", render::ISA));
         }
         if memory_mib < MEMORY_NEEDED_MIB {
@@ -106,5 +96,16 @@ impl Environment {
     /// Eight digits, the same for machines whose timings may be compared: processor and number of cores.
     pub fn machine_id(&self) -> String {
         hash::of_bytes(format!("{} x {}", self.processor, self.cores).as_bytes())[..8].to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_widest_instruction_set_that_is_listed_is_the_widest_that_runs() {
+        let found = Environment::examine();
+        assert_eq!(found.isa_available.last(), Some(&found.isa_of_splats));
     }
 }
