@@ -18,6 +18,7 @@ pub mod range;
 pub mod revision;
 pub mod shipped;
 pub mod staging;
+pub mod target_limits;
 pub mod volume;
 
 pub use camera::Camera;

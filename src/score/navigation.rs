@@ -9,12 +9,9 @@ use super::registry::metric;
 use super::statistics::mean;
 use super::truth::Truth;
 use crate::base::Result;
+use crate::base::target_limits::{LOST_MM, UNSURE_MM};
 use crate::simulate::sequence::FrameRecord;
 
-/// A frame whose targets are off by more than this in the mean is lost, mm.
-const LOST_MM: f64 = 5.0;
-/// A lost frame whose own error bar is below this is lost in silence, mm.
-const SILENT_MM: f64 = 2.5;
 /// Seconds after a cough or a touch of the wall within which the targets are to be found again.
 const RECOVERY_S: f64 = 1.0;
 
@@ -85,12 +82,13 @@ impl NavigationFrame {
     /// states no error bar that it needs.
     pub fn value(&self, id: &str) -> Option<f64> {
         let error_mm = self.error_mm()?;
-        let is_lost = error_mm > LOST_MM;
+        // By the truth: what the tracker says of itself is its error bar.
+        let is_off = error_mm > LOST_MM;
         let percent = |holds: bool| if holds { 100.0 } else { 0.0 };
         match id {
             "navigation_error_mm" => Some(error_mm),
-            "lost_pct" => Some(percent(is_lost)),
-            "silent_pct" => self.bar_mm().map(|bar_mm| percent(is_lost && bar_mm < SILENT_MM)),
+            "lost_pct" => Some(percent(is_off)),
+            "silent_pct" => self.bar_mm().map(|bar_mm| percent(is_off && bar_mm < UNSURE_MM)),
             "recovered_pct" => self.found_again.map(percent),
             "navigation_coverage_1sd_pct" => self.coverage(1.0),
             "navigation_coverage_2sd_pct" => self.coverage(2.0),

@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DMat3, DVec3};
 
+use crate::base::target_limits::{LOST_MM, UNSURE_MM};
 use crate::base::{Image, mesh};
 use crate::reconstruct::contract::{Observation, TrackState, WallMask};
 use crate::reconstruct::estimate::navigation::state::{PHASE_AT, cross};
@@ -14,9 +15,6 @@ use crate::reconstruct::settings::OursNavSettings;
 
 /// Way of the scope in mm after which the wall around it is gathered anew.
 const GATHER_AGAIN_MM: f64 = 6.0;
-/// Error bar in mm (square root of the covariance's trace, mean over targets) from which on an answer is unsure, and lost.
-const UNSURE_MM: f64 = 2.5;
-const LOST_MM: f64 = 5.0;
 /// Seconds without a picture that agrees after which an answer is lost.
 const LOST_S: f64 = 0.5;
 
@@ -146,6 +144,7 @@ impl<'a> NavTracker<'a> {
         let covariance_mm2: Vec<DMat3> =
             (0..targets_mm.len()).map(|k| self.covariance_mm2(state, targets_mm[k], self.travel_mm[k])).collect();
         let bars: f64 = covariance_mm2.iter().map(|c| (c.x_axis.x + c.y_axis.y + c.z_axis.z).sqrt()).sum();
+        // Square root of the covariance's trace, mean over targets.
         let bar_mm = bars / covariance_mm2.len().max(1) as f64;
         let track_state = if bar_mm > LOST_MM || time_s - self.agreed_s > LOST_S {
             TrackState::Lost
