@@ -7,11 +7,11 @@ use super::error::{Error, Result};
 use super::range::NumberRange;
 
 /// Focal lengths in pixels: from a lens that sees everything to one that sees a hair.
-const FOCAL_PX: NumberRange = NumberRange::new(1e-3, 1e7);
+pub const FOCAL_PX: NumberRange = NumberRange::new(1e-3, 1e7);
 /// Principal points in pixels, which may lie outside of the image.
-const PRINCIPAL_PX: NumberRange = NumberRange::new(-1e7, 1e7);
+pub const PRINCIPAL_PX: NumberRange = NumberRange::new(-1e7, 1e7);
 /// `k1..k4` of the fisheye model.
-const DISTORTION: NumberRange = NumberRange::new(-100.0, 100.0);
+pub const DISTORTION: NumberRange = NumberRange::new(-100.0, 100.0);
 
 /// Intrinsics of one camera. Lengths in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -8,16 +8,11 @@ use serde::{Deserialize, Serialize};
 use super::probe::WallInView;
 use super::settings::{EMISSION_EXPONENT, RAYS_PER_FACE, STILL_SIDE_PX, check_size};
 use super::{Denoise, Light, Material, RenderSettings, Scene, Shading, Transport};
+use crate::base::camera::{DISTORTION, FOCAL_PX, PRINCIPAL_PX};
 use crate::base::range::{COORDINATE_MM, KeyRanges, LIGHT, NumberRange, SAMPLES_PER_PIXEL, SEED, SHARE};
 use crate::base::{Camera, Error, Result, TriangleMesh, files, mesh, pose};
 use crate::formats::mesh::read as read_mesh;
 
-/// Image points in pixels.
-const IMAGE_POINT_PX: NumberRange = NumberRange::new(-1e6, 1e6);
-/// Focal lengths in pixels.
-const FOCAL_PX: NumberRange = NumberRange::new(1e-3, 1e7);
-/// Fisheye coefficients.
-const FISHEYE: NumberRange = NumberRange::new(-10.0, 10.0);
 /// Positions of camera and lamp in mm.
 const PLACE_MM: NumberRange = NumberRange::new(-1e6, 1e6);
 /// Diagonals in mm of the box around a mesh. The tracer moves rays off the wall by a fixed 2e-4 mm and computes in
@@ -33,12 +28,12 @@ const CAMERA_RANGES: KeyRanges = KeyRanges(&[
     ("fov_x_deg", NumberRange::new(0.1, 179.0)),
     ("fl_x", FOCAL_PX),
     ("fl_y", FOCAL_PX),
-    ("cx", IMAGE_POINT_PX),
-    ("cy", IMAGE_POINT_PX),
-    ("k1", FISHEYE),
-    ("k2", FISHEYE),
-    ("k3", FISHEYE),
-    ("k4", FISHEYE),
+    ("cx", PRINCIPAL_PX),
+    ("cy", PRINCIPAL_PX),
+    ("k1", DISTORTION),
+    ("k2", DISTORTION),
+    ("k3", DISTORTION),
+    ("k4", DISTORTION),
 ]);
 const LIGHT_RANGES: KeyRanges =
     KeyRanges(&[("intensity", LIGHT), ("position", PLACE_MM), ("emission_exponent", EMISSION_EXPONENT)]);
@@ -99,16 +94,17 @@ pub struct CameraSection {
     pub height: u32,
     /// Horizontal field of view of a pinhole with square pixels.
     pub fov_x_deg: Option<f64>,
-    /// Horizontal focal length.
+    /// Horizontal focal length in pixels.
     pub fl_x: Option<f64>,
-    /// Vertical focal length; `fl_x` where left out.
+    /// Vertical focal length in pixels; `fl_x` where left out.
     pub fl_y: Option<f64>,
-    /// Principal point; the image centre where left out.
+    /// Horizontal principal point in pixels; the image centre where left out.
     pub cx: Option<f64>,
-    /// Principal point; the image centre where left out.
+    /// Vertical principal point in pixels; the image centre where left out.
     pub cy: Option<f64>,
-    /// `pinhole` (or `PINHOLE`), or `OPENCV_FISHEYE`.
-    pub model: Option<String>,
+    /// How directions become image points.
+    #[serde(default)]
+    pub model: LensModel,
     /// Fisheye coefficient.
     #[serde(default)]
     pub k1: f64,
@@ -121,6 +117,18 @@ pub struct CameraSection {
     /// Fisheye coefficient.
     #[serde(default)]
     pub k4: f64,
+}
+
+/// Camera models by COLMAP's names.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LensModel {
+    /// Without distortion.
+    #[default]
+    #[serde(rename = "PINHOLE", alias = "pinhole")]
+    Pinhole,
+    /// OpenCV's fisheye, with `k1` to `k4`.
+    #[serde(rename = "OPENCV_FISHEYE", alias = "opencv_fisheye", alias = "fisheye")]
+    OpencvFisheye,
 }
 
 /// The kinds of [`Transport`] by name.
@@ -294,8 +302,8 @@ fn check_extent(mesh: &TriangleMesh) -> Result<()> {
 impl CameraSection {
     /// Intrinsics; the error names the missing key.
     pub fn intrinsics(&self) -> Result<Camera> {
-        let fisheye = match self.model.as_deref().map(str::to_ascii_lowercase).as_deref() {
-            None | Some("pinhole") => {
+        let fisheye = match self.model {
+            LensModel::Pinhole => {
                 let bends = [("k1", self.k1), ("k2", self.k2), ("k3", self.k3), ("k4", self.k4)];
                 if let Some((name, _)) = bends.iter().find(|(_, k)| *k != 0.0) {
                     let sentence = "is of OPENCV_FISHEYE; a pinhole has no distortion here";
@@ -303,12 +311,7 @@ impl CameraSection {
                 }
                 None
             }
-            Some("opencv_fisheye" | "fisheye") => Some([self.k1, self.k2, self.k3, self.k4]),
-            Some(other) => {
-                return Err(
-                    Error::input(format!("`{other}` is neither pinhole nor OPENCV_FISHEYE")).element("camera.model")
-                );
-            }
+            LensModel::OpencvFisheye => Some([self.k1, self.k2, self.k3, self.k4]),
         };
         if self.fov_x_deg.is_some() && self.fl_y.is_some() {
             let sentence = "does not go with fov_x_deg, whose pixels are square; give fl_x and fl_y";
@@ -402,6 +405,10 @@ mod tests {
         let text = EXAMPLE.replace("fov_x_deg = 90.0", "fl_x = 100.0\nmodel = \"OPENCV_FISHEYE\"\nk1 = 0.1");
         let camera = load(&text).unwrap().camera.intrinsics().unwrap();
         assert_eq!((camera.fisheye, camera.fl_y), (Some([0.1, 0.0, 0.0, 0.0]), 100.0));
+        // As a film's camera may have it.
+        let off_centre =
+            load(&text.replace("OPENCV_FISHEYE", "fisheye").replace("fl_x = 100.0", "fl_x = 1e7\ncx = 2e6"));
+        assert_eq!(off_centre.unwrap().camera.intrinsics().unwrap().cx, 2e6);
         assert!(load(&EXAMPLE.replace("fov_x_deg = 90.0", "fov_x_deg = 90.0\nmodel = \"fisheye\"")).is_err());
     }
 
