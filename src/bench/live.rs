@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use super::catalogue::Catalogue;
 use super::live_poses::LivePoses;
-use super::pipeline::method_of;
+use super::pipeline::{SeededMethod, method_of};
 use super::stages::caught;
 use crate::base::{Camera, Error, Image, Progress, Result, files};
 use crate::formats::png;
@@ -212,14 +212,14 @@ struct CurrentFrame {
     image: Arc<Image<u8>>,
 }
 
-/// Lets the method `id` follow `film` and hands each answer, with its picture, to `report`.
+/// Lets a method follow `film` and hands each answer, with its picture, to `report`.
 ///
 /// Errors: an unknown profile or method, one that does not follow frames; those of reading, of the method and of
 /// `report`; masks from a method that has none, or among the pictures; `Interrupted` between frames.
 pub fn follow(
     catalogue: &Catalogue,
     profile: &str,
-    (id, seed): (&str, u64),
+    SeededMethod { id, seed }: SeededMethod<'_>,
     film: Arc<dyn Given>,
     options: LiveOptions,
     report: &mut dyn FnMut(&LiveLine, LivePicture) -> Result<()>,

@@ -346,14 +346,23 @@ fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>, 
     Ok(found)
 }
 
-/// Runs the method `id`, with the profile's iterations, on a film or a participant's folder, and writes its prediction
+/// A method by its id, and the seed of its randomness.
+#[derive(Clone, Copy, Debug)]
+pub struct SeededMethod<'a> {
+    /// Id.
+    pub id: &'a str,
+    /// Seed.
+    pub seed: u64,
+}
+
+/// Runs `method`, with the profile's iterations, on a film or a participant's folder, and writes its prediction
 /// to the empty folder `out`.
 ///
 /// Errors: an unknown profile or method, a folder that is not empty, those of reading, of the method and of writing.
 pub fn reconstruct_folder(
     catalogue: &Catalogue,
     profile: &str,
-    (id, seed): (&str, u64),
+    SeededMethod { id, seed }: SeededMethod<'_>,
     film: &Path,
     out: &Path,
     progress: &dyn Progress,

@@ -7,7 +7,7 @@ use super::selection::{CacheFolder, CatalogueFolder, PoseChoice, ProfileChoice, 
 use super::stopped::resumable;
 use crate::base::range::SEED;
 use crate::base::{Progress, Result, files};
-use crate::bench::{Freshness, Pipeline, Store, Wishes, execute, reconstruct_folder};
+use crate::bench::{Freshness, Pipeline, SeededMethod, Store, Wishes, execute, reconstruct_folder};
 use crate::score::{self, CellScore};
 
 /// Arguments of `run`.
@@ -56,9 +56,10 @@ pub fn run(arguments: RunArguments, terminal: &Terminal) -> Result<()> {
     let methods = arguments.poses.rows(Some(vec![arguments.method]))?;
     if let (Some(film), Some(out)) = (&arguments.sequence, &arguments.out) {
         let catalogue = arguments.catalogue.open()?;
-        for method in methods.iter().flatten() {
-            terminal.stage(format!("{method}: {}", film.display()));
-            reconstruct_folder(&catalogue, arguments.profile.name(), (method, arguments.seed), film, out, terminal)?;
+        for id in methods.iter().flatten() {
+            terminal.stage(format!("{id}: {}", film.display()));
+            let method = SeededMethod { id, seed: arguments.seed };
+            reconstruct_folder(&catalogue, arguments.profile.name(), method, film, out, terminal)?;
         }
         terminal.finish();
         terminal.line(format_args!("prediction: {}", out.display()));

@@ -10,6 +10,7 @@ use super::selection::CatalogueFolder;
 use super::terminal::complain;
 use crate::base::range::{NumberRange, SEED};
 use crate::base::{Error, ErrorKind, Progress, Result};
+use crate::bench::SeededMethod;
 use crate::bench::live::{self, FrameFeed, LiveOptions, LiveSummary};
 use crate::bench::pipeline::open_given;
 use crate::report::live::{LiveAddress, LiveEnd, LivePage, ShownFrame};
@@ -130,7 +131,7 @@ pub fn run(arguments: TrackArguments, terminal: &Terminal) -> Result<()> {
         }
         Ok(())
     };
-    let method = (arguments.method.as_str(), arguments.seed);
+    let method = SeededMethod { id: &arguments.method, seed: arguments.seed };
     let outcome = live::follow(&catalogue, &arguments.profile, method, film, options, &mut report, terminal);
     if let Some(page) = &page {
         page.end(&end_of(&outcome));

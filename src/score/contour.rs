@@ -119,22 +119,23 @@ pub fn target_errors(
     let displacements: Vec<f64> = from.zip(&to).map(|(a, b)| a.distance(*b)).collect();
     let (mut contour_rmse_mm, mut cuts) = (None, [1, 0]);
     if let Some((contour, _)) = other {
-        let (mut own, mut other) = (vec![own], vec![contour]);
+        let mut own = ChosenCuts { cuts: &true_cuts, places: vec![own] };
+        let mut other = ChosenCuts { cuts: &predicted_cuts, places: vec![contour] };
         // A surface of its own faces could be folded into every gap: of it the one contour counts.
         if same_topology {
-            let [alone, alone_predicted] = [own.clone(), other.clone()];
-            join_counterparts((&true_cuts, &mut own), (&predicted_cuts, &mut other));
+            let (alone, alone_predicted) = (own.clone(), other.clone());
+            join_counterparts(&mut own, &mut other);
             // So could one with the truth's faces, whose vertices are its own. Where branches part, each part is some of the
             // wall; and the part around the camera is the nearest of it somewhere.
-            let is_folded = other.len() > MOST_PARTS * own.len()
-                || nearest_share(&true_cuts[own[0]], &predicted_cuts, &other) < LEAST_SHARE;
+            let is_folded =
+                other.places.len() > MOST_PARTS * own.places.len() || other.nearest_share(true_contour) < LEAST_SHARE;
             if is_folded {
                 (own, other) = (alone, alone_predicted);
             }
         }
-        let of = |cuts: &[Polyline], chosen: &[usize]| chosen.iter().map(|&k| cuts[k].clone()).collect::<Vec<_>>();
-        contour_rmse_mm = Some(symmetric_rmse(&of(&true_cuts, &own), &of(&predicted_cuts, &other)));
-        cuts = [own.len(), other.len()];
+        let [of_truth, predicted] = [&own, &other].map(|cuts| cuts.chosen().cloned().collect::<Vec<_>>());
+        contour_rmse_mm = Some(symmetric_rmse(&of_truth, &predicted));
+        cuts = [own.places.len(), other.places.len()];
     }
     let predicted_contour = other.map(|(contour, _)| &predicted_cuts[contour]);
     Ok(Some(TargetErrors {
@@ -155,43 +156,57 @@ pub fn target_errors(
     }))
 }
 
-/// Joins the cuts of two surfaces, each with the places of its chosen ones, until neither has one that comes nearer to what
-/// is chosen of the other: a cut that joins may have a counterpart of its own.
-fn join_counterparts((cuts, chosen): (&[Polyline], &mut Vec<usize>), (others, other): (&[Polyline], &mut Vec<usize>)) {
-    loop {
-        let before = chosen.len() + other.len();
-        join_nearer(cuts, chosen, others, other);
-        join_nearer(others, other, cuts, chosen);
-        if chosen.len() + other.len() == before {
-            return;
-        }
+/// The cuts of a surface that are compared.
+#[derive(Clone)]
+struct ChosenCuts<'a> {
+    /// All cuts of the surface.
+    cuts: &'a [Polyline],
+    /// Places of the chosen ones among them; the first is that around the camera.
+    places: Vec<usize>,
+}
+
+impl ChosenCuts<'_> {
+    fn chosen(&self) -> impl Iterator<Item = &Polyline> {
+        self.places.iter().map(|&k| &self.cuts[k])
+    }
+
+    /// Adds every cut that is nearer to some sample of the chosen ones of `other` than the cuts that are in it.
+    fn join_nearer_to(&mut self, other: &ChosenCuts<'_>) {
+        let samples: Vec<[f64; 2]> = other.chosen().flat_map(resample).collect();
+        let nearest = |&point: &[f64; 2]| {
+            let distance = |k: usize| nearest_on(&self.cuts[k], point).1;
+            let best = (0..self.cuts.len()).map(|k| (distance(k), k)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+            let is_nearer = self.places.iter().all(|&k| best.0 < distance(k));
+            is_nearer.then_some(best.1)
+        };
+        let mut found: Vec<usize> = samples.par_iter().filter_map(nearest).collect();
+        found.sort_unstable();
+        found.dedup();
+        self.places.extend(found);
+    }
+
+    /// Share of `contour` to which the first of the chosen ones is the nearest.
+    fn nearest_share(&self, contour: &Polyline) -> f64 {
+        let samples = resample(contour);
+        let is_first = |&point: &[f64; 2]| {
+            let distance = |k: usize| nearest_on(&self.cuts[k], point).1;
+            self.places[1..].iter().all(|&k| distance(self.places[0]) <= distance(k))
+        };
+        samples.par_iter().filter(|&point| is_first(point)).count() as f64 / samples.len() as f64
     }
 }
 
-/// Adds to `joined`, places in `others`, every cut that is nearer to some sample of the `chosen` ones of `cuts` than the
-/// cuts that are in it.
-fn join_nearer(cuts: &[Polyline], chosen: &[usize], others: &[Polyline], joined: &mut Vec<usize>) {
-    let samples: Vec<[f64; 2]> = chosen.iter().flat_map(|&k| resample(&cuts[k])).collect();
-    let nearest = |&point: &[f64; 2]| {
-        let distance = |k: usize| nearest_on(&others[k], point).1;
-        let best = (0..others.len()).map(|k| (distance(k), k)).min_by(|a, b| a.0.total_cmp(&b.0))?;
-        let is_nearer = joined.iter().all(|&k| best.0 < distance(k));
-        is_nearer.then_some(best.1)
-    };
-    let mut found: Vec<usize> = samples.par_iter().filter_map(nearest).collect();
-    found.sort_unstable();
-    found.dedup();
-    joined.extend(found);
-}
-
-/// Share of `contour` to which the first of the `chosen` ones of `cuts` is the nearest.
-fn nearest_share(contour: &Polyline, cuts: &[Polyline], chosen: &[usize]) -> f64 {
-    let samples = resample(contour);
-    let is_first = |&point: &[f64; 2]| {
-        let distance = |k: usize| nearest_on(&cuts[k], point).1;
-        chosen[1..].iter().all(|&k| distance(chosen[0]) <= distance(k))
-    };
-    samples.par_iter().filter(|&point| is_first(point)).count() as f64 / samples.len() as f64
+/// Joins the cuts of two surfaces until neither has one that comes nearer to what is chosen of the other: a cut that
+/// joins may have a counterpart of its own.
+fn join_counterparts(own: &mut ChosenCuts<'_>, other: &mut ChosenCuts<'_>) {
+    loop {
+        let before = own.places.len() + other.places.len();
+        other.join_nearer_to(own);
+        own.join_nearer_to(other);
+        if own.places.len() + other.places.len() == before {
+            return;
+        }
+    }
 }
 
 /// The place of the cut around the camera (0, 0), by OpenCV's contour analysis: the closed cut of least area that encloses it, or,

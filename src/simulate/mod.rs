@@ -184,7 +184,7 @@ fn write_truth(
     Transforms::new(&film.camera, entries).write(&out.join(sequence::NOVEL_TRANSFORMS))?;
     files::write_bytes(&out.join(sequence::FRAMES), film.frames_csv().as_bytes())?;
     if let Some(clinical) = film.clinical() {
-        told::write(case, (anatomy, &planned), film, clinical, out)?;
+        told::write(case, anatomy, &planned, film, clinical, out)?;
     }
     let words = match film.clinical() {
         None => include_str!("FORMAT.md").to_owned(),

@@ -26,7 +26,8 @@ const CLIPPED: u8 = 253;
 /// Writes them below `out`, whose frames are finished; `planned` are the targets.
 pub(super) fn write(
     case: &Case,
-    (anatomy, planned): (&Anatomy, &[Target]),
+    anatomy: &Anatomy,
+    planned: &[Target],
     film: &Film,
     clinical: &ClinicalFilm,
     out: &Path,

@@ -63,7 +63,8 @@ impl ClinicalFilm {
         anatomy: &Anatomy,
         settings: &ClinicalSettings,
         nominal: &Camera,
-        (waveform, times_s): (&Waveform, &[f64]),
+        waveform: &Waveform,
+        times_s: &[f64],
         route_mm: &[DVec3],
     ) -> ClinicalFilm {
         let duration_s = times_s.last().copied().unwrap_or_default();
