@@ -12,6 +12,7 @@ pub mod array_job;
 pub mod catalogue;
 pub mod claim;
 pub mod environment;
+pub mod evaluation;
 pub mod event;
 pub mod executor;
 pub mod live;

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use super::Terminal;
-use super::evaluate::check_name;
 use crate::base::Result;
+use crate::bench::evaluation::check_name;
 use crate::score::{Question, check_prediction, check_truth};
 use crate::simulate::participant::Participant;
 use crate::simulate::sequence::Sequence;
