@@ -52,6 +52,7 @@
 //! | what a method may see | [`reconstruct`]: `contract.rs` says it, `observe.rs` alone fills it |
 //! | what a metric means | [`score`]: `registry.rs`, and the file of its family |
 //! | which cases and methods there are | [`mod@bench`]: `catalogue.rs`; those that the program carries: [`base::shipped`] |
+//! | order, looks and names of this program's own rows | [`base::own_row`] |
 //! | a cell's cache key | [`mod@bench`]: `plan.rs`, with the revision of the code from `revision.rs` |
 //!
 //! Cargo features, all on by default. Without any, the crate needs a C++ compiler and nothing else:

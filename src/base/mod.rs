@@ -11,6 +11,7 @@ pub mod image;
 pub mod mask;
 pub mod mesh;
 pub mod method_name;
+pub mod own_row;
 pub mod pose;
 pub mod progress;
 pub mod random;

@@ -14,8 +14,7 @@ use super::stages::Stages;
 use super::timing::StageTiming;
 use super::variant::Variant;
 use crate::airway::case::Case;
-
-use crate::base::{Error, Estimate, Progress, Result, files, hash};
+use crate::base::{Error, Estimate, Progress, Result, files, hash, own_row};
 use crate::reconstruct::{self, Listing, MethodFile, Reconstruct};
 use crate::report::scene::Scenes;
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
@@ -25,26 +24,6 @@ use crate::simulate::sequence::Sequence;
 use crate::simulate::track::Track;
 use crate::simulate::truth::TruthSet;
 use crate::simulate::{self, MeshOutput, RadianceOutput, SimulationSettings};
-
-/// The rows of the paper's Table 1 from top to bottom, ours beyond it, what needs no map, then the bounds; further
-/// methods follow by name.
-const ORDER: [&str; 15] = [
-    "bridgesplat",
-    "bridgesplat-release",
-    "bridgesplat-tuned",
-    "bridgesplat-nomesh",
-    "ours-nomesh",
-    "ours",
-    "ours-window",
-    "ours-gn",
-    "ours-nav",
-    "virtual-bronchoscopy",
-    "pose-only",
-    "mean-breath",
-    "static-ct",
-    "static-expiration",
-    "oracle-phase",
-];
 
 /// Iterations of a frame of `ours`, and the core seconds that they take at the published scale in an image of 256x256
 /// pixels and in one of no pixels; scoring included. The model behind [`Pipeline::estimate`].
@@ -331,8 +310,8 @@ fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>, 
     for file in reconstruct::method_files(&catalogue.methods())? {
         found.push(Method::new(&file, profile)?);
     }
-    let place = |m: &Method| ORDER.iter().position(|id| *id == m.method.id()).unwrap_or(ORDER.len());
-    found.sort_by_key(place);
+    // Further methods follow by name, as they were read.
+    found.sort_by_key(|m| own_row::place(m.method.id()));
     let known: Vec<String> = found.iter().map(|m| m.method.id().to_owned()).collect();
     let chosen = choose(&known, wanted, "method")?;
     found.retain(|m| chosen.iter().any(|id| id == m.method.id()));

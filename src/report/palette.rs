@@ -3,11 +3,13 @@
 //! No two of the colours are alike: they are at least .08 apart in OKLab (Ottosson 2020), and .05 as somebody with
 //! deuteranopia sees them (Viénot, Brettel and Mollon 1999), and stand out from white paper as from a dark page.
 //! Found by taking again and again the colour farthest from those taken, after Okabe and Ito's. Rows that are seldom
-//! told apart by colour alone differ by their dash too.
+//! told apart by colour alone differ by their dash too. Those of own rows stand in their table
+//! ([`crate::base::own_row`]); here are those of third parties.
 
 use std::collections::BTreeMap;
 
 use super::run::MethodInfo;
+use crate::base::own_row::{self, Dash};
 
 /// How the lines of a row look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,33 +28,15 @@ impl RowStyle {
     }
 }
 
-/// Dashes of rows that stand beside the methods: bounds, and rows that never look at a picture.
-const LONG: Option<[u8; 2]> = Some([9, 4]);
-const SHORT: Option<[u8; 2]> = Some([4, 3]);
-const DOTS: Option<[u8; 2]> = Some([2, 2]);
-
-/// A row's id, colour and dashes.
-type OwnStyle = (&'static str, [u8; 3], Option<[u8; 2]>);
-
-/// Own rows. A test holds that each row of this program has one.
-const OWN: [OwnStyle; 16] = [
-    ("ours", [0, 114, 178], None),
-    ("ours-nomesh", [86, 180, 233], None),
-    ("ours-window", [96, 24, 252], None),
-    ("ours-gn", [204, 121, 167], None),
-    ("ours-gn-pose", [216, 0, 252], LONG),
-    ("ours-nav", [144, 72, 228], None),
-    ("bridgesplat", [213, 94, 0], None),
-    ("bridgesplat-release", [156, 48, 96], None),
-    ("bridgesplat-tuned", [120, 24, 144], None),
-    ("bridgesplat-nomesh", [230, 159, 0], None),
-    ("virtual-bronchoscopy", [12, 192, 72], None),
-    ("pose-only", [132, 84, 0], SHORT),
-    ("mean-breath", [132, 192, 144], SHORT),
-    ("oracle-phase", [30, 160, 90], LONG),
-    ("static-ct", [130, 130, 130], LONG),
-    ("static-expiration", [96, 84, 132], DOTS),
-];
+/// Lengths of dash and gap.
+fn lengths(dash: Dash) -> Option<[u8; 2]> {
+    match dash {
+        Dash::Unbroken => None,
+        Dash::Long => Some([9, 4]),
+        Dash::Short => Some([4, 3]),
+        Dash::Dots => Some([2, 2]),
+    }
+}
 
 /// Rows of third parties, in the order in which they come; beyond them the colours come again with the next dash.
 const FOREIGN: [[u8; 3]; 12] = [
@@ -69,7 +53,7 @@ const FOREIGN: [[u8; 3]; 12] = [
     [192, 168, 204],
     [144, 96, 120],
 ];
-const FOREIGN_DASHES: [Option<[u8; 2]>; 4] = [None, LONG, SHORT, DOTS];
+const FOREIGN_DASHES: [Dash; 4] = [Dash::Unbroken, Dash::Long, Dash::Short, Dash::Dots];
 
 /// The styles of the rows of one report.
 #[derive(Clone, Debug, Default)]
@@ -81,12 +65,12 @@ impl Palette {
         let mut styles = BTreeMap::new();
         let mut foreign = 0;
         for method in methods {
-            let style = match OWN.iter().find(|(id, _, _)| *id == method.id) {
-                Some(&(_, color, dash)) => RowStyle { color, dash },
+            let style = match own_row::own(&method.id) {
+                Some(row) => RowStyle { color: row.color, dash: lengths(row.dash) },
                 None => {
                     let dash = FOREIGN_DASHES[foreign / FOREIGN.len() % FOREIGN_DASHES.len()];
                     foreign += 1;
-                    RowStyle { color: FOREIGN[(foreign - 1) % FOREIGN.len()], dash }
+                    RowStyle { color: FOREIGN[(foreign - 1) % FOREIGN.len()], dash: lengths(dash) }
                 }
             };
             styles.insert(method.id.clone(), style);
@@ -103,6 +87,7 @@ impl Palette {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::own_row::OWN;
 
     fn linear(code: u8) -> f64 {
         let value = f64::from(code) / 255.0;
@@ -139,7 +124,7 @@ mod tests {
 
     #[test]
     fn no_two_colours_are_alike_and_all_stand_out_on_paper_and_in_the_dark() {
-        let all: Vec<[u8; 3]> = OWN.iter().map(|row| row.1).chain(FOREIGN).collect();
+        let all: Vec<[u8; 3]> = OWN.iter().map(|row| row.color).chain(FOREIGN).collect();
         for (i, &a) in all.iter().enumerate() {
             for &b in &all[..i] {
                 assert!(apart(a, b, |c| c) > 0.08, "{a:?} {b:?} {}", apart(a, b, |c| c));
@@ -151,16 +136,15 @@ mod tests {
     }
 
     #[test]
-    fn every_own_row_has_a_style_and_many_foreign_rows_have_different_ones() {
+    fn own_rows_and_many_foreign_ones_have_different_styles() {
         let names: Vec<String> = (0..40).map(|k| format!("method {k}")).collect();
-        let own = MethodInfo::own_rows();
+        let own = OWN.iter().map(|row| MethodInfo::of(row.id));
         let methods: Vec<MethodInfo> = own.chain(names.iter().map(|name| MethodInfo::of(name))).collect();
         let palette = Palette::of(&methods);
         let styles: Vec<RowStyle> = methods.iter().map(|m| palette.style(&m.id)).collect();
         for (i, style) in styles.iter().enumerate() {
             assert!(!styles[..i].contains(style), "{} has the style of another", methods[i].id);
         }
-        assert!(methods[..OWN.len()].iter().all(|m| OWN.iter().any(|row| row.0 == m.id)));
         assert_eq!(palette.style("ours").hex(), "#0072b2");
     }
 }

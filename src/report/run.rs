@@ -7,7 +7,8 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::scene::Scenes;
-use crate::base::method_name;
+use crate::base::own_row;
+pub use crate::base::own_row::Role;
 use crate::score::{CellScore, Truth};
 use crate::simulate::track::Track;
 
@@ -76,16 +77,6 @@ impl CaseInfo {
     }
 }
 
-/// Whether a method is ranked.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Role {
-    /// Ranked.
-    Ranked,
-    /// A bound from above or below: shown, never ranked.
-    Sanity,
-}
-
 /// One method.
 #[derive(Clone, Debug)]
 pub struct MethodInfo {
@@ -104,23 +95,21 @@ pub struct MethodInfo {
 impl MethodInfo {
     /// One of this program's own rows, and for any other id a ranked method of that name.
     pub fn of(id: &str) -> Self {
-        match method_name::own(id) {
-            Some(&(id, title, is_bound, ct_scans, mesh)) => {
-                let role = if is_bound { Role::Sanity } else { Role::Ranked };
-                MethodInfo { id: id.into(), title: title.into(), role, ct_scans: Some(ct_scans), mesh: Some(mesh) }
-            }
+        match own_row::own(id) {
+            Some(row) => MethodInfo {
+                id: row.id.into(),
+                title: row.title.into(),
+                role: row.role,
+                ct_scans: Some(row.ct_scans),
+                mesh: Some(row.keeps_mesh),
+            },
             None => MethodInfo { id: id.into(), title: id.into(), role: Role::Ranked, ct_scans: None, mesh: None },
         }
     }
 
-    /// This program's own rows.
-    pub fn own_rows() -> impl Iterator<Item = MethodInfo> {
-        method_name::OWN.iter().map(|row| MethodInfo::of(row.0))
-    }
-
     /// Whether `id` is one of this program's own rows.
     pub fn is_own(id: &str) -> bool {
-        method_name::own(id).is_some()
+        own_row::own(id).is_some()
     }
 }
 
