@@ -50,7 +50,7 @@
 //! | a film's exposure | [`simulate`]: `exposure.rs`; noise and 8 bits in `sensor.rs` |
 //! | the radiance of a pixel of a film | [`render`]: `cpp/trace/path.h`, light at vertices in `vertex_light.rs` |
 //! | what a method may see | [`reconstruct`]: `contract.rs` says it, `observe.rs` alone fills it |
-//! | what a metric means | [`score`]: `registry.rs`, and the file of its family |
+//! | what a metric means | [`score`]: its entry in `registry.rs`, and the functions in `measures.rs` that the entry names |
 //! | which cases and methods there are | [`mod@bench`]: `catalogue.rs`; those that the program carries: [`base::shipped`] |
 //! | order, looks and names of this program's own rows | [`base::own_row`] |
 //! | a cell's cache key | [`mod@bench`]: `plan.rs`, with the revision of the code from `revision.rs` |

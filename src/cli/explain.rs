@@ -53,7 +53,7 @@ fn print(m: &Metric, terminal: &Terminal) {
         ("range", format!("{} to {}", bound(m.range[0], "unbounded"), bound(m.range[1], "unbounded"))),
         ("perfect", perfect),
         ("taken over", m.split.word().to_owned()),
-        ("applies to", m.applies_to.to_owned()),
+        ("applies to", m.applies_to.words().to_owned()),
         ("definition", m.definition.to_owned()),
     ];
     for (name, value) in lines {

@@ -7,7 +7,7 @@
 
 use super::run::{MethodInfo, Role, Run};
 use crate::score::statistics::{MeanInterval, bootstrap_groups};
-use crate::score::{Goal, Metric, Status, registry};
+use crate::score::{Goal, Metric, Status, registry, told_by};
 
 /// Seed of the bootstrap over trees and cases: fixed, so that the same scores give the same bounds.
 const BOOTSTRAP_SEED: u64 = 1;
@@ -82,8 +82,8 @@ pub fn over_cases(run: &Run, of_cases: &[(&str, f64)]) -> Option<MeanInterval> {
 
 /// Whether a ranked method's numbers of `metric` are of the truth itself.
 fn equals_truth(run: &Run, method: &MethodInfo, metric: &Metric) -> bool {
-    if let Some(told_by) = metric.told_by() {
-        return equals_truth(run, method, told_by);
+    if let Some(telling) = told_by(metric) {
+        return equals_truth(run, method, telling);
     }
     let mean = over_cases(run, &run.case_values(&method.id, metric.id));
     // That no frame of a hundred is lost is an estimate like any other.

@@ -9,7 +9,7 @@ use super::differences::NeighbourDifference;
 use super::run::{CellRecord, Outcome, Role, Run};
 use super::summary::MethodSummary;
 use crate::base::{Error, Result, files};
-use crate::score::{Metric, Split, Standing, Status, metric, paper_metrics, registry};
+use crate::score::{Group, Metric, Split, Standing, Status, metric, paper_metrics, registry};
 
 /// Columns of `results.csv`.
 pub const RESULTS_COLUMNS: [&str; 22] = [
@@ -86,19 +86,12 @@ fn header(columns: &[&str]) -> Vec<String> {
 }
 
 fn alignment_of(m: &Metric) -> &'static str {
-    match m.id {
-        id if is_of_depth(m) || id.starts_with("contour") || id.starts_with("target") => "none",
-        _ => "",
-    }
-}
-
-fn is_of_depth(m: &Metric) -> bool {
-    m.id.starts_with("depth") || m.id.starts_with("novel_depth")
+    if matches!(m.group, Group::Depth | Group::Target) { "none" } else { "" }
 }
 
 /// Which pixels count: where the truth has a depth, or all. What a film's own mask hides counts nowhere.
 fn mask_of(m: &Metric) -> &'static str {
-    if is_of_depth(m) { "true_depth" } else { "none" }
+    if m.group == Group::Depth { "true_depth" } else { "none" }
 }
 
 /// `results.csv`: one row per cell and metric, times left out.

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::metric::{Metric, Needs};
 use super::prediction::{Prediction, Question};
 use super::registry::registry;
 use super::truth::{Truth, final_mesh};
@@ -82,25 +83,23 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
         not_applicable: Vec::new(),
         warnings: Vec::new(),
     };
-    let lacks = |id: &str| match id {
-        "time_cpu_s" => prediction.time_cpu_s().is_none(),
-        id if id.starts_with("phase_coverage") || id.starts_with("phase_sd") => prediction.phase_sd().is_none(),
-        id if id.starts_with("novel_depth") => !contents.novel_depth,
-        id if id.starts_with("novel") => contents.novel == 0,
-        "recovered_pct" => !contents.targets || question.is_disturbed == Some(false),
-        "target_mean_mm" | "target_p95_mm" | "lost_pct" => !contents.targets,
-        id if id.starts_with("pose_error") => prediction.poses().is_none(),
-        "silent_pct" => prediction.target_covariance_mm2().is_none(),
-        id if id.starts_with("navigation_error") => !contents.targets,
-        id if id.starts_with("navigation") => prediction.target_covariance_mm2().is_none(),
-        id if id.starts_with("depth") => !contents.depth,
-        id if id.starts_with("phase") => !contents.phase,
-        id if id.starts_with("contour") || id.starts_with("target") => !contents.surface,
-        id if id.starts_with("time") => !contents.time,
-        "psnr_ahead_db" => contents.ahead == 0,
-        _ => false,
+    let lacks = |metric: &Metric| match metric.applies_to {
+        Needs::Pictures => false,
+        Needs::Depth => !contents.depth,
+        Needs::Phase => !contents.phase,
+        Needs::PhaseDeviation => prediction.phase_sd().is_none(),
+        Needs::Poses => prediction.poses().is_none(),
+        Needs::Novel => contents.novel == 0,
+        Needs::NovelDepth => !contents.novel_depth,
+        Needs::Ahead => contents.ahead == 0,
+        Needs::Targets => !contents.targets,
+        Needs::DisturbedTargets => !contents.targets || question.is_disturbed == Some(false),
+        Needs::TargetCovariance => prediction.target_covariance_mm2().is_none(),
+        Needs::Surface => !contents.surface,
+        Needs::Time => !contents.time,
+        Needs::CpuTime => prediction.time_cpu_s().is_none(),
     };
-    contents.not_applicable = registry().iter().map(|m| m.id).filter(|id| lacks(id)).collect();
+    contents.not_applicable = registry().iter().filter(|metric| lacks(metric)).map(|metric| metric.id).collect();
     contents.warnings.extend(prediction.phase().and_then(phase_warning));
     contents.warnings.extend(depth_warning(depths_mm.into_iter().flatten().collect()));
     contents.warnings.extend(surface.as_ref().and_then(surface_warning));

@@ -2,7 +2,7 @@
 //! made.
 //!
 //! ```text
-//! Truth (a sequence) + Prediction (a folder) -> score() -> CellScore -> report, gate
+//! Truth (a sequence) + Prediction (a folder) -> Measured -> each Metric of the registry -> CellScore -> report, gate
 //! ```
 
 mod cell;
@@ -10,9 +10,13 @@ mod check;
 pub mod contour;
 mod correspondence;
 pub mod depth;
+mod finding;
 #[cfg(test)]
 pub(crate) mod fixture;
 pub mod image_quality;
+mod measured;
+mod measures;
+mod metric;
 mod navigation;
 mod prediction;
 #[cfg(test)]
@@ -23,12 +27,13 @@ pub mod slice;
 pub mod statistics;
 mod truth;
 
-pub use cell::{CellScore, FrameScore, FrameValue, MetricScore, ScoreSettings, Status, score};
+pub use cell::{CellScore, FrameScore, FrameValue, MetricScore, ScoreSettings, score};
 pub use check::{Contents, check_prediction, check_truth};
+pub use finding::Status;
+pub use metric::{Goal, Group, Metric, Needs, Split, Standing};
 pub use prediction::{Prediction, Question};
 pub use recompute::check_means;
 pub use registry::{
-    Goal, Group, Metric, Split, Standing, metric, navigation_bar_metrics, navigation_metrics, paper_metrics,
-    ranking_metrics, registry,
+    metric, navigation_bar_metrics, navigation_metrics, paper_metrics, ranking_metrics, registry, told_by,
 };
 pub use truth::{Truth, final_mesh};

@@ -5,7 +5,6 @@
 use glam::DVec3;
 
 use super::prediction::Prediction;
-use super::registry::metric;
 use super::statistics::mean;
 use super::truth::Truth;
 use crate::base::Result;
@@ -74,56 +73,45 @@ impl NavigationFrame {
     }
 
     /// Mean over the targets, mm; `None` without any.
-    fn error_mm(&self) -> Option<f64> {
+    pub fn error_mm(&self) -> Option<f64> {
         mean(&self.distances_mm())
     }
 
-    /// The frame's value of the metric `id`; `None` for a metric that is not of navigation, and where the prediction
-    /// states no error bar that it needs.
-    pub fn value(&self, id: &str) -> Option<f64> {
-        let error_mm = self.error_mm()?;
-        // By the truth: what the tracker says of itself is its error bar.
-        let is_off = error_mm > LOST_MM;
-        let percent = |holds: bool| if holds { 100.0 } else { 0.0 };
-        match id {
-            "navigation_error_mm" => Some(error_mm),
-            "lost_pct" => Some(percent(is_off)),
-            "silent_pct" => self.bar_mm().map(|bar_mm| percent(is_off && bar_mm < UNSURE_MM)),
-            "recovered_pct" => self.found_again.map(percent),
-            "navigation_coverage_1sd_pct" => self.coverage(1.0),
-            "navigation_coverage_2sd_pct" => self.coverage(2.0),
-            "navigation_sd_mm" => self.bar_mm(),
-            _ => None,
-        }
+    /// Whether the targets are lost by the truth (what the tracker says of itself is its error bar), in percent; `None`
+    /// without any.
+    pub fn lost_pct(&self) -> Option<f64> {
+        self.error_mm().map(|error_mm| percent(error_mm > LOST_MM))
     }
 
-    /// The error bar: square root of the covariance's trace, mean over targets, mm.
-    fn bar_mm(&self) -> Option<f64> {
+    /// Whether the targets are lost while the error bar says otherwise, in percent; `None` where none is stated.
+    pub fn silent_pct(&self) -> Option<f64> {
+        self.error_mm().zip(self.bar_mm()).map(|(error_mm, bar_mm)| percent(error_mm > LOST_MM && bar_mm < UNSURE_MM))
+    }
+
+    /// Whether the targets are found again after a disturbance, in percent; `None` where none ends at this frame.
+    pub fn recovered_pct(&self) -> Option<f64> {
+        self.error_mm().zip(self.found_again).map(|(_, is_found)| percent(is_found))
+    }
+
+    /// The error bar: square root of the covariance's trace, mean over targets, mm; `None` where none is stated.
+    pub fn bar_mm(&self) -> Option<f64> {
         mean(&self.deviations_mm.iter().map(|d| d.length()).collect::<Vec<_>>())
     }
 
-    /// Percentage of the targets' coordinates in camera axes that are off by at most so many standard deviations.
-    fn coverage(&self, deviations: f64) -> Option<f64> {
+    /// Percentage of the targets' coordinates in camera axes that are off by at most so many standard deviations; `None`
+    /// where none are stated.
+    pub fn coverage_pct(&self, deviations: f64) -> Option<f64> {
         let pairs = self.errors_mm.iter().zip(&self.deviations_mm);
         let within = pairs.flat_map(|(error, deviation)| {
             let (error, most) = (error.abs().to_array(), (*deviation * deviations).to_array());
-            (0..3).map(move |k| if error[k] <= most[k] { 100.0 } else { 0.0 })
+            (0..3).map(move |k| percent(error[k] <= most[k]))
         });
         mean(&within.collect::<Vec<_>>())
     }
 }
 
-/// The values of one frame, by metric; none where there are no targets.
-pub fn frame_values(frame: &NavigationFrame) -> impl Iterator<Item = (&'static str, f64)> {
-    let ids = super::registry::registry().iter().map(|m| m.id);
-    ids.filter_map(|id| Some((id, frame.value(id)?)))
-}
-
-/// Whether `id` is a metric of navigation that is a mean over frames.
-pub fn is_frame_wise(id: &str) -> bool {
-    metric(id).is_some()
-        && (id.starts_with("navigation_") || ["lost_pct", "silent_pct", "recovered_pct"].contains(&id))
-        && !id.contains("p95")
+fn percent(holds: bool) -> f64 {
+    if holds { 100.0 } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -137,15 +125,15 @@ mod tests {
             deviations_mm: if bar > 0.0 { vec![DVec3::splat(bar / 3f64.sqrt()); 2] } else { Vec::new() },
             found_again: None,
         };
-        let values = |error, bar| ["lost_pct", "silent_pct"].map(|id| frame(error, bar).value(id));
+        let values = |error, bar| [frame(error, bar).lost_pct(), frame(error, bar).silent_pct()];
         assert_eq!(values(4.9, 1.0), [Some(0.0), Some(0.0)]);
         assert_eq!(values(5.1, 1.0), [Some(100.0), Some(100.0)]);
         assert_eq!(values(5.1, 2.6), [Some(100.0), Some(0.0)]);
-        assert_eq!(["silent_pct", "navigation_coverage_2sd_pct"].map(|id| frame(4.9, 0.0).value(id)), [None, None]);
+        assert_eq!([frame(4.9, 0.0).silent_pct(), frame(4.9, 0.0).coverage_pct(2.0)], [None, None]);
         // Of three coordinates, two are exact and one is off by 3 deviations.
-        let covered = frame(3.0, 3f64.sqrt()).value("navigation_coverage_2sd_pct").unwrap();
+        let covered = frame(3.0, 3f64.sqrt()).coverage_pct(2.0).unwrap();
         assert!((covered - 200.0 / 3.0).abs() < 1e-9, "{covered}");
-        assert_eq!(NavigationFrame::default().value("navigation_error_mm"), None);
+        assert_eq!(NavigationFrame::default().error_mm(), None);
     }
 
     #[test]

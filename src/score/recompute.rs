@@ -3,36 +3,13 @@
 //! Means over frames, their deviations and counts, and the correlation of the phase are computed again from the frames.
 //! Surfaces and times leave no trace there: of them only what contradicts itself is found.
 
-use super::cell::{CellScore, FrameValue, MetricScore, Status};
+use super::cell::{CellScore, FrameValue, MetricScore};
+use super::finding::Status;
+use super::metric::Trace;
+use super::registry;
 use super::statistics::{deviation, mean, pearson};
 use crate::base::{Error, Result};
 
-/// Metrics whose value is a mean over the frames that have one.
-const FRAME_WISE: [&str; 23] = [
-    "psnr_db",
-    "novel_psnr_db",
-    "novel_ssim",
-    "novel_depth_rmse_mm",
-    "novel_depth_delta_1_25",
-    "target_mean_mm",
-    "psnr_ahead_db",
-    "ssim",
-    "depth_rmse_mm",
-    "depth_delta_1_25",
-    "phase_mae",
-    "phase_coverage_1sd_pct",
-    "phase_coverage_2sd_pct",
-    "phase_sd_mean",
-    "pose_error_mm",
-    "pose_error_deg",
-    "navigation_error_mm",
-    "lost_pct",
-    "silent_pct",
-    "recovered_pct",
-    "navigation_coverage_1sd_pct",
-    "navigation_coverage_2sd_pct",
-    "navigation_sd_mm",
-];
 /// Largest relative difference of two sums of the same numbers that were written and read again.
 const ROUNDING: f64 = 1e-9;
 /// More than any image that this program reads can have, in dB: what a frame that equals the truth may count as.
@@ -47,11 +24,12 @@ pub fn check_means(cell: &CellScore) -> Result<()> {
         return refused("frames", sentence);
     }
     for metric in &cell.metrics {
-        let wrong = match metric.metric.as_str() {
-            id if FRAME_WISE.contains(&id) => wrong_mean(cell, metric),
-            "phase_pearson_r" => wrong_correlation(cell, metric),
-            "time_per_frame_s" => wrong_time(cell, metric),
-            _ => None,
+        let Some(known) = registry::metric(&metric.metric) else { continue };
+        let wrong = match known.trace {
+            _ if known.is_frame_wise() => wrong_mean(cell, metric),
+            Trace::Phases => wrong_correlation(cell, metric),
+            Trace::TotalTime => wrong_time(cell, metric),
+            Trace::None => None,
         };
         if let Some(sentence) = wrong {
             return refused(&metric.metric, sentence);
@@ -151,8 +129,11 @@ mod tests {
     fn every_number_that_follows_from_the_frames_is_held_to_them() {
         let honest = scored();
         check_means(&honest).unwrap();
-        for id in FRAME_WISE.iter().chain(&["phase_pearson_r", "time_per_frame_s"]) {
-            let place = honest.metrics.iter().position(|m| m.metric == *id).unwrap();
+        let held: Vec<&str> =
+            (registry().iter()).filter(|m| m.is_frame_wise() || m.trace != Trace::None).map(|m| m.id).collect();
+        assert_eq!(held.len(), 25, "{held:?}");
+        for id in held {
+            let place = honest.metrics.iter().position(|m| m.metric == id).unwrap();
             let value = honest.metrics[place].value.unwrap_or_else(|| panic!("{id} has no value"));
             let mut edited = honest.clone();
             edited.metrics[place].value = Some(value * 1.001 + 1e-3);

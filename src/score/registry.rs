@@ -1,196 +1,21 @@
-//! The one place that knows a metric's name, unit, direction, definition and range. Tables, plots, CSV columns, the
-//! gate and `explain` all read from here; `docs/metrics.md` says the same in prose.
+//! The one place that knows a metric: its name, unit, direction, definition, range, what it needs of a prediction and
+//! how it is computed. Tables, plots, CSV columns, scoring, `check`, the gate and `explain` all read from here;
+//! `docs/metrics.md` says the same in prose.
 
-use serde::Serialize;
+use super::measures;
+use super::metric::Computation::{Film, Frames};
+use super::metric::Goal::{Higher, Lower};
+use super::metric::{Computation, Goal, Group, Metric, Needs, Split, Standing, Trace};
 
-/// Which way a metric gets better.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Goal {
-    /// Larger is better.
-    Higher,
-    /// Smaller is better.
-    Lower,
-}
-
-impl Goal {
-    /// `higher` or `lower`, as in `results.csv`.
-    pub fn word(self) -> &'static str {
-        match self {
-            Goal::Higher => "higher",
-            Goal::Lower => "lower",
-        }
-    }
-
-    /// True when `a` is strictly better than `b`. False as soon as one of them is not a number.
-    pub fn better(self, a: f64, b: f64) -> bool {
-        match self {
-            Goal::Higher => a > b,
-            Goal::Lower => a < b,
-        }
-    }
-
-    /// How much worse `value` is than `reference`, in the metric's unit; negative when it is better.
-    pub fn loss(self, value: f64, reference: f64) -> f64 {
-        match self {
-            Goal::Higher => reference - value,
-            Goal::Lower => value - reference,
-        }
-    }
-}
-
-/// The paper's column groups (its Table 1), and navigation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Group {
-    /// PSNR, SSIM.
-    Rendering,
-    /// RMSE, delta < 1.25.
-    Depth,
-    /// Phase MAE and correlation.
-    Breathing,
-    /// Contour and target error at the final frame.
-    Target,
-    /// Targets in the camera's axes.
-    Navigation,
-    /// Seconds.
-    Runtime,
-}
-
-impl Group {
-    /// Heading in tables.
-    pub fn title(self) -> &'static str {
-        match self {
-            Group::Rendering => "Rendering",
-            Group::Depth => "Depth",
-            Group::Breathing => "Breathing",
-            Group::Target => "Target",
-            Group::Navigation => "Navigation",
-            Group::Runtime => "Runtime",
-        }
-    }
-}
-
-/// Whether a metric is one of the paper's ten columns.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Standing {
-    /// A column of the paper's Table 1 and of `comparison.csv`.
-    Paper,
-    /// An addition of ours.
-    Extra,
-}
-
-/// The frames over which the number is taken.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Split {
-    /// Every frame, rendered after it was fitted (the paper's protocol).
-    Online,
-    /// Every eighth frame, rendered before the method read its image.
-    Ahead,
-    /// Every eighth frame, seen by a second camera whose picture no method is given.
-    Novel,
-    /// The last frame alone.
-    Final,
-}
-
-impl Split {
-    /// As in `results.csv`.
-    pub fn word(self) -> &'static str {
-        match self {
-            Split::Online => "online",
-            Split::Ahead => "ahead",
-            Split::Novel => "novel",
-            Split::Final => "final",
-        }
-    }
-}
-
-/// One metric.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Metric {
-    /// Name in every file.
-    pub id: &'static str,
-    /// Short heading in tables.
-    pub label: &'static str,
-    /// Unit; empty for a pure number.
-    pub unit: &'static str,
-    /// Which way is better.
-    pub direction: Goal,
-    /// What it is, in full.
-    pub definition: &'static str,
-    /// Goes up when the definition changes; results of different versions are never compared.
-    pub version: u32,
-    /// Lowest and highest value it can take (`null` in JSON: unbounded).
-    pub range: [Option<f64>; 2],
-    /// Its value when truth itself is the prediction; `None` for PSNR (status `identical` or `copied`), and where the truth has none
-    /// (times, error bars).
-    pub perfect: Option<f64>,
-    /// Decimals in tables.
-    pub digits: usize,
-    /// Column group.
-    pub group: Group,
-    /// One of the paper's columns or an extra.
-    pub standing: Standing,
-    /// The frames over which it is taken.
-    pub split: Split,
-    /// To which predictions it applies.
-    pub applies_to: &'static str,
-}
-
-impl Metric {
-    /// `id/version`, the `definition` column of `results.csv`.
-    pub fn definition_id(&self) -> String {
-        format!("{}/{}", self.id, self.version)
-    }
-
-    /// Heading with unit: `Depth RMSE [mm]`.
-    pub fn heading(&self) -> String {
-        if self.unit.is_empty() { self.label.to_owned() } else { format!("{} [{}]", self.label, self.unit) }
-    }
-
-    /// The metric of the same pictures, depths or phases that tells whether they equal the truth: a share of pixels that
-    /// are near enough does not, nor would an SSIM of nearly 1. `None` where it tells itself.
-    pub fn told_by(&self) -> Option<&'static Metric> {
-        metric(match self.id {
-            "ssim" | "ssim_padded" => "psnr_db",
-            "novel_ssim" => "novel_psnr_db",
-            "depth_delta_1_25" => "depth_rmse_mm",
-            "novel_depth_delta_1_25" => "novel_depth_rmse_mm",
-            "phase_pearson_r" => "phase_mae",
-            _ => return None,
-        })
-    }
-
-    /// Times differ from run to run and stay out of `results.csv`.
-    pub fn is_runtime(&self) -> bool {
-        self.group == Group::Runtime
-    }
-
-    /// `value` with the metric's decimals.
-    pub fn format(&self, value: f64) -> String {
-        format!("{value:.*}", self.digits)
-    }
-}
-
-// The predictions to which a metric applies, in words.
-const ALL: &str = "every prediction";
-const WITH_DEPTH: &str = "predictions with depth images";
-const WITH_PHASE: &str = "predictions with phase.csv: methods that model the respiratory state";
-const WITH_PHASE_SD: &str = "predictions whose phase.csv states phase_sd in every row";
-const WITH_MESH: &str = "predictions with mesh/final.ply: methods that keep an explicit surface";
-const WITH_POSES: &str = "methods that estimate poses";
-const WITH_NOVEL: &str = "predictions with novel/NNNNNN.png for every second camera";
-const WITH_NOVEL_DEPTH: &str = "predictions with novel_depth/ for every second camera";
-const WITH_TARGETS: &str = "predictions with targets.csv";
-const WITH_TARGETS_AND_DISTURBANCES: &str =
-    "predictions with targets.csv, of films with a cough or a touch of the wall";
-const WITH_TARGET_COVARIANCE: &str = "predictions with target_covariance.csv";
-const WITH_CPU_TIME: &str = "predictions with time_cpu_s in timing.json";
-const WITH_TIME: &str = "predictions with timing.json";
-
-const fn base(id: &'static str, label: &'static str, unit: &'static str, direction: Goal, group: Group) -> Metric {
+/// A metric as most are, with a first definition and in the online frames. There is none without a computation.
+const fn base(
+    id: &'static str,
+    label: &'static str,
+    unit: &'static str,
+    direction: Goal,
+    group: Group,
+    computation: Computation,
+) -> Metric {
     Metric {
         id,
         label,
@@ -204,7 +29,10 @@ const fn base(id: &'static str, label: &'static str, unit: &'static str, directi
         group,
         standing: Standing::Extra,
         split: Split::Online,
-        applies_to: ALL,
+        applies_to: Needs::Pictures,
+        computation,
+        trace: Trace::None,
+        told_by: None,
     }
 }
 
@@ -216,7 +44,7 @@ static REGISTRY: &[Metric] = &[
             or nearly (above 65 dB), there is no value, status `copied`: no estimate equals it, noise and all.",
         perfect: None,
         standing: Standing::Paper,
-        ..base("psnr_db", "PSNR", "dB", Goal::Higher, Group::Rendering)
+        ..base("psnr_db", "PSNR", "dB", Higher, Group::Rendering, Frames(measures::psnr, measures::mean_psnr))
     },
     Metric {
         definition: "Structural similarity per frame on encoded sRGB in [0, 1], per channel: Gaussian window 11x11 with sigma \
@@ -227,7 +55,8 @@ static REGISTRY: &[Metric] = &[
         perfect: Some(1.0),
         digits: 3,
         standing: Standing::Paper,
-        ..base("ssim", "SSIM", "", Goal::Higher, Group::Rendering)
+        told_by: Some("psnr_db"),
+        ..base("ssim", "SSIM", "", Higher, Group::Rendering, Frames(measures::ssim, measures::mean_ssim))
     },
     Metric {
         definition: "Root mean square of predicted minus true z-depth per frame over the pixels whose true depth is above 0, \
@@ -236,8 +65,15 @@ static REGISTRY: &[Metric] = &[
         version: 2,
         digits: 2,
         standing: Standing::Paper,
-        applies_to: WITH_DEPTH,
-        ..base("depth_rmse_mm", "Depth RMSE", "mm", Goal::Lower, Group::Depth)
+        applies_to: Needs::Depth,
+        ..base(
+            "depth_rmse_mm",
+            "Depth RMSE",
+            "mm",
+            Lower,
+            Group::Depth,
+            Frames(measures::depth_rmse, measures::mean_depth),
+        )
     },
     Metric {
         definition: "Share of the pixels with true depth above 0 where max(predicted / true, true / predicted) < 1.25, per \
@@ -246,15 +82,23 @@ static REGISTRY: &[Metric] = &[
         perfect: Some(1.0),
         digits: 3,
         standing: Standing::Paper,
-        applies_to: WITH_DEPTH,
-        ..base("depth_delta_1_25", "δ<1.25", "", Goal::Higher, Group::Depth)
+        applies_to: Needs::Depth,
+        told_by: Some("depth_rmse_mm"),
+        ..base(
+            "depth_delta_1_25",
+            "δ<1.25",
+            "",
+            Higher,
+            Group::Depth,
+            Frames(measures::depth_delta, measures::mean_depth),
+        )
     },
     Metric {
         definition: "Mean over all frames of |predicted phase - true phase|; phase 0 is full inspiration, 1 full expiration.",
         digits: 3,
         standing: Standing::Paper,
-        applies_to: WITH_PHASE,
-        ..base("phase_mae", "Phase MAE", "", Goal::Lower, Group::Breathing)
+        applies_to: Needs::Phase,
+        ..base("phase_mae", "Phase MAE", "", Lower, Group::Breathing, Frames(measures::phase_error, measures::mean))
     },
     Metric {
         definition: "Pearson correlation of predicted and true phase over all frames. A trajectory without variance has none: \
@@ -263,21 +107,30 @@ static REGISTRY: &[Metric] = &[
         perfect: Some(1.0),
         digits: 3,
         standing: Standing::Paper,
-        applies_to: WITH_PHASE,
-        ..base("phase_pearson_r", "Pearson r", "", Goal::Higher, Group::Breathing)
+        applies_to: Needs::Phase,
+        trace: Trace::Phases,
+        told_by: Some("phase_mae"),
+        ..base("phase_pearson_r", "Pearson r", "", Higher, Group::Breathing, Film(measures::phase_correlation))
     },
     Metric {
         definition: "Distance between predicted and true centre of the camera, mean over all frames.",
         digits: 2,
-        applies_to: WITH_POSES,
-        ..base("pose_error_mm", "Pose", "mm", Goal::Lower, Group::Breathing)
+        applies_to: Needs::Poses,
+        ..base("pose_error_mm", "Pose", "mm", Lower, Group::Breathing, Frames(measures::pose_distance, measures::mean))
     },
     Metric {
         definition: "Angle of the rotation between predicted and true orientation of the camera, mean over all frames.",
         range: [Some(0.0), Some(180.0)],
         digits: 2,
-        applies_to: WITH_POSES,
-        ..base("pose_error_deg", "Pose angle", "deg", Goal::Lower, Group::Breathing)
+        applies_to: Needs::Poses,
+        ..base(
+            "pose_error_deg",
+            "Pose angle",
+            "deg",
+            Lower,
+            Group::Breathing,
+            Frames(measures::pose_angle, measures::mean),
+        )
     },
     Metric {
         definition: "True and predicted surface at the last frame are cut by the plane through the last camera's centre, normal \
@@ -290,8 +143,8 @@ static REGISTRY: &[Metric] = &[
         version: 3,
         standing: Standing::Paper,
         split: Split::Final,
-        applies_to: WITH_MESH,
-        ..base("contour_rmse_mm", "Contour RMSE", "mm", Goal::Lower, Group::Target)
+        applies_to: Needs::Surface,
+        ..base("contour_rmse_mm", "Contour RMSE", "mm", Lower, Group::Target, Film(measures::contour))
     },
     Metric {
         definition: "Distance in 3D between one vertex of the true contour (see contour_rmse_mm; chosen by seed, the same for \
@@ -301,32 +154,40 @@ static REGISTRY: &[Metric] = &[
         version: 2,
         standing: Standing::Paper,
         split: Split::Final,
-        applies_to: WITH_MESH,
-        ..base("target_error_mm", "Target error", "mm", Goal::Lower, Group::Target)
+        applies_to: Needs::Surface,
+        ..base("target_error_mm", "Target error", "mm", Lower, Group::Target, Film(measures::target))
     },
     Metric {
         definition: "Wall time of the method alone for all frames: no reading, writing or scoring.",
         perfect: None,
         digits: 1,
         standing: Standing::Paper,
-        applies_to: WITH_TIME,
-        ..base("time_total_s", "Time", "s", Goal::Lower, Group::Runtime)
+        applies_to: Needs::Time,
+        ..base("time_total_s", "Time", "s", Lower, Group::Runtime, Film(measures::time_total))
     },
     Metric {
         definition: "time_total_s divided by the number of frames.",
         perfect: None,
         digits: 3,
         standing: Standing::Paper,
-        applies_to: WITH_TIME,
-        ..base("time_per_frame_s", "Time per frame", "s", Goal::Lower, Group::Runtime)
+        applies_to: Needs::Time,
+        trace: Trace::TotalTime,
+        ..base("time_per_frame_s", "Time per frame", "s", Lower, Group::Runtime, Film(measures::time_per_frame))
     },
     Metric {
         definition: "psnr_db over the views of the second cameras, whose pictures no method is given: rendered after the frame \
             of the same instant was fitted, from novel/NNNNNN.png.",
         perfect: None,
         split: Split::Novel,
-        applies_to: WITH_NOVEL,
-        ..base("novel_psnr_db", "Novel PSNR", "dB", Goal::Higher, Group::Rendering)
+        applies_to: Needs::Novel,
+        ..base(
+            "novel_psnr_db",
+            "Novel PSNR",
+            "dB",
+            Higher,
+            Group::Rendering,
+            Frames(measures::novel_psnr, measures::mean_novel_psnr),
+        )
     },
     Metric {
         definition: "ssim over the views of the second cameras.",
@@ -334,14 +195,29 @@ static REGISTRY: &[Metric] = &[
         perfect: Some(1.0),
         digits: 3,
         split: Split::Novel,
-        applies_to: WITH_NOVEL,
-        ..base("novel_ssim", "Novel SSIM", "", Goal::Higher, Group::Rendering)
+        applies_to: Needs::Novel,
+        told_by: Some("novel_psnr_db"),
+        ..base(
+            "novel_ssim",
+            "Novel SSIM",
+            "",
+            Higher,
+            Group::Rendering,
+            Frames(measures::novel_ssim, measures::mean_novel_ssim),
+        )
     },
     Metric {
         definition: "depth_rmse_mm over the views of the second cameras, from novel_depth/.",
         split: Split::Novel,
-        applies_to: WITH_NOVEL_DEPTH,
-        ..base("novel_depth_rmse_mm", "Novel depth RMSE", "mm", Goal::Lower, Group::Depth)
+        applies_to: Needs::NovelDepth,
+        ..base(
+            "novel_depth_rmse_mm",
+            "Novel depth RMSE",
+            "mm",
+            Lower,
+            Group::Depth,
+            Frames(measures::novel_depth_rmse, measures::mean_depth),
+        )
     },
     Metric {
         definition: "depth_delta_1_25 over the views of the second cameras, from novel_depth/.",
@@ -349,27 +225,49 @@ static REGISTRY: &[Metric] = &[
         perfect: Some(1.0),
         digits: 3,
         split: Split::Novel,
-        applies_to: WITH_NOVEL_DEPTH,
-        ..base("novel_depth_delta_1_25", "Novel δ<1.25", "", Goal::Higher, Group::Depth)
+        applies_to: Needs::NovelDepth,
+        told_by: Some("novel_depth_rmse_mm"),
+        ..base(
+            "novel_depth_delta_1_25",
+            "Novel δ<1.25",
+            "",
+            Higher,
+            Group::Depth,
+            Frames(measures::novel_depth_delta, measures::mean_depth),
+        )
     },
     Metric {
         definition: "Distance between predicted and true place of the navigation targets (peripheral branch tips, and points of \
             the tissue a centimetre beside them, planned on the inspiration CT and carried by the true motion), mean over all \
             frames and targets.",
-        applies_to: WITH_TARGETS,
-        ..base("target_mean_mm", "Target, all frames", "mm", Goal::Lower, Group::Target)
+        applies_to: Needs::Targets,
+        ..base(
+            "target_mean_mm",
+            "Target, all frames",
+            "mm",
+            Lower,
+            Group::Target,
+            Frames(measures::targets_distance, measures::mean),
+        )
     },
     Metric {
         definition: "95th percentile (linear between ranks) over all frames and targets of the distance of target_mean_mm.",
-        applies_to: WITH_TARGETS,
-        ..base("target_p95_mm", "Target p95, all frames", "mm", Goal::Lower, Group::Target)
+        applies_to: Needs::Targets,
+        ..base("target_p95_mm", "Target p95, all frames", "mm", Lower, Group::Target, Film(measures::targets_p95))
     },
     Metric {
         definition: "psnr_db over the frames rendered before their image was looked at (every eighth), from ahead/NNNNNN.png.",
         perfect: None,
         split: Split::Ahead,
-        applies_to: "predictions with an ahead folder",
-        ..base("psnr_ahead_db", "PSNR ahead", "dB", Goal::Higher, Group::Rendering)
+        applies_to: Needs::Ahead,
+        ..base(
+            "psnr_ahead_db",
+            "PSNR ahead",
+            "dB",
+            Higher,
+            Group::Rendering,
+            Frames(measures::psnr_ahead, measures::mean_psnr_ahead),
+        )
     },
     Metric {
         definition: "As ssim, but averaged over all pixels with zeros outside the image, as the Gaussian-splatting code bases \
@@ -377,15 +275,16 @@ static REGISTRY: &[Metric] = &[
         range: [Some(-1.0), Some(1.0)],
         perfect: Some(1.0),
         digits: 3,
-        ..base("ssim_padded", "SSIM zero-padded", "", Goal::Higher, Group::Rendering)
+        told_by: Some("psnr_db"),
+        ..base("ssim_padded", "SSIM zero-padded", "", Higher, Group::Rendering, Film(measures::ssim_padded))
     },
     Metric {
         definition: "Share of the pixels with true depth above 0 for which a depth was predicted, mean over frames.",
         range: [Some(0.0), Some(1.0)],
         perfect: Some(1.0),
         digits: 3,
-        applies_to: WITH_DEPTH,
-        ..base("depth_coverage", "Depth coverage", "", Goal::Higher, Group::Depth)
+        applies_to: Needs::Depth,
+        ..base("depth_coverage", "Depth coverage", "", Higher, Group::Depth, Film(measures::depth_coverage))
     },
     Metric {
         definition: "Share of the frames whose error of the phase is at most one standard deviation as stated in phase.csv, \
@@ -394,73 +293,115 @@ static REGISTRY: &[Metric] = &[
         range: [Some(0.0), Some(100.0)],
         perfect: None,
         digits: 1,
-        applies_to: WITH_PHASE_SD,
-        ..base("phase_coverage_1sd_pct", "Within 1 sd", "%", Goal::Higher, Group::Breathing)
+        applies_to: Needs::PhaseDeviation,
+        ..base(
+            "phase_coverage_1sd_pct",
+            "Within 1 sd",
+            "%",
+            Higher,
+            Group::Breathing,
+            Frames(measures::phase_within_1sd, measures::mean),
+        )
     },
     Metric {
         definition: "As phase_coverage_1sd_pct, for two standard deviations; 95 where the error bars are right.",
         range: [Some(0.0), Some(100.0)],
         perfect: None,
         digits: 1,
-        applies_to: WITH_PHASE_SD,
-        ..base("phase_coverage_2sd_pct", "Within 2 sd", "%", Goal::Higher, Group::Breathing)
+        applies_to: Needs::PhaseDeviation,
+        ..base(
+            "phase_coverage_2sd_pct",
+            "Within 2 sd",
+            "%",
+            Higher,
+            Group::Breathing,
+            Frames(measures::phase_within_2sd, measures::mean),
+        )
     },
     Metric {
         definition: "Mean over all frames of the standard deviation of the phase as stated in phase.csv.",
         perfect: None,
         digits: 3,
-        applies_to: WITH_PHASE_SD,
-        ..base("phase_sd_mean", "Phase sd", "", Goal::Lower, Group::Breathing)
+        applies_to: Needs::PhaseDeviation,
+        ..base(
+            "phase_sd_mean",
+            "Phase sd",
+            "",
+            Lower,
+            Group::Breathing,
+            Frames(measures::phase_deviation, measures::mean),
+        )
     },
     Metric {
         definition: "CPU seconds of the method alone for all frames, of all its threads, user and system; measured for this \
             program's methods, stated by others.",
         perfect: None,
         digits: 1,
-        applies_to: WITH_CPU_TIME,
-        ..base("time_cpu_s", "CPU time", "s", Goal::Lower, Group::Runtime)
+        applies_to: Needs::CpuTime,
+        ..base("time_cpu_s", "CPU time", "s", Lower, Group::Runtime, Film(measures::time_cpu))
     },
     Metric {
         definition: "Mean over all vertices of the true contour of the error that target_error_mm takes at one of them.",
         version: 2,
         split: Split::Final,
-        applies_to: WITH_MESH,
-        ..base("target_error_mean_mm", "Target error mean", "mm", Goal::Lower, Group::Target)
+        applies_to: Needs::Surface,
+        ..base("target_error_mean_mm", "Target error mean", "mm", Lower, Group::Target, Film(measures::target_mean))
     },
     Metric {
         definition: "95th percentile (linear between ranks) over all vertices of the true contour of the error that \
             target_error_mm takes at one of them.",
         version: 2,
         split: Split::Final,
-        applies_to: WITH_MESH,
-        ..base("target_error_p95_mm", "Target error p95", "mm", Goal::Lower, Group::Target)
+        applies_to: Needs::Surface,
+        ..base("target_error_p95_mm", "Target error p95", "mm", Lower, Group::Target, Film(measures::target_p95))
     },
     Metric {
         definition: "Distance between predicted and true place of the targets of target_mean_mm in the camera's axes, mean over \
             all frames and targets: with the predicted pose (poses.csv; the told one without it) the predicted place, with \
             the true pose the true one, so that errors of pose and deformation count together.",
-        applies_to: WITH_TARGETS,
-        ..base("navigation_error_mm", "Navigation", "mm", Goal::Lower, Group::Navigation)
+        applies_to: Needs::Targets,
+        ..base(
+            "navigation_error_mm",
+            "Navigation",
+            "mm",
+            Lower,
+            Group::Navigation,
+            Frames(measures::navigation_error, measures::mean),
+        )
     },
     Metric {
         definition: "95th percentile (linear between ranks) over all frames and targets of the distance of navigation_error_mm.",
-        applies_to: WITH_TARGETS,
-        ..base("navigation_error_p95_mm", "Navigation p95", "mm", Goal::Lower, Group::Navigation)
+        applies_to: Needs::Targets,
+        ..base(
+            "navigation_error_p95_mm",
+            "Navigation p95",
+            "mm",
+            Lower,
+            Group::Navigation,
+            Film(measures::navigation_p95),
+        )
     },
     Metric {
         definition: "Share of the frames whose navigation error, mean over targets, is more than 5 mm, in percent.",
         range: [Some(0.0), Some(100.0)],
         digits: 1,
-        applies_to: WITH_TARGETS,
-        ..base("lost_pct", "Lost", "%", Goal::Lower, Group::Navigation)
+        applies_to: Needs::Targets,
+        ..base("lost_pct", "Lost", "%", Lower, Group::Navigation, Frames(measures::lost, measures::mean))
     },
     Metric {
         definition: "Share of the frames that are lost (lost_pct) while the error bar that the method states for them \
             (square root of the trace of target_covariance.csv, mean over targets) is below 2.5 mm, in percent.",
         range: [Some(0.0), Some(100.0)],
         digits: 1,
-        applies_to: WITH_TARGET_COVARIANCE,
-        ..base("silent_pct", "Lost in silence", "%", Goal::Lower, Group::Navigation)
+        applies_to: Needs::TargetCovariance,
+        ..base(
+            "silent_pct",
+            "Lost in silence",
+            "%",
+            Lower,
+            Group::Navigation,
+            Frames(measures::lost_in_silence, measures::mean),
+        )
     },
     Metric {
         definition: "Share of the coughs and touches of the wall (stretches of frames in which clinical.csv has an effort or a \
@@ -470,8 +411,15 @@ static REGISTRY: &[Metric] = &[
         range: [Some(0.0), Some(100.0)],
         perfect: Some(100.0),
         digits: 1,
-        applies_to: WITH_TARGETS_AND_DISTURBANCES,
-        ..base("recovered_pct", "Found again", "%", Goal::Higher, Group::Navigation)
+        applies_to: Needs::DisturbedTargets,
+        ..base(
+            "recovered_pct",
+            "Found again",
+            "%",
+            Higher,
+            Group::Navigation,
+            Frames(measures::recovered, measures::mean),
+        )
     },
     Metric {
         definition: "Share of the targets' coordinates in the camera's axes, over all frames, that are off by at most one \
@@ -480,23 +428,44 @@ static REGISTRY: &[Metric] = &[
         range: [Some(0.0), Some(100.0)],
         perfect: None,
         digits: 1,
-        applies_to: WITH_TARGET_COVARIANCE,
-        ..base("navigation_coverage_1sd_pct", "Navigation within 1 sd", "%", Goal::Higher, Group::Navigation)
+        applies_to: Needs::TargetCovariance,
+        ..base(
+            "navigation_coverage_1sd_pct",
+            "Navigation within 1 sd",
+            "%",
+            Higher,
+            Group::Navigation,
+            Frames(measures::navigation_within_1sd, measures::mean),
+        )
     },
     Metric {
         definition: "As navigation_coverage_1sd_pct, for two standard deviations; 95 where the error bars are right.",
         range: [Some(0.0), Some(100.0)],
         perfect: None,
         digits: 1,
-        applies_to: WITH_TARGET_COVARIANCE,
-        ..base("navigation_coverage_2sd_pct", "Navigation within 2 sd", "%", Goal::Higher, Group::Navigation)
+        applies_to: Needs::TargetCovariance,
+        ..base(
+            "navigation_coverage_2sd_pct",
+            "Navigation within 2 sd",
+            "%",
+            Higher,
+            Group::Navigation,
+            Frames(measures::navigation_within_2sd, measures::mean),
+        )
     },
     Metric {
         definition: "Error bar of a target's place in the camera's axes: square root of the trace of its covariance as stated \
             in target_covariance.csv, mean over all frames and targets.",
         perfect: None,
-        applies_to: WITH_TARGET_COVARIANCE,
-        ..base("navigation_sd_mm", "Navigation sd", "mm", Goal::Lower, Group::Navigation)
+        applies_to: Needs::TargetCovariance,
+        ..base(
+            "navigation_sd_mm",
+            "Navigation sd",
+            "mm",
+            Lower,
+            Group::Navigation,
+            Frames(measures::navigation_bar, measures::mean),
+        )
     },
 ];
 
@@ -545,6 +514,12 @@ pub fn paper_metrics() -> impl Iterator<Item = &'static Metric> {
     REGISTRY.iter().filter(|m| m.standing == Standing::Paper)
 }
 
+/// The metric that tells whether the pictures, depths or phases of `m` equal the truth ([`Metric::told_by`]); `None`
+/// where it tells itself.
+pub fn told_by(m: &Metric) -> Option<&'static Metric> {
+    m.told_by.and_then(metric)
+}
+
 /// The metric called `id`.
 pub fn metric(id: &str) -> Option<&'static Metric> {
     REGISTRY.iter().find(|m| m.id == id)
@@ -580,15 +555,16 @@ mod tests {
         for (index, m) in registry().iter().enumerate() {
             assert!(registry()[..index].iter().all(|other| other.id != m.id));
             assert!(m.definition.len() > 20 && m.definition.ends_with('.'), "{}", m.id);
+            assert_eq!(told_by(m).map(|other| other.id), m.told_by, "{}", m.id);
         }
     }
 
     #[test]
     fn a_value_that_is_no_number_is_never_better() {
-        for direction in [Goal::Higher, Goal::Lower] {
+        for direction in [Higher, Lower] {
             assert!(!direction.better(f64::NAN, 1.0) && !direction.better(1.0, f64::NAN));
         }
-        assert_eq!(Goal::Higher.loss(20.0, 21.0), 1.0);
-        assert_eq!(Goal::Lower.loss(20.0, 21.0), -1.0);
+        assert_eq!(Higher.loss(20.0, 21.0), 1.0);
+        assert_eq!(Lower.loss(20.0, 21.0), -1.0);
     }
 }

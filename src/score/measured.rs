@@ -1,0 +1,209 @@
+//! What is measured on a prediction before any metric is computed: every picture, depth, phase, pose and target beside
+//! the truth's.
+
+use glam::{DAffine3, DQuat, DVec3};
+use rayon::prelude::*;
+
+use super::contour::{TargetErrors, target_errors};
+use super::correspondence;
+use super::depth::{DepthErrors, depth_errors};
+use super::image_quality::{Psnr, Ssim, psnr_ceiling, psnr_within, ssim_within};
+use super::navigation::{NavigationFrame, navigation_errors};
+use super::prediction::Prediction;
+use super::truth::{Truth, final_mesh};
+use crate::base::{Error, Image, Mask, Result};
+
+/// All that metrics are computed from.
+pub struct Measured<'a> {
+    /// The film.
+    pub truth: &'a dyn Truth,
+    /// What is scored.
+    pub prediction: &'a Prediction,
+    /// Of each frame.
+    pub pictures: Vec<FrameMeasurement>,
+    /// Of each second camera, in the order of the film's.
+    pub novel: Vec<NovelMeasurement>,
+    /// Distance in mm of each predicted target to the true one, per frame; empty without a prediction.
+    pub distances_mm: Vec<Vec<f64>>,
+    /// Errors in the camera's axes, per frame; empty without predicted targets.
+    pub navigation: Vec<NavigationFrame>,
+    /// Surface and target at the last frame.
+    pub target: TargetOutcome,
+    /// PSNR in dB that a frame which equals the truth counts with beside others.
+    pub ceiling_db: f64,
+    /// Seed of the target vertex, and of the intervals.
+    pub seed: u64,
+}
+
+/// What was measured of one frame.
+#[derive(Clone, Copy)]
+pub struct MeasuredFrame<'a> {
+    /// Picture, depth, phase and pose.
+    pub picture: &'a FrameMeasurement,
+    /// The view of its second camera, where it has one.
+    pub novel: Option<&'a NovelMeasurement>,
+    /// Distance in mm of each predicted target to the true one; empty without a prediction.
+    pub distances_mm: &'a [f64],
+    /// Errors in the camera's axes, where targets are predicted.
+    pub navigation: Option<&'a NavigationFrame>,
+}
+
+/// Everything measured on one frame.
+pub struct FrameMeasurement {
+    /// Of the picture.
+    pub psnr: Psnr,
+    /// Of the picture that was rendered before the frame's own was read, where there is one.
+    pub psnr_ahead: Option<Psnr>,
+    /// Of the picture.
+    pub ssim: Ssim,
+    /// `None`: no depth predicted. `Some(None)`: the frame has no true depth.
+    pub depth: Option<Option<DepthErrors>>,
+    /// Predicted minus true phase, without its sign.
+    pub phase_error: Option<f64>,
+    /// Standard deviation that the prediction states of its phase.
+    pub phase_sd: Option<f64>,
+    /// mm, degrees.
+    pub pose_error: Option<[f64; 2]>,
+}
+
+/// What is measured on the view of a second camera.
+pub struct NovelMeasurement {
+    /// Of the picture; `None` where there is none.
+    pub psnr: Option<Psnr>,
+    /// Of the picture; `None` where there is none.
+    pub ssim: Option<Ssim>,
+    /// As in [`FrameMeasurement`].
+    pub depth: Option<Option<DepthErrors>>,
+}
+
+/// The outcome of the target metrics.
+pub enum TargetOutcome {
+    /// The prediction has no surface.
+    NoSurface,
+    /// The truth has no contour around the camera.
+    NoTrueContour,
+    /// Both have one.
+    Measured(Box<TargetErrors>),
+}
+
+impl<'a> Measured<'a> {
+    /// Measures every frame of the film, which has some.
+    ///
+    /// Errors: a file of either folder that is damaged or has another size.
+    pub fn of(truth: &'a dyn Truth, prediction: &'a Prediction, seed: u64) -> Result<Self> {
+        let mask = truth.mask()?;
+        let pixels = truth.camera().width as usize * truth.camera().height as usize;
+        let pixels = mask.as_ref().map_or(pixels, Mask::count);
+        Ok(Measured {
+            truth,
+            prediction,
+            pictures: (0..truth.frames().len())
+                .into_par_iter()
+                .map(|frame| measure(truth, prediction, mask.as_ref(), frame))
+                .collect::<Result<_>>()?,
+            novel: (truth.novel_views().par_iter())
+                .map(|view| measure_novel(truth, prediction, mask.as_ref(), view.frame))
+                .collect::<Result<_>>()?,
+            distances_mm: target_distances(truth, prediction),
+            navigation: navigation_errors(truth, prediction)?,
+            target: target(truth, prediction, seed)?,
+            ceiling_db: psnr_ceiling(pixels * 3),
+            seed,
+        })
+    }
+
+    /// Every frame, in order.
+    pub fn frames(&self) -> impl Iterator<Item = MeasuredFrame<'_>> {
+        (0..self.pictures.len()).map(|frame| {
+            let view = self.truth.novel_views().iter().position(|view| view.frame == frame);
+            MeasuredFrame {
+                picture: &self.pictures[frame],
+                novel: view.map(|view| &self.novel[view]),
+                distances_mm: self.distances_mm.get(frame).map_or(&[], Vec::as_slice),
+                navigation: self.navigation.get(frame),
+            }
+        })
+    }
+}
+
+fn measure(truth: &dyn Truth, prediction: &Prediction, mask: Option<&Mask>, frame: usize) -> Result<FrameMeasurement> {
+    let image = truth.image(frame)?;
+    let color = prediction.color(frame)?;
+    if !color.same_shape(&image) {
+        return Err(Error::input(format!(
+            "image of frame {frame} of case {} is not of the camera's size",
+            truth.case_id()
+        )));
+    }
+    let psnr_ahead = match prediction.ahead_frames().binary_search(&frame) {
+        Ok(_) => Some(psnr_within(&prediction.ahead(frame)?, &image, mask)),
+        Err(_) => None,
+    };
+    let depth = match prediction.depth_mm(frame)? {
+        Some(depth) => Some(depth_within(&depth, truth.depth_mm(frame)?, mask)),
+        None => None,
+    };
+    let phase_error = prediction.phase().map(|p| (p[frame] - truth.frames()[frame].phase).abs());
+    let phase_sd = prediction.phase_sd().map(|sd| sd[frame]);
+    let pose_error = prediction.poses().map(|p| pose_error(&p[frame], &truth.frames()[frame].world_from_camera));
+    let (psnr, ssim) = (psnr_within(&color, &image, mask), ssim_within(&color, &image, mask)?);
+    Ok(FrameMeasurement { psnr, psnr_ahead, ssim, depth, phase_error, phase_sd, pose_error })
+}
+
+fn measure_novel(
+    truth: &dyn Truth,
+    prediction: &Prediction,
+    mask: Option<&Mask>,
+    frame: usize,
+) -> Result<NovelMeasurement> {
+    let (mut psnr, mut ssim) = (None, None);
+    if prediction.has_novel_views() {
+        let (image, color) = (truth.novel_image(frame)?, prediction.novel(frame)?);
+        (psnr, ssim) = (Some(psnr_within(&color, &image, mask)), Some(ssim_within(&color, &image, mask)?));
+    }
+    let depth = prediction.novel_depth_mm(frame)?;
+    let depth = depth.map(|depth| Ok(depth_within(&depth, truth.novel_depth_mm(frame)?, mask))).transpose()?;
+    Ok(NovelMeasurement { psnr, ssim, depth })
+}
+
+/// Depth errors where the mask shows something: pixels without true depth do not count.
+fn depth_within(depth: &Image<f32>, mut true_depth: Image<f32>, mask: Option<&Mask>) -> Option<DepthErrors> {
+    if let Some(mask) = mask {
+        mask.hide(&mut true_depth, 0.0);
+    }
+    depth_errors(depth, &true_depth)
+}
+
+/// Distance in mm of each predicted target to the true one, per frame; empty without a prediction.
+fn target_distances(truth: &dyn Truth, prediction: &Prediction) -> Vec<Vec<f64>> {
+    let count = truth.targets().len();
+    let of_frame = |(frame, places): (usize, &Vec<DVec3>)| {
+        let off = |(index, place): (usize, &DVec3)| place.distance(truth.target_mm(index, frame));
+        places.iter().take(count).enumerate().map(off).collect()
+    };
+    prediction
+        .targets()
+        .map_or_else(Vec::new, |all| all.iter().take(truth.frames().len()).enumerate().map(of_frame).collect())
+}
+
+/// Distance in mm between two poses, and the angle in degrees between them.
+fn pose_error(predicted: &DAffine3, truth: &DAffine3) -> [f64; 2] {
+    let turn = DQuat::from_mat3(&(truth.matrix3.transpose() * predicted.matrix3));
+    let angle = 2.0 * turn.xyz().length().atan2(turn.w.abs());
+    [predicted.translation.distance(truth.translation), angle.to_degrees()]
+}
+
+fn target(truth: &dyn Truth, prediction: &Prediction, seed: u64) -> Result<TargetOutcome> {
+    let Some(surface) = prediction.final_mesh()? else { return Ok(TargetOutcome::NoSurface) };
+    let last = &truth.frames()[truth.frames().len() - 1];
+    let mut stated = prediction.correspondence()?;
+    if stated.is_none()
+        && let Some((told, table)) = truth.told_correspondence()?
+        && told.faces == surface.faces
+        && told.vertices.len() == surface.vertices.len()
+    {
+        stated = Some(correspondence::parse(&table, &surface)?);
+    }
+    let errors = target_errors(&final_mesh(truth)?, &surface, stated.as_deref(), &last.world_from_camera, seed)?;
+    Ok(errors.map_or(TargetOutcome::NoTrueContour, |e| TargetOutcome::Measured(Box::new(e))))
+}
