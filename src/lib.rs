@@ -53,6 +53,7 @@
 //! | what a metric means | [`score`]: its entry in `registry.rs`, and the functions in `measures.rs` that the entry names |
 //! | which cases and methods there are | [`mod@bench`]: `catalogue.rs`; those that the program carries: [`base::shipped`] |
 //! | order, looks and names of this program's own rows | [`base::own_row`] |
+//! | the names in a prediction's folder | [`formats::prediction`] |
 //! | a cell's cache key | [`mod@bench`]: `plan.rs`, with the revision of the code from `revision.rs` |
 //!
 //! Cargo features, all on by default. Without any, the crate needs a C++ compiler and nothing else:

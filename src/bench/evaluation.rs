@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::base::{Error, Result, files, method_name};
+use crate::formats::prediction::{ABOUT, COLOR};
 use crate::report::run::evaluated_id;
 use crate::report::scene::Scenes;
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run};
@@ -49,8 +50,7 @@ pub fn predictions(films: &[PathBuf], folders: &[PathBuf]) -> Result<Vec<PathBuf
 
 /// Whether predictions stand in folders within `folder`, and none in itself.
 fn is_parent(folder: &Path) -> bool {
-    !folder.join("color").is_dir()
-        && files::folders_in(folder).is_ok_and(|f| f.iter().any(|f| f.join("color").is_dir()))
+    !folder.join(COLOR).is_dir() && files::folders_in(folder).is_ok_and(|f| f.iter().any(|f| f.join(COLOR).is_dir()))
 }
 
 /// The folder in `parent` that answers `film`: named as its case, or else as the film's folder.
@@ -65,7 +65,7 @@ fn of_film(film: &Path, parent: &Path) -> PathBuf {
 /// Refuses a prediction that names itself as a row of this program.
 pub fn check_name(prediction: &Path, question: &Question) -> Result<()> {
     let opened = Prediction::open(prediction, question)?;
-    let named = |e: Error| e.element("method").at(prediction.join("prediction.json"));
+    let named = |e: Error| e.element("method").at(prediction.join(ABOUT));
     opened.method().map_or(Ok(()), method_name::check_foreign).map_err(named)
 }
 

@@ -36,6 +36,7 @@ pub mod number_table;
 pub mod png;
 #[cfg(feature = "methods")]
 pub mod points_ply;
+pub mod prediction;
 #[cfg(feature = "methods")]
 pub mod tiff_grey;
 pub mod transforms;

@@ -9,7 +9,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use serde::Serialize;
 
 use crate::base::{Error, Image, Result, TriangleMesh, files};
-use crate::formats::{exr, mesh, png};
+use crate::formats::{exr, mesh, png, prediction};
 
 /// What a method spent, in `timing.json`.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -43,38 +43,42 @@ impl PredictionFolder {
             folder: folder.to_path_buf(),
             phases: Vec::new(),
             poses: Vec::new(),
-            targets: String::from("frame,target,x_mm,y_mm,z_mm\n"),
-            covariances: String::from("frame,target,xx,xy,xz,yy,yz,zz\n"),
+            targets: prediction::header(&prediction::TARGET_COLUMNS),
+            covariances: prediction::header(&prediction::COVARIANCE_COLUMNS),
         }
     }
 
-    fn frame_file(&self, kind: &str, frame: usize, extension: &str) -> PathBuf {
-        self.folder.join(kind).join(format!("{frame:06}.{extension}"))
+    fn picture_file(&self, kind: &str, frame: usize) -> PathBuf {
+        self.folder.join(prediction::frame_file(kind, frame, prediction::PICTURE_ENDING))
+    }
+
+    fn depth_file(&self, kind: &str, frame: usize) -> PathBuf {
+        self.folder.join(prediction::frame_file(kind, frame, prediction::DEPTH_ENDING))
     }
 
     /// Writes the rendering of a frame, 8-bit sRGB.
     pub fn color(&self, frame: usize, image: &Image<u8>) -> Result<()> {
-        png::write_rgb(&self.frame_file("color", frame, "png"), image)
+        png::write_rgb(&self.picture_file(prediction::COLOR, frame), image)
     }
 
     /// Writes the z-depth of a frame in mm, 0 where nothing is.
     pub fn depth_mm(&self, frame: usize, depth: &Image<f32>) -> Result<()> {
-        exr::write_depth(&self.frame_file("depth", frame, "exr"), depth)
+        exr::write_depth(&self.depth_file(prediction::DEPTH, frame), depth)
     }
 
     /// Writes the rendering of a frame that was made before its image was used.
     pub fn ahead(&self, frame: usize, image: &Image<u8>) -> Result<()> {
-        png::write_rgb(&self.frame_file("ahead", frame, "png"), image)
+        png::write_rgb(&self.picture_file(prediction::AHEAD, frame), image)
     }
 
     /// Writes the view of the second camera of a frame.
     pub fn novel(&self, frame: usize, image: &Image<u8>) -> Result<()> {
-        png::write_rgb(&self.frame_file("novel", frame, "png"), image)
+        png::write_rgb(&self.picture_file(prediction::NOVEL, frame), image)
     }
 
     /// Writes the z-depth of the second camera of a frame in mm, 0 where nothing is.
     pub fn novel_depth_mm(&self, frame: usize, depth: &Image<f32>) -> Result<()> {
-        exr::write_depth(&self.frame_file("novel_depth", frame, "exr"), depth)
+        exr::write_depth(&self.depth_file(prediction::NOVEL_DEPTH, frame), depth)
     }
 
     /// Adds the breathing phase of a frame and, where it is known, its standard deviation.
@@ -107,26 +111,27 @@ impl PredictionFolder {
     pub fn finish(self, final_mesh: Option<&TriangleMesh>, timing: Option<&PredictionTiming>) -> Result<()> {
         let at = |name: &str| self.folder.join(name);
         if !self.phases.is_empty() {
-            files::write_bytes(&at("phase.csv"), &phase_table(&self.phases).map_err(|e| e.at(at("phase.csv")))?)?;
+            let path = at(prediction::PHASE);
+            files::write_bytes(&path, &phase_table(&self.phases).map_err(|e| e.at(&path))?)?;
         }
         if !self.poses.is_empty() {
-            files::write_bytes(&at("poses.csv"), pose_table(&self.poses).as_bytes())?;
+            files::write_bytes(&at(prediction::POSES), pose_table(&self.poses).as_bytes())?;
         }
         if self.targets.lines().count() > 1 {
-            files::write_bytes(&at("targets.csv"), self.targets.as_bytes())?;
+            files::write_bytes(&at(prediction::TARGETS), self.targets.as_bytes())?;
         }
         if self.covariances.lines().count() > 1 {
-            files::write_bytes(&at("target_covariance.csv"), self.covariances.as_bytes())?;
+            files::write_bytes(&at(prediction::TARGET_COVARIANCE), self.covariances.as_bytes())?;
         }
         if let Some(surface) = final_mesh {
-            mesh::write_ply(&at("mesh/final.ply"), surface, &["airway surface at the last frame, mm"])?;
+            mesh::write_ply(&at(prediction::FINAL_MESH), surface, &["airway surface at the last frame, mm"])?;
         }
-        timing.map_or(Ok(()), |timing| files::write_json(&at("timing.json"), timing))
+        timing.map_or(Ok(()), |timing| files::write_json(&at(prediction::TIMING), timing))
     }
 
     /// Names the method in `prediction.json`.
     pub fn write_about(&self, method: &str) -> Result<()> {
-        files::write_json(&self.folder.join("prediction.json"), &PredictionAbout { method })
+        files::write_json(&self.folder.join(prediction::ABOUT), &PredictionAbout { method })
     }
 }
 
@@ -142,7 +147,7 @@ fn phase_table(phases: &[(usize, f64, Option<f64>)]) -> Result<Vec<u8>> {
     let failed = |e: csv::Error| Error::input(format!("cannot be written: {e}"));
     let with_deviation = phases.iter().all(|(_, _, deviation)| deviation.is_some());
     let columns = if with_deviation { 3 } else { 2 };
-    writer.write_record(&["frame", "phase", "phase_sd"][..columns]).map_err(failed)?;
+    writer.write_record(&prediction::PHASE_COLUMNS[..columns]).map_err(failed)?;
     for (frame, phase, deviation) in phases {
         let deviation = deviation.map_or(String::new(), |sd| format!("{sd:.9}"));
         let row = [frame.to_string(), format!("{phase:.9}"), deviation];
@@ -153,7 +158,7 @@ fn phase_table(phases: &[(usize, f64, Option<f64>)]) -> Result<Vec<u8>> {
 
 /// Columns `frame` and `m00` to `m23`: the upper rows of world_from_camera, mm.
 fn pose_table(poses: &[(usize, DAffine3)]) -> String {
-    let mut table = String::from("frame,m00,m01,m02,m03,m10,m11,m12,m13,m20,m21,m22,m23\n");
+    let mut table = prediction::header(&prediction::POSE_COLUMNS);
     for (frame, pose) in poses {
         table += &frame.to_string();
         for row in 0..3 {

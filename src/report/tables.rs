@@ -9,6 +9,7 @@ use super::differences::NeighbourDifference;
 use super::run::{CellRecord, Outcome, Role, Run};
 use super::summary::MethodSummary;
 use crate::base::{Error, Result, files};
+use crate::formats::prediction;
 use crate::score::{Group, Metric, Split, Standing, Status, metric, paper_metrics, registry};
 
 /// Columns of `results.csv`.
@@ -147,9 +148,9 @@ pub fn write_frames(run: &Run, path: &Path) -> Result<()> {
         for frame in &score.frame_scores {
             let mut push = |split: Split, metric: &str, value: Option<f64>, status: Status| {
                 let folder = match split {
-                    Split::Ahead => "ahead",
-                    Split::Novel => "novel",
-                    Split::Online | Split::Final => "color",
+                    Split::Ahead => prediction::AHEAD,
+                    Split::Novel => prediction::NOVEL,
+                    Split::Online | Split::Final => prediction::COLOR,
                 };
                 rows.push(vec![
                     text(&cell.run_id),
@@ -157,7 +158,7 @@ pub fn write_frames(run: &Run, path: &Path) -> Result<()> {
                     text(&cell.method),
                     cell.seed.to_string(),
                     frame.frame.to_string(),
-                    format!("{folder}/{:06}.png", frame.frame),
+                    prediction::frame_file(folder, frame.frame, prediction::PICTURE_ENDING),
                     number(Some(frame.time_s)),
                     number(Some(frame.phase)),
                     split.word().into(),

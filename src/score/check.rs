@@ -11,6 +11,10 @@ use super::prediction::{Prediction, Question};
 use super::registry::registry;
 use super::truth::{Truth, final_mesh};
 use crate::base::{Error, Image, Result, TriangleMesh, files};
+use crate::formats::prediction::{
+    ABOUT, ABOUT_KEYS, COLOR, CORRESPONDENCE, DEPTH, FINAL_MESH, PHASE, POSES, TARGET_COVARIANCE, TARGETS, TIMING,
+    TIMING_KEYS, frame_file,
+};
 
 /// A phase beyond this is no estimate of one in 0 to 1, however bad.
 const MOST_PHASE: f64 = 1.5;
@@ -119,7 +123,7 @@ fn phase_warning(phases: &[f64]) -> Option<String> {
         f if f <= 101.0 => "percent",
         _ => "degrees",
     };
-    Some(format!("phase.csv: a phase is {furthest}, as if in {unit}; 0 is full inspiration, 1 full expiration"))
+    Some(format!("{PHASE}: a phase is {furthest}, as if in {unit}; 0 is full inspiration, 1 full expiration"))
 }
 
 fn median(mut values: Vec<f32>) -> Option<f32> {
@@ -142,28 +146,27 @@ fn depth_warning(medians_mm: Vec<f32>) -> Option<String> {
         }
         _ => return None,
     };
-    Some(format!("depth: the median is {depth_mm} mm, {advice}"))
+    Some(format!("{DEPTH}: the median is {depth_mm} mm, {advice}"))
 }
 
 fn surface_warning(surface: &TriangleMesh) -> Option<String> {
     let (low, high) = surface.bounds();
     let diagonal_mm = low.distance(high);
-    let sentence = format!("mesh/final.ply: spans {diagonal_mm:.3} mm, as if in metres; coordinates are in mm");
+    let sentence = format!("{FINAL_MESH}: spans {diagonal_mm:.3} mm, as if in metres; coordinates are in mm");
     if diagonal_mm < LEAST_MESH_MM { Some(sentence) } else { None }
 }
 
 /// Pictures of frames that the film has not: whoever counts from 1 has one too many.
 fn beyond_warning(folder: &Path, frames: usize) -> Option<String> {
-    let beyond = ["color", "depth"]
+    let beyond = [COLOR, DEPTH]
         .iter()
-        .flat_map(|place| ["png", "exr", "npy"].iter().map(move |ending| format!("{place}/{frames:06}.{ending}")));
+        .flat_map(|place| ["png", "exr", "npy"].iter().map(move |ending| frame_file(place, frames, ending)));
     let name = beyond.into_iter().find(|name| folder.join(name).exists())?;
     Some(format!("{name}: is not read; the frames are 000000 to {:06}", frames.saturating_sub(1)))
 }
 
 /// Keys of the two JSON files of a prediction.
-const KEYS: [(&str, &[&str]); 2] =
-    [("timing.json", &["time_total_s", "time_cpu_s"]), ("prediction.json", &["method", "case", "depth_unit_mm"])];
+const KEYS: [(&str, &[&str]); 2] = [(TIMING, &TIMING_KEYS), (ABOUT, &ABOUT_KEYS)];
 
 /// Results that nobody reads, because they have another name.
 fn unread_warnings(prediction: &Prediction, folder: &Path, frames: usize) -> Result<Vec<String>> {
@@ -179,9 +182,9 @@ fn unread_warnings(prediction: &Prediction, folder: &Path, frames: usize) -> Res
         let name = path.strip_prefix(folder).unwrap_or(path).display();
         let is_surface = ["ply", "obj", "stl"].iter().any(|ending| path.extension().is_some_and(|e| e == *ending));
         let wanted = if is_surface {
-            "the surface at the last frame is mesh/final.ply"
+            format!("the surface at the last frame is {FINAL_MESH}")
         } else {
-            "tables are phase.csv, poses.csv, targets.csv, target_covariance.csv and correspondence.csv"
+            format!("tables are {PHASE}, {POSES}, {TARGETS}, {TARGET_COVARIANCE} and {CORRESPONDENCE}")
         };
         format!("{name}: is not read; {wanted}")
     };

@@ -17,6 +17,7 @@ use super::statistics;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Error, Result, TriangleMesh};
 use crate::ffi::vision::PlaneContour;
+use crate::formats::prediction::CORRESPONDENCE;
 
 /// Distance between samples of a contour, mm.
 const SAMPLE_STEP_MM: f64 = 0.05;
@@ -98,7 +99,7 @@ pub fn target_errors(
 ) -> Result<Option<TargetErrors>> {
     if let Some(places) = stated.filter(|places| places.len() != truth.vertices.len()) {
         let sentence = format!("has {} vertices, the sequence's meshes have {}", places.len(), truth.vertices.len());
-        return Err(Error::input(sentence).element("correspondence.csv"));
+        return Err(Error::input(sentence).element(CORRESPONDENCE));
     }
     let plane = Plane::of_camera(world_from_camera);
     let (true_cuts, predicted_cuts) = (slice(truth, &plane), slice(predicted, &plane));

@@ -10,6 +10,7 @@
 use glam::DVec3;
 
 use crate::base::{Error, Result, TriangleMesh};
+use crate::formats::prediction::{AT_VERTEX_COLUMNS, FINAL_MESH, ON_FACE_COLUMNS};
 
 /// How far the sum of the weights may be from 1, and a weight below 0: files round.
 const ROUNDING: f64 = 1e-3;
@@ -19,14 +20,11 @@ pub fn parse(bytes: &[u8], surface: &TriangleMesh) -> Result<Vec<DVec3>> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
     let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?;
     let names: Vec<&str> = header.iter().map(|name| name.trim_start_matches('\u{feff}')).collect();
-    let on_faces = match names[..] {
-        ["vertex", "face", "b0", "b1", "b2"] => true,
-        ["vertex", "predicted_vertex"] => false,
-        _ => {
-            let sentence = "must be \"vertex,face,b0,b1,b2\" or \"vertex,predicted_vertex\"";
-            return Err(Error::input(sentence).element("line 1"));
-        }
-    };
+    let on_faces = names == ON_FACE_COLUMNS;
+    if !on_faces && names != AT_VERTEX_COLUMNS {
+        let sentence = format!("must be \"{}\" or \"{}\"", ON_FACE_COLUMNS.join(","), AT_VERTEX_COLUMNS.join(","));
+        return Err(Error::input(sentence).element("line 1"));
+    }
     let mut places = Vec::new();
     for (row, record) in reader.records().enumerate() {
         let line = format!("line {}", row + 2);
@@ -42,7 +40,7 @@ pub fn parse(bytes: &[u8], surface: &TriangleMesh) -> Result<Vec<DVec3>> {
         };
         let wanted = || {
             let what = if on_faces { "a face and three weights" } else { "a predicted vertex" };
-            Error::input(format!("wanted vertex {row} and {what} of mesh/final.ply")).element(line)
+            Error::input(format!("wanted vertex {row} and {what} of {FINAL_MESH}")).element(line)
         };
         places.push(place.ok_or_else(wanted)?);
     }

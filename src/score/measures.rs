@@ -9,6 +9,7 @@ use super::measured::{Measured, MeasuredFrame, TargetOutcome};
 use super::metric::FrameReading;
 use super::navigation::NavigationFrame;
 use super::statistics::{self, pearson, quantile};
+use crate::formats::prediction::CORRESPONDENCE;
 
 /// No rendering equals the sensor's noise. By that noise (.24 codes, the films' in `quick`) and the rounding of both, a
 /// perfect rendering would be 57 dB from its frame (computed, not measured). What is far nearer is the input itself.
@@ -334,15 +335,16 @@ fn of_target(measured: &Measured<'_>, part: impl Fn(&TargetErrors) -> Option<f64
         }
         TargetOutcome::Measured(t) => match part(t) {
             None => {
-                let detail = "the surface has other faces than the sequence's, and there is no correspondence.csv";
-                Finding::new(None, Status::NoCorrespondence, 0, detail)
+                let detail =
+                    format!("the surface has other faces than the sequence's, and there is no {CORRESPONDENCE}");
+                Finding::new(None, Status::NoCorrespondence, 0, &detail)
             }
             value => {
                 let detail = match t.correspondence {
-                    Correspondence::Stated => "other faces: by correspondence.csv",
-                    Correspondence::Material | Correspondence::Missing => "",
+                    Correspondence::Stated => format!("other faces: by {CORRESPONDENCE}"),
+                    Correspondence::Material | Correspondence::Missing => String::new(),
                 };
-                Finding::new(value, Status::Ok, t.overlay.truth.len(), detail)
+                Finding::new(value, Status::Ok, t.overlay.truth.len(), &detail)
             }
         },
     }

@@ -32,17 +32,15 @@ use crate::base::range::{
     COORDINATE_MM, COVARIANCE_MM2, NumberRange, PREDICTED_PHASE, PREDICTED_PHASE_SD, WORK_TIME_S,
 };
 use crate::base::{Camera, Error, Image, Result, TriangleMesh, files, pose};
-use crate::formats::number_table::{self, COUNT};
+use crate::formats::number_table::{self, COUNT, Column};
+use crate::formats::prediction::{
+    ABOUT, AHEAD, COLOR, CORRESPONDENCE, COVARIANCE_COLUMNS, DEPTH, DEPTH_ENDINGS, FINAL_MESH, NOVEL, NOVEL_DEPTH,
+    PHASE, PHASE_COLUMNS, PICTURE_ENDING, POSE_COLUMNS, POSES, SINGLE_FILES, TARGET_COLUMNS, TARGET_COVARIANCE,
+    TARGETS, TIMING, TIMING_KEYS, frame_name,
+};
 use crate::formats::{depth_png, exr, mesh, npy, png};
 use crate::simulate::participant::{Given, Participant};
 use crate::simulate::sequence::held_out;
-
-/// Where the vertices of the sequence's meshes are on the predicted surface.
-const CORRESPONDENCE: &str = "correspondence.csv";
-/// How surely a prediction knows its targets.
-const TARGET_COVARIANCE: &str = "target_covariance.csv";
-/// How depth images are stored, in the order of the search.
-const DEPTH_ENDINGS: [&str; 3] = ["exr", "npy", "png"];
 
 /// What a prediction has to answer: known to whoever has the film, and to participants, who have no truth.
 #[derive(Clone, Debug)]
@@ -120,18 +118,6 @@ pub struct Prediction {
 const DEPTH_UNIT_MM: NumberRange = NumberRange::new(1e-6, 1e6);
 /// Entries of a pose's matrix: of a rotation, or of a place in mm.
 const ENTRY: NumberRange = COORDINATE_MM;
-/// Files beside the folders of pictures.
-const SINGLE_FILES: [&str; 8] = [
-    "phase.csv",
-    "poses.csv",
-    "targets.csv",
-    TARGET_COVARIANCE,
-    "mesh/final.ply",
-    CORRESPONDENCE,
-    "timing.json",
-    "prediction.json",
-];
-
 #[derive(Default, Deserialize)]
 struct About {
     method: Option<String>,
@@ -160,52 +146,52 @@ impl Prediction {
             return Err(Error::input("is no file").at(path));
         }
         let (camera, frames) = (&question.camera, question.frames);
-        let about: About = read_optional(&root.join("prediction.json"))?.unwrap_or_default();
+        let about: About = read_optional(&root.join(ABOUT))?.unwrap_or_default();
         if let (Some(case), Some(asked)) = (&about.case, &question.case_id)
             && case != asked
         {
             let sentence = format!("is `{case}`, but the film is of `{asked}`");
-            return Err(Error::input(sentence).element("case").at(root.join("prediction.json")));
+            return Err(Error::input(sentence).element("case").at(root.join(ABOUT)));
         }
         let depth_unit_mm = about.depth_unit_mm.unwrap_or(1.0);
-        DEPTH_UNIT_MM.check(depth_unit_mm).map_err(|e| e.element("depth_unit_mm").at(root.join("prediction.json")))?;
-        expect_frames(&root.join("color"), "png", 0..frames)?;
-        let own_depth = depth_ending(&root.join("depth"), 0)?;
+        DEPTH_UNIT_MM.check(depth_unit_mm).map_err(|e| e.element("depth_unit_mm").at(root.join(ABOUT)))?;
+        expect_frames(&root.join(COLOR), PICTURE_ENDING, 0..frames)?;
+        let own_depth = depth_ending(&root.join(DEPTH), 0)?;
         if let Some(ending) = own_depth {
-            expect_frames(&root.join("depth"), ending, 0..frames)?;
+            expect_frames(&root.join(DEPTH), ending, 0..frames)?;
         }
         let views = &question.novel_frames;
         let first = views.first().copied().unwrap_or(0);
-        let novel = !views.is_empty() && root.join("novel").is_dir();
+        let novel = !views.is_empty() && root.join(NOVEL).is_dir();
         if novel {
-            expect_frames(&root.join("novel"), "png", views.iter().copied())?;
+            expect_frames(&root.join(NOVEL), PICTURE_ENDING, views.iter().copied())?;
         }
-        let novel_depth_ending = if views.is_empty() { None } else { depth_ending(&root.join("novel_depth"), first)? };
+        let novel_depth_ending = if views.is_empty() { None } else { depth_ending(&root.join(NOVEL_DEPTH), first)? };
         if let Some(ending) = novel_depth_ending {
-            expect_frames(&root.join("novel_depth"), ending, views.iter().copied())?;
+            expect_frames(&root.join(NOVEL_DEPTH), ending, views.iter().copied())?;
         }
-        let (phase, phase_sd) = read_phase(&root.join("phase.csv"), frames)?.unzip();
-        let [time_total_s, time_cpu_s] = read_time(&root.join("timing.json"))?;
+        let (phase, phase_sd) = read_phase(&root.join(PHASE), frames)?.unzip();
+        let [time_total_s, time_cpu_s] = read_time(&root.join(TIMING))?;
         let prediction = Prediction {
             width: camera.width as usize,
             height: camera.height as usize,
             depth_ending: own_depth,
             depth_unit_mm,
-            ahead: ahead_frames(&root.join("ahead"), frames)?,
+            ahead: ahead_frames(&root.join(AHEAD), frames)?,
             novel,
             novel_depth_ending,
-            targets: read_targets(&root.join("targets.csv"), frames, question.targets)?,
+            targets: read_targets(&root.join(TARGETS), frames, question.targets)?,
             target_covariance_mm2: read_covariance(&root.join(TARGET_COVARIANCE), frames, question.targets)?,
             method: about.method,
             phase,
             phase_sd: phase_sd.flatten(),
-            poses: read_poses(&root.join("poses.csv"), frames)?,
+            poses: read_poses(&root.join(POSES), frames)?,
             time_total_s,
             time_cpu_s,
             root: root.to_path_buf(),
         };
         if prediction.target_covariance_mm2.is_some() && prediction.targets.is_none() {
-            return Err(Error::input("is there without targets.csv").at(root.join(TARGET_COVARIANCE)));
+            return Err(Error::input(format!("is there without {TARGETS}")).at(root.join(TARGET_COVARIANCE)));
         }
         prediction.refuse_true_files(question)?;
         Ok(prediction)
@@ -228,11 +214,11 @@ impl Prediction {
     /// Every file that scoring may read, there or not.
     pub(super) fn file_paths(&self, frames: usize) -> impl Iterator<Item = PathBuf> {
         let folders = [
-            ("color", Some("png")),
-            ("depth", self.depth_ending),
-            ("ahead", Some("png")),
-            ("novel", Some("png")),
-            ("novel_depth", self.novel_depth_ending),
+            (COLOR, Some(PICTURE_ENDING)),
+            (DEPTH, self.depth_ending),
+            (AHEAD, Some(PICTURE_ENDING)),
+            (NOVEL, Some(PICTURE_ENDING)),
+            (NOVEL_DEPTH, self.novel_depth_ending),
         ];
         let of_folder = move |(folder, ending): (&str, Option<&'static str>)| {
             let folder = self.root.join(folder);
@@ -251,12 +237,12 @@ impl Prediction {
 
     /// Rendered image of `frame`; of the sequence's size.
     pub fn color(&self, frame: usize) -> Result<Image<u8>> {
-        self.image("color", frame)
+        self.image(COLOR, frame)
     }
 
     /// Rendering of `frame` made before the method read its image.
     pub fn ahead(&self, frame: usize) -> Result<Image<u8>> {
-        self.image("ahead", frame)
+        self.image(AHEAD, frame)
     }
 
     /// Frames with an [`Prediction::ahead`] image, ascending.
@@ -271,7 +257,7 @@ impl Prediction {
 
     /// Rendering from the second camera of `frame`.
     pub fn novel(&self, frame: usize) -> Result<Image<u8>> {
-        self.image("novel", frame)
+        self.image(NOVEL, frame)
     }
 
     /// Predicted places of the targets in mm, per frame and target, if there are any.
@@ -286,12 +272,12 @@ impl Prediction {
 
     /// Predicted z-depth of `frame` in mm, if the prediction has depth.
     pub fn depth_mm(&self, frame: usize) -> Result<Option<Image<f32>>> {
-        self.depth("depth", self.depth_ending, frame)
+        self.depth(DEPTH, self.depth_ending, frame)
     }
 
     /// Predicted z-depth of the second camera of `frame` in mm, if the prediction has it.
     pub fn novel_depth_mm(&self, frame: usize) -> Result<Option<Image<f32>>> {
-        self.depth("novel_depth", self.novel_depth_ending, frame)
+        self.depth(NOVEL_DEPTH, self.novel_depth_ending, frame)
     }
 
     fn depth(&self, folder: &str, ending: Option<&str>, frame: usize) -> Result<Option<Image<f32>>> {
@@ -336,7 +322,7 @@ impl Prediction {
 
     /// Predicted surface at the last frame, if there is one; valid (indices and coordinates in range).
     pub fn final_mesh(&self) -> Result<Option<TriangleMesh>> {
-        let path = self.root.join("mesh/final.ply");
+        let path = self.root.join(FINAL_MESH);
         if !path.exists() {
             return Ok(None);
         }
@@ -359,13 +345,13 @@ impl Prediction {
             return Ok(None);
         }
         let Some(surface) = self.final_mesh()? else {
-            return Err(Error::input("is there without mesh/final.ply").at(path));
+            return Err(Error::input(format!("is there without {FINAL_MESH}")).at(path));
         };
         correspondence::parse(&files::read_bytes(&path)?, &surface).map(Some).map_err(|e| e.at(path))
     }
 
     fn image(&self, folder: &str, frame: usize) -> Result<Image<u8>> {
-        let path = frame_path(&self.root.join(folder), frame, "png");
+        let path = frame_path(&self.root.join(folder), frame, PICTURE_ENDING);
         let image = png::read_rgb(&path)?;
         self.expect_size(&path, image.width, image.height)?;
         Ok(image)
@@ -384,7 +370,7 @@ impl Prediction {
 }
 
 fn frame_path(folder: &Path, frame: usize, ending: &str) -> PathBuf {
-    folder.join(format!("{frame:06}.{ending}"))
+    folder.join(frame_name(frame, ending))
 }
 
 fn expect_frames(folder: &Path, ending: &str, mut frames: impl Iterator<Item = usize> + Clone) -> Result<()> {
@@ -408,7 +394,10 @@ fn depth_ending(folder: &Path, first: usize) -> Result<Option<&'static str>> {
     }
     match DEPTH_ENDINGS.into_iter().find(|ending| frame_path(folder, first, ending).is_file()) {
         Some(ending) => Ok(Some(ending)),
-        None => Err(Error::input(format!("has none of {first:06}.exr, {first:06}.npy, {first:06}.png")).at(folder)),
+        None => {
+            let names = DEPTH_ENDINGS.map(|ending| frame_name(first, ending)).join(", ");
+            Err(Error::input(format!("has none of {names}")).at(folder))
+        }
     }
 }
 
@@ -418,7 +407,7 @@ fn ahead_frames(folder: &Path, frames: usize) -> Result<Vec<usize>> {
     if !folder.is_dir() {
         return Ok(Vec::new());
     }
-    expect_frames(folder, "png", eighths.clone())?;
+    expect_frames(folder, PICTURE_ENDING, eighths.clone())?;
     Ok(eighths.collect())
 }
 
@@ -429,7 +418,7 @@ fn read_optional<T: serde::de::DeserializeOwned>(path: &Path) -> Result<Option<T
 /// Wall and CPU seconds.
 fn read_time(path: &Path) -> Result<[Option<f64>; 2]> {
     let Some(told) = read_optional::<TimingFile>(path)? else { return Ok([None; 2]) };
-    for (key, seconds) in [("time_total_s", told.time_total_s), ("time_cpu_s", told.time_cpu_s)] {
+    for (key, seconds) in TIMING_KEYS.into_iter().zip([told.time_total_s, told.time_cpu_s]) {
         let Some(seconds) = seconds else { continue };
         if seconds == 0.0 {
             let sentence = "is 0: no method takes no time; leave it out if it is not known";
@@ -457,10 +446,14 @@ fn read_targets(path: &Path, frames: usize, count: usize) -> Result<Option<Vec<V
     parse_targets(&files::read_bytes(path)?, frames, count).map(Some).map_err(|e| e.at(path))
 }
 
+/// Columns of which the first `counts` say what a row is of, and the others have values in `range`.
+fn columns<const N: usize>(names: [&'static str; N], counts: usize, range: NumberRange) -> [Column<'static>; N] {
+    std::array::from_fn(|k| (names[k], if k < counts { COUNT } else { range }))
+}
+
 /// Columns of frame, target and place, found by name; frames in order, within each frame the targets in order.
 fn parse_targets(bytes: &[u8], frames: usize, count: usize) -> Result<Vec<Vec<DVec3>>> {
-    let place = |name| (name, COORDINATE_MM);
-    let columns = [("frame", COUNT), ("target", COUNT), place("x_mm"), place("y_mm"), place("z_mm")];
+    let columns = columns(TARGET_COLUMNS, 2, COORDINATE_MM);
     let value = |&[_, _, x, y, z]: &[f64; 5]| Some(DVec3::new(x, y, z));
     by_target(&number_table::rows(bytes, columns)?, frames, count, "its place", value)
 }
@@ -475,8 +468,7 @@ fn read_covariance(path: &Path, frames: usize, count: usize) -> Result<Option<Ve
 /// Columns of frame, target and the six entries of a covariance in mm squared, found by name; rows as those of
 /// [`parse_targets`].
 fn parse_covariance(bytes: &[u8], frames: usize, count: usize) -> Result<Vec<Vec<DMat3>>> {
-    let [xx, xy, xz, yy, yz, zz] = ["xx", "xy", "xz", "yy", "yz", "zz"].map(|name| (name, COVARIANCE_MM2));
-    let columns = [("frame", COUNT), ("target", COUNT), xx, xy, xz, yy, yz, zz];
+    let columns = columns(COVARIANCE_COLUMNS, 2, COVARIANCE_MM2);
     let covariance = |&[_, _, xx, xy, xz, yy, yz, zz]: &[f64; 8]| {
         let is_sound = xx > 0.0 && xx * yy - xy * xy > 0.0;
         let matrix = DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
@@ -519,10 +511,7 @@ fn read_poses(path: &Path, frames: usize) -> Result<Option<Vec<DAffine3>>> {
 
 /// Columns of the frame and of the three upper rows of world_from_camera, found by name; frames in order.
 fn parse_poses(bytes: &[u8], frames: usize) -> Result<Vec<DAffine3>> {
-    let names =
-        ["m00", "m01", "m02", "m03", "m10", "m11", "m12", "m13", "m20", "m21", "m22", "m23"].map(|name| (name, ENTRY));
-    let mut columns = [("frame", COUNT); 13];
-    columns[1..].copy_from_slice(&names);
+    let columns = columns(POSE_COLUMNS, 1, ENTRY);
     let mut poses = Vec::with_capacity(frames);
     for (row, numbers) in number_table::rows(bytes, columns)?.iter().enumerate() {
         let line = format!("line {}", row + 2);
@@ -542,7 +531,8 @@ fn parse_poses(bytes: &[u8], frames: usize) -> Result<Vec<DAffine3>> {
 
 /// Columns `frame`, `phase` and perhaps `phase_sd` by name, rows in any order, every frame exactly once.
 fn parse_phase(bytes: &[u8], frames: usize) -> Result<Phases> {
-    let [frame, phase, sd] = [("frame", COUNT), ("phase", PREDICTED_PHASE), ("phase_sd", PREDICTED_PHASE_SD)];
+    let [frame, phase, sd] = PHASE_COLUMNS;
+    let [frame, phase, sd] = [(frame, COUNT), (phase, PREDICTED_PHASE), (sd, PREDICTED_PHASE_SD)];
     let has_sd = number_table::has_column(bytes, sd.0)?;
     let rows: Vec<[f64; 3]> = match has_sd {
         true => number_table::rows(bytes, [frame, phase, sd])?,
