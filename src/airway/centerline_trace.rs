@@ -11,6 +11,7 @@ use std::collections::BinaryHeap;
 use glam::DVec3;
 
 use super::centerline_voxels::{NONE, Voxels};
+use crate::base::statistics::upper_median;
 use crate::base::{Progress, Result};
 
 /// A path has met another when it enters this share of the inscribed ball of one of its nodes.
@@ -160,9 +161,8 @@ impl<'a> VoxelTracer<'a> {
 
     /// Takes the narrow end off a path that begins at its tip, against the wall.
     fn trim(&self, path: &mut Vec<u32>) {
-        let mut radii: Vec<f64> = path.iter().take(30).map(|&v| self.voxels.distance_mm[v as usize]).collect();
-        radii.sort_by(f64::total_cmp);
-        let Some(&usual) = radii.get(radii.len() / 2) else { return };
+        let radii = path.iter().take(30).map(|&v| self.voxels.distance_mm[v as usize]);
+        let Some(usual) = upper_median(radii) else { return };
         let narrow = path.iter().take_while(|&&v| self.voxels.distance_mm[v as usize] < NARROWED * usual).count();
         path.drain(..narrow);
     }

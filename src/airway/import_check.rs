@@ -12,6 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::centerline::Centerline;
 use super::import_axes::PatientAxes;
+use crate::base::statistics::upper_median;
 use crate::base::{Error, Result};
 use crate::formats::landmarks::LandmarkPair;
 
@@ -149,9 +150,8 @@ pub fn check_stem(centerline: &Centerline, axes: PatientAxes, source: FrameSourc
             "the airway has no bifurcation: a trachea with its bronchi is wanted; --unusual takes it",
         ));
     };
-    let mut radii: Vec<f64> = stem.trachea.iter().map(|&p| centerline.points[p].radius_mm).collect();
-    radii.sort_by(f64::total_cmp);
-    let diameter = 2.0 * radii[radii.len() / 2];
+    let radii = stem.trachea.iter().map(|&p| centerline.points[p].radius_mm);
+    let diameter = 2.0 * upper_median(radii).expect("a trachea has points");
     if !within(diameter, TRACHEA_MM) {
         return Err(Error::input(format!(
             "the widest branch that ends is {diameter:.1} mm across, and a trachea is {} to {} mm: {}",
@@ -232,11 +232,7 @@ fn stem(centerline: &Centerline) -> Option<Stem> {
     let length = |way: &[usize]| {
         way.windows(2).map(|w| points[w[0]].position_mm.distance(points[w[1]].position_mm)).sum::<f64>()
     };
-    let width = |way: &[usize]| {
-        let mut radii: Vec<f64> = way.iter().map(|&p| points[p].radius_mm).collect();
-        radii.sort_by(f64::total_cmp);
-        radii[radii.len() / 2]
-    };
+    let width = |way: &[usize]| upper_median(way.iter().map(|&p| points[p].radius_mm)).expect("a branch has points");
     let ends = (0..points.len()).filter(|&p| neighbours[p].len() == 1);
     let trachea = ends
         .map(|end| branch(end, neighbours[end][0]))

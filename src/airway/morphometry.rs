@@ -5,6 +5,7 @@
 //! of the parent's last part. The literature measures casts: real lumens are not round, so inscribed diameters are
 //! smaller than diameters of equal area.
 
+use crate::base::statistics::mean_median;
 use glam::DVec3;
 use serde::Serialize;
 
@@ -64,13 +65,6 @@ pub fn literature(generation: u32) -> Option<Literature> {
     })
 }
 
-/// Mean of the two middle values when their number is even; `None` for an empty list.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let upper = *values.get(values.len() / 2)?;
-    Some(if values.len().is_multiple_of(2) { 0.5 * (values[values.len() / 2 - 1] + upper) } else { upper })
-}
-
 /// Length in mm along the branch up to each point.
 fn along(branch: &Branch) -> Vec<f64> {
     let mut sum = 0.0;
@@ -105,8 +99,8 @@ fn inside_parent(tree: &Tree, branch: &Branch) -> f64 {
 fn diameter(tree: &Tree, branch: &Branch) -> f64 {
     let own_part = inside_parent(tree, branch);
     let along = along(branch);
-    let radii = (0..along.len()).filter(|&k| along[k] >= own_part).map(|k| branch.radius(k)).collect();
-    2.0 * median(radii).unwrap_or_else(|| branch.median_radius_mm())
+    let radii = (0..along.len()).filter(|&k| along[k] >= own_part).map(|k| branch.radius(k));
+    2.0 * mean_median(radii).unwrap_or_else(|| branch.median_radius_mm())
 }
 
 /// Angle in degrees between a branch and the part of its parent before the joint.
@@ -138,9 +132,9 @@ pub fn rows(tree: &Tree) -> Vec<GenerationRow> {
             Some(GenerationRow {
                 generation,
                 branches: here.len(),
-                diameter_mm: median(here.iter().map(|&b| diameter(tree, &tree.branches[b])).collect())?,
-                length_mm: median(whole.iter().map(|&b| tree.branches[b].length_mm()).collect())?,
-                angle_deg: median(here.iter().filter_map(|&b| angle(tree, &tree.branches[b])).collect()),
+                diameter_mm: mean_median(here.iter().map(|&b| diameter(tree, &tree.branches[b])))?,
+                length_mm: mean_median(whole.iter().map(|&b| tree.branches[b].length_mm()))?,
+                angle_deg: mean_median(here.iter().filter_map(|&b| angle(tree, &tree.branches[b]))),
                 literature: literature(generation),
             })
         })

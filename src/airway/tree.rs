@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::centerline::{Centerline, CenterlinePoint, MOST_LENGTH_MM};
 use crate::base::range::{COORDINATE_MM, GENERATION, RADIUS_MM};
+use crate::base::statistics::upper_median;
 use crate::base::{Error, Result};
 
 /// One branch between two bifurcations. Its first point lies on the parent's centreline (or is the inlet).
@@ -43,9 +44,7 @@ impl Branch {
 
     /// Median inscribed radius in mm.
     pub fn median_radius_mm(&self) -> f64 {
-        let mut radii: Vec<f64> = self.points_mm.iter().map(|p| p[3]).collect();
-        radii.sort_by(f64::total_cmp);
-        radii[radii.len() / 2]
+        upper_median(self.points_mm.iter().map(|p| p[3])).expect("a branch has points")
     }
 }
 

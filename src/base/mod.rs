@@ -19,6 +19,7 @@ pub mod range;
 pub mod revision;
 pub mod shipped;
 pub mod staging;
+pub mod statistics;
 pub mod target_limits;
 pub mod volume;
 

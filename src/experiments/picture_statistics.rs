@@ -12,6 +12,7 @@ use image::{ImageBuffer, RgbImage};
 use rayon::prelude::*;
 
 use crate::base::color::linear_from_srgb;
+use crate::base::statistics::quantile;
 use crate::base::{Error, Image, Result};
 use crate::formats::png;
 
@@ -79,7 +80,7 @@ impl PictureSet {
             .map(|file| Ok(PictureStatistics::of(&png::read_rgb(file)?, masked)))
             .collect::<Result<_>>()?;
         let at = |share: f64| PictureStatistics {
-            values: std::array::from_fn(|s| quantile(all.iter().map(|p| p.values[s]), share)),
+            values: std::array::from_fn(|s| quantile_of_finite(all.iter().map(|p| p.values[s]), share)),
         };
         let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
         Ok(PictureSet { name, pictures: files.len(), median: at(0.5), spread: [at(0.1), at(0.9)] })
@@ -142,7 +143,7 @@ impl PictureStatistics {
             .unzip();
         let gradient = gradients(&luma);
         let share = |count: usize| 100.0 * count as f64 / rgb.len() as f64;
-        let at = |share: f64| 255.0 * quantile(luma.iter().copied(), share);
+        let at = |share: f64| 255.0 * quantile_of_finite(luma.iter().copied(), share);
         let full_luma: Vec<f64> = full.pixels().map(|p| luma_of(&p.0.map(|v| f64::from(v) / 255.0))).collect();
         PictureStatistics {
             values: [
@@ -154,11 +155,11 @@ impl PictureStatistics {
                 share(luma.iter().filter(|&&l| l < 0.1).count()),
                 share(glare.iter().filter(|&&g| g).count()),
                 spots(&glare) as f64,
-                quantile(red.iter().copied(), 0.5),
-                quantile(blue.iter().copied(), 0.5),
+                quantile_of_finite(red.iter().copied(), 0.5),
+                quantile_of_finite(blue.iter().copied(), 0.5),
                 deviation_of_logarithms(&red).hypot(deviation_of_logarithms(&blue)),
-                quantile(gradient.iter().copied(), 0.5),
-                quantile(gradient.iter().copied(), 0.99),
+                quantile_of_finite(gradient.iter().copied(), 0.5),
+                quantile_of_finite(gradient.iter().copied(), 0.99),
                 spectral_slope(&luma),
                 noise(&luma, SIDE),
                 noise(&full_luma, full.width() as usize),
@@ -182,16 +183,10 @@ fn square(picture: &Image<u8>, masked: bool) -> RgbImage {
     imageops::crop_imm(&whole, (width - side) / 2, (height - side) / 2, side.max(1), side.max(1)).to_image()
 }
 
-/// Linear interpolation between the sorted finite values; NaN without any.
-fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
-    let mut sorted: Vec<f64> = values.filter(|v| v.is_finite()).collect();
-    sorted.sort_by(f64::total_cmp);
-    let place = share * (sorted.len().max(1) - 1) as f64;
-    let (low, high) = (place.floor() as usize, place.ceil() as usize);
-    match (sorted.get(low), sorted.get(high)) {
-        (Some(a), Some(b)) => a + (b - a) * place.fract(),
-        _ => f64::NAN,
-    }
+/// The `share` quantile of the finite values, linear between ranks; NaN without any.
+fn quantile_of_finite(values: impl Iterator<Item = f64>, share: f64) -> f64 {
+    let finite: Vec<f64> = values.filter(|v| v.is_finite()).collect();
+    quantile(&finite, share).unwrap_or(f64::NAN)
 }
 
 fn deviation_of_logarithms(values: &[f64]) -> f64 {
@@ -366,7 +361,7 @@ pub fn markdown(sets: &[PictureSet]) -> String {
     text += "|---|---|--:|--:|--:|---|\n";
     for (s, ((name, meaning), real)) in STATISTICS.iter().zip(real_ranges()).enumerate() {
         let values = || sets.iter().map(|set| set.median.values[s]);
-        let median = quantile(values(), 0.5);
+        let median = quantile_of_finite(values(), 0.5);
         let range = |low: f64, high: f64| format!("{} to {}", digits(low), digits(high));
         let inside = match real {
             Some((low, high)) if (low..=high).contains(&median) => "yes",
@@ -374,7 +369,7 @@ pub fn markdown(sets: &[PictureSet]) -> String {
             None => "-",
         };
         let real = real.map_or_else(|| "-".to_owned(), |(low, high)| range(low, high));
-        let these = range(quantile(values(), 0.0), quantile(values(), 1.0));
+        let these = range(quantile_of_finite(values(), 0.0), quantile_of_finite(values(), 1.0));
         text += &format!("| `{name}` | {meaning} | {real} | {these} | {} | {inside} |\n", digits(median));
     }
     text

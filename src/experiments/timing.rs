@@ -10,6 +10,7 @@ use std::time::Instant;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
+use crate::base::statistics::upper_median;
 use crate::base::{Error, Result};
 use crate::ffi::system::cpu_time_s;
 use crate::splat::{
@@ -59,10 +60,9 @@ pub struct Spread {
 impl Spread {
     /// The spread of these seconds, in any order.
     pub fn of(seconds: &[f64]) -> Spread {
-        let mut sorted = seconds.to_vec();
-        sorted.sort_by(f64::total_cmp);
-        let at = |k: usize| sorted.get(k).copied().unwrap_or(f64::NAN);
-        Spread { least_s: at(0), median_s: at(sorted.len() / 2) }
+        let least_s = seconds.iter().copied().min_by(f64::total_cmp);
+        let median_s = upper_median(seconds.iter().copied());
+        Spread { least_s: least_s.unwrap_or(f64::NAN), median_s: median_s.unwrap_or(f64::NAN) }
     }
 }
 

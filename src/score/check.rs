@@ -10,6 +10,7 @@ use super::metric::{Metric, Needs};
 use super::prediction::{Prediction, Question};
 use super::registry::registry;
 use super::truth::{Truth, final_mesh};
+use crate::base::statistics::upper_median;
 use crate::base::{Error, Image, Result, TriangleMesh, files};
 use crate::formats::prediction::{
     ABOUT, ABOUT_KEYS, COLOR, CORRESPONDENCE, DEPTH, FINAL_MESH, PHASE, POSES, TARGET_COVARIANCE, TARGETS, TIMING,
@@ -126,19 +127,14 @@ fn phase_warning(phases: &[f64]) -> Option<String> {
     Some(format!("{PHASE}: a phase is {furthest}, as if in {unit}; 0 is full inspiration, 1 full expiration"))
 }
 
-fn median(mut values: Vec<f32>) -> Option<f32> {
-    values.sort_unstable_by(f32::total_cmp);
-    values.get(values.len() / 2).copied()
-}
-
 /// Median of what is above 0 in a depth image.
 fn median_depth_mm(depth: &Image<f32>) -> Option<f32> {
-    median(depth.data.iter().copied().filter(|&d| d > 0.0 && d.is_finite()).collect())
+    upper_median(depth.data.iter().copied().filter(|&d| d > 0.0 && d.is_finite()))
 }
 
 /// A depth that is none of an airway, by the median over the frames.
 fn depth_warning(medians_mm: Vec<f32>) -> Option<String> {
-    let depth_mm = median(medians_mm)?;
+    let depth_mm = upper_median(medians_mm)?;
     let advice = match depth_mm {
         d if d < DEPTH_MM[0] => "as if in metres; depths are in mm",
         d if d > DEPTH_MM[1] => {

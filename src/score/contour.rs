@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::slice::{Plane, Polyline, slice};
 use super::statistics;
 use crate::base::random::{CounterRng, Stage};
+use crate::base::statistics::quantile;
 use crate::base::{Error, Result, TriangleMesh};
 use crate::ffi::vision::PlaneContour;
 use crate::formats::prediction::CORRESPONDENCE;
@@ -145,7 +146,7 @@ pub fn target_errors(
         cuts,
         target_mm: displacements.get(target).copied(),
         mean_mm: statistics::mean(&displacements),
-        p95_mm: statistics::quantile(&displacements, 0.95),
+        p95_mm: quantile(&displacements, 0.95),
         correspondence,
         overlay: ContourOverlay {
             target_truth: true_contour.points[target],

@@ -8,7 +8,8 @@ use super::image_quality::{Psnr, Ssim};
 use super::measured::{Measured, MeasuredFrame, TargetOutcome};
 use super::metric::FrameReading;
 use super::navigation::NavigationFrame;
-use super::statistics::{self, pearson, quantile};
+use super::statistics::{self, pearson};
+use crate::base::statistics::quantile;
 use crate::formats::prediction::CORRESPONDENCE;
 
 /// No rendering equals the sensor's noise. By that noise (.24 codes, the films' in `quick`) and the rounding of both, a

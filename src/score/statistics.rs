@@ -1,7 +1,8 @@
-//! Means, percentiles, correlation and bootstrap intervals. Sums run in the order of the input, in f64, so that the
+//! Means, correlation and bootstrap intervals. Sums run in the order of the input, in f64, so that the
 //! same numbers give the same bits on any number of threads.
 
 use crate::base::random::{CounterRng, Stage};
+use crate::base::statistics::quantile;
 
 /// Resamples of a bootstrap: enough for two digits of a 95 % bound.
 const RESAMPLES: usize = 2000;
@@ -29,17 +30,6 @@ pub fn deviation(values: &[f64]) -> Option<f64> {
     let centre = mean(values)?;
     let squares: f64 = values.iter().map(|v| (v - centre) * (v - centre)).sum();
     (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
-}
-
-/// The `share` quantile (0 to 1), linear between ranks (type 7 of Hyndman and Fan, NumPy's default).
-pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let last = sorted.len().checked_sub(1)?;
-    let rank = share.clamp(0.0, 1.0) * last as f64;
-    let low = rank.floor() as usize;
-    let high = (low + 1).min(last);
-    Some(sorted[low] + (sorted[high] - sorted[low]) * (rank - low as f64))
 }
 
 /// Pearson's correlation; `None` when one side has no variance, or for fewer than two pairs.
@@ -126,14 +116,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_and_deviation_equal_tabulated_values() {
+    fn deviation_equals_a_tabulated_value() {
         let values = [3.0, 1.0, 4.0, 1.0, 5.0, 9.0, 2.0, 6.0];
-        // numpy.quantile(values, [.25, .5, .95]), numpy.std(values, ddof=1)
-        assert_eq!(quantile(&values, 0.25), Some(1.75));
-        assert_eq!(quantile(&values, 0.5), Some(3.5));
-        assert!((quantile(&values, 0.95).unwrap() - 7.95).abs() < 1e-12);
+        // numpy.std(values, ddof=1)
         assert!((deviation(&values).unwrap() - 2.748_376_143_938_713).abs() < 1e-12);
-        assert_eq!(quantile(&[], 0.5), None);
     }
 
     #[test]

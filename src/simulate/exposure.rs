@@ -14,6 +14,7 @@ use super::sensor::vignette_at;
 use crate::airway::case::{ExposureControl, ExposureSettings};
 use crate::base::color::srgb_from_linear;
 use crate::base::random::{CounterRng, Stage};
+use crate::base::statistics::upper_median;
 use crate::base::{Camera, Result};
 use crate::render::{Light, Scene};
 
@@ -98,7 +99,7 @@ pub struct Exposure {
 
 /// Follows the wanted gains with lag, overshoot and limits, then adds the seeded drift.
 pub fn follow(wanted: &[f64], time_s: &[f64], settings: &ExposureSettings, seed: u64) -> Vec<Exposure> {
-    let median = median(wanted.iter().map(|g| g.ln()));
+    let median = upper_median(wanted.iter().map(|g| g.ln())).unwrap_or(0.0);
     let drift = [0, 1, 2].map(|channel| SlowDrift::new(seed, channel));
     let mut follower: Option<Follower> = None;
     let mut before_s = 0.0;
@@ -124,13 +125,6 @@ pub fn follow(wanted: &[f64], time_s: &[f64], settings: &ExposureSettings, seed:
             }
         })
         .collect()
-}
-
-/// The middle value (the upper one of two); 0 without values.
-pub fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Log gain on its way to a goal.

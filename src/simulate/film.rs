@@ -5,6 +5,7 @@ use glam::{DAffine3, DVec3};
 use crate::airway::Anatomy;
 use crate::airway::case::{Case, ScopeSettings};
 use crate::airway::waveform::Waveform;
+use crate::base::statistics::upper_median;
 use crate::base::{Camera, Error, NoProgress, Progress, Result, mesh};
 use crate::render::{Light, Material, Scene};
 
@@ -218,7 +219,7 @@ impl Film {
             frame.gain = set.gain * way.clinical.as_ref().map_or(1.0, ClinicalFilm::overexposure);
             frame.white_balance = set.white_balance;
         }
-        let middle_gain = exposure::median(frames.iter().map(|f| f.gain));
+        let middle_gain = upper_median(frames.iter().map(|f| f.gain)).unwrap_or(0.0);
         let arc_mm: Vec<f64> = time_s.iter().map(|&t| way.arc_mm(t)).collect();
         Ok(Film {
             camera,
@@ -453,7 +454,7 @@ fn blur(scene: &Scene, camera: &Camera, anatomy: &Anatomy, way: &Way, time_s: f6
     if way.clinical.is_some() {
         let [before, after] = [-0.5, 0.5].map(|part| way.wall(anatomy, time_s + part * shutter_s, 0.0));
         let ways = visible.image_ways_px(camera, (&open.0, &before), (&close.0, &after));
-        return Ok(exposure::median(ways.iter().map(|way| way.length())));
+        return Ok(upper_median(ways.iter().map(|way| way.length())).unwrap_or(0.0));
     }
     Ok(visible.image_motion_px(camera, (&open.0, open.1), (&close.0, close.1)))
 }

@@ -4,6 +4,7 @@ use glam::{DAffine3, DVec2, DVec3};
 use rayon::prelude::*;
 use serde::{Serialize, Serializer};
 
+use crate::base::statistics::upper_median;
 use crate::base::{Camera, Image, Result, TriangleMesh};
 use crate::render::Scene;
 use crate::render::probe::{SurfacePoint, image_of, probe};
@@ -160,6 +161,6 @@ impl<'a> VisibleWall<'a> {
         };
         let ways =
             self.points.iter().flatten().filter_map(|p| Some(image_point(p, from)?.distance(image_point(p, to)?)));
-        super::exposure::median(ways)
+        upper_median(ways).unwrap_or(0.0)
     }
 }

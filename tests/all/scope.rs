@@ -7,6 +7,7 @@ use std::path::Path;
 
 use glam::{DAffine3, DVec2, DVec3};
 use respire_bench::airway::case::{Case, Effect, ScopeSettings};
+use respire_bench::base::statistics::upper_median;
 use respire_bench::base::{Camera, NoProgress, TriangleMesh};
 use respire_bench::formats::{exr, png};
 use respire_bench::render::probe::probe;
@@ -231,10 +232,10 @@ fn automatic_exposure_follows_the_brightness_of_the_linear_picture() {
     }
     // The gain stays within a factor of 8 of the film's middle one: a wall beside the lens would want less.
     let limit = 8f64.ln();
-    let middle = respire_bench::simulate::exposure::median(wanted.iter().copied());
+    let middle = upper_median(wanted.iter().copied()).unwrap();
     let limited = wanted.iter().map(|log_gain| log_gain.clamp(middle - limit, middle + limit));
     let ratios: Vec<f64> = sequence.frames.iter().zip(limited).map(|(f, log_gain)| f.gain / log_gain.exp()).collect();
-    let middle = respire_bench::simulate::exposure::median(ratios.iter().copied());
+    let middle = upper_median(ratios.iter().copied()).unwrap();
     println!("gain over that of the finished picture: {ratios:?}");
     // The proxy knows neither smooth normals nor the light of other walls, and has four rays a pixel here.
     assert!((0.95..1.05).contains(&middle), "{ratios:?}");

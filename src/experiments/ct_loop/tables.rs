@@ -1,6 +1,7 @@
 //! Tables of the loop: CSV, and Markdown for people.
 
 use super::result::{AirwayWay, GENERATIONS, GenerationLoss, LoopResult};
+use crate::base::statistics::upper_median;
 use crate::ct::lumen::DistanceSpread;
 use crate::ct::simulated::protocol::ScanProtocol;
 
@@ -123,8 +124,7 @@ fn generation_line(results: &[LoopResult], protocol: ScanProtocol, way: AirwayWa
         .flat_map(|result| result.ways.iter().filter(|w| w.way == way))
         .flat_map(|w| w.generations.iter().filter(|row| row.generation == generation))
         .collect();
-    let mut medians: Vec<f64> = rows.iter().filter(|row| row.found > 0).map(|row| row.wall.median_mm).collect();
-    medians.sort_by(f64::total_cmp);
+    let medians: Vec<f64> = rows.iter().filter(|row| row.found > 0).map(|row| row.wall.median_mm).collect();
     let count = |of: fn(&GenerationLoss) -> usize| rows.iter().map(|row| of(row)).fold(0, usize::saturating_add);
     let branches = count(|row| row.branches);
     if branches == 0 {
@@ -132,7 +132,7 @@ fn generation_line(results: &[LoopResult], protocol: ScanProtocol, way: AirwayWa
     }
     let found = count(|row| row.found);
     let last = if generation + 1 == GENERATIONS { " and beyond" } else { "" };
-    let walls = match (medians.get(medians.len() / 2), medians.last()) {
+    let walls = match (upper_median(medians.iter().copied()), medians.iter().copied().max_by(f64::total_cmp)) {
         (Some(middle), Some(worst)) => format!("{middle:.2} | {worst:.2}"),
         _ => " | ".to_owned(),
     };

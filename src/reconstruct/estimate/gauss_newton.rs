@@ -10,6 +10,8 @@
 //! clusters (Liang and Zeger 1986): `information = H S^-1 H`, `H = sum w J^2`, `S` the sum over blocks of the
 //! squares of their scores `sum w J r`.
 
+use crate::base::statistics::robust_deviation;
+
 /// Smallest scale of the residuals (encoded, 0..1): half a code of an 8-bit image.
 const SMALLEST_SCALE: f32 = 0.5 / 255.0;
 /// Ridge on `S`, as a share of it.
@@ -80,12 +82,9 @@ fn gains(image: &[f32], rendered: &[f32], robust: &Robust, weight: impl Fn(usize
     })
 }
 
-/// 1.4826 times the median absolute residual: the standard deviation if residuals were normal.
+/// The standard deviation that the residuals would have if they were normal, by the median of their sizes.
 fn robust_scale(residuals: &[f32]) -> f32 {
-    let mut sizes: Vec<f32> = residuals.iter().map(|r| r.abs()).collect();
-    let middle = sizes.len() / 2;
-    let (_, median, _) = sizes.select_nth_unstable_by(middle, f32::total_cmp);
-    (1.4826 * *median).max(SMALLEST_SCALE)
+    robust_deviation(residuals.iter().map(|r| r.abs())).map_or(SMALLEST_SCALE, |scale| scale.max(SMALLEST_SCALE))
 }
 
 /// `right / square`, computed through the square root like a 1x1 Cholesky solve: recorded results depend on this

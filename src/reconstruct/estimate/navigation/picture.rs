@@ -11,6 +11,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::base::color::{POWER_LAW, linear_from_srgb};
+use crate::base::statistics::robust_deviation;
 use crate::base::{Camera, Image};
 use crate::reconstruct::fitting::contrast::{Surroundings, agreement};
 use crate::reconstruct::geometry::lit_wall::{LitPicture, LitView, NearWall, PICTURE, lit_picture, smoothed};
@@ -114,10 +115,8 @@ impl PictureLevel {
 
         // Residuals and their robust weights.
         let residuals: Vec<f32> = self.contrast.iter().zip(&expected).map(|(i, r)| i - gain * r).collect();
-        let mut sizes: Vec<f32> =
-            residuals.iter().zip(counts).filter(|(_, w)| **w > 0.0).map(|(r, _)| r.abs()).collect();
-        let middle = sizes.len() / 2;
-        let scale = (1.4826 * *sizes.select_nth_unstable_by(middle, f32::total_cmp).1).max(SMALLEST_SCALE);
+        let sizes = residuals.iter().zip(counts).filter(|(_, w)| **w > 0.0).map(|(r, _)| r.abs());
+        let scale = robust_deviation(sizes)?.max(SMALLEST_SCALE);
         let limit = *settings.huber as f32 * scale;
         let weights: Vec<f32> = residuals.iter().zip(counts).map(|(r, w)| w * limit / r.abs().max(limit)).collect();
 

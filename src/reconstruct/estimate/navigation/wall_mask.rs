@@ -2,6 +2,7 @@
 //! Mucosa is red: the ratio of green to red, in encoded values, varies little over a frame, and what is pale has a higher
 //! one. The median of a frame stands for its tissue, whatever lamp and white balance are.
 
+use crate::base::statistics::{robust_deviation, upper_median};
 use crate::base::{Image, Mask};
 
 /// Code from which a channel counts as clipped: green, and all three.
@@ -15,13 +16,11 @@ const PALE_DEVIATIONS: f32 = 3.0;
 /// How much each pixel of `image` shows of the wall, 0 or 1; `mask` is what the lens shows at all.
 pub fn wall_shares(image: &Image<u8>, mask: Option<&Mask>) -> Vec<f32> {
     let ratio = |pixel: &[u8]| f32::from(pixel[1]) / f32::from(pixel[0]);
-    let mut ratios: Vec<f32> = image.data.chunks_exact(3).filter(|p| p[0] >= DARK).map(ratio).collect();
+    let ratios: Vec<f32> = image.data.chunks_exact(3).filter(|p| p[0] >= DARK).map(ratio).collect();
     let mut limit = f32::INFINITY;
-    if !ratios.is_empty() {
-        let middle = ratios.len() / 2;
-        let median = *ratios.select_nth_unstable_by(middle, f32::total_cmp).1;
-        let mut off: Vec<f32> = ratios.iter().map(|r| (r - median).abs()).collect();
-        let deviation = 1.4826 * *off.select_nth_unstable_by(middle, f32::total_cmp).1;
+    if let Some(median) = upper_median(ratios.iter().copied())
+        && let Some(deviation) = robust_deviation(ratios.iter().map(|ratio| (ratio - median).abs()))
+    {
         limit = PALE_FACTOR * median + PALE_DEVIATIONS * deviation;
     }
     let shows = |(index, pixel): (usize, &[u8])| {

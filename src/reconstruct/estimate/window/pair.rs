@@ -4,6 +4,7 @@
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use nalgebra::{DMatrix, DVector};
 
+use crate::base::statistics::robust_deviation;
 use crate::reconstruct::fitting::contrast::ContrastImage;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::rigid::{POSE, turns};
@@ -331,10 +332,8 @@ pub fn pair(key: &Keyframe, target: &TargetFrame<'_>, assumed: &Assumed<'_>, oth
         return pair;
     }
 
-    // Robust scale: 1.4826 times the median absolute residual.
-    let mut sizes: Vec<f32> = residuals.iter().flat_map(|found| found.residual.map(f32::abs)).collect();
-    let middle = sizes.len() / 2;
-    let scale = (1.4826 * *sizes.select_nth_unstable_by(middle, f32::total_cmp).1).max(SMALLEST_SCALE);
+    let sizes = residuals.iter().flat_map(|found| found.residual.map(f32::abs));
+    let scale = robust_deviation(sizes).map_or(SMALLEST_SCALE, |scale| scale.max(SMALLEST_SCALE));
     let limit = HUBER * scale;
     let per_value = 1.0 / (scale as f64 * scale as f64 * TOGETHER);
 
