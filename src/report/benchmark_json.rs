@@ -12,8 +12,8 @@ use serde::Serialize;
 use super::read::Results;
 use super::table::counted;
 use crate::base::{Result, files};
-use crate::score::statistics::{MeanInterval, bootstrap_groups};
-use crate::score::{Goal, Metric, registry};
+use crate::score::statistics::mean_over_cases;
+use crate::score::{Goal, registry};
 
 /// `customSmallerIsBetter` of github-action-benchmark.
 pub const SMALLER_FILE: &str = "benchmark-smaller-is-better.json";
@@ -21,8 +21,6 @@ pub const SMALLER_FILE: &str = "benchmark-smaller-is-better.json";
 pub const BIGGER_FILE: &str = "benchmark-bigger-is-better.json";
 /// Bencher Metric Format, Bencher's adapter `json`.
 pub const BENCHER_FILE: &str = "benchmark-bencher.json";
-/// Seed of the bootstrap: fixed, so that the same tables give the same bounds.
-const BOOTSTRAP_SEED: u64 = 1;
 
 /// An entry of github-action-benchmark.
 #[derive(Serialize)]
@@ -56,7 +54,9 @@ pub fn write(results: &Results, folder: &Path) -> Result<()> {
     let mut bencher: BTreeMap<&str, BTreeMap<&str, BencherMetric>> = BTreeMap::new();
     for method in results.methods() {
         for metric in registry() {
-            let Some(mean) = mean_over_cases(results, method, metric) else { continue };
+            let of_cases = results.case_values(method, metric.id);
+            let of_cases = of_cases.iter().map(|(case, value)| (*value, results.tree_of(case)));
+            let Some(mean) = mean_over_cases(of_cases) else { continue };
             let of_direction = match metric.direction {
                 Goal::Lower => &mut smaller,
                 Goal::Higher => &mut bigger,
@@ -82,12 +82,4 @@ pub fn write(results: &Results, folder: &Path) -> Result<()> {
     files::write_json(&folder.join(SMALLER_FILE), &smaller)?;
     files::write_json(&folder.join(BIGGER_FILE), &bigger)?;
     files::write_json(&folder.join(BENCHER_FILE), &bencher)
-}
-
-/// Mean over the cases with a value.
-fn mean_over_cases(results: &Results, method: &str, metric: &Metric) -> Option<MeanInterval> {
-    let of_cases = results.case_values(method, metric.id);
-    let values: Vec<f64> = of_cases.iter().map(|(_, value)| *value).collect();
-    let trees: Vec<&str> = of_cases.iter().map(|(case, _)| results.tree_of(case)).collect();
-    bootstrap_groups(&values, &trees, BOOTSTRAP_SEED)
 }

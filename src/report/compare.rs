@@ -4,11 +4,8 @@
 use serde::Serialize;
 
 use super::read::Results;
-use crate::score::statistics::bootstrap_groups;
+use crate::score::statistics::mean_over_cases;
 use crate::score::{Goal, Metric, registry};
-
-/// Seed of the bootstrap: fixed, so that the same tables give the same bounds.
-const BOOTSTRAP_SEED: u64 = 1;
 
 /// What a difference means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -73,7 +70,7 @@ fn compare_one(a: &Results, b: &Results, method: &str, m: &'static Metric) -> Op
     let without = b.cases_without(method, m.id);
     let has_lost = values_a.iter().any(|(case, _)| without.contains(case));
     let differences: Vec<f64> = pairs.iter().map(|(va, vb)| vb - va).collect();
-    let Some(mean) = bootstrap_groups(&differences, &trees, BOOTSTRAP_SEED) else {
+    let Some(mean) = mean_over_cases(differences.iter().copied().zip(trees)) else {
         let nothing = Comparison {
             method: method.to_owned(),
             metric: m.id,

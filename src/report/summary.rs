@@ -6,11 +6,8 @@
 //! ([`Run::is_timed`]). Equal numbers, to the decimals that tables show, share a place.
 
 use super::run::{MethodInfo, Role, Run};
-use crate::score::statistics::{MeanInterval, bootstrap_groups};
+use crate::score::statistics::{MeanInterval, mean_over_cases};
 use crate::score::{Goal, Metric, Status, registry, told_by};
-
-/// Seed of the bootstrap over trees and cases: fixed, so that the same scores give the same bounds.
-const BOOTSTRAP_SEED: u64 = 1;
 
 /// One metric of one method, over the cases.
 #[derive(Clone, Copy, Debug)]
@@ -75,9 +72,7 @@ pub fn summarise(run: &Run) -> Vec<MethodSummary> {
 
 /// Mean of one value per case, with the interval over trees and cases.
 pub fn over_cases(run: &Run, of_cases: &[(&str, f64)]) -> Option<MeanInterval> {
-    let values: Vec<f64> = of_cases.iter().map(|(_, value)| *value).collect();
-    let trees: Vec<&str> = of_cases.iter().map(|(case, _)| run.tree_of(case)).collect();
-    bootstrap_groups(&values, &trees, BOOTSTRAP_SEED)
+    mean_over_cases(of_cases.iter().map(|(case, value)| (*value, run.tree_of(case))))
 }
 
 /// Whether a ranked method's numbers of `metric` are of the truth itself.

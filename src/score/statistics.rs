@@ -4,6 +4,8 @@
 use crate::base::random::{CounterRng, Stage};
 use crate::base::statistics::quantile;
 
+/// Seed of the interval of a mean over cases: fixed, so that the same scores give the same bounds.
+const CASES_SEED: u64 = 1;
 /// Resamples of a bootstrap: enough for two digits of a 95 % bound.
 const RESAMPLES: usize = 2000;
 
@@ -51,10 +53,17 @@ pub fn bootstrap(values: &[f64], seed: u64) -> Option<MeanInterval> {
     blocks(values, 1, seed)
 }
 
+/// Mean of one value per case, each with the tree of its case, with the interval of [`bootstrap_groups`]: what all
+/// reports say of several cases.
+pub fn mean_over_cases<'a>(of_cases: impl IntoIterator<Item = (f64, &'a str)>) -> Option<MeanInterval> {
+    let (values, trees): (Vec<f64>, Vec<&str>) = of_cases.into_iter().unzip();
+    bootstrap_groups(&values, &trees, CASES_SEED)
+}
+
 /// Mean of `values` (one per case) with a percentile interval that draws groups first, then as many values of each as it
 /// has (Davison and Hinkley 1997, section 3.8): values of one group are alike, so that more of them say little more.
 /// Where every value has a group of its own this is [`bootstrap`], but for the numbers drawn. `groups` has one per value.
-pub fn bootstrap_groups(values: &[f64], groups: &[&str], seed: u64) -> Option<MeanInterval> {
+fn bootstrap_groups(values: &[f64], groups: &[&str], seed: u64) -> Option<MeanInterval> {
     let centre = mean(values)?;
     let mut names: Vec<&str> = groups.to_vec();
     names.sort_unstable();
