@@ -256,6 +256,7 @@ fn comparison(table: &ComparisonTable, run: &Run, palette: &Palette) -> Markup {
             }
             "Rows in italics are bounds and not ranked."
             @for (sign, means) in table.signs() { " " (sign) ": " (means) "." }
+            @for sentence in table.additions() { " " (sentence) }
         }
     }
 }

@@ -28,6 +28,7 @@ pub fn table(table: &ComparisonTable, run_id: &str) -> String {
         table
             .signs()
             .map(|(sign, means)| format!(" {}\\,=\\,{}.", escape(&sign.to_string()), escape(means)))
+            .chain(table.additions().map(|sentence| format!(" {}", escape(&sentence))))
             .collect::<String>()
     ));
     let label = match table.kind {

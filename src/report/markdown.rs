@@ -60,6 +60,9 @@ fn comparison(out: &mut String, table: &ComparisonTable) {
         table.signs().map(|(sign, means)| format!(" {sign}: {means}.")).collect::<String>(),
         comparison_table(table)
     );
+    for sentence in table.additions() {
+        let _ = writeln!(out, "{sentence}\n");
+    }
 }
 
 /// The comparison table alone.

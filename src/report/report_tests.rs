@@ -298,3 +298,26 @@ fn a_page_of_two_tracks_switches_between_whole_reports() {
     let alone = write_tracks(&[run], &folder.path().join("one"), &NoProgress).unwrap();
     assert_eq!(alone.html, folder.path().join("one/report.html"));
 }
+
+/// What `ours-window` adds stands below the first table that has the row, and below no other.
+#[test]
+fn a_table_says_what_a_row_adds_to_the_paper() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 24, 5);
+    let additions = |run: &Run| -> Vec<String> {
+        let tables = table::ComparisonTable::all(run.track, &summary::summarise(run));
+        tables.iter().flat_map(table::ComparisonTable::additions).collect()
+    };
+    assert!(additions(&run).is_empty());
+    for cell in run.cells.iter_mut().filter(|cell| cell.method == "ours") {
+        cell.method = "ours-window".into();
+        let Outcome::Scored(score) = &mut cell.outcome else { panic!("ours is scored in both cases") };
+        score.method = "ours-window".into();
+    }
+    run.methods.push(MethodInfo::of("ours-window"));
+    let said = additions(&run);
+    assert!(
+        said.len() == 1 && said[0].starts_with("Ours + keyframes adds to the paper's equations: keyframes,"),
+        "{said:?}"
+    );
+}

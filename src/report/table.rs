@@ -4,6 +4,7 @@
 use super::paper::paper_value;
 use super::run::{MethodInfo, Role};
 use super::summary::MethodSummary;
+use crate::base::own_row;
 use crate::score::{Goal, Group, Metric, navigation_bar_metrics, navigation_metrics, paper_metrics, ranking_metrics};
 use crate::simulate::track::Track;
 
@@ -117,6 +118,15 @@ pub struct ComparisonTable {
     pub rows: Vec<TableRow>,
     /// Most cases behind any row.
     pub cases: usize,
+}
+
+impl ComparisonTable {
+    /// What rows add to the paper's equations, a sentence each: for below the first table that shows them.
+    pub fn additions(&self) -> impl Iterator<Item = String> {
+        let rows = self.rows.iter().filter(|_| self.kind == TableKind::Ranking);
+        let of = |row: &TableRow| own_row::own(&row.method.id).filter(|own| !own.additions.is_empty());
+        rows.filter_map(of).map(|own| format!("{} adds to the paper's equations: {}.", own.title, own.additions))
+    }
 }
 
 /// Short column heading as in the paper.

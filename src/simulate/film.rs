@@ -193,7 +193,7 @@ impl Film {
         let start_mm = route_mm - pace.farthest_mm;
         let clinical = drawn.as_ref().map(|drawn| {
             let points = route.points_between(start_mm, start_mm + pace.extent_mm);
-            ClinicalFilm::new(case, anatomy, drawn, &nominal, (&waveform, &time_s), points)
+            ClinicalFilm::new(case, anatomy, drawn, &nominal, &waveform, &time_s, points)
         });
         let camera = clinical.as_ref().map_or(nominal, |clinical| clinical.optics.camera);
         let scope = clinical.as_ref().map_or(case.scope, |clinical| clinical.scope(case));

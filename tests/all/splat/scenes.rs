@@ -1,6 +1,7 @@
 //! Scenes, losses and measures of the splat tests.
 
 use std::io::Read;
+use std::path::Path;
 
 use glam::{DAffine3, DVec3};
 use respire_bench::base::Camera;
@@ -116,11 +117,18 @@ pub fn wide<T: SplatKernels>(values: &[T]) -> Vec<f64> {
     values.iter().map(|v| v.to_f64()).collect()
 }
 
-fn bytes(archive: &mut npyz::npz::NpzArchive<std::io::BufReader<std::fs::File>>, name: &str) -> Vec<u8> {
-    let mut reader = archive.by_name(name).unwrap().unwrap().into_inner();
-    let mut out = Vec::new();
-    reader.read_to_end(&mut out).unwrap();
-    out
+/// The array `name` of a `.npz`, as the file that it is.
+pub fn member(npz: &Path, name: &str) -> Vec<u8> {
+    let mut archive = zip::ZipArchive::new(std::fs::File::open(npz).unwrap()).unwrap();
+    let mut bytes = Vec::new();
+    archive.by_name(&format!("{name}.npy")).unwrap().read_to_end(&mut bytes).unwrap();
+    bytes
+}
+
+/// The values of the array `name` of a `.npz`, as they lie in it.
+fn bytes(npz: &Path, name: &str) -> Vec<u8> {
+    let file = member(npz, name);
+    npyz::NpyFile::new(&file[..]).unwrap().into_inner().to_vec()
 }
 
 fn half(bits: u16) -> f32 {
@@ -136,14 +144,13 @@ fn half(bits: u16) -> f32 {
 /// The tube of `../shared/reference/splat` with its camera; `None` when it is absent, which is said.
 pub fn tube(name: &str, width: u32) -> Option<(Gaussians<f32>, View)> {
     let path = shared(&format!("reference/splat/{name}"))?;
-    let mut archive = npyz::npz::NpzArchive::open(path).unwrap();
     let f32s = |b: Vec<u8>| b.chunks_exact(4).map(|c| f32::from_le_bytes(c.try_into().unwrap())).collect::<Vec<_>>();
     let f16s = |b: Vec<u8>| b.chunks_exact(2).map(|c| half(u16::from_le_bytes([c[0], c[1]]))).collect::<Vec<_>>();
-    let means = f32s(bytes(&mut archive, "means"));
-    let scales = f16s(bytes(&mut archive, "scales_f16"));
-    let quats = f16s(bytes(&mut archive, "quats_f16"));
-    let dc = f16s(bytes(&mut archive, "sh_dc_f16"));
-    let sh1: Vec<f32> = bytes(&mut archive, "sh1_i8").iter().map(|&b| b as i8 as f32 / 256.0).collect();
+    let means = f32s(bytes(&path, "means"));
+    let scales = f16s(bytes(&path, "scales_f16"));
+    let quats = f16s(bytes(&path, "quats_f16"));
+    let dc = f16s(bytes(&path, "sh_dc_f16"));
+    let sh1: Vec<f32> = bytes(&path, "sh1_i8").iter().map(|&b| b as i8 as f32 / 256.0).collect();
     let n = means.len() / 3;
     let gaussians = Gaussians {
         positions: means.as_chunks::<3>().0.to_vec(),
