@@ -35,7 +35,8 @@ pub(super) fn names(inside: &Path) -> Option<Vec<&'static str>> {
     (!names.is_empty()).then_some(names)
 }
 
-#[cfg(all(test, feature = "methods"))]
+#[cfg(test)]
+#[cfg(feature = "methods")]
 mod tests {
     use super::*;
     use crate::base::files;
