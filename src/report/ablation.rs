@@ -192,6 +192,13 @@ mod tests {
         assert!(fields.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{row}");
     }
 
+    /// Two cases that differ by 0.1, two seeds that differ by 0.02 in both: the noise is that of the mean over cases.
+    #[test]
+    fn noise_is_between_seeds_and_not_between_cases() {
+        let (text, _) = written(&[scores("", "", &[(0, 0.02), (1, 0.04), (0, 0.12), (1, 0.14)])]);
+        assert!(text.contains("ours: *as shipped* | 0.080 ± 0.014"), "{text}");
+    }
+
     #[test]
     fn the_best_value_of_an_axis_is_marked_and_one_that_failed_is_none() {
         let axis = |setting: &str, value: f64, failed: usize| VariantScores {

@@ -247,6 +247,74 @@ fn two_runs_are_compared_in_pairs() {
     assert!(change != Change::Same && cases == 2 && difference > 0.0, "{change:?} {cases} {difference}");
 }
 
+/// A limit is met by what equals it, and of two allowances the larger holds, not their sum.
+#[test]
+fn the_ends_of_the_allowances() {
+    let folder = tempfile::tempdir().unwrap();
+    let with_psnr = {
+        let tables = tables_in(folder.path());
+        move |psnr: f64| changed(&tables, "ours", "psnr_db", |_| Some(psnr))
+    };
+    let limits: Thresholds = toml::from_str(
+        "[[absolute]]\nmetric = \"psnr_db\"\nmethod = \"ours\"\nlimit = 25.0\n\
+         [[relative]]\nmetric = \"psnr_db\"\nworse_by = 0.1\nworse_by_percent = 1.0",
+    )
+    .unwrap();
+    let failed = |psnr: f64, baseline: f64| {
+        let failed = failures(&judge(&with_psnr(psnr), &limits, Some(&with_psnr(baseline))));
+        failed.iter().filter(|f| f.contains("/ours/psnr_db:")).count()
+    };
+    assert_eq!((failed(25.0, 25.0), failed(24.999, 24.999)), (0, 2));
+    // 1 % of 30 dB, and 0.1 dB.
+    assert_eq!((failed(29.71, 30.0), failed(29.69, 30.0)), (0, 2));
+}
+
+/// Five cases, of which four have one tree: alike differences there say little of other trees.
+#[test]
+fn runs_are_compared_over_trees() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut a = tables_in(folder.path());
+    a.entries.retain(|key, _| key.case == "case1" && key.method == "ours" && key.metric == "depth_rmse_mm");
+    let (key, entry) = a.entries.first_key_value().map(|(key, entry)| (key.clone(), entry.clone())).unwrap();
+    for case in 1..=5 {
+        let case = format!("case{case}");
+        a.facts.entry(case.clone()).or_default().tree = case.clone();
+        a.entries.insert(super::read::Key { case, ..key.clone() }, entry.clone());
+    }
+    let mut b = a.clone();
+    for (_, entry) in b.entries.iter_mut().filter(|(key, _)| key.case != "case5") {
+        entry.value = entry.value.map(|v| v + 0.5);
+    }
+    let change = |a: &Results| compare(a, &b)[0].change;
+    assert_eq!(change(&a), Change::Worse);
+    a.facts.iter_mut().filter(|(case, _)| *case != "case5").for_each(|(_, facts)| facts.tree = "shared".into());
+    assert_eq!(change(&a), Change::Unclear, "a bound of 0");
+}
+
+/// By hand: seeds that are 0.04 apart in one case and 0.10 in the other have deviations of 0.028 and 0.071, whose mean
+/// square is that of 0.054.
+#[test]
+fn deviations_of_seeds_are_pooled_by_their_squares() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = tables_in(folder.path());
+    run.entries.retain(|key, _| key.method == "ours" && ["phase_mae", "psnr_db"].contains(&key.metric.as_str()));
+    let first = run.entries.clone();
+    for (key, entry) in first.into_iter().map(|(key, entry)| (super::read::Key { seed: key.seed + 1, ..key }, entry)) {
+        run.entries.insert(key, entry);
+    }
+    for (key, entry) in run.entries.iter_mut().filter(|(key, _)| key.metric == "phase_mae") {
+        let apart = if key.case == "case1" { 0.04 } else { 0.10 };
+        entry.value = Some(0.2 + apart * (key.seed % 2) as f64);
+    }
+    let limits = limits_from(&[run]).unwrap();
+    let of = |metric: &str| limits.iter().find(|l| l.limit.metric == metric).unwrap();
+    let deviation = ((0.04f64.powi(2) + 0.10f64.powi(2)) / 4.0).sqrt();
+    assert!((of("phase_mae").deviation - deviation).abs() < 1e-12, "{:?}", of("phase_mae"));
+    assert_eq!(of("phase_mae").limit.worse_by, 0.22);
+    // No seed changes the PSNR: half of the last decimal that tables show.
+    assert_eq!((of("psnr_db").deviation, of("psnr_db").limit.worse_by), (0.0, 0.005));
+}
+
 /// What is wrong with the predictions of a build.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Planted {

@@ -73,14 +73,60 @@ fn neighbours_are_compared_in_pairs() {
     // Two cases: the ends are the two differences. Both are above 0, whatever the spread between cases.
     let [low, high] = pair.ahead.interval.unwrap();
     assert!((low - 0.01).abs() < 1e-12 && (high - 0.03).abs() < 1e-12 && pair.is_clear());
-    set(&mut run, "case2", "ours-nomesh", 0.19);
-    let found = differences::neighbours(&run, &summary::summarise(&run));
-    assert!(found.iter().any(|d| d.metric.id == "phase_mae" && !d.is_clear()));
+    // Behind in one case, or level with it: then the bound is 0.
+    for level in [0.20, 0.19] {
+        set(&mut run, "case2", "ours-nomesh", level);
+        let found = differences::neighbours(&run, &summary::summarise(&run));
+        assert!(found.iter().any(|d| d.metric.id == "phase_mae" && !d.is_clear()));
+    }
     write(&run, &folder.path().join("report"), &NoProgress).unwrap();
     let read = |name: &str| fs::read_to_string(folder.path().join("report").join(name)).unwrap();
     assert!(read("differences.csv").contains("phase_mae,1,ours,ours-nomesh,2,2,"), "{}", read("differences.csv"));
     assert!(read("report.md").contains("## Neighbours in the ranking") && read("report.html").contains("Ahead by"));
     assert!(read("run.json").contains("\"track\": \"ideal\"") && read("run.json").contains("tree of case1"));
+}
+
+/// Four cases of one tree and one of another: every fourth resample holds the other tree alone, which cases drawn each for
+/// itself would do once in three thousand.
+#[test]
+fn a_mean_over_cases_has_the_interval_of_their_trees() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 24, 5);
+    let case = |k: usize| CaseInfo { id: format!("case{k}"), tree: format!("tree{}", k / 5), ..run.cases[0].clone() };
+    run.cases = (1..=5).map(case).collect();
+    let values = [("case1", 1.0), ("case2", 1.0), ("case3", 1.0), ("case4", 1.0), ("case5", 0.0)];
+    assert_eq!(summary::over_cases(&run, &values).unwrap().interval, Some([0.0, 1.0]));
+}
+
+/// What differs by less than tables show shares a place; and every seed counts in a case's value.
+#[test]
+fn equal_numbers_share_a_place_and_seeds_are_averaged() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 24, 5);
+    let set = |cell: &mut CellRecord, value: f64| {
+        let Outcome::Scored(score) = &mut cell.outcome else { panic!("not scored") };
+        score.metrics.iter_mut().find(|m| m.metric == "phase_mae").unwrap().value = Some(value);
+    };
+    for cell in &mut run.cells {
+        match cell.method.as_str() {
+            "ours" => set(cell, 0.1001),
+            "ours-nomesh" => set(cell, 0.1004),
+            _ => {}
+        }
+    }
+    let summaries = summary::summarise(&run);
+    let rank =
+        |method: &str| summaries.iter().find(|s| s.method.id == method).unwrap().metric("phase_mae").unwrap().rank;
+    assert_eq!((rank("ours"), rank("ours-nomesh")), (Some(1), Some(1)));
+
+    let mut second: Vec<CellRecord> = run.cells.iter().filter(|c| c.method == "ours").cloned().collect();
+    second.iter_mut().for_each(|cell| {
+        cell.seed += 1;
+        set(cell, 0.3001);
+    });
+    run.cells.extend(second);
+    let values = run.case_values("ours", "phase_mae");
+    assert!(values.len() == 2 && values.iter().all(|(_, value)| (value - 0.2001).abs() < 1e-12), "{values:?}");
 }
 
 /// Two seeds in one case and one in the other are not every seed in every case.

@@ -172,6 +172,8 @@ pub struct BeyondPhase(pub TubeTruth);
 impl BeyondPhase {
     /// How far the wall of the last frame has moved, mm.
     pub const MOVED_MM: f64 = 0.9;
+    /// How far beside the camera methods are told that it is, mm.
+    pub const TOLD_OFF_MM: f64 = 0.7;
 }
 
 impl Truth for BeyondPhase {
@@ -227,6 +229,11 @@ impl Truth for BeyondPhase {
         self.0.target_mm(index, frame) + DVec3::new(0.5, 0.0, 0.1 * frame as f64)
     }
 
+    fn told_poses(&self) -> Vec<DAffine3> {
+        let off = DAffine3::from_translation(DVec3::Y * Self::TOLD_OFF_MM);
+        self.0.told_poses().into_iter().map(|pose| off * pose).collect()
+    }
+
     fn last_surface(&self) -> Result<Option<TriangleMesh>> {
         let mut surface = final_mesh(&self.0)?;
         surface.vertices.iter_mut().for_each(|v| v.y += Self::MOVED_MM);
@@ -272,7 +279,7 @@ pub struct Distortion {
 }
 
 /// Standard deviation that predictions state of a target's place along each axis of the camera, mm.
-pub const TARGET_SD_MM: f64 = 1.0;
+pub const TARGET_SD_MM: f64 = 1.2;
 /// Standard deviation that predictions state of their phase.
 pub const PHASE_SD: f64 = 0.05;
 

@@ -588,9 +588,9 @@ mod tests {
 
     #[test]
     fn covariances_are_read_target_by_target_and_must_be_positive_definite() {
-        let text = |zz: f64| format!("frame,target,xx,xy,xz,yy,yz,zz\n0,0,4,1,0,2,0,{zz}\n");
+        let text = |zz: f64| format!("frame,target,xx,xy,xz,yy,yz,zz\n0,0,4,1,-1,2,0.5,{zz}\n");
         let read = parse_covariance(text(9.0).as_bytes(), 1, 1).unwrap();
-        assert_eq!(read[0][0], DMat3::from_cols_array(&[4.0, 1.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0, 9.0]));
+        assert_eq!(read[0][0], DMat3::from_cols_array(&[4.0, 1.0, -1.0, 1.0, 2.0, 0.5, -1.0, 0.5, 9.0]));
         for (wrong, says) in [(text(-1.0), "line 2"), (text(f64::NAN), "line 2"), (text(1.0).repeat(2), "line 3")] {
             assert!(parse_covariance(wrong.as_bytes(), 1, 1).unwrap_err().to_string().contains(says), "{wrong}");
         }

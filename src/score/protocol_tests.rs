@@ -3,10 +3,11 @@
 use std::fs;
 use std::path::Path;
 
-use super::fixture::{Distortion, PHASE_SD, TARGET_SD_MM, TubeTruth, write_prediction};
-use super::{CellScore, Goal, ScoreSettings, Status, metric, registry, score};
+use super::contour::target_errors;
+use super::fixture::{BeyondPhase, Distortion, PHASE_SD, TARGET_SD_MM, TubeTruth, write_prediction};
+use super::{CellScore, Goal, ScoreSettings, Status, Truth, metric, registry, score};
 use crate::base::{TriangleMesh, files};
-use crate::formats::mesh;
+use crate::formats::{mesh, png};
 
 fn scored(truth: &TubeTruth, distortion: &Distortion) -> CellScore {
     let folder = tempfile::tempdir().unwrap();
@@ -117,12 +118,102 @@ fn graded_distortions_are_told_apart() {
     // A camera that is elsewhere than said is an error of navigation, and none of the targets.
     let along = scored(&truth, &Distortion { pose_shift: 0.4, ..none });
     assert!(along.value("navigation_error_mm").unwrap() > 0.3 && along.value("target_mean_mm").unwrap() < 1e-9);
-    // Ten standard deviations off, and an error bar of 1.7 mm: lost in silence.
+    assert!(["pose_error_mm", "pose_error_deg"].iter().all(|id| (along.value(id).unwrap() - 0.4).abs() < 1e-9));
+    // Ten millimetres off, and an error bar of 2.1 mm: lost in silence.
     let lost = scored(&truth, &Distortion { surface_shift_mm: 10.0, ..none });
     let values = |cell: &CellScore| ["lost_pct", "silent_pct", "recovered_pct"].map(|id| cell.value(id).unwrap());
     assert_eq!((values(&moved), values(&lost)), ([0.0, 0.0, 100.0], [100.0, 100.0, 0.0]));
     assert!(lost.value("navigation_coverage_2sd_pct").unwrap() < 70.0);
     assert!((moved.value("depth_rmse_mm").unwrap()).abs() < 1e-9);
+}
+
+/// Codes of which one bit is turned are off by just that: 8, 16 and 32 of 255.
+#[test]
+fn each_kind_of_picture_is_compared_with_its_own_truth() {
+    let truth = TubeTruth::new("tube", 24, 17);
+    let folder = tempfile::tempdir().unwrap();
+    write_prediction(&truth, folder.path(), &Distortion::default());
+    for (kind, bit) in [("color", 8), ("ahead", 16), ("novel", 32)] {
+        for entry in fs::read_dir(folder.path().join(kind)).unwrap() {
+            let path = entry.unwrap().path();
+            let mut image = png::read_rgb(&path).unwrap();
+            image.data.iter_mut().for_each(|code| *code ^= bit);
+            png::write_rgb(&path, &image).unwrap();
+        }
+    }
+    let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
+    for (id, off) in [("psnr_db", 8.0), ("psnr_ahead_db", 16.0), ("novel_psnr_db", 32.0)] {
+        let expected = 20.0 * (255.0 / off as f64).log10();
+        assert!((found.value(id).unwrap() - expected).abs() < 1e-9, "{id}: {:?} {expected}", found.value(id));
+    }
+}
+
+/// Targets off by 0.1, 0.2 and 0.3 mm in every frame: their 95th percentile is that of the worst, and no frame's mean.
+#[test]
+fn percentiles_are_of_single_targets() {
+    let truth = TubeTruth::new("tube", 24, 9);
+    let folder = tempfile::tempdir().unwrap();
+    write_prediction(&truth, folder.path(), &Distortion::default());
+    write_targets(&truth, folder.path(), |target| 0.1 * (target + 1) as f64);
+    let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
+    for (id, mm) in [
+        ("target_mean_mm", 0.2),
+        ("target_p95_mm", 0.3),
+        ("navigation_error_mm", 0.2),
+        ("navigation_error_p95_mm", 0.3),
+    ] {
+        assert!((found.value(id).unwrap() - mm).abs() < 1e-9, "{id}: {:?}", found.value(id));
+    }
+}
+
+/// `targets.csv` with the truth, each target moved along x by `off_mm`.
+fn write_targets(truth: &dyn Truth, folder: &Path, off_mm: impl Fn(usize) -> f64) {
+    let mut rows = "frame,target,x_mm,y_mm,z_mm\n".to_owned();
+    for frame in 0..truth.frames().len() {
+        for target in 0..truth.targets().len() {
+            let place = truth.target_mm(target, frame);
+            rows.push_str(&format!("{frame},{target},{},{},{}\n", place.x + off_mm(target), place.y, place.z));
+        }
+    }
+    fs::write(folder.join("targets.csv"), rows).unwrap();
+}
+
+/// A prediction with poses is navigated by them, one without by those that it was told, and neither by the true ones.
+#[test]
+fn navigation_is_by_the_poses_that_a_prediction_has() {
+    let truth = BeyondPhase(TubeTruth::new("tube", 24, 9));
+    let folder = tempfile::tempdir().unwrap();
+    write_prediction(&truth, folder.path(), &Distortion::default());
+    write_targets(&truth, folder.path(), |_| 0.0);
+    let error_mm = || {
+        let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
+        found.value("navigation_error_mm").unwrap()
+    };
+    assert!(error_mm() < 1e-9);
+    fs::remove_file(folder.path().join("poses.csv")).unwrap();
+    assert!((error_mm() - BeyondPhase::TOLD_OFF_MM).abs() < 1e-9, "{}", error_mm());
+}
+
+/// A surface that grows wider along the tube: what it is off says which frame, phase and plane it was compared at.
+#[test]
+fn the_final_surface_is_compared_at_the_last_frame() {
+    let truth = TubeTruth::new("tube", 24, 9);
+    let folder = tempfile::tempdir().unwrap();
+    write_prediction(&truth, folder.path(), &Distortion::default());
+    let last = &truth.frames()[8];
+    let (mut exact, other) = (truth.inspiration().unwrap(), truth.expiration().unwrap());
+    exact.vertices.iter_mut().zip(&other.vertices).for_each(|(v, there)| *v = v.lerp(*there, last.phase));
+    let mut wide = exact.clone();
+    wide.vertices.iter_mut().for_each(|v| v.x *= 1.0 + 0.01 * v.z);
+    mesh::write_ply(&folder.path().join("mesh/final.ply"), &wide, &[]).unwrap();
+    let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
+    let expected = target_errors(&exact, &wide, None, &last.world_from_camera, 1).unwrap().unwrap();
+    let wanted = [expected.contour_rmse_mm, expected.target_mm, expected.mean_mm, expected.p95_mm];
+    let ids = ["contour_rmse_mm", "target_error_mm", "target_error_mean_mm", "target_error_p95_mm"];
+    for (id, wanted) in ids.into_iter().zip(wanted) {
+        let off = found.value(id).unwrap() - wanted.unwrap();
+        assert!(off.abs() < 1e-9 && wanted.unwrap() > 0.1, "{id}: {off} of {wanted:?}");
+    }
 }
 
 #[test]
@@ -190,8 +281,7 @@ fn damage_is_named() {
         ("color/000003.png", |f| fs::remove_file(f.join("color/000003.png")).unwrap()),
         ("color/000002.png", |f| fs::write(f.join("color/000002.png"), b"not a picture").unwrap()),
         ("color/000001.png", |f| {
-            crate::formats::png::write_rgb(&f.join("color/000001.png"), &crate::base::Image::filled(9, 9, 3, 0))
-                .unwrap()
+            png::write_rgb(&f.join("color/000001.png"), &crate::base::Image::filled(9, 9, 3, 0)).unwrap()
         }),
         ("depth/000008.exr", |f| fs::remove_file(f.join("depth/000008.exr")).unwrap()),
         ("depth/000004.exr", |f| {
