@@ -73,6 +73,7 @@ fn away(anatomy: &Anatomy, tip: usize) -> DVec3 {
 mod tests {
     use super::*;
     use crate::airway::centerline::{Centerline, CenterlinePoint};
+    use crate::airway::field::BreathingField;
     use crate::base::TriangleMesh;
 
     #[test]
@@ -107,6 +108,20 @@ mod tests {
             assert!((tip.inspiration_mm.distance(beside.inspiration_mm) - BESIDE_MM).abs() < 1e-9);
             assert_eq!(beside.expiration_mm - beside.inspiration_mm, shift);
             assert_eq!(tip.at(0.5), tip.inspiration_mm + 0.5 * shift);
+        }
+        // Where the motion of all tissue is known, a companion moves as the tissue where it is.
+        let field = BreathingField {
+            source: String::new(),
+            scale: 1.0,
+            softening_mm: 10.0,
+            origin_mm: [0.0; 3],
+            affine: [[0.0, 9.0, 2.0, 0.0], [1.0, -4.0, 7.0, 3.0], [5.0, 0.0, 6.0, 8.0]],
+            centers: Vec::new(),
+        };
+        let breathing = Breathing { calibre: Default::default(), field };
+        for beside in &targets(&anatomy, Some(&breathing))[3..] {
+            let motion = breathing.field.displacement(beside.inspiration_mm);
+            assert!((beside.expiration_mm - beside.inspiration_mm).distance(motion) < 1e-12);
         }
     }
 }

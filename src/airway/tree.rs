@@ -245,6 +245,17 @@ mod tests {
         assert!((back.branches[1].length_mm() - tree.branches[1].length_mm()).abs() < 0.1);
     }
 
+    /// A branch may leave its parent on the way, and ends where it gets too narrow.
+    #[test]
+    fn a_branch_joins_its_parent_where_it_begins() {
+        let mut tree = fork();
+        tree.branches[2].points_mm.iter_mut().for_each(|p| p[2] += 20.0);
+        let centerline = tree.to_centerline();
+        assert_eq!((centerline.points[11].parent, centerline.points[22].parent), (Some(10), Some(6)));
+        tree.branches[1].points_mm[7..].iter_mut().for_each(|p| p[3] = 0.9);
+        assert_eq!(tree.reachable(2.0, 9).branches[1].points_mm.len(), 7);
+    }
+
     #[test]
     fn narrow_branches_are_not_reachable_and_damage_is_named() {
         assert_eq!(fork().reachable(2.0, 9).branches.len(), 2);

@@ -297,6 +297,17 @@ mod tests {
         }
     }
 
+    /// Salazar and Knowles: at a pressure P the volume is (1 - exp(-k P)) / (1 - exp(-k)), k = 0.8 out and 1.2 in.
+    #[test]
+    fn breathing_out_and_in_have_stiffnesses_of_their_own() {
+        let (w, pi) = (Waveform::default(), std::f64::consts::PI);
+        let volume = |pressure: f64, k: f64| (1.0 - (-k * pressure).exp()) / (1.0 - (-k).exp());
+        // In the middle of an inhalation the pressure is one half; of an exhalation, the recoil has brought it lower.
+        assert!((w.phase(3.75, 0) - (1.0 - volume(0.5, 1.2))).abs() < 1e-12, "{}", w.phase(3.75, 0));
+        let out = 0.5 + 0.5 * (pi * (0.5 + 0.35 / pi)).cos();
+        assert!((w.phase(1.75, 0) - (1.0 - volume(out, 0.8))).abs() < 1e-12, "{}", w.phase(1.75, 0));
+    }
+
     #[test]
     fn the_breath_is_not_symmetric_in_time() {
         let w = Waveform::default();
@@ -334,6 +345,16 @@ mod tests {
         let w = Waveform { irregularity: 0.7, ..Waveform::default() };
         assert_eq!(w.phase(37.3, 5), w.phase(37.3, 5));
         assert_ne!(w.phase(37.3, 5), w.phase(37.3, 6));
+        // Turning points: most breaths neither fill nor empty the lung as far as the CTs' did.
+        let at = |i: usize| w.phase(10.0 + 0.01 * i as f64, 5);
+        let turns = |sign: f64| {
+            let is_top = |i: &usize| sign * at(*i) >= sign * at(i - 1) && sign * at(*i) > sign * at(i + 1);
+            (1..20_000).filter(is_top).map(at).collect::<Vec<f64>>()
+        };
+        let (empty, full) = (turns(1.0), turns(-1.0));
+        assert!(empty.len() > 30 && full.len() > 30);
+        assert!(empty.iter().filter(|&&p| p < 0.999).count() > empty.len() / 2, "{empty:?}");
+        assert!(full.iter().filter(|&&p| p > 0.001).count() > full.len() / 2, "{full:?}");
     }
 
     #[test]

@@ -176,6 +176,43 @@ impl SlowDrift {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::TriangleMesh;
+    use crate::render::Material;
+
+    /// Before an even wall the light falls with the third power of the cosine: two of the distance, one of the slant.
+    #[test]
+    fn the_proxy_of_an_even_wall_has_a_closed_form() {
+        let corners = [[-500.0, -500.0], [500.0, -500.0], [500.0, 500.0], [-500.0, 500.0]];
+        let vertices = corners.map(|[x, y]| DVec3::new(x, y, 20.0)).to_vec();
+        let mesh = TriangleMesh { vertices, faces: vec![[0, 2, 1], [0, 3, 2]] };
+        let albedo = [0.7, 0.4, 0.3];
+        let scene = Scene::new(&mesh, &[], Material::lambert(albedo), 1).unwrap();
+        let (camera, light) = (Camera::pinhole(96, 96, 1.5), Light::at_camera([300.0, 200.0, 100.0]));
+        let found = proxy_radiance(&scene, &camera, &DAffine3::IDENTITY, &light, 0.0, albedo).unwrap();
+        for (place, found) in found.iter().enumerate() {
+            // A ray at the middle of each two pixels.
+            let pixel = DVec2::new((place % GRID * 2 + 1) as f64, (place / GRID * 2 + 1) as f64);
+            let cosine = camera.direction(pixel).normalize().z;
+            for c in 0..3 {
+                let direct = albedo[c] * light.intensity[c] * cosine.powi(3) / (std::f64::consts::PI * 400.0);
+                let expected = direct * (1.0 + INTERREFLECTION * albedo[c]);
+                assert!((found[c] / expected - 1.0).abs() < 1e-3, "{pixel}: {} {expected}", found[c]);
+            }
+        }
+    }
+
+    /// Over many films, red and blue drift by the stated deviation, each on its own.
+    #[test]
+    fn red_and_blue_drift_each_on_its_own() {
+        let settings = ExposureSettings { white_balance_drift: 0.1, ..ExposureSettings::default() };
+        let drifts: Vec<[f64; 2]> = (0..2000)
+            .map(|seed| follow(&[1.0, 1.0], &[0.0, 3.0], &settings, seed)[1].white_balance)
+            .map(|[red, _, blue]| [red.ln() / 0.1, blue.ln() / 0.1])
+            .collect();
+        let mean = |of: &dyn Fn(&[f64; 2]) -> f64| drifts.iter().map(of).sum::<f64>() / 2000.0;
+        let (red, blue, both) = (mean(&|d| d[0] * d[0]), mean(&|d| d[1] * d[1]), mean(&|d| d[0] * d[1]));
+        assert!((red - 1.0).abs() < 0.1 && (blue - 1.0).abs() < 0.1 && both.abs() < 0.1, "{red} {blue} {both}");
+    }
 
     #[test]
     fn the_wanted_gain_meets_the_target() {

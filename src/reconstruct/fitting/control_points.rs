@@ -108,8 +108,13 @@ mod tests {
         let mut out = Vec::new();
         field.apply(&vec![[1.0f32, 2.0, 3.0]; 20], &mut out);
         assert!(out.iter().all(|o| (o[0] - 1.0).abs() < 1e-5 && (o[2] - 3.0).abs() < 1e-5), "a common shift is kept");
-        let far = ControlField::new(&controls, &[DVec3::X * 3.0], 5, 4.5);
-        far.apply(&[[1.0f32]; 20], &mut Vec::from([[0.0f32]]));
+        // Far away the weights are below their floor, and their sum over it is left of a common shift.
+        let (place, mut far) = (DVec3::X * 1.8, Vec::new());
+        ControlField::new(&controls, &[place], 5, 4.5).apply(&[[1.0f32]; 20], &mut far);
+        let mut weights: Vec<f64> = controls.iter().map(|c| (-4.5 * c.distance(place)).exp()).collect();
+        weights.sort_by(|a, b| b.total_cmp(a));
+        let (sum, moved) = (weights[..5].iter().sum::<f64>(), f64::from(far[0][0]));
+        assert!(sum < 0.01 && (moved - sum / 0.01).abs() < 1e-5, "{moved} of {sum}");
         let d: Vec<[f32; 3]> = cloud(20, 1.0).iter().map(|v| v.as_vec3().to_array()).collect();
         let g: Vec<[f32; 3]> = cloud(50, 1.0).iter().map(|v| v.as_vec3().to_array()).collect();
         field.apply(&d, &mut out);

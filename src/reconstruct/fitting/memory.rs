@@ -135,6 +135,25 @@ mod tests {
         assert_eq!((sh, memory.contained_shade[0]), (sh_of(0.9), 2.0));
     }
 
+    /// A memory of two frames moves half of the way to each later one; and what was shown comes back at the light of now.
+    #[test]
+    fn the_memory_has_an_end_and_colours_come_back_in_the_light_of_now() {
+        let sh_of = |color: f32| -> Vec<f32> {
+            (0..SH_VALUES).map(|i| if i < 3 { (color - 0.5) / SH_C0 } else { 0.0 }).collect()
+        };
+        let color = |sh: &[f32]| sh[0] * SH_C0 + 0.5;
+        let mut memory = Memory::new(1);
+        memory.contained_shade[0] = 1.0;
+        [0.2, 0.6, 1.0].into_iter().for_each(|shown| memory.add(0, &sh_of(shown), 2.0));
+        let mut sh = sh_of(0.3);
+        let before = memory.set_aside(&sh);
+        memory.recall(&mut sh);
+        assert!((color(&sh) - 0.7).abs() < 1e-6, "{}", color(&sh));
+        memory.contained_shade[0] = 2.0;
+        memory.put_back(0, &mut sh, &before);
+        assert!((color(&sh) - 0.6).abs() < 1e-6, "{}", color(&sh));
+    }
+
     #[test]
     fn what_nobody_saw_keeps_its_colour_and_entries_travel_by_index() {
         let mut all = Memory::new(3);

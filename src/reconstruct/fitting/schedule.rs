@@ -11,3 +11,15 @@ pub fn scaled_iterations(published: f64, scale: f64) -> usize {
 pub fn rate_factor(iteration_scale: f64) -> f64 {
     (1.0 / iteration_scale).clamp(1.0, 10.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A tenth of the iterations at ten times the rate goes as far; no profile goes slower than published.
+    #[test]
+    fn fewer_iterations_go_as_far() {
+        assert_eq!([(100.0, 0.1), (3.0, 0.1), (0.0, 0.1)].map(|(n, scale)| scaled_iterations(n, scale)), [10, 1, 0]);
+        assert_eq!([0.25, 0.01, 1.0, 2.0].map(rate_factor), [4.0, 10.0, 1.0, 1.0]);
+    }
+}

@@ -77,6 +77,14 @@ mod tests {
     }
 
     #[test]
+    fn near_walls_lend_more() {
+        let positions = [[1.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0; 3]];
+        let lent = lent_colors(&positions, |k| (k < 2).then(|| Shown { color: [[0.2; 3], [0.8; 3]][k], shade: 1.0 }));
+        let expected = (0.2 / 1.2 + 0.8 / 4.2) / (1.0 / 1.2 + 1.0 / 4.2);
+        assert!(lent[0].0 == 2 && (lent[0].1[0] - expected as f32).abs() < 1e-6, "{lent:?} {expected}");
+    }
+
+    #[test]
     fn nothing_seen_is_grey() {
         assert_eq!(lent_colors(&[[0.0; 3], [1.0; 3]], |_| None), [(0, GREY), (1, GREY)]);
     }

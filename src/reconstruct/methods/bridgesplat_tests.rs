@@ -7,6 +7,7 @@ use glam::DAffine3;
 
 use super::*;
 use crate::base::image::codes_from_unit;
+use crate::base::random::{CounterRng, Stage};
 use crate::base::{Camera, Image};
 use crate::reconstruct::fitting::anchored::{SH_C0, SH_VALUES, to_f32};
 use crate::reconstruct::methods::tests::bridgesplat;
@@ -170,4 +171,41 @@ fn what_does_not_move_is_left_in_place() {
     let (observation, truth) = film(Bump::Wide, 0.0);
     let error = error_mm(&bridgesplat(), &observation, &truth);
     assert!(error <= 0.5, "{error}");
+}
+
+/// The gradient of `4 L_rigid + 10 L_iso` against differences: rigid towards the last frame, isometric to the rest.
+#[test]
+fn regularisers_have_the_gradient_of_their_losses() {
+    let settings = bridgesplat().common;
+    let mut random = CounterRng::new(4, Stage::Test, &[12]);
+    let mut cloud = |size: f64| -> Vec<DVec3> {
+        (0..12).map(|_| DVec3::new(random.normal(), random.normal(), random.normal()) * size).collect()
+    };
+    let (rest, drawn, moved) = (cloud(0.2), cloud(0.05), cloud(0.05));
+    let previous: Vec<DVec3> = rest.iter().zip(&drawn).map(|(p, by)| *p + *by).collect();
+    let deformation = Deformation {
+        field: ControlField::new(&rest, &rest, 4, 4.5),
+        pairs: Pairs::new(&rest, 4, 4.5),
+        displacement: to_f32(&moved),
+        previous: previous.clone(),
+        rest,
+        adam: Adam::new(AdamConstants::default()),
+    };
+    let mut by_control = vec![[0.0; 3]; 12];
+    deformation.regularise(&settings, &mut by_control);
+    let (pairs, ignored) = (Pairs::new(&deformation.rest, 4, 4.5), &mut [DVec3::ZERO; 12]);
+    let mut loss = |current: &[DVec3]| {
+        *settings.rigid_weight * pairs.rigidity(&previous, current, 0.0, ignored)
+            + *settings.isometry_weight * pairs.isometry(current, 0.0, ignored)
+    };
+    let current = deformation.positions();
+    for (point, axis) in (0..12).flat_map(|point| (0..3).map(move |axis| (point, axis))) {
+        let mut side = |by: f64| {
+            let mut other = current.clone();
+            other[point][axis] += by;
+            loss(&other)
+        };
+        let (numeric, found) = ((side(1e-6) - side(-1e-6)) / 2e-6, f64::from(by_control[point][axis]));
+        assert!((found - numeric).abs() < 1e-4 * numeric.abs().max(0.1), "{point}: {found} {numeric}");
+    }
 }

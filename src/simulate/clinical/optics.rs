@@ -88,7 +88,44 @@ impl TrueOptics {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::TriangleMesh;
+    use crate::render::Material;
     use glam::DVec2;
+
+    fn case() -> Case {
+        Case::load(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/case1.toml")).unwrap()
+    }
+
+    #[test]
+    fn the_told_lens_is_off_by_the_stated_sizes() {
+        let (case, nominal) = (case(), Camera::pinhole(256, 192, 100f64.to_radians()));
+        let settings = ClinicalSettings::default();
+        for seed in 1..9 {
+            let told = TrueOptics::new(&Case { seed, ..case.clone() }, &nominal, &settings).told_camera;
+            let [x, y] = [told.fl_x / nominal.fl_x - 1.0, told.fl_y / nominal.fl_y - 1.0];
+            assert!((x.abs() - settings.optics.focal_error).abs() < 1e-12 && (x - y).abs() < 1e-12, "{x} {y}");
+            let off = (told.cx - nominal.cx).hypot(told.cy - nominal.cy);
+            assert!((off - settings.optics.centre_error * 256.0).abs() < 1e-9, "{off}");
+        }
+    }
+
+    /// A wall beside the lens: the light guide stays before it by 0.3 mm, or half way where there is less room.
+    #[test]
+    fn the_lamp_stays_inside_the_lumen() {
+        let camera = Camera::pinhole(64, 64, 1.7);
+        let optics =
+            TrueOptics { camera, told_camera: camera, half_angle_deg: 0.0, vignette: 0.0, lamp_mm: DVec3::X * 1.5 };
+        for (room_mm, reach_mm) in [(9.0, 1.5), (1.6, 1.3), (0.4, 0.2)] {
+            let wall = [[-50.0, -50.0], [50.0, -50.0], [50.0, 50.0], [-50.0, 50.0]];
+            let mesh = TriangleMesh {
+                vertices: wall.map(|[y, z]| DVec3::new(room_mm, y, z)).to_vec(),
+                faces: vec![[0, 2, 1], [0, 3, 2]],
+            };
+            let scene = Scene::new(&mesh, &[], Material::lambert([0.5; 3]), 1).unwrap();
+            let place = optics.light(&case(), &scene, &DAffine3::IDENTITY).unwrap().position_mm.unwrap();
+            assert!(place.distance(DVec3::X * reach_mm) < 1e-4, "{room_mm} mm: {place}");
+        }
+    }
 
     #[test]
     fn a_pinhole_in_terms_of_the_fisheye_is_the_pinhole_within_a_third_of_a_pixel() {

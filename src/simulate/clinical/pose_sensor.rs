@@ -151,6 +151,19 @@ mod tests {
         assert!(errors(&sensor(&[])).iter().all(|e| *e == (0.0, 0.0)));
     }
 
+    /// Small things that a smooth field carries along are turned by half its curl.
+    #[test]
+    fn a_field_that_bends_places_turns_directions_by_half_its_curl() {
+        let sensor = sensor(&[Condition::FieldDistortion]);
+        let place = DVec3::new(20.0, -40.0, 100.0);
+        let by = |axis: DVec3| (sensor.distortion(place + axis).0 - sensor.distortion(place - axis).0) / 2.0;
+        let (x, y, z) = (by(DVec3::X * 0.1) * 10.0, by(DVec3::Y * 0.1) * 10.0, by(DVec3::Z * 0.1) * 10.0);
+        let curl = DVec3::new(y.z - z.y, z.x - x.z, x.y - y.x);
+        let told = sensor.told(3, 1.0, |_| DAffine3::from_translation(place)).told;
+        let turn = DQuat::from_mat3(&told.matrix3).to_scaled_axis();
+        assert!(curl.length() > 1e-3 && turn.distance(0.5 * curl) < 1e-3 * curl.length(), "{turn} {curl}");
+    }
+
     #[test]
     fn every_fault_has_its_stated_size() {
         let rms = |values: &[f64]| (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt();
@@ -164,6 +177,11 @@ mod tests {
         assert!(mm.windows(2).all(|w| (w[1] - w[0]).abs() < 0.15), "smooth");
         let (mm, _) = of(Condition::PoseDelay);
         assert!(mm.iter().all(|m| (m - 0.4).abs() < 1e-9), "40 ms at 10 mm/s");
+        let told = sensor(&[Condition::PoseDelay]).told(25, 1.0, path).told;
+        assert!(
+            (told.translation.z - path(0.96).translation.z).abs() < 1e-9,
+            "where the tip was, not where it will be"
+        );
         // Over many films, the field's distortion has its root mean square everywhere.
         let settings =
             ClinicalSettings { only: Some(vec![Condition::FieldDistortion]), spread: 0.0, ..Default::default() };

@@ -62,3 +62,46 @@ impl NavigationState {
         off
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::state::LENS_AT;
+    use super::super::tests::settings;
+    use super::*;
+
+    /// Where one unknown alone is uncertain, by as much as the noise of a told pose leaves of it, half of its variance is
+    /// left (Kalman); how a told pose changes with it is taken from differences.
+    #[test]
+    fn a_told_pose_tells_of_all_that_it_depends_on() {
+        let settings = settings();
+        let start = DAffine3::from_rotation_translation(DQuat::from_rotation_y(0.4), DVec3::new(5.0, -3.0, 20.0));
+        let mut state = NavigationState::new(&settings, start, 0.0, 4.0);
+        let rate = [0.15, -0.1, 0.25, 12.0, -7.0, 20.0];
+        (0..POSE).for_each(|k| state.mean[TWIST + k] = rate[k]);
+        // What is expected is told, so that the means stay.
+        let told = (motion(rate.map(|v| -state.mean[DELAY] * v)) * state.camera_from_world).inverse();
+        assert!(state.sensor_difference(&told).norm() < 1e-9);
+        let [turn, shift] = *settings.sensor.noise;
+        for unknown in 0..LENS_AT {
+            let with = |by: f64| {
+                let mut other = state.clone();
+                if unknown < POSE {
+                    let mut xi = [0.0; POSE];
+                    xi[unknown] = by;
+                    other.camera_from_world = motion(xi) * other.camera_from_world;
+                } else {
+                    other.mean[unknown] += by;
+                }
+                other.sensor_difference(&told)
+            };
+            let slope = (with(1e-5) - with(-1e-5)) / 2e-5;
+            let information: f64 = (0..POSE).map(|k| (slope[k] / if k < 3 { turn } else { shift }).powi(2)).sum();
+            let mut known = state.clone();
+            known.covariance.fill(0.0);
+            known.covariance[(unknown, unknown)] = 1.0 / information;
+            known.take_pose(&settings, &told);
+            let left = known.covariance[(unknown, unknown)] * information;
+            assert!((left - 0.5).abs() < 0.02, "unknown {unknown}: {left}");
+        }
+    }
+}

@@ -238,3 +238,58 @@ impl NavigationState {
         vector(mean, FIELD) * mean[PHASE_AT] + vector(mean, LOOP) * (mean[RATE] / self.peak_rate())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DQuat;
+
+    use super::super::tests::settings;
+    use super::*;
+
+    /// An error of the pose goes on as the difference of two poses does, and what is certain gets only the drift's noise.
+    #[test]
+    fn errors_of_the_pose_are_carried_along() {
+        let (settings, seconds) = (settings(), 0.2);
+        let mut start = NavigationState::new(&settings, DAffine3::from_translation(DVec3::Z * 9.0), 0.0, 4.0);
+        let rate = [0.5, -0.3, 0.8, 10.0, -5.0, 20.0];
+        (0..POSE).for_each(|k| start.mean[TWIST + k] = rate[k]);
+        start.covariance.fill(0.0);
+        let after = |state: &NavigationState| {
+            let mut state = state.clone();
+            state.advance(&settings, seconds);
+            state
+        };
+        let certain = after(&start);
+        for unknown in 0..POSE {
+            let mut xi = [0.0; POSE];
+            xi[unknown] = 1e-5;
+            let off = NavigationState { camera_from_world: motion(xi) * start.camera_from_world, ..start.clone() };
+            let apart = after(&off).camera_from_world * certain.camera_from_world.inverse();
+            let turn = DQuat::from_mat3(&apart.matrix3).to_scaled_axis();
+            let apart = [turn.to_array(), apart.translation.to_array()].concat().into_iter().map(|v| v / 1e-5);
+            let apart = DVector::from_iterator(POSE, apart);
+            let mut uncertain = start.clone();
+            uncertain.covariance[(unknown, unknown)] = 1.0;
+            let carried = after(&uncertain).covariance - &certain.covariance;
+            let wrong = carried.view((0, 0), (POSE, POSE)) - &apart * apart.transpose();
+            assert!(wrong.amax() < 1e-3 * apart.norm_squared(), "unknown {unknown}: {wrong}");
+        }
+        // A random walk: its variance grows with the time.
+        for (k, deviation) in six(*settings.sensor.drift).into_iter().enumerate() {
+            let grown = certain.covariance[(BIAS + k, BIAS + k)];
+            assert!((grown / (deviation * deviation * seconds) - 1.0).abs() < 1e-9, "{k}: {grown}");
+        }
+    }
+
+    /// Held at the start of a film, and then as `p'' = -w^2 (p - 1/2)` has it: from rest at 0 to 1 in half a period.
+    #[test]
+    fn a_breath_goes_on_when_it_is_no_longer_held() {
+        let settings = settings();
+        let mut state = NavigationState::new(&settings, DAffine3::IDENTITY, 0.0, 4.0);
+        let held_s = *settings.tissue.hold_s;
+        for (time_s, phase) in [(0.5 * held_s, 0.0), (held_s, 0.0), (held_s + 1.0, 0.5), (held_s + 2.0, 1.0)] {
+            state.advance(&settings, time_s);
+            assert!((state.mean[PHASE_AT] - phase).abs() < 1e-9, "{time_s} s: {}", state.mean[PHASE_AT]);
+        }
+    }
+}

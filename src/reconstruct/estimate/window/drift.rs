@@ -62,3 +62,30 @@ impl PoseDrift {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::DVector;
+
+    use super::*;
+
+    /// Rates that are forgotten keep their variance, and two steps add the same noise to them as one of both.
+    #[test]
+    fn rates_are_stationary_and_steps_can_be_parted() {
+        let drift = PoseDrift::new([0.01, 0.2], 4.0, 1.0);
+        let rates = |state: &DMatrix<f64>| -> Vec<f64> { (POSE..2 * POSE).map(|k| state[(k, k)]).collect() };
+        let after = |state: &DMatrix<f64>, seconds: f64| {
+            let step = drift.transition(seconds);
+            &step * state * step.transpose()
+                + DMatrix::from_diagonal(&DVector::from_column_slice(&drift.noise(seconds)))
+        };
+        let start = DMatrix::from_diagonal(&DVector::from_column_slice(&drift.start_variances()));
+        let known = DMatrix::zeros(2 * POSE, 2 * POSE);
+        for (a, b) in rates(&after(&start, 0.7)).into_iter().zip(rates(&start)) {
+            assert!((a / b - 1.0).abs() < 1e-12, "{a} {b}");
+        }
+        for (a, b) in rates(&after(&after(&known, 0.5), 1.5)).into_iter().zip(rates(&after(&known, 2.0))) {
+            assert!((a / b - 1.0).abs() < 1e-12, "{a} {b}");
+        }
+    }
+}

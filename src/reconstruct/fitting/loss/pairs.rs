@@ -175,6 +175,25 @@ mod tests {
     }
 
     #[test]
+    fn each_point_is_paired_with_its_nearest_others_by_their_distance() {
+        let rest = cloud(12, 1);
+        let pairs = Pairs::new(&rest, 4, 0.7);
+        for (i, of_point) in pairs.list.chunks_exact(4).enumerate() {
+            let mut others: Vec<f64> = (0..12).filter(|j| *j != i).map(|j| rest[i].distance(rest[j])).collect();
+            others.sort_by(f64::total_cmp);
+            for (&(from, to, weight, distance), nearest) in of_point.iter().zip(others) {
+                assert!(from as usize == i && to as usize != i && (distance - nearest).abs() < 1e-12);
+                assert!((weight - (-0.7 * nearest).exp()).abs() < 1e-12);
+            }
+        }
+        // Everything half as large again: each pair is stretched by half its distance.
+        let grown: Vec<DVec3> = rest.iter().map(|p| *p * 1.5).collect();
+        let terms: Vec<f64> = pairs.list.iter().map(|&(_, _, weight, distance)| weight * 0.5 * distance).collect();
+        let isometry = pairs.isometry(&grown, 1.0, &mut [DVec3::ZERO; 12]);
+        assert!((isometry - terms.iter().sum::<f64>() / 48.0).abs() < 1e-12, "{isometry}");
+    }
+
+    #[test]
     fn gradients_equal_central_differences() {
         let (rest, previous, current) = (cloud(12, 1), cloud(12, 2), cloud(12, 3));
         let pairs = Pairs::new(&rest, 4, 0.7);

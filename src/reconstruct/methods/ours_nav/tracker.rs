@@ -199,3 +199,73 @@ impl<'a> NavTracker<'a> {
         (total + total.transpose()) * 0.5
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DQuat;
+    use nalgebra::DMatrix;
+
+    use super::*;
+    use crate::base::random::{CounterRng, Stage};
+    use crate::base::{Camera, TriangleMesh};
+    use crate::reconstruct::estimate::navigation::state::STATE;
+    use crate::reconstruct::geometry::rigid::{POSE, motion};
+    use crate::reconstruct::library::MethodFile;
+
+    /// Whatever is uncertain together: against the place's derivatives in the camera's axes, by differences.
+    #[test]
+    fn the_covariance_of_a_target_is_that_of_its_place() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-cases/methods/ours-nav.toml");
+        let mut settings: OursNavSettings = MethodFile::load(&path).unwrap().settings().unwrap();
+        settings.deviation_factor.value = 1.5;
+        let surface = TriangleMesh { vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y], faces: vec![[0, 1, 2]] };
+        let observation = Observation {
+            camera: Camera::pinhole(8, 8, 1.5),
+            world_from_camera: Vec::new(),
+            novel_pose: Vec::new(),
+            time_s: Vec::new(),
+            images: Vec::new(),
+            mask: None,
+            inspiration: surface,
+            expiration: None,
+            centerline_mm: Vec::new(),
+            breathing_period_s: 4.0,
+            targets_mm: Vec::new(),
+            first_depth_mm: None,
+            true_phase: None,
+            seed: 1,
+        };
+        let tracker = NavTracker::new(&settings, &observation);
+        let pose = DAffine3::from_rotation_translation(DQuat::from_rotation_x(0.7), DVec3::new(4.0, 1.0, -8.0));
+        let mut state = NavigationState::new(&settings, pose, 0.0, 4.0);
+        let mut random = CounterRng::new(3, Stage::Test, &[11]);
+        let root = DMatrix::from_fn(STATE, STATE, |_, _| 0.05 * random.normal());
+        state.covariance = &root * root.transpose();
+        state.mean[PHASE_AT] = 0.4;
+        let (rest, travel) = (DVec3::new(3.0, -2.0, 30.0), DVec3::new(1.0, -4.0, 6.0));
+        let seen = |xi: [f64; POSE], phase: f64| {
+            (motion(xi) * state.camera_from_world).transform_point3(rest + travel * phase)
+        };
+        let slope = |unknown: usize| {
+            let place = |by: f64| match unknown {
+                PHASE_AT => seen([0.0; POSE], 0.4 + by),
+                _ => seen(std::array::from_fn(|k| if k == unknown { by } else { 0.0 }), 0.4),
+            };
+            (place(1e-5) - place(-1e-5)) / 2e-5
+        };
+        let unknowns = [0, 1, 2, 3, 4, 5, PHASE_AT];
+        let mut expected = DMat3::ZERO;
+        for (a, b) in unknowns.into_iter().flat_map(|a| unknowns.map(|b| (a, b))) {
+            let (by_a, by_b) = (slope(a), slope(b));
+            expected += DMat3::from_cols(by_a * by_b.x, by_a * by_b.y, by_a * by_b.z) * state.covariance[(a, b)];
+        }
+        // The registration's error grows with the phase, what nothing describes is always there; no air flows.
+        let tissue = &settings.tissue;
+        let square = 0.4 * 0.4 + state.covariance[(PHASE_AT, PHASE_AT)];
+        let field = tissue.registration_mm.powi(2) * square + tissue.rest_mm.powi(2);
+        expected = (expected + DMat3::from_diagonal(DVec3::splat(field))) * 1.5 * 1.5;
+        let found = tracker.covariance_mm2(&state, rest + travel * 0.4, travel);
+        let wrong = (found - expected).to_cols_array().into_iter().map(f64::abs).fold(0.0, f64::max);
+        assert!(wrong < 1e-6 * expected.x_axis.length(), "{found} {expected}");
+    }
+}
