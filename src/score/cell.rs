@@ -176,19 +176,3 @@ fn frame_scores(measured: &Measured<'_>) -> Vec<FrameScore> {
     };
     measured.frames().enumerate().map(frame_score).collect()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn depth_counts_where_the_mask_shows_something() {
-        let depth = |mm: [f32; 4]| Image { width: 4, height: 1, channels: 1, data: mm.to_vec() };
-        let shown = Image { width: 4, height: 1, channels: 1, data: vec![255, 255, 255, 0] };
-        let mask = Mask::from_image(&shown).unwrap();
-        // Exact, off by 1 mm, absent, hidden: the absent one counts with the farthest of what is shown.
-        let found = depth_within(&depth([10.0, 21.0, 0.0, 5.0]), depth([10.0, 20.0, 40.0, 80.0]), Some(&mask)).unwrap();
-        assert!((found.rmse_mm - ((1.0 + 1600.0) / 3.0f64).sqrt()).abs() < 1e-12, "{found:?}");
-        assert_eq!((found.delta_1_25, found.coverage), (2.0 / 3.0, 2.0 / 3.0));
-    }
-}
