@@ -142,8 +142,8 @@ fn each_kind_of_picture_is_compared_with_its_own_truth() {
         }
     }
     let found = score(&truth, folder.path(), &ScoreSettings::default()).unwrap();
-    for (id, off) in [("psnr_db", 8.0), ("psnr_ahead_db", 16.0), ("novel_psnr_db", 32.0)] {
-        let expected = 20.0 * (255.0 / off as f64).log10();
+    for (id, off) in [("psnr_db", 8.0f64), ("psnr_ahead_db", 16.0), ("novel_psnr_db", 32.0)] {
+        let expected = 20.0 * (255.0 / off).log10();
         assert!((found.value(id).unwrap() - expected).abs() < 1e-9, "{id}: {:?} {expected}", found.value(id));
     }
 }
