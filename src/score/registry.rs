@@ -514,7 +514,7 @@ pub fn paper_metrics() -> impl Iterator<Item = &'static Metric> {
     REGISTRY.iter().filter(|m| m.standing == Standing::Paper)
 }
 
-/// The metric that tells whether the pictures, depths or phases of `m` equal the truth ([`Metric::told_by`]); `None`
+/// The metric that tells whether the pictures, depths or phases of `m` equal the truth (its `told_by`); `None`
 /// where it tells itself.
 pub fn told_by(m: &Metric) -> Option<&'static Metric> {
     m.told_by.and_then(metric)

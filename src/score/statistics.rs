@@ -53,7 +53,7 @@ pub fn bootstrap(values: &[f64], seed: u64) -> Option<MeanInterval> {
     blocks(values, 1, seed)
 }
 
-/// Mean of one value per case, each with the tree of its case, with the interval of [`bootstrap_groups`]: what all
+/// Mean of one value per case, each with the tree of its case, with the interval of `bootstrap_groups`: what all
 /// reports say of several cases.
 pub fn mean_over_cases<'a>(of_cases: impl IntoIterator<Item = (f64, &'a str)>) -> Option<MeanInterval> {
     let (values, trees): (Vec<f64>, Vec<&str>) = of_cases.into_iter().unzip();
