@@ -60,6 +60,17 @@ fn command(folder: &Path, more: &[&str]) -> assert_cmd::assert::Assert {
         .assert()
 }
 
+/// What the command reads from the `.ply` of `cloud`.
+fn gaussians_of(cloud: &GaussianCloud) -> Gaussians<f32> {
+    Gaussians {
+        positions: cloud.positions.clone(),
+        shape: Shape::Ellipsoids { rotations: cloud.rotations.clone(), scales: cloud.scales.clone() },
+        opacities: cloud.opacities.clone(),
+        sh: cloud.sh.clone(),
+        sh_degree: 1,
+    }
+}
+
 #[test]
 fn command_writes_what_the_library_computes() {
     let (folder, cloud) = folder();
@@ -70,13 +81,7 @@ fn command_writes_what_the_library_computes() {
     let said = String::from_utf8_lossy(&said.get_output().stdout).into_owned()
         + &String::from_utf8_lossy(&said.get_output().stderr);
     assert!(said.contains("1 of 40 Gaussians are not finite"), "{said}");
-    let scene = Gaussians {
-        positions: cloud.positions.clone(),
-        shape: Shape::Ellipsoids { rotations: cloud.rotations.clone(), scales: cloud.scales.clone() },
-        opacities: cloud.opacities.clone(),
-        sh: cloud.sh.clone(),
-        sh_degree: 1,
-    };
+    let scene = gaussians_of(&cloud);
     // Double precision: what the command's single precision must come near to.
     let scene = scene.cast::<f64>();
     let wide: Vec<f64> = weights.iter().map(|&w| w as f64).collect();
@@ -219,13 +224,7 @@ fn what_is_asked_for_is_written() {
 fn every_kernel_can_be_asked_for_and_depth_chosen() {
     let (folder, cloud) = folder();
     let path = folder.path();
-    let scene = Gaussians {
-        positions: cloud.positions.clone(),
-        shape: Shape::Ellipsoids { rotations: cloud.rotations.clone(), scales: cloud.scales.clone() },
-        opacities: cloud.opacities.clone(),
-        sh: cloud.sh.clone(),
-        sh_degree: 1,
-    };
+    let scene = gaussians_of(&cloud);
     let scene = scene.cast::<f64>();
     let seen = View::new(view(Lens::Pinhole).camera, world_from_camera());
     let mut depths: Vec<Vec<f64>> = Vec::new();
@@ -410,13 +409,7 @@ fn cameras_of_other_programs_and_scenes_of_another_scale_are_shown() {
     std::fs::write(&cameras, theirs.to_string()).unwrap();
     command(path, &[]).success();
     assert_eq!((image("000000.exr"), image("000001.exr").width), (before[0].clone(), 20));
-    let scene = Gaussians {
-        positions: cloud.positions.clone(),
-        shape: Shape::Ellipsoids { rotations: cloud.rotations.clone(), scales: cloud.scales.clone() },
-        opacities: cloud.opacities.clone(),
-        sh: cloud.sh.clone(),
-        sh_degree: 1,
-    };
+    let scene = gaussians_of(&cloud);
     let mut world = world_from_camera();
     world.translation.x += 0.5;
     let narrow = View::new(respire_bench::base::Camera { width: 20, ..view(Lens::Pinhole).camera }, world);
