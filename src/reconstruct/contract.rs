@@ -41,6 +41,8 @@ pub struct Observation {
     pub camera: Camera,
     /// Known pose of each frame.
     pub world_from_camera: Vec<DAffine3>,
+    /// Whether those poses are a sensor's, which is off by millimetres and degrees (the clinical track).
+    pub poses_are_measured: bool,
     /// Per frame the pose of a second camera, where it has one: a view to render, without an image.
     pub novel_pose: Vec<Option<DAffine3>>,
     /// Seconds since the first frame.
@@ -68,6 +70,28 @@ pub struct Observation {
 }
 
 impl Observation {
+    /// A film without frames, for tests to fill.
+    #[cfg(test)]
+    pub fn bare(camera: Camera, inspiration: TriangleMesh) -> Observation {
+        Observation {
+            camera,
+            world_from_camera: Vec::new(),
+            poses_are_measured: false,
+            novel_pose: Vec::new(),
+            time_s: Vec::new(),
+            images: Vec::new(),
+            mask: None,
+            inspiration,
+            expiration: None,
+            centerline_mm: Vec::new(),
+            breathing_period_s: 4.0,
+            targets_mm: Vec::new(),
+            first_depth_mm: None,
+            true_phase: None,
+            seed: 1,
+        }
+    }
+
     /// A weight per pixel for losses; `None` if all count alike.
     pub fn pixel_weights(&self) -> Option<Vec<f32>> {
         self.mask.as_ref().map(Mask::weights)

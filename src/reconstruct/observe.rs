@@ -58,6 +58,7 @@ fn observe_frames(film: &dyn Given, access: Access, seed: u64, count: usize) -> 
     let observation = Observation {
         camera: film.given_camera(),
         world_from_camera: given,
+        poses_are_measured: film.given_poses_are_measured(),
         novel_pose,
         time_s,
         images: images.into_iter().collect::<Result<_>>()?,

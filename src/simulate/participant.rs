@@ -59,6 +59,9 @@ pub trait Given: Send + Sync {
     /// Time and pose of each frame.
     fn given_frames(&self) -> Vec<GivenFrame>;
 
+    /// Whether the poses are a sensor's (the clinical track), and not the true ones.
+    fn given_poses_are_measured(&self) -> bool;
+
     /// Second cameras, in order of their frames.
     fn given_views(&self) -> &[NovelView];
 
@@ -101,6 +104,10 @@ impl Given for Sequence {
             world_from_camera: self.clinical.as_ref().map_or(f.world_from_camera, |c| c.told_poses[index]),
         };
         self.frames.iter().enumerate().map(given).collect()
+    }
+
+    fn given_poses_are_measured(&self) -> bool {
+        self.clinical.is_some()
     }
 
     fn given_views(&self) -> &[NovelView] {
@@ -148,6 +155,9 @@ impl Given for Sequence {
 struct ParticipantHead {
     frames: usize,
     breathing_period_s: f64,
+    /// Whether the poses are a sensor's; what was written before that was said does not say it.
+    #[serde(default)]
+    poses_are_measured: bool,
     /// Hash of each other file, by its name relative to the folder.
     files: BTreeMap<String, String>,
 }
@@ -160,6 +170,7 @@ pub struct Participant {
     frames: Vec<GivenFrame>,
     novel_views: Vec<NovelView>,
     breathing_period_s: f64,
+    poses_are_measured: bool,
     targets_mm: Vec<DVec3>,
     mask_path: Option<String>,
     files: BTreeMap<String, String>,
@@ -195,6 +206,7 @@ impl Participant {
             frames,
             novel_views: sequence::novel_views(&at(sequence::NOVEL_TRANSFORMS)?, head.frames)?,
             breathing_period_s: head.breathing_period_s,
+            poses_are_measured: head.poses_are_measured,
             targets_mm: read_points(&at(sequence::TARGETS)?, "target")?,
             mask_path: transforms.frames[0].mask_path.clone(),
             files: head.files,
@@ -239,6 +251,10 @@ impl Given for Participant {
 
     fn given_frames(&self) -> Vec<GivenFrame> {
         self.frames.clone()
+    }
+
+    fn given_poses_are_measured(&self) -> bool {
+        self.poses_are_measured
     }
 
     fn given_views(&self) -> &[NovelView] {
@@ -329,8 +345,12 @@ pub fn write(film: &Sequence, out: &Path) -> Result<Participant> {
         let name = path.strip_prefix(&folder).unwrap_or(&path).to_string_lossy().into_owned();
         listed.insert(name, hash::of_file(&path)?);
     }
-    let head =
-        ParticipantHead { frames: film.frames.len(), breathing_period_s: film.breathing_period_s, files: listed };
+    let head = ParticipantHead {
+        frames: film.frames.len(),
+        breathing_period_s: film.breathing_period_s,
+        poses_are_measured: film.given_poses_are_measured(),
+        files: listed,
+    };
     files::write_json(&folder.join(PARTICIPANT), &head)?;
     files::set_modified_below(&folder, SystemTime::UNIX_EPOCH + Duration::from_secs(CHANGED_S))?;
     if out.exists() {

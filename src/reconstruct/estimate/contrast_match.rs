@@ -1,6 +1,8 @@
 //! How well a frame agrees with the virtual view of each phase: normalised cross-correlation of local contrast, which
 //! neither the exposure nor slow changes of the light affect (Luo et al., Med Image Anal 16:577, 2012).
 
+use glam::DAffine3;
+
 use crate::base::Image;
 use crate::reconstruct::contract::Observation;
 use crate::reconstruct::fitting::contrast::{ContrastImage, contrast_image};
@@ -22,13 +24,14 @@ pub struct ContrastMatcher<'a> {
 impl<'a> ContrastMatcher<'a> {
     /// For the frames of `observation`.
     pub fn new(settings: &'a ContrastMatching, reach: Reach, observation: &'a Observation) -> Self {
-        let level = small(settings, observation, 0);
+        let level = small(settings, observation, 0, &observation.world_from_camera[0]);
         ContrastMatcher { settings, camera: VirtualCamera::new(level.view.camera, reach), observation }
     }
 
-    /// The correlation of `frame` with the view of `mesh` at each phase of an even grid from 0 to 1.
-    pub fn correlations(&self, frame: usize, mesh: BreathingMesh<'_>) -> Vec<f64> {
-        let level = small(self.settings, self.observation, frame);
+    /// The correlation of `frame` with the view of `mesh` from `pose` (world from camera) at each phase of an even grid from
+    /// 0 to 1.
+    pub fn correlations(&self, frame: usize, pose: &DAffine3, mesh: BreathingMesh<'_>) -> Vec<f64> {
+        let level = small(self.settings, self.observation, frame, pose);
         let radius = *self.settings.contrast_radius;
         let seen = contrast_image(&level.image, &level.weights, radius);
         let aimed = self.camera.aim(&level.view, mesh);
@@ -41,10 +44,10 @@ impl<'a> ContrastMatcher<'a> {
     }
 }
 
-/// The frame at a width of at most `largest_width`.
-fn small(settings: &ContrastMatching, observation: &Observation, frame: usize) -> PyramidLevel {
+/// The frame from `pose` at a width of at most `largest_width`.
+fn small(settings: &ContrastMatching, observation: &Observation, frame: usize, pose: &DAffine3) -> PyramidLevel {
     let level = PyramidLevel {
-        view: View::new(observation.camera, observation.world_from_camera[frame]),
+        view: View::new(observation.camera, *pose),
         image: observation.images[frame].to_unit(),
         weights: observation.pixel_weights().unwrap_or_default(),
     };

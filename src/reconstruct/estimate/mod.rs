@@ -5,5 +5,6 @@ pub mod contrast_match;
 pub mod gauss_newton;
 pub mod navigation;
 pub mod phase_fit;
+pub mod pose_match;
 pub mod surface_phase;
 pub mod window;

@@ -11,3 +11,4 @@ pub mod optimiser;
 pub mod schedule;
 pub mod scope_light;
 pub mod unseen;
+pub mod wall_picture;

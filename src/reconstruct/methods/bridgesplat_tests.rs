@@ -107,20 +107,12 @@ fn film(bump: Bump, most: f64) -> (Observation, Vec<DVec3>) {
         images.push(codes_from_unit(&Image { width, height, channels: 3, data: rendered.color.clone() }));
     }
     let observation = Observation {
-        camera,
         world_from_camera: vec![DAffine3::IDENTITY; FRAMES],
         novel_pose: vec![None; FRAMES],
         time_s: (0..FRAMES).map(|t| t as f64 * 0.04).collect(),
         images,
-        mask: None,
-        inspiration: rest,
-        expiration: None,
-        centerline_mm: Vec::new(),
-        breathing_period_s: 4.0,
-        targets_mm: Vec::new(),
-        first_depth_mm: None,
-        true_phase: None,
         seed: SEED,
+        ..Observation::bare(camera, rest)
     };
     (observation, vertices)
 }

@@ -110,20 +110,14 @@ fn world(made: Made, frames: usize, size: u32, phase_of: impl Fn(usize) -> f64) 
         poses.push(pose);
     }
     Observation {
-        camera,
         world_from_camera: poses,
         novel_pose: vec![None; frames],
         time_s: (0..frames).map(|t| t as f64 * 0.1).collect(),
         images,
-        mask: None,
-        inspiration,
         expiration: Some(expiration),
-        centerline_mm: Vec::new(),
-        breathing_period_s: 4.0,
-        targets_mm: Vec::new(),
         first_depth_mm: depth,
         true_phase: Some(phases),
-        seed: 1,
+        ..Observation::bare(camera, inspiration)
     }
 }
 

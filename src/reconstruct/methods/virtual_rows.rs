@@ -5,9 +5,9 @@
 //! |---|---|
 //! | `pose-only` | the one whose lumen is best centred on the given pose |
 //! | `mean-breath` | the mean breath at the given rate, shifted so that it fits the first seconds best |
-//! | `virtual-bronchoscopy` | the one whose virtual view correlates best with the frame |
+//! | `virtual-bronchoscopy` | the one whose virtual view correlates best with the frame; so is its pose, where poses are measured |
 
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 
 use crate::airway::waveform::Waveform;
 use crate::base::{Image, Progress, Result, mesh};
@@ -15,6 +15,7 @@ use crate::reconstruct::contract::{
     Access, FramePrediction, NovelPrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction,
 };
 use crate::reconstruct::estimate::contrast_match::{ContrastMatcher, at_phase_of, peak};
+use crate::reconstruct::estimate::pose_match::PoseMatcher;
 use crate::reconstruct::fitting::anchored::to_f32;
 use crate::reconstruct::geometry::breathing::{BreathingMesh, mesh_at};
 use crate::reconstruct::geometry::targets::CarriedTargets;
@@ -95,9 +96,10 @@ impl Reconstruct for VirtualMethod {
         };
         let mut last = 0.0;
         let fit = |frame: usize| {
-            let expected = finder.expected(frame, last);
-            last = finder.phase(frame, airway);
-            Ok(screen.prediction(frame, last, expected))
+            let expected = finder.expected(frame);
+            let found = finder.find(frame, airway);
+            last = found.phase;
+            Ok(screen.prediction(frame, found, expected))
         };
         let spent = run.fit_in_order(fit, emit, progress)?;
         Ok(Reconstruction { final_mesh: Some(mesh_at(observation, last)), spent })
@@ -110,35 +112,80 @@ impl VirtualMethod {
             VirtualRow::PoseOnly(s) => Finder::Centred(CentredLumen::new(observation, *s.grid_steps)),
             VirtualRow::MeanBreath(s) => Finder::Clock(Clock::new(s, observation, reach)),
             VirtualRow::VirtualBronchoscopy(s) => {
-                Finder::Picture(ContrastMatcher::new(&s.matching, reach, observation))
+                let matcher = ContrastMatcher::new(&s.matching, reach, observation);
+                let measured = observation.poses_are_measured;
+                let poses = measured.then(|| PoseMatcher::new(&s.pose, *s.visibility.range_mm, observation));
+                Finder::Picture(PictureSearch { observation, matcher, poses, last: 0.0 })
             }
         }
     }
 }
 
-/// How the phase of a frame is found.
+/// How the phase of a frame is found, and by a picture the pose where it is measured.
 enum Finder<'a> {
     Centred(CentredLumen<'a>),
     Clock(Clock<'a>),
-    Picture(ContrastMatcher<'a>),
+    Picture(PictureSearch<'a>),
 }
 
 impl Finder<'_> {
-    /// The phase before the frame's picture is looked at; `last` is that of the frame before.
-    fn expected(&self, frame: usize, last: f64) -> f64 {
+    /// What is taken to be so before the frame's picture is looked at.
+    fn expected(&self, frame: usize) -> Found {
         match self {
-            Finder::Centred(lumen) => lumen.phase(frame),
-            Finder::Clock(clock) => clock.expected(frame),
-            Finder::Picture(_) => last,
+            Finder::Centred(lumen) => Found::at(lumen.phase(frame)),
+            Finder::Clock(clock) => Found::at(clock.expected(frame)),
+            Finder::Picture(row) => {
+                Found { phase: row.last, world_from_camera: row.poses.as_ref().map(|poses| poses.expected(frame)) }
+            }
         }
     }
 
-    fn phase(&mut self, frame: usize, airway: BreathingMesh<'_>) -> f64 {
+    fn find(&mut self, frame: usize, airway: BreathingMesh<'_>) -> Found {
         match self {
-            Finder::Centred(lumen) => lumen.phase(frame),
-            Finder::Clock(clock) => clock.phase(frame, airway),
-            Finder::Picture(matcher) => peak(&matcher.correlations(frame, airway)),
+            Finder::Centred(lumen) => Found::at(lumen.phase(frame)),
+            Finder::Clock(clock) => Found::at(clock.phase(frame, airway)),
+            Finder::Picture(row) => row.find(frame, airway),
         }
+    }
+}
+
+/// What is shown of a frame: the airway's phase, and the pose (world from camera) where it is not the given one.
+#[derive(Clone, Copy)]
+struct Found {
+    phase: f64,
+    world_from_camera: Option<DAffine3>,
+}
+
+impl Found {
+    /// A phase, seen from the given pose.
+    fn at(phase: f64) -> Self {
+        Found { phase, world_from_camera: None }
+    }
+}
+
+/// The search by pictures.
+struct PictureSearch<'a> {
+    observation: &'a Observation,
+    matcher: ContrastMatcher<'a>,
+    /// Where poses are measured: the pose is looked for, too.
+    poses: Option<PoseMatcher<'a>>,
+    /// Phase of the frame before.
+    last: f64,
+}
+
+impl PictureSearch<'_> {
+    fn find(&mut self, frame: usize, airway: BreathingMesh<'_>) -> Found {
+        let matcher = &self.matcher;
+        let phase_at = |pose: &DAffine3| peak(&matcher.correlations(frame, pose, airway));
+        let found = match &mut self.poses {
+            None => Found::at(phase_at(&self.observation.world_from_camera[frame])),
+            Some(poses) => {
+                let found = poses.find(frame, airway, phase_at);
+                Found { phase: found.phase, world_from_camera: Some(found.world_from_camera) }
+            }
+        };
+        self.last = found.phase;
+        found
     }
 }
 
@@ -210,7 +257,8 @@ impl<'a> Clock<'a> {
     fn phase(&mut self, frame: usize, airway: BreathingMesh<'_>) -> f64 {
         let time_s = self.observation.time_s[frame];
         if time_s <= self.calibration_s {
-            self.seen.push((time_s, self.matcher.correlations(frame, airway)));
+            self.seen
+                .push((time_s, self.matcher.correlations(frame, &self.observation.world_from_camera[frame], airway)));
             let period_s = self.mean_breath.period_s();
             let offset = |k: u32| period_s * f64::from(k) / f64::from(self.offsets);
             let agreement = |offset_s: f64| -> f64 {
@@ -233,27 +281,30 @@ struct Screen<'a> {
 }
 
 impl Screen<'_> {
-    fn view(&self, pose: glam::DAffine3, phase: f64) -> NovelPrediction {
+    fn view(&self, pose: DAffine3, phase: f64) -> NovelPrediction {
         let aimed = self.camera.aim(&View::new(self.observation.camera, pose), self.airway);
         let seen = self.camera.render(&aimed, self.airway, phase);
         NovelPrediction { color: seen.color, depth_mm: seen.depth_mm }
     }
 
-    fn prediction(&self, frame: usize, phase: f64, expected: f64) -> FramePrediction {
-        let pose = self.observation.world_from_camera[frame];
-        let ahead: Option<Image<f32>> = held_out(frame).then(|| self.view(pose, expected).color);
-        let NovelPrediction { color, depth_mm } = self.view(pose, phase);
+    fn prediction(&self, frame: usize, found: Found, expected: Found) -> FramePrediction {
+        let given = self.observation.world_from_camera[frame];
+        let pose_of = |found: Found| found.world_from_camera.unwrap_or(given);
+        let ahead: Option<Image<f32>> = held_out(frame).then(|| self.view(pose_of(expected), expected.phase).color);
+        let NovelPrediction { color, depth_mm } = self.view(pose_of(found), found.phase);
+        // The second camera is given relative to the first.
+        let second = |pose: DAffine3| found.world_from_camera.map_or(pose, |own| own * given.inverse() * pose);
         FramePrediction {
             frame,
             color,
             depth_mm,
-            phase: Some(phase),
+            phase: Some(found.phase),
             phase_deviation: None,
-            world_from_camera: None,
+            world_from_camera: found.world_from_camera,
             ahead,
-            targets_mm: Some(self.targets.at_phase(self.observation, phase)),
+            targets_mm: Some(self.targets.at_phase(self.observation, found.phase)),
             target_covariance_mm2: None,
-            novel: self.observation.novel_pose[frame].map(|pose| self.view(pose, phase)),
+            novel: self.observation.novel_pose[frame].map(|pose| self.view(second(pose), found.phase)),
         }
     }
 }

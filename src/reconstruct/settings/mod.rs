@@ -31,4 +31,6 @@ pub use ours_gn::{OursGnSettings, ScopeCalibration, SurfaceMatching};
 pub use ours_nav::{OpticsPrior, OursNavSettings, SensorNoise, TipMotion, TissuePrior, WallMatching};
 pub(super) use ranges::METHOD_RANGES;
 pub use sourced::{NumberSource, Sourced};
-pub use virtual_view::{ContrastMatching, MeanBreathSettings, PoseOnlySettings, VirtualBronchoscopySettings};
+pub use virtual_view::{
+    ContrastMatching, MeanBreathSettings, PictureMatching, PoseOnlySettings, PoseSearch, VirtualBronchoscopySettings,
+};

@@ -6,6 +6,7 @@ use super::gaussians::Visibility;
 use super::header::MethodHeader;
 use super::keys::{Keys, MethodSettings};
 use super::sourced::Sourced;
+use super::virtual_view::PictureMatching;
 use crate::base::Result;
 
 /// What is known of the sensor that tells the poses. Standard deviations, each along or about one axis.
@@ -63,14 +64,9 @@ pub struct OpticsPrior {
 /// How a picture is compared with the wall.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WallMatching {
-    /// Pictures are halved until they are no wider than this many pixels.
-    pub largest_width: Sourced<u32>,
-    /// Gauss-Newton steps at a quarter of that width, half of it and at it.
-    pub steps: Sourced<[u32; 3]>,
-    /// Half width of the neighbourhood of local contrast, as a share of the image's width.
-    pub contrast_radius: Sourced<f64>,
-    /// Residual beyond which the cost is linear, in robust standard deviations.
-    pub huber: Sourced<f64>,
+    /// How local contrasts are compared.
+    #[serde(flatten)]
+    pub picture: PictureMatching,
     /// Number of pixels that count as one observation: errors of neighbours are alike.
     pub together_px: Sourced<f64>,
     /// Standard deviation per axis of what the model's shading makes of a pose, rad and mm.

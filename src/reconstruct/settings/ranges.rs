@@ -114,6 +114,13 @@ pub const METHOD_RANGES: KeyRanges = KeyRanges(&[
     ("surface.largest_width", NumberRange::new(8.0, 8192.0)),
     ("surface.contrast_radius", NumberRange::new(1e-3, 1.0)),
     ("surface.spacing", NumberRange::new(1e-3, 0.5)),
+    // virtual bronchoscopy
+    ("pose.reach", NumberRange::new(0.0, 100.0)),
+    ("pose.least_correlation", SHARE),
+    ("pose.largest_width", NumberRange::new(8.0, 8192.0)),
+    ("pose.steps", STEPS),
+    ("pose.contrast_radius", NumberRange::new(1e-3, 1.0)),
+    ("pose.huber", FACTOR),
     // navigation
     ("sensor.noise", DEVIATION),
     ("sensor.bias", DEVIATION),

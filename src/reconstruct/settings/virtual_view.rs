@@ -40,6 +40,31 @@ pub struct ContrastMatching {
     pub contrast_radius: Sourced<f64>,
 }
 
+/// How a picture is compared with the wall while the pose is looked for, too.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PictureMatching {
+    /// Pictures are halved until they are no wider than this many pixels.
+    pub largest_width: Sourced<u32>,
+    /// Gauss-Newton steps at a quarter of that width, half of it and at it.
+    pub steps: Sourced<[u32; 3]>,
+    /// Half width of the neighbourhood of local contrast, as a share of the image's width.
+    pub contrast_radius: Sourced<f64>,
+    /// Residual beyond which the cost is linear, in robust standard deviations.
+    pub huber: Sourced<f64>,
+}
+
+/// Where the pose is looked for, where it is measured and not known.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PoseSearch {
+    /// Farthest from the measured pose, rad and mm.
+    pub reach: Sourced<[f64; 2]>,
+    /// Correlation below which a picture does not show the wall, so that the measured pose stays.
+    pub least_correlation: Sourced<f64>,
+    /// The comparison.
+    #[serde(flatten)]
+    pub picture: PictureMatching,
+}
+
 /// Settings of `virtual-bronchoscopy`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VirtualBronchoscopySettings {
@@ -47,6 +72,8 @@ pub struct VirtualBronchoscopySettings {
     pub header: MethodHeader,
     /// The comparison.
     pub matching: ContrastMatching,
+    /// The pose, where it is measured.
+    pub pose: PoseSearch,
     /// What is left out.
     pub visibility: Visibility,
 }
@@ -56,6 +83,7 @@ impl MethodSettings for VirtualBronchoscopySettings {
         Ok(VirtualBronchoscopySettings {
             header: keys.part()?,
             matching: keys.part()?,
+            pose: keys.key("pose")?,
             visibility: keys.key("visibility")?,
         })
     }

@@ -14,16 +14,14 @@ use glam::{DAffine3, DVec3};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::picture::{PictureEquations, PictureLevel};
 use super::state::{FIELD, LAMP_AT, LENS_AT, LOOP, NavigationState, PHASE_AT, RATE, SHADE, STATE, twist, vector};
 use crate::base::Camera;
+use crate::reconstruct::fitting::wall_picture::{LONGEST_STEPS, PictureEquations, PictureLevel};
 use crate::reconstruct::geometry::lit_wall::{LAMP, LENS, LitView, NearWall, PHASE, PICTURE, in_sight};
 use crate::reconstruct::geometry::rigid::{POSE, motion};
 use crate::reconstruct::settings::WallMatching;
 use crate::splat::View;
 
-/// Longest steps of an angle (rad), of a shift (mm) and of the phase.
-const LONGEST: [f64; 3] = [0.12, 1.5, 0.15];
 /// Changes of phase, to both sides, that are tried on the coarsest picture before the first step.
 const TRIED: [f64; 4] = [-0.16, -0.08, 0.08, 0.16];
 /// A picture may change no angle and shift of the pose by more than so many of its standard deviations.
@@ -188,7 +186,7 @@ impl NavigationState {
             let near = in_sight(wall, &self.lit_view(&solution.mean, &level.camera));
             for _ in 0..level.steps {
                 let lit = self.lit_view(&solution.mean, &level.camera);
-                let equations = level.equations(settings, &near, &lit)?;
+                let equations = level.equations(&settings.picture, *settings.together_px, &near, &lit)?;
                 let (step, covariance) = self.step(&equations, &solution.mean, &lit)?;
                 advance(&mut solution.mean, &step);
                 solution.covariance = covariance;
@@ -219,9 +217,9 @@ impl NavigationState {
 /// Takes a step, shortened as a whole so that no part of it is too long.
 fn advance(mean: &mut DVector<f64>, step: &DVector<f64>) {
     let limit = |k: usize| match k {
-        0..3 => LONGEST[0],
-        3..6 => LONGEST[1],
-        PHASE_AT => LONGEST[2],
+        0..3 => LONGEST_STEPS[0],
+        3..6 => LONGEST_STEPS[1],
+        PHASE_AT => LONGEST_STEPS[2],
         _ => f64::INFINITY,
     };
     let share = (0..step.len()).map(|k| limit(k) / step[k].abs().max(1e-300)).fold(1.0, f64::min);

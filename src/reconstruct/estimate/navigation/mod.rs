@@ -6,7 +6,6 @@
 //! unknowns of the state, so that a hundred pictures that are wrong alike do not count as a hundred.
 
 pub mod look;
-pub mod picture;
 pub mod sensor;
 pub mod start;
 pub mod state;
@@ -14,6 +13,5 @@ pub mod state;
 pub(super) mod tests;
 pub mod wall_mask;
 
-pub use picture::picture_levels;
 pub use state::NavigationState;
 pub use wall_mask::wall_shares;

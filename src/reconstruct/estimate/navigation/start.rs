@@ -4,9 +4,9 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use super::look::LookOutcome;
-use super::picture::PictureLevel;
 use super::state::{NavigationState, STATE};
 use crate::base::random::{CounterRng, Stage};
+use crate::reconstruct::fitting::wall_picture::PictureLevel;
 use crate::reconstruct::geometry::lit_wall::NearWall;
 use crate::reconstruct::geometry::rigid::{POSE, motion};
 use crate::reconstruct::settings::WallMatching;

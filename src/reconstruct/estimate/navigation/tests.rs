@@ -2,12 +2,12 @@
 
 use glam::{DAffine3, DQuat, DVec3};
 
-use super::picture::picture_levels;
 use super::state::{NavigationState, PHASE_AT, STATE};
 use super::wall_mask::wall_shares;
 use crate::base::color::srgb8_from_linear;
 use crate::base::random::{CounterRng, Stage};
-use crate::base::{Camera, Image};
+use crate::base::{Camera, Image, TriangleMesh};
+use crate::reconstruct::fitting::wall_picture::picture_levels;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
 use crate::reconstruct::geometry::lit_wall::{LAMP, LENS, LitView, NearWall, PHASE, PICTURE, lit_picture};
 use crate::reconstruct::geometry::rigid::{POSE, moved};
@@ -59,6 +59,12 @@ impl World {
 
     pub fn mesh(&self) -> BreathingMesh<'_> {
         BreathingMesh { rest: &self.rest, displacement: &self.displacement, faces: &self.faces }
+    }
+
+    /// The surface at inspiration.
+    pub fn surface(&self) -> TriangleMesh {
+        let vertices = self.rest.iter().map(|v| glam::Vec3::from(*v).as_dvec3()).collect();
+        TriangleMesh { vertices, faces: self.faces.clone() }
     }
 
     pub fn wall(&self, place: DVec3) -> NearWall {
@@ -163,7 +169,7 @@ fn follow(
         let (pose, phase) = truth(frame);
         let mut image = world.picture(&pose, phase, frame as u64);
         spoil(frame, &mut image);
-        let levels = picture_levels(&settings.matching, &world.camera, &image, &wall_shares(&image, None));
+        let levels = picture_levels(&settings.matching.picture, &world.camera, &image, &wall_shares(&image, None));
         let look = state.look(&settings.matching, &levels, &world.wall(pose.translation));
         assert!(state.mean.len() == STATE && state.covariance.iter().all(|v| v.is_finite()));
         states.push((state.clone(), look.agrees));

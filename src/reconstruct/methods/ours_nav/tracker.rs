@@ -6,15 +6,14 @@ use crate::base::target_limits::{LOST_MM, UNSURE_MM};
 use crate::base::{Image, mesh};
 use crate::reconstruct::contract::{Observation, TrackState, WallMask};
 use crate::reconstruct::estimate::navigation::state::{PHASE_AT, cross};
-use crate::reconstruct::estimate::navigation::{NavigationState, picture_levels, wall_shares};
+use crate::reconstruct::estimate::navigation::{NavigationState, wall_shares};
 use crate::reconstruct::fitting::anchored::to_f32;
+use crate::reconstruct::fitting::wall_picture::picture_levels;
 use crate::reconstruct::geometry::breathing::BreathingMesh;
-use crate::reconstruct::geometry::lit_wall::{NearWall, WallInReach};
+use crate::reconstruct::geometry::lit_wall::{GATHER_AGAIN_MM, NearWall, WallInReach};
 use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::settings::OursNavSettings;
 
-/// Way of the scope in mm after which the wall around it is gathered anew.
-const GATHER_AGAIN_MM: f64 = 6.0;
 /// Seconds without a picture that agrees after which an answer is lost.
 const LOST_S: f64 = 0.5;
 
@@ -106,7 +105,7 @@ impl<'a> NavTracker<'a> {
     pub fn look(&mut self, image: &Image<u8>, time_s: f64) -> Navigated {
         let place = self.state.as_ref().map_or(DVec3::ZERO, |state| state.camera_from_world.inverse().translation);
         let shares = wall_shares(image, self.observation.mask.as_ref());
-        let levels = picture_levels(&self.settings.matching, &self.observation.camera, image, &shares);
+        let levels = picture_levels(&self.settings.matching.picture, &self.observation.camera, image, &shares);
         let faces = &self.observation.inspiration.faces;
         let mesh = BreathingMesh { rest: &self.rest, displacement: &self.displacement, faces };
         let wall = self.wall.around(mesh, place, *self.settings.visibility.range_mm, GATHER_AGAIN_MM);
@@ -130,7 +129,7 @@ impl<'a> NavTracker<'a> {
         let mut state = NavigationState::new(self.settings, start, 0.0, period_s);
         let wall = NearWall::around(self.mesh(), start.translation, *self.settings.visibility.range_mm);
         let shares = wall_shares(image, self.observation.mask.as_ref());
-        let levels = picture_levels(&self.settings.matching, &self.observation.camera, image, &shares);
+        let levels = picture_levels(&self.settings.matching.picture, &self.observation.camera, image, &shares);
         state.find_pose(&self.settings.matching, &levels, &wall, deviation);
         state.camera_from_world.inverse()
     }
@@ -219,22 +218,7 @@ mod tests {
         let mut settings: OursNavSettings = MethodFile::load(&path).unwrap().settings().unwrap();
         settings.deviation_factor.value = 1.5;
         let surface = TriangleMesh { vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y], faces: vec![[0, 1, 2]] };
-        let observation = Observation {
-            camera: Camera::pinhole(8, 8, 1.5),
-            world_from_camera: Vec::new(),
-            novel_pose: Vec::new(),
-            time_s: Vec::new(),
-            images: Vec::new(),
-            mask: None,
-            inspiration: surface,
-            expiration: None,
-            centerline_mm: Vec::new(),
-            breathing_period_s: 4.0,
-            targets_mm: Vec::new(),
-            first_depth_mm: None,
-            true_phase: None,
-            seed: 1,
-        };
+        let observation = Observation::bare(Camera::pinhole(8, 8, 1.5), surface);
         let tracker = NavTracker::new(&settings, &observation);
         let pose = DAffine3::from_rotation_translation(DQuat::from_rotation_x(0.7), DVec3::new(4.0, 1.0, -8.0));
         let mut state = NavigationState::new(&settings, pose, 0.0, 4.0);

@@ -16,7 +16,7 @@ use crate::base::{Camera, Image};
 use crate::reconstruct::fitting::contrast::{Surroundings, agreement};
 use crate::reconstruct::geometry::lit_wall::{LitPicture, LitView, NearWall, PICTURE, lit_picture, smoothed};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
-use crate::reconstruct::settings::WallMatching;
+use crate::reconstruct::settings::PictureMatching;
 use crate::splat::View;
 
 /// Pixels whose masked share is above this do not count.
@@ -29,6 +29,9 @@ const MOST_TOUCHING: f32 = 0.4;
 const SMALLEST_PX: usize = 8;
 /// Fewer pixels say nothing.
 const FEWEST_PIXELS: f32 = 64.0;
+
+/// Longest Gauss-Newton steps of an angle (rad), of a shift (mm) and of the phase: slopes say nothing beyond.
+pub const LONGEST_STEPS: [f64; 3] = [0.12, 1.5, 0.15];
 
 /// One resolution of a picture, as contrast.
 pub struct PictureLevel {
@@ -43,7 +46,7 @@ pub struct PictureLevel {
 
 /// What a picture says at one resolution.
 pub struct PictureEquations {
-    /// `sum w J^T J / scale^2`, in the order of [`PICTURE`]'s unknowns, counted as independent observations.
+    /// `sum w J^T J / scale^2`, in the order of [`PICTURE`]'s unknowns, with so many pixels as one observation as were asked for.
     pub hessian: DMatrix<f64>,
     /// `sum w J^T r / scale^2`, likewise.
     pub gradient: DVector<f64>,
@@ -59,7 +62,12 @@ fn green(image: &Image<u8>) -> Image<f32> {
 }
 
 /// The resolutions of `image`, coarse to fine; `wall` is how much each pixel shows of the wall, 0 to 1.
-pub fn picture_levels(settings: &WallMatching, camera: &Camera, image: &Image<u8>, wall: &[f32]) -> Vec<PictureLevel> {
+pub fn picture_levels(
+    settings: &PictureMatching,
+    camera: &Camera,
+    image: &Image<u8>,
+    wall: &[f32],
+) -> Vec<PictureLevel> {
     let at = View::new(*camera, glam::DAffine3::IDENTITY);
     let full = |image: Image<f32>| PyramidLevel { view: at, image, weights: Vec::new() };
     let (mut level, mut shows) = (full(green(image)), full(Image { data: wall.to_vec(), ..green(image) }));
@@ -79,7 +87,7 @@ pub fn picture_levels(settings: &WallMatching, camera: &Camera, image: &Image<u8
     levels
 }
 
-fn contrast_level(settings: &WallMatching, level: &PyramidLevel, shows: &[f32], steps: u32) -> PictureLevel {
+fn contrast_level(settings: &PictureMatching, level: &PyramidLevel, shows: &[f32], steps: u32) -> PictureLevel {
     let width = level.image.width;
     let weights: Vec<f32> = shows.iter().map(|&w| if w > 1.0 - MOST_MASKED { w } else { 0.0 }).collect();
     let around = Surroundings::new(weights, width, *settings.contrast_radius);
@@ -99,8 +107,15 @@ impl PictureLevel {
         agreement(&self.contrast, &expected, self.around.weights()).correlation
     }
 
-    /// The normal equations at `lit`; `None` where too little of the wall is seen.
-    pub fn equations(&self, settings: &WallMatching, wall: &NearWall, lit: &LitView) -> Option<PictureEquations> {
+    /// The normal equations at `lit`, with `together_px` pixels as one observation; `None` where too little of the wall is
+    /// seen.
+    pub fn equations(
+        &self,
+        settings: &PictureMatching,
+        together_px: f64,
+        wall: &NearWall,
+        lit: &LitView,
+    ) -> Option<PictureEquations> {
         let counts = self.around.weights();
         if self.around.total() < FEWEST_PIXELS {
             return None;
@@ -132,7 +147,7 @@ impl PictureLevel {
             column
         };
         let columns: Vec<Vec<f32>> = slopes.iter().map(column).collect();
-        let per_pixel = 1.0 / (f64::from(scale * scale) * *settings.together_px);
+        let per_pixel = 1.0 / (f64::from(scale * scale) * together_px);
         let mut hessian = DMatrix::zeros(PICTURE, PICTURE);
         let mut gradient = DVector::zeros(PICTURE);
         for a in 0..PICTURE {
