@@ -29,6 +29,38 @@ pub enum Dash {
     Dots,
 }
 
+/// Which pictures of a film a row looks at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum PicturesSeen {
+    /// None.
+    None,
+    /// Those of the first seconds.
+    FirstSeconds,
+    /// All.
+    All,
+}
+
+/// What a row is given, as far as rows differ in it. A row is beaten only by one that sees no more than it does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sees {
+    /// How many CT scans.
+    pub ct_scans: u8,
+    /// Which pictures.
+    pub pictures: PicturesSeen,
+    /// Poses as exact as the film's track tells them, and not rougher ones.
+    pub told_poses: bool,
+}
+
+impl Sees {
+    /// All that a film gives: what a row is taken to see of which nothing is known.
+    pub const EVERYTHING: Sees = Sees { ct_scans: 2, pictures: PicturesSeen::All, told_poses: true };
+
+    /// Whether `other` sees all of it.
+    pub fn is_within(self, other: Sees) -> bool {
+        self.ct_scans <= other.ct_scans && self.pictures <= other.pictures && self.told_poses <= other.told_poses
+    }
+}
+
 /// A row of this program.
 #[derive(Clone, Copy, Debug)]
 pub struct OwnRow {
@@ -38,8 +70,8 @@ pub struct OwnRow {
     pub title: &'static str,
     /// Whether it is ranked.
     pub role: Role,
-    /// How many CT scans it is given.
-    pub ct_scans: u8,
+    /// What it is given.
+    pub sees: Sees,
     /// Whether it keeps an explicit mesh.
     pub keeps_mesh: bool,
     /// What it adds to the paper's equations, as tables say it below them; empty for rows that add nothing or are no
@@ -53,13 +85,19 @@ pub struct OwnRow {
 
 /// A ranked row with a mesh of two scans and an unbroken line: what most are.
 const fn ranked(id: &'static str, title: &'static str, color: [u8; 3]) -> OwnRow {
-    OwnRow { id, title, role: Role::Ranked, ct_scans: 2, keeps_mesh: true, additions: "", color, dash: Dash::Unbroken }
+    let sees = Sees::EVERYTHING;
+    OwnRow { id, title, role: Role::Ranked, sees, keeps_mesh: true, additions: "", color, dash: Dash::Unbroken }
 }
 
 /// A bound: as [`ranked`], with long dashes.
 const fn bound(id: &'static str, title: &'static str, color: [u8; 3]) -> OwnRow {
     OwnRow { role: Role::Sanity, dash: Dash::Long, ..ranked(id, title, color) }
 }
+
+/// One CT and all pictures.
+const ONE_CT: Sees = Sees { ct_scans: 1, ..Sees::EVERYTHING };
+/// Two CTs and no picture.
+const NO_PICTURE: Sees = Sees { pictures: PicturesSeen::None, ..Sees::EVERYTHING };
 
 /// The table of additions in `docs/ours.md`, in a few words.
 const WINDOW_ADDITIONS: &str = "keyframes, light of the scope with its exposure, memory of colours, finer and larger discs, \
@@ -70,27 +108,40 @@ const WINDOW_ADDITIONS: &str = "keyframes, light of the scope with its exposure,
 /// what needs no map, the bounds, and last the row that stands in for `ours-gn` where poses are rough. A test holds that
 /// these are the files of `bench-cases/methods/`.
 pub const OWN: [OwnRow; 16] = [
-    OwnRow { ct_scans: 1, ..ranked("bridgesplat", "BridgeSplat", [213, 94, 0]) },
-    OwnRow { ct_scans: 1, ..ranked("bridgesplat-release", "BridgeSplat (released objective)", [156, 48, 96]) },
-    OwnRow { ct_scans: 1, ..ranked("bridgesplat-tuned", "BridgeSplat (tuned)", [120, 24, 144]) },
-    OwnRow { ct_scans: 1, keeps_mesh: false, ..ranked("bridgesplat-nomesh", "BridgeSplat (no mesh)", [230, 159, 0]) },
+    OwnRow { sees: ONE_CT, ..ranked("bridgesplat", "BridgeSplat", [213, 94, 0]) },
+    OwnRow { sees: ONE_CT, ..ranked("bridgesplat-release", "BridgeSplat (released objective)", [156, 48, 96]) },
+    OwnRow { sees: ONE_CT, ..ranked("bridgesplat-tuned", "BridgeSplat (tuned)", [120, 24, 144]) },
+    OwnRow { sees: ONE_CT, keeps_mesh: false, ..ranked("bridgesplat-nomesh", "BridgeSplat (no mesh)", [230, 159, 0]) },
     OwnRow { keeps_mesh: false, ..ranked("ours-nomesh", "Ours (no mesh)", [86, 180, 233]) },
     ranked("ours", "Ours", [0, 114, 178]),
     OwnRow { additions: WINDOW_ADDITIONS, ..ranked("ours-window", "Ours + keyframes", [96, 24, 252]) },
     ranked("ours-gn", "Ours (Gauss-Newton)", [204, 121, 167]),
     ranked("ours-nav", "Ours, navigation", [144, 72, 228]),
     ranked("virtual-bronchoscopy", "Virtual bronchoscopy", [12, 192, 72]),
-    OwnRow { dash: Dash::Short, ..ranked("pose-only", "No picture: pose", [132, 84, 0]) },
-    OwnRow { dash: Dash::Short, ..ranked("mean-breath", "No picture: clock", [132, 192, 144]) },
-    OwnRow { ct_scans: 1, ..bound("static-ct", "Static CT", [130, 130, 130]) },
-    OwnRow { ct_scans: 1, dash: Dash::Dots, ..bound("static-expiration", "Static CT, expiration", [96, 84, 132]) },
+    OwnRow { sees: NO_PICTURE, dash: Dash::Short, ..ranked("pose-only", "No picture: pose", [132, 84, 0]) },
+    OwnRow {
+        sees: Sees { pictures: PicturesSeen::FirstSeconds, ..Sees::EVERYTHING },
+        dash: Dash::Short,
+        ..ranked("mean-breath", "No picture: clock", [132, 192, 144])
+    },
+    OwnRow { sees: ONE_CT, ..bound("static-ct", "Static CT", [130, 130, 130]) },
+    OwnRow { sees: ONE_CT, dash: Dash::Dots, ..bound("static-expiration", "Static CT, expiration", [96, 84, 132]) },
     bound("oracle-phase", "Oracle phase", [30, 160, 90]),
-    OwnRow { dash: Dash::Long, ..ranked("ours-gn-pose", "Ours (Gauss-Newton), rough poses", [216, 0, 252]) },
+    OwnRow {
+        sees: Sees { told_poses: false, ..Sees::EVERYTHING },
+        dash: Dash::Long,
+        ..ranked("ours-gn-pose", "Ours (Gauss-Newton), rough poses", [216, 0, 252])
+    },
 ];
 
 /// One of this program's own rows.
 pub fn own(id: &str) -> Option<&'static OwnRow> {
     OWN.iter().find(|row| row.id == id)
+}
+
+/// What the row `id` sees; everything, where it is no own row.
+pub fn sees(id: &str) -> Sees {
+    own(id).map_or(Sees::EVERYTHING, |row| row.sees)
 }
 
 /// The place of a method in tables, 0 the first; what is no own row comes after all of them.
@@ -113,6 +164,15 @@ mod tests {
         shipped.sort();
         own.sort_unstable();
         assert_eq!(own, shipped);
+    }
+
+    #[test]
+    fn what_is_seen_is_within_what_has_as_much_of_everything() {
+        let [pose, clock, rough] = ["pose-only", "mean-breath", "ours-gn-pose"].map(sees);
+        assert!(pose.is_within(clock) && clock.is_within(sees("ours")) && rough.is_within(sees("ours-gn")));
+        assert!(!clock.is_within(pose) && !sees("ours").is_within(sees("bridgesplat")));
+        assert!(!rough.is_within(sees("bridgesplat")) && !sees("bridgesplat").is_within(rough));
+        assert_eq!(sees("opensplat"), Sees::EVERYTHING);
     }
 
     #[test]

@@ -3,9 +3,13 @@
 
 use super::run::{MethodInfo, Run};
 use super::summary::{MethodSummary, over_cases};
+use crate::base::own_row;
 use crate::score::statistics::MeanInterval;
 use crate::score::{Metric, navigation_metrics, ranking_metrics};
 use crate::simulate::track::Track;
+
+/// Follows the word of a pair whose better row sees more.
+pub const SEES_MORE: &str = ", sees more";
 
 /// A ranked row and the next one, by one metric.
 #[derive(Clone, Debug)]
@@ -32,13 +36,19 @@ impl NeighbourDifference {
         self.ahead.interval.is_some_and(|[low, _]| low > 0.0)
     }
 
-    /// `is_clear` as a word; a dash where there is no interval.
-    pub fn word(&self) -> &'static str {
-        match self.ahead.interval {
+    /// Whether the better row sees more than the one behind it, so that it does not beat it.
+    pub fn sees_more(&self) -> bool {
+        !own_row::sees(&self.method.id).is_within(own_row::sees(&self.next.id))
+    }
+
+    /// `is_clear` as a word, with what it sees more; a dash where there is no interval.
+    pub fn word(&self) -> String {
+        let clear = match self.ahead.interval {
             None => "–",
             Some(_) if self.is_clear() => "yes",
             Some(_) => "no",
-        }
+        };
+        format!("{clear}{}", if self.sees_more() { SEES_MORE } else { "" })
     }
 }
 

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::run::Role;
-use super::table::{ComparisonTable, MARK, STAR, TableCell, TableKind, counted, heading};
+use super::table::{ComparisonTable, LEADS_EQUALS, MARK, STAR, TableCell, TableKind, counted, heading};
 use crate::score::Goal;
 
 /// The whole `table*` environment; ours in black, the paper's value in grey below each.
@@ -111,6 +111,7 @@ fn escape(text: &str) -> String {
             'δ' => out.push_str("$\\delta$"),
             STAR => out.push_str("$\\star$"),
             MARK => out.push_str("$\\dagger$"),
+            LEADS_EQUALS => out.push_str("$\\ddagger$"),
             c => out.push(c),
         }
     }

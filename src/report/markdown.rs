@@ -112,7 +112,8 @@ fn neighbours(out: &mut String, differences: &[NeighbourDifference]) {
 
 /// What the numbers of [`neighbours`] are.
 pub const NEIGHBOURS_MEAN: &str = "By how much a row is ahead of the next one: mean over cases of the difference in each \
-    case, with its interval over trees and cases. Where that holds 0 the order is not clear.";
+    case, with its interval over trees and cases. Where that holds 0 the order is not clear; where the first sees more (CT \
+    scans, pictures, poses), the next is not beaten by it.";
 
 /// A difference with its interval.
 pub fn ahead(d: &NeighbourDifference) -> String {

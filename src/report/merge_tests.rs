@@ -86,6 +86,39 @@ fn neighbours_are_compared_in_pairs() {
     assert!(read("run.json").contains("\"track\": \"ideal\"") && read("run.json").contains("tree of case1"));
 }
 
+/// A row is beaten only by one that sees no more: of two with one CT the better one leads, though one with two CTs is
+/// first; a row that nothing can beat leads nobody.
+#[test]
+fn a_row_that_sees_less_leads_those_that_see_as_little() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = sample_run(folder.path(), 24, 5);
+    let rows = [("ours", 0.1), ("bridgesplat", 0.4), ("bridgesplat-release", 0.3), ("pose-only", 0.2)];
+    let template = run.cells.iter().filter(|c| c.method == "ours").cloned().collect::<Vec<_>>();
+    run.methods = rows.map(|(id, _)| MethodInfo::of(id)).to_vec();
+    run.cells.clear();
+    for (id, value) in rows {
+        for mut cell in template.clone() {
+            cell.method = id.into();
+            let Outcome::Scored(score) = &mut cell.outcome else { continue };
+            score.metrics.iter_mut().find(|m| m.metric == "phase_mae").unwrap().value = Some(value);
+            run.cells.push(cell);
+        }
+    }
+    let summaries = summary::summarise(&run);
+    let found = |id: &str| {
+        let metric = *summaries.iter().find(|s| s.method.id == id).unwrap().metric("phase_mae").unwrap();
+        (metric.rank, metric.leads_equals)
+    };
+    assert_eq!([found("ours"), found("pose-only")], [(Some(1), false), (Some(2), false)]);
+    assert_eq!([found("bridgesplat-release"), found("bridgesplat")], [(Some(3), true), (Some(4), false)]);
+    let pairs: Vec<_> =
+        differences::neighbours(&run, &summaries).into_iter().filter(|d| d.metric.id == "phase_mae").collect();
+    assert_eq!(pairs.iter().map(|d| d.sees_more()).collect::<Vec<_>>(), [true, true, false]);
+    let written = write(&run, &folder.path().join("report"), &NoProgress).unwrap();
+    assert!(written.table.contains("0.300 ‡") && !written.table.contains("0.400 ‡"), "{}", written.table);
+    assert!(fs::read_to_string(&written.markdown).unwrap().contains("‡: best of the ranked rows that see no more"));
+}
+
 /// Four cases of one tree and one of another: every fourth resample holds the other tree alone, which cases drawn each for
 /// itself would do once in three thousand.
 #[test]

@@ -100,7 +100,7 @@ impl MethodInfo {
                 id: row.id.into(),
                 title: row.title.into(),
                 role: row.role,
-                ct_scans: Some(row.ct_scans),
+                ct_scans: Some(row.sees.ct_scans),
                 mesh: Some(row.keeps_mesh),
             },
             None => MethodInfo { id: id.into(), title: id.into(), role: Role::Ranked, ct_scans: None, mesh: None },

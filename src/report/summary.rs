@@ -2,10 +2,12 @@
 //!
 //! A method is ranked by a metric when it is scored in every case, with every seed ([`Run::covers`]): a mean over
 //! other cases is another number. A surface that cannot be measured counts with the case's worst row, behind it.
-//! Bounds are not ranked, nor what equals the truth or the input, nor times that were not measured beside the others
+//! A row is beaten only by one that sees no more than it does ([`own_row::Sees`]): one that is not first may still lead all
+//! those. Bounds are not ranked, nor what equals the truth or the input, nor times that were not measured beside the others
 //! ([`Run::is_timed`]). Equal numbers, to the decimals that tables show, share a place.
 
 use super::run::{MethodInfo, Role, Run};
+use crate::base::own_row;
 use crate::score::statistics::{MeanInterval, mean_over_cases};
 use crate::score::{Goal, Metric, Status, registry, told_by};
 
@@ -18,6 +20,8 @@ pub struct MetricSummary {
     pub mean: Option<MeanInterval>,
     /// Place among the ranked methods, 1 the best; `None` for bounds and where a value is missing or no estimate.
     pub rank: Option<usize>,
+    /// It is ranked, not first, and ahead of every ranked row that sees no more than it, of which there is one.
+    pub leads_equals: bool,
     /// The prediction of a ranked method equals the truth: no error at all, or every frame of a case to the bit.
     pub is_perfect: bool,
     /// A surface of a case cannot be measured: the case's worst row counts in its place, and an equal row stands before.
@@ -63,8 +67,10 @@ pub fn summarise(run: &Run) -> Vec<MethodSummary> {
     };
     let mut summaries: Vec<MethodSummary> = run.methods.iter().map(of).collect();
     for (index, metric) in registry().iter().enumerate() {
-        for (method, rank) in ranks(run, &summaries, metric).into_iter().enumerate() {
-            summaries[method].metrics[index].rank = rank;
+        for (method, place) in places(run, &summaries, metric).into_iter().enumerate() {
+            let summary = &mut summaries[method].metrics[index];
+            summary.rank = place.map(|place| place.rank);
+            summary.leads_equals = place.is_some_and(|place| place.leads_equals);
         }
     }
     summaries
@@ -97,11 +103,18 @@ fn metric_summary(run: &Run, method: &MethodInfo, metric: &'static Metric) -> Me
     let mean = over_cases(run, &run.case_values(&method.id, metric.id));
     let is_perfect = equals_truth(run, method, metric);
     let is_marked = run.is_marked(&method.id, metric.id);
-    MetricSummary { metric, mean, rank: None, is_perfect, is_marked }
+    MetricSummary { metric, mean, rank: None, leads_equals: false, is_perfect, is_marked }
+}
+
+/// Where a ranked method stands by a metric.
+#[derive(Clone, Copy)]
+struct Place {
+    rank: usize,
+    leads_equals: bool,
 }
 
 /// The place of each method by `metric`: 1 + the number of better ones.
-fn ranks(run: &Run, summaries: &[MethodSummary], metric: &Metric) -> Vec<Option<usize>> {
+fn places(run: &Run, summaries: &[MethodSummary], metric: &Metric) -> Vec<Option<Place>> {
     let shown = |s: &MethodSummary| s.mean(metric.id).and_then(|m| metric.format(m.mean).parse::<f64>().ok());
     let is_estimate = |s: &MethodSummary| {
         let is_perfect = s.metric(metric.id).is_some_and(|m| m.is_perfect);
@@ -121,6 +134,15 @@ fn ranks(run: &Run, summaries: &[MethodSummary], metric: &Metric) -> Vec<Option<
     let stands_before = |&(a, a_marked): &(f64, bool), (b, b_marked): (f64, bool)| {
         metric.direction.better(a, b) || (a == b && b_marked && !a_marked)
     };
-    let better = |own: (f64, bool)| values.iter().flatten().filter(|&other| stands_before(other, own)).count();
-    values.iter().map(|own| own.map(|own| 1 + better(own))).collect()
+    let place = |(index, own): (usize, &Option<(f64, bool)>)| {
+        let own = (*own)?;
+        let better = |other: &(f64, bool)| stands_before(other, own);
+        let rank = 1 + values.iter().flatten().filter(|other| better(other)).count();
+        let sees = own_row::sees(&summaries[index].method.id);
+        let sees_no_more = |k: &usize| *k != index && own_row::sees(&summaries[*k].method.id).is_within(sees);
+        let mut equals = (0..values.len()).filter(sees_no_more).filter_map(|k| values[k]).peekable();
+        let leads_equals = rank > 1 && equals.peek().is_some() && !equals.any(|other| better(&other));
+        Some(Place { rank, leads_equals })
+    };
+    values.iter().enumerate().map(place).collect()
 }

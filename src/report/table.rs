@@ -21,6 +21,8 @@ pub struct TableCell {
     pub paper: Option<String>,
     /// Best of the ranked methods.
     pub best: bool,
+    /// Not the best, but ahead of every ranked method that sees no more.
+    pub leads_equals: bool,
     /// The truth itself: the value, or the dash where equal images have none, is starred.
     pub perfect: bool,
     /// A surface of some case could not be measured: the case's worst row counts in its place.
@@ -175,7 +177,8 @@ impl TableCell {
     pub fn starred(&self) -> String {
         let star = if self.perfect { format!(" {STAR}") } else { String::new() };
         let mark = if self.marked { format!(" {MARK}") } else { String::new() };
-        format!("{}{star}{mark}", self.value)
+        let leads = if self.leads_equals { format!(" {LEADS_EQUALS}") } else { String::new() };
+        format!("{}{star}{mark}{leads}", self.value)
     }
 }
 
@@ -189,13 +192,20 @@ pub const MARK: char = '†';
 pub const MARK_MEANS: &str =
     "a surface that misses the plane, or has other faces and no correspondence.csv, counts with its case's worst row";
 
+/// Marks a number that no row with as little to see beats.
+pub const LEADS_EQUALS: char = '‡';
+/// What that mark means.
+pub const LEADS_EQUALS_MEANS: &str =
+    "best of the ranked rows that see no more than it does (CT scans, pictures, poses), which alone can beat it";
+
 impl ComparisonTable {
     /// The signs that the table has, each with its meaning.
     pub fn signs(&self) -> impl Iterator<Item = (char, &'static str)> {
         let has = |sign: fn(&TableCell) -> bool| self.rows.iter().flat_map(|row| &row.cells).any(sign);
         let star = has(|cell| cell.perfect).then_some((STAR, STAR_MEANS));
         let mark = has(|cell| cell.marked).then_some((MARK, MARK_MEANS));
-        star.into_iter().chain(mark)
+        let leads = has(|cell| cell.leads_equals).then_some((LEADS_EQUALS, LEADS_EQUALS_MEANS));
+        star.into_iter().chain(mark).chain(leads)
     }
 
     /// The column groups with the number of columns in each.
@@ -253,6 +263,7 @@ fn cell(kind: TableKind, summary: &MethodSummary, metric: &Metric) -> TableCell 
             .map_or_else(String::new, |[low, high]| format!("{} to {}", show(metric, low), show(metric, high))),
         paper: paper_value(&summary.method.id, metric.id).filter(|_| is_paper).map(|v| show(metric, v)),
         best: ranks && found.is_some_and(|m| m.rank == Some(1)),
+        leads_equals: ranks && found.is_some_and(|m| m.leads_equals),
         perfect: found.is_some_and(|m| m.is_perfect),
         marked: found.is_some_and(|m| m.is_marked),
     }

@@ -228,7 +228,8 @@ pub fn write_comparison(run: &Run, path: &Path) -> Result<()> {
 
 /// `differences.csv`: one row per metric that ranks and pair of neighbours: by how much the better is ahead.
 pub fn write_differences(differences: &[NeighbourDifference], path: &Path) -> Result<()> {
-    let columns = ["metric", "rank", "method", "next", "cases", "trees", "ahead_by", "ci_low", "ci_high", "clear"];
+    let columns =
+        ["metric", "rank", "method", "next", "cases", "trees", "ahead_by", "ci_low", "ci_high", "clear", "sees_more"];
     let row = |d: &NeighbourDifference| {
         let interval = d.ahead.interval;
         vec![
@@ -242,6 +243,7 @@ pub fn write_differences(differences: &[NeighbourDifference], path: &Path) -> Re
             number(interval.map(|i| i[0])),
             number(interval.map(|i| i[1])),
             interval.map_or("", |_| if d.is_clear() { "yes" } else { "no" }).into(),
+            if d.sees_more() { "yes" } else { "no" }.into(),
         ]
     };
     write_csv(path, &header(&columns), &differences.iter().map(row).collect::<Vec<_>>())
