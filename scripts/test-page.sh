@@ -42,8 +42,7 @@ python3 -B tests/page/test_merged.py "$chromium" "$work/table/report.html" mine
 # --- both tracks on one page ------------------------------------------------------------------------------------------------
 quietly "$bench" all-cases --profile smoke --track both --cases case1 --methods pose-only,static-ct --out "$work/both" \
   --cache "$smoke/cache"
-quietly "$bench" merge "$work"/both/smoke-* --out "$work/page"
-python3 -B tests/page/test_tracks.py "$chromium" "$work/page/report.html"
+python3 -B tests/page/test_tracks.py "$chromium" "$work/both/latest/report.html"
 
 # --- the live page, while a small clinical film is followed ---------------------------------------------------------------------
 quietly "$bench" simulate case1 --profile smoke --track clinical --out "$work/films"

@@ -178,6 +178,16 @@ impl Pipeline {
         })
     }
 
+    /// The track of its films.
+    pub fn track(&self) -> Track {
+        self.track
+    }
+
+    /// The profile.
+    pub fn profile(&self) -> &Profile {
+        &self.profile
+    }
+
     /// What the whole plan would cost, were nothing in the cache.
     pub fn estimate(&self) -> Estimate {
         let nothing = Estimate { resumable: true, ..Estimate::default() };

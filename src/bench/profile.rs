@@ -9,6 +9,7 @@ use crate::airway::case::Effect;
 use crate::base::range::{FRAME_RATE, FRAMES, KeyRanges, NumberRange, SAMPLES_PER_PIXEL, SEED};
 use crate::base::{Error, Result, files};
 use crate::simulate::FilmLight;
+use crate::simulate::track::Track;
 
 /// Ranges of a profile.
 const RANGES: KeyRanges = KeyRanges(&[
@@ -39,6 +40,9 @@ pub struct Profile {
     /// Methods to run; absent means all.
     #[serde(default)]
     pub methods: Option<Vec<String>>,
+    /// Tracks that `all-cases` runs where none is asked for; absent means the ideal one.
+    #[serde(default = "ideal_alone")]
+    pub tracks: Vec<Track>,
     /// Seeds of the methods' own randomness.
     pub seeds: Vec<u64>,
     /// Width and height of the square images in pixels.
@@ -59,6 +63,10 @@ pub struct Profile {
     /// `full`, or `draft` for films that only have to be there.
     #[serde(default, skip_serializing_if = "FilmLight::is_full")]
     pub light: FilmLight,
+}
+
+fn ideal_alone() -> Vec<Track> {
+    vec![Track::Ideal]
 }
 
 impl Profile {
@@ -82,6 +90,9 @@ impl Profile {
     pub fn validate(&self) -> Result<()> {
         if self.seeds.is_empty() {
             return Err(Error::input("must name at least one seed").element("seeds"));
+        }
+        if self.tracks.is_empty() || self.tracks.iter().enumerate().any(|(i, track)| self.tracks[..i].contains(track)) {
+            return Err(Error::input("must name one track or both, each once").element("tracks"));
         }
         RANGES.check("", self)
     }
@@ -108,11 +119,13 @@ mod tests {
         let quick = Profile::load(&shipped(), "quick").unwrap();
         assert!(quick.image_width_px >= 128 && quick.minimum_frames >= 40 && quick.minimum_breaths >= 1.0);
         assert_eq!((quick.cases, quick.methods), (None, None));
+        assert_eq!(quick.tracks, [Track::Ideal, Track::Clinical]);
         let paper = Profile::load(&shipped(), "paper").unwrap();
         assert!(paper.image_width_px >= 256 && paper.minimum_frames >= 400 && paper.frames_per_second == 25.0);
-        assert_eq!(paper.iteration_scale, 1.0);
+        assert_eq!((paper.iteration_scale, paper.tracks), (1.0, quick.tracks));
         let smoke = Profile::load(&shipped(), "smoke").unwrap();
         assert_eq!((smoke.image_width_px, smoke.minimum_frames), (64, 12));
+        assert_eq!(smoke.tracks, [Track::Ideal]);
         assert_eq!(smoke.cases.map(|c| c.len()), Some(2));
     }
 

@@ -6,13 +6,14 @@ use std::time::Duration;
 use super::selection::{CacheFolder, Selection};
 use super::stopped::resumable;
 use super::{Terminal, comparison};
-use crate::base::{Error, ErrorKind, Progress, Result, files};
+use crate::base::estimate::Estimate;
+use crate::base::{Error, ErrorKind, Progress, Result, files, hash};
 use crate::bench::claim::{Asked, Claim, Claims};
 use crate::bench::store::{ProductState, cell_folder, film_folder};
 use crate::bench::{Environment, FinishedCell, Freshness, Pipeline, Plan, Store, execute, finished};
-use crate::report;
 use crate::report::summary::summarise;
 use crate::report::table::ComparisonTable;
+use crate::report::{self, TrackReports};
 use crate::simulate::track::Track;
 
 /// How long to wait before a report that another run is writing is looked at again.
@@ -27,9 +28,9 @@ const WAIT: Duration = Duration::from_millis(200);
 pub struct AllCasesArguments {
     #[command(flatten)]
     selection: Selection,
-    /// What the methods are told
-    #[arg(long, value_enum, default_value = "ideal", value_name = "T")]
-    track: TracksChoice,
+    /// What the methods are told [default: the profile's: both tracks in `quick` and `paper`, the ideal one in `smoke`]
+    #[arg(long, value_enum, value_name = "T")]
+    track: Option<TracksChoice>,
     /// Folder of the reports; `latest` in it points to the newest
     #[arg(long, default_value = "reports", value_name = "DIR")]
     out: PathBuf,
@@ -56,7 +57,7 @@ enum TracksChoice {
     Ideal,
     /// What a hospital has (docs/clinical.md)
     Clinical,
-    /// One after the other, each with a report of its own
+    /// One after the other, each with a report of its own, and one page
     Both,
 }
 
@@ -70,79 +71,118 @@ impl TracksChoice {
     }
 }
 
-/// Runs the plan and writes the report; `ErrorKind::CellFailed` names the cells that failed.
+/// Runs the plan of each track and writes the reports; `ErrorKind::CellFailed` names the cells that failed.
 pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
-    // One after the other: what fails on one track must not keep the other from being run.
-    let mut outcome = Ok(());
-    for &track in arguments.track.tracks() {
-        let done = run_track(&arguments, track, terminal);
-        // The same command would begin anew.
-        let done = if arguments.fresh { done } else { resumable(done) };
-        match done {
-            Err(error) if error.kind() != ErrorKind::CellFailed => return Err(error),
-            Err(error) => outcome = Err(error),
-            Ok(()) => {}
+    let runs = arguments.runs()?;
+    let done = run_all(&arguments, &runs, terminal);
+    // The same command would begin anew.
+    if arguments.fresh { done } else { resumable(done) }
+}
+
+/// What is run on one track.
+struct TrackRun {
+    pipeline: Pipeline,
+    plan: Plan,
+}
+
+impl AllCasesArguments {
+    /// Everything that was chosen, read before any work.
+    fn runs(&self) -> Result<Vec<TrackRun>> {
+        let tracks = match self.track {
+            Some(choice) => choice.tracks().to_vec(),
+            None => self.selection.tracks()?,
+        };
+        let of = |track: Track| {
+            let pipeline = self.selection.pipeline(track)?;
+            Ok(TrackRun { plan: pipeline.plan()?, pipeline })
+        };
+        tracks.into_iter().map(of).collect()
+    }
+}
+
+/// The name of the report's folder: that of the run, or of the runs of two tracks together.
+fn report_name(runs: &[TrackRun]) -> Result<String> {
+    let ids = runs.iter().map(|run| run.plan.run_id()).collect::<Result<Vec<String>>>()?;
+    match &ids[..] {
+        [id] => Ok(id.clone()),
+        ids => Ok(format!("{}-both-{}", runs[0].pipeline.profile().name, &hash::of_value(&ids)?[..8])),
+    }
+}
+
+fn run_all(arguments: &AllCasesArguments, runs: &[TrackRun], terminal: &Terminal) -> Result<()> {
+    let name = report_name(runs)?;
+    let folder = arguments.out.join(&name);
+    let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
+    if arguments.dry_run {
+        let store = Store::look(arguments.cache.path());
+        runs.iter().try_for_each(|run| print_plan(&run.plan, &store, freshness, terminal))?;
+        terminal.line(format_args!("report: {}", folder.display()));
+        return Ok(());
+    }
+    if !arguments.report_only {
+        let nothing = Estimate { resumable: true, ..Estimate::default() };
+        terminal.accepts(&runs.iter().map(|run| run.pipeline.estimate()).fold(nothing, Estimate::then))?;
+        if !arguments.cells_only {
+            // Both folders are tried before any work: a run that cannot be written is refused now and not in ten minutes.
+            claimed(&folder, terminal)?.release()?;
         }
     }
-    outcome
-}
-
-fn run_track(arguments: &AllCasesArguments, track: Track, terminal: &Terminal) -> Result<()> {
-    let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
-    let pipeline = arguments.selection.pipeline(track)?;
-    let plan = pipeline.plan()?;
-    let run_id = plan.run_id()?;
-    let folder = arguments.out.join(&run_id);
-    if arguments.dry_run {
-        return print_plan(&plan, &Store::look(arguments.cache.path()), &folder, freshness, terminal);
+    // One after the other: what fails on one track must not keep the other from being run.
+    let mut reports = (runs.len() > 1).then(|| TrackReports::new(&folder));
+    let (mut failed, mut cells) = (Vec::new(), 0);
+    for run in runs {
+        let track = run.pipeline.track().word();
+        if runs.len() > 1 {
+            terminal.line(format_args!("track {track}"));
+        }
+        let finished = if arguments.report_only {
+            finished(&run.plan, &Store::look(arguments.cache.path()))?
+        } else {
+            execute(&run.plan, &run.pipeline, &Store::open(arguments.cache.path())?, freshness, terminal)?
+        };
+        if arguments.cells_only {
+            terminal.finish();
+        } else {
+            report(&folder, run, &finished, reports.as_mut(), terminal)?;
+            point_latest(&arguments.out, &name)?;
+        }
+        cells += finished.len();
+        let of_run = finished.iter().filter(|cell| cell.failure.is_some()).map(|cell| cell.cell.id());
+        failed.extend(of_run.map(|id| if runs.len() > 1 { format!("{id} ({track})") } else { id }));
     }
-    if arguments.report_only {
-        let finished = finished(&plan, &Store::look(arguments.cache.path()))?;
-        return report(&arguments.out, &pipeline, &plan, &finished, terminal);
-    }
-    terminal.accepts(&pipeline.estimate())?;
-    if arguments.cells_only {
-        let finished = execute(&plan, &pipeline, &Store::open(arguments.cache.path())?, freshness, terminal)?;
-        terminal.finish();
-        return failures(&finished);
-    }
-    // Both folders are tried before any work: a run that cannot be written is refused now and not in ten minutes.
-    claimed(&folder, terminal)?.release()?;
-    let store = Store::open(arguments.cache.path())?;
-    let finished = execute(&plan, &pipeline, &store, freshness, terminal)?;
-
-    report(&arguments.out, &pipeline, &plan, &finished, terminal)
-}
-
-/// Writes the report and says which cells failed. Two runs of one plan write the same report, one after the other.
-fn report(out: &Path, pipeline: &Pipeline, plan: &Plan, finished: &[FinishedCell], terminal: &Terminal) -> Result<()> {
-    let run_id = plan.run_id()?;
-    let folder = out.join(&run_id);
-    let claim = claimed(&folder, terminal)?;
-    files::remove_unfinished(&folder)?;
-    let record = pipeline.record(plan, finished)?;
-    terminal.stage("writing the report");
-    let written = report::write(&record, &folder, terminal)?;
-    files::write_json(&folder.join("environment.json"), &Environment::examine())?;
-    claim.release()?;
-    point_latest(out, &run_id)?;
-    terminal.finish();
-    for table in ComparisonTable::all(record.track, &summarise(&record)) {
-        comparison::lines(&table).iter().for_each(|line| terminal.line(line));
-    }
-    terminal.line(format_args!("report: {}", written.html.display()));
-
-    failures(finished)
-}
-
-/// The cells that failed, as one error.
-fn failures(finished: &[FinishedCell]) -> Result<()> {
-    let failed: Vec<String> = finished.iter().filter(|c| c.failure.is_some()).map(|c| c.cell.id()).collect();
     if failed.is_empty() {
         return Ok(());
     }
-    let sentence = format!("{} of {} cells failed: {}", failed.len(), finished.len(), failed.join(", "));
+    let sentence = format!("{} of {cells} cells failed: {}", failed.len(), failed.join(", "));
     Err(Error::new(ErrorKind::CellFailed, sentence))
+}
+
+/// Writes the report of a run into `folder`, or into its own folder there, and prints its table. Two runs of one plan write
+/// the same report, one after the other.
+fn report(
+    folder: &Path,
+    run: &TrackRun,
+    finished: &[FinishedCell],
+    reports: Option<&mut TrackReports>,
+    terminal: &Terminal,
+) -> Result<()> {
+    let claim = claimed(folder, terminal)?;
+    files::remove_unfinished(folder)?;
+    let record = run.pipeline.record(&run.plan, finished)?;
+    terminal.stage("writing the report");
+    let tables = ComparisonTable::all(record.track, &summarise(&record));
+    let written = match reports {
+        None => report::write(&record, folder, terminal)?,
+        Some(reports) => reports.add(record, terminal)?,
+    };
+    files::write_json(&written.markdown.with_file_name("environment.json"), &Environment::examine())?;
+    claim.release()?;
+    terminal.finish();
+    for table in &tables {
+        comparison::lines(table).iter().for_each(|line| terminal.line(line));
+    }
+    terminal.line(format_args!("report: {}", written.html.display()));
+    Ok(())
 }
 
 /// The claim of a report's folder, once nobody else writes there.
@@ -157,7 +197,7 @@ fn claimed(folder: &Path, terminal: &Terminal) -> Result<Claim> {
     }
 }
 
-fn print_plan(plan: &Plan, store: &Store, folder: &Path, freshness: Freshness, terminal: &Terminal) -> Result<()> {
+fn print_plan(plan: &Plan, store: &Store, freshness: Freshness, terminal: &Terminal) -> Result<()> {
     let word = |state: ProductState| match state {
         ProductState::Whole if freshness == Freshness::Resume => "cached",
         _ => "to do",
@@ -170,7 +210,6 @@ fn print_plan(plan: &Plan, store: &Store, folder: &Path, freshness: Freshness, t
             terminal.line(format_args!("{:<8}cell {}", word(store.state(&score, &plan.score_key(&cell)?)?), cell.id()));
         }
     }
-    terminal.line(format_args!("report: {}", folder.display()));
     Ok(())
 }
 

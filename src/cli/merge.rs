@@ -23,7 +23,7 @@ use crate::report::{self, Run};
     Example: respire-bench merge reports/latest mine/case1 mine/case2 --out table"
 )]
 pub struct MergeArguments {
-    /// Report folders, of `all-cases` or of `evaluate --out`
+    /// Report folders, of `all-cases` or of `evaluate --out`; of both tracks' reports all that are in it
     #[arg(value_name = "DIR", required = true, num_args = 1..)]
     runs: Vec<PathBuf>,
     /// Folder of the merged report
@@ -44,8 +44,8 @@ pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
     report::refuse_other_folder(&arguments.out)?;
     terminal.stage("reading the runs");
     let evidence = if arguments.unchecked { PartEvidence::Waived } else { PartEvidence::Needed };
-    let part = |folder: &PathBuf| Ok(Part { run: read_run(folder, evidence)?, folder: folder.clone() });
-    let parts = arguments.runs.iter().map(part).collect::<Result<Vec<Part>>>()?;
+    let part = |folder: PathBuf| Ok(Part { run: read_run(&folder, evidence)?, folder });
+    let parts = arguments.runs.iter().flat_map(whole_reports).map(part).collect::<Result<Vec<Part>>>()?;
     if let Some(folder) = arguments.runs.iter().find(|folder| same_folder(folder, &arguments.out)) {
         return Err(Error::usage(format!("--out is one of the runs: {}", folder.display())));
     }
@@ -69,6 +69,12 @@ pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
     }
     terminal.line(format_args!("report: {}", written.html.display()));
     Ok(())
+}
+
+/// `folder`, or the reports of the tracks that it holds.
+fn whole_reports(folder: &PathBuf) -> Vec<PathBuf> {
+    let of_tracks = report::track_folders(folder);
+    if of_tracks.is_empty() { vec![folder.clone()] } else { of_tracks }
 }
 
 /// The parts of each track, tracks in the order in which they come.

@@ -179,6 +179,11 @@ impl Selection {
         }
     }
 
+    /// The tracks that the profile runs.
+    pub fn tracks(&self) -> Result<Vec<Track>> {
+        Ok(Profile::load(&self.catalogue.open()?.profiles(), self.profile.name())?.tracks)
+    }
+
     /// Reads everything that was chosen; every mistake in it is reported here, before any work.
     pub fn pipeline(&self, track: Track) -> Result<Pipeline> {
         let methods = self.poses.rows(wish(self.methods.clone()))?;

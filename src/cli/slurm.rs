@@ -9,7 +9,6 @@ use crate::base::range::{NumberRange, PROCESSORS};
 use crate::base::{Error, ErrorKind, Result, files};
 use crate::bench::array_job::{ArrayJob, WorkCost};
 use crate::bench::{Cell, Pipeline, Plan, Planned, Store, is_finished, timing};
-use crate::simulate::track::Track;
 
 /// Tasks at a time.
 const AT_ONCE: NumberRange = NumberRange::new(1.0, 10_000.0);
@@ -62,10 +61,7 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         Ok(path.to_string_lossy().into_owned())
     };
     let track = arguments.track.track();
-    let mut common = vec!["all-cases".to_owned()];
-    if track != Track::default() {
-        common.extend(["--track".to_owned(), track.word().to_owned()]);
-    }
+    let mut common = vec!["all-cases".to_owned(), "--track".to_owned(), track.word().to_owned()];
     common.extend(arguments.selection.place_words()?);
     common.extend([
         "--out".to_owned(),

@@ -46,7 +46,10 @@ use std::path::{Path, PathBuf};
 pub use run::{CaseInfo, CellRecord, MethodInfo, Outcome, Role, Run, StageCost};
 
 use crate::base::{Error, Progress, Result, files};
+use crate::simulate::track::Track;
 
+/// The long table, which every report has.
+const RESULTS: &str = "results.csv";
 /// The page.
 const PAGE: &str = "report.html";
 /// The report for reading.
@@ -82,7 +85,7 @@ impl RunParts {
 /// Refuses a `folder` that holds something and no report: a film's or a prediction's files have names that a report's have,
 /// too, and would be lost.
 pub fn refuse_other_folder(folder: &Path) -> Result<()> {
-    let is_report = ["run.json", "results.csv", PAGE].iter().any(|name| folder.join(name).is_file());
+    let is_report = ["run.json", RESULTS, PAGE].iter().any(|name| folder.join(name).is_file());
     if !folder.is_dir()
         || is_report
         || files::all_directly_in(folder)?.is_empty() && files::folders_in(folder)?.is_empty()
@@ -118,26 +121,64 @@ pub fn write_tracks(runs: &[Run], folder: &Path, progress: &dyn Progress) -> Res
 fn write_named(runs: &[(&Run, &str)], folder: &Path, progress: &dyn Progress) -> Result<Written> {
     let mut names: Vec<&str> = runs.iter().map(|(_, name)| *name).collect();
     names.sort_unstable();
-    if runs.is_empty() || names.windows(2).any(|pair| pair[0] == pair[1]) {
+    let (Some((first, others)), false) = (runs.split_first(), names.windows(2).any(|pair| pair[0] == pair[1])) else {
         let sentence = "a report of several tracks has one run of each, and these are of: ".to_owned();
         return Err(Error::input(sentence + &names.join(", ")).at(folder));
+    };
+    let mut reports = TrackReports::new(folder);
+    let written = reports.add_named(first.0.clone(), first.1, progress)?;
+    for (run, name) in others {
+        reports.add_named((*run).clone(), name, progress)?;
     }
-    let places: Vec<String> = runs.iter().map(|(_, name)| format!("{name}/")).collect();
-    let mut parts = Vec::new();
-    for (run, name) in runs {
-        parts.push(write_parts(run, &folder.join(name), progress)?);
+    Ok(written)
+}
+
+/// Reports of runs of different tracks under one page, which are written one after the other: [`write_tracks`].
+pub struct TrackReports {
+    folder: PathBuf,
+    /// Each run with its folder's name, seen from the page, and what the page shows of it.
+    written: Vec<(Run, String, RunParts)>,
+}
+
+impl TrackReports {
+    /// In `folder`, which need not be there.
+    pub fn new(folder: &Path) -> Self {
+        TrackReports { folder: folder.to_owned(), written: Vec::new() }
     }
-    let tracks: Vec<html::TrackReport<'_>> =
-        parts.iter().zip(runs).zip(&places).map(|((parts, (run, _)), place)| parts.track(run, place)).collect();
-    let html = folder.join(PAGE);
-    files::write_bytes(&html, html::report(&tracks).as_bytes())?;
-    Ok(Written { html, ..written(&folder.join(runs[0].1), &parts[0]) })
+
+    /// Writes the report of `run`, of another track than those before, into its own folder, and the page of all so far.
+    /// What comes back names the page, and the run's report and table.
+    ///
+    /// Errors: those of [`write()`].
+    pub fn add(&mut self, run: Run, progress: &dyn Progress) -> Result<Written> {
+        let name = run.track.word();
+        self.add_named(run, name, progress)
+    }
+
+    fn add_named(&mut self, run: Run, name: &str, progress: &dyn Progress) -> Result<Written> {
+        let own = self.folder.join(name);
+        let parts = write_parts(&run, &own, progress)?;
+        let table = written(&own, &parts);
+        self.written.push((run, format!("{name}/"), parts));
+        let tracks: Vec<html::TrackReport<'_>> =
+            self.written.iter().map(|(run, place, parts)| parts.track(run, place)).collect();
+        let html = self.folder.join(PAGE);
+        files::write_bytes(&html, html::report(&tracks).as_bytes())?;
+        Ok(Written { html, ..table })
+    }
+}
+
+/// The folders of the tracks' reports in `folder`, if it is one of [`TrackReports`]; else none.
+pub fn track_folders(folder: &Path) -> Vec<PathBuf> {
+    let of_tracks = [Track::Ideal, Track::Clinical].map(|track| folder.join(track.word()));
+    let is_there = |folder: &PathBuf| folder.join(RESULTS).is_file();
+    if folder.join(RESULTS).is_file() { Vec::new() } else { of_tracks.into_iter().filter(is_there).collect() }
 }
 
 /// Everything that belongs to one run, its own page included.
 fn write_parts(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<RunParts> {
     let summaries = summary::summarise(run);
-    tables::write_results(run, &folder.join("results.csv"))?;
+    tables::write_results(run, &folder.join(RESULTS))?;
     tables::write_comparison(run, &folder.join("comparison.csv"))?;
     tables::write_summary(&summaries, &folder.join("summary.csv"))?;
     let differences = differences::neighbours(run, &summaries);

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use super::run::MethodInfo;
-use super::seal;
+use super::{RESULTS, seal, track_folders};
 use crate::base::{Error, Result, files};
 use crate::score::{Metric, Status, registry};
 use crate::simulate::track::Track;
@@ -69,8 +69,12 @@ pub struct Results {
 ///
 /// Errors name file, line and column, and a table that does not have the hash of the manifest, where there is one.
 pub fn read(folder: &Path) -> Result<Results> {
+    if let [first, ..] = &track_folders(folder)[..] {
+        let sentence = format!("holds a report for each track: name one, for instance {}", first.display());
+        return Err(Error::input(sentence).at(folder));
+    }
     let mut results = Results::default();
-    let path = folder.join("results.csv");
+    let path = folder.join(RESULTS);
     for (at, row) in CsvTable::read(&path)?.rows().enumerate() {
         let key = row.key("config", row.text("metric")?)?;
         let track = Track::of_word(&row.text_or_empty("track")).map_err(|e| row.refuse("track", e.to_string()))?;

@@ -1,10 +1,13 @@
 //! Tracks: what stands between the truth and what a method is told. Numbers of two tracks are never put into one table.
 
+use serde::{Deserialize, Serialize};
+
 use crate::airway::case::Case;
 use crate::base::{Error, Result};
 
 /// A track. Every film is of one, and so is every run.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Track {
     /// The paper's assumptions: true poses and intrinsics, true meshes at both ends, breathing linear in one phase.
     #[default]
@@ -61,6 +64,7 @@ mod tests {
     fn words_are_those_of_the_tracks() {
         for track in [Track::Ideal, Track::Clinical] {
             assert_eq!(Track::of_word(track.word()).unwrap(), track);
+            assert_eq!(serde_json::to_value(track).unwrap(), track.word());
         }
         assert_eq!(Track::of_word("").unwrap(), Track::Ideal);
         assert!(Track::of_word("lunar").unwrap_err().to_string().contains("`lunar`"));

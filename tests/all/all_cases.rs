@@ -283,3 +283,32 @@ fn a_full_disk_is_one_sentence_and_nothing_is_lost() {
     whole.run(&[]);
     assert!(place.latest("results.csv") == whole.latest("results.csv"));
 }
+
+/// What the profile asks for: both tracks, each with a whole report, the same as alone; one page; and what reads a report
+/// takes it or says which ones there are.
+#[test]
+fn both_tracks_lie_side_by_side() {
+    let place = Place::new();
+    let alone = place.run(&["--track", "ideal", "--methods", "pose-only"]);
+    let ideal = place.latest("results.csv");
+    fs::write(place.path("tiny.toml"), format!("tracks = [\"ideal\", \"clinical\"]{TINY}")).unwrap();
+    place.run(&["--methods", "pose-only"]);
+    assert!(place.latest("ideal/results.csv") == ideal, "{alone}");
+    assert_eq!(String::from_utf8(place.latest("report.html")).unwrap().matches("<section class=\"track\"").count(), 2);
+    for name in ["run.json", "environment.json", "manifest.json", "report.html", "report.md"] {
+        assert!(
+            !place.latest(&format!("ideal/{name}")).is_empty() && !place.latest(&format!("clinical/{name}")).is_empty()
+        );
+    }
+    assert!(String::from_utf8(place.latest("clinical/report.md")).unwrap().contains("track `clinical`"));
+    let latest = place.path("reports/latest");
+    let on_latest = |words: &[&str]| outcome(program().args(words).current_dir(place.path("")).output().unwrap());
+    let (code, _, err) = on_latest(&["gate", "--results", latest.to_str().unwrap()]);
+    assert!(code == 4 && err.contains("holds a report for each track") && err.contains("latest/ideal"), "{code} {err}");
+    let (code, out, err) = on_latest(&["merge", latest.to_str().unwrap(), "--out", "merged"]);
+    assert!(code == 0 && out.contains("track clinical"), "{err}");
+    assert!(place.path("merged/ideal/results.csv").exists() && place.path("merged/clinical/results.csv").exists());
+    // One is asked for: its report is where it always was.
+    place.run(&["--track", "clinical", "--methods", "pose-only"]);
+    assert!(!place.latest("results.csv").is_empty());
+}
