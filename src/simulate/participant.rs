@@ -139,7 +139,7 @@ impl Given for Sequence {
     }
 
     fn given_centerline_mm(&self) -> Result<Vec<DVec3>> {
-        Ok(self.centerline()?.points.iter().map(|point| point.position_mm).collect())
+        Ok(self.told_centerline()?.points.iter().map(|point| point.position_mm).collect())
     }
 
     fn first_depth_mm(&self) -> Result<Image<f32>> {

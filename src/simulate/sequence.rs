@@ -224,6 +224,8 @@ pub const TOLD_NOVEL_TRANSFORMS: &str = "told/transforms_novel.json";
 pub const TOLD_INSPIRATION: &str = "told/inspiration.ply";
 /// See [`TOLD_TRANSFORMS`].
 pub const TOLD_EXPIRATION: &str = "told/expiration.ply";
+/// The centreline of the told surface at inspiration.
+pub const TOLD_CENTERLINE: &str = "told/centerline.csv";
 /// Where each true vertex is on the surfaces that methods are told, where those have other faces.
 pub const TOLD_CORRESPONDENCE: &str = "told/correspondence.csv";
 /// Truth of the clinical track's effects per frame.
@@ -481,6 +483,15 @@ impl Sequence {
     /// Centreline at inspiration.
     pub fn centerline(&self) -> Result<Centerline> {
         case_centerline::read(&self.checked(CENTERLINE)?)
+    }
+
+    /// The centreline at inspiration that methods are given: that of the surface that they are given. Films of the clinical
+    /// track from before it was told have the true one.
+    pub(super) fn told_centerline(&self) -> Result<Centerline> {
+        if self.clinical.is_some() && self.files.contains_key(TOLD_CENTERLINE) {
+            return case_centerline::read(&self.checked(TOLD_CENTERLINE)?);
+        }
+        self.centerline()
     }
 
     fn check_size(&self, width: usize, height: usize, path: &Path) -> Result<()> {

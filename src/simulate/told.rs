@@ -5,10 +5,12 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use crate::airway::Anatomy;
 use crate::airway::case::Case;
+use crate::airway::centerline::CenterlineSettings;
 use crate::airway::centerline_distance::SurfaceDistance;
+use crate::airway::centerline_extract::extract;
 use crate::airway::target::Target;
+use crate::airway::{Anatomy, case_centerline};
 use crate::base::{Error, Result, TriangleMesh, files};
 use crate::formats::transforms::{Transforms, TransformsFrame};
 use crate::formats::{mesh as mesh_file, png};
@@ -92,19 +94,24 @@ fn write_cameras(film: &Film, clinical: &ClinicalFilm, out: &Path) -> Result<()>
 }
 
 /// The surfaces that methods are given: those of an import, or else the true ones; the second with a smooth error of
-/// registration. Says which.
+/// registration; and the centreline of the first. Says which.
 fn write_surfaces(case: &Case, anatomy: &Anatomy, clinical: &ClinicalFilm, out: &Path) -> Result<String> {
-    let (source, [rest, other]) = match case.given_surfaces() {
+    let (source, [rest, other], line) = match case.given_surfaces() {
         Some([inspiration, expiration]) => {
             let (rest, other) = (mesh_file::read(&inspiration)?, mesh_file::read(&expiration)?);
             if rest.faces != other.faces || rest.vertices.len() != other.vertices.len() {
                 return Err(Error::input("has other faces than the surface at inspiration").at(expiration));
             }
             write_correspondence(&anatomy.inspiration, &rest, out)?;
-            ("import of simulated scans", [rest, other])
+            let line = extract(&rest, &CenterlineSettings::default()).map_err(|e| e.at(inspiration))?;
+            ("import of simulated scans", [rest, other], line)
         }
-        None => ("true surfaces", [anatomy.inspiration.clone(), anatomy.expiration.clone()]),
+        None => {
+            let surfaces = [anatomy.inspiration.clone(), anatomy.expiration.clone()];
+            ("true surfaces", surfaces, anatomy.centerline.clone())
+        }
     };
+    files::write_bytes(&out.join(sequence::TOLD_CENTERLINE), case_centerline::to_csv(&line).as_bytes())?;
     let error_mm = clinical.settings.surfaces.registration_error_mm;
     let (source, other) = if error_mm > 0.0 {
         (format!("{source}, smooth registration error"), misregister(&other, error_mm, case.seed))

@@ -213,6 +213,16 @@ fn surfaces_of_an_import_are_handed_out() {
     let film = simulate(&case, &small(), &folder.path().join("film"), &NoProgress).unwrap();
     let given = film.given_inspiration().unwrap();
     assert!((given.vertices[7].x - film.inspiration().unwrap().vertices[7].x - 1.0).abs() < 1e-5);
+    // So is its centreline, and not that of the airway as it is.
+    let line = film.given_centerline_mm().unwrap();
+    let truth = film.centerline().unwrap().points;
+    let off = |shift: DVec3| {
+        let nearest =
+            |p: &DVec3| truth.iter().map(|t| (t.position_mm + shift).distance(*p)).fold(f64::INFINITY, f64::min);
+        line.iter().map(nearest).sum::<f64>() / line.len() as f64
+    };
+    let (own, other) = (off(DVec3::X), off(DVec3::ZERO));
+    assert!(own < 0.6 && other > own + 0.1, "{own} {other}");
     // The error of registration comes on top.
     let imported = moved(&anatomy.expiration).vertices;
     let other = film.given_expiration().unwrap().vertices;
