@@ -156,6 +156,7 @@ impl SimulationSettings {
                 sequence::TOLD_NOVEL_TRANSFORMS,
                 sequence::TOLD_INSPIRATION,
                 sequence::TOLD_EXPIRATION,
+                sequence::TOLD_CENTERLINE,
                 sequence::LAST_SURFACE,
                 sequence::CONDITIONS,
                 sequence::SIZES,
