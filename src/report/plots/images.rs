@@ -22,7 +22,7 @@ const NO_TRUTH: [u8; 3] = [255, 255, 255];
 
 /// Layout in pixels: margin, heading row, foot row, label column, colour bar.
 const MARGIN: usize = 6;
-const HEAD: usize = 26;
+const HEAD: usize = 42;
 const FOOT: usize = 24;
 const LEFT: usize = 104;
 const SCALE_BAR: usize = 66;
@@ -172,8 +172,13 @@ fn compose(panel: ImageGrid, scale_title: Option<&str>) -> Result<Option<Image<u
     let centred = |style: TextStyle<'static>| style.pos(Pos::new(HPos::Center, VPos::Center));
     on_bitmap(&mut page, |canvas| {
         for (column, head) in panel.heads.iter().enumerate() {
-            let at = ((left_of(column) + width / 2) as i32, (HEAD / 2) as i32);
-            canvas.draw(&Text::new(head.clone(), at, centred(pen.bold(fitting(head, width)))))?;
+            let lines = in_lines(head, width);
+            let size = lines.iter().map(|line| fitting(line, width)).fold(f64::INFINITY, f64::min);
+            for (line, part) in lines.iter().enumerate() {
+                let y = (HEAD / 2) as i32 + 18 * line as i32 - 9 * (lines.len() as i32 - 1);
+                let at = ((left_of(column) + width / 2) as i32, y);
+                canvas.draw(&Text::new((*part).to_owned(), at, centred(pen.bold(size))))?;
+            }
         }
         for (row, (name, tiles)) in panel.rows.iter().enumerate() {
             for (line, part) in name.lines().enumerate() {
@@ -204,8 +209,33 @@ fn compose(panel: ImageGrid, scale_title: Option<&str>) -> Result<Option<Image<u
     Ok(Some(page))
 }
 
+/// `text` in one line, or cut at the space nearest to its middle where a tile is too narrow for it.
+fn in_lines(text: &str, width: usize) -> Vec<&str> {
+    let from_middle = |at: usize| at.abs_diff(text.len() / 2);
+    let space = text.match_indices(' ').map(|(at, _)| at).min_by_key(|&at| from_middle(at));
+    match space {
+        Some(at) if fitting(text, width) < LARGEST_HEAD => vec![&text[..at], &text[at + 1..]],
+        _ => vec![text],
+    }
+}
+
+/// Height of a heading that has room, in pixels.
+const LARGEST_HEAD: f64 = 16.0;
+
 /// Text height at which `text` is no wider than a tile.
 fn fitting(text: &str, width: usize) -> f64 {
     // A bold DejaVu letter is about 0.7 of its height wide.
-    (width as f64 / (0.7 * text.chars().count().max(1) as f64)).clamp(8.0, 16.0)
+    (width as f64 / (0.7 * text.chars().count().max(1) as f64)).clamp(8.0, LARGEST_HEAD)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_heading_that_is_too_wide_is_cut_near_its_middle() {
+        assert_eq!(in_lines("Truth", 180), ["Truth"]);
+        assert_eq!(in_lines("BridgeSplat (released objective)", 180), ["BridgeSplat", "(released objective)"]);
+        assert_eq!(in_lines("a-name-of-one-word-that-is-long", 180), ["a-name-of-one-word-that-is-long"]);
+    }
 }
