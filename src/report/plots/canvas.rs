@@ -52,6 +52,22 @@ impl From<RowStyle> for Stroke {
     }
 }
 
+/// Heights of text in units, of which a letter's body is 1 / 1.24: 11 px for the smallest on a page that is not zoomed.
+pub const TICK_TEXT: f64 = 13.6;
+/// Axes, names in a legend.
+pub const AXIS_TEXT: f64 = 14.5;
+/// Titles of panels, in bold.
+pub const TITLE_TEXT: f64 = 15.5;
+/// What a panel leaves for the words and ticks of its axes, in units: below where the axis has words, below where it has
+/// none, at the left with words and without.
+pub const X_ROOM: f64 = 46.0;
+const X_ROOM_BARE: f64 = 27.0;
+pub const Y_ROOM: f64 = 66.0;
+const Y_ROOM_BARE: f64 = 46.0;
+/// Room around a panel, and at its right, for the last tick.
+pub const PANEL_MARGIN: f64 = 6.0;
+pub const PANEL_RIGHT: f64 = 14.0;
+
 /// Sizes in units of the SVG.
 #[derive(Clone, Copy, Debug)]
 pub struct Pen {
@@ -168,8 +184,8 @@ pub fn draw_line<DB: DrawingBackend>(
 /// the rest of the area.
 pub fn legend<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, entries: &[(String, Stroke)]) -> Drawn<Area<DB>, DB> {
     let (width, _) = area.dim_in_pixel();
-    let style = pen.text(13.0);
-    let (margin, swatch, gap, row) = (pen.at(14.0), pen.at(22.0), pen.at(18.0), pen.at(20.0));
+    let style = pen.text(AXIS_TEXT);
+    let (margin, swatch, gap, row) = (pen.at(14.0), pen.at(22.0), pen.at(18.0), pen.at(21.0));
     let (mut x, mut y) = (margin, pen.at(12.0));
     let mut places = Vec::new();
     for (name, stroke) in entries {
@@ -221,19 +237,19 @@ pub fn chart<'a, DB: DrawingBackend + 'a>(
     axes: &PanelAxes,
 ) -> Drawn<LinearChart<'a, DB>, DB> {
     let mut chart = ChartBuilder::on(area)
-        .caption(axes.title, pen.bold(14.0))
-        .margin(pen.px(6.0))
-        .margin_right(pen.px(14.0))
-        .x_label_area_size(pen.px(if axes.x.is_empty() { 22.0 } else { 38.0 }))
-        .y_label_area_size(pen.px(if axes.y.is_empty() { 40.0 } else { 56.0 }))
+        .caption(axes.title, pen.bold(TITLE_TEXT))
+        .margin(pen.px(PANEL_MARGIN))
+        .margin_right(pen.px(PANEL_RIGHT))
+        .x_label_area_size(pen.px(if axes.x.is_empty() { X_ROOM_BARE } else { X_ROOM }))
+        .y_label_area_size(pen.px(if axes.y.is_empty() { Y_ROOM_BARE } else { Y_ROOM }))
         .build_cartesian_2d(axes.x_range[0]..axes.x_range[1], axes.y_range[0]..axes.y_range[1])?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
         .bold_line_style(pen.line(GRID, 1.0))
         .axis_style(pen.line(INK, 1.0))
-        .label_style(pen.text(11.0))
-        .axis_desc_style(pen.text(12.0))
+        .label_style(pen.text(TICK_TEXT))
+        .axis_desc_style(pen.text(AXIS_TEXT))
         .x_labels(6)
         .y_labels(6)
         .x_label_formatter(&|v| tick(*v))

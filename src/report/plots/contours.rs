@@ -2,7 +2,10 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{Area, Drawn, Figure, LinearChart, PanelAxes, Pen, Stroke, TRUTH, chart, clip, draw_line, legend};
+use super::canvas::{
+    Area, Drawn, Figure, LinearChart, PANEL_MARGIN, PANEL_RIGHT, PanelAxes, Pen, Stroke, TRUTH, X_ROOM, Y_ROOM, chart,
+    clip, draw_line, legend,
+};
 use crate::report::palette::Palette;
 use crate::report::run::Run;
 use crate::score::contour::ContourOverlay;
@@ -10,6 +13,9 @@ use crate::score::contour::ContourOverlay;
 /// Half side of a panel at most, in half extents of the true contour: a predicted contour far away would otherwise
 /// shrink the truth to a dot.
 const MAX_EXTENT: f64 = 2.2;
+
+/// Height of a panel's title and the room around it, in units.
+const TITLE_ROOM: f64 = 26.0;
 
 struct ContourPanel {
     title: String,
@@ -57,7 +63,7 @@ impl ContourGrid {
 
 impl Figure for ContourGrid {
     fn size(&self) -> (u32, u32) {
-        (if self.columns() == 1 { 520 } else { 380 * self.columns() as u32 }, 50 + 380 * self.rows() as u32)
+        (if self.columns() == 1 { 520 } else { 400 * self.columns() as u32 }, 60 + 400 * self.rows() as u32)
     }
 
     fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB> {
@@ -99,14 +105,14 @@ fn draw_panel<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, panel: &ContourPane
     let (centre, half) = window(panel);
     // The label areas are wider than high: equal scales need unequal ranges.
     let (width, height) = area.dim_in_pixel();
-    let plot_width = (width as i32 - pen.at(56.0 + 6.0 + 14.0)).max(1) as f64;
-    let plot_height = (height as i32 - pen.at(38.0 + 12.0 + 24.0)).max(1) as f64;
+    let plot_width = (width as i32 - pen.at(Y_ROOM + PANEL_MARGIN + PANEL_RIGHT)).max(1) as f64;
+    let plot_height = (height as i32 - pen.at(X_ROOM + 2.0 * PANEL_MARGIN + TITLE_ROOM)).max(1) as f64;
     let unit = 2.0 * half / plot_width.min(plot_height);
     let (half_x, half_y) = (unit * plot_width / 2.0, unit * plot_height / 2.0);
     let (low, high) = ([centre[0] - half_x, centre[1] - half_y], [centre[0] + half_x, centre[1] + half_y]);
     let axes = PanelAxes {
         title: &panel.title,
-        x: "x in the final camera's plane [mm]",
+        x: "x in the camera's plane [mm]",
         y: "y [mm]",
         x_range: [low[0], high[0]],
         y_range: [low[1], high[1]],

@@ -70,7 +70,7 @@ impl PhaseGrid {
 
 impl Figure for PhaseGrid {
     fn size(&self) -> (u32, u32) {
-        (if self.columns() == 1 { 640 } else { 1140 }, 40 + 215 * self.rows() as u32)
+        (if self.columns() == 1 { 640 } else { 1240 }, 50 + 225 * self.rows() as u32)
     }
 
     fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB> {
@@ -107,7 +107,7 @@ pub struct FrameErrors {
 const FRAME_METRICS: [&str; 4] = ["psnr_db", "ssim", "depth_rmse_mm", "phase_mae"];
 
 impl FrameErrors {
-    /// `None` when no cell of the case was scored.
+    /// `None` when nothing is known of the case's frames.
     pub fn new(run: &Run, case_id: &str, palette: &Palette) -> Option<Self> {
         let stroke = |method: &str| Stroke::from(palette.style(method));
         let shown = run.shown(case_id);
@@ -121,17 +121,18 @@ impl FrameErrors {
             let curves: Vec<Curve> =
                 shown.iter().map(|(m, _, s)| (stroke(&m.id), s.series(id))).filter(|c| !c.1.is_empty()).collect();
             if let (Some(m), false) = (metric(id), curves.is_empty()) {
-                let heading = if id == "phase_mae" { "|phase error|".into() } else { m.heading() };
+                let heading = if id == "phase_mae" { "phase error".into() } else { m.heading() };
                 panels.push((heading, curves));
             }
         }
-        Some(FrameErrors { names, panels })
+        let is_known = panels.iter().flat_map(|(_, curves)| curves).any(|(_, points)| !points.is_empty());
+        is_known.then_some(FrameErrors { names, panels })
     }
 }
 
 impl Figure for FrameErrors {
     fn size(&self) -> (u32, u32) {
-        (900, 60 + 165 * self.panels.len() as u32)
+        (1240, 60 + 175 * self.panels.len() as u32)
     }
 
     fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB> {

@@ -17,6 +17,18 @@ impl Taken {
         Taken { low: (x - radius, y - radius), high: (x + radius, y + radius) }
     }
 
+    /// A thin box around a line that runs along an axis.
+    pub fn between([a, b]: [(i32, i32); 2]) -> Self {
+        Taken { low: (a.0.min(b.0) - 1, a.1.min(b.1) - 1), high: (a.0.max(b.0) + 1, a.1.max(b.1) + 1) }
+    }
+
+    /// The nearest point of it, where that is more than `reach` from (`x`, `y`).
+    pub fn far_from(&self, (x, y): (i32, i32), reach: i32) -> Option<(i32, i32)> {
+        let near = (x.clamp(self.low.0, self.high.0), y.clamp(self.low.1, self.high.1));
+        let (right, down) = (near.0 - x, near.1 - y);
+        (right * right + down * down > reach * reach).then_some(near)
+    }
+
     /// Whether they overlap.
     pub fn meets(&self, other: &Taken) -> bool {
         self.low.0 < other.high.0 && other.low.0 < self.high.0 && self.low.1 < other.high.1 && other.low.1 < self.high.1
@@ -40,6 +52,8 @@ pub fn free_spot(
             (gap, below),
             (-width - gap, above),
             (-width - gap, below),
+            (gap + gap / 2, -height / 2 - lines),
+            (-width - gap - gap / 2, -height / 2 - lines),
             (-width / 2, above - gap),
             (-width / 2, below + gap),
         ]
@@ -58,6 +72,14 @@ pub fn free_spot(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_label_that_is_far_from_its_dot_knows_its_nearest_point() {
+        let spot = Taken { low: (20, 10), high: (60, 22) };
+        assert_eq!(spot.far_from((0, 0), 15), Some((20, 10)));
+        assert_eq!(spot.far_from((30, 5), 15), None);
+        assert_eq!(Taken::between([(40, 7), (10, 7)]).far_from((25, 7), 1), None);
+    }
 
     #[test]
     fn labels_of_dots_in_one_place_cover_nothing_and_stay_inside() {

@@ -3,9 +3,12 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::canvas::{Area, Drawn, Figure, GRID, INK, Pen, Stroke, legend, tick};
+use super::canvas::{
+    AXIS_TEXT, Area, Drawn, Figure, GRID, INK, Pen, Stroke, TICK_TEXT, TITLE_TEXT, X_ROOM, Y_ROOM, tick,
+};
 use super::labels::{Taken, free_spot};
 use crate::report::palette::Palette;
+use crate::report::run::Role;
 use crate::report::summary::MethodSummary;
 use crate::report::table::{arrow, show};
 use crate::score::statistics::MeanInterval;
@@ -13,9 +16,13 @@ use crate::score::{Metric, metric, paper_metrics};
 
 struct Bar {
     color: RGBColor,
+    role: Role,
     place: usize,
     mean: MeanInterval,
 }
+
+/// How much of a bound's colour its bar has: it is no method.
+const BOUND_STRENGTH: f64 = 0.45;
 
 /// One panel of bars per metric of the paper, a row per method: numbers beside bars need room that lying bars have,
 /// however many methods there are.
@@ -27,12 +34,12 @@ pub struct MethodBars {
 /// Panels beside each other.
 const COLUMNS: usize = 5;
 /// Sizes in units: the column of names, a panel, a method's row, what a panel has above its rows.
-const NAMES_WIDTH: u32 = 214;
-const PANEL_WIDTH: u32 = 206;
-const ROW_HEIGHT: u32 = 17;
+const NAMES_WIDTH: u32 = 250;
+const PANEL_WIDTH: u32 = 212;
+const ROW_HEIGHT: u32 = 19;
 const PANEL_HEAD: u32 = 34;
 /// Room for a number beside the longest bar, in shares of the bars.
-const NUMBER_ROOM: f64 = 0.42;
+const NUMBER_ROOM: f64 = 0.5;
 
 impl MethodBars {
     /// `None` when nothing was scored.
@@ -41,7 +48,7 @@ impl MethodBars {
         let names = summaries.iter().map(|s| (s.method.title.clone(), stroke(s))).collect();
         let bars = |m: &Metric| -> Vec<Bar> {
             let bar = |(place, s): (usize, &MethodSummary)| {
-                s.mean(m.id).map(|mean| Bar { color: stroke(s).color, place, mean })
+                s.mean(m.id).map(|mean| Bar { color: stroke(s).color, role: s.method.role, place, mean })
             };
             summaries.iter().enumerate().filter_map(bar).collect()
         };
@@ -66,7 +73,7 @@ impl Figure for MethodBars {
             let top = 8.0 + row as f64 * f64::from(self.panel_height() + 12);
             for (place, (name, stroke)) in self.names.iter().enumerate() {
                 let y = pen.at(top + f64::from(PANEL_HEAD) + (place as f64 + 0.5) * f64::from(ROW_HEIGHT));
-                let style = pen.text(12.0).pos(Pos::new(HPos::Right, VPos::Center));
+                let style = pen.text(TICK_TEXT).pos(Pos::new(HPos::Right, VPos::Center));
                 page.draw(&Text::new(shortened(name), (pen.at(f64::from(NAMES_WIDTH) - 8.0), y), style))?;
                 let mark = [pen.at(f64::from(NAMES_WIDTH) - 4.0), pen.at(f64::from(NAMES_WIDTH))];
                 page.draw(&Rectangle::new(
@@ -86,7 +93,7 @@ impl Figure for MethodBars {
 /// A name that fits into its column.
 fn shortened(name: &str) -> String {
     // Letters of a column of names, at the text's size.
-    const LETTERS: usize = 31;
+    const LETTERS: usize = 35;
     if name.chars().count() <= LETTERS {
         name.to_owned()
     } else {
@@ -110,66 +117,81 @@ fn draw_bars<DB: DrawingBackend>(
     let x = |v: f64| left + 4.0 + (v - low) / ((1.0 + NUMBER_ROOM) * (high - low)) * width;
     let y = |place: usize| top + f64::from(PANEL_HEAD) + (place as f64 + 0.5) * f64::from(ROW_HEIGHT);
     let at = |x: f64, y: f64| (pen.at(x), pen.at(y));
-    let head = format!("{} {}", m.heading(), arrow(m));
-    page.draw(&Text::new(head, at(x(0.0), top + 4.0), pen.bold(13.0)))?;
+    // Times have their unit beside the number.
+    let head = if m.id == "time_total_s" { m.label.to_owned() } else { m.heading() };
+    page.draw(&Text::new(format!("{head} {}", arrow(m)), at(x(0.0), top + 4.0), pen.bold(TITLE_TEXT)))?;
     let axis = vec![at(x(0.0), top + f64::from(PANEL_HEAD) - 4.0), at(x(0.0), y(rows - 1) + 9.0)];
     page.draw(&PathElement::new(axis, pen.line(INK, 1.0)))?;
     for bar in bars {
         let (middle, mean) = (y(bar.place), bar.mean.mean);
         let (from, to) = (x(mean.min(0.0)), x(mean.max(0.0)));
-        page.draw(&Rectangle::new([at(from, middle - 5.5), at(to, middle + 5.5)], bar.color.filled()))?;
+        let strength = if bar.role == Role::Sanity { BOUND_STRENGTH } else { 1.0 };
+        let fill = bar.color.mix(strength).filled();
+        page.draw(&Rectangle::new([at(from, middle - 6.0), at(to, middle + 6.0)], fill))?;
         if let Some([low, high]) = bar.mean.interval {
-            let stem = vec![at(x(low), middle), at(x(high), middle)];
-            page.draw(&PathElement::new(stem, pen.line(INK, 1.3)))?;
-            for end in [low, high] {
-                let cap = vec![at(x(end), middle - 3.0), at(x(end), middle + 3.0)];
-                page.draw(&PathElement::new(cap, pen.line(INK, 1.3)))?;
+            // A light rim, so that it stands out from every bar.
+            for (color, width) in [(WHITE, 3.3), (INK, 1.3)] {
+                let stem = vec![at(x(low), middle), at(x(high), middle)];
+                page.draw(&PathElement::new(stem, pen.line(color, width)))?;
+                for end in [low, high] {
+                    let cap = vec![at(x(end), middle - 3.5), at(x(end), middle + 3.5)];
+                    page.draw(&PathElement::new(cap, pen.line(color, width)))?;
+                }
             }
         }
-        let style = pen.text(11.0).pos(Pos::new(HPos::Left, VPos::Center));
+        let style = pen.text(TICK_TEXT).pos(Pos::new(HPos::Left, VPos::Center));
         page.draw(&Text::new(show(m, mean), at(x(end_of(bar).max(0.0)) + 5.0, middle), style))?;
     }
     Ok(())
 }
 
-/// Colour, time and error of a method.
-type MethodPoint = (RGBColor, MeanInterval, MeanInterval);
+/// A method in a plot of time against error.
+struct MethodPoint {
+    title: String,
+    role: Role,
+    color: RGBColor,
+    time: MeanInterval,
+    error: MeanInterval,
+}
 
-/// Time per frame against an error, both axes logarithmic.
+/// Time per frame against an error, both axes logarithmic. The name stands beside the dot: so many colours are not told
+/// apart by a list of them.
 pub struct ErrorAgainstTime {
-    names: Vec<(String, Stroke)>,
     panels: Vec<(&'static Metric, Vec<MethodPoint>)>,
 }
 
 impl ErrorAgainstTime {
     /// `None` when no method has both a time and an error.
     pub fn new(summaries: &[MethodSummary], palette: &Palette) -> Option<Self> {
-        let stroke = |s: &MethodSummary| Stroke::from(palette.style(&s.method.id));
         let mut panels = Vec::new();
         for m in ["depth_rmse_mm", "target_error_mm", "phase_mae"].into_iter().filter_map(metric) {
             let point = |s: &MethodSummary| {
                 let (time, error) = (s.mean("time_per_frame_s")?, s.mean(m.id)?);
-                (time.mean > 0.0 && error.mean > 0.0).then(|| (stroke(s).color, time, error))
+                let (title, color) = (s.method.title.clone(), Stroke::from(palette.style(&s.method.id)).color);
+                (time.mean > 0.0 && error.mean > 0.0).then(|| MethodPoint {
+                    title,
+                    role: s.method.role,
+                    color,
+                    time,
+                    error,
+                })
             };
             let points: Vec<_> = summaries.iter().filter_map(point).collect();
             if !points.is_empty() {
                 panels.push((m, points));
             }
         }
-        let plain = |s: &MethodSummary| Stroke { dash: None, ..stroke(s) };
-        let names = summaries.iter().map(|s| (s.method.title.clone(), plain(s))).collect();
-        (!panels.is_empty()).then_some(ErrorAgainstTime { names, panels })
+        (!panels.is_empty()).then_some(ErrorAgainstTime { panels })
     }
 }
 
 impl Figure for ErrorAgainstTime {
     fn size(&self) -> (u32, u32) {
-        (420 * self.panels.len().max(2) as u32, 400)
+        (440 * self.panels.len().max(2) as u32, 460)
     }
 
     fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB> {
-        let rest = legend(page, pen, &self.names)?;
-        for (area, (m, points)) in rest.split_evenly((1, self.panels.len())).iter().zip(&self.panels) {
+        for (area, (m, points)) in page.split_evenly((1, self.panels.len())).iter().zip(&self.panels) {
             draw_points(area, pen, m, points)?;
         }
         Ok(())
@@ -200,13 +222,13 @@ fn bounds_of(mean: &MeanInterval) -> impl Iterator<Item = f64> {
 }
 
 fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points: &[MethodPoint]) -> Drawn<(), DB> {
-    let x = log_range(points.iter().flat_map(|p| bounds_of(&p.1)));
-    let y = log_range(points.iter().flat_map(|p| bounds_of(&p.2)));
+    let x = log_range(points.iter().flat_map(|p| bounds_of(&p.time)));
+    let y = log_range(points.iter().flat_map(|p| bounds_of(&p.error)));
     let mut chart = ChartBuilder::on(area)
         .margin(pen.px(8.0))
         .margin_right(pen.px(16.0))
-        .x_label_area_size(pen.px(40.0))
-        .y_label_area_size(pen.px(62.0))
+        .x_label_area_size(pen.px(X_ROOM))
+        .y_label_area_size(pen.px(Y_ROOM + 10.0))
         .build_cartesian_2d(
             (x[0]..x[1]).log_scale().with_key_points(log_ticks(x)),
             (y[0]..y[1]).log_scale().with_key_points(log_ticks(y)),
@@ -216,8 +238,8 @@ fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points
         .light_line_style(TRANSPARENT)
         .bold_line_style(pen.line(GRID, 1.0))
         .axis_style(pen.line(INK, 1.0))
-        .label_style(pen.text(11.0))
-        .axis_desc_style(pen.text(12.0))
+        .label_style(pen.text(TICK_TEXT))
+        .axis_desc_style(pen.text(AXIS_TEXT))
         .x_labels(6)
         .y_labels(6)
         .x_label_formatter(&|v| tick(*v))
@@ -225,29 +247,41 @@ fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points
         .x_desc("method time per frame [s]")
         .y_desc(m.heading())
         .draw()?;
-    for (color, time, error) in points {
-        let at = (time.mean, error.mean);
-        let across: Vec<f64> = bounds_of(time).collect();
-        let up: Vec<f64> = bounds_of(error).collect();
-        let lines = [
-            PathElement::new(vec![(across[2], at.1), (across[1], at.1)], pen.line(*color, 1.3)),
-            PathElement::new(vec![(at.0, up[2]), (at.0, up[1])], pen.line(*color, 1.3)),
-        ];
-        chart.draw_series(lines)?;
-        chart.draw_series(std::iter::once(Circle::new(at, pen.px(5.5), color.filled())))?;
+    let radius = 5.5;
+    let mut taken: Vec<Taken> = Vec::new();
+    for point in points {
+        let at = (point.time.mean, point.error.mean);
+        let across: Vec<f64> = bounds_of(&point.time).collect();
+        let up: Vec<f64> = bounds_of(&point.error).collect();
+        let whiskers = [[(across[2], at.1), (across[1], at.1)], [(at.0, up[2]), (at.0, up[1])]];
+        let line = |ends: &[(f64, f64); 2]| PathElement::new(ends.to_vec(), pen.line(point.color, 1.3));
+        chart.draw_series(whiskers.iter().map(line))?;
+        taken.extend(whiskers.map(|ends| Taken::between(ends.map(|end| chart.backend_coord(&end)))));
+        taken.push(Taken::around(chart.backend_coord(&at), pen.at(radius)));
+    }
+    for point in points {
+        let at = (point.time.mean, point.error.mean);
+        chart.draw_series(std::iter::once(Circle::new(at, pen.px(radius), point.color.filled())))?;
+        if point.role == Role::Sanity {
+            chart.draw_series(std::iter::once(Circle::new(at, pen.px(0.5 * radius), WHITE.filled())))?;
+        }
     }
     let corner = chart.backend_coord(&(x[0], y[0]));
     let (across, down) = area.get_pixel_range();
     let room = Taken { low: (corner.0, down.start), high: (across.end, corner.1) };
-    let places: Vec<(i32, i32)> = points.iter().map(|p| chart.backend_coord(&(p.1.mean, p.2.mean))).collect();
-    let mut taken: Vec<Taken> = places.iter().map(|&place| Taken::around(place, pen.at(5.5))).collect();
-    for (point, &place) in points.iter().zip(&places) {
-        let (text, style) = (show(m, point.2.mean), pen.text(10.0));
-        let (width, height) = area.estimate_text_size(&text, &style)?;
+    for point in points {
+        let (at, style) = ((point.time.mean, point.error.mean), pen.text(TICK_TEXT));
+        let (width, height) = area.estimate_text_size(&point.title, &style)?;
+        let place = chart.backend_coord(&at);
         let (shift, spot) = free_spot(place, [width as i32, height as i32], pen, (room, &taken));
         taken.push(spot);
-        let label = Text::new(text, shift, style.pos(Pos::new(HPos::Left, VPos::Top)));
-        chart.draw_series(std::iter::once(EmptyElement::at((point.1.mean, point.2.mean)) + label))?;
+        // A name that found no room beside its dot is tied to it.
+        if let Some(end) = spot.far_from(place, pen.at(2.5 * radius)) {
+            let tie = PathElement::new(vec![(0, 0), (end.0 - place.0, end.1 - place.1)], pen.line(point.color, 1.0));
+            chart.draw_series(std::iter::once(EmptyElement::at(at) + tie))?;
+        }
+        let label = Text::new(point.title.clone(), shift, style.pos(Pos::new(HPos::Left, VPos::Top)));
+        chart.draw_series(std::iter::once(EmptyElement::at(at) + label))?;
     }
     Ok(())
 }

@@ -53,28 +53,28 @@ pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dy
         "methods",
         methods::MethodBars::new(summaries, &palette),
         "Methods by metric",
-        "Means over cases, 95 % bootstrap intervals; the arrow shows the better direction.",
+        "Means over cases, 95 % bootstrap intervals; the arrow shows the better direction. Pale: bounds, which are not ranked.",
     )?);
     overview(plot(
         folder,
         "error-against-time",
         methods::ErrorAgainstTime::new(summaries, &palette),
         "Error against run time",
-        "Method time per frame against error, means over cases with 95 % intervals, both axes logarithmic; lower left is better.",
+        "Method time per frame against error, means over cases with 95 % intervals, both axes logarithmic; lower left is better. Rings: bounds, which are not ranked.",
     )?);
     overview(plot(
         folder,
         "phase",
         curves::PhaseGrid::new(run, &palette),
         "Breathing phase",
-        "Recovered breathing phase against truth (black); 0 is full inspiration, 1 full expiration.",
+        "Recovered breathing phase; the thick line is the truth. 0 is full inspiration, 1 full expiration.",
     )?);
     overview(plot(
         folder,
         "contours",
         contours::ContourGrid::new(run, &palette),
         "Final contours",
-        "Lumen contour in the plane of the last camera (triangle): truth in black, predictions in colour. Cross: the true target; dots: where a method puts it.",
+        "Lumen contour in the plane of the last camera (triangle); the thick line is the truth. Cross: the true target; dots: where a method puts it.",
     )?);
     for (done, case) in run.cases.iter().enumerate() {
         progress.proceed()?;
