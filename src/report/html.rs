@@ -13,7 +13,7 @@ use super::plots::{ReportImage, ReportImages};
 use super::run::{CaseInfo, CellRecord, Outcome, Role, Run};
 use super::scene::Scenes;
 use super::table::{ComparisonTable, TableCell, arrow, counted, heading, show};
-use crate::score::{Metric, paper_metrics, registry};
+use crate::score::{Metric, Status, paper_metrics, registry};
 
 /// Most bytes of the page, whatever it is of: it is mailed and opened on telephones.
 pub const PAGE_BYTES: usize = 15_000_000;
@@ -158,7 +158,7 @@ fn track_section(track: &TrackReport<'_>, scenes: &Scenes, detail: CaseDetail) -
                 @let scenes = (detail != CaseDetail::Elsewhere).then_some(scenes);
                 (case_section(run, case, scenes, &palette, static_part(track, case, detail)))
             }
-            h2 { "Overview" }
+            h2 { "Plots of all cases" }
             @for picture in &pictures.overview { (figure(picture)) }
         }
     }
@@ -185,7 +185,7 @@ fn case_section(run: &Run, case: &CaseInfo, scenes: Option<&Scenes>, palette: &P
 fn numbers(run: &Run, case: &CaseInfo) -> Markup {
     html! {
         h3 { "Numbers" }
-        (case_table(run, &case.id))
+        (case_table(run, &case.id, &Palette::of(&run.methods)))
     }
 }
 
@@ -223,6 +223,7 @@ fn swatch(style: RowStyle) -> Markup {
 
 fn comparison(table: &ComparisonTable, run: &Run, palette: &Palette) -> Markup {
     let is_foreign = |id: &str| run.cells.iter().any(|cell| cell.method == id && cell.is_foreign());
+    let has_intervals = table.rows.iter().flat_map(|row| &row.cells).any(|cell| !cell.interval.is_empty());
     html! {
         div.wide { table.sortable.comparison {
             thead {
@@ -232,9 +233,7 @@ fn comparison(table: &ComparisonTable, run: &Run, palette: &Palette) -> Markup {
                 }
                 tr {
                     th { "Method" } th { "CTs" } th { "Mesh" }
-                    @for m in &table.columns {
-                        th title=(m.definition) data-better=(m.direction.word()) { (heading(m)) (arrow(m)) }
-                    }
+                    @for m in &table.columns { (column(m, heading(m))) }
                 }
             }
             tbody { @for (index, row) in table.rows.iter().enumerate() {
@@ -250,7 +249,9 @@ fn comparison(table: &ComparisonTable, run: &Run, palette: &Palette) -> Markup {
             } }
         } }
         p.muted {
-            (table.kind.explanation()) " Mean over " (counted(table.cases, "case")) "; below it the 95 % bootstrap interval over trees and cases. "
+            (table.kind.explanation()) " Mean over " (counted(table.cases, "case"))
+            @if has_intervals { "; below it the 95 % bootstrap interval over trees and cases" }
+            ". "
             @if table.kind.ranks() {
                 "Bold: best ranked method; a method is ranked where it is scored on every case. "
             }
@@ -284,33 +285,51 @@ fn starts_section(table: &ComparisonTable, index: usize) -> bool {
     index > 0 && section(index) != section(index - 1)
 }
 
-fn value(cell: &TableCell) -> Markup {
+/// Heading of a metric's column, with its unit below it where neither the heading nor the values say it.
+fn column(m: &Metric, name: &str) -> Markup {
+    let is_said = m.id == "time_total_s" || m.unit == "%" || name.contains(m.unit);
     html! {
-        @if cell.best { strong { (cell.starred()) } } @else { (cell.starred()) }
+        th title=(m.definition) data-better=(m.direction.word()) {
+            (name) "\u{a0}" (arrow(m))
+            @if !is_said { span.unit { (m.unit) } }
+        }
+    }
+}
+
+fn value(cell: &TableCell) -> Markup {
+    let starred = cell.starred();
+    let signs = starred.strip_prefix(&cell.value).unwrap_or_default().trim();
+    // The signs take no room, so that numbers stand below each other.
+    let number = html! { (cell.value) @if !signs.is_empty() { span.sign { " " (signs) } } };
+    html! {
+        @if cell.best { strong { (number) } } @else { (number) }
         @if !cell.interval.is_empty() { span.interval { (cell.interval) } }
         @if let Some(paper) = &cell.paper { span.paper { "paper " (paper) } }
     }
 }
 
-fn case_table(run: &Run, case: &str) -> Markup {
+fn case_table(run: &Run, case: &str, palette: &Palette) -> Markup {
     let shown = |m: &Metric, cell: &CellRecord| match cell.score().and_then(|s| s.metric(m.id)) {
-        None => (String::new(), "failed".to_owned()),
+        None => html! { td.failed data-value="" { "failed" } },
         Some(score) => match score.value {
-            Some(value) => (value.to_string(), show(m, value)),
-            None => (String::new(), score.status.word().replace('_', " ")),
+            Some(value) => html! { td data-value=(value) { (show(m, value)) } },
+            None if score.status == Status::NotApplicable => html! { td data-value="" title="not applicable" { "–" } },
+            None => html! { td.muted data-value="" { (score.status.word().replace('_', " ")) } },
         },
     };
-    let title = |cell: &CellRecord| run.methods.iter().find(|m| m.id == cell.method).map(|m| m.title.clone());
+    let method = |cell: &CellRecord| run.methods.iter().find(|m| m.id == cell.method);
+    let is_bound = |cell: &CellRecord| method(cell).is_some_and(|m| m.role == Role::Sanity);
     html! {
         div.wide { table.sortable.of-case {
             thead { tr {
                 th { "Method" } th { "Seed" }
-                @for m in paper_metrics() { th data-better=(m.direction.word()) { (m.heading()) " " (arrow(m)) } }
+                @for m in paper_metrics() { (column(m, m.label)) }
             } }
             tbody { @for cell in run.cells.iter().filter(|c| c.case_id == case) {
-                tr data-method=(cell.method) {
-                    td { (title(cell).unwrap_or_else(|| cell.method.clone())) } td data-value=(cell.seed) { (cell.seed) }
-                    @for m in paper_metrics() { @let (number, text) = shown(m, cell); td data-value=(number) { (text) } }
+                tr.sanity[is_bound(cell)] data-method=(cell.method) {
+                    td { (swatch(palette.style(&cell.method))) (method(cell).map_or(&cell.method, |m| &m.title)) }
+                    td data-value=(cell.seed) { (cell.seed) }
+                    @for m in paper_metrics() { (shown(m, cell)) }
                 }
             } }
         } }
@@ -320,7 +339,8 @@ fn case_table(run: &Run, case: &str) -> Markup {
 fn figure(picture: &ReportImage) -> Markup {
     html! {
         @if let Some(svg) = &picture.svg {
-            figcaption { (picture.caption) }
+            h3 { (picture.title) }
+            p.muted.caption { (picture.caption) }
             figure.plot tabindex="0" role="img" aria-label=(picture.title) { (PreEscaped(without_prolog(svg))) }
         }
     }

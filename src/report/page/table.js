@@ -56,7 +56,7 @@ class Page {
       section.hidden = section !== chosen;
       buttons[k].setAttribute("aria-pressed", String(section === chosen));
     });
-    tools.append(el("span", { class: "group", role: "group", "aria-label": "Track", id: "tracks" }, ...buttons));
+    tools.append(el("span", { class: "named" }, "Track ", el("span", { class: "group", role: "group", "aria-label": "Track", id: "tracks" }, ...buttons)));
     show(sections[0]);
   }
 
