@@ -101,6 +101,12 @@ def test_desktop(browser, url, pictures, dark):
     check(browser.run(tile) != before, "the time slider changes the film")
     cursor = browser.run("+document.querySelector('.curves .cursor').getAttribute('x1')")
     check(cursor > 300, "the cursor of the curves is at the end")
+    off = browser.run("""(() => {
+      const { plot, data, metric } = page.open.player, row = plot.rows.find(row => row.series[metric][1] != null), y = plot.y(row.series[metric][1]);
+      plot.name(plot.rowAt(plot.x(data.times_s[1]), y));
+      return Math.abs(plot.y(plot.rows.find(row => row.title === plot.named.textContent).series[metric][1]) - y);
+    })()""")
+    check(off < 1, "a curve is named where it is touched")
     # From the beginning to the end, by the button that a reader presses.
     label = "document.querySelector('button.play').getAttribute('aria-label')"
     browser.run("page.open.player.seek(0); 1")

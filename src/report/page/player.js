@@ -105,12 +105,14 @@ class ErrorPlot {
     this.player = player;
     this.svg = el("svg", { class: "curves", role: "img" });
     const move = e => {
-      if (e.type === "pointermove" && !e.buttons) return;
-      const box = this.svg.getBoundingClientRect();
-      player.seek(this.frameAt(e.clientX - box.left));
+      const box = this.svg.getBoundingClientRect(), [x, y] = [e.clientX - box.left, e.clientY - box.top];
+      if (!this.rows) return;
+      this.name(this.rowAt(x, y) || player.row);
+      if (e.type !== "pointermove" || e.buttons) player.seek(this.frameAt(x));
     };
     this.svg.addEventListener("pointerdown", e => { this.svg.setPointerCapture(e.pointerId); move(e); });
     this.svg.addEventListener("pointermove", move);
+    this.svg.addEventListener("pointerleave", () => this.rows && this.name(player.row));
     new ResizeObserver(() => this.draw()).observe(this.svg);
   }
 
@@ -121,8 +123,8 @@ class ErrorPlot {
     if (!width || !height || !m) return;
     svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
     svg.setAttribute("aria-label", `${m.heading} over time`);
-    const box = { left: 52, right: width - 12, top: 26, bottom: height - 40 };
-    const rows = data.rows.filter(row => !player.hidden.has(row.method) && row.series[player.metric].some(v => v != null));
+    const box = { left: 52, right: width - 12, top: 44, bottom: height - 40 };
+    const rows = this.rows = data.rows.filter(row => !player.hidden.has(row.method) && row.series[player.metric].some(v => v != null));
     const values = rows.flatMap(row => row.series[player.metric]).filter(v => v != null && Number.isFinite(v));
     // Errors in mm span decades; the rest does not.
     const isLog = /\[mm\]/.test(m.heading) && values.some(v => v > 0);
@@ -131,7 +133,7 @@ class ErrorPlot {
     if (!values.length) [low, high] = [0, 1];
     if (isLog) { low = Math.max(floor, low) / 1.25; high = Math.max(high, low * 4) * 1.25; }
     else { const margin = (high - low) * 0.06 || 0.05; low = m.higher || low < 0 ? low - margin : Math.max(0, low - margin); high += margin; }
-    const y = v => {
+    const y = this.y = v => {
       const share = isLog ? Math.log(Math.max(v, low) / low) / Math.log(high / low) : (v - low) / (high - low);
       return box.bottom - share * (box.bottom - box.top);
     };
@@ -149,18 +151,49 @@ class ErrorPlot {
     for (const v of linearTicks(0, end, Math.max(2, (box.right - box.left) / 80))) parts.push(el("text", { x: this.x(v), y: box.bottom + 20, "text-anchor": "middle" }, label(v)));
     parts.push(el("text", { x: (box.left + box.right) / 2, y: height - 5, "text-anchor": "middle", class: "muted" }, "seconds; the band is darker towards expiration"), ...bands);
     // The chosen row last, on top of the others.
-    const chosen = player.row;
+    const chosen = player.row, curves = el("g", { class: "rows" });
+    this.curves = new Map();
     for (const row of [...rows].sort((a, b) => (a === chosen) - (b === chosen))) {
       let path = "", pen = "M";
       row.series[player.metric].forEach((v, k) => {
         if (v == null) { if (row.series[player.metric].filter(x => x != null).length > data.samples.length / 2) pen = "M"; return; }
         path += `${pen}${this.x(data.times_s[k]).toFixed(1)} ${y(v).toFixed(1)}`; pen = "L";
       });
-      parts.push(el("path", { d: path, fill: "none", stroke: row.color, "stroke-width": row === chosen ? 3.2 : 1.6, "stroke-dasharray": row.dash && row.dash.join(" "), "stroke-linejoin": "round", opacity: chosen && row !== chosen ? 0.7 : 1 }));
+      const curve = el("path", { d: path, fill: "none", stroke: row.color, "stroke-dasharray": row.dash && row.dash.join(" "), "stroke-linejoin": "round" });
+      this.curves.set(row, curve);
+      curves.append(curve);
     }
     this.cursor = el("line", { y1: box.top - 4, y2: box.bottom + 6, class: "cursor" });
-    svg.replaceChildren(...parts, this.cursor);
+    this.named = el("g");
+    svg.replaceChildren(...parts, curves, this.cursor, this.named);
+    this.name(chosen);
     this.move();
+  }
+
+  // The row whose curve passes near a place, if there is one.
+  rowAt(x, y) {
+    const { data, metric } = this.player, frame = this.frameAt(x), last = data.samples.length - 1;
+    const b = Math.min(last, Math.max(1, data.samples.findIndex(sample => sample >= frame))), a = Math.max(0, b - 1);
+    const share = a === b ? 0 : (frame - data.samples[a]) / (data.samples[b] - data.samples[a]);
+    let [near, least] = [null, 12];
+    for (const row of this.rows) {
+      const [from, to] = [row.series[metric][a], row.series[metric][b]];
+      if (from == null || to == null) continue;
+      const off = Math.abs(this.y(from) + (this.y(to) - this.y(from)) * share - y);
+      if (off < least) [near, least] = [row, off];
+    }
+    return near;
+  }
+
+  // Says whose curve it is, and makes it stand out beside the chosen one.
+  name(row) {
+    for (const [other, curve] of this.curves) {
+      const isShown = other === row || other === this.player.row;
+      curve.setAttribute("stroke-width", isShown ? 3.2 : 1.6);
+      curve.setAttribute("opacity", isShown ? 1 : 0.75);
+    }
+    const line = row && el("g", { class: "rows" }, el("line", { x1: 8, x2: 30, y1: 29, y2: 29.01, stroke: row.color, "stroke-width": 3.4, "stroke-dasharray": row.dash && row.dash.join(" ") }));
+    this.named.replaceChildren(...row ? [line, el("text", { x: 37, y: 33 }, row.title)] : []);
   }
 
   move() {
@@ -209,12 +242,15 @@ class CasePlayer {
     const picks = el("div", { class: "picks" },
       el("label", {}, "Curves ", this.metricSelect), el("label", {}, "Errors of ", this.rowSelect),
       data.film && data.rows.some(row => row.pictures) ? check("Difference to the truth, 4 times as bright", false, on => { this.isDifference = on; this.drawTiles(); }) : null);
+    // What the numbers of the tiles are.
+    this.beside = el("p", { class: "muted note" });
     const stage = film ? this.buildStage(film, id) : null;
     const why = stage || data.film && !data.film.airway ? null : data.film ? "This browser has no WebGL 2: the airway is not drawn." : "This run kept no film and no airway of the case.";
     if (why) this.host.append(el("p", { class: "muted" }, why));
     this.host.append(
       el("div", { class: stage ? "views" : "views one" }, stage, el("div", { class: "side" }, picks, this.plot.svg)),
       bar,
+      this.tiles.length ? this.beside : "",
       this.tiles.length ? el("div", { class: "film" }, ...this.tiles.map(tile => tile.element)) : "");
     if (film) this.page.scene().open(film, this.stage);
   }
@@ -302,6 +338,7 @@ class CasePlayer {
 
   drawTiles() {
     const m = this.data.metrics[this.metric], k = nearest(this.data.samples, this.frame);
+    this.beside.textContent = m ? `Number beside each name: ${m.heading} at this frame; ${m.higher ? "higher" : "lower"} is better.` : "";
     for (const tile of this.tiles) {
       tile.draw(this);
       if (!tile.row) { tile.value.textContent = ""; continue; }
