@@ -273,7 +273,10 @@ fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points
         let (at, style) = ((point.time.mean, point.error.mean), pen.text(TICK_TEXT));
         let (width, height) = area.estimate_text_size(&point.title, &style)?;
         let place = chart.backend_coord(&at);
-        let (shift, spot) = free_spot(place, [width as i32, height as i32], pen, (room, &taken));
+        // Viewers of an SVG give a line more height than its letters have.
+        let (lead, height) = (pen.at(2.0), height as i32 + pen.at(5.0));
+        let ((right, down), spot) = free_spot(place, [width as i32, height], pen, (room, &taken));
+        let shift = (right, down + lead);
         taken.push(spot);
         // A name that found no room beside its dot is tied to it.
         if let Some(end) = spot.far_from(place, pen.at(2.5 * radius)) {
