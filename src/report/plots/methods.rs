@@ -168,7 +168,7 @@ impl ErrorAgainstTime {
             let point = |s: &MethodSummary| {
                 let (time, error) = (s.mean("time_per_frame_s")?, s.mean(m.id)?);
                 let (title, color) = (s.method.title.clone(), Stroke::from(palette.style(&s.method.id)).color);
-                (time.mean > 0.0 && error.mean > 0.0).then(|| MethodPoint {
+                (time.mean > 0.0 && error.mean > 0.0).then_some(MethodPoint {
                     title,
                     role: s.method.role,
                     color,
