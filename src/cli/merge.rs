@@ -1,7 +1,7 @@
 //! `merge`: several runs, or scores of a third party, as one report.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::{Terminal, comparison};
 use crate::base::{Error, Result, files};
@@ -45,7 +45,8 @@ pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
     terminal.stage("reading the runs");
     let evidence = if arguments.unchecked { PartEvidence::Waived } else { PartEvidence::Needed };
     let part = |folder: PathBuf| Ok(Part { run: read_run(&folder, evidence)?, folder });
-    let parts = arguments.runs.iter().flat_map(whole_reports).map(part).collect::<Result<Vec<Part>>>()?;
+    let parts =
+        arguments.runs.iter().flat_map(|folder| whole_reports(folder)).map(part).collect::<Result<Vec<Part>>>()?;
     if let Some(folder) = arguments.runs.iter().find(|folder| same_folder(folder, &arguments.out)) {
         return Err(Error::usage(format!("--out is one of the runs: {}", folder.display())));
     }
@@ -72,9 +73,9 @@ pub fn run(arguments: MergeArguments, terminal: &Terminal) -> Result<()> {
 }
 
 /// `folder`, or the reports of the tracks that it holds.
-fn whole_reports(folder: &PathBuf) -> Vec<PathBuf> {
+fn whole_reports(folder: &Path) -> Vec<PathBuf> {
     let of_tracks = report::track_folders(folder);
-    if of_tracks.is_empty() { vec![folder.clone()] } else { of_tracks }
+    if of_tracks.is_empty() { vec![folder.to_owned()] } else { of_tracks }
 }
 
 /// The parts of each track, tracks in the order in which they come.
@@ -89,6 +90,6 @@ fn by_track(parts: Vec<Part>) -> Vec<Vec<Part>> {
     tracks
 }
 
-fn same_folder(a: &std::path::Path, b: &std::path::Path) -> bool {
+fn same_folder(a: &Path, b: &Path) -> bool {
     a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }

@@ -94,7 +94,7 @@ impl TableKind {
                 "Pictures and depth are of second cameras, whose pictures no method was given; targets are of all frames."
             }
             TableKind::Paper => {
-                "Of frames that the methods had fitted, and of the last frame; beside it the value of the paper's Table 1 (its \
+                "Of frames that the methods had fitted, and of the last frame; with the value of the paper's Table 1 (its \
                  nine COPDGene cases, its machine)."
             }
         }
