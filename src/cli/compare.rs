@@ -13,7 +13,7 @@ use crate::score::metric;
 #[command(
     after_help = "Differences are B - A over the cases that both runs have, paired, with 95 % bootstrap bounds. Cases \
     whose films differ are named.\n\
-    Example: respire-bench compare reports/reference/quick reports/latest --method ours"
+    Example: respire-bench compare reports/reference/quick reports/latest/ideal --method ours"
 )]
 pub struct CompareArguments {
     /// First report folder

@@ -32,7 +32,7 @@ const ELSEWHERE: [(&str, &str); 16] = [
 const EXCHANGED: [(&str, &str); 5] = [
     ("--profile quick", "--profile smoke"),
     ("--method ours --profile", "--method pose-only --profile"),
-    ("reports/reference/quick reports/latest", "reports/reference/quick reports/reference/quick"),
+    ("reports/reference/quick reports/latest/ideal", "reports/reference/quick reports/reference/quick"),
     ("~/", ""),
     ("/tmp/", "tmp/"),
 ];
