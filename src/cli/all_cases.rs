@@ -163,7 +163,7 @@ fn report(
     folder: &Path,
     run: &TrackRun,
     finished: &[FinishedCell],
-    reports: Option<&mut TrackReports>,
+    reports: Option<&mut TrackReports<'_>>,
     terminal: &Terminal,
 ) -> Result<()> {
     let claim = claimed(folder, terminal)?;

@@ -41,6 +41,7 @@ pub mod summary;
 pub mod table;
 pub mod tables;
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 pub use run::{CaseInfo, CellRecord, MethodInfo, Outcome, Role, Run, StageCost};
@@ -126,21 +127,21 @@ fn write_named(runs: &[(&Run, &str)], folder: &Path, progress: &dyn Progress) ->
         return Err(Error::input(sentence + &names.join(", ")).at(folder));
     };
     let mut reports = TrackReports::new(folder);
-    let written = reports.add_named(first.0.clone(), first.1, progress)?;
+    let written = reports.add_named(Cow::Borrowed(first.0), first.1, progress)?;
     for (run, name) in others {
-        reports.add_named((*run).clone(), name, progress)?;
+        reports.add_named(Cow::Borrowed(run), name, progress)?;
     }
     Ok(written)
 }
 
 /// Reports of runs of different tracks under one page, which are written one after the other: [`write_tracks`].
-pub struct TrackReports {
+pub struct TrackReports<'a> {
     folder: PathBuf,
     /// Each run with its folder's name, seen from the page, and what the page shows of it.
-    written: Vec<(Run, String, RunParts)>,
+    written: Vec<(Cow<'a, Run>, String, RunParts)>,
 }
 
-impl TrackReports {
+impl<'a> TrackReports<'a> {
     /// In `folder`, which need not be there.
     pub fn new(folder: &Path) -> Self {
         TrackReports { folder: folder.to_owned(), written: Vec::new() }
@@ -152,10 +153,10 @@ impl TrackReports {
     /// Errors: those of [`write()`].
     pub fn add(&mut self, run: Run, progress: &dyn Progress) -> Result<Written> {
         let name = run.track.word();
-        self.add_named(run, name, progress)
+        self.add_named(Cow::Owned(run), name, progress)
     }
 
-    fn add_named(&mut self, run: Run, name: &str, progress: &dyn Progress) -> Result<Written> {
+    fn add_named(&mut self, run: Cow<'a, Run>, name: &str, progress: &dyn Progress) -> Result<Written> {
         let own = self.folder.join(name);
         let parts = write_parts(&run, &own, progress)?;
         let table = written(&own, &parts);

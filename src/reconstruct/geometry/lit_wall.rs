@@ -95,7 +95,7 @@ impl NearWall {
     }
 }
 
-/// Way of a scope in mm after which the wall around it is gathered anew, where that is its answer of every frame.
+/// Way of a scope in mm after which the wall around it is gathered anew, for what looks at pictures against it frame by frame.
 pub const GATHER_AGAIN_MM: f64 = 6.0;
 
 /// Keeps the part of the airway that is within sight of the scope while the scope stays near.
