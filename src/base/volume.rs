@@ -170,25 +170,29 @@ impl<T: Copy> Volume<T> {
     /// less than half a voxel outside counts as on the rim.
     fn around(&self, index: DVec3) -> Option<[(usize, f64); 8]> {
         let size = self.grid.size;
-        let (mut base, mut part) = ([0usize; 3], [0.0f64; 3]);
+        let strides = [1, size[0], size[0] * size[1]];
+        let (mut first, mut step, mut part) = (0, [0usize; 3], [0.0f64; 3]);
         for axis in 0..3 {
             let last = (size[axis] - 1) as f64;
             if !(-0.5..=last + 0.5).contains(&index[axis]) {
                 return None;
             }
             let clamped = index[axis].clamp(0.0, last);
-            base[axis] = (clamped as usize).min(size[axis].saturating_sub(2));
-            part[axis] = clamped - base[axis] as f64;
+            let base = (clamped as usize).min(size[axis].saturating_sub(2));
+            part[axis] = clamped - base as f64;
+            first += base * strides[axis];
+            step[axis] = if size[axis] > 1 { strides[axis] } else { 0 };
         }
-        Some(std::array::from_fn(|corner| {
-            let mut weight = 1.0;
-            let cell = [0, 1, 2].map(|axis| {
+        // Loops, not closures over arrays: a volume is sampled tens of millions of times.
+        let mut corners = [(first, 1.0); 8];
+        for (corner, (at, weight)) in corners.iter_mut().enumerate() {
+            for axis in 0..3 {
                 let up = corner >> axis & 1;
-                weight *= if up == 1 { part[axis] } else { 1.0 - part[axis] };
-                (base[axis] + up).min(size[axis] - 1)
-            });
-            (self.grid.at(cell), weight)
-        }))
+                *at += up * step[axis];
+                *weight *= if up == 1 { part[axis] } else { 1.0 - part[axis] };
+            }
+        }
+        Some(corners)
     }
 }
 

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use super::distance::signed_distance;
 use super::isosurface::{self, decimated, isosurface};
+use super::parts::bounding_box;
 use super::topology::{BallReport, keep_ball};
 use crate::airway::centerline_distance::SurfaceDistance;
 use crate::airway::remesh::remesh;
@@ -154,17 +155,7 @@ pub fn euler_characteristic(mesh: &TriangleMesh) -> i64 {
 
 /// The part of a mask that holds the airway, with free voxels around it where the volume ended before.
 fn around_lumen(mask: &Volume<u8>) -> Result<Volume<u8>> {
-    let (mut low, mut high) = ([usize::MAX; 3], [0usize; 3]);
-    for (at, _) in mask.data.iter().enumerate().filter(|(_, v)| **v > 0) {
-        let cell = mask.grid.cell(at);
-        for axis in 0..3 {
-            low[axis] = low[axis].min(cell[axis]);
-            high[axis] = high[axis].max(cell[axis] + 1);
-        }
-    }
-    if low[0] == usize::MAX {
-        return Err(Error::input("the airway mask is empty"));
-    }
+    let (low, high) = bounding_box(mask).ok_or_else(|| Error::input("the airway mask is empty"))?;
     let size = [0, 1, 2].map(|a| high[a] - low[a] + 2 * MARGIN);
     let corner = DVec3::new(low[0] as f64, low[1] as f64, low[2] as f64) - MARGIN as f64;
     let grid = VoxelGrid { size, origin_mm: mask.grid.position(corner), ..mask.grid };

@@ -130,14 +130,40 @@ pub fn mask_of(grid: crate::base::VoxelGrid, voxels: &[usize]) -> Volume<u8> {
     mask
 }
 
+/// The box around a mask's voxels: its lowest cell, and the first beyond its highest one. `None` for an empty mask.
+pub fn bounding_box(mask: &Volume<u8>) -> Option<([usize; 3], [usize; 3])> {
+    let (mut low, mut high) = ([usize::MAX; 3], [0usize; 3]);
+    for (at, _) in mask.data.iter().enumerate().filter(|(_, value)| **value > 0) {
+        let cell = mask.grid.cell(at);
+        for axis in 0..3 {
+            low[axis] = low[axis].min(cell[axis]);
+            high[axis] = high[axis].max(cell[axis] + 1);
+        }
+    }
+    (low[0] < usize::MAX).then_some((low, high))
+}
+
 /// Fills what the mask encloses on all sides.
 pub fn fill_holes(mask: &mut Volume<u8>) {
-    let outer: Vec<usize> = (0..mask.data.len())
-        .filter(|&at| mask.grid.cell(at).iter().zip(&mask.grid.size).any(|(&c, &n)| c == 0 || c + 1 == n))
-        .filter(|&at| mask.data[at] == 0)
-        .collect();
-    let outside = reached(mask, &outer, VoxelContact::Faces, |v| v == 0);
-    mask.data.iter_mut().zip(&outside.data).for_each(|(value, out)| *value = u8::from(*out == 0));
+    let Some((low, high)) = bounding_box(mask) else { return };
+    // What lies outside of the box is enclosed by nothing; one voxel more on each side joins it around the mask.
+    let low = low.map(|c| c.saturating_sub(1));
+    let high = [0, 1, 2].map(|axis| (high[axis] + 1).min(mask.grid.size[axis]));
+    let part = mask.cropped(low, high);
+    let [nx, ny, nz] = part.grid.size;
+    let mut rim = Vec::new();
+    for k in 0..nz {
+        for j in 0..ny {
+            let is_whole = k == 0 || k + 1 == nz || j == 0 || j + 1 == ny;
+            let step = if is_whole { 1 } else { (nx - 1).max(1) };
+            rim.extend((0..nx).step_by(step).map(|i| part.grid.at([i, j, k])));
+        }
+    }
+    let outside = reached(&part, &rim, VoxelContact::Faces, |value| value == 0);
+    for (row, out) in outside.data.chunks_exact(nx).enumerate() {
+        let start = mask.grid.at([low[0], low[1] + row % ny, low[2] + row / ny]);
+        mask.data[start..start + nx].iter_mut().zip(out).for_each(|(value, out)| *value = u8::from(*out == 0));
+    }
 }
 
 /// The mask and all within `radius_mm` of it.
@@ -173,6 +199,7 @@ mod tests {
         assert_eq!(mask.value([8, 8, 8]), 0);
         fill_holes(&mut mask);
         assert_eq!((mask.value([8, 8, 8]), mask.value([19, 19, 19])), (1, 0));
+        fill_holes(&mut Volume::filled(grid, 0));
         let count = |m: &Volume<u8>| m.data.iter().filter(|v| **v > 0).count();
         let (before, wider) = (count(&mask), grown(&mask, 2.0));
         assert!(count(&wider) > before);

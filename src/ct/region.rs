@@ -6,7 +6,7 @@
 //! 15:507, 1996). It finds three to five generations; a network finds more.
 
 use super::airway_mask::{AirwayMask, cleaned};
-use super::parts::{VoxelContact, closed, spread};
+use super::parts::{VoxelContact, bounding_box, closed, spread};
 use crate::base::{Error, Progress, Result, Volume};
 
 /// HU below which air in the trachea lies for sure.
@@ -93,15 +93,10 @@ pub fn grow_airway(scan: &Volume<i16>, progress: &dyn Progress) -> Result<GrownA
 
 /// [`closed`], on the part of the volume that the mask takes up.
 fn closed_near(mask: &Volume<u8>, radius_mm: f64) -> Volume<u8> {
+    let Some((low, high)) = bounding_box(mask) else { return mask.clone() };
     let margin = [0, 1, 2].map(|a| (2.0 * radius_mm / mask.grid.spacing_mm()[a]).ceil() as usize + 2);
-    let (mut low, mut high) = (mask.grid.size, [0usize; 3]);
-    for (at, _) in mask.data.iter().enumerate().filter(|(_, v)| **v > 0) {
-        let cell = mask.grid.cell(at);
-        for a in 0..3 {
-            low[a] = low[a].min(cell[a].saturating_sub(margin[a]));
-            high[a] = high[a].max((cell[a] + margin[a] + 1).min(mask.grid.size[a]));
-        }
-    }
+    let low = [0, 1, 2].map(|a| low[a].saturating_sub(margin[a]));
+    let high = [0, 1, 2].map(|a| (high[a] + margin[a]).min(mask.grid.size[a]));
     closed(&mask.cropped(low, high), radius_mm)
 }
 
