@@ -30,7 +30,7 @@ use respire_bench::formats::{depth_png, exr, gaussians_ply, landmarks, mesh, nif
 use respire_bench::reconstruct::MethodFile;
 use respire_bench::render::scene_file::SceneFile;
 use respire_bench::report::scene::{FilmScene, Scenes};
-use respire_bench::report::{compare, gate, merge, read, summary, table};
+use respire_bench::report::{compare, gate, merge, read, read_back, summary, table};
 use respire_bench::score::{CellScore, Prediction, Question, Truth};
 use respire_bench::simulate::participant::{Given, Participant};
 use respire_bench::simulate::sequence::{self, FrameRecord, NovelView, Sequence};
@@ -250,8 +250,8 @@ fn merged(bytes: &[u8], scratch: &Scratch) {
     let names = ["results.csv", "comparison.csv", "frames.csv", "timings.csv", "manifest.json"];
     let folder = scratch.write_parts("merge", &names, bytes);
     scratch.seal("merge", "manifest.json", &names[..4]);
-    answer(merge::read_run(&folder, merge::PartEvidence::Needed));
-    let Some(run) = answer(merge::read_run(&folder, merge::PartEvidence::Waived)) else { return };
+    answer(read_back::read_run(&folder, read_back::PartEvidence::Needed));
+    let Some(run) = answer(read_back::read_run(&folder, read_back::PartEvidence::Waived)) else { return };
     let part = merge::Part { folder, run };
     for films in [merge::Films::Same, merge::Films::Other] {
         if let Some(run) = answer(merge::merge(vec![part.clone(), part.clone()], films)) {
@@ -474,7 +474,7 @@ fn dicom(bytes: &[u8], scratch: &Scratch) {
 fn environments(bytes: &[u8], scratch: &Scratch) {
     std::fs::create_dir_all(scratch.folder.join("environments")).expect("the scratch folder takes folders");
     let folder = scratch.write_parts("environments", &["environment.json", "environments.json"], bytes);
-    answer(merge::read_environments(&folder, "run"));
+    answer(read_back::read_environments(&folder, "run"));
 }
 
 /// The lines of `track --poses`.

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::{Terminal, comparison};
 use crate::base::{Error, Result, files};
-use crate::report::merge::{Films, Part, PartEvidence, merge, read_environments, read_run};
+use crate::report::merge::{Films, Part, merge};
+use crate::report::read_back::{PartEvidence, read_environments, read_run};
 use crate::report::summary::summarise;
 use crate::report::table::ComparisonTable;
 use crate::report::{self, Run};

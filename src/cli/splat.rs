@@ -159,6 +159,46 @@ impl SplatArguments {
         }
     }
 
+    /// The views of all frames, each with its own intrinsics, and the number of the first of the largest. Errors name the
+    /// frame that cannot be rasterised as asked for.
+    fn views(&self) -> Result<(Vec<View>, usize)> {
+        let transforms = Transforms::read(&self.cameras)?;
+        let view = |(number, frame): (usize, &TransformsFrame)| {
+            Ok(View::new(transforms.frame_camera(number)?, frame.world_from_camera()))
+        };
+        let views: Result<Vec<View>> = transforms.frames.iter().enumerate().map(view).collect();
+        let views = views.map_err(|e| e.at(&self.cameras))?;
+        let pixels = |view: &View| u64::from(view.camera.width) * u64::from(view.camera.height);
+        let Some((largest, _)) = views.iter().enumerate().rev().max_by_key(|(_, view)| pixels(view)) else {
+            return Err(Error::input("there is none").element("frames").at(&self.cameras));
+        };
+        let is_fisheye = |view: &View| view.camera.fisheye.is_some();
+        match views.iter().position(|view| self.lens && self.is_disc() && is_fisheye(view)) {
+            Some(frame) => {
+                Err(self.of_frame(frame, Error::input("is a fisheye, whose --lens has no gradient with --mode disc")))
+            }
+            None => Ok((views, largest)),
+        }
+    }
+
+    /// The weights of --gradients, for images of one `size`.
+    fn weights(&self, views: &[View], size: [usize; 2]) -> Result<Option<Weights>> {
+        let Some(path) = &self.gradients else { return Ok(None) };
+        let weights = Weights::read(path, size, views.len())?;
+        match views.iter().position(|view| size_of(view) != size) {
+            Some(frame) => {
+                let sentence = "has another size than other frames: --gradients wants images of one size";
+                Err(self.of_frame(frame, Error::input(sentence)))
+            }
+            None => Ok(Some(weights)),
+        }
+    }
+
+    /// What is wrong with a frame of the cameras' file.
+    fn of_frame(&self, number: usize, error: Error) -> Error {
+        error.element(format!("frame {number}")).at(&self.cameras)
+    }
+
     fn is_disc(&self) -> bool {
         matches!(self.mode, FootprintChoice::Disc)
     }
@@ -172,34 +212,11 @@ impl SplatArguments {
 /// Rasterises every frame; writes images, timing and gradients.
 pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     let cloud = gaussians_ply::read(&arguments.gaussians)?;
-    let transforms = Transforms::read(&arguments.cameras)?;
-    let views = views(&transforms).map_err(|e| e.at(&arguments.cameras))?;
+    let (views, largest) = arguments.views()?;
     let count = views.len();
-    let pixels = |view: &View| u64::from(view.camera.width) * u64::from(view.camera.height);
-    // The first of the largest.
-    let Some((largest, largest_view)) = views.iter().enumerate().rev().max_by_key(|(_, view)| pixels(view)) else {
-        return Err(Error::input("there is none").element("frames").at(&arguments.cameras));
-    };
-    let is_fisheye = |view: &View| view.camera.fisheye.is_some();
-    if let Some(frame) = views.iter().position(|view| arguments.lens && arguments.is_disc() && is_fisheye(view)) {
-        let sentence = "is a fisheye, whose --lens has no gradient with --mode disc";
-        return Err(Error::input(sentence).element(format!("frame {frame}")).at(&arguments.cameras));
-    }
-    let size = [largest_view.camera.height as usize, largest_view.camera.width as usize];
-    let weights = arguments.gradients.as_deref().map(|p| Weights::read(p, size, count)).transpose()?;
-    let is_other = |view: &View| [view.camera.height as usize, view.camera.width as usize] != size;
-    if let Some(frame) = views.iter().position(|view| weights.is_some() && is_other(view)) {
-        let sentence = "has another size than other frames: --gradients wants images of one size";
-        return Err(Error::input(sentence).element(format!("frame {frame}")).at(&arguments.cameras));
-    }
-    let dropped = cloud.count_in_file - cloud.len();
-    if dropped > 0 {
-        let count = cloud.count_in_file;
-        terminal.line(format!("{dropped} of {count} Gaussians are not finite, or have no rotation: they are left out"));
-    }
-    if cloud.degree_in_file > cloud.sh_degree {
-        terminal.line(format!("SH of degree {} are shown up to degree {}", cloud.degree_in_file, cloud.sh_degree));
-    }
+    let size = size_of(&views[largest]);
+    let weights = arguments.weights(&views, size)?;
+    say_what_is_not_shown(&cloud, terminal);
     let (scene, settings, wanted) = (scene_of(&cloud), arguments.settings(), arguments.wanted());
     let output = SplatOutput {
         folder: arguments.out.clone(),
@@ -210,9 +227,8 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     let mut rasterizer = Rasterizer::with_isa(arguments.isa.map_or_else(Isa::widest, KernelChoice::isa))?;
     rasterizer.measure_cpu();
     let repeat = arguments.repeat;
-    let of_frame = |number: usize| move |e: Error| e.element(format!("frame {number}"));
-    let pass = rasterizer.estimate(&scene, largest_view, &settings, weights.is_some());
-    let pass = pass.map_err(|e| of_frame(largest)(e).at(&arguments.cameras))?;
+    let pass = rasterizer.estimate(&scene, &views[largest], &settings, weights.is_some());
+    let pass = pass.map_err(|e| arguments.of_frame(largest, e))?;
     terminal.accepts(&output.with_files(pass, size, count, repeat))?;
     let coefficients = (cloud.sh_degree as usize + 1).pow(2);
     let mut sums = GradientSums::new(cloud.count_in_file, coefficients, count, wanted);
@@ -229,7 +245,7 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
         let mut times = Vec::new();
         for _ in 0..repeat {
             advance(&mut steps)?;
-            let named = |e: Error| of_frame(number)(e).at(&arguments.cameras);
+            let named = |e: Error| arguments.of_frame(number, e);
             rasterizer.render(&scene, view, &settings, None).map_err(named)?;
             if let Some(weights) = &weights {
                 let image = ImageGradient { color: weights.of_frame(number), ..ImageGradient::default() };
@@ -254,7 +270,7 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
         threads: rayon::current_num_threads(),
         isa: rasterizer.isa().to_string(),
         gaussians: cloud.len(),
-        dropped,
+        dropped: dropped(&cloud),
         sh_degree: cloud.sh_degree,
         repeat,
     };
@@ -262,7 +278,7 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     terminal.line(format!("{}: {count} frames of {} Gaussians", output.folder.display(), cloud.len()));
     if let Some(&number) = empty.first() {
         let why = match cloud.len() {
-            0 if dropped == 0 => format!("{} holds none", arguments.gaussians.display()),
+            0 if cloud.count_in_file == 0 => format!("{} holds none", arguments.gaussians.display()),
             0 => format!("all of {} are left out", arguments.gaussians.display()),
             _ => emptiness(&scene, &views[number], &settings, number),
         };
@@ -271,12 +287,24 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     Ok(())
 }
 
-/// The views of all frames, each with its own intrinsics.
-fn views(transforms: &Transforms) -> Result<Vec<View>> {
-    let view = |(number, frame): (usize, &TransformsFrame)| {
-        Ok(View::new(transforms.frame_camera(number)?, frame.world_from_camera()))
-    };
-    transforms.frames.iter().enumerate().map(view).collect()
+/// Height and width in px.
+fn size_of(view: &View) -> [usize; 2] {
+    [view.camera.height as usize, view.camera.width as usize]
+}
+
+/// Gaussians of the file that cannot be shown.
+fn dropped(cloud: &GaussianCloud) -> usize {
+    cloud.count_in_file - cloud.len()
+}
+
+fn say_what_is_not_shown(cloud: &GaussianCloud, terminal: &Terminal) {
+    let (dropped, count) = (dropped(cloud), cloud.count_in_file);
+    if dropped > 0 {
+        terminal.line(format!("{dropped} of {count} Gaussians are not finite, or have no rotation: they are left out"));
+    }
+    if cloud.degree_in_file > cloud.sh_degree {
+        terminal.line(format!("SH of degree {} are shown up to degree {}", cloud.degree_in_file, cloud.sh_degree));
+    }
 }
 
 /// Why nothing is to be seen in frame `number`, the first of those.

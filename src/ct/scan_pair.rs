@@ -127,32 +127,9 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     let version = if request.field.is_none() { Some(demand_elastix()?) } else { None };
     let given = request.field.map(|path| own_field(path, progress)).transpose()?;
     let mut facts = Facts::new();
-    let scan = read_checked(request.inspiration, progress)?;
-    let coarse = coarser(&scan, REGISTRATION_MM);
-    let named = |e: Error| e.at(request.inspiration);
-    let airway = airway_of(request.airway, request.label, Some(&scan), &mut facts, progress).map_err(named)?;
+    let (surface, full) = inspiration_of(request, given.as_ref(), &mut facts, progress)?;
     progress.proceed()?;
-    let surface = surface_of(&airway, &mut facts).map_err(named)?;
-    drop(scan);
-    if let Some((path, field)) = &given {
-        check_field(field, &surface.mesh.vertices).map_err(|e| e.at(path))?;
-    }
-    progress.proceed()?;
-    let lungs = lungs_of(&coarse, request.lungs.map(|l| l[0]), Some(&airway.mask)).map_err(named)?;
-    let full = RegistrationInput::new(&coarse, &lungs, Some(&airway.mask));
-    drop((coarse, lungs));
-    progress.proceed()?;
-    let mut scans = Vec::new();
-    let mut empty = None;
-    if let Some(path) = request.expiration {
-        let coarse = coarser(&read_checked(path, progress)?, REGISTRATION_MM);
-        let lungs = lungs_of(&coarse, request.lungs.map(|l| l[1]), None).map_err(|e| e.at(path))?;
-        let input = RegistrationInput::new(&coarse, &lungs, None);
-        let ratio = check_pair(&full.lungs, &input.lungs).map_err(|e| e.at(path))?;
-        let (before, after) = (litres(&full.lungs), litres(&input.lungs));
-        facts.push(("lungs", format!("{before:.2} l at inspiration, {after:.2} l at expiration, ratio {ratio:.2}")));
-        empty = Some(input);
-    }
+    let empty = request.expiration.map(|path| expiration_of(request, path, &full, &mut facts, progress)).transpose()?;
     progress.proceed()?;
     let (field, region) = match (given, &empty) {
         (Some((path, field)), _) => {
@@ -161,22 +138,92 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
             (field, region)
         }
         (None, Some(empty)) => {
-            let field = register(&full, empty, &workshop.join("there"), progress)?;
-            facts.push((
-                "registration",
-                format!("elastix {}, affine and B-spline", version.as_deref().unwrap_or_default()),
-            ));
-            if request.way_back {
-                let back = register(empty, &full, &workshop.join("back"), progress)?;
-                let miss = inverse_consistency(&field, &back, &full.lungs);
-                facts.push(("there and back", format!("{miss} (median / 95 % / most, in the lungs)")));
-            }
+            let program = version.as_deref().unwrap_or_default();
+            let field = registered(request, [&full, empty], program, workshop, &mut facts, progress)?;
             (field, full.lungs.clone())
         }
         (None, None) => return Err(Error::usage("without a second scan a field is wanted")),
     };
     progress.proceed()?;
-    let change = volume_change(&field, &region);
+    let change = describe_field(&field, &region, &mut facts);
+    let expiration = carried(&field, &surface.mesh.vertices);
+    if let Some(path) = request.airway_expiration {
+        let other = read_mask(path, request.label)?;
+        let off = DistanceSpread::of(distances_from_mask(&other.mask, &expiration)?);
+        facts.push(("carried from other mask", format!("{off} (median / 95 % / most; {})", path.display())));
+    }
+    let mut scans = vec![full.scan];
+    scans.extend(empty.map(|input| input.scan));
+    let stated = |version: &String| {
+        PARAMETERS.map(|(name, text)| (name, format!("// As they were given to elastix {version}.\n{text}"))).to_vec()
+    };
+    let kept = version.as_ref().map(stated).unwrap_or_default();
+    Ok(ScanPair { surface, expiration, field, scans, change, facts, kept })
+}
+
+/// The airway's surface at inspiration, and what is registered of that scan. A `given` field that does not cover the
+/// surface is refused as soon as that is known.
+fn inspiration_of(
+    request: &ScanRequest<'_>,
+    given: Option<&(&Path, Volume<[f32; 3]>)>,
+    facts: &mut Facts,
+    progress: &dyn Progress,
+) -> Result<(LumenSurface, RegistrationInput)> {
+    let scan = read_checked(request.inspiration, progress)?;
+    let coarse = coarser(&scan, REGISTRATION_MM);
+    let named = |e: Error| e.at(request.inspiration);
+    let airway = airway_of(request.airway, request.label, Some(&scan), facts, progress).map_err(named)?;
+    progress.proceed()?;
+    let surface = surface_of(&airway, facts).map_err(named)?;
+    drop(scan);
+    if let Some((path, field)) = given {
+        check_field(field, &surface.mesh.vertices).map_err(|e| e.at(path))?;
+    }
+    progress.proceed()?;
+    let lungs = lungs_of(&coarse, request.lungs.map(|l| l[0]), Some(&airway.mask)).map_err(named)?;
+    let full = RegistrationInput::new(&coarse, &lungs, Some(&airway.mask));
+    Ok((surface, full))
+}
+
+/// What is registered of the scan at expiration, whose lungs must be the emptier ones.
+fn expiration_of(
+    request: &ScanRequest<'_>,
+    path: &Path,
+    full: &RegistrationInput,
+    facts: &mut Facts,
+    progress: &dyn Progress,
+) -> Result<RegistrationInput> {
+    let coarse = coarser(&read_checked(path, progress)?, REGISTRATION_MM);
+    let lungs = lungs_of(&coarse, request.lungs.map(|l| l[1]), None).map_err(|e| e.at(path))?;
+    let empty = RegistrationInput::new(&coarse, &lungs, None);
+    let ratio = check_pair(&full.lungs, &empty.lungs).map_err(|e| e.at(path))?;
+    let (before, after) = (litres(&full.lungs), litres(&empty.lungs));
+    facts.push(("lungs", format!("{before:.2} l at inspiration, {after:.2} l at expiration, ratio {ratio:.2}")));
+    Ok(empty)
+}
+
+/// The motion from the full lungs to the empty ones by elastix of `version`; on request how far the way back misses.
+fn registered(
+    request: &ScanRequest<'_>,
+    [full, empty]: [&RegistrationInput; 2],
+    version: &str,
+    workshop: &Path,
+    facts: &mut Facts,
+    progress: &dyn Progress,
+) -> Result<Volume<[f32; 3]>> {
+    let field = register(full, empty, &workshop.join("there"), progress)?;
+    facts.push(("registration", format!("elastix {version}, affine and B-spline")));
+    if request.way_back {
+        let back = register(empty, full, &workshop.join("back"), progress)?;
+        let miss = inverse_consistency(&field, &back, &full.lungs);
+        facts.push(("there and back", format!("{miss} (median / 95 % / most, in the lungs)")));
+    }
+    Ok(field)
+}
+
+/// What a field does to the lungs of `region`; folds, change of volume and mean motion go to `facts`.
+fn describe_field(field: &Volume<[f32; 3]>, region: &Volume<u8>, facts: &mut Facts) -> VolumeChange {
+    let change = volume_change(field, region);
     facts.push((
         "folds",
         format!(
@@ -184,24 +231,12 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
             change.folded, change.voxels, change.least, change.greatest
         ),
     ));
-    let mean = mean_displacement(&field, &region);
+    let mean = mean_displacement(field, region);
     facts.push((
         "motion of the lungs",
         format!("{:.1} {:.1} {:.1} mm in the mean (left, back, head)", mean.x, mean.y, mean.z),
     ));
-    let expiration = carried(&field, &surface.mesh.vertices);
-    if let Some(path) = request.airway_expiration {
-        let other = read_mask(path, request.label)?;
-        let off = DistanceSpread::of(distances_from_mask(&other.mask, &expiration)?);
-        facts.push(("carried from other mask", format!("{off} (median / 95 % / most; {})", path.display())));
-    }
-    scans.push(full.scan);
-    scans.extend(empty.map(|input| input.scan));
-    let stated = |version: &String| {
-        PARAMETERS.map(|(name, text)| (name, format!("// As they were given to elastix {version}.\n{text}"))).to_vec()
-    };
-    let kept = version.as_ref().map(stated).unwrap_or_default();
-    Ok(ScanPair { surface, expiration, field, scans, change, facts, kept })
+    change
 }
 
 /// Somebody's field, and what is wrong with it before any work.

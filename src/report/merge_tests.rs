@@ -2,14 +2,15 @@
 
 use std::fs;
 
-use super::merge::{Films, Part, PartEvidence};
+use super::merge::{Films, Part};
+use super::read_back::PartEvidence;
 use super::report_tests::sample_run;
 use super::*;
 use crate::base::NoProgress;
 use crate::score::{Goal, MetricScore, Status};
 
 fn read_run(folder: &Path) -> Result<Run> {
-    merge::read_run(folder, PartEvidence::Needed)
+    read_back::read_run(folder, PartEvidence::Needed)
 }
 
 /// The runs as parts `part-1`, `part-2` and so on.

@@ -32,6 +32,7 @@ pub mod pareto;
 pub mod pareto_chart;
 pub mod plots;
 pub mod read;
+pub mod read_back;
 #[cfg(test)]
 mod report_tests;
 pub mod run;

@@ -197,6 +197,37 @@ impl CellRecord {
 }
 
 impl Run {
+    /// A run of `cells` whose cases and methods are in the order in which they come; `trees`: whose airway a case is, by
+    /// its id. Name, profile and notes are the caller's to fill in.
+    pub fn of_cells(mut cells: Vec<CellRecord>, trees: &BTreeMap<String, String>) -> Run {
+        let mut cases: Vec<CaseInfo> = Vec::new();
+        let mut methods: Vec<MethodInfo> = Vec::new();
+        for cell in &cells {
+            if cases.iter().all(|c| c.id != cell.case_id) {
+                let tree = trees.get(&cell.case_id).cloned().unwrap_or_default();
+                cases.push(CaseInfo { id: cell.case_id.clone(), title: String::new(), tree, truth: None });
+            }
+            if methods.iter().all(|m| m.id != cell.method) {
+                methods.push(MethodInfo::of(&cell.method));
+            }
+        }
+        let place = |c: &CellRecord| {
+            let case = cases.iter().position(|case| case.id == c.case_id);
+            (case, methods.iter().position(|m| m.id == c.method), c.seed)
+        };
+        cells.sort_by_key(place);
+        Run {
+            id: String::new(),
+            profile: String::new(),
+            track: Track::default(),
+            notes: Vec::new(),
+            cases,
+            methods,
+            cells,
+            scenes: Scenes::default(),
+        }
+    }
+
     /// Scored cells of a case in the order of the methods, the first seed of each: what curves and images show.
     pub fn shown(&self, case_id: &str) -> Vec<(&MethodInfo, &CellRecord, &CellScore)> {
         let of = |method: &MethodInfo| {
