@@ -1,4 +1,4 @@
-//! What the operating system knows about this process and machine: CPU time, memory. libc.
+//! What the operating system knows about this process and machine, and how it treats it: CPU time, memory, limits. libc.
 
 fn usage() -> libc::rusage {
     // SAFETY: `rusage` is plain numbers, for which all-zero bytes are a value; getrusage writes into memory that is
@@ -30,6 +30,13 @@ pub fn memory_mib() -> f64 {
     // SAFETY: sysconf takes a number and returns a number; -1, where it does not know, is handled below.
     let (pages, page_bytes) = unsafe { (libc::sysconf(libc::_SC_PHYS_PAGES), libc::sysconf(libc::_SC_PAGESIZE)) };
     if pages < 0 || page_bytes < 0 { 0.0 } else { pages as f64 * page_bytes as f64 / (1024.0 * 1024.0) }
+}
+
+/// Makes a write beyond the limit of file sizes (`ulimit -f`) fail with an error, where a signal would end the process
+/// without a word.
+pub fn report_file_size_limit() {
+    // SAFETY: no handler is installed that could run at a bad time: the signal is ignored, and the write returns EFBIG.
+    unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
 }
 
 /// Resizes a table to `n` entries, on huge pages where it grows large: the first touch of 10 MB in small pages takes as

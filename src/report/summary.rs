@@ -106,6 +106,12 @@ fn metric_summary(run: &Run, method: &MethodInfo, metric: &'static Metric) -> Me
     MetricSummary { metric, mean, rank: None, leads_equals: false, is_perfect, is_marked }
 }
 
+/// As tables and bars show them: what is ranked, then bounds.
+pub fn in_order_of_tables(summaries: &[MethodSummary]) -> impl Iterator<Item = &MethodSummary> {
+    let of = |role: Role| summaries.iter().filter(move |s| s.method.role == role);
+    of(Role::Ranked).chain(of(Role::Sanity))
+}
+
 /// Where a ranked method stands by a metric.
 #[derive(Clone, Copy)]
 struct Place {

@@ -2,8 +2,8 @@
 //! rank, and the paper's Table 1.
 
 use super::paper::paper_value;
-use super::run::{MethodInfo, Role};
-use super::summary::MethodSummary;
+use super::run::MethodInfo;
+use super::summary::{MethodSummary, in_order_of_tables};
 use crate::base::own_row;
 use crate::score::{Goal, Group, Metric, navigation_bar_metrics, navigation_metrics, paper_metrics, ranking_metrics};
 use crate::simulate::track::Track;
@@ -242,8 +242,7 @@ impl ComparisonTable {
             failed: s.failed,
             cells: columns.iter().map(|m| cell(kind, s, m)).collect(),
         };
-        let of = |role: Role| summaries.iter().filter(move |s| s.method.role == role);
-        let rows = of(Role::Ranked).chain(of(Role::Sanity)).map(row).collect();
+        let rows = in_order_of_tables(summaries).map(row).collect();
         ComparisonTable { rows, cases, kind, columns }
     }
 }

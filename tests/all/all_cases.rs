@@ -284,6 +284,20 @@ fn a_full_disk_is_one_sentence_and_nothing_is_lost() {
     assert!(place.latest("results.csv") == whole.latest("results.csv"));
 }
 
+/// A cluster may limit the size of files; the system then ends who writes more, unless he has asked for an error.
+#[test]
+fn a_limit_of_file_sizes_is_one_sentence_and_nothing_is_lost() {
+    let place = Place::new();
+    let run = place.command(&["--methods", "pose-only"]);
+    let mut limited = Command::new("sh");
+    limited.args(["-c", "ulimit -f 8; exec \"$@\"", "sh"]).arg(run.get_program()).args(run.get_args());
+    let (code, _, err) = outcome(limited.current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap());
+    let sentences: Vec<&str> = err.lines().filter(|line| line.starts_with("error:")).collect();
+    assert_eq!((code, sentences.len()), (4, 1), "{err}");
+    assert!(sentences[0].contains("cache/") && sentences[0].contains("File too large"), "{err}");
+    place.run(&["--methods", "pose-only"]);
+}
+
 /// What the profile asks for: both tracks, each with a whole report, the same as alone; one page; and what reads a report
 /// takes it or says which ones there are.
 #[test]

@@ -9,7 +9,7 @@ use super::canvas::{
 use super::labels::{Taken, free_spot};
 use crate::report::palette::Palette;
 use crate::report::run::Role;
-use crate::report::summary::MethodSummary;
+use crate::report::summary::{MethodSummary, in_order_of_tables};
 use crate::report::table::{arrow, show};
 use crate::score::statistics::MeanInterval;
 use crate::score::{Metric, metric, paper_metrics};
@@ -45,12 +45,13 @@ impl MethodBars {
     /// `None` when nothing was scored.
     pub fn new(summaries: &[MethodSummary], palette: &Palette) -> Option<Self> {
         let stroke = |s: &MethodSummary| Stroke::from(palette.style(&s.method.id));
-        let names = summaries.iter().map(|s| (s.method.title.clone(), stroke(s))).collect();
+        let rows = || in_order_of_tables(summaries);
+        let names = rows().map(|s| (s.method.title.clone(), stroke(s))).collect();
         let bars = |m: &Metric| -> Vec<Bar> {
             let bar = |(place, s): (usize, &MethodSummary)| {
                 s.mean(m.id).map(|mean| Bar { color: stroke(s).color, role: s.method.role, place, mean })
             };
-            summaries.iter().enumerate().filter_map(bar).collect()
+            rows().enumerate().filter_map(bar).collect()
         };
         let panels: Vec<_> = paper_metrics().map(|m| (m, bars(m))).filter(|(_, bars)| !bars.is_empty()).collect();
         (!panels.is_empty()).then_some(MethodBars { names, panels })
