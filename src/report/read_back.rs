@@ -48,15 +48,15 @@ pub fn read_environments(folder: &Path, id: &str) -> Result<BTreeMap<String, ser
 pub fn read_run(folder: &Path, evidence: PartEvidence) -> Result<Run> {
     let results = folder.join(RESULTS);
     let LongTable { mut cells, trees, track, redefined } = LongTable::read(&results, evidence)?;
-    let Some(first) = cells.first() else { return Err(Error::input("has no rows").at(results)) };
+    let Some(first) = cells.list.first() else { return Err(Error::input("has no rows").at(results)) };
     let (id, is_evaluated) = (first.run_id.clone(), first.is_evaluated());
     for row in CsvTable::read(&folder.join("comparison.csv"))?.rows() {
-        let cell = cell_of(&mut cells, &row, "method")?;
+        let cell = cells.of_row(&row, "method")?;
         if let Outcome::Scored(score) = &mut cell.outcome {
             add_times(score, &row)?;
         }
     }
-    for cell in cells.iter().filter(|cell| cell.is_foreign()) {
+    for cell in cells.list.iter().filter(|cell| cell.is_foreign()) {
         let named = |e: Error| e.element(format!("row {} of {}", cell.method, cell.case_id)).at(&results);
         method_name::check_foreign(&cell.method).map_err(named)?;
     }
@@ -65,6 +65,7 @@ pub fn read_run(folder: &Path, evidence: PartEvidence) -> Result<Run> {
     if timings.exists() {
         CsvTable::read(&timings)?.rows().try_for_each(|row| add_timing(&mut cells, &row))?;
     }
+    let mut cells = cells.list;
     let missing = seal::check(folder)?;
     let notes = notes_of(folder, &cells, &missing, &redefined);
     if let Some(name) = missing.first().filter(|_| evidence == PartEvidence::Needed) {
@@ -86,7 +87,7 @@ pub fn read_run(folder: &Path, evidence: PartEvidence) -> Result<Run> {
 
 /// What `results.csv` holds: all values but times.
 struct LongTable {
-    cells: Vec<CellRecord>,
+    cells: Cells,
     /// The tree of each case.
     trees: BTreeMap<String, String>,
     track: Track,
@@ -96,7 +97,7 @@ struct LongTable {
 
 impl LongTable {
     fn read(path: &Path, evidence: PartEvidence) -> Result<LongTable> {
-        let (mut cells, mut trees) = (Vec::new(), BTreeMap::new());
+        let (mut cells, mut trees) = (Cells::default(), BTreeMap::new());
         let (mut tracks, mut redefined) = (Vec::new(), Vec::new());
         for row in CsvTable::read(path)?.rows() {
             trees.insert(plain(row.text("case_id")?), plain(row.text_or_empty("tree")));
@@ -104,7 +105,7 @@ impl LongTable {
             if !tracks.contains(&track) {
                 tracks.push(track);
             }
-            let cell = cell_of(&mut cells, &row, "config")?;
+            let cell = cells.of_row(&row, "config")?;
             cell.run_id = plain(row.text("run_id")?);
             add_value(cell, &row, evidence, &mut redefined)?;
         }
@@ -167,14 +168,14 @@ fn add_value(
 }
 
 /// Adds the frames of `frames.csv`, if it is there, and checks that the cells' numbers follow from them.
-fn read_frames(folder: &Path, cells: &mut Vec<CellRecord>, evidence: PartEvidence) -> Result<()> {
+fn read_frames(folder: &Path, cells: &mut Cells, evidence: PartEvidence) -> Result<()> {
     let path = folder.join("frames.csv");
     if !path.exists() {
         return Ok(());
     }
     CsvTable::read(&path)?.rows().try_for_each(|row| add_frame(cells, &row))?;
     let has_frames = |score: &&CellScore| evidence == PartEvidence::Needed || !score.frame_scores.is_empty();
-    let scores = || cells.iter().filter_map(CellRecord::score).filter(has_frames);
+    let scores = || cells.list.iter().filter_map(CellRecord::score).filter(has_frames);
     scores().try_for_each(check_means).map_err(|e| e.at(folder.join(RESULTS)))?;
     match scores().find(|score| score.frame_scores.is_empty()) {
         Some(score) => {
@@ -204,34 +205,49 @@ fn notes_of(folder: &Path, cells: &[CellRecord], missing: &[&str], redefined: &[
     notes
 }
 
-/// The cell of a row, made where it is new.
-fn cell_of<'a>(cells: &'a mut Vec<CellRecord>, row: &CsvRow<'_>, method_column: &str) -> Result<&'a mut CellRecord> {
-    let key = row.key(method_column, String::new())?;
-    let (case_id, method) = (plain(key.case), plain(key.method));
-    let at = cells.iter().position(|c| c.case_id == case_id && c.method == method && c.seed == key.seed);
-    let at = at.unwrap_or_else(|| {
-        cells.push(CellRecord {
-            run_id: String::new(),
-            outcome: Outcome::Scored(Box::new(CellScore {
-                case_id: case_id.clone(),
-                case_hash: String::new(),
-                film_content: String::new(),
-                method: method.clone(),
-                seed: key.seed,
-                frames: 0,
-                metrics: Vec::new(),
-                frame_scores: Vec::new(),
-                overlay: None,
-            })),
-            case_id,
-            method,
-            seed: key.seed,
-            prediction: Default::default(),
-            timings: Vec::new(),
+/// The cells of a report, in the order of their first rows, and where each stands: a large plan has millions of rows.
+#[derive(Default)]
+struct Cells {
+    list: Vec<CellRecord>,
+    /// By case, method and seed.
+    places: BTreeMap<(String, String, u64), usize>,
+}
+
+impl Cells {
+    /// The cell of a row, made where it is new.
+    fn of_row(&mut self, row: &CsvRow<'_>, method_column: &str) -> Result<&mut CellRecord> {
+        let key = row.key(method_column, String::new())?;
+        let Cells { list, places } = self;
+        let place = places.entry((plain(key.case), plain(key.method), key.seed));
+        let at = *place.or_insert_with_key(|(case_id, method, seed)| {
+            list.push(empty_cell(case_id, method, *seed));
+            list.len() - 1
         });
-        cells.len() - 1
-    });
-    Ok(&mut cells[at])
+        Ok(&mut list[at])
+    }
+}
+
+/// A cell of which nothing has been read yet.
+fn empty_cell(case_id: &str, method: &str, seed: u64) -> CellRecord {
+    CellRecord {
+        run_id: String::new(),
+        outcome: Outcome::Scored(Box::new(CellScore {
+            case_id: case_id.to_owned(),
+            case_hash: String::new(),
+            film_content: String::new(),
+            method: method.to_owned(),
+            seed,
+            frames: 0,
+            metrics: Vec::new(),
+            frame_scores: Vec::new(),
+            overlay: None,
+        })),
+        case_id: case_id.to_owned(),
+        method: method.to_owned(),
+        seed,
+        prediction: Default::default(),
+        timings: Vec::new(),
+    }
 }
 
 /// Times and the number of frames stand in `comparison.csv` alone.
@@ -249,8 +265,8 @@ fn add_times(score: &mut CellScore, row: &CsvRow<'_>) -> Result<()> {
     Ok(())
 }
 
-fn add_frame(cells: &mut Vec<CellRecord>, row: &CsvRow<'_>) -> Result<()> {
-    let Outcome::Scored(score) = &mut cell_of(cells, row, "config")?.outcome else { return Ok(()) };
+fn add_frame(cells: &mut Cells, row: &CsvRow<'_>) -> Result<()> {
+    let Outcome::Scored(score) = &mut cells.of_row(row, "config")?.outcome else { return Ok(()) };
     let number = |column: &str| row.number(column).map(|v| v.unwrap_or(f64::NAN));
     let (frame, time_s, phase) = (number("frame")? as usize, number("time_s")?, number("phase")?);
     if score.frame_scores.last().is_none_or(|last| last.frame != frame) {
@@ -273,7 +289,7 @@ fn add_frame(cells: &mut Vec<CellRecord>, row: &CsvRow<'_>) -> Result<()> {
     Ok(())
 }
 
-fn add_timing(cells: &mut Vec<CellRecord>, row: &CsvRow<'_>) -> Result<()> {
+fn add_timing(cells: &mut Cells, row: &CsvRow<'_>) -> Result<()> {
     let number = |column: &str| row.number(column).map(|v| v.unwrap_or(0.0));
     let cost = StageCost {
         stage: plain(row.text("stage")?),
@@ -283,7 +299,7 @@ fn add_timing(cells: &mut Vec<CellRecord>, row: &CsvRow<'_>) -> Result<()> {
         threads: number("threads")? as usize,
         machine_id: plain(row.text("machine_id")?),
     };
-    cell_of(cells, row, "config")?.timings.push(cost);
+    cells.of_row(row, "config")?.timings.push(cost);
     Ok(())
 }
 

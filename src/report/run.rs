@@ -215,7 +215,7 @@ impl Run {
             let case = cases.iter().position(|case| case.id == c.case_id);
             (case, methods.iter().position(|m| m.id == c.method), c.seed)
         };
-        cells.sort_by_key(place);
+        cells.sort_by_cached_key(place);
         Run {
             id: String::new(),
             profile: String::new(),
