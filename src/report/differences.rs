@@ -1,8 +1,9 @@
 //! How far neighbours in the ranking are apart: paired by case, with an interval over trees and cases. Two rows may have
 //! wide intervals and yet differ in every case alike; and a first place may be nothing but the draw of the cases.
 
+use super::counting::Counting;
 use super::run::{MethodInfo, Run};
-use super::summary::{MethodSummary, over_cases};
+use super::summary::MethodSummary;
 use crate::base::own_row;
 use crate::score::statistics::MeanInterval;
 use crate::score::{Metric, navigation_metrics, ranking_metrics};
@@ -55,25 +56,30 @@ impl NeighbourDifference {
 /// All pairs of neighbours: metric by metric in the order of the table, from the first place down. Rows that share a
 /// place stand in the run's order.
 pub fn neighbours(run: &Run, summaries: &[MethodSummary]) -> Vec<NeighbourDifference> {
+    let counting = Counting::new(run);
     let of_navigation = navigation_metrics().filter(|_| run.track == Track::Clinical);
-    of_navigation.chain(ranking_metrics()).flat_map(|metric| of_metric(run, summaries, metric)).collect()
+    of_navigation.chain(ranking_metrics()).flat_map(|metric| of_metric(&counting, summaries, metric)).collect()
 }
 
-fn of_metric(run: &Run, summaries: &[MethodSummary], metric: &'static Metric) -> Vec<NeighbourDifference> {
+fn of_metric(
+    counting: &Counting<'_>,
+    summaries: &[MethodSummary],
+    metric: &'static Metric,
+) -> Vec<NeighbourDifference> {
     let place = |s: &MethodSummary| s.metric(metric.id).and_then(|m| m.rank);
     let mut ranked: Vec<(usize, &MethodInfo)> =
         summaries.iter().filter_map(|s| place(s).map(|rank| (rank, &s.method))).collect();
     ranked.sort_by_key(|(rank, _)| *rank);
     let pair = |pair: &[(usize, &MethodInfo)]| {
         let [(rank, method), (_, next)] = pair else { return None };
-        let values = run.case_values(&next.id, metric.id);
+        let values = counting.case_values(&next.id, metric.id);
         let behind = |case: &str| values.iter().find(|(other, _)| *other == case).map(|(_, value)| *value);
-        let ahead: Vec<(&str, f64)> = run
+        let ahead: Vec<(&str, f64)> = counting
             .case_values(&method.id, metric.id)
             .into_iter()
             .filter_map(|(case, value)| behind(case).map(|behind| (case, metric.direction.loss(behind, value))))
             .collect();
-        let mut trees: Vec<&str> = ahead.iter().map(|(case, _)| run.tree_of(case)).collect();
+        let mut trees: Vec<&str> = ahead.iter().map(|(case, _)| counting.tree_of(case)).collect();
         trees.sort_unstable();
         trees.dedup();
         Some(NeighbourDifference {
@@ -83,7 +89,7 @@ fn of_metric(run: &Run, summaries: &[MethodSummary], metric: &'static Metric) ->
             next: (*next).clone(),
             cases: ahead.len(),
             trees: trees.len(),
-            ahead: over_cases(run, &ahead)?,
+            ahead: counting.mean(&ahead)?,
         })
     };
     ranked.windows(2).filter_map(pair).collect()

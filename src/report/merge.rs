@@ -5,9 +5,10 @@
 //! Nothing is recomputed: values, intervals and times are those of the tables. Contours, airways and reduced films are
 //! those that the runs kept (`scenes.json`); panels, which need whole films and predictions, are left out.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
+use super::counting::Counting;
 use super::read::distinct;
 use super::run::{CellRecord, MethodInfo, Role, Run};
 use super::scene::{FilmKey, Scenes};
@@ -115,14 +116,14 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
 
 /// Which cases and times of a merged run count in no place.
 fn notes_on_places(run: &Run) -> Vec<String> {
-    let counted = run.ranking_cases();
-    let others: Vec<&str> =
-        run.cases.iter().map(|c| c.id.as_str()).filter(|id| counted.iter().all(|c| c.id != *id)).collect();
-    let has_time = |method: &MethodInfo| !run.case_values(&method.id, "time_total_s").is_empty();
+    let counting = Counting::new(run);
+    let counted: BTreeSet<&str> = counting.ranking_cases().iter().map(|case| case.id.as_str()).collect();
+    let others: Vec<&str> = run.cases.iter().map(|c| c.id.as_str()).filter(|id| !counted.contains(id)).collect();
+    let has_time = |method: &MethodInfo| !counting.case_values(&method.id, "time_total_s").is_empty();
     let stated: Vec<&str> = run
         .methods
         .iter()
-        .filter(|m| m.role == Role::Ranked && has_time(m) && !run.is_timed(&m.id))
+        .filter(|m| m.role == Role::Ranked && has_time(m) && !counting.is_timed(&m.id))
         .map(|m| m.id.as_str())
         .collect();
     let mut notes = Vec::new();

@@ -10,6 +10,7 @@
 pub mod ablation;
 pub mod benchmark_json;
 pub mod compare;
+mod counting;
 pub mod differences;
 mod document;
 pub mod gate;

@@ -1,6 +1,6 @@
 //! What a report is made of: cells with their scores, and where images can be read from.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -237,62 +237,6 @@ impl Run {
         self.methods.iter().filter_map(|m| of(m).map(|(c, s)| (m, c, s))).collect()
     }
 
-    /// Cells that set the measure for all: those of this program's own rows, or all cells where there are none. What a
-    /// third party hands in decides neither over which cases a table ranks, nor what the worst value of a case is.
-    fn measure(&self) -> impl Iterator<Item = &CellRecord> {
-        let has_own = self.cells.iter().any(|cell| !cell.is_foreign());
-        self.cells.iter().filter(move |cell| !has_own || !cell.is_foreign())
-    }
-
-    /// Cases over which means and places are taken, in order; others are only listed.
-    pub fn ranking_cases(&self) -> Vec<&CaseInfo> {
-        let counts = |case: &&CaseInfo| self.measure().any(|cell| cell.case_id == case.id);
-        self.cases.iter().filter(counts).collect()
-    }
-
-    /// The number with which a cell counts in means and ranks, and whether it is not its own: a surface that was handed
-    /// in and cannot be measured counts with the worst value that any row of this program has in its case.
-    pub fn counted(&self, cell: &CellRecord, metric: &str) -> Option<(f64, bool)> {
-        let own = cell.score()?.metric(metric)?;
-        if let Some(value) = own.value {
-            return Some((value, false));
-        }
-        if !own.status.counts_as_worst() {
-            return None;
-        }
-        let goal = crate::score::metric(metric)?.direction;
-        let value = |other: &CellRecord| Some(other).filter(|c| c.case_id == cell.case_id)?.score()?.value(metric);
-        let worst = |a: f64, b: f64| if goal.better(a, b) { b } else { a };
-        let known = self.measure().filter_map(value).reduce(worst);
-        known.or_else(|| self.cells.iter().filter_map(value).reduce(worst)).map(|value| (value, true))
-    }
-
-    /// The machine whose times rank: that of most cells of the run's own, the first of equals; none where nobody measured.
-    pub fn machine_id(&self) -> Option<&str> {
-        let machines: Vec<&str> = self.cells.iter().filter(|c| self.is_run(c)).filter_map(|c| c.machine_id()).collect();
-        let cells_of = |machine: &str| machines.iter().filter(|other| **other == machine).count();
-        let most = machines.iter().map(|machine| cells_of(machine)).max()?;
-        machines.iter().find(|machine| cells_of(machine) == most).copied()
-    }
-
-    /// Whether the program ran the method itself: any one in the run at hand, an own row in others.
-    fn is_run(&self, cell: &CellRecord) -> bool {
-        !cell.is_foreign() || (!cell.is_evaluated() && cell.run_id == self.id)
-    }
-
-    /// Whether all times of the method were measured by this program, and on the machine of the others.
-    pub fn is_timed(&self, method: &str) -> bool {
-        let machine = self.machine_id();
-        let is_timed = |cell: &CellRecord| self.is_run(cell) && machine.is_some() && cell.machine_id() == machine;
-        self.cells.iter().filter(|cell| cell.method == method).all(is_timed)
-    }
-
-    /// Whether another row's number counts in place of one of the method's.
-    pub fn is_marked(&self, method: &str, metric: &str) -> bool {
-        let is_another = |cell: &CellRecord| self.counted(cell, metric).is_some_and(|(_, is_another)| is_another);
-        self.cells.iter().any(|c| c.method == method && is_another(c))
-    }
-
     /// What the tables are of, as `run.json` says it.
     pub fn facts(&self) -> RunFacts<'_> {
         let mut seeds: Vec<u64> = self.cells.iter().map(|cell| cell.seed).collect();
@@ -307,50 +251,5 @@ impl Run {
             seeds,
             notes: &self.notes,
         }
-    }
-
-    /// The tree of a case.
-    pub fn tree_of<'a>(&'a self, case_id: &'a str) -> &'a str {
-        self.cases.iter().find(|case| case.id == case_id).map_or(case_id, CaseInfo::tree)
-    }
-
-    /// Whether the method is scored in every case that counts, with the same seeds in each, and has a number of `metric` in
-    /// each of them in which an own row has a value: the condition of a place in the ranking.
-    pub fn covers(&self, method: &str, metric: &str) -> bool {
-        let cases = self.ranking_cases();
-        let mut seeds: BTreeMap<&str, BTreeSet<u64>> = BTreeMap::new();
-        for cell in self.cells.iter().filter(|cell| cell.method == method) {
-            seeds.entry(&cell.case_id).or_default().insert(cell.seed);
-        }
-        let seeds_in = |case: &&CaseInfo| seeds.get(case.id.as_str());
-        if cases.windows(2).any(|two| seeds_in(&two[0]) != seeds_in(&two[1])) {
-            return false;
-        }
-        let all_of = |case: &CaseInfo, is_good: &dyn Fn(&CellRecord) -> bool| {
-            let mut own = self.cells.iter().filter(|c| c.case_id == case.id && c.method == method).peekable();
-            own.peek().is_some() && own.all(is_good)
-        };
-        if !cases.iter().all(|case| all_of(case, &|cell| cell.score().is_some())) {
-            return false;
-        }
-        let has = |cell: &CellRecord| cell.score().is_some_and(|s| s.value(metric).is_some());
-        let is_known = self.measure().any(has);
-        let in_question = |case: &&&CaseInfo| {
-            let of_case = |cell: &CellRecord| cell.case_id == case.id && has(cell);
-            if is_known { self.measure().any(of_case) } else { self.cells.iter().any(of_case) }
-        };
-        let counts = |cell: &CellRecord| self.counted(cell, metric).is_some();
-        cases.iter().filter(in_question).all(|case| all_of(case, &counts))
-    }
-
-    /// One value per case that counts (mean over seeds) of a metric of a method, in the order of the cases; cases without
-    /// a value are left out.
-    pub fn case_values(&self, method: &str, metric: &str) -> Vec<(&str, f64)> {
-        let value = |case: &CaseInfo| {
-            let cells = self.cells.iter().filter(|c| c.case_id == case.id && c.method == method);
-            let values: Vec<f64> = cells.filter_map(|c| self.counted(c, metric)).map(|(value, _)| value).collect();
-            crate::score::statistics::mean(&values)
-        };
-        self.ranking_cases().into_iter().filter_map(|case| value(case).map(|v| (case.id.as_str(), v))).collect()
     }
 }

@@ -5,6 +5,7 @@
 
 use std::path::Path;
 
+use super::counting::Counting;
 use super::differences::NeighbourDifference;
 use super::run::{CellRecord, Outcome, Role, Run};
 use super::summary::MethodSummary;
@@ -97,16 +98,17 @@ fn mask_of(m: &Metric) -> &'static str {
 
 /// `results.csv`: one row per cell and metric, times left out.
 pub fn write_results(run: &Run, path: &Path) -> Result<()> {
+    let counting = Counting::new(run);
     let mut rows = Vec::new();
     for cell in &run.cells {
         for m in registry().iter().filter(|m| !m.is_runtime()) {
-            rows.push(results_row(run, cell, m));
+            rows.push(results_row(run, cell, counting.tree_of(&cell.case_id), m));
         }
     }
     write_csv(path, &header(&RESULTS_COLUMNS), &rows)
 }
 
-fn results_row(run: &Run, cell: &CellRecord, m: &Metric) -> Vec<String> {
+fn results_row(run: &Run, cell: &CellRecord, tree: &str, m: &Metric) -> Vec<String> {
     let score = cell.score().and_then(|s| s.metric(m.id));
     let (status, detail) = match (&cell.outcome, score) {
         (Outcome::Failed(why), _) => (Status::Failed, why.as_str()),
@@ -136,7 +138,7 @@ fn results_row(run: &Run, cell: &CellRecord, m: &Metric) -> Vec<String> {
         text(detail),
         cell.score().map_or_else(String::new, |s| s.film_content.clone()),
         run.track.word().into(),
-        text(run.tree_of(&cell.case_id)),
+        text(tree),
     ]
 }
 

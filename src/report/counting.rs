@@ -1,0 +1,145 @@
+//! What counts in the means and places of a run: which cases, which number of a cell, whose times. Cells are looked up by
+//! case and method: the tables of a large plan ask millions of times.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::run::{CaseInfo, CellRecord, Run};
+use crate::score::statistics::{MeanInterval, mean, mean_over_cases};
+
+/// A run, ready to be asked.
+pub struct Counting<'a> {
+    run: &'a Run,
+    /// All cells of a case.
+    of_case: BTreeMap<&'a str, Vec<&'a CellRecord>>,
+    /// Those of them that set the measure for all: cells of this program's own rows, or all cells where there are none.
+    /// What a third party hands in decides neither over which cases a table ranks, nor what the worst value of a case is.
+    measure: BTreeMap<&'a str, Vec<&'a CellRecord>>,
+    /// Cells of a case by method.
+    of_row: BTreeMap<&'a str, BTreeMap<&'a str, Vec<&'a CellRecord>>>,
+    trees: BTreeMap<&'a str, &'a str>,
+    ranking_cases: Vec<&'a CaseInfo>,
+    machine_id: Option<&'a str>,
+}
+
+impl<'a> Counting<'a> {
+    /// Sorts the cells of `run`.
+    pub fn new(run: &'a Run) -> Self {
+        let has_own = run.cells.iter().any(|cell| !cell.is_foreign());
+        let (mut of_case, mut measure, mut of_row) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        for cell in &run.cells {
+            let (case, method) = (cell.case_id.as_str(), cell.method.as_str());
+            of_case.entry(case).or_insert_with(Vec::new).push(cell);
+            of_row.entry(case).or_insert_with(BTreeMap::new).entry(method).or_insert_with(Vec::new).push(cell);
+            if !has_own || !cell.is_foreign() {
+                measure.entry(case).or_insert_with(Vec::new).push(cell);
+            }
+        }
+        let ranking_cases = run.cases.iter().filter(|case| measure.contains_key(case.id.as_str())).collect();
+        let trees = run.cases.iter().map(|case| (case.id.as_str(), case.tree())).collect();
+        Counting { run, of_case, measure, of_row, trees, ranking_cases, machine_id: machine_id(run) }
+    }
+
+    /// Cases over which means and places are taken, in order; others are only listed.
+    pub fn ranking_cases(&self) -> &[&'a CaseInfo] {
+        &self.ranking_cases
+    }
+
+    /// Cells of a method in a case, one per seed.
+    pub fn cells(&self, case: &str, method: &str) -> &[&'a CellRecord] {
+        self.of_row.get(case).and_then(|of_case| of_case.get(method)).map_or(&[], Vec::as_slice)
+    }
+
+    /// The number with which a cell counts in means and ranks, and whether it is not its own: a surface that was handed
+    /// in and cannot be measured counts with the worst value that any row of this program has in its case.
+    fn counted(&self, cell: &CellRecord, metric: &str) -> Option<(f64, bool)> {
+        let own = cell.score()?.metric(metric)?;
+        if let Some(value) = own.value {
+            return Some((value, false));
+        }
+        if !own.status.counts_as_worst() {
+            return None;
+        }
+        let goal = crate::score::metric(metric)?.direction;
+        let worst = |a: f64, b: f64| if goal.better(a, b) { b } else { a };
+        let worst_of = |cells: &BTreeMap<&str, Vec<&CellRecord>>| {
+            let values = cells.get(cell.case_id.as_str())?.iter().filter_map(|other| other.score()?.value(metric));
+            values.reduce(worst)
+        };
+        worst_of(&self.measure).or_else(|| worst_of(&self.of_case)).map(|value| (value, true))
+    }
+
+    /// Whether all times of the method were measured by this program, and on the machine of the others.
+    pub fn is_timed(&self, method: &str) -> bool {
+        let is_timed = |cell: &CellRecord| {
+            is_run(self.run, cell) && self.machine_id.is_some() && cell.machine_id() == self.machine_id
+        };
+        self.run.cells.iter().filter(|cell| cell.method == method).all(is_timed)
+    }
+
+    /// Whether another row's number counts in place of one of the method's.
+    pub fn is_marked(&self, method: &str, metric: &str) -> bool {
+        let is_another = |cell: &CellRecord| self.counted(cell, metric).is_some_and(|(_, is_another)| is_another);
+        self.run.cells.iter().any(|c| c.method == method && is_another(c))
+    }
+
+    /// The tree of a case.
+    pub fn tree_of<'b>(&self, case: &'b str) -> &'b str
+    where
+        'a: 'b,
+    {
+        self.trees.get(case).copied().unwrap_or(case)
+    }
+
+    /// Whether the method is scored in every case that counts, with the same seeds in each, and has a number of `metric` in
+    /// each of them in which an own row has a value: the condition of a place in the ranking.
+    pub fn covers(&self, method: &str, metric: &str) -> bool {
+        let seeds =
+            |case: &CaseInfo| -> BTreeSet<u64> { self.cells(&case.id, method).iter().map(|cell| cell.seed).collect() };
+        if self.ranking_cases.windows(2).any(|two| seeds(two[0]) != seeds(two[1])) {
+            return false;
+        }
+        let all_of = |case: &CaseInfo, is_good: &dyn Fn(&CellRecord) -> bool| {
+            let own = self.cells(&case.id, method);
+            !own.is_empty() && own.iter().all(|cell| is_good(cell))
+        };
+        if !self.ranking_cases.iter().all(|case| all_of(case, &|cell| cell.score().is_some())) {
+            return false;
+        }
+        let has = |cell: &&CellRecord| cell.score().is_some_and(|s| s.value(metric).is_some());
+        let is_known = self.measure.values().flatten().any(has);
+        let asked = if is_known { &self.measure } else { &self.of_case };
+        let in_question = |case: &&&CaseInfo| asked.get(case.id.as_str()).is_some_and(|cells| cells.iter().any(has));
+        let counts = |cell: &CellRecord| self.counted(cell, metric).is_some();
+        self.ranking_cases.iter().filter(in_question).all(|case| all_of(case, &counts))
+    }
+
+    /// One value per case that counts (mean over seeds) of a metric of a method, in the order of the cases; cases without
+    /// a value are left out.
+    pub fn case_values(&self, method: &str, metric: &str) -> Vec<(&'a str, f64)> {
+        let value = |case: &&'a CaseInfo| {
+            let cells = self.cells(&case.id, method).iter();
+            let values: Vec<f64> = cells.filter_map(|c| self.counted(c, metric)).map(|(value, _)| value).collect();
+            mean(&values).map(|value| (case.id.as_str(), value))
+        };
+        self.ranking_cases.iter().filter_map(value).collect()
+    }
+
+    /// Mean of one value per case, with the interval over trees and cases.
+    pub fn mean(&self, of_cases: &[(&str, f64)]) -> Option<MeanInterval> {
+        mean_over_cases(of_cases.iter().map(|(case, value)| (*value, self.tree_of(case))))
+    }
+}
+
+/// The machine whose times rank: that of most cells of the run's own, the first of equals; none where nobody measured.
+fn machine_id(run: &Run) -> Option<&str> {
+    let machines = || run.cells.iter().filter(|cell| is_run(run, cell)).filter_map(|cell| cell.machine_id());
+    let mut cells_of = BTreeMap::<&str, usize>::new();
+    machines().for_each(|machine| *cells_of.entry(machine).or_default() += 1);
+    let most = cells_of.values().max()?;
+    machines().find(|machine| cells_of.get(machine) == Some(most))
+}
+
+/// Whether the program ran the method itself: any one in the run at hand, an own row in others.
+fn is_run(run: &Run, cell: &CellRecord) -> bool {
+    !cell.is_foreign() || (!cell.is_evaluated() && cell.run_id == run.id)
+}
