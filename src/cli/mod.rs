@@ -49,7 +49,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::base::range::THREADS;
 use crate::base::{Error, Progress, Result};
-use crate::ffi::system;
+use crate::bench::environment;
 pub use terminal::Terminal;
 
 /// Makes the subcommand enum and its dispatch from lines `Variant => file::Arguments`. What stands after the
@@ -158,7 +158,7 @@ pub fn main() -> ExitCode {
         Ok(terminal) => terminal,
         Err(error) => return refuse(&error),
     };
-    system::report_file_size_limit();
+    environment::report_file_size_limit();
     let line = match Line::try_parse() {
         Ok(line) => line,
         Err(refused) => {

@@ -1,7 +1,7 @@
 //! How far neighbours in the ranking are apart: paired by case, with an interval over trees and cases. Two rows may have
 //! wide intervals and yet differ in every case alike; and a first place may be nothing but the draw of the cases.
 
-use super::counting::Counting;
+use super::counted_run::CountedRun;
 use super::run::{MethodInfo, Run};
 use super::summary::MethodSummary;
 use crate::base::own_row;
@@ -56,13 +56,13 @@ impl NeighbourDifference {
 /// All pairs of neighbours: metric by metric in the order of the table, from the first place down. Rows that share a
 /// place stand in the run's order.
 pub fn neighbours(run: &Run, summaries: &[MethodSummary]) -> Vec<NeighbourDifference> {
-    let counting = Counting::new(run);
+    let counted = CountedRun::new(run);
     let of_navigation = navigation_metrics().filter(|_| run.track == Track::Clinical);
-    of_navigation.chain(ranking_metrics()).flat_map(|metric| of_metric(&counting, summaries, metric)).collect()
+    of_navigation.chain(ranking_metrics()).flat_map(|metric| of_metric(&counted, summaries, metric)).collect()
 }
 
 fn of_metric(
-    counting: &Counting<'_>,
+    counted: &CountedRun<'_>,
     summaries: &[MethodSummary],
     metric: &'static Metric,
 ) -> Vec<NeighbourDifference> {
@@ -72,14 +72,14 @@ fn of_metric(
     ranked.sort_by_key(|(rank, _)| *rank);
     let pair = |pair: &[(usize, &MethodInfo)]| {
         let [(rank, method), (_, next)] = pair else { return None };
-        let values = counting.case_values(&next.id, metric.id);
+        let values = counted.case_values(&next.id, metric.id);
         let behind = |case: &str| values.iter().find(|(other, _)| *other == case).map(|(_, value)| *value);
-        let ahead: Vec<(&str, f64)> = counting
+        let ahead: Vec<(&str, f64)> = counted
             .case_values(&method.id, metric.id)
             .into_iter()
             .filter_map(|(case, value)| behind(case).map(|behind| (case, metric.direction.loss(behind, value))))
             .collect();
-        let mut trees: Vec<&str> = ahead.iter().map(|(case, _)| counting.tree_of(case)).collect();
+        let mut trees: Vec<&str> = ahead.iter().map(|(case, _)| counted.tree_of(case)).collect();
         trees.sort_unstable();
         trees.dedup();
         Some(NeighbourDifference {
@@ -89,7 +89,7 @@ fn of_metric(
             next: (*next).clone(),
             cases: ahead.len(),
             trees: trees.len(),
-            ahead: counting.mean(&ahead)?,
+            ahead: counted.mean(&ahead)?,
         })
     };
     ranked.windows(2).filter_map(pair).collect()

@@ -8,7 +8,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-use super::counting::Counting;
+use super::counted_run::CountedRun;
 use super::read::distinct;
 use super::run::{CellRecord, MethodInfo, Role, Run};
 use super::scene::{FilmKey, Scenes};
@@ -116,14 +116,14 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
 
 /// Which cases and times of a merged run count in no place.
 fn notes_on_places(run: &Run) -> Vec<String> {
-    let counting = Counting::new(run);
-    let counted: BTreeSet<&str> = counting.ranking_cases().iter().map(|case| case.id.as_str()).collect();
-    let others: Vec<&str> = run.cases.iter().map(|c| c.id.as_str()).filter(|id| !counted.contains(id)).collect();
-    let has_time = |method: &MethodInfo| !counting.case_values(&method.id, "time_total_s").is_empty();
+    let counted = CountedRun::new(run);
+    let ranking: BTreeSet<&str> = counted.ranking_cases().iter().map(|case| case.id.as_str()).collect();
+    let others: Vec<&str> = run.cases.iter().map(|c| c.id.as_str()).filter(|id| !ranking.contains(id)).collect();
+    let has_time = |method: &MethodInfo| !counted.case_values(&method.id, "time_total_s").is_empty();
     let stated: Vec<&str> = run
         .methods
         .iter()
-        .filter(|m| m.role == Role::Ranked && has_time(m) && !counting.is_timed(&m.id))
+        .filter(|m| m.role == Role::Ranked && has_time(m) && !counted.is_timed(&m.id))
         .map(|m| m.id.as_str())
         .collect();
     let mut notes = Vec::new();

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use super::counting::Counting;
+use super::counted_run::CountedRun;
 use super::merge::{Films, Part};
 use super::read_back::PartEvidence;
 use super::report_tests::sample_run;
@@ -130,7 +130,7 @@ fn a_mean_over_cases_has_the_interval_of_their_trees() {
     let case = |k: usize| CaseInfo { id: format!("case{k}"), tree: format!("tree{}", k / 5), ..run.cases[0].clone() };
     run.cases = (1..=5).map(case).collect();
     let values = [("case1", 1.0), ("case2", 1.0), ("case3", 1.0), ("case4", 1.0), ("case5", 0.0)];
-    assert_eq!(Counting::new(&run).mean(&values).unwrap().interval, Some([0.0, 1.0]));
+    assert_eq!(CountedRun::new(&run).mean(&values).unwrap().interval, Some([0.0, 1.0]));
 }
 
 /// What differs by less than tables show shares a place; and every seed counts in a case's value.
@@ -160,8 +160,8 @@ fn equal_numbers_share_a_place_and_seeds_are_averaged() {
         set(cell, 0.3001);
     });
     run.cells.extend(second);
-    let counting = Counting::new(&run);
-    let values = counting.case_values("ours", "phase_mae");
+    let counted = CountedRun::new(&run);
+    let values = counted.case_values("ours", "phase_mae");
     assert!(values.len() == 2 && values.iter().all(|(_, value)| (value - 0.2001).abs() < 1e-12), "{values:?}");
 }
 

@@ -10,7 +10,7 @@
 pub mod ablation;
 pub mod benchmark_json;
 pub mod compare;
-mod counting;
+mod counted_run;
 pub mod differences;
 mod document;
 pub mod gate;

@@ -1,12 +1,12 @@
 //! Means over cases, and the place of each method: one ranking per metric, over all cases and seeds of the table.
 //!
-//! A method is ranked by a metric when it is scored in every case, with every seed ([`Counting::covers`]): a mean over
+//! A method is ranked by a metric when it is scored in every case, with every seed ([`CountedRun::covers`]): a mean over
 //! other cases is another number. A surface that cannot be measured counts with the case's worst row, behind it.
 //! A row is beaten only by one that sees no more than it does ([`own_row::Sees`]): one that is not first may still lead all
 //! those. Bounds are not ranked, nor what equals the truth or the input, nor times that were not measured beside the others
-//! ([`Counting::is_timed`]). Equal numbers, to the decimals that tables show, share a place.
+//! ([`CountedRun::is_timed`]). Equal numbers, to the decimals that tables show, share a place.
 
-use super::counting::Counting;
+use super::counted_run::CountedRun;
 use super::run::{CaseInfo, MethodInfo, Role, Run};
 use crate::base::own_row;
 use crate::score::statistics::MeanInterval;
@@ -56,20 +56,20 @@ impl MethodSummary {
 
 /// One summary per method, in the run's order. A case counts once, with the mean over its seeds.
 pub fn summarise(run: &Run) -> Vec<MethodSummary> {
-    let counting = Counting::new(run);
+    let counted = CountedRun::new(run);
     let of = |method: &MethodInfo| {
         let is_scored =
-            |case: &&&CaseInfo| counting.cells(&case.id, &method.id).iter().any(|cell| cell.score().is_some());
+            |case: &&&CaseInfo| counted.cells(&case.id, &method.id).iter().any(|cell| cell.score().is_some());
         MethodSummary {
             method: method.clone(),
-            cases: counting.ranking_cases().iter().filter(is_scored).count(),
+            cases: counted.ranking_cases().iter().filter(is_scored).count(),
             failed: run.cells.iter().filter(|c| c.method == method.id && c.score().is_none()).count(),
-            metrics: registry().iter().map(|m| metric_summary(run, &counting, method, m)).collect(),
+            metrics: registry().iter().map(|m| metric_summary(run, &counted, method, m)).collect(),
         }
     };
     let mut summaries: Vec<MethodSummary> = run.methods.iter().map(of).collect();
     for (index, metric) in registry().iter().enumerate() {
-        for (method, place) in places(run, &counting, &summaries, metric).into_iter().enumerate() {
+        for (method, place) in places(run, &counted, &summaries, metric).into_iter().enumerate() {
             let summary = &mut summaries[method].metrics[index];
             summary.rank = place.map(|place| place.rank);
             summary.leads_equals = place.is_some_and(|place| place.leads_equals);
@@ -79,11 +79,11 @@ pub fn summarise(run: &Run) -> Vec<MethodSummary> {
 }
 
 /// Whether a ranked method's numbers of `metric` are of the truth itself.
-fn equals_truth(run: &Run, counting: &Counting<'_>, method: &MethodInfo, metric: &Metric) -> bool {
+fn equals_truth(run: &Run, counted: &CountedRun<'_>, method: &MethodInfo, metric: &Metric) -> bool {
     if let Some(telling) = told_by(metric) {
-        return equals_truth(run, counting, method, telling);
+        return equals_truth(run, counted, method, telling);
     }
-    let mean = counting.mean(&counting.case_values(&method.id, metric.id));
+    let mean = counted.mean(&counted.case_values(&method.id, metric.id));
     // That no frame of a hundred is lost is an estimate like any other.
     let is_share = metric.unit == "%";
     let no_error = metric.direction == Goal::Lower && !is_share && mean.is_some_and(|m| metric.perfect == Some(m.mean));
@@ -96,10 +96,10 @@ fn equals_truth(run: &Run, counting: &Counting<'_>, method: &MethodInfo, metric:
     method.role == Role::Ranked && (no_error || is_identical)
 }
 
-fn metric_summary(run: &Run, counting: &Counting<'_>, method: &MethodInfo, metric: &'static Metric) -> MetricSummary {
-    let mean = counting.mean(&counting.case_values(&method.id, metric.id));
-    let is_perfect = equals_truth(run, counting, method, metric);
-    let is_marked = counting.is_marked(&method.id, metric.id);
+fn metric_summary(run: &Run, counted: &CountedRun<'_>, method: &MethodInfo, metric: &'static Metric) -> MetricSummary {
+    let mean = counted.mean(&counted.case_values(&method.id, metric.id));
+    let is_perfect = equals_truth(run, counted, method, metric);
+    let is_marked = counted.is_marked(&method.id, metric.id);
     MetricSummary { metric, mean, rank: None, leads_equals: false, is_perfect, is_marked }
 }
 
@@ -117,7 +117,7 @@ struct Place {
 }
 
 /// The place of each method by `metric`: 1 + the number of better ones.
-fn places(run: &Run, counting: &Counting<'_>, summaries: &[MethodSummary], metric: &Metric) -> Vec<Option<Place>> {
+fn places(run: &Run, counted: &CountedRun<'_>, summaries: &[MethodSummary], metric: &Metric) -> Vec<Option<Place>> {
     let shown = |s: &MethodSummary| s.mean(metric.id).and_then(|m| metric.format(m.mean).parse::<f64>().ok());
     let is_estimate = |s: &MethodSummary| {
         let is_perfect = s.metric(metric.id).is_some_and(|m| m.is_perfect);
@@ -127,9 +127,9 @@ fn places(run: &Run, counting: &Counting<'_>, summaries: &[MethodSummary], metri
     };
     let is_ranked = |s: &MethodSummary| {
         s.method.role == Role::Ranked
-            && counting.covers(&s.method.id, metric.id)
+            && counted.covers(&s.method.id, metric.id)
             && is_estimate(s)
-            && (!metric.is_runtime() || counting.is_timed(&s.method.id))
+            && (!metric.is_runtime() || counted.is_timed(&s.method.id))
     };
     let marked = |s: &MethodSummary| s.metric(metric.id).is_some_and(|m| m.is_marked);
     let place = |s: &MethodSummary| if is_ranked(s) { shown(s).map(|value| (value, marked(s))) } else { None };

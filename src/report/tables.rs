@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use super::counting::Counting;
+use super::counted_run::CountedRun;
 use super::differences::NeighbourDifference;
 use super::run::{CellRecord, Outcome, Role, Run};
 use super::summary::MethodSummary;
@@ -98,11 +98,11 @@ fn mask_of(m: &Metric) -> &'static str {
 
 /// `results.csv`: one row per cell and metric, times left out.
 pub fn write_results(run: &Run, path: &Path) -> Result<()> {
-    let counting = Counting::new(run);
+    let counted = CountedRun::new(run);
     let mut rows = Vec::new();
     for cell in &run.cells {
         for m in registry().iter().filter(|m| !m.is_runtime()) {
-            rows.push(results_row(run, cell, counting.tree_of(&cell.case_id), m));
+            rows.push(results_row(run, cell, counted.tree_of(&cell.case_id), m));
         }
     }
     write_csv(path, &header(&RESULTS_COLUMNS), &rows)

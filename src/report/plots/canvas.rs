@@ -169,15 +169,40 @@ pub fn draw_line<DB: DrawingBackend>(
     width: f64,
     points: &[(f64, f64)],
 ) -> Drawn<(), DB> {
-    let (points, style) = (points.to_vec(), pen.line(stroke.color, width));
+    let style = pen.line(stroke.color, width);
     match stroke.dash {
-        None => chart.draw_series(std::iter::once(PathElement::new(points, style)))?,
+        None => {
+            let on_page: Vec<(i32, i32)> = points.iter().map(|point| chart.backend_coord(point)).collect();
+            let pieces =
+                blunt_pieces(&on_page).into_iter().map(|range| PathElement::new(points[range].to_vec(), style));
+            chart.draw_series(pieces)?
+        }
         Some([dash, gap]) => {
             let [dash, gap] = [dash, gap].map(|units| pen.px(units.into()));
-            chart.draw_series(DashedLineSeries::new(points, dash, gap, style))?
+            chart.draw_series(DashedLineSeries::new(points.to_vec(), dash, gap, style))?
         }
     };
     Ok(())
+}
+
+/// The pieces of a line between its sharp turns, as ranges of its points; neighbours share a point. Where a wide line
+/// turns back, its two edges meet far beyond the turn, and plotters draws all of the way there.
+fn blunt_pieces(line: &[(i32, i32)]) -> Vec<std::ops::Range<usize>> {
+    let (mut turns, mut last) = (Vec::new(), [0.0f64; 2]);
+    for (k, two) in line.windows(2).enumerate() {
+        let way = [f64::from(two[1].0 - two[0].0), f64::from(two[1].1 - two[0].1)];
+        if way == [0.0; 2] {
+            continue;
+        }
+        // By more than 120 degrees: up to there the edges meet within the width of the line.
+        if last[0] * way[0] + last[1] * way[1] < -0.5 * last[0].hypot(last[1]) * way[0].hypot(way[1]) {
+            turns.push(k);
+        }
+        last = way;
+    }
+    turns.push(line.len().saturating_sub(1));
+    let mut start = 0;
+    turns.into_iter().map(|end| std::mem::replace(&mut start, end)..(end + 1).min(line.len())).collect()
 }
 
 /// A line of names with their colours along the top of `area`, broken where it does not fit; never over data. Returns
@@ -311,6 +336,25 @@ mod tests {
         assert_eq!(clip([1.0, 1.0], [2.0, 3.0], low, high), Some(([1.0, 1.0], [2.0, 3.0])));
         assert_eq!(clip([-5.0, 12.0], [15.0, 12.0], low, high), None);
         assert_eq!(clip([-5.0, 4.0], [4.0, -5.0], low, high), None);
+    }
+
+    #[test]
+    fn a_line_that_turns_back_has_no_spike() {
+        let turning = [(0.0, 0.5), (0.5, 0.5), (0.5, 0.5), (0.02, 0.53)];
+        let color = RGBColor(255, 0, 0);
+        let mut image = Image { width: 400, height: 200, channels: 3, data: vec![255u8; 400 * 200 * 3] };
+        let mut turn = 0;
+        on_bitmap(&mut image, |page| {
+            let axes = PanelAxes { title: "", x: "", y: "", x_range: [0.0, 1.0], y_range: [0.0, 1.0] };
+            let mut chart = chart(page, Pen::PLAIN, &axes)?;
+            turn = chart.backend_coord(&turning[1]).0 as usize;
+            draw_line(&mut chart, Pen::PLAIN, Stroke { color, dash: None }, 6.0, &turning)
+        })
+        .unwrap();
+        let is_red = |pixel: &[u8]| pixel[0] > 200 && pixel[1] < 100;
+        let red = image.data.chunks_exact(3).enumerate().filter(|(_, pixel)| is_red(pixel)).map(|(at, _)| at % 400);
+        let farthest = red.max().unwrap();
+        assert!((turn - 3..turn + 8).contains(&farthest), "{farthest} px, and the turn is at {turn}");
     }
 
     #[test]

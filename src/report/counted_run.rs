@@ -7,7 +7,7 @@ use super::run::{CaseInfo, CellRecord, Run};
 use crate::score::statistics::{MeanInterval, mean, mean_over_cases};
 
 /// A run, ready to be asked.
-pub struct Counting<'a> {
+pub struct CountedRun<'a> {
     run: &'a Run,
     /// All cells of a case.
     of_case: BTreeMap<&'a str, Vec<&'a CellRecord>>,
@@ -21,7 +21,7 @@ pub struct Counting<'a> {
     machine_id: Option<&'a str>,
 }
 
-impl<'a> Counting<'a> {
+impl<'a> CountedRun<'a> {
     /// Sorts the cells of `run`.
     pub fn new(run: &'a Run) -> Self {
         let has_own = run.cells.iter().any(|cell| !cell.is_foreign());
@@ -36,7 +36,7 @@ impl<'a> Counting<'a> {
         }
         let ranking_cases = run.cases.iter().filter(|case| measure.contains_key(case.id.as_str())).collect();
         let trees = run.cases.iter().map(|case| (case.id.as_str(), case.tree())).collect();
-        Counting { run, of_case, measure, of_row, trees, ranking_cases, machine_id: machine_id(run) }
+        CountedRun { run, of_case, measure, of_row, trees, ranking_cases, machine_id: machine_id(run) }
     }
 
     /// Cases over which means and places are taken, in order; others are only listed.
