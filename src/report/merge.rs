@@ -60,6 +60,9 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
     }
     let mut profiles: Vec<String> = Vec::new();
     let mut cells: Vec<CellRecord> = Vec::new();
+    // Where a cell stands, by case, method and seed; and the first one of a method.
+    let mut places: BTreeMap<(String, String, u64), usize> = BTreeMap::new();
+    let mut firsts: BTreeMap<String, usize> = BTreeMap::new();
     let mut scenes = Scenes::default();
     let mut notes = vec![format!("Put together from {}.", ids.join(", "))];
     for Part { folder, run } in parts {
@@ -75,15 +78,19 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
             profiles.push(run.profile);
         }
         for cell in run.cells {
-            refuse_other_origin(&cells, &cell)?;
-            match cells.iter_mut().find(|c| is_same(c, &cell)) {
-                Some(before) => {
-                    if !has_same_numbers(before, &cell) {
-                        replaced.entry(cell.method.clone()).or_default().push(cell.case_id.clone());
-                    }
-                    *before = cell;
+            let key = (cell.case_id.clone(), cell.method.clone(), cell.seed);
+            let place = places.get(&key).copied();
+            let first = firsts.get(&cell.method).map(|&first| &cells[first]);
+            refuse_other_origin(first, place.map(|place| &cells[place]), &cell)?;
+            if let Some(place) = place {
+                if !has_same_numbers(&cells[place], &cell) {
+                    replaced.entry(cell.method.clone()).or_default().push(cell.case_id.clone());
                 }
-                None => cells.push(cell),
+                cells[place] = cell;
+            } else {
+                firsts.entry(cell.method.clone()).or_insert(cells.len());
+                places.insert(key, cells.len());
+                cells.push(cell);
             }
         }
         for (method, cases) in replaced {
@@ -140,9 +147,10 @@ fn notes_on_places(run: &Run) -> Vec<String> {
 }
 
 /// Rows of different origin are never one row: neither a run's and a third party's, nor two predictions of one name.
-fn refuse_other_origin(cells: &[CellRecord], new: &CellRecord) -> Result<()> {
+/// `first`: the first cell of the new one's method so far; `same`: the cell that it would replace.
+fn refuse_other_origin(first: Option<&CellRecord>, same: Option<&CellRecord>, new: &CellRecord) -> Result<()> {
     let rename = "score the prediction again with `evaluate --method NAME`";
-    if let Some(other) = cells.iter().find(|c| c.method == new.method && c.is_evaluated() != new.is_evaluated()) {
+    if let Some(other) = first.filter(|other| other.is_evaluated() != new.is_evaluated()) {
         return Err(Error::input(format!(
             "`{}` is a method of {} and a prediction in {}: one row cannot be both; {rename}",
             new.method,
@@ -150,8 +158,7 @@ fn refuse_other_origin(cells: &[CellRecord], new: &CellRecord) -> Result<()> {
             if new.is_evaluated() { &new.run_id } else { &other.run_id },
         )));
     }
-    let is_other = |c: &&CellRecord| c.is_foreign() && is_same(c, new) && !has_same_numbers(c, new);
-    match cells.iter().find(is_other) {
+    match same.filter(|other| other.is_foreign() && !has_same_numbers(other, new)) {
         Some(_) => Err(Error::input(format!(
             "`{}` has two different predictions of {}: leave one out, or {rename}",
             new.method, new.case_id
@@ -206,8 +213,4 @@ fn films_of(cells: &[CellRecord], case_id: &str) -> Vec<FilmRows> {
     }
     films.sort_by(|a, b| (&a.case_hash, &a.content).cmp(&(&b.case_hash, &b.content)));
     films
-}
-
-fn is_same(a: &CellRecord, b: &CellRecord) -> bool {
-    (&a.case_id, &a.method, a.seed) == (&b.case_id, &b.method, b.seed)
 }

@@ -35,13 +35,23 @@ impl Taken {
     }
 }
 
+/// What labels of a panel have to do with.
+pub struct LabelRoom {
+    /// Where they must stay.
+    pub inside: Taken,
+    /// Dots and labels, which they never cover.
+    pub taken: Vec<Taken>,
+    /// Thin lines, which they cross only where there is no other place.
+    pub lines: Vec<Taken>,
+}
+
 /// Where the label of a dot goes without covering anything: how far its upper left corner is from the dot. To the
-/// right, above or below, then farther away, never outside `room`; beside the dot where nothing is free.
+/// right, above or below, then farther away, never outside the room; beside the dot where nothing is free.
 pub fn free_spot(
     (x, y): (i32, i32),
     [width, height]: [i32; 2],
     pen: Pen,
-    (room, taken): (Taken, &[Taken]),
+    LabelRoom { inside: room, taken, lines }: &LabelRoom,
 ) -> ((i32, i32), Taken) {
     let gap = pen.at(6.0);
     let shifts = (0..16).flat_map(|away| {
@@ -60,12 +70,15 @@ pub fn free_spot(
     });
     let spot =
         |(right, down): (i32, i32)| Taken { low: (x + right, y + down), high: (x + right + width, y + down + height) };
-    let mut shifts = shifts.map(|shift| (shift, spot(shift)));
+    let spots = shifts.map(|shift| (shift, spot(shift)));
     let inside = |spot: &Taken| {
         (spot.low.0 >= room.low.0 && spot.low.1 >= room.low.1)
             && (spot.high.0 <= room.high.0 && spot.high.1 <= room.high.1)
     };
-    let free = shifts.find(|(_, spot)| inside(spot) && !taken.iter().any(|other| other.meets(spot)));
+    let is_free = |spot: &Taken, of: &[Taken]| !of.iter().any(|other| other.meets(spot));
+    let mut allowed = spots.filter(|(_, spot)| inside(spot) && is_free(spot, taken));
+    let first = allowed.clone().next();
+    let free = allowed.find(|(_, spot)| is_free(spot, lines)).or(first);
     free.unwrap_or(((gap, -height), spot((gap, -height))))
 }
 
@@ -84,12 +97,29 @@ mod tests {
     #[test]
     fn labels_of_dots_in_one_place_cover_nothing_and_stay_inside() {
         let room = Taken { low: (0, 0), high: (400, 300) };
-        let mut taken = vec![Taken::around((390, 150), 5)];
+        let mut room = LabelRoom { inside: room, taken: vec![Taken::around((390, 150), 5)], lines: Vec::new() };
         for _ in 0..20 {
-            let (_, spot) = free_spot((390, 150), [40, 12], Pen::PLAIN, (room, &taken));
+            let (_, spot) = free_spot((390, 150), [40, 12], Pen::PLAIN, &room);
             assert!(spot.high.0 <= 400 && spot.low.1 >= 0 && spot.high.1 <= 300);
-            assert!(taken.iter().all(|other| !other.meets(&spot)));
-            taken.push(spot);
+            assert!(room.taken.iter().all(|other| !other.meets(&spot)));
+            room.taken.push(spot);
         }
+    }
+
+    #[test]
+    fn a_label_crosses_a_line_rather_than_a_label() {
+        let inside = Taken { low: (0, 0), high: (100, 100) };
+        let place = |taken: &[Taken], lines: &[Taken]| {
+            let room = LabelRoom { inside, taken: taken.to_vec(), lines: lines.to_vec() };
+            free_spot((10, 50), [60, 12], Pen::PLAIN, &room).1
+        };
+        // Nothing to its right but a line from top to bottom, and another label above and below.
+        let line = Taken::between([(40, 0), (40, 100)]);
+        let label = Taken { low: (16, 30), high: (76, 49) };
+        let spot = place(&[label], &[line]);
+        assert!(!spot.meets(&label) && spot.meets(&line) && spot.low.1 > 50, "{:?} {:?}", spot.low, spot.high);
+        // A line that can be avoided is.
+        let line = Taken::between([(40, 53), (40, 100)]);
+        assert!(!place(&[], &[line]).meets(&line));
     }
 }

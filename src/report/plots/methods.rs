@@ -6,7 +6,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use super::canvas::{
     AXIS_TEXT, Area, Drawn, Figure, GRID, INK, Pen, Stroke, TICK_TEXT, TITLE_TEXT, X_ROOM, Y_ROOM, tick,
 };
-use super::labels::{Taken, free_spot};
+use super::labels::{LabelRoom, Taken, free_spot};
 use crate::report::palette::Palette;
 use crate::report::run::Role;
 use crate::report::summary::{MethodSummary, in_order_of_tables};
@@ -249,7 +249,7 @@ fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points
         .y_desc(m.heading())
         .draw()?;
     let radius = 5.5;
-    let mut taken: Vec<Taken> = Vec::new();
+    let (mut taken, mut lines) = (Vec::new(), Vec::new());
     for point in points {
         let at = (point.time.mean, point.error.mean);
         let across: Vec<f64> = bounds_of(&point.time).collect();
@@ -257,7 +257,7 @@ fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points
         let whiskers = [[(across[2], at.1), (across[1], at.1)], [(at.0, up[2]), (at.0, up[1])]];
         let line = |ends: &[(f64, f64); 2]| PathElement::new(ends.to_vec(), pen.line(point.color, 1.3));
         chart.draw_series(whiskers.iter().map(line))?;
-        taken.extend(whiskers.map(|ends| Taken::between(ends.map(|end| chart.backend_coord(&end)))));
+        lines.extend(whiskers.map(|ends| Taken::between(ends.map(|end| chart.backend_coord(&end)))));
         taken.push(Taken::around(chart.backend_coord(&at), pen.at(radius)));
     }
     for point in points {
@@ -269,16 +269,17 @@ fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points
     }
     let corner = chart.backend_coord(&(x[0], y[0]));
     let (across, down) = area.get_pixel_range();
-    let room = Taken { low: (corner.0, down.start), high: (across.end, corner.1) };
+    let inside = Taken { low: (corner.0, down.start), high: (across.end, corner.1) };
+    let mut room = LabelRoom { inside, taken, lines };
     for point in points {
         let (at, style) = ((point.time.mean, point.error.mean), pen.text(TICK_TEXT));
         let (width, height) = area.estimate_text_size(&point.title, &style)?;
         let place = chart.backend_coord(&at);
         // Viewers of an SVG give a line more height than its letters have.
         let (lead, height) = (pen.at(2.0), height as i32 + pen.at(5.0));
-        let ((right, down), spot) = free_spot(place, [width as i32, height], pen, (room, &taken));
+        let ((right, down), spot) = free_spot(place, [width as i32, height], pen, &room);
         let shift = (right, down + lead);
-        taken.push(spot);
+        room.taken.push(spot);
         // A name that found no room beside its dot is tied to it.
         if let Some(end) = spot.far_from(place, pen.at(2.5 * radius)) {
             let tie = PathElement::new(vec![(0, 0), (end.0 - place.0, end.1 - place.1)], pen.line(point.color, 1.0));

@@ -5,7 +5,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::canvas::{Area, Drawn, Figure, GRID, INK, Pen, Stroke, legend};
-use super::labels::{Taken, free_spot};
+use super::labels::{LabelRoom, Taken, free_spot};
 use super::methods::{log_range, log_ticks};
 use crate::report::pareto_chart::{ParetoChart, SettingRole};
 
@@ -135,7 +135,7 @@ fn draw_panel<DB: DrawingBackend>(
     let mut taken: Vec<Taken> = Vec::new();
     let floor = chart.backend_coord(&(x[0], y[0])).1;
     let (across, down) = area.get_pixel_range();
-    let room = Taken { low: (across.start, down.start), high: (across.end, floor) };
+    let inside = Taken { low: (across.start, down.start), high: (across.end, floor) };
     for dot in dots {
         let at = place(dot);
         chart.draw_series(std::iter::once(Circle::new(at, pen.px(4.5), dot.color.filled())))?;
@@ -145,12 +145,13 @@ fn draw_panel<DB: DrawingBackend>(
         let (x, y) = chart.backend_coord(&at);
         taken.push(Taken::around((x, y), pen.at(if dot.role == SettingRole::Default { 9.0 } else { 4.5 })));
     }
+    let mut room = LabelRoom { inside, taken, lines: Vec::new() };
     for dot in dots {
         let (at, style) = (place(dot), pen.text(9.5));
         let (width, height) = area.estimate_text_size(&dot.label, &style)?;
         let (x, y) = chart.backend_coord(&at);
-        let (shift, spot) = free_spot((x, y), [width as i32, height as i32], pen, (room, &taken));
-        taken.push(spot);
+        let (shift, spot) = free_spot((x, y), [width as i32, height as i32], pen, &room);
+        room.taken.push(spot);
         let label = Text::new(dot.label.clone(), shift, style.pos(Pos::new(HPos::Left, VPos::Top)));
         chart.draw_series(std::iter::once(EmptyElement::at(at) + label))?;
     }
