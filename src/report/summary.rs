@@ -1,10 +1,10 @@
 //! Means over cases, and the place of each method: one ranking per metric, over all cases and seeds of the table.
 //!
-//! A method is ranked by a metric when it is scored in every case, with every seed ([`CountedRun::covers`]): a mean over
+//! A method is ranked by a metric when it is scored in every case, with every seed (`CountedRun::covers`): a mean over
 //! other cases is another number. A surface that cannot be measured counts with the case's worst row, behind it.
 //! A row is beaten only by one that sees no more than it does ([`own_row::Sees`]): one that is not first may still lead all
 //! those. Bounds are not ranked, nor what equals the truth or the input, nor times that were not measured beside the others
-//! ([`CountedRun::is_timed`]). Equal numbers, to the decimals that tables show, share a place.
+//! (`CountedRun::is_timed`). Equal numbers, to the decimals that tables show, share a place.
 
 use super::counted_run::CountedRun;
 use super::run::{CaseInfo, MethodInfo, Role, Run};
