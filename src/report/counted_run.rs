@@ -9,10 +9,8 @@ use crate::score::statistics::{MeanInterval, mean, mean_over_cases};
 /// A run, ready to be asked.
 pub struct CountedRun<'a> {
     run: &'a Run,
-    /// All cells of a case.
-    of_case: BTreeMap<&'a str, Vec<&'a CellRecord>>,
-    /// Those of them that set the measure for all: cells of this program's own rows, or all cells where there are none.
-    /// What a third party hands in decides neither over which cases a table ranks, nor what the worst value of a case is.
+    /// Cells of a case that set the measure for all: those of this program's own rows, or all where there are none. What a
+    /// third party hands in decides neither over which cases a table ranks, nor what the worst value of a case is.
     measure: BTreeMap<&'a str, Vec<&'a CellRecord>>,
     /// Cells of a case by method.
     of_row: BTreeMap<&'a str, BTreeMap<&'a str, Vec<&'a CellRecord>>>,
@@ -25,10 +23,9 @@ impl<'a> CountedRun<'a> {
     /// Sorts the cells of `run`.
     pub fn new(run: &'a Run) -> Self {
         let has_own = run.cells.iter().any(|cell| !cell.is_foreign());
-        let (mut of_case, mut measure, mut of_row) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        let (mut measure, mut of_row) = (BTreeMap::new(), BTreeMap::new());
         for cell in &run.cells {
             let (case, method) = (cell.case_id.as_str(), cell.method.as_str());
-            of_case.entry(case).or_insert_with(Vec::new).push(cell);
             of_row.entry(case).or_insert_with(BTreeMap::new).entry(method).or_insert_with(Vec::new).push(cell);
             if !has_own || !cell.is_foreign() {
                 measure.entry(case).or_insert_with(Vec::new).push(cell);
@@ -36,7 +33,7 @@ impl<'a> CountedRun<'a> {
         }
         let ranking_cases = run.cases.iter().filter(|case| measure.contains_key(case.id.as_str())).collect();
         let trees = run.cases.iter().map(|case| (case.id.as_str(), case.tree())).collect();
-        CountedRun { run, of_case, measure, of_row, trees, ranking_cases, machine_id: machine_id(run) }
+        CountedRun { run, measure, of_row, trees, ranking_cases, machine_id: machine_id(run) }
     }
 
     /// Cases over which means and places are taken, in order; others are only listed.
@@ -61,11 +58,18 @@ impl<'a> CountedRun<'a> {
         }
         let goal = crate::score::metric(metric)?.direction;
         let worst = |a: f64, b: f64| if goal.better(a, b) { b } else { a };
-        let worst_of = |cells: &BTreeMap<&str, Vec<&CellRecord>>| {
-            let values = cells.get(cell.case_id.as_str())?.iter().filter_map(|other| other.score()?.value(metric));
-            values.reduce(worst)
-        };
-        worst_of(&self.measure).or_else(|| worst_of(&self.of_case)).map(|value| (value, true))
+        let case = cell.case_id.as_str();
+        let value = |other: &CellRecord| other.score()?.value(metric);
+        let known = self.measure_of(case).filter_map(value).reduce(worst);
+        known.or_else(|| self.all_of(case).filter_map(value).reduce(worst)).map(|value| (value, true))
+    }
+
+    fn measure_of(&self, case: &str) -> impl Iterator<Item = &'a CellRecord> {
+        self.measure.get(case).into_iter().flatten().copied()
+    }
+
+    fn all_of(&self, case: &str) -> impl Iterator<Item = &'a CellRecord> {
+        self.of_row.get(case).into_iter().flat_map(BTreeMap::values).flatten().copied()
     }
 
     /// Whether all times of the method were measured by this program, and on the machine of the others.
@@ -105,10 +109,12 @@ impl<'a> CountedRun<'a> {
         if !self.ranking_cases.iter().all(|case| all_of(case, &|cell| cell.score().is_some())) {
             return false;
         }
-        let has = |cell: &&CellRecord| cell.score().is_some_and(|s| s.value(metric).is_some());
-        let is_known = self.measure.values().flatten().any(has);
-        let asked = if is_known { &self.measure } else { &self.of_case };
-        let in_question = |case: &&&CaseInfo| asked.get(case.id.as_str()).is_some_and(|cells| cells.iter().any(has));
+        let has = |cell: &CellRecord| cell.score().is_some_and(|s| s.value(metric).is_some());
+        let is_known = self.measure.values().flatten().any(|cell| has(cell));
+        let in_question = |case: &&&CaseInfo| match is_known {
+            true => self.measure_of(&case.id).any(has),
+            false => self.all_of(&case.id).any(has),
+        };
         let counts = |cell: &CellRecord| self.counted(cell, metric).is_some();
         self.ranking_cases.iter().filter(in_question).all(|case| all_of(case, &counts))
     }
