@@ -18,7 +18,7 @@ use crate::base::camera::fisheye_rises_to;
 use crate::base::range::{
     FIELD_OF_VIEW_DEG, GENERATION, KeyRanges, LEAST_RADIUS_MM, NumberRange, SCOPE_RADIUS_MM, SEED,
 };
-use crate::base::{Camera, Error, Result, files, hash};
+use crate::base::{Camera, Error, Result, case_id, files, hash};
 
 /// Ranges of `[camera]`.
 const CAMERA_RANGES: KeyRanges =
@@ -36,8 +36,6 @@ const TRAJECTORY_RANGES: KeyRanges = KeyRanges(&[
 ]);
 /// Range of `light_intensity`, W/sr.
 const LIGHT_INTENSITY: NumberRange = NumberRange::new(1e-6, 1e9);
-/// Most characters of an id, with room for what the names of folders have besides.
-const LONGEST_ID: usize = 100;
 
 /// Range of `registration_error_mm`.
 const REGISTRATION_ERROR_MM: NumberRange = NumberRange::new(0.0, 20.0);
@@ -415,17 +413,12 @@ impl Case {
 
     /// Rejects values that no film can have; the error names the key.
     pub fn validate(&self) -> Result<()> {
-        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        case_id::check(&self.id).map_err(|e| e.element("id"))?;
         let needs_field = !matches!(self.anatomy, AnatomySource::MeshPair { .. });
-        let demands = [
-            ("id", !self.id.is_empty() && self.id.chars().all(plain), "must be letters, digits, `-` and `_`"),
-            ("id", self.id.len() <= LONGEST_ID, "must have no more than 100 characters: folders are named by it"),
-            ("breathing", self.breathing.is_some() == needs_field, {
-                if needs_field { "is missing" } else { "does not belong to a mesh pair, which has its motion" }
-            }),
-        ];
-        if let Some((key, _, sentence)) = demands.iter().find(|demand| !demand.1) {
-            return Err(Error::input(*sentence).element(key));
+        if self.breathing.is_some() != needs_field {
+            let sentence =
+                if needs_field { "is missing" } else { "does not belong to a mesh pair, which has its motion" };
+            return Err(Error::input(sentence).element("breathing"));
         }
         SEED.check(self.seed as f64).map_err(|e| e.element("seed"))?;
         REGISTRATION_ERROR_MM.check(self.registration_error_mm).map_err(|e| e.element("registration_error_mm"))?;

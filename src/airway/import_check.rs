@@ -95,7 +95,8 @@ pub fn check_extent(points: impl Iterator<Item = DVec3>, source: FrameSource) ->
     Err(Error::input(format!("{sentence}: {}", scale_cure(extent, EXTENT_MM, source))))
 }
 
-/// Refuses lung landmarks of an impossible size, and a motion that no breathing is. Pair k stands in line k + 2.
+/// Refuses lung landmarks of an impossible size, and a motion that no breathing is. The element is the pair's
+/// number, from 1.
 pub fn check_landmarks(pairs: &[LandmarkPair]) -> Result<()> {
     let extent = longest_side(pairs.iter().map(|pair| pair.inspiration_mm));
     if !within(extent, LUNGS_MM) {
@@ -108,7 +109,7 @@ pub fn check_landmarks(pairs: &[LandmarkPair]) -> Result<()> {
     if let Some(at) = pairs.iter().position(|pair| moves(pair) > FURTHEST_MM) {
         let sentence =
             format!("the landmark moves by {:.0} mm, and breathing moves {FURTHEST_MM} mm at most", moves(&pairs[at]));
-        return Err(Error::input(sentence).element(format!("line {}", at + 2)));
+        return Err(Error::input(sentence).element(format!("pair {}", at + 1)));
     }
     let most = pairs.iter().map(moves).fold(0.0, f64::max);
     if most < STILL_MM {
@@ -422,7 +423,7 @@ mod tests {
         assert!(said(&lungs(5.0, breath)).contains("mm (LPS)"));
         let mut outlier = good.clone();
         outlier[7].expiration_mm.x += 200.0;
-        assert!(said(&outlier).contains("line 9: the landmark moves by 201 mm"), "{}", said(&outlier));
+        assert!(said(&outlier).contains("pair 8: the landmark moves by 201 mm"), "{}", said(&outlier));
         let swapped: Vec<LandmarkPair> = good
             .iter()
             .map(|p| LandmarkPair { inspiration_mm: p.expiration_mm, expiration_mm: p.inspiration_mm })

@@ -2,6 +2,7 @@
 
 pub mod base64;
 pub mod camera;
+pub mod case_id;
 pub mod color;
 pub mod error;
 pub mod estimate;

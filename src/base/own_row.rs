@@ -102,7 +102,7 @@ const NO_PICTURE: Sees = Sees { pictures: PicturesSeen::None, ..Sees::EVERYTHING
 /// The table of additions in `docs/ours.md`, in a few words.
 const WINDOW_ADDITIONS: &str = "keyframes, light of the scope with its exposure, memory of colours, finer and larger discs, \
      bounds on colours, colours of unseen walls, hidden faces left out, depth of the mesh, candidates and continued motion, a \
-     phase mostly by SSIM, an early end of stages, a larger epsilon of Adam";
+     phase mostly by SSIM, an early end of stages";
 
 /// This program's own rows, in the order of tables: those of the paper's Table 1 from top to bottom, ours beyond it,
 /// what needs no map, the bounds, and last the row that stands in for `ours-gn` where poses are rough. A test holds that

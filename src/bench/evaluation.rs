@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::base::{Error, Result, files, method_name};
+use crate::base::{Error, Result, case_id, files, method_name};
 use crate::formats::prediction::{ABOUT, COLOR};
 use crate::report::run::evaluated_id;
 use crate::report::scene::Scenes;
@@ -97,20 +97,48 @@ impl Evaluated {
     }
 }
 
-/// Refuses two films of one case, answered by one method: a table has one cell per case and method.
+/// The case of a film, or one named as its folder where it cannot be opened.
+fn case_of(film: &Path) -> String {
+    let folder_name = film.file_name().unwrap_or_default().to_string_lossy();
+    Sequence::open(film).map_or_else(|_| case_id::of_folder(&folder_name), |film| film.case_id)
+}
+
+/// Refuses two films of one case, answered by one method: a table has one cell per case and method. A film that failed
+/// may have been answered by any.
 pub fn refuse_cases_twice(evaluated: &[Evaluated]) -> Result<()> {
-    for (place, one) in evaluated.iter().enumerate() {
-        let Ok((_, found)) = &one.scored else { continue };
-        let same = |other: &&Evaluated| {
-            other.scored.as_ref().is_ok_and(|(_, o)| (&o.case_id, &o.method) == (&found.case_id, &found.method))
+    let row = |one: &Evaluated| match &one.scored {
+        Ok((_, found)) => (found.case_id.clone(), Some(found.method.clone())),
+        Err(_) => (case_of(&one.film), None),
+    };
+    let rows: Vec<(String, Option<String>)> = evaluated.iter().map(row).collect();
+    for (place, (case, method)) in rows.iter().enumerate() {
+        let is_same = |(other_case, other): &(String, Option<String>)| {
+            other_case == case && (other.is_none() || method.is_none() || other == method)
         };
-        if let Some(other) = evaluated[..place].iter().find(same) {
-            let sentence =
-                format!("is of {} as {} is: one film of a case at a time", found.case_id, other.film.display());
-            return Err(Error::input(sentence).at(&one.film));
+        if let Some(before) = rows[..place].iter().position(is_same) {
+            let other = evaluated[before].film.display();
+            let sentence = format!("is of {case} as {other} is: one film of a case at a time");
+            return Err(Error::input(sentence).at(&evaluated[place].film));
         }
     }
     Ok(())
+}
+
+/// Refuses films of both tracks: a table holds one.
+pub fn refuse_two_tracks(evaluated: &[Evaluated]) -> Result<()> {
+    let films: Vec<(&Path, bool)> = (evaluated.iter())
+        .filter_map(|one| Some((one.film.as_path(), one.scored.as_ref().ok()?.0.clinical.is_some())))
+        .collect();
+    let track = |is_clinical| if is_clinical { Track::Clinical } else { Track::Ideal }.word();
+    match films.iter().find(|film| film.1 != films[0].1) {
+        Some((film, is_clinical)) => {
+            let (first, [a, b]) = (films[0].0.display(), [*is_clinical, !is_clinical].map(track));
+            let sentence =
+                format!("is of the track `{a}` and {first} of `{b}`: a table holds one, evaluate them apart");
+            Err(Error::input(sentence).at(film))
+        }
+        None => Ok(()),
+    }
 }
 
 /// The report of these predictions: a cell per film. A film that failed has the name of its folder and the method of
@@ -121,16 +149,13 @@ pub fn as_run(evaluated: Vec<Evaluated>, method: Option<&str>) -> Run {
     let (mut cases, mut cells, mut methods) = (Vec::new(), Vec::new(), Vec::<MethodInfo>::new());
     let mut is_clinical = false;
     for Evaluated { film, prediction, scored } in evaluated {
-        let folder_name = film.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let (case_id, method, seed, truth, outcome) = match scored {
             Ok((film, found)) => {
                 let (case_id, method, seed) = (found.case_id.clone(), found.method.clone(), found.seed);
                 (case_id, method, seed, Some(film), Outcome::Scored(Box::new(found)))
             }
             Err(error) => {
-                let film = Sequence::open(&film).ok();
-                let case_id = film.as_ref().map_or(folder_name, |film| film.case_id.clone());
-                (case_id, common.clone(), 0, film, Outcome::Failed(error.to_string()))
+                (case_of(&film), common.clone(), 0, Sequence::open(&film).ok(), Outcome::Failed(error.to_string()))
             }
         };
         if !methods.iter().any(|known| known.id == method) {

@@ -6,7 +6,7 @@
 //! does not stop the others. What stops a run: the user, a full or unwritable disk, a machine that lacks something;
 //! whatever is finished by then is kept, and the same command goes on from there.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -63,12 +63,14 @@ struct Execution<'a> {
     fresh_since: Option<SystemTime>,
     watcher: &'a dyn Watcher,
     done: AtomicUsize,
+    /// Cells of the plan.
+    total: usize,
     /// Whether what a cell cost is kept: not where it shared the machine, and CPU seconds are those of all.
     alone: bool,
     /// Films that were tried, and what came of it.
     films: Mutex<HashMap<String, Result<()>>>,
-    /// The claim that is waited for.
-    waits_for: Mutex<Option<String>>,
+    /// The claims that are or were waited for: each is told of once.
+    waited_for: Mutex<HashSet<String>>,
 }
 
 /// Runs every cell of `plan`; the answer has one entry per cell, in the plan's order, failed ones included.
@@ -199,9 +201,10 @@ impl<'a> Execution<'a> {
             fresh_since,
             watcher,
             done: AtomicUsize::new(0),
+            total: plan.cells().len(),
             alone: true,
             films: Mutex::default(),
-            waits_for: Mutex::default(),
+            waited_for: Mutex::default(),
         })
     }
 
@@ -249,7 +252,7 @@ impl<'a> Execution<'a> {
     /// Waits a moment for another process.
     fn wait(&self, cell: &Cell, holder: &Holder) -> Result<()> {
         self.watcher.proceed()?;
-        if lock(&self.waits_for).replace(holder.token.clone()).as_ref() != Some(&holder.token) {
+        if lock(&self.waited_for).insert(holder.token.clone()) {
             self.watcher.event(&Event::Waiting { cell, holder });
         }
         std::thread::sleep(LOOK_AGAIN);
@@ -369,9 +372,8 @@ impl<'a> Execution<'a> {
             }
             work.release()?;
         }
-        let total = self.plan.cells().len();
         let done = self.done.fetch_add(1, Ordering::SeqCst) + 1;
-        self.watcher.event(&Event::CellFinished { cell, cache_use, wall_s, done, total });
+        self.watcher.event(&Event::CellFinished { cell, cache_use, wall_s, done, total: self.total });
         Ok(Tried::Done(()))
     }
 

@@ -250,7 +250,7 @@ impl Pipeline {
         Ok(Run {
             profile: self.profile.name.clone(),
             track: self.track,
-            notes: Vec::new(),
+            notes: self.profile.note_on_iterations().into_iter().collect(),
             cases: cases.collect::<Result<_>>()?,
             methods: self.method_infos(),
             cells: finished.iter().map(|cell| cell_record(cell, &id, &machine_id)).collect::<Result<_>>()?,

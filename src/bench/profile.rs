@@ -8,6 +8,7 @@ use super::plan::toml_ids;
 use crate::airway::case::Effect;
 use crate::base::range::{FRAME_RATE, FRAMES, KeyRanges, NumberRange, SAMPLES_PER_PIXEL, SEED};
 use crate::base::{Error, Result, files};
+use crate::report::run::is_evaluated_id;
 use crate::simulate::FilmLight;
 use crate::simulate::track::Track;
 
@@ -83,7 +84,16 @@ impl Profile {
         profile.validate().map_err(|e| e.at(&path))?;
         profile.file.clone_from(&path);
         profile.name = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or("custom").to_owned();
+        if is_evaluated_id(&format!("{}-", profile.name)) {
+            return Err(Error::input("has a name that only predictions of others have: rename it").at(&path));
+        }
         Ok(profile)
+    }
+
+    /// What a report says where methods do not run all of their iterations.
+    pub fn note_on_iterations(&self) -> Option<String> {
+        let percent = (1e6 * 100.0 * self.iteration_scale).round() / 1e6;
+        (percent != 100.0).then(|| format!("Every method runs {percent} % of its iterations (docs/methods.md)."))
     }
 
     /// Rejects numbers that no run can use; the error names the key.

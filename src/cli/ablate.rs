@@ -16,8 +16,8 @@ use crate::report::ablation::write;
 #[command(
     after_help = "Runs the lines of ablations.toml beside the cases, and each of their methods as shipped with several seeds: \
     the spread between seeds is the noise below which a difference says nothing. With --file, the lines of another file, for \
-    instance a sweep over the values of numbers: the shipped ones are ours, ours-nomesh, ours-window, ours-gn and \
-    bridgesplat; the best value of each number is marked.\n\
+    instance a sweep over the values of numbers: the shipped ones are ours, ours-nomesh, ours-window, ours-gn, \
+    ours-gn-pose, bridgesplat, clinical and virtual-bronchoscopy; the best value of each number is marked.\n\
     Lines run on the tuning cases (tune1 to tune4), which are never scored. Finished cells are kept: the same command goes \
     on. --profile smoke is a first look.\n\
     Examples: respire-bench ablate --only schedule\n          \

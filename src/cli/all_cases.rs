@@ -213,11 +213,10 @@ fn print_plan(plan: &Plan, store: &Store, freshness: Freshness, terminal: &Termi
     Ok(())
 }
 
-/// Lets `<out>/latest` point to the run, in one step.
+/// Lets `<out>/latest` point to the run, in one step, whoever else ends at this moment.
 fn point_latest(out: &Path, run_id: &str) -> Result<()> {
-    let (latest, next) = (out.join("latest"), out.join(".latest.tmp"));
-    // Left behind only by a run that was killed between the next two lines.
-    let _ = std::fs::remove_file(&next);
-    let linked = std::os::unix::fs::symlink(run_id, &next).and_then(|()| std::fs::rename(&next, &latest));
-    linked.map_err(|e| Error::io("writing", &latest, e))
+    let latest = out.join("latest");
+    let link = tempfile::Builder::new().prefix(".latest").make_in(out, |next| std::os::unix::fs::symlink(run_id, next));
+    let linked = link.and_then(|link| link.persist(&latest).map_err(|e| e.error));
+    linked.map(|_| ()).map_err(|e| Error::io("writing", &latest, e))
 }

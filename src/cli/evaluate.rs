@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::{Terminal, comparison};
 use crate::base::{Error, ErrorKind, Progress, Result, method_name};
-use crate::bench::evaluation::{Evaluated, as_run, films, predictions, refuse_cases_twice};
+use crate::bench::evaluation::{Evaluated, as_run, films, predictions, refuse_cases_twice, refuse_two_tracks};
 use crate::report::summary::summarise;
 use crate::report::table::ComparisonTable;
 use crate::report::{self, Run};
@@ -63,6 +63,7 @@ pub fn run(arguments: EvaluateArguments, terminal: &Terminal) -> Result<()> {
         return Err(error.clone());
     }
     refuse_cases_twice(&evaluated)?;
+    refuse_two_tracks(&evaluated)?;
     let scores: Vec<&CellScore> = evaluated.iter().filter_map(|e| Some(&e.scored.as_ref().ok()?.1)).collect();
     match (arguments.json, &scores[..]) {
         (true, [one]) if evaluated.len() == 1 => terminal.json(one)?,

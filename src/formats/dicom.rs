@@ -54,8 +54,14 @@ const MOST_SLICES: usize = 4096;
 const SIDE: NumberRange = NumberRange::new(1.0, MOST_VOXELS_A_SIDE as f64);
 /// What turns stored numbers into Hounsfield units.
 const SCALE: NumberRange = NumberRange::new(-1e6, 1e6);
-/// Coordinates in mm, components of directions and distances of pixels.
+/// Coordinates in mm.
 const PLACE: NumberRange = NumberRange::new(-1e5, 1e5);
+/// Distances of pixels in mm.
+const SPACING_MM: NumberRange = NumberRange::new(1e-3, 100.0);
+/// Components of directions.
+const COSINE: NumberRange = NumberRange::new(-1.01, 1.01);
+/// Most that the length of a direction differs from 1, and the cosine of the angle between both from 0: files round.
+const SKEW: f64 = 0.01;
 
 /// What must agree between slices, and where a slice lies.
 struct SliceHeader {
@@ -208,9 +214,15 @@ fn slice(elements: &Elements<'_>, path: &Path) -> Result<SliceHeader> {
         return Err(Error::input(format!("has no pixels of one 16-bit number: {CURE}")));
     }
     let position_mm = some(elements, POSITION, PLACE)?.ok_or_else(|| missing(POSITION))?;
-    let [a, b, c, d, e, f] = some(elements, ORIENTATION, PLACE)?.ok_or_else(|| missing(ORIENTATION))?;
+    let [a, b, c, d, e, f] = some(elements, ORIENTATION, COSINE)?.ok_or_else(|| missing(ORIENTATION))?;
+    let directions = [DVec3::new(a, b, c), DVec3::new(d, e, f)];
+    let is_unit = directions.iter().all(|direction| (direction.length() - 1.0).abs() <= SKEW);
+    if !is_unit || directions[0].dot(directions[1]).abs() > SKEW {
+        let sentence = "must be two directions of length 1, square to each other";
+        return Err(Error::input(sentence).element(format!("DICOM tag {ORIENTATION}")));
+    }
     let [between_rows, between_columns] =
-        some(elements, PIXEL_SPACING, PLACE)?.ok_or_else(|| missing(PIXEL_SPACING))?;
+        some(elements, PIXEL_SPACING, SPACING_MM)?.ok_or_else(|| missing(PIXEL_SPACING))?;
     let (slope, intercept) = (number(SLOPE, SCALE)?, number(INTERCEPT, SCALE)?);
     let bytes = elements.bytes(PIXELS).ok_or_else(|| missing(PIXELS))?;
     let count = size[0] * size[1];
@@ -234,7 +246,7 @@ fn slice(elements: &Elements<'_>, path: &Path) -> Result<SliceHeader> {
         path: path.to_path_buf(),
         series: elements.text(SERIES).unwrap_or_default(),
         size,
-        directions: [DVec3::new(a, b, c), DVec3::new(d, e, f)],
+        directions,
         spacing_mm: [between_columns, between_rows],
         position_mm: DVec3::from_array(position_mm),
         pixels: bytes.as_chunks::<2>().0[..count].iter().map(units).collect::<Result<_>>()?,
@@ -469,6 +481,10 @@ pub(crate) mod tests {
             (SLOPE, b"DS", b"nan ".to_vec()),
             (INTERCEPT, b"DS", b"1e300 ".to_vec()),
             (PIXEL_SPACING, b"DS", b"inf\\1 ".to_vec()),
+            (PIXEL_SPACING, b"DS", b"0.8\\-0.7".to_vec()),
+            (ORIENTATION, b"DS", b"2\\0\\0\\0\\1\\0 ".to_vec()),
+            (ORIENTATION, b"DS", b"1\\0\\0\\0.6\\0.8\\0 ".to_vec()),
+            (ORIENTATION, b"DS", b"1\\0\\0\\0\\0.9\\0 ".to_vec()),
         ] {
             let said = read_changed("b", |bytes| {
                 let start = at(bytes, tag);
@@ -477,7 +493,7 @@ pub(crate) mod tests {
                 bytes.splice(start..start + 8 + old, new);
             });
             let said = said.unwrap_err();
-            assert!(said.contains(&format!("/b: DICOM tag {tag}: ")) && said.contains("must lie in"), "{said}");
+            assert!(said.contains(&format!("/b: DICOM tag {tag}: ")) && said.contains("must "), "{said}");
         }
         let said = read_changed("b", |bytes| {
             let value = at(bytes, INTERCEPT) + 8;

@@ -5,6 +5,8 @@ use std::path::Path;
 
 use glam::DVec3;
 
+use super::number_table::{self, Column, NumberRow};
+use crate::base::range::COORDINATE;
 use crate::base::{Error, Result, files};
 
 /// One anatomical point in both breath holds.
@@ -23,8 +25,15 @@ impl LandmarkPair {
     }
 }
 
-/// The columns that are read.
-const COLUMNS: [&str; 6] = ["insp_x", "insp_y", "insp_z", "exp_x", "exp_y", "exp_z"];
+/// The columns that are read. In what unit a file is, is found out later, by the size of the lungs.
+const COLUMNS: [Column<'static>; 6] = [
+    ("insp_x", COORDINATE),
+    ("insp_y", COORDINATE),
+    ("insp_z", COORDINATE),
+    ("exp_x", COORDINATE),
+    ("exp_y", COORDINATE),
+    ("exp_z", COORDINATE),
+];
 
 /// Reads all pairs of `path`. Columns are found by name, so more columns and any order are fine.
 /// Errors name the file and the column or line at fault; a file without a pair is an error.
@@ -34,36 +43,14 @@ pub fn read(path: &Path) -> Result<Vec<LandmarkPair>> {
 
 /// [`read`] for bytes in memory.
 pub fn parse(bytes: &[u8]) -> Result<Vec<LandmarkPair>> {
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
-    let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();
-    if header.is_empty() {
+    if bytes.trim_ascii().is_empty() {
         return Err(Error::input("the landmark file is empty"));
     }
-    let mut column_of = [0usize; 6];
-    for (slot, name) in COLUMNS.iter().enumerate() {
-        column_of[slot] = header.iter().position(|h| h.eq_ignore_ascii_case(name)).ok_or_else(|| {
-            Error::input(format!("is missing; a landmark file has the columns {}", COLUMNS.join(",")))
-                .element(format!("column {name}"))
-        })?;
-    }
-    let mut pairs = Vec::new();
-    for (row, record) in reader.records().enumerate() {
-        let line = format!("line {}", row + 2);
-        let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
-        let mut values = [0.0f64; 6];
-        for (slot, &column) in column_of.iter().enumerate() {
-            let text = record.get(column).unwrap_or("");
-            values[slot] = match text.parse::<f64>() {
-                Ok(v) if v.is_finite() => v,
-                _ => {
-                    return Err(Error::input(format!("\"{text}\" is not a finite number"))
-                        .element(format!("{line}, column {}", COLUMNS[slot])));
-                }
-            };
-        }
-        let [a, b, c, d, e, f] = values;
-        pairs.push(LandmarkPair { inspiration_mm: DVec3::new(a, b, c), expiration_mm: DVec3::new(d, e, f) });
-    }
+    let pair = |row: NumberRow<6>| {
+        let [a, b, c, d, e, f] = row.numbers;
+        LandmarkPair { inspiration_mm: DVec3::new(a, b, c), expiration_mm: DVec3::new(d, e, f) }
+    };
+    let pairs: Vec<LandmarkPair> = number_table::rows(bytes, COLUMNS)?.into_iter().map(pair).collect();
     if pairs.is_empty() {
         return Err(Error::input("the landmark file holds no landmark pair"));
     }
@@ -87,8 +74,8 @@ mod tests {
         let say = |text: String| parse(text.as_bytes()).unwrap_err().to_string();
         assert_eq!(say(String::new()), "the landmark file is empty");
         assert_eq!(say(head.into()), "the landmark file holds no landmark pair");
-        assert!(say(format!("{head}1,2,3,4,5,6\n1,2,nan,4,5,6\n")).contains("line 3, column insp_z"));
+        assert!(say(format!("{head}1,2,3,4,5,6\n1,2,nan,4,5,6\n")).contains("line 3: insp_z: NaN"));
         assert!(say(format!("{head}1,2,3\n")).contains("line 2"));
-        assert!(say("a,b\n1,2\n".into()).contains("column insp_x"));
+        assert!(say("a,b\n1,2\n".into()).contains("column insp_x: is missing"));
     }
 }

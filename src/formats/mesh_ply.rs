@@ -290,11 +290,12 @@ fn parse_body(elements: &[Element], body: &mut PlyBody<'_>) -> Result<TriangleMe
                 };
                 let count = body.next(count_type).ok_or_else(broken)?;
                 let corners = element.name == "face" && is_face_list(property);
-                if corners && count < 3.0 {
-                    return Err(named(format!("has {count} corners")));
+                let is_count = count >= if corners { 3.0 } else { 0.0 } && count.fract() == 0.0;
+                if !is_count {
+                    return Err(named(format!("has {count} {}", if corners { "corners" } else { "values in a list" })));
                 }
                 let mut fan = [0u32; 2];
-                for corner in 0..count.max(0.0) as u64 {
+                for corner in 0..count as u64 {
                     let value = body.next(property.number).ok_or_else(broken)?;
                     if !corners {
                         continue;

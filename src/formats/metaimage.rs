@@ -156,7 +156,7 @@ pub fn open_stream(mut file: Box<dyn BufRead>, folder: &Path) -> Result<VolumeSo
     let header = MetaHeader::read(&mut file)?;
     let (grid, kind) = (header.grid()?, header.kind()?);
     let channels = header.numbers::<1>(&["ElementNumberOfChannels"])?.map_or(1.0, |[n]| n);
-    if !(1.0..=16.0).contains(&channels) {
+    if !(1.0..=16.0).contains(&channels) || channels.fract() != 0.0 {
         return Err(Error::input(format!("{channels} numbers a voxel are none of a volume")));
     }
     if header.text(&["BinaryData"]).is_some() && !header.is_true(&["BinaryData"]) {

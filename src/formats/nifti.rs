@@ -30,20 +30,23 @@ const VECTOR: i16 = 1007;
 
 /// Opens a file and reads its header. Errors name what is wrong with it.
 pub fn open(path: &Path) -> Result<VolumeSource> {
+    open_stream(unpacked(path)?).map_err(|e| e.at(path))
+}
+
+/// The bytes of a file, packed or not: its first two say which, whatever it is called.
+fn unpacked(path: &Path) -> Result<Box<dyn Read>> {
     let file = File::open(path).map_err(|e| Error::io("reading", path, e))?;
     let mut file = BufReader::new(file);
     let mut start = Vec::new();
     file.by_ref().take(2).read_to_end(&mut start).map_err(|e| Error::io("reading", path, e))?;
     let is_compressed = start == [0x1f, 0x8b];
     let whole = std::io::Cursor::new(start).chain(file);
-    let reader: Box<dyn Read> = if is_compressed { Box::new(MultiGzDecoder::new(whole)) } else { Box::new(whole) };
-    open_stream(reader).map_err(|e| e.at(path))
+    Ok(if is_compressed { Box::new(MultiGzDecoder::new(whole)) } else { Box::new(whole) })
 }
 
-/// [`open`] for the (uncompressed) bytes of a file.
-pub fn open_stream(mut reader: Box<dyn Read>) -> Result<VolumeSource> {
+fn read_header(reader: &mut dyn Read) -> Result<NiftiHeader> {
     let mut bytes = Vec::with_capacity(HEADER_BYTES);
-    let read = reader.by_ref().take(HEADER_BYTES as u64).read_to_end(&mut bytes);
+    let read = reader.take(HEADER_BYTES as u64).read_to_end(&mut bytes);
     read.map_err(|e| Error::input(format!("is no NIfTI file: {e}")))?;
     if bytes.is_empty() {
         return Err(Error::input("is empty"));
@@ -54,7 +57,12 @@ pub fn open_stream(mut reader: Box<dyn Read>) -> Result<VolumeSource> {
     if bytes.len() < HEADER_BYTES {
         return Err(Error::input(format!("is no NIfTI file: it ends within the header, after {} bytes", bytes.len())));
     }
-    let header = NiftiHeader::from_reader(&bytes[..]).map_err(|e| Error::input(format!("is no NIfTI file: {e}")))?;
+    NiftiHeader::from_reader(&bytes[..]).map_err(|e| Error::input(format!("is no NIfTI file: {e}")))
+}
+
+/// [`open`] for the (uncompressed) bytes of a file.
+pub fn open_stream(mut reader: Box<dyn Read>) -> Result<VolumeSource> {
+    let header = read_header(&mut reader)?;
     if &header.magic[..3] != b"n+1" {
         return Err(Error::input("keeps its voxels in another file (.hdr and .img): rewrite it as one .nii.gz"));
     }
@@ -85,14 +93,14 @@ pub fn open_stream(mut reader: Box<dyn Read>) -> Result<VolumeSource> {
 
 /// Whether the vectors of the file at `path` are in RAS. Only for files that [`open`] has accepted.
 pub fn vectors_are_ras(path: &Path) -> Result<bool> {
-    let header = NiftiHeader::from_file(path).map_err(|e| Error::input(format!("is no NIfTI file: {e}")).at(path))?;
+    let header = read_header(&mut unpacked(path)?).map_err(|e| e.at(path))?;
     Ok(header.intent_code == DISPLACEMENT)
 }
 
 /// A sentence where sform and qform of the file at `path` lie more than a voxel apart: which of them is taken. Only for
 /// files that [`open`] has accepted.
 pub fn frame_note(path: &Path) -> Option<String> {
-    let header = NiftiHeader::from_file(path).ok()?;
+    let header = read_header(&mut unpacked(path).ok()?).ok()?;
     if header.sform_code <= 0 || header.qform_code <= 0 {
         return None;
     }
@@ -326,6 +334,13 @@ mod tests {
         write(&path, &field).unwrap();
         assert_eq!(open(&path).unwrap().read_vectors().unwrap().data, field.data);
         assert!(!vectors_are_ras(&path).unwrap());
+        // Packed or not, its bytes say, and not its name.
+        for name in ["FIELD.NII.GZ", "packed.nii"] {
+            let path_then = folder.path().join(name);
+            std::fs::copy(&path, &path_then).unwrap();
+            assert_eq!(open(&path_then).unwrap().read_vectors().unwrap().data, field.data);
+            assert!(!vectors_are_ras(&path_then).unwrap());
+        }
         let refused = open(&path).unwrap().read_scalars(Ok).unwrap_err().to_string();
         assert!(refused.contains("3 numbers a voxel"), "{refused}");
     }

@@ -9,12 +9,36 @@ pub const COUNT: NumberRange = NumberRange::new(0.0, 1e9);
 /// A column: its name, and the numbers that it may hold.
 pub type Column<'a> = (&'a str, NumberRange);
 
-/// The numbers of `columns`, row by row, in the order of `columns`. The table may have them in another order, and
-/// others beside them.
+/// The line of `bytes` in which a record begins. Its position, as the reader tells it, is before the empty lines that it
+/// passed over.
+pub fn line_of(bytes: &[u8], at: Option<&csv::Position>) -> u64 {
+    let Some(at) = at else { return 1 };
+    let rest = bytes.get(at.byte() as usize..).unwrap_or_default();
+    let empty = rest.iter().take_while(|byte| matches!(byte, b'\r' | b'\n'));
+    at.line() + empty.filter(|&&byte| byte == b'\n').count() as u64
+}
+
+/// A row of a table, and where it stands: an empty line is no row, and a field may hold a line break.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NumberRow<const N: usize> {
+    /// Line of the file, from 1.
+    pub line: u64,
+    /// In the order of the columns that were asked for.
+    pub numbers: [f64; N],
+}
+
+impl<const N: usize> NumberRow<N> {
+    /// `error` with the row's line.
+    pub fn refuse(&self, error: Error) -> Error {
+        error.element(format!("line {}", self.line))
+    }
+}
+
+/// The rows with the numbers of `columns`. The table may have them in another order, and others beside them.
 ///
 /// Errors name the line and the column: a name that is missing or there twice, a row with more or fewer fields than
 /// names, a field that is no number or out of range.
-pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Vec<[f64; N]>> {
+pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Vec<NumberRow<N>>> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
     let header = reader.headers().map_err(|e| Error::input(e.to_string()).element("line 1"))?.clone();
     let mut places = [0; N];
@@ -31,16 +55,20 @@ pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Ve
         };
     }
     let mut rows = Vec::new();
-    for (row, record) in reader.records().enumerate() {
-        let record = record.map_err(|e| Error::input(e.to_string()).element(format!("line {}", row + 2)))?;
+    for record in reader.records() {
+        let record = record.map_err(|e| {
+            let line = line_of(bytes, e.position());
+            Error::input(e.to_string()).element(format!("line {line}"))
+        })?;
+        let line = line_of(bytes, record.position());
         let mut numbers = [0.0; N];
         for ((number, place), (name, range)) in numbers.iter_mut().zip(places).zip(columns) {
             let text = record.get(place).unwrap_or_default();
-            let named = |e: Error| e.element(format!("line {}: {name}", row + 2));
+            let named = |e: Error| e.element(format!("line {line}: {name}"));
             *number = text.parse().map_err(|_| named(Error::input(format!("\"{text}\" is no number"))))?;
             range.check(*number).map_err(named)?;
         }
-        rows.push(numbers);
+        rows.push(NumberRow { line, numbers });
     }
     Ok(rows)
 }
@@ -68,7 +96,8 @@ mod tests {
     #[test]
     fn columns_are_found_by_name() {
         let read = rows(b"\xef\xbb\xbfy_mm, note,X_mm,frame\n2.5,a,1,7\n-3,b,1e3,8\n", COLUMNS).unwrap();
-        assert_eq!(read, [[7.0, 1.0, 2.5], [8.0, 1000.0, -3.0]]);
+        let [first, second] = [(2, [7.0, 1.0, 2.5]), (3, [8.0, 1000.0, -3.0])];
+        assert_eq!(read, [first, second].map(|(line, numbers)| NumberRow { line, numbers }));
         assert!(rows(b"frame,x_mm,y_mm\n", COLUMNS).unwrap().is_empty());
     }
 
@@ -81,6 +110,8 @@ mod tests {
             ("frame,x_mm,y_mm\n7,1,2\n7,n/a,2\n", "line 3: x_mm: \"n/a\" is no number"),
             ("frame,x_mm,y_mm\n7,,2\n", "line 2: x_mm: \"\" is no number"),
             ("frame,x_mm,y_mm\n7,1,1e200\n", "line 2: y_mm: 1e200 must lie in -10000 to 10000"),
+            ("\nframe,x_mm,y_mm\n\n7,1,2\n\n7,n/a,2\n", "line 6: x_mm: \"n/a\" is no number"),
+            ("frame,x_mm,note,y_mm\n7,1,\"a\nb\",2\n7,n/a,,2\n", "line 4: x_mm: \"n/a\" is no number"),
             ("frame,x_mm,y_mm\n7,1,nan\n", "line 2: y_mm: NaN must lie in -10000 to 10000"),
         ] {
             assert_eq!(rows(text.as_bytes(), COLUMNS).unwrap_err().to_string(), says);

@@ -14,7 +14,8 @@ const MAX_DECODED_BYTES: usize = 256 << 20;
 
 /// Reads any PNG as 8-bit RGB: grey is spread, alpha dropped, 16 bits rounded to 8.
 ///
-/// Errors name the file: unreadable, not a PNG, damaged, or larger than 32768 pixels a side.
+/// Errors name the file: unreadable, not a PNG, damaged, larger than 32768 pixels a side, or beyond
+/// 256 MiB of pixels.
 pub fn read_rgb(path: &Path) -> Result<Image<u8>> {
     decode(&files::read_bytes(path)?).map_err(|e| e.at(path))
 }

@@ -9,7 +9,7 @@ const LONG: u16 = 4;
 /// Bytes of the header, before the directory.
 const HEADER_BYTES: u32 = 8;
 
-/// Encodes one channel of codes. Errors: other than one channel, an image of no pixels or beyond 4 GiB.
+/// Encodes one channel of codes. Errors: other than one channel, an image of no pixels or beyond 2 GiB.
 pub fn encode(image: &Image<u16>) -> Result<Vec<u8>> {
     let bytes = u32::try_from(image.data.len() as u64 * 2).ok().filter(|&bytes| bytes > 0 && bytes < u32::MAX / 2);
     let (Some(bytes), 1) = (bytes, image.channels) else {

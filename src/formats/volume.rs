@@ -15,9 +15,14 @@ fn ending(path: &Path) -> String {
     path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default()
 }
 
+fn is_nifti(path: &Path) -> bool {
+    let name = ending(path);
+    name.ends_with(".nii") || name.ends_with(".nii.gz")
+}
+
 fn open(path: &Path) -> Result<VolumeSource> {
     let name = ending(path);
-    if name.ends_with(".nii") || name.ends_with(".nii.gz") {
+    if is_nifti(path) {
         nifti::open(path)
     } else if name.ends_with(".mha") || name.ends_with(".mhd") {
         metaimage::open(path)
@@ -44,8 +49,7 @@ fn unreadable(path: &Path, name: &str) -> &'static str {
 
 /// A sentence where the file at `path`, which has been read, says in two ways where it lies, and they differ.
 pub fn frame_note(path: &Path) -> Option<String> {
-    let name = ending(path);
-    (name.ends_with(".nii") || name.ends_with(".nii.gz")).then(|| nifti::frame_note(path)).flatten()
+    is_nifti(path).then(|| nifti::frame_note(path)).flatten()
 }
 
 /// Reads a CT scan: Hounsfield units, rounded. Errors name the file, and a voxel that is no number or beyond what a
@@ -69,7 +73,7 @@ pub fn read_labels(path: &Path) -> Result<Volume<u16>> {
 /// Reads a displacement field: vectors in LPS and mm. Errors name the file.
 pub fn read_field(path: &Path) -> Result<Volume<[f32; 3]>> {
     let mut field = open(path)?.read_vectors().map_err(|e| e.at(path))?;
-    if ending(path).contains(".nii") && nifti::vectors_are_ras(path)? {
+    if is_nifti(path) && nifti::vectors_are_ras(path)? {
         let turn = DVec3::new(-1.0, -1.0, 1.0).as_vec3().to_array();
         field.data.iter_mut().for_each(|v| *v = [v[0] * turn[0], v[1] * turn[1], v[2]]);
     }

@@ -39,6 +39,15 @@ fn value(scores: &VariantScores, metric: &Metric) -> Option<f64> {
     mean(&scores.cells.iter().filter_map(|c| c.value(metric.id)).collect::<Vec<_>>())
 }
 
+/// Mean difference from the method as shipped, over the cases and seeds in which both have the metric.
+fn difference(scores: &VariantScores, shipped: &VariantScores, metric: &Metric) -> Option<f64> {
+    let of_cell = |cell: &CellScore| {
+        let same = shipped.cells.iter().find(|s| (&s.case_id, s.seed) == (&cell.case_id, cell.seed))?;
+        cell.value(metric.id).zip(same.value(metric.id)).map(|(own, before)| own - before)
+    };
+    mean(&scores.cells.iter().filter_map(of_cell).collect::<Vec<_>>())
+}
+
 /// Standard deviation between seeds of the mean over cases.
 fn noise(scores: &VariantScores, metric: &Metric) -> Option<f64> {
     let mut seeds: Vec<u64> = scores.cells.iter().map(|c| c.seed).collect();
@@ -56,9 +65,10 @@ fn shipped<'a>(all: &'a [VariantScores], of: &VariantScores) -> Option<&'a Varia
     all.iter().find(|s| s.group.is_empty() && s.method == of.method)
 }
 
-/// Whether no other value of the axis is better. A value that lost a cell is no candidate.
+/// Whether no other value of the axis is better. A value that lost a cell, or the metric in one, is no candidate.
 fn is_best(all: &[VariantScores], of: &VariantScores, metric: &Metric) -> bool {
-    let whole = |s: &VariantScores| if s.failed == 0 { value(s, metric) } else { None };
+    let is_whole = |s: &VariantScores| s.failed == 0 && s.cells.iter().all(|cell| cell.value(metric.id).is_some());
+    let whole = |s: &VariantScores| if is_whole(s) { value(s, metric) } else { None };
     let Some(own) = whole(of).filter(|_| of.of_axis) else { return false };
     let others = all.iter().filter(|s| s.of_axis && s.group == of.group && s.method == of.method);
     others.filter_map(whole).all(|other| !metric.direction.better(other, own))
@@ -73,7 +83,7 @@ pub fn write(all: &[VariantScores], metrics: &[String], title: &str, folder: &Pa
         let reference = shipped(all, scores);
         for metric in &metrics {
             let (mean, of_shipped) = (value(scores, metric), reference.and_then(|r| value(r, metric)));
-            let difference = mean.zip(of_shipped).map(|(m, s)| m - s);
+            let difference = reference.and_then(|r| difference(scores, r, metric));
             let noise = reference.and_then(|r| noise(r, metric));
             let words = [scores.group.as_str(), &scores.setting, &scores.method, metric.id].map(str::to_owned);
             let counts = [scores.cells.len(), scores.failed].map(|n| n.to_string());
@@ -188,7 +198,8 @@ mod tests {
         assert!(text.contains("ours: *as shipped* | 0.030 ± 0.014") && text.contains("ours: 0 | 0.050"), "{text}");
         let row = csv.lines().find(|l| l.starts_with("w_t,0,ours,phase_mae")).unwrap();
         let fields: Vec<f64> = row.split(',').skip(6).take(4).map(|v| v.parse().unwrap()).collect();
-        let expected = [0.05, 0.03, 0.02, 0.02 / 2f64.sqrt()];
+        // The difference is that of the seed which both have.
+        let expected = [0.05, 0.03, 0.03, 0.02 / 2f64.sqrt()];
         assert!(fields.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{row}");
     }
 

@@ -1,5 +1,6 @@
 //! The gate's verdicts as files: JUnit XML for CI, Markdown for people.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -16,15 +17,13 @@ const MARKDOWN_BUDGET: usize = 900_000;
 pub fn write_junit(checks: &[Check], path: &Path) -> Result<()> {
     let mut report = Report::new("respire-bench gate");
     let mut suite = TestSuite::new("gate");
-    let mut places: Vec<(&str, &str)> = checks.iter().map(|c| (c.case.as_str(), c.method.as_str())).collect();
-    places.sort_unstable();
-    places.dedup();
-    for (case, method) in places {
-        let of_place = || checks.iter().filter(|c| c.case == case && c.method == method);
-        let failed: Vec<String> = of_place()
-            .filter(|c| c.verdict == Verdict::Fail)
-            .map(|c| format!("{}: {}", c.metric, c.sentence))
-            .collect();
+    let mut places: BTreeMap<(&str, &str), Vec<&Check>> = BTreeMap::new();
+    for check in checks {
+        places.entry((&check.case, &check.method)).or_default().push(check);
+    }
+    for ((case, method), of_place) in places {
+        let failed = of_place.iter().filter(|c| c.verdict == Verdict::Fail);
+        let failed: Vec<String> = failed.map(|c| format!("{}: {}", c.metric, c.sentence)).collect();
         let status = match failed.as_slice() {
             [] => TestCaseStatus::success(),
             sentences => {
@@ -36,8 +35,8 @@ pub fn write_junit(checks: &[Check], path: &Path) -> Result<()> {
         };
         let mut test = TestCase::new(if method.is_empty() { "run".to_owned() } else { method.to_owned() }, status);
         test.set_classname(if case.is_empty() { "run" } else { case });
-        let lines: Vec<String> =
-            of_place().map(|c| format!("{} {}: {}", c.verdict.word(), c.metric, c.sentence)).collect();
+        let line = |c: &&Check| format!("{} {}: {}", c.verdict.word(), c.metric, c.sentence);
+        let lines: Vec<String> = of_place.iter().map(line).collect();
         test.set_system_out(lines.join("\n"));
         suite.add_test_case(test);
     }

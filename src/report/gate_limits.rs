@@ -11,7 +11,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::gate::Relative;
-use super::read::{Key, Results};
+use super::read::Results;
 use crate::base::{Error, Result, files};
 use crate::score::statistics::{deviation, mean};
 use crate::score::{Metric, metric, registry};
@@ -120,12 +120,11 @@ fn draws(runs: &[Results], method: &str) -> bool {
 /// The root of the mean over cases of the variance between seeds.
 fn deviation_of_seeds(runs: &[Results], method: &str, metric: &Metric) -> Option<f64> {
     let of_run = |run: &Results| -> Vec<f64> {
-        let of_case = |case: &&str| {
-            let is_wanted = |key: &Key| key.case == **case && key.method == method && key.metric == metric.id;
-            let entries = run.entries.iter().filter(|(key, _)| is_wanted(key));
-            deviation(&entries.filter_map(|(_, entry)| entry.value.filter(|v| v.is_finite())).collect::<Vec<_>>())
-        };
-        run.cases().iter().filter_map(of_case).collect()
+        let mut by_case: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+        for (key, entry) in run.entries.iter().filter(|(key, _)| key.method == method && key.metric == metric.id) {
+            by_case.entry(&key.case).or_default().extend(entry.value.filter(|v| v.is_finite()));
+        }
+        by_case.values().filter_map(|values| deviation(values)).collect()
     };
     let squares: Vec<f64> = runs.iter().flat_map(of_run).map(|d| d * d).collect();
     mean(&squares).map(f64::sqrt)
@@ -134,10 +133,9 @@ fn deviation_of_seeds(runs: &[Results], method: &str, metric: &Metric) -> Option
 /// Values of a case in one run minus those in an earlier one that filmed it differently.
 fn single_case_differences(runs: &[Results], method: &str, metric: &Metric) -> Vec<f64> {
     let mut found = Vec::new();
-    let film = |run: &Results, case: &str| run.facts.get(case).and_then(|facts| facts.film().map(str::to_owned));
     for (at, run) in runs.iter().enumerate() {
         for (key, entry) in run.entries.iter().filter(|(k, _)| k.method == method && k.metric == metric.id) {
-            let others = runs[..at].iter().filter(|other| film(other, &key.case) != film(run, &key.case));
+            let others = runs[..at].iter().filter(|other| run.has_other_film(other, &key.case));
             let values = others.filter_map(|other| other.entries.get(key)?.value.zip(entry.value));
             found.extend(values.map(|(before, now)| now - before).filter(|difference| difference.is_finite()));
         }

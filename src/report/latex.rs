@@ -106,6 +106,8 @@ fn escape(text: &str) -> String {
                 out.push(c);
             }
             '\\' => out.push_str("\\textbackslash{}"),
+            '^' => out.push_str("\\textasciicircum{}"),
+            '~' => out.push_str("\\textasciitilde{}"),
             '–' => out.push_str("--"),
             '<' => out.push_str("{$<$}"),
             'δ' => out.push_str("$\\delta$"),

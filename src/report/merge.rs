@@ -69,10 +69,7 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
         notes.extend(run.notes);
         let mut replaced: BTreeMap<String, Vec<String>> = BTreeMap::new();
         // A cell that is renewed takes its pictures along, even where the new run kept none.
-        scenes.rows.retain(|row| {
-            let is_of = |c: &CellRecord| (&c.case_id, &c.method, c.seed) == (&row.film.case_id, &row.method, row.seed);
-            !run.cells.iter().any(is_of)
-        });
+        scenes.drop_rows_of(&run.cells.iter().map(CellRecord::row_key).collect());
         scenes.add(run.scenes);
         if !profiles.contains(&run.profile) {
             profiles.push(run.profile);
@@ -100,10 +97,8 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
     }
     let id = format!("merged-{}", &hash::of_value(&ids)?[..8]);
     // A film that a part kept is shown with the rows that were scored on it, and with no others.
-    scenes.rows.retain(|row| {
-        let is_of = |score: &CellScore| FilmKey::of(score) == row.film && score.seed == row.seed;
-        cells.iter().any(|cell| cell.method == row.method && cell.score().is_some_and(is_of))
-    });
+    let film = |cell: &'_ CellRecord| cell.score().map(FilmKey::of);
+    scenes.keep_scored(&cells.iter().filter_map(|cell| Some((cell.row_key(), film(cell)?))).collect());
     let mut run = Run { id, profile: profiles.join(" + "), track, scenes, notes, ..Run::of_cells(cells, &trees) };
     run.notes.extend(notes_on_places(&run));
     for case in &run.cases {

@@ -6,11 +6,14 @@ use std::path::Path;
 use super::run::MethodInfo;
 use super::{RESULTS, seal, track_folders};
 use crate::base::{Error, Result, files};
+use crate::formats::number_table::line_of;
 use crate::score::{Metric, Status, registry};
 use crate::simulate::track::Track;
 
 /// How far beyond its range a sum of many numbers may be.
 const ROUNDING: f64 = 1e-9;
+/// No number of a table is larger: squared or drawn on an axis it would be infinite.
+pub(super) const LARGEST: f64 = 1e30;
 
 /// Names a number of the tables.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -94,6 +97,10 @@ pub fn read(folder: &Path) -> Result<Results> {
             status: row.text("status")?,
             definition: row.text("definition")?,
         };
+        let is_of_truth = [Status::Identical, Status::Copied].iter().any(|status| entry.status == status.word());
+        if is_of_truth && entry.value.is_some() {
+            return Err(row.refuse("value", format!("is there, and what is {} has none", entry.status)));
+        }
         if results.entries.insert(key.clone(), entry).is_some() {
             return Err(Error::input(format!("{} {} {} is there twice", key.case, key.method, key.metric))
                 .element(row.line())
@@ -118,7 +125,7 @@ pub fn read(folder: &Path) -> Result<Results> {
 /// What is wrong with a value that the metric cannot have; none for a sound one.
 pub(super) fn unfit(metric: &Metric, value: f64) -> Option<String> {
     let [low, high] = metric.range;
-    let (low, high) = (low.unwrap_or(f64::NEG_INFINITY), high.unwrap_or(f64::INFINITY));
+    let (low, high) = (low.unwrap_or(-LARGEST), high.unwrap_or(LARGEST));
     let is_sound = value.is_finite() && (low - ROUNDING..=high + ROUNDING).contains(&value);
     (!is_sound).then(|| format!("{value} is no value of {}, which lies between {low} and {high}", metric.id))
 }
@@ -145,11 +152,16 @@ impl Results {
         )))
     }
 
+    /// Whether both tell the film of a case, and it is not the same.
+    pub fn has_other_film(&self, other: &Results, case: &str) -> bool {
+        let film = |facts: &CaseFacts| facts.film().map(str::to_owned);
+        let films = [self, other].map(|results| results.facts.get(case).and_then(film));
+        matches!(films, [Some(own), Some(known)] if own != known)
+    }
+
     /// Cases that both have and that were filmed otherwise there, as far as all rows tell.
     pub fn other_films(&self, other: &Results) -> Vec<&str> {
-        let film = |results: &Results, case: &str| results.facts.get(case).and_then(|f| f.film().map(str::to_owned));
-        let is_other = |case: &&str| film(self, case).zip(film(other, case)).is_some_and(|(own, known)| own != known);
-        self.facts.keys().map(String::as_str).filter(is_other).collect()
+        self.facts.keys().map(String::as_str).filter(|case| self.has_other_film(other, case)).collect()
     }
 
     /// The tree of a case.
@@ -158,7 +170,7 @@ impl Results {
     }
 
     /// The number with which a row counts in a mean: a surface that cannot be measured counts with the worst value that any
-    /// row of this program has in its case, as in the tables (`Run::counted`).
+    /// row of this program has in its case, as in the tables (`CountedRun::counted`).
     fn counted(&self, key: &Key, entry: &ResultEntry) -> Option<f64> {
         if entry.value.is_some() || !Status::of_word(&entry.status).is_some_and(Status::counts_as_worst) {
             return entry.value.filter(|v| v.is_finite());
@@ -208,6 +220,8 @@ pub(super) struct CsvTable {
     path: std::path::PathBuf,
     columns: BTreeMap<String, usize>,
     records: Vec<csv::StringRecord>,
+    /// The line in which each begins.
+    lines: Vec<u64>,
 }
 
 pub(super) struct CsvRow<'a> {
@@ -220,9 +234,15 @@ impl CsvTable {
         let bytes = files::read_bytes(path)?;
         let mut reader = csv::Reader::from_reader(bytes.as_slice());
         let bad = |e: csv::Error| Error::input(e.to_string().replace('\n', " ")).at(path);
-        let columns = reader.headers().map_err(bad)?.iter().enumerate().map(|(i, h)| (h.to_owned(), i)).collect();
-        let records = reader.records().collect::<std::result::Result<_, _>>().map_err(bad)?;
-        Ok(CsvTable { path: path.to_path_buf(), columns, records })
+        let mut columns = BTreeMap::new();
+        for (place, name) in reader.headers().map_err(bad)?.iter().enumerate() {
+            if columns.insert(name.to_owned(), place).is_some() {
+                return Err(Error::input("is there twice").element(format!("column {name}")).at(path));
+            }
+        }
+        let records: Vec<csv::StringRecord> = reader.records().collect::<std::result::Result<_, _>>().map_err(bad)?;
+        let lines = records.iter().map(|record| line_of(&bytes, record.position())).collect();
+        Ok(CsvTable { path: path.to_path_buf(), columns, records, lines })
     }
 
     pub(super) fn rows(&self) -> impl Iterator<Item = CsvRow<'_>> {
@@ -232,7 +252,7 @@ impl CsvTable {
 
 impl CsvRow<'_> {
     fn line(&self) -> String {
-        format!("line {}", self.index + 2)
+        format!("line {}", self.table.lines[self.index])
     }
 
     pub(super) fn text(&self, column: &str) -> Result<String> {

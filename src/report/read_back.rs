@@ -5,13 +5,17 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::gate::redefinition;
-use super::read::{CsvRow, CsvTable, distinct, unfit};
+use super::read::{CsvRow, CsvTable, LARGEST, distinct, unfit};
 use super::run::{CellRecord, Outcome, Run, StageCost};
 use super::scene::Scenes;
 use super::{RESULTS, seal};
-use crate::base::{Error, Result, files, method_name};
+use crate::base::range::{NumberRange, PREDICTED_PHASE, TIME_S};
+use crate::base::{Error, Result, case_id, files, method_name};
 use crate::score::{CellScore, FrameScore, FrameValue, Metric, MetricScore, Status, check_means, metric, registry};
 use crate::simulate::track::Track;
+
+/// Numbers of frames.
+const FRAME: NumberRange = NumberRange::new(0.0, 1e7);
 
 /// Whether rows may lack what they are checked with: the report's manifest, and the frames from which its means follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,7 +77,8 @@ pub fn read_run(folder: &Path, evidence: PartEvidence) -> Result<Run> {
             "is missing, so that the rows of this report cannot be checked; --unchecked merges it and says so";
         return Err(Error::input(sentence).at(folder.join(name)));
     }
-    let scenes = Scenes::read(folder)?;
+    let mut scenes = Scenes::read(folder)?;
+    scenes.keep_rows_of(&cells.iter().map(CellRecord::row_key).collect());
     for cell in &mut cells {
         if let Outcome::Scored(score) = &mut cell.outcome {
             score.overlay = scenes.row(score).and_then(|row| row.contours.clone());
@@ -100,7 +105,9 @@ impl LongTable {
         let (mut cells, mut trees) = (Cells::default(), BTreeMap::new());
         let (mut tracks, mut redefined) = (Vec::new(), Vec::new());
         for row in CsvTable::read(path)?.rows() {
-            trees.insert(plain(row.text("case_id")?), plain(row.text_or_empty("tree")));
+            let case = plain(row.text("case_id")?);
+            case_id::check(&case).map_err(|e| row.refuse("case_id", format!("\"{case}\" {e}")))?;
+            trees.insert(case, plain(row.text_or_empty("tree")));
             let track = Track::of_word(&row.text_or_empty("track")).map_err(|e| row.refuse("track", e.to_string()))?;
             if !tracks.contains(&track) {
                 tracks.push(track);
@@ -108,6 +115,13 @@ impl LongTable {
             let cell = cells.of_row(&row, "config")?;
             cell.run_id = plain(row.text("run_id")?);
             add_value(cell, &row, evidence, &mut redefined)?;
+        }
+        let is_of_unknown_film = |score: &&CellScore| score.film_content.is_empty() && !score.metrics.is_empty();
+        let unknown = cells.list.iter().filter_map(CellRecord::score).find(is_of_unknown_film);
+        if let Some(score) = unknown.filter(|_| evidence == PartEvidence::Needed) {
+            let sentence = "is empty, so that nobody can tell which film was scored; --unchecked merges it and says so";
+            let element = format!("row {} of {}, column film_content", score.method, score.case_id);
+            return Err(Error::input(sentence).element(element).at(path));
         }
         match &tracks[..] {
             &[track] => Ok(LongTable { cells, trees, track, redefined }),
@@ -127,6 +141,9 @@ fn add_value(
 ) -> Result<()> {
     let status = status_of(row)?;
     if status == Status::Failed {
+        if cell.score().is_some_and(|score| !score.metrics.is_empty()) {
+            return Err(row.refuse("status", "the cell has values in rows before and has failed here".into()));
+        }
         cell.outcome = Outcome::Failed(plain(row.text("detail")?));
         return Ok(());
     }
@@ -152,14 +169,15 @@ fn add_value(
         }
         return Ok(());
     }
-    let (low, high) = (row.number("ci_low")?, row.number("ci_high")?);
+    let finite = |column: &str| in_range(row, column, NumberRange::new(-LARGEST, LARGEST));
+    let (low, high, deviation) = (finite("ci_low")?, finite("ci_high")?, finite("sd")?);
     let value = row.number("value")?;
     fits(row, "value", metric, value)?;
     score.metrics.push(MetricScore {
         metric: metric.id.to_owned(),
         value,
         status,
-        deviation: row.number("sd")?,
+        deviation,
         count: row.number("n")?.unwrap_or(0.0) as usize,
         interval: low.zip(high).map(|(low, high)| [low, high]),
         detail: plain(row.text("detail")?),
@@ -267,18 +285,19 @@ fn add_times(score: &mut CellScore, row: &CsvRow<'_>) -> Result<()> {
 
 fn add_frame(cells: &mut Cells, row: &CsvRow<'_>) -> Result<()> {
     let Outcome::Scored(score) = &mut cells.of_row(row, "config")?.outcome else { return Ok(()) };
-    let number = |column: &str| row.number(column).map(|v| v.unwrap_or(f64::NAN));
-    let (frame, time_s, phase) = (number("frame")? as usize, number("time_s")?, number("phase")?);
+    let number = |column: &str, range| in_range(row, column, range).map(|v| v.unwrap_or(f64::NAN));
+    let frame = number("frame", FRAME)? as usize;
+    let (time_s, phase) = (number("time_s", TIME_S)?, number("phase", PREDICTED_PHASE)?);
     if score.frame_scores.last().is_none_or(|last| last.frame != frame) {
         score.frame_scores.push(FrameScore { frame, time_s, phase, phase_predicted: None, values: Vec::new() });
     }
-    let value = row.number("value")?;
     if row.text("metric")? == "phase_predicted" {
+        let value = in_range(row, "value", PREDICTED_PHASE)?;
         if let Some(last) = score.frame_scores.last_mut() {
             last.phase_predicted = value;
         }
     } else {
-        let metric = metric_of(row)?;
+        let (metric, value) = (metric_of(row)?, row.number("value")?);
         fits(row, "value", metric, value)?;
         // A metric of another definition is left out here as in the table.
         let is_kept = score.metric(metric.id).is_some();
@@ -306,6 +325,13 @@ fn add_timing(cells: &mut Cells, row: &CsvRow<'_>) -> Result<()> {
 fn metric_of(row: &CsvRow<'_>) -> Result<&'static Metric> {
     let id = row.text("metric")?;
     metric(&id).ok_or_else(|| row.refuse("metric", format!("\"{id}\" is no metric of this version")))
+}
+
+/// The number in a column, if there is one, of a range.
+fn in_range(row: &CsvRow<'_>, column: &str, range: NumberRange) -> Result<Option<f64>> {
+    let value = row.number(column)?;
+    value.map_or(Ok(()), |value| range.check(value)).map_err(|e| row.refuse(column, e.to_string()))?;
+    Ok(value)
 }
 
 /// Refuses a value that the metric cannot have.

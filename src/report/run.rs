@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::scene::Scenes;
+use super::scene::{RowKey, Scenes};
 use crate::base::own_row;
 pub use crate::base::own_row::Role;
 use crate::score::{CellScore, Truth};
@@ -124,6 +124,11 @@ pub fn evaluated_id(case_id: &str, method: &str) -> String {
     format!("{EVALUATED}{case_id}-{method}")
 }
 
+/// Whether a run of this id is of `evaluate`.
+pub fn is_evaluated_id(run_id: &str) -> bool {
+    run_id.starts_with(EVALUATED)
+}
+
 /// The outcome of one cell.
 #[derive(Clone, Debug)]
 pub enum Outcome {
@@ -170,9 +175,14 @@ pub struct StageCost {
 }
 
 impl CellRecord {
+    /// What tells it apart from the other cells of a run.
+    pub fn row_key(&self) -> RowKey<'_> {
+        (&self.case_id, &self.method, self.seed)
+    }
+
     /// Whether `evaluate` scored it, as it says itself.
     pub fn is_evaluated(&self) -> bool {
-        self.run_id.starts_with(EVALUATED)
+        is_evaluated_id(&self.run_id)
     }
 
     /// Whether it is not one of this program's own rows. An id that is reserved for those is none of `evaluate`, and

@@ -68,7 +68,7 @@ pub fn summarise(run: &Run) -> Vec<MethodSummary> {
         }
     };
     let mut summaries: Vec<MethodSummary> = run.methods.iter().map(of).collect();
-    for (index, metric) in registry().iter().enumerate() {
+    for (index, metric) in registry().iter().enumerate().filter(|(_, metric)| !metric.judges_error_bars()) {
         for (method, place) in places(run, &counted, &summaries, metric).into_iter().enumerate() {
             let summary = &mut summaries[method].metrics[index];
             summary.rank = place.map(|place| place.rank);

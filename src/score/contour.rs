@@ -18,7 +18,6 @@ use crate::base::random::{CounterRng, Stage};
 use crate::base::statistics::quantile;
 use crate::base::{Error, Result, TriangleMesh};
 use crate::ffi::vision::PlaneContour;
-use crate::formats::prediction::CORRESPONDENCE;
 
 /// Distance between samples of a contour, mm.
 const SAMPLE_STEP_MM: f64 = 0.05;
@@ -100,7 +99,7 @@ pub fn target_errors(
 ) -> Result<Option<TargetErrors>> {
     if let Some(places) = stated.filter(|places| places.len() != truth.vertices.len()) {
         let sentence = format!("has {} vertices, the sequence's meshes have {}", places.len(), truth.vertices.len());
-        return Err(Error::input(sentence).element(CORRESPONDENCE));
+        return Err(Error::input(sentence));
     }
     let plane = Plane::of_camera(world_from_camera);
     let (true_cuts, predicted_cuts) = (slice(truth, &plane), slice(predicted, &plane));
@@ -373,7 +372,7 @@ mod tests {
         assert_eq!(found.correspondence, Correspondence::Stated);
         assert!((found.target_mm.unwrap() - 1.0).abs() < 2e-3);
         let refused = target_errors(&mesh, &other, Some(&places[1..]), &camera_at(0.0, 7.3), 3).unwrap_err();
-        assert!(refused.to_string().contains("correspondence.csv"), "{refused}");
+        assert!(refused.to_string().contains("vertices, the sequence's meshes have"), "{refused}");
     }
 
     /// The order of the faces is part of them: permuted, they are other faces.

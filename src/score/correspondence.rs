@@ -10,6 +10,7 @@
 use glam::DVec3;
 
 use crate::base::{Error, Result, TriangleMesh};
+use crate::formats::number_table::line_of;
 use crate::formats::prediction::{AT_VERTEX_COLUMNS, FINAL_MESH, ON_FACE_COLUMNS};
 
 /// How far the sum of the weights may be from 1, and a weight below 0: files round.
@@ -27,8 +28,11 @@ pub fn parse(bytes: &[u8], surface: &TriangleMesh) -> Result<Vec<DVec3>> {
     }
     let mut places = Vec::new();
     for (row, record) in reader.records().enumerate() {
-        let line = format!("line {}", row + 2);
-        let record = record.map_err(|e| Error::input(e.to_string()).element(&line))?;
+        let line = |at: Option<&csv::Position>| format!("line {}", line_of(bytes, at));
+        let record = record.map_err(|e| {
+            let element = line(e.position());
+            Error::input(e.to_string()).element(element)
+        })?;
         let index = |column: usize| record.get(column).and_then(|text| text.parse::<usize>().ok());
         let place = match (index(0) == Some(row), index(1)) {
             (true, Some(face)) if on_faces && face < surface.faces.len() => {
@@ -40,7 +44,7 @@ pub fn parse(bytes: &[u8], surface: &TriangleMesh) -> Result<Vec<DVec3>> {
         };
         let wanted = || {
             let what = if on_faces { "a face and three weights" } else { "a predicted vertex" };
-            Error::input(format!("wanted vertex {row} and {what} of {FINAL_MESH}")).element(line)
+            Error::input(format!("wanted vertex {row} and {what} of {FINAL_MESH}")).element(line(record.position()))
         };
         places.push(place.ok_or_else(wanted)?);
     }

@@ -12,6 +12,7 @@ use super::navigation::{NavigationFrame, navigation_errors};
 use super::prediction::Prediction;
 use super::truth::{Truth, final_mesh};
 use crate::base::{Error, Image, Mask, Result};
+use crate::formats::prediction::CORRESPONDENCE;
 
 /// All that metrics are computed from.
 pub struct Measured<'a> {
@@ -204,7 +205,8 @@ fn target(truth: &dyn Truth, prediction: &Prediction, seed: u64) -> Result<Targe
     {
         stated = Some(correspondence::parse(&table, &surface)?);
     }
-    let errors = target_errors(&final_mesh(truth)?, &surface, stated.as_deref(), &last.world_from_camera, seed)?;
+    let errors = target_errors(&final_mesh(truth)?, &surface, stated.as_deref(), &last.world_from_camera, seed)
+        .map_err(|e| e.at(prediction.root().join(CORRESPONDENCE)))?;
     Ok(errors.map_or(TargetOutcome::NoTrueContour, |e| TargetOutcome::Measured(Box::new(e))))
 }
 

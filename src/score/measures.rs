@@ -214,7 +214,8 @@ fn mean_decibel(measured: &Measured<'_>, readings: &[FrameReading]) -> Finding {
     found
 }
 
-fn are_copies(pictures: &[Psnr]) -> bool {
+/// Whether too many of the pictures are the truth's for any number of them to count.
+pub(super) fn are_copies(pictures: &[Psnr]) -> bool {
     let is_copied = |psnr: &&Psnr| match psnr {
         Psnr::Identical => true,
         Psnr::Decibel(decibel) => *decibel > COPIED_DB,

@@ -297,6 +297,11 @@ impl Metric {
         self.group == Group::Runtime
     }
 
+    /// Whether it judges what a method states of its own errors. Wider bars alone improve it, so it ranks nobody.
+    pub fn judges_error_bars(&self) -> bool {
+        matches!(self.applies_to, Needs::PhaseDeviation | Needs::TargetCovariance)
+    }
+
     /// `value` with the metric's decimals.
     pub fn format(&self, value: f64) -> String {
         format!("{value:.*}", self.digits)

@@ -32,7 +32,7 @@ use crate::base::range::{
     COORDINATE_MM, COVARIANCE_MM2, NumberRange, PREDICTED_PHASE, PREDICTED_PHASE_SD, WORK_TIME_S,
 };
 use crate::base::{Camera, Error, Image, Result, TriangleMesh, files, pose};
-use crate::formats::number_table::{self, COUNT, Column};
+use crate::formats::number_table::{self, COUNT, Column, NumberRow};
 use crate::formats::prediction::{
     ABOUT, AHEAD, COLOR, CORRESPONDENCE, COVARIANCE_COLUMNS, DEPTH, DEPTH_ENDINGS, FINAL_MESH, NOVEL, NOVEL_DEPTH,
     PHASE, PHASE_COLUMNS, PICTURE_ENDING, POSE_COLUMNS, POSES, SINGLE_FILES, TARGET_COLUMNS, TARGET_COVARIANCE,
@@ -132,6 +132,11 @@ struct TimingFile {
 }
 
 impl Prediction {
+    /// The folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
     /// Opens `root` as an answer to `question`: lists its contents and reads the small files.
     ///
     /// Errors, each naming the file: a frame missing from a folder that is there, a bad row, a bad value, a prediction
@@ -140,10 +145,15 @@ impl Prediction {
         if !root.is_dir() {
             return Err(Error::input("is not a folder").at(root));
         }
-        // A pipe would be read for ever.
-        let pipe = SINGLE_FILES.iter().map(|name| root.join(name)).find(|path| path.exists() && !path.is_file());
-        if let Some(path) = pipe {
+        // A pipe would be read for ever, and a link to nothing is no file that was left out.
+        let is_there = |path: &PathBuf| path.symlink_metadata().is_ok();
+        let mut files = SINGLE_FILES.iter().map(|name| root.join(name)).filter(is_there);
+        if let Some(path) = files.find(|path| !path.is_file()) {
             return Err(Error::input("is no file").at(path));
+        }
+        let mut folders = [COLOR, DEPTH, AHEAD, NOVEL, NOVEL_DEPTH].map(|name| root.join(name)).into_iter();
+        if let Some(path) = folders.find(|path| is_there(path) && !path.is_dir()) {
+            return Err(Error::input("is no folder").at(path));
         }
         let (camera, frames) = (&question.camera, question.frames);
         let about: About = read_optional(&root.join(ABOUT))?.unwrap_or_default();
@@ -411,8 +421,13 @@ fn ahead_frames(folder: &Path, frames: usize) -> Result<Vec<usize>> {
     Ok(eighths.collect())
 }
 
+/// The keys of a JSON file, if it is there. (An array of values, of which serde would make a struct too, has none.)
 fn read_optional<T: serde::de::DeserializeOwned>(path: &Path) -> Result<Option<T>> {
-    if path.exists() { files::read_json(path).map(Some) } else { Ok(None) }
+    if !path.exists() {
+        return Ok(None);
+    }
+    let keys: serde_json::Map<String, serde_json::Value> = files::read_json(path)?;
+    serde_json::from_value(keys.into()).map(Some).map_err(|e| Error::input(e.to_string()).at(path))
 }
 
 /// Wall and CPU seconds.
@@ -480,19 +495,19 @@ fn parse_covariance(bytes: &[u8], frames: usize, count: usize) -> Result<Vec<Vec
 /// What `value` makes of each row, by frame and target, which are the first two numbers of the rows: frames in order,
 /// within each frame the targets in order. `what` names the value, where a row has none.
 fn by_target<const N: usize, T>(
-    rows: &[[f64; N]],
+    rows: &[NumberRow<N>],
     frames: usize,
     count: usize,
     what: &str,
     value: impl Fn(&[f64; N]) -> Option<T>,
 ) -> Result<Vec<Vec<T>>> {
     let mut values: Vec<Vec<T>> = (0..frames).map(|_| Vec::with_capacity(count)).collect();
-    for (row, numbers) in rows.iter().enumerate() {
-        let (frame, target) = (row / count.max(1), row % count.max(1));
+    for (at, row) in rows.iter().enumerate() {
+        let (frame, target, numbers) = (at / count.max(1), at % count.max(1), &row.numbers);
         let is_next = numbers[..2] == [frame as f64, target as f64] && frame < frames && count > 0;
         let Some(value) = is_next.then(|| value(numbers)).flatten() else {
             let sentence = format!("wanted frame {frame} of {frames}, target {target} of {count} and {what}");
-            return Err(Error::input(sentence).element(format!("line {}", row + 2)));
+            return Err(row.refuse(Error::input(sentence)));
         };
         values[frame].push(value);
     }
@@ -513,14 +528,14 @@ fn read_poses(path: &Path, frames: usize) -> Result<Option<Vec<DAffine3>>> {
 fn parse_poses(bytes: &[u8], frames: usize) -> Result<Vec<DAffine3>> {
     let columns = columns(POSE_COLUMNS, 1, ENTRY);
     let mut poses = Vec::with_capacity(frames);
-    for (row, numbers) in number_table::rows(bytes, columns)?.iter().enumerate() {
-        let line = format!("line {}", row + 2);
-        if numbers[0] != row as f64 || row >= frames {
-            return Err(Error::input(format!("wanted frame {row} of {frames}")).element(line));
+    for (frame, row) in number_table::rows(bytes, columns)?.iter().enumerate() {
+        let numbers = &row.numbers;
+        if numbers[0] != frame as f64 || frame >= frames {
+            return Err(row.refuse(Error::input(format!("wanted frame {frame} of {frames}"))));
         }
         let column = |k: usize| DVec3::new(numbers[1 + k], numbers[5 + k], numbers[9 + k]);
         let pose = DAffine3::from_mat3_translation(DMat3::from_cols(column(0), column(1), column(2)), column(3));
-        pose::check(&pose, COORDINATE_MM).map_err(|e| Error::input(format!("world_from_camera {e}")).element(line))?;
+        pose::check(&pose, COORDINATE_MM).map_err(|e| row.refuse(Error::input(format!("world_from_camera {e}"))))?;
         poses.push(pose);
     }
     if poses.len() < frames {
@@ -534,18 +549,19 @@ fn parse_phase(bytes: &[u8], frames: usize) -> Result<Phases> {
     let [frame, phase, sd] = PHASE_COLUMNS;
     let [frame, phase, sd] = [(frame, COUNT), (phase, PREDICTED_PHASE), (sd, PREDICTED_PHASE_SD)];
     let has_sd = number_table::has_column(bytes, sd.0)?;
-    let rows: Vec<[f64; 3]> = match has_sd {
+    let without_sd = |NumberRow { line, numbers: [f, p] }| NumberRow { line, numbers: [f, p, 0.0] };
+    let rows: Vec<NumberRow<3>> = match has_sd {
         true => number_table::rows(bytes, [frame, phase, sd])?,
-        false => number_table::rows(bytes, [frame, phase])?.into_iter().map(|[f, p]| [f, p, 0.0]).collect(),
+        false => number_table::rows(bytes, [frame, phase])?.into_iter().map(without_sd).collect(),
     };
     let mut phases: Vec<Option<(f64, f64)>> = vec![None; frames];
-    for (row, &[frame, phase, sd]) in rows.iter().enumerate() {
-        let line = || format!("line {}", row + 2);
+    for row in &rows {
+        let [frame, phase, sd] = row.numbers;
         let Some(place) = phases.get_mut(frame as usize).filter(|_| frame.fract() == 0.0) else {
-            return Err(Error::input(format!("{frame} is no frame below {frames}")).element(line()));
+            return Err(row.refuse(Error::input(format!("{frame} is no frame below {frames}"))));
         };
         if place.replace((phase, sd)).is_some() {
-            return Err(Error::input(format!("frame {frame} is there twice")).element(line()));
+            return Err(row.refuse(Error::input(format!("frame {frame} is there twice"))));
         }
     }
     if let Some(frame) = phases.iter().position(Option::is_none) {

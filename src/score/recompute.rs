@@ -5,7 +5,9 @@
 
 use super::cell::{CellScore, FrameValue, MetricScore};
 use super::finding::Status;
-use super::metric::Trace;
+use super::image_quality::Psnr;
+use super::measures::are_copies;
+use super::metric::{Metric, Needs, Trace};
 use super::registry;
 use super::statistics::{deviation, mean, pearson};
 use crate::base::{Error, Result};
@@ -26,6 +28,9 @@ pub fn check_means(cell: &CellScore) -> Result<()> {
     for metric in &cell.metrics {
         let Some(known) = registry::metric(&metric.metric) else { continue };
         let wrong = match known.trace {
+            _ if metric.value.is_some() && shows_copies(cell, known) => {
+                Some("has a value, and by frames.csv the pictures are the input or the truth: one was changed".into())
+            }
             _ if known.is_frame_wise() => wrong_mean(cell, metric),
             Trace::Phases => wrong_correlation(cell, metric),
             Trace::TotalTime => wrong_time(cell, metric),
@@ -71,6 +76,24 @@ fn wrong_mean(cell: &CellScore, metric: &MetricScore) -> Option<String> {
     }
     let (table, frames) = (metric.deviation.unwrap_or(0.0), deviation(&values).unwrap_or(0.0));
     if is_same(table, frames) { None } else { told("the deviation", table.to_string(), frames.to_string()) }
+}
+
+/// Whether the pictures that `metric` judges are, by the PSNR of their frames, those that they are compared with.
+fn shows_copies(cell: &CellScore, metric: &Metric) -> bool {
+    let by = registry::told_by(metric).unwrap_or(metric);
+    if by.unit != "dB" {
+        return false;
+    }
+    let picture = |frame: &FrameValue| match (frame.status, frame.value) {
+        (Status::Identical, _) => Some(Psnr::Identical),
+        (_, value) => value.map(Psnr::Decibel),
+    };
+    let frames = cell.frame_scores.iter().flat_map(|f| &f.values).filter(|v| v.metric == by.id);
+    let pictures: Vec<Psnr> = frames.filter_map(picture).collect();
+    // A second camera's pictures that all equal the truth are marked by their PSNR, and have an SSIM.
+    let is_marked =
+        by.applies_to == Needs::Novel && by.id != metric.id && pictures.iter().all(|p| *p == Psnr::Identical);
+    are_copies(&pictures) && !is_marked
 }
 
 fn wrong_correlation(cell: &CellScore, metric: &MetricScore) -> Option<String> {
@@ -141,7 +164,12 @@ mod tests {
             assert!(said.contains(&format!("case1 prediction {id}")) && said.contains("csv"), "{said}");
         }
         // A PSNR with a frame that equals the truth leaves room for what that counts as.
+        // (One in a hundred: more would be copies.)
         let mut equal = honest.clone();
+        equal.metrics.retain(|m| m.metric == "psnr_db");
+        equal.frame_scores = (0..7).flat_map(|_| honest.frame_scores.clone()).collect();
+        equal.frames = equal.frame_scores.len();
+        equal.metrics[0].count = equal.frames;
         let first = equal.frame_scores[0].values.iter_mut().find(|v| v.metric == "psnr_db").unwrap();
         let was = first.value.take().unwrap();
         first.status = Status::Identical;
@@ -151,6 +179,9 @@ mod tests {
         let mean = equal.metrics.iter_mut().find(|m| m.metric == "psnr_db").unwrap();
         mean.value = mean.value.map(|value| value * 6.0);
         assert!(check_means(&equal).is_err());
+        // Two of 119 are copies, which have no value.
+        equal.frame_scores[1].values.iter_mut().filter(|v| v.metric == "psnr_db").for_each(|v| v.value = Some(80.0));
+        assert!(check_means(&equal).unwrap_err().to_string().contains("the pictures are the input or the truth"));
         let mut fewer = honest.clone();
         fewer.frame_scores.pop();
         assert!(check_means(&fewer).unwrap_err().to_string().contains("frames: are 17"));

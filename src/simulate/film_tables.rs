@@ -7,7 +7,7 @@ use glam::{DAffine3, DVec3};
 
 use crate::base::range::{COORDINATE_MM, SHARE, TIME_S};
 use crate::base::{Error, Result, files, pose};
-use crate::formats::number_table::{self, COUNT};
+use crate::formats::number_table::{self, COUNT, NumberRow};
 use crate::formats::transforms::{Transforms, TransformsFrame};
 
 /// First line of the places of the targets at every frame.
@@ -51,12 +51,10 @@ pub fn targets_by_frame(bytes: &[u8], frames: usize, targets: usize) -> Result<V
         return Err(Error::input(format!("has {} rows: {frames} frames of {targets} targets are wanted", rows.len())));
     }
     let mut places: Vec<Vec<DVec3>> = (0..frames).map(|_| Vec::with_capacity(targets)).collect();
-    for (row, &[f, t, x, y, z]) in rows.iter().enumerate() {
-        let (frame, target) = (row / targets, row % targets);
+    for (at, row) in rows.iter().enumerate() {
+        let (frame, target, [f, t, x, y, z]) = (at / targets, at % targets, row.numbers);
         if [f, t] != [frame as f64, target as f64] {
-            return Err(
-                Error::input(format!("wanted {frame}, {target} and a place")).element(format!("line {}", row + 2))
-            );
+            return Err(row.refuse(Error::input(format!("wanted {frame}, {target} and a place"))));
         }
         places[frame].push(DVec3::new(x, y, z));
     }
@@ -72,7 +70,11 @@ pub fn disturbed(bytes: &[u8], frames: usize) -> Result<Vec<bool>> {
     if rows.len() != frames {
         return Err(Error::input(format!("has {} rows: {frames} frames are wanted", rows.len())));
     }
-    Ok(rows.iter().map(|&[_, cough, contact]| cough.max(contact) >= DISTURBED).collect())
+    let is_disturbed = |row: &NumberRow<3>| {
+        let [_, cough, contact] = row.numbers;
+        cough.max(contact) >= DISTURBED
+    };
+    Ok(rows.iter().map(is_disturbed).collect())
 }
 
 /// Points as a table below `header`, such as [`POINTS_HEADER`].
@@ -85,9 +87,9 @@ pub fn points_csv(header: &str, points: impl Iterator<Item = DVec3>) -> String {
 pub fn read_points(path: &Path, index: &str) -> Result<Vec<DVec3>> {
     let [x, y, z] = place_columns();
     let rows = number_table::rows(&files::read_bytes(path)?, [(index, COUNT), x, y, z]).map_err(|e| e.at(path))?;
-    let point = |(row, &[k, x, y, z]): (usize, &[f64; 4])| match k == row as f64 {
-        true => Ok(DVec3::new(x, y, z)),
-        false => Err(Error::input(format!("wanted {index} {row}")).element(format!("line {}", row + 2)).at(path)),
+    let point = |(at, row): (usize, &NumberRow<4>)| match row.numbers {
+        [k, x, y, z] if k == at as f64 => Ok(DVec3::new(x, y, z)),
+        _ => Err(row.refuse(Error::input(format!("wanted {index} {at}"))).at(path)),
     };
     rows.iter().enumerate().map(point).collect()
 }

@@ -16,7 +16,7 @@ use crate::airway::case_centerline;
 use crate::airway::centerline::Centerline;
 use crate::airway::target::Target;
 use crate::base::range::{BREATHING_PERIOD_S, NumberRange, SHARE};
-use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, files, hash};
+use crate::base::{Camera, Error, Image, Mask, Result, TriangleMesh, case_id, files, hash};
 use crate::formats::transforms::{Transforms, TransformsFrame, TransformsLens};
 use crate::formats::{exr, mesh, png};
 
@@ -293,6 +293,7 @@ impl Sequence {
             return Err(Error::input(why).at(root));
         }
         let head: ManifestHead = files::read_json(&manifest)?;
+        case_id::check(&head.case_id).map_err(|e| e.element("case_id").at(&manifest))?;
         BREATHING_PERIOD_S.check(head.breathing_period_s).map_err(|e| e.element("breathing_period_s").at(&manifest))?;
         let path = head.checked(root, TRANSFORMS)?;
         let transforms = Transforms::read(&path)?;

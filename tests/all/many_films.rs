@@ -115,6 +115,9 @@ fn many_films_give_a_row_each_and_one_that_fails_is_named() {
     assert_eq!(cases("partly"), ["case1", "case2", "case5"]);
     let sound = |folder: &str| numbers(folder).into_iter().filter(|(_, v)| !v.is_empty()).collect::<Vec<_>>();
     assert_eq!((sound("partly").len(), sound("report").len()), (2, 3));
+    // Twice the film that fails would be twice its case.
+    let twice = evaluate(&["films/case2", "films/case1", "films/case2"], &["mine"], &[]);
+    refused(twice, 4, &["is of case2", "one film of a case"]);
     // A film that is none at all, and a missing folder.
     fs::remove_dir_all(place.path("mine/case2")).unwrap();
     let (code, _, err) = evaluate(&["films/case1", "nowhere"], &["mine"], &[]);
@@ -126,6 +129,12 @@ fn many_films_give_a_row_each_and_one_that_fails_is_named() {
         &["3 folders for 2"],
     );
     refused(evaluate(&["films/case1", "films/case1"], &["mine"], &[]), 4, &["is of case1", "one film of a case"]);
+    // A table holds one track.
+    let clinical = Case::load(&case_path(2)).unwrap().on_clinical_track();
+    let film = simulate(&clinical, &small(), &place.path("clinical"), &NoProgress).unwrap();
+    answer(&film, &place.path("mine/clinical"));
+    let both = evaluate(&["films/case1", "clinical"], &["mine/case1", "mine/clinical"], &[]);
+    refused(both, 4, &["clinical: is of the track `clinical`", "of `ideal`"]);
 }
 
 #[test]

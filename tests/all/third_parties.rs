@@ -1,6 +1,7 @@
 //! What a third party hands in, by mistake or on purpose: exchanged films, names of own rows, links to the truth, edited
 //! tables. Each is refused in one sentence that names the file, and none reaches a table.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -290,6 +291,101 @@ fn links_to_the_truth_foreign_cases_and_no_time_are_refused() {
         fs::write(place.path("mine/timing.json"), format!("{{\"time_total_s\": {seconds}}}")).unwrap();
         refused(check(&place), 4, &["timing.json: time_total_s: "]);
     }
+}
+
+/// Changes cells of a table: what `change` makes of a column's value in a row.
+fn edit_cells(path: &Path, change: impl Fn(&str, &BTreeMap<&str, &str>) -> Option<&'static str>) {
+    let text = fs::read_to_string(path).unwrap();
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let names: Vec<String> = reader.headers().unwrap().iter().map(str::to_owned).collect();
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(&names).unwrap();
+    for record in reader.records().map(Result::unwrap) {
+        let row: BTreeMap<&str, &str> = names.iter().map(String::as_str).zip(record.iter()).collect();
+        writer.write_record(names.iter().map(|name| change(name, &row).unwrap_or(row[name.as_str()]))).unwrap();
+    }
+    let changed = String::from_utf8(writer.into_inner().unwrap()).unwrap();
+    edit(path, |_| changed.clone());
+}
+
+#[test]
+fn forged_reports_are_refused_by_file_and_element() {
+    let place = Place::new();
+    let film = place.film();
+    accepted(place.evaluate(&film, "mine", "scores", &[]));
+    // The film's own pictures: copies, whatever a table says.
+    copy(&place.path("mine"), &place.path("copies"));
+    for frame in 0..3 {
+        let name = format!("{frame:06}.png");
+        fs::copy(film.join("images").join(&name), place.path("copies/color").join(&name)).unwrap();
+    }
+    accepted(place.evaluate(&film, "copies", "copied", &[]));
+    let refused_after = |report: &str, forge: &dyn Fn(&Path), words: &[&str]| {
+        let forged = place.path("forged");
+        let _ = fs::remove_dir_all(&forged);
+        copy(&place.path(report), &forged);
+        forge(&forged);
+        seal(&forged);
+        refused(place.merge(&["reports/latest", "forged"], &[]), 4, words);
+    };
+    // An id that would name files outside of the report.
+    let elsewhere = |folder: &Path| {
+        for table in ["results.csv", "comparison.csv", "frames.csv"] {
+            edit_cells(&folder.join(table), |column, _| (column == "case_id").then_some("../../elsewhere"));
+        }
+    };
+    refused_after("scores", &elsewhere, &["forged/results.csv", "line 2, column case_id", "letters, digits"]);
+    // A film that nobody can tell.
+    let unknown = |folder: &Path| {
+        edit_cells(&folder.join("results.csv"), |column, _| (column == "film_content").then_some(""));
+    };
+    refused_after("scores", &unknown, &["forged/results.csv", "column film_content", "--unchecked"]);
+    // A copy as an estimate.
+    let honest = |folder: &Path| {
+        edit_cells(&folder.join("results.csv"), |column, row| match (row["metric"], column) {
+            ("psnr_db", "status") => Some("ok"),
+            ("psnr_db", "value") => Some("60"),
+            _ => None,
+        });
+    };
+    refused_after("copied", &honest, &["forged/results.csv", "psnr_db", "the pictures are the input or the truth"]);
+    // Numbers that no axis ends at.
+    for (name, metric) in [("time_s", "psnr_db"), ("phase", "psnr_db"), ("value", "phase_predicted")] {
+        let endless = |folder: &Path| {
+            edit_cells(&folder.join("frames.csv"), |column, row| {
+                (column == name && row["metric"] == metric).then_some("inf")
+            });
+        };
+        refused_after("scores", &endless, &["forged/frames.csv", &format!("column {name}"), "must lie in"]);
+    }
+    let long = |folder: &Path| {
+        edit_cells(&folder.join("comparison.csv"), |column, _| (column == "time_total_s").then_some("1e308"));
+    };
+    refused_after("scores", &long, &["forged/comparison.csv", "time_total_s"]);
+    // Contours of nothing, and two columns of one name.
+    let bare = |folder: &Path| {
+        let path = folder.join("scenes.json");
+        let mut scenes: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+        scenes["rows"][0]["contours"]["truth"] = serde_json::json!([]);
+        fs::write(&path, scenes.to_string()).unwrap();
+    };
+    refused_after("scores", &bare, &["forged/scenes.json", "row mine of case1", "contours need a true one"]);
+    let twice = |folder: &Path| edit(&folder.join("results.csv"), |text| text.replacen(",ci_low,", ",value,", 1));
+    refused_after("scores", &twice, &["forged/results.csv", "column value", "is there twice"]);
+    accepted(place.merge(&["reports/latest", "scores"], &[]));
+
+    // A film of such a case is none, and a prediction's table of times has keys.
+    copy(&film, &place.path("film"));
+    edit(&place.path("film/manifest.json"), |text| text.replace("\"case1\"", "\"../../elsewhere\""));
+    let words = ["film/manifest.json: case_id: must be letters, digits"];
+    refused(run(&["check", &place.text("film")]), 4, &words);
+    refused(place.evaluate(&place.path("film"), "mine", "scores", &[]), 4, &words);
+    fs::write(place.path("mine/timing.json"), "[1, 2]").unwrap();
+    refused(place.evaluate(&film, "mine", "scores", &[]), 4, &["mine/timing.json"]);
+    fs::remove_file(place.path("mine/timing.json")).unwrap();
+    fs::remove_file(place.path("mine/phase.csv")).unwrap();
+    std::os::unix::fs::symlink("nowhere", place.path("mine/phase.csv")).unwrap();
+    refused(place.evaluate(&film, "mine", "scores", &[]), 4, &["mine/phase.csv: is no file"]);
 }
 
 #[test]

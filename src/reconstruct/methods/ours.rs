@@ -1,6 +1,6 @@
 //! `ours`: discs anchored to the CT mesh, carried by one phase per frame (the paper's Sections 3.1 to 3.4). The
-//! same program runs the sanity rows `static-ct` (inspiration mesh, phase 0 throughout) and `oracle-phase`
-//! (true phase). Discs on faces that a wall hides are left out of a frame.
+//! same program runs `ours-window` and the bounds `static-ct` (inspiration mesh, phase 0 throughout),
+//! `static-expiration` (phase 1) and `oracle-phase` (true phase), by their settings.
 
 use crate::base::{Image, Progress, Result, mesh};
 use crate::reconstruct::contract::{Access, FramePrediction, Observation, PoseAccuracy, Reconstruct, Reconstruction};

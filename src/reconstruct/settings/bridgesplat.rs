@@ -29,7 +29,7 @@ pub struct BridgeCommon {
     pub unit_mm: Sourced<f64>,
     /// Weight of the masked L1.
     pub color_weight: Sourced<f64>,
-    /// Weight of the displacement of invisible control points.
+    /// Weight of the displacement of what is out of view: vertices, or anchors without a mesh.
     pub visibility_weight: Sourced<f64>,
     /// Weight of rigidity.
     pub rigid_weight: Sourced<f64>,

@@ -28,8 +28,6 @@ pub struct ReportImage {
     pub caption: String,
     /// Path of the PNG, relative to the report's folder.
     pub png: String,
-    /// The PNG itself, where there is no SVG.
-    pub png_bytes: Vec<u8>,
     /// The SVG itself, where there is one.
     pub svg: Option<String>,
 }
@@ -129,7 +127,7 @@ fn plot(
     let png = format!("plots/{stem}.png");
     files::write_bytes(&folder.join(format!("plots/{stem}.svg")), svg.as_bytes())?;
     png::write_rgb(&folder.join(&png), &canvas::bitmap(&figure)?)?;
-    Ok(Some(ReportImage { title: title.into(), caption: caption.into(), png, png_bytes: Vec::new(), svg: Some(svg) }))
+    Ok(Some(ReportImage { title: title.into(), caption: caption.into(), png, svg: Some(svg) }))
 }
 
 fn panel(
@@ -143,6 +141,5 @@ fn panel(
     let png = format!("panels/{stem}.png");
     let path = folder.join(&png);
     png::write_rgb(&path, &image)?;
-    let png_bytes = files::read_bytes(&path)?;
-    Ok(Some(ReportImage { title: title.into(), caption: caption.into(), png, png_bytes, svg: None }))
+    Ok(Some(ReportImage { title: title.into(), caption: caption.into(), png, svg: None }))
 }

@@ -8,6 +8,7 @@ mod airway;
 mod packed;
 mod simplify;
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -15,6 +16,7 @@ use serde::{Deserialize, Serialize};
 pub use airway::{AirwayScene, ReducedAirway, SurfaceScene};
 pub use packed::{Packed, PackedNumber};
 
+use crate::base::range::COORDINATE_MM;
 use crate::base::{Error, Result, files};
 use crate::score::CellScore;
 use crate::score::contour::ContourOverlay;
@@ -151,7 +153,14 @@ impl Pictures {
     }
 }
 
+/// Case, method and seed: what tells the rows of a report apart.
+pub type RowKey<'a> = (&'a str, &'a str, u64);
+
 impl RowScene {
+    fn key(&self) -> RowKey<'_> {
+        (&self.film.case_id, &self.method, self.seed)
+    }
+
     /// With at most `most` frames.
     fn thinned(&self, most: usize) -> RowScene {
         let frames = self.pictures.frames.len();
@@ -198,14 +207,29 @@ impl Scenes {
         self.rows.iter().find(|row| row.film == key && row.method == score.method && row.seed == score.seed)
     }
 
+    /// Drops the rows that are not among `known`, and the films of other cases.
+    pub fn keep_rows_of(&mut self, known: &BTreeSet<RowKey<'_>>) {
+        let cases: BTreeSet<&str> = known.iter().map(|(case, ..)| *case).collect();
+        self.rows.retain(|row| known.contains(&row.key()));
+        self.films.retain(|film| cases.contains(film.film.case_id.as_str()));
+    }
+
+    /// Drops the rows that are among `renewed`.
+    pub fn drop_rows_of(&mut self, renewed: &BTreeSet<RowKey<'_>>) {
+        self.rows.retain(|row| !renewed.contains(&row.key()));
+    }
+
+    /// Drops the rows that show another film than the one on which they were scored.
+    pub fn keep_scored(&mut self, films: &BTreeMap<RowKey<'_>, FilmKey>) {
+        self.rows.retain(|row| films.get(&row.key()) == Some(&row.film));
+    }
+
     /// Takes films and rows of `other` in, in place of another film of the case, and of rows of the same case, method
     /// and seed.
     pub fn add(&mut self, other: Scenes) {
-        let key = |row: &RowScene| (row.film.case_id.clone(), row.method.clone(), row.seed);
-        for row in other.rows {
-            self.rows.retain(|before| key(before) != key(&row));
-            self.rows.push(row);
-        }
+        let renewed: BTreeSet<RowKey<'_>> = other.rows.iter().map(RowScene::key).collect();
+        self.rows.retain(|before| !renewed.contains(&before.key()));
+        self.rows.extend(other.rows);
         for film in other.films {
             match self.films.iter_mut().find(|before| before.film.case_id == film.film.case_id) {
                 Some(before) if before.film == film.film => {}
@@ -274,9 +298,20 @@ impl Scenes {
             if !row.targets_mm.0.len().is_multiple_of(3 * row.pictures.frames.len().max(1)) {
                 return Err(named(Error::input("targets need three numbers for each frame of the pictures")));
             }
+            row.contours.as_ref().map_or(Ok(()), check_contours).map_err(named)?;
         }
         Ok(())
     }
+}
+
+/// A true contour, and places that a plot can hold.
+fn check_contours(contours: &ContourOverlay) -> Result<()> {
+    let targets = [contours.target_truth, contours.target_predicted];
+    let places = contours.truth.iter().chain(&contours.predicted).chain(&targets);
+    if contours.truth.is_empty() || !places.flatten().all(|&mm| COORDINATE_MM.contains(mm)) {
+        return Err(Error::input(format!("contours need a true one, and coordinates in mm of {COORDINATE_MM}")));
+    }
+    Ok(())
 }
 
 impl FilmScene {
@@ -287,7 +322,8 @@ impl FilmScene {
         if frames == 0 || self.phases.0.len() != frames || self.poses.0.len() != 12 * frames || !is_inside {
             return Err(Error::input("every frame needs a time, a phase and a pose"));
         }
-        if !self.targets_mm.0.len().is_multiple_of(6) || self.tan_half_height <= 0.0 {
+        let has_angle = self.tan_half_height > 0.0 && self.tan_half_height.is_finite();
+        if !self.targets_mm.0.len().is_multiple_of(6) || !has_angle {
             return Err(Error::input("targets need two places each, and a camera an angle of view"));
         }
         let wanted = self.targets_mm.0.len() / 2 * frames;
