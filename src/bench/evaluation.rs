@@ -97,10 +97,10 @@ impl Evaluated {
     }
 }
 
-/// The case of a film, or one named as its folder where it cannot be opened.
-fn case_of(film: &Path) -> String {
-    let folder_name = film.file_name().unwrap_or_default().to_string_lossy();
-    Sequence::open(film).map_or_else(|_| case_id::of_folder(&folder_name), |film| film.case_id)
+/// The case of the film in `folder`, or one named as the folder where it cannot be opened.
+fn case_of(folder: &Path, film: Option<&Sequence>) -> String {
+    let name = folder.file_name().unwrap_or_default().to_string_lossy();
+    film.map_or_else(|| case_id::of_folder(&name), |film| film.case_id.clone())
 }
 
 /// Refuses two films of one case, answered by one method: a table has one cell per case and method. A film that failed
@@ -108,7 +108,7 @@ fn case_of(film: &Path) -> String {
 pub fn refuse_cases_twice(evaluated: &[Evaluated]) -> Result<()> {
     let row = |one: &Evaluated| match &one.scored {
         Ok((_, found)) => (found.case_id.clone(), Some(found.method.clone())),
-        Err(_) => (case_of(&one.film), None),
+        Err(_) => (case_of(&one.film, Sequence::open(&one.film).ok().as_ref()), None),
     };
     let rows: Vec<(String, Option<String>)> = evaluated.iter().map(row).collect();
     for (place, (case, method)) in rows.iter().enumerate() {
@@ -155,7 +155,9 @@ pub fn as_run(evaluated: Vec<Evaluated>, method: Option<&str>) -> Run {
                 (case_id, method, seed, Some(film), Outcome::Scored(Box::new(found)))
             }
             Err(error) => {
-                (case_of(&film), common.clone(), 0, Sequence::open(&film).ok(), Outcome::Failed(error.to_string()))
+                let opened = Sequence::open(&film).ok();
+                let case_id = case_of(&film, opened.as_ref());
+                (case_id, common.clone(), 0, opened, Outcome::Failed(error.to_string()))
             }
         };
         if !methods.iter().any(|known| known.id == method) {

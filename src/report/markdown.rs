@@ -43,16 +43,9 @@ pub fn report(
 
 /// Text that Markdown does not take for markup.
 pub fn escape(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '\\' | '|' | '*' | '[' => escaped.extend(['\\', c]),
-            '<' => escaped.push_str("&lt;"),
-            '\n' | '\r' => escaped.push(' '),
-            c => escaped.push(c),
-        }
-    }
-    escaped
+    // A bracket that a parenthesis follows is a link or a picture.
+    let plain = text.replace('\\', "\\\\").replace('|', "\\|").replace('*', "\\*").replace("](", "]\\(");
+    plain.replace('<', "&lt;").replace(['\n', '\r'], " ")
 }
 
 fn comparison(out: &mut String, table: &ComparisonTable) {
@@ -226,6 +219,11 @@ fn definitions(out: &mut String) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_are_no_markup() {
+        assert_eq!(escape("![x](http://a) *b* | PSNR [dB] <i>"), "![x]\\(http://a) \\*b\\* \\| PSNR [dB] &lt;i>");
+    }
 
     #[test]
     fn nothing_has_no_sign() {

@@ -97,7 +97,7 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
     }
     let id = format!("merged-{}", &hash::of_value(&ids)?[..8]);
     // A film that a part kept is shown with the rows that were scored on it, and with no others.
-    let film = |cell: &'_ CellRecord| cell.score().map(FilmKey::of);
+    let film = |cell: &CellRecord| cell.score().map(FilmKey::of);
     scenes.keep_scored(&cells.iter().filter_map(|cell| Some((cell.row_key(), film(cell)?))).collect());
     let mut run = Run { id, profile: profiles.join(" + "), track, scenes, notes, ..Run::of_cells(cells, &trees) };
     run.notes.extend(notes_on_places(&run));
