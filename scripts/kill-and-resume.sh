@@ -6,6 +6,8 @@
 #
 # RESPIRE_SEED chooses the times, RESPIRE_BENCH the program (target/release/respire-bench).
 set -euo pipefail
+# Seconds with a point.
+export LC_ALL=C
 cd "$(dirname "$0")/.."
 rounds=${1:-40} program=${RESPIRE_BENCH:-target/release/respire-bench}
 RANDOM=${RESPIRE_SEED:-1}

@@ -2,6 +2,11 @@
 # which becomes part of the program, and clang-format are wanted by their hashes (fetch_wheel); maturin and the packages that
 # tests read with are ranges of versions (test-python.sh, python-packages.sh). The caller sets $program, its name in messages.
 
+# Numbers are written and read with a point, whatever the user's language.
+[ -z "${LC_ALL:-}" ] || export LANG=$LC_ALL
+unset LC_ALL
+export LC_NUMERIC=C
+
 say() { printf '%s: %s\n' "$program" "$*"; }
 # One sentence, and the documented exit code for an environment that lacks something.
 stop() { printf '%s: %s\n' "$program" "$*" >&2; exit 5; }

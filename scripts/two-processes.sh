@@ -7,6 +7,8 @@
 # them: with a load above 0.5 before it begins, it compares the bytes and says that its seconds mean nothing.
 # RESPIRE_BENCH chooses the program (target/release/respire-bench).
 set -euo pipefail
+# Seconds with a point.
+export LC_ALL=C
 bench=$(readlink -f "${RESPIRE_BENCH:-$(dirname "$0")/../target/release/respire-bench}")
 [ -x "$bench" ] || { echo "two-processes: there is no program $bench; build it first: cargo build --release" >&2; exit 5; }
 [ $# -gt 0 ] || set -- --profile smoke

@@ -68,9 +68,9 @@ class Coat {
 
   float ior() const { return ior_; }
 
-  // Directional albedo of the coat seen under the cosine `cosine_o`.
+  // Directional albedo of the coat seen under the cosine `cosine_o`; where that is no number, under a grazing one.
   float albedo(float alpha, float cosine_o) const {
-    float column = clamp(cosine_o, 0.0f, 1.0f) * (COSINES - 1);
+    float column = (cosine_o > 0.0f ? std::min(cosine_o, 1.0f) : 0.0f) * (COSINES - 1);
     int c = std::min(static_cast<int>(column), COSINES - 2);
     float t = column - static_cast<float>(c);
     if (rows_ == 1) return mix(table_[c], table_[c + 1], t);

@@ -39,7 +39,7 @@ class Wall {
   Surface surface(const Hit& hit, Vec3 from, Vec3 direction) const {
     Surface s;
     s.point = from + direction * hit.t;
-    s.geometric = normalize(hit.geometric);
+    s.geometric = unit_normal(hit.geometric);
     const float side = dot(s.geometric, direction) > 0 ? -1.0f : 1.0f;
     s.geometric = s.geometric * side;
     s.smooth = s.geometric;

@@ -29,6 +29,11 @@ inline Vec3 unit_or_zero(Vec3 a) {
   float l2 = dot(a, a);
   return l2 > 0.0f ? a * (1.0f / std::sqrt(l2)) : Vec3{0.0f, 0.0f, 0.0f};
 }
+// The normal of a face without area, which no light reaches or leaves, is any.
+inline Vec3 unit_normal(Vec3 a) {
+  float l2 = dot(a, a);
+  return l2 > 0.0f ? a * (1.0f / std::sqrt(l2)) : Vec3{0.0f, 0.0f, 1.0f};
+}
 inline float max_component(Vec3 a) { return std::max(a.x, std::max(a.y, a.z)); }
 inline Vec3 load(const float* p) { return {p[0], p[1], p[2]}; }
 inline void store(float* p, Vec3 a) { p[0] = a.x, p[1] = a.y, p[2] = a.z; }

@@ -36,4 +36,4 @@ for i, frame in enumerate(film.images):
 rb.write_prediction(answer, film, color, depth_mm=depth, phase=phase, method="painted-mesh",
                     ahead={i: ahead[i][0] for i in film.held_out_frames},
                     mesh=((1 - phase[-1]) * rest + phase[-1] * expired, faces), time_total_s=time.perf_counter() - start)
-print(*(f"{name:24}{value}" for name, value in rb.evaluate(f"{blind}/truth", answer)[1].items()), sep="\n")
+print(*(f"{name:30}{value}" for name, value in rb.evaluate(f"{blind}/truth", answer)[1].items()), sep="\n")

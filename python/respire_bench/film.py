@@ -109,7 +109,7 @@ class Film:
         if isinstance(index, slice):
             return [self[i] for i in range(len(self))[index]]
         index = self._frame(index)
-        return Frame(index, self._film.image(index), float(self.times_s[index]), self.poses[index])
+        return Frame(index, self._film.image(index), float(self.times_s[index]), self.poses[index].copy())
 
     def __iter__(self):
         return (self[index] for index in range(len(self)))

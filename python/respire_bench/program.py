@@ -84,6 +84,10 @@ def evaluate(truth, predictions, *, method=None, out=None, threads=None):
         threads=threads,
     )
     found = json.loads(said)
+    if isinstance(found, list):
+        raise ValueError(
+            f"truth: {_folder(truth)} holds {len(found)} films: call evaluate for each; with `out` their report is written"
+        )
     scores = {score.pop("metric"): score for score in found["metrics"]}
     row = {"case": found["case_id"], "method": found["method"], "frames": found["frames"]}
     return scores, row | {metric: score["value"] for metric, score in scores.items()}

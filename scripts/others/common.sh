@@ -27,6 +27,8 @@ while [ $# -gt 0 ]; do
   shift 2
 done
 [ -n "$out" ] || usage
+# Said before hours of training, not after.
+[ -z "$report" ] || [ -f "$report/results.csv" ] || stop "--report: $report holds no results.csv; name the folder of one track."
 [ ! -e "$out/prediction" ] || { printf '%s: %s is there already; nothing is overwritten.\n' "$program" "$out/prediction" >&2; exit 4; }
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
@@ -34,7 +36,7 @@ participant=$out/film/participant
 
 # make_film: the film, unless a run before has made it. Several methods may share one.
 make_film() {
-  [ -e "$out/film" ] || "$bench" simulate "$case_id" --profile "$profile" --blind "$out/film"
+  [ -e "$participant/participant.json" ] || "$bench" simulate "$case_id" --profile "$profile" --blind "$out/film"
 }
 
 # export_film FORMAT [OPTION...]: what the method may see in its own layout, in DIR/FORMAT.

@@ -21,6 +21,8 @@ use crate::base::{Error, Result, TriangleMesh, files};
 
 /// A point of a mesh pair's centreline moves with the wall within this many of its radii.
 const CARRY_RADII: f64 = 1.6;
+/// Vertices that carry it where none is as near.
+const FEWEST_CARRIERS: usize = 8;
 
 /// Both states of a case's airway, checked: closed surface, no face turned over at any phase, orientation kept.
 ///
@@ -205,7 +207,8 @@ pub fn mended_pair(rest: &TriangleMesh, expiration: Vec<DVec3>) -> Result<(Vec<D
     Ok((found, mending))
 }
 
-/// A registered pair: the centreline moves with the wall around it.
+/// A registered pair: the centreline moves with the wall around it, or where faces are so large that no vertex is near, with
+/// the nearest vertices.
 pub fn from_pair(rest: TriangleMesh, expiration: Vec<DVec3>, centerline: Centerline) -> Result<Anatomy> {
     check_faces(&rest, &expiration)?;
     let generation: Vec<f32> =
@@ -213,6 +216,11 @@ pub fn from_pair(rest: TriangleMesh, expiration: Vec<DVec3>, centerline: Centerl
     if generation.len() != rest.vertices.len() {
         return Err(Error::input("the centreline has no length"));
     }
+    let wall = NearestPoints::new(&rest.vertices)?;
+    let nearest_motion = |place: DVec3| {
+        let near = wall.several(place, FEWEST_CARRIERS);
+        near.iter().map(|&(v, _)| expiration[v] - rest.vertices[v]).sum::<DVec3>() / near.len() as f64
+    };
     let carried: Vec<DVec3> = centerline
         .points
         .par_iter()
@@ -227,7 +235,7 @@ pub fn from_pair(rest: TriangleMesh, expiration: Vec<DVec3>, centerline: Centerl
                     total += weight;
                 }
             }
-            point.position_mm + if total > 0.0 { sum / total } else { DVec3::ZERO }
+            point.position_mm + if total > 0.0 { sum / total } else { nearest_motion(point.position_mm) }
         })
         .collect();
     finish(rest, expiration, generation, centerline, carried)
@@ -278,6 +286,31 @@ fn finish(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::airway::centerline::CenterlinePoint;
+
+    /// Of a coarse pair no vertex lies within 1.6 inscribed radii: points that stood still there took their targets along.
+    #[test]
+    fn a_centreline_far_from_all_vertices_moves_with_the_wall() {
+        let corners = [[0.0, 0.0], [8.0, 0.0], [8.0, 8.0], [0.0, 8.0]];
+        let ring = |z: f64| corners.map(|[x, y]| DVec3::new(x, y, z));
+        let vertices = [ring(0.0), ring(40.0)].concat();
+        let sides = (0..4u32).flat_map(|k| [[k, (k + 1) % 4, 4 + k], [(k + 1) % 4, 4 + (k + 1) % 4, 4 + k]]);
+        let ends = [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]];
+        let rest = closed_into_lumen(TriangleMesh { vertices, faces: sides.chain(ends).collect() }).unwrap();
+        let moved = rest.vertices.iter().map(|v| *v + DVec3::new(0.0, 0.0, 7.0)).collect();
+        let points = [0u32, 1, 2].map(|k| CenterlinePoint {
+            position_mm: DVec3::new(4.0, 4.0, 20.0 + 2.0 * f64::from(k)),
+            radius_mm: 4.0,
+            branch: 0,
+            generation: 0,
+            parent: k.checked_sub(1),
+        });
+        let line = Centerline { points: points.to_vec() };
+        let anatomy = from_pair(rest, moved, line).unwrap();
+        for (from, to) in anatomy.centerline.points.iter().zip(&anatomy.centerline_expiration) {
+            assert!((*to - from.position_mm).distance(DVec3::Z * 7.0) < 1e-9, "{to}");
+        }
+    }
 
     /// "Turns over between the breath holds" sent people looking for a motion where two vertices lay in one place.
     #[test]

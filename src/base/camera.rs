@@ -103,12 +103,7 @@ impl Camera {
         if distorted < 1e-12 {
             return DVec3::Z;
         }
-        // Newton's method on theta (1 + k1 theta^2 + ...) = distorted.
-        let mut theta = distorted.min(std::f64::consts::PI);
-        for _ in 0..20 {
-            let (value, slope) = distort(theta, k);
-            theta -= (value - distorted) / slope;
-        }
+        let theta = undistort(distorted, k);
         let s = theta.sin() / distorted;
         DVec3::new(x * s, y * s, theta.cos())
     }
@@ -153,6 +148,36 @@ fn distort(theta: f64, [k1, k2, k3, k4]: [f64; 4]) -> (f64, f64) {
     (value, slope)
 }
 
+/// The angle whose distorted angle is `distorted`: the first one from the axis on, or where the distorted angle stops
+/// rising before it.
+fn undistort(distorted: f64, k: [f64; 4]) -> f64 {
+    // Newton's method on theta (1 + k1 theta^2 + ...) = distorted.
+    let mut theta = distorted.min(std::f64::consts::PI);
+    for _ in 0..20 {
+        let (value, slope) = distort(theta, k);
+        theta -= (value - distorted) / slope;
+    }
+    let is_near = (distort(theta, k).0 - distorted).abs() <= 1e-9 * (1.0 + distorted);
+    let rises = |steps: u32| (0..=steps).all(|n| distort(theta * f64::from(n) / f64::from(steps), k).1 > 0.0);
+    // Of a lens that bends much it may have left the rising part, or found an angle beyond it.
+    if is_near && (0.0..=std::f64::consts::PI).contains(&theta) && rises(32) {
+        return theta;
+    }
+    let angle = |step: u32| std::f64::consts::PI * f64::from(step) / f64::from(LENS_STEPS);
+    let ends = |step: &u32| {
+        let (value, slope) = distort(angle(*step), k);
+        slope <= 0.0 || value >= distorted
+    };
+    let step = (1..=LENS_STEPS).find(ends).unwrap_or(LENS_STEPS);
+    let (mut low, mut high) = (angle(step - 1), angle(step));
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        let (value, slope) = distort(middle, k);
+        if slope <= 0.0 || value >= distorted { high = middle } else { low = middle }
+    }
+    high
+}
+
 /// Whether the distorted angle of a fisheye of coefficients `k` rises all the way up to `theta` (radians).
 pub fn fisheye_rises_to(theta: f64, k: [f64; 4]) -> bool {
     (0..=LENS_STEPS).all(|step| distort(theta * f64::from(step) / f64::from(LENS_STEPS), k).1 > 0.0)
@@ -187,6 +212,23 @@ mod tests {
             (lens(32.0 * 2f64.sqrt() / 3.2, 0.0), false),
         ] {
             assert_eq!(camera.validate().is_ok(), is_lens, "{camera:?}");
+        }
+    }
+
+    /// Twenty steps of Newton's method from the distorted angle end far away from that of this lens' corners.
+    #[test]
+    fn a_lens_that_bends_much_is_inverted_on_its_rising_part() {
+        let k = [0.7544, -0.2113, -0.0608, -0.0103];
+        let fl = 32.0 * 2f64.sqrt() / 1.465;
+        let camera = Camera { fl_x: fl, fl_y: fl, fisheye: Some(k), ..Camera::pinhole(64, 64, 1.0) };
+        camera.validate().unwrap();
+        for (x, y) in (0..64).flat_map(|y| (0..64).map(move |x| (x, y))) {
+            let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
+            let direction = camera.direction(pixel);
+            assert!((direction.length() - 1.0).abs() < 1e-12);
+            let theta = direction.x.hypot(direction.y).atan2(direction.z);
+            assert!(fisheye_rises_to(theta, k), "{pixel}: {theta}");
+            assert!(camera.project(direction).unwrap().distance(pixel) < 1e-6, "{pixel}");
         }
     }
 

@@ -4,10 +4,13 @@
 /// in it however dark a place is.
 pub const POWER_LAW: f32 = 2.2;
 
+/// Linear value up to which the sRGB transfer curve is a line.
+pub const SRGB_LINEAR_BELOW: f32 = 0.003_130_8;
+
 /// sRGB transfer curve: linear value in [0, 1] to encoded value in [0, 1]; clamps, and maps NaN to 0.
 pub fn srgb_from_linear(linear: f32) -> f32 {
     let v = if linear > 0.0 { linear.min(1.0) } else { 0.0 };
-    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+    if v <= SRGB_LINEAR_BELOW { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
 }
 
 /// Inverse of [`srgb_from_linear`] on [0, 1].

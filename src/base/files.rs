@@ -126,7 +126,7 @@ pub fn set_modified_below(folder: &Path, time: SystemTime) -> Result<()> {
 }
 
 /// Whether a name is one that [`write_atomically`] gives to unfinished files.
-fn is_unfinished(name: &str) -> bool {
+pub fn is_unfinished(name: &str) -> bool {
     name.starts_with(UNFINISHED.0) && name.ends_with(UNFINISHED.1)
 }
 

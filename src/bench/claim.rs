@@ -19,12 +19,26 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::{Error, Result, hash};
+use crate::base::{Error, Result, files, hash};
 
 /// Name of the claim within the claimed folder.
 const CLAIM: &str = ".claim";
 /// Name of the file in it.
 const HOLDER: &str = "holder.json";
+/// How the name of a claim begins that is on its way into place.
+const OWN_CLAIM: &str = ".claim-";
+/// How that of a claim begins that was taken from an ended process.
+const DEAD: &str = ".dead-";
+/// How that of a claim begins that is given back.
+const RELEASED: &str = ".released-";
+/// How that of something begins that an ended process left.
+const SWEPT: &str = ".swept-";
+/// How that of a product begins that is being made; the product's name and the claim's token follow.
+pub(super) const MAKING: &str = ".making-";
+/// How that of a product begins that another one replaces.
+pub(super) const DISCARDED: &str = ".discarded-";
+/// All of what this program keeps out of sight in a claimed folder, unfinished files aside.
+const UNFINISHED: [&str; 6] = [OWN_CLAIM, DEAD, RELEASED, SWEPT, MAKING, DISCARDED];
 /// How often a holder shows that it lives.
 const BEAT: Duration = Duration::from_secs(2);
 /// How long a holder may show nothing.
@@ -71,9 +85,10 @@ impl Holder {
         }
     }
 
-    /// Whether the process is known to have ended: on another system nothing is known.
+    /// Whether the process is known to have ended: on another system nothing is known, nor of another user's process
+    /// where the system hides those (`/proc` mounted with `hidepid`).
     fn has_ended(&self) -> bool {
-        self.system == this_system() && start_of(self.process).as_deref() != Some(&self.started)
+        self.system == this_system() && start_of(self.process).map_or_else(all_are_seen, |start| start != self.started)
     }
 }
 
@@ -100,6 +115,11 @@ fn start_of(process: u32) -> Option<String> {
     let fields: Vec<&str> = stat[stat.rfind(')')? + 1..].split_whitespace().collect();
     // A zombie works no more. After the name stand fields 3 (state) and on.
     if fields.first() == Some(&"Z") { None } else { fields.get(19).map(|field| (*field).to_owned()) }
+}
+
+/// Whether every user's processes are seen: the first one is somebody else's, and always there.
+fn all_are_seen() -> bool {
+    Path::new("/proc/1/stat").exists()
 }
 
 /// What came of asking for a claim.
@@ -158,7 +178,7 @@ impl Claim {
         if !self.is_held()? {
             return Ok(());
         }
-        remove_renamed(&claim, &self.folder.join(format!(".released-{}", self.holder.token)))
+        remove_renamed(&claim, &self.folder.join(format!("{RELEASED}{}", self.holder.token)))
     }
 }
 
@@ -179,8 +199,8 @@ pub struct Claims {
 }
 
 impl Claims {
-    /// Claims `folder`, which is made when missing. A dead process' claim is taken over; what it left unfinished in
-    /// hidden files and folders is removed but for names that begin with one of `kept`.
+    /// Claims `folder`, which is made when missing. A dead process' claim is taken over; what it left unfinished
+    /// is removed but for names that begin with one of `kept`.
     ///
     /// Errors: a folder that cannot be read or written.
     pub fn ask(&self, folder: &Path, kept: &[&str]) -> Result<Asked> {
@@ -194,7 +214,7 @@ impl Claims {
                 break_claim(folder, &holder)?;
             }
             if let Some(granted) = grant(folder)? {
-                remove_hidden(folder, kept)?;
+                remove_unfinished(folder, kept)?;
                 return Ok(Asked::Granted(granted));
             }
         }
@@ -247,7 +267,7 @@ fn holder_of(claim: &Path) -> Result<Option<Holder>> {
 /// Renames a claim with this process in it into place; `None` when another one was faster.
 fn grant(folder: &Path) -> Result<Option<Claim>> {
     let holder = Holder::new();
-    let (claim, own) = (folder.join(CLAIM), folder.join(format!("{CLAIM}-{}", holder.token)));
+    let (claim, own) = (folder.join(CLAIM), folder.join(format!("{OWN_CLAIM}{}", holder.token)));
     match write_holder(&own, &holder).and_then(|()| fs::rename(&own, &claim)) {
         Ok(()) => {}
         // Swept away by a process that took `folder` in between, and may have given it back.
@@ -279,7 +299,7 @@ fn write_holder(own: &Path, holder: &Holder) -> std::io::Result<()> {
 
 /// Takes a dead holder's claim away, unless another process was faster.
 fn break_claim(folder: &Path, dead: &Holder) -> Result<()> {
-    let (claim, aside) = (folder.join(CLAIM), folder.join(format!(".dead-{}", Holder::new().token)));
+    let (claim, aside) = (folder.join(CLAIM), folder.join(format!("{DEAD}{}", Holder::new().token)));
     match fs::rename(&claim, &aside) {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
         renamed => renamed.map_err(|e| Error::io("writing", &claim, e))?,
@@ -314,13 +334,14 @@ pub(super) fn remove_folder(path: &Path) -> Result<()> {
     }
 }
 
-/// Names of hidden entries of a folder that is there, the claim aside.
-pub(super) fn hidden(folder: &Path) -> Result<Vec<String>> {
+/// Names of what this program has begun in a folder that is there, the claim aside. Whatever else is hidden there is
+/// somebody's own (`.git`, `.nojekyll`, what a network file system keeps).
+pub(super) fn unfinished(folder: &Path) -> Result<Vec<String>> {
     let fail = |e| Error::io("reading", folder, e);
     let mut names = Vec::new();
     for entry in fs::read_dir(folder).map_err(fail)? {
         let name = entry.map_err(fail)?.file_name().to_string_lossy().into_owned();
-        if name.starts_with('.') && name != CLAIM {
+        if UNFINISHED.iter().any(|start| name.starts_with(start)) || files::is_unfinished(&name) {
             names.push(name);
         }
     }
@@ -333,20 +354,19 @@ pub(super) fn is_claimed(folder: &Path) -> bool {
 }
 
 /// Clears away what was unfinished when its process ended.
-fn remove_hidden(folder: &Path, kept: &[&str]) -> Result<()> {
+fn remove_unfinished(folder: &Path, kept: &[&str]) -> Result<()> {
     let is_kept = |name: &String| kept.iter().any(|k| name.starts_with(k));
     // A process that slept may wake up and publish what is being removed: it finds all of it or nothing.
     let remove = |name: &String| {
-        let aside = folder.join(format!(".swept-{}", Holder::new().token));
+        let aside = folder.join(format!("{SWEPT}{}", Holder::new().token));
         remove_renamed(&folder.join(name), &aside)
     };
-    hidden(folder)?.iter().filter(|name| !is_kept(name)).try_for_each(remove)
+    unfinished(folder)?.iter().filter(|name| !is_kept(name)).try_for_each(remove)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::base::files;
 
     fn granted(claims: &Claims, folder: &Path) -> Option<Claim> {
         match claims.ask(folder, &[]).unwrap() {
@@ -399,7 +419,14 @@ mod tests {
             *since -= DEAD_AFTER;
         }
         fs::write(folder.path().join(".Ab12cd.tmp"), "half").unwrap();
+        fs::create_dir(folder.path().join(".making-film-0123")).unwrap();
+        // Somebody's own.
+        fs::create_dir(folder.path().join(".git")).unwrap();
+        fs::write(folder.path().join(".git/HEAD"), "ref: refs/heads/main").unwrap();
         assert!(granted(&claims, folder.path()).is_some(), "it has shown no life");
+        assert_eq!(unfinished(folder.path()).unwrap(), [""; 0]);
+        assert!(folder.path().join(".git/HEAD").exists(), "what others keep there is not swept away");
+        fs::remove_dir_all(folder.path().join(".git")).unwrap();
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
         plant(folder.path(), |holder| holder.started = "1".into());
         assert!(granted(&claims, folder.path()).is_some(), "the number was given to another process");

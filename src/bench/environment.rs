@@ -1,5 +1,7 @@
 //! The machine and the libraries a run is made on: `environment.json`, `doctor`, and the id beside every timing.
 
+use std::sync::LazyLock;
+
 use serde::Serialize;
 
 use crate::base::hash;
@@ -61,6 +63,10 @@ fn processor() -> String {
     model.map_or("unknown", |(_, name)| name.trim()).to_owned()
 }
 
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, |n| n.get())
+}
+
 impl Environment {
     /// Examines this machine.
     pub fn examine() -> Self {
@@ -87,17 +93,19 @@ impl Environment {
             isa_of_rays: render::ISA,
             isa_of_splats: Isa::widest().to_string(),
             processor: processor(),
-            cores: std::thread::available_parallelism().map_or(1, |n| n.get()),
+            cores: cores(),
             threads: rayon::current_num_threads(),
             memory_mib,
             missing,
         }
     }
+}
 
-    /// Eight digits, the same for machines whose timings may be compared: processor and number of cores.
-    pub fn machine_id(&self) -> String {
-        hash::of_bytes(format!("{} x {}", self.processor, self.cores).as_bytes())[..8].to_owned()
-    }
+/// Eight digits, the same for machines whose timings may be compared: processor and number of cores.
+pub fn machine_id() -> &'static str {
+    static ID: LazyLock<String> =
+        LazyLock::new(|| hash::of_bytes(format!("{} x {}", processor(), cores()).as_bytes())[..8].to_owned());
+    &ID
 }
 
 #[cfg(test)]

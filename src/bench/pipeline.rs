@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use super::array_job::WorkCost;
 use super::catalogue::Catalogue;
-use super::environment::Environment;
 use super::executor::FinishedCell;
 use super::plan::{Cell, Plan, Planned, choose};
 use super::profile::Profile;
@@ -246,14 +245,14 @@ impl Pipeline {
             let truth = sequence.map(|sequence| Arc::new(sequence) as Arc<dyn Truth>);
             Ok(CaseInfo { id: case.id.clone(), title: case.title.clone(), tree: case.anatomy.tree(), truth })
         });
-        let (id, machine_id) = (plan.run_id()?, Environment::examine().machine_id());
+        let id = plan.run_id()?;
         Ok(Run {
             profile: self.profile.name.clone(),
             track: self.track,
             notes: self.profile.note_on_iterations().into_iter().collect(),
             cases: cases.collect::<Result<_>>()?,
             methods: self.method_infos(),
-            cells: finished.iter().map(|cell| cell_record(cell, &id, &machine_id)).collect::<Result<_>>()?,
+            cells: finished.iter().map(|cell| cell_record(cell, &id)).collect::<Result<_>>()?,
             scenes: Scenes::default(),
             id,
         })
@@ -279,7 +278,7 @@ fn film_settings(profile: &Profile, case: &Case) -> SimulationSettings {
     }
 }
 
-fn cell_record(finished: &FinishedCell, run_id: &str, machine_id: &str) -> Result<CellRecord> {
+fn cell_record(finished: &FinishedCell, run_id: &str) -> Result<CellRecord> {
     let outcome = match &finished.failure {
         Some(error) => Outcome::Failed(error.to_string()),
         None => Outcome::Scored(Box::new(files::read_json(&finished.score)?)),
@@ -290,7 +289,7 @@ fn cell_record(finished: &FinishedCell, run_id: &str, machine_id: &str) -> Resul
         cpu_s: t.cpu_s,
         peak_memory_mib: t.peak_memory_mib,
         threads: t.threads,
-        machine_id: machine_id.to_owned(),
+        machine_id: t.machine_id.clone(),
     };
     Ok(CellRecord {
         run_id: run_id.to_owned(),

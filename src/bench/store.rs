@@ -17,14 +17,12 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::claim::{self, Asked, Claim, Claims};
+use super::claim::{self, Asked, Claim, Claims, DISCARDED, MAKING};
 use super::plan::{Cell, Plan, Planned};
 use crate::base::{Error, ErrorKind, Result, files, hash};
 
 /// Name of a product's finish marker.
 pub const MARKER: &str = ".finished.json";
-/// How the name of a product that is being made begins; its name and the claim's token follow.
-const MAKING: &str = ".making-";
 
 /// The finish marker of a product.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -62,7 +60,7 @@ impl Work {
     /// A folder for the product of that name; what an ended process had begun is in it.
     pub fn resume(&self, product: &str) -> Result<PathBuf> {
         let own = self.making(product);
-        let begun = claim::hidden(&self.folder)?;
+        let begun = claim::unfinished(&self.folder)?;
         if let Some(begun) = begun.iter().find(|name| name.starts_with(&format!("{MAKING}{product}-"))) {
             let from = self.folder.join(begun);
             fs::rename(&from, &own).map_err(|e| Error::io("writing", &from, e))?;
@@ -128,7 +126,7 @@ impl Work {
 
     /// Removes a finished product.
     pub fn discard(&self, product: &str) -> Result<()> {
-        let aside = self.folder.join(format!(".discarded-{product}-{}", self.claim.token()));
+        let aside = self.folder.join(format!("{DISCARDED}{product}-{}", self.claim.token()));
         claim::remove_renamed(&self.folder.join(product), &aside)
     }
 
@@ -206,7 +204,7 @@ impl Store {
     /// Clears away what a process left that ended between its last product and giving the work back.
     pub fn tidy(&self, work: &str) -> Result<()> {
         let folder = self.path(work);
-        let is_tidy = !claim::is_claimed(&folder) && claim::hidden(&folder)?.is_empty();
+        let is_tidy = !claim::is_claimed(&folder) && claim::unfinished(&folder)?.is_empty();
         match is_tidy {
             true => Ok(()),
             // A live process' claim is its own affair.
@@ -357,7 +355,7 @@ mod tests {
         assert_eq!(fs::read_dir(&making).unwrap().count(), 1, "what was whole is taken on");
         work.publish("film", "key").unwrap();
         work.release().unwrap();
-        let left = claim::hidden(&store.path("sequences/a")).unwrap();
+        let left = claim::unfinished(&store.path("sequences/a")).unwrap();
         assert!(left.is_empty(), "{left:?}");
         assert_eq!(store.state("sequences/a/film", "key").unwrap(), ProductState::Whole);
     }

@@ -8,6 +8,7 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 
 use super::array_job::WorkCost;
+use super::environment::machine_id;
 use crate::base::{Result, files};
 use crate::ffi::system;
 
@@ -28,6 +29,10 @@ pub struct StageTiming {
     /// versions.
     #[serde(default)]
     pub cost_key: String,
+    /// The machine that did the work, which need not be the one that reports on it; empty in files of earlier versions, and
+    /// where two machines shared the work.
+    #[serde(default)]
+    pub machine_id: String,
 }
 
 /// Runs `work` as `stage` and reports what it cost, whether it succeeded or not.
@@ -41,6 +46,7 @@ pub fn measured<T>(stage: &str, cost_key: String, work: impl FnOnce() -> Result<
         peak_memory_mib: system::peak_memory_mib(),
         threads: rayon::current_num_threads(),
         cost_key,
+        machine_id: machine_id().to_owned(),
     };
     (outcome, timing)
 }
@@ -66,6 +72,9 @@ pub fn add(path: &Path, mut timing: StageTiming) -> Result<()> {
         timing.wall_s += before.wall_s;
         timing.cpu_s += before.cpu_s;
         timing.peak_memory_mib = timing.peak_memory_mib.max(before.peak_memory_mib);
+        if timing.machine_id != before.machine_id {
+            timing.machine_id.clear();
+        }
     }
     keep(path, timing)
 }
@@ -96,6 +105,23 @@ pub fn measured_costs(root: &Path) -> HashMap<String, WorkCost> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn work_that_two_machines_shared_is_of_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("timing.json");
+        let timing = |machine: &str| {
+            let (_, timing) = measured("simulate", "a".into(), || Ok(()));
+            assert_eq!(timing.machine_id, machine_id());
+            StageTiming { wall_s: 1.0, machine_id: machine.into(), ..timing }
+        };
+        for (machine, wall_s, of) in [("one", 1.0, "one"), ("one", 2.0, "one"), ("other", 3.0, ""), ("other", 4.0, "")]
+        {
+            add(&path, timing(machine)).unwrap();
+            let kept = read(&path).unwrap();
+            assert_eq!((kept.len(), kept[0].wall_s, kept[0].machine_id.as_str()), (1, wall_s, of));
+        }
+    }
 
     #[test]
     fn costs_are_found_whatever_the_revision_and_the_seed() {

@@ -48,8 +48,8 @@ pub struct CtArguments {
     /// Label of the airway in a map with several
     #[arg(long, value_name = "N", value_parser = LABEL.parser::<u32>())]
     label: Option<u32>,
-    /// Masks of the lungs in both scans; found by a threshold without
-    #[arg(long, value_names = ["INSPIRATION", "EXPIRATION"], num_args = 2, requires = "expiration")]
+    /// Masks of the lungs in the scans; found by a threshold without
+    #[arg(long, value_names = ["INSPIRATION", "EXPIRATION"], num_args = 1..=2, requires = "inspiration")]
     lung_masks: Vec<PathBuf>,
     /// Displacement field from inspiration to expiration instead of a registration (vectors in LPS and mm: ITK, elastix)
     #[arg(long, value_name = "FIELD", requires = "inspiration")]
@@ -106,6 +106,10 @@ pub fn run(arguments: &CtArguments, terminal: &Terminal) -> Result<()> {
 
 fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &Terminal) -> Result<()> {
     let (wanted, meaning) = (&arguments.case, arguments.file.meaning());
+    let scans = 1 + usize::from(arguments.expiration.is_some());
+    if !arguments.lung_masks.is_empty() && arguments.lung_masks.len() != scans {
+        return Err(Error::usage("--lung-masks: as many as there are scans, in their order"));
+    }
     let mut new = NewCase::new(wanted)?;
     let request = ScanRequest {
         inspiration,
@@ -113,10 +117,7 @@ fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &T
         airway: arguments.airway_mask.first().map(PathBuf::as_path),
         airway_expiration: arguments.airway_mask.get(1).map(PathBuf::as_path),
         label: arguments.label.map(|label| label as u16),
-        lungs: match &arguments.lung_masks[..] {
-            [first, second] => Some([first.as_path(), second.as_path()]),
-            _ => None,
-        },
+        lungs: [0, 1].map(|scan| arguments.lung_masks.get(scan).map(PathBuf::as_path)),
         field: arguments.field.as_deref(),
         way_back: true,
     };
@@ -132,7 +133,8 @@ fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &T
     let rest = pair.surface.mesh;
     terminal.proceed()?;
     terminal.stage("centreline");
-    let line = meaning.centerline_in_volume(&rest, terminal).map_err(|e| e.at(inspiration))?;
+    let line =
+        meaning.centerline_in_volume(&rest, terminal).map_err(|e| e.at(request.airway.unwrap_or(inspiration)))?;
     terminal.finish();
     let anatomy = paired(rest, pair.expiration, line, &mut import)?;
     terminal.proceed()?;

@@ -61,7 +61,8 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         Ok(path.to_string_lossy().into_owned())
     };
     let track = arguments.track.track();
-    let mut common = vec!["all-cases".to_owned(), "--track".to_owned(), track.word().to_owned()];
+    // Nobody can be asked in a task, and the array asks Slurm for what a task needs.
+    let mut common = ["all-cases", "--yes", "--track", track.word()].map(str::to_owned).to_vec();
     common.extend(arguments.selection.place_words()?);
     common.extend([
         "--out".to_owned(),

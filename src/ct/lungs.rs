@@ -64,9 +64,9 @@ pub fn litres(mask: &Volume<u8>) -> f64 {
     mask.data.iter().filter(|v| **v > 0).count() as f64 * mask.grid.voxel_mm3() * 1e-6
 }
 
-/// Refuses a pair whose first lungs are not the fuller ones, or that cannot be of one patient.
-pub fn check_pair(inspiration: &Volume<u8>, expiration: &Volume<u8>) -> Result<f64> {
-    let (full, empty) = (litres(inspiration), litres(expiration));
+/// Volume at expiration over that at inspiration, of lungs of so many litres. Refuses a pair whose first lungs are not the
+/// fuller ones, or that cannot be of one patient.
+pub fn check_pair(full: f64, empty: f64) -> Result<f64> {
     let ratio = empty / full;
     let sentence = |what: &str| {
         Err(Error::input(format!(
@@ -107,9 +107,9 @@ mod tests {
         let (full, empty) = (find_lungs(&chest(55.0), None).unwrap(), find_lungs(&chest(48.0), None).unwrap());
         let truth = |r: f64| 2.0 * 4.18879 * r.powi(3) * 1.3 * 1.5 * 1e-6;
         assert!((litres(&full) / truth(55.0) - 1.0).abs() < 0.08, "{} {}", litres(&full), truth(55.0));
-        let ratio = check_pair(&full, &empty).unwrap();
+        let ratio = check_pair(litres(&full), litres(&empty)).unwrap();
         assert!((ratio - (48f64 / 55.0).powi(3)).abs() < 0.05, "{ratio}");
-        assert!(check_pair(&empty, &full).unwrap_err().to_string().contains("exchange the two"));
+        assert!(check_pair(litres(&empty), litres(&full)).unwrap_err().to_string().contains("exchange the two"));
         let mut tissue = chest(55.0);
         tissue.data.iter_mut().for_each(|v| *v = (*v).max(0));
         assert!(find_lungs(&tissue, None).unwrap_err().to_string().contains("--lung-masks"));

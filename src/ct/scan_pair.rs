@@ -19,6 +19,16 @@ use crate::formats::volume::{frame_note, read_field};
 /// What is measured and done, for the user and the page: what, and in words.
 pub type Facts = Vec<(&'static str, String)>;
 
+/// Most that the lungs may grow between inspiration and expiration, in the median over their voxels.
+const MOST_GROWTH: f64 = 1.02;
+/// Radiodensity in HU below which lies the inside of an airway, and how far inside of a mask in mm that is asked: masks
+/// of some programs hold the wall of the airway, too.
+const INSIDE_HU: i16 = -500;
+const INSIDE_MM: f64 = 2.0;
+/// Least share of a mask's inside that must be air in its scan, and the fewest voxels that say so.
+const LEAST_AIR: f64 = 0.93;
+const FEWEST_INSIDE: usize = 50;
+
 /// The files of an import.
 pub struct ScanRequest<'a> {
     /// Scan at full inspiration.
@@ -32,7 +42,7 @@ pub struct ScanRequest<'a> {
     /// Label of the airway in its masks.
     pub label: Option<u16>,
     /// Masks of the lungs at both; found in the scans without them.
-    pub lungs: Option<[&'a Path; 2]>,
+    pub lungs: [Option<&'a Path>; 2],
     /// Somebody else's displacement field.
     pub field: Option<&'a Path>,
     /// Whether expiration is registered to inspiration, too, to see how far the way back misses the start.
@@ -127,9 +137,10 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     let version = if request.field.is_none() { Some(demand_elastix()?) } else { None };
     let given = request.field.map(|path| own_field(path, progress)).transpose()?;
     let mut facts = Facts::new();
-    let (surface, full) = inspiration_of(request, given.as_ref(), &mut facts, progress)?;
+    let (surface, full, full_l) = inspiration_of(request, given.as_ref(), &mut facts, progress)?;
     progress.proceed()?;
-    let empty = request.expiration.map(|path| expiration_of(request, path, &full, &mut facts, progress)).transpose()?;
+    let empty =
+        request.expiration.map(|path| expiration_of(request, path, full_l, &mut facts, progress)).transpose()?;
     progress.proceed()?;
     let (field, region) = match (given, &empty) {
         (Some((path, field)), _) => {
@@ -146,6 +157,14 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     };
     progress.proceed()?;
     let change = describe_field(&field, &region, &mut facts);
+    if let Some(path) = request.field.filter(|_| change.voxels > 0 && change.median > MOST_GROWTH) {
+        let sentence = format!(
+            "the lungs grow to {:.2} of their volume by it: a field from inspiration to expiration is wanted, and this is \
+             one of the way back",
+            change.median
+        );
+        return Err(Error::input(sentence).at(path));
+    }
     let expiration = carried(&field, &surface.mesh.vertices);
     if let Some(path) = request.airway_expiration {
         let other = read_mask(path, request.label)?;
@@ -161,44 +180,87 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     Ok(ScanPair { surface, expiration, field, scans, change, facts, kept })
 }
 
-/// The airway's surface at inspiration, and what is registered of that scan. A `given` field that does not cover the
+/// The airway's surface at inspiration, what is registered of that scan, and the volume of the lungs in litres. A `given` field that does not cover the
 /// surface is refused as soon as that is known.
 fn inspiration_of(
     request: &ScanRequest<'_>,
     given: Option<&(&Path, Volume<[f32; 3]>)>,
     facts: &mut Facts,
     progress: &dyn Progress,
-) -> Result<(LumenSurface, RegistrationInput)> {
+) -> Result<(LumenSurface, RegistrationInput, f64)> {
     let scan = read_checked(request.inspiration, progress)?;
     let coarse = coarser(&scan, REGISTRATION_MM);
     let named = |e: Error| e.at(request.inspiration);
     let airway = airway_of(request.airway, request.label, Some(&scan), facts, progress).map_err(named)?;
+    // What is wrong with a mask is not the scan's fault.
+    let of_airway = |e: Error| e.at(request.airway.unwrap_or(request.inspiration));
+    if request.airway.is_some() {
+        check_mask(&airway.mask, &scan).map_err(of_airway)?;
+    }
     progress.proceed()?;
-    let surface = surface_of(&airway, facts).map_err(named)?;
+    let surface = surface_of(&airway, facts).map_err(of_airway)?;
     drop(scan);
     if let Some((path, field)) = given {
         check_field(field, &surface.mesh.vertices).map_err(|e| e.at(path))?;
     }
     progress.proceed()?;
-    let lungs = lungs_of(&coarse, request.lungs.map(|l| l[0]), Some(&airway.mask)).map_err(named)?;
+    let lungs = lungs_of(&coarse, request.lungs[0], Some(&airway.mask)).map_err(named)?;
     let full = RegistrationInput::new(&coarse, &lungs, Some(&airway.mask));
-    Ok((surface, full))
+    // With the airway in it, as at expiration, where nobody knows it.
+    let volume_l = litres(&lungs_of(&coarse, request.lungs[0], None).map_err(named)?);
+    Ok((surface, full, volume_l))
+}
+
+/// Refuses a mask of the airway whose inside is no air in `scan`: one of another patient, or whose header lies.
+fn check_mask(mask: &Volume<u8>, scan: &Volume<i16>) -> Result<()> {
+    let (size, spacing_mm) = (mask.grid.size, mask.grid.spacing_mm());
+    let reach: [usize; 3] = std::array::from_fn(|axis| (INSIDE_MM / spacing_mm[axis]).ceil() as usize);
+    let is_inside = |at: usize| {
+        let cell = mask.grid.cell(at);
+        (0..3).all(|axis| {
+            let along = |index: usize| {
+                let mut beside = cell;
+                beside[axis] = index;
+                mask.data[mask.grid.at(beside)] > 0
+            };
+            cell[axis] >= reach[axis]
+                && cell[axis] + reach[axis] < size[axis]
+                && along(cell[axis] - reach[axis])
+                && along(cell[axis] + reach[axis])
+        })
+    };
+    let to_index = scan.grid.index_from_place();
+    let (mut inside, mut air) = (0, 0);
+    for at in (0..mask.data.len()).filter(|&at| mask.data[at] > 0 && is_inside(at)) {
+        inside += 1;
+        air += usize::from(scan.nearest(to_index(mask.grid.centre(at))).is_some_and(|hu| hu < INSIDE_HU));
+    }
+    let share = air as f64 / inside.max(1) as f64;
+    if inside >= FEWEST_INSIDE && share < LEAST_AIR {
+        let sentence = format!(
+            "only {:.0} % of the inside of this airway is air in the scan: it was made for another one, or one of the two \
+             headers does not say where it lies",
+            100.0 * share
+        );
+        return Err(Error::input(sentence));
+    }
+    Ok(())
 }
 
 /// What is registered of the scan at expiration, whose lungs must be the emptier ones.
 fn expiration_of(
     request: &ScanRequest<'_>,
     path: &Path,
-    full: &RegistrationInput,
+    full_l: f64,
     facts: &mut Facts,
     progress: &dyn Progress,
 ) -> Result<RegistrationInput> {
     let coarse = coarser(&read_checked(path, progress)?, REGISTRATION_MM);
-    let lungs = lungs_of(&coarse, request.lungs.map(|l| l[1]), None).map_err(|e| e.at(path))?;
+    let lungs = lungs_of(&coarse, request.lungs[1], None).map_err(|e| e.at(path))?;
     let empty = RegistrationInput::new(&coarse, &lungs, None);
-    let ratio = check_pair(&full.lungs, &empty.lungs).map_err(|e| e.at(path))?;
-    let (before, after) = (litres(&full.lungs), litres(&empty.lungs));
-    facts.push(("lungs", format!("{before:.2} l at inspiration, {after:.2} l at expiration, ratio {ratio:.2}")));
+    let empty_l = litres(&lungs);
+    let ratio = check_pair(full_l, empty_l).map_err(|e| e.at(path))?;
+    facts.push(("lungs", format!("{full_l:.2} l at inspiration, {empty_l:.2} l at expiration, ratio {ratio:.2}")));
     Ok(empty)
 }
 
@@ -255,5 +317,32 @@ fn lungs_of(scan: &Volume<i16>, mask: Option<&Path>, airway: Option<&Volume<u8>>
     match lungs.data.iter().any(|v| *v > 0) {
         true => Ok(lungs),
         false => Err(Error::input("marks no voxel of the scan: it was made for another one").at(PathBuf::from(path))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::VoxelGrid;
+
+    #[test]
+    fn a_mask_must_lie_in_the_air_of_its_scan() {
+        let grid = VoxelGrid::upright([60, 60, 40], DVec3::ZERO, DVec3::new(0.7, 0.7, 1.0));
+        let tube = |at: usize, x_mm: f64| {
+            let place = grid.centre(at);
+            (place.truncate() - glam::DVec2::new(x_mm, 21.0)).length() < 8.0
+        };
+        let hu = |at: usize| if tube(at, 21.0) { -980i16 } else { 30 };
+        let scan = Volume { grid, data: (0..grid.count()).map(hu).collect() };
+        let mask = |x_mm: f64| Volume { grid, data: (0..grid.count()).map(|at| u8::from(tube(at, x_mm))).collect() };
+        check_mask(&mask(21.0), &scan).unwrap();
+        // Half a millimetre off is rounding, not another scan.
+        check_mask(&mask(21.5), &scan).unwrap();
+        let said = check_mask(&mask(28.0), &scan).unwrap_err().to_string();
+        assert!(said.contains("% of the inside of this airway is air"), "{said}");
+        // A mask on a grid of its own, which lies elsewhere.
+        let mut moved = mask(21.0);
+        moved.grid.origin_mm.y += 40.0;
+        assert!(check_mask(&moved, &scan).unwrap_err().to_string().contains("only 0 %"));
     }
 }

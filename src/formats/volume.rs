@@ -119,6 +119,16 @@ mod tests {
         std::fs::rename(&written, &path).unwrap();
         assert_eq!(read_labels(&path).unwrap().data, [0, 7]);
         assert_eq!(read_scan(&path).unwrap().data, [0, 7]);
+        // A bit of the checksum or of the length, which stand behind all voxels.
+        for from_end in [8, 2] {
+            let mut bytes = std::fs::read(&path).unwrap();
+            let at = bytes.len() - from_end;
+            bytes[at] ^= 1;
+            let broken = folder.path().join("broken.nii.gz");
+            std::fs::write(&broken, bytes).unwrap();
+            let said = read_scan(&broken).unwrap_err().to_string();
+            assert!(said.contains("broken.nii.gz: is damaged"), "{said}");
+        }
         nifti::write(&written, &Volume { grid, data: vec![0i16, -7] }).unwrap();
         assert!(read_labels(&written).unwrap_err().to_string().contains("holds -7"));
         assert!(read_scan(Path::new("a.png")).unwrap_err().to_string().contains("a folder of DICOM"));

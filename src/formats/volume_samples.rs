@@ -96,7 +96,7 @@ pub struct VolumeSource {
 impl VolumeSource {
     /// The value of every voxel through `convert`.
     ///
-    /// Errors: several numbers a voxel; a file that ends early; a grid too large for this machine; the first of
+    /// Errors: several numbers a voxel; a file that ends early; a packed one whose checksum is another; a grid too large for this machine; the first of
     /// `convert`.
     pub fn read_scalars<T: Copy + Default>(self, convert: impl Fn(f64) -> Result<T>) -> Result<Volume<T>> {
         if self.channels != 1 {
@@ -159,6 +159,8 @@ impl VolumeSource {
             }
             left -= part.len();
         }
-        Ok(())
+        // The checksum of a packed file stands at its end.
+        let damaged = |e| Error::input(format!("is damaged: {e}"));
+        std::io::copy(&mut self.reader, &mut std::io::sink()).map(|_| ()).map_err(damaged)
     }
 }

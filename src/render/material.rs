@@ -14,7 +14,7 @@ const RANGES: KeyRanges = KeyRanges(&[
     ("albedo", SHARE),
     ("coat_alpha", NumberRange::new(1e-3, 1.0)),
     ("coat_ior", NumberRange::new(1.0 + 1e-6, 4.0)),
-    ("mean_free_path_mm", NumberRange::new(1e-6, 1e6)),
+    ("mean_free_path_mm", NumberRange::new(1e-4, 1e6)),
     ("single_scattering_albedo", SHARE),
     ("vessels", STRENGTH),
     ("blotches", STRENGTH),

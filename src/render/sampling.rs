@@ -19,6 +19,8 @@ const SAMPLES_PER_ROUND: u32 = 32;
 const TILES_PER_REPORT: usize = 1024;
 /// Most samples per pixel: adaptive sampling stops there.
 pub(super) const MAX_SAMPLES: u32 = 65_536;
+/// Share of the picture's mean radiance below which the error is no longer relative to the radiance itself.
+const DARK: f64 = 0.01;
 
 type RgbSum = [f64; 3];
 
@@ -138,15 +140,19 @@ impl SampledImage {
     }
 
     /// Estimated mean of (error / radiance)^2 of every tile, from the image `before` and as many samples since: half
-    /// their difference is as large as the error of their mean.
+    /// their difference is as large as the error of their mean. Where it is darker than a hundredth of the picture's mean,
+    /// the error is relative to that, whatever the unit of light.
     fn errors(&self, before: &[RgbSum]) -> Vec<f64> {
+        let values = (0..self.sums.len()).flat_map(|p| (0..3).map(move |c| (p, c)));
+        let mean = values.map(|(p, c)| self.radiance(p, c)).sum::<f64>() / (3 * self.sums.len()) as f64;
+        let floor = (DARK * mean).powi(2).max(f64::MIN_POSITIVE);
         let mut sums = vec![(0.0, 0.0); self.samples.len()];
         for (pixel, first) in before.iter().enumerate() {
             let (sum, count) = &mut sums[self.tile_of(pixel)];
             for (c, first) in first.iter().enumerate() {
                 // (first + second) / 2 = all
                 let all = self.radiance(pixel, c);
-                *sum += (first - all).powi(2) / (all * all + 1e-4);
+                *sum += (first - all).powi(2) / (all * all + floor);
                 *count += 1.0;
             }
         }

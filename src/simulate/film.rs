@@ -447,8 +447,7 @@ fn blur(scene: &Scene, camera: &Camera, anatomy: &Anatomy, way: &Way, time_s: f6
     if shutter_s <= 0.0 {
         return Ok(0.0);
     }
-    let factor = BLUR_RAYS / camera.width as f64;
-    let coarse = Camera { height: BLUR_RAYS as u32, ..camera.scaled(factor) };
+    let coarse = camera.scaled(BLUR_RAYS / camera.width as f64);
     let [open, now, close] = [-0.5, 0.0, 0.5].map(|part| way.state_at(time_s + part * shutter_s));
     let visible = VisibleWall::new(scene, &coarse, &now.0, &anatomy.inspiration, &anatomy.expiration.vertices)?;
     if way.clinical.is_some() {

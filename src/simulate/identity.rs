@@ -7,17 +7,24 @@ use crate::airway::case::Case;
 use crate::base::revision::of_rooms;
 use crate::base::{Result, hash};
 
-/// Changes whenever the same case and settings give other pixels or other truth.
-pub(super) const SIMULATOR_VERSION: u32 = 11;
+/// Changes whenever the same case and settings give other pixels or other truth, on the ideal track.
+const IDEAL_VERSION: u32 = 11;
+/// The same for the clinical track.
+const CLINICAL_VERSION: u32 = 12;
 
 /// Revision of the code that films a sequence.
 pub fn revision() -> String {
     of_rooms(&["outside", "tracer", "base", "formats", "airway", "render", "simulate"])
 }
 
+/// Version of what films `case`.
+pub(super) fn simulator_version(case: &Case) -> u32 {
+    if case.clinical.is_some() { CLINICAL_VERSION } else { IDEAL_VERSION }
+}
+
 /// Content hash of the sequence that `case` and `settings` make, 64 hex digits.
 pub fn sequence_hash(case: &Case, settings: &SimulationSettings) -> Result<String> {
-    hash::of_value(&(SIMULATOR_VERSION, case.hash()?, settings))
+    hash::of_value(&(simulator_version(case), case.hash()?, settings))
 }
 
 /// Content hash of the frames of `case`: of everything but what methods are told of the motion, this program's code

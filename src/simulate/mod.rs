@@ -34,7 +34,7 @@ use crate::formats::{mesh as mesh_file, png};
 use crate::render::Material;
 use film::Film;
 pub use film::scope_light;
-use identity::{SIMULATOR_VERSION, film_hash};
+use identity::{film_hash, simulator_version};
 pub use identity::{revision, sequence_folder, sequence_hash};
 use misregister::misregister;
 use sensor::Sensor;
@@ -205,7 +205,7 @@ fn write_truth(
         files,
     };
     let mut manifest = serde_json::to_value(head).map_err(|e| Error::input(e.to_string()))?;
-    manifest["simulator_version"] = SIMULATOR_VERSION.into();
+    manifest["simulator_version"] = simulator_version(case).into();
     manifest["case_hash"] = case.hash()?.into();
     manifest["film_hash"] = film_hash(case, settings)?.into();
     manifest["settings"] = serde_json::to_value(settings).map_err(|e| Error::input(e.to_string()))?;

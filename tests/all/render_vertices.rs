@@ -260,6 +260,39 @@ fn still_camera_in_still_tissue_sees_no_flicker_but_its_own_samples() {
     assert!(ours < traced, "{ours} {traced}");
 }
 
+/// A face whose corners lie in one place or on a line sends and receives nothing: the picture is the one without it.
+#[test]
+fn a_face_without_area_changes_nothing() {
+    let whole = tube(24, 30);
+    let mut seamed = whole.clone();
+    for vertex in [24 * 12 + 3, 24 * 15 + 9] {
+        seamed.vertices.push(whole.vertices[vertex]);
+        let twin = seamed.vertices.len() as u32 - 1;
+        seamed.faces.push([vertex as u32, twin, vertex as u32 + 1]);
+        seamed.vertices.push(2.0 * whole.vertices[vertex] - whole.vertices[vertex + 1]);
+        seamed.faces.push([vertex as u32, vertex as u32 + 1, twin + 1]);
+    }
+    let camera = Camera::pinhole(32, 32, 1.6);
+    let pose = DAffine3::from_translation(DVec3::new(0.3, 0.0, 2.0));
+    let subsurface = Material::subsurface(RHO, [1.0, 0.4, 0.25], Boundary::Diffuse, WalkedVertices::Every);
+    let plain = [Material::lambert(RHO), Material::coated(RHO, 0.15, 1.4), subsurface].map(|material| (material, 0.8));
+    // The relief of mucosa follows the vertices, of which there are more: no pixel is black is all that can be asked.
+    for (material, least) in plain.into_iter().chain([(Material::default(), 0.0)]) {
+        for settings in [vertices(32, 8), gather(8)] {
+            let picture = |mesh: &TriangleMesh| {
+                let scene = Scene::new(mesh, &[], material, 1).unwrap();
+                render(&scene, &camera, &pose, &Light::at_camera([400.0; 3]), &settings).unwrap()
+            };
+            let (wanted, found) = (picture(&whole), picture(&seamed));
+            assert_eq!(found.statistics.rejected_samples, 0);
+            let (sent, kept) = (mean(&wanted.radiance), mean(&found.radiance));
+            (0..3).for_each(|c| assert!((kept[c] / sent[c] - 1.0).abs() < 0.01, "{material:?}: {kept:?} for {sent:?}"));
+            let darkest = wanted.radiance.data.iter().zip(&found.radiance.data).map(|(w, f)| f / w);
+            assert!(darkest.fold(f32::INFINITY, f32::min) > least, "{material:?}");
+        }
+    }
+}
+
 #[test]
 fn matched_boundary_needs_paths() {
     let material = Material::subsurface(RHO, [1.0; 3], Boundary::Matched, WalkedVertices::Every);

@@ -72,6 +72,8 @@ def test_desktop(browser, url, pictures, dark):
     check(order[0] in shown and len(shown) < len(order) and all(order[0] in row for row in shown), f"the filter leaves {shown}")
     open_first(browser)
     tiles = browser.run("[...document.querySelectorAll('.tile[data-method]')].filter(t => !t.hidden).map(t => t.dataset.method)")
+    rows = browser.run("[...document.querySelectorAll('table.comparison tr[data-method]')].filter(r => !r.hidden).map(r => r.dataset.method)")
+    check(set(tiles) <= set(rows), f"a case that is opened later shows the filtered rows alone: {tiles}")
     browser.run("(() => { const f = document.getElementById('filter'); f.value = ''; f.dispatchEvent(new Event('input')); })()")
     all_tiles = browser.run("[...document.querySelectorAll('.tile[data-method]')].filter(t => !t.hidden).map(t => t.dataset.method)")
     check(len(all_tiles) > 1 and set(tiles) <= set(all_tiles), f"{len(all_tiles)} rows beside the film")

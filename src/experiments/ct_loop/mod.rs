@@ -141,7 +141,7 @@ fn imported(
         airway: Some(&mask),
         airway_expiration: None,
         label: None,
-        lungs: None,
+        lungs: [None; 2],
         field: None,
         way_back: false,
     };

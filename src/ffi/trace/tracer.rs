@@ -291,7 +291,7 @@ mod bridge {
         cell: u32,
     }
 
-    // SAFETY: the functions check lengths, faces and vertices before they read or write (`demand` in
+    // SAFETY: the functions check lengths, faces and vertices before they read or write (`require` in
     // `cpp/trace/tracer.cpp`) and throw where they do not fit, which becomes an `Err`; none keeps a pointer (the mesh is
     // copied) or calls back into Rust. `Tracer` owns its Embree objects; its const functions only read them, each with
     // rays and samplers of its own. `coat_albedo` and `medium_albedo` compute and throw nothing.

@@ -141,14 +141,13 @@ impl From<&FreeAppearance> for Rates {
 impl FreePatch {
     /// Puts own centre plus `shift(k)` and own quaternion plus `turn(k)` into the rendered copy.
     pub fn place(&mut self, shift: impl Fn(usize) -> [f32; 3], turn: impl Fn(usize) -> [f32; 4]) {
-        let Shape::Ellipsoids { rotations, scales } = &mut self.gaussians.shape else {
+        let Shape::Ellipsoids { rotations, .. } = &mut self.gaussians.shape else {
             unreachable!("free Gaussians are made as ellipsoids")
         };
         for k in 0..self.ids.len() {
             let (s, t) = (shift(k), turn(k));
             self.gaussians.positions[k] = [0, 1, 2].map(|a| self.centres[k][a] + s[a]);
             rotations[k] = [0, 1, 2, 3].map(|a| self.rotations[k][a] + t[a]);
-            scales[k] = self.log_scales[k].map(f32::exp);
         }
     }
 
@@ -177,6 +176,9 @@ impl FreePatch {
                 by_log.as_flattened(),
                 &gradients.heard,
             );
+            if let Shape::Ellipsoids { scales, .. } = &mut self.gaussians.shape {
+                scales.iter_mut().zip(&self.log_scales).for_each(|(scale, log)| *scale = log.map(f32::exp));
+            }
         }
         if rates.learn_colors() {
             adam.sh.step(rates.sh(), &mut self.gaussians.sh, &gradients.sh, &gradients.heard);

@@ -9,7 +9,7 @@ use glam::Vec3;
 use super::breathing::BreathingMesh;
 use super::mesh_depth::{PixelRays, faces_before, nearest_faces};
 use super::visible::Reach;
-use crate::base::color::srgb_from_linear;
+use crate::base::color::{SRGB_LINEAR_BELOW, srgb_from_linear};
 use crate::base::{Camera, Image};
 use crate::splat::View;
 
@@ -22,6 +22,8 @@ pub(super) const NEAREST_MM: f32 = 1.0;
 /// Mean encoded brightness that the exposure aims for, and the doublings and halvings of the gain that look for it.
 const BRIGHTNESS: f32 = 0.42;
 const GAIN_STEPS: usize = 24;
+/// Difference from it within which the mean is taken in full: twenty times what rounding does to a sum over 256 x 256 pixels.
+const CLOSE: f32 = 1e-4;
 
 /// Linear light, without exposure, of a wall that a lamp `distance` mm away lights at this cosine of incidence `c`:
 /// `(c + k) / (1 + k) / d^2`.
@@ -96,14 +98,31 @@ impl VirtualCamera {
 
 /// The gain at which the mean encoded brightness is [`BRIGHTNESS`]; bisection in its logarithm.
 fn exposure(light: &[f32]) -> f32 {
+    let count = (3 * light.len()).max(1) as f32;
     let mean = |gain: f32| {
         let sum: f32 = light.iter().flat_map(|&v| WALL.map(|wall| srgb_from_linear(wall * gain * v))).sum();
-        sum / (3 * light.len()).max(1) as f32
+        sum / count
+    };
+    // A power of a product is the product of powers: with those of the light known, a gain costs one more. Far from the
+    // wanted brightness, which most steps are, that is exact enough.
+    let powers: Vec<(f32, f32)> =
+        light.iter().flat_map(|&v| WALL.map(|wall| wall * v)).map(|v| (v, 1.055 * v.powf(1.0 / 2.4))).collect();
+    let about = |gain: f32| {
+        let factor = gain.powf(1.0 / 2.4);
+        let encoded = |&(value, power): &(f32, f32)| match value * gain {
+            dark if dark <= SRGB_LINEAR_BELOW => 12.92 * dark,
+            v if v < 1.0 => power * factor - 0.055,
+            _ => 1.0,
+        };
+        powers.iter().map(|value| f64::from(encoded(value))).sum::<f64>() as f32 / count
     };
     let (mut low, mut high) = (-5.0f32, 15.0f32);
     for _ in 0..GAIN_STEPS {
         let middle = 0.5 * (low + high);
-        if mean(middle.exp()) < BRIGHTNESS { low = middle } else { high = middle }
+        let gain = middle.exp();
+        let nearly = about(gain);
+        let brightness = if (nearly - BRIGHTNESS).abs() > CLOSE { nearly } else { mean(gain) };
+        if brightness < BRIGHTNESS { low = middle } else { high = middle }
     }
     (0.5 * (low + high)).exp()
 }
@@ -113,6 +132,26 @@ mod tests {
     use glam::{DAffine3, DVec3};
 
     use super::*;
+    use crate::base::random::{CounterRng, Stage};
+
+    #[test]
+    fn the_gain_is_that_of_plain_bisection() {
+        let mut random = CounterRng::new(1, Stage::Surface, &[]);
+        for (count, dark) in [(1, 0.0), (200, 0.0), (4096, 0.3), (20_000, 0.9), (50, 1.0)] {
+            let mut value = || if random.uniform() < dark { 0.0 } else { (6.0 * random.normal() - 4.0).exp() as f32 };
+            let light: Vec<f32> = (0..count).map(|_| value()).collect();
+            let mean = |gain: f32| {
+                let sum: f32 = light.iter().flat_map(|&v| WALL.map(|wall| srgb_from_linear(wall * gain * v))).sum();
+                sum / (3 * light.len()) as f32
+            };
+            let (mut low, mut high) = (-5.0f32, 15.0f32);
+            for _ in 0..GAIN_STEPS {
+                let middle = 0.5 * (low + high);
+                if mean(middle.exp()) < BRIGHTNESS { low = middle } else { high = middle }
+            }
+            assert_eq!(exposure(&light), (0.5 * (low + high)).exp(), "{count} {dark}");
+        }
+    }
 
     #[test]
     fn a_flat_wall_is_as_bright_as_its_distance_and_incidence_say() {

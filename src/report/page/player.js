@@ -227,6 +227,7 @@ class CasePlayer {
     const mean = row => { const known = row.series[0]?.filter(v => v != null) || []; return known.length ? known.reduce((a, b) => a + b) / known.length : Infinity; };
     this.choose(data.rows.filter(row => !row.is_bound).sort((a, b) => mean(a) - mean(b))[0] || data.rows[0]);
     this.seek(0);
+    this.hide();
   }
 
   build(film) {
@@ -276,7 +277,7 @@ class CasePlayer {
     this.note = el("p", { class: "muted note" });
     return el("div", { class: "scene" },
       el("div", { class: "tools" }, el("span", { class: "group", role: "group", "aria-label": "View" }, ...views),
-        check("path", true, on => scene.set({ path: on })), check("targets", true, on => scene.set({ targets: on })), check("error as colour", true, on => { scene.set({ surface: on, row: this.row }); this.explain(); })),
+        check("path", scene.state.path, on => scene.set({ path: on })), check("targets", scene.state.targets, on => scene.set({ targets: on })), check("error as colour", scene.state.surface, on => { scene.set({ surface: on, row: this.row }); this.explain(); })),
       this.stage,
       el("div", { class: "phase" }, el("label", { for: id("phase") }, "Phase"), el("span", { class: "ends" }, "in"), this.phaseSlider, el("span", { class: "ends" }, "out"), this.phaseReadout, follow),
       this.legend, this.note);

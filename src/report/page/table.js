@@ -64,13 +64,15 @@ class Page {
     const words = el("input", { type: "search", id: "filter", placeholder: "ours, static …", oninput: () => this.filter() });
     const bounds = el("input", { type: "checkbox", checked: true, id: "bounds", onchange: () => this.filter() });
     tools.append(el("label", { for: "filter" }, "Rows ", words), el("label", { class: "check" }, bounds, " bounds"));
+    // The page of a film has the case's own table alone.
+    const ofRows = document.querySelector("table.comparison") ? "table.comparison" : "table.of-case";
     this.filter = () => {
       const wanted = words.value.toLowerCase().split(/[,\s]+/).filter(Boolean);
       this.hidden.clear();
       for (const row of document.querySelectorAll("tr[data-method]")) {
         const text = `${row.dataset.method} ${row.cells[0].textContent}`.toLowerCase();
         const isShown = (!wanted.length || wanted.some(word => text.includes(word))) && (bounds.checked || !row.classList.contains("sanity"));
-        if (!isShown && row.closest("table.comparison")) this.hidden.add(row.dataset.method);
+        if (!isShown && row.closest(ofRows)) this.hidden.add(row.dataset.method);
         row.hidden = !isShown;
       }
       for (const row of document.querySelectorAll("table.of-case tr[data-method]")) row.hidden = this.hidden.has(row.dataset.method);

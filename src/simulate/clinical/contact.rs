@@ -72,8 +72,10 @@ impl WallContact {
         let place = (time_s * self.frames_per_second).clamp(0.0, (self.way_mm.len() - 1) as f64);
         let (low, high) = (place.floor() as usize, place.ceil() as usize);
         let way_mm = self.way_mm[low] + (self.way_mm[high] - self.way_mm[low]) * (place - low as f64);
-        let at_wall = on_route.translation + on_route.matrix3 * self.across * way_mm;
-        let axis = DVec3::Z.cross(self.across).normalize();
+        let across = on_route.matrix3 * self.across;
+        let at_wall = on_route.translation + across * way_mm;
+        // The steered scope is rolled against its route.
+        let axis = DVec3::Z.cross(steered.matrix3.transpose() * across).normalize_or(DVec3::X);
         let turn = DMat3::from_quat(DQuat::from_axis_angle(axis, (weight * TURN_DEG).to_radians()));
         DAffine3 { matrix3: steered.matrix3 * turn, translation: steered.translation.lerp(at_wall, weight) }
     }
@@ -98,5 +100,19 @@ mod tests {
         assert!(at_wall.matrix3.z_axis.dot(contact.across) > 0.7, "it looks at the wall");
         assert!((at_wall.matrix3 * at_wall.matrix3.transpose()).abs_diff_eq(DMat3::IDENTITY, 1e-12));
         assert!(WallContact::new(0.0, 16.0, 25.0, 3).is_none());
+    }
+
+    #[test]
+    fn a_rolled_tip_turns_to_the_wall_that_it_drifts_to() {
+        let mut contact = WallContact::new(0.6, 16.0, 25.0, 3).unwrap();
+        (0..400).for_each(|_| contact.record(6.0));
+        let on_route = DAffine3::from_mat3(DMat3::from_rotation_y(0.4));
+        for roll_deg in [25f64, 90.0, 180.0] {
+            let steered = on_route * DAffine3::from_mat3(DMat3::from_rotation_z(roll_deg.to_radians()));
+            let touched = contact.touched(&on_route, &steered, contact.middle_s);
+            let towards = contact.direction(&on_route);
+            assert!((touched.translation.normalize() - towards).length() < 1e-9);
+            assert!((touched.matrix3.z_axis.dot(towards) - TURN_DEG.to_radians().sin()).abs() < 1e-9, "{roll_deg}");
+        }
     }
 }

@@ -40,7 +40,7 @@ const COST_SHARE: f64 = 0.2;
 /// known to 1.5 mm.
 const UNSURE_DEVIATION: f64 = 0.1;
 
-/// Share of what keyframes and surface disagree by that counts as a deviation.
+/// Share of what keyframes and surface are still apart by, once the one is drawn to the other, that counts as a deviation.
 const DISAGREEMENT: f64 = 0.5;
 
 /// The method with its settings.
@@ -101,6 +101,10 @@ impl FollowFrames for OursGn {
         answer: &mut dyn FnMut(LiveAnswer) -> Result<()>,
     ) -> Result<()> {
         known.validate(self.access())?;
+        if *self.settings.correction_rank > 0 {
+            let reason = "a correction of the registration lies along the way of the scope, which a live tracker learns too late";
+            return Err(Error::input(format!("must be 0: {reason}")).element("correction_rank"));
+        }
         let mut tracker = Tracker::new(&self.settings, self.iteration_scale, known)?;
         let mut frame = 0;
         while let Some(arrived) = next()? {
@@ -160,7 +164,7 @@ struct Tracker<'a> {
     mean_cost: f64,
     window: Option<KeyframeWindow>,
     wall: WallInReach,
-    /// What keyframes and surface disagreed by when last compared.
+    /// By how much the surface's phase was off when last compared, from the one that it had drawn the keyframes' to.
     apart: f64,
     targets: CarriedTargets,
 }
@@ -223,7 +227,10 @@ impl<'a> Tracker<'a> {
         self.breath.add(phase);
         let world_from_camera = self.settings.unknown_pose.then(|| finest.view.camera_from_world.inverse());
         let targets_mm = Some(self.targets_at(phase));
-        let (novel, phase) = (self.novel(input.novel_pose, phase)?, Some(phase));
+        // The second camera is given relative to the first.
+        let second =
+            |pose: DAffine3| world_from_camera.map_or(pose, |own| own * input.world_from_camera.inverse() * pose);
+        let (novel, phase) = (self.novel(input.novel_pose.map(second), phase)?, Some(phase));
         Ok(FramePrediction {
             frame: input.frame,
             color,
@@ -287,7 +294,7 @@ impl<'a> Tracker<'a> {
             self.pose = window.advance_to(time_s);
         }
         let mut phase = if frame == 0 { self.search_by_depth(&given, time_s)? } else { self.breath.expected() };
-        let mut active = self.enter(&given, phase, REACH)?;
+        let mut active = self.enter(&moved(&given, self.pose), phase, REACH)?;
         if frame == 0 && active.faces.is_empty() {
             return Err(nothing_in_view());
         }
@@ -364,12 +371,11 @@ impl<'a> Tracker<'a> {
         Ok(PlacedFrame { active, finest, phase, phase_deviation, lost, ahead })
     }
 
-    /// The view of the frame's second camera at `phase`, with the map as it is now.
+    /// The view of the frame's second camera, at its own place, at `phase`, with the map as it is now.
     fn novel(&mut self, pose: Option<DAffine3>, phase: f64) -> Result<Option<NovelPrediction>> {
         let Some(pose) = pose else { return Ok(None) };
-        let given = View::new(self.observation.camera, pose);
-        let mut active = self.enter(&given, phase, 0.0)?;
-        let view = moved(&given, self.pose);
+        let view = View::new(self.observation.camera, pose);
+        let mut active = self.enter(&view, phase, 0.0)?;
         active.place(phase, &self.renderer.light(&view))?;
         active.color_the_unseen_as_beside();
         self.renderer.draw(&active, &view)?;
@@ -391,7 +397,7 @@ impl<'a> Tracker<'a> {
             return Ok((active, found, false));
         }
         self.map.leave(active);
-        let mut active = self.enter(given, 0.5, 1.0)?;
+        let mut active = self.enter(&moved(given, self.pose), 0.5, 1.0)?;
         let best = self.renderer.search_by_image(&mut active, &levels[0], self.pose)?;
         let again = self.renderer.track(&mut active, levels, self.pose, best, phase)?;
         let lost = self.is_lost(again.as_ref());
@@ -446,14 +452,12 @@ impl<'a> Tracker<'a> {
         levels
     }
 
-    /// Starts a frame: the compact copy of what is visible from the corrected `given` pose at phases within `reach` of
-    /// `phase`.
-    fn enter(&self, given: &View, phase: f64, reach: f64) -> Result<ActiveFrame> {
-        self.map.enter(self.faces_in_view(given, phase, reach), self.breathing())
+    /// Starts a frame: the compact copy of what is visible from `view` at phases within `reach` of `phase`.
+    fn enter(&self, view: &View, phase: f64, reach: f64) -> Result<ActiveFrame> {
+        self.map.enter(self.faces_in_view(view, phase, reach), self.breathing())
     }
 
-    fn faces_in_view(&self, given: &View, phase: f64, reach: f64) -> Vec<u32> {
-        let view = &moved(given, self.pose);
+    fn faces_in_view(&self, view: &View, phase: f64, reach: f64) -> Vec<u32> {
         let states =
             [(phase - reach).max(0.0), phase, (phase + reach).min(1.0)].map(|phase| self.breathing().at(phase));
         let bounds = Reach::new(&self.settings.visibility);
@@ -479,7 +483,7 @@ impl<'a> Tracker<'a> {
     fn search_by_depth(&mut self, view: &View, time_s: f64) -> Result<f64> {
         let observation = self.observation;
         let Some(depth) = &observation.first_depth_mm else { return Ok(0.0) };
-        let faces = self.faces_in_view(view, 0.5, 1.0);
+        let faces = self.faces_in_view(&moved(view, self.pose), 0.5, 1.0);
         if !*self.settings.unknown_pose {
             let gap = |phase| Ok(depth_gap_mm(&self.depth_mm(view, phase, &faces), depth));
             return grid_search(*self.settings.grid_steps, gap);
