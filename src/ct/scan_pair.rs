@@ -180,8 +180,8 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
     Ok(ScanPair { surface, expiration, field, scans, change, facts, kept })
 }
 
-/// The airway's surface at inspiration, what is registered of that scan, and the volume of the lungs in litres. A `given` field that does not cover the
-/// surface is refused as soon as that is known.
+/// The airway's surface at inspiration, what is registered of that scan, and the volume of the lungs in litres. A `given`
+/// field that does not cover the surface is refused as soon as that is known.
 fn inspiration_of(
     request: &ScanRequest<'_>,
     given: Option<&(&Path, Volume<[f32; 3]>)>,
