@@ -4,6 +4,7 @@ import functools
 import math
 import numbers
 import sys
+import threading
 
 import numpy as np
 
@@ -154,6 +155,8 @@ class _Pass:
     def __init__(self, call, arrays):
         cameras, height, width, channels = call.shape
         self.call, self.held = call, arrays
+        # One backward pass at a time: another thread's waits.
+        self.turn = threading.Lock()
         # As the core reads them, for each camera.
         flat = {name: a if a is None or name == "colors" else _for_core(a) for name, a in arrays.items()}
         shown = [call.colors_of(arrays["colors"], c) for c in range(cameras if call.per_camera else 1)]
@@ -177,7 +180,8 @@ class _Pass:
         for c, kept in enumerate(self.passes):
             by = [None if by is None else _for_core(by[c]) for by in by_images]
             try:
-                of_each.append(kept.backward(self._of_camera(c), *by, wanted))
+                with self.turn:
+                    of_each.append(kept.backward(self._of_camera(c), *by, wanted))
             except Error as error:
                 raise Error(_not_finite(by, names, c) or f"camera {c}: {error}") from None
         return {name: self._of_all(name, [np.asarray(by[name]) for by in of_each]) for name in of_each[0]}

@@ -342,6 +342,22 @@ class Images(unittest.TestCase):
                 np.testing.assert_array_equal(found[0], image)
                 np.testing.assert_array_equal(found[1], wanted)
 
+    def test_threads_take_turns_in_one_backward_pass(self):
+        image, _, meta = rasterize(**scene(3000, dtype=np.float32))
+        wanted = meta["backward"](np.ones_like(image))["means"]
+        found = []
+        threads = [
+            threading.Thread(target=lambda: found.append(meta["backward"](np.ones_like(image))["means"]))
+            for _ in range(4)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        self.assertEqual(len(found), 4)
+        for means in found:
+            np.testing.assert_array_equal(means, wanted)
+
     def test_other_threads_get_the_same_bits(self):
         arguments = scene(300, dtype=np.float32)
         first, _ = rasterize(**arguments)[:2]

@@ -29,7 +29,9 @@ done
 [ -n "$out" ] || usage
 # Said before hours of training, not after.
 [ -z "$report" ] || [ -f "$report/results.csv" ] || stop "--report: $report holds no results.csv; name the folder of one track."
-[ ! -e "$out/prediction" ] || { printf '%s: %s is there already; nothing is overwritten.\n' "$program" "$out/prediction" >&2; exit 4; }
+end=$out/scores
+[ -z "$report" ] || end=$out/table
+[ ! -e "$end" ] || { printf '%s: %s is there already; nothing is overwritten.\n' "$program" "$end" >&2; exit 4; }
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
 participant=$out/film/participant
@@ -57,7 +59,16 @@ make_python() {
 
 # bring_in: scores the prediction, and puts its row beside those of the report.
 bring_in() {
-  "$bench" check "$out/prediction" --sequence "$participant"
-  "$bench" evaluate --truth "$out/film/truth" --predictions "$out/prediction" --method "$method" --out "$out/scores"
+  if [ ! -e "$out/scores" ]; then
+    "$bench" check "$out/prediction" --sequence "$participant"
+    "$bench" evaluate --truth "$out/film/truth" --predictions "$out/prediction" --method "$method" --out "$out/scores"
+  fi
   [ -z "$report" ] || "$bench" merge "$report" "$out/scores" --out "$out/table"
 }
+
+# A prediction that is there is whole: it is brought in, and not made again, after what failed behind it.
+if [ -e "$out/prediction" ]; then
+  say "$out/prediction is there; its row is brought in"
+  bring_in
+  exit
+fi

@@ -14,6 +14,10 @@ const JUNCTION_RADII: f64 = 0.7;
 /// the trachea's flat end, where the scan was cut, and is none.
 const RIM_RADII: f64 = 1.6;
 const NEAR_INLET_RADII: f64 = 3.0;
+/// A branch of the trachea that is at most this share of its radius wide, and this share as long as all that follows on
+/// the other side, is a diverticulum or a tracheal bronchus: the trachea goes on behind it.
+const SIDE_WIDTH: f64 = 0.5;
+const SIDE_LENGTH: f64 = 0.25;
 
 /// A run of nodes between two junctions, as positions with radii; the junction itself is the parent's last node.
 struct Piece {
@@ -38,13 +42,15 @@ pub fn assemble(
         }
     };
     let mut centerline = Centerline::default();
+    let trachea = trachea(&pieces, &traces.nodes);
     let mut generations: Vec<u32> = Vec::new();
     let mut last_points: Vec<u32> = Vec::new();
     for (index, piece) in pieces.iter().enumerate() {
         let generation = match piece.parent {
-            None => 0,
-            Some(p) if p > 0 && is_junction(&pieces[p], &traces.nodes) => generations[p],
+            _ if trachea.contains(&index) => 0,
+            Some(p) if !trachea.contains(&p) && is_junction(&pieces[p], &traces.nodes) => generations[p],
             Some(p) => generations[p] + 1,
+            None => 0,
         };
         generations.push(generation);
         let mut parent = piece.parent.map(|p| last_points[p]);
@@ -85,6 +91,41 @@ fn split(nodes: &[TraceNode], kept: &[bool]) -> Vec<Piece> {
         pieces.push(Piece { nodes: run, parent, children: next.len() });
     }
     pieces
+}
+
+/// The pieces of the trachea, inlet first: more than one where something small branches from it above the carina.
+fn trachea(pieces: &[Piece], nodes: &[TraceNode]) -> Vec<usize> {
+    let daughters = |parent: usize| (0..pieces.len()).filter(move |&p| pieces[p].parent == Some(parent));
+    // Children come after their parents.
+    let mut tree_mm: Vec<f64> = pieces.iter().map(|piece| length(piece, nodes)).collect();
+    for p in (1..pieces.len()).rev() {
+        let parent = pieces[p].parent.expect("all but the first piece have a parent");
+        tree_mm[parent] += tree_mm[p];
+    }
+    let mut trachea = vec![0];
+    loop {
+        let last = trachea[trachea.len() - 1];
+        let main = daughters(last).max_by(|&a, &b| tree_mm[a].total_cmp(&tree_mm[b]));
+        let Some(main) = main.filter(|&main| pieces[main].children > 0) else { return trachea };
+        let end = nodes[pieces[last].nodes[pieces[last].nodes.len() - 1] as usize];
+        let is_side = |p: usize| {
+            tree_mm[p] <= SIDE_LENGTH * tree_mm[main]
+                && outer_radius_mm(&pieces[p], nodes) <= SIDE_WIDTH * end.radius_mm
+        };
+        if !daughters(last).all(|p| p == main || is_side(p)) {
+            return trachea;
+        }
+        trachea.push(main);
+    }
+}
+
+/// Mean radius of a piece outside of its parent's last sphere, in which any branch is as wide as its parent.
+fn outer_radius_mm(piece: &Piece, nodes: &[TraceNode]) -> f64 {
+    let node = |n: u32| nodes[n as usize];
+    let parent = node(node(piece.nodes[0]).parent);
+    let is_outside = |n: &&u32| node(**n).position_mm.distance(parent.position_mm) > parent.radius_mm;
+    let outside: Vec<f64> = piece.nodes.iter().filter(is_outside).map(|&n| node(n).radius_mm).collect();
+    outside.iter().sum::<f64>() / (outside.len().max(1) as f64)
 }
 
 /// Marks the nodes of end pieces from where they are narrower than allowed as dropped; whether there were any.
@@ -195,6 +236,33 @@ mod tests {
             nodes.push(TraceNode { position_mm: from + direction * (k + 1) as f64, radius_mm, parent });
         }
         nodes.len() as u32 - 1
+    }
+
+    /// What is small beside the trachea leaves it before the carina, which is where two main bronchi part.
+    #[test]
+    fn the_trachea_goes_on_behind_a_diverticulum_and_behind_a_tracheal_bronchus() {
+        let tree = |side_mm: f64, side_nodes: usize, end_mm: f64| {
+            let mut nodes = Vec::new();
+            let side = run(&mut nodes, NONE, DVec3::NEG_Z, &[8.0; 60]);
+            run(&mut nodes, side, DVec3::X, &vec![side_mm; side_nodes]);
+            let carina = run(&mut nodes, side, DVec3::NEG_Z, &[8.0; 40]);
+            for towards in [DVec3::X, DVec3::NEG_X] {
+                let hilum = run(&mut nodes, carina, towards, &[6.0; 40]);
+                run(&mut nodes, hilum, towards, &[end_mm; 30]);
+                run(&mut nodes, hilum, DVec3::NEG_Z, &[4.0; 30]);
+            }
+            let pieces = split(&nodes, &vec![true; nodes.len()]);
+            let ends: Vec<f64> = trachea(&pieces, &nodes)
+                .iter()
+                .map(|&p| nodes[pieces[p].nodes[pieces[p].nodes.len() - 1] as usize].position_mm.z)
+                .collect();
+            ends
+        };
+        assert_eq!(tree(3.0, 20, 4.0), [-60.0, -100.0], "a diverticulum");
+        assert_eq!(tree(4.0, 60, 4.0), [-60.0, -100.0], "a tracheal bronchus");
+        assert_eq!(tree(5.5, 20, 4.0), [-60.0], "as wide as a main bronchus");
+        assert_eq!(tree(3.0, 70, 4.0), [-60.0], "with as much behind it as a lung");
+        assert_eq!(tree(3.0, 20, 2.0)[1], -100.0);
     }
 
     /// Of a wide branch with a long thin end a part is kept; of a thin one nothing, though its first nodes, inside of its

@@ -128,26 +128,25 @@ impl FileMeaning {
         if rest.faces != other.faces || rest.vertices.len() != other.vertices.len() {
             return Err(Error::input("has other faces than the inspiration mesh: the two are not registered"));
         }
-        let moved = rest.vertices.iter().zip(&other.vertices).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
-        if self.anatomy == ExpectedAnatomy::Human && moved > FURTHEST_MM {
+        self.check_moves(rest, &other.vertices)
+    }
+
+    /// Refuses a second state of `rest` that is further away than breathing moves, or the first one.
+    pub fn check_moves(&self, rest: &TriangleMesh, moved: &[DVec3]) -> Result<()> {
+        let most = rest.vertices.iter().zip(moved).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+        if self.anatomy == ExpectedAnatomy::Human && most > FURTHEST_MM {
             return Err(Error::input(format!(
-                "a vertex moves by {moved:.0} mm between the breath holds, and breathing moves {FURTHEST_MM} mm at most: \
+                "a vertex moves by {most:.0} mm between the breath holds, and breathing moves {FURTHEST_MM} mm at most: \
                  both files must have one unit and one frame; --unusual takes them as they are"
             )));
         }
-        check_moves(rest, &other.vertices)
+        if most >= STILL_MM {
+            return Ok(());
+        }
+        Err(Error::input(format!(
+            "does not move: no vertex lies {STILL_MM} mm or more from where it is at inspiration (the most is {most:.3} mm)"
+        )))
     }
-}
-
-/// Refuses a pair whose second state is the first one.
-pub fn check_moves(rest: &TriangleMesh, moved: &[DVec3]) -> Result<()> {
-    let most = rest.vertices.iter().zip(moved).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
-    if most >= STILL_MM {
-        return Ok(());
-    }
-    Err(Error::input(format!(
-        "does not move: no vertex lies {STILL_MM} mm or more from where it is at inspiration (the most is {most:.3} mm)"
-    )))
 }
 
 /// Faces of each loose part, the part with the most faces first.

@@ -180,6 +180,7 @@ pub fn as_run(evaluated: Vec<Evaluated>, method: Option<&str>) -> Run {
     Run {
         profile: "evaluate".into(),
         track: if is_clinical { Track::Clinical } else { Track::Ideal },
+        conditions: Vec::new(),
         notes: Vec::new(),
         methods,
         cells,

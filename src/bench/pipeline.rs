@@ -249,7 +249,8 @@ impl Pipeline {
         Ok(Run {
             profile: self.profile.name.clone(),
             track: self.track,
-            notes: self.profile.note_on_iterations().into_iter().collect(),
+            conditions: self.profile.note_on_iterations().into_iter().collect(),
+            notes: Vec::new(),
             cases: cases.collect::<Result<_>>()?,
             methods: self.method_infos(),
             cells: finished.iter().map(|cell| cell_record(cell, &id)).collect::<Result<_>>()?,

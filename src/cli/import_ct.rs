@@ -11,7 +11,7 @@ use super::import_motion::{MotionArguments, mended_words, still_breathing};
 use crate::airway::case::AnatomySource;
 use crate::airway::case_build::{AirwayAtRest, from_field, from_pair, mended_pair};
 use crate::airway::import_breathing::{breathing_toml, moving};
-use crate::airway::import_mesh::{FileMeaning, check_moves};
+use crate::airway::import_mesh::FileMeaning;
 use crate::airway::{Anatomy, centerline::Centerline};
 use crate::base::range::NumberRange;
 use crate::base::{Error, Progress, Result, TriangleMesh};
@@ -131,6 +131,8 @@ fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &T
         residual_words: "Distance of the surface from the mask",
     };
     let rest = pair.surface.mesh;
+    let second = arguments.expiration.as_deref().or(arguments.field.as_deref()).unwrap_or(inspiration);
+    meaning.check_moves(&rest, &pair.expiration).map_err(|e| e.at(second))?;
     terminal.proceed()?;
     terminal.stage("centreline");
     let line =
@@ -150,8 +152,14 @@ fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &T
     for (name, text) in &pair.kept {
         new.text(name, text)?;
     }
-    let to = arguments.expiration.as_deref().or(arguments.field.as_deref()).map(name_of).unwrap_or_default();
-    finish_pair(arguments, new, &anatomy, &import, format!("{} and {to}", name_of(inspiration)), terminal)
+    finish_pair(
+        arguments,
+        new,
+        &anatomy,
+        &import,
+        format!("{} and {}", name_of(inspiration), name_of(second)),
+        terminal,
+    )
 }
 
 fn of_meshes(
@@ -180,7 +188,7 @@ fn of_meshes(
     } else {
         register(&meaning, &rest, &other, &mut import, terminal).map_err(|e| e.at(second))?
     };
-    check_moves(&rest, &moved).map_err(|e| e.at(second))?;
+    meaning.check_moves(&rest, &moved).map_err(|e| e.at(second))?;
     let anatomy = paired(rest, moved, line, &mut import)?;
     new.text(PAGE, &import.page(&wanted.id, &anatomy, &[], None)?)?;
     finish_pair(arguments, new, &anatomy, &import, format!("{} and {}", name_of(first), name_of(second)), terminal)

@@ -1,7 +1,8 @@
 //! The lungs of a scan: air that is not outside of the body and not in the airway, closed over its vessels.
 //!
-//! A threshold, the air that reaches the sides of the picture taken away, the large parts kept, closed by a ball. What
-//! is dense (a tumour, water, a lung without air) is not found; the registration does without it.
+//! A threshold, the air that reaches the sides of the picture taken away, the large parts inside of the body kept (the
+//! foam of a table may be closed, too), closed by a ball. What is dense (a tumour, water, a lung without air) is not
+//! found; the registration does without it.
 
 use super::parts::{VoxelContact, closed, fill_holes, grown, mask_of, parts, reached};
 use crate::base::{Error, Result, Volume};
@@ -37,11 +38,13 @@ pub fn find_lungs(scan: &Volume<i16>, airway: Option<&Volume<u8>>) -> Result<Vol
     }
     let found = parts(&air, VoxelContact::Faces);
     let to_ml = scan.grid.voxel_mm3() * 1e-3;
-    let largest = found.first().map_or(0, Vec::len);
-    let is_lung = |part: &&Vec<usize>| {
-        part.len() as f64 * to_ml >= LEAST_LUNG_ML && part.len() as f64 >= LEAST_SHARE * largest as f64
-    };
-    let kept: Vec<usize> = found.iter().filter(is_lung).flatten().copied().collect();
+    let large: Vec<&Vec<usize>> = found.iter().filter(|part| part.len() as f64 * to_ml >= LEAST_LUNG_ML).collect();
+    let body = parts(&scan.map(|hu| u8::from(hu >= LUNG_HU)), VoxelContact::Faces).into_iter().next();
+    let body = mask_of(scan.grid, &body.unwrap_or_default());
+    let inside: Vec<&Vec<usize>> = large.into_iter().filter(|part| is_inside(part, scan, &body)).collect();
+    let largest = inside.first().map_or(0, |part| part.len());
+    let is_lung = |part: &&&Vec<usize>| part.len() as f64 >= LEAST_SHARE * largest as f64;
+    let kept: Vec<usize> = inside.iter().filter(is_lung).copied().flatten().copied().collect();
     if kept.is_empty() {
         return Err(Error::input(
             "no lung was found: no connected air of 150 ml inside of the body; give masks of the lungs with --lung-masks",
@@ -50,6 +53,26 @@ pub fn find_lungs(scan: &Volume<i16>, airway: Option<&Volume<u8>>) -> Result<Vol
     let mut lungs = closed(&mask_of(scan.grid, &kept), CLOSING_MM);
     fill_holes(&mut lungs);
     Ok(lungs)
+}
+
+/// Whether most of what is dense around a part of air is the body.
+fn is_inside(part: &[usize], scan: &Volume<i16>, body: &Volume<u8>) -> bool {
+    let grid = scan.grid;
+    let (mut dense, mut of_body) = (0usize, 0usize);
+    for &at in part {
+        let cell = grid.cell(at);
+        for (axis, count) in grid.size.into_iter().enumerate() {
+            for index in [cell[axis].checked_sub(1), Some(cell[axis] + 1).filter(|i| *i < count)].into_iter().flatten()
+            {
+                let mut beside = cell;
+                beside[axis] = index;
+                let beside = grid.at(beside);
+                dense += usize::from(scan.data[beside] >= LUNG_HU);
+                of_body += usize::from(body.data[beside] > 0);
+            }
+        }
+    }
+    2 * of_body > dense
 }
 
 /// The mask, sampled at the voxels of `like`.
@@ -110,6 +133,20 @@ mod tests {
         let ratio = check_pair(litres(&full), litres(&empty)).unwrap();
         assert!((ratio - (48f64 / 55.0).powi(3)).abs() < 0.05, "{ratio}");
         assert!(check_pair(litres(&empty), litres(&full)).unwrap_err().to_string().contains("exchange the two"));
+        // A table below the back, a mattress between the two: foam in a shell that is closed at its ends.
+        let mut table = chest(55.0);
+        for at in 0..table.data.len() {
+            let place = grid.centre(at);
+            let ends = (place.x / 150.0).abs().max(((place.z + 2.0) / 100.0).abs());
+            table.data[at] = match place.y {
+                y if y < 122.0 => continue,
+                y if y < 126.0 || ends > 1.0 => -1000,
+                y if (130.0..134.0).contains(&y) && ends < 0.95 => -900,
+                _ => -100,
+            };
+        }
+        assert!(table.data.iter().filter(|hu| **hu == -900).count() as f64 * grid.voxel_mm3() > 1e3 * LEAST_LUNG_ML);
+        assert_eq!(find_lungs(&table, None).unwrap().data, full.data);
         let mut tissue = chest(55.0);
         tissue.data.iter_mut().for_each(|v| *v = (*v).max(0));
         assert!(find_lungs(&tissue, None).unwrap_err().to_string().contains("--lung-masks"));

@@ -420,6 +420,7 @@ fn results_of(build: &Build<'_>) -> (tempfile::TempDir, Results) {
         id: "smoke-00000001".into(),
         profile: "smoke".into(),
         track: Track::Ideal,
+        conditions: Vec::new(),
         notes: Vec::new(),
         cases: (1..=build.cases).map(case).collect(),
         methods: ["ours", "ours-gn"].map(MethodInfo::of).to_vec(),

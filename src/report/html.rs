@@ -133,7 +133,7 @@ fn track_section(track: &TrackReport<'_>, scenes: &Scenes, detail: CaseDetail) -
                 (counted(run.cells.len(), "cell")) ", "
                 (failed.len()) " failed. Profile " code { (run.profile) } ", track " code { (run.track.word()) } "."
             }
-            @for note in &run.notes { p.muted { (note) } }
+            @for note in run.conditions.iter().chain(&run.notes) { p.muted { (note) } }
             @for table in tables {
                 h2 { (table.kind.title()) }
                 (comparison(table, run, &palette))

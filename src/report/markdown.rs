@@ -17,7 +17,7 @@ pub fn report(
     differences: &[NeighbourDifference],
     pictures: &ReportImages,
 ) -> String {
-    let mut out = format!("# respire-bench: {}\n\n", run.id);
+    let mut out = format!("# respire-bench: {}\n\n", escape(&run.id));
     let failed = run.cells.iter().filter(|c| c.score().is_none()).count();
     let _ = writeln!(
         out,
@@ -28,7 +28,7 @@ pub fn report(
         run.profile,
         run.track.word()
     );
-    for note in &run.notes {
+    for note in run.conditions.iter().chain(&run.notes) {
         let _ = writeln!(out, "{}\n", escape(note));
     }
     tables.iter().for_each(|table| comparison(&mut out, table));

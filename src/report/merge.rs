@@ -58,6 +58,15 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
             *known = case.tree.clone();
         }
     }
+    let mut titles: BTreeMap<String, String> = BTreeMap::new();
+    for case in parts.iter().flat_map(|part| &part.run.cases).filter(|case| !case.title.is_empty()) {
+        // `evaluate` does not know the title, and gives the id.
+        let known = titles.entry(case.id.clone()).or_default();
+        if known.is_empty() || *known == case.id {
+            *known = case.title.clone();
+        }
+    }
+    let conditions = conditions_of(&parts);
     let mut profiles: Vec<String> = Vec::new();
     let mut cells: Vec<CellRecord> = Vec::new();
     // Where a cell stands, by case, method and seed; and the first one of a method.
@@ -99,7 +108,11 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
     // A film that a part kept is shown with the rows that were scored on it, and with no others.
     let film = |cell: &CellRecord| cell.score().map(FilmKey::of);
     scenes.keep_scored(&cells.iter().filter_map(|cell| Some((cell.row_key(), film(cell)?))).collect());
-    let mut run = Run { id, profile: profiles.join(" + "), track, scenes, notes, ..Run::of_cells(cells, &trees) };
+    let profile = profiles.join(" + ");
+    let mut run = Run { id, profile, track, scenes, conditions, notes, ..Run::of_cells(cells, &trees) };
+    for case in &mut run.cases {
+        case.title = titles.remove(&case.id).unwrap_or_default();
+    }
     run.notes.extend(notes_on_places(&run));
     for case in &run.cases {
         let of_film = films_of(&run.cells, &case.id);
@@ -114,6 +127,22 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
         run.notes.push(sentence + ".");
     }
     Ok(run)
+}
+
+/// What holds for the rows that this program ran, a sentence each; where not for those of all parts, with the parts' ids.
+fn conditions_of(parts: &[Part]) -> Vec<String> {
+    let own: Vec<&Run> =
+        parts.iter().map(|part| &part.run).filter(|run| run.cells.iter().any(|cell| !cell.is_foreign())).collect();
+    let sentences = distinct(own.iter().flat_map(|run| run.conditions.iter().map(String::as_str)));
+    let stated = |sentence: &str| {
+        let of: Vec<&str> = own
+            .iter()
+            .filter(|run| run.conditions.iter().any(|condition| condition == sentence))
+            .map(|run| run.id.as_str())
+            .collect();
+        if of.len() == own.len() { sentence.to_owned() } else { format!("{}: {sentence}", of.join(", ")) }
+    };
+    sentences.into_iter().map(stated).collect()
 }
 
 /// Which cases and times of a merged run count in no place.

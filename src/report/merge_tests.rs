@@ -255,7 +255,8 @@ fn a_run_that_is_read_back_writes_the_same_tables() {
 #[test]
 fn the_last_run_that_has_a_cell_gives_it() {
     let folder = tempfile::tempdir().unwrap();
-    let whole = sample_run(folder.path(), 48, 6);
+    let mut whole = sample_run(folder.path(), 48, 6);
+    whole.conditions = vec!["Every method runs 40 % of its iterations.".into()];
     let only = |methods: &[&str], id: &str| {
         let mut run = whole.clone();
         run.id = id.into();
@@ -279,6 +280,14 @@ fn the_last_run_that_has_a_cell_gives_it() {
     write(&merged, &place, &NoProgress).unwrap();
     let again = merge(vec![read_run(&place).unwrap()], Films::Same).unwrap();
     assert!(again.notes[0].contains(first) && again.notes[0].contains(second));
+    // What holds for both, and what a case is, stays; where one of two says it, it is said of that one.
+    assert_eq!(again.conditions, whole.conditions);
+    assert_eq!(again.cases[0].title, whole.cases[0].title);
+    let parts = [first, second].map(|id| read_run(&folder.path().join(id)).unwrap());
+    let [mut plain, conditioned] = parts;
+    plain.conditions.clear();
+    let merged = merge(vec![plain, conditioned], Films::Same).unwrap();
+    assert_eq!(merged.conditions, ["quick-00000002: Every method runs 40 % of its iterations."]);
     // The numbers are those of the whole run.
     for cell in &merged.cells {
         let is_same = |c: &&CellRecord| c.case_id == cell.case_id && c.method == cell.method;

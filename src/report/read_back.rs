@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::gate::redefinition;
 use super::read::{CsvRow, CsvTable, LARGEST, distinct, unfit};
-use super::run::{CellRecord, Outcome, Run, StageCost};
+use super::run::{CellRecord, Outcome, Run, StageCost, StatedFacts};
 use super::scene::Scenes;
 use super::{RESULTS, seal};
 use crate::base::range::{NumberRange, PREDICTED_PHASE, TIME_S};
@@ -87,7 +87,14 @@ pub fn read_run(folder: &Path, evidence: PartEvidence) -> Result<Run> {
     // `<profile>-<hash of the plan>`, or `evaluate-<case>-<method>`.
     let cut = if is_evaluated { id.split_once('-') } else { id.rsplit_once('-') };
     let profile = cut.map_or(id.as_str(), |(profile, _)| profile).to_owned();
-    Ok(Run { id, profile, track, scenes, notes, ..Run::of_cells(cells, &trees) })
+    let path = folder.join("run.json");
+    let stated: StatedFacts = if path.exists() { files::read_json(&path)? } else { StatedFacts::default() };
+    let conditions = stated.conditions;
+    let mut run = Run { id, profile, track, scenes, conditions, notes, ..Run::of_cells(cells, &trees) };
+    for case in stated.cases {
+        run.cases.iter_mut().filter(|c| c.id == case.id).for_each(|c| c.title = case.title.clone());
+    }
+    Ok(run)
 }
 
 /// What `results.csv` holds: all values but times.

@@ -71,6 +71,7 @@ pub(super) fn sample_run(folder: &Path, side: u32, frames: usize) -> Run {
         id: "smoke-01234567".into(),
         profile: "smoke".into(),
         track: Track::Ideal,
+        conditions: Vec::new(),
         notes: Vec::new(),
         cases: truths.iter().map(case).collect(),
         methods: methods.map(MethodInfo::of).to_vec(),

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::scene::{RowKey, Scenes};
 use crate::base::own_row;
@@ -21,6 +21,8 @@ pub struct Run {
     pub profile: String,
     /// What the methods were told.
     pub track: Track,
+    /// What holds for all that this program ran, a sentence each: that it was less than a method's whole work.
+    pub conditions: Vec<String>,
     /// Notes on the origin of the cells, a sentence each; none for a single run.
     pub notes: Vec<String>,
     /// Cases in order.
@@ -39,17 +41,40 @@ pub struct RunFacts<'a> {
     id: &'a str,
     profile: &'a str,
     track: &'a str,
-    cases: Vec<CaseTree<'a>>,
+    cases: Vec<CaseFacts<'a>>,
     methods: Vec<&'a str>,
     seeds: Vec<u64>,
+    conditions: &'a [String],
     notes: &'a [String],
 }
 
-/// A case and whose airway it is.
+/// A case, what it is, and whose airway.
 #[derive(Debug, Serialize)]
-struct CaseTree<'a> {
+struct CaseFacts<'a> {
     id: &'a str,
+    title: &'a str,
     tree: &'a str,
+}
+
+/// What `run.json` says that no table does; nothing where it is of an older version.
+#[derive(Debug, Default, Deserialize)]
+pub struct StatedFacts {
+    /// As in [`Run`].
+    #[serde(default)]
+    pub conditions: Vec<String>,
+    /// Cases with their titles.
+    #[serde(default)]
+    pub cases: Vec<StatedCase>,
+}
+
+/// A case of [`StatedFacts`].
+#[derive(Debug, Deserialize)]
+pub struct StatedCase {
+    /// Id in tables and folders.
+    pub id: String,
+    /// One line; empty when unknown.
+    #[serde(default)]
+    pub title: String,
 }
 
 /// One case.
@@ -68,7 +93,15 @@ pub struct CaseInfo {
 impl CaseInfo {
     /// Id and, where it is known, title.
     pub fn heading(&self) -> String {
-        if self.title.is_empty() { self.id.clone() } else { format!("{}: {}", self.id, self.title) }
+        if self.title.is_empty() || self.title == self.id {
+            self.id.clone()
+        } else {
+            format!("{}: {}", self.id, self.title)
+        }
+    }
+
+    fn facts(&self) -> CaseFacts<'_> {
+        CaseFacts { id: &self.id, title: &self.title, tree: self.tree() }
     }
 
     /// Whose airway it is; an unknown one is nobody else's.
@@ -230,6 +263,7 @@ impl Run {
             id: String::new(),
             profile: String::new(),
             track: Track::default(),
+            conditions: Vec::new(),
             notes: Vec::new(),
             cases,
             methods,
@@ -256,9 +290,10 @@ impl Run {
             id: &self.id,
             profile: &self.profile,
             track: self.track.word(),
-            cases: self.cases.iter().map(|case| CaseTree { id: &case.id, tree: case.tree() }).collect(),
+            cases: self.cases.iter().map(CaseInfo::facts).collect(),
             methods: self.methods.iter().map(|method| method.id.as_str()).collect(),
             seeds,
+            conditions: &self.conditions,
             notes: &self.notes,
         }
     }
