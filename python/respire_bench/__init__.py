@@ -10,7 +10,7 @@ Millimetres, seconds, radians; camera axes as OpenCV (x right, y down, z forward
 """
 
 from ._native import Error, __version__
-from .film import Film, Frame, Lazy, Mesh, load
+from .film import Film, Frame, Lazy, Mesh, TruthHidden, load
 from .prediction import write_prediction
 from .program import ProgramFailed, ProgramMissing, evaluate, export
 from .splat import Meta, rasterize
@@ -24,6 +24,7 @@ __all__ = [
     "Meta",
     "ProgramFailed",
     "ProgramMissing",
+    "TruthHidden",
     "evaluate",
     "export",
     "load",

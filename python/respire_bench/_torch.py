@@ -22,6 +22,8 @@ def _checked(name, tensor, dtype):
         raise Error(f"{name}: is on {tensor.device}; this core renders on the CPU")
     if tensor.layout != torch.strided:
         raise Error(f"{name}: is sparse; only a dense tensor lies as the core reads it")
+    if tensor.is_complex():
+        raise Error(f"{name}: is complex")
     if tensor.dtype != dtype:
         raise Error(f"{name}: is {tensor.dtype}, means are {dtype}")
     return tensor
@@ -43,7 +45,7 @@ def prepared(arrays, viewmats, Ks, backgrounds, radial_coeffs):
 
 def _numpy(tensor):
     """The memory of a tensor as an array."""
-    return None if tensor is None else tensor.detach().numpy()
+    return None if tensor is None else tensor.detach().resolve_neg().numpy()
 
 
 class _Rasterize(torch.autograd.Function):

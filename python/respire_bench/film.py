@@ -1,12 +1,17 @@
 """A film: what a method may see of it, read when it is used."""
 
 import os
-from functools import cached_property
+from functools import cached_property, wraps
 from typing import NamedTuple
 
 import numpy as np
 
+from ._native import Error
 from ._native import Film as _NativeFilm
+
+
+class TruthHidden(Error, AttributeError):
+    """What was asked for is truth, and the film was opened without."""
 
 
 class Mesh(NamedTuple):
@@ -89,6 +94,29 @@ def _matrix_of(intrinsics):
     return np.array([[fl_x, 0, cx], [0, fl_y, cy], [0, 0, 1]])
 
 
+def _of_truth(read):
+    """A getter of what only a film with its truth has."""
+
+    @wraps(read)
+    def getter(film):
+        if not film.truth:
+            raise TruthHidden(f"{read.__name__} is truth, which no method may see: load(.., truth=True) opens it")
+        return read(film)
+
+    return getter
+
+
+def _kept(array):
+    """An array that is kept: written into, it would be wrong for whoever reads it later."""
+    if array is not None:
+        array.setflags(write=False)
+    return array
+
+
+def _kept_mesh(arrays):
+    return Mesh(*map(_kept, arrays))
+
+
 class Film:
     """A film. Its length is its number of frames, `film[i]` a `Frame`, `film[2:9]` a list of them.
 
@@ -97,7 +125,8 @@ class Film:
     """
 
     def __init__(self, folder, truth=False):
-        self.folder = os.fspath(folder)
+        # The film stays the same one after a change of directory.
+        self.folder = os.path.abspath(os.fspath(folder))
         self.truth = truth
         self._film = _NativeFilm.open(self.folder, truth)
         self.width, self.height = self._film.size
@@ -141,17 +170,17 @@ class Film:
     @cached_property
     def poses(self):
         """(frames, 4, 4), world from camera, mm."""
-        return self._film.poses
+        return _kept(self._film.poses)
 
     @cached_property
     def times_s(self):
         """(frames,), seconds since the first."""
-        return self._film.times_s
+        return _kept(self._film.times_s)
 
     @cached_property
     def K(self):
         """(3, 3), intrinsics in pixels; pixel centres at integer + 0.5."""
-        return _matrix_of(self._film.intrinsics)
+        return _kept(_matrix_of(self._film.intrinsics))
 
     @property
     def fisheye(self):
@@ -161,27 +190,27 @@ class Film:
     @cached_property
     def mask(self):
         """(height, width), true where pixels count in metrics; `None` where all do."""
-        return self._film.mask()
+        return _kept(self._film.mask())
 
     @cached_property
     def inspiration(self):
         """CT surface at full inspiration."""
-        return Mesh(*self._film.inspiration())
+        return _kept_mesh(self._film.inspiration())
 
     @cached_property
     def expiration(self):
         """CT surface at full expiration, same faces, with the registration's error where the film has one."""
-        return Mesh(*self._film.expiration())
+        return _kept_mesh(self._film.expiration())
 
     @cached_property
     def centerline_mm(self):
         """(n, 3), points of the lumen's centreline at inspiration."""
-        return self._film.centerline_mm()
+        return _kept(self._film.centerline_mm())
 
     @cached_property
     def targets_mm(self):
         """(n, 3), targets as planned at inspiration."""
-        return self._film.targets_mm
+        return _kept(self._film.targets_mm)
 
     @property
     def breathing_period_s(self):
@@ -201,74 +230,88 @@ class Film:
     @cached_property
     def novel_poses(self):
         """(n, 4, 4), poses of the second cameras, in the order of `novel_frames`."""
-        return self._film.novel_poses
+        return _kept(self._film.novel_poses)
 
     @property
+    @_of_truth
     def case(self):
         """Truth: the case that was filmed."""
         return self._film.case_id
 
     @property
+    @_of_truth
     def phases(self):
         """Truth: (frames,), breathing phase, 0 full inspiration, 1 full expiration."""
         return self._film.phases
 
     @cached_property
+    @_of_truth
     def true_poses(self):
         """Truth: (frames, 4, 4), the poses as they were. On the clinical track `poses` are what a sensor says of them."""
-        return self._film.true_poses
+        return _kept(self._film.true_poses)
 
     @cached_property
+    @_of_truth
     def true_novel_poses(self):
         """Truth: (n, 4, 4), the poses of the second cameras as they were."""
-        return self._film.true_novel_poses
+        return _kept(self._film.true_novel_poses)
 
     @cached_property
+    @_of_truth
     def true_K(self):
         """Truth: (3, 3), the intrinsics as they were. On the clinical track `K` are those of the lens's data sheet."""
-        return _matrix_of(self._film.true_intrinsics)
+        return _kept(_matrix_of(self._film.true_intrinsics))
 
     @property
+    @_of_truth
     def true_fisheye(self):
         """Truth: `k1..k4` as they were; `None` for a pinhole."""
         return self._film.true_fisheye and np.array(self._film.true_fisheye)
 
     @cached_property
+    @_of_truth
     def true_inspiration(self):
         """Truth: the surface at full inspiration."""
-        return Mesh(*self._film.true_inspiration())
+        return _kept_mesh(self._film.true_inspiration())
 
     @cached_property
+    @_of_truth
     def true_expiration(self):
         """Truth: the surface at full expiration, same faces as `true_inspiration`."""
-        return Mesh(*self._film.true_expiration())
+        return _kept_mesh(self._film.true_expiration())
 
     @cached_property
+    @_of_truth
     def targets_by_frame_mm(self):
         """Truth: (frames, n, 3), where the targets are at every frame."""
-        return self._film.targets_by_frame_mm
+        return _kept(self._film.targets_by_frame_mm)
 
     @property
+    @_of_truth
     def gains(self):
         """Truth: (frames,), exposure gain applied to the linear radiance."""
         return self._film.gains
 
     @property
+    @_of_truth
     def targets_expiration_mm(self):
         """Truth: (n, 3), where the targets are at full expiration."""
         return self._film.targets_expiration_mm
 
     @property
+    @_of_truth
     def meshes(self):
         """Truth: the surface at each frame, as `Mesh`; of a film of the clinical track the last alone, `meshes[-1]`."""
         return _Meshes(self)
 
     @property
+    @_of_truth
     def novel_images(self):
         """Truth: what the second cameras saw, in the order of `novel_frames`."""
         return Lazy(self, "novel_images", self.novel_frames)
 
     @property
+    @_of_truth
     def novel_depths_mm(self):
         """Truth: their z-depths in mm."""
         return Lazy(self, "novel_depths_mm", self.novel_frames)

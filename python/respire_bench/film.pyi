@@ -5,6 +5,10 @@ from typing import Any, NamedTuple, Protocol, overload
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from . import Error
+
+class TruthHidden(Error, AttributeError): ...
+
 class Mesh(NamedTuple):
     vertices: NDArray[np.float64]
     faces: NDArray[np.uint32]

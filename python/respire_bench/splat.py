@@ -336,7 +336,11 @@ def rasterize(
         ("ftheta_coeffs", ftheta_coeffs, None),
         ("viewmats_rs", viewmats_rs, None),
     ):
-        fits = value is usual or (usual is not None and value == usual)
+        try:
+            fits = value is usual or (usual is not None and bool(value == usual))
+        except (TypeError, ValueError, RuntimeError):
+            # An array, of which nobody knows whether it equals a number.
+            fits = False
         _refuse_unless(fits, "{}: only {} is here, this core has no other", name, usual)
     shutter = getattr(rolling_shutter, "name", rolling_shutter)
     _refuse_unless(shutter in (None, "GLOBAL"), "rolling_shutter: only a global shutter is here")

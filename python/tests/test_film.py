@@ -1,5 +1,6 @@
 """`load` and `write_prediction`, on a film that the program makes."""
 
+import inspect
 import json
 import multiprocessing
 import os
@@ -95,6 +96,32 @@ class Reading(unittest.TestCase):
                 film._film.depth_mm(1)
         with self.assertRaisesRegex(Error, "holds no truth"):
             load(self.participant.folder, truth=True)
+
+    def test_a_film_can_be_looked_through_without_its_truth(self):
+        self.assertFalse(hasattr(self.film, "phases"))
+        self.assertIsNone(getattr(self.film, "meshes", None))
+        names = [name for name, _ in inspect.getmembers(self.film)]
+        self.assertIn("poses", names)
+        self.assertNotIn("true_poses", names)
+
+    def test_what_a_film_holds_cannot_be_written_over(self):
+        film = load(self.truth.folder, truth=True)
+        arrays = {name: getattr(film, name) for name in ("poses", "times_s", "K", "targets_mm", "true_poses")}
+        arrays |= {"surface": film.inspiration.vertices, "faces": film.true_expiration.faces}
+        for name, array in arrays.items():
+            with self.assertRaisesRegex(ValueError, "read-only", msg=name):
+                array *= 2
+        film[0].pose[:] = 0
+        np.testing.assert_array_equal(film[0].pose, self.truth.poses[0])
+
+    def test_a_film_stays_the_same_after_a_change_of_directory(self):
+        folder, before = os.path.relpath(self.truth.folder), os.getcwd()
+        film = load(folder)
+        try:
+            os.chdir(tempfile.gettempdir())
+            np.testing.assert_array_equal(pickle.loads(pickle.dumps(film)).images[3], self.truth.images[3])
+        finally:
+            os.chdir(before)
 
     def test_the_truth(self):
         film = self.truth

@@ -342,6 +342,21 @@ class Images(unittest.TestCase):
                 np.testing.assert_array_equal(found[0], image)
                 np.testing.assert_array_equal(found[1], wanted)
 
+    def test_small_plain_colors_keep_their_digits(self):
+        for channels in (3, 6):
+            exact = scene(300, channels=channels)
+            exact["colors"] -= 0.5
+            single = {k: a.astype(np.float32) if isinstance(a, np.ndarray) else a for k, a in exact.items()}
+            exact = {k: a.astype(np.float64) if isinstance(a, np.ndarray) else a for k, a in single.items()}
+            for size in (1e-7, 1e-3, 0.04, 1):
+                wanted, _, meta = rasterize(**exact | {"colors": exact["colors"] * size})
+                by = random_like(wanted)
+                means = meta["backward"](by)["means"]
+                found, _, meta = rasterize(**single | {"colors": single["colors"] * np.float32(size)})
+                np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-5 * np.abs(wanted).max())
+                found = meta["backward"](by.astype(np.float32))["means"]
+                self.assertLess(np.abs(found - means).max(), 1e-2 * np.abs(means).max())
+
     def test_threads_take_turns_in_one_backward_pass(self):
         image, _, meta = rasterize(**scene(3000, dtype=np.float32))
         wanted = meta["backward"](np.ones_like(image))["means"]
@@ -391,6 +406,7 @@ class Refusals(unittest.TestCase):
     def test_what_the_core_has_not_is_named(self):
         for name, value in (
             ("radius_clip", 2.0),
+            ("radius_clip", np.zeros(2)),
             ("tile_size", 8),
             ("sparse_grad", True),
             ("absgrad", True),

@@ -26,14 +26,14 @@ pub fn check_foreign(name: &str) -> Result<()> {
     }
 }
 
-/// What a reader tells names apart by: letters and digits, where 0 may be an o, and 1 and l an i.
+/// What a reader tells names apart by: letters and digits, where 0 may be an o, and 1, l, a bar and ! an i.
 fn seen(name: &str) -> String {
     let letter = |c: char| match c.to_ascii_lowercase() {
         '0' => 'o',
-        '1' | 'l' => 'i',
+        '1' | 'l' | '|' | '!' => 'i',
         other => other,
     };
-    name.chars().filter(char::is_ascii_alphanumeric).map(letter).collect()
+    name.chars().map(letter).filter(char::is_ascii_alphanumeric).collect()
 }
 
 #[cfg(test)]
@@ -51,6 +51,7 @@ mod tests {
             "Static CT",
             "0urs",
             "VirtuaI bronchoscopy",
+            "BridgeSp|at",
         ];
         for reserved in reserved {
             let said = check_foreign(reserved).unwrap_err().to_string();

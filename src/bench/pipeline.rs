@@ -13,7 +13,7 @@ use super::stages::Stages;
 use super::timing::StageTiming;
 use super::variant::Variant;
 use crate::airway::case::Case;
-use crate::base::{Error, Estimate, Progress, Result, files, hash, own_row};
+use crate::base::{Error, Estimate, Progress, Result, files, hash, own_row, shipped};
 use crate::reconstruct::{self, Listing, MethodFile, Reconstruct};
 use crate::report::scene::Scenes;
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
@@ -63,6 +63,8 @@ struct Method {
     method: Box<dyn Reconstruct>,
     /// Iterations of a frame over those of `ours`, the profile's scale included.
     effort: f64,
+    /// Whether it has the id of an own row and other keys than the file of that row which the program carries.
+    is_changed: bool,
 }
 
 /// Iterations of a frame that a method's keys name; those of `ours` where they name none. Three are stages of a frame,
@@ -89,7 +91,14 @@ impl Method {
         // Hash of the parsed keys, inherited ones included, so that changing a comment or a blank recomputes no cell.
         let content = hash::of_value(&(file.keys(), scale))?;
         let effort = scale * work_of_iteration(file.keys()) * iterations(file.keys()) / OUR_ITERATIONS;
-        Ok(Method { content, method: file.method(scale)?, effort })
+        Ok(Method { content, method: file.method(scale)?, effort, is_changed: false })
+    }
+
+    /// The same, compared with the file that the program carries under its id.
+    fn compared(self, file: &MethodFile) -> Result<Self> {
+        let carried = Path::new(shipped::ROOT).join("methods").join(format!("{}.toml", self.method.id()));
+        let is_changed = files::is_file(&carried) && MethodFile::load(&carried)?.keys() != file.keys();
+        Ok(Method { is_changed, ..self })
     }
 }
 
@@ -227,7 +236,14 @@ impl Pipeline {
 
     /// The methods that were chosen, as reports show them.
     pub fn method_infos(&self) -> Vec<MethodInfo> {
-        self.methods.iter().map(|m| MethodInfo::of(m.method.id())).collect()
+        let info = |m: &Method| {
+            let mut info = MethodInfo::of(m.method.id());
+            if m.is_changed {
+                info.title += ", changed";
+            }
+            info
+        };
+        self.methods.iter().map(info).collect()
     }
 
     /// What a report is made of.
@@ -249,7 +265,7 @@ impl Pipeline {
         Ok(Run {
             profile: self.profile.name.clone(),
             track: self.track,
-            conditions: self.profile.note_on_iterations().into_iter().collect(),
+            conditions: self.profile.note_on_iterations().into_iter().chain(self.note_on_changes()).collect(),
             notes: Vec::new(),
             cases: cases.collect::<Result<_>>()?,
             methods: self.method_infos(),
@@ -257,6 +273,14 @@ impl Pipeline {
             scenes: Scenes::default(),
             id,
         })
+    }
+
+    /// What a report says of rows that have an own row's id and are not run by its file.
+    pub fn note_on_changes(&self) -> Option<String> {
+        let ids = self.methods.iter().filter(|m| m.is_changed).map(|m| format!("`{}`", m.method.id()));
+        let ids: Vec<String> = ids.collect();
+        let sentence = format!("Run by method files that differ from those of this program: {}.", ids.join(", "));
+        (!ids.is_empty()).then_some(sentence)
     }
 
     fn simulation_settings(&self, case: &Case) -> SimulationSettings {
@@ -318,7 +342,9 @@ fn refuse_doubles<T: PartialEq + std::fmt::Display>(items: impl Iterator<Item = 
 fn methods(catalogue: &Catalogue, profile: &Profile, wanted: Option<&[String]>, track: Track) -> Result<Vec<Method>> {
     let mut found = Vec::new();
     for file in reconstruct::method_files(&catalogue.methods())? {
-        found.push(Method::new(&file, profile)?);
+        let method = Method::new(&file, profile)?;
+        let is_carried = catalogue.root() == Path::new(shipped::ROOT);
+        found.push(if is_carried { method } else { method.compared(&file)? });
     }
     // Further methods follow by name, as they were read.
     found.sort_by_key(|m| own_row::place(m.method.id()));

@@ -113,6 +113,7 @@ fn run_all(arguments: &AllCasesArguments, runs: &[TrackRun], terminal: &Terminal
     let name = report_name(runs)?;
     let folder = arguments.out.join(&name);
     let freshness = if arguments.fresh { Freshness::Fresh } else { Freshness::Resume };
+    runs.iter().find_map(|run| run.pipeline.note_on_changes()).iter().for_each(|note| terminal.note(note));
     if arguments.dry_run {
         let store = Store::look(arguments.cache.path());
         runs.iter().try_for_each(|run| print_plan(&run.plan, &store, freshness, terminal))?;

@@ -6,7 +6,7 @@ use super::Terminal;
 use crate::base::Result;
 use crate::bench::evaluation::check_name;
 use crate::score::{Question, check_prediction, check_truth};
-use crate::simulate::participant::Participant;
+use crate::simulate::participant::{Given, Participant};
 use crate::simulate::sequence::Sequence;
 
 /// Arguments of `check`.
@@ -46,9 +46,14 @@ pub fn run(arguments: CheckArguments, terminal: &Terminal) -> Result<()> {
         return Ok(());
     };
     let question = if Participant::is_at(sequence) {
-        Question::of_participant(&Participant::open(sequence)?)
+        let film = Participant::open(sequence)?;
+        // On the clinical track the surface that is told has other vertices than the true one.
+        let is_true = !film.given_poses_are_measured();
+        let vertices = is_true.then(|| film.given_inspiration()).transpose()?.map(|surface| surface.vertices.len());
+        Question::of_participant(&film).with_vertices(vertices)
     } else {
-        Question::of(&Sequence::open(sequence)?)
+        let film = Sequence::open(sequence)?;
+        Question::of(&film).with_vertices(Some(film.inspiration()?.vertices.len()))
     };
     check_name(&arguments.folder, &question)?;
     let found = check_prediction(&question, &arguments.folder)?;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::Terminal;
 use crate::base::{Error, Progress, Result};
-use crate::report::compare::{Change, Comparison, compare};
+use crate::report::compare::{Change, Comparison, compare, only_in_first};
 use crate::report::read;
 use crate::score::metric;
 
@@ -40,6 +40,7 @@ pub fn run(arguments: CompareArguments, terminal: &Terminal) -> Result<()> {
         let sentence = "are of other films in B, so that differences there are not of the methods alone";
         terminal.note(&format!("{} {sentence}", others.join(", ")));
     }
+    only_in_first(&a, &b).iter().for_each(|sentence| terminal.note(sentence));
     let mut found = compare(&a, &b);
     if let Some(wanted) = &arguments.method {
         found.retain(|c| c.method == *wanted);
@@ -73,6 +74,8 @@ fn line(c: &Comparison) -> String {
         Change::Same => "same",
         Change::Lost => "lost a value",
         Change::Single => "one case",
+        Change::Few => "too few cases",
+        Change::Machines => "another machine",
         Change::Redefined => "definition changed",
     };
     format!(

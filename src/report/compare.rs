@@ -3,8 +3,8 @@
 
 use serde::Serialize;
 
-use super::read::Results;
-use crate::score::statistics::mean_over_cases;
+use super::read::{Results, distinct};
+use crate::score::statistics::{FEWEST_TREES, mean_over_cases};
 use crate::score::{Goal, Metric, registry};
 
 /// What a difference means.
@@ -23,6 +23,10 @@ pub enum Change {
     Lost,
     /// One case only: a difference without an interval.
     Single,
+    /// Fewer trees than can tell a difference from chance.
+    Few,
+    /// Times that were not measured on the same machine.
+    Machines,
     /// The metric's definition differs between the runs: no comparison.
     Redefined,
 }
@@ -48,6 +52,16 @@ pub struct Comparison {
     pub change: Change,
 }
 
+/// What only the first run has, a sentence each: methods, and cases.
+pub fn only_in_first(a: &Results, b: &Results) -> Vec<String> {
+    let (methods, cases) = (b.methods(), b.cases());
+    let missing = |of_a: Vec<&str>, of_b: Vec<&str>, what: &str| -> Option<String> {
+        let gone: Vec<&str> = of_a.into_iter().filter(|id| !of_b.contains(id)).collect();
+        (!gone.is_empty()).then(|| format!("{what} of A that B has not: {}", gone.join(", ")))
+    };
+    [missing(a.methods(), methods, "methods"), missing(a.cases(), cases, "cases")].into_iter().flatten().collect()
+}
+
 /// All methods and metrics that both runs have, methods sorted, metrics in the registry's order.
 pub fn compare(a: &Results, b: &Results) -> Vec<Comparison> {
     let mut found = Vec::new();
@@ -68,7 +82,10 @@ fn compare_one(a: &Results, b: &Results, method: &str, m: &'static Metric) -> Op
         }
     }
     let without = b.cases_without(method, m.id);
-    let has_lost = values_a.iter().any(|(case, _)| without.contains(case));
+    // A case that the second run has, but not of this method, is lost, too.
+    let is_gone = |case: &str| b.facts.contains_key(case) && !b.has_rows(method, case);
+    let has_lost = values_a.iter().any(|(case, _)| without.contains(case) || is_gone(case));
+    let few = distinct(trees.iter().copied()).len() < FEWEST_TREES;
     let differences: Vec<f64> = pairs.iter().map(|(va, vb)| vb - va).collect();
     let Some(mean) = mean_over_cases(differences.iter().copied().zip(trees)) else {
         let nothing = Comparison {
@@ -101,9 +118,12 @@ fn compare_one(a: &Results, b: &Results, method: &str, m: &'static Metric) -> Op
         Change::Lost
     } else if differences.iter().all(|d| *d == 0.0) {
         Change::Same
+    } else if m.is_runtime() && !a.is_of_the_machine_of(b) {
+        Change::Machines
     } else {
         match mean.interval {
             None => Change::Single,
+            Some(_) if few => Change::Few,
             Some([low, high]) if low > 0.0 || high < 0.0 => {
                 if (low > 0.0) == (m.direction == Goal::Higher) {
                     Change::Better

@@ -5,7 +5,7 @@ use super::counted_run::CountedRun;
 use super::run::{MethodInfo, Run};
 use super::summary::MethodSummary;
 use crate::base::own_row;
-use crate::score::statistics::MeanInterval;
+use crate::score::statistics::{FEWEST_TREES, MeanInterval};
 use crate::score::{Metric, navigation_metrics, ranking_metrics};
 use crate::simulate::track::Track;
 
@@ -32,9 +32,11 @@ pub struct NeighbourDifference {
 }
 
 impl NeighbourDifference {
-    /// Whether the interval lies above 0: the order would be the same on other cases like these.
-    pub fn is_clear(&self) -> bool {
-        self.ahead.interval.is_some_and(|[low, _]| low > 0.0)
+    /// Whether the interval lies above 0: the order would be the same on other cases like these. `None` where there are too
+    /// few of them to say.
+    pub fn is_clear(&self) -> Option<bool> {
+        let [low, _] = self.ahead.interval.filter(|_| self.trees >= FEWEST_TREES)?;
+        Some(low > 0.0)
     }
 
     /// Whether the better row sees more than the one behind it, so that it does not beat it.
@@ -42,12 +44,12 @@ impl NeighbourDifference {
         !own_row::sees(&self.method.id).is_within(own_row::sees(&self.next.id))
     }
 
-    /// `is_clear` as a word, with what it sees more; a dash where there is no interval.
+    /// `is_clear` as a word, with what it sees more; a dash where nobody can say.
     pub fn word(&self) -> String {
-        let clear = match self.ahead.interval {
+        let clear = match self.is_clear() {
             None => "–",
-            Some(_) if self.is_clear() => "yes",
-            Some(_) => "no",
+            Some(true) => "yes",
+            Some(false) => "no",
         };
         format!("{clear}{}", if self.sees_more() { SEES_MORE } else { "" })
     }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use super::compare::{Change, compare};
+use super::compare::{Change, compare, only_in_first};
 use super::gate::{Check, Thresholds, Verdict, judge, read_thresholds, with_limits_of};
 use super::gate_limits::{LimitSource, limits_from, write_limits};
 use super::read::{Results, read};
@@ -223,7 +223,7 @@ fn two_runs_are_compared_in_pairs() {
     let b = changed(&a, "ours", "depth_rmse_mm", |v| Some(v + 0.5));
     let found = compare(&a, &b);
     let depth = found.iter().find(|c| c.method == "ours" && c.metric == "depth_rmse_mm").unwrap();
-    assert!((depth.difference - 0.5).abs() < 1e-12 && depth.change == Change::Worse && depth.cases == 2);
+    assert!((depth.difference - 0.5).abs() < 1e-12 && depth.change == Change::Few && depth.cases == 2);
     let psnr = found.iter().find(|c| c.method == "ours" && c.metric == "psnr_db").unwrap();
     assert_eq!(psnr.change, Change::Same);
     // A value that has gone is not the same; a surface that cannot be measured counts with its case's worst row.
@@ -269,26 +269,57 @@ fn the_ends_of_the_allowances() {
     assert_eq!((failed(29.71, 30.0), failed(29.69, 30.0)), (0, 2));
 }
 
-/// Five cases, of which four have one tree: alike differences there say little of other trees.
+/// Seven cases, then six of them with one tree: alike differences there say little of other trees.
 #[test]
 fn runs_are_compared_over_trees() {
     let folder = tempfile::tempdir().unwrap();
     let mut a = tables_in(folder.path());
     a.entries.retain(|key, _| key.case == "case1" && key.method == "ours" && key.metric == "depth_rmse_mm");
     let (key, entry) = a.entries.first_key_value().map(|(key, entry)| (key.clone(), entry.clone())).unwrap();
-    for case in 1..=5 {
+    for case in 1..=7 {
         let case = format!("case{case}");
         a.facts.entry(case.clone()).or_default().tree = case.clone();
         a.entries.insert(super::read::Key { case, ..key.clone() }, entry.clone());
     }
     let mut b = a.clone();
-    for (_, entry) in b.entries.iter_mut().filter(|(key, _)| key.case != "case5") {
+    for (_, entry) in b.entries.iter_mut().filter(|(key, _)| key.case != "case7") {
         entry.value = entry.value.map(|v| v + 0.5);
     }
-    let change = |a: &Results| compare(a, &b)[0].change;
-    assert_eq!(change(&a), Change::Worse);
-    a.facts.iter_mut().filter(|(case, _)| *case != "case5").for_each(|(_, facts)| facts.tree = "shared".into());
-    assert_eq!(change(&a), Change::Unclear, "a bound of 0");
+    let change = |a: &Results, b: &Results| compare(a, b)[0].change;
+    assert_eq!(change(&a, &b), Change::Worse);
+    let mut both_ways = b.clone();
+    for (key, entry) in both_ways.entries.iter_mut().filter(|(key, _)| ["case1", "case2"].contains(&key.case.as_str()))
+    {
+        entry.value = entry.value.map(|v| v - 1.0 - f64::from(key.case == "case2"));
+    }
+    assert_eq!(change(&a, &both_ways), Change::Unclear);
+    // A case that the second run has of other methods alone is lost; one that it has not at all is not shared.
+    let mut lost = b.clone();
+    lost.entries.retain(|key, _| key.case != "case3");
+    assert_eq!(change(&a, &lost), Change::Lost);
+    lost.facts.remove("case3");
+    assert_eq!(change(&a, &lost), Change::Worse);
+    assert_eq!(only_in_first(&a, &lost), ["cases of A that B has not: case3"]);
+    a.facts.iter_mut().filter(|(case, _)| *case != "case7").for_each(|(_, facts)| facts.tree = "shared".into());
+    assert_eq!(change(&a, &b), Change::Few);
+}
+
+/// Times are compared where one machine took both.
+#[test]
+fn times_of_two_machines_are_not_judged() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut a = tables_in(folder.path());
+    let mut b = changed(&a, "ours", "time_total_s", |v| Some(2.0 * v));
+    let change = |a: &Results, b: &Results| {
+        compare(a, b).iter().find(|c| c.method == "ours" && c.metric == "time_total_s").unwrap().change
+    };
+    assert_eq!(change(&a, &b), Change::Machines, "nobody knows of which");
+    for (results, machine) in [(&mut a, "0123abcd"), (&mut b, "0123abcd")] {
+        results.machines.insert(machine.into());
+    }
+    assert_eq!(change(&a, &b), Change::Few);
+    b.machines = ["another".to_owned()].into();
+    assert_eq!(change(&a, &b), Change::Machines);
 }
 
 /// By hand: seeds that are 0.04 apart in one case and 0.10 in the other have deviations of 0.028 and 0.071, whose mean

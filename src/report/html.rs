@@ -253,7 +253,7 @@ fn comparison(table: &ComparisonTable, run: &Run, palette: &Palette) -> Markup {
             @if has_intervals { "; below it the 95 % bootstrap interval over trees and cases" }
             ". "
             @if table.kind.ranks() {
-                "Bold: best ranked method; a method is ranked where it is scored on every case. "
+                "Bold: best ranked method; a method is ranked where it is scored on every case, with all of its seeds. "
             }
             "Rows in italics are bounds and not ranked."
             @for (sign, means) in table.signs() { " " (sign) ": " (means) "." }

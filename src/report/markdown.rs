@@ -44,13 +44,16 @@ pub fn report(
 /// Text that Markdown does not take for markup.
 pub fn escape(text: &str) -> String {
     // A bracket that a parenthesis follows is a link or a picture.
-    let plain = text.replace('\\', "\\\\").replace('|', "\\|").replace('*', "\\*").replace("](", "]\\(");
+    let plain =
+        text.replace('&', "&amp;").replace('\\', "\\\\").replace('|', "\\|").replace('*', "\\*").replace("](", "]\\(");
     plain.replace('<', "&lt;").replace(['\n', '\r'], " ")
 }
 
 fn comparison(out: &mut String, table: &ComparisonTable) {
     let ranked = match table.kind.ranks() {
-        true => " **Bold**: best ranked method; a method is ranked where it is scored on every case.",
+        true => {
+            " **Bold**: best ranked method; a method is ranked where it is scored on every case, with all of its seeds."
+        }
         false => "",
     };
     let _ = writeln!(
@@ -163,7 +166,7 @@ fn failures(out: &mut String, run: &Run) {
         Outcome::Scored(_) => None,
     });
     let mut lines = failed
-        .map(|(c, why)| format!("- {} / {} / seed {}: {}\n", c.case_id, c.method, c.seed, escape(why)))
+        .map(|(c, why)| format!("- {} / {} / seed {}: {}\n", c.case_id, escape(&c.method), c.seed, escape(why)))
         .peekable();
     if lines.peek().is_some() {
         out.push_str("## Failed cells\n\n");
@@ -222,6 +225,7 @@ mod tests {
 
     #[test]
     fn names_are_no_markup() {
+        assert_eq!(escape("Gauss-Newt&#111;n"), "Gauss-Newt&amp;#111;n");
         assert_eq!(escape("![x](http://a) *b* | PSNR [dB] <i>"), "![x]\\(http://a) \\*b\\* \\| PSNR [dB] &lt;i>");
     }
 

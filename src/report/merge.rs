@@ -51,8 +51,11 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
         return Err(Error::input(format!("a table holds one track, and these are of {a} and of {b}")));
     }
     let mut trees: BTreeMap<String, String> = BTreeMap::new();
-    for case in parts.iter().flat_map(|part| &part.run.cases).filter(|case| !case.tree.is_empty()) {
-        // A third party's scores do not know the tree, and are written with the case as its own.
+    // Those that this program filmed itself first: a third party's scores say of a tree what its film says, or nothing, and
+    // are then written with the case as its own.
+    let is_own = |part: &&Part| part.run.cells.iter().any(|cell| !cell.is_evaluated());
+    let own_first = parts.iter().filter(is_own).chain(parts.iter().filter(|part| !is_own(part)));
+    for case in own_first.flat_map(|part| &part.run.cases).filter(|case| !case.tree.is_empty()) {
         let known = trees.entry(case.id.clone()).or_default();
         if known.is_empty() || *known == case.id {
             *known = case.tree.clone();

@@ -66,6 +66,8 @@ pub struct Results {
     pub facts: BTreeMap<String, CaseFacts>,
     /// What the methods were told.
     pub track: Track,
+    /// Machines on which the methods ran, as far as `timings.csv` says.
+    pub machines: BTreeSet<String>,
 }
 
 /// Reads `results.csv` of `folder`, and the times from its `comparison.csv` where there is one.
@@ -118,6 +120,12 @@ pub fn read(folder: &Path) -> Result<Results> {
             }
         }
     }
+    let path = folder.join("timings.csv");
+    if path.exists() {
+        for row in CsvTable::read(&path)?.rows() {
+            results.machines.insert(row.text_or_empty("machine_id"));
+        }
+    }
     seal::check(folder)?;
     Ok(results)
 }
@@ -139,6 +147,16 @@ impl Results {
     /// Method ids, sorted.
     pub fn methods(&self) -> Vec<&str> {
         distinct(self.entries.keys().map(|k| k.method.as_str()))
+    }
+
+    /// Whether there are rows of the method in the case.
+    pub fn has_rows(&self, method: &str, case: &str) -> bool {
+        self.entries.keys().any(|key| key.method == method && key.case == case)
+    }
+
+    /// Whether both are known to have run on one machine, and it is the same.
+    pub fn is_of_the_machine_of(&self, other: &Results) -> bool {
+        self.machines.len() == 1 && self.machines == other.machines && !self.machines.contains("")
     }
 
     /// Refuses results of another track: their numbers are of another task.

@@ -10,7 +10,11 @@ use super::counted_run::CountedRun;
 use super::run::{CaseInfo, MethodInfo, Role, Run};
 use crate::base::own_row;
 use crate::score::statistics::MeanInterval;
-use crate::score::{Goal, Metric, Status, registry, told_by};
+use crate::score::{Goal, Metric, Needs, Status, registry, told_by};
+use crate::simulate::track::Track;
+
+/// An error in the metric's unit (mm, degrees, phases) below that of any estimate by far, which is that of the truth.
+const NO_ERROR: f64 = 1e-5;
 
 /// One metric of one method, over the cases.
 #[derive(Clone, Copy, Debug)]
@@ -38,6 +42,8 @@ pub struct MethodSummary {
     pub cases: usize,
     /// Cells that failed.
     pub failed: usize,
+    /// Cells, those included.
+    pub cells: usize,
     /// In the registry's order.
     pub metrics: Vec<MetricSummary>,
 }
@@ -64,6 +70,7 @@ pub fn summarise(run: &Run) -> Vec<MethodSummary> {
             method: method.clone(),
             cases: counted.ranking_cases().iter().filter(is_scored).count(),
             failed: run.cells.iter().filter(|c| c.method == method.id && c.score().is_none()).count(),
+            cells: run.cells.iter().filter(|c| c.method == method.id).count(),
             metrics: registry().iter().map(|m| metric_summary(run, &counted, method, m)).collect(),
         }
     };
@@ -86,7 +93,8 @@ fn equals_truth(run: &Run, counted: &CountedRun<'_>, method: &MethodInfo, metric
     let mean = counted.mean(&counted.case_values(&method.id, metric.id));
     // That no frame of a hundred is lost is an estimate like any other.
     let is_share = metric.unit == "%";
-    let no_error = metric.direction == Goal::Lower && !is_share && mean.is_some_and(|m| metric.perfect == Some(m.mean));
+    let is_exact = |m: MeanInterval| metric.perfect.is_some_and(|perfect| (m.mean - perfect).abs() <= NO_ERROR);
+    let no_error = metric.direction == Goal::Lower && !is_share && mean.is_some_and(is_exact);
     let is_identical = run
         .cells
         .iter()
@@ -125,8 +133,13 @@ fn places(run: &Run, counted: &CountedRun<'_>, summaries: &[MethodSummary], metr
             run.cells.iter().filter(|c| c.method == s.method.id).filter_map(|c| c.score()?.metric(metric.id));
         !is_perfect && scores.all(|score| score.status != Status::Copied)
     };
+    // On the ideal track the true poses are told: who gives them back has estimated none.
+    let is_told = |s: &MethodSummary| {
+        metric.applies_to == Needs::Poses && run.track == Track::Ideal && own_row::sees(&s.method.id).told_poses
+    };
     let is_ranked = |s: &MethodSummary| {
         s.method.role == Role::Ranked
+            && !is_told(s)
             && counted.covers(&s.method.id, metric.id)
             && is_estimate(s)
             && (!metric.is_runtime() || counted.is_timed(&s.method.id))

@@ -231,8 +231,11 @@ impl ComparisonTable {
         let cases = summaries.iter().map(|s| s.cases).max().unwrap_or(0);
         let named = |s: &MethodSummary| {
             let mut method = s.method.clone();
-            if s.cases < cases {
-                method.title += &format!(" ({} of {cases} cases)", s.cases);
+            let fewer = (s.cases < cases).then(|| format!("{} of {cases} cases", s.cases));
+            let failed = (s.failed > 0).then(|| format!("{} of {} runs failed", s.failed, s.cells));
+            let notes: Vec<String> = fewer.into_iter().chain(failed).collect();
+            if !notes.is_empty() {
+                method.title += &format!(" ({})", notes.join("; "));
             }
             method
         };

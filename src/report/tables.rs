@@ -244,7 +244,7 @@ pub fn write_differences(differences: &[NeighbourDifference], path: &Path) -> Re
             number(Some(d.ahead.mean)),
             number(interval.map(|i| i[0])),
             number(interval.map(|i| i[1])),
-            interval.map_or("", |_| if d.is_clear() { "yes" } else { "no" }).into(),
+            d.is_clear().map_or("", |is_clear| if is_clear { "yes" } else { "no" }).into(),
             if d.sees_more() { "yes" } else { "no" }.into(),
         ]
     };

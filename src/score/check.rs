@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::correspondence;
 use super::metric::{Metric, Needs};
 use super::prediction::{Prediction, Question};
 use super::registry::registry;
@@ -57,11 +58,11 @@ pub struct Contents {
 pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> {
     let frames = question.frames;
     let prediction = Prediction::open(folder, question)?;
-    let depth_of = |frame: usize| -> Result<Option<f32>> {
+    let depth_of = |frame: usize| -> Result<Option<FrameDepth>> {
         prediction.color(frame)?;
-        Ok(prediction.depth_mm(frame)?.as_ref().and_then(median_depth_mm))
+        Ok(prediction.depth_mm(frame)?.map(|depth| FrameDepth::of(&depth)))
     };
-    let depths_mm: Vec<Option<f32>> = (0..frames).into_par_iter().map(depth_of).collect::<Result<_>>()?;
+    let depths: Vec<Option<FrameDepth>> = (0..frames).into_par_iter().map(depth_of).collect::<Result<_>>()?;
     for &frame in prediction.ahead_frames() {
         prediction.ahead(frame)?;
     }
@@ -73,7 +74,9 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
     for &frame in question.novel_frames.iter().filter(|_| first_novel.is_some()) {
         prediction.novel_depth_mm(frame)?;
     }
-    prediction.correspondence()?;
+    if let (Some(places), Some(vertices)) = (prediction.correspondence()?, question.vertices()) {
+        correspondence::check_length(&places, vertices).map_err(|e| e.at(folder.join(CORRESPONDENCE)))?;
+    }
     let surface = prediction.final_mesh()?;
     let mut contents = Contents {
         frames,
@@ -106,7 +109,7 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
     };
     contents.not_applicable = registry().iter().filter(|metric| lacks(metric)).map(|metric| metric.id).collect();
     contents.warnings.extend(prediction.phase().and_then(phase_warning));
-    contents.warnings.extend(depth_warning(depths_mm.into_iter().flatten().collect()));
+    contents.warnings.extend(depth_warning(&depths.into_iter().flatten().collect::<Vec<_>>()));
     contents.warnings.extend(surface.as_ref().and_then(surface_warning));
     contents.warnings.extend(beyond_warning(folder, frames));
     contents.warnings.extend(unread_warnings(&prediction, folder, frames)?);
@@ -127,14 +130,38 @@ fn phase_warning(phases: &[f64]) -> Option<String> {
     Some(format!("{PHASE}: a phase is {furthest}, as if in {unit}; 0 is full inspiration, 1 full expiration"))
 }
 
-/// Median of what is above 0 in a depth image.
-fn median_depth_mm(depth: &Image<f32>) -> Option<f32> {
-    upper_median(depth.data.iter().copied().filter(|&d| d > 0.0 && d.is_finite()))
+/// What a depth image holds.
+#[derive(Clone, Copy)]
+struct FrameDepth {
+    /// Median of what is a depth: above 0.
+    median_mm: Option<f32>,
+    /// Pixels with a depth.
+    known: usize,
+    /// Pixels with a number below 0.
+    negative: usize,
 }
 
-/// A depth that is none of an airway, by the median over the frames.
-fn depth_warning(medians_mm: Vec<f32>) -> Option<String> {
-    let depth_mm = upper_median(medians_mm)?;
+impl FrameDepth {
+    fn of(depth: &Image<f32>) -> Self {
+        let is_depth = |d: &f32| *d > 0.0 && d.is_finite();
+        let known = depth.data.iter().filter(|d| is_depth(d)).count();
+        let negative = depth.data.iter().filter(|d| **d < 0.0).count();
+        let median_mm = upper_median(depth.data.iter().copied().filter(|d| is_depth(d)));
+        FrameDepth { median_mm, known, negative }
+    }
+}
+
+/// Depths that are none of an airway: of frames that have any, by their sign and by the median over the frames.
+fn depth_warning(depths: &[FrameDepth]) -> Option<String> {
+    let sum = |of: fn(&FrameDepth) -> usize| depths.iter().map(of).sum::<usize>();
+    let (known, negative) = (sum(|depth| depth.known), sum(|depth| depth.negative));
+    if negative > known {
+        return Some(format!("{DEPTH}: most values are below 0 and count as unknown; depth along the view is above 0"));
+    }
+    if known == 0 && !depths.is_empty() {
+        return Some(format!("{DEPTH}: no pixel of any frame has a depth above 0 mm"));
+    }
+    let depth_mm = upper_median(depths.iter().filter_map(|depth| depth.median_mm))?;
     let advice = match depth_mm {
         d if d < DEPTH_MM[0] => "as if in metres; depths are in mm",
         d if d > DEPTH_MM[1] => {
@@ -225,11 +252,16 @@ mod tests {
         for (phases, unit) in [([0.0, 87.5], "percent"), ([6.2, 0.1], "radians"), ([-180.0, 20.0], "degrees")] {
             assert!(phase_warning(&phases).unwrap().contains(unit), "{phases:?}");
         }
-        assert_eq!(depth_warning(vec![]), None);
-        assert_eq!(depth_warning(vec![3.0, 40.0, 0.01]), None, "one frame is no unit");
-        assert!(depth_warning(vec![0.02, 0.03]).unwrap().contains("metres"));
-        assert!(depth_warning(vec![2000.0]).unwrap().contains("depth_unit_mm"));
-        let depth = Image { width: 4, height: 1, channels: 1, data: vec![0.0, 5.0, f32::NAN, 4.0] };
-        assert_eq!(median_depth_mm(&depth), Some(5.0));
+        let said = |frames: &[[f32; 4]]| {
+            let frame = |data: &[f32; 4]| Image { width: 4, height: 1, channels: 1, data: data.to_vec() };
+            depth_warning(&frames.iter().map(|data| FrameDepth::of(&frame(data))).collect::<Vec<_>>())
+        };
+        assert_eq!(said(&[]), None);
+        assert_eq!(said(&[[3.0; 4], [40.0; 4], [0.01; 4]]), None, "one frame is no unit");
+        assert_eq!(said(&[[0.0, 5.0, f32::NAN, f32::NAN]]), None, "what is unknown may be most");
+        assert!(said(&[[0.02; 4], [0.0, 0.03, 0.03, f32::NAN]]).unwrap().contains("metres"));
+        assert!(said(&[[2000.0; 4]]).unwrap().contains("depth_unit_mm"));
+        assert!(said(&[[-5.0, -4.0, 0.0, 2.0]]).unwrap().contains("below 0"));
+        assert!(said(&[[f32::NAN; 4], [0.0, 0.0, f32::INFINITY, 0.0]]).unwrap().contains("no pixel of any frame"));
     }
 }

@@ -12,11 +12,12 @@ use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::correspondence;
 use super::slice::{Plane, Polyline, slice};
 use super::statistics;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::statistics::quantile;
-use crate::base::{Error, Result, TriangleMesh};
+use crate::base::{Result, TriangleMesh};
 use crate::ffi::vision::PlaneContour;
 
 /// Distance between samples of a contour, mm.
@@ -97,9 +98,8 @@ pub fn target_errors(
     world_from_camera: &DAffine3,
     seed: u64,
 ) -> Result<Option<TargetErrors>> {
-    if let Some(places) = stated.filter(|places| places.len() != truth.vertices.len()) {
-        let sentence = format!("has {} vertices, the sequence's meshes have {}", places.len(), truth.vertices.len());
-        return Err(Error::input(sentence));
+    if let Some(places) = stated {
+        correspondence::check_length(places, truth.vertices.len())?;
     }
     let plane = Plane::of_camera(world_from_camera);
     let (true_cuts, predicted_cuts) = (slice(truth, &plane), slice(predicted, &plane));

@@ -51,6 +51,14 @@ pub fn parse(bytes: &[u8], surface: &TriangleMesh) -> Result<Vec<DVec3>> {
     Ok(places)
 }
 
+/// Refuses a table of `places` for a surface of another number of `vertices`.
+pub fn check_length(places: &[DVec3], vertices: usize) -> Result<()> {
+    if places.len() == vertices {
+        return Ok(());
+    }
+    Err(Error::input(format!("has {} vertices, the sequence's meshes have {vertices}", places.len())))
+}
+
 /// The weighted mean of the corners; `None` where the weights leave the face.
 fn on_face(corners: [DVec3; 3], weights: [f64; 3]) -> Option<DVec3> {
     let sum: f64 = weights.iter().sum();

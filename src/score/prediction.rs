@@ -55,6 +55,8 @@ pub struct Question {
     pub targets: usize,
     /// Whether there are coughs or touches of the wall, where it may be known.
     pub is_disturbed: Option<bool>,
+    /// Vertices of the true surface, where they are known: `correspondence.csv` has a row for each.
+    vertices: Option<usize>,
     /// The case, where it may be known.
     case_id: Option<String>,
     /// Files of the truth, which a prediction must not hand back by a link.
@@ -70,9 +72,20 @@ impl Question {
             novel_frames: truth.novel_views().iter().map(|view| view.frame).collect(),
             targets: truth.targets().len(),
             is_disturbed: truth.disturbed().ok().map(|frames| frames.contains(&true)),
+            vertices: None,
             case_id: Some(truth.case_id().to_owned()),
             true_files: truth.file_paths(),
         }
+    }
+
+    /// The same, with the number of vertices of the true surface, where it may be known.
+    pub fn with_vertices(self, vertices: Option<usize>) -> Self {
+        Question { vertices, ..self }
+    }
+
+    /// That number.
+    pub fn vertices(&self) -> Option<usize> {
+        self.vertices
     }
 
     /// The same for somebody without the truth.
@@ -83,6 +96,7 @@ impl Question {
             novel_frames: participant.given_views().iter().map(|view| view.frame).collect(),
             targets: participant.planned_targets_mm().len(),
             is_disturbed: None,
+            vertices: None,
             case_id: None,
             true_files: Vec::new(),
         }

@@ -60,6 +60,10 @@ pub fn mean_over_cases<'a>(of_cases: impl IntoIterator<Item = (f64, &'a str)>) -
     bootstrap_groups(&values, &trees, CASES_SEED)
 }
 
+/// Fewest trees of which a difference is called clear: even if all six agree, a sign test's chance is 2/64. Of two cases an
+/// interval is their two values, and holds 0 half as often as not where nothing differs.
+pub const FEWEST_TREES: usize = 6;
+
 /// Mean of `values` (one per case) with a percentile interval that draws groups first, then as many values of each as it
 /// has (Davison and Hinkley 1997, section 3.8): values of one group are alike, so that more of them say little more.
 /// Where every value has a group of its own this is [`bootstrap`], but for the numbers drawn. `groups` has one per value.

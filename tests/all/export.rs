@@ -340,6 +340,17 @@ fn a_clinical_films_depth_lies_on_its_wall_with_the_truth_and_is_told_without() 
     assert!(cameras.frames[last].world_from_camera().abs_diff_eq(told, 1e-12));
     assert!(about(&out).contains("that a method is told"));
 
+    for (name, settings, wanted) in [
+        ("tum-told", of(ExportFormat::Tum), told),
+        ("tum-shown", shown(ExportFormat::Tum), place.film.frames[last].world_from_camera),
+    ] {
+        let trajectory = fs::read_to_string(place.export(name, settings).join("trajectory.txt")).unwrap();
+        let numbers: Vec<f64> =
+            trajectory.lines().next_back().unwrap().split(' ').map(|number| number.parse().unwrap()).collect();
+        assert!(DVec3::new(numbers[1], numbers[2], numbers[3]).distance(wanted.translation) < 1e-5, "{name}");
+    }
+    place.export("colmap-shown", shown(ExportFormat::Colmap));
+
     let surfaces = place.export("glb", shown(ExportFormat::Glb));
     let (rest, moved) = (place.film.inspiration().unwrap(), place.film.expiration().unwrap());
     let wanted = glb::breathing(&rest, &moved, place.film.breathing_period_s).unwrap();
@@ -539,7 +550,7 @@ fn nothing_of_the_truth_goes_out_unasked_and_a_participants_folder_will_do() {
         refused(command(&place.film.root, &["--format", format]), 2, &["depth of every frame", "--truth"]);
     }
     refused(command(&blind, &["--format", "c3vd", "--truth"]), 4, &["participant", "holds no truth"]);
-    refused(command(&place.film.root, &["--format", "tum", "--truth"]), 2, &["nothing that is truth"]);
+    refused(command(&place.film.root, &["--format", "tum", "--truth"]), 2, &["nothing else that is true"]);
     refused(command(&place.film.root, &["--format", "glb", "--scale", "2"]), 2, &["--scale", "metres"]);
     refused(command(&place.film.root, &["--format", "tum", "--axes", "opencv"]), 2, &["--axes"]);
     refused(command(&place.path("nowhere"), &["--format", "tum"]), 4, &["nowhere", "no such folder"]);

@@ -53,6 +53,24 @@ fn a_folder_of_cases_counts_when_it_is_asked_for() {
     assert!(code == 4 && err.contains("bench-cases/methods"), "nothing is mixed in: {err}");
     let (code, _, err) = run(&["list", "--bench-cases", "no-such"]);
     assert!(code == 4 && err.contains("no-such: there is no such folder"), "{err}");
+    // An own row's id over another method is said, before any work.
+    std::fs::create_dir_all(elsewhere.join("own")).unwrap();
+    for folder in ["methods", "profiles"] {
+        std::fs::create_dir_all(elsewhere.join("own").join(folder)).unwrap();
+        for file in std::fs::read_dir(shipped.join(folder)).unwrap() {
+            let file = file.unwrap();
+            std::fs::copy(file.path(), elsewhere.join("own").join(folder).join(file.file_name())).unwrap();
+        }
+    }
+    let case = shipped.join("case9.toml");
+    let plan = ["all-cases", "--profile", "smoke", "--methods", "pose-only,mean-breath", "--dry-run"];
+    let words = [&plan[..], &["--bench-cases", "own", "--cases", case.to_str().unwrap()]].concat();
+    let (code, _, err) = run(&words);
+    assert!(code == 0 && !err.contains("differ"), "{err}");
+    let other = "id = \"mean-breath\"\nkind = \"pose-only\"\nbase = \"pose-only\"\ndescription = \"another\"\n";
+    std::fs::write(elsewhere.join("own/methods/mean-breath.toml"), other).unwrap();
+    let (code, _, err) = run(&words);
+    assert!(code == 0 && err.contains("method files that differ from those of this program: `mean-breath`."), "{err}");
     // Both ways give the same cells.
     let carried = run(&["list", "--json"]);
     let on_disk = run(&["list", "--json", "--bench-cases", shipped.to_str().unwrap()]);

@@ -32,6 +32,8 @@ const C0: f64 = 0.28209479177387814;
 const LEAST_COLOR: f64 = 1e-3;
 /// Most that colours are lifted: a colour loses a bit of float32 or two.
 const MOST_LIFT: f64 = 1.0 + LEAST_COLOR;
+/// Largest colour below which none is lifted: in float32 a lifted one is off by 1e-7.
+const SMALL_COLOR: f64 = 0.05;
 /// Rasterisers kept for later passes, per number type; each holds the tables of one pass.
 const KEPT: usize = 4;
 
@@ -264,10 +266,11 @@ impl Widths {
     }
 }
 
-/// How far plain colours are lifted; `None` if that is too far.
+/// How far plain colours are lifted; `None` if that is too far, or so far for colours so small that they lose digits.
 fn lift_of<T: Real>(colors: &[T]) -> Option<f64> {
-    let least = colors.iter().fold(f64::INFINITY, |least, c| least.min(c.to_f64()));
-    Some((LEAST_COLOR - least).max(0.0)).filter(|lift| *lift <= MOST_LIFT)
+    let ends = |(least, most): (f64, f64), c: f64| (least.min(c), most.max(c.abs()));
+    let (least, most) = colors.iter().map(|c| c.to_f64()).fold((f64::INFINITY, 0.0), ends);
+    Some((LEAST_COLOR - least).max(0.0)).filter(|lift| *lift <= MOST_LIFT && most >= SMALL_COLOR)
 }
 
 /// Refuses `values`, `width` of each Gaussian, of which one is not finite.

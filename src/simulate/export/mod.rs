@@ -82,6 +82,7 @@ pub fn export(root: &Path, settings: &ExportSettings, out: &Path, progress: &dyn
         return Err(Error::input("is not empty: nothing is overwritten").at(out));
     }
     let source = ExportSource::open(root, settings.truth)?;
+    settings.check_truth(&source)?;
     let pixels = f64::from(source.camera.width) * f64::from(source.camera.height);
     progress.accepts(&Estimate {
         memory_bytes: pixels * PIXEL_BYTES * rayon::current_num_threads() as f64,
@@ -113,9 +114,6 @@ impl ExportSettings {
         match self.format {
             ExportFormat::C3vd if self.scale.is_some() => refused("--scale: C3VD is in millimetres"),
             ExportFormat::Glb if self.scale.is_some() => refused("--scale: glTF is in metres"),
-            ExportFormat::Colmap | ExportFormat::Tum if self.truth == ExportedTruth::Shown => {
-                refused("--truth: this format holds images, poses and the given surface, and nothing that is truth")
-            }
             ExportFormat::Endonerf | ExportFormat::C3vd if self.truth == ExportedTruth::Hidden => refused(
                 "--format: this layout holds the depth of every frame, which is truth; say --truth to export it",
             ),
@@ -124,5 +122,16 @@ impl ExportSettings {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Refuses to show the truth in a layout that holds none: on the ideal track the poses and the surface are told.
+    fn check_truth(&self, source: &ExportSource) -> Result<()> {
+        let is_told = matches!(self.format, ExportFormat::Colmap | ExportFormat::Tum) && !source.is_clinical();
+        if is_told && source.shows_truth() {
+            return Err(Error::usage(
+                "--truth: of a film of the ideal track this format holds what a method is told, and nothing else that is true",
+            ));
+        }
+        Ok(())
     }
 }

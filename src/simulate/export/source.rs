@@ -60,6 +60,11 @@ impl ExportSource {
         self.given.given_image(frame)
     }
 
+    /// Whether the film is known to be of the clinical track, where camera, poses and surfaces that are told are not true.
+    pub fn is_clinical(&self) -> bool {
+        self.is_clinical
+    }
+
     /// Whether the truth goes out.
     pub fn shows_truth(&self) -> bool {
         self.truth.is_some()
