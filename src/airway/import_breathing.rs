@@ -113,6 +113,14 @@ impl Placement {
         Ok(Placement { carina_mm, carina_in_lungs_mm, stretch })
     }
 
+    /// Whether the airway fills the lungs as an airway does along each axis; else it was stretched as far as is allowed.
+    pub fn fits(&self) -> bool {
+        self.stretch
+            .to_array()
+            .iter()
+            .all(|s| (1.0 / MOST_STRETCH..MOST_STRETCH).contains(s) && *s > 1.0 / MOST_STRETCH)
+    }
+
     /// A landmark pair in the airway's frame.
     pub fn to_airway(&self, pair: &LandmarkPair) -> LandmarkPair {
         let point = |p: DVec3| (p - self.carina_in_lungs_mm) / self.stretch + self.carina_mm;

@@ -36,7 +36,8 @@ pub fn carried_field(from: &BreathingField, line: &Centerline, to: &Centerline) 
     let s = reach_mm(line, there) / reach_mm(to, here);
     if !(1.0 / MOST_SCALE..=MOST_SCALE).contains(&s) {
         return Err(Error::input(format!(
-            "the airway is {:.2} times as large as the one whose motion is wanted: that is no other patient's airway",
+            "below the carina the airway is {:.2} times as large as the one whose motion is wanted: it is a child's, or its \
+             tree ends early or has one lung; --landmarks FILE --other-patient takes any",
             1.0 / s
         )));
     }

@@ -196,10 +196,11 @@ fn scale_cure(value: f64, range: [f64; 2], source: FrameSource) -> String {
     if source == FrameSource::Header {
         return "the spacing in the file's header is wrong; --unusual takes it as it is".to_owned();
     }
-    let known = UNITS.iter().find(|(_, size)| within(value * size, range));
-    let cure = match known {
-        Some((unit, size)) => format!("if the file is in {unit}, --scale {size}"),
-        None => "--scale FACTOR gives the file's unit in mm".to_owned(),
+    let fits = UNITS.iter().filter(|(_, size)| within(value * size, range));
+    let known: Vec<String> = fits.map(|(unit, size)| format!("if the file is in {unit}, --scale {size}")).collect();
+    let cure = match known.is_empty() {
+        false => known.join("; "),
+        true => "--scale FACTOR gives the file's unit in mm".to_owned(),
     };
     format!("{cure}; --unusual takes it as it is")
 }

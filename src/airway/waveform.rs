@@ -167,12 +167,16 @@ impl Waveform {
         end + (breath.turn - end) * volume(pressure, STIFFNESS_OUT)
     }
 
-    /// The same breathing, a little faster or slower, so that the phase at `time_s` is `end_phase` or, without one, a
-    /// phase that `seed` draws from `END_RANGE` of the range that breaths cover. The smallest change of the period
+    /// The phase at which a film should end: `end_phase`, or what `seed` draws from `END_RANGE` of the range of the breaths.
+    pub fn wanted_end(&self, seed: u64) -> f64 {
+        let drawn = CounterRng::new(seed, Stage::Waveform, &[u64::MAX]).range(END_RANGE[0], END_RANGE[1]);
+        self.end_phase.unwrap_or(self.offset + self.amplitude * drawn)
+    }
+
+    /// The same breathing, a little faster or slower, so that the phase at `time_s` is [`Waveform::wanted_end`]. The smallest change of the period
     /// that does it is taken; where none up to `MOST_CHANGE` does, the one that comes nearest.
     pub fn ending(&self, time_s: f64, seed: u64) -> Waveform {
-        let drawn = CounterRng::new(seed, Stage::Waveform, &[u64::MAX]).range(END_RANGE[0], END_RANGE[1]);
-        let wanted = self.end_phase.unwrap_or(self.offset + self.amplitude * drawn);
+        let wanted = self.wanted_end(seed);
         let changed = |log: f64| Waveform { period_scale: self.period_scale * log.exp(), ..self.clone() };
         let off = |log: f64| changed(log).phase(time_s, seed) - wanted;
         let steps = (MOST_CHANGE.ln() / CHANGE_STEP).ceil() as i32;

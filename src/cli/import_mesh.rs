@@ -11,7 +11,7 @@ use super::import_motion::{MotionArguments, still_breathing};
 use crate::airway::case::AnatomySource;
 use crate::airway::case_build;
 use crate::airway::import_breathing::breathing_toml;
-use crate::base::{Progress, Result};
+use crate::base::{Error, ErrorKind, Progress, Result};
 
 /// Arguments of `import mesh`.
 #[derive(Args)]
@@ -69,7 +69,11 @@ pub fn run(arguments: &MeshArguments, terminal: &Terminal) -> Result<()> {
     let rest = case_build::from_field(mesh, line, None, &still_breathing()).map_err(|e| e.at(&arguments.mesh))?;
     terminal.stage(format_args!("{}: motion", wanted.id));
     terminal.proceed()?;
-    let breathing = arguments.motion.fit(&rest, &case, &motion, terminal)?;
+    let of_mesh = |e: Error| {
+        let is_bare = e.path().is_none() && e.kind() == ErrorKind::InputOutput;
+        if is_bare { e.at(&arguments.mesh) } else { e }
+    };
+    let breathing = arguments.motion.fit(&rest, &case, &motion, terminal).map_err(of_mesh)?;
     case.breathing = None;
     new.finish(&format!("{}\n{}", case_head(&case)?, breathing_toml(&breathing)), terminal)
 }

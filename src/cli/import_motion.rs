@@ -129,6 +129,13 @@ impl MotionArguments {
                 let source = self.source_of(path, lungs.is_some());
                 let wanted = WantedMotion { pairs, lungs: *lungs, source, end_motion_mm: self.end_motion_mm };
                 let found = fitted_breathing(rest, &wanted, end_motion_mm)?;
+                if let Some(placement) = found.placement.filter(|placement| !placement.fits()) {
+                    let [x, y, z] = placement.stretch.to_array();
+                    terminal.note(&format!(
+                        "the airway does not fit into the lungs of the motion's patient (has it one lung, or few branches?): \
+                         it was placed by factors of {x:.2}, {y:.2} and {z:.2}, as far as is allowed"
+                    ));
+                }
                 let route = plan(&moving(rest, &found.breathing)?)?;
                 terminal.line(words(&case.id, &route, &found));
                 found.breathing

@@ -22,6 +22,8 @@ use super::truth::VisibleWall;
 
 /// The room about the route is measured at five phases; between them the lumen may be narrower by this factor.
 const LEAST_CLEARANCE: f64 = 0.9;
+/// How far from the wanted phase a film may end that says nothing of it.
+const END_TOLERANCE: f64 = 0.01;
 /// On the clinical track the lumen moves otherwise than when it was measured: this part of the room is used.
 const CLINICAL_ROOM: f64 = 0.85;
 /// Least distance in mm of its camera from the wall.
@@ -190,6 +192,12 @@ impl Film {
         let drawn = case.clinical.as_ref().map(|settings| settings.drawn(case.seed));
         let breathing = drawn.as_ref().map_or_else(|| case.waveform.clone(), |drawn| clinical::waveform(case, drawn));
         let waveform = breathing.ending(duration_s, case.seed);
+        let (end, wanted) = (waveform.phase(duration_s, case.seed), breathing.wanted_end(case.seed));
+        if (end - wanted).abs() > END_TOLERANCE {
+            notes.push(format!(
+                "the film of {duration_s:.1} s ends at the phase {end:.2} and not at {wanted:.2}: it is too short for its breaths"
+            ));
+        }
         let start_mm = route_mm - pace.farthest_mm;
         let clinical = drawn.as_ref().map(|drawn| {
             let points = route.points_between(start_mm, start_mm + pace.extent_mm);

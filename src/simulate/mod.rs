@@ -63,7 +63,7 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
     let is_of_case = |e: &Error| e.path().is_none() && e.kind() == ErrorKind::InputOutput && file.is_file();
     let of_case = |e: Error| if is_of_case(&e) { e.at(&file) } else { e };
     let anatomy = airway::build(case).map_err(of_case)?;
-    let film = Film::plan_watched(case, &anatomy, settings, &material, progress)?;
+    let film = Film::plan_watched(case, &anatomy, settings, &material, progress).map_err(of_case)?;
     film.notes.iter().for_each(|note| progress.note(&format!("{}: {note}", case.id)));
     shared_frames::copy_frames(case, settings, out, progress)?;
     shoot::shoot(case, &anatomy, &film, &material, settings, out, progress).map_err(of_case)?;

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 
 use crate::airway::Anatomy;
 use crate::airway::case::{Region, TrajectorySettings};
+use crate::airway::centerline::CenterlinePoint;
 use crate::base::camera::world_from_camera_looking;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Error, Result, mesh};
@@ -217,11 +218,13 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec
             ends.push(RouteEnd { chain, last, length_mm });
         }
     }
+    let leaves = (0..points.len()).filter(|&i| !has_child[i]).map(|i| points[i].position_mm.x);
+    let only_side = only_side(points, leaves);
     let place = |end: &RouteEnd| points[end.last].position_mm - carina;
     let deepest = ends.iter().map(|end| -place(end).z).fold(0.0, f64::max);
     ends.retain(|end| {
         let from_carina = place(end);
-        let right = from_carina.x < 0.0;
+        let right = only_side.map_or(from_carina.x < 0.0, |side| side == Side::Right);
         let lower = -from_carina.z > 0.5 * deepest;
         match settings.region {
             Region::Any => true,
@@ -233,6 +236,18 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec
     });
     let longest = ends.iter().map(|end| end.length_mm).fold(0.0, f64::max);
     ends.retain(|end| end.length_mm >= LONG_ENOUGH * longest);
+    let wanted_side = match settings.region {
+        Region::Any => None,
+        Region::RightUpper | Region::RightLower => Some(Side::Right),
+        Region::LeftUpper | Region::LeftLower => Some(Side::Left),
+    };
+    if let (Some(only), Some(wanted)) = (only_side, wanted_side)
+        && only != wanted
+    {
+        let [there, absent] = if only == Side::Right { ["right", "left"] } else { ["left", "right"] };
+        return Err(Error::input(format!("all branches lie in the {there} lung, and none in the {absent} one"))
+            .element("trajectory.region"));
+    }
     if ends.is_empty() {
         return Err(Error::input(format!(
             "no branch there is wide enough for a scope of {} mm",
@@ -243,6 +258,27 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec
     let drawn = CounterRng::new(settings.seed, Stage::Trajectory, &[]).index(ends.len());
     let end = ends.swap_remove(drawn);
     Ok((end.chain, end.length_mm))
+}
+
+/// A side of the patient.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Side {
+    Right,
+    Left,
+}
+
+/// The side of the only lung, where all `leaves` (their x in LPS, mm) lie on one side of the middle of the trachea: without
+/// the other lung the trachea ends nowhere, and its end says nothing of sides.
+fn only_side(points: &[CenterlinePoint], leaves: impl Iterator<Item = f64>) -> Option<Side> {
+    let trachea: Vec<&CenterlinePoint> = points.iter().filter(|p| p.generation == 0).collect();
+    let middle = trachea.get(trachea.len() / 2)?.position_mm.x;
+    let (mut right, mut left) = (false, false);
+    leaves.for_each(|x| if x < middle { right = true } else { left = true });
+    match (right, left) {
+        (true, false) => Some(Side::Right),
+        (false, true) => Some(Side::Left),
+        _ => None,
+    }
 }
 
 fn chain_to(anatomy: &Anatomy, leaf: usize) -> Vec<usize> {
@@ -302,4 +338,27 @@ fn carried_up(axis: &[DVec3]) -> Vec<DVec3> {
             up
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A trachea that runs on into the right main bronchus, as without a left lung, and one with two lungs.
+    #[test]
+    fn an_airway_with_one_lung_has_one_side() {
+        let point = |x: f64, z: f64, generation: u32| CenterlinePoint {
+            position_mm: DVec3::new(x, 0.0, z),
+            radius_mm: 5.0,
+            branch: generation,
+            generation,
+            parent: None,
+        };
+        let trachea = || (0..10).map(|k| point(0.0, 90.0 - 10.0 * f64::from(k), 0));
+        let right: Vec<CenterlinePoint> = trachea().chain([point(-8.0, -10.0, 0), point(-13.0, -18.0, 0)]).collect();
+        // One branch of the right lung lies left of where the trachea's points end, and right of the trachea.
+        assert_eq!(only_side(&right, [-40.0, -30.0, -9.0].into_iter()), Some(Side::Right));
+        assert_eq!(only_side(&right, [-40.0, 30.0].into_iter()), None);
+        assert_eq!(only_side(&right, [25.0, 30.0].into_iter()), Some(Side::Left));
+    }
 }
