@@ -41,7 +41,7 @@ pub struct RunFacts<'a> {
     id: &'a str,
     profile: &'a str,
     track: &'a str,
-    cases: Vec<CaseFacts<'a>>,
+    cases: Vec<CaseInRun<'a>>,
     methods: Vec<&'a str>,
     seeds: Vec<u64>,
     conditions: &'a [String],
@@ -50,7 +50,7 @@ pub struct RunFacts<'a> {
 
 /// A case, what it is, and whose airway.
 #[derive(Debug, Serialize)]
-struct CaseFacts<'a> {
+struct CaseInRun<'a> {
     id: &'a str,
     title: &'a str,
     tree: &'a str,
@@ -100,8 +100,8 @@ impl CaseInfo {
         }
     }
 
-    fn facts(&self) -> CaseFacts<'_> {
-        CaseFacts { id: &self.id, title: &self.title, tree: self.tree() }
+    fn facts(&self) -> CaseInRun<'_> {
+        CaseInRun { id: &self.id, title: &self.title, tree: self.tree() }
     }
 
     /// Whose airway it is; an unknown one is nobody else's.

@@ -224,7 +224,7 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec
     let deepest = ends.iter().map(|end| -place(end).z).fold(0.0, f64::max);
     ends.retain(|end| {
         let from_carina = place(end);
-        let right = only_side.map_or(from_carina.x < 0.0, |side| side == Side::Right);
+        let right = only_side.map_or(from_carina.x < 0.0, |side| side == LungSide::Right);
         let lower = -from_carina.z > 0.5 * deepest;
         match settings.region {
             Region::Any => true,
@@ -238,13 +238,13 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec
     ends.retain(|end| end.length_mm >= LONG_ENOUGH * longest);
     let wanted_side = match settings.region {
         Region::Any => None,
-        Region::RightUpper | Region::RightLower => Some(Side::Right),
-        Region::LeftUpper | Region::LeftLower => Some(Side::Left),
+        Region::RightUpper | Region::RightLower => Some(LungSide::Right),
+        Region::LeftUpper | Region::LeftLower => Some(LungSide::Left),
     };
     if let (Some(only), Some(wanted)) = (only_side, wanted_side)
         && only != wanted
     {
-        let [there, absent] = if only == Side::Right { ["right", "left"] } else { ["left", "right"] };
+        let [there, absent] = if only == LungSide::Right { ["right", "left"] } else { ["left", "right"] };
         return Err(Error::input(format!("all branches lie in the {there} lung, and none in the {absent} one"))
             .element("trajectory.region"));
     }
@@ -260,23 +260,23 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec
     Ok((end.chain, end.length_mm))
 }
 
-/// A side of the patient.
+/// The lung of one side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Side {
+enum LungSide {
     Right,
     Left,
 }
 
 /// The side of the only lung, where all `leaves` (their x in LPS, mm) lie on one side of the middle of the trachea: without
 /// the other lung the trachea ends nowhere, and its end says nothing of sides.
-fn only_side(points: &[CenterlinePoint], leaves: impl Iterator<Item = f64>) -> Option<Side> {
+fn only_side(points: &[CenterlinePoint], leaves: impl Iterator<Item = f64>) -> Option<LungSide> {
     let trachea: Vec<&CenterlinePoint> = points.iter().filter(|p| p.generation == 0).collect();
     let middle = trachea.get(trachea.len() / 2)?.position_mm.x;
     let (mut right, mut left) = (false, false);
     leaves.for_each(|x| if x < middle { right = true } else { left = true });
     match (right, left) {
-        (true, false) => Some(Side::Right),
-        (false, true) => Some(Side::Left),
+        (true, false) => Some(LungSide::Right),
+        (false, true) => Some(LungSide::Left),
         _ => None,
     }
 }
@@ -357,8 +357,8 @@ mod tests {
         let trachea = || (0..10).map(|k| point(0.0, 90.0 - 10.0 * f64::from(k), 0));
         let right: Vec<CenterlinePoint> = trachea().chain([point(-8.0, -10.0, 0), point(-13.0, -18.0, 0)]).collect();
         // One branch of the right lung lies left of where the trachea's points end, and right of the trachea.
-        assert_eq!(only_side(&right, [-40.0, -30.0, -9.0].into_iter()), Some(Side::Right));
+        assert_eq!(only_side(&right, [-40.0, -30.0, -9.0].into_iter()), Some(LungSide::Right));
         assert_eq!(only_side(&right, [-40.0, 30.0].into_iter()), None);
-        assert_eq!(only_side(&right, [25.0, 30.0].into_iter()), Some(Side::Left));
+        assert_eq!(only_side(&right, [25.0, 30.0].into_iter()), Some(LungSide::Left));
     }
 }
