@@ -99,7 +99,7 @@ impl Placement {
     ///
     /// Errors: a centreline without trachea, a box without volume.
     pub fn fit(centerline: &Centerline, lungs: &LungBox) -> Result<Placement> {
-        let carina_mm = carina(centerline).ok_or_else(|| Error::input("the centreline has no trachea"))?;
+        let carina_mm = centerline.carina_mm().ok_or_else(|| Error::input("the centreline has no trachea"))?;
         let size = lungs.high_mm - lungs.low_mm;
         if size.min_element() <= 0.0 || !size.is_finite() {
             return Err(Error::input("the lungs' box has no volume"));
@@ -126,11 +126,6 @@ impl Placement {
         let point = |p: DVec3| (p - self.carina_in_lungs_mm) / self.stretch + self.carina_mm;
         LandmarkPair { inspiration_mm: point(pair.inspiration_mm), expiration_mm: point(pair.expiration_mm) }
     }
-}
-
-/// The lower end of the trachea.
-pub fn carina(centerline: &Centerline) -> Option<DVec3> {
-    centerline.points.iter().rev().find(|p| p.generation == 0).map(|p| p.position_mm)
 }
 
 /// Result of [`measured_breathing`].
@@ -329,7 +324,7 @@ pub fn moving(rest: &AirwayAtRest<'_>, breathing: &Breathing) -> Result<Anatomy>
 
 /// Anchors every few millimetres along the upper part of the trachea.
 fn trachea_anchors(centerline: &Centerline) -> Vec<Anchor> {
-    let trachea: Vec<DVec3> = centerline.points.iter().filter(|p| p.generation == 0).map(|p| p.position_mm).collect();
+    let trachea: Vec<DVec3> = centerline.trachea_mm().collect();
     let held = ((trachea.len() as f64 * HELD_PART).ceil() as usize).max(1);
     let step = (held / 6).max(1);
     trachea[..held.min(trachea.len())]

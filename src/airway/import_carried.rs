@@ -11,7 +11,7 @@ use super::case::Breathing;
 use super::case_build::AirwayAtRest;
 use super::centerline::Centerline;
 use super::field::BreathingField;
-use super::import_breathing::{carina, moving, scaled_to};
+use super::import_breathing::{moving, scaled_to};
 use crate::base::{Error, Result};
 
 /// Largest factor between two airways: a child's and a large man's.
@@ -32,7 +32,7 @@ fn reach_mm(line: &Centerline, carina_mm: DVec3) -> f64 {
 /// Errors: an airway without a trachea; airways of too different sizes.
 pub fn carried_field(from: &BreathingField, line: &Centerline, to: &Centerline) -> Result<BreathingField> {
     let without = || Error::input("the centreline has no trachea");
-    let (there, here) = (carina(line).ok_or_else(without)?, carina(to).ok_or_else(without)?);
+    let (there, here) = (line.carina_mm().ok_or_else(without)?, to.carina_mm().ok_or_else(without)?);
     let s = reach_mm(line, there) / reach_mm(to, here);
     if !(1.0 / MOST_SCALE..=MOST_SCALE).contains(&s) {
         return Err(Error::input(format!(

@@ -105,8 +105,7 @@ impl QualityPage<'_> {
 
     fn slices(&self) -> Result<Vec<(String, String)>> {
         let points = &self.anatomy.centerline.points;
-        let trunk: Vec<DVec3> = points.iter().filter(|p| p.generation == 0).map(|p| p.position_mm).collect();
-        let carina = trunk.last().copied().unwrap_or_default();
+        let carina = self.anatomy.centerline.carina_mm().unwrap_or_default();
         let middle = points.iter().map(|p| p.position_mm).sum::<DVec3>() / points.len().max(1) as f64;
         let mut found = Vec::new();
         for hold in self.scans {

@@ -260,7 +260,7 @@ mod tests {
             ("id = \"ours\"", "id = \"mine\"", "must be the file's name"),
             ("color_weight", "colour_weight", "missing field `color_weight`"),
             ("color_weight", "colour_weight = 1\ncolor_weight", "colour_weight: "),
-            ("quiet_values", "quite_values", "appearance: missing field `quiet_values`"),
+            ("quiet_share", "quite_share", "appearance: missing field `quiet_share`"),
             ("source = \"paper\"", "source = \"hearsay\"", "hearsay"),
             ("velocity = { value = 0.0", "velocity = { value = \"fast\"", "velocity"),
             ("velocity = { value", "velocity = { note = 1, value", "note"),
@@ -276,9 +276,8 @@ mod tests {
     #[test]
     fn a_key_that_the_kind_does_not_read_is_refused() {
         let folder = copy();
-        let appearance =
-            ["scale_cap", "rotation_rate", "quiet_values", "scale_rate"].map(|k| format!("appearance.{k}"));
-        let [scale_cap, rotation_rate, quiet_values, scale_rate] = appearance.each_ref().map(String::as_str);
+        let appearance = ["scale_cap", "rotation_rate", "quiet_share", "scale_rate"].map(|k| format!("appearance.{k}"));
+        let [scale_cap, rotation_rate, quiet_share, scale_rate] = appearance.each_ref().map(String::as_str);
         let estimation = [
             "color_weight",
             "phase_ssim_weight",
@@ -302,8 +301,8 @@ mod tests {
             ("static-expiration", &[&estimation[..], &[rotation_rate]].concat()),
             ("pose-only", &["largest_width", "offsets", "appearance.opacity"]),
             ("virtual-bronchoscopy", &["offsets", "calibration_s", "velocity"]),
-            ("bridgesplat", &["rotation_weight", rotation_rate, quiet_values, "window.keyframes"]),
-            ("bridgesplat-nomesh", &["arap_weight", "variant", scale_cap, scale_rate, quiet_values]),
+            ("bridgesplat", &["rotation_weight", rotation_rate, quiet_share, "window.keyframes"]),
+            ("bridgesplat-nomesh", &["arap_weight", "variant", scale_cap, scale_rate, quiet_share]),
         ];
         for (id, keys) in unread {
             let path = folder.path().join(format!("{id}.toml"));

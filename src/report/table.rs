@@ -38,8 +38,6 @@ pub struct TableRow {
     pub ct_scans: String,
     /// In the order of the table's columns.
     pub cells: Vec<TableCell>,
-    /// Cells of this method that failed.
-    pub failed: usize,
 }
 
 /// "1 case", "9 cases".
@@ -242,7 +240,6 @@ impl ComparisonTable {
         let row = |s: &MethodSummary| TableRow {
             method: named(s),
             ct_scans: s.method.ct_scans.map_or_else(|| "–".into(), |n| n.to_string()),
-            failed: s.failed,
             cells: columns.iter().map(|m| cell(kind, s, m)).collect(),
         };
         let rows = in_order_of_tables(summaries).map(row).collect();

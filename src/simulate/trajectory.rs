@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use crate::airway::Anatomy;
 use crate::airway::case::{Region, TrajectorySettings};
-use crate::airway::centerline::CenterlinePoint;
+use crate::airway::centerline::LungSide;
 use crate::base::camera::world_from_camera_looking;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::{Error, Result, mesh};
@@ -205,11 +205,9 @@ pub fn nearest_mm(wall: &[DVec3], point: DVec3) -> f64 {
 /// that the scope can pass.
 fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec<usize>, f64)> {
     let points = &anatomy.centerline.points;
-    let mut has_child = vec![false; points.len()];
-    points.iter().filter_map(|p| p.parent).for_each(|parent| has_child[parent as usize] = true);
-    let carina = points.iter().rposition(|p| p.generation == 0).map_or(DVec3::ZERO, |i| points[i].position_mm);
+    let carina_mm = anatomy.centerline.carina_mm().unwrap_or_default();
     let mut ends: Vec<RouteEnd> = Vec::new();
-    for leaf in (0..points.len()).filter(|&i| !has_child[i]) {
+    for leaf in anatomy.centerline.leaves() {
         let chain = chain_to(anatomy, leaf);
         let way = passable(anatomy, &chain, settings.scope_radius_mm);
         let Some(&last) = way.last() else { continue };
@@ -218,13 +216,12 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec
             ends.push(RouteEnd { chain, last, length_mm });
         }
     }
-    let leaves = (0..points.len()).filter(|&i| !has_child[i]).map(|i| points[i].position_mm.x);
-    let only_side = only_side(points, leaves);
-    let place = |end: &RouteEnd| points[end.last].position_mm - carina;
+    let only_lung = anatomy.centerline.only_lung();
+    let place = |end: &RouteEnd| points[end.last].position_mm - carina_mm;
     let deepest = ends.iter().map(|end| -place(end).z).fold(0.0, f64::max);
     ends.retain(|end| {
         let from_carina = place(end);
-        let right = only_side.map_or(from_carina.x < 0.0, |side| side == LungSide::Right);
+        let right = only_lung.map_or(from_carina.x < 0.0, |side| side == LungSide::Right);
         let lower = -from_carina.z > 0.5 * deepest;
         match settings.region {
             Region::Any => true,
@@ -241,7 +238,7 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec
         Region::RightUpper | Region::RightLower => Some(LungSide::Right),
         Region::LeftUpper | Region::LeftLower => Some(LungSide::Left),
     };
-    if let (Some(only), Some(wanted)) = (only_side, wanted_side)
+    if let (Some(only), Some(wanted)) = (only_lung, wanted_side)
         && only != wanted
     {
         let [there, absent] = if only == LungSide::Right { ["right", "left"] } else { ["left", "right"] };
@@ -258,27 +255,6 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec
     let drawn = CounterRng::new(settings.seed, Stage::Trajectory, &[]).index(ends.len());
     let end = ends.swap_remove(drawn);
     Ok((end.chain, end.length_mm))
-}
-
-/// The lung of one side.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum LungSide {
-    Right,
-    Left,
-}
-
-/// The side of the only lung, where all `leaves` (their x in LPS, mm) lie on one side of the middle of the trachea: without
-/// the other lung the trachea ends nowhere, and its end says nothing of sides.
-fn only_side(points: &[CenterlinePoint], leaves: impl Iterator<Item = f64>) -> Option<LungSide> {
-    let trachea: Vec<&CenterlinePoint> = points.iter().filter(|p| p.generation == 0).collect();
-    let middle = trachea.get(trachea.len() / 2)?.position_mm.x;
-    let (mut right, mut left) = (false, false);
-    leaves.for_each(|x| if x < middle { right = true } else { left = true });
-    match (right, left) {
-        (true, false) => Some(LungSide::Right),
-        (false, true) => Some(LungSide::Left),
-        _ => None,
-    }
 }
 
 fn chain_to(anatomy: &Anatomy, leaf: usize) -> Vec<usize> {
@@ -338,27 +314,4 @@ fn carried_up(axis: &[DVec3]) -> Vec<DVec3> {
             up
         })
         .collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A trachea that runs on into the right main bronchus, as without a left lung, and one with two lungs.
-    #[test]
-    fn an_airway_with_one_lung_has_one_side() {
-        let point = |x: f64, z: f64, generation: u32| CenterlinePoint {
-            position_mm: DVec3::new(x, 0.0, z),
-            radius_mm: 5.0,
-            branch: generation,
-            generation,
-            parent: None,
-        };
-        let trachea = || (0..10).map(|k| point(0.0, 90.0 - 10.0 * f64::from(k), 0));
-        let right: Vec<CenterlinePoint> = trachea().chain([point(-8.0, -10.0, 0), point(-13.0, -18.0, 0)]).collect();
-        // One branch of the right lung lies left of where the trachea's points end, and right of the trachea.
-        assert_eq!(only_side(&right, [-40.0, -30.0, -9.0].into_iter()), Some(LungSide::Right));
-        assert_eq!(only_side(&right, [-40.0, 30.0].into_iter()), None);
-        assert_eq!(only_side(&right, [25.0, 30.0].into_iter()), Some(LungSide::Left));
-    }
 }

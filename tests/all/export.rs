@@ -18,22 +18,22 @@ use respire_bench::simulate::{MeshOutput, RadianceOutput, SimulationSettings, pa
 
 use crate::binary::{outcome, run};
 use crate::sequence_folder::python;
+use crate::shared;
 use crate::simulate::{case, contents, off_surface, small};
 use crate::skip::skip;
-use crate::third_parties::{accepted, refused};
+use crate::third_parties::{accepted, copy, refused};
 
 /// The frame whose points are looked at.
 const FRAME: usize = 4;
 
-/// A film, and a place for its exports.
+/// A film, which other tests look at too, and a place for its exports.
 struct Filmed {
     folder: tempfile::TempDir,
     film: Sequence,
 }
 
 impl Filmed {
-    fn of(case: &Case) -> Filmed {
-        let folder = tempfile::tempdir().unwrap();
+    fn of(name: &str, case: &Case) -> Filmed {
         let settings = SimulationSettings {
             width_px: 48,
             height_px: 32,
@@ -42,20 +42,22 @@ impl Filmed {
             radiance: RadianceOutput::None,
             ..small()
         };
-        let film = simulate(case, &settings, &folder.path().join("film"), &NoProgress).unwrap();
-        Filmed { folder, film }
+        let made = shared::folder(&format!("filmed-{name}"), |folder| {
+            simulate(case, &settings, &folder.join("film"), &NoProgress).unwrap();
+        });
+        Filmed { folder: tempfile::tempdir().unwrap(), film: Sequence::open(&made.join("film")).unwrap() }
     }
 
     fn pinhole() -> Filmed {
         let mut case = case();
         case.scope = ScopeSettings { mask_radius: 0.95, ..case.scope };
-        Filmed::of(&case)
+        Filmed::of("pinhole", &case)
     }
 
     fn fisheye() -> Filmed {
         let mut case = case();
         case.camera.fisheye = Some([-0.03, 0.002, 0.0, 0.0]);
-        Filmed::of(&case)
+        Filmed::of("fisheye", &case)
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -310,7 +312,7 @@ fn c3vd_loaders_lift_its_depth_onto_the_wall() {
 /// What methods are told of a clinical film is off by millimetres; with its truth goes out what fits the depth.
 #[test]
 fn a_clinical_films_depth_lies_on_its_wall_with_the_truth_and_is_told_without() {
-    let place = Filmed::of(&case().on_clinical_track());
+    let place = Filmed::of("clinical", &case().on_clinical_track());
     let out = place.export("shown", shown(ExportFormat::Nerfstudio));
     let cameras = Transforms::read(&out.join("transforms.json")).unwrap();
     let last = cameras.frames.len() - 1;
@@ -555,8 +557,10 @@ fn nothing_of_the_truth_goes_out_unasked_and_a_participants_folder_will_do() {
     refused(command(&place.film.root, &["--format", "tum", "--axes", "opencv"]), 2, &["--axes"]);
     refused(command(&place.path("nowhere"), &["--format", "tum"]), 4, &["nowhere", "no such folder"]);
     // All or nothing, and nothing is overwritten.
-    fs::write(place.film.root.join("images/000005.png"), "no image").unwrap();
-    refused(command(&place.film.root, &["--format", "colmap"]), 4, &["images/000005.png", "manifest.json"]);
+    let damaged = place.path("damaged");
+    copy(&place.film.root, &damaged);
+    fs::write(damaged.join("images/000005.png"), "no image").unwrap();
+    refused(command(&damaged, &["--format", "colmap"]), 4, &["images/000005.png", "manifest.json"]);
     let left: Vec<String> = (fs::read_dir(place.folder.path()).unwrap())
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .filter(|name| name.starts_with('.') || name == "out")

@@ -31,6 +31,7 @@ mod render_subsurface;
 mod render_vertices;
 mod scope;
 mod sequence_folder;
+mod shared;
 mod simulate;
 mod simulate_ct;
 mod skip;

@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use respire_bench::base::{Image, NoProgress};
 use respire_bench::formats::png;
@@ -11,6 +12,7 @@ use respire_bench::simulate::simulate;
 
 use crate::all_cases::TINY;
 use crate::binary::run;
+use crate::shared;
 use crate::simulate::{case, contents, seal, small};
 
 /// A tiny run of two own rows, and a third party's prediction of the same film, which is an own one's copy.
@@ -23,19 +25,25 @@ impl Place {
 
     /// With a film of so many frames.
     pub fn of_frames(frames: usize) -> Self {
+        let made = shared::folder(&format!("tiny-{frames}"), |folder| Place::make(folder, frames));
         let place = Place(tempfile::tempdir().unwrap());
+        let copied = Command::new("cp").arg("-a").arg(made.join(".")).arg(place.path("")).status().unwrap();
+        assert!(copied.success());
+        place
+    }
+
+    fn make(folder: &Path, frames: usize) {
         let profile = TINY
             .replace("methods = [\"static-ct\", \"oracle-phase\", \"ours\"]", "methods = [\"static-ct\", \"ours\"]");
         assert_ne!(profile, TINY);
         let profile = profile.replace("minimum_frames = 3", &format!("minimum_frames = {frames}"));
-        fs::write(place.path("tiny.toml"), profile).unwrap();
-        let at = |name: &str| place.text(name);
+        fs::write(folder.join("tiny.toml"), profile).unwrap();
+        let at = |name: &str| folder.join(name).to_str().unwrap().to_owned();
         let arguments = ["all-cases", "--profile", &at("tiny.toml"), "--out", &at("reports"), "--cache", &at("cache")];
         let (code, _, err) = run(&arguments);
         assert_eq!(code, 0, "{err}");
-        copy(&place.cell("case1-ours").join("prediction"), &place.path("mine"));
-        fs::write(place.path("mine/prediction.json"), "{\"method\": \"mine\", \"case\": \"case1\"}").unwrap();
-        place
+        copy(&first(&folder.join("cache/cells"), "case1-ours").join("prediction"), &folder.join("mine"));
+        fs::write(folder.join("mine/prediction.json"), "{\"method\": \"mine\", \"case\": \"case1\"}").unwrap();
     }
 
     pub fn path(&self, name: &str) -> PathBuf {
@@ -46,17 +54,8 @@ impl Place {
         self.path(name).to_str().unwrap().to_owned()
     }
 
-    fn first(&self, folder: &str, start: &str) -> PathBuf {
-        let mut found = fs::read_dir(self.path(folder)).unwrap().map(|entry| entry.unwrap().path());
-        found.find(|path| path.is_dir() && path.file_name().unwrap().to_str().unwrap().starts_with(start)).unwrap()
-    }
-
-    fn cell(&self, start: &str) -> PathBuf {
-        self.first("cache/cells", start)
-    }
-
     pub fn film(&self) -> PathBuf {
-        self.first("cache/sequences", "case1-").join("film")
+        first(&self.path("cache/sequences"), "case1-").join("film")
     }
 
     /// Scores the prediction folder `name` on `film` into the report folder `out`.
@@ -75,6 +74,12 @@ impl Place {
         words.extend(more);
         run(&words)
     }
+}
+
+/// The folder in `folder` whose name begins so.
+fn first(folder: &Path, start: &str) -> PathBuf {
+    let mut found = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    found.find(|path| path.is_dir() && path.file_name().unwrap().to_str().unwrap().starts_with(start)).unwrap()
 }
 
 pub fn copy(from: &Path, to: &Path) {

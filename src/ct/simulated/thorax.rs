@@ -158,7 +158,7 @@ impl Thorax {
     /// Errors: an airway without a trachea.
     pub fn new(line: &Centerline, field: &BreathingField) -> Result<Thorax> {
         let no_trachea = || Error::input("the centreline has no trachea: no points of generation 0");
-        let carina = line.points.iter().rfind(|p| p.generation == 0).ok_or_else(no_trachea)?.position_mm;
+        let carina = line.carina_mm().ok_or_else(no_trachea)?;
         let mut low = DVec3::splat(f64::INFINITY);
         let mut high = -low;
         let mut cover = |p: DVec3, room: f64| {

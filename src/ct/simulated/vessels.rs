@@ -279,7 +279,7 @@ impl VesselPiece {
 fn beside_airway(tree: &mut GrowingTree, line: &Centerline) {
     let mut index_of: Vec<Option<u32>> = vec![None; line.points.len()];
     let mut travelled: Vec<f64> = vec![0.0; line.points.len()];
-    let middle_x = line.points.iter().rfind(|p| p.generation == 0).map_or(0.0, |p| p.position_mm.x);
+    let middle_x = line.carina_mm().unwrap_or_default().x;
     for (k, point) in line.points.iter().enumerate() {
         let Some(parent) = point.parent.map(|p| p as usize) else { continue };
         if point.generation == 0 {
@@ -304,7 +304,7 @@ fn beside_airway(tree: &mut GrowingTree, line: &Centerline) {
 
 /// The trunks of the veins: from the atrium, below and before the carina, to below the lobar bronchi.
 fn from_atrium(tree: &mut GrowingTree, line: &Centerline, rng: &mut CounterRng) {
-    let Some(carina) = line.points.iter().rfind(|p| p.generation == 0).map(|p| p.position_mm) else { return };
+    let Some(carina) = line.carina_mm() else { return };
     let atrium = carina + DVec3::new(6.0, -8.0, -42.0);
     let root = tree.push(atrium, None, 5.0);
     let last_of_branch = |k: usize| line.points.get(k + 1).is_none_or(|next| next.branch != line.points[k].branch);

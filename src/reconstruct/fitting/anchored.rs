@@ -372,11 +372,12 @@ impl From<&AnchoredAppearance> for Rates {
     }
 }
 
-/// Adam's constants for images of `values` values. With `quiet_values`, a Gaussian that contributes little to the
-/// image moves little; with the published epsilon of 1e-15 it would move at full speed.
-pub fn adam_constants(quiet_values: f64, values: usize) -> AdamConstants {
-    let published = AdamConstants::default();
-    AdamConstants { epsilon: published.epsilon.max(quiet_values * SH_C0 as f64 / values as f64), ..published }
+/// Adam's constants. With `quiet_share`, a Gaussian that contributes less than a colour that fills this share of the
+/// picture moves little; with the published epsilon of 1e-15 it would move at full speed. A share means the same at every
+/// size of the picture, since a Gaussian covers more pixels of a larger one.
+pub fn adam_constants(quiet_share: f64) -> AdamConstants {
+    let (published, channels) = (AdamConstants::default(), 3.0);
+    AdamConstants { epsilon: published.epsilon.max(quiet_share * SH_C0 as f64 / channels), ..published }
 }
 
 /// Optimiser of a patch.

@@ -12,9 +12,31 @@ pub fn rate_factor(iteration_scale: f64) -> f64 {
     (1.0 / iteration_scale).clamp(1.0, 10.0)
 }
 
+/// Factor on rates that hold for frames `rate_interval_s` apart, for a film whose first frames were taken at `time_s`:
+/// what differs between two frames, their light above all, grows with the time between them. 1 where `rate_interval_s`
+/// is 0, and for a film of one frame.
+pub fn interval_factor(rate_interval_s: f64, time_s: &[f64]) -> f64 {
+    match time_s {
+        [first, second, ..] if rate_interval_s > 0.0 && second > first => {
+            ((second - first) / rate_interval_s).clamp(0.1, 10.0)
+        }
+        _ => 1.0,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// As much is learned in a second, whatever the rate of frames; and a film may have one frame, or no times.
+    #[test]
+    fn rates_follow_the_interval() {
+        assert_eq!(interval_factor(0.1, &[0.0, 0.1, 0.2]), 1.0);
+        assert_eq!(interval_factor(0.1, &[3.0, 3.5]), 5.0);
+        assert_eq!([0.0, 1e-9, 1e9].map(|s| interval_factor(0.1, &[0.0, s])), [1.0, 0.1, 10.0]);
+        assert_eq!([&[][..], &[0.0]].map(|times| interval_factor(0.1, times)), [1.0; 2]);
+        assert_eq!(interval_factor(0.0, &[0.0, 0.04]), 1.0);
+    }
 
     /// A tenth of the iterations at ten times the rate goes as far; no profile goes slower than published.
     #[test]

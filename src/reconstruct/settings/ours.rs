@@ -84,8 +84,18 @@ pub struct AnchoredDiscs {
     pub on_face: OnFace,
     /// The discs and what is learned of them.
     pub appearance: AnchoredAppearance,
-    /// Adam's epsilon, as the gradient of this many image values (pixel x channel) of L1; 0 is the published 1e-15.
-    pub quiet_values: Sourced<f64>,
+    /// How fast they are learned, beside the rates.
+    pub pace: LearningPace,
+}
+
+/// What the steps of Adam depend on beside the rates.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LearningPace {
+    /// Adam's epsilon, as the L1 gradient of a colour that fills this share of the picture; 0 is the published 1e-15.
+    pub quiet_share: Sourced<f64>,
+    /// Seconds between the frames of a film that is learned at the rates as they stand; another film's rates grow and
+    /// shrink with its interval, and 0 leaves them.
+    pub rate_interval_s: Sourced<f64>,
 }
 
 /// How the discs of a face follow it.
@@ -109,8 +119,8 @@ impl AnchoredDiscs {
     fn read(keys: &mut Keys) -> Result<Self> {
         let on_face = keys.part()?;
         keys.table("appearance", |table| {
-            let (appearance, quiet_values) = (AnchoredAppearance::read(table)?, table.key("quiet_values")?);
-            Ok(AnchoredDiscs { on_face, appearance, quiet_values })
+            let (appearance, pace) = (AnchoredAppearance::read(table)?, table.part()?);
+            Ok(AnchoredDiscs { on_face, appearance, pace })
         })
     }
 }
@@ -173,8 +183,8 @@ pub struct OursNomeshSettings {
     pub appearance: FreeAppearance,
     /// Adam rate of log scales.
     pub scale_rate: Sourced<f64>,
-    /// Adam's epsilon, as the gradient of this many image values (pixel x channel) of L1; 0 is the published 1e-15.
-    pub quiet_values: Sourced<f64>,
+    /// How fast they are learned, beside the rates.
+    pub pace: LearningPace,
 }
 
 impl MethodSettings for OursNomeshSettings {
@@ -182,8 +192,8 @@ impl MethodSettings for OursNomeshSettings {
         let (header, fit, estimation) = (keys.part()?, keys.part()?, keys.part()?);
         keys.table("appearance", |table| {
             let appearance = FreeAppearance::read(table)?;
-            let (scale_rate, quiet_values) = (table.key("scale_rate")?, table.key("quiet_values")?);
-            Ok(OursNomeshSettings { header, fit, estimation, appearance, scale_rate, quiet_values })
+            let (scale_rate, pace) = (table.key("scale_rate")?, table.part()?);
+            Ok(OursNomeshSettings { header, fit, estimation, appearance, scale_rate, pace })
         })
     }
 }

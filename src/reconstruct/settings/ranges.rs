@@ -75,7 +75,8 @@ pub const METHOD_RANGES: KeyRanges = KeyRanges(&[
     ("appearance.position_rate", RATE),
     ("appearance.scale_rate", RATE),
     ("appearance.rotation_rate", RATE),
-    ("appearance.quiet_values", WEIGHT),
+    ("appearance.quiet_share", WEIGHT),
+    ("appearance.rate_interval_s", NumberRange::new(1e-3, 10.0).or_zero()),
     ("appearance.sh_dc_rate", RATE),
     ("appearance.sh_rest_rate", RATE),
     // BridgeSplat

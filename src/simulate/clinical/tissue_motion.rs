@@ -130,7 +130,7 @@ impl TissueMotion {
             heartbeat_mm: breathing.heartbeat_mm,
             heart_rate_hz: breathing.heart_rate_hz,
             heart_direction,
-            heart_centre: carina(&anatomy.centerline) + HEART_MM,
+            heart_centre: anatomy.centerline.carina_mm().unwrap_or_default() + HEART_MM,
             across,
             delays: DelayField::new(&anatomy.centerline, breathing.lag_s, seed),
             cough_depth: breathing.cough_depth,
@@ -255,12 +255,6 @@ fn effort(since_s: f64) -> f64 {
 
 fn unit(random: &mut CounterRng) -> DVec3 {
     DVec3::new(random.normal(), random.normal(), random.normal()).normalize_or(DVec3::X)
-}
-
-/// The last point of the trachea.
-fn carina(line: &Centerline) -> DVec3 {
-    let last = line.points.iter().rposition(|p| p.generation == 0).unwrap_or(0);
-    line.points.get(last).map_or(DVec3::ZERO, |p| p.position_mm)
 }
 
 /// Delay of tissue behind the spirometer: 0 about trachea and main bronchi, a drawn one in every lobe, smooth between.
