@@ -10,14 +10,15 @@ fn place() -> &'static Path {
     static PLACE: OnceLock<PathBuf> = OnceLock::new();
     PLACE.get_or_init(|| {
         let all = Path::new(env!("CARGO_TARGET_TMPDIR")).join("shared");
+        let own = std::process::id().to_string();
         fs::create_dir_all(&all).unwrap();
         for old in fs::read_dir(&all).unwrap().map(|entry| entry.unwrap()) {
-            // of a process that has ended; another may delete it at the same moment
-            if !Path::new("/proc").join(old.file_name()).exists() {
+            // of a process that has ended, under this one's number too; another may delete it at the same moment
+            if old.file_name() == own.as_str() || !Path::new("/proc").join(old.file_name()).exists() {
                 let _ = fs::remove_dir_all(old.path());
             }
         }
-        all.join(std::process::id().to_string())
+        all.join(own)
     })
 }
 
