@@ -9,7 +9,7 @@ use crate::reconstruct::estimate::window::{KeyframeWindow, WindowOptions};
 use crate::reconstruct::fitting::anchored::{DiscAdam, Patch, Rates, Start, Surface, adam_constants, to_f32};
 use crate::reconstruct::fitting::memory::Memory;
 use crate::reconstruct::fitting::optimiser::StepCounter;
-use crate::reconstruct::fitting::schedule::{interval_factor, rate_factor};
+use crate::reconstruct::fitting::schedule::paced_rate_factor;
 use crate::reconstruct::geometry::breathing::{BreathingMesh, at_phase, mesh_at};
 use crate::reconstruct::geometry::mesh_depth::{PixelRays, surface_depth_mm, unhidden};
 use crate::reconstruct::geometry::pyramid::PyramidLevel;
@@ -129,8 +129,8 @@ impl BreathingDiscs {
         let discs = &settings.discs;
         let rest = &observation.inspiration;
         let expiration = observation.expiration.as_ref().unwrap_or(rest);
-        let interval = interval_factor(*discs.pace.rate_interval_s, &observation.time_s);
-        let rates = Rates::new(&discs.appearance, rate_factor(iteration_scale) * interval);
+        let factor = paced_rate_factor(iteration_scale, *discs.pace.rate_interval_s, &observation.time_s);
+        let rates = Rates::new(&discs.appearance, factor);
         let constants = adam_constants(*discs.pace.quiet_share);
         let surface = Surface::new(
             rest,

@@ -10,7 +10,7 @@ use crate::reconstruct::fitting::anchored::{Rates, adam_constants};
 use crate::reconstruct::fitting::free::{Free, FreeAdam, FreePatch};
 use crate::reconstruct::fitting::memory::Memory;
 use crate::reconstruct::fitting::optimiser::StepCounter;
-use crate::reconstruct::fitting::schedule::{interval_factor, rate_factor};
+use crate::reconstruct::fitting::schedule::paced_rate_factor;
 use crate::reconstruct::geometry::breathing::at_phase;
 use crate::reconstruct::geometry::neighbours;
 use crate::reconstruct::geometry::visible::{Reach, visible_points};
@@ -91,14 +91,14 @@ impl FieldGaussians {
             })
             .collect();
         let memory = Memory::new(free.centres.len());
-        let interval = interval_factor(*settings.pace.rate_interval_s, &observation.time_s);
+        let factor = paced_rate_factor(iteration_scale, *settings.pace.rate_interval_s, &observation.time_s);
         let rates = Rates { scale: *settings.scale_rate, ..Rates::from(&settings.appearance) };
         FieldGaussians {
             free,
             displacement,
             reach: Reach::new(&settings.fit.visibility),
             adam: FreeAdam::new(
-                Rates::new(rates, rate_factor(iteration_scale) * interval),
+                Rates::new(rates, factor),
                 StepCounter::Restarted,
                 adam_constants(*settings.pace.quiet_share),
             ),
