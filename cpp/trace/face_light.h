@@ -139,19 +139,23 @@ class FaceLighting {
     if (!material_.entry_direction(cosine_direction(u, v), sampler, local)) return walked;
     const Medium medium = material_.medium(s.albedo);
     const Vec3 inwards = TangentFrame(s.geometric).world(local);
+    // The walk through the mesh, and the same below the tangent plane.
+    const ScatterWalk walk(wall_.mesh, medium, caster_.rays);
+    ScatterWalk::Flight flight{s.point, inwards, {}};
     Hit hit;
-    // The same walk below the tangent plane, with a copy of the random numbers.
+    bool out;
     if (material_.has_flat_albedo()) {
-      Sampler same = sampler;
-      ScatterWalk::Flight flat{s.point, inwards, {}};
-      if (ScatterWalk(s.point, s.geometric, medium).leave(flat, same, hit))
-        walked.flat = quotient(flat.throughput, s.albedo), walked.flat_way = flat.point - s.point;
+      ScatterWalk::Flight flat{};
+      const ScatterWalk::Left left =
+          walk.leave_both(ScatterWalk(s.point, s.geometric, medium), flight, flat, sampler, hit);
+      out = left.here;
+      if (left.there) walked.flat = quotient(flat.throughput, s.albedo), walked.flat_way = flat.point - s.point;
       const Vec3 mean = {flat_albedo(s.albedo.x), flat_albedo(s.albedo.y), flat_albedo(s.albedo.z)};
       walked.flat_excess = walked.flat - quotient(mean, s.albedo);
+    } else {
+      out = walk.leave(flight, sampler, hit);
     }
-    // The walk through the mesh.
-    ScatterWalk::Flight flight{s.point, inwards, {}};
-    if (!ScatterWalk(wall_.mesh, medium, caster_.rays).leave(flight, sampler, hit)) return walked;
+    if (!out) return walked;
     walked.exit.place = {hit.face, hit.u, hit.v};
     store(walked.exit.weight.data(), quotient(flight.throughput, s.albedo));
     return walked;

@@ -68,54 +68,44 @@ class ScatterWalk {
   // a scattering. `hit` is set where it ends at the surface. `near`: where the ray starts. `stratified`: draws numbers
   // stratified over the samples of a pixel or vertex, which pays for the first flights.
   Step fly(Flight& flight, float near, Sampler& sampler, Hit& hit, bool stratified = false) const {
-    // Choose the channel: p_c = T_c a_c / sum(T a).
-    const Vec3 carried = flight.throughput * medium_.albedo;
-    const float sum = carried.x + carried.y + carried.z;
-    if (!(sum > 0.0f)) return Step::ABSORBED;
-    const Vec3 choice = carried * (1.0f / sum);
-    float which, distance;
-    if (stratified)
-      sampler.next2(distance, which);
-    else
-      which = sampler.random(), distance = sampler.random();
-    const float extinction = which < choice.x              ? medium_.extinction.x
-                             : which < choice.x + choice.y ? medium_.extinction.y
-                                                           : medium_.extinction.z;
-    // Draw the distance t = -ln(1 - u) / sigma_c, cut off at the surface.
-    const float free = minus_log(1.0f - distance) / extinction;
-    const bool surface = reaches(flight.point, flight.direction, near, free, hit);
-    const float length = surface ? hit.t : free;
-    // Multiply T by the value over the balance heuristic's density.
-    Vec3 value = attenuation(medium_.extinction, length);
-    if (!surface) value = value * medium_.extinction;
-    const float density = dot(choice, value);
-    if (!(density > 0.0f)) return Step::ABSORBED;
-    flight.throughput = flight.throughput * value * (1.0f / density);
-    flight.point += flight.direction * length;
-    if (surface) return Step::SURFACE;
-    flight.throughput = flight.throughput * medium_.albedo;
-    return Step::SCATTERED;
+    Draw draw;
+    if (!drawn(flight, sampler, stratified, draw)) return Step::ABSORBED;
+    const bool surface = reaches(flight.point, flight.direction, near, draw.free, hit);
+    return end(flight, draw, surface, hit);
   }
 
   // Walks from the surface point `flight.point` into the wall along `flight.direction` until the light comes out again.
   // On true, `flight` and `hit` hold the exit and the throughput, which starts at 1.
   bool leave(Flight& flight, Sampler& sampler, Hit& hit) const {
     flight.throughput = {1, 1, 1};
-    float near = START;
+    return leave_after(0, flight, sampler, hit);
+  }
+
+  // Whether each of two walks comes out.
+  struct Left {
+    bool here, there;
+  };
+
+  // The same with a second walk from the same point, in the same medium and with the same random numbers, below another
+  // surface. Until one of them comes out they are one walk, and cost one. `flight_there` ends as `flight` does.
+  Left leave_both(const ScatterWalk& there, Flight& flight, Flight& flight_there, Sampler& sampler, Hit& hit) const {
+    flight.throughput = {1, 1, 1};
     for (int step = 0; step < LONGEST; ++step) {
       const bool stratified = step < STRATIFIED_STEPS;
-      const Step outcome = fly(flight, near, sampler, hit, stratified);
-      if (outcome == Step::SURFACE) return true;
-      if (outcome == Step::ABSORBED || !survives(flight.throughput, sampler)) return false;
-      float u, v;
-      if (stratified)
-        sampler.next2(u, v);
-      else
-        u = sampler.random(), v = sampler.random();
-      flight.direction = isotropic_direction(u, v);
-      near = 0.0f;
+      Draw draw;
+      if (!drawn(flight, sampler, stratified, draw)) return {false, false};
+      Hit hit_there;
+      const bool here_ends = reaches(flight.point, flight.direction, near_of(step), draw.free, hit);
+      const bool there_ends = there.reaches(flight.point, flight.direction, near_of(step), draw.free, hit_there);
+      if (here_ends || there_ends) {
+        flight_there = flight;
+        Sampler same = sampler;
+        return {leave_with(draw, here_ends, step, flight, sampler, hit),
+                there.leave_with(draw, there_ends, step, flight_there, same, hit_there)};
+      }
+      if (end(flight, draw, false, hit) == Step::ABSORBED || !turns(flight, sampler, stratified)) return {false, false};
     }
-    return false;
+    return {false, false};
   }
 
   // Roulette: survives with the probability throughput / ROULETTE_BELOW.
@@ -139,6 +129,81 @@ class ScatterWalk {
   }
 
  private:
+  // What is drawn for a flight: the probabilities of the channels, and how far it goes where no surface cuts it off.
+  struct Draw {
+    Vec3 choice;
+    float free;
+  };
+
+  // False where no light would be scattered on.
+  bool drawn(const Flight& flight, Sampler& sampler, bool stratified, Draw& draw) const {
+    // Choose the channel: p_c = T_c a_c / sum(T a).
+    const Vec3 carried = flight.throughput * medium_.albedo;
+    const float sum = carried.x + carried.y + carried.z;
+    if (!(sum > 0.0f)) return false;
+    const Vec3 choice = carried * (1.0f / sum);
+    float which, distance;
+    if (stratified)
+      sampler.next2(distance, which);
+    else
+      which = sampler.random(), distance = sampler.random();
+    // No branch, which random numbers would mislead.
+    const float extinctions[3] = {medium_.extinction.x, medium_.extinction.y, medium_.extinction.z};
+    const int channel = !(which < choice.x) + !(which < choice.x + choice.y);
+    // The distance t = -ln(1 - u) / sigma_c.
+    draw = {choice, minus_log(1.0f - distance) / extinctions[channel]};
+    return true;
+  }
+
+  // Ends a flight, at `hit` where it reaches the surface.
+  Step end(Flight& flight, const Draw& draw, bool surface, const Hit& hit) const {
+    const float length = surface ? hit.t : draw.free;
+    // Multiply T by the value over the balance heuristic's density.
+    Vec3 value = attenuation(medium_.extinction, length);
+    if (!surface) value = value * medium_.extinction;
+    const float density = dot(draw.choice, value);
+    if (!(density > 0.0f)) return Step::ABSORBED;
+    flight.throughput = flight.throughput * value * (1.0f / density);
+    flight.point += flight.direction * length;
+    if (surface) return Step::SURFACE;
+    flight.throughput = flight.throughput * medium_.albedo;
+    return Step::SCATTERED;
+  }
+
+  // Whether the light goes on after a scattering, and where to.
+  [[gnu::always_inline]] static bool turns(Flight& flight, Sampler& sampler, bool stratified) {
+    if (!survives(flight.throughput, sampler)) return false;
+    float u, v;
+    if (stratified)
+      sampler.next2(u, v);
+    else
+      u = sampler.random(), v = sampler.random();
+    flight.direction = isotropic_direction(u, v);
+    return true;
+  }
+
+  // `leave` from flight number `step` on.
+  bool leave_after(int step, Flight& flight, Sampler& sampler, Hit& hit) const {
+    for (; step < LONGEST; ++step) {
+      const bool stratified = step < STRATIFIED_STEPS;
+      const Step outcome = fly(flight, near_of(step), sampler, hit, stratified);
+      if (outcome == Step::SURFACE) return true;
+      if (outcome == Step::ABSORBED || !turns(flight, sampler, stratified)) return false;
+    }
+    return false;
+  }
+
+  // `leave` from the end of flight number `step` on.
+  bool leave_with(const Draw& draw, bool surface, int step, Flight& flight, Sampler& sampler, Hit& hit) const {
+    const Step outcome = end(flight, draw, surface, hit);
+    if (outcome == Step::SURFACE) return true;
+    if (outcome == Step::ABSORBED || !turns(flight, sampler, step < STRATIFIED_STEPS)) return false;
+    return leave_after(step + 1, flight, sampler, hit);
+  }
+
+  // Where the ray of a flight starts.
+  static float near_of(int step) { return step == 0 ? START : 0.0f; }
+
   // Throughput below which roulette starts.
   static constexpr float ROULETTE_BELOW = 0.5f;
   // The first flights, for which stratification pays; later ones use plain random numbers.

@@ -2,6 +2,7 @@
 //! neither the exposure nor slow changes of the light affect (Luo et al., Med Image Anal 16:577, 2012).
 
 use glam::DAffine3;
+use rayon::prelude::*;
 
 use crate::base::Image;
 use crate::reconstruct::contract::Observation;
@@ -40,7 +41,7 @@ impl<'a> ContrastMatcher<'a> {
             let expected = self.camera.render(&aimed, mesh, f64::from(step) / f64::from(steps - 1));
             correlation(&seen, &contrast_image(&expected.color, &level.weights, radius))
         };
-        (0..steps).map(at).collect()
+        (0..steps).into_par_iter().map(at).collect()
     }
 }
 

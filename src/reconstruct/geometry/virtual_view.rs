@@ -5,6 +5,7 @@
 //! a share for the light of the other walls; an automatic exposure brings the mean encoded brightness to a fixed value.
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::breathing::BreathingMesh;
 use super::mesh_depth::{PixelRays, faces_before, nearest_faces};
@@ -24,6 +25,9 @@ const BRIGHTNESS: f32 = 0.42;
 const GAIN_STEPS: usize = 24;
 /// Difference from it within which the mean is taken in full: twenty times what rounding does to a sum over 256 x 256 pixels.
 const CLOSE: f32 = 1e-4;
+
+/// Pixels that one thread lights or encodes at a time.
+const PIECE: usize = 1024;
 
 /// Linear light, without exposure, of a wall that a lamp `distance` mm away lights at this cosine of incidence `c`:
 /// `(c + k) / (1 + k) / d^2`.
@@ -84,9 +88,8 @@ impl VirtualCamera {
             let cosine = normal.dot(ray.normalize_or_zero()).abs();
             light_of_wall(cosine, distance)
         };
-        let light: Vec<f32> = nearest.iter().zip(self.rays.rays()).map(radiance).collect();
-        let gain = exposure(&light);
-        let color = light.iter().flat_map(|&v| WALL.map(|wall| srgb_from_linear(wall * gain * v))).collect();
+        let light: Vec<f32> = nearest.par_iter().zip(self.rays.rays()).with_min_len(PIECE).map(radiance).collect();
+        let color = encoded_colors(&light, exposure(&light));
         let depth = nearest.into_iter().map(|(depth, _)| depth).collect();
         let (width, height) = (self.camera.width as usize, self.camera.height as usize);
         VirtualView {
@@ -96,17 +99,26 @@ impl VirtualCamera {
     }
 }
 
+/// The colours of walls of this light at a gain, encoded, channels last.
+fn encoded_colors(light: &[f32], gain: f32) -> Vec<f32> {
+    let mut color = vec![0.0; 3 * light.len()];
+    color.par_chunks_mut(3 * PIECE).zip(light.par_chunks(PIECE)).for_each(|(color, light)| {
+        for (color, &v) in color.as_chunks_mut::<3>().0.iter_mut().zip(light) {
+            *color = WALL.map(|wall| srgb_from_linear(wall * gain * v));
+        }
+    });
+    color
+}
+
 /// The gain at which the mean encoded brightness is [`BRIGHTNESS`]; bisection in its logarithm.
 fn exposure(light: &[f32]) -> f32 {
     let count = (3 * light.len()).max(1) as f32;
-    let mean = |gain: f32| {
-        let sum: f32 = light.iter().flat_map(|&v| WALL.map(|wall| srgb_from_linear(wall * gain * v))).sum();
-        sum / count
-    };
+    let mean = |gain: f32| encoded_colors(light, gain).iter().sum::<f32>() / count;
     // A power of a product is the product of powers: with those of the light known, a gain costs one more. Far from the
     // wanted brightness, which most steps are, that is exact enough.
-    let powers: Vec<(f32, f32)> =
-        light.iter().flat_map(|&v| WALL.map(|wall| wall * v)).map(|v| (v, 1.055 * v.powf(1.0 / 2.4))).collect();
+    let powers: Vec<(f32, f32)> = (light.par_iter().with_min_len(PIECE))
+        .flat_map_iter(|&v| WALL.map(|wall| wall * v).map(|v| (v, 1.055 * v.powf(1.0 / 2.4))))
+        .collect();
     let about = |gain: f32| {
         let factor = gain.powf(1.0 / 2.4);
         let encoded = |&(value, power): &(f32, f32)| match value * gain {

@@ -9,12 +9,14 @@ mod methods;
 mod pareto;
 
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use canvas::Figure;
+use rayon::prelude::*;
 
 use super::palette::Palette;
 use super::pareto_chart::ParetoChart;
-use super::run::Run;
+use super::run::{CaseInfo, Run};
 use super::summary::MethodSummary;
 use crate::base::{Image, Progress, Result, files};
 use crate::formats::png;
@@ -74,36 +76,43 @@ pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dy
         "Final contours",
         "Lumen contour in the plane of the last camera (triangle); the thick line is the truth. Cross: the true target; dots: where a method puts it.",
     )?);
-    for (done, case) in run.cases.iter().enumerate() {
+    let done = AtomicUsize::new(0);
+    let drawn = |case: &CaseInfo| {
         progress.proceed()?;
-        progress.advance(done, run.cases.len());
-        let mut of_case = Vec::new();
-        of_case.extend(plot(
+        let pictures = of_case(run, case, &palette, folder)?;
+        progress.advance(done.fetch_add(1, Ordering::Relaxed) + 1, run.cases.len());
+        Ok((case.id.clone(), pictures))
+    };
+    pictures.by_case = run.cases.par_iter().map(drawn).collect::<Result<_>>()?;
+    pictures.by_case.retain(|(_, pictures)| !pictures.is_empty());
+    Ok(pictures)
+}
+
+/// The images of one case.
+fn of_case(run: &Run, case: &CaseInfo, palette: &Palette, folder: &Path) -> Result<Vec<ReportImage>> {
+    let mut pictures = Vec::new();
+    pictures.extend(plot(
+        folder,
+        &format!("frames-{}", case.id),
+        curves::FrameErrors::new(run, &case.id, palette),
+        &format!("Errors per frame, {}", case.id),
+        "Phase and errors of every frame.",
+    )?);
+    if let Some(truth) = &case.truth {
+        pictures.extend(panel(
             folder,
-            &format!("frames-{}", case.id),
-            curves::FrameErrors::new(run, &case.id, &palette),
-            &format!("Errors per frame, {}", case.id),
-            "Phase and errors of every frame.",
+            &format!("images-{}", case.id),
+            images::renderings(run, &case.id, truth.as_ref())?,
+            &format!("Renderings, {}", case.id),
+            "Renderings beside the truth, with PSNR and SSIM of the frame.",
         )?);
-        if let Some(truth) = &case.truth {
-            of_case.extend(panel(
-                folder,
-                &format!("images-{}", case.id),
-                images::renderings(run, &case.id, truth.as_ref())?,
-                &format!("Renderings, {}", case.id),
-                "Renderings beside the truth, with PSNR and SSIM of the frame.",
-            )?);
-            of_case.extend(panel(
-                folder,
-                &format!("depth-{}", case.id),
-                images::depth_errors(run, &case.id, truth.as_ref())?,
-                &format!("Depth errors, {}", case.id),
-                "True depth, and the absolute depth error of each method on a logarithmic scale from 0.1 to 30 mm; magenta: nothing predicted.",
-            )?);
-        }
-        if !of_case.is_empty() {
-            pictures.by_case.push((case.id.clone(), of_case));
-        }
+        pictures.extend(panel(
+            folder,
+            &format!("depth-{}", case.id),
+            images::depth_errors(run, &case.id, truth.as_ref())?,
+            &format!("Depth errors, {}", case.id),
+            "True depth, and the absolute depth error of each method on a logarithmic scale from 0.1 to 30 mm; magenta: nothing predicted.",
+        )?);
     }
     Ok(pictures)
 }
