@@ -3,12 +3,15 @@
 //! After Botsch and Kobbelt, "A Remeshing Approach to Multiresolution Modeling", SGP 2004 (their 4/3 and 4/5 bounds,
 //! valence 6), with a target length that varies over the surface. Every operation keeps the surface a closed
 //! 2-manifold: collapses obey the link condition, flips never make a double edge, and neither turns a face around.
-//! Serial and in index order: the same input gives the same bytes.
+//! In index order: the same input gives the same bytes. Only target lengths are looked up in parallel.
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use crate::base::TriangleMesh;
 
+/// Vertices per task, at least.
+const PIECE: usize = 256;
 /// A face that was removed.
 const DEAD: [u32; 3] = [u32::MAX; 3];
 
@@ -25,7 +28,7 @@ struct WorkingMesh {
 pub fn remesh(
     mesh: &TriangleMesh,
     rounds: usize,
-    target_mm: impl Fn(DVec3) -> f64,
+    target_mm: impl Fn(DVec3) -> f64 + Sync,
     project: impl Fn(DVec3) -> DVec3,
 ) -> TriangleMesh {
     let mut work = WorkingMesh::new(mesh, &target_mm);
@@ -39,7 +42,7 @@ pub fn remesh(
 }
 
 impl WorkingMesh {
-    fn new(mesh: &TriangleMesh, target_mm: &impl Fn(DVec3) -> f64) -> Self {
+    fn new(mesh: &TriangleMesh, target_mm: &(impl Fn(DVec3) -> f64 + Sync)) -> Self {
         let mut around = vec![Vec::with_capacity(8); mesh.vertices.len()];
         for (f, face) in mesh.faces.iter().enumerate() {
             for &v in face {
@@ -48,7 +51,7 @@ impl WorkingMesh {
         }
         WorkingMesh {
             position: mesh.vertices.clone(),
-            target_mm: mesh.vertices.iter().map(|&v| target_mm(v)).collect(),
+            target_mm: mesh.vertices.par_iter().with_min_len(PIECE).map(|&v| target_mm(v)).collect(),
             faces: mesh.faces.clone(),
             around,
         }
@@ -249,8 +252,8 @@ impl WorkingMesh {
         }
     }
 
-    fn relax(&mut self, target_mm: &impl Fn(DVec3) -> f64, project: &impl Fn(DVec3) -> DVec3) {
-        let mut neighbours = Vec::new();
+    fn relax(&mut self, target_mm: &(impl Fn(DVec3) -> f64 + Sync), project: &impl Fn(DVec3) -> DVec3) {
+        let (mut neighbours, mut has_moved) = (Vec::new(), vec![false; self.position.len()]);
         for v in 0..self.position.len() as u32 {
             if self.around[v as usize].is_empty() {
                 continue;
@@ -267,7 +270,10 @@ impl WorkingMesh {
                 continue;
             }
             self.position[v as usize] = moved;
-            self.target_mm[v as usize] = target_mm(moved);
+            has_moved[v as usize] = true;
         }
+        // Nothing above asks for the target of another vertex.
+        let targets = self.target_mm.par_iter_mut().zip(&self.position).zip(has_moved).with_min_len(PIECE);
+        targets.filter(|(_, has_moved)| *has_moved).for_each(|((target, at), _)| *target = target_mm(*at));
     }
 }

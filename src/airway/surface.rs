@@ -6,6 +6,7 @@
 
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::remesh::remesh;
@@ -167,7 +168,7 @@ pub fn surface_from_tree(tree: &Tree, settings: &SurfaceSettings) -> Result<(Tri
     let target = |p: DVec3| settings.edge_mm(neighbourhood.look(p).0);
     let mut mesh = remesh(&rough, settings.rounds, target, |p| field.project(p));
     smooth(&mut mesh, 6);
-    let looks: Vec<(f64, f64)> = mesh.vertices.iter().map(|&v| neighbourhood.look(v)).collect();
+    let looks: Vec<(f64, f64)> = mesh.vertices.par_iter().with_min_len(256).map(|&v| neighbourhood.look(v)).collect();
     roughen(&mut mesh, &looks, settings);
     mesh.validate_closed()?;
     check_sphere(&mesh)?;

@@ -5,6 +5,7 @@
 //! rounded carina of real airways. Negative inside. Far from every branch the field only says "far".
 
 use glam::{DVec3, IVec3};
+use rayon::prelude::*;
 
 use super::tree::{Branch, Tree};
 use crate::base::{Error, Result};
@@ -104,38 +105,40 @@ impl LumenField {
             (low.min(branch.position(k) - widest), high.max(branch.position(k) + widest))
         });
         let whole = self.node_range(low, high);
-        let local_size = whole.clone().map(|r| r.len());
-        let mut own = vec![FAR; local_size.iter().product()];
-        let mut width = vec![0f32; own.len()];
-        for k in 1..points {
-            let cone =
-                RoundCone::new(branch.position(k - 1), branch.radius(k - 1), branch.position(k), branch.radius(k));
-            let margin = DVec3::splat(reach(k - 1).max(reach(k)));
-            let part = self.node_range(cone.a.min(cone.b) - margin, cone.a.max(cone.b) + margin);
-            for z in part[2].clone() {
+        let cones: Vec<(RoundCone, [std::ops::Range<usize>; 3])> = (1..points)
+            .map(|k| {
+                let (a, b) = (branch.position(k - 1), branch.position(k));
+                let margin = DVec3::splat(reach(k - 1).max(reach(k)));
+                let part = self.node_range(a.min(b) - margin, a.max(b) + margin);
+                (RoundCone::new(a, branch.radius(k - 1), b, branch.radius(k)), part)
+            })
+            .collect();
+        let [columns, lines, layers] = whole;
+        let (origin, spacing_mm, [width, height, _]) = (self.origin, self.spacing_mm, self.size);
+        let field = self.values.par_chunks_mut(width * height).enumerate().skip(layers.start).take(layers.len());
+        field.for_each(|(z, layer)| {
+            // Distance from this branch, and the width of its blend, on the nodes of the layer around it.
+            let mut own = vec![(FAR, 0f32); lines.len() * columns.len()];
+            for (cone, part) in cones.iter().filter(|(_, part)| part[2].contains(&z)) {
                 for y in part[1].clone() {
-                    let row = ((z - whole[2].start) * local_size[1] + y - whole[1].start) * local_size[0];
+                    let row = (y - lines.start) * columns.len();
                     for x in part[0].clone() {
-                        let (distance, radius) = cone.distance(self.position([x, y, z]));
-                        let slot = row + x - whole[0].start;
-                        if (distance as f32) < own[slot] {
-                            own[slot] = distance as f32;
-                            width[slot] = (radius * blend) as f32;
+                        let node = origin + DVec3::new(x as f64, y as f64, z as f64) * spacing_mm;
+                        let (distance, radius) = cone.distance(node);
+                        let slot = &mut own[row + x - columns.start];
+                        if (distance as f32) < slot.0 {
+                            *slot = (distance as f32, (radius * blend) as f32);
                         }
                     }
                 }
             }
-        }
-        for (z, layer) in whole[2].clone().zip(0..) {
-            for (y, line) in whole[1].clone().zip(0..) {
-                let row = (layer * local_size[1] + line) * local_size[0];
-                let start = self.index([whole[0].start, y, z]);
-                for x in 0..local_size[0] {
-                    let value = &mut self.values[start + x];
-                    *value = smooth_minimum(*value, own[row + x], width[row + x]);
+            for (y, own) in lines.clone().zip(own.chunks_exact(columns.len())) {
+                let values = &mut layer[y * width..][columns.clone()];
+                for (value, (distance, blend)) in values.iter_mut().zip(own) {
+                    *value = smooth_minimum(*value, *distance, *blend);
                 }
             }
-        }
+        });
     }
 
     /// Trilinear value and its gradient at `point` (mm, dimensionless); `None` outside the grid.

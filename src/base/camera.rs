@@ -155,11 +155,18 @@ fn undistort(distorted: f64, k: [f64; 4]) -> f64 {
     let mut theta = distorted.min(std::f64::consts::PI);
     for _ in 0..20 {
         let (value, slope) = distort(theta, k);
-        theta -= (value - distorted) / slope;
+        let next = theta - (value - distorted) / slope;
+        if next == theta {
+            // Every further step ends here too: mostly the second to fifth, the first without distortion.
+            break;
+        }
+        theta = next;
     }
     let is_near = (distort(theta, k).0 - distorted).abs() <= 1e-9 * (1.0 + distorted);
-    let rises = |steps: u32| (0..=steps).all(|n| distort(theta * f64::from(n) / f64::from(steps), k).1 > 0.0);
-    // Of a lens that bends much it may have left the rising part, or found an angle beyond it.
+    // The slope falls at most by its negative terms, all of which are largest at the end.
+    let surely_rises = distort(theta, k.map(|k| k.min(0.0))).1 > 1e-6;
+    let rises =
+        |steps: u32| surely_rises || (0..=steps).all(|n| distort(theta * f64::from(n) / f64::from(steps), k).1 > 0.0);
     if is_near && (0.0..=std::f64::consts::PI).contains(&theta) && rises(32) {
         return theta;
     }

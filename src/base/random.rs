@@ -65,6 +65,11 @@ impl CounterRng {
         CounterRng { key, counter: 0 }
     }
 
+    /// This stream after `draws` more of its numbers (a normal one takes two).
+    pub fn after(&self, draws: u64) -> Self {
+        CounterRng { counter: self.counter + draws, ..*self }
+    }
+
     /// Next 64 uniform bits.
     pub fn next_u64(&mut self) -> u64 {
         self.counter += 1;
@@ -107,6 +112,10 @@ mod tests {
         let mut a = CounterRng::new(1, Stage::Test, &[0, 1]);
         let mut b = CounterRng::new(1, Stage::Test, &[1, 0]);
         assert_ne!(a.next_u64(), b.next_u64());
+        let mut later = a.after(5);
+        (0..2).for_each(|_| _ = a.normal());
+        a.next_u64();
+        assert_eq!(a.next_u64(), later.next_u64());
         let n = 100_000;
         let (mut sum, mut square) = (0.0, 0.0);
         for _ in 0..n {

@@ -1,4 +1,4 @@
-//! PNG, 8-bit sRGB: the images that methods see. One fixed encoder setting, so that equal images are equal bytes.
+//! PNG, 8-bit sRGB: the images that methods see. Fixed encoder settings, so that equal images are equal bytes.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -25,9 +25,15 @@ pub fn write_rgb(path: &Path, image: &Image<u8>) -> Result<()> {
     files::write_bytes(path, &encode(image).map_err(|e| e.at(path))?)
 }
 
+/// [`write_rgb`] in a tenth of the time, for the many pictures of a run: a rendering is as small, a drawing is not.
+pub fn write_rgb_fast(path: &Path, image: &Image<u8>) -> Result<()> {
+    let bytes = encode_as(image, 3, ColorType::Rgb, Compression::Fast);
+    files::write_bytes(path, &bytes.map_err(|e| e.at(path))?)
+}
+
 /// Writes a grey image (one channel) in one atomic step.
 pub fn write_grey(path: &Path, image: &Image<u8>) -> Result<()> {
-    files::write_bytes(path, &encode_as(image, 1, ColorType::Grayscale).map_err(|e| e.at(path))?)
+    files::write_bytes(path, &encode_as(image, 1, ColorType::Grayscale, Compression::Balanced).map_err(|e| e.at(path))?)
 }
 
 /// Writes RGB images of one size as an endless animated PNG, `seconds` each, in one atomic step. Readers without
@@ -104,10 +110,10 @@ pub(super) fn pixels(bytes: &[u8]) -> Result<Pixels> {
 
 /// The bytes of an RGB image as a PNG file. Errors: not three channels.
 pub fn encode(image: &Image<u8>) -> Result<Vec<u8>> {
-    encode_as(image, 3, ColorType::Rgb)
+    encode_as(image, 3, ColorType::Rgb, Compression::Balanced)
 }
 
-fn encode_as(image: &Image<u8>, channels: usize, color: ColorType) -> Result<Vec<u8>> {
+fn encode_as(image: &Image<u8>, channels: usize, color: ColorType, compression: Compression) -> Result<Vec<u8>> {
     if image.channels != channels || image.width == 0 || image.height == 0 {
         return Err(Error::input(format!(
             "an image of {}x{} pixels and {} channels cannot be written as PNG of {channels} channels",
@@ -115,7 +121,7 @@ fn encode_as(image: &Image<u8>, channels: usize, color: ColorType) -> Result<Vec
         )));
     }
     let size = [image.width as u32, image.height as u32];
-    encode_pixels(&image.data, size, color, BitDepth::Eight, Compression::Balanced)
+    encode_pixels(&image.data, size, color, BitDepth::Eight, compression)
 }
 
 /// A PNG of `data`, row by row, 16 bits big endian.
@@ -155,6 +161,8 @@ mod tests {
         write_rgb(&path, &sample()).unwrap();
         assert_eq!(read_rgb(&path).unwrap(), sample());
         assert_eq!(encode(&sample()).unwrap(), files::read_bytes(&path).unwrap());
+        write_rgb_fast(&path, &sample()).unwrap();
+        assert_eq!(read_rgb(&path).unwrap(), sample());
     }
 
     #[test]

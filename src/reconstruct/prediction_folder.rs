@@ -58,7 +58,7 @@ impl PredictionFolder {
 
     /// Writes the rendering of a frame, 8-bit sRGB.
     pub fn color(&self, frame: usize, image: &Image<u8>) -> Result<()> {
-        png::write_rgb(&self.picture_file(prediction::COLOR, frame), image)
+        png::write_rgb_fast(&self.picture_file(prediction::COLOR, frame), image)
     }
 
     /// Writes the z-depth of a frame in mm, 0 where nothing is.
@@ -68,12 +68,12 @@ impl PredictionFolder {
 
     /// Writes the rendering of a frame that was made before its image was used.
     pub fn ahead(&self, frame: usize, image: &Image<u8>) -> Result<()> {
-        png::write_rgb(&self.picture_file(prediction::AHEAD, frame), image)
+        png::write_rgb_fast(&self.picture_file(prediction::AHEAD, frame), image)
     }
 
     /// Writes the view of the second camera of a frame.
     pub fn novel(&self, frame: usize, image: &Image<u8>) -> Result<()> {
-        png::write_rgb(&self.picture_file(prediction::NOVEL, frame), image)
+        png::write_rgb_fast(&self.picture_file(prediction::NOVEL, frame), image)
     }
 
     /// Writes the z-depth of the second camera of a frame in mm, 0 where nothing is.

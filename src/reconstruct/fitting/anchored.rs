@@ -76,6 +76,12 @@ fn softmax(logits: [f32; 3]) -> [f32; 3] {
 
 /// Discs per task, at least, in loops with little work per disc.
 const PIECE: usize = 4096;
+/// Random numbers that the three logits of a disc take.
+const LOGIT_DRAWS: u64 = 6;
+
+fn every_disc(count: usize) -> impl IndexedParallelIterator<Item = usize> {
+    (0..count).into_par_iter().with_min_len(PIECE)
+}
 
 impl Surface {
     /// Discs on `mesh` at rest.
@@ -83,29 +89,33 @@ impl Surface {
         let layout = layout.into();
         let per_face = layout.per_face.resolve(mesh.faces.len(), layout.budget);
         let n = mesh.faces.len() * per_face;
-        let mut rng = CounterRng::new(seed, Stage::Method, &[1]);
-        let logits: Vec<[f64; 3]> = (0..n)
+        let rng = CounterRng::new(seed, Stage::Method, &[1]);
+        let logits: Vec<[f64; 3]> = every_disc(n)
             .map(|i| match start {
-                Start::Random => std::array::from_fn(|_| rng.normal()),
+                Start::Random => {
+                    let mut rng = rng.after(LOGIT_DRAWS * i as u64);
+                    std::array::from_fn(|_| rng.normal())
+                }
                 Start::Even => even_barycentrics(i % per_face, per_face).map(f64::ln),
             })
             .collect();
-        let centres: Vec<DVec3> = logits
-            .iter()
-            .enumerate()
-            .map(|(i, l)| {
-                let e = l.map(f64::exp);
+        let centres: Vec<DVec3> = every_disc(n)
+            .map(|i| {
+                let e = logits[i].map(f64::exp);
                 let [a, b, c] = mesh.corners(i / per_face);
                 (a * e[0] + b * e[1] + c * e[2]) / (e[0] + e[1] + e[2])
             })
             .collect();
+        let spacing = neighbours::spacing(&centres);
         let log_scales: Vec<[f32; 2]> =
-            neighbours::spacing(&centres).iter().map(|s| [(s * layout.initial_scale).ln() as f32; 2]).collect();
+            every_disc(n).map(|i| [(spacing[i] * layout.initial_scale).ln() as f32; 2]).collect();
         let mut sh = vec![0.0; n * SH_VALUES];
         if start == Start::Random {
-            for value in sh.chunks_exact_mut(SH_VALUES).flat_map(|s| &mut s[..3]) {
-                *value = (rng.uniform() as f32 - 0.5) / SH_C0;
-            }
+            let colors = sh.par_chunks_exact_mut(SH_VALUES).enumerate().with_min_len(PIECE);
+            colors.for_each(|(i, sh)| {
+                let mut rng = rng.after(LOGIT_DRAWS * n as u64 + 3 * i as u64);
+                sh[..3].fill_with(|| (rng.uniform() as f32 - 0.5) / SH_C0);
+            });
         }
         Surface {
             faces: mesh.faces.clone(),
@@ -114,7 +124,7 @@ impl Surface {
             per_face,
             added: vec![Vec::new(); mesh.faces.len()],
             opacity: layout.opacity as f32,
-            logits: logits.iter().map(|l| l.map(|v| v as f32)).collect(),
+            logits: every_disc(n).map(|i| logits[i].map(|v| v as f32)).collect(),
             initial_log_scales: log_scales.clone(),
             log_scales,
             cap: layout.scale_cap,

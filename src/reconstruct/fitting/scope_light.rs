@@ -6,6 +6,7 @@
 //! camera casts none that it could see) and gloss.
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use crate::splat::{Gaussians, Shape, View};
 
@@ -13,6 +14,8 @@ use crate::splat::{Gaussians, Shape, View};
 const REFERENCE_MM: f32 = 10.0;
 /// Smallest distance in mm; nearer surfaces are shaded as if they were there.
 const NEAREST_MM: f32 = 0.5;
+/// Gaussians per task, at least.
+const PIECE: usize = 1024;
 /// Encoded value from which on a channel counts as clipped: what it shows is at least so bright.
 pub const CLIPPED: f32 = 0.98;
 
@@ -53,18 +56,19 @@ impl ScopeLight {
     /// One shade per Gaussian. `velocities` are mm per unit of phase (empty: slopes are 0); the slope leaves out the
     /// rotation of the normals. Ellipsoids have no normal: their incidence counts as perpendicular.
     pub fn shades(&self, gaussians: &Gaussians<f32>, velocities: &[[f32; 3]], out: &mut Vec<Shade>) {
-        out.clear();
         let velocity = |i: usize| velocities.get(i).map_or(Vec3::ZERO, |v| Vec3::from(*v));
+        let centers = gaussians.positions.par_iter().with_min_len(PIECE).enumerate();
         match &gaussians.shape {
             Shape::Discs { axes } => {
-                out.extend(gaussians.positions.iter().zip(axes).enumerate().map(|(i, (p, [a, b]))| {
+                let shade = |((i, p), [a, b]): ((usize, &[f32; 3]), &[[f32; 3]; 2])| {
                     let normal = Vec3::from(*a).cross(Vec3::from(*b)).normalize_or_zero();
                     self.shade(Vec3::from(*p), Some(normal), velocity(i))
-                }))
+                };
+                centers.zip(axes).map(shade).collect_into_vec(out);
             }
-            Shape::Ellipsoids { .. } => out.extend(
-                gaussians.positions.iter().enumerate().map(|(i, p)| self.shade(Vec3::from(*p), None, velocity(i))),
-            ),
+            Shape::Ellipsoids { .. } => {
+                centers.map(|(i, p)| self.shade(Vec3::from(*p), None, velocity(i))).collect_into_vec(out);
+            }
         }
     }
 

@@ -13,6 +13,9 @@ use crate::splat::types::{GaussianSlices, PIXELS, View};
 use super::bins::Bins;
 use super::splats::Splats;
 
+/// Pixels of a block of a tile.
+const BLOCK: usize = 16;
+
 /// One splat that a pixel blends.
 struct BlendedSplat {
     /// Its weight in the pixel: alpha times the transmittance in front of it.
@@ -21,6 +24,18 @@ struct BlendedSplat {
     depth: f64,
     /// Transmittance behind it.
     left: f64,
+}
+
+/// A pixel of a tile, and the splats that may touch the block of pixels around it.
+pub struct BlockPixel<'a> {
+    /// Column and row in the image.
+    at: [usize; 2],
+    /// Upper left corner of the tile in pixels.
+    corner: [usize; 2],
+    /// Index in the per-pixel tables of the tile.
+    in_tile: usize,
+    /// Front to back.
+    listed: &'a [u32],
 }
 
 /// Source of a splat's position along the ray.
@@ -58,27 +73,21 @@ pub fn splat_surfaces<T: Real>(
 }
 
 impl<T: Real> PixelWalk<'_, T> {
-    /// Calls `visit` for every splat that the pixel `(x, y)` blends, front to back, while it returns `true`.
-    fn blend(&self, tile: usize, p: usize, [x, y]: [usize; 2], mut visit: impl FnMut(BlendedSplat) -> bool) {
-        let bins = self.bins;
-        let corner = bins.tiling.corner(tile);
+    /// Calls `visit` for every splat that `pixel` blends, front to back, while it returns `true`.
+    fn blend(&self, pixel: &BlockPixel<'_>, mut visit: impl FnMut(BlendedSplat) -> bool) {
+        let [x, y] = pixel.at;
         let ray = self.view.camera.direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).to_array();
         let ray_of_type = ray.map(T::of);
         let mut left = 1.0;
-        let block = 1u16 << (p / 16);
-        for at in bins.span(tile) {
-            // The masks of the forward pass exclude splats that cannot touch this block of pixels or lie behind the
-            // point where it stopped.
-            if bins.masks_known && bins.masks[at] & block == 0 {
-                continue;
-            }
-            let j = bins.entries[at] as usize;
+        for &j in pixel.listed {
+            let j = j as usize;
             let row = &self.splats.rows[j].0;
+            let alpha = || tile::alpha_at(row, pixel.corner, pixel.in_tile).map(T::to_f64);
             let found = match &self.surfaces {
-                SurfaceSource::None => tile::alpha_at(row, corner, p).map(|alpha| (alpha.to_f64(), 0.0)),
-                SurfaceSource::Splats(surfaces) => tile::alpha_at(row, corner, p)
-                    .zip(surfaces[j].as_ref())
-                    .map(|(alpha, surface)| (alpha.to_f64(), surface.depth(ray))),
+                SurfaceSource::None => alpha().map(|alpha| (alpha, 0.0)),
+                SurfaceSource::Splats(surfaces) => {
+                    surfaces[j].as_ref().and_then(|surface| alpha().map(|alpha| (alpha, surface.depth(ray))))
+                }
                 SurfaceSource::Discs(optics) => {
                     disc_tile::evaluate_alpha(row, &Disc::unpack(&self.splats.discs[j]), optics, [x, y], ray_of_type)
                         .map(|sample| (sample.alpha.to_f64(), sample.depth.to_f64()))
@@ -98,14 +107,21 @@ impl<T: Real> PixelWalk<'_, T> {
     }
 
     /// One value per pixel, row by row.
-    pub fn image<V: Send + Copy + Default>(&self, value: impl Fn(usize, usize, [usize; 2]) -> V + Sync) -> Vec<V> {
+    pub fn image<V: Send + Copy + Default>(&self, value: impl Fn(&BlockPixel<'_>) -> V + Sync) -> Vec<V> {
         let size = self.view.size();
         let tiling = self.bins.tiling;
         let tiles: Vec<Vec<([usize; 2], V)>> = (0..tiling.count())
             .into_par_iter()
             .map(|t| {
-                let of_pixel = |p: usize| tiling.pixel(t, p, size).map(|pixel| (pixel, value(t, p, pixel)));
-                (0..PIXELS).filter_map(of_pixel).collect()
+                let (corner, mut values, mut listed) = (tiling.corner(t), Vec::with_capacity(PIXELS), Vec::new());
+                for block in 0..PIXELS / BLOCK {
+                    self.list(t, block, &mut listed);
+                    for in_tile in block * BLOCK..(block + 1) * BLOCK {
+                        let Some(at) = tiling.pixel(t, in_tile, size) else { continue };
+                        values.push((at, value(&BlockPixel { at, corner, in_tile, listed: &listed })));
+                    }
+                }
+                values
             })
             .collect();
         let mut out = vec![V::default(); size[0] * size[1]];
@@ -115,10 +131,23 @@ impl<T: Real> PixelWalk<'_, T> {
         out
     }
 
+    /// The splats that may touch a block of a tile, front to back: the masks of the forward pass exclude those that
+    /// cannot, and those behind the point where it stopped.
+    fn list(&self, tile: usize, block: usize, listed: &mut Vec<u32>) {
+        let (bins, span, bit) = (self.bins, self.bins.span(tile), 1u16 << block);
+        listed.clear();
+        if bins.masks_known {
+            let masks = bins.masks[span.clone()].iter().zip(&bins.entries[span]);
+            listed.extend(masks.filter(|(mask, _)| **mask & bit != 0).map(|(_, entry)| *entry));
+        } else {
+            listed.extend_from_slice(&bins.entries[span]);
+        }
+    }
+
     /// Mean depth of the surfaces, weighted like the image; 0 if the pixel blends no splat.
-    pub fn surface(&self, tile: usize, p: usize, pixel: [usize; 2]) -> f64 {
+    pub fn surface(&self, pixel: &BlockPixel<'_>) -> f64 {
         let (mut sum, mut weights) = (0.0, 0.0);
-        self.blend(tile, p, pixel, |splat| {
+        self.blend(pixel, |splat| {
             sum += splat.weight * splat.depth;
             weights += splat.weight;
             true
@@ -127,9 +156,9 @@ impl<T: Real> PixelWalk<'_, T> {
     }
 
     /// Depth of the first splat behind which the transmittance is at most one half; 0 if there is none.
-    pub fn median(&self, tile: usize, p: usize, pixel: [usize; 2]) -> f64 {
+    pub fn median(&self, pixel: &BlockPixel<'_>) -> f64 {
         let mut median = 0.0;
-        self.blend(tile, p, pixel, |splat| {
+        self.blend(pixel, |splat| {
             if splat.left <= 0.5 {
                 median = splat.depth;
             }
@@ -139,9 +168,9 @@ impl<T: Real> PixelWalk<'_, T> {
     }
 
     /// How many splats the pixel blends.
-    pub fn count(&self, tile: usize, p: usize, pixel: [usize; 2]) -> u32 {
+    pub fn count(&self, pixel: &BlockPixel<'_>) -> u32 {
         let mut count = 0;
-        self.blend(tile, p, pixel, |_| {
+        self.blend(pixel, |_| {
             count += 1;
             true
         });

@@ -361,8 +361,7 @@ impl<T: SplatKernels> Rasterizer<T> {
             Footprint::Ewa => SurfaceSource::Splats(splat_surfaces(&gaussians, view, self.active.as_deref(), bins, n)),
         };
         let walk = PixelWalk { splats: &self.splats, bins, view: *view, surfaces };
-        let depth =
-            walk.image(|t, p, pixel| T::of(if median { walk.median(t, p, pixel) } else { walk.surface(t, p, pixel) }));
+        let depth = walk.image(|pixel| T::of(if median { walk.median(pixel) } else { walk.surface(pixel) }));
         self.images.set_depth(depth);
     }
 
@@ -376,7 +375,7 @@ impl<T: SplatKernels> Rasterizer<T> {
             Footprint::Ewa => SurfaceSource::None,
         };
         let walk = PixelWalk { splats: &self.splats, bins: &self.bins, view, surfaces };
-        Ok(walk.image(|t, p, pixel| walk.count(t, p, pixel)))
+        Ok(walk.image(|pixel| walk.count(pixel)))
     }
 
     /// Bytes that [`Rasterizer::render_channels`] keeps for `count` channels of an image of `size` (width, height).
