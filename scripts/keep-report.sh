@@ -11,7 +11,10 @@ for name in comparison.csv differences.csv environment.json environments.json ma
   table.tex timings.csv; do
   [ ! -f "$report/$name" ] || cp "$report/$name" "$kept/"
 done
-cp "$report"/plots/{contours,error-against-time,methods,phase}.png "$kept/plots/"
+# A report merged from kept ones has no frames, and no plots of them.
+for name in contours error-against-time methods phase; do
+  [ ! -f "$report/plots/$name.png" ] || cp "$report/plots/$name.png" "$kept/plots/"
+done
 # Every case's folded part holds those pictures alone.
 awk '/^<details>/ { part = "" ; inside = 1 }
   inside { part = part $0 "\n"; if (/^<\/details>/) { inside = 0; if (part !~ /!\[Errors per frame/) printf "%s", part; else skip = 1 }; next }

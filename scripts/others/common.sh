@@ -28,7 +28,9 @@ while [ $# -gt 0 ]; do
 done
 [ -n "$out" ] || usage
 # Said before hours of training, not after.
-[ -z "$report" ] || [ -f "$report/results.csv" ] || stop "--report: $report holds no results.csv; name the folder of one track."
+# The films that these methods get are of the ideal track; where both were run, its report is one of two.
+[ ! -f "$report/ideal/results.csv" ] || report=$report/ideal
+[ -z "$report" ] || [ -f "$report/results.csv" ] || stop "--report: $report holds no results.csv of the ideal track."
 end=$out/scores
 [ -z "$report" ] || end=$out/table
 [ ! -e "$end" ] || { printf '%s: %s is there already; nothing is overwritten.\n' "$program" "$end" >&2; exit 4; }

@@ -31,6 +31,8 @@ pub struct ArrayJob {
     pub at_once: usize,
     /// What one piece of work is expected to take.
     pub cost: WorkCost,
+    /// What the report is expected to take.
+    pub report_cost: WorkCost,
 }
 
 /// Time and memory of one piece of work, the largest of all.
@@ -51,6 +53,17 @@ impl WorkCost {
     /// One after the other.
     pub fn then(self, next: WorkCost) -> WorkCost {
         WorkCost { cpu_s: self.cpu_s + next.cpu_s, memory_mib: self.memory_mib.max(next.memory_mib) }
+    }
+
+    /// The lines that ask Slurm for it, on some processors, with room to spare.
+    fn requests(self, processors: usize) -> String {
+        let minutes = self.cpu_s / processors as f64 / 60.0 * TIME_FACTOR + TIME_MINUTES;
+        let memory_mib = self.memory_mib * MEMORY_FACTOR + MEMORY_MIB;
+        format!(
+            "#SBATCH --cpus-per-task={processors}\n#SBATCH --mem={}M\n#SBATCH --time={}\n",
+            memory_mib.ceil(),
+            minutes.ceil()
+        )
     }
 }
 
@@ -73,14 +86,11 @@ impl ArrayJob {
     /// `task.sh`: the array's script.
     pub fn task_script(&self) -> String {
         let pieces = self.pieces_per_task();
-        let minutes = self.cost.cpu_s * pieces as f64 / self.processors as f64 / 60.0 * TIME_FACTOR + TIME_MINUTES;
-        let memory_mib = self.cost.memory_mib * MEMORY_FACTOR + MEMORY_MIB;
+        let cost = WorkCost { cpu_s: self.cost.cpu_s * pieces as f64, ..self.cost };
         let mut text = String::from("#!/bin/bash\n");
         let _ = writeln!(text, "#SBATCH --job-name=respire-bench");
         let _ = writeln!(text, "#SBATCH --array=1-{}%{}", self.tasks(), self.at_once);
-        let _ = writeln!(text, "#SBATCH --cpus-per-task={}", self.processors);
-        let _ = writeln!(text, "#SBATCH --mem={}M", memory_mib.ceil());
-        let _ = writeln!(text, "#SBATCH --time={}", minutes.ceil());
+        text += &cost.requests(self.processors);
         let _ = writeln!(text, "#SBATCH --output={}", quote(&format!("{}/task-%a.log", self.log_folder())));
         let _ = writeln!(text, "# Each task does {pieces} of the lines of work.txt; what is finished is skipped.");
         let _ = writeln!(text, "failed=0");
@@ -107,8 +117,7 @@ impl ArrayJob {
     pub fn report_script(&self) -> String {
         let mut text = String::from("#!/bin/bash\n");
         let _ = writeln!(text, "#SBATCH --job-name=respire-bench-report");
-        let _ = writeln!(text, "#SBATCH --cpus-per-task={}", self.processors);
-        let _ = writeln!(text, "#SBATCH --mem={}M", (self.cost.memory_mib * MEMORY_FACTOR + MEMORY_MIB).ceil());
+        text += &self.report_cost.requests(self.processors);
         let _ = writeln!(text, "#SBATCH --output={}", quote(&format!("{}/report.log", self.log_folder())));
         let all = quoted(&self.everything);
         let _ = writeln!(text, "exec {} --threads {} --report-only {all}", self.command(), self.processors);
@@ -166,6 +175,7 @@ mod tests {
             processors: 4,
             at_once: 20,
             cost: WorkCost { cpu_s: 2400.0, memory_mib: 1000.0 },
+            report_cost: WorkCost { cpu_s: 240.0, memory_mib: 100.0 },
         }
     }
 
@@ -208,6 +218,9 @@ mod tests {
         assert!(odd.task_script().contains("#SBATCH --output='/my logs/100 %%/task-%a.log'\n"));
         assert!(odd.report_script().contains("#SBATCH --output='/my logs/100 %%/report.log'\n"));
         assert!(job(3, "/logs").submit_script().contains("--dependency=afterany:"));
-        assert!(job(3, "/logs").report_script().ends_with("--report-only --cases a,b\n"));
+        let report = job(3, "/logs").report_script();
+        assert!(report.ends_with("--report-only --cases a,b\n"));
+        // A minute on four processors, three times as long, and ten minutes.
+        assert!(report.contains("#SBATCH --cpus-per-task=4\n#SBATCH --mem=662M\n#SBATCH --time=13\n"), "{report}");
     }
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::selection::{CacheFolder, Selection};
+use super::selection::{CacheFolder, Selection, TracksChoice};
 use super::stopped::resumable;
 use super::{Terminal, comparison};
 use crate::base::estimate::Estimate;
@@ -28,9 +28,8 @@ const WAIT: Duration = Duration::from_millis(200);
 pub struct AllCasesArguments {
     #[command(flatten)]
     selection: Selection,
-    /// What the methods are told [default: the profile's: both tracks in `quick` and `paper`, the ideal one in `smoke`]
-    #[arg(long, value_enum, value_name = "T")]
-    track: Option<TracksChoice>,
+    #[command(flatten)]
+    tracks: TracksChoice,
     /// Folder of the reports; `latest` in it points to the newest
     #[arg(long, default_value = "reports", value_name = "DIR")]
     out: PathBuf,
@@ -50,27 +49,6 @@ pub struct AllCasesArguments {
     report_only: bool,
 }
 
-/// The tracks that are run.
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum TracksChoice {
-    /// The paper's assumptions
-    Ideal,
-    /// What a hospital has (docs/clinical.md)
-    Clinical,
-    /// One after the other, each with a report of its own, and one page
-    Both,
-}
-
-impl TracksChoice {
-    fn tracks(self) -> &'static [Track] {
-        match self {
-            TracksChoice::Ideal => &[Track::Ideal],
-            TracksChoice::Clinical => &[Track::Clinical],
-            TracksChoice::Both => &[Track::Ideal, Track::Clinical],
-        }
-    }
-}
-
 /// Runs the plan of each track and writes the reports; `ErrorKind::CellFailed` names the cells that failed.
 pub fn run(arguments: AllCasesArguments, terminal: &Terminal) -> Result<()> {
     let runs = arguments.runs()?;
@@ -88,15 +66,11 @@ struct TrackRun {
 impl AllCasesArguments {
     /// Everything that was chosen, read before any work.
     fn runs(&self) -> Result<Vec<TrackRun>> {
-        let tracks = match self.track {
-            Some(choice) => choice.tracks().to_vec(),
-            None => self.selection.tracks()?,
-        };
         let of = |track: Track| {
             let pipeline = self.selection.pipeline(track)?;
             Ok(TrackRun { plan: pipeline.plan()?, pipeline })
         };
-        tracks.into_iter().map(of).collect()
+        self.tracks.tracks(&self.selection)?.into_iter().map(of).collect()
     }
 }
 

@@ -89,6 +89,36 @@ impl TrackChoice {
     }
 }
 
+/// The tracks that a run is about.
+#[derive(Args)]
+pub struct TracksChoice {
+    /// What the methods are told [default: the profile's: both tracks in `quick` and `paper`, the ideal one in `smoke`]
+    #[arg(long, value_enum, value_name = "T")]
+    track: Option<TracksWord>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum TracksWord {
+    /// The paper's assumptions
+    Ideal,
+    /// What a hospital has (docs/clinical.md)
+    Clinical,
+    /// One after the other, each with a report of its own, and one page
+    Both,
+}
+
+impl TracksChoice {
+    /// The tracks: those of the profile in `selection` where none was chosen.
+    pub fn tracks(&self, selection: &Selection) -> Result<Vec<Track>> {
+        match self.track {
+            Some(TracksWord::Ideal) => Ok(vec![Track::Ideal]),
+            Some(TracksWord::Clinical) => Ok(vec![Track::Clinical]),
+            Some(TracksWord::Both) => Ok(vec![Track::Ideal, Track::Clinical]),
+            None => selection.tracks(),
+        }
+    }
+}
+
 /// How well the poses are known.
 #[derive(Args)]
 pub struct PoseChoice {
@@ -180,7 +210,7 @@ impl Selection {
     }
 
     /// The tracks that the profile runs.
-    pub fn tracks(&self) -> Result<Vec<Track>> {
+    fn tracks(&self) -> Result<Vec<Track>> {
         Ok(Profile::load(&self.catalogue.open()?.profiles(), self.profile.name())?.tracks)
     }
 

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::Terminal;
-use super::selection::{CacheFolder, Selection, TrackChoice};
+use super::selection::{CacheFolder, Selection, TracksChoice};
 use crate::base::range::{NumberRange, PROCESSORS};
 use crate::base::{Error, ErrorKind, Result, files};
 use crate::bench::array_job::{ArrayJob, WorkCost};
@@ -34,7 +34,10 @@ pub struct SlurmArguments {
     #[command(flatten)]
     selection: Selection,
     #[command(flatten)]
-    track: TrackChoice,
+    tracks: TracksChoice,
+    /// An array of tasks, which is what is written with or without it
+    #[arg(long)]
+    array: bool,
     /// Folder of the scripts and of what the tasks print
     #[arg(long, value_name = "DIR")]
     scripts: PathBuf,
@@ -60,9 +63,9 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         let path = std::path::absolute(path).map_err(|e| Error::io("reading", path, e))?;
         Ok(path.to_string_lossy().into_owned())
     };
-    let track = arguments.track.track();
+    let tracks = arguments.tracks.tracks(&arguments.selection)?;
     // Nobody can be asked in a task, and the array asks Slurm for what a task needs.
-    let mut common = ["all-cases", "--yes", "--track", track.word()].map(str::to_owned).to_vec();
+    let mut common = ["all-cases", "--yes"].map(str::to_owned).to_vec();
     common.extend(arguments.selection.place_words()?);
     common.extend([
         "--out".to_owned(),
@@ -78,37 +81,43 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         ));
     }
     let (wishes, rows) = (arguments.selection.case_wishes()?, arguments.selection.row_words());
-    let everything = [vec!["--cases".to_owned(), wishes.join(",")], rows.clone()].concat();
+    let on_track = |track: &str| ["--track", track].map(str::to_owned).to_vec();
+    let of_case = |wish: &String| vec!["--cases".to_owned(), wish.clone()];
+    let all_tracks = if let [track] = tracks[..] { track.word() } else { "both" };
+    let everything = [on_track(all_tracks), of_case(&wishes.join(",")), rows.clone()].concat();
     terminal.stage("looking for what is finished");
-    let pipeline = arguments.selection.pipeline(track)?;
-    let plan = pipeline.plan()?;
     let store = Store::look(arguments.cache.path());
-
-    let costs = Costs { pipeline: &pipeline, plan: &plan, measured: timing::measured_costs(store.root()) };
-    let (mut work, mut cost, mut missing) = (Vec::new(), WorkCost::default(), 0);
-    for (case, wish) in plan.cases.iter().zip(&wishes) {
-        let mut cells = Vec::new();
-        for cell in plan.cells_of(&case.id) {
-            if !is_finished(&plan, &store, &cell)? {
-                cells.push(cell);
-            }
-        }
-        missing += cells.len();
-        match arguments.task {
-            Task::Cell => {
-                work.extend(cells.iter().map(|cell| {
-                    let words = ["--cases", wish, "--methods", &cell.method, "--seeds", &cell.seed.to_string()];
-                    words.map(str::to_owned).to_vec()
-                }));
-                for cell in &cells {
-                    cost = cost.or(costs.of_task(case, std::slice::from_ref(cell))?);
+    let measured = timing::measured_costs(store.root());
+    let (mut work, mut cost, mut report_cost) = (Vec::new(), WorkCost::default(), WorkCost::default());
+    let (mut missing, mut all) = (0, 0);
+    for track in tracks {
+        let pipeline = arguments.selection.pipeline(track)?;
+        let plan = pipeline.plan()?;
+        let costs = Costs { pipeline: &pipeline, plan: &plan, measured: &measured };
+        report_cost = report_cost.then(pipeline.report_cost());
+        all += plan.cells().len();
+        for (case, wish) in plan.cases.iter().zip(&wishes) {
+            let mut cells = Vec::new();
+            for cell in plan.cells_of(&case.id) {
+                if !is_finished(&plan, &store, &cell)? {
+                    cells.push(cell);
                 }
             }
-            Task::Case if !cells.is_empty() => {
-                work.push([vec!["--cases".to_owned(), wish.clone()], rows.clone()].concat());
-                cost = cost.or(costs.of_task(case, &cells)?);
+            missing += cells.len();
+            match arguments.task {
+                Task::Cell => {
+                    for cell in &cells {
+                        let row = ["--methods", &cell.method, "--seeds", &cell.seed.to_string()].map(str::to_owned);
+                        work.push([on_track(track.word()), of_case(wish), row.to_vec()].concat());
+                        cost = cost.or(costs.of_task(case, std::slice::from_ref(cell))?);
+                    }
+                }
+                Task::Case if !cells.is_empty() => {
+                    work.push([on_track(track.word()), of_case(wish), rows.clone()].concat());
+                    cost = cost.or(costs.of_task(case, &cells)?);
+                }
+                Task::Case => {}
             }
-            Task::Case => {}
         }
     }
     if work.is_empty() {
@@ -126,6 +135,7 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         processors: arguments.processors,
         at_once: arguments.at_once,
         cost,
+        report_cost,
     };
     let write = |name: &str, text: String| files::write_bytes(&arguments.scripts.join(name), text.as_bytes());
     write("work.txt", job.work_file())?;
@@ -133,8 +143,7 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
     write("report.sh", job.report_script())?;
     write("submit.sh", job.submit_script())?;
     terminal.line(format_args!(
-        "{missing} of {} cells to do in {} tasks; submit them by: bash {}/submit.sh",
-        plan.cells().len(),
+        "{missing} of {all} cells to do in {} tasks; submit them by: bash {}/submit.sh",
         job.tasks(),
         arguments.scripts.display()
     ));
@@ -146,7 +155,7 @@ struct Costs<'a> {
     pipeline: &'a Pipeline,
     plan: &'a Plan,
     /// By the plan's cost keys.
-    measured: HashMap<String, WorkCost>,
+    measured: &'a HashMap<String, WorkCost>,
 }
 
 impl Costs<'_> {

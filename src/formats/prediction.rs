@@ -56,6 +56,8 @@ pub const AT_VERTEX_COLUMNS: [&str; 2] = ["vertex", "predicted_vertex"];
 
 /// Keys of [`TIMING`] that are read: wall and CPU seconds.
 pub const TIMING_KEYS: [&str; 2] = ["time_total_s", "time_cpu_s"];
+/// What this program writes there besides, for people.
+pub const TIMING_NOTES: [&str; 2] = ["time_per_frame_s", "frames"];
 /// Keys of [`ABOUT`] that are read.
 pub const ABOUT_KEYS: [&str; 3] = ["method", "case", "depth_unit_mm"];
 

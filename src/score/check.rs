@@ -14,8 +14,8 @@ use super::truth::{Truth, final_mesh};
 use crate::base::statistics::upper_median;
 use crate::base::{Error, Image, Result, TriangleMesh, files};
 use crate::formats::prediction::{
-    ABOUT, ABOUT_KEYS, COLOR, CORRESPONDENCE, DEPTH, FINAL_MESH, PHASE, POSES, TARGET_COVARIANCE, TARGETS, TIMING,
-    TIMING_KEYS, frame_file,
+    ABOUT, ABOUT_KEYS, COLOR, CORRESPONDENCE, DEPTH, FINAL_MESH, NOVEL_DEPTH, PHASE, POSES, TARGET_COVARIANCE, TARGETS,
+    TIMING, TIMING_KEYS, TIMING_NOTES, frame_file,
 };
 
 /// A phase beyond this is no estimate of one in 0 to 1, however bad.
@@ -70,9 +70,10 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
     for &frame in novel {
         prediction.novel(frame)?;
     }
-    let first_novel = question.novel_frames.first().map_or(Ok(None), |&frame| prediction.novel_depth_mm(frame))?;
-    for &frame in question.novel_frames.iter().filter(|_| first_novel.is_some()) {
-        prediction.novel_depth_mm(frame)?;
+    let mut novel_depths = Vec::new();
+    for &frame in &question.novel_frames {
+        let Some(depth) = prediction.novel_depth_mm(frame)? else { break };
+        novel_depths.push(FrameDepth::of(&depth));
     }
     if let (Some(places), Some(vertices)) = (prediction.correspondence()?, question.vertices()) {
         correspondence::check_length(&places, vertices).map_err(|e| e.at(folder.join(CORRESPONDENCE)))?;
@@ -86,7 +87,7 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
         time: prediction.time_total_s().is_some(),
         ahead: prediction.ahead_frames().len(),
         novel: novel.len(),
-        novel_depth: first_novel.is_some(),
+        novel_depth: !novel_depths.is_empty(),
         targets: prediction.targets().is_some(),
         not_applicable: Vec::new(),
         warnings: Vec::new(),
@@ -109,7 +110,8 @@ pub fn check_prediction(question: &Question, folder: &Path) -> Result<Contents> 
     };
     contents.not_applicable = registry().iter().filter(|metric| lacks(metric)).map(|metric| metric.id).collect();
     contents.warnings.extend(prediction.phase().and_then(phase_warning));
-    contents.warnings.extend(depth_warning(&depths.into_iter().flatten().collect::<Vec<_>>()));
+    contents.warnings.extend(depth_warning(DEPTH, &depths.into_iter().flatten().collect::<Vec<_>>()));
+    contents.warnings.extend(depth_warning(NOVEL_DEPTH, &novel_depths));
     contents.warnings.extend(surface.as_ref().and_then(surface_warning));
     contents.warnings.extend(beyond_warning(folder, frames));
     contents.warnings.extend(unread_warnings(&prediction, folder, frames)?);
@@ -152,14 +154,14 @@ impl FrameDepth {
 }
 
 /// Depths that are none of an airway: of frames that have any, by their sign and by the median over the frames.
-fn depth_warning(depths: &[FrameDepth]) -> Option<String> {
+fn depth_warning(place: &str, depths: &[FrameDepth]) -> Option<String> {
     let sum = |of: fn(&FrameDepth) -> usize| depths.iter().map(of).sum::<usize>();
     let (known, negative) = (sum(|depth| depth.known), sum(|depth| depth.negative));
     if negative > known {
-        return Some(format!("{DEPTH}: most values are below 0 and count as unknown; depth along the view is above 0"));
+        return Some(format!("{place}: most values are below 0 and count as unknown; depth along the view is above 0"));
     }
     if known == 0 && !depths.is_empty() {
-        return Some(format!("{DEPTH}: no pixel of any frame has a depth above 0 mm"));
+        return Some(format!("{place}: no pixel of any frame has a depth above 0 mm"));
     }
     let depth_mm = upper_median(depths.iter().filter_map(|depth| depth.median_mm))?;
     let advice = match depth_mm {
@@ -169,7 +171,7 @@ fn depth_warning(depths: &[FrameDepth]) -> Option<String> {
         }
         _ => return None,
     };
-    Some(format!("{DEPTH}: the median is {depth_mm} mm, {advice}"))
+    Some(format!("{place}: the median is {depth_mm} mm, {advice}"))
 }
 
 fn surface_warning(surface: &TriangleMesh) -> Option<String> {
@@ -218,7 +220,8 @@ fn unread_warnings(prediction: &Prediction, folder: &Path, frames: usize) -> Res
             continue;
         }
         let keys: serde_json::Map<String, serde_json::Value> = files::read_json(&path)?;
-        let unknown = keys.keys().filter(|key| !known.contains(&key.as_str()));
+        let is_noted = |key: &str| name == TIMING && TIMING_NOTES.contains(&key);
+        let unknown = keys.keys().filter(|key| !known.contains(&key.as_str()) && !is_noted(key));
         warnings.extend(unknown.map(|key| format!("{name}: `{key}` is not read; keys are {}", known.join(", "))));
     }
     Ok(warnings)
@@ -254,7 +257,7 @@ mod tests {
         }
         let said = |frames: &[[f32; 4]]| {
             let frame = |data: &[f32; 4]| Image { width: 4, height: 1, channels: 1, data: data.to_vec() };
-            depth_warning(&frames.iter().map(|data| FrameDepth::of(&frame(data))).collect::<Vec<_>>())
+            depth_warning(DEPTH, &frames.iter().map(|data| FrameDepth::of(&frame(data))).collect::<Vec<_>>())
         };
         assert_eq!(said(&[]), None);
         assert_eq!(said(&[[3.0; 4], [40.0; 4], [0.01; 4]]), None, "one frame is no unit");

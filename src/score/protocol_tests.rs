@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::contour::target_errors;
 use super::fixture::{BeyondPhase, Distortion, PHASE_SD, TARGET_SD_MM, TubeTruth, write_prediction};
-use super::{CellScore, Goal, ScoreSettings, Status, Truth, metric, registry, score};
+use super::{CellScore, Goal, Question, ScoreSettings, Status, Truth, check_prediction, metric, registry, score};
 use crate::base::{TriangleMesh, files};
 use crate::formats::{mesh, png};
 
@@ -249,6 +249,24 @@ fn what_is_not_claimed_is_not_applicable_and_constant_phase_has_no_correlation()
     assert_eq!((r.value, r.status), (None, Status::Degenerate));
     assert!(found.value("phase_mae").unwrap() > 0.0);
     assert_eq!(found.metric("ssim").unwrap().status, Status::Ok);
+}
+
+#[test]
+fn each_kind_of_depth_in_metres_is_warned_of_and_our_own_notes_on_time_are_not() {
+    let truth = TubeTruth::new("tube", 24, 9);
+    let folder = tempfile::tempdir().unwrap();
+    let warnings = |gone: &str, depth_scale: f64| {
+        write_prediction(&truth, folder.path(), &Distortion { depth_scale, ..Default::default() });
+        fs::remove_dir_all(folder.path().join(gone)).unwrap();
+        let timing = r#"{"time_total_s": 1, "time_per_frame_s": 0.1, "frames": 9}"#;
+        fs::write(folder.path().join("timing.json"), timing).unwrap();
+        check_prediction(&Question::of(&truth), folder.path()).unwrap().warnings
+    };
+    assert!(warnings("mesh", 0.0).is_empty());
+    for (gone, left) in [("depth", "novel_depth"), ("novel_depth", "depth")] {
+        let said = warnings(gone, 1e-3 - 1.0);
+        assert!(said.len() == 1 && said[0].starts_with(&format!("{left}: the median is 0.0")), "{said:?}");
+    }
 }
 
 #[test]

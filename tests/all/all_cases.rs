@@ -326,3 +326,34 @@ fn both_tracks_lie_side_by_side() {
     place.run(&["--track", "clinical", "--methods", "pose-only"]);
     assert!(!place.latest("results.csv").is_empty());
 }
+
+/// The scripts for Slurm, here without it: each task by its number, then the report. They make what the profile asks for.
+#[test]
+fn a_job_array_makes_both_tracks_as_the_main_job_does() {
+    let place = Place::new();
+    fs::write(place.path("tiny.toml"), format!("tracks = [\"ideal\", \"clinical\"]{TINY}")).unwrap();
+    let write_scripts = || {
+        let mut slurm = program();
+        slurm.args(["slurm", "--array", "--methods", "pose-only", "--processors", "1", "--profile"]);
+        slurm.arg(place.path("tiny.toml")).arg("--scripts").arg(place.path("scripts"));
+        slurm.arg("--out").arg(place.path("array")).arg("--cache").arg(place.path("other cache"));
+        outcome(slurm.output().unwrap())
+    };
+    let bash = |script: &str, task: &str| {
+        let mut bash = Command::new("bash");
+        bash.arg(place.path("scripts").join(script)).env("SLURM_ARRAY_TASK_ID", task).current_dir(place.path(""));
+        let (code, _, err) = outcome(bash.output().unwrap());
+        assert_eq!(code, 0, "{script} {task}: {err}");
+    };
+    let (code, out, err) = write_scripts();
+    assert!(code == 0 && out.contains("2 of 2 cells to do in 2 tasks"), "{out} {err}");
+    bash("task.sh", "1");
+    assert!(write_scripts().1.contains("1 of 2 cells to do in 1 tasks"));
+    bash("task.sh", "1");
+    bash("report.sh", "");
+    place.run(&["--methods", "pose-only"]);
+    for name in ["ideal/results.csv", "clinical/results.csv"] {
+        assert!(fs::read(place.path("array/latest").join(name)).unwrap() == place.latest(name), "{name}");
+    }
+    assert!(write_scripts().1.contains("every cell is finished"));
+}
