@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
 # The Python packages with which tests read films (src/simulate/FORMAT.md) and exports (docs/export.md) independently of
-# this program, in .deps/python. Prints what to put into the environment: eval "$(scripts/python-packages.sh)"
+# this program, and check the types of the Python package, in .deps/python. Prints what to put into the environment:
+# eval "$(scripts/python-packages.sh)"
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=python-packages
 . scripts/packages.sh
-packages=('numpy>=2,<3' 'pillow>=11,<13' 'OpenEXR>=3.3,<4' 'pycolmap>=4,<5' 'trimesh>=4,<6')
+packages=('numpy>=2,<3' 'pillow>=11,<13' 'OpenEXR>=3.3,<4' 'pycolmap>=4,<5' 'trimesh>=4,<6' 'mypy>=1.13,<2')
 
 has_pip python3 || has_pip /usr/bin/python3 || install_packages python3 python3-pip >&2
 python=$(python_with_pip)
