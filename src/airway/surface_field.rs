@@ -114,17 +114,16 @@ impl LumenField {
             })
             .collect();
         let [columns, lines, layers] = whole;
-        let (origin, spacing_mm, [width, height, _]) = (self.origin, self.spacing_mm, self.size);
-        let field = self.values.par_chunks_mut(width * height).enumerate().skip(layers.start).take(layers.len());
-        field.for_each(|(z, layer)| {
+        let (mut values, [width, height, _]) = (std::mem::take(&mut self.values), self.size);
+        let around = values.par_chunks_mut(width * height).enumerate().skip(layers.start).take(layers.len());
+        around.for_each(|(z, layer)| {
             // Distance from this branch, and the width of its blend, on the nodes of the layer around it.
             let mut own = vec![(FAR, 0f32); lines.len() * columns.len()];
             for (cone, part) in cones.iter().filter(|(_, part)| part[2].contains(&z)) {
                 for y in part[1].clone() {
                     let row = (y - lines.start) * columns.len();
                     for x in part[0].clone() {
-                        let node = origin + DVec3::new(x as f64, y as f64, z as f64) * spacing_mm;
-                        let (distance, radius) = cone.distance(node);
+                        let (distance, radius) = cone.distance(self.position([x, y, z]));
                         let slot = &mut own[row + x - columns.start];
                         if (distance as f32) < slot.0 {
                             *slot = (distance as f32, (radius * blend) as f32);
@@ -139,6 +138,7 @@ impl LumenField {
                 }
             }
         });
+        self.values = values;
     }
 
     /// Trilinear value and its gradient at `point` (mm, dimensionless); `None` outside the grid.

@@ -167,6 +167,7 @@ fn undistort(distorted: f64, k: [f64; 4]) -> f64 {
     let surely_rises = distort(theta, k.map(|k| k.min(0.0))).1 > 1e-6;
     let rises =
         |steps: u32| surely_rises || (0..=steps).all(|n| distort(theta * f64::from(n) / f64::from(steps), k).1 > 0.0);
+    // Of a lens that bends much it may have left the rising part, or found an angle beyond it.
     if is_near && (0.0..=std::f64::consts::PI).contains(&theta) && rises(32) {
         return theta;
     }

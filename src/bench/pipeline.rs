@@ -204,9 +204,13 @@ impl Pipeline {
     /// What the whole plan would cost, were nothing in the cache.
     pub fn estimate(&self) -> Estimate {
         let nothing = Estimate { resumable: true, ..Estimate::default() };
-        let seeds = |method: &Method| if method.method.draws() { self.seeds.len() } else { 1 };
-        let effort: f64 = self.methods.iter().map(|method| method.effort * seeds(method) as f64).sum();
+        let effort: f64 = self.methods.iter().map(|method| method.effort * self.runs_of(method) as f64).sum();
         self.cases.iter().map(|case| self.case_estimate(case, effort)).fold(nothing, Estimate::then)
+    }
+
+    /// Cells of a method on each case: one stands for every seed where it draws nothing.
+    fn runs_of(&self, method: &Method) -> usize {
+        if method.method.draws() { self.seeds.len() } else { 1 }
     }
 
     /// A case's film, and cells that together take `effort` times the iterations of `ours`.
@@ -236,7 +240,7 @@ impl Pipeline {
 
     /// What a report of all its cells costs.
     pub fn report_cost(&self) -> WorkCost {
-        let rows: usize = self.methods.iter().map(|m| if m.method.draws() { self.seeds.len() } else { 1 }).sum();
+        let rows: usize = self.methods.iter().map(|method| self.runs_of(method)).sum();
         let frames: usize = self.cases.iter().map(|case| self.simulation_settings(case).frames).sum();
         let pictures = (rows * frames) as f64;
         WorkCost { cpu_s: pictures * REPORT_FRAME_S, memory_mib: REPORT_MIB + pictures * REPORT_FRAME_MIB }
