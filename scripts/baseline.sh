@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Makes the gate's baselines anew, for when films, methods or metrics were meant to change: reports/baselines/TRACK with
-# the results of the smoke run and limits.toml, which are four standard deviations of the seeds or, where those are 0, of
+# the results of the smoke run and limits.toml, which are four standard deviations of the seeds or, of a method that draws nothing, of
 # the nine cases between two samplings of their films (docs/statistics.md).
 # usage: scripts/baseline.sh [WORK]; about ten minutes on two cores. WORK keeps the runs: the same command goes on.
 set -euo pipefail

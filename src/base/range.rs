@@ -47,6 +47,8 @@ pub const SHARE: NumberRange = NumberRange::new(0.0, 1.0);
 pub const COORDINATE_MM: NumberRange = NumberRange::new(-10_000.0, 10_000.0);
 /// Coordinates in a unit that a file of another program does not tell: still exact to a millionth of a unit.
 pub const COORDINATE: NumberRange = NumberRange::new(-1e9, 1e9);
+/// Largest depths of a prediction in mm; what is above 0 and within is a depth, what is not finite or not above 0 is none.
+pub const PREDICTED_DEPTH_MM: NumberRange = NumberRange::new(0.0, 1e6);
 /// Times of frames in seconds since the first.
 pub const TIME_S: NumberRange = NumberRange::new(0.0, 1e7);
 /// Phases of a prediction; one in percent is read, and `check` warns of it.

@@ -43,6 +43,12 @@ pub fn run(arguments: CompareArguments, terminal: &Terminal) -> Result<()> {
     only_in_first(&a, &b).iter().for_each(|sentence| terminal.note(sentence));
     let mut found = compare(&a, &b);
     if let Some(wanted) = &arguments.method {
+        for (run, folder) in [(&a, &arguments.a), (&b, &arguments.b)] {
+            if !run.methods().contains(&wanted.as_str()) {
+                let sentence = format!("has no method `{wanted}`; there are {}", run.methods().join(", "));
+                return Err(Error::input(sentence).at(folder));
+            }
+        }
         found.retain(|c| c.method == *wanted);
     }
     if found.is_empty() {

@@ -17,7 +17,7 @@ use crate::report::{benchmark_json, gate_files, gate_limits, read};
     limit that no row meets, or nothing to check. Exit code 4 when a table does not have the hash of its manifest.json.\n\
     A baseline holds on every processor with AVX2, which all give the same bytes.\n\
     A baseline folder with a limits.toml brings relative limits of its own, which must hold too. --limits-from writes it, judging nothing: four \
-    standard deviations of the seeds or, where those are 0, of single cases between two samplings of their films \
+    standard deviations of the seeds or, of a method that draws nothing, of single cases between two samplings of their films \
     (scripts/baseline.sh).\n\
     Example: respire-bench gate --results target/smoke/latest --baseline reports/baselines/ideal"
 )]

@@ -319,15 +319,18 @@ fn mean(results: &Results, thresholds: &Thresholds, limit: &Absolute) -> Check {
     let cells = results.entries.keys().filter(of_method).count();
     let rows: Vec<&ResultEntry> = results.entries.iter().filter(|(k, _)| of_method(k)).map(|(_, e)| e).collect();
     let values: Vec<f64> = results.case_values(&limit.method, m.id).into_iter().map(|(_, v)| v).collect();
-    // A mean that silently leaves a case out would pass when the worst case loses its value.
-    let whole = cells > 0
-        && lacking(results, thresholds, limit).is_empty()
-        && rows.iter().all(|e| matches!(shown_value(m, e), Value::Number(v) if v.is_finite()));
-    if !whole {
+    // A mean that silently leaves a case out would pass when the worst case loses its value. What is identical to the truth
+    // has no value and is no worse for it.
+    let counts = |entry: &&ResultEntry| match shown_value(m, entry) {
+        Value::Number(value) => value.is_finite(),
+        Value::Identical => true,
+        Value::None(_) => false,
+    };
+    if cells == 0 || !lacking(results, thresholds, limit).is_empty() || !rows.iter().all(counts) {
         let sentence = "not every case has a value, so there is no mean".to_owned();
         return check(("mean", &limit.method, m.id), or_note(limit.advisory), sentence);
     }
-    absolute(m, limit, "mean", statistics::mean(&values).map_or(Value::None("empty".into()), Value::Number))
+    absolute(m, limit, "mean", statistics::mean(&values).map_or(Value::Identical, Value::Number))
 }
 
 /// A value for comparison.
@@ -418,13 +421,14 @@ fn relative(m: &Metric, limit: &Relative, key: &Key, old: &ResultEntry, new: Opt
             if !loss.is_finite() {
                 return check(place, fail, format!("{new} is no value, or {old} of the baseline is none"));
             }
-            let word = if loss > 0.0 { "worse" } else { "better" };
+            let change = match loss {
+                0.0 => "equal".to_owned(),
+                _ => format!("{} by {:.4}", if loss > 0.0 { "worse" } else { "better" }, loss.abs()),
+            };
             let sentence = format!(
-                "{} {unit}, baseline {}: {word} by {:.4}, allowed {:.4}",
+                "{} {unit}, baseline {}: {change}, allowed {allowed:.4}",
                 m.format(new),
                 m.format(old),
-                loss.abs(),
-                allowed,
                 unit = m.unit
             );
             check(place, verdict, sentence)

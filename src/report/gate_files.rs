@@ -23,7 +23,7 @@ pub fn write_junit(checks: &[Check], path: &Path) -> Result<()> {
     }
     for ((case, method), of_place) in places {
         let failed = of_place.iter().filter(|c| c.verdict == Verdict::Fail);
-        let failed: Vec<String> = failed.map(|c| format!("{}: {}", c.metric, c.sentence)).collect();
+        let failed: Vec<String> = failed.map(|c| named(c)).collect();
         let status = match failed.as_slice() {
             [] => TestCaseStatus::success(),
             sentences => {
@@ -35,7 +35,7 @@ pub fn write_junit(checks: &[Check], path: &Path) -> Result<()> {
         };
         let mut test = TestCase::new(if method.is_empty() { "run".to_owned() } else { method.to_owned() }, status);
         test.set_classname(if case.is_empty() { "run" } else { case });
-        let line = |c: &&Check| format!("{} {}: {}", c.verdict.word(), c.metric, c.sentence);
+        let line = |c: &&Check| format!("{} {}", c.verdict.word(), named(c));
         let lines: Vec<String> = of_place.iter().map(line).collect();
         test.set_system_out(lines.join("\n"));
         suite.add_test_case(test);
@@ -43,6 +43,12 @@ pub fn write_junit(checks: &[Check], path: &Path) -> Result<()> {
     report.add_test_suite(suite);
     let text = report.to_string().map_err(|e| Error::input(format!("encoding as JUnit XML failed: {e}")).at(path))?;
     files::write_bytes(path, text.as_bytes())
+}
+
+/// The sentence of a check, behind the metric it is about, if it is about one.
+fn named(check: &Check) -> String {
+    let metric = if check.metric.is_empty() { String::new() } else { format!("{}: ", check.metric) };
+    metric + &check.sentence
 }
 
 /// `gate.md`: the verdict first, then what failed, then the rest folded.

@@ -4,7 +4,8 @@
 //! The deviation is that between the seeds of a case, pooled over cases. A method that draws nothing, so that seeds change
 //! none of its values, has none; then it is that of the differences of single cases between two films of the case that differ in
 //! nothing but their sampling, nine of them at least. No allowance is less than half a unit of the last decimal that
-//! tables show: a difference that no table shows is none. A metric that fewer than nine cases have has no limit.
+//! tables show: a difference that no table shows is none. Of a method that draws nothing, a metric that fewer than nine
+//! cases have has no limit.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -146,7 +147,7 @@ fn single_case_differences(runs: &[Results], method: &str, metric: &Metric) -> V
 /// Writes the limits as a thresholds file that says where each comes from.
 pub fn write_limits(limits: &[ComputedLimit], path: &Path) -> Result<()> {
     let mut out = "# Written by `respire-bench gate --limits-from`: worse_by is four standard deviations of the seeds \
-        or, where those are 0,\n# of the differences of single cases between two samplings of their films \
+        or, of a method that draws nothing,\n# of the differences of single cases between two samplings of their films \
         (docs/statistics.md).\n"
         .to_owned();
     for computed in limits {

@@ -102,6 +102,16 @@ fn verdicts() {
         verdict(&results).len()
     };
     assert_eq!((identical("psnr_db"), identical("depth_rmse_mm")), (0, 3));
+    // In a mean, too.
+    let mut of_mean = thresholds();
+    of_mean.absolute[0].over = of_mean.absolute[1].over;
+    let mut results = changed(&good, "ours", "psnr_db", |_| None);
+    let mut rows = results.entries.iter_mut().filter(|(k, _)| k.method == "ours" && k.metric == "psnr_db");
+    rows.next().unwrap().1.status = "identical".into();
+    assert_eq!(failures(&judge(&results, &of_mean, None)).len(), 1, "another case has no value");
+    let rows = results.entries.iter_mut().filter(|(k, _)| k.method == "ours" && k.metric == "psnr_db");
+    rows.for_each(|(_, entry)| entry.status = "identical".into());
+    assert!(failures(&judge(&results, &of_mean, None)).is_empty());
     // Times are advisory.
     let slow = judge(&changed(&good, "ours", "time_total_s", |v| Some(v * 9.0)), &limits, Some(&good));
     assert!(failures(&slow).is_empty() && slow.iter().any(|c| c.verdict == Verdict::Note));

@@ -37,7 +37,8 @@ pub fn table(table: &ComparisonTable, run_id: &str) -> String {
         TableKind::Paper => "paper",
     };
     line(format!("\\label{{tab:respire_bench_{label}}}\n\\resizebox{{\\textwidth}}{{!}}{{%"));
-    line(format!("\\begin{{tabular}}{{@{{}}lcc{}@{{}}}}\n\\toprule", "|cc".repeat(table.groups().len())));
+    let columns: String = table.groups().iter().map(|(_, count)| format!("|{}", "c".repeat(*count))).collect();
+    line(format!("\\begin{{tabular}}{{@{{}}lcc{columns}@{{}}}}\n\\toprule"));
     let last = table.groups().len() - 1;
     let titles = table.groups().into_iter().enumerate().map(|(index, (group, count))| {
         let column = if index == last { "c" } else { "c|" };

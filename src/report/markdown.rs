@@ -21,11 +21,11 @@ pub fn report(
     let failed = run.cells.iter().filter(|c| c.score().is_none()).count();
     let _ = writeln!(
         out,
-        "{}, {}, {}, {failed} failed. Profile `{}`, track `{}`.\n",
+        "{}, {}, {}, {failed} failed. Profile {}, track `{}`.\n",
         counted(run.cases.len(), "case"),
         counted(run.methods.len(), "method"),
         counted(run.cells.len(), "cell"),
-        run.profile,
+        escape(&run.profile),
         run.track.word()
     );
     for note in run.conditions.iter().chain(&run.notes) {

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use super::run::MethodInfo;
+use super::run::{MethodInfo, RECONSTRUCT};
 use super::{RESULTS, seal, track_folders};
 use crate::base::{Error, Result, files};
 use crate::formats::number_table::line_of;
@@ -123,7 +123,9 @@ pub fn read(folder: &Path) -> Result<Results> {
     let path = folder.join("timings.csv");
     if path.exists() {
         for row in CsvTable::read(&path)?.rows() {
-            results.machines.insert(row.text_or_empty("machine_id"));
+            if row.text("stage")? == RECONSTRUCT {
+                results.machines.insert(row.text_or_empty("machine_id"));
+            }
         }
     }
     seal::check(folder)?;

@@ -150,7 +150,7 @@ impl MethodInfo {
 const EVALUATED: &str = "evaluate-";
 
 /// The stage in which a method works.
-const RECONSTRUCT: &str = "reconstruct";
+pub(super) const RECONSTRUCT: &str = "reconstruct";
 
 /// The id of the run of a prediction that `evaluate` scored.
 pub fn evaluated_id(case_id: &str, method: &str) -> String {

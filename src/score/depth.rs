@@ -29,7 +29,7 @@ pub fn depth_errors(predicted: &Image<f32>, truth: &Image<f32>) -> Option<DepthE
         let Some(t) = present(t) else { continue };
         valid += 1;
         let p = present(p);
-        // Leaving out a pixel never pays.
+        // Leaving out a pixel pays only against an error larger than any depth of the frame.
         let error = p.map_or(farthest, |p| p - t);
         squares += error * error;
         if let Some(p) = p {

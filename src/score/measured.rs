@@ -195,9 +195,10 @@ fn pose_error(predicted: &DAffine3, truth: &DAffine3) -> [f64; 2] {
 }
 
 fn target(truth: &dyn Truth, prediction: &Prediction, seed: u64) -> Result<TargetOutcome> {
+    // Read first: a table without a surface is damage.
+    let mut stated = prediction.correspondence()?;
     let Some(surface) = prediction.final_mesh()? else { return Ok(TargetOutcome::NoSurface) };
     let last = &truth.frames()[truth.frames().len() - 1];
-    let mut stated = prediction.correspondence()?;
     if stated.is_none()
         && let Some((told, table)) = truth.told_correspondence()?
         && told.faces == surface.faces

@@ -7,7 +7,7 @@ use super::contour::target_errors;
 use super::fixture::{BeyondPhase, Distortion, PHASE_SD, TARGET_SD_MM, TubeTruth, write_prediction};
 use super::{CellScore, Goal, Question, ScoreSettings, Status, Truth, check_prediction, metric, registry, score};
 use crate::base::{TriangleMesh, files};
-use crate::formats::{mesh, png};
+use crate::formats::{exr, mesh, png};
 
 fn scored(truth: &TubeTruth, distortion: &Distortion) -> CellScore {
     let folder = tempfile::tempdir().unwrap();
@@ -295,7 +295,7 @@ fn scores_do_not_depend_on_threads_and_survive_json() {
 fn damage_is_named() {
     let truth = TubeTruth::new("tube", 24, 9);
     type Damage = (&'static str, fn(&Path));
-    let damages: [Damage; 13] = [
+    let damages: [Damage; 15] = [
         ("color/000003.png", |f| fs::remove_file(f.join("color/000003.png")).unwrap()),
         ("color/000002.png", |f| fs::write(f.join("color/000002.png"), b"not a picture").unwrap()),
         ("color/000001.png", |f| {
@@ -306,6 +306,12 @@ fn damage_is_named() {
             let bytes = fs::read(f.join("depth/000004.exr")).unwrap();
             fs::write(f.join("depth/000004.exr"), &bytes[..bytes.len() / 2]).unwrap();
         }),
+        ("depth/000002.exr", |f| {
+            let path = f.join("depth/000002.exr");
+            let mut depth = exr::read(&path).unwrap();
+            depth.data[5] = 3e38;
+            exr::write_depth(&path, &depth).unwrap();
+        }),
         ("ahead/000007.png", |f| fs::write(f.join("ahead/000007.png"), b"").unwrap()),
         ("novel/000007.png", |f| fs::remove_file(f.join("novel/000007.png")).unwrap()),
         ("novel_depth", |f| fs::remove_file(f.join("novel_depth/000007.exr")).unwrap()),
@@ -313,6 +319,10 @@ fn damage_is_named() {
         ("phase.csv", |f| fs::write(f.join("phase.csv"), b"frame,phase\n0,0\n1,inf\n").unwrap()),
         ("timing.json", |f| fs::write(f.join("timing.json"), b"{\"time_total_s\": -1}").unwrap()),
         ("mesh/final.ply", |f| fs::write(f.join("mesh/final.ply"), b"ply\nformat ascii 1.0\n").unwrap()),
+        ("correspondence.csv", |f| {
+            fs::remove_file(f.join("mesh/final.ply")).unwrap();
+            fs::write(f.join("correspondence.csv"), b"anything").unwrap();
+        }),
         ("color", |f| fs::remove_dir_all(f.join("color")).unwrap()),
     ];
     for (file, damage) in damages {
@@ -321,6 +331,9 @@ fn damage_is_named() {
         damage(folder.path());
         let said = score(&truth, folder.path(), &ScoreSettings::default()).unwrap_err().to_string();
         assert!(said.contains(file) && !said.contains('\n'), "{file}: {said}");
+        // What scoring refuses, checking refuses.
+        let checked = check_prediction(&Question::of(&truth), folder.path()).unwrap_err().to_string();
+        assert!(checked.contains(file), "{file}: {checked}");
     }
 }
 

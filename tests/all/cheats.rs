@@ -180,7 +180,7 @@ fn depth_that_is_left_out_or_out_of_all_bounds_never_pays() {
         }
     };
     for (name, value) in
-        [("zero", 0.0), ("nan", f32::NAN), ("negative", -1.0), ("infinite", f32::INFINITY), ("huge", 1e30)]
+        [("zero", 0.0), ("nan", f32::NAN), ("negative", -1.0), ("infinite", f32::INFINITY), ("huge", 9e5)]
     {
         cheat(&place, name, far(value));
         let found = Scored::of(&place, name);

@@ -130,7 +130,7 @@ fn two_runs_are_compared() {
     let (code, _, complaint) = run(&["compare", a, b]);
     assert!(code == 0 && complaint.contains("case5 are of other films in B"), "{complaint}");
     let (code, _, complaint) = run(&["compare", a, b, "--method", "theirs"]);
-    assert!(code == 4 && complaint.contains("share no case"), "{complaint}");
+    assert!(code == 4 && complaint.contains("has no method `theirs`; there are ours"), "{complaint}");
 }
 
 #[test]

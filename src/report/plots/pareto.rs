@@ -92,7 +92,7 @@ impl Figure for ParetoPlot<'_> {
     }
 }
 
-/// Three significant digits, without trailing zeros.
+/// A tick of a logarithmic axis: all its digits, or a power of ten.
 fn short(value: &f64) -> String {
     if *value >= 1e-3 && *value < 1e5 { format!("{value}") } else { format!("{value:.0e}") }
 }
