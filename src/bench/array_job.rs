@@ -93,22 +93,23 @@ impl ArrayJob {
         text += &cost.requests(self.processors);
         let _ = writeln!(text, "#SBATCH --output={}", quote(&format!("{}/task-%a.log", self.log_folder())));
         let _ = writeln!(text, "# Each task does {pieces} of the lines of work.txt; what is finished is skipped.");
-        let _ = writeln!(text, "failed=0");
+        let work_file = quote(&format!("{}/work.txt", self.folder));
+        let _ = writeln!(text, "failed=0 lines=0");
         let _ = writeln!(text, "first=$(((SLURM_ARRAY_TASK_ID - 1) * {pieces} + 1))");
         let _ = writeln!(text, "while read -r line; do");
-        let _ = writeln!(text, "  eval \"words=($line)\"");
+        let _ = writeln!(text, "  lines=$((lines + 1)) words=()");
+        let _ = writeln!(text, "  eval \"words=($line)\" || {{ failed=4; continue; }}");
         let _ = writeln!(
             text,
             "  {} --threads {} --cells-only \"${{words[@]}}\" </dev/null || failed=$?",
             self.command(),
             self.processors
         );
-        let _ = writeln!(
-            text,
-            "done < <(sed -n \"$first,$((first + {}))p\" {})",
-            pieces - 1,
-            quote(&format!("{}/work.txt", self.folder))
-        );
+        let _ = writeln!(text, "done < <(sed -n \"$first,$((first + {}))p\" {work_file})", pieces - 1);
+        let _ = writeln!(text, "if [ $lines = 0 ]; then");
+        let _ = writeln!(text, "  echo 'task: no line for this task in' {work_file}', which every node must see' >&2");
+        let _ = writeln!(text, "  exit 4");
+        let _ = writeln!(text, "fi");
         let _ = writeln!(text, "exit $failed");
         text
     }
@@ -134,6 +135,11 @@ impl ArrayJob {
         )
     }
 
+    /// What hands the array to Slurm.
+    pub fn submit_command(&self) -> String {
+        format!("bash {}", quote(&format!("{}/submit.sh", self.folder)))
+    }
+
     /// The folder as Slurm wants it in the name of a log, where `%` begins a pattern.
     fn log_folder(&self) -> String {
         self.folder.replace('%', "%%")
@@ -149,13 +155,21 @@ fn quoted(words: &[String]) -> String {
     words.iter().map(|word| quote(word)).collect::<Vec<_>>().join(" ")
 }
 
+/// A word for bash, on one line.
 fn quote(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=:+%".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
+        return word.to_owned();
     }
+    if !word.contains(|c: char| c.is_ascii_control()) {
+        return format!("'{}'", word.replace('\'', r"'\''"));
+    }
+    let escaped = |c: char| match c {
+        '\\' | '\'' => format!("\\{c}"),
+        c if c.is_ascii_control() => format!("\\{:03o}", u32::from(c)),
+        c => c.to_string(),
+    };
+    format!("$'{}'", word.chars().map(escaped).collect::<String>())
 }
 
 #[cfg(test)]
@@ -204,6 +218,27 @@ mod tests {
                 assert_eq!(run(1).lines().count(), 3);
             }
         }
+    }
+
+    #[test]
+    fn a_word_of_several_lines_stays_one_word() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut job = job(2, folder.path().to_str().unwrap());
+        job.work[1][1] = "a\nb\tit's \\n".into();
+        std::fs::write(folder.path().join("work.txt"), job.work_file()).unwrap();
+        std::fs::write(folder.path().join("task.sh"), job.task_script()).unwrap();
+        let run = |task: usize| {
+            let mut bash = Command::new("bash");
+            bash.arg(folder.path().join("task.sh")).env("SLURM_ARRAY_TASK_ID", task.to_string());
+            let done = bash.output().unwrap();
+            (String::from_utf8(done.stdout).unwrap(), done.status.code())
+        };
+        let (said, code) = run(2);
+        assert!(said.ends_with("--cases a\nb\tit's \\n\n") && code == Some(0), "{said}");
+        assert_eq!(run(3), (String::new(), Some(4)), "there is no such line");
+        std::fs::remove_file(folder.path().join("work.txt")).unwrap();
+        assert_eq!(run(1), (String::new(), Some(4)), "a node that does not see the scripts");
+        assert!(job.submit_command().starts_with("bash /"));
     }
 
     #[test]

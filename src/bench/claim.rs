@@ -94,7 +94,11 @@ impl Holder {
 
 impl std::fmt::Display for Holder {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "process {} on {}", self.process, self.host)
+        match self.host.as_str() {
+            // It has claimed the work and not yet said who it is.
+            "" => write!(f, "another process"),
+            host => write!(f, "process {} on {host}", self.process),
+        }
     }
 }
 

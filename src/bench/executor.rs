@@ -10,13 +10,13 @@ use std::collections::{HashMap, HashSet, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use super::claim::{self, Holder, lock};
 use super::event::{CacheUse, Event, Watcher};
 use super::plan::{Cell, Plan, Planned};
 use super::stages::{Stages, caught};
-use super::store::{ProductState, Store, Work, cell_folder, film_folder};
+use super::store::{Finish, ProductState, Store, Work, cell_folder, film_folder};
 use super::timing::{self, StageTiming, measured};
 use crate::base::{Error, ErrorKind, Progress, Result};
 
@@ -59,8 +59,8 @@ struct Execution<'a> {
     plan: &'a Plan,
     stages: &'a dyn Stages,
     store: &'a Store,
-    /// What was finished before is made again: the run's beginning, where everything is to be fresh.
-    fresh_since: Option<SystemTime>,
+    /// What was finished before the run, where everything is to be made again.
+    finished_before: Option<HashMap<String, Finish>>,
     watcher: &'a dyn Watcher,
     done: AtomicUsize,
     /// Cells of the plan.
@@ -150,18 +150,52 @@ pub fn execute_at_once(
     outcomes.iter().filter_map(|outcome| lock(outcome).take()).collect()
 }
 
-/// Whether a cell's score is in the cache, made by this program from this plan, and whole.
+/// Whether a case's film is in the cache, made by this program from this plan, and whole.
+pub fn is_filmed(plan: &Plan, store: &Store, case: &Planned) -> Result<bool> {
+    let film = format!("{}/film", film_folder(plan, case)?);
+    Ok(store.state(&film, &plan.sequence_key(case)?)? == ProductState::Whole)
+}
+
+/// Whether a cell's prediction and score are in the cache, made by this program from this plan, and whole; its film is
+/// another question ([`is_filmed`]).
 pub fn is_finished(plan: &Plan, store: &Store, cell: &Cell) -> Result<bool> {
-    let score = format!("{}/score", cell_folder(plan, cell)?);
-    Ok(store.state(&score, &plan.score_key(cell)?)? == ProductState::Whole)
+    for (product, key) in cell_products(plan, cell)? {
+        if store.state(&product, &key)? != ProductState::Whole {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// Prediction and score of a cell: where they lie in the cache, and their keys.
+fn cell_products(plan: &Plan, cell: &Cell) -> Result<[(String, String); 2]> {
+    let folder = cell_folder(plan, cell)?;
+    Ok([
+        (format!("{folder}/prediction"), plan.prediction_key(cell)?),
+        (format!("{folder}/score"), plan.score_key(cell)?),
+    ])
+}
+
+/// Every product of `plan` that is finished in the cache.
+fn finished_products(plan: &Plan, store: &Store) -> Result<HashMap<String, Finish>> {
+    let mut products = Vec::new();
+    for case in &plan.cases {
+        products.push(format!("{}/film", film_folder(plan, case)?));
+    }
+    for cell in plan.cells() {
+        products.extend(cell_products(plan, &cell)?.map(|(product, _)| product));
+    }
+    let finish = |product: String| store.finish(&product).map(|finish| (product, finish));
+    Ok(products.into_iter().filter_map(finish).collect())
 }
 
 /// Every cell of `plan`, in its order, as it lies in the cache; what is not finished there has failed.
 pub fn finished(plan: &Plan, store: &Store) -> Result<Vec<FinishedCell>> {
     let mut cells = Vec::new();
     for case in &plan.cases {
+        let is_filmed = is_filmed(plan, store, case)?;
         for cell in plan.cells_of(&case.id) {
-            let failure = (!is_finished(plan, store, &cell)?)
+            let failure = (!is_filmed || !is_finished(plan, store, &cell)?)
                 .then(|| Error::new(ErrorKind::CellFailed, format!("{} is not finished", cell.id())));
             cells.push(described(plan, store, case, &cell, failure)?);
         }
@@ -193,12 +227,12 @@ impl<'a> Execution<'a> {
         watcher: &'a dyn Watcher,
     ) -> Result<Self> {
         watcher.event(&Event::Started { plan });
-        let fresh_since = (freshness == Freshness::Fresh).then(|| store.now()).transpose()?;
+        let finished_before = (freshness == Freshness::Fresh).then(|| finished_products(plan, store)).transpose()?;
         Ok(Execution {
             plan,
             stages,
             store,
-            fresh_since,
+            finished_before,
             watcher,
             done: AtomicUsize::new(0),
             total: plan.cells().len(),
@@ -304,8 +338,10 @@ impl<'a> Execution<'a> {
     }
 
     fn make_film(&self, case: &Planned, folder: &str, work: &Work) -> Result<f64> {
-        let (making, timing_file) = (work.resume("film")?, self.store.path(folder).join("timing.json"));
-        if !making.exists() {
+        let timing_file = self.store.path(folder).join("timing.json");
+        // What an ended process had begun is of before, too.
+        let making = if self.finished_before.is_none() { work.resume("film")? } else { work.begin("film")? };
+        if self.finished_before.is_some() || !making.exists() {
             claim::remove_folder(&timing_file)?;
         }
         let film = || caught(|| self.stages.film(&case.id, &making, self.watcher));
@@ -319,11 +355,7 @@ impl<'a> Execution<'a> {
 
     fn cell(&self, case: &Planned, cell: &Cell, progress: &dyn Progress) -> Result<Tried<()>> {
         self.watcher.proceed()?;
-        let folder = cell_folder(self.plan, cell)?;
-        let products = [
-            (format!("{folder}/prediction"), self.plan.prediction_key(cell)?),
-            (format!("{folder}/score"), self.plan.score_key(cell)?),
-        ];
+        let (folder, products) = (cell_folder(self.plan, cell)?, cell_products(self.plan, cell)?);
         let (mut wall_s, mut cache_use): (f64, CacheUse) = (0.0, CacheUse::Cached);
         if !self.is_done(&folder, &products)? {
             let work = match self.store.claim(&folder, &[])? {
@@ -390,7 +422,8 @@ impl<'a> Execution<'a> {
 
     /// Whether a finished product counts: any, or what was made since the run began, by whichever process.
     fn may_use(&self, product: &str) -> bool {
-        self.fresh_since.is_none_or(|since| self.store.is_newer(product, since))
+        let Some(before) = &self.finished_before else { return true };
+        self.store.finish(product).is_some_and(|finish| before.get(product) != Some(&finish))
     }
 
     /// True when the product of claimed work is finished, from the same key, and whole. Otherwise it is removed.

@@ -141,6 +141,43 @@ fn a_second_run_does_nothing_and_a_fresh_one_everything() {
     assert_eq!(fake.log().len(), 18);
 }
 
+/// Whatever a clock says, and whatever an ended process had begun.
+#[test]
+fn a_fresh_run_takes_nothing_of_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plan, fake) = (small_plan(), Fake::default());
+    let cells = run(folder.path(), &plan, &fake, Freshness::Resume).0.unwrap();
+    let tomorrow = std::time::SystemTime::now() + Duration::from_secs(86_400);
+    for marked in cells.iter().flat_map(|c| [&c.prediction, &c.sequence]) {
+        let marker = std::fs::File::options().append(true).open(marked.join(".finished.json")).unwrap();
+        marker.set_modified(tomorrow).unwrap();
+    }
+    fake.log();
+    run(folder.path(), &plan, &fake, Freshness::Fresh).0.unwrap();
+    assert_eq!(fake.log().len(), 18);
+}
+
+/// What the report needs beside scores is looked at where nothing is made, too.
+#[test]
+fn what_is_not_whole_is_not_finished() {
+    let whole = tempfile::tempdir().unwrap();
+    let (plan, fake) = (small_plan(), Fake::default());
+    let cells = run(whole.path(), &plan, &fake, Freshness::Resume).0.unwrap();
+    let store = Store::look(whole.path());
+    let unfinished = || finished(&plan, &store).unwrap().iter().filter(|cell| cell.failure.is_some()).count();
+    assert_eq!(unfinished(), 0);
+    std::fs::remove_dir_all(&cells[3].prediction).unwrap();
+    assert_eq!(unfinished(), 1);
+    // A link that leads nowhere is damage, in the way of what is made in its place.
+    std::fs::remove_dir_all(&cells[0].sequence).unwrap();
+    std::os::unix::fs::symlink("/nowhere/film", &cells[0].sequence).unwrap();
+    assert_eq!(unfinished(), 4);
+    // No result depends on times.
+    std::fs::write(cells[6].prediction.with_file_name("timing.json"), "{").unwrap();
+    run(whole.path(), &plan, &fake, Freshness::Resume).0.unwrap();
+    assert_eq!(unfinished(), 0);
+}
+
 #[test]
 fn only_what_changed_is_made_again() {
     let folder = tempfile::tempdir().unwrap();

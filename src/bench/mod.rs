@@ -29,7 +29,7 @@ pub mod variant;
 pub use catalogue::Catalogue;
 pub use environment::Environment;
 pub use event::{CacheUse, Event, Watcher};
-pub use executor::{FinishedCell, Freshness, execute, execute_at_once, finished, is_finished};
+pub use executor::{FinishedCell, Freshness, execute, execute_at_once, finished, is_filmed, is_finished};
 pub use pipeline::{Pipeline, SeededMethod, Wishes, reconstruct_folder};
 pub use plan::{Cell, Plan, Planned};
 pub use profile::Profile;

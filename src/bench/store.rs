@@ -11,6 +11,7 @@
 //! place: readers see a whole product or none.
 
 use std::fs::{self, File};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -136,6 +137,13 @@ impl Work {
     }
 }
 
+/// A finish of a product, unlike any other of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Finish {
+    file: u64,
+    written: SystemTime,
+}
+
 /// A cache folder.
 #[derive(Debug)]
 pub struct Store {
@@ -172,19 +180,11 @@ impl Store {
         state_of(&self.path(product), key)
     }
 
-    /// The time by the clock that dates the cache's files, which may be another machine's.
-    ///
-    /// Errors: a folder that cannot be written.
-    pub fn now(&self) -> Result<SystemTime> {
-        let fail = |e| Error::io("writing", &self.root, e);
-        let file = tempfile::Builder::new().prefix(".now-").tempfile_in(&self.root).map_err(fail)?;
-        file.as_file().metadata().and_then(|data| data.modified()).map_err(fail)
-    }
-
-    /// Whether a product was finished after `time`, a [`Store::now`].
-    pub fn is_newer(&self, product: &str, time: SystemTime) -> bool {
-        let marker = self.path(product).join(MARKER);
-        fs::metadata(marker).and_then(|data| data.modified()).is_ok_and(|finished| finished > time)
+    /// Which finish of a product this is: another one after it was made again, whatever any clock says. `None` where it
+    /// was never finished.
+    pub fn finish(&self, product: &str) -> Option<Finish> {
+        let data = fs::metadata(self.path(product).join(MARKER)).ok()?;
+        Some(Finish { file: data.ino(), written: data.modified().ok()? })
     }
 
     /// Claims the piece of work of that name; who else has it where that fails. What an ended process left is removed,
@@ -218,7 +218,9 @@ fn state_of(place: &Path, key: &str) -> Result<ProductState> {
     let path = place.join(MARKER);
     let text = match fs::read(&path) {
         Err(_) if !path.exists() => {
-            return Ok(if place.exists() { ProductState::Damaged } else { ProductState::Absent });
+            // A link that leads nowhere is in the way of what would be made.
+            let is_there = fs::symlink_metadata(place).is_ok();
+            return Ok(if is_there { ProductState::Damaged } else { ProductState::Absent });
         }
         read => read.map_err(|e| Error::io("reading", &path, e))?,
     };

@@ -51,14 +51,19 @@ pub fn measured<T>(stage: &str, cost_key: String, work: impl FnOnce() -> Result<
     (outcome, timing)
 }
 
-/// The timings kept at `path`; none when there is no such file.
+/// The timings kept at `path`; none when there is no such file, or a damaged one: no result depends on them.
+///
+/// Errors: a file that cannot be read.
 pub fn read(path: &Path) -> Result<Vec<StageTiming>> {
-    if path.exists() { files::read_json(path) } else { Ok(Vec::new()) }
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    Ok(serde_json::from_slice(&files::read_bytes(path)?).unwrap_or_default())
 }
 
 /// Replaces the kept timing of the same stage.
 ///
-/// Errors: the file cannot be read or written; what it holds would be lost without a word.
+/// Errors: the file cannot be read or written.
 pub fn keep(path: &Path, timing: StageTiming) -> Result<()> {
     let mut all = read(path)?;
     all.retain(|t| t.stage != timing.stage);

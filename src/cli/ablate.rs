@@ -6,7 +6,7 @@ use super::Terminal;
 use super::selection::{CacheFolder, CatalogueFolder, ProfileChoice};
 use super::stopped::resumable;
 use crate::base::range::THREADS;
-use crate::base::{Result, files};
+use crate::base::{Error, ErrorKind, Result, files};
 use crate::bench::Ablations;
 use crate::experiments::ablation::{AblationPlan, ScoredCases, run as run_variants};
 use crate::report::ablation::write;
@@ -84,8 +84,15 @@ pub fn run(arguments: AblateArguments, terminal: &Terminal) -> Result<()> {
         ablations.noise_seeds[0],
     );
     let metrics = &ablations.metrics;
-    resumable(run_variants(&plan, terminal, |scores| write(scores, metrics, &title, &out).map(drop)))?;
+    let mut failed = 0;
+    resumable(run_variants(&plan, terminal, |scores| {
+        failed = scores.iter().map(|variant| variant.failed).sum();
+        write(scores, metrics, &title, &out).map(drop)
+    }))?;
     terminal.finish();
     terminal.line(files::read_text(&out.join("ablations.md"))?.trim_end());
-    Ok(())
+    match failed {
+        0 => Ok(()),
+        _ => Err(Error::new(ErrorKind::CellFailed, format!("{failed} cells failed, the table says in which lines"))),
+    }
 }

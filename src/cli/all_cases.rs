@@ -9,8 +9,9 @@ use super::{Terminal, comparison};
 use crate::base::estimate::Estimate;
 use crate::base::{Error, ErrorKind, Progress, Result, files, hash};
 use crate::bench::claim::{Asked, Claim, Claims};
-use crate::bench::store::{ProductState, cell_folder, film_folder};
-use crate::bench::{Environment, FinishedCell, Freshness, Pipeline, Plan, Store, execute, finished};
+use crate::bench::{
+    Environment, FinishedCell, Freshness, Pipeline, Plan, Store, execute, finished, is_filmed, is_finished,
+};
 use crate::report::summary::summarise;
 use crate::report::table::ComparisonTable;
 use crate::report::{self, TrackReports};
@@ -94,6 +95,9 @@ fn run_all(arguments: &AllCasesArguments, runs: &[TrackRun], terminal: &Terminal
         terminal.line(format_args!("report: {}", folder.display()));
         return Ok(());
     }
+    if !arguments.cells_only {
+        refuse_other_latest(&arguments.out)?;
+    }
     if !arguments.report_only {
         let nothing = Estimate { resumable: true, ..Estimate::default() };
         terminal.accepts(&runs.iter().map(|run| run.pipeline.estimate()).fold(nothing, Estimate::then))?;
@@ -119,7 +123,8 @@ fn run_all(arguments: &AllCasesArguments, runs: &[TrackRun], terminal: &Terminal
             terminal.finish();
         } else {
             report(&folder, run, &finished, reports.as_mut(), terminal)?;
-            point_latest(&arguments.out, &name)?;
+            // The report is there, and so will be that of the next track: not every file system has links.
+            point_latest(&arguments.out, &name).unwrap_or_else(|error| terminal.note(&error.to_string()));
         }
         cells += finished.len();
         let of_run = finished.iter().filter(|cell| cell.failure.is_some()).map(|cell| cell.cell.id());
@@ -173,19 +178,26 @@ fn claimed(folder: &Path, terminal: &Terminal) -> Result<Claim> {
 }
 
 fn print_plan(plan: &Plan, store: &Store, freshness: Freshness, terminal: &Terminal) -> Result<()> {
-    let word = |state: ProductState| match state {
-        ProductState::Whole if freshness == Freshness::Resume => "cached",
-        _ => "to do",
-    };
+    let word = |is_there: bool| if is_there && freshness == Freshness::Resume { "cached" } else { "to do" };
     for case in &plan.cases {
-        let film = store.state(&format!("{}/film", film_folder(plan, case)?), &plan.sequence_key(case)?)?;
-        terminal.line(format_args!("{:<8}film {}", word(film), case.id));
+        terminal.line(format_args!("{:<8}film {}", word(is_filmed(plan, store, case)?), case.id));
         for cell in plan.cells_of(&case.id) {
-            let score = format!("{}/score", cell_folder(plan, &cell)?);
-            terminal.line(format_args!("{:<8}cell {}", word(store.state(&score, &plan.score_key(&cell)?)?), cell.id()));
+            terminal.line(format_args!("{:<8}cell {}", word(is_finished(plan, store, &cell)?), cell.id()));
         }
     }
     Ok(())
+}
+
+/// Refuses an output folder in which something else than a link is called `latest`: a copy of reports, for instance, that
+/// resolved the link.
+fn refuse_other_latest(out: &Path) -> Result<()> {
+    let latest = out.join("latest");
+    match std::fs::symlink_metadata(&latest) {
+        Ok(data) if !data.is_symlink() => {
+            Err(Error::input("is no link to the newest report, which would take its place: rename it").at(latest))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Lets `<out>/latest` point to the run, in one step, whoever else ends at this moment.

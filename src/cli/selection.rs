@@ -162,9 +162,10 @@ fn absolute_file(wish: &str) -> Result<String> {
     if wish.ends_with(".toml") { absolute_path(Path::new(wish)) } else { Ok(wish.to_owned()) }
 }
 
-fn absolute_path(path: &Path) -> Result<String> {
+/// A path that holds in every folder, as a word of a command line.
+pub fn absolute_path(path: &Path) -> Result<String> {
     let absolute = std::path::absolute(path).map_err(|e| Error::io("reading", path, e))?;
-    Ok(absolute.to_string_lossy().into_owned())
+    absolute.into_os_string().into_string().map_err(|_| Error::usage("is no text in UTF-8").at(path))
 }
 
 fn wish<T>(given: Vec<T>) -> Option<Vec<T>> {
@@ -172,6 +173,11 @@ fn wish<T>(given: Vec<T>) -> Option<Vec<T>> {
 }
 
 impl Selection {
+    /// Name or path of the profile, as it was given.
+    pub fn profile_name(&self) -> &str {
+        self.profile.name()
+    }
+
     /// The words of a command line that has the same profile and folders, which are absolute.
     pub fn place_words(&self) -> Result<Vec<String>> {
         let mut words = vec!["--profile".to_owned(), absolute_file(self.profile.name())?];
@@ -204,7 +210,7 @@ impl Selection {
         }
         let catalogue = self.catalogue.open()?;
         match Profile::load(&catalogue.profiles(), self.profile.name())?.cases {
-            Some(cases) => Ok(cases),
+            Some(cases) => cases.iter().map(|wish| absolute_file(wish)).collect(),
             None => catalogue.case_ids(),
         }
     }

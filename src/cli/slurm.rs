@@ -1,14 +1,16 @@
 //! `respire-bench slurm`: the main job as a Slurm job array.
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+
+use rayon::prelude::*;
 
 use super::Terminal;
-use super::selection::{CacheFolder, Selection, TracksChoice};
+use super::selection::{CacheFolder, Selection, TracksChoice, absolute_path};
 use crate::base::range::{NumberRange, PROCESSORS};
 use crate::base::{Error, ErrorKind, Result, files};
 use crate::bench::array_job::{ArrayJob, WorkCost};
-use crate::bench::{Cell, Pipeline, Plan, Planned, Store, is_finished, timing};
+use crate::bench::{Cell, Pipeline, Plan, Planned, Store, is_filmed, is_finished, timing};
 
 /// Tasks at a time.
 const AT_ONCE: NumberRange = NumberRange::new(1.0, 10_000.0);
@@ -27,8 +29,9 @@ enum Task {
 #[command(
     after_help = "Writes work.txt, task.sh, report.sh and submit.sh into DIR; nothing is submitted. `bash DIR/submit.sh`\n\
     submits an array, and a job that writes the report when the array has ended. Cells that are finished are left out,\n\
-    so that the same command makes the scripts for what failed. The cache must be one that all nodes see.\n\
-    Example: respire-bench slurm --profile smoke --scripts /tmp/slurm"
+    so that the same command makes the scripts for what failed. DIR, the cache and the reports must be folders that all\n\
+    nodes see.\n\
+    Example: respire-bench slurm --profile smoke --scripts slurm"
 )]
 pub struct SlurmArguments {
     #[command(flatten)]
@@ -59,21 +62,17 @@ pub struct SlurmArguments {
 
 /// Writes the scripts, and says how much there is to do.
 pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
-    let absolute = |path: &Path| -> Result<String> {
-        let path = std::path::absolute(path).map_err(|e| Error::io("reading", path, e))?;
-        Ok(path.to_string_lossy().into_owned())
-    };
     let tracks = arguments.tracks.tracks(&arguments.selection)?;
     // Nobody can be asked in a task, and the array asks Slurm for what a task needs.
     let mut common = ["all-cases", "--yes"].map(str::to_owned).to_vec();
     common.extend(arguments.selection.place_words()?);
     common.extend([
         "--out".to_owned(),
-        absolute(&arguments.out)?,
+        absolute_path(&arguments.out)?,
         "--cache".to_owned(),
-        absolute(arguments.cache.path())?,
+        absolute_path(arguments.cache.path())?,
     ]);
-    let scripts = absolute(&arguments.scripts)?;
+    let scripts = absolute_path(&arguments.scripts)?;
     // A line of a script that Slurm reads ends there, and it takes the other one for an escape.
     if scripts.contains(['\n', '\\']) {
         return Err(Error::usage(
@@ -97,12 +96,15 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
         report_cost = report_cost.then(pipeline.report_cost());
         all += plan.cells().len();
         for (case, wish) in plan.cases.iter().zip(&wishes) {
-            let mut cells = Vec::new();
-            for cell in plan.cells_of(&case.id) {
-                if !is_finished(&plan, &store, &cell)? {
-                    cells.push(cell);
-                }
-            }
+            let is_filmed = is_filmed(&plan, &store, case)?;
+            // Those of a large plan are a million files.
+            let is_missing = |cell: Cell| match is_filmed && is_finished(&plan, &store, &cell)? {
+                true => Ok(None),
+                false => Ok(Some(cell)),
+            };
+            let looked: Vec<Option<Cell>> =
+                plan.cells_of(&case.id).into_par_iter().map(is_missing).collect::<Result<_>>()?;
+            let cells: Vec<Cell> = looked.into_iter().flatten().collect();
             missing += cells.len();
             match arguments.task {
                 Task::Cell => {
@@ -143,9 +145,9 @@ pub fn run(arguments: SlurmArguments, terminal: &Terminal) -> Result<()> {
     write("report.sh", job.report_script())?;
     write("submit.sh", job.submit_script())?;
     terminal.line(format_args!(
-        "{missing} of {all} cells to do in {} tasks; submit them by: bash {}/submit.sh",
+        "{missing} of {all} cells to do in {} tasks; submit them by: {}",
         job.tasks(),
-        arguments.scripts.display()
+        job.submit_command()
     ));
     Ok(())
 }

@@ -184,6 +184,13 @@ fn folders_that_cannot_be_used_are_refused_before_any_work() {
     assert!(err.contains("reports") && err.lines().count() == 1, "{err}");
     fs::remove_file(place.path("reports")).unwrap();
 
+    // As a copy of reports leaves it that resolved the link.
+    fs::create_dir_all(place.path("reports/latest")).unwrap();
+    let (code, _, err) = outcome(place.command(&[]).output().unwrap());
+    assert_eq!(code, 4, "{err}");
+    assert!(err.contains("reports/latest: is no link") && err.lines().count() == 1, "{err}");
+    fs::remove_dir_all(place.path("reports")).unwrap();
+
     let (code, _, err) = outcome(place.command_with_cache(Path::new("/proc/nowhere"), &[]).output().unwrap());
     assert_eq!(code, 4, "{err}");
     assert!(err.contains("/proc/nowhere") && err.lines().count() == 1, "{err}");

@@ -27,6 +27,9 @@ fn help_and_version_are_no_errors_and_mistakes_are_usage() {
         vec!["all-cases", "--seeds", "1,x"],
         vec!["all-cases", "--track", "lunar"],
         vec!["run", "--case", "case1"],
+        // Their films would lie in one folder.
+        vec!["simulate", "case3", "case3", "--out", "films"],
+        vec!["light-bias", "--places", "0.5,0.2,0.5"],
         vec!["run", "--case", "case1", "--method", "ours", "--track", "both"],
         // The film says of which track it is.
         vec!["run", "--sequence", "film", "--out", "answer", "--method", "ours", "--track", "clinical"],
@@ -36,6 +39,20 @@ fn help_and_version_are_no_errors_and_mistakes_are_usage() {
         assert_eq!((code, out.as_str()), (2, ""), "{words:?}: {err}");
         assert!(!err.is_empty(), "{words:?} says nothing");
     }
+}
+
+#[test]
+fn a_list_has_the_cells_of_every_track_of_its_profile() {
+    let cells = |extra: &[&str]| {
+        let (code, out, err) = run(&[&["list", "--json", "--profile", "quick", "--cases", "case1"], extra].concat());
+        assert_eq!(code, 0, "{err}");
+        let all: serde_json::Value = serde_json::from_str(&out).unwrap();
+        let of = |track: &str| all["cells"].as_array().unwrap().iter().filter(|cell| cell["track"] == track).count();
+        (of("ideal"), of("clinical"))
+    };
+    let (ideal, clinical) = cells(&[]);
+    assert!(ideal > 0 && clinical > 0);
+    assert_eq!(cells(&["--track", "clinical"]), (0, clinical));
 }
 
 #[test]
@@ -97,7 +114,7 @@ fn list_has_the_keys_that_scripts_rely_on() {
     assert_eq!(code, 0, "{err}");
     let listed: serde_json::Value = serde_json::from_str(&out).unwrap();
     let entries = |key: &str| listed[key].as_array().unwrap().clone();
-    assert_eq!((entries("cases").len(), entries("methods").len(), entries("cells").len()), (9, 14, 126));
+    assert_eq!((entries("cases").len(), entries("methods").len(), entries("cells").len()), (9, 15, 261));
     for key in ["cases", "methods", "metrics", "cells"] {
         assert!(entries(key).iter().all(|entry| !entry["id"].as_str().unwrap().is_empty()), "{key}");
     }

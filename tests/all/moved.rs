@@ -50,7 +50,7 @@ fn a_folder_of_cases_counts_when_it_is_asked_for() {
     for file in ["case9.toml", "profiles/smoke.toml"] {
         std::fs::copy(shipped.join(file), elsewhere.join("bench-cases").join(file)).unwrap();
     }
-    assert_eq!(run(&["list"]).1.lines().filter(|line| line.starts_with("  case1-")).count(), 14);
+    assert_eq!(run(&["list"]).1.lines().filter(|line| line.starts_with("  case1-")).count(), 14 + 15);
     let (code, _, err) = run(&["list", "--profile", "smoke", "--cases", "case9", "--bench-cases", "bench-cases"]);
     assert!(code == 4 && err.contains("bench-cases/methods"), "nothing is mixed in: {err}");
     let (code, _, err) = run(&["list", "--bench-cases", "no-such"]);
