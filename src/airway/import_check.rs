@@ -82,6 +82,15 @@ pub enum FrameSource {
     Header,
 }
 
+/// What is expected of an airway.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ExpectedAnatomy {
+    /// Size and shape of a human one.
+    Human,
+    /// Anything: an animal, a phantom, a part of an airway.
+    Any,
+}
+
 /// Refuses an airway of an impossible size, and names the unit that would make it a possible one. `points` in mm.
 pub fn check_extent(points: impl Iterator<Item = DVec3>, source: FrameSource) -> Result<()> {
     let extent = longest_side(points);
@@ -95,18 +104,20 @@ pub fn check_extent(points: impl Iterator<Item = DVec3>, source: FrameSource) ->
     Err(Error::input(format!("{sentence}: {}", scale_cure(extent, EXTENT_MM, source))))
 }
 
-/// Refuses lung landmarks of an impossible size, and a motion that no breathing is. The element is the pair's
-/// number, from 1.
-pub fn check_landmarks(pairs: &[LandmarkPair]) -> Result<()> {
+/// Refuses a motion that no breathing is, and of humans landmarks of an impossible size. The element is the pair's number,
+/// from 1.
+pub fn check_landmarks(pairs: &[LandmarkPair], anatomy: ExpectedAnatomy) -> Result<()> {
     let extent = longest_side(pairs.iter().map(|pair| pair.inspiration_mm));
-    if !within(extent, LUNGS_MM) {
+    let is_human = anatomy == ExpectedAnatomy::Human;
+    if is_human && !within(extent, LUNGS_MM) {
         return Err(Error::input(format!(
-            "the landmarks' longest side is {extent:.4}, and lungs measure {} to {} mm: landmarks are in mm (LPS)",
+            "the landmarks' longest side is {extent:.4}, and lungs measure {} to {} mm: landmarks are in mm (LPS); those of \
+             an animal or a phantom are taken with --unusual",
             LUNGS_MM[0], LUNGS_MM[1]
         )));
     }
     let moves = |pair: &LandmarkPair| pair.motion_mm().length();
-    if let Some(at) = pairs.iter().position(|pair| moves(pair) > FURTHEST_MM) {
+    if let Some(at) = pairs.iter().position(|pair| is_human && moves(pair) > FURTHEST_MM) {
         let sentence =
             format!("the landmark moves by {:.0} mm, and breathing moves {FURTHEST_MM} mm at most", moves(&pairs[at]));
         return Err(Error::input(sentence).element(format!("pair {}", at + 1)));
@@ -415,12 +426,12 @@ mod tests {
     #[test]
     fn landmarks_that_no_breathing_moves_are_refused() {
         let breath = |p: DVec3| DVec3::new(0.0, 3.0, 20.0 - 0.1 * p.z);
-        let said = |pairs: &[LandmarkPair]| check_landmarks(pairs).unwrap_err().to_string();
+        let said = |pairs: &[LandmarkPair]| check_landmarks(pairs, ExpectedAnatomy::Human).unwrap_err().to_string();
         let good = lungs(50.0, breath);
-        check_landmarks(&good).unwrap();
+        check_landmarks(&good, ExpectedAnatomy::Human).unwrap();
         // In one plane, or moved as a whole, the volume stays.
-        check_landmarks(&good[..25]).unwrap();
-        check_landmarks(&lungs(50.0, |_| DVec3::splat(9.0))).unwrap();
+        check_landmarks(&good[..25], ExpectedAnatomy::Human).unwrap();
+        check_landmarks(&lungs(50.0, |_| DVec3::splat(9.0)), ExpectedAnatomy::Human).unwrap();
         assert!(said(&lungs(5.0, breath)).contains("mm (LPS)"));
         let mut outlier = good.clone();
         outlier[7].expiration_mm.x += 200.0;

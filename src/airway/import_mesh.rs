@@ -9,10 +9,14 @@ use super::case_build::closed_into_lumen;
 use super::centerline::{Centerline, CenterlineSettings};
 use super::centerline_extract::extract_watched;
 use super::import_axes::PatientAxes;
-use super::import_check::{FURTHEST_MM, FrameSource, STILL_MM, check_extent, check_stem};
+use super::import_check::{ExpectedAnatomy, FURTHEST_MM, FrameSource, STILL_MM, check_extent, check_stem};
 use crate::base::estimate::{Estimate, demand_memory};
 use crate::base::{Error, Progress, Result, TriangleMesh};
 use crate::formats;
+
+/// Largest factor on the volume of an airway from inspiration to expiration: it gets smaller, and what is registered badly may
+/// seem to grow a little.
+const MOST_LUMEN_GROWTH: f64 = 1.1;
 
 /// What a centreline takes for each voxel of the lumen, measured on a box of 14 million: 200 bytes, 8 microseconds.
 const VOXEL_BYTES: f64 = 200.0;
@@ -38,15 +42,6 @@ pub enum PartChoice {
     Single,
     /// Take the part with the most faces.
     Largest,
-}
-
-/// What is expected of an airway.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ExpectedAnatomy {
-    /// Size and shape of a human one.
-    Human,
-    /// Anything: an animal, a phantom, a part of an airway.
-    Any,
 }
 
 impl FileMeaning {
@@ -138,6 +133,16 @@ impl FileMeaning {
             return Err(Error::input(format!(
                 "a vertex moves by {most:.0} mm between the breath holds, and breathing moves {FURTHEST_MM} mm at most: \
                  both files must have one unit and one frame; --unusual takes them as they are"
+            )));
+        }
+        let volume = |vertices: &[DVec3]| {
+            TriangleMesh { vertices: vertices.to_vec(), faces: rest.faces.clone() }.signed_volume().abs()
+        };
+        let growth = volume(moved) / volume(&rest.vertices);
+        if self.anatomy == ExpectedAnatomy::Human && growth > MOST_LUMEN_GROWTH {
+            return Err(Error::input(format!(
+                "the airway is {growth:.2} times as large at expiration as at inspiration: are the two swapped? \
+                 --unusual takes them as they are"
             )));
         }
         if most >= STILL_MM {

@@ -1,5 +1,6 @@
 //! Measures a bronchial tree: from a table of centreline points, or from a surface by way of its centreline.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use glam::DVec3;
@@ -7,11 +8,14 @@ use glam::DVec3;
 use super::centerline::{Centerline, CenterlinePoint};
 use super::import_mesh::FileMeaning;
 use super::tree::Tree;
-use crate::base::range::{COORDINATE_MM, GENERATION, RADIUS_MM};
+use crate::base::range::{COORDINATE_MM, GENERATION, NumberRange, RADIUS_MM};
 use crate::base::{Error, Progress, Result, files};
+use crate::formats::number_table;
 
 /// Columns of a centreline table.
 const COLUMNS: [&str; 8] = ["id", "x_mm", "y_mm", "z_mm", "radius_mm", "branch", "generation", "parent_id"];
+/// Any number: what each column may hold is said by its row's id.
+const ANY: NumberRange = NumberRange::new(f64::MIN, f64::MAX);
 
 /// Distance between the points of a measured table in mm.
 const STEP_MM: f64 = 1.5;
@@ -44,22 +48,14 @@ pub fn from_centerline(centerline: &Centerline, source: &str) -> Result<Tree> {
 }
 
 fn parse_table(text: &str, meaning: &FileMeaning) -> Result<Centerline> {
-    let mut lines = text.lines();
-    let header: Vec<&str> = lines.next().unwrap_or("").split(',').map(str::trim).collect();
-    if header != COLUMNS {
-        return Err(Error::input(format!("must be \"{}\"", COLUMNS.join(","))).element("line 1"));
-    }
-    let mut rows: Vec<[f64; 8]> = Vec::new();
-    for (number, line) in lines.enumerate().filter(|(_, l)| !l.trim().is_empty()) {
-        let wrong = || Error::input("needs 8 finite numbers").element(format!("line {}", number + 2));
-        let values: Vec<f64> = line.split(',').map_while(|v| v.trim().parse().ok()).collect();
-        let row: [f64; 8] = values.try_into().map_err(|_| wrong())?;
-        if row.iter().any(|v| !v.is_finite()) {
-            return Err(wrong());
-        }
-        rows.push(row);
-    }
+    let mut rows: Vec<[f64; 8]> =
+        number_table::rows(text.as_bytes(), COLUMNS.map(|name| (name, ANY)))?.iter().map(|row| row.numbers).collect();
     rows.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    if let Some(twice) = rows.windows(2).find(|two| two[0][0] == two[1][0]) {
+        return Err(Error::input("is there twice").element(format!("id {}", twice[0][0])));
+    }
+    // The last point of each branch so far.
+    let mut ends: BTreeMap<u32, usize> = BTreeMap::new();
     let mut points = Vec::with_capacity(rows.len());
     for (index, &[id, x, y, z, radius_mm, branch, generation, parent]) in rows.iter().enumerate() {
         let wrong = |what: &str| Err(Error::input(what).element(format!("id {id}")));
@@ -76,13 +72,24 @@ fn parse_table(text: &str, meaning: &FileMeaning) -> Result<Centerline> {
         let (radius_mm, position_mm) = (radius_mm * meaning.scale, meaning.to_lps_mm(DVec3::new(x, y, z)));
         RADIUS_MM.check(radius_mm).map_err(named("radius_mm"))?;
         position_mm.to_array().into_iter().try_for_each(|v| COORDINATE_MM.check(v)).map_err(named("coordinates"))?;
-        points.push(CenterlinePoint {
-            position_mm,
-            radius_mm,
-            branch: branch as u32,
-            generation: generation as u32,
-            parent,
-        });
+        let (branch, generation) = (branch as u32, generation as u32);
+        let point = CenterlinePoint { position_mm, radius_mm, branch, generation, parent };
+        let before: Option<&CenterlinePoint> = parent.map(|parent| &points[parent as usize]);
+        match (ends.insert(branch, index), before) {
+            (Some(end), _) if parent != Some(end as u32) => {
+                return wrong("its parent is not the point of its branch before it");
+            }
+            (Some(_), Some(before)) if before.generation != generation => {
+                return wrong("its generation is not that of its branch");
+            }
+            (None, Some(before)) if before.generation >= generation => {
+                return wrong(
+                    "its branch begins here, and its generation is not above that of the branch from which it comes",
+                );
+            }
+            _ => {}
+        }
+        points.push(point);
     }
     Ok(Centerline { points })
 }
@@ -90,7 +97,8 @@ fn parse_table(text: &str, meaning: &FileMeaning) -> Result<Centerline> {
 #[cfg(test)]
 mod tests {
     use super::super::import_axes::PatientAxes;
-    use super::super::import_mesh::{ExpectedAnatomy, PartChoice};
+    use super::super::import_check::ExpectedAnatomy;
+    use super::super::import_mesh::PartChoice;
     use super::*;
 
     fn read_as(axes: PatientAxes) -> FileMeaning {
@@ -117,6 +125,19 @@ mod tests {
         let short = TABLE.replace("2,0,1,-20,4,1,1,1", "2,0,1,x");
         assert!(parse_table(&short, &read_as(PatientAxes::LPS)).unwrap_err().to_string().contains("line 3"));
         assert!(parse_table("", &read_as(PatientAxes::LPS)).is_err());
+        for (from, to, says) in [
+            ("3,0,2,-30,4,1,1,2", "2,0,2,-30,4,1,1,1", "id 2: is there twice"),
+            ("3,0,2,-30,4,1,1,2", "3,0,2,-30,4,1,1,1", "id 3: its parent is not the point of its branch before it"),
+            ("3,0,2,-30,4,1,1,2", "3,0,2,-30,4,0,1,2", "id 3: its parent is not the point of its branch"),
+            ("3,0,2,-30,4,1,1,2", "3,0,2,-30,4,1,2,2", "id 3: its generation is not that of its branch"),
+            ("2,0,1,-20,4,1,1,1", "2,0,1,-20,4,1,0,1", "id 2: its branch begins here"),
+        ] {
+            let said = parse_table(&TABLE.replace(from, to), &read_as(PatientAxes::LPS)).unwrap_err().to_string();
+            assert!(said.contains(says), "{to}: {said}");
+        }
+        // As a spreadsheet writes it, with columns of its own.
+        let other = "\u{feff}note,parent_id,generation,branch,radius_mm,z_mm,y_mm,x_mm,id\r\n7,-1,0,0,5,0,0,0,0\r\n";
+        assert_eq!(parse_table(other, &read_as(PatientAxes::LPS)).unwrap().points.len(), 1);
     }
 
     /// Sizes that a table's numbers would lead to, not its length.

@@ -13,6 +13,7 @@ use super::stopped::all_or_nothing;
 use crate::airway;
 use crate::airway::breathing_text::with_breathing;
 use crate::airway::case::Case;
+use crate::airway::import_check::ExpectedAnatomy;
 use crate::base::{Progress, Result, files};
 
 /// Arguments of `import`.
@@ -60,7 +61,7 @@ pub fn run(arguments: ImportArguments, terminal: &Terminal) -> Result<()> {
 }
 
 fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Result<()> {
-    let motion = arguments.motion.read()?;
+    let motion = arguments.motion.read(ExpectedAnatomy::Human)?;
     let text = files::read_text(&arguments.case)?;
     let still = with_breathing(&text, &arguments.case, &still_breathing())?;
     let mut case: Case = files::parse_toml(&still, &arguments.case)?;

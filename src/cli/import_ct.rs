@@ -17,13 +17,15 @@ use crate::base::range::NumberRange;
 use crate::base::{Error, Progress, Result, TriangleMesh};
 use crate::ct::quality::{BreathHold, QualityPage};
 use crate::ct::scan::read_checked;
-use crate::ct::scan_pair::{Facts, ScanRequest, airway_of, import_pair, surface_of};
+use crate::ct::scan_pair::{Facts, ScanRequest, airway_of, check_mask, import_pair, surface_of};
 use crate::ct::surface_pair::register_surfaces;
 
 /// Labels of a segmentation.
 const LABEL: NumberRange = NumberRange::new(1.0, 65_535.0);
 /// The quality page.
 const PAGE: &str = "import.html";
+/// Deepest generation that growing reaches in the lungs it was tried on.
+const DEEPEST_GROWN: u32 = 6;
 /// Distance in mm that is red on the page where two surfaces were registered.
 const RED_MM: f64 = 2.0;
 
@@ -82,6 +84,13 @@ pub fn run(arguments: &CtArguments, terminal: &Terminal) -> Result<()> {
              largest part is taken"
         )));
     }
+    arguments.motion.check_options()?;
+    if arguments.label.is_some() && arguments.airway_mask.is_empty() {
+        return Err(Error::usage("--label is of an --airway-mask"));
+    }
+    if has_motion && !arguments.lung_masks.is_empty() {
+        return Err(Error::usage("--lung-masks are for a registration, and --motion and --landmarks need none"));
+    }
     if let (None, None, [_, second]) = (&arguments.expiration, &arguments.field, &arguments.airway_mask[..]) {
         return Err(Error::usage(format!(
             "--airway-mask took {} as the mask at expiration: where that is a scan, name the scans first",
@@ -138,6 +147,9 @@ fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &T
     let line =
         meaning.centerline_in_volume(&rest, terminal).map_err(|e| e.at(request.airway.unwrap_or(inspiration)))?;
     terminal.finish();
+    if request.airway.is_none() {
+        note_on_grown(&line, terminal);
+    }
     let anatomy = paired(rest, pair.expiration, line, &mut import)?;
     terminal.proceed()?;
     let names = ["inspiration", "expiration"];
@@ -194,6 +206,17 @@ fn of_meshes(
     finish_pair(arguments, new, &anatomy, &import, format!("{} and {}", name_of(first), name_of(second)), terminal)
 }
 
+/// Says where an airway that was grown from a scan reaches deeper than growing does without leaking.
+fn note_on_grown(line: &Centerline, terminal: &Terminal) {
+    let deepest = line.points.iter().map(|point| point.generation).max().unwrap_or(0);
+    if deepest > DEEPEST_GROWN {
+        terminal.note(&format!(
+            "the airway that was grown from the scan reaches generation {deepest}, and without a leak into the lung it \
+             reaches {DEEPEST_GROWN} at most: look at the page; --airway-mask takes a segmentation"
+        ));
+    }
+}
+
 /// The first of two surfaces of other faces, moved onto the second.
 fn register(
     meaning: &FileMeaning,
@@ -210,7 +233,10 @@ fn register(
     let facts = &mut import.facts;
     facts.push((
         "place on the table",
-        format!("{:.1} degrees and {:.1} mm apart, taken out: it is no breathing", found.turn_deg, found.shift_mm),
+        format!(
+            "{:.1} degrees and {:.1} mm apart, taken out: if both surfaces lie in one frame, motion is lost with it",
+            found.turn_deg, found.shift_mm
+        ),
     ));
     facts.push(("before registration", format!("{} from the second surface (median / 95 % / most)", found.before)));
     facts.push(("after registration", format!("{} (residual)", found.after)));
@@ -222,12 +248,15 @@ fn register(
 fn of_motion(arguments: &CtArguments, terminal: &Terminal) -> Result<()> {
     let (wanted, meaning) = (&arguments.case, arguments.file.meaning());
     let mut facts = Facts::new();
-    let motion = arguments.motion.read()?;
+    let motion = arguments.motion.read(meaning.anatomy)?;
     let mask = arguments.airway_mask.first().map(PathBuf::as_path);
     let scan = arguments.inspiration.as_deref().map(|path| read_checked(path, terminal)).transpose()?;
     terminal.stage("the airway");
     let label = arguments.label.map(|label| label as u16);
     let airway = airway_of(mask, label, scan.as_ref(), &mut facts, terminal)?;
+    if let (Some(mask), Some(scan)) = (mask, &scan) {
+        check_mask(&airway.mask, scan).map_err(|e| e.at(mask))?;
+    }
     terminal.proceed()?;
     let surface = surface_of(&airway, &mut facts)?;
     terminal.finish();
@@ -236,6 +265,9 @@ fn of_motion(arguments: &CtArguments, terminal: &Terminal) -> Result<()> {
     let from = mask.or(arguments.inspiration.as_deref()).unwrap_or(std::path::Path::new(""));
     let line = meaning.centerline_in_volume(&surface.mesh, terminal).map_err(|e| e.at(from))?;
     terminal.finish();
+    if mask.is_none() {
+        note_on_grown(&line, terminal);
+    }
     terminal.proceed()?;
     let title = format!("{} with the motion of {}", name_of(from), arguments.motion.name()?);
     let source = AnatomySource::Mesh { path: wanted.file(AIRWAY), centerline: Some(wanted.file(CENTERLINE)) };

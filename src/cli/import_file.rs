@@ -4,7 +4,8 @@
 use clap::Args;
 
 use crate::airway::import_axes::PatientAxes;
-use crate::airway::import_mesh::{ExpectedAnatomy, FileMeaning, PartChoice};
+use crate::airway::import_check::ExpectedAnatomy;
+use crate::airway::import_mesh::{FileMeaning, PartChoice};
 use crate::base::range::NumberRange;
 
 /// Units of 1e-6 mm to 1e6 mm.

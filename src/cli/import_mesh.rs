@@ -60,7 +60,7 @@ pub fn run(arguments: &MeshArguments, terminal: &Terminal) -> Result<()> {
     terminal.stage(format_args!("{}: surface and centreline", wanted.id));
     let mesh = meaning.read_surface(&arguments.mesh)?;
     // The motion is read before the long work, so that a wrong file is reported at once.
-    let motion = arguments.motion.read()?;
+    let motion = arguments.motion.read(meaning.anatomy)?;
     let line = meaning.centerline(&mesh, terminal).map_err(|e| e.at(&arguments.mesh))?;
     terminal.proceed()?;
     let mut new = NewCase::new(wanted)?;

@@ -15,7 +15,7 @@ use crate::airway::field_fit::check_pairs;
 use crate::airway::fold_mending::Mending;
 use crate::airway::import_breathing::{Beyond, LungBox, MeasuredBreathing, WantedMotion, fitted_breathing, moving};
 use crate::airway::import_carried::scaled_carried_breathing;
-use crate::airway::import_check::check_landmarks;
+use crate::airway::import_check::{ExpectedAnatomy, check_landmarks};
 use crate::airway::{Anatomy, case_build};
 use crate::base::range::NumberRange;
 use crate::base::{Error, Progress, Result};
@@ -74,13 +74,24 @@ impl MotionArguments {
         }
     }
 
+    /// Refuses options that would change nothing.
+    pub(super) fn check_options(&self) -> Result<()> {
+        let unused = match (self.end_motion_mm, &self.source) {
+            (Some(_), _) if !self.is_given() => "--end-motion-mm is for --landmarks and --motion: other motion is kept",
+            (_, Some(_)) if self.landmarks.is_none() => "--source says where --landmarks come from",
+            _ => return Ok(()),
+        };
+        Err(Error::usage(unused))
+    }
+
     /// Reads the motion; whatever is wrong with it is said before any work.
-    pub(super) fn read(&self) -> Result<ReadMotion> {
+    pub(super) fn read(&self, anatomy: ExpectedAnatomy) -> Result<ReadMotion> {
+        self.check_options()?;
         let Some(path) = &self.landmarks else {
             return carried_motion(&self.name()?);
         };
         let pairs = landmarks::read(path)?;
-        check_pairs(&pairs).and_then(|()| check_landmarks(&pairs)).map_err(|e| e.at(path))?;
+        check_pairs(&pairs).and_then(|()| check_landmarks(&pairs, anatomy)).map_err(|e| e.at(path))?;
         let patient = path.file_stem().map(|s| s.to_string_lossy().to_string()).unwrap_or_default();
         let lungs = match &self.lung_boxes {
             Some(path) => Some(LungBox::read(path, &patient)?),

@@ -212,7 +212,7 @@ fn inspiration_of(
 }
 
 /// Refuses a mask of the airway whose inside is no air in `scan`: one of another patient, or whose header lies.
-fn check_mask(mask: &Volume<u8>, scan: &Volume<i16>) -> Result<()> {
+pub fn check_mask(mask: &Volume<u8>, scan: &Volume<i16>) -> Result<()> {
     let (size, spacing_mm) = (mask.grid.size, mask.grid.spacing_mm());
     let reach: [usize; 3] = std::array::from_fn(|axis| (INSIDE_MM / spacing_mm[axis]).ceil() as usize);
     let is_inside = |at: usize| {

@@ -97,6 +97,8 @@ impl MetaHeader {
             "MET_SHORT" => SampleKind::I16,
             "MET_UINT" | "MET_ULONG" => SampleKind::U32,
             "MET_INT" | "MET_LONG" => SampleKind::I32,
+            "MET_ULONG_LONG" => SampleKind::U64,
+            "MET_LONG_LONG" => SampleKind::I64,
             "MET_FLOAT" => SampleKind::F32,
             "MET_DOUBLE" => SampleKind::F64,
             other => return Err(Error::input(format!("{other} is no type of a scan, mask or field"))),

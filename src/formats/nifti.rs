@@ -138,7 +138,8 @@ fn channels_of(header: &NiftiHeader) -> Result<usize> {
     match (beyond(4), beyond(5), beyond(6) * beyond(7)) {
         (1, channels, 1) => Ok(channels),
         (phases, _, _) => Err(Error::input(format!(
-            "holds {phases} or more volumes: write the one of the wanted breathing phase to a file of its own"
+            "holds {phases} or more volumes: write the one of the wanted breathing phase to a file of its own; components \
+             of a displacement field stand in the fifth dimension (x, y, z, 1, 3)"
         ))),
     }
 }

@@ -47,6 +47,10 @@ pub fn rows<const N: usize>(bytes: &[u8], columns: [Column<'_>; N]) -> Result<Ve
         *place = match (found.next(), found.next()) {
             (Some(at), None) => at,
             (Some(_), Some(_)) => return Err(Error::input("is there twice").element(format!("line 1: column {name}"))),
+            (None, _) if header.len() == 1 && header[0].contains([';', '\t']) => {
+                let sentence = "has no comma: columns are separated by commas, not by semicolons or tabs";
+                return Err(Error::input(sentence).element("line 1"));
+            }
             (None, _) => {
                 let names = columns.map(|(name, _)| name).join(",");
                 let missing = Error::input(format!("is missing; the columns are {names}"));

@@ -206,7 +206,26 @@ fn units_axes_and_loose_parts_are_noticed_and_their_cure_works() {
     let mut command = self::command();
     command.args(["import", "mesh-pair", "--id", "x"]).arg(at("good.ply")).arg(at("far.ply"));
     fails(command.arg("--out").arg(at("out")), &["far.ply", "173 mm between the breath holds"]);
+    mapped("grown.ply", &|v| v * 1.1);
+    let mut command = self::command();
+    command.args(["import", "mesh-pair", "--id", "x"]).arg(at("good.ply")).arg(at("grown.ply"));
+    fails(command.arg("--out").arg(at("out")), &["grown.ply", "1.33 times as large at expiration", "swapped"]);
     assert!(!at("out").exists());
+}
+
+/// Before any file is read.
+#[test]
+fn options_that_would_change_nothing_are_refused() {
+    for (words, says) in [
+        (&["--meshes", "a.ply", "b.ply", "--end-motion-mm", "3"][..], "--end-motion-mm is for --landmarks"),
+        (&["--meshes", "a.ply", "b.ply", "--source", "me"], "--source says where --landmarks come from"),
+        (&["--meshes", "a.ply", "b.ply", "--label", "7"], "--label is of an --airway-mask"),
+        (&["a.nii", "--lung-masks", "c.nii", "--motion", "copd05"], "--lung-masks are for a registration"),
+    ] {
+        let outcome = command().args(["import", "ct", "--id", "x", "--out", "nowhere"]).args(words).assert().code(2);
+        let said = String::from_utf8(outcome.get_output().stderr.clone()).unwrap();
+        assert!(said.contains(says), "{said}");
+    }
 }
 
 #[test]
