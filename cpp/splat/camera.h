@@ -8,6 +8,7 @@
 //   pullback(w, by_point, by_u, c, by_t)   gradient by t, through the image point and through J (V only)
 //   focal_independent(k, by_u, c)      the part of (row k of J) . (its gradient) that does not grow with the focal
 //                                      length (V only)
+//   by_center(k, by_u, c)              gradient by the principal point through J (V only)
 //   exact_point(view, t, point)        the image point in double
 #include "cpp/splat/kernel.h"
 #include "cpp/splat/lanes.h"
@@ -16,8 +17,8 @@ namespace respire {
 namespace RESPIRE_ISA {
 namespace {
 
-// (x, y) = f (t_x, t_y) / t_z + c. The Jacobian is evaluated at x / z and y / z clamped to `limit`, as in 3DGS:
-// J = f / z (1, -clamp(x / z)) for each row, in the columns of that axis (j0) and of z (j2).
+// (x, y) = f (t_x, t_y) / t_z + c. The Jacobian is evaluated at x / z and y / z clamped to `low` and
+// `high`, as in gsplat: J = f / z (1, -clamp(x / z)) for each row, in the columns of that axis (j0) and of z (j2).
 template <class N>
 struct Pinhole {
   N t[3], rz, slope[2], clamped[2], j0[2], j2[2];
@@ -27,7 +28,7 @@ struct Pinhole {
     rz = reciprocal_of(t[2]);
     for (int k = 0; k < 2; ++k) {
       slope[k] = t[k] * rz;
-      clamped[k] = clamp(slope[k], w.limit[k]);
+      clamped[k] = clamp(slope[k], w.low[k], w.high[k]);
       point[k] = w.focal[k] * slope[k] + w.center[k];
       j0[k] = w.focal[k] * rz;
       j2[k] = -(j0[k] * clamped[k]);
@@ -66,12 +67,21 @@ struct Pinhole {
     }
   }
 
-  // j2 where it is clamped: the limit belongs to the image and is no multiple of 1 / f.
+  // The gradient by j2 where that is clamped: the bound belongs to the image, so that it is no multiple of 1 / f, and
+  // grows by 1 / z with the principal point.
   template <int COLUMNS>
-  N focal_independent(int k, const N by_u[COLUMNS][2], const N c[COLUMNS][3]) const {
+  N by_clamped(int k, const N by_u[COLUMNS][2], const N c[COLUMNS][3]) const {
     N by_j2{};
     for (int column = 0; column < COLUMNS; ++column) by_j2 += by_u[column][k] * c[column][2];
-    return keep(slope[k] != clamped[k], j2[k] * by_j2);
+    return keep(slope[k] != clamped[k], by_j2);
+  }
+  template <int COLUMNS>
+  N focal_independent(int k, const N by_u[COLUMNS][2], const N c[COLUMNS][3]) const {
+    return j2[k] * by_clamped<COLUMNS>(k, by_u, c);
+  }
+  template <int COLUMNS>
+  N by_center(int k, const N by_u[COLUMNS][2], const N c[COLUMNS][3]) const {
+    return rz * by_clamped<COLUMNS>(k, by_u, c);
   }
 
   static void exact_point(const ExactView& view, const VD* t, VD* point) {
@@ -192,6 +202,10 @@ struct Fisheye {
 
   template <int COLUMNS>
   N focal_independent(int, const N[COLUMNS][2], const N[COLUMNS][3]) const {
+    return N{};
+  }
+  template <int COLUMNS>
+  N by_center(int, const N[COLUMNS][2], const N[COLUMNS][3]) const {
     return N{};
   }
 

@@ -239,7 +239,8 @@ struct ChainKernel {
               V along =
                   (g.point[k] - w.center[k]) * by_point[k] - g.camera.template focal_independent<COLUMNS>(k, by_u, g.c);
               for (int c = 0; c < COLUMNS; ++c) along += by_u[c][k] * g.u[c][k];
-              lens[k] = along / w.focal[k], lens[2 + k] = by_point[k];
+              lens[k] = along / w.focal[k];
+              lens[2 + k] = by_point[k] + g.camera.template by_center<COLUMNS>(k, by_u, g.c);
             }
             for (const V& v : lens) sum += v;
           }

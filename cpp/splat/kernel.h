@@ -51,7 +51,7 @@ constexpr float ALPHA_MIN = 1.0f / 255.0f, ALPHA_MAX = 0.99f, STOP = 1e-4f;
 
 // The camera; rasterize.cpp fills it from `SplatCamera` (src/ffi/splat/rasterize.rs), which gives the units.
 struct View {
-  float rotation[9], eye[3], focal[2], center[2], limit[2], size[2], near, dilation;
+  float rotation[9], eye[3], focal[2], center[2], low[2], high[2], size[2], near, dilation;
   float by_opacity;                          // 1: extents depend on the opacity; 0: they do not
   bool skip_beside;                          // groups beside the image are skipped before their covariance is known
   bool compensate;                           // opacities are multiplied by sqrt(det / det dilated)

@@ -377,9 +377,9 @@ inline Dual square_root(Dual a) {
   const V r = square_root(a.v);
   return {r, keep(r > 0.0f, a.d * 0.5f / r)};
 }
-inline V clamp(V a, float limit) { return min(max(a, broadcast(-limit)), broadcast(limit)); }
-inline Dual clamp(Dual a, float limit) {
-  const V c = clamp(a.v, limit);
+inline V clamp(V a, float low, float high) { return min(max(a, broadcast(low)), broadcast(high)); }
+inline Dual clamp(Dual a, float low, float high) {
+  const V c = clamp(a.v, low, high);
   return {c, keep(c == a.v, a.d)};
 }
 inline V value(V a) { return a; }

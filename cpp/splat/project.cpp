@@ -163,7 +163,7 @@ struct ProjectionKernel {
           sides[k][0][c] = -(w.focal[k] * w.rotation[3 * k + c] + low * w.rotation[6 + c]);
           sides[k][1][c] = w.focal[k] * w.rotation[3 * k + c] + high * w.rotation[6 + c];
         }
-        by_size[k] = root * w.focal[k] * (1.0f + w.limit[k]);
+        by_size[k] = root * w.focal[k] * (1.0f + __builtin_fmaxf(-w.low[k], w.high[k]));
         by_error[k] = w.focal[k] + w.size[k] + margin;
       }
     }
@@ -175,7 +175,7 @@ struct ProjectionKernel {
   }
 
   // Splats that surely lie beside the image, before their covariance is known. With s the largest standard deviation,
-  // half a box of a pinhole is at most root (f / z sqrt(1 + limit^2) s + sqrt(dilation)): times z, that is linear in
+  // half a box of a pinhole is at most root (f / z sqrt(1 + bound^2) s + sqrt(dilation)): times z, that is linear in
   // the centre, which is known to `error`. For a fisheye the distance from the cone of its field of view is tested
   // (`cone` in src/splat/plain/exact_camera.rs).
   template <int COLUMNS>

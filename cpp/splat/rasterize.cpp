@@ -51,7 +51,8 @@ View view_of(const SplatCamera& camera) {
   copy(camera.eye, view.eye);
   copy(camera.focal, view.focal);
   copy(camera.center, view.center);
-  copy(camera.limit, view.limit);
+  copy(camera.low, view.low);
+  copy(camera.high, view.high);
   copy(camera.size, view.size);
   view.near = camera.near;
   view.dilation = camera.dilation;

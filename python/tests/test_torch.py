@@ -194,15 +194,23 @@ class AgainstFormulas(unittest.TestCase):
     def test_images_and_gradients(self):
         import reference
 
-        for degree, background in ((None, None), (3, [0.2, 0.4, -0.1])):
+        for degree, background, centre in (
+            (None, None, (35, 25)),
+            (3, [0.2, 0.4, -0.1], (35, 25)),
+            # Tiles of a larger picture.
+            (None, None, (21, 33)),
+            (1, None, (-20, 65)),
+        ):
             arguments = scene(300, 7, coefficients=None if degree is None else 16, width=70, height=50)
-            ours, theirs = tensors(arguments), tensors(arguments)
+            arguments["Ks"][0, :2, 2] = centre
+            ours, theirs = tensors(arguments, (*NAMES, "Ks")), tensors(arguments, (*NAMES, "Ks"))
             behind = None if background is None else torch.tensor(background).double()
             image, alpha, _ = rasterize(
                 **ours, sh_degree=degree, backgrounds=None if behind is None else behind[None]
             )
             theirs = {name: theirs[name] for name in (*NAMES, "viewmats", "Ks")}
-            theirs["viewmat"], theirs["K"] = theirs.pop("viewmats")[0], theirs.pop("Ks")[0]
+            theirs_K = theirs.pop("Ks").detach()[0].requires_grad_()
+            theirs["viewmat"], theirs["K"] = theirs.pop("viewmats")[0], theirs_K
             wanted, wanted_alpha = reference.rasterize(
                 **theirs, width=70, height=50, sh_degree=degree, background=behind
             )
@@ -211,9 +219,11 @@ class AgainstFormulas(unittest.TestCase):
             by = torch.from_numpy(np.random.default_rng(1).standard_normal(wanted.shape))
             image.backward(by[None])
             wanted.backward(by)
-            for name in NAMES:
-                error = (ours[name].grad - theirs[name].grad).norm() / theirs[name].grad.norm()
-                self.assertLess(error.item(), 1e-9, name)
+            by_lens = [(0, 0), (1, 1), (0, 2), (1, 2)]
+            found = {name: (ours[name].grad, theirs[name].grad) for name in NAMES}
+            found["Ks"] = [torch.stack([grad[at] for at in by_lens]) for grad in (ours["Ks"].grad[0], theirs_K.grad)]
+            for name, (mine, formulas) in found.items():
+                self.assertLess(((mine - formulas).norm() / formulas.norm()).item(), 1e-9, f"{name}, {centre}")
 
     def test_the_formulas_are_gsplats(self):
         import reference

@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 
 use super::Terminal;
 use super::splat_gradients::{GradientSums, Weights};
-use super::splat_output::{Features, FrameTiming, SplatOutput, SplatTiming};
+use super::splat_output::{Features, FrameTiming, GRADIENTS, SplatOutput, SplatTiming};
 use crate::base::range::{LIGHT, NumberRange, REPETITIONS};
 use crate::base::{Error, Progress, Result, files};
 use crate::formats::gaussians_ply::{self, GaussianCloud};
@@ -83,7 +83,7 @@ const NEAR: NumberRange = NumberRange::new(1e-9, 1e9);
 
 #[derive(Clone, Copy, ValueEnum)]
 enum DepthChoice {
-    /// Mean of the Gaussians' centres
+    /// Mean of the Gaussians' centres; of flat discs, of where the ray meets them
     Expected,
     /// Mean of where the ray meets them
     Surface,
@@ -224,6 +224,7 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
         contributors: arguments.contributors,
         features: arguments.channels.as_deref().map(|path| Features::read(path, &cloud)).transpose()?,
     };
+    output.remove_earlier()?;
     let mut rasterizer = Rasterizer::with_isa(arguments.isa.map_or_else(Isa::widest, KernelChoice::isa))?;
     rasterizer.measure_cpu();
     let repeat = arguments.repeat;
@@ -262,7 +263,7 @@ pub fn run(arguments: SplatArguments, terminal: &Terminal) -> Result<()> {
     }
     terminal.finish();
     if weights.is_some() {
-        sums.write(&output.folder.join("gradients.npz"))?;
+        sums.write(&output.folder.join(GRADIENTS))?;
     }
     let empty: Vec<usize> = (0..count).filter(|&number| frames[number].visible == 0).collect();
     let timing = SplatTiming {

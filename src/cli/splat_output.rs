@@ -16,6 +16,12 @@ use crate::splat::{Gaussians, PassStage, Rasterizer, Rendered, StageTimes, View}
 const VALUE_BYTES: f64 = 12.0;
 const VALUE_S: f64 = 5e-8;
 
+/// Sums of gradients over all frames.
+pub(super) const GRADIENTS: &str = "gradients.npz";
+/// Endings of all files of a frame, the first of which every frame has.
+const ENDINGS: [&str; 7] =
+    [".exr", ".png", "_depth.exr", "_alpha.exr", "_contributors.exr", "_normals.exr", "_channels.exr"];
+
 /// Medians of one stage in milliseconds.
 #[derive(Serialize)]
 pub(super) struct SplatStageTiming {
@@ -109,6 +115,18 @@ impl SplatOutput {
         self.folder.join(format!("{number:06}{ending}"))
     }
 
+    /// Removes what an earlier run wrote into the folder: frames that this one does not have would be taken for its.
+    pub fn remove_earlier(&self) -> Result<()> {
+        let remove = |path: PathBuf| match std::fs::remove_file(&path) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("removing", &path, e)),
+            _ => Ok(()),
+        };
+        for number in (0..).take_while(|&number| self.path(number, ENDINGS[0]).exists()) {
+            ENDINGS.iter().try_for_each(|ending| remove(self.path(number, ending)))?;
+        }
+        remove(self.folder.join(GRADIENTS))
+    }
+
     /// What `frames` frames of `size` (height, width) would cost, their files included, when `pass` is the cost of one
     /// rendering.
     pub fn with_files(&self, pass: Estimate, [height, width]: [usize; 2], frames: usize, repeat: usize) -> Estimate {
@@ -161,6 +179,19 @@ impl SplatOutput {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn frames_of_an_earlier_run_do_not_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| folder.path().join(name);
+        let own = ["000000.exr", "000000.png", "000001.exr", "000001_normals.exr", GRADIENTS];
+        let others = ["notes.txt", "000009.png"];
+        own.iter().chain(&others).for_each(|name| std::fs::write(place(name), "").unwrap());
+        let output =
+            SplatOutput { folder: folder.path().to_owned(), normals: false, contributors: false, features: None };
+        output.remove_earlier().unwrap();
+        assert!(own.iter().all(|name| !place(name).exists()) && others.iter().all(|name| place(name).exists()));
+    }
 
     /// Each group of three channels keeps the state of all its tiles: more than the image of the channels.
     #[test]

@@ -1,7 +1,9 @@
 //! The `.ply` of 3D Gaussian splatting, as Inria's code writes it and viewers read it: one element `vertex` of floats
 //! `x y z nx ny nz f_dc_0..2 f_rest_0.. opacity scale_0..2 rot_0..3`. `opacity` is a logit, `scale_*` are natural
 //! logarithms of standard deviations, `rot_*` is w x y z, `f_rest` is channel-major (all red, then green, then blue).
-//! Without `scale_2`, as 2DGS writes it, a Gaussian is a flat disc: its third standard deviation is 0.
+//! Without `scale_2`, as 2DGS writes it, a Gaussian is a flat disc: its third standard deviation is 0. With `filter_3D`, as
+//! Mip-Splatting (Yu et al. 2024, equation 9) writes it, an ellipsoid is widened by that standard deviation, and its
+//! opacity falls as its volume grows.
 //! Read in any order and any number type; other properties and elements are skipped. A text has a line, or several, for
 //! each Gaussian.
 
@@ -42,6 +44,8 @@ struct PropertyColumns {
     rest: Vec<usize>,
     /// Whether there is no `scale_2`: the Gaussians are discs of 2DGS.
     flat: bool,
+    /// Mip-Splatting's `filter_3D`, if ellipsoids have it.
+    filter: Option<usize>,
 }
 
 /// Properties that every file has, in the order of the columns; those of 2DGS have no `scale_2`.
@@ -71,9 +75,15 @@ impl GaussianCloud {
         let length = quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
         let mut values: Vec<f32> = [0, 1, 2].map(|k| field(k) as f32).to_vec();
         values.extend(quaternion.map(|v| (v / length) as f32));
-        values.extend([7, 8].map(|k| field(k).exp() as f32));
-        values.push(if places.flat { 0.0 } else { field(9).exp() as f32 });
-        values.push((1.0 / (1.0 + (-field(6)).exp())) as f32);
+        let mut scales = [field(7).exp(), field(8).exp(), if places.flat { 0.0 } else { field(9).exp() }];
+        let mut opacity = 1.0 / (1.0 + (-field(6)).exp());
+        if let Some(filter) = places.filter.map(|place| record[place]) {
+            let widened = scales.map(|scale| scale.hypot(filter));
+            opacity *= scales.iter().zip(&widened).map(|(scale, wide)| scale / wide).product::<f64>();
+            scales = widened;
+        }
+        values.extend(scales.map(|scale| scale as f32));
+        values.push(opacity as f32);
         values.extend([3, 4, 5].map(|k| field(k) as f32));
         let kept = (self.sh_degree as usize + 1).pow(2) - 1;
         for k in 0..kept {
@@ -128,7 +138,8 @@ pub fn parse(bytes: &[u8]) -> Result<GaussianCloud> {
     })?;
     body.expect_room(vertex)?;
     let channel = rest.len() / 3;
-    let places = PropertyColumns { fields, rest, flat };
+    let filter = place("filter_3D").filter(|_| !flat);
+    let places = PropertyColumns { fields, rest, flat, filter };
     let mut cloud = GaussianCloud {
         sh_degree: degree.min(MOST_DEGREE) as u8,
         count_in_file: vertex.count as usize,
@@ -240,6 +251,22 @@ mod tests {
             0.0, 0.5, -0.5, 0.5, 0.5,
         ];
         assert_eq!(values, expected);
+    }
+
+    /// Scales `sqrt(s^2 + f^2)` and opacity times `sqrt(det S / det (S + f^2 I))`, by hand.
+    #[test]
+    fn the_filter_of_mip_splatting_is_applied() {
+        let names: String = FIELDS.iter().map(|name| format!("property float {name}\n")).collect();
+        let (logit, ln2) = (0.0, 2f64.ln());
+        let line = format!("0 0 0 0 0 0 {logit} 0 {ln2} {ln2} 1 0 0 0 1.5\n");
+        let text =
+            format!("ply\nformat ascii 1.0\nelement vertex 1\n{names}property float filter_3D\nend_header\n{line}");
+        let read = parse(text.as_bytes()).unwrap();
+        let wide = [3.25f64.sqrt(), 2.5, 2.5];
+        for (found, wanted) in read.scales[0].iter().zip(wide) {
+            assert!((f64::from(*found) - wanted).abs() < 1e-6, "{found} {wanted}");
+        }
+        assert!((f64::from(read.opacities[0]) - 0.5 * 4.0 / wide.iter().product::<f64>()).abs() < 1e-6);
     }
 
     #[test]

@@ -30,8 +30,10 @@ mod bridge {
         focal: [f32; 2],
         /// Principal point (pixels).
         center: [f32; 2],
-        /// Largest `|x / z|` and `|y / z|` at which the Jacobian of a pinhole is evaluated.
-        limit: [f32; 2],
+        /// Least `x / z` and `y / z` at which the Jacobian of a pinhole is evaluated.
+        low: [f32; 2],
+        /// Largest ones.
+        high: [f32; 2],
         /// Width and height of the image (pixels).
         size: [f32; 2],
         /// Smallest z-depth of a visible centre (mm).

@@ -19,8 +19,11 @@ pub struct Lens<T> {
     pub focal: [T; 2],
     /// Principal point in pixels.
     pub center: [T; 2],
-    /// Bound on `|x / z|` and `|y / z|` in the Jacobian of a pinhole: 1.3 times the half field of view.
-    pub limit: [T; 2],
+    /// Least `x / z` and `y / z` in the Jacobian of a pinhole: .15 of the image beyond its edge, as in gsplat (with the
+    /// principal point in the middle, 1.3 times the half field of view, as in 3DGS).
+    pub low: [T; 2],
+    /// Largest ones.
+    pub high: [T; 2],
     /// Coefficients `k1..k4` of a fisheye; `None` for a pinhole.
     pub fisheye: Option<[T; 4]>,
     /// [`largest_stretch`] of a fisheye.
@@ -30,11 +33,18 @@ pub struct Lens<T> {
 impl<T: Real> Lens<T> {
     /// The lens of a camera.
     pub fn new(camera: &Camera) -> Self {
-        let (width, height) = (camera.width as f64, camera.height as f64);
+        let size = [camera.width as f64, camera.height as f64];
+        let (focal, center) = ([camera.fl_x, camera.fl_y], [camera.cx, camera.cy]);
+        // Exactly 1.3 half fields of view to both sides of a middle.
+        let beyond = |k: usize, sign: f64| {
+            let off = 0.5 * size[k] - center[k];
+            T::of((sign * 1.3 * 0.5 * size[k] + off) / focal[k])
+        };
         Lens {
             focal: [T::of(camera.fl_x), T::of(camera.fl_y)],
             center: [T::of(camera.cx), T::of(camera.cy)],
-            limit: [T::of(1.3 * 0.5 * width / camera.fl_x), T::of(1.3 * 0.5 * height / camera.fl_y)],
+            low: [0, 1].each(|k| beyond(k, -1.0)),
+            high: [0, 1].each(|k| beyond(k, 1.0)),
             fisheye: camera.fisheye.map(|k| k.each(T::of)),
             stretch: camera.fisheye.map(|k| T::of(largest_stretch(k))),
         }
@@ -56,7 +66,7 @@ impl<T: Real> Lens<T> {
 
     #[inline(always)]
     fn clamped(&self, t: [T; 3], rz: T) -> [T; 2] {
-        [0, 1].each(|k| (t[k] * rz).maximum(-self.limit[k]).minimum(self.limit[k]))
+        [0, 1].each(|k| (t[k] * rz).maximum(self.low[k]).minimum(self.high[k]))
     }
 
     #[inline(always)]
@@ -117,7 +127,7 @@ impl<T: Real> Lens<T> {
 
     /// Gradients of `fl_x`, `fl_y`, `cx`, `cy` of a loss with gradients `by_point` and `by_jacobian` of `image`, the
     /// image of `t`. Both are proportional to the focal lengths; where the pinhole's Jacobian is clamped, its third
-    /// column is not.
+    /// column is not, but follows the principal point.
     #[inline(always)]
     pub fn intrinsics_pullback(
         &self,
@@ -131,8 +141,9 @@ impl<T: Real> Lens<T> {
             let j = image.jacobian[k];
             let mut slope = (image.point[k] - self.center[k]) * by_point[k] + dot(j, by_jacobian[k]);
             let ratio = t[k] / t[2];
-            if self.fisheye.is_none() && (ratio > self.limit[k] || ratio < -self.limit[k]) {
+            if self.fisheye.is_none() && (ratio > self.high[k] || ratio < self.low[k]) {
                 slope -= j[2] * by_jacobian[k][2];
+                out[2 + k] += by_jacobian[k][2] / t[2];
             }
             out[k] = slope / self.focal[k];
         }

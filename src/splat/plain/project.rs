@@ -4,7 +4,7 @@
 //! Symbols: `p` centre, `m_k` columns of the square root of the covariance (`R_k s_k` of an ellipsoid, the two axes of
 //! a disc), `R`, `eye` camera, `t = R (p - eye)`, `c_k = R m_k`, `J` Jacobian of the projection at `t`, `u_k = J c_k`,
 //! covariance on screen `sum u_k u_k^T + dilation I`, conic `(A, B, C)` its inverse.
-//! The Jacobian of a pinhole is taken at `t` clamped to 1.3 times the half field of view, as in 3DGS.
+//! The Jacobian of a pinhole is taken at `t` clamped to .15 of the image beyond its edge, as in gsplat.
 //! A splat extends to where its alpha falls to 1/255. With `Filter::Compensate` the opacity is first multiplied by
 //! `sqrt(det / det dilated)`; visible splats then have a determinant that is not tiny, so that the gradient needs no
 //! floor.

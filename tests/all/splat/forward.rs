@@ -20,7 +20,10 @@ fn brute_force(g: &Gaussians<f64>, view: &View, settings: &Settings) -> Vec<Pixe
     let camera = view.camera;
     let rotation = view.camera_from_world.matrix3;
     let eye = view.camera_from_world.inverse().translation;
-    let limit = 1.3 * DVec2::new(camera.width as f64 / 2.0 / camera.fl_x, camera.height as f64 / 2.0 / camera.fl_y);
+    // As gsplat has it: .15 of the image beyond its edges.
+    let focal = DVec2::new(camera.fl_x, camera.fl_y);
+    let (size, centre) = (DVec2::new(camera.width as f64, camera.height as f64), DVec2::new(camera.cx, camera.cy));
+    let (low, high) = ((-centre - 0.15 * size) / focal, (size - centre + 0.15 * size) / focal);
     let mut splats = Vec::new();
     for i in 0..g.len() {
         let world = DVec3::from(g.positions[i]);
@@ -43,7 +46,7 @@ fn brute_force(g: &Gaussians<f64>, view: &View, settings: &Settings) -> Vec<Pixe
         };
         // Jacobian by central differences of the camera itself: knows nothing of the closed form.
         let clamped = if camera.fisheye.is_none() {
-            let slope = DVec2::new(t.x / t.z, t.y / t.z).clamp(-limit, limit);
+            let slope = DVec2::new(t.x / t.z, t.y / t.z).clamp(low, high);
             DVec3::new(slope.x * t.z, slope.y * t.z, t.z)
         } else {
             t
