@@ -38,7 +38,7 @@ class Wall {
   // What every vertex of a path needs; colour from the vertices.
   Surface surface(const Hit& hit, Vec3 from, Vec3 direction) const {
     Surface s;
-    s.point = from + direction * hit.t;
+    s.point = hit.t < LONG_RAY ? from + direction * hit.t : mesh.point(hit);
     s.geometric = unit_normal(hit.geometric);
     const float side = dot(s.geometric, direction) > 0 ? -1.0f : 1.0f;
     s.geometric = s.geometric * side;

@@ -26,6 +26,10 @@ constexpr std::uint32_t NO_FACE = ~0u;
 // 200 mm.
 constexpr float SURFACE_OFFSET = 2e-4f;
 
+// Length in mm from which the end of a ray, whose rounding grows with it, may lie further off its face than
+// SURFACE_OFFSET. No airway is as long; scenes may be seen from further away.
+constexpr float LONG_RAY = 400.0f;
+
 // Where a ray hits the mesh: distance, barycentric weights of the face's second and third corner, face, and its normal
 // as wound (not normalised).
 struct Hit {
@@ -92,6 +96,12 @@ class TracedMesh {
   std::size_t face_count() const { return face_count_; }
   const std::uint32_t* corners(std::uint32_t face) const { return faces_ + 3ull * face; }
   Vec3 position(std::uint32_t vertex) const { return load(vertices_ + 3ull * vertex); }
+  // The point of a face that was hit.
+  Vec3 point(const Hit& hit) const {
+    const std::uint32_t* c = corners(hit.face);
+    const Vec3 a = position(c[0]);
+    return a + (position(c[1]) - a) * hit.u + (position(c[2]) - a) * hit.v;
+  }
   // Area-weighted unit normals of the vertices, xyz interleaved.
   const float* normals() const { return normals_.data(); }
   // Which corner of a face a vertex is.

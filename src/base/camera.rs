@@ -77,19 +77,21 @@ impl Camera {
         let x = self.cx.abs().max((self.cx - f64::from(self.width)).abs()) / self.fl_x;
         let y = self.cy.abs().max((self.cy - f64::from(self.height)).abs()) / self.fl_y;
         let corner = x.hypot(y);
+        let mut why = "lies beyond 180 degrees off the axis";
         for step in 0..=LENS_STEPS {
             let (distorted, slope) = distort(std::f64::consts::PI * f64::from(step) / f64::from(LENS_STEPS), k);
             if slope > 0.0 && distorted >= corner {
                 return Ok(());
             }
             if slope <= 0.0 {
+                why = "lies beyond where the distorted angle stops rising";
                 break;
             }
         }
         let (width, height) = (self.width, self.height);
         Err(Error::input(format!(
             "fl_x, fl_y, cx, cy and k1, k2, k3, k4 of a fisheye of width {width} and height {height} show nothing at its \
-             farthest corner: the distorted angle stops rising before it"
+             farthest corner, which {why}"
         )))
     }
 

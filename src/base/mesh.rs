@@ -162,6 +162,27 @@ impl TriangleMesh {
         Ok(())
     }
 
+    /// An edge of two faces that run along it in the same direction: one is wound the other way round than its neighbour.
+    /// The first one in the order of its vertices; copies of a face and edges of three or more tell nothing.
+    pub fn two_ways_wound(&self) -> Option<[u32; 2]> {
+        let mut edges: Vec<([u32; 2], bool, u32)> = Vec::with_capacity(3 * self.faces.len());
+        for (face, &[a, b, c]) in (0u32..).zip(&self.faces) {
+            edges.extend([[a, b], [b, c], [c, a]].map(|[p, q]| ([p.min(q), p.max(q)], p < q, face)));
+        }
+        edges.sort_unstable();
+        let corners = |face: u32| {
+            let mut corners = self.faces[face as usize];
+            corners.sort_unstable();
+            corners
+        };
+        edges.chunk_by(|a, b| a.0 == b.0).find_map(|of_edge| match *of_edge {
+            [(edge, way, one), (_, other_way, other)] if way == other_way && corners(one) != corners(other) => {
+                Some(edge)
+            }
+            _ => None,
+        })
+    }
+
     /// [`TriangleMesh::validate`], and every edge is shared by exactly two faces that run along it in opposite
     /// directions: the surface is closed, manifold in its edges and consistently wound.
     pub fn validate_closed(&self) -> Result<()> {
@@ -212,6 +233,20 @@ mod tests {
             vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
             faces: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
         }
+    }
+
+    #[test]
+    fn faces_wound_both_ways_are_found() {
+        let quad = |second: [u32; 3]| TriangleMesh {
+            vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::ONE],
+            faces: vec![[0, 1, 2], second],
+        };
+        assert_eq!(quad([2, 1, 3]).two_ways_wound(), None);
+        assert_eq!(quad([1, 2, 3]).two_ways_wound(), Some([1, 2]));
+        assert_eq!(quad([1, 2, 0]).two_ways_wound(), None, "a copy");
+        let mut fin = quad([1, 2, 3]);
+        fin.faces.push([2, 1, 0]);
+        assert_eq!(fin.two_ways_wound(), None, "three faces at an edge");
     }
 
     #[test]

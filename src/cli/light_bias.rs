@@ -10,7 +10,7 @@ use super::selection::CatalogueFolder;
 use super::stopped::resumable;
 use crate::airway::case::Case;
 use crate::base::range::{NumberRange, SHARE};
-use crate::base::{Estimate, Progress, Result, files};
+use crate::base::{Error, Estimate, Progress, Result, files};
 use crate::experiments::light_bias::{self, BiasSweep, Look};
 use crate::report::tables::write_csv;
 
@@ -63,6 +63,12 @@ fn look_parser() -> impl TypedValueParser<Value = Look> {
 
 /// Compares, writes the tables and prints the summary.
 pub fn run(arguments: LightBiasArguments, terminal: &Terminal) -> Result<()> {
+    for (option, values) in [("--places", &arguments.places), ("--phases", &arguments.phases)] {
+        if let Some(twice) = (1..values.len()).find(|&k| values[..k].contains(&values[k])) {
+            let sentence = format!("{option}: {} stands there twice, and would count as two", values[twice]);
+            return Err(Error::usage(sentence));
+        }
+    }
     let catalogue = arguments.catalogue.open()?;
     let cases = if arguments.cases.is_empty() { catalogue.case_ids()? } else { arguments.cases };
     let sweep = BiasSweep {

@@ -45,6 +45,8 @@ struct RenderTiming {
     rays: u64,
     spp: u32,
     rejected_samples: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    estimated_relmse: Option<f64>,
     threads: usize,
     isa: &'static str,
 }
@@ -69,6 +71,13 @@ pub fn run(arguments: RenderArguments, terminal: &Terminal) -> Result<()> {
     if frame.depth_mm.data.iter().all(|&z| z == 0.0) {
         terminal.note(NOTHING_HIT);
     }
+    if let Some(target) = file.integrator.target_relmse {
+        let found = frame.statistics.estimated_relmse;
+        if found.is_none_or(|found| found > target) {
+            let found = found.map_or("unknown".to_owned(), |found| format!("{found:.1e}"));
+            terminal.note(&format!("target_relmse {target:e} was not reached: its estimate is {found}"));
+        }
+    }
     let timing = RenderTiming {
         render_wall_s: cost.wall_s,
         render_cpu_s: cost.cpu_s,
@@ -79,6 +88,7 @@ pub fn run(arguments: RenderArguments, terminal: &Terminal) -> Result<()> {
         rays: frame.statistics.rays,
         spp: frame.statistics.samples_per_pixel,
         rejected_samples: frame.statistics.rejected_samples,
+        estimated_relmse: frame.statistics.estimated_relmse,
         threads: rayon::current_num_threads(),
         isa: ISA,
     };

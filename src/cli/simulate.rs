@@ -96,6 +96,13 @@ pub fn run(arguments: SimulateArguments, terminal: &Terminal) -> Result<()> {
         Ok(case)
     };
     let cases: Vec<Case> = files.iter().map(load).collect::<Result<_>>()?;
+    for (place, case) in cases.iter().enumerate() {
+        if let Some(first) = cases[..place].iter().position(|other| other.id == case.id) {
+            let (id, first) = (&case.id, files[first].display());
+            let sentence = format!("has the id {id}, as {first} has: a film would take the other one's place");
+            return Err(Error::usage(sentence).at(&files[place]));
+        }
+    }
     let settings = |case: &Case| {
         let side = arguments.width.unwrap_or(profile.image_width_px);
         SimulationSettings {

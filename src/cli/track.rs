@@ -15,6 +15,7 @@ use crate::bench::live::{self, FrameFeed, LiveOptions, LiveSummary};
 use crate::bench::pipeline::open_given;
 use crate::report::live::{LiveAddress, LiveEnd, LivePage, ShownFrame};
 use crate::simulate::participant::Given;
+use crate::simulate::sequence::holds_files_of;
 
 /// Seconds without a new picture after which a folder has ended.
 const PATIENCE_S: NumberRange = NumberRange::new(0.0, 86_400.0);
@@ -108,6 +109,11 @@ fn end_of(outcome: &Result<LiveSummary>) -> LiveEnd {
 
 /// Follows, and prints a line for each answer.
 pub fn run(arguments: TrackArguments, terminal: &Terminal) -> Result<()> {
+    if let Some(masks) = &arguments.masks
+        && holds_files_of(&arguments.sequence, masks)
+    {
+        return Err(Error::usage("--masks: names a folder of the film, whose pictures would be replaced"));
+    }
     // Before anything that takes long: the port may be in use.
     let address = arguments.page.map(LiveAddress::take).transpose()?;
     let catalogue = arguments.catalogue.open()?;

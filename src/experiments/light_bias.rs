@@ -3,7 +3,8 @@
 //!
 //! Both sides are means over independent parts, so both have a standard error: `REFERENCE_PARTS` path-traced images,
 //! and `FILM_FRAMES` frames as a film would render them (what is known at the vertices is the same in all of them).
-//! relMSE is that of one such frame, free of the reference's noise.
+//! relMSE is that of one such frame, free of the reference's noise but for the denominator: pixels that came out too dark
+//! weigh too much, so that it is an upper bound (case1 at 64 px: .0069 with 64 samples, .0024 with 512).
 //!
 //! References are kept, part by part. An image of one path per pixel is kept with them and rendered anew each time: if a
 //! single byte of it differs, paths, material or airway have changed and the reference is made anew.
@@ -308,7 +309,7 @@ fn channel_means(image: &Image<f32>) -> [f64; 3] {
     std::array::from_fn(|c| sum(c) / (image.data.len() / 3) as f64)
 }
 
-/// relMSE against the parts of a reference, free of their noise.
+/// relMSE against the parts of a reference, free of their noise but for the denominator.
 fn relative_error(found: &Image<f32>, parts: &[Image<f32>]) -> f64 {
     let half = |first: usize| -> Vec<f64> {
         let chosen: Vec<&Image<f32>> = parts.iter().skip(first).step_by(2).collect();

@@ -4,11 +4,12 @@
 
 use glam::DVec3;
 
+use super::mesh_polygons::Fans;
 use crate::base::{Error, Result, TriangleMesh};
 
-/// The mesh in the bytes of an OBJ file; the caller validates it. Polygons are cut into fans. Errors name the line.
+/// The mesh in the bytes of an OBJ file; the caller validates it. Polygons are cut into fans ([`Fans`]). Errors name the line.
 pub(super) fn parse(bytes: &[u8]) -> Result<TriangleMesh> {
-    let mut mesh = TriangleMesh::default();
+    let (mut mesh, mut fans) = (TriangleMesh::default(), Fans::default());
     let mut lines = bytes.split(|&b| b == b'\n').enumerate();
     while let Some((index, first)) = lines.next() {
         // Names and comments may be in any encoding.
@@ -20,8 +21,11 @@ pub(super) fn parse(bytes: &[u8]) -> Result<TriangleMesh> {
             line.push(' ');
             line.push_str(String::from_utf8_lossy(next).trim_end());
         }
+        let first = mesh.faces.len();
         add_line(&mut mesh, &line).map_err(|sentence| Error::input(sentence).element(format!("line {}", index + 1)))?;
+        fans.add(&mesh, first, index + 1);
     }
+    fans.settle(&mut mesh, "line")?;
     Ok(mesh)
 }
 

@@ -4,6 +4,7 @@
 
 use glam::DVec3;
 
+use super::mesh_polygons::Fans;
 use crate::base::{Error, Result, TriangleMesh};
 
 #[derive(Clone, Copy, PartialEq)]
@@ -268,7 +269,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<TriangleMesh> {
 }
 
 fn parse_body(elements: &[Element], body: &mut PlyBody<'_>) -> Result<TriangleMesh> {
-    let mut mesh = TriangleMesh::default();
+    let (mut mesh, mut fans) = (TriangleMesh::default(), Fans::default());
     for element in elements {
         body.expect_room(element)?;
         let coordinates = if element.name == "vertex" { Some(coordinate_places(element)?) } else { None };
@@ -294,7 +295,7 @@ fn parse_body(elements: &[Element], body: &mut PlyBody<'_>) -> Result<TriangleMe
                 if !is_count {
                     return Err(named(format!("has {count} {}", if corners { "corners" } else { "values in a list" })));
                 }
-                let mut fan = [0u32; 2];
+                let (mut fan, first) = ([0u32; 2], mesh.faces.len());
                 for corner in 0..count as u64 {
                     let value = body.next(property.number).ok_or_else(broken)?;
                     if !corners {
@@ -311,6 +312,7 @@ fn parse_body(elements: &[Element], body: &mut PlyBody<'_>) -> Result<TriangleMe
                         }
                     }
                 }
+                fans.add(&mesh, first, index as usize);
             }
             body.end_record(start, || format!("{} {index}", element.name));
             if coordinates.is_some() {
@@ -318,6 +320,7 @@ fn parse_body(elements: &[Element], body: &mut PlyBody<'_>) -> Result<TriangleMe
             }
         }
     }
+    fans.settle(&mut mesh, "face")?;
     Ok(mesh)
 }
 

@@ -26,6 +26,7 @@ pub mod landmarks;
 pub mod mesh;
 mod mesh_obj;
 mod mesh_ply;
+mod mesh_polygons;
 #[cfg(feature = "program")]
 pub mod metaimage;
 #[cfg(feature = "program")]

@@ -42,7 +42,7 @@ pub struct RenderedFrame {
 }
 
 /// Work done for a frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Statistics {
     /// Camera samples.
     pub paths: u64,
@@ -52,6 +52,8 @@ pub struct Statistics {
     pub samples_per_pixel: u32,
     /// Samples that were not finite or negative and were left out: a flaw if ever above 0.
     pub rejected_samples: u64,
+    /// Estimated mean squared relative error; `None` where no target was set, or none of its samples could be halved.
+    pub estimated_relmse: Option<f64>,
 }
 
 /// [`render_watched`] without reports of progress.
@@ -119,6 +121,7 @@ pub fn render_watched(
     statistics.rays += counters.rays;
     statistics.rejected_samples += counters.rejected;
     statistics.samples_per_pixel = film.samples_per_pixel();
+    statistics.estimated_relmse = film.estimated_relmse;
     let radiance = match settings.denoise {
         Denoise::Off => develop(&film, camera),
         Denoise::On => develop_denoised(&film, camera, &depth_mm),

@@ -55,6 +55,8 @@ pub(super) struct SampledImage {
     sums: Vec<PixelSums>,
     /// Samples per pixel of every tile.
     samples: Vec<u32>,
+    /// Mean squared relative error, as far as one was wanted and could be estimated.
+    pub estimated_relmse: Option<f64>,
 }
 
 /// What the samples are taken of.
@@ -72,7 +74,12 @@ impl SampledImage {
     pub(super) fn new(width: u32, height: u32) -> Self {
         let pixels = width as usize * height as usize;
         let tiles = width.div_ceil(TILE_PX) as usize * height.div_ceil(TILE_PX) as usize;
-        SampledImage { width, sums: vec![PixelSums::default(); pixels], samples: vec![0; tiles] }
+        SampledImage {
+            width,
+            sums: vec![PixelSums::default(); pixels],
+            samples: vec![0; tiles],
+            estimated_relmse: None,
+        }
     }
 
     fn tile_of(&self, pixel: usize) -> usize {
@@ -213,5 +220,6 @@ pub(super) fn sampled(
         let found = film.errors(&before);
         open.into_iter().for_each(|tile| errors[tile] = found[tile]);
     }
+    film.estimated_relmse = Some(film.mean_error(&errors)).filter(|error| error.is_finite());
     Ok(film)
 }

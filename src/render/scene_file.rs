@@ -230,6 +230,13 @@ impl SceneFile {
             Ok(mesh)
         };
         let inspiration = read(&self.mesh.path)?;
+        if self.integrator.transport != TransportName::Paths
+            && let Some([a, b]) = inspiration.two_ways_wound()
+        {
+            let sentence = "is run along in the same direction by two faces, so that one shows its back, and light at \
+                            vertices is that of one side: orient all faces alike, or set integrator.transport = \"paths\"";
+            return Err(Error::input(sentence).element(format!("edge {a}-{b}")).at(&self.mesh.path));
+        }
         let mut scene =
             Scene::new(&inspiration, &[], self.material, self.integrator.seed).map_err(|e| e.at(&self.mesh.path))?;
         if let Some(path) = &self.mesh.expiration {

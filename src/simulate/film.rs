@@ -141,20 +141,19 @@ impl Way {
         self.clinical.iter_mut().for_each(|clinical| clinical.contact = Some(contact.clone()));
         Ok(())
     }
+}
 
-    /// Refuses a camera of the clinical track that is not within sight of the middle of the airway.
-    fn check_inside(&self, clinical: &ClinicalFilm, scene: &Scene, time_s: f64, camera_mm: DVec3) -> Result<()> {
-        let middle = self.on_route(clinical, time_s).0.translation;
-        let way = camera_mm - middle;
-        if way.length() < 1e-9 {
-            return Ok(());
-        }
-        let free_mm = f64::from(scene.distances(&[middle], &[way.normalize()])?[0]);
-        if free_mm > way.length() {
-            return Ok(());
-        }
-        Err(Error::input(format!("the camera is {:.2} mm off the middle, the wall {free_mm:.2} mm", way.length())))
+/// Refuses a camera that is not within sight of the middle of the airway.
+fn check_inside(scene: &Scene, middle_mm: DVec3, camera_mm: DVec3) -> Result<()> {
+    let way = camera_mm - middle_mm;
+    if way.length() < 1e-9 {
+        return Ok(());
     }
+    let free_mm = f64::from(scene.distances(&[middle_mm], &[way.normalize()])?[0]);
+    if free_mm > way.length() {
+        return Ok(());
+    }
+    Err(Error::input(format!("the camera is {:.2} mm off the middle, the wall {free_mm:.2} mm", way.length())))
 }
 
 impl Film {
@@ -392,10 +391,10 @@ impl Planner<'_> {
             Some(clinical) => way.on_route(clinical, now_s).0,
         };
         scene.deform(&wall)?;
+        check_inside(scene, middle.translation, world_from_camera.translation).map_err(named)?;
         let conditions = match &way.clinical {
             None => None,
             Some(clinical) => {
-                way.check_inside(clinical, scene, now_s, world_from_camera.translation).map_err(named)?;
                 let fault = clinical.sensor.told(index, now_s, |time_s| way.state_at(time_s).0);
                 let lamp = clinical.optics.light(case, scene, &world_from_camera)?.position_mm;
                 Some(FrameConditions {

@@ -273,6 +273,12 @@ pub(super) const FOLDERS: [&str; 13] = [
     "told",
 ];
 
+/// Whether `folder` is the film's or a participant's in `root`, or one that holds its files: nothing else may be written there.
+pub fn holds_files_of(root: &Path, folder: &Path) -> bool {
+    let (Ok(root), Ok(folder)) = (root.canonicalize(), folder.canonicalize()) else { return false };
+    folder == root || FOLDERS.iter().any(|name| folder.starts_with(root.join(name)))
+}
+
 impl Sequence {
     /// Opens a finished sequence folder.
     ///
@@ -642,6 +648,16 @@ mod tests {
             white_balance: [1.0; 3],
             lens: TransformsLens::default(),
         }
+    }
+
+    #[test]
+    fn folders_of_a_film_are_known() {
+        let film = tempfile::tempdir().unwrap();
+        let place = |name: &str| film.path().join(name);
+        ["images", "masks"].iter().for_each(|name| std::fs::create_dir(place(name)).unwrap());
+        let found = ["", "images", "masks", "nowhere"].map(|name| holds_files_of(film.path(), &place(name)));
+        assert_eq!(found, [true, true, false, false]);
+        assert!(!holds_files_of(film.path(), film.path().parent().unwrap()));
     }
 
     #[test]

@@ -136,6 +136,22 @@ fn lit_plane_follows_the_inverse_square_law() {
     }
 }
 
+/// Seen from far away, a point's place is rounded by more than shadow rays start above the wall.
+#[test]
+fn a_wall_is_as_bright_from_metres_away() {
+    let light = Light { intensity: [400.0; 3], position_mm: Some(DVec3::new(0.0, 0.0, -50.0)), emission_exponent: 0.0 };
+    let settings = RenderSettings { max_scatterings: 1, samples_per_pixel: 16, ..RenderSettings::default() };
+    let scene = Scene::new(&plane(0.0), &[], Material::lambert(RHO), 1).unwrap();
+    for distance in [100.0f64, 1_000.0, 5_000.0, 9_000.0] {
+        // A pixel of .25 mm.
+        let camera = Camera::pinhole(4, 4, 2.0 * (0.5 / distance).atan());
+        let pose = DAffine3::from_translation(DVec3::new(0.0, 0.0, -distance));
+        let frame = render(&scene, &camera, &pose, &light, &settings).unwrap();
+        let expected = RHO.map(|rho| rho / PI * 400.0 / 2500.0);
+        assert_ratio(&format!("from {distance} mm"), mean(&frame.radiance), expected, 1e-3);
+    }
+}
+
 #[test]
 fn white_furnace_gives_back_what_comes_in() {
     let ball = {

@@ -140,6 +140,34 @@ fn light_at_vertices_refuses_walls_wound_the_other_way() {
 }
 
 #[test]
+fn light_at_vertices_refuses_walls_wound_both_ways() {
+    let folder = scene_folder("kind = \"lambert\"", false);
+    let path = folder.path().join("tube.ply");
+    let mut tube = mesh::read(&path).unwrap();
+    tube.faces[7].swap(0, 1);
+    mesh::write_ply(&path, &tube, &[]).unwrap();
+    command(&folder).success();
+    change(&folder, "spp = 4", "spp = 4\ntransport = \"gather\"");
+    let text = complaint(command(&folder).code(4));
+    assert!(text.contains("tube.ply: edge ") && text.contains("orient all faces alike"), "{text}");
+}
+
+#[test]
+fn a_target_of_the_error_says_how_it_went() {
+    let folder = scene_folder("kind = \"lambert\"", false);
+    let estimate = || {
+        let text = std::fs::read_to_string(folder.path().join("view/timing.json")).unwrap();
+        let timing: serde_json::Value = serde_json::from_str(&text).unwrap();
+        timing["estimated_relmse"].as_f64()
+    };
+    command(&folder).success();
+    assert_eq!(estimate(), None);
+    change(&folder, "spp = 4", "spp = 4\ntarget_relmse = 0.05");
+    let text = complaint(command(&folder).success());
+    assert!(!text.contains("target_relmse") && estimate().unwrap() <= 0.05, "{text}");
+}
+
+#[test]
 fn light_at_vertices_settles_between_bright_walls_or_says_so() {
     let mean_of = |albedo: &str, transport: &str, subdivisions: u32| {
         let folder = scene_folder(&format!("kind = \"lambert\"\nalbedo = [{albedo}, {albedo}, {albedo}]"), false);
