@@ -1,7 +1,7 @@
 //! The PREDICTION folder: `color/NNNNNN.png`, `depth/NNNNNN.exr`, `ahead/NNNNNN.png`,
 //! `novel/NNNNNN.png`, `novel_depth/NNNNNN.exr`, `targets.csv`, `target_covariance.csv`, `phase.csv` (with
-//! `phase_sd` if the method estimates it), `mesh/final.ply`, `timing.json`, `prediction.json`. Frames are written as
-//! they come, the rest at the end.
+//! `phase_sd` if the method estimates it), `poses.csv` (if it estimates them), `mesh/final.ply`, `timing.json`,
+//! `prediction.json`. Frames are written as they come, the rest at the end.
 
 use std::path::{Path, PathBuf};
 

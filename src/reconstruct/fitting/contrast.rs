@@ -113,16 +113,16 @@ pub fn agreement(a: &[f32], b: &[f32], weights: &[f32]) -> Agreement {
 fn summed_around(mut plane: Vec<f32>, width: usize, radius: usize) -> Vec<f32> {
     let height = plane.len() / width;
     for _ in 0..2 {
-        average_rows(&mut plane, width, radius);
+        sum_rows(&mut plane, width, radius);
         plane = transposed(&plane, width);
-        average_rows(&mut plane, height, radius);
+        sum_rows(&mut plane, height, radius);
         plane = transposed(&plane, height);
     }
     plane
 }
 
 /// Sums over `2 radius + 1` pixels along rows of `width`, zero outside.
-fn average_rows(plane: &mut [f32], width: usize, radius: usize) {
+fn sum_rows(plane: &mut [f32], width: usize, radius: usize) {
     let mut row = vec![0.0f32; width];
     for values in plane.chunks_exact_mut(width) {
         row.copy_from_slice(values);

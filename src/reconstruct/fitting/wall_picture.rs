@@ -4,9 +4,9 @@
 //! `C = (I - B) / (B + floor)` with `B` the local mean, which exposure and slow changes of the light do not touch. A film on
 //! the lens and light between walls take contrast away, so the gain `g` that fits best is eliminated:
 //!
-//!   r = C_I - g C_R,   g = sum w C_I C_R / sum w C_R^2,   J = g (dC_R - C_R sum w C_R dC_R / sum w C_R^2)
+//!   r = C_I - g C_R,   g = sum m C_I C_R / sum m C_R^2,   J = g (dC_R - C_R sum w C_R dC_R / sum w C_R^2)
 //!
-//! Weights `w` are those of the mask of what is not wall times Huber's (1964) with a robust scale.
+//! `m` is 0 for what is not wall and 1 elsewhere; weights `w` are `m` times Huber's (1964) with a robust scale.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -54,7 +54,7 @@ pub struct PictureEquations {
     pub weights: Vec<f32>,
 }
 
-/// Green of an 8-bit picture in the power law, a channel three times: the red of tissue clips first.
+/// Green of an 8-bit picture in the power law, one channel: the red of tissue clips first.
 fn green(image: &Image<u8>) -> Image<f32> {
     let table: Vec<f32> = (0..256).map(|code| linear_from_srgb(code as f32 / 255.0).powf(1.0 / POWER_LAW)).collect();
     let data = image.data.chunks_exact(3).map(|pixel| table[pixel[1] as usize]).collect();

@@ -1,5 +1,5 @@
-//! The rows that show the CT's surface itself: two that look at no picture to find the phase, and the one that
-//! navigation systems use.
+//! The rows that show the CT's surface itself: two that follow the phase without looking at a picture (`mean-breath` looks
+//! at those of the first seconds), and the one that navigation systems use.
 //!
 //! | row | phase |
 //! |---|---|

@@ -13,7 +13,7 @@ use crate::splat::DiscFrame;
 pub enum PerFace {
     /// This many on every face.
     Count(u32),
-    /// As many per face as `gaussian_budget` allows, at least one.
+    /// As many per face as `gaussian_budget` allows, 1 to 25.
     Auto(Auto),
 }
 

@@ -19,8 +19,10 @@ const GEOMETRIC_RATE: NumberRange = NumberRange::new(1e-9, 100.0);
 const DEVIATION: NumberRange = NumberRange::new(1e-9, 1e3);
 /// Factors that are not 0.
 const FACTOR: NumberRange = NumberRange::new(1e-3, 1e3);
-/// Powers and shares of light, limits of a gain.
+/// Powers and shares of light.
 const LIGHT_PART: NumberRange = NumberRange::new(0.0, 10.0);
+/// How far a gain may lie below 1; it may rise to the inverse of what is left, so that something must be.
+const GAIN_LIMIT: NumberRange = NumberRange::new(0.0, 0.99);
 /// Steps of a grid over the phase.
 const GRID_STEPS: NumberRange = NumberRange::new(2.0, 1e4);
 /// Share of the last change that is repeated.
@@ -44,7 +46,7 @@ pub const METHOD_RANGES: KeyRanges = KeyRanges(&[
     ("ssim_weight", SHARE),
     ("phase_ssim_weight", SHARE),
     ("temporal_weight", WEIGHT),
-    ("exposure_limit", LIGHT_PART),
+    ("exposure_limit", GAIN_LIMIT),
     ("falloff_exponent", LIGHT_PART),
     ("indirect_share", LIGHT_PART),
     ("largest_width", NumberRange::new(8.0, 8192.0)),

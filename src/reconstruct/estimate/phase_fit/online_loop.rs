@@ -49,13 +49,12 @@ impl Fitter<'_> {
         Ok((last, Reconstruction { final_mesh: None, spent }))
     }
 
-    /// The phase of `frame` if part of the last change continues.
-    fn guess(&self, frame: usize) -> f64 {
+    /// The phase of the next frame if part of the last change continues.
+    fn guess(&self) -> f64 {
         match *self.phases.as_slice() {
             [] => 0.0,
             [only] => only,
-            [.., before, last] if frame > 1 => (last + *self.estimation().velocity * (last - before)).clamp(0.0, 1.0),
-            [.., last] => last,
+            [.., before, last] => (last + *self.estimation().velocity * (last - before)).clamp(0.0, 1.0),
         }
     }
 
@@ -69,7 +68,7 @@ impl Fitter<'_> {
         let estimated = self.estimation.is_some();
         let mut phase = match source {
             PhaseSource::Given(phases) => phases[frame],
-            PhaseSource::Estimated(_) => self.guess(frame),
+            PhaseSource::Estimated(_) => self.guess(),
         };
         let reach = match (estimated, frame) {
             (true, 0) => [0.0, 1.0],
