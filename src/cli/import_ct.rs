@@ -18,7 +18,7 @@ use crate::base::{Error, Progress, Result, TriangleMesh};
 use crate::ct::quality::{BreathHold, QualityPage};
 use crate::ct::scan::read_checked;
 use crate::ct::scan_pair::{Facts, ScanRequest, airway_of, check_mask, import_pair, surface_of};
-use crate::ct::surface_pair::register_surfaces;
+use crate::ct::surface_pair::{PairFrames, register_surfaces};
 
 /// Labels of a segmentation.
 const LABEL: NumberRange = NumberRange::new(1.0, 65_535.0);
@@ -59,6 +59,10 @@ pub struct CtArguments {
     /// Two surfaces instead of scans: of the same faces, or any two, which are then registered
     #[arg(long, value_names = ["INSPIRATION", "EXPIRATION"], num_args = 2, conflicts_with_all = ["inspiration", "airway_mask"])]
     meshes: Vec<PathBuf>,
+    /// The two surfaces lie in one frame, so that all of their difference is motion; without it a rigid part is taken for
+    /// the patient's place on the table
+    #[arg(long, requires = "meshes")]
+    same_frame: bool,
     #[command(flatten)]
     file: FileArguments,
     #[command(flatten)]
@@ -198,7 +202,8 @@ fn of_meshes(
         import.facts.push(("meshes", "of the same faces: taken as they are".to_owned()));
         other.vertices
     } else {
-        register(&meaning, &rest, &other, &mut import, terminal).map_err(|e| e.at(second))?
+        let frames = if arguments.same_frame { PairFrames::Shared } else { PairFrames::Own };
+        register(&meaning, [&rest, &other], frames, &mut import, terminal).map_err(|e| e.at(second))?
     };
     meaning.check_moves(&rest, &moved).map_err(|e| e.at(second))?;
     let anatomy = paired(rest, moved, line, &mut import)?;
@@ -220,24 +225,26 @@ fn note_on_grown(line: &Centerline, terminal: &Terminal) {
 /// The first of two surfaces of other faces, moved onto the second.
 fn register(
     meaning: &FileMeaning,
-    rest: &TriangleMesh,
-    other: &TriangleMesh,
+    [rest, other]: [&TriangleMesh; 2],
+    frames: PairFrames,
     import: &mut Import,
     terminal: &Terminal,
 ) -> Result<Vec<glam::DVec3>> {
     // What lies wrong is said of the second as of the first.
     meaning.centerline(other, terminal)?;
     terminal.stage("registering the surfaces");
-    let found = register_surfaces(rest, other, terminal)?;
+    let found = register_surfaces(rest, other, frames, terminal)?;
     terminal.finish();
     let facts = &mut import.facts;
-    facts.push((
-        "place on the table",
-        format!(
-            "{:.1} degrees and {:.1} mm apart, taken out: if both surfaces lie in one frame, motion is lost with it",
+    let place = match frames {
+        PairFrames::Shared => "the same, as told".to_owned(),
+        PairFrames::Own => format!(
+            "{:.1} degrees and {:.1} mm apart, taken out: where both surfaces lie in one frame, motion is lost with it \
+             (--same-frame)",
             found.turn_deg, found.shift_mm
         ),
-    ));
+    };
+    facts.push(("place on the table", place));
     facts.push(("before registration", format!("{} from the second surface (median / 95 % / most)", found.before)));
     facts.push(("after registration", format!("{} (residual)", found.after)));
     facts.push(("motion", format!("{:.2} mm in the mean", found.motion_mm)));

@@ -25,7 +25,7 @@ pub struct TreeArguments {
     /// Data set, citation and licence, kept in the table
     #[arg(long)]
     source: String,
-    /// Branches of a smaller median radius in mm are left out
+    /// Branches of a smaller median radius in mm are left out; those of a surface below 1 mm are not found at all
     #[arg(long, default_value_t = 1.2, value_name = "MM", value_parser = LEAST_RADIUS_MM.parser::<f64>())]
     least_radius_mm: f64,
     /// Generations beyond this one are left out

@@ -37,6 +37,15 @@ const CENTER_SPACING_MM: f64 = 12.0;
 const CENTER_REACH_MM: f64 = 15.0;
 const SOFTENING_MM: f64 = 12.0;
 
+/// In which frames two surfaces lie.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PairFrames {
+    /// The patient lay anew for the second: a rigid part of the difference is not motion.
+    Own,
+    /// One frame: all of the difference is motion.
+    Shared,
+}
+
 /// The first surface, moved onto the second.
 pub struct RegisteredPair {
     /// The first surface's vertices where the second one is, in the first one's frame.
@@ -94,13 +103,17 @@ impl Matcher {
 pub fn register_surfaces(
     first: &TriangleMesh,
     second: &TriangleMesh,
+    frames: PairFrames,
     progress: &dyn Progress,
 ) -> Result<RegisteredPair> {
     let matcher = Matcher::new(second)?;
     let normals = first.vertex_normals();
     let step = (first.vertices.len() / POINTS).max(1);
     let points: Vec<usize> = (0..first.vertices.len()).step_by(step).collect();
-    let second_from_first = rigid(first, second, &points, &normals, &matcher);
+    let second_from_first = match frames {
+        PairFrames::Own => rigid(first, second, &points, &normals, &matcher),
+        PairFrames::Shared => DAffine3::IDENTITY,
+    };
     // Everything in the frame of the first: the second's answers are carried back.
     let first_from_second = second_from_first.inverse();
     let turn = second_from_first.matrix3;
@@ -239,8 +252,15 @@ mod tests {
             p + DVec3::new(0.02 * (p.x - low.x), 0.0, 7.0 * depth * depth)
         };
         let lie = DAffine3::from_axis_angle(DVec3::new(1.0, 0.5, 0.2).normalize(), 0.06);
+        // In one frame nothing is taken out: the mean motion is what it is.
+        let mut there = second.clone();
+        there.vertices.iter_mut().for_each(|v| *v = breath(*v));
+        let motion = first.vertices.iter().map(|&v| breath(v).distance(v)).sum::<f64>() / first.vertices.len() as f64;
+        let found = register_surfaces(&first, &there, PairFrames::Shared, &NoProgress).unwrap();
+        assert_eq!((found.turn_deg, found.shift_mm), (0.0, 0.0));
+        assert!((found.motion_mm / motion - 1.0).abs() < 0.1, "{} of {motion} mm", found.motion_mm);
         second.vertices.iter_mut().for_each(|v| *v = lie.transform_point3(breath(*v)) + DVec3::new(30.0, -50.0, 12.0));
-        let found = register_surfaces(&first, &second, &NoProgress).unwrap();
+        let found = register_surfaces(&first, &second, PairFrames::Own, &NoProgress).unwrap();
         println!("turn {:.2} deg, before {}, after {}", found.turn_deg, found.before, found.after);
         assert!(found.after.median_mm < 0.3 && found.after.p95_mm < 1.0, "{}", found.after);
         assert!(found.before.median_mm > 2.0 * found.after.median_mm);

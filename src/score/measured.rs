@@ -1,6 +1,8 @@
 //! What is measured on a prediction before any metric is computed: every picture, depth, phase, pose and target beside
 //! the truth's.
 
+use std::collections::HashMap;
+
 use glam::{DAffine3, DQuat, DVec3};
 use rayon::prelude::*;
 
@@ -115,8 +117,10 @@ impl<'a> Measured<'a> {
 
     /// Every frame, in order.
     pub fn frames(&self) -> impl Iterator<Item = MeasuredFrame<'_>> {
-        (0..self.pictures.len()).map(|frame| {
-            let view = self.truth.novel_views().iter().position(|view| view.frame == frame);
+        let views = self.truth.novel_views().iter().enumerate().map(|(view, of)| (of.frame, view));
+        let view_of: HashMap<usize, usize> = views.collect();
+        (0..self.pictures.len()).map(move |frame| {
+            let view = view_of.get(&frame).copied();
             MeasuredFrame {
                 picture: &self.pictures[frame],
                 novel: view.map(|view| &self.novel[view]),

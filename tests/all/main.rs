@@ -20,6 +20,7 @@ mod mesh_damage;
 mod moved;
 mod own_tracer;
 mod picture_statistics;
+mod quoted;
 mod ranges;
 mod readers;
 mod reference;
