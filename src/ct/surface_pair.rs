@@ -252,13 +252,15 @@ mod tests {
             p + DVec3::new(0.02 * (p.x - low.x), 0.0, 7.0 * depth * depth)
         };
         let lie = DAffine3::from_axis_angle(DVec3::new(1.0, 0.5, 0.2).normalize(), 0.06);
-        // In one frame nothing is taken out: the mean motion is what it is.
+        // In one frame nothing is taken out. What slides along a smooth wall is not seen either way.
         let mut there = second.clone();
         there.vertices.iter_mut().for_each(|v| *v = breath(*v));
         let motion = first.vertices.iter().map(|&v| breath(v).distance(v)).sum::<f64>() / first.vertices.len() as f64;
         let found = register_surfaces(&first, &there, PairFrames::Shared, &NoProgress).unwrap();
         assert_eq!((found.turn_deg, found.shift_mm), (0.0, 0.0));
-        assert!((found.motion_mm / motion - 1.0).abs() < 0.1, "{} of {motion} mm", found.motion_mm);
+        let own = register_surfaces(&first, &there, PairFrames::Own, &NoProgress).unwrap();
+        let share = found.motion_mm / motion;
+        assert!((0.7..1.0).contains(&share) && own.motion_mm < 0.8 * found.motion_mm, "{share}, {} mm", own.motion_mm);
         second.vertices.iter_mut().for_each(|v| *v = lie.transform_point3(breath(*v)) + DVec3::new(30.0, -50.0, 12.0));
         let found = register_surfaces(&first, &second, PairFrames::Own, &NoProgress).unwrap();
         println!("turn {:.2} deg, before {}, after {}", found.turn_deg, found.before, found.after);

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use respire_bench::bench::store::MARKER;
 
-use crate::binary::{outcome, program};
+use crate::binary::{interrupt, outcome, program};
 use crate::skip::skip;
 
 /// Smaller than `smoke`: the tests run it several times.
@@ -250,8 +250,7 @@ fn an_interrupt_stops_in_order_and_the_same_command_resumes() {
     let place = Place::new();
     let child = place.command(&[]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     wait_for_film(&place);
-    let told = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(told.success());
+    interrupt(&child.id().to_string());
     let (code, out, err) = outcome(child.wait_with_output().unwrap());
     assert_eq!((code, out.as_str()), (130, ""), "{err}");
     assert!(err.contains("the same command resumes"), "{err}");

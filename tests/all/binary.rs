@@ -20,3 +20,9 @@ pub fn outcome(output: Output) -> (i32, String, String) {
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
     (output.status.code().unwrap_or(-1), text(output.stdout), text(output.stderr))
 }
+
+/// Ctrl-C for a process, or for a group (its number with a minus), by the shell: a minimal system has no program `kill`.
+pub fn interrupt(target: &str) {
+    let told = Command::new("sh").args(["-c", "kill -s INT -- \"$0\"", target]).status().unwrap();
+    assert!(told.success(), "{target}");
+}

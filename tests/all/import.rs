@@ -14,6 +14,7 @@ use respire_bench::base::TriangleMesh;
 use respire_bench::formats::{landmarks, mesh};
 use respire_bench::simulate::trajectory::Route;
 
+use crate::binary::interrupt;
 use crate::cases::case_path;
 use crate::skip::shared;
 
@@ -340,8 +341,7 @@ fn an_import_that_is_stopped_publishes_nothing() {
     let mut child = start(&at("pipe.csv"));
     // Opens once the import reads it.
     let mut pipe = fs::OpenOptions::new().write(true).open(at("pipe.csv")).unwrap();
-    let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(killed.success());
+    interrupt(&child.id().to_string());
     let mut told = BufReader::new(child.stderr.take().unwrap());
     let mut line = String::new();
     told.read_line(&mut line).unwrap();

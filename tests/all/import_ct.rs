@@ -23,6 +23,7 @@ use respire_bench::ct::program::REMEDY;
 use respire_bench::ct::registration::{RegistrationInput, elastix_version, register};
 use respire_bench::formats::{nifti, volume};
 
+use crate::binary::interrupt;
 use crate::cases::case_path;
 use crate::import::command;
 use crate::skip::{shared, skip};
@@ -371,7 +372,7 @@ fn a_conversion_that_is_interrupted_says_so() {
             std::thread::sleep(Duration::from_millis(20));
         }
         let target = format!("{}{}", if to_whole_group { "-" } else { "" }, child.id());
-        assert!(std::process::Command::new("kill").args(["-INT", "--", &target]).status().unwrap().success());
+        interrupt(&target);
         let told = Instant::now();
         let output = child.wait_with_output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).to_string();

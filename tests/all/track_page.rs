@@ -5,7 +5,7 @@ use std::net::TcpStream;
 use std::process::{Child, Stdio};
 use std::time::Duration;
 
-use crate::binary::{program, run};
+use crate::binary::{interrupt, program, run};
 use crate::third_parties::refused;
 use crate::track::{FRAMES, Place};
 
@@ -77,8 +77,7 @@ fn a_page_shows_the_lines_that_are_printed() {
     }
 
     assert!(child.try_wait().unwrap().is_none(), "the page stays after the last frame");
-    let pid = child.id().to_string();
-    assert!(std::process::Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    interrupt(&child.id().to_string());
     let output = child.wait_with_output().unwrap();
     let said: String = BufReader::new(said).lines().map(|line| line.unwrap() + "\n").collect();
     assert_eq!(output.status.code(), Some(0), "{said}");
