@@ -135,10 +135,8 @@ impl FileMeaning {
                  both files must have one unit and one frame; --unusual takes them as they are"
             )));
         }
-        let volume = |vertices: &[DVec3]| {
-            TriangleMesh { vertices: vertices.to_vec(), faces: rest.faces.clone() }.signed_volume().abs()
-        };
-        let growth = volume(moved) / volume(&rest.vertices);
+        let other = TriangleMesh { vertices: moved.to_vec(), faces: rest.faces.clone() };
+        let growth = (other.signed_volume() / rest.signed_volume()).abs();
         if self.anatomy == ExpectedAnatomy::Human && growth > MOST_LUMEN_GROWTH {
             return Err(Error::input(format!(
                 "the airway is {growth:.2} times as large at expiration as at inspiration: are the two swapped? \

@@ -9,9 +9,9 @@ pub fn relative_l2(found: &[f64], truth: &[f64]) -> f64 {
     if difference == 0.0 { 0.0 } else { difference / norm }
 }
 
-/// relMSE of an image against a noisy reference, free of the reference's noise in the numerator: the mean of `(x - a)(x - b) / (r^2 +
-/// floor)`, with a and b independent halves of the reference and `r = (a + b) / 2`. With `a = b` the plain relMSE.
-/// The noise of `r` makes it larger, where that is not far below `r`.
+/// relMSE of an image against a noisy reference, free of the reference's noise in the numerator: the mean of
+/// `(x - a)(x - b) / (r^2 + floor)`, with a and b independent halves of the reference and `r = (a + b) / 2`, whose noise
+/// makes it larger where it is not far below `r`. With `a = b` the plain relMSE.
 pub fn relative_mse(image: &[f32], halves: [&[f64]; 2], floor: f64) -> f64 {
     let [a, b] = halves;
     let term = |((&x, a), b): ((&f32, &f64), &f64)| {

@@ -7,7 +7,8 @@ use glam::DVec3;
 use super::mesh_polygons::Fans;
 use crate::base::{Error, Result, TriangleMesh};
 
-/// The mesh in the bytes of an OBJ file; the caller validates it. Polygons are cut into fans ([`Fans`]). Errors name the line.
+/// The mesh in the bytes of an OBJ file; the caller validates it. Polygons are cut into fans ([`Fans`]). Errors name the
+/// line.
 pub(super) fn parse(bytes: &[u8]) -> Result<TriangleMesh> {
     let (mut mesh, mut fans) = (TriangleMesh::default(), Fans::default());
     let mut lines = bytes.split(|&b| b == b'\n').enumerate();

@@ -54,13 +54,16 @@ impl Fans {
     }
 }
 
+/// Part of a polygon's area that a triangle may have on its back: corners on one line lie off it by their rounding.
+const SLIVER: f64 = 1e-6;
+
 /// Whether the triangles of a fan from the corner `start` all face as the polygon does.
 fn covers(places: &[DVec3], start: usize) -> bool {
     let count = places.len();
     let place = |k: usize| places[(start + k) % count] - places[start];
     let normals = (1..count - 1).map(|k| place(k).cross(place(k + 1)));
     let whole: DVec3 = normals.clone().sum();
-    normals.into_iter().all(|normal| normal.dot(whole) >= 0.0)
+    normals.into_iter().all(|normal| normal.dot(whole) >= -SLIVER * whole.length_squared())
 }
 
 #[cfg(test)]
@@ -85,6 +88,25 @@ mod tests {
                 / (mesh.corners(0)[1] - mesh.corners(0)[0]).cross(mesh.corners(0)[2] - mesh.corners(0)[0]).length();
             assert!((area / unit - 3.0).abs() < 1e-12, "start {start}: {area}");
         }
+    }
+
+    /// Sides with corners of their own, none of them exactly on its line: convex, as CAD programs write it.
+    #[test]
+    fn corners_along_a_side_are_no_concavity() {
+        let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+        let mut text = String::new();
+        for side in 0..4 {
+            let ([a, b], [c, d]) = (corners[side], corners[(side + 1) % 4]);
+            for step in 0..5 {
+                let share = f64::from(step) / 5.0;
+                let (x, y): (f64, f64) = (a + share * (c - a), b + share * (d - b));
+                text += &format!("v {:.6} {:.6} 0\n", 0.8 * x - 0.6 * y, 0.6 * x + 0.8 * y);
+            }
+        }
+        let all: Vec<String> = (1..=20).map(|k: usize| k.to_string()).collect();
+        let mesh = mesh_obj::parse(format!("{text}f {}\n", all.join(" ")).as_bytes()).unwrap();
+        let area: f64 = (0..mesh.faces.len()).map(|face| mesh.area_normal(face).z).sum();
+        assert!(area > 0.0 && mesh.faces.len() == 18);
     }
 
     /// A letter U with feet: no corner sees all others.
