@@ -187,5 +187,6 @@ pub fn as_run(evaluated: Vec<Evaluated>, method: Option<&str>) -> Run {
         id,
         cases,
         scenes: Scenes::default(),
+        read_from: Vec::new(),
     }
 }

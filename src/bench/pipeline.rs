@@ -288,6 +288,7 @@ impl Pipeline {
             methods: self.method_infos(),
             cells: finished.iter().map(|cell| cell_record(cell, &id)).collect::<Result<_>>()?,
             scenes: Scenes::default(),
+            read_from: Vec::new(),
             id,
         })
     }

@@ -19,7 +19,7 @@ use crate::report::{self, Run};
     never takes the place of another one, or of a method. Cases that only predictions have are listed and rank nobody; \
     times that were not measured beside the others have no place. A report must be whole (manifest.json, frames.csv), as \
     `all-cases` leaves it; --unchecked takes less. Films, airways and contours are those \
-    that the runs kept; panels need whole films and are left out. Runs of different tracks share a page and no table: \
+    that the runs kept; panels need films and predictions and are left out. Runs of different tracks share a page and no table: \
     each track has a folder of its own in --out.\n\
     Example: respire-bench merge reports/latest mine/case1 mine/case2 --out table"
 )]

@@ -467,6 +467,7 @@ fn results_of(build: &Build<'_>) -> (tempfile::TempDir, Results) {
         methods: ["ours", "ours-gn"].map(MethodInfo::of).to_vec(),
         cells,
         scenes: Default::default(),
+        read_from: Vec::new(),
     };
     tables::write_results(&run, &folder.path().join("results.csv")).unwrap();
     let results = read(folder.path()).unwrap();

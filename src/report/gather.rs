@@ -3,12 +3,14 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::page_data;
 use super::run::{CaseInfo, Run};
 use super::scene::{
     AIRWAY_VERTICES, AirwayScene, FilmKey, FilmScene, Packed, Pictures, ReducedAirway, RowScene, Scenes, SurfaceScene,
     spread,
 };
-use crate::base::{Image, Progress, Result, TriangleMesh};
+use super::seal;
+use crate::base::{Image, Progress, Result, TriangleMesh, files};
 use crate::formats::jpeg;
 use crate::score::contour::ContourOverlay;
 use crate::score::{Prediction, Question, Truth};
@@ -51,12 +53,36 @@ pub fn gather(run: &Run, progress: &dyn Progress) -> Result<Scenes> {
     Ok(scenes.thinned(PICTURE_CHARACTERS))
 }
 
-/// All frames of a case at full size, without its surface, which the report itself has. `None` without the film.
+/// All frames of a case at full size, without its surface, which the report itself has: of its film, where it is at hand,
+/// and else of the reports that the run was read from. `None` where neither has it.
 ///
-/// Errors: as [`gather`].
+/// Errors: as [`gather`]; a page of those reports that was changed since it was written.
 pub fn whole_film(run: &Run, case: &CaseInfo) -> Result<Option<Scenes>> {
     let keeping = Keeping { frames: usize::MAX, side_px: usize::MAX, quality: WHOLE_QUALITY, vertices: 0 };
-    case.truth.as_ref().map(|truth| of_case(run, case, truth.as_ref(), keeping)).transpose()
+    if let Some(truth) = &case.truth {
+        return of_case(run, case, truth.as_ref(), keeping).map(Some);
+    }
+    let shown = run.shown(&case.id);
+    let is_shown = |method: &str, seed: u64, run_id: &str| {
+        shown.iter().any(|(_, cell, _)| (&*cell.method, cell.seed, &*cell.run_id) == (method, seed, run_id))
+    };
+    let name = film_page(&case.id);
+    let mut whole = Scenes::default();
+    for folder in &run.read_from {
+        if !seal::is_sealed(folder, &name)? {
+            continue;
+        }
+        let path = folder.join(&name);
+        if let Some(kept) = page_data::kept_scenes(&files::read_text(&path)?, is_shown).map_err(|e| e.at(&path))? {
+            whole.add(kept);
+        }
+    }
+    Ok((!whole.films.is_empty()).then_some(whole))
+}
+
+/// The page of a whole film, in the report's folder.
+pub fn film_page(case_id: &str) -> String {
+    format!("films/{case_id}.html")
 }
 
 fn of_case(run: &Run, case: &CaseInfo, truth: &dyn Truth, keeping: Keeping) -> Result<Scenes> {

@@ -2,12 +2,14 @@
 //! need no script; the airway, the films and the curves under one cursor are drawn by the scripts in `page/` from the
 //! data of each case (`page_data`), read when the case is opened.
 
+use std::collections::BTreeSet;
+
 use maud::{Markup, PreEscaped, html};
 
 use super::differences::NeighbourDifference;
 use super::document::document;
 use super::markdown::{NEIGHBOURS_MEAN, ahead};
-use super::page_data::case_data;
+use super::page_data::{DATA_END, DATA_START, case_data};
 use super::palette::{Palette, RowStyle};
 use super::plots::{ReportImage, ReportImages};
 use super::run::{CaseInfo, CellRecord, Outcome, Role, Run};
@@ -43,6 +45,8 @@ pub struct TrackReport<'a> {
     pub pictures: &'a ReportImages,
     /// Its airways and films.
     pub scenes: &'a Scenes,
+    /// The cases of which all frames are in a file of their own.
+    pub whole_films: &'a BTreeSet<String>,
 }
 
 /// What stands on the page of each case; the rest is in the case's own file. In order of size.
@@ -175,7 +179,7 @@ fn case_section(run: &Run, case: &CaseInfo, scenes: Option<&Scenes>, palette: &P
             summary { (case.heading()) @if let Some(title) = title { ": " (title) } }
             div.inside {
                 @if scenes.is_some() { div.player id={ (run.track.word()) "-" (case.id) } {} }
-                @if let Some(data) = data { script type="application/json" { (PreEscaped(data)) } }
+                @if let Some(data) = data { (PreEscaped([DATA_START, &data, DATA_END].concat())) }
                 (fixed)
             }
         }
@@ -194,11 +198,11 @@ fn of_case<'a>(track: &TrackReport<'a>, case: &CaseInfo) -> impl Iterator<Item =
 }
 
 fn static_part(track: &TrackReport<'_>, case: &CaseInfo, detail: CaseDetail) -> Markup {
-    let TrackReport { run, place, .. } = *track;
+    let TrackReport { run, place, whole_films, .. } = *track;
     html! {
         @if detail != CaseDetail::Elsewhere { (numbers(run, case)) }
         @if detail == CaseDetail::Whole { @for picture in of_case(track, case) { (figure(picture)) } }
-        @if case.truth.is_some() {
+        @if whole_films.contains(&case.id) {
             p.muted.whole {
                 "In files beside this page: "
                 a href={ (place) "films/" (case.id) ".html" } { "the whole film" }

@@ -2,8 +2,8 @@
 //! the methods. Each is read back from its report folder ([`super::read_back`]); a cell that several runs have is taken
 //! from the last.
 //!
-//! Nothing is recomputed: values, intervals and times are those of the tables. Contours, airways and reduced films are
-//! those that the runs kept (`scenes.json`); panels, which need whole films and predictions, are left out.
+//! Nothing is recomputed: values, intervals and times are those of the tables. Contours, airways and films are those that
+//! the runs kept (`scenes.json`, `films/`); panels, which need films and predictions, are left out.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -76,6 +76,7 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
     let mut places: BTreeMap<(String, String, u64), usize> = BTreeMap::new();
     let mut firsts: BTreeMap<String, usize> = BTreeMap::new();
     let mut scenes = Scenes::default();
+    let mut read_from = Vec::new();
     let mut notes = vec![format!("Put together from {}.", ids.join(", "))];
     for Part { folder, run } in parts {
         notes.extend(run.notes);
@@ -83,6 +84,7 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
         // A cell that is renewed takes its pictures along, even where the new run kept none.
         scenes.drop_rows_of(&run.cells.iter().map(CellRecord::row_key).collect());
         scenes.add(run.scenes);
+        read_from.extend(run.read_from);
         if !profiles.contains(&run.profile) {
             profiles.push(run.profile);
         }
@@ -112,7 +114,7 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
     let film = |cell: &CellRecord| cell.score().map(FilmKey::of);
     scenes.keep_scored(&cells.iter().filter_map(|cell| Some((cell.row_key(), film(cell)?))).collect());
     let profile = profiles.join(" + ");
-    let mut run = Run { id, profile, track, scenes, conditions, notes, ..Run::of_cells(cells, &trees) };
+    let mut run = Run { id, profile, track, scenes, read_from, conditions, notes, ..Run::of_cells(cells, &trees) };
     for case in &mut run.cases {
         case.title = titles.remove(&case.id).unwrap_or_default();
     }

@@ -1,5 +1,6 @@
 //! Runs are read back from their tables without loss, and put together cell by cell.
 
+use std::collections::BTreeMap;
 use std::fs;
 
 use super::counted_run::CountedRun;
@@ -455,6 +456,31 @@ fn a_merged_report_keeps_films_airways_and_contours() {
     assert!(kept.rows.iter().all(|row| row.pictures.frames.len() >= 5));
     let page = fs::read_to_string(written.html).unwrap();
     assert!(page.contains("\"method\":\"mine\"") && page.contains("A breathing tube"), "the film's title");
+    // The whole film, with the renderings of both; of the first part's rows none is lost, and what was renewed is not shown.
+    let film_of = |place: &Path| fs::read_to_string(place.join(gather::film_page("case1"))).unwrap();
+    let shown = |page: &str| {
+        let all = page_data::kept_scenes(page, |_, _, _| true).unwrap().unwrap();
+        let rows: BTreeMap<String, usize> =
+            all.rows.iter().map(|r| (r.method.clone(), r.pictures.frames.len())).collect();
+        (all.films[0].clone(), rows)
+    };
+    let (before, after) = (shown(&film_of(&first)), shown(&film_of(&merged)));
+    assert_eq!((before.0.pictures.jpeg, before.0.poses), (after.0.pictures.jpeg, after.0.poses));
+    assert_eq!(after.1.len(), before.1.len() + 1);
+    assert!(after.1["mine"] == 6 && before.1.iter().all(|(method, frames)| after.1[method] == *frames));
+    let mut renewed = read_run(&first).unwrap();
+    renewed.cells.iter_mut().for_each(|cell| cell.run_id = "smoke-89abcdef".into());
+    let film = gather::whole_film(&renewed, &renewed.cases[0]).unwrap().unwrap();
+    assert!(film.rows.is_empty() && film.films.len() == 1);
+    assert!(fs::read_to_string(merged.join("report.html")).unwrap().contains("href=\"films/case1.html\""));
+    // A film that was changed, and one that is gone.
+    let page = second.join(gather::film_page("case1"));
+    fs::write(&page, film_of(&second) + " ").unwrap();
+    let said = write(&both, &folder.path().join("third"), &NoProgress).err().unwrap().to_string();
+    assert!(said.contains("case1.html") && said.contains("was changed"), "{said}");
+    fs::remove_file(&page).unwrap();
+    write(&both, &folder.path().join("third"), &NoProgress).unwrap();
+    assert!(!shown(&film_of(&folder.path().join("third"))).1.contains_key("mine"));
     let contours = |place: &Path| fs::read_to_string(place.join("plots/contours.svg")).unwrap();
     assert!(contours(&merged).contains("\nmine\n") && !contours(&first).contains("\nmine\n"));
     // Scenes that were changed are refused like tables.

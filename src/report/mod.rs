@@ -44,6 +44,7 @@ pub mod table;
 pub mod tables;
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 pub use run::{CaseInfo, CellRecord, MethodInfo, Outcome, Role, Run, StageCost};
@@ -75,13 +76,15 @@ struct RunParts {
     differences: Vec<differences::NeighbourDifference>,
     pictures: plots::ReportImages,
     scenes: scene::Scenes,
+    /// The cases of which all frames are in a file of their own.
+    whole_films: BTreeSet<String>,
 }
 
 impl RunParts {
     /// `place` is where the run's files lie, seen from the page: empty or a folder with a slash at its end.
     fn track<'a>(&'a self, run: &'a Run, place: &'a str) -> html::TrackReport<'a> {
-        let RunParts { tables, differences, pictures, scenes } = self;
-        html::TrackReport { run, place, tables, differences, pictures, scenes }
+        let RunParts { tables, differences, pictures, scenes, whole_films } = self;
+        html::TrackReport { run, place, tables, differences, pictures, scenes, whole_films }
     }
 }
 
@@ -197,16 +200,22 @@ fn write_parts(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<RunP
     files::write_bytes(&folder.join(MARKDOWN), markdown.as_bytes())?;
     let scenes = gather::gather(run, progress)?;
     scenes.write(folder)?;
-    seal::write(folder)?;
-    let parts = RunParts { tables, differences, pictures, scenes };
-    files::write_bytes(&folder.join(PAGE), html::report(&[parts.track(run, "")]).as_bytes())?;
+    seal::write(folder, &[])?;
+    let mut parts = RunParts { tables, differences, pictures, scenes, whole_films: BTreeSet::new() };
+    let mut films = Vec::new();
     for case in &run.cases {
+        progress.proceed()?;
         // One at a time: a whole film is large.
         if let Some(whole) = gather::whole_film(run, case)? {
             let page = html::whole_film(&html::TrackReport { scenes: &whole, ..parts.track(run, "../") }, case);
-            files::write_bytes(&folder.join(format!("films/{}.html", case.id)), page.as_bytes())?;
+            let name = gather::film_page(&case.id);
+            files::write_bytes(&folder.join(&name), page.as_bytes())?;
+            parts.whole_films.insert(case.id.clone());
+            films.push(name);
         }
     }
+    seal::write(folder, &films)?;
+    files::write_bytes(&folder.join(PAGE), html::report(&[parts.track(run, "")]).as_bytes())?;
     Ok(parts)
 }
 

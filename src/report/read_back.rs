@@ -90,7 +90,8 @@ pub fn read_run(folder: &Path, evidence: PartEvidence) -> Result<Run> {
     let path = folder.join("run.json");
     let stated: StatedFacts = if path.exists() { files::read_json(&path)? } else { StatedFacts::default() };
     let conditions = stated.conditions;
-    let mut run = Run { id, profile, track, scenes, conditions, notes, ..Run::of_cells(cells, &trees) };
+    let read_from = vec![folder.to_owned()];
+    let mut run = Run { id, profile, track, scenes, read_from, conditions, notes, ..Run::of_cells(cells, &trees) };
     for case in stated.cases {
         run.cases.iter_mut().filter(|c| c.id == case.id).for_each(|c| c.title = case.title.clone());
     }

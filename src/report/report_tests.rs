@@ -77,6 +77,7 @@ pub(super) fn sample_run(folder: &Path, side: u32, frames: usize) -> Run {
         methods: methods.map(MethodInfo::of).to_vec(),
         cells,
         scenes: Default::default(),
+        read_from: Vec::new(),
     }
 }
 
@@ -275,7 +276,16 @@ fn page_of(run: &Run, scenes: &scene::Scenes, plot: usize) -> String {
     };
     let by_case = run.cases.iter().map(of_case).collect();
     let pictures = plots::ReportImages { by_case, ..plots::ReportImages::default() };
-    let track = html::TrackReport { run, place: "", tables: &tables, differences: &[], pictures: &pictures, scenes };
+    let whole_films = &run.cases.iter().map(|case| case.id.clone()).collect();
+    let track = html::TrackReport {
+        run,
+        place: "",
+        tables: &tables,
+        differences: &[],
+        pictures: &pictures,
+        scenes,
+        whole_films,
+    };
     html::report(&[track])
 }
 

@@ -33,6 +33,8 @@ pub struct Run {
     pub cells: Vec<CellRecord>,
     /// What is shown of cases whose film is not at hand: kept by the runs that were merged.
     pub scenes: Scenes,
+    /// The folders of these runs' reports, which may have whole films; what a later one has is shown.
+    pub read_from: Vec<PathBuf>,
 }
 
 /// What the tables of a run are of.
@@ -269,6 +271,7 @@ impl Run {
             methods,
             cells,
             scenes: Scenes::default(),
+            read_from: Vec::new(),
         }
     }
 

@@ -11,7 +11,7 @@ use crate::base::{Error, Result, files, hash};
 
 /// Its name.
 const MANIFEST: &str = "manifest.json";
-/// Tables that it covers; what the page shows is covered too, where it is there.
+/// Tables that it covers; what the page shows, and whole films, are covered too, where they are there.
 const TABLES: [&str; 4] = ["results.csv", "comparison.csv", "frames.csv", "timings.csv"];
 
 #[derive(Serialize, Deserialize)]
@@ -20,16 +20,38 @@ struct ReportManifest {
     files: BTreeMap<String, String>,
 }
 
-/// The files of a report that are there and covered; older reports kept no scenes.
+/// The files of a report that are there and always checked; older reports kept no scenes.
 fn covered(folder: &Path) -> impl Iterator<Item = &'static str> {
     TABLES.into_iter().chain(folder.join(SCENES).exists().then_some(SCENES))
 }
 
-/// Writes the manifest of the report in `folder`.
-pub(super) fn write(folder: &Path) -> Result<()> {
-    let hashed = |name: &str| Ok((name.to_owned(), hash::of_file(&folder.join(name))?));
-    let files = covered(folder).map(hashed).collect::<Result<_>>()?;
+/// Writes the manifest of the report in `folder`, which covers the files `films`, too.
+pub(super) fn write(folder: &Path, films: &[String]) -> Result<()> {
+    let hashed = |name: String| hash::of_file(&folder.join(&name)).map(|hash| (name, hash));
+    let names = covered(folder).map(str::to_owned).chain(films.iter().cloned());
+    let files = names.map(hashed).collect::<Result<_>>()?;
     files::write_json(&folder.join(MANIFEST), &ReportManifest { files })
+}
+
+/// Whether the file `name` of the report in `folder` is there and in its manifest, which older reports and those without
+/// whole films have not.
+///
+/// Errors: a file that is not the manifest's.
+pub(super) fn is_sealed(folder: &Path, name: &str) -> Result<bool> {
+    let (path, manifest) = (folder.join(name), folder.join(MANIFEST));
+    if !path.is_file() || !manifest.is_file() {
+        return Ok(false);
+    }
+    let manifest: ReportManifest = files::read_json(&manifest)?;
+    manifest.files.get(name).map_or(Ok(false), |sealed| refuse_changed(&path, Some(sealed)).map(|()| true))
+}
+
+fn refuse_changed(path: &Path, sealed: Option<&String>) -> Result<()> {
+    if sealed == Some(&hash::of_file(path)?) {
+        return Ok(());
+    }
+    let sentence = "was changed since it was written: its content does not have the hash that manifest.json gives";
+    Err(Error::input(sentence).at(path))
 }
 
 /// Refuses tables that are not those of the manifest, and names the files that are not there: a report of an older
@@ -43,12 +65,7 @@ pub(super) fn check(folder: &Path) -> Result<Vec<&'static str>> {
     }
     let manifest: ReportManifest = files::read_json(&path)?;
     for name in there {
-        let table = folder.join(name);
-        if manifest.files.get(name) != Some(&hash::of_file(&table)?) {
-            let sentence =
-                "was changed since it was written: its content does not have the hash that manifest.json gives";
-            return Err(Error::input(sentence).at(table));
-        }
+        refuse_changed(&folder.join(name), manifest.files.get(name))?;
     }
     Ok(missing)
 }

@@ -149,10 +149,13 @@ pub fn write_frames(run: &Run, path: &Path) -> Result<()> {
         let Some(score) = cell.score() else { continue };
         for frame in &score.frame_scores {
             let mut push = |split: Split, metric: &str, value: Option<f64>, status: Status| {
-                let folder = match split {
-                    Split::Ahead => prediction::AHEAD,
-                    Split::Novel => prediction::NOVEL,
-                    Split::Online | Split::Final => prediction::COLOR,
+                let is_depth = crate::score::metric(metric).is_some_and(|m| m.group == Group::Depth);
+                let (folder, ending) = match split {
+                    Split::Ahead => (prediction::AHEAD, prediction::PICTURE_ENDING),
+                    Split::Novel if is_depth => (prediction::NOVEL_DEPTH, prediction::DEPTH_ENDING),
+                    Split::Novel => (prediction::NOVEL, prediction::PICTURE_ENDING),
+                    Split::Online | Split::Final if is_depth => (prediction::DEPTH, prediction::DEPTH_ENDING),
+                    Split::Online | Split::Final => (prediction::COLOR, prediction::PICTURE_ENDING),
                 };
                 rows.push(vec![
                     text(&cell.run_id),
@@ -160,7 +163,7 @@ pub fn write_frames(run: &Run, path: &Path) -> Result<()> {
                     text(&cell.method),
                     cell.seed.to_string(),
                     frame.frame.to_string(),
-                    prediction::frame_file(folder, frame.frame, prediction::PICTURE_ENDING),
+                    prediction::frame_file(folder, frame.frame, ending),
                     number(Some(frame.time_s)),
                     number(Some(frame.phase)),
                     split.word().into(),

@@ -288,7 +288,8 @@ impl Scenes {
         small
     }
 
-    fn check(&self) -> Result<()> {
+    /// Refuses arrays that do not fit each other; errors name the film or row.
+    pub fn check(&self) -> Result<()> {
         for film in &self.films {
             film.check().map_err(|e| e.element(format!("film of {}", film.film.case_id)))?;
         }
