@@ -79,7 +79,8 @@ pub struct OwnRow {
     pub additions: &'static str,
     /// Colour of its lines: red, green, blue, 8-bit sRGB (`src/report/palette.rs` says which colours will do).
     pub color: [u8; 3],
-    /// How its lines are broken: those of bounds, and of rows that never look at a picture.
+    /// How its lines are broken: those of bounds, of rows that never look at a picture, and of rows that somebody with
+    /// deuteranopia would hardly tell from another by the colour.
     pub dash: Dash,
 }
 
@@ -111,22 +112,27 @@ pub const OWN: [OwnRow; 16] = [
     OwnRow { sees: ONE_CT, ..ranked("bridgesplat", "BridgeSplat", [213, 94, 0]) },
     OwnRow { sees: ONE_CT, ..ranked("bridgesplat-release", "BridgeSplat (released objective)", [156, 48, 96]) },
     OwnRow { sees: ONE_CT, ..ranked("bridgesplat-tuned", "BridgeSplat (tuned)", [120, 24, 144]) },
-    OwnRow { sees: ONE_CT, keeps_mesh: false, ..ranked("bridgesplat-nomesh", "BridgeSplat (no mesh)", [230, 159, 0]) },
-    OwnRow { keeps_mesh: false, ..ranked("ours-nomesh", "Ours (no mesh)", [86, 180, 233]) },
+    OwnRow {
+        sees: ONE_CT,
+        keeps_mesh: false,
+        dash: Dash::Long,
+        ..ranked("bridgesplat-nomesh", "BridgeSplat (no mesh)", [192, 138, 66])
+    },
+    OwnRow { keeps_mesh: false, ..ranked("ours-nomesh", "Ours (no mesh)", [72, 156, 210]) },
     ranked("ours", "Ours", [0, 114, 178]),
     OwnRow { additions: WINDOW_ADDITIONS, ..ranked("ours-window", "Ours + keyframes", [96, 24, 252]) },
     ranked("ours-gn", "Ours (Gauss-Newton)", [204, 121, 167]),
-    ranked("ours-nav", "Ours, navigation", [144, 72, 228]),
-    ranked("virtual-bronchoscopy", "Virtual bronchoscopy", [12, 192, 72]),
+    OwnRow { dash: Dash::Dots, ..ranked("ours-nav", "Ours, navigation", [144, 72, 228]) },
+    ranked("virtual-bronchoscopy", "Virtual bronchoscopy", [48, 138, 0]),
     OwnRow { sees: NO_PICTURE, dash: Dash::Short, ..ranked("pose-only", "No picture: pose", [132, 84, 0]) },
     OwnRow {
         sees: Sees { pictures: PicturesSeen::FirstSeconds, ..Sees::EVERYTHING },
         dash: Dash::Short,
-        ..ranked("mean-breath", "No picture: clock", [132, 192, 144])
+        ..ranked("mean-breath", "No picture: clock", [18, 150, 162])
     },
     OwnRow { sees: ONE_CT, ..bound("static-ct", "Static CT", [130, 130, 130]) },
     OwnRow { sees: ONE_CT, dash: Dash::Dots, ..bound("static-expiration", "Static CT, expiration", [96, 84, 132]) },
-    bound("oracle-phase", "Oracle phase", [30, 160, 90]),
+    OwnRow { dash: Dash::Dots, ..bound("oracle-phase", "Oracle phase", [30, 160, 90]) },
     OwnRow {
         sees: Sees { told_poses: false, ..Sees::EVERYTHING },
         dash: Dash::Long,

@@ -12,6 +12,10 @@ use crate::formats::png;
 const WINDOW_HU: [f64; 2] = [-1050.0, 150.0];
 /// Pixels a mm of the shaded surface.
 const PIXELS_PER_MM: f64 = 2.0;
+/// Size of the letters at a picture's edges, in pixels of the page.
+const LETTER_PX: f64 = 12.0;
+/// Lengths of the bar in mm: the first that leaves a third of the picture's width.
+const BARS_MM: [f64; 3] = [20.0, 5.0, 1.0];
 
 /// From where a picture is looked at: which axes of LPS run to the right and up, and which one into it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,6 +35,16 @@ impl PictureView {
             PictureView::Front => "coronal",
             PictureView::Left => "sagittal",
             PictureView::Feet => "axial",
+        }
+    }
+
+    /// Letters of the patient's sides at the left, right, upper and lower edge: in LPS x grows to the patient's left, y to
+    /// the back (posterior) and z to the head.
+    pub fn sides(self) -> [&'static str; 4] {
+        match self {
+            PictureView::Front => ["R", "L", "H", "F"],
+            PictureView::Left => ["A", "P", "H", "F"],
+            PictureView::Feet => ["R", "L", "A", "P"],
         }
     }
 
@@ -79,15 +93,59 @@ impl PictureFrame {
         DVec2::new(seen.x - self.low.x, self.high.y - seen.y)
     }
 
-    /// An SVG of `content` (in mm from the upper left corner), `width_px` wide.
-    pub fn svg(&self, content: &str, width_px: f64) -> String {
-        let size = self.size();
-        let height_px = width_px * size.y / size.x;
+    /// Its width, mm.
+    pub fn width_mm(&self) -> f64 {
+        self.size().x
+    }
+
+    /// An SVG of `content` (in mm from the upper left corner), with the patient's sides at its edges and a bar of length.
+    /// `label` says what it shows.
+    pub fn svg(&self, content: &str, px_per_mm: f64, label: &str) -> String {
+        let (size, px) = (self.size(), self.size() * px_per_mm);
+        let marks = self.marks(px_per_mm);
         format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width_px:.0}\" height=\"{height_px:.0}\" viewBox=\"0 0 {:.1} \
-             {:.1}\">{content}</svg>",
-            size.x, size.y
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" role=\"img\" aria-label=\"{}\" width=\"{:.0}\" height=\"{:.0}\" \
+             viewBox=\"0 0 {:.1} {:.1}\">{content}{marks}</svg>",
+            in_attribute(label),
+            px.x,
+            px.y,
+            size.x,
+            size.y
         )
+    }
+
+    /// Letters and bar, with a light rim: they stand on air and on bone.
+    fn marks(&self, px_per_mm: f64) -> String {
+        let (size, letter) = (self.size(), LETTER_PX / px_per_mm);
+        let [left, right, top, bottom] = self.view.sides();
+        let (middle, line) = (size.y / 2.0 + 0.35 * letter, size.y - 0.35 * letter);
+        let mut words = vec![
+            (left.to_owned(), 0.3 * letter, middle, "start"),
+            (right.to_owned(), size.x - 0.3 * letter, middle, "end"),
+            (top.to_owned(), size.x / 2.0, letter, "middle"),
+            (bottom.to_owned(), size.x / 2.0, line, "middle"),
+        ];
+        let mut bar = String::new();
+        if let Some(mm) = BARS_MM.into_iter().find(|mm| 1.5 * mm <= size.x) {
+            let x = 0.5 * letter;
+            for (colour, px) in [("#fff", 5.0), ("#111", 2.0)] {
+                let width = px / px_per_mm;
+                let _ = write!(
+                    bar,
+                    "<path d=\"M{x:.2} {line:.2}h{mm}\" stroke=\"{colour}\" stroke-width=\"{width:.2}\" fill=\"none\"/>"
+                );
+            }
+            words.push((format!("{mm} mm"), x, line - 0.5 * letter, "start"));
+        }
+        let rim = 3.0 / px_per_mm;
+        let mut text = format!(
+            "{bar}<g font-family=\"sans-serif\" font-size=\"{letter:.2}\" font-weight=\"600\" fill=\"#111\" stroke=\"#fff\" \
+             stroke-width=\"{rim:.2}\" paint-order=\"stroke\">"
+        );
+        for (word, x, y, anchor) in words {
+            let _ = write!(text, "<text x=\"{x:.2}\" y=\"{y:.2}\" text-anchor=\"{anchor}\">{word}</text>");
+        }
+        text + "</g>"
     }
 
     fn image_tag(&self, image: &Image<u8>) -> Result<String> {
@@ -101,8 +159,18 @@ impl PictureFrame {
     }
 }
 
+/// Words as they stand in an attribute.
+fn in_attribute(words: &str) -> String {
+    words.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
+}
+
 /// A slice of `scan` at `deep_mm` into the frame, as an element of its SVG.
 pub fn slice(frame: &PictureFrame, scan: &Volume<i16>, deep_mm: f64) -> Result<String> {
+    frame.image_tag(&slice_pixels(frame, scan, deep_mm))
+}
+
+/// A slice with a pixel for each mm.
+fn slice_pixels(frame: &PictureFrame, scan: &Volume<i16>, deep_mm: f64) -> Image<u8> {
     let size = frame.size();
     let (width, height) = (size.x.ceil() as usize, size.y.ceil() as usize);
     let to_index = scan.grid.index_from_place();
@@ -115,7 +183,7 @@ pub fn slice(frame: &PictureFrame, scan: &Volume<i16>, deep_mm: f64) -> Result<S
             image.pixel_mut(x, y).fill(grey as u8);
         }
     }
-    frame.image_tag(&image)
+    image
 }
 
 /// Where a surface crosses the plane at `deep_mm`: an element of the frame's SVG.
@@ -208,13 +276,16 @@ pub fn surface(frame: &PictureFrame, mesh: &TriangleMesh, values: &[f64]) -> Res
     frame.image_tag(&image)
 }
 
-/// Bars of a histogram whose bins run from `low` to `high`, with a line at 1.
-pub fn histogram(shares: &[f64], low: f64, high: f64) -> String {
+/// Bars of a histogram whose bins run from `low` to `high`, with ticks below. `label` says what it shows.
+pub fn histogram(shares: &[f64], low: f64, high: f64, label: &str) -> String {
     let most = shares.iter().copied().fold(1e-9, f64::max);
     let (width, height) = (420.0, 150.0);
     let step = width / shares.len().max(1) as f64;
-    let mut text =
-        format!("<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{:.0}\">", height + 22.0);
+    let (label, all) = (in_attribute(label), height + 22.0);
+    let mut text = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" role=\"img\" aria-label=\"{label}\" width=\"{width}\" height=\"{all:.0}\" \
+         viewBox=\"0 0 {width} {all:.0}\">"
+    );
     for (bin, share) in shares.iter().enumerate() {
         let tall = height * share / most;
         let _ = write!(
@@ -256,10 +327,48 @@ mod tests {
         assert_eq!(path.matches('M').count(), 3, "{path}");
         assert!(contour(&frame, &vertices, &faces, 9.0, "red").contains("d=\"\""));
         let mesh = TriangleMesh { vertices, faces };
-        let picture = frame.svg(&surface(&frame, &mesh, &[0.0, 0.5, 1.0, 0.2]).unwrap(), 100.0);
+        let picture = frame.svg(&surface(&frame, &mesh, &[0.0, 0.5, 1.0, 0.2]).unwrap(), 25.0, "a \"tree\"");
         assert!(picture.starts_with("<svg") && picture.contains("data:image/png;base64,"));
+        assert!(picture.contains("role=\"img\" aria-label=\"a &quot;tree&quot;\"") && picture.contains(">1 mm</text>"));
         let scan = Volume::filled(VoxelGrid::upright([4; 3], DVec3::ZERO, DVec3::ONE), -500i16);
         assert!(slice(&frame, &scan, 1.0).unwrap().contains("base64"));
-        assert_eq!(histogram(&[0.1, 0.5, 0.4], 0.0, 2.0).matches("<rect").count(), 3);
+        assert_eq!(histogram(&[0.1, 0.5, 0.4], 0.0, 2.0, "").matches("<rect").count(), 3);
+    }
+
+    /// The letters at the edges are those of the places there: a volume is bright on one side of the patient.
+    #[test]
+    fn the_letters_are_those_of_the_patients_sides() {
+        use PictureView::{Feet, Front, Left};
+        let corners = [DVec3::splat(2.0), DVec3::splat(29.0)];
+        // A side, the axis on which it lies, whether at its far end, and the views that show it.
+        let sides: [(&str, usize, bool, [PictureView; 2]); 6] = [
+            ("L", 0, true, [Front, Feet]),
+            ("R", 0, false, [Front, Feet]),
+            ("P", 1, true, [Left, Feet]),
+            ("A", 1, false, [Left, Feet]),
+            ("H", 2, true, [Front, Left]),
+            ("F", 2, false, [Front, Left]),
+        ];
+        for (letter, axis, is_far, views) in sides {
+            let mut scan = Volume::filled(VoxelGrid::upright([32; 3], DVec3::ZERO, DVec3::ONE), -1000i16);
+            for (index, voxel) in scan.data.iter_mut().enumerate() {
+                // x runs first, z last.
+                let along = [index % 32, index / 32 % 32, index / 1024][axis];
+                if (along >= 16) == is_far {
+                    *voxel = 100;
+                }
+            }
+            for view in views {
+                let frame = PictureFrame::around(view, corners.into_iter(), 0.0);
+                let deep = if view == Left { -15.0 } else { 15.0 };
+                let image = slice_pixels(&frame, &scan, deep);
+                let (width, height) = (image.width, image.height);
+                let at = |x: usize, y: usize| image.data[3 * (y * width + x)];
+                let edges = [at(2, height / 2), at(width - 3, height / 2), at(width / 2, 2), at(width / 2, height - 3)];
+                let place = view.sides().iter().position(|side| *side == letter).unwrap();
+                let opposite = place ^ 1;
+                assert!(edges[place] > 200 && edges[opposite] < 50, "{letter} {view:?} {edges:?}");
+            }
+        }
     }
 }

@@ -13,7 +13,7 @@ use super::seal;
 use crate::base::{Image, Progress, Result, TriangleMesh, files};
 use crate::formats::jpeg;
 use crate::score::contour::ContourOverlay;
-use crate::score::{Prediction, Question, Truth};
+use crate::score::{Prediction, Question, Truth, by_told_faces};
 use crate::simulate::preview::shrunk;
 
 /// Most frames that are kept of a film; four breaths at ten pictures a second are not needed to see what a row does.
@@ -167,17 +167,17 @@ struct Walls {
     last: Option<TriangleMesh>,
 }
 
-/// Where the row's surface is known point by point: the truth's faces, or a table of correspondences.
+/// Where the row's surface is known point by point: the truth's faces or the told ones, or a table of correspondences.
 fn surface(airway: &ReducedAirway, walls: &Walls, truth: &dyn Truth, prediction: &Prediction) -> Result<SurfaceScene> {
     let Some(predicted) = prediction.final_mesh()? else { return Ok(SurfaceScene::Unknown) };
     let Some(last) = truth.frames().last() else { return Ok(SurfaceScene::Unknown) };
     let places = match prediction.correspondence()? {
         Some(places) => places,
         None if predicted.faces == walls.rest[0].faces => predicted.vertices,
-        None => return Ok(SurfaceScene::Unknown),
+        None => by_told_faces(truth, &predicted)?.unwrap_or_default(),
     };
     if places.len() != walls.rest[0].vertices.len() {
-        return Ok(SurfaceScene::Unknown);
+        return Ok(SurfaceScene::OtherFaces);
     }
     if let Some(wall) = &walls.last {
         return Ok(airway.surface_from(wall, &places));

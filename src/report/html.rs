@@ -98,8 +98,9 @@ pub fn whole_film(track: &TrackReport<'_>, case: &CaseInfo) -> String {
         &SCRIPTS,
         html! {
             h1 { (case.heading()) " " small { "whole film, " (run.id) } }
+            p.muted { a href={ (track.place) (super::PAGE) } { "The whole report" } }
             div #tools {}
-            (case_section(run, case, Some(scenes), &palette, html! {
+            (case_section(run, case, Some(scenes), &palette, CaseHeading::OnPageOfItsOwn, html! {
                 (numbers(run, case))
                 @for picture in of_case(track, case) { (figure(picture)) }
             }))
@@ -116,7 +117,11 @@ fn assembled(tracks: &[TrackReport<'_>], scenes: &[Scenes], detail: CaseDetail) 
         html! {
             h1 { "respire-bench " small { @for track in tracks { (track.run.id) " " } } }
             div #tools {}
-            @for (track, scenes) in tracks.iter().zip(scenes) { (track_section(track, scenes, detail)) }
+            @for (track, scenes) in tracks.iter().zip(scenes) {
+                // Scripts show one track at a time, and say which.
+                @if tracks.len() > 1 { h2.track-name { "Track: " (track.run.track.word()) } }
+                (track_section(track, scenes, detail))
+            }
             h2 { "Definitions" }
             details { summary { "What every metric is" } dl { @for m in registry() {
                 dt { code { (m.id) } " (" (m.direction.word()) " is better)" }
@@ -160,7 +165,7 @@ fn track_section(track: &TrackReport<'_>, scenes: &Scenes, detail: CaseDetail) -
             } }
             @for case in &run.cases {
                 @let scenes = (detail != CaseDetail::Elsewhere).then_some(scenes);
-                (case_section(run, case, scenes, &palette, static_part(track, case, detail)))
+                (case_section(run, case, scenes, &palette, CaseHeading::AmongOthers, static_part(track, case, detail)))
             }
             h2 { "Plots of all cases" }
             @for picture in &pictures.overview { (figure(picture)) }
@@ -168,15 +173,35 @@ fn track_section(track: &TrackReport<'_>, scenes: &Scenes, detail: CaseDetail) -
     }
 }
 
+/// Where a case stands.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum CaseHeading {
+    /// Closed, under its name.
+    AmongOthers,
+    /// Open: the page is about it alone, and has its name.
+    OnPageOfItsOwn,
+}
+
 /// A case: the scripts' part, for which a script holds the data (none without `scenes`), and what stands there without
 /// them.
-fn case_section(run: &Run, case: &CaseInfo, scenes: Option<&Scenes>, palette: &Palette, fixed: Markup) -> Markup {
+fn case_section(
+    run: &Run,
+    case: &CaseInfo,
+    scenes: Option<&Scenes>,
+    palette: &Palette,
+    heading: CaseHeading,
+    fixed: Markup,
+) -> Markup {
     let kept = scenes.and_then(|scenes| scenes.film(&case.id)).filter(|_| case.title.is_empty());
     let title = kept.map(|film| film.title.as_str()).filter(|title| !title.is_empty());
     let data = scenes.and_then(|scenes| case_data(run, case, scenes, palette));
     html! {
-        details.case {
-            summary { (case.heading()) @if let Some(title) = title { ": " (title) } }
+        details.case open[heading == CaseHeading::OnPageOfItsOwn] {
+            summary {
+                @if heading == CaseHeading::OnPageOfItsOwn { "Film, numbers and plots" } @else {
+                    (case.heading()) @if let Some(title) = title { ": " (title) }
+                }
+            }
             div.inside {
                 @if scenes.is_some() { div.player id={ (run.track.word()) "-" (case.id) } {} }
                 @if let Some(data) = data { (PreEscaped([DATA_START, &data, DATA_END].concat())) }
@@ -215,6 +240,12 @@ fn static_part(track: &TrackReport<'_>, case: &CaseInfo, detail: CaseDetail) -> 
     }
 }
 
+/// Whether a method's name is broken into lines: the column of names stays in sight, and must leave room for another.
+fn is_long(title: &str) -> bool {
+    const LETTERS: usize = 36;
+    title.chars().count() > LETTERS
+}
+
 /// A piece of the row's line, as plots draw it.
 fn swatch(style: RowStyle) -> Markup {
     let dash = style.dash.map(|[on, off]| format!("{on} {off}"));
@@ -243,7 +274,7 @@ fn comparison(table: &ComparisonTable, run: &Run, palette: &Palette) -> Markup {
             tbody { @for (index, row) in table.rows.iter().enumerate() {
                 tr.section[starts_section(table, index)].own[row.method.id == "ours"].foreign[is_foreign(&row.method.id)]
                     .sanity[row.method.role == Role::Sanity] data-method=(row.method.id) {
-                    td { (swatch(palette.style(&row.method.id))) (row.method.title) }
+                    td.long[is_long(&row.method.title)] { (swatch(palette.style(&row.method.id))) (row.method.title) }
                     td { (row.ct_scans) }
                     td { (row.method.mesh.map_or("–", |mesh| if mesh { "✓" } else { "✗" })) }
                     @for cell in &row.cells {
@@ -330,8 +361,9 @@ fn case_table(run: &Run, case: &str, palette: &Palette) -> Markup {
                 @for m in paper_metrics() { (column(m, m.label)) }
             } }
             tbody { @for cell in run.cells.iter().filter(|c| c.case_id == case) {
+                @let title = method(cell).map_or(&cell.method, |m| &m.title);
                 tr.sanity[is_bound(cell)] data-method=(cell.method) {
-                    td { (swatch(palette.style(&cell.method))) (method(cell).map_or(&cell.method, |m| &m.title)) }
+                    td.long[is_long(title)] { (swatch(palette.style(&cell.method))) (title) }
                     td data-value=(cell.seed) { (cell.seed) }
                     @for m in paper_metrics() { (shown(m, cell)) }
                 }

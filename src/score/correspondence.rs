@@ -7,11 +7,14 @@
 //!
 //! One row per vertex, in order. A weight is not below 0: a point beside its face is not on the surface.
 
+use std::path::Path;
+
 use glam::DVec3;
 
+use super::truth::Truth;
 use crate::base::{Error, Result, TriangleMesh};
 use crate::formats::number_table::line_of;
-use crate::formats::prediction::{AT_VERTEX_COLUMNS, FINAL_MESH, ON_FACE_COLUMNS};
+use crate::formats::prediction::{AT_VERTEX_COLUMNS, CORRESPONDENCE, FINAL_MESH, ON_FACE_COLUMNS};
 
 /// How far the sum of the weights may be from 1, and a weight below 0: files round.
 const ROUNDING: f64 = 1e-3;
@@ -49,6 +52,17 @@ pub fn parse(bytes: &[u8], surface: &TriangleMesh) -> Result<Vec<DVec3>> {
         places.push(place.ok_or_else(wanted)?);
     }
     Ok(places)
+}
+
+/// Where each vertex of the film is on a `surface` that keeps the faces that methods are told on the clinical track: by the
+/// film's own table. `None` where it has other faces, or nothing is told.
+pub fn by_told_faces(truth: &dyn Truth, surface: &TriangleMesh) -> Result<Option<Vec<DVec3>>> {
+    match truth.told_correspondence()? {
+        Some((told, table)) if told.faces == surface.faces && told.vertices.len() == surface.vertices.len() => {
+            parse(&table, surface).map(Some).map_err(|e| e.at(Path::new("the film's told").join(CORRESPONDENCE)))
+        }
+        _ => Ok(None),
+    }
 }
 
 /// Refuses a table of `places` for a surface of another number of `vertices`.

@@ -200,18 +200,16 @@ fn pose_error(predicted: &DAffine3, truth: &DAffine3) -> [f64; 2] {
 
 fn target(truth: &dyn Truth, prediction: &Prediction, seed: u64) -> Result<TargetOutcome> {
     // Read first: a table without a surface is damage.
-    let mut stated = prediction.correspondence()?;
+    let stated = prediction.correspondence()?;
     let Some(surface) = prediction.final_mesh()? else { return Ok(TargetOutcome::NoSurface) };
     let last = &truth.frames()[truth.frames().len() - 1];
-    if stated.is_none()
-        && let Some((told, table)) = truth.told_correspondence()?
-        && told.faces == surface.faces
-        && told.vertices.len() == surface.vertices.len()
-    {
-        stated = Some(correspondence::parse(&table, &surface)?);
-    }
-    let errors = target_errors(&final_mesh(truth)?, &surface, stated.as_deref(), &last.world_from_camera, seed)
-        .map_err(|e| e.at(prediction.root().join(CORRESPONDENCE)))?;
+    let places = match &stated {
+        Some(_) => stated.clone(),
+        None => correspondence::by_told_faces(truth, &surface)?,
+    };
+    let errors = target_errors(&final_mesh(truth)?, &surface, places.as_deref(), &last.world_from_camera, seed);
+    let table = prediction.root().join(CORRESPONDENCE);
+    let errors = errors.map_err(|e| if stated.is_some() { e.at(table) } else { e })?;
     Ok(errors.map_or(TargetOutcome::NoTrueContour, |e| TargetOutcome::Measured(Box::new(e))))
 }
 

@@ -29,6 +29,7 @@ mod truth;
 
 pub use cell::{CellScore, FrameScore, FrameValue, MetricScore, ScoreSettings, score};
 pub use check::{Contents, check_prediction, check_truth};
+pub use correspondence::by_told_faces;
 pub use finding::Status;
 pub use metric::{Goal, Group, Metric, Needs, Split, Standing};
 pub use prediction::{Prediction, Question};

@@ -73,7 +73,10 @@ def common(browser, url, pictures, name):
     overlaps = browser.run(OVERLAPS)
     check(not overlaps, f"no label covers another {overlaps[:5]}")
     width = browser.run("document.scrollingElement.scrollWidth")
-    check(width <= (400 if name.startswith("phone") else 1200), f"nothing scrolls sideways: {width}")
+    check(width <= browser.run("innerWidth"), f"nothing scrolls sideways: {width}")
+    covers = """(() => { const [p, q] = ['.shown', '.facts'].map(s => { const r = document.createRange(); r.selectNodeContents(document.querySelector(s)); return r.getBoundingClientRect(); });
+      return Math.min(p.right, q.right) - Math.max(p.left, q.left) > 1 && Math.min(p.bottom, q.bottom) > Math.max(p.top, q.top); })()"""
+    check(not browser.run(covers), "the words below the picture do not run over the numbers")
     if pictures:
         browser.screenshot(pictures / f"live-{name}.png")
 
@@ -129,7 +132,7 @@ def main(chromium, program, film, pictures=None):
         pictures.mkdir(parents=True, exist_ok=True)
     for test in (desktop, dark, phone, phone_dark):
         is_phone = test in (phone, phone_dark)
-        size = (400, 800) if is_phone else (1200, 900)
+        size = (360 if test is phone_dark else 400, 800) if is_phone else (1200, 900)
         lines = follow(chromium, program, film, pictures, test, *size, test in (dark, phone_dark), is_phone)
         check(len(lines.splitlines()) > 1, "the lines are printed as well")
 

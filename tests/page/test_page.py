@@ -1,7 +1,7 @@
 """Opens report.html of a run in headless Chromium and checks what a reader relies on: test_page.py CHROMIUM REPORT [PICTURES]
 
 No console error and no request; the scene is drawn and the phase slider changes it; tables sort, rows filter, tracks
-switch; 400 px wide nothing scrolls sideways; no label of a plot covers another. PICTURES: a folder for screenshots.
+switch; 400 and 360 px wide nothing scrolls sideways; no label of a plot covers another. PICTURES: a folder for screenshots.
 """
 
 import pathlib
@@ -36,6 +36,10 @@ OVERLAPS = """[...document.querySelectorAll('figure.plot > svg, svg.curves')].fl
 
 # Drivers of software WebGL say that reading pixels is slow: that is this test's own doing.
 OWN_DOING = "GPU stall due to ReadPixels"
+
+
+# Types into the filter.
+FILTER = "(() => { const f = document.getElementById('filter'); f.value = '%s'; f.dispatchEvent(new Event('input')); })()"
 
 
 def check(holds, what):
@@ -74,7 +78,11 @@ def test_desktop(browser, url, pictures, dark):
     tiles = browser.run("[...document.querySelectorAll('.tile[data-method]')].filter(t => !t.hidden).map(t => t.dataset.method)")
     rows = browser.run("[...document.querySelectorAll('table.comparison tr[data-method]')].filter(r => !r.hidden).map(r => r.dataset.method)")
     check(set(tiles) <= set(rows), f"a case that is opened later shows the filtered rows alone: {tiles}")
-    browser.run("(() => { const f = document.getElementById('filter'); f.value = ''; f.dispatchEvent(new Event('input')); })()")
+    named = browser.run("[page.open.player.row.method, page.open.player.plot.named.textContent, page.open.player.rowSelect.selectedOptions[0].textContent, page.open.player.row.title]")
+    check(named[0] in rows and len(set(named[1:])) == 1, f"the row whose errors are shown is one that is left: {named}")
+    browser.run(FILTER % "zzz")
+    check("No row matches" in browser.run("document.querySelector('#tools').textContent"), "a filter that leaves nothing says so")
+    browser.run(FILTER % "")
     all_tiles = browser.run("[...document.querySelectorAll('.tile[data-method]')].filter(t => !t.hidden).map(t => t.dataset.method)")
     check(len(all_tiles) > 1 and set(tiles) <= set(all_tiles), f"{len(all_tiles)} rows beside the film")
 
@@ -84,6 +92,8 @@ def test_desktop(browser, url, pictures, dark):
     browser.run("(() => { const s = document.querySelector('input[id^=phase-]'); s.value = 0.9; s.dispatchEvent(new Event('input')); })()")
     second = browser.run(PIXELS)
     check(second["hash"] != first["hash"], "the phase slider changes pixels")
+    words = browser.run("[page.scene().isAtFilmPhase(), page.scene().errorKind(), page.open.player.note.textContent]")
+    check(words[:2] == [False, 0] and "another phase than the film" in words[2], "at another phase no error is shown, and the words say why")
     label = browser.run("!!document.querySelector('label[for^=phase-]') && !!document.querySelector('label[for^=time-]')")
     check(label, "sliders have labels")
     # With the film's phase again: at another one the scope may be outside of the lumen.
@@ -93,7 +103,27 @@ def test_desktop(browser, url, pictures, dark):
     check(ride["drawn"] > 0.5 and ride["colors"] > 200, f"the ride shows the lumen: {ride['colors']} colours")
     if pictures:
         browser.screenshot(pictures / f"ride-{'dark' if dark else 'light'}.png")
+    turned = browser.run("(() => { const { view } = page.scene(), before = JSON.stringify(view); page.scene().turn(0.3, 0.3); page.scene().move(5, 5); return before === JSON.stringify(view); })()")
+    check(turned, "the view of the scope is not turned")
     browser.run("[...document.querySelectorAll('.scene button')].find(b => b.textContent === 'From outside').click(); 1")
+    view = browser.run("""(() => {
+      const scene = page.scene(), before = { ...scene.view }, press = (key, times) => { for (let k = 0; k < times; k++) scene.canvas.dispatchEvent(new KeyboardEvent('keydown', { key })); };
+      press('ArrowUp', 40); press('+', 60); scene.move(1e6, -1e6);
+      const { elevation, zoom, shift } = scene.view, reach = Math.hypot(...shift) / scene.radius;
+      scene.show('outside');
+      const after = { ...scene.view };
+      Object.assign(scene.view, before);
+      return [Math.abs(elevation), zoom, reach, after.zoom, ...after.shift];
+    })()""")
+    check(view[0] < 1.57 and view[1] <= 30 and view[2] < 1.2 and view[3:] == [1, 0, 0], f"the airway stays in sight: {view}")
+    step = browser.run("""(() => {
+      const { player } = page.open, press = key => { player.slider.dispatchEvent(new KeyboardEvent('keydown', { key })); return player.frame; };
+      player.seek(2.4);
+      const frames = ['ArrowRight', 'ArrowLeft', 'PageDown'].map(press);
+      player.seek(0);
+      return frames;
+    })()""")
+    check(step == [3, 2, 0], f"keys step from frame to frame: {step}")
 
     tile = "document.querySelectorAll('.tile canvas')[1].toDataURL()"
     browser.run("new Promise(done => setTimeout(done, 200))")
@@ -124,12 +154,17 @@ def test_desktop(browser, url, pictures, dark):
     check(not overlaps, f"no label covers another {overlaps[:5]}")
 
 
-def test_phone(browser, url, pictures):
-    browser.show(url, 400, 800, touch=True)
+def test_phone(browser, url, pictures, wide):
+    browser.show(url, wide, 800, touch=True)
     open_first(browser)
     browser.run("new Promise(done => setTimeout(done, 300))")
     width = browser.run("document.scrollingElement.scrollWidth")
-    check(width <= 400, f"400 px wide nothing scrolls sideways: {width}")
+    check(width <= wide, f"{wide} px wide nothing scrolls sideways: {width}")
+    cut = browser.run("""[...document.querySelectorAll('svg.curves text')].filter(t => {
+      const [p, q] = [t.getBoundingClientRect(), t.ownerSVGElement.getBoundingClientRect()];
+      return p.left < q.left - 1 || p.right > q.right + 1;
+    }).map(t => t.textContent)""")
+    check(not cut, f"no words of the curves are cut {cut}")
     browser.run("document.querySelector('.wide').scrollLeft = 150; 1")
     left = browser.run("document.querySelector('table.comparison tbody td').getBoundingClientRect().left")
     check(left >= 0, "the first column stays")
@@ -138,7 +173,7 @@ def test_phone(browser, url, pictures):
         .map(t => t.getBoundingClientRect().height / 1.16).filter(h => h))""")
     check(size >= 10, f"the smallest text of a plot is {size:.1f} px high")
     if pictures:
-        browser.screenshot(pictures / "phone.png")
+        browser.screenshot(pictures / f"phone-{wide}.png")
 
 
 def test_tracks(browser, url):
@@ -159,6 +194,8 @@ def test_tracks(browser, url):
         picture = browser.run(PIXELS)
         check(picture["drawn"] > 0.03 and picture["colors"] > 200, f"its airway is drawn: {picture['colors']} colours")
     check(numbers[0] != numbers[1], "the tables differ")
+    names = browser.run("[...document.querySelectorAll('h2.track-name')].map(h => [h.textContent, !!h.offsetParent])")
+    check(len(names) == 2 and not any(shown for _, shown in names), f"headings of tracks are for readers without scripts: {names}")
 
 
 # The open case as a film of the clinical track would have it: targets that move by a millimetre a frame, and a wall at the
@@ -215,7 +252,8 @@ def main(program, report, pictures=None):
     with Browser(program) as browser:
         for dark in (False, True):
             test_desktop(browser, url, pictures, dark)
-        test_phone(browser, url, pictures)
+        for wide in (360, 400):
+            test_phone(browser, url, pictures, wide)
         with tempfile.TemporaryDirectory() as folder:
             printed = (pictures or pathlib.Path(folder)) / "print.pdf"
             browser.pdf(printed)
@@ -223,10 +261,10 @@ def main(program, report, pictures=None):
         films = sorted(report.parent.glob("films/*.html"))
         if films:
             browser.show(films[0].as_uri())
-            open_first_film = "document.querySelector('details.case').open = true; 1"
-            browser.run(open_first_film)
             browser.settle()
-            check(browser.run("document.querySelectorAll('.tile').length") > 1, "the whole film opens")
+            check(browser.run("document.querySelectorAll('.tile').length") > 1, "the whole film is open")
+            back = browser.run("document.querySelector('a[href$=\"report.html\"]').href")
+            check(back == url, f"and leads back to the report: {back}")
         test_beyond_phase(browser, url)
         test_without_script(browser, url)
         requests = [r for r in browser.requests if r != url and r not in [f.as_uri() for f in films]]

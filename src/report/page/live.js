@@ -12,6 +12,8 @@ const STATE_WORDS = {
   unsure: ["Unsure", "do not rely on this answer alone"],
   lost: ["Lost", "the picture does not agree with the answer"],
 };
+// Milliseconds between two sentences to a screen reader.
+const SPOKEN_MS = 5000;
 const STATE_SIGNS = { waiting: "…", tracking: "●", unsure: "▲", lost: "✕" };
 
 // A curve over the last seconds.
@@ -69,7 +71,9 @@ class LivePage {
     this.word = el("b");
     this.why = el("span", { class: "why" });
     this.link = el("span", { class: "link" }, "connecting");
-    this.state = el("p", { class: "state", role: "status" }, this.sign, this.word, this.why, this.link);
+    this.state = el("p", { class: "state" }, this.sign, this.word, this.why, this.link);
+    // What a screen reader says: at most every few seconds, however often the state changes.
+    this.said = el("span", { class: "hidden", role: "status" });
     const { columns } = this.film;
     const indices = (first, n) => Array.from({ length: n - first }, (_, k) => first + k);
     const line = (box, values, first, n) => el("path", { d: pathOf(indices(first, n).map(k => [box.x(columns.time[k]), box.y(values[k])])), class: "line" });
@@ -107,8 +111,9 @@ class LivePage {
     this.overlay = check("tint what was not used", false, on => { this.walls = on; this.shownLine = null; this.fetchPicture(); });
     this.overlay.hidden = true;
     const seen = el("div", { class: "seen" }, el("figure", { class: "shown" }, this.picture, this.overlay), facts);
-    const side = el("div", { class: "side" }, seen, this.phaseCurve.svg, this.latencyCurve.svg);
-    document.getElementById("live").append(this.state, el("div", { class: "views" }, this.buildStage(), side));
+    const side = el("div", { class: "side" }, seen, this.phaseCurve.svg, this.latencyCurve.svg,
+      el("p", { class: "muted note" }, "Strip below the phase: green tracking, amber unsure, red lost. Red ticks at the foot of the latency: frames left out."));
+    document.getElementById("live").append(this.state, this.said, el("div", { class: "views" }, this.buildStage(), side));
   }
 
   buildStage() {
@@ -117,9 +122,8 @@ class LivePage {
     const stage = el("div", { class: "stage" });
     const views = [["outside", "Whole airway"], ["near", "Near the scope"], ["ride", "From the scope"]].map(([kind, name]) =>
       el("button", { "aria-pressed": String(kind === "outside"), onclick: e => {
-        Object.assign(scene.view, { kind, zoom: 1, shift: [0, 0] });
+        scene.show(kind);
         for (const button of views) button.setAttribute("aria-pressed", String(button === e.currentTarget));
-        scene.redraw();
       } }, name));
     scene.state.row = { color: "#000000" };
     scene.open(this.film, stage);
@@ -149,8 +153,16 @@ class LivePage {
     source.addEventListener("other", () => { source.close(); location.reload(); });
   }
 
+  speak() {
+    if (this.speaking) return;
+    const now = () => `${this.word.textContent} ${this.why.textContent}; ${this.link.textContent}`;
+    this.said.textContent = now();
+    this.speaking = setTimeout(() => { this.speaking = 0; if (this.said.textContent !== now()) this.speak(); }, SPOKEN_MS);
+  }
+
   connection(text, isBad = false) {
     this.link.textContent = text;
+    this.speak();
     this.link.classList.toggle("bad", isBad);
   }
 
@@ -172,6 +184,7 @@ class LivePage {
       this.state.dataset.state = state;
       this.sign.textContent = STATE_SIGNS[state];
       [this.word.textContent, this.why.textContent] = STATE_WORDS[state];
+      this.speak();
     }
     if (line) this.show(line);
     this.fetchPicture();

@@ -75,6 +75,7 @@ class LiveFilm {
   }
 
   // --- what the scene asks ---------------------------------------------------------------------------------------
+  get isLive() { return true; }
   get poses() { return this.allPoses.subarray(0, 12 * this.count); }
   truePhase() { return this.last ? this.last.phase : 0; }
   targetsAt() { return []; }

@@ -14,6 +14,10 @@ function decodeFilm(data) {
   // Where no phase says it: on the clinical track.
   const byFrame = film.targets_by_frame_mm ? floatsOf(film.targets_by_frame_mm) : null;
   const nearestSample = frame => nearest(data.samples, frame);
+  const targetsByPhase = phase => Array.from({ length: count }, (_, k) => [0, 1, 2].map(axis => {
+    const a = targets[3 * k + axis];
+    return a + (targets[3 * (count + k) + axis] - a) * phase;
+  }));
   return {
     airway: decodeAirway(film.airway),
     poses: floatsOf(film.poses), tanHalfHeight: film.tan_half_height,
@@ -30,15 +34,12 @@ function decodeFilm(data) {
       }
       return null;
     },
-    targetsAt: (phase, frame) => Array.from({ length: count }, (_, k) => [0, 1, 2].map(axis => {
-      if (byFrame) {
-        const last = byFrame.length / (3 * count) - 1, f = Math.min(last, Math.floor(frame)), g = Math.min(last, f + 1);
-        const at = frame => byFrame[3 * (count * frame + k) + axis];
-        return at(f) + (at(g) - at(f)) * (frame - f);
-      }
-      const a = targets[3 * k + axis];
-      return a + (targets[3 * (count + k) + axis] - a) * phase;
-    })),
+    targetsByPhase,
+    targetsAt: (phase, frame) => byFrame ? Array.from({ length: count }, (_, k) => [0, 1, 2].map(axis => {
+      const last = byFrame.length / (3 * count) - 1, f = Math.min(last, Math.floor(frame)), g = Math.min(last, f + 1);
+      const at = frame => byFrame[3 * (count * frame + k) + axis];
+      return at(f) + (at(g) - at(f)) * (frame - f);
+    })) : targetsByPhase(phase),
     predictedTargets: (row, frame) => {
       if (!row.targets_mm || !row.pictures) return null;
       row.targets = row.targets || floatsOf(row.targets_mm);
@@ -73,7 +74,7 @@ class Tile {
     this.value = el("span", { class: "value" });
     const name = row ? [swatch(row), el("b", {}, row.title)] : [el("b", {}, "Truth")];
     this.element = el("figure", { class: "tile", "data-method": row ? row.method : null },
-      row ? el("button", { class: "picture", "aria-pressed": "false", title: `Show the errors of ${row.title} on the airway`, onclick: () => player.choose(row) }, this.canvas)
+      row ? el("button", { class: "picture", "aria-pressed": "false", title: `Show the errors of ${row.title} on the airway`, onclick: () => player.pick(row) }, this.canvas)
         : el("div", { class: "picture" }, this.canvas),
       el("figcaption", {}, el("span", { class: "name" }, ...name), this.value));
   }
@@ -131,7 +132,9 @@ class ErrorPlot {
     const floor = 0.01;
     let [low, high] = [Math.min(...values), Math.max(...values)];
     if (!values.length) [low, high] = [0, 1];
-    if (isLog) { low = Math.max(floor, low) / 1.25; high = Math.max(high, low * 4) * 1.25; }
+    // What is less stands on the floor, which says so.
+    const isCut = isLog && low < floor;
+    if (isLog) { low = isCut ? floor : low / 1.25; high = Math.max(high, low * 4) * 1.25; }
     else { const margin = (high - low) * 0.06 || 0.05; low = m.higher || low < 0 ? low - margin : Math.max(0, low - margin); high += margin; }
     const y = this.y = v => {
       const share = isLog ? Math.log(Math.max(v, low) / low) / Math.log(high / low) : (v - low) / (high - low);
@@ -145,11 +148,13 @@ class ErrorPlot {
       return data.samples[k] + (share ? share * (data.samples[next] - data.samples[k]) : 0);
     };
     const parts = [el("text", { x: 8, y: 15, class: "title" }, `${m.heading} ${m.higher ? "↑" : "↓"}`)];
-    const bands = data.phases.map((p, k) => el("rect", { x: this.x(data.times_s[k]), width: Math.max(0.6, (box.right - box.left) / data.phases.length + 0.5), y: box.bottom + 1, height: 5, class: "breath", "fill-opacity": (0.08 + 0.82 * p).toFixed(2) }));
+    // Each from half way to the frame before to half way to the next, so that there are no gaps.
+    const { times_s: times } = data, edge = k => Math.round(this.x(k < 0 ? 0 : k + 1 < times.length ? (times[k] + times[k + 1]) / 2 : end));
+    const bands = data.phases.map((p, k) => el("rect", { x: edge(k - 1), width: edge(k) - edge(k - 1), y: box.bottom + 1, height: 5, class: "breath", "fill-opacity": (0.08 + 0.82 * p).toFixed(2) }));
     const ticks = isLog ? logTicks(low, high, (box.bottom - box.top) / 22) : linearTicks(low, high, Math.max(2, (box.bottom - box.top) / 42));
-    for (const v of ticks) parts.push(el("line", { x1: box.left, x2: box.right, y1: y(v), y2: y(v), class: "grid" }), el("text", { x: box.left - 6, y: y(v) + 4, "text-anchor": "end" }, label(v)));
+    for (const v of ticks) parts.push(el("line", { x1: box.left, x2: box.right, y1: y(v), y2: y(v), class: "grid" }), el("text", { x: box.left - 6, y: y(v) + 4, "text-anchor": "end" }, isCut && v <= floor * 1.001 ? `≤ ${label(v)}` : label(v)));
     for (const v of linearTicks(0, end, Math.max(2, (box.right - box.left) / 80))) parts.push(el("text", { x: this.x(v), y: box.bottom + 20, "text-anchor": "middle" }, label(v)));
-    parts.push(el("text", { x: (box.left + box.right) / 2, y: height - 5, "text-anchor": "middle", class: "muted" }, "seconds; the band is darker towards expiration"), ...bands);
+    parts.push(el("text", { x: (box.left + box.right) / 2, y: height - 5, "text-anchor": "middle", class: "muted" }, width < 420 ? "seconds; strong band: expiration" : "seconds; the band is stronger towards expiration"), ...bands);
     // The chosen row last, on top of the others.
     const chosen = player.row, curves = el("g", { class: "rows" });
     this.curves = new Map();
@@ -190,7 +195,6 @@ class ErrorPlot {
     for (const [other, curve] of this.curves) {
       const isShown = other === row || other === this.player.row;
       curve.setAttribute("stroke-width", isShown ? 3.2 : 1.6);
-      curve.setAttribute("opacity", isShown ? 1 : 0.75);
     }
     const line = row && el("g", { class: "rows" }, el("line", { x1: 8, x2: 30, y1: 29, y2: 29.01, stroke: row.color, "stroke-width": 3.4, "stroke-dasharray": row.dash && row.dash.join(" ") }));
     this.named.replaceChildren(...row ? [line, el("text", { x: 37, y: 33 }, row.title)] : []);
@@ -207,7 +211,7 @@ function logTicks(low, high, wanted) {
   const decades = [];
   for (let d = Math.floor(Math.log10(low)); d <= Math.ceil(Math.log10(high)); d++) decades.push(d);
   for (const steps of [[1, 2, 5], [1, 3], [1]]) {
-    const out = decades.flatMap(d => steps.map(s => s * 10 ** d)).filter(v => v >= low && v <= high);
+    const out = decades.flatMap(d => steps.map(s => s * 10 ** d)).filter(v => v >= low * (1 - 1e-9) && v <= high);
     if (out.length <= wanted || steps.length === 1) return out;
   }
 }
@@ -223,21 +227,27 @@ class CasePlayer {
     for (const row of data.rows) if (row.surface && row.surface.at_end) row.surface = bytesOf(row.surface.at_end);
     this.plot = new ErrorPlot(this);
     this.build(film && film.airway && page.scene().isUsable ? decodeFilm(data) : null);
-    // The row that is best by the first metric: bounds are no methods.
-    const mean = row => { const known = row.series[0]?.filter(v => v != null) || []; return known.length ? known.reduce((a, b) => a + b) / known.length : Infinity; };
-    this.choose(data.rows.filter(row => !row.is_bound).sort((a, b) => mean(a) - mean(b))[0] || data.rows[0]);
-    this.seek(0);
     this.hide();
+    this.seek(0);
+  }
+
+  // Of the rows that the filter leaves the one that is best by the first metric; a bound, which is no method, only where
+  // there is nothing else.
+  best() {
+    const mean = row => { const known = row.series[0]?.filter(v => v != null) || []; return known.length ? known.reduce((a, b) => a + b) / known.length : Infinity; };
+    const sign = this.data.metrics[0]?.higher ? -1 : 1, worst = row => Number.isFinite(mean(row)) ? sign * mean(row) : Infinity;
+    const left = this.data.rows.filter(row => !this.hidden.has(row.method));
+    return left.sort((a, b) => a.is_bound - b.is_bound || (worst(a) < worst(b) ? -1 : worst(a) > worst(b) ? 1 : 0))[0] || null;
   }
 
   build(film) {
     const { data } = this, id = name => `${name}-${this.host.id}`;
     this.play = el("button", { class: "play", "aria-label": "Play", onclick: () => this.toggle() }, "▶");
-    this.slider = el("input", { type: "range", min: 0, max: this.last, step: "any", value: 0, id: id("time"), oninput: () => this.seek(+this.slider.value) });
+    this.slider = el("input", { type: "range", min: 0, max: this.last, step: "any", value: 0, id: id("time"), oninput: () => this.seek(+this.slider.value), onkeydown: e => this.step(e) });
     this.readout = el("output", { for: id("time") });
     const options = (list, name) => list.map((entry, k) => el("option", { value: k }, name(entry)));
     this.metricSelect = el("select", { id: id("metric"), onchange: () => { this.metric = +this.metricSelect.value; this.plot.draw(); this.drawTiles(); } }, ...options(data.metrics, m => m.heading));
-    this.rowSelect = el("select", { id: id("row"), onchange: () => this.choose(data.rows[+this.rowSelect.value]) }, ...options(data.rows, row => row.title));
+    this.rowSelect = el("select", { id: id("row"), onchange: () => this.pick(data.rows[+this.rowSelect.value]) }, ...options(data.rows, row => row.title));
     const bar = el("div", { class: "bar" }, this.play,
       el("label", { class: "grow", for: id("time") }, el("span", { class: "hidden" }, "Time"), this.slider), this.readout);
     const picks = el("div", { class: "picks" },
@@ -262,9 +272,9 @@ class CasePlayer {
     this.stage = el("div", { class: "stage" });
     const views = [["outside", "From outside"], ["ride", "Ride along"]].map(([kind, name]) =>
       el("button", { "aria-pressed": String(kind === "outside"), onclick: e => {
-        scene.view.kind = kind; scene.view.zoom = 1;
+        scene.show(kind);
         for (const button of views) button.setAttribute("aria-pressed", String(button === e.currentTarget));
-        scene.redraw();
+        this.explain();
       } }, name));
     this.phaseSlider = el("input", { type: "range", min: 0, max: 1, step: 0.005, value: 0, id: id("phase"), oninput: () => {
       this.follows.checked = false;
@@ -290,27 +300,47 @@ class CasePlayer {
     this.explainChange();
   }
 
-  // The words below the scene where they no longer hold: at the last frame of a film whose wall no phase says.
-  explainChange() {
+  // What the words below the scene depend on, besides the row and the view.
+  shownState() {
     const scene = this.page.scene();
-    if (this.explained !== `${scene.errorKind()} ${scene.showsLast()}`) this.explain();
+    return `${scene.errorKind()} ${scene.showsLast()} ${scene.isAtFilmPhase()}`;
+  }
+
+  // The words below the scene where they no longer hold.
+  explainChange() { if (this.explained !== this.shownState()) this.explain(); }
+
+  // What the wall shows.
+  wallWords() {
+    const { row, film } = this, scene = this.page.scene(), known = scene.errorKind();
+    if (!scene.isAtFilmPhase()) return "The slider has another phase than the film at this frame: scope, predictions and colours of error are not shown. Balls: targets at the slider's phase.";
+    const fades = known && scene.state.surface ? " Below 0.1 mm it keeps the colour of tissue." : "";
+    const balls = " Balls: targets, true in black or white" + (row?.targets_mm ? ", predicted in the row's colour." : ".");
+    const path = row ? " The path: its mean target error, or depth error, as the scope passed." : "";
+    const has = row && row.surface && row.surface !== "unknown" && row.surface !== "other_faces";
+    const wall = !scene.state.surface || !row ? "" :
+      known === 1 ? `The wall: distance of ${row.title} to the true one at the last frame.` :
+      known === 2 ? `The wall: distance of ${row.title} to the true one, which follows from the phase it states.` :
+      has ? "" :
+      row.surface === "other_faces" ? `The surface of ${row.title} has other faces than the film's, and no correspondence.csv: the wall has no colour.` :
+      `No surface of ${row.title} is known point by point: the wall has no colour.`;
+    const blend = film.airway.last && !scene.showsLast() ? "The wall is a blend of both breath holds by the phase. Tissue also moves beyond the breath here: the true wall is known at the last frame alone" + (has && scene.state.surface ? `, where the error of ${row.title} has its colour. ` : ". ") : "";
+    return blend + wall + fades + path + balls;
   }
 
   explain() {
     if (!this.legend) return;
-    const row = this.row, scene = this.page.scene();
-    const known = scene.errorKind(), on = scene.state.surface;
+    const scene = this.page.scene(), degrees = 2 * Math.atan(this.film.tanHalfHeight) * 180 / Math.PI;
     this.legend.replaceChildren(el("i", { style: `background:linear-gradient(90deg,${ERROR_STOPS.join(",")})` }), ...["0.1", "1", "10 mm"].map(text => el("span", {}, text)));
-    const surface = !on ? "" : this.film.airway.last && !scene.showsLast() ? `The wall is a blend of both breath holds by the phase. Tissue also moves beyond the breath here, so that the true wall is known at the last frame alone: the error has no colour before it.` :
-      known === 1 ? `The wall: distance of ${row.title} to the true one at the last frame.` :
-      known === 2 ? `The wall: distance of ${row.title} to the true one, which follows from the phase it states.` : `${row.title} keeps no surface, so that the wall has no colour.`;
-    this.explained = `${known} ${scene.showsLast()}`;
-    this.note.textContent = `${surface}${known && on ? " Below 0.1 mm it keeps the colour of tissue." : ""} The path: its mean target error, or depth error, as the scope passed. Balls: targets, true in black or white, predicted in the row's colour.`;
+    this.explained = this.shownState();
+    this.note.textContent = (scene.isRide() ? `Seen by a pinhole camera of ${degrees.toFixed(0)} degrees from top to bottom, without the distortion of the film's lens. ` : "") + this.wallWords();
   }
+
+  // A row that the reader wants: it is taken again when a filter that hides it is taken off.
+  pick(row) { this.picked = row; this.choose(row); }
 
   choose(row) {
     this.row = row;
-    this.rowSelect.value = this.data.rows.indexOf(row);
+    this.rowSelect.value = row ? this.data.rows.indexOf(row) : "";
     for (const tile of this.tiles) tile.element.querySelector("button")?.setAttribute("aria-pressed", String(tile.row === row));
     if (this.film) { this.page.scene().set({ row }); this.explain(); }
     this.plot.draw();
@@ -326,7 +356,8 @@ class CasePlayer {
     this.frame = Math.min(this.last, Math.max(0, frame));
     this.slider.value = this.frame;
     const phase = this.film ? this.film.truePhase(this.frame) : this.data.phases[nearest(this.data.samples, this.frame)];
-    this.readout.value = `${this.time().toFixed(2)} s · frame ${Math.round(this.frame)} · phase ${phase.toFixed(2)}`;
+    const shown = Number.isInteger(this.frame) ? this.frame : this.frame.toFixed(1);
+    this.readout.value = `${this.time().toFixed(2)} s · frame ${shown} · phase ${phase.toFixed(2)}`;
     this.slider.setAttribute("aria-valuetext", this.readout.value);
     if (this.film) {
       this.page.scene().set({ frame: this.frame });
@@ -335,6 +366,14 @@ class CasePlayer {
     }
     this.plot.move();
     this.drawTiles();
+  }
+
+  // Keys of the slider: from frame to frame.
+  step(e) {
+    const by = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageUp: 10, PageDown: -10 }[e.key];
+    if (!by || e.ctrlKey || e.altKey || e.metaKey) return;
+    e.preventDefault();
+    this.seek(Math.round(this.frame) + by);
   }
 
   drawTiles() {
@@ -352,6 +391,8 @@ class CasePlayer {
     this.isPlaying = !this.isPlaying;
     this.play.textContent = this.isPlaying ? "❚❚" : "▶";
     this.play.setAttribute("aria-label", this.isPlaying ? "Pause" : "Play");
+    // Else a press on pause and play within one picture would leave two loops.
+    cancelAnimationFrame(this.playing);
     if (!this.isPlaying) return;
     if (this.frame >= this.last) this.seek(0);
     const rate = this.last / (this.frames[this.frames.length - 1] || 1);
@@ -361,15 +402,20 @@ class CasePlayer {
       this.seek(this.frame + (now - before) / 1000 * rate);
       before = now;
       if (this.frame >= this.last) { this.toggle(); return; }
-      requestAnimationFrame(step);
+      this.playing = requestAnimationFrame(step);
     };
-    requestAnimationFrame(step);
+    this.playing = requestAnimationFrame(step);
   }
 
-  // Rows that the filter hides.
+  // Rows that the filter hides; of one that is hidden no errors are shown.
   hide() {
+    this.data.rows.forEach((row, k) => {
+      const option = this.rowSelect.options[k];
+      option.hidden = option.disabled = this.hidden.has(row.method);
+    });
+    const isLeft = row => row && !this.hidden.has(row.method);
+    this.choose(isLeft(this.picked) ? this.picked : this.best());
     for (const tile of this.tiles) if (tile.row) tile.element.hidden = this.hidden.has(tile.row.method);
-    this.plot.draw();
   }
 
   close() {

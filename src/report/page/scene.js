@@ -4,9 +4,9 @@
 //
 // Axes of the scanner: x to the patient's left, y backwards, z towards the head. Matrices are column-major.
 
-// Errors in mm on a logarithmic scale: blue is right, yellow about a millimetre, dark red is wrong. Lightness and hue
-// change together, so that it reads without red and green, too.
-const ERROR_STOPS = ["#6aaed6", "#9fc9cf", "#f5d06a", "#ee8a3c", "#d1402f", "#7c1648"];
+// Errors in mm on a logarithmic scale: blue is right, yellow about a millimetre, purple is wrong. Lightness and hue
+// change together, so that it reads without red and green, too. Purple is 3:1 on a dark stage.
+const ERROR_STOPS = ["#6aaed6", "#9fc9cf", "#f5d06a", "#ee8a3c", "#d1402f", "#b3148c"];
 const ERROR_SCALE_MM = [0.1, 10];
 const errorShare = mm => {
   const [low, high] = ERROR_SCALE_MM.map(Math.log);
@@ -21,6 +21,15 @@ const errorColor = mm => {
 
 // Half the side of what is seen around the scope, from near; mm: some branches on every side.
 const NEAR_MM = 26;
+// How far it is turned up or down at most, radians: straight from above or below has no upper side.
+const MOST_ELEVATION = 1.5;
+// Least and greatest magnification.
+const ZOOMS = [0.3, 30];
+// How far the slider may be from the film's phase to count as the same: half of its step.
+const SAME_PHASE = 0.0025;
+const within = (low, high, value) => Math.min(high, Math.max(low, value));
+// Patient's directions and their letters: left, right, head, feet, anterior and posterior.
+const DIRECTIONS = [["L", [1, 0, 0]], ["R", [-1, 0, 0]], ["H", [0, 0, 1]], ["F", [0, 0, -1]], ["A", [0, -1, 0]], ["P", [0, 1, 0]]];
 
 // --- shaders ---------------------------------------------------------------------------------------------------
 // Both breath holds are on the GPU; the slider moves one uniform. `invariant`: the depth pass and the colour pass must
@@ -74,9 +83,11 @@ void main() {
   vec3 base = tint(mix(vec3(0.60, 0.26, 0.22), vec3(0.75, 0.42, 0.36), dark));
   vec3 lit = base * (0.42 + 0.62 * key + 0.16 * outward.z);
   lit = mix(lit, mix(lit * 0.45, lit * 1.5 + 0.04, dark), rim);
-  float shine = pow(max(dot(normalize(light + toEye), outward), 0.0), 48.0) * 0.45;
+  // A known error has the legend's colour, with just enough light to show the shape.
   float known = smoothstep(0.1, 0.3, errorMm);
-  float alpha = mix(mix(0.18, 0.30, known), 0.94, rim) * back;
+  lit = mix(lit, base * (0.82 + 0.18 * key), known);
+  float shine = pow(max(dot(normalize(light + toEye), outward), 0.0), 48.0) * 0.45 * (1.0 - known);
+  float alpha = mix(mix(0.18, 0.80, known), 0.94, rim) * back;
   alpha = min(1.0, alpha + shine * back);
   color = vec4(pow(lit + shine, vec3(1.0 / 2.2)) * alpha, alpha);
 }`;
@@ -100,6 +111,7 @@ class AirwayScene {
     this.canvas.tabIndex = 0;
     this.canvas.setAttribute("role", "img");
     this.canvas.setAttribute("aria-label", "The airway with the scope's path and the targets. Arrow keys turn it, plus and minus zoom.");
+    this.compass = el("svg", { class: "compass", viewBox: "-36 -36 72 72", "aria-hidden": "true" });
     // Kept after drawing, so that it prints and can be read back.
     const gl = this.gl = this.canvas.getContext("webgl2", { antialias: true, alpha: false, preserveDrawingBuffer: true });
     this.isUsable = !!gl;
@@ -155,7 +167,7 @@ class AirwayScene {
   open(film, host) {
     const gl = this.gl, { airway } = film;
     this.film = film;
-    host.prepend(this.canvas);
+    host.prepend(this.canvas, this.compass);
     if (this.array) { [this.array, this.lastArray].forEach(a => gl.deleteVertexArray(a)); this.buffers.forEach(b => gl.deleteBuffer(b)); }
     this.buffers = [];
     const attribute = (index, size, data) => {
@@ -203,6 +215,26 @@ class AirwayScene {
 
   set(changes) { Object.assign(this.state, changes); this.redraw(); }
 
+  // Another view, with all of it in sight.
+  show(kind) { Object.assign(this.view, { kind, zoom: 1, shift: [0, 0] }); this.redraw(); }
+
+  // The scope looks where the film says: its view is not turned or moved.
+  turn(azimuth, elevation) {
+    const { view } = this;
+    if (this.isRide()) return;
+    view.azimuth += azimuth;
+    view.elevation = within(-MOST_ELEVATION, MOST_ELEVATION, view.elevation + elevation);
+  }
+
+  zoomBy(factor) { this.view.zoom = within(...ZOOMS, this.view.zoom * factor); }
+
+  // `right` and `up` in mm: never so far that nothing is left in sight.
+  move(right, up) {
+    const { shift } = this.view;
+    if (this.isRide()) return;
+    [right, up].forEach((by, k) => { shift[k] = within(-0.8 * this.radius, 0.8 * this.radius, shift[k] + by); });
+  }
+
   redraw() {
     if (this.pending || !this.film) return;
     this.pending = requestAnimationFrame(() => { this.pending = 0; this.draw(); });
@@ -218,17 +250,15 @@ class AirwayScene {
     canvas.addEventListener("pointermove", e => {
       const before = fingers.get(e.pointerId);
       if (!before) return;
-      const [dx, dy] = [e.clientX - before[0], e.clientY - before[1]], view = this.view;
+      const [dx, dy] = [e.clientX - before[0], e.clientY - before[1]];
       if (fingers.size === 2) {
         const other = [...fingers].find(([id]) => id !== e.pointerId)[1];
         const spread = p => Math.hypot(p[0] - other[0], p[1] - other[1]);
-        view.zoom *= spread([e.clientX, e.clientY]) / Math.max(1, spread(before));
+        this.zoomBy(spread([e.clientX, e.clientY]) / Math.max(1, spread(before)));
       } else if (e.shiftKey || e.buttons & 6) {
-        view.shift[0] -= dx / canvas.clientHeight; view.shift[1] += dy / canvas.clientHeight;
-      } else {
-        view.azimuth -= dx * 0.008;
-        view.elevation = Math.max(-1.5, Math.min(1.5, view.elevation + dy * 0.008));
-      }
+        const mm = this.seenMm / canvas.clientHeight;
+        this.move(-dx * mm, dy * mm);
+      } else this.turn(-dx * 0.008, dy * 0.008);
       fingers.set(e.pointerId, [e.clientX, e.clientY]);
       this.redraw();
     });
@@ -237,14 +267,15 @@ class AirwayScene {
     canvas.addEventListener("wheel", e => {
       if (document.activeElement !== canvas && !e.ctrlKey) return;
       e.preventDefault();
-      this.view.zoom *= Math.exp(-e.deltaY * 0.0012);
+      this.zoomBy(Math.exp(-e.deltaY * 0.0012));
       this.redraw();
     }, { passive: false });
     canvas.addEventListener("keydown", e => {
-      const step = { ArrowLeft: ["azimuth", 0.1], ArrowRight: ["azimuth", -0.1], ArrowUp: ["elevation", 0.1], ArrowDown: ["elevation", -0.1] }[e.key];
-      if (step) this.view[step[0]] += step[1];
-      else if (e.key === "+" || e.key === "=") this.view.zoom *= 1.15;
-      else if (e.key === "-") this.view.zoom /= 1.15;
+      // As a drag in the arrow's direction.
+      const step = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] }[e.key];
+      if (step) this.turn(...step);
+      else if (e.key === "+" || e.key === "=") this.zoomBy(1.15);
+      else if (e.key === "-") this.zoomBy(1 / 1.15);
       else return;
       e.preventDefault();
       this.redraw();
@@ -277,13 +308,35 @@ class AirwayScene {
     const isNear = view.kind === "near" && this.film.poses.length > 0, half = isNear ? [NEAR_MM, NEAR_MM, NEAR_MM] : this.half;
     const reach = axis => Math.abs(axis[0]) * half[0] + Math.abs(axis[1]) * half[1] + Math.abs(axis[2]) * half[2];
     const distance = (Math.max(reach(up) / tan, reach(x) / (tan * aspect)) * 0.96 + 0.6 * reach(back)) / view.zoom;
-    const span = 2 * distance * tan;
+    this.seenMm = 2 * distance * tan;
     const middle = isNear ? this.poseAt(this.state.frame).centre : this.centre;
-    const centre = madd(madd(middle, x, view.shift[0] * span), up, view.shift[1] * span);
+    const centre = madd(madd(middle, x, view.shift[0]), up, view.shift[1]);
+    this.axes = [x, up];
     const eye = madd(centre, back, distance);
     const near = Math.max(distance - 2 * radius, distance * 0.02);
     const matrix = multiply(perspective(tan, aspect, near, distance + 2 * radius), viewOf(eye, x, up, back));
     return { eye, matrix, light: unit(madd(madd(back, x, -0.55), up, 0.75)) };
+  }
+
+  // Which way the patient lies, in a corner of the view from outside.
+  drawCompass() {
+    const isShown = !this.isRide();
+    this.compass.classList.toggle("gone", !isShown);
+    if (!isShown) return;
+    const [x, up] = this.axes;
+    this.compass.replaceChildren(...DIRECTIONS.flatMap(([letter, way]) => {
+      const [right, down] = [dot(x, way), -dot(up, way)], length = Math.hypot(right, down);
+      // What points at us or away from us has no place of its own.
+      if (length < 0.6) return [];
+      return [el("line", { x1: 0, y1: 0, x2: 19 * right, y2: 19 * down }), el("text", { x: 28 * right, y: 28 * down + 4, "text-anchor": "middle" }, letter)];
+    }));
+  }
+
+  // Whether the slider has the phase of the film at this frame. At another one, what a row said of this frame does not
+  // belong to the wall that is drawn. A live film has no other phase.
+  isAtFilmPhase() {
+    const { film, state } = this;
+    return !!film && (film.isLive || Math.abs(state.phase - film.truePhase(state.frame)) < SAME_PHASE);
   }
 
   // Path, scope and targets at the cursor.
@@ -291,7 +344,7 @@ class AirwayScene {
     const { film, state, radius, view } = this, solids = new Solids(), glow = new Solids();
     const frames = film.poses.length / 12, isRide = this.isRide(), ink = dark ? [0.93, 0.94, 0.96] : [0.12, 0.13, 0.16];
     // What scope, path and balls are in proportion to.
-    const size = view.kind === "near" ? 2.2 * NEAR_MM : radius, thin = Math.max(0.35, size * 0.0065);
+    const size = view.kind === "near" ? 2.2 * NEAR_MM : radius, thin = Math.max(0.35, size * 0.0065), isAtFilmPhase = this.isAtFilmPhase();
     if (state.path && !isRide && frames > 1) {
       const points = [], radii = [], colors = [], step = Math.max(1, Math.floor(frames / 300));
       for (let k = 0; k < frames - 1 + step; k += step) {
@@ -304,7 +357,7 @@ class AirwayScene {
       }
       solids.tube(points, radii, colors);
     }
-    if (!isRide && frames) {
+    if (!isRide && frames && isAtFilmPhase) {
       const pose = this.poseAt(state.frame), length = size * 0.1, at = s => madd(pose.centre, pose.z, s);
       solids.tube([at(-length), at(-length * 0.25), at(0)], [thin * 3.2, thin * 3.2, thin * 2.4], [[0.2, 0.22, 0.26], [0.2, 0.22, 0.26], [0.75, 0.78, 0.82]], 1, 14);
       solids.tube([at(0), at(0.01)], [thin * 2.4, 0], [[1, 0.95, 0.7], [1, 0.95, 0.7]], 1, 14);
@@ -313,7 +366,8 @@ class AirwayScene {
     }
     if (state.targets) {
       const ball = isRide ? 0.7 : size * 0.013;
-      const truth = film.targetsAt(state.phase, state.frame), predicted = state.row && film.predictedTargets(state.row, state.frame) || [];
+      const truth = isAtFilmPhase ? film.targetsAt(state.phase, state.frame) : film.targetsByPhase(state.phase);
+      const predicted = isAtFilmPhase && state.row && film.predictedTargets(state.row, state.frame) || [];
       const color = predicted.length ? rgbOf(state.row.color) : ink;
       for (const place of truth) solids.sphere(place, ball, ink);
       predicted.forEach((place, k) => {
@@ -345,14 +399,15 @@ class AirwayScene {
     const { film, state } = this;
     if (!film || !film.airway.last) return false;
     const last = film.poses.length / 12 - 1;
-    return state.frame > last - 0.5 && Math.abs(state.phase - film.truePhase(state.frame)) < 1e-6;
+    return state.frame > last - 0.5 && this.isAtFilmPhase();
   }
 
   // Which error the surface shows: none, one per vertex of the last frame, or the one that follows from the phase. Where
   // the wall that is drawn is not the true one, there is none.
   errorKind() {
     const { row, surface } = this.state;
-    if (!row || !surface || !row.surface || row.surface === "unknown") return 0;
+    if (!row || !surface || !row.surface || row.surface === "unknown" || row.surface === "other_faces") return 0;
+    if (!this.isAtFilmPhase()) return 0;
     if (this.film && this.film.airway.last && !this.showsLast()) return 0;
     if (row.surface === "by_phase") return 2;
     if (this.coded !== row) {
@@ -406,6 +461,7 @@ class AirwayScene {
       gl.disable(gl.CULL_FACE);
     };
     const [solids, glow] = this.solids(dark);
+    this.drawCompass();
     if (isRide) {
       gl.bindVertexArray(array);
       gl.drawElements(gl.TRIANGLES, faces, gl.UNSIGNED_SHORT, 0);
@@ -422,6 +478,14 @@ class AirwayScene {
     gl.depthMask(true);
     gl.disable(gl.BLEND);
     layer(gl.FRONT, 1);
+    if (!kind) return;
+    // A wall in the colours of errors is dense: path, scope and balls shine through it.
+    gl.clear(gl.DEPTH_BUFFER_BIT);
+    gl.enable(gl.BLEND);
+    gl.blendColor(0, 0, 0, 0.4);
+    gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
+    this.drawSolids(solids, camera);
+    gl.disable(gl.BLEND);
   }
 }
 

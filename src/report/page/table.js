@@ -41,8 +41,12 @@ class Page {
     this.buildTracks(tools);
     this.buildFilter(tools);
     tools.append(themeButton(() => this.shared?.redraw()));
-    for (const details of document.querySelectorAll("details.case")) details.addEventListener("toggle", () => this.toggle(details));
     document.documentElement.classList.add("scripted");
+    for (const details of document.querySelectorAll("details.case")) {
+      details.addEventListener("toggle", () => this.toggle(details));
+      if (details.open) this.toggle(details);
+    }
+    this.printLight();
   }
 
   // Made when the first case is opened.
@@ -63,21 +67,44 @@ class Page {
   buildFilter(tools) {
     const words = el("input", { type: "search", id: "filter", placeholder: "ours, static …", oninput: () => this.filter() });
     const bounds = el("input", { type: "checkbox", checked: true, id: "bounds", onchange: () => this.filter() });
-    tools.append(el("label", { for: "filter" }, "Rows ", words), el("label", { class: "check" }, bounds, " bounds"));
+    const none = el("span", { role: "status", class: "failed" });
+    tools.append(el("label", { for: "filter" }, "Rows ", words), el("label", { class: "check" }, bounds, " bounds"), none);
     // The page of a film has the case's own table alone.
     const ofRows = document.querySelector("table.comparison") ? "table.comparison" : "table.of-case";
     this.filter = () => {
       const wanted = words.value.toLowerCase().split(/[,\s]+/).filter(Boolean);
       this.hidden.clear();
+      let left = 0;
       for (const row of document.querySelectorAll("tr[data-method]")) {
         const text = `${row.dataset.method} ${row.cells[0].textContent}`.toLowerCase();
         const isShown = (!wanted.length || wanted.some(word => text.includes(word))) && (bounds.checked || !row.classList.contains("sanity"));
         if (!isShown && row.closest(ofRows)) this.hidden.add(row.dataset.method);
         row.hidden = !isShown;
+        left += isShown;
       }
+      none.textContent = left ? "" : "No row matches.";
       for (const row of document.querySelectorAll("table.of-case tr[data-method]")) row.hidden = this.hidden.has(row.dataset.method);
       this.open?.player?.hide();
     };
+  }
+
+  // Paper is white, and nothing on it can be opened.
+  printLight() {
+    const root = document.documentElement;
+    let theme, opened = [];
+    addEventListener("beforeprint", () => {
+      theme = root.dataset.theme;
+      opened = [...document.querySelectorAll("details:not(.case):not([open])")];
+      root.dataset.theme = "light";
+      for (const details of opened) details.open = true;
+      this.shared?.draw();
+    });
+    addEventListener("afterprint", () => {
+      if (theme) root.dataset.theme = theme; else delete root.dataset.theme;
+      for (const details of opened) details.open = false;
+      opened = [];
+      this.shared?.redraw();
+    });
   }
 
   toggle(details) {
@@ -85,6 +112,7 @@ class Page {
       if (this.open?.details === details) { this.open.player?.close(); this.open = null; }
       return;
     }
+    if (this.open?.details === details) return;
     // One case at a time: there is one canvas.
     if (this.open) {
       this.open.player?.close();

@@ -9,6 +9,7 @@ use plotters::coord::cartesian::Cartesian2d;
 use plotters::coord::types::RangedCoordf64;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{FontStyle, register_font};
 
 use crate::base::{Error, Image, Result};
@@ -232,10 +233,7 @@ pub fn legend<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, entries: &[(String,
                 area.draw(&DashedPathElement::new(line, dash, gap, style_of_line))?;
             }
         }
-        let anchored = style.pos(plotters::style::text_anchor::Pos::new(
-            plotters::style::text_anchor::HPos::Left,
-            plotters::style::text_anchor::VPos::Center,
-        ));
+        let anchored = style.pos(Pos::new(HPos::Left, VPos::Center));
         area.draw(&Text::new(name.clone(), (x + swatch + pen.at(6.0), y), anchored))?;
     }
     Ok(area.split_vertically(y + row / 2 + pen.at(4.0)).1)
@@ -261,6 +259,35 @@ pub fn chart<'a, DB: DrawingBackend + 'a>(
     pen: Pen,
     axes: &PanelAxes,
 ) -> Drawn<LinearChart<'a, DB>, DB> {
+    bare_chart(area, pen, axes, 6)
+}
+
+/// A panel whose upright axis has these ticks: values and what is written beside them.
+pub fn chart_with_ticks<'a, DB: DrawingBackend + 'a>(
+    area: &Area<DB>,
+    pen: Pen,
+    axes: &PanelAxes,
+    ticks: &[(f64, String)],
+) -> Drawn<LinearChart<'a, DB>, DB> {
+    let mut chart = bare_chart(area, pen, axes, 0)?;
+    let [left, right] = axes.x_range;
+    for (value, name) in ticks {
+        let line = PathElement::new(vec![(left, *value), (right, *value)], pen.line(GRID, 1.0));
+        chart.draw_series(std::iter::once(line))?;
+        let style = pen.text(TICK_TEXT).pos(Pos::new(HPos::Right, VPos::Center));
+        let words = Text::new(name.clone(), (-pen.at(8.0), 0), style);
+        chart.draw_series(std::iter::once(EmptyElement::at((left, *value)) + words))?;
+    }
+    Ok(chart)
+}
+
+/// [`chart`] with about `y_ticks` ticks on its upright axis.
+fn bare_chart<'a, DB: DrawingBackend + 'a>(
+    area: &Area<DB>,
+    pen: Pen,
+    axes: &PanelAxes,
+    y_ticks: usize,
+) -> Drawn<LinearChart<'a, DB>, DB> {
     let mut chart = ChartBuilder::on(area)
         .caption(axes.title, pen.bold(TITLE_TEXT))
         .margin(pen.px(PANEL_MARGIN))
@@ -276,7 +303,7 @@ pub fn chart<'a, DB: DrawingBackend + 'a>(
         .label_style(pen.text(TICK_TEXT))
         .axis_desc_style(pen.text(AXIS_TEXT))
         .x_labels(6)
-        .y_labels(6)
+        .y_labels(y_ticks)
         .x_label_formatter(&|v| tick(*v))
         .y_label_formatter(&|v| tick(*v))
         .x_desc(axes.x)

@@ -2,7 +2,11 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{Area, Drawn, Figure, LinearChart, PanelAxes, Pen, Stroke, chart, draw_line, legend, range_of};
+use super::canvas::{
+    Area, Drawn, Figure, LinearChart, PanelAxes, Pen, Stroke, chart, chart_with_ticks, draw_line, legend, range_of,
+    tick,
+};
+use super::methods::{log_range, log_ticks};
 use crate::report::palette::Palette;
 use crate::report::run::Run;
 use crate::score::{CellScore, metric};
@@ -97,14 +101,26 @@ impl Figure for PhaseGrid {
     }
 }
 
-/// Phase, PSNR, depth error and phase error of every frame of one case, one above the other.
+/// Phase, and picture, depth, target and phase error of every frame of one case, one above the other.
 pub struct FrameErrors {
     names: Vec<(String, Stroke)>,
-    panels: Vec<(String, Vec<Curve>)>,
+    panels: Vec<FramePanel>,
+}
+
+/// Curves of one number.
+struct FramePanel {
+    name: String,
+    curves: Vec<Curve>,
+    /// Whether its axis is logarithmic: errors in mm span decades, and one bad row would flatten the others.
+    is_log: bool,
 }
 
 /// Frame-wise metrics with a panel of their own.
-const FRAME_METRICS: [&str; 4] = ["psnr_db", "ssim", "depth_rmse_mm", "phase_mae"];
+const FRAME_METRICS: [&str; 5] = ["psnr_db", "ssim", "depth_rmse_mm", "target_mean_mm", "phase_mae"];
+/// What an error in mm is drawn at least at, as on the page: below it is rounding.
+const LEAST_MM: f64 = 0.01;
+/// Most ticks of a logarithmic axis: there is no room for more labels.
+const LOG_TICKS: usize = 6;
 
 impl FrameErrors {
     /// `None` when nothing is known of the case's frames.
@@ -116,18 +132,39 @@ impl FrameErrors {
         names.extend(shown.iter().map(|(m, _, _)| (m.title.clone(), stroke(&m.id))));
         let mut phases = vec![true_phase(first)];
         phases.extend(shown.iter().map(|(m, _, s)| predicted_phase(stroke(&m.id), s)).filter(|c| !c.1.is_empty()));
-        let mut panels = vec![("breathing phase".to_owned(), phases)];
+        let mut panels = vec![FramePanel { name: "breathing phase".to_owned(), curves: phases, is_log: false }];
         for id in FRAME_METRICS {
             let curves: Vec<Curve> =
                 shown.iter().map(|(m, _, s)| (stroke(&m.id), s.series(id))).filter(|c| !c.1.is_empty()).collect();
             if let (Some(m), false) = (metric(id), curves.is_empty()) {
-                let heading = if id == "phase_mae" { "phase error".into() } else { m.heading() };
-                panels.push((heading, curves));
+                let name = if id == "phase_mae" { "phase error".into() } else { m.heading() };
+                panels.push(FramePanel { name, curves, is_log: m.unit == "mm" });
             }
         }
-        let is_known = panels.iter().flat_map(|(_, curves)| curves).any(|(_, points)| !points.is_empty());
+        let is_known = panels.iter().flat_map(|panel| &panel.curves).any(|(_, points)| !points.is_empty());
         is_known.then_some(FrameErrors { names, panels })
     }
+}
+
+/// Draws curves of errors in mm by their logarithm.
+fn draw_log_panel<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, axes: &PanelAxes, curves: &[Curve]) -> Drawn<(), DB> {
+    let values = || curves.iter().flat_map(|(_, points)| points).map(|(_, mm)| *mm);
+    let is_cut = values().any(|mm| mm < LEAST_MM);
+    let range = log_range(values().map(|mm| mm.max(LEAST_MM)));
+    let mut ticks = log_ticks(range);
+    if ticks.len() > LOG_TICKS {
+        ticks.retain(|mm| (mm.log10() - mm.log10().round()).abs() < 1e-9);
+    }
+    let is_least = |mm: f64| is_cut && (mm / LEAST_MM - 1.0).abs() < 1e-9;
+    let named = |mm: f64| if is_least(mm) { format!("≤ {}", tick(mm)) } else { tick(mm) };
+    let ticks: Vec<(f64, String)> = ticks.into_iter().map(|mm| (mm.log10(), named(mm))).collect();
+    let drawn: Vec<Curve> = curves
+        .iter()
+        .map(|(stroke, points)| (*stroke, points.iter().map(|(t, mm)| (*t, mm.max(LEAST_MM).log10())).collect()))
+        .collect();
+    let axes = PanelAxes { y_range: range.map(f64::log10), ..*axes };
+    let mut panel = chart_with_ticks(area, pen, &axes, &ticks)?;
+    draw_curves(&mut panel, pen, &drawn, 1.6)
 }
 
 impl Figure for FrameErrors {
@@ -137,8 +174,8 @@ impl Figure for FrameErrors {
 
     fn draw<DB: DrawingBackend>(&self, page: &Area<DB>, pen: Pen) -> Drawn<(), DB> {
         let rest = legend(page, pen, &self.names)?;
-        let end = self.panels.iter().flat_map(|p| &p.1).flat_map(|c| &c.1).map(|p| p.0).fold(0.0, f64::max);
-        for (index, (area, (name, curves))) in
+        let end = self.panels.iter().flat_map(|p| &p.curves).flat_map(|c| &c.1).map(|p| p.0).fold(0.0, f64::max);
+        for (index, (area, FramePanel { name, curves, is_log })) in
             rest.split_evenly((self.panels.len(), 1)).iter().zip(&self.panels).enumerate()
         {
             let axes = PanelAxes {
@@ -148,6 +185,10 @@ impl Figure for FrameErrors {
                 x_range: [0.0, end.max(1e-3)],
                 y_range: range_of(curves.iter().flat_map(|c| &c.1).map(|p| p.1)),
             };
+            if *is_log {
+                draw_log_panel(area, pen, &axes, curves)?;
+                continue;
+            }
             let mut panel = chart(area, pen, &axes)?;
             let thick = usize::from(index == 0);
             draw_curves(&mut panel, pen, &curves[..thick], 3.0)?;

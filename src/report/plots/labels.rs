@@ -46,7 +46,8 @@ pub struct LabelRoom {
 }
 
 /// Where the label of a dot goes without covering anything: how far its upper left corner is from the dot. To the
-/// right, above or below, then farther away, never outside the room; beside the dot where nothing is free.
+/// right, above or below, then farther away, never outside the room; beside the dot, pushed into the room, where nothing
+/// is free.
 pub fn free_spot(
     (x, y): (i32, i32),
     [width, height]: [i32; 2],
@@ -79,7 +80,21 @@ pub fn free_spot(
     let mut allowed = spots.filter(|(_, spot)| inside(spot) && is_free(spot, taken));
     let first = allowed.clone().next();
     let free = allowed.find(|(_, spot)| is_free(spot, lines)).or(first);
-    free.unwrap_or(((gap, -height), spot((gap, -height))))
+    free.unwrap_or_else(|| {
+        let push = |from: i32, low: i32, high: i32| from.min(high).max(low);
+        let right = push(x + gap, room.low.0, room.high.0 - width) - x;
+        let down = push(y - height, room.low.1, room.high.1 - height) - y;
+        ((right, down), spot((right, down)))
+    })
+}
+
+/// Thin boxes along a line that runs along no axis: what labels avoid of it.
+pub fn along([a, b]: [(i32, i32); 2]) -> Vec<Taken> {
+    // Pixels of a box: a letter is no smaller.
+    const STEP: i32 = 6;
+    let steps = ((b.0 - a.0).abs().max((b.1 - a.1).abs()) / STEP).max(1);
+    let at = |k: i32| (a.0 + (b.0 - a.0) * k / steps, a.1 + (b.1 - a.1) * k / steps);
+    (0..steps).map(|k| Taken::between([at(k), at(k + 1)])).collect()
 }
 
 #[cfg(test)]
@@ -104,6 +119,26 @@ mod tests {
             assert!(room.taken.iter().all(|other| !other.meets(&spot)));
             room.taken.push(spot);
         }
+    }
+
+    #[test]
+    fn a_label_that_finds_no_place_stays_in_the_room() {
+        let inside = Taken { low: (0, 0), high: (100, 100) };
+        let room = LabelRoom { inside, taken: vec![inside], lines: Vec::new() };
+        let ((right, down), spot) = free_spot((90, 4), [60, 12], Pen::PLAIN, &room);
+        assert_eq!((spot.low, spot.high), ((40, 0), (100, 12)));
+        assert_eq!((90 + right, 4 + down), spot.low);
+        // One that is wider than the room begins where that begins.
+        assert_eq!(free_spot((90, 4), [160, 12], Pen::PLAIN, &room).1.low.0, 0);
+    }
+
+    #[test]
+    fn boxes_along_a_line_leave_room_beside_it() {
+        let boxes = along([(0, 0), (60, 60)]);
+        let spot = |x: i32, y: i32| Taken { low: (x, y), high: (x + 8, y + 8) };
+        assert!(boxes.iter().any(|part| part.meets(&spot(30, 30))));
+        assert!(!boxes.iter().any(|part| part.meets(&spot(50, 10))));
+        assert_eq!(along([(5, 5), (5, 5)]).len(), 1);
     }
 
     #[test]

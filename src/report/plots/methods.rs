@@ -1,12 +1,13 @@
 //! Methods compared: bars with intervals per metric, and error against run time.
 
+use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::canvas::{
     AXIS_TEXT, Area, Drawn, Figure, GRID, INK, Pen, Stroke, TICK_TEXT, TITLE_TEXT, X_ROOM, Y_ROOM, tick,
 };
-use super::labels::{LabelRoom, Taken, free_spot};
+use super::labels::{LabelRoom, Taken, along, free_spot};
 use crate::report::palette::Palette;
 use crate::report::run::Role;
 use crate::report::summary::{MethodSummary, in_order_of_tables};
@@ -90,6 +91,12 @@ impl Figure for MethodBars {
         Ok(())
     }
 }
+
+/// A line from a name to its dot: dots in grey, so that it is no interval.
+const TIE: RGBColor = RGBColor(140, 140, 140);
+const TIE_DASH: [f64; 2] = [1.5, 2.5];
+/// Half the width of the bar at the end of an interval, in units.
+const CAP: f64 = 3.0;
 
 /// A name that fits into its column.
 fn shortened(name: &str) -> String {
@@ -257,6 +264,18 @@ fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points
         let whiskers = [[(across[2], at.1), (across[1], at.1)], [(at.0, up[2]), (at.0, up[1])]];
         let line = |ends: &[(f64, f64); 2]| PathElement::new(ends.to_vec(), pen.line(point.color, 1.3));
         chart.draw_series(whiskers.iter().map(line))?;
+        for (ends, cap) in whiskers.iter().zip([[0, pen.at(CAP)], [pen.at(CAP), 0]]) {
+            // An interval of no length has no ends.
+            if ends[0] == ends[1] {
+                continue;
+            }
+            let [right, down] = cap;
+            let bar = |&end: &(f64, f64)| {
+                EmptyElement::at(end)
+                    + PathElement::new(vec![(-right, -down), (right, down)], pen.line(point.color, 1.3))
+            };
+            chart.draw_series(ends.iter().map(bar))?;
+        }
         lines.extend(whiskers.map(|ends| Taken::between(ends.map(|end| chart.backend_coord(&end)))));
         taken.push(Taken::around(chart.backend_coord(&at), pen.at(radius)));
     }
@@ -273,7 +292,8 @@ fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points
     let mut room = LabelRoom { inside, taken, lines };
     for point in points {
         let (at, style) = ((point.time.mean, point.error.mean), pen.text(TICK_TEXT));
-        let (width, height) = area.estimate_text_size(&point.title, &style)?;
+        let title = shortened(&point.title);
+        let (width, height) = area.estimate_text_size(&title, &style)?;
         let place = chart.backend_coord(&at);
         // Viewers of an SVG give a line more height than its letters have.
         let (lead, height) = (pen.at(2.0), height as i32 + pen.at(5.0));
@@ -282,10 +302,13 @@ fn draw_points<DB: DrawingBackend>(area: &Area<DB>, pen: Pen, m: &Metric, points
         room.taken.push(spot);
         // A name that found no room beside its dot is tied to it.
         if let Some(end) = spot.far_from(place, pen.at(2.5 * radius)) {
-            let tie = PathElement::new(vec![(0, 0), (end.0 - place.0, end.1 - place.1)], pen.line(point.color, 1.0));
+            let [dot, gap] = TIE_DASH.map(|units| pen.px(units));
+            let ends = vec![(0, 0), (end.0 - place.0, end.1 - place.1)];
+            let tie = DashedPathElement::new(ends, dot, gap, pen.line(TIE, 1.0));
             chart.draw_series(std::iter::once(EmptyElement::at(at) + tie))?;
+            room.lines.extend(along([place, end]));
         }
-        let label = Text::new(point.title.clone(), shift, style.pos(Pos::new(HPos::Left, VPos::Top)));
+        let label = Text::new(title, shift, style.pos(Pos::new(HPos::Left, VPos::Top)));
         chart.draw_series(std::iter::once(EmptyElement::at(at) + label))?;
     }
     Ok(())

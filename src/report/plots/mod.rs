@@ -60,7 +60,7 @@ pub fn draw(run: &Run, summaries: &[MethodSummary], folder: &Path, progress: &dy
         "error-against-time",
         methods::ErrorAgainstTime::new(summaries, &palette),
         "Error against run time",
-        "Method time per frame against error, means over cases with 95 % intervals, both axes logarithmic; lower left is better. Rings: bounds, which are not ranked.",
+        "Method time per frame against error, means over cases with 95 % intervals, both axes logarithmic; lower left is better. Rings: bounds, which are not ranked. Dotted: whose a name is.",
     )?);
     overview(plot(
         folder,
@@ -96,7 +96,7 @@ fn of_case(run: &Run, case: &CaseInfo, palette: &Palette, folder: &Path) -> Resu
         &format!("frames-{}", case.id),
         curves::FrameErrors::new(run, &case.id, palette),
         &format!("Errors per frame, {}", case.id),
-        "Phase and errors of every frame.",
+        "Phase and errors of every frame; errors in mm on logarithmic axes.",
     )?);
     if let Some(truth) = &case.truth {
         pictures.extend(panel(

@@ -4,8 +4,8 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::canvas::{Area, Drawn, Figure, GRID, INK, Pen, Stroke, legend};
-use super::labels::{LabelRoom, Taken, free_spot};
+use super::canvas::{AXIS_TEXT, Area, Drawn, Figure, GRID, INK, Pen, Stroke, TICK_TEXT, TITLE_TEXT, X_ROOM, legend};
+use super::labels::{LabelRoom, Taken, along, free_spot};
 use super::methods::{log_range, log_ticks};
 use crate::report::pareto_chart::{ParetoChart, SettingRole};
 
@@ -22,6 +22,8 @@ const COLORS: [RGBColor; 8] = [
 ];
 /// The line of the front.
 const FRONT: RGBColor = RGBColor(180, 180, 180);
+/// Room for the ticks of the errors, which have many digits, in units.
+const Y_ROOM: f64 = 84.0;
 /// Most panels beside each other.
 const COLUMNS: usize = 3;
 
@@ -107,11 +109,11 @@ fn draw_panel<DB: DrawingBackend>(
     let x = log_range(dots.iter().map(|d| d.at.0));
     let y = log_range(dots.iter().map(|d| d.at.1));
     let mut chart = ChartBuilder::on(area)
-        .caption(subject, pen.bold(14.0))
+        .caption(subject, pen.bold(TITLE_TEXT))
         .margin(pen.px(8.0))
         .margin_right(pen.px(24.0))
-        .x_label_area_size(pen.px(40.0))
-        .y_label_area_size(pen.px(62.0))
+        .x_label_area_size(pen.px(X_ROOM))
+        .y_label_area_size(pen.px(Y_ROOM))
         .build_cartesian_2d(
             (x[0]..x[1]).log_scale().with_key_points(log_ticks(x)),
             (y[0]..y[1]).log_scale().with_key_points(log_ticks(y)),
@@ -121,8 +123,8 @@ fn draw_panel<DB: DrawingBackend>(
         .light_line_style(TRANSPARENT)
         .bold_line_style(pen.line(GRID, 1.0))
         .axis_style(pen.line(INK, 1.0))
-        .label_style(pen.text(11.0))
-        .axis_desc_style(pen.text(12.0))
+        .label_style(pen.text(TICK_TEXT))
+        .axis_desc_style(pen.text(AXIS_TEXT))
         .x_label_formatter(&short)
         .y_label_formatter(&short)
         .x_desc(words.cost)
@@ -131,6 +133,8 @@ fn draw_panel<DB: DrawingBackend>(
     let place = |d: &Dot| (d.at.0, if d.at.1 > 0.0 { d.at.1 } else { y[0] });
     let mut front: Vec<(f64, f64)> = dots.iter().filter(|d| d.on_front).map(place).collect();
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let corners: Vec<(i32, i32)> = front.iter().map(|at| chart.backend_coord(at)).collect();
+    let lines = corners.windows(2).flat_map(|ends| along([ends[0], ends[1]])).collect();
     chart.draw_series(std::iter::once(PathElement::new(front, pen.line(FRONT, 2.5))))?;
     let mut taken: Vec<Taken> = Vec::new();
     let floor = chart.backend_coord(&(x[0], y[0])).1;
@@ -145,9 +149,9 @@ fn draw_panel<DB: DrawingBackend>(
         let (x, y) = chart.backend_coord(&at);
         taken.push(Taken::around((x, y), pen.at(if dot.role == SettingRole::Default { 9.0 } else { 4.5 })));
     }
-    let mut room = LabelRoom { inside, taken, lines: Vec::new() };
+    let mut room = LabelRoom { inside, taken, lines };
     for dot in dots {
-        let (at, style) = (place(dot), pen.text(9.5));
+        let (at, style) = (place(dot), pen.text(TICK_TEXT));
         let (width, height) = area.estimate_text_size(&dot.label, &style)?;
         let (x, y) = chart.backend_coord(&at);
         let (shift, spot) = free_spot((x, y), [width as i32, height as i32], pen, &room);

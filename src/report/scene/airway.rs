@@ -37,9 +37,11 @@ pub struct AirwayScene {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SurfaceScene {
-    /// It keeps no surface, or one whose points nobody knows.
+    /// It keeps no surface. Older reports say so of [`SurfaceScene::OtherFaces`], too.
     #[default]
     Unknown,
+    /// Its surface has other faces than the film's, and no table says where the film's vertices are on it.
+    OtherFaces,
     /// Its surface is the blend of the two true ones by its phase: the error follows from the phase, in every frame.
     ByPhase,
     /// Error of each vertex at the last frame: 0 to 254 from 0.01 to 100 mm, logarithmic; 255 where it is not known.
