@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::base::{Error, Result, case_id, files, method_name};
 use crate::formats::prediction::{ABOUT, COLOR};
-use crate::report::run::evaluated_id;
+use crate::report::run::{EVALUATION, evaluated_id};
 use crate::report::scene::Scenes;
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run};
 use crate::score::{CellScore, Prediction, Question, ScoreSettings, Truth, score};
@@ -164,21 +164,24 @@ pub fn as_run(evaluated: Vec<Evaluated>, method: Option<&str>) -> Run {
             methods.push(MethodInfo::of(&method));
         }
         is_clinical |= truth.as_ref().is_some_and(|film| film.clinical.is_some());
-        cases.push(CaseInfo {
-            title: case_id.clone(),
-            id: case_id.clone(),
-            tree: truth.as_ref().map(Sequence::tree).unwrap_or_default(),
-            truth: truth.map(|film| Arc::new(film) as Arc<dyn Truth>),
-        });
+        // A film may be answered by several methods.
+        if cases.iter().all(|known: &CaseInfo| known.id != case_id) {
+            cases.push(CaseInfo {
+                title: case_id.clone(),
+                id: case_id.clone(),
+                tree: truth.as_ref().map(Sequence::tree).unwrap_or_default(),
+                truth: truth.map(|film| Arc::new(film) as Arc<dyn Truth>),
+            });
+        }
         let (run_id, timings) = (evaluated_id(&case_id, &method), Vec::new());
         cells.push(CellRecord { run_id, case_id, method, seed, prediction, outcome, timings });
     }
     let id = match &cells[..] {
         [one] => one.run_id.clone(),
-        all => evaluated_id(&format!("{}-films", all.len()), &common),
+        _ => evaluated_id(&format!("{}-films", cases.len()), &common),
     };
     Run {
-        profile: "evaluate".into(),
+        profile: EVALUATION.into(),
         track: if is_clinical { Track::Clinical } else { Track::Ideal },
         conditions: Vec::new(),
         notes: Vec::new(),

@@ -25,7 +25,8 @@ pub struct GateArguments {
     /// Report folder to judge
     #[arg(long, value_name = "DIR", required_unless_present = "limits_from")]
     results: Option<PathBuf>,
-    /// Limits [default: gate.toml beside the cases, for a run of the clinical track gate-clinical.toml]
+    /// Limits; docs/statistics.md has the keys [default: gate.toml beside the cases, for a run of the clinical track
+    /// gate-clinical.toml, both for the profile smoke]
     #[arg(long, value_name = "FILE")]
     thresholds: Option<PathBuf>,
     /// Report folder to compare with; of several, the first one that was made from the same films
@@ -61,6 +62,7 @@ pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
         None => arguments.catalogue.open()?.gate_file(results.track),
     };
     let mut thresholds = read_thresholds(&limits)?;
+    thresholds.check_profile(&results).map_err(|e| e.at(&limits))?;
     let baseline = chosen(&results, &arguments.baseline)?;
     if let Some((baseline, path)) = &baseline {
         results.check_track(baseline).map_err(|e| e.at(path))?;

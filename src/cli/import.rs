@@ -18,9 +18,8 @@ use crate::base::{Progress, Result, files};
 
 /// Arguments of `import`.
 #[derive(Args)]
-#[command(
-    after_help = "Example: respire-bench import breathing bench-cases/case1.toml --landmarks copd01.csv --other-patient"
-)]
+#[command(after_help = "Example: respire-bench import mesh airway.ply --landmarks motion.csv --id own --out cases\n\
+    Each kind has one of its own: respire-bench import ct --help")]
 pub struct ImportArguments {
     #[command(subcommand)]
     kind: ImportKind,
@@ -41,6 +40,7 @@ enum ImportKind {
 }
 
 #[derive(Args)]
+#[command(after_help = "Example: respire-bench import breathing cases/own.toml --landmarks copd01.csv --other-patient")]
 struct BreathingArguments {
     /// Case file; its `[breathing]` is replaced, or added, and all else in it stays
     #[arg(value_name = "CASE.toml")]

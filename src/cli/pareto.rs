@@ -38,6 +38,7 @@ enum ChartArguments {
 }
 
 #[derive(Args)]
+#[command(after_help = "Example: respire-bench pareto render --cases case1 --width 128 --out /tmp/pareto")]
 struct RenderChartArguments {
     /// Folder for table and plots
     #[arg(long, value_name = "DIR")]
@@ -62,6 +63,7 @@ struct RenderChartArguments {
 }
 
 #[derive(Args)]
+#[command(after_help = "Example: respire-bench pareto phase --cases case1 --out /tmp/pareto")]
 struct PhaseChartArguments {
     /// Folder for table and plots
     #[arg(long, value_name = "DIR")]
@@ -78,6 +80,7 @@ struct PhaseChartArguments {
 }
 
 #[derive(Args)]
+#[command(after_help = "Example: respire-bench pareto splat --out /tmp/pareto")]
 struct SplatChartArguments {
     /// Folder for tables and plots
     #[arg(long, value_name = "DIR")]

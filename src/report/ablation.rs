@@ -1,6 +1,7 @@
 //! `ablations.csv` and `ablations.md`: what each part of a method, and each property of a film, is worth, and which value
 //! of a number is best.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -37,6 +38,12 @@ const COLUMNS: [&str; 11] =
 /// Mean over the cells that have the metric.
 fn value(scores: &VariantScores, metric: &Metric) -> Option<f64> {
     mean(&scores.cells.iter().filter_map(|c| c.value(metric.id)).collect::<Vec<_>>())
+}
+
+/// The shipped method's mean over the cases and seeds that `scores` has: a line is run with fewer seeds than it.
+fn beside(scores: &VariantScores, shipped: &VariantScores, metric: &Metric) -> Option<f64> {
+    let is_same = |cell: &&CellScore| scores.cells.iter().any(|s| (&s.case_id, s.seed) == (&cell.case_id, cell.seed));
+    mean(&shipped.cells.iter().filter(is_same).filter_map(|c| c.value(metric.id)).collect::<Vec<_>>())
 }
 
 /// Mean difference from the method as shipped, over the cases and seeds in which both have the metric.
@@ -82,7 +89,7 @@ pub fn write(all: &[VariantScores], metrics: &[String], title: &str, folder: &Pa
     for scores in all {
         let reference = shipped(all, scores);
         for metric in &metrics {
-            let (mean, of_shipped) = (value(scores, metric), reference.and_then(|r| value(r, metric)));
+            let (mean, of_shipped) = (value(scores, metric), reference.and_then(|r| beside(scores, r, metric)));
             let difference = reference.and_then(|r| difference(scores, r, metric));
             let noise = reference.and_then(|r| noise(r, metric));
             let words = [scores.group.as_str(), &scores.setting, &scores.method, metric.id].map(str::to_owned);
@@ -101,8 +108,8 @@ pub fn write(all: &[VariantScores], metrics: &[String], title: &str, folder: &Pa
 /// A table for each group, which begins with its methods as shipped. Until the first group is there: those alone.
 fn markdown(all: &[VariantScores], metrics: &[&Metric], title: &str) -> String {
     let mut out = format!(
-        "# Ablations\n\n{title}. ± is the standard deviation between seeds of the method as shipped; a difference within \
-         it says nothing. **Bold**: the best value of a number.\n"
+        "# Ablations\n\n{title}. ± is the standard deviation between seeds of the method as shipped, whose mean is over the \
+         seeds of the lines that vary it; a difference within it says nothing. **Bold**: the best value of a number.\n"
     );
     let groups: Vec<&str> = all.iter().map(|s| s.group.as_str()).filter(|group| !group.is_empty()).collect();
     let mut seen: Vec<&str> = Vec::new();
@@ -133,9 +140,20 @@ fn table_of(out: &mut String, all: &[VariantScores], group: &str, metrics: &[&Me
     }
 }
 
+/// The mean; of a shipped method over the seeds of the lines that vary it, which are fewer, where there are any.
+fn shown_value(all: &[VariantScores], scores: &VariantScores, metric: &Metric) -> Option<f64> {
+    let lines = all.iter().filter(|line| !line.is_shipped && line.method == scores.method);
+    let seeds: BTreeSet<u64> = lines.flat_map(|line| &line.cells).map(|cell| cell.seed).collect();
+    if !scores.is_shipped || seeds.is_empty() {
+        return value(scores, metric);
+    }
+    let values = scores.cells.iter().filter(|cell| seeds.contains(&cell.seed)).filter_map(|c| c.value(metric.id));
+    mean(&values.collect::<Vec<_>>())
+}
+
 fn shown(all: &[VariantScores], scores: &VariantScores, metric: &Metric) -> String {
     let spread = scores.is_shipped.then(|| noise(scores, metric)).flatten();
-    match (value(scores, metric), spread) {
+    match (shown_value(all, scores, metric), spread) {
         (None, _) => "–".to_owned(),
         (Some(v), _) if is_best(all, scores, metric) => format!("**{}**", metric.format(v)),
         (Some(v), None) => metric.format(v),
@@ -195,11 +213,11 @@ mod tests {
     #[test]
     fn a_variant_stands_beside_the_shipped_method_and_its_noise() {
         let (text, csv) = written(&[scores("", "", &[(0, 0.02), (1, 0.04)]), scores("w_t", "0", &[(0, 0.05)])]);
-        assert!(text.contains("ours: *as shipped* | 0.030 ± 0.014") && text.contains("ours: 0 | 0.050"), "{text}");
+        assert!(text.contains("ours: *as shipped* | 0.020 ± 0.014") && text.contains("ours: 0 | 0.050"), "{text}");
         let row = csv.lines().find(|l| l.starts_with("w_t,0,ours,phase_mae")).unwrap();
         let fields: Vec<f64> = row.split(',').skip(6).take(4).map(|v| v.parse().unwrap()).collect();
-        // The difference is that of the seed which both have.
-        let expected = [0.05, 0.03, 0.03, 0.02 / 2f64.sqrt()];
+        // Shipped value and difference are those of the seed which both have.
+        let expected = [0.05, 0.02, 0.03, 0.02 / 2f64.sqrt()];
         assert!(fields.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{row}");
     }
 

@@ -16,7 +16,7 @@ pub struct CountedRun<'a> {
     of_row: BTreeMap<&'a str, BTreeMap<&'a str, Vec<&'a CellRecord>>>,
     trees: BTreeMap<&'a str, &'a str>,
     ranking_cases: Vec<&'a CaseInfo>,
-    machine_id: Option<&'a str>,
+    machine: Option<(&'a str, usize)>,
 }
 
 impl<'a> CountedRun<'a> {
@@ -33,7 +33,7 @@ impl<'a> CountedRun<'a> {
         }
         let ranking_cases = run.cases.iter().filter(|case| measure.contains_key(case.id.as_str())).collect();
         let trees = run.cases.iter().map(|case| (case.id.as_str(), case.tree())).collect();
-        CountedRun { run, measure, of_row, trees, ranking_cases, machine_id: machine_id(run) }
+        CountedRun { run, measure, of_row, trees, ranking_cases, machine: machine(run) }
     }
 
     /// Cases over which means and places are taken, in order; others are only listed.
@@ -72,11 +72,10 @@ impl<'a> CountedRun<'a> {
         self.of_row.get(case).into_iter().flat_map(BTreeMap::values).flatten().copied()
     }
 
-    /// Whether all times of the method were measured by this program, and on the machine of the others.
+    /// Whether all times of the method were measured by this program, on the machine of the others and with as many threads.
     pub fn is_timed(&self, method: &str) -> bool {
-        let is_timed = |cell: &CellRecord| {
-            is_run(self.run, cell) && self.machine_id.is_some() && cell.machine_id() == self.machine_id
-        };
+        let is_timed =
+            |cell: &CellRecord| is_run(self.run, cell) && self.machine.is_some() && cell.machine() == self.machine;
         self.run.cells.iter().filter(|cell| cell.method == method).all(is_timed)
     }
 
@@ -136,10 +135,11 @@ impl<'a> CountedRun<'a> {
     }
 }
 
-/// The machine whose times rank: that of most cells of the run's own, the first of equals; none where nobody measured.
-fn machine_id(run: &Run) -> Option<&str> {
-    let machines = || run.cells.iter().filter(|cell| is_run(run, cell)).filter_map(|cell| cell.machine_id());
-    let mut cells_of = BTreeMap::<&str, usize>::new();
+/// The machine and the threads whose times rank: those of most cells of the run's own, the first of equals; none where
+/// nobody measured.
+fn machine(run: &Run) -> Option<(&str, usize)> {
+    let machines = || run.cells.iter().filter(|cell| is_run(run, cell)).filter_map(|cell| cell.machine());
+    let mut cells_of = BTreeMap::<(&str, usize), usize>::new();
     machines().for_each(|machine| *cells_of.entry(machine).or_default() += 1);
     let most = cells_of.values().max()?;
     machines().find(|machine| cells_of.get(machine) == Some(most))

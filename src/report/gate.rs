@@ -3,6 +3,7 @@
 //! that is unknown, a limit that no row meets.
 //!
 //! ```toml
+//! profile = "smoke"                    # whose runs these are limits of; any profile's when absent
 //! cases = ["case1"]                    # must be there
 //! methods = ["ours"]                   # must be there
 //! [[absolute]]                         # every case of the method, or with over = "mean" the mean over cases
@@ -22,6 +23,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::read::{CaseFacts, Key, ResultEntry, Results, unfit};
+use super::run::{EVALUATION, PROFILES_BETWEEN};
 use crate::base::range::{KeyRanges, NumberRange};
 use crate::base::{Error, Result, files};
 use crate::score::{Metric, Status, metric, statistics};
@@ -39,6 +41,9 @@ const RANGES: KeyRanges = KeyRanges(&[
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Thresholds {
+    /// Profile whose runs these are limits of; any profile's when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub profile: Option<String>,
     /// Cases that must be there.
     #[serde(default)]
     pub cases: Vec<String>,
@@ -99,6 +104,20 @@ pub struct Relative {
     /// A note instead of a failure.
     #[serde(default)]
     pub advisory: bool,
+}
+
+impl Thresholds {
+    /// Refuses results of another profile, a merged run's among them; predictions that `evaluate` scored are of none.
+    pub fn check_profile(&self, results: &Results) -> Result<()> {
+        let Some(wanted) = self.profile.as_deref().filter(|_| !results.profile.is_empty()) else { return Ok(()) };
+        match results.profile.split(PROFILES_BETWEEN).find(|profile| ![wanted, EVALUATION].contains(profile)) {
+            None => Ok(()),
+            Some(other) => Err(Error::usage(format!(
+                "are limits of the profile `{wanted}`, and the results are of `{other}`: name a file with limits of yours \
+                 (--thresholds; docs/statistics.md has its keys)"
+            ))),
+        }
+    }
 }
 
 impl Relative {
@@ -408,6 +427,9 @@ fn relative(m: &Metric, limit: &Relative, key: &Key, old: &ResultEntry, new: Opt
         return check(place, fail, redefinition(&old.definition, &new.definition));
     }
     match (shown_value(m, old), shown_value(m, new)) {
+        (Value::None(_), Value::None(_)) if new.status != old.status => {
+            check(place, fail, format!("no value: {}; in the baseline: {}", new.status, old.status))
+        }
         (Value::None(_), Value::None(_)) => check(place, Verdict::Pass, "no value, as in the baseline".into()),
         (Value::None(_), _) => check(place, Verdict::Note, "has a value, the baseline has none".into()),
         (_, Value::Identical) => check(place, Verdict::Pass, "identical to the truth".into()),

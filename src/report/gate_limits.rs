@@ -17,7 +17,8 @@ use crate::base::{Error, Result, files};
 use crate::score::statistics::{deviation, mean};
 use crate::score::{Metric, metric, registry};
 
-/// Standard deviations that a value may be worse: a sound build exceeds them once in 30 000 values.
+/// Standard deviations that a value may be worse. A sound build of another film exceeds them once in 30,000 values; one
+/// that draws other numbers, where they are of single values and the loss is a difference of two, once in 430.
 const DEVIATIONS: f64 = 4.0;
 /// Fewest differences from which a deviation is taken.
 const LEAST_DIFFERENCES: usize = 9;

@@ -325,10 +325,10 @@ fn times_of_two_machines_are_not_judged() {
     };
     assert_eq!(change(&a, &b), Change::Machines, "nobody knows of which");
     for (results, machine) in [(&mut a, "0123abcd"), (&mut b, "0123abcd")] {
-        results.machines.insert(machine.into());
+        results.machines.insert((machine.into(), "2".into()));
     }
     assert_eq!(change(&a, &b), Change::Few);
-    b.machines = ["another".to_owned()].into();
+    b.machines = [("another".to_owned(), "2".to_owned())].into();
     assert_eq!(change(&a, &b), Change::Machines);
 }
 
@@ -529,4 +529,40 @@ fn planted_regressions_are_refused_and_sound_builds_are_not() {
     let (_kept, other) = results_of(&Build { sampling: 2, ..sound });
     let failed = failures(&judge(&other, &limits, Some(&baseline)));
     assert!(failed.iter().filter(|f| f.contains("the film is another")).count() == 2, "{failed:?}");
+}
+
+/// The sanity limits of short runs say nothing of long ones; another program's row beside them is of no profile.
+#[test]
+fn limits_of_another_profile_are_refused() {
+    let of = |profile: &str| Results { profile: profile.into(), ..Results::default() };
+    let limits = Thresholds { profile: Some("smoke".into()), ..thresholds() };
+    for fits in ["smoke", "smoke + evaluate", "evaluate", ""] {
+        limits.check_profile(&of(fits)).unwrap();
+    }
+    for other in ["quick", "smoke + evaluate + quick"] {
+        let said = limits.check_profile(&of(other)).unwrap_err().to_string();
+        assert!(said.contains("`smoke`") && said.contains("`quick`"), "{said}");
+        thresholds().check_profile(&of(other)).unwrap();
+    }
+}
+
+/// A number that is missing for another reason is no number that is missing as before.
+#[test]
+fn another_reason_for_no_value_fails() {
+    let folder = tempfile::tempdir().unwrap();
+    let without = |status: &str| {
+        let mut results = changed(&tables_in(folder.path()), "ours", "psnr_db", |_| None);
+        let of_ours = results.entries.iter_mut().filter(|(key, _)| key.method == "ours" && key.metric == "psnr_db");
+        of_ours.for_each(|(_, entry)| entry.status = status.into());
+        results
+    };
+    let relative = Thresholds { absolute: Vec::new(), ..thresholds() };
+    let verdict = |now: &Results, before: &Results| {
+        let checks = judge(now, &relative, Some(before));
+        let of_ours = checks.iter().filter(|c| c.method == "ours" && c.metric == "psnr_db" && c.case == "case1");
+        of_ours.map(|c| c.verdict).collect::<Vec<_>>()
+    };
+    let (before, same) = (without("not_applicable"), without("not_applicable"));
+    assert_eq!(verdict(&same, &before), [Verdict::Pass]);
+    assert_eq!(verdict(&without("copied"), &before), [Verdict::Fail]);
 }

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 
 use super::counted_run::CountedRun;
 use super::read::distinct;
-use super::run::{CellRecord, MethodInfo, Role, Run};
+use super::run::{CellRecord, MethodInfo, PROFILES_BETWEEN, Role, Run};
 use super::scene::{FilmKey, Scenes};
 use crate::base::{Error, Result, hash};
 use crate::score::CellScore;
@@ -85,8 +85,10 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
         scenes.drop_rows_of(&run.cells.iter().map(CellRecord::row_key).collect());
         scenes.add(run.scenes);
         read_from.extend(run.read_from);
-        if !profiles.contains(&run.profile) {
-            profiles.push(run.profile);
+        for profile in run.profile.split(PROFILES_BETWEEN) {
+            if profiles.iter().all(|known| known != profile) {
+                profiles.push(profile.to_owned());
+            }
         }
         for cell in run.cells {
             let key = (cell.case_id.clone(), cell.method.clone(), cell.seed);
@@ -113,7 +115,7 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
     // A film that a part kept is shown with the rows that were scored on it, and with no others.
     let film = |cell: &CellRecord| cell.score().map(FilmKey::of);
     scenes.keep_scored(&cells.iter().filter_map(|cell| Some((cell.row_key(), film(cell)?))).collect());
-    let profile = profiles.join(" + ");
+    let profile = profiles.join(PROFILES_BETWEEN);
     let mut run = Run { id, profile, track, scenes, read_from, conditions, notes, ..Run::of_cells(cells, &trees) };
     for case in &mut run.cases {
         case.title = titles.remove(&case.id).unwrap_or_default();

@@ -91,7 +91,7 @@ impl RunParts {
 /// Refuses a `folder` that holds something and no report: a film's or a prediction's files have names that a report's have,
 /// too, and would be lost.
 pub fn refuse_other_folder(folder: &Path) -> Result<()> {
-    let is_report = ["run.json", RESULTS, PAGE].iter().any(|name| folder.join(name).is_file());
+    let is_report = [run::RUN_FACTS, RESULTS, PAGE].iter().any(|name| folder.join(name).is_file());
     if !folder.is_dir()
         || is_report
         || files::all_directly_in(folder)?.is_empty() && files::folders_in(folder)?.is_empty()
@@ -191,7 +191,7 @@ fn write_parts(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<RunP
     tables::write_differences(&differences, &folder.join("differences.csv"))?;
     tables::write_frames(run, &folder.join("frames.csv"))?;
     tables::write_timings(run, &folder.join("timings.csv"))?;
-    files::write_json(&folder.join("run.json"), &run.facts())?;
+    files::write_json(&folder.join(run::RUN_FACTS), &run.facts())?;
     let tables = table::ComparisonTable::all(run.track, &summaries);
     let latex: Vec<String> = tables.iter().map(|table| latex::table(table, &run.id)).collect();
     files::write_bytes(&folder.join("table.tex"), latex.join("\n").as_bytes())?;

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use super::run::{MethodInfo, RECONSTRUCT};
+use super::run::{MethodInfo, RECONSTRUCT, StatedFacts};
 use super::{RESULTS, seal, track_folders};
 use crate::base::{Error, Result, files};
 use crate::formats::number_table::line_of;
@@ -66,8 +66,10 @@ pub struct Results {
     pub facts: BTreeMap<String, CaseFacts>,
     /// What the methods were told.
     pub track: Track,
-    /// Machines on which the methods ran, as far as `timings.csv` says.
-    pub machines: BTreeSet<String>,
+    /// Profile of the run, of a merged one all (`a + b`); empty where it is not known.
+    pub profile: String,
+    /// Machines on which the methods ran, and the threads that they could use, as far as `timings.csv` says.
+    pub machines: BTreeSet<(String, String)>,
 }
 
 /// Reads `results.csv` of `folder`, and the times from its `comparison.csv` where there is one.
@@ -124,10 +126,11 @@ pub fn read(folder: &Path) -> Result<Results> {
     if path.exists() {
         for row in CsvTable::read(&path)?.rows() {
             if row.text("stage")? == RECONSTRUCT {
-                results.machines.insert(row.text_or_empty("machine_id"));
+                results.machines.insert((row.text_or_empty("machine_id"), row.text_or_empty("threads")));
             }
         }
     }
+    results.profile = StatedFacts::read(folder)?.profile;
     seal::check(folder)?;
     Ok(results)
 }
@@ -156,9 +159,10 @@ impl Results {
         self.entries.keys().any(|key| key.method == method && key.case == case)
     }
 
-    /// Whether both are known to have run on one machine, and it is the same.
+    /// Whether both are known to have run on one machine with one number of threads, and both are the same.
     pub fn is_of_the_machine_of(&self, other: &Results) -> bool {
-        self.machines.len() == 1 && self.machines == other.machines && !self.machines.contains("")
+        let is_known = self.machines.iter().all(|(machine, _)| !machine.is_empty());
+        is_known && self.machines.len() == 1 && self.machines == other.machines
     }
 
     /// Refuses results of another track: their numbers are of another task.

@@ -84,11 +84,11 @@ pub fn read_run(folder: &Path, evidence: PartEvidence) -> Result<Run> {
             score.overlay = scenes.row(score).and_then(|row| row.contours.clone());
         }
     }
+    let stated = StatedFacts::read(folder)?;
     // `<profile>-<hash of the plan>`, or `evaluate-<case>-<method>`.
     let cut = if is_evaluated { id.split_once('-') } else { id.rsplit_once('-') };
-    let profile = cut.map_or(id.as_str(), |(profile, _)| profile).to_owned();
-    let path = folder.join("run.json");
-    let stated: StatedFacts = if path.exists() { files::read_json(&path)? } else { StatedFacts::default() };
+    let of_id = || cut.map_or(id.as_str(), |(profile, _)| profile).to_owned();
+    let profile = if stated.profile.is_empty() { of_id() } else { stated.profile };
     let conditions = stated.conditions;
     let read_from = vec![folder.to_owned()];
     let mut run = Run { id, profile, track, scenes, read_from, conditions, notes, ..Run::of_cells(cells, &trees) };

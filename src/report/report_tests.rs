@@ -190,7 +190,7 @@ fn the_machines_of_a_report_are_those_of_its_methods() {
     }
     write(&run, &folder.path().join("report"), &NoProgress).unwrap();
     let read = read::read(&folder.path().join("report")).unwrap();
-    assert_eq!(read.machines.iter().collect::<Vec<_>>(), ["machine"]);
+    assert_eq!(read.machines.iter().collect::<Vec<_>>(), [&("machine".to_owned(), "2".to_owned())]);
 }
 
 /// Nothing scored, nothing to draw: still a report.

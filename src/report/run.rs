@@ -1,16 +1,19 @@
 //! What a report is made of: cells with their scores, and where images can be read from.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use super::scene::{RowKey, Scenes};
-use crate::base::own_row;
 pub use crate::base::own_row::Role;
+use crate::base::{Result, files, own_row};
 use crate::score::{CellScore, Truth};
 use crate::simulate::track::Track;
+
+/// Name of what says of what the tables of a report are.
+pub const RUN_FACTS: &str = "run.json";
 
 /// Everything of one run, in the order in which tables show it.
 #[derive(Clone)]
@@ -61,12 +64,23 @@ struct CaseInRun<'a> {
 /// What `run.json` says that no table does; nothing where it is of an older version.
 #[derive(Debug, Default, Deserialize)]
 pub struct StatedFacts {
+    /// As in [`Run`]; empty where it is not known.
+    #[serde(default)]
+    pub profile: String,
     /// As in [`Run`].
     #[serde(default)]
     pub conditions: Vec<String>,
     /// Cases with their titles.
     #[serde(default)]
     pub cases: Vec<StatedCase>,
+}
+
+impl StatedFacts {
+    /// Those of the report in `folder`.
+    pub fn read(folder: &Path) -> Result<StatedFacts> {
+        let path = folder.join(RUN_FACTS);
+        if path.exists() { files::read_json(&path) } else { Ok(StatedFacts::default()) }
+    }
 }
 
 /// A case of [`StatedFacts`].
@@ -152,7 +166,12 @@ impl MethodInfo {
 const EVALUATED: &str = "evaluate-";
 
 /// The stage in which a method works.
-pub(super) const RECONSTRUCT: &str = "reconstruct";
+pub const RECONSTRUCT: &str = "reconstruct";
+
+/// Profile of predictions that `evaluate` scored.
+pub const EVALUATION: &str = "evaluate";
+/// What stands between the profiles of a merged run.
+pub const PROFILES_BETWEEN: &str = " + ";
 
 /// The id of the run of a prediction that `evaluate` scored.
 pub fn evaluated_id(case_id: &str, method: &str) -> String {
@@ -226,10 +245,10 @@ impl CellRecord {
         self.is_evaluated() || !MethodInfo::is_own(&self.method)
     }
 
-    /// The machine on which the method ran; none where nobody measured it.
-    pub fn machine_id(&self) -> Option<&str> {
+    /// The machine on which the method ran, and the threads that it could use; none where nobody measured it.
+    pub fn machine(&self) -> Option<(&str, usize)> {
         let cost = self.timings.iter().find(|cost| cost.stage == RECONSTRUCT)?;
-        Some(cost.machine_id.as_str()).filter(|id| !id.is_empty())
+        Some((cost.machine_id.as_str(), cost.threads)).filter(|(id, _)| !id.is_empty())
     }
 
     /// The score, unless the cell failed.

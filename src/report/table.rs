@@ -263,7 +263,7 @@ fn cell(kind: TableKind, summary: &MethodSummary, metric: &Metric) -> TableCell 
         paper: paper_value(&summary.method.id, metric.id).filter(|_| is_paper).map(|v| show(metric, v)),
         best: ranks && found.is_some_and(|m| m.rank == Some(1)),
         leads_equals: ranks && found.is_some_and(|m| m.leads_equals),
-        perfect: found.is_some_and(|m| m.is_perfect),
+        perfect: mean.is_some() && found.is_some_and(|m| m.is_perfect),
         marked: found.is_some_and(|m| m.is_marked),
     }
 }

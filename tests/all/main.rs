@@ -4,6 +4,7 @@
 mod all_cases;
 mod binary;
 mod blind;
+mod case_keys;
 mod cases;
 mod cheats;
 mod clinical;
