@@ -94,8 +94,8 @@ fn main() {
     let compiler = ["CXX", "CXXFLAGS"].map(env::var_os);
     // With the folder: what the native part said names it, and a copied target folder must not link another's C++.
     native::once(&format!("{} {prefix:?} {compiler:?} {}", revision::of(&native_sources), out.display()), &out);
-    name_compiler();
-    revision::tell(&root);
+    let compilers = [name_compiler(), version_of_cpp()];
+    revision::tell(&root, &compilers, &version_headers(prefix.as_deref()));
     shipped::list(&root, &out);
     println!("cargo:rerun-if-changed=cpp");
     // Without the path tracer nothing asks for it, and whoever builds the library must not do so again for it.
@@ -104,10 +104,25 @@ fn main() {
 }
 
 /// `doctor` tells which compiler built the program.
-fn name_compiler() {
+fn name_compiler() -> String {
     let rustc = env::var_os("RUSTC").expect("cargo sets RUSTC");
     let answer = std::process::Command::new(rustc).arg("--version").output().expect("the compiler that runs this runs");
-    println!("cargo:rustc-env=RESPIRE_BENCH_RUSTC={}", String::from_utf8_lossy(&answer.stdout).trim());
+    let name = String::from_utf8_lossy(&answer.stdout).trim().to_owned();
+    println!("cargo:rustc-env=RESPIRE_BENCH_RUSTC={name}");
+    name
+}
+
+/// What the C++ compiler calls itself.
+fn version_of_cpp() -> String {
+    let compiler = cc::Build::new().cpp(true).cargo_metadata(false).get_compiler();
+    let answer = compiler.to_command().arg("--version").output().expect("the compiler that built the kernels runs");
+    String::from_utf8_lossy(&answer.stdout).lines().next().unwrap_or_default().to_owned()
+}
+
+/// Headers that hold the versions of the libraries whose code makes films and scores.
+fn version_headers(prefix: Option<&Path>) -> Vec<PathBuf> {
+    let embree = prefix.map_or_else(|| PathBuf::from("/usr/include"), |p| p.join("include"));
+    vec![embree.join("embree4/rtcore_config.h"), PathBuf::from("/usr/include/opencv4/opencv2/core/version.hpp")]
 }
 
 fn of_parts(files: impl Fn(&Part) -> &'static [&'static str]) -> impl Iterator<Item = &'static str> {

@@ -23,20 +23,37 @@ const TRACER: [&str; 8] = [
     "src/ffi/vision.rs",
 ];
 
-/// Sets `RESPIRE_BENCH_REVISION_<ROOM>` for the compiler; OUTSIDE is the build script and the locked dependencies.
-pub fn tell(root: &Path) {
+/// The build itself: its script, features and profiles, the locked dependencies.
+const BUILD: [&str; 4] = ["build.rs", "build", "Cargo.toml", "Cargo.lock"];
+
+/// What changes the machine code of the same sources.
+const FLAGS: [&str; 4] = ["CXX", "CXXFLAGS", "CFLAGS", "CARGO_ENCODED_RUSTFLAGS"];
+
+/// Sets `RESPIRE_BENCH_REVISION_<ROOM>` for the compiler; OUTSIDE is the build, the compilers and their flags, and what the
+/// headers of the libraries of the system say of their versions.
+pub fn tell(root: &Path, compilers: &[String], headers: &[PathBuf]) {
     for room in ROOMS {
-        set(room, &[root.join("src").join(room)]);
+        set(room, &of(&[root.join("src").join(room)]));
     }
-    set("outside", &[root.join("build.rs"), root.join("Cargo.lock")]);
-    set("kernels", &KERNELS.map(|path| root.join(path)));
-    set("tracer", &TRACER.map(|path| root.join(path)));
-    println!("cargo:rerun-if-changed=src");
-    println!("cargo:rerun-if-changed=Cargo.lock");
+    let mut outside = BUILD.map(|path| root.join(path)).to_vec();
+    outside.extend(headers.iter().filter(|header| header.exists()).cloned());
+    let mut hash = Fnv::new();
+    hash.add(of(&outside).as_bytes());
+    compilers.iter().for_each(|words| hash.add(words.as_bytes()));
+    for flag in FLAGS {
+        hash.add(std::env::var_os(flag).unwrap_or_default().as_encoded_bytes());
+        println!("cargo:rerun-if-env-changed={flag}");
+    }
+    set("outside", &hash.digits());
+    set("kernels", &of(&KERNELS.map(|path| root.join(path))));
+    set("tracer", &of(&TRACER.map(|path| root.join(path))));
+    for path in ["src", "Cargo.toml", "Cargo.lock"] {
+        println!("cargo:rerun-if-changed={path}");
+    }
 }
 
-fn set(room: &str, paths: &[PathBuf]) {
-    println!("cargo:rustc-env=RESPIRE_BENCH_REVISION_{}={}", room.to_uppercase(), of(paths));
+fn set(room: &str, digits: &str) {
+    println!("cargo:rustc-env=RESPIRE_BENCH_REVISION_{}={digits}", room.to_uppercase());
 }
 
 /// 16 hex digits for the code in files and folders.
@@ -50,7 +67,7 @@ pub fn of(paths: &[PathBuf]) -> String {
         let text = fs::read_to_string(file).expect("sources are readable UTF-8");
         code_lines(&text).for_each(|line| hash.add(line.as_bytes()));
     }
-    format!("{:016x}", hash.0)
+    hash.digits()
 }
 
 fn list(path: &Path, files: &mut Vec<PathBuf>) {
@@ -75,6 +92,10 @@ struct Fnv(u64);
 impl Fnv {
     fn new() -> Self {
         Fnv(0xcbf2_9ce4_8422_2325)
+    }
+
+    fn digits(&self) -> String {
+        format!("{:016x}", self.0)
     }
 
     fn add(&mut self, bytes: &[u8]) {

@@ -82,9 +82,10 @@ fn parse_table(text: &str, meaning: &FileMeaning) -> Result<Centerline> {
             (Some(_), Some(before)) if before.generation != generation => {
                 return wrong("its generation is not that of its branch");
             }
-            (None, Some(before)) if before.generation >= generation => {
+            // The same where branches part close together: in films' own tables they are siblings.
+            (None, Some(before)) if before.generation > generation => {
                 return wrong(
-                    "its branch begins here, and its generation is not above that of the branch from which it comes",
+                    "its branch begins here, and its generation is below that of the branch from which it comes",
                 );
             }
             _ => {}
@@ -130,11 +131,14 @@ mod tests {
             ("3,0,2,-30,4,1,1,2", "3,0,2,-30,4,1,1,1", "id 3: its parent is not the point of its branch before it"),
             ("3,0,2,-30,4,1,1,2", "3,0,2,-30,4,0,1,2", "id 3: its parent is not the point of its branch"),
             ("3,0,2,-30,4,1,1,2", "3,0,2,-30,4,1,2,2", "id 3: its generation is not that of its branch"),
-            ("2,0,1,-20,4,1,1,1", "2,0,1,-20,4,1,0,1", "id 2: its branch begins here"),
         ] {
             let said = parse_table(&TABLE.replace(from, to), &read_as(PatientAxes::LPS)).unwrap_err().to_string();
             assert!(said.contains(says), "{to}: {said}");
         }
+        let trunk = |generation: &str| TABLE.replace(",5,0,0,", &format!(",5,0,{generation},"));
+        let said = parse_table(&trunk("2"), &read_as(PatientAxes::LPS)).unwrap_err().to_string();
+        assert!(said.contains("id 2: its branch begins here"), "{said}");
+        assert_eq!(parse_table(&trunk("1"), &read_as(PatientAxes::LPS)).unwrap().points.len(), 4, "siblings");
         // As a spreadsheet writes it, with columns of its own.
         let other = "\u{feff}note,parent_id,generation,branch,radius_mm,z_mm,y_mm,x_mm,id\r\n7,-1,0,0,5,0,0,0,0\r\n";
         assert_eq!(parse_table(other, &read_as(PatientAxes::LPS)).unwrap().points.len(), 1);

@@ -11,6 +11,11 @@ use super::target::Target;
 const TIPS: usize = 5;
 /// Distance of the tissue targets from their tip, mm.
 const BESIDE_MM: f64 = 10.0;
+/// A tissue target that lies nearer to a wall than this, or in an airway, is moved further out, mm.
+const CLEAR_MM: f64 = 2.0;
+/// How far out it may be, and in which steps, mm.
+const FARTHEST_MM: f64 = 60.0;
+const STEP_MM: f64 = 2.0;
 /// Directions around the branch among which the one that leads away from the airways is taken.
 const DIRECTIONS: usize = 16;
 
@@ -24,7 +29,7 @@ pub fn targets(anatomy: &Anatomy, breathing: Option<&Breathing>) -> Vec<Target> 
     let tip =
         |&i: &usize| Target { inspiration_mm: points[i].position_mm, expiration_mm: anatomy.centerline_expiration[i] };
     let beside = |&i: &usize| {
-        let place = points[i].position_mm + BESIDE_MM * away(anatomy, i);
+        let place = beside_tip(anatomy, i);
         // Where only the wall's motion is known, the tissue next to a tip moves with it.
         let motion = match breathing {
             Some(breathing) => breathing.field.displacement(place),
@@ -51,22 +56,33 @@ fn spread(leaves: &[usize], place: impl Fn(usize) -> DVec3, inlet: DVec3) -> Vec
     taken
 }
 
-/// Unit direction across the branch that ends at point `tip`, the one that leads farthest from all airways.
-fn away(anatomy: &Anatomy, tip: usize) -> DVec3 {
+/// A place in the tissue across the branch that ends at point `tip`: in the direction that leads farthest from all airways,
+/// and as far out as wide ones need.
+fn beside_tip(anatomy: &Anatomy, tip: usize) -> DVec3 {
     let points = &anatomy.centerline.points;
     let here = points[tip].position_mm;
     let before = points[tip].parent.map_or(here, |parent| points[parent as usize].position_mm);
     let along = (here - before).try_normalize().unwrap_or(DVec3::NEG_Z);
     let (across, other) = along.any_orthonormal_pair();
-    let room = |direction: DVec3| {
-        let place = here + BESIDE_MM * direction;
-        points.iter().map(|p| p.position_mm.distance_squared(place)).fold(f64::INFINITY, f64::min)
-    };
-    let direction = |k: usize| {
+    let directions: [DVec3; DIRECTIONS] = std::array::from_fn(|k| {
         let (sine, cosine) = (std::f64::consts::TAU * k as f64 / DIRECTIONS as f64).sin_cos();
         across * cosine + other * sine
+    });
+    let farthest = |distance_mm: f64, room: &dyn Fn(DVec3) -> f64| {
+        let places = directions.map(|direction| here + distance_mm * direction);
+        places.into_iter().fold(places[0], |best, next| if room(next) > room(best) { next } else { best })
     };
-    (0..DIRECTIONS).map(direction).fold(across, |best, next| if room(next) > room(best) { next } else { best })
+    let from_points =
+        |place: DVec3| points.iter().map(|p| p.position_mm.distance_squared(place)).fold(f64::INFINITY, f64::min);
+    let from_walls =
+        |place: DVec3| points.iter().map(|p| p.position_mm.distance(place) - p.radius_mm).fold(f64::INFINITY, f64::min);
+    let mut place = farthest(BESIDE_MM, &from_points);
+    let mut distance_mm = BESIDE_MM;
+    while from_walls(place) < CLEAR_MM && distance_mm < FARTHEST_MM {
+        place = farthest(distance_mm, &from_walls);
+        distance_mm += STEP_MM;
+    }
+    place
 }
 
 #[cfg(test)]
@@ -108,6 +124,14 @@ mod tests {
             assert!((tip.inspiration_mm.distance(beside.inspiration_mm) - BESIDE_MM).abs() < 1e-9);
             assert_eq!(beside.expiration_mm - beside.inspiration_mm, shift);
             assert_eq!(tip.at(0.5), tip.inspiration_mm + 0.5 * shift);
+        }
+        // Beside a wide airway a centimetre is not enough.
+        let mut wide = anatomy.clone();
+        wide.centerline.points.iter_mut().for_each(|point| point.radius_mm = 12.0);
+        for beside in &targets(&wide, None)[3..] {
+            let walls =
+                wide.centerline.points.iter().map(|p| p.position_mm.distance(beside.inspiration_mm) - p.radius_mm);
+            assert!(walls.fold(f64::INFINITY, f64::min) >= CLEAR_MM);
         }
         // Where the motion of all tissue is known, a companion moves as the tissue where it is.
         let field = BreathingField {

@@ -14,6 +14,9 @@ pub fn check(id: &str) -> Result<()> {
     if id.is_empty() || !id.chars().all(is_plain) {
         return Err(Error::input("must be letters, digits, `-` and `_`"));
     }
+    if id.starts_with('-') {
+        return Err(Error::input("must not begin with `-`: commands would take it for an option"));
+    }
     if id.len() > LONGEST {
         return Err(Error::input(format!("must have no more than {LONGEST} characters: folders are named by it")));
     }
@@ -23,7 +26,11 @@ pub fn check(id: &str) -> Result<()> {
 /// An id made of a folder's name, for a film that does not tell its own: what an id cannot hold is `_`.
 pub fn of_folder(name: &str) -> String {
     let id: String = name.chars().map(|c| if is_plain(c) { c } else { '_' }).take(LONGEST).collect();
-    if id.is_empty() { "_".to_owned() } else { id }
+    match id.strip_prefix('-') {
+        Some(rest) => format!("_{rest}"),
+        None if id.is_empty() => "_".to_owned(),
+        None => id,
+    }
 }
 
 #[cfg(test)]
@@ -34,7 +41,7 @@ mod tests {
     fn an_id_names_a_file_here_and_nowhere_else() {
         check("case1").unwrap();
         check(&"x".repeat(LONGEST)).unwrap();
-        for id in ["", "..", "/../x", "a b", "ä", "a\u{0}", "a.b", &"x".repeat(LONGEST + 1)] {
+        for id in ["", "..", "/../x", "a b", "ä", "a\u{0}", "a.b", "--help", &"x".repeat(LONGEST + 1)] {
             assert!(check(id).is_err(), "{id:?}");
             check(&of_folder(id)).unwrap();
         }

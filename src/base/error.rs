@@ -48,12 +48,14 @@ struct Inner {
     path: Option<PathBuf>,
     element: Option<String>,
     message: String,
+    /// The operating system said no, not the content of a file.
+    of_system: bool,
 }
 
 impl Error {
     /// An error of `kind` that says `message`.
     pub fn new(kind: ErrorKind, message: impl Into<String>) -> Self {
-        Error(Box::new(Inner { kind, path: None, element: None, message: message.into() }))
+        Error(Box::new(Inner { kind, path: None, element: None, message: message.into(), of_system: false }))
     }
 
     /// Input that contradicts its format or its meaning.
@@ -73,7 +75,9 @@ impl Error {
 
     /// An operating-system error while doing `what` ("reading", "writing") with `path`.
     pub fn io(what: &str, path: &Path, source: std::io::Error) -> Self {
-        Self::input(format!("{what} failed: {source}")).at(path)
+        let mut error = Self::input(format!("{what} failed: {source}")).at(path);
+        error.0.of_system = true;
+        error
     }
 
     /// Names the file at fault, unless one is named already.
@@ -91,6 +95,11 @@ impl Error {
     /// What kind of failure it is.
     pub fn kind(&self) -> ErrorKind {
         self.0.kind
+    }
+
+    /// Whether the operating system said no, and not the content of a file.
+    pub fn is_of_system(&self) -> bool {
+        self.0.of_system
     }
 
     /// The file at fault, if one is known.

@@ -1,6 +1,6 @@
 //! Revisions of the code itself, room by room: `build.rs` hashes the sources of every room (comments and tests left
 //! out), as "kernels" the C++ of the splat core with its bridges, as "tracer" all other C++ and bridges, and as
-//! "outside" the build script and the locked versions of the dependencies.
+//! "outside" the build, the locked versions of the dependencies, the compilers with their flags, and Embree and OpenCV.
 
 use super::hash;
 

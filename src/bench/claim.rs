@@ -177,12 +177,11 @@ impl Claim {
     }
 
     fn remove(&self) -> Result<()> {
-        let claim = self.folder.join(CLAIM);
         // Taken over by another process: it is no longer ours to remove.
         if !self.is_held()? {
             return Ok(());
         }
-        remove_renamed(&claim, &self.folder.join(format!("{RELEASED}{}", self.holder.token)))
+        remove_claim_of(&self.folder, &self.holder, &format!("{RELEASED}{}", self.holder.token))
     }
 }
 
@@ -303,13 +302,18 @@ fn write_holder(own: &Path, holder: &Holder) -> std::io::Result<()> {
 
 /// Takes a dead holder's claim away, unless another process was faster.
 fn break_claim(folder: &Path, dead: &Holder) -> Result<()> {
-    let (claim, aside) = (folder.join(CLAIM), folder.join(format!("{DEAD}{}", Holder::new().token)));
+    remove_claim_of(folder, dead, &format!("{DEAD}{}", Holder::new().token))
+}
+
+/// Removes the claim on a folder if it is this holder's, by way of the name `aside`. None there is fine.
+fn remove_claim_of(folder: &Path, holder: &Holder, aside: &str) -> Result<()> {
+    let (claim, aside) = (folder.join(CLAIM), folder.join(aside));
     match fs::rename(&claim, &aside) {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
         renamed => renamed.map_err(|e| Error::io("writing", &claim, e))?,
     }
     // Between looking and renaming, another process may have taken it over: then it gets its claim back.
-    if holder_of(&aside)?.is_some_and(|holder| holder.token != dead.token) && fs::rename(&aside, &claim).is_ok() {
+    if holder_of(&aside)?.is_some_and(|found| found.token != holder.token) && fs::rename(&aside, &claim).is_ok() {
         return Ok(());
     }
     remove_folder(&aside)

@@ -19,6 +19,7 @@ use super::stages::{Stages, caught};
 use super::store::{Finish, ProductState, Store, Work, cell_folder, film_folder};
 use super::timing::{self, StageTiming, measured};
 use crate::base::{Error, ErrorKind, Progress, Result};
+use crate::report::run::RECONSTRUCT;
 
 /// Whether finished products may be used again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,6 +45,14 @@ pub struct FinishedCell {
     pub timings: Vec<StageTiming>,
     /// Why there is no score.
     pub failure: Option<Error>,
+}
+
+impl FinishedCell {
+    /// Whether what the method took was measured while no other cell of this program ran beside it: such alone have a
+    /// timing of their own.
+    pub fn is_timed(&self) -> bool {
+        self.timings.iter().any(|timing| timing.stage == RECONSTRUCT)
+    }
 }
 
 /// How long to wait before another process' work is looked at again.
@@ -297,7 +306,9 @@ impl<'a> Execution<'a> {
     fn stops_the_run(&self, error: &Error) -> bool {
         match error.kind() {
             ErrorKind::Interrupted | ErrorKind::Environment => true,
-            ErrorKind::InputOutput => error.path().is_some_and(|path| path.starts_with(self.store.root())),
+            ErrorKind::InputOutput => {
+                error.is_of_system() && error.path().is_some_and(|path| path.starts_with(self.store.root()))
+            }
             _ => false,
         }
     }
@@ -392,7 +403,7 @@ impl<'a> Execution<'a> {
                     let mut wall_s = 0.0;
                     if !predicted {
                         let reconstruct = |out: &Path| self.stages.reconstruct(cell, &sequence, out, progress);
-                        wall_s += make(("prediction", "reconstruct"), &prediction.1, &reconstruct)?;
+                        wall_s += make(("prediction", RECONSTRUCT), &prediction.1, &reconstruct)?;
                     }
                     let scored = |out: &Path| self.stages.score(cell, &sequence, &place, &out.join("score.json"));
                     Ok(wall_s + make(("score", "score"), &score.1, &scored)?)

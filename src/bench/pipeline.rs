@@ -17,7 +17,7 @@ use crate::base::{Error, Estimate, Progress, Result, files, hash, own_row, shipp
 use crate::reconstruct::{self, Listing, MethodFile, Reconstruct};
 use crate::report::scene::Scenes;
 use crate::report::{CaseInfo, CellRecord, MethodInfo, Outcome, Run, StageCost};
-use crate::score::{self, Truth};
+use crate::score::{self, CellScore, Truth};
 use crate::simulate::participant::{Given, Participant};
 use crate::simulate::sequence::Sequence;
 use crate::simulate::track::Track;
@@ -324,7 +324,13 @@ fn film_settings(profile: &Profile, case: &Case) -> SimulationSettings {
 fn cell_record(finished: &FinishedCell, run_id: &str) -> Result<CellRecord> {
     let outcome = match &finished.failure {
         Some(error) => Outcome::Failed(error.to_string()),
-        None => Outcome::Scored(Box::new(files::read_json(&finished.score)?)),
+        None => {
+            let mut score: CellScore = files::read_json(&finished.score)?;
+            if !finished.is_timed() {
+                score.without_times();
+            }
+            Outcome::Scored(Box::new(score))
+        }
     };
     let cost = |t: &StageTiming| StageCost {
         stage: t.stage.clone(),

@@ -74,7 +74,7 @@ pub fn run(
         let label = format!("{} of {count}: {} {group} {}", i + 1, variant.method, variant.setting);
         watcher.stage_starts(label.trim_end());
         let finished = execute_at_once(&pipeline.plan()?, &pipeline, &store, plan.at_once, watcher)?;
-        all.push(scores(variant, &finished)?);
+        all.push(scores(variant, &finished, plan.at_once)?);
         each(&all)?;
     }
     Ok(())
@@ -100,9 +100,13 @@ fn refuse_scored(catalogue: &Catalogue, pipeline: &Pipeline) -> Result<()> {
     }
 }
 
-fn scores(variant: Variant, finished: &[FinishedCell]) -> Result<VariantScores> {
+/// Cells that were made beside others have no seconds that are comparable with those of a run of one at a time.
+fn scores(variant: Variant, finished: &[FinishedCell], at_once: usize) -> Result<VariantScores> {
     let read = |cell: &FinishedCell| {
-        let score: CellScore = files::read_json(&cell.score)?;
+        let mut score: CellScore = files::read_json(&cell.score)?;
+        if at_once == 1 && !cell.is_timed() {
+            score.without_times();
+        }
         // A score may have been made, and kept, before it knew its seed.
         Ok(CellScore { seed: cell.cell.seed, ..score })
     };

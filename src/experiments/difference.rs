@@ -2,11 +2,13 @@
 
 use crate::splat::{Gradients, Real};
 
-/// `|found - truth| / |truth|`, L2; 0 where the two are equal.
+/// `|found - truth| / |truth|`, L2; 0 where the two are equal, infinite where a value is no number.
 pub fn relative_l2(found: &[f64], truth: &[f64]) -> f64 {
     let norm = truth.iter().map(|v| v * v).sum::<f64>().sqrt();
     let difference = found.iter().zip(truth).map(|(x, y)| (x - y).powi(2)).sum::<f64>().sqrt();
-    if difference == 0.0 { 0.0 } else { difference / norm }
+    let relative = if difference == 0.0 { 0.0 } else { difference / norm };
+    // A maximum over errors would pass over a NaN.
+    if relative.is_nan() { f64::INFINITY } else { relative }
 }
 
 /// relMSE of an image against a noisy reference, free of the reference's noise in the numerator: the mean of

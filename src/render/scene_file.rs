@@ -332,7 +332,7 @@ impl CameraSection {
                 Camera::pinhole(self.width, self.height, fov.to_radians())
             }
             _ => {
-                return Err(Error::input("needs either fov_x_deg (a pinhole's, in 0 to 180) or fl_x").element("camera"));
+                return Err(Error::input("needs either fov_x_deg (a pinhole's, 0.1 to 179) or fl_x").element("camera"));
             }
         };
         camera.cx = self.cx.unwrap_or(camera.cx);

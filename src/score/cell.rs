@@ -9,7 +9,7 @@ use super::finding::{Finding, Status};
 use super::measured::{Measured, MeasuredFrame, TargetOutcome};
 use super::metric::{FrameReading, Metric};
 use super::prediction::{Prediction, Question};
-use super::registry::registry;
+use super::registry::{metric, registry};
 use super::truth::Truth;
 use crate::base::{Error, Result};
 
@@ -105,6 +105,20 @@ impl CellScore {
     /// The value of the metric `id`, if it has one.
     pub fn value(&self, id: &str) -> Option<f64> {
         self.metric(id).and_then(|m| m.value)
+    }
+
+    /// Drops what the method took: it was not measured, or beside other work.
+    pub fn without_times(&mut self) {
+        let is_time = |id: &str| metric(id).is_some_and(|m| m.is_runtime());
+        for score in self.metrics.iter_mut().filter(|score| is_time(&score.metric)) {
+            *score = MetricScore {
+                value: None,
+                status: Status::NotApplicable,
+                deviation: None,
+                interval: None,
+                ..score.clone()
+            };
+        }
     }
 
     /// The value of the metric `id` at each frame that has one.

@@ -15,13 +15,15 @@ use crate::airway::case::{ExposureControl, ExposureSettings};
 use crate::base::color::srgb_from_linear;
 use crate::base::random::{CounterRng, Stage};
 use crate::base::statistics::upper_median;
-use crate::base::{Camera, Result};
+use crate::base::{Camera, Error, Result};
 use crate::render::{Light, Scene};
 
 /// Rays of the proxy per image side.
 const GRID: usize = 48;
 /// Indirect light: gain over direct light per unit albedo, fitted by eye to rendered frames.
 const INTERREFLECTION: f64 = 1.6;
+/// No picture needs more: the scope's light gives radiances of about one.
+const MOST_GAIN: f64 = 1e9;
 /// The gain stays within this factor of the film's median.
 const RANGE: f64 = 8.0;
 
@@ -72,18 +74,34 @@ pub fn proxy_radiance(
     Ok(radiance)
 }
 
+/// Mean encoded brightness of `radiance` under a gain.
+fn brightness(radiance: &[[f64; 3]], gain: f64) -> f64 {
+    let sum: f64 = radiance.iter().flatten().map(|&v| srgb_from_linear((v * gain) as f32) as f64).sum();
+    sum / (radiance.len() * 3) as f64
+}
+
 /// The gain that brings the mean encoded brightness of `radiance` to `target`.
-pub fn wanted_gain(radiance: &[[f64; 3]], target: f64) -> f64 {
-    let brightness = |gain: f64| {
-        let sum: f64 = radiance.iter().flatten().map(|&v| srgb_from_linear((v * gain) as f32) as f64).sum();
-        sum / (radiance.len() * 3) as f64
-    };
+///
+/// Errors: more than any gain reaches, since too little of the picture is lit.
+pub fn wanted_gain(radiance: &[[f64; 3]], target: f64) -> Result<f64> {
+    let most = brightness(radiance, MOST_GAIN);
+    if most < target {
+        let sentence = format!(
+            "{target} cannot be reached: {most:.2} is the brightest that this lamp, lens and wall give the picture"
+        );
+        return Err(Error::input(sentence).element("exposure.target"));
+    }
     let (mut low, mut high) = (-30.0f64, 30.0f64);
     for _ in 0..50 {
         let middle = 0.5 * (low + high);
-        if brightness(middle.exp()) < target { low = middle } else { high = middle }
+        if brightness(radiance, middle.exp()) < target { low = middle } else { high = middle }
     }
-    (0.5 * (low + high)).exp()
+    Ok((0.5 * (low + high)).exp())
+}
+
+/// Share of the values of `radiance` that a gain clips.
+pub fn clipped_share(radiance: &[[f64; 3]], gain: f64) -> f64 {
+    radiance.iter().flatten().filter(|&&v| v * gain >= 1.0).count() as f64 / (radiance.len() * 3) as f64
 }
 
 /// Gain and white balance of one frame.
@@ -218,10 +236,14 @@ mod tests {
     fn the_wanted_gain_meets_the_target() {
         let radiance: Vec<[f64; 3]> = (1..200).map(|i| [30.0 / i as f64, 12.0 / i as f64, 9.0 / i as f64]).collect();
         for target in [0.2, 0.42, 0.6] {
-            let gain = wanted_gain(&radiance, target);
+            let gain = wanted_gain(&radiance, target).unwrap();
             let sum: f64 = radiance.iter().flatten().map(|&v| srgb_from_linear((v * gain) as f32) as f64).sum();
             assert!((sum / (radiance.len() * 3) as f64 - target).abs() < 1e-4);
         }
+        // A third of the picture can be lit, and no more.
+        let dark = [radiance[0], [0.0; 3], [0.0; 3]];
+        assert!((wanted_gain(&dark, 0.3).unwrap() * dark[0][2]) < 1.0);
+        assert!(wanted_gain(&dark, 0.4).unwrap_err().to_string().contains("exposure.target: 0.4 cannot be reached"));
     }
 
     #[test]

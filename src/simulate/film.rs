@@ -24,6 +24,8 @@ use super::truth::VisibleWall;
 const LEAST_CLEARANCE: f64 = 0.9;
 /// How far from the wanted phase a film may end that says nothing of it.
 const END_TOLERANCE: f64 = 0.01;
+/// Share of the values that the automatic exposure may expect to clip, in the middle frame.
+const MOST_CLIPPED: f64 = 0.25;
 /// On the clinical track the lumen moves otherwise than when it was measured: this part of the room is used.
 const CLINICAL_ROOM: f64 = 0.85;
 /// Least distance in mm of its camera from the wall.
@@ -226,6 +228,14 @@ impl Film {
             frame.gain = set.gain * way.clinical.as_ref().map_or(1.0, ClinicalFilm::overexposure);
             frame.white_balance = set.white_balance;
         }
+        let clipped = upper_median(planned.iter().map(|frame| frame.clipped_share)).unwrap_or(0.0);
+        if clipped > MOST_CLIPPED {
+            notes.push(format!(
+                "the exposure expects to clip {:.0} % of the picture, and the film may come out brighter than exposure.target: \
+                 a lower target, or a lamp that lights more of what the lens sees, mends it",
+                100.0 * clipped
+            ));
+        }
         let middle_gain = upper_median(frames.iter().map(|f| f.gain)).unwrap_or(0.0);
         let arc_mm: Vec<f64> = time_s.iter().map(|&t| way.arc_mm(t)).collect();
         Ok(Film {
@@ -358,6 +368,8 @@ struct PlannedFrame {
     /// Without its gain and white balance, which follow from all frames.
     record: FrameRecord,
     wanted_gain: f64,
+    /// Of the picture as the exposure knows it.
+    clipped_share: f64,
     clearance_mm: f64,
     off_route_mm: f64,
     blur_px: f64,
@@ -408,7 +420,7 @@ impl Planner<'_> {
         };
         let proxy =
             exposure::proxy_radiance(scene, camera, &world_from_camera, &self.light, scope.vignette, self.albedo)?;
-        let wanted_gain = exposure::wanted_gain(&proxy, case.exposure.target);
+        let wanted_gain = exposure::wanted_gain(&proxy, case.exposure.target)?;
         let blur_px = blur(scene, camera, anatomy, way, now_s, scope.shutter_s)?;
         let novel_view = if sequence::held_out(index) {
             let world_from_camera = beside(scene, &wall, &world_from_camera, case.seed, index)?;
@@ -424,6 +436,7 @@ impl Planner<'_> {
         Ok(PlannedFrame {
             record: FrameRecord { time_s: now_s, phase, gain: 1.0, white_balance: [1.0; 3], world_from_camera },
             wanted_gain,
+            clipped_share: exposure::clipped_share(&proxy, wanted_gain),
             clearance_mm,
             off_route_mm: middle.translation.distance(world_from_camera.translation),
             blur_px,

@@ -246,11 +246,15 @@ fn choose_chain(anatomy: &Anatomy, settings: &TrajectorySettings) -> Result<(Vec
             .element("trajectory.region"));
     }
     if ends.is_empty() {
-        return Err(Error::input(format!(
-            "no branch there is wide enough for a scope of {} mm",
+        let (there, key) = match settings.region {
+            Region::Any => ("no branch", "trajectory.scope_radius_mm"),
+            _ => ("no branch there", "trajectory.region"),
+        };
+        let sentence = format!(
+            "{there} is long and wide enough for a scope of {} mm radius, which ends {END_MARGIN_MM} mm before a branch does",
             settings.scope_radius_mm
-        ))
-        .element("trajectory.region"));
+        );
+        return Err(Error::input(sentence).element(key));
     }
     let drawn = CounterRng::new(settings.seed, Stage::Trajectory, &[]).index(ends.len());
     let end = ends.swap_remove(drawn);

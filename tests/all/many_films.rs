@@ -129,6 +129,16 @@ fn many_films_give_a_row_each_and_one_that_fails_is_named() {
         &["3 folders for 2"],
     );
     refused(evaluate(&["films/case1", "films/case1"], &["mine"], &[]), 4, &["is of case1", "one film of a case"]);
+    // Two methods on one film are two rows of one case.
+    answer(&Sequence::open(&place.path("films/case1")).unwrap(), &place.path("other/case1"));
+    fs::write(place.path("other/case1/prediction.json"), "{\"method\": \"other\"}").unwrap();
+    let said = accepted(evaluate(
+        &["films/case1", "films/case1"],
+        &["mine/case1", "other/case1"],
+        &["--out", &place.text("two")],
+    ));
+    assert!(said.contains("mean of 1 case)"), "{said}");
+    assert_eq!(cases("two"), ["case1", "case1"]);
     // A table holds one track.
     let clinical = Case::load(&case_path(2)).unwrap().on_clinical_track();
     let film = simulate(&clinical, &small(), &place.path("clinical"), &NoProgress).unwrap();

@@ -31,7 +31,7 @@ use crate::airway::remesh::remesh;
 use crate::base::{Error, ErrorKind, Progress, Result, TriangleMesh, Volume, files, hash, revision};
 use crate::ct::lumen::{DistanceSpread, LumenSurface};
 use crate::ct::motion_field::carried;
-use crate::ct::registration::demand_elastix;
+use crate::ct::registration::{demand_elastix, elastix_version};
 use crate::ct::scan::read_checked;
 use crate::ct::scan_pair::{Facts, ScanRequest, airway_of, import_pair, surface_of};
 use crate::ct::simulated::airway_wall::signed_lumen;
@@ -73,10 +73,11 @@ fn small_pair(surface: &LumenSurface, field: &Volume<[f32; 3]>) -> Result<[Trian
     Ok([rest, expiration])
 }
 
-/// What a result depends on: the case with all its files, the protocol, and the code that scans, imports and compares.
+/// What a result depends on: the case with all its files, the protocol, and the code that scans, imports, registers and
+/// compares.
 fn key_of(case: &Case, protocol: ScanProtocol) -> Result<String> {
     let code = revision::of_rooms(&["outside", "base", "formats", "airway", "ct", "experiments"]);
-    hash::of_value(&("ct-loop", case.hash()?, protocol.name(), code))
+    hash::of_value(&("ct-loop", case.hash()?, protocol.name(), code, elastix_version()))
 }
 
 /// The result that is there, where it has that key.

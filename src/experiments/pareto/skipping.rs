@@ -69,7 +69,7 @@ fn frozen(skipped: &'static str, wanted: Wanted, scene: &TimedScene, repetitions
     let samples = in_turns(repetitions, |k, samples| {
         samples.time(|| scene.forward_backward(&mut pair[k], [wanted, Wanted::ALL][k]))
     })?;
-    Ok(SkipSaving::new(skipped, BOTH, samples, [0.0; 2]))
+    Ok(SkipSaving::new(skipped, BOTH, samples, change(&pair)))
 }
 
 /// One direction in forward mode, against the gradient of everything that this direction moves. The two derivatives of

@@ -17,6 +17,9 @@ const SMALLEST_SCALE: f32 = 0.5 / 255.0;
 /// Ridge on `S`, as a share of it.
 const SCATTER_RIDGE: f64 = 1e-6;
 
+/// Gains beyond these are no exposure: after minutes in the dark their squares would be 0 in single precision, and stay so.
+const GAINS: [f64; 2] = [1e-6, 1e6];
+
 /// An image and its rendering with gain 1.
 pub struct ImageComparison<'a> {
     /// Width in pixels.
@@ -78,7 +81,7 @@ fn gains(image: &[f32], rendered: &[f32], robust: &Robust, weight: impl Fn(usize
             square += weighted * rendered[i] as f64;
         }
         let room = 1.0 - robust.gain_limit;
-        (cross / square).clamp(robust.last_gain[c] * room, robust.last_gain[c] / room)
+        (cross / square).clamp(robust.last_gain[c] * room, robust.last_gain[c] / room).clamp(GAINS[0], GAINS[1])
     })
 }
 
@@ -272,6 +275,36 @@ mod tests {
         let last = last.unwrap();
         assert!((at - truth).abs() < 1e-3, "{at}");
         assert!((last.gain[0] - 1.2).abs() < 5e-3 && (last.gain[1] - 0.9).abs() < 5e-3, "{:?}", last.gain);
+    }
+
+    /// Minutes of black pictures leave a gain from which the first bright one begins to come back.
+    #[test]
+    fn a_long_dark_stretch_leaves_a_gain_that_comes_back() {
+        let (picture, tangent) = wave(0.0);
+        let black = vec![0.0; picture.len()];
+        let mut last_gain = [1.0; 3];
+        let mut see = |image: &[f32]| {
+            let comparison = ImageComparison {
+                width: SIZE,
+                image,
+                rendered: &picture,
+                weights: &[],
+                clipped_from: &[],
+                tangent: &tangent,
+            };
+            last_gain = gains(comparison.image, comparison.rendered, &Robust { last_gain, ..ROBUST }, |_| 1.0);
+            last_gain
+        };
+        for _ in 0..5000 {
+            see(&black);
+        }
+        let dark = see(&black);
+        assert!(dark.iter().all(|g| (*g as f32).powi(2) > 0.0), "{dark:?}");
+        let mut again = dark;
+        for _ in 0..30 {
+            again = see(&picture);
+        }
+        assert!(again.iter().all(|g| (g - 1.0).abs() < 1e-6), "{again:?}");
     }
 
     /// Noise that is constant on blocks: a bound that assumed independent pixels would be far too small.

@@ -6,7 +6,7 @@
 //!
 //!   r = C_I - g C_R,   g = sum m C_I C_R / sum m C_R^2,   J = g (dC_R - C_R sum w C_R dC_R / sum w C_R^2)
 //!
-//! `m` is 0 for what is not wall and 1 elsewhere; weights `w` are `m` times Huber's (1964) with a robust scale.
+//! `m` is the share of a pixel that is wall, and 0 where that is a half or less; weights `w` are `m` times Huber's (1964) with a robust scale.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -19,7 +19,7 @@ use crate::reconstruct::geometry::pyramid::PyramidLevel;
 use crate::reconstruct::settings::PictureMatching;
 use crate::splat::View;
 
-/// Pixels whose masked share is above this do not count.
+/// Pixels of which no more than this share is wall do not count.
 const MOST_MASKED: f32 = 0.5;
 /// Smallest robust scale of the residuals, in units of contrast.
 const SMALLEST_SCALE: f32 = 0.01;

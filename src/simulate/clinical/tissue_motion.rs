@@ -65,7 +65,7 @@ pub struct BodyState {
     pub phase: f64,
     /// Rate of the phase over that of a regular breath, softly limited: positive while breathing out.
     pub flow: f64,
-    /// The heartbeat, 0 at rest, 1 at its peak.
+    /// The heartbeat, -1 to 1.
     pub beat: f64,
     /// Effort of the cough, 0 to 1.
     pub cough: f64,

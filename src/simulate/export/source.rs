@@ -39,7 +39,9 @@ impl ExportSource {
             if truth == ExportedTruth::Shown {
                 return Err(Error::input("is a participant's folder, which holds no truth to export").at(root));
             }
-            (Box::new(Participant::open(root)?), None, false)
+            let participant = Participant::open(root)?;
+            let is_clinical = participant.given_poses_are_measured();
+            (Box::new(participant), None, is_clinical)
         } else {
             let film = Sequence::open(root)?;
             let shown = (truth == ExportedTruth::Shown).then(|| film.clone());

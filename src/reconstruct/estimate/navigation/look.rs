@@ -14,7 +14,9 @@ use glam::{DAffine3, DVec3};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::state::{FIELD, LAMP_AT, LENS_AT, LOOP, NavigationState, PHASE_AT, RATE, SHADE, STATE, twist, vector};
+use super::state::{
+    FIELD, LAMP_AT, LENS_AT, LOOP, NavigationState, PHASE_AT, RATE, SHADE, STATE, keep_phase_inside, twist, vector,
+};
 use crate::base::Camera;
 use crate::reconstruct::fitting::wall_picture::{LONGEST_STEPS, PictureEquations, PictureLevel};
 use crate::reconstruct::geometry::lit_wall::{LAMP, LENS, LitView, NearWall, PHASE, PICTURE, in_sight};
@@ -224,5 +226,5 @@ fn advance(mean: &mut DVector<f64>, step: &DVector<f64>) {
     };
     let share = (0..step.len()).map(|k| limit(k) / step[k].abs().max(1e-300)).fold(1.0, f64::min);
     *mean += step * share;
-    mean[PHASE_AT] = mean[PHASE_AT].clamp(0.0, 1.0);
+    keep_phase_inside(mean);
 }

@@ -223,12 +223,7 @@ impl NavigationState {
     pub fn settle(&mut self, mut mean: DVector<f64>, covariance: DMatrix<f64>) {
         self.camera_from_world = motion(twist(&mean, 0)) * self.camera_from_world;
         mean.rows_mut(0, POSE).fill(0.0);
-        let inside = mean[PHASE_AT].clamp(0.0, 1.0);
-        // At an end of the breath the phase rests, or comes back.
-        if inside != mean[PHASE_AT] {
-            mean[RATE] = if inside > 0.5 { mean[RATE].min(0.0) } else { mean[RATE].max(0.0) };
-        }
-        mean[PHASE_AT] = inside;
+        keep_phase_inside(&mut mean);
         self.mean = mean;
         self.covariance = (&covariance + covariance.transpose()) * 0.5;
     }
@@ -237,6 +232,15 @@ impl NavigationState {
     pub fn wall_offset_mm(&self, mean: &DVector<f64>) -> DVec3 {
         vector(mean, FIELD) * mean[PHASE_AT] + vector(mean, LOOP) * (mean[RATE] / self.peak_rate())
     }
+}
+
+/// Brings the phase back into 0 to 1; at an end of the breath it rests, or comes back.
+pub fn keep_phase_inside(mean: &mut DVector<f64>) {
+    let inside = mean[PHASE_AT].clamp(0.0, 1.0);
+    if inside != mean[PHASE_AT] {
+        mean[RATE] = if inside > 0.5 { mean[RATE].min(0.0) } else { mean[RATE].max(0.0) };
+    }
+    mean[PHASE_AT] = inside;
 }
 
 #[cfg(test)]

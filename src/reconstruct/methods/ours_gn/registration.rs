@@ -146,6 +146,7 @@ impl<R: FnMut(f64, [f64; POSE]) -> Image<f32>> Registration<'_, R> {
                     moved[k] += sign * WIDTHS[k];
                     self.errors_at(&moved)
                 };
+                // At an end of the breath the phase's slope is halved; docs/log has what a difference to one side gave.
                 let (plus, minus) = (side(1.0), side(-1.0));
                 let slope = |(p, m): (&f64, &f64)| (p - m) / (2.0 * WIDTHS[k]);
                 plus.iter().zip(&minus).map(slope).collect()
