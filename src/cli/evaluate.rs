@@ -121,11 +121,12 @@ fn print(found: &CellScore, terminal: &Terminal) {
     }
 }
 
-/// One line per film: what ranks.
+/// One line per film, and per method where there are several: what ranks.
 fn print_rows(run: &Run, terminal: &Terminal) {
     for cell in &run.cells {
+        let name = if run.methods.len() > 1 { &format!("{} {}", cell.case_id, cell.method) } else { &cell.case_id };
         let Some(score) = cell.score() else {
-            terminal.line(format_args!("{:<24} failed", cell.case_id));
+            terminal.line(format_args!("{name:<24} failed"));
             continue;
         };
         let shown = ["psnr_db", "ssim", "depth_rmse_mm", "phase_mae", "target_mean_mm"].into_iter().filter_map(|id| {
@@ -133,6 +134,6 @@ fn print_rows(run: &Run, terminal: &Terminal) {
             let value = score.value(id).map_or_else(|| "-".to_owned(), |value| metric.format(value));
             Some(format!("{id} {value}"))
         });
-        terminal.line(format_args!("{:<24} {}", cell.case_id, shown.collect::<Vec<_>>().join("  ")));
+        terminal.line(format_args!("{name:<24} {}", shown.collect::<Vec<_>>().join("  ")));
     }
 }

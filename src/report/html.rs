@@ -17,6 +17,8 @@ use super::scene::Scenes;
 use super::table::{ComparisonTable, TableCell, arrow, counted, heading, show};
 use crate::score::{Metric, Status, paper_metrics, registry};
 
+/// Name of the page.
+pub const PAGE: &str = "report.html";
 /// Most bytes of the page, whatever it is of: it is mailed and opened on telephones.
 pub const PAGE_BYTES: usize = 15_000_000;
 /// Where airways take more of the page than this, they are made smaller.
@@ -98,7 +100,7 @@ pub fn whole_film(track: &TrackReport<'_>, case: &CaseInfo) -> String {
         &SCRIPTS,
         html! {
             h1 { (case.heading()) " " small { "whole film, " (run.id) } }
-            p.muted { a href={ (track.place) (super::PAGE) } { "The whole report" } }
+            p.muted { a href={ (track.place) (PAGE) } { "The whole report" } }
             div #tools {}
             (case_section(run, case, Some(scenes), &palette, CaseHeading::OnPageOfItsOwn, html! {
                 (numbers(run, case))

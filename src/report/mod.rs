@@ -47,6 +47,7 @@ use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use html::PAGE;
 pub use run::{CaseInfo, CellRecord, MethodInfo, Outcome, Role, Run, StageCost};
 
 use crate::base::{Error, Progress, Result, files};
@@ -54,8 +55,6 @@ use crate::simulate::track::Track;
 
 /// The long table, which every report has.
 const RESULTS: &str = "results.csv";
-/// The page.
-const PAGE: &str = "report.html";
 /// The report for reading.
 const MARKDOWN: &str = "report.md";
 

@@ -137,7 +137,7 @@ fn many_films_give_a_row_each_and_one_that_fails_is_named() {
         &["mine/case1", "other/case1"],
         &["--out", &place.text("two")],
     ));
-    assert!(said.contains("mean of 1 case)"), "{said}");
+    assert!(said.contains("Comparison (one case)") && said.contains("case1 other"), "{said}");
     assert_eq!(cases("two"), ["case1", "case1"]);
     // A table holds one track.
     let clinical = Case::load(&case_path(2)).unwrap().on_clinical_track();
