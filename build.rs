@@ -93,9 +93,9 @@ fn main() {
     native_sources.extend(of_parts(|part| part.bridges).map(|bridge| root.join(bridge)));
     let compiler = ["CXX", "CXXFLAGS"].map(env::var_os);
     // With the folder: what the native part said names it, and a copied target folder must not link another's C++.
-    native::once(&format!("{} {prefix:?} {compiler:?} {}", revision::of(&native_sources), out.display()), &out);
-    let compilers = [name_compiler(), version_of_cpp()];
-    revision::tell(&root, &compilers, &version_headers(prefix.as_deref()));
+    let cpp = version_of_cpp();
+    native::once(&format!("{} {prefix:?} {compiler:?} {cpp} {}", revision::of(&native_sources), out.display()), &out);
+    revision::tell(&root, &[name_compiler(), cpp], &version_headers(prefix.as_deref()));
     shipped::list(&root, &out);
     println!("cargo:rerun-if-changed=cpp");
     // Without the path tracer nothing asks for it, and whoever builds the library must not do so again for it.

@@ -22,6 +22,7 @@ enum Fault {
     Cell,
     Panic,
     Disk,
+    Content,
     Interrupt,
 }
 
@@ -39,6 +40,7 @@ impl Fake {
                 Fault::Cell => Err(Error::new(ErrorKind::CellFailed, "planted")),
                 Fault::Panic => panic!("planted panic"),
                 Fault::Disk => Err(Error::io("writing", target, std::io::Error::other("No space left on device"))),
+                Fault::Content => Err(Error::input("is not what it should be").at(target)),
                 Fault::Interrupt => Err(Error::interrupted()),
             },
             _ => Ok(()),
@@ -130,7 +132,7 @@ fn a_second_run_does_nothing_and_a_fresh_one_everything() {
     let cells = cells.unwrap();
     assert_eq!(fake.log().len(), 2 + 8 + 8);
     assert_eq!(cells.len(), 8);
-    assert!(cells.iter().all(|c| c.failure.is_none() && c.timings.len() == 3));
+    assert!(cells.iter().all(|c| c.failure.is_none() && c.timings.len() == 3 && c.is_timed()));
 
     let (again, events) = run(folder.path(), &plan, &fake, Freshness::Resume);
     assert_eq!(fake.log(), [""; 0]);
@@ -235,6 +237,18 @@ fn one_failed_cell_does_not_stop_the_others() {
     }
 }
 
+/// A film or prediction that its own reader refuses: the others have theirs, although the file lies in the cache.
+#[test]
+fn wrong_content_in_the_cache_fails_its_cells_alone() {
+    for call in 0..3 {
+        let folder = tempfile::tempdir().unwrap();
+        let plan = small_plan();
+        let cells = run(folder.path(), &plan, &Fake::with_fault(call, Fault::Content), Freshness::Resume).0.unwrap();
+        let failed = cells.iter().filter(|cell| cell.failure.is_some()).count();
+        assert!(cells.len() == 8 && (1..=4).contains(&failed), "call {call}: {failed} failed");
+    }
+}
+
 #[test]
 fn a_full_disk_or_the_user_stops_the_run_and_nothing_is_lost() {
     let whole = tempfile::tempdir().unwrap();
@@ -277,6 +291,7 @@ fn two_at_once_leave_what_one_after_the_other_leaves() {
     let fake = Fake::default();
     let cells = at_once(folder.path(), &plan, &fake).unwrap();
     assert_eq!(products(folder.path(), &cells), expected);
+    assert!(cells.iter().all(|cell| !cell.is_timed()), "seconds beside others are no measurement");
     assert_eq!(fake.log()[..2], ["film case1", "film case2"]);
     assert!(at_once(folder.path(), &plan, &fake).unwrap().len() == 8 && fake.log().is_empty());
     for (call, fault) in [(4, Fault::Disk), (9, Fault::Interrupt), (0, Fault::Interrupt)] {

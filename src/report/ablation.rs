@@ -37,13 +37,19 @@ const COLUMNS: [&str; 11] =
 
 /// Mean over the cells that have the metric.
 fn value(scores: &VariantScores, metric: &Metric) -> Option<f64> {
-    mean(&scores.cells.iter().filter_map(|c| c.value(metric.id)).collect::<Vec<_>>())
+    value_of(scores, metric, |_| true)
+}
+
+/// The same over those of the cells that `counts`.
+fn value_of(scores: &VariantScores, metric: &Metric, counts: impl Fn(&CellScore) -> bool) -> Option<f64> {
+    let cells = scores.cells.iter().filter(|cell| counts(cell));
+    mean(&cells.filter_map(|cell| cell.value(metric.id)).collect::<Vec<_>>())
 }
 
 /// The shipped method's mean over the cases and seeds that `scores` has: a line is run with fewer seeds than it.
 fn beside(scores: &VariantScores, shipped: &VariantScores, metric: &Metric) -> Option<f64> {
-    let is_same = |cell: &&CellScore| scores.cells.iter().any(|s| (&s.case_id, s.seed) == (&cell.case_id, cell.seed));
-    mean(&shipped.cells.iter().filter(is_same).filter_map(|c| c.value(metric.id)).collect::<Vec<_>>())
+    let is_same = |cell: &CellScore| scores.cells.iter().any(|s| (&s.case_id, s.seed) == (&cell.case_id, cell.seed));
+    value_of(shipped, metric, is_same)
 }
 
 /// Mean difference from the method as shipped, over the cases and seeds in which both have the metric.
@@ -144,11 +150,8 @@ fn table_of(out: &mut String, all: &[VariantScores], group: &str, metrics: &[&Me
 fn shown_value(all: &[VariantScores], scores: &VariantScores, metric: &Metric) -> Option<f64> {
     let lines = all.iter().filter(|line| !line.is_shipped && line.method == scores.method);
     let seeds: BTreeSet<u64> = lines.flat_map(|line| &line.cells).map(|cell| cell.seed).collect();
-    if !scores.is_shipped || seeds.is_empty() {
-        return value(scores, metric);
-    }
-    let values = scores.cells.iter().filter(|cell| seeds.contains(&cell.seed)).filter_map(|c| c.value(metric.id));
-    mean(&values.collect::<Vec<_>>())
+    let has_lines = scores.is_shipped && !seeds.is_empty();
+    value_of(scores, metric, |cell| !has_lines || seeds.contains(&cell.seed))
 }
 
 fn shown(all: &[VariantScores], scores: &VariantScores, metric: &Metric) -> String {

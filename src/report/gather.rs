@@ -3,6 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::html::film_page;
 use super::page_data;
 use super::run::{CaseInfo, Run};
 use super::scene::{
@@ -78,11 +79,6 @@ pub fn whole_film(run: &Run, case: &CaseInfo) -> Result<Option<Scenes>> {
         }
     }
     Ok((!whole.films.is_empty()).then_some(whole))
-}
-
-/// The page of a whole film, in the report's folder.
-pub fn film_page(case_id: &str) -> String {
-    format!("films/{case_id}.html")
 }
 
 fn of_case(run: &Run, case: &CaseInfo, truth: &dyn Truth, keeping: Keeping) -> Result<Scenes> {

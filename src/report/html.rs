@@ -88,6 +88,11 @@ pub fn report(tracks: &[TrackReport<'_>]) -> String {
     assembled(tracks, &bare, CaseDetail::Elsewhere)
 }
 
+/// Where the page of a case's whole film is, in the report's folder.
+pub fn film_page(case_id: &str) -> String {
+    format!("films/{case_id}.html")
+}
+
 /// One case with every frame at full size, its numbers and plots, beside the report: too large for it. `track.place` is
 /// where the run's files lie, seen from this file.
 pub fn whole_film(track: &TrackReport<'_>, case: &CaseInfo) -> String {
@@ -232,7 +237,7 @@ fn static_part(track: &TrackReport<'_>, case: &CaseInfo, detail: CaseDetail) -> 
         @if whole_films.contains(&case.id) {
             p.muted.whole {
                 "In files beside this page: "
-                a href={ (place) "films/" (case.id) ".html" } { "the whole film" }
+                a href={ (place) (film_page(&case.id)) } { "the whole film" }
                 @for picture in of_case(track, case).filter(|picture| picture.svg.is_none()) {
                     ", " a href={ (place) (picture.png) } { (picture.title) }
                 }

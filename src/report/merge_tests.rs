@@ -457,7 +457,7 @@ fn a_merged_report_keeps_films_airways_and_contours() {
     let page = fs::read_to_string(written.html).unwrap();
     assert!(page.contains("\"method\":\"mine\"") && page.contains("A breathing tube"), "the film's title");
     // The whole film, with the renderings of both; of the first part's rows none is lost, and what was renewed is not shown.
-    let film_of = |place: &Path| fs::read_to_string(place.join(gather::film_page("case1"))).unwrap();
+    let film_of = |place: &Path| fs::read_to_string(place.join(html::film_page("case1"))).unwrap();
     let shown = |page: &str| {
         let all = page_data::kept_scenes(page, |_, _, _| true).unwrap().unwrap();
         let rows: BTreeMap<String, usize> =
@@ -474,7 +474,7 @@ fn a_merged_report_keeps_films_airways_and_contours() {
     assert!(film.rows.is_empty() && film.films.len() == 1);
     assert!(fs::read_to_string(merged.join("report.html")).unwrap().contains("href=\"films/case1.html\""));
     // A film that was changed, and one that is gone.
-    let page = second.join(gather::film_page("case1"));
+    let page = second.join(html::film_page("case1"));
     fs::write(&page, film_of(&second) + " ").unwrap();
     let said = write(&both, &folder.path().join("third"), &NoProgress).err().unwrap().to_string();
     assert!(said.contains("case1.html") && said.contains("was changed"), "{said}");

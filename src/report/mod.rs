@@ -207,7 +207,7 @@ fn write_parts(run: &Run, folder: &Path, progress: &dyn Progress) -> Result<RunP
         // One at a time: a whole film is large.
         if let Some(whole) = gather::whole_film(run, case)? {
             let page = html::whole_film(&html::TrackReport { scenes: &whole, ..parts.track(run, "../") }, case);
-            let name = gather::film_page(&case.id);
+            let name = html::film_page(&case.id);
             files::write_bytes(&folder.join(&name), page.as_bytes())?;
             parts.whole_films.insert(case.id.clone());
             films.push(name);

@@ -6,7 +6,8 @@
 //!
 //!   r = C_I - g C_R,   g = sum m C_I C_R / sum m C_R^2,   J = g (dC_R - C_R sum w C_R dC_R / sum w C_R^2)
 //!
-//! `m` is the share of a pixel that is wall, and 0 where that is a half or less; weights `w` are `m` times Huber's (1964) with a robust scale.
+//! `m` is the share of a pixel that is wall, and 0 where that is a half or less; weights `w` are `m` times Huber's (1964)
+//! with a robust scale.
 
 use nalgebra::{DMatrix, DVector};
 

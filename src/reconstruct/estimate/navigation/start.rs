@@ -21,8 +21,8 @@ const MOST: f64 = 1.8;
 
 impl NavigationState {
     /// Looks for the pose whose wall agrees best with a picture, near this one, which is off by about `deviation` (rad and
-    /// mm, each about or along one axis). The pose alone is opened again for each round: what else
-    /// is uncertain becomes too sure, as if each round had a picture of its own.
+    /// mm, each about or along one axis). The pose alone is opened again for each round: what
+    /// else is uncertain becomes too sure, as if each round had a picture of its own.
     pub fn find_pose(
         &mut self,
         settings: &WallMatching,
