@@ -13,10 +13,10 @@ import respire_bench as rb
 film = rb.load(sys.argv[1])
 steps = int(sys.argv[2]) if len(sys.argv) > 2 else 200
 image = torch.from_numpy(film.images[0]).float() / 255
-camera = dict(width=film.width, height=film.height, Ks=torch.from_numpy(film.K)[None])
+camera = dict(width=film.width, height=film.height, Ks=torch.tensor(film.K)[None])
 camera["viewmats"] = torch.from_numpy(np.linalg.inv(film.poses[0]))[None]
 if film.fisheye is not None:
-    camera |= dict(camera_model="fisheye", radial_coeffs=torch.from_numpy(film.fisheye)[None])
+    camera |= dict(camera_model="fisheye", radial_coeffs=torch.tensor(film.fisheye)[None])
 
 # One Gaussian on the surface seen in every second pixel of every second row.
 v, u = np.argwhere(film.depths_mm[0][::2, ::2] > 0).T * 2

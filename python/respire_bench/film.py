@@ -80,6 +80,8 @@ class Lazy:
         return (self._read(index) for index in self._indices)
 
     def __array__(self, dtype=None, copy=None):
+        if copy is False:
+            raise ValueError(f"{self._name} are read from files: no array of them is without a copy")
         out = np.empty(self.shape, dtype or self.dtype)
         for place, value in zip(out, self):
             place[...] = value
@@ -127,8 +129,8 @@ class Film:
     def __init__(self, folder, truth=False):
         # The film stays the same one after a change of directory.
         self.folder = os.path.abspath(os.fspath(folder))
-        self.truth = truth
-        self._film = _NativeFilm.open(self.folder, truth)
+        self.truth = bool(truth)
+        self._film = _NativeFilm.open(self.folder, self.truth)
         self.width, self.height = self._film.size
 
     def __len__(self):
@@ -182,10 +184,10 @@ class Film:
         """(3, 3), intrinsics in pixels; pixel centres at integer + 0.5."""
         return _kept(_matrix_of(self._film.intrinsics))
 
-    @property
+    @cached_property
     def fisheye(self):
         """`k1..k4` of OpenCV's fisheye model; `None` for a pinhole."""
-        return self._film.fisheye and np.array(self._film.fisheye)
+        return self._film.fisheye and _kept(np.array(self._film.fisheye))
 
     @cached_property
     def mask(self):
@@ -238,11 +240,11 @@ class Film:
         """Truth: the case that was filmed."""
         return self._film.case_id
 
-    @property
+    @cached_property
     @_of_truth
     def phases(self):
         """Truth: (frames,), breathing phase, 0 full inspiration, 1 full expiration."""
-        return self._film.phases
+        return _kept(self._film.phases)
 
     @cached_property
     @_of_truth
@@ -262,11 +264,11 @@ class Film:
         """Truth: (3, 3), the intrinsics as they were. On the clinical track `K` are those of the lens's data sheet."""
         return _kept(_matrix_of(self._film.true_intrinsics))
 
-    @property
+    @cached_property
     @_of_truth
     def true_fisheye(self):
         """Truth: `k1..k4` as they were; `None` for a pinhole."""
-        return self._film.true_fisheye and np.array(self._film.true_fisheye)
+        return self._film.true_fisheye and _kept(np.array(self._film.true_fisheye))
 
     @cached_property
     @_of_truth
@@ -286,17 +288,17 @@ class Film:
         """Truth: (frames, n, 3), where the targets are at every frame."""
         return _kept(self._film.targets_by_frame_mm)
 
-    @property
+    @cached_property
     @_of_truth
     def gains(self):
         """Truth: (frames,), exposure gain applied to the linear radiance."""
-        return self._film.gains
+        return _kept(self._film.gains)
 
-    @property
+    @cached_property
     @_of_truth
     def targets_expiration_mm(self):
         """Truth: (n, 3), where the targets are at full expiration."""
-        return self._film.targets_expiration_mm
+        return _kept(self._film.targets_expiration_mm)
 
     @property
     @_of_truth
@@ -327,6 +329,8 @@ class _Meshes:
         return len(self._film)
 
     def __getitem__(self, index):
+        if isinstance(index, slice):
+            return [self[i] for i in range(len(self))[index]]
         return Mesh(*self._film._film.true_mesh(self._film._frame(index)))
 
     def __iter__(self):

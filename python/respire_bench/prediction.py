@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ._native import Error, PredictionFolder
+from .film import Film
 
 
 _MOST_OF_A_FLOAT = 8
@@ -35,7 +36,8 @@ def _picture(what, image, film):
         if image.dtype.kind != "f":
             raise Error(f"{what}: wanted 8-bit sRGB or encoded values in 0..1, not {image.dtype}")
         # NaN becomes 0, as in the program's own predictions.
-        image = np.nan_to_num(image.astype(np.promote_types(image.dtype, np.float32)))
+        image = image.astype(np.promote_types(image.dtype, np.float32))
+        image[np.isnan(image)] = 0
         if image.size and image.max() > _MOST_OF_A_FLOAT:
             raise Error(f"{what}: has {image.max():g}; floats are in 0..1")
         image = (np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)
@@ -151,6 +153,8 @@ def write_prediction(
 
     Raises `Error`, one sentence that names the argument and the frame.
     """
+    if not isinstance(film, Film):
+        raise Error(f"film: wanted what load(..) returns, not {film!r:.80}")
     if color is None:
         raise Error("color: is None; a rendering of every frame is wanted")
     every, held_out, views = range(len(film)), film.held_out_frames, film.novel_frames

@@ -64,7 +64,7 @@ def _shape(name, array, *wanted):
     for length, length_wanted in zip(found, wanted):
         fits = fits and (length_wanted is None or length == length_wanted)
     if not fits:
-        shown = ", ".join("?" if w is None else str(w) for w in wanted)
+        shown = ", ".join("?" if w is None else str(w) for w in wanted) + ("," if len(wanted) == 1 else "")
         raise Error(f"{name}: has shape {found} instead of ({shown})")
     return found
 

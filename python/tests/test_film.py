@@ -14,6 +14,11 @@ import numpy as np
 from respire_bench import Error, ProgramFailed, evaluate, load, write_prediction
 from support import PROGRAM, films, forked, needs, program, torch
 
+KEPT = (
+    "poses times_s K fisheye targets_mm phases gains targets_expiration_mm targets_by_frame_mm true_poses true_fisheye"
+).split()
+"""Names of a film's arrays that are read once."""
+
 
 @needs(PROGRAM, "the program respire-bench is not there, so that no film can be made to read")
 class Reading(unittest.TestCase):
@@ -106,7 +111,7 @@ class Reading(unittest.TestCase):
 
     def test_what_a_film_holds_cannot_be_written_over(self):
         film = load(self.truth.folder, truth=True)
-        arrays = {name: getattr(film, name) for name in ("poses", "times_s", "K", "targets_mm", "true_poses")}
+        arrays = {name: getattr(film, name) for name in KEPT}
         arrays |= {"surface": film.inspiration.vertices, "faces": film.true_expiration.faces}
         for name, array in arrays.items():
             with self.assertRaisesRegex(ValueError, "read-only", msg=name):
@@ -166,6 +171,10 @@ class Reading(unittest.TestCase):
             self.assertTrue(hasattr(type(frames), "__iter__"))
         self.assertEqual(len(list(film.meshes)), 9)
         self.assertEqual((film.images.ndim, film.depths_mm.ndim), (4, 3))
+        np.testing.assert_array_equal(film.meshes[8:6:-1][1].vertices, film.meshes[7].vertices)
+        if np.lib.NumpyVersion(np.__version__) >= "2.0.0":
+            with self.assertRaisesRegex(ValueError, "without a copy"):
+                np.asarray(film.images, copy=False)
 
     def test_films_go_to_other_processes(self):
         copy = pickle.loads(pickle.dumps(self.truth))
@@ -311,10 +320,16 @@ class Writing(unittest.TestCase):
         self.refused("color, frame 0: has shape", np.zeros((9, 48, 40, 3), np.uint8))
         self.refused("color, frame 0: wanted 8-bit", np.zeros((9, 48, 48, 3), np.int64))
         self.refused("depth_mm, frame 0", depth_mm=np.zeros((9, 4, 4)))
+        far = np.full((9, 48, 48), 1e6, np.float32)
+        far[5, 2, 3] = 1e7
+        self.refused(r"depth_mm, frame 5: pixel \(3, 2\): .* must lie in 0 to 1000000", depth_mm=far)
         self.refused("ahead: wanted the frames", ahead={6: np.zeros((48, 48, 3))})
         self.refused("ahead: wanted the frames", ahead={6: np.zeros((48, 48, 3)), "7": None})
+        with self.assertRaisesRegex(Error, "film: wanted what load"):
+            write_prediction(self.folder, self.film.folder, np.zeros((9, 48, 48, 3), np.uint8))
         self.refused("color: is None", None)
         self.refused("color: wanted a value for each of 9 frames, not 3", 3)
+        self.refused("color, frame 0: has inf; floats are in 0..1", np.full((9, 48, 48, 3), np.inf))
         self.refused("color, frame 0: has 255; floats are in 0..1", np.full((9, 48, 48, 3), 255.0))
         self.refused("phase, frame 2", phase=[0, 0, np.nan, 0, 0, 0, 0, 0, 0])
         self.refused(r"phase, frame 0: has shape \(1,\)", phase=np.zeros((9, 1)))

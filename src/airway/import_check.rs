@@ -22,6 +22,8 @@ const EXTENT_MM: [f64; 2] = [50.0, 400.0];
 const TRACHEA_MM: [f64; 2] = [8.0, 30.0];
 /// Least length in mm of an end branch that may be the trachea.
 const LEAST_TRACHEA_MM: f64 = 15.0;
+/// By how much more than its division the upper end of a trachea may move in mm.
+const TRACHEA_BEYOND_MM: f64 = 3.0;
 /// Longest side of the box around lung landmarks in mm.
 const LUNGS_MM: [f64; 2] = [80.0, 500.0];
 /// Furthest in mm that tissue moves between two breath holds: the lung's base, deeply breathed, moves 60 mm.
@@ -151,6 +153,23 @@ fn growth(pairs: &[LandmarkPair]) -> f64 {
     // Along an axis without spread nothing is known, and no growth is assumed.
     let least = LEAST_VARIANCE * spread.symmetric_eigenvalues().max();
     spread.pseudo_inverse(least).map_or(1.0, |inverse| (Matrix3::identity() + product * inverse).determinant())
+}
+
+/// What is to be said of a trachea that moves more at its upper end than where it divides, where breathing moves it most;
+/// `expiration` are the points of the centreline at expiration, mm. None where it is as it should be.
+pub fn trachea_note(centerline: &Centerline, expiration: &[DVec3]) -> Option<String> {
+    let points = centerline.points.iter().zip(expiration).filter(|(point, _)| point.generation == 0);
+    let moves: Vec<f64> = points.map(|(point, moved)| point.position_mm.distance(*moved)).collect();
+    let carina = *moves.last()?;
+    let upper = &moves[..moves.len().div_ceil(4)];
+    let mean = upper.iter().sum::<f64>() / upper.len() as f64;
+    (mean > carina + TRACHEA_BEYOND_MM).then(|| {
+        format!(
+            "the trachea's upper end moves by {mean:.0} mm, and its division by {carina:.0}: above the lungs there is little \
+             that a registration can hold on to, so look at the page before you use that part; --lung-masks that leave the \
+             airway out of both scans may help"
+        )
+    })
 }
 
 /// Refuses an airway whose trachea is too narrow or too wide, or that does not lie in the body as `axes`, with which it
@@ -354,6 +373,21 @@ mod tests {
         let mut line = line.clone();
         line.points.iter_mut().for_each(|p| p.position_mm = map(p.position_mm));
         line
+    }
+
+    #[test]
+    fn a_trachea_that_moves_more_above_than_below_is_told() {
+        let line = airway();
+        let moved = |by: &dyn Fn(f64) -> f64| -> Vec<DVec3> {
+            let along = |i: usize| DVec3::X * by(i as f64 / (line.points.len() - 1) as f64);
+            line.points.iter().enumerate().map(|(i, point)| point.position_mm + along(i)).collect()
+        };
+        // As breathing moves it, as a whole, and as a registration that has lost it does.
+        assert!(trachea_note(&line, &moved(&|t| 12.0 * t)).is_none());
+        assert!(trachea_note(&line, &moved(&|_| 5.0)).is_none());
+        let said = trachea_note(&line, &moved(&|t| 50.0 * (1.0 - t))).unwrap();
+        assert!(said.contains("upper end moves by 4") && said.contains("division by 0"), "{said}");
+        assert!(trachea_note(&Centerline::default(), &[]).is_none());
     }
 
     #[test]

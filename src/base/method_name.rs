@@ -26,10 +26,11 @@ pub fn check_foreign(name: &str) -> Result<()> {
     }
 }
 
-/// What a reader tells names apart by: letters and digits, where 0 may be an o, and 1, l, a bar and ! an i.
+/// What a reader tells names apart by: letters and digits, where 0 may be an o, 5 an s, and 1, l, a bar and ! an i.
 fn seen(name: &str) -> String {
     let letter = |c: char| match c.to_ascii_lowercase() {
         '0' => 'o',
+        '5' => 's',
         '1' | 'l' | '|' | '!' => 'i',
         other => other,
     };
@@ -50,6 +51,7 @@ mod tests {
             "oracle phase",
             "Static CT",
             "0urs",
+            "Our5",
             "VirtuaI bronchoscopy",
             "BridgeSp|at",
         ];

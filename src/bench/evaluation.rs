@@ -55,8 +55,9 @@ fn is_parent(folder: &Path) -> bool {
 
 /// The folder in `parent` that answers `film`: named as its case, or else as the film's folder.
 fn of_film(film: &Path, parent: &Path) -> PathBuf {
-    let folder_name = film.canonicalize().unwrap_or_else(|_| film.to_path_buf());
-    let folder_name = folder_name.file_name().map(PathBuf::from).unwrap_or_default();
+    // A link goes by its own name; only `.` and `..` have none.
+    let named = |path: &Path| path.file_name().map(PathBuf::from);
+    let folder_name = named(film).or_else(|| named(&film.canonicalize().ok()?)).unwrap_or_default();
     let case = Sequence::open(film).map(|film| PathBuf::from(film.case_id));
     let names = case.into_iter().chain([folder_name.clone()]);
     names.map(|name| parent.join(name)).find(|path| path.is_dir()).unwrap_or_else(|| parent.join(folder_name))

@@ -254,11 +254,8 @@ impl Pipeline {
     /// The methods that were chosen, as reports show them.
     pub fn method_infos(&self) -> Vec<MethodInfo> {
         let info = |m: &Method| {
-            let mut info = MethodInfo::of(m.method.id());
-            if m.is_changed {
-                info.title += ", changed";
-            }
-            info
+            let info = MethodInfo::of(m.method.id());
+            if m.is_changed { info.changed() } else { info }
         };
         self.methods.iter().map(info).collect()
     }

@@ -99,13 +99,9 @@ fn failures(evaluated: &[Evaluated], terminal: &Terminal) -> Result<()> {
     for (Evaluated { film, .. }, error) in failed() {
         terminal.note(&format!("{}: failed: {error}", film.display()));
     }
-    match failed().count() {
-        0 => Ok(()),
-        count => {
-            let sentence = format!("{count} of {} films failed; they are named above", evaluated.len());
-            Err(Error::new(ErrorKind::CellFailed, sentence))
-        }
-    }
+    let Some((first, error)) = failed().next() else { return Ok(()) };
+    let count = format!("{} of {} films failed", failed().count(), evaluated.len());
+    Err(Error::new(ErrorKind::CellFailed, format!("{count}, first {}: {error}", first.film.display())))
 }
 
 fn print(found: &CellScore, terminal: &Terminal) {

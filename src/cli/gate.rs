@@ -14,7 +14,8 @@ use crate::report::{benchmark_json, gate_files, gate_limits, read};
 #[command(
     after_help = "Writes gate.md and gate.xml (JUnit) before it decides. Exit code 3 when anything fails: a value beyond \
     its limit, an empty or broken value, a missing case, method or metric, a film that is unknown or not the baseline's, a \
-    limit that no row meets, or nothing to check. Exit code 4 when a table does not have the hash of its manifest.json.\n\
+    limit that no row meets, or nothing to check. Exit code 4 when a table does not have the hash of its manifest.json; without \
+    one, and without run.json, which tells the profile, a note says so.\n\
     A baseline holds on every processor with AVX2, which all give the same bytes.\n\
     A baseline folder with a limits.toml brings relative limits of its own, which must hold too. --limits-from writes it, judging nothing: four \
     standard deviations of the seeds or, of a method that draws nothing, of single cases between two samplings of their films \
@@ -57,6 +58,12 @@ pub fn run(arguments: GateArguments, terminal: &Terminal) -> Result<()> {
     };
     terminal.stage("reading the results");
     let results = read::read(folder)?;
+    for name in read::lacking_evidence(folder) {
+        terminal.note(&format!(
+            "{} has no {name}: nobody can tell whether its tables are as they were written",
+            folder.display()
+        ));
+    }
     let limits = match arguments.thresholds {
         Some(file) => file,
         None => arguments.catalogue.open()?.gate_file(results.track),

@@ -6,6 +6,7 @@ use clap::{Args, Subcommand};
 
 use super::Terminal;
 use super::import_ct::{self, CtArguments};
+use super::import_file::expected_anatomy;
 use super::import_mesh::{self, MeshArguments, PairArguments};
 use super::import_motion::{MotionArguments, still_breathing};
 use super::import_tree::{self, TreeArguments};
@@ -13,7 +14,6 @@ use super::stopped::all_or_nothing;
 use crate::airway;
 use crate::airway::breathing_text::with_breathing;
 use crate::airway::case::Case;
-use crate::airway::import_check::ExpectedAnatomy;
 use crate::base::{Progress, Result, files};
 
 /// Arguments of `import`.
@@ -47,6 +47,9 @@ struct BreathingArguments {
     case: PathBuf,
     #[command(flatten)]
     motion: MotionArguments,
+    /// Take landmarks that are no human lung's by their size or motion (an animal, a phantom)
+    #[arg(long)]
+    unusual: bool,
 }
 
 /// Runs the command.
@@ -61,7 +64,7 @@ pub fn run(arguments: ImportArguments, terminal: &Terminal) -> Result<()> {
 }
 
 fn import_breathing(arguments: &BreathingArguments, terminal: &Terminal) -> Result<()> {
-    let motion = arguments.motion.read(ExpectedAnatomy::Human)?;
+    let motion = arguments.motion.read(expected_anatomy(arguments.unusual))?;
     let text = files::read_text(&arguments.case)?;
     let still = with_breathing(&text, &arguments.case, &still_breathing())?;
     let mut case: Case = files::parse_toml(&still, &arguments.case)?;

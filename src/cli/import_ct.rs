@@ -11,6 +11,7 @@ use super::import_motion::{MotionArguments, mended_words, still_breathing};
 use crate::airway::case::AnatomySource;
 use crate::airway::case_build::{AirwayAtRest, from_field, from_pair, mended_pair};
 use crate::airway::import_breathing::{breathing_toml, moving};
+use crate::airway::import_check::trachea_note;
 use crate::airway::import_mesh::FileMeaning;
 use crate::airway::{Anatomy, centerline::Centerline};
 use crate::base::range::NumberRange;
@@ -154,7 +155,10 @@ fn of_scans(arguments: &CtArguments, inspiration: &std::path::Path, terminal: &T
     if request.airway.is_none() {
         note_on_grown(&line, terminal);
     }
-    let anatomy = paired(rest, pair.expiration, line, &mut import)?;
+    let anatomy = paired(rest, pair.expiration, line, &mut import).map_err(|e| e.at(second))?;
+    if let Some(note) = trachea_note(&anatomy.centerline, &anatomy.centerline_expiration) {
+        terminal.note(&note);
+    }
     terminal.proceed()?;
     let names = ["inspiration", "expiration"];
     let vertices = [&anatomy.inspiration.vertices, &anatomy.expiration.vertices];

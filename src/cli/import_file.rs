@@ -41,7 +41,12 @@ impl FileArguments {
             axes: self.axes.unwrap_or(PatientAxes::LPS),
             scale: self.scale.unwrap_or(1.0),
             parts: if self.keep_largest { PartChoice::Largest } else { PartChoice::Single },
-            anatomy: if self.unusual { ExpectedAnatomy::Any } else { ExpectedAnatomy::Human },
+            anatomy: expected_anatomy(self.unusual),
         }
     }
+}
+
+/// What `--unusual` says.
+pub(super) fn expected_anatomy(is_unusual: bool) -> ExpectedAnatomy {
+    if is_unusual { ExpectedAnatomy::Any } else { ExpectedAnatomy::Human }
 }

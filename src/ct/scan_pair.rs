@@ -13,7 +13,7 @@ use super::registration::{
     PARAMETERS, REGISTRATION_MM, RegistrationInput, demand_elastix, mean_displacement, register,
 };
 use super::scan::{coarser, read_checked};
-use crate::base::{Error, Progress, Result, Volume};
+use crate::base::{Error, Progress, Result, Volume, hash};
 use crate::formats::volume::{frame_note, read_field};
 
 /// What is measured and done, for the user and the page: what, and in words.
@@ -125,6 +125,15 @@ pub fn surface_of(airway: &AirwayMask, facts: &mut Facts) -> Result<LumenSurface
     Ok(surface)
 }
 
+/// Whether both are one file or folder, or files of one content.
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    let place = |path: &Path| path.canonicalize().ok();
+    let content = |path: &Path| hash::of_file(path).ok().filter(|_| path.is_file());
+    let size = |path: &Path| path.metadata().map(|m| m.len()).ok();
+    place(a).is_some_and(|a| Some(a) == place(b))
+        || (size(a) == size(b) && content(a).is_some_and(|hash| Some(hash) == content(b)))
+}
+
 /// Does it all. `workshop` is a folder for elastix, which the caller removes.
 ///
 /// Errors: what is wrong with a file, with its cure; scans in the wrong order; elastix missing or failing. Folds are
@@ -135,6 +144,9 @@ pub fn import_pair(request: &ScanRequest<'_>, workshop: &Path, progress: &dyn Pr
         return Err(Error::usage("one scan has no motion: give the expiration, or a field"));
     }
     let version = if request.field.is_none() { Some(demand_elastix()?) } else { None };
+    if let Some(path) = request.expiration.filter(|path| is_same_file(path, request.inspiration)) {
+        return Err(Error::input("is the scan at inspiration once more: two breath holds are wanted").at(path));
+    }
     let given = request.field.map(|path| own_field(path, progress)).transpose()?;
     let mut facts = Facts::new();
     let (surface, full, full_l) = inspiration_of(request, given.as_ref(), &mut facts, progress)?;

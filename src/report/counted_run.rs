@@ -3,14 +3,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::run::{CaseInfo, CellRecord, Run};
+use super::run::{CaseInfo, CellRecord, Role, Run};
 use crate::score::statistics::{MeanInterval, mean, mean_over_cases};
 
 /// A run, ready to be asked.
 pub struct CountedRun<'a> {
     run: &'a Run,
     /// Cells of a case that set the measure for all: those of this program's own rows, or all where there are none. What a
-    /// third party hands in decides neither over which cases a table ranks, nor what the worst value of a case is.
+    /// third party hands in decides neither over which cases a table ranks, nor what the worst value of a case is. A case
+    /// of which there is nothing but bounds does not rank either, where another has own rows that do.
     measure: BTreeMap<&'a str, Vec<&'a CellRecord>>,
     /// Cells of a case by method.
     of_row: BTreeMap<&'a str, BTreeMap<&'a str, Vec<&'a CellRecord>>>,
@@ -30,6 +31,13 @@ impl<'a> CountedRun<'a> {
             if !has_own || !cell.is_foreign() {
                 measure.entry(case).or_insert_with(Vec::new).push(cell);
             }
+        }
+        let bounds: BTreeSet<&str> =
+            run.methods.iter().filter(|m| m.role == Role::Sanity).map(|m| m.id.as_str()).collect();
+        let is_bound = |cell: &&CellRecord| bounds.contains(cell.method.as_str());
+        let all_bounds = |cells: &Vec<&CellRecord>| cells.iter().all(is_bound);
+        if !measure.values().all(all_bounds) {
+            measure.retain(|_, cells| !all_bounds(cells));
         }
         let ranking_cases = run.cases.iter().filter(|case| measure.contains_key(case.id.as_str())).collect();
         let trees = run.cases.iter().map(|case| (case.id.as_str(), case.tree())).collect();
@@ -96,16 +104,7 @@ impl<'a> CountedRun<'a> {
     /// Whether the method is scored in every case that counts, with the same seeds in each, and has a number of `metric` in
     /// each of them in which an own row has a value: the condition of a place in the ranking.
     pub fn covers(&self, method: &str, metric: &str) -> bool {
-        let seeds =
-            |case: &CaseInfo| -> BTreeSet<u64> { self.cells(&case.id, method).iter().map(|cell| cell.seed).collect() };
-        if self.ranking_cases.windows(2).any(|two| seeds(two[0]) != seeds(two[1])) {
-            return false;
-        }
-        let all_of = |case: &CaseInfo, is_good: &dyn Fn(&CellRecord) -> bool| {
-            let own = self.cells(&case.id, method);
-            !own.is_empty() && own.iter().all(|cell| is_good(cell))
-        };
-        if !self.ranking_cases.iter().all(|case| all_of(case, &|cell| cell.score().is_some())) {
+        if !self.is_complete(method) {
             return false;
         }
         let has = |cell: &CellRecord| cell.score().is_some_and(|s| s.value(metric).is_some());
@@ -115,7 +114,19 @@ impl<'a> CountedRun<'a> {
             false => self.all_of(&case.id).any(has),
         };
         let counts = |cell: &CellRecord| self.counted(cell, metric).is_some();
-        self.ranking_cases.iter().filter(in_question).all(|case| all_of(case, &counts))
+        self.ranking_cases.iter().filter(in_question).all(|case| self.cells(&case.id, method).iter().all(|c| counts(c)))
+    }
+
+    /// Whether the method is scored in every case that counts, with the same seeds in each.
+    pub fn is_complete(&self, method: &str) -> bool {
+        let seeds =
+            |case: &CaseInfo| -> BTreeSet<u64> { self.cells(&case.id, method).iter().map(|cell| cell.seed).collect() };
+        let is_scored = |case: &&CaseInfo| {
+            let own = self.cells(&case.id, method);
+            !own.is_empty() && own.iter().all(|cell| cell.score().is_some())
+        };
+        self.ranking_cases.iter().all(is_scored)
+            && self.ranking_cases.windows(2).all(|two| seeds(two[0]) == seeds(two[1]))
     }
 
     /// One value per case that counts (mean over seeds) of a metric of a method, in the order of the cases; cases without

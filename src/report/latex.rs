@@ -72,7 +72,8 @@ pub fn table(table: &ComparisonTable, run_id: &str) -> String {
             None => "--",
         };
         let cells: String = row.cells.iter().map(dressed).collect();
-        line(format!("{} & {} & {mesh} {cells}\\\\", escape(&row.method.title), escape(&row.ct_scans)));
+        // The braces end the row before: a name that begins with a bracket would be an option of its line break or rule.
+        line(format!("{{}}{} & {} & {mesh} {cells}\\\\", escape(&row.method.title), escape(&row.ct_scans)));
     }
     line("\\bottomrule\n\\end{tabular}%\n}\n\\end{table*}".into());
     out

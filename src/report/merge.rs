@@ -70,6 +70,7 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
         }
     }
     let conditions = conditions_of(&parts);
+    let changed = changed_rows(&parts)?;
     let mut profiles: Vec<String> = Vec::new();
     let mut cells: Vec<CellRecord> = Vec::new();
     // Where a cell stands, by case, method and seed; and the first one of a method.
@@ -117,6 +118,7 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
     scenes.keep_scored(&cells.iter().filter_map(|cell| Some((cell.row_key(), film(cell)?))).collect());
     let profile = profiles.join(PROFILES_BETWEEN);
     let mut run = Run { id, profile, track, scenes, read_from, conditions, notes, ..Run::of_cells(cells, &trees) };
+    run.mark_changed(changed.iter().map(String::as_str));
     for case in &mut run.cases {
         case.title = titles.remove(&case.id).unwrap_or_default();
     }
@@ -134,6 +136,26 @@ pub fn merge(parts: Vec<Part>, films: Films) -> Result<Run> {
         run.notes.push(sentence + ".");
     }
     Ok(run)
+}
+
+/// Own rows with other settings than those that come with the program.
+///
+/// Errors: a row that has them in one part and not in another.
+fn changed_rows(parts: &[Part]) -> Result<BTreeSet<String>> {
+    let changed: BTreeSet<String> = parts.iter().flat_map(|part| part.run.changed()).map(str::to_owned).collect();
+    for id in &changed {
+        let of = |is_changed: bool| {
+            let has = |part: &&Part| part.run.methods.iter().any(|m| m.id == *id && m.is_changed == is_changed);
+            parts.iter().find(has).map(|part| part.folder.display())
+        };
+        if let (Some(changed), Some(shipped)) = (of(true), of(false)) {
+            return Err(Error::input(format!(
+                "`{id}` has other settings in {changed} than in {shipped}, where they are those that come with the program: \
+                 give the changed method an id of its own"
+            )));
+        }
+    }
+    Ok(changed)
 }
 
 /// What holds for the rows that this program ran, a sentence each; where not for those of all parts, with the parts' ids.
@@ -165,6 +187,14 @@ fn notes_on_places(run: &Run) -> Vec<String> {
         .map(|m| m.id.as_str())
         .collect();
     let mut notes = Vec::new();
+    let has_no_place = |m: &&MethodInfo| m.role == Role::Ranked && !counted.is_complete(&m.id);
+    let partly: Vec<&str> = run.methods.iter().filter(has_no_place).map(|m| m.id.as_str()).collect();
+    if !partly.is_empty() {
+        let partly = partly.join(", ");
+        notes.push(format!(
+            "Without a place, since not scored in every case that counts with the same seeds: {partly}."
+        ));
+    }
     if !others.is_empty() {
         let others = others.join(", ");
         notes.push(format!("Listed, but of no row of this program, so that they count in no mean or place: {others}."));

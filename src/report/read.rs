@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use super::run::{MethodInfo, RECONSTRUCT, StatedFacts};
+pub use super::seal::lacking_evidence;
 use super::{RESULTS, seal, track_folders};
 use crate::base::{Error, Result, files};
 use crate::formats::number_table::line_of;

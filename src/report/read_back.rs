@@ -92,6 +92,7 @@ pub fn read_run(folder: &Path, evidence: PartEvidence) -> Result<Run> {
     let conditions = stated.conditions;
     let read_from = vec![folder.to_owned()];
     let mut run = Run { id, profile, track, scenes, read_from, conditions, notes, ..Run::of_cells(cells, &trees) };
+    run.mark_changed(stated.changed.iter().map(String::as_str));
     for case in stated.cases {
         run.cases.iter_mut().filter(|c| c.id == case.id).for_each(|c| c.title = case.title.clone());
     }

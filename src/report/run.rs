@@ -48,6 +48,9 @@ pub struct RunFacts<'a> {
     track: &'a str,
     cases: Vec<CaseInRun<'a>>,
     methods: Vec<&'a str>,
+    /// Own rows with other settings than those that come with the program.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    changed: Vec<&'a str>,
     seeds: Vec<u64>,
     conditions: &'a [String],
     notes: &'a [String],
@@ -73,6 +76,9 @@ pub struct StatedFacts {
     /// Cases with their titles.
     #[serde(default)]
     pub cases: Vec<StatedCase>,
+    /// Own rows with other settings than those that come with the program.
+    #[serde(default)]
+    pub changed: Vec<String>,
 }
 
 impl StatedFacts {
@@ -139,6 +145,8 @@ pub struct MethodInfo {
     pub ct_scans: Option<u8>,
     /// Whether it keeps an explicit mesh, if known.
     pub mesh: Option<bool>,
+    /// Whether it is an own row with other settings than those that come with the program.
+    pub is_changed: bool,
 }
 
 impl MethodInfo {
@@ -151,9 +159,22 @@ impl MethodInfo {
                 role: row.role,
                 ct_scans: Some(row.sees.ct_scans),
                 mesh: Some(row.keeps_mesh),
+                is_changed: false,
             },
-            None => MethodInfo { id: id.into(), title: id.into(), role: Role::Ranked, ct_scans: None, mesh: None },
+            None => MethodInfo {
+                id: id.into(),
+                title: id.into(),
+                role: Role::Ranked,
+                ct_scans: None,
+                mesh: None,
+                is_changed: false,
+            },
         }
+    }
+
+    /// The same with other settings than those that come with the program, which its title says.
+    pub fn changed(self) -> Self {
+        if self.is_changed { self } else { MethodInfo { title: self.title + ", changed", is_changed: true, ..self } }
     }
 
     /// Whether `id` is one of this program's own rows.
@@ -294,6 +315,20 @@ impl Run {
         }
     }
 
+    /// Marks the own rows that had other settings than those that come with the program.
+    pub fn mark_changed<'b>(&mut self, ids: impl Iterator<Item = &'b str>) {
+        for id in ids {
+            for method in self.methods.iter_mut().filter(|method| method.id == id) {
+                *method = method.clone().changed();
+            }
+        }
+    }
+
+    /// Ids of the own rows that had other settings than those that come with the program.
+    pub fn changed(&self) -> impl Iterator<Item = &str> {
+        self.methods.iter().filter(|method| method.is_changed).map(|method| method.id.as_str())
+    }
+
     /// Scored cells of a case in the order of the methods, the first seed of each: what curves and images show.
     pub fn shown(&self, case_id: &str) -> Vec<(&MethodInfo, &CellRecord, &CellScore)> {
         let of = |method: &MethodInfo| {
@@ -314,6 +349,7 @@ impl Run {
             track: self.track.word(),
             cases: self.cases.iter().map(CaseInfo::facts).collect(),
             methods: self.methods.iter().map(|method| method.id.as_str()).collect(),
+            changed: self.changed().collect(),
             seeds,
             conditions: &self.conditions,
             notes: &self.notes,

@@ -6,12 +6,13 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::run::RUN_FACTS;
 use super::scene::SCENES;
 use crate::base::{Error, Result, files, hash};
 
 /// Its name.
 const MANIFEST: &str = "manifest.json";
-/// Tables that it covers; what the page shows, and whole films, are covered too, where they are there.
+/// Tables that it covers; what `run.json` says, what the page shows, and whole films are covered too, where they are there.
 const TABLES: [&str; 4] = ["results.csv", "comparison.csv", "frames.csv", "timings.csv"];
 
 #[derive(Serialize, Deserialize)]
@@ -28,7 +29,8 @@ fn covered(folder: &Path) -> impl Iterator<Item = &'static str> {
 /// Writes the manifest of the report in `folder`, which covers the files `films`, too.
 pub(super) fn write(folder: &Path, films: &[String]) -> Result<()> {
     let hashed = |name: String| hash::of_file(&folder.join(&name)).map(|hash| (name, hash));
-    let names = covered(folder).map(str::to_owned).chain(films.iter().cloned());
+    let facts = folder.join(RUN_FACTS).exists().then(|| RUN_FACTS.to_owned());
+    let names = covered(folder).map(str::to_owned).chain(facts).chain(films.iter().cloned());
     let files = names.map(hashed).collect::<Result<_>>()?;
     files::write_json(&folder.join(MANIFEST), &ReportManifest { files })
 }
@@ -54,6 +56,11 @@ fn refuse_changed(path: &Path, sealed: Option<&String>) -> Result<()> {
     Err(Error::input(sentence).at(path))
 }
 
+/// What shows that the tables in `folder` are as they were written, and is not there.
+pub fn lacking_evidence(folder: &Path) -> impl Iterator<Item = &'static str> {
+    [MANIFEST, RUN_FACTS].into_iter().filter(|name| !folder.join(name).is_file())
+}
+
 /// Refuses tables that are not those of the manifest, and names the files that are not there: a report of an older
 /// version has no manifest, and one kept for reference leaves out what is long.
 pub(super) fn check(folder: &Path) -> Result<Vec<&'static str>> {
@@ -64,7 +71,9 @@ pub(super) fn check(folder: &Path) -> Result<Vec<&'static str>> {
         return Ok(missing);
     }
     let manifest: ReportManifest = files::read_json(&path)?;
-    for name in there {
+    // Older manifests do not cover it.
+    let facts = manifest.files.contains_key(RUN_FACTS).then_some(RUN_FACTS);
+    for name in there.into_iter().chain(facts) {
         refuse_changed(&folder.join(name), manifest.files.get(name))?;
     }
     Ok(missing)

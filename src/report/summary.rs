@@ -124,6 +124,17 @@ struct Place {
     leads_equals: bool,
 }
 
+/// By what a ranked method's place is found.
+struct Standing {
+    /// As tables show it.
+    value: f64,
+    /// Whether another row's number counts in it.
+    is_marked: bool,
+    /// Whether that stands behind all without: a third party that expects worse than the worst own row would gain by a
+    /// surface that cannot be measured.
+    is_behind: bool,
+}
+
 /// The place of each method by `metric`: 1 + the number of better ones.
 fn places(run: &Run, counted: &CountedRun<'_>, summaries: &[MethodSummary], metric: &Metric) -> Vec<Option<Place>> {
     let shown = |s: &MethodSummary| s.mean(metric.id).and_then(|m| metric.format(m.mean).parse::<f64>().ok());
@@ -144,20 +155,25 @@ fn places(run: &Run, counted: &CountedRun<'_>, summaries: &[MethodSummary], metr
             && is_estimate(s)
             && (!metric.is_runtime() || counted.is_timed(&s.method.id))
     };
-    let marked = |s: &MethodSummary| s.metric(metric.id).is_some_and(|m| m.is_marked);
-    let place = |s: &MethodSummary| if is_ranked(s) { shown(s).map(|value| (value, marked(s))) } else { None };
-    let values: Vec<Option<(f64, bool)>> = summaries.iter().map(place).collect();
-    let stands_before = |&(a, a_marked): &(f64, bool), (b, b_marked): (f64, bool)| {
-        metric.direction.better(a, b) || (a == b && b_marked && !a_marked)
+    let standing = |s: &MethodSummary| {
+        let value = shown(s).filter(|_| is_ranked(s))?;
+        let is_marked = s.metric(metric.id).is_some_and(|m| m.is_marked);
+        Some(Standing { value, is_marked, is_behind: is_marked && !MethodInfo::is_own(&s.method.id) })
     };
-    let place = |(index, own): (usize, &Option<(f64, bool)>)| {
-        let own = (*own)?;
-        let better = |other: &(f64, bool)| stands_before(other, own);
+    let values: Vec<Option<Standing>> = summaries.iter().map(standing).collect();
+    let stands_before = |a: &Standing, b: &Standing| match (a.is_behind, b.is_behind) {
+        (false, true) => true,
+        (true, false) => false,
+        _ => metric.direction.better(a.value, b.value) || (a.value == b.value && b.is_marked && !a.is_marked),
+    };
+    let place = |(index, own): (usize, &Option<Standing>)| {
+        let own = own.as_ref()?;
+        let better = |other: &Standing| stands_before(other, own);
         let rank = 1 + values.iter().flatten().filter(|other| better(other)).count();
         let sees = own_row::sees(&summaries[index].method.id);
         let sees_no_more = |k: &usize| *k != index && own_row::sees(&summaries[*k].method.id).is_within(sees);
-        let mut equals = (0..values.len()).filter(sees_no_more).filter_map(|k| values[k]).peekable();
-        let leads_equals = rank > 1 && equals.peek().is_some() && !equals.any(|other| better(&other));
+        let mut equals = (0..values.len()).filter(sees_no_more).filter_map(|k| values[k].as_ref()).peekable();
+        let leads_equals = rank > 1 && equals.peek().is_some() && !equals.any(better);
         Some(Place { rank, leads_equals })
     };
     values.iter().enumerate().map(place).collect()

@@ -93,7 +93,7 @@ impl TableKind {
             }
             TableKind::Paper => {
                 "Of frames that the methods had fitted, and of the last frame; with the value of the paper's Table 1 (its \
-                 nine COPDGene cases, its machine)."
+                 nine COPDGene cases, its machine, its assumptions, which are those of the ideal track)."
             }
         }
     }

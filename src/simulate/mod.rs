@@ -56,7 +56,7 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
     }
     let material = material(case)?;
     progress.accepts(&settings.estimate(case))?;
-    prepare_folder(out, &hash)?;
+    let folder = FolderBefore::of(out, &hash)?;
     progress.advance(0, settings.frames);
     // What is wrong with the case stands in its file, which has its id where nothing else was meant.
     let file = case.folder.join(format!("{}.toml", case.id));
@@ -65,6 +65,8 @@ pub fn simulate(case: &Case, settings: &SimulationSettings, out: &Path, progress
     let anatomy = airway::build(case).map_err(of_case)?;
     let film = Film::plan_watched(case, &anatomy, settings, &material, progress).map_err(of_case)?;
     film.notes.iter().for_each(|note| progress.note(&format!("{}: {note}", case.id)));
+    // Not before: a case that cannot be filmed leaves nothing behind.
+    folder.prepare(out, &hash)?;
     shared_frames::copy_frames(case, settings, out, progress)?;
     shoot::shoot(case, &anatomy, &film, &material, settings, out, progress).map_err(of_case)?;
     write_truth(case, &anatomy, &film, settings, &hash, out)?;
@@ -119,35 +121,54 @@ pub fn material(case: &Case) -> Result<Material> {
     Ok(material)
 }
 
-/// Makes the folder ready for the content `hash`: keeps the frames of the same content, removes those of another.
-fn prepare_folder(out: &Path, hash: &str) -> Result<()> {
-    #[derive(serde::Deserialize)]
-    struct FilmPlan {
-        hash: String,
-    }
-    let plan = out.join(sequence::PLAN);
-    let same = plan.is_file() && files::read_json::<FilmPlan>(&plan).is_ok_and(|p| p.hash == hash);
-    if !same {
-        let empty = !out.exists() || out.read_dir().map_err(|e| Error::io("reading", out, e))?.next().is_none();
-        if !empty && !plan.is_file() {
+/// What a folder holds before a film is made in it.
+#[derive(PartialEq)]
+enum FolderBefore {
+    /// Frames of the same content, which are kept.
+    Same,
+    /// Nothing, or another film, which is removed.
+    Other,
+}
+
+impl FolderBefore {
+    /// Of `out`, for the content `hash`. Errors: files that are no film's.
+    fn of(out: &Path, hash: &str) -> Result<FolderBefore> {
+        #[derive(serde::Deserialize)]
+        struct FilmPlan {
+            hash: String,
+        }
+        let plan = out.join(sequence::PLAN);
+        if plan.is_file() {
+            let is_same = files::read_json::<FilmPlan>(&plan).is_ok_and(|p| p.hash == hash);
+            return Ok(if is_same { FolderBefore::Same } else { FolderBefore::Other });
+        }
+        let is_empty = !out.exists() || out.read_dir().map_err(|e| Error::io("reading", out, e))?.next().is_none();
+        if !is_empty {
             return Err(Error::input("is neither empty nor a sequence folder: nothing is overwritten").at(out));
         }
-        // One that stayed would describe frames of another film.
-        let manifest = out.join(sequence::MANIFEST);
-        match std::fs::remove_file(&manifest) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(Error::io("removing", &manifest, e)),
-            _ => {}
-        }
-        for part in sequence::FOLDERS {
-            let folder = out.join(part);
-            if folder.exists() {
-                std::fs::remove_dir_all(&folder).map_err(|e| Error::io("removing", &folder, e))?;
-            }
-        }
-        files::write_json(&plan, &serde_json::json!({ "hash": hash }))?;
+        Ok(FolderBefore::Other)
     }
-    // What a killed run was writing is no part of the film.
-    files::remove_unfinished(out)
+
+    /// Makes the folder ready for the content `hash`.
+    fn prepare(self, out: &Path, hash: &str) -> Result<()> {
+        if self == FolderBefore::Other {
+            // One that stayed would describe frames of another film.
+            let manifest = out.join(sequence::MANIFEST);
+            match std::fs::remove_file(&manifest) {
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(Error::io("removing", &manifest, e)),
+                _ => {}
+            }
+            for part in sequence::FOLDERS {
+                let folder = out.join(part);
+                if folder.exists() {
+                    std::fs::remove_dir_all(&folder).map_err(|e| Error::io("removing", &folder, e))?;
+                }
+            }
+            files::write_json(&out.join(sequence::PLAN), &serde_json::json!({ "hash": hash }))?;
+        }
+        // What a killed run was writing is no part of the film.
+        files::remove_unfinished(out)
+    }
 }
 
 /// Everything but the frames; the manifest last.

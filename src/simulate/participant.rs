@@ -51,6 +51,13 @@ pub struct GivenFrame {
     pub world_from_camera: DAffine3,
 }
 
+/// What is told of the mean duration of a breath: two digits, as a monitor shows it. A film's waveform is tuned to end at a
+/// phase that is drawn for the case, so that all digits of its period, put into the waveform's formula, would be the phase of
+/// every frame.
+fn told_period_s(period_s: f64) -> f64 {
+    format!("{period_s:.1e}").parse().unwrap_or(period_s)
+}
+
 /// A film as methods may see it: the whole film behind this trait, or a participant's folder.
 pub trait Given: Send + Sync {
     /// Intrinsics of all frames.
@@ -65,7 +72,7 @@ pub trait Given: Send + Sync {
     /// Second cameras, in order of their frames.
     fn given_views(&self) -> &[NovelView];
 
-    /// Mean duration of a breath in seconds.
+    /// Mean duration of a breath in seconds, to two digits.
     fn given_period_s(&self) -> f64;
 
     /// Targets as planned at inspiration, mm.
@@ -115,7 +122,7 @@ impl Given for Sequence {
     }
 
     fn given_period_s(&self) -> f64 {
-        self.breathing_period_s
+        told_period_s(self.breathing_period_s)
     }
 
     fn planned_targets_mm(&self) -> Vec<DVec3> {
@@ -347,7 +354,7 @@ pub fn write(film: &Sequence, out: &Path) -> Result<Participant> {
     }
     let head = ParticipantHead {
         frames: film.frames.len(),
-        breathing_period_s: film.breathing_period_s,
+        breathing_period_s: film.given_period_s(),
         poses_are_measured: film.given_poses_are_measured(),
         files: listed,
     };

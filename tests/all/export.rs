@@ -355,7 +355,7 @@ fn a_clinical_films_depth_lies_on_its_wall_with_the_truth_and_is_told_without() 
 
     let surfaces = place.export("glb", shown(ExportFormat::Glb));
     let (rest, moved) = (place.film.inspiration().unwrap(), place.film.expiration().unwrap());
-    let wanted = glb::breathing(&rest, &moved, place.film.breathing_period_s).unwrap();
+    let wanted = glb::breathing(&rest, &moved, place.film.given_period_s()).unwrap();
     assert!(fs::read(surfaces.join("airway.glb")).unwrap() == wanted);
     let ideal = Filmed::pinhole();
     assert!(!about(&ideal.export("ideal", shown(ExportFormat::Nerfstudio))).contains("clinical"));

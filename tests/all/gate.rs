@@ -44,9 +44,10 @@ fn an_injected_regression_ends_with_exit_code_3_and_its_reports_are_there() {
     write_run(&at("baseline"), ["27.5", "26.5"], ["2.0", "3.0"]);
 
     write_run(&at("good"), ["27.45", "26.9"], ["2.02", "2.9"]);
-    let (code, said, _) = gate(folder.path(), "good");
+    let (code, said, noted) = gate(folder.path(), "good");
     assert_eq!(code, 0, "{said}");
     assert!(said.contains("passed"));
+    assert!(noted.contains("has no manifest.json") && noted.contains("has no run.json"), "{noted}");
 
     let injected = [
         ("psnr", ["27.3", "26.5"], ["2.0", "3.0"], "worse by 0.2"),

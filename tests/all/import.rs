@@ -203,6 +203,15 @@ fn units_axes_and_loose_parts_are_noticed_and_their_cure_works() {
     let mut command = command();
     command.args(["import", "mesh", "--id", "x"]).arg(at("good.ply")).arg("--landmarks").arg(at("metres.csv"));
     fails(command.arg("--out").arg(at("out")), &["metres.csv", "landmarks are in mm (LPS)"]);
+    // Those of a mouse are taken on request, by `import breathing` as well.
+    let mouse = |more: &[&str]| {
+        let mut command = self::command();
+        command.args(["import", "breathing"]).arg(at("none.toml")).arg("--landmarks").arg(at("metres.csv")).args(more);
+        String::from_utf8(command.output().unwrap().stderr).unwrap()
+    };
+    assert!(mouse(&[]).contains("--unusual"), "{}", mouse(&[]));
+    // These in metres do not move, which is asked next.
+    assert!(mouse(&["--unusual"]).contains("no landmark moves"), "{}", mouse(&["--unusual"]));
     mapped("far.ply", &|v| v + DVec3::splat(100.0));
     let mut command = self::command();
     command.args(["import", "mesh-pair", "--id", "x"]).arg(at("good.ply")).arg(at("far.ply"));

@@ -105,11 +105,19 @@ fn many_films_give_a_row_each_and_one_that_fails_is_named() {
         one
     );
 
+    // A link to a film goes by its own name.
+    fs::create_dir(place.path("links")).unwrap();
+    std::os::unix::fs::symlink(place.path("films/case2"), place.path("links/mine2")).unwrap();
+    fs::create_dir(place.path("by-link")).unwrap();
+    std::os::unix::fs::symlink(place.path("mine/case2"), place.path("by-link/mine2")).unwrap();
+    let linked = accepted(evaluate(&["links/mine2"], &["by-link"], &["--json"]));
+    assert_eq!(serde_json::from_str::<serde_json::Value>(&linked).unwrap(), one);
+
     // One fails: it is named, the others have their rows, and the exit code says so.
     fs::remove_file(place.path("mine/case2/color/000001.png")).unwrap();
     let (code, said, err) = evaluate(&["films"], &["mine"], &["--out", &place.text("partly")]);
     assert_eq!(code, 1, "{err}");
-    assert!(err.contains("case2/color/000001.png: is missing") && err.contains("1 of 3 films failed"), "{err}");
+    assert!(err.contains("case2/color/000001.png: is missing") && err.contains("1 of 3 films failed, first "), "{err}");
     let words: Vec<Vec<&str>> = said.lines().map(|line| line.split_whitespace().collect()).collect();
     assert!(words.contains(&vec!["case2", "failed"]), "{said}");
     assert_eq!(cases("partly"), ["case1", "case2", "case5"]);

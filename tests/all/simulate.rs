@@ -253,6 +253,12 @@ fn damaged_or_foreign_folders_are_named() {
     let refused = simulate(&case(), &settings, &foreign, &NoProgress).unwrap_err();
     assert!(refused.to_string().contains("nothing is overwritten"), "{refused}");
     assert!(foreign.join("photo.jpg").exists());
+    // A case that cannot be filmed leaves nothing behind.
+    let mut wide = case();
+    wide.trajectory.scope_radius_mm = 20.0;
+    let nowhere = folder.path().join("nowhere");
+    simulate(&wide, &settings, &nowhere, &NoProgress).unwrap_err();
+    assert!(!nowhere.exists());
 }
 
 /// An old manifest over new frames would say that they are of the old film.

@@ -24,7 +24,7 @@ use crate::reconstruct::fitting::optimiser::{Adam, AdamConstants, StepCounter};
 use crate::reconstruct::geometry::targets::CarriedTargets;
 use crate::reconstruct::geometry::visible::{Reach, Sides, nothing_in_view, visible_faces};
 use crate::reconstruct::online::{OnlineRun, color_image, held_out, rendered_prediction, shown};
-use crate::reconstruct::settings::{BridgeCommon, BridgeObjective, BridgesplatSettings, MethodHeader};
+use crate::reconstruct::settings::{BridgeObjective, BridgesplatSettings, IsometryLength, MethodHeader};
 
 #[cfg(test)]
 #[path = "bridgesplat_tests.rs"]
@@ -264,7 +264,7 @@ impl<'a> BridgesplatFit<'a> {
             self.vertex_gradient(patch, &local, hidden)?;
             deformation.field.pull_back(&self.by_point, &mut by_control);
             if self.settings.variant == BridgeObjective::Full {
-                deformation.regularise(s, &mut by_control);
+                deformation.regularise(self.settings, &mut by_control);
             }
             // Steps of discs and control points.
             self.adam.rates.sh_rest = if i < sh_from { 0.0 } else { sh_rest };
@@ -322,11 +322,16 @@ impl Deformation {
     }
 
     /// Adds the gradients of rigidity and isometry.
-    fn regularise(&self, settings: &BridgeCommon, by_control: &mut [[f32; 3]]) {
+    fn regularise(&self, settings: &BridgesplatSettings, by_control: &mut [[f32; 3]]) {
         let current = self.positions();
+        let common = &settings.common;
+        let isometry_weight = match *settings.isometry_length {
+            IsometryLength::Unit => *common.isometry_weight,
+            IsometryLength::MeanDistance => *common.isometry_weight / self.pairs.mean_distance(),
+        };
         let mut gradient = vec![DVec3::ZERO; current.len()];
-        self.pairs.rigidity(&self.previous, &current, *settings.rigid_weight, &mut gradient);
-        self.pairs.isometry(&current, *settings.isometry_weight, &mut gradient);
+        self.pairs.rigidity(&self.previous, &current, *common.rigid_weight, &mut gradient);
+        self.pairs.isometry(&current, isometry_weight, &mut gradient);
         for (out, g) in by_control.iter_mut().zip(&gradient) {
             for k in 0..3 {
                 out[k] += g[k] as f32;

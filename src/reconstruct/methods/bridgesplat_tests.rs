@@ -168,7 +168,14 @@ fn what_does_not_move_is_left_in_place() {
 /// The gradient of `4 L_rigid + 10 L_iso` against differences: rigid towards the last frame, isometric to the rest.
 #[test]
 fn regularisers_have_the_gradient_of_their_losses() {
-    let settings = bridgesplat().common;
+    for length in [IsometryLength::Unit, IsometryLength::MeanDistance] {
+        let mut settings = bridgesplat();
+        settings.isometry_length.value = length;
+        check_regularisers(&settings);
+    }
+}
+
+fn check_regularisers(settings: &BridgesplatSettings) {
     let mut random = CounterRng::new(4, Stage::Test, &[12]);
     let mut cloud = |size: f64| -> Vec<DVec3> {
         (0..12).map(|_| DVec3::new(random.normal(), random.normal(), random.normal()) * size).collect()
@@ -184,11 +191,21 @@ fn regularisers_have_the_gradient_of_their_losses() {
         adam: Adam::new(AdamConstants::default()),
     };
     let mut by_control = vec![[0.0; 3]; 12];
-    deformation.regularise(&settings, &mut by_control);
+    deformation.regularise(settings, &mut by_control);
     let (pairs, ignored) = (Pairs::new(&deformation.rest, 4, 4.5), &mut [DVec3::ZERO; 12]);
+    let common = &settings.common;
+    let distances = deformation.rest.iter().flat_map(|p| {
+        let mut of_one: Vec<f64> = deformation.rest.iter().map(|q| q.distance(*p)).collect();
+        of_one.sort_by(f64::total_cmp);
+        of_one[1..5].to_vec()
+    });
+    let counted_in = match *settings.isometry_length {
+        IsometryLength::Unit => 1.0,
+        IsometryLength::MeanDistance => distances.sum::<f64>() / 48.0,
+    };
     let mut loss = |current: &[DVec3]| {
-        *settings.rigid_weight * pairs.rigidity(&previous, current, 0.0, ignored)
-            + *settings.isometry_weight * pairs.isometry(current, 0.0, ignored)
+        *common.rigid_weight * pairs.rigidity(&previous, current, 0.0, ignored)
+            + *common.isometry_weight * pairs.isometry(current, 0.0, ignored) / counted_in
     };
     let current = deformation.positions();
     for (point, axis) in (0..12).flat_map(|point| (0..3).map(move |axis| (point, axis))) {

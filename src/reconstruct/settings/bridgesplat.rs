@@ -18,6 +18,16 @@ pub enum BridgeObjective {
     Release,
 }
 
+/// What a change of length is counted in by isometry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum IsometryLength {
+    /// Units, as in the code that BridgeSplat was built on (OET), with the same weight.
+    Unit,
+    /// The mean distance of neighbours at rest, as in a line of the released code that is commented out.
+    MeanDistance,
+}
+
 /// Keys of both kinds of BridgeSplat.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BridgeCommon {
@@ -56,6 +66,8 @@ pub struct BridgesplatSettings {
     pub common: BridgeCommon,
     /// `full` (working rigidity and isometry; the row of the table) or `release` (what the released code computes).
     pub variant: BridgeObjective,
+    /// What a change of length is counted in by isometry.
+    pub isometry_length: Sourced<IsometryLength>,
     /// Weight of the ARAP sum.
     pub arap_weight: Sourced<f64>,
     /// Discs.
@@ -68,6 +80,7 @@ impl MethodSettings for BridgesplatSettings {
             header: keys.part()?,
             common: keys.part()?,
             variant: keys.key("variant")?,
+            isometry_length: keys.key("isometry_length")?,
             arap_weight: keys.key("arap_weight")?,
             appearance: keys.table("appearance", AnchoredAppearance::read)?,
         })

@@ -16,7 +16,7 @@ mod ranges;
 mod sourced;
 mod virtual_view;
 
-pub use bridgesplat::{BridgeCommon, BridgeObjective, BridgesplatNomeshSettings, BridgesplatSettings};
+pub use bridgesplat::{BridgeCommon, BridgeObjective, BridgesplatNomeshSettings, BridgesplatSettings, IsometryLength};
 pub use gaussians::{
     AnchoredAppearance, Auto, ColorRates, DiscLayout, FreeAppearance, GaussianSettings, Inherits, PerFace, Visibility,
 };

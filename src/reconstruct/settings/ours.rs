@@ -62,6 +62,8 @@ pub struct PhaseEstimation {
     pub velocity: Sourced<f64>,
     /// Steps of the first frame's grid search over phase.
     pub grid_steps: Sourced<u32>,
+    /// Whether Gaussians that no frame has shown get the colours of a frame before its stage (i) as well, not after it alone.
+    pub colored_before_phase: Sourced<bool>,
     /// Frames whose mean colour the phase is measured on (0 = the colours of the last frame, as the paper has it).
     pub memory_frames: Sourced<f64>,
 }

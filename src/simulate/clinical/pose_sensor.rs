@@ -1,11 +1,13 @@
 //! The pose that an electromagnetic sensor in the scope's tip tells: late, bent by the field, drifting, noisy.
 //!
-//!   told(t) = (turn(D(t)) shift(D(t) + g(x)) turn(curl g(x) / 2)) * true(t - delay) * noise
+//!   place(t) = x + g(x) + d(t) + n,  x the true place at t - delay
+//!   directions(t) = turn(m) turn(r(t)) turn(curl g(x) / 2) * the true ones at t - delay
 //!
 //! The field's distortion g is a sum of long plane waves of a stated root mean square; a field that bends positions bends
-//! directions with half its curl, so the orientation's error follows from it. The drift D is a seeded random walk,
-//! smoothed, that begins at 0 (the sensor is registered at the start) and whose largest value over the film is the stated
-//! one. Noise is white along and about each axis. Everything is a function of (seed, frame).
+//! directions with half its curl, so the orientation's error follows from it. The drift d, r is a seeded random walk,
+//! smoothed, that begins at 0 (the sensor is registered at the start) and whose largest value over the walk, which
+//! goes on for up to a second after the film, is the stated one. Noise n, m is white along and about each axis of the
+//! world. Everything is a function of (seed, frame).
 
 use std::f64::consts::TAU;
 

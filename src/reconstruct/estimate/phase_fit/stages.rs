@@ -28,7 +28,9 @@ impl Fitter<'_> {
         });
         self.place(&target.view, patch, guess)?;
         self.fit_exposure(&target.view, patch, &target.image)?;
-        self.color_the_unseen(&target.view, patch, &target.image);
+        if *self.estimation().colored_before_phase {
+            self.color_the_unseen(&target.view, patch, &target.image);
+        }
         // The phase: the best candidate, then Adam on theta.
         let start = self.best_candidate(patch, target, guess)?;
         let phase = self.optimise_phase(patch, target, start)?;

@@ -1,7 +1,8 @@
 //! Regularisers between control points, as in the code BridgeSplat was built on (OET, after Dynamic 3D Gaussians),
 //! `i` a control point, `j` one of its nearest neighbours at rest, `o_ij = p_j - p_i`, `w_ij = exp(-decay d_ij)`:
 //! - rigidity `mean w_ij |o_ij^prev - o_ij^cur|`, `prev` the positions after the previous frame;
-//! - isometry `mean w_ij | |o_ij| - d_ij |`, `d_ij` the distance at rest;
+//! - isometry `mean w_ij | |o_ij| - d_ij |`, `d_ij` the distance at rest; a commented-out line of BridgeSplat's own code
+//!   divides it by the mean of `d_ij`;
 //! - rotation `mean sqrt(w_ij |dR_i - dR_j|^2 + 1e-20)`, `dR = R_prev R_cur^T` (Frobenius norm);
 //! - visibility: the length of the displacement of what is not visible, over a count that is never zero.
 //!
@@ -27,6 +28,12 @@ impl Pairs {
             list.extend(others.map(|&(j, d)| (i as u32, j, (-decay * d).exp(), d)));
         }
         Pairs { list }
+    }
+
+    /// Mean distance of neighbours at rest; 1 where there are none.
+    pub fn mean_distance(&self) -> f64 {
+        let mean = self.mean_over(|(_, _, _, rest)| *rest);
+        if mean > 0.0 { mean } else { 1.0 }
     }
 
     fn mean_over<'a>(&'a self, term: impl FnMut(&'a (u32, u32, f64, f64)) -> f64) -> f64 {
