@@ -125,7 +125,7 @@ struct Place {
 }
 
 /// By what a ranked method's place is found.
-struct Standing {
+struct RankedValue {
     /// As tables show it.
     value: f64,
     /// Whether another row's number counts in it.
@@ -158,17 +158,17 @@ fn places(run: &Run, counted: &CountedRun<'_>, summaries: &[MethodSummary], metr
     let standing = |s: &MethodSummary| {
         let value = shown(s).filter(|_| is_ranked(s))?;
         let is_marked = s.metric(metric.id).is_some_and(|m| m.is_marked);
-        Some(Standing { value, is_marked, is_behind: is_marked && !MethodInfo::is_own(&s.method.id) })
+        Some(RankedValue { value, is_marked, is_behind: is_marked && !MethodInfo::is_own(&s.method.id) })
     };
-    let values: Vec<Option<Standing>> = summaries.iter().map(standing).collect();
-    let stands_before = |a: &Standing, b: &Standing| match (a.is_behind, b.is_behind) {
+    let values: Vec<Option<RankedValue>> = summaries.iter().map(standing).collect();
+    let stands_before = |a: &RankedValue, b: &RankedValue| match (a.is_behind, b.is_behind) {
         (false, true) => true,
         (true, false) => false,
         _ => metric.direction.better(a.value, b.value) || (a.value == b.value && b.is_marked && !a.is_marked),
     };
-    let place = |(index, own): (usize, &Option<Standing>)| {
+    let place = |(index, own): (usize, &Option<RankedValue>)| {
         let own = own.as_ref()?;
-        let better = |other: &Standing| stands_before(other, own);
+        let better = |other: &RankedValue| stands_before(other, own);
         let rank = 1 + values.iter().flatten().filter(|other| better(other)).count();
         let sees = own_row::sees(&summaries[index].method.id);
         let sees_no_more = |k: &usize| *k != index && own_row::sees(&summaries[*k].method.id).is_within(sees);
